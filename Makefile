@@ -4,35 +4,40 @@ VENV := .venv
 RUN := $(VENV)/bin/python
 READY := $(VENV)/.ready
 
-.PHONY: setup solvers test lint kernels docs clean
+.PHONY: setup solvers test lint sanitize docs clean
 
 setup: $(READY)
 
-$(READY): pyproject.toml constraints.txt
+$(READY): pyproject.toml constraints.txt packaging/backend.py $(wildcard moc_opt/core/*.[ch])
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "moc_opt needs Python 3.11 or later: make PYTHON=python3.12 ...")'
-	@echo 'installing the pinned packages into $(VENV): two to ten minutes, without a word'
+	@echo 'installing the pinned packages into $(VENV): two to ten minutes, without output'
 	$(PYTHON) -m venv $(VENV)
 	$(RUN) -m pip install --quiet --editable '.[solvers,vision,live,cluster,peers,qpbenchmark,dataframes,docs,dev]' --constraint constraints.txt
 	touch $(READY)
-	@echo 'ready: . $(VENV)/bin/activate && moc-opt run (the first run compiles, for one to three minutes)'
+	@echo 'ready: . $(VENV)/bin/activate && moc-opt run'
 
 solvers: setup
 	$(RUN) -m benchmarks.solvers
 
 # The tests share the cores: threads of the linear algebra library would only wait for each other.
-test: setup
-	$(MAKE) --no-print-directory --jobs=3 lint kernels
+test: setup lint
 	OPENBLAS_NUM_THREADS=1 $(RUN) -m pytest -n auto --dist loadfile --no-loadscope-reorder
 
 lint: setup
 	$(RUN) -m ruff check .
 	$(RUN) -m mypy
 
-# Compiled once, while the linters run on one core: else every process that shares the tests compiles the same anew.
-kernels: kernels.exact kernels.rnn
+# The core's own code, without its binding, under the address and the undefined-behaviour sanitizer.
+CORE := $(filter-out %/python.c %/tools.c %/plant.c,$(wildcard moc_opt/core/*.c))
+EXTREMES ?= build/extremes
 
-kernels.%: setup
-	$(RUN) -m benchmarks.common.preload $*
+sanitize: $(EXTREMES)
+	$(EXTREMES) 40000
+
+$(EXTREMES): tests/core/extremes.c $(CORE) $(wildcard moc_opt/core/*.h)
+	@mkdir -p $(@D)
+	$(CC) -std=c11 -O1 -g -fsanitize=address,undefined -fno-sanitize-recover=undefined -ffp-contract=off -Wall -Wextra \
+		-Imoc_opt/core tests/core/extremes.c $(CORE) -lm -o $@
 
 # Pages of sources are written anew: one that is older than a change of the reference links to where its names were.
 docs: setup

@@ -18,6 +18,13 @@ from benchmarks.common import cli
 from benchmarks.subproblems.qpbenchmark import SETS, write_qpbenchmark
 
 
+def write(given: argparse.Namespace) -> int:
+    module = write_qpbenchmark(given.out, given.sets, max(1, given.every), given.rows)
+    print(f"written: {module} and {module.with_suffix('.parquet').name}; run it with")
+    print(f"  qpbenchmark {module} --results-path {module.with_name('results.csv')} run --author NAME")
+    return 0
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Write a test set; see `cli.run` for the exit status."""
     options = argparse.ArgumentParser(prog="python -m benchmarks.export", description="The test sets for others.")
@@ -27,14 +34,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options.add_argument("--every", type=int, default=1, help="take each every-th problem")
     options.add_argument("--rows", type=int, choices=[5, 6], default=5, help="equality rows")
     return cli.run(options, write, arguments)
-
-
-def write(given: argparse.Namespace) -> int:
-    """Write a test set, and say how to run it."""
-    module = write_qpbenchmark(given.out, given.sets, max(1, given.every), given.rows)
-    print(f"written: {module} and {module.with_suffix('.parquet').name}; run it with")
-    print(f"  qpbenchmark {module} --results-path {module.with_name('results.csv')} run --author NAME")
-    return 0
 
 
 if __name__ == "__main__":

@@ -2,9 +2,8 @@
 
 python -m benchmarks.plan [CONFIG.toml] [--out DIR] [--seed N] [--quick] [--json] [--page]
 
-Starts are drawn by the rules of `moc_opt.procedure.preflight.random_start`. The map's largest mu is searched for by
-inverse kinematics from random starts, the nonlinear program is begun elsewhere, the grid is halved, the map is timed.
-A trial that is done is kept in DIR/jobs: the same command goes on where it was broken off, at the same commit.
+Starts are drawn by the rules of `moc_opt.vision.preflight.random_start`. The map's largest mu is searched for by
+inverse kinematics from random starts, the nonlinear program is begun elsewhere, and the grid is halved.
 --page also writes the tables into docs/planning.md.
 """
 
@@ -13,34 +12,29 @@ from __future__ import annotations
 import sys
 from argparse import Namespace
 from collections.abc import Sequence
-from functools import partial
-from pathlib import Path
 from typing import Any, Self, get_args
 
 from pydantic import Field
 
 from benchmarks.common import cli
 from benchmarks.common.config import Configuration
-from benchmarks.common.crew import run_parallel
 from benchmarks.common.markdown import write_section
 from benchmarks.common.output import default_config
-from benchmarks.common.store import Part, Store
 from benchmarks.paper_experiment.trials import seeds, trials
-from benchmarks.planning.first_screen import answer
-from benchmarks.planning.page import COMMANDS, PAGE, page_text
-from benchmarks.planning.parts import Job, run_job
-from benchmarks.planning.tables import report, summarise
+from benchmarks.planning.page import COMMANDS, PAGE, answer, page_text, report
+from benchmarks.planning.runs import Job, lost_job, run_job
+from benchmarks.planning.verdict import summarise
 from moc_opt.control import ControlSettings
 from moc_opt.errors import MocOptError
-from moc_opt.planning.spherical import spherical
+from moc_opt.planning.pose_map import closed_form
 from moc_opt.scenario import Scenario
+from moc_opt.study import Kept, each
 
-THIRD_LEVELS: tuple[str, ...] = get_args(ControlSettings.model_fields["third_level"].annotation)
-LOOPS: dict[str, dict[str, Any]] = {level: {"third_level": level} for level in THIRD_LEVELS} | {
+CONTROL = ControlSettings.model_fields
+LOOPS: dict[str, dict[str, Any]] = {
+    **{level: {"third_level": level} for level in get_args(CONTROL["third_level"].annotation)},
     # What the observer's gain under a course is worth to the climb, beside it: tip and RCM error come of its lag.
-    "local, observer of the courses": {
-        "observer_gain_per_s": ControlSettings.model_fields["course_observer_gain_per_s"].default
-    },
+    "local, observer of the courses": {"observer_gain_per_s": CONTROL["course_observer_gain_per_s"].default},
 }
 STREAM = 7
 """Of the seeds: no trial of this benchmark is one of another."""
@@ -60,7 +54,7 @@ class Config(Configuration):
     random_starts: int = Field(1000, ge=1)
     restart_poses: int = Field(2, ge=0)
     restarts: int = Field(100, ge=1)
-    scenario: Scenario = Scenario(start={"pose": "random"})  # type: ignore[arg-type]
+    scenario: Scenario = Scenario(start={"pose": "random"})
 
     def quick(self) -> Self:
         """Return the same on less data."""
@@ -68,33 +62,30 @@ class Config(Configuration):
         return self.model_copy(update=less | {"restart_poses": 1, "restarts": 3, "halvings": 1})
 
     def jobs(self) -> list[Job]:
-        """Return every part on every trial that it is for; the timed one first, before other processes are busy."""
+        """Return every part on every trial that it is for; the checks of map and program are of closed forms."""
         found: list[Job] = []
-        for name in self.robots:
+        count = self.poses * len(self.tasks)
+        own = seeds(self.seed, STREAM, count * len(self.robots))
+        for k, name in enumerate(self.robots):
             base = self.scenario.change(robot={"name": name})
-            drawn = trials(base, self.tasks, seeds(self.seed, STREAM, self.poses * len(self.tasks)))
+            drawn = trials(base, self.tasks, own[k * count : (k + 1) * count])
+            some = drawn[:: max(1, len(drawn) // max(self.map_points, self.restart_poses, self.halvings, 1))]
             found += [Job("courses", name, *trial, loops=self.loops) for trial in drawn]
-            spread = drawn[:: max(1, len(drawn) // max(self.map_points, self.restart_poses, self.halvings, 1))]
-            found += [Job("halving", name, *trial) for trial in spread[: self.halvings]]
-            if spherical(base.robot.arm()) is None:
-                continue  # the other parts are about the closed form
-            found.append(Job("map", name, *drawn[0]))
-            found += [Job("closed_form", name, *trial, self.random_starts) for trial in spread[: self.map_points]]
-            found += [Job("restarts", name, *trial, self.restarts) for trial in spread[: self.restart_poses]]
+            found += [Job("halving", name, *trial) for trial in some[: self.halvings]]
+            if closed_form(base.robot.arm()) is not None:
+                found += [Job("closed_form", name, *one, self.random_starts) for one in some[: self.map_points]]
+                found += [Job("restarts", name, *one, self.restarts) for one in some[: self.restart_poses]]
         return found
 
 
 def study(given: Namespace) -> cli.Results:
-    """Plan every trial; the timed part first, before other processes are busy. ``--page`` writes docs/planning.md."""
+    """Plan every trial; ``--page`` writes docs/planning.md."""
     config = Config.chosen(given, "plan")
     section = section_of(config) if given.page else ""
-    jobs = config.jobs()
-    environment = config.environment(given)
-    work = partial(kept_rows, given.out / "jobs", str(environment["commit"]))
+    jobs, environment, kept = config.jobs(), config.environment(given), Kept(given.out / "jobs")
     with cli.steps("plans", len(jobs)) as step:
-        each = run_parallel(work, [job for job in jobs if job.part == "map"], 1, step)
-        each += run_parallel(work, [job for job in jobs if job.part != "map"], config.processes, step)
-    rows = [row for found in each for row in found]
+        done = each(run_job, jobs, kept=kept, workers=config.processes, step=step, failed=lost_job)
+    rows = [row for found in done for row in found]
     summary = summarise(rows)
     if section:
         write_section(PAGE, section, page_text(section, summary, environment))
@@ -112,18 +103,6 @@ def section_of(config: Config) -> str:
         if config == Config.load(default_config(name)):
             return name
     raise MocOptError(f"--page: the page shows runs of {' and '.join(map(repr, COMMANDS.values()))}: run one of these")
-
-
-def kept_rows(folder: Path, commit: str, job: Job) -> list[dict[str, Any]]:
-    """Return the rows of a job: from the folder, if it was done before at this commit, or else worked out."""
-    store = Store(folder)
-    key = store.key(
-        commit=commit, part=job.part, robot=job.robot, trial=job.trial.model_dump(mode="json"), count=job.count,
-        loops=dict(job.loops),
-    )  # fmt: skip
-    part = store.get(key)
-    found: list[dict[str, Any]] = (part or store.put(key, Part({"rows": run_job(job)}, {}))).values["rows"]
-    return found
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

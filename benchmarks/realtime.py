@@ -2,8 +2,8 @@
 
 python -m benchmarks.realtime [CONFIG.toml] [--cycles N] [--out DIR] [--seed N] [--quick] [--page]
 
-Run it alone: everything else on the machine is in its figures. A run that is done is kept in DIR/runs: the same command
-goes on where it was broken off, at the same commit on the same machine. --page also writes the table into
+Run it alone: everything else on the machine is in its figures. A run that is done is kept in DIR/jobs: the same command
+goes on where it was broken off, on the same machine. --page also writes the table into
 docs/realtime.md.
 """
 
@@ -13,8 +13,7 @@ import os
 import sys
 import tempfile
 from argparse import Namespace
-from collections.abc import Callable, Sequence
-from functools import partial
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal, Self
 
@@ -23,17 +22,15 @@ from pydantic import Field
 
 from benchmarks.common import cli
 from benchmarks.common.config import Configuration
-from benchmarks.common.kept import Kept
+from benchmarks.common.goals import Goal, verdicts
 from benchmarks.common.markdown import write_section
 from benchmarks.common.output import default_config
-from benchmarks.latency import wire
-from benchmarks.latency.clock import PERCENTILES, TIMES, answer, report, samples
-from benchmarks.latency.clock_page import PAGE, SECTION, page_text
-from benchmarks.latency.goals import Goal, goal_verdicts
+from benchmarks.latency import clock, wire
 from benchmarks.latency.wire import Case, Found
-from moc_opt.comparison.statistics import Interval, share
 from moc_opt.errors import MocOptError
 from moc_opt.scenario import Scenario
+from moc_opt.study.kept import Kept, key_of, loaded_sources
+from moc_opt.study.statistics import Interval, share
 
 
 class Config(Configuration):
@@ -47,12 +44,13 @@ class Config(Configuration):
     scenario: Scenario = Scenario(judge=False, bound_samples=0)
 
     def quick(self) -> Self:
-        """Return the same on less data."""
         return self.model_copy(update={"cycles": 1000, "run_cycles": 1000, "rates_Hz": self.rates_Hz[:1]})
 
     def cases(self) -> list[Case]:
         """Return every controller at every rate under every load."""
-        return [Case(c, rate, load) for rate in self.rates_Hz for load in self.loads for c in self.controllers]
+        return [
+            Case(c, rate, load) for rate in self.rates_Hz for load in self.loads for c in self.controllers
+        ]
 
 
 def _share(name: str, least: int) -> Any:
@@ -67,19 +65,48 @@ def _share(name: str, least: int) -> Any:
     return measured
 
 
-def _all(load: str, metric: str) -> Any:
+def _largest(load: str, metric: str) -> Any:
     return lambda s: max(found[metric] for name, found in s["cases"].items() if name.endswith(load))
 
 
-GOALS = {
-    "c": Goal("share of cycles missed, C, 500 Hz, quiet", "", 1e-5, True, _share("c, 500 Hz, quiet", 100_000)),
-    "python": Goal("share of cycles missed, Python, 500 Hz, quiet", "", 1e-3, True,
-                   _share("python, 500 Hz, quiet", 1_000)),
-    "quiet stops": Goal("runs that were stopped, on a quiet machine", "", 0.0, True, _all("quiet", "stopped")),
-    "rcm": Goal("largest RCM error from the registered trocar, under load", "mm", 1e3 * wire.SAFE_RCM_M, True,
-                _all("loaded", "rcm_max_mm")),
-    "stops": Goal("stops that were not clean, under load", "", 0.0, True, _all("loaded", "unclean")),
+_GOALS = {
+    "c": ("share of cycles missed, C, 500 Hz, quiet", "", 1e-5, _share("c, 500 Hz, quiet", 100_000)),
+    "python": ("share of cycles missed, Python, 500 Hz, quiet", "", 1e-3, _share("python, 500 Hz, quiet", 1_000)),
+    "quiet stops": ("runs that were stopped, on a quiet machine", "", 0.0, _largest("quiet", "stopped")),
+    "rcm": ("largest RCM error from the registered trocar, under load", "mm", 1e3 * wire.SAFE_RCM_M,
+            _largest("loaded", "rcm_max_mm")),
+    "stops": ("stops that were not clean, under load", "", 0.0, _largest("loaded", "unclean")),
 }  # fmt: skip
+GOALS = {key: Goal(*given, section=clock.DETAILS) for key, given in _GOALS.items()}
+
+
+def runs_of(config: Config, folder: Path, kept: Kept, machine: dict[str, Any]) -> dict[Case, list[Found]]:
+    """Do the runs of every case, those of an earlier command excepted.
+
+    They are started from this process: the plant's clock needs the machine for itself.
+    """
+    found: dict[Case, list[Found]] = {}
+    each, cases = min(config.cycles, config.run_cycles), config.cases()
+    most = 3 * -(-config.cycles // each)
+    with cli.steps("realtime", len(cases)) as step:
+        for rate in config.rates_Hz:
+            file = folder / f"{rate}.toml"
+            wire.run_of(config.scenario, rate, each, config.seed).save(file)
+            program = wire.build(file, folder / f"c{rate}") if "c" in config.controllers else None
+            for case in (case for case in cases if case.rate_Hz == rate):
+                runs = found[case] = []
+                while sum(len(run.round_us) for run in runs) < config.cycles and len(runs) < most:
+                    about = [str(case), file.read_text(encoding="utf-8"), machine, len(runs)]
+                    key = key_of(wire.run_once, about)
+                    if (earlier := kept.get(key)) is not None:
+                        runs.append(earlier[0])
+                        continue
+                    own = program if case.controller == "c" else None
+                    runs.append(wire.run_once(case, file, own, each / rate + wire.SPARE_S))
+                    kept.put(key, runs[-1], loaded_sources())
+                step(str(case))
+    return found
+
 
 def summarise(runs: Sequence[Found]) -> dict[str, Any]:
     """Return the figures of a case's runs."""
@@ -89,14 +116,10 @@ def summarise(runs: Sequence[Found]) -> dict[str, Any]:
         "unclean": sum(not run.clean for run in runs), "rcm_max_mm": max(run.rcm_max_mm for run in runs),
     }  # fmt: skip
     found |= share(found["missed"], found["cycles"]).entries("missed_share")
-    for time in TIMES:
-        values = samples(runs, time)
-        found |= {f"{time}_{name}_us": float(np.percentile(values, at)) for name, at in PERCENTILES.items()}
+    for time in clock.TIMES:
+        values = clock.samples(runs, time)
+        found |= {f"{time}_{name}_us": float(np.percentile(values, at)) for name, at in clock.PERCENTILES.items()}
     return found
-
-
-def _kept_run(kept: Kept, about: str, once: Callable[[], Found], number: int) -> Found:
-    return kept.of(f"{about}, {number}", once)
 
 
 def check_page(config: Config) -> None:
@@ -111,53 +134,38 @@ def check_page(config: Config) -> None:
 
 
 def study(given: Namespace) -> cli.Results:
-    """Measure every case."""
     config = Config.chosen(given, "realtime")
     if given.cycles is not None:
         config = Config(**config.model_dump() | {"cycles": given.cycles})
     if given.page:
         check_page(config)
-    each = min(config.cycles, config.run_cycles)
     environment = config.environment(given, collector="off inside both loops", cores=os.cpu_count())
     machine = {"processor": environment["machine"]["processor"], "cores": os.cpu_count()}
-    kept = Kept(given.out / "runs", {"commit": environment["commit"], **machine})
-    runs: dict[Case, list[Found]] = {}
-    cases = config.cases()
-    with tempfile.TemporaryDirectory(prefix="moc-opt-") as folder, cli.steps("realtime", len(cases)) as step:
-        for rate in config.rates_Hz:
-            file, program = Path(folder, f"{rate}.toml"), None
-            wire.run_of(config.scenario, rate, each, config.seed).save(file)
-            if "c" in config.controllers:
-                program = wire.build(file, Path(folder, f"c{rate}"))
-            for case in (case for case in cases if case.rate_Hz == rate):
-                own = program if case.controller == "c" else None
-                once = partial(wire.run_once, case, file, own, each / rate + wire.SPARE_S)
-                about = f"{case}, {file.read_text(encoding='utf-8')}"
-                run = partial(_kept_run, kept, about, once)
-                runs[case] = wire.measure(run, config.cycles, 3 * -(-config.cycles // each))
-                step(str(case))
+    with tempfile.TemporaryDirectory(prefix="moc-opt-") as folder:
+        runs = runs_of(config, Path(folder), Kept(given.out / "jobs"), machine)
     summary: dict[str, Any] = {"cases": {str(case): summarise(found) for case, found in runs.items()}}
-    summary["goals"] = goal_verdicts(summary, GOALS)
+    summary["goals"] = verdicts(summary, GOALS)
     rows = [
         {"case": str(case), "run": k, "begun": run.begun, "cycles": len(run.round_us), "missed": run.missed,
          "overruns": run.overruns, "ended": run.ended, "clean": run.clean, "rcm_max_mm": run.rcm_max_mm,
          "round_worst_us": float(run.round_us.max()), "wake_worst_us": float(run.wake_us.max())}
         for case, found in runs.items() for k, run in enumerate(found)
     ]  # fmt: skip
-    system = {str(case): found[0].system for case, found in runs.items()}
-    environment |= {"system": system}
+    environment |= {"system": {str(case): found[0].system for case, found in runs.items()}}
     if given.page:
-        write_section(PAGE, SECTION, page_text(summary, environment))
-    first = answer(summary, runs)
-    return cli.Results(summary, environment, rows, report(summary, runs, first, environment), answer=first)
+        write_section(clock.PAGE, clock.SECTION, clock.page_text(summary, environment))
+    first = clock.answer(summary, runs)
+    return cli.Results(summary, environment, rows, clock.report(summary, GOALS, runs, first, environment), answer=first)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the benchmark; see `cli.run` for the exit status."""
     options = cli.parser("realtime", "Measure plant and controller against the clock.")
-    options.add_argument("--cycles", type=int, metavar="N", help="of every case, in place of the configuration's")
-    options.add_argument("--page", action="store_true", help=f"write the table into {PAGE.parent.name}/{PAGE.name}")
-    return cli.run(options, study, arguments, "stopped; runs that are done are kept: the same command goes on")
+    options.add_argument(
+        "--cycles", type=int, metavar="N", help="of every case, in place of the configuration's"
+    )
+    options.add_argument("--page", action="store_true", help="write the table into docs/realtime.md")
+    return cli.run(options, study, arguments, cli.GOES_ON)
 
 
 if __name__ == "__main__":

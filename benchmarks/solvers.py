@@ -3,8 +3,8 @@
 python -m benchmarks.solvers [CONFIG.toml] [--out DIR] [--seed N] [--quick | --full] [--only SOLVER ...]
                              [--sets NAME ...] [--parts PART ...]
 
-Three to four minutes on two cores; benchmarks/configs/solvers-long.toml asks for more and takes twelve, --full
-for more yet. A run that was stopped goes on where it stopped: finished parts are kept in DIR/parts, and a part whose
+Four to five minutes on two cores; benchmarks/configs/solvers-long.toml asks for more and takes fifteen, --full
+for more yet. A run that was stopped goes on where it stopped: finished jobs are kept in DIR/jobs, and a job whose
 question, data, libraries or source changed is done again.
 """
 
@@ -17,10 +17,10 @@ from typing import Any
 
 from benchmarks.common import cli, output
 from benchmarks.common.config import choose
-from benchmarks.common.timing import clock_cost_us, each_us
-from benchmarks.solver_study.closed_parts import JOBS, SECONDS, weights
+from benchmarks.common.timing import Disturbance, clock_cost_us, each_us
+from benchmarks.solver_study.closed_parts import JOBS, SECONDS, STAGES
 from benchmarks.solver_study.config import PARTS, Config
-from benchmarks.solver_study.first_screen import answer
+from benchmarks.solver_study.first_screen import answer, timed_rows
 from benchmarks.solver_study.look import look
 from benchmarks.solver_study.progress import Progress
 from benchmarks.solver_study.report import report_page, sentences
@@ -50,7 +50,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options.add_argument("--only", nargs="+", metavar="SOLVER", help="these solvers alone")
     options.add_argument("--sets", nargs="+", metavar="NAME", help="these test sets alone")
     options.add_argument("--parts", nargs="+", metavar="PART", choices=PARTS, help=f"of {', '.join(PARTS)}")
-    return cli.run(options, compare, arguments, "stopped; the same command goes on from {out}/parts")
+    return cli.run(options, compare, arguments, cli.GOES_ON)
 
 
 def assembly_us(problems: Sequence[NullSpaceQP]) -> float:
@@ -72,7 +72,7 @@ def compare(given: Namespace) -> cli.Results:
     if not (config.twice or given.only):
         names, again = once(names)
         missing |= again
-    weighed = weights(Study(config, names, given.out, lambda _: None))
+    weighed: dict[str, float] = {part: SECONDS[part] / STAGES.get(part, 1) for part in config.parts}
     shown = Progress(weighed, console(stderr=True), config.scenario.deadline_us)
     study = Study(config, names, given.out, shown.advance, shown.show, shown.enter)
     total = sum(SECONDS[part] for part in weighed)
@@ -88,12 +88,16 @@ def compare(given: Namespace) -> cli.Results:
         raise
     summary: dict[str, Any] = found.summary
     summary["not_run"] = {name: {"reason": reason} for name, reason in missing.items()} | summary["not_run"]
-    summary["clock"] = {"cost": {"p50_us": clock_cost_us()}, "assembly": {"p50_us": assembly_us(found.sequence)}}
+    summary["clock"] = {
+        "cost": {"p50_us": clock_cost_us()},
+        "assembly": {"p50_us": assembly_us(found.sequence)},
+    }
     seen = look(config.scenario.change(duration_s=config.closed_loop.duration_s), found.runs)
     if seen is not None:
         summary["courses"] = seen.rows()
     environment = output.environment(config.model_dump(mode="json"), config.seed, given.argv)
-    environment |= {"parts_of_an_earlier_run": study.store.reused, "seconds": found.seconds}
+    environment |= {"jobs_of_an_earlier_run": study.kept.reused, "seconds": found.seconds}
+    environment |= {"load": Disturbance.total(timed_rows(summary)).told()}
     first = answer(summary, config.scenario.deadline_us)
     return cli.Results(
         {**summary, "words": {name: {"text": text} for name, text in found.words.items()}},

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import moc_opt as mo
 from moc_opt.figures.style import Styles
-from moc_opt.redundancy.manipulability_map import manipulability_map
+from moc_opt.planning.swivel_map import manipulability_map
 from moc_opt.report.map_page import add_map
 from moc_opt.report.page import Page
 from moc_opt.report.replay import Replay

@@ -11,23 +11,23 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from moc_opt import solvers
-    from moc_opt.comparison.compare import compare
-    from moc_opt.comparison.findings import Comparison
     from moc_opt.errors import MocOptError
-    from moc_opt.model.robot_model import RobotModel, RobotState, load_robot
     from moc_opt.planning.plan import Plan
     from moc_opt.qp.problem import NullSpaceQP
+    from moc_opt.robots.model import RobotModel, RobotState, load_robot
     from moc_opt.scenario import Scenario, run
     from moc_opt.scenario.planned import plan
+    from moc_opt.study.compare import compare
+    from moc_opt.study.findings import Comparison
     from moc_opt.trace.metrics import summarize
     from moc_opt.trace.trace import Trace, load_trace
 
 __version__ = "1.0.0"
 
 _HOMES = {
-    "Comparison": "comparison.findings", "MocOptError": "errors", "NullSpaceQP": "qp.problem", "Plan": "planning.plan",
-    "RobotModel": "model.robot_model", "RobotState": "model.robot_model", "Scenario": "scenario",
-    "Trace": "trace.trace", "compare": "comparison.compare", "load_robot": "model.robot_model",
+    "Comparison": "study.findings", "MocOptError": "errors", "NullSpaceQP": "qp.problem", "Plan": "planning.plan",
+    "RobotModel": "robots.model", "RobotState": "robots.model", "Scenario": "scenario",
+    "Trace": "trace.trace", "compare": "study.compare", "load_robot": "robots.model",
     "load_trace": "trace.trace", "plan": "scenario.planned", "run": "scenario", "summarize": "trace.metrics",
 }  # fmt: skip
 

@@ -144,6 +144,10 @@ def _type_name(value: object) -> str:
     return str(type.__dict__["__name__"].__get__(type(value)))
 
 
+class StudyError(MocOptError, RuntimeError):
+    """A study cannot go on: no worker stays alive, or finished jobs cannot be kept."""
+
+
 class ReportError(MocOptError, ValueError):
     """A table, figure or page cannot be made from these data, or not be written."""
 

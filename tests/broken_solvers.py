@@ -7,7 +7,7 @@ from pathlib import Path
 MODULE = """
 import os, signal
 from dataclasses import dataclass
-from moc_opt.solvers.exact.solver import Exact
+from moc_opt.solvers.exact import Exact
 
 @dataclass(frozen=True)
 class Base:

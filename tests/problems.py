@@ -20,8 +20,8 @@ from moc_opt.qp.problem import NullSpaceQP
 
 Array = NDArray[np.float64]
 __all__ = [
-    "Arm", "infeasible_problem", "out_of_reach", "problem_of", "random_arm", "random_box", "random_problem",
-    "rotation", "smooth_sequence", "unit",
+    "Arm", "infeasible_problem", "on_rows", "out_of_reach", "problem_of", "random_arm", "random_box", "random_problem",
+    "rotation", "smooth_sequence", "unit", "unstructured_problems",
 ]  # fmt: skip
 
 
@@ -41,6 +41,20 @@ def random_problem(
     middle, half = 0.5 * (lower + upper), 0.5 * (upper - lower)
     qp = problem_of(arm, q, middle + 0.6 * half * rng.uniform(-1.0, 1.0, arm.n), lower, upper, **weights)
     return qp if feasible else out_of_reach(rng, qp)
+
+
+def unstructured_problems(n: int, count: int, rng: np.random.Generator) -> list[NullSpaceQP]:
+    """Feasible subproblems with a rigid tool and otherwise random Jacobians: no structure that a solver could use."""
+    found = []
+    for _ in range(count):
+        spin, wrist = rng.normal(size=(3, n)), rng.normal(scale=0.4, size=(3, n))
+        u = rng.normal(size=3)
+        tip = wrist + np.cross(spin.T, 0.38 * u / np.linalg.norm(u)).T
+        lower, upper = -rng.uniform(0.3, 3.0, n), rng.uniform(0.3, 3.0, n)
+        x = 0.5 * (lower + upper) + 0.3 * (upper - lower) * rng.uniform(-1.0, 1.0, n)
+        gradient = rng.normal(scale=0.1, size=n)
+        found.append(NullSpaceQP(tip, wrist, tip @ x, wrist @ x, gradient, lower=lower, upper=upper))
+    return found
 
 
 def out_of_reach(rng: np.random.Generator, qp: NullSpaceQP) -> NullSpaceQP:
@@ -66,6 +80,11 @@ def out_of_reach(rng: np.random.Generator, qp: NullSpaceQP) -> NullSpaceQP:
         qp.regularization,
         qp.q,
     )
+
+
+def on_rows(qp: NullSpaceQP, x: Array) -> Array:
+    """The point of A x = b nearest to x: where an answer to the nonlinear problem, which is off it, is compared."""
+    return np.asarray(x - np.linalg.pinv(qp.A, rcond=1e-6) @ (qp.A @ x - qp.b))
 
 
 def infeasible_problem(rng: np.random.Generator, n: int = 7, **options: Any) -> NullSpaceQP:

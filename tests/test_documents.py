@@ -17,7 +17,6 @@ from pathlib import Path
 import pytest
 
 import moc_opt as mo
-from moc_opt.control import ControlSettings
 
 ROOT = Path(__file__).resolve().parent.parent
 BLOCK = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
@@ -116,14 +115,6 @@ def test_every_benchmark_that_readme_names_exists():
     names = set(re.findall(r"\bbenchmarks\.([a-z_]+)\b", text)) - {"NAME"}
     assert len(names) > 10
     assert [name for name in sorted(names) if importlib.util.find_spec(f"benchmarks.{name}") is None] == []
-
-
-def test_limits_of_a_course_that_the_planning_page_names_are_the_defaults():
-    text = (ROOT / "docs" / "planning.md").read_text(encoding="utf-8")
-    named = dict(re.findall(r"`(course_[a-z_]+)` = ([0-9.]*[0-9])", text))
-    assert {"course_speed_fraction", "course_margin_rad", "course_observer_gain_per_s"} <= named.keys()
-    settings = ControlSettings()
-    assert {name: float(value) for name, value in named.items()} == {name: getattr(settings, name) for name in named}
 
 
 def test_every_file_that_the_documents_link_to_exists():

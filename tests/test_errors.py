@@ -3,7 +3,6 @@
 import pytest
 
 from moc_opt.errors import MocOptError, RobotError, TraceError, UnknownNameError
-from moc_opt.model.robot_model import load_robot
 
 
 @pytest.mark.parametrize("kind", [MocOptError, RobotError, TraceError])
@@ -14,11 +13,6 @@ def test_a_text_of_a_megabyte_is_cut(kind):
     assert len(cut) == 2000
     assert cut.startswith("begins so xxx")
     assert cut.endswith("...")
-
-
-def test_a_list_of_valid_names_is_whole():
-    names = [f"name_{i}" for i in range(500)]
-    assert str(UnknownNameError("metric", "nome_7", names)).endswith("name_99")
 
 
 def test_a_key_without_its_table_is_found_by_its_last_part():
@@ -37,11 +31,3 @@ def test_of_a_long_list_that_a_command_prints_the_nearest_three_stand():
     names += ["osqp", "proxqp", "nlp-fatrop"]
     assert "did you mean 'proxqp'? `" in str(UnknownNameError("solver", "proxpq", names, "moc-opt solvers --list"))
     assert str(UnknownNameError("metric", "a", names[:3], "moc-opt metrics")).endswith("name_0, name_1, name_2")
-
-
-def test_a_robot_file_of_thousands_of_unknown_tables_is_refused_in_a_few_lines(tmp_path):
-    file = tmp_path / "arm.toml"
-    file.write_text("".join(f"[table_{i}]\n" for i in range(3000)), encoding="utf-8")
-    with pytest.raises(RobotError, match="table_0") as found:
-        load_robot(file)
-    assert len(str(found.value)) <= 2000

@@ -3,7 +3,6 @@
 import re
 import tomllib
 from pathlib import Path
-from urllib.parse import unquote
 
 import moc_opt
 
@@ -22,16 +21,6 @@ def test_package_project_citation_and_changelog_name_one_version_and_one_day():
     assert PROJECT["version"] == cited["version"] == moc_opt.__version__
     assert headings[:2] == ["[Unreleased]", f"[{moc_opt.__version__}] - {cited['date-released']}"]
     assert re.fullmatch(r"\d{4}-\d\d-\d\d", cited["date-released"])
-
-
-def test_the_badges_say_what_the_metadata_do():
-    pythons = [word.rpartition(" ")[2] for word in PROJECT["classifiers"] if re.search(r"Python :: 3\.\d+$", word)]
-    said = {"version": PROJECT["version"], "Python": ", ".join(pythons), "licence": PROJECT["license"]}
-    badge = re.compile(r"^!\[(\w+) ([^\]]+)\]\(https://img\.shields\.io/badge/\w+-(.+)-blue\)$", re.MULTILINE)
-    shown = badge.findall(text("README.md"))
-    assert {name: words for name, words, _ in shown} == said
-    for _, words, drawn in shown:
-        assert unquote(drawn).replace("--", "-").replace(" | ", ", ") == words
 
 
 def test_the_pythons_of_the_metadata_are_those_that_the_documents_say_were_tried():

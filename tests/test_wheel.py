@@ -50,7 +50,7 @@ def closure(names):
 def installed(tmp_path_factory):
     """The folder of programs of an environment in which the wheel is installed."""
     source, built, home = (tmp_path_factory.mktemp(name) for name in ("source", "built", "home"))
-    for name in ("moc_opt", "benchmarks"):
+    for name in ("moc_opt", "benchmarks", "packaging"):
         shutil.copytree(ROOT / name, source / name, ignore=shutil.ignore_patterns("__pycache__"))
     for name in ("pyproject.toml", "README.md", "LICENSE"):
         shutil.copy(ROOT / name, source)
@@ -65,11 +65,6 @@ def installed(tmp_path_factory):
         for top in {file.parts[0] for file in one.files} - {".."}:
             if not (site / top).exists():
                 (site / top).symlink_to(one.locate_file(top))
-    # Kernels compiled in the checkout serve the same sources here: it saves a minute, and a stale one is not taken.
-    for cached in [*(ROOT / "moc_opt").rglob("*.nbi"), *(ROOT / "moc_opt").rglob("*.nbc")]:
-        there = site / cached.relative_to(ROOT)
-        there.parent.mkdir(exist_ok=True)
-        shutil.copy(cached, there)
     return python.parent
 
 

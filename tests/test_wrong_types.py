@@ -38,7 +38,7 @@ CALLS: dict[str, Callable] = {
        for name in ("scenario", "trials", "seed", "watch")},
     "load_robot": mo.load_robot, "tool_length": lambda x: mo.load_robot("lwr4", tool_length=x),
     "tool_mass": lambda x: mo.load_robot("lwr4", tool_mass=x), "state": ROBOT.state, "mu_along": ROBOT.mu_along,
-    "load_trace": mo.load_trace, "open": mo.Trace.open, "Trace columns": mo.Trace,
+    "load_trace": mo.load_trace, "Trace columns": mo.Trace,
     "Trace meta": lambda x: mo.Trace({"a": [1.0]}, x), "between": lambda x: TRACE.between(x, 1.0),
     "head": TRACE.head, "select": TRACE.select, "plot": TRACE.plot, "plot name": lambda x: TRACE.plot(name=x),
     "plot beside": lambda x: TRACE.plot(beside=x), "save": TRACE.save,

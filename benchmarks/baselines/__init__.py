@@ -8,47 +8,41 @@ solver, hard equalities where it takes them, and our compiled gradient where it 
 from __future__ import annotations
 
 import importlib
-import subprocess
-import sys
 from importlib.util import find_spec
-from pathlib import Path
 from typing import NamedTuple
 
-from benchmarks.baselines.base import Peer
+from benchmarks.baselines import job
 from moc_opt.errors import UnknownNameError
-from moc_opt.model.robot_model import RobotModel
+from moc_opt.robots.model import RobotModel, load_robot
+from moc_opt.study import Failed, Job, run
 
 PATIENCE_S = 60.0
-ROOT = Path(__file__).resolve().parents[2]
 
 
 class Library(NamedTuple):
-    """Where a peer is found and how it is installed."""
+    """Which class drives a library, by which package it is found, and how that is installed."""
 
     module: str
     factory: str
     package: str
     install: str
-    extra: bool = True
-    """Whether the extra ``peers``, and so ``make``, installs it; others were built by hand where they are listed."""
+
+    @property
+    def made(self) -> bool:
+        """Whether `make` installs it, by the extra ``peers``; others are built by hand."""
+        return self.install.startswith("pip install ")
 
 
 PEERS = {
-    "tsid": Library(
-        "benchmarks.baselines.tsid",
-        "TSID",
-        "tsid",
-        "build it from source against the installed pinocchio; its wheel on PyPI lacks the library it links to",
-        extra=False,
-    ),
-    "pink": Library("benchmarks.baselines.pink", "Pink", "pink", "pip install pin-pink"),
-    "pink-trimmed": Library("benchmarks.baselines.pink", "PinkTrimmed", "pink", "pip install pin-pink"),
-    "mink": Library("benchmarks.baselines.mink", "Mink", "mink", "pip install mink"),
-}
-"""Name -> where it is."""
+    "tsid": Library("tsid", "TSID", "tsid", "build it from source against the installed pinocchio; its wheel on PyPI "
+                    "lacks the library it links to"),
+    "pink": Library("pink", "Pink", "pink", "pip install pin-pink"),
+    "pink-trimmed": Library("pink", "PinkTrimmed", "pink", "pip install pin-pink"),
+    "mink": Library("mink", "Mink", "mink", "pip install mink"),
+}  # fmt: skip
 
 
-def create(name: str, robot: RobotModel, period_s: float) -> Peer:
+def create(name: str, robot: RobotModel, period_s: float) -> job.Peer:
     """Set a peer up on the arm of ``robot``, for ticks of ``period_s``.
 
     Raises:
@@ -57,8 +51,8 @@ def create(name: str, robot: RobotModel, period_s: float) -> Peer:
     if name not in PEERS:
         raise UnknownNameError("peer", name, PEERS)
     library = PEERS[name]
-    factory = getattr(importlib.import_module(library.module), library.factory)
-    peer: Peer = factory(robot, period_s)
+    module = importlib.import_module(f"benchmarks.baselines.{library.module}")
+    peer: job.Peer = getattr(module, library.factory)(robot, period_s)
     return peer
 
 
@@ -71,12 +65,12 @@ def missing(name: str) -> str | None:
     library = PEERS[name]
     if find_spec(library.package) is None:
         return f"package {library.package!r} is not installed: {library.install}"
-    command = [sys.executable, "-W", "ignore", "-m", "benchmarks.baselines.check", name]
-    try:
-        tried = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S, cwd=ROOT)
-    except subprocess.TimeoutExpired:
-        return f"it did not do its job within {PATIENCE_S:g} s"
-    if tried.returncode == 0:
-        return None
-    said = tried.stderr.strip().splitlines() or [f"its process ended with status {tried.returncode}"]
-    return said[-1]
+    (found,) = run([Job(check, (name,), PATIENCE_S)], workers=1)
+    return str(found) if isinstance(found, Failed) else found
+
+
+def check(name: str) -> str | None:
+    """Let a peer do its job on the default arm, and say how it failed; None when it did not."""
+    robot = load_robot()
+    work = job.job(robot)
+    return job.verdict(job.perform(create(name, robot, job.PERIOD_S), robot, work)[0], robot, work).failure

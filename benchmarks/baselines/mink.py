@@ -5,35 +5,37 @@ FrameTask on the tip, LookAtTask along the shaft at the trocar, our compiled gra
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Any
 
 import mink
 import numpy as np
 
-from benchmarks.baselines.base import CLIMB, STIFFNESS_PER_S, TipGradient
-from moc_opt.model.robot_model import RobotModel
-from moc_opt.numerics.arrays import Array
+from benchmarks.baselines.job import CLIMB, STIFFNESS_PER_S, Level, tip_gradient
+from moc_opt.arrays import Array
+from moc_opt.robots.model import RobotModel
 from moc_opt.sim.mjcf import build_spec, compile_model
 
 SOLVER = "daqp"
 COST = 1e3  # of tip and shaft against a damping of one
 
 
-class _Climb(mink.tasks.BaseTask):  # type: ignore[misc]
-    """A linear cost along the gradient of the manipulability; the solver's damping bounds it."""
+class _Climb:
+    """A task for mink: a linear cost along the gradient of the manipulability, bounded by the solver's damping."""
 
     def __init__(self, robot: RobotModel, period_s: float) -> None:
-        self._gradient, self._step, self._zero = (TipGradient(robot), CLIMB * period_s, np.zeros((robot.n, robot.n)))
+        self._gradient, self._step, self._zero = tip_gradient(robot), CLIMB * period_s, np.zeros((robot.n, robot.n))
+
+    def compute_qp_residual(self, configuration: Any) -> None:
+        """Its cost is no least-squares problem."""
 
     def compute_qp_objective(self, configuration: Any) -> Any:
-        """Return H (n, n) and c (n,)."""
         return mink.tasks.Objective(self._zero, -self._step * self._gradient(configuration.data.qpos))
 
 
 class Mink:
     """mink's tasks, its configuration and velocity limits, daqp."""
 
-    level: Literal["torque", "velocity"] = "velocity"
+    level: Level = "velocity"
 
     def __init__(self, robot: RobotModel, period_s: float) -> None:
         model = compile_model(robot.data.name, build_spec(robot.data, substep_s=1e-3))
@@ -49,7 +51,6 @@ class Mink:
         self._turn = self._configuration.get_transform_frame_to_world(tip, "body").rotation()
 
     def tick(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> Array:
-        """Return the joint velocities (n,) [rad/s]."""
         self._configuration.update(q)
         aim = tip_ref[0] + tip_ref[1] / STIFFNESS_PER_S
         self._tip.set_target(mink.SE3.from_rotation_and_translation(self._turn, aim))

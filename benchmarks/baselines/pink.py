@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
 from pink import Configuration, solve_ik
-from pink.tasks import FrameTask, ManipulabilityTask, Task
+from pink.tasks import FrameTask, ManipulabilityTask
 
-from benchmarks.baselines.base import CLIMB, STIFFNESS_PER_S, TipGradient, wrist_reference
-from moc_opt.model.robot_model import RobotModel
-from moc_opt.numerics.arrays import Array
+from benchmarks.baselines.job import CLIMB, STIFFNESS_PER_S, Level, tip_gradient, wrist_reference
+from moc_opt.arrays import Array
+from moc_opt.robots.model import RobotModel
 
 SOLVER = "daqp"
 RISE_PER_S = 0.05  # of the manipulability [m^3/s]
@@ -34,7 +34,7 @@ class _Arm:
 class Pink:
     """The library's own tasks: FrameTask on tip and wrist, ManipulabilityTask."""
 
-    level: Literal["torque", "velocity"] = "velocity"
+    level: Level = "velocity"
 
     def __init__(self, robot: RobotModel, period_s: float) -> None:
         self._arm, self._period = _Arm(robot), period_s
@@ -49,7 +49,6 @@ class Pink:
         self._turn = self._arm.data.oMf[self._arm.tip].rotation.copy()
 
     def tick(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> Array:
-        """Return the joint velocities (n,) [rad/s]."""
         arm = self._arm
         arm.configuration.update(q)
         # Each target is where the reference will be when the gain has done its share.
@@ -62,63 +61,43 @@ class Pink:
         return found
 
 
-class _Rows(Task):  # type: ignore[misc]
-    """Hard rows that are filled from outside."""
+class _Rows:
+    """A constraint for pink: hard rows that are filled from outside."""
 
     def __init__(self, jacobian: Array, error: Array, gain: float) -> None:
-        super().__init__(gain=gain)
-        self._jacobian, self._error = jacobian, error
+        self._jacobian, self._error, self.gain = jacobian, error, gain
 
     def compute_error(self, configuration: Any) -> Array:
-        """Return the error (m,) [m]."""
         return self._error
 
     def compute_jacobian(self, configuration: Any) -> Array:
-        """Return the Jacobian (m, n) [m/rad]."""
         return self._jacobian
 
-    def __repr__(self) -> str:
-        return f"_Rows({len(self._error)})"
 
-
-class _Climb(Task):  # type: ignore[misc]
-    """A linear cost along the gradient of the manipulability; the solver's damping bounds it."""
+class _Climb:
+    """A task for pink: a linear cost along the gradient of the manipulability, bounded by the solver's damping."""
 
     def __init__(self, n: int, period_s: float) -> None:
-        super().__init__()
         self._zero, self._step, self.gradient = np.zeros((n, n)), CLIMB * period_s, np.zeros(n)
 
     def compute_qp_objective(self, configuration: Any) -> tuple[Array, Array]:
-        """Return H (n, n) and c (n,)."""
         return self._zero, -self._step * self.gradient
-
-    def compute_error(self, configuration: Any) -> Array:
-        """Return nothing: a cost has no residual."""
-        return np.zeros(0)
-
-    def compute_jacobian(self, configuration: Any) -> Array:
-        """Return nothing: a cost has no residual."""
-        return np.zeros((0, len(self.gradient)))
-
-    def __repr__(self) -> str:
-        return "_Climb()"
 
 
 class PinkTrimmed:
     """Tip and shaft as five hard equality rows, and our compiled gradient in place of ManipulabilityTask."""
 
-    level: Literal["torque", "velocity"] = "velocity"
+    level: Level = "velocity"
 
     def __init__(self, robot: RobotModel, period_s: float) -> None:
         self._arm, self._period = _Arm(robot), period_s
         gain = min(1.0, STIFFNESS_PER_S * period_s)
         self._jacobian, self._error = np.zeros((5, robot.n)), np.zeros(5)
         self._rows = (_Rows(self._jacobian, self._error, gain),)
-        self._climb, self._gradient = _Climb(robot.n, period_s), TipGradient(robot)
+        self._climb, self._gradient = _Climb(robot.n, period_s), tip_gradient(robot)
         self._tasks = (self._climb,)
 
     def tick(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> Array:
-        """Return the joint velocities (n,) [rad/s]."""
         arm = self._arm
         arm.configuration.update(q)
         wrist, wrist_rate = wrist_reference(tip_ref, trocar, arm.span)

@@ -7,14 +7,14 @@ towards the gradient of the manipulability.
 from __future__ import annotations
 
 import warnings
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
-from benchmarks.baselines.base import CLIMB, TipGradient, wrist_reference
-from moc_opt.model.robot_model import RobotModel
-from moc_opt.numerics.arrays import Array
+from benchmarks.baselines.job import CLIMB, Level, tip_gradient, wrist_reference
+from moc_opt.arrays import Array
+from moc_opt.robots.model import RobotModel
 
 with warnings.catch_warnings():  # it registers two of its types twice, and says so
     warnings.simplefilter("ignore", RuntimeWarning)
@@ -27,7 +27,7 @@ CLIMB_DAMPING = 20.0  # [1/s] of the velocity error along the gradient
 class TSID:
     """InverseDynamicsFormulationAccForce with SolverHQuadProgFast."""
 
-    level: Literal["torque", "velocity"] = "torque"
+    level: Level = "torque"
 
     def __init__(self, robot: RobotModel, period_s: float) -> None:
         model = pin.buildModelFromXML(robot.data.urdf)
@@ -54,7 +54,7 @@ class TSID:
         self._value[3::4] = 1.0  # the rotation is masked out, but must be one
         self._joint_sample.value(rest)
         self._joint_sample.second_derivative(rest)
-        self._gradient, self._span = TipGradient(robot), robot.state(robot.data.q_home).tool_span
+        self._gradient, self._span = tip_gradient(robot), robot.state(robot.data.q_home).tool_span
 
     def _point(self, name: str, frame: str, mask: list[int]) -> Any:
         task = tsid.TaskSE3Equality(name, self._robot, frame)
@@ -66,7 +66,6 @@ class TSID:
         return task
 
     def tick(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> Array:
-        """Return the joint torques (n,) [Nm]."""
         wrist, wrist_rate = wrist_reference(tip_ref, trocar, self._span)
         self._aim(self._tip, tip_ref[0], tip_ref[1], tip_ref[2])
         self._aim(self._wrist, wrist, wrist_rate, tip_ref[2])

@@ -41,27 +41,42 @@ class Answer:
 
     Attributes:
         sentences: up to three, the most important one first.
-        table: of at most eight columns.
+        table: of few columns, the most important ones first.
         pictures: up to three; made when the page is.
+        note: below the table: what the machine did while times were taken; "" for nothing.
     """
 
     sentences: Sequence[str]
     table: Table
     pictures: Sequence[Picture] = ()
+    note: str = ""
 
     def begin(self, page: Page) -> None:
         """Write it at the top of a page, and fold what comes after it."""
         for sentence in self.sentences:
             page.headline(sentence)
         page.table(self.table)
+        if self.note:
+            page.text(self.note)
         for picture in self.pictures:
             page.figure(picture.figure, picture.says, name=picture.name)
         page.fold()
 
     def screens(self, width: int) -> Iterator[object]:
-        """Yield what a terminal of this width [characters] prints: sentences, and the table whole or narrowed."""
+        """Yield what a terminal of this width [characters] prints: sentences, and the table in as few parts as fit."""
         yield from self.sentences
-        yield self.table.narrowed(width)
+        left = self.table
+        if not left.columns[len(left.narrowed(width).columns) :]:
+            yield left.narrowed(width)
+            return
+        left = replace(left, caption="")  # as wide as the terminal, not as the last part
+        while rest := left.columns[len(left.narrowed(width).columns) :]:
+            yield left.narrowed(width)
+            left = replace(left, title=f"{self.table.title} (continued)", columns=[left.columns[0], *rest])
+        yield left.narrowed(width)
+        yield self.table.caption
+        if self.note:
+            yield self.note
 
 
 def reached(value: object) -> Mark:
@@ -91,17 +106,18 @@ def marked_answer(text: str | Sequence[str], table: Table, pictures: Sequence[Pi
 
 
 def goals_answer(text: str, title: str, columns: Sequence[Column], goals: Sequence[Mapping[str, object]],
-                 pictures: Sequence[Picture] = ()) -> Answer:  # fmt: skip
+                 pictures: Sequence[Picture] = (), note: str = "") -> Answer:  # fmt: skip
     """Make the answer of a benchmark whose result is a list of goals: its table, missed goals first.
 
     Args:
         columns: of the table; that of the key ``reached`` shows marks.
         goals: rows, ``reached`` as `reached` takes it.
+        note: below the table.
     """
     rows = [{**goal, "reached": reached(goal.get("reached"))} for goal in goals]
     rows.sort(key=lambda row: -row["reached"].rank)  # type: ignore[attr-defined]
     made = [replace(column, title="") if column.key == "reached" else column for column in columns]
-    return Answer(in_sentences(text), Table(title, made, rows), pictures)
+    return Answer(in_sentences(text), Table(title, made, rows), pictures, note)
 
 
 def interval_of(row: Mapping[str, Any], name: str) -> tuple[float, float, float] | None:

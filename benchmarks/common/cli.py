@@ -20,9 +20,9 @@ from rich.console import Console
 from benchmarks.common.answer import Answer
 from benchmarks.common.index import write_index
 from benchmarks.common.output import save_page, write_json, write_rows
+from benchmarks.common.timing import with_doubts
 from moc_opt.errors import MocOptError
-from moc_opt.report.console import console, progress
-from moc_opt.report.machine import busy
+from moc_opt.report.console import busy, console, progress
 from moc_opt.report.page import Page
 from moc_opt.report.tables import Table
 
@@ -90,6 +90,13 @@ def seed_number(text: str) -> int:
     return seed
 
 
+def whole_number(text: str) -> int:
+    """Read the number of processes."""
+    if not text.isascii() or not text.isdigit() or not 1 <= int(text[:5]) <= 1024:
+        raise ArgumentTypeError(f"{text:.40}: give a whole number from 1 to 1024")
+    return int(text)
+
+
 def run(
     options: ArgumentParser, work: Callable[[Namespace], Results | int], arguments: Sequence[str] | None = None,
     stopped: str = BEGINS_ANEW,
@@ -139,7 +146,7 @@ def leave(found: Results, given: Namespace) -> None:
     """Write the files of a benchmark and print its tables, or its summary with ``--json``."""
     out: Path = given.out
     files = ["summary.json", *(["rows.parquet"] if found.rows is not None else []), "environment.json"]
-    write_json(out / "summary.json", found.summary)
+    write_json(out / "summary.json", with_doubts(found.summary))
     if found.rows is not None:
         write_rows(out / "rows.parquet", found.rows)
     write_json(out / "environment.json", found.environment)
@@ -157,7 +164,7 @@ def leave(found: Results, given: Namespace) -> None:
         screen.print(table.narrowed(screen.width))
     for sentence in found.sentences:
         screen.print(sentence, markup=False, soft_wrap=True)
-    if getattr(given, "busy", ""):
+    if getattr(given, "busy", "") and not (found.answer and found.answer.note):  # which says what was measured
         show(screen, [given.busy])
     screen.print(f"written: {out}/{' '.join([*files, *found.files])}", markup=False, soft_wrap=True)
 

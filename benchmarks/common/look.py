@@ -7,10 +7,10 @@ from pathlib import Path
 
 from moc_opt.errors import MocOptError
 from moc_opt.figures.style import Styles
-from moc_opt.model.robot_model import RobotModel
-from moc_opt.redundancy.manipulability_map import FEASIBLE, SwivelMap, manipulability_map
+from moc_opt.planning.swivel_map import FEASIBLE, SwivelMap, manipulability_map
 from moc_opt.report.page import Page
 from moc_opt.report.replay import Replay
+from moc_opt.robots.model import RobotModel
 from moc_opt.trace.trace import Trace
 
 COLUMNS_PER_S, COLUMNS, ROWS = 12.0, (10, 96), 120

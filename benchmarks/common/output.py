@@ -4,23 +4,25 @@ from __future__ import annotations
 
 import datetime
 import importlib.metadata
+import io
 import os
 import platform
 import subprocess
-import tempfile
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from moc_opt.inputs.files import plain, to_json
+from moc_opt.inputs.files import plain, to_json, write_whole
 
 if TYPE_CHECKING:
+    import polars as pl
+
     from moc_opt.report.page import Page
 from moc_opt.report.tables import Column, Table
 
 PACKAGES = (
-    "moc-opt", "numpy", "numba", "pin", "mujoco", "casadi", "osqp", "proxsuite", "qpsolvers", "daqp", "piqp",
-    "quadprog", "clarabel", "scs", "highspy", "pyarrow", "pydantic", "tsid", "pin-pink", "mink",
+    "moc-opt", "numpy", "pin", "mujoco", "casadi", "osqp", "proxsuite", "qpsolvers", "daqp", "piqp",
+    "quadprog", "clarabel", "scs", "highspy", "polars", "pydantic", "tsid", "pin-pink", "mink",
 )  # fmt: skip
 
 Summary = Mapping[str, Mapping[str, Mapping[str, Any]]]
@@ -45,19 +47,9 @@ def default_config(name: str) -> Path:
 
 
 def write_atomically(path: Path, data: bytes) -> None:
-    """Write all of it or nothing, also when the machine stops in the middle."""
+    """Write all of it or nothing, also when the machine stops in the middle; the folder is made."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(data)
-        mask = os.umask(0)
-        os.umask(mask)
-        os.chmod(name, 0o666 & ~mask)  # mkstemp makes files for one's own eyes only
-        os.replace(name, path)
-    except BaseException:
-        Path(name).unlink(missing_ok=True)
-        raise
+    write_whole(path, data)
 
 
 def write_json(path: Path, value: Any) -> None:
@@ -67,31 +59,19 @@ def write_json(path: Path, value: Any) -> None:
 
 def write_rows(path: Path, rows: Iterable[Mapping[str, Any]]) -> None:
     """Write one Parquet row per mapping; a column that a row lacks is null there, and so is what is not finite."""
-    import pyarrow as pa
-    import pyarrow.compute as pc
+    import polars as pl
 
-    def column(values: list[Any]) -> pa.Array:
-        try:
-            array = pa.array(values)
-        except pa.ArrowException:  # of several types
-            return pa.array([plain(value) for value in values])
-        return pc.if_else(pc.is_finite(array), array, None) if pa.types.is_floating(array.type) else array
-
-    kept = [dict(row) for row in rows]
+    kept = [plain(row) for row in rows]
     names = list(dict.fromkeys(name for row in kept for name in row))
-    table = pa.table({name: column([row.get(name) for row in kept]) for name in names})
-    write_atomically(path, parquet_bytes(table))
+    frame = pl.DataFrame([pl.Series(name, [row.get(name) for row in kept], strict=False) for name in names])
+    write_atomically(path, parquet_bytes(frame))
 
 
-def parquet_bytes(table: Any) -> bytes:
-    """Make a Parquet file out of a pyarrow.Table, in memory."""
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    sink = pa.BufferOutputStream()
-    pq.write_table(table, sink, compression="zstd", write_page_checksum=True)
-    data: bytes = sink.getvalue().to_pybytes()
-    return data
+def parquet_bytes(frame: pl.DataFrame) -> bytes:
+    """Make a Parquet file in memory."""
+    packed = io.BytesIO()
+    frame.write_parquet(packed, compression="zstd")
+    return packed.getvalue()
 
 
 def close_page(

@@ -7,7 +7,7 @@ import os
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -16,17 +16,17 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from moc_opt.embedded import CompilerError
+from moc_opt.arrays import Array
 from moc_opt.errors import MocOptError
-from moc_opt.numerics.arrays import Array
+from moc_opt.export import export_scenario
 from moc_opt.scenario import Scenario
-from moc_opt.scenario.exported import export_scenario
 from moc_opt.trace.trace import Trace
 
 SPARE_S = 300.0
 """Beyond the run itself: starting both processes, judging and saving the trace."""
 SAFE_RCM_M, AT_REST_RAD_PER_S = 2e-3, 1e-2
 """A stop is clean where the RCM error stayed below the one and the arm stands at its end."""
+MOC_OPT = (sys.executable, "-m", "moc_opt")
 _BURN = "while True:\n    sum(i * i for i in range(100000))"
 
 
@@ -86,12 +86,12 @@ def build(file: Path, folder: Path) -> Path:
     """Export and compile the controller of a scenario's file as a program.
 
     Raises:
-        CompilerError: make or the compiler failed.
+        RealtimeError: make or the compiler failed.
     """
     export_scenario(Scenario.load(file), folder, udp=True)
     done = subprocess.run(["make", "-C", str(folder), "moc_udp"], capture_output=True, text=True, check=False)
     if done.returncode:
-        raise CompilerError(f"make moc_udp failed:\n{done.stderr[-2000:]}")
+        raise RealtimeError(f"make moc_udp failed:\n{done.stderr[-2000:]}")
     return folder / "moc_udp"
 
 
@@ -104,7 +104,7 @@ def run_once(case: Case, file: Path, program: Path | None, limit_s: float) -> Fo
     begun = datetime.now(UTC).isoformat(timespec="seconds")
     with tempfile.TemporaryDirectory(prefix="moc-opt-") as folder, load(case.load):
         trace = Path(folder, "run.parquet")
-        plant = _start("plant", str(file), "--listen", "127.0.0.1:0", "--trace", str(trace), "--json")
+        plant = _start(*MOC_OPT, "plant", str(file), "--listen", "127.0.0.1:0", "--trace", str(trace), "--json")
         control: subprocess.Popen[str] | None = None
         try:
             assert plant.stderr is not None
@@ -113,9 +113,9 @@ def run_once(case: Case, file: Path, program: Path | None, limit_s: float) -> Fo
                 raise RealtimeError(f"the plant did not start: {first}{plant.stderr.read()}"[:1000])
             host, port = first.split()[-1].split(":")
             if program is None:
-                control = _start("control", str(file), "--connect", f"{host}:{port}", "--json")
+                control = _start(*MOC_OPT, "control", str(file), "--connect", f"{host}:{port}", "--json")
             else:
-                control = _popen(str(program), host, port, str(program.parent / "reference.bin"))
+                control = _start(str(program), host, port, str(program.parent / "reference.bin"))
             said, errors = control.communicate(timeout=limit_s)
             _, wrong = plant.communicate(timeout=limit_s)
         except subprocess.TimeoutExpired as error:
@@ -129,11 +129,7 @@ def run_once(case: Case, file: Path, program: Path | None, limit_s: float) -> Fo
         return _read(Trace.load(trace), json.loads(said), begun)
 
 
-def _start(*words: str) -> subprocess.Popen[str]:
-    return _popen(sys.executable, "-m", "moc_opt", *words)
-
-
-def _popen(*command: str) -> subprocess.Popen[str]:
+def _start(*command: str) -> subprocess.Popen[str]:
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
@@ -151,11 +147,3 @@ def _read(trace: Trace, said: dict[str, Any], begun: str) -> Found:
         wake, round_trip, control, missed=int(columns["missed"][:cycles].sum()), overruns=int(wire["overruns"]),
         ended=ended, clean=clean, rcm_max_mm=1e3 * rcm, system=system, begun=begun,
     )  # fmt: skip
-
-
-def measure(run: Callable[[int], Found], cycles: int, most_runs: int) -> list[Found]:
-    """Run again, each time with the number of the run, until so many cycles are there, or so many runs were."""
-    found: list[Found] = []
-    while sum(len(one.round_us) for one in found) < cycles and len(found) < most_runs:
-        found.append(run(len(found)))
-    return found

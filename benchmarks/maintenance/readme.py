@@ -16,12 +16,13 @@ from typing import Any
 from benchmarks.common import cli
 from benchmarks.common.markdown import fill_section, of_columns, table
 from benchmarks.common.output import write_atomically
-from benchmarks.latency.goals import GOALS, reason
-from benchmarks.paper_experiment import ablation
+from benchmarks.common.timing import read_doubts
+from benchmarks.latency.verdict import GOALS
+from benchmarks.paper_experiment.verdict import ABOUT_FRAMES, UNDECIDED, goal_value, in_words, what_decides
 from benchmarks.solver_study.first_screen import answer
-from moc_opt.comparison.statistics import spread
 from moc_opt.errors import MocOptError
 from moc_opt.inputs.files import read_json
+from moc_opt.study.statistics import spread
 
 Summary = Mapping[str, Any]
 
@@ -39,6 +40,7 @@ def solvers_section(summary: Summary, environment: Summary) -> str:
     return "\n\n".join([
         f"`python -m benchmarks.solvers` ({_where(environment)}{loop if trials else ''}):",
         *first.sentences, of_columns(first.table.columns, first.table.rows), f"{first.table.caption}.",
+        *([first.note] if first.note else []),
     ])  # fmt: skip
 
 
@@ -50,15 +52,18 @@ def paper_section(summary: Summary, environment: Summary) -> str:
     for goal in summary["goals"]:
         what, _, side = goal["text"].rpartition(", ")
         found = [_goal(row) for row in (goal, away.get(goal["goal"])) if row is not None]
-        rows.append([what, f"{side} {goal['limit']:g}", *found])
+        rows.append([what, "–" if goal["limit"] is None else f"{side} {goal['limit']:g}", *found])
     trials = max((row["trials"] for row in summary.get("tuned", {}).values()), default=0)
     seed = environment["seed"]
     said = f"`python -m benchmarks.paper` (seed {seed}), {trials:g} trials a column, mean and 95 % interval:"
-    return "\n\n".join([said, table(heads, rows), *_claims(summary)])
+    return "\n\n".join([said, table(heads, rows), ABOUT_FRAMES, *_claims(summary)])
 
 
 def _goal(goal: Mapping[str, Any]) -> str:
-    return (spread(goal, "value") or "not measured") + ("" if goal["reached"] else " (not reached)")
+    """Return what was found, and where the goal is not reached or open, that."""
+    word = in_words(goal)
+    mark = f" (not reached{word.removeprefix('no')})" if goal["reached"] is False else f" ({word})"
+    return (goal_value(goal) or "not measured") + ("" if word in ("yes", "no goal") else mark)
 
 
 def _claims(summary: Summary) -> list[str]:
@@ -69,7 +74,7 @@ def _claims(summary: Summary) -> list[str]:
     solvers = list(dict.fromkeys(row["controller"] for row in mine))
     cells = {
         (row["text"], row["controller"]): f"{row['matched_percent']:+.1f} ({row['matched_percent_low']:+.1f} to "
-        f"{row['matched_percent_high']:+.1f}): {row['verdict']}"
+        f"{row['matched_percent_high']:+.1f}){_ratios(row)}: {row['verdict']}"
         for row in mine
         if None not in (row.get("matched_percent"), row.get("matched_percent_low"))
     }
@@ -81,11 +86,16 @@ def _claims(summary: Summary) -> list[str]:
     said = (
         "The paper's claims with the paper's parameters (preset `paper`, Table I as printed): change against DCAC with "
         "the same gains (*matched*), 95 % interval, verdict by the interval's end. *Holds only against softer gains*: "
-        "against DCAC with its own gains of Table I, and not with the same ones. *In the patient*: with the errors of "
-        "the registration."
+        "against DCAC with its own gains of Table I, and not with the same ones. The claims without a frame stand by "
+        "the robot's own kinematics, as in the paper; *in the patient*: in the frame registered at the start."
     )
-    decided = " ".join(ablation.headline(summary.get("ablation", [])))
+    decided = " ".join(what_decides(summary.get("ablation", [])))
     return [said, shown, *([decided] if decided else [])]
+
+
+def _ratios(row: Mapping[str, Any]) -> str:
+    """Return the mean of the trials' ratios where it decides that nothing is decided."""
+    return f", mean of ratios {spread(row, 'matched_percent_of_ratios')}" if row["verdict"] == UNDECIDED else ""
 
 
 def _shook(found: Mapping[str, Any]) -> str:
@@ -96,12 +106,11 @@ def _shook(found: Mapping[str, Any]) -> str:
 def speed_section(summary: Summary, environment: Summary) -> str:
     """Return what everything costs beside what was wanted, and the ticks of others in the same run."""
     rows = []
-    for key, goal in ((key, summary["goals"][key]) for key in GOALS if key in summary["goals"]):
+    for goal in (summary["goals"][key] for key in GOALS if key in summary["goals"]):
         unit = f" [{goal['unit']}]" if goal["unit"] else ""
         found = "not measured" if goal["value"] is None else f"{goal['value']:.3g}"
-        why = reason(key, summary)
-        mark = f" (not reached{f': {why}' if why else ''})" if goal["reached"] == "no" else ""
-        rows.append([goal["what"] + unit, found + mark, f"{goal['kind']} {goal['goal']:g}"])
+        mark = " (not reached)" if goal["reached"] == "no" else ""
+        rows.append([goal["what"] + unit, found + mark, f"{goal['kind']} {goal['goal']:g}", goal["made_of"]])
     own = _medians(summary["tick"])
     daggers = {name: "†" for name, row in summary["peers"].items() if row["installed"] == "hand"}
     peers = {f"{name}{daggers.get(name, '')} ({row['level']})": row for name, row in summary["peers"].items()}
@@ -112,7 +121,7 @@ def speed_section(summary: Summary, environment: Summary) -> str:
     return f"""\
 `python -m benchmarks.speed` ({_where(environment)}), all in one run:
 
-{table(["", "measured", "wanted"], rows)}
+{table(["", "measured", "wanted", "made of"], rows)}
 
 Median of our tick by solver, and in C [us]: {own}.
 Median of other libraries' ticks at the same job [us]: {others or "none is installed"}.
@@ -132,7 +141,7 @@ def fill(given: argparse.Namespace) -> int:
         folder = getattr(given, name)
         if folder is not None:
             read = (read_json(folder / f"{kind}.json", "results", ReadmeError) for kind in ("summary", "environment"))
-            text = fill_section(text, name, make(*read), "README")
+            text = fill_section(text, name, make(*map(read_doubts, read)), "README")
     write_atomically(given.readme, text.encode())
     return 0
 

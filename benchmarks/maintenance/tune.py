@@ -26,23 +26,87 @@ import sys
 from argparse import Namespace
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar, Self
 
 import numpy as np
+from pydantic import Field, model_validator
 
 from benchmarks.common import cli
-from benchmarks.common.crew import run_parallel
-from benchmarks.maintenance.tune_space import Candidate, Config, Values, draw
+from benchmarks.common.config import Configuration
 from benchmarks.paper_experiment.trials import MATCHED, Job, Measurement, Outcome, run_job, seeds, trials
 from benchmarks.paper_experiment.verdict import effect
 from moc_opt.errors import ScenarioError
+from moc_opt.inputs.settings import Settings
 from moc_opt.report.tables import Column, Table
-from moc_opt.trace.ending import Ending
+from moc_opt.scenario import Scenario
+from moc_opt.study import each
+from moc_opt.trace.meta import Ending
 
 SOLVER = "exact"
 ERRORS = ("tip_error_model_mean_mm", "rcm_error_model_mean_mm")
 SEARCH_STREAM, FINAL_STREAM = 1, 2  # of seeds; the experiment has 0
 CALM = 1.5  # largest growth of the torque rate on the worse arm
+NEAR = 0.1  # spread of local candidates, in parts of a range
+Values = Mapping[str, float]
+
+
+class Range(Settings):
+    """Where one parameter may lie: between two numbers, or one of some choices."""
+
+    KIND: ClassVar[str] = "[space]"
+    low: float = 0.0
+    high: float = 1.0
+    log: bool = False
+    choices: list[bool | float] | None = Field(None, min_length=1)
+
+    @model_validator(mode="after")
+    def _in_order(self) -> Self:
+        if not self.low < self.high or (self.log and self.low <= 0.0):
+            raise ValueError(f"low = {self.low}, high = {self.high}: give low < high, and above 0 where log is true")
+        return self
+
+    def at(self, place: float) -> float | bool:
+        """Return the value at a place in [0, 1], to three significant digits: a preset is read by people."""
+        if self.choices is not None:
+            return self.choices[min(int(place * len(self.choices)), len(self.choices) - 1)]
+        ratio = self.high / self.low if self.log else 1.0
+        return float(f"{self.low * ratio**place if self.log else self.low + place * (self.high - self.low):.3g}")
+
+
+class Config(Configuration):
+    """benchmarks/configs/tune.toml."""
+
+    tasks: list[str] = Field(["circle", "sinusoid", "spiral"], min_length=1)
+    random: int = Field(60, ge=1)
+    local: int = Field(40, ge=0)
+    finalists: int = Field(6, ge=1)
+    trials: int = Field(2, ge=2)
+    final_trials: int = Field(5, ge=2)
+    processes: int = Field(2, ge=1)
+    space: dict[str, Range]
+    hard: dict[str, Any] = Field(default_factory=dict)
+    scenario: Scenario = Scenario(judge=False, bound_samples=0)
+
+    def quick(self) -> Config:
+        """Return the same search with few candidates."""
+        few = {"random": 3, "local": 1, "finalists": 2, "trials": 2, "final_trials": 2, "tasks": self.tasks[:1]}
+        return self.model_copy(update=few)
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """Places in [0, 1], one a parameter, and what they mean."""
+
+    places: tuple[float, ...]
+    values: Values
+
+    @property
+    def control(self) -> dict[str, Any]:
+        """Return it as a table of control settings."""
+        table: dict[str, Any] = {"gains": "default", **self.values}
+        if "rho_over_c2" in table:
+            table["regularization"] = float(f"{table.pop('rho_over_c2') * 1e-3:.3g}")
+        return table
 
 
 @dataclass(frozen=True)
@@ -51,23 +115,35 @@ class Score:
 
     candidate: Candidate
     objective: float
-    figures: Mapping[str, float]
+    figures: Values
     reason: str = ""
+
+
+def draw(config: Config, rng: np.random.Generator, near: Sequence[Candidate] = ()) -> Candidate:
+    """Draw a candidate from the whole space, or near one of some others."""
+    size = len(config.space)
+    if near:
+        centre = np.array(near[int(rng.integers(len(near)))].places)
+        places = np.clip(centre + NEAR * rng.standard_normal(size), 0.0, 1.0)
+    else:
+        places = rng.uniform(0.0, 1.0, size)
+    drawn = tuple(float(place) for place in places)
+    return Candidate(drawn, {k: span.at(place) for (k, span), place in zip(config.space.items(), drawn, strict=True)})
 
 
 def figures(found: Sequence[Measurement]) -> dict[str, float]:
     """Return the figures that the objective reads, over all trials."""
     whole = [m.metrics for m in found if (m.controller, m.phase) == (SOLVER, "whole")]
     gain = effect(found, "", SOLVER, MATCHED, "mu_mean")
-    values = {"gain": -100.0 if gain is None else gain.value}  # without a pair of runs there is none
+    values = {"gain": -100.0 if gain is None else gain.ratio.value}  # without a pair of runs there is none
     values["worst_gain"] = min(metrics["mu_gain_percent"] for metrics in whole)
     values |= {name: float(np.mean([metrics[name] for metrics in whole])) for name in ERRORS}
     values["torque_rate"] = float(np.mean([metrics["torque_rate_rms_Nm_per_s"] for metrics in whole]))
     for phase in ("settled", "travelling"):
         for name in ERRORS:
             change = effect(found, "", SOLVER, MATCHED, name, phase)
-            if change is not None and change.samples > 1:
-                values |= {f"{phase}_{name}": change.value, f"{phase}_{name}_high": change.high}
+            if change is not None and change.ratio.samples > 1:
+                values |= {f"{phase}_{name}": change.ratio.value, f"{phase}_{name}_high": change.ratio.high}
     return values
 
 
@@ -105,59 +181,45 @@ def jobs_of(config: Config, candidate: Candidate, stream: int, per_task: int, ha
 
 def score(candidate: Candidate, outcomes: Sequence[Outcome]) -> Score:
     """Judge a candidate by the results of its jobs."""
-    broken = [entry for outcome in outcomes for entry in outcome.broken]
-    if broken:
-        return Score(candidate, math.inf, {}, f"broke off: {broken[0]['error']:.120}")
-    found = [m for outcome in outcomes for m in outcome.measurements if m.group == ""]
-    shaken = [m.ended for outcome in outcomes for m in outcome.measurements if Ending.of(m.ended) is Ending.OSCILLATED]
-    if shaken:
+    if broken := [entry["error"] for outcome in outcomes for entry in outcome.broken]:
+        return Score(candidate, math.inf, {}, f"broke off: {broken[0]:.120}")
+    found = [m for outcome in outcomes for m in outcome.measurements]
+    usual = [m for m in found if m.group == ""]
+    if shaken := [m.ended for m in usual if Ending.of(m.ended) is Ending.OSCILLATED]:
         return Score(candidate, math.inf, {}, shaken[0])
-    values = figures(found)
-    rates = [
-        m.metrics["torque_rate_rms_Nm_per_s"]
-        for outcome in outcomes
-        for m in outcome.measurements
-        if m.group == "hard" and m.phase == "whole"
-    ]
+    values = figures(usual)
+    rates = [m.metrics["torque_rate_rms_Nm_per_s"] for m in found if (m.group, m.phase) == ("hard", "whole")]
     if rates and max(rates) > CALM * values["torque_rate"]:
         return Score(candidate, math.inf, values, f"torque rate of {max(rates):.0f} Nm/s on the worse arm")
     return Score(candidate, objective(values), values)
 
 
-def evaluate(config: Config, candidates: Sequence[Candidate], stream: int, per_task: int, advance: Any) -> list[Score]:
-    """Return the scores in the order of the candidates."""
-    batches = [jobs_of(config, c, stream, per_task, hard=stream == SEARCH_STREAM) for c in candidates]
-    outcomes = run_parallel(run_job, [job for batch in batches for job in batch], config.processes, advance)
-    scores, at = [], 0
-    for candidate, batch in zip(candidates, batches, strict=True):
-        scores.append(score(candidate, outcomes[at : at + len(batch)]))
-        at += len(batch)
-    return scores
-
-
 def search(config: Config) -> tuple[list[Score], list[Score]]:
     """Return (every score of the search, scores of the finalists on fresh trials), each best first."""
     rng = np.random.default_rng(config.seed)
-    each, final = config.trials * len(config.tasks) + 1, config.final_trials * len(config.tasks)
-    total = (config.random + config.local) * each + min(config.finalists, config.random + config.local) * final
-    with cli.steps("search", total) as step:
-        found = evaluate(config, [draw(config, rng) for _ in range(config.random)], SEARCH_STREAM, config.trials, step)
-        best = [s.candidate for s in sorted(found, key=lambda s: s.objective)[:5] if math.isfinite(s.objective)]
-        if best:
-            near = [draw(config, rng, best) for _ in range(config.local)]
-            found += evaluate(config, near, SEARCH_STREAM, config.trials, step)
-        found.sort(key=lambda s: s.objective)
-        chosen = [s.candidate for s in found[: config.finalists] if math.isfinite(s.objective)]
-        finals = evaluate(config, chosen, FINAL_STREAM, config.final_trials, step)
-    return found, sorted(finals, key=lambda s: s.objective)
+
+    def evaluate(candidates: Sequence[Candidate], stream: int, per_task: int) -> list[Score]:
+        batches = [jobs_of(config, one, stream, per_task, hard=stream == SEARCH_STREAM) for one in candidates]
+        outcomes = iter(each(run_job, [job for batch in batches for job in batch], workers=config.processes, step=step))
+        return [score(one, [next(outcomes) for _ in batch]) for one, batch in zip(candidates, batches, strict=True)]
+
+    def best(scores: Sequence[Score], count: int) -> list[Candidate]:
+        ranked = sorted(scores, key=lambda s: s.objective)
+        return [s.candidate for s in ranked[:count] if math.isfinite(s.objective)]
+
+    runs = (config.random + config.local) * (config.trials * len(config.tasks) + 1)
+    with cli.steps("search", runs + config.finalists * config.final_trials * len(config.tasks)) as step:
+        found = evaluate([draw(config, rng) for _ in range(config.random)], SEARCH_STREAM, config.trials)
+        if near := best(found, 5):
+            found += evaluate([draw(config, rng, near) for _ in range(config.local)], SEARCH_STREAM, config.trials)
+        finals = evaluate(best(found, config.finalists), FINAL_STREAM, config.final_trials)
+    return sorted(found, key=lambda s: s.objective), sorted(finals, key=lambda s: s.objective)
 
 
 def row(part: str, entry: Score) -> dict[str, Any]:
     """Return one row of rows.parquet and of the table."""
-    return {
-        "part": part, "objective": entry.objective, "reason": entry.reason or None,
-        **entry.candidate.values, **entry.figures,
-    }  # fmt: skip
+    told = {"part": part, "objective": entry.objective, "reason": entry.reason or None}
+    return {**told, **entry.candidate.values, **entry.figures}
 
 
 def preset(winner: Score) -> str:

@@ -14,21 +14,20 @@ from typing import Any, ClassVar
 
 import numpy as np
 from pydantic import Field
+from scipy.spatial import cKDTree
 
+from moc_opt.arrays import Array
 from moc_opt.control import Controller
-from moc_opt.errors import MocOptError, TaskError
+from moc_opt.errors import TaskError
 from moc_opt.inputs.settings import Settings
-from moc_opt.model.inverse_kinematics import pose_through
-from moc_opt.model.robot_model import load_robot
-from moc_opt.numerics.arrays import Array
-from moc_opt.procedure.hands_on import HandsOn, HandsOnSettings, HandsOnStatus, guide_to
-from moc_opt.procedure.reachability import check_reachable
-from moc_opt.redundancy.self_motion import self_motion
+from moc_opt.planning.self_motion import self_motion
+from moc_opt.robots.inverse_kinematics import pose_through
 from moc_opt.scenario import Scenario, make_safety_filter, make_solver, make_stop
 from moc_opt.scenario.adapter import ControllerAdapter
 from moc_opt.scenario.parts import isolated
 from moc_opt.sim.loop import simulate
 from moc_opt.sim.plant import Plant
+from moc_opt.study import Failed
 from moc_opt.tasks import Path as TipPath
 from moc_opt.tasks import Reference
 from moc_opt.tasks.waiting import WaitingReference, flags_at
@@ -36,9 +35,10 @@ from moc_opt.trace.metrics import summarize
 from moc_opt.trace.oscillation import judged_for_oscillation
 from moc_opt.trace.trace import Trace
 from moc_opt.vision.augmented_reality import Augmented
-from moc_opt.vision.board import board_below, board_task
-from moc_opt.vision.image_source import pose_accuracy
-from moc_opt.vision.settings import BoardSettings, CameraSettings, TrackerSettings
+from moc_opt.vision.board import Board, board_below, board_task
+from moc_opt.vision.hands_on import HandsOnSettings, HandsOnStatus, guide_to
+from moc_opt.vision.preflight import check_reachable
+from moc_opt.vision.settings import CameraSettings, TrackerSettings
 
 METRICS = ("mu_mean", "tip_error_mean_mm", "rcm_error_mean_mm", "trocar_force_mean_N")
 
@@ -49,7 +49,7 @@ class ProcedureSettings(Settings):
     KIND: ClassVar[str] = "[procedure]"
     hands_on: HandsOnSettings = HandsOnSettings()
     camera: CameraSettings = CameraSettings()
-    board: BoardSettings = BoardSettings()
+    board: Board = Board()
     tracker: TrackerSettings = TrackerSettings()
     poses: int = Field(100, ge=1, description="at which single pictures are judged")
     film: bool = Field(True, description="save what the surgeon sees during the first task")
@@ -64,23 +64,32 @@ class ProcedureJob:
     task: str
     film: Path | None = None
 
+    def row(self) -> dict[str, Any]:
+        """Return what tells its row from others."""
+        return {"part": "procedure", "task": self.task, "seed": self.scenario.seed}
+
+
+def lost(job: ProcedureJob, failed: Failed) -> dict[str, Any]:
+    """Return the row of a procedure that gave no result."""
+    return job.row() | {"ended": "failed", "error": str(failed)}
+
 
 def perform(job: ProcedureJob) -> dict[str, Any]:
-    """Perform the whole procedure once; one row of rows.parquet. What went wrong is in its ``error``."""
-    row: dict[str, Any] = {"part": "procedure", "task": job.task, "seed": job.scenario.seed}
-    try:
-        return row | _perform(job)
-    except MocOptError as error:
-        return {**row, "ended": "failed", "error": f"{type(error).__name__}: {error}"}
+    """Perform the whole procedure once; one row of rows.parquet.
 
-
-def _perform(job: ProcedureJob) -> dict[str, Any]:
+    Raises:
+        MocOptError: it cannot go on.
+    """
     scenario, table, task = job.scenario, job.scenario.robot, board_task(job.task)
     robot = table.arm()
     home = robot.state(robot.data.q_home)
-    hand_seed, plant_seed, swivel_seed, eye_seed = np.random.SeedSequence(scenario.seed).generate_state(4).tolist()
+    hand_seed, plant_seed, swivel_seed, eye_seed = (
+        np.random.SeedSequence(scenario.seed).generate_state(4).tolist()
+    )
     # The registration error is the hand's and the kinematics' here, not the plant's.
-    plant = Plant(robot.data, scenario.plant.model_copy(update={"trocar_registration_error_m": 0.0}), seed=plant_seed)
+    plant = Plant(
+        robot.data, scenario.plant.model_copy(update={"trocar_registration_error_m": 0.0}), seed=plant_seed
+    )
 
     incision = home.tip - task.depth_m * home.tool_direction
     guided = guide_to(incision, plant, robot, job.settings.hands_on, seed=hand_seed)
@@ -89,7 +98,9 @@ def _perform(job: ProcedureJob) -> dict[str, Any]:
 
     phantom = board_below(incision, home.tool_direction, task.depth_m)
     parts = job.settings
-    scene = Augmented(robot, phantom, camera=parts.camera, board=parts.board, tracker=parts.tracker, seed=eye_seed)
+    scene = Augmented(
+        robot, phantom, camera=parts.camera, board=parts.board, tracker=parts.tracker, seed=eye_seed
+    )
     estimate = scene.locate(guided.q)
     path = scene.task(task, estimate)
 
@@ -103,8 +114,11 @@ def _perform(job: ProcedureJob) -> dict[str, Any]:
     deviation = 1e3 * from_path(trace.tip_m, scene.task(task, phantom))
     metrics = summarize(trace)
     return {
-        "ended": trace.meta["ended"], "share_of_run": metrics["share_of_run"],
-        **_guiding(guided), "camera": scene.source, **scene.accuracy(estimate, task),
+        **job.row(), "ended": trace.meta["ended"], "share_of_run": metrics["share_of_run"],
+        "registered": guided.status is HandsOnStatus.REGISTERED, "registration_error_mm": 1e3 * guided.error_m,
+        "guiding_s": float(guided.trace.t_s[-1]),
+        "hand_force_max_N": float(np.linalg.norm(guided.trace.hand_force_N, axis=1).max()),
+        **scene.accuracy(estimate, task),
         "waited_s": waited, "lost_s": lost, "pictures": count,
         **{name: metrics[name] for name in METRICS},
         "path_deviation_mean_mm": float(deviation.mean()), "path_deviation_max_mm": float(deviation.max()),
@@ -120,7 +134,9 @@ def _run(
     """
     robot, (true, registered) = job.scenario.robot.arm(), trocars
     scenario, period = job.scenario, job.scenario.plant.period_s
-    reference = Reference(path, scenario.task.v_max_m_per_s, scenario.task.a_max_m_per_s2, t_start=scenario.task.wait_s)
+    reference = Reference(
+        path, scenario.task.v_max_m_per_s, scenario.task.a_max_m_per_s2, t_start=scenario.task.wait_s
+    )
     check_reachable(robot, q, reference, registered)
     waiting = WaitingReference(reference, period)
     lost = sum(end - begin for begin, end in job.settings.board.lost_s)
@@ -129,7 +145,7 @@ def _run(
     seconds = reference.t_start + reference.duration + lost + settling + scenario.task.hold_s
     times = period * np.arange(round(seconds / period))
     # The tool hides little of the board, and where it will be is not known yet: it is drawn where it starts.
-    watch = scene.watch(seconds, lambda t: q)
+    watch = scene.watch(seconds, q)
     rows, played = waiting.play(flags_at(times, watch.t_s, watch.seen))
     last = int(np.searchsorted(played, reference.t_start + reference.duration))
     ticks = min(len(times), last + round(scenario.task.hold_s / period))
@@ -151,31 +167,8 @@ def _run(
     return trace, waited, float(np.mean(~watch.seen) * seconds)
 
 
-def _guiding(guided: HandsOn) -> dict[str, Any]:
-    trace = guided.trace
-    return {
-        "status": guided.status.name.lower(),
-        "registered": guided.status is HandsOnStatus.REGISTERED,
-        "registration_error_mm": 1e3 * guided.error_m,
-        "guiding_s": float(trace.t_s[-1]),
-        "hand_force_max_N": float(np.linalg.norm(trace.hand_force_N, axis=1).max()),
-    }
-
-
 def from_path(points: Array, path: TipPath, samples: int = 4000) -> Array:
     """Return the distance (k,) [m] of points (k, 3) from a path: how far the tip is off the task, whatever the time."""
-    from scipy.spatial import cKDTree
-
     line = path.at(np.linspace(0.0, path.length, samples))[0]
     found: Array = cKDTree(line).query(points)[0]
     return found
-
-
-def accuracy(settings: ProcedureSettings, robot_name: str, seed: int) -> dict[str, Any]:
-    """Return the accuracy of single pictures of the board at random poses, against the truth."""
-    return dict(pose_accuracy(load_robot(robot_name), settings.camera, settings.board, poses=settings.poses, seed=seed))
-
-
-def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
-    """Map each task to the result of its procedure."""
-    return {row["task"]: {name: value for name, value in row.items() if name not in ("part", "task")} for row in rows}

@@ -1,1 +1,1 @@
-"""What `python -m benchmarks.plant` is made of: its runs (`runs`), and its tables and page (`tables`)."""
+"""The parts of `python -m benchmarks.plant`: its ``runs``, and the ``page`` with what they show."""

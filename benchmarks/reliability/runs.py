@@ -4,28 +4,56 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field, model_validator
 
-from benchmarks.reliability.config import BASELINE, Case, Config
+from moc_opt.arrays import Array
 from moc_opt.errors import MocOptError
-from moc_opt.numerics.arrays import Array
+from moc_opt.inputs.settings import Settings
 from moc_opt.scenario import Scenario, Setup
 from moc_opt.sim.loop import RunAway
+from moc_opt.study import Failed
 from moc_opt.tasks import Reference
 from moc_opt.tasks.waiting import WaitingReference
-from moc_opt.trace.ending import Ending
+from moc_opt.trace.meta import Ending
 from moc_opt.trace.trace import Trace
 
-Flags = NDArray[np.bool_]
-
+BASELINE = "dcac"
+PICTURED = ("none", "bump-30N", "trocar-slips", "nan-lasting")
+"""Cases whose traces are drawn, of `exact` on the first trial."""
 SMOOTH_S = 0.2  # errors are averaged over so long before they are compared with the run without a fault
 RECOVERED = 1.2  # times the level without a fault
 RESOLUTION_M = 5e-5  # half an encoder step at the end of the arm: less is no difference
 COMPLAINTS = ("failed", "raised", "malformed", "not_finite", "outside", "lied", "late", "lost")
 """Faults that a supervisor names when a solver misbehaves; "infeasible" is an honest answer."""
+
+
+class Case(Settings):
+    """One fault: its changes of a scenario, and the time in which it acts."""
+
+    KIND: ClassVar[str] = "[cases]"
+    group: Literal["solver", "sensors", "plant", "contact", "camera"]
+    faults: dict[str, Any] = Field(default_factory=dict)
+    plant: dict[str, Any] = Field(default_factory=dict)
+    trocar: dict[str, Any] = Field(default_factory=dict)
+    camera_lost_s: tuple[float, float] | None = Field(
+        None, description="the board is out of sight from .. until; the tip waits meanwhile"
+    )
+    from_s: float = Field(0.0, ge=0.0)
+    until_s: float | None = Field(None, ge=0.0, description="None: it lasts")
+
+    @model_validator(mode="after")
+    def _in_order(self) -> Self:
+        if self.until_s is not None and self.until_s < self.from_s:
+            raise ValueError(f"until_s = {self.until_s} is before from_s = {self.from_s}: exchange them")
+        return self
+
+    def corrupt(self, scenario: Scenario) -> Scenario:
+        """Return the scenario with this fault in it."""
+        return scenario.change(faults=self.faults, plant=self.plant, trocar=self.trocar)
 
 
 @dataclass(frozen=True)
@@ -37,7 +65,10 @@ class Job:
     scenario: Scenario
     cases: Mapping[str, Case]
     limits_mm: tuple[float, float]  # tip, RCM
-    keep: tuple[str, ...] = ()  # cases whose traces are wanted
+
+    def row(self, name: str, ended: str) -> dict[str, Any]:
+        group = self.cases[name].group if name in self.cases else "none"
+        return {"case": name, "group": group, "solver": self.controller, "trial": self.trial, "ended": ended}
 
 
 @dataclass
@@ -48,52 +79,6 @@ class Outcome:
     traces: dict[str, Trace] = field(default_factory=dict)
 
 
-def jobs(config: Config) -> list[Job]:
-    """Return every controller on every trial."""
-    found = []
-    for trial in range(config.trials):
-        base = config.scenario.change(seed=config.seed + trial)
-        for controller in (BASELINE, *config.solvers):
-            if controller == BASELINE:
-                scenario = base.change(control=base.control.matched_dcac())
-                cases = {name: case for name, case in config.cases.items() if case.group != "solver"}
-            else:
-                scenario, cases = base.change(solver={"name": controller, "settings": {}}), dict(config.cases)
-            limits = (config.tip_limit_mm, config.rcm_limit_mm)
-            keep = ("bump-30N", "trocar-slips", "nan-lasting") if trial == 0 and controller == "exact" else ()
-            found.append(Job(controller, trial, scenario, cases, limits, keep))
-    return found
-
-
-class Waited:
-    """A reference whose path waits while the board is out of sight, with the interface of the loop."""
-
-    def __init__(self, reference: Reference, period: float, ticks: int, lost_s: tuple[float, float]) -> None:
-        t = period * np.arange(ticks)
-        seen = (t < lost_s[0]) | (t >= lost_s[1])
-        self.rows, _ = WaitingReference(reference, period).play(seen)
-
-    def at(self, t: Array) -> tuple[Array, Array, Array]:
-        """Return the point, velocity, acceleration, (k, 3) each, of the first k ticks."""
-        x, dx, ddx = np.swapaxes(self.rows[: len(t)], 0, 1)
-        return x, dx, ddx
-
-
-def run_case(scenario: Scenario, camera_lost_s: tuple[float, float] | None) -> tuple[Trace | None, str]:
-    """Return the trace as far as it goes, and how the run ended."""
-    try:
-        setup = Setup(scenario)
-        if camera_lost_s is not None:
-            ticks = len(setup.times())
-            setup.reference = Waited(setup.reference, scenario.plant.period_s, ticks, camera_lost_s)  # type: ignore[assignment]
-        trace = setup.trace()
-    except RunAway as error:
-        return error.trace, str(error.trace.meta["ended"])
-    except MocOptError as error:
-        return None, f"refused: {type(error).__name__}: {error}"
-    return trace, str(trace.meta["ended"])
-
-
 def run_job(job: Job) -> Outcome:
     """Run all cases of a job."""
     out = Outcome()
@@ -102,20 +87,52 @@ def run_job(job: Job) -> Outcome:
         raise MocOptError(f"{job.controller}: the run without a fault did not start: {ended}")
     waiting: Trace | None = None
     for name, case in {"none": None, **job.cases}.items():
-        level: Trace = free
+        level = free
         trace, how = (free, ended) if case is None else run_case(case.corrupt(job.scenario), case.camera_lost_s)
         if case is not None and case.camera_lost_s is not None:
             # A path that may wait starts gently, so it is compared with one that never has to.
             waiting = run_case(job.scenario, (0.0, 0.0))[0] if waiting is None else waiting
-            level = waiting or free
-        row = {
-            "case": name, "group": case.group if case else "none", "solver": job.controller,
-            "trial": job.trial, "ended": how,
-        }  # fmt: skip
-        out.rows.append({**row, **measure(trace, level, how, case, job.limits_mm)})
-        if name in (*job.keep, "none") and trace is not None and job.keep:
+            level = free if waiting is None else waiting
+        out.rows.append(job.row(name, how) | measure(trace, level, how, case, job.limits_mm))
+        if name in PICTURED and (job.controller, job.trial) == ("exact", 0) and trace is not None:
             out.traces[name] = trace
     return out
+
+
+def lost_job(job: Job, failed: Failed) -> Outcome:
+    """Return a job that gave no result: every case is a row with the reason."""
+    return Outcome([job.row(name, str(failed)) | {"outcome": "refused"} for name in ("none", *job.cases)])
+
+
+class Waited(Reference):
+    """A reference whose path waits while the board is out of sight."""
+
+    rows_played: Array
+
+    def __init__(self, reference: Reference, times: Array, lost_s: tuple[float, float]) -> None:
+        super().__init__(reference.path, reference.v_max, reference.a_max, reference.t_start)
+        seen = (times < lost_s[0]) | (times >= lost_s[1])
+        played, _ = WaitingReference(reference, float(times[1] - times[0])).play(seen)
+        object.__setattr__(self, "rows_played", played)
+
+    def at(self, t: Any) -> tuple[Array, Array, Array]:
+        """Return the point, velocity, acceleration, (k, 3) each, of the first k ticks."""
+        x, dx, ddx = np.swapaxes(self.rows_played[: len(t)], 0, 1)
+        return x, dx, ddx
+
+
+def run_case(scenario: Scenario, camera_lost_s: tuple[float, float] | None) -> tuple[Trace | None, str]:
+    """Return the trace as far as it goes, and how the run ended."""
+    try:
+        setup = Setup(scenario)
+        if camera_lost_s is not None:
+            setup.reference = Waited(setup.reference, setup.times(), camera_lost_s)
+        trace = setup.trace()
+    except RunAway as error:
+        trace = error.trace
+    except MocOptError as error:
+        return None, f"refused: {type(error).__name__}: {error}"
+    return trace, str(trace.meta["ended"])
 
 
 def measure(
@@ -132,28 +149,20 @@ def measure(
     outcome = Ending.of(ended).value
     if ended == Ending.COMPLETED:
         outcome = "survived" if bounded else "diverged"
-    force = np.linalg.norm(whole.trocar_force_N, axis=1)
+    coast = 1e3 * np.linalg.norm(whole.tip_m[len(trace) - 1 :] - whole.tip_m[len(trace) - 1], axis=1)
     found: dict[str, Any] = {
         "outcome": outcome, "ticks": len(whole), "stopped_at_s": stopped_at,
-        "stop_travel_mm": None if stopped_at is None else _coast_mm(whole, len(trace) - 1),
+        "stop_travel_mm": None if stopped_at is None else float(coast.max()),
         "tip_error_max_mm": float(tip.max()), "rcm_error_max_mm": float(rcm.max()),
         "tip_error_mean_mm": float(tip.mean()), "rcm_error_mean_mm": float(rcm.mean()),
-        "trocar_force_max_N": float(force.max()),
-        "limited_ticks": int(np.count_nonzero(whole.limited)),
+        "trocar_force_max_N": float(np.linalg.norm(whole.trocar_force_N, axis=1).max()),
         "last_speed_rad_per_s": float(np.abs(whole.v_rad_per_s[-1]).max()),
         "recover_s": recovery(trace, free, case, ended),
     }  # fmt: skip
     if outcome == "survived":
         found["rcm_mean_percent"] = 100.0 * (found["rcm_error_mean_mm"] / (1e3 * free.rcm_error_m.mean()) - 1.0)
         found["rcm_max_percent"] = 100.0 * (found["rcm_error_max_mm"] / (1e3 * free.rcm_error_m.max()) - 1.0)
-    if "fault" in whole.columns:
-        found |= detection(whole)
-    return found
-
-
-def _coast_mm(trace: Trace, stop: int) -> float:
-    """Return the largest distance of the tip from where it was when the stop began [mm]."""
-    return 1e3 * float(np.linalg.norm(trace.tip_m[stop:] - trace.tip_m[stop], axis=1).max())
+    return found | (detection(whole) if "fault" in whole.columns else {})
 
 
 def detection(trace: Trace) -> dict[str, int]:
@@ -162,11 +171,10 @@ def detection(trace: Trace) -> dict[str, int]:
     An answer that was corrupted, was taken, and is verified as the optimum all the same (the opposite gradient can
     have the same optimum, where the box leaves one point) did no harm: it counts apart from the missed ones.
     """
-    injected: Flags = trace.columns.get("injected", np.zeros(len(trace), dtype=np.bool_))
-    injected = injected & (trace.fault != "stopped")
+    never: NDArray[np.bool_] = np.zeros(len(trace), dtype=np.bool_)
+    injected = trace.columns.get("injected", never) & (trace.fault != "stopped")
     refused = ~np.isin(trace.fault, ("none", "stopped"))
-    taken = injected & ~refused
-    right: Flags = trace.columns.get("verified", np.zeros(len(trace), dtype=np.bool_))
+    taken, right = injected & ~refused, trace.columns.get("verified", never)
     return {
         "injected": int(np.count_nonzero(injected)),
         "detected": int(np.count_nonzero(injected & refused)),

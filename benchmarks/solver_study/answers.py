@@ -1,34 +1,45 @@
 """Answers and times of solvers on test sets, also of solvers that hang or crash.
 
-Two passes, both in a worker: the answers, handed over one by one so that a hang or a crash costs one answer and not
-the set, and then the times. A set is solved warm (one session in order) and cold (a fresh session each, of a part of
-it).
+Two passes: the answers, several solvers at a time and each answer with a limit of its own, and then the times, one
+after the other. A set is solved warm (one session in order) and cold (a fresh session each, of a part of it).
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.common.processes import Crashed, Hung, Raised, Worker, WorkerError
-from benchmarks.common.store import Part, Store
 from benchmarks.solver_study.settings import SolverSetting
-from benchmarks.solver_study.solving import RAISED, answers, cold_times, warm_times
-from moc_opt.numerics.arrays import Array
+from benchmarks.solver_study.solving import RAISED, answers, times
+from moc_opt.arrays import Array
 from moc_opt.qp.layout import joints_of
 from moc_opt.qp.problem import NullSpaceQP
-from moc_opt.solvers.exact.solver import Exact
+from moc_opt.solvers.exact import Exact
+from moc_opt.study import Failed, Job
+
+Run = Callable[..., list[Any]]
+"""`moc_opt.study.run` with the study's own folder, workers and progress."""
 
 # What became of an answer, beside RAISED and the statuses of solvers.
 HUNG, CRASHED, NOT_ASKED, REFUSED = "hung", "crashed", "not asked", "refused"
 SETTING_UP = ", while setting up"
 GIVE_UP = 2  # hangs and crashes in one set, after which the rest of it is not asked
+BROKEN_SETS = 3  # sets in which a solver hung or crashed, after which it is not asked about others
+HOURS = 1e5  # of a whole set: every answer has its own limit
 
-__all__ = ["CRASHED", "HUNG", "NOT_ASKED", "RAISED", "REFUSED", "SETTING_UP", "Data", "Limits", "asked", "timed"]
+__all__ = ["CRASHED", "HUNG", "NOT_ASKED", "RAISED", "REFUSED", "SETTING_UP", "Data", "Limits", "Part", "ask", "time"]
+
+
+class Part(NamedTuple):
+    """A finding: plain values and arrays by name."""
+
+    values: dict[str, Any]
+    arrays: dict[str, NDArray[Any]]
 
 
 @dataclass(frozen=True)
@@ -64,7 +75,7 @@ class Data:
 
 
 def recorded(name: str, problems: Sequence[NullSpaceQP], kinematics: Any = None) -> Data:
-    """Make a set of a sequence; its feasibility is as ``exact`` claims, which is right on all certified sets."""
+    """Make a set of a sequence; its feasibility is as ``exact`` claims, whose claims the certificates confirm."""
     rows = np.array([qp.row for qp in problems])
     session = Exact().start(problems[0])
     feasible = np.array([session.solve(qp).status.label == "solved" for qp in problems])
@@ -81,87 +92,102 @@ def not_asked(data: Data) -> Part:
     return Part({"reason": "", "events": [NOT_ASKED]}, arrays)
 
 
-def ask(worker: Worker, setting: SolverSetting, data: Data, limits: Limits, warm: bool) -> Part:
-    """Collect all answers of one solver to one set; a hang or a crash costs one answer.
+Question = tuple[SolverSetting, Data]
+
+
+def ask(run: Run, questions: Sequence[Question], limits: Limits, warm: bool = True) -> list[Part]:
+    """Collect all answers of each solver to its set, warm or each of a new session; a hang or a crash costs one answer.
+
+    After `GIVE_UP` of these in a set the rest of it is not asked; after `BROKEN_SETS` such sets no other one is.
 
     Returns:
-        ``reason`` why the solver does not take the problems ("": it does), ``events`` (what it raised and how its
-        process ended, at which problem), and arrays ``status`` (k,), ``iterations`` (k,), ``x`` (k, n), ``y`` (k, 6).
+        for each question ``reason`` why the solver does not take the problems ("": it does), ``events`` (what it raised
+        and how its process ended, at which problem), and arrays ``status`` (k,), ``iterations`` (k,), ``x`` (k, n),
+        ``y`` (k, 6).
     """
-    arrays = not_asked(data).arrays
-    status = arrays["status"]
-    events: list[str] = []
-    place, broken = 0, 0
-
-    def refused(first: int, reason: str) -> Part:
-        status[first:] = REFUSED
-        return Part({"reason": reason, "events": events}, arrays)
-
-    while place < len(status) and broken < GIVE_UP:
-        ready = False
-        try:
-            stream = worker.stream(
-                answers, setting, data.rows[place:], warm, data.kinematics, patience_s=limits.patience_s,
-                first_s=limits.setup_s,
-            )  # fmt: skip
-            for item in stream:
-                if isinstance(item, str):
-                    if item:
-                        return refused(0, item)
-                    ready = True
-                    continue
-                status[place], arrays["iterations"][place], arrays["x"][place], arrays["y"][place], said = item
-                if said:
-                    events.append(f"problem {place}: {said}")
-                place += 1
-        except Raised as error:  # before the first problem: the solver cannot be made
-            return refused(place, str(error))
-        except (Hung, Crashed) as error:
-            status[place] = HUNG if isinstance(error, Hung) else CRASHED
-            events.append(f"problem {place}{'' if ready else SETTING_UP}: {error}")
-            place += 1
-            broken = broken + 1 if ready else GIVE_UP  # no other problem will be set up either
-    return Part({"reason": "", "events": events}, arrays)
+    found = [_Answers(setting, data) for setting, data in questions]
+    asked: list[_Answers] = found
+    while asked:
+        jobs = [
+            Job(answers, (one.setting, one.data.rows[one.place :], warm, one.data.kinematics, limits.patience_s,
+                          limits.setup_s), HOURS, group=one.setting.label)
+            for one in asked
+        ]  # fmt: skip
+        for one, result in zip(asked, run(jobs, give_up=BROKEN_SETS), strict=True):
+            one.take(result)
+        broken, asked = Counter[str](), []
+        for one in found:
+            if one.open and broken[one.setting.label] < BROKEN_SETS:
+                asked.append(one)
+            broken[one.setting.label] += one.broken > 0
+    return [one.part for one in found]
 
 
-def time(worker: Worker, setting: SolverSetting, data: Data, limits: Limits, answered: bool) -> Part:
-    """Measure the times [us] of one solver on one set; empty where an answer of it never came.
+class _Answers:
+    """The answers of one solver to one set, as far as they have come."""
+
+    def __init__(self, setting: SolverSetting, data: Data) -> None:
+        self.setting, self.data, self.part = setting, data, not_asked(data)
+        self.place, self.broken, self.open = 0, 0, True
+        self.part.values["events"] = []
+
+    def take(self, result: list[Any] | Failed) -> None:
+        """Take what a job returned, or what it had reported when it failed."""
+        failed = result if isinstance(result, Failed) else None
+        came: Sequence[Any] = result.parts if isinstance(result, Failed) else result
+        reason, *items = came or [None]
+        arrays, events = self.part.arrays, self.part.values["events"]
+        for item in items:
+            said = item[-1]
+            for name, value in zip(("status", "iterations", "x", "y"), item, strict=False):
+                arrays[name][self.place] = value
+            if said:
+                events.append(f"problem {self.place}: {said}")
+            self.place += 1
+        if reason or (failed and failed.kind == "raised"):  # it does not take the problems, or cannot be made
+            self.part.values["reason"] = reason or str(failed)
+            arrays["status"][self.place :] = REFUSED
+            self.open = False
+        elif failed and failed.kind == "not run":
+            events.append(NOT_ASKED)
+            self.open = False
+        elif failed:
+            ready = reason is not None
+            arrays["status"][self.place] = HUNG if failed.kind == "hung" else CRASHED
+            events.append(f"problem {self.place}{'' if ready else SETTING_UP}: {failed.reason}")
+            self.place += 1
+            self.broken += 1 if ready else GIVE_UP  # no other problem will be set up either
+            self.open = self.broken < GIVE_UP and self.place < len(arrays["status"])
+        else:
+            self.open = False
+
+
+def time(run: Run, questions: Sequence[Question], limits: Limits) -> list[Part]:
+    """Measure the times [us] of each solver on its set, one after the other with nothing beside.
 
     Returns:
-        ``reason`` why there are none, and arrays ``solve_us`` (rounds, k), ``setup_us``, ``cold_us``, ``update_us``.
+        for each question ``reason`` why there are none, what the machine did while the ``warm`` times were taken and
+        the ``cold`` ones (fields of a `Disturbance`), and arrays ``solve_us`` (rounds, k), ``setup_us``, ``cold_us``,
+        ``update_us``. Where p99 is not to be trusted nothing is kept.
     """
-    arrays = {
-        "solve_us": np.empty((0, len(data.rows))), "setup_us": np.empty(0), "cold_us": np.empty(0),
-        "update_us": np.empty(0),
-    }  # fmt: skip
-    if not answered:
-        return Part({"reason": "not timed: not every problem was answered"}, arrays)
-    every = max(1, len(data.rows) // limits.cold)
-    wait = 20.0 * limits.seconds + limits.patience_s
-    warm = (warm_times, setting, data.rows, limits.rounds, limits.seconds, data.kinematics)
-    try:
-        rounds = list(worker.stream(*warm, patience_s=wait))
-        (setup, cold, update), *_ = list(
-            worker.stream(cold_times, setting, data.rows[::every], data.kinematics, patience_s=wait)
+    limit = 20.0 * limits.seconds + limits.patience_s + limits.setup_s
+    jobs = [
+        Job(times, (setting, data.rows, max(1, len(data.rows) // limits.cold), limits.rounds, limits.seconds,
+                    data.kinematics), limit, alone=True, group=setting.label)
+        for setting, data in questions
+    ]  # fmt: skip
+    found = run(jobs, keep=lambda result: result.warm_load.trusts(99.0))
+    return [
+        untimed(data, str(result)) if isinstance(result, Failed) else Part(
+            {"reason": "", "warm": asdict(result.warm_load), "cold": asdict(result.cold_load)},
+            {"solve_us": result.solve, "setup_us": result.setup, "cold_us": result.cold, "update_us": result.update},
         )
-    except WorkerError as error:
-        return Part({"reason": str(error)}, arrays)
-    return Part({"reason": ""}, {"solve_us": np.array(rounds), "setup_us": setup, "cold_us": cold, "update_us": update})
+        for (_, data), result in zip(questions, found, strict=True)
+    ]  # fmt: skip
 
 
-def asked(store: Store, worker: Worker, setting: SolverSetting, data: Data, limits: Limits, warm: bool = True) -> Part:
-    """Ask as `ask` does, or take the answers of an earlier run."""
-    key = store.key(
-        part="answers", solver=setting.solver, options=setting.options, rows=data.rows, warm=warm,
-        patience=limits.patience_s, arm=data.kinematics is not None,
-    )  # fmt: skip
-    return store.get(key) or store.put(key, ask(worker, setting, data, limits, warm))
-
-
-def timed(store: Store, worker: Worker, setting: SolverSetting, data: Data, limits: Limits, answered: bool) -> Part:
-    """Measure as `time` does, or take the times of an earlier run."""
-    key = store.key(
-        part="times", solver=setting.solver, options=setting.options, rows=data.rows, rounds=limits.rounds,
-        seconds=limits.seconds, cold=limits.cold, answered=answered, arm=data.kinematics is not None,
-    )  # fmt: skip
-    return store.get(key) or store.put(key, time(worker, setting, data, limits, answered))
+def untimed(data: Data, reason: str = "not every problem was answered") -> Part:
+    """Return a part without times."""
+    nothing = np.empty(0)
+    arrays = {"solve_us": np.empty((0, len(data.rows))), "setup_us": nothing, "cold_us": nothing, "update_us": nothing}
+    return Part({"reason": f"not timed: {reason}"}, arrays)

@@ -10,30 +10,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.common.processes import Worker
-from benchmarks.common.store import Part, Store
-from benchmarks.common.timing import percentiles
-from benchmarks.solver_study.answers import (
-    CRASHED,
-    HUNG,
-    NOT_ASKED,
-    RAISED,
-    REFUSED,
-    SETTING_UP,
-    Data,
-    Limits,
-    asked,
-    not_asked,
-)  # fmt: skip
+from benchmarks.common.timing import Disturbance, percentiles
+from benchmarks.solver_study.answers import CRASHED, HUNG, NOT_ASKED, RAISED, REFUSED, Data, Part
 from benchmarks.solver_study.settings import SolverSetting
 from benchmarks.subproblems.testset import TestSet
 from moc_opt.qp.problem import compute_residuals, fields
 from moc_opt.qp.residuals import Residuals
 
-BROKEN_SETS = 3  # sets in which a solver hung or crashed, after which it is not asked about others
 CONTRADICTION = 1e-13  # m/s; above the rounding of consistent references
 RIGHTLY = 0.99
-"""Least share of right answers of a solver whose times are compared with others': a wrong answer may come fast."""
+"""Least share of right answers (see `share_right`) of a solver whose times are compared: a wrong one may come fast."""
 RESIDUALS = ("primal", "natural", "natural_best", "relative", "loss")
 
 
@@ -70,17 +56,22 @@ class Cell:
     def right(self) -> NDArray[np.bool_]:
         """(k,) which problems were answered rightly, the one rule of all tables, figures and sentences.
 
-        Right is a claim of success that the judge verifies; and a claim of infeasibility where the certificate says so,
-        or where the six rows that the solver was given do contradict each other.
+        Right is a claim of success that the judge verifies, and a claim of infeasibility that the certificate confirms.
         """
-        return (self.status == "solved") & self.verified | (self.status == "infeasible") & self._no_answer
+        return (self.status == "solved") & self.verified | (self.status == "infeasible") & ~self.data.feasible
 
     @property
-    def _no_answer(self) -> NDArray[np.bool_]:
-        """(k,) where what the solver was given has none."""
-        if not self.setting.six_rows:
-            return ~self.data.feasible
-        return ~self.data.feasible | self.contradictory
+    def inconsistent(self) -> NDArray[np.bool_]:
+        """(k,) where the solver was given six rows that contradict each other, and five of them have an optimum."""
+        return self.contradictory & self.data.feasible & self.setting.six_rows
+
+    @property
+    def refused_inconsistent(self) -> NDArray[np.bool_]:
+        """(k,) where it called such rows infeasible: true of the rows, no answer for the robot.
+
+        This counts neither as right nor as wrong.
+        """
+        return self.inconsistent & (self.status == "infeasible")
 
     @property
     def refused(self) -> str:
@@ -99,24 +90,32 @@ class Cell:
         return not np.isin(self.status, (HUNG, CRASHED, NOT_ASKED, REFUSED)).any()
 
     def counts(self) -> dict[str, int]:
-        """Count the answers by outcome; right and wrong ones add up to the number of problems."""
+        """Count the answers by outcome: right, wrong and refused ones add up to the number of problems.
+
+        Two kinds of question have a right answer: `optima_asked` (what is feasible and was not refused) have
+        `verified_solved`, and `infeasible_asked` have `infeasible_right`. Of `inconsistent_asked` problems (see
+        `inconsistent`), `refused_inconsistent` were refused; the others are among the optima asked.
+        """
         status, feasible = self.status, self.data.feasible
         claimed, infeasible = status == "solved", status == "infeasible"
         certified = infeasible & ~feasible
-        contradicted = infeasible & feasible & self._no_answer
+        declined = self.refused_inconsistent
         broken = {name: int((status == name).sum()) for name in (HUNG, CRASHED, RAISED)}
-        failed = ~claimed & ~certified & ~contradicted & ~np.isin(status, (HUNG, CRASHED, NOT_ASKED, REFUSED))
+        failed = ~claimed & ~certified & ~declined & ~np.isin(status, (HUNG, CRASHED, NOT_ASKED, REFUSED))
         return {
             "solves": len(status),
             "feasible": int(feasible.sum()),
             "right": int(self.right.sum()),
+            "optima_asked": int((feasible & ~declined).sum()),
+            "infeasible_asked": int((~feasible).sum()),
+            "inconsistent_asked": int(self.inconsistent.sum()),
             "claimed_solved": int(claimed.sum()),
             "verified_solved": int((claimed & self.verified).sum()),
             "verified": int(self.verified.sum()),
             "silently_wrong": int((claimed & ~self.verified).sum()),
             "infeasible_right": int(certified.sum()),
-            "infeasible_six_rows": int(contradicted.sum()),
-            "infeasible_wrong": int((infeasible & feasible & ~contradicted).sum()),
+            "refused_inconsistent": int(declined.sum()),
+            "infeasible_wrong": int((infeasible & feasible & ~declined).sum()),
             "failed": int(failed.sum()),
             **broken,
             "not_asked": int(np.isin(status, (NOT_ASKED, REFUSED)).sum()),
@@ -157,16 +156,18 @@ class Cell:
 
 
 def time_figures(times: Part) -> dict[str, Any]:
-    """Compute percentiles of the times, and say of how many solves."""
-    found: dict[str, Any] = {"timed_solves": int(times.arrays["solve_us"].size)}
-    for kind in ("solve", "cold", "setup", "update"):
-        found |= percentiles(times.arrays[f"{kind}_us"].ravel(), kind)
+    """Compute percentiles of the times, and say of how many solves, and what the machine did while they ran warm."""
+    warm, cold = (Disturbance(**times.values.get(kind, {})) for kind in ("warm", "cold"))
+    found: dict[str, Any] = {"timed_solves": int(times.arrays["solve_us"].size), **warm.entries()}
+    for kind, seen in {"solve": warm, "cold": cold, "setup": cold, "update": cold}.items():
+        found |= percentiles(times.arrays[f"{kind}_us"].ravel(), kind, seen)
     return found
 
 
 def share_right(counts: Mapping[str, Any]) -> float:
-    """Return the share of problems that were answered rightly; see `Cell.right`."""
-    return float(counts["right"] / counts["solves"]) if counts.get("solves") else 0.0
+    """Return the share of right answers (`Cell.right`) among the problems that were not refused as inconsistent."""
+    asked = counts.get("solves", 0) - counts.get("refused_inconsistent", 0)
+    return float(counts["right"] / asked) if asked else 0.0
 
 
 def answers_rightly(counts: Mapping[str, Any]) -> bool:
@@ -190,22 +191,7 @@ def totals(cells: Sequence[Cell], timings: Mapping[str, Part]) -> dict[str, Any]
         if name.endswith("_us"):
             # of the slowest set: a mean over sets would hide it
             found[f"{name}_worst_set"] = max(f[name] for f in figures if name in f)
-    return found
-
-
-def asked_all(store: Store, worker: Worker, setting: SolverSetting, sets: Sequence[Data], limits: Limits) -> list[Cell]:
-    """Ask for all sets; a solver that hung or crashed in several of them is not asked again: see ``BROKEN_SETS``.
-
-    Nor is one that does not survive being set up.
-    """
-    cells: list[Cell] = []
-    for data in sets:
-        broken = sum(bool(np.isin(cell.status, (HUNG, CRASHED)).any()) for cell in cells)
-        unborn = any(SETTING_UP in event for cell in cells for event in cell.part.values["events"])
-        given_up = unborn or broken >= BROKEN_SETS
-        part = not_asked(data) if given_up else asked(store, worker, setting, data, limits)
-        cells.append(Cell(setting, data, part))
-    return cells
+    return found | (Disturbance.total(figures).entries() if figures else {})
 
 
 def load(name: str, every: int = 1) -> Data:
@@ -218,11 +204,17 @@ def cold_only(times: Part) -> Part:
     """Return the cold part of timings, under the names that solves have."""
     nothing = np.empty(0)
     arrays = {"solve_us": times.arrays["cold_us"], "setup_us": times.arrays["setup_us"]}
-    return Part(times.values, {**arrays, "cold_us": nothing, "update_us": nothing})
+    values = {**times.values, "warm": times.values.get("cold", {})}
+    return Part(values, {**arrays, "cold_us": nothing, "update_us": nothing})
 
 
 def costs_of(cells: Sequence[Cell], measured: Mapping[str, Part]) -> NDArray[np.float64]:
-    """Return the median time of each problem over the rounds [us], infinite where it was not answered rightly."""
+    """Return the median time of each problem over the rounds [us], infinite where it was not answered rightly.
+
+    Nothing where the median over a set is not to be trusted.
+    """
+    if not all(Disturbance(**part.values.get("warm", {})).trusts(50.0) for part in measured.values()):
+        return np.empty(0)
     found = []
     for cell in cells:
         times = measured[cell.data.name].arrays["solve_us"] if cell.data.name in measured else ()

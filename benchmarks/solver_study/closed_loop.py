@@ -2,41 +2,44 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from time import perf_counter
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.common.crew import spread
-from benchmarks.common.processes import Hung, Worker, WorkerError, beat
-from benchmarks.common.store import Part, Store
+from benchmarks.common.timing import UNDISTURBED, Disturbance, used
 from moc_opt import scenario
-from moc_opt.comparison.trials import BASELINE, variant
 from moc_opt.control.supervisor import Fault
 from moc_opt.errors import MocOptError
-from moc_opt.redundancy.transient import in_transient
+from moc_opt.planning.transient import in_transient
 from moc_opt.scenario import Scenario
-from moc_opt.trace.ending import Ending
+from moc_opt.study import Failed, Job
+from moc_opt.study.trials import BASELINE, variant
+from moc_opt.trace.meta import Ending
 from moc_opt.trace.metrics import summarize
 from moc_opt.trace.trace import Trace
 
 Array = NDArray[Any]
+Runner = Callable[..., list[Any]]
+"""`moc_opt.study.run` with the study's own folder, workers and progress."""
 
 KEPT = (
-    "t_s", "mu", "mu_bound", "tip_error_m", "tip_error_model_m", "rcm_error_m", "rcm_error_model_m", "trocar_force_N",
-    "solve_us", "tick_us",
+    "t_s", "mu", "mu_bound", "tip_error_m", "tip_error_model_m", "tip_error_registered_m", "rcm_error_m",
+    "rcm_error_model_m", "rcm_error_registered_m", "trocar_force_N", "solve_us", "tick_us",
 )  # fmt: skip
 TRANSIENT = "travelling"  # column of a run: its own elbow is on its way
 POSES = ("q_rad", "tip_m", "tip_ref_m", "trocar_m", "trocar_registered_m")  # to be drawn
 POSES_EVERY = 5
-PATIENCE_S = 30.0  # without a sign of life: a tick, or what comes before and after the run
-BEAT_S = 0.5
-HUNG = "hung"
+PATIENCE_S = 30.0  # for what comes before and after a run
+PER_S = 30.0  # that a simulated second may take; the slowest sound solver takes 15 ms a tick
+LONGEST_S = 60.0  # of a run whose length is that of its task
 SCANS_PER_S = 10.0  # of the self-motion, to tell the transient of the elbow from the steady state
 STEADY = ("tip_error_model", "rcm_error_model", "rcm_error")
+SHOWN_EVERY_S = 10.0  # what is known so far: its intervals take a second
 
 
 @dataclass(frozen=True)
@@ -57,6 +60,7 @@ class Run:
     faults: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # as in the trace's meta
     short: bool = False  # only the beginning of the trial was run
     begun: Mapping[str, float] = field(default_factory=dict)  # metrics of that beginning, where some runs are short
+    load: Disturbance = UNDISTURBED  # what the machine did between the first tick and the last
 
     @property
     def beginning(self) -> Run:
@@ -97,41 +101,46 @@ def each_tick(columns: Mapping[str, Array]) -> dict[str, Array]:
     return {name: column for name, column in columns.items() if name not in (*POSES, TRANSIENT)}
 
 
-def finish(
-    trial: Scenario, baseline: Mapping[str, Array] | None, poses: bool, whole: bool, begin_s: float = np.inf
-) -> Iterator[Part]:
-    """Run and summarise, in a worker; a run that breaks off is a result, with its reason.
+class Asked(NamedTuple):
+    """One run that is wanted.
 
-    Args:
-        trial: the whole scenario.
-        baseline: columns of the run that mu is compared with.
-        poses: keep where arm and trocar were.
-        whole: keep columns, and find the ticks at which the elbow is on its way; else the metrics alone.
-        begin_s: summarise the ticks before this time apart too.
+    Attributes:
+        label: the controller's name in tables.
+        case: the whole scenario, named by its trial.
+        timed: its times mean something: nothing else runs meanwhile.
+        short: only the beginning of the trial is run.
+        whole: columns are kept, and the ticks found at which the elbow is on its way: `with_steady_errors` needs them.
+        begin_s: the ticks before this time are summarised apart too.
     """
-    last = perf_counter()
+
+    label: str
+    case: Scenario
+    timed: bool = False
+    short: bool = False
+    whole: bool = True
+    begin_s: float = np.inf
+
+
+def finish(case: Scenario, poses: bool, whole: bool, begin_s: float) -> Run:
+    """Run and summarise, in a worker; a run that breaks off is a result, with its reason. Arguments as in `Asked`."""
+    marks = list[Disturbance]()
 
     def watch(tick: int) -> None:
-        nonlocal last
-        if perf_counter() - last > BEAT_S:
-            beat()
-            last = perf_counter()
+        now = used()
+        marks[:] = [marks[0] if marks else now, now]
 
     try:
-        trace = scenario.run(trial, watch)
+        trace = scenario.run(case, watch)
     except MocOptError as error:
-        yield Part({"ended": "failed", "error": f"{type(error).__name__}: {error}", "metrics": {}}, {})
-        return
+        return broken_off(case, f"{type(error).__name__}: {error}")
     ended = str(trace.meta["ended"])
     if not Ending.of(ended).whole:
-        yield Part({"ended": ended, "error": ended, "metrics": summarize(trace)}, {})
-        return
-    reference = None if baseline is None else Trace(baseline)
-    metrics = summarize(trace, None if reference is None else reference.head(len(trace)))
+        return Run("", case.name, summarize(trace), error=ended, ended=ended)
+    metrics = summarize(trace)
     begun: dict[str, float] = {}
     count = int((trace.t_s < begin_s).sum())
     if count < len(trace):
-        begun = summarize(trace.head(count), None if reference is None else reference.head(count))
+        begun = summarize(trace.head(count))
     if "fault" in trace.columns:
         names, counts = np.unique(trace.fault, return_counts=True)
         metrics |= {f"fault_{name}": float(count) for name, count in zip(names, counts, strict=True)}
@@ -141,122 +150,120 @@ def finish(
     arrays = {name: np.asarray(trace.columns[name], dtype=float) for name in kept}
     if whole:
         flags = in_transient(
-            trial.robot.arm(), trace.t_s, trace.q_rad, samples_per_s=SCANS_PER_S, window_s=2.0 / SCANS_PER_S
+            case.robot.arm(), trace.t_s, trace.q_rad, samples_per_s=SCANS_PER_S, window_s=2.0 / SCANS_PER_S
         )
         metrics["travelling_percent"] = 100.0 * float(np.mean(flags))
         arrays[TRANSIENT] = flags
     if poses:
         arrays |= {name: trace.columns[name][::POSES_EVERY].astype(np.float32) for name in POSES}
-    faults = trace.meta.get("faults", {})
-    found = {"ended": ended, "error": None, "metrics": metrics, "faults": faults, "begun": begun}
-    yield Part(found, arrays)
+    load = marks[1] - marks[0] + Disturbance(len(trace))
+    return Run("", case.name, metrics, arrays, None, ended, faults=trace.meta.get("faults", {}), begun=begun, load=load)
 
 
-def run_one(
-    store: Store, worker: Worker, trial: Scenario, label: str, baseline: Run | None, *, timed: bool = True,
-    whole: bool = True, begin_s: float = np.inf,
-) -> Run:
-    """Run one scenario in the worker, or take its run from the store.
+def broken_off(case: Scenario, reason: str) -> Run:
+    """Return a run that gave no result."""
+    return Run("", case.name, {}, error=reason, ended="failed")
+
+
+def run_each(
+    run: Runner, asked: Sequence[Asked], done: Callable[[Asked, Run], None] = lambda one, found: None
+) -> list[Run]:
+    """Run them, those that are timed first and alone; a timed run whose times are spoilt is not kept.
 
     Args:
-        store: of finished runs.
-        worker: where it runs.
-        trial: the whole scenario.
-        label: the controller's name in tables.
-        baseline: the run that mu is compared with.
-        timed: whether its times mean anything: nothing else ran meanwhile.
-        whole: keep columns, and find the ticks at which the elbow is on its way: `with_steady_errors` needs them.
-        begin_s: summarise the ticks before this time apart too.
+        run: `moc_opt.study.run` with the study's folder, workers and progress.
+        asked: the runs.
+        done: called with each as it comes.
     """
-    reference = each_tick(baseline.columns) if baseline is not None and baseline.columns else None
-    key = store.key(
-        part="closed loop", scenario=trial.model_dump(mode="json"), timed=timed, whole=whole,
-        baseline=None if reference is None else reference["mu"], begin_s=begin_s if np.isfinite(begin_s) else None,
+    jobs = [
+        Job(finish, (one.case, one.timed, one.whole, one.begin_s), limit_of(one.case), alone=one.timed, group=one.label)
+        for one in asked
+    ]
+    place = {id(job): one for job, one in zip(jobs, asked, strict=True)}
+
+    def named(one: Asked, result: Run | Failed) -> Run:
+        found = broken_off(one.case, str(result)) if isinstance(result, Failed) else result
+        return replace(found, controller=one.label, timed=one.timed, short=one.short)
+
+    results = run(
+        jobs, done=lambda job, result: done(place[id(job)], named(place[id(job)], result)),
+        keep=lambda found: not found.columns or POSES[0] not in found.columns or found.load.trusts(99.0),
     )  # fmt: skip
-    part = store.get(key)
-    if part is None:
-        try:
-            # Of the many runs whose times are not taken none is drawn: their poses would only fill the disk.
-            asked = (finish, trial, reference, timed, whole, begin_s)
-            (part,) = list(worker.stream(*asked, patience_s=PATIENCE_S, first_s=PATIENCE_S))
-        except WorkerError as error:
-            word = HUNG if isinstance(error, Hung) else type(error).__name__.lower()
-            part = Part({"ended": "failed", "error": f"{word}: {error}", "metrics": {}}, {})
-        store.put(key, part)
-    values, faults = part.values, part.values.get("faults", {})
-    return Run(
-        label, trial.name, values["metrics"], part.arrays, values["error"], values["ended"], timed=timed, faults=faults,
-        begun=values.get("begun", {}),
-    )  # fmt: skip
+    return [named(one, result) for one, result in zip(asked, results, strict=True)]
+
+
+def limit_of(case: Scenario) -> float:
+    """Return how long a run may take [s]."""
+    return PATIENCE_S + PER_S * min(case.duration_s or LONGEST_S, LONGEST_S)
 
 
 def run_all(
+    run: Runner,
     cases: Mapping[str, Scenario],
     controllers: Mapping[str, Mapping[str, Any]],
-    advance: Callable[[str], None],
-    store: Store | None = None,
     *,
+    trials_of: Callable[[str], int] | None = None,
     timed: int = 1,
-    processes: int = 1,
     short: Sequence[str] = (),
     short_s: float = np.inf,
     show: Callable[[list[Run]], None] = lambda _: None,
 ) -> list[Run]:
-    """Run every controller on every trial, the baseline first; in the order of the trials.
+    """Run every controller on its trials, the baseline first; in the order of the trials.
 
     Args:
+        run: see `run_each`.
         cases: name -> trial.
         controllers: solver -> its settings.
-        advance: called with a few words after each run.
-        store: of finished runs; None keeps nothing.
+        trials_of: how many trials a solver runs, the first so many; None: all of them.
         timed: how many trials, the first ones, run alone, so that their times hold; the others' are not used.
-        processes: how many of the others run at a time.
         short: solvers that run the beginning of each trial alone,
         short_s: and how long that is; of the other runs it is summarised apart too.
-        show: called with the runs so far after each trial.
+        show: called with the runs of the trials that are whole, at most every ``SHOWN_EVERY_S``.
     """
-    store = store or Store(None)
-    hung: dict[str, str] = {}
     brief = set(short) & set(controllers)
     begin_s = short_s if brief else np.inf
-    so_far: list[Run] = []
-
-    def one_trial(worker: Worker, trial: Scenario, alone: bool) -> list[Run]:
-        baseline = run_one(store, worker, variant(trial, BASELINE), BASELINE, None, timed=alone, begin_s=begin_s)
-        advance(f"{trial.name} {BASELINE}")
-        runs = [baseline]
+    asked: list[Asked] = []
+    for k, trial in enumerate(cases.values()):
+        asked.append(Asked(BASELINE, variant(trial, BASELINE), k < timed, begin_s=begin_s))
         for name, settings in controllers.items():
-            if name in hung:
-                reason = f"not run: it hung on trial {hung[name]}"
-                runs.append(Run(name, trial.name, {}, error=reason, ended="failed", timed=alone))
-            else:
-                asked, cut = variant(trial, name, settings), False
-                if name in brief and short_s < (trial.duration_s or np.inf):
-                    asked, cut = asked.change(duration_s=short_s), True
-                run = run_one(store, worker, asked, name, baseline, timed=alone, begin_s=begin_s)
-                runs.append(replace(run, trial=trial.name, short=cut))
-                if (runs[-1].error or "").startswith(HUNG):
-                    hung[name] = trial.name
-            advance(f"{trial.name} {name}")
-        runs = with_steady_errors(runs)
-        so_far.extend(runs)
-        show(list(so_far))
-        return runs
+            if trials_of is not None and k >= trials_of(name):
+                continue
+            case, cut = variant(trial, name, settings), name in brief and short_s < (trial.duration_s or np.inf)
+            asked.append(Asked(name, case.change(duration_s=short_s) if cut else case, k < timed, cut, begin_s=begin_s))
+    wanted = Counter(one.case.name for one in asked)
+    so_far, shown = dict[str, list[Run]](), -np.inf
 
-    trials = list(cases.values())
-    with Worker() as worker:
-        found = [one_trial(worker, trial, True) for trial in trials[:timed]]
-    others = trials[timed:]
-    if others:
-        found += spread(others, lambda worker, trial: one_trial(worker, trial, False), processes)
-    return [run for runs in found for run in runs]
+    def take(one: Asked, found: Run) -> None:
+        nonlocal shown
+        so_far.setdefault(one.case.name, []).append(found)
+        if perf_counter() - shown > SHOWN_EVERY_S and wanted[one.case.name] == len(so_far[one.case.name]):
+            whole = [by_trial(so_far[name]) for name in so_far if wanted[name] == len(so_far[name])]
+            show([each for runs in whole for each in runs])
+            shown = perf_counter()
+
+    found = run_each(run, asked, take)
+    return [each for name in cases for each in by_trial([r for r in found if r.trial == cases[name].name])]
+
+
+def by_trial(runs: Sequence[Run]) -> list[Run]:
+    """Return the runs of one trial with what only all of them tell: gains of mu, and errors in the steady state."""
+    baseline = next((run for run in runs if run.controller == BASELINE and run.columns), None)
+    return with_steady_errors([with_gain(run, baseline) for run in runs])
+
+
+def with_gain(run: Run, baseline: Run | None) -> Run:
+    """Return the run with its gain of mean mu over the baseline's on the same ticks [percent]."""
+    if baseline is None or not run.columns:
+        return run
+    base = float(baseline.columns["mu"][: len(run.columns["t_s"])].mean())
+    return replace(run, metrics={**run.metrics, "mu_gain_percent": 100.0 * (run.metrics["mu_mean"] / base - 1.0)})
 
 
 def with_steady_errors(runs: Sequence[Run]) -> list[Run]:
     """Return the runs of one trial with their errors in the steady state, over the same ticks for all of them.
 
-    Steady are the ticks at which the elbow of no controller with a third level is on its way to its optimum; DCAC,
-    which leads its elbow nowhere, has no say in them, nor has a run that broke off.
+    Steady ticks are those at which no controller is still moving the elbow to its optimum. DCAC, which does not move
+    it on purpose, and runs that broke off do not count here.
     """
     transient = [
         run.columns[TRANSIENT].astype(bool)

@@ -8,6 +8,7 @@ from moc_opt.report.tables import Column
 
 SOLVER = Column("solver", "solver")
 RANKED = "answers_rightly"  # flag of the rows whose times are compared
+AS_MANY = "as_many_trials"  # flag of the rows whose means are compared: those over all the trials
 
 
 def count(key: str, title: str, better: Any = None, text: str = "") -> Column:
@@ -40,24 +41,24 @@ def times(suffix: str = "") -> list[Column]:
 
 def error(key: str, title: str) -> Column:
     """Make a column of errors [mm]."""
-    return Column(key, title, unit="mm", digits=3, better="low")
+    return Column(key, title, unit="mm", digits=3, better="low", among=AS_MANY)
 
 
 def change(key: str, title: str) -> Column:
     """Make a column of changes against DCAC, texts with their intervals."""
-    return Column(key, title, unit="%", help="against DCAC's mean, with its 95 % interval")
+    return Column(key, title, unit="%", help="against DCAC's mean on the same trials, with its 95 % interval")
 
 
 COUNTS = [
     Column(
         "right_percent", "right", unit="%", format=".1f", better="high",
-        help="verified, or rightly called infeasible: by the certificate, or because the six rows given contradict",
+        help="optima verified and infeasible problems called so, among all but the refused ones",
     ),
     count("claimed_solved", "claimed", text="answers that the solver calls solved"),
     count("verified_solved", "verified", text="of these, optimal by our residuals"),
     count("silently_wrong", "silently wrong", "low", "claimed, but not optimal"),
     count("infeasible_right", "infeas. right", text="called infeasible, and certified so"),
-    count("infeasible_six_rows", "six rows infeas.", text="called infeasible: the six rows given do contradict"),
+    count("refused_inconsistent", "refused: inconsistent", text="called infeasible: the six rows given do contradict"),
     count("infeasible_wrong", "infeas. wrong", "low", "called infeasible, and certified feasible"),
     count("failed", "failed", "low", "neither claimed nor rightly called infeasible"),
     count("hung", "hung", "low", "no answer within the time limit"),
@@ -71,25 +72,30 @@ RESIDUALS = [
     residual("loss_max", "loss", "self-motion loss: 0 optimum, 1 opposite end"),
 ]
 CLOSED = [
-    count("runs", "trials", text="each from a pose of its own, drawn by its seed"),
+    count("runs", "trials", text="each with a seed of its own; the first ones of those of the others"),
     count("ticks", "ticks", text="of all its trials; slow solvers run the beginning of each alone"),
-    Column("mu_mean", "mu", format=".4f", better="high"),
-    Column("mu_fraction_of_bound", "of bound", better="high", help="of the largest mu on the self-motion"),
-    Column("mu_fraction_of_best_from_start", "of best from start", better="high", help="of the best course from there"),
-    Column("mu_fraction_of_best", "of best", better="high", help="of the best course from any swivel and branch"),
-    Column("mu_gain_interval", "gain", unit="%", help="of the mean over DCAC's, with its 95 % interval"),
+    Column("mu_mean", "mu", format=".4f", better="high", among=AS_MANY),
+    Column("mu_fraction_of_bound", "of bound", better="high", among=AS_MANY,
+           help="of the largest mu on the self-motion"),
+    Column("mu_fraction_of_best_from_start", "of best from start", better="high", among=AS_MANY,
+           help="of the best course from there"),
+    Column("mu_fraction_of_best", "of best", better="high", among=AS_MANY,
+           help="of the best course from any swivel and branch"),
+    change("mu_gain_interval", "gain"),
     error("tip_error_model_mean_mm", "tip"),
-    error("tip_error_model_max_mm", "tip max"),
     change("tip_change_interval", "change of tip"),
+    error("tip_error_registered_mean_mm", "tip, patient"),
+    change("tip_patient_change_interval", "change of tip, patient"),
     error("rcm_error_model_mean_mm", "RCM"),
-    error("tip_error_registered_mean_mm", "tip, registered frame"),
-    error("rcm_error_registered_mean_mm", "RCM, registered frame"),
     change("rcm_change_interval", "change of RCM"),
+    error("rcm_error_registered_mean_mm", "RCM, patient"),
+    change("rcm_patient_change_interval", "change of RCM, patient"),
+    error("tip_error_model_max_mm", "tip max"),
     error("rcm_error_model_max_mm", "RCM max"),
     error("rcm_error_mean_mm", "RCM, true trocar"),
     Column("travelling_percent", "transient", unit="%", digits=2, help="of the time the elbow is on its way"),
-    Column("trocar_force_mean_N", "force", unit="N", digits=2, better="low"),
-    Column("torque_rate_rms_Nm_per_s", "chatter", unit="Nm/s", format=".0f", better="low"),
+    Column("trocar_force_mean_N", "force", unit="N", digits=2, better="low", among=AS_MANY),
+    Column("torque_rate_rms_Nm_per_s", "chatter", unit="Nm/s", format=".0f", better="low", among=AS_MANY),
 ]
 STEADY_STATE = [
     error("tip_error_model_settled_mean_mm", "tip, steady"),

@@ -7,16 +7,20 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.common.timing import percentiles
+from benchmarks.common.timing import Disturbance, percentiles
 from benchmarks.solver_study.closed_loop import Run
-from moc_opt.comparison.statistics import StatisticsError, relative_change
-from moc_opt.comparison.trials import BASELINE
-from moc_opt.trace.ending import Ending
+from benchmarks.solver_study.compare import COSTS
+from moc_opt.study.statistics import StatisticsError, relative_changes
+from moc_opt.study.trials import BASELINE
+from moc_opt.trace.meta import Ending
 
 COMPARED = {
     "mu_mean": "mu_gain_percent", "tip_error_model_mean_mm": "tip_change_percent",
-    "rcm_error_model_mean_mm": "rcm_change_percent",
+    "tip_error_registered_mean_mm": "tip_patient_change_percent", "rcm_error_model_mean_mm": "rcm_change_percent",
+    "rcm_error_registered_mean_mm": "rcm_patient_change_percent",
 }  # fmt: skip
+"""Metric -> its change against the baseline: mu; tip and RCM by the robot's own kinematics, and in the patient's frame,
+the one registered at the start."""
 CLOCKS = ("deadline_misses",)  # counts that the clock decides
 AVERAGED = ("mu_", "tip_error_", "rcm_error_", "trocar_force_", "torque_rate_", "oscillation_", "share_of_run")
 
@@ -30,13 +34,10 @@ def summary(runs: Sequence[Run]) -> dict[str, dict[str, Any]]:
 
 
 def changes(runs: Sequence[Run], baseline: Sequence[Run]) -> dict[str, float]:
-    """Compute the change against the baseline [percent] on the trials that both finished, with its interval.
-
-    The mean of the trials' own gains is another number, and is not given.
-    """
+    """Compute the changes against the baseline [percent] on the trials that both finished, with their intervals."""
     short = any(run.short for run in runs)
     theirs = {run.trial: (run.beginning if short else run).metrics for run in baseline if run.columns}
-    found: dict[str, float] = {}
+    found: dict[str, float] = {"compared_trials": 0}
     for metric, name in COMPARED.items():
         pairs = [
             (run.metrics[metric], theirs[run.trial][metric])
@@ -44,9 +45,21 @@ def changes(runs: Sequence[Run], baseline: Sequence[Run]) -> dict[str, float]:
             if run.columns and metric in run.metrics and metric in theirs.get(run.trial, {})
         ]
         try:
-            found |= relative_change([mine for mine, _ in pairs], [base for _, base in pairs]).entries(name)
+            found |= relative_changes([mine for mine, _ in pairs], [base for _, base in pairs]).entries(name)
         except StatisticsError:
             continue  # no trial that both finished: there is no change
+        found["compared_trials"] = len(pairs)
+    return found
+
+
+def by_trial(runs: Sequence[Run]) -> dict[str, dict[str, dict[str, float]]]:
+    """Return controller -> metric -> trial -> value, of what solvers are compared by on the trials that both ran."""
+    found: dict[str, dict[str, dict[str, float]]] = {}
+    for run in runs:
+        mine = found.setdefault(run.controller, {})
+        for metric in COSTS:
+            if run.columns and metric in run.metrics:
+                mine.setdefault(metric, {})[run.trial] = run.metrics[metric]
     return found
 
 
@@ -77,9 +90,14 @@ def combined(runs: Sequence[Run]) -> dict[str, Any]:
         averaged = metric.startswith(AVERAGED) or metric.endswith("_percent")
         total = np.max if "_max" in metric else np.mean if averaged else np.sum
         values[metric] = float(total(data))
+    seen = sum((run.load for run in whole if run.timed), Disturbance())
+    values |= seen.entries() if seen.calls else {}
+    for metric in CLOCKS:
+        if values.get(metric):
+            values[metric] = seen.judged(values[metric], 99.9)
     for column, prefix in (("solve_us", "solve"), ("tick_us", "tick")):
         timed = [run.columns[column] for run in whole if run.timed and column in run.columns]
-        values |= percentiles(np.concatenate([np.empty(0), *timed]), prefix)
+        values |= percentiles(np.concatenate([np.empty(0), *timed]), prefix, seen)
     errors = [run.error for run in runs if run.error]
     raised = [run.raised for run in runs if run.raised]
     values |= {"trouble": raised[0]} if raised else {}

@@ -9,8 +9,10 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
-from moc_opt.numerics.arrays import Array
+from moc_opt.arrays import Array
+from moc_opt.figures.notation import Doubtful
 from moc_opt.qp.problem import NullSpaceQP
+from moc_opt.study.statistics import too_few
 
 Figures = Mapping[str, Mapping[str, Any]]
 
@@ -27,12 +29,15 @@ WORDS = {
     "rcm_error_model_mean_mm": "RCM error", "torque_rate_rms_Nm_per_s": "chatter",
 }  # fmt: skip
 
-LEAST_TRIALS = 5  # of which a headline says anything
 # Closed-loop figures this close to each other, relative to their size, say the same: no cost, no difference in rank.
 HARMLESS = {
     "mu_mean": 0.01, "tip_error_model_mean_mm": 0.05, "rcm_error_model_mean_mm": 0.05,
     "torque_rate_rms_Nm_per_s": 0.1,
 }  # fmt: skip
+# Errors in the frame registered at the start.
+PATIENT = ("tip_error_registered_mean_mm", "rcm_error_registered_mean_mm")
+# What a solver may cost: name -> (whether more is better, what is harmless).
+COSTS = {**{name: (up, HARMLESS[name]) for name, up in CLOSED.items()}, **dict.fromkeys(PATIENT, (False, 0.05))}
 
 
 def levels(values: Sequence[float], metric: str) -> Array:
@@ -99,11 +104,11 @@ def disagreements(
 
 
 def verdict(found: Figures, trials: int) -> str:
-    """Say in words what the correlations mean; of fewer than `LEAST_TRIALS` trials nothing is claimed."""
+    """Say in words what the correlations mean; of too few trials nothing is claimed."""
     if not found:
         return "Too few solvers ran in both parts for a rank correlation."
-    if trials < LEAST_TRIALS:
-        return f"{trials} {'trial is' if trials == 1 else 'trials are'} too few to say what open loop predicts."
+    if few := too_few(trials):
+        return f"Whether open loop predicts closed loop: {few}."
     said = []
     for closed in CLOSED:
         mine = [v for v in found.values() if v["closed"] == closed and v["open"] != "solve_p50_us"]
@@ -125,7 +130,8 @@ def verdict(found: Figures, trials: int) -> str:
 
 
 def _shared(one: Figures, a: str, other: Figures, b: str) -> list[str]:
-    return [n for n, m in one.items() if m.get(a) is not None and other.get(n, {}).get(b) is not None]
+    known = [n for n, m in one.items() if m.get(a) is not None and other.get(n, {}).get(b) is not None]
+    return [n for n in known if not isinstance(one[n][a], Doubtful)]
 
 
 # --- duals ---

@@ -12,6 +12,7 @@ from benchmarks.subproblems.recipes import RECIPES
 from moc_opt.errors import UnknownNameError
 from moc_opt.inputs.settings import Level, Settings
 from moc_opt.scenario import Scenario
+from moc_opt.study.trials import BASELINE
 
 Parts = Literal["open_loop", "testsets", "growth", "closed_loop", "sweeps", "duals", "qpbenchmark"]
 PARTS: tuple[Parts, ...] = (
@@ -36,12 +37,18 @@ class ClosedLoop(Settings):
     """The trials."""
 
     KIND: ClassVar[str] = "[closed_loop]"
-    tasks: list[str] = Field(["circle", "sinusoid", "spiral"], min_length=1)
-    seeds: int = Field(5, ge=1, description="trials per task, each from a random pose")
+    tasks: list[str] = Field(["circle", "sinusoid", "spiral"], min_length=1, description="of the trials, in turn")
+    trials: int = Field(60, ge=1, description="of DCAC and the cited solvers, each with a seed of its own")
+    cited: list[str] = Field(["exact", "rnn", "rnn-printed"], description="solvers that the first sentences speak of")
+    others: int = Field(15, ge=1, description="trials of every other solver, the first ones")
     timed: int = Field(1, ge=1, description="trials that run alone, the only ones whose times are used")
     duration_s: Level = Field(4.0, description="of a trial; inf: the whole task")
     short: list[str] = Field(list(SLOW), description="solvers whose runs are short: they take a millisecond a tick")
     short_s: float = Field(1.0, gt=0.0, description="of each of their trials; compared with the same ticks of others")
+
+    def of(self, solver: str) -> int:
+        """Return the number of trials that a solver, or the baseline, runs: the first so many."""
+        return self.trials if solver in (BASELINE, *self.cited) else min(self.others, self.trials)
 
 
 class TestSets(Settings):
@@ -97,8 +104,7 @@ class Sweeps(Settings):
     """What is varied in closed loop."""
 
     KIND: ClassVar[str] = "[sweeps]"
-    tasks: list[str] = Field(["circle", "sinusoid", "spiral"], min_length=1)
-    seeds: int = Field(3, ge=1, description="trials per task, the first ones of [closed_loop]")
+    trials: int = Field(9, ge=1, description="the first ones of [closed_loop]")
     duration_s: Level = Field(4.0, description="of a trial; as in [closed_loop], its runs count in the prediction too")
     values: Literal["few", "usual", "many"] = "usual"
     deadline_solvers: list[str] = Field(["osqp", "piqp"])
@@ -132,10 +138,9 @@ class Config(Configuration):
             open_loop={"ticks": 200, "cold": 10},
             testsets=few,
             growth={"joints": [7, 10]},
-            closed_loop={"tasks": self.closed_loop.tasks[:1], "seeds": 1, "duration_s": 1.0},
+            closed_loop={"trials": 2, "others": 1, "duration_s": 1.0},
             sweeps={
-                "tasks": self.sweeps.tasks[:1], "seeds": 1, "duration_s": 0.7, "values": "few",
-                "deadline_solvers": ["osqp"], "late_percent": [5.0],
+                "trials": 1, "duration_s": 0.7, "values": "few", "deadline_solvers": ["osqp"], "late_percent": [5.0],
             },
             parts=[part for part in self.parts if part != "growth"],
         )  # fmt: skip
@@ -151,9 +156,11 @@ class Config(Configuration):
                 "patience_s": 10.0,
             },
             growth={"joints": list(range(7, 15)), "nonlinear": True},
-            closed_loop={"tasks": list(TASKS), "seeds": 10, "timed": 3, "duration_s": None, "short": []},
+            closed_loop={
+                "tasks": list(TASKS), "trials": 120, "others": 30, "timed": 3, "duration_s": None, "short": [],
+            },
             sweeps={
-                "tasks": list(TASKS), "seeds": 5, "duration_s": None, "values": "many",
+                "trials": 15, "duration_s": None, "values": "many",
                 "deadline_solvers": ["osqp", "piqp", "clarabel"], "late_percent": [0.1, 1.0, 5.0, 20.0],
             },
         )  # fmt: skip

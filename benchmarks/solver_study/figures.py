@@ -9,8 +9,8 @@ import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
+from moc_opt.arrays import Array
 from moc_opt.figures.style import TEMPLATE, Styles, figure, label, log_axis
-from moc_opt.numerics.arrays import Array
 
 
 def performance_profile(tau: Array, shares: Mapping[str, Array]) -> go.Figure:

@@ -10,6 +10,7 @@ import numpy as np
 
 from benchmarks.solver_study.answers import Data, recorded
 from benchmarks.subproblems.arms import random_arm, smooth_sequence
+from moc_opt.figures.notation import Doubtful
 
 COUNT = 32
 SEED = 5
@@ -33,9 +34,10 @@ def _arm(n: int) -> Any:
 def growth(times: Mapping[int, Mapping[str, float]], key: str = "solve_p50_us") -> dict[str, float]:
     """Fit from joints -> figures the {exponent of n, ratio of the last to the first}; empty with fewer than two.
 
+    Times that are not to be trusted are left out.
     The exponent is the slope of a straight line through log time over log n.
     """
-    joints = sorted(n for n, figures in times.items() if figures.get(key))
+    joints = sorted(n for n, found in times.items() if found.get(key) and not isinstance(found[key], Doubtful))
     if len(joints) < 2:
         return {}
     values = np.array([times[n][key] for n in joints])

@@ -6,12 +6,14 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from benchmarks.solver_study.cells import RIGHTLY, answers_rightly, share_right
-from benchmarks.solver_study.compare import LEAST_TRIALS
 from benchmarks.solver_study.study import NONLINEAR
-from moc_opt.comparison.statistics import spread
-from moc_opt.comparison.trials import BASELINE
+from moc_opt.figures.notation import Doubtful
+from moc_opt.study.statistics import spread, too_few
+from moc_opt.study.trials import BASELINE
 
 Rows = Mapping[str, Mapping[str, Any]]
+
+SIX_ROWS = "on the paper's six dependent rows, with the cost unscaled and the libraries' own defaults"
 
 
 def headline(summary: Mapping[str, Rows], words: Mapping[str, str]) -> str:
@@ -33,11 +35,14 @@ def _answers(every: Rows) -> Iterator[str]:
     """Yield what the answers to the certified sets are worth; `every` is "solver@setting" -> metric."""
     linear = _under("recommended", every)
     if linear:
-        right = sum(m["right"] == m["solves"] for m in linear.values())
+        right = sum(share_right(m) == 1.0 for m in linear.values())
         text = f"{right} of {len(linear)} solvers answered every problem of the certified sets rightly"
+        refused = [f"{n} ({m['refused_inconsistent']})" for n, m in linear.items() if m.get("refused_inconsistent")]
+        if refused:
+            text += f" or refused it as inconsistent (refused: {', '.join(refused)})"
         times = {n: m.get("solve_p50_us_worst_set") for n, m in linear.items() if answers_rightly(m)}
         timed = {n: us for n, us in times.items() if us is not None}
-        if timed:
+        if timed and not any(isinstance(us, Doubtful) for us in timed.values()):
             fastest = min(timed, key=timed.__getitem__)
             text += (
                 f"; of those right at {100 * RIGHTLY:g} % or more the fastest is {fastest} "
@@ -45,7 +50,7 @@ def _answers(every: Rows) -> Iterator[str]:
                 "set"
             )
         yield text
-    for rows, settings in ((linear, "under our settings"), (_under("default", every), "as the libraries come")):
+    for rows, settings in ((linear, "under our settings"), (_under("default", every), SIX_ROWS)):
         wrong = [f"{n} ({m['silently_wrong']})" for n, m in rows.items() if m["silently_wrong"]]
         if wrong:
             yield f"claimed success for wrong answers {settings} (how often): {', '.join(wrong)}"
@@ -61,7 +66,7 @@ def _under(setting: str, every: Rows) -> Rows:
 
 
 def _growth(rows: Rows) -> Iterator[str]:
-    """Yield how the median time grows with the joints."""
+    """Yield how the median time changes with the joints."""
     ratios = {
         name: (value, key.rpartition("us_")[2].split("_over_"))
         for name, row in rows.items()
@@ -72,27 +77,24 @@ def _growth(rows: Rows) -> Iterator[str]:
         least, most = min(ratios, key=lambda n: ratios[n][0]), max(ratios, key=lambda n: ratios[n][0])
         last, first = ratios[most][1]
         yield (
-            f"from {first} to {last} joints the median time grows {ratios[least][0]:.1f} times with {least} and "
-            f"{ratios[most][0]:.1f} times with {most}"
+            f"from {first} to {last} joints the median time changes by a factor of {ratios[least][0]:.1f} with "
+            f"{least} and of {ratios[most][0]:.1f} with {most}"
         )
 
 
 def _closed_loop(rows: Rows) -> Iterator[str]:
-    """Yield what the solvers do to manipulability; of few trials no solver is named and no interval given."""
+    """Yield what the solvers with the most trials do to manipulability; of too few trials nothing is said of it."""
     whole = {n: m for n, m in rows.items() if n != BASELINE and not m.get("short_runs")}  # of the same ticks
-    gains = {n: m["mu_gain_percent"] for n, m in whole.items() if "mu_gain_percent" in m}
+    trials = max((m.get("compared_trials", 0) for m in whole.values()), default=0)
+    gains = {n: m["mu_gain_percent"] for n, m in whole.items() if trials and m["compared_trials"] == trials}
     if not gains:
         return
-    best, worst = max(gains, key=gains.__getitem__), min(gains, key=gains.__getitem__)
-    trials = rows[best]["runs"]
-    if trials < LEAST_TRIALS:
-        yield (
-            f"in closed loop manipulability changed by {gains[worst]:.2g} to {gains[best]:.2g} % on "
-            f"{trials} random {'pose' if trials == 1 else 'poses'}, too few to tell the solvers apart"
-        )
+    if few := too_few(trials):
+        yield f"the solvers' effect on manipulability in closed loop: {few}"
         return
+    best, worst = max(gains, key=gains.__getitem__), min(gains, key=gains.__getitem__)
     yield (
-        f"in closed loop, over {trials} trials from random poses, manipulability changed by "
-        f"{spread(rows[best], 'mu_gain_percent')} % with {best} and by {spread(rows[worst], 'mu_gain_percent')} % "
-        f"with {worst}"
+        f"in closed loop, of the solvers with {trials} independent trials, mean manipulability changed by "
+        f"{spread(rows[best], 'mu_gain_percent', sign='+')} % with {best} and by "
+        f"{spread(rows[worst], 'mu_gain_percent', sign='+')} % with {worst}"
     )

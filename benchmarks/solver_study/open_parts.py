@@ -6,13 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.common.crew import spread
-from benchmarks.common.processes import Worker
+from benchmarks.common.timing import Disturbance
 from benchmarks.solver_study import compare, growth
-from benchmarks.solver_study.answers import Limits, asked, recorded, timed
+from benchmarks.solver_study.answers import Limits, recorded
 from benchmarks.solver_study.cells import (
     Cell,
-    asked_all,
     cold_only,
     costs_of,
     load,
@@ -34,28 +32,19 @@ def recorded_sequence(study: Study, so_far: Findings) -> Findings:
     config, data = study.config, recorded("recorded", so_far.sequence)
     limits = Limits(max(2.0, config.testsets.patience_s), rounds=2, seconds=1.0, cold=config.open_loop.cold)
     thin = data.thinned(max(1, len(data.rows) // config.open_loop.cold))
-    found = Findings()
+    found, settings = Findings(), study.recommended
+    parts = study.ask([(setting, data) for setting in settings], limits)
+    answered = [Cell(setting, data, part) for setting, part in zip(settings, parts, strict=True)]
+    taken = [cell for cell in answered if not cell.refused]
+    found.summary["not_run"] = {cell.setting.solver: {"reason": cell.refused} for cell in answered if cell.refused}
+    apart = study.ask([(cell.setting, thin) for cell in taken], limits, warm=False)
+    measured = study.time(taken, limits)
     warm, cold, samples = {}, {}, {}
-
-    def both(worker: Worker, setting: SolverSetting) -> tuple[Cell, Cell | None]:
-        cell = Cell(setting, data, asked(study.store, worker, setting, data, limits))
-        part = None if cell.refused else asked(study.store, worker, setting, thin, limits, warm=False)
-        study.advance(f"open loop {setting.solver}, answers")
-        return cell, part and Cell(setting, thin, part)
-
-    answered = spread(study.recommended, both, config.processes)
-    with Worker() as worker:
-        for setting, (cell, apart) in zip(study.recommended, answered, strict=True):
-            solver = setting.solver
-            study.advance(f"open loop {solver}")
-            if apart is None:
-                found.summary.setdefault("not_run", {})[solver] = {"reason": cell.refused}
-                continue
-            times = timed(study.store, worker, setting, data, limits, cell.complete)
-            warm[solver], cold[solver] = cell.summary(times), apart.summary(cold_only(times))
-            found.rows += cell.rows("open_loop_warm") + apart.rows("open_loop_cold")
-            samples[solver] = times.arrays["solve_us"].ravel()
-            study.show({"open_loop_warm": dict(warm)})
+    for cell, part, times in zip(taken, apart, measured, strict=True):
+        solver, alone = cell.setting.solver, Cell(cell.setting, thin, part)
+        warm[solver], cold[solver] = cell.summary(times), alone.summary(cold_only(times))
+        found.rows += cell.rows("open_loop_warm") + alone.rows("open_loop_cold")
+        samples[solver] = times.arrays["solve_us"].ravel()
     found.summary |= {"open_loop_warm": warm, "open_loop_cold": cold}
     found.samples["open_loop"] = samples
     return found
@@ -69,34 +58,29 @@ def certified_sets(study: Study, so_far: Findings) -> Findings:
     limits = table.limits()
     first = study.recommended
     order = [*first, *(setting for setting in study.settings if setting not in first)]
-    early: dict[str, Any] = {}
-
-    def all_sets(worker: Worker, setting: SolverSetting) -> list[Cell]:
-        fully = setting.name == RECOMMENDED and not setting.solver.startswith(NONLINEAR)
-        cells = asked_all(study.store, worker, setting, chosen if fully else thinned, limits)
-        early[setting.label] = totals(cells, {})
-        study.show({"testsets": dict(early)})
-        study.advance(f"answers {setting.label}")
-        return cells
-
-    answered = spread(order, all_sets, study.config.processes)
+    asked = [(setting, data) for setting in order for data in (chosen if _fully(setting) else thinned)]
+    cells = [Cell(*question, part) for question, part in zip(asked, study.ask(asked, limits), strict=True)]
+    by_setting = {s.label: [cell for cell in cells if cell.setting == s] for s in order}
+    study.show({"testsets": {label: totals(mine, {}) for label, mine in by_setting.items()}})
+    to_time = [
+        cell for cell in cells
+        if not cell.refused and cell.data.name in table.times(cell.setting.name == RECOMMENDED)
+    ]  # fmt: skip
+    times = {
+        (cell.setting.label, cell.data.name): part
+        for cell, part in zip(to_time, study.time(to_time, limits), strict=True)
+    }
     found, whole, costs = Findings(), {}, {}
-    with Worker() as worker:
-        for setting, cells in zip(order, answered, strict=True):
-            recommended = setting.name == RECOMMENDED
-            measured = {
-                cell.data.name: timed(study.store, worker, setting, cell.data, limits, cell.complete)
-                for cell in cells
-                if not cell.refused and cell.data.name in table.times(recommended)
-            }
-            for cell in cells:
-                part = found.summary.setdefault(f"testset {cell.data.name}", {})
-                part[setting.label] = cell.summary(measured.get(cell.data.name))
-                found.rows += cell.rows("testset")
-            whole[setting.label] = totals(cells, measured)
-            if recommended and len(cells[0].data.rows) == len(chosen[0].rows):
-                costs[setting.solver] = costs_of(cells, measured)
-            study.advance(f"times {setting.label}")
+    for setting in order:
+        mine = by_setting[setting.label]
+        measured = {name: part for (label, name), part in times.items() if label == setting.label}
+        for cell in mine:
+            part = found.summary.setdefault(f"testset {cell.data.name}", {})
+            part[setting.label] = cell.summary(measured.get(cell.data.name))
+            found.rows += cell.rows("testset")
+        whole[setting.label] = totals(mine, measured)
+        if setting.name == RECOMMENDED and len(mine[0].data.rows) == len(chosen[0].rows):
+            costs[setting.solver] = costs_of(mine, measured)
     found.summary["testsets"] = whole
     found.summary["settings"] = {
         s.label: {"options": in_words(effective(s)), "reason": s.reason} for s in study.settings
@@ -105,55 +89,54 @@ def certified_sets(study: Study, so_far: Findings) -> Findings:
     return found
 
 
+def _fully(setting: SolverSetting) -> bool:
+    return setting.name == RECOMMENDED and not setting.solver.startswith(NONLINEAR)
+
+
 def more_joints(study: Study, so_far: Findings) -> Findings:
     """Measure how times grow with the joints, under the recommended settings."""
     limits = study.config.testsets.limits()
     sets = {n: growth.sequence(n) for n in study.config.growth.joints}
+    asked = [(setting, data) for setting in study.growing for data in sets.values()]
+    cells = [Cell(*question, part) for question, part in zip(asked, study.ask(asked, limits), strict=True)]
+    taken = [cell for cell in cells if not cell.refused]
+    times = {
+        (cell.setting.solver, cell.data.n): time_figures(part)
+        for cell, part in zip(taken, study.time(taken, limits), strict=True)
+    }
     found: dict[str, dict[str, Any]] = {}
-
-    def all_sets(worker: Worker, setting: SolverSetting) -> dict[int, Cell]:
-        return {n: Cell(setting, data, asked(study.store, worker, setting, data, limits)) for n, data in sets.items()}
-
-    answered = spread(study.growing, all_sets, study.config.processes) if study.growing else []
-    with Worker() as worker:
-        for setting, cells in zip(study.growing, answered, strict=True):
-            figures: dict[int, dict[str, Any]] = {}
-            row: dict[str, Any] = {"verified_solved": 0, "solves": 0}
-            for n, cell in cells.items():
-                if cell.refused:
-                    row["reason"] = cell.refused
-                    continue
-                figures[n] = time_figures(timed(study.store, worker, setting, cell.data, limits, cell.complete))
-                counts = cell.counts()
-                row |= {key: row[key] + counts[key] for key in ("verified_solved", "solves")}
-                row |= {f"{key}_n{n}": figures[n][key] for key in GROWING if key in figures[n]}
-            for key in GROWING:
-                row |= {f"{key}_{name}": value for name, value in growth.growth(figures, key).items()}
-            found[setting.solver] = row
-            study.advance(f"joints {setting.solver}")
+    for setting in study.growing:
+        row: dict[str, Any] = {"verified_solved": 0, "solves": 0}
+        figures: dict[int, dict[str, Any]] = {}
+        for cell in (cell for cell in cells if cell.setting == setting):
+            if cell.refused:
+                row["reason"] = cell.refused
+                continue
+            n = cell.data.n
+            figures[n], counts = times[setting.solver, n], cell.counts()
+            row |= {key: row[key] + counts[key] for key in ("verified_solved", "solves")}
+            row |= {f"{key}_n{n}": figures[n][key] for key in GROWING if key in figures[n]}
+        row |= Disturbance.total(figures.values()).entries()
+        for key in GROWING:
+            row |= {f"{key}_{name}": value for name, value in growth.growth(figures, key).items()}
+        found[setting.solver] = row
     return Findings({"growth": found})
 
 
 def duals(study: Study, so_far: Findings) -> Findings:
     """Measure how far apart any two solvers' multipliers are on the same problems with six rows and with five."""
     config = study.config
-    limits = config.testsets.limits()
     sets = [load(name, max(2, config.testsets.every)) for name in DUAL_SETS]
-
-    def both(worker: Worker, name: str) -> dict[int, Any]:
-        mine = {}
-        for rows in DUAL_ROWS:
-            setting = SolverSetting(name, f"rows={rows}", {**config.settings.get(name, {}), "rows": rows}, "")
-            parts = [asked(study.store, worker, setting, data, limits) for data in sets]
-            mine[rows] = np.concatenate([solved_duals(part) for part in parts])
-        study.advance(f"duals {name}")
-        return mine
-
-    names = study.with_duals
-    given = dict(zip(names, spread(names, both, config.processes) if names else [], strict=True))
+    settings = {
+        (name, rows): SolverSetting(name, f"rows={rows}", {**config.settings.get(name, {}), "rows": rows}, "")
+        for name in study.with_duals for rows in DUAL_ROWS
+    }  # fmt: skip
+    asked = [(setting, data) for setting in settings.values() for data in sets]
+    parts = iter(study.ask(asked, config.testsets.limits()))
+    given = {which: np.concatenate([solved_duals(next(parts)) for _ in sets]) for which in settings}
     problems = [NullSpaceQP.from_row(np.array(row)) for data in sets for row in data.rows]
     summary = {
-        part: compare.dual_distances(problems, {name: mine[rows] for name, mine in given.items()})
+        part: compare.dual_distances(problems, {name: given[name, rows] for name in study.with_duals})
         for rows, part in DUAL_ROWS.items()
     }
     return Findings(summary, words={"duals": compare.dual_verdict(*summary.values())})

@@ -16,7 +16,7 @@ class Progress:
     """Collects what parts of the study find, and shows it.
 
     Args:
-        weights: part -> what one of its steps weighs.
+        weights: part -> seconds that one of its batches of jobs takes, roughly.
         screen: where a headline that changed is printed, when it is no terminal; a terminal shows `below`.
         deadline_us: of a tick.
     """
@@ -31,11 +31,11 @@ class Progress:
         """Note that a part begins."""
         self._weight = self._weights.get(part, 0.0)
 
-    def advance(self, text: str) -> None:
-        """Count one step of the part, and say which."""
+    def advance(self, text: str, share: float = 1.0) -> None:
+        """Count a share of a batch of the part's jobs, and say whose it was."""
         if self.bar is not None:
             self.bar.at(text)
-            self.bar.advance(self._weight)
+            self.bar.advance(self._weight * share)
 
     def show(self, parts: Mapping[str, Any]) -> None:
         """Take in parts of the summary, as far as they have come."""

@@ -17,6 +17,7 @@ from benchmarks.solver_study.look import Look
 from benchmarks.solver_study.study import Findings, Study
 from benchmarks.solver_study.tables import FOOTNOTE, STEADY
 from moc_opt import figures
+from moc_opt.figures.notation import Doubtful
 from moc_opt.report.page import Page
 from moc_opt.report.tables import Table
 
@@ -34,8 +35,8 @@ def sentences(study: Study, found: Findings) -> list[str]:
     said = []
     if found.summary["not_run"]:
         said.append(f"{len(found.summary['not_run'])} solvers were not run: the report says why.")
-    if study.store.reused:
-        said.append(f"{study.store.reused} parts are those of an earlier run in {study.out}/parts")
+    if study.kept.reused:
+        said.append(f"{study.kept.reused} jobs are those of an earlier run in {study.out}/jobs")
     return said
 
 
@@ -63,11 +64,14 @@ def report_page(
     page.text(
         "An answer is verified when its primal residual is at most 1e-6, its relative natural residual 1e-3 and its "
         "self-motion loss 1e-2; the solver is not asked. Silently wrong: claimed as solved, and not verified. "
-        "Infeasible claims are right where the set's certificate says so, and wrong elsewhere; a wrong one counts "
-        "among the failed too. Right: verified, or rightly called infeasible; times are compared among solvers that "
+        "Infeasible claims are right where the set's certificate says so, refusals where the six rows given contradict "
+        "each other, and wrong elsewhere; a wrong one counts among the failed too. Right: verified, or rightly called "
+        "infeasible, as a share of the problems that were not refused; times are compared among solvers that "
         f"are right at {100 * RIGHTLY:g} % of the problems or more. Hung: no answer within the time limit, the process "
         "was killed; the rest of a set is not asked after two of them, and no further set after three such sets. "
         "Update: of a warm solve, the part that hands the new problem to the library, where that can be told apart. "
+        "A time marked ? was spoilt by other work on the machine: too many of its calls lost the core, or the process "
+        "had less than nine tenths of one. "
         "Percentiles of times stand beside each other (p50, p99, p99.9); no mean of times is shown anywhere, and of "
         f"several sets the slowest is quoted. {STEADY}\n\n" + FOOTNOTE
     )
@@ -100,7 +104,7 @@ def _testsets(page: Page, found: Findings, made: Mapping[str, Table]) -> None:
             study_figures.performance_profile(tau, shares),
             "Performance profiles (Dolan and Moré): the share of all problems of all sets that a solver under our "
             "settings answered rightly within a multiple of the fastest right answer's time. Where a line ends "
-            "below 1, the rest was never answered rightly.",
+            "below 1, the rest was never answered rightly, or refused as inconsistent.",
             name="performance-profile",
         )
     points = {
@@ -108,6 +112,7 @@ def _testsets(page: Page, found: Findings, made: Mapping[str, Table]) -> None:
         for label, row in summary["testsets"].items()
         if label.endswith("@recommended") and answers_rightly(row)
         if row.get("solve_p50_us_worst_set") and row.get("relative_max") is not None
+        and not isinstance(row["solve_p50_us_worst_set"], Doubtful)
     }
     if points:
         page.figure(
@@ -142,12 +147,16 @@ def _open_loop(page: Page, study: Study, found: Findings, made: Mapping[str, Tab
     samples = {name: times for name, times in found.samples.get("open_loop", {}).items() if len(times)}
     if samples:
         deadline = study.config.scenario.deadline_us
+        rows = found.summary["open_loop_warm"]
+        spoilt = [name for name in samples if isinstance(rows.get(name, {}).get("solve_p99_us"), Doubtful)]
         page.figure(
             figures.latency_ecdf(samples, deadline),
             "Solve time, warm: empirical distribution, with the deadline of a tick.",
         )
         page.figure(
-            figures.latency_ecdf(samples, deadline, tail=True), "The same, its tail: how rare are the late ones?"
+            figures.latency_ecdf(samples, deadline, tail=True),
+            "The same, its tail: how rare are the late ones?"
+            + (f" Other work on the machine spoilt it for {', '.join(spoilt)}." if spoilt else ""),
         )
     page.table(made["open_loop_cold"])
 

@@ -4,21 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from functools import cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from benchmarks.common.timing import each_us
-from benchmarks.solver_study.open_loop import expand
+from benchmarks.common.timing import Disturbance, each_us
 from benchmarks.solver_study.settings import SolverSetting
+from moc_opt.arrays import Array
 from moc_opt.control.solution_check import received
 from moc_opt.errors import describe
-from moc_opt.model.robot_model import load_robot
-from moc_opt.numerics.arrays import Array
 from moc_opt.qp.problem import NullSpaceQP
+from moc_opt.robots.model import load_robot
 from moc_opt.scenario import make_solver
 from moc_opt.solvers.base import Session, Solution, Solver, Status, no_answer
 from moc_opt.solvers.registry import accepts
+from moc_opt.study.engine import alarm, report
 
 RAISED = "raised"  # what became of an answer, beside the statuses of solvers
 WARM_UP = 16  # solves that are not counted
@@ -39,10 +39,24 @@ def _problems(rows: Array) -> list[NullSpaceQP]:
     return found
 
 
-def answers(setting: SolverSetting, rows: Array, warm: bool, arm: Callable[[], Any] | None = None) -> Iterator[Any]:
-    """Yield the reason why the solver does not take these problems, or "", then (status, iterations, x, y) each."""
+def answers(
+    setting: SolverSetting, rows: Array, warm: bool, arm: Callable[[], Any] | None, patience_s: float, setup_s: float
+) -> list[Any]:
+    """Return the reason why the solver does not take these problems, or "", then (status, iterations, x, y, said) each.
+
+    Each is reported as it comes, and each may take ``patience_s``; setting up, which may build programs, ``setup_s``.
+    """
+    found: list[Any] = []
+    alarm(setup_s)
+    for item in _answers(setting, rows, warm, arm):
+        alarm(patience_s)
+        report(item)
+        found.append(item)
+    return found
+
+
+def _answers(setting: SolverSetting, rows: Array, warm: bool, arm: Callable[[], Any] | None) -> Iterator[Any]:
     solver, problems = _made(setting, arm), _problems(rows)
-    # Before the first word: setting up may compile, and the patience for that is longer than for a solve.
     session, reason = _session(solver, problems[0])
     yield reason
     if session is None:
@@ -57,7 +71,7 @@ def answers(setting: SolverSetting, rows: Array, warm: bool, arm: Callable[[], A
             yield RAISED, 0, np.full(qp.n, np.nan), np.full(6, np.nan), said
             continue
         y = np.full(6, np.nan) if solution.y is None else solution.y
-        yield solution.status.label, solution.iterations, solution.x, y, ""
+        yield solution.status.label, solution.iterations, np.array(solution.x), np.array(y), ""
 
 
 def _session(solver: Solver, qp: NullSpaceQP) -> tuple[Session | None, str]:
@@ -80,34 +94,40 @@ def _asked(session: Session, qp: NullSpaceQP) -> tuple[Solution, str]:
         return no_answer(qp.n, Status.NUMERICAL), describe(error)
 
 
-def warm_times(
-    setting: SolverSetting, rows: Array, rounds: int, seconds: float, arm: Callable[[], Any] | None = None
-) -> Iterator[Array]:
-    """Yield the times [us] of one session going through all problems, round by round."""
+class Times(NamedTuple):
+    """Times of one solver on one set [us], and what the machine did meanwhile."""
+
+    solve: Array  # (rounds, k) warm
+    setup: Array
+    cold: Array  # the first solve of a session
+    update: Array  # of the solver's problem; empty where a session cannot take one without solving it
+    warm_load: Disturbance
+    cold_load: Disturbance
+
+
+def times(
+    setting: SolverSetting, rows: Array, every: int, rounds: int, seconds: float, arm: Callable[[], Any] | None = None
+) -> Times:
+    """Time one session going through all problems, round by round, and fresh ones for every ``every``-th problem."""
     solver, problems = _made(setting, arm), _problems(rows)
     session = solver.start(problems[0])
-    each_us(session.solve, problems[:WARM_UP])  # caches and compilers: not counted
-    spent = 0.0
-    for _ in range(rounds):
-        if spent > seconds:
-            return
-        times = each_us(session.solve, problems)
-        spent += 1e-6 * times.sum()
-        yield times
-
-
-def cold_times(
-    setting: SolverSetting, rows: Array, arm: Callable[[], Any] | None = None
-) -> Iterator[tuple[Array, Array, Array]]:
-    """Yield once: the times [us] of setting sessions up, of the first solve of each, and of updating one of them.
-
-    The last are empty where the session cannot take a problem without solving it.
-    """
-    solver, problems = _made(setting, arm), _problems(rows)
-    solver.start(problems[0]).solve(problems[0])
+    each_us(session.solve, problems[:WARM_UP])  # caches: not counted
+    warm, seen = list[Array](), list[Disturbance]()
+    while len(warm) < rounds and 1e-6 * sum(one.sum() for one in warm) <= seconds:
+        warm.append(each_us(session.solve, problems, seen=seen))
+    few, then = problems[::every], list[Disturbance]()
+    solver.start(few[0]).solve(few[0])
     sessions: list[Any] = []
-    setup = each_us(solver.start, problems, sessions)
-    pairs = list(zip(sessions, problems, strict=True))
-    cold = each_us(lambda pair: pair[0].solve(pair[1]), pairs)
+    setup = each_us(solver.start, few, sessions, seen=then)
+    pairs = list(zip(sessions, few, strict=True))
+    cold = each_us(lambda pair: pair[0].solve(pair[1]), pairs, seen=then)
     update = getattr(sessions[0], "update", None)
-    yield setup, cold, np.empty(0) if update is None else each_us(update, problems)
+    updates = np.empty(0) if update is None else each_us(update, few, seen=then)
+    return Times(np.array(warm), setup, cold, updates, sum(seen, Disturbance()), sum(then, Disturbance()))
+
+
+def expand(problems: list[NullSpaceQP]) -> None:
+    """Compute what the adapters read (P, p, the five rows) before the clock starts."""
+    for qp in problems:
+        _ = qp.P, qp.p, qp.q
+        qp.reduced()

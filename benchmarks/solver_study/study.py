@@ -9,25 +9,24 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any
 
-from benchmarks.common.store import Store
-from benchmarks.solver_study import open_loop
+import numpy as np
+
+from benchmarks.solver_study import answers
+from benchmarks.solver_study.answers import Limits
 from benchmarks.solver_study.cases import trials
+from benchmarks.solver_study.cells import Cell
 from benchmarks.solver_study.closed_loop import Run
 from benchmarks.solver_study.config import Config
 from benchmarks.solver_study.settings import RECOMMENDED, SolverSetting, solver_settings
 from moc_opt.qp.problem import NullSpaceQP
+from moc_opt.scenario import run as run_scenario
 from moc_opt.solvers.registry import accepts
+from moc_opt.study import Job, Kept, run
 
-Advance = Callable[[str], None]
+Advance = Callable[[str, float], None]
 Summary = dict[str, dict[str, dict[str, Any]]]
 
 NONLINEAR = "nlp-"
-# What decides a part's content, beside the package itself; reports and figures do not.
-SOURCES = (
-    "common/timing", "common/processes", "subproblems/arms", "solver_study/cases", "solver_study/closed_loop",
-    "solver_study/open_loop", "solver_study/answers", "solver_study/solving", "solver_study/sweeps",
-    "solver_study/growth",
-)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -37,8 +36,8 @@ class Study:
     Attributes:
         config: of the comparison.
         names: of the solvers that can run here.
-        out: folder of the results; finished parts are kept in ``out/parts``.
-        advance: called with a few words after each step.
+        out: folder of the results; finished jobs are kept in ``out/jobs``.
+        advance: called with a few words, and the share of a batch of jobs, after each of them.
         show: called with parts of the summary as far as they have come.
         enter: called with the name of each part as it begins.
     """
@@ -51,9 +50,30 @@ class Study:
     enter: Callable[[str], None] = lambda _: None
 
     @cached_property
-    def store(self) -> Store:
-        """Finished parts, those of earlier runs among them."""
-        return Store(self.out / "parts", SOURCES)
+    def kept(self) -> Kept:
+        """Finished jobs, those of earlier runs among them."""
+        return Kept(self.out / "jobs")
+
+    def run(
+        self, jobs: Sequence[Job], done: Callable[[Job, Any], None] = lambda job, result: None, **options: Any
+    ) -> list[Any]:
+        """Do jobs as `moc_opt.study.run` does, with this study's folder, workers and progress."""
+
+        def step(job: Job, result: Any) -> None:
+            self.advance(job.group, 1.0 / len(jobs))
+            done(job, result)
+
+        return run(jobs, kept=self.kept, workers=self.config.processes, done=step, **options)
+
+    def ask(self, questions: Sequence[answers.Question], limits: Limits, *, warm: bool = True) -> list[answers.Part]:
+        """Collect answers; see `answers.ask`."""
+        return answers.ask(self.run, questions, limits, warm)
+
+    def time(self, cells: Sequence[Cell], limits: Limits) -> list[answers.Part]:
+        """Time the solvers of these cells on their sets; where not every problem was answered there are no times."""
+        whole = [cell for cell in cells if cell.complete]
+        measured = iter(answers.time(self.run, [(cell.setting, cell.data) for cell in whole], limits))
+        return [next(measured) if cell.complete else answers.untimed(cell.data) for cell in cells]
 
     @cached_property
     def settings(self) -> list[SolverSetting]:
@@ -119,14 +139,15 @@ Part = Callable[[Study, Findings], Findings]
 
 def record_sequence(config: Config) -> list[NullSpaceQP]:
     """Record the subproblems of a closed-loop run with ``exact``, one a tick."""
-    (case,) = trials(config.scenario, [config.open_loop.task], [config.seed]).values()
-    return open_loop.record(case.change(duration_s=config.open_loop.ticks * config.scenario.plant.period_s))
+    (case,) = trials(config.scenario, [config.open_loop.task], config.seed, 1).values()
+    duration_s = config.open_loop.ticks * config.scenario.plant.period_s
+    trace = run_scenario(case.change(duration_s=duration_s, judge=False, bound_samples=0))
+    return [NullSpaceQP.from_row(np.array(row)) for row in trace.subproblem]
 
 
 def run_study(study: Study, parts: dict[str, Part]) -> Findings:
     """Run the parts that the configuration asks for, in the order given, and put their findings together."""
     found = Findings(sequence=record_sequence(study.config))
-    study.advance("recorded the sequence")
     for name, part in parts.items():
         if name in study.config.parts:
             begin = perf_counter()

@@ -9,15 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.common.processes import Worker
-from benchmarks.common.store import Store
-from benchmarks.solver_study import closed_loop, combine
-from benchmarks.solver_study.closed_loop import Run
+from benchmarks.solver_study import combine
+from benchmarks.solver_study.closed_loop import Asked, Run, Runner, run_each
 from benchmarks.solver_study.compare import HARMLESS, WORDS
 from benchmarks.solver_study.settings import SolverSetting
-from moc_opt.comparison.trials import BASELINE, variant
-from moc_opt.numerics.arrays import Array
+from moc_opt.arrays import Array
 from moc_opt.scenario import Scenario
+from moc_opt.study.trials import variant
 
 # Without the supervisor's residual check: the sweep shows the effect of an answer, not of its replacement.
 UNCHECKED: dict[str, Any] = {"supervisor": {"check": False}}
@@ -140,51 +138,43 @@ def deadline_sweep(name: str, recorded_us: Array, shares: Sequence[float]) -> Sw
     return Sweep(f"deadline.{name}", f"recorded times of {name} against a budget", points, name, "deadline")
 
 
-def run_sweep(
-    store: Store,
-    worker: Worker,
-    sweep: Sweep,
-    point: Point,
-    cases: Mapping[str, Scenario],
-    baselines: Mapping[str, Run],
+def run_points(
+    run: Runner, points: Sequence[tuple[Sweep, Point]], cases: Mapping[str, Scenario],
     default: Mapping[str, Run] = MappingProxyType({}),
-) -> dict[str, Any]:
-    """Run one point on all trials; several run at a time, so its times are left out.
+) -> list[list[Run]]:  # fmt: skip
+    """Run every point on all trials; several run at a time, so their times mean nothing.
 
     Args:
-        store: of finished runs.
-        worker: where they run.
-        sweep: what is swept.
-        point: of it.
+        run: `moc_opt.study.run` with the study's folder, workers and progress.
+        points: of the sweeps.
         cases: trial -> its scenario.
-        baselines: trial -> the run that mu is compared with.
         default: trial -> the run with `exact` under the default settings, which a point need not repeat.
     """
-    runs = []
-    for trial in cases.values():
-        changed = trial.change(**{table: dict(values) for table, values in point.changes.items()})
-        if "settings" not in point.changes.get("solver", {}):
-            changed = changed.change(solver={"settings": {}})
-        if trial.name in default and changed == variant(trial, "exact"):
-            runs.append(default[trial.name])
-            continue
-        runs.append(
-            closed_loop.run_one(
-                store, worker, changed, f"{sweep.name} {point.label}", baselines[trial.name], timed=False, whole=False,
-            )
-        )  # fmt: skip
-    found = combine.combined(runs)
-    values = {name: value for name, value in found.items() if not name.endswith("_us")}
-    values |= combine.changes(runs, [baselines[trial] for trial in cases])
-    return {"value": point.value, **values}
+    asked: list[Asked] = []
+    wanted: list[list[Run | int]] = []
+    for sweep, point in points:
+        mine: list[Run | int] = []
+        for trial in cases.values():
+            changed = trial.change(**{table: dict(values) for table, values in point.changes.items()})
+            if "settings" not in point.changes.get("solver", {}):
+                changed = changed.change(solver={"settings": {}})
+            if trial.name in default and changed == variant(trial, "exact"):
+                mine.append(default[trial.name])
+                continue
+            mine.append(len(asked))
+            asked.append(Asked(f"{sweep.name} {point.label}", changed, whole=False))
+        wanted.append(mine)
+    done = run_each(run, asked)
+    return [[done[one] if isinstance(one, int) else one for one in mine] for mine in wanted]
 
 
-def run_baseline(store: Store, worker: Worker, trial: Scenario) -> Run:
-    """Run DCAC with the gains of the others."""
-    return closed_loop.run_one(store, worker, variant(trial, BASELINE), BASELINE, None, timed=False)
+def figures(point: Point, runs: Sequence[Run], baselines: Sequence[Run]) -> dict[str, Any]:
+    """Return the figures of one point without times, and its changes against the baseline."""
+    values = {name: value for name, value in combine.combined(runs).items() if not name.endswith("_us")}
+    return {"value": point.value, **values, **combine.changes(runs, baselines)}
 
 
-def begins_in_words(begins: Mapping[str, Mapping[str, str]]) -> str:
+def begins_in_words(begins: Mapping[str, Mapping[str, str]], trials: int) -> str:
     """Say in words what `beginning_of_cost` found, a clause for each sweep."""
     said = []
     for name, found in begins.items():
@@ -195,7 +185,8 @@ def begins_in_words(begins: Mapping[str, Mapping[str, str]]) -> str:
             parts = f"everything from {labels.pop()} on"
         said.append(f"{solver}: {parts}")
     limits = ", ".join(f"{WORDS[metric]} {100 * limit:g} %" for metric, limit in HARMLESS.items())
-    return f"As good as the tightest setting (within {limits}): " + "; ".join(said) + "." if said else ""
+    what = f"The mean over {trials} trials as good as that of the tightest setting (within {limits})"
+    return f"{what}: " + "; ".join(said) + "." if said else ""
 
 
 def beginning_of_cost(points: Mapping[str, Mapping[str, Any]]) -> dict[str, str]:

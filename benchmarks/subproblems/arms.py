@@ -10,9 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from moc_opt.model.symbolic import Chain, Kinematics, build_kinematics
-from moc_opt.numerics.arrays import Array
+from moc_opt.arrays import Array
 from moc_opt.qp.problem import NullSpaceQP
+from moc_opt.robots.chain import Chain, Kinematics, build_kinematics
 
 TOOL = 0.38  # wrist to tip [m]
 

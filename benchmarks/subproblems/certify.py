@@ -1,54 +1,180 @@
-"""Make a test set: draw its problems, find their answers, and prove them.
+"""Make a test set: draw its problems, find their answers, and prove them by nothing that is ours.
 
-An answer is certified by its residuals, never by the solver that gave it; an infeasible problem by HiGHS, which has
-nothing in common with ours.
+What is certified is the optimum over five rows: the tip's three and the wrist's two across the shaft, rounded to
+doubles. The sixth row, along the shaft, repeats the tip's because the tool is rigid; in doubles it repeats it to
+1e-16, so that exact arithmetic would see a sixth independent row that is rounding. On the five rows both tracking
+terms of the cost are constant, and what is left to minimise is rho/2 |x|^2 - c2 grad_mu^T x.
+
+`optimum` enumerates the sets of bounds that may be active, in rational numbers without rounding. It shares no code
+with the solvers and residuals of moc_opt. What it calls infeasible, HiGHS must call infeasible as well.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from fractions import Fraction
+from itertools import combinations, product
 
 import numpy as np
 from scipy.optimize import linprog
 
 from benchmarks.subproblems.recipes import RECIPES, SIZE
-from benchmarks.subproblems.testset import VERSION, CertificateError, TestSet, straightened
-from moc_opt.model.robot_model import RobotModel
+from benchmarks.subproblems.testset import VERSION, CertificateError, TestSet
+from moc_opt.arrays import Array
 from moc_opt.qp.problem import NullSpaceQP
-from moc_opt.solvers.exact.solver import Exact
+from moc_opt.robots.model import RobotModel
+
+TIED = 1e-12  # of |A|: largest movement of tip against wrist along the shaft that is taken for rounding
+RANK_TOLERANCE = 1e-12
+"""A singular value below this share of |A| counts as zero: the judge's rule, of which no certificate may depend."""
+FEASIBLE, INFEASIBLE = 0, 2  # HiGHS's status, as scipy passes it on
+NONE = Fraction(0)
+Vector = list[Fraction]
+
+
+def five_rows(qp: NullSpaceQP) -> tuple[Array, Array]:
+    """Return the rows that are certified, (5, n) and (5,): the tip's, and the wrist's across the shaft.
+
+    Raises:
+        CertificateError: tip and wrist are not tied by a rigid tool, or the rows have no rank of five.
+    """
+    directions, sizes, _ = np.linalg.svd(qp.J_tip - qp.J_wrist)
+    if sizes[2] > TIED * np.linalg.norm(qp.A):
+        raise CertificateError(f"tip and wrist move against each other by {sizes[2]:.1e} along the shaft: not tied")
+    across = directions[:, :2].T
+    A, b = np.vstack([qp.J_tip, across @ qp.J_wrist]), np.concatenate([qp.v_tip, across @ qp.v_wrist])
+    smallest = np.linalg.svd(A)[1][-1]
+    if smallest <= RANK_TOLERANCE * np.linalg.norm(A):
+        raise CertificateError(f"five rows of which one is rounding (singular value {smallest:.1e}): not certified")
+    return A, b
+
+
+def optimum(A: Array, b: Array, pull: Vector, rho: float, lower: Array, upper: Array) -> Vector | None:
+    """Minimise rho/2 |x|^2 - pull^T x over A x = b, lower <= x <= upper, without rounding.
+
+    Joints whose column of A is zero are solved one by one. The others are x = start + basis w with r freedoms w. If
+    the problem is feasible, some set of at most r active bounds, independent along the basis, determines its optimum
+    (r of them where rho = 0). Each such set is tried, and the first point is returned that lies in the box and whose
+    multipliers have the right signs. The problem is convex, so these two properties prove the optimum. If no set has
+    such a point, no point of the box meets A x = b.
+
+    Args:
+        A: (m, n) rows.
+        b: (m,) right-hand sides.
+        pull: (n,) linear gain, c2 grad_mu.
+        rho: weight of |x|^2, 0 or larger.
+        lower, upper: (n,) bounds.
+
+    Returns:
+        (n,) exact numbers; one of them where several points are equally good; None: infeasible.
+    """
+    weight, ends = Fraction(rho), [(Fraction(low), Fraction(high)) for low, high in zip(lower, upper, strict=True)]
+    moving = [j for j in range(len(ends)) if A[:, j].any()]
+    x = [_alone(gain, weight, *both) for gain, both in zip(pull, ends, strict=True)]
+    count = len(moving)
+    exact = [[Fraction(value) for value in (*row[moving], right)] for row, right in zip(A, b, strict=True)]
+    rows, pivots = eliminated(exact)
+    if count in pivots:  # a row 0 = 1
+        return None
+    if not moving:
+        return x
+    free = [j for j in range(count) if j not in pivots]
+    start, basis = [NONE] * count, [[Fraction(j == k) for k in free] for j in range(count)]
+    for row, pivot in zip(rows, pivots, strict=False):
+        start[pivot], basis[pivot] = row[count], [-row[k] for k in free]
+    gains, boxes = [pull[j] for j in moving], [ends[j] for j in moving]
+    for k in range(len(free) + 1) if rho else (len(free),):
+        for joints, sides in product(combinations(range(count), k), product((0, 1), repeat=k)):
+            active = {j: boxes[j][side] for j, side in zip(joints, sides, strict=True)}
+            point, multipliers = _stationary(basis, start, gains, weight, active) or ([], [])
+            inside = point and all(low <= value <= high for value, (low, high) in zip(point, boxes, strict=True))
+            if inside and all(m <= 0 if side else m >= 0 for m, side in zip(multipliers, sides, strict=True)):
+                for j, value in zip(moving, point, strict=True):
+                    x[j] = value
+                return x
+    return None
+
+
+def _alone(gain: Fraction, weight: Fraction, low: Fraction, high: Fraction) -> Fraction:
+    """Minimise weight/2 x^2 - gain x on [low, high]; without both, take the x nearest to zero."""
+    if weight or not gain:
+        return min(max(gain / weight if weight else NONE, low), high)
+    return high if gain > 0 else low
+
+
+def _stationary(
+    basis: list[Vector], start: Vector, gains: Vector, weight: Fraction, active: dict[int, Fraction]
+) -> tuple[Vector, Vector] | None:
+    """Return the stationary point with these bounds active, and their multipliers; None where it is not determined.
+
+    With N the basis and N_S its active rows: N^T (weight x - gains) = N_S^T m, x_S = the bounds.
+    """
+    r, columns = len(basis[0]), list(zip(*basis, strict=True))
+    left = [gain - weight * value for gain, value in zip(gains, start, strict=True)]
+    system = [
+        [*(weight * dot(one, other) for other in columns), *(-one[j] for j in active), dot(one, left)]
+        for one in columns
+    ]
+    system += [[*basis[j], *[NONE] * len(active), bound - start[j]] for j, bound in active.items()]
+    rows, pivots = eliminated(system)
+    if pivots != list(range(len(system))):
+        return None
+    found = [row[-1] for row in rows]
+    return [value + dot(row, found[:r]) for value, row in zip(start, basis, strict=True)], found[r:]
+
+
+def dot(one: Iterable[Fraction], other: Iterable[Fraction]) -> Fraction:
+    """Return the inner product without rounding."""
+    return sum((a * b for a, b in zip(one, other, strict=True)), NONE)
+
+
+def eliminated(matrix: list[Vector]) -> tuple[list[Vector], list[int]]:
+    """Return the reduced row echelon form, and the column of the pivot of each row that is not zero."""
+    rows = [list(row) for row in matrix]
+    pivots: list[int] = []
+    for column in range(len(rows[0]) if rows else 0):
+        place = len(pivots)
+        chosen = next((i for i in range(place, len(rows)) if rows[i][column]), None)
+        if chosen is None:
+            continue
+        rows[place], rows[chosen] = rows[chosen], rows[place]
+        rows[place] = [value / rows[place][column] for value in rows[place]]
+        for i, row in enumerate(rows):
+            if i != place and row[column]:
+                rows[i] = [a - row[column] * b for a, b in zip(row, rows[place], strict=True)]
+        pivots.append(column)
+    return rows, pivots
+
+
+def certified(qp: NullSpaceQP) -> Vector | None:
+    """Return an optimum of the five rows without rounding, (n,); None: infeasible."""
+    A, b = five_rows(qp)
+    pull = [Fraction(qp.c2) * Fraction(g) for g in qp.grad_mu]
+    return optimum(A, b, pull, qp.regularization, qp.lower, qp.upper)
 
 
 def certify(name: str, problems: Sequence[NullSpaceQP]) -> TestSet:
     """Find the answers and prove them.
 
-    Inconsistent references have no answer on six rows; what is certified is that of the five rows that remain
-    without the wrist's row along the shaft.
-
     Raises:
-        CertificateError: an answer that its residuals do not bear out, or a verdict that HiGHS does not share.
+        CertificateError: HiGHS finds a point where the enumeration finds none, or none where it finds one.
     """
-    rows = np.array([qp.row for qp in problems])
     X = np.full((len(problems), problems[0].n), np.nan)
-    feasible = np.zeros(len(problems), dtype=bool)
     for i, qp in enumerate(problems):
-        five = qp.reduced()
-        straight = straightened(qp)
-        solution = Exact().start(straight).solve(straight)
+        found = certified(qp)
+        if found is not None:
+            X[i] = [float(value) for value in found]
+        A, b = five_rows(qp)
         bounds = list(zip(qp.lower, qp.upper, strict=True))
-        program = linprog(np.zeros(qp.n), A_eq=five.A, b_eq=five.b, bounds=bounds, method="highs")
-        feasible[i] = solution.status.label == "solved"
-        if feasible[i]:
-            X[i] = solution.x
-            found = straight.residuals(solution.x, solution.y)
-            if not (found.verified() and found.primal < 1e-9 and found.natural < 1e-9):
-                raise CertificateError(f"{name}[{i}]: the residuals of the answer are {found}")
-        elif program.status != 2:
-            raise CertificateError(f"{name}[{i}]: called infeasible, but HiGHS says: {program.message}")
-    return TestSet(name, rows, X, feasible)
+        program = linprog(np.zeros(qp.n), A_eq=A, b_eq=b, bounds=bounds, method="highs")
+        if program.status != (INFEASIBLE if found is None else FEASIBLE):
+            word = "infeasible" if found is None else "feasible"
+            raise CertificateError(f"{name}[{i}]: {word} by enumeration, but HiGHS says: {program.message}")
+    return TestSet(name, np.array([qp.row for qp in problems]), X, ~np.isnan(X[:, 0]))
 
 
 def make(name: str, robot: RobotModel, seed: int = 0) -> TestSet:
-    """Make one set; its numbers depend on its name and the seed alone."""
+    """Make one set: of a recorded sequence from its file, else from its name and the seed alone."""
     rng = np.random.default_rng([seed, VERSION, *name.encode()])
     source = RECIPES[name](robot, rng)
     return certify(name, [qp for qp, _ in zip(source, range(SIZE), strict=False)])

@@ -83,7 +83,7 @@ def write_qpbenchmark(folder: Path, names: Sequence[str] = SETS, every: int = 1,
         ExportError: nothing is left to write.
         UnknownNameError: no such set.
     """
-    import pyarrow as pa
+    import polars as pl
 
     chosen = problems(names, every)
     if not chosen:
@@ -94,9 +94,8 @@ def write_qpbenchmark(folder: Path, names: Sequence[str] = SETS, every: int = 1,
         values = {"P": qp.P, "q": qp.p, "A": A, "b": b, "lb": qp.lower, "ub": qp.upper}
         for key in table:
             table[key].append(name if key == "name" else np.ravel(values[key]).tolist() if key in values else None)
-    kinds = {key: pa.string() if key == "name" else pa.list_(pa.float64()) for key in table}
-    columns = {key: pa.array(column, kinds[key]) for key, column in table.items()}
-    write_atomically(folder / f"{NAME}.parquet", parquet_bytes(pa.table(columns)))
+    frame = pl.DataFrame(table, schema={key: pl.String if key == "name" else pl.List(pl.Float64) for key in table})
+    write_atomically(folder / f"{NAME}.parquet", parquet_bytes(frame))
     text = MODULE.format(
         title="Null-space subproblems", count=len(chosen), rows=rows, sets=", ".join(names), seconds=SECONDS,
         joints=next(iter(chosen.values())).n,

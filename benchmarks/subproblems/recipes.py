@@ -6,17 +6,16 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from benchmarks.subproblems.testset import changed
-from moc_opt.control.null_space import consistent_wrist_velocity, velocity_damper
-from moc_opt.model.robot_model import RobotModel
-from moc_opt.model.shaft_kernels import desired_wrist
-from moc_opt.numerics.arrays import Array
+from benchmarks.subproblems.testset import TestSet, changed
+from moc_opt.arrays import Array
 from moc_opt.qp.problem import NullSpaceQP
-from moc_opt.scenario import Scenario, run
+from moc_opt.robots.chain import desired_wrist
+from moc_opt.robots.model import RobotModel
 
 Rng = np.random.Generator
 
 SIZE = 128  # problems a set
+SEQUENCES = ("circle", "sinusoid", "spiral", "circle-rho0", "sinusoid-rho0", "spiral-rho0")
 
 
 def at_pose(
@@ -26,31 +25,29 @@ def at_pose(
     state = robot.state(q)
     trocar = state.tip - depth * state.tool_direction
     _, v_wrist = desired_wrist(state.tip, v_tip, trocar, np.zeros(3), state.tool_span)
-    lower, upper = np.empty(robot.n), np.empty(robot.n)
-    velocity_damper(q, np.array([robot.q_min, robot.q_max, robot.v_max]), k0, lower, upper)
-    v_wrist = consistent_wrist_velocity(v_tip, v_wrist, state.tool_direction)
+    lower, upper = (np.clip(-k0 * (q - limit), -robot.v_max, robot.v_max) for limit in (robot.q_min, robot.q_max))
+    v_wrist = along_the_shaft(v_tip, v_wrist, state.tool_direction)
     return NullSpaceQP(
         state.J_tip, state.J_wrist, v_tip, v_wrist, state.grad_mu, lower=lower, upper=upper, q=q,
         regularization=regularization,
     )  # fmt: skip
 
 
-# Of the control law that was recorded, whatever the defaults become: the elbow travels as fast as its joints can.
-RECORDED = {"speed_fraction": 1.0, "limit_margin_rad": 0.0, "ramp_s": 0.0}
+def along_the_shaft(v_tip: Array, v_wrist: Array, u: Array) -> Array:
+    """Return v_W with u^T (v_T - v_W) = 0: a rigid tool cannot change its length."""
+    return np.asarray(v_wrist + u * (u @ (v_tip - v_wrist)))
 
 
-def sequence(task: str, regularization: float) -> Callable[[RobotModel, Rng], Iterator[NullSpaceQP]]:
-    """Yield a 500 Hz sequence, from the middle of the elbow's travel in a closed-loop run."""
+def recorded(name: str) -> Callable[[RobotModel, Rng], Iterator[NullSpaceQP]]:
+    """Yield a 500 Hz sequence from the middle of the elbow's travel in a closed-loop run: as it is in the set's file.
 
-    def make(robot: RobotModel, rng: Rng) -> Iterator[NullSpaceQP]:
-        scenario = Scenario(
-            task={"path": task}, control={**RECORDED, "regularization": regularization}, start={"swivel": "random"},
-            seed=int(rng.integers(1000)), duration_s=1.5, judge=False, bound_samples=0,
-        )  # fmt: skip
-        for row in run(scenario).subproblem[400 : 400 + SIZE]:
-            yield NullSpaceQP.from_row(np.array(row))
+    The control law has changed since these runs, so that a run of today gives another sequence.
+    """
 
-    return make
+    def replay(robot: RobotModel, rng: Rng) -> Iterator[NullSpaceQP]:
+        yield from TestSet.load(name).problems()
+
+    return replay
 
 
 def tip_velocity(rng: Rng, speed: float) -> Array:
@@ -111,8 +108,7 @@ def jumps(robot: RobotModel, rng: Rng) -> Iterator[NullSpaceQP]:
 
 
 RECIPES: dict[str, Callable[[RobotModel, Rng], Iterator[NullSpaceQP]]] = {
-    **{task: sequence(task, 1e-5) for task in ("circle", "sinusoid", "spiral")},
-    **{f"{task}-rho0": sequence(task, 0.0) for task in ("circle", "sinusoid", "spiral")},
+    **{name: recorded(name) for name in SEQUENCES},
     "random": random_poses,
     "near-singular": near_singular,
     "joint-limits": joint_limits,

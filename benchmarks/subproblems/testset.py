@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from moc_opt.arrays import Array
 from moc_opt.errors import MocOptError
 from moc_opt.inputs.files import read_arrays
-from moc_opt.numerics.arrays import Array
 from moc_opt.qp.problem import NullSpaceQP
 
 VERSION = 1

@@ -1,7 +1,5 @@
-"""Sweeps that survive: what `python -m benchmarks.sweep` is made of.
+"""What ``python -m benchmarks.sweep`` varies.
 
-Read first: ``plan`` (which runs a sweep consists of; ``fields`` says what may vary), then ``engine`` (who does them)
-over ``local`` or ``dask``, and ``store`` (what is finished stays finished; ``record`` is one run of it, ``version`` the
-code that made it). ``summary`` reads the finished rows, ``table`` and ``report`` show them. ``config`` is the TOML,
-``errors`` what can go wrong with a sweep as a whole.
+Read first: ``config`` (the TOML), ``fields`` (what may be varied, and over which values), ``plan`` (the runs), then
+``report`` (tables, page and headline).
 """

@@ -7,14 +7,13 @@ from typing import Any, ClassVar, Literal, Self
 from pydantic import Field
 
 from benchmarks.common.config import Configuration, runnable
-from benchmarks.sweeps.errors import SweepError
-from benchmarks.sweeps.fields import grid_axes
-from moc_opt.comparison.trials import BASELINE
+from benchmarks.sweeps.fields import SweepError, grid_axes
 from moc_opt.errors import UnknownNameError, shown
 from moc_opt.inputs.files import LARGEST_INTEGER
 from moc_opt.inputs.settings import Settings
 from moc_opt.scenario import Scenario
 from moc_opt.scenario.tables import MOST_S, SolverTable
+from moc_opt.study.trials import BASELINE
 
 MOST_LISTED = 1_000_000
 """Seeds, and random samples, of one sweep."""

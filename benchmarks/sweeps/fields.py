@@ -10,14 +10,16 @@ from typing import Any, ClassVar, Literal, get_args, get_origin
 import numpy as np
 from pydantic import BaseModel, Field
 
-from benchmarks.sweeps.errors import SweepError
-from moc_opt.control import ControlSettings
 from moc_opt.errors import MocOptError, UnknownNameError, shown
 from moc_opt.inputs.settings import Settings
 from moc_opt.scenario import Scenario
 
+
+class SweepError(MocOptError, ValueError):
+    """The configuration of a sweep cannot be used."""
+
+
 ELSEWHERE = {"seed": "seeds", "solver.name": "solvers"}
-FORMER = {f"control.{former}": f"control.{name}" for former, name in ControlSettings.FORMER.items()}
 
 
 class Range(Settings):
@@ -48,8 +50,8 @@ def paths(model: type[BaseModel] = Scenario, prefix: str = "") -> Iterator[tuple
             yield f"{prefix}{name}", any(get_origin(kind) in (dict, Mapping) for kind in kinds)
 
 
-def check_path(path: str) -> str:
-    """Return the path of a field that a sweep may vary, under the field's present name.
+def check_path(path: str) -> None:
+    """Check that a path is that of a field which a sweep may vary.
 
     Raises:
         UnknownNameError: there is no such field; the message lists the nearest ones.
@@ -58,11 +60,9 @@ def check_path(path: str) -> str:
     if path in ELSEWHERE:
         raise SweepError(f"{path!r} cannot be swept as a field: give {ELSEWHERE[path]!r} in the configuration")
     known = dict(paths())
-    path = FORMER.get(path, path)
     table, _, key = path.rpartition(".")
     if path not in known and not (key and known.get(table, False)):
         raise UnknownNameError("scenario field", path, [*known, *(f"{p}.NAME" for p in known if known[p])])
-    return path
 
 
 def flatten(table: Mapping[str, Any], is_leaf: Callable[[Any], bool], prefix: str = "") -> Iterator[tuple[str, Any]]:
@@ -83,7 +83,7 @@ def grid_axes(table: Mapping[str, Any]) -> dict[str, list[Any]]:
     """
     axes: dict[str, list[Any]] = {}
     for path, values in flatten(table, lambda value: False):
-        path = check_path(path)
+        check_path(path)
         if path in axes:
             raise SweepError(f"[grid] {path} is given twice: keep one list")
         if not isinstance(values, list) or not values:
@@ -104,11 +104,11 @@ def random_draws(table: Mapping[str, Any], samples: int, seed: int) -> dict[str,
         SweepError: a range without width, or a logarithmic one that reaches zero.
     """
     draws: dict[str, list[Any]] = {}
-    for written, entry in flatten(table, lambda value: bool({"low", "high", "choice"} & value.keys())):
-        path = check_path(written)
+    for path, entry in flatten(table, lambda value: bool({"low", "high", "choice"} & value.keys())):
+        check_path(path)
         if path in draws:
             raise SweepError(f"[random.fields] {path} is given twice: keep one range")
-        words = np.frombuffer(hashlib.sha256(written.encode()).digest(), dtype=np.uint32)
+        words = np.frombuffer(hashlib.sha256(path.encode()).digest(), dtype=np.uint32)
         rng = np.random.default_rng([seed, *words.tolist()])
         draws[path] = draw(path, entry, samples, rng)
     return draws

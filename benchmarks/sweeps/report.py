@@ -63,8 +63,6 @@ def headline(summary: Summary) -> str:
     runs = summary["sweep"]["runs"]
     ended = f"{runs['failed']} of them ended by an error, {runs['stopped']} stopped by the safety filter"
     parts = [f"{runs['all']} runs, {ended}"]
-    if runs["lost"]:
-        parts[0] += f" ({runs['lost']} because their worker died; starting the sweep again tries these once more)"
     best = {name: group["mu_mean"]["mean"] for name, group in summary["solvers"].items() if "mu_mean" in group}
     if len(best) > 1:
         first, last = max(best, key=lambda n: best[n]), min(best, key=lambda n: best[n])
@@ -72,7 +70,7 @@ def headline(summary: Summary) -> str:
     if runs["timed_shared"]:
         parts.append(
             f"{runs['timed_shared']} runs were timed on shared workers, beside other runs: their times are in "
-            "clock.parquet, marked timing_shared, and in no table"
+            "rows.parquet, marked timing_shared, and in no table"
         )
     return ". ".join(part[0].upper() + part[1:] for part in parts) + "."
 

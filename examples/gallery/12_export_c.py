@@ -2,14 +2,14 @@
 The controller as C
 ===================
 
-Write the whole controller of a scenario, guard included, as C without dependencies: no heap, no unbounded loop.
+Write the whole controller of a scenario, safety filter included, as C without dependencies: no heap, no unbounded loop.
 """
 
 import tempfile
 from pathlib import Path
 
 import moc_opt as mo
-from moc_opt.scenario.exported import export_scenario
+from moc_opt.export import export_scenario
 
 with tempfile.TemporaryDirectory() as folder:
     export_scenario(mo.Scenario(), folder)

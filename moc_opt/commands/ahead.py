@@ -7,7 +7,7 @@ import sys
 import time
 
 from moc_opt.commands.running import read_scenario
-from moc_opt.errors import MocOptError, ScenarioError, TraceError
+from moc_opt.errors import MocOptError, ScenarioError
 
 OPTIONS = {
     "margin_rad = ": "--margin ", "margin_rad and margin_m": "--margin and --margin-m",
@@ -35,10 +35,10 @@ def plan_scenario(given: argparse.Namespace) -> int:
 def _plan_scenario(given: argparse.Namespace) -> int:
     from moc_opt.report.console import console, print_json
     from moc_opt.report.plan_table import place_json, place_table, plan_json, plan_tables, start_toml
-    from moc_opt.scenario.course_file import save_course
-    from moc_opt.scenario.followable import followable_plan, following_warnings
+    from moc_opt.scenario.course_file import following_warnings, save_course
     from moc_opt.scenario.placement import place
-    from moc_opt.trace.parquet import new_file
+    from moc_opt.scenario.planned import followable_plan
+    from moc_opt.trace.file import new_file
 
     for option, value in (("--box", given.box), ("--candidates", given.candidates)):
         if value is not None and given.place is None:
@@ -47,9 +47,7 @@ def _plan_scenario(given: argparse.Namespace) -> int:
     candidates = 40 if given.candidates is None else int(given.candidates)
     scenario, title = read_scenario(given.scenario)
     if given.out is not None:
-        folder = new_file(given.out).absolute().parent
-        if not folder.is_dir():
-            raise TraceError(f"--out {given.out}: there is no folder {str(folder)!r}: make it first")
+        new_file(given.out)  # before the search, which may take a minute
     follows = scenario.control.follows or given.out is not None  # a course is written to be followed
     found, within = followable_plan(
         scenario, given.margin, given.speed_share, objective=given.objective, acceleration=given.acceleration,

@@ -109,8 +109,7 @@ def tasks() -> Table:
 
 def metrics() -> Table:
     """Return every metric with its unit."""
-    from moc_opt.trace.metrics import METRICS
-    from moc_opt.trace.metrics.registry import load_plugins
+    from moc_opt.trace.metrics import METRICS, load_plugins
 
     load_plugins()
     rows = [{"metric": name, "unit": one.unit, "about": one.about} for name, one in METRICS.items()]

@@ -37,4 +37,4 @@ def serve_page(given: argparse.Namespace) -> int:
     scenario = Scenario() if given.scenario is None else Scenario.load(given.scenario)
     named = "name" in scenario.model_fields_set
     title = scenario.name if named else scenario.task.path if given.scenario is None else given.scenario.stem
-    return serve(scenario, host=given.host, port=given.port, public=given.public, title=title)
+    return serve(scenario, port=given.port, title=title)

@@ -10,7 +10,7 @@ from typing import Any
 
 from moc_opt import __version__
 from moc_opt.commands import arguments
-from moc_opt.commissioning.command import add_commands as add_robot_commands
+from moc_opt.robots.command import add_commands as add_robot_commands
 
 WORK = {
     "run": "commands.running:run_scenario", "plan": "commands.ahead:plan_scenario",
@@ -20,7 +20,7 @@ WORK = {
     "compare": "commands.studies:compare_solvers", "solvers": "commands.studies:list_or_study",
     "robots": "commands.listing:print_list", "tasks": "commands.listing:print_list",
     "metrics": "commands.listing:print_list", "keys": "commands.reference:print_keys",
-    "robot": "commissioning.command:run_command",
+    "robot": "robots.command:run_command",
 }  # fmt: skip
 """Command -> module and function that does it: it takes the parsed options and returns the exit status."""
 
@@ -67,11 +67,12 @@ def _add_runs(commands: Any) -> None:
         "--third-level", choices=("local", "planned", "receding"), help="replaces the scenario's [control] third_level"
     )
     one.add_argument("--course", metavar="FILE.parquet", help="follow this course, written by `plan --out`")
-    one.add_argument("--trace", type=Path, help="the trace goes here (Parquet) while the run grows")
+    one.add_argument("--trace", type=Path, help="the trace goes here (Parquet); after Ctrl-C, the rows so far")
     one.add_argument("--json", action="store_true", help="print JSON")
-    c = commands.add_parser("export-c", help="write the scenario's controller, guard included, as dependency-free C")
+    c = commands.add_parser("export-c", help="write the scenario's controller and safety filter as dependency-free C")
     c.add_argument("scenario", nargs="?", type=Path, help="TOML; without it the default scenario")
     c.add_argument("--out", type=Path, required=True, help="folder, made if need be")
+    c.add_argument("--force", action="store_true", help="write over files that export-c has not written")
     c.add_argument("--main", choices=("test", "udp"), default="test", help="udp: also a controller for `plant`")
     ahead = commands.add_parser(
         "plan", help="say before anything moves whether and how well a scenario can be executed",
@@ -115,9 +116,7 @@ def _add_pages(commands: Any) -> None:
     chart.add_argument("--figures", action="store_true", help="also as SVG and PDF, in a folder beside it")
     live = commands.add_parser("live", help="a scenario in real time, on a page of this machine")
     live.add_argument("scenario", nargs="?", type=Path, help="TOML; without it the default scenario")
-    live.add_argument("--host", default="127.0.0.1", help="a loopback address; default 127.0.0.1")
     live.add_argument("--port", type=int, default=8642, help="0 to 65535, 0: any that is free; default 8642")
-    live.add_argument("--i-know-this-is-public", action="store_true", dest="public", help="allow any other host")
 
 
 def _add_wire(commands: Any) -> None:

@@ -12,8 +12,8 @@ def report_runs(given: argparse.Namespace) -> int:
         MocOptError: a file is no trace, they are not of one arm, or the page cannot be written.
     """
     from moc_opt.report.document import check_out
+    from moc_opt.report.replay import load_runs
     from moc_opt.report.run_page import run_page
-    from moc_opt.report.runs import load_runs
     from moc_opt.trace.metrics import summarize
 
     check_out(given.out, "report")

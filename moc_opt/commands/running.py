@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import math
 import sys
-import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -56,26 +55,21 @@ def read_scenario(path: Path | None) -> tuple[Scenario, str]:
 
 def show(scenario: Scenario, title: str, trace: Trace, given: argparse.Namespace) -> int:
     """Print how a run ended, and its metrics; return the exit status."""
-    from moc_opt.report.console import console, print_json
-    from moc_opt.report.machine import busy
+    from moc_opt.report.console import busy, console, print_json
     from moc_opt.report.run_page import run_page
     from moc_opt.report.run_table import MATTER, below_best, part, refusals, run_json, run_table, warnings
     from moc_opt.trace.metrics import summarize
 
     ended = str(trace.meta["ended"])
-    if "earlier_run" in trace.meta:
-        print(f"{title}: earlier run: {trace.meta['earlier_run']}", file=sys.stderr)
     for line in ([] if ended == "completed" else [f"{ended}{part(trace)}"]) + refusals(trace) + warnings(trace):
         print(f"{title}: {line}", file=sys.stderr)
     if below_best(trace):
         print(f"{title}: {below_best(trace)}", file=sys.stderr)
-    with tempfile.TemporaryDirectory(prefix="moc-opt-") as folder:
-        beside = None if given.trace is None else Path(folder, "dcac.parquet")
-        baseline = _matched_dcac(scenario, title, len(trace), beside) if scenario.control.law == "moc" else None
-        metrics = summarize(trace, baseline)
-        if getattr(given, "report", None) is not None:  # `plant` has none
-            runs = {title: trace} if baseline is None else {"DCAC, same gains": baseline, title: trace}
-            print(run_page(runs, {title: metrics}, scenario.robot.arm(), title).save(given.report), file=sys.stderr)
+    baseline = _matched_dcac(scenario, title, len(trace)) if scenario.control.law == "moc" else None
+    metrics = summarize(trace, baseline)
+    if getattr(given, "report", None) is not None:  # `plant` has none
+        runs = {title: trace} if baseline is None else {"DCAC, same gains": baseline, title: trace}
+        print(run_page(runs, {title: metrics}, scenario.robot.arm(), title).save(given.report), file=sys.stderr)
     for name in scenario.metrics:
         if name not in metrics:
             print(f"{title}: metric {name}: not known of this run", file=sys.stderr)
@@ -102,8 +96,7 @@ def changed(scenario: Scenario, given: argparse.Namespace) -> Scenario:
         MocOptError: there is no such path, metric or file of waypoints; two options contradict each other.
     """
     from moc_opt.errors import ScenarioError, UnknownNameError
-    from moc_opt.trace.metrics import METRICS
-    from moc_opt.trace.metrics.registry import load_plugins
+    from moc_opt.trace.metrics import METRICS, load_plugins
 
     if given.seed is not None:
         scenario = scenario.change(seed=given.seed)
@@ -173,13 +166,13 @@ def read_waypoints(path: str) -> list[tuple[float, ...]]:
     return points
 
 
-def _matched_dcac(scenario: Scenario, title: str, ticks: int, to: Path | None) -> Trace | None:
+def _matched_dcac(scenario: Scenario, title: str, ticks: int) -> Trace | None:
     """Return the first ticks of DCAC with the same gains; None, and a word on it, where it was stopped before."""
     from moc_opt.scenario import RunAway, run
 
     try:
         matched = scenario.control.matched_dcac()
-        trace = run(scenario.change(control=matched, bound_samples=0, best_courses=False), to=to)
+        trace = run(scenario.change(control=matched, bound_samples=0, best_courses=False))
     except RunAway as error:
         trace = error.trace
     if len(trace) < ticks or "mu" not in trace.columns:

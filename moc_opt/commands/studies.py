@@ -21,11 +21,11 @@ def compare_solvers(given: argparse.Namespace) -> int:
     """Compare, print, and write the rows; returns 0, 3 where a solver drove no trial to its end, 130 after Ctrl-C.
 
     Raises:
-        MocOptError: see `moc_opt.comparison.compare.compare`; or the rows cannot be written.
+        MocOptError: see `moc_opt.study.compare.compare`; or the rows cannot be written.
     """
-    from moc_opt.comparison.compare import compare
     from moc_opt.report.console import console, print_json, progress
     from moc_opt.report.document import check_out
+    from moc_opt.study.compare import compare
 
     if given.out is not None:
         check_out(given.out, "table of runs")
@@ -86,4 +86,4 @@ def run_study(name: str, arguments: Sequence[str]) -> int:
 
 
 def _plain(value: Any) -> Any:
-    return value._asdict() if hasattr(value, "_asdict") else value
+    return {key: _plain(entry) for key, entry in value._asdict().items()} if hasattr(value, "_asdict") else value

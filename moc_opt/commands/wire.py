@@ -15,7 +15,7 @@ from moc_opt.report.tables import Column, Table
 def run_plant(given: argparse.Namespace) -> int:
     """Wait for a controller, run against the clock, print as `run` does."""
     from moc_opt.realtime.clock import ask_for_realtime
-    from moc_opt.realtime.key import read_key, written
+    from moc_opt.realtime.link import read_key, written
     from moc_opt.scenario import RunAway
     from moc_opt.scenario.wired import PlantServer
 
@@ -36,7 +36,7 @@ def run_plant(given: argparse.Namespace) -> int:
 def run_control(given: argparse.Namespace) -> int:
     """Answer a plant until its run ends; print how."""
     from moc_opt.realtime.clock import ask_for_realtime
-    from moc_opt.realtime.key import read_key
+    from moc_opt.realtime.link import read_key
     from moc_opt.report.console import console, print_json
     from moc_opt.scenario.wired import answer
 

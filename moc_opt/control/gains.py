@@ -32,10 +32,8 @@ class Gains(NamedTuple):
     D_X: float
     K_N: float
     D_N: float
-    K_N2: NDArray[np.float64]
-    """(n,) [N m s/rad]"""
-    D_N2: NDArray[np.float64]
-    """(n,) [N m s/rad]"""
+    K_N2: NDArray[np.float64]  #: (n,) [N m s/rad]
+    D_N2: NDArray[np.float64]  #: (n,) [N m s/rad]
 
 
 GAINS = Gains._fields
@@ -44,14 +42,9 @@ GAINS = Gains._fields
 def resolve(
     law: str, given: Mapping[str, Any], tables: Mapping[str, Mapping[str, Any]], name: str, joints: int
 ) -> Gains:
-    """Return K_X .. D_N2 as numbers: those ``given`` first, then the table ``name`` of the robot.
+    """Return K_X .. D_N2 as numbers: those ``given`` first, then the table ``name`` of the robot's [gains.*].
 
-    Args:
-        law: ``dcac``, under which K_N2 and D_N2 are zero, or ``moc``.
-        given: value or None for each of GAINS.
-        tables: the robot's [gains.*].
-        name: the table from which gains that are None are taken.
-        joints: n, to which K_N2 and D_N2 are spread.
+    Under law ``dcac`` K_N2 and D_N2 are zero; under ``moc`` they are spread to so many joints.
 
     Raises:
         UnknownNameError: ``name`` is no table of this robot.
@@ -79,10 +72,8 @@ def per_joint(name: str, value: Any, joints: int, where: str = "") -> NDArray[np
     """
     numbers = value if isinstance(value, list | tuple) else [value] * joints
     if len(numbers) != joints:
-        raise ControlError(
-            f"{name} = {value!r}{where} has {len(numbers)} entries for {joints} joints: give one number, "
-            "or one per joint"
-        )
+        count = f"{len(numbers)} entries for {joints} joints"
+        raise ControlError(f"{name} = {value!r}{where} has {count}: give one number, or one per joint")
     return np.array([_one_number(name, number, where) for number in numbers])
 
 

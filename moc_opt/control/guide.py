@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from moc_opt.model.robot_state import RobotState
-from moc_opt.numerics.arrays import Array
+from moc_opt.arrays import Array
+from moc_opt.robots.state import RobotState
 
 
 class Guide(Protocol):

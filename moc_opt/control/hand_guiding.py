@@ -10,30 +10,20 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
+from moc_opt.arrays import Array
 from moc_opt.errors import ControlError
-from moc_opt.model.robot_model import RobotModel, RobotState
-from moc_opt.numerics.arrays import Array
+from moc_opt.robots.model import RobotModel, RobotState
 
 
 class HandGuiding:
     """The torque law of hand guiding."""
 
     def __init__(self, robot: RobotModel, damping_Nm_s_per_rad: ArrayLike = 3.0) -> None:
-        """Set the damping.
-
-        Args:
-            robot: the model that the law uses.
-            damping_Nm_s_per_rad: D, one number or one a joint, zero or above.
-
-        Raises:
-            ControlError: it has another shape, is negative or not finite.
-        """
+        """Set the damping D, one number or one a joint; a ControlError where one is not finite or below zero."""
         self.robot = robot
         damping = np.asarray(damping_Nm_s_per_rad, dtype=np.float64)
         if damping.shape not in ((), (robot.n,)) or not np.isfinite(damping).all() or (damping < 0.0).any():
-            raise ControlError(
-                f"damping_Nm_s_per_rad = {damping.tolist()!r}: give one number or {robot.n}, zero or above"
-            )
+            raise ControlError(f"damping_Nm_s_per_rad = {damping.tolist()!r}: give 1 or {robot.n} numbers of 0 or more")
         self._damping = np.broadcast_to(damping, (robot.n,))
 
     def tick(self, state: RobotState) -> Array:

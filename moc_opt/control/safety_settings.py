@@ -8,14 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
+from moc_opt.arrays import Array
 from moc_opt.errors import ControlError, MocOptError
 from moc_opt.inputs.settings import Level, Settings
-from moc_opt.numerics.arrays import Array
 
-_SETTLED = 6.0
-"""Time constants of the residual after which it is what it will be."""
-_MOST_TICKS = 1e9
-"""As good as never, and still an int of C."""
+_SETTLED = 6.0  #: Time constants of the residual after which it is what it will be.
+_MOST_TICKS = 1e9  #: As good as never, and still an int of C.
 
 
 def _or_never(ticks: int | None) -> float:
@@ -114,17 +112,6 @@ class MotionSettings(Settings):
         known = np.where(coulomb > 0.0, self.stuck_friction * coulomb, np.inf)
         return np.minimum(self.stuck_torque * tau_max, known)
 
-    @property
-    def levels(self) -> Array:
-        """(15,) as the kernels take them."""
-        return np.array([
-            self.motion_s, self.motion_rad, self.motion_lag_s, self.repeat_m, self.repeat_torque,
-            self.repeat_whole_torque, _or_never(self.repeat_joint_ticks), self.stuck_rad_per_s, self.residual_torque,
-            self.residual_rate_per_s, self.residual_s,
-            self.repeat_whole_m, self.repeat_whole_ticks, self.residual_whole_torque,
-            _or_never(self.repeat_reading_ticks),
-        ])  # fmt: skip
-
 
 class SafetyFilterSettings(MotionSettings):
     """Safety limits."""
@@ -159,17 +146,21 @@ class SafetyFilterSettings(MotionSettings):
     )
     tip_error_s: float = Field(0.1, gt=0.0, description="time constant of that mean")
     rcm_error_m: Level = Field(
-        0.012,
+        0.010,
         description="limit of the root mean square of the shaft's distance from the registered trocar; above it the "
         "arm is stopped",
     )
-    rcm_warning_m: Level = Field(0.006, description="level of the same mean above which a warning is recorded")
+    rcm_warning_m: Level = Field(0.005, description="level of the same mean above which a warning is recorded")
     trocar_force_N: Level = Field(
         15.0,
         description="limit of the root mean square of the trocar's force on the shaft, as the wrench sensor shows it; "
         "above it the arm is stopped",
     )
-    trocar_force_warning_N: Level = Field(8.0, description="level of the same mean above which a warning is recorded")
+    trocar_force_warning_N: Level = Field(
+        8.0,
+        description="level of that mean, or of the same mean of the whole force across the shaft, a load's and the "
+        "tip's included, above which a warning is recorded",
+    )
     tip_force_N: Level = Field(
         10.0,
         description="largest force across the shaft that is attributed to the tip; the rest counts as the trocar's",
@@ -196,6 +187,11 @@ class SafetyFilterSettings(MotionSettings):
     def position_margins(self, slides: NDArray[np.bool_]) -> Array:
         """Return how far inside the limit of each joint the wall begins, (n,) [rad], [m] where ``slides``."""
         return np.where(slides, self.position_margin_m, self.position_margin_rad)
+
+    @property
+    def incision_levels(self) -> tuple[tuple[float | None, float | None], tuple[float | None, float | None]]:
+        """Warning level and limit of RCM error [m] and of the trocar's force [N]; None: off."""
+        return (self.rcm_warning_m, self.rcm_error_m), (self.trocar_force_warning_N, self.trocar_force_N)
 
     @model_validator(mode="after")
     def _warned_before_it_stops(self) -> Self:

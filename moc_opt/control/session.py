@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from moc_opt.control.interpreter import Interpreter
 from moc_opt.errors import ControlError, MocOptError, describe
 from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.solvers.base import Session, Solver
@@ -20,16 +19,15 @@ def start_session(solver: Solver, qp: NullSpaceQP) -> Session:
     """
     name = "?"
     try:
-        with Interpreter():  # as it was, whatever a library does to it when it is set up
-            name = repr(solver.name)
-            reason = solver.supports(qp.copy())
-            if reason is None:
-                session = solver.start(qp.copy())
-                if callable(getattr(session, "solve", None)):
-                    return session
-                reason = f"start returned a {type(session).__name__} without solve: return a Session"
-            elif not isinstance(reason, str):
-                reason = f"supports returned a {type(reason).__name__}: return None or the reason why not"
+        name = repr(solver.name)
+        reason = solver.supports(qp.copy())
+        if reason is None:
+            session = solver.start(qp.copy())
+            if callable(getattr(session, "solve", None)):
+                return session
+            reason = f"start returned a {type(session).__name__} without solve: return a Session"
+        elif not isinstance(reason, str):
+            reason = f"supports returned a {type(reason).__name__}: return None or the reason why not"
     except (KeyboardInterrupt, MocOptError):
         raise
     except BaseException as error:  # foreign code may raise anything
@@ -38,11 +36,7 @@ def start_session(solver: Solver, qp: NullSpaceQP) -> Session:
 
 
 def check_references(started: bool, tip_ref: NDArray[np.float64], trocar: NDArray[np.float64]) -> None:
-    """Check that a tick may run.
-
-    Raises:
-        ControlError: not started, or tip_ref is not (3, 3), or trocar not (2, 3).
-    """
+    """Check that a tick may run; a ControlError where not started, or tip_ref is not (3, 3), or trocar not (2, 3)."""
     if not started:
         raise ControlError("tick before start: call start once before the first tick")
     if tip_ref.shape != (3, 3) or trocar.shape != (2, 3):

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from types import MappingProxyType
 from typing import Annotated, Any, ClassVar, Literal, Self, get_args
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BeforeValidator, Field, field_validator, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from moc_opt.control.gains import GAINS, Gains, PerJoint, resolve
 from moc_opt.control.presets import PRESETS as PRESETS
@@ -18,18 +17,9 @@ from moc_opt.inputs.settings import Settings
 
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
-
-
-def _current_projector(value: Any) -> Any:
-    return "as_published" if value == "printed" else value
-
-
 Projector = Literal["dynamic", "static", "as_published"]
 PROJECTORS: tuple[Projector, ...] = get_args(Projector)
-
-
-COURSE_K0_PER_S = 10.0
-"""Least k0 of the box under a course."""
+COURSE_K0_PER_S = 10.0  #: Least k0 of the box under a course.
 
 
 class ControlSettings(Settings):
@@ -43,7 +33,6 @@ class ControlSettings(Settings):
     KIND: ClassVar[str] = "[control]"
     MEANT_KEY: ClassVar[str] = "preset"
     ERROR: ClassVar[type[MocOptError]] = ControlError
-    FORMER: ClassVar[Mapping[str, str]] = MappingProxyType({"damping": "regularization"})
 
     law: Literal["dcac", "moc"] = Field(
         default="moc", description="'dcac': tip and RCM levels only; 'moc': the third level too"
@@ -66,10 +55,8 @@ class ControlSettings(Settings):
         default=None,
         description="constant lambda of the paper's |e_N1| = d / lambda, 0.5 in the paper; None: |N_d - N| itself",
     )
-    projector: Annotated[Projector, BeforeValidator(_current_projector)] = Field(
-        default="dynamic",
-        description="null-space projector of level 2: docs/errata.md explains all three; 'printed' is the former name "
-        "of 'as_published'",
+    projector: Projector = Field(
+        default="dynamic", description="null-space projector of level 2: docs/errata.md explains all three"
     )
     feedforward: bool = Field(
         default=True, description="whether the accelerations of tip and wrist are fed forward; the paper does not"
@@ -155,9 +142,6 @@ class ControlSettings(Settings):
         default=0.3, description="time over which the third level fades in at the start [s]; 0 in the paper"
     )
     supervisor: SupervisorSettings = SupervisorSettings()
-    backend: Literal["python", "c"] = Field(
-        default="python", description="'c': the whole tick is compiled C; only with solver 'exact'"
-    )
 
     @field_validator("gains", mode="before")
     @classmethod
@@ -169,16 +153,12 @@ class ControlSettings(Settings):
         return None if given == "" else given  # a file has no None
 
     @model_validator(mode="after")
-    def _course_of_planned(self) -> Self:
+    def _in_agreement(self) -> Self:
         if self.course and self.third_level != "planned":
             raise ValueError(
                 f"course = {self.course!r:.100} with third_level = {self.third_level!r}: only third_level = 'planned' "
                 "follows a file; set that, or leave course out"
             )
-        return self
-
-    @model_validator(mode="after")
-    def _third_level_of_moc(self) -> Self:
         if self.law == "dcac" and self.follows:
             raise ValueError(
                 f"law = 'dcac' with third_level = {self.third_level!r}: dcac has no third level; "
@@ -210,24 +190,15 @@ class ControlSettings(Settings):
         """
         if name not in PRESETS:
             raise UnknownNameError("control preset", name, PRESETS)
-        return cls(**{**PRESETS[name], **cls.present_names(changes)})
+        return cls(**{**PRESETS[name], **changes})
 
     def check_guided(self) -> None:
-        """Refuse settings under which the third level cannot follow a guide.
-
-        Raises:
-            ControlError: rho or c2 is 0.
-        """
+        """Refuse settings under which the third level cannot follow a guide; a ControlError where rho or c2 is 0."""
         if not min(self.regularization, self.c2) > 0.0:
             raise ControlError(
                 f"third_level = {self.third_level!r}, climb = {self.climb!r} with c2 = {self.c2:g}, regularization = "
                 f"{self.regularization:g}: set both above 0, so that the subproblem has one answer"
             )
-
-    @property
-    def damping(self) -> float:
-        """The former name of ``regularization``."""
-        return self.regularization
 
     @property
     def damps_dcac(self) -> bool:

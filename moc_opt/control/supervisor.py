@@ -20,14 +20,14 @@ from typing import ClassVar, Literal, NamedTuple
 import numpy as np
 from pydantic import Field
 
-from moc_opt.control.interpreter import Interpreter
-from moc_opt.control.null_space import into_the_box, least_violation
-from moc_opt.control.solution_check import RESIDUALS, received
+from moc_opt import core
+from moc_opt.arrays import Array
+from moc_opt.control.solution_check import received
 from moc_opt.errors import ControlError, MocOptError, describe
 from moc_opt.inputs.settings import Settings
-from moc_opt.numerics.arrays import Array
 from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.solvers.base import Session, Solution, Status, TruncatingSession, no_answer
+from moc_opt.solvers.isolated import Unanswered
 
 
 class Fault(Enum):
@@ -44,28 +44,14 @@ class Fault(Enum):
     LATE = "the solver took longer than its budget"
     LOST = "the solver's process hung or ended, and is replaced"
 
-    label: str
-    """Name in traces and reports."""
+    label: str  #: Name in traces and reports.
 
     def __init__(self, meaning: str) -> None:
         # Traces keep the label that readers of older ones know.
         self.label = "lied" if self.name == "FALSE_OPTIMUM" else self.name.lower()
 
 
-class Unanswered(Exception):
-    """Raised by a session in another process that has no answer; holds the fault and a message.
-
-    ``status`` is the solver's claim, if there was one.
-    """
-
-    def __init__(self, fault: Fault, text: str, status: Status | None = None) -> None:
-        super().__init__(text)
-        self.fault, self.text = fault, text
-        self.status = status or (Status.TIME_LIMIT if fault is Fault.LATE else Status.NUMERICAL)
-
-
 def _raise_interrupt(error: BaseException) -> None:
-    """Raise KeyboardInterrupt again if it caused the error: a library may wrap it in its own exception."""
     found: BaseException | None = error
     for _ in range(10):  # no chain is as long, but foreign code may close one to a ring
         if found is None or isinstance(found, KeyboardInterrupt):
@@ -118,18 +104,20 @@ class SupervisorSettings(Settings):
     )
 
 
-ANSWER_EVERY = 500
-"""Answers after which the handlers of Ctrl-C and similar signals are restored, since a solver may change them."""
-
-_SOLVED, _NO_FAULT = Status.SOLVED, Fault.NONE
+_FAULTS = tuple(Fault)  #: In the order of the core's enum.
+_CLAIMS = {Status.SOLVED: 0, Status.INFEASIBLE: 1, Status.MAX_ITER: 2, Status.TIME_LIMIT: 2}
+"""Status -> the core's claim; any other is that there is no answer."""
+_NO_ANSWER = 3
+_TAKEN = Fault.NONE
 
 
 class Supervisor:
-    """Check the answers of a session, and replace those that are refused.
+    """Check the answers of a session, and replace those that are refused; the core does both.
 
     Args:
         settings: limits of the check, and the replacement.
-        fallback: replaces the answer to an infeasible subproblem: "damping", "hold" or "least-violation".
+        law: the core's, which holds the subproblem of this tick and the last good answer.
+        n: joints.
         times_us: recorded solve times that replace the clock, so that a run with deadlines can be
             repeated exactly; None: the clock decides. After the last recorded time the clock decides too.
 
@@ -138,76 +126,57 @@ class Supervisor:
     """
 
     def __init__(
-        self, settings: SupervisorSettings, fallback: str, n: int, times_us: Iterator[float] | None = None
+        self, settings: SupervisorSettings, law: core.Law, n: int, times_us: Iterator[float] | None = None
     ) -> None:
-        self.settings, self._fallback, self._times = settings, fallback, times_us
-        self._rest = np.zeros(n)
-        self._residuals = RESIDUALS.code
+        self.settings, self._law, self._n, self._times = settings, law, n, times_us
         # Read once: access to a setting costs as much as a comparison, and every tick needs it.
-        self._check, self._stop_late = settings.check, settings.late == "iterate"
+        self._stop_late = settings.late == "iterate"
         self._budget_us = float("inf") if settings.budget_us is None else settings.budget_us
-        self._limits = (
-            settings.box_limit, settings.primal_limit, settings.relative_limit, settings.opposite_limit
-        )  # fmt: skip
         self.forget()
 
     def forget(self) -> None:
-        """Forget the last good answer, and all counts."""
-        self._good, self._age = np.zeros(self._rest.size), 0
+        """Forget all counts."""
         self.fault, self.solve_us = Fault.NONE, float("nan")
         self.counts: Counter[str] = Counter()
         self.firsts: dict[str, First] = {}
-        self._asked, self._interpreter = 0, Interpreter()  # of the thread in which the controller starts
+        self._asked = 0
 
-    def warm_up(self, qp: NullSpaceQP, Z: Array) -> None:
-        """Run every compiled fallback once, before the loop."""
-        if self._fallback == "least-violation":
-            self._least_violation(qp)
-        self._retreat(qp, Z)
-
-    def solve(
-        self, session: Session, qp: NullSpaceQP, Z: Array, v: Array | None = None
-    ) -> tuple[Solution, Array]:
+    def solve(self, session: Session, qp: NullSpaceQP, v: Array | None = None) -> tuple[Solution, Array]:
         """Ask the session, check its answer, and return one in any case.
 
         Args:
-            qp: the subproblem; the session gets a copy.
-            Z: (r, n) basis of ker A.
+            qp: the subproblem that the law has begun; the session gets a copy.
             v: (n,) measured velocity [rad/s] for a session that observes it, which gets a copy; None: it does not.
 
         Returns:
             the solver's answer, and the x (n,) that the arm follows.
         """
-        solution, fault, text = self._ask(session, qp, v)
-        self.fault = fault or self._fault_of(solution, qp, Z)
+        solution, known, text = self._ask(session, qp, v)
+        x = np.empty(self._n)
+        number = self._law.supervise(
+            0 if known is None else _FAULTS.index(known), _CLAIMS.get(solution.status, _NO_ANSWER), solution.x,
+            self.solve_us, x,
+        )  # fmt: skip
+        self.fault = fault = _FAULTS[number]
         self._asked += 1
-        if self._asked % ANSWER_EVERY == 0:
-            self._interpreter.answer_signals()
-        if self.fault is _NO_FAULT:
-            self._good, self._age = solution.x.copy(), 0  # a copy: the caller has the solution as well
-            return solution, self._good
-        label = self.fault.label
-        self.counts[label] += 1
-        if label not in self.firsts:
-            cure = f" ({solution.status.value})" if self.fault is Fault.FAILED else ""
-            self.firsts[label] = First(self._asked - 1, text or self.fault.value + cure)
-        return solution, self._replace(solution, qp, Z)
+        if fault is not _TAKEN:
+            label = fault.label
+            self.counts[label] += 1
+            if label not in self.firsts:
+                cure = f" ({solution.status.value})" if fault is Fault.FAILED else ""
+                self.firsts[label] = First(self._asked - 1, text or fault.value + cure)
+        return solution, x
 
     def _ask(self, session: Session, qp: NullSpaceQP, v: Array | None) -> tuple[Solution, Fault | None, str]:
-        """Return a private copy of the answer, and the fault known before the check, in words; set ``solve_us``."""
         shown, given, text = qp.copy(), None, ""
         fault: Fault | None = None
-        status = Status.NUMERICAL
         begin = perf_counter_ns()
         try:
-            try:
-                if v is not None:
-                    session.observe(v.copy())  # type: ignore[attr-defined]
-                given = session.solve(shown)
-            finally:
-                self._interpreter.calm()
+            if v is not None:
+                session.observe(v.copy())  # type: ignore[attr-defined]
+            given = session.solve(shown)
         except Unanswered as error:
-            fault, text, status = error.fault, error.text, error.status
+            fault, text = Fault[error.kind.upper()], error.text
         except BaseException as error:  # noqa: BLE001 - whatever a solver throws, the run goes on
             _raise_interrupt(error)
             fault, text = Fault.RAISED, describe(error)
@@ -215,7 +184,7 @@ class Supervisor:
         if self._times is not None:
             self.solve_us = next(self._times, self.solve_us)
         if fault is not None:
-            return no_answer(qp.n, status), fault, text
+            return no_answer(qp.n, Status.TIME_LIMIT if fault is Fault.LATE else Status.NUMERICAL), fault, text
         try:
             solution, wrong = received(given, qp.n)
             if self._stop_late and self._late and not wrong:
@@ -225,62 +194,12 @@ class Supervisor:
             return no_answer(qp.n, Status.NUMERICAL), Fault.RAISED, describe(error)
         return solution, Fault.MALFORMED if wrong else None, wrong
 
-    def _fault_of(self, solution: Solution, qp: NullSpaceQP, Z: Array) -> Fault:
-        status = solution.status
-        if status is not _SOLVED:
-            if status is Status.INFEASIBLE:
-                return Fault.INFEASIBLE
-            if status is not Status.MAX_ITER and status is not Status.TIME_LIMIT:
-                return Fault.FAILED
-        primal, outside, relative, off, opposite = self._residuals(qp.row, qp.n, Z, solution.x)
-        if primal != primal:
-            return Fault.NOT_FINITE
-        if self._check:
-            box, claim, natural, turned = self._limits
-            if status is not _SOLVED:
-                if primal > box or outside > box:
-                    return Fault.OUTSIDE
-            elif primal > claim or outside > claim:
-                return Fault.OUTSIDE
-            elif relative > natural or (off > turned and opposite < off):
-                return Fault.FALSE_OPTIMUM
-        return Fault.LATE if self._late else _NO_FAULT
-
     @property
     def _late(self) -> bool:
         return self.solve_us > self._budget_us
 
     def _stopped(self, session: Session, qp: NullSpaceQP, solution: Solution) -> Solution:
-        """Return the iterate at the end of the budget; all iterations are assumed to last equally long.
-
-        A solver that cannot be stopped is waited for, and its whole answer is used.
-        """
         if not isinstance(session, TruncatingSession) or solution.iterations < 1:
             return solution
         share = self._budget_us / self.solve_us
         return session.truncated(qp, max(1, int(share * solution.iterations)))
-
-    def _replace(self, solution: Solution, qp: NullSpaceQP, Z: Array) -> Array:
-        self._age += 1
-        if self.fault is Fault.INFEASIBLE and self._fallback != "hold":
-            if self._fallback == "damping":
-                return self._rest
-            return self._least_violation(qp)
-        late = self.settings.late if self.fault is Fault.LATE else "hold"
-        if late == "zero":
-            return self._rest
-        if late == "iterate" and np.isfinite(solution.x).all():  # of a process that is cut off nothing is there
-            return np.array(solution.x)
-        if self._age <= self.settings.hold_ticks:
-            return self._good
-        return self._retreat(qp, Z) if self.settings.keep_off_limits else self._rest
-
-    def _retreat(self, qp: NullSpaceQP, Z: Array) -> Array:
-        part = qp.fields
-        x: Array = into_the_box(part.A, part.b, Z, part.lower, part.upper, 50)
-        return x
-
-    def _least_violation(self, qp: NullSpaceQP) -> Array:
-        part = qp.fields
-        x: Array = least_violation(part.A, part.b, part.lower, part.upper, 50)
-        return x

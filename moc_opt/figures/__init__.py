@@ -4,19 +4,12 @@
 trace: a run is its columns. Imports ``errors``; any room above may import it.
 """
 
-from moc_opt.figures.boxes import box_plots
-from moc_opt.figures.comparisons import (
-    OUTCOMES,
-    accuracy_against_time,
-    outcomes,
-    pareto,
-    solution_quality,
-)
-from moc_opt.figures.distributions import latency_ecdf, latency_violin, residual_strip
+from moc_opt.figures.comparisons import accuracy_against_time, pareto
+from moc_opt.figures.distributions import box_plots, latency_ecdf
 from moc_opt.figures.series import PANELS, envelope, time_series
 from moc_opt.figures.style import Style, Styles
 
 __all__ = [
-    "OUTCOMES", "PANELS", "Style", "Styles", "accuracy_against_time", "box_plots", "envelope", "latency_ecdf",
-    "latency_violin", "outcomes", "pareto", "residual_strip", "solution_quality", "time_series",
+    "PANELS", "Style", "Styles", "accuracy_against_time", "box_plots", "envelope", "latency_ecdf", "pareto",
+    "time_series",
 ]  # fmt: skip

@@ -1,39 +1,21 @@
-"""Comparisons of solvers: accuracy over time, and claims over verified answers."""
+"""Accuracy over time, with names beside the points that cover neither each other nor a point."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 
 import numpy as np
 import plotly.graph_objects as go
 
 from moc_opt.errors import ReportError
-from moc_opt.figures.labels import label_sides
-from moc_opt.figures.style import (
-    BAD,
-    FAIR,
-    GOOD,
-    HEIGHT_PX,
-    INK,
-    MUTED,
-    PAPER,
-    WORST,
-    Styles,
-    figure,
-    label,
-    legend_height,
-    log_axis,
-)
+from moc_opt.figures.style import HEIGHT_PX, INK, MUTED, PAPER, Styles, figure, label, legend_height, log_axis
 
 MARGIN = 0.12
+Box = tuple[float, float, float, float]
+"""Left, top, right, bottom [px], y downwards."""
 
-OUTCOMES = {
-    "verified": ("claimed and verified", GOOD, ""),
-    "unclaimed": ("optimal, not claimed", FAIR, "/"),
-    "failed": ("not solved, and said so", BAD, ""),
-    "silently_wrong": ("claimed, but wrong", WORST, "x"),
-}
-"""Outcome -> its words, colour and hatching, from the best to the worst."""
+CHARACTER_PX, LINE_PX, MARKER_PX = 6.3, 14.0, 7.0
+TOLERATED_PX2, SHYNESS_PX2 = 25.0, 20.0
 
 
 def accuracy_against_time(
@@ -104,46 +86,51 @@ def pareto(points: Mapping[str, tuple[float, float]]) -> list[str]:
     return front
 
 
-def solution_quality(counts: Mapping[str, Mapping[str, float]]) -> go.Figure:
-    """Draw a stacked bar per solver: how many answers were optimal, said to have failed, or wrong.
+def label_sides(points: Mapping[str, tuple[float, float]], front: Collection[str] = ()) -> dict[str, str | None]:
+    """Choose on which side of its point each name stands, in plotly's words.
+
+    Greedy: the names of `front` choose first, then the others in their order; each takes the side where it covers
+    least of the drawn points.
 
     Args:
-        counts: name -> outcome -> number of answers; the outcomes are the keys of `OUTCOMES`, absent ones are 0.
+        points: name -> place of the point [px], y downwards.
+        front: names on a line that runs above and to the right of its points: they would rather stand below.
 
-    Raises:
-        ReportError: an outcome that is not one of those, or a negative number.
+    Returns:
+        Name -> "top center" and the like; None where there is no room.
     """
-    names = list(counts)[::-1]
-    for name, outcomes in counts.items():
-        for outcome, number in outcomes.items():
-            if outcome not in OUTCOMES or not number >= 0.0:
-                raise ReportError(f"{name!r}: {outcome!r} = {number}: give numbers >= 0 of {', '.join(OUTCOMES)}")
-    totals = np.array([sum(counts[name].values()) for name in names])
-    drawn = figure(barmode="stack", bargap=0.35)
-    for outcome, (words, color, shape) in OUTCOMES.items():
-        numbers = np.array([counts[name].get(outcome, 0.0) for name in names])
-        if outcome == "unclaimed" and not numbers.any():
+    markers = {name: (x - MARKER_PX, y - MARKER_PX, x + MARKER_PX, y + MARKER_PX) for name, (x, y) in points.items()}
+    placed: list[Box] = []
+    sides: dict[str, str | None] = {}
+    for name in sorted(points, key=lambda name: name not in front):
+        taken = [*placed, *(box for other, box in markers.items() if other != name)]
+        boxes = _boxes(name, *points[name])
+        covered = {side: sum(_shared(box, other) for other in taken) for side, box in boxes.items()}
+        if name in front:
+            covered = {side: area + SHYNESS_PX2 * ("bottom" not in side) for side, area in covered.items()}
+        best = min(covered, key=lambda side: covered[side])
+        if covered[best] > TOLERATED_PX2:
+            sides[name] = None
             continue
-        hatch = {"shape": shape, "fgcolor": PAPER, "bgcolor": color, "size": 5, "solidity": 0.25}
-        drawn.add_bar(
-            y=[label(name) for name in names], x=100.0 * numbers / np.maximum(totals, 1.0), orientation="h",
-            name=words, customdata=numbers, marker={"color": color, "line": {"width": 0}, "pattern": hatch},
-            hovertemplate="%{customdata:d} (%{x:.3g} %)<extra>%{fullData.name}</extra>",
-        )  # fmt: skip
-    drawn.update_xaxes(title_text="answers [%]", range=[0, 100])
-    drawn.update_yaxes(showgrid=False, ticks="", showline=False, type="category")
-    drawn.update_layout(height=110 + 30 * max(len(names), 2), legend_traceorder="normal")
-    return drawn
+        placed.append(boxes[best])
+        sides[name] = best
+    return sides
 
 
-def outcomes(summary: Mapping[str, float], total: float) -> dict[str, float]:
-    """Return the outcomes of `solution_quality` from a summary's claimed_solved, verified_solved and silently_wrong.
+def _boxes(name: str, x: float, y: float) -> dict[str, Box]:
+    """Return side -> the rectangle that the name would take there, the sides we like best first."""
+    wide, near, far = CHARACTER_PX * len(name), MARKER_PX + 1.0, MARKER_PX + 1.0 + LINE_PX
+    left, right = (x - near - wide, x - near), (x + near, x + near + wide)
+    centre, middle = (x - wide / 2, x + wide / 2), (y - LINE_PX / 2, y + LINE_PX / 2)
+    above, below = (y - far, y - near), (y + near, y + far)
+    spans = {
+        "top center": (centre, above), "bottom center": (centre, below), "middle right": (right, middle),
+        "middle left": (left, middle), "top right": (right, above), "bottom right": (right, below),
+        "top left": (left, above), "bottom left": (left, below),
+    }  # fmt: skip
+    return {side: (across[0], down[0], across[1], down[1]) for side, (across, down) in spans.items()}
 
-    Args:
-        summary: with those three metrics.
-        total: number of subproblems, those without an answer included.
-    """
-    both = summary["claimed_solved"] - summary["silently_wrong"]
-    unclaimed = summary["verified_solved"] - both
-    failed = total - summary["claimed_solved"] - unclaimed
-    return {"verified": both, "unclaimed": unclaimed, "failed": failed, "silently_wrong": summary["silently_wrong"]}
+
+def _shared(one: Box, two: Box) -> float:
+    wide, tall = min(one[2], two[2]) - max(one[0], two[0]), min(one[3], two[3]) - max(one[1], two[1])
+    return max(wide, 0.0) * max(tall, 0.0)

@@ -63,7 +63,11 @@ def time_series(
         MissingDataError: a run has no `t_s`.
     """
     styles = styles or Styles(runs)
-    panels = _panels(runs) if panels is None else _checked(panels, runs)
+    if panels is None:
+        known = all(MODEL_TIP in trace.columns for trace in runs.values())
+        panels = [MODEL_TIP if known and column == "tip_error_m" else column for column in PANELS]
+    else:
+        panels = _checked(panels, runs)
     drawn = make_subplots(rows=len(panels), cols=1, shared_xaxes=True, vertical_spacing=0.22 / len(panels))
     named: set[str] = set()
     for row, column in enumerate(panels, start=1):
@@ -71,7 +75,9 @@ def time_series(
         for name, trace in runs.items():
             if column not in trace.columns:
                 continue
-            t, y = envelope(trace.t_s, factor * _lengths(trace.columns[column]))
+            values = trace.columns[column]
+            sizes = np.linalg.norm(values, axis=1) if values.ndim == 2 else values.astype(np.float64)
+            t, y = envelope(trace.t_s, factor * sizes)
             drawn.add_scatter(
                 x=t.astype(np.float32), y=y.astype(np.float32), mode="lines", name=label(name), legendgroup=name,
                 showlegend=name not in named, row=row, col=1, connectgaps=False,
@@ -79,10 +85,8 @@ def time_series(
                 hovertemplate="%{y:.4g}<extra>%{fullData.name}</extra>",
             )  # fmt: skip
             named.add(name)
-            scanned = (
-                ~np.isnan(trace.mu_bound) if column == "mu" and "mu_bound" in trace.columns else np.zeros(1, bool)
-            )
-            if scanned.any():
+            if column == "mu" and "mu_bound" in trace.columns and not np.isnan(trace.mu_bound).all():
+                scanned = ~np.isnan(trace.mu_bound)
                 how = trace.meta.get("mu_bound_method", "scanned")
                 drawn.add_scatter(
                     x=trace.t_s[scanned], y=trace.mu_bound[scanned], mode="lines", name="largest µ of all poses",
@@ -139,11 +143,6 @@ def envelope(t: ArrayLike, y: ArrayLike, points: int = 1200) -> tuple[Floats, Fl
     return times[chosen], values[chosen]
 
 
-def _lengths(values: NDArray[np.float64]) -> Floats:
-    """Return the lengths of a column of vectors, and numbers as they are."""
-    return np.linalg.norm(values, axis=1) if values.ndim == 2 else values.astype(np.float64)
-
-
 def _checked(panels: object, runs: Mapping[str, Run]) -> list[str]:
     """Return the columns that were asked for, each one of numbers in a run at least."""
     if isinstance(panels, str) or not isinstance(panels, Sequence) or not panels:
@@ -157,8 +156,3 @@ def _checked(panels: object, runs: Mapping[str, Run]) -> list[str]:
             near = difflib.get_close_matches(str(name), drawable, n=3) or drawable
             raise ReportError(f"column {shown(name)} {kind}: name columns of numbers, such as {', '.join(near)}")
     return list(panels)
-
-
-def _panels(runs: Mapping[str, Run]) -> list[str]:
-    known = all(MODEL_TIP in trace.columns for trace in runs.values())
-    return [MODEL_TIP if known and column == "tip_error_m" else column for column in PANELS]

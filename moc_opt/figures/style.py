@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import html
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
 from types import MappingProxyType
 
@@ -57,30 +57,18 @@ class Style:
         return f"{self.color}{round(255 * opacity):02x}"
 
 
-class Styles(Mapping[str, Style]):
+class Styles(dict[str, Style]):
     """Name -> style. Give every figure of a page the same one, and a name looks the same in all of them."""
 
     def __init__(self, names: Iterable[str]) -> None:
         """Deal out colours in the order of `names`; after the last colour, dashes and markers change."""
-        colors, styles = list(SERIES), {}
+        colors = list(SERIES)
         for place, name in enumerate(dict.fromkeys(names)):
-            turn = place // len(colors)
-            symbol = SYMBOLS[place % len(SYMBOLS)]
-            styles[name] = Style(colors[place % len(colors)], DASHES[turn % len(DASHES)], symbol)
-        self._styles = styles
+            dash = DASHES[place // len(colors) % len(DASHES)]
+            self[name] = Style(colors[place % len(colors)], dash, SYMBOLS[place % len(SYMBOLS)])
 
-    def __getitem__(self, name: str) -> Style:
-        try:
-            return self._styles[name]
-        except KeyError:
-            known = ", ".join(self._styles) or "none"
-            raise ReportError(f"no style for {name!r}: make Styles with it; it has {known}") from None
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._styles)
-
-    def __len__(self) -> int:
-        return len(self._styles)
+    def __missing__(self, name: str) -> Style:
+        raise ReportError(f"no style for {name!r}: make Styles with it; it has {', '.join(self) or 'none'}")
 
 
 def _axis() -> dict[str, object]:
@@ -155,15 +143,8 @@ def log_axis(
         ticks = {"nticks": 7, "exponentformat": "none"}
     # Chosen here: left to itself, plotly strews thousands between labels that it did not choose.
     minor = {"ticks": "outside", "ticklen": 2, "tickcolor": MUTED, "dtick": "D1" if step == 1 else 1}
-    layout = {
-        "type": "log",
-        "title": {"text": pretty_units(title)},
-        "minor": minor,
-        "tickangle": 0,
-        "range": [low, high],
-        **ticks,
-    }
-    drawn.update_layout({f"{axis}axis": layout})
+    layout = {"type": "log", "title": {"text": pretty_units(title)}, "minor": minor, "range": [low, high], **ticks}
+    drawn.update_layout({f"{axis}axis": {"tickangle": 0, **layout}})
 
 
 def rule(drawn: go.Figure, axis: str, at: float, text: str) -> None:

@@ -1,4 +1,4 @@
-"""Input files: only regular ones, whose size is checked before they are read, and strict JSON.
+"""Files: read (TOML, JSON, numpy's arrays) only where they are regular and of a reasonable size, and written whole.
 
 Bounds on what a small file can cause, for every reader: a pipe or a device that never ends, a text of gigabytes,
 keys and lists nested without end, numbers of thousands of digits.
@@ -6,17 +6,19 @@ keys and lists nested without end, numbers of thousands of digits.
 
 from __future__ import annotations
 
+import contextlib
 import io
 import json
 import math
 import os
 import re
+import secrets
 import stat
 import tomllib
 import zipfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 from moc_opt.errors import MocOptError, describe, shown
 
@@ -29,11 +31,12 @@ DEEPEST = 64
 LARGEST_INTEGER = 2**63 - 1
 SMALLEST, LARGEST = 1e-30, 1e30
 """A setting's number is 0, or its size lies between these: beyond them products of a few overflow or vanish."""
-_PIECE = 2**20
 
 # A key of more parts than any table has: the parser's time grows with the square of their number.
 _PART = r"(?:[\w-]++|\"[^\"\n]*+\"|'[^'\n]*+')"
 _DOTTED = re.compile(rf"(?<![\w-]){_PART}(?:[ \t]*+\.[ \t]*+{_PART}){{{DEEPEST}}}")
+
+_BARE = re.compile(r"[A-Za-z0-9_-]+")  # a key of TOML without quotes
 
 Path_ = str | os.PathLike[str]
 Wrong = type[MocOptError]
@@ -87,28 +90,48 @@ def check_replaceable(path: Path_, what: str, error: Wrong) -> None:
         raise error(f"{what} {_named(path)} cannot be written: a folder, pipe or device is there; give another name")
 
 
+def write_whole(path: Path_, data: bytes) -> None:
+    """Write a file, all or nothing: an older one of that name stays until the new one is on the disk.
+
+    A link of that name is replaced, not followed.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    target = Path(path)
+    # In the same folder, because only there is a rename atomic.
+    unfinished = target.with_name(f".{target.name}.{secrets.token_hex(6)}.tmp")
+    try:
+        with open(unfinished, "xb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(unfinished, target)
+    except BaseException:
+        with contextlib.suppress(OSError):
+            unfinished.unlink()
+        raise
+
+
 def read_bytes(path: Path_, what: str, error: Wrong, most: int = MOST_TEXT) -> bytes:
     """Read a regular file of at most ``most`` bytes; arguments as `check_regular`."""
-    check_regular(path, what, error, most)
+    size = check_regular(path, what, error, most)
     try:
-        # Without blocking: between the check and here the name may have become that of a pipe.
-        handle = os.open(path, os.O_RDONLY | os.O_CLOEXEC | getattr(os, "O_NONBLOCK", 0))
-        with os.fdopen(handle, "rb") as file:
-            if not stat.S_ISREG(os.fstat(handle).st_mode):
-                raise OSError("no regular file")
-            data = bytearray()
-            # In pieces: a buffer as large as the limit may not fit where the file itself does.
-            while len(data) <= most and (piece := file.read(_PIECE)) != b"":
-                if piece is None:
-                    raise OSError("nothing to be read now")  # a file of the kernel that would have to be waited for
-                data += piece
+        with open(path, "rb", opener=_without_waiting) as file:
+            data = file.read(size or MOST_TEXT + 1)  # the kernel's files have no bytes by their own account
     except OSError as reason:
         raise error(f"{what} {_named(path)} cannot be read ({reason}); check the path") from reason
     except MemoryError as reason:
         raise error(f"{what} {_named(path)} does not fit into the memory") from reason
-    if len(data) > most:  # one that grows, or whose system says nothing of its size
+    if data is None:  # /proc/kmsg, until the kernel has something to say
+        raise error(f"{what} {_named(path)} has nothing to read now: give the path of a file on a disk")
+    if len(data) > most:
         raise error(f"{what} {_named(path)} has more than {most} bytes: no more are read")
-    return bytes(data)
+    return data
+
+
+def _without_waiting(path: str, flags: int) -> int:
+    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))
 
 
 def read_text(path: Path_, what: str, error: Wrong, most: int = MOST_TEXT) -> str:
@@ -204,35 +227,21 @@ def read_arrays(path: Path_, what: str, error: Wrong, most: int = 2**27) -> dict
 
     Args:
         path, what, error: as `check_regular`.
-        most: bytes of all arrays together, read off their headers before any is made.
+        most: bytes of the file, and of all its arrays together.
     """
     import numpy as np
 
     data, where = read_bytes(path, what, error, most), f"{what} {_named(path)}"
     try:
         if not data.startswith(b"PK"):
-            _measure([(io.BytesIO(data), len(data))], most)
             return {"": np.load(io.BytesIO(data), allow_pickle=False)}
         with zipfile.ZipFile(io.BytesIO(data)) as inside:
-            _measure([(inside.open(one), one.file_size) for one in inside.infolist()], most)
+            if sum(one.file_size for one in inside.infolist()) > most:
+                raise ValueError(f"more than {most} bytes of arrays")
         with np.load(io.BytesIO(data), allow_pickle=False) as file:
             return {name: file[name] for name in file.files}
     except Exception as reason:  # whatever a damaged archive makes its readers say
         raise error(f"{where} is damaged or no file of arrays: {describe(reason)}") from reason
-
-
-def _measure(members: Sequence[tuple[IO[bytes], int]], most: int) -> None:
-    """Raise ValueError where a header promises more than the member holds, or all together more than ``most``."""
-    from numpy.lib import format as npy
-
-    total = 0
-    for file, size in members:
-        version = npy.read_magic(file)
-        header = npy.read_array_header_1_0 if version == (1, 0) else npy.read_array_header_2_0
-        shape, _, dtype = header(file)
-        total += (asked := math.prod(shape) * max(dtype.itemsize, 1))
-        if asked > size or total > most:
-            raise ValueError(f"an array of {asked} bytes in {size}; {most} bytes at most are read")
 
 
 def plain(value: Any) -> Any:
@@ -265,3 +274,50 @@ def file_in(folder: Path, name: str) -> Path:
         number += 1
         free = folder / f"{number}-{name}"
     return free
+
+
+def to_toml(table: Mapping[str, Any]) -> str:
+    """Write a table of texts, numbers, flags, lists and tables as TOML: `read_toml` reads the same, to the last bit.
+
+    Raises:
+        TypeError: a value that TOML cannot hold, None among them; the message names its key.
+    """
+    return "\n".join(_toml_lines(table, ())).lstrip("\n") + "\n"
+
+
+def _toml_lines(table: Mapping[str, Any], above: tuple[str, ...]) -> list[str]:
+    values = {key: value for key, value in table.items() if not isinstance(value, Mapping)}
+    lines = [f"{_toml_key(key)} = {_toml_value(value, '.'.join((*above, key)))}" for key, value in values.items()]
+    for key, value in table.items():
+        if isinstance(value, Mapping):
+            inside = _toml_lines(value, (*above, key))
+            # A table of tables alone needs no heading of its own.
+            if not (inside and inside[0].startswith("\n")):
+                lines.append(f"\n[{'.'.join(map(_toml_key, (*above, key)))}]")
+            lines += inside
+    return lines
+
+
+def _toml_key(key: str) -> str:
+    return key if _BARE.fullmatch(key) else _toml_text(key)
+
+
+def _toml_text(text: str) -> str:
+    # JSON's escapes are TOML's, but for DEL, and for characters beyond 16 bits, which stay as they are.
+    return json.dumps(text, ensure_ascii=False, allow_nan=False).replace("\x7f", "\\u007f")
+
+
+def _toml_value(value: Any, where: str) -> str:
+    if hasattr(value, "tolist"):  # numpy's numbers and arrays
+        value = value.tolist()
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, str):
+        return _toml_text(value)
+    if isinstance(value, int | float):
+        return repr(value)
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(_toml_value(entry, where) for entry in value)}]"
+    if isinstance(value, Mapping):  # in a list
+        return f"{{{', '.join(f'{_toml_key(key)} = {_toml_value(entry, where)}' for key, entry in value.items())}}}"
+    raise TypeError(f"{where} = {value!r:.200} has no form in TOML: give a text, number, flag, list or table")

@@ -1,8 +1,12 @@
-"""Names from outside: which characters they may have, and how a text is written where it must stay a text."""
+"""Names and texts from outside: which characters a name may have, and how any text is written so that it stays a text.
+
+In a file's name, Markdown, and the table that an object shows of itself in a notebook.
+"""
 
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable, Mapping
 
 MAX_LENGTH = 100
 ALPHABET = "letters, digits, spaces and _ - . : + /"
@@ -12,10 +16,14 @@ RULE = (
 )
 _NAME = re.compile(r"[A-Za-z0-9_](?:[A-Za-z0-9_ .:+/-]*[A-Za-z0-9_])?")
 _IN_FILES = re.compile(r"[^A-Za-z0-9_.+ -]+")
-# What a C comment may hold as it is. Left out beside what is not ASCII: the star (*/ ends a comment), the question mark
-# (??/ is a backslash to a C99 compiler), the backslash and every line end (they join or begin lines).
-_NOT_IN_COMMENTS = re.compile(r"[^A-Za-z0-9 _.,:;=+/()\[\]{}<>'\"^|&%#@!~$`-]")
 _NOT_IN_MARKDOWN = re.compile(r"[^A-Za-z0-9 .,:;()/%°µ-]")
+
+_TABLE = """\
+<div><strong>{{ title }}</strong><table>
+{%- if headings %}<tr>{% for text in headings %}<th>{{ text }}</th>{% endfor %}</tr>{% endif %}
+{%- for row in rows %}<tr><th style="text-align:left">{{ row[0] }}</th>
+{%- for text in row[1:] %}<td style="text-align:left">{{ text }}</td>{% endfor %}</tr>{% endfor %}</table>
+{%- if caption %}<p>{{ caption }}</p>{% endif %}</div>"""
 
 
 def is_name(text: object) -> bool:
@@ -39,11 +47,24 @@ def file_stem(text: str) -> str:
     return _IN_FILES.sub("-", text).lstrip(" .-")[:MAX_LENGTH].rstrip(" .") or "unnamed"
 
 
-def in_comment(text: str) -> str:
-    """Write any text so that a C or C++ compiler reads it as part of the comment around it, on one line."""
-    return _NOT_IN_COMMENTS.sub(lambda found: f"<U+{ord(found.group()):04X}>", text)
-
-
 def in_markdown(text: str) -> str:
     """Write any text so that Markdown, and the HTML that it lets through, shows it and does nothing else."""
     return _NOT_IN_MARKDOWN.sub(lambda found: f"&#{ord(found.group())};", text)
+
+
+def table_html(title: str, rows: Mapping[str, object]) -> str:
+    """Write a title and a table of names and values; every text is escaped.
+
+    Args:
+        rows: name -> value, written by ``str``.
+    """
+    return grid_html(title, rows.items())
+
+
+def grid_html(title: str, rows: Iterable[Iterable[object]], headings: Iterable[str] = (), caption: str = "") -> str:
+    """Write a table row by row under its headings, the first column set apart; every text is escaped."""
+    from jinja2 import Environment  # late: a solver that never meets a notebook does not load it
+
+    template = Environment(autoescape=True).from_string(_TABLE)
+    texts = [[str(value) for value in row] for row in rows]
+    return template.render(title=title, rows=texts, headings=list(headings), caption=caption)

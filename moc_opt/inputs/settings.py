@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from types import MappingProxyType
 from typing import Annotated, Any, ClassVar, Self
 
 from pydantic import (
@@ -21,8 +20,7 @@ from pydantic import (
 
 from moc_opt.errors import MocOptError, ScenarioError, UnknownNameError, is_number, shown
 from moc_opt.inputs import names
-from moc_opt.inputs.files import LARGEST_INTEGER, wrong_size
-from moc_opt.inputs.toml import to_toml
+from moc_opt.inputs.files import LARGEST_INTEGER, to_toml, wrong_size
 
 LONGEST_S = 1e6
 """Of any time that is run, waited for or averaged over [s]: a week and a half."""
@@ -57,9 +55,6 @@ class Settings(BaseModel):
     ERROR: ClassVar[type[MocOptError]] = ScenarioError
     MOST: ClassVar[int] = 10_000_000
     """Largest integer of a field that is no seed: a count of things that are listed, tried or waited for."""
-    FORMER: ClassVar[Mapping[str, str]] = MappingProxyType({})
-    """Former name of a field -> its name; either is accepted, both at once are not."""
-
     MEANT_KEY: ClassVar[str] = ""
     """Key that a bare text in place of this table was meant for: an error shows how to write it."""
 
@@ -94,7 +89,6 @@ class Settings(BaseModel):
         return value
 
     def __init__(self, **values: Any) -> None:
-        values = self.present_names(values)
         for name in values:
             if name not in type(self).model_fields:
                 raise UnknownNameError(f"{self.KIND.rstrip(':')} key", name, self.keys(values))
@@ -106,7 +100,7 @@ class Settings(BaseModel):
     def replace(self, changes: Mapping[str, Any]) -> Self:
         """Copy with some fields changed and everything checked again, which ``model_copy`` leaves out."""
         values = {name: getattr(self, name) for name in type(self).model_fields}
-        return type(self)(**{**values, **self.present_names(changes)})
+        return type(self)(**{**values, **changes})
 
     @classmethod
     def keys(cls, values: Mapping[str, Any]) -> list[str]:
@@ -116,21 +110,6 @@ class Settings(BaseModel):
             values: of the table that has another one.
         """
         return list(cls.model_fields)
-
-    @classmethod
-    def present_names(cls, values: Mapping[str, Any]) -> dict[str, Any]:
-        """Copy a table with every former name of a field replaced by its present one.
-
-        Raises:
-            MocOptError: the table has a field under both names.
-        """
-        for former, name in cls.FORMER.items():
-            if former in values and name in values:
-                raise cls.ERROR(
-                    f"{cls.KIND} {name} = {shown(values[name])} is given beside {former} = {shown(values[former])}, "
-                    f"its former name: keep {name}"
-                )
-        return {cls.FORMER.get(name, name): value for name, value in values.items()}
 
 
 def _without_quotes(given: Any) -> Any:

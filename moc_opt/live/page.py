@@ -1,156 +1,348 @@
-"""The live page: a loop in a thread of its own, in step with the clock, and viser to show and command it."""
+"""The live page: a loop in step with the clock, and viser to show and command it."""
 
 from __future__ import annotations
 
+import hmac
 import io
+import secrets
 import signal
 import sys
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import redirect_stdout
-from threading import Event
+from contextlib import redirect_stdout, suppress
+from threading import Event, RLock
 from time import monotonic
 from typing import Any
 
-from moc_opt.live.access import Access, check_refused, guarded_servers, own_names
-from moc_opt.live.address import checked_address
-from moc_opt.live.orders import LiveError
-from moc_opt.live.panel import Panel
-from moc_opt.live.run import LiveRun
-from moc_opt.live.scene import LiveScene
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from moc_opt import solvers
+from moc_opt.arrays import Array
+from moc_opt.errors import MocOptError
+from moc_opt.inputs.names import in_markdown
+from moc_opt.live.run import DCAC, QUANTITIES, LiveError, LiveRun, Moment
+from moc_opt.report.replay import BASE, arm_parts, velocity_ellipsoids
+from moc_opt.robots.chain import link_frames
 from moc_opt.scenario import Scenario
 
-PORT = 8642
+HOST, PORT = "127.0.0.1", 8642
 FRAME_S, MOST_LAG_S, PIECE_S = 0.08, 0.2, 0.02
+SHELL, TOOL, JOINT, RIM, PATH = (211, 216, 221), (95, 102, 110), (0, 114, 178), (168, 91, 69), (31, 35, 40)
+ROLES = {"shell": SHELL, "tool": TOOL, "joint": JOINT}
+ELLIPSOID = 1.0 / 6.0
+TAIL_POINTS = 160
+BLUE, ORANGE, GREEN, MUTED = "#0072b2", "#d55e00", "#009e73", "#77787b"
+PLOTS: dict[str, list[tuple[str, str, float, str]]] = {
+    "µ and the largest on its self-motion curve [m³]": [("mu", "µ", 1.0, BLUE), ("mu_bound", "largest", 1.0, MUTED)],
+    "RCM error, tip error in space [mm]": [("rcm_error_m", "RCM", 1e3, BLUE), ("tip_error_m", "tip", 1e3, ORANGE)],
+    "force of the trocar [N]": [("force_N", "force", 1.0, BLUE)],
+    "whole tick, solver [µs]": [("tick_us", "tick", 1.0, BLUE), ("solve_us", "solver", 1.0, GREEN)],
+}
+"""Title -> (quantity, name, factor to the unit shown, colour)."""
+FIELDS = {
+    "regularization": ("ρ", "weight of |x|² in the subproblem; 0 is the paper's linear problem"),
+    "K_X": ("K_X [N/m]", "tip stiffness"),
+    "K_N": ("K_N [N/m]", "wrist stiffness"),
+    "K_N2": ("K_N2 [N m s/rad]", "third level, on x* - v; one number, or one per joint"),
+    "D_N2": ("D_N2 [N m s/rad]", "third level, on v; one number, or one per joint"),
+    "k0_per_s": ("k0 [1/s]", "velocity damper at the joint limits"),
+}
+"""Setting of the control law -> its label and its meaning."""
 
 
 class LivePage:
-    """A run, its clock and its page; a context manager that ends all of it."""
+    """A run, its clock and its page; a context manager that ends all of it.
 
-    def __init__(
-        self, scenario: Scenario, *, host: str = "127.0.0.1", port: int = PORT, public: bool = False, title: str = ""
-    ) -> None:
-        """Build the run, open the page, and let the clock go.
+    Attributes:
+        url: the address with the token; without the token nobody is shown or obeyed.
+    """
+
+    def __init__(self, scenario: Scenario, *, port: int = PORT, title: str = "") -> None:
+        """Build the run and open the page on loopback.
 
         Args:
-            host: where to listen; only this machine can reach the default.
             port: the next free one from here on; 0: any.
-            public: the user knows that others can reach `host`.
             title: of the page; the scenario's name if empty.
 
         Raises:
-            LiveError: viser is missing, or the host is not this machine alone and `public` is false.
+            LiveError: viser is missing, or there is no such port.
             MocOptError: the scenario is not usable.
         """
-        address = checked_address(host, public=public)
         if not 0 <= port < 65536:
             raise LiveError(f"--port {port}: give 0 to 65535")
-        make = _viser()
+        try:
+            import viser
+        except ImportError as error:
+            raise LiveError("the live page needs viser: pip install 'moc-opt[live]'") from error
         self.run = LiveRun(scenario)
         self._pace, self._over = 1.0, Event()
-        # Its greeting names addresses that are not always those it listens on; `serve` prints the true one.
-        shown = f"[{address}]" if ":" in address else address
-        access = Access(own_names(host, address))
-        with redirect_stdout(io.StringIO()), guarded_servers(access):
-            self.server = make(host=address, port=port, label=f"moc_opt: {title or scenario.name}", verbose=False)
-        self.address = f"http://{shown}:{self.server.get_port()}"
-        self.url = f"{self.address}/?token={access.token}"
-        try:
-            check_refused(address, self.server.get_port())
-        except LiveError:
-            self.server.stop()
-            raise
+        token = secrets.token_urlsafe(24)
+        with redirect_stdout(io.StringIO()):  # its greeting
+            self.server = viser.ViserServer(HOST, port, f"moc_opt: {title or scenario.name}", verbose=False)
+        _refuse_without(token, self.server)
+        address = f"{HOST}:{self.server.get_port()}"
+        self.url = f"http://{address}/?websocket=ws://{address}/{token}"
         self.server.gui.configure_theme(control_width="large", show_logo=False, show_share_button=False)
         self._scene, self._panel = LiveScene(self.server, self.run), Panel(self.server, self.run)
-        self._thread = ThreadPoolExecutor(1, thread_name_prefix="simulation")
-        self._clock = self._thread.submit(self._keep_time)
 
     def __enter__(self) -> LivePage:
         """Itself."""
         return self
 
     def __exit__(self, *error: object) -> None:
-        """Close."""
-        self.close()
-
-    def show(self) -> None:
-        """Bring what is shown up to date, once."""
-        moment = self.run.moment()
-        with self.server.atomic():
-            self._scene.update(moment)
-            self._panel.update(moment, self._pace)
+        """Stop the clock, then the page."""
+        self._over.set()
+        with redirect_stdout(io.StringIO()):
+            self.server.stop()
 
     def wait(self, seconds: float | None = None) -> None:
-        """Keep the page up to date until so much time is over, or for ever."""
-        end = None if seconds is None else monotonic() + seconds
-        while not self._over.wait(FRAME_S) and (end is None or monotonic() < end):
-            if self._clock.done():
-                self._clock.result()  # it never ends by itself: this raises what ended it
-            self.show()
+        """Run in step with the clock and keep the page up to date, until so much time is over or until `stop`.
+
+        A delay that is too long to catch up with is dropped, and shows in the pace.
+        """
+        run, begun, owed, frame = self.run, monotonic(), 0.0, 0.0
+        before = begun
+        while not self._over.wait(max(0.0, before + PIECE_S - monotonic())):
+            now = monotonic()
+            if seconds is not None and now > begun + seconds:
+                return
+            passed, before = now - before, now
+            if self._panel.paused:
+                owed, ticks = 0.0, 0
+            else:
+                lost = max(0.0, owed + passed - MOST_LAG_S)
+                self._pace += min(1.0, passed) * ((passed - lost) / max(passed, 1e-9) - self._pace)
+                ticks = int((owed + passed - lost) / run.period_s)
+                owed += passed - lost - ticks * run.period_s
+            if ticks or self._panel.paused:
+                run.advance(ticks)
+            if now >= frame:
+                frame = now + FRAME_S
+                with self.server.atomic():
+                    self._scene.update(run.moment())
+                    self._panel.update(run.moment(), self._pace)
 
     def stop(self) -> None:
         """Let `wait` come to an end."""
         self._over.set()
 
-    def close(self) -> None:
-        """Stop the clock, then the page."""
-        self._over.set()
-        self._thread.shutdown()
-        with redirect_stdout(io.StringIO()):
-            self.server.stop()
 
-    def _keep_time(self) -> None:
-        """Run the ticks that real time requires; a delay that is too long to catch up with is dropped."""
-        run, before, owed = self.run, monotonic(), 0.0
-        while not self._over.is_set():
-            now = monotonic()
-            passed, before = now - before, now
-            if self._panel.paused:
-                run.advance(0)
-                owed = 0.0
-                self._over.wait(PIECE_S)
-                continue
-            owed += passed
-            lost = max(0.0, owed - MOST_LAG_S)
-            share = min(1.0, passed)
-            if passed > 0.0:
-                self._pace += share * ((passed - lost) / passed - self._pace)
-            owed -= lost
-            ticks = int(owed / run.period_s)
-            if ticks:
-                run.advance(ticks)
-                owed -= ticks * run.period_s
-            self._over.wait(max(0.0, PIECE_S - (monotonic() - now)))
+def _refuse_without(token: str, server: Any) -> None:
+    """Close each WebSocket that does not ask for the token's path, before it is told or obeyed.
 
-
-def _viser() -> Callable[..., Any]:
-    """Return a viser server that cannot be shared beyond its address.
-
-    viser's clients may ask for a tunnel that makes the page public through another host, whatever address it
-    listens on; that is refused.
+    A browser lets any site open a WebSocket to this machine, and a foreign name may be made to point here (DNS
+    rebinding): neither knows the token. viser calls this hook before it reads or writes a message, and closes the
+    connection where the hook fails.
     """
-    try:
-        import viser
-    except ImportError as error:
-        raise LiveError("the live page needs viser: pip install 'moc-opt[live]'") from error
+    sockets = server._websock_server
 
-    return type("Server", (viser.ViserServer,), {"request_share_url": _no_tunnel})
+    @sockets.on_client_connect
+    async def check(client: Any) -> None:
+        from websockets.exceptions import ConnectionClosed  # it comes with viser, which is an extra
+
+        connection = sockets._live_connections[client.client_id]
+        if not hmac.compare_digest(connection.request.path.encode(errors="replace"), f"/{token}".encode()):
+            await connection.close(1008, "open the address that was printed; it holds a token")
+            with suppress(ConnectionClosed):
+                while True:  # what came before it was closed would be obeyed
+                    await connection.recv()
+
+    sockets.disconnect_all_clients()  # whoever came before the hook
 
 
-def _no_tunnel(server: object, verbose: bool = True) -> None:
-    """Refuse: stands in the place of `ViserServer.request_share_url`."""
+class Panel:
+    """The side panel: sends input to the run, and shows its answers.
+
+    Attributes:
+        paused: whether the user has stopped the clock.
+    """
+
+    def __init__(self, server: Any, run: LiveRun) -> None:
+        """Build it; `server` is a viser.ViserServer."""
+        self._server, self._run, gui = server, run, server.gui
+        self.paused = False
+        self._doing = RLock()  # viser calls back from many threads, in any order; setting a value calls back too
+        self._status = gui.add_markdown("starting")
+        choices = [DCAC, *(name for name, reason in solvers.available().items() if reason is None)]
+        self._solver = gui.add_dropdown("Solver", choices, initial_value=run.solver)
+        self._solver.on_update(lambda _: self._do(self._choose))
+        self._plots = [gui.add_uplot(**_empty(title, lines)) for title, lines in PLOTS.items()]
+        with gui.add_folder("Trocar"):
+            place = [gui.add_slider(f"{axis} [mm]", min=-40.0, max=40.0, step=1.0, initial_value=0.0) for axis in "xyz"]
+            for slider in place:
+                slider.on_update(lambda _: self._do(lambda: run.place_trocar(*(1e-3 * s.value for s in place))))
+        with gui.add_folder("Weights and gains"):
+            self._fields = {
+                name: gui.add_text(label, self._written(name), hint=hint) for name, (label, hint) in FIELDS.items()
+            }
+            gui.add_button("Apply").on_click(lambda _: self._do(self._apply))
+        pause = gui.add_checkbox("Pause", initial_value=False)
+        pause.on_update(lambda _: setattr(self, "paused", pause.value))
+        gui.add_button("Reset to the start").on_click(lambda _: run.reset())
+
+    def _choose(self) -> None:
+        """Request the present choice of the list, which may be later than the change that called."""
+        if self._solver.value != self._run.solver:  # it may have been set back, not chosen
+            self._run.choose(self._solver.value)
+
+    def _written(self, name: str) -> str:
+        value = getattr(self._run.gains, name, None)
+        numbers = [f"{n:g}" for n in np.atleast_1d(getattr(self._run.control, name) if value is None else value)]
+        return numbers[0] if len(set(numbers)) == 1 else " ".join(numbers)
+
+    def _apply(self) -> None:
+        """Take all fields at once: half of a change would be another controller."""
+        values: dict[str, Any] = {}
+        for name, field in self._fields.items():
+            if field.value.strip() == self._written(name):
+                continue  # what nobody has changed stays what it is, digits that are not shown included
+            try:
+                numbers = tuple(float(number) for number in field.value.replace(",", ".").split())
+                values[name] = numbers if len(numbers) > 1 else numbers[0]
+            except (ValueError, IndexError) as error:
+                raise LiveError(f"{FIELDS[name][0]} = {field.value!r}: give a number, or one per joint") from error
+        if values:
+            self._run.tune(**values)
+
+    def _do(self, act: Callable[[], None]) -> None:
+        """Do what the user wants, or say what is wrong with it; the run goes on either way."""
+        with self._doing:
+            try:
+                act()
+            except MocOptError as error:
+                self._tell(str(error))
+                for name, field in self._fields.items():
+                    field.value = self._written(name)
+
+    def _tell(self, text: str) -> None:
+        """Show a message on every open page, and the solver that goes on."""
+        for client in self._server.get_clients().values():
+            client.add_notification("This cannot be done", text[:600], color="red", auto_close_seconds=12)
+        self._solver.value = self._run.solver
+
+    def update(self, moment: Moment, pace: float) -> None:
+        """Show the run as it is; `pace` is simulated over real time."""
+        while self._run.messages:
+            self._tell(self._run.messages.popleft())
+        rows = self._run.history(300)
+        if len(rows) < 2:
+            return
+        column = dict(zip(QUANTITIES, rows.T, strict=True))
+        for plot, lines in zip(self._plots, PLOTS.values(), strict=True):
+            plot.data = (column["t_s"], *(factor * column[name] for name, _, factor, _ in lines))
+        self._status.content = in_markdown(moment.stopped) or (
+            f"**{moment.solver}** · {moment.status} · {moment.t_s:.1f} s, real time × {pace:.2f}"
+            f"{' · paused' if self.paused else ''}  \n"
+            f"µ {column['mu'][-1]:.3f} m³ · RCM {1e3 * column['rcm_error_m'][-1]:.2f} mm · "
+            f"force {column['force_N'][-1]:.1f} N · tick {column['tick_us'][-1]:.0f} µs"
+        )
 
 
-def serve(
-    scenario: Scenario, *, host: str = "127.0.0.1", port: int = PORT, public: bool = False,
-    seconds: float | None = None, title: str = "",
-) -> int:  # fmt: skip
+def _empty(title: str, lines: list[tuple[str, str, float, str]]) -> dict[str, Any]:
+    series = [{"label": "t [s]"}, *({"label": name, "stroke": color, "width": 1.5} for _, name, _, color in lines)]
+    axis = {"grid": {"stroke": "#e3e6e9", "width": 1}, "ticks": {"show": False}}
+    scales: dict[str, Any] = {"x": {"time": False}}
+    vertical: dict[str, Any] = {**axis, "size": 56}
+    if "µs" in title:  # one long tick must not flatten all the others
+        scales["y"] = {"distr": 3, "log": 10}
+        vertical["grid"] = {"show": False}  # it would have nine lines a decade
+    return {
+        "data": (np.array([0.0, 1.0]), *(np.full(2, np.nan) for _ in lines)), "series": tuple(series), "title": title,
+        "height": 140, "scales": scales, "axes": (axis, vertical), "legend": {"show": len(lines) > 1},
+    }  # fmt: skip
+
+
+# --- the arm in three dimensions ---
+
+
+class LiveScene:
+    """Objects that are drawn once, and objects that move."""
+
+    def __init__(self, server: Any, run: LiveRun) -> None:
+        """Draw everything at the run's present moment; `server` is a viser.ViserServer."""
+        self._run, scene, start = run, server.scene, run.moment()
+        scene.set_up_direction("+z")
+        scene.add_grid("/ground", width=2.4, height=2.4, cell_size=0.1, section_size=0.5)
+        names = ("base", *run.robot.data.joint_names)
+        self._links = [scene.add_frame(f"/arm/{name}", show_axes=False) for name in names]
+        for k, part in enumerate(arm_parts(run.robot)):
+            scene.add_mesh_simple(
+                f"/arm/{names[part.link - BASE]}/part{k}", *lathe(np.array(part.radii), np.array(part.heights)),
+                color=ROLES[part.role], side="double", wxyz=_quaternion(_frame(np.array(part.axis))),
+                position=np.array(part.origin),
+            )  # fmt: skip
+        turn = np.linspace(0.0, 2.0 * np.pi, 13)
+        ring = lathe(0.009 - 0.002 * np.cos(turn), 0.002 * np.sin(turn))
+        self._trocar = scene.add_mesh_simple("/trocar", *ring, color=RIM, side="double")
+        self._ellipsoid = scene.add_icosphere(
+            "/ellipsoid", radius=1.0, color=JOINT, opacity=0.25, subdivisions=4, cast_shadow=False
+        )
+        times = np.linspace(0.0, run.reference.one_way_s, 300)
+        asked = np.array([run.reference.rows(float(t))[0] for t in times])
+        scene.add_line_segments("/asked", _segments(asked), PATH, thickness=1.5, thickness_units="screen")
+        self._tail = np.repeat(start.state.tip[None], TAIL_POINTS, axis=0)
+        self._taken = scene.add_line_segments(
+            "/taken", _segments(self._tail), JOINT, thickness=3.5, thickness_units="screen"
+        )
+        middle = np.append(0.5 * start.state.tip[:2], 0.4)
+        out = start.state.tip[:2] / max(float(np.linalg.norm(start.state.tip[:2])), 1e-6)
+        side = np.array([out[1], -out[0]])
+        server.initial_camera.position = np.append(middle[:2] + 1.15 * side + 0.7 * out, 0.95)
+        server.initial_camera.look_at = middle
+        self.update(start)
+
+    def update(self, moment: Moment) -> None:
+        """Move everything to a moment."""
+        origins, rotations = link_frames(self._run.robot.chain, moment.state.q[None])
+        for frame, origin, rotation in zip(self._links[1:], origins[0], rotations[0], strict=True):
+            frame.position, frame.wxyz = origin, _quaternion(rotation)
+        self._trocar.position = moment.trocar
+        values, vectors = np.linalg.eigh(velocity_ellipsoids(moment.state.J_tip[None])[0])
+        vectors[:, 0] *= np.sign(np.linalg.det(vectors))
+        self._ellipsoid.scale = tuple(ELLIPSOID * np.maximum(values, 1e-4))
+        self._ellipsoid.wxyz, self._ellipsoid.position = _quaternion(vectors), moment.state.tip
+        if np.linalg.norm(moment.state.tip - self._tail[-1]) > 5e-4:
+            self._tail = np.concatenate([self._tail[1:], moment.state.tip[None]])
+            self._taken.points = _segments(self._tail)
+
+
+def lathe(radii: Array, heights: Array, around: int = 40) -> tuple[Array, NDArray[np.int64]]:
+    """Turn a profile about z: vertices (v, 3) and triangles (f, 3)."""
+    turn = 2.0 * np.pi * np.arange(around) / around
+    circle = np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    rings = np.concatenate(
+        [radii[:, None, None] * circle, np.broadcast_to(heights[:, None, None], (len(radii), around, 1))], axis=2
+    )
+    ring, k = np.meshgrid(np.arange(len(radii) - 1), np.arange(around), indexing="ij")
+    a, b = ring * around + k, ring * around + (k + 1) % around
+    faces = np.concatenate([np.stack([a, b, b + around], -1), np.stack([a, b + around, a + around], -1)])
+    return rings.reshape(-1, 3), faces.reshape(-1, 3)
+
+
+def _segments(points: Array) -> NDArray[np.float32]:  # (k - 1, 2, 3) pieces of a line through (k, 3)
+    return np.stack([points[:-1], points[1:]], axis=1).astype(np.float32)
+
+
+def _frame(axis: Array) -> Array:
+    """Return (3, 3) a rotation whose z axis is `axis`."""
+    across = np.cross(np.eye(3)[0 if abs(axis[0]) < 0.9 else 1], axis)
+    x = across / np.linalg.norm(across)
+    return np.asarray(np.stack([x, np.cross(axis, x), axis], axis=1))
+
+
+def _quaternion(rotation: Array) -> Array:
+    x, y, z, w = pin.Quaternion(np.asarray(rotation)).coeffs()
+    return np.array([w, x, y, z])
+
+
+def serve(scenario: Scenario, *, port: int = PORT, title: str = "") -> int:
     """Open the page and keep it until Ctrl-C; return the exit code.
 
     Raises:
         MocOptError: as `LivePage`.
     """
-    with LivePage(scenario, host=host, port=port, public=public, title=title) as page:
+    with LivePage(scenario, port=port, title=title) as page:
         # No exception from anywhere, which could leave a lock of the page's threads behind; a second Ctrl-C is one.
         def stop(number: int, frame: object) -> None:
             signal.signal(signal.SIGINT, before)
@@ -159,7 +351,7 @@ def serve(
         before = signal.signal(signal.SIGINT, stop)
         print(f"live at {page.url} - Ctrl-C ends it", file=sys.stderr, flush=True)
         try:
-            page.wait(seconds)
+            page.wait()
         finally:
             signal.signal(signal.SIGINT, before)
     print("ended", file=sys.stderr)

@@ -2,43 +2,143 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Callable
-from queue import Empty, SimpleQueue
+from queue import SimpleQueue
 from threading import Lock
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from moc_opt.arrays import Array
 from moc_opt.control import Controller, ControlSettings
 from moc_opt.control.gains import Gains
-from moc_opt.errors import MocOptError, RobotError
-from moc_opt.live.exchange import Choice, ExchangeableController
-from moc_opt.live.history import History, thinned
-from moc_opt.live.motion import MovingTrocars, ToAndFro
-from moc_opt.live.orders import (
-    DCAC,
-    LiveError,
-    Moment,
-    changed,
-    check_breathing,
-    check_push,
-    checked_offset,
-    child_link,
-)
-from moc_opt.model.robot_model import RobotModel, RobotState
-from moc_opt.numerics.arrays import Array
-from moc_opt.redundancy.arm_angle import Elbow
-from moc_opt.redundancy.self_motion import self_motion
+from moc_opt.errors import MocOptError, RobotError, ScenarioError, is_number
+from moc_opt.planning.self_motion import self_motion
+from moc_opt.robots.model import RobotModel, RobotState
 from moc_opt.scenario import Scenario, Setup, make_solver
 from moc_opt.scenario.parts import isolated
+from moc_opt.tasks import Reference
 from moc_opt.tasks.trocar import shaft_distance
 
-RAMP_S = 0.3
-"""Least time in which the third level of a new controller fades in: it pulls so hard at first, and so shortly, that
-no blend of the torques makes up for it."""
-BOUND_EVERY_TICKS = 50
+DCAC = "none (DCAC)"
+QUANTITIES = ("t_s", "mu", "mu_bound", "tip_error_m", "rcm_error_m", "force_N", "solve_us", "tick_us")
 HISTORY_S = 20.0
+BLEND_S = 0.1  # in which the difference of two controllers' torques decays; the next exchange waits for as long
+RAMP_S = 0.3  # in which a new third level fades in: it pulls so hard at first that no blend of torques makes up for it
+SLOWLY_M_PER_S, MOST_OFFSET_M = 0.02, 0.05  # of the trocar: a jump would be a blow
+_BOUND_EVERY_TICKS = 50
+
+
+class LiveError(ScenarioError):
+    """A live run cannot do what it was told; it goes on as it was."""
+
+
+class Moment(NamedTuple):
+    """The state that a page shows: the arm's, the trocar (3,) [m], the solver (or `DCAC`) and its last claim."""
+
+    t_s: float
+    state: RobotState
+    trocar: Array
+    solver: str
+    status: str
+    stopped: str
+    """Why the arm was stopped; empty while it runs."""
+
+
+class Choice(NamedTuple):
+    """A controller, and what it was built from."""
+
+    controller: Controller
+    solver: str
+    settings: ControlSettings
+
+
+class ExchangeableController:
+    """The controller in use, as the closed loop calls it (``sim.protocols.TorqueController``).
+
+    After an exchange the torque goes on where it was, tau = tau_new + offset with offset = tau_old - tau_new at
+    first, and offset decays by exp(-t / BLEND_S). The next exchange waits for BLEND_S: exchanges at every tick would
+    hold the torque where it is, and nobody would control the arm. ``refused`` is called with a choice that cannot
+    start, and its error.
+    """
+
+    def __init__(
+        self, robot: RobotModel, first: Choice, period_s: float, refused: Callable[[Choice, MocOptError], None]
+    ) -> None:
+        self._robot, self._refused, self.used = robot, refused, first
+        self._decay, self._apart = math.exp(-period_s / BLEND_S), round(BLEND_S / period_s)
+        self._next: Choice | None = None
+        self.restart()
+
+    @property
+    def tip(self) -> Array:
+        """Where the last tick saw the tip (3,) [m]: the safety filter compares it with the reference."""
+        return self.state.tip
+
+    def replace(self, choice: Choice) -> None:
+        """Use another controller from the next tick on, or BLEND_S after the last exchange, if it can start there."""
+        self._next = choice
+
+    def restart(self) -> None:
+        """Forget the motion so far: the next tick is the first one of a run."""
+        self._first, self._wait, self._offset = True, 0, np.zeros(self._robot.n)
+
+    def start(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> None:
+        """Take the first state; the controller itself starts at its first tick."""
+        self.state: RobotState = self._robot.state(q, v)
+
+    def tick(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> Array:
+        """Compute the torque (n,) [Nm] of the controller in use, blended with that of the one before."""
+        self.state = self._robot.state(q, v)
+        self._wait -= 1
+        if self._wait <= 0 and self._next is not None:
+            choice, self._next = self._next, None
+            try:
+                self._take(choice, tip_ref, trocar)
+            except MocOptError as error:
+                self._refused(choice, error)
+        if self._first:
+            self._take(self.used, tip_ref, trocar)
+        tau = self.used.controller.tick(self.state, tip_ref, trocar)
+        if self._offset.any():
+            tau = tau + self._offset
+            self.used.controller.set_applied_torque(tau)
+            self._offset = self._offset * self._decay if np.abs(self._offset).max() > 1e-6 else 0.0 * self._offset
+        self._applied = tau
+        return tau
+
+    def set_applied_torque(self, tau: Array) -> None:
+        """See ``sim.protocols.TorqueController``."""
+        self._applied = tau
+        self.used.controller.set_applied_torque(tau)
+
+    def _take(self, choice: Choice, tip_ref: Array, trocar: Array) -> None:
+        controller = choice.controller
+        controller.start(self.state, tip_ref, trocar)
+        first = controller.tick(self.state, tip_ref, trocar)
+        controller.start(self.state, tip_ref, trocar)
+        if not self._first:
+            self._offset, self._wait = self._applied - first, self._apart
+            controller.set_applied_torque(self._applied)
+        self.used, self._first = choice, False
+
+
+class ToAndFro:
+    """A reference that goes along its path, rests, comes back the same way, rests, and so on for ever."""
+
+    def __init__(self, reference: Reference, one_way_s: float) -> None:
+        self._reference, self.one_way_s = reference, one_way_s
+
+    def rows(self, t: float) -> Array:
+        """Return X_d, dX_d, ddX_d as the rows of one (3, 3) array, at a time [s]."""
+        lap, within = divmod(t, self.one_way_s)
+        if int(lap) % 2 == 0:
+            return self._reference.rows(within)
+        rows = self._reference.rows(self.one_way_s - within)
+        rows[1] *= -1.0  # backwards in time: the velocity turns round, the acceleration does not
+        return rows
 
 
 class LiveRun:
@@ -49,7 +149,6 @@ class LiveRun:
     or, where only the running loop can tell, found in `messages`.
 
     Attributes:
-        one_way_s: time from one end of the path to the other, rests included [s].
         messages: errors, oldest first; take them out with `popleft`.
     """
 
@@ -59,39 +158,27 @@ class LiveRun:
         Raises:
             MocOptError: the scenario is not usable.
         """
-        self.scenario = scenario
-        self._setup = Setup(scenario)
+        self.scenario, self._setup = scenario, Setup(scenario)
         self.robot, self.period_s = self._setup.robot, scenario.plant.period_s
         self.reference = ToAndFro(self._setup.reference, self._setup.duration_s)
-        self.one_way_s = self._setup.duration_s
         self.messages: deque[str] = deque(maxlen=100)
         self._todo: SimpleQueue[Callable[[], object]] = SimpleQueue()
         self._lock, self._building = Lock(), Lock()
         # Solvers may be built, with CasADi functions of the arm, while the loop uses its own model.
         self._workshop = RobotModel(self.robot.data)
-        self._control = scenario.control.model_copy(update={"backend": "python"})
+        self._control = scenario.control
         self._name = scenario.solver.name if scenario.control.law == "moc" else DCAC
-        self._history = History(round(HISTORY_S / self.period_s))
-        wrist = self.robot.state(self._setup.q_start).wrist
-        self._elbow = Elbow(self.robot, wrist[None])
-        self._elbow_link = child_link(self.robot, self._elbow.joint)
+        self._rows: deque[list[float]] = deque(maxlen=round(HISTORY_S / self.period_s))
         self._truth = np.empty(2 * self.robot.n + 9)
         first = Choice(self._build(self._control, self._name), self._name, self._control)
         self._in_use = ExchangeableController(self.robot, first, self.period_s, self._refused)
-        self._trocars = MovingTrocars(self._setup.trocar, self._setup.registered, scenario.trocar.breathing_known)
+        self._asked = np.zeros(3)
         self._begin()
 
     # --- what may be called from anywhere ---
 
-    @property
-    def control(self) -> ControlSettings:
-        """The settings that were asked for last."""
-        return self._control
-
-    @property
-    def solver(self) -> str:
-        """The solver that was asked for last, or `DCAC`."""
-        return self._name
+    control = property(lambda self: self._control, doc="The settings that were asked for last.")
+    solver = property(lambda self: self._name, doc="The solver that was asked for last, or `DCAC`.")
 
     @property
     def gains(self) -> Gains:
@@ -106,7 +193,7 @@ class LiveRun:
         """
         with self._building:
             law = self._control.matched_dcac() if solver == DCAC else {"law": "moc"}
-            self._exchange(changed(self._control, **law), solver)
+            self._exchange(self._control.replace(law), solver)
 
     def tune(self, **settings: Any) -> None:
         """Change settings of the control law, by the names of `ControlSettings`.
@@ -116,36 +203,20 @@ class LiveRun:
             ControlError: a value out of range.
         """
         with self._building:
-            if "law" in settings or "backend" in settings:
-                raise LiveError("law, backend: choose(solver) decides on the law; a live run computes in Python")
-            self._exchange(changed(self._control, **settings), self._name)
+            if "law" in settings:
+                raise LiveError("law: choose(solver) decides on it")
+            self._exchange(self._control.replace(settings), self._name)
 
     def place_trocar(self, x_m: float, y_m: float, z_m: float = 0.0) -> None:
         """Move the trocar away from where it was, world axes [m]: slowly, and the controller is told.
 
         Raises:
-            LiveError: farther than `MOST_OFFSET_M`.
+            LiveError: farther than `MOST_OFFSET_M` in one direction.
         """
-        offset = checked_offset(x_m, y_m, z_m)
-        self._todo.put(lambda: self._trocars.move(offset=offset))
-
-    def breathe(self, amplitude_m: float, period_s: float) -> None:
-        """Set amplitude [m] and period [s] of the trocar's breathing.
-
-        Raises:
-            LiveError: out of range.
-        """
-        check_breathing(amplitude_m, period_s)
-        self._todo.put(lambda: self._trocars.move(amplitude=amplitude_m, period_s=period_s))
-
-    def push_elbow(self, force_N: float, seconds: float = 0.3) -> None:
-        """Push the elbow along its swivel, against it where the force is negative.
-
-        Raises:
-            LiveError: out of range.
-        """
-        check_push(force_N, seconds)
-        self._todo.put(lambda: self._push(force_N, seconds))
+        for value in (x_m, y_m, z_m):
+            if not is_number(value) or not abs(value) <= MOST_OFFSET_M:
+                raise LiveError(f"trocar offset = {value!r} m: give a number from {-MOST_OFFSET_M} to {MOST_OFFSET_M}")
+        self._todo.put(lambda: setattr(self, "_asked", np.array([x_m, y_m, z_m])))
 
     def reset(self) -> None:
         """Go back to the start, with solver, gains and trocar as they are."""
@@ -157,18 +228,18 @@ class LiveRun:
             return self._moment
 
     def history(self, points: int = 400) -> Array:
-        """Return the last `HISTORY_S` seconds (k, 8), columns as in `history.QUANTITIES`, at most `points` rows.
+        """Return the last `HISTORY_S` seconds (k, 8), columns as `QUANTITIES`, thinned to some `points` rows.
 
-        Raises:
-            LiveError: points is no whole number, 1 or more.
+        Of every stretch it is the last time and the largest of each quantity: peaks stay.
         """
-        if not isinstance(points, int) or isinstance(points, bool) or points < 1:
-            raise LiveError(f"points = {points!r}: give a whole number, 1 or more")
         with self._lock:
-            rows = self._history.latest()
-        return thinned(rows, points)
+            rows = np.array(self._rows).reshape(-1, len(QUANTITIES))
+        size = max(1, -(-len(rows) // points))
+        whole = rows[len(rows) % size :].reshape(-1, size, len(QUANTITIES))  # the oldest few are left out
+        known = np.where(np.isnan(whole), -np.inf, whole).max(axis=1)
+        return np.where(np.isinf(known), np.nan, known)
 
-    # --- the loop's own thread ---
+    # --- what the loop's own thread calls ---
 
     def advance(self, ticks: int) -> None:
         """Run so many ticks, none while the arm is stopped; orders are carried out in either case."""
@@ -182,38 +253,40 @@ class LiveRun:
                 self._halt(str(error))
 
     def _obey(self) -> None:
-        while True:
+        while not self._todo.empty():  # nobody else takes anything out
             try:
-                order = self._todo.get_nowait()
-            except Empty:
-                return
-            try:
-                order()
+                self._todo.get_nowait()()
             except MocOptError as error:
                 self.messages.append(str(error))
 
     def _begin(self) -> None:
         self._setup.plant.reset(self._setup.q_start)
-        self._trocars.restart()
         self._in_use.restart()
-        self._push_until, self._stopped, self._bound = -1, "", np.nan
-        self._now = self._trocars.step(self.period_s)
-        tip_ref = self.reference.rows(0.0)
+        self._stopped, self._bound, self._offset = "", np.nan, np.zeros(3)
         self._loop = self._setup.closed_loop(self._in_use)
-        self._loop.start(tip_ref, self._now[1])
+        self._move_trocars()
+        self._loop.start(self.reference.rows(0.0), self._now[1])
         with self._lock:
-            self._history.clear()
-        self._show(tip_ref[0], self._now[0][0])
+            self._rows.clear()
+        self._show(0.0, self._in_use.state, self._now[0][0])
 
     def _tick(self) -> None:
-        t, plant = self._t, self._setup.plant
-        tip_ref, (trocar, registered) = self.reference.rows(t), self._now
-        plant.write_truth(self._truth)
+        t, (trocar, registered) = self._t, self._now
+        tip_ref = self.reference.rows(t)
+        self._setup.plant.write_truth(self._truth)
         self._loop.step(tip_ref, registered, trocar)
-        self._note(t, tip_ref[0], trocar[0])
-        self._now = self._trocars.step(self.period_s)
-        if self._loop.ticks == self._push_until:
-            plant.clear_pushes(self._elbow_link)
+        state, controller = self._in_use.state, self._in_use.used.controller
+        tip, wrist, force = self._truth[2 * self.robot.n :].reshape(3, 3)
+        if self._loop.ticks % _BOUND_EVERY_TICKS == 1:
+            self._bound = self._largest_mu(state.q)
+        row: list[Any] = [
+            t, state.mu, self._bound, np.linalg.norm(tip - tip_ref[0]), shaft_distance(tip, wrist, trocar[0]),
+            np.linalg.norm(force), controller.solve_us, self._loop.tick_us,
+        ]  # fmt: skip
+        with self._lock:
+            self._rows.append([float(value) for value in row])
+        self._show(t, state, trocar[0])
+        self._move_trocars()
         if self._loop.finished:
             self._halt(self._loop.stop_reason)
 
@@ -221,26 +294,13 @@ class LiveRun:
     def _t(self) -> float:
         return self._loop.ticks * self.period_s
 
-    def _refused(self, choice: Choice, error: MocOptError) -> None:
-        """Say that a choice cannot start, and take back that it was asked for, unless another one was since."""
-        _, name, control = self._in_use.used
-        with self._lock:
-            if choice.settings is self._control:
-                self._name, self._control = name, control
-        self.messages.append(f"{error}; {name} goes on")
-
-    def _note(self, t: float, tip_ref: Array, trocar: Array) -> None:
-        n, state, controller = self.robot.n, self._in_use.state, self._in_use.used.controller
-        tip, wrist, force = self._truth[2 * n :].reshape(3, 3)
-        if self._loop.ticks % BOUND_EVERY_TICKS == 1:
-            self._bound = self._largest_mu(state.q)
-        with self._lock:
-            self._history.add(
-                t_s=t, mu=state.mu, mu_bound=self._bound, tip_error_m=float(np.linalg.norm(tip - tip_ref)),
-                rcm_error_m=float(shaft_distance(tip, wrist, trocar)), force_N=float(np.linalg.norm(force)),
-                solve_us=controller.solve_us, tick_us=self._loop.tick_us,
-            )  # fmt: skip
-        self._show(tip_ref, trocar, t)
+    def _move_trocars(self) -> None:
+        """Set rows (2, 3) P_t, dP_t of the true and the registered trocar for the period that begins now."""
+        away, most = self._asked - self._offset, SLOWLY_M_PER_S * self.period_s
+        shift = away * min(1.0, most / max(float(np.linalg.norm(away)), 1e-12))
+        moved = np.array([self._offset, shift / self.period_s])
+        self._now = tuple(trocar.rows(self._t) + moved for trocar in (self._setup.trocar, self._setup.registered))
+        self._offset = self._offset + shift
 
     def _largest_mu(self, q: Array) -> float:
         try:
@@ -248,27 +308,17 @@ class LiveRun:
         except RobotError:
             return float("nan")  # a singular pose: no single curve leads through it
 
-    def _show(self, tip_ref: Array, trocar: Array, t: float = 0.0, state: RobotState | None = None) -> None:
+    def _show(self, t: float, state: RobotState, trocar: Array) -> None:
         used = self._in_use.used
-        solution, state = used.controller.solution, self._in_use.state if state is None else state
-        status = "none" if solution is None else solution.status.label
-        moment = Moment(
-            t_s=t, q=state.q, tip=state.tip, tip_ref=np.array(tip_ref), trocar=np.array(trocar), J_tip=state.J_tip,
-            mu=state.mu, solver=used.solver, status=status, stopped=self._stopped,
-        )  # fmt: skip
+        status = "none" if used.controller.solution is None else used.controller.solution.status.label
+        moment = Moment(t, state, np.array(trocar), used.solver, status, self._stopped)
         with self._lock:
             self._moment = moment
 
     def _halt(self, reason: str) -> None:
         self._stopped = f"stopped at {self._t:.2f} s: {reason}"
         self.messages.append(f"{self._stopped}; change what caused it and reset")
-        seen = self._moment
-        self._show(seen.tip_ref, seen.trocar, self._t, self.robot.state(seen.q))
-
-    def _push(self, force_N: float, seconds: float) -> None:
-        plant = self._setup.plant
-        plant.push(self._elbow_link, force_N * self._elbow.direction(plant.q))
-        self._push_until = self._loop.ticks + max(1, round(seconds / self.period_s))
+        self._show(self._t, self._moment.state, self._moment.trocar)
 
     def _build(self, control: ControlSettings, name: str) -> Controller:
         if control.follows:
@@ -286,3 +336,11 @@ class LiveRun:
         with self._lock:
             self._control, self._name = control, name
             self._todo.put(lambda: self._in_use.replace(choice))
+
+    def _refused(self, choice: Choice, error: MocOptError) -> None:
+        """Say that a choice cannot start, and take back that it was asked for, unless another one was since."""
+        _, name, control = self._in_use.used
+        with self._lock:
+            if choice.settings is self._control:
+                self._name, self._control = name, control
+        self.messages.append(f"{error}; {name} goes on")

@@ -1,4 +1,4 @@
-"""A course: one pose for each time of a path, its objective, and its violations of the constraints."""
+"""What a path asks for at evenly spaced times, a course along it, and by how much that breaks the constraints."""
 
 from __future__ import annotations
 
@@ -7,17 +7,84 @@ from typing import Literal
 
 import numpy as np
 
-from moc_opt.model.robot_model import RobotModel
-from moc_opt.numerics.arrays import Array, read_only
-from moc_opt.planning.pose_map import Margin
-from moc_opt.planning.targets import Targets
+from moc_opt.arrays import Array, read_only
+from moc_opt.errors import TaskError
+from moc_opt.robots.chain import desired_wrist
+from moc_opt.robots.model import RobotModel
+from moc_opt.tasks import Reference, Trocar
 
+Margin = float | Array
+"""From the joint limits: one number for all, or one per joint (n,) [rad], [m] of a joint that slides."""
 Objective = Literal["mean", "worst", "log"]
 OBJECTIVES: tuple[Objective, ...] = ("mean", "worst", "log")
-MOST_VIOLATION = 1e-8
-"""Of a course that is taken for one [m], [rad]."""
-LEAST_MU = 1e-12
-"""Below it the logarithm is taken here [m^3]."""
+SHALLOWEST_M = 0.002  #: Nearer to the trocar the shaft has no direction.
+MOST_VIOLATION = 1e-8  #: Of a course that is taken for one [m], [rad].
+LEAST_MU = 1e-12  #: Below it the logarithm is taken here [m^3].
+
+
+@dataclass(frozen=True, eq=False)
+class Targets:
+    """k times; read-only arrays.
+
+    Example:
+        >>> targets = mo.plan(mo.Scenario(duration_s=1.0), times=21, refined=False).targets
+        >>> len(targets), targets.tip.shape, round(targets.period_s, 3)
+        (21, (21, 3), 0.05)
+    """
+
+    t_s: Array  #: (k,) evenly spaced [s]
+    tip: Array  #: (k,3) [m]
+    wrist: Array  #: (k,3) N_d = X_d + L e, e from the tip to the trocar [m]
+    arc_length_m: Array  #: (k,) way of the tip so far [m]
+
+    @property
+    def period_s(self) -> float:
+        """Time between two [s]."""
+        return float(self.t_s[1] - self.t_s[0])
+
+    def __getitem__(self, some: slice) -> Targets:
+        """Return some of the times."""
+        return Targets(self.t_s[some], self.tip[some], self.wrist[some], self.arc_length_m[some])
+
+    def at(self, t: Array) -> Targets:
+        """Return the targets at other times (m,) [s], interpolated."""
+        tip, wrist = (between(t, self.t_s, rows) for rows in (self.tip, self.wrist))
+        return Targets(t, tip, wrist, np.interp(t, self.t_s, self.arc_length_m))
+
+    def __len__(self) -> int:
+        return len(self.t_s)
+
+
+def lay_targets(
+    reference: Reference, trocar: Trocar, span_m: float, duration_s: float, count: int,
+    tool_m: float = np.inf,
+) -> Targets:  # fmt: skip
+    """Sample the reference and the trocar at ``count`` times from 0 to the end.
+
+    Args:
+        span_m: wrist to tip [m].
+        duration_s: end of the run [s].
+        tool_m: mount to tip [m]: only so much of the shaft can lie in the trocar.
+
+    Raises:
+        TaskError: fewer than two times, or the trocar is not on the shaft at one of them.
+    """
+    if count < 2 or not duration_s > 0.0:
+        raise TaskError(f"count = {count}, duration_s = {duration_s:g}: give two times or more and a positive duration")
+    t = np.linspace(0.0, duration_s, count)
+    tip = np.ascontiguousarray(reference.at(t)[0])
+    trocars = trocar.at(t)[0]
+    depth = np.linalg.norm(trocars - tip, axis=1)
+    deepest = min(span_m, tool_m)
+    off = (depth < SHALLOWEST_M) | (depth > deepest)
+    if off.any():
+        k = int(np.argmax(off))
+        raise TaskError(
+            f"trocar: at t = {t[k]:.2f} s it is {1e3 * depth[k]:.0f} mm from the tip: it must lie on the shaft, "
+            f"{1e3 * SHALLOWEST_M:.0f} to {1e3 * deepest:.0f} mm from its tip; make the path smaller, or change depth_m"
+        )
+    arc = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(tip, axis=0), axis=1))))
+    return Targets(*map(read_only, (t, tip, desired_wrist(tip, 0.0, trocars, 0.0, span_m)[0], arc)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,17 +97,13 @@ class Course:
         ((20, 7), True, True)
     """
 
-    t_s: Array
-    """(k,) [s]"""
-    q_rad: Array
-    """(k,n)"""
-    mu: Array
-    """(k,) [m^3], by the robot model"""
+    t_s: Array  #: (k,) [s]
+    q_rad: Array  #: (k,n)
+    mu: Array  #: (k,) [m^3], by the robot model
     violation: float
     """Largest of: tip or wrist off its target [m]; a joint beyond its limit, its speed times the period, or its
     acceleration times the period's square [rad]."""
-    certified: bool = False
-    """Whether it is a local optimum to the solver's tolerance; False: the best on a grid."""
+    certified: bool = False  #: Whether it is a local optimum to the solver's tolerance; False: the best on a grid.
 
     def value(self, objective: Objective) -> float:
         """Mean mu, worst mu [m^3], or mean of log mu, over the time by the trapezoidal rule."""
@@ -65,6 +128,40 @@ class Course:
         return replace(self, certified=True)
 
 
+@dataclass(frozen=True, eq=False)
+class Limits:
+    """What a course keeps."""
+
+    margin: Margin = 0.0  #: from the joint limits
+    speed_share: float = 1.0  #: of the joints' speed limits
+    acceleration: float = np.inf  #: most of any joint, from rest [rad/s^2]; the search does not know it
+    shaft: float = 0.0
+    """share of the squared lever below which the shaft is nearly lost: a pose there is worth less, see `lowered`"""
+
+
+def lowered(mu: Array, share: Array, limits: Limits, top: float) -> Array:
+    """Take off mu what a pose costs that nearly loses the shaft: `WORTH` top (1 - share/margin)^2 below the margin.
+
+    With the tip held, the wrist is moved across the shaft by mu_shaft. Where its share of the squared lever is small
+    the joints turn fast to keep the shaft in the trocar, and what they lag of it is RCM error. ``top`` is the largest
+    mu of the map [m^3].
+    """
+    if limits.shaft <= 0.0:
+        return mu
+    with np.errstate(invalid="ignore"):
+        less: Array = mu - WORTH * top * np.maximum(1.0 - share / limits.shaft, 0.0) ** 2
+    return less
+
+
+WORTH = 10.0  #: A pose at which the shaft is lost is worth less by so many times the map's largest mu.
+
+
+def shaft_shares(robot: RobotModel, poses: Array) -> Array:
+    """Compute mu_shaft over the squared distance from wrist to tip, (k,), at the poses (k,n) [rad]."""
+    squares = np.array(robot.kinematics().shaft(np.ascontiguousarray(poses).T)).ravel()
+    return np.sqrt(np.maximum(squares, 0.0))
+
+
 def weights(count: int) -> Array:
     """Return the weights of the trapezoidal rule on evenly spaced times, (count,)."""
     weight = np.ones(count)
@@ -78,28 +175,27 @@ def faster(q: Array) -> Array:
     return np.abs(np.diff(q, n=2, axis=0, prepend=q[:1]))
 
 
-def margin_at(robot: RobotModel, q_start: Array, margin: Margin) -> Margin:
-    """Return the margin, no larger than what the start keeps itself: no smooth course from there could keep more."""
-    room = np.maximum(np.minimum(q_start - robot.q_min, robot.q_max - q_start), 0.0)
-    room = np.where(robot.moves.any(axis=0), room, np.inf)
+def between(t: Array, times: Array, rows: Array) -> Array:
+    """Interpolate rows (k,n) linearly at t (m,)."""
+    return np.stack([np.interp(t, times, column) for column in rows.T], axis=1)
+
+
+def margin_at(robot: RobotModel, poses: Array, margin: Margin) -> Margin:
+    """Return the margin, no larger than what the poses (..., n) keep themselves: no smooth course could keep more."""
+    room = np.minimum(poses - robot.q_min, robot.q_max - poses).reshape(-1, robot.n).min(axis=0)
+    room = np.where(robot.moves.any(axis=0), np.maximum(room, 0.0), np.inf)
     return np.minimum(margin, room) if isinstance(margin, np.ndarray) else min(margin, float(room.min()))
 
 
-def make_course(
-    robot: RobotModel, targets: Targets, q: Array, margin: Margin = 0.0, speed_share: float = 1.0,
-    acceleration: float = np.inf,
-) -> Course:  # fmt: skip
-    """Judge poses (k,n) for the first k times by the robot model itself, independent of their origin.
-
-    The joints begin at rest; ``acceleration`` [rad/s^2] is the most of any of them.
-    """
-    count = len(q)
+def make_course(robot: RobotModel, targets: Targets, q: Array, limits: Limits | None = None) -> Course:
+    """Judge poses (k,n) for the first k times by the robot model itself; the joints begin at rest."""
+    limits, count = Limits() if limits is None else limits, len(q)
     tips, wrists = robot.tool_along(q)
     off = max(np.abs(tips - targets.tip[:count]).max(), np.abs(wrists - targets.wrist[:count]).max())
     moving = robot.moves.any(axis=0)
-    beyond = np.maximum(q - robot.q_max + margin, robot.q_min + margin - q)[:, moving].max()
-    fast = np.abs(np.diff(q, axis=0)) - speed_share * robot.v_max * targets.period_s
-    gained = faster(q) - acceleration * targets.period_s**2
+    beyond = np.maximum(q - robot.q_max + limits.margin, robot.q_min + limits.margin - q)[:, moving].max()
+    fast = np.abs(np.diff(q, axis=0)) - limits.speed_share * robot.v_max * targets.period_s
+    gained = faster(q) - limits.acceleration * targets.period_s**2
     violation = float(max(off, beyond, fast.max(initial=-np.inf), gained.max(initial=-np.inf), 0.0))
     t, poses, mu = np.array(targets.t_s[:count]), np.array(q), robot.mu_along(q)
     return Course(read_only(t), read_only(poses), read_only(mu), violation)

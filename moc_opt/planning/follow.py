@@ -2,79 +2,207 @@
 
     x_d(t) = dq_c(t) + k (q_c(t) - q),   projected on ker A by the subproblem itself
 
-q_c is the course, k the gain on its error.
+q_c is the course, k the gain on its error. The course is made before the run, or again and again in it (`Planner`).
 
-An arm that is far from its course is not led back by that: the way there may turn away from it at first, and close to a
-singular pose, where one joint alone is free, the error's projection is zero at poses off the course. A horizon that
-plans anew from where the arm is (`receding`) takes over then.
+An arm that is far from a course made before the run is not led back by that: the way there may turn away from it at
+first, and close to a singular pose, where one joint alone is free, the error's projection is zero at poses off the
+course. From there a planner makes it anew.
 """
 
 from __future__ import annotations
 
+import time
+from typing import NamedTuple
+
 import numpy as np
 
+from moc_opt.arrays import Array
 from moc_opt.errors import TaskError
-from moc_opt.model.robot_state import RobotState
-from moc_opt.numerics.arrays import Array
-from moc_opt.planning.course import Course
-from moc_opt.planning.receding import Receding
+from moc_opt.planning.course import Course, Targets, between, make_course
+from moc_opt.planning.program import Program
+from moc_opt.planning.search import NEARBY_RAD, Value
+from moc_opt.robots.state import RobotState
 
+GAIN_PER_S = 5.0  #: k
+NODES = 10  #: Times of the nonlinear program after the measured pose.
+CATCH_UP = 1.03  #: Factor on the speed that V assumes, allowed on the horizon, so that a late arm can catch up.
+ON_COURSE_RAD = 0.05
+"""An arm this near to its course in every joint is on it: a new one begins at the course, which the loop tracks, not at
+the measured pose. Else the delay of a solve would close a second loop, which oscillates near singular poses."""
+MOST_OFF = 1e-3
+"""Of an answer that is followed: tip or wrist off its target [m], a joint beyond a limit or its way [rad]. Levels 1 and
+2 keep tip and shaft whatever the third does."""
 LOST_RAD = 0.3
 """Farther from its course in one joint, an arm has left it: some ten times the usual error on a course."""
-ASKED_EACH = 25
-"""Ticks between two checks whether the arm has left its course."""
+ASKED_EACH = 25  #: Ticks between two checks whether the arm has left its course.
+
+
+class Piece(NamedTuple):
+    """A course at evenly spaced times; cubic between them (Hermite), and at rest after the last."""
+
+    t_s: Array
+    q_rad: Array
+    v_rad_per_s: Array
+
+    def at(self, t_s: float) -> tuple[Array, Array]:
+        """Return the pose (n,) [rad] and velocity (n,) [rad/s]."""
+        if t_s >= self.t_s[-1]:
+            return self.q_rad[-1], np.zeros_like(self.q_rad[-1])
+        dt = self.t_s[1] - self.t_s[0]
+        along = max(0.0, (t_s - self.t_s[0]) / dt)
+        k = min(int(along), len(self.t_s) - 2)
+        s, q, way = along - k, self.q_rad[k], self.q_rad[k + 1] - self.q_rad[k]
+        v, last = self.v_rad_per_s[k], self.v_rad_per_s[k + 1]
+        bend, turn = 3.0 * way - dt * (2.0 * v + last), dt * (v + last) - 2.0 * way
+        return q + s * (dt * v + s * (bend + s * turn)), v + s * (2.0 * bend + 3.0 * s * turn) / dt
+
+
+class Planner:
+    """Makes the course of the next second from any pose: a way on the map, and on from there by V, made smooth.
+
+    The way decides which local maximum of mu to approach; the program makes a course of it that can be followed.
+    """
+
+    def __init__(
+        self, value: Value, program: Program, targets: Targets, *, horizon_s: float, rate_per_s: float
+    ) -> None:
+        """Take what is made before the run.
+
+        Args:
+            value: V over the path.
+            program: of `NODES` times.
+            targets: tip and wrist over time, closely enough to interpolate between.
+            horizon_s: least time from the measured pose to where V takes over [s].
+            rate_per_s: solves in a second.
+        """
+        self._value, self._program, self._targets = value, program, targets
+        self._horizon_s, self.rate_per_s = horizon_s, rate_per_s
+        self.solve_s: list[float] = []
+        """Time of every solve since the start [s]."""
+        self.refused = 0
+        """Solves since the start whose answer was not usable: the one before went on."""
+
+    def forget(self) -> None:
+        """Make the program's solver anew, for 0.15 s, so that the next run repeats one before to the last bit."""
+        self._program.forget()
+        self.solve_s, self.refused = [], 0
+
+    @property
+    def told(self) -> dict[str, float]:
+        """Number of ``solves`` since the start, of those ``refused``, and their times [ms]."""
+        times = 1e3 * np.array(self.solve_s or [0.0])
+        median, high = np.percentile(times, [50.0, 99.0]).tolist()
+        return {"solves": len(self.solve_s), "refused": self.refused, "solve_ms_median": median, "solve_ms_p99": high}
+
+    def plan(self, q: Array, t: float, last: Piece | None) -> Piece | None:
+        """Make the course from a pose (n,) at a time [s]; the last one where none is usable, or the path is over."""
+        path, began = self._value.map.targets, time.perf_counter()
+        end = min(int(np.searchsorted(path.t_s, t + self._horizon_s)), len(path) - 1)
+        if path.t_s[end] - t < 0.5 * path.period_s:
+            return last
+        found = self._found(q, t, end, last)
+        self.solve_s.append(time.perf_counter() - began)
+        self.refused += found is None
+        return last if found is None else found
+
+    def _found(self, q: Array, t: float, end: int, last: Piece | None) -> Piece | None:
+        way = self._value.way(q, t, end, CATCH_UP)
+        if way is None:
+            return None
+        nodes = np.linspace(t, way.t_s[-1], NODES + 1)
+        there, speed, guess = self._targets.at(nodes[1:]), np.zeros(len(q)), between(nodes[1:], way.t_s, way.q_rad)
+        if last is not None:
+            apart = last.q_rad[-1] - between(last.t_s[-1:], way.t_s, way.q_rad)[0]
+            if np.abs(apart).max() <= NEARBY_RAD:  # begun at the last answer, and then the way
+                known = nodes[1:] <= last.t_s[-1]
+                guess += apart
+                guess[known] = between(nodes[1:][known], last.t_s, last.q_rad)
+            followed, speed = last.at(t)
+            if np.abs(followed - q).max() < ON_COURSE_RAD:
+                q = followed
+        period = float(nodes[1] - nodes[0])
+        answer, _ = self._program.solve(guess, q, there, speed, self._value.near(end, way.last), period)
+        course = np.concatenate([q[None], answer])
+        if not np.isfinite(course).all():
+            return None
+        robot, limits = self._program.robot, self._program.limits
+        fast = np.abs(np.diff(course, axis=0)) - period * limits.speed_share * robot.v_max
+        if max(make_course(robot, there, answer, limits).violation, float(fast.max())) > MOST_OFF:
+            return None
+        velocity = np.gradient(course, nodes, axis=0)
+        velocity[0] = speed
+        return Piece(nodes, course, velocity)
 
 
 class Follower:
     """Wishes of one run, tick by tick; see `moc_opt.control.guide.Guide`."""
 
     def __init__(
-        self, course: Course, period_s: float, *, gain_per_s: float = 5.0, rescue: Receding | None = None
-    ) -> None:
-        """Sample the course at the ticks.
+        self, period_s: float, *, course: Course | None = None, planner: Planner | None = None,
+        q_start: Array | None = None,
+    ) -> None:  # fmt: skip
+        """Follow a course from t = 0 on, or what the planner makes from ``q_start`` on.
 
         Args:
-            course: from t = 0 on; after its end its last pose is held.
             period_s: of a tick [s].
-            gain_per_s: k [1/s].
-            rescue: guide that takes over from the present pose if the arm has left its course.
+            course: made before the run; after its end its last pose is held. None: the planner makes one all the time.
+            planner: with a course, it takes over from the present pose if the arm has left it.
+            q_start: (n,) at t = 0, without a course [rad].
 
         Raises:
-            TaskError: the period is not positive, or the gain negative.
+            TaskError: the planner has no course from the start.
         """
-        if not period_s > 0.0 or not gain_per_s >= 0.0:
-            raise TaskError(f"period_s = {period_s:g}, gain_per_s = {gain_per_s:g}: give above 0, and 0 or more")
-        t = period_s * np.arange(int(np.ceil(course.t_s[-1] / period_s)) + 1)
-        self._q = np.stack([np.interp(t, course.t_s, joint) for joint in course.q_rad.T], axis=1)
-        v = np.gradient(course.q_rad, course.t_s, axis=0)
-        self._v = np.stack([np.interp(t, course.t_s, joint) for joint in v.T], axis=1)
-        self._v[-1] = 0.0
-        self._gain, self._tick, self._period = gain_per_s, 0, period_s
-        self._rescue, self._lost_s = rescue, np.inf
-        self.course_mu_mean = course.mu_mean
-        """Mean manipulability of the course [m^3]: what the run has where nothing takes the arm from it."""
+        self._period, self._planner, self._q_start = period_s, planner, q_start
+        self._given: Piece | None = None
+        self.course_mu_mean: float | None = None
+        """Mean manipulability of the given course [m^3]: what the run has where nothing takes the arm from it."""
+        if course is not None:
+            velocity = np.gradient(course.q_rad, course.t_s, axis=0)
+            velocity[-1] = 0.0
+            self._given, self.course_mu_mean = Piece(course.t_s, course.q_rad, velocity), course.mu_mean
+        self._every = 0 if planner is None else max(1, round(1.0 / (planner.rate_per_s * period_s)))
+        self.start()
+        if self._now is None:
+            raise TaskError("q_start: no course goes to the end of the path from there within joint speeds and limits")
 
     def start(self) -> None:
-        """Go back to t = 0, and to the course."""
-        self._tick, self._lost_s = 0, np.inf
-        if self._rescue is not None:
-            self._rescue.renew()  # not where it takes over: within a tick that would stall the loop
+        """Go back to t = 0, and to the given course."""
+        self._tick, self._begun = 0, -1
+        self._now: Piece | None = self._given
+        if self._planner is not None:
+            self._planner.forget()  # not where it takes over: within a tick that would stall the loop
+            if self._given is None and self._q_start is not None:
+                self._begin(self._planner, self._q_start)
+
+    def _begin(self, planner: Planner, q: Array) -> None:
+        found = planner.plan(q, self._tick * self._period, None)
+        if found is not None:
+            self._begun = self._tick
+            self._before = self._now = self._next = found
 
     @property
     def told(self) -> dict[str, float]:
-        """When the course was left [s], and what `Receding.told` has since; empty where it was not."""
-        return {"left_course_s": self._lost_s, **self._rescue.told} if self._rescue and self._lost_s < np.inf else {}
+        """What the planner did: `Planner.told`, and when the arm left a given course [s]; empty where nothing."""
+        if self._planner is None or self._begun < 0:
+            return {}
+        left = {} if self._given is None else {"left_course_s": self._begun * self._period}
+        return {**left, **self._planner.told}
 
     def desired_velocity(self, state: RobotState) -> Array:
         """Return x_d (n,) [rad/s] of this tick; the next call is the next tick's."""
-        if self._rescue is not None and self._lost_s < np.inf:
-            return self._rescue.desired_velocity(state)
-        k, tick = min(self._tick, len(self._q) - 1), self._tick
-        off = self._q[k] - state.q
-        lost = self._rescue is not None and tick % ASKED_EACH == 0 and np.abs(off).max() > LOST_RAD
-        if self._rescue is not None and lost and self._rescue.begin(state.q, tick):
-            self._lost_s = tick * self._period
-            return self._rescue.desired_velocity(state)
+        t, planner = self._tick * self._period, self._planner
+        assert self._now is not None
+        if planner is not None and self._begun < 0 and self._tick % ASKED_EACH == 0:
+            if np.abs(self._now.at(t)[0] - state.q).max() > LOST_RAD:
+                self._begin(planner, state.q)
+        elif planner is not None and 0 <= self._begun < self._tick and self._tick % self._every == 0:
+            # An answer is used from the next solve on, as if it were computed beside the loop.
+            now, self._next = self._next, planner.plan(state.q, t, self._now) or self._next
+            self._before, self._now = self._now, now
+        q, v = self._now.at(t)
+        if self._begun >= 0:  # from one answer to the next without a jump, over the time until the one after it
+            part, (q_0, v_0) = (self._tick % self._every) / self._every, self._before.at(t)
+            q, v = (1.0 - part) * q_0 + part * q, (1.0 - part) * v_0 + part * v
         self._tick += 1
-        found: Array = self._v[k] + self._gain * off
-        return found
+        desired: Array = v + GAIN_PER_S * (q - state.q)
+        return desired

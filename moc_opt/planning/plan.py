@@ -3,25 +3,46 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from moc_opt.errors import TaskError, is_number
-from moc_opt.inputs.notebook import table_html
-from moc_opt.model.robot_model import RobotModel
-from moc_opt.numerics.arrays import Array
-from moc_opt.planning.blocked import Blocked, blocked
-from moc_opt.planning.candidates import usable_courses
-from moc_opt.planning.climb import climb
-from moc_opt.planning.course import OBJECTIVES, Course, Objective, make_course, margin_at
-from moc_opt.planning.pose_map import SWIVELS, Margin, PoseMap, check_swivels, spherical_map
-from moc_opt.planning.search import Search, search
-from moc_opt.planning.shaft import keeping_shaft, largest, lowered
-from moc_opt.planning.spherical import spherical
-from moc_opt.planning.targets import Targets
-from moc_opt.planning.traced import STEP_RAD, traced_map
-from moc_opt.redundancy.arm_angle import Elbow
+from moc_opt.arrays import Array
+from moc_opt.errors import ScenarioError, TaskError, is_number
+from moc_opt.inputs.names import table_html
+from moc_opt.planning.arm_angle import Elbow
+from moc_opt.planning.course import (
+    OBJECTIVES,
+    Course,
+    Limits,
+    Objective,
+    Targets,
+    faster,
+    make_course,
+    margin_at,
+)
+from moc_opt.planning.pose_map import SWIVELS, PoseMap, map_of
+from moc_opt.planning.program import refine, worth
+from moc_opt.planning.search import WHOLE_CELL, Value, keeping_shaft, reached
+from moc_opt.robots.model import RobotModel
+
+
+@dataclass(frozen=True, eq=False)
+class Blocked:
+    """The first point of the path that no course reaches from the start.
+
+    Example:
+        >>> blocked = mo.plan(mo.Scenario(duration_s=4.0), times=20, speed_share=0.01, refined=False).blocked
+        >>> blocked.t_s > 0.0, "times its speed limit" in blocked.reason
+        (True, True)
+    """
+
+    t_s: float  #: When the run would be there [s].
+    arc_length_m: float  #: Way of the tip up to it [m].
+    tip_m: tuple[float, float, float]  #: Place of the tip there [m].
+    reason: str  #: The obstacle in words, with the joint's name where it is one joint's.
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,47 +57,31 @@ class Plan:
         True
     """
 
-    objective: Objective
-    """Objective of the best courses: "mean" mu, "worst" mu, or the mean of "log" mu."""
-    targets: Targets
-    """Targets of tip and wrist on the path, (k,3) each [m], at (k,) times [s]."""
-    from_start: Course | None
-    """The best course from the start; None: the path cannot be executed from there."""
-    best: Course | None
-    """The best over all swivels and branches at the start of the path; None: from nowhere."""
-    climbed: Course
-    """The course of a local climb; shorter than the path if the climb ends at a limit."""
+    objective: Objective  #: Objective of the best courses: "mean" mu, "worst" mu, or the mean of "log" mu.
+    targets: Targets  #: Targets of tip and wrist on the path, (k,3) each [m], at (k,) times [s].
+    from_start: Course | None  #: The best course from the start; None: the path cannot be executed from there.
+    best: Course | None  #: The best over all swivels and branches at the start of the path; None: from nowhere.
+    climbed: Course  #: The course of a local climb; shorter than the path if the climb ends at a limit.
     bound_from_start: float
     """No course from the start that the map resolves is better, in the objective's unit; NaN where one was found that
     is: it passes so near a singular pose that mu changes within a step of the map."""
-    bound: float
-    """The same of every course, from any start."""
-    blocked: Blocked | None
-    """Where and why the path cannot be executed from the start; None: it can."""
-    start_swivel_rad: float
-    """Of the elbow at the start [rad]; see `moc_opt.redundancy.arm_angle`."""
-    best_swivel_rad: float
-    """The start swivel proposed: that of ``best``; NaN: there is none."""
-    swivel_rad: Array
-    """(k,) of ``course`` [rad]; empty where there is none"""
-    map_s: float
-    """Time for the map [s]."""
-    search_s: float
-    """Time for the courses by dynamic programming, without their bounds [s]."""
-    bound_s: float
-    """Time for their bounds [s]."""
-    refine_s: float
-    """Time for refining them [s]."""
+    bound: float  #: The same of every course, from any start.
+    blocked: Blocked | None  #: Where and why the path cannot be executed from the start; None: it can.
+    start_swivel_rad: float  #: Of the elbow at the start [rad]; see `moc_opt.planning.arm_angle`.
+    best_swivel_rad: float  #: The start swivel proposed: that of ``best``; NaN: there is none.
+    swivel_rad: Array  #: (k,) of ``course`` [rad]; empty where there is none
+    map_s: float  #: Time for the map [s].
+    search_s: float  #: Time for the courses by dynamic programming, without their bounds [s].
+    bound_s: float  #: Time for their bounds [s].
+    refine_s: float  #: Time for refining them [s].
 
     def __repr__(self) -> str:
         return f"Plan({', '.join(f'{name}: {value}' for name, value in self._shown().items())})"
 
     def _repr_html_(self) -> str:
-        """Show itself in a notebook."""
         return table_html("Plan", self._shown())
 
     def _shown(self) -> dict[str, str]:
-        """Answer in words what a plan is made for; `moc_opt.report.plan_table` has all of it."""
         found = {"executable": "yes"}
         if self.blocked is not None:
             found = {"executable": "no", "blocked": f"at t = {self.blocked.t_s:.3f} s, {self.blocked.reason}"}
@@ -105,131 +110,235 @@ class Plan:
 
 
 def make_plan(
-    robot: RobotModel,
-    q_start: Array,
-    targets: Targets,
-    objective: Objective = "mean",
-    *,
-    swivels: int = SWIVELS,
-    margin: Margin = 0.0,
-    speed_share: float = 1.0,
-    acceleration: float = np.inf,
-    shaft_margin: float = 0.0,
-    refined: bool = True,
-    elsewhere: bool = True,
-    known: PoseMap | None = None,
-) -> Plan:
-    """Plan a path from one start.
+    robot: RobotModel, q_start: Array, targets: Targets, limits: Limits | None = None, objective: Objective = "mean", *,
+    swivels: int = SWIVELS, refined: bool = True,
+) -> Plan:  # fmt: skip
+    """Plan a path from one start, and from all.
 
     Args:
         robot: the arm.
         q_start: (n,) with tip and wrist at the first target [rad].
         targets: of tip and wrist at k evenly spaced times, (k,3) each [m].
+        limits: that courses keep; a start nearer to a joint limit lowers the margin, see `margin_at`. Bounds are of
+            courses that keep them, NaN where the one found does not.
         objective: "mean", "worst" or "log".
         swivels: samples of one turn; of an arm without a closed form see `map_of`.
-        margin: that every joint keeps from its limits, one number or (n,) [rad], [m] where a joint slides; a start
-            that is nearer to one lowers it, see `margin_at`.
-        speed_share: of the joints' speed limits that a course may use, above 0 to 1.
-        acceleration: most of any joint, from rest [rad/s^2]; the refinement keeps it, the grid ignores it.
-        shaft_margin: a share of the squared lever, below which no course goes where the path and the start leave it
-            another way (`shaft.keeping_shaft`); bounds are of courses that keep it, NaN where the one found does not.
-        refined: whether courses are improved beyond the grid, and looked for where only the grid has none.
-        elsewhere: whether other starts are planned, too; else ``best`` is the course from the start, without a bound.
-        known: `map_of` these targets and this start, if it was made before.
+        refined: whether courses are improved beyond the grid.
 
     Raises:
         TaskError: an argument is out of range, or the start is not at the first target.
         RobotError: fewer than 8 swivels, or more than `pose_map.MOST_SWIVELS`.
     """
-    check_limits(robot, objective, margin, speed_share, shaft_margin)
+    limits = limits or Limits()
+    check_limits(robot, limits, objective)
     tips, wrists = robot.tool_along(np.asarray(q_start, dtype=np.float64)[None])
     off = max(np.abs(tips[0] - targets.tip[0]).max(), np.abs(wrists[0] - targets.wrist[0]).max())
     if off > 1e-6:
         raise TaskError(f"q_start: tip or wrist is {1e3 * off:.3g} mm from the path's first point: begin it there")
-    if not is_number(acceleration) or not acceleration > 0.0:
-        raise TaskError(f"acceleration = {acceleration!r}: give a limit above 0")
-    if np.isfinite(acceleration) and not refined:
-        raise TaskError(f"acceleration = {acceleration!r}: the grid alone knows no such limit; give refined = True")
-    margin = margin_at(robot, q_start, margin)
-    began = time.perf_counter()
-    whole = map_of(robot, q_start, targets, swivels) if known is None else known
-    found, most = keeping_shaft(whole, robot, shaft_margin, objective), largest(whole)
-    mapped = time.perf_counter()
-    step = speed_share * robot.v_max * targets.period_s
-    start = (np.array(q_start, dtype=np.float64), float(robot.state(q_start).mu))
-    starts = (start, None) if elsewhere else (start,)
-    answers = [search(found, step, objective, start=begin, margin=margin) for begin in starts]
-    searched = time.perf_counter()
-    bounds = [
-        search(found, step, objective, start=begin, margin=margin, generous=True) for begin in starts
-    ]
-    bounded = time.perf_counter()
-
-    def worth(course: Course) -> tuple[float, float]:
-        judged = lowered(course, robot, shaft_margin, most, objective)
-        return judged.value(objective), judged.mu_mean
-
-    courses = [
-        max(
-            usable_courses(
-                robot, whole, [answer, bound] if refined else [answer], begin, objective, margin=margin,
-                speed_share=speed_share, acceleration=acceleration, shaft_margin=shaft_margin, refined=refined,
-            ), key=worth, default=None,
-        ) for answer, bound, begin in zip(answers, bounds, starts, strict=True)
-    ]  # fmt: skip
-    took = mapped - began, searched - mapped, bounded - searched, time.perf_counter() - bounded
-    mine, best = courses[0], courses[-1]
-    if mine is not None and (best is None or worth(mine) > worth(best)):
-        best = mine  # the given start is one of all starts
+    if np.isfinite(limits.acceleration) and not refined:
+        raise TaskError(f"acceleration = {limits.acceleration:g}: the grid alone knows no limit; give refined = True")
+    limits = replace(limits, margin=margin_at(robot, q_start, limits.margin))
+    clock = [time.perf_counter()]
+    whole = map_of(robot, q_start, targets, swivels)
+    found, top = keeping_shaft(whole, limits), float(np.nanmax(whole.mu, initial=0.0))
+    clock.append(time.perf_counter())
+    given = np.array(q_start, dtype=np.float64)
+    value = Value(found, limits, objective)
+    grid = [best_course(value, limits, start) for start in (given, None)]
+    clock.append(time.perf_counter())
+    bound = Value(found, limits, objective, cell=WHOLE_CELL)
+    bounds = [bound.of(given, float(robot.state(given).mu)), bound.best()[0]]
+    clock.append(time.perf_counter())
+    courses: list[Course | None] = []
+    for q, start in zip(grid, (given, None), strict=True):
+        sure = q is not None and not np.isfinite(limits.acceleration)  # the grid knows all limits but that
+        if q is None and refined:  # where the grid's steps are just too coarse
+            q = best_course(bound, limits, start)
+        course = None if q is None else make_course(robot, targets, q, limits)
+        if course is not None and refined:
+            course = refine(robot, targets, course, limits, objective)
+        courses.append(course if course is not None and (course.kept or sure) else None)
+    clock.append(time.perf_counter())
+    if courses[0] is not None:  # the given start is one of all starts
+        both = [course for course in courses[::-1] if course is not None]
+        courses[1] = max(both, key=lambda course: worth(robot, course, limits, objective, top))
+    mine, best = courses
     elbow = Elbow(robot, targets.wrist)
     shown = mine if mine is not None else best
+    climbed = make_course(robot, targets, climb(found, given, limits), limits)
+    took = np.diff(clock).tolist()
+    # None without a course, and where the course shows that it is none.
+    mine_most, most = (
+        np.nan if course is None or course.value(objective) > value else value
+        for course, value in zip(courses, bounds, strict=True)
+    )
     return Plan(
-        objective, targets, mine, best,
-        make_course(robot, targets, climb(found, step, start[0], margin), margin, speed_share),
-        _bound(bounds[0], mine, objective),
-        bound=_bound(bounds[1], best, objective) if elsewhere else np.nan,
-        blocked=None if mine is not None else blocked(
-            robot, found, answers[0], start[0], step, margin, proven=bounds[0].q_rad is None
-        ),
-        start_swivel_rad=float(elbow.swivel(start[0][None])[0]),
+        objective, targets, mine, best, climbed, mine_most, most,
+        blocked=None if mine is not None else _blocked(found, given, limits, grid[0], bounds[0]),
+        start_swivel_rad=float(elbow.swivel(given[None])[0]),
         best_swivel_rad=np.nan if best is None else float(elbow.swivel(best.q_rad[:1])[0]),
         swivel_rad=np.empty(0) if shown is None else np.unwrap(elbow.swivel(shown.q_rad)),
         map_s=took[0], search_s=took[1], bound_s=took[2], refine_s=took[3],
     )  # fmt: skip
 
 
-def _bound(found: Search, course: Course | None, objective: Objective) -> float:
-    """Return the map's bound on a course; NaN without a course, and where the course shows that it is none."""
-    return np.nan if course is None or course.value(objective) > found.value else found.value
-
-
-def map_of(robot: RobotModel, q_start: Array, targets: Targets, swivels: int = SWIVELS) -> PoseMap:
-    """Make the map in closed form if the arm has one, else by continuation; idle joints stay as at the start.
-
-    More than `SWIVELS` samples of a turn make the samples along the curves of a continuation denser, too.
-    """
-    arm = spherical(robot)
-    if arm is None:
-        check_swivels(swivels)
-        return traced_map(robot, targets, q_start, step_rad=STEP_RAD * min(1.0, SWIVELS / swivels))
-    return spherical_map(robot, arm, targets, swivels=swivels, start=np.asarray(q_start, dtype=np.float64))
-
-
-def check_limits(
-    robot: RobotModel, objective: Objective, margin: Margin, speed_share: float, shaft_margin: float
-) -> None:
-    """Check the limits of a plan; arguments as of `make_plan`.
-
-    Raises:
-        TaskError: one is out of range.
-    """
+def check_limits(robot: RobotModel, limits: Limits, objective: Objective = "mean") -> None:
+    """Check what a plan is asked for; a TaskError where something is out of range."""
     if not isinstance(objective, str) or objective not in OBJECTIVES:
         raise TaskError(f"objective = {objective!r}: choose one of {', '.join(map(repr, OBJECTIVES))}")
-    if not is_number(speed_share) or not 0.0 < speed_share <= 1.0:
-        raise TaskError(f"speed_share = {speed_share!r}: give a share above 0 up to 1")
+    margin = limits.margin
+    for name, value, least, most, words in (
+        ("speed_share", limits.speed_share, 1e-300, 1.0, "a share above 0 up to 1"),
+        ("acceleration", limits.acceleration, 1e-300, np.inf, "a limit above 0"),
+        ("shaft_margin", limits.shaft, 0.0, 1.0, "a share of the squared lever from 0 to 1"),
+    ):
+        if not is_number(value) or not least <= value <= most:
+            raise TaskError(f"{name} = {value!r}: give {words}")
     one = is_number(margin) or (isinstance(margin, np.ndarray) and margin.shape == (robot.n,))
     if not one or not ((np.asarray(margin) >= 0.0) & (2.0 * np.asarray(margin) < robot.q_max - robot.q_min)).all():
         name = "margin_rad" if is_number(margin) else "margin_rad and margin_m, joint by joint,"
         raise TaskError(f"{name} = {margin!r}: give zero or more, and less than half of every joint's range")
-    if not is_number(shaft_margin) or not 0.0 <= shaft_margin <= 1.0:
-        raise TaskError(f"shaft_margin = {shaft_margin!r}: give a share of the squared lever from 0 to 1")
+
+
+def best_course(value: Value, limits: Limits, start: Array | None) -> Array | None:
+    """Return the best poses (k,n) on the grid, from a start (n,) or any; None: none goes all the way.
+
+    Of all courses with the largest worst mu (to rounding) the one with the best mean is taken.
+    """
+    least = value.best()[0] if start is None else value.of(start, float(value.map.robot.state(start).mu))
+    if not np.isfinite(least):
+        return None
+    if value.objective == "worst":
+        value = Value(value.map, limits, cell=value.cell, floor=least - 1e-12)
+    start = value.best()[1] if start is None else start
+    if start is None:
+        return None
+    way = value.way(start)
+    return None if way is None else way.q_rad
+
+
+def climb(found: PoseMap, start: Array, limits: Limits) -> Array:
+    """Follow the gradient of mu from the start (n,) on the samples of the map, as an ideal local law does.
+
+    In each period the poses within the joints' steps are looked at; from the one that asks the least of the joints it
+    goes uphill over neighbouring samples of its branch until mu falls, or a limit or the speed ends it.
+
+    Returns:
+        (k,n) its poses, the start first; fewer than the path has times where no pose is within reach.
+    """
+    step, feasible = limits.speed_share * found.robot.v_max * found.targets.period_s, found.feasible(limits.margin)
+    poses = [np.array(start)]
+    for k in range(1, len(found.targets)):
+        q = found.q_rad[k]
+        share = np.where(feasible[k], (np.abs(q - poses[-1]) / step).max(axis=2), np.inf)
+        b, j = (int(i) for i in np.unravel_index(int(np.argmin(share)), share.shape))
+        if not share[b, j] <= 1.0:
+            break
+        poses.append(q[b, _uphill(found.mu[k, b], share[b] <= 1.0, j)[0]])
+    return np.array(poses)
+
+
+class Top(NamedTuple):
+    """Where the way up from a pose ends."""
+
+    mu: float  #: [m^3]
+    q_rad: Array  #: (n,)
+    at_limit: bool  #: Whether mu rises on, beyond a joint limit or the end of the known poses.
+
+
+def top_of(found: PoseMap, q: Array) -> Top | None:
+    """Climb mu from the map's last pose next to q (n,), joint speeds aside; None where none is feasible then."""
+    poses, may = found.q_rad[-1], found.feasible()[-1]
+    if not may.any():
+        return None
+    away = np.where(may, np.abs(poses - q).sum(axis=2), np.inf)
+    b, j = (int(i) for i in np.unravel_index(int(np.argmin(away)), away.shape))
+    mu = found.mu[-1, b]
+    top, side = _uphill(mu, may[b], j)
+    return Top(float(mu[top]), poses[b, top], bool(mu[(top + side) % len(mu)] > mu[top]))
+
+
+def _uphill(mu: Array, within: NDArray[np.bool_], j: int) -> tuple[int, int]:
+    height = np.where(within, mu, -np.inf)
+    side = 1 if height[(j + 1) % len(mu)] >= height[j - 1] else -1
+    while height[(j + side) % len(mu)] > mu[j]:
+        j = (j + side) % len(mu)
+    return j, side
+
+
+def _blocked(found: PoseMap, start: Array, limits: Limits, grid: Array | None, bound: float) -> Blocked:
+    robot, targets, names = found.robot, found.targets, found.robot.data.joint_names
+
+    def at(k: int, reason: str) -> Blocked:
+        x, y, z = targets.tip[k].tolist()
+        return Blocked(float(targets.t_s[k]), float(targets.arc_length_m[k]), (x, y, z), reason)
+
+    if grid is not None:  # the best course without a limit on accelerations is there
+        gained = faster(grid) / targets.period_s**2
+        k, j = (int(i) for i in np.unravel_index(int(np.argmax(gained)), gained.shape))
+        most = f"the one without takes {names[j]} to {gained[k, j]:.3g} rad/s^2 there"
+        return at(k, f"no course keeps the acceleration limit; {most}")
+    known, feasible = np.isfinite(found.mu), found.feasible(limits.margin)
+    each = reached(found, start, limits)
+    k = min(len(each) + 1, len(targets) - 1)
+    if not known[k].any():
+        return at(k, "out of reach: no pose has tip and wrist there, whatever the joint limits")
+    if not feasible[k].any():
+        name = _nearest_limit(found, k, known[k])
+        return at(k, f"no pose there is within the joint limits: {name} is beyond its own")
+    before = found.q_rad[k - 1][each[-1]] if each else start[None]
+    step = limits.speed_share * robot.v_max * targets.period_s
+    share, _, there = _nearest(before, found.q_rad[k], known[k], step)
+    wanted, fast, _ = _nearest(before, found.q_rad[k], feasible[k], step)
+    if share <= 1.0 < wanted:  # the poses next to those reached exist, and are beyond a limit
+        name = _nearest_limit(found, k, there)
+        return at(k, f"{name} runs into its limit; only other swivels or branches have poses within the limits")
+    doubt = " between the poses of the map; the bound excludes no other way" if np.isfinite(bound) else ""
+    return at(k, f"{names[fast]} would have to turn at {wanted:.3g} times its speed limit{doubt}")
+
+
+def _nearest(before: Array, q: Array, to: NDArray[np.bool_], step: Array) -> tuple[float, int, NDArray[np.bool_]]:
+    least, joint, near = np.inf, -1, np.zeros(to.shape, dtype=np.bool_)
+    for pose in before:
+        parts = np.abs(q - pose) / step
+        share = np.where(to, parts.max(axis=-1), np.inf)
+        near |= share <= 1.0
+        at = np.unravel_index(int(np.argmin(share)), share.shape)
+        if share[at] < least:
+            least, joint = float(share[at]), int(np.argmax(parts[at]))
+    return least, joint, near
+
+
+def _nearest_limit(found: PoseMap, k: int, among: NDArray[np.bool_]) -> str:
+    robot, room = found.robot, np.where(among, found.room_rad[k], -np.inf)
+    q = found.q_rad[k][np.unravel_index(int(np.argmax(room)), room.shape)]
+    moving = np.asarray(robot.moves.any(axis=0))
+    beyond = np.where(moving, np.maximum(q - robot.q_max, robot.q_min - q), -np.inf)
+    return str(robot.data.joint_names[int(np.argmax(beyond))])
+
+
+@dataclass(frozen=True, eq=False)
+class Placement:
+    """One place of trocar or base.
+
+    Example:
+        >>> from moc_opt.scenario.placement import place
+        >>> first = place(mo.Scenario(duration_s=1.0), "trocar", candidates=2, best=1)[0]
+        >>> sorted(first.changes())
+        ['start', 'trocar']
+    """
+
+    shift_m: tuple[float, float, float]  #: From where the scenario has it, in the world [m].
+    course: Course | None  #: The best over all swivels and branches at the start; None: the path cannot be executed.
+    depth_m: float  #: Of the tip below the trocar at the start [m].
+
+    def changes(self) -> dict[str, object]:
+        """Return what a scenario needs to begin there: ``scenario.change(**placement.changes())``.
+
+        Raises:
+            ScenarioError: the path cannot be executed.
+        """
+        if self.course is None:
+            raise ScenarioError(f"shift_m = {self.shift_m}: the path cannot be executed there; take another place")
+        start = {"pose": "home", "q_rad": tuple(self.course.q_rad[0].tolist()), "swivel": "given"}
+        return {"start": start, "trocar": {"depth_m": self.depth_m}}

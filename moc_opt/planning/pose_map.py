@@ -1,183 +1,283 @@
-"""Every pose that an arm can take at every point of a path: manipulability, room to the joint limits, feasibility.
+"""Every pose that an arm can take at every point of a path: manipulability, and room to the joint limits.
 
-An arm with a spherical shoulder and wrist has its poses in closed form, over (time x branch x swivel). Any other arm
-has them by continuation (`traced`), over (time x 1 x sample): what stands there in place of a swivel is the number of
-a sample along the self-motion curves that were found.
+**In closed form** where joints 1 to 3 meet in the shoulder S, 3 to 5 in the elbow E, 5 to 7 in the wrist N, axes beside
+each other are at right angles, and the tool lies on axis 7. The elbow turns on a circle about S N by the swivel
+(Kreutz-Delgado, Long and Seraji 1992), and the signs of joints 2, 4 and 6 give eight branches for each place of it. A
+change of sign turns a joint axis round and leaves its line: all eight have the same manipulability. Joint 7 is idle.
+
+**Traced** for any other arm: at each time the self-motion curves of the time before are reached again by Newton's
+method and scanned, and random inverse kinematics looks for others. All samples stand in one branch. Where tip and
+wrist leave more than one freedom, a curve is a part of the poses only, and the map no bound.
 """
 
 from __future__ import annotations
 
 import numbers
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from moc_opt.arrays import Array
 from moc_opt.errors import RobotError, shown
-from moc_opt.model.robot_model import RobotModel
-from moc_opt.numerics.arrays import Array
-from moc_opt.planning import spherical_kernels as kernels
-from moc_opt.planning.spherical import BRANCHES, Spherical
-from moc_opt.planning.targets import Targets
-from moc_opt.redundancy.arm_angle import Elbow
+from moc_opt.planning.arm_angle import Elbow, nearest_turns, reach, without_limits
+from moc_opt.planning.course import Margin, Targets
+from moc_opt.planning.self_motion import self_motion
+from moc_opt.robots.chain import link_frames
+from moc_opt.robots.inverse_kinematics import solve_pose
+from moc_opt.robots.model import RobotModel
 
 Flags = NDArray[np.bool_]
-Margin = float | Array
-"""From the joint limits: one number for all, or one per joint (n,) [rad], [m] of a joint that slides."""
 
-ROUNDING_RAD = 1e-9
-"""A pose this far beyond a limit still stands on it."""
-SWIVELS = 720
-"""Samples of one turn, where no other number is asked for."""
-MOST_SWIVELS = 2880
-"""Of one turn: planning over 1000 times then takes 2.5 GB."""
-CANDIDATES = 4
-"""Local maxima of mu that are climbed to their top at each point of the path."""
+EXACT_M = 1e-7  #: Axes that pass each other nearer than this meet [m].
+BRANCHES = 8  #: Bit 0, 1, 2 of a branch's number: joint 2, 4, 6 is negative in the normal form.
+STRAIGHT = 1e-9  #: Sine of joint 4 below which the elbow has no plane.
+ROUNDING_RAD = 1e-9  #: A pose this far beyond a limit still stands on it.
+SWIVELS, MOST_SWIVELS = 720, 2880  #: Samples of one turn, where no other number is asked for; and most of them.
+CANDIDATES = 4  #: Local maxima of mu that are climbed to their top at each point of the path.
+STEP_RAD = 0.03  #: Spacing of the samples along a traced curve.
+SEEDS = 64
+"""Random starts of the inverse kinematics at the first time of a traced map; a sixteenth of them at each later one."""
+MOST_CURVES = 16  #: Most different curves at one time; further ones are left out.
+SAME_CURVE = 0.7  #: A pose this share of a step from a sample lies on its curve.
 
 
 @dataclass(frozen=True, eq=False)
 class PoseMap:
-    """k times, b branches, m swivels or samples, n joints."""
+    """k times, b branches, m swivels or samples along curves, n joints; NaN where there is no pose."""
 
+    robot: RobotModel
     targets: Targets
-    mu: Array
-    """(k,b,m) [m^3], of forbidden poses too; NaN where there is no pose"""
+    q_rad: Array  #: (k,b,m,n)
+    mu: Array  #: (k,b,m) [m^3], of forbidden poses too; the branches of a closed form share it
     room_rad: Array
     """(k,b,m) distance of the nearest joint from its limit, below zero beyond it; idle joints do not count"""
-
-    def poses(self, k: int) -> Array:
-        """Return the poses (b,m,n) [rad] at time k; NaN where there is none."""
-        raise NotImplementedError
-
-    def crossing(self, k: int, step_rad: Array) -> NDArray[np.int64]:
-        """Return (m,) bits of the branch's number that may change within a period with these joint steps (n,) [rad]."""
-        return np.zeros(self.mu.shape[2], dtype=np.int64)
+    closed: ClosedForm | None = None
 
     def feasible(self, margin: Margin = 0.0) -> Flags:
         """Return (k,b,m) whether every joint keeps the margin from its limits."""
-        found: Flags = self.room_rad >= np.max(margin) - ROUNDING_RAD
-        return found
-
-    def highest(self, margin: Margin = 0.0) -> Array:
-        """Return (k,) the largest feasible mu at each time [m^3]; NaN where nothing is feasible."""
-        score = np.where(self.feasible(margin), self.mu, -np.inf).max(axis=(1, 2))
-        return np.where(np.isfinite(score), score, np.nan)
-
-
-@dataclass(frozen=True, eq=False)
-class SphericalMap(PoseMap):
-    """The closed form; the same mu for all branches of one swivel."""
-
-    arm: Spherical
-    swivel_rad: Array
-    """(m,) evenly over one turn, that of the start among them, in the sense of `moc_opt.redundancy.arm_angle.Elbow`"""
-    angles: Array
-    """(k,m,6) of the branch without negative signs, in the normal form [rad]"""
-    reference: Array
-    """(3,) the direction from which the swivel counts"""
-    idle_rad: float
-    """Joint 7, which moves neither tip nor wrist, stands here throughout."""
-
-    def poses(self, k: int) -> Array:
-        """Return the poses (8,m,7) [rad] at time k."""
-        return self._poses(self.angles[k])
-
-    def _poses(self, angles: Array) -> Array:
-        found = np.empty((BRANCHES, len(angles), 7))
-        kernels.fill_poses(self.arm.offset, self.arm.middle, angles, found)
-        found[..., 6] = np.where(np.isnan(angles[:, 0]), np.nan, self.idle_rad)
+        room = self.room_rad - margin if np.ndim(margin) == 0 else _room(self.robot, self.q_rad, margin)
+        found: Flags = room >= -ROUNDING_RAD
         return found
 
     def crossing(self, k: int, step_rad: Array) -> NDArray[np.int64]:
-        """Return (m,) bits of joints 2, 4 and 6 within two steps of zero or half a turn, where they change sign."""
+        """Return (m,) bits of the branch's number that may change within a period with these joint steps (n,) [rad]."""
+        if self.closed is None:
+            return np.zeros(self.mu.shape[2], dtype=np.int64)
         with np.errstate(invalid="ignore"):
-            near = np.abs(np.sin(self.angles[k][:, 1::2])) <= np.sin(np.minimum(2.0 * step_rad[1:6:2], 0.5 * np.pi))
+            signs = np.abs(np.sin(self.q_rad[k, 0, :, 1:6:2] + self.closed.offset[1::2]))
+            near = signs <= np.sin(np.minimum(2.0 * step_rad[1:6:2], 0.5 * np.pi))
         return near @ np.array([1, 2, 4])
 
-    def at(self, k: int, swivel_rad: float, branch: int) -> Array:
-        """Return the pose (7,) at one time, swivel [rad] and branch, between the map's swivels too."""
-        one = slice(k, k + 1)
-        angles, _, _ = _evaluate(
-            self.arm, self.reference, self.targets.tip[one], self.targets.wrist[one], np.array([[swivel_rad]])
-        )
-        pose: Array = self._poses(angles[0])[branch, 0]
-        return pose
+    def highest(self) -> Array:
+        """Return (k,) the largest feasible mu at each time [m^3]; NaN where nothing is feasible.
 
-    def highest(self, margin: Margin = 0.0) -> Array:
-        """Return (k,) the largest feasible mu at each time, maxima climbed between the map's swivels to rounding."""
-        return self.peaks(margin)[0]
+        In closed form the maxima are climbed between the map's swivels, to rounding.
+        """
+        score = np.where(self.feasible().any(axis=1), self.mu.max(axis=1), -np.inf)
+        best = score.max(axis=1)
+        if self.closed is not None:
+            peak = (score >= np.roll(score, 1, axis=1)) & (score >= np.roll(score, -1, axis=1)) & np.isfinite(score)
+            order = np.argsort(np.where(peak, score, -np.inf), axis=1)[:, ::-1][:, :CANDIDATES]
+            rows = np.arange(len(score))
+            for column in order.T:
+                best = np.maximum(best, self._climbed(self.closed, self.closed.swivel_rad[column], score[rows, column]))
+        return np.where(np.isfinite(best), best, np.nan)
 
-    def peaks(self, margin: Margin = 0.0) -> tuple[Array, Array]:
-        """Return the largest feasible mu (k,) [m^3] and its swivel (k,) [rad]; NaN where nothing is feasible."""
-        score = np.where(self.feasible(margin).any(axis=1), self.mu[:, 0], -np.inf)
-        peak = (score >= np.roll(score, 1, axis=1)) & (score >= np.roll(score, -1, axis=1)) & np.isfinite(score)
-        order = np.argsort(np.where(peak, score, -np.inf), axis=1)[:, ::-1][:, :CANDIDATES]
-        rows, best = np.arange(len(score)), np.full((2, len(score)), -np.inf)
-        for column in order.T:
-            swivel, value = self.swivel_rad[column], score[rows, column]
-            width = self.swivel_rad[1] - self.swivel_rad[0]
-            while width > 1e-10:
-                tried = swivel[:, None] + width * np.linspace(-1.0, 1.0, 21)
-                _, mu, room = _evaluate(self.arm, self.reference, self.targets.tip, self.targets.wrist, tried)
-                allowed = (room >= np.max(margin) - ROUNDING_RAD).any(axis=1)
-                reached = np.where(allowed, mu, -np.inf)
-                at = reached.argmax(axis=1)
-                better = reached[rows, at] > value
-                swivel, value = np.where(better, tried[rows, at], swivel), np.maximum(value, reached[rows, at])
-                width /= 5.0
-            higher = value > best[1]
-            best[0], best[1] = np.where(higher, swivel, best[0]), np.where(higher, value, best[1])
-        known = np.isfinite(best[1])
-        return np.where(known, best[1], np.nan), np.where(known, best[0], np.nan)
+    def _climbed(self, closed: ClosedForm, swivel: Array, value: Array) -> Array:
+        width, rows = closed.swivel_rad[1] - closed.swivel_rad[0], np.arange(len(value))
+        while width > 1e-7:
+            tried = swivel[:, None] + width * np.linspace(-1.0, 1.0, 11)
+            near = closed_map(self.robot, closed, self.targets, tried)
+            reached = np.where(near.feasible().any(axis=1), near.mu[:, 0], -np.inf)
+            at = reached.argmax(axis=1)
+            better = reached[rows, at] > value
+            swivel, value = np.where(better, tried[rows, at], swivel), np.fmax(value, reached[rows, at])
+            width /= 4.0
+        return value
 
 
-def spherical_map(
-    robot: RobotModel, arm: Spherical, targets: Targets, *, swivels: int = SWIVELS, start: Array | None = None
-) -> SphericalMap:
-    """Compute the closed form over the path.
+def map_of(
+    robot: RobotModel, q_start: Array, targets: Targets, swivels: int = SWIVELS, rng: np.random.Generator | None = None
+) -> PoseMap:
+    """Make the map in closed form if the arm has one, else by tracing; idle joints stay as at the start.
 
     Args:
-        arm: its normal form.
-        swivels: samples of one turn.
-        start: (7,) [rad] a pose whose swivel is one of the samples, and where joint 7 stands; None: from -pi, and 0.
+        q_start: (n,) [rad] a pose for the first target; its swivel is one of the map's.
+        swivels: samples of one turn; more than `SWIVELS` make those along a traced curve denser, too.
+        rng: draws the seeds of a traced map; seeded with 0 by default.
 
     Raises:
-        RobotError: fewer than 8 swivels, or more than `MOST_SWIVELS`.
-    """
-    check_swivels(swivels)
-    elbow = Elbow(robot, targets.wrist)
-    reference, first = elbow.reference, -np.pi
-    if start is not None:
-        first += float(np.mod(elbow.swivel(start[None])[0] + np.pi, 2.0 * np.pi / swivels))
-    swivel = first + 2.0 * np.pi * np.arange(swivels) / swivels
-    each = np.broadcast_to(swivel, (len(targets), swivels))
-    angles, mu, room = _evaluate(arm, reference, targets.tip, targets.wrist, each)
-    shared = np.broadcast_to(mu[:, None], room.shape)
-    idle_rad = 0.0 if start is None else float(start[6])
-    return SphericalMap(
-        targets, shared, room, arm=arm, swivel_rad=swivel, angles=angles, reference=reference, idle_rad=idle_rad
-    )
-
-
-def check_swivels(swivels: object) -> None:
-    """Check a number of samples of one turn.
-
-    Raises:
-        RobotError: it is no whole number from 8 to `MOST_SWIVELS`.
+        RobotError: no whole number of swivels from 8 to `MOST_SWIVELS`.
     """
     if not isinstance(swivels, numbers.Integral) or not 8 <= int(swivels) <= MOST_SWIVELS:
         raise RobotError(f"swivels = {shown(swivels)}: give a whole number from 8 to {MOST_SWIVELS}")
+    arm = closed_form(robot)
+    if arm is None:
+        draw = np.random.default_rng(0) if rng is None else rng
+        return _traced(robot, targets, q_start, STEP_RAD * min(1.0, SWIVELS / swivels), draw)
+    elbow = Elbow(robot, targets.wrist)
+    first = float(np.mod(elbow.swivel(q_start[None])[0] + np.pi, 2.0 * np.pi / swivels)) - np.pi
+    swivel = first + 2.0 * np.pi * np.arange(swivels) / swivels
+    arm = arm._replace(swivel_rad=swivel, reference=elbow.reference, idle_rad=float(q_start[6]))
+    return closed_map(robot, arm, targets, np.broadcast_to(swivel, (len(targets), swivels)))
 
 
-def _evaluate(
-    arm: Spherical, reference: Array, tips: Array, wrists: Array, swivels: Array
-) -> tuple[Array, Array, Array]:
-    """Return angles (k,m,6), mu (k,m) and room (k,8,m) at swivels (k,m)."""
-    k, m = swivels.shape
-    angles, mu, room = np.empty((k, m, 6)), np.empty((k, m)), np.empty((k, BRANCHES, m))
-    kernels.fill_map(
-        arm.base, arm.shoulder, arm.upper, arm.fore, arm.tool, arm.offset, arm.middle, arm.half,
-        np.ascontiguousarray(reference), np.ascontiguousarray(tips), np.ascontiguousarray(wrists),
-        np.ascontiguousarray(swivels), angles, mu, room,
-    )  # fmt: skip
-    return angles, mu, room
+class ClosedForm(NamedTuple):
+    """The normal form R = R_0 Rz(t1) Ry(t2) Rz(t3) Ry(t4) Rz(t5) Ry(t6) Rz(t7), t = q + offset."""
+
+    base: Array  #: R_0 (3,3), columns: the axes of the normal form at the shoulder, in the world
+    shoulder: Array  #: (3,) [m]
+    upper: float  #: Shoulder to elbow along axis 3 [m]; negative where the axis points the other way.
+    fore: float  #: Elbow to wrist along axis 5 [m], likewise.
+    tool: float  #: Wrist to tip along axis 7 [m], likewise.
+    offset: Array  #: (6,) [rad]
+    swivel_rad: Array = np.empty(0)  #: (m,) evenly over one turn, in the sense of `moc_opt.planning.arm_angle.Elbow`
+    reference: Array = np.array([0.0, 0.0, 1.0])  #: (3,) the direction from which the swivel counts
+    idle_rad: float = 0.0  #: Joint 7, which moves neither tip nor wrist, stands here throughout.
+
+
+def closed_form(robot: RobotModel) -> ClosedForm | None:
+    """Find the normal form of an arm from its joint axes at q = 0; None where it has none, whatever its name.
+
+    An arm with a joint range above a whole turn has none either: there a pose would not be one pose.
+    """
+    chain = robot.chain
+    if robot.n != 7 or chain.prismatic.any():
+        return None
+    origins, rotations = (frames[0] for frames in link_frames(chain, np.zeros((1, 7))))
+    axes = np.einsum("jab,jb->ja", rotations, chain.axes)
+    if np.abs((axes[:-1] * axes[1:]).sum(axis=1)).max() > EXACT_M:
+        return None
+    tip, wrist = (origins[6] + rotations[6] @ offset for offset in chain.offsets)
+    # The point of an axis nearest to the next one, which is at a right angle to it.
+    shoulder, elbow, center = (origins[j] + axes[j] * ((origins[j + 1] - origins[j]) @ axes[j]) for j in (0, 2, 4))
+    through = [(shoulder, 1), (shoulder, 2), (elbow, 3), (elbow, 4), (center, 5), (center, 6), (tip, 6)]
+    off = [float(np.linalg.norm(np.cross(point - origins[j], axes[j]))) for point, j in through]
+    off.append(float(np.linalg.norm(wrist - center)))
+    upper, fore = float((elbow - shoulder) @ axes[2]), float((center - elbow) @ axes[4])
+    whole = (robot.q_max - robot.q_min)[:6].max() > 2.0 * np.pi
+    if max(off) > EXACT_M or min(abs(upper), abs(fore)) < EXACT_M or whole:
+        return None
+    base = np.column_stack([np.cross(axes[1], axes[0]), axes[1], axes[0]])
+    offset, turned = np.zeros(6), np.array(base)
+    for j in range(1, 6):  # the angle at which the normal form has axis j + 1 where the arm has it at q = 0
+        x, y, z = turned.T @ axes[j + 1]
+        offset[j] = angle = np.arctan2(x, z) if j % 2 else np.arctan2(-x, y)
+        c, s = np.cos(angle), np.sin(angle)
+        about_y, about_z = [[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]], [[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]
+        turned = turned @ np.array(about_y if j % 2 else about_z)
+    return ClosedForm(base, shoulder, upper, fore, float((tip - center) @ axes[6]), offset)
+
+
+def closed_map(robot: RobotModel, arm: ClosedForm, targets: Targets, swivels: Array) -> PoseMap:
+    """Compute the closed form at swivels (k,m) [rad]."""
+    angles = np.moveaxis(_angles(arm, targets, swivels), -1, 0)
+    s, e, w = (np.arange(BRANCHES) >> bit & 1 for bit in range(3))  # whether joint 2, 4, 6 is negative
+    flips = np.stack([s, s, s ^ e, e, e ^ w, w], axis=1)
+    other = np.stack([-angle if j % 2 else angle + np.pi for j, angle in enumerate(angles)])
+    column = np.s_[:6, None, None]
+    middle, half = 0.5 * (robot.q_max + robot.q_min)[column], 0.5 * (robot.q_max - robot.q_min)[column]
+    away = [_wrapped(each - arm.offset[:, None, None] - middle) for each in (angles, other)]
+    joints, rooms = [middle + each for each in away], [half - np.abs(each) for each in away]
+    shape = len(targets), BRANCHES, swivels.shape[1]
+    q, room = np.empty((*shape, 7)), np.empty(shape)
+    for branch, flip in enumerate(flips):
+        room[:, branch] = np.min([rooms[f][j] for j, f in enumerate(flip)], axis=0)
+        for j, f in enumerate(flip):
+            q[:, branch, :, j] = joints[f][j]
+    q[..., 6] = np.where(np.isnan(q[..., 0]), np.nan, arm.idle_rad)
+    mu = np.broadcast_to(_mu(robot, q[:, 0])[:, None], room.shape)
+    return PoseMap(robot, targets, q, mu, room, arm)
+
+
+def _wrapped(angles: Array) -> Array:
+    return angles - 2.0 * np.pi * np.floor(angles / (2.0 * np.pi) + 0.5)
+
+
+def _mu(robot: RobotModel, q: Array) -> Array:
+    known = np.isfinite(q[..., 0])
+    mu = np.full(known.shape, np.nan)
+    mu[known] = robot.mu_along(q[known])
+    return mu
+
+
+def _room(robot: RobotModel, q: Array, margin: Margin = 0.0) -> Array:
+    room: Array = (np.minimum(q - robot.q_min, robot.q_max - q) - margin)[..., robot.moves.any(axis=0)].min(axis=-1)
+    return room
+
+
+def _angles(arm: ClosedForm, targets: Targets, swivels: Array) -> Array:
+    way = (targets.wrist - arm.shoulder) @ arm.base
+    span = np.linalg.norm(way, axis=1, keepdims=True)
+    line, reference = way / span, arm.reference @ arm.base
+    side = np.cross(line, reference)
+    side /= np.linalg.norm(side, axis=1, keepdims=True)
+    along = (arm.upper**2 + span**2 - arm.fore**2) / (2.0 * span)
+    square = arm.upper**2 - along**2
+    radius = np.sqrt(np.where(square > (STRAIGHT * arm.fore) ** 2, square, np.nan))
+    c, s = np.cos(swivels)[..., None], np.sin(swivels)[..., None]
+    elbow = (along * line)[:, None] + radius[:, None] * (c * np.cross(side, line)[:, None] + s * side[:, None])
+    u = (((targets.tip - targets.wrist) @ arm.base) / arm.tool)[:, None]
+    a3, a5 = elbow / arm.upper, (way[:, None] - elbow) / arm.fore
+    found = np.empty((*swivels.shape, 6))
+    flat = np.hypot(a3[..., 0], a3[..., 1])
+    found[..., 0] = np.arctan2(a3[..., 1], a3[..., 0])
+    found[..., 1] = np.arctan2(flat, a3[..., 2])
+    a2 = np.stack([-np.sin(found[..., 0]), np.cos(found[..., 0]), np.zeros_like(flat)], axis=-1)
+    found[..., 2] = np.arctan2(_dot(a2, a5), _dot(np.cross(a2, a3), a5))
+    a4 = np.cross(a3, a5)
+    sine = np.linalg.norm(a4, axis=-1)
+    a4 /= sine[..., None]
+    found[..., 3] = np.arctan2(sine, _dot(a3, a5))
+    x, y = _dot(np.cross(a4, a5), u), _dot(a4, u)
+    found[..., 4] = np.arctan2(y, x)
+    found[..., 5] = np.arctan2(np.hypot(x, y), _dot(a5, u))
+    return found
+
+
+def _dot(one: Array, two: Array) -> Array:
+    found: Array = np.einsum("...i,...i->...", one, two)
+    return found
+
+
+def _traced(
+    robot: RobotModel, targets: Targets, q_start: Array, step_rad: float, rng: np.random.Generator
+) -> PoseMap:
+    free, moving = without_limits(robot), np.asarray(robot.moves.any(axis=0))
+    columns: list[list[Array]] = []
+    for k in range(len(targets)):
+        tip, wrist = targets.tip[k], targets.wrist[k]
+        if k and max(np.abs(tip - targets.tip[k - 1]).max(), np.abs(wrist - targets.wrist[k - 1]).max()) < 1e-12:
+            columns.append(columns[-1])
+            continue
+        found: list[Array] = []
+        guesses = [curve[i * len(curve) // 3] for curve in columns[-1] for i in range(3)] if k else [q_start]
+        for guess in guesses:
+            _add(free, reach(free, guess, tip, wrist), found, step_rad, moving)
+        for _ in range(SEEDS // 16 if k else SEEDS):
+            placed = solve_pose(robot, np.where(moving, rng.uniform(robot.q_min, robot.q_max), q_start), tip, wrist)
+            _add(free, placed.q if placed.found else None, found, step_rad, moving)
+        columns.append(found)
+    longest = max(1, *(sum(len(curve) + 1 for curve in column) for column in columns))
+    q = np.full((len(columns), 1, longest, robot.n), np.nan)  # curve after curve, a NaN between two
+    for k, column in enumerate(columns):
+        at = 0
+        for curve in column:
+            q[k, 0, at : at + len(curve)] = nearest_turns(robot, curve)
+            at += len(curve) + 1
+    return PoseMap(robot, targets, q, _mu(robot, q), _room(robot, q))
+
+
+def _add(free: RobotModel, pose: Array | None, found: list[Array], step: float, moving: Flags) -> None:
+    if pose is None or len(found) >= MOST_CURVES:
+        return
+    for curve in found:
+        apart = np.where(free.chain.prismatic, curve - pose, _wrapped(curve - pose))[:, moving]
+        if np.linalg.norm(apart, axis=1).min() < SAME_CURVE * step:
+            return
+    try:
+        found.append(np.array(self_motion(free, pose, step).q))
+    except RobotError:
+        return  # a singular pose: no single curve leads through it

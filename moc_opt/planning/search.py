@@ -1,120 +1,196 @@
-"""Dynamic programming over the map: the best course within joint limits and joint speeds, and a bound on any course.
+"""The value of a pose: the most that can still be had from it to the end of the path. One dynamic program, backwards.
 
-At time k the value of a pose is the best of the values of the poses from which it can be reached in one period, plus
-(mean mu, mean log mu) or at most (worst mu) its own: F_k(p) = g_k(p) + max F_{k-1}(p'), |q - q'| <= v_max dt for every
-joint. From a singular pose a course may go on in another branch: the joints tell which is next to it.
+    V_k(p) = g_k(p) + max { V_{k+1}(p') - c |q - q'|^2 / dt : |q - q'| <= v_max dt for every joint }
 
-The bound searches the same map made generous: every pose stands for the half cell around it, so it is allowed where a
-neighbour is, as good as the best nearby, and its joints get half a cell more of way. Any course whose poses lie on the
-curves that the map samples stays within that.
+g is mu dt, or log mu dt; with the worst mu in mind V is the least of both. A course is read off V forwards, from any
+pose at any time: at each time the pose within reach that is worth most. From a singular pose it may go on in another
+branch: the joints tell which is next to it.
+
+A pose of the map may stand for a part of the cell around it. For a receding horizon that is a quarter of a cell, so
+that a coarse map is passable. The bound takes half a cell, and a pose is allowed where a neighbour is, and as good as
+the best nearby: any course whose poses lie on the curves that the map samples stays within that.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from moc_opt.numerics.arrays import Array
-from moc_opt.planning.course import LEAST_MU, Objective, weights
-from moc_opt.planning.pose_map import Margin, PoseMap
-from moc_opt.planning.search_kernels import advance
+from moc_opt import core
+from moc_opt.arrays import Array
+from moc_opt.planning.course import LEAST_MU, Limits, Objective, lowered, shaft_shares, weights
+from moc_opt.planning.pose_map import PoseMap
 
-CURVED = 1.1
-"""Factor on a joint's way in half a cell and on the higher differences of mu, for what lies between the samples."""
-
-
-@dataclass(frozen=True, eq=False)
-class Search:
-    """The result of a search over the map."""
-
-    value: float
-    """Of the best course, in the objective's unit; -inf: there is none."""
-    reached: int
-    """Number of times, from the first one on, that some course gets to."""
-    q_rad: Array | None
-    """(k,n) poses of the best course; None where none goes all the way."""
-    last: NDArray[np.bool_]
-    """(b,m) the poses that are reached at the last time reached."""
+WHOLE_CELL = 1.1  #: Of half a cell, for the bound: the way of a joint is curved between the samples.
+BLOCK = 16  #: Poses beside each other that are passed over together where their box is out of reach.
+NEARBY_RAD = 0.2  #: Poses within this way of each other are one neighbourhood, in which V is a parabola.
 
 
-def search(
-    found: PoseMap,
-    step_rad: Array,
-    objective: Objective = "mean",
-    *,
-    start: tuple[Array, float] | None = None,
-    margin: Margin = 0.0,
-    generous: bool = False,
-    floor: float = -np.inf,
-) -> Search:
-    """Find the best course.
+class End(NamedTuple):
+    """V near a pose: value + slope z + bend z^2 / 2, low <= z = along . (q - q_rad) <= high."""
 
-    Args:
-        step_rad: (n,) most that a joint turns in one period [rad].
-        objective: "mean" mu, "worst" mu, or the mean of "log" mu. Of all courses with the largest worst mu (to
-            rounding) the one with the best mean is taken.
-        start: the pose (n,) to begin with [rad] and its mu [m^3]; None: any pose of the first time.
-        margin: from the joint limits.
-        generous: search for the bound.
-        floor: poses with a smaller mu are forbidden [m^3].
-    """
-    if objective == "worst" and not generous and floor == -np.inf:
-        # Nothing is forbidden yet: mu that was lowered (`shaft.keeping_shaft`) may be far below zero.
-        least = search(found, step_rad, "worst", start=start, margin=margin, floor=-np.finfo(np.float64).max)
-        if least.q_rad is None:
-            return least
-        best = search(found, step_rad, "mean", start=start, margin=margin, floor=least.value - 1e-12)
-        return Search(least.value, best.reached, best.q_rad, best.last)
-    count, worst = len(found.targets), objective == "worst"
-    weight = np.ones(count) if worst else weights(count)
-    feasible, mu = found.feasible(margin), found.mu
-    if generous:
-        feasible, mu = _dilated(feasible), _highest_nearby(mu)
-    gain = np.where(feasible & (mu >= floor), gain_of(mu, objective) * weight[:, None, None], -np.inf)
-    before, value = found.poses(0), gain[0]
-    last = np.isfinite(value)
-    if start is not None:  # one pose in every branch of the first time; the joint steps tell which branch it is in
-        own = float(gain_of(np.array(start[1]), objective)) * weight[0]
-        before, value = np.tile(start[0], (gain.shape[1], 1, 1)), np.full((gain.shape[1], 1), own)
-        last = np.zeros(gain.shape[1:], dtype=np.bool_)
-    elif not last.any():
-        return Search(-np.inf, 0, None, last)
-    slack_before = _slack(before, generous and start is None)
-    back = np.full(gain.shape, -1, dtype=np.int32)
-    for k in range(1, count):
-        q, value_before, value = found.poses(k), np.ascontiguousarray(value), np.empty(gain.shape[1:])
-        slack = _slack(q, generous)
-        advance(
-            before, slack_before, value_before, q, slack, np.ascontiguousarray(gain[k]), step_rad,
-            found.crossing(k, step_rad), worst, value, back[k],
-        )  # fmt: skip
-        if not np.isfinite(value).any():
-            return Search(-np.inf, k, None, last)
-        before, slack_before, last = q, slack, np.isfinite(value)
-    b, j = np.unravel_index(int(np.argmax(value)), value.shape)
-    total = float(value[b, j]) if worst else float(value[b, j]) / float(weight.sum())
-    return Search(total, count, _course(found, back, int(b), int(j), None if start is None else start[0]), last)
+    q_rad: Array  #: (n,) [rad]
+    along: Array  #: (n,) unit vector of the self-motion
+    slope: float = 0.0  #: [m^3 s / rad]
+    bend: float = 0.0  #: [m^3 s / rad^2], never above 0
+    low: float = 0.0  #: Beyond it no pose is known to reach the end of the path [rad].
+    high: float = 0.0
 
 
-def gain_of(mu: Array, objective: Objective) -> Array:
-    """Return what a pose of that mu [m^3] adds to a course's value."""
-    with np.errstate(invalid="ignore"):
-        return np.log(np.maximum(mu, LEAST_MU)) if objective == "log" else mu
+class Way(NamedTuple):
+    """A course read off V."""
+
+    t_s: Array  #: (w,)
+    q_rad: Array  #: (w,n), the given pose first
+    last: tuple[int, int]  #: branch and sample of the last pose
 
 
-def _course(found: PoseMap, back: NDArray[np.int32], b: int, j: int, start: Array | None) -> Array:
-    poses = []
-    for k in range(len(back) - 1, 0, -1):
-        poses.append(found.poses(k)[b, j])
-        b, j = divmod(int(back[k, b, j]), back.shape[2] if k > 1 or start is None else 1)
-    poses.append(found.poses(0)[b, j] if start is None else start)
-    return np.array(poses[::-1])
+class Value:
+    """V over a map of k times, b branches, m samples."""
+
+    def __init__(
+        self, found: PoseMap, limits: Limits, objective: Objective = "mean", *, cell: float = 0.0, price: float = 0.0,
+        floor: float = -np.inf,
+    ) -> None:  # fmt: skip
+        """Go through the map from its end to its start.
+
+        Args:
+            found: the map, lowered by `keeping_shaft` where a margin from losing the shaft is kept.
+            limits: margin and speed share of a course.
+            objective: "mean" mu, "worst" mu, or the mean of "log" mu.
+            cell: of half a cell, what a pose stands for; 1 and more: search for the bound.
+            price: c, of speed [m^3 s^2/rad^2].
+            floor: poses with a smaller mu are forbidden [m^3].
+        """
+        self.map, self.objective, self.cell = found, objective, cell
+        self._period = found.targets.period_s
+        self._step = limits.speed_share * found.robot.v_max * self._period
+        self._slacks: dict[int, Array] = {}
+        self._price, count = price / self._period, len(found.targets)
+        self._weight = np.ones(count) if objective == "worst" else weights(count) * self._period
+        feasible, mu = found.feasible(limits.margin), found.mu
+        if cell >= 1.0:
+            feasible = feasible | np.roll(feasible, 1, axis=2) | np.roll(feasible, -1, axis=2)
+            mu = _highest_nearby(mu)
+        allowed = feasible & (mu >= floor)
+        self._gain = np.where(allowed, _gain(mu, objective) * self._weight[:, None, None], -np.inf)
+        self.value = np.array(self._gain)
+        """(k,b,m) [m^3 s], its own share included; -inf: the end cannot be reached from there"""
+        after = found.q_rad[-1], self._slack(count - 1)
+        for k in range(count - 2, -1, -1):
+            here = found.q_rad[k], self._slack(k)
+            advance(
+                *here, self._gain[k], *after, self.value[k + 1], self._step, found.crossing(k, self._step), self._price,
+                objective == "worst", self.value[k],
+            )  # fmt: skip
+            after = here
+
+    def of(self, q: Array, mu: float) -> float:
+        """Return the objective of the best course from a pose (n,) of mu at t = 0; -inf: there is none."""
+        own = float(_gain(np.array(mu), self.objective)) * self._weight[0]
+        found = self._next(1, q, np.zeros(len(q)), self._step, self._price)
+        rest = -np.inf if found is None else float(self.value[1][found])
+        return self._mean(min(own, rest) if self.objective == "worst" else own + rest)
+
+    def best(self) -> tuple[float, Array | None]:
+        """Return the objective of the best course from any pose, and that pose (n,); None: there is none."""
+        first = np.unravel_index(int(np.argmax(self.value[0])), self.value[0].shape)
+        value = self._mean(float(self.value[0][first]))
+        return value, self.map.q_rad[0][first] if np.isfinite(value) else None
+
+    def way(self, q: Array, t_s: float = 0.0, end: int = -1, hurry: float = 1.0) -> Way | None:
+        """Read the best course off from a pose (n,) [rad] at a time [s] to the map's time ``end``; None: there is none.
+
+        Args:
+            hurry: times the joint steps of V that may be used.
+        """
+        t, poses, slack, at = self.map.targets.t_s, [q], np.zeros(len(q)), (0, 0)
+        end = len(t) - 1 if end < 0 else end
+        first, now = min(int(np.searchsorted(t, t_s + 0.5 * self._period)), end), t_s
+        for k in range(first, end + 1):
+            periods = max(float(t[k]) - now, 0.0) / self._period
+            step, price = hurry * periods * self._step, self._price / max(periods, 1e-9)
+            found = self._next(k, poses[-1], slack, step, price)
+            if found is None:
+                return None
+            at, now = found, float(t[k])
+            slack = self._slack(k)[at]
+            poses.append(self.map.q_rad[k][at])
+        return Way(np.append(t_s, t[first : end + 1]), np.array(poses), at)
+
+    def near(self, end: int, at: tuple[int, int]) -> End:
+        """Return the parabola through V around one pose of the map."""
+        (b, j), value = at, self.value[end, at[0]]
+        q = self.map.q_rad[end, b]
+        along = q[(j + 1) % len(q)] - q[j - 1]
+        size = float(np.linalg.norm(along))
+        if not 0.0 < size < NEARBY_RAD:
+            return End(q[j], np.zeros(q.shape[1]))
+        along /= size
+        with np.errstate(invalid="ignore"):
+            close = np.linalg.norm(q - q[j], axis=1) < NEARBY_RAD
+        z, dead = (q - q[j]) @ along, close & np.isneginf(value)
+        low = max(z[dead & (z < 0.0)], default=-NEARBY_RAD)
+        high = min(z[dead & (z > 0.0)], default=NEARBY_RAD)
+        near = close & np.isfinite(value) & (z > low) & (z < high)
+        if np.count_nonzero(near) < 4:
+            return End(q[j], along, 0.0, 0.0, min(z[near]), max(z[near]))
+        bend, slope, _ = np.polyfit(z[near], value[near] - value[j], 2)
+        return End(q[j], along, float(slope), float(min(2.0 * bend, 0.0)), min(z[near]), max(z[near]))
+
+    def _next(self, k: int, q: Array, slack: Array, step: Array, price: float) -> tuple[int, int] | None:
+        alive = self.value[k] > -np.inf
+        way, more = step + slack, self._slack(k)
+        with np.errstate(invalid="ignore"):
+            for a in range(0, len(q), 2):  # most poses are far in one joint already
+                alive &= np.abs(self.map.q_rad[k, ..., a] - q[a]) <= way[a] + more[..., a]
+        b, j = np.nonzero(alive)
+        away = np.abs(self.map.q_rad[k, b, j] - q)
+        near = (away <= way + more[b, j]).all(axis=-1)
+        if not near.any():
+            return None
+        i = int(np.argmax(np.where(near, self.value[k, b, j] - price * (away**2).sum(axis=-1), -np.inf)))
+        return int(b[i]), int(j[i])
+
+    def _slack(self, k: int) -> Array:
+        if k not in self._slacks:
+            q = self.map.q_rad[k]
+            self._slacks[k] = self.cell * half_cells(q) if self.cell else np.zeros_like(q)
+        return self._slacks[k]
+
+    def _mean(self, total: float) -> float:
+        return total if self.objective == "worst" else total / float(self._weight.sum())
 
 
-def _slack(q: Array, generous: bool) -> Array:
-    return CURVED * half_cells(q) if generous else np.zeros_like(q)
+def keeping_shaft(found: PoseMap, limits: Limits) -> PoseMap:
+    """Return the map with mu lowered where the shaft is nearly lost, for a search alone."""
+    if limits.shaft <= 0.0:
+        return found
+    # Every branch of a closed form has the same columns of A up to their signs.
+    may = found.feasible().any(axis=1)
+    share = np.full(may.shape, np.inf)
+    share[may] = shaft_shares(found.robot, found.q_rad[:, 0][may])
+    share = share[:, None]
+    return replace(found, mu=lowered(found.mu, share, limits, float(np.nanmax(found.mu, initial=0.0))))
+
+
+def reached(found: PoseMap, q_start: Array, limits: Limits) -> list[NDArray[np.bool_]]:
+    """Return for the times after the start, as far as any course gets, the poses (b,m) that are reached from it."""
+    step, feasible = limits.speed_share * found.robot.v_max * found.targets.period_s, found.feasible(limits.margin)
+    before, value = np.tile(q_start, (found.mu.shape[1], 1, 1)), np.zeros((found.mu.shape[1], 1))
+    each: list[NDArray[np.bool_]] = []
+    for k in range(1, len(found.targets)):
+        q, gain, now = found.q_rad[k], np.where(feasible[k], 0.0, -np.inf), np.empty(feasible[k].shape)
+        crossing = found.crossing(k, step)
+        advance(q, np.zeros_like(q), gain, before, np.zeros_like(before), value, step, crossing, 0.0, False, now)
+        if not np.isfinite(now).any():
+            break
+        each.append(np.isfinite(now))
+        before, value = q, now
+    return each
 
 
 def half_cells(q: Array) -> Array:
@@ -123,23 +199,42 @@ def half_cells(q: Array) -> Array:
     return 0.5 * np.nan_to_num(np.fmax(apart, np.roll(apart, 1, axis=1)))
 
 
-def _dilated(feasible: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    return feasible | np.roll(feasible, 1, axis=2) | np.roll(feasible, -1, axis=2)
+def _gain(mu: Array, objective: Objective) -> Array:
+    with np.errstate(invalid="ignore"):
+        return np.log(np.maximum(mu, LEAST_MU)) if objective == "log" else mu
 
 
 def _highest_nearby(mu: Array) -> Array:
-    """Return the largest mu within half a cell: the parabola through three poses, and what two more differences add.
-
-    Stirling's interpolation at |s| <= 1/2: s (s^2 - 1)/6 of the third difference is at most 1/16 of it,
-    s^2 (s^2 - 1)/24 of the fourth at most 1/128; the fifth is left to `CURVED`.
-    """
     left, right = np.roll(mu, 1, axis=2), np.roll(mu, -1, axis=2)
-    slope, bend = 0.5 * (right - left), left + right - 2.0 * mu
-    edge = mu + 0.5 * np.abs(slope) + 0.125 * bend
-    third = 0.5 * np.abs(np.roll(bend, -1, axis=2) - np.roll(bend, 1, axis=2))
-    fourth = np.abs(np.roll(bend, -1, axis=2) + np.roll(bend, 1, axis=2) - 2.0 * bend)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        top = np.where((bend < 0.0) & (np.abs(slope) <= -0.5 * bend), mu - 0.5 * slope**2 / bend, edge)
-    nearby = np.maximum(edge, top) + CURVED * np.nan_to_num(third / 16.0 + fourth / 128.0)
-    # beside a place without poses there is no parabola
-    return np.fmax(mu, np.where(np.isnan(nearby), np.fmax(left, right), nearby))
+    bend = np.nan_to_num(np.abs(left + right - 2.0 * mu))
+    most = np.maximum(bend, np.maximum(np.roll(bend, 1, axis=2), np.roll(bend, -1, axis=2)))
+    chord = np.fmax(mu, np.fmax(0.5 * (mu + left), 0.5 * (mu + right)))
+    return np.where(np.isnan(mu), np.fmax(left, right), chord) + WHOLE_CELL * most / 8.0
+
+
+def advance(
+    q: Array, slack: Array, gain: Array, q_next: Array, slack_next: Array, value_next: Array, step: Array,
+    crossing: NDArray[np.int64], price: float, worst: bool, value: Array,
+) -> None:
+    """Fill value (b,m): what the poses of one time are worth by those of the time next to it.
+
+    A pose is next to another one if no joint turns by more than its step between them, the slack of both added; in its
+    own branch, or in one next to it near a singular pose.
+
+    Args:
+        q, slack: (b,m,n) [rad], NaN where there is none; gain: (b,m) what a pose adds; -inf: forbidden.
+        q_next, slack_next: (b,m1,n); value_next: (b,m1).
+        step: (n,) most that a joint turns in one period [rad].
+        crossing: (m,) bits of the branch's number that may be others at the time next to it.
+        price: of a step's square [1/rad^2].
+        worst: the value is the least gain on the way, in place of their sum.
+    """  # fmt: skip
+    branches, _, n = q.shape
+    blocks, worth = -(-q_next.shape[1] // BLOCK), np.empty(gain.size)
+    at, room, then, later = (np.ascontiguousarray(each).reshape(-1, n) for each in (q, slack, q_next, slack_next))
+    core.advance(
+        branches, at, room, np.ascontiguousarray(gain).ravel(), then, later, np.ascontiguousarray(value_next).ravel(),
+        np.ascontiguousarray(step), crossing.astype(np.float64), price, worst, worth,
+        np.empty(branches * blocks * (2 * n + 1)),
+    )  # fmt: skip
+    value[:] = worth.reshape(gain.shape)

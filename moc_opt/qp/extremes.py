@@ -2,7 +2,7 @@
 
 With x = x0 + Z w, Z an orthonormal basis of ker A, the cost is slope^T w + rho/2 |w|^2 and the box is
 low <= Z w <= high. Everything rests on one step, the point of that set nearest to a given one: Lawson and Hanson,
-Solving Least Squares Problems (1974), chapter 23, turn it into non-negative least squares (algorithms LDP and NNLS).
+Solving Least Squares Problems (1974), chapter 23, turn it into non-negative least squares (algorithm LDP).
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from moc_opt.numerics.arrays import Array
+from moc_opt.arrays import Array
 
 MOST_CORNERS = 10_000  # candidates of one problem that are tried: 10 joints with 5 freedoms have 8064
 FAR = 1e3  # box widths: how long a proximal step is
@@ -100,7 +100,9 @@ def nearest(Z: Array, low: Array, high: Array, start: Array) -> tuple[Array, Arr
     size = float(short.max())
     if size <= 0.0:
         return start, np.zeros(len(low))
-    u = nonnegative_least_squares(np.vstack([G.T, short / size]), np.append(np.zeros(len(start)), 1.0))
+    from scipy.optimize import nnls  # late: half a second, for several freedoms alone
+
+    u, _ = nnls(np.vstack([G.T, short / size]), np.append(np.zeros(len(start)), 1.0))
     left = 1.0 - float(short @ u) / size
     if left <= 1e-12:
         return None
@@ -113,47 +115,12 @@ def nearest(Z: Array, low: Array, high: Array, start: Array) -> tuple[Array, Arr
     return start + step, u[: len(low)] - u[len(low) :]
 
 
-def nonnegative_least_squares(E: Array, f: Array) -> Array:
-    """Find the u >= 0 (k,) with the smallest |E u - f|, E (m, k): Lawson and Hanson's algorithm NNLS."""
-    u = np.zeros(E.shape[1])
-    free = np.zeros(E.shape[1], dtype=bool)
-    for _ in range(30 * len(f)):
-        gain = np.where(free, -np.inf, E.T @ (f - E @ u))
-        while True:
-            j = int(np.argmax(gain))
-            if gain[j] <= ROUNDING:
-                return u
-            free[j] = True
-            desired = _least_squares(E, f, free)
-            if desired[j] > 0.0:
-                break
-            free[j], gain[j] = False, -np.inf  # it gained by rounding only
-        while desired[free].min() <= 0.0:
-            falling = free & (desired <= 0.0)
-            share = (u[falling] / (u[falling] - desired[falling])).min()
-            u = u + share * (desired - u)
-            free &= u > ROUNDING
-            u[~free] = 0.0
-            desired = _least_squares(E, f, free)
-        u = desired
-    return u
-
-
-def _least_squares(E: Array, f: Array, free: NDArray[np.bool_]) -> Array:
-    u = np.zeros(E.shape[1])
-    if free.any():
-        u[free] = np.linalg.lstsq(E[:, free], f, rcond=None)[0]
-    return u
-
-
 def _lower_bound(low: Array, high: Array, pull: Array, rho: float) -> float:
-    """Bound the cost by weak duality: with multipliers of A x = b it falls apart into one of each joint's own."""
     best = np.clip(-pull / rho, low, high) if rho > 0.0 else np.where(pull > 0.0, low, high)
     return float((pull * best + 0.5 * rho * best**2).sum())
 
 
 def _largest(Z: Array, low: Array, high: Array, slope: Array, rho: float, w: Array) -> float:
-    """Return the largest cost: a corner's, as the cost is convex; no less than that of the point ``w`` of the set."""
     n, r = Z.shape
 
     def cost(w: Array) -> float:
@@ -169,11 +136,6 @@ def _largest(Z: Array, low: Array, high: Array, slope: Array, rho: float, w: Arr
 
 
 def _uphill(Z: Array, low: Array, high: Array, slope: Array, rho: float, w: Array, way: Array) -> float:
-    """Return the largest cost from ``w`` along ``way`` to the border, then uphill to a corner that no edge rises from.
-
-    Rosen's gradient projection (1960): on each face the way is the gradient along it, so each step adds a bound; a
-    bound that holds back the rise is let go. Every point of the walk is one of the set.
-    """
     n, r = Z.shape
     active: list[int] = []
     side, moved = np.zeros(n), Z @ w
@@ -207,7 +169,6 @@ def _uphill(Z: Array, low: Array, high: Array, slope: Array, rho: float, w: Arra
 
 
 def _largest_corner(Z: Array, low: Array, high: Array, slope: Array, rho: float) -> float:
-    """Return the largest cost over all corners: r joints at their bounds, the others follow."""
     n, r = Z.shape
     joints, sides = _choices(n, r)
     basis = Z[joints]

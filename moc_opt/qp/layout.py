@@ -1,35 +1,26 @@
 """Where the parts of a packed subproblem lie: one flat record of 10 n + 10 numbers for n joints.
 
-Plain functions of numbers; compiled kernels call them as they are (``moc_opt.qp.equalities`` registers them).
+`moc_opt/core/binding.h` reads the same record.
 """
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
-C0, C1, C2, RHO = range(4)
-"""Places of the weights: ``record[at.weights + C2]``; rho is the regularization."""
+C0, C1, C2, RHO = range(4)  #: Places of the weights: ``record[at.weights + C2]``; rho is the regularization.
 
 
 class Offsets(NamedTuple):
     """First place of each part in a record; a part ends where the next one begins."""
 
-    A: int
-    """(6, n) by rows: J_tip, then J_wrist"""
-    b: int
-    """(6,) v_tip, then v_wrist"""
-    grad_mu: int
-    """(n,)"""
-    lower: int
-    """(n,)"""
-    upper: int
-    """(n,)"""
-    weights: int
-    """(4,) c0, c1, c2, regularization"""
-    q: int
-    """(n,), NaN where it was not given"""
-    end: int
-    """length of the record"""
+    A: int  #: (6, n) by rows: J_tip, then J_wrist
+    b: int  #: (6,) v_tip, then v_wrist
+    grad_mu: int  #: (n,)
+    lower: int  #: (n,)
+    upper: int  #: (n,)
+    weights: int  #: (4,) c0, c1, c2, regularization
+    q: int  #: (n,), NaN where it was not given
+    end: int  #: length of the record
 
 
 def offsets(n: int) -> Offsets:

@@ -17,12 +17,11 @@ from typing import Any, NamedTuple, NoReturn
 import numpy as np
 from numpy.typing import ArrayLike
 
+from moc_opt.arrays import Array, read_only
 from moc_opt.errors import SubproblemError, shown
-from moc_opt.numerics.arrays import Array, read_only
 from moc_opt.qp import residuals as optimality
 from moc_opt.qp.layout import joints_of, offsets
-from moc_opt.qp.reduction import reduce_rows
-from moc_opt.qp.residuals import Residuals
+from moc_opt.qp.residuals import TIED, Residuals
 
 LARGEST_WEIGHT = 1e12
 REGULARIZATION = 1e-5
@@ -61,7 +60,6 @@ def fields(rows: Array) -> Fields:
 
 @cache
 def _places(n: int) -> tuple[slice, ...]:
-    """Return where each field lies in a record."""
     return tuple(slice(*ends) for ends in pairwise(offsets(n)))
 
 
@@ -88,7 +86,6 @@ class NullSpaceQP:
         lower, upper: (n,) bounds on the joint velocity [rad/s].
         c0, c1, c2: weights of the paper; regularization: rho, 0 for the paper's problem.
         q: (n,) joint position where this was linearized [rad]; only the NLP back-ends need it.
-        damping: the former name of ``regularization``.
 
     Raises:
         SubproblemError: naming the field, its value and the cure.
@@ -111,64 +108,34 @@ class NullSpaceQP:
     n: int
 
     def __init__(
-        self,
-        J_tip: ArrayLike,
-        J_wrist: ArrayLike,
-        v_tip: ArrayLike,
-        v_wrist: ArrayLike,
-        grad_mu: ArrayLike,
-        lower: ArrayLike,
-        upper: ArrayLike,
-        c0: float = 0.01,
-        c1: float = 0.01,
-        c2: float = 0.001,
-        regularization: float | None = None,
-        q: ArrayLike | None = None,
-        *,
-        damping: float | None = None,
-    ) -> None:
-        if damping is not None:
-            if regularization is not None:
-                raise SubproblemError(
-                    f"regularization: {regularization!r} stands beside damping = {damping!r}, its former name: keep one"
-                )
-            regularization = damping
-        elif regularization is None:
-            regularization = REGULARIZATION
+        self, J_tip: ArrayLike, J_wrist: ArrayLike, v_tip: ArrayLike, v_wrist: ArrayLike, grad_mu: ArrayLike,
+        lower: ArrayLike, upper: ArrayLike, c0: float = 0.01, c1: float = 0.01, c2: float = 0.001,
+        regularization: float = REGULARIZATION, q: ArrayLike | None = None,
+    ) -> None:  # fmt: skip
         jacobian = _array("J_tip", J_tip)
         if jacobian.ndim != 2 or jacobian.shape[0] != 3 or jacobian.shape[1] < 1:
-            raise SubproblemError(
-                f"J_tip: shape {jacobian.shape} is not (3, n); pass world-axes rows x, y, z"
-            )
+            raise SubproblemError(f"J_tip: shape {jacobian.shape} is not (3, n); pass world-axes rows x, y, z")
         n = jacobian.shape[1]
-        arrays = [
-            jacobian,
-            _array("J_wrist", J_wrist, (3, n)),
-            _array("v_tip", v_tip, (3,)),
-            _array("v_wrist", v_wrist, (3,)),
-            _array("grad_mu", grad_mu, (n,)),
-            _array("lower", lower, (n,)),
-            _array("upper", upper, (n,)),
-        ]
+        low, high = _array("lower", lower, (n,)), _array("upper", upper, (n,))
         weights = []
         for name, value in zip(WEIGHTS, (c0, c1, c2, regularization), strict=True):
             weight = float(_array(name, value, ()))
-            if weight < 0.0:
-                raise SubproblemError(f"{name}: {weight} is negative; a weight must be 0 or larger")
-            if weight > LARGEST_WEIGHT:
-                raise SubproblemError(
-                    f"{name}: {weight} is above {LARGEST_WEIGHT:g}: products of it overflow; scale all weights down"
-                )
+            if not 0.0 <= weight <= LARGEST_WEIGHT:
+                raise SubproblemError(f"{name}: {weight}: give 0 to {LARGEST_WEIGHT:g}; products of more overflow")
             weights.append(weight)
-        crossed = np.flatnonzero(arrays[5] > arrays[6])
+        crossed = np.flatnonzero(low > high)
         if crossed.size:
             i = int(crossed[0])
             raise SubproblemError(
-                f"lower: lower[{i}] = {arrays[5][i]} is above upper[{i}] = {arrays[6][i]}; "
-                "swap them, or check that the joint is inside its limits"
+                f"lower: lower[{i}] = {low[i]} is above upper[{i}] = {high[i]}; swap them, or check that the joint is "
+                "inside its limits"
             )
-        where = np.full(n, np.nan) if q is None else _array("q", q, (n,))
-        self._adopt(np.concatenate([*(a.ravel() for a in arrays), weights, where]), n)
+        parts = (
+            jacobian.ravel(), _array("J_wrist", J_wrist, (3, n)).ravel(), _array("v_tip", v_tip, (3,)),
+            _array("v_wrist", v_wrist, (3,)), _array("grad_mu", grad_mu, (n,)), low, high, weights,
+            np.full(n, np.nan) if q is None else _array("q", q, (n,)),
+        )  # fmt: skip
+        self._adopt(np.concatenate(parts), n)
 
     @classmethod
     def from_row(cls, row: Array) -> NullSpaceQP:
@@ -222,7 +189,6 @@ class NullSpaceQP:
     c1 = property(lambda self: float(self.fields.weights[1]), doc="weight of the wrist rows")
     c2 = property(lambda self: float(self.fields.weights[2]), doc="weight of the manipulability")
     regularization = property(lambda self: float(self.fields.weights[3]), doc="rho")
-    damping = property(lambda self: self.regularization, doc="the former name of ``regularization``")
     A = property(lambda self: self.fields.A, doc="(6, n): J_tip over J_wrist")
     b = property(lambda self: self.fields.b, doc="(6,): v_tip over v_wrist")
 
@@ -256,10 +222,18 @@ class NullSpaceQP:
 
     @cached_property
     def _reduced(self) -> Reduced:
-        A, b, lift = np.empty((5, self.n)), np.empty(5), np.empty((5, 6))
-        if not reduce_rows(self.row.tolist(), self.n, A, b, lift):
-            A, b, lift = self.A, self.b, np.eye(6)
-        return Reduced(read_only(A), read_only(b), read_only(lift))
+        # Tip and wrist are rigidly tied: u^T (J_T - J_W) = 0 for the direction u of the tool, so the wrist's row along
+        # u repeats the tip's. Left are the tip's three rows and the wrist's two across u: A5 = lift A6, and
+        # A5^T y5 = A6^T (lift^T y5). `moc_opt/core/rows.c` takes the same decision for the adapters of libraries.
+        u = _tool_direction(self.A)
+        lift = np.eye(6)
+        if u is not None:
+            across = np.cross(u, np.eye(3)[int(np.argmin(np.abs(u)))])
+            across /= np.linalg.norm(across)
+            lift = lift[:5]
+            lift[3:] = 0.0
+            lift[3:, 3:] = across, np.cross(u, across)
+        return Reduced(read_only(lift @ self.A), read_only(lift @ self.b), read_only(lift))
 
     def reduced(self) -> Reduced:
         """Return five independent rows, or the six where tip and wrist are not rigidly tied."""
@@ -276,10 +250,8 @@ class NullSpaceQP:
         found = compute_residuals(self.row, x, duals)
         return Residuals(*(float(f) for f in found))  # type: ignore[arg-type]
 
-
     @staticmethod
     def _answer(name: str, value: ArrayLike, length: int, cure: str = "") -> Array:
-        """Return an array of numbers, NaN among them, of that length."""
         try:
             array = np.asarray(value, dtype=float)
         except (TypeError, ValueError) as error:
@@ -289,12 +261,26 @@ class NullSpaceQP:
         return array
 
 
+def _tool_direction(A: Array) -> Array | None:
+    # The adjugate of (J_T - J_W)(J_T - J_W)^T is a multiple of u u^T: its longest column.
+    D = A[:3] - A[3:]
+    G = np.cumsum(D[:, None] * D, axis=-1)[..., -1]  # summed in order, as in C: D may have lost two directions
+    adjugate = np.stack([np.cross(G[1], G[2]), np.cross(G[2], G[0]), np.cross(G[0], G[1])])
+    u = adjugate[int(np.argmax(np.diag(adjugate)))]
+    length = float(np.linalg.norm(u))
+    if A.shape[1] < 3 or not length > 0.0:
+        return None
+    u = u / np.copysign(length, u[int(np.argmax(np.abs(u)))])
+    # [u; -u] / sqrt(2) is the left singular vector of A that belongs to its sixth singular value.
+    apart = u @ D
+    return u if 0.5 * float(apart @ apart) <= TIED * TIED * float((A * A).sum()) else None
+
+
 def _unpickle(row: Array) -> NullSpaceQP:
     return NullSpaceQP.from_row(row)
 
 
 def _array(name: str, value: ArrayLike | float, shape: Sequence[int] | None = None) -> Array:
-    """Return a finite float array of the given shape, or a SubproblemError that names the field."""
     try:
         array = np.asarray(value, dtype=float)
     except (TypeError, ValueError) as error:

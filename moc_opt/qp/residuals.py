@@ -22,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from moc_opt.numerics.arrays import Array
+from moc_opt.arrays import Array
 from moc_opt.qp.extremes import extremes
 
 # One rule for the rank of A, here and wherever else one is decided: its sixth singular value counts as zero below
@@ -31,9 +31,6 @@ from moc_opt.qp.extremes import extremes
 # tolerance at joint speeds of a few rad/s. Nothing but a straight elbow makes the fifth one small: it is a constraint.
 TIED = 1e-7
 RANK_TOLERANCE = 1e-12
-# Singular values that may be divided by to bring x onto A x = b: near a straight elbow the smallest would
-# blow a residual of rounding size up to a rad/s.
-PROJECTION_TOLERANCE = 1e-6
 GRADIENT_ROUNDING = 1e-9  # a reduced gradient below this fraction of |grad_mu|_inf is zero
 A_POINT = 1e-9  # a feasible interval no longer than this [rad/s] has no ends: rounding decides where on it x is
 FEASIBLE = 1e-6  # box violation up to which a feasible set that x only touches is that point [rad/s]
@@ -52,10 +49,13 @@ class Residuals(NamedTuple):
             optimum's y stands for the best one: never too small, and zero at an optimum.
         relative: ``natural_best`` of the same problem with its cost divided by the size of its reduced
             gradient: max(c2 |Z Z^T grad_mu|_inf, rho times 1 rad/s), Z a basis of ker A; idle joints
-            have one of their own. So errors show even if the gradient has almost no component on ker A [rad/s].
+            have one of their own. So errors show even if the gradient has almost no component on ker A. Where
+            the feasible set is a point, so that there is no loss, it is at least the cost of x above that of the
+            point, over that size [rad/s].
         loss: share of the cost's range over the feasible set that x gives away, in [0, 1]: 0 is the optimum,
             1 the worst point. The independent part with the largest loss counts. Never too small; where the
-            worst is not known (see ``moc_opt.qp.extremes``) it may be too large.
+            worst is not known (see ``moc_opt.qp.extremes``) it may be too large. The cost is that at x, the
+            optimum and the range are those of A x = b itself: sliding within the primal tolerance gains nothing.
         distance: |x - x*|_inf to the nearest optimum x* [rad/s]; to the one nearest in the Euclidean norm where
             it is not unique. Infinite where no x* is found: the box leaves nothing of A x = b.
 
@@ -119,10 +119,10 @@ def residuals(problem: Problem, x: Array, y: Array | None = None) -> Residuals:
     best, relative, loss, distance = figures = np.zeros((4, len(x)))
     for rows, joints in _idle_patterns(flat.A):
         figures[:, rows] = _idle_joints(_some(flat, rows, ~joints), x[np.ix_(rows, ~joints)], size[rows])
-        for _, these, Z in null_spaces(flat.A[rows][:, :, joints]):
+        for these, factors in _by_rank(flat.A[rows][:, :, joints]):
             chosen = rows[these]
             one = _some(flat, chosen, joints)
-            judged = _moving_joints(one, x[np.ix_(chosen, joints)], Z, slack[chosen], size[chosen])
+            judged = _moving_joints(one, x[np.ix_(chosen, joints)], factors, slack[chosen], size[chosen])
             figures[:, chosen] = np.maximum(figures[:, chosen], judged)
 
     natural = best.copy()
@@ -140,18 +140,23 @@ def residuals(problem: Problem, x: Array, y: Array | None = None) -> Residuals:
     return Residuals(*(f.reshape(shape) for f in (primal, natural, best, relative, loss, distance)))
 
 
-def null_spaces(A: Array) -> list[tuple[int, NDArray[np.intp], Array]]:
-    """Compute orthonormal bases of ker A for a batch ``A`` (k, 6, n), grouped by rank.
+class _Factors(NamedTuple):
+    """A = U diag(s) V^T of a batch of one rank, and a basis of its kernel."""
 
-    Returns:
-        (rank, row indices (m,), Z (m, n, n - rank)) for every rank that occurs.
-    """
-    _, s, vh = np.linalg.svd(A, full_matrices=True)
-    ranked = ranks(s)
+    U: Array  # (k, 6, rank)
+    s: Array  # (k, rank)
+    V: Array  # (k, n, rank)
+    Z: Array  # (k, n, n - rank), orthonormal
+
+
+def _by_rank(A: Array) -> list[tuple[NDArray[np.intp], _Factors]]:
+    U, s, vh = np.linalg.svd(A, full_matrices=True)
+    ranked, V = ranks(s), np.swapaxes(vh, 1, 2)
     groups = []
     for rank in np.unique(ranked):
         rows = np.flatnonzero(ranked == rank)
-        groups.append((int(rank), rows, np.swapaxes(vh[rows, rank:, :], 1, 2)))
+        found = (U[rows, :, :rank], s[rows, :rank], V[rows, :, :rank], V[rows, :, rank:])
+        groups.append((rows, _Factors(*found)))
     return groups
 
 
@@ -162,26 +167,22 @@ def ranks(s: Array) -> NDArray[np.intp]:
 
 
 def _idle_patterns(A: Array) -> list[tuple[NDArray[np.intp], NDArray[np.bool_]]]:
-    """Return the rows (m,) of a batch ``A`` (k, 6, n) whose same joints (n,) move tip or wrist, for every pattern."""
     moves = np.linalg.norm(A, axis=1) > RANK_TOLERANCE * np.linalg.norm(A, axis=(1, 2))[:, None]
     patterns, which = np.unique(moves, axis=0, return_inverse=True)
     return [(np.flatnonzero(which.ravel() == i), pattern) for i, pattern in enumerate(patterns)]
 
 
 def _some(problem: Problem, rows: NDArray[np.intp], joints: NDArray[np.bool_]) -> Problem:
-    """Return some rows of a batch with some of their joints."""
     A, b, grad_mu, lower, upper, weights = (f[rows] for f in problem)
     return Problem(A[:, :, joints], b, grad_mu[:, joints], lower[:, joints], upper[:, joints], weights)
 
 
 def _gradient(grad_mu: Array, size: Array) -> Array:
-    """Return ``grad_mu`` (k, n), zero in the rows that are rounding of a gradient of the given size (k,)."""
     largest = np.abs(grad_mu).max(-1, initial=0.0)
     return np.where((largest > GRADIENT_ROUNDING * size)[:, None], grad_mu, 0.0)
 
 
 def _idle_joints(problem: Problem, x: Array, size: Array) -> Array:
-    """Return the worst natural_best, relative, loss and distance (4, k) of joints that move neither tip nor wrist."""
     _, _, c2, rho = problem.weights.T
     worst = np.zeros((4, len(x)))
     for j in range(x.shape[1]):
@@ -189,54 +190,59 @@ def _idle_joints(problem: Problem, x: Array, size: Array) -> Array:
         push = c2 * _gradient(problem.grad_mu[:, j : j + 1], size)[:, 0]
         slope, scale = rho * here - push, np.maximum(np.abs(push), rho)
         natural, relative = (np.abs(here - np.clip(here - s, low, high)) for s in (slope, slope / _or_one(scale)))
-        step, loss = _on_an_interval(slope, rho, low - here, high - here)
+        step, loss, _ = _on_an_interval(slope, rho, low - here, high - here)
         worst = np.maximum(worst, [natural, relative, loss, np.abs(step)])
     return worst
 
 
-def _moving_joints(problem: Problem, x: Array, Z: Array, slack: Array, size: Array) -> Array:
-    """Return natural_best, relative, loss and distance (4, k) of joints that move tip or wrist, along Z (k, n, r)."""
+def _moving_joints(problem: Problem, x: Array, factors: _Factors, slack: Array, size: Array) -> Array:
     _, _, c2, rho = problem.weights.T
-    n, r = Z.shape[1:]
-    # Project onto A x = b: the distance to it is judged by `primal`.
-    on = x - np.einsum("kni,ki->kn", np.linalg.pinv(problem.A, rcond=PROJECTION_TOLERANCE), slack)
-    if r == 0:
-        nothing = np.zeros(len(x))
-        return np.stack([nothing, nothing, nothing, np.abs(on - x).max(-1, initial=0.0)])
+    Z, (n, r) = factors.Z, factors.Z.shape[1:]
+    steps = np.einsum("kij,ki->kj", factors.U, slack) / factors.s
+    slid = np.einsum("knj,kj->kn", factors.V, steps)
+    exact = x - slid
+    above = np.einsum("kn,kn->k", slid, 0.5 * rho[:, None] * (x + exact) - c2[:, None] * problem.grad_mu)
     along = _gradient(np.einsum("kni,kmi,km->kn", Z, Z, problem.grad_mu), size)
-    slope = np.einsum("kni,kn->ki", Z, rho[:, None] * on - c2[:, None] * along)
-    scale = np.maximum(c2 * np.abs(along).max(-1), rho)
-    low, high = problem.lower - on, problem.upper - on
-    if r == 1:
-        moved, loss = _along_a_line(Z[:, :, 0], slope[:, 0], rho, low, high)
-        pull = slope * Z[:, :, 0]
+    scale = np.maximum(c2 * np.abs(along).max(-1, initial=0.0), rho)
+    low, high = problem.lower - exact, problem.upper - exact
+    if r == 0:
+        moved, loss, gap = np.zeros(x.shape), np.zeros(len(x)), above
+        natural = np.zeros((2, len(x)))
     else:
-        moved, loss, pull = _in_a_polytope(Z, slope, rho, low, high)
-    both = np.array([np.ones(len(x)), 1.0 / _or_one(scale)])[:, :, None]
-    if comb(n, r - 1) <= MOST_FACETS:
-        natural = _best_natural(problem, x, Z, both * slope)
-    else:
-        natural = np.abs(x - np.clip(x - both * pull, problem.lower, problem.upper)).max(-1)
-    return np.stack([*natural, loss, np.abs(on + moved - x).max(-1)])
+        slope = np.einsum("kni,kn->ki", Z, rho[:, None] * exact - c2[:, None] * along)
+        if r == 1:
+            moved, loss, gap = _along_a_line(Z[:, :, 0], slope[:, 0], rho, low, high, above)
+            pull = slope * Z[:, :, 0]
+        else:
+            moved, loss, gap, pull = _in_a_polytope(Z, slope, rho, low, high, above)
+        both = np.array([np.ones(len(x)), 1.0 / _or_one(scale)])[:, :, None]
+        if comb(n, r - 1) <= MOST_FACETS:
+            natural = _best_natural(problem, x, Z, both * slope)
+        else:
+            natural = np.abs(x - np.clip(x - both * pull, problem.lower, problem.upper)).max(-1)
+    distance = np.abs(exact + moved - x).max(-1, initial=0.0)
+    return np.stack([natural[0], np.maximum(natural[1], gap / _or_one(scale)), loss, distance])
 
 
 def _or_one(scale: Array) -> Array:
-    """Return the scales, and 1 where there is nothing to scale."""
     return np.where(scale > 0.0, scale, 1.0)
 
 
-def _on_an_interval(slope: Array, rho: Array, low: Array, high: Array) -> tuple[Array, Array]:
-    """Step to the optimum of slope s + rho/2 s^2 on [low, high], and the share of its range lost at s = 0: (k,)."""
+def _on_an_interval(
+    slope: Array, rho: Array, low: Array, high: Array, above: Array | float = 0.0
+) -> tuple[Array, Array, Array]:
     with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
         free = np.where(slope == 0.0, 0.0, -slope / rho)  # without rho to the end: division by zero
     best = np.clip(free, low, high)
     least, *ends = (s * (slope + 0.5 * rho * s) for s in (best, low, high))
     spread = np.where(high - low > A_POINT, np.maximum(*ends) - least, 0.0)
-    return best, np.where(spread > 0.0, np.clip(-least / _or_one(spread), 0.0, 1.0), 0.0)
+    loss = np.where(spread > 0.0, np.clip((above - least) / _or_one(spread), 0.0, 1.0), 0.0)
+    return best, loss, np.where(spread > 0.0, 0.0, above)
 
 
-def _along_a_line(z: Array, slope: Array, rho: Array, low: Array, high: Array) -> tuple[Array, Array]:
-    """Find the way (k, n) to the optimum along unit vectors z (k, n) within low <= s z <= high, and its loss (k,)."""
+def _along_a_line(
+    z: Array, slope: Array, rho: Array, low: Array, high: Array, above: Array
+) -> tuple[Array, Array, Array]:
     moving = np.abs(z) > STILL
     per_step = np.where(moving, z, 1.0)
 
@@ -248,40 +254,34 @@ def _along_a_line(z: Array, slope: Array, rho: Array, low: Array, high: Array) -
     (first, last), (wide_first, wide_last) = interval(0.0), interval(FEASIBLE)
     # Bounds that miss each other by no more than FEASIBLE: midway, which is where they meet as the gap closes.
     empty, point = wide_first > wide_last, np.clip(0.5 * (first + last), wide_first, wide_last)
-    step, loss = _on_an_interval(
-        slope, rho, np.where(first > last, point, first), np.where(first > last, point, last)
+    step, loss, gap = _on_an_interval(
+        slope, rho, np.where(first > last, point, first), np.where(first > last, point, last), above
     )
-    return np.where(empty[:, None], np.inf, step[:, None] * z), np.where(empty, 1.0, loss)
+    return np.where(empty[:, None], np.inf, step[:, None] * z), np.where(empty, 1.0, loss), np.where(empty, np.inf, gap)
 
 
-def _in_a_polytope(Z: Array, slope: Array, rho: Array, low: Array, high: Array) -> tuple[Array, Array, Array]:
-    """Find the way (k, n) to the optimum along Z (k, n, r) within low <= Z w <= high, its loss (k,) and pull (k, n).
-
-    The pull is the gradient of the cost with the optimum's y.
-    """
-    moved, loss, pull = np.zeros(low.shape), np.zeros(len(low)), np.einsum("kni,ki->kn", Z, slope)
+def _in_a_polytope(
+    Z: Array, slope: Array, rho: Array, low: Array, high: Array, above: Array
+) -> tuple[Array, Array, Array, Array]:
+    moved, loss, gap = np.zeros(low.shape), np.zeros(len(low)), np.zeros(len(low))
+    pull = np.einsum("kni,ki->kn", Z, slope)
     for i in np.flatnonzero((slope != 0.0).any(-1) | (rho > 0.0)):
         found = extremes(Z[i], low[i], high[i], slope[i], rho[i])
         point = found is None
         if found is None:
             found = extremes(Z[i], low[i] - FEASIBLE, high[i] + FEASIBLE, slope[i], rho[i])
         if found is None:
-            moved[i], loss[i] = np.inf, 1.0
+            moved[i], loss[i], gap[i] = np.inf, 1.0, np.inf
             continue
         moved[i], pull[i] = Z[i] @ found.w, found.pull
-        loss[i] = 0.0 if point else np.clip(-found.least / (found.most - found.least), 0.0, 1.0)
-    return moved, loss, pull
+        if point:
+            gap[i] = above[i]
+        else:
+            loss[i] = np.clip((above[i] - found.least) / (found.most - found.least), 0.0, 1.0)
+    return moved, loss, gap, pull
 
 
 def _best_natural(problem: Problem, x: Array, Z: Array, reduced: Array) -> Array:
-    """Return the smallest natural residual over all y, in closed form, for several costs ``reduced`` (c, k, r): (c, k).
-
-    y moves w = P x + p + A^T y freely but for Z^T w = reduced. A residual of t allows
-    w_i in [-t, t], without the upper end where x_i is within t of its lower bound and without
-    the lower end near its upper bound. By support functions, such a w exists if and only if
-    d.reduced <= max_w d.(Z^T w) for every facet normal d of that polytope; these are the
-    directions orthogonal to r - 1 rows of Z.
-    """
     below, above = np.maximum(x - problem.lower, 0.0), np.maximum(problem.upper - x, 0.0)
     worst = np.zeros(reduced.shape[:2])
     for d in _facets(np.ascontiguousarray(Z).tobytes(), Z.shape):
@@ -295,10 +295,6 @@ def _best_natural(problem: Problem, x: Array, Z: Array, reduced: Array) -> Array
 
 @lru_cache(maxsize=8)
 def _facets(null_spaces: bytes, shape: tuple[int, int, int]) -> list[Array]:
-    """Return the directions (k, r) orthogonal to r - 1 rows of each Z (k, n, r), for every choice of rows.
-
-    Cached, since every solver of a comparison is judged on the same problems.
-    """
     k, n, r = shape
     Z = np.frombuffer(null_spaces).reshape(shape)
     if r == 1:

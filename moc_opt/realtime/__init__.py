@@ -1,13 +1,13 @@
 """The closed loop over UDP: the plant keeps the time in one process, the controller answers in another.
 
-Read first: ``packets`` (the bytes of each packet), then ``remote`` (the plant's end: a controller in another
-process, with its ``watchdog``) and ``answering`` (the controller's end). ``link`` is the socket with its checks,
-``key`` authenticates packets, ``clock`` keeps the time and requests real-time scheduling.
-Both ends drive the parts of the simulator: ``sim.closed_loop`` with the remote controller in it here,
-``sim.filtered`` with the safety filter there. Imports no control law. Imported by scenario, which composes both ends
-(``scenario.wired``). For users: docs/realtime.md.
+Read first: ``packets`` (the bytes of each packet, for Python and as a C header), then ``remote`` (the plant's end: a
+controller in another process, and the watchdog in its place) and ``answering`` (the controller's end). ``link`` is the
+socket with addresses, key and checks, ``clock`` keeps the time and requests real-time scheduling.
+Both ends drive the parts of the simulator: ``sim.closed_loop.ClosedLoop`` with the remote controller in it here,
+its ``FilteredController`` with the safety filter there. ``scenario.wired`` composes both ends.
+For users: docs/realtime.md.
 """
 
-from moc_opt.realtime.key import WireError
+from moc_opt.realtime.link import WireError
 
 __all__ = ["WireError"]

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from moc_opt.numerics.arrays import Array
-from moc_opt.realtime.key import WireError, written
-from moc_opt.realtime.link import Link, Quality, Sequence
+from moc_opt.arrays import Array
+from moc_opt.inputs.files import to_json
+from moc_opt.realtime.link import Link, WireError, WireSettings, compare, written
 from moc_opt.realtime.packets import (
     COUNTERS,
     ENDED,
@@ -20,40 +20,30 @@ from moc_opt.realtime.packets import (
     RUNNING,
     STOP,
     WAITING,
+    WORDS_BYTES,
     Kind,
     Packet,
 )  # fmt: skip
-from moc_opt.realtime.settings import WireSettings
-from moc_opt.realtime.words import last_words
-from moc_opt.sim.filtered import FilteredController
+from moc_opt.sim.closed_loop import FilteredController
 from moc_opt.sim.loop import no_collector
 from moc_opt.sim.protocols import LoggedController, SafetyFilter
 from moc_opt.sim.sensors import Measurement
 
-_REPEAT_S, _LINGER_S = 0.1, 0.3
-"""HELLO and START are sent again after the one; the end is waited out for the other."""
+_REPEAT_S, _LINGER_S = 0.1, 0.3  #: HELLO and START are sent again after the one; the end is waited out for the other.
 
 
 @dataclass(frozen=True)
 class Ending:
-    """How a run looked from the controller's end.
-
-    Attributes:
-        ended: "completed", "stopped: ..." after a request of the safety filter, "the plant ended the run at tick ..."
-            where it did so early, or "the plant has been silent ...".
-        ticks: measurements that were answered.
-        quality: counts of the plant's packets.
-        plant: the plant's own counts, as its last measurement has them.
-        warnings: of the safety filter.
-        faults: of the third level.
-    """
+    """How a run looked from the controller's end."""
 
     ended: str
-    ticks: int
-    quality: Quality
-    plant: dict[str, int]
-    warnings: list[dict[str, Any]]
-    faults: dict[str, Any]
+    """"completed", "stopped: ..." after a request of the safety filter, "the plant ended the run at tick ..." where it
+    did so early, or "the plant has been silent ..."."""
+    ticks: int  #: measurements that were answered
+    quality: dict[str, int]  #: counts of the plant's packets
+    plant: dict[str, int]  #: the plant's own counts, as its last measurement has them
+    warnings: list[dict[str, Any]]  #: of the safety filter
+    faults: dict[str, Any]  #: of the third level
 
 
 class Answering:
@@ -75,7 +65,7 @@ class Answering:
     ) -> None:  # fmt: skip
         self._link, self._settings, self._make = link, settings, make
         self._tip_refs, self._registered, self._scenario, self._ready = tip_refs, registered, scenario, ready
-        self._sequence, self._answered = Sequence(), 0
+        self._newest, self._answered = -1, 0
 
     def run(self) -> Ending:
         """Find the plant, start at its first measurement, and answer.
@@ -114,7 +104,6 @@ class Answering:
         return filtered
 
     def _ask(self, kind: Kind, wanted: Callable[[Packet], Any]) -> Packet:
-        """Send a packet over and over until a measurement of the wanted kind comes."""
         link, request = self._link, Packet(kind, self._link.n, self._link.session, self._scenario)
         until = monotonic() + self._settings.wait_s
         while monotonic() < until:
@@ -126,48 +115,41 @@ class Answering:
             if found is not None:
                 return found
         raise WireError(
-            f"no plant answers at {written(link.peer)} within {self._settings.wait_s:g} s ({link.quality}): start "
+            f"no plant answers at {written(link.peer)} within {self._settings.wait_s:g} s ({link.heard}): start "
             "`moc-opt plant` there, with the same robot and the same key"
         )
 
     def _answer_all(self, filtered: FilteredController, found: Packet | None, applied: Array) -> str:
-        """Answer until the plant reports the end of the run, or sends nothing more."""
-        link, quality, sequence = self._link, self._link.quality, self._sequence
+        link, quality = self._link, self._link.quality
         while found is not None:
             self._counters = found["counters"].tolist()
             if found["flags"] == ENDED:
                 self._say_bye(filtered)
                 done, whole = int(found["sequence"]) + 1, len(self._tip_refs)
                 return "completed" if done >= whole else f"the plant ended the run at tick {done} of {whole}"
-            number, last = int(found["sequence"]), sequence.newest
-            said = sequence.judge(number) if found["flags"] == RUNNING and number < len(self._tip_refs) else "foreign"
-            quality.count("received" if said == "new" else "late" if said == "old" else said)
+            number, newest = int(found["sequence"]), self._newest
+            of_this_run = found["flags"] == RUNNING and number < len(self._tip_refs)
+            said = compare(number, newest) if of_this_run else "foreign"
+            quality["received" if said == "new" else said] += 1
             if said == "new":
-                quality.missed += number - last - 1
-                sequence.take(number)
+                quality["missed"] += number - newest - 1
+                self._newest = number
                 applied = self._answer(filtered, found, applied)
-            elif said == "doubled" and number == last:  # the plant has not heard the answer
+            elif said == "doubled":  # the plant has not heard the answer
                 link.send(self._command)
                 link.send(self._report)
-            elif said == "reordered":
-                sequence.take(number)
             found = link.receive(monotonic() + self._settings.silence_s)
         return f"the plant has been silent for {self._settings.silence_s:g} s"
 
     def _say_bye(self, filtered: FilteredController) -> None:
-        """Tell the plant what the trace's meta says of a controller; again where the plant has not heard."""
         bye, until = Packet(Kind.BYE, self._link.n, self._link.session, self._scenario), monotonic() + _LINGER_S
-        bye["words"] = last_words(self._controller, filtered.warnings)
+        bye["words"] = _last_words(self._controller, filtered.warnings)
         self._link.send(bye)
         while (again := self._link.receive(until)) is not None:
             if again["flags"] == ENDED:
                 self._link.send(bye)
 
     def _answer(self, filtered: FilteredController, found: Packet, applied: Array, *, rehearsal: bool = False) -> Array:
-        """Do one tick of the control side and send its torque; ``applied`` (n,) [Nm] is what was sent last.
-
-        A rehearsal sends nothing: the first tick of a process takes milliseconds.
-        """
         begin, number = perf_counter_ns(), int(found["sequence"])
         seen, echo = _measurement(found), found["commanded"]
         if not np.array_equal(echo, applied):  # the plant did not hear, and held another torque
@@ -196,5 +178,13 @@ class Answering:
 
 
 def _measurement(packet: Packet) -> Measurement:
-    """Return the measurement of a packet, as arrays of its own."""
     return Measurement(np.array(packet["q"]), np.array(packet["v"]), np.array(packet["wrench"]), int(packet["stamp"]))
+
+
+def _last_words(controller: object, warnings: list[dict[str, Any]]) -> bytes:
+    counted = {name: getattr(controller, name) for name in ("faults", "restarts") if hasattr(controller, name)}
+    text = to_json(counted | {"warnings": warnings}, indent=None).encode()
+    if len(text) > WORDS_BYTES:  # without the texts of refused answers
+        faults = {name: {**fault, "first": ""} for name, fault in counted.get("faults", {}).items()}
+        text = to_json({"faults": faults, "warnings": warnings}, indent=None).encode()
+    return text

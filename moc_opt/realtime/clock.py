@@ -45,33 +45,30 @@ class WallClock:
         return now + self._period  # whoever is late, the controller has a whole period
 
 
-def give_back_realtime() -> None:
-    """Make this an ordinary process again, since the work after a run is long and not urgent."""
-    if sys.platform.startswith("linux") and os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK == os.SCHED_FIFO:
-        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
-        ctypes.CDLL(None).munlockall()
-
-
 def ask_for_realtime() -> dict[str, str]:
     """Ask for a real-time priority, for memory that is never paged out, and for exact timers.
 
     Returns:
         name -> words on what was granted; a request that is not permitted changes nothing.
     """
-    found = {"scheduling": "as other processes (no such system call)", "memory": "not locked", "timers": "as they are"}
     if not sys.platform.startswith("linux"):
-        return found
+        return {"scheduling": "as other processes (no such system call)"}
+    found = {"scheduling": f"SCHED_FIFO {PRIORITY}", "memory": "locked", "timers": "slack 1 ns"}
     try:
         # Reset in children: the process of a solver that is replaced starts at leisure, not before the loop.
         os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(PRIORITY))
-        found["scheduling"] = f"SCHED_FIFO {PRIORITY}"
     except OSError as error:
         found["scheduling"] = f"as other processes (SCHED_FIFO: {error.strerror})"
     libc = ctypes.CDLL(None, use_errno=True)
-    if libc.mlockall(_LOCK_ALL) == 0:
-        found["memory"] = "locked"
-    else:
+    if libc.mlockall(_LOCK_ALL) != 0:
         found["memory"] = f"not locked ({os.strerror(ctypes.get_errno())})"
-    if libc.prctl(_SET_TIMER_SLACK, 1, 0, 0, 0) == 0:
-        found["timers"] = "slack 1 ns"
+    if libc.prctl(_SET_TIMER_SLACK, 1, 0, 0, 0) != 0:
+        found["timers"] = "as they are"
     return found
+
+
+def give_back_realtime() -> None:
+    """Make this an ordinary process again, since the work after a run is long and not urgent."""
+    if sys.platform.startswith("linux") and os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK == os.SCHED_FIFO:
+        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+        ctypes.CDLL(None).munlockall()

@@ -1,82 +1,108 @@
-"""One end of the wire: a UDP socket that lets only sound packets through, and counts the others."""
+"""One end of the wire: its settings, its address and key, and a UDP socket that lets only sound packets through.
+
+Without a key only processes of this machine can take part, and any of them may. With one, only who has it; nothing is
+encrypted.
+"""
 
 from __future__ import annotations
 
+import os
 import select
 import socket
-from dataclasses import dataclass, fields
+from ipaddress import ip_address
+from pathlib import Path
 from time import monotonic, monotonic_ns
+from typing import ClassVar
 
-from moc_opt.errors import describe
-from moc_opt.realtime.key import Address, WireError, written
-from moc_opt.realtime.packets import COUNTERS, MAGIC, VERSION, Kind, Packet, layout, sealed
+from pydantic import Field
 
-BACKLOG = 256
-"""Packets that are looked through at once: a flood of them does not stop the clock."""
-_MEMORY = 64
-"""Sequence numbers that are remembered."""
+from moc_opt.errors import MocOptError, describe
+from moc_opt.inputs.files import read_text
+from moc_opt.inputs.settings import Settings
+from moc_opt.realtime.packets import COUNTERS, LOOPBACK_KEY, MAGIC, VERSION, Kind, Packet, layout, sealed
 
+VARIABLE = "MOC_OPT_WIRE_KEY"
+SHORTEST, LONGEST = 16, 32  #: Bytes of a key; BLAKE2s takes no longer ones.
+BACKLOG = 256  #: Packets that are looked through at once: a flood of them does not stop the clock.
 
-@dataclass
-class Quality:
-    """Counts of packets since the start, received and missing."""
-
-    received: int = 0
-    """packets that were taken"""
-    missed: int = 0
-    """plant: ticks without a command in time; controller: measurements that had not come when a newer one did"""
-    late: int = 0
-    """commands whose tick was over"""
-    doubled: int = 0
-    """packets that had come before"""
-    reordered: int = 0
-    """packets that came after a newer one"""
-    truncated: int = 0
-    """datagrams of another size than their kind has for this arm"""
-    forged: int = 0
-    """packets whose check is not that of the key"""
-    foreign: int = 0
-    """of another session, version, direction or sender, or from a tick that has not come; commands that no safety
-    filter gives"""
-
-    def __post_init__(self) -> None:
-        assert tuple(field.name for field in fields(self)) == COUNTERS
-
-    def count(self, name: str) -> None:
-        """Add one to a count."""
-        setattr(self, name, getattr(self, name) + 1)
-
-    def values(self) -> list[int]:
-        """Return the counts in the order of the packet."""
-        return [getattr(self, name) for name in COUNTERS]
-
-    def __str__(self) -> str:
-        return ", ".join(f"{name} {getattr(self, name)}" for name in COUNTERS)
+Address = tuple[str, int]  #: Host and port.
 
 
-class Sequence:
-    """Tells new sequence numbers from those that came before or come too late."""
+class WireError(MocOptError, RuntimeError):
+    """The wire cannot be set up, or the other end does not answer."""
 
-    def __init__(self) -> None:
-        self.newest, self._seen = -1, 0  # bit i: newest - i has come
 
-    def judge(self, number: int) -> str:
-        """Return "new", "doubled", "reordered", or "old" if it is too far back to be in the memory."""
-        back = self.newest - number
-        if back < 0:
-            return "new"
-        if back >= _MEMORY:
-            return "old"
-        return "doubled" if self._seen >> back & 1 else "reordered"
+class WireSettings(Settings):
+    """The plant's watchdog, and time-outs."""
 
-    def take(self, number: int) -> None:
-        """Remember that a number came."""
-        ahead = number - self.newest
-        if ahead > 0:
-            self._seen = (self._seen << min(ahead, _MEMORY) | 1) & ((1 << _MEMORY) - 1)
-            self.newest = number
-        elif -ahead < _MEMORY:
-            self._seen |= 1 << -ahead
+    KIND: ClassVar[str] = "[wire]"
+    ERROR: ClassVar[type[MocOptError]] = WireError
+
+    hold_ticks: int = Field(5, ge=0, description="ticks in a row without a command for which the last torque is held")
+    damp_ticks: int = Field(
+        50, ge=0, description="ticks after those, with gravity compensation and damping, before the brakes close"
+    )
+    damping_Nm_s_per_rad: float = Field(5.0, gt=0.0, le=1e3, description="damping of every joint in those ticks")
+    wait_s: float = Field(60.0, gt=0.0, description="time for which either end waits for the other one to start")
+    silence_s: float = Field(5.0, gt=0.0, description="time without a measurement after which the controller gives up")
+    resend_s: float = Field(0.2, gt=0.0, description="lock-step: time after which a measurement is sent again")
+    resends: int = Field(
+        20, ge=0, description="lock-step: number of times a measurement is sent again; then the tick counts as missed"
+    )
+
+
+def written(address: Address | None) -> str:
+    """Write an address as `parse_address` reads it."""
+    return "nobody" if address is None else f"{address[0]}:{address[1]}"
+
+
+def parse_address(text: str, option: str) -> Address:
+    """Return numeric host and port of "HOST:PORT"; a WireError where it is no such text, or there is no such host."""
+    host, _, port = text.rpartition(":")
+    if not host or not port.isdecimal() or int(port) > 65535:
+        raise WireError(f"{option} {text!r}: give HOST:PORT, as 127.0.0.1:30200")
+    try:
+        found = socket.getaddrinfo(host, None, family=socket.AF_INET, type=socket.SOCK_DGRAM)
+    except (OSError, UnicodeError) as error:
+        raise WireError(f"{option} {text!r}: no such host ({error})") from error
+    return str(found[0][4][0]), int(port)
+
+
+def read_key(file: Path | None) -> bytes | None:
+    """Return the key of a file, or else of the environment variable; None where there is neither.
+
+    Raises:
+        WireError: the file cannot be read, or holds no key.
+    """
+    text = os.environ.get(VARIABLE, "") if file is None else read_text(file, "--key-file", WireError)
+    if file is None and not text:
+        return None
+    key = text.strip().encode(errors="surrogateescape")
+    if not SHORTEST <= len(key) <= LONGEST:
+        raise WireError(
+            f"{VARIABLE if file is None else f'--key-file {str(file)!r}'}: a key of {len(key)} bytes: give one line of "
+            f"{SHORTEST} to {LONGEST}, such as `openssl rand -hex 16` prints"
+        )
+    return key
+
+
+def checked_key(key: bytes | None, host: str, option: str) -> bytes:
+    """Return the key; without one, that of the loopback.
+
+    Raises:
+        WireError: there is none, and the address can be reached from other machines.
+    """
+    if key is None and not ip_address(host).is_loopback:
+        raise WireError(
+            f"{option} {host}: other machines reach that address, and whoever speaks on it moves the arm: give both "
+            f"ends the same key by --key-file or {VARIABLE}, or take 127.0.0.1"
+        )
+    return LOOPBACK_KEY if key is None else key
+
+
+def compare(number: int, newest: int) -> str:
+    """Return what a packet of a tick is beside the newest that came: "new", "doubled" or "reordered"."""
+    return "new" if number > newest else "doubled" if number == newest else "reordered"
 
 
 class Link:
@@ -88,6 +114,9 @@ class Link:
         listen: where; None: wherever the system likes.
         peer: whom to send to; None: not known yet.
 
+    Attributes: `session`, 0 until it is known; `quality`, a count for each of ``packets.COUNTERS``; `sender` of the
+        last packet.
+
     Raises:
         WireError: the address cannot be taken.
     """
@@ -96,7 +125,7 @@ class Link:
         self, n: int, key: bytes, expected: tuple[Kind, ...], listen: Address | None = None, peer: Address | None = None
     ) -> None:
         self.n, self.peer, self.session = n, peer, 0
-        self.quality, self.sender = Quality(), peer
+        self.quality, self.sender = dict.fromkeys(COUNTERS, 0), peer
         self._key = key
         self._incoming = {int(kind): Packet(kind, n) for kind in expected}
         self._sizes = {int(kind): layout(kind, n).itemsize for kind in Kind}
@@ -108,15 +137,18 @@ class Link:
             self._socket.setblocking(False)
         except OSError as error:
             self._socket.close()
-            raise WireError(
-                f"the address {written(listen)} cannot be taken: {error.strerror}; give another one"
-            ) from error
+            raise WireError(f"the address {written(listen)} cannot be taken: {error.strerror}; give another") from error
 
     @property
     def address(self) -> Address:
         """Where this end listens."""
         host, port = self._socket.getsockname()[:2]
         return str(host), int(port)
+
+    @property
+    def heard(self) -> str:
+        """What has come so far, in words."""
+        return ", ".join(f"{name} {count}" for name, count in self.quality.items() if count) or "nothing came"
 
     def close(self) -> None:
         """Give the socket back."""
@@ -135,8 +167,7 @@ class Link:
     def receive(self, until: float) -> Packet | None:
         """Return the next sound packet, or None where none has come at the time ``until`` (of ``time.monotonic``) [s].
 
-        It is valid until the next call. ``sender`` is where it came from. What has arrived already is returned even
-        where ``until`` has passed.
+        It is valid until the next call. What has arrived already is returned even where ``until`` has passed.
         """
         unsound = 0
         while unsound < BACKLOG or monotonic() < until:
@@ -150,28 +181,24 @@ class Link:
                 continue
             except ConnectionError:
                 continue  # nobody listened where this end sent to: that packet is lost
-            found = self._sound(size)
-            if found is not None and self.session and (found["session"] != self.session or sender != self.peer):
-                self.quality.count("foreign")
-                found = None
-            if found is not None:
+            packet, wrong = self._sound(memoryview(self._scratch)[:size])
+            if packet is not None and self.session and (packet["session"] != self.session or sender != self.peer):
+                packet, wrong = None, "foreign"
+            if packet is not None:
                 self.sender = sender
-                return found
+                return packet
+            self.quality[wrong] += 1
             unsound += 1
         return None
 
-    def _sound(self, size: int) -> Packet | None:
-        data = memoryview(self._scratch)[:size]
-        kind = data[5] if size > 5 else 0
-        if size != self._sizes.get(kind, -1):
-            self.quality.count("truncated")
-            return None
+    def _sound(self, data: memoryview) -> tuple[Packet | None, str]:
+        kind = data[5] if len(data) > 5 else 0
+        if len(data) != self._sizes.get(kind, -1):
+            return None, "truncated"
         if not sealed(data, self._key):
-            self.quality.count("forged")
-            return None
+            return None, "forged"
         packet = self._incoming.get(kind)
         if packet is None or bytes(data[:4]) != MAGIC or data[4] != VERSION or data[6] != self.n:
-            self.quality.count("foreign")
-            return None
+            return None, "foreign"
         packet.buffer[:] = data
-        return packet
+        return packet, ""

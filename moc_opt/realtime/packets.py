@@ -1,4 +1,4 @@
-"""The packets: of fixed size, with little-endian numbers and a keyed checksum at the end.
+"""The packets: of fixed size, with little-endian numbers and a keyed checksum at the end, for Python and for C.
 
 Every layout is a numpy dtype; docs/realtime.md has them as tables. All fields lie at multiples of their size, so that
 a C struct of the same fields has the same bytes.
@@ -18,10 +18,11 @@ from numpy.typing import NDArray
 from moc_opt.qp.layout import offsets
 
 MAGIC, VERSION = b"MOCW", 1
+LOOPBACK_KEY = b"moc_opt: loopback, no secret"
 TAG_BYTES = 16
 REASON_BYTES, WORDS_BYTES = 96, 3000
 COUNTERS = ("received", "missed", "late", "doubled", "reordered", "truncated", "forged", "foreign")
-"""The quality counters of an end, in the order of the packet; ``link.Quality`` says what each counts."""
+"""The quality counters of an end, in the order of the packet; docs/realtime.md says what each counts."""
 
 
 class Kind(IntEnum):
@@ -114,3 +115,61 @@ class Packet:
         """Write the check, and return the bytes."""
         self.buffer[-TAG_BYTES:] = tag(memoryview(self.buffer)[:-TAG_BYTES], key)
         return self.buffer
+
+
+_TYPES = {
+    "<u8": "uint64_t", "<i8": "int64_t", "<f8": "double", "<u4": "uint32_t", "<i4": "int32_t", "|u1": "uint8_t",
+}  # fmt: skip
+_STRUCTS = {
+    "measurement": Kind.MEASUREMENT, "command": Kind.COMMAND, "report": Kind.REPORT, "plain": Kind.HELLO,
+    "bye": Kind.BYE,
+}  # fmt: skip
+
+
+def c_header(n: int, ticks: int, scenario: int, wait_s: float, silence_s: float) -> str:
+    """Write ``wire_packets.h`` of an exported controller: the packets as C structs, from the same layouts.
+
+    Args:
+        n: joints.
+        ticks: of the run.
+        scenario: its fingerprint.
+        wait_s, silence_s: of ``[wire]``.
+    """
+    defines = {
+        "JOINTS": n, "TICKS": ticks, "SCENARIO": f"UINT64_C({scenario})", "VERSION": VERSION,
+        "MAGIC": f'"{MAGIC.decode()}"', "LOOPBACK_KEY": f'"{LOOPBACK_KEY.decode()}"', "WAIT_S": wait_s,
+        "SILENCE_S": silence_s,
+        "COUNTER_NAMES": "{" + ", ".join(f'"{name}"' for name in COUNTERS) + "}",
+    }  # fmt: skip
+    kinds = ", ".join(f"WIRE_KIND_{kind.name} = {int(kind)}" for kind in Kind)
+    counters = ", ".join(f"WIRE_{name.upper()}" for name in COUNTERS)
+    parts = [
+        "/* Generated: the packets of the wire, see docs/realtime.md. Little-endian machines only. */",
+        "#ifndef WIRE_PACKETS_H\n#define WIRE_PACKETS_H\n\n#include <stdint.h>\n",
+        *(f"#define WIRE_{name} {value}" for name, value in defines.items()),
+        f"\nenum {{{kinds}}};\nenum {{{counters}, WIRE_COUNTERS}};",
+        "enum {WIRE_WAITING, WIRE_RUNNING, WIRE_ENDED}; /* flags of a measurement */",
+        "enum {WIRE_STOP = 1, WIRE_REPORTED = 2};       /* flags of a command */\n",
+        _struct("header", np.dtype(HEADER)),
+    ]
+    for name, kind in _STRUCTS.items():
+        dtype = layout(kind, n)
+        check = f"sizeof(wire_{name}) == {dtype.itemsize}"
+        parts += [_struct(name, dtype, len(HEADER)), f"typedef char wire_{name}_has_its_size[{check} ? 1 : -1];\n"]
+    parts.append(
+        "#if defined(__BYTE_ORDER__) && __BYTE_ORDER__ != __ORDER_LITTLE_ENDIAN__\n"
+        '#error "the packets are little-endian"\n#endif\n\n#endif'
+    )
+    return "\n".join(parts) + "\n"
+
+
+def _struct(name: str, dtype: np.dtype[np.void], begin: int = 0) -> str:
+    lines = ["    wire_header head;"] if begin else []
+    for field in (dtype.names or ())[begin:]:
+        base, shape = dtype[field].base, dtype[field].shape
+        if base.kind in "SV":
+            kind, shape = ("char" if base.kind == "S" else "uint8_t"), (base.itemsize,)
+        else:
+            kind = _TYPES[base.str]
+        lines.append(f"    {kind} {field}{''.join(f'[{size}]' for size in shape)};")
+    return "typedef struct {\n" + "\n".join(lines) + f"\n}} wire_{name};"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import asdict
 from secrets import randbits
 from time import monotonic
 from typing import Any
@@ -11,23 +10,64 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from moc_opt.errors import printable
-from moc_opt.numerics.arrays import Array
+from moc_opt.arrays import Array
+from moc_opt.errors import MocOptError, printable
+from moc_opt.inputs.files import parse_json
 from moc_opt.realtime.clock import WallClock
-from moc_opt.realtime.key import WireError, written
-from moc_opt.realtime.link import BACKLOG, Link, Sequence
+from moc_opt.realtime.link import BACKLOG, Link, WireError, WireSettings, compare, written
 from moc_opt.realtime.packets import ENDED, REPORTED, RUNNING, STOP, WAITING, Kind, Packet
-from moc_opt.realtime.settings import WireSettings
-from moc_opt.realtime.watchdog import Watchdog
-from moc_opt.realtime.words import read_words
-from moc_opt.sim.filtered import Filtered
+from moc_opt.sim.closed_loop import Filtered
 from moc_opt.sim.protocols import SafetyFilter
 from moc_opt.sim.sensors import Measurement
+from moc_opt.trace.meta import check_entry
 
 Columns = Mapping[str, NDArray[Any]]
 
 INCOMING = (Kind.HELLO, Kind.START, Kind.COMMAND, Kind.REPORT, Kind.BYE)
 _BYE_S, _BYE_TIMES = 0.1, 10
+
+
+class Watchdog:
+    """Counts ticks without a command, and says which torque takes its place.
+
+    The last torque is held for ``hold_ticks``. For ``damp_ticks`` more the drives carry the arm's weight and damp its
+    motion; a command in that time is followed again. Then the brakes close, and nothing opens them.
+
+    Args:
+        settings: see ``WireSettings``.
+        safety_filter: knows the arm's weight and its brakes; the plant's own, not the controller's.
+        first: the measurement at which the run begins.
+    """
+
+    def __init__(self, settings: WireSettings, safety_filter: SafetyFilter, first: Measurement) -> None:
+        self._settings, self._filter, self._sound = settings, safety_filter, first
+        self.missed = 0
+        self.reason = ""
+
+    def see(self, seen: Measurement) -> None:
+        """Take note of a measurement; one that is not finite is passed over."""
+        if np.isfinite(seen.q).all() and np.isfinite(seen.v).all():
+            self._sound = seen
+
+    def tick(self, applied: Array) -> Array:
+        """Return the torque (n,) [Nm] of a tick without a command, where ``applied`` (n,) acted in the last one."""
+        self.missed += 1
+        past = self.missed - self._settings.hold_ticks
+        if self.reason:
+            return self._filter.stop_torque(applied)
+        if past <= 0:
+            return applied
+        sound = self._sound
+        self._filter.start(sound.q, sound.v, sound.stamp)  # the weight is that of this pose
+        if past <= self._settings.damp_ticks:
+            return self._filter.stop_torque(applied) - self._settings.damping_Nm_s_per_rad * sound.v
+        self.reason = f"no command from the controller for {self.missed} ticks"
+        self._filter.request_stop(self.reason)
+        return self._filter.stop_torque(applied)
+
+    def brake_friction(self) -> Array:
+        """Return the dry friction (n,) [Nm] of the brakes, once a tick."""
+        return self._filter.brake_friction(self._sound.force)
 
 
 class RemoteController(Filtered):
@@ -59,10 +99,9 @@ class RemoteController(Filtered):
         self._make_columns, self._applied, self._tau_max = columns, applied, np.array(tau_max)
         self._packet = Packet(Kind.MEASUREMENT, link.n, randbits(63) | 1, scenario)
         self._friction, self._tick, self._until = np.zeros(link.n), 0, 0.0
-        self._commands, self._reports, self._reported = Sequence(), Sequence(), False
+        self._newest, self._reported = {Kind.COMMAND: -1, Kind.REPORT: -1}, False
         self._columns: Columns = {}
         self._control_us, self._missed = float("nan"), False
-        self._watchdog: Watchdog | None = None
         self.told: dict[str, Any] = {}
         self._counts: dict[str, Any] = {}
 
@@ -86,7 +125,7 @@ class RemoteController(Filtered):
             if found is None:
                 raise WireError(
                     f"no controller came to {written(link.address)} within {self._settings.wait_s:g} s "
-                    f"({link.quality}): start `moc-opt control` on the same scenario with the same key, or raise "
+                    f"({link.heard}): start `moc-opt control` on the same scenario with the same key, or raise "
                     "[wire] wait_s"
                 )
             if found.kind is Kind.HELLO:
@@ -94,7 +133,7 @@ class RemoteController(Filtered):
             elif found.kind is Kind.START and int(found["session"]) == int(packet["session"]):
                 break
             else:
-                link.quality.count("foreign")
+                link.quality["foreign"] += 1
         link.peer, link.session = link.sender, int(packet["session"])
         if self.clock is not None:
             self.clock.start()
@@ -105,27 +144,20 @@ class RemoteController(Filtered):
             self._until = self.clock.wait_for(tick)
 
     def tick(self, seen: Measurement, tip_ref: Array, trocar: Array) -> Array:
-        """Send a measurement, and return the torque (n,) [Nm] that came for it, or the watchdog's.
-
-        Raises:
-            WireError: called before ``start``.
-        """
+        """Send a measurement, and return the torque (n,) [Nm] that came for it, or the watchdog's."""
         watchdog = self._watchdog
-        if watchdog is None:
-            raise WireError("tick before start: call start once before the first tick")
         watchdog.see(seen)
         self._control_us, self._reported, self.limited = float("nan"), False, 0
         command = None if watchdog.reason else self._exchange(seen)
         self._missed = command is None and not watchdog.reason
-        if self._missed:
-            self.link.quality.count("missed")
+        self.link.quality["missed"] += self._missed
         if command is None:
             tau = watchdog.tick(self._applied)
             if watchdog.reason:
                 self.stop_reason = self.stop_reason or watchdog.reason
                 self._friction = watchdog.brake_friction()
         else:
-            watchdog.feed()
+            watchdog.missed = 0
             tau = np.array(command["tau"])
             self._friction = np.array(command["friction"])
             self.limited, self._control_us = int(command["limited"]), float(command["control_us"])
@@ -155,9 +187,9 @@ class RemoteController(Filtered):
         columns["missed"][row], columns["control_us"][row] = self._missed, self._control_us
         if self.clock is not None:
             columns["wake_us"][row] = self.clock.late_us
-        if self._reported and self._reports.newest < self._tick - 1:
+        if self._reported and self._newest[Kind.REPORT] < self._tick - 1:
             until = monotonic() + self._settings.resend_s if self.clock is None else self.clock.spare_until
-            self._receive(until, lambda: self._reports.newest == self._tick - 1)
+            self._receive(until, lambda: self._newest[Kind.REPORT] == self._tick - 1)
 
     def close(self) -> dict[str, Any]:
         """Tell the controller, once, that the run is over; return the counts. ``told`` holds its answer."""
@@ -171,18 +203,18 @@ class RemoteController(Filtered):
             while found is not None and found.kind is not Kind.BYE:
                 found = self.link.receive(until) if monotonic() < until else None
             if found is not None:
-                self.told = read_words(bytes(found["words"][()]))
+                self.told = _told(bytes(found["words"][()]))
                 break
         self.link.close()
         overruns = {} if self.clock is None else {"overruns": self.clock.overruns}
-        self._counts = {**asdict(self.link.quality), **overruns}
+        self._counts = self.link.quality | overruns
         return self._counts
 
     def _fill(self, seen: Measurement, state: int) -> None:
         packet = self._packet
         packet["flags"], packet["sequence"], packet["stamp"] = state, self._tick, seen.stamp
         packet["q"], packet["v"], packet["wrench"] = seen.q, seen.v, seen.force
-        packet["commanded"], packet["counters"] = self._applied, self.link.quality.values()
+        packet["commanded"], packet["counters"] = self._applied, list(self.link.quality.values())
 
     def _exchange(self, seen: Measurement) -> Packet | None:
         self._fill(seen, RUNNING)
@@ -198,42 +230,35 @@ class RemoteController(Filtered):
         return None
 
     def _receive(self, until: float, done: Callable[[], bool] | None = None) -> Packet | None:
-        """Take what comes until the command of this tick does, or until ``done``; None where the time is over."""
         for _ in range(BACKLOG):
             found = self.link.receive(until)
             if found is None:
                 break
-            if found.kind is Kind.COMMAND and self._is_usable(found) and self._is_new(found, self._commands):
+            if found.kind is Kind.COMMAND and self._is_usable(found) and self._is_new(found):
                 return found
-            if found.kind is Kind.REPORT and self._is_new(found, self._reports):
+            if found.kind is Kind.REPORT and self._is_new(found):
                 self._keep(found)
             if done is not None and done():
                 break
         return None
 
     def _is_usable(self, command: Packet) -> bool:
-        flags, friction = int(command["flags"]), command["friction"]
-        fine = (np.abs(command["tau"]) <= self._tau_max).all() and command["limited"] <= self.link.n
-        braking = np.isfinite(friction).all() and (friction >= 0.0).all()
-        # Friction and a reason belong to a stop.
-        told = flags & STOP or self.stop_reason or not (friction.any() or bytes(command["reason"][()]))
-        if not (fine and braking and told and flags & ~(STOP | REPORTED) == 0):
-            self.link.quality.count("foreign")
-            return False
-        return True
+        friction = command["friction"]
+        inside = (np.abs(command["tau"]) <= self._tau_max).all() and command["limited"] <= self.link.n
+        usable = bool(inside and ((friction >= 0.0) & (friction < np.inf)).all())
+        self.link.quality["foreign"] += not usable
+        return usable
 
-    def _is_new(self, packet: Packet, sequence: Sequence) -> bool:
-        """Judge the tick that a packet is for; only a command of the present one may be followed."""
-        quality, number = self.link.quality, int(packet["sequence"])
-        command = packet.kind is Kind.COMMAND
+    def _is_new(self, packet: Packet) -> bool:
+        number = int(packet["sequence"])
+        said = compare(number, self._newest[packet.kind])
         if number > self._tick:
-            quality.count("foreign")
-            return False
-        said = sequence.judge(number)
-        if said == "old" or (said == "new" and command and number < self._tick):
-            said = "late"
-        quality.count("received" if said == "new" else said)
-        sequence.take(number)
+            said = "foreign"
+        elif said == "new":
+            self._newest[packet.kind] = number
+            if packet.kind is Kind.COMMAND and number < self._tick:
+                said = "late"
+        self.link.quality["received" if said == "new" else said] += 1
         return said == "new"
 
     def _keep(self, report: Packet) -> None:
@@ -242,3 +267,15 @@ class RemoteController(Filtered):
             if name in report and row < len(column):
                 value = report[name]
                 column[row] = printable(bytes(value[()]).decode(errors="replace")) if value.dtype.kind == "S" else value
+
+
+def _told(words: bytes) -> dict[str, Any]:
+    text, names = printable(words.decode(errors="replace")), ("faults", "restarts", "warnings")
+    try:
+        found = parse_json(text, "last words of the controller", WireError) if text else {}
+        told = {name: found[name] for name in names if name in found and (found[name] or name == "faults")}
+        for name, value in told.items():
+            check_entry(name, value)
+    except (MocOptError, TypeError):
+        return {}  # of a controller that is not ours; the run is over, and its trace complete without
+    return told

@@ -64,34 +64,24 @@ class Bar:
     def __init__(self, progress: Progress, task: TaskID) -> None:
         self._progress, self._task = progress, task
         self._begun = self._told = time.monotonic()
-        self._paced: tuple[float, float] | None = None  # when the first step was done, and how many then were
 
     def advance(self, steps: float = 1.0) -> None:
         """Count so many more steps as done."""
         self._progress.update(self._task, advance=steps)
-        if self._paced is None:
-            self._paced = time.monotonic(), self._progress.tasks[self._task].completed
         if not self._progress.console.is_terminal and time.monotonic() - self._told > LINE_EVERY_S:
             self.tell()
 
     def tell(self) -> None:
-        """Write a line: how far it is."""
+        """Write a line: how far it is, and how long it will take at the pace so far."""
         self._told = time.monotonic()
-        self._progress.console.print(self._line(), markup=False, soft_wrap=True)
-
-    def _line(self) -> str:
-        """Return how far it is, and how long it will take at the pace since its first step, which may have compiled."""
         (task,) = self._progress.tasks
         said, spent = task.description, self._told - self._begun
         if task.total and task.completed:
             share = min(task.completed / task.total, 1.0)
-            said += f": {100.0 * share:.0f} % after {timedelta(seconds=round(spent))}"
-            since, first = self._paced or (self._begun, 0.0)
-            if task.completed > first:
-                pace = (self._told - since) / (task.completed - first)
-                left = timedelta(seconds=round(pace * max(task.total - task.completed, 0.0)))
-                said += f", about {left} left"
-        return f"{said}  {task.fields['now']}".rstrip()
+            after, left = (timedelta(seconds=round(seconds)) for seconds in (spent, spent * (1.0 / share - 1.0)))
+            said += f": {100.0 * share:.0f} % after {after}, about {left} left"
+        line = f"{said}  {task.fields['now']}".rstrip()
+        self._progress.console.print(line, markup=False, soft_wrap=True)
 
     def of(self, total: float) -> None:
         """Say how many steps there are, once that is known."""
@@ -156,3 +146,15 @@ def print_json(values: Mapping[str, Any], file: IO[str] | None = None) -> None:
         TypeError: a value that JSON cannot hold.
     """
     (file or sys.stdout).write(to_json(values) + "\n")
+
+
+def busy() -> str:
+    """Return a sentence where more threads want to run than there are cores, to stand beside times; else empty."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    try:
+        load = os.getloadavg()[0]  # over the last minute
+    except OSError:
+        return ""
+    if load <= cores:
+        return ""
+    return f"The machine was busy (load {load:.1f} on {cores} cores): times are longer than on an idle one."

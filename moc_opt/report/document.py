@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Callable
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -15,7 +14,7 @@ from markupsafe import Markup, escape
 
 from moc_opt.errors import ReportError
 from moc_opt.figures.notation import DASH, printable
-from moc_opt.inputs.files import check_replaceable
+from moc_opt.inputs.files import check_replaceable, write_whole
 
 MAX_BYTES = 8_000_000
 # A piece of a path: no scheme's colon, no backslash that browsers read as a slash, nothing that leads upwards.
@@ -60,7 +59,6 @@ def anchor(title: str) -> str:
 
 
 def _shown(value: Any) -> Any:
-    """Return a text without control and direction characters; escaping follows."""
     return printable(value) if isinstance(value, str) and not isinstance(value, Markup) else value
 
 
@@ -115,14 +113,9 @@ def save_document(path: str | os.PathLike[str], text: str, what: str, cure: Call
         sizes = f"{len(content) / 1e6:.1f} MB, more than {MAX_BYTES / 1e6:.0f}"
         raise ReportError(f"{file}: the {what} has {sizes}: {cure()}")
     check_replaceable(file, what, ReportError)
-    unfinished = file.with_name(f".{file.name}.{os.getpid()}.part")
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
-        unfinished.write_bytes(content)
-        unfinished.replace(file)
+        write_whole(file, content)
     except OSError as error:
-        # Where there was no folder, there is nothing to clear away either.
-        with suppress(OSError):
-            unfinished.unlink()
         raise ReportError(f"{file}: cannot be written: {error.strerror or error}") from error
     return file

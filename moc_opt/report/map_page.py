@@ -1,16 +1,19 @@
-"""The manipulability map as a part of a page, with its result in words and numbers, and as a page of its own."""
+"""The manipulability map: a figure, a part of a page with its result in words and numbers, a page of its own."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
+import plotly.graph_objects as go
+from numpy.typing import NDArray
 
+from moc_opt.arrays import Array
+from moc_opt.errors import ReportError
 from moc_opt.figures.notation import Missing
-from moc_opt.figures.style import Styles
-from moc_opt.redundancy.manipulability_map import SwivelMap, manipulability_map
-from moc_opt.redundancy.map_analysis import (
+from moc_opt.figures.style import BAD, INK, MUTED, Style, Styles, figure, label, legend_height
+from moc_opt.planning.map_analysis import (
     ALIKE_RAD,
     CLOSE_RAD,
     END,
@@ -20,14 +23,30 @@ from moc_opt.redundancy.map_analysis import (
     alike,
     read_trajectory,
 )
-from moc_opt.report.map_figure import map_figure
+from moc_opt.planning.swivel_map import (
+    FEASIBLE,
+    OTHER_BRANCH_RAD,
+    UNREACHABLE,
+    SwivelMap,
+    Trajectory,
+    manipulability_map,
+)
 from moc_opt.report.page import Page
+from moc_opt.report.replay import load_runs
 from moc_opt.report.run_table import below_best
-from moc_opt.report.runs import load_runs
 from moc_opt.report.tables import Column, Table
 from moc_opt.trace.trace import Trace
 
 MOST_LINES = 8
+# Light to dark, so that lines of any of the house's colours with a white edge stand out; the same on dark pages.
+SCALE = ((0.0, "#f4f1e6"), (0.25, "#cfe0cf"), (0.5, "#8fc4bd"), (0.75, "#3f8f9c"), (1.0, "#143f5c"))
+EDGE, BEST = "#fffffe", "#17191b"
+HEIGHT_PX = 460
+SHARED = ("9px,9px", "5px,13px", "3px,15px")
+"""Dashes of the second, third and further trajectories on one line: the colours of all of them show."""
+LEAP_DEG = 25.0
+"""From one time to the next: a line that turns by more has a gap there."""
+HOVER = "%{x:.2f} s, %{y:.0f}°: µ = %{customdata:.3f} m³<extra>%{fullData.name}</extra>"
 COLUMNS = (
     Column("name", "trajectory"),
     Column(
@@ -47,7 +66,6 @@ COLUMNS = (
         f"{np.degrees(CLOSE_RAD):.0f} deg before it, mu rising",
     ),
 )  # fmt: skip
-PLURAL = {"touches": "touch", "is": "are", "ends": "end", "rests": "rest"}
 
 
 def add_map(
@@ -124,60 +142,46 @@ def in_words(readings: Sequence[Reading], titles: Mapping[str, str] | None = Non
     timed = []
     for reading in known:
         if not _never(reading):
-            since = (
-                f" (from {reading.from_s:.1f} s on for good)" if reading.from_s > 0.0 and reading.near < 1.0 else ""
-            )
+            once = reading.from_s > 0.0 and reading.near < 1.0
+            since = f" (from {reading.from_s:.1f} s on for good)" if once else ""
             timed.append(f"{called[reading.name]} for {100.0 * reading.near:.0f} %{since}")
     limit = f"mu at most {100.0 * NEAR:.0f} % below the best pose of that time"
     said = [f"At the optimum ({limit}), as a share of the time: {'; '.join(timed) or 'none'}."] if known else []
     groups: dict[str, list[str]] = {}
     for reading in readings:
-        never = "never gets there: it " if _never(reading) else ""
+        never = "never at the optimum; " if _never(reading) else ""
         for words in (edge_in_words(reading), never + end_in_words(reading)):
             groups.setdefault(words, []).append(called[reading.name])
     groups.pop("", None)
-    for words, names in groups.items():
-        several = len(names) > 1 or names[0].endswith(" more")
-        said.append(f"{_listed(names)} {_plural(words) if several else words}.")
-    return " ".join(said)
+    return " ".join([*said, *(f"{', '.join(names)}: {words}." for words, names in groups.items())])
 
 
 def _never(reading: Reading) -> bool:
-    """Return whether it would read as 0 %."""
     return reading.near < 0.005
 
 
-def _plural(words: str) -> str:
-    """Return the same said of several: the verb that begins it, and one that follows a colon."""
-    begin, colon, rest = words.partition("never gets there: it ")
-    if colon:
-        return f"never get there: they {_plural(rest)}"
-    verb, space, rest = begin.partition(" ")
-    return f"{PLURAL[verb]}{space}{rest}"
-
-
 def end_in_words(reading: Reading) -> str:
-    """Return a verb in the singular and what follows it."""
+    """Say how a trajectory ends."""
     limit = f"the limit of joint {reading.joint}" if reading.joint else "the arm's reach"
     return {
-        End.OPTIMUM: "ends at the optimum",
-        End.LOCAL_MAXIMUM: "ends at a local maximum: to either side mu falls before it rises to the best",
-        End.FEASIBLE_EDGE: f"ends at the edge of the feasible poses: mu rises beyond {limit}",
-        End.STILL: "rests in the end, though mu rises to one side (joint limits are in the map, the narrower "
-        "box of the third level is not)",
-        End.RISING: "is still gaining mu when the run ends",
-        End.FALLING: "is losing mu when the run ends",
-        End.OTHER_BRANCH: "is on another branch of the inverse kinematics: the map does not hold there",
-        End.UNKNOWN: "is nowhere on the map, where no pose is allowed",
+        End.OPTIMUM: "in the end at the optimum",
+        End.LOCAL_MAXIMUM: "in the end at a local maximum, where to either side mu falls before it rises to the best",
+        End.FEASIBLE_EDGE: f"in the end at the edge of the feasible poses, where mu rises beyond {limit}",
+        End.STILL: "at rest in the end, though mu rises to one side (joint limits are in the map, the narrower box of "
+        "the third level is not)",
+        End.RISING: "still gaining mu when the run ends",
+        End.FALLING: "losing mu when the run ends",
+        End.OTHER_BRANCH: "on another branch of the inverse kinematics, where the map does not hold",
+        End.UNKNOWN: "nowhere on the map, where no pose is allowed",
     }[reading.end]
 
 
 def edge_in_words(reading: Reading) -> str:
-    """Return a verb in the singular and what follows it; nothing for one that keeps away from the feasible edge."""
+    """Say where on the way it touches the feasible edge; nothing for one that keeps away from it."""
     if not reading.at_edge > 0.0 or reading.end is End.FEASIBLE_EDGE:
         return ""
     joints = [f"joint {joint}" for joint in reading.limits]
-    return f"touches the feasible edge on the way ({_listed(joints) if joints else 'out of reach'})"
+    return f"on the way at the feasible edge ({', '.join(joints) or 'out of reach'})"
 
 
 def trajectory_table(readings: Mapping[str, Reading], kinds: Mapping[str, Sequence[str]], what: str = "") -> Table:
@@ -228,9 +232,125 @@ def best_courses(traces: Mapping[str, Trace]) -> dict[str, Trace]:
     return found
 
 
-def _listed(names: Sequence[str]) -> str:
-    """Return the names as a text; semicolons between those that have commas of their own."""
-    if len(names) == 1:
-        return names[0]
-    comma = "; " if any("," in name for name in names) else ", "
-    return f"{comma.join(names[:-1])} and {names[-1]}"
+# --- the figure ---
+
+
+def map_figure(
+    found: SwivelMap, styles: Styles | None = None, *, titles: Mapping[str, str] | None = None
+) -> go.Figure:
+    """Draw mu as colour over time and swivel, grey where no pose is allowed, and a line for every run.
+
+    A run that folds the arm another way than the map is dotted: the colours under it are not its own. Where several
+    runs go the same way, the line changes between their colours.
+
+    Args:
+        found: of `manipulability_map`.
+        styles: of each run, as in other figures; None assigns colours anew.
+        titles: the runs that are drawn -> what the legend calls them; None: all, by their names.
+
+    Raises:
+        ReportError: no pose of the map is allowed.
+    """
+    styles = styles or Styles(found.trajectories)
+    titles = {name: name for name in found.trajectories} if titles is None else titles
+    allowed = found.limit == FEASIBLE
+    if not allowed.any():
+        raise ReportError("no pose on the map is within the joint limits: check trocar and path")
+    degrees = np.degrees(found.swivel_rad)
+    drawn = figure(height=HEIGHT_PX + legend_height([*titles.values(), "best", "not allowed"]))
+    _colors(drawn, found, degrees, allowed)
+    t_best, y_best = _broken(found.t_s, np.degrees(found.best_swivel_rad))
+    _edge(drawn, t_best, y_best, "best")
+    places = {name: k for first, others in alike(found).items() for k, name in enumerate([first, *others])}
+    # First what has a white edge, then what shares its line with one of these.
+    for name in sorted(titles, key=lambda name: min(places[name], 1)):
+        trajectory, style = found.trajectories[name], styles[name]
+        if trajectory.gap_rad > OTHER_BRANCH_RAD:
+            style = Style(style.color, "dot", style.symbol)
+        elif places[name] and len(titles) > 1:
+            style = Style(style.color, SHARED[min(places[name], len(SHARED)) - 1], style.symbol)
+        t, y = _broken(trajectory.t_s, np.degrees(trajectory.swivel_rad))
+        if style.dash not in SHARED:
+            _edge(drawn, t, y, name)
+        drawn.add_scatter(
+            x=t, y=y, mode="lines", name=label(titles[name]), legendgroup=name, connectgaps=False,
+            legendrank=list(titles).index(name) + 1, customdata=np.interp(t, trajectory.t_s, trajectory.mu),
+            line={"color": style.color, "width": 2.4, "dash": style.dash}, hovertemplate=HOVER,
+        )  # fmt: skip
+    # Above the others: a run that has arrived lies on it.
+    _best(drawn, t_best, y_best, np.interp(t_best, found.t_s, found.best_mu))
+    _starts(drawn, [found.trajectories[name] for name in titles])
+    drawn.add_scatter(
+        x=[None], y=[None], mode="markers", name="not allowed",
+        marker={"symbol": "square", "size": 11, "color": BAD, "line": {"color": MUTED, "width": 0.5}},
+    )  # fmt: skip
+    step = degrees[1] - degrees[0]
+    drawn.update_xaxes(title_text="time [s]", showgrid=False, range=[found.t_s[0], found.t_s[-1]], constrain="domain")
+    drawn.update_yaxes(
+        title_text="elbow swivel [°]", showgrid=False, dtick=30, range=_shown(degrees, allowed, float(step))
+    )
+    drawn.update_layout(margin_t=24)
+    return drawn
+
+
+def _colors(drawn: go.Figure, found: SwivelMap, degrees: Array, allowed: NDArray[np.bool_]) -> None:
+    """Draw mu as colour, of forbidden poses too, so that it can be smoothed up to their edge, and grey over them."""
+    mu = np.where(found.limit == UNREACHABLE, np.nan, found.mu)
+    words = [f"joint {j} beyond its limit" for j in range(1, found.q_rad.shape[2] + 1)]
+    reasons = np.where(found.limit == UNREACHABLE, "out of reach", np.array(["", *words])[found.limit])
+    drawn.add_heatmap(
+        x=found.t_s.astype(np.float32), y=degrees.astype(np.float32), z=mu.astype(np.float32).T, colorscale=SCALE,
+        zmin=float(mu[allowed].min()), zmax=float(mu[allowed].max()), zsmooth="best", hoverongaps=False,
+        hovertemplate="%{x:.2f} s, %{y:.0f}°: µ = %{z:.3f} m³<extra></extra>",
+        colorbar={
+            "title": {"text": "µ [m³]", "side": "top"}, "thickness": 12, "outlinewidth": 0, "len": 0.9, "y": 0.45,
+            "tickformat": ".2f",
+        },
+    )  # fmt: skip
+    drawn.add_heatmap(
+        x=found.t_s, y=degrees, z=np.where(allowed, np.nan, 0.0).T, customdata=reasons.T, showscale=False,
+        colorscale=[[0.0, BAD], [1.0, BAD]], hoverongaps=False,
+        hovertemplate="%{x:.2f} s, %{y:.0f}°: %{customdata}<extra></extra>",
+    )  # fmt: skip
+
+
+def _edge(drawn: go.Figure, t: Array, y: Array, group: str) -> None:
+    drawn.add_scatter(
+        x=t, y=y, mode="lines", line={"color": EDGE, "width": 4.6}, legendgroup=group, showlegend=False,
+        hoverinfo="skip", connectgaps=False,
+    )  # fmt: skip
+
+
+def _best(drawn: go.Figure, t: Array, y: Array, mu: Array) -> None:
+    line = {"width": 2.0, "dash": "dot"}
+    drawn.add_scatter(
+        x=t, y=y, mode="lines", name="best", legendgroup="best", customdata=mu, connectgaps=False,
+        line={"color": BEST, **line}, showlegend=False, hovertemplate=HOVER,
+    )  # fmt: skip
+    # The map is light on dark pages too, the legend is not: its sample has the colour of the text.
+    drawn.add_scatter(x=[None], y=[None], mode="lines", name="best", legendgroup="best", line={"color": INK, **line})
+
+
+def _starts(drawn: go.Figure, trajectories: Iterable[Trajectory]) -> None:
+    """Draw one marker where several begin: runs of one trial begin at one pose."""
+    starts: list[tuple[float, float]] = []
+    for trajectory in trajectories:
+        t, y = float(trajectory.t_s[0]), float(np.degrees(trajectory.swivel_rad[0]))
+        if all(abs(t - other[0]) > 0.1 or abs(y - other[1]) > 2.0 for other in starts):
+            starts.append((t, y))
+    drawn.add_scatter(
+        x=[t for t, _ in starts], y=[y for _, y in starts], mode="markers", showlegend=False, hoverinfo="skip",
+        cliponaxis=False, marker={"color": BEST, "size": 10, "line": {"color": EDGE, "width": 1.8}},
+    )  # fmt: skip
+
+
+def _broken(t: Array, degrees: Array) -> tuple[Array, Array]:
+    """Return the line with a gap wherever it leaps."""
+    leaps = np.flatnonzero(np.abs(np.diff(degrees)) > LEAP_DEG) + 1
+    return np.insert(t, leaps, np.nan), np.insert(degrees, leaps, np.nan)
+
+
+def _shown(degrees: Array, allowed: NDArray[np.bool_], step: float) -> list[float]:
+    rows = np.flatnonzero(allowed.any(axis=0))
+    low, high = degrees[rows[0]] - 15.0, degrees[rows[-1]] + 15.0
+    return [max(low, degrees[0] - 0.5 * step), min(high, degrees[-1] + 0.5 * step)]

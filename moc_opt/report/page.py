@@ -6,9 +6,10 @@ import base64
 import gzip
 import os
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from functools import cache
 from pathlib import Path
+from string import ascii_lowercase
 from types import MappingProxyType
 from typing import Any
 
@@ -16,11 +17,15 @@ import plotly.graph_objects as go
 from markupsafe import Markup
 from plotly.offline import get_plotlyjs
 
+from moc_opt.figures.notation import Missing, fraction_length, pretty_unit
 from moc_opt.figures.style import DARK
 from moc_opt.inputs.files import to_json
 from moc_opt.report.document import anchor, beside, macros, render, save_document
-from moc_opt.report.table_html import draw
-from moc_opt.report.tables import Table
+from moc_opt.report.tables import Cell, Column, Table, alignment, heading_lines
+
+# As wide as a digit and as a point, where figures are tabular: they align numbers on their points.
+FIGURE_SPACE, POINT_SPACE = "\u2007", "\u2008"
+LONG_TEXT = 40
 
 
 class Page:
@@ -137,7 +142,6 @@ class Page:
         return save_document(path, self.html(), "page", self._thinner)
 
     def _thinner(self) -> str:
-        """Return what to do about a page that is too large."""
         sizes = {name: len(_plain_json(figure)) for name, figure in self._figures.items()}
         largest = sorted(sizes, key=lambda name: -sizes[name])[:3]
         return f"thin out its largest figures: {', '.join(f'{name} ({sizes[name] / 1e6:.1f} MB)' for name in largest)}"
@@ -162,3 +166,59 @@ def _plain_json(figure: go.Figure) -> str:
 def _packed_plotly() -> str:
     """Return plotly.js, compressed: a third of its size even in base64; `figures.js` unpacks it."""
     return base64.b64encode(gzip.compress(get_plotlyjs().encode(), mtime=0)).decode()
+
+
+# --- a table: headings that sort, numbers aligned on their points, missing values with a footnote ---
+
+
+def draw(table: Table, number: int | None = None) -> Markup:
+    """Draw the table as a fragment of a page, sortable there; every text is escaped.
+
+    Args:
+        number: of the table on its page.
+    """
+    columns = {column: table.cells(column) for column in table.columns}
+    reasons = [
+        cell.why.reason for row in zip(*columns.values(), strict=True) for cell in row
+        if cell.why is not None and cell.why != Missing()
+    ]  # fmt: skip
+    notes = dict(zip(dict.fromkeys(reasons), ascii_lowercase, strict=False))
+    drawn = [_column(column, cells, notes, table.rows) for column, cells in columns.items()]
+    headings = [_heading(column, cells) for column, cells in columns.items()]
+    made: Markup = macros("table.html").draw(
+        number, table.title, table.caption, headings, list(zip(*drawn, strict=True)), notes
+    )
+    return made
+
+
+def _heading(column: Column, cells: list[Cell]) -> dict[str, Any]:
+    lines = [line.replace(" ", "\u00a0") for line in heading_lines(column.title)]
+    return {
+        "column": column, "align": column.align or alignment(cells), "lines": lines,
+        "first": "descending" if column.better == "high" else "ascending", "unit": pretty_unit(column.unit),
+    }  # fmt: skip
+
+
+def _column(
+    column: Column, cells: list[Cell], notes: dict[str, str], rows: Sequence[Mapping[str, Any]]
+) -> list[dict[str, Any]]:
+    align = column.align or alignment(cells)
+    numbers = [cell.text for cell in cells if cell.numeric]
+    fraction = max(map(fraction_length, numbers), default=0)
+    power = max((len(text.partition("e")[2]) for text in numbers), default=0)
+    drawn = []
+    for cell, row in zip(cells, rows, strict=True):
+        own = fraction_length(cell.text)
+        # An integer in a column of fractions lacks the point as well as the digits after it.
+        pad = (POINT_SPACE if fraction and not own else "") + FIGURE_SPACE * (fraction - max(own, 1))
+        long = not cell.numeric and len(cell.text) > LONG_TEXT
+        mark = " best" if cell.best else f" tone-{cell.tone}" if cell.tone else " long" if long else ""
+        drawn.append(
+            {
+                "text": cell.text, "sort": cell.sort, "look": align + mark, "numeric": cell.numeric, "best": cell.best,
+                "power": power, "pad": "" if "e" in cell.text else pad, "why": cell.why,
+                "section": row.get(column.sections) or column.section,
+                "letter": notes.get(cell.why.reason) if cell.why else None,
+            }
+        )  # fmt: skip
+    return drawn

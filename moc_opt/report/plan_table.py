@@ -12,9 +12,8 @@ import numpy as np
 from moc_opt.report.tables import Column, Table
 
 if TYPE_CHECKING:
-    from moc_opt.model.robot_model import RobotModel
-    from moc_opt.planning.placement import Placement
-    from moc_opt.planning.plan import Plan
+    from moc_opt.planning.plan import Placement, Plan
+    from moc_opt.robots.model import RobotModel
 
 VERDICT = [Column("what", "plan"), Column("value", "value")]
 COURSES = [
@@ -43,19 +42,17 @@ PLACES = [
 def plan_json(plan: Plan) -> dict[str, Any]:
     """Return the figures of a plan, nested as the tables are."""
     stuck = plan.blocked
+    same = ("executable", "objective", "bound_from_start", "bound", "map_s", "search_s", "bound_s", "refine_s")
     return {
-        "executable": plan.executable,
+        **{name: getattr(plan, name) for name in same},
         "blocked": None if stuck is None else {
             "t_s": stuck.t_s, "arc_length_mm": 1e3 * stuck.arc_length_m, "tip_m": list(stuck.tip_m),
             "reason": stuck.reason,
         },
-        "objective": plan.objective,
         "start_swivel_deg": math.degrees(plan.start_swivel_rad),
         "proposed_swivel_deg": math.degrees(plan.best_swivel_rad),
         "proposed_q_rad": None if plan.best is None else plan.best.q_rad[0].tolist(),
-        "bound_from_start": plan.bound_from_start, "bound": plan.bound,
         "courses": {row["course"]: {name: row[name] for name in row if name != "course"} for row in _courses(plan)},
-        "map_s": plan.map_s, "search_s": plan.search_s, "bound_s": plan.bound_s, "refine_s": plan.refine_s,
     }  # fmt: skip
 
 
@@ -68,29 +65,26 @@ def plan_tables(name: str, plan: Plan, **within: float) -> list[Table]:
         within: margin_rad, margin_m, speed_share and shaft_margin that it was made with, as of
             `moc_opt.scenario.planned.plan`.
     """
-    rows: list[dict[str, Any]] = [
-        {"what": "can be executed from this start", "value": "yes" if plan.executable else "no"}
-    ]
+    said = {"can be executed from this start": "yes" if plan.executable else "no"}
     if plan.blocked is not None:
         stuck = plan.blocked
         point = ", ".join(f"{x:.3f}" for x in stuck.tip_m)
         where = f"{1e3 * stuck.arc_length_m:.1f} mm along the path (t = {stuck.t_s:.2f} s), tip at {point} m"
-        rows += [{"what": "first point out of reach", "value": where}, {"what": "why", "value": stuck.reason}]
+        said |= {"first point out of reach": where, "why": stuck.reason}
     units = (("rad", within.get("margin_rad", 0.0)), ("m", within.get("margin_m", 0.0)))
     kept = " and ".join(f"{margin:g} {unit}" for unit, margin in units if margin > 0.0)
-    share = 100.0 * within.get("speed_share", 1.0)
     limits = f"{kept} from the joint limits" if kept else "the joint limits"
-    rows.append({"what": "planned within", "value": f"{limits}, {share:.3g} % of their speed limits"})
+    said["planned within"] = f"{limits}, {100.0 * within.get('speed_share', 1.0):.3g} % of their speed limits"
     if (shaft := within.get("shaft_margin", 0.0)) > 0.0:
-        rows.append({"what": "margin from losing the shaft", "value": f"{shaft:.3g}, where there is a way"})
-    rows.append({"what": "swivel at the start", "value": _degrees(plan.start_swivel_rad)})
-    rows.append({"what": "swivel of the best start", "value": _degrees(plan.best_swivel_rad)})
+        said["margin from losing the shaft"] = f"{shaft:.3g}, where there is a way"
+    said["swivel at the start"] = _degrees(plan.start_swivel_rad)
+    said["swivel of the best start"] = _degrees(plan.best_swivel_rad)
     for what, bound in (("bound from this start", plan.bound_from_start), ("bound over all starts", plan.bound)):
         if math.isfinite(bound):
-            rows.append({"what": f"{what} ({_unit(plan)})", "value": f"{bound:.5f}"})
+            said[f"{what} ({_unit(plan)})"] = f"{bound:.5f}"
     parts = (("map", plan.map_s), ("search", plan.search_s), ("bounds", plan.bound_s), ("refinement", plan.refine_s))
-    took = ", ".join(f"{what} {seconds:.2f} s" for what, seconds in parts)
-    rows.append({"what": "computed in", "value": took})
+    said["computed in"] = ", ".join(f"{what} {seconds:.2f} s" for what, seconds in parts)
+    rows = [{"what": what, "value": value} for what, value in said.items()]
     return [
         Table(f"Plan of {name}", VERDICT, rows, VERDICT_TERMS),
         Table(f"Courses, best in {_unit(plan)}", COURSES, _courses(plan), COURSES_TERMS),

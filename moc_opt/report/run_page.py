@@ -7,12 +7,12 @@ from typing import Any
 
 from moc_opt.errors import MocOptError, ReportError
 from moc_opt.figures import Styles, time_series
-from moc_opt.model.robot_model import RobotModel
-from moc_opt.redundancy.manipulability_map import manipulability_map
+from moc_opt.planning.swivel_map import manipulability_map
 from moc_opt.report.map_page import add_map
 from moc_opt.report.page import Page
 from moc_opt.report.run_table import asked, below_best, in_short, part, refusals, run_table, warnings
 from moc_opt.report.tables import Column, Table
+from moc_opt.robots.model import RobotModel
 from moc_opt.trace.trace import Trace
 
 COLUMNS_PER_S, COLUMNS = 12.0, (10, 96)

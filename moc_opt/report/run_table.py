@@ -8,10 +8,9 @@ from typing import Any
 
 from moc_opt.figures.notation import Missing, Notation, missing, pretty_units
 from moc_opt.report.tables import Column, Table
-from moc_opt.trace.ending import Ending
+from moc_opt.trace.meta import Ending
 from moc_opt.trace.metrics import METRICS
-from moc_opt.trace.trace import Trace
-from moc_opt.trace.views import about, table
+from moc_opt.trace.trace import Trace, about, table
 
 WHOLE_RUN = ("completed", "share_of_run")
 METHOD = "mu_bound_method"
@@ -23,8 +22,13 @@ MATTER: Mapping[str, str] = MappingProxyType({
     "mu_gain_percent": "mean mu above that of DCAC (no third level) with the same gains and observer [%]; "
     "between third levels compare mu_mean",
     "mu_fraction_of_best_from_start": "mean mu over that of the best motion of the elbow from this start, 0 to 1",
-    "tip_error_model_mean_mm": "tip from its path [mm], by the robot's own kinematics",
+    "tip_error_model_mean_mm": "tip from its path [mm], by the robot's own kinematics: what the controller can see and "
+    "answer for",
+    "tip_error_registered_mean_mm": "the same in the frame registered at the start: what the patient sees",
+    "tip_error_mean_mm": "the same in the base frame: absolute accuracy, for whoever registers elsewhere",
     "rcm_error_model_mean_mm": "shaft from the registered trocar [mm], by the robot's own kinematics",
+    "rcm_error_registered_mean_mm": "the same in the frame registered at the start",
+    "rcm_error_mean_mm": "shaft from the true trocar [mm]: the registration's error is part of it",
     "rcm_error_max_mm": "shaft from the true trocar [mm], at most",
     "trocar_force_max_N": "force on the trocar [N], at most",
     "torque_rate_rms_Nm_per_s": "chatter of the torque [Nm/s]: compare it with that of DCAC or of another solver",
@@ -109,11 +113,15 @@ def in_short(metrics: Mapping[str, float]) -> str:
     """Return the main figures of a whole run in one sentence; those that are not there are left out."""
     gain, wrong = metrics.get("mu_gain_percent"), metrics.get("silently_wrong")
     said = [] if gain is None else [f"mean mu is {abs(gain):.1f} % {'below' if gain < 0.0 else 'above'} DCAC's"]
-    for name, words in (
-        ("tip_error_model_mean_mm", "the tip is {:.2f} mm off its path on average"),
-        ("rcm_error_max_mm", "the shaft at most {:.2f} mm off the trocar"),
-    ):
-        said += [words.format(metrics[name])] if name in metrics else []
+    frames = (("model", "by the robot's own kinematics"), ("registered", "in the registered frame"), ("", "absolute"))
+    tips = [
+        f"{metrics[name]:.2f} mm {words}"
+        for frame, words in frames
+        if (name := f"tip_error_{frame}_mean_mm".replace("__", "_")) in metrics
+    ]
+    said += [f"the tip is off its path by {', '.join(tips)} on average"] if tips else []
+    if (off := metrics.get("rcm_error_max_mm")) is not None:
+        said.append(f"the shaft at most {off:.2f} mm off the trocar")
     if wrong is not None:
         count = "no answer was" if wrong == 0 else "1 answer was" if wrong == 1 else f"{wrong:.0f} answers were"
         said.append(f"{count} silently wrong")

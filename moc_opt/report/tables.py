@@ -7,23 +7,25 @@ import math
 import shutil
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from textwrap import wrap
 from typing import Any, Literal
 
 from rich import box
 from rich.cells import cell_len
 from rich.console import Console
+from rich.measure import Measurement
 from rich.table import Table as RichTable
 from rich.text import Text
 
 from moc_opt.errors import ReportError, is_number
 from moc_opt.figures import notation
-from moc_opt.figures.notation import Mark, Missing, Notation, printable
-from moc_opt.inputs.notebook import grid_html
+from moc_opt.figures.notation import Doubtful, Mark, Missing, Notation, printable
+from moc_opt.inputs.names import grid_html
 
-EDGE, GAP, TEXT, SHORT_TEXT = 2, 3, 24, 14
-"""Characters beside a table and beside each column as drawn in a terminal; from where on a text may be broken, and
-from where on it is before a column is left out."""
-
+TEXT, SHORT_TEXT, HEADING = 24, 14, 10
+"""Characters from where on a text may be broken in a terminal, from where on it is before a column is left out, and
+from where on a heading is, on a page too."""
+_WIDE = Console(file=io.StringIO(), width=10_000)
 
 TONES = {"best": "bold green", "good": "green", "fair": "yellow", "bad": "red", "other": "cyan"}
 """Tone of a `Mark` -> its colour in a terminal."""
@@ -89,7 +91,8 @@ class Table:
     Attributes:
         title: a few words; a page numbers it.
         columns: from left to right; the first one names the row.
-        rows: key -> text, flag, number, None, `Missing(reason)` or `Mark`; absent keys are missing, others ignored.
+        rows: key -> text, flag, number, `Doubtful` (never emphasised), None, `Missing(reason)` or `Mark`; absent keys
+            are missing, others ignored.
         caption: sentences that the reader needs for the table.
     """
 
@@ -110,49 +113,46 @@ class Table:
         values = [row.get(column.key) for row in self.rows]
         written = Notation.of(values, column.digits, column.format)
         cells = [_cell(value, written) for value in values]
-        competes = [
-            cell.numeric and (not column.among or bool(row.get(column.among)))
-            for cell, row in zip(cells, self.rows, strict=True)
-        ]
-        finite = [
-            cell for cell, may in zip(cells, competes, strict=True) if may and math.isfinite(float(cell.sort or 0.0))
-        ]
+        competing = [
+            cell for cell, row, value in zip(cells, self.rows, values, strict=True)
+            if cell.numeric and not isinstance(value, Doubtful) and (not column.among or row.get(column.among))
+        ]  # fmt: skip
+        finite = [cell for cell in competing if math.isfinite(float(cell.sort or 0.0))]
         if column.better is None or len(finite) < 2:
             return cells
-        choose = min if column.better == "low" else max
-        winner = choose(finite, key=lambda cell: float(cell.sort or 0.0))
+        winner = (min if column.better == "low" else max)(finite, key=lambda cell: float(cell.sort or 0.0))
         # What reads the same is equally good: a digit that is not shown decides nothing.
-        ahead = [may and cell.text == winner.text for cell, may in zip(cells, competes, strict=True)]
-        if sum(ahead) > max(1, sum(competes) / 2):
-            # Emphasis on nearly everything says nothing.
+        ahead = [cell for cell in competing if cell.text == winner.text]
+        if len(ahead) > max(1, len(competing) / 2):  # emphasis on nearly everything says nothing
             return cells
-        return [replace(cell, best=best) for cell, best in zip(cells, ahead, strict=True)]
+        return [replace(cell, best=any(cell is one for one in ahead)) for cell in cells]
 
-    def to_rich(self, *, stacked: bool = False, gap: int = GAP) -> RichTable:
-        """Draw the table for a terminal.
+    def to_rich(self, *, text: int = 0, tight: bool = False) -> RichTable:
+        """Draw the table for a terminal; rich gives each column its width, and breaks texts where they must be.
 
         Args:
-            stacked: each word of a heading has a line of its own.
-            gap: characters between columns.
+            text: characters up to which a text is not broken; numbers never are.
+            tight: one character between columns, not three, and each word of a heading on a line of its own.
         """
         drawn = RichTable(
             box=box.SIMPLE_HEAD, pad_edge=False, title_justify="left", caption_justify="left",
-            padding=(0, int(gap > 1), 0, int(gap > 2)),
+            padding=(0, 0) if tight else (0, 1),
         )  # fmt: skip
         drawn.title = Text(printable(self.title), style="bold")
         drawn.caption = Text(printable(self.caption)) if self.caption else None
         columns = []
         for column in self.columns:
             cells = self.cells(column)
-            pad = max((notation.fraction_length(cell.text) for cell in cells if cell.numeric), default=0)
-            columns.append([_rich(cell, pad) for cell in cells])
-            title = printable(column.title)
-            heading = Text("\n".join(title.split()) if stacked else title)
+            looks = ("bold" if cell.best else "dim" if cell.why else TONES.get(cell.tone, "") for cell in cells)
+            columns.append([Text(cell.text, style=look) for cell, look in zip(cells, looks, strict=True)])
+            heading = Text("\n".join(heading_lines(column.title, 1 if tight else HEADING)))
             if column.unit:
                 heading.append(f"\n{notation.pretty_unit(column.unit)}", style="dim")
-            # What has to give way are texts, broken where they must be; no number, and nothing ends in dots.
             numbers = bool(cells) and all(cell.numeric or cell.why for cell in cells)
-            drawn.add_column(heading, justify=column.align or alignment(cells), overflow="fold", no_wrap=numbers)
+            widest = max((cell_len(cell.text) for cell in cells), default=0)
+            least = max(widest if numbers else min(widest, text), 0, *map(cell_len, heading.plain.splitlines()))
+            justify = column.align or alignment(cells)
+            drawn.add_column(heading, justify=justify, overflow="fold", no_wrap=numbers, min_width=least)
         for row in zip(*columns, strict=True):
             drawn.add_row(*row)
         return drawn
@@ -162,36 +162,39 @@ class Table:
 
         A column that is wider by itself gets a part of its own. The caption stands below the last part.
         """
-        parts = self._split(width, GAP)
-        if len(parts) == 1:
-            widths = [self._width(column) for column in self.columns]
-            titles = [cell_len(printable(column.title)) for column in self.columns]
-            stacked = EDGE + sum(map(max, widths, titles)) + GAP * len(widths) > width
-            return [self.to_rich(stacked=stacked)]
-        for gap, text in ((2, TEXT), (1, TEXT), (1, SHORT_TEXT)):
-            if len(self._split(width, gap, text)) == 1:
-                return [self.to_rich(stacked=True, gap=gap)]
+        tight = len(self._parts(width, SHORT_TEXT)) > 1 == len(self._parts(width, SHORT_TEXT, tight=True))
+        parts = self._parts(width, SHORT_TEXT, tight)
         return [
             replace(
                 self, columns=part, title=self.title if k == 0 else f"{self.title} (continued)",
                 caption=self.caption if k == len(parts) - 1 else "",
-            ).to_rich(stacked=True)
+            ).to_rich(text=SHORT_TEXT, tight=tight)
             for k, part in enumerate(parts)
         ]  # fmt: skip
 
     def fits(self, width: int) -> bool:
         """Say whether a terminal of this width [characters] can show all columns with no cell broken."""
-        return len(self._split(width, 1, width)) == 1
+        return len(self._parts(width, width, tight=True)) == 1
 
     def narrowed(self, width: int, *, text: int = SHORT_TEXT) -> RichTable:
         """Draw as many of the first columns as a terminal of this width [characters] can show.
 
         Args:
             width: of the terminal.
-            text: characters from where on a text may be broken.
+            text: characters up to which a text is not broken.
         """
-        part = self._split(width, 1, text)[0]
-        return replace(self, columns=part).fitted(width)[0]
+        return replace(self, columns=self._parts(width, text, tight=True)[0]).fitted(width)[0]
+
+    def _parts(self, width: int, text: int, tight: bool = False) -> list[list[Column]]:
+        """Return the columns of each part."""
+        first, *others = self.columns
+        parts = [[first]]
+        for column in others:
+            wider = replace(self, columns=[*parts[-1], column]).to_rich(text=text, tight=tight)
+            if len(parts[-1]) > 1 and Measurement.get(_WIDE, _WIDE.options, wider).minimum > width:
+                parts.append([first])
+            parts[-1].append(column)
+        return parts
 
     def __repr__(self) -> str:
         return as_text(self.fitted(width := terminal_width()), width)
@@ -201,29 +204,6 @@ class Table:
         cells = [[cell.text for cell in self.cells(column)] for column in self.columns]
         headings = [f"{column.title} [{column.unit}]" if column.unit else column.title for column in self.columns]
         return grid_html(self.title, zip(*cells, strict=True), headings, self.caption)
-
-    def _split(self, width: int, gap: int, text: int = TEXT) -> list[list[Column]]:
-        """Return the columns of each part, the first one in all of them, `gap` characters between two."""
-        first, *others = self.columns
-        parts: list[list[Column]] = [[first]]
-        used = start = EDGE + gap + self._width(first, text)
-        for column in others:
-            wide = gap + self._width(column, text)
-            if len(parts[-1]) > 1 and used + wide > width:
-                parts.append([first])
-                used = start
-            parts[-1].append(column)
-            used += wide
-        return parts
-
-    def _width(self, column: Column, text: int = TEXT) -> int:
-        """Return what a column needs [characters]: its numbers whole, its heading stacked, long texts broken."""
-        cells = self.cells(column)
-        words = [*map(cell_len, printable(column.title).split())]
-        texts = [min(cell_len(cell.text), text) for cell in cells if not cell.numeric]
-        pad = max((notation.fraction_length(cell.text) for cell in cells if cell.numeric), default=0)
-        numbers = [cell_len(_rich(cell, pad).plain) for cell in cells if cell.numeric]
-        return max([*numbers, *texts, *words, cell_len(notation.pretty_unit(column.unit))])
 
     def to_text(self) -> str:
         """Write the table as plain text, as wide as it needs to be."""
@@ -247,6 +227,11 @@ def as_text(drawn: Iterable[RichTable], width: int) -> str:
     return "\n".join(line.rstrip() for line in written.splitlines()) + "\n"
 
 
+def heading_lines(title: str, width: int = HEADING) -> list[str]:
+    """Break a heading between words, into lines of about this width [characters]."""
+    return wrap(printable(title), width, break_long_words=False, break_on_hyphens=False)
+
+
 def alignment(cells: Sequence[Cell]) -> Literal["left", "right"]:
     """Align numbers to the right, texts to the left."""
     values = [cell for cell in cells if cell.why is None]
@@ -260,13 +245,7 @@ def _cell(value: Any, written: Notation) -> Cell:
     if isinstance(value, Mark):
         return Cell(printable(f"{value.symbol} {value.word}"), float(value.rank), tone=value.tone)
     if is_number(value):
-        return Cell(written(value), float(value), numeric=True)
+        return Cell("?" * isinstance(value, Doubtful) + written(value), float(value), numeric=True)
     if type(value).__name__ in ("bool", "bool_"):
         return Cell("yes" if value else "no", "yes" if value else "no")
     return Cell(printable(str(value)), str(value))
-
-
-def _rich(cell: Cell, pad: int) -> Text:
-    spaces = " " * (pad - notation.fraction_length(cell.text)) if cell.numeric and "e" not in cell.text else ""
-    look = "bold" if cell.best else "dim" if cell.why else TONES.get(cell.tone, "")
-    return Text(cell.text + spaces, style=look)

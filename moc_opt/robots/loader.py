@@ -1,29 +1,112 @@
-"""From a robot's name or files to RobotData: checked numbers and one complete URDF text."""
+"""A robot's two files: the TOML's schema, and the way from name or path to `RobotData`, numbers and one URDF text."""
 
 from __future__ import annotations
 
+import math
 import os
+import xml.etree.ElementTree as ET
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from functools import partial
-from numbers import Real
 from pathlib import Path
-from types import MappingProxyType
-from typing import Any
-from xml.etree.ElementTree import Element
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
+from pydantic import Field
 
-from moc_opt.errors import RobotError, UnknownNameError
+from moc_opt.arrays import Array
+from moc_opt.errors import MocOptError, RobotError, UnknownNameError
 from moc_opt.inputs import names
-from moc_opt.inputs.files import as_path, read_text
-from moc_opt.numerics.arrays import Array
+from moc_opt.inputs.files import as_path, read_text, read_toml
+from moc_opt.inputs.settings import Name, Settings
 from moc_opt.robots import urdf
-from moc_opt.robots.description import RobotDescription, Tool, read_description
-from moc_opt.robots.rebuild import rebuild
 
+Number = Annotated[float, Field(ge=-1e9, le=1e9)]
+Vector = tuple[Number, ...]
+Coordinate = Annotated[float, Field(ge=-100.0, le=100.0)]
+Point = tuple[Coordinate, Coordinate, Coordinate]
+NotNegative = Annotated[float, Field(ge=0.0, le=1e9)]
+PerJoint = NotNegative | tuple[NotNegative, ...]
 Gains = Mapping[str, float | tuple[float, ...]]
 _FOLDER = Path(__file__).parent
+
+
+class _Table(Settings):
+    ERROR: ClassVar[type[MocOptError]] = RobotError
+
+    def __init__(self, **values: Any) -> None:
+        for name, field in type(self).model_fields.items():
+            if field.is_required() and not set(values) - set(type(self).model_fields) and name not in values:
+                raise RobotError(f"{self.KIND} {name} is missing: add it")
+        super().__init__(**values)
+
+
+class Frames(_Table):
+    """Where wrist and tool sit on the last link; xyz in m, rpy in rad (URDF's fixed-axis order)."""
+
+    KIND: ClassVar[str] = "[frames]"
+    last_link: Name
+    wrist_xyz_m: Point
+    tool_mount_xyz_m: Point = (0.0, 0.0, 0.0)
+    tool_mount_rpy_rad: Point = (0.0, 0.0, 0.0)
+
+
+class Tool(_Table):
+    """A straight round rod from the mount to the tip, along z of the mount."""
+
+    KIND: ClassVar[str] = "[tool]"
+    length_m: float = Field(0.30, gt=0, le=10)
+    mass_kg: float = Field(0.3, gt=0, le=1000)
+    radius_m: float = Field(0.004, gt=0, le=1)
+
+
+class Limits(_Table):
+    """Joint limits that replace those of the URDF; degrees, so for revolute joints only."""
+
+    KIND: ClassVar[str] = "[limits]"
+    q_min_deg: Vector | None = None
+    q_max_deg: Vector | None = None
+    v_max_deg_per_s: Vector | None = None
+    tau_max_Nm: Vector | None = None
+
+
+class Joints(_Table):
+    """Drive properties a URDF has no place for: one number for all joints, or one per joint."""
+
+    KIND: ClassVar[str] = "[joints]"
+    rotor_inertia_kg_m2: PerJoint = 0.2
+    viscous_friction_Nm_s_per_rad: PerJoint = 0.0
+    coulomb_friction_Nm: PerJoint = 0.0
+
+
+class Home(_Table):
+    """The pose a run begins near; rad (m for a prismatic joint)."""
+
+    KIND: ClassVar[str] = "[home]"
+    q_rad: Vector
+
+
+class RobotDescription(_Table):
+    """The whole TOML file; `urdf` is relative to the file itself, and `about` says what the arm is."""
+
+    KIND: ClassVar[str] = "robot"
+    name: Name
+    about: Annotated[str, Field(max_length=100, pattern=r"^[ -~]*$")] = ""
+    urdf: Annotated[str, Field(min_length=1)]
+    frames: Frames
+    tool: Tool = Tool()
+    limits: Limits = Limits()
+    joints: Joints = Joints()
+    home: Home
+    gains: dict[Name, dict[Name, Number | Vector]] = Field({})
+
+
+def _described(path: Path) -> RobotDescription:
+    raw = read_toml(path, "robot file", RobotError)
+    try:
+        return RobotDescription(**raw)
+    except MocOptError as error:
+        raise RobotError(f"robot file {str(path)!r}: {error}") from error
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,52 +117,44 @@ class RobotData:
     """
 
     name: str
-    urdf: str
-    """The complete URDF text, links "tool", "tip" and "wrist" included."""
+    urdf: str  #: The complete URDF text, links "tool", "tip" and "wrist" included.
     joint_names: tuple[str, ...]
     q_min: Array
     q_max: Array
     v_max: Array
     tau_max: Array
-    rotor_inertia: Array
-    """Reflected rotor inertia, added to the diagonal of M [kg m^2]; not in the URDF text."""
-    viscous_friction: Array
-    """[Nm s/rad]"""
-    coulomb_friction: Array
-    """[Nm]"""
+    rotor_inertia: Array  #: Reflected rotor inertia, added to the diagonal of M [kg m^2]; not in the URDF text.
+    viscous_friction: Array  #: [Nm s/rad]
+    coulomb_friction: Array  #: [Nm]
     q_home: Array
     wrist_frame: str
     tip_frame: str
-    tool_length: float
-    """Mount to tip [m]."""
-    tool_mass: float
-    """[kg]"""
-    gains: Mapping[str, Gains]
-    """The raw [gains.*] tables, one for each controller."""
+    tool_length: float  #: Mount to tip [m].
+    tool_mass: float  #: [kg]
+    gains: Mapping[str, Gains]  #: The raw [gains.*] tables, one for each controller.
 
     def __post_init__(self) -> None:
         for name in (self.name, *self.joint_names, self.wrist_frame, self.tip_frame):
             if not names.is_name(name):  # they go into generated sources and pages
                 raise RobotError(f"robot {self.name!r:.80}: {name!r:.80} is no name: {names.RULE}")
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if isinstance(value, np.ndarray):
-                value = np.array(value, dtype=np.float64)
-                value.flags.writeable = False
-                object.__setattr__(self, field.name, value)
-        frozen = {key: MappingProxyType(dict(table)) for key, table in self.gains.items()}
-        object.__setattr__(self, "gains", MappingProxyType(frozen))
+        for name in _ARRAYS:
+            value = np.array(getattr(self, name), dtype=np.float64)
+            if value.shape != (self.n,) or not np.isfinite(value).all():
+                raise RobotError(f"robot {self.name!r}: {name} has shape {value.shape}, or is not finite")
+            value.flags.writeable = False
+            object.__setattr__(self, name, value)
+        object.__setattr__(self, "gains", {name: dict(table) for name, table in self.gains.items()})
 
     def __reduce__(self) -> tuple[Any, ...]:
-        # Mapping proxies cannot be pickled, and unpickled arrays would be writable: build it anew.
-        values = {field.name: getattr(self, field.name) for field in fields(self)}
-        values["gains"] = {key: dict(table) for key, table in self.gains.items()}
-        return partial(RobotData, **values), ()
+        return partial(RobotData, **{field.name: getattr(self, field.name) for field in fields(self)}), ()
 
     @property
     def n(self) -> int:
         """Number of joints."""
         return len(self.joint_names)
+
+
+_ARRAYS = tuple(field.name for field in fields(RobotData) if field.type == "Array")
 
 
 def available_robots() -> list[str]:
@@ -89,7 +164,7 @@ def available_robots() -> list[str]:
 
 def about(name_or_path: str | os.PathLike[str]) -> str:
     """Return the robot's description in its TOML; empty if there is none. Errors as of `load_data`."""
-    return read_description(_find(name_or_path)).about
+    return _described(_find(name_or_path)).about
 
 
 def load_data(
@@ -106,18 +181,21 @@ def load_data(
         UnknownNameError: no robot of that name.
         RobotError: a file is missing, or an entry is missing, unknown or inconsistent.
     """
-    description_path = _find(name_or_path)
-    description = read_description(description_path)
-    tool = _tool(description.tool, tool_length, tool_mass)
-    urdf_path = description_path.parent / description.urdf
-    given = urdf.parse(read_text(urdf_path, "urdf", RobotError))
+    path = _find(name_or_path)
+    description = _described(path)
+    changes = {key: value for key, value in (("length_m", tool_length), ("mass_kg", tool_mass)) if value is not None}
+    try:
+        tool = description.tool.replace(changes)
+    except RobotError as error:
+        raise RobotError(f"tool_length = {tool_length!r}, tool_mass = {tool_mass!r}: {error}") from error
+    given = urdf.parse(read_text(path.parent / description.urdf, "urdf", RobotError))
     urdf.check_names_free(given)
-    root = rebuild(given, description.name)
+    root = urdf.rebuild(given, description.name)
     chain = urdf.moving_joints(root, description.frames.last_link)
-    bounds = _limits(description, chain)
+    bounds = _limits(description.limits, chain)
     for joint, *values in zip(chain, *bounds.values(), strict=True):
         urdf.write_limits(joint, *values)
-    urdf.append_tool(root, description.frames, tool)
+    _append_tool(root, description.frames, tool)
     urdf.check_masses(root, chain)
     n, drives = len(chain), description.joints
     q_home = _vector("home.q_rad", description.home.q_rad, n)
@@ -128,37 +206,28 @@ def load_data(
             "move them inside"
         )
     return RobotData(
-        name=description.name,
-        urdf=urdf.to_text(root),
-        joint_names=tuple(joint.get("name", "") for joint in chain),
+        name=description.name, urdf=urdf.to_text(root), joint_names=tuple(joint.get("name", "") for joint in chain),
         **bounds,
-        rotor_inertia=_drive("rotor_inertia_kg_m2", drives.rotor_inertia_kg_m2, n),
-        viscous_friction=_drive("viscous_friction_Nm_s_per_rad", drives.viscous_friction_Nm_s_per_rad, n),
-        coulomb_friction=_drive("coulomb_friction_Nm", drives.coulomb_friction_Nm, n),
-        q_home=q_home,
-        wrist_frame=urdf.WRIST_LINK,
-        tip_frame=urdf.TIP_LINK,
-        tool_length=tool.length_m,
-        tool_mass=tool.mass_kg,
-        gains=description.gains,
-    )
+        rotor_inertia=_vector("joints.rotor_inertia_kg_m2", drives.rotor_inertia_kg_m2, n),
+        viscous_friction=_vector("joints.viscous_friction_Nm_s_per_rad", drives.viscous_friction_Nm_s_per_rad, n),
+        coulomb_friction=_vector("joints.coulomb_friction_Nm", drives.coulomb_friction_Nm, n),
+        q_home=q_home, wrist_frame=urdf.WRIST_LINK, tip_frame=urdf.TIP_LINK, tool_length=tool.length_m,
+        tool_mass=tool.mass_kg, gains=description.gains,
+    )  # fmt: skip
 
 
 def _find(name_or_path: str | os.PathLike[str]) -> Path:
-    """Return the TOML file meant."""
     known = available_robots()
     if isinstance(name_or_path, str) and name_or_path in known:
         return _FOLDER / f"{name_or_path}.toml"
     path = as_path(name_or_path, "robot", RobotError)
-    if path.suffix.lower() == ".urdf":
-        beside = path.with_suffix(".toml")
-        if not beside.is_file():
-            raise RobotError(
-                f"robot file {str(beside)!r} does not exist: a URDF needs a TOML of the same name beside it"
-            )
-        return beside
+    beside = path.with_suffix(".toml")
     if path.suffix.lower() == ".toml":
         return path
+    if path.suffix.lower() == ".urdf":
+        if not beside.is_file():
+            raise RobotError(f"robot file {str(beside)!r} does not exist: a URDF needs a TOML of its name beside it")
+        return beside
     if isinstance(name_or_path, str) and os.sep not in name_or_path:
         error = UnknownNameError("robot", name_or_path, known)
         error.args = (f"{error}; or give the path of a robot's TOML or URDF file",)
@@ -168,65 +237,82 @@ def _find(name_or_path: str | os.PathLike[str]) -> Path:
     )
 
 
-def _tool(default: Tool, length: float | None, mass: float | None) -> Tool:
-    changes: dict[str, float] = {}
-    for field, name, value, most in (("length_m", "tool_length", length, 10.0), ("mass_kg", "tool_mass", mass, 1e3)):
-        if value is None:
-            continue
-        if not (isinstance(value, Real) and 0 < value <= most):  # as in the file
-            raise RobotError(f"{name} = {value!r}: give a positive, finite number of at most {most:g}")
-        changes[field] = float(value)
-    return default.model_copy(update=changes)
-
-
-def _limits(description: RobotDescription, chain: list[Element]) -> dict[str, Array]:
-    """Return limits of the TOML where given, else of the URDF; complete, finite and in order."""
-    n, given = len(chain), description.limits
-    sources = {
-        "q_min": ("lower", "q_min_deg", given.q_min_deg),
-        "q_max": ("upper", "q_max_deg", given.q_max_deg),
-        "v_max": ("velocity", "v_max_deg_per_s", given.v_max_deg_per_s),
-        "tau_max": ("effort", "tau_max_Nm", given.tau_max_Nm),
-    }
+def _limits(given: Limits, chain: list[ET.Element]) -> dict[str, Array]:
     out: dict[str, Array] = {}
-    for field, (key, entry, values) in sources.items():
-        if values is not None:
-            if entry.startswith(("q_", "v_")) and any(joint.get("type") == "prismatic" for joint in chain):
-                raise RobotError(
-                    f"limits.{entry} is in degrees, but a joint is prismatic: put its limits into the URDF"
-                )
-            vector = _vector(f"limits.{entry}", values, n)
-            out[field] = vector if entry.endswith("Nm") else np.radians(vector)
-            continue
-        found = [urdf.limits(joint).get(key) for joint in chain]
-        lost = [joint.get("name") for joint, value in zip(chain, found, strict=True) if value is None]
-        if lost:
-            raise RobotError(f"{field}: joints {lost} have no {key!r} in their <limit>: add it, or limits.{entry}")
-        out[field] = np.array(found, dtype=np.float64)
-    if np.any(out["q_min"] >= out["q_max"]):
-        i = int(np.argmax(out["q_min"] >= out["q_max"]))
+    names_of = [joint.get("name") for joint in chain]
+    for field, key, entry in (
+        ("q_min", "lower", "q_min_deg"), ("q_max", "upper", "q_max_deg"), ("v_max", "velocity", "v_max_deg_per_s"),
+        ("tau_max", "effort", "tau_max_Nm"),
+    ):  # fmt: skip
+        values, degrees = getattr(given, entry), field != "tau_max"
+        if values is None:
+            found = [urdf.limits(joint).get(key) for joint in chain]
+            lost = [name for name, value in zip(names_of, found, strict=True) if value is None]
+            if lost:
+                raise RobotError(f"{field}: joints {lost} have no {key!r} in their <limit>: add it, or limits.{entry}")
+            out[field] = np.array(found, dtype=np.float64)
+        elif degrees and any(joint.get("type") == "prismatic" for joint in chain):
+            raise RobotError(f"limits.{entry} is in degrees, but a joint is prismatic: put its limits into the URDF")
+        else:
+            vector = _vector(f"limits.{entry}", values, len(chain))
+            out[field] = np.radians(vector) if degrees else vector
+        if field in ("v_max", "tau_max") and np.any(out[field] <= 0.0):
+            i = int(np.argmax(out[field] <= 0.0))
+            raise RobotError(
+                f"{field} of joint {names_of[i]!r} = {out[field][i]:.6g}: give a positive number, in the URDF's "
+                f"<limit> or as limits.{entry}"
+            )
+    reversed_ = out["q_min"] >= out["q_max"]
+    if reversed_.any():
+        i = int(np.argmax(reversed_))
         raise RobotError(
-            f"limits of joint {chain[i].get('name')!r}: q_min = {out['q_min'][i]:.6g} is not below "
+            f"limits of joint {names_of[i]!r}: q_min = {out['q_min'][i]:.6g} is not below "
             f"q_max = {out['q_max'][i]:.6g} rad: exchange or widen them"
         )
-    for field in ("v_max", "tau_max"):
-        if np.any(out[field] <= 0):
-            i = int(np.argmax(out[field] <= 0))
-            raise RobotError(
-                f"{field} of joint {chain[i].get('name')!r} = {out[field][i]:.6g}: give a positive number, "
-                f"in the URDF's <limit> or as limits.{sources[field][1]}"
-            )
     return out
 
 
-def _vector(name: str, values: tuple[float, ...], n: int) -> Array:
+def _vector(name: str, values: float | tuple[float, ...], n: int) -> Array:
+    if not isinstance(values, tuple):
+        values = (values,) * n
     if len(values) != n:
         raise RobotError(f"{name} has {len(values)} entries: the arm has {n} movable joints, give {n}")
     return np.array(values, dtype=np.float64)
 
 
-def _drive(name: str, values: float | tuple[float, ...], n: int) -> Array:
-    vector = _vector(f"joints.{name}", values if isinstance(values, tuple) else (values,) * n, n)
-    if np.any(vector < 0):
-        raise RobotError(f"joints.{name} = {vector.tolist()}: give zero or more")
-    return vector
+def _append_tool(root: ET.Element, frames: Frames, tool: Tool) -> None:
+    # The wrist must lie on the rod's axis, behind the tip: the control laws take the line between them for the shaft.
+    mount = frames.tool_mount_xyz_m
+    (sr, sp, sy), (cr, cp, cy) = (map(f, frames.tool_mount_rpy_rad) for f in (math.sin, math.cos))
+    axis = (cy * sp * cr + sy * sr, sy * sp * cr - cy * sr, cp * cr)  # third column of Rz(yaw) Ry(pitch) Rx(roll)
+    back = [m - w for m, w in zip(mount, frames.wrist_xyz_m, strict=True)]
+    along = sum(a * b for a, b in zip(axis, back, strict=True))
+    off = math.dist(back, [along * a for a in axis])
+    m, length, r = tool.mass_kg, tool.length_m, tool.radius_m
+    if off > 1e-6 or along + length <= 0:
+        raise RobotError(
+            f"frames.wrist_xyz_m = {frames.wrist_xyz_m} is {off:.3g} m off the tool's axis or past the tip: "
+            "put it on the line of the shaft, behind the tip (the tool mount itself will do)"
+        )
+    across, about = m * (3 * r * r + length * length) / 12, m * r * r / 2
+    fault = urdf.inertia_fault((across, across, about, 0.0, 0.0, 0.0))
+    if m < urdf.SMALLEST_MASS or fault is not None:
+        why = fault or f"{urdf.SMALLEST_MASS:g} kg is the least"
+        raise RobotError(
+            f"tool of {m:g} kg, {length:g} m, radius {r:g} m: {why}; raise tool.mass_kg (tool_mass) or tool.radius_m"
+        )
+    tip = tuple(at + length * a for at, a in zip(mount, axis, strict=True))
+    for name, kind, point in (
+        (urdf.TOOL_LINK, "mount", mount), (urdf.TIP_LINK, "frame", tip), (urdf.WRIST_LINK, "frame", frames.wrist_xyz_m),
+    ):  # fmt: skip
+        link = ET.SubElement(root, "link", name=name)
+        if name == urdf.TOOL_LINK:
+            inertial = ET.SubElement(link, "inertial")
+            ET.SubElement(inertial, "origin", xyz=urdf.as_text(0.0, 0.0, length / 2), rpy="0 0 0")
+            ET.SubElement(inertial, "mass", value=urdf.as_text(m))
+            moments = {"ixx": across, "ixy": 0.0, "ixz": 0.0, "iyy": across, "iyz": 0.0, "izz": about}
+            ET.SubElement(inertial, "inertia", {key: urdf.as_text(value) for key, value in moments.items()})
+        joint = ET.SubElement(root, "joint", name=f"{name}_{kind}", type="fixed")
+        ET.SubElement(joint, "parent", link=frames.last_link)
+        ET.SubElement(joint, "child", link=name)
+        ET.SubElement(joint, "origin", xyz=urdf.as_text(*point), rpy=urdf.as_text(*frames.tool_mount_rpy_rad))

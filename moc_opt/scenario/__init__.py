@@ -2,11 +2,9 @@
 
 Read first: ``config`` (``Scenario``: every key of the TOML), then ``objects`` (what is built from it) and ``setup``
 (``Setup.trace`` and ``run`` make a trace). ``parts`` makes solver and safety filter, ``derived`` the columns
-computed from a run's; ``layout`` lays the task out from a start, ``adapter`` joins controller and loop, ``steps``
-takes several control periods in one compiled call, which calls a controller in Python by ``python_tick``, ``agreement``
-compares the two engines, ``rows`` prepares references by the block, ``exported`` writes the controller as C, ``wired``
-puts a wire between plant and controller. Imported by
-comparison, commissioning, live, the command line and benchmarks.
+computed from a run's; ``layout`` lays the task out from a start, ``adapter`` joins controller and loop, ``agreement``
+compares the two engines, ``rows`` prepares references by the block, ``wired`` puts a wire between plant and controller.
+Imported by comparison, export, live, the command line and benchmarks.
 """
 
 from moc_opt.errors import MocOptError

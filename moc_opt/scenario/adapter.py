@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from moc_opt.arrays import Array
 from moc_opt.control import Controller
 from moc_opt.control.supervisor import Fault
-from moc_opt.model.robot_state import RobotState
-from moc_opt.numerics.arrays import Array
 from moc_opt.qp.problem import row_length
+from moc_opt.robots.state import RobotState
 
 
 class ControllerAdapter:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from moc_opt.errors import RobotError
-from moc_opt.model.robot_model import RobotModel
+from moc_opt.robots.model import RobotModel
 from moc_opt.sim.reference import reference_terms
 
 TOLERANCE = 1e-6

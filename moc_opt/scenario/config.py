@@ -14,9 +14,9 @@ from moc_opt.control import ControlSettings
 from moc_opt.control.safety_settings import SafetyFilterSettings
 from moc_opt.errors import MocOptError, ScenarioError, UnknownNameError, shown
 from moc_opt.inputs.files import LARGEST_INTEGER, as_path, read_toml
-from moc_opt.inputs.notebook import table_html
+from moc_opt.inputs.names import table_html
 from moc_opt.inputs.settings import Name, Settings
-from moc_opt.realtime.settings import WireSettings
+from moc_opt.realtime.link import WireSettings
 from moc_opt.scenario import saving
 from moc_opt.scenario.tables import MOST_S, RobotTable, SolverTable, StartTable, TaskTable, TrocarTable
 from moc_opt.sim.faults import FaultSettings
@@ -138,17 +138,12 @@ class Scenario(Settings):
 
     @model_validator(mode="after")
     def _isolated_by_what_can(self) -> Self:
-        if self.solver.isolation == "process" and self.control.law == "moc":
-            if self.control.backend == "c":
-                raise ValueError(
-                    "[solver] isolation = 'process': the compiled tick holds its solver; take [control] backend = "
-                    "'python', or isolation = 'none'"
-                )
-            if self.control.supervisor.late == "iterate":
-                raise ValueError(
-                    "[control.supervisor] late = 'iterate': what an isolated solver has when its budget ends is not "
-                    "there; take 'hold' or 'zero', or [solver] isolation = 'none'"
-                )
+        isolated = self.solver.isolation == "process" and self.control.law == "moc"
+        if isolated and self.control.supervisor.late == "iterate":
+            raise ValueError(
+                "[control.supervisor] late = 'iterate': what an isolated solver has when its budget ends is not "
+                "there; take 'hold' or 'zero', or [solver] isolation = 'none'"
+            )
         return self
 
     @classmethod

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from moc_opt.model.robot_model import RobotModel
-from moc_opt.numerics.arrays import Array
+from moc_opt.arrays import Array
 from moc_opt.planning import largest
-from moc_opt.qp.residual_kernels import batch_residuals
+from moc_opt.qp.problem import compute_residuals
 from moc_opt.qp.residuals import Residuals
+from moc_opt.robots.model import RobotModel
 from moc_opt.sim.log import TaskOffset
 from moc_opt.sim.plant import Plant
 from moc_opt.solvers.base import Status
@@ -48,7 +48,7 @@ def residual_columns(columns: Columns) -> dict[str, NDArray[Any]]:
         return {}
     x = columns["x_rad_per_s"]
     parts = [slice(first, first + AT_ONCE) for first in range(0, len(x), AT_ONCE)]
-    each = [batch_residuals(columns["subproblem"][part], x[part], columns["dual"][part]) for part in parts]
+    each = [compute_residuals(columns["subproblem"][part], x[part], columns["dual"][part]) for part in parts]
     found = Residuals(*map(np.concatenate, zip(*each, strict=True)))
     silent = ~np.isfinite(x).all(axis=1) & (columns["status"] != Status.SOLVED.label)
     figures = {name: np.where(silent, np.nan, figure) for name, figure in found._asdict().items()}

@@ -4,40 +4,41 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from copy import copy
+from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
+from moc_opt.arrays import Array
 from moc_opt.control.guide import Guide
+from moc_opt.control.settings import ControlSettings
 from moc_opt.errors import ScenarioError, TaskError
-from moc_opt.model.robot_model import RobotModel
-from moc_opt.numerics.arrays import Array
-from moc_opt.planning.course import Course, margin_at
-from moc_opt.planning.follow import Follower
-from moc_opt.planning.horizon import Horizon
-from moc_opt.planning.plan import Plan, make_plan, map_of
-from moc_opt.planning.pose_map import Margin
-from moc_opt.planning.receding import CATCH_UP, NODES, Receding
-from moc_opt.planning.refine import SETTLED_S, refine
-from moc_opt.planning.shaft import COURSE_SHARE, keeping_shaft
-from moc_opt.planning.targets import Targets
-from moc_opt.planning.to_go import ToGo
+from moc_opt.planning.course import Course, Limits, Targets, make_course, margin_at
+from moc_opt.planning.follow import CATCH_UP, NODES, Follower, Planner
+from moc_opt.planning.plan import best_course, make_plan
+from moc_opt.planning.pose_map import PoseMap, map_of
+from moc_opt.planning.program import SETTLED_S, Program, refine
+from moc_opt.planning.search import WHOLE_CELL, Value, keeping_shaft
+from moc_opt.robots.model import RobotModel
 from moc_opt.scenario.config import Scenario
-from moc_opt.scenario.course_file import Given, load_course
+from moc_opt.scenario.course_file import load_course
 from moc_opt.scenario.layout import Layout
-from moc_opt.scenario.planned import margin_of, targets_of
+from moc_opt.scenario.planned import COURSE_SHARE, margin_of, targets_of
 
 V_PERIOD_S = 0.1
 """Between the times of the map under a receding horizon: so long that the way from pose to pose of the map is small
 beside what a joint turns in it."""
 TARGETS_PER_TIME = 20
 """Targets between two times of that map: the horizon interpolates between them."""
+QUARTER = 0.5
+"""Of half a cell, what a pose of that map stands for."""
 SPEEDS = (1.0, 0.7, 0.4)
 """Of a course's speed, one after the other where no faster one is smooth and brakes off in time; the last one need not
 brake where no course does."""
 BRAKE_SHARE = 0.9
 """Of the deceleration that the safety filter's wall allows, a course that is made before the run uses this much."""
 SMOOTHNESS = {"planned": 1e-4, "receding": 5e-4}
-"""Weight of a course's acceleration [s^4/rad^2], see `moc_opt.planning.refine`; it lowers tip and RCM errors."""
+"""Weight of a course's acceleration [s^4/rad^2], see `moc_opt.planning.program`; it lowers tip and RCM errors."""
 
 
 def guides(scenario: Scenario, robot: RobotModel, layout: Layout) -> Callable[[], Guide] | None:
@@ -53,64 +54,54 @@ def guides(scenario: Scenario, robot: RobotModel, layout: Layout) -> Callable[[]
         ControlError: the third level cannot follow under these settings.
         ScenarioError: the path cannot be executed from the start; says where and why.
     """
-    settings = scenario.control
+    settings, period = scenario.control, scenario.plant.period_s
     if settings.third_level == "local":
         return None
     settings.check_guided()
     if settings.third_level == "receding":
-        return replanned(scenario, robot, layout)
-    course, period = followed_course(scenario, robot, layout), scenario.plant.period_s
+        make = replanned(scenario, robot, layout)
+        return lambda: Follower(period, planner=make(), q_start=layout.q)
+    course = followed_course(scenario, robot, layout)
     try:
         rescue = replanned(scenario, robot, layout)
     except (ScenarioError, TaskError):  # its coarser map has no way where the course has one
-        return lambda: Follower(course, period)
-    return lambda: Follower(course, period, rescue=rescue())
+        return lambda: Follower(period, course=course)
+    return lambda: Follower(period, course=course, planner=rescue())
 
 
-def replanned(scenario: Scenario, robot: RobotModel, layout: Layout) -> Callable[[], Receding]:
-    """Compute the map and V of a receding horizon, and return what makes one of them.
+def replanned(scenario: Scenario, robot: RobotModel, layout: Layout) -> Callable[[], Planner]:
+    """Compute the map and V of a receding horizon, and return what makes a planner on it.
 
     Raises:
         ScenarioError: the map has no way from the start to the end.
         TaskError: no smooth course was found at the start.
     """
-    settings, period = scenario.control, scenario.plant.period_s
+    settings, smooth = scenario.control, SMOOTHNESS["receding"]
     fine = targets_of(robot, layout, period_s=V_PERIOD_S, finer=TARGETS_PER_TIME)
-    each = slice(None, None, TARGETS_PER_TIME)
-    path = Targets(fine.t_s[each], fine.tip[each], fine.wrist[each], fine.arc_length_m[each])
-    smooth, found = SMOOTHNESS["receding"], map_of(robot, layout.q, path)
-    shaft = COURSE_SHARE * settings.shaft_margin
-    lowered = keeping_shaft(found, robot, shaft)
-
-    def made(share: float, brake: float, held: float) -> Callable[[], Receding]:
-        for margin in _margins(scenario, robot, layout.q):
-            usual = float(np.nanmean(found.highest(margin)))
-            to_go = ToGo(lowered, share * robot.v_max * path.period_s, margin, smooth / SETTLED_S**2 * usual)
-            if to_go.way(layout.q, 0.0, len(path) - 1) is not None:
+    whole = map_of(robot, layout.q, fine[::TARGETS_PER_TIME])
+    lowered, usual = _keeping(scenario, whole), float(np.where(whole.feasible(), whole.mu, 0.0).max(axis=(1, 2)).mean())
+    # The last ones without braking in time, and with V alone to hold the course from losing the shaft.
+    ladder = [(part, scenario.guard.wall_brake_rad_per_s2, True) for part in SPEEDS]
+    for part, brake, kept in [*ladder, (SPEEDS[-1], np.inf, True), (SPEEDS[-1], np.inf, False)]:
+        for limits in _limits(scenario, robot, layout.q, part):
+            value = Value(lowered, limits, cell=QUARTER, price=smooth / SETTLED_S**2 * usual)
+            if value.way(layout.q) is not None:
                 break
         else:
-            raise _stuck(scenario, make_plan(robot, layout.q, path, speed_share=share, refined=False))
-        horizon = Horizon(
-            robot, NODES, mu=usual, margin=margin, speed=CATCH_UP * share * robot.v_max, smoothness=smooth, brake=brake,
-            shaft_margin=held,
-        )  # fmt: skip
-        return lambda: Receding(  # one program, of which each controller makes a solver of its own
-            to_go, copy(horizon), robot, fine, layout.q, period, horizon_s=settings.horizon_s,
-            rate_per_s=settings.replan_per_s,
-        )  # fmt: skip
+            raise _stuck(scenario, robot, layout, part)
+        held = replace(limits, speed_share=CATCH_UP * limits.speed_share, shaft=limits.shaft if kept else 0.0)
+        program = Program(
+            robot, NODES, V_PERIOD_S, held, mu=usual, smoothness=smooth, brake=brake, horizon=True
+        )
+        # Each controller makes a solver of its own.
+        make = partial(_planner, value, program, fine, settings)
+        if make().plan(layout.q, 0.0, None) is not None:
+            return make
+    raise TaskError("q_start: no course goes to the end of the path from there within joint speeds and limits")
 
-    ladder = [(part, scenario.guard.wall_brake_rad_per_s2, shaft) for part in SPEEDS]
-    # Without braking in time, and at last with V alone to hold the course from losing the shaft.
-    ladder += [(SPEEDS[-1], np.inf, shaft), (SPEEDS[-1], np.inf, 0.0)]
-    for part, brake, held in ladder:
-        make = made(part * settings.course_speed_fraction, brake, held)
-        try:
-            ready = [make()]
-        except TaskError as error:
-            failed = error
-        else:
-            return lambda: ready.pop() if ready else make()
-    raise failed
+
+def _planner(value: Value, program: Program, fine: Targets, settings: ControlSettings) -> Planner:
+    return Planner(value, copy(program), fine, horizon_s=settings.horizon_s, rate_per_s=settings.replan_per_s)
 
 
 def followed_course(scenario: Scenario, robot: RobotModel, layout: Layout) -> Course:
@@ -119,59 +110,50 @@ def followed_course(scenario: Scenario, robot: RobotModel, layout: Layout) -> Co
     Raises:
         ScenarioError: no course goes all the way, or the file of ``[control] course`` is refused.
     """
-    settings, targets = scenario.control, targets_of(robot, layout)
-    brake, fastest = BRAKE_SHARE * scenario.guard.wall_brake_rad_per_s2, settings.course_speed_fraction
-    shaft = COURSE_SHARE * settings.shaft_margin
-    if settings.course:  # as it is where smoothness would cost too much
-        given = load_course(scenario, robot, layout.q, targets)
-        shaft = max(shaft, given.shaft_margin)
-        return _made_smooth(robot, targets, given, shaft, (brake, np.inf)) or given.course
-    known = map_of(robot, layout.q, targets)
-    for margin in _margins(scenario, robot, layout.q):
-        for part in SPEEDS:
-            share, rules = part * fastest, (brake,) if part > SPEEDS[-1] else (brake, np.inf)
-            found = make_plan(
-                robot, layout.q, targets, margin=margin, speed_share=share, shaft_margin=shaft, elsewhere=False,
-                known=known,
-            )  # fmt: skip
-            if found.from_start is None:
+    targets, brake = targets_of(robot, layout), BRAKE_SHARE * scenario.guard.wall_brake_rad_per_s2
+    smooth = SMOOTHNESS["planned"]
+    if scenario.control.course:
+        course, limits, objective = load_course(scenario, robot, layout.q, targets)
+        for rule in (brake, np.inf):
+            found = refine(robot, targets, course, limits, objective, smoothness=smooth, brake=rule)
+            if found is not course:
+                return found
+        return course  # as it is, where smoothness would cost too much
+    lowered = _keeping(scenario, map_of(robot, layout.q, targets))
+    for part in SPEEDS:
+        for limits in _limits(scenario, robot, layout.q, part):
+            # In whole cells where the grid's steps are just too coarse: the program puts the poses right.
+            each = (best_course(Value(lowered, limits, cell=cell), limits, layout.q) for cell in (0.0, WHOLE_CELL))
+            q = next((q for q in each if q is not None), None)
+            if q is not None:
                 break
-            given = Given(found.from_start, "mean", margin, share, acceleration=np.inf)
-            smooth = _made_smooth(robot, targets, given, shaft, rules)
-            if smooth is not None or np.inf in rules:
-                return found.from_start if smooth is None else smooth
-    raise _stuck(scenario, found)
+        else:
+            raise _stuck(scenario, robot, layout, part)
+        course = make_course(robot, targets, q, limits)
+        for rule in (brake,) if part > SPEEDS[-1] else (brake, np.inf):
+            found = refine(robot, targets, course, limits, smoothness=smooth, brake=rule)
+            if found is not course:
+                return found
+    if not course.kept:
+        raise _stuck(scenario, robot, layout, part)
+    return course
 
 
-def _made_smooth(
-    robot: RobotModel, targets: Targets, given: Given, shaft: float, rules: tuple[float, ...]
-) -> Course | None:
-    """Return a course made smooth within its limits, under the first rule of braking that allows it; None: none does.
-
-    Args:
-        given: the course, and its limits.
-        shaft: margin from losing the shaft.
-        rules: decelerations before joint limits [rad/s^2]; inf: none is asked for.
-    """
-    for rule in rules:
-        found = refine(
-            robot, targets, given.course, given.objective, margin=given.margin, speed_share=given.speed_share,
-            acceleration=given.acceleration, smoothness=SMOOTHNESS["planned"], brake=rule, shaft_margin=shaft,
-        )  # fmt: skip
-        if found is not given.course:
-            return found
-    return None
+def _keeping(scenario: Scenario, found: PoseMap) -> PoseMap:
+    return keeping_shaft(found, Limits(shaft=COURSE_SHARE * scenario.control.shaft_margin))
 
 
-def _margins(scenario: Scenario, robot: RobotModel, start: Array) -> tuple[Margin, Margin]:
-    """Return what a course keeps from the joint limits where it can, and where it cannot."""
+def _limits(scenario: Scenario, robot: RobotModel, start: Array, part: float) -> tuple[Limits, Limits]:
+    """Return what a course keeps where it can, and where it cannot keep the margin from the joint limits."""
     settings = scenario.control
-    margin = margin_of(robot, settings.course_margin_rad, settings.limit_margin_m)
-    return margin_at(robot, start, margin), 0.0
+    margin = margin_at(robot, start, margin_of(robot, settings.course_margin_rad, settings.limit_margin_m))
+    share, shaft = part * settings.course_speed_fraction, COURSE_SHARE * settings.shaft_margin
+    return Limits(margin, share, shaft=shaft), Limits(0.0, share, shaft=shaft)
 
 
-def _stuck(scenario: Scenario, found: Plan) -> ScenarioError:
-    stuck = found.blocked
+def _stuck(scenario: Scenario, robot: RobotModel, layout: Layout, part: float) -> ScenarioError:
+    limits = Limits(speed_share=part * scenario.control.course_speed_fraction)
+    stuck = make_plan(robot, layout.q, targets_of(robot, layout), limits, refined=False).blocked
     where = "" if stuck is None else f"{1e3 * stuck.arc_length_m:.1f} mm along the path {stuck.reason}"
     return ScenarioError(
         f"[control] third_level = {scenario.control.third_level!r}: no course goes all the way from this start: "

@@ -9,11 +9,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from moc_opt.arrays import Array
 from moc_opt.control import Controller
 from moc_opt.control.guide import Guide
-from moc_opt.errors import ScenarioError
-from moc_opt.numerics.arrays import Array
-from moc_opt.redundancy.freedoms import require_freedom
+from moc_opt.planning.freedoms import require_freedom
 from moc_opt.scenario.adapter import ControllerAdapter
 from moc_opt.scenario.agreement import check_engines
 from moc_opt.scenario.config import Scenario
@@ -143,18 +142,7 @@ class Objects:
         return draw(self._fault_seed, faults.solver_share, ticks)
 
     def adapter(self) -> LoggedController:
-        """Make the controller as the closed loop calls it, in Python or compiled."""
-        if self.scenario.control.backend == "c":
-            if self.scenario.faults.solver != "none":
-                raise ScenarioError(
-                    f"[faults] solver = {self.scenario.faults.solver!r}: a compiled tick has no solver to corrupt; "
-                    "take [control] backend = 'python'"
-                )
-            from moc_opt.embedded import NativeController  # late: only C needs CasADi and a compiler
-
-            return NativeController(
-                self.robot, self.scenario.control, self.solver(), self.scenario.plant.period_s
-            )
+        """Make the controller as the closed loop calls it."""
         return ControllerAdapter(self.controller())
 
     def closed_loop(self, controller: TorqueController) -> ClosedLoop:

@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
 
 from moc_opt import solvers
-from moc_opt.control.isolated import Isolated
 from moc_opt.control.safety_filter import SafetyFilter
 from moc_opt.errors import ScenarioError, SolverError, describe, shown
 from moc_opt.inputs.files import read_arrays
 from moc_opt.inputs.names import RULE, is_name
-from moc_opt.model.robot_model import RobotModel
+from moc_opt.robots.model import RobotModel
 from moc_opt.scenario.config import Scenario
 from moc_opt.sim.closed_loop import Stop
 from moc_opt.solvers.base import Solver
+from moc_opt.solvers.isolated import Isolated
 from moc_opt.solvers.registry import accepts
 
 
@@ -23,15 +24,11 @@ def recorded_times(scenario: Scenario) -> list[float] | None:
     """Read and check the times [us] of ``[solver] replay_us``; None where the clock decides.
 
     Raises:
-        ScenarioError: a file that holds no such times, or a controller that cannot take them.
+        ScenarioError: a file that holds no such times.
     """
     given = scenario.solver.replay_us
     if given is None:
         return None
-    if scenario.control.backend == "c":
-        raise ScenarioError(
-            "[solver] replay_us: the compiled tick takes no recorded times; take backend 'python'"
-        )
     try:
         if isinstance(given, str):
             times = read_arrays(given, "[solver] replay_us", ScenarioError).get("", np.empty(0)).astype(float)
@@ -86,20 +83,17 @@ def isolated(solver: Solver, scenario: Scenario, budget_us: float | None = None,
         realtime: the loop runs against a wall clock, and does not wait while a process is replaced.
 
     Raises:
-        ControlError: pickle cannot copy the solver.
+        SolverError: pickle cannot copy the solver.
     """
     if scenario.solver.isolation == "none":
         return solver
-    return Isolated(solver, scenario.solver.process, budget_us, waits=not realtime)
+    wait_us = math.inf if budget_us is None else budget_us
+    return Isolated(solver, budget_us=wait_us, waits=not realtime, **scenario.solver.process.model_dump())
 
 
 def make_safety_filter(robot: RobotModel, scenario: Scenario) -> SafetyFilter:
     """Make the safety filter of an arm in its incision, with everything it can check."""
-    period_s = scenario.plant.period_s
-    return SafetyFilter(
-        robot.data, scenario.told_guard, period_s, robot.gravity, robot.tool_place, robot.state,
-        slides=robot.chain.prismatic,
-    )  # fmt: skip
+    return SafetyFilter(robot, scenario.told_guard, scenario.plant.period_s)
 
 
 def make_stop(scenario: Scenario) -> Stop:

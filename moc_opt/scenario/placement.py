@@ -12,19 +12,15 @@ from typing import Literal, get_args
 
 import numpy as np
 
+from moc_opt.arrays import Array
 from moc_opt.errors import ScenarioError, TaskError, is_number, shown
-from moc_opt.model.robot_model import RobotModel
-from moc_opt.numerics.arrays import Array
-from moc_opt.planning.course import Objective, make_course
-from moc_opt.planning.placement import Placement
-from moc_opt.planning.plan import check_limits, map_of
-from moc_opt.planning.search import search
-from moc_opt.planning.shaft import keeping_shaft, largest, lowered
-from moc_opt.planning.targets import Targets
+from moc_opt.planning.course import Limits, Objective, make_course
+from moc_opt.planning.plan import Placement, best_course, check_limits
+from moc_opt.planning.pose_map import SWIVELS, map_of
+from moc_opt.planning.program import worth
+from moc_opt.planning.search import Value, keeping_shaft
 from moc_opt.scenario.config import Scenario
-from moc_opt.scenario.layout import Layout
 from moc_opt.scenario.planned import layout_of, margin_of, targets_of
-from moc_opt.tasks import Trocar
 
 Movable = Literal["trocar", "base"]
 MOVABLE: tuple[Movable, ...] = get_args(Movable)
@@ -75,40 +71,30 @@ def place(
             raise ScenarioError(f"{name} = {shown(count)}: give a whole number, {least} or more")
     robot = scenario.robot.arm()
     layout = layout_of(scenario, robot)
-    margin = margin_of(robot, margin_rad, margin_m)
-    check_limits(robot, objective, margin, speed_share, shaft_margin)
+    limits = Limits(margin_of(robot, margin_rad, margin_m), speed_share, shaft=shaft_margin)
+    check_limits(robot, limits, objective)
     shifts = np.vstack([np.zeros(3), np.random.default_rng(seed).uniform(-box_m, box_m, (candidates, 3))])
 
     def planned(shift: Array, times: int | None, swivels: int) -> tuple[float, Placement]:
-        moved = float(shift[0]), float(shift[1]), float(shift[2])
-        depth = float(np.linalg.norm(_trocar(layout, what, shift).at(0.0)[0] - robot.state(layout.q).tip))
+        moved, trocar = (float(shift[0]), float(shift[1]), float(shift[2])), layout.registered
+        if what == "trocar":
+            trocar = replace(trocar, point=np.asarray(trocar.point) + shift)
+        depth = float(np.linalg.norm(trocar.at(0.0)[0] - robot.state(layout.q).tip))
         try:
-            targets = _targets(robot, layout, what, shift, times)
+            targets = targets_of(robot, replace(layout, registered=trocar), times)
         except TaskError:  # the trocar is off the shaft somewhere
             return -np.inf, Placement(moved, None, depth)
+        if what == "base":
+            targets = replace(targets, tip=targets.tip - shift, wrist=targets.wrist - shift)
         whole = map_of(robot, layout.q, targets, swivels)
-        found = keeping_shaft(whole, robot, shaft_margin, objective)
-        step = speed_share * robot.v_max * targets.period_s
-        q = search(found, step, objective, margin=margin).q_rad
+        q = best_course(Value(keeping_shaft(whole, limits), limits, objective), limits, None)
         if q is None:
             return -np.inf, Placement(moved, None, depth)
-        course = make_course(robot, targets, q, margin, speed_share)
-        worth = lowered(course, robot, shaft_margin, largest(whole), objective).value(objective)
-        return worth, Placement(moved, course, depth)
+        course = make_course(robot, targets, q, limits)
+        return worth(robot, course, limits, objective, float(np.nanmax(whole.mu))), Placement(moved, course, depth)
 
     coarse_times = max(2, round(layout.duration_s / COARSE_S) + 1)
     coarse = [planned(shift, coarse_times, COARSE_SWIVELS)[0] for shift in shifts]
     order = [int(k) for k in np.argsort(coarse)[::-1] if np.isfinite(coarse[int(k)]) and k][:best]
-    found = sorted((planned(shifts[k], None, 720) for k in (0, *order)), key=lambda each: each[0], reverse=True)
+    found = sorted((planned(shifts[k], None, SWIVELS) for k in (0, *order)), key=lambda each: each[0], reverse=True)
     return [each for _, each in found]
-
-
-def _trocar(layout: Layout, what: Movable, shift: Array) -> Trocar:
-    trocar = layout.registered
-    return trocar if what == "base" else replace(trocar, point=np.asarray(trocar.point) + shift)
-
-
-def _targets(robot: RobotModel, layout: Layout, what: Movable, shift: Array, times: int | None) -> Targets:
-    """Return what the path asks for with the trocar, or the base, moved."""
-    found = targets_of(robot, replace(layout, registered=_trocar(layout, what, shift)), times)
-    return found if what == "trocar" else replace(found, tip=found.tip - shift, wrist=found.wrist - shift)

@@ -4,21 +4,24 @@ from __future__ import annotations
 
 import numbers
 import os
+from typing import TypedDict
 
 import numpy as np
 
 from moc_opt.errors import ScenarioError, TaskError, is_number, shown
-from moc_opt.model.robot_model import RobotModel
-from moc_opt.planning.course import Objective
+from moc_opt.planning.course import Limits, Margin, Objective, Targets, lay_targets
 from moc_opt.planning.plan import Plan, make_plan
-from moc_opt.planning.pose_map import SWIVELS, Margin
-from moc_opt.planning.targets import Targets, lay_targets
+from moc_opt.planning.pose_map import SWIVELS
+from moc_opt.robots.model import RobotModel
 from moc_opt.scenario.config import Scenario
 from moc_opt.scenario.layout import Layout, lay_out, seeds_of
 
 PERIOD_S = 0.025
 """Between the times of a plan at most, if a path has no more than `MOST_TIMES` of them."""
 MOST_TIMES = 1000
+COURSE_SHARE = 0.25
+"""Of ``[control] shaft_margin``: there the push of the local climb begins; a course, which looks ahead, goes down to a
+quarter of it."""
 
 
 def plan(
@@ -64,11 +67,52 @@ def plan(
         raise ScenarioError(f"times = {shown(times)}: give 2 to 100000 points of the path")
     robot = scenario.robot.arm()
     layout = layout_of(scenario, robot)
+    limits = Limits(margin_of(robot, margin_rad, margin_m), speed_share, acceleration, shaft_margin)
     return make_plan(
-        robot, layout.q, targets_of(robot, layout, times), objective, swivels=swivels,
-        margin=margin_of(robot, margin_rad, margin_m), speed_share=speed_share, acceleration=acceleration,
-        shaft_margin=shaft_margin, refined=refined,
-    )  # fmt: skip
+        robot, layout.q, targets_of(robot, layout, times), limits, objective, swivels=swivels, refined=refined
+    )
+
+
+class Within(TypedDict):
+    """The limits of a plan, as arguments of `plan`."""
+
+    margin_rad: float
+    margin_m: float
+    speed_share: float
+    shaft_margin: float
+
+
+def followable_plan(
+    scenario: Scenario, margin_rad: float | None, speed_share: float | None, *, objective: Objective,
+    acceleration: float, margin_m: float | None = None, followed: bool | None = None,
+) -> tuple[Plan, Within]:  # fmt: skip
+    """Plan within what a third level keeps to that follows a course, or within the arm's own limits.
+
+    Args:
+        scenario: of the run.
+        margin_rad, margin_m, speed_share: in place of these, where given; a margin alone leaves the other at zero.
+        objective, acceleration: as of `plan`.
+        followed: whether the course is to be followed; None: if the scenario's third level follows one.
+
+    Raises:
+        MocOptError: as of `plan`.
+    """
+    settings = scenario.control
+    follows = settings.follows if followed is None else followed
+    if speed_share is None:
+        speed_share = settings.course_speed_fraction if follows else 1.0
+    shaft = COURSE_SHARE * settings.shaft_margin if follows else 0.0
+    slides = scenario.robot.arm().chain.prismatic.any()
+    margins = [(settings.course_margin_rad, settings.limit_margin_m if slides else 0.0)] if follows else []
+    given = margin_rad is not None or margin_m is not None
+    for turning, sliding in [(margin_rad or 0.0, margin_m or 0.0)] if given else [*margins, (0.0, 0.0)]:
+        within: Within = {
+            "margin_rad": turning, "margin_m": sliding, "speed_share": speed_share, "shaft_margin": shaft
+        }  # fmt: skip
+        found = plan(scenario, objective=objective, acceleration=acceleration, **within)
+        if found.executable:
+            break
+    return found, within
 
 
 def margin_of(robot: RobotModel, margin_rad: float, margin_m: float) -> Margin:

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import os
-import secrets
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from moc_opt.control.settings import PRESETS, ControlSettings
 from moc_opt.errors import ScenarioError, shown
-from moc_opt.inputs.files import as_path, check_replaceable
+from moc_opt.inputs.files import as_path, check_replaceable, to_toml, write_whole
 from moc_opt.inputs.settings import Settings
-from moc_opt.inputs.toml import to_toml
 from moc_opt.sim.settings import PlantSettings
 
 if TYPE_CHECKING:
@@ -72,12 +70,9 @@ def save(scenario: Scenario, path: str | os.PathLike[str]) -> None:
     except TypeError as error:
         raise ScenarioError(f"the scenario cannot be written as TOML: {error}") from error
     check_replaceable(file, "scenario", ScenarioError)
-    unfinished = file.with_name(f".{file.name}.{secrets.token_hex(6)}.tmp")
     try:
-        unfinished.write_text(text, encoding="utf-8")
-        unfinished.replace(file)
+        write_whole(file, text.encode())
     except OSError as error:
-        unfinished.unlink(missing_ok=True)
         raise ScenarioError(f"scenario {str(file)!r} cannot be written: {error}; give another path") from error
 
 

@@ -7,11 +7,10 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import Field, field_validator, model_validator
 
-from moc_opt.control.isolated import ProcessSettings
 from moc_opt.errors import is_number
 from moc_opt.inputs.settings import Name, Settings
-from moc_opt.model.robot_model import RobotModel, load_robot
-from moc_opt.redundancy.freedoms import Freedoms, best_freedoms
+from moc_opt.planning.freedoms import Freedoms, best_freedoms
+from moc_opt.robots.model import RobotModel, load_robot
 from moc_opt.solvers.registry import check_name, defaults
 from moc_opt.tasks.kinds import check_sizes
 
@@ -171,6 +170,25 @@ class TaskTable(Settings):
     }
 
 
+class ProcessTable(Settings):
+    """When a solver's process is replaced, and how old its answers may be."""
+
+    KIND: ClassVar[str] = "[solver.process]"
+    answer_age_ticks: int = Field(
+        0, ge=0, description="largest age of an earlier answer that may replace a late one; 0: none may"
+    )
+    hang_s: float = Field(
+        1.0, gt=0.0, description="a process that gives no answer for this time is killed and replaced"
+    )
+    memory_MB: float = Field(
+        4096.0, gt=0.0, description="a process that uses more memory than this is killed and replaced"
+    )
+    most_restarts: int = Field(
+        20, ge=0, description="largest number of replacements in a run; after them the third level falls back"
+    )
+    start_s: float = Field(120.0, gt=0.0, description="time in which a process must start, compilation included")
+
+
 class SolverTable(Settings):
     """The solver of the third level."""
 
@@ -187,7 +205,7 @@ class SolverTable(Settings):
         default="none",
         description="'process': each session of the solver runs in its own process, which is killed when it hangs",
     )
-    process: ProcessSettings = ProcessSettings()
+    process: ProcessTable = ProcessTable()
 
     @model_validator(mode="after")
     def _known(self) -> Self:

@@ -11,17 +11,14 @@ from typing import Any
 import numpy as np
 
 from moc_opt.inputs.files import to_json
-from moc_opt.model.carried import carried
-from moc_opt.model.robot_model import RobotModel
 from moc_opt.realtime.answering import Answering, Ending
 from moc_opt.realtime.clock import WallClock, give_back_realtime
-from moc_opt.realtime.key import Address, WireError, checked_key, parse_address
-from moc_opt.realtime.link import Link
+from moc_opt.realtime.link import Address, Link, WireError, checked_key, parse_address
 from moc_opt.realtime.packets import Kind
 from moc_opt.realtime.remote import INCOMING, RemoteController
+from moc_opt.robots.model import RobotModel, carried
 from moc_opt.scenario.config import Scenario
 from moc_opt.scenario.parts import make_safety_filter
-from moc_opt.scenario.rows import check_room
 from moc_opt.scenario.setup import Setup
 from moc_opt.sim.loop import RunAway
 from moc_opt.sim.protocols import LoggedController, SafetyFilter
@@ -95,38 +92,35 @@ class PlantServer(Setup):
 
     def _simulate(self, *given: Any, **named: Any) -> Trace:
         try:
-            return super()._simulate(*given, **named)
+            return self._with_counts(super()._simulate(*given, **named))
+        except RunAway as error:
+            error.trace = self._with_counts(error.trace)
+            raise
         finally:  # judging may take longer than a controller waits
             self._remote.close()
             if self.system:
                 give_back_realtime()
 
+    def _with_counts(self, found: Trace) -> Trace:
+        counts = self._remote.close()
+        return found.with_meta(**self._remote.told, wire=counts | ({"system": self.system} if self.system else {}))
+
     def trace(
-        self, watch: Callable[[int], None] | None = None, to: str | os.PathLike[str] | None = None, block: int = 0
+        self, watch: Callable[[int], None] | None = None, to: str | os.PathLike[str] | None = None
     ) -> Trace:
         """Wait for the controller, run, and return the trace; ``meta["wire"]`` has the counts of this end.
 
         Args:
-            watch: called with the number of every tick before it.
-            to: a Parquet file that gets the whole trace at the end: nothing is written while the time is kept.
-            block: of no meaning here.
+            watch: of no meaning here: the wire keeps the time.
+            to: see `Setup.trace`.
 
         Raises:
             MocOptError: as for `Setup.trace`; or no controller came.
         """
-        check_room(self.scenario, self.ticks, to)  # before the run, which a missing folder would cost its trace
         try:
-            found, broken = super().trace(self._remote.pace), None
-        except RunAway as error:
-            found, broken = error.trace, error
+            return super().trace(self._remote.pace, to)
         finally:
-            counts = self._remote.close()
-        found = found.with_meta(**self._remote.told, wire=counts | ({"system": self.system} if self.system else {}))
-        if to is not None:
-            found.save(to)
-        if broken is not None:
-            raise RunAway(str(broken), found) from broken
-        return found
+            self._remote.close()
 
 
 def answer(

@@ -17,14 +17,13 @@ from numpy.typing import NDArray
 
 from moc_opt.errors import MocOptError
 from moc_opt.inputs.files import to_json
-from moc_opt.model.robot_model import RobotModel
-from moc_opt.planning.climb import top_of
-from moc_opt.planning.course import Course, make_course
-from moc_opt.planning.plan import map_of
-from moc_opt.planning.pose_map import PoseMap
-from moc_opt.planning.search import search
-from moc_opt.redundancy.arm_angle import Elbow
-from moc_opt.redundancy.freedoms import best_freedoms
+from moc_opt.planning.arm_angle import Elbow
+from moc_opt.planning.course import Course, Limits, make_course
+from moc_opt.planning.freedoms import best_freedoms
+from moc_opt.planning.plan import best_course, top_of
+from moc_opt.planning.pose_map import PoseMap, map_of
+from moc_opt.planning.search import Value
+from moc_opt.robots.model import RobotModel
 from moc_opt.scenario.config import Scenario
 from moc_opt.scenario.planned import layout_of, targets_of
 from moc_opt.trace.trace import Trace
@@ -66,15 +65,14 @@ def _planned(table: str) -> Yardstick:
         return Yardstick(robot, None, None, f"tip and shaft leave {real} freedoms, a map has one", None)
     layout = layout_of(scenario, robot)
     targets = targets_of(robot, layout, period_s=PERIOD_S)
-    found, step = map_of(robot, layout.q, targets), robot.v_max * targets.period_s
+    found = map_of(robot, layout.q, targets)
+    value = Value(found, Limits())
     courses = [
         None if q is None else make_course(robot, targets, q)
-        for q in (
-            search(found, step, start=start).q_rad for start in ((layout.q, float(robot.state(layout.q).mu)), None)
-        )
+        for q in (best_course(value, Limits(), start) for start in (layout.q, None))
     ]
     absent = "" if courses[0] is not None else "no course was found from this start on the grid of the map"
-    return Yardstick(robot, courses[0], courses[1], absent, map_of(robot, layout.q, targets.last()))
+    return Yardstick(robot, courses[0], courses[1], absent, map_of(robot, layout.q, targets[-2:]))
 
 
 def against_best(scenario: Scenario, trace: Trace) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:

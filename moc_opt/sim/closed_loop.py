@@ -1,20 +1,126 @@
-"""One step of the closed loop: simulation, live page, operating procedure and benchmarks all call this one."""
+"""One tick of the closed loop: sensors, safety filter, controller, safety filter, arm.
+
+Simulation, live page, operating procedure and benchmarks all step an arm by `ClosedLoop`. What stands between its
+sensors and its drives is `Filtered`: a controller behind its safety filter, or the other end of a wire (``realtime``).
+"""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from time import perf_counter_ns
-from typing import Any, NamedTuple, Protocol
+from typing import Any
 
 import numpy as np
 
-from moc_opt.numerics.arrays import Array
+from moc_opt.arrays import Array
+from moc_opt.errors import MocOptError
 from moc_opt.sim.faults import Faults
-from moc_opt.sim.filtered import NOTHING, Begun, Filtered, FilteredController
-from moc_opt.sim.log import Block
 from moc_opt.sim.plant import Plant
 from moc_opt.sim.protocols import SafetyFilter, TorqueController
 from moc_opt.sim.sensors import Measurement
+
+
+class Filtered(ABC):
+    """From a measurement to a torque that may be applied: what stands between sensors and drives of a closed loop."""
+
+    @property
+    @abstractmethod
+    def stop_reason(self) -> str:
+        """Why the arm has to be stopped; empty while it has not."""
+
+    @property
+    @abstractmethod
+    def limited(self) -> int:
+        """Number of joints at which the last torque was changed on its way."""
+
+    @property
+    @abstractmethod
+    def warnings(self) -> list[dict[str, Any]]:
+        """What exceeded a warning level since the start, as JSON values."""
+
+    @abstractmethod
+    def start(self, seen: Measurement, tip_ref: Array, trocar: Array) -> None:
+        """Prepare for a run that begins at this measurement."""
+
+    @abstractmethod
+    def tick(self, seen: Measurement, tip_ref: Array, trocar: Array) -> Array:
+        """Return this period's torque (n,) [Nm], within its limits; that of a damped stop once one was requested."""
+
+    @abstractmethod
+    def brake_friction(self, seen: Measurement) -> Array | float:
+        """Return the dry friction (n,) [Nm] that the brakes are to have in a stop."""
+
+
+class FilteredController(Filtered):
+    """A controller whose measurements and torques pass through a safety filter; without one, the controller alone.
+
+    ``applied`` (n,) is the torque that was applied last [Nm].
+    """
+
+    def __init__(self, controller: TorqueController, safety_filter: SafetyFilter | None, applied: Array) -> None:
+        self._controller, self._filter, self._applied = controller, safety_filter, applied
+        self._shows_state, self._shows_tip = False, False
+
+    def start(self, seen: Measurement, tip_ref: Array, trocar: Array) -> None:
+        """Start controller and safety filter at the first measurement."""
+        controller = self._controller
+        controller.start(seen.q, seen.v, tip_ref, trocar)
+        # Only now: before its start a property of the controller may raise AttributeError, which reads as its absence.
+        self._shows_state, self._shows_tip = hasattr(controller, "state"), hasattr(controller, "tip")
+        if self._filter is not None:
+            self._filter.start(seen.q, seen.v, seen.stamp)
+
+    def tick(self, seen: Measurement, tip_ref: Array, trocar: Array) -> Array:
+        """Return this period's torque (n,) [Nm], within its limits; that of a damped stop once one was requested."""
+        safety, controller, applied = self._filter, self._controller, self._applied
+        if safety is None:
+            return controller.tick(seen.q, seen.v, tip_ref, trocar)
+        if not safety.reason:
+            q, v = safety.check_measurement(seen.q, seen.v, seen.stamp, applied, seen.force, trocar)
+        if not safety.reason:
+            try:
+                tau = controller.tick(q, v, tip_ref, trocar)
+                tau = safety.limit_torque(tau, applied, q, v, *self._shown(tip_ref))
+            except (MocOptError, ArithmeticError, np.linalg.LinAlgError) as error:
+                safety.request_stop(f"the controller failed: {error}")
+            else:
+                if safety.limited:
+                    controller.set_applied_torque(tau)
+        if safety.reason:
+            tau = safety.stop_torque(applied)
+        self._applied = tau
+        return tau
+
+    def _shown(self, tip_ref: Array) -> tuple[Array | None, Any, Array | None]:
+        controller: Any = self._controller
+        if self._shows_state:
+            return tip_ref if self._shows_tip else None, controller.state, None
+        return (tip_ref, None, controller.tip) if self._shows_tip else (None, None, None)
+
+    def set_applied_torque(self, tau: Array) -> None:
+        """Correct the torque (n,) [Nm] that was applied last, where it was not the one that ``tick`` returned."""
+        self._applied = tau
+        self._controller.set_applied_torque(tau)
+
+    @property
+    def stop_reason(self) -> str:
+        """Why the arm has to be stopped; empty while it has not."""
+        return "" if self._filter is None else self._filter.reason
+
+    @property
+    def limited(self) -> int:
+        """Number of joints at which the safety filter changed the last torque."""
+        return 0 if self._filter is None else self._filter.limited
+
+    @property
+    def warnings(self) -> list[dict[str, Any]]:
+        """Figures above their warning level since the start, as JSON values."""
+        return [] if self._filter is None else self._filter.warnings
+
+    def brake_friction(self, seen: Measurement) -> Array | float:
+        """Return the dry friction (n,) [Nm] that the brakes are to have in a stop."""
+        return 0.0 if self._filter is None else self._filter.brake_friction(seen.force)
 
 
 @dataclass(frozen=True)
@@ -30,46 +136,15 @@ class Stop:
 
 
 DEFAULT_STOP = Stop()
-AT_REST = 0.005
-"""Largest speed of a joint at rest [rad/s], [m/s] where it slides."""
+AT_REST = 0.005  #: Largest speed of a joint at rest [rad/s], [m/s] where it slides.
 LONGEST = 4
 
 
-class Stepped(NamedTuple):
-    """What compiled steps have done."""
-
-    periods: int
-    seen: Measurement
-    """the last one, as it arrived"""
-    tau: Array
-    """(n,) the last torque that was applied [Nm]"""
-    begun: Begun
-    """of the period after them"""
-
-
-class CompiledSteps(Protocol):
-    """`ClosedLoop.step` for periods in which everything is compiled and nothing has to be judged in Python."""
-
-    def __call__(self, block: Block, most: int, applied: Array) -> Stepped:
-        """Advance from a block's first row that is not done, by so many periods at most, and fill the rows in.
-
-        Args:
-            block: has references, and takes rows.
-            most: 1 or more.
-            applied: (n,) torque that was applied before [Nm].
-        """
-
-
 class ClosedLoop:
-    """Plant, controller and safety filter, advanced one control period at a time.
+    """Plant, controller and safety filter (None: none), advanced one control period at a time.
 
-    Args:
-        plant: at the state where the loop begins.
-        controller: computes the torque; one that is ``Filtered`` already has its safety filter with it.
-        safety_filter: checks measurements and limits torques; None: neither.
-        stop: how the arm is stopped once the safety filter has requested it.
-        faults: disturb sensors and arm; None: no faults.
-        compiled: takes several periods at once where it can, for ``advance``; None: Python takes each.
+    A controller that is ``Filtered`` already has its safety filter with it. ``stop`` says how the arm is stopped once
+    the safety filter has requested it; ``faults`` disturb sensors and arm.
 
     Attributes:
         seen: the last measurement, as it arrived.
@@ -80,9 +155,8 @@ class ClosedLoop:
 
     def __init__(
         self, plant: Plant, controller: TorqueController | Filtered, safety_filter: SafetyFilter | None,
-        stop: Stop = DEFAULT_STOP, faults: Faults | None = None, compiled: CompiledSteps | None = None,
+        stop: Stop = DEFAULT_STOP, faults: Faults | None = None,
     ) -> None:  # fmt: skip
-        self._compiled, self._begun = compiled, NOTHING
         self._plant, self._faults, self._damping = plant, faults, stop.damping
         self._watched = round(stop.seconds / plant.settings.period_s)
         self.tau, self.tick_us = np.array(plant.applied_torque), float("nan")
@@ -95,24 +169,6 @@ class ClosedLoop:
         """Start controller and safety filter at the plant's present measurement; arguments as for ``step``."""
         self.seen = self._plant.measure()
         self._filtered.start(self.seen, tip_ref, trocar)
-
-    def advance(self, block: Block, most: int) -> int:
-        """Step through a block's next rows as far as nothing has to be done in Python; return how many are done.
-
-        The period after them is for ``step``, unless ``most`` periods are done, or the block is.
-        """
-        filtered = self._filtered
-        if self._compiled is None or self._stopped_at >= 0 or not isinstance(filtered, FilteredController):
-            return 0
-        if self.begun:
-            return 0
-        done = self._compiled(block, most, self.tau)
-        self._begun = done.begun
-        filtered.took(done.tau, done.begun)
-        if done.periods:
-            self.seen, self.tau = done.seen, done.tau
-            self.ticks += done.periods
-        return done.periods
 
     def step(self, tip_ref: Array, registered: Array, trocar: Array | None = None) -> None:
         """Measure, check, compute, limit, and move the arm by one control period.
@@ -137,13 +193,7 @@ class ClosedLoop:
             self._stopped_at = self.ticks if self._stopped_at < 0 else self._stopped_at
             self._plant.brake(self._damping, self._filtered.brake_friction(seen))
         self.ticks += 1
-        found, self._begun = self._begun.moved, NOTHING
-        self._plant.step(tau, trocar, found)
-
-    @property
-    def begun(self) -> bool:
-        """Whether ``advance`` has done a part of the next period already; ``step`` does the rest."""
-        return self._begun is not NOTHING
+        self._plant.step(tau, trocar)
 
     @property
     def stop_reason(self) -> str:

@@ -1,28 +1,69 @@
-"""Faults, seeded and as settings: of sensors, packets, bumps, the trocar, the solver."""
+"""Faults, seeded and as settings: of sensors, packets, bumps, the trocar, the solver.
+
+Each packet carries the number of the control period in which it was taken. A sensor or a buffer may give a wrong one
+(``forged_stamps``): old readings then come with numbers that are up to date.
+"""
 
 from __future__ import annotations
 
+from collections import deque
 from typing import ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
 
+from moc_opt.arrays import Array
 from moc_opt.errors import MocOptError, PlantError
-from moc_opt.inputs.settings import Name
-from moc_opt.numerics.arrays import Array
+from moc_opt.inputs.settings import Name, Settings
 from moc_opt.sim.mjcf import TOOL_BODY
-from moc_opt.sim.packets import Packets, PacketSettings
 from moc_opt.sim.plant import Plant
 from moc_opt.sim.sensors import Measurement
 
 GRAVITY = 9.81
 
 
-class FaultSettings(PacketSettings):
+class FaultSettings(Settings):
     """Faults to inject; all are off by default. Times count from the start of the run."""
 
     KIND: ClassVar[str] = "[faults]"
     ERROR: ClassVar[type[MocOptError]] = PlantError
+
+    drop_share: float = Field(default=0.0, ge=0.0, le=1.0, description="share of the measurements that never arrive")
+    late_ticks: int = Field(default=0, ge=0, le=50, description="ticks by which every measurement arrives late")
+    frozen_at_s: float | None = Field(default=None, ge=0.0, description="time from which readings repeat themselves")
+    frozen_ticks: int = Field(default=1_000_000, ge=1, description="ticks for which they do")
+    frozen_joint: int | None = Field(
+        default=None, ge=0,
+        description="freeze one encoder only, counted from 0, while its packets go on; None: whole packets",
+    )  # fmt: skip
+    frozen_wrench: bool = Field(
+        default=False, description="freeze the wrench sensor only, while the encoders' packets go on"
+    )
+    frozen_velocity: Literal["repeated", "zero"] = Field(default="repeated", description="velocity in a frozen reading")
+    lag_at_s: float | None = Field(default=None, ge=0.0, description="time from which measurements lag more and more")
+    lag_joint: int | None = Field(
+        default=None, ge=0,
+        description="let one encoder only lag, counted from 0, under up-to-date packet numbers; None: all lag",
+    )  # fmt: skip
+    lag_ticks: int = Field(default=0, ge=0, le=1000, description="ticks of delay added at once at lag_at_s")
+    lag_growth: float = Field(default=0.1, gt=0.0, le=1.0, description="ticks of delay added in each tick")
+    replay_at_s: float | None = Field(
+        default=None, ge=0.0, description="time from which old packets arrive again, in their order, over and over"
+    )
+    replay_ticks: int = Field(
+        default=100, ge=1, le=5000, description="number of packets that are replayed: the last ones before replay_at_s"
+    )
+    drift_at_s: float = Field(default=0.0, ge=0.0, description="time at which the drift begins")
+    drift_rad_per_s: float = Field(
+        default=0.0, ge=-1.0, le=1.0, description="speed of the encoders' drift, in seeded directions"
+    )
+    drift_velocity: Literal["included", "apart"] = Field(
+        default="included",
+        description="'included': the velocity drifts as well; 'apart': it is measured separately and does not",
+    )
+    forged_stamps: bool = Field(
+        default=False, description="whether frozen, replayed and lagging packets carry the number of the present period"
+    )
 
     encoder_bias_rad: float = Field(
         default=0.0, ge=-0.1, le=0.1, description="constant error of every encoder, with seeded signs"
@@ -74,7 +115,7 @@ class Faults:
             np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(5)
         )
         self._bias = settings.encoder_bias_rad * signs.choice([-1.0, 1.0], size=n)
-        self._noise, self._packets = noise, Packets(settings, n, period, drops, drifts)
+        self._noise, self._packets = noise, _Packets(settings, n, period, drops, drifts)
         angle = directions.uniform(0.0, 2.0 * np.pi, size=2)
         self._bump = settings.bump_N * np.array([np.cos(angle[0]), np.sin(angle[0]), 0.0])
         self._weight = np.array([0.0, 0.0, -settings.payload_kg * GRAVITY])
@@ -112,3 +153,73 @@ class Faults:
         moved[:, 0] += np.outer(u * u * (3.0 - 2.0 * u), self._slip)
         moved[:, 1] += np.outer(6.0 * u * (1.0 - u) / 0.1, self._slip)
         return moved
+
+
+class _Packets:
+    """Frozen, late, repeated and drifting measurements; drops draws what is lost, signs the drift's directions."""
+
+    def __init__(
+        self, settings: FaultSettings, n: int, period: float, drops: np.random.Generator, signs: np.random.Generator
+    ) -> None:
+        self.settings, self._period, self._drops = settings, period, drops
+        s = settings
+        lag, back = (0 if s.lag_at_s is None else 2000), (0 if s.replay_at_s is None else s.replay_ticks)
+        self._past: deque[Measurement] = deque(maxlen=max(s.late_ticks + lag, back) + 1)
+        for name in ("frozen_joint", "lag_joint"):
+            joint = getattr(s, name)
+            if joint is not None and joint >= n:
+                raise PlantError(f"{name} = {joint}: the arm has {n} joints: give 0 to {n - 1}")
+        self._drift = s.drift_rad_per_s * signs.choice([-1.0, 1.0], size=n)
+        self._last: Measurement | None = None
+        self._frozen: Measurement | None = None
+        self._tape: list[Measurement] = []
+
+    def arrive(self, taken: Measurement, tick: int) -> Measurement:
+        s = self.settings
+        since = tick * self._period - s.drift_at_s
+        if s.drift_rad_per_s != 0.0 and since > 0.0:
+            v = taken.v + self._drift if s.drift_velocity == "included" else taken.v
+            taken = taken._replace(q=taken.q + since * self._drift, v=v)
+        self._past.append(taken)
+        lagging = self._after(s.lag_at_s, tick)
+        late = s.late_ticks + int(s.lag_growth * lagging + 1e-9) + (s.lag_ticks if lagging else 0)
+        arrived = self._past[max(0, len(self._past) - 1 - late)]
+        if late > s.late_ticks:
+            on_time = self._past[max(0, len(self._past) - 1 - s.late_ticks)]
+            arrived = self._forged(arrived, taken) if s.lag_joint is None else _spliced(on_time, arrived, s.lag_joint)
+        arrived = self._replayed(self._stuck(arrived, taken, tick), taken, tick)
+        if s.drop_share > 0.0 and self._last is not None and self._drops.uniform() < s.drop_share:
+            arrived = self._last
+        self._last = arrived
+        return arrived
+
+    def _after(self, at_s: float | None, tick: int) -> int:
+        return 0 if at_s is None else max(0, tick - round(at_s / self._period) + 1)
+
+    def _forged(self, arrived: Measurement, taken: Measurement) -> Measurement:
+        return arrived._replace(stamp=taken.stamp) if self.settings.forged_stamps else arrived
+
+    def _stuck(self, arrived: Measurement, taken: Measurement, tick: int) -> Measurement:
+        s = self.settings
+        if not 0 < self._after(s.frozen_at_s, tick) <= s.frozen_ticks:
+            self._frozen = None
+            return arrived
+        held = self._frozen = self._frozen or self._last or arrived
+        v = np.zeros_like(held.v) if s.frozen_velocity == "zero" else held.v
+        if s.frozen_wrench:
+            return arrived._replace(force=held.force)
+        if s.frozen_joint is None:
+            return self._forged(held._replace(v=v), taken)
+        return _spliced(arrived, held._replace(v=v), s.frozen_joint)
+
+    def _replayed(self, arrived: Measurement, taken: Measurement, tick: int) -> Measurement:
+        after = self._after(self.settings.replay_at_s, tick)
+        if after == 1:
+            self._tape = list(self._past)[-self.settings.replay_ticks :]
+        return self._forged(self._tape[(after - 1) % len(self._tape)], taken) if after else arrived
+
+
+def _spliced(arrived: Measurement, other: Measurement, joint: int) -> Measurement:
+    q, v = np.array(arrived.q), np.array(arrived.v)
+    q[joint], v[joint] = other.q[joint], other.v[joint]
+    return arrived._replace(q=q, v=v)

@@ -1,78 +1,154 @@
-"""The arm's joints in MuJoCo's state: where links and motors stand, and the torque that reaches the motors."""
+"""The arm's joints in MuJoCo's state, and their drives: where links and motors stand, and the torque on the motors.
+
+A joint with a spring has two coordinates in MuJoCo, two hinges about one axis: the motor's angle theta with the rotor's
+inertia B, friction and stops, and the spring's deflection delta. The link's angle is q = theta + delta, and
+
+    M(q) ddq + h = tau_J,   B ddtheta + friction + tau_J = tau,   tau_J = -K delta - D ddelta/dt
+
+which is Spong's model (1987). The rotor inertia of the robot's file is the one that the arm's own torque feedback
+has reduced (Ott et al. 2008): tau is the input of that loop, so no second loop is simulated.
+"""
 
 from __future__ import annotations
 
+import math
+
 import mujoco
 import numpy as np
+from numpy.typing import ArrayLike
 
-from moc_opt.numerics.arrays import Array
+from moc_opt.arrays import Array
+from moc_opt.errors import PlantError
 from moc_opt.robots import RobotData
-from moc_opt.sim.elastic import drive, gather, stiffnesses
-from moc_opt.sim.mismatch import Mismatch
-from moc_opt.sim.settings import PlantSettings
+from moc_opt.sim.settings import Mismatch, PlantSettings
 
-_SAGGING_ROUNDS = 12
-"""Rounds of a fixed point: the weight deflects a joint by milliradians, which changes its torque by a thousandth."""
+_SAGGING_ROUNDS = 12  # of a fixed point: the weight's milliradians change a torque by a thousandth
+_MOST_RAD_A_STEP = 1.0  # phase of the fastest oscillation in one plant step: MuJoCo's explicit springs need below 2
 
 
 class Joints:
-    """Joint coordinates and torques: MuJoCo's own arrays, unless joints are elastic or torques ripple.
+    """Joint coordinates and torque drives: MuJoCo's own arrays, unless joints are elastic or torques ripple.
+
+    The drives have no dynamics: a command is cut at the torque limits and acts some control periods later.
 
     Attributes:
         q, v: (n,) true positions and velocities of the links [rad], [rad/s].
-        torque: (n,) of the drives, before ripple [Nm].
-        bias: (n,) torque of weight and velocity on the motors, as MuJoCo last computed it [Nm].
-        motors: the motors' entries among MuJoCo's degrees of freedom.
         theta, omega: the same of the motors.
-        stride: MuJoCo's coordinates of a joint: 1, or 2 where there is a spring.
-        ripple: (3, n) as ``elastic.drive`` takes it.
-        direct: whether `torque` is MuJoCo's own array; if not, ``drive`` puts it on the motors before each plant step.
-        on_links: whether the encoders are there.
+        torque: (n,) of the drives, before ripple [Nm].
+        motors: the motors' entries among MuJoCo's degrees of freedom.
     """
 
     def __init__(
         self, data: RobotData, settings: PlantSettings, mismatch: Mismatch, model: mujoco.MjModel, state: mujoco.MjData
     ) -> None:
         """Bind them to a compiled model; arrays are taken once, and must stay MuJoCo's."""
-        self._model, self._state = model, state
-        self.on_links = settings.encoder_side == "link"
-        self._stiffness = stiffnesses(data, settings)
-        self.stride = 2 if settings.elastic else 1  # motor, then spring
-        self.motors = slice(None, None, self.stride)
-        self.bias = state.qfrc_bias[self.motors]
+        self._model, self._state, self._limit = model, state, data.tau_max.copy()
+        self._elastic, self._on_links = settings.elastic, settings.encoder_side == "link"
+        self._stiffness = _stiffnesses(data, settings)
+        self.motors = slice(None, None, 2 if settings.elastic else 1)  # an elastic joint: motor, then spring
         self.q, self.v = self.theta, self.omega = state.qpos, state.qvel
         if settings.elastic:
             self.q, self.v, self.theta, self.omega = np.zeros((4, data.n))
-        self.direct = not settings.elastic and settings.torque_ripple == 0.0
-        self.torque = state.qfrc_applied if self.direct else np.zeros(data.n)
-        self.ripple = np.empty((3, data.n))
-        self.ripple[0], self.ripple[1] = settings.torque_ripple * data.tau_max, settings.torque_ripple_per_turn
-        self.ripple[2] = mismatch.ripple_phase
+        # With neither springs nor ripple the drives' torque is MuJoCo's own array; if not, `drive` fills that in.
+        self._direct = not settings.elastic and settings.torque_ripple == 0.0
+        self.torque = state.qfrc_applied if self._direct else np.zeros(data.n)
+        self._ripple = settings.torque_ripple * data.tau_max
+        self._waves, self._phase = settings.torque_ripple_per_turn, mismatch.ripple_phase
+        self._queue, self._due = np.zeros((settings.delay_ticks, data.n)), 0
 
-    def place(self, shown: Array) -> None:
-        """Put the arm at rest where encoders without bias show (n,) [rad]; elastic joints bear its weight."""
+    def start(self, shown: Array, speed: Array) -> None:
+        """Put the arm where encoders without bias show (n,) [rad], moving at (n,) [rad/s].
+
+        The drives have carried its weight for long; elastic joints bend under it.
+        """
         state, model = self._state, self._model
+        weight = state.qfrc_bias[self.motors]
         state.qpos[self.motors] = shown
         mujoco.mj_forward(model, state)
-        if self.stride == 1:
-            return
-        for _ in range(_SAGGING_ROUNDS):
-            sag = -self.bias / self._stiffness
+        for _ in range(_SAGGING_ROUNDS if self._elastic else 0):
+            sag = -weight / self._stiffness
             state.qpos[1::2] = sag
-            state.qpos[::2] = shown - sag if self.on_links else shown
+            state.qpos[::2] = shown - sag if self._on_links else shown
             mujoco.mj_forward(model, state)
-
-    def start(self, speed: Array) -> None:
-        """Let motors and links move at (n,) [rad/s], with the torque of the drives on them."""
-        state = self._state
+        np.clip(weight, -self._limit, self._limit, out=self.torque)
+        self._queue[:], self._due = self.torque, 0
         state.qvel[self.motors] = speed
-        if not self.direct:
-            drive(self.torque, state.qpos, self.stride, self.ripple, state.qfrc_applied)
-        mujoco.mj_forward(self._model, state)
-        if self.stride != 1:
-            gather(state.qpos, state.qvel, self.q, self.v, self.theta, self.omega)
+        self.drive()
+        mujoco.mj_forward(model, state)
+        self.gather()
+
+    def command(self, tau: ArrayLike) -> None:
+        """Take the command of a period (n,) [Nm], and let the one that is due act.
+
+        Raises:
+            PlantError: wrong shape or not finite; nothing has changed then.
+        """
+        wanted = np.asarray(tau, dtype=np.float64)
+        if wanted.shape != self._limit.shape:
+            raise PlantError(f"tau has shape {wanted.shape}: give {self._limit.shape}, one torque a joint [Nm]")
+        if not np.isfinite(wanted).all():
+            raise PlantError(
+                f"tau = {wanted.tolist()} Nm is not finite: the arm has not moved; mend the controller, "
+                "or stop it when its solver fails"
+            )
+        wanted = np.minimum(np.maximum(wanted, -self._limit), self._limit)
+        if len(self._queue) == 0:
+            self.torque[:] = wanted
+            return
+        self.torque[:] = self._queue[self._due]
+        self._queue[self._due] = wanted
+        self._due = (self._due + 1) % len(self._queue)
+
+    def drive(self) -> None:
+        """Put the drives' torque, with its ripple at the motors' present angles, on the motors."""
+        if not self._direct:
+            ripple = self._ripple * np.sin(self._waves * self._state.qpos[self.motors] + self._phase)
+            self._state.qfrc_applied[self.motors] = self.torque + ripple
+
+    def gather(self) -> None:
+        """Take the coordinates of elastic joints from MuJoCo's: a link's angle is its motor's and its spring's."""
+        if self._elastic:
+            place, speed = self._state.qpos, self._state.qvel
+            self.theta[:], self.omega[:] = place[::2], speed[::2]
+            self.q[:], self.v[:] = place[::2] + place[1::2], speed[::2] + speed[1::2]
 
     @property
     def shown(self) -> tuple[Array, Array]:
         """Positions and velocities (n,) of the side that the encoders are on [rad], [rad/s]."""
-        return (self.q, self.v) if self.on_links else (self.theta, self.omega)
+        return (self.q, self.v) if self._on_links else (self.theta, self.omega)
+
+
+def add_springs(data: RobotData, spec: mujoco.MjSpec, settings: PlantSettings) -> None:
+    """Put a spring behind every joint of a spec that `build_spec` made; a PlantError where their numbers differ."""
+    for joint, value in zip(list(spec.joints), _stiffnesses(data, settings), strict=True):
+        spring = joint.parent.add_joint(name=f"{joint.name}_spring", type=joint.type, axis=joint.axis, pos=joint.pos)
+        spring.limited = mujoco.mjtLimited.mjLIMITED_FALSE
+        spring.stiffness[0] = value
+        spring.damping[0] = settings.joint_spring_damping_Nm_s_per_rad
+
+
+def _stiffnesses(data: RobotData, settings: PlantSettings) -> Array:
+    given = np.atleast_1d(np.asarray(settings.joint_stiffness_Nm_per_rad, dtype=np.float64))
+    if given.size not in (1, data.n):
+        raise PlantError(
+            f"joint_stiffness_Nm_per_rad has {given.size} entries: robot {data.name!r} has {data.n} joints, "
+            f"give {data.n}, or one number for all"
+        )
+    return np.broadcast_to(given, data.n).copy()
+
+
+def check_substeps(model: mujoco.MjModel, state: mujoco.MjData, settings: PlantSettings) -> None:
+    """Raise a PlantError where the plant step is too coarse for the springs; it says how many substeps are needed."""
+    inertia = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, state, inertia)
+    spring = np.arange(1, model.nv, 2)
+    compliance = np.linalg.inv(inertia)[np.ix_(spring, spring)]
+    root = np.sqrt(model.jnt_stiffness.reshape(model.njnt, -1)[spring, 0])
+    fastest = math.sqrt(float(np.linalg.eigvalsh(root[:, None] * compliance * root)[-1]))
+    if fastest * settings.substep_s > _MOST_RAD_A_STEP:
+        need = math.ceil(settings.period_s * fastest / _MOST_RAD_A_STEP)
+        raise PlantError(
+            f"substeps = {settings.substeps} makes plant steps of {1e3 * settings.substep_s:g} ms, and the joints' "
+            f"springs swing at up to {fastest:.0f} rad/s: raise substeps to {need}, or lower "
+            "joint_stiffness_Nm_per_rad"
+        )

@@ -8,8 +8,8 @@ from collections.abc import Mapping
 import mujoco
 import numpy as np
 
+from moc_opt.arrays import Array
 from moc_opt.errors import PlantError
-from moc_opt.numerics.arrays import Array
 from moc_opt.robots import RobotData
 from moc_opt.sim.settings import GRAVITY
 
@@ -95,10 +95,8 @@ def compile_model(name: str, spec: mujoco.MjSpec) -> mujoco.MjModel:
     try:
         return spec.compile()
     except ValueError as error:
-        raise PlantError(
-            f"robot {name!r}: MuJoCo refuses the model ({str(error).strip()}): "
-            "correct the link's <inertial> in the URDF"
-        ) from error
+        said = str(error).strip()
+        raise PlantError(f"robot {name!r}: MuJoCo refuses the model ({said}): correct the link's <inertial>") from error
 
 
 def heavy_links(spec: mujoco.MjSpec) -> list[str]:
@@ -107,7 +105,6 @@ def heavy_links(spec: mujoco.MjSpec) -> list[str]:
 
 
 def _bare(urdf: str) -> str:
-    """Return the URDF without shapes, and with MuJoCo told to leave links and inertias as they are."""
     root = ET.fromstring(urdf)
     for link in root.iter("link"):
         for shape in (*link.findall("visual"), *link.findall("collision")):
@@ -151,9 +148,7 @@ def _turn_frames(spec: mujoco.MjSpec, turn: Array) -> None:
 def _add_sensor(name: str, spec: mujoco.MjSpec) -> None:
     tool = spec.body(TOOL_BODY)
     if tool is None:
-        raise PlantError(
-            f"robot {name!r}: its URDF has no link {TOOL_BODY!r}: load it with moc_opt.robots.load_data, which adds it"
-        )
+        raise PlantError(f"robot {name!r}: its URDF has no link {TOOL_BODY!r}: `load_data` adds it")
     tool.add_site(name=MOUNT_SITE)
     kinds = {FORCE_SENSOR: mujoco.mjtSensor.mjSENS_FORCE, TORQUE_SENSOR: mujoco.mjtSensor.mjSENS_TORQUE}
     for sensor, kind in kinds.items():

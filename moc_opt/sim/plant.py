@@ -1,24 +1,29 @@
-"""The simulated arm: torques in, measurements out, and the truth beside them for the trace."""
+"""The simulated arm: torques in, measurements out, and the truth beside them for the trace.
+
+The trocar is compliant: a spring and a damper between the trocar point and the nearest point of the shaft
+line, acting across the shaft only, so that the tool slides and turns freely in the incision. A rigid ring
+would wedge. With the tool direction u, the shaft point c nearest to the trocar P and the velocity w of the tool's
+material at c the force is (I - u u^T) (stiffness (P - c) + damping (dP - w)) (`moc_opt/core/plant.c`). Its power on the
+tool is -d/dt of the spring's energy minus what the damper takes, so that a trocar at rest can only take energy out of
+the arm. The shaft's line has no ends: the tool is assumed to be inserted.
+"""
 
 from __future__ import annotations
 
-from functools import partial
-from typing import NamedTuple, NoReturn
+from collections.abc import Mapping
 
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from moc_opt.errors import PlantError
-from moc_opt.numerics.arrays import Array, read_only_copy
+from moc_opt import core
+from moc_opt.arrays import Array, read_only_copy
+from moc_opt.errors import PlantError, UnknownNameError
 from moc_opt.robots import RobotData
-from moc_opt.sim.bindings import Bindings
-from moc_opt.sim.elastic import add_springs, check_substeps
-from moc_opt.sim.mismatch import Mismatch
-from moc_opt.sim.mjcf import build_spec, compile_model, heavy_links
-from moc_opt.sim.period import ADVANCE, AWAY, DONE, NO_TORQUE, NO_TROCAR, Indices
+from moc_opt.sim.joints import Joints, add_springs, check_substeps
+from moc_opt.sim.mjcf import FORCE_SENSOR, TOOL_BODY, build_spec, compile_model, heavy_links
 from moc_opt.sim.sensors import Encoders, Measurement, WrenchSensor
-from moc_opt.sim.settings import PlantSettings
+from moc_opt.sim.settings import Mismatch, PlantSettings
 
 if mujoco.get_mju_user_warning() is None:
     # MuJoCo's own handler writes a log file into the current folder; the plant itself detects an arm that runs away,
@@ -26,18 +31,38 @@ if mujoco.get_mju_user_warning() is None:
     mujoco.set_mju_user_warning(lambda message: None)
 
 
-class Ahead(NamedTuple):
-    """What compiled steps need beside the plant's memory; as for ``period.advance``."""
+_RUNAWAY_RAD_PER_S = 1e3
 
-    slot: int
-    turns: int
-    """slots of the drives' queue"""
-    tissue: Array
-    pushed: Indices
-    pushes: Array
-    noise: Array
-    """(k, n) of the next periods, as many as are drawn"""
-    wrench_noise: Array
+
+class _Pushes:
+    """External forces held on links until they are cleared: body number -> force [N] and point in its frame [m]."""
+
+    def __init__(self, bodies: Mapping[str, int], coms: Array) -> None:
+        self._bodies, self._coms = dict(bodies), coms
+        self.held: dict[int, tuple[Array, Array]] = {}
+
+    def hold(self, link: str, force: ArrayLike, point: ArrayLike | None = None) -> None:
+        body = self._number(link)
+        where = self._coms[body].copy() if point is None else _finite("push point", point, (3,))
+        self.held[body] = _finite("push force", force, (3,)), where
+
+    def clear(self, link: str | None = None) -> None:
+        if link is None:
+            self.held.clear()
+        else:
+            self.held.pop(self._number(link), None)
+
+    def _number(self, link: str) -> int:
+        if link not in self._bodies:
+            raise UnknownNameError("link", link, self._bodies)
+        return self._bodies[link]
+
+
+def _finite(name: str, value: ArrayLike, shape: tuple[int, ...], note: str = "") -> Array:
+    array = np.array(value, dtype=np.float64)
+    if array.shape != shape or not np.isfinite(array).all():
+        raise PlantError(f"{name} = {array.tolist()!r:.200}: give finite numbers of shape {shape}{note}")
+    return array
 
 
 class Plant:
@@ -77,14 +102,32 @@ class Plant:
             add_springs(data, spec, settings)
         self.mj_model = compile_model(data.name, spec)
         self.mj_data = mujoco.MjData(self.mj_model)
-        self._drive_damping = np.array(self.mj_model.dof_damping)
-        self._drive_friction = np.array(self.mj_model.dof_frictionloss)
-        self._shown = 2 * data.n + 6
-        self._tissue = settings.trocar_stiffness_N_per_m, settings.trocar_damping_Ns_per_m
-        self._at = Bindings(data, settings, self.mismatch, self.mj_model, self.mj_data)
+        model = self.mj_model
+        self._drive_damping, self._drive_friction = np.array(model.dof_damping), np.array(model.dof_frictionloss)
+        self._joints = Joints(data, settings, self.mismatch, self.mj_model, self.mj_data)
+        self._bind()
         self.reset(data.q_home)
         if settings.elastic:
             check_substeps(self.mj_model, self.mj_data, settings)
+
+    def _bind(self) -> None:
+        data, model, state, settings = self.data, self.mj_model, self.mj_data, self.settings
+        bodies = {model.body(i).name: i for i in range(1, model.nbody)}
+        frames = (TOOL_BODY, data.tip_frame, data.wrist_frame)
+        missing = [name for name in frames if name not in bodies]
+        if missing:
+            raise PlantError(f"robot {data.name!r}: its URDF has no links {missing}: `load_data` adds them")
+        tool, tip, wrist = (bodies[name] for name in frames)
+        origin = state.subtree_com[model.body_rootid[tool]]
+        self._tip, self._wrist = state.xpos[tip], state.xpos[wrist]
+        self._shaft = self._tip, self._wrist, state.cvel[tip], origin
+        self._tool_wrench, self._tool_com = state.xfrc_applied[tool], state.xipos[tool]
+        # MuJoCo's sensor shows what the mount exerts on the tool; ours, as real ones do, the reaction.
+        first = model.sensor(FORCE_SENSOR).adr[0]
+        self._held = state.sensordata[first : first + 6]
+        self._pushes = _Pushes(bodies, model.body_ipos)
+        self._tissue = settings.trocar_stiffness_N_per_m, settings.trocar_damping_Ns_per_m
+        self._trocar, self._force, self._point = np.zeros((2, 3)), np.zeros(3), np.zeros(3)
 
     def reset(self, q: ArrayLike, v: ArrayLike | None = None) -> None:
         """Start anew at time 0: no pushes, and the delay full of the torque that holds the arm still at q.
@@ -98,8 +141,8 @@ class Plant:
         Raises:
             PlantError: wrong shape, not finite, or q outside the limits; nothing has changed then.
         """
-        start = self._vector("q", q)
-        speed = self._vector("v", np.zeros(self.data.n) if v is None else v)
+        start = _finite("q", q, (self.data.n,))
+        speed = np.zeros(self.data.n) if v is None else _finite("v", v, (self.data.n,))
         outside = np.flatnonzero((start < self.data.q_min - 1e-9) | (start > self.data.q_max + 1e-9))
         if outside.size:
             i = int(outside[0])
@@ -108,91 +151,80 @@ class Plant:
                 f"choose {self.data.q_min[i]:.6g} to {self.data.q_max[i]:.6g}"
             )
         shown, felt = (np.random.default_rng(seed) for seed in self._noise_seeds)
-        encoders = Encoders.of(self.settings, self.mismatch.encoder_bias, shown)
-        sensor = WrenchSensor.of(self.settings, felt)
-        self._encoder_noise, self._wrench_noise = encoders.noise, sensor.noise
-        self._at.pushes.clear()
+        self._encoders = Encoders.of(self.settings, self.mismatch.encoder_bias, shown)
+        self._sensor = WrenchSensor.of(self.settings, felt)
+        self._pushes.clear()
         self.mj_model.dof_damping[:] = self._drive_damping
         self.mj_model.dof_frictionloss[:] = self._drive_friction
-        self._ticks, self._inserted, self._at.tissue[:] = 0, False, 0.0
+        self._ticks, self._touch = 0, (0.0, 0.0)
         mujoco.mj_resetData(self.mj_model, self.mj_data)
-        self._at.joints.place(start - self.mismatch.encoder_bias)
-        self._at.drives.start(self._at.joints.bias)
-        self._at.joints.start(speed)
-        self._at.tell()
-        self.memory = self._at.memory(encoders)
-        self._advance = partial(ADVANCE.code, self.memory)
-        q, v = encoders.start(*self._at.joints.shown)
-        self._measurement = Measurement(q, v, sensor.read(self._at.wrench), self._ticks)
+        self._joints.start(start - self.mismatch.encoder_bias, speed)
+        self._load(0.0)
+        self._feel()
+        q, v = self._encoders.start(*self._joints.shown)
+        self._measurement = Measurement(q, v, self._sensor.read(self._held), self._ticks)
+        self._ran_away = not _is_sound(self._joints.q, self._joints.v)
 
-    def step(self, tau: ArrayLike, trocar: ArrayLike | None = None, found: int | None = None) -> None:
+    def step(self, tau: ArrayLike, trocar: ArrayLike | None = None) -> None:
         """Advance one control period.
 
         Args:
             tau: (n,) commanded joint torques [Nm]; they act `delay_ticks` periods later, cut at tau_max.
             trocar: (2, 3) rows: trocar point [m] and its velocity [m/s], which it keeps for the period; None:
                 no trocar in this period.
-            found: by ``period.advance``, which compiled steps called for this period already; not ``DONE``.
 
         Raises:
             PlantError: wrong shape or not finite (nothing has moved then), or the arm ran away.
         """
-        at = self._at
-        told, asked = at.told(trocar), at.drives.command(tau)
-        self._insert(trocar is not None)
-        reading = np.empty(self._shown)
-        if found is None:
-            found = self._advance(
-                asked, at.drives.slot, told, at.tissue, at.pushes.bodies, at.pushes.rows,
-                self._encoder_noise.row, self._wrench_noise.row, reading,
-            )  # fmt: skip
-        if found != DONE:
-            self._refuse(found, trocar)
-        self.took(1, reading)
-
-    def _insert(self, inserted: bool) -> None:
-        if self._inserted is not inserted:
-            self._inserted = inserted
-            self._at.tissue[:] = self._tissue if inserted else 0.0
-
-    def ahead(self) -> Ahead:
-        """Return what the next periods find, all of them with a trocar."""
-        self._insert(True)
-        at = self._at
-        return Ahead(
-            slot=at.drives.slot, turns=at.drives.turns, tissue=at.tissue, pushed=at.pushes.bodies,
-            pushes=at.pushes.rows, noise=self._encoder_noise.ahead, wrench_noise=self._wrench_noise.ahead,
-        )  # fmt: skip
-
-    def took(self, periods: int, reading: Array) -> None:
-        """Note periods that ``period.advance`` is through, and what the sensors show (2 n + 6,) after them."""
-        if periods == 0:
-            return
-        self._at.drives.admitted(periods)
-        self._encoder_noise.take(periods)
-        self._wrench_noise.take(periods)
-        self._ticks += periods
-        reading.setflags(write=False)
-        n = self.data.n
-        self._measurement = Measurement(reading[:n], reading[n : 2 * n], reading[2 * n :], self._ticks)
-
-    def _refuse(self, found: int, trocar: ArrayLike | None) -> NoReturn:
-        if found == NO_TROCAR:
-            raise self._at.refusal(trocar)
-        if found == NO_TORQUE:
-            raise self._at.drives.refusal()
-        if found == AWAY:
+        rows = ", point [m] over velocity [m/s], or None for no trocar; the arm has not moved"
+        place = None if trocar is None else _finite("trocar", trocar, (2, 3), rows)
+        if self._ran_away:
             raise PlantError(f"the arm ran away before t = {self.time:.4g} s: call reset first")
+        joints, model, state, substep_s = self._joints, self.mj_model, self.mj_data, self.settings.substep_s
+        joints.command(tau)
+        self._touch = (0.0, 0.0) if place is None else self._tissue
+        if place is not None:
+            self._trocar[:] = place
+        # mj_step's two halves the other way round: after the last one, the kinematics belong to the new state, so that
+        # measurements and truths need no further call.
+        for k in range(self.settings.substeps):
+            joints.drive()
+            self._load(k * substep_s)
+            mujoco.mj_step2(model, state)
+            mujoco.mj_step1(model, state)
+        joints.gather()
         self._ticks += 1
-        raise PlantError(
-            f"the arm ran away before t = {self.time:.4g} s (v = {self._at.joints.v.tolist()} rad/s): lower the "
-            "controller's gains or the trocar's stiffness and damping, raise substeps, or give the robot "
-            "rotor inertia"
-        )
+        if not _is_sound(joints.q, joints.v):
+            self._ran_away = True
+            raise PlantError(
+                f"the arm ran away before t = {self.time:.4g} s (v = {joints.v.tolist()} rad/s): lower the "
+                "controller's gains or the trocar's stiffness and damping, raise substeps, or give the robot "
+                "rotor inertia"
+            )
+        q, v = self._encoders.read(*joints.shown)
+        self._measurement = Measurement(q, v, self._sensor.read(self._held), self._ticks)
+
+    def _load(self, elapsed_s: float) -> None:
+        state = self.mj_data
+        state.xfrc_applied[:] = 0.0
+        if self._touch[0] > 0.0 or self._touch[1] > 0.0:
+            core.shaft_force(*self._shaft, self._trocar, elapsed_s, *self._touch, self._force, self._point)
+            core.add_force(self._tool_wrench, self._force, self._point, self._tool_com)
+        else:
+            self._force[:] = 0.0
+        for body, (force, point) in self._pushes.held.items():
+            where = state.xpos[body] + state.xmat[body].reshape(3, 3) @ point
+            core.add_force(state.xfrc_applied[body], force, where, state.xipos[body])
+
+    def _feel(self) -> Array:
+        core.shaft_force(*self._shaft, self._trocar, self.settings.period_s, *self._touch, self._force, self._point)
+        return self._force
 
     def write_truth(self, row: Array) -> None:
         """Write q, v, tip, wrist and the trocar's force of now into row (2 n + 9,): all truths in one call."""
-        row[:] = self._at.truth
+        n = self.data.n
+        row[:n], row[n : 2 * n] = self._joints.q, self._joints.v
+        row[-9:-6], row[-6:-3], row[-3:] = self._tip, self._wrist, self._feel()
 
     def measure(self) -> Measurement:
         """Return what the sensors showed at the end of the last period; asking twice gives the same."""
@@ -216,7 +248,7 @@ class Plant:
         friction = np.broadcast_to(np.asarray(friction_Nm, dtype=np.float64), self.data.n)
         if not ((friction >= 0.0) & np.isfinite(friction)).all():
             raise PlantError(f"friction_Nm = {friction.tolist()}: give 0 or more")
-        drives = self._at.joints.motors  # brakes sit there
+        drives = self._joints.motors  # brakes sit there
         self.mj_model.dof_damping[drives] = self._drive_damping[drives] + damping_Nm_s_per_rad
         self.mj_model.dof_frictionloss[drives] = self._drive_friction[drives] + friction
 
@@ -232,11 +264,11 @@ class Plant:
             UnknownNameError: no such link.
             PlantError: wrong shape or not finite.
         """
-        self._at.pushes.hold(body, force, point)
+        self._pushes.hold(body, force, point)
 
     def clear_pushes(self, body: str | None = None) -> None:
         """Remove the force on one link, or on all."""
-        self._at.pushes.clear(body)
+        self._pushes.clear(body)
 
     @property
     def time(self) -> float:
@@ -246,40 +278,33 @@ class Plant:
     @property
     def q(self) -> Array:
         """(n,) true joint positions [rad]; a read-only copy, as all that follow."""
-        return read_only_copy(self._at.joints.q)
+        return read_only_copy(self._joints.q)
 
     @property
     def v(self) -> Array:
         """(n,) true joint velocities [rad/s]."""
-        return read_only_copy(self._at.joints.v)
+        return read_only_copy(self._joints.v)
 
     @property
     def applied_torque(self) -> Array:
         """(n,) torque of the drives in the last period, delayed and saturated, without ripple [Nm]."""
-        return read_only_copy(self._at.joints.torque)
+        return read_only_copy(self._joints.torque)
 
     @property
     def tip(self) -> Array:
         """(3,) true tip [m]."""
-        return read_only_copy(self._at.tip)
+        return read_only_copy(self._tip)
 
     @property
     def wrist(self) -> Array:
         """(3,) true wrist centre [m]."""
-        return read_only_copy(self._at.wrist)
-
-    @property
-    def mount_rotation(self) -> Array:
-        """(3, 3) true orientation of the force/torque sensor, world from sensor."""
-        return read_only_copy(self._at.mount)
+        return read_only_copy(self._wrist)
 
     @property
     def trocar_force(self) -> Array:
         """(3,) force of the trocar on the shaft now, world axes [N]; 0 without one in the last period."""
-        return read_only_copy(self._at.truth[-3:])
+        return read_only_copy(self._feel())
 
-    def _vector(self, name: str, value: ArrayLike) -> Array:
-        array = np.asarray(value, dtype=np.float64)
-        if array.shape != (self.data.n,) or not np.isfinite(array).all():
-            raise PlantError(f"{name} = {array.tolist()!r:.200}: give {self.data.n} finite numbers")
-        return array
+
+def _is_sound(q: Array, v: Array) -> bool:
+    return bool(np.isfinite(q).all() and np.abs(v).max() < _RUNAWAY_RAD_PER_S)

@@ -7,14 +7,14 @@ from typing import Any, Protocol
 
 from numpy.typing import NDArray
 
-from moc_opt.numerics.arrays import Array
+from moc_opt.arrays import Array
 
 
 class TorqueController(Protocol):
     """Computes a torque from a measurement.
 
-    If it has an attribute ``tip`` (3,) [m], the tip of its last tick, its tip error is checked. If it has ``state``,
-    the model's state of that tick, the safety filter does not compute it again.
+    Where it has ``tip`` (3,) [m], the tip of its last tick, its tip error is checked; where it has ``state``, the
+    model's state of that tick, the safety filter does not compute it again.
     """
 
     def start(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> None:
@@ -59,22 +59,20 @@ class SafetyFilter(Protocol):
 
     def check_measurement(
         self, q: Array, v: Array, stamp: int | None = None, applied: Array | None = None,
-        wrench: Array | None = None, trocar: Array | None = None, found: int | None = None,
+        wrench: Array | None = None, trocar: Array | None = None,
     ) -> tuple[Array, Array]:  # fmt: skip
         """Return the measurement, or an extrapolation in place of one that is late, repeated or impossible.
 
-        With the registered trocar (2, 3), RCM error and trocar force are checked too. ``found``: by compiled steps,
-        which looked at it already.
+        With the registered trocar (2, 3), RCM error and trocar force are checked too.
         """
 
     def limit_torque(
         self, tau: Array, before: Array, q: Array, v: Array, tip_ref: Array | None = None, state: Any = None,
-        tip: Array | None = None, found: int | None = None,
+        tip: Array | None = None,
     ) -> Array:  # fmt: skip
         """Return the torque within its limits; ``limited`` is the number of joints that were changed.
 
         The tip is also compared with its reference (3, 3), and the motion at (q, v) with the torque ``before``.
-        ``found``: by compiled steps, if they have limited it already.
         """
 
     def stop_torque(self, before: Array) -> Array:

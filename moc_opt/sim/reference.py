@@ -7,7 +7,7 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
-from moc_opt.numerics.arrays import Array
+from moc_opt.arrays import Array
 from moc_opt.robots import RobotData
 from moc_opt.sim.mjcf import build_spec, compile_model
 
@@ -15,14 +15,10 @@ from moc_opt.sim.mjcf import build_spec, compile_model
 class Terms(NamedTuple):
     """Of the arm at one position and velocity."""
 
-    M: Array
-    """(n,n) inertia, rotor inertia included [kg m^2]"""
-    h: Array
-    """(n,) Coriolis, centrifugal and gravity torque [Nm]"""
-    tip: Array
-    """(3,) [m]"""
-    wrist: Array
-    """(3,) [m]"""
+    M: Array  #: (n,n) inertia, rotor inertia included [kg m^2]
+    h: Array  #: (n,) Coriolis, centrifugal and gravity torque [Nm]
+    tip: Array  #: (3,) [m]
+    wrist: Array  #: (3,) [m]
 
 
 def reference_terms(data: RobotData, q: Array, v: Array) -> list[Terms]:

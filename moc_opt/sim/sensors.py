@@ -7,20 +7,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from moc_opt.numerics.arrays import Array, read_only
-from moc_opt.numerics.cache import njit
+from moc_opt import core
+from moc_opt.arrays import Array, read_only
 from moc_opt.sim.settings import PlantSettings
 
 
 class Measurement(NamedTuple):
     """The readings that the controller gets; read-only arrays."""
 
-    q: Array
-    """(n,) joint positions [rad]."""
-    v: Array
-    """(n,) joint velocities [rad/s]."""
-    force: Array
-    """(6,) force [N] and torque [Nm] of the tool on its mount, axes of link "tool", one plant step old."""
+    q: Array  #: (n,) joint positions [rad].
+    v: Array  #: (n,) joint velocities [rad/s].
+    force: Array  #: (6,) force [N] and torque [Nm] of the tool on its mount, axes of link "tool", one plant step old.
     stamp: int = 0
     """Number of the control period in which it was taken, counted by the arm, which gives the reading's age."""
 
@@ -29,60 +26,24 @@ _NOISE_ROWS = 256
 
 
 class _Noise:
-    """Gaussian noise, drawn in blocks: the same numbers as row by row, at a fraction of the calls.
-
-    Attributes:
-        row: (m,) of the next reading, valid until it is taken.
-    """
+    """Gaussian noise, drawn in blocks: the same numbers as row by row, at a fraction of the calls."""
 
     def __init__(self, rng: np.random.Generator, deviation: Array) -> None:
         """Build it with the standard deviation of each entry (m,)."""
-        self._rng, self._deviation = rng, deviation
+        self._rng, self._deviation, self._quiet = rng, deviation, not deviation.any()
         self._block, self._next = np.zeros((_NOISE_ROWS, deviation.size)), _NOISE_ROWS
         self._rows = list(self._block)  # views: taking one from a list costs a quarter of making it
-        self._quiet = not deviation.any()
-        self.row = self._rows[0]
-        self.take()
 
-    @property
-    def ahead(self) -> Array:
-        """(k, m) of the next readings, ``row`` first: as many as are drawn."""
-        return self._block if self._quiet else self._block[self._next - 1 :]
-
-    def take(self, rows: int = 1) -> None:
-        """Move on by so many rows, of those ``ahead`` at most."""
-        if self._quiet or rows == 0:
-            return
-        self._next += rows - 1
+    def take(self) -> Array:
+        """Return the next row (m,), valid until the next call."""
+        if self._quiet:
+            return self._rows[0]
         if self._next == _NOISE_ROWS:
             self._rng.standard_normal(out=self._block)
             self._block *= self._deviation
             self._next = 0
-        self.row = self._rows[self._next]
         self._next += 1
-
-
-@njit(cache=True, nogil=True)
-def sample(q: Array, v: Array, noise: Array, memory: Array, conversion: Array, reading: Array) -> None:
-    """Read encoders: positions [rad], then velocities [rad/s], into reading (2 n,).
-
-    Args:
-        q, v: (n,) true ones.
-        noise: (n,) [rad].
-        memory: (3, n) rows: bias [rad]; written: last position [rad], estimate of the velocity [rad/s].
-        conversion: (4,) resolution [rad], period [s], share of the difference quotient that the estimate takes up, and
-            whether both values are exact but for the bias.
-    """
-    n = q.size
-    resolution, period, gain = conversion[0], conversion[1], conversion[2]
-    for i in range(n):
-        reading[i], reading[n + i] = q[i] + memory[0, i], v[i]
-        if conversion[3] == 0.0:
-            position = reading[i] + noise[i]
-            if resolution > 0.0:
-                position = resolution * np.rint(position / resolution)
-            memory[2, i] += gain * ((position - memory[1, i]) / period - memory[2, i])
-            reading[i], reading[n + i], memory[1, i] = position, memory[2, i], position
+        return self._rows[self._next - 1]
 
 
 class Encoders:
@@ -91,10 +52,6 @@ class Encoders:
     velocity += (1 - exp(-2 pi cutoff period)) (difference quotient - velocity), once a control period.
     Without noise, step and cutoff both values are exact but for the bias; without a cutoff alone, the velocity is
     the bare quotient.
-
-    Attributes:
-        noise: makes their noise, a row a reading.
-        memory, conversion: as ``sample`` takes them.
     """
 
     def __init__(
@@ -104,9 +61,9 @@ class Encoders:
         """Build n encoders that are read every `period_s`; noise is a standard deviation, bias (n,) constant [rad]."""
         exact = noise_rad == resolution_rad == cutoff_Hz == 0.0
         gain = -math.expm1(-2.0 * math.pi * cutoff_Hz * period_s) if cutoff_Hz > 0.0 else 1.0
-        self.noise = _Noise(rng, np.full(n, noise_rad))
-        self.memory, self.conversion = np.zeros((3, n)), np.array([resolution_rad, period_s, gain, exact])
-        self.memory[0] = 0.0 if bias is None else bias
+        self._noise = _Noise(rng, np.full(n, noise_rad))
+        self._memory, self._conversion = np.zeros((3, n)), (resolution_rad, period_s, gain, exact)
+        self._memory[0] = 0.0 if bias is None else bias
 
     @classmethod
     def of(cls, settings: PlantSettings, bias: Array, rng: np.random.Generator) -> Encoders:
@@ -118,17 +75,17 @@ class Encoders:
 
     def start(self, q: Array, v: Array) -> tuple[Array, Array]:
         """Read at (q, v), each (n,), for the first time: the velocity estimate begins at v."""
-        self.memory[2] = v
-        return self._sample(q, v, self.conversion * [1.0, 1.0, 0.0, 1.0])
+        self._memory[2] = v
+        resolution, period, _, exact = self._conversion
+        return self._sample(q, v, (resolution, period, 0.0, exact))
 
     def read(self, q: Array, v: Array) -> tuple[Array, Array]:
         """Return the reading one period after the last: position [rad] and velocity [rad/s], (n,) read-only."""
-        return self._sample(q, v, self.conversion)
+        return self._sample(q, v, self._conversion)
 
-    def _sample(self, q: Array, v: Array, conversion: Array) -> tuple[Array, Array]:
+    def _sample(self, q: Array, v: Array, conversion: tuple[float, float, float, bool]) -> tuple[Array, Array]:
         reading = np.empty(2 * q.size)
-        sample(q, v, self.noise.row, self.memory, conversion, reading)
-        self.noise.take()
+        core.read_encoders(q, v, self._noise.take(), self._memory, *conversion, reading)
         read_only(reading)
         return reading[: q.size], reading[q.size :]
 
@@ -138,7 +95,7 @@ class WrenchSensor:
 
     def __init__(self, rng: np.random.Generator, *, force_noise_N: float = 0.0, torque_noise_Nm: float = 0.0) -> None:
         """Build it with the standard deviations of one axis."""
-        self.noise = _Noise(rng, np.repeat([force_noise_N, torque_noise_Nm], 3))
+        self._noise = _Noise(rng, np.repeat([force_noise_N, torque_noise_Nm], 3))
 
     @classmethod
     def of(cls, settings: PlantSettings, rng: np.random.Generator) -> WrenchSensor:
@@ -150,13 +107,10 @@ class WrenchSensor:
 
         The sensor shows the reaction to that: its negative.
         """
-        reading = self.noise.row - held
-        self.noise.take()
-        return read_only(reading)
+        return read_only(self._noise.take() - held)
 
 
-_CHANCE = 1e-10
-"""Of a longer repetition, at each reading, where the joint stands in the middle of a step."""
+_CHANCE = 1e-10  #: Of a longer repetition, at each reading, where the joint stands in the middle of a step.
 _MOST_TICKS = 500
 
 
@@ -175,8 +129,7 @@ def longest_repetition(noise_rad: float, resolution_rad: float) -> int | None:
     return max(10, math.ceil(math.log(_CHANCE) / math.log(max(same, _CHANCE))))
 
 
-_DEAD = 600.0
-"""Time constants of a filter after which its output is so small that it may stay the same."""
+_DEAD = 600.0  #: Time constants of a filter after which its output is so small that it may stay the same.
 
 
 def repeats_no_reading(noise_rad: float, resolution_rad: float, cutoff_Hz: float, period_s: float) -> bool:

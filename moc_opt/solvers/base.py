@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import fields
 from enum import Enum
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
-from moc_opt.inputs.notebook import table_html
-from moc_opt.numerics.arrays import Array
+from moc_opt.arrays import Array
+from moc_opt.errors import SolverError, is_number
+from moc_opt.inputs.names import table_html
 from moc_opt.qp.problem import NullSpaceQP
 
 
@@ -152,3 +155,38 @@ class ObservingSession(Protocol):
     def solve(self, qp: NullSpaceQP) -> Solution:
         """Answer one subproblem."""
         ...
+
+
+def check_settings(settings: Any, **choices: Sequence[object]) -> None:
+    """Check every field of a solver's settings that has a plain default, which also says what is usual.
+
+    A field named in ``choices`` must be one of them; else a flag's default asks for a flag, that of a whole number for
+    one of 1 or larger, of a number for a positive one (or None, if that is the default), 0.0 for one not negative.
+
+    Args:
+        settings: a dataclass with a ``name``.
+
+    Raises:
+        SolverError: a field is out of range; names the field, its value and the cure.
+    """
+    for field in fields(settings):
+        name, usual, value = field.name, field.default, getattr(settings, field.name)
+        finite = is_number(value) and abs(value) < float("inf")
+        if name in choices:
+            valid = choices[name]
+            right, rule = not isinstance(value, bool) and value in valid, f"is not one of {', '.join(map(repr, valid))}"
+        elif isinstance(usual, bool):
+            right, rule = isinstance(value, bool), "is neither True nor False"
+        elif isinstance(usual, int):
+            right = isinstance(value, int) and not isinstance(value, bool) and value >= 1
+            rule = f"is not a whole number of 1 or larger; {usual} is usual"
+        elif usual == 0.0:
+            right, rule = finite and value >= 0.0, "is not a number of 0 or larger; 0 is usual"
+        elif isinstance(usual, float) or field.type == "float | None":
+            right = (finite and value > 0.0) or (value is None and usual is None)
+            rule = f"is not a positive number; {usual} is usual"
+        else:
+            continue
+        if not right:
+            quoted = "; a number has no quotes: drop them" if isinstance(value, str) and "number" in rule else ""
+            raise SolverError(f"{settings.name}: {name} = {value!r} {rule}{quoted}")

@@ -8,11 +8,10 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from moc_opt.errors import SolverError
+from moc_opt.errors import SolverError, is_number
 from moc_opt.qp.problem import NullSpaceQP, fields
-from moc_opt.solvers import checks
 from moc_opt.solvers.base import Session, ShownBySettings, Solution, Solver, Status, no_answer
-from moc_opt.solvers.exact.solver import Exact
+from moc_opt.solvers.exact import Exact
 
 Kind = Literal["fail", "nan", "lie", "raise", "outside", "rig", "malformed"]
 KINDS: tuple[Kind, ...] = ("fail", "nan", "lie", "raise", "outside", "rig", "malformed")
@@ -45,10 +44,10 @@ class Faulty:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        checks.one_of("faulty", "kind", self.kind, KINDS)
-        checks.not_negative("faulty", "rate", self.rate, 0.05)
-        if self.rate > 1.0:
-            raise SolverError(f"faulty: rate = {self.rate} is a share of the ticks: give 0 to 1")
+        if self.kind not in KINDS:
+            raise SolverError(f"faulty: kind = {self.kind!r} is not one of {', '.join(KINDS)}")
+        if not (is_number(self.rate) and 0.0 <= self.rate <= 1.0):
+            raise SolverError(f"faulty: rate = {self.rate!r} is a share of the ticks: give 0 to 1")
 
     def fault_mask(self, ticks: int) -> NDArray[np.bool_]:
         """Return the fault mask: which of the first answers of a session are replaced, (ticks,)."""

@@ -4,111 +4,79 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from numbers import Real
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from moc_opt.arrays import Array, read_only
 from moc_opt.errors import TaskError
-from moc_opt.numerics.arrays import read_only
 
-Vector = NDArray[np.float64]
 TimeLike = float | ArrayLike
 
 
-def number(name: str, value: object) -> float:
-    """Return a finite float.
-
-    Raises:
-        TaskError: it is no number, or not finite.
-    """
-    if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, float, np.integer, np.floating)):
-        raise TaskError(f"{name} = {value!r} is not a number: give one finite number")
+def number(name: str, value: object, above: float = -math.inf) -> float:
+    """Return a finite float; a TaskError where it is no number, not finite, or not above this."""
     try:
-        result = float(value)
+        result = float(value) if isinstance(value, Real) and not isinstance(value, bool) else math.nan
     except OverflowError:
         result = math.inf
-    if not math.isfinite(result):
-        raise TaskError(f"{name} = {value!r} is not finite: give one finite number")
+    if not math.isfinite(result) or not result > above:
+        raise TaskError(f"{name} = {value!r}: give one finite number" + (" above zero" if above == 0.0 else ""))
     return result
 
 
 def positive(name: str, value: object) -> float:
-    """Return a finite float above zero.
-
-    Raises:
-        TaskError: it is no number, not finite, or not above zero.
-    """
-    result = number(name, value)
-    if result <= 0.0:
-        raise TaskError(f"{name} = {value!r} must be positive: give a finite number above zero")
-    return result
+    """Return a finite float above zero; a TaskError where it is none."""
+    return number(name, value, above=0.0)
 
 
-def vector3(name: str, value: ArrayLike) -> Vector:
-    """Return a read-only (3,) copy with finite entries.
-
-    Raises:
-        TaskError: it has another shape or an entry that is not finite.
-    """
+def rows_of(name: str, value: ArrayLike, shape: str, *dimensions: int) -> Array:
+    """Return a copy of numbers (3,) or (k, 3), as the dimensions allow; a TaskError where they are none."""
     try:
         result = np.array(value, dtype=np.float64)
     except (TypeError, ValueError) as error:
-        raise TaskError(f"{name} = {value!r} is not a vector: give three numbers") from error
-    if result.shape != (3,) or not np.isfinite(result).all():
-        raise TaskError(f"{name} = {value!r} must hold three finite numbers")
+        raise TaskError(f"{name} = {value!r:.200}: give {shape} numbers") from error
+    if result.ndim not in dimensions or result.shape[-1] != 3:
+        raise TaskError(f"{name} has shape {result.shape}: give {shape} numbers")
+    return result
+
+
+def vector3(name: str, value: ArrayLike) -> Array:
+    """Return a read-only (3,) copy with finite entries; a TaskError where it is none."""
+    result = rows_of(name, value, "three finite", 1)
+    if not np.isfinite(result).all():
+        raise TaskError(f"{name} = {value!r}: give three finite numbers")
     return read_only(result)
 
 
-def direction3(name: str, value: ArrayLike) -> Vector:
-    """Return a read-only unit vector (3,).
-
-    Raises:
-        TaskError: it is no vector of three finite numbers, or its length is zero.
-    """
+def direction3(name: str, value: ArrayLike) -> Array:
+    """Return a read-only unit vector (3,); a TaskError where it has no direction."""
     given = vector3(name, value)
     largest = float(np.abs(given).max())
     if largest == 0.0:
         raise TaskError(f"{name} = {value!r} has no direction: give a vector of non-zero length")
     # Divided by its largest entry first, so that very long and very short vectors keep their direction.
     scaled = given / largest
-    return read_only(np.asarray(scaled / math.sqrt(float(scaled @ scaled)), dtype=np.float64))
+    return read_only(np.asarray(scaled / math.sqrt(float(scaled @ scaled))))
 
 
-def sampled(
-    name: str, value: TimeLike, rows: Callable[[float], Vector], columns: Callable[[Vector], Vector] | None = None
-) -> Vector:
-    """Evaluate `rows` at one number or at each of a vector of them.
+def sampled(name: str, value: TimeLike, rows: Callable[[float], Array]) -> Array:
+    """Evaluate `rows`, number -> (m, 3), at one number or at each of a vector (k,): (m, 3) or (m, k, 3).
 
-    Both forms go through the same arithmetic: the value of a controller at a tick and that of a report
-    afterwards for the whole run are then the same to the last bit. numpy's vector sine does not promise that.
-
-    Args:
-        value: a number, or a vector (k,).
-        rows: number -> (m, 3).
-        columns: vector (k,), k > 0 -> (m, k, 3), the same to the last bit; None: ``rows`` at each of them.
-
-    Returns:
-        (m, 3) for a number, (m, k, 3) for a vector.
+    One by one: the value of a controller at a tick and that of a report afterwards are then the same to the last bit,
+    which numpy's vector sine does not promise.
 
     Raises:
         TaskError: `value` is neither a number nor a vector.
     """
-    if isinstance(value, (float, int)):
-        return rows(value)
     try:
         array = np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError) as error:
         raise TaskError(f"{name} = {value!r} is not usable: give a number or a vector of numbers") from error
+    if array.ndim > 1:
+        raise TaskError(f"{name} has shape {array.shape}: give a number or a vector (k,)")
     if array.ndim == 0:
         return rows(float(array))
-    if array.ndim != 1:
-        raise TaskError(f"{name} has shape {array.shape}: give a number or a vector (k,)")
-    if array.size == 0:
-        return np.empty((rows(0.0).shape[0], 0, 3))
-    if columns is not None:
-        return np.ascontiguousarray(columns(array))
-    first = rows(float(array[0]))
-    found = np.empty((array.size, *first.shape))
-    for i, entry in enumerate(array.tolist()):
-        found[i] = rows(entry)
+    found = [rows(entry) for entry in array.tolist()] or np.empty((0, len(rows(0.0)), 3))
     return np.ascontiguousarray(np.swapaxes(found, 0, 1))

@@ -1,67 +1,128 @@
 """Shapes of paths: planar curves by arc length.
 
 A curve starts at its own origin and its first axis is the heading. A new shape is one class with `length`,
-`knots` and `at`, and one entry in `CURVES`; its init fields are its sizes.
+`knots` and `at`, and one entry in `CURVES`; the arguments of its constructor are its sizes.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from bisect import bisect_right
+from collections.abc import Callable
 from typing import Any, Protocol
 
 import numpy as np
 
-from moc_opt.numerics.arrays import read_only
-from moc_opt.tasks.arclength import ArcLength
-from moc_opt.tasks.checks import Vector, positive
+from moc_opt.arrays import Array, read_only
+from moc_opt.errors import TaskError
+from moc_opt.tasks.checks import positive
 
 PlanePoint = tuple[float, float, float, float, float]
+Speed = Callable[[Array], tuple[Array, Array]]
+
+_MOST_PANELS = 2**18
+_PROBES = (0.23, 0.5, 0.71)  # off a panel's symmetric places, where an interpolation error could vanish by chance
+_GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(10)
+
+
+class ArcLength:
+    """The inverse w(s) of the arc length s(w) = integral of speed(w) from 0 to w.
+
+    A quintic Hermite interpolation of w(s): the knots are exact (Gauss-Legendre quadrature), and so are both
+    derivatives there, dw/ds = 1/speed and d2w/ds2 = -speed'/speed^3. The knots are doubled until s(w(s)) - s,
+    probed inside every panel by quadrature, is below 1e-10 of the length and below 1e-10 m.
+
+    Args:
+        speed: w (k,) -> (ds/dw (k,) [m], d2s/dw2 (k,) [m]), ds/dw above zero.
+        breaks: (b,) from 0 to the largest w, between which the speed is smooth.
+        panels: panels of each stretch to start from; enough to see every bend of the curve.
+
+    Raises:
+        TaskError: the accuracy is not reached with 2^18 panels in all.
+    """
+
+    def __init__(self, speed: Speed, breaks: Array, panels: int) -> None:
+        stretches = len(breaks) - 1
+        while panels * stretches <= _MOST_PANELS:
+            place = np.linspace(0.0, stretches, panels * stretches + 1)
+            w = np.interp(place, np.arange(stretches + 1), breaks)
+            lengths = _quadrature(speed, w[:-1], w[1:])
+            s = np.concatenate(([0.0], np.cumsum(lengths)))
+            coefficients = _hermite(w, lengths, *speed(w))
+            if _worst(speed, w, lengths, coefficients) <= 1e-10 * min(1.0, float(s[-1])):
+                self.knots, self.length = read_only(s), float(s[-1])
+                # Plain lists: at one number a tick, indexing an array costs more than the whole polynomial.
+                self._starts: list[float] = s[:-1].tolist()
+                self._lengths: list[float] = lengths.tolist()
+                self._coefficients: list[list[float]] = coefficients.tolist()
+                return
+            panels *= 2
+        raise TaskError(
+            "the arc length of this curve cannot be tabulated to 1e-10: take fewer periods or turns, or less "
+            "extreme proportions"
+        )
+
+    def parameter(self, s: float) -> float:
+        """Return w at arc length s [m], s in [0, length]."""
+        panel = bisect_right(self._starts, s) - 1
+        t = (s - self._starts[panel]) / self._lengths[panel]
+        a0, a1, a2, a3, a4, a5 = self._coefficients[panel]
+        return a0 + t * (a1 + t * (a2 + t * (a3 + t * (a4 + t * a5))))
+
+
+def _quadrature(speed: Speed, lower: Array, upper: Array) -> Array:
+    middle, half = 0.5 * (lower + upper), 0.5 * (upper - lower)
+    places = middle[:, None] + half[:, None] * _GAUSS_NODES
+    return np.asarray(half * (speed(places.ravel())[0].reshape(places.shape) @ _GAUSS_WEIGHTS))
+
+
+def _hermite(w: Array, lengths: Array, speed: Array, slope: Array) -> Array:
+    first, second, rise = 1.0 / speed, -slope / speed**3, np.diff(w)
+    m0, m1 = first[:-1] * lengths, first[1:] * lengths
+    c0, c1 = second[:-1] * lengths**2, second[1:] * lengths**2
+    return np.stack([
+        w[:-1], m0, 0.5 * c0, 10.0 * rise - 6.0 * m0 - 4.0 * m1 - 1.5 * c0 + 0.5 * c1,
+        -15.0 * rise + 8.0 * m0 + 7.0 * m1 + 1.5 * c0 - c1, 6.0 * rise - 3.0 * m0 - 3.0 * m1 - 0.5 * c0 + 0.5 * c1,
+    ], axis=1)  # fmt: skip
+
+
+def _worst(speed: Speed, w: Array, lengths: Array, coefficients: Array) -> float:
+    ends = ((coefficients @ (t ** np.arange(6)), t) for t in _PROBES)
+    worst = max(float(np.abs(_quadrature(speed, w[:-1], end) - t * lengths).max()) for end, t in ends)
+    return worst if math.isfinite(worst) else math.inf  # a comparison with NaN would pass as "no worse"
 
 
 class PlanarCurve(Protocol):
     """A smooth curve in the plane, from its own origin, by arc length."""
 
-    @property
-    def length(self) -> float:
-        """Length [m]."""
-
-    @property
-    def knots(self) -> Vector:
-        """Arc lengths (k,) [m], from 0 to `length`, close enough together to see every bend."""
+    length: float
+    """Length [m]."""
+    knots: Array
+    """Arc lengths (k,) [m], from 0 to `length`, close enough together to see every bend."""
 
     def at(self, s: float) -> PlanePoint:
         """Return x, y [m], unit tangent tx, ty and curvature [1/m] (left is positive) at s in [0, length]."""
 
 
-@dataclass(frozen=True, eq=False)
 class Line:
     """A straight line of the given length [m] along the heading."""
 
-    length: float
-    knots: Vector = field(init=False, repr=False)
-
-    def __post_init__(self) -> None:
-        length = positive("length", self.length)
-        _keep(self, length=length, knots=_evenly(length, 1))
+    def __init__(self, length: float) -> None:
+        self.length = positive("length", length)
+        self.knots = read_only(np.array([0.0, self.length]))
 
     def at(self, s: float) -> PlanePoint:
         """See `PlanarCurve.at`."""
         return s, 0.0, 1.0, 0.0, 0.0
 
 
-@dataclass(frozen=True, eq=False)
 class Circle:
     """One full turn of the given radius [m], to the left, the heading being its first tangent."""
 
-    radius: float
-    length: float = field(init=False)
-    knots: Vector = field(init=False, repr=False)
-
-    def __post_init__(self) -> None:
-        radius = positive("radius", self.radius)
-        length = 2.0 * math.pi * radius
-        _keep(self, radius=radius, length=length, knots=_evenly(length, 16))
+    def __init__(self, radius: float) -> None:
+        self.radius = positive("radius", radius)
+        self.length = 2.0 * math.pi * self.radius
+        self.knots = read_only(np.linspace(0.0, self.length, 17))
 
     def at(self, s: float) -> PlanePoint:
         """See `PlanarCurve.at`."""
@@ -70,90 +131,57 @@ class Circle:
         return r * d, r * (1.0 - c), c, d, 1.0 / r
 
 
-@dataclass(frozen=True, eq=False)
 class Sinusoid:
     """y = amplitude sin(2 pi x / wavelength), x along the heading, for a number of periods (whole or not).
 
     Amplitude and wavelength in m. It starts on its axis, at its steepest.
     """
 
-    amplitude: float
-    wavelength: float
-    periods: float
-    length: float = field(init=False)
-    knots: Vector = field(init=False, repr=False)
-    _arc: ArcLength = field(init=False, repr=False)
+    def __init__(self, amplitude: float, wavelength: float, periods: float) -> None:
+        self.amplitude, periods = positive("amplitude", amplitude), positive("periods", periods)
+        self._k = 2.0 * math.pi / positive("wavelength", wavelength)
+        steepness = self.amplitude * self._k
 
-    def __post_init__(self) -> None:
-        _keep(self, **{name: positive(name, getattr(self, name)) for name in ("amplitude", "wavelength", "periods")})
-        steepness = 2.0 * math.pi * self.amplitude / self.wavelength
-        scale = self.wavelength / (2.0 * math.pi)
-
-        def speed(phase: Vector) -> tuple[Vector, Vector]:
+        def speed(phase: Array) -> tuple[Array, Array]:
             slope = steepness * np.cos(phase)
             ds = np.sqrt(1.0 + slope**2)
-            return scale * ds, -scale * slope * steepness * np.sin(phase) / ds
+            return ds / self._k, -slope * steepness * np.sin(phase) / (self._k * ds)
 
-        arc = ArcLength(speed, 2.0 * math.pi * self.periods, 16 * math.ceil(self.periods))
-        _keep(self, _arc=arc, length=arc.length, knots=arc.knots)
+        self._arc = ArcLength(speed, np.array([0.0, 2.0 * math.pi * periods]), 16 * math.ceil(periods))
+        self.length, self.knots = self._arc.length, self._arc.knots
 
     def at(self, s: float) -> PlanePoint:
         """See `PlanarCurve.at`; from y(x), tangent (1, y')/sqrt(1 + y'^2), curvature y''/(1 + y'^2)^(3/2)."""
-        phase, a = self._arc.parameter(s), self.amplitude
-        k = 2.0 * math.pi / self.wavelength
+        phase, a, k = self._arc.parameter(s), self.amplitude, self._k
         sine = math.sin(phase)
         slope = a * k * math.cos(phase)
         ds = math.sqrt(1.0 + slope * slope)
         return phase / k, a * sine, 1.0 / ds, slope / ds, -a * k * k * sine / (ds * ds * ds)
 
 
-@dataclass(frozen=True, eq=False)
 class Spiral:
     """Archimedean spiral from its centre to the left: r = radius angle / (2 pi turns), heading at angle 0.
 
     `turns` whole or not, `radius` [m] the final one. At the centre the curvature is 4 pi turns / radius.
     """
 
-    turns: float
-    radius: float
-    length: float = field(init=False)
-    knots: Vector = field(init=False, repr=False)
-    _arc: ArcLength = field(init=False, repr=False)
+    def __init__(self, turns: float, radius: float) -> None:
+        turns = positive("turns", turns)
+        self._pitch = pitch = positive("radius", radius) / (2.0 * math.pi * turns)
 
-    def __post_init__(self) -> None:
-        _keep(self, **{name: positive(name, getattr(self, name)) for name in ("turns", "radius")})
-        pitch = self._pitch
-
-        def speed(angle: Vector) -> tuple[Vector, Vector]:
+        def speed(angle: Array) -> tuple[Array, Array]:
             ds = np.sqrt(1.0 + angle**2)
             return pitch * ds, pitch * angle / ds
 
-        arc = ArcLength(speed, 2.0 * math.pi * self.turns, 16 * math.ceil(self.turns))
-        _keep(self, _arc=arc, length=arc.length, knots=arc.knots)
-
-    @property
-    def _pitch(self) -> float:
-        """Growth of the radius per radian [m]."""
-        return self.radius / (2.0 * math.pi * self.turns)
+        self._arc = ArcLength(speed, np.array([0.0, 2.0 * math.pi * turns]), 16 * math.ceil(turns))
+        self.length, self.knots = self._arc.length, self._arc.knots
 
     def at(self, s: float) -> PlanePoint:
         """See `PlanarCurve.at`; curvature (2 + angle^2) / (pitch (1 + angle^2)^(3/2))."""
         w, b = self._arc.parameter(s), self._pitch
-        c, d = math.cos(w), math.sin(w)
-        ds = math.sqrt(1.0 + w * w)
+        c, d, ds = math.cos(w), math.sin(w), math.sqrt(1.0 + w * w)
         return b * w * c, b * w * d, (c - w * d) / ds, (d + w * c) / ds, (2.0 + w * w) / (b * ds * ds * ds)
 
 
 CURVES: dict[str, type[Any]] = {"line": Line, "circle": Circle, "sinusoid": Sinusoid, "spiral": Spiral}
-"""Kind of path -> class of its planar curve; the class's init fields are the sizes."""
-
-
-def _evenly(length: float, panels: int) -> Vector:
-    """Return read-only evenly spaced arc lengths (panels + 1,) [m]."""
-    return read_only(np.linspace(0.0, length, panels + 1))
-
-
-def _keep(curve: PlanarCurve, **values: Any) -> None:
-    """Set attributes of a frozen curve while it is made."""
-    for name, value in values.items():
-        object.__setattr__(curve, name, value)
+"""Kind of path -> class of its planar curve; the class's arguments are the sizes."""

@@ -7,7 +7,7 @@ waypoints (k, 3) [m] from the start: along the heading, to the left, along the n
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
@@ -15,9 +15,8 @@ from numpy.typing import ArrayLike
 
 from moc_opt.errors import MocOptError, TaskError, UnknownNameError, describe
 from moc_opt.inputs import plugins
-from moc_opt.tasks.curves import CURVES, PlanarCurve
-from moc_opt.tasks.paths import Path
-from moc_opt.tasks.waypoints import Waypoints
+from moc_opt.tasks.curves import CURVES
+from moc_opt.tasks.paths import Path, Waypoints
 
 GROUP = "moc_opt.tasks"
 WAYPOINTS = "waypoints"
@@ -87,23 +86,16 @@ def make_path(
         raise TaskError(f"a {kind} needs its {', '.join(missing)}: give positive numbers, lengths in m")
     if kind == WAYPOINTS:
         return Waypoints([] if waypoints is None else waypoints, start, normal=normal, heading=heading)
-    made = _made(kind, given)
-    if hasattr(made, "at"):
-        curve: PlanarCurve = made
-        return Path(curve, start, normal=normal, heading=heading)
-    return Waypoints(made, start, normal=normal, heading=heading)
-
-
-def _made(kind: str, given: Mapping[str, float]) -> Any:
-    """Return the curve or the points; exceptions of another package's code and wrong sizes give different errors."""
     try:
-        return _maker(kind)(**given)
+        made = _maker(kind)(**given)
     except MocOptError:
         raise
     except Exception as error:
         if kind in CURVES:
             raise
         raise TaskError(f"path {kind!r}: {plugins.in_words(_plugins()[kind][0])} raised {describe(error)}") from error
+    shape = Path if hasattr(made, "at") else Waypoints
+    return shape(made, start, normal=normal, heading=heading)
 
 
 def _plugins() -> dict[str, list[EntryPoint]]:

@@ -1,20 +1,30 @@
-"""Paths of the tool tip: a planar curve put into space, with point, tangent and curvature by arc length."""
+"""Paths of the tool tip in space, with point, tangent and curvature by arc length: planar curves, and waypoints."""
 
 from __future__ import annotations
 
 import math
-from typing import Any
+from bisect import bisect_right
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from moc_opt.arrays import Array
 from moc_opt.errors import TaskError
-from moc_opt.tasks.checks import TimeLike, Vector, direction3, sampled, vector3
-from moc_opt.tasks.curves import Circle, Line, PlanarCurve, Sinusoid, Spiral
+from moc_opt.tasks.checks import TimeLike, direction3, rows_of, sampled, vector3
+from moc_opt.tasks.curves import ArcLength, PlanarCurve
+
+MOST = 1000  #: Waypoints of one path.
+FARTHEST_M = 1000.0  #: Of a waypoint from the start, along each axis: as for the sizes of other paths.
+_SLOWEST = 0.05  # of the spline's speed over its chords: below it, the path all but turns back on the spot
 
 
 class Path:
     """A planar curve put into space: it begins at `start` and lies in the plane of two unit vectors."""
+
+    length: float
+    """[m]"""
+    knots: Array
+    """Arc lengths (k,) [m], from 0 to `length`, close enough together to see every bend."""
 
     def __init__(self, curve: PlanarCurve, start: ArrayLike, *, normal: ArrayLike, heading: ArrayLike) -> None:
         """Place the curve.
@@ -28,33 +38,23 @@ class Path:
             TaskError: a vector is not usable, or heading and normal are parallel.
         """
         self._place(start, normal, heading)
-        self.curve = curve
-        self.length = float(curve.length)
+        self.curve, self.length, self.knots = curve, float(curve.length), curve.knots
 
     def _place(self, start: ArrayLike, normal: ArrayLike, heading: ArrayLike) -> None:
-        """Find the start and the axes of the path."""
-        self.start = vector3("start", start)
-        self.normal = direction3("normal", normal)
+        self.start, self.normal = vector3("start", start), direction3("normal", normal)
         along = direction3("heading", heading)
         inside = along - (along @ self.normal) * self.normal
         if math.sqrt(float(inside @ inside)) < 1e-6:
             raise TaskError(f"heading = {heading!r} is parallel to the normal {normal!r}: choose another")
         self.heading = direction3("heading", inside)
         self.left = direction3("left", np.cross(self.normal, self.heading))
-        self._axes: tuple[tuple[float, float, float], ...] = tuple(
-            zip(self.start.tolist(), self.heading.tolist(), self.left.tolist(), strict=True)
-        )
-
-    @property
-    def knots(self) -> Vector:
-        """Arc lengths (k,) [m], from 0 to `length`, close enough together to see every bend."""
-        return self.curve.knots
+        self._axes = [*zip(self.start.tolist(), self.heading.tolist(), self.left.tolist(), strict=True)]
 
     def curvature(self, s: float) -> float:
         """Return the curvature [1/m] at s [m] in [0, length]; of a planar path with its sign, left being positive."""
         return self.curve.at(s)[4]
 
-    def at(self, s: TimeLike) -> tuple[Vector, Vector, Vector]:
+    def at(self, s: TimeLike) -> tuple[Array, Array, Array]:
         """Return point, unit tangent and curvature vector at an arc length.
 
         Args:
@@ -71,78 +71,112 @@ class Path:
 
     def point(self, s: float) -> tuple[float, ...]:
         """Return the nine numbers p, dp, ddp at s [m] in [0, length], unchecked: for use at every tick."""
-        return self._in_space(*self.curve.at(s))
-
-    def points(self, s: Vector) -> tuple[Vector, ...]:
-        """Return ``point`` at arc lengths (k,): nine arrays (k,), with the same bits."""
-        # Sines are taken one by one: numpy's of an array differ in the last bit.
-        return self._in_space(*np.array([self.curve.at(entry) for entry in s.tolist()]).T)
-
-    def _in_space(self, x: Any, y: Any, tx: Any, ty: Any, k: Any) -> tuple[Any, ...]:
-        (ox, ax, bx), (oy, ay, by), (oz, az, bz) = self._axes
+        x, y, tx, ty, k = self.curve.at(s)
         u, v = -k * ty, k * tx
-        return (
-            ox + ax * x + bx * y, oy + ay * x + by * y, oz + az * x + bz * y,
-            ax * tx + bx * ty, ay * tx + by * ty, az * tx + bz * ty,
-            ax * u + bx * v, ay * u + by * v, az * u + bz * v,
-        )  # fmt: skip
+        p = [o + a * x + b * y for o, a, b in self._axes]
+        return (*p, *(a * tx + b * ty for _, a, b in self._axes), *(a * u + b * v for _, a, b in self._axes))
 
-    def _rows(self, s: float) -> Vector:
+    def _rows(self, s: float) -> Array:
         slack = 1e-9 * self.length
         if not -slack <= s <= self.length + slack:
             raise TaskError(f"s = {s!r} is outside the path: give an arc length in [0, {self.length!r}] m")
         return np.array(self.point(min(max(s, 0.0), self.length))).reshape(3, 3)
 
     def __repr__(self) -> str:
-        return f"Path({self.curve!r}, start={self.start.tolist()}, normal={self.normal.tolist()})"
+        return f"Path({type(self.curve).__name__.lower()}, {self.length:.4g} m, start={self.start.tolist()})"
 
 
-def line(start: ArrayLike, end: ArrayLike) -> Path:
-    """Make a straight path between two different points (3,) [m].
+class Waypoints(Path):
+    """A path from `start` through every waypoint, its direction and curvature continuous.
 
-    Raises:
-        TaskError: a point is not usable, or both are the same.
+    The natural cubic spline in the length of the chords: between two points a cubic, at both ends curvature 0.
     """
-    first, last = vector3("start", start), vector3("end", end)
-    step = last - first
-    length = math.sqrt(float(step @ step))
-    if length == 0.0:
-        raise TaskError(f"end = {end!r} is the start: give two different points")
-    # A line has no plane of its own; any normal across it will do.
-    across = np.cross(step, np.eye(3)[int(np.argmin(np.abs(step)))])
-    return Path(Line(length), first, normal=across, heading=step)
+
+    def __init__(self, points: ArrayLike, start: ArrayLike, *, normal: ArrayLike, heading: ArrayLike) -> None:
+        """Lay the path.
+
+        Args:
+            points: (k, 3) [m] from the start: along the heading, to the left, along the normal. The start itself may
+                stand first.
+            start: where the path begins, (3,) [m].
+            normal, heading: as in `Path`.
+
+        Raises:
+            TaskError: no such points, two alike beside each other, or a path that turns back on the spot.
+        """
+        self._place(start, normal, heading)
+        given = _checked(points)
+        inside = given if not given[0].any() else np.vstack([np.zeros(3), given])
+        chords = np.sqrt((np.diff(inside, axis=0) ** 2).sum(axis=1))
+        for k in np.flatnonzero(chords < 1e-9).tolist():
+            raise TaskError(f"waypoint {inside[k + 1].tolist()} stands twice in a row: leave one out")
+        self._at = np.concatenate([[0.0], np.cumsum(chords)])
+        self._pieces = _spline(self._at, self.start + inside @ np.stack([self.heading, self.left, self.normal]))
+        self._check_turns(inside)
+        self._arc = ArcLength(self._speed, self._at, 8)
+        self.length, self.knots = self._arc.length, self._arc.knots
+        # Plain lists: at one number a tick, indexing an array costs more than the polynomial.
+        self._begin: list[float] = self._at[:-1].tolist()
+        self._rows_of: list[list[list[float]]] = self._pieces.tolist()
+
+    def curvature(self, s: float) -> float:
+        """See `Path.curvature`."""
+        return math.hypot(*self.point(s)[6:])
+
+    def point(self, s: float) -> tuple[float, ...]:
+        """See `Path.point`."""
+        w = self._arc.parameter(s)
+        k = bisect_right(self._begin, w) - 1
+        h, rows = w - self._begin[k], self._rows_of[k]
+        d = [b + h * (2.0 * c + 3.0 * h * e) for _, b, c, e in rows]
+        dd = [2.0 * c + 6.0 * h * e for _, _, c, e in rows]
+        speed = math.hypot(*d)
+        tangent = [entry / speed for entry in d]
+        along = sum(a * b for a, b in zip(tangent, dd, strict=True))
+        bend = [(a - along * b) / (speed * speed) for a, b in zip(dd, tangent, strict=True)]
+        return (*(a + h * (b + h * (c + h * e)) for a, b, c, e in rows), *tangent, *bend)
+
+    def _speed(self, w: Array) -> tuple[Array, Array]:
+        piece = np.clip(np.searchsorted(self._at, w, side="right") - 1, 0, len(self._pieces) - 1)
+        h = (w - self._at[piece])[:, None]
+        _, b, c, e = (self._pieces[piece, :, i] for i in range(4))
+        d, dd = b + h * (2.0 * c + 3.0 * h * e), 2.0 * c + 6.0 * h * e
+        speed = np.sqrt((d * d).sum(axis=1))
+        return speed, (d * dd).sum(axis=1) / speed
+
+    def _check_turns(self, inside: Array) -> None:
+        fine = np.interp(np.linspace(0, len(inside) - 1, 32 * len(inside)), np.arange(len(inside)), self._at)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            speed = self._speed(fine)[0]
+        slowest = int(np.argmin(speed))
+        if not speed[slowest] > _SLOWEST:
+            near = inside[int(np.argmin(np.abs(self._at - fine[slowest])))].tolist()
+            raise TaskError(
+                f"the path turns back on the spot near waypoint {near}: add points beside it, so that it turns in a "
+                "curve"
+            )
+
+    def __repr__(self) -> str:
+        return f"Waypoints({len(self._at)} points, {self.length:.4g} m, start={self.start.tolist()})"
 
 
-def circle(start: ArrayLike, center_direction: ArrayLike, *, radius: float, normal: ArrayLike) -> Path:
-    """Make one full turn, counter-clockwise seen from the tip of the normal; end and start meet smoothly.
-
-    Args:
-        start: a point of the circle, where it begins, (3,) [m].
-        center_direction: from there to its centre, (3,), any length; its part along the normal is taken out.
-        radius, normal: as in `Circle` and `Path`.
-
-    Raises:
-        TaskError: a size is not positive and finite, or the directions do not span a plane.
-    """
-    heading = np.cross(direction3("center_direction", center_direction), direction3("normal", normal))
-    if math.sqrt(float(heading @ heading)) < 1e-6:
-        raise TaskError(f"center_direction = {center_direction!r} is parallel to the normal {normal!r}: choose another")
-    return Path(Circle(radius), start, normal=normal, heading=heading)
+def _checked(points: ArrayLike) -> Array:
+    found = rows_of("waypoints", points, "finite (k, 3)", 2)
+    if not np.isfinite(found).all():
+        raise TaskError("waypoints are not finite: give finite numbers (k, 3) [m]")
+    for point in found[np.abs(found).max(axis=1, initial=0.0) > FARTHEST_M].tolist():
+        raise TaskError(f"waypoint {point}: {FARTHEST_M:g} m from the start is the most, and the unit is m")
+    if not 1 <= len(found) <= MOST or not found.any():
+        raise TaskError(f"{len(found)} waypoints: give 1 to {MOST}, one of them off the start")
+    return found
 
 
-def sinusoid(
-    start: ArrayLike, heading: ArrayLike, *, amplitude: float, wavelength: float, periods: float, normal: ArrayLike
-) -> Path:
-    """Make a sine wave about the axis through `start` along `heading`; it begins on the axis, going to the left.
-
-    Arguments as in `Sinusoid` and `Path`; errors as in `circle`.
-    """
-    return Path(Sinusoid(amplitude, wavelength, periods), start, normal=normal, heading=heading)
-
-
-def spiral(start: ArrayLike, heading: ArrayLike, *, turns: float, radius: float, normal: ArrayLike) -> Path:
-    """Make an Archimedean spiral from its centre `start` outwards, counter-clockwise seen from the tip of the normal.
-
-    Arguments as in `Spiral` and `Path`; errors as in `circle`.
-    """
-    return Path(Spiral(turns, radius), start, normal=normal, heading=heading)
+def _spline(t: Array, points: Array) -> Array:
+    h = np.diff(t)
+    slope, bend = np.diff(points, axis=0) / h[:, None], np.zeros_like(points)
+    if len(h) > 1:
+        matrix = np.diag(2.0 * (h[:-1] + h[1:])) + np.diag(h[1:-1], 1) + np.diag(h[1:-1], -1)
+        bend[1:-1] = np.linalg.solve(matrix, 6.0 * np.diff(slope, axis=0))
+    first = slope - h[:, None] * (2.0 * bend[:-1] + bend[1:]) / 6.0
+    cubic = np.diff(bend, axis=0) / (6.0 * h[:, None])
+    return np.stack([points[:-1], first, 0.5 * bend[:-1], cubic], axis=2)

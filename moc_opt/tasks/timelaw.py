@@ -5,19 +5,19 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
+from moc_opt.arrays import Array
 from moc_opt.errors import TaskError
-from moc_opt.tasks.checks import TimeLike, Vector, number, positive, sampled
+from moc_opt.tasks.checks import TimeLike, number, positive, sampled
 from moc_opt.tasks.paths import Path
 
 _PEAK_ACCELERATION = 10.0 / math.sqrt(3.0)
 
 
-def quintic(u: Any) -> tuple[Any, Any, Any]:
-    """Return s(u) = 10 u^3 - 15 u^4 + 6 u^5, ds/du and d2s/du2 at u in [0, 1], a number or an array."""
+def quintic(u: float) -> tuple[float, float, float]:
+    """Return s(u) = 10 u^3 - 15 u^4 + 6 u^5, ds/du and d2s/du2 at u in [0, 1]."""
     w = 1.0 - u
     return (u * u * u * (10.0 + u * (-15.0 + 6.0 * u)), 30.0 * u * u * w * w, 60.0 * u * w * (1.0 - 2.0 * u))
 
@@ -47,7 +47,6 @@ def duration(path: Path, v_max: float, a_max: float) -> float:
 
 
 def _largest_acceleration(path: Path) -> float:
-    """Return the largest g(u) of `duration`, to about 1e-10 of itself."""
     length = path.length
 
     def g(u: float) -> float:
@@ -61,14 +60,10 @@ def _largest_acceleration(path: Path) -> float:
     values = np.array([g(entry) for entry in u.tolist()])
     inner = values[1:-1]
     peaks = 1 + np.flatnonzero((inner >= values[:-2]) & (inner >= values[2:]) & (inner > 0.8 * values.max()))
-    best = max(_PEAK_ACCELERATION, float(values.max()))
-    for peak in peaks.tolist():
-        best = max(best, _climb(g, u[peak - 1], u[peak + 1]))
-    return best
+    return max(_PEAK_ACCELERATION, float(values.max()), *(_climb(g, u[p - 1], u[p + 1]) for p in peaks.tolist()))
 
 
 def _climb(g: Callable[[float], float], lower: float, upper: float) -> float:
-    """Return the largest g between two points that have one peak between them."""
     best = 0.0
     for _ in range(6):
         u = np.linspace(lower, upper, 17)
@@ -100,12 +95,13 @@ class Reference:
     duration: float = field(init=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "v_max", positive("v_max", self.v_max))
-        object.__setattr__(self, "a_max", positive("a_max", self.a_max))
-        object.__setattr__(self, "t_start", number("t_start", self.t_start))
-        object.__setattr__(self, "duration", duration(self.path, self.v_max, self.a_max))
+        for name, value in (
+            ("v_max", positive("v_max", self.v_max)), ("a_max", positive("a_max", self.a_max)),
+            ("t_start", number("t_start", self.t_start)), ("duration", duration(self.path, self.v_max, self.a_max)),
+        ):  # fmt: skip
+            object.__setattr__(self, name, value)
 
-    def at(self, t: TimeLike) -> tuple[Vector, Vector, Vector]:
+    def at(self, t: TimeLike) -> tuple[Array, Array, Array]:
         """Return point, velocity and acceleration of the reference.
 
         Before t_start it rests at the start of the path, after t_start + duration at its end.
@@ -119,39 +115,17 @@ class Reference:
         Raises:
             TaskError: t is no number or vector, or NaN.
         """
-        x, dx, ddx = sampled("t", t, self.rows, self._columns)
+        x, dx, ddx = sampled("t", t, self.rows)
         return x, dx, ddx
 
-    def _columns(self, t: Vector) -> Vector:
-        """Compute ``rows`` at times (k,) as (3, k, 3)."""
+    def rows(self, t: float) -> Array:
+        """Return X_d, dX_d, ddX_d as the rows of one (3, 3) array, for one time [s]; a TaskError where t is NaN."""
         u = (t - self.t_start) / self.duration
-        u[u <= 0.0], u[u >= 1.0] = 0.0, 1.0
-        if np.isnan(u).any():
-            raise TaskError(f"t = {float(t[np.isnan(u)][0])!r} is not a time: give seconds")
-        s = np.minimum(quintic(u)[0] * self.path.length, self.path.length)
-        return np.moveaxis(np.array(self._motion(u, self.path.points(s))), 2, 1)
-
-    def _motion(self, u: Any, place: tuple[Any, ...]) -> tuple[tuple[Any, Any, Any], ...]:
-        """Return X_d, dX_d, ddX_d at u, where the path has the nine numbers ``place``; numbers, or arrays of them."""
-        length = self.path.length
-        _, ds, dds = quintic(u)
-        v, a = ds * length / self.duration, dds * length / (self.duration * self.duration)
-        x, y, z, tx, ty, tz, cx, cy, cz = place
-        c = v * v
-        return (x, y, z), (v * tx, v * ty, v * tz), (a * tx + c * cx, a * ty + c * cy, a * tz + c * cz)
-
-    def rows(self, t: float) -> Vector:
-        """Return X_d, dX_d, ddX_d as the rows of one (3, 3) array, for one time [s].
-
-        Raises:
-            TaskError: t is NaN.
-        """
-        u = (t - self.t_start) / self.duration
-        if u <= 0.0:
-            u = 0.0
-        elif u >= 1.0:
-            u = 1.0
-        elif math.isnan(u):
+        if math.isnan(u):
             raise TaskError(f"t = {t!r} is not a time: give seconds")
         length = self.path.length
-        return np.array(self._motion(u, self.path.point(min(quintic(u)[0] * length, length))))
+        progress, ds, dds = quintic(min(max(u, 0.0), 1.0))
+        v, a = ds * length / self.duration, dds * length / (self.duration * self.duration)
+        x, y, z, tx, ty, tz, cx, cy, cz = self.path.point(min(progress * length, length))
+        c = v * v
+        return np.array([(x, y, z), (v * tx, v * ty, v * tz), (a * tx + c * cx, a * ty + c * cy, a * tz + c * cz)])

@@ -6,10 +6,11 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from moc_opt.arrays import Array
 from moc_opt.errors import TaskError
-from moc_opt.tasks.checks import TimeLike, Vector, direction3, number, positive, sampled, vector3
+from moc_opt.tasks.checks import TimeLike, direction3, number, positive, rows_of, sampled, vector3
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +34,7 @@ class Trocar:
     breathing_amplitude_m: float = 0.0
     breathing_period_s: float = 4.0
     direction: ArrayLike = (0.0, 0.0, 1.0)
-    _axes: tuple[tuple[float, float], ...] = field(init=False, repr=False)
+    _axes: list[tuple[float, float]] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         amplitude = number("breathing_amplitude_m", self.breathing_amplitude_m)
@@ -41,13 +42,13 @@ class Trocar:
             raise TaskError(f"breathing_amplitude_m = {amplitude!r} is negative: give zero or more (or turn direction)")
         point, direction = vector3("point", self.point), direction3("direction", self.direction)
         period = positive("breathing_period_s", self.breathing_period_s)
-        object.__setattr__(self, "point", point)
-        object.__setattr__(self, "direction", direction)
-        object.__setattr__(self, "breathing_amplitude_m", amplitude)
-        object.__setattr__(self, "breathing_period_s", period)
-        object.__setattr__(self, "_axes", tuple(zip(point.tolist(), direction.tolist(), strict=True)))
+        for name, value in (
+            ("point", point), ("direction", direction), ("breathing_amplitude_m", amplitude),
+            ("breathing_period_s", period), ("_axes", [*zip(point.tolist(), direction.tolist(), strict=True)]),
+        ):  # fmt: skip
+            object.__setattr__(self, name, value)
 
-    def at(self, t: TimeLike) -> tuple[Vector, Vector]:
+    def at(self, t: TimeLike) -> tuple[Array, Array]:
         """Return position and velocity of the trocar.
 
         Args:
@@ -59,14 +60,10 @@ class Trocar:
         Raises:
             TaskError: t is no number or vector, or not finite.
         """
-        steady = self.breathing_amplitude_m == 0.0 and isinstance(t, np.ndarray) and t.dtype == np.float64
-        if steady and np.ndim(t) == 1 and np.isfinite(t).all():  # one row serves for all times
-            p, dp = (np.tile(row, (np.size(t), 1)) for row in self.rows(0.0))
-            return p, dp
         p, dp = sampled("t", t, self.rows)
         return p, dp
 
-    def rows(self, t: float) -> Vector:
+    def rows(self, t: float) -> Array:
         """Return P_t and dP_t as the rows of one (2, 3) array, for one time [s].
 
         Raises:
@@ -81,7 +78,7 @@ class Trocar:
         return np.array(((x + away * a, y + away * b, z + away * c), (speed * a, speed * b, speed * c)))
 
 
-def shaft_distance(tip: ArrayLike, wrist: ArrayLike, p: ArrayLike) -> NDArray[np.float64]:
+def shaft_distance(tip: ArrayLike, wrist: ArrayLike, p: ArrayLike) -> Array:
     """Compute the RCM error d = |(P - X) x u|: how far the shaft's line passes from the trocar [m].
 
     u = (X - N)/|X - N| is the tool's direction.
@@ -103,7 +100,7 @@ def shaft_distance(tip: ArrayLike, wrist: ArrayLike, p: ArrayLike) -> NDArray[np
     return np.asarray(np.sqrt((b * f - c * e) ** 2 + (c * d - a * f) ** 2 + (a * e - b * d) ** 2))
 
 
-def depth(tip: ArrayLike, wrist: ArrayLike, p: ArrayLike) -> NDArray[np.float64]:
+def depth(tip: ArrayLike, wrist: ArrayLike, p: ArrayLike) -> Array:
     """Return how far the tip is beyond the trocar along the shaft, (X - P)^T u [m]; negative while outside the body.
 
     Arguments, shapes and errors as for `shaft_distance`.
@@ -112,17 +109,9 @@ def depth(tip: ArrayLike, wrist: ArrayLike, p: ArrayLike) -> NDArray[np.float64]
     return np.asarray(-(to_trocar * u).sum(axis=-1))
 
 
-def _shaft(tip: ArrayLike, wrist: ArrayLike, p: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return P - X and u, broadcast against each other, (..., 3)."""
-    rows = []
-    for name, value in (("tip", tip), ("wrist", wrist), ("p", p)):
-        try:
-            array = np.asarray(value, dtype=np.float64)
-        except (TypeError, ValueError) as error:
-            raise TaskError(f"{name} = {value!r} is not usable: give (3,) or (k, 3) numbers") from error
-        if array.ndim not in (1, 2) or array.shape[-1] != 3:
-            raise TaskError(f"{name} has shape {array.shape}: give (3,) or (k, 3)")
-        rows.append(array)
+def _shaft(tip: ArrayLike, wrist: ArrayLike, p: ArrayLike) -> tuple[Array, Array]:
+    named = {"tip": tip, "wrist": wrist, "p": p}
+    rows = [rows_of(name, value, "(3,) or (k, 3)", 1, 2) for name, value in named.items()]
     try:
         x, n, trocar = np.broadcast_arrays(*rows)
     except ValueError as error:

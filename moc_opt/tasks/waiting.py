@@ -12,12 +12,13 @@ is at most one over the longer of them.
 from __future__ import annotations
 
 import math
+from collections import deque
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from moc_opt.arrays import Array
 from moc_opt.errors import TaskError
-from moc_opt.numerics.arrays import Array
 from moc_opt.tasks.checks import positive
 from moc_opt.tasks.timelaw import Reference
 
@@ -41,24 +42,17 @@ class WaitingReference:
         brake = reference.a_max if brake_m_per_s2 is None else positive("brake_m_per_s2", brake_m_per_s2)
         # Rounded up: a longer average is a gentler one.
         long = max(1, math.ceil(reference.v_max / brake / self.period_s - 1e-9))
-        self.brake_s = long * self.period_s
-        """Length of the longer average [s]: one over the steepest slope of the rate."""
-        self._first, self._second = _MovingAverage(long), _MovingAverage(max(1, long // 2))
-        self.start()
-
-    @property
-    def settle_s(self) -> float:
+        self._lengths = long, max(1, long // 2)
+        self.brake_s = long * self.period_s  #: length of the longer average: one over the rate's steepest slope [s]
+        self.settle_s = sum(self._lengths) * self.period_s
         """Time from the last change of the answer until the path rests, or runs at its full rate [s]."""
-        return (self._first.length + self._second.length) * self.period_s
+        self.start()
 
     def start(self) -> None:
         """Go back to the start of the path, at rest."""
-        self._first.fill(0.0)
-        self._second.fill(0.0)
-        self.path_time = 0.0
-        """tau: how far the reference has been played [s]."""
-        self.rate = 0.0
-        """sigma: path seconds per second, 0 to 1."""
+        self._averages = [deque([0.0] * length, maxlen=length) for length in self._lengths]
+        self.path_time = 0.0  #: tau: how far the reference has been played [s]
+        self.rate = 0.0  #: sigma: path seconds per second, 0 to 1
 
     def step(self, go_on: bool) -> Array:
         """Return the reference of this tick, and go on to the next one.
@@ -69,11 +63,12 @@ class WaitingReference:
         Returns:
             (3, 3) rows X_d [m], dX_d [m/s], ddX_d [m/s^2] at the start of the tick.
         """
-        dt, rate = self.period_s, self.rate
-        later = self._second.push(self._first.push(1.0 if go_on else 0.0))
-        slope = (later - rate) / dt
+        dt, rate, later = self.period_s, self.rate, 1.0 if go_on else 0.0
+        for values in self._averages:  # summed anew: a running sum drifts, and a rate of 1e-17 would never be a stop
+            values.append(later)
+            later = math.fsum(values) / len(values)
         x, v, a = self.reference.rows(self.path_time)
-        rows = np.array([x, rate * v, rate * rate * a + slope * v])
+        rows = np.array([x, rate * v, rate * rate * a + (later - rate) / dt * v])
         # Exact for a rate that is a straight line, and an acceleration that is constant, over the tick.
         self.path_time += 0.5 * dt * (rate + later)
         self.rate = later
@@ -100,24 +95,6 @@ class WaitingReference:
             times[k] = self.path_time
             rows[k] = self.step(flag)
         return rows, times
-
-
-class _MovingAverage:
-    """Mean of the last `length` numbers."""
-
-    def __init__(self, length: int) -> None:
-        self.length = length
-        self.fill(0.0)
-
-    def fill(self, value: float) -> None:
-        self._values = [value] * self.length
-        self._slot = 0
-
-    def push(self, value: float) -> float:
-        self._values[self._slot] = value
-        self._slot = (self._slot + 1) % self.length
-        # Summed anew: a running sum drifts, and a rate of 1e-17 would never be a stop.
-        return math.fsum(self._values) / self.length
 
 
 def flags_at(times: ArrayLike, seen_times: ArrayLike, seen: ArrayLike) -> NDArray[np.bool_]:

@@ -1,37 +1,106 @@
-"""The required types of a trace's meta: pages and tables use its entries, and a trace may come from anywhere."""
+"""The meta of a trace: how the run ended, and the required type of each entry that pages and tables read.
+
+A trace may come from anywhere, so that the types are checked where one is made.
+"""
 
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Mapping
+from enum import StrEnum
 from typing import Any
+
+from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 
 from moc_opt.errors import TraceError, shown
 
-_NUMBER, _OR_NONE = (int, float), type(None)
 
-# A type, or several; a table of what its entries must be where they are there; a list of what each entry must be; a
-# table whose only key is "*": of what each entry must be.
-FORMS: Mapping[str, Any] = {
-    "ended": str, "robot": str, "mu_bound_method": str, "earlier_run": str,
-    "ticks": int, "ticks_planned": int, "period_s": _NUMBER, "stopped_at_s": _NUMBER,
-    "faults": {"*": {"count!": int, "first_at_s!": _NUMBER, "first!": str}},
-    "restarts": [{"at_s!": _NUMBER, "reason!": str}],
-    "warnings": [{"of!": str, "unit!": str, "level!": _NUMBER, "first_s!": _NUMBER, "largest!": _NUMBER}],
-    "scenario": {
-        "robot": {"name": str, "tool_length_m": (*_NUMBER, _OR_NONE), "tool_mass_kg": (*_NUMBER, _OR_NONE)},
-        "control": {"law": str, "third_level": str},
-    },
-    "best_courses": {
-        "absent": str,
-        "end": {
-            "mu!": _NUMBER, "top_mu!": _NUMBER, "top_swivel_deg!": _NUMBER, "at_limit!": bool, "best_mu!": _NUMBER,
-            "best_swivel_deg!": _NUMBER,
-        },
-    },
+class Ending(StrEnum):
+    """The ways in which a run ends: the first word of ``meta["ended"]``; the reason follows it ("stopped: the tip")."""
+
+    COMPLETED = "completed"
+    OSCILLATED = "oscillated"
+    STOPPED = "stopped"
+    RAN_AWAY = "ran away"
+    FAILED = "failed"
+    PART = "part"  #: Some of the ticks of a run; the text after it is the run's ending.
+
+    @classmethod
+    def of(cls, ended: str) -> Ending:
+        """Read the ending from the text of ``meta["ended"]``; a text that begins with none of the words is FAILED."""
+        return next((ending for ending in cls if ended.startswith(ending.value)), cls.FAILED)
+
+    @property
+    def whole(self) -> bool:
+        """Whether the task was driven to its end: only then do the run's figures enter a mean.
+
+        A run that oscillated was, and is counted beside the means.
+        """
+        return self in (Ending.COMPLETED, Ending.OSCILLATED)
+
+
+class _Form(BaseModel):
+    model_config = ConfigDict(strict=True, extra="forbid", allow_inf_nan=False)
+
+
+class _Fault(_Form):
+    count: int
+    first_at_s: float
+    first: str
+
+
+class _Restart(_Form):
+    at_s: float
+    reason: str
+
+
+class _Warning(_Form):
+    of: str
+    unit: str
+    level: float
+    first_s: float
+    largest: float
+
+
+class _End(_Form):
+    mu: float
+    top_mu: float
+    top_swivel_deg: float
+    at_limit: bool
+    best_mu: float
+    best_swivel_deg: float
+
+
+class _Robot(_Form, extra="allow"):
+    name: str = ""
+    tool_length_m: float | None = None
+    tool_mass_kg: float | None = None
+
+
+class _Control(_Form, extra="allow"):
+    law: str = ""
+    third_level: str = ""
+
+
+class _Scenario(_Form, extra="allow"):
+    robot: _Robot = _Robot()
+    control: _Control = _Control()
+
+
+class _BestCourses(_Form, extra="allow"):
+    absent: str = ""
+    end: _End | None = None
+
+
+FORMS: Mapping[str, TypeAdapter[Any]] = {
+    name: TypeAdapter(form, config=None if form is _Scenario or form is _BestCourses else _Form.model_config)
+    for name, form in {
+        "ended": str, "robot": str, "mu_bound_method": str, "ticks": int, "ticks_planned": int, "period_s": float,
+        "stopped_at_s": float, "faults": dict[str, _Fault], "restarts": list[_Restart], "warnings": list[_Warning],
+        "scenario": _Scenario, "best_courses": _BestCourses,
+    }.items()
 }  # fmt: skip
-"""Entry -> its form. A name that ends in "!" must be there, and a table that has such names has no others."""
+"""Entry -> what it must be."""
 
 
 def plain(meta: Mapping[str, Any]) -> dict[str, Any]:
@@ -61,41 +130,10 @@ def check_entry(name: str, value: Any) -> None:
     Raises:
         TraceError: it is not what its reader takes it for.
     """
-    if name in FORMS and (wrong := _misfit(value, FORMS[name], f"meta[{name!r}]")):
-        raise TraceError(wrong)
-
-
-def _misfit(value: Any, form: Any, where: str) -> str:
-    """Say what has not this form; "" where all has."""
-    if isinstance(form, list):
-        pairs = [(f"{where}[{i}]", each, form[0]) for i, each in enumerate(value)] if isinstance(value, list) else None
-    elif isinstance(form, Mapping):
-        pairs = _entries(value, form, where) if isinstance(value, Mapping) else None
-    elif not isinstance(value, form) or (isinstance(value, bool) and form is not bool):
-        pairs = None
-    else:
-        pairs = [] if not isinstance(value, float) or math.isfinite(value) else None
-    if pairs is None:
-        return f"{where} = {shown(value)}: give {_words(form)}"
-    return next((wrong for place, entry, of in pairs if (wrong := _misfit(entry, of, place))), "")
-
-
-def _entries(value: Mapping[str, Any], form: Mapping[str, Any], where: str) -> list[tuple[str, Any, Any]] | None:
-    if "*" in form:
-        return [(f"{where}[{key!r:.80}]", entry, form["*"]) for key, entry in value.items()]
-    needed = {key[:-1] for key in form if key.endswith("!")}
-    if needed and set(value) != needed:
-        return None
-    named = {key.rstrip("!"): of for key, of in form.items()}
-    return [(f"{where}[{key!r}]", value[key], of) for key, of in named.items() if key in value]
-
-
-def _words(form: Any) -> str:
-    if isinstance(form, list):
-        return "a list"
-    if isinstance(form, Mapping):
-        names = [key.rstrip("!") for key in form if key != "*"]
-        return f"a table with {', '.join(names)}" if names else "a table"
-    kinds = form if isinstance(form, tuple) else (form,)
-    said = {int: "an integer", float: "a finite number", str: "a text", bool: "true or false", _OR_NONE: "null"}
-    return " or ".join(said[kind] for kind in kinds)
+    if name in FORMS:
+        try:
+            FORMS[name].validate_python(value)
+        except ValidationError as error:
+            wrong = error.errors()[0]
+            where = "".join(f"[{key!r:.80}]" for key in (name, *wrong["loc"]))
+            raise TraceError(f"meta{where} = {shown(wrong['input'])}: {wrong['msg'].lower()}") from error

@@ -42,8 +42,7 @@ Flags = Sequence[bool] | NDArray[np.bool_]
 
 LIMIT_RAD_PER_S = 0.2
 LIMIT_NM = 10.0
-LIMIT_M_PER_S, LIMIT_N = 0.08, 100.0
-"""Of a joint that slides."""
+LIMIT_M_PER_S, LIMIT_N = 0.08, 100.0  #: Of a joint that slides.
 PARTS, LOUDEST, KEPT_UP = 8, 2, 0.5
 """Of so many parts of the worst window the loudest ones are left out, and the rest holds this share of a limit."""
 ABOVE_HZ = 8.0
@@ -55,14 +54,10 @@ SHORTEST_S = 1e-6
 class Shaking(NamedTuple):
     """The largest oscillation of a run."""
 
-    joint: int
-    """its number, from 0"""
-    rms: float
-    """root mean square above ABOVE_HZ, of the worst window, in the column's unit"""
-    frequency_Hz: float
-    """at which its spectrum above ABOVE_HZ is largest there"""
-    rest: float
-    """root mean square of that window without its loudest quarter"""
+    joint: int  #: its number, from 0
+    rms: float  #: root mean square above ABOVE_HZ, of the worst window, in the column's unit
+    frequency_Hz: float  #: at which its spectrum above ABOVE_HZ is largest there
+    rest: float  #: root mean square of that window without its loudest quarter
 
     def above(self, limit: float) -> bool:
         """Say whether it is an oscillation beyond a limit on ``rms``, and no jerk."""
@@ -113,7 +108,6 @@ def shaking(trace: Trace, column: str, limits: ArrayLike | None = None) -> Shaki
 
 
 def _at(fast: Floats, squares: Floats, shares: Floats, period: float) -> Shaking:
-    """Look at the window with the largest share."""
     window = len(fast) - len(squares) + 1
     row, joint = (int(i) for i in np.unravel_index(np.argmax(shares), shares.shape))
     worst = fast[row : row + window, joint]
@@ -155,11 +149,6 @@ def judged_for_oscillation(trace: Trace, joint_names: Sequence[str], slides: Fla
 
     Where the safety filter stopped it and a joint had oscillated before, "stopped: ..." goes on to say so. In a run
     that ends within half a window after its start nothing is told from a jerk: it stays as it is.
-
-    Args:
-        trace: as it was recorded.
-        joint_names: of every joint.
-        slides: whether it slides, of every joint.
     """
     ended, stopped_s = trace.meta.get("ended"), trace.meta.get("stopped_at_s")
     # A stop begins with a jerk of its own.

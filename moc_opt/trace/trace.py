@@ -1,8 +1,12 @@
-"""The record of a run: one row per control tick, saved as Parquet."""
+"""The record of a run: one row per control tick; as others read it, a pandas table, an xarray dataset, a figure.
+
+pandas, xarray and the figures are imported when they are asked for, never before.
+"""
 
 from __future__ import annotations
 
 import difflib
+import importlib
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from types import MappingProxyType
@@ -11,14 +15,13 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from moc_opt.arrays import read_only
 from moc_opt.errors import TraceError, shown
-from moc_opt.numerics.arrays import read_only
-from moc_opt.trace import parquet as trace_file
-from moc_opt.trace import views
-from moc_opt.trace import writer as trace_writer
-from moc_opt.trace.columns import COLUMNS, Column, check_column, column
-from moc_opt.trace.ending import Ending
-from moc_opt.trace.meta import plain
+from moc_opt.inputs.files import to_json
+from moc_opt.inputs.names import table_html
+from moc_opt.trace import file
+from moc_opt.trace.columns import COLUMNS, Column, column
+from moc_opt.trace.meta import Ending, plain
 
 if TYPE_CHECKING:  # what a notebook completes after plot(), to_pandas() and to_xarray()
     from pandas import DataFrame
@@ -70,17 +73,13 @@ class Trace:
         first = next(iter(checked), "")
         for name, array in checked.items():
             if len(array) != len(checked[first]):
-                raise TraceError(
-                    f"column {name!r} has {len(array)} rows where {first!r} has {len(checked[first])}: "
-                    "give one row per tick"
-                )
+                rows = f"{len(array)} rows where {first!r} has {len(checked[first])}"
+                raise TraceError(f"column {name!r} has {rows}: give one row per tick")
         object.__setattr__(self, "columns", MappingProxyType(checked))
         object.__setattr__(self, "meta", MappingProxyType(plain(meta or {})))
 
     def __len__(self) -> int:
         """Number of ticks."""
-        if isinstance(self.columns, trace_file.Stored):
-            return self.columns.rows
         return len(next(iter(self.columns.values()), ()))
 
     def __getattr__(self, name: str) -> NDArray[Any]:
@@ -94,21 +93,19 @@ class Trace:
             raise MissingDataError(f"the trace has no column {name!r}; it has {', '.join(near)}") from None
 
     def __setattr__(self, name: str, value: object) -> None:
-        """Refuse: a trace is frozen."""
         raise AttributeError(f"a trace is frozen: use with_columns({name}=...) to get a new one")
 
     def __reduce__(self) -> tuple[type[Trace], tuple[dict[str, NDArray[Any]], dict[str, Any]]]:
-        """Pickle through the constructor: the read-only views themselves cannot be."""
         return Trace, (dict(self.columns), dict(self.meta))
 
     def __repr__(self) -> str:
-        known = views.about(self)
-        about = [f"{known.pop('ticks')} ticks", *known.values()]
-        return f"Trace({', '.join(about)}: {', '.join(self.columns)})"
+        known = about(self)
+        facts = [f"{known.pop('ticks')} ticks", *known.values()]
+        return f"Trace({', '.join(facts)}: {', '.join(self.columns)})"
 
     def _repr_html_(self) -> str:
-        """Return HTML for a notebook."""
-        return views.html(self)
+        units = [f"{name} [{COLUMNS[name].unit}]" if name in COLUMNS else name for name in self.columns]
+        return table_html("Trace", {**about(self), "columns": ", ".join(units)})
 
     def __dir__(self) -> Iterable[str]:
         """List methods and columns: a notebook completes both."""
@@ -189,12 +186,13 @@ class Trace:
             >>> trace.plot(["mu"], name="MOC").layout.xaxis.title.text
             'time [s]'
         """
+        from moc_opt.figures import time_series
+
         if beside is not None and not isinstance(beside, Trace):
             raise TraceError(f"plot: beside = {shown(beside)}: give a Trace, such as load_trace(path)")
         if not isinstance(name, str):
             raise TraceError(f"plot: name = {shown(name)}: give a text")
-        runs = {name: self} if beside is None else {"baseline": beside, name: self}
-        return views.figure(runs, columns)
+        return time_series({name: self} if beside is None else {"baseline": beside, name: self}, columns)
 
     def to_pandas(self) -> DataFrame:
         """Return a pandas.DataFrame, one row a tick, indexed by `t_s`; `attrs` holds `meta`.
@@ -208,7 +206,18 @@ class Trace:
             >>> mo.Trace({"t_s": [0.0, 0.002], "tip_m": [[0.1, 0.2, 0.3]] * 2}).to_pandas().columns.tolist()
             ['tip_m_x', 'tip_m_y', 'tip_m_z']
         """
-        return views.frame(self)
+        pandas = _package("pandas")
+        columns: dict[str, NDArray[Any]] = {}
+        for name, array in self.columns.items():
+            if array.ndim == 2:
+                columns |= {f"{name}_{part}": array[:, k] for k, part in enumerate(_parts(name, array.shape[1]))}
+            elif name != "t_s":
+                columns[name] = array
+        t = self.columns.get("t_s")
+        index = pandas.RangeIndex(len(self), name="row") if t is None else pandas.Index(t, name="t_s")
+        made = pandas.DataFrame(columns, index=index)
+        made.attrs = dict(self.meta)
+        return made
 
     def to_xarray(self) -> Dataset:
         """Return an xarray.Dataset over `t_s`, `joint` and `axis`; each variable has its unit and meaning.
@@ -220,7 +229,30 @@ class Trace:
             >>> mo.Trace({"t_s": [0.0, 0.002], "tip_m": [[0.1, 0.2, 0.3]] * 2}).to_xarray().tip_m.dims
             ('t_s', 'axis')
         """
-        return views.dataset(self)
+        xarray = _package("xarray")
+        rows = "t_s" if "t_s" in self.columns else "row"
+        variables: dict[str, Any] = {}
+        coordinates: dict[str, Any] = {}
+        for name, array in self.columns.items():
+            known = COLUMNS.get(name)
+            words = {} if known is None else {"units": known.unit, "long_name": known.meaning}
+            if name == "t_s":
+                coordinates[name] = ("t_s", array, words)
+                continue
+            dimensions = [rows]
+            if array.ndim == 2:
+                parts = _parts(name, array.shape[1])
+                shape = "" if known is None else known.shape
+                second = {"(N, n)": "joint", "(N, 3)": "axis"}.get(shape, f"{name}_entry")
+                dimensions.append(second)
+                coordinates.setdefault(second, list(parts))
+            variables[name] = (dimensions, array, words)
+        # Attributes of a NetCDF file are texts and numbers: what is nested goes as JSON.
+        attributes = {
+            key: value if isinstance(value, str | int | float) else to_json(value, indent=None)
+            for key, value in self.meta.items()
+        }
+        return xarray.Dataset(variables, coordinates, attributes)
 
     def head(self, ticks: int) -> Trace:
         """Return the trace of the first ticks, all where it has no more; ``meta`` as of `select`.
@@ -234,15 +266,10 @@ class Trace:
         """
         if isinstance(ticks, bool) or not isinstance(ticks, int | np.integer) or ticks < 0:
             raise TraceError(f"head: ticks = {shown(ticks)}: give an integer of 0 or more")
-        columns: Mapping[str, NDArray[Any]]
-        if isinstance(self.columns, trace_file.Stored):
-            columns = self.columns.head(ticks)
-        else:
-            columns = MappingProxyType({name: array[:ticks] for name, array in self.columns.items()})
+        columns = MappingProxyType({name: array[:ticks] for name, array in self.columns.items()})
         return self._of(columns, self.meta)._as_part_of(self)
 
     def _as_part_of(self, run: Trace) -> Trace:
-        """Say in ``meta`` that these are some of the run's ticks, where they are not all."""
         if len(self) == len(run):
             return self
         told: dict[str, Any] = {"ticks": len(self)} if "ticks" in self.meta else {}
@@ -267,28 +294,7 @@ class Trace:
         return self._of(self.columns, MappingProxyType(plain({**self.meta, **values})))
 
     @classmethod
-    def of_files(cls, columns: trace_file.Stored, meta: Mapping[str, Any]) -> Trace:
-        """Return a trace whose columns stay in their files: what `open` makes of what it found.
-
-        Args:
-            columns: of `moc_opt.trace.parquet`, each read whenever it is asked for.
-            meta: as for the constructor.
-
-        Raises:
-            TraceError: as for the constructor.
-
-        Example:
-            >>> mo.Trace({"t_s": [0.0, 0.002]}).save("run.parquet")
-            >>> mo.Trace.of_files(mo.Trace.open("run.parquet").columns, {}).t_s.tolist()
-            [0.0, 0.002]
-        """
-        for name, dtype in columns.types.items():
-            check_column(_name(name), dtype, columns.shape(name))
-        return cls._of(columns, MappingProxyType(plain(meta)))
-
-    @classmethod
     def _of(cls, columns: Mapping[str, NDArray[Any]], meta: Mapping[str, Any]) -> Trace:
-        """Make a trace of columns and meta that were checked before."""
         made = object.__new__(cls)
         object.__setattr__(made, "columns", columns)
         object.__setattr__(made, "meta", meta)
@@ -297,8 +303,7 @@ class Trace:
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write a Parquet file, all or nothing: an older file of that name stays until the new one is there.
 
-        Numbers of shape (N, k) become fixed-size lists, texts are dictionary-encoded, meta is JSON in the
-        schema's metadata under "moc_opt.meta".
+        Numbers of shape (N, k) become arrays of width k, meta is JSON in the file's metadata under "moc_opt.meta".
 
         Raises:
             TraceError: the file cannot be written.
@@ -306,57 +311,37 @@ class Trace:
         Example:
             >>> mo.Trace({"t_s": [0.0, 0.002]}).save("run.parquet")
         """
-        trace_file.write(path, self.columns, self.meta)
+        file.write(path, self.columns, self.meta)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Trace:
         """Read what `save` wrote, the same to the last bit.
 
         Raises:
-            TraceError: the file is missing, damaged, no trace, or too large for the memory: see `open`.
+            TraceError: the file is missing, damaged, or no trace.
 
         Example:
             >>> mo.Trace({"t_s": [0.0, 0.002]}).save("run.parquet")
             >>> mo.Trace.load("run.parquet").t_s.tolist()
             [0.0, 0.002]
         """
-        whole, meta = trace_writer.found(path)
-        return cls(*trace_file.read(path)) if meta is None else cls(dict(whole), meta)
-
-    @classmethod
-    def open(cls, path: str | os.PathLike[str]) -> Trace:
-        """Read what `save` wrote, column by column: each is read from the file whenever it is asked for.
-
-        Of a run whose process was killed the rows that had been written are found beside the file's name, and
-        ``meta["ended"]`` says so.
-
-        Raises:
-            TraceError: as for `load`; a damaged column may show only when it is asked for.
-
-        Example:
-            >>> mo.Trace({"t_s": [0.0, 0.002]}).save("run.parquet")
-            >>> len(mo.Trace.open("run.parquet"))
-            2
-        """
-        columns, meta = trace_writer.found(path)
-        return cls.of_files(columns, columns.meta if meta is None else meta)
+        return cls(*file.read(path))
 
 
 def _name(name: str) -> str:
-    """Return the name of a column, if it can be one."""
     if not isinstance(name, str) or not name.isidentifier() or name[0] == "_" or hasattr(Trace, name):
         raise TraceError(f"column {name!r}: give a name that can follow 'trace.' and is not taken there")
     return name
 
 
 def load_trace(path: str | os.PathLike[str]) -> Trace:
-    """Read a saved trace whole; see `Trace.load`, and `Trace.open` for one that is larger than the memory.
+    """Read a saved trace; see `Trace.load`.
 
     Args:
         path: of a file that `Trace.save`, or a command's ``--trace``, wrote.
 
     Raises:
-        TraceError: the file is missing, damaged, no trace, or too large for the memory.
+        TraceError: the file is missing, damaged, or no trace.
 
     Example:
         >>> mo.Trace({"t_s": [0.0, 0.002]}, {"operator": "A. B."}).save("run.parquet")
@@ -364,3 +349,34 @@ def load_trace(path: str | os.PathLike[str]) -> Trace:
         'A. B.'
     """
     return Trace.load(path)
+
+
+def table(of: Mapping[str, Any], name: str) -> dict[str, Any]:
+    """Return a table of the meta; an empty one where a foreign file has something else in its place."""
+    found = of.get(name)
+    return found if isinstance(found, dict) else {}
+
+
+def about(trace: Trace) -> dict[str, str]:
+    """Return the main facts of a run, name -> text; entries that `meta` lacks are left out."""
+    meta = trace.meta
+    scenario = table(meta, "scenario")
+    control, solver = table(scenario, "control"), table(scenario, "solver")
+    law = "dcac" if control.get("law") == "dcac" else solver.get("name")
+    known = {"scenario": scenario.get("name"), "robot": meta.get("robot"), "solver": law, "ended": meta.get("ended")}
+    length = {"ticks": str(len(trace))}
+    if isinstance(period := meta.get("period_s"), float):
+        length["duration"] = f"{len(trace) * period:.3f} s"
+    return {**length, **{name: str(value) for name, value in known.items() if value}}
+
+
+def _parts(name: str, width: int) -> Sequence[Any]:
+    known = COLUMNS.get(name)
+    return ("x", "y", "z") if known is not None and known.shape == "(N, 3)" else np.arange(width).tolist()
+
+
+def _package(name: str) -> Any:
+    try:
+        return importlib.import_module(name)
+    except ImportError as error:
+        raise TraceError(f"{name} is not installed: pip install 'moc-opt[dataframes]'") from error

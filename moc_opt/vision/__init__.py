@@ -1,7 +1,7 @@
-"""The paper's augmented reality: camera, board, pose, tracking, and the task drawn into the picture.
+"""The paper's operative procedure: augmented reality, hand guiding, and the checks before anything moves.
 
-Read first: ``augmented_reality`` (all of it put together), then ``board`` and ``pose`` (geometry), ``camera``
-and ``image_source`` (where pictures come from: ``render`` by MuJoCo, ``pinhole`` without GL), ``markers``
-(finding the board, needs the extra ``vision``), ``tracking`` and ``overlay``. No room of moc_opt imports it;
-benchmarks.paper does.
+- ``augmented_reality``: all of the camera's side put together; read it first
+- ``settings``, ``pose``, ``board``, ``camera``, ``tracking``, ``overlay``: its parts (OpenCV, the extra ``vision``)
+- ``hands_on``: the trocar is registered by guiding the tool by hand
+- ``preflight``: whether a start and a path can be done, and random starts; ``scenario`` needs this one alone
 """

@@ -1,4 +1,4 @@
-"""A marker board and the virtual tasks defined on it: geometry only, no picture and no camera.
+"""A marker board and the virtual tasks defined on it: no picture and no camera.
 
 The board's frame: origin in the middle of the board, x to the right along its rows of markers, y upwards, z out
 of the printed side, towards whoever looks at it.
@@ -8,53 +8,53 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from types import MappingProxyType
+from typing import ClassVar, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
+from pydantic import Field, model_validator
 
+from moc_opt.arrays import Array
 from moc_opt.errors import TaskError, UnknownNameError
-from moc_opt.numerics.arrays import Array
 from moc_opt.tasks import Path, make_path
-from moc_opt.tasks.checks import Vector, direction3, number, positive, vector3
+from moc_opt.tasks.checks import direction3, positive, vector3
 from moc_opt.vision.pose import Pose
+from moc_opt.vision.settings import VisionSettings
 
 
-@dataclass(frozen=True)
-class Board:
-    """A grid of square markers, numbered row by row from the top left.
+class Board(VisionSettings):
+    """A grid of square markers in the phantom, numbered row by row from the top left, and what hides it."""
 
-    Args:
-        columns: markers in a row.
-        rows: rows of markers.
-        marker_m: side of a marker [m].
-        gap_m: white space between two markers, and around all of them [m].
-        first_id: number of the top left marker in its dictionary.
+    KIND: ClassVar[str] = "[board]"
 
-    Raises:
-        TaskError: a count is not a whole number above zero, or a size is not positive and finite.
-    """
+    columns: int = Field(5, ge=1, le=20)
+    rows: int = Field(4, ge=1, le=20)
+    marker_m: float = Field(0.020, gt=0.0, le=0.5, description="side of a marker")
+    gap_m: float = Field(0.005, gt=0.0, le=0.5, description="white space between markers, and around them")
+    hidden_fraction: float = Field(0.0, ge=0.0, le=1.0, description="of the markers, covered by something")
+    lost_s: tuple[tuple[float, float], ...] = Field(
+        (), description="[from, until] in seconds: nothing of the board can be seen"
+    )
 
-    columns: int = 5
-    rows: int = 4
-    marker_m: float = 0.020
-    gap_m: float = 0.005
-    first_id: int = 0
+    @model_validator(mode="after")
+    def _in_order(self) -> Self:
+        for start, end in self.lost_s:
+            if not 0.0 <= start < end:
+                raise ValueError(f"lost_s = {[start, end]}: give [from, until] with 0 <= from < until")
+        if self.columns * self.rows > 250:
+            raise ValueError(f"columns x rows = {self.columns * self.rows}: the dictionary has 250 markers")
+        return self
 
-    def __post_init__(self) -> None:
-        for name, least in (("columns", 1), ("rows", 1), ("first_id", 0)):
-            value = getattr(self, name)
-            if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < least:
-                raise TaskError(f"{name} = {value!r}: give a whole number, {least} or more")
-            object.__setattr__(self, name, int(value))
-        for name in ("marker_m", "gap_m"):
-            object.__setattr__(self, name, positive(name, getattr(self, name)))
+    def is_lost(self, t: float) -> bool:
+        """Return whether nothing of the board can be seen at time t [s]."""
+        return any(start <= t < end for start, end in self.lost_s)
 
     @property
     def ids(self) -> range:
         """Numbers of the markers in their dictionary."""
-        return range(self.first_id, self.first_id + self.columns * self.rows)
+        return range(self.columns * self.rows)
 
     @property
     def size_m(self) -> tuple[float, float]:
@@ -63,14 +63,8 @@ class Board:
         return self.columns * pitch + self.gap_m, self.rows * pitch + self.gap_m
 
     def corners(self, marker: int) -> Array:
-        """Return the corners (4, 3) of a marker in the board's frame [m]: top left, then clockwise as seen.
-
-        Raises:
-            TaskError: the board has no such marker.
-        """
-        if marker not in self.ids:
-            raise TaskError(f"marker = {marker!r}: this board has {self.ids.start} to {self.ids.stop - 1}")
-        row, column = divmod(marker - self.first_id, self.columns)
+        """Return the corners (4, 3) of a marker in the board's frame [m]: top left, then clockwise as seen."""
+        row, column = divmod(marker, self.columns)
         width, height = self.size_m
         pitch = self.marker_m + self.gap_m
         left = -0.5 * width + self.gap_m + column * pitch
@@ -112,68 +106,39 @@ class Board:
 
 @dataclass(frozen=True, eq=False)
 class BoardTask:
-    """A virtual task, defined on a board: a path in a plane parallel to it.
+    """A virtual task, defined on a board: a path in a plane parallel to it."""
 
-    Args:
-        kind: kind of path, see `moc_opt.tasks.make_path`.
-        sizes: of the path, lengths in m.
-        start_m: where it begins on the board, x and y [m].
-        heading_deg: its first axis, counter-clockwise from the board's x.
-        height_m: of its plane above the board [m], so that the tip does not touch what it follows.
-        depth_m: how far below the trocar the board lies, for placing the phantom [m].
-
-    Raises:
-        UnknownNameError: no such kind of path or size.
-        TaskError: a number is not usable.
-    """
-
-    kind: str
-    sizes: Mapping[str, float]
-    start_m: tuple[float, float] = (0.0, 0.0)
-    heading_deg: float = 0.0
-    height_m: float = 0.005
-    depth_m: float = 0.15
-    _path: Path = field(init=False, repr=False)
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "sizes", MappingProxyType(dict(self.sizes)))
-        angle = math.radians(number("heading_deg", self.heading_deg))
-        if number("height_m", self.height_m) < 0.0:
-            raise TaskError(f"height_m = {self.height_m!r} is below the board: give zero or more")
-        if len(self.start_m) != 2:
-            raise TaskError(f"start_m = {self.start_m!r}: give x and y on the board [m]")
-        positive("depth_m", self.depth_m)
-        start = vector3("start_m, height_m", (*self.start_m, self.height_m))
-        heading = (math.cos(angle), math.sin(angle), 0.0)
-        path = make_path(self.kind, start, normal=(0.0, 0.0, 1.0), heading=heading, **self.sizes)
-        object.__setattr__(self, "_path", path)
+    kind: str  #: of path, see `moc_opt.tasks.make_path`
+    sizes: Mapping[str, float]  #: of the path, lengths in m
+    start_m: tuple[float, float] = (0.0, 0.0)  #: where it begins on the board, x and y [m]
+    heading_deg: float = 0.0  #: its first axis, counter-clockwise from the board's x
+    height_m: float = 0.005  #: of its plane above the board, so that the tip does not touch what it follows [m]
+    depth_m: float = 0.15  #: how far below the trocar the board lies, for placing the phantom [m]
 
     def on_board(self) -> Path:
-        """Return the path in the board's own frame."""
-        return self._path
+        """Return the path in the board's own frame.
+
+        Raises:
+            UnknownNameError: no such kind of path or size.
+            TaskError: a number is not usable.
+        """
+        angle = math.radians(self.heading_deg)
+        heading = (math.cos(angle), math.sin(angle), 0.0)
+        start = (*self.start_m, self.height_m)
+        return make_path(self.kind, start, normal=(0.0, 0.0, 1.0), heading=heading, **self.sizes)
 
 
-BOARD_TASKS: Mapping[str, BoardTask] = MappingProxyType(
-    {
-        # 4 cm across, about the middle of the board.
-        "circle": BoardTask("circle", {"radius": 0.02}, start_m=(0.0, -0.02), depth_m=0.15),
-        # 4 cm long, 2 cm from crest to trough.
-        "sinusoid": BoardTask(
-            "sinusoid", {"amplitude": 0.01, "wavelength": 0.02, "periods": 2.0}, start_m=(-0.02, 0.0), depth_m=0.12
-        ),
-        # 3 cm across, from the middle outwards.
-        "spiral": BoardTask("spiral", {"turns": 2.0, "radius": 0.015}, depth_m=0.20),
-    }
-)
+_WAVES = {"amplitude": 0.01, "wavelength": 0.02, "periods": 2.0}
+BOARD_TASKS: Mapping[str, BoardTask] = MappingProxyType({
+    "circle": BoardTask("circle", {"radius": 0.02}, start_m=(0.0, -0.02), depth_m=0.15),
+    "sinusoid": BoardTask("sinusoid", _WAVES, start_m=(-0.02, 0.0), depth_m=0.12),
+    "spiral": BoardTask("spiral", {"turns": 2.0, "radius": 0.015}, depth_m=0.20),
+})  # fmt: skip
 """The three virtual tasks: 2 to 4 cm in size, on a board 12 to 20 cm below the trocar."""
 
 
 def board_task(name: str) -> BoardTask:
-    """Look up a preset of `BOARD_TASKS`.
-
-    Raises:
-        UnknownNameError: none of that name.
-    """
+    """Look up a preset of `BOARD_TASKS`; an UnknownNameError where none of that name."""
     if name not in BOARD_TASKS:
         raise UnknownNameError("virtual task", str(name), BOARD_TASKS)
     return BOARD_TASKS[name]
@@ -191,13 +156,9 @@ def board_below(trocar: ArrayLike, shaft: ArrayLike, depth_m: float, *, x_axis: 
     Raises:
         TaskError: a number is not usable, or `x_axis` is along the shaft.
     """
-    into: Vector = direction3("shaft", shaft)
-    along = direction3("x_axis", x_axis)
+    into, along = direction3("shaft", shaft), direction3("x_axis", x_axis)
     inside = along - (along @ into) * into
     if math.sqrt(float(inside @ inside)) < 1e-6:
         raise TaskError(f"x_axis = {x_axis!r} is along the shaft {shaft!r}: choose another")
-    x = direction3("x_axis", inside)
-    return Pose(
-        np.stack([x, np.cross(-into, x), -into], axis=1),
-        vector3("trocar", trocar) + positive("depth_m", depth_m) * into,
-    )
+    x, place = direction3("x_axis", inside), vector3("trocar", trocar) + positive("depth_m", depth_m) * into
+    return Pose(np.stack([x, np.cross(-into, x), -into], axis=1), place)

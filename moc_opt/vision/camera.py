@@ -1,21 +1,30 @@
-"""The endoscope's camera: a pinhole with its place in the robot's base frame, and its blur and noise."""
+"""The endoscope's camera: a pinhole with its place in the base frame, and the pictures that it takes of a scene."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
+from functools import lru_cache
+from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from moc_opt.errors import PlantError
-from moc_opt.numerics.arrays import Array
+from moc_opt.arrays import Array
+from moc_opt.vision.board import Board
 from moc_opt.vision.pose import Pose, looking_at, rotation_from
 from moc_opt.vision.settings import CameraSettings
 
 Picture = NDArray[np.uint8]
+Shaft = Callable[[Array], tuple[Array, Array]]
+
+TISSUE, COVER, STEEL = (92, 100, 178), (70, 60, 150), (150, 148, 145)  # blue, green, red
+SHAFT_RADIUS_M = 0.004  # of the tool as it is drawn
+_MARKER_BITS = 6  # 4 x 4 bits and a black frame around them
+_CELL_PX = 16  # pixels along one of them, as the board is printed
+_FINER = 2  # pixels drawn for each pixel of the picture, each way: the markers' edges come out smooth
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,21 +35,11 @@ class Camera:
     camera_in_base: Pose
 
     @property
-    def focal_px(self) -> float:
-        """Focal length [px], the same both ways."""
-        return 0.5 * self.settings.height_px / math.tan(0.5 * math.radians(self.settings.fov_deg))
-
-    @property
     def matrix(self) -> Array:
         """K (3, 3). A pixel's number is its middle, so the view's axis is at (W - 1)/2, (H - 1)/2, not W/2, H/2."""
-        f = self.focal_px
-        return np.array(
-            [
-                [f, 0.0, 0.5 * self.settings.width_px - 0.5],
-                [0.0, f, 0.5 * self.settings.height_px - 0.5],
-                [0.0, 0.0, 1.0],
-            ]
-        )
+        width, height = self.size_px
+        f = 0.5 * height / math.tan(0.5 * math.radians(self.settings.fov_deg))
+        return np.array([[f, 0.0, 0.5 * width - 0.5], [0.0, f, 0.5 * height - 0.5], [0.0, 0.0, 1.0]])
 
     @property
     def size_px(self) -> tuple[int, int]:
@@ -73,61 +72,123 @@ class Camera:
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """What the camera looks at.
+    """What the camera looks at."""
 
-    Args:
-        board_in_base: where the board truly is.
-        hidden: numbers of the markers that are covered by something.
-        dark: nothing can be seen of the board (smoke, blood on the lens, the camera turned away).
-        q: (n,) pose of the arm [rad], whose tool can be in the way; None: no arm.
-    """
-
-    board_in_base: Pose
-    hidden: frozenset[int] = frozenset()
-    dark: bool = False
-    q: Array | None = None
-
-
-class View(Protocol):
-    """A source of pictures."""
-
-    @property
-    def camera(self) -> Camera:
-        """The true camera."""
-
-    def picture(self, scene: Scene) -> Picture:
-        """Take the camera's picture (H, W, 3), blue green red, blurred and noisy."""
-
-
-class Sensor:
-    """Blur of the lens, then noise of the sensor; the same for every source of pictures."""
-
-    def __init__(self, settings: CameraSettings, seed: int) -> None:
-        """Begin the noise."""
-        self._settings, self._rng = settings, np.random.default_rng(seed)
-
-    def expose(self, picture: Picture) -> Picture:
-        """Return a blurred and noisy copy (H, W, 3)."""
-        blur, noise = self._settings.blur_px, self._settings.noise
-        if blur > 0.0:
-            picture = np.asarray(cv2.GaussianBlur(picture, (0, 0), blur), dtype=np.uint8)
-        if noise > 0.0:
-            # One grain for all three colours: it is the grey levels that are looked at.
-            grain = np.rint(noise * self._rng.standard_normal(picture.shape[:2], dtype=np.float32))
-            bright = picture.astype(np.int16) + grain.astype(np.int16)[:, :, None]
-            picture = np.clip(bright, 0, 255).astype(np.uint8)
-        return picture
+    board_in_base: Pose  #: where the board truly is
+    hidden: frozenset[int] = frozenset()  #: numbers of the markers that are covered by something
+    dark: bool = False  #: nothing can be seen of the board (smoke, blood on the lens, the camera turned away)
+    q: Array | None = None  #: (n,) pose of the arm [rad], whose tool can be in the way; None: no arm
 
 
 def hide(ids: range, fraction: float, seed: int) -> frozenset[int]:
-    """Draw which markers are covered: the whole number nearest to `fraction` of them.
+    """Draw which markers are covered: the whole number nearest to `fraction` (0 to 1) of them.
 
     A larger fraction of the same seed covers the same ones and more.
-
-    Raises:
-        PlantError: the fraction is outside [0, 1].
     """
-    if not 0.0 <= fraction <= 1.0:
-        raise PlantError(f"hidden_fraction = {fraction!r}: give a fraction from 0 to 1")
     order = np.random.default_rng(seed).permutation(np.array(ids))
     return frozenset(order[: round(fraction * len(ids))].tolist())
+
+
+class View:
+    """Takes pictures: the board by a perspective warp, covers and the tool's shaft as polygons, blur and noise."""
+
+    def __init__(self, camera: Camera, board: Board, *, shaft: Shaft | None = None, seed: int = 0) -> None:
+        """Prepare for the true camera; seed is that of the noise.
+
+        ``shaft`` takes a pose q (n,) of the arm to the tip (3,) and another point (3,) of its shaft, base frame [m];
+        None: the tool is not drawn.
+        """
+        self.camera, self._board, self._shaft = camera, board, shaft
+        self._page = cv2.cvtColor(board_picture(board), cv2.COLOR_GRAY2BGR)
+        self._to_board = np.linalg.inv(texture_matrix(board))
+        self._rng = np.random.default_rng(seed)
+        # The middle of pixel u of the picture is at 2 u + 0.5 in the finer one.
+        self._finer = np.array([[_FINER, 0.0, 0.5 * (_FINER - 1)], [0.0, _FINER, 0.5 * (_FINER - 1)], [0.0, 0.0, 1.0]])
+
+    def picture(self, scene: Scene) -> Picture:
+        """Take the camera's picture (H, W, 3), blue green red."""
+        width, height = self.camera.size_px
+        page = np.full((_FINER * height, _FINER * width, 3), TISSUE, dtype=np.uint8)
+        pose = self.camera.camera_in_base.inverse() @ scene.board_in_base
+        faces = float(pose.R[:, 2] @ pose.t) < 0.0 and float(pose.apply(self._board.outline())[:, 2].min()) > 1e-3
+        if faces and not scene.dark:
+            flat = np.stack([pose.R[:, 0], pose.R[:, 1], pose.t], axis=1)
+            onto = self._finer @ self.camera.matrix @ flat @ self._to_board
+            cv2.warpPerspective(
+                self._page, onto, page.shape[1::-1], dst=page, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_TRANSPARENT
+            )
+            for marker in scene.hidden:
+                self._fill(page, scene.board_in_base.apply(_cover(self._board, marker)), COVER)
+        if self._shaft is not None and scene.q is not None:
+            self._draw_shaft(page, *self._shaft(scene.q))
+        small = np.asarray(cv2.resize(page, (width, height), interpolation=cv2.INTER_AREA), dtype=np.uint8)
+        return expose(small, self.camera.settings, self._rng)
+
+    def _draw_shaft(self, page: Picture, tip: Array, other: Array) -> None:
+        to_camera, least = self.camera.camera_in_base.inverse(), 0.005
+        near, far = to_camera.apply(tip), to_camera.apply(other)
+        if near[2] <= least:
+            return
+        if far[2] < least:
+            far = near + (near[2] - least) / (near[2] - far[2]) * (far - near)
+        side = np.cross(far - near, near)
+        side = SHAFT_RADIUS_M * side / max(float(np.linalg.norm(side)), 1e-12)
+        quad = np.array([near + side, far + side, far - side, near - side])
+        self._fill(page, self.camera.camera_in_base.apply(quad), STEEL)
+
+    def _fill(self, page: Picture, points_in_base: Array, colour: tuple[int, int, int]) -> None:
+        pixels = self.camera.project(points_in_base) @ self._finer[:2, :2].T + self._finer[:2, 2]
+        if np.isfinite(pixels).all() and np.abs(pixels).max() < 1e5:
+            corners = np.rint(16.0 * pixels).astype(np.int32)
+            cv2.fillConvexPoly(page, corners, colour, lineType=cv2.LINE_AA, shift=4)
+
+
+def expose(picture: Picture, settings: CameraSettings, rng: np.random.Generator) -> Picture:
+    """Return the picture (H, W, 3) with the blur of the lens and then the noise of the sensor."""
+    if settings.blur_px > 0.0:
+        picture = np.asarray(cv2.GaussianBlur(picture, (0, 0), settings.blur_px), dtype=np.uint8)
+    if settings.noise > 0.0:
+        # One grain for all three colours: it is the grey levels that are looked at.
+        grain = np.rint(settings.noise * rng.standard_normal(picture.shape[:2], dtype=np.float32))
+        picture = np.clip(picture.astype(np.int16) + grain.astype(np.int16)[:, :, None], 0, 255).astype(np.uint8)
+    return picture
+
+
+def board_picture(board: Board) -> NDArray[np.uint8]:
+    """Draw the board as it is printed (H, W), grey levels."""
+    side = _MARKER_BITS * _CELL_PX
+    width, height = (math.ceil(side / board.marker_m * size - 1e-6) for size in board.size_m)
+    rim = 2  # room for a marker's white frame where it reaches over the edge
+    page = np.full((height + 2 * rim, width + 2 * rim), 255, dtype=np.uint8)
+    to_pixel = texture_matrix(board)
+    for marker in board.ids:
+        left, top = (to_pixel @ [*board.corners(marker)[0, :2], 1.0])[:2] + 0.5
+        column, row = math.floor(left + 1e-6), math.floor(top + 1e-6)
+        # A marker that begins inside a pixel is drawn there: rounded, it would be up to 0.1 mm out of place.
+        part = np.array([[1.0, 0.0, max(left - column, 0.0)], [0.0, 1.0, max(top - row, 0.0)]])
+        square = np.pad(cv2.aruco.generateImageMarker(dictionary(), marker, side), rim, constant_values=255)
+        square = cv2.warpAffine(square, part, square.shape[::-1], borderMode=cv2.BORDER_REPLICATE)
+        place = np.s_[row : row + side + 2 * rim, column : column + side + 2 * rim]
+        page[place] = np.minimum(page[place], square)
+    return np.ascontiguousarray(page[rim:-rim, rim:-rim])
+
+
+def texture_matrix(board: Board) -> Array:
+    """Map x, y, 1 on the board [m] to column, row, 1 in `board_picture`, (3, 3); a pixel's number is its middle."""
+    scale = _MARKER_BITS * _CELL_PX / board.marker_m
+    width, height = board.size_m
+    right, down = 0.5 * scale * width - 0.5, 0.5 * scale * height - 0.5
+    return np.array([[scale, 0.0, right], [0.0, -scale, down], [0.0, 0.0, 1.0]])
+
+
+@lru_cache(maxsize=1)
+def dictionary() -> Any:
+    """Return OpenCV's ArUco markers: 250 of 4 x 4 bits."""
+    return cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_250)
+
+
+def _cover(board: Board, marker: int) -> Array:
+    radius = min(0.72 * board.marker_m, 0.5 * board.marker_m + 0.9 * board.gap_m)
+    angle = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
+    around = np.stack([np.cos(angle), np.sin(angle), 0.0 * angle], axis=1)
+    return np.asarray(board.corners(marker).mean(axis=0) + radius * around)

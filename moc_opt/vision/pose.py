@@ -9,52 +9,35 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
+from moc_opt.arrays import Array, read_only
 from moc_opt.errors import TaskError
-from moc_opt.numerics.arrays import Array, read_only
-from moc_opt.tasks.checks import Vector, direction3, vector3
-
-_ORTHONORMAL = 1e-6
+from moc_opt.tasks.checks import direction3, vector3
 
 
 @dataclass(frozen=True, eq=False)
 class Pose:
-    """x_outer = rotation x_inner + translation.
+    """x_outer = R x_inner + t.
 
     `a_in_b` is a good name for one: it takes points of frame a into frame b. Chains read from right to left:
     board_in_base = camera_in_base @ board_in_camera.
 
     Args:
-        rotation: (3, 3), its columns are the inner axes in the outer frame.
-        translation: (3,), the inner origin in the outer frame [m].
+        R: (3, 3) rotation, its columns are the inner axes in the outer frame.
+        t: (3,) the inner origin in the outer frame [m].
 
     Raises:
-        TaskError: a shape is wrong, an entry is not finite, or the rotation is none (to 1e-6).
+        TaskError: a shape is wrong, an entry is not finite, or R is no rotation (to 1e-6).
     """
 
-    rotation: ArrayLike = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
-    translation: ArrayLike = (0.0, 0.0, 0.0)
+    R: Array
+    t: Array
 
-    def __post_init__(self) -> None:
-        turn = np.array(self.rotation, dtype=np.float64)
-        if turn.shape != (3, 3) or not np.isfinite(turn).all():
-            raise TaskError(f"rotation = {turn.tolist()!r:.200}: give (3, 3) finite numbers")
-        if np.abs(turn @ turn.T - np.eye(3)).max() > _ORTHONORMAL or np.linalg.det(turn) < 0.0:
-            raise TaskError(
-                f"rotation = {turn.tolist()!r:.200} is none: its columns must be unit vectors, "
-                "perpendicular, and right-handed"
-            )
-        object.__setattr__(self, "rotation", read_only(turn))
-        object.__setattr__(self, "translation", vector3("translation", self.translation))
-
-    @property
-    def R(self) -> Array:
-        """The rotation (3, 3)."""
-        return np.asarray(self.rotation)
-
-    @property
-    def t(self) -> Vector:
-        """The translation (3,) [m]."""
-        return np.asarray(self.translation)
+    def __init__(self, R: ArrayLike = np.eye(3), t: ArrayLike = (0.0, 0.0, 0.0)) -> None:  # noqa: B008
+        turn = np.array(R, dtype=np.float64)
+        if turn.shape != (3, 3) or not np.abs(turn @ turn.T - np.eye(3)).max() < 1e-6 or np.linalg.det(turn) < 0.0:
+            raise TaskError(f"R = {turn.tolist()!r:.200} is no rotation: give perpendicular, right-handed unit columns")
+        object.__setattr__(self, "R", read_only(turn))
+        object.__setattr__(self, "t", vector3("t", t))
 
     def apply(self, points: ArrayLike) -> Array:
         """Express points (3,) or (k, 3) [m] of the inner frame in the outer one."""
@@ -73,8 +56,7 @@ class Pose:
 
     def distance(self, other: Pose) -> tuple[float, float]:
         """Return how far apart two poses are: between the origins [m], and the angle of the turn between [rad]."""
-        way = self.t - other.t
-        return math.sqrt(float(way @ way)), float(np.linalg.norm(rotation_vector(self.R.T @ other.R)))
+        return float(np.linalg.norm(self.t - other.t)), float(np.linalg.norm(rotation_vector(self.R.T @ other.R)))
 
     def towards(self, other: Pose, share: float) -> Pose:
         """Return the pose at a share in [0, 1] of the way to another: straight, at a constant rate of turn."""
@@ -107,12 +89,11 @@ def rotation_from(vector: ArrayLike) -> Array:
     return np.asarray(pin.exp3(np.array(vector, dtype=np.float64)))
 
 
-def rotation_vector(rotation: ArrayLike) -> Vector:
+def rotation_vector(rotation: ArrayLike) -> Array:
     """Return axis times angle (3,) [rad] of a rotation (3, 3), the angle in [0, pi]."""
     return np.asarray(pin.log3(np.array(rotation, dtype=np.float64)))
 
 
 def _orthonormal(rotation: Array) -> Array:
-    """Return the nearest rotation: a tracker multiplies poses for hours, and rounding adds up."""
     left, _, right = np.linalg.svd(rotation)
     return np.asarray(left @ right)

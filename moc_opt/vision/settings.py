@@ -1,14 +1,13 @@
-"""Settings of the augmented reality: the endoscope's camera, the marker board, its covers, and the tracker."""
+"""Settings of the endoscope's camera and of the tracker; those of the board are `Board`."""
 
 from __future__ import annotations
 
-from typing import ClassVar, Literal, Self
+from typing import ClassVar
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from moc_opt.errors import MocOptError, PlantError
 from moc_opt.inputs.settings import Settings
-from moc_opt.vision.board import Board
 
 
 class VisionSettings(Settings):
@@ -27,9 +26,6 @@ class CameraSettings(VisionSettings):
 
     KIND: ClassVar[str] = "[camera]"
 
-    source: Literal["auto", "mujoco", "drawn"] = Field(
-        "auto", description="MuJoCo's renderer, a picture drawn through the pinhole, or the first that works"
-    )
     width_px: int = Field(640, ge=64, le=4096)
     height_px: int = Field(480, ge=64, le=4096)
     fov_deg: float = Field(50.0, ge=10.0, le=120.0, description="angle of view from top to bottom")
@@ -43,38 +39,6 @@ class CameraSettings(VisionSettings):
         0.0005, ge=0.0, le=0.05, description="the camera is this far from where the robot takes it to be"
     )
     calibration_error_deg: float = Field(0.1, ge=0.0, le=10.0, description="and turned by this")
-
-
-class BoardSettings(VisionSettings):
-    """The marker board in the phantom, and the times and covers that hide it."""
-
-    KIND: ClassVar[str] = "[board]"
-
-    columns: int = Field(5, ge=1, le=20)
-    rows: int = Field(4, ge=1, le=20)
-    marker_m: float = Field(0.020, gt=0.0, le=0.5, description="side of a marker")
-    gap_m: float = Field(0.005, gt=0.0, le=0.5, description="white space between markers, and around them")
-    hidden_fraction: float = Field(0.0, ge=0.0, le=1.0, description="of the markers, covered by something")
-    lost_s: tuple[tuple[float, float], ...] = Field(
-        (), description="[from, until] in seconds: nothing of the board can be seen"
-    )
-
-    @model_validator(mode="after")
-    def _in_order(self) -> Self:
-        for start, end in self.lost_s:
-            if not 0.0 <= start < end:
-                raise ValueError(f"lost_s = {[start, end]}: give [from, until] with 0 <= from < until")
-        if self.columns * self.rows > 250:
-            raise ValueError(f"columns x rows = {self.columns * self.rows}: the dictionary has 250 markers")
-        return self
-
-    def board(self) -> Board:
-        """Return the board that they describe."""
-        return Board(self.columns, self.rows, self.marker_m, self.gap_m)
-
-    def is_lost(self, t: float) -> bool:
-        """Return whether nothing of the board can be seen at time t [s]."""
-        return any(start <= t < end for start, end in self.lost_s)
 
 
 class TrackerSettings(VisionSettings):

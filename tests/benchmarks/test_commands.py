@@ -13,9 +13,9 @@ import benchmarks
 ROOT = Path(__file__).resolve().parents[2]
 FOLDER = ROOT / "benchmarks"
 USERS = (
-    "solvers", "paper", "speed", "faults", "fuzz", "plan", "plant", "sweep", "testsets", "export", "robots", "realtime",
+    "solvers", "paper", "speed", "faults", "plan", "plant", "sweep", "testsets", "export", "robots", "realtime",
 )  # fmt: skip
-MAINTAINERS = ("readme", "pictures", "errata", "tune", "mutation", "sweep_speed", "sweep_memory")
+MAINTAINERS = ("readme", "pictures", "errata", "tune", "coverage", "feedforward")
 
 
 def has_main(file):

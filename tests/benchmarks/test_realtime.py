@@ -2,23 +2,22 @@
 
 from __future__ import annotations
 
-import io
 import os
+import re
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
-from rich.console import Console
 
 from benchmarks import realtime
-from benchmarks.common.kept import Kept
+from benchmarks.common.goals import verdicts
 from benchmarks.common.output import default_config
-from benchmarks.latency import clock, clock_page, wire
-from benchmarks.latency.goals import goal_verdicts
+from benchmarks.latency import clock, wire
 from benchmarks.latency.wire import Case, Found, RealtimeError
 from moc_opt.errors import MocOptError
 from moc_opt.scenario import Scenario
+from moc_opt.study.kept import Kept
 from moc_opt.trace.trace import Trace
 from tests import first_screens
 
@@ -48,89 +47,52 @@ def test_a_case_is_all_cycles_of_its_runs():
 def test_the_goal_of_c_needs_enough_cycles_and_few_misses(missed, cycles, reached):
     case = {"cycles": cycles, "missed": missed}
     summary = {"cases": {"c, 500 Hz, quiet": case, "c, 1000 Hz, quiet": {"cycles": 10**6, "missed": 10**5}}}
-    found = goal_verdicts(summary, realtime.GOALS)
+    found = verdicts(summary, realtime.GOALS)
     assert found["c"]["reached"] == reached
     assert found["python"]["reached"] == found["rcm"]["reached"] == "not measured"
-
-
-def test_a_controller_that_stops_in_every_run_misses_a_goal():
-    case = realtime.summarise([run_of(20_000, ended="stopped: asked for")] * 50)
-    found = goal_verdicts({"cases": {"c, 500 Hz, quiet": case}}, realtime.GOALS)
-    assert found["quiet stops"]["reached"] == "no"
-
-
-def test_an_open_goal_is_counted_and_shown_with_its_interval():
-    summary = {"cases": {"c, 500 Hz, quiet": realtime.summarise([run_of(100_000, missed=1)])}}
-    summary["goals"] = goal_verdicts(summary, realtime.GOALS)
-    assert "1 of 5 goals are reached, 1 open, 3 not measured" in clock.sentences(summary)[-1]
-    assert clock.tables(summary)[0].rows[0]["value"].startswith("1e-05 [")
 
 
 def test_the_goals_under_load_look_at_every_loaded_case_and_at_no_other():
     good, bad = ({"cycles": 9, "unclean": k, "rcm_max_mm": 1.0 + 2.0 * k} for k in (0, 1))
     for name, reached in (("c, 1000 Hz, loaded", "no"), ("c, 1000 Hz, quiet", "yes")):
-        found = goal_verdicts({"cases": {"python, 500 Hz, loaded": good, name: bad}}, realtime.GOALS)
+        found = verdicts({"cases": {"python, 500 Hz, loaded": good, name: bad}}, realtime.GOALS)
         assert found["rcm"]["reached"] == found["stops"]["reached"] == reached
 
 
-def test_tables_and_headline_say_what_was_found():
-    summary = {"cases": {"c, 500 Hz, quiet": realtime.summarise([run_of(1000, missed=7)])}}
-    summary["goals"] = goal_verdicts(summary, realtime.GOALS)
-    goals, cycles, latencies = clock.tables(summary)
-    words = {row["what"]: row["reached"] for row in goals.rows}
-    assert words.pop("runs that were stopped, on a quiet machine") == "yes"
-    assert list(words.values()) == ["not measured"] * 4
-    assert cycles.rows[0]["missed"] == 7
-    assert [(row["what"], row["worst"]) for row in latencies.rows] == [
-        ("wake-up latency", 100.0), ("round trip", 1000.0), ("controller", 10.0)
-    ]  # fmt: skip
-    runs = {Case("c", 500, "quiet"): [run_of(1000, missed=7)]}
-    first = clock.answer(summary, runs)
-    assert first.sentences[0] == (
-        "Cycles missed on a quiet machine: C, 500 Hz 7 of 1,000; 0 times the plant's own process was not run for a "
-        "period."
-    )
-    assert "(7 cycles)" in first.pictures[0].says
-    (line,) = first.table.rows
-    assert (line["name"], line["missed"], line["goal"].word) == ("C, 500 Hz, quiet", 7, "not measured")
-    page = clock.report(summary, runs, first, {})
-    assert list(page.figures) == ["round-500", "wake-500", "control-500"]
-    html = page.html()
-    places = [html.index(f'id="{name}"') for name in ("wake-500", "cycles-and-stops", "control-500")]
-    assert places == sorted(places), "pictures before what is folded"
-    first_screens.check(html, pictures=2)
+def test_a_controller_that_stops_in_every_run_misses_a_goal():
+    case = realtime.summarise([run_of(20_000, ended="stopped: asked for")] * 50)
+    assert verdicts({"cases": {"c, 500 Hz, quiet": case}}, realtime.GOALS)["quiet stops"]["reached"] == "no"
 
 
-def test_what_harms_under_load_is_said_and_marked():
-    cases = {"c, 500 Hz, loaded": realtime.summarise([run_of(1000, missed=3, rcm=2.5)]),
+def test_first_screen_and_page_show_the_cases_with_their_goals():
+    cases = {"c, 500 Hz, quiet": realtime.summarise([run_of(100_000, missed=1)]),
+             "c, 500 Hz, loaded": realtime.summarise([run_of(1000, missed=3, rcm=2.5)]),
              "python, 1000 Hz, loaded": realtime.summarise([run_of(1000, rcm=1.0)])}  # fmt: skip
-    summary = {"cases": cases, "goals": goal_verdicts({"cases": cases}, realtime.GOALS)}
-    first = clock.answer(summary, {Case("c", 500, "loaded"): [run_of(1000, missed=3)]})
-    assert "3 of 2,000 were missed" in first.sentences[0]
-    assert "largest RCM error was 2.50 mm, and no run ended in a stop" in first.sentences[0]
-    assert [row["goal"].word for row in first.table.rows] == ["missed", "met"]
-    screen = Console(file=io.StringIO(), width=80, color_system=None)
-    for part in first.screens(80):
-        screen.print(part, markup=False)
-    assert max(map(len, screen.file.getvalue().splitlines())) <= 80
-    assert all(word in screen.file.getvalue() for word in ("p99.99", "RCM", "Python, 1000 Hz, loaded"))
+    summary = {"cases": cases, "goals": verdicts({"cases": cases}, realtime.GOALS)}
+    runs = {Case("c", 500, "quiet"): [run_of(1000, missed=1)], Case("c", 500, "loaded"): [run_of(1000)]}
+    first = clock.answer(summary, runs)
+    assert "C, 500 Hz 1 of 100,000; 0 times" in first.sentences[0]
+    assert "3 of 2,000 were missed, the largest RCM error was 2.50 mm" in first.sentences[1]
+    assert "2 of 5 goals are reached, 1 open, 1 not measured; missed: largest RCM" in first.sentences[2]
+    assert [row["goal"].word for row in first.table.rows] == ["open", "missed", "met"]
+    html = clock.report(summary, realtime.GOALS, runs, first, {}).html()
+    assert "1e-05 [" in html
+    first_screens.check(html, pictures=1)
 
 
 def test_the_page_has_a_row_a_case():
     tail = run_of(30_000, missed=7, ended="stopped: no command")._replace(overruns=3)
     cases = {"c, 500 Hz, quiet": realtime.summarise([tail]),
              "python, 500 Hz, loaded": realtime.summarise([run_of(1000, rcm=1.25)])}  # fmt: skip
-    summary = {"cases": cases, "goals": goal_verdicts({"cases": cases}, realtime.GOALS)}
-    config = {"cycles": 1000}
-    environment = {"machine": {"cores": 2, "processor": "a processor"}, "config": config, "seed": 0}
-    text = clock_page.page_text(summary, environment)
+    summary = {"cases": cases, "goals": verdicts({"cases": cases}, realtime.GOALS)}
+    environment = {"machine": {"cores": 2, "processor": "a processor"}, "config": {"cycles": 1000}, "seed": 0}
+    text = clock.page_text(summary, environment)
     assert "`python -m benchmarks.realtime --cycles 1000 --page` (2 cores, a processor, seed 0)" in text
-    heads = "case | cycles | missed | in 100,000 | plant stalled | wake-up latency | round trip | controller | stops |"
-    assert f"| {heads} RCM error, worst [mm] |" in text
-    wake, round_trip = "1,500 / 2,970 / 3,000 / 3,000", "15,000 / 29,700 / 29,997 / 30,000"
-    line = f"| C, 500 Hz, quiet | 30,000 | 7 | 23 [9.4, 48] | 3 | {wake} | {round_trip} | 10 / 10 / 10 / 10 |"
-    assert f"{line} 1 | 0.50 |" in text
-    assert "| 0 | 1.25 |" in text
+    assert "| case | cycles | missed | in 100,000 | plant stalled | wake-up latency [us] | round trip [us] |" in text
+    times = "1,500 / 2,970 / 3,000 / 3,000 | 15,000 / 29,700 / 29,997 / 30,000 | 10 / 10 / 10 / 10"
+    assert re.search(rf"\| C, 500 Hz, quiet \| 30.?000 \| 7 \| 23 \[9.4, 48\] \| 3 \| {re.escape(times)} \| 1 \|", text)
+    assert text.endswith(clock.sentences(summary)[-1])
+    assert f"<!-- {clock.SECTION} -->" in clock.PAGE.read_text()
 
 
 def test_the_page_shows_the_configuration_that_ships_alone(tmp_path, capsys):
@@ -138,27 +100,10 @@ def test_the_page_shows_the_configuration_that_ships_alone(tmp_path, capsys):
     realtime.check_page(shipped.model_copy(update={"cycles": 7}))
     with pytest.raises(MocOptError, match="--page: the page shows"):
         realtime.check_page(shipped.model_copy(update={"rates_Hz": [500]}))
-    before = clock_page.PAGE.read_bytes()
+    before = clock.PAGE.read_bytes()
     assert realtime.main(["--quick", "--page", "--out", str(tmp_path)]) == 2
     assert "--page: the page shows" in capsys.readouterr().err
-    assert clock_page.PAGE.read_bytes() == before
-
-
-def test_the_page_ends_with_the_sentences_of_the_first_screen():
-    cases = {"c, 500 Hz, quiet": realtime.summarise([run_of(1000, missed=7)])}
-    summary = {"cases": cases, "goals": goal_verdicts({"cases": cases}, realtime.GOALS)}
-    environment = {"machine": {"cores": 2, "processor": "a processor"}, "config": {"cycles": 1000}, "seed": 0}
-    text = clock_page.page_text(summary, environment)
-    assert text.endswith(clock.sentences(summary)[-1])
-    assert f"<!-- {clock_page.SECTION} -->" in clock_page.PAGE.read_text()
-
-
-def test_the_histogram_holds_every_cycle():
-    times = {"a": np.r_[np.full(999, 100.0), 5000.0], "b": np.full(10, 0.0)}
-    drawn = clock.histogram(times, 2000.0)
-    assert [np.nansum(line.y) for line in drawn.data] == [1000, 10]
-    a = drawn.data[0]
-    assert a.x[np.flatnonzero(np.nan_to_num(a.y) == 1)[-1]] == pytest.approx(5000.0, rel=0.1)
+    assert clock.PAGE.read_bytes() == before
 
 
 @pytest.mark.parametrize("rate", [250, 500, 1000])
@@ -197,27 +142,6 @@ def test_the_load_is_there_and_then_is_not(monkeypatch):
     assert all(process.killed for process in started)
 
 
-def test_cases_and_runs_are_as_many_as_asked_for(monkeypatch):
-    assert len(realtime.Config().cases()) == len(set(map(str, realtime.Config().cases()))) == 8
-    asked = []
-
-    def run(number):
-        asked.append(number)
-        return run_of(400, ended="stopped: x")
-
-    assert len(wire.measure(run, 1000, 99)) == 3
-    assert asked == [0, 1, 2]
-    assert len(wire.measure(run, 1000, 2)) == 2
-
-
-def test_a_run_that_is_done_is_kept_as_it_was(tmp_path):
-    made = run_of(10, missed=1)
-    Kept(tmp_path, {}).of("first", lambda: made)
-    again = Kept(tmp_path, {}).of("first", lambda: pytest.fail("it is there"))
-    for name, value in made._asdict().items():
-        np.testing.assert_array_equal(getattr(again, name), value)
-
-
 def test_a_command_that_was_stopped_goes_on(tmp_path, monkeypatch):
     made = []
 
@@ -235,6 +159,14 @@ def test_a_command_that_was_stopped_goes_on(tmp_path, monkeypatch):
     made.clear()
     assert realtime.main(command) == 0
     assert len(made) == 1, "of three runs two were done"
+
+
+def test_runs_that_stop_early_are_repeated_but_not_for_ever(tmp_path, monkeypatch):
+    monkeypatch.setattr(wire, "run_once", lambda *of: run_of(40, ended="stopped: x"))
+    config = realtime.Config(cycles=100, run_cycles=100, controllers=["python"])
+    assert len(config.cases()) == 4
+    found = realtime.runs_of(config, tmp_path, Kept(tmp_path / "jobs"), {})
+    assert [len(runs) for runs in found.values()] == [3] * 4
 
 
 def test_a_run_by_both_commands(tmp_path):

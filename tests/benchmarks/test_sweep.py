@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow.parquet as pq
+import polars as pl
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -16,10 +16,17 @@ from benchmarks import sweep
 from benchmarks.common.output import default_config
 from benchmarks.sweeps.config import Config
 from benchmarks.sweeps.fields import check_path, paths, random_draws
-from benchmarks.sweeps.plan import Plan
+from benchmarks.sweeps.plan import plan
 from moc_opt.errors import MocOptError, SolverError, UnknownNameError
 from tests import first_screens
-from tests.sweeps import TINY, config
+
+TINY = {"duration_s": 0.05, "judge": False, "bound_samples": 0}
+GRID = {"control.regularization": [1e-6, 1e-5, 1e-4], "plant.mass_error": [0.0, 0.1]}
+
+
+def config(**changes: Any) -> Config:
+    """12 runs: 3 x 2 x 2 seeds."""
+    return Config(**{"grid": GRID, "seeds": 2, "solvers": ["exact"], "scenario": TINY, **changes})
 
 
 def test_every_field_of_a_scenario_has_a_path() -> None:
@@ -39,7 +46,7 @@ def test_every_field_of_a_scenario_has_a_path() -> None:
 )  # fmt: skip
 def test_unknown_field_is_refused_with_the_nearest_names(path: str, nearest: str, tmp_path: Path) -> None:
     with pytest.raises(UnknownNameError, match=f"did you mean.*{nearest}"):
-        Plan(config(grid={path: [1.0]}))
+        plan(config(grid={path: [1.0]}))
     file = tmp_path / "sweep.toml"
     file.write_text(f'[grid]\n"{path}" = [1.0]\n')
     assert sweep.main([str(file), "--out", str(tmp_path / "out")]) == 2
@@ -54,7 +61,6 @@ def test_unknown_field_is_refused_with_the_nearest_names(path: str, nearest: str
         ({"grid": {"control.regularization": 1e-5}}, "give a list of values"),
         ({"grid": {"control.regularization": [1e-5, 1e-5]}}, "given twice"),
         ({"grid": {"control": {"regularization": [1.0]}, "control.regularization": [2.0]}}, "given twice"),
-        ({"grid": {"control.damping": [1.0], "control.regularization": [2.0]}}, "given twice"),
         ({"grid": {"plant.mass_error": [0.1, 2.0]}}, "mass_error = 2.0: not a scenario"),
         ({"grid": {"task.sizes.radius": [float("nan")]}}, r"radius\[0\] = nan"),
         ({"random": {"fields": {"plant.mass_error": {"low": 0.2, "high": 0.1}}}}, "not below"),
@@ -72,18 +78,18 @@ def test_unknown_field_is_refused_with_the_nearest_names(path: str, nearest: str
 )  # fmt: skip
 def test_what_cannot_be_swept_is_said_before_anything_runs(changes: dict[str, Any], message: str) -> None:
     with pytest.raises(MocOptError, match=message):
-        Plan(config(**changes)).number_runs()
+        plan(config(**changes))
 
 
 def test_names_in_values_and_settings_are_checked_before_anything_runs() -> None:
     with pytest.raises(UnknownNameError, match="did you mean 'circle'"):
-        Plan(config(grid={"task.path": ["circle", "circel"]})).check_names()
+        plan(config(grid={"task.path": ["circle", "circel"]}))
     with pytest.raises(UnknownNameError, match="did you mean 'eps'"):
-        Plan(config(solvers=["osqp"], grid={"solver.settings.epss": [1e-6]})).check_names()
+        plan(config(solvers=["osqp"], grid={"solver.settings.epss": [1e-6]}))
     with pytest.raises(UnknownNameError, match="did you mean 'osqp'"):
-        Plan(config(solvers=["osqpp"]))
+        plan(config(solvers=["osqpp"]))
     with pytest.raises(UnknownNameError, match=r"\[settings\]"):
-        Plan(config(settings={"osqp": {}}))
+        plan(config(settings={"osqp": {}}))
 
 
 def test_solver_that_cannot_run_here_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -91,8 +97,8 @@ def test_solver_that_cannot_run_here_is_refused(monkeypatch: pytest.MonkeyPatch)
         "benchmarks.common.config.available", lambda: {"exact": None, "osqp": "pip install osqp"}
     )
     with pytest.raises(SolverError, match="pip install osqp"):
-        Plan(config(solvers=["osqp"]))
-    assert Plan(config(solvers="all")).solvers == ["dcac", "exact"]
+        plan(config(solvers=["osqp"]))
+    assert {run.solver for run in plan(config(solvers="all"))} == {"dcac", "exact"}
 
 
 @given(st.integers(0, 2**32), st.integers(1, 40), st.floats(1e-9, 1e3), st.floats(1.01, 1e6))
@@ -122,60 +128,66 @@ def test_a_logarithmic_sample_is_uniform_in_its_exponent() -> None:
 
 
 def test_the_plan_is_every_combination_in_a_fixed_order() -> None:
-    plan = Plan(config(solvers=["exact", "osqp"]))
-    assert len(plan) == 24
-    assert [plan.point(i).solver for i in range(3)] == ["exact", "osqp", "exact"]
-    assert [plan.point(i).seed for i in range(5)] == [0, 0, 1, 1, 0]
-    last = plan.scenario(23)
-    assert (last.control.regularization, last.plant.mass_error, last.seed, last.solver.name) == (
-        1e-4,
-        0.1,
-        1,
-        "osqp",
-    )
-    assert last.duration_s == 0.05
-    with pytest.raises(IndexError):
-        plan.point(24)
+    runs = plan(config(solvers=["exact", "osqp"]))
+    assert len(runs) == 24
+    assert [run.solver for run in runs[:3]] == ["exact", "osqp", "exact"]
+    assert [run.seed for run in runs[:5]] == [0, 0, 1, 1, 0]
+    last = runs[-1].scenario
+    assert (last.control.regularization, last.plant.mass_error, last.seed) == (1e-4, 0.1, 1)
+    assert (last.solver.name, last.duration_s) == ("osqp", 0.05)
 
 
 def test_ids_belong_to_scenarios_not_to_places() -> None:
-    plan, other = Plan(config()), Plan(config(grid={"plant.mass_error": [0.1]}, seeds=[1]))
-    assert len({plan.run_id(i) for i in range(len(plan))}) == 12
-    here = {plan.run_id(i): plan.scenario(i) for i in range(12)}
-    assert here[other.run_id(0)] == other.scenario(0)  # regularization 1e-5 is the default
-    assert plan.digest == Plan(config()).digest != other.digest
-    assert Plan(config(scenario={**TINY, "duration_s": 0.06})).run_id(0) not in here
+    runs, others = plan(config()), plan(config(grid={"plant.mass_error": [0.1]}, seeds=[1]))
+    here = {run.id: run.scenario for run in runs}
+    assert len(here) == 12
+    assert here[others[0].id] == others[0].scenario  # regularization 1e-5 is the default
+    assert plan(config(scenario={**TINY, "duration_s": 0.06}))[0].id not in here
 
 
 def test_the_same_run_is_done_once() -> None:
     axes = {"solver.settings.eps": [1e-6, 1e-8], "control.k0_per_s": [1.0, 2.0]}
-    plan = Plan(config(solvers=["dcac", "osqp"], grid=axes, seeds=1))
-    assert (plan.combinations, len(plan)) == (8, 6)  # dcac asks no solver
-    points = [plan.point(i) for i in range(6)]
-    assert [p.values["solver.settings.eps"] for p in points if p.solver == "dcac"] == [None, None]
-    assert plan.scenario(0).control.law == "dcac"
-    assert plan.scenario(0).control.gains == "default"
-    assert plan.scenario(1).solver.settings == {"eps": 1e-6}
+    runs = plan(config(solvers=["dcac", "osqp"], grid=axes, seeds=1))
+    assert len(runs) == 6  # of 8: dcac asks no solver
+    assert [run.values["solver.settings.eps"] for run in runs if run.solver == "dcac"] == [None, None]
+    assert runs[0].scenario.control.law == "dcac"
+    assert runs[0].scenario.control.gains == "default"
+    assert runs[1].scenario.solver.settings == {"eps": 1e-6}
     drawn = {"samples": 50, "fields": {"task.path": {"choice": ["circle", "spiral"]}}}
-    assert len(Plan(config(random=drawn, grid={}, seeds=1))) == 2
+    assert len(plan(config(random=drawn, grid={}, seeds=1))) == 2
 
 
 def test_without_solvers_the_scenarios_own_is_taken() -> None:
     own = {**TINY, "solver": {"name": "osqp", "settings": {"eps": 1e-7}}, "control": {"law": "moc"}}
-    plan = Plan(Config(scenario=own, seeds=1))
-    assert plan.solvers == ["osqp"]
-    assert plan.scenario(0).solver.settings == {"eps": 1e-7}
-    dcac = Plan(Config(scenario={**TINY, "control": {"law": "dcac"}}))
-    assert dcac.point(0).solver == "dcac"
-    assert dcac.scenario(0).control.gains == "default"
+    (run,) = plan(Config(scenario=own, seeds=1))
+    assert (run.solver, run.scenario.solver.settings) == ("osqp", {"eps": 1e-7})
+    (dcac,) = plan(Config(scenario={**TINY, "control": {"law": "dcac"}}))
+    assert (dcac.solver, dcac.scenario.control.gains) == ("dcac", "default")
 
 
 def test_quick_is_the_same_sweep_on_less() -> None:
     full = Config.load(default_config("sweep"))
-    small = Plan(full.quick())
-    assert 0 < len(small) <= 8 < len(Plan(full))
-    assert small.fields == Plan(full).fields
-    assert small.config.scenario.duration_s == 0.2
+    small, whole = plan(full.quick()), plan(full)
+    assert 0 < len(small) <= 8 < len(whole)
+    assert small[0].values.keys() == whole[0].values.keys()
+    assert small[0].scenario.duration_s == 0.2
+
+
+def test_groups_hold_the_figures_of_their_rows() -> None:
+    rows = [
+        {"solver": name, "ended": ended, "error": error, "mu_mean": mu}
+        for name, ended, error, mu in [
+            ("a", "completed", None, 1.0), ("a", "completed", None, 3.0), ("a", "stopped: force", None, 9.0),
+            ("a", "failed", "no", None), ("b", "oscillated", None, 5.0),
+        ]
+    ]  # fmt: skip
+    found = sweep.summarise(rows)
+    counts = {word: found["a"][word] for word in ("runs", "failed", "stopped", "oscillated")}
+    assert counts == {"runs": 4, "failed": 1, "stopped": 1, "oscillated": 0}
+    assert found["a"]["mu_mean"] == pytest.approx(
+        {"count": 2, "mean": 2.0, "min": 1.0, "max": 3.0, "p05": 1.1, "p50": 2.0, "p95": 2.9}
+    )
+    assert found["b"]["mu_mean"]["mean"] == 5.0
 
 
 def test_the_command_leaves_its_files_and_keeps_shared_times_out(tmp_path: Path, capsys: Any) -> None:
@@ -191,7 +203,7 @@ def test_the_command_leaves_its_files_and_keeps_shared_times_out(tmp_path: Path,
     assert "4 runs, 0 of them ended by an error" in shown
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
     assert summary["sweep"]["runs"] == {
-        "all": 4, "failed": 0, "stopped": 0, "oscillated": 0, "lost": 0, "timed_alone": 4, "timed_shared": 0,
+        "all": 4, "failed": 0, "stopped": 0, "oscillated": 0, "timed_alone": 4, "timed_shared": 0,
     }  # fmt: skip
     assert summary["latency"]["exact"]["tick_p50_us"]["count"] == 2
     assert summary["by control.regularization"]["exact, 0.0001"]["runs"] == 1
@@ -199,15 +211,17 @@ def test_the_command_leaves_its_files_and_keeps_shared_times_out(tmp_path: Path,
     assert "Manipulability against control.regularization" in page
     first_screens.check(page, pictures=2)
     assert (tmp_path / "out" / "environment.json").exists()
+    rows = pl.read_parquet(tmp_path / "out" / "rows.parquet")
+    assert sweep.main(command) == 0
+    again = pl.read_parquet(tmp_path / "out" / "rows.parquet")
+    assert rows.equals(again)  # times too: nothing was done again
+    assert "4 of 4 runs were finished before" in capsys.readouterr().err
 
-    whole = (tmp_path / "out" / "rows.parquet").read_bytes()
     shared = [str(file), "--out", str(tmp_path / "shared"), "--workers", "2", "--json"]
     assert sweep.main(shared) == 0
     summary = json.loads(capsys.readouterr().out)
     assert summary["sweep"]["runs"]["timed_shared"] == 4
     assert summary["latency"] == {}
-    assert pq.read_table(tmp_path / "shared" / "clock.parquet")["timing_shared"].to_pylist() == [True] * 4
-    assert (tmp_path / "shared" / "rows.parquet").read_bytes() == whole
-
-    assert sweep.main([*command, "--seed", "3"]) == 2
-    assert "StoreError" in capsys.readouterr().err
+    other = pl.read_parquet(tmp_path / "shared" / "rows.parquet")
+    clocks = [name for name in rows.columns if name.endswith("_us")] + ["wall_s", "deadline_misses", "timing_shared"]
+    assert other.drop(clocks, strict=False).equals(rows.drop(clocks, strict=False))

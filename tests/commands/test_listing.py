@@ -30,19 +30,6 @@ def test_a_list_has_every_name(capsys, monkeypatch, command, expected):
     assert all(name in shown for name in found)
 
 
-def test_what_a_list_says_is_so(capsys):
-    main(["tasks", "--json"])
-    assert json.loads(capsys.readouterr().out)["spiral"]["sizes"] == {"turns": 2, "radius": 0.03}
-    main(["metrics", "--json"])
-    assert json.loads(capsys.readouterr().out)["mu_mean"]["unit"] == "m^3"
-    main(["robots", "--json"])
-    assert json.loads(capsys.readouterr().out)["lwr4_rail"]["joints"] == 8
-    main(["solvers", "--list", "--json"])
-    assert json.loads(capsys.readouterr().out)["exact"] == {"here": "yes", "settings": {"tolerance": 1e-9}}
-    main(["tasks"])
-    assert "turns = 2, radius = 0.03" in capsys.readouterr().out
-
-
 def test_the_version_is_printed(capsys):
     with pytest.raises(SystemExit) as ended:
         main(["--version"])
@@ -57,25 +44,6 @@ def test_an_unknown_option_is_refused_everywhere_but_in_the_study(capsys):
     with pytest.raises(SystemExit):
         main(["solvers", "--list", "--quick"])
     assert "--quick" in capsys.readouterr().err
-
-
-def test_the_list_of_solvers_fits_a_screen(capsys, monkeypatch):
-    monkeypatch.setenv("COLUMNS", "80")
-    assert main(["solvers", "--list"]) == 0
-    shown = capsys.readouterr().out
-    assert len(shown.splitlines()) < 45
-    assert "steps, h, k, scale, method, eps, warm" in shown, "names of the settings, without their values"
-    with pytest.raises(SystemExit):
-        main(["solvers", "--help"])
-    assert "--list" in capsys.readouterr().out
-
-
-def test_the_sentence_below_a_narrow_list_is_as_wide_as_the_terminal(capsys, monkeypatch):
-    monkeypatch.setenv("COLUMNS", "80")
-    assert main(["robots"]) == 0
-    shown = capsys.readouterr().out
-    assert "A path to a robot file of your own may stand" in shown
-    assert max(map(len, shown.splitlines())) <= 80
 
 
 def test_the_list_of_robots_says_what_each_is(capsys):

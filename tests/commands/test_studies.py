@@ -8,7 +8,6 @@ import types
 import pytest
 
 from moc_opt.__main__ import main
-from moc_opt.commands import studies
 
 
 @pytest.fixture
@@ -40,17 +39,6 @@ def test_compare_prints_json_with_intervals(capsys, brief):
     assert found["exact"]["mu_mean"]["low"] <= found["exact"]["mu_mean"]["value"]
 
 
-def test_where_the_rows_cannot_go_is_said_before_anything_runs(capsys, brief, tmp_path, monkeypatch):
-    monkeypatch.setattr("moc_opt.comparison.compare.compare", lambda *a, **k: pytest.fail("it ran"))
-    assert main(["compare", "exact", "--scenario", brief, "--out", str(tmp_path)]) == 2
-    assert "a folder, pipe or device is there" in capsys.readouterr().err
-
-
-def test_an_unknown_solver_is_named(capsys, brief):
-    assert main(["compare", "exakt", "--scenario", brief]) == 2
-    assert "did you mean 'exact'" in capsys.readouterr().err
-
-
 def test_the_study_gets_its_own_arguments(monkeypatch):
     asked = []
     module = types.ModuleType("benchmarks.solvers")
@@ -58,20 +46,6 @@ def test_the_study_gets_its_own_arguments(monkeypatch):
     monkeypatch.setitem(sys.modules, "benchmarks.solvers", module)
     assert main(["solvers", "--quick", "--out", "here", "--json"]) == 7
     assert asked == [["--quick", "--out", "here", "--json"]]
-
-
-def test_another_package_of_that_name_is_told_apart(monkeypatch, capsys):
-    other = types.ModuleType("benchmarks")
-    other.__file__ = "/elsewhere/benchmarks/__init__.py"
-    monkeypatch.setitem(sys.modules, "benchmarks", other)
-    assert main(["solvers", "--quick"]) == 2
-    assert "another package is called 'benchmarks' here (/elsewhere/" in capsys.readouterr().err
-
-
-def test_a_missing_package_is_named(monkeypatch, capsys):
-    monkeypatch.setitem(sys.modules, studies.STUDIES, None)
-    assert main(["solvers"]) == 2
-    assert "'benchmarks' is not installed" in capsys.readouterr().err
 
 
 def test_a_comparison_that_no_run_survives_says_so(tmp_path, capsys):

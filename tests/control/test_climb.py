@@ -1,4 +1,4 @@
-"""The scaled climb is a Newton step up the self-motion: as long as the way to the top, whatever mu's size and rho."""
+"""What pulls the elbow, and what keeps it off its limits: the scaled climb, the box and the shaft's margin in runs."""
 
 from __future__ import annotations
 
@@ -6,10 +6,13 @@ import numpy as np
 import pytest
 
 import moc_opt as mo
-from moc_opt.control.climb import LONGEST_RAD, RATE_PER_S, ScaledClimb, on_self_motion
 from moc_opt.errors import ControlError
-from moc_opt.model.robot_model import RobotModel
-from moc_opt.redundancy.self_motion import self_motion
+from moc_opt.planning.self_motion import self_motion
+from moc_opt.qp.problem import fields
+from moc_opt.robots.model import RobotModel
+from moc_opt.trace.oscillation import LIMIT_RAD_PER_S, shaking
+from tests.control.torques import subproblem
+from tests.reference.law import CLIMB_PER_S
 
 SCALED = mo.Scenario(
     duration_s=1.5, judge=False, bound_samples=0, start={"swivel": 0.2}, plant={"preset": "nominal"},
@@ -17,39 +20,42 @@ SCALED = mo.Scenario(
 )  # fmt: skip
 
 
+def wish(robot, q, margin=0.0):
+    """x_d (n,) of the climb at a pose."""
+    s = robot.state(q)
+    rest = np.array([s.tip, np.zeros(3), np.zeros(3)])
+    trocar = np.array([s.tip - 0.15 * s.tool_direction, np.zeros(3)])
+    row = subproblem(s, rest, trocar, arm=robot.arm, climbs=True, c2=1.0, rho=1.0, shaft_margin=margin)
+    return np.array(fields(row).grad_mu)
+
+
 def test_near_a_top_the_wish_is_the_way_to_it(robot: RobotModel) -> None:
     """Poses of one self-motion curve: the distance to its top along the curve is known without any derivative."""
-    curve = self_motion(robot, robot.data.q_home, 0.01)
-    q, climb = np.asarray(curve.q), ScaledClimb(robot)
+    q = np.asarray(self_motion(robot, robot.data.q_home, 0.01).q)
     top = int(np.argmax(robot.mu_along(q)))
     assert 40 < top < len(q) - 40, "the top is inside the joint limits"
     for off in (-12, -5, 5, 12):
-        state = robot.state(q[top + off])
-        desired = climb.desired_velocity(state)
+        desired = wish(robot, q[top + off])
         way = np.linalg.norm(np.diff(q[min(top, top + off) : max(top, top + off) + 1], axis=0), axis=1).sum()
-        assert np.linalg.norm(desired) / RATE_PER_S == pytest.approx(way, rel=0.2, abs=0.01)
-        assert desired @ (q[top] - state.q) > 0.0
+        assert np.linalg.norm(desired) / CLIMB_PER_S == pytest.approx(way, rel=0.2, abs=0.01)
+        assert desired @ (q[top] - q[top + off]) > 0.0
 
 
-def test_the_wish_moves_neither_tip_nor_wrist_climbs_and_is_never_longer_than_told(robot: RobotModel) -> None:
-    rng, climb, longest = np.random.default_rng(0), ScaledClimb(robot), 0
-    for _ in range(50):
-        state = robot.state(robot.random_regular_pose(rng, margin=0.1))
-        desired = climb.desired_velocity(state)
-        length = float(np.linalg.norm(desired))
-        assert np.abs(state.A @ desired).max() < 1e-9 * max(length, 1.0)
-        assert state.grad_mu @ desired > 0.0
-        assert length <= RATE_PER_S * LONGEST_RAD * (1.0 + 1e-9)
-        longest += length > 0.99 * RATE_PER_S * LONGEST_RAD
-        flat = on_self_motion(state.A, state.tool_direction, state.grad_mu)
-        np.testing.assert_allclose(desired / length, flat / np.linalg.norm(flat), atol=1e-9)
-    assert longest > 3, "where mu curves upwards the step is the longest"
-
-
-@pytest.mark.parametrize("bend", [0.0, 1e-12])
-def test_where_there_is_no_slope_there_is_no_wish(robot: RobotModel, bend: float) -> None:
-    desired = ScaledClimb(robot).desired_velocity(robot.state(np.array([0.2, 0.0, 0.0, bend, 0.0, 0.0, 0.0])))
-    np.testing.assert_array_equal(desired, np.zeros(7))
+def test_close_to_where_the_shaft_is_lost_it_leads_away_from_there(robot: RobotModel) -> None:
+    """The climb differs only inside the margin: there some that led towards losing the shaft are turned round."""
+    rng, inside, turned = np.random.default_rng(1), 0, 0
+    for _ in range(200):
+        q = robot.random_regular_pose(rng, margin=0.1)
+        state, desired, other = robot.state(q), wish(robot, q), wish(robot, q, 0.05)
+        if state.mu_shaft >= 0.0501:
+            np.testing.assert_array_equal(desired, other)
+        elif 0.01 < state.mu_shaft < 0.03:
+            inside += 1
+            away = state.grad_mu_shaft
+            assert other @ away > 0.0 or desired @ away <= 0.0, "the push turns no climb round that led away already"
+            turned += desired @ away < 0.0 < other @ away
+    assert inside > 10
+    assert turned > 3
 
 
 def test_its_speed_does_not_depend_on_rho_and_the_gradients_does() -> None:
@@ -67,19 +73,30 @@ def test_without_rho_it_is_refused() -> None:
         mo.run(SCALED.change(control={"regularization": 0.0}, duration_s=0.01))
 
 
-def test_close_to_where_the_shaft_is_lost_it_leads_away_from_there(robot: RobotModel) -> None:
-    """The climb differs only inside the margin: there some that led towards losing the shaft are turned round."""
-    rng, inside, turned = np.random.default_rng(1), 0, 0
-    plain, kept = ScaledClimb(robot), ScaledClimb(robot, 0.05)
-    for _ in range(200):
-        state = robot.state(robot.random_regular_pose(rng, margin=0.1))
-        desired, other = plain.desired_velocity(state), kept.desired_velocity(state)
-        if state.mu_shaft >= 0.0501:
-            np.testing.assert_array_equal(desired, other)
-        elif 0.01 < state.mu_shaft < 0.03:
-            inside += 1
-            away = on_self_motion(state.A, state.tool_direction, state.grad_mu_shaft)
-            assert other @ away > 0.0 or desired @ away <= 0.0, "the push turns no climb round that led away already"
-            turned += desired @ away < 0.0 < other @ away
-    assert inside > 10
-    assert turned > 3
+@pytest.mark.parametrize(("number", "preset"), [(13, "nominal"), (25, "realistic")])
+def test_the_box_stops_the_arm_before_the_wall(number, preset, robot, regular_poses) -> None:
+    """From these two poses mu grows right up to a joint limit: the box must stop the arm before the guard does."""
+    q = regular_poses(30)[number].tolist()
+    trace = mo.run(mo.Scenario(
+        start={"q_rad": q, "swivel": 0.5}, plant={"preset": preset}, duration_s=4.0, task={"wait_s": 5.0},
+        judge=False, bound_samples=0,
+    ))  # fmt: skip
+    room = np.minimum(robot.q_max - trace.q_rad, trace.q_rad - robot.q_min)
+    assert trace.mu[-1] > 1.15 * trace.mu[0]
+    assert 0.15 < room.min() < 0.17
+    assert (trace.status == "solved").all()
+    assert not trace.limited.any()
+    assert trace.meta["ended"] == "completed"
+    assert trace.tip_error_m.max() < 2e-3
+
+
+def test_a_climb_towards_the_loss_of_the_shaft_jerks_the_arm_and_is_kept_from_it() -> None:
+    """From this pose mu grows towards a straight wrist, where joint 5 has to turn ever faster."""
+    trial = mo.Scenario(seed=707, start={"pose": "random"}, judge=False, bound_samples=0)
+    lost, kept = mo.run(trial.change(control={"shaft_margin": 0.0})), mo.run(trial)
+    assert lost.meta["ended"] == kept.meta["ended"] == "completed"
+    jerk = shaking(lost, "v_rad_per_s")
+    assert jerk.joint == 4
+    assert jerk.rms > 2.0 * LIMIT_RAD_PER_S
+    assert shaking(kept, "v_rad_per_s").rms < 0.5 * LIMIT_RAD_PER_S  # it may turn at its whole speed there
+    assert kept.rcm_error_m.max() < 0.6 * lost.rcm_error_m.max()

@@ -1,4 +1,4 @@
-"""Limits that hold at every tick."""
+"""The guard's laws: torque by walls and brakes, what is believed, the stop, and its settings."""
 
 import dataclasses
 
@@ -9,24 +9,28 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from moc_opt.control.safety_filter import SafetyFilter, SafetyFilterSettings
-from moc_opt.control.safety_kernels import limit_torque
 from moc_opt.errors import ControlError
-from moc_opt.model.robot_model import load_robot
+from moc_opt.robots.model import RobotModel, load_robot
 from moc_opt.scenario import Scenario, make_safety_filter
 
-PERIOD = 0.002
-N = 7
+PERIOD, N = 0.002, 7
+REST = np.zeros(N)
 
 
-@pytest.fixture
-def guard(robot):
-    mine = SafetyFilter(robot.data, SafetyFilterSettings(), PERIOD, robot.gravity)
-    mine.start(robot.data.q_home, np.zeros(N))
+def guard_of(robot, q=None, v=REST, carries=True, **changes):
+    """A guard without knowledge of incision and momentum, begun at a pose."""
+    mine = SafetyFilter(
+        robot, SafetyFilterSettings(**changes), PERIOD, carries=carries, incision=False, momentum=False
+    )
+    mine.start(robot.data.q_home if q is None else q, v)
     return mine
 
 
 def numbers(low, high):
     return arrays(np.float64, N, elements=st.floats(low, high))
+
+
+# --- the torque ---
 
 
 @settings(max_examples=200)
@@ -35,7 +39,7 @@ def test_torque_and_rate_stay_within_their_limits(robot, tau, before, place, v):
     """Whatever is asked for, in any state, also beyond the joint limits."""
     q = robot.q_min + place * (robot.q_max - robot.q_min)
     before = before * robot.tau_max
-    mine = SafetyFilter(robot.data, SafetyFilterSettings(), PERIOD, robot.gravity)
+    mine = guard_of(robot)
     sent = mine.limit_torque(tau, before, q, v)
     assert (np.abs(sent) <= robot.tau_max).all()
     step = SafetyFilterSettings().torque_rate_Nm_per_s * PERIOD
@@ -43,36 +47,62 @@ def test_torque_and_rate_stay_within_their_limits(robot, tau, before, place, v):
     assert mine.limited == np.count_nonzero(sent != tau)
 
 
-@settings(max_examples=200)
-@given(tau=numbers(-170.0, 170.0), place=numbers(0.0, 1.0), v=numbers(-6.0, 6.0))
-def test_too_fast_or_too_near_is_braked(robot, tau, place, v):
-    """Without a rate limit: a joint that is too fast for where it is gets a torque below its weight's, against v."""
-    s = SafetyFilterSettings(torque_rate_Nm_per_s=1e9)
-    q = robot.q_min + place * (robot.q_max - robot.q_min)
-    mine = SafetyFilter(robot.data, s, PERIOD)  # drives that carry the weight: hold = 0
-    sent = mine.limit_torque(np.clip(tau, -robot.tau_max, robot.tau_max), np.zeros(N), q, v)
-    for i in range(N):
-        inside = min(robot.q_max[i] - q[i], q[i] - robot.q_min[i]) < s.position_margin_rad
-        if inside and abs(v[i]) > robot.v_max[i] and (q[i] > 0.0) != (v[i] > 0.0):
-            assert sent[i] == 0.0  # it leaves the wall, and too fast already
-            continue
-        for side, distance in ((1.0, robot.q_max[i] - q[i]), (-1.0, q[i] - robot.q_min[i])):
-            distance -= s.position_margin_rad
-            allowed = min(robot.v_max[i], np.sqrt(2.0 * s.wall_brake_rad_per_s2 * max(distance, 0.0)))
-            if side * v[i] > allowed:
-                assert side * sent[i] <= 1e-9
-            if distance < 0.0:
-                spring = s.wall_stiffness_Nm_per_rad * -distance
-                assert side * sent[i] <= -min(spring, robot.tau_max[i]) + 1e-9
-            if abs(v[i]) <= allowed and distance > 0.0 and place[i] in (0.4, 0.5):
-                assert sent[i] == np.clip(tau, -robot.tau_max, robot.tau_max)[i]
+def by_the_law(s, robot, tau, before, q, v):
+    """Walls, brakes, torque rate and torque limit, with numpy."""
+    margins = s.position_margin_rad
+    low, high, hold = robot.q_min + margins, robot.q_max - margins, robot.gravity(q)
+    ends, step = [], s.torque_rate_Nm_per_s * PERIOD
+    for side, distance in ((1.0, high - q), (-1.0, q - low)):
+        depth, speed = np.maximum(-distance, 0.0), side * v
+        allowed = np.minimum(robot.v_max, np.sqrt(2.0 * s.wall_brake_rad_per_s2 * np.maximum(distance, 0.0)))
+        acts = (distance < 0.0) | (speed > allowed)
+        push = s.wall_stiffness_Nm_per_rad * depth + s.wall_damping_Nm_s_per_rad * np.maximum(speed - allowed, 0.0)
+        ends.append(np.where(acts, -push, np.inf))
+    most, least = ends[0], -ends[1]
+    both = least > most  # leaving a wall too fast already
+    most, least = np.where(both, 0.0, most), np.where(both, 0.0, least)
+    sent = np.clip(np.clip(tau, hold + least, hold + most), before - step, before + step)
+    return np.clip(sent, -robot.tau_max, robot.tau_max)
 
 
-def test_calm_torques_pass_untouched(guard, robot):
-    tau = robot.gravity(robot.data.q_home)
-    sent = guard.limit_torque(tau, tau, robot.data.q_home, 0.5 * robot.v_max)
-    np.testing.assert_array_equal(sent, tau)
+@settings(max_examples=150)
+@given(seed=st.integers(0, 10**6), rate=st.sampled_from([500.0, 2e4, 1e9]), fast=st.sampled_from([0.3, 1.0, 3.0]))
+def test_the_torque_follows_the_law(robot, seed, rate, fast):
+    rng = np.random.default_rng(seed)
+    guard = guard_of(
+        robot, torque_rate_Nm_per_s=rate, position_margin_rad=0.05 * rng.uniform(0.5, 2.0),
+        wall_stiffness_Nm_per_rad=2000.0 * rng.uniform(0.5, 2.0), wall_brake_rad_per_s2=rng.uniform(1.0, 4.0),
+    )  # fmt: skip
+    near = rng.choice([0.02, 0.3, 0.7], N) * rng.choice([-1.0, 1.0], N)  # of half the range
+    q = np.where(rng.random(N) < 0.5, robot.q_min, robot.q_max) + near * (robot.q_max - robot.q_min) / 2.0
+    v = fast * robot.v_max * rng.uniform(-1.0, 1.0, N)
+    before, tau = rng.uniform(-1.0, 1.0, (2, N)) * robot.tau_max * [[1.0], [1.2]]
+    expected = by_the_law(guard.settings, robot, tau, before, q, v)
+    sent = guard.limit_torque(tau, before, q, v)
+    np.testing.assert_allclose(sent, expected, rtol=1e-12, atol=1e-9)
+    assert guard.limited == np.count_nonzero(sent != tau)
+
+
+@pytest.mark.parametrize(("j", "bad"), [(0, np.nan), (3, np.inf), (6, -np.inf)])
+def test_one_torque_that_is_no_number_is_enough(robot, j, bad):
+    guard = guard_of(robot)
+    tau, before = np.ones(N), np.full(N, 2.0)
+    tau[j] = bad
+    assert guard.limit_torque(tau, before, robot.data.q_home, REST) is before
     assert guard.limited == 0
+    assert guard.reason == "the controller's torque is not finite"
+
+
+@pytest.mark.parametrize("carries", [True, False])
+def test_a_brake_starts_from_the_arms_weight(robot, carries):
+    guard = guard_of(robot, carries=carries, torque_rate_Nm_per_s=1e9)
+    q, tau, v = robot.data.q_home, np.full(N, 30.0), np.zeros(N)
+    np.testing.assert_array_equal(guard.limit_torque(tau, tau, q, v), tau)
+    v[2] = 1.5 * robot.v_max[2]
+    sent = guard.limit_torque(tau, tau, q, v)
+    assert sent[2] == pytest.approx(carries * robot.gravity(q)[2] - 20.0 * 0.5 * robot.v_max[2])
+    np.testing.assert_array_equal(np.delete(sent, 2), np.delete(tau, 2))
+    assert guard.limited == 1
 
 
 def test_the_wall_of_a_joint_that_slides_has_a_margin_of_its_own():
@@ -90,20 +120,28 @@ def test_the_wall_of_a_joint_that_slides_has_a_margin_of_its_own():
         assert mine.limited == touched
 
 
-def test_the_kernel_asks_for_the_weight_only_where_it_brakes(robot):
-    limits = np.array([robot.q_min, robot.q_max, robot.v_max, robot.tau_max, np.full(N, 0.05)])
-    wall = np.array([2000.0, 20.0, 2.0])
-    rest, tau = np.zeros(N), np.ones(N)
-    args = (np.empty(0), limits, wall, 40.0)
-    assert limit_torque(tau, rest, robot.data.q_home, rest, *args) == 0
-    assert limit_torque(tau, rest, robot.data.q_home, 2.0 * robot.v_max, *args) == -1
-    np.testing.assert_array_equal(tau, np.ones(N))
-    tau[3] = np.nan
-    assert limit_torque(tau, rest, robot.data.q_home, rest, *args) == -2
+@pytest.mark.parametrize("start", [-1.0, 1.0])
+def test_a_wall_that_begins_at_the_start_is_none_beyond_it(robot, start):
+    """Where the joint began there is no torque; deeper in, the wall's; other joints keep their own."""
+    q, s = np.array(robot.data.q_home), SafetyFilterSettings()
+    q[1] = start * (robot.q_max[1] - 0.5 * s.position_margin_rad)
+    guard = guard_of(robot, q, carries=False)
+    assert not guard.limit_torque(REST, REST, q, REST).any()
+    deeper = np.where(np.arange(N) == 1, q + 1e-3 * start, q)
+    back = guard.limit_torque(REST, REST, deeper, REST)
+    assert back[1] == pytest.approx(-start * s.wall_stiffness_Nm_per_rad * 1e-3)
+    q[5] = robot.q_max[5] - 0.5 * s.position_margin_rad
+    assert guard.limit_torque(REST, REST, q, REST)[5] < 0.0
+    guard.start(np.array(robot.data.q_home), REST)  # another run has its whole walls again
+    assert guard.limit_torque(REST, REST, q, REST)[1] * start < 0.0
 
 
-def test_bad_measurements_are_bridged(guard, robot):
+# --- what is believed ---
+
+
+def test_bad_measurements_are_bridged(robot):
     q, v = robot.data.q_home, np.full(N, 0.1)
+    guard = guard_of(robot)
     guard.check_measurement(q, v)
     for k, bad in enumerate((np.full(N, np.nan), q + 1.0, np.full(N, np.inf)), start=1):
         seen, speed = guard.check_measurement(bad, v)
@@ -120,36 +158,93 @@ def test_bad_measurements_are_bridged(guard, robot):
     assert "not believed" in guard.reason
 
 
-def test_a_speed_that_no_joint_has_is_not_believed(guard, robot):
-    guard.check_measurement(robot.data.q_home, 6.0 * robot.v_max)
-    assert guard.bad_ticks == 1
+def test_limits_of_belief_grow_with_the_gap(robot):
+    """After b bad measurements the arm may be (1 + b) ticks of v_max farther, from where it was expected."""
+    q, v = robot.data.q_home, np.full(N, 0.2)
+    for bad in range(3):
+        for share, sound in ((0.999, True), (1.001, False)):
+            guard = guard_of(robot, q, v, speed_factor=2.0)
+            for _ in range(bad):
+                guard.check_measurement(np.full(N, np.nan), v)
+            step = guard.settings.jump_rad + (1 + bad) * PERIOD * robot.v_max
+            guard.check_measurement(q + bad * PERIOD * v + share * step, 2.0 * share * robot.v_max)
+            assert guard.bad_ticks == (0 if sound else bad + 1)
 
 
-@pytest.mark.parametrize("bad", [np.nan, np.inf])
-def test_the_first_measurement_must_be_one(guard, bad):
-    with pytest.raises(ControlError, match="not finite"):
-        guard.start(np.full(N, bad), np.zeros(N))
+def test_a_measurement_that_is_no_newer_than_the_last_is_not_taken(robot):
+    guard, q = guard_of(robot), np.array(robot.data.q_home)
+    for stamp, off, taken in ((0, 0.0, True), (0, 1e-3, False), (2, 2e-3, True), (1, 3e-3, False), (4, 4e-3, True)):
+        found, _ = guard.check_measurement(q + off, REST, stamp)
+        assert guard.bad_ticks == (not taken)
+        assert (found == q + off).all() == taken
+    assert not guard.stopped
 
 
-@pytest.mark.parametrize(
-    "field", [{"patience_ticks": -1}, {"jump_rad": 0.0}, {"stop_s": -1.0}, {"tip_error_m": float("nan")}]
-)
-def test_wrong_settings_name_the_field(field):
-    with pytest.raises(ControlError, match=next(iter(field))):
-        SafetyFilterSettings(**field)
+@pytest.mark.parametrize("time_s", [0.1, 0.002, 0.0005])
+@pytest.mark.parametrize("factor", [0.999, 1.1, 3.0])
+def test_a_tip_off_its_reference_is_noted_when_its_mean_says_so(robot, time_s, factor):
+    guard = guard_of(robot, tip_error_m=0.004, tip_error_s=time_s)
+    share = min(1.0, PERIOD / time_s)
+    for _ in range(2):  # the second time after a start, which forgets
+        guard.start(robot.data.q_home, REST)
+        assert not guard.stopped
+        for k in range(1, 400):
+            guard.limit_torque(REST, REST, REST, REST, np.zeros((3, 3)), tip=np.array([0.0, 0.004 * factor, 0.0]))
+            assert guard.stopped == (factor**2 * (1.0 - (1.0 - share) ** k) > 1.0)
+        assert guard.reason in ("", "the tip has been 4 mm off its reference")
+    guard.start(robot.data.q_home, REST)
+    guard.limit_torque(REST, REST, REST, REST, np.zeros((3, 3)), tip=np.full(3, np.nan))
+    assert guard.stopped
+
+
+def test_a_start_forgets_everything(robot):
+    guard = guard_of(robot, patience_ticks=0)
+    guard.limit_torque(np.full(N, 1e3), REST, robot.data.q_home, REST)
+    assert guard.limited == N
+    guard.check_measurement(np.full(N, np.nan), REST)
+    assert guard.stopped
+    guard.request_stop("too late")
+    assert guard.reason == "measurements not believed"
+    q, v = robot.data.q_home + 0.1, np.full(N, 0.3)
+    guard.start(q, v)
+    assert (guard.stopped, guard.bad_ticks, guard.limited, guard.reason, guard.warnings) == (False, 0, 0, "", [])
+    seen, speed = guard.check_measurement(np.full(N, np.nan), v)
+    np.testing.assert_allclose(seen, q + PERIOD * v, rtol=1e-14)
+    np.testing.assert_array_equal(speed, v)
+    for bad in (np.nan, np.inf):
+        with pytest.raises(ControlError, match="not finite"):
+            guard.start(q, np.full(N, bad))
+        with pytest.raises(ControlError, match="not finite"):
+            guard.start(np.full(N, bad), v)
+
+
+# --- the stop ---
+
+
+@pytest.mark.parametrize("rate", [20000.0, 1e9])
+def test_at_rest_the_weight_is_carried_within_the_limits(robot, rate):
+    q = np.array([0.3, 1.2, 0.1, -0.6, 0.2, 0.4, 0.0])
+    before, step = np.array([-100.0, 100.0, 0.0, 0.0, 10.0, 0.0, 0.0]), rate * PERIOD
+    for carries in (True, False):
+        guard = guard_of(robot, q, carries=carries, torque_rate_Nm_per_s=rate)
+        guard.limited = 3
+        wanted = np.clip(carries * robot.gravity(q), -robot.tau_max, robot.tau_max)
+        expected = np.clip(wanted, before - step, before + step)
+        np.testing.assert_allclose(guard.stop_torque(before), expected, rtol=1e-9, atol=1e-9)
+        assert guard.limited == 0
 
 
 @pytest.mark.parametrize("newton", [9.0, 30.0, 100.0])
 def test_brakes_open_by_the_mean_of_the_trocars_force_and_not_by_a_blow(robot, newton):
     """m = 1 - (1 - 50 /s T)^k of a force that acts for k ticks; in one tick the tool's own inertia may show as much."""
     q, data = np.array(robot.data.q_home), robot.data
-    guard = SafetyFilter(data, SafetyFilterSettings(), 0.002, robot.gravity, robot.tool_place)
-    guard.start(q, np.zeros(7))
+    guard = SafetyFilter(robot, SafetyFilterSettings(), 0.002, momentum=False)
+    guard.start(q, REST)
     pose = robot.tool_pose(q)
     calm = np.zeros(6)
     calm[:2] = -9.81 * data.tool_mass * pose[:2, 2]  # the tool's weight alone
     # At the tip the whole force is the trocar's.
-    guard.check_measurement(q, np.zeros(7), wrench=calm, trocar=np.array([pose[3], np.zeros(3)]))
+    guard.check_measurement(q, REST, wrench=calm, trocar=np.array([pose[3], np.zeros(3)]))
     pressed = calm + np.array([0.0, newton, 0.0, 0.0, 0.0, 0.0])
     opened = [not guard.brake_friction(pressed).any() for _ in range(400)]
     first = next(k for k in range(1, 60) if newton * (1.0 - 0.9**k) > SafetyFilterSettings().stop_yield_N)
@@ -158,21 +253,60 @@ def test_brakes_open_by_the_mean_of_the_trocars_force_and_not_by_a_blow(robot, n
     assert np.flatnonzero(opened).tolist() == list(range(first - 1, first - 1 + 200))  # stop_yield_s, and not again
 
 
-def test_a_measurement_that_is_no_newer_than_the_last_is_not_taken(guard, robot):
-    q, v = np.array(robot.data.q_home), np.zeros(N)
-    for stamp, off, taken in ((0, 0.0, True), (0, 1e-3, False), (2, 2e-3, True), (1, 3e-3, False), (4, 4e-3, True)):
-        found, _ = guard.check_measurement(q + off, v, stamp)
-        assert guard.bad_ticks == (not taken)
-        assert (found == q + off).all() == taken
-    assert not guard.stopped
-
-
 @pytest.mark.parametrize("share", [1.0, 0.05])
 def test_the_brakes_hold_their_share_of_each_drive_and_what_the_drive_cannot_carry(robot, share):
     weak = dataclasses.replace(robot.data, tau_max=share * robot.data.tau_max)
-    guard = SafetyFilter(weak, SafetyFilterSettings(), PERIOD, robot.gravity)
-    guard.start(weak.q_home, np.zeros(robot.n))
+    guard = guard_of(RobotModel(weak))
     left = np.maximum(np.abs(robot.gravity(weak.q_home)) - weak.tau_max, 0.0)
     assert (left.max() > 0.0) == (share < 1.0)
     expected = guard.settings.stop_holding * weak.tau_max + 1.5 * left
     np.testing.assert_allclose(guard.brake_friction(np.zeros(6)), expected, rtol=1e-12)
+
+
+# --- settings ---
+
+POSITIVE = (
+    "torque_rate_Nm_per_s", "wall_brake_rad_per_s2", "jump_rad", "tip_error_m", "tip_error_s", "rcm_error_m",
+    "rcm_warning_m", "trocar_force_N", "trocar_force_warning_N", "incision_s", "stop_damping_Nm_s_per_rad", "stop_s",
+)  # fmt: skip
+NOT_NEGATIVE = ("position_margin_rad", "wall_stiffness_Nm_per_rad", "wall_damping_Nm_s_per_rad")
+LEVELS = ("rcm_error_m", "rcm_warning_m", "trocar_force_N", "trocar_force_warning_N")
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [(field, 0.0) for field in POSITIVE] + [(field, -1e-9) for field in NOT_NEGATIVE]
+    + [("patience_ticks", -1), ("speed_factor", 1.0), ("tip_error_m", float("nan")), ("rcm_error_m", -1.0),
+       ("trocar_force_N", float("nan"))],
+)  # fmt: skip
+def test_wrong_settings_name_the_field(field, value):
+    off = dict.fromkeys(LEVELS) if field in LEVELS else {}
+    with pytest.raises(ControlError, match=field):
+        SafetyFilterSettings(**{**off, field: value})
+
+
+@pytest.mark.parametrize("wrong", [{"rcm_warning_m": 0.02}, {"trocar_force_warning_N": 16.0}])
+def test_a_warning_is_not_above_its_limit(wrong):
+    with pytest.raises(ControlError, match=next(iter(wrong))):
+        SafetyFilterSettings(**wrong)
+    SafetyFilterSettings(rcm_warning_m=0.010, trocar_force_warning_N=15.0)
+    SafetyFilterSettings(rcm_error_m=None, trocar_force_N=None, **wrong)
+
+
+def test_defaults_are_those_of_the_documentation():
+    """Each number bounds what an arm may do near a patient: a change of one is a decision, and is made here too."""
+    assert SafetyFilterSettings().model_dump() == {
+        "torque_rate_Nm_per_s": 20000.0, "position_margin_rad": 0.045, "position_margin_m": 0.045,
+        "wall_stiffness_Nm_per_rad": 2000.0, "wall_damping_Nm_s_per_rad": 20.0, "wall_brake_rad_per_s2": 2.0,
+        "jump_rad": 0.05, "speed_factor": 5.0,
+        "patience_ticks": 3, "tip_error_m": 0.01, "tip_error_s": 0.1, "rcm_error_m": 0.010, "rcm_warning_m": 0.005,
+        "trocar_force_N": 15.0, "trocar_force_warning_N": 8.0, "incision_s": 0.1,
+        "tip_force_N": 10.0,
+        "stop_damping_Nm_s_per_rad": 20.0, "stop_holding": 0.25, "stop_yield_N": 8.0, "stop_yield_s": 0.4,
+        "stop_s": 0.5,
+        "motion": True, "motion_s": 0.1, "motion_rad": 0.001, "motion_lag_s": 0.012, "repeat_m": 0.003,
+        "repeat_whole_m": 0.0005, "repeat_whole_ticks": 25,
+        "repeat_torque": 0.06, "repeat_whole_torque": 0.0005, "stuck_torque": 0.06, "stuck_rad_per_s": 0.2,
+        "stuck_friction": 6.0, "repeat_joint_ticks": None, "repeat_reading_ticks": None,
+        "residual_torque": 0.2, "residual_whole_torque": 0.5, "residual_rate_per_s": 40.0, "residual_s": 0.25,
+    }  # fmt: skip

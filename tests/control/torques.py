@@ -1,29 +1,67 @@
-"""The compiled parts of a tick, called with the parts of a law by name."""
+"""The core's law with the parts of it that a test names, on the terms of any state; and its supervisor by itself."""
 
 import numpy as np
 
-from moc_opt.control import tick
-from moc_opt.control.law import packed
+from moc_opt import core
+from moc_opt.control import supervisor
+from moc_opt.control.law import FALLBACKS, LATE
 
 
-def of(kernel, form):
-    """A kernel compiled, or as plain Python."""
-    return kernel if form == "compiled" else kernel.py_func
+def law(n, arm=None, supervision=None, fallback="damping", **changes):
+    """A core.Law for n joints; what is not given is zero, wide open or off."""
+    s = supervisor.SupervisorSettings() if supervision is None else supervision
+    wide = np.full(n, 1e3)
+    blank = core.Arm(
+        np.zeros((n, 16)), np.zeros((n, 10)), np.zeros(n), np.zeros((2, 3)), np.eye(3), np.ones((2, n)), np.zeros(3)
+    )
+    given = {
+        "K_X": 0.0, "D_X": 0.0, "K_N": 0.0, "D_N": 0.0, "rcm_lambda": 0.0, "projector": 0, "feedforward": False,
+        "K_N2": 0.0, "D_N2": 0.0, "tau_max": np.inf, "k0": 1.0, "c0": 0.01, "c1": 0.01, "c2": 1e-3, "rho": 1e-5,
+        "q_min": -wide, "q_max": wide, "v_max": wide, "shaft_margin": 0.0, "spare_speed": 0.0, "observer_gain": 0.0,
+        "period": 0.002, "fade": 1.0, "third_level": True, "damped": False, "climbs": False, "check": s.check,
+        "box_limit": s.box_limit, "primal_limit": s.primal_limit, "relative_limit": s.relative_limit,
+        "opposite_limit": s.opposite_limit, "hold_ticks": s.hold_ticks, "keep_off_limits": s.keep_off_limits,
+        "fallback": FALLBACKS.index(fallback), "late": LATE.index(s.late),
+        "budget_us": np.inf if s.budget_us is None else s.budget_us, **changes,
+    }  # fmt: skip
+    for name in ("K_N2", "D_N2", "tau_max", "q_min", "q_max", "v_max"):
+        given[name] = np.broadcast_to(np.asarray(given[name], float), (n,)).copy()
+    return core.Law(blank if arm is None else arm, **given)
 
 
-def tracking(state, tip_ref, trocar, form="compiled", **law):
-    """tau_tip + tau_rcm (n,) [Nm]; ``law`` as for ``law.packed``."""
-    n = state.n
-    return of(tick.tracking_torque, form)(state.record, packed(n, **law), tip_ref, trocar, np.zeros(n))
+def ticked(state, tip_ref, trocar, x=None, pull=None, **parts):
+    """One tick from the start: tau (n,) and the subproblem's record."""
+    made, tau, row = law(state.n, **parts), np.empty(state.n), np.empty(10 * state.n + 10)
+    made.start(state.record, tip_ref, trocar, row)
+    made.begin(state.record, tip_ref, trocar, pull, row)
+    made.finish(x, tau)
+    return tau, row
 
 
-def third(state, Z, x, K_N2, D_N2, share=1.0, form="compiled"):
+def tracking(state, tip_ref, trocar, gains=(0.0, 0.0, 0.0, 0.0), **parts):
+    """tau_tip + tau_rcm (n,) [Nm]."""
+    names = dict(zip(("K_X", "D_X", "K_N", "D_N"), gains, strict=True))
+    return ticked(state, tip_ref, trocar, **names, **parts, third_level=False)[0]
+
+
+def third(state, x, K_N2, D_N2, share=1.0):
     """tau_mu (n,) [Nm]."""
-    return of(tick.third_level, form)(state.record, packed(state.n, K_N2=K_N2, D_N2=D_N2), Z, x, share)
+    rest = np.array([state.tip, np.zeros(3), np.zeros(3)])
+    trocar = np.array([state.tip - 0.15 * state.tool_direction, np.zeros(3)])
+    return ticked(state, rest, trocar, x, K_N2=K_N2, D_N2=D_N2, fade=share)[0] - state.h
 
 
-def subproblem(state, tip_ref, trocar, form="compiled", **law):
-    """The flat record of the tick's subproblem."""
-    row = np.empty(10 * state.n + 10)
-    of(tick.fill_subproblem, form)(state.record, packed(state.n, **law), tip_ref, trocar, row)
-    return row
+def subproblem(state, tip_ref, trocar, **parts):
+    """The record of the tick's subproblem."""
+    return ticked(state, tip_ref, trocar, **parts)[1]
+
+
+class Supervisor(supervisor.Supervisor):
+    """A supervisor whose law has the subproblem and the null space that the test gives it."""
+
+    def __init__(self, settings, fallback, n, times_us=None):
+        super().__init__(settings, law(n, supervision=settings, fallback=fallback), n, times_us)
+
+    def solve(self, session, qp, Z, v=None):
+        self._law.load(qp.row, np.ascontiguousarray(Z))
+        return super().solve(session, qp, v)

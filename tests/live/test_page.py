@@ -1,32 +1,261 @@
-"""The live page is titled by what it shows."""
+"""The live page: where it listens, how it ends, and, in a real browser, that its controls reach the run.
 
+Skipped where viser, playwright or a Chromium is missing.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from time import monotonic, sleep
+from typing import Any
+
+import numpy as np
 import pytest
 
-from moc_opt.__main__ import main
+from moc_opt.live.page import LivePage
+from moc_opt.live.run import DCAC, QUANTITIES
+from moc_opt.scenario import Scenario
+from tests.conftest import opened
 
 viser = pytest.importorskip("viser", reason="the live page needs viser: pip install 'moc-opt[live]'")
 
+import msgspec  # noqa: E402
+from viser._messages import GuiUpdateMessage  # noqa: E402
+from websockets.exceptions import ConnectionClosed  # noqa: E402
+from websockets.sync.client import connect  # noqa: E402
+
+SCENARIO = Scenario(start={"swivel": 0.2})
+PATIENCE_S = 30.0
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.fixture(scope="module")
+def live() -> Iterator[LivePage]:
+    """A page that is kept up to date, at leisure: a browser that draws in software has enough to do."""
+    with pytest.MonkeyPatch.context() as patch, LivePage(SCENARIO, port=0) as page:
+        patch.setattr("moc_opt.live.page.FRAME_S", 0.3)
+        thread = threading.Thread(target=page.wait)
+        thread.start()
+        yield page
+        page.stop()
+        thread.join()
+
+
+def token(live: LivePage) -> str:
+    return live.url.rpartition("/")[2]
+
+
+def address(live: LivePage) -> str:
+    return f"127.0.0.1:{live.server.get_port()}"
+
+
+def until(true: Any, what: str) -> None:
+    """Wait until something holds."""
+    end = monotonic() + PATIENCE_S
+    while not true():
+        assert monotonic() < end, what
+        sleep(0.05)
+
+
+def listening(port: int) -> set[str]:
+    """Addresses at which this machine listens on a port, as the kernel writes them."""
+    found = set()
+    for table in ("tcp", "tcp6"):
+        file = Path("/proc/net") / table
+        if not file.exists():
+            pytest.skip(f"{file}: there is none here")
+        for line in file.read_text().splitlines()[1:]:
+            _, local, _, state = line.split()[:4]
+            address, _, number = local.partition(":")
+            if state == "0A" and int(number, 16) == port:
+                found.add(address)
+    return found
+
+
+# --- without a browser ---
+
+
+def test_it_listens_on_loopback_alone(live: LivePage) -> None:
+    assert live.url.startswith("http://127.0.0.1:")
+    assert listening(live.server.get_port()) == {"0100007F"}
+
+
+def test_it_keeps_step_with_the_clock(live: LivePage) -> None:
+    until(lambda: live.run.moment().t_s > 0.5, "it does not begin")
+
+    def in_step() -> bool:
+        start, simulated = monotonic(), live.run.moment().t_s
+        sleep(1.0)
+        passed = monotonic() - start
+        return live.run.moment().t_s - simulated == pytest.approx(passed, rel=0.25)
+
+    until(in_step, "too fast, or too slow, whenever one looks")
+
 
 @pytest.mark.parametrize(
-    ("text", "title"),
-    [('[task]\npath = "spiral"\n', "biopsy"), ('name = "second try"\n', "second try"), (None, "circle")],
+    ("field", "wrong"), [("regularization", "-1"), ("regularization", "a lot"), ("K_N", ""), ("K_X", "nan")]
 )
-def test_the_page_is_titled_by_the_scenario_s_name_or_file(tmp_path, monkeypatch, text, title):
-    from moc_opt.live import page
+def test_a_wrong_number_changes_nothing(live: LivePage, field: str, wrong: str) -> None:
+    panel, before = live._panel, live.run.control
+    panel._fields[field].value = wrong
+    panel._do(panel._apply)
+    assert panel._fields[field].value == panel._written(field) != wrong
+    assert live.run.control == before
 
-    labels = []
 
-    class Stop(Exception):
-        """Raised in the place of a server."""
+def test_ctrl_c_ends_it_cleanly() -> None:
+    code = (
+        "from moc_opt.live.page import serve; from moc_opt.scenario import Scenario; "
+        "raise SystemExit(serve(Scenario(), port=0))"
+    )
+    program = subprocess.Popen(
+        [sys.executable, "-c", code], cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+    )  # fmt: skip
+    assert program.stderr is not None
+    try:
+        assert "live at http://127.0.0.1:" in program.stderr.readline()
+        sleep(0.5)
+        program.send_signal(signal.SIGINT)
+        out, err = program.communicate(timeout=PATIENCE_S)
+    finally:
+        program.kill()
+    assert (program.returncode, out, err) == (0, "", "ended\n")
 
-    def server(*args, label, **kwargs):
-        labels.append(label)
-        raise Stop
 
-    monkeypatch.setattr(page, "_viser", lambda: server)
-    file = tmp_path / "biopsy.toml"
-    if text is not None:
-        file.write_text(text, encoding="utf-8")
-    with pytest.raises(Stop):
-        main(["live", *([str(file)] if text is not None else [])])
-    assert labels == [f"moc_opt: {title}"]
+def test_of_rapid_choices_the_one_that_the_list_shows_runs(
+    live: LivePage, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The page calls back from many threads: the first choice must not come through after the second."""
+    panel: Any = live._panel
+    begun, choose = threading.Event(), live.run.choose
+
+    def slowly(name: str) -> None:
+        if name == "rnn":
+            begun.set()
+            sleep(0.3)
+        choose(name)
+
+    monkeypatch.setattr(live.run, "choose", slowly)
+    with ThreadPoolExecutor(2) as threads:
+        first = threads.submit(setattr, panel._solver, "value", "rnn")
+        assert begun.wait(10.0)
+        second = threads.submit(setattr, panel._solver, "value", "osqp")
+        first.result(), second.result()
+    assert live.run.solver == panel._solver.value == "osqp"
+
+# --- who may see and command it ---
+
+
+def knock(live: LivePage, path: str, say: bytes = b"", true: Any = lambda: True) -> Any:
+    """What a WebSocket at a path, from another site's page, is told; None where it is closed without an answer."""
+    protocol: Any = f"viser-v{viser.__version__}"
+    uri = f"ws://{address(live)}{path}"
+    with connect(uri, origin="http://evil.example", subprotocols=[protocol]) as opened:  # type: ignore[arg-type]
+        try:
+            if say:
+                opened.send(say)
+            told = opened.recv(timeout=10.0)
+        except ConnectionClosed:
+            return None
+        until(true, "what was said has no effect")
+        return told
+
+
+@pytest.mark.parametrize("path", ["/", "/wrong", "/?token={token}", "/{token}x", "/{token}/", "//{token}", "/%ff"])
+def test_without_the_token_nothing_is_told(live: LivePage, path: str) -> None:
+    assert knock(live, path.format(token=token(live))) is None
+
+
+def test_with_the_token_all_is_told(live: LivePage) -> None:
+    assert knock(live, f"/{token(live)}")
+
+
+def test_an_order_without_the_token_is_not_obeyed_even_if_it_came_before_the_refusal(live: LivePage) -> None:
+    """The same message is obeyed with the token, so that it is an order."""
+    box: Any = live._panel._solver
+    order = msgspec.msgpack.encode(GuiUpdateMessage(box._impl.uuid, {"value": "rnn"}).as_serializable_dict())
+
+    async def slow(client: object) -> None:
+        await asyncio.sleep(0.3)
+
+    hooks = live.server._websock_server._client_connect_cb
+    hooks.insert(0, slow)
+    assert knock(live, "/", order) is None
+    hooks.remove(slow)
+    sleep(0.5)
+    assert box.value != "rnn"
+    assert knock(live, f"/{token(live)}", order, lambda: box.value == "rnn")
+    box.value = live.run.solver
+
+
+# --- in a browser ---
+
+
+@pytest.fixture(scope="module")
+def page(chromium: Any, live: LivePage) -> Iterator[Any]:
+    """The open page; in the end there must have been no error, and no request to anyone else."""
+    own, size = f"http://{address(live)}", {"width": 480, "height": 320}
+    with opened(chromium, live.url, "text=real time", own, ("error",), viewport=size) as found:
+        yield found
+
+
+def click(locator: Any) -> None:
+    """Without waiting for the layout to rest: software draws one or two pictures of the arm a second."""
+    locator.evaluate("element => element.click()")
+
+
+def enter(field: Any, text: str) -> None:
+    field.evaluate("element => element.focus()")
+    field.fill(text)
+    field.evaluate("element => element.blur()")
+
+
+def choose(page: Any, live: LivePage, solver: str) -> None:
+    click(page.get_by_label("Solver"))
+    click(page.get_by_role("option", name=solver, exact=True))
+    until(lambda: live.run.moment().solver == solver, "the choice does not reach the run")
+
+
+def pictures(page: Any) -> list[str]:
+    """The four plots."""
+    found: list[str] = page.evaluate(
+        "[...document.querySelectorAll('.uplot canvas')].map(c => c.toDataURL())"
+    )
+    return found
+
+
+def test_a_solver_is_switched_and_the_plots_react(page: Any, live: LivePage) -> None:
+    live.run.choose("exact")
+    page.wait_for_function("document.body.innerText.includes('exact ·')", polling=100, timeout=60_000)
+    before = pictures(page)
+    assert len(before) == 4
+    choose(page, live, DCAC)
+    page.wait_for_function(f"document.body.innerText.includes('{DCAC} ·')", polling=100, timeout=60_000)
+    solving = QUANTITIES.index("solve_us")
+    until(lambda: np.isnan(live.run.history(10**6)[-20:, solving]).all(), "DCAC solves nothing")
+    assert all(old != new for old, new in zip(before, pictures(page), strict=True))
+
+
+def test_bad_input_gives_a_message_and_the_run_goes_on(page: Any, live: LivePage) -> None:
+    field = page.locator("xpath=//label[starts-with(., 'K_X')]/following::input[1]")
+    apply = page.get_by_role("button", name="Apply")
+    typed = live._panel._fields["K_X"]
+    good = typed.value
+    enter(field, "-5")
+    click(apply)
+    page.wait_for_function("document.body.innerText.includes('greater than 0')", polling=100, timeout=60_000)
+    until(lambda: typed.value == good, "the field goes back to what holds")
+    t = live.run.moment().t_s
+    until(lambda: live.run.moment().t_s > t + 0.2, "the run stands still")
+    enter(field, "2500")
+    click(apply)
+    until(lambda: live.run.gains.K_X == 2500.0, "a good one is taken")

@@ -1,4 +1,4 @@
-"""The live run without a page: what is changed in it, and that it goes on whatever is asked of it."""
+"""The run behind the live page, without a page: what it computes, how controllers are exchanged, what is refused."""
 
 from __future__ import annotations
 
@@ -12,16 +12,15 @@ import pytest
 
 from moc_opt.errors import ControlError, MocOptError, UnknownNameError
 from moc_opt.live import LiveError, LiveRun
-from moc_opt.live.address import CONSENT, checked_address
-from moc_opt.live.exchange import Choice
-from moc_opt.live.history import QUANTITIES, History, thinned
-from moc_opt.live.motion import SLOWLY_M_PER_S, MovingTrocar, ToAndFro
-from moc_opt.live.orders import DCAC
-from moc_opt.live.run import HISTORY_S
-from moc_opt.model.robot_model import RobotModel
-from moc_opt.redundancy.arm_angle import Elbow
+from moc_opt.live.run import (
+    DCAC,
+    QUANTITIES,
+    SLOWLY_M_PER_S,
+    Choice,
+    ToAndFro,
+)
+from moc_opt.robots.model import RobotModel
 from moc_opt.scenario import Scenario, Setup
-from moc_opt.tasks import Trocar
 
 COLUMN = {name: k for k, name in enumerate(QUANTITIES)}
 
@@ -38,9 +37,9 @@ def column(run: LiveRun, name: str, ticks: int) -> Any:
 
 
 def test_a_course_that_ends_is_refused_at_the_start_and_later(run: LiveRun) -> None:
-    with pytest.raises(LiveError, match=r"third_level = 'planned'"):
+    with pytest.raises(LiveError):
         LiveRun(Scenario().change(control={"third_level": "planned"}))
-    with pytest.raises(LiveError, match=r"third_level = 'planned'"):
+    with pytest.raises(LiveError):
         run.tune(third_level="planned")
     assert run.control.third_level == "local"
 
@@ -83,18 +82,6 @@ def test_a_solver_is_exchanged_at_the_next_tick(run: LiveRun) -> None:
     assert not run.messages
 
 
-def test_the_plots_react_to_the_solver(run: LiveRun) -> None:
-    run.choose(DCAC)
-    run.advance(400)
-    stays = column(run, "mu", 400)
-    run.choose("exact")
-    run.advance(700)
-    assert np.ptp(stays) < 0.005
-    assert column(run, "mu", 1)[0] > stays[-1] + 0.03
-    bound = column(run, "mu_bound", 1)[0]
-    assert bound == pytest.approx(column(run, "mu", 1)[0], abs=0.02)
-
-
 @pytest.mark.parametrize("change", [
     lambda run: run.choose(DCAC), lambda run: run.choose("rnn"), lambda run: run.tune(K_X=1500.0, K_N=300.0),
     lambda run: run.tune(observer_gain_per_s=0.0), lambda run: run.tune(regularization=1e-3),
@@ -116,40 +103,20 @@ def test_exchanges_do_not_jerk(change: Callable[[LiveRun], None]) -> None:
     assert not run.messages
 
 
-@pytest.mark.parametrize("swivel", [0.15, 0.85])
-def test_a_long_way_to_go_does_not_throw_the_tip_off(swivel: float) -> None:
-    """The third level has far to go when it comes in."""
-    run = LiveRun(Scenario(start={"swivel": swivel}, control={"law": "dcac"}))
-    run.advance(500)
-    run.choose("exact")
-    run.advance(900)
-    assert column(run, "tip_error_m", 900).max() < 4e-3, "as on the way it takes from the start"
-    assert column(run, "mu", 1)[0] > 0.98 * column(run, "mu_bound", 1)[0]
-
-
 def test_wrong_orders_are_refused_and_the_run_goes_on(run: LiveRun) -> None:
     run.advance(20)
     before = run.control
-    orders: list[tuple[Callable[[], None], type[MocOptError], str]] = [
-        (lambda: run.choose("exat"), UnknownNameError, "did you mean 'exact'"),
-        (lambda: run.tune(regularization=-1.0), ControlError, "regularization = -1"),
-        (lambda: run.tune(K_X=float("nan")), ControlError, "K_X"),
-        (lambda: run.tune(rho=1e-5), UnknownNameError, "rho"),
-        (lambda: run.tune(law="dcac"), LiveError, "choose"),
-        (lambda: run.place_trocar(0.2, 0.0), LiveError, "trocar offset"),
-        (lambda: run.place_trocar(float("nan"), 0.0), LiveError, "trocar offset"),
-        (lambda: run.breathe(0.01, 0.0), LiveError, "breathing"),
-        (lambda: run.breathe(-0.01, 4.0), LiveError, "breathing"),
-        (lambda: run.push_elbow(1e4), LiveError, "push"),
-        (lambda: run.push_elbow(float("nan")), LiveError, "push"),
-        (lambda: run.push_elbow(10.0, 0.0), LiveError, "push"),
-        (lambda: run.place_trocar("a", 0.0), LiveError, "trocar offset: 'a' is no number"),
-        (lambda: run.breathe(None, 4.0), LiveError, "breathing: None is no number"),
-        (lambda: run.push_elbow([20.0]), LiveError, "push"),
-        (lambda: run.history(0), LiveError, "points = 0"), (lambda: run.history(-1), LiveError, "points = -1"),
+    orders: list[tuple[Callable[[], None], type[MocOptError]]] = [
+        (lambda: run.choose("exat"), UnknownNameError),
+        (lambda: run.tune(regularization=-1.0), ControlError),
+        (lambda: run.tune(rho=1e-5), UnknownNameError),
+        (lambda: run.tune(law="dcac"), LiveError),
+        (lambda: run.place_trocar(0.2, 0.0), LiveError),
+        (lambda: run.place_trocar(float("nan"), 0.0), LiveError),
+        (lambda: run.place_trocar("a", 0.0), LiveError),  # type: ignore[arg-type]
     ]
-    for order, kind, words in orders:
-        with pytest.raises(kind, match=words):
+    for order, kind in orders:
+        with pytest.raises(kind):
             order()
     assert run.control == before
     run.advance(20)
@@ -186,52 +153,29 @@ def test_a_run_away_stops_and_can_be_reset(run: LiveRun) -> None:
     run.advance(100)
     assert run.moment().t_s == stopped.t_s, "nothing moves"
     run.tune(K_X=2000.0)
-    run.tune(regularization=0.0)
-    run.choose("quadprog")  # refuses rho = 0: the gain that was asked for before it counts
     run.reset()
     run.advance(1000)
-    assert (run._in_use.used.settings.K_X, run.control.K_X, run.solver) == (2000.0, 2000.0, "exact")
-    assert "exact goes on" in run.messages[-1]
+    assert run._in_use.used.settings.K_X == run.control.K_X == 2000.0
     assert not run.moment().stopped
     assert run.moment().t_s == pytest.approx(1.998)
     assert column(run, "tip_error_m", 50).max() < 1e-3
 
 
-def test_the_elbow_is_pushed_along_its_swivel(run: LiveRun) -> None:
-    run.choose(DCAC)
-    run.advance(100)
-    elbow = Elbow(run.robot, run.robot.state(run.moment().q).wrist[None])
-    start = elbow.swivel(run.moment().q[None])[0]
-    run.push_elbow(20.0, 0.2)
-    run.advance(100)
-    there = elbow.swivel(run.moment().q[None])[0]
-    assert there > start + 0.01
-    run.push_elbow(-40.0, 0.2)
-    run.advance(100)
-    run.advance(100)
-    assert elbow.swivel(run.moment().q[None])[0] < there
-    assert column(run, "tip_error_m", 1)[0] < 5e-3, "tip and shaft are held meanwhile"
-
-
-def test_the_trocar_moves_and_breathes(run: LiveRun) -> None:
+def test_the_trocar_moves_slowly_and_stays_there_after_a_reset(run: LiveRun) -> None:
     run.advance(10)
-    start = run.moment().trocar
-    run.place_trocar(0.01, -0.005, 0.002)
-    run.advance(1000)
-    np.testing.assert_allclose(run.moment().trocar - start, [0.01, -0.005, 0.002], atol=1e-9)
+    start, asked = run.moment().trocar, np.array([0.01, -0.005, 0.002])
+    run.place_trocar(*asked)
+    places = []
+    for _ in range(1000):
+        run.advance(1)
+        places.append(run.moment().trocar)
+    speeds = np.diff(places, axis=0) / run.period_s
+    np.testing.assert_allclose(speeds[1:100], np.tile(SLOWLY_M_PER_S * asked / np.linalg.norm(asked), (99, 1)))
+    np.testing.assert_allclose(places[-1] - start, asked, atol=1e-9)
     assert column(run, "rcm_error_m", 100).max() < 3e-3, "the controller knows where it went"
-    run.place_trocar(0.0, 0.0)
-    run.advance(1000)
-    run.breathe(0.008, 1.0)
-    heights = []
-    for _ in range(120):
-        run.advance(10)
-        heights.append(run.moment().trocar[2] - start[2])
-    assert max(heights) == pytest.approx(0.008, abs=2e-4)
-    assert min(heights[60:]) == pytest.approx(0.0, abs=2e-4)
     run.reset()
-    run.advance(1)
-    np.testing.assert_allclose(run.moment().trocar, start, atol=1e-9)
+    run.advance(500)
+    np.testing.assert_allclose(run.moment().trocar - start, asked, atol=1e-9)
 
 
 def test_orders_come_from_many_threads(run: LiveRun) -> None:
@@ -292,62 +236,3 @@ def test_the_path_is_followed_to_and_fro(robot: RobotModel) -> None:
     times = np.linspace(0.0, 2.5 * one_way, 4001)
     rows = np.array([sway.rows(float(t)) for t in times])
     np.testing.assert_allclose(np.gradient(rows[:, 0], times, axis=0)[2:-2], rows[2:-2, 1], atol=1e-3)
-
-
-def test_a_moving_trocar_says_its_true_velocity() -> None:
-    trocar, dt = MovingTrocar(Trocar([0.5, 0.0, 0.2], 0.006, 3.0, (0.0, 0.0, 1.0))), 1e-3
-    points, speeds = [], []
-    for k in range(4000):
-        if k == 1000:
-            trocar.offset = np.array([0.02, -0.01, 0.0])
-        if k == 2500:
-            trocar.amplitude, trocar.period_s = 0.012, 2.0
-        row = trocar.step(dt)
-        points.append(row[0])
-        speeds.append(row[1])
-    slopes = np.diff(points, axis=0) / dt
-    np.testing.assert_allclose(slopes, speeds[:-1], atol=2e-4)
-    assert np.linalg.norm(slopes[:, :2], axis=1).max() <= SLOWLY_M_PER_S * 1.001
-    still = Trocar([0.5, 0.0, 0.2], 0.006, 3.0)
-    np.testing.assert_allclose(points[:1000], still.at(dt * np.arange(1000))[0], atol=1e-9)
-
-
-def test_the_history_keeps_the_last_rows_and_their_peaks() -> None:
-    history = History(100)
-    for k in range(250):
-        history.add(**{name: k + 0.1 * j for j, name in enumerate(QUANTITIES)})
-    rows = history.latest()
-    np.testing.assert_allclose(rows[:, 0], np.arange(150.0, 250.0))
-    rows[37, 3], rows[40:60, 2] = 1e6, np.nan
-    few = thinned(rows, 20)
-    assert len(few) == 20
-    assert few[:, 3].max() == 1e6
-    assert np.isnan(few[8:12, 2]).all()
-    assert np.isfinite(few[:8, 2]).all()
-    history.clear()
-    assert len(history.latest()) == 0
-    assert HISTORY_S > 5.0
-
-
-# --- where it listens ---
-
-
-@pytest.mark.parametrize("host", ["127.0.0.1", "127.9.8.7", "localhost", "::1"])
-def test_this_machine_is_allowed(host: str) -> None:
-    assert checked_address(host) in ("127.0.0.1", "127.9.8.7", "::1")
-
-
-@pytest.mark.parametrize("host", ["0.0.0.0", "::", "192.0.2.7", "0", "::ffff:0.0.0.0", "10.0.0.1"])
-def test_all_others_need_consent(host: str) -> None:
-    with pytest.raises(LiveError, match=f"not encrypted.*{CONSENT}"):
-        checked_address(host)
-
-
-def test_consent_opens_and_nonsense_does_not() -> None:
-    assert checked_address("0.0.0.0", public=True) == "0.0.0.0"
-    with pytest.raises(LiveError, match="no such host"):
-        checked_address("no such host.invalid")
-    with pytest.raises(LiveError, match="no such host"):
-        checked_address("x" * 300)
-    with pytest.raises(LiveError, match="no such host"):
-        checked_address("", public=True)

@@ -6,7 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
-from moc_opt.model.robot_model import RobotModel, load_robot
+from moc_opt.planning.course import Targets, lay_targets
+from moc_opt.robots.model import RobotModel, load_robot
+from moc_opt.tasks import Reference, Trocar, make_path
+from tests.conftest import Array
 
 H = np.pi / 2
 
@@ -62,3 +65,25 @@ def build(folder: Path, numbers: dict[str, object], **changes: object) -> RobotM
         encoding="utf-8",
     )
     return load_robot(folder / "arm.toml")
+
+
+def task(robot: RobotModel, q: Array, count: int) -> Targets:
+    """A circle of 5 s from a pose on."""
+    state = robot.state(q)
+    path = make_path("circle", state.tip, normal=(0.0, 0.0, 1.0), heading=(1.0, 0.0, 0.0), radius=0.03)
+    trocar = Trocar(state.tip - 0.15 * state.tool_direction)
+    return lay_targets(Reference(path, 0.05, 0.2, t_start=0.2), trocar, state.tool_span, 5.0, count)
+
+
+def line_from(robot: RobotModel, q: Array, count: int = 4) -> Targets:
+    """A short line from a pose on."""
+    state = robot.state(q)
+    path = make_path("line", state.tip, normal=(0.0, 0.0, 1.0), heading=(1.0, 0.0, 0.0), length=0.02)
+    trocar = Trocar(state.tip - 0.15 * state.tool_direction)
+    return lay_targets(Reference(path, 0.05, 0.2), trocar, state.tool_span, 0.8, count)
+
+
+def at_poses(robot: RobotModel, poses: Array) -> Targets:
+    """Each pose's own tip and wrist as one time."""
+    tips, wrists = robot.tool_along(poses)
+    return Targets(0.025 * np.arange(len(poses)), tips, wrists, np.zeros(len(poses)))

@@ -2,29 +2,35 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 import pytest
 
 import moc_opt as mo
 from moc_opt.control import Controller
-from moc_opt.errors import ControlError, MocOptError, ScenarioError, TaskError
-from moc_opt.model.robot_model import RobotModel
-from moc_opt.planning.course import Course
-from moc_opt.planning.follow import Follower
-from moc_opt.redundancy.arm_angle import reach
+from moc_opt.errors import ControlError, MocOptError, ScenarioError
+from moc_opt.planning.arm_angle import reach
+from moc_opt.planning.course import Course, Limits
+from moc_opt.planning.follow import NODES, Follower
+from moc_opt.planning.program import Program
+from moc_opt.planning.search import Value
+from moc_opt.robots.model import RobotModel
 from moc_opt.scenario import Scenario, Setup, guided
 from moc_opt.scenario.guided import followed_course
 from moc_opt.scenario.planned import targets_of
+from moc_opt.tasks.trocar import shaft_distance
+from moc_opt.trace.trace import Trace
+from tests.conftest import Array
 
 
 def straight(robot: RobotModel) -> Course:
     t = np.linspace(0.0, 1.0, 11)
-    q = robot.data.q_home + 0.1 * t[:, None]
-    return Course(t, q, np.ones(11), 0.0)
+    return Course(t, robot.data.q_home + 0.1 * t[:, None], np.ones(11), 0.0)
 
 
 def test_on_its_course_an_arm_is_asked_for_the_courses_speed(robot: RobotModel) -> None:
-    guide = Follower(straight(robot), 0.002, gain_per_s=5.0)
+    guide = Follower(0.002, course=straight(robot))
     for tick in range(400):
         desired = guide.desired_velocity(robot.state(robot.data.q_home + 0.1 * 0.002 * tick))
         np.testing.assert_allclose(desired, 0.1, atol=1e-9)
@@ -33,7 +39,7 @@ def test_on_its_course_an_arm_is_asked_for_the_courses_speed(robot: RobotModel) 
 
 
 def test_an_error_is_pulled_back_and_after_the_end_the_last_pose_is_held(robot: RobotModel) -> None:
-    guide = Follower(straight(robot), 0.002, gain_per_s=5.0)
+    guide = Follower(0.002, course=straight(robot))
     off = robot.state(robot.data.q_home + 0.01)
     np.testing.assert_allclose(guide.desired_velocity(off), 0.1 - 0.05, atol=1e-9)
     for _ in range(600):
@@ -41,9 +47,9 @@ def test_an_error_is_pulled_back_and_after_the_end_the_last_pose_is_held(robot: 
     np.testing.assert_allclose(last, 5.0 * (0.1 - 0.2), atol=1e-9)
 
 
-def test_bad_settings_are_named(robot: RobotModel) -> None:
-    with pytest.raises(TaskError, match="period_s = 0"):
-        Follower(straight(robot), 0.0)
+# --- a course made before the run ---
+
+FOLLOWED = Scenario(bound_samples=0).change(control={"third_level": "planned"}, plant={"preset": "nominal"})
 
 
 def test_an_arm_that_has_left_its_course_is_led_to_its_maximum_of_mu_from_where_it_is() -> None:
@@ -52,48 +58,45 @@ def test_an_arm_that_has_left_its_course_is_led_to_its_maximum_of_mu_from_where_
     setup = Setup(Scenario(seed=9, bound_samples=0).change(**change))
     robot, guide = setup.robot, setup.controller()._guide
     assert isinstance(guide, Follower)
+    assert guide._given is not None
     targets = targets_of(robot, setup.layout, setup.ticks + 1)
     q, held = np.array(setup.q_start), 500
-    assert robot.mu_along(guide._q[held][None])[0] > 1.3 * robot.mu_along(q[None])[0]
+    assert robot.mu_along(guide._given.at(1.0)[0][None])[0] > 1.3 * robot.mu_along(q[None])[0]
     for tick in range(setup.ticks):
         desired = guide.desired_velocity(robot.state(q))
         if tick == 0:
             assert not guide.told
-            np.testing.assert_allclose(desired, guide._v[0], atol=1e-9)
         q = q if tick < held else q + 0.002 * desired
         if tick % 25 == 0:
             reached = reach(robot, q, targets.tip[tick + 1], targets.wrist[tick + 1])
             assert reached is not None
             q = reached
     assert guide.told["left_course_s"] < 1.0
-    assert robot.mu_along(q[None])[0] > 0.99 * robot.mu_along(guide._q[-1:])[0]
+    assert robot.mu_along(q[None])[0] > 0.99 * robot.mu_along(guide._given.q_rad[-1:])[0]
     guide.start()
     assert not guide.told
 
 
-# --- in the loop ---
-
-FOLLOWED = Scenario(bound_samples=0).change(control={"third_level": "planned"}, plant={"preset": "nominal"})
-
-
-def test_the_subproblem_follows_the_wish_on_its_self_motion(robot: RobotModel) -> None:
+def test_the_subproblem_follows_the_wish_on_its_self_motion() -> None:
     """x is the references' motion plus the projection of the desired velocity on ker A, by pseudo-inverse."""
     setup = Setup(FOLLOWED)
     controller = setup.controller()
     assert isinstance(controller, Controller)
-    guide = setup._guides()
-    state = setup.robot.state(setup.q_start)
+    guide, state = setup._guides(), setup.robot.state(setup.q_start)
     tip, trocar = setup.reference.rows(0.0), setup.registered.rows(0.0)
     controller.start(state, tip, trocar)
     controller.tick(state, tip, trocar)
-    desired = guide.desired_velocity(state)
-    qp = controller.subproblem
+    desired, qp = guide.desired_velocity(state), controller.subproblem
     assert qp is not None
     inverse = np.linalg.pinv(state.A, rcond=1e-6)
     expected = inverse @ qp.b + desired - inverse @ (state.A @ desired)
     assert np.abs(expected).max() > 1e-3
     assert ((expected > qp.lower) & (expected < qp.upper)).all()
     np.testing.assert_allclose(controller.answer, expected, atol=1e-7)
+    one, other = (setup.controller()._guide for _ in range(2))
+    for _ in range(300):  # a controller that runs leaves the others where they are
+        one.desired_velocity(state)
+    np.testing.assert_array_equal(other.desired_velocity(state), setup.controller()._guide.desired_velocity(state))
 
 
 def test_the_arm_goes_along_its_course_and_no_worse_than_by_climbing() -> None:
@@ -101,9 +104,9 @@ def test_the_arm_goes_along_its_course_and_no_worse_than_by_climbing() -> None:
     trace = mo.run(FOLLOWED)
     assert trace.meta["ended"] == "completed"
     course = followed_course(FOLLOWED, setup.robot, setup.layout)
+    assert trace.meta["course_mu_mean"] == pytest.approx(course.mu_mean, rel=1e-6)
     wanted = np.stack([np.interp(trace.t_s, course.t_s, joint) for joint in course.q_rad.T], axis=1)
-    late = trace.t_s > 1.0
-    assert np.abs(trace.q_rad - wanted)[late].max() < 0.05
+    assert np.abs(trace.q_rad - wanted)[trace.t_s > 1.0].max() < 0.05
     climbed = mo.run(FOLLOWED.change(control={"third_level": "local"}))
     # From a pose without a trap a climb gets as far; the course pays for going gently, the climb does not.
     assert trace.mu.mean() > 0.995 * climbed.mu.mean()
@@ -126,16 +129,18 @@ def test_from_a_start_just_inside_the_margin_the_course_is_as_smooth_and_good_as
 
 @pytest.mark.parametrize(
     ("control", "message"),
-    [({"regularization": 0.0}, "regularization = 0"), ({"c2": 0.0}, "c2 = 0"), ({"backend": "c"}, "third_level")],
+    [({"regularization": 0.0}, "regularization = 0"), ({"c2": 0.0}, "c2 = 0")],
 )
 def test_what_cannot_follow_is_refused(control: dict[str, object], message: str) -> None:
     with pytest.raises((ControlError, MocOptError), match=message):
         Setup(FOLLOWED.change(control=control)).adapter()
 
 
-def test_a_path_without_a_course_is_refused_before_the_run() -> None:
-    fast = FOLLOWED.change(task={"v_max_m_per_s": 2.0, "a_max_m_per_s2": 20.0}, start={"check_path": False})
-    with pytest.raises(ScenarioError, match=r"third_level = 'planned'.*mm along the path"):
+@pytest.mark.parametrize("level", ["planned", "receding"])
+def test_a_path_without_a_course_is_refused_before_the_run(level: str) -> None:
+    task = {"v_max_m_per_s": 2.0, "a_max_m_per_s2": 20.0}
+    fast = FOLLOWED.change(task=task, start={"check_path": False}, control={"third_level": level})
+    with pytest.raises(ScenarioError, match=rf"third_level = '{level}'.*mm along the path"):
         Setup(fast).controller()
 
 
@@ -146,21 +151,120 @@ def test_dcac_with_a_course_is_refused_and_the_matched_baseline_has_none() -> No
     assert Setup(baseline).controller()._guide is None
 
 
-def test_another_controller_of_a_scenario_follows_the_same_course(monkeypatch: pytest.MonkeyPatch) -> None:
-    setup = Setup(FOLLOWED)
-    setup.controller()
-    monkeypatch.setattr(guided, "make_plan", None)
-    state = setup.robot.state(setup.q_start)
-    one, other = (setup.controller()._guide for _ in range(2))
-    assert one is not None
-    assert other is not None
-    assert one is not other
-    for _ in range(300):  # a controller that runs leaves the others where they are
-        one.desired_velocity(state)
-    np.testing.assert_array_equal(other.desired_velocity(state), setup.controller()._guide.desired_velocity(state))
-
-
 @pytest.mark.parametrize("duration_s", [0.002, 0.02, 0.07])
 def test_a_run_of_a_few_ticks_is_planned_too(duration_s: float) -> None:
-    trace = mo.run(FOLLOWED.change(duration_s=duration_s))
-    assert len(trace) == round(duration_s / 0.002)
+    assert len(mo.run(FOLLOWED.change(duration_s=duration_s))) == round(duration_s / 0.002)
+
+
+# --- a course made again and again ---
+
+TRAPPED = Scenario(bound_samples=0, seed=9).change(
+    control={"third_level": "receding"}, start={"pose": "random"}, task={"path": "circle"}
+)
+
+
+@cache
+def setup() -> Setup:
+    return Setup(TRAPPED)
+
+
+def receding(of: Setup | None = None) -> Follower:
+    found = (of or setup()).controller()._guide
+    assert isinstance(found, Follower)
+    return found
+
+
+@cache
+def ran(level: str) -> Trace:
+    return mo.run(TRAPPED.change(control={"third_level": level}))
+
+
+def followed(one: Follower) -> Array:
+    """Poses of an arm that goes where it is asked to at once."""
+    one.start()
+    q, poses = np.array(setup().q_start), []
+    for _ in range(setup().ticks):
+        q = q + one.desired_velocity(setup().robot.state(q)) * 0.002
+        poses.append(q)
+    return np.array(poses)
+
+
+def test_it_leaves_the_hump_in_which_the_local_law_is_trapped() -> None:
+    trace, climbed, told = ran("receding"), ran("local"), ran("receding").meta["replans"]
+    assert trace.meta["ended"] == "completed"
+    assert told["solves"] > 20.0 * (setup().duration_s - 0.3)
+    assert told["refused"] <= 0.05 * told["solves"]
+    assert 0.0 < told["solve_ms_median"] <= told["solve_ms_p99"]
+    assert trace.mu.mean() > 1.15 * climbed.mu.mean()
+    assert trace.columns["tip_error_model_m"].mean() < 2.0 * climbed.columns["tip_error_model_m"].mean()
+
+
+def test_a_horizon_that_sees_no_further_stays_in_the_hump(monkeypatch: pytest.MonkeyPatch) -> None:
+    """V is what sees the other maximum: without it the same program ends where the local law does."""
+    blind = receding(Setup(TRAPPED.change(control={"horizon_s": 0.2})))
+    assert blind._planner is not None
+    monkeypatch.setattr(blind._planner._value, "value", blind._planner._value._gain)
+    assert setup().robot.mu_along(followed(blind)).mean() < 1.05 * ran("local").mu.mean()
+
+
+def test_what_it_follows_is_on_the_path_and_within_the_speeds() -> None:
+    one = receding()
+    q = followed(one)
+    assert one.told["refused"] <= 0.05 * one.told["solves"]
+    t = 0.002 * (1.0 + np.arange(len(q)))
+    tips, wrists = setup().robot.tool_along(q)
+    # Between the times of the program it is a cubic, and a joint turns by up to 0.2 rad from one to the next.
+    assert np.linalg.norm(tips - setup().reference.at(t)[0], axis=1).max() < 2e-3
+    assert shaft_distance(tips, wrists, setup().registered.at(t)[0]).max() < 2e-3
+    # On average from time to time as fast as joints can be, so the cubic is here and there faster; the box is not.
+    assert (np.abs(np.diff(q, axis=0)) / 0.002 <= 1.2 * setup().robot.v_max).all()
+
+
+@pytest.mark.parametrize("wrong", ["random", "nan", "fast"])
+def test_nonsense_in_place_of_a_course_is_found_out(monkeypatch: pytest.MonkeyPatch, wrong: str) -> None:
+    """The last answer goes on to its end, and there the arm is asked to rest."""
+    one, rng = receding(), np.random.default_rng(0)
+    robot, q = setup().robot, setup().q_start
+
+    def nonsense(self: Program, guess: Array, *_: object) -> tuple[Array, bool]:
+        if wrong == "fast":
+            return guess + np.eye(7)[6] * np.linspace(0.0, 3.0, len(guess))[:, None] + 0.05, True
+        return (rng.normal(size=guess.shape) if wrong == "random" else np.full_like(guess, np.nan)), True
+
+    monkeypatch.setattr(Program, "solve", nonsense)
+    for _ in range(700):
+        desired = one.desired_velocity(robot.state(q))
+    assert one.told["refused"] == one.told["solves"] - 1 > NODES
+    assert one._now is not None
+    np.testing.assert_allclose(desired, 5.0 * (one._now.q_rad[-1] - q), atol=1e-12)
+
+
+def test_a_run_can_be_repeated_and_a_controller_has_its_own_course() -> None:
+    one, other = receding(), receding()
+    state = setup().robot.state(setup().q_start)
+    first = [one.desired_velocity(state) for _ in range(60)]
+    assert np.ptp(first, axis=0).max() > 1e-3, "it changes with the time"
+    np.testing.assert_array_equal(first, [other.desired_velocity(state) for _ in range(60)])
+    one.start()
+    np.testing.assert_array_equal(first, [one.desired_velocity(state) for _ in range(60)])
+
+
+def test_near_a_pose_v_is_a_parabola_between_what_reaches_the_end() -> None:
+    value = receding()._planner._value  # type: ignore[union-attr]
+    k, alive = 5, np.isfinite(value.value[5])
+    b, j = (int(i) for i in np.argwhere(alive)[len(np.argwhere(alive)) // 2])
+    end = value.near(k, (b, j))
+    assert end.low <= 0.0 <= end.high
+    assert end.bend <= 0.0
+    for i in range(j - 3, j + 4):
+        z = float((value.map.q_rad[k, b, i % 720] - end.q_rad) @ end.along)
+        if alive[b, i % 720] and end.low <= z <= end.high:
+            close = value.value[k, b, j] + end.slope * z + 0.5 * end.bend * z**2
+            assert close == pytest.approx(value.value[k, b, i % 720], abs=0.02 * abs(value.value[k, b, j]))
+
+
+def test_v_knows_the_margin_of_the_shaft() -> None:
+    found = setup()
+    whole = receding()._planner._value.map  # type: ignore[union-attr]
+    near = guided.keeping_shaft(whole, Limits(shaft=1.0))
+    assert Value(near, Limits()).of(found.q_start, 0.1) < Value(whole, Limits()).of(found.q_start, 0.1)

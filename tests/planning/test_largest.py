@@ -6,12 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.optimize import minimize
+from scipy.optimize import linprog, minimize
 
-from moc_opt.model.inverse_kinematics import solve_pose
-from moc_opt.model.robot_model import RobotModel, load_robot
+from moc_opt import core
 from moc_opt.planning.largest import SCANNED, largest_mu
-from moc_opt.redundancy.self_motion import self_motion
+from moc_opt.planning.self_motion import self_motion
+from moc_opt.robots.inverse_kinematics import solve_pose
+from moc_opt.robots.model import RobotModel, load_robot
 from tests.conftest import Array
 from tests.planning.arms import build
 
@@ -112,3 +113,49 @@ def test_the_same_seed_finds_the_same_and_poses_beyond_a_limit_are_put_inside(od
     assert one == two
     inside = np.clip(q, odd_robot.q_min, odd_robot.q_max)
     np.testing.assert_array_equal(one.mu, largest_mu(odd_robot, inside[None], starts=20, seed=3).mu)
+
+
+# --- the climb itself ---
+
+
+def ascended(robot: RobotModel, start: Array, target: Array) -> tuple[Array, float]:
+    """Where a climb from a start ends that keeps tip and wrist at a target (2,3), and mu there."""
+    q, mu = start[None].copy(), np.empty(1)
+    core.ascend(robot.arm, np.array(robot.q_min), np.array(robot.q_max), target, None, q, mu)
+    return q[0], float(mu[0])
+
+
+def steepest(robot: RobotModel, q: Array) -> float:
+    """The largest slope of mu along a direction in [-1, 1]^n that keeps tip, wrist and limits, by HiGHS."""
+    s = robot.state(q)
+    low = np.where(q <= robot.q_min + 1e-6, 0.0, -1.0)
+    high = np.where(q >= robot.q_max - 1e-6, 0.0, 1.0)
+    across = np.linalg.svd(s.A)[2][:5]
+    found = linprog(-s.grad_mu, A_eq=across, b_eq=np.zeros(5), bounds=list(zip(low, high, strict=True)))
+    assert found.status == 0
+    return float(-found.fun)
+
+
+@pytest.mark.parametrize("name", ["panda", "lwr4_rail", "odd"])
+def test_an_ascent_ends_at_a_maximum_inside_the_limits(name: str, odd_robot: RobotModel) -> None:
+    robot = odd_robot if name == "odd" else load_robot(name)
+    rng = np.random.default_rng(8)
+    at_limits, slopes = 0, []
+    for start in rng.uniform(robot.q_min, robot.q_max, (25, robot.n)):
+        before = robot.state(start)
+        q, mu = ascended(robot, start, np.array([before.tip, before.wrist]))
+        there, active = robot.state(q), robot.moves.any(axis=0)
+        np.testing.assert_allclose([there.tip, there.wrist], [before.tip, before.wrist], atol=1e-9)
+        assert np.all((robot.q_min <= q) & (q <= robot.q_max))
+        assert mu == pytest.approx(there.mu, rel=1e-12)
+        assert mu >= before.mu - 1e-12
+        slopes.append(steepest(robot, q) / np.abs(before.grad_mu).max())
+        at_limits += bool(((q == robot.q_min) | (q == robot.q_max))[active].any())
+    assert max(slopes) < 3e-2
+    assert np.median(slopes) < 1e-3
+    assert at_limits  # some of them end there, where what is held decides
+
+
+def test_a_point_out_of_reach_is_told(odd_robot: RobotModel) -> None:
+    s = odd_robot.state(odd_robot.data.q_home)
+    assert ascended(odd_robot, np.array(s.q), np.array([s.tip, s.wrist]) + 10.0)[1] == -1.0

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.optimize import linprog, nnls
+from scipy.optimize import linprog
 
 from moc_opt.qp import extremes as module
-from moc_opt.qp.extremes import extremes, nearest, nonnegative_least_squares
+from moc_opt.qp.extremes import extremes, nearest
 
 SHAPES = st.sampled_from([(2, 1), (5, 2), (7, 2), (8, 3), (9, 4), (10, 5), (16, 11)])
 
@@ -197,14 +197,3 @@ def test_a_long_way_to_the_set_ends_on_it_to_rounding(small):
         low, high = np.append(0.7, -far), np.append(1.0, far)
         w, _ = nearest(Z, low, high, np.zeros(1))
         assert Z[0] @ w == pytest.approx(0.7, rel=1e-14)
-
-
-@settings(max_examples=60, deadline=None)
-@given(seed=st.integers(0, 10**6), rows=st.integers(1, 8), columns=st.integers(1, 12), double=st.booleans())
-def test_non_negative_least_squares_agree_with_scipy(seed, rows, columns, double):
-    rng = np.random.default_rng(seed)
-    E, f = rng.normal(size=(rows, columns)), rng.normal(size=rows)
-    E = np.hstack([E, E]) if double else E  # columns that repeat others
-    u = nonnegative_least_squares(E, f)
-    assert u.min() >= 0.0
-    assert np.linalg.norm(E @ u - f) == pytest.approx(nnls(E, f)[1], abs=1e-9)

@@ -1,4 +1,4 @@
-"""The subproblem is what its equation says, and bad input is named."""
+"""The subproblem is what its equation says, in its record and as solvers take it, and bad input is named."""
 
 import pickle
 
@@ -8,27 +8,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from moc_opt.errors import SubproblemError
-from moc_opt.qp.problem import NullSpaceQP, compute_residuals, fields
+from moc_opt.qp.equalities import assembled
+from moc_opt.qp.layout import C0, C1, C2, RHO, joints_of, offsets
+from moc_opt.qp.problem import NullSpaceQP, compute_residuals, fields, row_length
 from tests.problems import random_problem
 
 
 @pytest.fixture
 def arguments():
-    rng = np.random.default_rng(1)
-    qp = random_problem(rng)
-    return {
-        "J_tip": qp.J_tip,
-        "J_wrist": qp.J_wrist,
-        "v_tip": qp.v_tip,
-        "v_wrist": qp.v_wrist,
-        "grad_mu": qp.grad_mu,
-        "lower": qp.lower,
-        "upper": qp.upper,
-        "c0": 0.02,
-        "c1": 0.03,
-        "c2": 0.004,
-        "regularization": 1e-4,
-    }
+    qp = random_problem(np.random.default_rng(1))
+    parts = {name: getattr(qp, name) for name in (
+        "J_tip", "J_wrist", "v_tip", "v_wrist", "grad_mu", "lower", "upper",
+    )}  # fmt: skip
+    return {**parts, "c0": 0.02, "c1": 0.03, "c2": 0.004, "regularization": 1e-4}
 
 
 def test_cost_matches_its_definition(arguments):
@@ -47,20 +39,7 @@ def test_cost_matches_its_definition(arguments):
 
 def test_everything_is_read_only(arguments):
     qp = NullSpaceQP(**arguments)
-    for name in (
-        "J_tip",
-        "J_wrist",
-        "v_tip",
-        "v_wrist",
-        "grad_mu",
-        "lower",
-        "upper",
-        "A",
-        "b",
-        "P",
-        "p",
-        "row",
-    ):
+    for name in ("J_tip", "J_wrist", "v_tip", "v_wrist", "grad_mu", "lower", "upper", "A", "b", "P", "p", "row"):
         with pytest.raises(ValueError, match="read-only"):
             getattr(qp, name)[...] = 0.0
     with pytest.raises(AttributeError, match="frozen"):
@@ -71,39 +50,15 @@ def test_everything_is_read_only(arguments):
     assert kept.grad_mu[0] != 9.0
 
 
-@pytest.mark.parametrize(
-    ("field", "value", "says"),
-    [
-        ("J_tip", np.ones((2, 7)), "J_tip"),
-        ("J_wrist", np.ones((3, 6)), "J_wrist"),
-        ("v_tip", np.ones(2), "v_tip"),
-        ("v_wrist", "fast", "v_wrist"),
-        ("grad_mu", np.r_[np.nan, np.ones(6)], "entry"),
-        ("lower", np.full(7, 9.0), "above"),
-        ("upper", np.full(7, np.inf), "upper"),
-        ("c0", -1.0, "negative"),
-        ("c2", np.nan, "c2"),
-        ("regularization", -1e-9, "regularization"),
-        ("q", np.ones(3), "q:"),
-        ("c1", [1.0, 2.0], "c1"),
-    ],
-)
-def test_bad_input_names_the_field(arguments, field, value, says):
+@pytest.mark.parametrize(("field", "value"), [
+    ("J_tip", np.ones((2, 7))), ("J_wrist", np.ones((3, 6))), ("v_tip", np.ones(2)), ("v_wrist", "fast"),
+    ("grad_mu", np.r_[np.nan, np.ones(6)]), ("lower", np.full(7, 9.0)), ("upper", np.full(7, np.inf)), ("c0", -1.0),
+    ("c2", np.nan), ("regularization", -1e-9), ("q", np.ones(3)), ("c1", [1.0, 2.0]), ("c2", 2e12),
+])  # fmt: skip
+def test_bad_input_names_the_field(arguments, field, value):
     arguments[field] = value
-    with pytest.raises(SubproblemError, match=says):
+    with pytest.raises(SubproblemError, match=f"^{field}: "):
         NullSpaceQP(**arguments)
-
-
-def test_the_former_name_of_the_regularization(arguments):
-    rho = arguments.pop("regularization")
-    assert NullSpaceQP(**arguments).regularization == 1e-5
-    old, new = NullSpaceQP(**arguments, damping=rho), NullSpaceQP(**arguments, regularization=rho)
-    assert old == new
-    assert (old.damping, new.damping) == (rho, rho)
-    with pytest.raises(SubproblemError, match=r"regularization: 1e-05 stands beside damping = 1e-05.*keep one"):
-        NullSpaceQP(**arguments, regularization=1e-5, damping=1e-5)
-    with pytest.raises(SubproblemError, match=r"regularization: -1\.0 is negative"):
-        NullSpaceQP(**arguments, damping=-1.0)
 
 
 def test_record_round_trip(arguments):
@@ -128,20 +83,6 @@ def test_five_rows_say_the_same_as_six(seed, structured):
     np.testing.assert_allclose(qp.A @ x, qp.b, atol=1e-10)
     y5 = rng.normal(size=5)
     np.testing.assert_allclose(five.A.T @ y5, qp.A.T @ (five.lift.T @ y5), atol=1e-12)
-
-
-def test_six_rows_stay_where_nothing_ties_tip_and_wrist():
-    rng = np.random.default_rng(3)
-    qp = NullSpaceQP(
-        rng.normal(size=(3, 7)),
-        rng.normal(size=(3, 7)),
-        np.zeros(3),
-        np.zeros(3),
-        np.ones(7),
-        -np.ones(7),
-        np.ones(7),
-    )
-    assert qp.reduced().A.shape == (6, 7)
 
 
 def test_batch_judges_like_one_by_one():
@@ -169,3 +110,83 @@ def test_a_record_in_other_memory_is_copied():
         np.testing.assert_array_equal(NullSpaceQP.from_row(held).row, held)
         assert NullSpaceQP.from_row(held).row.strides == (8,)
     assert NullSpaceQP.from_row(row).row is row
+
+
+# --- as solvers take it ---
+
+
+def agree(qp):
+    found = assembled(qp)
+    np.testing.assert_allclose(found.P, qp.P, atol=1e-15)
+    np.testing.assert_allclose(found.p, qp.p, atol=1e-15)
+    for ours, theirs in zip(found[2:], qp.reduced(), strict=True):
+        np.testing.assert_allclose(ours, theirs, atol=1e-14)
+    return found
+
+
+@settings(max_examples=60)
+@given(seed=st.integers(0, 10_000), n=st.sampled_from([6, 7, 9]), structured=st.booleans())
+def test_kernel_equals_the_plain_form(seed, n, structured):
+    found = agree(random_problem(np.random.default_rng(seed), n, structured=structured))
+    assert found.A.shape == (5, n)
+
+
+@settings(max_examples=100)
+@given(
+    seed=st.integers(0, 10_000), n=st.sampled_from([1, 2, 3, 7]), rank=st.integers(0, 3),
+    apart=st.sampled_from([0.0, 1e-9, 0.9e-7, 1.1e-7, 1e-5]), size=st.sampled_from([1e-3, 1.0, 1e3]),
+)  # fmt: skip
+def test_both_draw_the_same_line(seed, n, rank, apart, size):
+    """Around the tolerance, where J_T - J_W loses more than one direction, and with fewer joints than directions."""
+    rng = np.random.default_rng(seed)
+    J_tip, u = rng.normal(size=(3, n)), np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    difference = u[:, :rank] @ rng.normal(size=(rank, n)) + apart * u[:, 2:] @ rng.normal(size=(1, n))
+    qp = NullSpaceQP(
+        size * J_tip, size * (J_tip - difference), np.ones(3), np.ones(3), np.ones(n), -np.ones(n), np.ones(n)
+    )
+    assert assembled(qp).A.shape == qp.reduced().A.shape
+    if n < 3 or (rank == 3 and apart > 1e-6):
+        assert qp.reduced().A.shape == (6, n)
+
+
+def test_six_rows_where_nothing_is_tied():
+    rng = np.random.default_rng(3)
+    J = rng.normal(size=(2, 3, 7))
+    qp = NullSpaceQP(J[0], J[1], np.zeros(3), np.zeros(3), np.ones(7), -np.ones(7), np.ones(7))
+    assert agree(qp).A.shape == (6, 7)
+
+
+def test_six_rows_on_request():
+    qp = random_problem(np.random.default_rng(4))
+    found = assembled(qp, 6)
+    np.testing.assert_array_equal(found.A, qp.A)
+    np.testing.assert_array_equal(found.lift, np.eye(6))
+
+
+def test_nothing_is_written_into_the_problem_and_all_is_read_only():
+    qp = random_problem(np.random.default_rng(4))
+    before = dict(qp.__dict__)
+    found = assembled(qp)
+    assert qp.__dict__.keys() - before.keys() <= {"fields"}
+    assert not any(a.flags.writeable for a in (*found, qp.P, qp.p, *qp.reduced()))
+
+
+# --- its record ---
+
+
+@pytest.mark.parametrize("n", [1, 6, 7, 9])
+def test_offsets_are_those_of_the_fields(n):
+    record = np.arange(float(row_length(n)))
+    named, at = fields(record), offsets(n)
+    assert at.end == len(record)
+    assert joints_of(at.end) == n
+    for name in named._fields:
+        assert getattr(named, name).ravel()[0] == getattr(at, name)
+    assert sum(part.size for part in named) == at.end
+
+
+def test_weights_by_name():
+    qp = NullSpaceQP(*np.zeros((2, 3, 4)), *np.zeros((2, 3)), np.zeros(4), -np.ones(4), np.ones(4), 1.0, 2.0, 3.0, 4.0)
+    weights = qp.row[offsets(4).weights :]
+    assert (weights[C0], weights[C1], weights[C2], weights[RHO]) == (1.0, 2.0, 3.0, 4.0)
+    assert (qp.c0, qp.c1, qp.c2, qp.regularization) == (1.0, 2.0, 3.0, 4.0)

@@ -7,7 +7,7 @@ from scipy.optimize import linprog
 from moc_opt.qp import residuals as optimality
 from moc_opt.qp.problem import NullSpaceQP, compute_residuals
 from moc_opt.qp.residuals import Residuals
-from moc_opt.solvers.exact.solver import Exact
+from moc_opt.solvers.exact import Exact
 from tests.hard_problems import rounded
 from tests.problems import random_problem
 from tests.wrong_answers import corners, cost, kernel, wrong_corners
@@ -465,7 +465,7 @@ def test_relative_measures_against_the_gradient():
 
 
 @pytest.mark.parametrize("regularization", [0.0, 1e-5])
-@pytest.mark.parametrize("n", [12, 16, 48])
+@pytest.mark.parametrize("n", [12, 16])
 def test_arms_of_many_freedoms_are_judged_too(n, regularization):
     qp = random_problem(np.random.default_rng(9), n, regularization=regularization)
     x, y = optimum(qp)

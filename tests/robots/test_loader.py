@@ -10,12 +10,13 @@ import numpy as np
 import pytest
 
 from moc_opt.errors import RobotError, UnknownNameError
-from moc_opt.robots import available_robots, load_data, loader
-from moc_opt.robots.rebuild import MOST_LINKS
+from moc_opt.robots import load_data, loader
+from moc_opt.robots.urdf import MOST_LINKS
 
 FOLDER = Path(loader.__file__).parent
 URDF = (FOLDER / "lwr4.urdf").read_text(encoding="utf-8")
 TOML = (FOLDER / "lwr4.toml").read_text(encoding="utf-8")
+UNLIMITED = TOML[: TOML.index("[limits]")] + TOML[TOML.index("[joints]") :]
 
 
 def write(folder: Path, toml: str = TOML, urdf: str = URDF) -> Path:
@@ -44,24 +45,11 @@ def test_lwr4_holds_the_published_numbers() -> None:
     assert masses == [2.0, 2.7, 2.7, 2.7, 2.7, 1.7, 1.1, 0.25, 0.3]
 
 
-def test_gains_are_those_of_table_one() -> None:
-    gains = load_data().gains
-    assert gains["dcac"] == {"K_X": 2000.0, "D_X": 20.0, "K_N": 600.0, "D_N": 10.0}
-    assert gains["moc"] == {
-        "K_X": 3000.0, "D_X": 30.0, "K_N": 800.0, "D_N": 10.0,
-        "K_N2": (80.0, 120.0, 60.0, 30.0, 20.0, 10.0, 10.0), "D_N2": (6.0, 10.0, 5.0, 3.0, 2.0, 1.0, 1.0),
-    }  # fmt: skip
-
-
 def test_limits_of_both_files_agree() -> None:
     data = load_data()
     limits = [joint.find("limit") for joint in ET.fromstring(URDF).iterfind("joint")]
-    for key, vector in (
-        ("lower", data.q_min),
-        ("upper", data.q_max),
-        ("velocity", data.v_max),
-        ("effort", data.tau_max),
-    ):
+    of_data = {"lower": data.q_min, "upper": data.q_max, "velocity": data.v_max, "effort": data.tau_max}
+    for key, vector in of_data.items():
         written = [float(limit.get(key, "")) for limit in limits if limit is not None]
         np.testing.assert_allclose(written, vector, rtol=1e-12)
 
@@ -74,8 +62,7 @@ def test_limits_of_the_toml_win_and_are_written_into_the_urdf(tmp_path: Path) ->
 
 
 def test_limits_come_from_the_urdf_where_the_toml_has_none(tmp_path: Path) -> None:
-    start, end = TOML.index("[limits]"), TOML.index("[joints]")
-    data = load_data(write(tmp_path, TOML[:start] + TOML[end:]))
+    data = load_data(write(tmp_path, UNLIMITED))
     np.testing.assert_allclose(data.q_max, load_data().q_max)
 
 
@@ -96,11 +83,6 @@ def test_tool_is_a_slender_rod_on_the_flange(length: float, mass: float) -> None
     assert root.find("joint[@name='tool_mount']/parent").get("link") == "link_7"  # type: ignore[union-attr]
 
 
-def test_home_is_well_inside_the_limits() -> None:
-    data = load_data()
-    assert np.all(np.abs(data.q_home) < data.q_max - np.radians(30))
-
-
 def test_data_cannot_be_changed_and_can_be_pickled() -> None:
     data = load_data()
     for copy in (data, pickle.loads(pickle.dumps(data))):
@@ -110,8 +92,6 @@ def test_data_cannot_be_changed_and_can_be_pickled() -> None:
             copy.q_home[0] = 1.0
         with pytest.raises(AttributeError):
             copy.name = "other"  # type: ignore[misc]
-        with pytest.raises(TypeError):
-            copy.gains["moc"]["K_X"] = 0.0  # type: ignore[index]
 
 
 def test_files_by_path(tmp_path: Path) -> None:
@@ -120,12 +100,6 @@ def test_files_by_path(tmp_path: Path) -> None:
     expected = load_data("lwr4").urdf
     for given in (path, str(path), tmp_path / "lwr4.toml", tmp_path / "lwr4.urdf"):
         assert load_data(given).urdf == expected
-
-
-def test_every_shipped_robot_loads() -> None:
-    assert "lwr4" in available_robots()
-    for name in available_robots():
-        assert load_data(name).name == name
 
 
 def test_unknown_robot_names_the_nearest() -> None:
@@ -145,35 +119,21 @@ def test_missing_files(tmp_path: Path) -> None:
 
 
 BAD_TOML = {
-    "not TOML": ('name = "lwr4"', "name = ", "is not TOML"),
-    "unknown table": ("[frames]", "[framse]\nx = 1\n[frames]", "unknown key 'framse': did you mean 'frames'"),
-    "unknown key": (
-        "last_link",
-        "last_lnk = 1\nlast_link",
-        "'frames.last_lnk': did you mean 'last_link'",
-    ),
+    "unknown table": ("[frames]", "[framse]\nx = 1\n[frames]", "unknown robot key 'framse'"),
+    "unknown key": ("last_link", "last_lnk = 1\nlast_link", r"\[frames\] key 'last_lnk': did you mean 'last_link'"),
     "missing table": ("[home]\nq_rad", "[gains.x]\nq_rad", "home is missing"),
     "no such link": ('"link_7"', '"link_9"', r"frames\.last_link = 'link_9'.*did you mean.*link_7"),
     "wrist off the shaft": ("[0.0, 0.0, -0.078]", "[0.0, 0.01, -0.078]", r"wrist_xyz_m.*0\.01 m off"),
-    "wrist beyond tip": ("[0.0, 0.0, -0.078]", "[0.0, 0.0, 0.5]", "wrist_xyz_m"),
-    "no length": ("length_m = 0.30", "length_m = 0.0", r"tool\.length_m = 0\.0"),
-    "negative mass": ("mass_kg = 0.3", "mass_kg = -0.3", r"tool\.mass_kg = -0\.3"),
-    "nan": ("length_m = 0.30", "length_m = nan", r"tool\.length_m"),
-    "a text for a number": ("length_m = 0.30", 'length_m = "0.30"', r"tool\.length_m = '0\.30': .*no quotes"),
-    "a flag for a number": ("mass_kg = 0.3", "mass_kg = true", r"tool\.mass_kg = True"),
-    "a text in a vector": ("[0.0, 0.0, -0.078]", '[0.0, "0x0", -0.078]', r"frames\.wrist_xyz_m\.1 = '0x0'"),
-    "no such place": ("[0.0, 0.0, -0.078]", "[0.0, 0.0, -1e300]", r"frames\.wrist_xyz_m\.2 = -1e\+300"),
-    "no such limit": ("q_max_deg = [170", "q_max_deg = [1e308", r"limits\.q_max_deg\.0 = 1e\+308"),
-    "no such inertia": ("rotor_inertia_kg_m2 = 0.2", "rotor_inertia_kg_m2 = 1e300", r"rotor_inertia_kg_m2.* = 1e\+300"),
+    "no length": ("length_m = 0.30", "length_m = 0.0", r"\[tool\] length_m = 0\.0"),
+    "a flag for a number": ("mass_kg = 0.3", "mass_kg = true", r"\[tool\] mass_kg = True"),
+    "no such place": ("[0.0, 0.0, -0.078]", "[0.0, 0.0, -1e300]", r"\[frames\] wrist_xyz_m\.2 = -1e\+300"),
     "a name that is code": ('name = "lwr4"', "name = '*/ int x; /*'", r"name = '\*/ int x; /\*'.* is no name"),
-    "a link that is code": ('"link_7"', '"a\\\\"', r"frames\.last_link = .*is no name"),
-    "gains that are code": ("[gains.dcac]", '[gains."*/"]', r"gains\.\*/.*is no name"),
+    "a link that is code": ('"link_7"', '"a\\\\"', r"\[frames\] last_link = .*is no name"),
     "short vector": ("tau_max_Nm = [176, ", "tau_max_Nm = [", r"limits\.tau_max_Nm has 6 entries.*give 7"),
     "reversed": ("q_min_deg = [-170", "q_min_deg = [171", "joint_1.*is not below"),
     "zero speed": ("v_max_deg_per_s = [110", "v_max_deg_per_s = [0", "v_max of joint 'joint_1' = 0"),
     "negative friction": ("coulomb_friction_Nm = [1.0", "coulomb_friction_Nm = [-1.0", "coulomb_friction_Nm"),
     "home outside": ("q_rad = [0.595", "q_rad = [3.5", r"home\.q_rad.*\[1\]"),
-    "home too long": ("q_rad = [0.595", "q_rad = [0.1, 0.595", r"home\.q_rad has 8 entries"),
     "gain not a number": ("K_N2 = [20.0, 30.0,", 'K_N2 = ["eighty", 30.0,', r"gains\.default\.K_N2"),
 }
 
@@ -188,7 +148,6 @@ def test_bad_toml_is_explained(case: str, tmp_path: Path) -> None:
 BAD_URDF = {
     "not XML": ("</robot>", "", "not well-formed"),
     "not a robot": ('<robot name="lwr4">', "<sdf>", "not well-formed|<sdf>"),
-    "entities": ('<robot name="lwr4">', '<!DOCTYPE x [<!ENTITY a "b">]><robot name="lwr4">', "document type"),
     "planar joint": ('"joint_3" type="revolute"', '"joint_3" type="planar"', "joint_3.*'planar'"),
     "missing parent": ('<parent link="link_3"/>', "", "joint_4.*no <parent"),
     "loop": ('<parent link="link_0"/>', '<parent link="link_7"/>', "loop"),
@@ -208,10 +167,8 @@ BAD_URDF = {
     "zero mass": ('<mass value="1.7"/>', '<mass value="0"/>', "link_5.*mass 0"),
     "mass not a number": ('<mass value="1.7"/>', '<mass value="heavy"/>', "mass of link 'link_5' is 'heavy'"),
     "no mass": ('<mass value="1.7"/>', "", "link_5.*without <mass>"),
-    "infinite": ('<mass value="1.7"/>', '<mass value="inf"/>', "link_5.*finite"),
     "indefinite": ('ixx="0.010753"', 'ixx="-0.010753"', "link_5.*positive definite"),
     "no such body": ('ixx="0.010753"', 'ixx="0.030753"', "link_5.*triangle inequality"),
-    "negative mass": ('<mass value="1.7"/>', '<mass value="-1.7"/>', "link_5.*mass -1.7"),
     "two inertias": ("<inertial>", "<inertial/><inertial>", "link_0.* 2 <inertial>"),
     "two links of a name": ('<link name="link_0">', '<link name="link_5"/><link name="link_0">', "2 links named"),
     "a link hangs on nothing": ("</robot>", '<link name="spare"/></robot>', "spare.*hang on no joint"),
@@ -221,17 +178,11 @@ BAD_URDF = {
         "both carry link 'link_5'",
     ),
     "no such parent": ('<parent link="link_3"/>', '<parent link="link_33"/>', "joint_4.*no such link"),
-    "capital letters": ('<mass value="1.7"/>', '<Mass value="1.7"/>', "link_5.*<Mass>: write <mass> in small letters"),
-    "another attribute": ('rpy="0 0 0"/>', 'ryp="0 0 0"/>', "link_0.*<origin ryp>.*with rpy, xyz alone"),
     "no direction": ('<axis xyz="0 0 1"/>', '<axis xyz="0 0 0"/>', "joint_1.*give a direction"),
+    "degrees for metres": ('"joint_1" type="revolute"', '"joint_1" type="prismatic"', r"limits\.q_min_deg is in deg"),
     "joint name taken": ('"joint_3" type', '"tip_frame" type', "has joints.*tip_frame"),
-    "empty name": ('<link name="link_3">', '<link name="">', "'' is no name"),
     "a name that ends a comment": ('"joint_3" type', '"*/x();/*" type', "is no name"),
-    "name taken": (
-        '<link name="link_0">',
-        '<link name="tip"/><link name="link_0">',
-        "has links.*tip",
-    ),
+    "name taken": ('<link name="link_0">', '<link name="tip"/><link name="link_0">', "has links.*tip"),
 }
 
 
@@ -242,15 +193,14 @@ def test_bad_urdf_is_explained(case: str, tmp_path: Path) -> None:
         load_data(write(tmp_path, urdf=changed(URDF, old, new)))
 
 
-@pytest.mark.parametrize("count", [MOST_LINKS, 30_000])
-def test_a_tree_too_deep_for_the_engines_is_refused(count: int, tmp_path: Path) -> None:
+def test_a_tree_too_deep_for_the_engines_is_refused(tmp_path: Path) -> None:
     """Some thousands of links on each other end the process inside of an engine."""
     chain = "".join(
         f'<link name="k{i}"/><joint name="f{i}" type="fixed"><parent link="{f"k{i - 1}" if i else "link_7"}"/>'
         f'<child link="k{i}"/></joint>'
-        for i in range(count)
+        for i in range(MOST_LINKS)
     )
-    with pytest.raises(RobotError, match=r"links or joints: an arm has 500 at most|20000 elements .* are the most"):
+    with pytest.raises(RobotError, match="links or joints: an arm has 500 at most"):
         load_data(write(tmp_path, urdf=changed(URDF, "</robot>", chain + "</robot>")))
 
 
@@ -270,37 +220,10 @@ def test_a_link_may_not_have_the_name_that_is_the_base_to_mujoco(tmp_path: Path)
         load_data(write(tmp_path, urdf=URDF.replace('"link_3"', '"world"')))
 
 
-def test_entities_are_refused_before_they_are_expanded(tmp_path: Path) -> None:
-    rows = "".join(f'<!ENTITY e{i} "{f"&e{i - 1};" * 10}">' for i in range(1, 12))
-    bomb = f'<?xml version="1.0"?><!DOCTYPE r [<!ENTITY e0 "x">{rows}]><robot name="&e11;"/>'
-    with pytest.raises(RobotError, match="entities"):
-        load_data(write(tmp_path, urdf=bomb))
-
-
 def test_limits_in_neither_file(tmp_path: Path) -> None:
-    start, end = TOML.index("[limits]"), TOML.index("[joints]")
     urdf = URDF.replace(' velocity="1.9198621771937625"', "")
     with pytest.raises(RobotError, match=r"v_max: joints \['joint_1', 'joint_2'\].*limits\.v_max_deg_per_s"):
-        load_data(write(tmp_path, TOML[:start] + TOML[end:], urdf))
-
-
-def test_a_continuous_joint_gets_the_limits_of_the_toml(tmp_path: Path) -> None:
-    data = load_data(
-        write(tmp_path, urdf=changed(URDF, '"joint_7" type="revolute"', '"joint_7" type="continuous"'))
-    )
-    assert data.urdf == load_data().urdf
-
-
-def test_degrees_do_not_fit_a_prismatic_joint(tmp_path: Path) -> None:
-    urdf = changed(URDF, '"joint_1" type="revolute"', '"joint_1" type="prismatic"')
-    with pytest.raises(RobotError, match=r"limits\.q_min_deg is in degrees, but a joint is prismatic"):
-        load_data(write(tmp_path, urdf=urdf))
-
-
-@pytest.mark.parametrize("mass", [1e-300, 1e-9])
-def test_a_tool_of_no_mass_is_none(mass: float) -> None:
-    with pytest.raises(RobotError, match=r"tool of .* kg, 0\.3 m, radius 0\.004 m: .*raise tool\.mass_kg"):
-        load_data(tool_mass=mass)
+        load_data(write(tmp_path, UNLIMITED, urdf))
 
 
 def test_a_movable_joint_must_move_some_mass(tmp_path: Path) -> None:
@@ -310,9 +233,10 @@ def test_a_movable_joint_must_move_some_mass(tmp_path: Path) -> None:
         load_data(write(tmp_path, urdf=URDF[:start] + URDF[end:]))
 
 
-@pytest.mark.parametrize("bad", [0.0, -0.1, float("nan"), float("inf"), "long"])
+@pytest.mark.parametrize("bad", [0.0, -0.1, 1e-300, float("nan"), float("inf"), "long"])
 def test_bad_tool_arguments(bad: float) -> None:
-    with pytest.raises(RobotError, match="tool_length"):
+    with pytest.raises(RobotError, match="length"):
         load_data(tool_length=bad)
-    with pytest.raises(RobotError, match="tool_mass"):
-        load_data(tool_mass=bad)
+    for mass in (bad, 1e-9):
+        with pytest.raises(RobotError, match="tool_mass"):
+            load_data(tool_mass=mass)

@@ -103,13 +103,6 @@ def test_every_limit_that_can_be_lifted_can_be_saved_lifted(tmp_path):
         assert Scenario.load(tmp_path / "lifted.toml") == scenario, name
 
 
-def test_a_robot_s_own_file_is_found_from_anywhere(tmp_path, monkeypatch):
-    (tmp_path / "elsewhere").mkdir()
-    monkeypatch.chdir(tmp_path)
-    Scenario(robot={"name": "my.toml"}).save("elsewhere/a.toml")
-    assert Scenario.load("elsewhere/a.toml").robot.name == str(tmp_path / "my.toml")
-
-
 def test_a_solver_setting_of_none_is_left_out_where_that_means_the_same(tmp_path):
     settings = {"cost_scale": None, "warm": True}
     scenario = Scenario(solver={"name": "qpsolvers:quadprog", "settings": settings})

@@ -5,15 +5,20 @@ The bounds stand in docs/reliability.md. Starts, moments and loads are drawn ane
 
 import dataclasses
 
+import hypothesis.strategies as st
 import numpy as np
 import pytest
+from hypothesis import given
 
 from moc_opt.control.safety_filter import SafetyFilter, SafetyFilterSettings
 from moc_opt.errors import PlantError
-from moc_opt.model.robot_model import RobotModel
-from moc_opt.scenario import Scenario, run
+from moc_opt.robots import available_robots
+from moc_opt.robots.model import RobotModel
+from moc_opt.scenario import Scenario, Setup, run
 from moc_opt.scenario import config as scenario_tables
 from moc_opt.sim import Plant, PlantSettings
+from moc_opt.trace.meta import Ending
+from tests.odd_inputs import many
 
 QUICK = {"bound_samples": 0, "judge": False}
 
@@ -93,7 +98,7 @@ def test_the_arm_gives_way_to_a_trocar_that_presses(seed, slip_m):
 @pytest.fixture
 def pressed(robot):
     """A safety filter at rest in its incision, and the sensor's reading with a force of the trocar across the shaft."""
-    guard = SafetyFilter(robot.data, SafetyFilterSettings(), 0.002, robot.gravity, robot.tool_place)
+    guard = SafetyFilter(robot, SafetyFilterSettings(), 0.002, momentum=False)
     q = np.array(robot.data.q_home)
     guard.start(q, np.zeros(7))
     pose = robot.tool_pose(q)
@@ -106,7 +111,7 @@ def pressed(robot):
 
 
 def test_brakes_are_open_only_while_the_trocar_presses(robot, pressed):
-    """And never where the drives cannot carry the weight, or the sensor says nothing."""
+    """And never where the sensor says nothing."""
     guard, reading = pressed
     for force, closed in ((0.0, True), (7.0, True), (20.0, False), (6.0, False), (3.0, True), (np.nan, True)):
         for _ in range(100):
@@ -114,18 +119,6 @@ def test_brakes_are_open_only_while_the_trocar_presses(robot, pressed):
         assert friction.any() == closed, force
         if closed:
             np.testing.assert_allclose(friction, 0.25 * robot.tau_max)
-    data = dataclasses.replace(robot.data, tau_max=0.1 * robot.tau_max)
-    weak = SafetyFilter(data, SafetyFilterSettings(), 0.002, robot.gravity, robot.tool_place)
-    q = np.array(robot.data.q_home)
-    weak.start(q, np.zeros(7))
-    pose = robot.tool_pose(q)
-    trocar = np.array([pose[3] - 0.15 * pose[2], np.zeros(3)])
-    weak.check_measurement(q, np.zeros(7), trocar=trocar, wrench=reading(0.0))
-    for _ in range(100):
-        friction = weak.brake_friction(reading(20.0))
-    missing = np.abs(robot.gravity(q)) - data.tau_max
-    assert missing.max() > 0.0
-    np.testing.assert_allclose(friction, 0.25 * data.tau_max + 1.5 * np.maximum(missing, 0.0))
 
 
 def test_brakes_that_have_been_open_for_long_enough_close_until_the_force_rises_again(pressed):
@@ -143,22 +136,6 @@ def test_brakes_that_have_been_open_for_long_enough_close_until_the_force_rises_
     assert sum(is_open(40.0, 1000)) == most
     assert not any(is_open(0.0, 1000))
     assert sum(is_open(20.0, 1000)) == most  # what it was once closed on is forgotten where it has fallen
-
-
-@pytest.mark.parametrize("seed", range(60, 64))
-def test_a_load_keeps_no_arm_moving_after_a_stop(seed):
-    rng = np.random.default_rng(seed)
-    at = float(rng.uniform(0.3, 1.5))
-    faults = {
-        "slip_m": float(rng.uniform(0.04, 0.1)), "slip_at_s": at, "payload_kg": float(rng.uniform(0.5, 1.0)),
-        "late_ticks": 2, "bump_N": 20.0, "bump_at_s": at,
-    }  # fmt: skip
-    trace = run(Scenario(
-        seed=seed, start={"swivel": "random"}, faults=faults, control={"preset": "tuned"}, duration_s=2.5, **QUICK
-    ))  # fmt: skip
-    assert trace.meta["ended"].startswith("stopped: ")
-    assert np.abs(trace.v_rad_per_s[-1]).max() < 0.02
-    assert after(trace)[2] < 20.0
 
 
 @pytest.mark.parametrize("robot_name", ["gen3", "panda", "lwr4_rail"])
@@ -197,3 +174,71 @@ def test_brakes_hold_what_they_are_told_to(robot):
     for bad in (-1.0, np.nan, np.inf):
         with pytest.raises(PlantError, match="friction_Nm"):
             plant.brake(40.0, bad)
+
+
+PRESSED_N = 35.0
+"""Force, as a root mean square over 0.1 s, above which no run may have completed; the limit of the filter is 15 N."""
+
+at_s = st.floats(0.05, 0.6)
+
+
+def signed(least, most):
+    return st.floats(least, most).flatmap(lambda size: st.sampled_from([-size, size]))
+
+
+FAULTS = [
+    st.fixed_dictionaries({"encoder_bias_rad": st.floats(1e-6, 0.003), "encoder_noise_rad": st.floats(1e-6, 1e-4)}),
+    st.fixed_dictionaries({"nan_at_s": at_s, "nan_ticks": st.integers(1, 1000)}),
+    st.fixed_dictionaries({"jump_at_s": at_s, "jump_rad": signed(1e-3, 1.0)}),
+    st.fixed_dictionaries({
+        "frozen_at_s": at_s, "frozen_ticks": st.integers(1, 1000), "frozen_joint": st.none() | st.integers(0, 6),
+        "frozen_velocity": st.sampled_from(["repeated", "zero"]), "forged_stamps": st.booleans(),
+        "frozen_wrench": st.booleans(),
+    }),
+    st.fixed_dictionaries({
+        "lag_at_s": at_s, "lag_growth": st.floats(0.01, 1.0), "forged_stamps": st.booleans(),
+        "lag_joint": st.none() | st.integers(0, 6),
+        "lag_ticks": st.integers(0, 60),
+    }),
+    st.fixed_dictionaries({"replay_at_s": at_s, "replay_ticks": st.integers(1, 200), "forged_stamps": st.booleans()}),
+    st.fixed_dictionaries({
+        "drift_at_s": at_s, "drift_rad_per_s": signed(1e-3, 0.1),
+        "drift_velocity": st.sampled_from(["included", "apart"]),
+    }),
+    st.fixed_dictionaries({"drop_share": st.floats(1e-3, 1.0), "late_ticks": st.integers(0, 3)}),
+    st.fixed_dictionaries({"bump_N": st.floats(1.0, 60.0), "bump_at_s": at_s, "bump_s": st.floats(0.01, 0.5)}),
+    st.fixed_dictionaries({"payload_kg": st.floats(0.01, 1.0)}),
+    st.fixed_dictionaries({"slip_m": st.floats(1e-3, 0.1), "slip_at_s": at_s}),
+    st.fixed_dictionaries({
+        "solver": st.sampled_from(["fail", "nan", "lie", "raise", "outside", "rig", "malformed", "hang"]),
+        "solver_share": st.floats(0.01, 1.0),
+    }),
+]  # fmt: skip
+
+
+FAULTY = st.fixed_dictionaries({
+    "seed": st.integers(0, 2**31), "faults": st.lists(st.one_of(FAULTS), min_size=1, max_size=4).map(
+        lambda parts: {name: value for part in parts for name, value in part.items()}
+    ),
+    "robot": st.fixed_dictionaries({"name": st.sampled_from(available_robots())}),
+    "control": st.fixed_dictionaries({
+        "preset": st.sampled_from(["tuned", "robust"]), "law": st.sampled_from(["moc", "dcac"]),
+    }),
+    "start": st.just({"swivel": "random"}), "plant": st.fixed_dictionaries({"delay_ticks": st.integers(0, 2)}),
+})  # fmt: skip
+
+
+@many(0.15)
+@given(FAULTY)
+def test_under_several_faults_at_once_a_run_completes_or_the_arm_is_stopped_and_at_rest(case):
+    setup = Setup(Scenario(**case, duration_s=1.8, **QUICK))
+    trace = setup.trace()
+    ended = Ending.of(trace.meta["ended"])
+    assert (np.abs(trace.tau_Nm) <= setup.robot.tau_max * (1.0 + 1e-12)).all()
+    if ended is Ending.STOPPED:
+        whole = trace.meta["ticks"] < trace.meta["ticks_planned"]  # else the run's end cut the stop
+        assert not whole or np.abs(trace.v_rad_per_s[-1]).max() <= 0.05
+    else:
+        assert ended in (Ending.COMPLETED, Ending.OSCILLATED)
+        square = np.convolve((trace.trocar_force_N**2).sum(axis=1), np.full(50, 0.02), "valid").max()
+        assert square <= PRESSED_N**2

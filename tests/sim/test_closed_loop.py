@@ -6,13 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.latency.tick import record
 from moc_opt.control.safety_filter import SafetyFilterSettings
 from moc_opt.live import LiveRun
-from moc_opt.procedure.hands_on import HandsOnSettings, guide_to
-from moc_opt.scenario import Scenario, Setup, steps
+from moc_opt.scenario import Scenario, Setup
 from moc_opt.sim import Plant
 from moc_opt.sim.closed_loop import ClosedLoop
+from moc_opt.vision.hands_on import HandsOnSettings, guide_to
 
 ROOT = Path(__file__).resolve().parents[2]
 QUICK = {"bound_samples": 0, "judge": False, "duration_s": 1.5}
@@ -22,13 +21,6 @@ def simulation(scenario):
     """Reason, when, and the joints' last speeds (n,), of ``mo.run``."""
     setup = Setup(scenario)
     trace = setup.trace()
-    return trace.meta["ended"], trace.meta.get("stopped_at_s"), setup.plant.v
-
-
-def benchmark(scenario):
-    """The same of the run that the benchmarks of latency record."""
-    setup = Setup(scenario)
-    trace = record(setup).trace
     return trace.meta["ended"], trace.meta.get("stopped_at_s"), setup.plant.v
 
 
@@ -56,7 +48,7 @@ REASONS = {
     "the tip has been": {"guard": {"tip_error_m": 1e-5}},
     "the trocar's force has been above": {"guard": {"trocar_force_N": 0.1, "trocar_force_warning_N": 0.1}},
 }
-LOOPS = [(loop, reason) for loop in (simulation, benchmark, live) for reason in REASONS]
+LOOPS = [(loop, reason) for loop in (simulation, live) for reason in REASONS]
 
 
 @pytest.fixture
@@ -69,7 +61,6 @@ def failing_encoders(monkeypatch):
         return seen._replace(q=seen.q + np.nan) if plant.time > 0.2 else seen
 
     monkeypatch.setattr(Plant, "measure", broken)
-    monkeypatch.setattr(steps, "compiled_steps", lambda *parts: None)  # which measure by themselves
 
 
 @pytest.mark.parametrize(("loop", "reason"), [*LOOPS, (procedure, "measurements not believed")])
@@ -82,7 +73,7 @@ def test_a_reason_of_the_safety_filter_stops_every_loop(loop, reason, request):
     assert np.abs(speed).max() < 0.02  # the brakes hold
 
 
-@pytest.mark.parametrize("loop", [simulation, benchmark, live])
+@pytest.mark.parametrize("loop", [simulation, live])
 def test_without_a_reason_none_of_them_stops(loop):
     ended, _, speed = loop(Scenario(control={"preset": "tuned"}, **QUICK))
     assert ended in ("completed", "")
@@ -111,9 +102,9 @@ def test_the_stop_is_simulated_for_as_long_as_it_says(robot):
 
 
 def test_no_other_code_moves_a_plant():
-    """Whoever steps or brakes a plant by hand has a loop of its own; the fuzzer's arm has no controller."""
+    """Whoever steps or brakes a plant by hand has a loop of its own."""
     by_hand = re.compile(r"plant\.(step|brake)\(")
     files = [path for room in ("moc_opt", "benchmarks") for path in (ROOT / room).rglob("*.py")]
     found = {path.relative_to(ROOT).as_posix() for path in files if by_hand.search(path.read_text(encoding="utf-8"))}
-    assert found == {"moc_opt/sim/closed_loop.py", "benchmarks/reliability/fuzz_checks.py"}
+    assert found == {"moc_opt/sim/closed_loop.py"}
     assert ClosedLoop.step.__module__ == "moc_opt.sim.closed_loop"

@@ -5,11 +5,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from moc_opt import core
 from moc_opt.errors import PlantError, UnknownNameError
-from moc_opt.model.robot_model import RobotModel
 from moc_opt.robots import load_data
+from moc_opt.robots.model import RobotModel
 from moc_opt.sim import Plant, PlantSettings
-from moc_opt.sim.contact import Pushes, add_force, load_bodies, shaft_force
 
 DATA = load_data("lwr4")
 MODEL = RobotModel(DATA)
@@ -17,7 +17,7 @@ seeds = st.integers(0, 2**32 - 1)
 
 
 def numpy_shaft_force(tip, wrist, twist, origin, trocar, elapsed, stiffness, damping):
-    """The kernel's formula, term by term."""
+    """The formula, term by term."""
     u = (tip - wrist) / np.linalg.norm(tip - wrist)
     p = trocar[0] + elapsed * trocar[1]
     c = tip + u * (u @ (p - tip))
@@ -35,7 +35,7 @@ def scene(seed):
 
 def kernel(*args):
     force, point = np.empty(3), np.empty(3)
-    shaft_force(*args, force, point)
+    core.shaft_force(*args, force, point)
     return force, point
 
 
@@ -98,53 +98,53 @@ def test_a_resting_trocar_only_takes_energy(seed):
 def test_wrench_about_the_com_does_the_same_work(seed):
     force, point, com, omega, linear = np.random.default_rng(seed).normal(size=(5, 3))
     wrench = np.ones(6)
-    add_force(wrench, force, point, com)
+    core.add_force(wrench, force, point, com)
     work = (wrench - 1) @ np.concatenate([linear, omega])
     np.testing.assert_allclose(work, force @ (linear + np.cross(omega, point - com)), atol=1e-12)
 
 
 def test_loads_add_up_and_old_ones_go():
-    rng = np.random.default_rng(4)
-    xpos, xipos, cvel = rng.normal(size=(4, 3)), rng.normal(size=(4, 3)), rng.normal(size=(4, 6))
-    xmat = np.stack([np.linalg.qr(rng.normal(size=(3, 3)))[0].ravel() for _ in range(4)])
-    origin, trocar, pushes = rng.normal(size=3), rng.normal(size=(2, 3)), rng.normal(size=(2, 6))
-    wrenches, force = np.full((4, 6), 9.0), np.empty(3)
-    load_bodies(
-        wrenches, xpos, xmat, xipos, cvel, origin, 1, 2, 3, trocar, force, np.empty(3),
-        1e-3, 800.0, 10.0, np.array([1, 3]), pushes,
-    )  # fmt: skip
-    want = np.zeros((4, 6))
-    trocar_force, c = numpy_shaft_force(xpos[2], xpos[3], cvel[1], origin, trocar, 1e-3, 800.0, 10.0)
-    want[1] += np.concatenate([trocar_force, np.cross(c - xipos[1], trocar_force)])
-    for body, push in zip((1, 3), pushes, strict=True):
-        arm = xpos[body] + xmat[body].reshape(3, 3) @ push[3:] - xipos[body]
-        want[body] += np.concatenate([push[:3], np.cross(arm, push[:3])])
-    np.testing.assert_allclose(wrenches, want, atol=1e-9)
-    np.testing.assert_allclose(force, trocar_force, atol=1e-9)
-    load_bodies(
-        wrenches, xpos, xmat, xipos, cvel, origin, 1, 2, 3, trocar * np.nan, force, np.empty(3),
-        0.0, 0.0, 0.0, np.zeros(0, np.int64), np.zeros((0, 6)),
-    )  # fmt: skip
-    assert not wrenches.any()
-    assert not force.any()
+    """The trocar's force and two held ones on MuJoCo's bodies, and none of them once they are over."""
+    plant, rng = Plant(DATA, PlantSettings.nominal(), seed=0), np.random.default_rng(4)
+    plant.reset(DATA.q_home, rng.normal(scale=0.1, size=7))
+    state, trocar = plant.mj_data, shaft_of(plant, off=2e-3)
+    links = {"tool": rng.normal(size=3), "link_3": rng.normal(size=3)}
+    for link, push in links.items():
+        plant.push(link, push, np.array([0.01, 0.02, 0.03]))
+    plant._touch, plant._trocar[:] = plant._tissue, trocar
+    plant._load(1e-3)
+    tool = state.body("tool").id
+    origin = state.subtree_com[plant.mj_model.body_rootid[tool]]
+    want = np.zeros_like(state.xfrc_applied)
+    force, c = numpy_shaft_force(plant.tip, plant.wrist, state.cvel[tool], origin, trocar, 1e-3, *plant._tissue)
+    want[tool] += np.concatenate([force, np.cross(c - state.xipos[tool], force)])
+    for link, push in links.items():
+        body = state.body(link).id
+        lever = state.xpos[body] + state.xmat[body].reshape(3, 3) @ [0.01, 0.02, 0.03] - state.xipos[body]
+        want[body] += np.concatenate([push, np.cross(lever, push)])
+    np.testing.assert_allclose(state.xfrc_applied, want, atol=1e-9)
+    plant.clear_pushes()
+    plant._touch = (0.0, 0.0)
+    plant._load(0.0)
+    assert not state.xfrc_applied.any()
 
 
 def test_pushes_name_what_is_wrong():
-    pushes = Pushes({"elbow": 1}, np.zeros((2, 3)))
-    with pytest.raises(UnknownNameError, match="did you mean 'elbow'"):
-        pushes.hold("elbwo", [1, 0, 0])
-    with pytest.raises(UnknownNameError, match="elbow"):
-        pushes.clear("knee")
-    with pytest.raises(PlantError, match="push force"):
-        pushes.hold("elbow", [1, 0])
-    with pytest.raises(PlantError, match="push point"):
-        pushes.hold("elbow", [1, 0, 0], [np.nan, 0, 0])
-    assert pushes.bodies.size == 0
-    pushes.hold("elbow", [1, 0, 0])
-    pushes.hold("elbow", [0, 2, 0])
-    assert pushes.rows.tolist() == [[0, 2, 0, 0, 0, 0]]
-    pushes.clear("elbow")
-    assert pushes.bodies.size == 0
+    plant = Plant(DATA, PlantSettings.nominal())
+    with pytest.raises(UnknownNameError, match="did you mean 'link_1'"):
+        plant.push("lnk_1", [1, 0, 0])
+    with pytest.raises(UnknownNameError):
+        plant.clear_pushes("knee")
+    for wrong, name in ((([1, 0],), "push force"), (([1, 0, 0], [np.nan, 0, 0]), "push point")):
+        with pytest.raises(PlantError, match=name):
+            plant.push("link_1", *wrong)
+    assert not plant._pushes.held
+    plant.push("link_1", [1, 0, 0])
+    plant.push("link_1", [0, 2, 0])
+    plant._load(0.0)
+    np.testing.assert_array_equal(plant.mj_data.body("link_1").xfrc_applied, [0, 2, 0, 0, 0, 0])  # it replaces
+    plant.clear_pushes("link_1")
+    assert not plant._pushes.held
 
 
 # One plant step from rest, gravity held: v = step * M^-1 J^T F, with J from the controller's model.
@@ -234,9 +234,8 @@ def test_a_moving_trocar_moves_within_the_period():
 @pytest.mark.parametrize("damping", [10.0, 100.0])
 def test_stable_up_to_a_rigid_incision(stiffness, damping):
     """1 mm beside the shaft, arm floating, a little joint damping: never above the first force, then rest."""
-    plant = Plant(
-        DATA, PlantSettings.nominal(trocar_stiffness_N_per_m=stiffness, trocar_damping_Ns_per_m=damping)
-    )
+    wall = PlantSettings.nominal(trocar_stiffness_N_per_m=stiffness, trocar_damping_Ns_per_m=damping)
+    plant = Plant(DATA, wall)
     trocar = shaft_of(plant)
     forces = []
     for _ in range(1000):

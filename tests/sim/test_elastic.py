@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from moc_opt.errors import PlantError
-from moc_opt.model.robot_model import RobotModel
 from moc_opt.robots import load_data
+from moc_opt.robots.model import RobotModel
 from moc_opt.sim import Plant, PlantSettings
 
 DATA = load_data("lwr4")

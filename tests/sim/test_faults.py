@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from moc_opt.errors import ScenarioError, UnknownNameError
+from moc_opt.errors import PlantError, ScenarioError, UnknownNameError
 from moc_opt.scenario import Scenario, Setup, run
 from moc_opt.sim import Measurement, Plant
 from moc_opt.sim.faults import GRAVITY, Faults, FaultSettings
@@ -19,7 +19,7 @@ def faults(seed=0, **settings):
 
 
 def measured(k):
-    return Measurement(np.full(N, float(k)), np.full(N, 0.1 * k), np.zeros(6))
+    return Measurement(np.full(N, float(k)), np.full(N, 0.1 * k), np.zeros(6), k)
 
 
 def seen(mine, ticks=20):
@@ -115,18 +115,13 @@ def test_the_trocar_slips_smoothly():
     assert faults().slip(still, t) is still
 
 
-@pytest.mark.parametrize(
-    ("settings", "error", "message"),
-    [
-        ({"drop_share": 1.5}, ScenarioError, "drop_share"),
-        ({"solver": "lei"}, ScenarioError, "solver"),
-        ({"bump_N": float("inf")}, ScenarioError, "bump_N"),
-        ({"bumps_N": 1.0}, UnknownNameError, "did you mean 'bump_N'"),
-        ({"solver_share": -0.1}, ScenarioError, "solver_share"),
-    ],
-)
-def test_wrong_settings_name_the_field(settings, error, message):
-    with pytest.raises(error, match=message):
+@pytest.mark.parametrize("settings", [
+    {"drop_share": 1.5}, {"solver": "lei"}, {"bump_N": float("inf")}, {"bumps_N": 1.0}, {"solver_share": -0.1},
+    {"lag_growth": 0.0}, {"frozen_ticks": 0}, {"frozen_joint": -1}, {"frozen_velocity": "none"}, {"replay_ticks": 0},
+])  # fmt: skip
+def test_wrong_settings_name_the_field(settings):
+    (name,) = settings
+    with pytest.raises((ScenarioError, UnknownNameError), match=name.replace("bumps", "bump")):
         Scenario(faults=settings)
 
 
@@ -185,13 +180,6 @@ def test_dcac_has_no_solver_to_corrupt():
     assert not trace.injected.any()
 
 
-@pytest.mark.parametrize("kind", ["lie", "hang"])
-def test_compiled_ticks_say_that_they_cannot_be_corrupted(kind):
-    setup = Setup(Scenario(control={"backend": "c"}, faults={"solver": kind}, **SHORT))
-    with pytest.raises(ScenarioError, match=r"\[faults\] solver"):
-        setup.adapter()
-
-
 def test_hanging_keeps_a_budget_that_was_given():
     """Replayed times are ten times the budget, whichever it is."""
     control = {**TUNED, "supervisor": {"budget_us": 7.0, "late": "zero"}}
@@ -199,3 +187,82 @@ def test_hanging_keeps_a_budget_that_was_given():
     assert set(trace.solve_us) == {0.0, 70.0}
     np.testing.assert_array_equal(trace.fault == "late", trace.solve_us == 70.0)
     assert not trace.applied_x_rad_per_s[trace.fault == "late"].any()
+
+
+# --- measurements in time ---
+
+
+def arrived(ticks=60, seed=0, **changes):
+    """Numbers (ticks,), first positions and velocities of what arrives of readings q = number, v = 0.1 number."""
+    mine = faults(seed, **changes)
+    seen = [mine.sense(measured(k), k) for k in range(ticks)]
+    return np.array([s.stamp for s in seen]), np.array([s.q for s in seen]), np.array([s.v for s in seen])
+
+
+def test_numbers_travel_with_their_readings():
+    replay = {"replay_at_s": 0.06, "replay_ticks": 7}
+    for changes in ({}, {"late_ticks": 3}, {"drop_share": 0.4}, {"lag_at_s": 0.04}, replay):
+        stamps, q, v = arrived(**changes)
+        np.testing.assert_array_equal(q[:, 0], stamps)
+        np.testing.assert_allclose(v[:, 0], 0.1 * stamps)
+    np.testing.assert_array_equal(arrived()[0], np.arange(60))
+
+
+def test_frozen_for_so_many_ticks():
+    stamps, _, _ = arrived(frozen_at_s=0.04, frozen_ticks=10)
+    expected = np.arange(60)
+    expected[20:30] = 19
+    np.testing.assert_array_equal(stamps, expected)
+    forged, q, v = arrived(frozen_at_s=0.04, frozen_ticks=10, forged_stamps=True, frozen_velocity="zero")
+    np.testing.assert_array_equal(forged, np.arange(60))
+    np.testing.assert_array_equal(q[:, 0], expected)
+    assert not v[20:30].any()
+    assert v[30:].all()
+
+
+@pytest.mark.parametrize("joint", [0, 6])
+def test_one_encoder_is_stuck_and_the_others_are_not(joint):
+    stamps, q, v = arrived(frozen_at_s=0.04, frozen_joint=joint, frozen_velocity="zero")
+    others = np.arange(N) != joint
+    np.testing.assert_array_equal(stamps, np.arange(60))
+    np.testing.assert_array_equal(q[:, others], np.tile(np.arange(60.0)[:, None], N - 1))
+    assert (q[20:, joint] == 19.0).all()
+    assert not v[20:, joint].any()
+
+
+@pytest.mark.parametrize("growth", [0.1, 1.0])
+def test_the_lag_grows_from_its_delay(growth):
+    stamps, _, _ = arrived(lag_at_s=0.04, lag_growth=growth, late_ticks=2)
+    k = np.arange(60)
+    late = 2 + np.floor(growth * np.maximum(k - 19, 0) + 1e-9)
+    np.testing.assert_array_equal(stamps, np.maximum(k - late, 0))
+    assert (np.diff(stamps) >= 0).all()
+
+
+def test_one_encoder_lags_behind_the_others_that_are_late_too():
+    stamps, q, _ = arrived(lag_at_s=0.04, lag_joint=2, lag_growth=1.0, lag_ticks=4, late_ticks=3)
+    k = np.arange(60)
+    np.testing.assert_array_equal(stamps, np.maximum(k - 3, 0))
+    np.testing.assert_array_equal(q[:, 0], stamps)
+    behind = np.where(k < 20, 3, 3 + 4 + (k - 19))
+    np.testing.assert_array_equal(q[:, 2], np.maximum(k - behind, 0))
+
+
+def test_the_past_comes_once_more():
+    stamps, _, _ = arrived(replay_at_s=0.04, replay_ticks=8)
+    np.testing.assert_array_equal(stamps[:20], np.arange(20))
+    np.testing.assert_array_equal(stamps[20:], np.resize(np.arange(13, 21), 40))
+
+
+def test_a_drift_is_in_position_and_velocity_alike():
+    clean, drifting = arrived(), arrived(drift_rad_per_s=0.5, drift_at_s=0.02, seed=3)
+    moved, faster = drifting[1] - clean[1], drifting[2] - clean[2]
+    assert not moved[:11].any()
+    np.testing.assert_allclose(np.abs(faster[11:]), 0.5)
+    np.testing.assert_allclose(np.diff(moved[11:], axis=0) / PERIOD, faster[12:], atol=1e-9)
+    assert {-1.0, 1.0} == set(np.sign(faster[-1]))
+
+
+def test_a_joint_that_is_not_there_is_refused():
+    with pytest.raises(PlantError, match="frozen_joint = 7"):
+        Faults(FaultSettings(frozen_at_s=0.0, frozen_joint=7), N, PERIOD, 0)

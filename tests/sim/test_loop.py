@@ -113,9 +113,7 @@ def test_the_plant_is_given_the_true_trocar(robot):
 def test_errors_are_measured_against_the_truth(robot):
     tip_refs, trocars, registered = references(robot)
     trace = simulate(ready(robot), Holding(robot, 3.0), tip_refs, trocars, registered)
-    np.testing.assert_allclose(
-        trace.tip_error_m, np.linalg.norm(tip_refs[:, 0] - trace.tip_m, axis=1), atol=1e-15
-    )
+    np.testing.assert_allclose(trace.tip_error_m, np.linalg.norm(tip_refs[:, 0] - trace.tip_m, axis=1), atol=1e-15)
     np.testing.assert_allclose(trace.rcm_error_m, shaft_distance(trace.tip_m, trace.wrist_m, trocars[:, 0]))
     assert trace.rcm_error_m.max() > 1e-4
 
@@ -123,17 +121,13 @@ def test_errors_are_measured_against_the_truth(robot):
 def test_a_tick_is_timed_before_it_is_written_down(robot):
     tip_refs, trocars, registered = references(robot)
     brain, watched = Holding(robot), []
-    trace = simulate(
-        ready(robot),
-        brain,
-        tip_refs,
-        trocars,
-        registered,
-        watch=lambda k: watched.append((k, len(brain.seen))),
-    )
+    def watch(k):
+        watched.append((k, len(brain.seen)))
+
+    trace = simulate(ready(robot), brain, tip_refs, trocars, registered, watch=watch)
     assert watched == [(k, k) for k in range(TICKS)]  # before each tick
     assert brain.order == ["tick", "note"] * TICKS
-    assert (trace.tick_us > 0.0).all()
+    assert 0.0 < trace.tick_us.min() <= np.median(trace.tick_us) < 1e5
     np.testing.assert_array_equal(trace.extra, np.arange(1, TICKS + 1))
 
 
@@ -153,14 +147,8 @@ def test_no_garbage_collection_in_the_loop(robot):
     states = []
     tip_refs, trocars, registered = references(robot)
     assert gc.isenabled()
-    simulate(
-        ready(robot),
-        Holding(robot),
-        tip_refs,
-        trocars,
-        registered,
-        watch=lambda k: states.append(gc.isenabled()),
-    )
+    brain = Holding(robot)
+    simulate(ready(robot), brain, tip_refs, trocars, registered, watch=lambda k: states.append(gc.isenabled()))
     assert states == [False] * TICKS
     assert gc.isenabled()
 

@@ -74,23 +74,6 @@ def test_velocity_starts_at_the_true_one_and_is_bare_without_cutoff():
     np.testing.assert_allclose(velocity, (second - first) / PERIOD, rtol=1e-12, atol=1e-15)
 
 
-@given(seed=st.integers(0, 2**32 - 1), steps=st.lists(st.integers(0, 300), min_size=1, max_size=12))
-@settings(max_examples=30, deadline=None)
-def test_noise_taken_by_many_rows_is_that_taken_one_by_one(seed, steps):
-    """Never farther than what is drawn; what lies ahead is what comes."""
-    one, many = (encoders(seed, noise_rad=1e-3).noise for _ in range(2))
-    for rows in steps:
-        ahead = many.ahead[:rows].copy()
-        for expected in ahead:
-            np.testing.assert_array_equal(one.row, expected)
-            one.take()
-        many.take(len(ahead))
-        np.testing.assert_array_equal(many.row, one.row)
-    quiet = encoders(seed).noise
-    assert len(quiet.ahead) > 0
-    assert not quiet.ahead.any()
-
-
 def test_wrench_noise_per_axis():
     sensor = WrenchSensor(np.random.default_rng(5), force_noise_N=0.1, torque_noise_Nm=0.002)
     truth = np.arange(6.0)

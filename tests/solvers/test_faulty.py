@@ -8,7 +8,7 @@ from moc_opt.qp.problem import NullSpaceQP, compute_residuals
 from moc_opt.scenario import Scenario, run
 from moc_opt.solvers import create
 from moc_opt.solvers.base import Status
-from moc_opt.solvers.exact.solver import Exact
+from moc_opt.solvers.exact import Exact
 from moc_opt.solvers.faulty import KINDS, Faulty, InjectedFault, draw
 
 
@@ -70,16 +70,6 @@ def test_the_draw_belongs_to_the_seed_and_grows():
     assert draw(3, 1.0, 100).all()
 
 
-def test_two_sessions_share_nothing(problems):
-    solver = Faulty(Exact(), "fail", rate=0.5)
-    first = solver.start(problems[0])
-    answers(first, problems[:50])
-    second = solver.start(problems[0])
-    assert second.faults == 0
-    both = [[a.status for a in answers(s, problems[:50])] for s in (second, solver.start(problems[0]))]
-    assert both[0] == both[1]
-
-
 def test_the_solver_inside_keeps_its_memory_to_itself(problems):
     """A network that is not asked at a tick goes on from where it was: its answers are not mixed with lies."""
     clean, corrupted = (
@@ -93,18 +83,7 @@ def test_the_solver_inside_keeps_its_memory_to_itself(problems):
             np.testing.assert_array_equal(mine.x, clean.solve(qp).x)
 
 
-def test_a_session_that_observes_still_does(problems):
-    assert hasattr(Faulty(create("rnn-printed"), "nan").start(problems[0]), "observe")
-    assert not hasattr(Faulty(Exact(), "nan").start(problems[0]), "observe")
-
-
 @pytest.mark.parametrize("changes", [{"kind": "lei"}, {"rate": -0.1}, {"rate": 1.5}, {"rate": float("nan")}])
 def test_wrong_settings_name_the_field(changes):
     with pytest.raises(SolverError, match=next(iter(changes))):
         Faulty(Exact(), **{"kind": "lie", **changes})
-
-
-def test_its_name_says_what_is_wrong_with_it(problems):
-    solver = Faulty(create("quadprog"), "lie")
-    assert solver.name == "quadprog+lie"
-    assert solver.supports(problems[0]) == create("quadprog").supports(problems[0])

@@ -1,46 +1,25 @@
-"""Solvers by name: what is there, what is not and why, and how others add their own."""
+"""Solvers by name: what is there, what is not and why, how others add their own, and which options may be set."""
 
 from __future__ import annotations
 
 import json
+import os
 import re
+import subprocess
 import sys
-from dataclasses import dataclass
-from importlib.metadata import EntryPoint
 
+import hypothesis.strategies as st
 import numpy as np
 import pytest
+from hypothesis import given, settings
 
 import moc_opt as mo
-from benchmarks.common.config import choose
 from moc_opt.__main__ import main
 from moc_opt.errors import SolverError, UnknownNameError
-from moc_opt.solvers import Solver, Status, available, create, plugins, registry
-from moc_opt.solvers.base import Solution
+from moc_opt.scenario import Scenario, run
+from moc_opt.solvers import Solver, Status, available, create, registry
+from moc_opt.solvers.options import ALLOWED, MOST, checked
 from tests.problems import random_problem
-
-
-@dataclass(frozen=True)
-class Still:
-    """A solver of a third party: it recommends to stand still."""
-
-    eps: float = 1e-6
-    name: str = "still"
-
-    def supports(self, qp):
-        return None
-
-    def start(self, qp):
-        return self
-
-    def solve(self, qp):
-        return Solution(np.zeros(qp.n), None, Status.MAX_ITER)
-
-
-def publish(monkeypatch, **points):
-    """Pretend that installed packages announce these entry points."""
-    found = [EntryPoint(name, value, plugins.GROUP) for name, value in points.items()]
-    monkeypatch.setattr(plugins, "entry_points", lambda group: found if group == plugins.GROUP else [])
 
 
 @pytest.fixture
@@ -53,7 +32,7 @@ def install(tmp_path, monkeypatch):
         (tmp_path / package / f"{package}.py").write_text(source)
         (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {package}\nVersion: 1.0\n")
         lines = [f"{name.replace('__', ':')} = {package}:{what}" for name, what in points.items()]
-        (info / "entry_points.txt").write_text("\n".join([f"[{plugins.GROUP}]", *lines, ""]))
+        (info / "entry_points.txt").write_text("\n".join([f"[{registry.GROUP}]", *lines, ""]))
         monkeypatch.syspath_prepend(tmp_path / package)
         monkeypatch.delitem(sys.modules, package, raising=False)
 
@@ -82,15 +61,6 @@ def test_every_built_in_solver_is_named_and_can_be_built():
     assert mo.solvers.create is create
 
 
-def test_names_leave_out_what_qpsolvers_does_not_find():
-    found, listed = available(), registry.names()
-    assert set(registry.BUILT_IN) <= set(listed)
-    assert {name for name in found if found[name] is None} <= set(listed)
-    absent = [name for name in found if name.startswith("qpsolvers:") and found[name]]
-    assert absent
-    assert not set(absent) & set(listed)
-
-
 @pytest.mark.parametrize(("wrong", "right"), [("osqpp", "osqp"), ("qpsolvers:dapq", "daqp"), ("rn", "rnn")])
 def test_unknown_names_come_with_the_nearest(wrong, right):
     with pytest.raises(UnknownNameError, match=f"did you mean .*'{right}'"):
@@ -116,8 +86,9 @@ def test_missing_packages_are_reasons_not_crashes(monkeypatch):
         create("qpsolvers:daqp")
 
 
-def test_third_parties_add_solvers_without_a_change_here(monkeypatch):
-    publish(monkeypatch, still="tests.solvers.test_registry:Still")
+def test_third_parties_add_solvers_without_a_change_here(install):
+    still = "@dataclass(frozen=True)\nclass C(Good):\n eps: float = 1e-6"
+    install("still", "from dataclasses import dataclass\n" + WHOLE + still, still="C")
     assert available()["still"] is None
     assert "still" in registry.names()
     solver = create("still", eps=0.1)
@@ -158,14 +129,6 @@ def test_a_broken_plug_in_is_a_reason_and_hides_nothing(case, install):
     assert "broken" not in registry.names()
 
 
-def test_a_plug_in_with_a_setting_that_has_no_default_is_there(install):
-    install("asking", WHOLE + "class C(Good):\n def __init__(self, eps): self.eps = eps", asking="C")
-    assert available()["asking"] is None
-    assert create("asking", eps=0.25).eps == 0.25
-    with pytest.raises(SolverError, match="eps"):
-        create("asking")
-
-
 @pytest.mark.parametrize("name", ["osqp", "qpsolvers:daqp"])
 def test_a_plug_in_named_like_a_built_in_is_told_to_be_renamed(name, install):
     install("impostor", WHOLE, **{name.replace(":", "__"): "Good"})
@@ -189,35 +152,6 @@ def test_two_plug_ins_of_one_name_are_both_named(install):
         assert "rename one" in told
 
 
-def test_the_comparison_goes_on_beside_broken_plug_ins(install):
-    install("bad_plugin", "raise RuntimeError('boom at import')", broken="C")
-    install("impostor", WHOLE, osqp="Good")
-    names, missing = choose("all")
-    assert {"exact", "osqp"} <= set(names)
-    assert "boom at import" in missing["broken"]
-    assert "rename the entry point" in missing["osqp (entry point 'impostor:Good' of package 'impostor')"]
-
-
-@pytest.mark.parametrize("name", ["exact", "rnn", "rnn-printed"])
-def test_asking_what_there_is_needs_no_optional_package(name, monkeypatch):
-    monkeypatch.setattr(registry, "find_spec", lambda package: None)
-    assert create(name).name == name
-
-
-def test_accepts():
-    assert registry.accepts("osqp", "cost_scale")
-    assert registry.accepts("nlp-sqp", "kinematics")
-    assert registry.accepts("qpsolvers:daqp", "options")
-    assert not registry.accepts("exact", "kinematics")
-
-
-def test_defaults_are_values():
-    """Also where a default is made anew each time, and where the settings are bound to a library's name."""
-    assert registry.defaults("casadi:qrqp")["options"] == {}
-    assert registry.defaults("qpsolvers:quadprog")["options"] == {}
-    assert registry.defaults("osqp")["rows"] == 5
-
-
 def test_the_command_line_says_what_a_solver_raised(install, tmp_path, capsys):
     install("boom_plugin", WHOLE + "class C(Good):\n def solve(self, qp): raise RuntimeError('boom')", boom="C")
     (tmp_path / "boom.toml").write_text('duration_s = 0.02\nbound_samples = 0\n[solver]\nname = "boom"\n')
@@ -225,3 +159,106 @@ def test_the_command_line_says_what_a_solver_raised(install, tmp_path, capsys):
     said = capsys.readouterr()
     assert "answer refused, raised: 10 of 10 ticks, first at 0.000 s: RuntimeError: boom" in said.err
     json.loads(said.out)
+
+
+# --- options of foreign libraries: nothing that writes, loads or compiles is passed on ---
+
+
+HERE = sorted(name for name, reason in available().items() if reason is None and ":" in name)
+WITH_OPTIONS = [name for name in HERE if ALLOWED.get(name)]
+
+# Every option of a library here that makes, reads or names a file, loads, compiles, or replaces the problem.
+HOSTILE = {
+    "qpsolvers:scs": {"log_csv_filename": "x.csv", "write_data_filename": "x.bin", "linear_solver": "mkl"},
+    "qpsolvers:highs": {
+        "log_file": "x.log", "solution_file": "x.sol", "write_model_file": "x.lp", "write_model_to_file": True,
+        "write_solution_to_file": True, "write_basis_file": "x.bas", "write_presolved_model_file": "x.lp",
+        "read_solution_file": "/etc/passwd", "read_basis_file": "/etc/passwd", "log_to_console": True,
+    },
+    "qpsolvers:osqp": {"verbose": True, "linsys_solver": "mkl", "solver_type": "x", "device": 1},
+    "qpsolvers:clarabel": {"verbose": True, "direct_solve_method": "pardiso-mkl", "pardiso_verbose": True},
+    "qpsolvers:daqp": {"verbose": True, "initvals": [0.0], "is_avi": True, "break_points": [1]},
+    "qpsolvers:quadprog": {"factorized": True, "verbose": True},
+    "qpsolvers:gurobi": {"LogFile": "x.log", "ResultFile": "x.lp", "SolFiles": "x", "NodefileDir": "/tmp"},
+    "qpsolvers:cvxopt": {"mosek": {}, "solver": "mosek"},
+    "casadi:qrqp": {
+        "dump": True, "dump_in": True, "dump_out": True, "dump_dir": "x", "dump_format": "mtx", "jit": True,
+        "compiler": "shell", "jit_options": {"compiler": "touch x"}, "external_transform": [["x.so", "f"]],
+        "print_time": True, "record_time": True, "main": True, "cache": {}, "specific_options": {},
+    },
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("solver", "option"), [(name, key) for name, table in HOSTILE.items() for key in table])
+def test_what_writes_loads_or_compiles_is_refused_by_name(solver, option, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SolverError, match=rf"{solver}: option '{option}' .* allowed are "):
+        checked(solver, {option: HOSTILE[solver][option]})
+    if solver in HERE:
+        scenario = Scenario(
+            solver={"name": solver, "settings": {"options": {option: HOSTILE[solver][option]}}},
+            duration_s=0.01, bound_samples=0, judge=False,
+        )  # fmt: skip
+        with pytest.raises(SolverError, match=rf"option '{option}'"):
+            run(scenario)
+    assert os.listdir(tmp_path) == []
+
+
+@pytest.mark.parametrize("value", ["1e-6", "/tmp/x", [1.0], {"a": 1}, None, float("nan"), float("inf"), 2**70, 1e300])
+def test_a_value_is_a_flag_or_a_number(value):
+    with pytest.raises(SolverError, match=r"qpsolvers:osqp: option eps_abs = .*give true, false or a number"):
+        checked("qpsolvers:osqp", {"eps_abs": value})
+
+
+@pytest.mark.parametrize("solver", WITH_OPTIONS)
+def test_every_allowed_option_exists(solver):
+    """A list that names what a library does not know would promise what cannot be had."""
+    qp = random_problem(np.random.default_rng(0))
+    brief = {name: 20 for name in ("max_iter", "max_iters", "iter_limit") if name in ALLOWED[solver]}
+    for option in sorted(ALLOWED[solver]):
+        values = (1e-6, 10, 0.5, 1, True, 0)
+        assert any(refusal(solver, {**brief, option: value}, qp) is None for value in values), option
+
+
+def refusal(solver, options, qp):
+    """Why these options are refused; None where a session starts."""
+    try:
+        create(solver, options=options).start(qp)
+    except SolverError as error:
+        return str(error)
+    return None
+
+
+values = st.one_of(st.booleans(), st.integers(-MOST, MOST), st.floats(-MOST, MOST), st.floats(0.0, 1.0))
+
+
+@given(st.data())
+@settings(max_examples=60, deadline=None, derandomize=True)
+def test_any_option_and_value_ends_in_a_refusal_or_a_session(data):
+    """With values of any size: a refusal, or a session that answers; and the folder stays as it was."""
+    solver = data.draw(st.sampled_from([name for name in WITH_OPTIONS if "highs" not in name]))
+    known = st.sampled_from(sorted(ALLOWED[solver]))
+    table = data.draw(st.dictionaries(st.one_of(known, st.text(max_size=20)), values, max_size=3))
+    table = {name: value for name, value in table.items() if "iter" not in name and "time" not in name}
+    table |= {name: 20 for name in ("max_iter", "max_iters", "iter_limit") if name in ALLOWED[solver]}
+    qp, before = random_problem(np.random.default_rng(1)), os.listdir()
+    said = refusal(solver, table, qp)
+    if said is None:
+        assert set(table) <= ALLOWED[solver]
+        assert create(solver, options=table).start(qp).solve(qp).x.shape == (qp.n,)
+    else:
+        assert any(repr(name)[1:-1] in said for name in table)
+    assert os.listdir() == before
+
+
+def test_ipopt_reads_no_options_from_the_current_folder(tmp_path):
+    """A file ipopt.opt beside a scenario could name a file to write, or a library to load."""
+    (tmp_path / "ipopt.opt").write_text("output_file written.txt\nfile_print_level 5\n")
+    program = (
+        "from moc_opt.scenario import Scenario, run\n"
+        "trace = run(Scenario(solver={'name': 'nlp-ipopt', 'settings': {}}, duration_s=0.006, bound_samples=0))\n"
+        "assert (trace.status == 'solved').any()\n"
+    )
+    done = subprocess.run([sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    assert os.listdir(tmp_path) == ["ipopt.opt"]

@@ -1,10 +1,13 @@
-"""Paths: arc length, derivatives, place in space, and what make_path refuses."""
+"""Paths: arc length, derivatives, place in space, those of other packages, and what make_path refuses."""
 
 from __future__ import annotations
 
 import itertools
 import math
 import pickle
+import sys
+import types
+from importlib.metadata import EntryPoint
 
 import numpy as np
 import pytest
@@ -13,11 +16,14 @@ from hypothesis import strategies as st
 from scipy.integrate import quad
 
 from moc_opt.errors import TaskError, UnknownNameError
-from moc_opt.tasks import CURVES, Path, circle, line, make_path, sinusoid, spiral
+from moc_opt.tasks import CURVES, Path, Waypoints, make_path
+from moc_opt.tasks.curves import Circle
+from moc_opt.tasks.kinds import kinds
 
 START = np.array([0.4, -0.1, 0.25])
 NORMAL = np.array([0.2, -0.3, 2.0])
 HEADING = np.array([1.0, 0.4, 0.1])
+AXES = {"normal": (0.0, 0.0, 1.0), "heading": (1.0, 0.0, 0.0)}
 SIZES: dict[str, dict[str, float]] = {
     "line": {"length": 0.08},
     "circle": {"radius": 0.03},
@@ -35,12 +41,7 @@ size = st.floats(0.003, 0.3)
 any_path = st.one_of(
     st.builds(lambda d: build("line", length=d), size),
     st.builds(lambda r: build("circle", radius=r), size),
-    st.builds(
-        lambda a, w, n: build("sinusoid", amplitude=a, wavelength=w, periods=n),
-        size,
-        size,
-        st.floats(0.2, 6.0),
-    ),
+    st.builds(lambda a, w, n: build("sinusoid", amplitude=a, wavelength=w, periods=n), size, size, st.floats(0.2, 6.0)),
     st.builds(lambda n, r: build("spiral", turns=n, radius=r), st.floats(0.1, 8.0), size),
 )
 
@@ -74,7 +75,7 @@ def test_tangent_is_unit_and_derivatives_match_finite_differences(path: Path, pl
 @settings(max_examples=40)
 @given(st.floats(0.1, 40.0), st.floats(0.002, 0.5), st.floats(0.0, 1.0))
 def test_spiral_arc_length_is_the_closed_form(turns: float, radius: float, place: float) -> None:
-    path = spiral(START, HEADING, turns=turns, radius=radius, normal=NORMAL)
+    path = build("spiral", turns=turns, radius=radius)
     pitch = radius / (2.0 * math.pi * turns)
     s = place * path.length
     angle = float(np.linalg.norm(path.at(s)[0] - START)) / pitch
@@ -86,8 +87,7 @@ def test_spiral_arc_length_is_the_closed_form(turns: float, radius: float, place
 @settings(max_examples=25)
 @given(st.floats(0.001, 0.2), st.floats(0.01, 0.3), st.floats(0.1, 5.0), st.floats(0.0, 1.0))
 def test_sinusoid_arc_length_is_the_integral(a: float, length: float, periods: float, place: float) -> None:
-    sizes = {"amplitude": a, "wavelength": length, "periods": periods}
-    path = sinusoid((0, 0, 0), (1, 0, 0), **sizes, normal=(0, 0, 1))
+    path = make_path("sinusoid", (0, 0, 0), **AXES, amplitude=a, wavelength=length, periods=periods)
     k = 2.0 * math.pi / length
     s = place * path.length
     x, y, _ = path.at(s)[0]
@@ -103,7 +103,7 @@ def test_sinusoid_arc_length_is_the_integral(a: float, length: float, periods: f
 
 
 def test_circle_closes_smoothly_and_keeps_its_radius() -> None:
-    path = circle(START, (0.0, 1.0, 0.0), radius=0.03, normal=(0.0, 0.0, 1.0))
+    path = make_path("circle", START, radius=0.03, **AXES)
     assert path.length == pytest.approx(2.0 * math.pi * 0.03, rel=1e-15)
     for first, last in zip(path.at(0.0), path.at(path.length), strict=True):
         np.testing.assert_allclose(first, last, atol=1e-13)
@@ -116,10 +116,8 @@ def test_circle_closes_smoothly_and_keeps_its_radius() -> None:
 
 
 def test_line_ends_at_its_end() -> None:
-    end = START + np.array([0.0, 0.0, -0.2])
-    path = line(START, end)
-    assert path.length == pytest.approx(0.2)
-    np.testing.assert_allclose(path.at(path.length)[0], end, atol=1e-15)
+    path = make_path("line", START, normal=(1, 0, 0), heading=(0, 0, -3), length=0.2)
+    np.testing.assert_allclose(path.at(path.length)[0], START - [0.0, 0.0, 0.2], atol=1e-15)
     np.testing.assert_array_equal(path.at(0.1)[2], np.zeros(3))
 
 
@@ -135,13 +133,9 @@ def test_vector_form_is_the_scalar_form_to_the_bit(kind: str) -> None:
 
 
 @pytest.mark.parametrize("kind", CURVES)
-def test_path_survives_pickling(kind: str) -> None:
+def test_a_path_survives_pickling_and_its_vectors_are_read_only(kind: str) -> None:
     path = build(kind)
     np.testing.assert_array_equal(pickle.loads(pickle.dumps(path)).at(0.01), path.at(0.01))
-
-
-def test_placement_vectors_are_read_only() -> None:
-    path = build("circle")
     for vector in (path.start, path.normal, path.heading, path.left, path.curve.knots):
         with pytest.raises(ValueError, match="read-only"):
             vector[0] = 1.0
@@ -153,21 +147,6 @@ def test_arc_length_outside_the_path_is_an_error(s: object) -> None:
         build("line").at(s)  # type: ignore[arg-type]
 
 
-def test_unknown_names_list_the_valid_ones() -> None:
-    with pytest.raises(UnknownNameError, match=r"path 'sinus': did you mean 'sinusoid'.*circle, line"):
-        make_path("sinus", START, normal=NORMAL, heading=HEADING)
-    with pytest.raises(UnknownNameError, match=r"size of a circle 'radus': did you mean 'radius'"):
-        make_path("circle", START, normal=NORMAL, heading=HEADING, radus=0.1)
-    # Only what a user sets is a size.
-    with pytest.raises(UnknownNameError, match=r"valid names: radius$"):
-        make_path("circle", START, normal=NORMAL, heading=HEADING, radius=0.1, length=0.3)
-
-
-def test_missing_size_is_named() -> None:
-    with pytest.raises(TaskError, match="sinusoid needs its wavelength, periods"):
-        make_path("sinusoid", START, normal=NORMAL, heading=HEADING, amplitude=0.1)
-
-
 @pytest.mark.parametrize("kind", CURVES)
 @pytest.mark.parametrize("bad", [0.0, -0.1, math.nan, math.inf, "0.1", None, True])
 def test_sizes_must_be_positive_finite_numbers(kind: str, bad: object) -> None:
@@ -176,19 +155,65 @@ def test_sizes_must_be_positive_finite_numbers(kind: str, bad: object) -> None:
             build(kind, **{name: bad})  # type: ignore[arg-type]
 
 
-def test_sizes_that_cannot_be_tabulated_are_refused() -> None:
-    with pytest.raises(TaskError, match="fewer periods or turns"):
-        build("sinusoid", periods=1e9)
+@pytest.mark.parametrize("change", [
+    {"heading": -2.0 * NORMAL}, {"normal": np.zeros(3)}, {"start": START[:2]}, {"start": [0.0, math.nan, 0.0]},
+    {"kind": "sinusoid", "amplitude": 0.01, "wavelength": 0.03, "periods": 1e9},
+])  # fmt: skip
+def test_unusable_placements_and_sizes_are_refused(change: dict[str, object]) -> None:
+    sizes = {} if "kind" in change else {"length": 0.1}
+    given = {"kind": "line", "start": START, "normal": NORMAL, "heading": HEADING, **sizes, **change}
+    with pytest.raises(TaskError):
+        make_path(**given)  # type: ignore[arg-type]
 
 
-def test_unusable_placements_are_refused() -> None:
-    with pytest.raises(TaskError, match="parallel"):
-        make_path("line", START, normal=NORMAL, heading=-2.0 * NORMAL, length=0.1)
-    with pytest.raises(TaskError, match="parallel"):
-        circle(START, NORMAL, radius=0.1, normal=NORMAL)
-    with pytest.raises(TaskError, match=r"normal .* no direction"):
-        make_path("line", START, normal=np.zeros(3), heading=HEADING, length=0.1)
-    with pytest.raises(TaskError, match=r"start .* three finite"):
-        make_path("line", START[:2], normal=NORMAL, heading=HEADING, length=0.1)
-    with pytest.raises(TaskError, match=r"end .* is the start"):
-        line(START, START)
+# --- by name, those of other packages among them ---
+
+
+def helix(radius: float, pitch: float = 0.01):
+    """Go round once while it climbs."""
+    angle = np.linspace(0.0, 2 * np.pi, 25)
+    return np.stack([radius * np.sin(angle), radius * (1 - np.cos(angle)), pitch * angle / (2 * np.pi)], axis=1)
+
+
+def crash(radius: float = 0.01):
+    raise ZeroDivisionError("by hand")
+
+
+@pytest.fixture
+def added(monkeypatch: pytest.MonkeyPatch) -> None:
+    own, module = types.ModuleType("own_paths"), sys.modules["moc_opt.tasks.kinds"]
+    own.helix, own.Ring, own.number, own.crash = helix, Circle, 3, crash  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "own_paths", own)
+    values = {"helix": "own_paths:helix", "ring": "own_paths:Ring", "number": "own_paths:number",
+              "crash": "own_paths:crash", "gone": "no_such_module:f", "circle": "own_paths:helix"}  # fmt: skip
+    found = [EntryPoint(name, value, module.GROUP) for name, value in values.items()]
+    monkeypatch.setattr(module, "entry_points", lambda group: found if group == module.GROUP else [])
+
+
+def test_a_function_of_sizes_gives_a_path_in_space_and_a_class_a_planar_one(added: None) -> None:
+    path = make_path("helix", np.zeros(3), radius=0.02, **AXES)
+    assert isinstance(path, Waypoints)
+    assert path.at(path.length)[0][2] == pytest.approx(0.01)
+    assert path.length == pytest.approx(np.hypot(2 * np.pi * 0.02, 0.01), rel=1e-2)
+    assert make_path("ring", np.zeros(3), radius=0.02, **AXES).length == pytest.approx(2 * np.pi * 0.02)
+
+
+@pytest.mark.parametrize(("kind", "sizes", "error", "told"), [
+    ("sinus", {}, UnknownNameError, "'sinusoid'"), ("circle", {"radus": 0.1}, UnknownNameError, "'radius'"),
+    ("circle", {"radius": 0.1, "length": 0.3}, UnknownNameError, "valid names: radius$"),  # only what a user sets
+    ("sinusoid", {"amplitude": 0.1}, TaskError, "wavelength, periods"), ("helix", {}, TaskError, "radius"),
+    ("helix", {"radios": 0.1}, UnknownNameError, "'radius'"), ("helx", {}, UnknownNameError, "'helix'"),
+    ("number", {}, TaskError, "class or function"), ("crash", {}, TaskError, "ZeroDivisionError"),
+    ("gone", {}, TaskError, "ModuleNotFoundError"), ("waypoints", {}, TaskError, "waypoints"),
+])  # fmt: skip
+def test_what_is_wrong_with_a_path_is_named(added: None, kind: str, sizes: dict, error: type, told: str) -> None:
+    with pytest.raises(error, match=told):
+        make_path(kind, np.zeros(3), **AXES, **sizes)
+
+
+def test_every_path_is_listed_and_a_broken_one_hides_no_other(added: None) -> None:
+    found = kinds()
+    assert found["helix"] == "Go round once while it climbs."
+    assert "does not load" in found["gone"]
+    assert {*CURVES, "waypoints", "ring"} <= set(found)
+    assert make_path("circle", np.zeros(3), radius=0.02, **AXES).curve.radius == 0.02  # a built-in name is taken

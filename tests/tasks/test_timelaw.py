@@ -10,34 +10,18 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from moc_opt.errors import TaskError
-from moc_opt.tasks import CURVES, Path, Reference, duration, make_path, quintic
+from moc_opt.tasks import CURVES, Path, Reference, duration, quintic
+from tests.tasks.test_paths import build, size
 
-SIZES: dict[str, dict[str, float]] = {
-    "line": {"length": 0.08},
-    "circle": {"radius": 0.03},
-    "sinusoid": {"amplitude": 0.01, "wavelength": 0.03, "periods": 2.5},
-    "spiral": {"turns": 3.0, "radius": 0.03},
-}
-
-
-def build(kind: str, **changed: float) -> Path:
-    """One path of each kind, tilted in space."""
-    sizes = {**SIZES[kind], **changed}
-    return make_path(kind, (0.4, -0.1, 0.25), normal=(0.2, -0.3, 2.0), heading=(1.0, 0.4, 0.1), **sizes)
-
-
-size = st.floats(0.003, 0.3)
 # No steeper than that an even sampling can see the crests; steeper ones have a test of their own.
 curved = st.one_of(
     st.builds(lambda r: build("circle", radius=r), size),
     st.builds(
-        lambda a, w, n: build("sinusoid", amplitude=a * w, wavelength=w, periods=n),
-        st.floats(0.01, 0.6),
-        size,
+        lambda a, w, n: build("sinusoid", amplitude=a * w, wavelength=w, periods=n), st.floats(0.01, 0.6), size,
         st.floats(0.2, 6.0),
     ),
     st.builds(lambda n, r: build("spiral", turns=n, radius=r), st.floats(0.1, 8.0), size),
-)
+)  # fmt: skip
 
 
 def test_quintic_starts_and_ends_at_rest() -> None:
@@ -79,14 +63,10 @@ def test_curved_duration_touches_a_limit_and_exceeds_none(path: Path, v_max: flo
     assert max(used) >= 1.0 - 1e-3
 
 
-@pytest.mark.parametrize(
-    ("kind", "sizes"),
-    [
-        ("sinusoid", {"amplitude": 0.1, "wavelength": 0.01, "periods": 1.5}),
-        ("sinusoid", {"periods": 60.0}),
-        ("spiral", {"turns": 50.0, "radius": 0.05}),
-    ],
-)
+@pytest.mark.parametrize(("kind", "sizes"), [
+    ("sinusoid", {"amplitude": 0.1, "wavelength": 0.01, "periods": 1.5}), ("sinusoid", {"periods": 60.0}),
+    ("spiral", {"turns": 50.0, "radius": 0.05}),
+])  # fmt: skip
 def test_sharp_and_many_bends_are_all_seen(kind: str, sizes: dict[str, float]) -> None:
     used = extremes(Reference(build(kind, **sizes), 100.0, 0.5), 100_001)
     assert 1.0 - 1e-3 <= max(used) <= 1.0 + 1e-9

@@ -12,11 +12,9 @@ from moc_opt.tasks.waiting import WaitingReference, flags_at
 PERIOD = 0.002
 START = np.array([0.58, 0.0, 0.05])
 PATHS = {
-    "line": {"length": 0.04},
-    "circle": {"radius": 0.02},
+    "line": {"length": 0.04}, "circle": {"radius": 0.02}, "spiral": {"turns": 1.0, "radius": 0.015},
     "sinusoid": {"amplitude": 0.01, "wavelength": 0.02, "periods": 1.0},
-    "spiral": {"turns": 1.0, "radius": 0.015},
-}
+}  # fmt: skip
 
 
 def reference(kind="circle", v_max=0.05, a_max=0.2):
@@ -117,24 +115,14 @@ def test_step_and_play_agree_and_start_again():
     rows, _ = waiting.play(seen)
     waiting.start()
     np.testing.assert_array_equal(rows, [waiting.step(flag) for flag in seen.tolist()])
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"period_s": 0.0}, "period_s"),
-        ({"brake_m_per_s2": -1.0}, "brake_m_per_s2"),
-    ],
-)
-def test_bad_settings_name_the_field(change, message):
-    with pytest.raises(TaskError, match=message):
-        WaitingReference(reference(), **{"period_s": PERIOD, **change})
-
-
-def test_bad_input_is_refused():
-    waiting = WaitingReference(reference(), PERIOD)
     with pytest.raises(TaskError, match="flags"):
         waiting.play(np.ones(5))
+
+
+@pytest.mark.parametrize(("name", "value"), [("period_s", 0.0), ("brake_m_per_s2", -1.0)])
+def test_bad_settings_name_the_field(name, value):
+    with pytest.raises(TaskError, match=name):
+        WaitingReference(reference(), **{"period_s": PERIOD, name: value})
 
 
 def test_answers_of_the_camera_hold_until_the_next_picture():

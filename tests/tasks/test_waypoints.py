@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from moc_opt.errors import TaskError
 from moc_opt.tasks import Reference, Waypoints
-from moc_opt.tasks.arclength import ArcLength
+from moc_opt.tasks.curves import ArcLength
 
 AXES = {"normal": [0.0, 0.0, 1.0], "heading": [1.0, 0.0, 0.0]}
 START = [0.5, -0.1, 0.2]
@@ -68,21 +68,13 @@ def test_the_time_law_keeps_its_limits():
     assert fastest > 0.199 or np.linalg.norm(dx, axis=1).max() > 0.0499
 
 
-@pytest.mark.parametrize(
-    ("points", "message"),
-    [
-        ([], r"shape \(0,\): give finite numbers"),
-        ([[0.0, 0.0, 0.0]], "one of them off the start"),
-        ([[0.1, 0.0]], r"shape \(1, 2\)"),
-        ([[0.1, 0.0, np.nan]], "give finite numbers"),
-        ([[0.1, "a", 0.0]], "points of three numbers"),
-        ([[0.01, 0, 0], [0.01, 0, 0], [0.02, 0, 0]], r"\[0.01, 0.0, 0.0\] stands twice"),
-        ([[0.02, 0, 0], [0, 0, 0]], r"turns back on the spot near waypoint \[0.02, 0.0, 0.0\]"),
-        ([[0.01, 0, 0], [0.0, 1e30, 0]], r"waypoint \[0.0, 1e\+30, 0.0\]: 1000 m from the start is the most"),
-        ([[0.01, 0, 0], [-1001.0, 0, 0]], "1000 m from the start is the most"),
-        (np.ones((1001, 3)), "1001 waypoints|stands twice"),
-    ],
-)
+@pytest.mark.parametrize(("points", "message"), [
+    ([], r"shape \(0,\)"), ([[0.0, 0.0, 0.0]], "off the start"), ([[0.1, 0.0]], r"shape \(1, 2\)"),
+    ([[0.1, 0.0, np.nan]], "finite"), ([[0.1, "a", 0.0]], "numbers"), (np.ones((1001, 3)), "1001 waypoints"),
+    ([[0.01, 0, 0], [0.01, 0, 0], [0.02, 0, 0]], r"\[0.01, 0.0, 0.0\] stands twice"),
+    ([[0.02, 0, 0], [0, 0, 0]], r"turns back on the spot near waypoint \[0.02, 0.0, 0.0\]"),
+    ([[0.01, 0, 0], [0.0, 1e30, 0]], r"waypoint \[0.0, 1e\+30, 0.0\]"), ([[0.01, 0, 0], [-1001.0, 0, 0]], "1000 m"),
+])  # fmt: skip
 def test_what_is_no_path_is_named(points, message):
     with pytest.raises(TaskError, match=message):
         Waypoints(points, START, **AXES)
@@ -96,5 +88,5 @@ def test_a_table_of_arc_length_does_not_grow_with_the_number_of_points():
         return 1.0 + 0.5 * np.sign(np.sin(1e9 * w)), np.zeros_like(w)  # no table holds it
 
     with pytest.raises(TaskError, match="cannot be tabulated"):
-        ArcLength(speed, 1.0, 2**12, np.linspace(0.0, 1.0, 33))
+        ArcLength(speed, np.linspace(0.0, 1.0, 33), 2**12)
     assert 2**17 < max(asked) <= 10 * 2**18  # ten places a panel

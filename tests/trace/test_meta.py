@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 
-from benchmarks.reliability.fuzz_inputs import junk
 from moc_opt.errors import TraceError
 from moc_opt.report.run_table import part, refusals, run_json, run_table, warnings
 from moc_opt.scenario import Scenario, run
-from moc_opt.trace.meta import FORMS, check_entry
+from moc_opt.trace.meta import FORMS, Ending, check_entry
 from moc_opt.trace.trace import Trace
+from tests.odd_inputs import junk
 
 SOUND = {
-    "ended": "stopped: the tip", "robot": "lwr4", "mu_bound_method": "scanned", "earlier_run": "one",
+    "ended": "stopped: the tip", "robot": "lwr4", "mu_bound_method": "scanned",
     "ticks": 3, "ticks_planned": 9, "period_s": 0.002, "stopped_at_s": 1,
     "faults": {"raised": {"count": 2, "first_at_s": 0.0, "first": "ValueError"}},
     "restarts": [{"at_s": 0.1, "reason": "it hung"}],
@@ -23,7 +23,7 @@ SOUND = {
     "best_courses": {"absent": ""},
 }  # fmt: skip
 WRONG = {
-    "ended": 3, "robot": None, "mu_bound_method": [], "earlier_run": {}, "ticks": 3.5, "ticks_planned": True,
+    "ended": 3, "robot": None, "mu_bound_method": [], "ticks": 3.5, "ticks_planned": True,
     "period_s": "0.002", "stopped_at_s": [1.0], "faults": {"raised": {"count": 2, "first": "ValueError"}},
     "restarts": {"at_s": 0.1, "reason": "it hung"}, "warnings": [{**SOUND["warnings"][0], "level": None}],
     "scenario": {"robot": ["lwr4"]}, "best_courses": {"absent": "", "end": {"mu": 0.1}},
@@ -68,3 +68,14 @@ def test_whatever_passes_can_be_shown(value):
             continue
         json.dumps(run_json(trace, {}))
         assert [part(trace), *refusals(trace), *warnings(trace), run_table("run", trace, {}).to_text()]
+
+
+@pytest.mark.parametrize(("text", "ending", "whole"), [
+    ("completed", Ending.COMPLETED, True), ("oscillated: joint_7 at 47 Hz, 0.51 rad/s", Ending.OSCILLATED, True),
+    ("stopped: the tip is 12 mm off (t = 0.100 s)", Ending.STOPPED, False), ("failed", Ending.FAILED, False),
+    ("ran away at t = 0.250 s", Ending.RAN_AWAY, False), ("ScenarioError: seed = -1", Ending.FAILED, False),
+    ("", Ending.FAILED, False),
+])  # fmt: skip
+def test_the_first_word_decides(text, ending, whole):
+    assert Ending.of(text) is ending
+    assert Ending.of(text).whole is whole

@@ -8,7 +8,7 @@ import pytest
 import moc_opt as mo
 from moc_opt.errors import MocOptError, TraceError
 from moc_opt.report.run_table import run_table
-from moc_opt.trace.trace import MissingDataError, Trace
+from moc_opt.trace.trace import Trace
 
 ROWS = 40
 
@@ -98,29 +98,20 @@ def test_a_part_whose_times_are_no_numbers_is_told_by_its_ticks(trace, where):
     assert part.meta["ended"] == "part: 10 ticks of a run, which ended: completed"
 
 
-@pytest.mark.parametrize(
-    ("call", "message"),
-    [
-        (lambda t: t.between(None, None), "between: start_s = None: give a time in seconds"),
-        (lambda t: t.between(0.0, "1"), "between: stop_s = '1': give a time"),
-        (lambda t: t.between(0.0, True), "between: stop_s = True: give a time"),
-        (lambda t: t.head(None), "head: ticks = None: give an integer"),
-        (lambda t: t.head(-1), "head: ticks = -1: give an integer"),
-        (lambda t: t.head(1.5), "head: ticks = 1.5: give an integer"),
-        (lambda t: t.plot([]), r"columns = \[\]: give a list of names"),
-        (lambda t: t.plot("mu"), r"columns = 'mu': give a list of names, such as \['mu'"),
-        (lambda t: t.plot(7), "columns = 7: give a list of names"),
-        (lambda t: t.plot(["status"]), "column 'status' holds texts: name columns of numbers, such as"),
-        (lambda t: t.plot(["mu", "mue"]), "column 'mue' is in no run: .* such as mu"),
-        (lambda t: t.plot([None]), "column None is in no run"),
-        (lambda t: t.plot(beside="a.parquet"), "beside = 'a.parquet': give a Trace"),
-        (lambda t: mo.summarize("a.parquet"), "the trace is 'a.parquet': give a Trace"),
-        (lambda t: mo.summarize(None), "the trace is None: give a Trace"),
-        (lambda t: mo.summarize(t, 3), "the baseline is 3: give a Trace"),
-    ],
-)
-def test_a_wrong_argument_is_named_with_its_cure(trace, call, message):
-    with pytest.raises(MocOptError, match=message):
+@pytest.mark.parametrize(("call", "named"), [
+    (lambda t: t.between(None, None), "start_s = None"), (lambda t: t.between(0.0, "1"), "stop_s = '1'"),
+    (lambda t: t.between(0.0, True), "stop_s = True"), (lambda t: t.head(None), "ticks = None"),
+    (lambda t: t.head(-1), "ticks = -1"), (lambda t: t.head(1.5), "ticks = 1.5"),
+    (lambda t: t.plot([]), r"columns = \[\]"), (lambda t: t.plot("mu"), "columns = 'mu'"),
+    (lambda t: t.plot(7), "columns = 7"), (lambda t: t.plot(["status"]), "column 'status'"),
+    (lambda t: t.plot(["mu", "mue"]), "column 'mue' .* such as mu"), (lambda t: t.plot([None]), "column None"),
+    (lambda t: t.plot(beside="a.parquet"), "beside = 'a.parquet'"),
+    (lambda t: mo.summarize("a.parquet"), "trace is 'a.parquet'"), (lambda t: mo.summarize(None), "trace is None"),
+    (lambda t: mo.summarize(t, 3), "baseline is 3"), (lambda t: t.between(7.0, 8.0), "from 0 to 3.9 s"),
+    (lambda t: Trace({"mu": [1.0]}).between(0, 1), "no column 't_s'"),
+])  # fmt: skip
+def test_a_wrong_argument_is_named(trace, call, named):
+    with pytest.raises(MocOptError, match=named):
         call(trace)
 
 
@@ -134,13 +125,6 @@ def test_a_baseline_of_another_time_is_refused(trace):
     assert "mu_gain_percent" in mo.summarize(trace.between(1.0, 2.0), trace.between(1.0, 2.0))
 
 
-def test_a_slice_without_ticks_says_where_they_are(trace):
-    with pytest.raises(TraceError, match=r"between\(7.0, 8.0\): no tick lies there; .* from 0 to 3.9 s"):
-        trace.between(7.0, 8.0)
-    with pytest.raises(MissingDataError, match="no column 't_s'"):
-        Trace({"mu": [1.0]}).between(0, 1)
-
-
 def test_repr_says_what_run_it_is(trace):
     assert repr(trace).startswith("Trace(40 ticks, 4.000 s, spiral, lwr4, osqp, completed: t_s, q_rad")
     html = trace.with_meta(ended="stopped: <b>off</b>")._repr_html_()
@@ -152,9 +136,3 @@ def test_repr_says_what_run_it_is(trace):
 
 def test_columns_are_completed(trace):
     assert {"q_rad", "own", "between", "plot"} <= set(dir(trace))
-
-
-def test_load_trace_reads_what_save_wrote(trace, tmp_path):
-    trace.save(tmp_path / "a.parquet")
-    again = mo.load_trace(tmp_path / "a.parquet")
-    assert np.array_equal(again.q_rad, trace.q_rad)

@@ -5,19 +5,21 @@ import numpy as np
 import pytest
 
 from moc_opt.control import Controller, ControlSettings
-from moc_opt.errors import TaskError
-from moc_opt.model.inverse_kinematics import pose_through
+from moc_opt.errors import PlantError, TaskError
+from moc_opt.robots.inverse_kinematics import pose_through
 from moc_opt.scenario.adapter import ControllerAdapter
 from moc_opt.sim import Plant, PlantSettings
 from moc_opt.sim.loop import simulate
 from moc_opt.tasks import Reference
 from moc_opt.tasks.waiting import WaitingReference, flags_at
-from moc_opt.vision.augmented_reality import Augmented
-from moc_opt.vision.board import BOARD_TASKS, board_below
+from moc_opt.vision.augmented_reality import Augmented, pose_accuracy
+from moc_opt.vision.board import BOARD_TASKS, Board, board_below
+from moc_opt.vision.camera import Camera
+from moc_opt.vision.overlay import DONE, TASK, TIP, TROCAR, draw, save_film
 from moc_opt.vision.pose import Pose
-from moc_opt.vision.settings import BoardSettings, CameraSettings
+from moc_opt.vision.settings import CameraSettings
 
-DRAWN = CameraSettings(source="drawn", rate_Hz=20.0, calibration_error_m=0.0, calibration_error_deg=0.0)
+EXACT = CameraSettings(rate_Hz=20.0, calibration_error_m=0.0, calibration_error_deg=0.0)
 CIRCLE = BOARD_TASKS["circle"]
 
 
@@ -35,7 +37,7 @@ def phantom(robot, trocar):
 
 
 def test_the_board_is_located_and_the_task_carried_over(robot, phantom):
-    scene = Augmented(robot, phantom, camera=DRAWN, board=BoardSettings(hidden_fraction=0.3))
+    scene = Augmented(robot, phantom, camera=EXACT, board=Board(hidden_fraction=0.3))
     found = scene.accuracy(scene.locate(robot.data.q_home), "circle")
     assert found["board_position_mm"] < 0.15
     assert found["board_angle_deg"] < 0.05
@@ -43,59 +45,60 @@ def test_the_board_is_located_and_the_task_carried_over(robot, phantom):
 
 
 def test_a_wrong_calibration_carries_over_to_the_task(robot, phantom):
-    camera = CameraSettings(source="drawn", calibration_error_m=0.002, calibration_error_deg=0.0)
+    camera = CameraSettings(calibration_error_m=0.002, calibration_error_deg=0.0)
     scene = Augmented(robot, phantom, camera=camera)
     assert scene.accuracy(scene.locate(), CIRCLE)["task_error_max_mm"] == pytest.approx(2.0, abs=0.15)
 
 
 def test_the_same_seed_gives_the_same_pose(robot, phantom):
-    one, other = (Augmented(robot, phantom, camera=DRAWN, seed=5).locate(seconds=0.2) for _ in range(2))
+    one, other = (Augmented(robot, phantom, camera=EXACT, seed=5).locate(seconds=0.2) for _ in range(2))
     np.testing.assert_array_equal(one.R, other.R)
     np.testing.assert_array_equal(one.t, other.t)
 
 
-@pytest.mark.parametrize(
-    ("board", "reason"),
-    [
-        (BoardSettings(hidden_fraction=1.0), "no marker seen"),
-        (BoardSettings(hidden_fraction=0.9), "2 markers seen, 3 needed"),
-    ],
-)
-def test_a_board_that_is_never_seen_is_told_before_anything_moves(robot, phantom, board, reason):
-    camera = CameraSettings(source="drawn", rate_Hz=5.0)
-    with pytest.raises(TaskError, match=rf"board: never seen in 16 pictures: {reason} \(16 pictures\)"):
-        Augmented(robot, phantom, camera=camera, board=board).locate()
+@pytest.mark.parametrize(("hidden", "reason"), [(1.0, "no marker seen"), (0.9, "2 markers seen")])
+def test_a_board_that_is_never_seen_is_told_before_anything_moves(robot, phantom, hidden, reason):
+    scene = Augmented(robot, phantom, camera=CameraSettings(rate_Hz=5.0), board=Board(hidden_fraction=hidden))
+    with pytest.raises(TaskError, match=reason):
+        scene.locate()
 
 
-def test_a_run_needs_a_located_board(robot, phantom):
-    scene = Augmented(robot, phantom, camera=DRAWN, board=BoardSettings(lost_s=((0.0, 1.0),)))
-    with pytest.raises(TaskError, match=r"locate\(\)"):
-        scene.watch(0.5)
-
-
-def test_a_loss_is_seen_and_a_moved_board_followed(robot, phantom):
-    scene = Augmented(robot, phantom, camera=DRAWN, board=BoardSettings(lost_s=((0.5, 1.0),)))
-    anchor = scene.locate(seconds=0.3)
-    moved = Pose(phantom.R, phantom.t + np.array([0.01, 0.0, 0.0]))
-    watch = scene.watch(2.0, board_in_base=lambda t: phantom if t < 0.7 else moved)
+def test_a_loss_is_seen(robot, phantom):
+    scene = Augmented(robot, phantom, camera=EXACT, board=Board(lost_s=((0.5, 1.0),)))
+    scene.locate(seconds=0.3)
+    watch = scene.watch(2.0)
     lost = watch.t_s[~watch.seen]
     assert 0.5 < lost[0] < 0.75
     assert 1.0 < lost[-1] + 0.05 < 1.2
-    shifts = np.array([(board @ anchor.inverse()).apply(phantom.t) - phantom.t for board in watch.boards])
-    assert np.abs(shifts[watch.t_s < 1.0]).max() < 2e-4
-    np.testing.assert_allclose(shifts[-1], [0.01, 0.0, 0.0], atol=2e-4)
+
+
+@pytest.mark.parametrize("hidden", [0.0, 0.6])
+def test_single_pictures_are_accurate(hidden):
+    """0.07 mm and 0.03 degrees are what such a board is good for; twice that is a fault."""
+    found = pose_accuracy(board=Board(hidden_fraction=hidden), poses=25, seed=1)
+    assert found["seen"] == 1.0
+    assert found["position_median_mm"] < 0.1
+    assert found["angle_median_deg"] < 0.06
+    assert found["position_p95_mm"] < 0.3
+    assert found["markers_mean"] <= 20 * (1 - hidden) + 1e-9
+
+
+def test_a_board_that_is_all_covered_is_never_seen():
+    found = pose_accuracy(board=Board(hidden_fraction=1.0), poses=3)
+    assert found["seen"] == 0.0
+    assert np.isnan(found["position_median_mm"])
 
 
 @pytest.fixture(scope="module")
 def run(robot, phantom, trocar):
     """The whole loop, the board lost for a second in the middle of the circle."""
     scene = Augmented(
-        robot, phantom, camera=DRAWN, board=BoardSettings(hidden_fraction=0.2, lost_s=((2.0, 3.0),))
+        robot, phantom, camera=EXACT, board=Board(hidden_fraction=0.2, lost_s=((2.0, 3.0),))
     )
     path = scene.task(CIRCLE, scene.locate(seconds=0.3))
     q = pose_through(robot, path.start, trocar)
     seconds, period = 6.5, 0.002
-    watch = scene.watch(seconds, lambda t: q)
+    watch = scene.watch(seconds, q)
     times = period * np.arange(round(seconds / period))
     waiting = WaitingReference(Reference(path, 0.05, 0.2), period)
     rows, played = waiting.play(flags_at(times, watch.t_s, watch.seen))
@@ -121,9 +124,65 @@ def test_the_task_waits_the_tip_holds_and_nothing_jumps(run):
 def test_the_film_shows_the_run(run, tmp_path, trocar):
     scene, path, trace, _, _ = run
     short = trace.select(np.arange(len(trace)) < 500)
-    count = scene.film(tmp_path / "run", short, path, trocar)
-    assert count == 20
-    pictures = [cv2.imread(str(name)) for name in sorted((tmp_path / "run").iterdir())]
-    assert len(pictures) == count
+    assert scene.film(tmp_path / "run.avi", short, path, trocar) == 20
+    pictures = read(tmp_path / "run.avi")
+    assert len(pictures) == 20
     assert pictures[0].shape == (480, 640, 3)
     assert (pictures[0] != pictures[-1]).any()
+
+
+# --- what is drawn ---
+
+FLAT = Pose(np.eye(3), (0.6, 0.0, 0.05))
+CAMERA = Camera.above(CameraSettings(), FLAT)
+BLANK = np.zeros((480, 640, 3), dtype=np.uint8)
+LINE = FLAT.apply(np.stack([np.linspace(-0.03, 0.03, 50), np.zeros(50), np.zeros(50)], axis=1))
+TIP_PLACE = FLAT.apply([0.0, 0.01, 0.0])
+
+
+def read(file):
+    film = cv2.VideoCapture(str(file))
+    frames = []
+    while (answer := film.read())[0]:
+        frames.append(answer[1])
+    film.release()
+    return frames
+
+
+def near(picture, colour, point, reach=3):
+    u, v = np.rint(CAMERA.project(point)[0]).astype(int)
+    patch = picture[max(v - reach, 0) : v + reach + 1, max(u - reach, 0) : u + reach + 1].reshape(-1, 3)
+    return bool((np.abs(patch.astype(int) - colour).max(axis=1) < 40).any())
+
+
+@pytest.mark.parametrize("trocar", [FLAT.apply([0.0, 0.02, 0.15]), FLAT.apply([0.0, 0.0, 1.0])])
+def test_task_tip_and_trocar_are_where_they_project_to(trocar):
+    """The second trocar is behind the camera: the line towards it is drawn all the same."""
+    page = draw(BLANK, CAMERA, task=LINE, progress=0.5, tip=TIP_PLACE, trocar=trocar, text="")
+    assert near(page, DONE, LINE[5])
+    assert near(page, TASK, LINE[45])
+    assert not near(page, TASK, LINE[5])
+    assert near(page, TIP, TIP_PLACE)
+    assert near(page, TROCAR, TIP_PLACE + 0.03 * (trocar - TIP_PLACE) / np.linalg.norm(trocar - TIP_PLACE))
+    assert not BLANK.any()
+
+
+def test_what_is_behind_the_camera_is_not_drawn():
+    behind = CAMERA.camera_in_base.apply([0.0, 0.0, -0.1])
+    page = draw(BLANK, CAMERA, task=[behind, behind], progress=0.0, tip=behind, trocar=FLAT.t, text="lost")
+    assert not page[:440].any()
+    assert page[440:].any()
+
+
+@pytest.mark.parametrize("suffix", [".webm", ".mp4", ".avi"])
+def test_films_can_be_read_back(tmp_path, suffix):
+    pictures = [np.full((120, 160, 3), 20 * k, dtype=np.uint8) for k in range(6)]
+    assert save_film(tmp_path / f"film{suffix}", iter(pictures), 30.0) == 6
+    means = [frame.mean() for frame in read(tmp_path / f"film{suffix}")]
+    np.testing.assert_allclose(means, [20 * k for k in range(6)], atol=6)
+
+
+def test_films_that_cannot_be_written_are_refused(tmp_path):
+    for file, pictures in (("film.gif", [BLANK]), ("film.avi", []), ("nowhere/film.avi", [BLANK])):
+        with pytest.raises(PlantError):
+            save_film(tmp_path / file, pictures, 30.0)

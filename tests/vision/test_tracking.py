@@ -1,14 +1,84 @@
-"""The tracker averages a board at rest, refuses outliers, tells losses, and finds a moved board."""
+"""The board is found in its own picture; the tracker averages it, refuses outliers, tells losses and follows a move."""
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from moc_opt.errors import PlantError, TaskError
+from moc_opt.errors import TaskError
+from moc_opt.vision.board import Board
+from moc_opt.vision.camera import Camera, Scene, View, board_picture, texture_matrix
 from moc_opt.vision.pose import Pose, rotation_from
-from moc_opt.vision.settings import TrackerSettings
-from moc_opt.vision.tracking import BoardTracker, Sighting, TrackingState
+from moc_opt.vision.settings import CameraSettings, TrackerSettings
+from moc_opt.vision.tracking import BoardFinder, BoardTracker, Sighting
+
+BOARD = Board()
+CLEAN = CameraSettings(noise=0.0, blur_px=0.0)
+EYE = Camera(CLEAN, Pose(np.diag([1.0, -1.0, -1.0]), (0.6, 0.0, 0.4)))
+TILTED = Pose(rotation_from((0.4, 0.2, 0.0)) @ np.diag([1.0, -1.0, -1.0]), (0.005, -0.005, 0.15))
+FINDER = BoardFinder(BOARD, EYE)
+SHOT = View(EYE, BOARD).picture(Scene(EYE.camera_in_base @ TILTED))
+
+
+@pytest.mark.parametrize("gap_m", [0.005, 0.00437])
+def test_the_printed_markers_are_where_the_geometry_says(gap_m):
+    board = Board(gap_m=gap_m)
+    page = np.pad(board_picture(board), 20, constant_values=255)
+    found = BoardFinder(board, EYE).corners(cv2.cvtColor(page, cv2.COLOR_GRAY2BGR))
+    assert sorted(found) == list(board.ids)
+    for marker, pixels in found.items():
+        there = np.column_stack([board.corners(marker)[:, :2], np.ones(4)]) @ texture_matrix(board).T
+        np.testing.assert_allclose(pixels, there[:, :2] + 20, atol=0.3)
+
+
+def test_the_pose_is_found():
+    sighting = FINDER.find(SHOT)
+    way, turn = sighting.pose.distance(TILTED)
+    assert way < 1e-4
+    assert turn < 1e-3
+    assert sighting.markers == 20
+    assert sighting.error_px < 0.4
+
+
+def test_corners_are_those_of_the_projection_on_average():
+    """A camera whose middle is half a pixel off would shift them all by as much."""
+    found = FINDER.corners(SHOT)
+    off = [
+        pixels - EYE.project((EYE.camera_in_base @ TILTED).apply(BOARD.corners(m)))
+        for m, pixels in found.items()
+    ]
+    np.testing.assert_allclose(np.mean(off, axis=(0, 1)), 0.0, atol=0.03)
+
+
+def test_no_board_no_sighting():
+    assert FINDER.find(np.full((480, 640, 3), 90, dtype=np.uint8)) is None
+    noise = np.random.default_rng(0).integers(0, 255, (480, 640, 3)).astype(np.uint8)
+    assert FINDER.find(noise) is None
+
+
+def test_one_marker_is_enough_for_a_pose_though_a_poorer_one():
+    scene = Scene(EYE.camera_in_base @ TILTED, frozenset(BOARD.ids) - {7})
+    sighting = FINDER.find(View(EYE, BOARD).picture(scene))
+    assert sighting.markers == 1
+    assert sighting.pose.distance(TILTED)[0] < 3e-3
+
+
+def test_a_tool_across_a_marker_does_not_pull_the_pose():
+    """A white stripe over half the corners of two markers: they are left out."""
+    picture, corners = SHOT.copy(), FINDER.corners(SHOT)
+    for marker in (6, 13):
+        a, b = corners[marker][0], corners[marker][3]
+        start, end = (np.rint(16 * (point + np.array([-1.5, 0.0]))).astype(int).tolist() for point in (a, b))
+        cv2.line(picture, start, end, (0, 0, 0), 4, cv2.LINE_AA, 4)
+    sighting = FINDER.find(picture)
+    way, turn = sighting.pose.distance(TILTED)
+    assert way < 1.5e-4
+    assert turn < 1.5e-3
+    assert sighting.error_px < 0.4
+
+
+# --- from picture to picture ---
 
 DT = 1 / 30
 HERE = Pose(rotation_from((0.3, -0.2, 0.1)), (0.0, 0.0, 0.15))
@@ -28,8 +98,8 @@ def noisy(rng, pose=HERE, way=1e-4, turn=1e-3):
 
 
 def test_it_takes_several_sightings_to_find_a_board():
-    states = [tracked.state for tracked in feed(BoardTracker(), [None, sight(), sight(), sight(), sight()])]
-    assert [state.value for state in states] == ["searching"] * 3 + ["tracking"] * 2
+    tracked = feed(BoardTracker(), [None, sight(), sight(), sight(), sight()])
+    assert [answer.seen for answer in tracked] == [False] * 3 + [True] * 2
 
 
 def test_a_single_wrong_sighting_finds_nothing():
@@ -61,22 +131,15 @@ def test_without_smoothing_every_sighting_is_taken():
 
 
 @pytest.mark.parametrize(
-    ("bad", "reason"),
-    [
-        (None, "no marker"),
-        (sight(markers=2), "2 markers seen, 3 needed"),
-        (sight(error_px=5.0), r"fit 5\.00 px"),
-        (sight(error_px=float("nan")), "fit nan"),
-        (sight(THERE), "far from the estimate"),
-    ],
+    "bad", [None, sight(markers=2), sight(error_px=5.0), sight(error_px=float("nan")), sight(THERE)]
 )
-def test_outliers_change_nothing(bad, reason):
+def test_outliers_change_nothing(bad):
     tracker = BoardTracker()
     feed(tracker, [sight()] * 5)
     before = tracker.pose
     tracked = tracker.update(5 * DT, bad)
     assert tracked.seen
-    assert reason.replace("\\", "") in tracked.refused
+    assert tracked.refused
     assert tracker.pose is before
 
 
@@ -85,8 +148,7 @@ def test_a_lost_board_is_told_after_a_while_and_its_pose_is_kept():
     feed(tracker, [sight()] * 5)
     last = 4 * DT
     answers = {k: tracker.update(last + DT * k, None) for k in range(1, 7)}
-    assert [answers[k].state is TrackingState.TRACKING for k in range(1, 7)] == [True] * 3 + [False] * 3
-    assert answers[6].state is TrackingState.LOST
+    assert [answers[k].seen for k in range(1, 7)] == [True] * 3 + [False] * 3
     assert answers[6].pose.distance(HERE)[0] < 1e-12
     again = feed(tracker, [sight()] * 3, start=last + 7 * DT)
     assert [tracked.seen for tracked in again] == [False, False, True]
@@ -105,7 +167,7 @@ def test_sightings_that_disagree_never_move_the_estimate():
     rng = np.random.default_rng(2)
     wild = [sight(Pose(HERE.R, HERE.t + 0.02 * np.array([k, 0, 0]))) for k in 1 + rng.permutation(20)]
     states = feed(tracker, wild, start=5 * DT)
-    assert states[-1].state is TrackingState.LOST
+    assert not states[-1].seen
     assert tracker.pose.distance(HERE)[0] < 1e-12
 
 
@@ -125,14 +187,5 @@ def test_time_must_rise():
     tracker = BoardTracker()
     tracker.update(1.0, None)
     for t in (1.0, 0.5, float("nan")):
-        with pytest.raises(TaskError, match="t = "):
+        with pytest.raises(TaskError):
             tracker.update(t, None)
-
-
-@pytest.mark.parametrize(
-    "field",
-    [{"min_markers": 0}, {"found_after": 1.5}, {"jump_m": 0.0}, {"smoothing_s": -1.0}, {"lost_after_s": 0.0}],
-)
-def test_bad_limits_name_the_field(field):
-    with pytest.raises(PlantError, match=next(iter(field))):
-        TrackerSettings(**field)

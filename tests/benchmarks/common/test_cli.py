@@ -24,8 +24,8 @@ def test_options_that_every_benchmark_has():
 
 
 def test_a_command_without_configuration_has_no_options_of_one():
-    given = cli.parser("fuzz", "about", configured=False).parse_args(["--json"])
-    assert (given.out, given.json) == (Path("results/fuzz"), True)
+    given = cli.parser("sweep", "about", configured=False).parse_args(["--json"])
+    assert (given.out, given.json) == (Path("results/sweep"), True)
     assert not {"seed", "config", "quick", "figures"} & vars(given).keys()
 
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -12,19 +12,19 @@ import pytest
 
 import moc_opt as mo
 from benchmarks.common import look
-from benchmarks.paper_experiment import look as paper_look
+from benchmarks.paper_experiment import page as paper_page
 from benchmarks.paper_experiment.trials import BASELINES, MATCHED, Measurement, Outcome
 from benchmarks.solver_study import look as solvers_look
 from benchmarks.solver_study.closed_loop import POSES_EVERY, Run, finish
-from moc_opt.comparison.trials import BASELINE
 from moc_opt.errors import BrowserMissingError
 from moc_opt.figures.style import Styles
-from moc_opt.redundancy.map_analysis import End
+from moc_opt.planning.map_analysis import End
 from moc_opt.report import export
 from moc_opt.report.page import Page
 from moc_opt.scenario import Scenario
+from moc_opt.study.trials import BASELINE
 from moc_opt.trace.trace import Trace
-from tests.report.test_replay import Visit
+from tests.conftest import opened
 
 TRIAL = Scenario(duration_s=1.0, judge=False, bound_samples=0, start={"swivel": 0.2}, name="circle/0")
 
@@ -34,8 +34,7 @@ def runs() -> list[Run]:
     """The baseline, a solver, and one that broke off, as the study keeps them."""
     found = []
     for name, case in ((BASELINE, TRIAL.change(control={"law": "dcac"})), ("exact", TRIAL)):
-        (part,) = finish(case, None, True, True)
-        found.append(Run(name, TRIAL.name, part.values["metrics"], part.arrays, part.values["error"]))
+        found.append(replace(finish(case, True, True, np.inf), controller=name))
     return [*found, Run("osqp", TRIAL.name, {}, error="hung")]
 
 
@@ -68,8 +67,7 @@ def test_poses_are_kept_thinned_and_the_rest_whole(runs: list[Run]) -> None:
     np.testing.assert_allclose(drawn.q_rad, trace.q_rad[::POSES_EVERY], atol=1e-6)
     np.testing.assert_array_equal(drawn.mu, trace.mu[::POSES_EVERY])
     assert runs[2].seen is None
-    (part,) = finish(TRIAL, None, False, True)
-    assert Run("exact", "a", {}, part.arrays).seen is None
+    assert finish(TRIAL, False, True, np.inf).seen is None
 
 
 def test_the_trial_is_that_of_all_that_can_be_drawn(seen: solvers_look.Look) -> None:
@@ -114,50 +112,30 @@ def outcome(trial: str, gain: float, group: str = "tuned", traces: Any = None) -
     return Outcome([found], {}, {"exact": 1} if traces is None else traces)
 
 
-def test_the_trial_with_the_middle_gain_is_looked_at() -> None:
-    drawn = [
-        outcome("a", 5.0),
-        outcome("b", 30.0),
-        outcome("c", 7.0),
-        outcome("d", 1.0, "paper"),
-        outcome("e", 6.0, traces={}),
-    ]
-    found, gain, of = paper_look.chosen(drawn, "tuned", "exact")["circle"]
-    assert (found.measurements[0].trial, gain, of) == ("c", 7.0, 3)
-    found, gain, of = paper_look.chosen(drawn[:2], "tuned", "exact")["circle"]
-    assert (gain, of) == (5.0, 2)
-    assert paper_look.chosen(drawn, "tuned", "rnn") == {}
-
-
-def test_the_best_solver_is_shown_with_other_parameters_too() -> None:
-    config: Any = SimpleNamespace(best="tuned", best_solver="exact", same_path=lambda group: group != "later")
-    drawn = [outcome("a", 1.0, group) for group in ("paper", "tuned", "later")] + [outcome("b", 1.0, "paper")]
-    assert paper_look.elsewhere(config, drawn, "a") == {"MOC, exact, group paper": 1}
+def test_the_trial_with_the_middle_gain_is_looked_at(monkeypatch: pytest.MonkeyPatch, robot: Any) -> None:
+    monkeypatch.setattr(paper_page, "trial_map", lambda robot, traces: "none")
+    drawn = [outcome("a", 5.0), outcome("b", 30.0), outcome("c", 7.0), outcome("c", 1.0, "paper"),
+             outcome("e", 6.0, traces={})]  # fmt: skip
+    [shown] = paper_page.looks(robot, drawn, "tuned", "exact")
+    assert (shown.task, shown.trial, shown.gain_percent, shown.of) == ("circle", "c", 7.0, 3)
+    assert shown.traces == {"MOC, exact": 1, "MOC, exact, group paper": 1}
+    [shown] = paper_page.looks(robot, drawn[:2], "tuned", "exact")
+    assert (shown.gain_percent, shown.of) == (5.0, 2)
+    assert paper_page.looks(robot, drawn, "tuned", "rnn") == []
 
 
 def test_the_papers_section_has_a_map_a_task_and_one_replay(seen: solvers_look.Look, tmp_path: Path) -> None:
     traces = {BASELINES[MATCHED]: seen.traces[BASELINE], "MOC, exact": seen.traces["exact"]}
     robot = TRIAL.robot.arm()
-    shown = paper_look.Look("circle/0", 12.3, 5, traces, look.trial_map(robot, traces))
-    found = {"circle": shown, "spiral": paper_look.Look("spiral/1", 1.0, 5, traces, "no such thing")}
-    config: Any = SimpleNamespace(scenario=TRIAL, best="tuned", best_solver="exact")
+    shown = paper_page.Look("circle", "circle/0", 12.3, 5, traces, look.trial_map(robot, traces))
+    none = paper_page.Look("spiral", "spiral/1", 1.0, 5, traces, "no such thing")
     page = Page("The paper")
-    paper_look.add_section(page, found, tmp_path, config)
-    assert list(page.figures) == list(paper_look.map_figures(found)) == ["map-circle"]
+    paper_page.add_looks(page, [shown, none], tmp_path, ("tuned", "exact"), robot)
+    assert list(page.figures) == ["map-circle"]
     html = page.html()
-    for words in (
-        "circle/0: +12.3 %, of 5 trials",
-        "spiral: there is no map: no such thing",
-        'href="replay.html"',
-    ):
-        assert words in html
+    assert all(words in html for words in ("circle/0: +12.3 %, of 5 trials", "no such thing", 'href="replay.html"'))
     assert (tmp_path / "replay.html").stat().st_size > 10_000
-    assert [(row["task"], row["name"]) for row in paper_look.rows(found)] == [
-        ("circle", name) for name in traces
-    ]
-    empty = Page("Nothing")
-    paper_look.add_section(empty, {}, tmp_path, config)
-    assert "Where the elbow goes" not in empty.html()
+    assert [(row["task"], row["name"]) for row in shown.rows()] == [("circle", name) for name in traces]
 
 
 def test_a_replay_that_cannot_be_written_is_not_linked(robot: Any, runs: list[Run], tmp_path: Path) -> None:
@@ -174,22 +152,26 @@ def test_a_replay_that_cannot_be_written_is_not_linked(robot: Any, runs: list[Ru
 
 
 @pytest.fixture(scope="module")
-def visit(report: Path) -> Iterator[Visit]:
+def page(report: Path) -> Iterator[Any]:
+    looks = {"viewport": {"width": 900, "height": 800}, "color_scheme": "light", "device_scale_factor": 0.5}
     try:
-        with export.browser() as chromium:
-            opened = Visit(chromium, report)
-            yield opened
-            opened.page.close()
+        with (
+            export.browser() as chromium,
+            opened(chromium, report.as_uri(), "html[data-drawn=yes]", own=report.parent.as_uri(), **looks) as found,
+        ):
+            yield found
     except BrowserMissingError as missing:
         pytest.skip(str(missing))
-    assert opened.trouble == []
-    beside = [report.as_uri(), report.with_name("replay.html").as_uri()]
-    fetched = [url for url in opened.requests if not url.startswith(("data:", "blob:"))]
-    assert set(fetched) <= set(beside)
 
 
-def test_the_map_is_drawn_in_every_light(visit: Visit) -> None:
-    page = visit.page
+def arm(page: Any) -> bytes:
+    """The picture of the arm once it has come to rest."""
+    page.evaluate("() => new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
+    picture: bytes = page.locator("#scene").screenshot()
+    return picture
+
+
+def test_the_map_is_drawn_in_every_light(page: Any) -> None:
     assert page.locator("#map .heatmaplayer image").count() == 2
     drawn = "() => document.querySelectorAll('#map .scatterlayer .js-line').length"
     assert page.evaluate(drawn) >= 6, "an edge and a line for each course and for the best"
@@ -204,8 +186,7 @@ def test_the_map_is_drawn_in_every_light(visit: Visit) -> None:
     page.wait_for_function("document.querySelector('#map .nsewdrag').getBoundingClientRect().width > 500")
 
 
-def test_pointing_at_the_map_tells_mu_or_the_limit(visit: Visit) -> None:
-    page = visit.page
+def test_pointing_at_the_map_tells_mu_or_the_limit(page: Any) -> None:
     plot = page.locator("#map .nsewdrag")
     box = plot.bounding_box()
     for height, words in ((0.02, "beyond its limit"), (0.2, "µ = 0.")):
@@ -215,8 +196,7 @@ def test_pointing_at_the_map_tells_mu_or_the_limit(visit: Visit) -> None:
         )
 
 
-def test_the_legend_switches_a_course_off(visit: Visit) -> None:
-    page = visit.page
+def test_the_legend_switches_a_course_off(page: Any) -> None:
     hidden = "() => document.querySelector('#map').data.filter(t => t.visible === 'legendonly').map(t => t.legendgroup)"
     assert page.evaluate(hidden) == []
     page.locator("#map .legendtoggle").nth(1).click()
@@ -226,15 +206,14 @@ def test_the_legend_switches_a_course_off(visit: Visit) -> None:
     page.wait_for_function(f"({hidden})().length === 0")
 
 
-def test_the_link_opens_the_replay_and_the_arm_moves(visit: Visit) -> None:
-    page = visit.page
+def test_the_link_opens_the_replay_and_the_arm_moves(page: Any) -> None:
     page.locator("a[href='replay.html']").click()
     page.wait_for_selector("#scene")
     page.wait_for_selector("html[data-drawn=yes]", timeout=60_000)
     assert page.locator("#labels b").all_inner_texts() == [BASELINE, "exact"]
     page.evaluate("replay.seek(0)")
-    before = visit.arm()
+    before = arm(page)
     page.evaluate("replay.seek(0.9)")
-    assert visit.arm() != before
+    assert arm(page) != before
     page.go_back()
     page.wait_for_selector("html[data-drawn=yes]", timeout=60_000)

@@ -1,19 +1,33 @@
-"""The clock: what it counts, in which order, and what it makes of it."""
+"""The clock: what it counts, in which order, what it makes of it, and when it is not to be trusted."""
 
 import gc
+import json
+import os
+import subprocess
+import sys
+import time
 
 import numpy as np
 import pytest
 
 from benchmarks.common.timing import (
+    UNDISTURBED,
+    Disturbance,
     Timed,
     clock_cost_us,
     each_us,
     figures,
     interleaved,
+    load,
     percentiles,
     ratios,
+    read_doubts,
+    used,
+    with_doubts,
 )
+from moc_opt.figures.notation import Doubtful
+from moc_opt.inputs.files import to_json
+from moc_opt.study import each
 
 
 @pytest.fixture
@@ -101,7 +115,7 @@ def test_no_call_is_left_out_of_the_figures():
     times = np.full((10, 100), 2.0)
     times[:, :5] = 9.0  # cold, one in twenty
     times[3, 50] = 70.0
-    found = figures(times, "tick")
+    found = figures(times, "tick", UNDISTURBED)
     assert (found["tick_p50_us"], found["tick_cold_p50_us"], found["tick_max_us"]) == (2.0, 9.0, 70.0)
     assert found["tick_p99_us"] == 9.0  # without the cold ones it would be 2
 
@@ -120,3 +134,111 @@ def test_percentiles_leave_out_what_has_no_time():
 
 def test_the_clock_itself_costs_little():
     assert clock_cost_us(200) > 0.0
+
+
+# --- what the machine did meanwhile ---
+
+
+@pytest.mark.parametrize(
+    ("seen", "trusted"),
+    [
+        (Disturbance(), {50.0, 99.0, 99.9, 100.0}),
+        (Disturbance(4000, 0, 0, 1.0, 1.0), {50.0, 99.0, 99.9, 100.0}),
+        (Disturbance(4000, 1, 0, 1.0, 1.0), {50.0, 99.0, 99.9}),
+        (Disturbance(4000, 10, 0, 1.0, 1.0), {50.0, 99.0}),
+        (Disturbance(4000, 11, 0, 1.0, 1.0), {50.0}),
+        (Disturbance(4000, 500, 0, 0.91, 1.0), {50.0}),
+        (Disturbance(4000, 501, 0, 0.91, 1.0), set()),
+        (Disturbance(4000, 0, 0, 0.89, 1.0), set()),
+        (Disturbance(4000, 0, 4000, 0.3, 1.0), {50.0, 99.0, 99.9, 100.0}),  # it waits for a child
+        (Disturbance(4000, 40, 4000, 0.3, 1.0), {50.0}),
+    ],
+)
+def test_a_percentile_is_trusted_where_few_calls_beyond_it_lost_the_core(seen, trusted):
+    assert {q for q in (50.0, 99.0, 99.9, 100.0) if seen.trusts(q)} == trusted
+    found = percentiles(np.arange(1000.0), "tick", seen)
+    assert isinstance(found["tick_p99_us"], Doubtful) == (99.0 not in trusted)
+    assert found == percentiles(np.arange(1000.0), "tick")
+
+
+def test_what_is_seen_adds_up_and_is_read_back():
+    one, two = Disturbance(10, 1, 2, 0.5, 1.0), Disturbance(30, 3, 0, 1.5, 1.0)
+    assert one + two == Disturbance(40, 4, 2, 2.0, 2.0)
+    assert one + two - two == one
+    assert (one + two).cpu_share == 1.0
+    assert Disturbance.total([one.entries(), {"tick_p50_us": 1.0}, two.entries()]) == one + two
+
+
+def spin_ms(ms):
+    end = time.process_time() + 1e-3 * ms
+    while time.process_time() < end:
+        pass
+
+
+def beside_a_competitor(calls):
+    """Time calls of a millisecond on one core, beside a process that wants the same core all the time."""
+    os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
+    rival = subprocess.Popen([sys.executable, "-c", "while True: pass"])  # it inherits the core
+    try:
+        seen = []
+        times = each_us(spin_ms, [1.0] * calls, seen=seen)
+        return times, seen[0]
+    finally:
+        rival.kill()
+        rival.wait()
+
+
+@pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="this system holds no process to a core")
+def test_times_beside_a_busy_process_on_the_same_core_are_not_trusted():
+    ((times, seen),) = each(beside_a_competitor, [300], workers=1)
+    assert seen.calls == len(times) == 300
+    assert seen.cpu_share < 0.8
+    assert seen.switches > 10
+    assert not seen.trusts(99.0)
+    assert isinstance(percentiles(times, "solve", seen)["solve_p99_us"], Doubtful)
+
+
+def test_a_process_that_sleeps_gives_the_core_away_itself():
+    before = used()
+    each_us(time.sleep, [1e-3] * 20)
+    seen = used() - before + Disturbance(20)
+    assert seen.waits >= 20
+    assert seen.cpu_share < 0.9
+    assert seen.waits > 0.01 * seen.calls
+
+
+def test_each_entry_has_its_own():
+    seen = {}
+    entries = {"a": Timed(abs, range(10)), "b": Timed(abs, range(10))}
+    interleaved(entries, rounds=2, chunk=5, seen=seen)
+    assert {name: found.calls for name, found in seen.items()} == {"a": 20, "b": 20}
+    assert all(found.wall_s > 0.0 for found in seen.values())
+
+
+def test_the_load_is_said_with_what_it_spoilt():
+    quiet = {**Disturbance(1000, 3, 0, 0.998, 1.0).entries(), "solve_p50_us": 1.0, "solve_p99_us_worst_set": 2.0}
+    said = load([quiet, {"solves": 3}])
+    assert "99.8 %" in said
+    assert "3 involuntary" in said
+    assert "all are trusted" in said
+    spoilt = {**Disturbance(1000, 300, 0, 0.998, 1.0).entries(), "solve_p50_us": 1.0, "solve_p99_us": Doubtful(2.0)}
+    assert "1 of 2 p99 are not to be trusted" in load([quiet, spoilt])
+    assert load([{"solves": 3}]) == ""
+
+
+def test_doubts_survive_a_file():
+    summary = {"part": {"a": {"p50": 1.0, "p99": Doubtful(2.0)}, "b": {"p50": 3.0}}, "note": "text"}
+    kept = json.loads(to_json(with_doubts(summary)))
+    assert kept["part"]["a"]["p99"] == 2.0
+    back = read_doubts(kept)
+    assert back == summary
+    assert isinstance(back["part"]["a"]["p99"], Doubtful)
+    assert not isinstance(back["part"]["a"]["p50"], Doubtful)
+
+
+def test_a_doubtful_number_is_written_as_one_and_so_is_what_is_made_of_it():
+    us = Doubtful(8123.4)
+    assert f"{us:.1f} us" == "?8123.4 us"
+    for made in (us / 2.0, 2.0 / us, us - 1.0, 1.0 - us):
+        assert isinstance(made, Doubtful)
+    assert (us / 2.0, us - 1.0) == (4061.7, 8122.4)

@@ -9,20 +9,25 @@ import pytest
 
 from benchmarks.common.markdown import fill_section
 from benchmarks.maintenance import readme
+from benchmarks.solver_study.combine import COMPARED
 
 NAMES = ("solvers", "paper", "speed")
 README = "before\n" + "between\n".join(f"<!-- {name} -->\nold\n<!-- /{name} -->\n" for name in NAMES) + "after\n"
 MACHINE = {"cores": 2, "processor": "a processor", "python": "3.11", "load_1min": 0.4}
-OPEN = {"solve_p50_us": 1.74, "solve_p99_us": 3.1, "solves": 10, "right": 10}
+ASKED = {"infeasible_asked": 0, "refused_inconsistent": 0}
+OPEN = {"solve_p50_us": 1.74, "solve_p99_us": 3.1, "solves": 10, "right": 10, "verified_solved": 10, "optima_asked": 10,
+        **ASKED}  # fmt: skip
 CLOSED = {
-    "mu_mean": 0.31, "tip_error_model_mean_mm": 0.3, "rcm_error_model_mean_mm": 1.5, "runs": 15,
+    "mu_mean": 0.31, "tip_error_model_mean_mm": 0.3, "rcm_error_model_mean_mm": 1.5, "runs": 15, "compared_trials": 15,
     "torque_rate_rms_Nm_per_s": 7.2, "mu_fraction_of_bound": 0.9474,
 }  # fmt: skip
-RIGHT = {"silently_wrong": 0, "solves": 50, "right": 50, "claimed_solved": 50}
+RIGHT = {"silently_wrong": 0, "solves": 50, "right": 50, "claimed_solved": 50, "verified_solved": 50,
+         "optima_asked": 50, **ASKED}  # fmt: skip
 SOLVERS = {
     "open_loop_warm": {"exact": OPEN, "nlp-sqp": OPEN, "qpsolvers:daqp": OPEN},
     "closed_loop": {"dcac": CLOSED, "exact": {
-        **CLOSED, "mu_gain_percent": 65.5, "mu_gain_percent_low": 50.0, "mu_gain_percent_high": 80.0,
+        **CLOSED, **dict.fromkeys(COMPARED.values(), 5.0),
+        "mu_gain_percent": 65.5, "mu_gain_percent_low": 50.0, "mu_gain_percent_high": 80.0,
     }},
     "testsets": {
         "osqp@default": {**RIGHT, "silently_wrong": 3}, "daqp@default": {**RIGHT, "silently_wrong": 30},
@@ -31,18 +36,24 @@ SOLVERS = {
     },
 }  # fmt: skip
 GOALS = [
-    {"goal": "gain", "text": "mean gain in mu [%], at least", "limit": 15.0, "reached": True, "value": 24.27,
-     "value_low": 16.5, "value_high": 33.7},
-    {"goal": "rcm", "text": "mean of rcm_error_mean_mm, at most", "limit": 0.5, "reached": False, "value": 0.6,
-     "value_low": None, "value_high": None},
+    {"goal": "gain", "text": "mean gain in mu [%], at least", "limit": 15.0, "reached": True, "open": "",
+     "value": 24.27, "value_low": 16.5, "value_high": 33.7},
+    {"goal": "rcm", "text": "mean of rcm_error_mean_mm, at most", "limit": 0.5, "reached": False, "open": "",
+     "value": 0.6, "value_low": None, "value_high": None},
+    {"goal": "tip_true_mean", "text": "mean tip error, base frame [mm], upper end at most", "limit": None,
+     "reached": None, "open": "no goal", "value": 0.7},
+    {"goal": "settled", "text": "a change [%], at most", "limit": 5.0, "reached": None, "open": "undecided",
+     "value": 3.0, "value_of_ratios": 8.0},
 ]  # fmt: skip
 
 
 SPEED = {
     "goals": {
-        "tick_p50": dict(what="tick: median", unit="us", goal=25.0, kind="at most", value=13.42, reached="yes"),
-        "peers": dict(what="a peer over ours", unit="", goal=4.0, kind="at least", value=0.9, reached="no"),
-        "c_tick": dict(what="tick in C", unit="us", goal=5.0, kind="at most", value=None, reached="not measured"),
+        "first_torque": dict(what="first torque", unit="s", goal=0.5, kind="at most", value=0.342, reached="yes",
+                             made_of="libraries 0.3 s"),
+        "tick": dict(what="a peer over ours", unit="", goal=4.0, kind="at least", value=0.9, reached="no", made_of=""),
+        "c_tick": dict(what="moc_step", unit="us", goal=4.0, kind="at most", value=None, reached="not measured",
+                       made_of=""),
     },
     "tick": {"exact": {"tick_p50_us": 13.42}, "c": {"tick_p50_us": 2.51}},
     "peers": {
@@ -64,8 +75,8 @@ VERDICT = [
     )
 ]  # fmt: skip
 ABLATION = [
-    {"case": case, "about": about, "controller": "exact", "draw": "all", "claim": "tip", "confirmed": case == "printed",
-     "decides": case == "one"}
+    {"case": case, "about": about, "controller": "exact", "draw": "all", "claim": "tip", "trials": 45,
+     "confirmed": case == "printed", "decides": case == "one"}
     for case, about in (("printed", "as printed"), ("one", "one number"), ("idle", "another lambda"))
 ]  # fmt: skip
 SHOOK = {"exact": {"oscillated": 27, "trials": 45.0}, "rnn": {"oscillated": 0, "trials": 45.0}}
@@ -95,19 +106,21 @@ def test_both_sections_are_written_and_nothing_else_is_touched(folder):
     assert text.count("\nold\n") == 1
     assert "between" in text
     (head,) = [line for line in text.splitlines() if line.startswith("| solver |")]
-    assert head.count("|") == 9, "eight columns, those of the report"
-    assert "| exact | ★ take | 100.00 | 0 | 1.7 | 3.1 | 94.7 | none |" in text
+    assert head.count("|") == 12, "the columns of the report"
+    assert "| exact | ★ take | 100.00 | 0 | 1.7 | 3.1 | +5/+5 | +5/+5 |" in text
     assert "| daqp | ◐ gaps | 90.00 | 0 |" in text
     assert "| nlp-sqp | ≠ other | – | – | 1.7 | 3.1 |" in text
     assert text.index("| exact |") < text.index("| daqp |") < text.index("| nlp-sqp |")
     assert "15 trials from random poses" in text
-    assert "raise mean mu by 66 [50, 80] %" in text
+    assert "change mean mu by +66 [50, 80] %" in text
     assert "qpsolvers" not in text
-    assert "50 of 50 certified problems" in text
-    assert "(daqp 30, osqp 3)." in text
+    assert "50 of 50 certified optima" in text
+    assert "(`daqp` 30, `osqp` 3)." in text
     assert "piqp" not in text
     assert "| mean gain in mu [%] | at least 15 | 24.3 [16.5, 33.7] |" in text
     assert "| mean of rcm_error_mean_mm | at most 0.5 | 0.6 (not reached) |" in text
+    assert "| mean tip error, base frame [mm] | – | 0.7 |" in text
+    assert "| a change [%] | at most 5 | 3 (mean of ratios 8) (undecided) |" in text
     assert readme.main(arguments(folder, "solvers", "paper")) == 0
     assert (folder / "README.md").read_text() == text
 
@@ -129,9 +142,9 @@ def test_the_papers_claims_stand_beside_what_decides_on_them(folder):
 def test_what_everything_costs(folder):
     assert readme.main(arguments(folder, "speed")) == 0
     text = (folder / "README.md").read_text()
-    assert "| tick: median [us] | 13.4 | at most 25 |" in text
-    assert "| a peer over ours | 0.9 (not reached: tsid: 13 us for the same job) | at least 4 |" in text
-    assert "| tick in C [us] | not measured | at most 5 |" in text
+    assert "| first torque [s] | 0.342 | at most 0.5 | libraries 0.3 s |" in text
+    assert "| a peer over ours | 0.9 (not reached) | at least 4 |  |" in text
+    assert "| moc_step [us] | not measured | at most 4 |  |" in text
     assert "[us]: c 2.5, exact 13.4." in text
     assert "[us]: tsid† (torque) 12.6, mink (velocity) 79.2.\n† not installed by `make`" in text
     assert "Not measured in this run: pink (package 'pink' is not installed).\n<!-- /speed -->" in text

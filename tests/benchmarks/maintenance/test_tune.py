@@ -9,12 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from benchmarks.common.output import default_config
-from benchmarks.maintenance import tune, tune_space
-from benchmarks.paper_experiment.config import STREAM
-from benchmarks.paper_experiment.trials import MATCHED, Measurement, Outcome, seeds
+from benchmarks.maintenance import tune
+from benchmarks.paper_experiment.trials import MATCHED, STREAM, Measurement, Outcome, seeds
 from moc_opt.control import ControlSettings
 from moc_opt.control.presets import TUNED
-from moc_opt.errors import MocOptError, ScenarioError, UnknownNameError
 from moc_opt.robots import load_data
 
 GOOD = {
@@ -152,9 +150,7 @@ def test_change_while_settled_is_that_of_the_same_trials():
     for trial, (moc, dcac) in enumerate([(0.1, 0.2), (0.2, 0.4), (0.3, 0.6)]):
         for controller, value in ((tune.SOLVER, moc), (MATCHED, dcac)):
             metrics = {**dict.fromkeys(tune.ERRORS, value), "ticks": 100.0}
-            entries.append(
-                Measurement("", controller, "circle", f"circle/{trial}", 0, "settled", metrics)
-            )
+            entries.append(Measurement("", controller, "circle", f"circle/{trial}", 0, "settled", metrics))
         entries.extend(outcome("", tune.SOLVER, 500.0, 20.0).measurements)
     values = tune.figures(entries)
     assert values["settled_tip_error_model_mean_mm"] == pytest.approx(-50.0)
@@ -175,43 +171,30 @@ def test_the_preset_is_a_point_of_the_space(config):
     assert ControlSettings.tuned() == ControlSettings(**TUNED)
 
 
-def test_preset_is_written_as_a_scenario_reads_it():
-    found = tune.preset(tune.Score(tune.Candidate((), {"K_N": 2000.0, "rho_over_c2": 0.1}), 0.0, {}))
-    assert found == '[control]\ngains = "default"\nK_N = 2000.0\nregularization = 0.0001'
-
-
-def test_the_command_leaves_its_files_and_repeats_itself(tmp_path, capsys):
+def test_the_command_leaves_its_files_and_repeats_itself(tmp_path):
     file = tmp_path / "tiny.toml"
     file.write_text(TINY)
     summaries = []
     for turn in ("a", "b"):
-        assert tune.main([str(file), "--out", str(tmp_path / turn), "--json"]) == 0
+        assert tune.main([str(file), "--out", str(tmp_path / turn)]) == 0
         summaries.append(json.loads((tmp_path / turn / "summary.json").read_text()))
-        assert (tmp_path / turn / "rows.parquet").exists()
-        assert json.loads((tmp_path / turn / "environment.json").read_text())["seed"] == 3
     assert summaries[0] == summaries[1]
     assert set(summaries[0]["tuned"]["control"]) == {"gains", "K_N2", "regularization"}
-    assert json.loads(capsys.readouterr().out.split("\n}\n")[0] + "}") == summaries[0]
 
 
 def test_wrong_input_is_named(tmp_path, capsys):
-    with pytest.raises(ScenarioError, match=r"no\.toml"):
-        tune.Config.load(tmp_path / "no.toml")
     file = tmp_path / "bad.toml"
-    file.write_text(TINY.replace("random", "randon"))
-    with pytest.raises(UnknownNameError, match="did you mean 'random'"):
-        tune.Config.load(file)
-    file.write_text(TINY.replace('"circle"', '"circel"'))
-    assert tune.main([str(file), "--out", str(tmp_path / "out")]) == 2
-    assert "circel" in capsys.readouterr().err
-    with pytest.raises(MocOptError):
-        tune_space.Range(low="a", high=1.0)
-    with pytest.raises(ScenarioError, match="low < high"):
-        tune_space.Range(low=2.0, high=1.0)
-    with pytest.raises(ScenarioError, match="above 0 where log"):
-        tune_space.Range(low=0.0, high=1.0, log=True)
+    for text, said in (
+        (TINY.replace("random", "randon"), "did you mean 'random'"),
+        (TINY.replace('"circle"', '"circel"'), "circel"),
+        (TINY.replace("low = 0.05, high = 0.3", "low = 0.3, high = 0.05"), "low < high"),
+        (TINY.replace("low = 10.0", "low = 0.0"), "above 0 where log"),
+    ):
+        file.write_text(text)
+        assert tune.main([str(file), "--out", str(tmp_path / "out")]) == 2
+        assert said in capsys.readouterr().err
 
 
 def test_choices_are_drawn_evenly():
-    span = tune_space.Range(choices=[False, True])
+    span = tune.Range(choices=[False, True])
     assert [span.at(place) for place in (0.0, 0.49, 0.51, 1.0)] == [False, False, True, True]

@@ -1,29 +1,28 @@
 """Answers to sets: what is counted as what, and that a solver which hangs or crashes is recorded and no more."""
 
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from benchmarks.common.processes import Worker
-from benchmarks.common.store import Part, Store
-from benchmarks.solver_study import answers, growth, settings
-from benchmarks.solver_study.answers import Data, Limits, asked, timed
-from benchmarks.solver_study.cells import Cell, asked_all, load, time_figures, totals
+from benchmarks.common.timing import Disturbance
+from benchmarks.solver_study import growth, settings
+from benchmarks.solver_study.answers import Data, Limits, Part, ask, time
+from benchmarks.solver_study.cells import Cell, load, time_figures, totals
 from benchmarks.solver_study.settings import SETTINGS, TIGHT_OPTIONS, SolverSetting, solver_settings
+from moc_opt.figures.notation import Doubtful
 from moc_opt.scenario import make_solver
 from moc_opt.solvers import available
 from moc_opt.solvers.registry import accepts
+from moc_opt.study import Kept, run
 from tests import broken_solvers
 
 LIMITS = Limits(patience_s=1.0, rounds=2, seconds=0.2, cold=4)
 EXACT = SolverSetting("exact", "recommended", {}, "")
 
 
-@pytest.fixture(scope="module")
-def worker():
-    with Worker() as made:
-        yield made
+ONE = partial(run, workers=1)
 
 
 @pytest.fixture(scope="module")
@@ -34,8 +33,7 @@ def broken(tmp_path_factory):
         assert {name: available().get(name, "") for name in broken_solvers.NAMES} == dict.fromkeys(
             broken_solvers.NAMES
         )
-        with Worker() as made:
-            yield made
+        yield ONE
 
 
 @pytest.fixture(scope="module")
@@ -44,59 +42,63 @@ def some():
     return load("infeasible", 8)
 
 
-def cell(worker, setting, data, warm=True):
-    return Cell(setting, data, asked(Store(None), worker, setting, data, LIMITS, warm))
+def cell(setting, data, warm=True):
+    (part,) = ask(ONE, [(setting, data)], LIMITS, warm)
+    return Cell(setting, data, part)
 
 
-def test_exact_is_right_on_every_set(worker, some):
+def timed(setting, data, run=ONE):
+    (part,) = time(run, [(setting, data)], LIMITS)
+    return part
+
+
+def test_exact_is_right_on_every_set(some):
     for data in (load("circle", 16), some, load("inconsistent-1e-4", 8), load("jumps", 8)):
-        counts = cell(worker, EXACT, data).counts()
-        assert counts["verified_solved"] + counts["infeasible_six_rows"] == counts["feasible"]
-        assert (counts["infeasible_six_rows"] > 0) == data.name.startswith("inconsistent")
-        assert counts["infeasible_right"] == counts["solves"] - counts["feasible"]
+        counts = cell(EXACT, data).counts()
+        assert counts["verified_solved"] == counts["optima_asked"]
+        assert (counts["refused_inconsistent"] > 0) == data.name.startswith("inconsistent")
+        assert counts["infeasible_right"] == counts["infeasible_asked"]
         assert counts["silently_wrong"] == counts["failed"] == counts["infeasible_wrong"] == 0
 
 
 def test_a_solver_that_hangs_is_stopped_and_recorded(broken):
     data = load("circle", 8)
-    found = cell(broken, SolverSetting("hangs", "recommended", {"at": 3}, ""), data)
+    found = cell(SolverSetting("hangs", "recommended", {"at": 3}, ""), data)
     # a fresh session after each hang: the fourth and the eighth problem; then the rest is left alone
     assert np.flatnonzero(found.status == "hung").tolist() == [3, 7]
     assert (found.status[8:] == "not asked").all()
     counts = found.counts()
     assert (counts["hung"], counts["claimed_solved"], counts["not_asked"]) == (2, 6, 8)
     assert not found.complete
-    times = timed(Store(None), broken, found.setting, data, LIMITS, found.complete)
-    assert time_figures(times)["timed_solves"] == 0
-    assert "not every problem was answered" in times.values["reason"]
+    assert time_figures(timed(found.setting, data))["timed_solves"] == 0
 
 
 def test_a_solver_that_hangs_everywhere_is_given_up(broken):
     sets = [load(name, 32) for name in ("circle", "spiral", "sinusoid", "random", "jumps")]
     limits = Limits(patience_s=0.5, rounds=2, seconds=0.1, cold=2)
-    cells = asked_all(Store(None), broken, SolverSetting("hangs", "recommended", {"at": 0}, ""), sets, limits)
-    assert [found.counts()["hung"] for found in cells] == [2, 2, 2, 0, 0]
-    assert [found.counts()["not_asked"] for found in cells] == [2, 2, 2, 4, 4]
+    parts = ask(broken, [(SolverSetting("hangs", "recommended", {"at": 0}, ""), data) for data in sets], limits)
+    status = [part.arrays["status"].tolist() for part in parts]
+    assert status[:3] == [["hung", "hung", "not asked", "not asked"]] * 3
+    assert "hung" not in status[3][1:], "one set more may have been under way"
+    assert status[4] == ["not asked"] * 4
 
 
 def test_a_solver_that_hangs_while_it_is_set_up_is_not_asked_again(broken):
-    sets = [load(name, 32) for name in ("circle", "spiral")]
-    first, second = asked_all(
-        Store(None), broken, SolverSetting("stuck", "recommended", {}, ""), sets, Limits(patience_s=0.5, setup_s=2.0)
-    )
-    assert (first.counts()["hung"], first.counts()["not_asked"]) == (1, 3)
-    assert "while setting up" in first.part.values["events"][0]
-    assert second.counts()["not_asked"] == 4
+    data = load("circle", 32)
+    limits = Limits(patience_s=0.5, setup_s=2.0)
+    (part,) = ask(broken, [(SolverSetting("stuck", "recommended", {}, ""), data)], limits)
+    assert part.arrays["status"].tolist() == ["hung", "not asked", "not asked", "not asked"]
+    assert "while setting up" in part.values["events"][0]
 
 
 def test_a_crash_is_recorded_with_its_signal(broken):
-    found = cell(broken, SolverSetting("crashes", "recommended", {"at": 1}, ""), load("circle", 16))
+    found = cell(SolverSetting("crashes", "recommended", {"at": 1}, ""), load("circle", 16))
     assert np.flatnonzero(found.status == "crashed").tolist() == [1, 3]
     assert all("SIGSEGV" in event for event in found.part.values["events"])
 
 
 def test_an_exception_costs_one_answer(broken):
-    found = cell(broken, SolverSetting("raises", "recommended", {"at": 2}, ""), load("circle", 16))
+    found = cell(SolverSetting("raises", "recommended", {"at": 2}, ""), load("circle", 16))
     assert np.flatnonzero(found.status == "raised").tolist() == [2, 5]
     counts = found.counts()
     assert (counts["raised"], counts["failed"], counts["verified_solved"]) == (2, 2, 6)
@@ -104,28 +106,28 @@ def test_an_exception_costs_one_answer(broken):
 
 @pytest.mark.parametrize(("name", "reason"), [("quits", "SystemExit: no more"), ("empty", "start returned None")])
 def test_a_solver_that_cannot_even_be_started_is_a_row_with_its_reason(broken, name, reason):
-    found = cell(broken, SolverSetting(name, "recommended", {}, ""), load("circle", 64))
+    found = cell(SolverSetting(name, "recommended", {}, ""), load("circle", 64))
     assert reason in found.refused
     assert found.counts()["not_asked"] == 2
 
 
 def test_a_solver_that_starts_only_once_costs_the_answers_after_its_exception(broken):
-    found = cell(broken, SolverSetting("once", "recommended", {"at": 1}, ""), load("circle", 32))
+    found = cell(SolverSetting("once", "recommended", {"at": 1}, ""), load("circle", 32))
     assert found.status.tolist() == ["solved", "raised", "raised", "raised"]
     assert "RuntimeError: only once" in found.part.values["events"][-1]
 
 
 def test_an_answer_without_form_costs_one_answer(broken):
-    found = cell(broken, SolverSetting("untyped", "recommended", {}, ""), load("circle", 64))
+    found = cell(SolverSetting("untyped", "recommended", {}, ""), load("circle", 64))
     assert found.status.tolist() == ["raised", "raised"]
     assert "solve returned a NoneType" in found.part.values["events"][0]
 
 
-def test_a_solver_that_refuses_is_not_asked(worker):
-    found = cell(worker, SolverSetting("quadprog", "recommended", {}, ""), load("circle-rho0", 16))
+def test_a_solver_that_refuses_is_not_asked():
+    found = cell(SolverSetting("quadprog", "recommended", {}, ""), load("circle-rho0", 16))
     assert "regularization" in found.refused
     assert found.counts()["not_asked"] == 8
-    assert cell(worker, SolverSetting("no-such", "recommended", {}, ""), load("circle", 64)).refused.startswith(
+    assert cell(SolverSetting("no-such", "recommended", {}, ""), load("circle", 64)).refused.startswith(
         "UnknownName"
     )
 
@@ -158,9 +160,9 @@ def test_claims_are_counted_by_the_certificate_and_the_judge():
     assert (found["silently_wrong"], found["failed"]) == (2, 1)
 
 
-def test_times_are_measured_warm_and_cold(worker):
+def test_times_are_measured_warm_and_cold():
     data = load("circle", 8)
-    figures = time_figures(timed(Store(None), worker, EXACT, data, LIMITS, True))
+    figures = time_figures(timed(EXACT, data))
     assert figures["timed_solves"] == 2 * 16
     for prefix in ("solve", "cold", "setup"):
         assert (
@@ -172,8 +174,23 @@ def test_times_are_measured_warm_and_cold(worker):
         )
 
 
-def test_totals_add_counts_and_quote_the_worst_set(worker):
-    cells = [cell(worker, EXACT, load(name, 32)) for name in ("circle", "infeasible")]
+@pytest.mark.parametrize("trusted", [True, False])
+def test_times_are_kept_where_they_are_trusted(tmp_path, monkeypatch, trusted):
+    monkeypatch.setattr(Disturbance, "trusts", lambda *_: trusted)
+    data, do = load("circle", 32), partial(ONE, kept=Kept(tmp_path / "jobs"))
+    first = timed(EXACT, data, do)
+    assert first.values["warm"]["calls"] == first.arrays["solve_us"].size
+    found = time_figures(first)
+    assert isinstance(found["solve_p99_us"], Doubtful) is not trusted
+    assert isinstance(found["cold_p50_us"], Doubtful) is not trusted
+    again = timed(EXACT, data, do)
+    assert np.array_equal(again.arrays["solve_us"], first.arrays["solve_us"]) is trusted
+    if trusted:
+        assert time_figures(again) == found
+
+
+def test_totals_add_counts_and_quote_the_worst_set():
+    cells = [cell(EXACT, load(name, 32)) for name in ("circle", "infeasible")]
     others = {f"{name}_us": np.array([us]) for name, us in (("setup", 1.0), ("cold", 2.0), ("update", 3.0))}
     slow = {"solve_us": np.full((2, 4), 7.0), **others}
     fast = {**slow, "solve_us": np.full((2, 4), 3.0)}
@@ -183,21 +200,11 @@ def test_totals_add_counts_and_quote_the_worst_set(worker):
     assert not any("mean" in name for name in found)
 
 
-def test_a_part_is_asked_once(worker, tmp_path, monkeypatch):
-    store, data = Store(tmp_path), load("circle", 32)
-    first = asked(store, worker, EXACT, data, LIMITS)
-    monkeypatch.setattr(answers, "ask", lambda *_: pytest.fail("asked again"))
-    for again, reused in ((store, 0), (Store(tmp_path), 1)):
-        second = asked(again, worker, EXACT, data, LIMITS)
-        np.testing.assert_array_equal(first.arrays["x"], second.arrays["x"])
-        assert again.reused == reused, "of an earlier run, not of this one"
-
-
-def test_cold_sessions_know_nothing_of_each_other(worker):
+def test_cold_sessions_know_nothing_of_each_other():
     """The network forgets: cold, every answer starts from rest."""
     data = load("circle", 16)
     setting = SolverSetting("rnn", "x", {"steps": 5}, "")
-    warm, cold = cell(worker, setting, data), cell(worker, setting, data, warm=False)
+    warm, cold = cell(setting, data), cell(setting, data, warm=False)
     assert np.abs(warm.part.arrays["x"][-1] - cold.part.arrays["x"][-1]).max() > 1e-3
     np.testing.assert_array_equal(warm.part.arrays["x"][0], cold.part.arrays["x"][0])
 
@@ -246,11 +253,11 @@ def test_overrides_change_the_recommended_setting_alone():
 
 
 @pytest.mark.parametrize("n", [7, 9])
-def test_arms_with_more_joints_are_feasible_and_answered(worker, n):
+def test_arms_with_more_joints_are_feasible_and_answered(n):
     data = growth.sequence(n, count=6)
     assert data.n == n
     assert data.feasible.all()
-    assert cell(worker, EXACT, data).counts()["verified_solved"] == 6
+    assert cell(EXACT, data).counts()["verified_solved"] == 6
 
 
 def test_the_exponent_is_that_of_a_power_law():

@@ -1,12 +1,13 @@
 """Sweeps in closed loop: replayed deadlines are exact, answers are followed as they are, costs begin where they do."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 
-from benchmarks.common.processes import Worker
-from benchmarks.common.store import Store
 from benchmarks.solver_study import sweeps
 from benchmarks.solver_study.cases import trials
+from benchmarks.solver_study.closed_loop import Asked, run_each
 from benchmarks.solver_study.sweeps import (
     accuracy_sweeps,
     beginning_of_cost,
@@ -16,6 +17,8 @@ from benchmarks.solver_study.sweeps import (
 )
 from moc_opt.errors import ScenarioError
 from moc_opt.scenario import Scenario, make_solver, run
+from moc_opt.study import run as run_jobs
+from moc_opt.study.trials import BASELINE, variant
 
 SHORT = Scenario(duration_s=0.2, bound_samples=2)
 RNG = np.random.default_rng(8)
@@ -91,13 +94,18 @@ def test_every_point_of_every_sweep_is_a_scenario(robot):
                 assert dict(point.setting.options) == changed.solver.settings
 
 
+def of_points(points, cases):
+    do = partial(run_jobs, workers=2)
+    bases = run_each(do, [Asked(BASELINE, variant(trial, BASELINE)) for trial in cases.values()])
+    runs = sweeps.run_points(do, points, cases)
+    return [sweeps.figures(point, mine, bases) for (_, point), mine in zip(points, runs, strict=True)]
+
+
 def test_one_step_of_the_network_loses_manipulability():
-    cases = trials(Scenario(duration_s=2.0, bound_samples=4), ["circle"], [9])  # begins far below the best swivel
+    cases = trials(Scenario(duration_s=2.0, bound_samples=4), ["circle"], 9, 1)  # begins far below the best swivel
     (sweep,) = (s for s in accuracy_sweeps(False) if s.name == "rnn.steps")
     chosen = [p for p in sweep.points if p.label in ("steps=1", "steps=100")]
-    with Worker() as worker:
-        bases = {name: sweeps.run_baseline(Store(None), worker, trial) for name, trial in cases.items()}
-        one, many = (sweeps.run_sweep(Store(None), worker, sweep, p, cases, bases) for p in chosen)
+    one, many = of_points([(sweep, point) for point in chosen], cases)
     assert one["mu_mean"] < 0.98 * many["mu_mean"]
     assert 0.0 < one["mu_fraction_of_bound"] < many["mu_fraction_of_bound"] <= 1.0
     assert one["primal_max"] > 3.0 * many["primal_max"]
@@ -105,14 +113,10 @@ def test_one_step_of_the_network_loses_manipulability():
 
 
 def test_a_narrow_box_is_infeasible_and_the_share_is_counted():
-    cases = trials(Scenario(duration_s=4.0, bound_samples=2), ["circle"], [0])
+    cases = trials(Scenario(duration_s=4.0, bound_samples=2), ["circle"], 0, 1)
     points = {p.label: p for p in box_sweep(False).points}
-    with Worker() as worker:
-        bases = {name: sweeps.run_baseline(Store(None), worker, trial) for name, trial in cases.items()}
-        found = {
-            label: sweeps.run_sweep(Store(None), worker, box_sweep(False), points[label], cases, bases)
-            for label in ("k0=0.1 hold", "k0=5 least-violation")
-        }
+    labels = ("k0=0.1 hold", "k0=5 least-violation")
+    found = dict(zip(labels, of_points([(box_sweep(False), points[label]) for label in labels], cases), strict=True))
     assert found["k0=0.1 hold"]["infeasible_percent"] > 0.0
     assert found["k0=5 least-violation"]["infeasible_percent"] == 0.0
 

@@ -8,8 +8,10 @@ from rich.console import Console
 
 from benchmarks.solver_study.progress import Progress
 
-SETS = {"exact@recommended": {"solves": 8, "right": 8, "claimed_solved": 8, "silently_wrong": 0, "hung": 0}}
-WARM = {"exact": {"solves": 8, "right": 8, "claimed_solved": 8, "solve_p50_us": 1.0, "solve_p99_us": 2.0}}
+ALL = {"solves": 8, "right": 8, "claimed_solved": 8, "verified_solved": 8, "optima_asked": 8, "infeasible_asked": 0,
+       "refused_inconsistent": 0}  # fmt: skip
+SETS = {"exact@recommended": {**ALL, "silently_wrong": 0, "hung": 0}}
+WARM = {"exact": {**ALL, "solve_p50_us": 1.0, "solve_p99_us": 2.0}}
 LOOP = {"exact": {"runs": 3, "mu_mean": 0.3}}
 
 

@@ -22,15 +22,16 @@ NAMES = [f"qpsolvers:solver-{k}" for k in range(20)]
 @pytest.fixture(scope="module")
 def page(chromium: Any, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     """A report of twenty solvers and sixteen sets, opened."""
-    counts = dict.fromkeys(("feasible", "claimed_solved", "verified_solved", "right", "solves"), 100)
-    counts |= {"hung": 0, "crashed": 0}
+    counts = dict.fromkeys(("feasible", "optima_asked", "claimed_solved", "verified_solved", "right", "solves"), 100)
+    counts |= {"hung": 0, "crashed": 0, "infeasible_asked": 0, "refused_inconsistent": 0}
     rows = {
         f"{name}@{setting}": {**counts, "silently_wrong": k, "primal_max": 1e-9, "relative_max": 10.0**-k,
                               "solve_p50_us_worst_set": 5.0 + k, "solve_p99_us_worst_set": 9.0 + k}
         for k, name in enumerate(NAMES) for setting in ("recommended", "default", "tight")
     }  # fmt: skip
     closed = {
-        name: {"runs": 15, "mu_mean": 0.3, "mu_gain_percent": 8.0 + k, "mu_gain_percent_low": 5.0,
+        name: {"runs": 15, "compared_trials": 15, "mu_mean": 0.3,
+               "mu_gain_percent": 8.0 + k, "mu_gain_percent_low": 5.0,
                "mu_gain_percent_high": 30.0, "tick_p50_us": 40.0, "tick_p99_us": 80.0, "tick_p99_9_us": 200.0}
         for k, name in enumerate(["dcac", *NAMES])
     }  # fmt: skip

@@ -1,1 +1,0 @@
-"""Small errors put into the source on purpose: what `python -m benchmarks.mutation` is made of."""

@@ -1,0 +1,278 @@
+/* What an answer of the third level is worth, and what may stand in for it. */
+#include <string.h>
+
+#include "vec.h"
+
+#define AT_BOUND 1e-4          /* a joint this near to a bound is at it [rad/s] */
+#define PASSES 2e-3            /* an answer with a smaller natural residual may be verified: the line is not searched */
+#define NO_GRADIENT 1e-12      /* share of the gradient along the self-motion below which there is none */
+#define IMMOBILE 1e-12         /* squared length of a joint's column below which it does not move */
+#define GRADIENT_ROUNDING 1e-9 /* a reduced gradient below this share of the cost's is zero (qp/residuals.py) */
+#define RANK_TOLERANCE 1e-12   /* (qp/residuals.py) */
+#define SWEEPS 200             /* of the multipliers; one freedom needs two */
+#define RETREAT_SWEEPS 50      /* over the joints */
+#define OUTSIDE 1e-6           /* what a retreat may leave the box by [rad/s] */
+
+/* The dimensions of ker A that turn joints which move tip or wrist; the rest are idle joints. */
+static int freedoms(const moc_problem *p, int rows)
+{
+    double total = 0.0;
+    for (int i = 0; i < 6; i++)
+        total += dot(p->n, p->A[i], p->A[i]);
+    for (int j = 0; j < p->n; j++) {
+        double column = 0.0;
+        for (int i = 0; i < 6; i++)
+            column += p->A[i][j] * p->A[i][j];
+        rows -= column <= RANK_TOLERANCE * RANK_TOLERANCE * total;
+    }
+    return rows;
+}
+
+/* The steepest descent d (n,) from x that stays in ker A and in the box; returns the scale of the cost.
+ *
+ * That is the projection of minus the reduced gradient on the tangent cone of the feasible set, and zero at an optimum
+ * and nowhere else. Joints that are AT_BOUND may only move inwards; their multipliers are found one after the other
+ * (Hildreth 1957), which is exact for one and converges for several. Idle joints are left out. */
+static double way_down(const moc_problem *p, int rows, double Z[][MOC_MAX_JOINTS], const double *x, double *d)
+{
+    double cost[MOC_MAX_JOINTS], Pi[MOC_MAX_JOINTS][MOC_MAX_JOINTS], multiplier[MOC_MAX_JOINTS] = {0.0};
+    double largest = 0.0, length = 0.0, left = 0.0, whole = 0.0;
+    enum { FREE, LOWER, UPPER, FIXED } side[MOC_MAX_JOINTS];
+    int n = p->n;
+
+    for (int j = 0; j < n; j++) {
+        cost[j] = p->c2 * p->grad_mu[j] - p->rho * x[j];
+        for (int k = 0; k < n; k++) {
+            Pi[j][k] = 0.0;
+            for (int i = 0; i < rows; i++)
+                Pi[j][k] += Z[i][j] * Z[i][k];
+        }
+    }
+    for (int j = 0; j < n; j++) {
+        int idle = Pi[j][j] > 1.0 - 1e-12; /* e_j itself lies in ker A */
+        int low = x[j] - p->lower[j] <= AT_BOUND, high = p->upper[j] - x[j] <= AT_BOUND;
+        d[j] = idle ? 0.0 : dot(n, Pi[j], cost);
+        largest = fmax(largest, idle ? 0.0 : p->c2 * fabs(dot(n, Pi[j], p->grad_mu)));
+        length = fmax(length, fabs(d[j]));
+        side[j] = idle || !(Pi[j][j] > IMMOBILE) ? FREE : low && high ? FIXED : low ? LOWER : high ? UPPER : FREE;
+    }
+    for (int sweep = 0; sweep < SWEEPS; sweep++) {
+        double change = 0.0;
+        for (int j = 0; j < n; j++) {
+            if (side[j] == FREE)
+                continue;
+            double step = -d[j] / Pi[j][j];
+            step = side[j] == LOWER ? fmax(step, -multiplier[j]) : side[j] == UPPER ? fmin(step, -multiplier[j]) : step;
+            multiplier[j] += step;
+            for (int k = 0; k < n; k++)
+                d[k] += step * Pi[j][k];
+            change = fmax(change, fabs(step));
+        }
+        if (change <= 1e-10 * length)
+            break;
+    }
+    for (int j = 0; j < n; j++) {
+        left = fmax(left, fabs(d[j]));
+        whole = fmax(whole, fabs(cost[j]));
+    }
+    if (left <= fmax(1e-8 * length, GRADIENT_ROUNDING * whole))
+        memset(d, 0, (unsigned)n * sizeof *d);
+    return fmax(largest, p->rho);
+}
+
+/* Let s be the coordinate of x along a line of self-motion. On it the cost -c2 g s + rho s^2 / 2 has its optimum at
+ * clip(c2 g / rho) on the segment that the box leaves, and that of the opposite gradient at clip(-c2 g / rho). Where
+ * the elbow swivel is the only freedom the line is the whole feasible set. With several freedoms it is the steepest
+ * way down that the box leaves open at x, and all is zero where there is none. */
+moc_residuals moc_judge(const moc_problem *p, int rows, double Z[][MOC_MAX_JOINTS], const double *x)
+{
+    moc_residuals found = {0.0, 0.0, 0.0, 0.0, 0.0};
+    double line[MOC_MAX_JOINTS] = {0.0}, steepest = 0.0, still = 1e-9;
+    int n = p->n;
+
+    if (!all_finite(n, x)) {
+        found.primal = found.outside = found.natural = found.off = found.opposite = (double)NAN;
+        return found;
+    }
+    for (int i = 0; i < 6; i++)
+        found.primal = fmax(found.primal, fabs(dot(n, p->A[i], x) - p->b[i]));
+    for (int j = 0; j < n; j++) {
+        found.outside = fmax(found.outside, fmax(p->lower[j] - x[j], x[j] - p->upper[j]));
+        steepest = fmax(steepest, fabs(p->grad_mu[j]));
+    }
+    for (int i = 0; i < rows; i++) {
+        double along = dot(n, Z[i], p->grad_mu);
+        for (int j = 0; j < n; j++)
+            line[j] += along * Z[i][j];
+    }
+    if (sqrt(dot(n, line, line)) <= NO_GRADIENT * steepest || !(p->c2 > 0.0))
+        return found;
+    /* The floor rho: a course that rests asks for x_d = 0, and its gradient (rho/c2) x_d is no scale then. */
+    double scale = fmax(p->c2 * steepest, p->rho);
+    int several = freedoms(p, rows) > 1, faint = p->rho >= p->c2 * steepest;
+    if (several) {
+        scale = way_down(p, rows, Z, x, line);
+        still = 1e-6;
+    }
+    double length = sqrt(dot(n, line, line));
+    if (!(length > 0.0))
+        return found;
+    double slope = 0.0, total = 0.0, place = 0.0, pull = 0.0, low = -HUGE_VAL, high = HUGE_VAL, room = HUGE_VAL;
+    for (int j = 0; j < n; j++) {
+        line[j] /= length;
+        slope += line[j] * (p->rho * x[j] - p->c2 * p->grad_mu[j]) / scale;
+        pull += p->c2 * line[j] * p->grad_mu[j];
+        total += fabs(line[j]);
+        place += line[j] * x[j];
+        if (fabs(line[j]) > still) {
+            double one = (p->lower[j] - x[j]) / line[j], other = (p->upper[j] - x[j]) / line[j];
+            low = fmax(low, fmin(one, other));
+            high = fmin(high, fmax(one, other));
+        }
+    }
+    low = fmin(low, 0.0); /* x itself counts as feasible: its violation is judged above */
+    high = fmax(high, 0.0);
+    for (int j = 0; j < n; j++) {
+        double push = line[j] * slope;
+        if (push > still * fabs(slope))
+            room = fmin(room, fmax(x[j] - p->lower[j], 0.0));
+        else if (push < -still * fabs(slope))
+            room = fmin(room, fmax(p->upper[j] - x[j], 0.0));
+    }
+    double desired = p->rho > 0.0 ? pull / p->rho : HUGE_VAL;
+    found.natural = fmin(fabs(slope) / total, room);
+    if ((several || faint) && found.natural <= PASSES)
+        return found;
+    found.off = fabs(fmin(fmax(desired - place, low), high));
+    found.opposite = fabs(fmin(fmax(-desired - place, low), high));
+    return found;
+}
+
+/* With a damped self-motion the arm follows its references with the shortest x of A x = b, which may move a joint to
+ * its limit. The shortest Z^T w that brings x + Z^T w into the box is found by Hildreth's dual coordinate ascent, one
+ * constraint a joint. */
+void moc_retreat(const moc_problem *p, int rows, double Z[][MOC_MAX_JOINTS], double *motion)
+{
+    double S[MOC_MAX_JOINTS][MOC_MAX_JOINTS], L[MOC_MAX_JOINTS][MOC_MAX_JOINTS], inverse[MOC_MAX_JOINTS];
+    double shortest[MOC_MAX_JOINTS], size[MOC_MAX_JOINTS], push[MOC_MAX_JOINTS] = {0.0}, w[MOC_MAX_JOINTS] = {0.0};
+    double change = HUGE_VAL;
+    int n = p->n, inside = 1;
+
+    for (int i = 0; i < n; i++) { /* S = A^T A + Z^T Z is regular, and the shortest x of A x = b is S^-1 A^T b */
+        shortest[i] = size[i] = motion[i] = 0.0;
+        for (int k = 0; k < 6; k++)
+            shortest[i] += p->A[k][i] * p->b[k];
+        for (int j = 0; j < n; j++) {
+            S[i][j] = 0.0;
+            for (int k = 0; k < 6; k++)
+                S[i][j] += p->A[k][i] * p->A[k][j];
+            for (int k = 0; k < rows; k++)
+                S[i][j] += Z[k][i] * Z[k][j];
+        }
+        for (int k = 0; k < rows; k++)
+            size[i] += Z[k][i] * Z[k][i];
+    }
+    cholesky(n, S, L, inverse);
+    solve_factored(n, L, inverse, shortest);
+    for (int sweep = 0; sweep < RETREAT_SWEEPS && !(change < 1e-12); sweep++) {
+        change = 0.0;
+        for (int j = 0; j < n; j++) {
+            if (!(size[j] > IMMOBILE))
+                continue;
+            double free = shortest[j] - size[j] * push[j];
+            for (int k = 0; k < rows; k++)
+                free += Z[k][j] * w[k];
+            double wanted = (fmin(fmax(free, p->lower[j]), p->upper[j]) - free) / size[j];
+            for (int k = 0; k < rows; k++)
+                w[k] += (wanted - push[j]) * Z[k][j];
+            change = fmax(change, fabs(wanted - push[j]));
+            push[j] = wanted;
+        }
+    }
+    for (int j = 0; j < n; j++) {
+        for (int k = 0; k < rows; k++)
+            motion[j] += Z[k][j] * w[k];
+        double x = shortest[j] + motion[j];
+        inside &= p->lower[j] - OUTSIDE <= x && x <= p->upper[j] + OUTSIDE;
+    }
+    if (!inside) /* the box is empty, or A has lost more than a rank */
+        memset(motion, 0, (unsigned)n * sizeof *motion);
+}
+
+void moc_least_violation(const moc_problem *p, double *x)
+{
+    double missing[6], size[MOC_MAX_JOINTS] = {0.0};
+    int n = p->n;
+
+    for (int j = 0; j < n; j++) {
+        x[j] = fmin(fmax(0.0, p->lower[j]), p->upper[j]);
+        for (int i = 0; i < 6; i++)
+            size[j] += p->A[i][j] * p->A[i][j];
+    }
+    for (int i = 0; i < 6; i++)
+        missing[i] = dot(n, p->A[i], x) - p->b[i];
+    for (int sweep = 0; sweep < RETREAT_SWEEPS; sweep++) /* coordinate descent */
+        for (int j = 0; j < n; j++) {
+            if (!(size[j] > IMMOBILE))
+                continue;
+            double along = 0.0;
+            for (int i = 0; i < 6; i++)
+                along += p->A[i][j] * missing[i];
+            double best = fmin(fmax(x[j] - along / size[j], p->lower[j]), p->upper[j]);
+            for (int i = 0; i < 6; i++)
+                missing[i] += (best - x[j]) * p->A[i][j];
+            x[j] = best;
+        }
+    if (!all_finite(n, x))
+        memset(x, 0, (unsigned)n * sizeof *x);
+}
+
+static moc_fault judge_claim(const moc_supervision *s, const moc_problem *p, moc_claim claim, const double *answer,
+                             const moc_memory *memory)
+{
+    if (claim == MOC_CLAIMS_INFEASIBLE)
+        return MOC_FAULT_INFEASIBLE;
+    if (claim == MOC_GIVES_NONE)
+        return MOC_FAULT_FAILED;
+    moc_residuals found = moc_judge(p, memory->rows, ((moc_memory *)memory)->Z, answer);
+    double limit = claim == MOC_CLAIMS_OPTIMUM ? s->primal_limit : s->box_limit;
+    if (!(found.primal >= 0.0))
+        return MOC_FAULT_NOT_FINITE;
+    if (s->check && (found.primal > limit || found.outside > limit))
+        return MOC_FAULT_OUTSIDE;
+    if (s->check && claim == MOC_CLAIMS_OPTIMUM &&
+        (found.natural > s->relative_limit || (found.off > s->opposite_limit && found.opposite < found.off)))
+        return MOC_FAULT_FALSE_OPTIMUM;
+    return MOC_TAKEN;
+}
+
+moc_fault moc_supervise(const moc_supervision *s, const moc_problem *p, moc_fault known, moc_claim claim,
+                        const double *answer, double solve_us, moc_memory *memory, double *x)
+{
+    moc_fault fault = known != MOC_TAKEN ? known : judge_claim(s, p, claim, answer, memory);
+    unsigned bytes = (unsigned)p->n * sizeof *x;
+
+    if (fault == MOC_TAKEN && solve_us > s->budget_us)
+        fault = MOC_FAULT_LATE;
+    if (fault == MOC_TAKEN) {
+        memcpy(memory->good, answer, bytes);
+        memcpy(x, answer, bytes);
+        memory->age = 0;
+        return fault;
+    }
+    memory->age += memory->age < 1 << 30;
+    memset(x, 0, bytes);
+    if (fault == MOC_FAULT_INFEASIBLE && s->fallback == MOC_LEAST_VIOLATION)
+        moc_least_violation(p, x);
+    else if (fault == MOC_FAULT_INFEASIBLE && s->fallback == MOC_DAMPING)
+        return fault;
+    else if (fault == MOC_FAULT_LATE && s->late == MOC_LATE_ZERO)
+        return fault;
+    else if (fault == MOC_FAULT_LATE && s->late == MOC_LATE_ITERATE && all_finite(p->n, answer))
+        memcpy(x, answer, bytes);
+    else if (memory->age <= s->hold_ticks)
+        memcpy(x, memory->good, bytes);
+    else if (s->keep_off_limits)
+        moc_retreat(p, memory->rows, memory->Z, x);
+    return fault;
+}

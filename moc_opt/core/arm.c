@@ -1,0 +1,264 @@
+/* Kinematics and dynamics of a serial chain, in world axes at the world's origin (Featherstone 2008, chapter 5).
+ *
+ * A twist is [lin, ang]: the velocity of the point of the body that is at the origin, and the angular velocity. All
+ * joints' twists are expressed at the same place, so that velocities, accelerations and momenta simply add up. */
+#include <string.h>
+
+#include "vec.h"
+
+void moc_place(const moc_arm *arm, const double *q, moc_frame *frame)
+{
+    static const moc_frame world = {{{1.0, 0.0, 0.0}, {0.0, 1.0, 0.0}, {0.0, 0.0, 1.0}}, {0.0, 0.0, 0.0}};
+
+    for (int j = 0; j < arm->n; j++) {
+        const moc_joint *joint = &arm->joint[j];
+        const moc_frame *before = j ? &frame[j - 1] : &world;
+        moc_frame *here = &frame[j];
+        double axis[3];
+
+        for (int i = 0; i < 3; i++) { /* as it stands at q_j = 0 */
+            const double *row = before->R[i];
+            for (int c = 0; c < 3; c++)
+                here->R[i][c] = row[0] * joint->rotation[0][c] + row[1] * joint->rotation[1][c] +
+                                row[2] * joint->rotation[2][c];
+            here->p[i] = before->p[i] + dot3(row, joint->origin);
+            axis[i] = dot3(here->R[i], joint->axis);
+        }
+        if (joint->slides) {
+            for (int i = 0; i < 3; i++)
+                here->p[i] += axis[i] * q[j];
+            continue;
+        }
+        double cosine = cos(q[j]), sine = sin(q[j]);
+        for (int c = 0; c < 3; c++) { /* Rodrigues' formula on each column */
+            double x[3] = {here->R[0][c], here->R[1][c], here->R[2][c]}, turned[3];
+            double along = (1.0 - cosine) * dot3(axis, x);
+            for (int i = 0; i < 3; i++)
+                turned[i] = cosine * x[i] + along * axis[i];
+            add_cross(sine, axis, x, turned);
+            for (int i = 0; i < 3; i++)
+                here->R[i][c] = turned[i];
+        }
+    }
+}
+
+void moc_twists(const moc_arm *arm, const moc_frame *frame, moc_twist *twist)
+{
+    for (int j = 0; j < arm->n; j++) {
+        const moc_joint *joint = &arm->joint[j];
+        double axis[3];
+        for (int i = 0; i < 3; i++)
+            axis[i] = dot3(frame[j].R[i], joint->axis);
+        for (int i = 0; i < 3; i++) {
+            twist[j].ang[i] = joint->slides ? 0.0 : axis[i];
+            twist[j].lin[i] = joint->slides ? axis[i] : 0.0;
+        }
+        if (!joint->slides)
+            add_cross(1.0, frame[j].p, axis, twist[j].lin);
+    }
+}
+
+void moc_point(const moc_frame *last, const double local[3], double out[3])
+{
+    for (int i = 0; i < 3; i++)
+        out[i] = last->p[i] + dot3(last->R[i], local);
+}
+
+void moc_jacobian(int n, const moc_twist *twist, const double point[3], const int *moves, double J[][MOC_MAX_JOINTS])
+{
+    for (int j = 0; j < n; j++) {
+        double column[3] = {0.0, 0.0, 0.0};
+        if (moves[j]) {
+            memcpy(column, twist[j].lin, sizeof column);
+            add_cross(1.0, twist[j].ang, point, column);
+        }
+        for (int i = 0; i < 3; i++)
+            J[i][j] = column[i];
+    }
+}
+
+/* Mass, first moment and inertia of bodies about the world's origin. */
+typedef struct {
+    double mass, moment[3], I[3][3];
+} body;
+
+static body link_in_world(const moc_joint *joint, const moc_frame *frame)
+{
+    const double *I = joint->inertia;
+    double local[3][3] = {{I[0], I[1], I[3]}, {I[1], I[2], I[4]}, {I[3], I[4], I[5]}}, half[3][3];
+    body link = {.mass = joint->mass};
+
+    for (int i = 0; i < 3; i++) {
+        link.moment[i] = joint->mass * frame->p[i] + dot3(frame->R[i], joint->moment);
+        for (int c = 0; c < 3; c++)
+            half[i][c] = dot3(frame->R[i], local[c]);
+    }
+    /* Steiner: about the origin there is m (|c|^2 - c c^T) more than about the centre of mass c. */
+    double square = joint->mass > 0.0 ? dot3(link.moment, link.moment) / joint->mass : 0.0;
+    for (int i = 0; i < 3; i++)
+        for (int c = 0; c < 3; c++)
+            link.I[i][c] = dot3(half[i], frame->R[c]) + (i == c ? square : 0.0) -
+                           (joint->mass > 0.0 ? link.moment[i] * link.moment[c] / joint->mass : 0.0);
+    return link;
+}
+
+/* Momentum of bodies that move with a twist. */
+static moc_twist momentum(const body *b, const moc_twist *twist)
+{
+    moc_twist H;
+    for (int i = 0; i < 3; i++) {
+        H.lin[i] = b->mass * twist->lin[i];
+        H.ang[i] = dot3(b->I[i], twist->ang);
+    }
+    add_cross(1.0, twist->ang, b->moment, H.lin);
+    add_cross(1.0, b->moment, twist->lin, H.ang);
+    return H;
+}
+
+/* Rate at which a twist fixed to a body changes that moves with V: [w x lin + v x ang, w x ang]. */
+static moc_twist carried(const moc_twist *V, const moc_twist *S)
+{
+    moc_twist rate = {{0.0, 0.0, 0.0}, {0.0, 0.0, 0.0}};
+    add_cross(1.0, V->ang, S->lin, rate.lin);
+    add_cross(1.0, V->lin, S->ang, rate.lin);
+    add_cross(1.0, V->ang, S->ang, rate.ang);
+    return rate;
+}
+
+static double power(const moc_twist *a, const moc_twist *b)
+{
+    return dot3(a->lin, b->lin) + dot3(a->ang, b->ang);
+}
+
+static void add(double s, const moc_twist *what, moc_twist *to)
+{
+    for (int i = 0; i < 3; i++) {
+        to->lin[i] += s * what->lin[i];
+        to->ang[i] += s * what->ang[i];
+    }
+}
+
+/* M, h, gravity, dT/dq; returns the last link's velocity and its acceleration at zero joint acceleration. */
+static void dynamics(const moc_arm *arm, const moc_frame *frame, const moc_twist *S, moc_terms *t, moc_twist *V,
+                     moc_twist *acceleration)
+{
+    int n = arm->n;
+    body link[MOC_MAX_JOINTS];
+    moc_twist rate[MOC_MAX_JOINTS], H[MOC_MAX_JOINTS], force[MOC_MAX_JOINTS], up = {{0.0}, {0.0}};
+
+    memset(V, 0, sizeof *V);
+    memset(acceleration, 0, sizeof *acceleration);
+    for (int k = 0; k < n; k++) { /* from the base: velocities, and each link's momentum and its rate */
+        link[k] = link_in_world(&arm->joint[k], &frame[k]);
+        rate[k] = carried(V, &S[k]);
+        add(t->v[k], &S[k], V);
+        add(t->v[k], &rate[k], acceleration);
+        H[k] = momentum(&link[k], V);
+        force[k] = momentum(&link[k], acceleration); /* dH/dt = I A + V x* H */
+        add_cross(1.0, V->ang, H[k].lin, force[k].lin);
+        add_cross(1.0, V->ang, H[k].ang, force[k].ang);
+        add_cross(1.0, V->lin, H[k].lin, force[k].ang);
+    }
+    for (int i = 0; i < 3; i++)
+        up.lin[i] = -arm->gravity[i];
+    for (int k = n - 1; k >= 0; k--) { /* from the tip: each joint carries all links beyond it */
+        if (k + 1 < n) {
+            link[k].mass += link[k + 1].mass;
+            for (int i = 0; i < 3; i++) {
+                link[k].moment[i] += link[k + 1].moment[i];
+                for (int c = 0; c < 3; c++)
+                    link[k].I[i][c] += link[k + 1].I[i][c];
+            }
+            add(1.0, &H[k + 1], &H[k]);
+            add(1.0, &force[k + 1], &force[k]);
+        }
+        moc_twist own = momentum(&link[k], &S[k]), weight = momentum(&link[k], &up);
+        for (int j = 0; j <= k; j++)
+            t->M[j][k] = t->M[k][j] = power(&S[j], &own);
+        t->M[k][k] += arm->joint[k].rotor;
+        t->gravity[k] = power(&S[k], &weight);
+        t->h[k] = power(&S[k], &force[k]) + t->gravity[k];
+        /* Turning joint k takes the links beyond it along, but not the velocity of those before it. */
+        t->energy_slope[k] = power(&rate[k], &H[k]);
+    }
+}
+
+/* Acceleration of a world point of the last link at zero joint acceleration: dJ/dt v. */
+static void point_drift(const moc_twist *V, const moc_twist *acceleration, const double point[3], double out[3])
+{
+    double velocity[3];
+    for (int i = 0; i < 3; i++) {
+        velocity[i] = V->lin[i];
+        out[i] = acceleration->lin[i];
+    }
+    add_cross(1.0, V->ang, point, velocity);
+    add_cross(1.0, acceleration->ang, point, out);
+    add_cross(1.0, V->ang, velocity, out);
+}
+
+void moc_gravity(const moc_arm *arm, const double *q, double *torque)
+{
+    moc_frame frame[MOC_MAX_JOINTS];
+    moc_twist twist[MOC_MAX_JOINTS], V, acceleration;
+    moc_terms t;
+
+    memset(t.v, 0, sizeof t.v);
+    moc_place(arm, q, frame);
+    moc_twists(arm, frame, twist);
+    dynamics(arm, frame, twist, &t, &V, &acceleration);
+    memcpy(torque, t.gravity, (unsigned)arm->n * sizeof *torque);
+}
+
+void moc_tool_pose(const moc_arm *arm, const double *q, double pose[4][3])
+{
+    moc_frame frame[MOC_MAX_JOINTS], *last = &frame[arm->n - 1];
+    moc_place(arm, q, frame);
+    for (int k = 0; k < 3; k++)
+        for (int i = 0; i < 3; i++)
+            pose[k][i] = dot3(last->R[i], arm->tool[k]);
+    moc_point(last, arm->point[MOC_TIP], pose[3]);
+}
+
+/* tip to A; the frames and twists are the caller's. */
+static void place_tool(const moc_arm *arm, const double *q, moc_frame *frame, moc_twist *twist, moc_terms *t)
+{
+    int n = arm->n;
+    memcpy(t->q, q, (unsigned)n * sizeof *q);
+    moc_place(arm, q, frame);
+    moc_twists(arm, frame, twist);
+    moc_point(&frame[n - 1], arm->point[MOC_TIP], t->tip);
+    moc_point(&frame[n - 1], arm->point[MOC_WRIST], t->wrist);
+    for (int i = 0; i < 3; i++)
+        t->u[i] = t->tip[i] - t->wrist[i];
+    t->span = sqrt(dot3(t->u, t->u));
+    for (int i = 0; i < 3; i++)
+        t->u[i] /= t->span;
+    moc_jacobian(n, twist, t->tip, arm->moves[MOC_TIP], t->A);
+    moc_jacobian(n, twist, t->wrist, arm->moves[MOC_WRIST], t->A + 3);
+    t->mu = moc_manipulability(n, twist, t->A, t->grad_mu);
+    t->mu_shaft = moc_shaft_manipulability(n, twist, t->A, t->u, t->grad_mu_shaft);
+}
+
+void moc_compute_kinematics(const moc_arm *arm, const double *q, moc_terms *t)
+{
+    moc_frame frame[MOC_MAX_JOINTS];
+    moc_twist twist[MOC_MAX_JOINTS];
+    place_tool(arm, q, frame, twist, t);
+}
+
+moc_status moc_compute_terms(const moc_arm *arm, const double *q, const double *v, moc_terms *t)
+{
+    moc_frame frame[MOC_MAX_JOINTS];
+    moc_twist twist[MOC_MAX_JOINTS], V, acceleration;
+
+    if (!all_finite(arm->n, q))
+        return MOC_BAD_Q;
+    if (!all_finite(arm->n, v))
+        return MOC_BAD_V;
+    memcpy(t->v, v, (unsigned)arm->n * sizeof *v);
+    place_tool(arm, q, frame, twist, t);
+    dynamics(arm, frame, twist, t, &V, &acceleration);
+    point_drift(&V, &acceleration, t->tip, t->drift);
+    point_drift(&V, &acceleration, t->wrist, t->drift + 3);
+    return MOC_OK;
+}

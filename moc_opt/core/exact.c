@@ -1,0 +1,331 @@
+/* The subproblem's optimum by elimination, without iterating towards a tolerance.
+ *
+ * On A x = b the c0, c1 terms are constant: what is left is rho/2 |x|^2 - c2 grad_mu^T x over the box. Gauss-Jordan
+ * with complete pivoting (Golub and Van Loan, Matrix Computations, 3.4.8) writes x = particular + (free joints). Joints
+ * whose column is zero (joint 7 under a tool on its axis) move nothing and are solved alone. One freedom that is left,
+ * the elbow swivel, is a ratio test in closed form; several are a projection onto a polytope, see polytope.c.
+ *
+ * The kernels are inlined for rows of 8 and of 16 numbers, padded with zeros: no loop over a row is left then. */
+#include <string.h>
+
+#include "shared.h"
+#include "vec.h"
+
+#if defined(__GNUC__)
+#define INLINE static inline __attribute__((always_inline))
+#else
+#define INLINE static inline
+#endif
+
+#define RANK_TOLERANCE 1e-12 /* singular values below it, relative to the largest, are rounding (qp/residuals.py) */
+#define TIED 1e-7            /* the same of the sixth one: a rigid tool ties tip and wrist (qp/residuals.py) */
+#define LOOK_CLOSER 1e3      /* a sixth pivot below this multiple of its tolerance is looked at more closely */
+#define LEFT 1e-6            /* |A x - b| that a dropped row may be left with: the judge's primal tolerance [m/s] */
+#define IDLE 1e-14           /* a free column smaller than this moves neither tip nor wrist */
+#define ROUNDING 1e-9        /* of the largest entry of grad_mu */
+#define GROWTH 4e-12         /* 2^14 roundings: what six steps cancel between columns that differ a thousandfold */
+#define WIDEST 1e-5          /* of the tolerances that rounding may explain [rad/s] */
+
+/* How much the last open row has of its own, in units of the tolerance on the sixth singular value.
+ *
+ * A pivot alone overstates that value, up to a hundredfold: the row is e^T A with a long e, which `from` holds.
+ * |e^T A| / |e| is what a singular value is the smallest of. */
+static double own_part(const moc_plane *plane, const moc_problem *p)
+{
+    double size = 0.0, most = 0.0;
+    for (int i = 0; i < 6; i++)
+        size += dot(p->n, p->A[i], p->A[i]);
+    for (int i = 0; i < 6; i++)
+        if (plane->open[i] > 0.0)
+            most = fmax(most, dot(p->n, plane->row[i], plane->row[i]) / dot(6, plane->from[i], plane->from[i]));
+    return sqrt(most / size) / TIED;
+}
+
+/* The rank of A; -1 - rank of the rest where a row is neither repeated nor independent. */
+INLINE int eliminate(moc_plane *plane, const moc_problem *p, int m)
+{
+    double first = 0.0;
+
+    for (int i = 0; i < 6; i++) {
+        for (int c = 0; c < m; c++)
+            plane->row[i][c] = c < p->n ? p->A[i][c] : 0.0;
+        for (int c = 0; c < 8; c++)
+            plane->from[i][c] = c == i ? 1.0 : 0.0;
+        plane->from[i][RIGHT] = p->b[i];
+        plane->open[i] = 1.0;
+    }
+    for (int k = 0; k < 6; k++) {
+        double largest[MOC_MAX_JOINTS], pivot_row[MOC_MAX_JOINTS], pivot_from[8], size = 0.0;
+        int column = 0, pivot = 0;
+
+        for (int c = 0; c < m; c++)
+            largest[c] = 0.0;
+        for (int i = 0; i < 6; i++)
+            for (int c = 0; c < m; c++) {
+                double entry = fabs(plane->row[i][c]) * plane->open[i];
+                largest[c] = entry > largest[c] ? entry : largest[c];
+            }
+        for (int c = 0; c < m; c++)
+            if (largest[c] > size) {
+                size = largest[c];
+                column = c;
+            }
+        first = k == 0 ? size : first;
+        if (!(size > 30.0 * RANK_TOLERANCE * first))
+            return k == 5 || !(size > 0.1 * RANK_TOLERANCE * first) ? k : -1 - k;
+        if (k == 5 && size < LOOK_CLOSER * TIED * first) {
+            double own = own_part(plane, p);
+            if (own <= 10.0)
+                return own <= 1.0 ? k : -1 - k;
+        }
+        for (int i = 0; i < 6; i++)
+            pivot = fabs(plane->row[i][column]) * plane->open[i] == size ? i : pivot;
+        plane->joint[k] = column;
+        plane->pivot[k] = pivot;
+        plane->open[pivot] = 0.0;
+        double inverse = 1.0 / plane->row[pivot][column];
+        memcpy(pivot_row, plane->row[pivot], (unsigned)m * sizeof *pivot_row);
+        memcpy(pivot_from, plane->from[pivot], sizeof pivot_from);
+        for (int i = 0; i < 6; i++) {
+            double scale = plane->row[i][column] * inverse;
+            for (int c = 0; c < m; c++)
+                plane->row[i][c] -= scale * pivot_row[c];
+            for (int c = 0; c < 8; c++)
+                plane->from[i][c] -= scale * pivot_from[c];
+        }
+        for (int c = 0; c < m; c++)
+            plane->row[pivot][c] = pivot_row[c] * inverse;
+        for (int c = 0; c < 8; c++)
+            plane->from[pivot][c] = pivot_from[c] * inverse;
+    }
+    return 6;
+}
+
+/* Whether a dropped row asks for a velocity that no x of the box has: it repeats others with another right-hand side. */
+static int contradicts(const moc_plane *plane, const moc_problem *p)
+{
+    for (int i = 0; i < 6; i++) {
+        double reach = LEFT, right = fabs(plane->from[i][RIGHT]);
+        if (plane->open[i] * right <= LEFT)
+            continue;
+        for (int j = 0; j < p->n; j++)
+            reach += fabs(plane->row[i][j]) * fmax(fabs(p->lower[j]), fabs(p->upper[j]));
+        if (right > reach)
+            return 1;
+    }
+    return 0;
+}
+
+/* What x misses of the dropped rows. */
+static double left_over(const moc_plane *plane, int n, const double *x)
+{
+    double most = 0.0;
+    for (int i = 0; i < 6; i++)
+        if (plane->open[i] > 0.0)
+            most = fmax(most, fabs(dot(n, plane->row[i], x) - plane->from[i][RIGHT]));
+    return most;
+}
+
+/* Joints that move neither tip nor wrist go where the cost alone takes them. */
+static void place_idle(const moc_problem *p, const double *reach, double *x)
+{
+    double steepest = 0.0;
+    for (int j = 0; j < p->n; j++)
+        steepest = fmax(steepest, fabs(p->grad_mu[j]));
+    for (int j = 0; j < p->n; j++)
+        if (reach[j] >= 0.0 && reach[j] <= IDLE) {
+            /* a gradient at rounding level must not throw an idle joint to its bound */
+            double pull = fabs(p->grad_mu[j]) > ROUNDING * steepest ? p->c2 * p->grad_mu[j] : 0.0;
+            double wanted = p->rho > 0.0 ? pull / p->rho : pull > 0.0 ? HUGE_VAL : pull < 0.0 ? -HUGE_VAL : 0.0;
+            x[j] = clip(wanted, p->lower[j], p->upper[j]);
+        }
+}
+
+void moc_direction(const moc_plane *plane, int n, int k, double *z)
+{
+    int free = plane->joint[plane->rank + k];
+    for (int j = 0; j < n; j++)
+        z[j] = 0.0;
+    for (int i = 0; i < plane->rank; i++)
+        z[plane->joint[i]] = -plane->row[plane->pivot[i]][free];
+    z[free] = 1.0;
+}
+
+int moc_kernel(int n, double A[][MOC_MAX_JOINTS], double rows[][MOC_MAX_JOINTS])
+{
+    moc_problem problem = {.n = n};
+    moc_plane plane;
+    int taken[MOC_MAX_JOINTS] = {0}, found = 0;
+
+    memcpy(problem.A, A, sizeof problem.A);
+    int rank = eliminate(&plane, &problem, MOC_MAX_JOINTS);
+    plane.rank = rank < 0 ? -1 - rank : rank;
+    for (int k = 0; k < plane.rank; k++)
+        taken[plane.joint[k]] = 1;
+    for (int j = 0; j < n; j++)
+        if (!taken[j]) {
+            plane.joint[plane.rank] = j;
+            moc_direction(&plane, n, 0, rows[found++]);
+        }
+    return found;
+}
+
+/* One freedom, x + s z: the ratio test gives the interval of s, then its best point. */
+static moc_status solve_one(const moc_plane *plane, const moc_problem *p, double tolerance, double *x, double *force)
+{
+    double z[MOC_MAX_JOINTS], low = -HUGE_VAL, high = HUGE_VAL, zz = 0.0, zx = 0.0, zg = 0.0, best, slope = 0.0;
+    int low_joint = 0, high_joint = 0, at_bound = -1, n = p->n;
+
+    moc_direction(plane, n, 0, z);
+    for (int j = 0; j < n; j++) {
+        zz += z[j] * z[j];
+        zx += z[j] * x[j];
+        zg += z[j] * p->grad_mu[j];
+        if (fabs(z[j]) > IDLE) {
+            double inverse = 1.0 / z[j], one = (p->lower[j] - x[j]) * inverse, other = (p->upper[j] - x[j]) * inverse;
+            double start = z[j] > 0.0 ? one : other, end = z[j] > 0.0 ? other : one;
+            if (start > low) {
+                low = start;
+                low_joint = j;
+            }
+            if (end < high) {
+                high = end;
+                high_joint = j;
+            }
+        }
+    }
+    if (low > high + tolerance)
+        return MOC_INFEASIBLE;
+    if (p->rho > 0.0)
+        best = (p->c2 * zg - p->rho * zx) / (p->rho * zz);
+    else if (p->c2 * zg > 0.0 || p->c2 * zg < 0.0)
+        best = zg > 0.0 ? HUGE_VAL : -HUGE_VAL;
+    else
+        best = -zx / zz; /* every point is optimal: the slowest one */
+    if (best > high) {
+        best = high;
+        at_bound = high_joint;
+    } else if (best < low) {
+        best = low;
+        at_bound = low_joint;
+    }
+    for (int j = 0; j < n; j++) {
+        x[j] += best * z[j];
+        slope += z[j] * (p->rho * x[j] - p->c2 * p->grad_mu[j]);
+    }
+    if (at_bound >= 0)
+        force[at_bound] = slope / z[at_bound];
+    return MOC_OK;
+}
+
+/* Put x into its box, and write y: A^T y = force - (rho x - c2 grad_mu). Returns by how much x was outside [rad/s]. */
+static double finish(const moc_plane *plane, const moc_problem *p, const double *point, double *force, double *x,
+                     double y[6])
+{
+    double beyond = 0.0;
+    for (int j = 0; j < p->n; j++) {
+        beyond = fmax(beyond, fmax(p->lower[j] - point[j], point[j] - p->upper[j]));
+        x[j] = point[j] < p->lower[j] ? p->lower[j] : point[j] > p->upper[j] ? p->upper[j] : point[j];
+        force[j] += p->c2 * p->grad_mu[j] - p->rho * x[j];
+    }
+    for (int i = 0; i < 6; i++) {
+        y[i] = 0.0;
+        for (int k = 0; k < plane->rank; k++)
+            y[i] += plane->from[plane->pivot[k]][i] * force[plane->joint[k]];
+    }
+    return beyond;
+}
+
+/* With one tolerance; m >= n numbers to a row, 8 or 16. */
+INLINE moc_status solve_width(const moc_problem *p, double tolerance, double *x, double y[6], int m)
+{
+    moc_plane plane;
+    double point[MOC_MAX_JOINTS] = {0.0}, force[MOC_MAX_JOINTS] = {0.0}, reach[MOC_MAX_JOINTS];
+    moc_status status = MOC_OK;
+
+    plane.rank = eliminate(&plane, p, m);
+    if (plane.rank < 0)
+        return MOC_DOUBTFUL;
+    if (contradicts(&plane, p))
+        return MOC_INFEASIBLE;
+    for (int c = 0; c < m; c++)
+        reach[c] = 0.0;
+    for (int i = 0; i < 6; i++)
+        for (int c = 0; c < m; c++) {
+            double entry = (1.0 - plane.open[i]) * fabs(plane.row[i][c]);
+            reach[c] = entry > reach[c] ? entry : reach[c];
+        }
+    for (int k = 0; k < plane.rank; k++) { /* a particular solution */
+        point[plane.joint[k]] = plane.from[plane.pivot[k]][RIGHT];
+        reach[plane.joint[k]] = -1.0;
+    }
+    plane.freedoms = 0;
+    for (int j = 0; j < p->n; j++)
+        if (reach[j] > IDLE)
+            plane.joint[plane.rank + plane.freedoms++] = j;
+    if (plane.rank + plane.freedoms < p->n)
+        place_idle(p, reach, point);
+    if (plane.freedoms == 1)
+        status = solve_one(&plane, p, tolerance, point, force);
+    else if (plane.freedoms > 1)
+        status = moc_solve_several(&plane, p, tolerance, point, force);
+    double beyond = finish(&plane, p, point, force, x, y);
+    if (status == MOC_OK && beyond > tolerance)
+        return MOC_INFEASIBLE;
+    /* rows that are neither independent nor repeated: which velocities they allow cannot be told */
+    return status == MOC_OK && left_over(&plane, p->n, x) > LEFT ? MOC_DOUBTFUL : status;
+}
+
+static moc_status solve_8(const moc_problem *p, double tolerance, double *x, double y[6])
+{
+    return solve_width(p, tolerance, x, y, 8);
+}
+
+static moc_status solve_16(const moc_problem *p, double tolerance, double *x, double y[6])
+{
+    return solve_width(p, tolerance, x, y, 16);
+}
+
+/* How far rounding of A x = b may put a joint out of its box [rad/s]: a rounding error of the largest |A| |x| in the
+ * box, carried over to the joint that moves tip and wrist least. */
+static double explained_by_rounding(const moc_problem *p)
+{
+    double largest = 0.0, least = HUGE_VAL;
+    for (int i = 0; i < 6; i++) {
+        double sum = 0.0;
+        for (int j = 0; j < p->n; j++)
+            sum += fabs(p->A[i][j]) * fmax(fabs(p->lower[j]), fabs(p->upper[j]));
+        largest = fmax(largest, sum);
+    }
+    for (int j = 0; j < p->n; j++) {
+        double column = 0.0;
+        for (int i = 0; i < 6; i++)
+            column = fmax(column, fabs(p->A[i][j]));
+        least = column > IDLE ? fmin(least, column) : least;
+    }
+    return GROWTH * largest / least;
+}
+
+static double off_the_plane(const moc_problem *p, const double *x)
+{
+    double most = 0.0;
+    for (int i = 0; i < 6; i++)
+        most = fmax(most, fabs(dot(p->n, p->A[i], x) - p->b[i]));
+    return most;
+}
+
+moc_status moc_solve_exact(const moc_problem *p, double tolerance, double *x, double y[6])
+{
+    moc_status (*solve)(const moc_problem *, double, double *, double *) = p->n <= 8 ? solve_8 : solve_16;
+    moc_status status = solve(p, tolerance, x, y);
+
+    /* Where columns of A differ so much that rounding may have decided it, the tolerance on the way is raised to what
+     * rounding explains; the answer lies in its box all the same, and has to meet A x = b to within LEFT. */
+    if (status == MOC_OK)
+        return MOC_OK;
+    double explained = explained_by_rounding(p), wider[] = {explained, 100.0 * explained};
+    for (int k = 0; k < 2 && tolerance < explained; k++)
+        if (solve(p, fmin(wider[k], WIDEST), x, y) == MOC_OK && off_the_plane(p, x) <= LEFT)
+            return MOC_OK;
+    return status;
+}

@@ -1,0 +1,511 @@
+/* The safety filter: what a measurement may be, whether it shows the arm that the torque went to, limits of torque and
+ * motion at every tick, and the reasons to stop. docs/reliability.md has each check with its formula and its level. */
+#include <limits.h>
+#include <string.h>
+
+#include "vec.h"
+
+#define SHORTEST_DEPTH 0.05 /* nearer to the tip, trocar and contact cannot be told apart [m] */
+#define GRAVITY 9.81        /* [m/s^2] */
+#define FIRST_READINGS 100  /* in which it shows whether the wrench sensor has noise */
+#define LARGEST_STAMP (LLONG_MAX / 4) /* numbers beyond it are no numbers of control periods */
+#define SHRINK 0.61803398875 /* a reading as one number: a weighted sum, which equal readings share to the last bit */
+#define FINE 1e9
+#define LARGEST_NUMBER 1e6
+
+void moc_guard_start(const moc_guard *g, int n, const double *q, const double *v, long long stamp, moc_watch *w)
+{
+    memset(w, 0, sizeof *w);
+    for (int i = 0; i < n; i++) {
+        w->q[i] = w->joint[i].shown = q[i];
+        w->v[i] = v[i];
+        w->low[i] = fmin(g->low[i], q[i]);
+        w->high[i] = fmax(g->high[i], q[i]);
+        w->joint[i].peak = fabs(v[i]);
+        w->joint[i].repeats = -1.0; /* the next reading may be the same */
+    }
+    for (int i = 0; i < 3; i++)
+        w->point[i] = (double)NAN;
+    w->first_tick[MOC_RCM] = w->first_tick[MOC_FORCE] = w->ticks = -1;
+    w->now = w->newest = stamp - 1;
+    w->delay = -2;
+}
+
+/* --- the age of a measurement --- */
+
+enum { FRESH, REPEAT, OLD };
+
+/* The delay with which the first new measurement came is ordinary; `patience` ticks more is too old. */
+static int age(const moc_guard *g, long long stamp, moc_watch *w)
+{
+    int possible = stamp > -LARGEST_STAMP && stamp < LARGEST_STAMP;
+    w->now++;
+    long long late = possible ? w->now - stamp : LLONG_MAX;
+    if (late < 0 && late >= -g->patience) { /* the arm counted on while the controller missed ticks: its clock holds */
+        w->now = stamp;
+        late = 0;
+    }
+    int newer = possible && late >= 0 && stamp > w->newest;
+    if (newer) {
+        w->elapsed += stamp - w->newest;
+        w->newest = stamp;
+        if (w->delay < 0) /* the one that the run is started with is as old as it is told to be */
+            w->delay = w->delay == -1 ? late : -1;
+    }
+    if (w->now - w->newest > (w->delay > 0 ? w->delay : 0) + g->patience)
+        return OLD;
+    return newer ? FRESH : REPEAT;
+}
+
+/* No farther from the last belief than its age explains, and not too fast; NaN never is. */
+static int believable(const moc_guard *g, int n, const double *q, const double *v, const moc_watch *w)
+{
+    double ticks = 1.0 + (double)w->bad;
+    for (int i = 0; i < n; i++)
+        if (!(fabs(q[i] - w->q[i]) <= g->jump + ticks * (g->v_max[i] * g->period) &&
+              fabs(v[i]) <= g->speed_factor * g->v_max[i]))
+            return 0;
+    return 1;
+}
+
+/* --- readings that repeat themselves, or came before --- */
+
+static int same(double a, double b)
+{
+    return a <= b && a >= b;
+}
+
+/* The wrench sensor has noise where it never repeated itself in the first readings; 0 until they are in. */
+static int wrench_has_noise(const moc_watch *w)
+{
+    return w->looked >= FIRST_READINGS && !w->wrench_is_still;
+}
+
+static void compare_wrench(const double *wrench, moc_watch *w)
+{
+    w->wrench_repeats += 1.0;
+    for (int i = 0; i < 6; i++) {
+        if (!same(wrench[i], w->wrench[i]))
+            w->wrench_repeats = 0.0;
+        w->wrench[i] = wrench[i];
+    }
+    if (w->looked < FIRST_READINGS) {
+        w->looked++;
+        w->wrench_is_still |= w->wrench_repeats > 0.0;
+    }
+}
+
+/* Position against velocity, and whether joint i repeats itself. Returns whether it runs away from its velocity. */
+static int compare_joint(const moc_guard *g, int i, double q, double v, double elapsed, int *all_whole, moc_watch *w)
+{
+    double keep = 1.0 - fmin(1.0, elapsed / g->motion_s);
+    int first = w->joint[i].repeats < 0.0;
+
+    if (first) /* what it is compared with begins here */
+        w->joint[i].shown = q - elapsed * v;
+    w->joint[i].gap = keep * w->joint[i].gap + (q - w->joint[i].shown) - elapsed * v;
+    w->joint[i].peak = fmax(keep * w->joint[i].peak, fabs(v));
+    int repeats = same(q, w->joint[i].shown);
+    /* A velocity that was never other than zero is no sign: the joint has rested since the start. */
+    int whole = !first && repeats && same(v, w->joint[i].speed) && w->joint[i].peak > 0.0;
+    w->joint[i].whole += whole;
+    *all_whole &= whole;
+    w->joint[i].speed = v;
+    if (first || repeats) {
+        w->joint[i].repeats += 1.0;
+    } else {
+        w->joint[i].repeats = 0.0;
+        w->joint[i].at_repeat = w->joint[i].mean; /* of the last residual a coarse step has its share */
+        w->joint[i].unseen = 0.0;
+    }
+    w->joint[i].shown = q;
+    return fabs(w->joint[i].gap) > g->motion_rad + g->motion_lag_s * w->joint[i].peak;
+}
+
+/* Whether the arm was told to move, or the torque changed, while all encoders repeated themselves. */
+static int told_to_move(const moc_guard *g, int n, const double *tau, const moc_watch *w)
+{
+    int whole = w->wrench_repeats > g->patience, moved = 0;
+    double share = whole ? g->repeat_whole_torque : g->repeat_torque, way = whole ? g->repeat_whole_m : g->repeat_m;
+
+    for (int i = 0; i < 3; i++)
+        moved |= fabs(w->told[i] - w->still[i]) > way;
+    for (int i = 0; i < n; i++)
+        moved |= fabs(tau[i] - w->joint[i].torque) > share * g->tau_max[i];
+    return moved;
+}
+
+/* Compare a new reading with its own velocity and with the last one. */
+static moc_stop compare_readings(const moc_guard *g, int n, const moc_measurement *m, moc_watch *w)
+{
+    double elapsed = g->period * (w->elapsed > 1 ? (double)w->elapsed : 1.0);
+    double fewest = 1e18, most = 0.0, most_whole = 0.0;
+    int ran_away = 0, all_whole = 1;
+
+    w->elapsed = 0;
+    compare_wrench(m->wrench, w);
+    for (int i = 0; i < n; i++) {
+        ran_away |= compare_joint(g, i, m->q[i], m->v[i], elapsed, &all_whole, w);
+        fewest = fmin(fewest, w->joint[i].repeats);
+        most = fmax(most, w->joint[i].repeats);
+        most_whole = fmax(most_whole, w->joint[i].whole);
+    }
+    w->readings_twice += all_whole;
+    if (w->readings_twice > g->repeat_reading_ticks)
+        return MOC_STOP_REPEATED;
+    int deaf = wrench_has_noise(w) && w->wrench_repeats > g->repeat_whole_ticks;
+    if (fewest <= g->patience) { /* from here on a repeated reading counts, and so does what changes */
+        for (int i = 0; i < n; i++)
+            w->joint[i].torque = m->applied[i];
+        memcpy(w->still, w->told, sizeof w->still);
+    } else if (deaf || told_to_move(g, n, m->applied, w)) {
+        return MOC_STOP_REPEATED;
+    }
+    if (ran_away)
+        return MOC_STOP_RAN_AWAY;
+    if (most > g->repeat_joint_ticks || most_whole > g->repeat_reading_ticks)
+        return MOC_STOP_ONE_REPEATED;
+    return deaf ? MOC_STOP_WRENCH_REPEATED : MOC_RUNNING;
+}
+
+/* Remember a reading by its number; return how many came before, all of them by the same number of readings. */
+static double take_in(double number, int slots, double *numbers, double *at, moc_came_before *before)
+{
+    if (!(fabs(number) < LARGEST_NUMBER))
+        return before->hits;
+    before->readings += 1.0;
+    int slot = (int)fmod(fabs(number) * FINE, slots);
+    double lag = before->readings - at[slot];
+    if (at[slot] > 0.0 && same(number, numbers[slot]) && lag > 1.0) { /* lag 1: a frozen reading, a sign of its own */
+        before->hits = same(lag, before->lag) ? before->hits + 1.0 : 1.0;
+        before->lag = lag;
+    }
+    numbers[slot] = number;
+    at[slot] = before->readings;
+    return before->hits;
+}
+
+static double as_number(int count, const double *values, double number)
+{
+    for (int i = 0; i < count; i++)
+        number = SHRINK * number + values[i];
+    return number;
+}
+
+/* A recording agrees with its own velocities and with the model: no other sign finds it. The same holds for an encoder
+ * whose filtered velocity comes with its position, and which begins to lag by k readings: it shows k of them again. */
+static moc_stop look(const moc_guard *g, int n, const moc_measurement *m, moc_watch *w)
+{
+    moc_stop found = compare_readings(g, n, m, w);
+    double most = fmin(g->repeat_reading_ticks, wrench_has_noise(w) ? g->repeat_whole_ticks : g->replayed_ticks);
+    double lagging = 0.0, whole = as_number(6, m->wrench, as_number(n, m->v, as_number(n, m->q, 0.0)));
+
+    /* Where no encoder repeats a reading, one that came before is found as soon as one that comes twice. */
+    for (int i = 0; i < n && g->repeat_reading_ticks < HUGE_VAL; i++)
+        lagging = fmax(lagging, take_in(SHRINK * m->q[i] + m->v[i], MOC_JOINT_SLOTS, w->joint_number[i], w->joint_at[i],
+                                        &w->lagging[i]));
+    if (found == MOC_RUNNING && lagging > g->repeat_reading_ticks)
+        found = MOC_STOP_LAGGING;
+    return take_in(whole, MOC_SLOTS, w->number, w->at, &w->whole) > most ? MOC_STOP_REPLAYED : found;
+}
+
+/* --- the incision --- */
+
+/* Distance of the shaft's line from the point P [m]. */
+static double rcm_error(double pose[4][3], const double P[3])
+{
+    double line[3] = {P[0] - pose[3][0], P[1] - pose[3][1], P[2] - pose[3][2]};
+    double x = dot3(pose[0], line), y = dot3(pose[1], line);
+    return sqrt(x * x + y * y);
+}
+
+/* Force of the trocar on the shaft, across it [N], by the sensor at the tool's mount.
+ *
+ * Less the tool's weight the reading is the sum of the trocar's force f, a depth d before the tip, and of a contact g at
+ * the tip: force = f + g, torque = (L - d) z x f + L z x g, hence f = (L force - torque x z) / d. If the encoders are
+ * wrong, so is d, and the trocar's force may be taken for a contact: at most tip_force is. A load on the tool, which the
+ * formula takes for both, may hide a part of f: *all is the whole force, which warns. */
+static double trocar_force(const moc_guard *g, double pose[4][3], const double P[3], const double *wrench, double *all)
+{
+    double depth = 0.0, L = g->tool_length, weight[2], force[2];
+    for (int i = 0; i < 3; i++)
+        depth += pose[2][i] * (pose[3][i] - P[i]);
+    for (int i = 0; i < 2; i++) {
+        weight[i] = -g->tool_mass * GRAVITY * pose[i][2];
+        force[i] = wrench[i] - weight[i];
+    }
+    double whole = *all = sqrt(force[0] * force[0] + force[1] * force[1]);
+    if (!(depth >= SHORTEST_DEPTH))
+        return whole;
+    /* torque x z; the weight acts in the middle of the rod */
+    double x = (L * force[0] - (wrench[4] - 0.5 * L * weight[0])) / depth;
+    double y = (L * force[1] - (-wrench[3] - 0.5 * L * weight[1])) / depth;
+    double across = sqrt(x * x + y * y);
+    return whole - g->tip_force > across ? whole - g->tip_force : across;
+}
+
+static moc_stop look_at_incision(const moc_guard *g, const moc_arm *arm, const double *wrench, moc_watch *w)
+{
+    static const moc_stop reasons[2] = {MOC_STOP_RCM, MOC_STOP_FORCE};
+    double pose[4][3], all;
+    moc_stop reason = MOC_RUNNING;
+
+    w->ticks++;
+    moc_tool_pose(arm, w->q, pose);
+    double distance = rcm_error(pose, w->point), force = trocar_force(g, pose, w->point, wrench, &all);
+    w->mean_square[MOC_RCM] += g->incision_share * (distance * distance - w->mean_square[MOC_RCM]);
+    if (all_finite(1, &force)) {
+        w->mean_square[MOC_FORCE] += g->incision_share * (force * force - w->mean_square[MOC_FORCE]);
+        w->whole_square += g->incision_share * (all * all - w->whole_square);
+        w->unread = 0;
+    } else {
+        w->unread += w->unread < INT_MAX;
+        if (w->unread > g->patience && (g->warning[MOC_FORCE] < HUGE_VAL || g->limit[MOC_FORCE] < HUGE_VAL))
+            return MOC_STOP_WRENCH;
+    }
+    for (int k = 0; k < 2; k++) {
+        double value = sqrt(w->mean_square[k]), seen = k == MOC_FORCE ? fmax(value, sqrt(w->whole_square)) : value;
+        if (seen > g->warning[k]) {
+            w->first_tick[k] = w->first_tick[k] < 0 ? w->ticks : w->first_tick[k];
+            w->largest[k] = fmax(w->largest[k], seen);
+        }
+        if (reason == MOC_RUNNING && g->limit[k] < HUGE_VAL && !(value <= g->limit[k]))
+            reason = reasons[k];
+    }
+    return reason;
+}
+
+moc_stop moc_guard_believe(const moc_guard *g, const moc_arm *arm, const moc_measurement *m, const moc_trocar *trocar,
+                           moc_watch *w)
+{
+    int n = arm->n, late = g->motion && m->has_stamp ? age(g, m->stamp, w) : FRESH;
+    moc_stop reason = late == OLD ? MOC_STOP_LATE : MOC_RUNNING, found = MOC_RUNNING;
+
+    if (late == FRESH && believable(g, n, m->q, m->v, w)) {
+        memcpy(w->q, m->q, (unsigned)n * sizeof *w->q);
+        memcpy(w->v, m->v, (unsigned)n * sizeof *w->v);
+        w->bad = 0;
+        if (g->motion && m->applied)
+            found = look(g, n, m, w);
+    } else {
+        w->bad += w->bad < INT_MAX;
+        for (int i = 0; i < n; i++)
+            w->q[i] += w->v[i] * g->period;
+        if (w->bad > g->patience)
+            found = MOC_STOP_MEASUREMENT;
+    }
+    reason = reason == MOC_RUNNING ? found : reason;
+    if (trocar && g->in_incision) {
+        memcpy(w->point, trocar->P, sizeof w->point);
+        found = look_at_incision(g, arm, m->wrench, w);
+        reason = reason == MOC_RUNNING ? found : reason;
+    }
+    return reason;
+}
+
+/* --- the motion that the torque made --- */
+
+/* Whether the torque of joint i alone is not what it should be: a force on the arm, or a loop that shakes, shows in
+ * several joints, a drive that does not do what it is told in its own. */
+static int alone(const moc_guard *g, int n, int i, const moc_watch *w)
+{
+    double mine = fabs(w->joint[i].residual - w->joint[i].mean) / g->tau_max[i];
+    for (int k = 0; k < n; k++)
+        if (k != i && fabs(w->joint[k].residual - w->joint[k].mean) > 0.7 * mine * g->tau_max[k])
+            return 0;
+    return 1;
+}
+
+/* The momentum residual (De Luca & Mattone 2003): r = K_o (p - integral of (tau + C^T v - g + r)). */
+static moc_stop weigh(const moc_guard *g, int n, const moc_terms *t, const double *tau, moc_watch *w)
+{
+    moc_stop found = MOC_RUNNING;
+
+    w->weighed += w->weighed < INT_MAX;
+    for (int i = 0; i < n; i++) {
+        double p = dot(n, t->M[i], t->v);
+        if (w->weighed == 1) {
+            w->joint[i].integral = p;
+            continue;
+        }
+        w->joint[i].integral += (tau[i] + t->energy_slope[i] - t->gravity[i] + w->joint[i].residual) * g->period;
+        w->joint[i].residual = g->residual_rate * (p - w->joint[i].integral);
+    }
+    for (int i = 0; i < n && w->weighed > 1; i++) {
+        double r = w->joint[i].residual;
+        if (w->weighed <= g->settling_ticks) {
+            w->joint[i].mean = w->joint[i].at_repeat = r;
+            w->joint[i].unseen = 0.0;
+        }
+        w->joint[i].mean += g->residual_share * (r - w->joint[i].mean);
+        double beyond = r - w->joint[i].at_repeat;
+        beyond -= clip(beyond, -g->held[i], g->held[i]);
+        w->joint[i].unseen += g->period * beyond / t->M[i][i];
+        if (w->joint[i].repeats > g->patience && fabs(w->joint[i].unseen) > g->stuck_speed)
+            found = MOC_STOP_STUCK;
+        int far = fabs(r - w->joint[i].mean) > g->residual_torque * g->tau_max[i] ||
+                  fabs(r) > g->residual_whole * g->tau_max[i];
+        w->joint[i].exceeded = far ? w->joint[i].exceeded + 1.0 : 0.0;
+        if (w->joint[i].exceeded > g->patience) {
+            w->cut = r * tau[i] < 0.0 && alone(g, n, i, w);
+            return MOC_STOP_UNEXPLAINED;
+        }
+    }
+    return found;
+}
+
+/* --- limits of the torque --- */
+
+/* The speed at which a joint may go towards a wall at this distance: it can still be stopped. */
+static double allowed_speed(const moc_guard *g, int i, double distance)
+{
+    return fmin(g->v_max[i], sqrt(2.0 * g->wall_brake * fmax(distance, 0.0)));
+}
+
+/* What wall and brake leave of the torque above the weight: at least, at most. Returns whether they act. */
+static int wall(const moc_guard *g, int i, const moc_watch *w, double *least, double *most)
+{
+    double v = w->v[i], below = w->q[i] - w->low[i], above = w->high[i] - w->q[i];
+    double fall = allowed_speed(g, i, below), rise = allowed_speed(g, i, above);
+    int acts = 0;
+
+    *least = -HUGE_VAL;
+    *most = HUGE_VAL;
+    if (below < 0.0 || v < -fall) {
+        *least = g->wall_stiffness * fmax(-below, 0.0) - g->wall_damping * fmin(v + fall, 0.0);
+        acts = 1;
+    }
+    if (above < 0.0 || v > rise) {
+        *most = -g->wall_stiffness * fmax(-above, 0.0) - g->wall_damping * fmax(v - rise, 0.0);
+        acts = 1;
+    }
+    if (*least > *most) /* leaving a wall too fast already: neither spring nor brake */
+        *least = *most = 0.0;
+    return acts;
+}
+
+static void weight_of(const moc_guard *g, const moc_arm *arm, const double *q, double *weight)
+{
+    memset(weight, 0, (unsigned)arm->n * sizeof *weight);
+    if (g->carries)
+        moc_gravity(arm, q, weight);
+}
+
+/* Returns at how many joints tau was changed. */
+static int limit_torque(const moc_guard *g, const moc_arm *arm, const double *before, const moc_watch *w, double *tau)
+{
+    double least[MOC_MAX_JOINTS], most[MOC_MAX_JOINTS], weight[MOC_MAX_JOINTS];
+    int braked = 0, touched = 0;
+
+    for (int i = 0; i < arm->n; i++)
+        braked |= wall(g, i, w, &least[i], &most[i]);
+    if (braked)
+        weight_of(g, arm, w->q, weight);
+    for (int i = 0; i < arm->n; i++) {
+        double asked = tau[i];
+        if (braked)
+            tau[i] = fmax(fmin(tau[i], weight[i] + most[i]), weight[i] + least[i]);
+        tau[i] = fmin(fmax(tau[i], before[i] - g->torque_step), before[i] + g->torque_step);
+        tau[i] = fmin(fmax(tau[i], -g->tau_max[i]), g->tau_max[i]);
+        touched += !same(tau[i], asked);
+    }
+    return touched;
+}
+
+moc_stop moc_guard_follow(const moc_guard *g, const moc_arm *arm, const moc_terms *t, const double *tip,
+                          const double *tip_ref, const double *before, double *tau, moc_watch *w)
+{
+    moc_stop reason = MOC_RUNNING, found = MOC_RUNNING;
+
+    if (tip_ref && tip) {
+        double off[3] = {tip[0] - tip_ref[0], tip[1] - tip_ref[1], tip[2] - tip_ref[2]};
+        memcpy(w->told, tip_ref, sizeof w->told);
+        w->tip_square += g->tip_share * (dot3(off, off) - w->tip_square);
+        if (!(w->tip_square <= g->tip_error * g->tip_error))
+            reason = MOC_STOP_TIP;
+    }
+    if (t && g->motion)
+        found = weigh(g, arm->n, t, before, w);
+    reason = reason == MOC_RUNNING ? found : reason;
+    w->limited = 0;
+    if (!all_finite(arm->n, tau))
+        return reason == MOC_RUNNING ? MOC_STOP_TORQUE : reason;
+    w->limited = limit_torque(g, arm, before, w, tau);
+    return reason;
+}
+
+/* --- a stop --- */
+
+void moc_guard_rest(const moc_guard *g, const moc_arm *arm, const double *before, const moc_watch *w, double *tau)
+{
+    double weight[MOC_MAX_JOINTS];
+
+    weight_of(g, arm, w->q, weight);
+    int known = all_finite(arm->n, weight); /* a pose that gives no weight: the brakes alone */
+    for (int i = 0; i < arm->n; i++) {
+        double wanted = w->cut ? 0.0 : clip(weight[i], -g->tau_max[i], g->tau_max[i]);
+        tau[i] = known ? before[i] + clip(wanted - before[i], -g->torque_step, g->torque_step) : 0.0;
+    }
+}
+
+/* Closed brakes hold the arm against the tissue's push, so that the force stays; with open ones the arm sinks under a
+ * load that its model lacks. So they open at stop_yield, close again at half of it or after stop_yield_ticks, and open
+ * once more if the force has risen by as much again. They stay closed where the drives cannot carry the weight, or one
+ * of them does not do what it is told: then the brakes alone hold the arm. */
+void moc_guard_hold(const moc_guard *g, const moc_arm *arm, const double *wrench, moc_watch *w, double *friction)
+{
+    double weight[MOC_MAX_JOINTS], pose[4][3];
+    int carried = 1;
+
+    weight_of(g, arm, w->q, weight);
+    int known = all_finite(arm->n, weight);
+    for (int i = 0; i < arm->n; i++) {
+        weight[i] = known ? fabs(weight[i]) : 0.0;
+        carried &= weight[i] <= g->tau_max[i];
+    }
+    if (g->in_incision && g->stop_yield < HUGE_VAL && carried && !w->cut) {
+        double all;
+        moc_tool_pose(arm, w->q, pose);
+        double force = trocar_force(g, pose, w->point, wrench, &all);
+        /* A mean: in the first moments the tool's inertia force stands beside the trocar's. */
+        w->press = all_finite(1, &force) ? w->press + g->press_share * (force - w->press) : 0.0;
+        w->yields = w->press - w->borne > (w->yields ? 0.5 * g->stop_yield : g->stop_yield);
+        w->open = w->yields ? w->open + 1 : 0;
+        if (w->open > g->stop_yield_ticks) {
+            w->yields = 0;
+            w->borne = w->press;
+        } else if (!w->yields) {
+            w->borne = fmin(w->borne, w->press);
+        }
+    }
+    for (int i = 0; i < arm->n; i++) {
+        double beyond = w->cut ? weight[i] : fmax(weight[i] - g->tau_max[i], 0.0); /* what the drive does not carry */
+        friction[i] = w->yields ? 0.0 : g->stop_holding * g->tau_max[i] + 1.5 * beyond;
+    }
+}
+
+const char *moc_reason(moc_stop reason)
+{
+    static const char *const words[] = {
+        "running",
+        "not started",
+        "the controller's state is damaged",
+        "measurements not believed",
+        "the wrench sensor's readings are no numbers",
+        "the RCM error has been above its limit",
+        "the trocar's force has been above its limit",
+        "the tip has been off its reference",
+        "the controller's torque is not finite",
+        "measurements are too late",
+        "all encoders repeat one reading, as no arm that moves or has noise does",
+        "the encoders' positions do not follow their velocities",
+        "an encoder repeats one reading while torque acts on its joint",
+        "the measured motion is not what the torque makes: a wrong encoder, an unknown force, or a loop that shakes "
+        "at too long a delay",
+        "the measurements are a recording: they came before, to the last bit",
+        "one encoder repeats its reading, as its noise does not let it",
+        "the wrench sensor repeats its reading, as its noise does not let it",
+        "one encoder lags: its readings came before, to the last bit",
+    };
+    return reason >= MOC_RUNNING && reason < MOC_STOPS ? words[reason] : "unknown";
+}

@@ -1,0 +1,280 @@
+/* The three levels of the law (Su et al. 2019, in the consistent form of docs/errata.md), and the subproblem.
+ *
+ *   tau = h + J_T^T F_T + (I - J_T^T Jbar_T^T) J_W^T F_W + M Z^T (Z M Z^T)^-1 Z (K_N2 (x - v) - D_N2 v) */
+#include <string.h>
+
+#include "vec.h"
+
+/* Mobility of the wrist in its harder direction over that in its easier one, below which the feed-forward leaves the
+ * harder one out; about the elbow's angle [rad]. */
+#define STRAIGHT 1e-3
+
+#define SHAFT_PULL 0.1 /* weight of log mu_shaft beside mu [m^3]; it fades out towards shaft_margin */
+#define SHAFT_LOST 0.1 /* share of shaft_margin below which the push fades out again: at 0 it has no direction */
+#define BOX_OPENS 3.0  /* inverse of the share of shaft_margin over which the box opens to the joints' whole speed */
+
+/* How the line from the tip to the trocar lies and turns. */
+typedef struct {
+    double distance; /* |P_t - X| [m] */
+    double e[3];     /* (P_t - X) / |P_t - X| */
+    double closing;  /* e^T (dP_t - dX) [m/s] */
+    double turn[3];  /* de/dt = (I - e e^T)(dP_t - dX) / |P_t - X| [1/s] */
+} line;
+
+static line shaft_line(const double X[3], const double dX[3], const moc_trocar *trocar)
+{
+    line s;
+    for (int i = 0; i < 3; i++) {
+        s.e[i] = trocar->P[i] - X[i];
+        s.turn[i] = trocar->dP[i] - dX[i];
+    }
+    s.distance = sqrt(dot3(s.e, s.e));
+    for (int i = 0; i < 3; i++)
+        s.e[i] /= s.distance;
+    s.closing = dot3(s.e, s.turn);
+    for (int i = 0; i < 3; i++)
+        s.turn[i] = (s.turn[i] - s.closing * s.e[i]) / s.distance;
+    return s;
+}
+
+void moc_desired_wrist(const double X[3], const double dX[3], const moc_trocar *trocar, double span, double N_d[3],
+                       double dN_d[3])
+{
+    line s = shaft_line(X, dX, trocar);
+    for (int i = 0; i < 3; i++) {
+        N_d[i] = X[i] + span * s.e[i];
+        dN_d[i] = dX[i] + span * s.turn[i];
+    }
+}
+
+/* tau += J^T F for J (3,n). */
+static void add_force(int n, double J[][MOC_MAX_JOINTS], double scale, const double F[3], double *tau)
+{
+    for (int j = 0; j < n; j++)
+        tau[j] += scale * (J[0][j] * F[0] + J[1][j] * F[1] + J[2][j] * F[2]);
+}
+
+static void times(int n, double J[][MOC_MAX_JOINTS], const double *v, double out[3])
+{
+    for (int i = 0; i < 3; i++)
+        out[i] = dot(n, J[i], v);
+}
+
+/* ddN_d of N_d = X + L e, without the trocar's own acceleration. With r = P_t - X = |r| e:
+ * e'' = (I - e e^T)(r'' - 2 |r|' e') / |r| - |e'|^2 e. */
+static void desired_wrist_acceleration(const moc_terms *t, const double dX[3], const double ddX_d[3],
+                                       const moc_trocar *trocar, double out[3])
+{
+    line s = shaft_line(t->tip, dX, trocar);
+    double pull[3], along, square = dot3(s.turn, s.turn);
+    for (int i = 0; i < 3; i++)
+        pull[i] = -ddX_d[i] - 2.0 * s.closing * s.turn[i];
+    along = dot3(s.e, pull);
+    for (int i = 0; i < 3; i++)
+        out[i] = ddX_d[i] + t->span * ((pull[i] - along * s.e[i]) / s.distance - square * s.e[i]);
+}
+
+/* Feed-forward of the accelerations that tip and wrist are to have, beyond gravity and Coriolis:
+ * tau += A5^T (A5 M^-1 A5^T)^-1 a, a = [ddX_d - dJ_T v; b^T (ddN_d - dJ_W v)] (Khatib 1987, eq. 51, for the tip).
+ *
+ * With M = L L^T the rows of A5 L^-T are made orthogonal instead of squared: the torque of a nearly straight elbow
+ * keeps twice the digits. Such an elbow can hardly move the wrist in one direction, which is left out (STRAIGHT): at
+ * the straight elbow itself it would need an infinite torque, whose sign rounding would decide. */
+static void add_feedforward(int n, const moc_terms *t, double L[][MOC_MAX_JOINTS], const double *inverse,
+                            const double tip[3], const double wrist[3], double *tau)
+{
+    double rows[5][MOC_MAX_JOINTS], b[2][3], a[5], c[5], gap[3];
+
+    across(t->u, b);
+    five_rows(n, ((moc_terms *)t)->A, b, rows);
+    for (int i = 0; i < 3; i++) {
+        a[i] = tip[i] - t->drift[i];
+        gap[i] = wrist[i] - t->drift[3 + i];
+    }
+    a[3] = dot3(b[0], gap);
+    a[4] = dot3(b[1], gap);
+    for (int i = 0; i < 5; i++) { /* the tip's rows become orthonormal, the wrist's orthogonal to them */
+        for (int j = 0; j < n; j++)
+            rows[i][j] = (rows[i][j] - dot(j, L[j], rows[i])) * inverse[j];
+        for (int k = 0; k < i && k < 3; k++) {
+            double along = dot(n, rows[k], rows[i]);
+            a[i] -= along * c[k];
+            for (int j = 0; j < n; j++)
+                rows[i][j] -= along * rows[k][j];
+        }
+        if (i < 3) {
+            double length = sqrt(dot(n, rows[i], rows[i])), shrink = length > 0.0 ? 1.0 / length : (double)NAN;
+            c[i] = a[i] * shrink;
+            for (int j = 0; j < n; j++)
+                rows[i][j] *= shrink;
+        }
+    }
+    /* Jacobi's rotation (Golub and Van Loan, 8.5.2), without its cosine, makes the wrist's two rows orthogonal. */
+    double product = dot(n, rows[3], rows[4]), squares = dot(n, rows[3], rows[3]) - dot(n, rows[4], rows[4]);
+    double size = fabs(squares) + sqrt(squares * squares + 4.0 * product * product);
+    double tangent = size > 0.0 ? (squares >= 0.0 ? 2.0 : -2.0) * product / size : 0.0, third = a[3];
+    a[3] += tangent * a[4];
+    a[4] -= tangent * third;
+    for (int j = 0; j < n; j++) {
+        third = rows[3][j];
+        rows[3][j] += tangent * rows[4][j];
+        rows[4][j] -= tangent * third;
+    }
+    double one = dot(n, rows[3], rows[3]), other = dot(n, rows[4], rows[4]);
+    double least = STRAIGHT * STRAIGHT * fmax(one, other);
+    c[3] = one > least ? a[3] / one : 0.0;
+    c[4] = other > least ? a[4] / other : 0.0;
+    for (int k = 0; k < n; k++) { /* L times the sum of the rows */
+        double sum = c[0] * rows[0][k] + c[1] * rows[1][k] + c[2] * rows[2][k] + c[3] * rows[3][k] + c[4] * rows[4][k];
+        for (int i = k; i < n; i++)
+            tau[i] += L[i][k] * sum;
+    }
+}
+
+/* Level 2's part of the wrist's torque that moves the tip, taken out: tau += (I - J_T^T G) tau_W. */
+static void add_projected(const moc_law *law, int n, double J[][MOC_MAX_JOINTS], double W[][MOC_MAX_JOINTS],
+                          double mobility[][MOC_MAX_JOINTS], const double *tau_W, double *tau)
+{
+    double at_tip[3], gram[3][MOC_MAX_JOINTS], L[3][MOC_MAX_JOINTS], inverse[3];
+
+    for (int j = 0; j < n; j++)
+        tau[j] += tau_W[j];
+    if (law->projector == MOC_AS_PUBLISHED) { /* I - J^T J: not idempotent, and its units do not fit */
+        times(n, J, tau_W, at_tip);
+    } else if (law->projector == MOC_STATIC) { /* I - J^T pinv(J)^T: no force at the tip in rest */
+        for (int i = 0; i < 3; i++)
+            for (int k = 0; k < 3; k++)
+                gram[i][k] = dot(n, J[i], J[k]);
+        times(n, J, tau_W, at_tip);
+        cholesky(3, gram, L, inverse);
+        solve_factored(3, L, inverse, at_tip);
+    } else { /* I - J^T Jbar^T, Jbar = M^-1 J^T (J M^-1 J^T)^-1: no acceleration of the tip */
+        times(n, W, tau_W, at_tip);
+        cholesky(3, mobility, L, inverse);
+        solve_factored(3, L, inverse, at_tip);
+    }
+    add_force(n, J, -1.0, at_tip, tau);
+}
+
+void moc_tracking_torque(const moc_law *law, int n, const moc_terms *terms, const moc_reference *ref,
+                         const moc_trocar *trocar, double *tau)
+{
+    moc_terms *t = (moc_terms *)terms; /* C has no conversion to arrays of const arrays; nothing is written */
+    double(*J_T)[MOC_MAX_JOINTS] = t->A, (*J_W)[MOC_MAX_JOINTS] = t->A + 3;
+    double L[MOC_MAX_JOINTS][MOC_MAX_JOINTS], inverse[MOC_MAX_JOINTS], W[3][MOC_MAX_JOINTS];
+    double mobility[3][MOC_MAX_JOINTS], dX[3], dN[3], F[3], N_d[3], dN_d[3], tau_W[MOC_MAX_JOINTS] = {0.0};
+
+    times(n, J_T, t->v, dX);
+    times(n, J_W, t->v, dN);
+    cholesky(n, t->M, L, inverse);
+    for (int i = 0; i < 3; i++) { /* W = J_T M^-1 */
+        memcpy(W[i], J_T[i], (unsigned)n * sizeof **W);
+        solve_factored(n, L, inverse, W[i]);
+        for (int k = 0; k <= i; k++)
+            mobility[i][k] = mobility[k][i] = dot(n, J_T[k], W[i]);
+    }
+
+    /* Tip: F_T = K_X (X_d - X) + D_X (dX_d - dX). */
+    for (int i = 0; i < 3; i++)
+        F[i] = law->K_X * (ref->X[i] - t->tip[i]) + law->D_X * (ref->dX[i] - dX[i]);
+    memcpy(tau, t->h, (unsigned)n * sizeof *tau);
+    add_force(n, J_T, 1.0, F, tau);
+    if (law->feedforward) {
+        double ddN_d[3];
+        desired_wrist_acceleration(t, dX, ref->ddX, trocar, ddN_d);
+        add_feedforward(n, t, L, inverse, ref->ddX, ddN_d, tau);
+    }
+
+    /* RCM: F_W = K_N (N_d - N) + D_N (dN_d - dN). */
+    moc_desired_wrist(t->tip, dX, trocar, t->span, N_d, dN_d);
+    if (law->rcm_lambda > 0.0) {
+        /* |N_d - N| is 2 L sin(theta/2) and the RCM error d = |P_t - X| sin(theta): the true lambda of
+         * |N_d - N| = d / lambda is |P_t - X| / L cos(theta/2); the paper takes a constant. */
+        line s = shaft_line(t->tip, dX, trocar);
+        double half = sqrt(fmax(0.0, 0.5 * (1.0 - dot3(s.e, t->u))));
+        double share = s.distance / t->span * half / law->rcm_lambda;
+        for (int i = 0; i < 3; i++)
+            N_d[i] = t->wrist[i] + share * (N_d[i] - t->wrist[i]);
+    }
+    for (int i = 0; i < 3; i++)
+        F[i] = law->K_N * (N_d[i] - t->wrist[i]) + law->D_N * (dN_d[i] - dN[i]);
+    add_force(n, J_W, 1.0, F, tau_W);
+    add_projected(law, n, J_T, W, mobility, tau_W, tau);
+}
+
+/* Weight of grad mu_shaft beside grad mu [m], zero from the margin on: SHAFT_PULL (1 - m/margin) m / (m^2 + lost^2),
+ * the slope of a barrier that begins smoothly at the margin; times grad mu_shaft it has no kink where m is zero. */
+double moc_shaft_push(double mu_shaft, double margin)
+{
+    double lost = SHAFT_LOST * margin;
+    return mu_shaft < margin ? SHAFT_PULL * (1.0 - mu_shaft / margin) * mu_shaft / (mu_shaft * mu_shaft + lost * lost)
+                             : 0.0;
+}
+
+void moc_fill_problem(const moc_law *law, int n, const moc_terms *t, const moc_reference *ref,
+                      const moc_trocar *trocar, const double *pull, moc_problem *p)
+{
+    double N_d[3], gap = 0.0, push = moc_shaft_push(t->mu_shaft, law->shaft_margin), wider = 1.0;
+
+    p->n = n;
+    memcpy(p->A, t->A, sizeof p->A);
+    moc_desired_wrist(t->tip, ref->dX, trocar, t->span, N_d, p->b + 3);
+    for (int i = 0; i < 3; i++) {
+        p->b[i] = ref->dX[i];
+        gap += t->u[i] * (p->b[i] - p->b[3 + i]);
+    }
+    for (int i = 0; i < 3; i++) /* u^T (v_T - v_W) = 0: a rigid tool cannot change its length */
+        p->b[3 + i] += gap * t->u[i];
+    /* Near a pose in which tip and shaft lose a direction the joints have to turn fast. */
+    if (t->mu_shaft < law->shaft_margin)
+        wider += law->spare_speed * fmin(1.0, BOX_OPENS * (1.0 - t->mu_shaft / law->shaft_margin));
+    for (int j = 0; j < n; j++) {
+        double v_max = law->v_max[j] * wider;
+        p->grad_mu[j] = pull ? law->rho / law->c2 * pull[j] : t->grad_mu[j] + push * t->grad_mu_shaft[j];
+        /* the velocity damper closes at k0 and never crosses: beyond a limit only velocities back inside are left */
+        p->lower[j] = fmin(fmax(-v_max, -law->k0 * (t->q[j] - law->q_min[j])), v_max);
+        p->upper[j] = fmax(fmin(v_max, -law->k0 * (t->q[j] - law->q_max[j])), -v_max);
+    }
+    p->c0 = law->c0;
+    p->c1 = law->c1;
+    p->c2 = law->c2;
+    p->rho = law->rho;
+}
+
+void moc_add_third_level(const moc_law *law, int n, const moc_terms *terms, const moc_memory *memory, const double *x,
+                         double *tau)
+{
+    moc_terms *t = (moc_terms *)terms;
+    double push[MOC_MAX_JOINTS], MZ[MOC_MAX_JOINTS][MOC_MAX_JOINTS], along[MOC_MAX_JOINTS];
+    double S[MOC_MAX_JOINTS][MOC_MAX_JOINTS], L[MOC_MAX_JOINTS][MOC_MAX_JOINTS], inverse[MOC_MAX_JOINTS];
+    int r = memory->rows;
+
+    for (int j = 0; j < n; j++)
+        push[j] = memory->share * (law->K_N2[j] * (x[j] - t->v[j]) - law->D_N2[j] * t->v[j]);
+    for (int i = 0; i < r; i++) {
+        for (int j = 0; j < n; j++)
+            MZ[i][j] = dot(n, t->M[j], memory->Z[i]);
+        along[i] = dot(n, memory->Z[i], push);
+    }
+    for (int i = 0; i < r; i++)
+        for (int k = 0; k < r; k++)
+            S[i][k] = dot(n, memory->Z[i], MZ[k]);
+    cholesky(r, S, L, inverse);
+    solve_factored(r, L, inverse, along);
+    for (int j = 0; j < n; j++) {
+        for (int i = 0; i < r; i++)
+            tau[j] += MZ[i][j] * along[i];
+        if (tau[j] > law->tau_max[j]) /* a NaN passes: guard and plant refuse it by name */
+            tau[j] = law->tau_max[j];
+        else if (tau[j] < -law->tau_max[j])
+            tau[j] = -law->tau_max[j];
+    }
+}
+
+void moc_observe(int n, const moc_terms *t, const double *tau, double gain, double period, double *integral, double *r)
+{
+    for (int i = 0; i < n; i++) {
+        integral[i] += (tau[i] + t->energy_slope[i] - t->gravity[i] + r[i]) * period;
+        r[i] = gain * (dot(n, t->M[i], t->v) - integral[i]);
+    }
+}

@@ -1,0 +1,468 @@
+/* moc_opt's core: what one control tick computes, in plain C11. No heap, no globals, no callbacks; SI units.
+ *
+ * Names are those of docs/method.md: q, v joint position [rad, m] and velocity; X tip, N wrist centre, P_t trocar;
+ * J_T, J_W their Jacobians, A = [J_T; J_W]; M, h = C v + g; mu manipulability of the tip.
+ * Arrays of joints have room for MOC_MAX_JOINTS; only the first n entries are used. */
+#ifndef MOC_H
+#define MOC_H
+
+#define MOC_MAX_JOINTS 16
+
+typedef enum {
+    MOC_OK = 0,
+    MOC_INFEASIBLE, /* no x of the box meets A x = b */
+    MOC_DOUBTFUL,   /* rounding decides the rank of A: no answer */
+    MOC_UNFINISHED, /* the network is still moving */
+    MOC_BAD_Q,      /* q is not finite */
+    MOC_BAD_V       /* v is not finite */
+} moc_status;
+
+/* --- the arm (arm.c, manipulability.c) --- */
+
+/* A joint, and the link that it carries, in the joint's own axes. */
+typedef struct {
+    double rotation[3][3]; /* of these axes in the frame of the joint before, at q = 0 */
+    double origin[3];      /* in the same frame [m] */
+    double axis[3];        /* unit vector */
+    int slides;            /* 1: along the axis, 0: it turns about it */
+    double mass;           /* [kg] */
+    double moment[3];      /* mass times centre of mass [kg m] */
+    double inertia[6];     /* about the centre of mass: xx, xy, yy, xz, yz, zz [kg m^2] */
+    double rotor;          /* of the drive, felt at the joint [kg m^2] */
+} moc_joint;
+
+enum { MOC_TIP = 0, MOC_WRIST = 1 };
+
+typedef struct {
+    int n;
+    moc_joint joint[MOC_MAX_JOINTS];
+    double point[2][3];            /* tip and wrist centre in the last joint's axes [m] */
+    double tool[3][3];             /* rows: the tool's axes x, y, z (along the shaft) there */
+    int moves[2][MOC_MAX_JOINTS];  /* 0: this joint can never move the tip (the wrist); its column is exactly zero */
+    double gravity[3];             /* [m/s^2] */
+} moc_arm;
+
+/* Where a joint's axes are in the world. */
+typedef struct {
+    double R[3][3]; /* rows */
+    double p[3];    /* [m] */
+} moc_frame;
+
+/* Velocity that a unit speed of one joint gives, at the world's origin. */
+typedef struct {
+    double lin[3], ang[3];
+} moc_twist;
+
+/* What the law needs of the arm at one (q, v). */
+typedef struct {
+    double q[MOC_MAX_JOINTS], v[MOC_MAX_JOINTS];
+    double tip[3], wrist[3];
+    double u[3];                             /* (X - N) / L */
+    double span;                             /* L [m] */
+    double A[6][MOC_MAX_JOINTS];             /* J_T over J_W */
+    double drift[6];                         /* dJ_T/dt v, dJ_W/dt v [m/s^2] */
+    double mu, grad_mu[MOC_MAX_JOINTS];      /* [m^3] */
+    double mu_shaft, grad_mu_shaft[MOC_MAX_JOINTS]; /* of the shaft once the tip is held [m^2] */
+    double M[MOC_MAX_JOINTS][MOC_MAX_JOINTS];
+    double h[MOC_MAX_JOINTS], gravity[MOC_MAX_JOINTS];
+    double energy_slope[MOC_MAX_JOINTS];     /* dT/dq = C^T v, T the kinetic energy [Nm] */
+} moc_terms;
+
+/* tip, wrist, u, span, A, mu and mu_shaft with their gradients at a finite q (n,): what needs no velocity. */
+void moc_compute_kinematics(const moc_arm *arm, const double *q, moc_terms *terms);
+
+/* All terms at q, v (n,). Returns MOC_OK, MOC_BAD_Q or MOC_BAD_V. */
+moc_status moc_compute_terms(const moc_arm *arm, const double *q, const double *v, moc_terms *terms);
+
+/* Every joint's axes in the world, frame[n]. */
+void moc_place(const moc_arm *arm, const double *q, moc_frame *frame);
+
+/* twist[n] of the placed joints. */
+void moc_twists(const moc_arm *arm, const moc_frame *frame, moc_twist *twist);
+
+/* The tool's axes x, y, z and its tip in the world, pose[4] rows. */
+void moc_tool_pose(const moc_arm *arm, const double *q, double pose[4][3]);
+
+/* Torque that carries the arm's weight (n,) [Nm]. */
+void moc_gravity(const moc_arm *arm, const double *q, double *torque);
+
+/* A point of the last joint's axes in the world. */
+void moc_point(const moc_frame *last, const double local[3], double out[3]);
+
+/* Jacobian (3,n) of a world point of the last link; joints that do not move it have columns of zeros. */
+void moc_jacobian(int n, const moc_twist *twist, const double point[3], const int *moves, double J[][MOC_MAX_JOINTS]);
+
+/* mu = sqrt(det(J J^T)) of J (3,n) alone. */
+double moc_yoshikawa(int n, double J[][MOC_MAX_JOINTS]);
+
+/* mu, and its gradient; see manipulability.c. */
+double moc_manipulability(int n, const moc_twist *twist, double J[][MOC_MAX_JOINTS], double *gradient);
+double moc_shaft_manipulability(int n, const moc_twist *twist, double A[][MOC_MAX_JOINTS], const double u[3],
+                                double *gradient);
+
+/* Newton's method for a pose with the tip (points = 1), or tip and wrist (points = 2), at target[points]; q (n,) is
+ * where it begins, low and high are joint limits. Returns what the best pose misses them by [m]. */
+double moc_nearest_pose(const moc_arm *arm, int points, double target[][3], const double *low, const double *high,
+                        int iterations, const double *q, double *best);
+
+/* --- the subproblem (exact.c, rnn.c) --- */
+
+/* min_x c0/2 |J_T x - v_T|^2 + c1/2 |J_W x - v_W|^2 - c2 x^T grad_mu + rho/2 |x|^2,  A x = b,  lower <= x <= upper */
+typedef struct {
+    int n;
+    double A[6][MOC_MAX_JOINTS], b[6];
+    double grad_mu[MOC_MAX_JOINTS], lower[MOC_MAX_JOINTS], upper[MOC_MAX_JOINTS];
+    double c0, c1, c2, rho;
+} moc_problem;
+
+/* The optimum x (n,) and multipliers y (6,) of the rows of A, by elimination; `tolerance` is the violation of the box
+ * that still counts as feasible [rad/s]. Returns MOC_OK, MOC_INFEASIBLE or MOC_DOUBTFUL; x and y hold no answer then. */
+moc_status moc_solve_exact(const moc_problem *problem, double tolerance, double *x, double y[6]);
+
+/* P (n,n) and p (n,) of the cost 1/2 x^T P x + p^T x. */
+void moc_cost(const moc_problem *problem, double P[][MOC_MAX_JOINTS], double *linear);
+
+/* The equality rows that a library takes: five independent ones where there are such and `five` asks for them, else the
+ * six. y6 = lift^T y. Returns how many. */
+int moc_equalities(const moc_problem *problem, int five, double A[6][MOC_MAX_JOINTS], double b[6], double lift[6][6]);
+
+/* How the network of rnn.c steps. */
+typedef struct {
+    int steps;      /* at most so many */
+    double h_x, h_y; /* step sizes of x and of the multipliers, dt/eps */
+    double k;       /* the paper's gain */
+    double scale;   /* multiplies c0, c1, c2 and rho */
+    int implicit;   /* 1: the multipliers see the new x */
+    double rest;    /* it ends where its right-hand side is at most this [rad/s, m/s] */
+} moc_network;
+
+/* Advance x (n,) and y (6,) in place. Returns MOC_OK at rest, MOC_UNFINISHED, or MOC_DOUBTFUL where a number is no
+ * longer finite; *made is the number of steps. */
+moc_status moc_step_network(const moc_problem *problem, const moc_network *network, double *x, double y[6], int *made);
+
+/* --- the law (levels.c, null_space.c) --- */
+
+typedef struct {
+    double X[3], dX[3], ddX[3]; /* of the tip [m], [m/s], [m/s^2] */
+} moc_reference;
+
+typedef struct {
+    double P[3], dP[3]; /* as registered [m], [m/s] */
+} moc_trocar;
+
+/* Null-space projector of level 2: the consistent one, the one of rest, and I - J^T J as the paper prints it. */
+typedef enum { MOC_DYNAMIC = 0, MOC_STATIC, MOC_AS_PUBLISHED } moc_projector;
+
+typedef struct {
+    double K_X, D_X, K_N, D_N;                   /* springs and dampers of tip and wrist [N/m], [N s/m] */
+    double rcm_lambda;                           /* of the paper's |e_N1| = d / lambda; 0: |N_d - N| itself */
+    moc_projector projector;
+    int feedforward;                             /* 1: the accelerations of tip and desired wrist are fed forward */
+    double K_N2[MOC_MAX_JOINTS], D_N2[MOC_MAX_JOINTS]; /* third level [N m s/rad] */
+    double tau_max[MOC_MAX_JOINTS];              /* [Nm]; infinite: no limit */
+    double k0;                                   /* of the velocity damper [1/s] */
+    double c0, c1, c2, rho;                      /* weights of the subproblem */
+    double q_min[MOC_MAX_JOINTS], q_max[MOC_MAX_JOINTS], v_max[MOC_MAX_JOINTS]; /* of the subproblem's box */
+    double shaft_margin;                         /* below this mu_shaft the climb leads away; 0: nowhere [m^2] */
+    double spare_speed;                          /* by how much more than v_max the box opens there, a share */
+    double observer_gain;                        /* K_o; 0: no observer [1/s] */
+    double period;                               /* of control [s] */
+    double fade;                                 /* the third level's share grows by this at each tick */
+    int third_level;                             /* 0: none, or only its damping; 1: it follows the subproblem's x */
+    int damped;                                  /* 1: the self-motion is damped by D_N2 without a subproblem */
+    int climbs;                                  /* 1: scaled steps to the top of mu in place of its gradient */
+} moc_law;
+
+/* What the law remembers from tick to tick. */
+typedef struct {
+    int rows;                                    /* of Z */
+    double Z[MOC_MAX_JOINTS][MOC_MAX_JOINTS];    /* orthonormal basis of ker A */
+    double share;                                /* of the third level, while it fades in */
+    double integral[MOC_MAX_JOINTS];             /* of the observer [Nm s] */
+    double external[MOC_MAX_JOINTS];             /* its estimate r of the torque beside the model's [Nm] */
+    double tau[MOC_MAX_JOINTS];                  /* torque that acted last [Nm] */
+    double good[MOC_MAX_JOINTS];                 /* the last answer that was taken [rad/s] */
+    int age;                                     /* ticks since then */
+} moc_memory;
+
+/* Levels 1 and 2, tau_tip + tau_rcm (n,) [Nm]. */
+void moc_tracking_torque(const moc_law *law, int n, const moc_terms *t, const moc_reference *ref,
+                         const moc_trocar *trocar, double *tau);
+
+/* This tick's subproblem; pull (n,): a velocity [rad/s] that replaces the climb of mu, or NULL. */
+void moc_fill_problem(const moc_law *law, int n, const moc_terms *t, const moc_reference *ref,
+                      const moc_trocar *trocar, const double *pull, moc_problem *problem);
+
+/* x_d (n,) of the scaled climb [rad/s]; zero at a top of mu, and where the pose is singular. */
+void moc_climb(const moc_arm *arm, const moc_law *law, const moc_terms *t, double *x_d);
+
+/* N_d = X + L e, which puts the shaft through the trocar, and dN_d, for a tip at X that moves with dX. */
+void moc_desired_wrist(const double X[3], const double dX[3], const moc_trocar *trocar, double span, double N_d[3],
+                       double dN_d[3]);
+
+/* Bring the basis Z (rows, n) of ker A from the last tick's pose to this one's; 0 where that fails (a singularity). */
+int moc_follow_null_space(int n, double A[][MOC_MAX_JOINTS], const double u[3], int rows, double Z[][MOC_MAX_JOINTS]);
+
+/* A basis of ker A from scratch, turned towards Z (rows, n) where that has as many rows; returns its rows. */
+int moc_null_space(int n, double A[][MOC_MAX_JOINTS], int rows, double Z[][MOC_MAX_JOINTS]);
+
+/* tau += share M Z^T (Z M Z^T)^-1 Z (K_N2 (x - v) - D_N2 v), cut at tau_max. */
+void moc_add_third_level(const moc_law *law, int n, const moc_terms *t, const moc_memory *memory, const double *x,
+                         double *tau);
+
+/* r = K_o (p - integral(tau + C^T v - g + r)), p = M v, advanced by one period over which tau (n,) acted. */
+void moc_observe(int n, const moc_terms *t, const double *tau, double gain, double period, double *integral,
+                 double *r);
+
+/* --- what an answer is worth, and what stands in for it (answer.c) --- */
+
+typedef struct {
+    double primal;   /* |A x - b|_inf; NaN where x is not finite [m/s] */
+    double outside;  /* violation of the box [rad/s] */
+    double natural;  /* natural residual along the self-motion, the cost scaled to slope one [rad/s] */
+    double off;      /* distance from the optimum [rad/s] */
+    double opposite; /* and from that of the opposite gradient [rad/s] */
+} moc_residuals;
+
+/* Judge x (n,) on the self-motion that Z leaves; see answer.c. */
+moc_residuals moc_judge(const moc_problem *problem, int rows, double Z[][MOC_MAX_JOINTS], const double *x);
+
+/* The smallest self-motion that brings the arm's other motion into the box (n,) [rad/s]; zero where none does. */
+void moc_retreat(const moc_problem *problem, int rows, double Z[][MOC_MAX_JOINTS], double *motion);
+
+/* The x of the box with the least |A x - b| [rad/s]. */
+void moc_least_violation(const moc_problem *problem, double *x);
+
+/* What a solver says of its answer. */
+typedef enum {
+    MOC_CLAIMS_OPTIMUM = 0,
+    MOC_CLAIMS_INFEASIBLE,
+    MOC_CLAIMS_NOTHING, /* an iterate: it ran out of iterations or time */
+    MOC_GIVES_NONE      /* no answer */
+} moc_claim;
+
+/* What was wrong with an answer; the order is that of control/supervisor.py. */
+typedef enum {
+    MOC_TAKEN = 0,
+    MOC_FAULT_INFEASIBLE,
+    MOC_FAULT_FAILED,
+    MOC_FAULT_RAISED,    /* known to the caller alone, as are the next one and the last one */
+    MOC_FAULT_MALFORMED,
+    MOC_FAULT_NOT_FINITE,
+    MOC_FAULT_OUTSIDE,
+    MOC_FAULT_FALSE_OPTIMUM,
+    MOC_FAULT_LATE,
+    MOC_FAULT_LOST,
+    MOC_FAULTS
+} moc_fault;
+
+typedef enum { MOC_DAMPING = 0, MOC_HOLD, MOC_LEAST_VIOLATION } moc_fallback;
+typedef enum { MOC_LATE_HOLD = 0, MOC_LATE_ZERO, MOC_LATE_ITERATE } moc_late;
+
+typedef struct {
+    int check;              /* 0: residuals are not looked at */
+    double box_limit;       /* largest |A x - b| and box violation of an answer without a claim */
+    double primal_limit;    /* the same of one that is claimed optimal */
+    double relative_limit;  /* largest natural residual of that */
+    double opposite_limit;  /* a claim is false if x is farther off, and nearer to the opposite optimum [rad/s] */
+    int hold_ticks;         /* for which the last good answer is held */
+    int keep_off_limits;    /* 1: afterwards the elbow moves as far as the box asks for; 0: damping only */
+    moc_fallback fallback;  /* of an infeasible subproblem */
+    moc_late late;          /* what replaces a late answer */
+    double budget_us;       /* time that a solve may take; infinite: no limit */
+} moc_supervision;
+
+/* Check an answer (n,) and write the x (n,) that the arm follows. known: a fault that the caller has seen, or
+ * MOC_TAKEN. */
+moc_fault moc_supervise(const moc_supervision *s, const moc_problem *problem, moc_fault known, moc_claim claim,
+                        const double *answer, double solve_us, moc_memory *memory, double *x);
+
+/* --- the safety filter (guard.c) --- */
+
+/* Why the arm has to be stopped. */
+typedef enum {
+    MOC_RUNNING = 0,
+    MOC_STOP_NOT_STARTED,     /* moc_step without a start, or after one that was refused */
+    MOC_STOP_STATE,           /* the memory is not what the last step left */
+    MOC_STOP_MEASUREMENT,     /* measurements not believed, more than `patience` in a row */
+    MOC_STOP_WRENCH,          /* as many readings of the wrench sensor were no numbers */
+    MOC_STOP_RCM,             /* the shaft has been too far from the registered trocar */
+    MOC_STOP_FORCE,           /* the trocar has been pressed too hard */
+    MOC_STOP_TIP,             /* the tip has been too far off its reference */
+    MOC_STOP_TORQUE,          /* the controller's torque is not finite */
+    MOC_STOP_LATE,            /* measurements are more than `patience` ticks late */
+    MOC_STOP_REPEATED,        /* all encoders repeat one reading, as no arm that moves or has noise does */
+    MOC_STOP_RAN_AWAY,        /* the encoders' positions do not follow their velocities */
+    MOC_STOP_STUCK,           /* an encoder repeats one reading while torque acts on its joint */
+    MOC_STOP_UNEXPLAINED,     /* the measured motion is not what the torque makes */
+    MOC_STOP_REPLAYED,        /* the measurements are a recording: they came before, to the last bit */
+    MOC_STOP_ONE_REPEATED,    /* one encoder repeats its reading, as its noise does not let it */
+    MOC_STOP_WRENCH_REPEATED, /* the wrench sensor does, as its noise does not let it */
+    MOC_STOP_LAGGING,         /* one encoder lags: its readings came before, to the last bit */
+    MOC_STOPS
+} moc_stop;
+
+/* Levels; one that is infinite is off. The fields of [guard] in a scenario, where docs/keys explains each. */
+typedef struct {
+    double period;                                      /* of control [s] */
+    int patience;                                       /* ticks with a bad measurement that are bridged */
+    int carries;                                        /* 1: the drives carry the arm's weight by this torque */
+    double low[MOC_MAX_JOINTS], high[MOC_MAX_JOINTS];   /* where the walls begin [rad, m] */
+    double v_max[MOC_MAX_JOINTS], tau_max[MOC_MAX_JOINTS];
+    double wall_stiffness, wall_damping, wall_brake;    /* [Nm/rad], [Nm s/rad], [rad/s^2] */
+    double torque_step;                                 /* largest change of a torque in a tick [Nm] */
+    double jump, speed_factor;                          /* a reading farther off [rad], or faster, is not believed */
+    double tip_error, tip_share;                        /* root mean square [m]; a tick's share in the mean */
+    int in_incision;                                    /* 0: RCM error and trocar force are not looked at */
+    double warning[2], limit[2];                        /* of RCM error [m] and trocar force [N] */
+    double incision_share;                              /* of a tick in their mean squares */
+    double tool_mass, tool_length;                      /* of the rod behind the wrench sensor [kg], [m] */
+    double tip_force;                                   /* largest force across the shaft taken for the tip's [N] */
+    double stop_holding;                                /* dry friction of closed brakes, share of tau_max */
+    double stop_yield;                                  /* trocar force above which the brakes open in a stop [N] */
+    int stop_yield_ticks;                               /* for which they do so at most */
+    double press_share;                                 /* of a tick in the mean of that force */
+    int motion;                                         /* 0: the checks below are off */
+    double motion_s, motion_rad, motion_lag_s;          /* position against velocity */
+    double repeat_m, repeat_torque;                     /* while all encoders repeat themselves: way, share of tau_max */
+    double repeat_whole_m, repeat_whole_torque;         /* the same while the wrench repeats itself too */
+    double repeat_whole_ticks;                          /* a wrench sensor with noise may repeat itself for */
+    double repeat_joint_ticks, repeat_reading_ticks;    /* one encoder may, in a row; so may all, in a run */
+    double replayed_ticks;                              /* readings that may have come before */
+    double stuck_speed;                                 /* that a still joint may have gathered [rad/s] */
+    double held[MOC_MAX_JOINTS];                        /* change of torque that static friction holds [Nm] */
+    double residual_torque, residual_whole;             /* of the momentum residual, shares of tau_max */
+    double residual_rate, residual_share;               /* its rate [1/s], a tick's share in its mean */
+    int settling_ticks;                                 /* until it is what it will be */
+} moc_guard;
+
+enum { MOC_RCM = 0, MOC_FORCE = 1 };
+
+#define MOC_SLOTS 4096      /* readings that are remembered, one a slot */
+#define MOC_JOINT_SLOTS 256 /* the same of each encoder */
+
+/* How many readings came before, all of them by the same number of readings. */
+typedef struct {
+    double readings, lag, hits;
+} moc_came_before;
+
+/* What the safety filter remembers. */
+typedef struct {
+    double q[MOC_MAX_JOINTS], v[MOC_MAX_JOINTS]; /* the last measurement that was believed, moved on since */
+    double low[MOC_MAX_JOINTS], high[MOC_MAX_JOINTS]; /* the walls; of a joint that starts inside one it begins there */
+    int bad;                                     /* measurements in a row that were not believed */
+    double tip_square;                           /* mean square of the tip's error [m^2] */
+    double point[3];                             /* the trocar, as registered last [m] */
+    double mean_square[2], largest[2];           /* of RCM error and force; the largest root above its warning */
+    double whole_square;                         /* the same mean of the whole force on the tool, a contact's included */
+    long long first_tick[2], ticks;              /* of a warning, -1: none; ticks in the incision */
+    int unread;                                  /* readings of the wrench in a row that were no numbers */
+    double press, borne;                         /* mean of the trocar's force in a stop; what closed brakes bear [N] */
+    int yields, open;                            /* whether the brakes are open because of it; for how many ticks */
+    int cut;                                     /* 1: a drive does not do what it is told: none is used in the stop */
+    int limited;                                 /* joints at which the last torque was changed */
+    long long now, newest, delay, elapsed;       /* numbers of control periods: see moc_age in guard.c */
+    struct {
+        double gap, peak, shown, speed;          /* q - integral of v; largest recent |v|; the last q and v */
+        double repeats, whole;                   /* ticks in a row with the same q; so far with the same q and v */
+        double torque;                           /* where all had repeated themselves for the patience [Nm] */
+        double integral, residual, mean;         /* of the momentum observer; the mean of the residual */
+        double at_repeat, unseen, exceeded;      /* the mean where it began to repeat; speed gathered since; ticks far off */
+    } joint[MOC_MAX_JOINTS];
+    double readings_twice;                       /* readings in which all joints repeated q and v */
+    double told[3], still[3];                    /* the tip's reference; where all had repeated themselves [m] */
+    double wrench[6], wrench_repeats;
+    int looked, wrench_is_still;                 /* the first readings; whether the wrench repeated itself in them */
+    int weighed;                                 /* readings that were compared with the torque */
+    double number[MOC_SLOTS], at[MOC_SLOTS];     /* a reading as one number, and its place from 1 on; 0: none */
+    double joint_number[MOC_MAX_JOINTS][MOC_JOINT_SLOTS], joint_at[MOC_MAX_JOINTS][MOC_JOINT_SLOTS];
+    moc_came_before whole, lagging[MOC_MAX_JOINTS];
+} moc_watch;
+
+/* A measurement. */
+typedef struct {
+    const double *q, *v;   /* (n,) */
+    long long stamp;       /* number of the control period in which it was taken */
+    int has_stamp;         /* 0: its age is not looked at */
+    const double *applied; /* (n,) torque that went out before it [Nm]; NULL: not known */
+    const double *wrench;  /* (6,) force [N] and torque [Nm] of the tool on its mount, tool axes */
+} moc_measurement;
+
+/* Begin at a finite q, v (n,), measurement number `stamp`. */
+void moc_guard_start(const moc_guard *g, int n, const double *q, const double *v, long long stamp, moc_watch *w);
+
+/* Judge a measurement; watch->q, v are then what to believe. trocar: NULL where the arm is in no incision. */
+moc_stop moc_guard_believe(const moc_guard *g, const moc_arm *arm, const moc_measurement *m, const moc_trocar *trocar,
+                           moc_watch *w);
+
+/* Judge the tip (NULL: not known) and the motion (terms of watch->q, v; NULL: not known), then cut tau (n,) in place.
+ * before (n,): torque of the last tick. tau stays as it was where it is not finite. */
+moc_stop moc_guard_follow(const moc_guard *g, const moc_arm *arm, const moc_terms *t, const double *tip,
+                          const double *tip_ref, const double *before, double *tau, moc_watch *w);
+
+/* The torque of a damped stop: the weight of the arm in the last pose believed, reached at the torque rate. */
+void moc_guard_rest(const moc_guard *g, const moc_arm *arm, const double *before, const moc_watch *w, double *tau);
+
+/* Dry friction (n,) [Nm] of the brakes in a stop; zero while the trocar presses the shaft hard. */
+void moc_guard_hold(const moc_guard *g, const moc_arm *arm, const double *wrench, moc_watch *w, double *friction);
+
+/* A reason in words. */
+const char *moc_reason(moc_stop reason);
+
+/* --- the tick of the law, around any solver (step.c) --- */
+
+/* Forget all, and begin at these terms. */
+void moc_start(const moc_law *law, int n, const moc_terms *t, moc_memory *memory);
+
+/* Before the solver: tau (n,) = levels 1 and 2 less the disturbance; the subproblem where there is a third level.
+ * pull: as for moc_fill_problem. */
+void moc_begin(const moc_arm *arm, const moc_law *law, const moc_terms *t, const moc_reference *ref,
+               const moc_trocar *trocar, const double *pull, moc_memory *memory, moc_problem *problem, double *tau);
+
+/* After it: add the third level, which follows x (n,) (NULL: rest), cut the torque and remember it. */
+void moc_finish(const moc_law *law, int n, const moc_terms *t, const double *x, moc_memory *memory, double *tau);
+
+/* --- the whole controller (step.c) --- */
+
+/* What stays the same in a run. */
+typedef struct {
+    const moc_arm *arm;
+    const moc_law *law;
+    const moc_supervision *supervision;
+    const moc_guard *guard;
+    double tolerance; /* of moc_solve_exact [rad/s] */
+} moc_controller;
+
+/* What one arm's controller remembers. */
+typedef struct {
+    moc_memory memory;
+    moc_watch watch;
+    moc_terms terms;                /* of the last tick, as are the next six */
+    moc_problem problem;            /* where the law has a third level */
+    double answer[MOC_MAX_JOINTS];  /* of moc_solve_exact, with its multipliers and status [rad/s] */
+    double y[6];
+    moc_status status;
+    moc_fault fault;                /* of that answer */
+    double x[MOC_MAX_JOINTS];       /* what the third level followed [rad/s] */
+    double sent[MOC_MAX_JOINTS];    /* torque of the last tick [Nm] */
+    moc_stop reason;                /* the first one stays */
+    unsigned begun;                 /* MOC_BEGUN once moc_begin_run has been called */
+} moc_state;
+
+#define MOC_BEGUN 0x6d6f6331u
+
+/* Forget all, and begin at a measurement; m->applied is the torque that acts now. Returns MOC_RUNNING, or
+ * MOC_STOP_NOT_STARTED where a number is not finite or a torque beyond its limit. */
+moc_stop moc_begin_run(const moc_controller *c, const moc_measurement *m, moc_state *state);
+
+/* One control period: the torque tau (n,) to send, finite and within the limits of c->guard whatever is measured.
+ *
+ * m->applied: the torque that acted in the last period, where that is not the one that was sent; NULL: it is. What
+ * comes in and what goes out must not overlap.
+ * Returns MOC_RUNNING, or why the arm is stopped: tau then carries its weight in the last pose believed, and the drives
+ * have to brake, with the dry friction that moc_guard_hold gives once a period. Only moc_begin_run ends a stop; before
+ * it tau is zero. */
+moc_stop moc_step(const moc_controller *c, const moc_measurement *m, const moc_reference *ref,
+                  const moc_trocar *trocar, moc_state *state, double *tau);
+
+#endif

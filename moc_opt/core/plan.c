@@ -1,0 +1,400 @@
+/* Self-motion by pseudo-arclength continuation, climbs of mu over poses of one tip and wrist, and a value function. */
+#include "plan.h"
+
+#include <string.h>
+
+#include "vec.h"
+
+#define TOLERANCE 1e-10 /* on tip and wrist [m] */
+#define PI 3.14159265358979323846
+
+/* Error (6,) of tip and wrist, A (6,n) and mu with its gradient (n,), NULL: without. */
+static double look(const plan_task *task, const double *q, double error[6], double A[6][MOC_MAX_JOINTS], double *grad)
+{
+    moc_frame frame[MOC_MAX_JOINTS];
+    moc_twist twist[MOC_MAX_JOINTS];
+    int n = task->arm->n;
+
+    moc_place(task->arm, q, frame);
+    moc_twists(task->arm, frame, twist);
+    for (int p = 0; p < 2; p++) {
+        double point[3];
+        moc_point(&frame[n - 1], task->arm->point[p], point);
+        moc_jacobian(n, twist, point, task->arm->moves[p], A + 3 * p);
+        for (int i = 0; i < 3; i++)
+            error[3 * p + i] = task->target[p][i] - point[i];
+    }
+    return grad ? moc_manipulability(n, twist, A, grad) : moc_yoshikawa(n, A);
+}
+
+static double largest(int count, const double *x)
+{
+    double most = 0.0;
+    for (int i = 0; i < count; i++)
+        most = fmax(most, fabs(x[i]));
+    return most;
+}
+
+static double distance(int n, const double *p, const double *q)
+{
+    double total = 0.0;
+    for (int i = 0; i < n; i++)
+        total += (p[i] - q[i]) * (p[i] - q[i]);
+    return sqrt(total);
+}
+
+static int outside(const plan_task *task, const double *q)
+{
+    for (int i = 0; i < task->arm->n; i++)
+        if (q[i] < task->low[i] || q[i] > task->high[i])
+            return 1;
+    return 0;
+}
+
+/* --- along a curve --- */
+
+/* Solve [A; t^T] x = [b; c] for x (m,) in the sense of least squares, by Cholesky on its normal equations.
+ * Near a singularity the added 1e-14 keeps the matrix positive; a poor step is found out by its residual. */
+static void bordered(int m, double A[6][MOC_MAX_JOINTS], const double *t, const double b[6], double c, double *x)
+{
+    double L[MOC_MAX_JOINTS][MOC_MAX_JOINTS];
+    for (int i = 0; i < m; i++) {
+        x[i] = t[i] * c;
+        for (int row = 0; row < 6; row++)
+            x[i] += A[row][i] * b[row];
+        for (int j = 0; j <= i; j++) {
+            double total = t[i] * t[j] + (i == j ? 1e-14 : 0.0);
+            for (int row = 0; row < 6; row++)
+                total += A[row][i] * A[row][j];
+            total -= dot(j, L[i], L[j]);
+            L[i][j] = i == j ? sqrt(fmax(total, 1e-16)) : total / L[j][j];
+        }
+    }
+    for (int i = 0; i < m; i++)
+        x[i] = (x[i] - dot(i, L[i], x)) / L[i][i];
+    for (int i = m - 1; i >= 0; i--) {
+        for (int k = i + 1; k < m; k++)
+            x[i] -= L[k][i] * x[k];
+        x[i] /= L[i][i];
+    }
+}
+
+static void take_active(const plan_task *task, double full[6][MOC_MAX_JOINTS], double A[6][MOC_MAX_JOINTS])
+{
+    for (int row = 0; row < 6; row++)
+        for (int i = 0; i < task->count; i++)
+            A[row][i] = full[row][task->active[i]];
+}
+
+/* Go h along the tangent (n,) from q, then by Newton's method across it onto the curve. */
+static int correct(const plan_task *task, const double *q, double h, const double *tangent, double *pose,
+                   double A[6][MOC_MAX_JOINTS], double *mu)
+{
+    double full[6][MOC_MAX_JOINTS], error[6], t[MOC_MAX_JOINTS], dq[MOC_MAX_JOINTS];
+
+    for (int i = 0; i < task->arm->n; i++)
+        pose[i] = q[i] + h * tangent[i];
+    for (int i = 0; i < task->count; i++)
+        t[i] = tangent[task->active[i]];
+    for (int round = 0; round < 10; round++) {
+        *mu = look(task, pose, error, full, NULL);
+        take_active(task, full, A);
+        if (largest(6, error) < TOLERANCE)
+            return 1;
+        bordered(task->count, A, t, error, 0.0, dq);
+        for (int i = 0; i < task->count; i++)
+            pose[task->active[i]] += dq[i];
+    }
+    return 0;
+}
+
+int plan_correct(const plan_task *task, const double *q, const double *along, double *pose)
+{
+    double A[6][MOC_MAX_JOINTS], mu;
+    return correct(task, q, 0.0, along, pose, A, &mu) && !outside(task, pose);
+}
+
+/* The unit tangent (n,) that points the same way as the last one: A t = 0, t_old . t > 0. */
+static void turn_tangent(const plan_task *task, double A[6][MOC_MAX_JOINTS], double *tangent)
+{
+    static const double none[6];
+    double t[MOC_MAX_JOINTS], turned[MOC_MAX_JOINTS];
+
+    for (int i = 0; i < task->count; i++)
+        t[i] = tangent[task->active[i]];
+    bordered(task->count, A, t, none, 1.0, turned);
+    double length = sqrt(dot(task->count, turned, turned));
+    for (int i = 0; i < task->count; i++)
+        tangent[task->active[i]] = turned[i] / length;
+}
+
+int plan_follow(const plan_task *task, const double *start, const double *tangent_start, double step, int most,
+                double *s, double *poses, double *mus, plan_end *end)
+{
+    int n = task->arm->n, count = 1;
+    unsigned bytes = (unsigned)n * sizeof *poses;
+    double q[MOC_MAX_JOINTS], tangent[MOC_MAX_JOINTS], trial[MOC_MAX_JOINTS], A[6][MOC_MAX_JOINTS], mu;
+    double h = step, low = 0.0, high = -1.0; /* the bracket of the limit, once one has been crossed */
+
+    memcpy(q, start, bytes);
+    memcpy(tangent, tangent_start, bytes);
+    correct(task, q, 0.0, tangent, trial, A, &mu);
+    s[0] = 0.0;
+    mus[0] = mu;
+    memcpy(poses, q, bytes);
+    *end = PLAN_LENGTH;
+    while (count < most) {
+        int found = correct(task, q, h, tangent, trial, A, &mu);
+        if (high < 0.0 && (!found || distance(n, trial, q) > 2.0 * h)) {
+            h *= 0.5;
+            if (h < 1e-3 * step) {
+                *end = PLAN_SINGULAR;
+                return count;
+            }
+            continue;
+        }
+        if (high >= 0.0 || outside(task, trial)) {
+            if (!found || outside(task, trial)) {
+                high = h;
+            } else {
+                low = h;
+                memcpy(poses + count * n, trial, bytes);
+                mus[count] = mu;
+            }
+            if (high - low > 1e-10) {
+                h = 0.5 * (low + high);
+                continue;
+            }
+            *end = PLAN_LIMIT;
+            if (low < 1e-9) /* it stood on the limit already */
+                return count;
+            s[count] = s[count - 1] + distance(n, poses + count * n, q);
+            return count + 1;
+        }
+        s[count] = s[count - 1] + distance(n, trial, q);
+        mus[count] = mu;
+        memcpy(poses + count * n, trial, bytes);
+        memcpy(q, trial, bytes);
+        count++;
+        turn_tangent(task, A, tangent);
+        double ahead = 0.0;
+        for (int i = 0; i < n; i++) {
+            double turns = task->arm->joint[i].slides ? 0.0 : nearbyint((q[i] - start[i]) / (2.0 * PI));
+            trial[i] = start[i] + 2.0 * PI * turns;
+            ahead += (trial[i] - q[i]) * tangent[i];
+        }
+        double gap = distance(n, trial, q);
+        if (gap <= 1.01 * step && ahead > 0.0 && !outside(task, trial) && count > 3 && count < most) {
+            int last = gap > 0.1 * step ? count : count - 1; /* no two samples on top of each other */
+            s[last] = s[count - 1] + gap;
+            mus[last] = mus[0];
+            memcpy(poses + last * n, trial, bytes);
+            *end = PLAN_CLOSED;
+            return last + 1;
+        }
+        h = fmin(step, 2.0 * h);
+    }
+    return count;
+}
+
+/* --- climbs --- */
+
+#define LONGEST 0.3    /* of a step, in joint space [rad] */
+#define SHORTEST 1e-6  /* below it an ascent has arrived: mu is flat there to its square */
+#define FLAT 1e-9      /* of the gradient: less of it along the allowed ways is none */
+#define STEPS 200
+#define NEWTON 40
+#define DAMPING 1e-12  /* of the trace of A A^T: A has a row too many */
+
+/* The step (n,) nearest to the desired one that moves tip and wrist by the error and leads to no limit.
+ *
+ * No joint within `near` of a limit goes towards it. An active-set method: joints that would leave are held, and one
+ * that its multiplier draws inwards is let go. */
+static void allowed_step(const plan_task *task, const double *q, double A[6][MOC_MAX_JOINTS], const double *error,
+                         const double *desired, double near, double *step)
+{
+    double part[6][MOC_MAX_JOINTS], still[MOC_MAX_JOINTS], held[MOC_MAX_JOINTS] = {0.0};
+    int n = task->arm->n;
+
+    memcpy(part, A, sizeof part);
+    memcpy(still, desired, (unsigned)n * sizeof *still);
+    for (int round = 0; round < 4 * n; round++) {
+        double S[6][MOC_MAX_JOINTS], L[6][MOC_MAX_JOINTS], inverse[6], force[6], trace = 0.0, most = 0.0;
+        int left = 0, drawn = -1;
+
+        for (int i = 0; i < 6; i++) {
+            for (int k = 0; k < 6; k++)
+                S[i][k] = dot(n, part[i], part[k]);
+            trace += S[i][i];
+            force[i] = error[i] - dot(n, part[i], still);
+        }
+        for (int i = 0; i < 6; i++)
+            S[i][i] += DAMPING * trace + 1e-14;
+        cholesky(6, S, L, inverse);
+        solve_factored(6, L, inverse, force);
+        for (int j = 0; j < n; j++) {
+            double free = desired[j];
+            for (int i = 0; i < 6; i++)
+                free += A[i][j] * force[i];
+            step[j] = held[j] > 0.0 ? 0.0 : free;
+            int outwards = (q[j] >= task->high[j] - near && free > 0.0) || (q[j] <= task->low[j] + near && free < 0.0);
+            if (outwards && !(held[j] > 0.0)) {
+                left = 1;
+                held[j] = 1.0;
+                still[j] = step[j] = 0.0;
+                for (int i = 0; i < 6; i++)
+                    part[i][j] = 0.0;
+            } else if (held[j] > 0.0 && !outwards && fabs(free) > most) {
+                drawn = j;
+                most = fabs(free);
+            }
+        }
+        if (left)
+            continue;
+        if (drawn < 0)
+            return;
+        held[drawn] = 0.0;
+        still[drawn] = desired[drawn];
+        for (int i = 0; i < 6; i++)
+            part[i][drawn] = A[i][drawn];
+    }
+}
+
+/* Move q (n,) inside its limits onto tip and wrist by Newton's method; whether it came there. */
+static int place(const plan_task *task, double *q, int rounds)
+{
+    static const double nowhere[MOC_MAX_JOINTS];
+    double error[6], A[6][MOC_MAX_JOINTS], step[MOC_MAX_JOINTS];
+    int n = task->arm->n;
+
+    for (int round = 0; round < rounds; round++) {
+        look(task, q, error, A, NULL);
+        if (largest(6, error) < TOLERANCE)
+            return 1;
+        allowed_step(task, q, A, error, nowhere, 0.0, step);
+        double length = largest(n, step);
+        if (!(length > 1e-13))
+            return 0;
+        double share = fmin(1.0, LONGEST / length);
+        for (int j = 0; j < n; j++)
+            q[j] = fmin(fmax(q[j] + share * step[j], task->low[j]), task->high[j]);
+    }
+    return 0;
+}
+
+double plan_ascend(const plan_task *task, double *q)
+{
+    static const double nothing[6];
+    double error[6], A[6][MOC_MAX_JOINTS], grad[MOC_MAX_JOINTS], way[MOC_MAX_JOINTS], trial[MOC_MAX_JOINTS], h = 0.1;
+    int n = task->arm->n;
+
+    if (!place(task, q, NEWTON))
+        return -1.0;
+    double mu = look(task, q, error, A, grad);
+    for (int round = 0; round < STEPS; round++) {
+        allowed_step(task, q, A, nothing, grad, 0.01 * h, way); /* a step that a limit cuts short leads nowhere */
+        double length = sqrt(dot(n, way, way)), found = -1.0;
+        while (length > FLAT * sqrt(dot(n, grad, grad)) && h >= SHORTEST) {
+            for (int j = 0; j < n; j++)
+                trial[j] = fmin(fmax(q[j] + h / length * way[j], task->low[j]), task->high[j]);
+            if (place(task, trial, 10)) {
+                found = look(task, trial, error, A, grad);
+                if (found > mu)
+                    break;
+            }
+            h *= 0.3;
+        }
+        if (found > mu) {
+            memcpy(q, trial, (unsigned)n * sizeof *q);
+            mu = found;
+            h = fmin(2.0 * h, LONGEST);
+        } else if (h < SHORTEST) {
+            return mu;
+        } else {
+            h *= 0.3;
+        }
+    }
+    return mu;
+}
+
+/* --- one step of a value function --- */
+
+/* Bounds of a block of poses at the next time: low and high (n,), and the most that one of them is worth. */
+static void bound_blocks(const plan_stage *t, int blocks, double *low, double *high, double *most)
+{
+    int n = t->n;
+    for (int b = 0; b < t->branches * blocks; b++) {
+        most[b] = -HUGE_VAL;
+        for (int a = 0; a < n; a++) {
+            low[b * n + a] = HUGE_VAL;
+            high[b * n + a] = -HUGE_VAL;
+        }
+    }
+    for (int b = 0; b < t->branches; b++)
+        for (int i = 0; i < t->next; i++) {
+            int pose = b * t->next + i, block = b * blocks + i / PLAN_BLOCK;
+            if (!(t->value_next[pose] > -HUGE_VAL))
+                continue;
+            most[block] = fmax(most[block], t->value_next[pose]);
+            for (int a = 0; a < n; a++) {
+                double q = t->q_next[pose * n + a], slack = t->slack_next[pose * n + a];
+                low[block * n + a] = fmin(low[block * n + a], q - slack);
+                high[block * n + a] = fmax(high[block * n + a], q + slack);
+            }
+        }
+}
+
+/* The best that pose (b, j) reaches in one branch of the next time, if more than `best`. */
+static double best_in(const plan_stage *t, int pose, int to, int blocks, const double *low, const double *high,
+                      const double *most, double best)
+{
+    const double *q = t->q + pose * t->n, *slack = t->slack + pose * t->n;
+    int n = t->n;
+
+    for (int k = 0; k < blocks; k++) {
+        int block = to * blocks + k, far = 0, last = (k + 1) * PLAN_BLOCK < t->next ? (k + 1) * PLAN_BLOCK : t->next;
+        if (!(most[block] > best))
+            continue;
+        for (int a = 0; a < n && !far; a++) {
+            double way = (t->step[a] + slack[a]) * (1.0 + 1e-9) + 1e-12;
+            far = !(low[block * n + a] <= q[a] + way && q[a] - way <= high[block * n + a]);
+        }
+        for (int i = k * PLAN_BLOCK; i < last && !far; i++) {
+            int other = to * t->next + i, near;
+            double total = t->value_next[other];
+            near = total > best;
+            for (int a = 0; a < n && near; a++) {
+                double away = fabs(q[a] - t->q_next[other * n + a]);
+                near = away <= t->step[a] + slack[a] + t->slack_next[other * n + a];
+                total -= t->price * away * away;
+            }
+            if (near && total > best)
+                best = total;
+        }
+    }
+    return best;
+}
+
+void plan_advance(const plan_stage *t, double *room, double *value)
+{
+    int blocks = (t->next + PLAN_BLOCK - 1) / PLAN_BLOCK, total = t->branches * blocks;
+    double *low = room, *high = room + total * t->n, *most = room + 2 * total * t->n;
+
+    bound_blocks(t, blocks, low, high, most);
+    for (int b = 0; b < t->branches; b++)
+        for (int j = 0; j < t->m; j++) {
+            int pose = b * t->m + j;
+            double best = -HUGE_VAL;
+            value[pose] = -HUGE_VAL;
+            if (!(t->gain[pose] > -HUGE_VAL))
+                continue;
+            int bits = (int)t->crossing[j];
+            for (int flips = bits;; flips = (flips - 1) & bits) { /* all subsets of the bits */
+                best = best_in(t, pose, b ^ flips, blocks, low, high, most, best);
+                if (flips == 0)
+                    break;
+            }
+            if (best > -HUGE_VAL)
+                value[pose] = t->worst ? fmin(best, t->gain[pose]) : best + t->gain[pose];
+        }
+}

@@ -1,0 +1,49 @@
+/* What planning needs of an arm: curves of self-motion, climbs of mu over them, and one step of a value function. */
+#ifndef MOC_PLAN_H
+#define MOC_PLAN_H
+
+#include "moc.h"
+
+/* An arm inside its limits, with a tip and a wrist that it has to keep. */
+typedef struct {
+    const moc_arm *arm;
+    const double *low, *high;   /* (n,) */
+    double target[2][3];        /* tip and wrist [m] */
+    int active[MOC_MAX_JOINTS]; /* the joints that may move along a curve, one more than tip and wrist fix */
+    int count;
+} plan_task;
+
+typedef enum { PLAN_LIMIT = 0, PLAN_CLOSED, PLAN_SINGULAR, PLAN_LENGTH } plan_end;
+
+/* Samples s, poses (most, n) and mu of the curve from q on along the unit tangent (n,); returns how many. At a joint
+ * limit the last step is bisected; a curve that comes back to its start, up to whole turns, is closed with that pose. */
+int plan_follow(const plan_task *task, const double *q, const double *tangent, double step, int most, double *s,
+                double *poses, double *mus, plan_end *end);
+
+/* The pose (n,) on the curve across the unit vector `along` from q; 0 where Newton's method does not find it. */
+int plan_correct(const plan_task *task, const double *q, const double *along, double *pose);
+
+/* Place q (n,) and climb to a local maximum of mu inside the limits, in place; returns mu, -1 where it has no pose. */
+double plan_ascend(const plan_task *task, double *q);
+
+/* What the poses of one time are worth by those of the time next to it, value[branches][m].
+ *
+ * Poses q (branches, m, n) with slack, NaN where there is none; gain (branches, m): what a pose adds, -inf: forbidden.
+ * A pose is next to another where no joint turns by more than its step (n,) and both slacks; in its own branch, or in
+ * one whose number differs in bits of crossing[m]. price: of a step's square [1/rad^2]; worst: the value is the least
+ * gain on the way in place of their sum. `room`: branches * (blocks of next) * (2 n + 1) numbers of scratch. */
+typedef struct {
+    int branches, m, next, n;
+    const double *q, *slack, *gain;
+    const double *q_next, *slack_next, *value_next;
+    const double *step;
+    const double *crossing; /* whole numbers */
+    double price;
+    int worst;
+} plan_stage;
+
+enum { PLAN_BLOCK = 16 };
+
+void plan_advance(const plan_stage *stage, double *room, double *value);
+
+#endif

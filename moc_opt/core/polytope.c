@@ -1,0 +1,266 @@
+/* Several freedoms: the best point of a box cut by the plane A x = b, as a projection.
+ *
+ * Pi is the orthogonal projector on ker A, x_p the shortest point of the plane, s = x - x_p. Over the box
+ * rho/2 |x|^2 - c2 g^T x is smallest at the point nearest to s = c2 Pi g / rho. The dual active-set method of Goldfarb
+ * and Idnani (Math. Programming 27, 1983, algorithm 1) goes there from that unconstrained optimum and adds violated
+ * bounds one by one; it needs no feasible start and proves infeasibility. All it has to know is Pi swept on the active
+ * joints (Goodnight, The American Statistician 33, 1979): row p then says how the other joints yield when joint p is
+ * pushed, and how the multipliers of the active bounds change. For rho = 0 the proximal point iteration (finite for
+ * linear programs: Ferris 1991) repeats the projection. */
+#include <string.h>
+
+#include "shared.h"
+#include "vec.h"
+
+#define NEAR 10.0        /* box widths within which the way to the optimum leaves no rounding worth taking out */
+#define FAR 1e3          /* box widths beyond which the unconstrained optimum is approached in proximal steps */
+#define UNMOVED 1e-26    /* Pi_jj, the square of how far joint j goes on a step of one: below it, it does not move */
+#define DELICATE 1e-6    /* of Pi_jj: with less than that left by the active joints, rounding shows in a push */
+#define DEPENDENT 1e-12  /* of Pi_jj: with no more than that left by them, joint j cannot be pushed */
+
+typedef struct {
+    int n, r;                                  /* joints, freedoms */
+    double s[MOC_MAX_JOINTS];                  /* the point, from x_p [rad/s] */
+    double low[MOC_MAX_JOINTS], high[MOC_MAX_JOINTS];
+    double pull[MOC_MAX_JOINTS];               /* c2 Pi g */
+    double side[MOC_MAX_JOINTS];               /* +1 at an active lower bound, -1 at an upper one, 0 elsewhere */
+    double force[MOC_MAX_JOINTS];              /* multiplier of that bound: above zero at a lower one */
+    double room[MOC_MAX_JOINTS];               /* Pi_jj before any sweep */
+    double Pi[MOC_MAX_JOINTS][MOC_MAX_JOINTS]; /* swept on the active joints */
+    double Z[MOC_MAX_JOINTS][MOC_MAX_JOINTS];  /* orthogonal rows, a basis of ker A */
+    double inverse[MOC_MAX_JOINTS];            /* 1 / |Z_k|^2 */
+} polytope;
+
+static void orthogonalise(polytope *t)
+{
+    for (int a = 0; a < t->r; a++) {
+        t->inverse[a] = 1.0 / dot(t->n, t->Z[a], t->Z[a]);
+        for (int b = a + 1; b < t->r; b++) {
+            double along = t->inverse[a] * dot(t->n, t->Z[a], t->Z[b]);
+            for (int j = 0; j < t->n; j++)
+                t->Z[b][j] -= along * t->Z[a][j];
+        }
+    }
+}
+
+/* to = scale Pi x, through the basis. */
+static void onto_basis(const polytope *t, const double *x, double scale, double *to)
+{
+    double sum[MOC_MAX_JOINTS] = {0.0};
+    for (int k = 0; k < t->r; k++) {
+        double along = scale * t->inverse[k] * dot(t->n, t->Z[k], x);
+        for (int j = 0; j < t->n; j++)
+            sum[j] += along * t->Z[k][j];
+    }
+    memcpy(to, sum, (unsigned)t->n * sizeof *to);
+}
+
+/* Pi = sum of z z^T / |z|^2, not swept. */
+static void fill_projector(polytope *t)
+{
+    for (int i = 0; i < t->n; i++)
+        for (int j = 0; j < t->n; j++) {
+            t->Pi[i][j] = 0.0;
+            for (int k = 0; k < t->r; k++)
+                t->Pi[i][j] += t->Z[k][i] * t->inverse[k] * t->Z[k][j];
+        }
+}
+
+/* Exchange joint p's s for its multiplier in Pi (sign 1), or back again (sign -1). */
+static void sweep(polytope *t, int p, double sign)
+{
+    double inverse = 1.0 / t->Pi[p][p], row[MOC_MAX_JOINTS];
+    memcpy(row, t->Pi[p], (unsigned)t->n * sizeof *row);
+    row[p] = -sign;
+    for (int i = 0; i < t->n; i++) {
+        double scale = t->Pi[i][p] * inverse;
+        t->Pi[i][p] = 0.0;
+        for (int j = 0; j < t->n; j++)
+            t->Pi[i][j] -= scale * row[j];
+    }
+    for (int j = 0; j < t->n; j++)
+        t->Pi[p][j] = sign * inverse * row[j];
+    t->Pi[p][p] = -inverse;
+}
+
+/* Take the rounding of the way out of s: back into ker A, and the active joints onto their bounds. */
+static void settle(polytope *t)
+{
+    double back[MOC_MAX_JOINTS];
+    onto_basis(t, t->s, 1.0, back);
+    memcpy(t->s, back, (unsigned)t->n * sizeof *back);
+    for (int a = 0; a < t->n; a++) {
+        if (!(fabs(t->side[a]) > 0.0))
+            continue;
+        double bound = t->side[a] > 0.0 ? t->low[a] : t->high[a], gap = bound - back[a];
+        for (int j = 0; j < t->n; j++)
+            t->s[j] += gap * (1.0 - fabs(t->side[j])) * t->Pi[a][j];
+        t->s[a] = bound;
+    }
+}
+
+/* The joint that is furthest beyond its bounds; -1 where none is by more than the slack. */
+static int furthest_out(const polytope *t, double slack)
+{
+    int joint = -1;
+    for (int j = 0; j < t->n; j++) {
+        double below = t->low[j] - t->s[j], over = t->s[j] - t->high[j], beyond = below > over ? below : over;
+        if (beyond > slack) {
+            slack = beyond;
+            joint = j;
+        }
+    }
+    return joint;
+}
+
+/* The active bound whose multiplier vanishes first when joint p is pushed, and after how much push. */
+static int first_to_let_go(const polytope *t, int p, double side, double *step)
+{
+    int joint = -1;
+    *step = HUGE_VAL;
+    for (int j = 0; j < t->n; j++) {
+        double fading = side * t->side[j] * t->Pi[p][j];
+        if (fading > 1e-12 && fabs(t->force[j]) / fading < *step) {
+            *step = fabs(t->force[j]) / fading;
+            joint = j;
+        }
+    }
+    return joint;
+}
+
+/* Push joint p onto the bound it violates; active bounds let go on the way. Returns 0 where it cannot be pushed. */
+static int push(polytope *t, int p, int *active, int *far)
+{
+    double side = t->s[p] < t->low[p] ? 1.0 : -1.0, bound = side > 0.0 ? t->low[p] : t->high[p];
+    for (;;) {
+        double step, full = HUGE_VAL, gives = t->Pi[p][p];
+        int drop = first_to_let_go(t, p, side, &step);
+        if (*active < t->r && gives > DEPENDENT * t->room[p])
+            full = side * (bound - t->s[p]) / gives; /* until it is there */
+        else if (drop < 0)
+            return 0;
+        double length = side * fmin(step, full), move = full < HUGE_VAL ? length : 0.0;
+        for (int j = 0; j < t->n; j++) {
+            double on = fabs(t->side[j]);
+            t->force[j] -= length * on * t->Pi[p][j];
+            t->s[j] += move * (1.0 - on) * t->Pi[p][j];
+        }
+        t->force[p] += length;
+        if (full <= step) {
+            *far |= gives < DELICATE * t->room[p];
+            sweep(t, p, 1.0);
+            t->s[p] = bound;
+            t->side[p] = side;
+            ++*active;
+            return 1;
+        }
+        t->force[drop] = t->side[drop] = 0.0;
+        --*active;
+        sweep(t, drop, -1.0);
+    }
+}
+
+/* Move s to the nearest point within its bounds, along the freedoms of Pi, which is not swept yet.
+ *
+ * Afterwards s - s_start = Pi force. Where the start is `far`, the rounding of the way is taken out at the end. */
+static moc_status project(polytope *t, double slack, int far)
+{
+    int active = 0;
+    for (int j = 0; j < t->n; j++)
+        t->force[j] = t->side[j] = 0.0;
+    for (int round = 0; round < 20 * t->n; round++) {
+        int p = furthest_out(t, slack);
+        if (p < 0) {
+            if (far)
+                settle(t);
+            return MOC_OK;
+        }
+        if (!push(t, p, &active, &far))
+            return MOC_INFEASIBLE;
+    }
+    return MOC_DOUBTFUL;
+}
+
+/* As `project`, to within the slack; where rounding decides if there is such a point, to a tenth of the tolerance: the
+ * plane may touch the box in one point only. */
+static moc_status nearest(polytope *t, double slack, double tolerance, int far)
+{
+    double start[MOC_MAX_JOINTS];
+    memcpy(start, t->s, sizeof start);
+    for (;;) {
+        moc_status status = project(t, slack, far);
+        if (status != MOC_INFEASIBLE || slack >= 0.1 * tolerance)
+            return status;
+        slack = 0.1 * tolerance;
+        fill_projector(t);
+        memcpy(t->s, start, sizeof start);
+    }
+}
+
+/* The proximal point iteration from a point of the box; *weight is that of the multipliers.
+ *
+ * Long steps first: they also travel where the cost is almost flat. The short one at the end stays at the vertex and
+ * takes the rounding of the long ones out. */
+static moc_status approach(polytope *t, double rho, double slack, double tolerance, double base, double *weight)
+{
+    static const double scales[] = {1e8, 1e4, 1.0};
+    moc_status status = MOC_OK;
+    for (int i = 0; i < 3; i++) {
+        double step = scales[i] * base, moved = HUGE_VAL;
+        for (int round = 0; round < 50 && moved > slack * scales[i]; round++) {
+            double before[MOC_MAX_JOINTS];
+            memcpy(before, t->s, sizeof before);
+            for (int j = 0; j < t->n; j++)
+                t->s[j] = (t->s[j] + step * t->pull[j]) / (1.0 + rho * step);
+            fill_projector(t);
+            status = nearest(t, slack * fmax(1.0, 1e-3 * scales[i]), tolerance, 1);
+            *weight = rho + 1.0 / step;
+            moved = 0.0;
+            for (int j = 0; j < t->n; j++) {
+                if (status != MOC_OK) /* there is a point in the box, but its rounding is too large from here */
+                    t->s[j] = before[j];
+                moved = fmax(moved, fabs(t->s[j] - before[j]));
+            }
+        }
+    }
+    return status == MOC_OK ? MOC_OK : MOC_DOUBTFUL;
+}
+
+moc_status moc_solve_several(const moc_plane *plane, const moc_problem *p, double tolerance, double *x, double *force)
+{
+    polytope t = {.n = p->n, .r = plane->freedoms};
+    double back[MOC_MAX_JOINTS], room = 0.0, weight = p->rho;
+
+    for (int k = 0; k < t.r; k++)
+        moc_direction(plane, t.n, k, t.Z[k]);
+    orthogonalise(&t);
+    fill_projector(&t);
+    onto_basis(&t, x, 1.0, back);
+    onto_basis(&t, p->grad_mu, p->c2, t.pull);
+    for (int j = 0; j < t.n; j++) {
+        t.room[j] = t.Pi[j][j];
+        t.low[j] = -HUGE_VAL;
+        t.high[j] = HUGE_VAL;
+        x[j] -= back[j];
+        if (t.room[j] > UNMOVED) {
+            t.low[j] = p->lower[j] - x[j];
+            t.high[j] = p->upper[j] - x[j];
+            room = fmax(room, p->upper[j] - p->lower[j]);
+        }
+    }
+    double pull = sqrt(dot(t.n, t.pull, t.pull)), slack = 1e-14 * fmax(1.0, room);
+    int direct = p->rho > 0.0 && pull <= FAR * room * p->rho;
+    for (int j = 0; j < t.n; j++)
+        t.s[j] = direct ? t.pull[j] / p->rho : 0.0;
+    moc_status status = nearest(&t, slack, tolerance, !direct || pull > NEAR * room * p->rho);
+    if (!direct) {
+        weight = 0.0;
+        if (status == MOC_OK && pull > 0.0)
+            status = approach(&t, p->rho, slack, tolerance, 10.0 * fmax(room, 1e-6) / pull, &weight);
+    }
+    for (int j = 0; j < t.n; j++) {
+        x[j] += t.s[j];
+        force[j] += weight * t.force[j];
+    }
+    return status;
+}

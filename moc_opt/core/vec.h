@@ -1,0 +1,96 @@
+/* Three-vectors, and small dense algebra with rows of MOC_MAX_JOINTS. */
+#ifndef MOC_VEC_H
+#define MOC_VEC_H
+
+#include <math.h>
+
+#include "moc.h"
+
+static inline double dot3(const double a[3], const double b[3])
+{
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+}
+
+/* out += s a x b */
+static inline void add_cross(double s, const double a[3], const double b[3], double out[3])
+{
+    out[0] += s * (a[1] * b[2] - a[2] * b[1]);
+    out[1] += s * (a[2] * b[0] - a[0] * b[2]);
+    out[2] += s * (a[0] * b[1] - a[1] * b[0]);
+}
+
+static inline double dot(int n, const double *a, const double *b)
+{
+    double sum = 0.0;
+    for (int i = 0; i < n; i++)
+        sum += a[i] * b[i];
+    return sum;
+}
+
+static inline int all_finite(int n, const double *x)
+{
+    double sum = 0.0;
+    for (int i = 0; i < n; i++)
+        sum += 0.0 * x[i]; /* NaN for NaN and for both infinities */
+    return sum == 0.0;
+}
+
+/* x, or the nearer end of [low, high]; the high end where they are the wrong way round. */
+static inline double clip(double x, double low, double high)
+{
+    x = x < low ? low : x;
+    return x > high ? high : x;
+}
+
+/* The lower factor L (m,m) of S = L L^T, with 1 / L_ii in inverse (m,); NaN where S is not positive definite. */
+static inline void cholesky(int m, double S[][MOC_MAX_JOINTS], double L[][MOC_MAX_JOINTS], double *inverse)
+{
+    for (int j = 0; j < m; j++) {
+        double d = S[j][j] - dot(j, L[j], L[j]);
+        L[j][j] = d > 0.0 ? sqrt(d) : (double)NAN;
+        inverse[j] = 1.0 / L[j][j];
+        for (int i = j + 1; i < m; i++)
+            L[i][j] = (S[i][j] - dot(j, L[i], L[j])) * inverse[j];
+    }
+}
+
+/* x (m,) becomes S^-1 x, given the factor of S. */
+static inline void solve_factored(int m, double L[][MOC_MAX_JOINTS], const double *inverse, double *x)
+{
+    for (int i = 0; i < m; i++)
+        x[i] = (x[i] - dot(i, L[i], x)) * inverse[i];
+    for (int i = m - 1; i >= 0; i--) {
+        for (int k = i + 1; k < m; k++)
+            x[i] -= L[k][i] * x[k];
+        x[i] *= inverse[i];
+    }
+}
+
+/* Two unit vectors that complete the unit vector u to a right-handed basis (b[0], b[1], u). */
+static inline void across(const double u[3], double b[2][3])
+{
+    int k = fabs(u[0]) <= fabs(u[1]) && fabs(u[0]) <= fabs(u[2]) ? 0 : fabs(u[1]) <= fabs(u[2]) ? 1 : 2;
+    double e[3] = {0.0, 0.0, 0.0}, length;
+
+    e[k] = 1.0;
+    for (int i = 0; i < 3; i++)
+        b[0][i] = b[1][i] = 0.0;
+    add_cross(1.0, u, e, b[0]);
+    length = sqrt(dot3(b[0], b[0]));
+    for (int i = 0; i < 3; i++)
+        b[0][i] /= length;
+    add_cross(1.0, u, b[0], b[1]);
+}
+
+/* The five independent rows of A: those of the tip, and the wrist's across the shaft u; b: see `across`. */
+static inline void five_rows(int n, double A[][MOC_MAX_JOINTS], double b[2][3], double A5[5][MOC_MAX_JOINTS])
+{
+    for (int j = 0; j < n; j++) {
+        for (int i = 0; i < 3; i++)
+            A5[i][j] = A[i][j];
+        for (int i = 0; i < 2; i++)
+            A5[3 + i][j] = b[i][0] * A[3][j] + b[i][1] * A[4][j] + b[i][2] * A[5][j];
+    }
+}
+
+#endif

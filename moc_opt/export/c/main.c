@@ -1,0 +1,86 @@
+/* Self-test: the recorded ticks again, compared with the torque recorded in Python, and timed. */
+#define _POSIX_C_SOURCE 199309L
+
+#include <stdio.h>
+#include <stdlib.h>
+#include <time.h>
+
+#include "recording.h"
+
+enum { ROUNDS = 500, LATE = ROUNDS * SOUND / 1000 };
+
+static moc_state state;
+static double tau[MOC_MAX_JOINTS];
+
+static double now_us(void)
+{
+    struct timespec t;
+    clock_gettime(CLOCK_MONOTONIC, &t);
+    return 1e6 * (double)t.tv_sec + 1e-3 * (double)t.tv_nsec;
+}
+
+static int ascending(const void *a, const void *b)
+{
+    double x = *(const double *)a, y = *(const double *)b;
+    return (x > y) - (x < y);
+}
+
+static moc_measurement measured(int k, const double *applied)
+{
+    return (moc_measurement){recorded[k].q, recorded[k].v, recorded[k].stamp, 1, applied, recorded[k].wrench};
+}
+
+static void begin(void)
+{
+    moc_measurement first = measured(0, sent);
+    if (moc_begin_run(&moc_constants, &first, &state) != MOC_RUNNING)
+        printf("%s\n", moc_reason(state.reason));
+}
+
+static moc_stop step(int k)
+{
+    moc_measurement now = measured(k, NULL);
+    return moc_step(&moc_constants, &now, &recorded[k].ref, &recorded[k].trocar, &state, tau);
+}
+
+int main(void)
+{
+    static double times[ROUNDS * SOUND];
+    double worst = 0.0, total = 0.0;
+    int limited = 0, stopped_at = -1, same = 1;
+
+    begin();
+    for (int k = 0; k < TICKS; k++) {
+        if (step(k) != MOC_RUNNING && stopped_at < 0)
+            stopped_at = k;
+        limited += state.watch.limited > 0;
+        for (int i = 0; i < JOINTS; i++) {
+            double off = fabs(tau[i] - recorded[k].tau[i]);
+            same &= off < 1e-9; /* not for a NaN */
+            worst = fmax(worst, off);
+        }
+    }
+    printf("%d ticks, %d limited, %s", TICKS, limited, moc_reason(state.reason));
+    if (stopped_at >= 0)
+        printf(" (tick %d)", stopped_at);
+    printf("; largest difference from the recorded torque %.1e Nm\n", worst);
+
+    for (int round = 0; round < ROUNDS; round++) {
+        begin();
+        double from = now_us();
+        for (int k = 0; k < SOUND; k++)
+            step(k);
+        total += now_us() - from;
+        begin();
+        for (int k = 0; k < SOUND; k++) {
+            from = now_us();
+            step(k);
+            times[round * SOUND + k] = now_us() - from;
+        }
+    }
+    qsort(times, ROUNDS * SOUND, sizeof times[0], ascending);
+    printf("one tick: mean %.3f us; with the clock: median %.3f us, p99.9 %.3f us, max %.3f us\n",
+           total / (ROUNDS * SOUND), times[ROUNDS * SOUND / 2], times[ROUNDS * SOUND - LATE - 1],
+           times[ROUNDS * SOUND - 1]);
+    return same && stopped_at == STOPPED_AT ? 0 : 1;
+}

@@ -1,0 +1,209 @@
+"""Write the folder: files of `moc_opt/core` and ``c/`` as they are, the numbers of a scenario as initialisers in C."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import os
+import textwrap
+from collections.abc import Iterable, Mapping
+from importlib.resources import files
+from importlib.resources.abc import Traversable
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from moc_opt.arrays import Array
+from moc_opt.errors import ScenarioError
+from moc_opt.inputs.files import as_path, write_whole
+from moc_opt.robots.model import RobotModel
+
+CORE = (
+    "moc.h", "vec.h", "shared.h", "arm.c", "manipulability.c", "levels.c", "null_space.c", "exact.c", "polytope.c",
+    "answer.c", "guard.c", "step.c",
+)  # fmt: skip
+"""The files of `moc_opt/core` that `moc_step` needs."""
+TESTS = ("main.c", "Makefile", "README.md")
+UDP = ("udp.c", "wire_link.c", "wire_link.h", "wire_check.c", "wire_check.h")
+OWN = files("moc_opt.export") / "c"
+MARK = "Written by moc-opt export-c"
+SUPERVISION = (
+    "check", "box_limit", "primal_limit", "relative_limit", "opposite_limit", "hold_ticks", "keep_off_limits",
+    "fallback", "late", "budget_us",
+)  # fmt: skip
+"""The fields of moc_supervision; `numbers_of` of a law has them beside those of moc_law."""
+
+
+class Recording(NamedTuple):
+    """k consecutive ticks: measurements, references, and the torques that left the safety filter.
+
+    Before the first tick ``sent`` (n,) acted. The first ``sound`` ticks have no faults; these are timed. At tick
+    ``stopped_at`` the safety filter stopped the arm; -1: it did not.
+    """
+
+    q: Array  # (k, n) [rad]; may be NaN
+    v: Array  # (k, n) [rad/s]
+    stamp: Array  # (k,) number of the control period in which that was measured
+    tip_ref: Array  # (k, 3, 3) rows X_d [m], dX_d [m/s], ddX_d [m/s^2]
+    trocar: Array  # (k, 2, 3) rows P_t [m], dP_t [m/s]
+    wrench: Array  # (k, 6) force [N] and torque [Nm] of the tool on its mount, tool axes
+    tau: Array  # (k, n) [Nm]
+    sent: Array  # (n,) [Nm]
+    sound: int
+    stopped_at: int
+
+
+def shipped(folder: Traversable, names: Iterable[str]) -> dict[str, str]:
+    """Read files of the package, text by name."""
+    return {name: (folder / name).read_text(encoding="utf-8") for name in names}
+
+
+def in_c(value: Any) -> str:
+    """Write a number, an array or a mapping as an initialiser in C that reads back to the last bit."""
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(f".{name} = {in_c(part)}" for name, part in value.items()) + "}"
+    if isinstance(value, list | tuple | np.ndarray):
+        return "{" + ", ".join(map(in_c, value)) + "}"
+    if isinstance(value, int | np.integer | np.bool_):
+        return str(int(value))
+    if math.isnan(value):
+        return "NAN"
+    return repr(float(value)) if math.isfinite(value) else "INFINITY" if value > 0.0 else "-INFINITY"
+
+
+def defined(declaration: str, value: Any) -> str:
+    """Write a definition in lines of 120 characters."""
+    return textwrap.fill(
+        f"{declaration} = {in_c(value)};", 120, subsequent_indent="    ", break_long_words=False, break_on_hyphens=False
+    )
+
+
+def arm_in_c(robot: RobotModel) -> dict[str, Any]:
+    """Return the arm by the names of moc_arm."""
+    joints, bodies, rotors, points, tool, moves, gravity = robot.arm_arrays
+    return {
+        "n": robot.n,
+        "joint": [
+            {
+                "rotation": joint[:9].reshape(3, 3), "origin": joint[9:12], "axis": joint[12:15],
+                "slides": int(joint[15]), "mass": body[0], "moment": body[1:4], "inertia": body[4:], "rotor": rotor,
+            }
+            for joint, body, rotor in zip(joints, bodies, rotors, strict=True)
+        ],
+        "point": points, "tool": tool, "moves": moves.astype(int), "gravity": gravity,
+    }  # fmt: skip
+
+
+def constants(
+    robot: RobotModel, law: Mapping[str, Any], guard: Mapping[str, Any], tolerance: float, stop: tuple[float, float]
+) -> dict[str, str]:
+    """Write constants.h and constants.c, text by name; arguments as for `write`."""
+    header = f"""\
+/* The scenario's numbers: moc_constants is what moc_begin_run and moc_step take. */
+#ifndef CONSTANTS_H
+#define CONSTANTS_H
+
+#include "moc.h"
+
+#define JOINTS {robot.n}
+#define PERIOD_S {in_c(law["period"])} /* of control */
+#define STOP_DAMPING {in_c(stop[0])} /* of the drives in a stop [Nm s/rad] */
+#define STOP_S {in_c(stop[1])} /* for which they keep it at least */
+
+extern const moc_controller moc_constants;
+
+#endif
+"""
+    parts = {
+        "moc_arm arm": arm_in_c(robot),
+        "moc_law law": {name: value for name, value in law.items() if name not in SUPERVISION},
+        "moc_supervision supervision": {name: law[name] for name in SUPERVISION},
+        "moc_guard guard": guard,
+    }
+    body = "\n\n".join(defined(f"static const {name}", value) for name, value in parts.items())
+    whole = f"const moc_controller moc_constants = {{&arm, &law, &supervision, &guard, {in_c(tolerance)}}};"
+    return {"constants.h": header, "constants.c": f'#include <math.h>\n\n#include "constants.h"\n\n{body}\n\n{whole}\n'}
+
+
+def recording_in_c(recording: Recording) -> str:
+    """Write recording.h."""
+    r = recording
+    columns = zip(r.q, r.v, r.stamp.astype(int), r.tip_ref, r.trocar, r.wrench, r.tau, strict=True)
+    return f"""\
+/* Ticks of the controller in Python; in the last {len(r.q) - r.sound} measurements and references have faults. */
+#include <math.h>
+
+#include "constants.h"
+
+enum {{ TICKS = {len(r.q)}, SOUND = {r.sound}, STOPPED_AT = {r.stopped_at} }};
+
+{defined("static const double sent[JOINTS]", r.sent)}
+
+static const struct {{
+    double q[JOINTS], v[JOINTS];
+    long long stamp;
+    moc_reference ref;
+    moc_trocar trocar;
+    double wrench[6], tau[JOINTS];
+}} {defined("recorded[TICKS]", list(columns))}
+"""
+
+
+def write(
+    robot: RobotModel, law: Mapping[str, Any], guard: Mapping[str, Any], recording: Recording,
+    out: str | os.PathLike[str], *, tolerance: float = 1e-9, stop: tuple[float, float] = (15.0, 0.5),
+    extra: Mapping[str, str | bytes] = MappingProxyType({}), force: bool = False,
+) -> list[Path]:  # fmt: skip
+    """Write the folder, and return its files.
+
+    Args:
+        robot: its model is compiled in.
+        law, guard: numbers by the names in moc.h (`numbers_of` of control/law.py and control/safety_filter.py).
+        recording: what ``make test`` runs again.
+        out: folder, made if need be.
+        tolerance: of the solver ``exact`` [rad/s].
+        stop: damping of the drives in a stop [Nm s/rad], and how long they keep it at least [s].
+        extra: further files, by name; with udp.c among them the Makefile builds moc_udp.
+        force: write over any file.
+
+    Raises:
+        ScenarioError: ``out`` cannot be written, or holds a file of one of these names that this did not write.
+    """
+    texts: dict[str, str | bytes] = {**shipped(files("moc_opt.core"), CORE), **shipped(OWN, TESTS)}
+    texts |= constants(robot, law, guard, tolerance, stop) | {"recording.h": recording_in_c(recording)} | dict(extra)
+    parts = [name for name in (*CORE, "constants.c") if name.endswith(".c")]
+    texts["Makefile"] = str(texts["Makefile"]).replace("@parts@", " ".join(parts))
+    folder = as_path(out, "out =", ScenarioError)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        kept = [name for name in texts if (folder / name).exists() and not _is_own(folder / name)]
+        if kept and not force:
+            raise ScenarioError(
+                f"out = {str(folder)!r}: {', '.join(kept)} there {'is' if len(kept) == 1 else 'are'} not as export-c "
+                "wrote it: name another folder, or give --force to write over it"
+            )
+        for name, text in texts.items():
+            write_whole(folder / name, text if isinstance(text, bytes) else _marked(name, text).encode())
+    except OSError as error:
+        raise ScenarioError(f"out = {str(folder)!r} cannot be written: {error}") from error
+    return [folder / name for name in texts]
+
+
+def _marked(name: str, text: str) -> str:
+    """Put a first line above a text by which a later export knows that nobody has changed it."""
+    comments = {".c": ("/* ", " */"), ".h": ("/* ", " */"), ".md": ("<!-- ", " -->")}
+    before, after = comments.get(Path(name).suffix, ("# ", ""))
+    check = hashlib.blake2s(text.encode(), digest_size=8).hexdigest()
+    return f"{before}{MARK} ({check}). SPDX-License-Identifier: Apache-2.0{after}\n{text}"
+
+
+def _is_own(file: Path) -> bool:
+    if file.suffix == ".bin":  # numbers alone
+        return (file.parent / "udp.c").exists()
+    try:
+        text = file.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError):
+        return False
+    return text == _marked(file.name, text.partition("\n")[2])

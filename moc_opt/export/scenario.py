@@ -1,0 +1,131 @@
+"""From a scenario to its folder of C: what C cannot do is refused, and ticks are recorded for the self-test."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+
+from moc_opt.arrays import Array
+from moc_opt.control import Controller, law, safety_filter
+from moc_opt.errors import ScenarioError
+from moc_opt.export.folder import OWN, UDP, Recording, shipped, write
+from moc_opt.realtime.packets import c_header
+from moc_opt.scenario import Scenario, Setup, make_safety_filter
+from moc_opt.scenario.adapter import ControllerAdapter
+from moc_opt.scenario.wired import fingerprint
+from moc_opt.sim.closed_loop import FilteredController
+from moc_opt.sim.sensors import Measurement
+from moc_opt.solvers.exact import Exact
+
+TICKS = 150
+"""of the recording, from the middle of the run; a third of them with faults"""
+INFEASIBLE, VIOLENT = 0.5, 10.0  # beyond the reference's velocity [m/s]: no x meets it; the torque is limited
+
+
+def export_scenario(
+    scenario: Scenario, out: str | os.PathLike[str], *, udp: bool = False, force: bool = False
+) -> list[Path]:
+    """Write the whole controller of a scenario as C: tick, supervisor, fallback and safety filter.
+
+    Args:
+        scenario: of the controller; its run gives the recorded ticks.
+        out: folder, made if need be.
+        udp: also a program that is this controller at the end of a wire, and the references of its ticks.
+        force: write over files that are not export-c's own.
+
+    Returns:
+        the files.
+
+    Raises:
+        MocOptError: a setting that C cannot do, named; the scenario cannot be run; or ``out`` cannot be written.
+    """
+    check(scenario)
+    setup = Setup(scenario.change(judge=False, bound_samples=0, faults={"solver": "none"}))
+    robot, period, solver = setup.robot, scenario.plant.period_s, setup.solver()
+    numbers = law.numbers_of(scenario.control, robot, period)
+    limits = safety_filter.numbers_of(scenario.told_guard, robot, period)
+    extra: dict[str, str | bytes] = {}
+    if udp:
+        said = fingerprint(scenario, robot), scenario.wire.wait_s, scenario.wire.silence_s
+        header = c_header(robot.n, setup.ticks, *said)
+        extra |= {**shipped(OWN, UDP), "wire_packets.h": header, "reference.bin": references(setup)}
+    stop = scenario.guard.stop_damping_Nm_s_per_rad, scenario.guard.stop_s
+    return write(
+        robot, numbers, limits, record(setup), out, tolerance=solver.tolerance if isinstance(solver, Exact) else 1e-9,
+        stop=stop, extra=extra, force=force,
+    )  # fmt: skip
+
+
+def check(scenario: Scenario) -> None:
+    """Refuse what the C code cannot do.
+
+    Raises:
+        ScenarioError: naming the setting, its value and the cure.
+    """
+    solver, control = scenario.solver, scenario.control
+    for wrong, words in (
+        (control.law == "moc" and solver.name != "exact",
+         f"[solver] name = {solver.name!r}: the C code holds 'exact' alone; take that one"),
+        (solver.replay_us is not None,
+         f"[solver] replay_us = {solver.replay_us!r:.60}: the C code takes no recorded times; leave it out"),
+        (solver.isolation != "none",
+         f"[solver] isolation = {solver.isolation!r}: an exported controller holds its solver; leave it out"),
+        (control.follows,
+         f"[control] third_level = {control.third_level!r}: the C code follows no course; take 'local'"),
+        (control.supervisor.budget_us is not None,
+         f"[control.supervisor] budget_us = {control.supervisor.budget_us}: the C code looks at no clock; leave it "
+         "out"),
+    ):  # fmt: skip
+        if wrong:
+            raise ScenarioError(words)
+
+
+def references(setup: Setup) -> bytes:
+    """Return tip_ref (3, 3) and registered trocar (2, 3) of every tick, row by row, as little-endian doubles."""
+    rows = [np.stack(of.at(setup.times()), axis=1) for of in (setup.reference, setup.registered)]
+    return np.hstack([part.reshape(setup.ticks, -1) for part in rows]).astype("<f8").tobytes()
+
+
+def record(setup: Setup) -> Recording:
+    """Record the controller behind its safety filter on measurements of the scenario's run, the last of them bad.
+
+    As many ticks as the safety filter bridges are NaN, a joint jumps for one, a joint is too fast for one, references
+    are infeasible for some, and for one tick so fast that the torque is limited; at the end the measurements are lost
+    for good.
+    """
+    scenario, trace, t = setup.scenario, setup.trace(), setup.times()
+    whole = min(len(trace), len(t))
+    k = min(TICKS, whole)
+    sound = k - k // 3
+    part = slice(min(whole // 2, whole - k), min(whole // 2, whole - k) + k)
+    q, v = trace.q_rad[part].copy(), trace.v_rad_per_s[part].copy()
+    tip_ref, trocar = (np.stack(source.at(t[part]), axis=1) for source in (setup.reference, setup.registered))
+    wrench = np.hstack([trace.columns["force_N"], trace.columns["torque_Nm"]])[part]
+    stamp = np.arange(float(k))
+    if sound < k:
+        _spoil(setup, q[sound:], v[sound:], tip_ref[sound:], stamp[sound:])
+
+    sent = np.clip(setup.robot.gravity(q[0]), -setup.robot.tau_max, setup.robot.tau_max)
+    controller = Controller(setup.robot, scenario.control, setup.solver(), scenario.plant.period_s)
+    loop = FilteredController(ControllerAdapter(controller), make_safety_filter(setup.robot, scenario), sent)
+    loop.start(Measurement(q[0], v[0], wrench[0], 0), tip_ref[0], trocar[0])
+    tau, stopped_at = np.empty_like(q), -1
+    for i in range(k):
+        tau[i] = loop.tick(Measurement(q[i], v[i], wrench[i], int(stamp[i])), tip_ref[i], trocar[i])
+        stopped_at = i if loop.stop_reason and stopped_at < 0 else stopped_at
+    return Recording(q, v, stamp, tip_ref, trocar, wrench, tau, sent, sound, stopped_at)
+
+
+def _spoil(setup: Setup, q: Array, v: Array, tip_ref: Array, stamp: Array) -> None:
+    guard, k = setup.scenario.guard, len(q)
+    bridged = min(guard.patience_ticks, k // 10)
+    q[k // 5 : k // 5 + bridged] = np.nan
+    stamp[3 * k // 10] -= min(bridged, 1)  # a packet comes again
+    if bridged > 0:
+        q[2 * k // 5, 0] += 4.0 * guard.jump_rad
+    v[3 * k // 5, -1] = 2.0 * setup.robot.v_max[-1]
+    tip_ref[7 * k // 10 : 8 * k // 10, 1] += INFEASIBLE
+    tip_ref[9 * k // 10 - 1, 1] += VIOLENT
+    q[9 * k // 10 :] = np.nan

@@ -1,0 +1,264 @@
+"""A course as a nonlinear program (direct transcription): over a whole path, and over a short horizon again and again.
+
+Variables are the joints that move, at N evenly spaced times after a start that stays as it is:
+
+    max  mean of mu / mu_0 - w (|ddq|^2 + |dq|^2 / T^2) + V(q_N) / mu_0
+    s.t. X(q_k) = X_d,  B_k^T (N(q_k) - X_d) = 0,  q_min <= q_k <= q_max,  |q_k - q_k-1| <= v_max dt,
+         and no joint is `too_fast` towards its limit
+
+B_k (3,2) is orthogonal to the shaft: five equations, since tip and wrist are rigidly tied; with six no multiplier is
+unique. mu is less where the shaft is nearly lost, as on the map. V is what the last pose is worth for the rest of the
+path (`search`). In place of the mean of mu stands that of log mu, or s with mu(q_k) >= s.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from moc_opt.arrays import Array
+from moc_opt.planning.course import (
+    WORTH,
+    Course,
+    Limits,
+    Objective,
+    Targets,
+    lowered,
+    make_course,
+    shaft_shares,
+)
+from moc_opt.planning.search import End
+from moc_opt.robots.model import RobotModel
+
+# Of a whole path. mu_init is ipopt's first barrier: with 1e-3 it leaves a course that is fast or close to a limit,
+# often for a slow one at another local maximum of mu.
+WHOLE: dict[str, Any] = {
+    "print_time": False, "ipopt.print_level": 0, "ipopt.sb": "yes", "ipopt.max_iter": 300, "ipopt.tol": 1e-8,
+    "ipopt.constr_viol_tol": 1e-10, "ipopt.bound_relax_factor": 0.0, "ipopt.honor_original_bounds": "yes",
+    "ipopt.mu_init": 1e-5, "ipopt.bound_push": 1e-6, "ipopt.bound_frac": 1e-6, "ipopt.slack_bound_push": 1e-6,
+    "ipopt.slack_bound_frac": 1e-6, "ipopt.acceptable_iter": 0,
+}  # fmt: skip
+# Of a horizon: three steps, since the next solve, begun at this answer, goes on where it ends.
+HORIZON: dict[str, Any] = {
+    "print_time": False, "print_header": False, "print_iteration": False, "print_status": False, "error_on_fail": False,
+    "max_iter": 3, "tol_pr": 1e-6, "tol_du": 1e-3, "convexify_strategy": "regularize", "qpsol": "osqp", "expand": True,
+    "qpsol_options": {
+        "error_on_fail": False,
+        "osqp": {"verbose": False, "max_iter": 1000, "eps_abs": 1e-5, "eps_rel": 1e-5, "adaptive_rho_interval": 25},
+    },
+}  # fmt: skip
+SETTLED_S = 0.3  #: A joint's speed counts as much as an acceleration that takes it away in this time.
+SOFT_RAD = 0.003  #: Rounds the speed of a joint that brakes off at its end, where a square root has no slope.
+SMOOTH_LOSS = 0.05
+"""Share of the objective that a smoother course, or one that brakes, may cost; where it costs more, the program went to
+another local maximum."""
+MEAN_TOO = 1e-3  #: Weight of the mean of mu, in shares of itself, beside the worst mu.
+LEAST_SHARE = 1e-4  #: Rounds the share of the squared lever off at zero, where a square root has no slope.
+INSIDE = 1e-9
+"""Limits and speeds are kept this far inside, so that rounding stays within them [rad]; half of a step at most is taken
+off."""
+
+
+class Program:
+    """The program for one arm and N times; ``solve`` fills in targets, start and end."""
+
+    def __init__(
+        self, robot: RobotModel, nodes: int, period_s: float, limits: Limits, *, mu: float, top: float = 0.0,
+        objective: Objective = "mean", smoothness: float = 0.0, brake: float = np.inf, horizon: bool = False,
+    ) -> None:  # fmt: skip
+        """Write the program.
+
+        Args:
+            nodes: N, times after the start.
+            period_s: between two times [s]; on a horizon each solve has its own.
+            limits: of the course.
+            mu: mu_0, what a pose is usually worth [m^3].
+            top: largest mu, in what a pose costs that nearly loses the shaft [m^3]; 0: mu_0.
+            objective: as of a search.
+            smoothness: w [s^4/rad^2].
+            brake: deceleration that stops a joint before its limit [rad/s^2].
+            horizon: solved by three quadratic programs, not by ipopt, and not at rest at its end.
+        """
+        import casadi as ca  # late: half a second
+
+        self._moving = moving = np.flatnonzero(robot.moves.any(axis=0))
+        self.robot, self.nodes, self.limits, n, a = robot, nodes, limits, robot.n, len(moving)
+        sym, kin = ca.MX.sym, robot.kinematics()
+        x, start, speed_0, dt = sym("q", a, nodes), sym("q_0", n), sym("dq_0", n), sym("dt")
+        tip, one, two = sym("tip", 3, nodes), sym("one", 3, nodes), sym("two", 3, nodes)
+        end, along, slope, bend = sym("end", n), sym("along", n), sym("slope"), sym("bend")
+        place = np.zeros((n, a))
+        place[moving, np.arange(a)] = 1.0
+        idle = start * ca.DM(1.0 - place.sum(axis=1))
+        q = ca.mtimes(ca.DM(place), x) + ca.repmat(idle, 1, nodes)
+        mus, lever = kin.mu.map(nodes)(q), kin.wrist.map(nodes)(q) - tip
+        tasks = [kin.tip.map(nodes)(q) - tip, ca.sum1(one * lever), ca.sum1(two * lever)]
+        first = start[moving.tolist()]
+        steps = x - ca.horzcat(first, x[:, :-1])
+        before = ca.horzcat(dt * speed_0[moving.tolist()], steps[:, :-1])
+        keep = limits.margin + INSIDE
+        low, high = ((limit + sign * keep)[moving] for limit, sign in ((robot.q_min, 1.0), (robot.q_max, -1.0)))
+        self._low, self._high = np.tile(low, nodes), np.tile(high, nodes)
+        self._speed = np.tile((limits.speed_share * robot.v_max)[moving], nodes)
+        self._gain = np.full(a * nodes, limits.acceleration)
+        kept = [*(ca.vec(task) for task in tasks), ca.vec(steps)]
+        if np.isfinite(limits.acceleration):
+            kept.append(ca.vec(steps - before))
+        brakes = ca.MX(0, 1)
+        if np.isfinite(brake):
+            ends = ca.repmat(ca.DM(low), nodes), ca.repmat(ca.DM(high), nodes)
+            brakes = dt * too_fast(ca.vec(steps) / dt, ca.vec(x), *ends, brake=brake)
+        z = ca.dot(along, q[:, -1] - end)
+        share = ca.sqrt(kin.shaft.map(nodes)(q) + LEAST_SHARE**2)
+        price = WORTH * ca.fmax(1.0 - share / limits.shaft, 0.0) ** 2 if limits.shaft > 0.0 else ca.MX.zeros(1, nodes)
+        worth = (mus - (top or mu) * price) / mu
+        if objective == "log":
+            worth = ca.log(mus) - price
+        weight = np.ones(nodes)
+        weight[-1] = 0.5
+        cost = -ca.dot(ca.DM(weight), worth.T) / nodes - (slope * z + 0.5 * bend * z**2) / (mu * nodes * dt)
+        rough = ca.sumsqr(steps - before) / dt**4 + ca.sumsqr(steps) / (dt * SETTLED_S) ** 2
+        if not horizon:
+            rough += ca.sumsqr(steps[:, -1]) / dt**4
+        cost += smoothness / nodes * rough
+        variables, self._least, least_rows = ca.vec(x), objective == "worst", ca.MX(0, 1)
+        if self._least:  # once the least mu cannot be raised, its mean decides: the start may be the worst pose of all
+            least = sym("s")
+            variables, least_rows = ca.vertcat(variables, least), worth.T - least
+            cost = MEAN_TOO * cost - least
+        self._mu, self._brakes, self._above = mu, brakes.numel(), least_rows.numel()
+        given = ca.vertcat(start, speed_0, dt, ca.vec(tip), ca.vec(one), ca.vec(two), end, along, slope, bend)
+        problem = {"x": variables, "p": given, "f": cost, "g": ca.vertcat(*kept, z, brakes, least_rows)}
+        method, options = ("sqpmethod", HORIZON) if horizon else ("ipopt", WHOLE)
+        self._make: Callable[[], Any] = lambda: ca.nlpsol("course", method, problem, options)
+        self.period_s = period_s
+        self.forget()
+
+    def forget(self) -> None:
+        """Make the solver anew: its workspace goes from call to call, and a run is to be repeated to the last bit."""
+        self._solver = self._make()
+
+    def solve(
+        self, guess: Array, start: Array, targets: Targets, speed: Array | None = None, end: End | None = None,
+        period_s: float | None = None,
+    ) -> tuple[Array, bool]:  # fmt: skip
+        """Solve it.
+
+        Args:
+            guess: (N,n) to begin with [rad].
+            start: (n,) the pose before the first time [rad].
+            targets: of the N times.
+            speed: (n,) the joints' velocity at the start [rad/s]; None: at rest.
+            end: what the last pose is worth.
+            period_s: between two times [s], if not that of the program.
+
+        Returns:
+            (N,n) [rad], not judged, NaN where nothing was found; and whether the solver met its tolerances.
+        """
+        dt, n = self.period_s if period_s is None else period_s, len(start)
+        speed = np.zeros(n) if speed is None else speed
+        known = End(start, np.zeros(n), low=-np.inf, high=np.inf) if end is None else end
+        one, two = _across_shafts(targets.wrist - targets.tip)
+        given = np.concatenate([
+            start, speed, [dt], targets.tip.ravel(), one.ravel(), two.ravel(), known.q_rad, known.along,
+            [known.slope, known.bend],
+        ])  # fmt: skip
+        rows = [dt * self._speed]
+        if np.isfinite(self.limits.acceleration):
+            rows.append(dt**2 * self._gain)
+        most = np.concatenate([np.maximum(row - INSIDE, 0.5 * row) for row in rows])
+        equal, above = np.zeros(5 * self.nodes), np.full(self._above, np.inf)
+        begin, low, high = np.clip(guess[:, self._moving].ravel(), self._low, self._high), self._low, self._high
+        if self._least:
+            begin = np.append(begin, self.robot.mu_along(guess).min() / self._mu)
+            low, high = np.append(low, -np.inf), np.append(high, np.inf)
+        free = np.full(self._brakes, -np.inf)
+        answer = self._solver(
+            x0=begin, p=given, lbx=low, ubx=high,
+            lbg=np.concatenate([equal, -most, [known.low], free, np.zeros(self._above)]),
+            ubg=np.concatenate([equal, most, [known.high], np.zeros(self._brakes), above]),
+        )  # fmt: skip
+        found = np.tile(start, (self.nodes, 1))
+        count = self.nodes * len(self._moving)
+        found[:, self._moving] = np.array(answer["x"]).ravel()[:count].reshape(self.nodes, -1)
+        return found, bool(self._solver.stats()["success"])
+
+
+def refine(
+    robot: RobotModel, targets: Targets, course: Course, limits: Limits, objective: Objective = "mean", *,
+    smoothness: float = 0.0, brake: float = np.inf,
+) -> Course:  # fmt: skip
+    """Improve a course of all times from its first pose, within limits, to a local optimum.
+
+    Args:
+        course: that is to be improved; it may break constraints.
+        limits: of the answer.
+        objective: as of the search.
+        smoothness, brake: as of `Program`; the answer is taken if the objective proper falls by no more than
+            `SMOOTH_LOSS` of the given course's.
+
+    Returns:
+        The better course by the robot model's own mu; the given one where the other breaks a constraint by more than
+        `MOST_VIOLATION`. ``certified`` where ipopt met its tolerances at the course that is returned.
+    """
+    if limits.shaft > 0.0 and _above(robot, course, limits):  # without the margin a program takes half of the time
+        bare = replace(limits, shaft=0.0)
+        free = refine(robot, targets, course, bare, objective, smoothness=smoothness, brake=brake)
+        if _above(robot, free, limits):
+            return free
+    top = float(course.mu.max())
+    program = Program(
+        robot, len(targets) - 1, targets.period_s, limits, mu=course.mu_mean, top=top, objective=objective,
+        smoothness=smoothness, brake=brake,
+    )  # fmt: skip
+    poses, met = program.solve(course.q_rad[1:], course.q_rad[0], targets[1:])
+    if not np.isfinite(poses).all():
+        return course
+    found = make_course(robot, targets, np.concatenate([course.q_rad[:1], poses]), limits)
+    loss = SMOOTH_LOSS if smoothness > 0.0 or np.isfinite(brake) else 0.0
+    judged: tuple[Objective, ...] = (objective, "mean") if loss and objective == "worst" else (objective,)
+    gained = [worth(robot, found, limits, what, top) - worth(robot, course, limits, what, top) for what in judged]
+    lost = any(gain < -loss * abs(course.value(what)) for gain, what in zip(gained, judged, strict=True))
+    if not found.kept or (course.kept and lost):
+        return course
+    return found.as_certified() if met else found
+
+
+def _above(robot: RobotModel, course: Course, limits: Limits) -> bool:
+    return bool((shaft_shares(robot, course.q_rad) >= limits.shaft).all())
+
+
+def worth(robot: RobotModel, course: Course, limits: Limits, objective: Objective, top: float) -> float:
+    """Return what a course is worth with mu lowered where the shaft is nearly lost, as on the map."""
+    if limits.shaft <= 0.0:
+        return course.value(objective)
+    less = lowered(course.mu, shaft_shares(robot, course.q_rad), limits, top)
+    return Course(course.t_s, course.q_rad, less, course.violation).value(objective)
+
+
+def too_fast(speed: Any, pose: Any, low: Any, high: Any, brake: float) -> Any:
+    """Write how much too fast joints go towards their limits to stop there (2 m), not above 0 where they can.
+
+    At a distance d the most is sqrt(2 b) (sqrt(d + e) - sqrt(e)), e = `SOFT_RAD`.
+
+    Args:
+        speed, pose, low, high: (m,) CasADi vectors [rad/s], [rad].
+        brake: b [rad/s^2].
+    """
+    import casadi as ca  # late: half a second
+
+    def most(room: Any) -> Any:
+        return np.sqrt(2.0 * brake) * (ca.sqrt(ca.fmax(room, 0.0) + SOFT_RAD) - np.sqrt(SOFT_RAD))
+
+    return ca.vertcat(speed - most(high - pose), -speed - most(pose - low))
+
+
+def _across_shafts(shafts: Array) -> tuple[Array, Array]:
+    along = shafts / np.linalg.norm(shafts, axis=1, keepdims=True)
+    other = np.eye(3)[np.argmin(np.abs(along).max(axis=0))]
+    first = np.cross(along, other)
+    first /= np.linalg.norm(first, axis=1, keepdims=True)
+    return first, np.cross(along, first)

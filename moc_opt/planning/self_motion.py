@@ -1,0 +1,174 @@
+"""The poses an arm can take while tip and wrist stay where they are: a curve between joint limits, scanned.
+
+The largest mu on this curve is what no controller can beat at that tip and wrist. The curve is followed by
+pseudo-arclength continuation: a step along the null vector of A, then Newton corrections across it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from moc_opt import core
+from moc_opt.arrays import Array, read_only
+from moc_opt.errors import RobotError
+from moc_opt.robots.model import RobotModel
+
+_REASONS = ("limit", "closed", "singular", "length")
+
+
+def parabola_peak(x: Array, y: Array) -> tuple[float, float]:
+    """Compute where the parabola through three samples has its peak, counted from the middle one.
+
+    Args:
+        x, y: (3,) places in ascending order, and values; those at the ends may be infinite.
+
+    Returns:
+        The step from x[1], no longer than to a neighbour, and the height above y[1]; zeros where there is no peak.
+    """
+    (left, right), (rise, fall) = np.diff(x), np.diff(y)
+    bend = (fall / right - rise / left) / (left + right)
+    if not -np.inf < bend < 0.0:
+        return 0.0, 0.0
+    slope = (rise / left * right + fall / right * left) / (left + right)
+    step = float(np.clip(-0.5 * slope / bend, -left, right))
+    return step, float(slope * step + bend * step * step)
+
+
+@dataclass(frozen=True, eq=False)
+class SelfMotion:
+    """Samples along the feasible self-motion; read-only arrays, in the order of the curve."""
+
+    s: Array  #: (k,) arc length in joint space [rad], 0 at the pose the scan began with, negative behind it
+    q: Array  #: (k,n) [rad]
+    mu: Array  #: (k,) [m^3]
+    ends: tuple[str, str]
+    """Why the curve ends: at a "limit", "closed" (a full turn), "singular", "length" (gave up), "point"."""
+    held: tuple[int, ...]
+    """Joints (from 0) that stand still: they move neither tip nor wrist, or would make it a surface."""
+    _curve: _Curve = field(repr=False)
+
+    @property
+    def closed(self) -> bool:
+        """Whether the curve is a loop: its last pose is its first, up to whole turns of a joint."""
+        return "closed" in self.ends
+
+    def at(self, fraction: float) -> Array:
+        """Return the pose (n,) at a fraction in [0, 1] of the arc length, corrected to 1e-10 m.
+
+        Raises:
+            RobotError: the fraction is outside [0, 1].
+        """
+        if not 0.0 <= fraction <= 1.0:
+            raise RobotError(f"fraction = {fraction!r}: give a number from 0 (first pose) to 1 (last pose)")
+        s = self.s[0] + fraction * (self.s[-1] - self.s[0])
+        i = int(np.clip(np.searchsorted(self.s, s) - 1, 0, max(len(self.s) - 2, 0)))
+        weight = 0.0 if len(self.s) == 1 else float((s - self.s[i]) / (self.s[i + 1] - self.s[i]))
+        pose = None
+        if 0.0 < weight < 1.0:
+            chord = self.q[i + 1] - self.q[i]
+            pose = self._curve.correct(self.q[i] + weight * chord, chord)
+        # No pose between two good samples only where the curve grazes a limit or a singularity.
+        return np.array(self.q[i + round(max(weight, 0.0))]) if pose is None else pose
+
+    @property
+    def best(self) -> Array:
+        """The pose (n,) of the largest mu, refined between the samples by a parabola."""
+        i = int(np.argmax(self.mu))
+        if not 0 < i < len(self.mu) - 1:
+            return np.array(self.q[i])
+        peak = self.s[i] + parabola_peak(self.s[i - 1 : i + 2], self.mu[i - 1 : i + 2])[0]
+        pose = self.at(float(np.clip((peak - self.s[0]) / (self.s[-1] - self.s[0]), 0.0, 1.0)))
+        return pose if self._curve.mu(pose) > self.mu[i] else np.array(self.q[i])
+
+    @property
+    def mu_best(self) -> float:
+        """mu of `best` [m^3]."""
+        return self._curve.mu(self.best)
+
+
+def self_motion(robot: RobotModel, q: ArrayLike, step: float = 0.02) -> SelfMotion:
+    """Scan the feasible self-motion through q at fixed tip and wrist.
+
+    Joints that move neither tip nor wrist are held. If more than one freedom is left (a rail, a tool off the last
+    axis), joints that slide at the base and then those nearest the tip are held too until one is: the result is then
+    a curve on a larger set of poses, and its largest mu no bound (`moc_opt.planning.largest` has that). If none is
+    left, the curve is one pose.
+
+    Args:
+        q: (n,) a pose inside the joint limits [rad].
+        step: spacing of the samples in joint space [rad].
+
+    Raises:
+        RobotError: q is outside the limits or singular, or the step is not positive.
+    """
+    if not (np.isfinite(step) and step > 0):
+        raise RobotError(f"step = {step!r}: it must be a positive number of radians")
+    state = robot.state(q)
+    outside = np.flatnonzero((state.q < robot.q_min) | (state.q > robot.q_max))
+    if outside.size:
+        raise RobotError(f"q = {state.q.tolist()}: joints {(outside + 1).tolist()} are outside their limits")
+    active = _active_joints(robot, state.A)
+    held = tuple(j for j in range(robot.n) if j not in active)
+    curve = _Curve(robot, active, np.array([state.tip, state.wrist]), step)
+    if len(active) <= _rank(state.A[:, active]):
+        return _frozen(np.zeros(1), state.q[None], np.array([state.mu]), ("point", "point"), held, curve)
+    tangent = np.zeros(robot.n)
+    tangent[active] = np.linalg.svd(state.A[:, active])[2][-1]
+    tangent *= np.sign(tangent[np.argmax(np.abs(tangent))])
+    s_up, q_up, mu_up, why_up = curve.follow(state.q, tangent)
+    if why_up == "closed":
+        return _frozen(s_up, q_up, mu_up, ("closed", "closed"), held, curve)
+    s_down, q_down, mu_down, why_down = curve.follow(state.q, -tangent)
+    s, poses, mu = (np.concatenate([b[:0:-1], a]) for a, b in ((s_up, -s_down), (q_up, q_down), (mu_up, mu_down)))
+    return _frozen(s, poses, mu, (why_down, why_up), held, curve)
+
+
+class _Curve:
+    """The constraint that defines one curve, as the core takes it."""
+
+    def __init__(self, robot: RobotModel, active: list[int], target: Array, step: float) -> None:
+        self._robot = robot
+        limits, self._step = (np.array(robot.q_min), np.array(robot.q_max)), step
+        self._task = (robot.arm, *limits, target, np.array(active, dtype=np.float64))
+        # Far longer than any real curve; it only bounds the memory of one that never ends.
+        self._most = int(np.ceil(4 * np.sum(robot.q_max - robot.q_min) / step)) + 2
+
+    def follow(self, q: Array, tangent: Array) -> tuple[Array, Array, Array, str]:
+        # Samples from q on along the tangent, q itself first, and why they end.
+        s, poses, mu = np.empty(self._most), np.empty((self._most, len(q))), np.empty(self._most)
+        count, end = core.follow_curve(*self._task, np.array(q), tangent, self._step, s, poses, mu)
+        return s[:count].copy(), poses[:count].copy(), mu[:count].copy(), _REASONS[end]
+
+    def correct(self, q: Array, along: Array) -> Array | None:
+        # The pose on the curve across `along` from q; None if none is inside the limits.
+        pose = np.empty(len(q))
+        found = core.onto_curve(*self._task, np.array(q), along / np.linalg.norm(along), pose)
+        return pose if found else None
+
+    def mu(self, q: Array) -> float:
+        return float(self._robot.mu_along(q[None])[0])
+
+
+def _frozen(s: Array, q: Array, mu: Array, ends: tuple[str, str], held: tuple[int, ...], curve: _Curve) -> SelfMotion:
+    return SelfMotion(read_only(s), read_only(q), read_only(mu), ends, held, curve)
+
+
+def _rank(matrix: Array) -> int:
+    return int(np.linalg.matrix_rank(matrix, tol=1e-9))
+
+
+def _active_joints(robot: RobotModel, a: Array) -> list[int]:
+    active = np.flatnonzero(robot.moves.any(axis=0)).tolist()
+    rng = np.random.default_rng(0)
+    draws = [robot.state(rng.uniform(robot.q_min, robot.q_max)).A for _ in range(3)]
+    usual = max(_rank(draw[:, active]) for draw in draws)
+    while len(active) > usual + 1 and robot.chain.prismatic[active[0]] and _rank(a[:, active[1:]]) == usual:
+        active = active[1:]
+    active = active[: usual + 1]
+    rank = _rank(a[:, active])
+    if rank < min(usual, len(active)):
+        raise RobotError(f"q is singular (tip and wrist Jacobians have rank {rank}, not {usual}): move it slightly")
+    return active

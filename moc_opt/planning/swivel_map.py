@@ -1,0 +1,221 @@
+"""The manipulability map: mu over time along the path and elbow swivel, with the trajectories that runs took on it.
+
+At every time the path asks for one tip and, through the trocar, one wrist centre; what is left to the arm is one
+number, the swivel of the elbow. The map shows every swivel there is, and where a joint limit forbids it.
+
+The scan that finds the poses ignores joint limits; they are judged afterwards, each joint taken whole turns nearer
+to the middle of its range.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from moc_opt.arrays import Array, read_only
+from moc_opt.errors import ReportError, RobotError
+from moc_opt.planning.arm_angle import Elbow, nearest_turns, reach, without_limits, wrapped
+from moc_opt.planning.self_motion import SelfMotion, parabola_peak, self_motion
+from moc_opt.robots.chain import desired_wrist
+from moc_opt.robots.model import RobotModel
+from moc_opt.trace.trace import Trace
+
+UNREACHABLE, FEASIBLE = -1, 0
+TRAJECTORY_POINTS = 500
+STEP_RAD = 0.05
+SAME_PATH_M = 1e-6
+OTHER_BRANCH_RAD = 0.5  #: A trajectory with a larger gap belongs to an arm that is folded another way than the map.
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """Where a run went on the map; arrays (c,)."""
+
+    t_s: Array
+    swivel_rad: Array  #: Nearest to the map's axis; it may jump by a turn.
+    mu: Array
+    gap_rad: float
+    """Median distance of its joints from the map's poses at the same time and swivel: large where the arm is
+    folded another way than the run that the map was scanned from, and the map does not hold for it."""
+
+
+@dataclass(frozen=True, eq=False)
+class SwivelMap:
+    """k times, m swivels, n joints."""
+
+    t_s: Array  #: (k,)
+    swivel_rad: Array  #: (m,) evenly over one turn
+    mu: Array  #: (k, m) [m^3], of forbidden poses too; NaN where there is no pose
+    q_rad: Array  #: (k, m, n) the poses; NaN where there is none
+    limit: NDArray[np.int64]
+    """(k, m) `FEASIBLE` (0), the joint (from 1) that is farthest beyond a limit, or `UNREACHABLE` (-1)"""
+    best_swivel_rad: Array  #: (k,) of the largest feasible mu; NaN where nothing is feasible
+    best_mu: Array  #: (k,)
+    trajectories: Mapping[str, Trajectory]
+    held: tuple[str, ...] = ()
+    """Joints that could move while tip and wrist stay, and here stand as in the longest run: the map is a slice of all
+    poses, and its best no bound. Empty where one freedom is all there is."""
+
+
+def manipulability_map(
+    robot: RobotModel, traces: Mapping[str, Trace], *, times: int = 100, swivels: int = 180
+) -> SwivelMap:
+    """Scan the self-motion along the path that the runs were given.
+
+    Args:
+        traces: name -> run; all on the same path.
+        times, swivels: columns and rows of the map.
+
+    Raises:
+        ReportError: no runs, too few columns or rows, runs of different paths, or a trace without a trocar.
+        RobotError: the arm has no elbow whose angle tells its poses apart.
+    """
+    if not traces or times < 2 or swivels < 8:
+        raise ReportError(f"{len(traces)} runs, {times} times, {swivels} swivels: give 1, 2 and 8 or more")
+    for name, trace in traces.items():
+        check_showable(name, trace, robot)
+    guide = max(traces.values(), key=len)
+    ticks = np.linspace(0, len(guide) - 1, times).round().astype(int)
+    tips, wrists = _targets(robot, traces, guide, ticks)
+    elbow, free = Elbow(robot, wrists), without_limits(robot)
+    swivel = -np.pi + 2.0 * np.pi * np.arange(swivels) / swivels
+    q, best = np.full((times, swivels, robot.n), np.nan), np.full((2, times), np.nan)
+    held: set[int] = set()
+    for k, tick in enumerate(ticks):
+        pose = reach(robot, guide.q_rad[tick], tips[k], wrists[k])
+        if pose is None:
+            continue
+        try:
+            curve = self_motion(free, pose, STEP_RAD)
+        except RobotError:
+            continue  # a singular pose: no single curve leads through it, the column stays empty
+        held.update(curve.held)
+        q[k] = nearest_turns(robot, _poses_at(curve, elbow, swivel))
+        best[:, k] = _best(robot, curve, elbow, swivel, q[k])
+    mu, limit = _judged(robot, q)
+    turn = _cut(limit == FEASIBLE)
+    swivel = np.roll(swivel, -turn)
+    swivel[swivels - turn :] += 2.0 * np.pi
+    if swivel.mean() >= np.pi:  # what lies about the middle of the map is counted from -180 to 180 degrees
+        swivel -= 2.0 * np.pi
+    q, mu, limit = (np.roll(array, -turn, axis=1) for array in (q, mu, limit))
+    best[0] = _onto(best[0], swivel)
+    lines = {name: _trajectory(robot, elbow, run, guide.t_s[ticks], swivel, q) for name, run in traces.items()}
+    for array in (swivel, q, mu, limit, best):
+        read_only(array)
+    names = tuple(robot.data.joint_names[j] for j in sorted(held) if robot.moves[:, j].any())
+    return SwivelMap(guide.t_s[ticks], swivel, mu, q, limit, best[0], best[1], MappingProxyType(lines), names)
+
+
+def _poses_at(curve: SelfMotion, elbow: Elbow, swivels: Array) -> Array:
+    # Poses (m, n) of one self-motion at swivels (m,), NaN where it has none.
+    angles = np.unwrap(elbow.swivel(curve.q))
+    steps = np.diff(angles)
+    if not (np.all(steps > 0.0) or np.all(steps < 0.0)):
+        raise RobotError(
+            "the arm's elbow goes to and fro on its self-motion, so no swivel angle tells its poses apart: "
+            "the map is for arms whose shoulder, elbow and wrist form a triangle"
+        )
+    sign = 1.0 if len(steps) and steps[0] > 0.0 else -1.0
+    along = (curve.s - curve.s[0]) / max(curve.s[-1] - curve.s[0], 1e-300)
+    turned = angles[0] + sign * np.mod(sign * (swivels - angles[0]), 2.0 * np.pi)
+    known = sign * (angles[-1] - turned) >= 0.0
+    found = np.full((len(swivels), curve.q.shape[1]), np.nan)
+    aim = turned[known]
+    for _ in range(3):  # the spline between samples is straight: correct by the remaining error
+        poses = [curve.at(float(part)) for part in np.interp(sign * aim, sign * angles, along)]
+        found[known] = np.array(poses).reshape(-1, found.shape[1])
+        aim = aim + wrapped(turned[known] - elbow.swivel(found[known]))
+    return found
+
+
+def _targets(
+    robot: RobotModel, traces: Mapping[str, Trace], guide: Trace, ticks: NDArray[np.int64]
+) -> tuple[Array, Array]:
+    column = "trocar_registered_m" if "trocar_registered_m" in guide.columns else "trocar_m"
+    for name, trace in traces.items():
+        if trace.meta.get("kind") == "course":
+            raise ReportError(f"{name!r} is a course, not a run: `moc-opt run SCENARIO --course FILE` follows it")
+        if column not in trace.columns:
+            raise ReportError(f"run {name!r} has no column {column!r}: give a trace as `run` leaves it")
+        shared = ticks[ticks < len(trace)]
+        apart = np.abs(trace.tip_ref_m[shared] - guide.tip_ref_m[shared]).max()
+        if apart > SAME_PATH_M:
+            raise ReportError(f"run {name!r} was given another path (up to {apart:.3g} m apart): map each path alone")
+    # In double precision whatever the trace has: tip and wrist must be as far apart as the arm's are, to REACHED_M.
+    tips, trocars = (np.asarray(guide.columns[name][ticks], dtype=np.float64) for name in ("tip_ref_m", column))
+    span = robot.state(robot.data.q_home).tool_span
+    return tips, desired_wrist(tips, 0.0, trocars, 0.0, span)[0]
+
+
+def _judged(robot: RobotModel, q: Array) -> tuple[Array, NDArray[np.int64]]:
+    known = np.isfinite(q).all(axis=-1)
+    mu, limit = np.full(known.shape, np.nan), np.full(known.shape, UNREACHABLE, dtype=np.int64)
+    mu[known] = robot.mu_along(q[known])
+    beyond = np.maximum(q[known] - robot.q_max, robot.q_min - q[known])
+    limit[known] = np.where(beyond.max(axis=1) > 1e-9, 1 + beyond.argmax(axis=1), FEASIBLE)
+    return mu, limit
+
+
+def _best(robot: RobotModel, curve: SelfMotion, elbow: Elbow, swivel: Array, q: Array) -> Array:
+    mu, limit = _judged(robot, q)
+    feasible = np.where(limit == FEASIBLE, mu, -np.inf)
+    j, count = int(np.argmax(feasible)), len(swivel)
+    if not np.isfinite(feasible[j]):
+        return np.full(2, np.nan)
+    around = np.array([feasible[j - 1], feasible[j], feasible[(j + 1) % count]])
+    step, _ = parabola_peak(2.0 * np.pi / count * np.array([-1.0, 0.0, 1.0]), around)
+    finer = np.array([swivel[j] + step])
+    (higher,), (allowed,) = _judged(robot, nearest_turns(robot, _poses_at(curve, elbow, finer)))
+    return np.array([finer[0], higher] if allowed == FEASIBLE and higher > mu[j] else [swivel[j], mu[j]])
+
+
+def _cut(feasible: NDArray[np.bool_]) -> int:
+    # The row at which the circle is best cut open: in the middle of the widest run of forbidden rows.
+    forbidden: NDArray[np.bool_] = np.logical_not(feasible.any(axis=0))
+    count = len(forbidden)
+    if not forbidden.any() or forbidden.all():
+        return 0
+    first = int(np.argmin(forbidden))  # begin at a row that is allowed somewhere, so that no run is split
+    runs = np.split(first + np.arange(count), np.flatnonzero(np.diff(np.roll(forbidden, -first))) + 1)
+    widest = max((run for run in runs if forbidden[run[0] % count]), key=len)
+    return int(widest[-1] - len(widest) // 2) % count
+
+
+def _onto(angles: Array, swivel: Array) -> Array:
+    low = swivel[0] - 0.5 * (swivel[1] - swivel[0])
+    return low + np.mod(angles - low, 2.0 * np.pi)
+
+
+def _trajectory(robot: RobotModel, elbow: Elbow, trace: Trace, times: Array, swivel: Array, q: Array) -> Trajectory:
+    ticks = np.unique(np.linspace(0, len(trace) - 1, min(len(trace), TRAJECTORY_POINTS)).round().astype(int))
+    poses = trace.q_rad[ticks]
+    angles = _onto(elbow.swivel(poses), swivel)
+    columns = np.abs(times[None] - trace.t_s[ticks][:, None]).argmin(axis=1)
+    rows = np.abs(swivel[None] - angles[:, None]).argmin(axis=1)
+    moving = robot.moves.any(axis=0) & ~robot.chain.prismatic
+    gaps = np.abs(wrapped(q[columns, rows] - poses)[:, moving]).max(axis=1)
+    gap = float(np.median(gaps[np.isfinite(gaps)])) if np.isfinite(gaps).any() else float("nan")
+    return Trajectory(trace.t_s[ticks], angles, robot.mu_along(poses), gap)
+
+
+NEEDED = ("t_s", "q_rad", "tip_m", "tip_ref_m")
+
+
+def check_showable(name: str, trace: Trace, robot: RobotModel) -> None:
+    """Raise a ReportError where a run is empty, lacks a column, is of another arm, or has poses that are not finite."""
+    missing = [column for column in NEEDED if column not in trace.columns]
+    if missing or not len(trace):
+        what = f"lacks the columns {', '.join(missing)}" if missing else "has no ticks"
+        raise ReportError(f"run {name!r} {what}: give a trace as `run` leaves it")
+    if trace.q_rad.shape[1] != robot.n:
+        raise ReportError(
+            f"run {name!r} has {trace.q_rad.shape[1]} joints, robot {robot.data.name!r} {robot.n}: give its own arm"
+        )
+    for column in NEEDED:
+        if not np.isfinite(trace.columns[column]).all():
+            raise ReportError(f"run {name!r} is not finite in {column!r}: cut it off before that with `select`")

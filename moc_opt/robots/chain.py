@@ -1,0 +1,161 @@
+"""The serial chain as numbers: its frames, its CasADi functions, and where the wrist belongs for a trocar."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from moc_opt.arrays import Array, read_only
+
+if TYPE_CHECKING:
+    import casadi
+
+
+@dataclass(frozen=True, eq=False)
+class Chain:
+    """Joint placements and axes of a serial arm; read-only arrays.
+
+    Joint j sits at (rotations[j], origins[j]) in the frame of joint j - 1 (the world for j = 0) and turns
+    about, or slides along, the unit vector axes[j] of its own frame.
+    """
+
+    rotations: Array  #: (n,3,3)
+    origins: Array  #: (n,3) [m]
+    axes: Array  #: (n,3)
+    prismatic: NDArray[np.bool_]  #: (n,)
+    offsets: Array  #: (2,3) tip and wrist in the last joint's frame [m]
+
+    def __post_init__(self) -> None:
+        for name in ("rotations", "origins", "axes", "prismatic", "offsets"):
+            object.__setattr__(self, name, read_only(np.ascontiguousarray(getattr(self, name)).copy()))
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return len(self.axes)
+
+    @property
+    def joints(self) -> Array:
+        """(n,16) for the core: rotation by rows, origin, axis, and 1 where the joint slides."""
+        parts = (self.rotations.reshape(-1, 9), self.origins, self.axes, self.prismatic[:, None])
+        return np.hstack(parts).astype(np.float64)
+
+    @property
+    def fingerprint(self) -> str:
+        """Twelve hex digits that change with any number of the chain."""
+        digest = hashlib.sha256()
+        for array in (self.rotations, self.origins, self.axes, self.prismatic, self.offsets):
+            digest.update(array.tobytes())
+        return digest.hexdigest()[:12]
+
+
+def link_frames(chain: Chain, q: Array) -> tuple[Array, Array]:
+    """Compute the forward kinematics of many poses at once.
+
+    Args:
+        q: (k, n) [rad], of prismatic joints [m].
+
+    Returns:
+        Origins (k, n, 3) [m] and rotations (k, n, 3, 3), world from joint frame, after each joint's motion.
+    """
+    count, n = q.shape
+    origins, rotations = np.empty((count, n, 3)), np.empty((count, n, 3, 3))
+    place, turn = np.zeros((count, 3)), np.tile(np.eye(3), (count, 1, 1))
+    for j in range(n):
+        place = place + turn @ chain.origins[j]
+        turn = turn @ chain.rotations[j]
+        if chain.prismatic[j]:
+            place = place + (turn @ chain.axes[j]) * q[:, j, None]
+        else:
+            turn = turn @ _turns(chain.axes[j], q[:, j])
+        origins[:, j], rotations[:, j] = place, turn
+    return origins, rotations
+
+
+def _turns(axis: Array, angles: Array) -> Array:
+    cross = np.cross(np.eye(3), axis)  # Rodrigues' formula
+    sine, cosine = np.sin(angles)[:, None, None], np.cos(angles)[:, None, None]
+    turned: Array = np.eye(3) + sine * cross + (1.0 - cosine) * (cross @ cross)
+    return turned
+
+
+def desired_wrist(
+    tip: ArrayLike, tip_velocity: ArrayLike, trocar: ArrayLike, trocar_velocity: ArrayLike, span: float
+) -> tuple[Array, Array]:
+    """Compute N_d = X + L e, e = (P_t - X)/|P_t - X|, and dN_d = dX + L de/dt; vectors, or rows of them.
+
+    With N_d as wrist the shaft passes through the trocar; de/dt = (I - e e^T)(dP_t - dX)/|P_t - X|.
+
+    Args:
+        tip, tip_velocity, trocar, trocar_velocity: (..., 3) [m], [m/s]; 0.0 for a point at rest.
+        span: L, from wrist centre to tip [m].
+
+    Returns:
+        (..., 3) [m], [m/s].
+    """
+    line, turn = np.subtract(trocar, tip), np.subtract(trocar_velocity, tip_velocity)
+    distance = np.linalg.norm(line, axis=-1, keepdims=True)
+    e = line / distance
+    turn = (turn - (e * turn).sum(-1, keepdims=True) * e) / distance
+    return np.add(tip, span * e), np.add(tip_velocity, span * turn)
+
+
+@dataclass(frozen=True)
+class Kinematics:
+    """CasADi functions of q (n,) alone; two are equal when their ids are.
+
+    mu and its gradient have no value at a singularity (J J^T not invertible): keep away from it.
+    """
+
+    id: str  #: Robot name and fingerprint of its geometry.
+    n: int
+    tip: casadi.Function = field(compare=False, repr=False)  #: q -> (3,) [m]
+    wrist: casadi.Function = field(compare=False, repr=False)  #: q -> (3,) [m]
+    mu: casadi.Function = field(compare=False, repr=False)  #: q -> scalar, sqrt(det(J_tip J_tip^T))
+    grad_mu: casadi.Function = field(compare=False, repr=False)  #: q -> (n,)
+    shaft: casadi.Function = field(compare=False, repr=False)
+    """q -> scalar, (mu_shaft / |X - N|^2)^2 of `moc_opt/core/manipulability.c`; squared it has no kink"""
+
+
+def build_kinematics(name: str, chain: Chain) -> Kinematics:
+    """Write the chain's forward kinematics in CasADi SX; mu from the geometric Jacobian, grad mu by AD."""
+    import casadi as ca  # late: half a second that only the NLP back-ends need
+
+    q = ca.SX.sym("q", chain.n)
+    rotation, origin = ca.SX.eye(3), ca.SX.zeros(3)
+    joints: list[tuple[Any, Any]] = []  # world axis, world origin
+    for j in range(chain.n):
+        origin = origin + ca.mtimes(rotation, ca.DM(chain.origins[j]))
+        rotation = ca.mtimes(rotation, ca.DM(chain.rotations[j]))
+        axis = ca.DM(chain.axes[j])
+        if chain.prismatic[j]:
+            origin = origin + ca.mtimes(rotation, axis) * q[j]
+        else:
+            rotation = ca.mtimes(rotation, _rotation_about(ca, axis, q[j]))
+        joints.append((ca.mtimes(rotation, axis), origin))
+    tip, wrist = (origin + ca.mtimes(rotation, ca.DM(offset)) for offset in chain.offsets)
+    jacobian, lever = (
+        ca.horzcat(*(
+            axis if slides else ca.cross(axis, point - at)
+            for (axis, at), slides in zip(joints, chain.prismatic, strict=True)
+        ))
+        for point in (tip, wrist)
+    )  # fmt: skip
+    gram = ca.mtimes(jacobian, jacobian.T)
+    mu = ca.sqrt(ca.det(gram))
+    held = ca.mtimes([lever, jacobian.T, ca.inv_minor(gram)])
+    rest = ca.mtimes(lever, lever.T) - ca.mtimes([held, jacobian, lever.T])
+    minors = sum(rest[a, a] * rest[b, b] - rest[a, b] * rest[b, a] for a, b in ((0, 1), (1, 2), (2, 0)))
+    shaft = minors / float(np.linalg.norm(chain.offsets[0] - chain.offsets[1])) ** 4
+    outputs = {"tip": tip, "wrist": wrist, "mu": mu, "grad_mu": ca.gradient(mu, q), "shaft": shaft}
+    functions = {key: ca.Function(key, [q], [value], ["q"], [key]) for key, value in outputs.items()}
+    return Kinematics(id=f"{name}-{chain.fingerprint}", n=chain.n, **functions)
+
+
+def _rotation_about(ca: Any, axis: Any, angle: Any) -> Any:
+    k = ca.skew(axis)
+    return ca.DM.eye(3) + ca.sin(angle) * k + (1 - ca.cos(angle)) * ca.mtimes(k, k)

@@ -1,0 +1,82 @@
+"""moc-opt robot new | check: make a robot file from a vendor's URDF, and check an arm."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from moc_opt.errors import RobotError
+
+VERDICTS = {"ok": "can be used", "care": "can be used with care", "cannot": "cannot be used"}
+
+
+def add_commands(commands: Any) -> None:
+    """Add ``robot new`` and ``robot check`` to argparse's subparsers."""
+    robot = commands.add_parser("robot", help="a robot file from a URDF, or what holds for a robot")
+    kinds = robot.add_subparsers(dest="robot_command", required=True)
+    new = kinds.add_parser("new", help="write a robot file (TOML, and a URDF beside it) from any vendor's URDF")
+    new.add_argument("source", type=Path, metavar="ARM.urdf")
+    new.add_argument("--tip", metavar="LINK", help="the link that carries the tool")
+    new.add_argument("--tool", type=float, default=0.30, metavar="M", help="length of the tool [m]")
+    new.add_argument(
+        "--wrist", type=float, metavar="M", help="from wrist point to mount along the shaft [m]; else found"
+    )
+    new.add_argument(
+        "--lock", action="append", default=[], metavar="JOINT[=VALUE]", help="fix this joint [rad, m]; may be repeated"
+    )
+    new.add_argument(
+        "--base-rpy", nargs=3, type=float, default=(0.0, 0.0, 0.0), metavar=("R", "P", "Y"),
+        help="how the base stands [rad]; 3.1416 0 0 hangs from the ceiling",
+    )  # fmt: skip
+    new.add_argument("--seed", type=int, default=0, help="of the search for a home pose")
+    new.add_argument("--out", type=Path, required=True, metavar="MY.toml")
+    check = kinds.add_parser(
+        "check", help="freedoms, reach, limits, gains and masses of a robot, with a verdict",
+        epilog="Exit status: 0 the arm can be used; 3 it cannot; 2 the input is wrong.",
+    )  # fmt: skip
+    check.add_argument("robot", metavar="MY.toml|NAME")
+
+
+def run_command(given: argparse.Namespace) -> int:
+    """Do what was asked; 0, or 3 where the verdict is "cannot"."""
+    from rich.text import Text
+
+    from moc_opt.report.console import console
+    from moc_opt.report.tables import Column, Table
+    from moc_opt.robots.check import check_robot, verdict
+    from moc_opt.robots.model import load_robot
+
+    out = console()
+    if given.robot_command == "new":
+        from moc_opt.robots.new import new_robot
+
+        made = new_robot(
+            given.source, given.out, tip=given.tip, tool_m=given.tool, wrist_m=given.wrist, lock=_locks(given.lock),
+            base_rpy=tuple(given.base_rpy), seed=given.seed,
+        )  # fmt: skip
+        print(made.toml, made.urdf, sep="\n")
+        out.print("Assumed or changed, and noted in both files:" if made.notes else "Nothing had to be assumed.")
+        for note in made.notes:
+            out.print(Text(f"- {note}"))
+    robot = load_robot(str(given.out) if given.robot_command == "new" else given.robot)
+    findings = check_robot(robot)
+    columns = [Column("what", "what"), Column("found", "found"), Column("verdict", "verdict")]
+    out.print(Table(f"robot {robot.data.name}", columns, [row._asdict() for row in findings]).to_rich())
+    for row in findings:
+        if row.cure:
+            out.print(Text(f"{row.what}: {row.cure}"))
+    worst = verdict(findings)
+    out.print(Text(f"verdict: {robot.data.name} {VERDICTS[worst]}"))
+    return 3 if worst == "cannot" else 0
+
+
+def _locks(given: list[str]) -> dict[str, float]:
+    found = {}
+    for text in given:
+        name, _, value = text.partition("=")
+        try:
+            found[name] = float(value or 0.0)
+        except ValueError as error:
+            raise RobotError(f"--lock {text!r}: write JOINT or JOINT=VALUE, a number in rad or m") from error
+    return found

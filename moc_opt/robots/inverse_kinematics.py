@@ -1,0 +1,137 @@
+"""Poses that put the tip, and the wrist if wanted, at a point: Newton's method inside the joint limits."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from moc_opt.arrays import Array
+from moc_opt.errors import RobotError, TaskError
+from moc_opt.robots.chain import desired_wrist
+from moc_opt.robots.model import RobotModel
+
+_RESTARTS = 60
+
+
+class Placed(NamedTuple):
+    """The result of a search for a pose."""
+
+    q: Array  #: (n,) inside the limits [rad]
+    miss_m: float  #: How far tip or wrist still is from where it should be [m].
+    at_limit: tuple[int, ...]  #: Joints (from 0) that stand at a limit.
+
+    @property
+    def found(self) -> bool:
+        """Whether this is a solution."""
+        return self.miss_m < 1e-6
+
+
+def solve_pose(
+    robot: RobotModel, q: ArrayLike, tip: Array, wrist: Array | None = None, *, iterations: int = 40
+) -> Placed:
+    """Find the nearest pose with the tip, and the wrist if given, at these points.
+
+    Damped Gauss-Newton from q; a joint that reaches its limit stays there while the others take over, which is
+    how the arm's own redundancy is used. The search is local: that it fails proves nothing by itself.
+
+    Args:
+        q: (n,) where to begin [rad]; put inside the limits first.
+        tip: (3,) [m].
+        wrist: (3,) [m], at the tool's length from the tip; None leaves it free.
+
+    Raises:
+        RobotError: as of `nearest_pose`.
+    """
+    begin = np.clip(np.asarray(q, dtype=np.float64), robot.q_min, robot.q_max)
+    points = np.stack([tip] if wrist is None else [tip, wrist])
+    best, miss = nearest_pose(robot, begin, points, robot.q_min, robot.q_max, iterations)
+    stuck = np.flatnonzero((best <= robot.q_min) | (best >= robot.q_max))
+    return Placed(best, miss, tuple(stuck.tolist()))
+
+
+def nearest_pose(
+    robot: RobotModel, q: Array, points: Array, low: Array, high: Array, iterations: int
+) -> tuple[Array, float]:
+    """Go on from q (n,) within these limits; return the best pose (n,), and what it misses the points by [m].
+
+    Args:
+        points: (1,3) of the tip, or (2,3) of tip and wrist [m].
+        low, high: (n,) limits; infinite: none.
+
+    Raises:
+        RobotError: a pose or a point of another shape, or not finite.
+    """
+    best = np.empty(robot.n)
+    begin, wanted = (np.array(given, dtype=np.float64, order="C") for given in (q, points))
+    for name, value, shapes in (("q", begin, [(robot.n,)]), ("tip or wrist", wanted, [(1, 3), (2, 3)])):
+        if value.shape not in shapes:
+            raise RobotError(f"{name} has shape {value.shape}: give {' or '.join(map(str, shapes))}")
+        if not np.isfinite(value).all():
+            raise RobotError(f"{name} = {value.tolist()} is not finite: check the sensor or step that gave it")
+    low, high = np.ascontiguousarray(low), np.ascontiguousarray(high)
+    return best, robot.arm.nearest_pose(wanted, low, high, begin, iterations, best)
+
+
+def pose_with_tip(robot: RobotModel, q: ArrayLike, tip: ArrayLike) -> Array:
+    """Find a pose (n,) near q with the tip at a point (3,) [m].
+
+    Raises:
+        TaskError: none is found; the message has the least distance of the tip.
+    """
+    point = _point("tip", tip)
+    placed = solve_pose(robot, q, point, iterations=200)
+    if not placed.found:
+        raise TaskError(
+            f"incision = {np.round(point, 4).tolist()} m is out of reach: the tip gets to "
+            f"{1e3 * placed.miss_m:.0f} mm from it{_limits(robot, placed)}; move the patient or the robot's base"
+        )
+    return placed.q
+
+
+def pose_through(robot: RobotModel, tip: ArrayLike, trocar: ArrayLike) -> Array:
+    """Find a pose (n,) with the tip at a point and the shaft through the trocar, both (3,) [m].
+
+    Tried from the home pose first, then from seeded random poses, of which the solution farthest from the joint limits
+    is taken.
+
+    Raises:
+        TaskError: the trocar is not on the shaft's length, or no pose is found.
+    """
+    x, p = _point("tip", tip), _point("trocar", trocar)
+    length = robot.data.tool_length
+    depth = float(np.linalg.norm(p - x))
+    if not 1e-3 < depth < length:
+        raise TaskError(
+            f"trocar = {np.round(p, 4).tolist()} m is {1e3 * depth:.0f} mm from the tip: it must lie on the tool, "
+            f"1 to {1e3 * length:.0f} mm from its tip; move it, or lengthen the tool"
+        )
+    wrist, _ = desired_wrist(x, 0.0, p, 0.0, robot.state(robot.data.q_home).tool_span)
+    first = solve_pose(robot, robot.data.q_home, x, wrist, iterations=100)
+    if first.found:
+        return first.q
+    starts = np.random.default_rng(0).uniform(robot.q_min, robot.q_max, (_RESTARTS, robot.n))
+    tried = [first, *(solve_pose(robot, start, x, wrist, iterations=60) for start in starts)]
+    good = np.array([placed.q for placed in tried if placed.found])
+    if not len(good):
+        nearest = min(tried, key=lambda each: each.miss_m)
+        raise TaskError(
+            f"trocar = {np.round(p, 4).tolist()} m is out of reach with the tip at {np.round(x, 4).tolist()} m: "
+            f"tip or wrist stays {1e3 * nearest.miss_m:.0f} mm away{_limits(robot, nearest)}; move the trocar or the "
+            "task towards the arm, or turn the line between them"
+        )
+    room = np.minimum(robot.q_max - good, good - robot.q_min).min(axis=1)
+    return np.array(good[int(np.argmax(room))])
+
+
+def _limits(robot: RobotModel, placed: Placed) -> str:
+    names = [robot.data.joint_names[i] for i in placed.at_limit]
+    return f" ({', '.join(names)} at the limit)" if names else ""
+
+
+def _point(name: str, value: ArrayLike) -> Array:
+    point = np.asarray(value, dtype=np.float64)
+    if point.shape != (3,) or not np.isfinite(point).all():
+        raise TaskError(f"{name} = {value!r}: give three finite numbers [m]")
+    return point

@@ -1,0 +1,86 @@
+"""DAQP: a dual active-set method, set up once and updated in place.
+
+Arnstrom, Bemporad and Axehill 2022, "A dual active-set solver for embedded quadratic programming
+using recursive LDL^T updates". Where the cost is only semi-definite it takes proximal steps.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+from daqp import Model
+
+from moc_opt.solvers.base import Status
+from moc_opt.solvers.library import Adapter, LibrarySession, Outcome
+
+EQUALITY = 5
+_STATUS = {
+    1: Status.SOLVED, 2: Status.SOLVED, -1: Status.INFEASIBLE, -4: Status.MAX_ITER, -7: Status.TIME_LIMIT,
+}  # fmt: skip
+
+
+class DAQPSession(LibrarySession):
+    """One workspace and its buffers: bounds first, then the equality rows."""
+
+    def _allocate(self, m: int, n: int) -> dict[str, Any]:
+        self._P, self._p, self._A = np.empty((n, n)), np.empty(n), np.empty((m, n))
+        self._lower, self._upper = lower, upper = np.empty(n + m), np.empty(n + m)
+        self._fresh = np.concatenate([np.zeros(n, dtype=np.int32), np.full(m, EQUALITY, dtype=np.int32)])
+        self._sense = self._fresh.copy()
+        return {
+            "P": self._P, "p": self._p, "A": self._A,
+            "low": lower[n:], "high": upper[n:], "lower": lower[:n], "upper": upper[:n],
+        }  # fmt: skip
+
+    def _set_up(self, m: int, n: int) -> None:
+        self._core, settings = Model(), self._settings
+        self._core.settings = {
+            "primal_tol": settings.primal_tol, "dual_tol": settings.dual_tol, "iter_limit": settings.max_iter,
+        }  # fmt: skip
+        # Below zero where the library could not set the problem up: it raises at whatever follows but another setup.
+        self._flag, _ = self._core.setup(self._P, self._p, self._A, self._upper, self._lower, self._sense)
+
+    def _hand_over(self) -> None:
+        if self._flag < 0:
+            self._sense[:] = self._fresh
+            self._set_up(self._m, self._n)
+            return
+        sense = None
+        if not self._settings.warm:
+            self._sense[:] = self._fresh
+            sense = self._sense
+        self._flag = self._core.update(self._P, self._p, self._A, self._upper, self._lower, sense)
+
+    def _run(self) -> Outcome:
+        if self._flag < 0:
+            return _STATUS.get(self._flag, Status.NUMERICAL), 0, self._p, self._p
+        x, _, code, info = self._core.solve()
+        return _STATUS.get(code, Status.NUMERICAL), info["iterations"], x, info["lam"][self._n :]
+
+
+@dataclass(frozen=True)
+class DAQP(Adapter):
+    """DAQP's reusable workspace.
+
+    Args:
+        rows: 5 or 6 equality rows; six dependent ones fail about one problem in a hundred.
+        cost_scale: multiplies P and p; the duals are scaled back. Without it, and without regularization, one
+            answer in twenty stops at the wrong end of the self-motion.
+        primal_tol, dual_tol: the library's 1e-6 and 1e-12.
+        max_iter: iterations.
+        warm: start from the last tick's active set.
+
+    Raises:
+        SolverError: a setting is out of range.
+    """
+
+    rows: int = 5
+    cost_scale: float = 1e3
+    primal_tol: float = 1e-9
+    dual_tol: float = 1e-12
+    max_iter: int = 1000
+    warm: bool = True
+    name: ClassVar[str] = "daqp"
+    session: ClassVar[type[LibrarySession]] = DAQPSession

@@ -1,0 +1,107 @@
+"""``exact``: the subproblem's optimum by elimination, the yardstick of every other solver.
+
+It does not iterate towards a tolerance. `moc_opt/core/exact.c` has the mathematics, `polytope.c` that of several
+freedoms; docs/method.md derives both.
+"""
+
+from __future__ import annotations
+
+import os
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import ClassVar
+
+import numpy as np
+
+from moc_opt import core
+from moc_opt.arrays import Array
+from moc_opt.errors import SolverError
+from moc_opt.qp.layout import joints_of
+from moc_opt.qp.problem import NullSpaceQP
+from moc_opt.solvers.base import Solution, Status, no_answer
+
+_STATUS = {core.OK: Status.SOLVED, core.INFEASIBLE: Status.INFEASIBLE, core.DOUBTFUL: Status.NUMERICAL}
+_STATUSES = np.array([_STATUS.get(code) for code in range(max(_STATUS) + 1)], dtype=object)
+# Looked up once: the loop needs them at every tick.
+_solve, _empty, _new, _SOLVED, _OK = core.solve_exact, np.empty, tuple.__new__, Status.SOLVED, core.OK
+
+
+@dataclass(frozen=True)
+class Exact:
+    """Null-space elimination.
+
+    Args:
+        tolerance: box violation that still counts as feasible [rad/s]; more where rounding alone explains more.
+
+    Repeated rows may contradict each other by 1e-6 m/s, the tolerance on A x = b of the residual check: data that are
+    rounded to eight decimals contradict themselves by 1e-8.
+    """
+
+    tolerance: float = 1e-9
+    name: ClassVar[str] = "exact"
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.tolerance, int | float) or not 0.0 < self.tolerance < 1.0:
+            raise SolverError(f"exact: tolerance = {self.tolerance} is not in (0, 1); 1e-9 is usual")
+
+    def supports(self, qp: NullSpaceQP) -> str | None:
+        """Return None, or that there are too many joints."""
+        return None if qp.n <= core.MAX_JOINTS else f"{qp.n} joints: `exact` takes at most {core.MAX_JOINTS}"
+
+    def start(self, qp: NullSpaceQP) -> ExactSession:
+        """Return a session.
+
+        Raises:
+            SolverError: too many joints.
+        """
+        if reason := self.supports(qp):
+            raise SolverError(f"exact: {reason}")
+        return ExactSession(self.tolerance)
+
+    def solve_batch(self, rows: Array, threads: int | None = None) -> tuple[Array, Array, list[Status]]:
+        """Solve flat records (k, 10 n + 10): x (k, n), y (k, 6), statuses.
+
+        x and y are NaN where the status is not SOLVED.
+
+        Args:
+            threads: how many share the work; None: one a core.
+
+        Raises:
+            SolverError: fewer than one thread, or rows of another shape.
+        """
+        if threads is not None and threads < 1:
+            raise SolverError(f"exact: threads = {threads}: give 1 or more, or None for one a core")
+        rows = np.ascontiguousarray(rows, dtype=np.float64)
+        if rows.ndim != 2 or rows.shape[1] % 10 or not 1 <= joints_of(rows.shape[1]) <= core.MAX_JOINTS:
+            raise SolverError(
+                f"exact: rows has shape {rows.shape}: give (k, 10 n + 10), n at most {core.MAX_JOINTS} joints"
+            )
+        X, Y, codes = np.empty((len(rows), joints_of(rows.shape[1]))), np.empty((len(rows), 6)), np.empty(len(rows))
+        ends = np.linspace(0, len(rows), (threads or os.cpu_count() or 1) + 1).astype(int)
+        parts = [slice(a, b) for a, b in pairwise(ends.tolist()) if b > a]
+        with ThreadPoolExecutor(max(1, len(parts))) as pool:  # the core holds no lock
+            for job in [
+                pool.submit(core.solve_exact_rows, rows[p], self.tolerance, X[p], Y[p], codes[p]) for p in parts
+            ]:
+                job.result()
+        X[codes != core.OK] = Y[codes != core.OK] = np.nan
+        return X, Y, _STATUSES[codes.astype(np.intp)].tolist()
+
+
+class ExactSession:
+    """Keeps nothing between ticks: warm equals cold."""
+
+    __slots__ = ("tolerance",)
+
+    def __init__(self, tolerance: float) -> None:
+        self.tolerance = tolerance
+
+    def __repr__(self) -> str:
+        return f"<session of {Exact(self.tolerance)!r}>"
+
+    def solve(self, qp: NullSpaceQP) -> Solution:
+        """Answer one subproblem; the answer's arrays are the caller's."""
+        x, y = _empty(qp.n), _empty(6)
+        code = _solve(qp.row, self.tolerance, x, y)
+        return _new(Solution, (x, y, _SOLVED, 0)) if code == _OK else no_answer(qp.n, _STATUS[code])

@@ -1,0 +1,186 @@
+"""What the adapters of QP libraries share: settings, buffers, five or six rows, cost scale, duals.
+
+An adapter is one file with a frozen dataclass of its library's settings, derived from `Adapter`, and a
+`LibrarySession` that says where the library's arrays lie, sets it up, hands a subproblem over and runs it. See
+docs/extending.md; ``piqp`` is a short one.
+
+Every library wants the same numbers in another place: stacked rows, columns, a packed triangle, a negated side. One
+call of the core puts them there in a microsecond; the same steps in numpy cost as much as the fastest of the libraries.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
+import numpy as np
+import scipy.sparse as sparse
+
+from moc_opt import core
+from moc_opt.arrays import Array
+from moc_opt.qp.equalities import ROWS, assembled
+from moc_opt.qp.problem import NullSpaceQP
+from moc_opt.solvers.base import Session, ShownBySettings, Solution, Status, check_settings, no_answer
+
+Outcome = tuple[Status, int, Array, Array]
+_HAS_X = (Status.SOLVED, Status.MAX_ITER, Status.TIME_LIMIT)
+
+
+class Adapter:
+    """Settings of one library, and the handling of the fields that all have.
+
+    A subclass is a frozen dataclass with at least ``cost_scale``, and ``rows`` where the library takes six rows.
+
+    Attributes:
+        rows: 5 or 6 equality rows.
+        cost_scale: multiplies P and p; the duals are scaled back.
+        name: in the registry.
+        choices: field -> the values it may have.
+        needs: what the library does with a cost that is not positive definite; empty where it copes.
+    """
+
+    rows: int = 5
+    cost_scale: float
+    name: ClassVar[str]
+    session: ClassVar[type[LibrarySession]]
+    choices: ClassVar[Mapping[str, tuple[object, ...]]] = {}
+    needs: ClassVar[str] = ""
+
+    def __post_init__(self) -> None:
+        check_settings(self, rows=ROWS, **self.choices)
+
+    def supports(self, qp: NullSpaceQP) -> str | None:
+        """Say why a subproblem cannot be taken; None where it can."""
+        return refuse_semidefinite(qp, self.needs) if self.needs else None
+
+    def start(self, qp: NullSpaceQP) -> Session:
+        """Set a workspace up with the shape and the scaling of ``qp``."""
+        return self.session(self, qp)
+
+
+def refuse_semidefinite(qp: NullSpaceQP, needs: str) -> str | None:
+    """Say why a library that ``needs`` a positive definite cost cannot take ``qp``; None where it can."""
+    if qp.regularization > 1e-10 * (qp.c0 + qp.c1):
+        return None
+    return f"{needs}, and regularization is {qp.regularization:g}: set regularization > 0"
+
+
+class LibrarySession(ShownBySettings, ABC):
+    """One workspace of a library and the buffers that it reads.
+
+    Attributes:
+        dual_sign: of the library's multipliers of A x = b.
+    """
+
+    dual_sign: ClassVar[float] = 1.0
+
+    def __init__(self, settings: Any, qp: NullSpaceQP) -> None:
+        self._settings = settings
+        self._factor = self.dual_sign / settings.cost_scale
+        self._refuses = bool(settings.needs)
+        self._build(qp)
+
+    def _build(self, qp: NullSpaceQP) -> None:
+        self._m, self._n = assembled(qp, self._settings.rows).A.shape
+        self._load = Loader(self._settings.rows, self._settings.cost_scale, **self._allocate(self._m, self._n))
+        self._load(qp)
+        self._set_up(self._m, self._n)
+
+    @abstractmethod
+    def _allocate(self, m: int, n: int) -> dict[str, Any]:
+        """Make the arrays that the library reads; returns the arguments of `Loader` that write into them."""
+
+    def _set_up(self, m: int, n: int) -> None:
+        """Make the library's workspace from the loaded arrays, its options set."""
+
+    def _hand_over(self) -> None:
+        """Hand the loaded arrays to the library."""
+
+    @abstractmethod
+    def _run(self) -> Outcome:
+        """Run the library: status, iterations, x (n,) in memory of its own, multipliers (m,) of A x = b.
+
+        x and multipliers count only where the status is one with an answer.
+        """
+
+    def update(self, qp: NullSpaceQP) -> None:
+        """Hand the subproblem to the library; another shape than the last one's starts a new workspace."""
+        if not self._load(qp):
+            self._build(qp)
+        self._hand_over()
+
+    def solve(self, qp: NullSpaceQP) -> Solution:
+        """Answer one subproblem."""
+        if self._refuses and self._settings.supports(qp) is not None:
+            return no_answer(qp.n, Status.UNSUPPORTED)
+        self.update(qp)
+        status, iterations, x, y = self._run()
+        if status not in _HAS_X:
+            return no_answer(qp.n, status, iterations)
+        return Solution(x, self._load.lifted(y, self._factor), status, iterations)
+
+
+class TruncatedSession(LibrarySession):
+    """A library whose iterations can be limited from call to call."""
+
+    @abstractmethod
+    def _limit(self, iterations: int) -> None:
+        """Let the library make so many iterations at most."""
+
+    def truncated(self, qp: NullSpaceQP, iterations: int) -> Solution:
+        """Answer with the iterate after so many iterations (at least 1), from where the last solve began."""
+        self._limit(iterations)
+        try:
+            return self.solve(qp)
+        finally:
+            self._limit(self._settings.max_iter)
+
+
+# --- the buffers ---
+
+
+def upper_triangle(values: Array, n: int) -> sparse.csc_matrix:
+    """Wrap (n (n + 1) / 2,) values, column by column, as the upper triangle of an (n, n) matrix; zeros stay."""
+    rows = np.concatenate([np.arange(j + 1) for j in range(n)])
+    return sparse.csc_matrix((values, rows, np.cumsum(np.arange(n + 1))), shape=(n, n))
+
+
+def stacked(values: Array, boxes: int) -> sparse.csc_matrix:
+    """Wrap (n, m + boxes) values, a row for each joint, as a matrix of m dense rows above diagonal ones; zeros stay."""
+    n, m = len(values), values.shape[1] - boxes
+    rows = np.concatenate([np.append(np.arange(m), m + n * np.arange(boxes) + j) for j in range(n)])
+    return sparse.csc_matrix((values.ravel(), rows, (m + boxes) * np.arange(n + 1)), shape=(m + boxes * n, n))
+
+
+class Loader:
+    """Writes subproblems of one shape into given buffers; each is an array of the library's, or a view into one.
+
+    Args:
+        rows: 5 or 6, as the solver's setting asks for.
+        scale: multiplies P and p.
+        P: (n, n).
+        p: (n,).
+        A: (m, n) equality rows, m as `equalities` has them.
+        low, high: (m,) both sides of the rows; the same array where there is one.
+        lower, upper: (n,) the box.
+        packed: (n (n + 1) / 2,) upper triangle of P by columns, where that is wanted.
+        signs: of p, lower and upper.
+    """
+
+    def __init__(
+        self, rows: int, scale: float, *, P: Array, p: Array, A: Array, low: Array, high: Array, lower: Array,
+        upper: Array, packed: Array | None = None, signs: tuple[float, float, float] = (1.0, 1.0, 1.0),
+    ) -> None:  # fmt: skip
+        packed = np.empty(0) if packed is None else packed
+        self._core = core.Loader(rows == 5, scale, signs, P, p, A, low, high, lower, upper, packed)
+
+    def __call__(self, qp: NullSpaceQP) -> bool:
+        """Load ``qp``; False where it has another shape, and the buffers hold nothing of use."""
+        return self._core.load(qp.row)
+
+    def lifted(self, y: Array, factor: float) -> Array:
+        """Return the multipliers of the six rows (6,) from the library's (m,), times ``factor``."""
+        six = np.empty(6)
+        self._core.lifted(y if y.strides == (8,) else np.ascontiguousarray(y), factor, six)
+        return six

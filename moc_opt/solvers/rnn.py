@@ -1,0 +1,187 @@
+"""The recurrent neural network of Su et al. 2019 as a solver, in its consistent sign.
+
+With F(Y) = [dL/dx, -dL/dlambda] (the paper's equation (2)) the network is
+
+    eps dx/dt = -x + clip(x - k (c0 J_T^T (J_T x - v_T) + c1 J_W^T (J_W x - v_W) + rho x - c2 grad_mu
+                                 + J_T^T l1 + J_W^T l2), lower, upper)
+    eps dl1/dt = k (J_T x - v_T),   eps dl2/dt = k (J_W x - v_W)
+
+integrated by Euler steps of size h = dt/eps (`moc_opt/core/rnn.c`). A network cannot tell that a problem is
+infeasible: its multipliers then grow without bound, the status is MAX_ITER, and it needs as long again to unwind them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from moc_opt import core
+from moc_opt.errors import SolverError
+from moc_opt.qp.problem import NullSpaceQP
+from moc_opt.solvers.base import ShownBySettings, Solution, Status, check_settings, no_answer
+
+
+def unstable(
+    qp: NullSpaceQP, h: float, k: float, scale: float, implicit: bool, h_x: float | None = None
+) -> str | None:
+    """Return why Euler steps of this size diverge on ``qp``, or None. x steps by h_x, by h where that is None.
+
+    On a singular value s of A, away from the bounds, one step has the characteristic polynomial
+    of an oscillator with damping k c s^2 and stiffness k^2 s^2, c = scale c0 = scale c1. Explicit
+    steps keep both roots inside the unit circle only where h k < c and (2 h k c - h^2 k^2) s^2 < 4;
+    with the multipliers on the new x only (2 h k c + h^2 k^2) s^2 < 4 remains. Where x steps by h_x and the
+    multipliers by h, h k < c stays and h h_x takes the place of h^2, h_x that of h before k c.
+    """
+    c0, c1 = scale * qp.c0, scale * qp.c1
+    weak, strong, hk = min(c0, c1), max(c0, c1), h * k
+    if not implicit and not hk < weak:
+        return (
+            f"h k = {hk:g} is not below {'scale ' if scale != 1.0 else ''}min(c0, c1) = {weak:g}: "
+            "the explicit steps diverge; lower h or k, or raise the weights"
+        )
+    if weak <= 0.0:
+        return "c0 and c1 must be above 0: nothing else damps the multipliers"
+    largest = float(np.linalg.norm(qp.A, 2))
+    # a product, which may become infinite, where a power would raise
+    hk_x = hk if h_x is None else h_x * k
+    stiff = (2.0 * hk_x * strong + (hk * hk_x if implicit else -hk * hk_x)) * largest * largest
+    if not stiff < 4.0:
+        return f"h k max(c0, c1) |A|^2 is too large ({stiff:.2f} of 4): the steps diverge; lower h or k"
+    return None
+
+
+@dataclass(frozen=True)
+class RNN:
+    """The network with a state of its own: at most ``steps`` inner steps a tick, warm from tick to tick.
+
+    The paper's weights c0 = 0.01 and k = 0.1 need about 3e7 steps to 1e-3, because the explicit step must
+    keep h k < c0. Multiplying all of c0, c1, c2 and regularization by ``scale`` leaves the solution as it is
+    and lets the step grow with it: scale = 100, k = 0.5, h = 1 need about 1.4e3.
+
+    Args:
+        steps: inner steps a tick; it ends earlier where the state has come to rest.
+        h: step size dt/eps, in (0, 1]: x then never leaves the box.
+        k: the paper's gain.
+        scale: multiplies c0, c1, c2 and regularization; the multipliers are scaled back.
+        method: "explicit" Euler, or "semi-implicit": the multipliers see the new x.
+        eps: SOLVED is claimed where the right-hand side of the network is at most this [rad/s, m/s].
+        warm: False forgets the state before each tick.
+
+    Raises:
+        SolverError: a setting is out of range; from ``start`` where the steps would diverge.
+    """
+
+    steps: int = 10
+    h: float = 1.0
+    k: float = 0.5
+    scale: float = 100.0
+    method: Literal["explicit", "semi-implicit"] = "explicit"
+    eps: float = 1e-7
+    warm: bool = True
+    name: ClassVar[str] = "rnn"
+
+    def __post_init__(self) -> None:
+        _check(self, method=("explicit", "semi-implicit"))
+
+    def supports(self, qp: NullSpaceQP) -> str | None:
+        """Return why the steps would not be stable, or None."""
+        return unstable(qp, self.h, self.k, self.scale, self.method == "semi-implicit")
+
+    def start(self, qp: NullSpaceQP) -> RNNSession:
+        """Return a network at rest: x = 0 (clipped), multipliers 0."""
+        return _started(RNNSession, self, qp)
+
+
+class RNNSession(ShownBySettings):
+    """The state of one network."""
+
+    def __init__(self, settings: RNN | RNNPrinted, n: int) -> None:
+        self._settings: Any = settings
+        self._rest(n)
+
+    def _rest(self, n: int) -> None:
+        self._x, self._y = np.zeros(n), np.zeros(6)
+
+    def solve(self, qp: NullSpaceQP) -> Solution:
+        """Go on from the last tick's state."""
+        s = self._settings
+        if not s.warm:
+            self._rest(qp.n)
+        return self._advance(qp, s.steps, s.h, s.h, s.scale, s.method == "semi-implicit")
+
+    def _advance(self, qp: NullSpaceQP, most: int, h_x: float, h_y: float, scale: float, implicit: bool) -> Solution:
+        """Take at most so many steps from the state as it is; at rest again where that does not stay finite."""
+        if qp.n != len(self._x):
+            self._rest(qp.n)
+        s, x, y = self._settings, self._x, self._y
+        code, steps = core.step_network(qp.row, x, y, most, h_x, h_y, s.k, scale, implicit, s.eps)
+        if code == core.DOUBTFUL:
+            self._rest(qp.n)
+            return no_answer(qp.n, Status.NUMERICAL, steps)
+        status = Status.SOLVED if code == core.OK else Status.MAX_ITER
+        return Solution(x.copy(), y / scale, status, steps)
+
+
+@dataclass(frozen=True)
+class RNNPrinted:
+    """Equation (2) of the paper to the letter, with the measured joint velocity v as its qd.
+
+    The paper's qdd_d = -v + P(v - k dL/dqd) goes to the controller as it is: the answer is x = P(v - k dL/dqd),
+    of which the third level takes x - v. The multipliers, 0 at first, integrate dlambda/dt = k (J v - v_ref) / eps
+    over the tick. With the subproblem's own weights (the paper's are c0 = c1 = 0.01, c2 = 0.001, regularization 0) its
+    modes are slower than 50 s, so in a controller it acts as damping. ``session.observe(v)`` hands the measured
+    joint velocity over before a tick; without it the network goes on from its own last x.
+
+    Args:
+        k: the paper's gain.
+        h: step of the multipliers, dt/eps. The paper prints no time constant: 0.002 is eps = 1 s at 500 Hz.
+            h k < c0 or the steps diverge.
+        eps: SOLVED is claimed where the right-hand side of the network is at most this [rad/s, m/s].
+
+    Raises:
+        SolverError: a setting is out of range; from ``start`` where the steps would diverge.
+    """
+
+    k: float = 0.1
+    h: float = 0.002
+    eps: float = 1e-9
+    name: ClassVar[str] = "rnn-printed"
+
+    def __post_init__(self) -> None:
+        _check(self)
+
+    def supports(self, qp: NullSpaceQP) -> str | None:
+        """Return why the steps would not be stable, or None."""
+        return unstable(qp, self.h, self.k, 1.0, False, h_x=1.0)
+
+    def start(self, qp: NullSpaceQP) -> RNNPrintedSession:
+        """Return a network at rest."""
+        return _started(RNNPrintedSession, self, qp)
+
+
+class RNNPrintedSession(RNNSession):
+    """The multipliers of one network; x comes from outside. See ``base.ObservingSession``."""
+
+    def observe(self, v: ArrayLike) -> None:
+        """Take the measured joint velocity v (n,) [rad/s] as x of the next tick."""
+        self._x = np.array(v, dtype=float)
+
+    def solve(self, qp: NullSpaceQP) -> Solution:
+        """Compute x = P(v - k dL/dqd) with the multipliers as they are, which then go on by one tick."""
+        return self._advance(qp, 1, 1.0, self._settings.h, 1.0, False)
+
+
+def _check(settings: RNN | RNNPrinted, **choices: tuple[str, ...]) -> None:
+    check_settings(settings, **choices)
+    if settings.h > 1.0:
+        raise SolverError(f"{settings.name}: h = {settings.h!r} is above 1, where x leaves the box")
+
+
+def _started(session: type[RNNSession], settings: RNN | RNNPrinted, qp: NullSpaceQP) -> Any:
+    reason = settings.supports(qp)
+    if reason is not None:
+        raise SolverError(f"{settings.name}: {reason}")
+    return session(settings, qp.n)

@@ -1,0 +1,384 @@
+"""Do jobs in other processes. What happens in one job is its result, or the reason why there is none; never the end.
+
+    results = run([Job(trial, (scenario, "osqp", seed)) for seed in range(60)], kept=Kept(out / "jobs"))
+
+A job is a function of a module and its arguments. It runs in a process of pebble's pool, which is ended if the job
+takes longer than its limit, dies by a signal, or asks for more memory than there is. With the address of a Dask
+scheduler the same function runs on the workers behind it.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import faulthandler
+import importlib
+import multiprocessing
+import os
+import pickle
+import resource
+import signal
+import sys
+import tempfile
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import CancelledError, Future, TimeoutError, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field, replace
+from itertools import count as count_from_zero
+from pathlib import Path
+from types import ModuleType
+from typing import Any, Literal, cast
+
+from pebble import ProcessExpired, ProcessPool
+
+from moc_opt.errors import MocOptError, StudyError, describe
+from moc_opt.study.kept import Kept, digest_of, key_of, loaded_sources
+
+CONNECT_S = 30.0
+PR_SET_PDEATHSIG = 1
+PRELOAD = ("moc_opt.scenario", "moc_opt.study.engine")
+
+_alone = False  # set in a worker that is the only one
+_parts: str | None = None  # in a worker: the file for what the job hands over
+
+
+@dataclass(frozen=True)
+class Job:
+    """A function of a module with its arguments; both, and the result, must pickle.
+
+    Attributes:
+        work: the function.
+        arguments: of the call.
+        limit_s: a call that takes longer is ended with its process [s].
+        alone: its times are measured: no other job runs meanwhile.
+        group: after several of this name hung or crashed, the others of that name are not begun.
+    """
+
+    work: Callable[..., Any]
+    arguments: tuple[Any, ...] = ()
+    limit_s: float = 600.0
+    alone: bool = False
+    group: str = ""
+
+
+@dataclass(frozen=True)
+class Failed:
+    """Why a job has no result.
+
+    Attributes:
+        kind: it took longer than its limit, its process died, it raised an exception, or it was not begun.
+        reason: in words.
+        error: the exception that was raised.
+        parts: what the job had handed over by `report`.
+    """
+
+    kind: Literal["hung", "crashed", "raised", "not run"]
+    reason: str
+    error: BaseException | None = field(default=None, compare=False)
+    parts: tuple[Any, ...] = ()
+
+    def __str__(self) -> str:
+        return self.reason if self.kind in ("raised", "not run") else f"{self.kind}: {self.reason}"
+
+
+@dataclass(frozen=True)
+class _Done:
+    """A pickled result, and the project's files that were imported to get it, with their digest where it ran."""
+
+    packed: bytes
+    sources: tuple[str, ...]
+    digest: str
+
+
+@dataclass(frozen=True)
+class _Raised:
+    """What a job raised: its text, and its pickle, which may be empty."""
+
+    text: str
+    packed: bytes
+
+
+def run(
+    jobs: Sequence[Job], *, kept: Kept | None = None, workers: int | None = None, dask: str | None = None,
+    done: Callable[[Job, Any], None] = lambda job, result: None, keep: Callable[[Any], bool] = lambda result: True,
+    give_up: int = 1,
+) -> list[Any]:  # fmt: skip
+    """Do all jobs, those first that run alone; return their results in order, `Failed` where there is none.
+
+    Ctrl-C ends the processes and is raised; what was finished is kept by then.
+
+    Args:
+        kept: where results are kept, and taken from if an earlier run left them there. Failures are not kept.
+        workers: processes on this machine; None: one for each core.
+        dask: address of a Dask scheduler, as "tcp://host:8786", whose workers do the jobs that need not run alone.
+        done: called here with each job and its result.
+        keep: whether a result may be kept.
+        give_up: so many jobs of a group may hang or crash, after which its others are not begun.
+
+    Raises:
+        StudyError: no worker stays alive, no scheduler answers, or results cannot be kept.
+    """
+    results: dict[int, Any] = {}
+    keys = {k: key_of(job.work, job.arguments) for k, job in enumerate(jobs)} if kept is not None else {}
+
+    def finish(k: int, result: Any) -> None:
+        results[k] = result
+        done(jobs[k], result)
+
+    for k in keys:
+        if kept is not None and (found := kept.get(keys[k])) is not None:
+            finish(k, found[0])
+    broken = Counter[str]()
+    for alone in (True, False):
+        waiting = [k for k, job in enumerate(jobs) if k not in results and job.alone is alone]
+        if not waiting:
+            continue
+        count = 1 if alone else min(workers or _cores(), len(waiting))
+        with _cluster(dask) if dask and not alone else _processes(count) as (submit, slots):
+            for k, answer in _answers(jobs, waiting, submit, slots, broken, give_up):
+                if not isinstance(answer, _Done):
+                    finish(k, answer)
+                    continue
+                same = digest_of(answer.sources) == answer.digest
+                if dask and not alone and not same:
+                    raise StudyError("a worker has other sources than this machine: install the same there")
+                result = pickle.loads(answer.packed)
+                if kept is not None and same and keep(result):
+                    kept.put(keys[k], result, answer.sources)
+                finish(k, result)
+    return [results[k] for k in range(len(jobs))]
+
+
+def each(
+    work: Callable[[Any], Any], items: Sequence[Any], *, kept: Kept | None = None, workers: int | None = None,
+    step: Callable[[], Any] = lambda: None, failed: Callable[[Any, Failed], Any] | None = None,
+) -> list[Any]:  # fmt: skip
+    """Return ``work(item)`` for every item, in order: for runs whose times are not measured.
+
+    Args:
+        step: called here after each.
+        failed: makes the result of an item whose job failed; without it the failure is raised.
+
+    Raises:
+        MocOptError: what a job raised, or a StudyError that says how its process ended.
+    """
+    jobs = [Job(work, (item,)) for item in items]
+    found = run(jobs, kept=kept, workers=workers, done=lambda job, result: step())
+    for k, result in enumerate(found):
+        if isinstance(result, Failed):
+            if failed is None:
+                raise result.error if isinstance(result.error, MocOptError) else StudyError(str(result))
+            found[k] = failed(items[k], result)
+    return found
+
+
+Submit = Callable[[Job], "Future[_Done | _Raised]"]
+
+
+def _answers(
+    jobs: Sequence[Job], waiting: Sequence[int], submit: Submit, slots: int, broken: Counter[str], give_up: int
+) -> Iterator[tuple[int, _Done | Failed]]:
+    """Yield (index, answer) as they come. Two jobs a slot are under way, so that a group can still be given up."""
+    left, flying = list(reversed(waiting)), dict[Future[_Done | _Raised], int]()
+    while left or flying:
+        while left and len(flying) < 2 * slots:
+            k = left.pop()
+            group = jobs[k].group
+            if group and broken[group] >= give_up:
+                yield k, Failed("not run", f"not run: {group} hung or crashed before")
+            else:
+                flying[submit(jobs[k])] = k
+        if flying:
+            future = next(as_completed(flying))
+            k = flying.pop(future)
+            answer = _answer(future, jobs[k])
+            if isinstance(answer, Failed):
+                answer = replace(answer, parts=_reported(getattr(future, "parts", None)))
+            broken[jobs[k].group] += isinstance(answer, Failed) and answer.kind in ("hung", "crashed")
+            yield k, answer
+
+
+def _answer(future: Future[_Done | _Raised], job: Job) -> _Done | Failed:
+    try:
+        answer = future.result()
+    except TimeoutError:
+        return Failed("hung", f"no answer within {job.limit_s:g} s")
+    except ProcessExpired as error:
+        code = error.exitcode or 0
+        if code == -signal.SIGALRM:
+            return Failed("hung", "no sign of life within the limit that the job set itself")
+        how = signal.Signals(-code).name if code < 0 else f"exit code {code}"
+        return Failed("crashed", f"the process died ({how})")
+    except BrokenProcessPool as error:
+        raise StudyError(f"no worker stays alive ({error}): see what was written above, and the memory left") from error
+    except CancelledError as error:
+        raise StudyError("the scheduler went away with the jobs that were under way; start again") from error
+    except OSError as error:
+        raise StudyError(f"no worker can be reached: {describe(error)}") from error
+    except Exception as error:  # noqa: BLE001 - a job that cannot be sent, or what a cluster says of a dead worker
+        if type(error).__name__ == "KilledWorker":
+            return Failed("crashed", f"the worker died, or the job took more than {job.limit_s:g} s")
+        return Failed("raised", describe(error), error)
+    return Failed("raised", answer.text, _remade(answer.packed)) if isinstance(answer, _Raised) else answer
+
+
+def _do(work: Callable[..., Any], arguments: tuple[Any, ...], parts: str | None = None) -> _Done | _Raised:
+    """Do one job, in a worker."""
+    global _parts
+    _parts = parts
+    try:
+        result = pickle.dumps(work(*arguments))
+    except (Exception, KeyboardInterrupt, SystemExit) as error:  # noqa: BLE001 - foreign code may raise anything
+        text = f"{type(error).__name__}: {error}" if isinstance(error, MocOptError) else describe(error)
+        try:
+            return _Raised(text, pickle.dumps((type(error), error.args, error.__dict__)))
+        except Exception:  # noqa: BLE001 - an exception may hold anything; its text is handed over all the same
+            return _Raised(text, b"")
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+    sources = loaded_sources()
+    return _Done(result, sources, digest_of(sources))
+
+
+def _remade(pickled: bytes) -> BaseException | None:
+    """Return the exception, made without its constructor, which may take other arguments than it keeps."""
+    try:
+        kind, arguments, state = pickle.loads(pickled)
+        found: BaseException = kind.__new__(kind, *arguments)
+        found.__dict__.update(state)
+    except Exception:  # noqa: BLE001 - of a type that cannot be made here; its text was handed over
+        return None
+    return found
+
+
+# --- processes on this machine ---
+
+
+@contextmanager
+def _processes(count: int) -> Iterator[tuple[Submit, int]]:
+    """Start so many workers; leaving it ends them, and whatever they have started."""
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload([*PRELOAD, "__main__"])
+    total = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    with tempfile.TemporaryDirectory(prefix="moc-opt-") as folder:
+        for name in ("groups", "parts"):
+            Path(folder, name).mkdir()
+        # The workers inherit this mask: Ctrl-C while one still imports would end it with a traceback.
+        masked = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        try:
+            pool = ProcessPool(
+                count, initializer=_begin, initargs=(folder, total // (count + 1), count == 1), context=context
+            )
+            pool.schedule(os.getpid).result()  # the workers are started now
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, masked)
+
+        numbers = count_from_zero()
+
+        def submit(job: Job) -> Future[_Done | _Raised]:
+            parts = str(Path(folder, "parts", str(next(numbers))))
+            future: Any = pool.schedule(_do, args=[job.work, job.arguments, parts], timeout=job.limit_s)
+            future.parts = parts
+            return cast("Future[_Done | _Raised]", future)
+
+        try:
+            yield submit, count
+            pool.close()
+        finally:
+            pool.stop()
+            pool.join()
+            for group in Path(folder, "groups").iterdir():
+                with suppress(ProcessLookupError, PermissionError):
+                    os.killpg(int(group.name), signal.SIGKILL)
+
+
+def _begin(folder: str, memory: int, alone: bool) -> None:
+    """Begin a worker: it leads a group, ends with its parent, leaves Ctrl-C to it, and has its share of the memory."""
+    global _alone
+    _alone = alone
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    os.setpgrp()
+    Path(folder, "groups", str(os.getpid())).touch()
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+        resource.setrlimit(resource.RLIMIT_DATA, (memory, memory))
+
+
+def report(part: Any) -> None:
+    """Hand over a part of this job's result: should the job hang or its process die, `Failed.parts` has it.
+
+    Workers of a cluster hand nothing over.
+    """
+    if _parts is not None:
+        with open(_parts, "ab") as file:
+            pickle.dump(part, file)
+
+
+def _reported(file: str | None) -> tuple[Any, ...]:
+    parts = list[Any]()
+    if file is not None and os.path.exists(file):
+        with open(file, "rb") as packed, suppress(EOFError, pickle.UnpicklingError):  # the last one may be cut
+            while True:
+                parts.append(pickle.load(packed))
+    return tuple(parts)
+
+
+def alarm(seconds: float) -> None:
+    """Let the kernel end this job's process after so many seconds, even where a library hangs; 0: never.
+
+    A job that calls it before each of many steps limits each of them.
+    """
+    signal.signal(signal.SIGALRM, signal.SIG_DFL)
+    signal.setitimer(signal.ITIMER_REAL, seconds)
+
+
+def shared() -> bool:
+    """Say inside a job whether other jobs may run on this machine meanwhile."""
+    return not _alone
+
+
+def _cores() -> int:
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+# --- workers of a cluster ---
+
+
+@contextmanager
+def _cluster(address: str) -> Iterator[tuple[Submit, int]]:
+    """Connect to a Dask scheduler; its workers must have the same sources as this process."""
+    library = _distributed()
+    try:
+        client = library.Client(address, timeout=CONNECT_S, set_as_default=False)
+    except (OSError, ValueError) as error:
+        raise StudyError(f"no Dask scheduler answers at {address}: {error}") from error
+    try:
+        client.wait_for_workers(1, timeout=CONNECT_S)
+        slots = sum(client.nthreads().values())
+        executor = client.get_executor(pure=False)
+        yield lambda job: executor.submit(_do_within, job.work, job.arguments, job.limit_s), max(1, slots)
+    except TimeoutError as error:
+        raise StudyError(
+            f"no worker came to {address}: start one with: dask worker {address} --nthreads 1"
+        ) from error
+    finally:
+        client.close(timeout=CONNECT_S)
+
+
+def _do_within(work: Callable[..., Any], arguments: tuple[Any, ...], limit_s: float) -> _Done | _Raised:
+    """Do one job on a worker of a cluster, which ends itself when the time is up, even where a library hangs."""
+    faulthandler.dump_traceback_later(limit_s, exit=True, file=2)
+    try:
+        return _do(work, arguments)
+    finally:
+        faulthandler.cancel_dump_traceback_later()
+
+
+def _distributed() -> ModuleType:
+    try:
+        return importlib.import_module("distributed")
+    except ImportError as error:
+        raise StudyError(
+            f"a Dask scheduler needs a package that is missing in {sys.prefix}: pip install 'moc-opt[cluster]'"
+        ) from error

@@ -1,0 +1,188 @@
+"""Finished jobs in a folder: a study that was stopped, in whatever way, goes on where it was.
+
+The folder is a `diskcache.Cache`, so a process that is killed leaves whole results or none. A result is taken again
+if its job has the same function and arguments, the libraries have the same versions, and every file of this project
+that the job's process had imported, and every robot's file, is as it was. The worker reports these files, so nobody
+has to list them.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import importlib.metadata
+import pickle
+import shutil
+import sqlite3
+import sys
+import sysconfig
+from collections.abc import Callable, Iterable, Mapping
+from functools import cache, partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import diskcache
+import numpy as np
+from pydantic import BaseModel
+
+from moc_opt import core
+from moc_opt.errors import StudyError
+from moc_opt.inputs.files import file_in, to_json
+
+LIBRARIES = (
+    "numpy", "scipy", "pin", "mujoco", "casadi", "osqp", "proxsuite", "qpsolvers", "daqp", "piqp", "quadprog",
+    "clarabel", "scs", "highspy",
+)  # fmt: skip
+SHOWS = ("report", "figures", "commands", "live")
+"""Rooms of the package that decide nothing of a result."""
+HOME = Path(core.__file__).parents[1]
+
+
+class _Entry(NamedTuple):
+    result: Any
+    sources: tuple[str, ...]
+    digest: str
+
+
+class Kept:
+    """Finished jobs in ``folder``, which is made when it is first needed.
+
+    Raises:
+        StudyError: the folder cannot be used.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder, self.reused = folder, 0
+        self._cache: Any = self._opened()
+
+    def get(self, key: str) -> tuple[Any] | None:
+        """Return (result,), or None where there is none or the code has changed since."""
+        try:
+            entry = self._cache.get(key)
+        except (
+            sqlite3.Error,
+            pickle.UnpicklingError,
+            EOFError,
+            AttributeError,
+            ImportError,
+            ValueError,
+        ) as error:
+            print(
+                f"{self.folder}: a finished job cannot be read ({error}) and is done again", file=sys.stderr
+            )
+            return None
+        if not isinstance(entry, _Entry) or digest_of(entry.sources) != entry.digest:
+            return None
+        self.reused += 1
+        return (entry.result,)
+
+    def put(self, key: str, result: Any, sources: tuple[str, ...]) -> None:
+        """Keep a result with the files that decided it.
+
+        Raises:
+            StudyError: it cannot be written; what was kept before stays.
+        """
+        try:
+            self._cache[key] = _Entry(result, sources, digest_of(sources))
+        except (OSError, sqlite3.Error) as error:
+            raise StudyError(
+                f"{self.folder}: a finished job cannot be kept ({error}); see to the space and the permissions and "
+                "start the same command again: what was finished before is safe there"
+            ) from error
+
+    def _opened(self) -> diskcache.Cache:
+        try:
+            try:
+                return diskcache.Cache(self.folder, eviction_policy="none")
+            except sqlite3.DatabaseError as error:
+                if isinstance(error, sqlite3.OperationalError):
+                    raise
+                aside = file_in(self.folder.parent / "damaged", self.folder.name)
+                shutil.move(self.folder, aside)
+                print(f"{self.folder} is damaged ({error}); set aside as {aside}", file=sys.stderr)
+                return diskcache.Cache(self.folder, eviction_policy="none")
+        except (OSError, sqlite3.Error) as error:
+            raise StudyError(
+                f"{self.folder}: finished jobs cannot be kept there ({error}); give another --out"
+            ) from error
+
+
+def key_of(work: Callable[..., Any], arguments: Iterable[Any]) -> str:
+    """Return the digest of a job's function and arguments, and of the libraries' versions."""
+    code = getattr(work, "__code__", None)  # a script's own functions reach a cluster without their file
+    own = "" if code is None else _file_digest(code.co_filename)
+    asked = [work.__module__, work.__qualname__, own, _plain(list(arguments)), versions()]
+    return hashlib.sha256(to_json(asked, indent=None, sort_keys=True).encode()).hexdigest()
+
+
+def loaded_sources() -> tuple[str, ...]:
+    """Return the files that this process has imported from the project, and from wherever else nothing is installed."""
+    files = {Path(file) for found in list(sys.modules.values()) if (file := getattr(found, "__file__", None))}
+    installed = {Path(sysconfig.get_path(kind)) for kind in ("stdlib", "platstdlib", "purelib", "platlib")}
+    shows = {HOME / room for room in SHOWS}
+    return tuple(
+        sorted(
+            str(file.relative_to(HOME.parent) if HOME.parent in file.parents else file) for file in files
+            if not shows & set(file.parents) and (HOME in file.parents or not installed & set(file.parents))
+        )
+    )  # fmt: skip
+
+
+def digest_of(sources: tuple[str, ...]) -> str:
+    """Return a digest of these files and of the robots' own; a file that is gone counts as one that has changed."""
+    digest = hashlib.sha256()
+    for file in (*sources, *robot_files()):
+        digest.update(f"{file} {_file_digest(file)}\n".encode())
+    return digest.hexdigest()
+
+
+@cache
+def robot_files() -> tuple[str, ...]:
+    """Return the arms' URDF and TOML files."""
+    return tuple(sorted(str(file.relative_to(HOME.parent)) for file in (HOME / "robots").rglob("*.[tu]*")))
+
+
+@cache
+def versions() -> dict[str, str]:
+    """Return library -> version, of those that are installed."""
+    installed = {}
+    for name in LIBRARIES:
+        try:
+            installed[name] = importlib.metadata.version(name)
+        except importlib.metadata.PackageNotFoundError:
+            continue
+    return installed
+
+
+@cache
+def _file_digest(file: str) -> str:
+    try:
+        return hashlib.sha256((HOME.parent / file).read_bytes()).hexdigest()
+    except OSError:
+        return "gone"
+
+
+def _plain(value: Any) -> Any:
+    """Return a job's argument as JSON has it; an array counts with its bytes, and a record with its fields."""
+    if value is None or isinstance(value, bool | int | float | str | Path):
+        return repr(value)
+    if isinstance(value, BaseModel):
+        return [type(value).__qualname__, value.model_dump(mode="json")]
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        fields = {field.name: _plain(getattr(value, field.name)) for field in dataclasses.fields(value)}
+        return [type(value).__qualname__, fields]
+    if isinstance(value, Mapping):
+        return {str(name): _plain(entry) for name, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(entry) for entry in value]
+    if isinstance(value, np.ndarray):
+        return [
+            str(value.dtype),
+            value.shape,
+            hashlib.sha256(np.ascontiguousarray(value).tobytes()).hexdigest(),
+        ]
+    if isinstance(value, partial):
+        return ["partial", _plain(value.func), _plain(value.args), _plain(value.keywords)]
+    if callable(value):
+        return f"{value.__module__}.{value.__qualname__}"
+    return hashlib.sha256(pickle.dumps(value)).hexdigest()

@@ -1,0 +1,250 @@
+"""Means and changes over independent trials, with bootstrap intervals, and when they decide nothing.
+
+Resampling is scipy's: bias-corrected and accelerated (Efron 1987), over trials, and over pairs where two controllers
+ran the same trials. Ticks of one trial are not independent, so they are never resampled. A bootstrap of few samples is
+too narrow, and BCa follows the few outliers of a change that is zero in most trials. So its confidence level is raised
+to what Student's t asks of as many samples (Hesterberg 2015, "expanded percentiles"), the interval also holds that of
+Student's t around the value with the jackknife's standard error, and both are made at `NOMINAL`, so that they cover
+as often as `CONFIDENCE` says. docs/method.md has the coverage, simulated with the design of the study.
+
+A change is the ratio of the means. The mean of the trials' ratios, in which a trial with a small denominator counts
+for more, is computed beside it: where the two disagree in sign or verdict the change is undecided.
+"""
+
+from __future__ import annotations
+
+import threading
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy import stats
+
+from moc_opt.arrays import Array
+from moc_opt.errors import MocOptError
+
+_FILTERS = threading.Lock()
+"""Held while warnings are off: they are the process's own, and several threads ask for intervals."""
+RESAMPLES = 4000
+CONFIDENCE = 0.95
+NOMINAL = 0.7
+"""Part of the share of misses (1 - confidence) at which intervals are made: simulated ones cover less than they say."""
+ROUNDING = 1e-9
+"""A change smaller than this is none [percent]."""
+LEAST_TRIALS = 8
+"""Fewer trials decide nothing: no verdict is given on them."""
+
+
+def too_few(trials: int) -> str | None:
+    """Return the words that stand in place of a verdict on so few trials; None where they are enough."""
+    return f"too few trials to decide ({trials} of at least {LEAST_TRIALS})" if trials < LEAST_TRIALS else None
+
+
+class StatisticsError(MocOptError, ValueError):
+    """Samples that no statistic can be made of."""
+
+
+class Interval(NamedTuple):
+    """A statistic and its confidence interval; `low` and `high` are NaN where a single sample gives none."""
+
+    value: float
+    low: float
+    high: float
+    samples: int
+
+    def __str__(self) -> str:
+        return f"{self:.4g}"
+
+    def __format__(self, form: str) -> str:
+        return f"{self.value:{form}} [{self.low:{form}}, {self.high:{form}}]"
+
+    def entries(self, name: str) -> dict[str, float]:
+        """Return {name, name_low, name_high}, for a summary."""
+        return {name: self.value, f"{name}_low": self.low, f"{name}_high": self.high}
+
+
+class Change(NamedTuple):
+    """A change against a baseline [percent], by both means: ``ratio`` of the means, and mean of the trials' ``ratios``.
+
+    Example:
+        >>> change = relative_changes([0.4, 2.0, 2.1, 2.2] * 3, [0.1, 3.0, 3.1, 3.2] * 3)
+        >>> f"{change.ratio.value:.3g} {change.ratios.value:.3g} {change.undecided}"
+        '-28.7 50.8 True'
+    """
+
+    ratio: Interval
+    ratios: Interval
+
+    def side(self, bound: float = 0.0) -> int:
+        """Return +1 or -1 where both intervals lie above or below the bound [percent]; 0 where it is undecided."""
+        both = {int(one.low > bound + ROUNDING) - int(one.high < bound - ROUNDING) for one in self}
+        return both.pop() if len(both) == 1 and self.ratio.samples >= LEAST_TRIALS else 0
+
+    @property
+    def undecided(self) -> bool:
+        """Whether the two means disagree in sign, or one interval holds 0 where the other does not."""
+        sides = [(one.low > ROUNDING, one.high < -ROUNDING) for one in self]
+        values = self.ratio.value, self.ratios.value
+        opposed = min(values) < -ROUNDING and max(values) > ROUNDING
+        return opposed or sides[0] != sides[1]
+
+    def __str__(self) -> str:
+        return f"{self.ratio:.3g}" + (f" (mean of ratios {self.ratios:.3g}: undecided)" if self.undecided else "")
+
+    def entries(self, name: str) -> dict[str, float]:
+        """Return both with their ends, for a summary: ``name`` and ``name_of_ratios``; and ``name_undecided``."""
+        return {
+            **self.ratio.entries(name), **self.ratios.entries(f"{name}_of_ratios"),
+            f"{name}_undecided": float(self.undecided),
+        }  # fmt: skip
+
+
+def spread(entries: Mapping[str, Any], name: str, digits: int = 3, sign: str = "", unit: str = "") -> str | None:
+    """Return a figure of a summary with its interval, as text; None where there is none.
+
+    Of an undecided `Change` both means are told. ``sign`` "+" shows that of positive figures too.
+    """
+    value, low, high = (entries.get(key) for key in (name, f"{name}_low", f"{name}_high"))
+    if value is None:
+        return None
+
+    def written(one: float, sign: str = "") -> str:
+        return f"{one:{sign}.0f}" if abs(one) >= 10.0**digits else f"{one:{sign}.{digits}g}"
+
+    text = written(value, sign)
+    if low is not None and high is not None and low == low:
+        text += f" [{written(low)}, {written(high)}]"
+    text += unit
+    if entries.get(f"{name}_undecided"):
+        text += f" (mean of ratios {spread(entries, f'{name}_of_ratios', digits, sign, unit)}: undecided)"
+    return text
+
+
+def share(found: int, trials: int, *, confidence: float = CONFIDENCE) -> Interval:
+    """Return found/trials with its exact binomial interval (Clopper and Pearson, Biometrika 26, 1934).
+
+    The interval holds where the trials are independent; events that come in bunches have a wider one.
+
+    Raises:
+        StatisticsError: not 0 <= found <= trials, or no trials.
+
+    Example:
+        >>> str(share(0, 300_000))
+        '0 [0, 1.23e-05]'
+    """
+    if not 0 <= found <= trials or trials < 1:
+        raise StatisticsError(f"found = {found}, trials = {trials}: give at least one trial, and 0 to so many found")
+    low, high = stats.binomtest(found, trials).proportion_ci(confidence)
+    return Interval(found / trials, float(low), float(high), trials)
+
+
+def mean(samples: ArrayLike, *, seed: int = 0, confidence: float = CONFIDENCE) -> Interval:
+    """Return the mean of one number a trial, (k,), with its interval.
+
+    Raises:
+        StatisticsError: no sample, or one that is not finite.
+    """
+    return _interval(_mean, seed, confidence, samples=samples)
+
+
+def relative_change(
+    treated: ArrayLike, control: ArrayLike, *, seed: int = 0, confidence: float = CONFIDENCE
+) -> Interval:
+    """Compute 100 (mean(treated)/mean(control) - 1) [percent] of (k,) numbers of the same k trials, resampled in pairs.
+
+    Raises:
+        StatisticsError: no pair, different lengths, a number that is not finite, or controls with mean 0.
+    """
+    return _interval(_change, seed, confidence, treated=treated, control=control)
+
+
+def relative_changes(treated: ArrayLike, control: ArrayLike, *, seed: int = 0) -> Change:
+    """Compute `relative_change`, and beside it the mean over the trials of 100 (treated/control - 1) [percent].
+
+    Raises:
+        StatisticsError: as for `relative_change`; or a control of 0.
+    """
+    ratio = relative_change(treated, control, seed=seed)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        each = 100.0 * (np.asarray(treated, float) / np.asarray(control, float) - 1.0)
+    return Change(ratio, mean(each, seed=seed))
+
+
+def difference_of_changes(
+    treated: ArrayLike, control: ArrayLike, treated_before: ArrayLike, control_before: ArrayLike, *, seed: int = 0,
+    confidence: float = CONFIDENCE,
+) -> Interval:  # fmt: skip
+    """Subtract the `relative_change` of one pair from that of another [percentage points], on the same k trials.
+
+    Raises:
+        StatisticsError: no trial, different lengths, a number that is not finite, or controls with mean 0.
+    """
+    before = {"treated_before": treated_before, "control_before": control_before}
+    return _interval(_difference, seed, confidence, treated=treated, control=control, **before)
+
+
+def _mean(samples: Array, axis: int = -1) -> Array:
+    return np.asarray(np.mean(samples, axis=axis))
+
+
+def _change(treated: Array, control: Array, axis: int = -1) -> Array:
+    return 100.0 * (_mean(treated, axis) / _mean(control, axis) - 1.0)
+
+
+def _difference(a: Array, b: Array, c: Array, d: Array, axis: int = -1) -> Array:
+    return _change(a, b, axis) - _change(c, d, axis)
+
+
+def _checked(given: Mapping[str, ArrayLike]) -> list[Array]:
+    """Return the samples by name, (k,) each.
+
+    Raises:
+        StatisticsError: they make no statistic.
+    """
+    found = {name: np.asarray(samples, dtype=np.float64) for name, samples in given.items()}
+    for name, array in found.items():
+        if array.ndim != 1 or array.size == 0 or not np.isfinite(array).all():
+            raise StatisticsError(
+                f"{name} = {array.tolist()!r:.200}: give one finite number a trial, one trial or more"
+            )
+    (first, count), *others = [(name, len(array)) for name, array in found.items()]
+    if any(length != count for _, length in others):
+        lengths = ", ".join(f"{name} {length}" for name, length in others)
+        raise StatisticsError(f"{first} has {count} samples, {lengths}: give the same trials")
+    if any(name.startswith("control") and array.mean() == 0.0 for name, array in found.items()):
+        raise StatisticsError("control has mean 0: a change relative to it has no value")
+    return list(found.values())
+
+
+def _interval(statistic: Callable[..., Any], seed: int, confidence: float, **given: ArrayLike) -> Interval:
+    samples = _checked(given)
+    value, count, low, high = float(statistic(*samples)), len(samples[0]), float("nan"), float("nan")
+    if count < 2:
+        return Interval(value, low, high, count)
+    quantile = float(stats.t.ppf(1.0 - 0.5 * NOMINAL * (1.0 - confidence), count - 1))
+    expanded = float(2.0 * stats.norm.cdf(np.sqrt(count / (count - 1)) * quantile) - 1.0)
+    half = quantile * _standard_error(statistic, samples)
+    for method in ("BCa", "percentile"):
+        # BCa has no value where all resamples agree or the jackknife does; the percentiles always have.
+        with _FILTERS, warnings.catch_warnings():
+            warnings.simplefilter("ignore", stats.DegenerateDataWarning)
+            warnings.simplefilter("ignore", RuntimeWarning)
+            found = stats.bootstrap(
+                tuple(samples), statistic, method=method, rng=np.random.default_rng(seed), paired=True,
+                vectorized=True, n_resamples=RESAMPLES, confidence_level=min(expanded, 0.9999),
+            ).confidence_interval  # fmt: skip
+        low, high = float(found.low), float(found.high)
+        if np.isfinite(low) and np.isfinite(high):
+            break
+    return Interval(value, min(low, value - half), max(high, value + half), count)
+
+
+def _standard_error(statistic: Callable[..., Any], samples: Sequence[Array]) -> float:
+    """Return the jackknife's standard error; 0 where a statistic of all trials but one has no value."""
+    count = len(samples[0])
+    left = [np.array([np.delete(sample, k) for k in range(count)]) for sample in samples]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        found = np.asarray(statistic(*left))
+    return float(np.sqrt(count - 1) * found.std()) if np.isfinite(found).all() else 0.0

@@ -1,0 +1,130 @@
+"""The Parquet file of a trace, written and read by polars.
+
+Numbers of shape (N, k) are arrays of fixed width in the file, texts are strings. Its metadata have a version, the
+trace's meta and the numpy type of each column as JSON, and a checksum of these and of all columns' bytes: what comes
+back is what was saved, bit by bit, or an error.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import zlib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from moc_opt.errors import TraceError, describe
+from moc_opt.inputs.files import MOST_DATA, as_path, check_replaceable, parse_json, read_bytes, write_whole
+
+if TYPE_CHECKING:
+    import polars as pl
+
+Columns = Mapping[str, NDArray[Any]]
+
+VERSION = "2"
+VERSION_KEY, META_KEY, TYPES_KEY, SUM_KEY = "moc_opt.trace.trace", "moc_opt.meta", "moc_opt.types", "moc_opt.crc32"
+MOST_BYTES = 2**32
+"""Of all columns together, unpacked: a column of one value repeated shrinks without bound in a file."""
+_OTHER_FORMATS = frozenset({".csv", ".tsv", ".txt", ".json", ".npy", ".npz", ".mat", ".h5", ".xlsx", ".html", ".toml"})
+
+
+def new_file(path: str | os.PathLike[str]) -> Path:
+    """Return where a trace may be written; asked before a run, so that none is lost for its file's name.
+
+    Raises:
+        TraceError: a name that promises another format than Parquet, something that is no file is there, or there is no
+            such folder.
+    """
+    target = as_path(path, "trace", TraceError)
+    if target.suffix.lower() in _OTHER_FORMATS:
+        raise TraceError(
+            f"trace {str(target)!r}: a trace is written as Parquet: name it {target.stem + '.parquet'!r}; in Python "
+            "load_trace(...).to_pandas().to_csv(...) makes a CSV of it"
+        )
+    check_replaceable(target, "trace", TraceError)
+    folder = target.absolute().parent
+    if not os.path.isdir(folder):
+        raise TraceError(f"the trace cannot be saved as {str(target)!r}: there is no folder {str(folder)!r}")
+    return target
+
+
+def write(path: str | os.PathLike[str], columns: Columns, meta: Mapping[str, Any]) -> None:
+    """Write a trace, all or nothing.
+
+    Args:
+        columns: name -> (N,) or (N, k) numbers or flags, or (N,) texts.
+        meta: JSON values.
+
+    Raises:
+        TraceError: the file cannot be written.
+    """
+    import polars as pl  # only where a file is touched: it takes longer than all other imports of this room
+
+    target, packed = new_file(path), io.BytesIO()
+    told = json.dumps(dict(meta), allow_nan=False)
+    types = json.dumps({name: array.dtype.str for name, array in columns.items()}, allow_nan=False)
+    metadata = {VERSION_KEY: VERSION, META_KEY: told, TYPES_KEY: types, SUM_KEY: checksum(columns, told, types)}
+    frame = pl.DataFrame([
+        pl.Series(name, array.tolist(), dtype=pl.String) if array.dtype.kind == "U" else pl.Series(name, array)
+        for name, array in columns.items()
+    ])  # fmt: skip
+    frame.write_parquet(packed, compression="zstd", metadata=metadata)
+    try:
+        write_whole(target, packed.getvalue())
+    except OSError as error:
+        raise TraceError(
+            f"the trace cannot be saved as {str(target)!r} ({error}): "
+            "give a file in a directory that exists and can be written"
+        ) from error
+
+
+def read(path: str | os.PathLike[str]) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+    """Read the columns and meta that `write` wrote.
+
+    Raises:
+        TraceError: the file is missing, damaged, or no trace.
+    """
+    import polars as pl
+
+    where = repr(str(as_path(path, "trace", TraceError)))
+    data = read_bytes(path, "trace", TraceError, MOST_DATA)
+    try:
+        metadata = pl.read_parquet_metadata(data)
+        version = metadata.get(VERSION_KEY, "")
+        if version != VERSION:
+            found = f"a trace of format {version!r}" if version else "a Parquet file, but no trace"
+            raise TraceError(f"{where} is {found}: give a file written by Trace.save of this version")
+        types = {name: np.dtype(of) for name, of in parse_json(metadata[TYPES_KEY], where, TraceError).items()}
+        rows = pl.scan_parquet(data).select(pl.len()).collect().item()
+        if rows * sum(of.itemsize for of in types.values()) > MOST_BYTES:
+            raise ValueError(f"{rows} rows of {len(types)} columns are no trace")
+        columns = {column.name: _array(column, types[column.name]) for column in pl.read_parquet(io.BytesIO(data))}
+        if metadata[SUM_KEY] != checksum(columns, metadata[META_KEY], metadata[TYPES_KEY]):
+            raise ValueError("its checksum is another")
+        return columns, dict(parse_json(metadata[META_KEY], where, TraceError))
+    except (
+        pl.exceptions.PolarsError, pl.exceptions.PanicException, OSError, LookupError, TypeError, ValueError,
+        AttributeError, SyntaxError,
+    ) as error:  # fmt: skip
+        raise TraceError(
+            f"{where} is damaged or no trace ({describe(error)}): run the scenario again and save its trace"
+        ) from error
+
+
+def _array(column: pl.Series, dtype: np.dtype[Any]) -> NDArray[Any]:
+    if dtype.kind not in "fiubU":
+        raise ValueError(f"column {column.name!r} of type {dtype}")
+    return np.array(column.to_list() if dtype.kind == "U" else column.to_numpy(), dtype=dtype)
+
+
+def checksum(columns: Columns, *texts: str) -> str:
+    """Return that of some texts and of all columns' bytes, as the file's metadata hold it."""
+    found = zlib.crc32("".join(texts).encode())
+    for array in columns.values():
+        found = zlib.crc32(array.tobytes(), found)
+    return str(found)

@@ -1,0 +1,315 @@
+"""Checks before anything moves: limits and rank at the start, the path followed by kinematics alone, random starts."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple, TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from moc_opt.arrays import Array
+from moc_opt.errors import RobotError, ScenarioError, TaskError
+from moc_opt.planning.freedoms import freedoms
+from moc_opt.planning.self_motion import self_motion
+from moc_opt.robots.chain import desired_wrist
+from moc_opt.robots.inverse_kinematics import Placed, solve_pose
+from moc_opt.robots.model import RobotModel, RobotState
+from moc_opt.tasks import Reference, Trocar
+
+Found = TypeVar("Found")
+
+SINGULAR = (1e-4, 1e-4)  #: Least `Freedoms.tip` and `Freedoms.both`.
+REGULAR = (0.1, 0.05)
+"""The same at a random start and along the path from it. The home pose of the LWR4+ has 0.41 and 0.14."""
+DRAWN_MARGIN = 0.1
+"""Share of each joint's range that a random start keeps from both limits before its swivel is chosen."""
+DRAWS = 200  #: Poses that are tried for a random start.
+SPACING_M = 0.005  #: Distance between the points at which the path is checked [m].
+_TIMES = 1500
+_SHALLOWEST_M = 0.002
+_START_TOLERANCE_M = 0.002
+
+
+class UnreachableError(TaskError):
+    """The arm cannot do this task.
+
+    Attributes: `field`, the setting to change: "path", "trocar", "joint limits", "v_max", "start"; `arc_length_m`,
+        the place on the path [m].
+    """
+
+    def __init__(self, field: str, arc_length_m: float, problem: str, cure: str) -> None:
+        super().__init__(f"{field}: at {1e3 * arc_length_m:.1f} mm along the path {problem}: {cure}")
+        self.field, self.arc_length_m = field, arc_length_m
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Reach:
+    """One way through the task; one row for each point of the path that was looked at."""
+
+    t_s: Array  #: (k,) time of the reference [s]
+    arc_length_m: Array  #: (k,) way of the tip so far [m]
+    q_rad: Array
+    """(k, n) the pose taken there, inside the joint limits; the elbow may have to travel to q_rad[0] first"""
+    speed_share: Array  #: (k,) largest share of a joint's speed limit that is needed there, 1 is all of it
+
+
+def check_start(robot: RobotModel, q: ArrayLike) -> RobotState:
+    """Check that a run can begin at q (n,) [rad], and return the state there.
+
+    Raises:
+        ScenarioError: wrong shape, not finite, outside the joint limits, or singular: the tip cannot move in some
+            direction, or tip and wrist cannot move together as they can elsewhere.
+    """
+    pose = np.asarray(q, dtype=np.float64)
+    if pose.shape != (robot.n,) or not np.isfinite(pose).all():
+        raise ScenarioError(f"[start] q_rad = {pose.tolist()}: give {robot.n} finite numbers [rad]")
+    outside = np.flatnonzero((pose < robot.q_min - 1e-9) | (pose > robot.q_max + 1e-9))
+    if outside.size:
+        i = int(outside[0])
+        raise ScenarioError(
+            f"[start] q_rad: joint {i + 1} = {pose[i]:.6g} rad is outside the limits of "
+            f"{robot.data.joint_names[i]!r}: choose {robot.q_min[i]:.6g} to {robot.q_max[i]:.6g}"
+        )
+    state = robot.state(pose)
+    left = freedoms(robot, pose)
+    lost = left.tip < SINGULAR[0]
+    if lost or left.both < SINGULAR[1]:
+        what = "the tip cannot move in every direction" if lost else "the tool cannot be turned in every direction"
+        raise ScenarioError(
+            f"[start] q_rad = {np.round(pose, 4).tolist()} is singular (mu = {state.mu:.2g} m^3): {what}; bend the "
+            f"arm there, leave q_rad out for the home pose {np.round(robot.data.q_home, 4).tolist()}, or take "
+            "pose = 'random'"
+        )
+    return state
+
+
+def check_path(
+    robot: RobotModel, q: ArrayLike, reference: Reference, registered: Trocar, until_s: float = np.inf
+) -> Reach:
+    """Check that the tip can follow the reference from q with the shaft through the registered trocar.
+
+    Args:
+        q: (n,) the start [rad].
+        registered: the trocar that the controller is told.
+        until_s: end of the run [s]; the reference after it is ignored.
+
+    Raises:
+        UnreachableError: a point or a joint speed is out of reach; names what, where and the cure.
+    """
+    try:
+        return check_reachable(robot, q, reference, registered, spacing_m=SPACING_M, until_s=until_s)
+    except UnreachableError as error:
+        error.args = (f"[task] {error}; [start] check_path = false leaves this check out",)
+        raise
+
+
+def random_start(
+    robot: RobotModel, rng: np.random.Generator, swivelled: Callable[[Array], Array],
+    lay_out: Callable[[Array], tuple[Found, Reach]], margins: Array,
+) -> Found:  # fmt: skip
+    """Draw poses until one can do the task, and return what was laid out from it.
+
+    A pose is drawn evenly from the joints' ranges, less `DRAWN_MARGIN` at both ends, and rejected where, after its
+    swivel is chosen,
+
+    - it is singular or nearly so (`REGULAR`), or a pose along the path is;
+    - a joint is within its margin of its limit, at the start or along the path;
+    - tip or wrist is below the plane that the arm stands on, at the start or along the path;
+    - the task cannot be done from it within joint limits and joint speeds.
+
+    Args:
+        swivelled: a pose -> the one that is begun with, of the same tip and wrist.
+        lay_out: a pose -> the task from there, and how it is followed.
+        margins: (n,) that the joints keep from their limits [rad], [m] where they slide.
+
+    Raises:
+        ScenarioError: none of `DRAWS` poses passes; says what rejected how many.
+        MocOptError: the task is wrong from every pose.
+    """
+    room = DRAWN_MARGIN * (robot.q_max - robot.q_min)
+    rejected: Counter[str] = Counter()
+    for _ in range(DRAWS):
+        drawn = rng.uniform(robot.q_min + room, robot.q_max - room)
+        try:
+            # The swivel is a scan of milliseconds, and neither tip nor wrist depends on it: looked at before it.
+            _require_fit(robot, drawn, margins)
+            q = swivelled(drawn)
+            _require_fit(robot, q, margins)
+            found, reach = lay_out(q)
+            for pose in reach.q_rad:
+                _require_fit(robot, pose, margins, " along the path")
+            return found
+        except _UnfitError as error:
+            rejected[str(error)] += 1
+        except UnreachableError as error:
+            rejected[f"the task is out of reach ({error.field})"] += 1
+        except RobotError:
+            rejected["singular"] += 1
+    counts = ", ".join(f"{reason} {count}" for reason, count in rejected.most_common())
+    raise ScenarioError(
+        f"[start] pose = 'random': none of {DRAWS} poses can do the task; rejected: {counts}; make the [task] smaller "
+        "or slower, change [trocar] depth_m, lower [start] limit_margin_rad, or take pose = 'home'"
+    )
+
+
+class _UnfitError(Exception):
+    pass
+
+
+def _require_fit(robot: RobotModel, q: Array, margins: Array, where: str = "") -> None:
+    left, state = freedoms(robot, q), robot.state(q)
+    if left.tip < REGULAR[0] or left.both < REGULAR[1]:
+        raise _UnfitError(f"singular{where}")
+    if (np.minimum(q - robot.q_min, robot.q_max - q) < margins).any():
+        raise _UnfitError(f"joint limits{where}")
+    if min(state.tip[2], state.wrist[2]) < 0.0:
+        raise _UnfitError(f"below the arm's base{where}")
+
+
+class _Places(NamedTuple):
+    t: Array
+    arc: Array
+    tip: Array
+    tip_velocity: Array
+    trocar: Array
+    trocar_velocity: Array
+
+
+def check_reachable(
+    robot: RobotModel, q_start: ArrayLike, reference: Reference, trocar: Trocar | ArrayLike, *,
+    spacing_m: float = 0.002, until_s: float = np.inf,
+) -> Reach:  # fmt: skip
+    """Follow the reference with the shaft through the trocar, inside joint limits and joint speeds.
+
+    Each point is solved from the pose before it, with the joints that have room taking over from those at a
+    limit. If that ends nowhere, the path is tried again from the middle of the starting self-motion. A
+    refused path may still be possible along a way that this search does not try; an accepted path is possible.
+
+    Args:
+        q_start: (n,) the pose it begins with, its tip at the start of the reference [rad].
+        reference: where the tip has to be, and when.
+        trocar: where the shaft has to pass; a point (3,) [m] rests.
+        spacing_m: distance of the points that are looked at [m].
+        until_s: time at which the run ends [s]; the reference after it is ignored.
+
+    Raises:
+        UnreachableError: a point, a joint speed or the trocar is out of reach; names the field, the arc length
+            and the cure.
+        RobotError: q_start is not usable.
+    """
+    state = robot.state(q_start)
+    places = _places(reference, trocar if isinstance(trocar, Trocar) else Trocar(trocar), spacing_m, until_s)
+    away = float(np.linalg.norm(state.tip - places.tip[0]))
+    if away > _START_TOLERANCE_M:
+        problem = f"the reference begins {1e3 * away:.1f} mm from the tip"
+        raise UnreachableError("start", 0.0, problem, "begin it at the tip, or put a line from the tip before it")
+    _check_depth(robot, places)
+    try:
+        return _follow(robot, state.q, places, reference)
+    except UnreachableError as told:
+        other = _middle(robot, state.q)
+        try:
+            if other is not None:
+                return _follow(robot, other, places, reference)
+        except UnreachableError:
+            raise told from None  # what stopped the given pose is what the user should hear
+        raise
+
+
+def _places(reference: Reference, trocar: Trocar, spacing_m: float, until_s: float) -> _Places:
+    end = max(reference.t_start, min(reference.t_start + reference.duration, until_s))
+    times = np.linspace(reference.t_start, end, _TIMES)
+    tip, velocity = map(np.ascontiguousarray, reference.at(times)[:2])
+    arc = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(tip, axis=0), axis=1))))
+    count = max(2, int(min(np.ceil(arc[-1] / spacing_m) + 1, _TIMES)))
+    chosen = np.unique(np.searchsorted(arc, np.linspace(0.0, arc[-1], count)).clip(0, _TIMES - 1))
+    return _Places(times[chosen], arc[chosen], tip[chosen], velocity[chosen], *trocar.at(times[chosen]))
+
+
+def _check_depth(robot: RobotModel, places: _Places) -> None:
+    depth, longest = np.linalg.norm(places.trocar - places.tip, axis=1), robot.data.tool_length
+    k = int(np.argmax((depth > longest) | (depth < _SHALLOWEST_M)))
+    if depth[k] > longest:
+        problem = f"the trocar is {1e3 * depth[k]:.0f} mm from the tip, more than the tool's {1e3 * longest:.0f} mm"
+        cure = "make the path smaller, bring it nearer to the trocar, or lengthen the tool"
+        raise UnreachableError("trocar", places.arc[k], problem, cure)
+    if depth[k] < _SHALLOWEST_M:
+        problem = f"the tip is {1e3 * depth[k]:.1f} mm from the trocar, where the shaft has no direction"
+        cure = f"keep the path {1e3 * _SHALLOWEST_M:.0f} mm or more away from it"
+        raise UnreachableError("path", places.arc[k], problem, cure)
+
+
+def _follow(robot: RobotModel, q: Array, places: _Places, reference: Reference) -> Reach:
+    count = len(places.t)
+    poses, shares = np.empty((count, robot.n)), np.empty(count)
+    worst: tuple[int, Array] | None = None
+    for k in range(count):
+        span = robot.state(q).tool_span
+        tip, speed, trocar, trocar_speed = (rows[k] for rows in places[2:])
+        wrist, wrist_velocity = desired_wrist(tip, speed, trocar, trocar_speed, span)
+        placed = solve_pose(robot, q, places.tip[k], wrist)
+        if not placed.found:
+            raise _out_of_reach(robot, places, k, wrist, placed)
+        q = poses[k] = placed.q
+        velocity = np.concatenate([places.tip_velocity[k], wrist_velocity])
+        rates = _least_share(robot, robot.state(q).A, velocity)
+        shares[k] = float(np.abs(rates / robot.v_max).max())
+        if shares[k] > max(1.0, shares[:k].max(initial=0.0)):
+            worst = k, rates
+    if worst is not None:
+        raise _too_fast(robot, places, *worst, reference)
+    return Reach(places.t, places.arc, poses, shares)
+
+
+def _out_of_reach(robot: RobotModel, places: _Places, k: int, wrist: Array, placed: Placed) -> UnreachableError:
+    names = [robot.data.joint_names[i] for i in placed.at_limit]
+    field = "joint limits" if names else ("trocar" if k == 0 else "path")
+    stuck = f", with {', '.join(names)} at the limit" if names else ""
+    tip, at = (np.round(point, 4).tolist() for point in (places.tip[k], wrist))
+    problem = (
+        f"no pose has the tip at {tip} m and the wrist at {at} m, on the line through the trocar; the arm stays "
+        f"{1e3 * placed.miss_m:.1f} mm away{stuck}"
+    )
+    cure = "make the path smaller, move it or the trocar towards the arm, or begin with another swivel"
+    return UnreachableError(field, places.arc[k], problem, cure)
+
+
+def _too_fast(robot: RobotModel, places: _Places, k: int, rates: Array, reference: Reference) -> UnreachableError:
+    shares = np.abs(rates / robot.v_max)
+    i, name = int(np.argmax(shares)), robot.data.joint_names[int(np.argmax(shares))]
+    # Joint speeds go with the tip's, which may peak below v_max where the acceleration is what limits it.
+    slower = 0.99 * float(np.linalg.norm(places.tip_velocity, axis=1).max()) / shares[i]
+    problem = f"{name} would have to turn at {abs(rates[i]):.2f} rad/s and can do {robot.v_max[i]:.2f}"
+    cure = f"lower v_max from {reference.v_max:g} to {slower:.3g} m/s or less, or move the path away from the trocar"
+    return UnreachableError("v_max", places.arc[k], problem, cure)
+
+
+def _least_share(robot: RobotModel, a: Array, velocity: Array) -> Array:
+    left, values, right = np.linalg.svd(a)
+    rank = int((values > 1e-9 * values[0]).sum())
+    shortest: Array = right[:rank].T @ ((left[:, :rank].T @ velocity) / values[:rank])
+    if float(np.abs(shortest / robot.v_max).max()) <= 1.0 or rank == robot.n:
+        return shortest
+    from scipy.optimize import linprog  # late: slow to import, and rarely needed
+
+    free = right[rank:].T / robot.v_max[:, None]
+    base = shortest / robot.v_max
+    ones = np.ones((robot.n, 1))
+    found = linprog(
+        c=[*([0.0] * free.shape[1]), 1.0], A_ub=np.block([[free, -ones], [-free, -ones]]),
+        b_ub=np.concatenate([-base, base]), bounds=[(None, None)] * (free.shape[1] + 1),
+    )  # fmt: skip
+    return shortest if found.x is None else shortest + right[rank:].T @ found.x[:-1]
+
+
+def _middle(robot: RobotModel, q: Array) -> Array | None:
+    try:
+        poses = self_motion(robot, q).q
+    except RobotError:
+        return None  # a singular start, or one outside the limits: there is nothing to choose from
+    moved = np.ptp(poses, axis=0) > 1e-6
+    room = np.minimum(poses - robot.q_min, robot.q_max - poses)[:, moved].min(axis=1, initial=np.inf)
+    return np.array(poses[int(np.argmax(room))])

@@ -1,0 +1,125 @@
+"""The certificate: optima by enumeration without rounding, which HiGHS bears out and the judge agrees with."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from scipy.optimize import linprog
+
+from benchmarks.subproblems import certify
+from benchmarks.subproblems.certify import certified, five_rows, optimum
+from benchmarks.subproblems.recipes import RECIPES
+from benchmarks.subproblems.testset import CertificateError, TestSet, changed
+from moc_opt.arrays import Array
+from moc_opt.qp.problem import NullSpaceQP, compute_residuals
+
+
+def found(A: Array, b: Array, pull: Array, rho: float, lower: Array, upper: Array) -> list[float] | None:
+    exact = optimum(np.array(A, float), np.array(b), [Fraction(p) for p in pull], rho, np.array(lower), np.array(upper))
+    return None if exact is None else [float(value) for value in exact]
+
+
+@pytest.mark.parametrize(
+    ("b", "pull", "rho", "expected"),
+    [
+        (1.0, [1.0, 0.0], 0.0, [0.75, 0.25]),  # a line: to the end of the box
+        (1.0, [0.0, 1.0], 0.0, [0.25, 0.75]),
+        (1.0, [0.25, 0.0], 1.0, [0.625, 0.375]),  # inside: x0 - x1 = pull
+        (1.0, [9.0, 0.0], 1.0, [0.75, 0.25]),  # pulled out of the box
+        (1.5, [1.0, 0.0], 0.0, [0.75, 0.75]),  # a corner, and no other point
+        (1.75, [1.0, 0.0], 0.0, None),
+    ],
+)
+def test_two_joints_on_a_line(b, pull, rho, expected):
+    assert found([[1.0, 1.0]], [b], pull, rho, [0.0, 0.0], [0.75, 0.75]) == expected
+
+
+@pytest.mark.parametrize(("pull", "rho", "x"), [(0.0, 0.0, 0.0), (1.0, 0.0, 2.0), (-1.0, 0.0, -1.0), (3.0, 2.0, 1.5),
+                                                 (-3.0, 2.0, -1.0)])  # fmt: skip
+def test_a_joint_that_moves_nothing_is_solved_alone(pull, rho, x):
+    assert found([[1.0, 0.0]], [0.5], [0.0, pull], rho, [0.0, -1.0], [1.0, 2.0]) == [0.5, x]
+
+
+def test_rows_that_repeat_each_other_and_rows_that_contradict():
+    A, box = [[1.0, 1.0], [2.0, 2.0]], ([0.0, 0.0], [1.0, 1.0])
+    assert found(A, [1.0, 2.0], [1.0, 0.0], 0.0, *box) == [1.0, 0.0]
+    assert found(A, [1.0, 2.0 + 1e-15], [1.0, 0.0], 0.0, *box) is None
+
+
+@pytest.mark.parametrize("rho", [0.0, 0.3])
+@pytest.mark.parametrize("rows", [5, 4, 3, 2])
+def test_several_freedoms(rows, rho):
+    """HiGHS finds no better point along the gradient of the cost: in a convex problem that is optimality."""
+    rng = np.random.default_rng([rows, int(10 * rho)])
+    A, pull, upper = rng.normal(size=(rows, 6)), rng.normal(size=6), rng.uniform(0.1, 1.0, 6)
+    b = A @ rng.uniform(-upper, upper)
+    x = np.array(found(A, b, pull, rho, -upper, upper))
+    assert descent(A, b, rho * x - pull, -upper, upper, x) < 1e-9
+
+
+def descent(A: Array, b: Array, slope: Array, lower: Array, upper: Array, x: Array) -> float:
+    """Return by how much HiGHS lowers slope^T x, (x at most 1e-12 off A x = b) over the size of the slope."""
+    np.testing.assert_allclose(A @ x, b, atol=1e-12)
+    assert (np.maximum(lower - x, x - upper) <= 1e-15).all()
+    unit = slope / (np.abs(slope).max() or 1.0)
+    best = linprog(unit, A_eq=A, b_eq=b, bounds=list(zip(lower, upper, strict=True)), method="highs")
+    assert best.status == 0
+    return float(unit @ x - best.fun)
+
+
+@pytest.mark.parametrize("name", RECIPES)
+def test_the_shipped_answers_are_the_certificate_s_and_highs_bears_them_out(name):
+    kept = TestSet.load(name)
+    again = certify.certify(name, [NullSpaceQP.from_row(np.array(row)) for row in kept.rows[::16]])
+    np.testing.assert_array_equal(again.feasible, kept.feasible[::16])
+    np.testing.assert_allclose(again.x, kept.x[::16], atol=1e-9)
+    for qp, x in zip(again.problems(), again.x, strict=True):
+        A, b = five_rows(qp)
+        if np.isfinite(x).all() and np.linalg.svd(A)[1][-1] > 1e-6:  # HiGHS meets A x = b to 1e-7 only
+            slope = qp.regularization * x - qp.c2 * qp.grad_mu
+            assert descent(A, b, slope, qp.lower, qp.upper, x) < 1e-6
+
+
+def test_it_does_not_depend_on_how_the_five_rows_are_chosen():
+    """Nor near a straight elbow, where the fifth singular value falls to 2e-11."""
+    kept = TestSet.load("near-singular")
+    for qp, x in zip(kept.problems()[::8], kept.x[::8], strict=True):
+        A, b, _ = qp.reduced()
+        pull = [Fraction(qp.c2) * Fraction(g) for g in qp.grad_mu]
+        again = optimum(A, b, pull, qp.regularization, qp.lower, qp.upper)
+        assert again is not None
+        np.testing.assert_allclose([float(value) for value in again], x, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", ["circle", "random", "joint-limits", "inconsistent-1e-4"])
+def test_the_judge_measures_the_distance_to_the_certified_optimum(name):
+    """From answers that are moved along the self-motion, towards the middle of the box."""
+    kept = TestSet.load(name)
+    judged = kept.judged()[kept.feasible]
+    for row, x in zip(judged[::8], kept.x[kept.feasible][::8], strict=True):
+        motion = np.linalg.svd(five_rows(NullSpaceQP.from_row(np.array(row)))[0][:, :6])[2][-1]
+        moved = x.copy()
+        moved[:6] += 1e-4 * motion
+        judge = compute_residuals(row, moved)
+        assert float(judge.distance) == pytest.approx(1e-4 * np.abs(motion).max(), rel=1e-4)
+
+
+def test_what_highs_does_not_bear_out_is_refused(monkeypatch):
+    problems = TestSet.load("circle").problems()[:2]
+    monkeypatch.setattr(certify, "certified", lambda _: None)
+    with pytest.raises(CertificateError):
+        certify.certify("wrong", problems)
+    infeasible = TestSet.load("infeasible")
+    (qp,) = [qp for qp, feasible in zip(infeasible.problems(), infeasible.feasible, strict=True) if not feasible][:1]
+    monkeypatch.setattr(certify, "certified", lambda qp: [Fraction(0)] * qp.n)
+    with pytest.raises(CertificateError):
+        certify.certify("wrong", [qp])
+
+
+def test_tip_and_wrist_must_be_tied():
+    qp = TestSet.load("circle").problems()[0]
+    assert certified(qp) is not None
+    with pytest.raises(CertificateError):
+        certified(changed(qp, J_wrist=2.0 * qp.J_wrist))

@@ -1,0 +1,331 @@
+/* Random, extreme and damaged states through the core: nothing reads or writes beyond its arrays, every loop ends, and
+ * the torque that leaves the safety filter is finite and within its limits. Built with sanitizers by `make sanitize`.
+ *
+ * extremes [courses] [seed]: 0 where that held. */
+#include <math.h>
+#include <stdint.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "moc.h"
+
+static uint64_t seed = 1;
+
+static uint64_t bits(void)
+{
+    seed ^= seed << 13;
+    seed ^= seed >> 7;
+    seed ^= seed << 17;
+    return seed;
+}
+
+static int chance(unsigned one_in)
+{
+    return bits() % one_in == 0;
+}
+
+static double uniform(double low, double high)
+{
+    return low + (high - low) * ((double)(bits() >> 11) / 9007199254740992.0);
+}
+
+/* NaN, infinite, denormal or huge, and any pattern of bits. */
+static double extreme(void)
+{
+    static const double strange[] = {0.0, -0.0, 1e300, -1e300, 5e-324, 1.7976931348623157e308, 1e16, 1.5707963267948966};
+    double any;
+    uint64_t pattern = bits();
+    switch (bits() % 4) {
+    case 0:
+        return (double)NAN;
+    case 1:
+        return chance(2) ? HUGE_VAL : -HUGE_VAL;
+    case 2:
+        memcpy(&any, &pattern, sizeof any);
+        return any;
+    default:
+        return strange[bits() % (sizeof strange / sizeof strange[0])];
+    }
+}
+
+static void spoil(double *x, int count, unsigned one_in)
+{
+    for (int i = 0; i < count; i++)
+        if (chance(one_in))
+            x[i] = extreme();
+}
+
+/* A chain of 1 to 16 joints, turning and sliding, with any axes; now and then of coinciding ones. */
+static void draw_arm(moc_arm *arm)
+{
+    memset(arm, 0, sizeof *arm);
+    arm->n = 1 + (int)(bits() % MOC_MAX_JOINTS);
+    for (int j = 0; j < arm->n; j++) {
+        moc_joint *joint = &arm->joint[j];
+        double angle = uniform(-3.0, 3.0), length = 0.0;
+        joint->rotation[0][0] = joint->rotation[1][1] = cos(angle);
+        joint->rotation[1][0] = sin(angle);
+        joint->rotation[0][1] = -sin(angle);
+        joint->rotation[2][2] = 1.0;
+        for (int i = 0; i < 3; i++) {
+            joint->origin[i] = chance(4) ? 0.0 : uniform(-0.3, 0.3);
+            joint->axis[i] = chance(3) ? 0.0 : uniform(-1.0, 1.0);
+            joint->moment[i] = uniform(-0.1, 0.1);
+            length += joint->axis[i] * joint->axis[i];
+        }
+        for (int i = 0; i < 3; i++)
+            joint->axis[i] = length > 0.0 ? joint->axis[i] / sqrt(length) : i == 2 ? 1.0 : 0.0;
+        joint->slides = chance(5);
+        joint->mass = uniform(0.0, 3.0);
+        joint->inertia[0] = joint->inertia[2] = joint->inertia[5] = uniform(0.01, 0.2);
+        joint->rotor = uniform(0.0, 0.3);
+        arm->moves[0][j] = arm->moves[1][j] = !chance(10);
+    }
+    arm->point[0][2] = 0.35;
+    arm->tool[0][0] = arm->tool[1][1] = arm->tool[2][2] = 1.0;
+    arm->gravity[2] = -9.81;
+}
+
+static void draw_law(moc_law *law, int n)
+{
+    memset(law, 0, sizeof *law);
+    law->K_X = 3000.0;
+    law->D_X = 80.0;
+    law->K_N = 800.0;
+    law->D_N = 60.0;
+    law->rcm_lambda = chance(3) ? 0.5 : 0.0;
+    law->projector = (moc_projector)(bits() % 3);
+    law->feedforward = chance(2);
+    law->k0 = uniform(0.1, 10.0);
+    law->c0 = law->c1 = 0.01;
+    law->c2 = 1e-3;
+    law->rho = chance(3) ? 0.0 : 1e-5;
+    law->shaft_margin = chance(2) ? 0.02 : 0.0;
+    law->spare_speed = 1.0;
+    law->observer_gain = chance(2) ? 20.0 : 0.0;
+    law->period = 0.002;
+    law->fade = 0.01;
+    law->third_level = !chance(4);
+    law->damped = !law->third_level && chance(2);
+    law->climbs = law->rho > 0.0 && chance(2);
+    for (int j = 0; j < n; j++) {
+        law->K_N2[j] = uniform(0.0, 120.0);
+        law->D_N2[j] = uniform(0.0, 6.0);
+        law->tau_max[j] = chance(3) ? HUGE_VAL : 200.0;
+        law->q_min[j] = -uniform(1.0, 3.0);
+        law->q_max[j] = uniform(1.0, 3.0);
+        law->v_max[j] = uniform(0.5, 2.0);
+    }
+}
+
+static void draw_guard(moc_guard *g, const moc_law *law, int n)
+{
+    memset(g, 0, sizeof *g);
+    g->period = 0.002;
+    g->patience = (int)(bits() % 5);
+    g->carries = !chance(4);
+    g->wall_stiffness = 2000.0;
+    g->wall_damping = 20.0;
+    g->wall_brake = 2.0;
+    g->torque_step = 40.0;
+    g->jump = 0.05;
+    g->speed_factor = 5.0;
+    g->tip_error = 0.01;
+    g->tip_share = 0.02;
+    g->in_incision = !chance(4);
+    for (int k = 0; k < 2; k++) {
+        g->warning[k] = chance(3) ? HUGE_VAL : k ? 8.0 : 0.006;
+        g->limit[k] = chance(3) ? HUGE_VAL : k ? 15.0 : 0.012;
+    }
+    g->incision_share = 0.02;
+    g->tool_mass = g->tool_length = 0.3;
+    g->tip_force = 10.0;
+    g->stop_holding = 0.25;
+    g->stop_yield = 8.0;
+    g->stop_yield_ticks = 200;
+    g->press_share = 0.1;
+    g->motion = !chance(3);
+    g->motion_s = 0.1;
+    g->motion_rad = 0.001;
+    g->motion_lag_s = 0.012;
+    g->repeat_m = 0.003;
+    g->repeat_torque = 0.06;
+    g->repeat_whole_m = g->repeat_whole_torque = 0.0005;
+    g->repeat_whole_ticks = 25.0;
+    g->repeat_joint_ticks = chance(2) ? HUGE_VAL : 40.0;
+    g->repeat_reading_ticks = chance(2) ? HUGE_VAL : 3.0;
+    g->replayed_ticks = 25.0;
+    g->stuck_speed = 0.2;
+    g->residual_torque = 0.2;
+    g->residual_whole = 0.5;
+    g->residual_rate = 40.0;
+    g->residual_share = 0.008;
+    g->settling_ticks = 75;
+    for (int j = 0; j < n; j++) {
+        g->low[j] = law->q_min[j] + 0.045;
+        g->high[j] = law->q_max[j] - 0.045;
+        g->v_max[j] = law->v_max[j];
+        g->tau_max[j] = 200.0;
+        g->held[j] = 5.0;
+    }
+}
+
+/* Memory that somebody else has written to, but for the counts that say how much of an array is used. */
+static void damage(moc_memory *memory, moc_watch *watch)
+{
+    if (chance(2))
+        spoil(&memory->Z[0][0], MOC_MAX_JOINTS * MOC_MAX_JOINTS, 50);
+    spoil(memory->integral, MOC_MAX_JOINTS, 10);
+    spoil(memory->tau, MOC_MAX_JOINTS, 10);
+    spoil(memory->good, MOC_MAX_JOINTS, 10);
+    spoil(watch->q, MOC_MAX_JOINTS, 10);
+    spoil(watch->v, MOC_MAX_JOINTS, 10);
+    spoil(watch->number, MOC_SLOTS, 1000);
+    spoil(watch->at, MOC_SLOTS, 1000);
+    spoil(&watch->joint[0].gap, (int)(sizeof watch->joint / (sizeof(double))), 20);
+}
+
+static int bounded(const moc_guard *g, int n, const double *tau)
+{
+    for (int i = 0; i < n; i++)
+        if (!(tau[i] >= -g->tau_max[i] && tau[i] <= g->tau_max[i]))
+            return 0;
+    return 1;
+}
+
+static long reasons[MOC_STOPS], faults[MOC_FAULTS], statuses[4];
+
+/* The same states through moc_step: its torque is finite and within the limits in any case. */
+static int step(const moc_controller *c, const moc_measurement *m, const moc_reference *ref, const moc_trocar *trocar,
+                moc_state *state)
+{
+    double tau[MOC_MAX_JOINTS];
+    moc_measurement given = *m;
+
+    if (chance(30))
+        damage(&state->memory, &state->watch);
+    if (chance(60))
+        spoil(state->sent, c->arm->n, 4);
+    given.applied = chance(3) ? m->applied : NULL;
+    reasons[moc_step(c, &given, ref, trocar, state, tau)]++;
+    return bounded(c->guard, c->arm->n, tau);
+}
+
+static int course(void)
+{
+    static moc_watch watch;
+    static moc_state state;
+    moc_arm arm;
+    moc_law law;
+    moc_guard guard;
+    moc_memory memory;
+    moc_terms terms;
+    moc_problem problem;
+    moc_reference ref;
+    moc_trocar trocar;
+    double q[MOC_MAX_JOINTS], v[MOC_MAX_JOINTS], sent[MOC_MAX_JOINTS] = {0.0}, pose[4][3];
+    const moc_supervision supervision = {1, 0.1, 0.01, 0.05, 1e-3, 3, 1, (moc_fallback)(bits() % 3),
+                                         (moc_late)(bits() % 3), chance(2) ? HUGE_VAL : 50.0};
+    const moc_controller controller = {&arm, &law, &supervision, &guard, 1e-9};
+
+    draw_arm(&arm);
+    draw_law(&law, arm.n);
+    draw_guard(&guard, &law, arm.n);
+    for (int j = 0; j < MOC_MAX_JOINTS; j++) {
+        q[j] = chance(3) ? 0.0 : uniform(-2.0, 2.0);
+        v[j] = uniform(-0.3, 0.3);
+    }
+    moc_tool_pose(&arm, q, pose);
+    for (int i = 0; i < 3; i++) {
+        ref.X[i] = pose[3][i];
+        ref.dX[i] = uniform(-0.05, 0.05);
+        ref.ddX[i] = uniform(-0.5, 0.5);
+        trocar.P[i] = pose[3][i] - 0.15 * pose[2][i];
+        trocar.dP[i] = 0.0;
+    }
+    if (moc_compute_terms(&arm, q, v, &terms) != MOC_OK)
+        return 1;
+    moc_start(&law, arm.n, &terms, &memory);
+    moc_guard_start(&guard, arm.n, q, v, 0, &watch);
+    memset(&state, 0, sizeof state);
+    if (!chance(20) && moc_begin_run(&controller, &(moc_measurement){q, v, 0, 1, sent, NULL}, &state) != MOC_RUNNING)
+        return 0;
+    for (long long k = 1; k < 30; k++) {
+        double seen_q[MOC_MAX_JOINTS], seen_v[MOC_MAX_JOINTS], wrench[6], tau[MOC_MAX_JOINTS] = {0.0};
+        double x[MOC_MAX_JOINTS] = {0.0}, y[6], friction[MOC_MAX_JOINTS];
+        moc_measurement m = {seen_q, seen_v, chance(40) ? (long long)bits() : k, !chance(4), sent, wrench};
+
+        memcpy(seen_q, q, sizeof q);
+        memcpy(seen_v, v, sizeof v);
+        for (int i = 0; i < 6; i++)
+            wrench[i] = uniform(-3.0, 3.0);
+        spoil(seen_q, arm.n, 400);
+        spoil(seen_v, arm.n, 400);
+        spoil(wrench, 6, 200);
+        if (chance(60))
+            spoil(ref.X, 9, 4);
+        if (chance(60))
+            spoil(trocar.P, 6, 4);
+        if (chance(30))
+            damage(&memory, &watch);
+        if (!step(&controller, &m, &ref, &trocar, &state))
+            return 0;
+        moc_stop reason = moc_guard_believe(&guard, &arm, &m, chance(5) ? NULL : &trocar, &watch);
+        if (moc_compute_terms(&arm, watch.q, watch.v, &terms) == MOC_OK) {
+            moc_begin(&arm, &law, &terms, &ref, &trocar, chance(4) ? v : NULL, &memory, &problem, tau);
+            if (law.third_level) {
+                spoil(problem.A[0], MOC_MAX_JOINTS, 2000);
+                moc_status status = moc_solve_exact(&problem, 1e-9, x, y);
+                statuses[status & 3]++;
+                spoil(x, arm.n, 300);
+                if (chance(5)) {
+                    const moc_network net = {20, 1.0, 1.0, 0.5, 100.0, chance(2), 1e-7};
+                    int made;
+                    moc_step_network(&problem, &net, x, y, &made);
+                }
+                moc_fault fault = moc_supervise(&supervision, &problem, MOC_TAKEN, (moc_claim)(bits() % 4), x,
+                                                uniform(0.0, 100.0), &memory, x);
+                faults[fault]++;
+            }
+            moc_finish(&law, arm.n, &terms, law.third_level ? x : NULL, &memory, tau);
+            moc_stop found = moc_guard_follow(&guard, &arm, &terms, terms.tip, ref.X, sent, tau, &watch);
+            reason = reason == MOC_RUNNING ? found : reason;
+        }
+        reasons[reason]++;
+        if (reason != MOC_RUNNING) {
+            moc_guard_rest(&guard, &arm, sent, &watch, tau);
+            moc_guard_hold(&guard, &arm, wrench, &watch, friction);
+            for (int i = 0; i < arm.n; i++)
+                if (!(friction[i] >= 0.0))
+                    return 0;
+        } else if (!bounded(&guard, arm.n, tau)) {
+            return 0;
+        }
+        memcpy(sent, bounded(&guard, arm.n, tau) ? tau : sent, sizeof sent);
+        for (int i = 0; i < arm.n; i++)
+            q[i] += 0.002 * v[i];
+    }
+    return 1;
+}
+
+int main(int count, char **words)
+{
+    long courses = count > 1 ? strtol(words[1], NULL, 10) : 40000;
+    seed = count > 2 ? 2 * strtoull(words[2], NULL, 10) + 1 : 1;
+
+    for (long k = 0; k < courses; k++) {
+        uint64_t from = seed;
+        if (!course()) {
+            printf("not finite, or beyond its limits: state of the generator %llu\n", (unsigned long long)from);
+            return 1;
+        }
+    }
+    printf("%ld courses of 29 ticks\n", courses);
+    for (int k = 0; k < MOC_STOPS; k++)
+        printf("  %s: %ld\n", moc_reason((moc_stop)k), reasons[k]);
+    for (int k = 0; k < MOC_FAULTS; k++)
+        printf("  fault %d: %ld\n", k, faults[k]);
+    printf("  exact: %ld solved, %ld infeasible, %ld doubtful\n", statuses[0], statuses[1], statuses[2]);
+    return 0;
+}

@@ -1,0 +1,65 @@
+"""The core's binding lets no wrong array through, and its answers are those of the equations."""
+
+import numpy as np
+import pytest
+
+from moc_opt import core, load_robot
+from tests.problems import random_problem
+
+QP = random_problem(np.random.default_rng(0))
+ROBOT = load_robot()
+READ_ONLY = np.zeros(7)
+READ_ONLY.setflags(write=False)
+
+
+@pytest.mark.parametrize(
+    ("name", "wrong"),
+    [
+        ("record", QP.row[:-1]), ("record", QP.row.astype(np.float32)), ("record", QP.row.reshape(8, 10)),
+        ("record", "text"), ("x", np.zeros(6)), ("x", np.zeros(14)[::2]), ("x", READ_ONLY), ("x", np.zeros(7, int)),
+        ("x", None), ("y", np.zeros((6, 1))), ("y", np.zeros(5)), ("tolerance", "1e-9"),
+    ],
+)  # fmt: skip
+def test_a_wrong_array_is_an_exception_that_names_it(name, wrong):
+    given = {"record": QP.row, "tolerance": 1e-9, "x": np.zeros(7), "y": np.zeros(6), name: wrong}
+    with pytest.raises((TypeError, ValueError), match="real number" if name == "tolerance" else f"{name}|of "):
+        core.solve_exact(*given.values())
+
+
+@pytest.mark.parametrize("count", [0, 3, 5])
+def test_another_number_of_arguments_is_refused(count):
+    with pytest.raises(TypeError, match="takes 4 arguments"):
+        core.solve_exact(*[QP.row] * count)
+
+
+def test_rows_of_another_length_are_refused():
+    for rows in (np.zeros((2, 81)), np.zeros(80), np.zeros((2, 10)), np.zeros((0, 180 + 10))):
+        with pytest.raises(ValueError, match="10 n \\+ 10"):
+            core.solve_exact_rows(rows, 1e-9, np.zeros((2, 7)), np.zeros((2, 6)), np.zeros(2))
+
+
+@pytest.mark.parametrize("n", [0, 17])
+def test_an_arm_of_no_joints_or_too_many_is_refused(n):
+    with pytest.raises(ValueError, match="1 to 16 joints"):
+        core.Arm(np.zeros((n, 16)), np.zeros((n, 10)), np.zeros(n), np.zeros((2, 3)), np.eye(3), np.ones((2, n)),
+                 np.zeros(3))  # fmt: skip
+
+
+def test_a_pose_that_is_no_number_writes_nothing():
+    record, q = np.full(158, 7.0), np.array(ROBOT.data.q_home)
+    assert ROBOT.arm.terms(q * np.nan, q, record) == core.BAD_Q
+    assert ROBOT.arm.terms(q, np.full(7, np.inf), record) == core.BAD_V
+    assert (record == 7.0).all()
+
+
+def test_the_network_makes_the_steps_of_its_equation():
+    qp, x, y, h, k, scale = QP, np.zeros(7), np.zeros(6), 0.5, 0.3, 50.0
+    core_x, core_y = np.zeros(7), np.zeros(6)
+    weights = np.repeat([qp.c0, qp.c1], 3)
+    for _ in range(20):
+        gap = qp.A @ x - qp.b
+        force = qp.A.T @ (scale * weights * gap + y) + scale * (qp.regularization * x - qp.c2 * qp.grad_mu)
+        x, y = x + h * (np.clip(x - k * force, qp.lower, qp.upper) - x), y + h * k * gap
+    assert core.step_network(qp.row, core_x, core_y, 20, h, h, k, scale, False, 0.0) == (core.UNFINISHED, 20)
+    np.testing.assert_allclose(core_x, x, atol=1e-13)
+    np.testing.assert_allclose(core_y, y, atol=1e-12)

@@ -1,0 +1,241 @@
+"""The core's law against the equations in plain numpy, on every arm and on an oblique chain with a slide."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.optimize import lsq_linear
+
+from moc_opt import core, load_robot
+from moc_opt.control.settings import PROJECTORS
+from moc_opt.qp.problem import fields
+from moc_opt.robots import available_robots
+from tests.control.torques import law, subproblem, third, ticked, tracking
+from tests.reference import law as reference
+
+GAINS = (3000.0, 80.0, 800.0, 60.0)
+SEEDS = st.integers(0, 2**32 - 1)
+LWR4 = load_robot()
+
+
+@pytest.fixture(scope="module", params=[*available_robots(), "odd"])
+def robot(request, odd_robot):
+    return odd_robot if request.param == "odd" else load_robot(request.param)
+
+
+def moving(robot, rng):
+    """A state in motion, with a tip and a trocar that are nearly where they should be and move."""
+    state = robot.state(robot.random_regular_pose(rng), rng.uniform(-0.3, 0.3, robot.n))
+    tip_ref = np.array([state.tip + 1e-3 * rng.normal(size=3), *rng.normal(scale=[[0.03], [0.2]], size=(2, 3))])
+    trocar = np.array([state.tip - 0.15 * state.tool_direction, np.zeros(3)]) + 1e-3 * rng.normal(size=(2, 3))
+    return state, tip_ref, trocar
+
+
+def trials(robot, count=10, seed=0):
+    rng = np.random.default_rng(seed)
+    return [(moving(robot, rng), rng) for _ in range(count)]
+
+
+@pytest.mark.parametrize("rcm_lambda", [0.0, 0.5])
+@pytest.mark.parametrize("projector", PROJECTORS)
+def test_tip_and_rcm(robot, projector, rcm_lambda):
+    for (s, tip_ref, trocar), _ in trials(robot):
+        found = tracking(s, tip_ref, trocar, GAINS, projector=PROJECTORS.index(projector), rcm_lambda=rcm_lambda)
+        wanted = reference.tip_torque(s, *GAINS[:2], tip_ref)
+        wanted += reference.rcm_torque(s, *GAINS[2:], trocar, projector, rcm_lambda)
+        np.testing.assert_allclose(found, wanted, rtol=1e-9, atol=1e-9)
+
+
+def test_feedforward(robot):
+    for (s, tip_ref, trocar), _ in trials(robot):
+        found = tracking(s, tip_ref, trocar, feedforward=True) - tracking(s, tip_ref, trocar)
+        np.testing.assert_allclose(found, reference.feedforward(s, tip_ref, trocar), rtol=1e-6, atol=1e-6)
+        reached = s.A @ np.linalg.solve(s.M, found)  # tip and wrist get the accelerations that are theirs
+        np.testing.assert_allclose(reached[:3], tip_ref[2] - s.drift_tip, atol=1e-8)
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-13, 1e-7, 1e-5, -1e-4])
+def test_a_straight_elbow_leaves_out_of_the_feedforward_what_it_cannot_do(angle):
+    q = np.array(LWR4.data.q_home)
+    q[3] = angle
+    s = LWR4.state(q)
+    tip_ref = np.array([s.tip, np.zeros(3), [0.1, -0.2, 0.3]])
+    trocar = np.array([s.tip - 0.15 * s.tool_direction, np.zeros(3)])
+    found = tracking(s, tip_ref, trocar, feedforward=True) - s.h
+    assert np.abs(found).max() < 100.0
+    np.testing.assert_allclose((s.A @ np.linalg.solve(s.M, found))[:3], tip_ref[2], atol=1e-7)
+
+
+def test_the_subproblem(robot):
+    n, margin = robot.n, 0.175 * robot.state(robot.data.q_home).tool_span ** 2
+    for (s, tip_ref, trocar), _ in trials(robot):
+        parts = {"q_min": robot.q_min, "q_max": robot.q_max, "v_max": 0.5 * robot.v_max, "k0": 2.0}
+        found = fields(subproblem(s, tip_ref, trocar, shaft_margin=margin, spare_speed=1.0, **parts))
+        v_T, v_W = reference.references(s, tip_ref, trocar)
+        opened = min(1.0, reference.BOX_OPENS * max(0.0, 1.0 - s.mu_shaft / margin))
+        lower, upper = reference.velocity_damper(
+            s.q, robot.q_min, robot.q_max, 0.5 * robot.v_max * (1.0 + opened), 2.0
+        )
+        np.testing.assert_array_equal(found.A, s.A)
+        np.testing.assert_allclose(found.b, np.concatenate([v_T, v_W]), atol=1e-14)
+        pull = s.grad_mu + reference.shaft_push(s.mu_shaft, margin) * s.grad_mu_shaft
+        np.testing.assert_allclose(found.grad_mu, pull, rtol=1e-12, atol=1e-15)
+        np.testing.assert_allclose(found.lower, lower, rtol=1e-12)
+        np.testing.assert_allclose(found.upper, upper, rtol=1e-12)
+        wanted = np.arange(1.0, n + 1.0)
+        followed = fields(subproblem(s, tip_ref, trocar, pull=wanted, c2=1e-3, rho=1e-5))
+        np.testing.assert_allclose(followed.grad_mu, 1e-2 * wanted)
+
+
+@settings(max_examples=100)
+@given(seed=SEEDS, k0=st.floats(0.1, 400.0))
+def test_no_velocity_of_the_box_leaves_the_limits(seed, k0):
+    rng = np.random.default_rng(seed)
+    low = rng.uniform(-2.0, -0.1, 7)
+    q, high, rest = rng.uniform(low, 1.0), np.full(7, 1.0), np.zeros((3, 3))
+    for _ in range(20):
+        s = LWR4.state(q)
+        row = fields(subproblem(s, rest, np.ones((2, 3)), q_min=low, q_max=high, v_max=np.full(7, 2.0), k0=k0))
+        q = q + 0.002 * np.where(rng.random(7) < 0.5, row.lower, row.upper)
+        assert (q >= low - 1e-12).all()
+        assert (q <= high + 1e-12).all()
+
+
+def test_the_third_level_and_what_it_leaves_alone(robot):
+    for (s, *_), rng in trials(robot):
+        x, K, D = rng.normal(size=robot.n), rng.uniform(10, 120, robot.n), rng.uniform(0, 5, robot.n)
+        found = third(s, x, K, D, 0.6)
+        np.testing.assert_allclose(found, 0.6 * reference.third_level(s, x, K, D), rtol=1e-7, atol=1e-8)
+        np.testing.assert_allclose(s.A @ np.linalg.solve(s.M, found), 0.0, atol=1e-8)
+        assert np.abs(found).max() > 1e-3
+
+
+def test_the_torque_is_cut_and_what_was_cut_is_remembered():
+    (s, tip_ref, trocar), _ = trials(LWR4, 1)[0]
+    free, _ = ticked(s, tip_ref, trocar, np.ones(7), K_N2=80.0)
+    cut, _ = ticked(s, tip_ref, trocar, np.ones(7), K_N2=80.0, tau_max=5.0)
+    assert np.abs(free).max() > 5.0
+    np.testing.assert_allclose(cut, np.clip(free, -5.0, 5.0))
+
+
+def test_the_observer(robot):
+    for (s, tip_ref, trocar), rng in trials(robot, 5):
+        made, row, r, tau = law(robot.n, observer_gain=25.0), np.empty(10 * robot.n + 10), np.empty(robot.n), None
+        made.start(s.record, tip_ref, trocar, row)
+        integral, wanted = s.M @ s.v, np.zeros(robot.n)
+        for _ in range(3):
+            tau = rng.normal(size=robot.n)
+            made.set_applied(tau)
+            later = robot.state(s.q, s.v + 0.1 * rng.normal(size=robot.n))
+            made.begin(later.record, tip_ref, trocar, None, row)
+            integral, wanted = reference.observe(robot, later, tau, 25.0, 0.002, integral, wanted)
+            made.external(r)
+            np.testing.assert_allclose(r, wanted, rtol=1e-8, atol=1e-8)
+
+
+def test_the_scaled_climb(robot):
+    for (s, tip_ref, trocar), _ in trials(robot):
+        parts = {"arm": robot.arm, "climbs": True, "c2": 1.0, "rho": 1.0}
+        found = fields(subproblem(s, tip_ref, trocar, **parts)).grad_mu
+        wanted = reference.scaled_climb(robot, s)
+        np.testing.assert_allclose(found, wanted, rtol=1e-4, atol=1e-4)
+        assert s.grad_mu @ found > 0.0
+        assert np.linalg.norm(found) <= reference.CLIMB_PER_S * reference.LONGEST_RAD * (1 + 1e-9)
+
+
+@pytest.mark.parametrize("bend", [0.0, 1e-12])
+def test_where_there_is_no_slope_there_is_no_climb(bend):
+    s = LWR4.state(np.array([0.2, 0.0, 0.0, bend, 0.0, 0.0, 0.0]))
+    rest = np.array([s.tip, np.zeros(3), np.zeros(3)])
+    trocar = np.array([s.tip - 0.15 * s.tool_direction, np.zeros(3)])
+    found = fields(subproblem(s, rest, trocar, arm=LWR4.arm, climbs=True, c2=1.0, rho=1.0)).grad_mu
+    np.testing.assert_array_equal(found, np.zeros(7))
+
+
+# --- the null space ---
+
+
+def basis(made, n):
+    Z = np.empty((n, n))
+    return Z[: made.null_space(Z)].copy()
+
+
+def test_the_basis_turns_no_further_than_the_kernel_and_survives_the_straight_elbow():
+    q, row, sizes, before = np.array(LWR4.data.q_home), np.empty(80), [], None
+    made = law(7)
+    for angle in np.linspace(0.1, -0.1, 201):
+        q[3] = angle
+        s = LWR4.state(q)
+        rest = np.array([s.tip, np.zeros(3), np.zeros(3)])
+        trocar = np.array([s.tip - 0.15 * s.tool_direction, np.zeros(3)])
+        if before is None:
+            made.start(s.record, rest, trocar, row)
+        made.begin(s.record, rest, trocar, None, row)
+        Z = basis(made, 7)
+        np.testing.assert_allclose(s.A @ Z.T, 0.0, atol=1e-9)
+        np.testing.assert_allclose(Z @ Z.T, np.eye(len(Z)), atol=1e-9)
+        if before is not None and len(Z) == len(before) and abs(angle) > 0.01:
+            assert np.linalg.norm(Z - before, 2) < 0.1
+        before = Z
+        sizes.append(len(Z))
+    assert sizes[0] == sizes[-1] == 2
+    assert max(sizes) == 3  # the straight elbow itself
+
+
+# --- what stands in for an answer ---
+
+
+def problem(rng, robot, tight=None):
+    """A record of a pose, its A, b, lower, upper and basis; tight: a box of that size around a point of A x = b."""
+    s = robot.state(robot.random_regular_pose(rng))
+    u, v_T, v_W = s.tool_direction, *(0.05 * rng.normal(size=(2, 3)))
+    row, Z = np.full(10 * s.n + 10, np.nan), reference.null_space(s.A)
+    part = fields(row)
+    part.A[:], part.b[:] = s.A, np.concatenate([v_T, v_W + u * (u @ (v_T - v_W))])
+    part.lower[:], part.upper[:] = -rng.uniform(0.02, 0.5, s.n), rng.uniform(0.02, 0.5, s.n)
+    if tight is not None:
+        inside = np.linalg.lstsq(s.A, part.b, rcond=1e-9)[0] + 0.2 * rng.normal(size=len(Z)) @ Z
+        part.lower[:], part.upper[:] = inside - tight * rng.uniform(size=s.n), inside + tight * rng.uniform(size=s.n)
+    return row, part, np.ascontiguousarray(Z)
+
+
+def test_least_violation_against_scipy(odd_robot):
+    rng = np.random.default_rng(9)
+    for k in range(30):
+        row, part, _ = problem(rng, LWR4 if k % 2 else odd_robot)
+        part.b[:] *= 6.0
+        if k % 3:  # beyond a limit: the box asks for a velocity back inside
+            part.lower[1] = part.upper[1] / 2.0
+        x = np.empty(7)
+        core.least_violation(row, x)
+        assert (x >= part.lower).all()
+        assert (x <= part.upper).all()
+        best = lsq_linear(part.A, part.b, (part.lower, part.upper), tol=1e-12).x
+        assert np.linalg.norm(part.A @ x - part.b) < 1.01 * np.linalg.norm(part.A @ best - part.b) + 1e-5
+
+
+def test_the_smallest_self_motion_into_the_box_against_scipy(odd_robot):
+    rng, moved, found = np.random.default_rng(10), 0, np.empty(7)
+    for k in range(40):
+        row, part, Z = problem(rng, LWR4 if k % 2 else odd_robot, tight=0.2)
+        core.retreat(row, Z, found)
+        x = np.linalg.lstsq(part.A, part.b, rcond=1e-9)[0] + found
+        # min |x|^2 on A x = b in the box: the equations weigh so much that they hold
+        heavy, right = np.vstack([1e4 * part.A, np.eye(7)]), np.concatenate([1e4 * part.b, np.zeros(7)])
+        best = lsq_linear(heavy, right, (part.lower, part.upper), tol=1e-14).x
+        np.testing.assert_allclose(part.A @ found, 0.0, atol=1e-12)
+        np.testing.assert_allclose(x, best, atol=5e-4)
+        moved += np.abs(found).max() > 1e-3
+    assert moved > 10
+
+
+def test_no_self_motion_where_none_is_needed_or_none_helps():
+    row, part, Z = problem(np.random.default_rng(11), LWR4, tight=0.1)
+    found, wide = np.ones(7), np.full(7, 10.0)
+    for lower, upper in ((-wide, wide), (wide - 1.0, wide), (-wide, 1.0 - wide)):
+        part.lower[:], part.upper[:] = lower, upper
+        core.retreat(row, Z, found)
+        np.testing.assert_array_equal(found, np.zeros(7))
+    part.A[:] = np.nan
+    core.retreat(row, Z, found)
+    np.testing.assert_array_equal(found, np.zeros(7))

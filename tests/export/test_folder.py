@@ -1,0 +1,157 @@
+"""The exported folder: it compiles without a warning, and its torque is that of Python to the last bit."""
+
+import math
+import re
+import shutil
+import subprocess
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from moc_opt.__main__ import main
+from moc_opt.control import safety_filter
+from moc_opt.control.law import numbers_of
+from moc_opt.core import Guard, Law
+from moc_opt.errors import ScenarioError
+from moc_opt.export import export_scenario, folder
+from moc_opt.export.scenario import TICKS
+from moc_opt.robots.model import RobotModel
+from moc_opt.scenario import Scenario
+
+FLAGS = "-std=c11 -ffp-contract=off -fno-math-errno -Werror"
+needs_make = pytest.mark.skipif(shutil.which("make") is None or shutil.which("cc") is None, reason="no make or cc")
+
+RUNS = {
+    "default": {},
+    "paper": {"control": {"preset": "paper"}},
+    "dcac": {"control": {"law": "dcac"}},
+    "dcac-damped": {"control": {"law": "dcac", "dcac_damping": 2.0, "limit_torque": False},
+                    "guard": {"trocar_force_N": None, "patience_ticks": 1}},
+    "scaled": {"control": {"climb": "scaled", "projector": "static", "fallback": "hold",
+                           "supervisor": {"hold_ticks": 2}}},
+    "damping": {"control": {"fallback": "damping", "regularization": 0.0, "rcm_lambda": 0.5}},
+    "panda": {"robot": {"name": "panda"}},
+    "lwr4_rail": {"robot": {"name": "lwr4_rail"}},
+    "noise": {"plant": {"preset": "realistic"}, "start": {"pose": "random"}, "seed": 5},
+}  # fmt: skip
+
+
+def make(place, *words):
+    return subprocess.run(["make", "-C", place, *words], capture_output=True, text=True, timeout=300, check=False)
+
+
+@pytest.fixture(scope="module")
+def default(tmp_path_factory):
+    out = tmp_path_factory.mktemp("default")
+    export_scenario(Scenario(duration_s=1.0), out)
+    return out
+
+
+@needs_make
+@pytest.mark.parametrize("name", RUNS)
+def test_it_compiles_without_a_warning_and_repeats_python_to_the_last_bit(name, tmp_path):
+    files = export_scenario(Scenario(**{"duration_s": 1.0, **RUNS[name]}), tmp_path)
+    assert sorted(files) == sorted(tmp_path.iterdir())
+    done = make(tmp_path, "test", f"CFLAGS={FLAGS} {'-O3' if name == 'default' else '-O1'}")  # in a third of the time
+    assert done.returncode == 0, done.stdout + done.stderr
+    said = re.search(r"(\d+) ticks, (\d+) limited, .* \(tick (\d+)\); largest difference .* (\S+) Nm", done.stdout)
+    assert said, done.stdout
+    ticks, limited, stopped_at = map(int, said.groups()[:3])
+    assert (ticks, said[4]) == (TICKS, "0.0e+00")
+    assert 2 * TICKS // 3 + 30 < stopped_at < ticks
+    assert limited > 0 or name in ("panda", "dcac-damped")  # these are stopped before
+    assert re.search(r"mean [\d.]+ us; with the clock: median [\d.]+ us, p99\.9 [\d.]+ us", done.stdout)
+
+
+@needs_make
+@pytest.mark.parametrize(
+    ("file", "old", "new"),
+    [
+        ("guard.c", "w->bad += w->bad < INT_MAX;", ""),
+        ("guard.c", "return newer ? FRESH : REPEAT;", "return FRESH;"),
+        ("constants.c", ".torque_step = ", ".torque_step = 0.01 * "),
+        ("answer.c", "moc_least_violation(p, x);", ";"),
+    ],
+)
+def test_its_self_test_can_fail(default, tmp_path, file, old, new):
+    wrong = Path(shutil.copytree(default, tmp_path / "wrong"))
+    text = (wrong / file).read_text()
+    assert old in text
+    (wrong / file).write_text(text.replace(old, new))
+    done = make(wrong, "test", f"CFLAGS={FLAGS} -O1 -Wno-error")
+    assert done.returncode != 0, done.stdout
+    assert "largest difference" in done.stdout, done.stderr
+
+
+def test_the_files_of_the_core_are_in_it_as_they_are(default):
+    for name in folder.CORE:
+        licence, _, text = (default / name).read_text().partition("\n")
+        assert "SPDX-License-Identifier: Apache-2.0" in licence
+        assert text == (Path(folder.__file__).parents[1] / "core" / name).read_text()
+    for file in default.iterdir():
+        assert folder.MARK in file.read_text().partition("\n")[0]
+
+
+def test_numbers_are_written_to_the_last_bit():
+    assert folder.in_c([0.1, -math.inf, math.inf, math.nan, True, 3, np.float64(1e-300)]) == (
+        "{0.1, -INFINITY, INFINITY, NAN, 1, 3, 1e-300}"
+    )
+
+
+def test_every_number_of_law_and_safety_filter_is_written(default, robot):
+    """`Law` and `Guard` refuse a number that is missing or one too many; the file has the same ones."""
+    scenario = Scenario()
+    law = numbers_of(scenario.control, robot, 0.002)
+    guard = safety_filter.numbers_of(scenario.told_guard, robot, 0.002)
+    assert Law(robot.arm, **law)
+    assert Guard(robot.arm, **guard)
+    text = " ".join((default / "constants.c").read_text().split())
+    assert all(f".{name} = " in text for name in {*law, *guard})
+
+
+def test_no_name_gets_into_it(robot):
+    """A robot's file is somebody else's, and C has ways out of every comment."""
+    joints = tuple(f"arm/evil {i}:a+b-c.d" for i in range(robot.n))
+    text = robot.data.urdf
+    for old, new in zip(robot.data.joint_names, joints, strict=True):
+        text = text.replace(f'"{old}"', f'"{new}"')
+    evil = RobotModel(replace(robot.data, name="evil", joint_names=joints, urdf=text))
+    found = folder.constants(evil, numbers_of(Scenario().control, evil, 0.002), {}, 1e-9, (1.0, 1.0))
+    assert "evil" not in "".join(found.values())
+
+
+@pytest.mark.parametrize(
+    ("tables", "words"),
+    [
+        ({"solver": {"name": "rnn"}}, r"\[solver\] name = 'rnn'.*take that one"),
+        ({"solver": {"replay_us": [10.0]}}, r"\[solver\] replay_us = \(10.0,\).*leave it out"),
+        ({"solver": {"isolation": "process"}}, r"\[solver\] isolation = 'process'.*leave it out"),
+        ({"control": {"third_level": "receding"}}, r"\[control\] third_level = 'receding'.*take 'local'"),
+        ({"control": {"supervisor": {"budget_us": 100.0}}}, r"budget_us = 100.0.*leave it out"),
+    ],
+)
+def test_what_c_cannot_do_is_refused_by_name(tmp_path, tables, words):
+    with pytest.raises(ScenarioError, match=words):
+        export_scenario(Scenario(**tables), tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_the_command_writes_over_nothing_but_its_own_files(tmp_path, capsys):
+    scenario, out = tmp_path / "scenario.toml", tmp_path / "c"
+    scenario.write_text("duration_s = 0.5\n")
+    command = ["export-c", str(scenario), "--out", str(out)]
+    for _ in range(2):
+        assert main([*command, "--main", "udp"]) == 0
+        said = capsys.readouterr().out
+        assert all(str(path) in said for path in out.iterdir())
+    (out / "robot.c").write_text("int mine;\n")
+    (out / "main.c").write_text((out / "main.c").read_text().replace("ROUNDS = 500", "ROUNDS = 5"))
+    changed = (out / "main.c").read_text()
+    assert main(command) == 2
+    assert "main.c there is not as export-c wrote it: name another folder, or give --force" in capsys.readouterr().err
+    assert (out / "main.c").read_text() == changed
+    assert main([*command, "--force"]) == 0
+    assert (out / "main.c").read_text() != changed
+    assert (out / "robot.c").read_text() == "int mine;\n"

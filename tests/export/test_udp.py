@@ -1,0 +1,169 @@
+"""The exported program at the end of a wire: the same run as in Python, whatever happens to packets on the way."""
+
+from __future__ import annotations
+
+import ctypes
+import hashlib
+import json
+import shutil
+import subprocess
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import moc_opt.export
+from moc_opt.export import export_scenario
+from moc_opt.realtime.packets import Kind
+from moc_opt.scenario import Scenario, run
+from moc_opt.scenario.wired import PlantServer
+from moc_opt.trace.trace import Trace
+from tests.realtime.relay import TO_CONTROLLER, Relay
+
+pytestmark = pytest.mark.skipif(
+    shutil.which("make") is None or shutil.which("cc") is None, reason="no make or cc"
+)
+
+BASE: dict[str, Any] = {
+    "duration_s": 0.6, "bound_samples": 0, "plant": {"preset": "realistic"},
+    "wire": {"resend_s": 0.02, "resends": 1000},
+}  # fmt: skip
+RUNS: dict[str, dict[str, Any]] = {
+    "default": {},
+    "dcac": {"control": {"law": "dcac"}},
+    "bad sensors": {"faults": {"drop_share": 0.1, "late_ticks": 1}},
+    "stopped": {"faults": {"nan_at_s": 0.3, "nan_ticks": 100}},
+}
+
+
+@pytest.fixture(scope="module", params=RUNS)
+def built(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[Scenario, Path]:
+    """A scenario and the folder with its program."""
+    out, scenario = tmp_path_factory.mktemp(request.param.replace(" ", "-")), Scenario(**BASE, **RUNS[request.param])
+    assert sorted(export_scenario(scenario, out, udp=True)) == sorted(out.iterdir())
+    done = subprocess.run(
+        ["make", "-C", str(out), "moc_udp", "CFLAGS=-std=c11 -O1 -ffp-contract=off -Werror"],
+        capture_output=True, text=True, timeout=300, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "-Wconversion" in done.stdout
+    return scenario, out
+
+
+def served(scenario: Scenario, folder: Path, **relayed: Any) -> tuple[Trace, dict[str, Any], int, Relay]:
+    """A run in lock-step through a relay: trace, what the program printed, its status."""
+    plant = PlantServer(scenario, "127.0.0.1:0", lock_step=True)
+    with ThreadPoolExecutor(1) as pool, Relay(plant.address, seed=2, **relayed) as relay:
+        trace = pool.submit(plant.trace)
+        done = subprocess.run(
+            [str(folder / "moc_udp"), *relay.address.split(":"), str(folder / "reference.bin")],
+            capture_output=True, text=True, timeout=300, check=False,
+        )  # fmt: skip
+        assert done.returncode in (0, 3), done.stderr
+        return trace.result(), json.loads(done.stdout), done.returncode, relay
+
+
+def test_it_is_the_controller_that_python_is(built: tuple[Scenario, Path]) -> None:
+    scenario, folder = built
+    found, said, status, _ = served(scenario, folder)
+    expected = run(scenario)
+    assert len(found) == len(expected)
+    for name in ("tau_Nm", "q_rad", "tip_error_m", "rcm_error_m", "mu"):
+        np.testing.assert_array_equal(found.columns[name], expected.columns[name], err_msg=name)
+    for name in {"fault", "limited", "x_rad_per_s", "applied_x_rad_per_s", "subproblem"} & set(expected.columns):
+        np.testing.assert_array_equal(found.columns[name], expected.columns[name], err_msg=name)
+    assert said["ticks"] == said["quality"]["received"] == len(expected)
+    assert not found.columns["missed"].any()
+    assert status == (0 if expected.meta["ended"] == "completed" else 3)
+    assert said["ended"].split(" ")[0].rstrip(":") == expected.meta["ended"].split(":")[0]
+    assert found.meta.get("stopped_at_s") == expected.meta.get("stopped_at_s")
+    if status:
+        assert "measurements not believed" in said["ended"]
+        assert found.meta["ended"] == expected.meta["ended"]
+    if "verified" in expected.columns:
+        np.testing.assert_array_equal(found.columns["verified"], expected.columns["verified"])
+
+
+def test_faults_of_the_wire_are_counted_and_change_nothing(built: tuple[Scenario, Path]) -> None:
+    scenario, folder = built
+    found, said, _, relay = served(scenario, folder, share=0.04)
+    expected = run(scenario)
+    np.testing.assert_array_equal(found.q_rad, expected.q_rad)
+    done, counts = relay.done[TO_CONTROLLER], said["quality"]
+    assert min(done.values()) > 2
+    # The program has left its last tick before a packet of that tick that comes late.
+    assert 0 <= done["cut"] - counts["truncated"] <= 1
+    assert 0 <= done["forge"] - counts["forged"] <= 1
+    assert counts["doubled"] > 2
+    assert counts["missed"] == 0
+    assert said["ticks"] == len(expected)
+
+
+def test_a_run_that_the_plant_ends_early_is_not_called_complete(built: tuple[Scenario, Path]) -> None:
+    """No command from tick 100 on: the plant's watchdog brakes, which the program has not asked for."""
+    scenario, folder = built
+    blind = scenario.change(wire={"resend_s": 0.5, "resends": 0, "hold_ticks": 0, "damp_ticks": 0})
+    found, said, status, _ = served(blind, folder, lost=lambda kind, number: kind is Kind.COMMAND and number >= 100)
+    assert found.meta["ended"].startswith("stopped: no command from the controller")
+    assert (said["ended"], status, said["ticks"]) == ("the plant ended the run early", 3, 101)
+
+
+def test_it_takes_no_memory_from_the_heap(built: tuple[Scenario, Path]) -> None:
+    if shutil.which("nm") is None:
+        pytest.skip("no nm")
+    names = subprocess.run(["nm", "-u", str(built[1] / "moc_udp")], capture_output=True, text=True, check=True).stdout
+    assert "sendto" in names
+    assert not {"malloc", "calloc", "realloc", "free"} & {name.split("@")[0].split()[-1] for name in names.splitlines()}
+
+
+def test_what_cannot_be_is_refused_in_words(built: tuple[Scenario, Path], tmp_path: Path) -> None:
+    folder, (short, long) = built[1], (tmp_path / "short", tmp_path / "long")
+    reference, (good, bad) = str(folder / "reference.bin"), (tmp_path / "good", tmp_path / "bad")
+    good.write_text("0123456789abcdef\n")
+    bad.write_text("x" * 33)
+    short.write_bytes((folder / "reference.bin").read_bytes()[:-8])
+    for words, arguments in {
+        "usage": (),
+        "not the file": ("127.0.0.1", "1", str(short)),
+        "numbers": ("localhost", "1", reference),
+        "other machines": ("192.0.2.1", "1", reference),
+        "cannot be read": ("192.0.2.1", "1", reference, str(long)),
+        "16 to 32": ("192.0.2.1", "1", reference, str(bad)),
+        " numbers": ("192.0.2.1", "70000", reference, str(good)),
+    }.items():
+        done = subprocess.run(
+            [str(folder / "moc_udp"), *arguments], capture_output=True, text=True, timeout=60, check=False
+        )
+        assert done.returncode == 2
+        assert words.strip() in done.stderr
+
+
+@pytest.fixture(scope="module")
+def check(tmp_path_factory: pytest.TempPathFactory) -> Any:
+    """wire_check of the C files, from Python."""
+    library = tmp_path_factory.mktemp("check") / "wire_check.so"
+    source = Path(moc_opt.export.__file__).parent / "c" / "wire_check.c"
+    subprocess.run(["cc", "-std=c11", "-O2", "-shared", "-fPIC", source, "-o", library], check=True)
+    library = ctypes.CDLL(str(library))
+
+    def call(data: bytes, key: bytes) -> bytes:
+        out = ctypes.create_string_buffer(16)
+        library.wire_check(data, ctypes.c_size_t(len(data)), key, ctypes.c_size_t(len(key)), out)
+        return out.raw
+
+    return call
+
+
+@given(data=st.binary(min_size=1, max_size=1000), key=st.binary(min_size=1, max_size=32))
+def test_the_check_is_blake2s(check: Any, data: bytes, key: bytes) -> None:
+    assert check(data, key) == hashlib.blake2s(data, key=key, digest_size=16).digest()
+
+
+@pytest.mark.parametrize("length", [1, 63, 64, 65, 127, 128, 129, 192, 888])
+def test_the_check_is_blake2s_about_the_ends_of_blocks(check: Any, length: int) -> None:
+    data, key = bytes(k % 251 for k in range(length)), b"k" * 32
+    assert check(data, key) == hashlib.blake2s(data, key=key, digest_size=16).digest()

@@ -1,0 +1,113 @@
+"""What strangers send (numbers, texts, names, nested values, files with errors in them), and how it has to end."""
+
+import contextlib
+import signal
+
+import hypothesis.strategies as st
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, event, settings
+
+from moc_opt.errors import MocOptError
+
+LONGEST_S = 600
+"""For one input: a busy machine compiles in it, and only a hang takes longer."""
+
+
+def many(share=1.0):
+    """A share of the examples of the profile, for tests of which one example takes longer."""
+    slow = (HealthCheck.too_slow, HealthCheck.data_too_large, HealthCheck.function_scoped_fixture)
+    return settings(max_examples=max(10, round(share * settings().max_examples)), suppress_health_check=slow)
+
+
+@contextlib.contextmanager
+def ends_well(*named):
+    """Nothing is raised inside but a MocOptError of ordinary length; where names are given it has one of them."""
+
+    def ring(number, frame):
+        pytest.fail(f"no end after {LONGEST_S} s")
+
+    before = signal.signal(signal.SIGALRM, ring)
+    signal.alarm(LONGEST_S)
+    try:
+        with np.errstate(all="ignore"):  # numbers of 1e300 overflow; what counts is what is said about them
+            yield
+    except MocOptError as refusal:
+        said = str(refusal)
+    else:
+        said = ""
+    finally:
+        signal.alarm(0)
+        signal.signal(signal.SIGALRM, before)
+    event("refused" if said else "taken")
+    if said:
+        assert 15 <= len(said) <= 2000
+        assert not named or any(repr(name)[1:-1] in said for name in named)
+
+
+numbers = st.one_of(
+    st.sampled_from([
+        0, -1, 1, 2, 1e-300, -1e-300, 1e300, -1e300, 5e-324, 1e308, 1e30, 1e-30, 1e-9, 1e9, 0.5, 2**53, 2**63,
+        -(2**63), 2**63 - 1, 10**7, 10**40, float("nan"), float("inf"), float("-inf"),
+    ]),
+    st.floats(-10.0, 10.0),
+    st.integers(-5, 100),
+)  # fmt: skip
+texts = st.one_of(
+    st.sampled_from([
+        "", "nan", "../../x", "/etc/passwd", "\x00", "lwr4", "osqp", "exact", "circle", "tuned", "moc", "a" * 5000,
+        "💥", "random", "__class__", "{0.__class__}", "%s%n", "qpsolvers:nobody", "../lwr4.toml", ".urdf", "x.toml",
+        "casadi:nobody", "true", "-", "con", "qpsolvers:", "casadi:",
+    ]),
+    st.text(max_size=12),
+)  # fmt: skip
+junk = st.recursive(
+    st.one_of(st.none(), st.booleans(), numbers, texts),
+    lambda inner: st.one_of(st.lists(inner, max_size=4), st.dictionaries(texts, inner, max_size=3)),
+    max_leaves=6,
+)
+
+pieces = st.sampled_from([
+    "*/", "/*", "//", "*\\\n/", "*??/\n/", "??/", "\\", "\\\n", "\n", "\r", "\x0b", "\x00", '"', "'", "<", ">", "&",
+    "<script>alert(1)</script>", "</script>", "<img src=x onerror=alert(1)>", "&lt;", "&#60;", "`", "$title", "${n}",
+    "../", "..", "/", "..\\", "~", "system(0);", "#include </etc/passwd>", '_Pragma("x")', "\u2028", "\u202e", "é",
+    "</td>", "%s", "joint", "link_1", "a", " ", ".", ":", "-", "+", "_", "1", "[red]", "\x1b[2J", "a" * 101,
+])  # fmt: skip
+names = st.one_of(
+    st.lists(pieces, min_size=1, max_size=4).map("".join), st.text(max_size=8),
+    st.from_regex(r"[A-Za-z0-9_ .:+/-]{1,12}", fullmatch=True),
+)  # fmt: skip
+"""What leaves a comment, a tag or a folder, and names as they should be."""
+
+
+@st.composite
+def edited(draw: st.DrawFn, text: str) -> bytes:
+    """A text file with a few lines, words or values changed, doubled or taken out; or something else entirely."""
+    kind = draw(st.integers(0, 9))
+    if kind == 0:
+        return draw(st.binary(max_size=200))
+    if kind == 1:
+        return draw(st.text(max_size=100)).encode("utf-8", "surrogatepass")
+    lines = text.splitlines()
+    for _ in range(draw(st.integers(1, 3))):
+        place = draw(st.integers(0, len(lines) - 1))
+        line, how = lines[place], draw(st.integers(0, 5))
+        if how == 0:
+            lines = lines[:place] + lines[place + 1 :] or [""]
+        elif how == 1:
+            lines.insert(place, line)
+        elif how == 2:
+            cut = draw(st.integers(0, len(line)))
+            lines[place] = line[:cut] + draw(st.text(max_size=5)) + line[cut:]
+        elif how in (3, 4) and "=" in line:
+            quoted = line.split('"')
+            if len(quoted) >= 3 and "<" in line:  # an attribute of XML
+                odd = st.one_of(numbers.map(repr), texts, st.sampled_from(["0 0 nan", "1e999 0 0", "0x1p-2"]))
+                quoted[2 * draw(st.integers(0, (len(quoted) - 3) // 2)) + 1] = draw(odd)
+                lines[place] = '"'.join(quoted)
+            else:
+                odd = st.one_of(numbers.map(repr), texts.map(repr), st.sampled_from(["[]", "{}"]))
+                lines[place] = f"{line.split('=', 1)[0]}= {draw(odd)}"
+        else:
+            lines[place] = draw(st.sampled_from(["", "<", "]", "[[robot]]", "</link>", '<link name="tip"/>', "\x00"]))
+    return "\n".join(lines).encode("utf-8", "surrogatepass")

@@ -1,0 +1,230 @@
+"""The program keeps every constraint by the model's own kinematics, over a path and over a horizon."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import casadi
+import numpy as np
+import pytest
+
+from moc_opt.planning.course import OBJECTIVES, Course, Limits, Objective, Targets, faster, make_course
+from moc_opt.planning.plan import best_course
+from moc_opt.planning.pose_map import map_of
+from moc_opt.planning.program import WHOLE, Program, refine, too_fast, worth
+from moc_opt.planning.search import WHOLE_CELL, End, Value, keeping_shaft, shaft_shares
+from moc_opt.robots.model import RobotModel, load_robot
+from moc_opt.scenario import Scenario
+from moc_opt.scenario.planned import plan
+from tests.conftest import Array
+from tests.planning.arms import PANDA, at_poses, build, line_from, task
+
+NODES = 8
+
+
+def on_grid(
+    robot: RobotModel, targets: Targets, limits: Limits | None = None, objective: Objective = "mean", swivels: int = 180
+) -> tuple[Course, float]:
+    """The best course of a grid from the home pose, and the bound on all."""
+    limits, q = limits or Limits(), robot.data.q_home
+    found = keeping_shaft(map_of(robot, q, targets, swivels), limits)
+    poses = best_course(Value(found, limits, objective), limits, q)
+    assert poses is not None
+    bound = Value(found, limits, objective, cell=WHOLE_CELL).of(q, robot.state(q).mu)
+    return make_course(robot, targets, poses, limits), bound
+
+
+@pytest.mark.parametrize("objective", OBJECTIVES)
+def test_a_course_is_refined_between_its_grid_and_its_bound(robot: RobotModel, objective: Objective) -> None:
+    targets = task(robot, robot.data.q_home, 60)
+    course, bound = on_grid(robot, targets, objective=objective, swivels=90)
+    better = refine(robot, targets, course, Limits(), objective)
+    assert better.certified
+    assert better.kept
+    assert course.value(objective) <= better.value(objective) <= bound + 1e-12
+    np.testing.assert_array_equal(better.q_rad[0], robot.data.q_home)
+    if objective != "worst":
+        assert better.value(objective) > course.value(objective)
+
+
+def test_a_course_at_its_limits_stays_at_its_maximum_of_mu_when_it_is_made_smooth(robot: RobotModel) -> None:
+    """From a start where the way to the better maximum is narrow: the program stays on it, and does not turn back."""
+    q = (0.2912492688528833, -0.9312126696305606, -0.2813874639891124, -0.9455987681077571, 0.08576585626315732,
+         -1.0843382517252966, 1.987021145390591)  # fmt: skip
+    circle = Scenario().change(start={"q_rad": q, "check_path": False}, task={"sizes": {"radius": 0.02}})
+    limits = Limits(0.05, 0.97)
+    found = plan(circle, margin_rad=0.05, speed_share=0.97, refined=False)
+    assert found.from_start is not None
+    smooth = refine(robot, found.targets, found.from_start, limits, smoothness=1e-4)
+    assert smooth is not found.from_start
+    assert smooth.mu_mean > 0.99 * found.from_start.mu_mean
+    assert found.climbed.mu_mean < 0.97 * found.from_start.mu_mean
+    gentle = refine(robot, found.targets, found.from_start, limits, smoothness=1e-3)
+    assert faster(gentle.q_rad).max() < faster(smooth.q_rad).max() < faster(found.from_start.q_rad).max()
+
+
+def test_an_arm_without_closed_form_is_refined(tmp_path: Path) -> None:
+    panda = build(tmp_path, PANDA)
+    targets = line_from(panda, panda.data.q_home, 20)
+    course, _ = on_grid(panda, targets)
+    better = refine(panda, targets, course, Limits())
+    assert better.certified
+    assert better.kept
+    assert better.mu_mean >= course.mu_mean
+
+
+def test_a_course_that_breaks_a_limit_is_said_to(robot: RobotModel) -> None:
+    targets = task(robot, robot.data.q_home, 20)
+    course, _ = on_grid(robot, targets)
+    jump, off = np.array(course.q_rad), np.array(course.q_rad)
+    jump[10, 6] += 3.5  # the idle joint: tip and wrist stay, its speed does not
+    off[3, 1] += 1e-3
+    beyond = abs(jump[10, 6] - jump[9, 6]) - robot.v_max[6] * targets.period_s
+    assert make_course(robot, targets, jump).violation == pytest.approx(beyond)
+    assert make_course(robot, targets, course.q_rad, Limits(margin=1.5)).violation > 0.1
+    assert make_course(robot, targets, off).violation > 1e-5
+
+
+def test_a_joint_that_is_just_not_too_fast_stops_before_its_limit_by_braking_alone() -> None:
+    """Carried on at the most speed that is allowed: never beyond the limit, never braked harder than told."""
+    v, q, zero = casadi.MX.sym("v"), casadi.MX.sym("q"), casadi.DM(0.0)
+    excess = casadi.Function("excess", [v, q], [too_fast(v, q, casadi.DM(-9.0), zero, 2.0)])
+    pose, dt, speeds = -1.5, 1e-3, []
+    for _ in range(6000):
+        speeds.append(-float(excess(0.0, pose)[0]))
+        pose += dt * speeds[-1]
+        assert pose <= 0.0
+    assert pose > -1e-3
+    assert 1.8 < -np.diff(speeds).min() / dt <= 2.0 + 1e-6
+    assert float(excess(-100.0, -9.0)[1]) == 100.0, "the other way the other limit counts"
+
+
+def test_a_course_brakes_off_before_the_limits_that_it_keeps(robot: RobotModel) -> None:
+    """At margins at which the course without a brake is too fast towards a limit, by the rule itself."""
+    brake, limits, targets, late = 0.5, Limits(margin=0.3), task(robot, robot.data.q_home, 60), []
+    course, _ = on_grid(robot, targets, limits)
+    for rule in (np.inf, brake):
+        poses = refine(robot, targets, course, limits, brake=rule).q_rad
+        speed, ends = np.diff(poses, axis=0) / targets.period_s, (robot.q_min + 0.3, robot.q_max - 0.3)
+        rows = zip(speed, poses[1:], strict=True)
+        excess = [too_fast(*(casadi.DM(given) for given in (*row, *ends)), brake) for row in rows]
+        late.append(float(np.array(excess)[:, robot.moves.any(axis=0).tolist() * 2].max()))
+    assert late[0] > 0.05
+    assert late[1] < 1e-6
+
+
+@pytest.mark.parametrize("slow", [Limits(speed_share=1e-10), Limits(acceleration=1e-7)])
+def test_a_course_for_which_the_joints_are_far_too_slow_is_none(robot: RobotModel, slow: Limits) -> None:
+    """Also where a step is shorter than what limits are kept inside by: no bounds that cross."""
+    targets = task(robot, robot.data.q_home, 20)
+    course, _ = on_grid(robot, targets)
+    assert not refine(robot, targets, make_course(robot, targets, course.q_rad, slow), slow).kept
+
+
+def test_a_course_is_certified_only_where_the_program_has_ended(robot: RobotModel, monkeypatch) -> None:
+    """Stopped after few steps it may be better, and is at no optimum."""
+    targets, said = task(robot, robot.data.q_home, 60), []
+    course, _ = on_grid(robot, targets, swivels=90)
+    for most in (8, 300):
+        monkeypatch.setitem(WHOLE, "ipopt.max_iter", most)
+        said.append(refine(robot, targets, course, Limits()))
+    assert [each.certified for each in said] == [False, True]
+    assert course.mu_mean <= said[0].mu_mean < said[1].mu_mean
+
+
+def test_a_margin_from_losing_the_shaft_is_kept_where_mu_rises_below_it(robot: RobotModel) -> None:
+    """The margin is what the course itself has; what is refined without it goes below."""
+    targets = task(robot, robot.data.q_home, 40)
+    course, _ = on_grid(robot, targets)
+    margin = 1.2 * float(shaft_shares(robot, course.q_rad).min())
+    limits, top = Limits(shaft=margin), float(course.mu.max())
+    kept, _ = on_grid(robot, targets, limits)
+    refined, free = (refine(robot, targets, kept, each) for each in (limits, Limits()))
+    assert worth(robot, refined, limits, "mean", top) > worth(robot, free, limits, "mean", top)
+    assert shaft_shares(robot, refined.q_rad).min() > shaft_shares(robot, free.q_rad).min()
+    assert refined.mu_mean < free.mu_mean
+
+
+# --- on a horizon ---
+
+
+def horizon(robot: RobotModel, smoothness: float = 1e-3, margin: Array | float = 0.0) -> Program:
+    return Program(robot, NODES, 0.05, Limits(margin), mu=0.1, smoothness=smoothness, horizon=True)
+
+
+@pytest.fixture(scope="module")
+def middle() -> tuple[RobotModel, Array, Array, Targets]:
+    """A start in the middle of a course, and the course as a guess."""
+    robot = load_robot("lwr4")
+    targets = task(robot, robot.data.q_home, 101)
+    q = on_grid(robot, targets)[0].q_rad
+    return robot, q[29], q[30 : 30 + NODES], targets[30 : 30 + NODES]
+
+
+Middle = tuple[RobotModel, Array, Array, Targets]
+
+
+def test_tip_shaft_limits_and_speeds_are_kept(middle: Middle) -> None:
+    robot, start, guess, there = middle
+    answer, _ = horizon(robot).solve(guess, start, there)
+    assert make_course(robot, there, answer).violation < 1e-4
+    assert (np.abs(answer[0] - start) / there.period_s <= robot.v_max + 1e-3).all()
+
+
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_its_end_is_pulled_to_where_v_is_higher(middle: Middle, side: float) -> None:
+    robot, start, guess, there = middle
+    made, rest = horizon(robot), (guess[-1] - start) / (NODES * there.period_s)
+    plain, _ = made.solve(guess, start, there, rest)
+    along = np.linalg.svd(robot.state(plain[-1]).A[:, :6])[2][-1]
+    along = np.append(along / np.linalg.norm(along), 0.0)
+    far, near = (End(plain[-1], along, 0.05 * side, -0.5, -most, most) for most in (1.0, 1e-4))
+    pulled, _ = made.solve(guess, start, there, rest, far)
+    assert side * (along @ (pulled[-1] - plain[-1])) > 1e-3
+    kept, _ = made.solve(guess, start, there, rest, near)
+    assert abs(along @ (kept[-1] - plain[-1])) < 1e-3
+
+
+def test_a_smoother_course_is_had_for_a_higher_price(middle: Middle) -> None:
+    robot, start, guess, there = middle
+    rough = []
+    for price in (1e-4, 1e-1):
+        q = np.concatenate([start[None], horizon(robot, price).solve(guess, start, there)[0]])
+        rough.append(float((np.diff(q, axis=0) ** 2).sum()))
+    assert rough[1] < rough[0]
+
+
+def test_it_begins_at_the_speed_that_the_arm_has(middle: Middle) -> None:
+    robot, start, guess, there = middle
+    made = horizon(robot)
+    steps = [made.solve(guess, start, there, speed * np.ones(robot.n))[0][0] - start for speed in (-0.5, 0.5)]
+    along = np.linalg.svd(robot.state(start).A[:, :6])[2][-1]
+    assert abs(along @ (steps[1] - steps[0])[:6]) > 1e-4
+    assert np.sign(along @ (steps[1] - steps[0])[:6]) == np.sign(along.sum())
+
+
+def test_a_margin_from_a_limit_is_kept_where_the_course_would_go_beyond(middle: Middle) -> None:
+    robot, start, guess, there = middle
+    free, _ = horizon(robot).solve(guess, start, there)
+    turned = np.append(np.abs(np.linalg.svd(robot.state(start).A[:, :6])[2][-1]) > 0.1, False)
+    side = np.sign(start - 0.5 * (robot.q_min + robot.q_max))
+    way = np.where(turned, side * (free[-1] - start), -np.inf)
+    joint = int(np.argmax(way))
+    end, margin = start[joint] + 0.7 * (free[-1] - start)[joint], np.zeros(robot.n)
+    margin[joint] = robot.q_max[joint] - end if side[joint] > 0.0 else end - robot.q_min[joint]
+    kept, _ = horizon(robot, margin=margin).solve(guess, start, there)
+    assert (side[joint] * (free[:, joint] - end)).max() > 1e-3
+    assert (side[joint] * (kept[:, joint] - end)).max() < 1e-6
+    assert make_course(robot, there, kept, replace(Limits(), margin=margin)).violation < 1e-4
+
+
+def test_a_margin_from_losing_the_shaft_leads_the_horizon_away(robot: RobotModel) -> None:
+    """Tip and wrist rest; the elbow moves to where the share is larger, against mu."""
+    q = robot.random_regular_pose(np.random.default_rng(5), margin=0.3)
+    there, guess, shares = at_poses(robot, np.tile(q, (NODES, 1))), np.tile(q, (NODES, 1)), []
+    share = float(shaft_shares(robot, q[None])[0])
+    for margin in (0.0, 1.5 * share):
+        made = Program(robot, NODES, 0.05, Limits(shaft=margin), mu=0.1, smoothness=1e-5, horizon=True)
+        shares.append(float(shaft_shares(robot, made.solve(guess, q, there, period_s=0.05)[0][-1:])[0]))
+    assert shares[1] > max(share, shares[0]) + 1e-3

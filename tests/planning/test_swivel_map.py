@@ -1,0 +1,202 @@
+"""The manipulability map against direct evaluation, and its figure."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import moc_opt as mo
+from moc_opt.errors import ReportError, RobotError
+from moc_opt.figures.style import BAD
+from moc_opt.planning.arm_angle import Elbow
+from moc_opt.planning.largest import largest_mu
+from moc_opt.planning.self_motion import self_motion
+from moc_opt.planning.swivel_map import FEASIBLE, UNREACHABLE, SwivelMap, manipulability_map
+from moc_opt.report.map_page import add_map, map_figure
+from moc_opt.report.page import Page
+from moc_opt.robots.model import RobotModel, load_robot
+from moc_opt.scenario import Scenario
+from moc_opt.trace.trace import Trace
+
+
+@pytest.fixture(scope="module")
+def runs() -> dict[str, Trace]:
+    """Both laws on a circle in a plant that equals the model."""
+    moc = Scenario(
+        plant={"preset": "nominal"}, start={"swivel": 0.2}, judge=False, bound_samples=0,
+        task={"wait_s": 0.5, "hold_s": 0.0, "v_max_m_per_s": 0.05, "a_max_m_per_s2": 0.2},
+    )  # fmt: skip
+    dcac = moc.change(control={"law": "dcac"})
+    return {"MOC": mo.run(moc), "DCAC": mo.run(dcac)}
+
+
+@pytest.fixture(scope="module")
+def found(robot: RobotModel, runs: dict[str, Trace]) -> SwivelMap:
+    return manipulability_map(robot, runs, times=13, swivels=72)
+
+
+def test_the_grid_is_what_direct_evaluation_gives(
+    robot: RobotModel, runs: dict[str, Trace], found: SwivelMap
+) -> None:
+    guide = max(runs.values(), key=len)
+    ticks = np.searchsorted(guide.t_s, found.t_s)
+    known = np.isfinite(found.q_rad).all(axis=2)
+    assert known.mean() > 0.95, "this arm can turn its elbow all the way round"
+    for k, tick in enumerate(ticks):
+        tip = guide.tip_ref_m[tick]
+        shaft = guide.trocar_registered_m[tick] - tip
+        wrist = tip + shaft / np.linalg.norm(shaft) * robot.state(robot.data.q_home).tool_span
+        for j in np.flatnonzero(known[k]):
+            state = robot.state(found.q_rad[k, j])
+            assert state.mu == found.mu[k, j]
+            np.testing.assert_allclose([state.tip, state.wrist], [tip, wrist], atol=1e-8)
+            beyond = np.maximum(state.q - robot.q_max, robot.q_min - state.q)
+            if found.limit[k, j] == FEASIBLE:
+                assert beyond.max() <= 1e-9
+            else:
+                assert beyond[found.limit[k, j] - 1] == beyond.max() > 0.0
+    assert (found.limit == UNREACHABLE).sum() == (~known).sum()
+    assert 0.2 < (found.limit == FEASIBLE).mean() < 0.9
+
+
+def test_the_swivel_is_a_continuous_coordinate(robot: RobotModel, found: SwivelMap) -> None:
+    rows = found.q_rad[4]
+    angles = Elbow(robot, np.array([robot.state(rows[0]).wrist])).swivel(rows)
+    away = np.mod(angles - found.swivel_rad + np.pi, 2 * np.pi) - np.pi
+    assert np.abs(away).max() < 1e-6
+    moving = robot.moves.any(axis=0)
+    for axis in (0, 1):  # from time to time and from swivel to swivel
+        step = np.diff(found.q_rad, axis=axis)
+        step = np.abs(np.mod(step + np.pi, 2 * np.pi) - np.pi)[..., moving]
+        assert np.nanquantile(step, 0.99) < 0.4
+    assert np.all(np.diff(found.swivel_rad) > 0.0)
+    assert found.swivel_rad[-1] - found.swivel_rad[0] < 2 * np.pi
+    assert abs(found.swivel_rad.mean()) <= np.pi
+
+
+def test_the_elbow_angle_turns_with_the_elbow(robot: RobotModel) -> None:
+    """Turned about the vertical through the base, the arm keeps its swivel; mirrored, it changes sign."""
+    q = np.array(robot.data.q_home)
+    elbow = Elbow(robot, robot.state(q).wrist[None])
+    assert elbow.joint == 3
+    turned = q + np.eye(robot.n)[0]
+    mirrored = q * np.array([-1, 1, -1, 1, -1, 1, -1])
+    first, same, other = elbow.swivel(np.array([q, turned, mirrored]))
+    assert same == pytest.approx(first, abs=1e-12)
+    assert other == pytest.approx(-first, abs=1e-12)
+    assert abs(first) > 0.1
+
+
+def test_trajectories_lie_on_the_map(robot: RobotModel, runs: dict[str, Trace], found: SwivelMap) -> None:
+    for name, trajectory in found.trajectories.items():
+        assert trajectory.gap_rad < 0.15, "half a row, as joints move"
+        np.testing.assert_array_equal(
+            trajectory.mu, robot.mu_along(runs[name].q_rad)[np.searchsorted(runs[name].t_s, trajectory.t_s)]
+        )
+        for k, t in enumerate(found.t_s):
+            i = int(np.argmin(np.abs(trajectory.t_s - t)))
+            on_map = np.interp(trajectory.swivel_rad[i], found.swivel_rad, found.mu[k])
+            assert trajectory.mu[i] == pytest.approx(on_map, abs=2e-3)
+
+
+def test_the_best_trajectory_is_the_best(robot: RobotModel, runs: dict[str, Trace], found: SwivelMap) -> None:
+    feasible = np.where(found.limit == FEASIBLE, found.mu, -np.inf)
+    assert np.all(found.best_mu >= feasible.max(axis=1))
+    for trajectory in found.trajectories.values():
+        at_columns = np.abs(trajectory.t_s[None] - found.t_s[:, None]).argmin(axis=1)
+        assert np.all(trajectory.mu[at_columns] <= found.best_mu + 1e-3)
+    guide = max(runs.values(), key=len)
+    for k in (0, 6, 12):
+        q = guide.q_rad[np.searchsorted(guide.t_s, found.t_s[k])]
+        assert found.best_mu[k] == pytest.approx(self_motion(robot, q).mu_best, abs=1e-3)
+    moc, dcac = found.trajectories["MOC"], found.trajectories["DCAC"]
+    assert found.best_mu[-1] - moc.mu[-1] < 5e-3, "MOC arrives"
+    assert found.best_mu[-1] - dcac.mu[-1] > 0.03, "DCAC stays where it is"
+
+
+def test_a_run_that_is_folded_another_way_is_told_apart(robot: RobotModel, runs: dict[str, Trace]) -> None:
+    flip = np.array(runs["MOC"].q_rad)
+    flip[:, 4] -= np.pi * np.sign(flip[:, 4])
+    flip[:, 5] *= -1.0
+    flipped = runs["MOC"].with_columns(q_rad=flip)
+    np.testing.assert_allclose(
+        robot.state(flip[0]).wrist, robot.state(runs["MOC"].q_rad[0]).wrist, atol=1e-12
+    )
+    both = manipulability_map(robot, {"MOC": runs["MOC"], "flipped": flipped}, times=3, swivels=24)
+    assert both.trajectories["MOC"].gap_rad < 0.3
+    assert both.trajectories["flipped"].gap_rad > 1.0
+    lines = {
+        line.name: line.line.dash
+        for line in map_figure(both).data
+        if line.type == "scatter" and line.showlegend is None
+    }
+    assert (lines["MOC"], lines["flipped"]) == ("solid", "dot")
+
+
+def test_what_is_out_of_reach_is_said_to_be(robot: RobotModel, runs: dict[str, Trace]) -> None:
+    far = np.array(runs["MOC"].tip_ref_m)
+    far[len(far) // 2 :] += [1.0, 0.0, 0.0]
+    trocar = np.array(runs["MOC"].trocar_registered_m)
+    trocar[len(far) // 2 :] += [1.0, 0.0, 0.0]
+    torn = runs["MOC"].with_columns(tip_ref_m=far, trocar_registered_m=trocar)
+    some = manipulability_map(robot, {"MOC": torn}, times=4, swivels=12)
+    assert (some.limit[2:] == UNREACHABLE).all()
+    assert np.isnan(some.best_mu[2:]).all()
+    assert np.isfinite(some.best_mu[:2]).all()
+    reasons = map_figure(some).data[1].customdata
+    assert set(np.unique(reasons[:, 2:])) == {"out of reach"}
+
+
+def test_wrong_input_is_refused(robot: RobotModel, odd_robot: RobotModel, runs: dict[str, Trace]) -> None:
+    moc = runs["MOC"]
+    moved = moc.with_columns(tip_ref_m=moc.tip_ref_m + 1e-3)
+    bare = Trace({name: moc.columns[name] for name in ("t_s", "q_rad", "tip_m", "tip_ref_m")})
+    for traces, words in (
+        ({}, "0 runs"), ({"a": moc, "b": moved}, "'b' was given another path"), ({"x": bare}, "no column 'trocar_m'"),
+    ):  # fmt: skip
+        with pytest.raises(ReportError, match=words):
+            manipulability_map(robot, traces)
+    state = odd_robot.state(odd_robot.data.q_home)
+    ticks = np.ones((4, 1))
+    odd = Trace({
+        "t_s": 0.002 * np.arange(4), "q_rad": ticks * state.q, "tip_m": ticks * state.tip,
+        "tip_ref_m": ticks * state.tip, "trocar_m": ticks * 0.5 * (state.tip + state.wrist),
+    })  # fmt: skip
+    with pytest.raises(RobotError, match="no swivel angle"):
+        manipulability_map(odd_robot, {"odd": odd}, times=2, swivels=8)
+
+
+def test_the_figure_shows_it_all(found: SwivelMap) -> None:
+    drawn = map_figure(found)
+    colored, grey = (trace for trace in drawn.data if trace.type == "heatmap")
+    allowed = found.limit == FEASIBLE
+    np.testing.assert_array_equal(np.isnan(grey.z.T), allowed)
+    np.testing.assert_allclose(colored.z.T, np.where(found.limit == UNREACHABLE, np.nan, found.mu), atol=1e-6)
+    assert (colored.zmin, colored.zmax) == (found.mu[allowed].min(), found.mu[allowed].max())
+    assert grey.colorscale[0][1] == BAD
+    assert any("beyond its limit" in reason for reason in np.unique(grey.customdata))
+    legend = [trace.name for trace in drawn.data if trace.type == "scatter" and trace.showlegend is None]
+    assert legend == ["MOC", "DCAC", "best", "not allowed"]
+    with pytest.raises(ReportError, match="within the joint limits"):
+        map_figure(SwivelMap(
+            found.t_s, found.swivel_rad, found.mu, found.q_rad, np.ones_like(found.limit), found.best_swivel_rad,
+            found.best_mu, found.trajectories,
+        ))  # fmt: skip
+
+
+def test_a_map_of_two_freedoms_is_a_slice_that_says_so(found: SwivelMap) -> None:
+    """On a rail the map holds the rail where the run has it; its best is the slice's."""
+    arm = load_robot("lwr4_rail")
+    run_of_it = mo.run(Scenario(robot={"name": "lwr4_rail"}, duration_s=1.0, judge=False, bound_samples=0))
+    made = manipulability_map(arm, {"MOC": run_of_it}, times=2, swivels=72)
+    assert made.held == ("joint_1",)
+    ticks = [0, len(run_of_it) - 1]
+    for k, tick in enumerate(ticks):
+        known = np.isfinite(made.q_rad[k, :, 0])
+        np.testing.assert_allclose(made.q_rad[k, known, 0], run_of_it.q_rad[tick, 0], atol=1e-2)
+    assert found.held == (), "one freedom is all"
+    # At the start the rail stands badly; the run then moves it.
+    assert made.best_mu[0] < 0.9 * largest_mu(arm, run_of_it.q_rad[:1]).mu[0]
+    page = Page("slice")
+    add_map(page, made)
+    assert "leave this arm 2 freedoms, and the map shows one. joint_1 stands as in the longest run" in page.html()

@@ -1,0 +1,159 @@
+"""No answer is verified that slides along a nearly singular direction of A to a worse cost.
+
+Near a straight elbow the fifth singular value of A is small, and x can move along its direction by a rad/s within the
+primal tolerance. Each attempt slides an optimum that way and makes it optimal again along ker A, so that everything but
+the cost is right. Best and worst cost come from an enumeration of active sets, without solver and judge.
+"""
+
+from itertools import combinations, product
+
+import numpy as np
+import pytest
+
+import moc_opt as mo
+from moc_opt.qp.problem import NullSpaceQP
+
+ARMS = ("lwr4", "iiwa14", "panda", "gen3", "xarm7", "lwr4_rail")
+SIZES = 10.0 ** np.arange(-13, -3)
+
+
+def candidates(Z, base, lower, upper, c, rho):
+    """Every point of base + span Z in the box where up to r bounds are met and the cost is stationary in the rest."""
+    n, r = Z.shape
+    found = []
+    for k in range(r + 1) if rho > 0.0 else (r,):
+        for joints in map(list, combinations(range(n), k)):
+            C, fixed = Z[joints], np.array(list(product((0, 1), repeat=k))).reshape(2**k, k)
+            if k and np.linalg.svd(C)[1].min() < 1e-7:
+                continue
+            at = np.where(fixed == 0, lower[joints], upper[joints]) - base[joints]
+            w = at @ np.linalg.pinv(C).T if k else np.zeros((1, r))
+            if k < r:
+                free = np.linalg.svd(C)[2][k:] if k else np.eye(r)
+                w = w + ((Z.T @ (c / rho - base)) - w) @ free.T @ free
+            points = base + w @ Z.T
+            points[:, joints] = at + base[joints]
+            found.append(points)
+    points = np.concatenate(found)
+    return points[((points >= lower - 1e-9) & (points <= upper + 1e-9)).all(1)]
+
+
+def extremes(Z, base, qp):
+    """The optimum (n,) and the range of the cost over the strict feasible set; None where it is empty."""
+    c, rho = qp.c2 * qp.grad_mu, qp.regularization
+    points = candidates(Z, base, qp.lower, qp.upper, c, rho)
+    if not len(points):
+        return None
+    costs = cost(qp, points)
+    return points[np.argmin(costs)], costs.min(), costs.max()
+
+
+def cost(qp, x):
+    return 0.5 * qp.regularization * (x * x).sum(-1) - qp.c2 * x @ qp.grad_mu
+
+
+def random_case(rng, freedoms, size):
+    """A subproblem with singular values 1, 0.8, 0.6, 0.4, size and 0; a point of it, ker A and the small direction."""
+    n = freedoms + 5
+    U, V = (np.linalg.qr(rng.normal(size=(k, k)))[0] for k in (6, n))
+    A = U[:, :5] * [1.0, 0.8, 0.6, 0.4, size] @ V[:, :5].T
+    upper = rng.uniform(0.5, 2.0, n)
+    x = rng.uniform(-0.4, 0.4, n)
+    b, grad = A @ x, rng.normal(size=n)
+    rho = rng.choice([0.0, 1e-5, 1e-4, 1e-3])
+    qp = NullSpaceQP(A[:3], A[3:], b[:3], b[3:], grad, -upper, upper, regularization=rho)
+    return qp, x, V[:, rank(A) :], V[:, 4]
+
+
+def arm_case(rng, name, size):
+    """A subproblem of a real arm whose elbow is bent so little that the fifth singular value is about ``size``."""
+    robot = mo.load_robot(name)
+    q = robot.random_regular_pose(rng)
+    elbow = robot.n - 4
+    q[elbow] = np.clip(size * rng.choice([-3.0, 3.0]), robot.q_min[elbow], robot.q_max[elbow])
+    state = robot.state(q)
+    A, x = np.vstack([state.J_tip, state.J_wrist]), rng.uniform(-0.3, 0.3, robot.n)
+    b = A @ x
+    qp = NullSpaceQP(A[:3], A[3:], b[:3], b[3:], state.grad_mu, -robot.v_max, robot.v_max,
+                     regularization=rng.choice([0.0, 1e-5, 1e-4]))  # fmt: skip
+    vh = np.linalg.svd(A)[2]
+    return qp, x, vh[rank(A) :].T, vh[4]
+
+
+def rank(A):
+    """Four or five, by the stated rule: the fifth singular value counts as zero below 1e-12 |A|_F."""
+    return 5 if np.linalg.svd(A)[1][4] > 1e-12 * np.linalg.norm(A) else 4
+
+
+def attack(rng, qp, base, Z, direction):
+    """Slide an optimum along the direction within the primal tolerance: [(x, share of the range given away)]."""
+    best = extremes(Z, base, qp)
+    if best is None:
+        return []
+    x, least, most = best
+    scale = qp.c2 * np.abs(qp.grad_mu).max() * (qp.upper - qp.lower).max()
+    if most - least < 1e-6 * scale:
+        return []  # one point to rounding: there is no range to give away
+    length = min(1.0, 0.9e-6 / max(np.abs(qp.A @ direction).max(), 1e-30)) * rng.uniform(0.2, 1.0)
+    found = []
+    for sign in (-1.0, 1.0):
+        slid = extremes(Z, base + sign * length * direction, qp)
+        answers = [np.clip(x + sign * length * direction, qp.lower, qp.upper)]
+        for answer in answers if slid is None else [*answers, slid[0]]:
+            if np.abs(qp.A @ answer - qp.b).max() <= 1e-6:
+                found.append((answer, (cost(qp, answer) - least) / (most - least)))
+    return found
+
+
+def attempts(rng, count):
+    """Yield (subproblem, wrong answer) where more than 1 % of the range is given away, and the exact optimum once."""
+    while count > 0:
+        size = rng.choice(SIZES) * rng.uniform(0.5, 2.0)
+        kind = rng.integers(9)
+        made = random_case(rng, 1 + kind, size) if kind < 3 else arm_case(rng, ARMS[kind - 3], size)
+        for x, share in attack(rng, *made):
+            count -= 1
+            if share > 0.01:
+                yield made[0], x
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_no_answer_that_slid_to_a_worse_cost_is_verified(seed):
+    rng = np.random.default_rng(seed)
+    tried = [(qp, x, qp.residuals(x)) for qp, x in attempts(rng, 150)]
+    assert len(tried) > 20
+    fooled = [(qp, x, found) for qp, x, found in tried if found.verified()]
+    assert not fooled, fooled[0]
+    assert all(found.loss > 0.0 or found.relative > 1e-3 for _, _, found in tried)
+
+
+def test_the_optimum_of_a_nearly_singular_problem_is_verified():
+    rng = np.random.default_rng(7)
+    for freedoms in (1, 2, 3):
+        for size in SIZES:
+            qp, base, Z, _ = random_case(rng, freedoms, size)
+            best = extremes(Z, base, qp)
+            assert qp.residuals(best[0]).verified(), (freedoms, size, qp.residuals(best[0]))
+
+
+def test_an_elbow_bent_by_a_microradian_lets_no_answer_slide():
+    robot = mo.load_robot("lwr4")
+    q = np.array(robot.data.q_home)
+    q[3] = 1e-6
+    state = robot.state(q)
+    A = np.vstack([state.J_tip, state.J_wrist])
+    b = A @ [0.05, -0.04, 0.03, 0.0, 0.02, 0.05, 0.0]
+    qp = NullSpaceQP(A[:3], A[3:], b[:3], b[3:], state.grad_mu, -robot.v_max, robot.v_max)
+    exact = mo.solvers.create("exact").start(qp).solve(qp).x
+    vh = np.linalg.svd(A[:, :6])[2]
+    z, x = vh[5], exact.copy()
+    x[:6] -= 0.5 * vh[4]
+    low, high = np.sort([(qp.lower[:6] - x[:6]) / z, (qp.upper[:6] - x[:6]) / z], 0)
+    slope = (qp.c2 * qp.grad_mu[:6] - qp.regularization * x[:6]) @ z / qp.regularization
+    x[:6] += np.clip(slope, low.max(), high.min()) * z
+    found = qp.residuals(x)
+    assert found.primal < 1e-6
+    assert found.loss > 0.1
+    assert found.distance > 0.1
+    assert not found.verified()
+    assert qp.residuals(exact).verified()

@@ -1,0 +1,104 @@
+"""The table of an arm: what is sound passes, each fault turns its own row and names a cure."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from moc_opt.robots import available_robots
+from moc_opt.robots.check import Finding, allowed_rate, check_robot, verdict
+from moc_opt.robots.model import RobotModel, load_robot
+from moc_opt.scenario import Scenario, run
+from moc_opt.sim.settings import PlantSettings
+
+
+def rows(robot: RobotModel, scenario: Scenario | None = None) -> dict[str, Finding]:
+    return {row.what: row for row in check_robot(robot, scenario)}
+
+
+def altered(robot: RobotModel, **fields: object) -> RobotModel:
+    return RobotModel(dataclasses.replace(robot.data, **fields))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("name", available_robots())
+def test_the_arms_of_the_package_can_be_used(name: str) -> None:
+    found = check_robot(load_robot(name))
+    assert verdict(found) == "ok"
+    assert len(found) == 12
+    assert max(len(row.found) for row in found) <= 54  # 80 columns with the others
+
+
+def test_every_row_that_is_not_ok_has_a_cure(robot: RobotModel) -> None:
+    bad = altered(robot, v_max=np.full(7, 10.0), tau_max=np.full(7, 1.0), q_home=robot.data.q_max - 0.01)
+    found = check_robot(bad)
+    assert sum(row.verdict != "ok" for row in found) >= 3
+    for row in found:
+        assert bool(row.cure) == (row.verdict != "ok")
+
+
+def test_absurd_speeds_are_noticed(robot: RobotModel) -> None:
+    row = rows(altered(robot, v_max=np.array([1.9, 1.9, 10.0, 2, 2, 2, 2])))["joint speeds"]
+    assert row.verdict == "care"
+    assert "joint_3 10 rad/s" in row.cure
+
+
+def test_a_joint_that_slides_has_its_room_in_mm() -> None:
+    rail = load_robot("lwr4_rail")
+    row = rows(rail)["nearest limit"]
+    room = 1e3 * min(rail.data.q_home[0] - rail.q_min[0], rail.q_max[0] - rail.data.q_home[0])
+    assert f"joint_1 is {room:.0f} mm away" in row.found
+    assert " deg away" in row.found
+    near = rail.data.q_home.copy()
+    near[0] = rail.q_max[0] - 0.04
+    row = rows(altered(rail, q_home=near))["nearest limit"]
+    assert row.verdict == "care"
+    assert "keeps 50 mm free: move home.q_rad 80 mm" in row.cure
+    assert "deg or more" not in row.cure
+
+
+def test_an_arm_that_cannot_hold_itself_is_refused(robot: RobotModel) -> None:
+    row = rows(altered(robot, tau_max=np.full(7, 5.0)))["gravity at home"]
+    assert row.verdict == "cannot"
+
+
+def test_a_singular_home_is_refused(robot: RobotModel) -> None:
+    found = rows(altered(robot, q_home=np.zeros(7)))
+    assert verdict(list(found.values())) == "cannot"
+    assert "singular" in found["freedoms left"].cure + found["singular values"].cure
+    assert "task from home" not in found
+
+
+def test_a_task_out_of_reach_names_the_largest_circle(robot: RobotModel) -> None:
+    asked = Scenario(task={"path": "circle", "sizes": {"radius": 0.5}})
+    row = rows(robot, asked)["task from home"]
+    assert row.verdict == "care"
+    assert row.found.startswith("a circle of 30 mm")
+    assert "radius = 0.03" in row.cure
+
+
+def test_a_link_that_no_arm_has_is_named(robot: RobotModel) -> None:
+    urdf = robot.data.urdf.replace('ixx="0.01845" iyy="0.01602"', 'ixx="5.0" iyy="5.0"', 1)
+    assert urdf != robot.data.urdf
+    row = rows(altered(robot, urdf=urdf))["masses"]
+    assert row.verdict == "care"
+    assert "link_1" in row.cure
+
+
+@pytest.mark.parametrize("factor", [0.9, 8.0])
+def test_gains_beyond_the_limit_swing_and_are_refused(robot: RobotModel, factor: float) -> None:
+    """The verdict is what the plant does: the idle joint without friction, at the LWR4+'s table times a factor."""
+    gains = [factor * gain for gain in robot.data.gains["default"]["K_N2"]]  # type: ignore[union-attr]
+    asked = Scenario(control={"K_N2": gains}, plant={"friction": 0.0}, bound_samples=0, judge=False)
+    asked = asked.change(task={"path": "line", "sizes": {"length": 0.005}})
+    found = next(row for row in check_robot(robot, asked) if row.what == "gains")
+    assert (found.verdict == "cannot") == (run(asked).meta["ended"] != "completed") == (factor > 1.0)
+
+
+def test_delay_and_filter_lower_the_limit() -> None:
+    plain = PlantSettings(velocity_cutoff_Hz=0.0, delay_ticks=0)
+    assert allowed_rate(plain) == pytest.approx(2.0 / plain.period_s)
+    later = [allowed_rate(plain.model_copy(update={"delay_ticks": d})) for d in range(4)]
+    assert later == sorted(later, reverse=True)
+    assert allowed_rate(PlantSettings()) < later[1]

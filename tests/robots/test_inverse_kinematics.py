@@ -1,0 +1,118 @@
+"""Poses that are found really are solutions inside the limits; what is not found is explained."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from moc_opt.errors import RobotError, TaskError
+from moc_opt.robots.inverse_kinematics import nearest_pose, pose_through, pose_with_tip, solve_pose
+from moc_opt.tasks import shaft_distance
+
+
+def inside(robot, q):
+    return bool(((q >= robot.q_min) & (q <= robot.q_max)).all())
+
+
+def test_a_pose_nearby_is_found_again(robot, regular_poses):
+    rng = np.random.default_rng(1)
+    for q in regular_poses(30):
+        state = robot.state(q)
+        placed = solve_pose(robot, q + rng.uniform(-0.1, 0.1, 7), state.tip, state.wrist)
+        assert placed.found
+        assert inside(robot, placed.q)
+        again = robot.state(placed.q)
+        np.testing.assert_allclose(again.tip, state.tip, atol=1e-6)
+        np.testing.assert_allclose(again.wrist, state.wrist, atol=1e-6)
+
+
+def test_a_joint_at_its_limit_lets_the_others_take_over(robot):
+    """The start is on a limit, and the shortest way to the goal is through it."""
+    q = np.array(robot.data.q_home)
+    q[2] = robot.q_min[2] + 1e-3
+    state = robot.state(q)
+    elbow = np.linalg.svd(state.A[:, :6])[2][-1]
+    there = q.copy()
+    there[:6] += 0.05 * elbow * np.sign(elbow[2])
+    goal = robot.state(there)
+    q[2] = robot.q_min[2]
+    placed = solve_pose(robot, q, goal.tip + np.array([0.0, 0.03, 0.0]))
+    assert placed.found
+    assert inside(robot, placed.q)
+
+
+def test_out_of_reach_it_goes_as_near_as_it_can(robot):
+    placed = solve_pose(robot, robot.data.q_home, np.array([3.0, 0.0, 0.3]), iterations=200)
+    assert not placed.found
+    reach = 0.4 + 0.39 + 0.378  # shoulder to tip, stretched
+    assert placed.miss_m == pytest.approx(3.0 - reach, abs=0.05)
+    gap = np.abs(np.array([3.0, 0.0, 0.3]) - robot.state(placed.q).tip).max()
+    assert placed.miss_m == pytest.approx(gap, abs=1e-12)
+
+
+def test_the_nearest_pose_on_the_way_is_returned_where_it_ends_farther_off(robot):
+    """From the pose of 40 steps the miss only ever falls: the best one is kept, whatever the last one is."""
+    wanted = np.array([1.1, 0.4, 0.2])
+    misses = [solve_pose(robot, robot.data.q_home, wanted, iterations=count).miss_m for count in range(1, 60)]
+    assert (np.diff(misses) <= 0.0).all()
+    assert misses[-1] > 0.005
+
+
+@pytest.mark.parametrize(
+    ("q", "tip", "message"),
+    [
+        (np.full(7, np.nan), np.zeros(3), "q = .* is not finite"),
+        (np.zeros(7), np.array([0.5, 0.0, np.nan]), "tip or wrist = .* is not finite"),
+        (np.zeros((7, 1)), np.zeros(3), "q has shape"),
+        (np.zeros(7), np.zeros(2), r"tip or wrist has shape \(1, 2\)"),
+    ],
+)
+def test_what_is_no_pose_and_no_point_is_refused(robot, q, tip, message):
+    """A comparison with NaN is false: unchecked, such a point would count as reached."""
+    with pytest.raises(RobotError, match=message):
+        solve_pose(robot, q, tip)
+    with pytest.raises(RobotError):
+        solve_pose(robot, robot.data.q_home, robot.state(robot.data.q_home).tip, np.full(3, np.nan))
+
+
+def test_integers_and_other_orders_are_taken(robot):
+    state = robot.state(robot.data.q_home)
+    points = np.array([state.tip, state.wrist])
+    none = np.full(7, np.inf)
+    one = nearest_pose(robot, np.zeros(7), points, -none, none, 40)
+    other = nearest_pose(robot, np.zeros(7, dtype=int), np.asfortranarray(points), -none, none, 40)
+    np.testing.assert_array_equal(one[0], other[0])
+
+
+@given(st.integers(0, 10_000))
+@settings(max_examples=25)
+def test_tip_and_trocar_of_a_pose_can_be_had_again(robot, seed):
+    rng = np.random.default_rng(seed)
+    state = robot.state(robot.random_regular_pose(rng))
+    trocar = state.tip - rng.uniform(0.02, 0.28) * state.tool_direction
+    q = pose_through(robot, state.tip, trocar)
+    found = robot.state(q)
+    assert inside(robot, q)
+    np.testing.assert_allclose(found.tip, state.tip, atol=1e-6)
+    assert shaft_distance(found.tip, found.wrist, trocar) < 1e-6
+
+
+def test_the_tip_alone_can_be_placed(robot):
+    point = np.array([0.5, 0.3, 0.3])
+    q = pose_with_tip(robot, robot.data.q_home, point)
+    assert inside(robot, q)
+    np.testing.assert_allclose(robot.state(q).tip, point, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("tip", "trocar", "message"),
+    [
+        ((0.58, 0, 0.05), (0.58, 0, 0.45), "400 mm from the tip"),
+        ((0.58, 0, 0.05), (0.58, 0, 0.05), "0 mm from the tip"),
+        ((1.2, 0, 0.05), (1.2, 0, 0.2), "out of reach"),
+        ((0.58, 0, np.nan), (0.58, 0, 0.2), "finite"),
+    ],
+)
+def test_impossible_places_are_explained(robot, tip, trocar, message):
+    with pytest.raises(TaskError, match=message):
+        pose_through(robot, tip, trocar)

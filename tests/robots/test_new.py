@@ -1,0 +1,305 @@
+"""A URDF of a vendor becomes a robot that runs, and says what was assumed; what cannot be an arm is refused."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from importlib import metadata
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from moc_opt.__main__ import main
+from moc_opt.errors import RobotError
+from moc_opt.planning.freedoms import freedoms, limit_shares
+from moc_opt.robots import available_robots
+from moc_opt.robots.check import check_robot, verdict
+from moc_opt.robots.home import CLEARANCE_M, MARGIN, REGULAR, SHARE, find_shaft, search_home, task_fault
+from moc_opt.robots.model import RobotModel, load_robot
+from moc_opt.robots.new import new_robot
+from moc_opt.scenario import Scenario, run
+from moc_opt.trace.metrics import summarize
+from tests.robots.arms import added, changed, joint, link, text_of, with_hand
+
+
+def made(folder: Path, text: str, **options: object) -> object:
+    source = folder / "vendor.urdf"
+    source.write_text(text, encoding="utf-8")
+    return new_robot(source, folder / "out" / "my.toml", **options)  # type: ignore[arg-type]
+
+
+@pytest.fixture(scope="module")
+def panda(tmp_path_factory: pytest.TempPathFactory) -> object:
+    text = changed(
+        with_hand(text_of()), ('name="joint_1" type="revolute"', 'name="joint_1" type="continuous"'),
+        ('velocity="2.61" effort="12"', 'velocity="10" effort="0"'),
+    )  # fmt: skip
+    return made(tmp_path_factory.mktemp("panda"), text)
+
+
+def test_what_was_assumed_stands_in_both_files(panda) -> None:
+    text = panda.toml.read_text(encoding="utf-8")
+    plain = " ".join(line.lstrip("# -") for line in text.splitlines())
+    assert len(panda.notes) >= 6
+    for note in panda.notes:
+        assert note in plain
+    for word in ("finger_1", "joint_1 turns without end", "10 rad/s", "no usable torque limit", "hand"):
+        assert word in text
+    assert "finger_2" in panda.urdf.read_text(encoding="utf-8")
+    assert "mesh" not in panda.urdf.read_text(encoding="utf-8")
+
+
+def test_the_new_robot_is_the_vendors(panda) -> None:
+    ours, theirs = panda.robot, load_robot("panda")
+    assert ours.data.name == "my"
+    for q in np.random.default_rng(1).uniform(-1.0, 1.0, (5, 7)):
+        np.testing.assert_allclose(ours.state(q).tip, theirs.state(q).tip, rtol=0, atol=1e-9)  # on the hand's origin
+
+
+def test_the_home_pose_is_away_from_limits_and_singularities(panda) -> None:
+    left = freedoms(panda.robot, panda.robot.data.q_home)
+    assert (left.rank, left.real, left.idle) == (5, 1, (6,))
+    assert left.tip > 0.15
+    assert left.both > 0.08
+    assert limit_shares(panda.robot, panda.robot.data.q_home)[:6].min() > MARGIN - 0.02
+    assert 0.7 <= panda.home.mu / panda.home.mu_best <= 0.9
+    assert panda.home.task == ""
+
+
+def test_it_runs_and_gains_manipulability(panda) -> None:
+    asked = Scenario(robot={"name": str(panda.toml)}, bound_samples=0)
+    moc, dcac = run(asked), run(asked.change(control=asked.control.matched_dcac(), judge=False))
+    assert (moc.meta["ended"], dcac.meta["ended"]) == ("completed", "completed")
+    found = summarize(moc, dcac)
+    assert found["mu_gain_percent"] > 10.0
+    assert found["tip_error_max_mm"] < 1.5
+    assert found["rcm_error_max_mm"] < 2.5
+    assert verdict(check_robot(panda.robot)) == "ok"
+
+
+def test_an_arm_without_freedom_is_refused_with_the_count(tmp_path: Path) -> None:
+    with pytest.raises(RobotError, match="of 6 joints the tool's tip and shaft take 5"):
+        made(tmp_path, text_of(), lock={"joint_3": 0.0})
+    assert not (tmp_path / "out").exists()
+    with pytest.raises(RobotError, match="of 4 joints the tool's tip and shaft take 3"):
+        made(tmp_path, text_of(), lock={"joint_1": 0.0, "joint_3": 0.0, "joint_5": 0.0})
+
+
+def test_a_base_on_the_ceiling_hangs(tmp_path: Path) -> None:
+    hanging = made(tmp_path, text_of("iiwa14"), base_rpy=(np.pi, 0.0, 0.0)).robot  # type: ignore[attr-defined]
+    standing = load_robot("iiwa14")
+    for q in np.random.default_rng(1).uniform(-1.0, 1.0, (3, 7)):
+        tip = standing.state(q).wrist
+        np.testing.assert_allclose(hanging.state(q).wrist, tip * [1, -1, -1], rtol=0, atol=1e-9)
+    assert hanging.state(hanging.data.q_home).tip[2] < 0.0
+
+
+@pytest.mark.parametrize(("options", "option"), [
+    ({"tool_m": float("nan")}, "--tool"), ({"tool_m": 0.0}, "--tool"), ({"wrist_m": float("inf")}, "--wrist"),
+    ({"wrist_m": -1.0}, "--wrist"), ({"base_rpy": (float("nan"), 0.0, 0.0)}, "--base-rpy"),
+    ({"lock": {"joint_3": float("nan")}}, "--lock joint_3"), ({"seed": -1}, "--seed"),
+])  # fmt: skip
+def test_options_that_are_no_numbers_are_refused(options: dict[str, object], option: str, tmp_path: Path) -> None:
+    with pytest.raises(RobotError, match=option):
+        made(tmp_path, text_of(), **options)
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("name", ['a "b" c.toml', "-x.toml", "x.txt"])
+def test_a_name_that_no_robot_has_is_refused(name: str, tmp_path: Path) -> None:
+    with pytest.raises(RobotError, match="--out"):
+        new_robot(tmp_path / "a.urdf", tmp_path / name)
+
+
+def test_numbers_of_rounding_do_not_stand_in_the_file(tmp_path: Path) -> None:
+    """A joint without an axis turns about x: the mount's angles come out as 1e-31."""
+    bare = re.sub(r'(<joint name="joint_7".*?)<axis [^>]*/>', r"\1", text_of("iiwa14"), flags=re.DOTALL)
+    assert bare != text_of("iiwa14")
+    found = made(tmp_path, bare).toml.read_text(encoding="utf-8")  # type: ignore[attr-defined]
+    assert "e-" not in found.split("[joints]")[0]
+
+
+def test_nothing_is_written_over(panda) -> None:
+    with pytest.raises(RobotError, match="exists"):
+        new_robot(panda.urdf, panda.toml)
+
+
+def test_an_arm_without_masses_is_refused_by_name(tmp_path: Path) -> None:
+    with pytest.raises(RobotError, match="joint 'joint_1' moves no mass"):
+        made(tmp_path, re.sub(r"<inertial>.*?</inertial>", "", text_of(), flags=re.DOTALL))
+
+
+def test_of_a_flange_without_mass_the_tool_is_what_the_last_joint_moves(tmp_path: Path) -> None:
+    text = text_of()
+    place = text.index('<link name="link_7">')
+    start, end = (text.index(tag, place) for tag in ("<inertial>", "</inertial>"))
+    arm = made(tmp_path, text[:start] + text[end + len("</inertial>") :])
+    assert any("link_7: what joint_7 carries has no mass, and the tool is all" in note for note in arm.notes)
+    whole = load_robot("panda")
+    assert 0.0 < arm.robot.state(whole.data.q_home).M[5, 5] < whole.state(whole.data.q_home).M[5, 5]
+
+
+# --- files of packages, where they are installed ---
+
+ROBOTS = "cmeel.prefix/share/example-robot-data/robots"
+FILES = [
+    ("panda_description/urdf/panda.urdf", None, 7), ("xarm_description/urdf/xarm7.urdf", None, 7),
+    ("baxter_description/urdf/baxter.urdf", "left_hand_link", 7),
+    ("pr2_description/urdf/pr2.urdf", "r_wrist_roll_link", 8),
+    ("tiago_pro_description/robots/tiago_pro.urdf", "arm_left_7_link", 8),
+    ("talos_data/robots/talos_full_v2.urdf", "arm_left_7_link", 9),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("path", "tip", "joints"), FILES)
+def test_a_vendors_file_works_as_it_comes(path: str, tip: str | None, joints: int, tmp_path: Path) -> None:
+    try:
+        source = Path(str(metadata.distribution("example-robot-data").locate_file(f"{ROBOTS}/{path}")))
+    except metadata.PackageNotFoundError:
+        pytest.skip("example-robot-data is not installed: pip install --no-deps example-robot-data")
+    found = new_robot(source, tmp_path / "my.toml", tip=tip)
+    assert found.robot.n == joints
+    refused = [row.what for row in check_robot(found.robot) if row.verdict == "cannot"]
+    if "pr2" in path:
+        assert refused == ["gravity at home"]  # springs hold its arm, and no URDF has them
+        return
+    assert refused == []
+    trace = run(Scenario(robot={"name": str(found.toml)}, duration_s=1.0, bound_samples=0, judge=False))
+    assert trace.meta["ended"] == "completed"
+
+
+# --- tool and wrist point: found on every arm of the package as its makers and we chose them ---
+
+# last link, wrist point, direction: those of the robot files of the package
+KNOWN = {
+    "lwr4": (7, [0, 0, -0.078], [0, 0, 1]), "iiwa14": (7, [0, 0, -0.081], [0, 0, 1]),
+    "panda": (7, [0, 0, 0], [0, 0, 1]), "gen3": (7, [0, 0, 0.10593], [0, 0, -1]),
+    "xarm7": (7, [0, 0, -0.097], [0, 0, 1]), "lwr4_rail": (8, [0, 0, -0.078], [0, 0, 1]),
+}  # fmt: skip
+
+
+def direction(rpy: tuple[float, float, float]) -> np.ndarray:
+    (sr, sp, sy), (cr, cp, cy) = np.sin(rpy), np.cos(rpy)
+    return np.array([cy * sp * cr + sy * sr, sy * sp * cr - cy * sr, cp * cr])
+
+
+@pytest.mark.parametrize("name", KNOWN)
+def test_the_wrist_of_a_known_arm_is_found(name: str) -> None:
+    last, wrist, towards = KNOWN[name]
+    found = find_shaft(text_of(name), f"link_{last}")
+    np.testing.assert_allclose(found.wrist, wrist, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(direction(found.rpy), towards, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(found.mount, 0.0, rtol=0, atol=1e-12)
+
+
+def test_a_flange_frame_carries_the_same_tool() -> None:
+    origin = '<origin xyz="0 0 0.107" rpy="0.3 1.1 -2"/>'
+    flange = link("flange") + joint("f", "fixed", "link_7", "flange", origin)
+    found = find_shaft(added(text_of(), flange), "flange")
+    assert found.behind_m == pytest.approx(0.107, abs=1e-12)
+    np.testing.assert_allclose(found.wrist, -0.107 * direction(found.rpy), rtol=0, atol=1e-12)
+
+
+def test_a_flange_off_the_axis_wakes_the_last_joint() -> None:
+    flange = link("flange") + joint("f", "fixed", "link_7", "flange", '<origin xyz="0.05 0 0.107"/>')
+    found = find_shaft(added(text_of(), flange), "flange")
+    assert "off the last axis" in found.note
+    np.testing.assert_allclose(direction(found.rpy), [0, 0, 1], rtol=0, atol=1e-12)
+
+
+def test_a_sliding_last_joint_points_along_its_link() -> None:
+    text = text_of()
+    place = text.index('<joint name="joint_7"')
+    text = text[:place] + changed(text[place:], ('type="revolute"', 'type="prismatic"'))
+    found = find_shaft(text, "link_7")
+    assert "slides" in found.note
+    np.testing.assert_allclose(found.wrist, 0.0)
+
+
+def test_the_wrist_can_be_given() -> None:
+    np.testing.assert_allclose(find_shaft(text_of(), "link_7", wrist_m=0.05).wrist, [0, 0, -0.05])
+
+
+# --- the home pose ---
+
+
+@pytest.mark.parametrize("name", available_robots())
+def test_a_found_pose_is_what_was_asked_for(name: str) -> None:
+    robot = load_robot(name)
+    home = search_home(robot, seed=3)
+    left, state = freedoms(robot, home.q), robot.state(home.q)
+    assert left.tip > REGULAR[0]
+    assert left.both > REGULAR[1]
+    assert home.margin > MARGIN - 0.01  # poses are rounded to two digits
+    assert SHARE[0] <= home.mu / home.mu_best <= SHARE[1]
+    assert state.mu == pytest.approx(home.mu)
+    assert min(state.tip[2], state.wrist[2]) > CLEARANCE_M - 0.01
+    assert home.task == "" == task_fault(robot, home.q)
+
+
+def test_seeds_repeat_and_differ(robot: RobotModel) -> None:
+    np.testing.assert_array_equal(search_home(robot, seed=1).q, search_home(robot, seed=1).q)
+    assert np.abs(search_home(robot, seed=1).q - search_home(robot, seed=2).q).max() > 0.1
+
+
+def test_an_arm_that_is_singular_everywhere_has_no_home(robot: RobotModel) -> None:
+    """Limits that keep elbow and wrist straight."""
+    q_min, q_max = robot.data.q_min.copy(), robot.data.q_max.copy()
+    q_min[[1, 3, 5]], q_max[[1, 3, 5]] = -1e-3, 1e-3
+    stiff = RobotModel(dataclasses.replace(robot.data, q_min=q_min, q_max=q_max, q_home=np.zeros(7)))
+    with pytest.raises(RobotError, match="home pose: 6000 poses drawn"):
+        search_home(stiff)
+
+
+# --- as a user types it ---
+
+
+def test_new_then_check(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    source, out = tmp_path / "vendor.urdf", tmp_path / "my.toml"
+    source.write_text(with_hand(text_of("iiwa14")), encoding="utf-8")
+    assert main(["robot", "new", str(source), "--tool", "0.25", "--out", str(out)]) == 0
+    said = capsys.readouterr().out
+    assert "2 fingers branch off" in said
+    assert "tool 250 mm" in said
+    text = out.read_text(encoding="utf-8")
+    assert "length_m = 0.25" in text
+    assert main(["robot", "check", str(out)]) == 0
+    said = capsys.readouterr().out
+    assert "1 real, 1 idle (joint_7)" in said
+    assert max(len(line.rstrip()) for line in said.splitlines()) <= 80
+    assert main(["robot", "new", str(source), "--out", str(out)]) == 2
+    line = next(line for line in text.splitlines() if line.startswith("q_rad"))
+    out.write_text(text.replace(line, f"q_rad = {[0.0] * 7}"), encoding="utf-8")
+    assert main(["robot", "check", str(out)]) == 3
+
+
+@pytest.mark.parametrize(("arguments", "told"), [
+    (["--lock", "joint_3=x"], "--lock"), (["--lock", "joint_3"], "of 6 joints"), (["--tip", "gone"], "unknown link"),
+    (["--tool", "-1"], "tool"),
+])  # fmt: skip
+def test_what_is_wrong_is_said_in_one_line(
+    arguments: list[str], told: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    source = tmp_path / "vendor.urdf"
+    source.write_text(text_of("iiwa14"), encoding="utf-8")
+    assert main(["robot", "new", str(source), *arguments, "--out", str(tmp_path / "my.toml")]) == 2
+    said = capsys.readouterr().err
+    assert told in said
+    assert len(said.strip().splitlines()) == 1
+    assert not (tmp_path / "my.toml").exists()
+
+
+def test_from_a_vendors_file_to_a_replay_in_three_commands(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "vendor.urdf").write_text(with_hand(text_of("xarm7")), encoding="utf-8")
+    (tmp_path / "short.toml").write_text("duration_s = 0.1\nbound_samples = 2\n", encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    assert main(["robot", "new", "vendor.urdf", "--out", "my.toml"]) == 0
+    assert main(["run", "short.toml", "--robot", "my.toml", "--trace", "run.parquet"]) == 0
+    (tmp_path / "my.toml").unlink()  # the trace carries the arm
+    assert main(["replay", "run.parquet", "--out", "run.html"]) == 0
+    assert (tmp_path / "run.html").stat().st_size > 20_000
+    assert main(["run", "short.toml", "--robot", "my.toml"]) == 2
+    assert "my.toml" in capsys.readouterr().err

@@ -1,0 +1,285 @@
+"""Vendors' URDFs: side joints locked, frames merged, one chain found or asked for, numbers that no arm has replaced."""
+
+from __future__ import annotations
+
+import re
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from moc_opt.errors import RobotError, UnknownNameError
+from moc_opt.robots import urdf
+from moc_opt.robots.model import load_robot
+from moc_opt.robots.urdf import MOMENTS, inertia_fault
+from moc_opt.robots.vendor import (
+    CHOSEN,
+    TRAVEL_M,
+    VendorArm,
+    chain_joints,
+    choose_efforts,
+    choose_limits,
+    mend_bodies,
+    read_vendor,
+    rpy_of,
+)  # fmt: skip
+from tests.robots.arms import added, changed, joint, link, text_of, with_hand
+
+CHAIN = [f"joint_{j}" for j in range(1, 8)]
+TURN = '<axis xyz="0 0 1"/><limit lower="-1" upper="1" velocity="1" effort="9"/>'
+
+
+@pytest.fixture
+def read(tmp_path: Path):
+    def read(text: str, **options: object) -> VendorArm:
+        path = tmp_path / "arm.urdf"
+        path.write_text(text, encoding="utf-8")
+        return read_vendor(path, **options)  # type: ignore[arg-type]
+
+    return read
+
+
+def branch(name: str, count: int, at: str) -> str:
+    below = [at, *[f"{name}{j}" for j in range(count - 1)]]
+    return "".join(
+        link(f"{name}{j}", 1.0) + joint(f"t_{name}{j}", "revolute", under, f"{name}{j}", TURN)
+        for j, under in enumerate(below)
+    )
+
+
+def last_frame(model: pin.Model, q: np.ndarray, j: int) -> np.ndarray:
+    data = model.createData()
+    pin.forwardKinematics(model, data, q)
+    return data.oMi[j].homogeneous
+
+
+def model_of(arm: VendorArm) -> pin.Model:
+    return pin.buildModelFromXML(urdf.to_text(arm.root))
+
+
+def test_fingers_are_locked_and_the_arm_moves_as_before(read) -> None:
+    arm = read(with_hand(text_of()))
+    assert (arm.last_link, arm.chain) == ("hand", CHAIN)
+    model, bare = model_of(arm), pin.buildModelFromXML(text_of())
+    assert list(model.names)[1:] == CHAIN
+    assert model.inertias[7].mass - bare.inertias[7].mass == pytest.approx(0.7 + 2 * 0.015)  # locked still weighs
+    left = model.frames[model.getFrameId("left")].placement.translation
+    turn = np.array([0.01 * np.sin(0.785), 0.01 * np.cos(0.785), 0.107])  # at the end of its range next to 0
+    np.testing.assert_allclose(left, turn, rtol=0, atol=1e-12)
+    told = " ".join(arm.notes)
+    assert all(word in told for word in ("link8", "finger_1 at 0.01 m", "finger_2", "2 fingers branch off"))
+    for q in np.random.default_rng(0).uniform(-1.0, 1.0, (5, 7)):
+        np.testing.assert_allclose(last_frame(model, q, 7), last_frame(bare, q, 7), rtol=0, atol=1e-12)
+
+
+def test_a_second_arm_needs_a_tip(read) -> None:
+    text = added(text_of(), branch("b", 4, "link_0"))
+    with pytest.raises(RobotError, match=r"2 chains leave link 'link_0', towards .*'b0'.*--tip"):
+        read(text)
+    arm = read(text, tip="link_7")
+    assert arm.chain == CHAIN
+    assert [element.get("name") for element in arm.root.findall("link")] == [f"link_{j}" for j in range(8)]
+    assert "4 links that hang on the base" in " ".join(arm.notes)
+    assert read(text, tip="b3").chain == [f"t_b{j}" for j in range(4)]
+    with pytest.raises(UnknownNameError):
+        read(text, tip="b9")
+
+
+def test_of_several_arms_the_links_that_can_carry_the_tool_are_named(read) -> None:
+    """Two arms on a trunk, one with a hand of long fingers; a head and legs of few joints are no arms."""
+    more = branch("other", 6, "link_0") + branch("head", 2, "link_0")
+    more += link("palm", 0.3) + joint("wrist_joint", "fixed", "other5", "palm") + branch("thumb", 3, "palm")
+    with pytest.raises(RobotError, match=r"such as \['link_7', 'palm'\]$"):
+        read(added(text_of(), more + branch("index", 4, "palm")))
+
+
+def test_a_joint_locked_by_name_stands_where_it_was_told(read) -> None:
+    arm = read(text_of(), lock={"joint_3": 0.4})
+    assert arm.chain == [name for name in CHAIN if name != "joint_3"]
+    q = np.array([0.1, -0.3, -1.2, 0.5, 1.4, 0.2])
+    whole = last_frame(pin.buildModelFromXML(text_of()), np.insert(q, 2, 0.4), 7)
+    np.testing.assert_allclose(last_frame(model_of(arm), q, 6), whole, rtol=0, atol=1e-12)
+    with pytest.raises(UnknownNameError):
+        read(text_of(), lock={"joint_9": 0.0})
+
+
+def test_a_mimic_joint_in_the_chain_has_to_be_locked(read) -> None:
+    text = text_of()
+    place = text.index('<joint name="joint_5"')
+    text = text[:place] + changed(text[place:], ("</joint>", '<mimic joint="joint_4"/></joint>'))
+    with pytest.raises(RobotError, match=r"'joint_5' .* mimics"):
+        read(text)
+    assert len(read(text, lock={"joint_5": 0.0}).chain) == 6
+
+
+@pytest.mark.parametrize("kind", ["floating", "planar"])
+def test_a_joint_that_no_drive_moves_so_is_refused_inside_the_arm_alone(kind: str, read) -> None:
+    with pytest.raises(RobotError, match=rf"'joint_4' .* is {kind}"):
+        read(changed(text_of(), ('name="joint_4" type="revolute"', f'name="joint_4" type="{kind}"')))
+    arm = read(added(text_of(), link("ship") + joint("sea", kind, "ship", "link_0")))
+    assert arm.chain == CHAIN
+    assert any(f"sea ({kind})" in note for note in arm.notes)
+
+
+def test_names_that_the_tool_needs_are_moved_out_of_the_way(read) -> None:
+    arm = read(added(text_of(), link("world") + joint("tip_frame", "fixed", "world", "link_0")))
+    names = {element.get("name") for element in arm.root}
+    assert {"world_link", "tip_frame_joint"} <= names
+    assert arm.chain == CHAIN
+
+
+def test_the_flange_is_known_by_its_name(read) -> None:
+    more = "".join(link(name) + joint(f"j_{name}", "fixed", "link_7", name) for name in ("camera", "tool0"))
+    assert read(added(text_of(), more)).last_link == "tool0"
+
+
+def test_a_jaw_at_the_end_is_no_joint_of_the_arm(read) -> None:
+    jaw = added(text_of(), link("mover", 0.2) + joint("jointGripper", "revolute", "link_7", "mover", TURN))
+    arm = read(jaw)
+    assert (arm.chain, arm.last_link) == (CHAIN, "link_7")
+    assert any("'jointGripper'" in note for note in arm.notes)
+    assert read(jaw, tip="mover").chain == [*CHAIN, "jointGripper"]
+
+
+@pytest.mark.parametrize("text", [
+    '<robot xmlns:xacro="http://x/xacro"><xacro:macro name="a"/></robot>', text_of().replace("0 0 0.333", "0 0 ${d}"),
+])  # fmt: skip
+def test_xacro_is_told_from_a_urdf(text: str, read) -> None:
+    with pytest.raises(RobotError, match="xacro"):
+        read(text)
+
+
+@pytest.mark.parametrize("declared", [True, False])
+def test_names_of_other_tools_need_no_declaration(declared: bool, read) -> None:
+    """Some vendors' files use a prefix that they never declare, which no XML reader takes."""
+    text = changed(text_of(), ('lower="-2.8973"', 'drake:acceleration="2" lower="-2.8973"'))
+    text = added(text, '<drake:proximity_properties a="b:c"/>')
+    if declared:
+        text = changed(text, ("<robot ", '<robot xmlns:drake="http://drake.mit.edu" '))
+    arm = read(text)
+    assert arm.chain == CHAIN
+    assert any("drake:" in note for note in arm.notes) is not declared
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_roll_pitch_yaw_give_the_rotation_back(seed: int) -> None:
+    R = pin.Quaternion(np.random.default_rng(seed).normal(size=4)).normalized().toRotationMatrix()
+    np.testing.assert_allclose(pin.rpy.rpyToMatrix(*rpy_of(R)), R, rtol=0, atol=1e-12)
+
+
+# --- bodies ---
+
+
+def mended(text: str) -> tuple[ET.Element, list[float] | None, list[str]]:
+    root, notes = ET.fromstring(text), []
+    mend_bodies(root, notes)
+    inertia = root.find("link/inertial/inertia")
+    return root, inertia if inertia is None else [float(inertia.get(key, "0")) for key in MOMENTS], notes
+
+
+def test_possible_bodies_stay_as_they_are() -> None:
+    root, _, notes = mended(text_of())
+    assert ET.tostring(root) == ET.tostring(ET.fromstring(text_of()))
+    assert notes == []
+
+
+def test_without_mass_it_is_a_frame_and_without_inertia_a_ball() -> None:
+    root, _, notes = mended(f"<robot>{link('f', 0.0, 0.1)}</robot>")
+    assert root.find("link/inertial") is None
+    assert len(notes) == 1
+    _, moments, notes = mended(f"<robot>{link('f', 1.0, 0.0)}</robot>")
+    ball = 0.4 * (3.0 / (4.0 * np.pi * 1000.0)) ** (2.0 / 3.0)
+    assert moments == pytest.approx([ball] * 3 + [0.0] * 3)
+    assert len(notes) == 1
+
+
+@given(st.tuples(*[st.floats(-0.1, 0.1)] * 6).filter(lambda given: max(map(abs, given)) > 1e-9))
+def test_any_inertia_becomes_one_that_a_body_may_have(given: tuple[float, ...]) -> None:
+    values = [value if abs(value) > 1e-30 else 0.0 for value in given]
+    text = " ".join(f'{key}="{value!r}"' for key, value in zip(MOMENTS, values, strict=True))
+    _, after, notes = mended(
+        f'<robot><link name="a"><inertial><mass value="1"/><inertia {text}/></inertial></link></robot>'
+    )
+    assert inertia_fault(after) is None
+    assert (notes == []) == (inertia_fault(values) is None)
+
+
+# --- limits ---
+
+PANDA_1 = '<limit lower="-2.8973" upper="2.8973" velocity="2.175" effort="87"/>'
+ONE_TURN = {"lower": -np.pi, "upper": np.pi}
+
+
+def limited(read, text: str) -> tuple[list[str], list[str], dict[str, float]]:
+    arm = read(text)
+    weak = choose_limits(chain_joints(arm), arm.notes)
+    return [note for note in arm.notes if "last link" not in note], weak, urdf.limits(chain_joints(arm)[0])
+
+
+def test_good_limits_stay(read) -> None:
+    first = {"lower": -2.8973, "upper": 2.8973, "velocity": 2.175, "effort": 87.0}
+    assert limited(read, text_of()) == ([], [], first)
+
+
+@pytest.mark.parametrize(("limit", "expected", "told"), [
+    ('lower="-2.8973" upper="2.8973" velocity="10"', {"velocity": CHOSEN["turning"]}, "10 rad/s is no speed"),
+    ('lower="-2.8973" upper="2.8973"', {"velocity": CHOSEN["turning"]}, "no speed limit"),
+    ('lower="-6.2832" upper="6.2832" velocity="2"', ONE_TURN, "cut to one turn"),
+    ('lower="1" upper="9" velocity="2"', {"lower": 5.0 - np.pi, "upper": 5.0 + np.pi}, "cut to one turn"),
+    ('velocity="2"', ONE_TURN, "has no range"),
+    ('lower="-166" upper="166" velocity="2"', ONE_TURN, "-166 to 166 rad"),  # degrees
+])  # fmt: skip
+def test_what_no_arm_has_is_replaced_and_told(limit: str, expected: dict[str, float], told: str, read) -> None:
+    notes, weak, first = limited(read, changed(text_of(), (PANDA_1, f'<limit {limit} effort="87"/>')))
+    assert {key: first[key] for key in expected} == pytest.approx(expected)
+    assert weak == []
+    assert len(notes) == 1
+    assert "joint_1" in notes[0]
+    assert told in notes[0]
+
+
+@pytest.mark.parametrize(("name", "reach", "unit"), [("panda", "2.8973", "rad"), ("lwr4_rail", "0.5", "m")])
+def test_exchanged_limits_are_refused_by_name(name: str, reach: str, unit: str, read) -> None:
+    text = changed(text_of(name), (f'lower="-{reach}" upper="{reach}"', f'lower="{reach}" upper="-{reach}"'))
+    with pytest.raises(RobotError, match=rf"'joint_1': .* in {unit}, "):
+        limited(read, text)
+    if name == "panda":  # the limits of a joint without end mean nothing
+        endless = changed(text, ('name="joint_1" type="revolute"', 'name="joint_1" type="continuous"'))
+        assert limited(read, endless)[2].items() >= ONE_TURN.items()
+
+
+@pytest.mark.parametrize("size", ["inf", "1e16"])
+def test_endless_numbers_are_none_and_are_told(size: str, read) -> None:
+    limit = f'<limit lower="-{size}" upper="1.5" velocity="{size}" effort="{size}"/>'
+    notes, weak, first = limited(read, changed(text_of(), (PANDA_1, limit)))
+    assert any(f"lower = -{size}, velocity = {size}, effort = {size}" in note for note in notes)
+    assert first.items() >= {**ONE_TURN, "velocity": CHOSEN["turning"]}.items()
+    assert weak == ["joint_1"]
+
+
+@pytest.mark.parametrize("bad", ["nan", "two"])
+def test_what_is_no_number_is_refused_by_name(bad: str, read) -> None:
+    with pytest.raises(RobotError, match="joint 'joint_1', lower is"):
+        limited(read, changed(text_of(), ('lower="-2.8973"', f'lower="{bad}"')))
+
+
+def test_a_rail_has_metres(read) -> None:
+    text = changed(text_of("lwr4_rail"), ('<limit lower="-0.5" upper="0.5" velocity="0.5" effort="500"/>', ""))
+    notes, weak, first = limited(read, text)
+    assert first.items() >= {"lower": -TRAVEL_M, "upper": TRAVEL_M, "velocity": CHOSEN["sliding"]}.items()
+    assert weak == ["joint_1"]
+    assert any("m/s" in note for note in notes)
+
+
+def test_missing_efforts_carry_the_arm(read) -> None:
+    _, weak, _ = limited(read, re.sub(r'effort="\d+"', 'effort="0"', text_of()))
+    assert weak == CHAIN
+    robot = load_robot("panda")
+    efforts = choose_efforts(robot, weak)
+    for q in np.random.default_rng(3).uniform(robot.q_min, robot.q_max, (50, 7)):
+        assert np.all(np.abs(robot.gravity(q)) < 0.5 * np.array(list(efforts.values())))
+    assert max(efforts.values()) < 500.0

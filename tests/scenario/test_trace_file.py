@@ -1,0 +1,186 @@
+"""What ends a run, and what is left of it: a trace's file is there at the end, whatever the end was."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from moc_opt.__main__ import main
+from moc_opt.control import Controller
+from moc_opt.errors import PlantError, ScenarioError, TraceError
+from moc_opt.scenario import RunAway, Scenario, Setup
+from moc_opt.sim import Plant
+from moc_opt.trace.metrics import summarize
+from moc_opt.trace.trace import Trace
+
+ROOT = Path(__file__).resolve().parents[2]
+SHORT = {"duration_s": 0.4, "bound_samples": 5}
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt(), MemoryError("full"), ValueError("a defect"), SystemExit(3)])
+def test_whatever_ends_a_run_leaves_its_rows(error, tmp_path):
+    made, ticks = Scenario(**SHORT), 137
+    whole = Setup(made).trace(to=tmp_path / "t.parquet")
+    assert Trace.load(tmp_path / "t.parquet").meta["ended"] == "completed"
+
+    def watch(tick):
+        if tick == ticks:
+            raise error
+
+    with pytest.raises(type(error)) as caught:
+        Setup(made).trace(watch, tmp_path / "t.parquet")
+    assert any("first 0.274 s" in note and "t.parquet" in note for note in caught.value.__notes__)
+    found = Trace.load(tmp_path / "t.parquet")
+    assert type(error).__name__ in found.meta["ended"]
+    assert (len(found), found.meta["ticks"], found.meta["ticks_planned"]) == (ticks, ticks, len(whole))
+    assert found.q_rad.tobytes() == whole.q_rad[:ticks].tobytes()
+    assert found.verified.tobytes() == whole.verified[:ticks].tobytes()
+    assert os.listdir(tmp_path) == ["t.parquet"]
+    assert 0.0 < summarize(found)["share_of_run"] < 1.0
+
+
+def test_an_arm_that_runs_away_leaves_its_trace(tmp_path, monkeypatch):
+    step, calls = Plant.step, iter(range(10**6))
+
+    def breaking(self, *args):
+        if next(calls) == 120:
+            raise PlantError("the plant broke")
+        return step(self, *args)
+
+    monkeypatch.setattr(Plant, "step", breaking)
+    with pytest.raises(RunAway, match="the plant broke") as caught:
+        Setup(Scenario(**SHORT)).trace(to=tmp_path / "t.parquet")
+    found = Trace.load(tmp_path / "t.parquet")
+    assert found.meta["ended"].startswith("ran away")
+    assert len(found) == len(caught.value.trace) == 121
+    assert "mu_bound" in found.columns
+
+
+TELLS_THE_FIRST_TICK = """
+import runpy, sys
+from moc_opt.sim import Plant
+step = Plant.step
+def first(self, *given):
+    Plant.step = step
+    print("began", file=sys.stderr, flush=True)
+    return step(self, *given)
+Plant.step = first
+runpy.run_module("moc_opt", run_name="__main__")
+"""
+
+
+def test_ctrl_c_says_one_line(tmp_path):
+    file, target = tmp_path / "s.toml", tmp_path / "t.parquet"
+    file.write_text("[task]\nhold_s = 600.0\n")
+    process = subprocess.Popen(
+        [sys.executable, "-c", TELLS_THE_FIRST_TICK, "run", str(file), "--trace", str(target)], cwd=ROOT,
+        stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    assert process.stderr.readline() == "began\n"
+    time.sleep(0.2)
+    process.send_signal(signal.SIGINT)
+    out, said = process.communicate()
+    assert process.returncode == 130
+    assert said.splitlines()[-1].startswith("interrupted; the first ")
+    assert out == ""
+    assert 0 < len(Trace.load(target)) < 300_000
+    assert sorted(os.listdir(tmp_path)) == ["s.toml", "t.parquet"]
+
+
+def test_a_defect_says_one_line_and_where_the_rows_are(tmp_path, capsys, monkeypatch):
+    ticks = iter(range(10**6))
+    real = Plant.measure
+
+    def breaking(self):
+        if next(ticks) == 150:
+            raise ZeroDivisionError("a defect\nof two lines")
+        return real(self)
+
+    monkeypatch.setattr(Plant, "measure", breaking)
+    file, target = tmp_path / "s.toml", tmp_path / "t.parquet"
+    file.write_text("duration_s = 1.0\n")
+    assert main(["run", str(file), "--trace", str(target)]) == 1
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert said.startswith(f"ZeroDivisionError: a defect of two lines ({Path(__file__).name}:")
+    assert len(Trace.load(target)) == 148  # two measurements come before the loop
+
+
+def test_more_ticks_than_the_memory_takes_are_refused():
+    with pytest.raises(ScenarioError, match=r"v_max_m_per_s.*more than 1000000 ticks.*give a shorter duration_s"):
+        Setup(Scenario(task={"v_max_m_per_s": 1e-9, "sizes": {"radius": 0.03}}, start={"check_path": False})).times()
+
+
+@pytest.mark.parametrize("target", ["nowhere/t.parquet", "file/t.parquet", "t.csv", "/", "."])
+def test_a_file_that_cannot_be_written_is_refused_before_the_run(target, tmp_path, capsys, monkeypatch):
+    (tmp_path / "file").write_text("")
+    (tmp_path / "s.toml").write_text("duration_s = 0.1\n")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(Plant, "step", lambda *given: pytest.fail("it ran first"))
+    assert main(["run", "s.toml", "--trace", target]) == 2
+    assert "folder" in capsys.readouterr().err or target == "t.csv"
+    assert sorted(os.listdir(tmp_path)) == ["file", "s.toml"]
+    with pytest.raises(TraceError):
+        Trace.load(target)
+
+
+# --- what else ends a run, and what a controller alone is built of ---
+
+
+RUN = Scenario(duration_s=0.1, judge=False, bound_samples=0)
+
+
+def test_the_control_end_of_a_wire_builds_no_plant(monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = Setup(RUN)
+
+    def refused(*given: object, **named: object) -> None:
+        raise AssertionError("a plant was built")
+
+    monkeypatch.setattr("moc_opt.scenario.objects.Plant", refused)
+    alone = Setup(RUN, realtime=True)
+    adapter = alone.adapter()
+    refs = (np.stack(alone.reference.at(0.0)), np.stack(alone.registered.at(0.0)))
+    adapter.start(alone.q_start, np.zeros(alone.robot.n), *refs)
+    assert np.isfinite(adapter.tick(alone.q_start, np.zeros(alone.robot.n), *refs)).all()
+    assert (alone.ticks, alone.q_start.tolist()) == (whole.ticks, whole.q_start.tolist())
+    with pytest.raises(AssertionError, match="a plant was built"):
+        Setup(RUN)
+
+
+def test_ctrl_c_ends_a_run_at_its_next_tick(monkeypatch: pytest.MonkeyPatch) -> None:
+    setup, ticks = Setup(RUN), list[int]()
+    write = setup.plant.write_truth
+
+    def interrupted(row: np.ndarray) -> None:
+        write(row)
+        if len(ticks) == 7:
+            os.kill(os.getpid(), signal.SIGINT)
+
+    monkeypatch.setattr(setup.plant, "write_truth", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        setup.trace(ticks.append)
+    assert ticks == list(range(7))
+
+
+@pytest.mark.parametrize("error", [RuntimeError("lost"), KeyboardInterrupt()])
+def test_an_error_of_a_tick_that_is_not_the_controllers_own_ends_the_run(
+    error: BaseException, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tick, ticks = Controller.tick, list[int]()
+
+    def failing(self: Controller, *given: Any) -> Any:
+        if len(ticks) == 7:
+            raise error
+        return tick(self, *given)
+
+    monkeypatch.setattr(Controller, "tick", failing)
+    with pytest.raises(type(error)) as caught:
+        Setup(RUN).trace(ticks.append)
+    assert caught.value is error
+    assert ticks == list(range(7))

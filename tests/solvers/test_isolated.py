@@ -1,0 +1,228 @@
+"""Solvers in processes of their own: the same run where they behave, a tick without their answer where they do not."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from moc_opt.errors import MocOptError, SolverError
+from moc_opt.qp.problem import NullSpaceQP, fields
+from moc_opt.scenario import Scenario, Setup, run
+from moc_opt.solvers.isolated import Isolated, Unanswered
+from tests.isolated_solvers import Misbehaving
+from tests.problems import random_problem
+
+QUICK = {"bound_samples": 0, "duration_s": 0.4}
+
+
+@pytest.fixture
+def qp():
+    return random_problem(np.random.default_rng(0))
+
+
+def started(qp, act="", at=2, folder="", **settings):
+    """A session; nothing on a busy machine counts as hung unless the test says so."""
+    return Isolated(Misbehaving(act, at, str(folder)), **{"hang_s": 60.0, **settings}).start(qp)
+
+
+def fault_of(session, qp):
+    """Kind and text of the missing answer."""
+    try:
+        session.solve(qp)
+    except Unanswered as missing:
+        return missing.kind, missing.text
+    raise AssertionError("it answered")
+
+
+def pid(session):
+    return session._workers[0]._process.pid
+
+
+def until(said):
+    """Wait for something that another process does."""
+    end = time.monotonic() + 60.0
+    while not said():
+        assert time.monotonic() < end
+        time.sleep(0.01)
+
+
+def is_gone(number):
+    """Whether there is no such process, or one that only waits to be collected."""
+    try:
+        return Path(f"/proc/{number}/stat").read_text().rsplit(")", 1)[1].split()[0] == "Z"
+    except FileNotFoundError:
+        return True
+
+
+@pytest.mark.parametrize("solver", ["exact", "rnn-printed"])  # the second one observes the velocity
+def test_a_solver_that_behaves_gives_the_same_trace(solver):
+    inside, isolated = (
+        run(Scenario(solver={"name": solver, "isolation": way, "process": {"hang_s": 60.0}}, **QUICK))
+        for way in ("none", "process")
+    )
+    assert set(inside.columns) == set(isolated.columns)
+    for name in inside.columns.keys() - {"tick_us", "solve_us"}:
+        np.testing.assert_array_equal(inside.columns[name], isolated.columns[name], err_msg=name)
+    assert isolated.meta["faults"] == inside.meta["faults"] == {}
+    assert "restarts" not in isolated.meta
+
+
+@pytest.mark.parametrize(
+    ("act", "reason"),
+    [
+        ("hang", "no answer for 0.5 s"), ("exit", "ended with status 3"), ("fork and exit", "ended with status 3"),
+        ("kill", "killed by SIGKILL"), ("crash", "killed by SIGSEGV"), ("close everything", "closed its end"),
+        ("eat", "800 MB of memory were full"),
+    ],
+)  # fmt: skip
+def test_a_process_that_is_lost_costs_one_answer_and_is_replaced(qp, act, reason):
+    session = started(qp, act, hang_s=0.5 if "0.5 s" in reason else 60.0, memory_MB=800.0)
+    assert session.solve(qp).iterations == 1
+    first = pid(session)
+    kind, text = fault_of(session, qp)
+    assert kind == "lost"
+    assert reason in text
+    assert is_gone(first)
+    assert session.solve(qp).iterations == 1  # of a new session
+    (restart,) = session.restarts
+    assert restart.tick == 1
+    assert restart.reason in text
+
+
+@pytest.mark.parametrize(
+    ("act", "text"),
+    [("raise", "ZeroDivisionError"), ("quit", "SystemExit: enough"), ("huge", "bytes: return a Solution")],
+)
+def test_what_a_solver_raises_costs_no_process(qp, act, text):
+    session = started(qp, act)
+    assert session.solve(qp).iterations == 1
+    kind, found = fault_of(session, qp)
+    assert kind == "raised"
+    assert text in found
+    assert session.restarts == []
+    assert not is_gone(pid(session))
+
+
+@pytest.mark.parametrize(("act", "fault"), [("shape", "malformed"), ("nan", "not_finite"), ("raise", "raised")])
+def test_an_answer_that_is_none_is_the_same_fault_as_without_isolation(act, fault):
+    for way in ("none", "process"):
+        scenario = Scenario(solver={"isolation": way}, duration_s=0.02, bound_samples=0)
+        trace = run(scenario, solver=Misbehaving(act, at=3))
+        assert trace.meta["ended"] == "completed"
+        assert set(trace.fault[2:]) == {fault}
+        assert set(trace.status[2:]) == {"numerical" if act == "raise" else "solved"}
+
+
+def test_a_solver_that_is_always_lost_is_given_up(qp):
+    session = started(qp, "exit", at=1, most_restarts=1)
+    texts = [fault_of(session, qp)[1] for _ in range(4)]
+    assert ["status 3" in text for text in texts] == [True, True, False, False]
+    assert "given up: the solver's process was lost 2 times" in texts[-1]
+    assert len(session.restarts) == 2
+
+
+def test_an_answer_that_is_late_may_stand_for_the_next_one(qp, tmp_path):
+    def numbered(number):
+        row = np.array(qp.row)
+        fields(row).weights[0] = number
+        return NullSpaceQP.from_row(row)
+
+    own, old = (started(qp, "gated", folder=tmp_path, budget_us=2e5, answer_age_ticks=age) for age in (0, 1))
+    for session in (own, old):
+        session.observe(np.arange(7.0))
+        assert fault_of(session, numbered(1))[0] == "late"
+    (tmp_path / "1").touch()
+    found = old.solve(numbered(2))  # problem 2 has no answer yet
+    assert found.iterations == 1
+    np.testing.assert_array_equal(found.x, np.arange(7.0))
+    np.testing.assert_array_equal(found.y, qp.b)
+    assert fault_of(own, numbered(2))[0] == "late"
+    assert fault_of(old, numbered(3))[0] == "late"  # two ticks old by now
+    for number in "234":
+        (tmp_path / number).touch()
+    assert [session.solve(numbered(4)).iterations for session in (own, old)] == [4, 4]
+    assert own.restarts == old.restarts == []
+
+
+def test_against_a_wall_clock_a_spare_takes_over(qp):
+    session = started(qp, "exit", waits=False)
+    spare = session._workers[1]
+    until(lambda: spare.started(0.0))
+    session.solve(qp)
+    assert "status 3" in fault_of(session, qp)[1]
+    assert session.solve(qp).iterations == 1
+    assert session._workers[0] is spare
+    os.kill(session._workers[1]._process.pid, signal.SIGSTOP)  # the next spare never gets ready
+    assert "status 3" in fault_of(session, qp)[1]
+    assert fault_of(session, qp) == ("lost", "a new process of the solver is being started")
+
+
+def test_what_the_solver_started_ends_with_it(qp, tmp_path):
+    session, file = started(qp, "child and hang", at=1, folder=tmp_path, budget_us=1000.0), tmp_path / "pid"
+    assert fault_of(session, qp)[0] == "late"
+    until(lambda: file.exists() and file.read_text())
+    numbers = [int(file.read_text()), pid(session)]
+    del session
+    until(lambda: all(map(is_gone, numbers)))
+
+
+def test_a_process_that_hangs_outlives_a_loop_that_was_killed_by_little():
+    """Nobody is there to kill it: it ends by itself, a second after twice the time that counts as hung."""
+    code = (
+        "import numpy as np; from tests.problems import random_problem; from moc_opt.solvers.isolated import Isolated; "
+        "from tests.isolated_solvers import Misbehaving; qp = random_problem(np.random.default_rng(0)); "
+        "s = Isolated(Misbehaving('hang', 1), hang_s=0.2).start(qp); w = s._workers[0]; "
+        "print(w._process.pid, flush=True); w.ask(1, qp.row, None, 1.4); import os; os.kill(os.getpid(), 9)"
+    )
+    said = subprocess.run([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True, check=False)
+    assert said.returncode == -signal.SIGKILL
+    until(lambda: is_gone(int(said.stdout)))
+
+
+@pytest.mark.parametrize(
+    ("solver", "text"),
+    [
+        (Misbehaving("refuse"), "solver 'misbehaving' in a process of its own: .* not this one"),
+        (Misbehaving("fail at the start"), "in a process of its own: RuntimeError: no licence"),
+        (Misbehaving(lambda: None), "cannot run in a process of its own: .*isolation = 'none'"),
+    ],
+)
+def test_a_solver_that_cannot_run_there_is_refused_before_anything_moves(qp, solver, text):
+    with pytest.raises(SolverError, match=text):
+        Isolated(solver).start(qp)
+
+
+def test_ctrl_c_ends_a_run_while_a_tick_waits():
+    def alarm(tick):
+        if tick == 2:  # the third subproblem, at which the solver hangs
+            signal.setitimer(signal.ITIMER_REAL, 0.3)
+
+    scenario = Scenario(solver={"isolation": "process", "process": {"hang_s": 60.0}}, **QUICK)
+    before, begin = signal.signal(signal.SIGALRM, signal.default_int_handler), time.monotonic()
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            run(scenario, alarm, solver=Misbehaving("hang", at=3))
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, before)
+    assert time.monotonic() - begin < 50.0
+
+
+def test_a_budget_is_kept_by_process_or_supervisor():
+    scenario = Scenario(solver={"isolation": "process"}, control={"supervisor": {"budget_us": 700.0}}, **QUICK)
+    controller = Setup(scenario).controller()
+    assert (controller.solver.budget_us, controller.settings.supervisor.budget_us) == (700.0, None)
+    replayed = Setup(scenario.change(solver={"replay_us": [100.0, 900.0]})).controller()
+    assert (replayed.solver.budget_us, replayed.settings.supervisor.budget_us) == (float("inf"), 700.0)
+    real = Setup(Scenario(solver={"isolation": "process"}, **QUICK), realtime=True).controller().solver
+    assert (real.waits, real.budget_us) == (False, 1000.0)  # half a period
+
+
+def test_what_cannot_be_isolated_is_refused():
+    with pytest.raises(MocOptError, match="isolation"):
+        Scenario(solver={"isolation": "process"}, control={"supervisor": {"late": "iterate"}})

@@ -1,0 +1,137 @@
+"""The nonlinear programs: what they converge to, and that they see the manipulability, not its gradient."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from moc_opt.errors import SolverError
+from moc_opt.qp.problem import NullSpaceQP
+from moc_opt.solvers import Status, create
+from moc_opt.solvers.nlp import SQP, Fatrop, Ipopt
+from tests.problems import on_rows, random_arm, random_problem
+
+ARM = random_arm(np.random.default_rng(3))
+KINEMATICS = ARM.kinematics()
+EVERY = pytest.mark.parametrize("kind", [SQP, Ipopt, Fatrop])
+
+
+def solve(chosen, qp):
+    return chosen.start(qp).solve(qp)
+
+
+def number(function, q):
+    """The value of a CasADi function as a flat array."""
+    return function(q).full().ravel()
+
+
+@EVERY
+def test_error_against_the_linear_problem_shrinks_with_the_period(kind):
+    """In the limit T -> 0 the program is the null-space subproblem: every residual falls in proportion."""
+    rng = np.random.default_rng(1)
+    worst = {}
+    qps = [random_problem(rng, arm=ARM) for _ in range(10)]
+    for period in (2e-3, 2e-4, 2e-5):
+        chosen = kind(KINEMATICS, period=period)
+        found = [(qp, solve(chosen, qp)) for qp in qps]
+        assert all(solution.status is Status.SOLVED for _, solution in found)
+        worst[period] = max(qp.residuals(s.x).primal for qp, s in found)
+        if period == 2e-5:
+            assert all(qp.residuals(s.x).verified(primal=1e-4) for qp, s in found)
+    assert worst[2e-4] == pytest.approx(0.1 * worst[2e-3], rel=0.2)
+    assert worst[2e-5] == pytest.approx(0.1 * worst[2e-4], rel=0.2)
+
+
+@EVERY
+def test_the_step_lands_where_the_references_say(kind):
+    """tip(q + x T) = tip(q) + v_T T, exactly and not to first order; the wrist across the tool likewise."""
+    rng = np.random.default_rng(2)
+    for _ in range(5):
+        qp = random_problem(rng, arm=ARM)
+        chosen = kind(KINEMATICS)
+        x = solve(chosen, qp).x
+        T = chosen.period
+        places = KINEMATICS.tip, KINEMATICS.wrist
+        tip, wrist = ((number(f, qp.q + T * x) - number(f, qp.q)) / T for f in places)
+        np.testing.assert_allclose(tip, qp.v_tip, atol=1e-6)
+        across = qp.reduced().lift[3:, 3:]
+        np.testing.assert_allclose(across @ wrist, across @ qp.v_wrist, atol=1e-6)
+        tool = number(KINEMATICS.tip, qp.q) - number(KINEMATICS.wrist, qp.q)
+        np.testing.assert_allclose(across @ tool, 0.0, atol=1e-12)
+        assert np.abs(qp.A @ x - qp.b).max() > 1e-6  # the linear rows are another matter
+
+
+@EVERY
+def test_duals_are_those_of_the_six_linear_rows(kind):
+    rng = np.random.default_rng(4)
+    for _ in range(10):
+        qp = random_problem(rng, arm=ARM)
+        found = solve(kind(KINEMATICS, period=1e-5), qp)
+        own = qp.residuals(found.x, found.y)
+        assert own.natural < 1e-6
+        assert qp.residuals(found.x, -found.y).natural > 1e-5
+
+
+def test_sqp_without_damping_answers_by_bfgs_and_often_not_by_the_exact_hessian():
+    """Which is indefinite there: BFGS is the default for that reason."""
+    rng = np.random.default_rng(5)
+    losses = {"limited-memory": [], "exact": []}
+    for _ in range(40):
+        qp = random_problem(rng, arm=ARM, regularization=0.0)
+        for hessian, found in losses.items():
+            solution = solve(SQP(KINEMATICS, hessian=hessian), qp)
+            if solution.status is Status.SOLVED:
+                found.append(float(qp.residuals(solution.x).loss))
+    assert len(losses["limited-memory"]) >= 38
+    assert max(losses["limited-memory"]) < 0.1
+    assert len(losses["exact"]) <= 34
+
+
+@pytest.mark.parametrize("name", ["nlp-sqp", "nlp-ipopt"])
+def test_settings_are_checked(name):
+    with pytest.raises(SolverError, match=rf"{name}: kinematics = None .*robot\.kinematics\(\)"):
+        create(name)
+    wrong = {"period": 0.0, "cost_scale": -1.0, "eps": 0.0, "max_iter": 0, "hessian": "bfgs", "warm": 2}
+    for key, value in wrong.items():
+        with pytest.raises(SolverError, match=f"{name}: {key} = "):
+            create(name, kinematics=KINEMATICS, **{key: value})
+
+
+@pytest.mark.parametrize("name", ["nlp-sqp", "nlp-ipopt"])
+def test_the_real_arm(name, robot, regular_poses):
+    """The LWR4+ through the kinematics that the model hands out, against the exact linear answer."""
+    rng = np.random.default_rng(9)
+    chosen = create(name, kinematics=robot.kinematics())
+    exact = None
+    for q in regular_poses(8):
+        state = robot.state(q)
+        inside = rng.uniform(-0.3, 0.3, robot.n)
+        qp = NullSpaceQP(
+            state.J_tip,
+            state.J_wrist,
+            state.J_tip @ inside,
+            state.J_wrist @ inside,
+            state.grad_mu,
+            -np.ones(robot.n),
+            np.ones(robot.n),
+            q=q,
+        )
+        exact = create("exact").start(qp) if exact is None else exact
+        found, best = solve(chosen, qp), exact.solve(qp)
+        assert found.status is Status.SOLVED
+        residuals = qp.residuals(found.x, found.y)._replace(loss=qp.residuals(on_rows(qp, found.x)).loss)
+        assert residuals.verified(primal=5e-3, relative=1e-2, loss=2e-2)
+        np.testing.assert_allclose(found.x, best.x, atol=0.05)
+
+
+def test_what_the_gradient_has_beside_mu_is_answered_too(robot, regular_poses):
+    """A gradient of something else, such as a course to follow, in the place of that of mu."""
+    rng = np.random.default_rng(11)
+    chosen = create("nlp-sqp", kinematics=robot.kinematics())
+    for q in regular_poses(4):
+        state, ends = robot.state(q), 0.5 * np.ones(robot.n)
+        for gradient in (state.grad_mu, -state.grad_mu, rng.normal(size=robot.n) * np.abs(state.grad_mu).max()):
+            zero = np.zeros(3)
+            qp = NullSpaceQP(state.J_tip, state.J_wrist, zero, zero, gradient, -ends, ends, regularization=1e-3, q=q)
+            best = create("exact").start(qp).solve(qp)
+            np.testing.assert_allclose(solve(chosen, qp).x, best.x, atol=0.05)

@@ -1,0 +1,176 @@
+"""The network does what its equation says, is stable where it says so, and claims no more than it knows."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+from scipy.linalg import block_diag
+
+from moc_opt.errors import SolverError
+from moc_opt.qp.problem import NullSpaceQP
+from moc_opt.solvers import Status, create
+from moc_opt.solvers.base import ObservingSession
+from moc_opt.solvers.rnn import RNN, RNNPrinted, unstable
+from tests.problems import infeasible_problem, random_problem, smooth_sequence
+
+SEEDS = st.integers(0, 100_000)
+
+
+def right_hand_side(qp, x, l1, l2, k, scale=1.0):
+    """eps dY/dt as DESIGN and the paper write it, term by term."""
+    c0, c1, c2, rho = (scale * w for w in (qp.c0, qp.c1, qp.c2, qp.regularization))
+    JT, JW = qp.J_tip, qp.J_wrist
+    force = c0 * JT.T @ (JT @ x - qp.v_tip) + c1 * JW.T @ (JW @ x - qp.v_wrist) + rho * x - c2 * qp.grad_mu
+    force += JT.T @ l1 + JW.T @ l2
+    dx = -x + np.clip(x - k * force, qp.lower, qp.upper)
+    return dx, k * (JT @ x - qp.v_tip), k * (JW @ x - qp.v_wrist)
+
+
+@pytest.mark.parametrize("method", ["explicit", "semi-implicit"])
+@pytest.mark.parametrize("h", [1.0, 0.7])
+def test_steps_are_the_printed_network(method, h):
+    qp = random_problem(np.random.default_rng(0), c0=0.01, c1=0.02)
+    chosen = RNN(steps=25, h=h, k=0.3, method=method)
+    found = chosen.start(qp).solve(qp)
+    x, l1, l2 = np.zeros(7), np.zeros(3), np.zeros(3)
+    for _ in range(chosen.steps):
+        dx, d1, d2 = right_hand_side(qp, x, l1, l2, chosen.k, chosen.scale)
+        x = x + h * dx
+        if method == "semi-implicit":
+            _, d1, d2 = right_hand_side(qp, x, l1, l2, chosen.k, chosen.scale)
+        l1, l2 = l1 + h * d1, l2 + h * d2
+    assert found.iterations == chosen.steps
+    assert found.status is Status.MAX_ITER
+    np.testing.assert_allclose(found.x, x, atol=1e-13)
+    np.testing.assert_allclose(found.y, np.concatenate([l1, l2]) / chosen.scale, atol=1e-13)
+
+
+def spectral_radius(qp, c, h, k, implicit, h_x):
+    """Of one step away from the bounds without regularization, on the modes that A sees."""
+    A, hk, hk_x = qp.A, h * k, h_x * k
+    m, n = A.shape
+    onto_x = np.hstack([np.eye(n) - hk_x * c * A.T @ A, -hk_x * A.T])
+    seen = onto_x if implicit else np.eye(n, n + m)
+    step = np.vstack([onto_x, np.hstack([np.zeros((m, n)), np.eye(m)]) + hk * A @ seen])
+    U, _, Vt = np.linalg.svd(A)
+    basis = block_diag(Vt[:5].T, U[:, :5])  # the rest stands still
+    return np.abs(np.linalg.eigvals(basis.T @ step @ basis)).max()
+
+
+@settings(max_examples=150)
+@given(
+    seed=SEEDS, c=st.floats(1e-3, 20.0), k=st.floats(1e-3, 10.0), h=st.floats(0.05, 1.0),
+    implicit=st.booleans(), h_x=st.none() | st.floats(0.05, 1.0),
+)
+def test_unstable_is_exactly_where_the_step_diverges(seed, c, k, h, implicit, h_x):
+    qp = random_problem(np.random.default_rng(seed), c0=c, c1=c, regularization=0.0)
+    radius = spectral_radius(qp, c, h, k, implicit, h if h_x is None else h_x)
+    if abs(radius - 1.0) > 1e-9:  # slow modes come within rounding of 1
+        assert (unstable(qp, h, k, 1.0, implicit, h_x) is None) == (radius < 1.0)
+
+
+def test_unstable_settings_are_refused_with_the_cure():
+    qp = random_problem(np.random.default_rng(1))
+    for chosen in (RNN(scale=1.0), RNN(k=0.9, scale=89.0), RNNPrinted(h=0.11)):
+        reason = chosen.supports(qp)
+        assert "diverge" in reason
+        assert "lower h or k" in reason
+        with pytest.raises(SolverError, match=rf"{chosen.name}: h k = "):
+            chosen.start(qp)
+    assert RNN(scale=1.0, method="semi-implicit").supports(qp) is None
+    assert "above 0" in RNN(method="semi-implicit").supports(random_problem(np.random.default_rng(1), c0=0.0))
+
+
+def test_scaling_the_weights_leaves_the_solution():
+    """Scaling c0, c1, c2 and regularization together changes the speed and nothing else."""
+    rng = np.random.default_rng(2)
+    for _ in range(5):
+        qp = random_problem(rng)
+        exact = create("exact").start(qp).solve(qp).x
+        steps = []
+        for scale in (60.0, 100.0):
+            found = RNN(steps=400_000, k=0.2, scale=scale).start(qp).solve(qp)
+            assert found.status is Status.SOLVED
+            assert qp.residuals(found.x, found.y).natural < 1e-7
+            np.testing.assert_allclose(found.x, exact, atol=5e-3)
+            steps.append(found.iterations)
+        assert steps[0] > steps[1]
+
+
+@settings(max_examples=60)
+@given(seed=SEEDS, steps=st.sampled_from([1, 10, 1000, 30_000]), infeasible=st.booleans())
+def test_claims_are_true_and_x_stays_in_the_box(seed, steps, infeasible):
+    make = infeasible_problem if infeasible else random_problem
+    qp = make(np.random.default_rng(seed))
+    chosen = RNN(steps=steps, k=0.2)
+    assume(chosen.supports(qp) is None)  # a few of these arms are too large
+    found = chosen.start(qp).solve(qp)
+    assert np.all(found.x >= qp.lower - 1e-15)
+    assert np.all(found.x <= qp.upper + 1e-15)
+    if found.status is Status.SOLVED:
+        assert not infeasible
+        assert qp.residuals(found.x, found.y).verified()
+
+
+def test_ten_warm_steps_follow_a_smooth_motion():
+    """From tick to tick the network closes in; forgetting its state, ten steps are nowhere near."""
+    qps = smooth_sequence(np.random.default_rng(3), 300)
+    warm, cold = RNN().start(qps[0]), RNN(warm=False).start(qps[0])
+    errors = np.array([[qp.residuals(s.solve(qp).x).primal for s in (warm, cold)] for qp in qps])
+    assert np.median(errors[200:, 0]) < 0.1 * np.median(errors[200:, 1])
+    assert np.median(errors[200:, 0]) < 1e-2
+
+
+def test_a_state_that_overflows_is_given_up():
+    good = random_problem(np.random.default_rng(5))
+    huge = NullSpaceQP(
+        1e200 * good.J_tip, 1e200 * good.J_wrist, good.v_tip, good.v_wrist, good.grad_mu,
+        good.lower, good.upper,
+    )
+    session = RNN(k=0.2).start(good)
+    assert session.solve(huge).status is Status.NUMERICAL
+    fresh = RNN(k=0.2).start(good).solve(good)
+    np.testing.assert_array_equal(session.solve(good).x, fresh.x)
+
+
+def test_printed_is_equation_two_from_the_measured_velocity():
+    """x - v is the printed qdd_d = -v + P(v - k dL/dqd), whatever the step of the multipliers."""
+    qps = smooth_sequence(np.random.default_rng(6), 40, regularization=0.0)
+    chosen = RNNPrinted()
+    assert chosen.h == 0.002  # dt/eps for eps = 1 s at 500 Hz
+    assert (chosen.k, qps[0].c0, qps[0].c1, qps[0].c2) == (0.1, 0.01, 0.01, 0.001)
+    session = chosen.start(qps[0])
+    assert isinstance(session, ObservingSession)
+    rng = np.random.default_rng(7)
+    x, l1, l2 = np.zeros(7), np.zeros(3), np.zeros(3)
+    for tick, qp in enumerate(qps):
+        if tick % 3:  # else the network goes on from its own x
+            x = rng.uniform(-1.0, 1.0, 7)
+            session.observe(x)
+        dx, d1, d2 = right_hand_side(qp, x, l1, l2, 0.1)
+        x, l1, l2 = x + dx, l1 + chosen.h * d1, l2 + chosen.h * d2
+        found = session.solve(qp)
+        np.testing.assert_allclose(found.x, x, atol=1e-14)
+        np.testing.assert_allclose(found.y, np.concatenate([l1, l2]), atol=1e-14)
+        assert found.status is Status.MAX_ITER
+    assert not isinstance(RNN().start(qps[0]), ObservingSession)
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"steps": 0}, "rnn: steps = 0 is not a whole number"),
+        ({"steps": 2.5}, "steps = 2.5"),
+        ({"h": 1.5}, "h = 1.5 is above 1"),
+        ({"k": 0.0}, "k = 0.0 is not a positive number"),
+        ({"scale": float("nan")}, "scale = nan"),
+        ({"method": "implicit"}, "method = 'implicit' is not one of 'explicit', 'semi-implicit'"),
+        ({"eps": "small"}, "eps = 'small'"),
+        ({"warm": 1}, "warm = 1 is neither True nor False"),
+    ],
+)
+def test_bad_settings_are_named(values, message):
+    with pytest.raises(SolverError, match=message.replace("(", r"\(")):
+        RNN(**values)

@@ -1,0 +1,211 @@
+"""Jobs come back whole or with the reason; what was finished is not done again."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import psutil
+import pytest
+
+from moc_opt.errors import ScenarioError, StudyError
+from moc_opt.study import Failed, Job, Kept, each, engine, run
+from tests.study import work
+
+HOME = Path(__file__).parents[2]
+
+
+def test_whatever_a_job_does_is_its_own_row(tmp_path):
+    jobs = [
+        Job(work.square, (3.0,)), Job(work.hang, limit_s=0.5), Job(work.die), Job(work.leave), Job(work.refuse),
+        Job(work.press_ctrl_c), Job(work.fork_and_hang, (str(tmp_path / "child"),), limit_s=3.0),
+        Job(work.eat_memory), Job(lambda: None), Job(work.refuse_name), Job(work.odd_result), Job(work.square, (4.0,)),
+    ]  # fmt: skip
+    done: list[int] = []
+    found = run(jobs, workers=2, done=lambda job, result: done.append(jobs.index(job)))
+    assert (found[0], found[-1]) == (9.0, 16.0)
+    assert sorted(done) == list(range(len(jobs)))
+    kinds = [result.kind if isinstance(result, Failed) else None for result in found]
+    assert kinds == [None, "hung", "crashed", "crashed", "raised", "raised", "hung", *["raised"] * 4, None]
+    assert "SIGSEGV" in str(found[2])
+    assert "exit code 3" in str(found[3])
+    assert "'knot'" in str(found[4])
+    assert isinstance(found[4].error, ScenarioError)
+    assert "memory" in str(found[7]).lower()
+    child = int((tmp_path / "child").read_text())
+    for _ in range(100):
+        if not psutil.pid_exists(child) or psutil.Process(child).status() == psutil.STATUS_ZOMBIE:
+            break
+        time.sleep(0.05)
+    else:
+        pytest.fail("what the job had started is still there")
+
+
+def test_a_failure_is_raised_where_it_is_no_row():
+    with pytest.raises(ScenarioError, match="knot"):
+        each(work.refuse_odd, [2, 3], workers=1)
+    with pytest.raises(StudyError, match="SIGSEGV"):
+        each(work.die, [signal.SIGSEGV], workers=1)
+    assert each(work.refuse_odd, [3, 2], workers=1, failed=lambda item, why: f"{item}: {why.kind}") == ["3: raised", 2]
+
+
+def test_what_hung_once_is_not_begun_again():
+    jobs = [Job(work.hang, limit_s=0.3, group="slow") for _ in range(6)] + [Job(work.square, (2.0,))]
+    found = run(jobs, workers=1)
+    kinds = [result.kind for result in found[:-1]]
+    assert kinds[0] == "hung"
+    assert kinds.count("not run") >= 4
+    assert found[-1] == 4.0
+    assert "slow hung or crashed before" in str(found[5])
+
+
+def test_a_job_may_limit_its_own_steps():
+    found = run([Job(work.steps, ([0.01] * 5, 1.0)), Job(work.steps, ([0.01, 9.0], 0.3))], workers=2)
+    assert found[0] == 5
+    assert (found[1].kind, found[1].parts) == ("hung", (0.01,))
+
+
+def test_jobs_whose_times_count_run_alone_and_in_one_process():
+    found = run([Job(work.pid, alone=True) for _ in range(4)] + [Job(work.pid)], workers=2)
+    assert len(set(found[:4])) == 1
+    assert found[4] != found[0]
+
+
+def test_finished_jobs_are_kept_and_failures_are_not(tmp_path):
+    log = str(tmp_path / "log")
+    jobs = [Job(work.square, (float(x), log)) for x in range(5)] + [Job(work.refuse), Job(work.arrays, (3,))]
+    first = run(jobs, kept=Kept(tmp_path / "jobs"), workers=2)
+    kept = Kept(tmp_path / "jobs")
+    second = run(jobs, kept=kept, workers=2)
+    assert (first[:5], kept.reused) == (second[:5], 6)
+    np.testing.assert_array_equal(second[6]["column"], np.arange(3.0))
+    assert len((tmp_path / "log").read_text().split()) == 5
+
+
+def test_a_result_that_is_not_to_be_kept_is_done_again(tmp_path):
+    for _ in range(2):
+        kept = Kept(tmp_path / "jobs")
+        run(
+            [Job(work.square, (2.0,)), Job(work.square, (3.0,))],
+            kept=kept,
+            workers=1,
+            keep=lambda found: found > 5.0,
+        )
+    assert kept.reused == 1
+
+
+def test_a_changed_source_does_its_jobs_again(tmp_path, monkeypatch):
+    module = tmp_path / "own_trial.py"
+    monkeypatch.syspath_prepend(tmp_path)
+    answers = []
+    for text in ("1", "1", "2"):
+        module.write_text("import own_part\ndef trial(): return own_part.value()\n")
+        (tmp_path / "own_part.py").write_text(f"def value(): return {text}\n")
+        script = f"""
+            import sys; sys.path.insert(0, {str(tmp_path)!r})
+            from pathlib import Path
+            import own_trial
+            from moc_opt.study import Job, run
+            from moc_opt.study.kept import Kept
+            if __name__ == "__main__":
+                kept = Kept(Path({str(tmp_path / "jobs")!r}))
+                print(*run([Job(own_trial.trial)], kept=kept, workers=1), kept.reused)
+        """
+        (tmp_path / "script.py").write_text(textwrap.dedent(script))
+        answers.append(_python(tmp_path / "script.py").stdout.split())
+    assert answers == [["1", "0"], ["1", "1"], ["2", "0"]]
+
+
+def _python(script: Path, *arguments: Any) -> subprocess.CompletedProcess[str]:
+    env = os.environ | {"PYTHONPATH": str(HOME), "PYTHONDONTWRITEBYTECODE": "1"}
+    command = [sys.executable, str(script), *map(str, arguments)]
+    return subprocess.run(command, env=env, cwd=script.parent, capture_output=True, text=True, check=True)
+
+
+KILLED = """
+    from pathlib import Path
+    from moc_opt.study import Job, run
+    from moc_opt.study.kept import Kept
+    from tests.study.work import slow_square
+    if __name__ == "__main__":
+        kept = Kept(Path("jobs"))
+        print(run([Job(slow_square, (k,)) for k in range(8)], kept=kept, workers=2), flush=True)
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT])
+def test_a_study_that_is_killed_loses_nothing_and_leaves_no_process(tmp_path, number):
+    (tmp_path / "script.py").write_text(textwrap.dedent(KILLED))
+    env = os.environ | {"PYTHONPATH": str(HOME)}
+    command = [sys.executable, "script.py"]
+    done = 0
+    for _ in range(2):
+        study = subprocess.Popen(
+            command, env=env, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
+        )
+        before, until = _finished(tmp_path), time.monotonic() + 30.0
+        while _finished(tmp_path) <= before and study.poll() is None and time.monotonic() < until:
+            time.sleep(0.02)
+        family = psutil.Process(study.pid).children(recursive=True) if study.poll() is None else []
+        study.send_signal(number)
+        study.wait(20.0)
+        _, alive = psutil.wait_procs(family, timeout=10.0)
+        assert not alive
+        assert _finished(tmp_path) >= done
+        done = _finished(tmp_path)
+    assert 2 <= done < 8
+    found = subprocess.run(command, env=env, cwd=tmp_path, capture_output=True, text=True, check=True)
+    assert found.stdout.strip() == str([float(k * k) for k in range(8)])
+
+
+def _finished(folder: Path) -> int:
+    return len(Kept(folder / "jobs")._cache) if (folder / "jobs").exists() else 0
+
+
+def test_a_damaged_folder_is_set_aside_and_its_jobs_are_done_again(tmp_path, capfd):
+    jobs = [Job(work.square, (2.0,))]
+    run(jobs, kept=Kept(tmp_path / "jobs"), workers=1)
+    (tmp_path / "jobs" / "cache.db").write_bytes(b"not a database" * 1000)
+    for extra in (tmp_path / "jobs").glob("cache.db-*"):
+        extra.unlink()
+    assert run(jobs, kept=Kept(tmp_path / "jobs"), workers=1) == [4.0]
+    assert "set aside" in capfd.readouterr().err
+    assert (tmp_path / "damaged").is_dir()
+
+
+def test_a_folder_that_cannot_be_used_is_named(tmp_path):
+    (tmp_path / "jobs").write_text("a file")
+    with pytest.raises(StudyError, match="jobs"):
+        Kept(tmp_path / "jobs")
+
+
+def test_the_same_jobs_on_a_cluster(monkeypatch, tmp_path):
+    monkeypatch.setattr(engine, "CONNECT_S", 5.0)
+    distributed = pytest.importorskip("distributed")
+    with distributed.LocalCluster(
+        n_workers=1, threads_per_worker=1, processes=True, dashboard_address=None
+    ) as cluster:
+        jobs = [Job(work.square, (3.0,)), Job(work.refuse), Job(work.arrays, (2,))]
+        here, there = run(jobs, workers=1), run(jobs, dask=cluster.scheduler_address)
+        assert there[0] == here[0]
+        assert str(there[1]) == str(here[1])
+        np.testing.assert_array_equal(there[2]["column"], here[2]["column"])
+        found = _python(HOME / "examples" / "own_study.py", tmp_path / "delays", cluster.scheduler_address)
+        assert "│ osqp   ┆ 3     ┆ 10 " in found.stdout
+    again = _python(HOME / "examples" / "own_study.py", tmp_path / "delays")
+    assert again.stdout == found.stdout, "taken from the folder: no scheduler is left"
+    with pytest.raises(StudyError, match="no Dask scheduler answers"):
+        run(jobs, dask="tcp://127.0.0.1:1")
+
+
+def test_without_dask_its_package_is_named(monkeypatch):
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(StudyError, match=r"moc-opt\[cluster\]"):
+        run([Job(work.square, (2.0,))], dask="tcp://127.0.0.1:8786")

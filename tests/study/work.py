@@ -1,0 +1,92 @@
+"""Jobs for the tests of the engine: what a trial, or a solver inside it, may do."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from moc_opt.errors import ScenarioError, UnknownNameError
+from moc_opt.study.engine import alarm, report
+
+
+def square(x: float, log: str = "") -> float:
+    if log:
+        with Path(log).open("a") as file:
+            file.write(f"{x}\n")
+    return x * x
+
+
+def hang(seconds: float = 60.0) -> None:
+    time.sleep(seconds)
+
+
+def die(number: int = signal.SIGSEGV) -> None:
+    os.kill(os.getpid(), number)
+
+
+def leave() -> None:
+    os._exit(3)
+
+
+def refuse() -> None:
+    raise ScenarioError("[task] path = 'knot': no such path")
+
+
+def press_ctrl_c() -> None:
+    raise KeyboardInterrupt
+
+
+def fork_and_hang(file: str) -> None:
+    child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(60)"])
+    Path(file).write_text(str(child.pid))
+    time.sleep(60.0)
+
+
+def eat_memory() -> int:
+    return np.empty(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") * 4 // 5, dtype=np.uint8).size
+
+
+def arrays(k: int) -> dict[str, Any]:
+    return {"k": k, "column": np.arange(float(k))}
+
+
+def pid() -> int:
+    return os.getpid()
+
+
+def slow_square(x: float) -> float:
+    time.sleep(0.7)
+    return float(x * x)
+
+
+def refuse_odd(k: int) -> int:
+    if k % 2:
+        refuse()
+    return k
+
+
+def die_of(job: Any) -> None:
+    die()
+
+
+def steps(seconds: list[float], limit_s: float) -> int:
+    for one in seconds:
+        alarm(limit_s)
+        time.sleep(one)
+        report(one)
+    return len(seconds)
+
+
+def refuse_name() -> None:
+    raise UnknownNameError("solver", "osqq", ["osqp"])
+
+
+def odd_result() -> Any:
+    return lambda: None

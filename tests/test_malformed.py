@@ -1,0 +1,376 @@
+"""Malformed input: it is taken and what comes of it is right, or it is refused with a MocOptError that says why.
+
+Never another exception, a hang, or a file where none belongs. `HYPOTHESIS_PROFILE=long` draws thousands of inputs. An
+input that once ended badly stands as an example.
+"""
+
+import contextlib
+import io
+import json
+import re
+import socket
+from pathlib import Path
+from xml.sax.saxutils import quoteattr
+
+import hypothesis.strategies as st
+import numpy as np
+import pytest
+from hypothesis import example, given
+from hypothesis.extra.numpy import array_shapes, arrays
+
+import moc_opt as mo
+from moc_opt.__main__ import main
+from moc_opt.commands.running import read_waypoints
+from moc_opt.errors import PlantError, ScenarioError
+from moc_opt.realtime import packets
+from moc_opt.realtime.link import Link, WireSettings
+from moc_opt.realtime.remote import INCOMING, RemoteController
+from moc_opt.robots import loader
+from moc_opt.scenario import Scenario, Setup, make_safety_filter, run
+from moc_opt.scenario.agreement import check_engines
+from moc_opt.sim import Plant
+from moc_opt.sim.sensors import Measurement
+from moc_opt.solvers.base import Status
+from moc_opt.tasks import Waypoints
+from moc_opt.trace.metrics import summarize
+from tests.odd_inputs import edited, ends_well, junk, many, names, numbers, texts
+
+FOLDER = Path(loader.__file__).parent
+ARM_URDF = (FOLDER / "lwr4.urdf").read_bytes()
+ARM_TOML = (FOLDER / "lwr4.toml").read_bytes().replace(b'"lwr4.urdf"', b'"arm.urdf"')
+SHORT = {"duration_s": 0.004, "bound_samples": 0, "judge": False}
+# --- scenarios ---
+
+
+def fields(table=Scenario):
+    """Path of every field, tables before what is in them."""
+    for name, field in table.model_fields.items():
+        yield (name,)
+        if hasattr(field.annotation, "model_fields"):
+            yield from ((name, *rest) for rest in fields(field.annotation))
+
+
+usual = st.sampled_from([0.0, 1e-3, 0.02, 0.1, 0.5, 1.0, 2, True, False])  # else hardly one would come to its run
+strange = st.sampled_from(["typo", "", "seeds", "class", "duration", "model_config"])
+values = st.one_of(usual, numbers, texts, junk)
+
+
+def run_two_ticks(scenario):
+    trace = run(scenario.change(duration_s=2.0 * scenario.plant.period_s, bound_samples=min(scenario.bound_samples, 2)))
+    assert np.isfinite(trace.q_rad).all()
+    assert np.isfinite(trace.tau_Nm).all()
+    summarize(trace)
+
+
+@many()
+@given(st.lists(st.tuples(st.sampled_from(list(fields())), st.none() | strange, values), min_size=1, max_size=3))
+@example([(("task", "path"), None, "circle")])
+@example([(("control", "K_X"), None, 1e30)])
+@example([(("seed",), None, 10**5000)])
+@example([(("faults", "bump_N"), None, 1e300), (("faults", "bump_at_s"), None, 0.0)])
+def test_a_scenario_runs_or_names_the_field(changes):
+    table = {}
+    for path, other, value in changes:
+        inner = table
+        for name in path[:-1]:
+            inner = inner.setdefault(name, {}) if isinstance(inner, dict) else None
+        if isinstance(inner, dict):
+            inner[path[-1] if other is None else other] = value
+    made = None
+    with ends_well(*(name for path, other, _ in changes for name in (*path, other) if name)):
+        made = Scenario(**table)
+    if made is not None:
+        with ends_well():
+            run_two_ticks(made)
+
+
+SCENARIO_TOML = """
+name = "a run"
+seed = 3
+duration_s = 0.1
+[robot]
+name = "lwr4"
+tool_length_m = 0.3
+[start]
+swivel = 0.5
+[trocar]
+breathing_amplitude_m = 0.01
+breathing_direction = [1.0, 0.0, 0.0]
+[task]
+path = "circle"
+sizes = { radius = 0.03 }
+[control]
+preset = "tuned"
+[control.supervisor]
+hold_ticks = 5
+[solver]
+name = "osqp"
+settings = { eps = 1e-8 }
+[plant]
+delay_ticks = 2
+[faults]
+bump_N = 5.0
+"""
+
+
+@many(0.5)
+@given(data=edited(SCENARIO_TOML))
+@example(data=SCENARIO_TOML.encode())
+@example(data=b"x = " + b"[" * 100_000)
+@example(data=b"seed = 0x" + b"7" * 5000)
+@example(data=b'name = "${HOME} {0.__class__} !!python/object"\n')
+@example(data=b'[control]\npreset = "{0.__class__} %s"\n')
+def test_a_scenario_s_file_runs_or_is_named(tmp_path, data):
+    path, made = tmp_path / "scenario.toml", None
+    path.write_bytes(data)
+    with ends_well(path.name):
+        made = Scenario.load(path)
+    if made is not None:
+        with ends_well():
+            run_two_ticks(made)
+
+
+@pytest.mark.parametrize(
+    ("table", "name"),
+    [({"plant": {"period_s": 1e-9, "substeps": 1}}, "period_s"), ({"duration_s": 1e300}, "duration_s"),
+     ({"task": {"v_max_m_per_s": 1e-300}}, "v_max_m_per_s"), ({"task": {"a_max_m_per_s2": 1e-300}}, "a_max_m_per_s2"),
+     ({"task": {"wait_s": 1e300}}, "wait_s"), ({"bound_samples": 10**9}, "bound_samples"),
+     ({"robot": {"tool_mass_kg": 1e300}}, "tool_mass_kg"), ({"robot": {"tool_length_m": 1e300}}, "tool_length_m"),
+     ({"trocar": {"breathing_amplitude_m": 1e300}}, "breathing_amplitude_m")],
+)  # fmt: skip
+def test_runs_without_end_and_absurd_sizes_are_refused_by_name(table, name):
+    with pytest.raises(ScenarioError, match=name):
+        Setup(Scenario(**table))
+
+
+def test_an_arm_that_runs_away_leaves_no_log(robot, tmp_path, monkeypatch):
+    """MuJoCo would write one into the current folder."""
+    monkeypatch.chdir(tmp_path)
+    plant = Plant(robot.data)
+    plant.push(robot.data.tip_frame, [1e300, 0.0, 0.0])
+    with pytest.raises(PlantError):
+        plant.step(np.zeros(7))
+    assert list(tmp_path.iterdir()) == []
+
+
+# --- arms and names ---
+
+
+def load_arm(folder, toml=ARM_TOML, urdf=ARM_URDF):
+    (folder / "arm.toml").write_bytes(toml)
+    (folder / "arm.urdf").write_bytes(urdf)
+    return mo.load_robot(folder / "arm.toml")
+
+
+@many(0.5)
+@given(edited(ARM_TOML.decode()) | st.just(ARM_TOML), edited(ARM_URDF.decode()) | st.just(ARM_URDF))
+@example(ARM_TOML, ARM_URDF)
+@example(ARM_TOML, b'<!DOCTYPE r [<!ENTITY a SYSTEM "file:///etc/passwd">]>' + ARM_URDF)
+@example(ARM_TOML, b"<!ENTITY a 'b'>" + ARM_URDF)
+@example(ARM_TOML, b"<robot>" + b"<link>" * 20_000 + b"</link>" * 20_000 + b"</robot>")
+@example(b"x = " + b"[" * 100_000, ARM_URDF)
+def test_an_arm_s_files_make_one_arm_or_are_refused(tmp_path, toml, urdf):
+    with ends_well():
+        robot = load_arm(tmp_path, toml, urdf)
+        check_engines(robot)
+        state = robot.state(robot.data.q_home)
+        Plant(robot.data).step(robot.gravity(robot.data.q_home))
+        assert all(np.isfinite(array).all() for array in (state.tip, state.wrist, state.M, state.h))
+        assert np.linalg.eigvalsh(state.M).min() > 0.0
+
+
+@many()
+@given(st.sampled_from(["joint", "link", "robot", "gains", "scenario", "solver", "task", "bumped"]), names)
+@example("joint", "joint_3")
+@example("link", "*??/\n/ int evil; /*")
+def test_a_name_is_one_or_is_refused(tmp_path, place, text):
+    quoted = '"' + "".join(f"\\U{ord(c):08x}" for c in text) + '"'  # any text as TOML writes it
+    tables = {"scenario": {"name": text}, "solver": {"solver": {"name": text, "settings": {text: 1}}},
+              "task": {"task": {"path": text, "sizes": {text: 1.0}}},
+              "bumped": {"faults": {"bump_N": 1.0, "bump_link": text}}}  # fmt: skip
+    with ends_well():
+        if place in tables:
+            Scenario(**tables[place])
+        else:
+            xml, toml = quoteattr(text).encode("utf-8", "surrogatepass"), quoted.encode()
+            arm = ARM_TOML.replace(b'name = "lwr4"', b"name = " + toml) if place == "robot" else ARM_TOML
+            arm = arm.replace(b"[gains.dcac]", b"[gains." + toml + b"]") if place == "gains" else arm
+            load_arm(tmp_path, arm, ARM_URDF.replace(f'"{place}_3"'.encode(), xml))
+        assert re.fullmatch(r"[A-Za-z0-9_](?:[A-Za-z0-9_ .:+/-]{0,98}[A-Za-z0-9_])?", text)
+
+
+@pytest.mark.parametrize(
+    ("name", "code"), [("../../x", 2), ("/tmp/x", 2), ("..", 2), ("\0", 2), ("con", 0), ("a/b/c", 0)]
+)
+def test_a_name_is_no_place_to_write(name, code, tmp_path, monkeypatch, capsys):
+    """A run writes the file that was asked for, and no other, whatever its scenario is called; no name, no run."""
+    inside = tmp_path / "a" / "b"
+    inside.mkdir(parents=True)
+    monkeypatch.chdir(inside)
+    file = tmp_path / "scenario.toml"
+    file.write_text(f"name = {json.dumps(name)}\nduration_s = 0.004\nbound_samples = 0\njudge = false\n")
+    assert main(["run", str(file), "--trace", "out.parquet"]) == code, capsys.readouterr().err
+    written = {inside / "out.parquet"} if code == 0 else set()
+    assert {path for path in tmp_path.rglob("*") if path.is_file()} == {file} | written
+
+
+# --- files of no sort that a reader expects ---
+
+READERS = {
+    "scenario.toml": Scenario.load, "arm.toml": mo.load_robot, "trace.parquet": mo.load_trace,
+    "arm.urdf": lambda path: mo.load_robot(path.with_suffix(".toml")),
+    "times.npy": lambda path: Setup(Scenario(solver={"replay_us": str(path)})),
+    "points.csv": lambda path: Waypoints(
+        read_waypoints(str(path)), (0.0, 0.0, 0.0), normal=(0.0, 0.0, 1.0), heading=(1.0, 0.0, 0.0)
+    ),
+}  # fmt: skip
+REPEATED = (
+    b"[", b"]", b"a.", b"[[robot]]\n", b'{"a":', b"<link/>", b"<link>", b"7", b"x", b"\0", b"1,2,3\n", b"0,0,1e308\n",
+)  # fmt: skip
+
+
+def npy(shape, kind):
+    sink = io.BytesIO()
+    np.lib.format.write_array_header_1_0(sink, {"descr": kind, "fortran_order": False, "shape": shape})
+    return sink.getvalue()
+
+
+heaps = st.tuples(
+    st.sampled_from([b"", b"seed = ", b"seed = 0x", b"[a", b'name = "', b"<robot>", b'{"digest": NaN, "plan": ']),
+    st.sampled_from(REPEATED), st.sampled_from([0, 1, 3, 100, 5000, 100_000]), st.sampled_from([b"", b"]", b'"', b"}"]),
+).map(lambda parts: parts[0] + parts[1] * parts[2] + parts[3])  # fmt: skip
+headers = st.builds(
+    npy, st.lists(st.integers(0, 10**9), max_size=3).map(tuple), st.sampled_from(["<f8", "<U1000", "|V8", "|O", "<U0"])
+)
+
+
+@many()
+@given(st.sampled_from(sorted(READERS)), st.one_of(heaps, headers, st.binary(max_size=300)))
+@example("scenario.toml", b"\xef\xbb\xbf" + SCENARIO_TOML.encode())
+@example("scenario.toml", SCENARIO_TOML.encode("utf-16"))
+@example("points.csv", b"0,0,0\n0.01,0,0\n0.02,0,0.01\n")
+def test_a_file_of_any_bytes_is_read_or_refused(tmp_path, name, data):
+    path = tmp_path / name
+    path.with_suffix(".toml").write_bytes(ARM_TOML)
+    path.write_bytes(data)
+    with ends_well():
+        READERS[name](path)
+
+
+# --- subproblems ---
+
+QP_FIELDS = (
+    "J_tip", "J_wrist", "v_tip", "v_wrist", "grad_mu", "lower", "upper", "c0", "c1", "c2", "regularization", "q",
+)  # fmt: skip
+odd_arrays = arrays(np.float64, array_shapes(max_dims=3, max_side=8), elements=st.floats())
+HOW = {
+    "scale": lambda value, number: value * number, "zero": lambda value, number: np.zeros_like(value),
+    "first": lambda value, number: np.array([number, *value.flat[1:]], dtype=object).reshape(value.shape),
+    "list": lambda value, number: value.tolist(),
+}  # fmt: skip
+
+
+@many()
+@given(
+    st.sampled_from([7, 7, 6, 3, 1]), st.integers(0, 2**32 - 1),
+    st.dictionaries(st.sampled_from(QP_FIELDS), st.sampled_from(sorted(HOW)) | numbers | junk | odd_arrays, max_size=3),
+    numbers | st.sampled_from([1e-12, 1e12, 1e200]),
+)  # fmt: skip
+@example(7, 0, {}, 0)
+def test_a_subproblem_is_answered_without_a_false_claim_or_names_the_field(n, seed, changes, number):
+    rng = np.random.default_rng(seed)
+    u, J_tip, x = rng.normal(size=3), rng.normal(size=(3, n)), rng.uniform(-1.0, 1.0, n)
+    J_wrist = J_tip + 0.4 * np.cross(rng.normal(size=(n, 3)), u / np.linalg.norm(u)).T  # tied by a rigid tool
+    data = {
+        "J_tip": J_tip, "J_wrist": J_wrist, "v_tip": J_tip @ x, "v_wrist": J_wrist @ x, "grad_mu": rng.normal(size=n),
+        "lower": np.full(n, -2.0), "upper": np.full(n, 2.0),
+    }  # fmt: skip
+    for name, how in changes.items():
+        known = isinstance(how, str) and how in HOW and name in data
+        data[name] = HOW[how](data[name], number) if known else how
+    qp = None
+    with ends_well(*data):
+        qp = mo.NullSpaceQP(**data)
+    for name in ("exact", "rnn") if qp is not None else ():
+        solver = mo.solvers.create(name)
+        if solver.supports(qp) is None:
+            with np.errstate(all="ignore"):
+                answer = solver.start(qp).solve(qp)
+                assert answer.x.shape == (n,)
+                assert isinstance(answer.status, Status)
+                if answer.status is Status.SOLVED:
+                    assert np.isfinite(answer.x).all()
+                    assert qp.residuals(answer.x, answer.y).verified() or not ordinary(qp)
+
+
+def ordinary(qp):
+    """Whether residuals are no mere rounding errors: sizes up to 1e3, and A well conditioned."""
+    largest = max(float(np.abs(array).max()) for array in (qp.A, qp.b, qp.lower, qp.upper, qp.grad_mu))
+    sizes = np.linalg.svd(qp.A, compute_uv=False)
+    return largest <= 1e3 and sizes[0] > 0.0 and sizes[sizes > 1e-9 * sizes[0]].min() > 1e-3 * sizes[0]
+
+
+# --- packets ---
+
+KEY, TICKS, SCENARIO = b"k" * 16, 3, 9
+PACKETS = {
+    int(kind): [name for name in packets.layout(kind, 7).names if name not in ("magic", "tag", "kind")]
+    for kind in (packets.Kind.COMMAND, packets.Kind.REPORT, packets.Kind.BYE)
+}
+odd_fields = numbers | st.sampled_from([200.0, -36.0, 127, 300, 2**32 - 1]) | st.binary(max_size=20)
+sealed = st.sampled_from(sorted(PACKETS)).flatmap(
+    lambda kind: st.tuples(st.just(kind), st.dictionaries(st.sampled_from(PACKETS[kind]), odd_fields, max_size=3))
+)
+
+
+class NoTime:
+    """A clock whose ticks are over as soon as they begin: only what has arrived already counts."""
+
+    late_us, overruns, spare_until = 0.0, 0, 0.0
+
+    def start(self):
+        pass
+
+    def wait_for(self, tick):
+        return 0.0
+
+
+@pytest.fixture(scope="module")
+def setup():
+    return Setup(Scenario())
+
+
+@many()
+@given(arriving=st.lists(sealed | st.binary(max_size=400), min_size=1, max_size=8))
+@example(arriving=[(int(packets.Kind.COMMAND), {})])
+@example(arriving=[(int(packets.Kind.COMMAND), {"tau": float("nan")})])
+@example(arriving=[(int(packets.Kind.BYE), {"words": b"\x1b[2J"})])
+def test_no_packet_moves_the_arm_beyond_its_limits_or_steers_a_terminal(robot, setup, arriving):
+    hold, seen = robot.gravity(robot.data.q_home), Measurement(np.array(robot.data.q_home), np.zeros(7), np.zeros(6))
+    nothing, link = (np.zeros((3, 3)), np.zeros((2, 3))), Link(7, KEY, INCOMING, listen=("127.0.0.1", 0))
+    plant = RemoteController(
+        link, WireSettings(hold_ticks=1, damp_ticks=1, wait_s=1.0), make_safety_filter(robot, setup.scenario),
+        setup.adapter().columns, hold, robot.tau_max, scenario=SCENARIO, clock=NoTime(),
+    )  # fmt: skip
+    columns, session = plant.columns(TICKS), int(plant._packet["session"])
+    with ends_well(), contextlib.closing(link), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as peer:
+        for kind in (packets.Kind.HELLO, packets.Kind.START):
+            hand = packets.Packet(kind, 7, session if kind is packets.Kind.START else 0, SCENARIO)
+            peer.sendto(hand.seal(KEY), link.address)
+        plant.start(seen, *nothing)
+        for tick in range(TICKS):
+            for one in arriving:
+                peer.sendto(one if isinstance(one, bytes) else packet(one, session, tick), link.address)
+            tau = plant.tick(seen._replace(stamp=tick), *nothing)
+            plant.note(tick, columns)
+            assert (np.abs(tau) <= robot.tau_max).all()
+            assert plant.stop_reason.isprintable()
+
+
+def packet(what, session, tick):
+    made = packets.Packet(packets.Kind(what[0]), 7, session, SCENARIO)
+    made["sequence"] = tick
+    for name, value in what[1].items():
+        with contextlib.suppress(ValueError, OverflowError, TypeError):  # nothing that the field's bytes can hold
+            made[name] = value
+    return bytes(made.seal(KEY))

@@ -1,0 +1,212 @@
+"""Malformed traces: read and right, or refused; no code of a file runs, and no text of one steers a terminal."""
+
+import contextlib
+import copy
+import json
+import pickle
+from functools import cache
+
+import hypothesis.strategies as st
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from hypothesis import example, given
+
+import moc_opt as mo
+from moc_opt.errors import MocOptError, TraceError
+from moc_opt.report.replay import load_runs
+from moc_opt.report.run_table import part, refusals, run_json, run_table, warnings
+from moc_opt.scenario import Scenario, run
+from moc_opt.trace import file
+from moc_opt.trace.metrics import summarize
+from moc_opt.trace.trace import Trace
+from tests.odd_inputs import ends_well, junk, many
+
+
+@cache
+def good_trace():
+    rng = np.random.default_rng(0)
+    columns = {
+        "t_s": 0.002 * np.arange(20), "q_rad": rng.normal(size=(20, 7)), "mu": rng.uniform(size=20),
+        "status": np.array(["solved", "infeasible"] * 10), "verified": rng.uniform(size=20) < 0.5,
+        "iterations": np.arange(20, dtype=np.int32),
+    }  # fmt: skip
+    return Trace(columns, {"deadline_us": 2000.0, "scenario": {"name": "x"}, "ended": "completed"})
+
+
+@pytest.fixture(scope="module")
+def good_file(tmp_path_factory):
+    path = tmp_path_factory.mktemp("good") / "trace.parquet"
+    good_trace().save(path)
+    return path.read_bytes()
+
+
+changes = st.lists(
+    st.tuples(st.floats(0.0, 1.0), st.sampled_from(["flip", "cut", "insert", "end", "copy"]), st.binary(max_size=12)),
+    min_size=1, max_size=4,
+)  # fmt: skip
+
+
+def changed(data, changes):
+    data = bytearray(data)
+    for share, how, new in changes:
+        place = round(share * len(data))
+        if how == "flip":
+            data[place : place + len(new)] = new
+        elif how == "cut":
+            del data[place : place + 5 * len(new)]
+        elif how == "insert":
+            data[place:place] = new
+        elif how == "end":
+            del data[place:]
+        else:
+            data[place : place + 20] = data[-place - 40 : -place - 10]
+    return bytes(data)
+
+
+@many(2.0)
+@given(st.booleans(), changes)
+def test_a_damaged_trace_is_read_or_refused(tmp_path, good_file, footer_only, changes):
+    """Anywhere in the file, or in a footer that is as long as it says: there polars may panic."""
+    path, length = tmp_path / "trace.parquet", int.from_bytes(good_file[-8:-4], "little")
+    if footer_only:
+        footer = changed(good_file[-8 - length : -8], changes)
+        path.write_bytes(good_file[: -8 - length] + footer + len(footer).to_bytes(4, "little") + b"PAR1")
+    else:
+        path.write_bytes(changed(good_file, changes))
+    with ends_well(path.name):
+        found = mo.load_trace(path)
+        assert list(found.columns) == list(good_trace().columns)
+        assert all(found.columns[name].tobytes() == column.tobytes() for name, column in good_trace().columns.items())
+        assert found.meta == good_trace().meta
+
+
+COLUMNS = {
+    "t_s": pa.array([0.1, 0.2]), "list": pa.array([[1.0], [1.0]]), "bytes": pa.array([b"x", b"y"]),
+    "fixed": pa.array([[1.0, 2.0]] * 2, pa.list_(pa.float64(), 2)), "text": pa.array(["x", "y"]),
+    "when": pa.array([1, 2], pa.timestamp("ns")), "null": pa.nulls(2), "struct": pa.array([{"a": 1}] * 2),
+    "holes": pa.array([1.0, None]), "columns": pa.array([1.0, 2.0]), "__class__": pa.array([1.0, 2.0]),
+    "q_rad": pa.array([1.0, 2.0]), "decimal": pa.array([1, 2], pa.decimal128(30, 2)), "status": pa.array(["x", "y"]),
+}  # fmt: skip
+TYPES = ["<f8", "|O", "<U9", "<U999999999", "|V8", "<M8[ns]", "|S4", "<f2", "<c16", "|b1", ">i4", "f8,i4", "junk", 3]
+DEEP = b"[" * 100_000
+kinds = st.just("<f8") | st.sampled_from(TYPES)
+as_json = junk.map(lambda value: json.dumps(value).encode("utf-8", "surrogatepass"))
+
+
+@many()
+@given(
+    st.lists(st.tuples(st.sampled_from(sorted(COLUMNS)), kinds), min_size=1, max_size=4),
+    st.none() | st.none() | st.sampled_from([b"[]", b"\xff", b"{}", DEEP]),
+    st.one_of(st.sampled_from([b"{}", b'{"deadline_us": NaN}', b'[["a", 1]]', DEEP]), as_json, st.binary(max_size=30)),
+    st.just(b"2") | st.sampled_from([b"1", b"2", b"\xff"]),
+)
+@example([("t_s", "<f8")], None, b"{}", b"2")
+@example([("text", "<U999999999")], None, b"{}", b"2")
+@example([("t_s", "|O")], None, b"{}", b"2")
+@example([("t_s", "<f8")], b"[]", b"{}", b"2")
+@example([("t_s", "<f8")], DEEP, b"{}", b"2")
+@example([("t_s", "<f8")], None, DEEP, b"2")
+def test_a_table_that_claims_to_be_a_trace_is_one_or_is_refused(tmp_path, columns, types, meta, version):
+    path, kinds = tmp_path / "trace.parquet", dict(columns)
+    types = json.dumps(kinds).encode() if types is None else types
+    keys = {b"moc_opt.trace.trace": version, b"moc_opt.types": types, b"moc_opt.meta": meta}
+    with contextlib.suppress(TypeError, ValueError, SyntaxError):
+        small = {name: np.dtype(kind) for name, kind in kinds.items() if kind != "<U999999999"}
+        arrays = {name: np.array(COLUMNS[name].to_pylist(), dtype=kind) for name, kind in small.items()}
+        keys[b"moc_opt.crc32"] = file.checksum(arrays, meta.decode(), types.decode())
+    pq.write_table(pa.table({name: COLUMNS[name] for name in kinds}).replace_schema_metadata(keys), path)
+    with ends_well(path.name, "column", "meta"):
+        found = mo.load_trace(path)
+        assert all(column.dtype.kind in "fiubU" for column in found.columns.values())
+        with contextlib.suppress(MocOptError):
+            summarize(found)
+
+
+class Evil:
+    """Leaves a file behind where it is unpickled."""
+
+    def __init__(self, path):
+        self.path = path
+
+    def __reduce__(self):
+        return (open, (self.path, "w"))
+
+
+def test_a_parquet_file_runs_no_code(tmp_path):
+    """Pickles where other libraries look for them: extension types, pandas metadata, our own keys."""
+    mark, path = tmp_path / "was-here", tmp_path / "evil.parquet"
+    bomb = pickle.dumps(Evil(str(mark)))
+    told = {"ARROW:extension:name": "arrow.py_extension_type", "ARROW:extension:metadata": bomb}
+    for types in (bomb, b'{"t_s": "|O"}', b'{"t_s": "<f8"}'):
+        keys = {"moc_opt.trace.trace": "2", "moc_opt.types": types, "moc_opt.meta": "{}", "pandas": bomb}
+        schema = pa.schema([pa.field("t_s", pa.float64(), metadata=told)], metadata=keys)
+        pq.write_table(pa.table([pa.array([0.0, 1.0])], schema=schema), path)
+        with contextlib.suppress(TraceError):
+            assert mo.load_trace(path).t_s.dtype == np.float64
+        assert not mark.exists()
+    pickle.loads(bomb).close()
+    assert mark.exists()  # the charge was live
+
+
+def test_a_parquet_file_of_many_rows_is_not_unpacked(tmp_path):
+    """A few kilobytes can stand for terabytes."""
+    path, rows = tmp_path / "many.parquet", 3_000_000
+    keys = {"moc_opt.trace.trace": "2", "moc_opt.types": '{"status": "<U1000"}', "moc_opt.meta": "{}"}
+    pq.write_table(pa.table({"status": ["solved"] * rows}).replace_schema_metadata(keys), path)
+    assert path.stat().st_size < 1e6
+    with pytest.raises(TraceError, match=f"{rows} rows"):
+        mo.load_trace(path)
+
+
+MARK = "\x1b[2J<script>alert(1)</script>\u202e"
+odd_entries = junk | st.sampled_from([MARK, "a" * 100_000, [0] * 10_000, 1e308, 1e-320, 2**62, [[]], {"": {}}])
+odd_columns = st.sampled_from(["gone", "backwards", "text", "one", "nothing", 0.0, np.nan, np.inf, 1e308, 5e-324])
+
+
+@pytest.fixture(scope="module")
+def faulty_run():
+    trace = run(Scenario(duration_s=0.04, bound_samples=2, faults={"solver": "raise", "solver_share": 0.5}))
+    seen = {"of": "the RCM error", "unit": "m", "level": 6e-3, "first_s": 0.1, "largest": 8e-3}
+    more = {"warnings": [seen], "restarts": [{"at_s": 0.1, "reason": "it hung"}]}
+    return dict(trace.columns), {**json.loads(json.dumps(dict(trace.meta))), **more}
+
+
+def places(value, before=()):
+    yield before
+    pairs = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    for key, entry in pairs:
+        yield from places(entry, (*before, key))
+
+
+@many()
+@given(data=st.data())
+def test_a_foreign_trace_is_shown_or_refused(tmp_path, faulty_run, data):
+    """Its metrics, its table, its sentences and its JSON; and no text of it steers the terminal."""
+    columns, meta = dict(faulty_run[0]), copy.deepcopy(faulty_run[1])
+    entries = [place for place in places(meta) if place]
+    for _ in range(data.draw(st.integers(1, 3))):
+        if data.draw(st.booleans()):
+            (*path, last), odd, inner = data.draw(st.sampled_from(entries)), data.draw(odd_entries), meta
+            with contextlib.suppress(KeyError, IndexError, TypeError):  # what it lay in was changed before
+                for key in path:
+                    inner = inner[key]
+                inner[last] = copy.deepcopy(odd)
+            continue
+        name, how = data.draw(st.sampled_from(sorted(columns))), data.draw(odd_columns)
+        if how == "gone" and len(columns) > 1:
+            del columns[name]
+        elif how in ("one", "nothing"):
+            columns = {key: column[: how == "one"] for key, column in columns.items()}
+        elif how in ("backwards", "text"):
+            columns[name] = columns[name][::-1] if how == "backwards" else np.full(len(columns[name]), MARK)
+        elif columns[name].dtype.kind == "f":
+            columns[name] = np.full_like(columns[name], how)
+    with ends_well():
+        Trace(columns, meta).save(tmp_path / "trace.parquet")
+        (trace,) = load_runs([tmp_path / "trace.parquet"])[0].values()
+        metrics = summarize(trace)
+        assert all(isinstance(line, str) for line in (part(trace), *refusals(trace), *warnings(trace)))
+        json.dumps(run_json(trace, metrics))
+        assert not {"\x1b", "\u202e"} & set(run_table("run", trace, metrics).to_text())

@@ -1,0 +1,313 @@
+"""Nothing moves from a start, or along a path, that the arm cannot do, and what is told names field, place and cure."""
+
+import dataclasses
+import re
+
+import numpy as np
+import pytest
+
+from moc_opt.errors import RobotError, ScenarioError, TaskError
+from moc_opt.planning.self_motion import self_motion
+from moc_opt.robots.inverse_kinematics import pose_through
+from moc_opt.robots.model import RobotModel
+from moc_opt.scenario import Scenario, Setup, run
+from moc_opt.tasks import Reference, Trocar, make_path, shaft_distance
+from moc_opt.vision import preflight
+from moc_opt.vision.board import BOARD_TASKS, Board, board_below
+from moc_opt.vision.preflight import UnreachableError, check_reachable, check_start, random_start
+
+PATHS = ("circle", "sinusoid", "spiral")
+
+
+def straight(start, end):
+    way = end - start
+    return make_path("line", start, normal=np.cross(way, [1.0, 0.3, 0.2]), heading=way, length=np.linalg.norm(way))
+
+
+def setup(seed=0, path="circle", **tables):
+    return Setup(Scenario(seed=seed, **{"start": {"pose": "random"}, "task": {"path": path}, **tables}))
+
+
+# --- the start ---
+
+
+def test_a_stretched_arm_is_refused(robot):
+    with pytest.raises(ScenarioError, match="singular"):
+        check_start(robot, np.zeros(robot.n))
+
+
+def test_a_tool_that_cannot_be_turned_is_singular_even_where_the_tip_moves_freely(robot):
+    """Straight elbow: the tip moves in every direction, but tip and wrist have one freedom less together."""
+    q = np.array([0.3, 0.6, -0.2, 0.0, 0.4, -0.9, 0.0])
+    state = robot.state(q)
+    assert state.mu > 0.1
+    assert np.linalg.matrix_rank(state.A, tol=1e-9) == 4
+    with pytest.raises(ScenarioError, match="the tool cannot be turned in every direction"):
+        check_start(robot, q)
+
+
+@pytest.mark.parametrize("bad", [[0.1] * 6, [0.1] * 6 + [np.nan]])
+def test_a_start_of_another_shape_or_no_numbers(robot, bad):
+    with pytest.raises(ScenarioError):
+        check_start(robot, bad)
+
+
+@pytest.mark.parametrize("joint", range(7))
+def test_a_joint_outside_its_limits_is_named(robot, joint):
+    q = np.array(robot.data.q_home)
+    q[joint] = robot.q_max[joint] + 1e-3
+    with pytest.raises(ScenarioError, match=rf"joint {joint + 1} = .*choose"):
+        check_start(robot, q)
+    q[joint] = robot.q_max[joint]
+    check_start(robot, q)  # at the limit is inside
+
+
+# --- the path by itself ---
+
+
+@pytest.fixture(scope="module")
+def home(robot):
+    return robot.state(robot.data.q_home)
+
+
+@pytest.fixture(scope="module")
+def trocar(home):
+    return home.tip - 0.15 * home.tool_direction
+
+
+def reference(home, kind="circle", v_max=0.05, a_max=0.2, **sizes):
+    path = make_path(kind, home.tip, normal=(0, 0, 1), heading=(1, 0, 0), **sizes)
+    return Reference(path, v_max, a_max)
+
+
+@pytest.mark.parametrize("name", list(BOARD_TASKS))
+def test_the_three_tasks_are_within_reach(robot, home, trocar, name):
+    board_in_base = board_below(trocar, home.tool_direction, BOARD_TASKS[name].depth_m)
+    task = Reference(Board().task_in_base(name, board_in_base), 0.05, 0.2)
+    q = pose_through(robot, task.path.start, trocar)
+    found = check_reachable(robot, q, task, trocar)
+    for t, pose in zip(found.t_s, found.q_rad, strict=True):
+        state = robot.state(pose)
+        np.testing.assert_allclose(state.tip, task.at(t)[0], atol=2e-6)
+        assert shaft_distance(state.tip, state.wrist, trocar) < 2e-6
+    np.testing.assert_array_equal(found.q_rad[0], robot.state(q).q)
+    assert ((found.q_rad > robot.q_min) & (found.q_rad < robot.q_max)).all()
+    assert found.arc_length_m[-1] == pytest.approx(task.path.length, rel=1e-4)
+    assert found.speed_share.max() < 1.0
+
+
+def test_the_speeds_are_those_of_the_followed_poses(robot, home, trocar):
+    """Between two close points the joints need no less than the share that was reported."""
+    task = reference(home, radius=0.03)
+    found = check_reachable(robot, robot.data.q_home, task, trocar, spacing_m=5e-4)
+    rates = np.diff(found.q_rad, axis=0) / np.diff(found.t_s)[:, None]
+    shares = np.abs(rates / robot.v_max).max(axis=1)
+    middle = 0.5 * (found.speed_share[1:] + found.speed_share[:-1])
+    fast = middle > 0.03
+    np.testing.assert_allclose(shares[fast], middle[fast], rtol=0.05)
+
+
+def test_too_fast_names_the_joint_and_a_speed_that_works(robot, home, trocar):
+    with pytest.raises(UnreachableError) as told:
+        check_reachable(robot, robot.data.q_home, reference(home, "line", 5.0, 200.0, length=0.06), trocar)
+    assert told.value.field == "v_max"
+    assert 0.0 < told.value.arc_length_m < 0.06
+    slower = float(re.search(r"from 5 to ([0-9.]+) m/s", str(told.value)).group(1))
+    assert 0.1 < slower < 5.0
+    found = check_reachable(
+        robot, robot.data.q_home, reference(home, "line", slower, 200.0, length=0.06), trocar
+    )
+    assert 0.9 < found.speed_share.max() <= 1.0
+
+
+def test_a_path_that_leaves_the_workspace_says_where(robot):
+    """Drawn out along the shaft, the wrist rises until the arm is stretched."""
+    tip, trocar = np.array([0.74, 0.0, 0.10]), np.array([0.74, 0.0, 0.30])
+    upwards = Reference(straight(tip, tip + np.array([0.0, 0.0, 0.16])), 0.05, 0.2)
+    with pytest.raises(UnreachableError) as told:
+        check_reachable(robot, pose_through(robot, tip, trocar), upwards, trocar)
+    assert told.value.field == "path"
+    # The shoulder is at 0.3105 m, the arm 0.79 m long, and the wrist 0.378 m above the tip.
+    stretched = np.sqrt(0.79**2 - 0.74**2) + 0.3105 - 0.378 - 0.10
+    assert told.value.arc_length_m == pytest.approx(stretched, abs=0.003)
+    assert f"{1e3 * told.value.arc_length_m:.1f} mm along the path" in str(told.value)
+
+
+def test_joint_limits_are_named(robot, home, trocar):
+    """The elbow's angle follows from the wrist's distance alone: no self-motion can help a joint 4 that is stuck."""
+    highest = np.array(robot.q_max)
+    highest[3] = home.q[3] + 0.05
+    stiff = RobotModel(dataclasses.replace(robot.data, q_max=highest))
+    with pytest.raises(UnreachableError, match="joint_4 at the limit") as told:
+        check_reachable(stiff, home.q, reference(home, "line", length=0.1), trocar)
+    assert told.value.field == "joint limits"
+    free = check_reachable(robot, home.q, reference(home, "line", length=0.1), trocar)
+    over = free.q_rad[:, 3] > highest[3]
+    assert told.value.arc_length_m == pytest.approx(free.arc_length_m[over][0], abs=0.003)
+
+
+def test_a_trocar_beyond_the_tool_is_out_of_reach(robot, home, trocar):
+    with pytest.raises(UnreachableError) as told:
+        check_reachable(robot, robot.data.q_home, reference(home, radius=0.03), trocar + np.array([0.0, 0.0, 0.3]))
+    assert told.value.field == "trocar"
+    assert told.value.arc_length_m == 0.0
+
+
+def test_a_path_through_the_trocar_is_refused(robot, home):
+    up = Reference(straight(home.tip, home.tip + np.array([0.0, 0.0, 0.06])), 0.05, 0.2)
+    near = home.tip - 0.03 * home.tool_direction
+    with pytest.raises(UnreachableError) as told:
+        check_reachable(robot, robot.data.q_home, up, near)
+    assert told.value.field == "path"
+    assert told.value.arc_length_m == pytest.approx(0.03, abs=0.003)
+
+
+def test_a_reference_that_begins_elsewhere_is_refused(robot, home, trocar):
+    away = Reference(straight(home.tip + np.array([0.0, 0.01, 0.0]), home.tip), 0.05, 0.2)
+    with pytest.raises(UnreachableError):
+        check_reachable(robot, robot.data.q_home, away, trocar)
+
+
+def test_another_swivel_is_tried_where_the_given_one_gets_stuck(robot, home, trocar, monkeypatch):
+    """A start that is made to fail is replaced by the one in the middle of its self-motion."""
+    task = reference(home, radius=0.03)
+    scan = self_motion(robot, home.q)
+    solve = preflight.solve_pose
+    given = home.q[0]
+
+    def only_elsewhere(arm, q, tip, wrist):
+        placed = solve(arm, q, tip, wrist)
+        return placed if abs(q[0] - given) > 0.05 else placed._replace(miss_m=1.0)
+
+    monkeypatch.setattr(preflight, "solve_pose", only_elsewhere)
+    found = check_reachable(robot, home.q, task, trocar)
+    room = np.minimum(scan.q - robot.q_min, robot.q_max - scan.q).min(axis=1)
+    taken = np.minimum(found.q_rad[0] - robot.q_min, robot.q_max - found.q_rad[0]).min()
+    assert taken == pytest.approx(room.max(), abs=1e-6)
+
+
+def test_breathing_trocars_are_followed(robot, home, trocar):
+    path = make_path("circle", home.tip, normal=(0, 0, 1), heading=(1, 0, 0), radius=0.02)
+    circle = Reference(path, 0.05, 0.2, t_start=0.2)
+    breathing = Trocar(trocar, breathing_amplitude_m=0.01)
+    found = check_reachable(robot, robot.data.q_home, circle, breathing)
+    for t, pose in zip(found.t_s[::7], found.q_rad[::7], strict=True):
+        state = robot.state(pose)
+        assert shaft_distance(state.tip, state.wrist, breathing.at(t)[0]) < 2e-6
+
+
+# --- the path of a scenario ---
+
+
+@pytest.mark.parametrize(
+    "tables", [{"task": {"sizes": {"radius": 3.0}}}, {"task": {"sizes": {"radius": 0.1}}, "trocar": {"depth_m": 0.02}}]
+)
+def test_a_circle_out_of_reach_is_found_before_anything_moves(tables):
+    moved = []
+    with pytest.raises(UnreachableError, match="check_path = false"):
+        run(Scenario(**tables), watch=moved.append)
+    assert moved == []
+
+
+def test_the_check_of_the_path_can_be_switched_off_and_looks_no_farther_than_the_run():
+    far = {"sizes": {"radius": 3.0}}
+    assert Setup(Scenario(task=far, start={"check_path": False})).duration_s > 100.0
+    assert Setup(Scenario(task=far, duration_s=0.6)).duration_s == 0.6
+
+
+@pytest.mark.parametrize("path", [*PATHS, "line"])
+def test_the_tasks_from_the_home_pose_are_let_through(path):
+    Setup(Scenario(task={"path": path}))
+
+
+def test_what_is_followed_is_the_registered_trocar(monkeypatch):
+    """The check must not know the registration's error, which nobody knows before the operation."""
+    seen = []
+
+    def remember(robot, q, reference, trocar, **rest):
+        seen.append(trocar)
+        raise UnreachableError("path", 0.0, "looked at", "nothing")
+
+    monkeypatch.setattr(preflight, "check_reachable", remember)
+    with pytest.raises(UnreachableError):
+        Setup(Scenario())
+    state = Scenario().robot.arm().state(Scenario().robot.arm().data.q_home)
+    np.testing.assert_allclose(seen[0].at(0.0)[0], state.tip - 0.15 * state.tool_direction, atol=1e-12)
+
+
+# --- random starts ---
+
+
+@pytest.mark.parametrize("swivel", ["given", "random", 0.5])
+@pytest.mark.parametrize("seed", range(4))
+def test_a_random_start_keeps_the_stated_rules(robot, seed, swivel):
+    made = setup(seed, PATHS[seed % 3], start={"pose": "random", "swivel": swivel})
+    state = robot.state(made.q_start)
+    tip, both = (np.linalg.svd(matrix, compute_uv=False) for matrix in (state.J_tip, state.A))
+    assert tip[2] / tip[0] >= 0.1
+    assert both[4] / both[0] >= 0.05
+    assert (made.q_start - robot.q_min).min() >= 0.05
+    assert (robot.q_max - made.q_start).min() >= 0.05
+    assert min(state.tip[2], state.wrist[2]) >= 0.0
+    np.testing.assert_allclose(made.reference.at(0.0)[0], state.tip, atol=1e-9)
+    trocar = made.registered.at(0.0)[0]
+    assert np.linalg.norm(trocar - state.tip) == pytest.approx(0.15)
+    assert np.linalg.norm(np.cross(trocar - state.tip, state.tool_direction)) < 1e-9
+
+
+@pytest.mark.parametrize(("name", "margins"), [("lwr4", (0.15, 0.0)), ("lwr4_rail", (0.05, 0.2))])
+def test_a_random_start_keeps_the_margins_that_were_asked_for(name, margins):
+    """Of each joint in its own unit, at the start and along the path."""
+    keys = {"limit_margin_rad": margins[0], "limit_margin_m": margins[1]}
+    made = setup(0, robot={"name": name}, start={"pose": "random", "swivel": "random", **keys})
+    arm = made.robot
+    asked = np.where(arm.chain.prismatic, margins[1], margins[0])
+    reach = preflight.check_path(arm, made.q_start, made.reference, made.registered)
+    for q in (made.q_start, *reach.q_rad):
+        assert (np.minimum(q - arm.q_min, arm.q_max - q) >= asked).all()
+    usual = setup(0, robot={"name": name}, start={"pose": "random", "swivel": "random"})
+    room = np.minimum(usual.q_start - arm.q_min, arm.q_max - usual.q_start)
+    reach = preflight.check_path(arm, usual.q_start, usual.reference, usual.registered)
+    room = np.min([room, *(np.minimum(q - arm.q_min, arm.q_max - q) for q in reach.q_rad)], axis=0)
+    assert (room < asked).any()  # the margins decide
+
+
+def test_the_random_start_leaves_the_other_draws_as_they_are():
+    """Plant, noise and swivel of a seed are those of before, so that results with the home pose stand."""
+    home, drawn = setup(11, start={"pose": "home", "swivel": "random"}), setup(11)
+    np.testing.assert_array_equal(drawn.q_start, setup(11).q_start)
+    assert np.abs(drawn.q_start - setup(12).q_start).max() > 0.05
+    np.testing.assert_array_equal(home.plant.mismatch.registration_error, drawn.plant.mismatch.registration_error)
+    assert dict(home.plant.mismatch.mass_scale) == dict(drawn.plant.mismatch.mass_scale)
+    assert home._fault_seed == drawn._fault_seed
+    # as it was before there were random poses
+    start_seed = np.random.SeedSequence(11).generate_state(3)[0]
+    fraction = np.random.default_rng(start_seed).uniform(0.05, 0.95)
+    np.testing.assert_array_equal(home.q_start, Setup(Scenario(seed=11, start={"swivel": fraction})).q_start)
+
+
+def test_the_random_start_is_that_of_the_whole_task_however_short_the_run():
+    np.testing.assert_array_equal(setup(5).q_start, setup(5, duration_s=0.1).q_start)
+
+
+def test_the_counts_of_rejections_add_up(robot, monkeypatch):
+    monkeypatch.setattr(preflight, "DRAWS", 25)
+
+    def never(q):
+        raise UnreachableError("path", 0.0, "too far", "closer")
+
+    def singular(q):
+        raise RobotError("singular")
+
+    for swivelled in (np.asarray, singular):
+        with pytest.raises(ScenarioError) as told:
+            random_start(robot, np.random.default_rng(0), swivelled, never, np.full(robot.n, 0.05))
+        counts = str(told.value).partition("rejected: ")[2].partition(";")[0].split(", ")
+        assert sum(int(entry.split()[-1]) for entry in counts) == 25
+
+
+def test_what_is_wrong_from_every_pose_is_said_at_once():
+    with pytest.raises(ScenarioError):
+        setup(trocar={"depth_m": 0.5})
+    with pytest.raises(TaskError, match="radius"):
+        setup(task={"sizes": {"radius": -1.0}})
