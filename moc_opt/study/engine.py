@@ -21,7 +21,7 @@ import sys
 import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import CancelledError, Future, TimeoutError, as_completed
+from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, TimeoutError, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
@@ -36,6 +36,8 @@ from moc_opt.errors import MocOptError, StudyError, describe
 from moc_opt.study.kept import Kept, digest_of, key_of, loaded_sources
 
 CONNECT_S = 30.0
+LOOK_S, ATTEMPTS = 1.0, 3  # how often processes are looked after [s], and pools that a job may see break
+BEGUN = ".pid"
 PR_SET_PDEATHSIG = 1
 PRELOAD = ("moc_opt.scenario", "moc_opt.study.engine")
 
@@ -181,6 +183,7 @@ def _answers(
 ) -> Iterator[tuple[int, _Done | Failed]]:
     """Yield (index, answer) as they come. Two jobs a slot are under way, so that a group can still be given up."""
     left, flying = list(reversed(waiting)), dict[Future[_Done | _Raised], int]()
+    gone, again = set[Future[_Done | _Raised]](), Counter[int]()
     while left or flying:
         while left and len(flying) < 2 * slots:
             k = left.pop()
@@ -189,14 +192,40 @@ def _answers(
                 yield k, Failed("not run", f"not run: {group} hung or crashed before")
             else:
                 flying[submit(jobs[k])] = k
-        if flying:
-            future = next(as_completed(flying))
+        done, pending = wait(flying, timeout=LOOK_S, return_when=FIRST_COMPLETED)
+        # Pebble misses a process that dies before it has read that the job began, and one that leaves with status 0.
+        before, gone = gone, {future for future in pending if _process_is_gone(future)}
+        for future in done | (gone & before):
             k = flying.pop(future)
-            answer = _answer(future, jobs[k])
+            try:
+                answer = _answer(future, jobs[k]) if future in done else Failed("crashed", "the process died")
+            except BrokenProcessPool as error:
+                again[k] += 1
+                if _process_is_gone(future):
+                    answer = Failed("crashed", "the process died")
+                elif again[k] < ATTEMPTS:
+                    left.append(k)
+                    continue
+                else:
+                    raise StudyError(
+                        f"no worker stays alive ({error}): see what was written above, and the memory left"
+                    ) from error
             if isinstance(answer, Failed):
                 answer = replace(answer, parts=_reported(getattr(future, "parts", None)))
             broken[jobs[k].group] += isinstance(answer, Failed) and answer.kind in ("hung", "crashed")
             yield k, answer
+
+
+def _process_is_gone(future: Future[_Done | _Raised]) -> bool:
+    """Tell whether the job began in a process that is there no more."""
+    begun = Path(f"{getattr(future, 'parts', '')}{BEGUN}")
+    if not begun.exists() or not (pid := begun.read_text()):
+        return False
+    try:
+        os.kill(int(pid), 0)
+    except ProcessLookupError:
+        return True
+    return False
 
 
 def _answer(future: Future[_Done | _Raised], job: Job) -> _Done | Failed:
@@ -210,8 +239,8 @@ def _answer(future: Future[_Done | _Raised], job: Job) -> _Done | Failed:
             return Failed("hung", "no sign of life within the limit that the job set itself")
         how = signal.Signals(-code).name if code < 0 else f"exit code {code}"
         return Failed("crashed", f"the process died ({how})")
-    except BrokenProcessPool as error:
-        raise StudyError(f"no worker stays alive ({error}): see what was written above, and the memory left") from error
+    except BrokenProcessPool:
+        raise
     except CancelledError as error:
         raise StudyError("the scheduler went away with the jobs that were under way; start again") from error
     except OSError as error:
@@ -227,6 +256,8 @@ def _do(work: Callable[..., Any], arguments: tuple[Any, ...], parts: str | None 
     """Do one job, in a worker."""
     global _parts
     _parts = parts
+    if parts is not None:
+        Path(f"{parts}{BEGUN}").write_text(str(os.getpid()))
     try:
         result = pickle.dumps(work(*arguments))
     except (Exception, KeyboardInterrupt, SystemExit) as error:  # noqa: BLE001 - foreign code may raise anything
@@ -264,20 +295,38 @@ def _processes(count: int) -> Iterator[tuple[Submit, int]]:
     with tempfile.TemporaryDirectory(prefix="moc-opt-") as folder:
         for name in ("groups", "parts"):
             Path(folder, name).mkdir()
-        # The workers inherit this mask: Ctrl-C while one still imports would end it with a traceback.
-        masked = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-        try:
-            pool = ProcessPool(
-                count, initializer=_begin, initargs=(folder, total // (count + 1), count == 1), context=context
-            )
-            pool.schedule(os.getpid).result()  # the workers are started now
-        finally:
-            signal.pthread_sigmask(signal.SIG_SETMASK, masked)
-
         numbers = count_from_zero()
 
+        def started() -> ProcessPool:
+            # The workers inherit this mask: Ctrl-C while one still imports would end it with a traceback.
+            masked = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+            try:
+                made = ProcessPool(
+                    count, initializer=_begin, initargs=(folder, total // (count + 1), count == 1), context=context
+                )
+                made.schedule(os.getpid).result()  # the workers are started now
+                return made
+            except BrokenProcessPool as error:
+                raise StudyError(f"no worker can be started: {error}") from error
+            finally:
+                signal.pthread_sigmask(signal.SIG_SETMASK, masked)
+
+        def ended() -> None:
+            pool.stop()
+            pool.join()
+            for group in Path(folder, "groups").iterdir():
+                with suppress(ProcessLookupError, PermissionError):
+                    os.killpg(int(group.name), signal.SIGKILL)
+                group.unlink(missing_ok=True)
+
+        pool = started()
+
         def submit(job: Job) -> Future[_Done | _Raised]:
+            nonlocal pool
             parts = str(Path(folder, "parts", str(next(numbers))))
+            if not pool.active:  # pebble gives a pool up where its only worker dies at once
+                ended()
+                pool = started()
             future: Any = pool.schedule(_do, args=[job.work, job.arguments, parts], timeout=job.limit_s)
             future.parts = parts
             return cast("Future[_Done | _Raised]", future)
@@ -286,11 +335,7 @@ def _processes(count: int) -> Iterator[tuple[Submit, int]]:
             yield submit, count
             pool.close()
         finally:
-            pool.stop()
-            pool.join()
-            for group in Path(folder, "groups").iterdir():
-                with suppress(ProcessLookupError, PermissionError):
-                    os.killpg(int(group.name), signal.SIGKILL)
+            ended()
 
 
 def _begin(folder: str, memory: int, alone: bool) -> None:

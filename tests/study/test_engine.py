@@ -48,6 +48,13 @@ def test_whatever_a_job_does_is_its_own_row(tmp_path):
         pytest.fail("what the job had started is still there")
 
 
+@pytest.mark.parametrize("workers", [1, 2])
+def test_processes_that_die_at_once_or_leave_without_an_error_are_rows(workers):
+    jobs = [Job(work.die, (signal.SIGKILL, 0.0)), Job(work.leave, (0, 0.0)), Job(work.square, (2.0,))] * 6
+    found = run(jobs, workers=workers)
+    assert [result.kind if isinstance(result, Failed) else result for result in found] == ["crashed", "crashed", 4.0] * 6
+
+
 def test_a_failure_is_raised_where_it_is_no_row():
     with pytest.raises(ScenarioError, match="knot"):
         each(work.refuse_odd, [2, 3], workers=1)

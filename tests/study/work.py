@@ -27,12 +27,14 @@ def hang(seconds: float = 60.0) -> None:
     time.sleep(seconds)
 
 
-def die(number: int = signal.SIGSEGV) -> None:
+def die(number: int = signal.SIGSEGV, after_s: float = 0.3) -> None:
+    time.sleep(after_s)  # the pool knows then who had the job, and how it ended
     os.kill(os.getpid(), number)
 
 
-def leave() -> None:
-    os._exit(3)
+def leave(status: int = 3, after_s: float = 0.3) -> None:
+    time.sleep(after_s)
+    os._exit(status)
 
 
 def refuse() -> None:
