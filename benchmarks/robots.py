@@ -1,71 +1,206 @@
-"""Every arm of the package under every controller on the paper's tasks: the findings that hold on all, and the others.
+"""Do the findings on one arm hold on the others? Every arm of the package under every controller.
 
 python -m benchmarks.robots [CONFIG.toml] [--out DIR] [--seed N] [--quick] [--json]
 
-Starts are drawn from the whole workspace of each arm by the rules of `moc_opt.vision.preflight.random_start`.
+Starts are drawn from the whole workspace of each arm. Errors are compared once no elbow moves to its optimum any more.
 """
 
 from __future__ import annotations
 
 import sys
-from argparse import Namespace
-from collections.abc import Sequence
-from typing import Self
+from collections.abc import Mapping, Sequence
+from itertools import combinations
+from typing import Any, Self
 
+import numpy as np
 from pydantic import Field
+from scipy import stats
 
-from benchmarks.common import cli
-from benchmarks.common.config import Configuration
-from benchmarks.paper_experiment.trials import seeds, trials
-from benchmarks.robots_study.page import answer, report
-from benchmarks.robots_study.runs import Job, lost_job, run_job
-from benchmarks.robots_study.verdict import summarise
+from moc_opt.figures.notation import Mark
+from moc_opt.figures.style import BAD, GOOD, WORST
+from moc_opt.report.tables import Column, Table
 from moc_opt.scenario import Scenario
-from moc_opt.study import Kept, each
+from moc_opt.study.command import Found, Study, StudyConfig, command
+from moc_opt.study.results import ERRORS, FRAMES, Results, change_name
+from moc_opt.study.show import MARKS, Picture, Report, Section, columns, ends, intervals_picture
+from moc_opt.study.statistics import spread, too_few
+from moc_opt.study.trials import BASELINE, Trial, seeds, trials, with_phases
 
 STREAM = 8
-"""Of the seeds: no trial of this benchmark is one of another."""
+MEANS = (
+    "mu_mean", "mu_fraction_of_bound", "mu_fraction_of_best_from_start", "mu_fraction_of_best", *ERRORS,
+    "trocar_force_mean_N", "torque_rate_rms_Nm_per_s", "infeasible",
+)  # fmt: skip
+SETTLED = tuple(f"settled_{name}" for name in ERRORS)
+CHANGES = ("mu_mean", "trocar_force_mean_N", "torque_rate_rms_Nm_per_s", *SETTLED)
+TITLES = ("tip, own", "tip, registered", "tip, base", "RCM, own", "RCM, registered", "RCM, base")
+LEAST_GAIN_PERCENT, MOST_CHANGE_PERCENT, MUCH_WORSE, MOST_TAILS = 10.0, 5.0, 1.1, 0.1
+FINDINGS: Mapping[str, str] = {
+    "all_end": "every run completes its task",
+    "mu_gain_percent": "mean mu rises by 10 % or more",
+    **{change_name(name): f"settled {title} error at most 5 % above DCAC's"
+       for name, title in zip(SETTLED, TITLES, strict=True)},
+    "tails": "tip error (base frame) more than 10 % above DCAC's in at most 10 % of the trials",
+}  # fmt: skip
+DRAWN = ("mu_gain_percent", change_name(SETTLED[1]), change_name(SETTLED[4]))
 
 
-class Config(Configuration):
+class Config(StudyConfig):
     """benchmarks/configs/robots.toml."""
 
     robots: list[str] = Field(["lwr4", "iiwa14", "panda", "gen3", "xarm7", "lwr4_rail"], min_length=1)
     tasks: list[str] = Field(["circle", "sinusoid", "spiral"], min_length=1)
     starts: int = Field(5, ge=1, description="random starts per task and robot")
     solvers: list[str] = Field(["exact", "osqp", "proxqp", "rnn", "nlp-sqp"], min_length=1)
-    processes: int = Field(2, ge=1)
     scenario: Scenario = Scenario(start={"pose": "random"}, bound_samples=10)
 
     def quick(self) -> Self:
         """Return the same on less data."""
         return self.model_copy(update={"tasks": self.tasks[:1], "starts": 2, "solvers": self.solvers[:2]})
 
-    def jobs(self) -> list[Job]:
-        """Return one trial each, every one with a seed of its own."""
-        count, found = self.starts * len(self.tasks), []
-        drawn = seeds(self.seed, STREAM, count * len(self.robots))
+    def cases(self) -> list[Scenario]:
+        """Return the trials, arm by arm."""
+        each, found = self.starts * len(self.tasks), list[Scenario]()
+        drawn = seeds(self.seed, STREAM, each * len(self.robots))
         for k, name in enumerate(self.robots):
-            base, own = self.scenario.change(robot={"name": name}), drawn[k * count : (k + 1) * count]
-            found += [Job(task, trial, tuple(self.solvers)) for task, trial in trials(base, self.tasks, own)]
+            base = self.scenario.change(robot={"name": name})
+            found += trials(base, self.tasks, drawn[k * each : (k + 1) * each], virtual=True)
         return found
 
 
-def study(given: Namespace) -> cli.Results:
-    """Run every trial of every arm."""
-    config = Config.chosen(given, "robots")
-    jobs, kept = config.jobs(), Kept(given.out / "jobs")
-    with cli.steps("trials", len(jobs)) as step:
-        done = each(run_job, jobs, kept=kept, workers=config.processes, step=step, failed=lost_job)
-    rows = [row for found in done for row in found]
-    summary, environment = summarise(rows), config.environment(given, jobs_of_an_earlier_run=kept.reused)
-    first = answer(summary)
-    return cli.Results(summary, environment, rows, report(summary, rows, first, environment), answer=first)
+def work(study: Study, config: Config) -> Found:
+    """Run every controller on every trial of every arm, and judge the findings."""
+    starts, lost = study.placed(config.cases())
+    asked = [
+        Trial(case.change(best_courses=True), name, keep="curves")
+        for case in starts for name in (BASELINE, *config.solvers)
+    ]  # fmt: skip
+    rows = Results([*(run.row for run in with_phases(study.trials(asked))), *lost])
+    arms = {arm: rows.where(robot=arm) for arm in config.robots}
+    figures = {arm: {name: mine.figures(name, MEANS, CHANGES) for name in mine.names()} for arm, mine in arms.items()}
+    judged = "exact" if "exact" in config.solvers else config.solvers[0]
+    findings = {arm: verdicts(mine, figures[arm], judged) for arm, mine in arms.items()}
+    summary = {"robots": figures, "findings": findings, "ranking": ranking(figures)}
+    return Found(report(summary, judged), summary, rows)
+
+
+def verdicts(rows: Results, figures: Mapping[str, Any], judged: str) -> dict[str, bool | None]:
+    """Return finding -> whether it holds on an arm; None where nothing decides it, or the two means disagree."""
+    mine = figures.get(judged, {})
+    broken = any(by["whole"] < by["trials"] for by in figures.values())
+    if not mine or too_few(mine["compared"]):
+        return {**dict.fromkeys(FINDINGS), "all_end": False if broken else None}
+
+    def below(change: str, limit: float) -> bool | None:
+        sides = {mine[key] <= limit for key in (change, f"{change}_of_ratios") if key in mine}
+        return sides.pop() if len(sides) == 1 else None
+
+    gained = below("mu_gain_percent", LEAST_GAIN_PERCENT)
+    own, base = rows.pairs("tip_error_mean_mm", judged)
+    tails = sum(a > MUCH_WORSE * b for a, b in zip(own, base, strict=True))
+    return {
+        "all_end": not broken, "mu_gain_percent": None if gained is None else not gained,
+        **{change_name(name): below(change_name(name), MOST_CHANGE_PERCENT) for name in SETTLED},
+        "tails": tails <= MOST_TAILS * len(own),
+    }  # fmt: skip
+
+
+def ranking(robots: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+    """Return arm -> solvers by mean mu, best first, and the rank correlation between arms; a thousandth is equal."""
+    scores, between = {}, {}
+    for robot, figures in robots.items():
+        found = {name: row["mu_mean"] for name, row in figures.items() if name != BASELINE and "mu_mean" in row}
+        scores[robot] = {name: round(mu / max(found.values()), 3) for name, mu in found.items()}
+    for one, two in combinations(scores, 2):
+        shared = [name for name in scores[one] if name in scores[two]]
+        if len(shared) > 2 and all(len({by[name] for name in shared}) > 1 for by in (scores[one], scores[two])):
+            rho = stats.spearmanr([scores[one][n] for n in shared], [scores[two][n] for n in shared]).statistic
+            between[f"{one}, {two}"] = float(rho)
+    order = {robot: sorted(by, key=lambda name: -by[name]) for robot, by in scores.items()}
+    return {"order": order, "between": between, "mean": float(np.mean(list(between.values()))) if between else None}
+
+
+def report(summary: Mapping[str, Any], judged: str) -> Report:
+    """Say what holds where."""
+    arms, findings = summary["robots"], summary["findings"]
+    first = []
+    for arm, by in arms.items():
+        mine = by.get(judged, {})
+        first.append({"robot": arm, **{key: _mark(holds, mine.get(key)) for key, holds in findings[arm].items()}})
+    shown = ["mu_gain_percent", *(change_name(name) for name in SETTLED)]
+    headings = ["mu", *TITLES]
+    table = Table(
+        f"MOC with {judged} against DCAC with the same gains, on every arm",
+        [Column("robot", "arm", section="All figures"),
+         *(Column(key, title, unit="%", section="Findings", help=FINDINGS[key])
+           for key, title in zip(shown, headings, strict=True))],
+        first, "Change of the mean. ✔ the finding holds, ✘ it does not, – undecided or too few trials.",
+    )  # fmt: skip
+    every = [{"robot": arm, "controller": name, **row} for arm, by in arms.items() for name, row in by.items()]
+    marks = [
+        {"finding": text, **{arm: MARKS[by[key]] for arm, by in findings.items()}} for key, text in FINDINGS.items()
+    ]
+    order = [{"robot": arm, "order": ", ".join(names)} for arm, names in summary["ranking"]["order"].items()]
+    names = dict(zip(map(change_name, SETTLED), TITLES, strict=True))
+    sections = [
+        Section("All figures", "Means over whole runs. Settled: over the ticks at which no elbow moves to its "
+                f"optimum. {FRAMES}", [Table("Every arm and controller", [
+                    Column("robot", "arm"), Column("controller", "controller"),
+                    *columns("trials", "whole", "mu_gain_percent", *names, *MEANS, **names)], every)]),
+        Section("Findings", "", [Table("Which findings hold on which arm", [
+            Column("finding", "finding"), *(Column(arm, arm) for arm in arms)], marks)]),
+        Section("Solvers", "", [Table("Solvers by mean mu, best first", [
+            Column("robot", "arm"), Column("order", "order")], order)]),
+    ]  # fmt: skip
+    title = f"MOC with {judged} against DCAC on {', '.join(arms)}"
+    return Report(title, sentences(summary, judged), table, pictures(summary, judged), sections)
+
+
+def _mark(holds: bool | None, percent: float | None) -> Mark:
+    known = MARKS[holds]
+    return Mark(known.symbol, "open" if percent is None else f"{percent:+.0f}", known.tone, known.rank)
+
+
+def sentences(summary: Mapping[str, Any], judged: str) -> list[str]:
+    """Say what mu gains on which arm, what holds on every arm, and whether solvers rank alike."""
+    mine = {arm: by[judged] for arm, by in summary["robots"].items() if "mu_gain_percent" in by.get(judged, {})}
+    if not mine:
+        return [f"No trial was completed by {judged} and by DCAC."]
+    few = [arm for arm, row in mine.items() if too_few(row["compared"])]
+    known = [by for arm, by in summary["findings"].items() if arm in mine and arm not in few]
+    hold = [text for key, text in FINDINGS.items() if known and all(by[key] for by in known)]
+    fail = [text for key, text in FINDINGS.items() if known and any(by[key] is False for by in known)]
+    counts = sorted({row["compared"] for row in mine.values()})
+    gains = ", ".join(f"{arm} {spread(row, 'mu_gain_percent', sign='+')} %" for arm, row in mine.items())
+    rho = summary["ranking"]["mean"]
+    return [
+        f"Change of mean mu with {judged} over DCAC with the same gains, {counts[0]} to {counts[-1]} random poses an "
+        f"arm: {gains}.",
+        f"Hold on every arm: {'; '.join(hold) or 'none of the findings'}. Fail on at least one: "
+        f"{'; '.join(fail) or 'none'}." + (f" {', '.join(few)}: {too_few(counts[0])}." if few else ""),
+        "The solvers are too equal to rank." if rho is None else
+        f"The solvers' ranks correlate by {rho:.2f} between two arms on average.",
+    ]
+
+
+def pictures(summary: Mapping[str, Any], judged: str) -> list[Picture]:
+    """Draw the changes of every arm with their intervals."""
+    found = []
+    for key in DRAWN:
+        drawn = {arm: e for arm, by in summary["robots"].items() if (e := ends(by.get(judged, {}), key)) is not None}
+        goal = LEAST_GAIN_PERCENT if key == DRAWN[0] else MOST_CHANGE_PERCENT
+        tones = {arm: {True: GOOD, False: WORST, None: BAD}[summary["findings"][arm][key]] for arm in drawn}
+        if drawn:
+            held = sum(summary["findings"][arm][key] is True for arm in drawn)
+            says = f"{FINDINGS[key]}: on {held} of {len(drawn)} arms. Bars: 95 % intervals over the trials."
+            title = key.removesuffix("_percent").replace("_", " ") + " [%]"
+            found.append(Picture(intervals_picture(drawn, title, {"no change": 0.0, "goal": goal}, tones), says, key))
+    return found
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the benchmark; see `cli.run` for the exit status."""
-    return cli.run(cli.parser("robots", "What holds on every arm."), study, arguments, cli.GOES_ON)
+    """Run the study; returns the exit status."""
+    return command("robots", "Which findings hold on every arm.", Config, work, arguments)
 
 
 if __name__ == "__main__":

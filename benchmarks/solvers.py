@@ -17,7 +17,6 @@ from typing import Any
 
 from benchmarks.common import cli, output
 from benchmarks.common.config import choose
-from benchmarks.common.timing import Disturbance, clock_cost_us, each_us
 from benchmarks.solver_study.closed_parts import JOBS, SECONDS, STAGES
 from benchmarks.solver_study.config import PARTS, Config
 from benchmarks.solver_study.first_screen import answer, timed_rows
@@ -31,6 +30,7 @@ from benchmarks.subproblems import qpbenchmark
 from moc_opt.qp.equalities import assembled
 from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.report.console import console, progress
+from moc_opt.study.timing import Disturbance, clock_cost_us, each_us
 
 
 def once(names: list[str]) -> tuple[list[str], dict[str, str]]:

@@ -17,7 +17,6 @@ from benchmarks import baselines as peers
 from benchmarks.common import cli
 from benchmarks.common.config import Configuration, choose
 from benchmarks.common.goals import verdicts
-from benchmarks.common.timing import Disturbance, clock_cost_us
 from benchmarks.latency import runs
 from benchmarks.latency.bare import LIBRARIES
 from benchmarks.latency.page import answer, report, tables, timed_rows
@@ -26,6 +25,7 @@ from moc_opt.arrays import Array
 from moc_opt.errors import MocOptError, UnknownNameError
 from moc_opt.robots.model import load_robot
 from moc_opt.scenario import Scenario
+from moc_opt.study.timing import Disturbance, clock_cost_us
 
 Count = Annotated[int, Field(ge=1)]
 Names = Literal["all"] | list[str]

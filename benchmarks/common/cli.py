@@ -20,11 +20,11 @@ from rich.console import Console
 from benchmarks.common.answer import Answer
 from benchmarks.common.index import write_index
 from benchmarks.common.output import save_page, write_json, write_rows
-from benchmarks.common.timing import with_doubts
 from moc_opt.errors import MocOptError
 from moc_opt.report.console import busy, console, progress
 from moc_opt.report.page import Page
 from moc_opt.report.tables import Table
+from moc_opt.study.timing import with_doubts
 
 WRONG, INTERRUPTED = 2, 130
 """Exit status after an error that is the user's or the machine's, and after Ctrl-C."""

@@ -10,12 +10,12 @@ from numpy.typing import ArrayLike
 from benchmarks import baselines as peers
 from benchmarks.common.answer import Answer, Picture, goals_answer
 from benchmarks.common.goals import goal_table, goals_in_words
-from benchmarks.common.timing import load
 from benchmarks.latency.runs import PARTS
 from benchmarks.latency.verdict import GOALS, LOOP, PEERS, SOLVERS, TICKS
 from moc_opt import figures
 from moc_opt.report.page import Page
 from moc_opt.report.tables import Column, Table
+from moc_opt.study.timing import load
 
 Summary = Mapping[str, Any]
 

@@ -22,7 +22,6 @@ import numpy as np
 
 from benchmarks import baselines as peers
 from benchmarks.baselines.job import PERIOD_S, Inputs, job, perform, verdict
-from benchmarks.common.timing import Disturbance, Timed, figures, interleaved, percentiles, ratios, used
 from benchmarks.latency.bare import by_hand
 from moc_opt.arrays import Array
 from moc_opt.control import Controller
@@ -33,6 +32,7 @@ from moc_opt.robots.model import RobotModel
 from moc_opt.scenario import Scenario, Setup, make_solver
 from moc_opt.scenario.adapter import ControllerAdapter
 from moc_opt.solvers.exact import Exact
+from moc_opt.study.timing import Disturbance, Timed, figures, interleaved, percentiles, ratios, used
 
 ROOT, CHUNK = Path(__file__).resolve().parents[2], 100
 Step = Callable[[str], None]

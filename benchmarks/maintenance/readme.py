@@ -16,13 +16,13 @@ from typing import Any
 from benchmarks.common import cli
 from benchmarks.common.markdown import fill_section, of_columns, table
 from benchmarks.common.output import write_atomically
-from benchmarks.common.timing import read_doubts
 from benchmarks.latency.verdict import GOALS
 from benchmarks.paper_experiment.verdict import ABOUT_FRAMES, UNDECIDED, goal_value, in_words, what_decides
 from benchmarks.solver_study.first_screen import answer
 from moc_opt.errors import MocOptError
 from moc_opt.inputs.files import read_json
 from moc_opt.study.statistics import spread
+from moc_opt.study.timing import read_doubts
 
 Summary = Mapping[str, Any]
 

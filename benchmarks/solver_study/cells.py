@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.common.timing import Disturbance, percentiles
 from benchmarks.solver_study.answers import CRASHED, HUNG, NOT_ASKED, RAISED, REFUSED, Data, Part
 from benchmarks.solver_study.settings import SolverSetting
 from benchmarks.subproblems.testset import TestSet
 from moc_opt.qp.problem import compute_residuals, fields
 from moc_opt.qp.residuals import Residuals
+from moc_opt.study.timing import Disturbance, percentiles
 
 CONTRADICTION = 1e-13  # m/s; above the rounding of consistent references
 RIGHTLY = 0.99

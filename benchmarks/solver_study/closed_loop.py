@@ -11,13 +11,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.common.timing import UNDISTURBED, Disturbance, used
 from moc_opt import scenario
 from moc_opt.control.supervisor import Fault
 from moc_opt.errors import MocOptError
 from moc_opt.planning.transient import in_transient
 from moc_opt.scenario import Scenario
 from moc_opt.study import Failed, Job
+from moc_opt.study.timing import UNDISTURBED, Disturbance, used
 from moc_opt.study.trials import BASELINE, variant
 from moc_opt.trace.meta import Ending
 from moc_opt.trace.metrics import summarize

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.common.timing import Disturbance, percentiles
 from benchmarks.solver_study.closed_loop import Run
 from benchmarks.solver_study.compare import COSTS
 from moc_opt.study.statistics import StatisticsError, relative_changes
+from moc_opt.study.timing import Disturbance, percentiles
 from moc_opt.study.trials import BASELINE
 from moc_opt.trace.meta import Ending
 

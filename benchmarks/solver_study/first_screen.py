@@ -8,7 +8,6 @@ from typing import Any
 import plotly.graph_objects as go
 
 from benchmarks.common.answer import Answer, Picture, interval_of, interval_picture
-from benchmarks.common.timing import load
 from benchmarks.solver_study.combine import COMPARED
 from benchmarks.solver_study.study import NONLINEAR
 from benchmarks.solver_study.tables import INCONSISTENT
@@ -29,6 +28,7 @@ from moc_opt.figures.notation import Doubtful, Mark, Missing
 from moc_opt.figures.style import BAD, GOOD, MUTED, SERIES, WORST
 from moc_opt.report.tables import Column, Table
 from moc_opt.study.statistics import LEAST_TRIALS, spread, too_few
+from moc_opt.study.timing import load
 from moc_opt.study.trials import BASELINE
 
 CERTIFIED, RECORDED, CLOSED_LOOP = "Certified test sets", "Open loop on a recorded run", "Closed loop"

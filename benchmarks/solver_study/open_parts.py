@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.common.timing import Disturbance
 from benchmarks.solver_study import compare, growth
 from benchmarks.solver_study.answers import Limits, recorded
 from benchmarks.solver_study.cells import (
@@ -21,6 +20,7 @@ from benchmarks.solver_study.cells import (
 from benchmarks.solver_study.settings import RECOMMENDED, SolverSetting, effective, in_words
 from benchmarks.solver_study.study import NONLINEAR, Findings, Study
 from moc_opt.qp.problem import NullSpaceQP
+from moc_opt.study.timing import Disturbance
 
 DUAL_SETS = ("circle", "random")
 DUAL_ROWS = {6: "duals on six rows", 5: "duals on five rows"}

@@ -8,7 +8,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from benchmarks.common.timing import Disturbance, each_us
 from benchmarks.solver_study.settings import SolverSetting
 from moc_opt.arrays import Array
 from moc_opt.control.solution_check import received
@@ -19,6 +18,7 @@ from moc_opt.scenario import make_solver
 from moc_opt.solvers.base import Session, Solution, Solver, Status, no_answer
 from moc_opt.solvers.registry import accepts
 from moc_opt.study.engine import alarm, report
+from moc_opt.study.timing import Disturbance, each_us
 
 RAISED = "raised"  # what became of an answer, beside the statuses of solvers
 WARM_UP = 16  # solves that are not counted

@@ -1,7 +1,10 @@
-"""Studies: many trials, each a function of a scenario and a seed, done in other processes and kept.
+"""Studies: independent trials, each run by a function in another process, become rows, a table, a page and a verdict.
 
-Read first: ``engine`` (does jobs: processes, time limits, crashes), then ``kept`` (what was finished stays) and
-``statistics`` (means and changes with their intervals). docs/extending.md shows a study of 20 lines.
+In the order of reading: ``trials`` (a scenario and a controller become a row), ``engine`` (jobs in other processes:
+time limits, crashes), ``kept`` (finished jobs stay), ``results`` (the table of rows), ``statistics`` (means and
+changes with their intervals), ``show`` (what a reader sees), ``command`` (options and files), ``timing`` (the clock,
+and what the machine did meanwhile). ``compare`` is the study behind ``mo.compare``, ``solvers`` that behind
+``moc-opt solvers``. docs/extending.md shows a study of 20 lines.
 """
 
 from moc_opt.study.engine import Failed, Job, each, run

@@ -1,14 +1,79 @@
-"""The trials of a comparison: one scenario a seed, and the same one under each controller."""
+"""One run becomes one row: a trial (a scenario with a seed of its own) under one controller.
+
+    cases = trials(Scenario(), ["circle", "spiral"], seeds(0, stream=3, count=60))
+    runs = study.trials([Trial(case, name) for case in cases for name in ("dcac", "exact")])
+    results = Results(run.row for run in with_phases(runs))
+
+Each seed draws start, mismatch and noise, so that trials are independent. All controllers run the same trials.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal
 
+import numpy as np
+
+from moc_opt import scenario
+from moc_opt.arrays import Array
+from moc_opt.control.gains import GAINS
+from moc_opt.control.supervisor import Fault
+from moc_opt.errors import MocOptError, describe
+from moc_opt.planning.transient import in_transient
+from moc_opt.robots import load_data
 from moc_opt.scenario import Scenario, Setup
+from moc_opt.study.engine import Failed, Job
+from moc_opt.study.timing import UNDISTURBED, Disturbance, used
+from moc_opt.trace.meta import Ending
+from moc_opt.trace.metrics import summarize
+from moc_opt.trace.trace import Trace
+from moc_opt.vision.board import board_task
 
-BASELINE = "dcac"
-"""Tip and RCM alone, with the gains of the others."""
+BASELINE, OWN, DAMPED = "dcac", "dcac-own", "dcac-damped"
+BASELINES = {
+    BASELINE: "tip and RCM alone, with the gains of the others",
+    OWN: "tip and RCM alone, with the gains that the paper gives DCAC",
+    DAMPED: "tip and RCM alone, with the gains of the others and the self-motion damped",
+}
+CURVES = (
+    "t_s", "mu", "tip_error_model_m", "tip_error_registered_m", "tip_error_m", "rcm_error_model_m",
+    "rcm_error_registered_m", "rcm_error_m", "trocar_force_N", "solve_us", "tick_us",
+)  # fmt: skip
+POSES = ("q_rad", "tip_m", "tip_ref_m", "trocar_m", "trocar_registered_m")
+POSES_EVERY = 5
+"""Of the ticks whose poses are kept."""
+PHASES = ("settled", "travelling")
+CLOCKS = ("solve_", "tick_", "deadline_")
+PATIENCE_S, PER_S, LONGEST_S = 30.0, 30.0, 60.0
+"""A run may take 30 s, and 30 s more for each simulated second; a task of unknown length counts as 60 s."""
+
+
+def seeds(seed: int, stream: int, count: int) -> list[int]:
+    """Draw the seeds of ``count`` trials; two streams (of two studies) share none."""
+    state = np.random.SeedSequence([seed, stream]).generate_state(count, np.uint32)
+    return [int(entry) for entry in state]
+
+
+def trials(base: Scenario, tasks: Sequence[str], own_seeds: Sequence[int], *, virtual: bool = False) -> list[Scenario]:
+    """Make one scenario a seed, with the tasks in turn and the starting swivel drawn; its name is "task/seed".
+
+    Args:
+        base: what all trials share.
+        tasks: names of paths.
+        own_seeds: of the trials.
+        virtual: take size and depth of the paper's virtual task of that name.
+    """
+    found = []
+    for k, seed in enumerate(own_seeds):
+        name = tasks[k % len(tasks)]
+        task: dict[str, Any] = {"path": name}
+        tables: dict[str, Any] = {}
+        if virtual:
+            board = board_task(name)
+            task, tables = {"path": board.kind, "sizes": dict(board.sizes)}, {"trocar": {"depth_m": board.depth_m}}
+        found.append(base.change(name=f"{name}/{seed}", seed=seed, task=task, start={"swivel": "random"}, **tables))
+    return found
 
 
 def placed(trial: Scenario) -> Scenario:
@@ -18,7 +83,174 @@ def placed(trial: Scenario) -> Scenario:
 
 
 def variant(trial: Scenario, controller: str, settings: Mapping[str, Any] | None = None) -> Scenario:
-    """Return the trial under DCAC (with MOC's gains) or under MOC with the named solver."""
-    if controller == BASELINE:
-        return trial.change(control=trial.control.matched_dcac())
-    return trial.change(solver={"name": controller, "settings": dict(settings or {})})
+    """Return the trial under one of `BASELINES`, or under MOC with the solver of that name and its settings."""
+    control = trial.control
+    if controller not in BASELINES:
+        return trial.change(solver={"name": controller, "settings": dict(settings or {})})
+    if controller == OWN:
+        return trial.change(control={"law": "dcac", "gains": "dcac", **dict.fromkeys(GAINS)})
+    table = control.matched_dcac()
+    if controller == DAMPED:  # as much as MOC's third level damps where it wants rest
+        data = load_data(trial.robot.name)
+        moc = control.resolve_gains(data.gains, data.n)
+        table = {**table, "dcac_damping": (moc.K_N2 + moc.D_N2).tolist()}
+    return trial.change(control=table)
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A run that is asked for.
+
+    Attributes:
+        case: the scenario that all controllers of this trial share.
+        controller: one of `BASELINES`, or a solver.
+        settings: of the solver.
+        tags: further columns of its row, such as a group's name.
+        timed: nothing else runs meanwhile, so that its times count.
+        keep: beside the row: nothing, the columns in `CURVES`, or these and poses for drawings.
+    """
+
+    case: Scenario
+    controller: str
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    tags: Mapping[str, Any] = field(default_factory=dict)
+    timed: bool = False
+    keep: Literal["row", "curves", "poses"] = "row"
+
+    @property
+    def about(self) -> dict[str, Any]:
+        """The columns that name its row."""
+        case = self.case
+        named = {"trial": case.name, "seed": case.seed, "robot": case.robot.name, "task": case.task.path}
+        return {**named, "controller": self.controller, "timed": self.timed, **self.tags}
+
+    @property
+    def job(self) -> Job:
+        """The job that runs it."""
+        limit = PATIENCE_S + PER_S * min(self.case.duration_s or LONGEST_S, LONGEST_S)
+        return Job(run_trial, (self,), limit, alone=self.timed, group=self.controller)
+
+    def failed(self, reason: str) -> Run:
+        """Return the row of a run without a trace."""
+        return Run({**self.about, "ended": Ending.FAILED.value, "whole": False, "error": reason})
+
+
+@dataclass(frozen=True)
+class Run:
+    """What is left of a run.
+
+    Attributes:
+        row: what names it; ``ended``, ``whole`` (the task was driven to its end), ``error`` (None: none), ``raised``
+            (what the solver raised first); then every metric, with times only where it ran alone.
+        columns: name -> array with a row a tick; poses at every `POSES_EVERY`-th tick. Empty where it broke off.
+        load: what the machine did from the first tick to the last.
+    """
+
+    row: Mapping[str, Any]
+    columns: Mapping[str, Array] = field(default_factory=dict)
+    load: Disturbance = UNDISTURBED
+
+    @property
+    def trace(self) -> Trace | None:
+        """What can be drawn of the run; None where no poses were kept."""
+        if POSES[0] not in self.columns:
+            return None
+        curves = {name: self.columns[name][::POSES_EVERY] for name in CURVES if name in self.columns}
+        return Trace({**curves, **{name: self.columns[name] for name in POSES}}, {"ended": self.row["ended"]})
+
+
+def run_trial(asked: Trial) -> Run:
+    """Run and summarise, in a worker; a run that breaks off is a result with its reason."""
+    marks = list[Disturbance]()
+
+    def watch(tick: int) -> None:
+        now = used()
+        marks[:] = [marks[0] if marks else now, now]
+
+    try:
+        trace = scenario.run(variant(asked.case, asked.controller, asked.settings), watch)
+    except scenario.RunAway as error:
+        trace = error.trace
+    except MocOptError as error:
+        return asked.failed(describe(error))
+    ended = str(trace.meta["ended"])
+    whole = Ending.of(ended).whole
+    metrics = summarize(trace)
+    if not asked.timed:
+        metrics = {name: value for name, value in metrics.items() if not name.startswith(CLOCKS)}
+    raised = trace.meta.get("faults", {}).get(Fault.RAISED.label)
+    row = {
+        **asked.about, "ended": ended, "whole": whole, "error": None if whole else ended,
+        "raised": raised and f"{raised['count']} ticks, first at {raised['first_at_s']:.3f} s: {raised['first']}",
+        "ticks": len(trace), **_counts(trace), **metrics,
+    }  # fmt: skip
+    load = marks[-1] - marks[0] + Disturbance(len(trace)) if marks else UNDISTURBED
+    return Run(row, _columns(asked, trace) if whole else {}, load)
+
+
+def _counts(trace: Trace) -> dict[str, Any]:
+    """Return the ticks with a subproblem, the infeasible ones, and those with each fault."""
+    found: dict[str, Any] = {"mu_bound_method": trace.meta.get("mu_bound_method")}
+    if "status" in trace.columns:
+        found |= {"asked": int((trace.status != "none").sum()), "infeasible": int((trace.status == "infeasible").sum())}
+    if "fault" in trace.columns:
+        names, counts = np.unique(trace.fault, return_counts=True)
+        found |= {f"fault_{name}": int(count) for name, count in zip(names, counts, strict=True) if name != "none"}
+    return found
+
+
+def _columns(asked: Trial, trace: Trace) -> dict[str, Array]:
+    if asked.keep == "row":
+        return {}
+    found = {name: np.asarray(trace.columns[name], np.float64) for name in CURVES if name in trace.columns}
+    found["trocar_force_N"] = np.linalg.norm(trace.trocar_force_N.reshape(len(trace), -1), axis=1)
+    if asked.controller not in BASELINES:
+        found["travelling"] = in_transient(asked.case.robot.arm(), trace.t_s, trace.q_rad).astype(np.float64)
+    if asked.keep == "poses":
+        found |= {name: np.asarray(trace.columns[name][::POSES_EVERY], np.float32) for name in POSES}
+    return found
+
+
+def outcome(asked: Trial, result: Run | Failed) -> Run:
+    """Return the run, or the row of one whose process hung or died."""
+    return asked.failed(str(result)) if isinstance(result, Failed) else result
+
+
+def with_phases(runs: Iterable[Run]) -> list[Run]:
+    """Add to each row the means of its errors while the elbow moves to its optimum, and after that.
+
+    ``travelling_NAME`` is the mean of a metric NAME over the ticks at which the elbow of at least one controller of
+    the trial still moves to its optimum, ``settled_NAME`` that over the rest; ``travelling_ticks`` and
+    ``settled_ticks`` count them. These are the same ticks for all controllers. DCAC has no optimum to go to, and a run
+    that broke off has no say.
+    """
+    runs = list(runs)
+    groups: dict[tuple[Any, ...], list[Run]] = {}
+    for run in runs:
+        groups.setdefault(tuple(run.row.get(key) for key in ("trial", "group", "robot")), []).append(run)
+    phases = {}
+    for name, mine in groups.items():
+        flags = [run.columns["travelling"].astype(bool) for run in mine if "travelling" in run.columns]
+        if flags and len({len(flag) for flag in flags}) == 1:
+            phases[name] = np.any(flags, axis=0)
+    found = []
+    for run in runs:
+        moving = phases.get(tuple(run.row.get(key) for key in ("trial", "group", "robot")))
+        if moving is None or not run.columns or len(run.columns["t_s"]) != len(moving):
+            found.append(run)
+            continue
+        row = dict(run.row)
+        for phase, ticks in zip(PHASES, (~moving, moving), strict=True):
+            row[f"{phase}_ticks"] = int(ticks.sum())
+            if ticks.any():
+                row |= {f"{phase}_{name}": value for name, value in _means(run.columns, ticks).items()}
+        found.append(replace(run, row=row))
+    return found
+
+
+def _means(columns: Mapping[str, Array], ticks: Array) -> dict[str, float]:
+    found = {"mu_mean": float(columns["mu"][ticks].mean())}
+    for name, column in columns.items():
+        if name.endswith("_error_m") or "_error_" in name:
+            found[f"{name.removesuffix('_m')}_mean_mm"] = 1e3 * float(column[ticks].mean())
+    return found | {"trocar_force_mean_N": float(columns["trocar_force_N"][ticks].mean())}

@@ -9,7 +9,6 @@ import pytest
 
 from benchmarks import solvers
 from benchmarks.common.output import default_config
-from benchmarks.common.timing import Disturbance
 from benchmarks.solver_study import closed_loop, combine
 from benchmarks.solver_study import tables as study_tables
 from benchmarks.solver_study.answers import Part
@@ -22,6 +21,7 @@ from benchmarks.subproblems.testset import TestSet
 from moc_opt.errors import ScenarioError, UnknownNameError
 from moc_opt.scenario import Scenario
 from moc_opt.study import run as do
+from moc_opt.study.timing import Disturbance
 from tests import broken_solvers
 
 SMALL = """

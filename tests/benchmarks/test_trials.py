@@ -27,7 +27,7 @@ def of_plan(name):
 
 
 def of_robots(arm):
-    return [job.trial for job in shipped(robots, "robots").jobs() if job.trial.robot.name == arm]
+    return [case for case in shipped(robots, "robots").cases() if case.robot.name == arm]
 
 
 def of_plant():

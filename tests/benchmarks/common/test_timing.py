@@ -10,7 +10,10 @@ import time
 import numpy as np
 import pytest
 
-from benchmarks.common.timing import (
+from moc_opt.figures.notation import Doubtful
+from moc_opt.inputs.files import to_json
+from moc_opt.study import each
+from moc_opt.study.timing import (
     UNDISTURBED,
     Disturbance,
     Timed,
@@ -25,9 +28,6 @@ from benchmarks.common.timing import (
     used,
     with_doubts,
 )
-from moc_opt.figures.notation import Doubtful
-from moc_opt.inputs.files import to_json
-from moc_opt.study import each
 
 
 @pytest.fixture
@@ -38,7 +38,7 @@ def spin(monkeypatch):
     def work(us):
         now[0] += us * 1000
 
-    monkeypatch.setattr("benchmarks.common.timing.perf_counter_ns", lambda: now[0])
+    monkeypatch.setattr("moc_opt.study.timing.perf_counter_ns", lambda: now[0])
     return work
 
 

@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.common.timing import Disturbance
 from benchmarks.solver_study import growth, settings
 from benchmarks.solver_study.answers import Data, Limits, Part, ask, time
 from benchmarks.solver_study.cells import Cell, load, time_figures, totals
@@ -16,6 +15,7 @@ from moc_opt.scenario import make_solver
 from moc_opt.solvers import available
 from moc_opt.solvers.registry import accepts
 from moc_opt.study import Kept, run
+from moc_opt.study.timing import Disturbance
 from tests import broken_solvers
 
 LIMITS = Limits(patience_s=1.0, rounds=2, seconds=0.2, cold=4)

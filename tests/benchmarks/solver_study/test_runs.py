@@ -5,7 +5,6 @@ from functools import partial
 import numpy as np
 import pytest
 
-from benchmarks.common.timing import Disturbance
 from benchmarks.solver_study import closed_loop
 from benchmarks.solver_study.cases import trials
 from benchmarks.solver_study.closed_loop import Asked, Run, by_trial, run_all, run_each, with_steady_errors
@@ -14,6 +13,7 @@ from moc_opt.figures.notation import Doubtful
 from moc_opt.scenario import Scenario, run
 from moc_opt.study import Kept
 from moc_opt.study import run as do
+from moc_opt.study.timing import Disturbance
 from moc_opt.study.trials import BASELINE, placed, variant
 from moc_opt.trace.metrics import summarize
 from tests import broken_solvers

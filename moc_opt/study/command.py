@@ -1,0 +1,348 @@
+"""The command of a study: read the question, let the study answer it, write and print what it found.
+
+    class Config(StudyConfig): ...                       # the question, read from TOML
+    def work(study: Study, config: Config) -> Found: ... # trials, table, verdict
+    def main(arguments=None): return command("robots", "What holds on every arm.", Config, work, arguments)
+
+It leaves summary.json, rows.parquet, environment.json and report.html in ``--out``, and finished jobs in jobs/ there:
+a run that was stopped, in whatever way, goes on from these when the same command is given again.
+"""
+
+from __future__ import annotations
+
+import datetime
+import importlib.metadata
+import os
+import platform
+import signal
+import subprocess
+import sys
+import threading
+from argparse import ArgumentParser, ArgumentTypeError, Namespace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any, ClassVar, Literal, Self, TypeVar
+
+from pydantic import Field
+
+from moc_opt.errors import MocOptError, ScenarioError, SolverError, UnknownNameError
+from moc_opt.inputs.files import read_toml, to_json, write_whole
+from moc_opt.inputs.settings import Settings
+from moc_opt.report.console import Bar, busy, console, progress
+from moc_opt.report.tables import Table
+from moc_opt.scenario import Scenario
+from moc_opt.solvers import available
+from moc_opt.study.engine import Failed, Job, run
+from moc_opt.study.kept import Kept
+from moc_opt.study.results import Results
+from moc_opt.study.show import Report
+from moc_opt.study.timing import with_doubts
+from moc_opt.study.trials import Run, Trial, outcome, placed
+
+WRONG, INTERRUPTED = 2, 130
+"""Exit status after an error that is the user's or the machine's, and after Ctrl-C."""
+PACKAGES = (
+    "moc-opt", "numpy", "pin", "mujoco", "casadi", "osqp", "proxsuite", "qpsolvers", "daqp", "piqp", "quadprog",
+    "clarabel", "scs", "highspy", "polars", "pydantic", "tsid", "pin-pink", "mink",
+)  # fmt: skip
+
+
+class StudyConfig(Settings):
+    """Base of a study's question, which is read from TOML."""
+
+    MOST: ClassVar[int] = 1_000_000
+    KIND: ClassVar[str] = "configuration:"
+    seed: int = Field(0, ge=0)
+    processes: int | None = Field(None, ge=1, description="jobs at a time where no times are taken; none: every core")
+
+    @classmethod
+    def load(cls, path: Path) -> Self:
+        """Read a TOML file; errors name file and field."""
+        table = read_toml(path, "configuration", ScenarioError)
+        try:
+            return cls(**table)
+        except MocOptError as error:
+            error.args = (f"{path}: {error}",)
+            raise
+
+    def quick(self) -> Self:
+        """Return the same question on less data: for a first look and for the tests."""
+        return self
+
+
+Config = TypeVar("Config", bound=StudyConfig)
+
+
+@dataclass(frozen=True)
+class Found:
+    """What a study found.
+
+    Attributes:
+        report: for the reader.
+        summary: of summary.json: part -> solver or controller -> metric.
+        rows: of rows.parquet.
+        environment: further entries of environment.json.
+        files: names of files that the study wrote into the same folder by itself.
+        sentences: printed below the report.
+        status: exit status.
+    """
+
+    report: Report
+    summary: Mapping[str, Any]
+    rows: Results = field(default_factory=Results)
+    environment: Mapping[str, Any] = field(default_factory=dict)
+    files: Sequence[str] = ()
+    sentences: Sequence[str] = ()
+    status: int = 0
+
+
+@dataclass(frozen=True)
+class Study:
+    """What a study works with: its name, the folder of its results, its options, and the engine.
+
+    Attributes:
+        name: of the command.
+        out: folder of the results.
+        given: the parsed options.
+        processes: jobs at a time; None: one a core.
+    """
+
+    name: str
+    out: Path
+    given: Namespace
+    processes: int | None = None
+
+    @cached_property
+    def kept(self) -> Kept:
+        """Finished jobs, those of earlier runs among them."""
+        return Kept(self.out / "jobs")
+
+    def run(
+        self, jobs: Sequence[Job], what: str = "jobs", *, done: Callable[[Job, Any], None] = lambda job, result: None,
+        bar: Bar | None = None, **options: Any,
+    ) -> list[Any]:  # fmt: skip
+        """Do jobs as `moc_opt.study.run` does, with a progress line; finished ones are kept.
+
+        Args:
+            jobs: in the order of their results.
+            what: they are, for the progress line.
+            done: called with each job and its result.
+            bar: that is advanced by one in all; None: a line of its own.
+            options: of `moc_opt.study.run`.
+        """
+        dask = getattr(self.given, "dask", None)
+
+        def work(shown: Bar, step: float) -> list[Any]:
+            def note(job: Job, result: Any) -> None:
+                shown.at(job.group)
+                shown.advance(step)
+                done(job, result)
+
+            return run(jobs, kept=self.kept, workers=self.processes, dask=dask, done=note, **options)
+
+        if bar is not None:
+            return work(bar, 1.0 / max(1, len(jobs)))
+        with progress(f"{self.name}: {what}", len(jobs)) as own:
+            return work(own, 1.0)
+
+    def trials(self, asked: Sequence[Trial], what: str = "runs", **options: Any) -> list[Run]:
+        """Run trials: one row each, also of those that hung, died or raised."""
+        results = self.run([one.job for one in asked], what, **options)
+        return [outcome(one, result) for one, result in zip(asked, results, strict=True)]
+
+    def placed(self, cases: Sequence[Scenario]) -> tuple[list[Scenario], list[dict[str, Any]]]:
+        """Search for the starts of trials; returns those with a start, and a row for each without."""
+        found = self.run([Job(placed, (case,)) for case in cases], "starts")
+        lost = [
+            {**Trial(case, "").failed(str(start)).row, "ended": "no start"}
+            for case, start in zip(cases, found, strict=True) if isinstance(start, Failed)
+        ]  # fmt: skip
+        return [start for start in found if not isinstance(start, Failed)], lost
+
+
+def command(
+    name: str, about: str, config: type[Config], work: Callable[[Study, Config], Found],
+    arguments: Sequence[str] | None = None, *, options: Callable[[ArgumentParser], Any] = lambda parser: None,
+    folder: Path | None = None, program: str = "",
+) -> int:  # fmt: skip
+    """Parse the command line, work, write and print what was found; SIGTERM ends it as Ctrl-C does.
+
+    Args:
+        name: of the study: its configuration is NAME.toml, its results lie in results/NAME.
+        about: first line of ``--help``.
+        config: what the configuration is read into.
+        work: makes the findings.
+        arguments: of the command; None: those of this process.
+        options: adds options of its own to the parser; `Study.given` has them.
+        folder: of the configurations; None: benchmarks/configs.
+        program: how the command is called; "": python -m benchmarks.NAME.
+
+    Returns:
+        the exit status: that of the findings, 2 after an error (one line on stderr), 130 after Ctrl-C.
+    """
+    parser = ArgumentParser(prog=program or f"python -m benchmarks.{name}", description=about)
+    parser.add_argument("config", nargs="?", type=Path, help=f"TOML; default: {name}.toml of the package")
+    parser.add_argument("--out", type=Path, default=Path("results") / name, help="folder for the results")
+    parser.add_argument("--seed", type=seed_number, help="replaces the configuration's seed")
+    parser.add_argument("--quick", action="store_true", help="the same on less data")
+    parser.add_argument("--json", action="store_true", help="print summary.json instead of the answer")
+    parser.add_argument("--figures", action="store_true", help="every figure also as SVG and PDF")
+    parser.add_argument("--dask", metavar="ADDRESS", help="let the workers of this Dask scheduler do what is not timed")
+    options(parser)
+    given = parser.parse_args(arguments)
+    try:
+        with _sigterm_as_ctrl_c():
+            asked = config.load(given.config or (folder or CONFIGS) / f"{name}.toml")
+            asked = asked if given.seed is None else asked.model_copy(update={"seed": given.seed})
+            asked = asked.quick() if given.quick else asked
+            study = Study(name, given.out, given, asked.processes)
+            begun = busy()  # by others: this study has not begun
+            found = work(study, asked)
+            leave(found, study, asked, sys.argv[1:] if arguments is None else arguments, begun)
+            return found.status
+    except (MocOptError, OSError) as error:
+        print(f"{type(error).__name__}: {error}", file=sys.stderr)
+        return WRONG
+    except KeyboardInterrupt:
+        print(f"stopped; what is finished is in {given.out}/jobs: the same command goes on from there", file=sys.stderr)
+        return INTERRUPTED
+
+
+CONFIGS = Path(__file__).parents[2] / "benchmarks" / "configs"
+
+
+def leave(found: Found, study: Study, config: StudyConfig, argv: Sequence[str], begun: str = "") -> None:
+    """Write the files of a study and print its answer, or its summary with ``--json``."""
+    out = study.out
+    out.mkdir(parents=True, exist_ok=True)
+    surroundings = environment(config.model_dump(mode="json"), config.seed, argv)
+    surroundings |= {"jobs_of_an_earlier_run": study.kept.reused, **found.environment}
+    write_json(out / "summary.json", with_doubts(found.summary))
+    found.rows.write(out / "rows.parquet")
+    write_json(out / "environment.json", surroundings)
+    page = found.report.page(surroundings, found.rows.failed())
+    page.save(out / "report.html")
+    if study.given.figures:
+        from moc_opt.report.export import save_figures
+
+        save_figures(page.figures, out / "figures")
+    if study.given.json:
+        print((out / "summary.json").read_text(encoding="utf-8"), end="")
+        return
+    screen = console()
+    for part in found.report.screens():
+        screen.print(part.narrowed(screen.width) if isinstance(part, Table) else part, markup=False)
+    if study.kept.reused:
+        screen.print(f"{study.kept.reused} jobs are those of an earlier run in {out}/jobs.", soft_wrap=True)
+    for sentence in (*found.sentences, *([begun] if begun and not found.report.load else [])):
+        screen.print(sentence, markup=False, soft_wrap=True)
+    files = ["report.html", "summary.json", "rows.parquet", "environment.json", *found.files]
+    screen.print(f"written: {out}/{' '.join(files)}", markup=False, soft_wrap=True)
+
+
+def write_json(path: Path, value: Any) -> None:
+    """Write it sorted, all or nothing."""
+    write_whole(path, (to_json(value, sort_keys=True) + "\n").encode())
+
+
+def environment(config: Mapping[str, Any], seed: int, argv: Sequence[str] = ()) -> dict[str, Any]:
+    """Return the machine, versions, commit, seed and the whole configuration."""
+    versions: dict[str, str | None] = {}
+    for name in PACKAGES:
+        try:
+            versions[name] = importlib.metadata.version(name)
+        except importlib.metadata.PackageNotFoundError:
+            versions[name] = None
+    return {
+        "when": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+        "machine": {
+            "system": platform.platform(), "processor": _processor(), "cores": os.cpu_count(),
+            "python": platform.python_version(), "load_1min": os.getloadavg()[0],
+        },
+        "threads": os.environ.get("OMP_NUM_THREADS"),
+        "openblas_coretype": os.environ.get("OPENBLAS_CORETYPE"),  # another kernel rounds otherwise
+        "versions": versions, "commit": _commit(), "seed": seed, "arguments": list(argv), "config": dict(config),
+    }  # fmt: skip
+
+
+def choose(wanted: Literal["all"] | Sequence[str], *beside: str) -> tuple[list[str], dict[str, str]]:
+    """Return the names of solvers that can run here, and name -> reason for those that cannot.
+
+    Args:
+        wanted: names; "all" are all there are.
+        beside: further names, such as that of a baseline.
+
+    Raises:
+        UnknownNameError: no such solver.
+    """
+    found: dict[str, str | None] = {**dict.fromkeys(beside), **available()}
+    names = list(found) if wanted == "all" else list(wanted)
+    for name in names:
+        if name not in found:
+            raise UnknownNameError("solver", name, found, "moc-opt solvers --list")
+    reasons = {name: reason for name in names if (reason := found[name]) is not None}
+    return [name for name in names if name not in reasons], reasons
+
+
+def runnable(wanted: Sequence[str], *beside: str) -> list[str]:
+    """Return the names of a study's solvers.
+
+    Raises:
+        UnknownNameError: no such solver.
+        SolverError: one cannot run here, and why.
+    """
+    names, reasons = choose(wanted, *beside)
+    if reasons:
+        name, reason = next(iter(reasons.items()))
+        raise SolverError(f"solver {name!r} cannot run here: {reason}")
+    return names
+
+
+def seed_number(text: str) -> int:
+    """Read the number of ``--seed``."""
+    try:
+        seed = int(text)
+    except ValueError:
+        seed = -1
+    if not 0 <= seed <= 2**62:
+        raise ArgumentTypeError(f"{text:.40}: give a whole number from 0 to 2^62")
+    return seed
+
+
+@contextmanager
+def _sigterm_as_ctrl_c() -> Iterator[None]:
+    """Let SIGTERM end the work by an exception, so that the processes that it started are ended, too."""
+    if threading.current_thread() is not threading.main_thread():  # no other thread may set a handler
+        yield
+        return
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def _processor() -> str:
+    cpu = Path("/proc/cpuinfo")
+    if cpu.exists():
+        for line in cpu.read_text().splitlines():
+            if line.startswith("model name"):
+                return line.split(":", 1)[1].strip()
+    return platform.processor()
+
+
+def _commit() -> str | None:
+    """Return the commit of this checkout, marked where files differ from it; None outside a checkout."""
+
+    def git(*words: str) -> str:
+        here = Path(__file__).parent
+        return subprocess.run(["git", *words], cwd=here, capture_output=True, text=True, check=True).stdout
+
+    try:
+        head, changed = git("rev-parse", "HEAD"), git("status", "--porcelain", "-uno")
+    except (OSError, subprocess.CalledProcessError):
+        return None
+    return head.strip() + ("+changes" if changed.strip() else "")

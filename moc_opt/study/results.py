@@ -1,0 +1,153 @@
+"""The one results table of every study: a row a run, and what controllers' rows say against a baseline's.
+
+    results = Results(run.row for run in runs)
+    results.where(robot="panda").change("mu_mean", "exact").ratio      # an Interval [percent]
+    results.write(out / "rows.parquet")
+
+Means and changes are over whole runs. A change is over the trials that the controller and the baseline both completed.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from typing import Any
+
+import polars as pl
+
+from moc_opt.errors import StudyError
+from moc_opt.inputs.files import plain, write_whole
+from moc_opt.study.statistics import Change, Interval, StatisticsError, mean, relative_changes
+from moc_opt.study.trials import BASELINE, PHASES
+
+ERRORS = (
+    "tip_error_model_mean_mm", "tip_error_registered_mean_mm", "tip_error_mean_mm",
+    "rcm_error_model_mean_mm", "rcm_error_registered_mean_mm", "rcm_error_mean_mm",
+)  # fmt: skip
+"""Tip and RCM errors, each by the robot's own kinematics, in the frame registered at the start, and in the base frame:
+what the controller can answer for, what the patient gets, and absolute accuracy."""
+FRAMES = (
+    "Own kinematics: what the controller sees and can answer for. Registered: in the frame touched at the start, which "
+    "is what the patient gets. Base frame: absolute accuracy."
+)
+
+
+def change_name(metric: str) -> str:
+    """Return the name of a metric's change against the baseline in a summary: mu_gain_percent, tip_error_model_..."""
+    if metric == "mu_mean":
+        return "mu_gain_percent"
+    return metric.removesuffix("_Nm_per_s").removesuffix("_mm").removesuffix("_N").removesuffix("_mean") + (
+        "_change_percent"
+    )
+
+
+class Results:
+    """Rows of a study, each with ``trial``, ``controller``, ``ended``, ``whole``, ``error`` and its metrics."""
+
+    def __init__(self, rows: Iterable[Mapping[str, Any]] = ()) -> None:
+        self._rows: list[dict[str, Any]] = [dict(row) for row in rows]
+
+    def __len__(self) -> int:
+        return len(self._rows)
+
+    def __iter__(self) -> Iterator[Mapping[str, Any]]:
+        return iter(self._rows)
+
+    def add(self, *rows: Mapping[str, Any]) -> None:
+        """Append rows; a column that a row lacks is null there."""
+        self._rows += [dict(row) for row in rows]
+
+    def has(self, **keys: Any) -> bool:
+        """Tell whether a row has these values."""
+        return any(all(row.get(name) == value for name, value in keys.items()) for row in self._rows)
+
+    def where(self, test: Callable[[Mapping[str, Any]], bool] = lambda row: True, **keys: Any) -> Results:
+        """Return the rows with these values that pass a test."""
+        return Results(row for row in self._rows if all(row.get(k) == v for k, v in keys.items()) and test(row))
+
+    def names(self, column: str = "controller") -> list[Any]:
+        """Return the distinct values of a column, in order, without None."""
+        return [name for name in dict.fromkeys(row.get(column) for row in self._rows) if name is not None]
+
+    def values(self, metric: str, controller: str) -> dict[Any, float]:
+        """Return trial -> value over the controller's whole runs."""
+        mine = (row for row in self._rows if row.get("controller") == controller and row.get("whole"))
+        return {row["trial"]: float(row[metric]) for row in mine if row.get(metric) is not None}
+
+    def mean(self, metric: str, controller: str) -> Interval | None:
+        """Return the mean over the controller's whole runs with its interval; None without any."""
+        try:
+            return mean(list(self.values(metric, controller).values()))
+        except StatisticsError:
+            return None
+
+    def pairs(self, metric: str, controller: str, baseline: str = BASELINE) -> tuple[list[float], list[float]]:
+        """Return the values of both on the trials that both completed; in a phase a trial counts by its ticks there."""
+        mine, theirs = self.values(metric, controller), self.values(metric, baseline)
+        both = [trial for trial in mine if trial in theirs]
+        phase = next((phase for phase in PHASES if metric.startswith(f"{phase}_")), None)
+        ticks = self.values(f"{phase}_ticks", controller) if phase else dict.fromkeys(both, 1.0)
+        return [mine[trial] * ticks[trial] for trial in both], [theirs[trial] * ticks[trial] for trial in both]
+
+    def change(self, metric: str, controller: str, baseline: str = BASELINE) -> Change | None:
+        """Return the change against the baseline [percent], by both means; None where no trial has both."""
+        try:
+            return relative_changes(*self.pairs(metric, controller, baseline))
+        except StatisticsError:
+            return None
+
+    def figures(
+        self, controller: str, means: Sequence[str] = (), changes: Sequence[str] = (), baseline: str = BASELINE
+    ) -> dict[str, Any]:
+        """Return what a summary holds of a controller.
+
+        Args:
+            controller: whose rows.
+            means: metrics whose means are wanted, as NAME, NAME_low, NAME_high.
+            changes: metrics whose changes against the baseline are wanted, see `change_name` and `Change.entries`.
+            baseline: a controller.
+        """
+        mine = [row for row in self._rows if row.get("controller") == controller]
+        found: dict[str, Any] = {
+            "trials": len(mine), "whole": sum(bool(row.get("whole")) for row in mine),
+            "compared": len(self.pairs("mu_mean", controller, baseline)[0]),
+        }  # fmt: skip
+        for metric in means:
+            if (interval := self.mean(metric, controller)) is not None:
+                found |= interval.entries(metric)
+        for metric in changes if controller != baseline else ():
+            if (change := self.change(metric, controller, baseline)) is not None:
+                found |= change.entries(change_name(metric))
+        errors = [row["error"] for row in mine if row.get("error")]
+        raised = [f"{row['trial']}, {row['raised']}" for row in mine if row.get("raised")]
+        return {**found, **({"reason": errors[0]} if errors else {}), **({"trouble": raised[0]} if raised else {})}
+
+    def failed(self) -> list[Mapping[str, Any]]:
+        """Return the rows that have an error."""
+        return [row for row in self._rows if row.get("error")]
+
+    @property
+    def frame(self) -> pl.DataFrame:
+        """The rows as a polars table; what is not finite is null."""
+        rows = [plain(row) for row in self._rows]
+        names = list(dict.fromkeys(name for row in rows for name in row))
+        return pl.DataFrame([pl.Series(name, [row.get(name) for row in rows], strict=False) for name in names])
+
+    def write(self, path: str | os.PathLike[str]) -> None:
+        """Write the rows as Parquet or, if the name ends with .csv, as CSV, all or nothing.
+
+        Raises:
+            StudyError: the file cannot be written; what was there before stays.
+        """
+        packed = io.BytesIO()
+        if str(path).endswith(".csv"):
+            self.frame.write_csv(packed)
+        else:
+            self.frame.write_parquet(packed, compression="zstd")
+        try:
+            write_whole(path, packed.getvalue())
+        except OSError as error:
+            raise StudyError(
+                f"{path}: the rows cannot be written ({error}); see to the space, or give another name"
+            ) from error

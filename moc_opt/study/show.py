@@ -1,0 +1,262 @@
+"""What a study shows, as data: an answer in up to three sentences, one table, pictures, and sections folded below.
+
+A study makes a `Report`; this file turns it into a page and into what a terminal prints. Studies say what to show,
+never how.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from itertools import chain
+from typing import Any, NamedTuple
+
+import plotly.graph_objects as go
+
+from moc_opt.figures.notation import Doubtful, Mark, Notation, pretty_units
+from moc_opt.figures.style import figure, label, log_axis, rule
+from moc_opt.report.page import Page
+from moc_opt.report.tables import Column, Table
+from moc_opt.study.results import change_name
+from moc_opt.study.statistics import Interval, spread
+from moc_opt.trace.metrics import METRICS
+
+YES, NO, OPEN = Mark("✔", "yes", "good", 0), Mark("✘", "no", "bad", 2), Mark("–", "open", "other", 1)
+MARKS = {True: YES, False: NO, None: OPEN, "yes": YES, "no": NO, "open": OPEN}
+FORMATS = {"%": "+.1f", "mm": ".3f", "us": ".1f", "m^3": ".4f", "N": ".2f"}
+
+
+class Picture(NamedTuple):
+    """A figure, one sentence that says what to see in it, and the name of its file."""
+
+    figure: go.Figure
+    says: str
+    name: str
+
+
+@dataclass(frozen=True)
+class Section:
+    """Text, tables and pictures under a title, folded on the page; ``more`` adds what is neither."""
+
+    title: str
+    text: str = ""
+    parts: Sequence[Table | Picture] = ()
+    more: Callable[[Page], None] = lambda page: None
+
+
+@dataclass(frozen=True)
+class Report:
+    """What a study found, for a reader.
+
+    Attributes:
+        title: names the question, and arm, task, preset and solver where there is one of each.
+        answer: up to three sentences, the most important one first.
+        table: the table of the first screen, of few columns.
+        pictures: up to three.
+        sections: in reading order; a column's ``section`` links to one of them.
+        load: what the machine did while times were taken; "" where none were.
+        subtitle: below the title.
+    """
+
+    title: str
+    answer: Sequence[str]
+    table: Table
+    pictures: Sequence[Picture] = ()
+    sections: Sequence[Section] = ()
+    load: str = ""
+    subtitle: str = ""
+
+    def page(self, environment: Mapping[str, Any], failed: Sequence[Mapping[str, Any]] = ()) -> Page:
+        """Lay it out as one page.
+
+        Args:
+            environment: of environment.json, shown at the end.
+            failed: rows with an ``error``, shown in a table.
+        """
+        page = Page(self.title, self.subtitle)
+        for sentence in self.answer:
+            page.headline(sentence)
+        page.table(self.table)
+        if self.load:
+            page.text(self.load)
+        for picture in self.pictures:
+            page.figure(picture.figure, picture.says, name=picture.name)
+        page.fold()
+        for section in self.sections:
+            page.section(section.title)
+            page.text(section.text)
+            for part in section.parts:
+                if isinstance(part, Table):
+                    page.table(part)
+                else:
+                    page.figure(part.figure, part.says, name=part.name)
+            section.more(page)
+        if failed:
+            page.section("Runs that failed")
+            keys = ("group", "robot", "trial", "controller", "error")
+            shown = [Column(key, key) for key in keys if any(key in row for row in failed)]
+            page.table(Table("Errors", shown, failed))
+        page.environment(environment)
+        return page
+
+    def screens(self) -> Iterator[object]:
+        """Yield what a terminal prints; rich breaks the table's texts where the terminal is narrow."""
+        yield from self.answer
+        yield self.table
+        if self.load:
+            yield self.load
+
+
+def columns(*metrics: str, of: str = "", **titles: str) -> list[Column]:
+    """Describe metrics, or their changes ("mu_gain_percent"), as columns: unit, format and help are the metric's.
+
+    Args:
+        metrics: names of metrics, or of their changes; "settled_" and "travelling_" may stand before.
+        of: title of the section that explains them.
+        titles: name -> heading, where the name itself is too long.
+    """
+    found = []
+    for name in metrics:
+        bare = name.removeprefix("settled_").removeprefix("travelling_")
+        known = METRICS.get(bare)
+        change = next((m for m in METRICS.values() if change_name(m.name) == bare), None)
+        unit = "%" if bare.endswith("_percent") else known.unit if known and known.unit != "1" else ""
+        about = (f"Change of: {change.about}" if change else known.about if known else "")
+        title = titles.get(name, bare.removesuffix("_percent").removesuffix(f"_{unit}").replace("_", " "))
+        found.append(Column(name, title, unit=unit, format=FORMATS.get(unit, ""), help=about, section=of))
+    return found
+
+
+def intervals_picture(
+    found: Mapping[str, tuple[float, float, float]], x_label: str, limits: Mapping[str, float],
+    tones: Mapping[str, str] | None = None, *, log: bool = False,
+) -> go.Figure:  # fmt: skip
+    """Draw a point between two ends for each name, the first name at the top, and lines at the limits.
+
+    Args:
+        found: name -> (low, value, high).
+        x_label: of the axis.
+        limits: words -> where a line stands.
+        tones: name -> colour.
+        log: powers of ten on the axis.
+    """
+    drawn = figure(showlegend=False, height=90 + 24 * max(len(found), 4))
+    for name, (low, value, high) in reversed(list(found.items())):
+        tone = (tones or {}).get(name)
+        drawn.add_scatter(
+            x=[value], y=[label(name)], mode="markers", name=label(name),
+            error_x={"type": "data", "symmetric": False, "array": [high - value], "arrayminus": [value - low],
+                     "thickness": 1.5, "width": 5, "color": tone},
+            marker={"color": tone, "size": 9},
+            hovertemplate=f"%{{x:.3g}} [{low:.3g}, {high:.3g}]<extra>%{{fullData.name}}</extra>",
+        )  # fmt: skip
+    if log:
+        log_axis(drawn, "x", x_label, [*chain(*found.values()), *limits.values()])
+    else:
+        drawn.update_xaxes(title_text=pretty_units(x_label))
+    for words, at in limits.items():
+        rule(drawn, "x", at, words)
+    drawn.update_yaxes(type="category", automargin=True)
+    return drawn
+
+
+def ends(figures: Mapping[str, Any], name: str) -> tuple[float, float, float] | None:
+    """Return (low, value, high) of a summary's figure; without an interval the value three times; None without it."""
+    value, low, high = (figures.get(f"{name}{end}") for end in ("", "_low", "_high"))
+    if value is None:
+        return None
+    return (low, value, high) if low is not None and high is not None and low == low else (value, value, value)
+
+
+# --- goals: a figure that is wanted, and whether it is reached ---
+
+
+class Goal(NamedTuple):
+    """Reached when the value, or the worse end of its interval, is at most, or at least, the limit.
+
+    Attributes:
+        what: in words.
+        unit: of value and limit.
+        limit: the limit.
+        measured: the value in a summary, a number or an `Interval`; a LookupError means that it was not measured.
+        most: the limit is the largest value that will do; else the smallest.
+        made_of: what the value was made of, in words, from a summary.
+        section: of the page, with the figures around it.
+    """
+
+    what: str
+    unit: str
+    limit: float
+    measured: Callable[[Any], Any]
+    most: bool = True
+    made_of: Callable[[Any], str] = lambda summary: ""
+    section: str = ""
+
+
+def judge(summary: Mapping[str, Any], goals: Mapping[str, Goal]) -> dict[str, dict[str, Any]]:
+    """Return goal -> what, unit, goal, kind, value (None: not measured), made_of, reached.
+
+    ``reached`` is "yes", "no", "not measured", or "open": the value's interval holds the limit, or a time is not to be
+    trusted (a time that was lengthened by other work and is short enough all the same is trusted).
+    """
+    found: dict[str, dict[str, Any]] = {}
+    for key, goal in goals.items():
+        row: dict[str, Any] = {
+            "what": goal.what, "unit": goal.unit, "goal": goal.limit, "kind": "at most" if goal.most else "at least",
+            "value": None, "reached": "not measured", "made_of": "",
+        }  # fmt: skip
+        with suppress(LookupError, ValueError):  # a part that did not run has no entries, and no largest of them
+            row |= _reached(goal, goal.measured(summary)) | {"made_of": goal.made_of(summary)}
+        found[key] = row
+    return found
+
+
+def _reached(goal: Goal, measured: Any) -> dict[str, Any]:
+    if isinstance(measured, Doubtful):
+        return {"value": measured, "reached": "yes" if goal.most and goal.unit and measured <= goal.limit else "open"}
+    if not isinstance(measured, Interval):
+        measured = Interval(float(measured), float(measured), float(measured), 1)
+    within = [end <= goal.limit if goal.most else end >= goal.limit for end in (measured.low, measured.high)]
+    found = {"value": measured.value, "reached": "yes" if all(within) else "open" if any(within) else "no"}
+    return found if measured.low == measured.high else found | measured.entries("value")
+
+
+def goals_table(found: Mapping[str, Mapping[str, Any]], goals: Mapping[str, Goal], title: str = "Goals") -> Table:
+    """Make the table of what `judge` found, missed goals first."""
+    rows = [
+        {
+            "what": row["what"], "wanted": f"{row['kind']} {row['goal']:.3g} {row['unit']}".strip(),
+            "measured": value_text(row), "reached": MARKS.get(row["reached"], OPEN), "made_of": row["made_of"] or None,
+            "section": goals[key].section,
+        } for key, row in found.items()
+    ]  # fmt: skip
+    rows.sort(key=lambda row: -row["reached"].rank)  # type: ignore[attr-defined]
+    shown = [
+        Column("reached", ""), Column("what", "goal"), Column("wanted", "wanted"),
+        Column("measured", "measured", sections="section"), Column("made_of", "of"),
+    ]  # fmt: skip
+    return Table(title, shown if any(row["made_of"] for row in rows) else shown[:-1], rows)
+
+
+def value_text(row: Mapping[str, Any]) -> str | None:
+    """Write a goal's value with its interval or doubt, and its unit; None where it was not measured."""
+    value = row["value"]
+    if value is None:
+        return None
+    doubt = "?" * isinstance(value, Doubtful)
+    text = spread(row, "value") if "value_low" in row else doubt + Notation.of([value])(value)
+    return f"{text} {row['unit']}".strip()
+
+
+def goals_sentence(found: Mapping[str, Mapping[str, Any]]) -> str:
+    """Say how many goals are reached, and which are not."""
+    words = [row["reached"] for row in found.values()]
+    text = f"{words.count('yes')} of {len(words)} goals are reached"
+    text += "".join(f", {words.count(word)} {word}" for word in ("open", "not measured") if word in words)
+    missed = [f"{row['what']} ({value_text(row)})" for row in found.values() if row["reached"] == "no"]
+    return text + (f"; missed: {'; '.join(missed)}." if missed else ".")
+
+
+
+
