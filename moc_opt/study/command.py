@@ -4,8 +4,8 @@
     def work(study: Study, config: Config) -> Found: ... # trials, table, verdict
     def main(arguments=None): return command("robots", "What holds on every arm.", Config, work, arguments)
 
-It leaves summary.json, rows.parquet, environment.json and report.html in ``--out``, and finished jobs in jobs/ there:
-a run that was stopped, in whatever way, goes on from these when the same command is given again.
+It leaves report.html, report.md, summary.json, rows.parquet and environment.json in ``--out``, and finished jobs in
+jobs/: a run that was stopped, in whatever way, goes on from these when the same command is given again.
 """
 
 from __future__ import annotations
@@ -225,6 +225,7 @@ def leave(found: Found, study: Study, config: StudyConfig, argv: Sequence[str], 
     write_json(out / "environment.json", surroundings)
     page = found.report.page(surroundings, found.rows.failed())
     page.save(out / "report.html")
+    write_whole(out / "report.md", found.report.markdown().encode())
     if study.given.figures:
         from moc_opt.report.export import save_figures
 
@@ -239,7 +240,7 @@ def leave(found: Found, study: Study, config: StudyConfig, argv: Sequence[str], 
         screen.print(f"{study.kept.reused} jobs are those of an earlier run in {out}/jobs.", soft_wrap=True)
     for sentence in (*found.sentences, *([begun] if begun and not found.report.load else [])):
         screen.print(sentence, markup=False, soft_wrap=True)
-    files = ["report.html", "summary.json", "rows.parquet", "environment.json", *found.files]
+    files = ["report.html", "report.md", "summary.json", "rows.parquet", "environment.json", *found.files]
     screen.print(f"written: {out}/{' '.join(files)}", markup=False, soft_wrap=True)
 
 

@@ -100,12 +100,28 @@ class Report:
         page.environment(environment)
         return page
 
+    def markdown(self) -> str:
+        """Write sentences and tables as Markdown, sections as "## TITLE"; for README and docs."""
+        parts = [f"# {self.title}", *self.answer, _markdown(self.table), self.load]
+        for section in self.sections:
+            parts += [f"## {section.title}", section.text]
+            parts += [_markdown(part) for part in section.parts if isinstance(part, Table)]
+        return "\n\n".join(filter(None, parts)) + "\n"
+
     def screens(self) -> Iterator[object]:
         """Yield what a terminal prints; rich breaks the table's texts where the terminal is narrow."""
         yield from self.answer
         yield self.table
         if self.load:
             yield self.load
+
+
+def _markdown(table: Table) -> str:
+    heads = [f"{column.title} [{column.unit}]" if column.unit else column.title for column in table.columns]
+    cells = [[cell.text.replace("|", "\\|") for cell in table.cells(column)] for column in table.columns]
+    lines = [heads, ["---"] * len(heads), *map(list, zip(*cells, strict=True))]
+    drawn = "\n".join("| " + " | ".join(line) + " |" for line in lines)
+    return f"{drawn}\n\n{table.caption}".strip()
 
 
 def columns(*metrics: str, of: str = "", **titles: str) -> list[Column]:
