@@ -17,7 +17,8 @@ from moc_opt.inputs.files import write_whole
 
 HOME = Path(__file__).parents[1]
 BLOCK = re.compile(
-    r"(?P<begin><!-- (?P<name>[\w-]+)(?:: (?P<title>[^>]+))? -->\n).*?(?P<end><!-- /(?P=name)(?:: [^>]+)? -->)", re.DOTALL
+    r"(?P<begin><!-- (?P<name>[\w-]+)(?:: (?P<title>[^>]+))? -->\n).*?"
+    r"(?P<end><!-- /(?P=name)(?:: [^>]+)? -->)", re.DOTALL,
 )
 
 

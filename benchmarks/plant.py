@@ -1,36 +1,59 @@
-"""What each defect of the arm costs, alone and together: calibration error, encoder bias, elastic joints, ripple.
+"""What does each defect of the arm cost, and from which calibration error on does moving the elbow cost accuracy?
 
-python -m benchmarks.plant [CONFIG.toml] [--out DIR] [--seed N] [--quick] [--json] [--page]
+python -m benchmarks.plant [CONFIG.toml] [--out DIR] [--seed N] [--quick] [--json]
 
-Every trial is run under DCAC and MOC with the same gains, in the plant without these defects and with each of them.
-Then calibration errors of several sizes: from which on a moving elbow costs tip accuracy, and what registering again
-leaves of it. --page also writes the tables into docs/plant.md.
+First every defect alone and all together: calibration error, encoder bias, elastic joints, torque ripple. Then
+calibration errors of several sizes, and what registering again leaves of them. *Registered again*: once MOC's elbow is
+at rest, the arm touches path and incision anew. The offset between true and believed tip at that tick then replaces the
+one at the start. It shifts reference and trocar by a constant of less than a millimetre and changes nothing else, so
+the error follows from the same run. Figures after the travel are over the ticks from there to the end, the same for
+both controllers.
 """
 
 from __future__ import annotations
 
 import sys
-from argparse import Namespace
-from collections.abc import Sequence
-from pathlib import Path
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, ClassVar, Self
 
+import numpy as np
 from pydantic import Field
 
-from benchmarks.common import cli
-from benchmarks.common.config import Configuration
-from benchmarks.common.markdown import write_section
-from benchmarks.paper_experiment.trials import STREAM, seeds, trials
-from benchmarks.plant_study import page
-from benchmarks.plant_study.runs import KINDS, Job, lost_job, plant_of, run_job
+from moc_opt.figures.style import SERIES, figure, label, rule
 from moc_opt.inputs.settings import Settings
-from moc_opt.scenario import Scenario
+from moc_opt.planning.transient import in_transient
+from moc_opt.report.tables import Column, Table
+from moc_opt.scenario import Scenario, Setup
 from moc_opt.sim.settings import PlantSettings
-from moc_opt.study import Kept, each
+from moc_opt.study import Failed, Job
+from moc_opt.study.command import Found, Study, StudyConfig, command
+from moc_opt.study.results import ERRORS, FRAMES, Results, change_name
+from moc_opt.study.show import Picture, Report, Section, columns
+from moc_opt.study.statistics import spread, too_few
+from moc_opt.study.trials import BASELINE, Run, Trial, run_and_trace, seeds, trials
+from moc_opt.tasks.trocar import shaft_distance
+from moc_opt.trace.trace import Trace
 
-PAGE = Path(__file__).resolve().parents[1] / "docs" / "plant.md"
-CALIBRATION_STREAM = 9
-"""Of the seeds: no trial of the sweep is one of another study."""
+EFFECTS_STREAM, CALIBRATION_STREAM = 10, 9
+KINDS = {"origins": "mm", "encoders": "mrad", "both": "mm and mrad"}
+"""What is off -> unit of its size; of "both" the origins are off by so many mm and the encoders by so many mrad."""
+TILT_RAD_PER_M = PlantSettings().calibration_tilt_rad / PlantSettings().calibration_error_m
+DEFAULT_SIZE_MM = 0.2
+LEAST_S = 0.5
+"""Of a run after the elbow's travel; less gives no figure of what comes after."""
+MOST_CHANGE_PERCENT, MOST_MM = 5.0, 0.1
+AFTER = ("tip_after_mm", "tip_again_mm", "rcm_after_mm", "rcm_again_mm")
+SHOWN = (*ERRORS, *AFTER)
+NAMES = dict(zip(SHOWN, (
+    "tip, own", "tip, registered", "tip, base", "RCM, own", "RCM, registered", "RCM, base",
+    "tip after travel", "tip registered again", "RCM after travel", "RCM registered again",
+), strict=True))  # fmt: skip
+JUDGED = "tip_error_registered_mean_mm"
+DEFINED = (
+    f"Break-even, in the frame registered at the start: the calibration error from which on MOC's mean tip error is "
+    f"more than {MOST_CHANGE_PERCENT:g} % above DCAC's with the same gains, by the lower ends of the 95 % intervals of "
+    f"both means; and that from which on it is above {MOST_MM:g} mm; interpolated between the sizes."
+)
 
 
 class Sweep(Settings):
@@ -42,12 +65,11 @@ class Sweep(Settings):
     sizes: list[float] = Field([0.05, 0.1, 0.2, 0.3, 0.5], description="beside 0: [mm] of origins, [mrad] of encoders")
 
 
-class Config(Configuration):
+class Config(StudyConfig):
     """benchmarks/configs/plant.toml."""
 
     tasks: list[str] = Field(["circle", "sinusoid", "spiral"], min_length=1)
     trials: int = Field(5, ge=1, description="per task")
-    processes: int = Field(2, ge=1)
     presets: list[str] = Field(["tuned", "default"], min_length=1)
     solver: str = "exact"
     base: dict[str, Any] = Field(default_factory=dict, description="[plant], common to all effects")
@@ -69,59 +91,264 @@ class Config(Configuration):
         """
         return PlantSettings(**self.scenario.plant.model_dump() | self.base | self.effects[effect])
 
-    def jobs(self) -> list[Job]:
-        """Return every effect on every trial under every preset."""
-        plants = [({"effect": effect}, self.plant(effect)) for effect in self.effects]
-        return self._jobs("effects", self.scenario, plants, self.trials, STREAM)
+    def cases(self, stream: int = EFFECTS_STREAM, count: int | None = None) -> list[Scenario]:
+        """Return the trials of the effects, or of another stream."""
+        drawn = seeds(self.seed, stream, (count or self.trials) * len(self.tasks))
+        return trials(self.scenario, self.tasks, drawn, virtual=True)
 
-    def calibration_jobs(self) -> list[Job]:
-        """Return every size of every kind on every trial under every preset; size 0 once, as "both"."""
-        sweep = self.calibration
-        sizes = [("both", 0.0), *((kind, size) for kind in KINDS for size in sweep.sizes)]
-        plants = [({"kind": kind, "size": size}, plant_of(self.scenario.plant, kind, size)) for kind, size in sizes]
-        base = self.scenario.change(duration_s=sweep.duration_s)
-        return self._jobs("calibration", base, plants, sweep.trials, CALIBRATION_STREAM)
+    def under_presets(
+        self, cases: Sequence[Scenario], plants: Sequence[tuple[Mapping[str, Any], PlantSettings]]
+    ) -> Iterator[tuple[dict[str, Any], Scenario]]:
+        """Yield (tags, trial) of every trial in every plant under every preset."""
+        for preset in self.presets:
+            control = {} if preset == "default" else {"preset": preset}
+            for tags, plant in plants:
+                for case in cases:
+                    yield {"preset": preset, **tags}, case.change(control=control, plant=plant.model_dump())
 
-    def _jobs(
-        self, part: str, base: Scenario, plants: list[tuple[dict[str, Any], PlantSettings]], count: int, stream: int
-    ) -> list[Job]:
-        drawn = seeds(self.seed, stream, count * len(self.tasks))
-        return [
-            Job({"part": part, "preset": preset, **about}, self.solver, trial.change(plant=plant.model_dump()))
-            for preset in self.presets
-            for _, trial in trials(
-                base.change(control={} if preset == "default" else {"preset": preset}), self.tasks, drawn
+
+def plant_of(base: PlantSettings, kind: str, size: float) -> PlantSettings:
+    """Return the plant with kinematic errors of this size alone; the frames tilt as their origins are off."""
+    origins = 1e-3 * size if kind in ("origins", "both") else 0.0
+    encoders = 1e-3 * size if kind in ("encoders", "both") else 0.0
+    return PlantSettings(**base.model_dump() | {
+        "calibration_error_m": origins, "calibration_tilt_rad": TILT_RAD_PER_M * origins, "encoder_bias_rad": encoders,
+    })  # fmt: skip
+
+
+def work(study: Study, config: Config) -> Found:
+    """Run every defect and every size of the calibration error on its trials, under DCAC and MOC."""
+    both = (BASELINE, config.solver)
+    plants: list[tuple[Mapping[str, Any], PlantSettings]] = [
+        ({"part": "effects", "effect": name}, config.plant(name)) for name in config.effects
+    ]
+    asked = [
+        Trial(case, name, tags=tags) for tags, case in config.under_presets(config.cases(), plants) for name in both
+    ]
+    rows = Results(run.row for run in study.trials(asked, "defects"))
+    sweep = config.calibration
+    sizes = [("both", 0.0), *((kind, size) for kind in KINDS for size in sweep.sizes)]
+    plants = [
+        ({"part": "calibration", "kind": kind, "size": size}, plant_of(config.scenario.plant, kind, size))
+        for kind, size in sizes
+    ]
+    cases = [case.change(duration_s=sweep.duration_s) for case in config.cases(CALIBRATION_STREAM, sweep.trials)]
+    pairs = [
+        (Trial(case, BASELINE, tags=tags), Trial(case, config.solver, tags=tags))
+        for tags, case in config.under_presets(cases, plants)
+    ]
+    jobs = [Job(registered_again, pair, pair[0].job.limit_s) for pair in pairs]
+    for pair, found in zip(pairs, study.run(jobs, "calibration errors"), strict=True):
+        failed = [one.failed(str(found)) for one in pair] if isinstance(found, Failed) else found
+        rows.add(*(run.row for run in failed))
+    effects = {
+        preset: {
+            f"{effect}, {name}": rows.where(preset=preset, effect=effect).figures(
+                name, (*ERRORS, "trocar_force_mean_N", "torque_rate_rms_Nm_per_s"), ("mu_mean",)
             )
-            for about, plant in plants
-        ]
+            for effect in config.effects for name in both
+        } for preset in config.presets
+    }  # fmt: skip
+    sizes_found = calibration(rows.where(part="calibration"), config.solver)
+    evens = break_evens(sizes_found)
+    summary = {"effects": effects, "calibration": sizes_found, "break_even": evens}
+    return Found(report(summary, config), summary, rows)
 
 
-def study(given: Namespace) -> cli.Results:
-    """Run every job; with ``--page`` write the tables into docs/plant.md."""
-    config = Config.chosen(given, "plant")
-    jobs = [*config.jobs(), *config.calibration_jobs()]
-    kept = Kept(given.out / "jobs")
-    with cli.steps("plants", len(jobs)) as step:
-        done = each(run_job, jobs, kept=kept, workers=config.processes, step=step, failed=lost_job)
-    rows = [row for of_job in done for row in of_job]
-    effects = page.effects_summary([row for row in rows if row["part"] == "effects"])
-    sweep = page.sweep_summary([row for row in rows if row["part"] == "calibration"], config.solver)
-    if given.page:
-        write_section(PAGE, "plant", page.effects_markdown(effects, config.seed))
-        write_section(PAGE, "calibration", page.sweep_markdown(sweep, config.seed))
-    environment = config.environment(given, jobs_of_an_earlier_run=kept.reused)
-    first, tables = page.answer(sweep), page.effects_tables(effects)
-    summary = {**effects, "calibration": sweep, "break_even": page.break_evens(sweep)}
-    return cli.Results(
-        summary, environment, rows, page.page(sweep, first, tables, environment), tables=tables, answer=first
-    )
+def registered_again(dcac: Trial, moc: Trial) -> list[Run]:
+    """Run both on one trial; where both end, and the elbow arrives, add what registering again there would leave."""
+    both = [run_and_trace(dcac), run_and_trace(moc)]
+    found = [run for run, _ in both]
+    whole = [trace for run, trace in both if trace is not None and run.row["whole"]]
+    if len(whole) < 2:
+        return found
+    setup, t, q = Setup(moc.case), whole[1].t_s, whole[1].q_rad
+    flags = np.flatnonzero(in_transient(setup.robot, t, q))
+    tick = int(flags[-1]) + 1 if flags.size else 0
+    if tick >= len(t) or t[-1] - t[tick] < LEAST_S:
+        return found
+    return [
+        Run({**run.row, "arrived_s": float(t[tick]), **after_travel(trace, setup, tick)})
+        for run, trace in zip(found, whole, strict=True)
+    ]
+
+
+def after_travel(trace: Trace, setup: Setup, tick: int) -> dict[str, float]:
+    """Return the mean errors from a tick on [mm], as registered at the start and as registered again at that tick."""
+    # True minus believed place of the tip, and of the shaft at the trocar's depth, which touching would register.
+    tips, wrists = setup.robot.tool_along(trace.q_rad + setup.plant.mismatch.encoder_bias)
+    told = trace.trocar_registered_m - setup.offset.trocar  # in the controller's own frame
+    depth = np.linalg.norm(told - tips, axis=1, keepdims=True)
+    believed, true = tips - wrists, trace.tip_m - trace.wrist_m
+    believed = tips - depth * believed / np.linalg.norm(believed, axis=1, keepdims=True)
+    true = trace.tip_m - depth * true / np.linalg.norm(true, axis=1, keepdims=True)
+    tip = np.linalg.norm(trace.tip_ref_m + (trace.tip_m - tips)[tick] - trace.tip_m, axis=1)
+    rcm = shaft_distance(trace.tip_m, trace.wrist_m, told + (true - believed)[tick])
+    errors = (trace.tip_error_registered_m, tip, trace.rcm_error_registered_m, rcm)
+    return {name: 1e3 * float(error[tick:].mean()) for name, error in zip(AFTER, errors, strict=True)}
+
+
+def calibration(rows: Results, solver: str) -> list[dict[str, Any]]:
+    """Return a row a preset, kind and size: means of both controllers and changes; size 0 stands in every kind."""
+    found = []
+    for preset in rows.names("preset"):
+        for kind in KINDS:
+            mine = [row for row in rows.where(preset=preset) if row["kind"] == kind or row["size"] == 0.0]
+            here = Results(mine)
+            for size in sorted(here.names("size")):
+                at = here.where(size=size)
+                both = {
+                    f"{name}_{key}": value
+                    for name, controller in (("dcac", BASELINE), ("moc", solver))
+                    for key, value in at.figures(controller, SHOWN).items()
+                }
+                changes = at.figures(solver, (), ("mu_mean", *SHOWN))
+                found.append({"preset": preset, "kind": kind, "size": size, **both, **changes})
+    return found
+
+
+def break_evens(found: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """Return for every preset and kind the sizes from which on MOC's registered tip error is beyond each limit.
+
+    ``relative``: the lower end of the change's interval is `MOST_CHANGE_PERCENT`; ``absolute``: MOC's mean is
+    `MOST_MM`; ``absolute_dcac``: DCAC's is. None where no size of these is.
+    """
+    evens = []
+    for preset, kind in dict.fromkeys((row["preset"], row["kind"]) for row in found):
+        mine = [row for row in found if (row["preset"], row["kind"]) == (preset, kind) and f"moc_{JUDGED}" in row]
+        change, sizes = change_name(JUDGED), [row["size"] for row in mine]
+        lows = [min(row[f"{change}_low"], row[f"{change}_of_ratios_low"]) for row in mine]
+        compared = min((row["compared"] for row in mine), default=0)
+        evens.append({
+            "preset": preset, "kind": kind, "trials": compared, "undecided": too_few(compared) or "",
+            "relative": crossing(sizes, lows, MOST_CHANGE_PERCENT),
+            "absolute": crossing(sizes, [row[f"moc_{JUDGED}"] for row in mine], MOST_MM),
+            "absolute_dcac": crossing(sizes, [row[f"dcac_{JUDGED}"] for row in mine], MOST_MM),
+        })  # fmt: skip
+    return evens
+
+
+def crossing(sizes: Sequence[float], values: Sequence[float], limit: float) -> float | None:
+    """Return where the values rise above a limit for good, interpolated; the first size where they begin above it."""
+    last = max((k for k, value in enumerate(values) if not value > limit), default=-1)
+    if last == len(values) - 1:
+        return None
+    if last < 0:
+        return sizes[0]
+    share = (limit - values[last]) / (values[last + 1] - values[last])
+    return float(sizes[last] + share * (sizes[last + 1] - sizes[last]))
+
+
+def report(summary: Mapping[str, Any], config: Config) -> Report:
+    """Show the tip's errors first, then every figure of the sizes, then each defect."""
+    rows = [
+        {
+            "preset": row["preset"], "off": f"{row['kind']} {row['size']:g}" if row["size"] else "nothing",
+            "size": row["size"], "kind": row["kind"],
+            **{key: f"{row[f'dcac_{key}']:.3f}/{row[f'moc_{key}']:.3f}" for key in SHOWN if f"moc_{key}" in row},
+            "change": spread(row, change_name(JUDGED)),
+        }
+        for row in summary["calibration"] if row["size"] or row["kind"] == "origins"
+    ]  # fmt: skip
+    first = [
+        {**row, "off": f"{row['preset']}, {row['size'] or 'nothing'}"}
+        for row in rows
+        if row["kind"] == "origins" or not row["size"]
+    ]
+    tip = [*ERRORS[:3], *AFTER[:2]]
+    table = Table(
+        "Mean tip error under DCAC/MOC, with the joints' origins off", [
+            Column("off", "preset, mm off"),
+            *(Column(key, NAMES[key].removeprefix("tip, "), unit="mm", section="Calibration errors") for key in tip),
+        ], first, f"{DEFINED} After travel: over the ticks after the elbow's arrival.",
+    )  # fmt: skip
+    evens = [
+        {**row, **{key: _at(row[key], KINDS[row["kind"]]) for key in ("relative", "absolute", "absolute_dcac")}}
+        for row in summary["break_even"] if not row["undecided"]
+    ]  # fmt: skip
+    sections = [
+        Section("Calibration errors", f"{DEFINED} {FRAMES}", [
+            Table("Break-even", [
+                Column("preset", "preset"), Column("kind", "off"), Column("relative", "over 5 % above DCAC from"),
+                Column("absolute", "over 0.1 mm from"), Column("absolute_dcac", "DCAC over 0.1 mm from"),
+            ], evens),
+            Table("Mean errors under DCAC/MOC in every frame", [
+                Column("preset", "preset"), Column("off", "off [mm, mrad]"),
+                *(Column(key, title, unit="mm") for key, title in NAMES.items()),
+                Column("change", "tip, registered, change", unit="%"),
+            ], rows),
+        ]),
+        *(Section(f"Defects, preset {preset}", "Means over the runs that completed the task.", [Table(
+            f"Each defect alone and together, preset {preset}", [
+                Column("group", "effect, controller"),
+                *columns("whole", "mu_gain_percent", *ERRORS, "trocar_force_mean_N", "torque_rate_rms_Nm_per_s",
+                         **NAMES),
+            ], [{"group": name, **row} for name, row in groups.items()])])
+          for preset, groups in summary["effects"].items()),
+    ]  # fmt: skip
+    title = f"LWR4+: cost of the arm's defects under DCAC and MOC with {config.solver}"
+    return Report(title, sentences(summary), table, pictures(summary["calibration"], config), sections)
+
+
+def sentences(summary: Mapping[str, Any]) -> list[str]:
+    """Say for each preset from which error on the elbow costs tip accuracy, and what registering again leaves."""
+    said, evens = [], {(one["preset"], one["kind"]): one for one in summary["break_even"]}
+    for preset in dict.fromkeys(preset for preset, _ in evens):
+        origins, encoders = evens[preset, "origins"], evens[preset, "encoders"]
+        if few := origins["undecided"] or encoders["undecided"]:
+            said.append(f"Preset {preset}: {few}.")
+            continue
+        relative, absolute = (
+            f"{_at(origins[key], 'mm')} of the joints' origins or {_at(encoders[key], 'mrad')} of the encoders"
+            for key in ("relative", "absolute")
+        )
+        text = (
+            f"Preset {preset}: moving the elbow costs more than {MOST_CHANGE_PERCENT:g} % of tip accuracy in the "
+            f"patient's frame from {relative} on, and the tip error there exceeds {MOST_MM:g} mm from {absolute} on"
+        )
+        here = (preset, "origins", DEFAULT_SIZE_MM)
+        for row in (row for row in summary["calibration"] if (row["preset"], row["kind"], row["size"]) == here):
+            if "moc_tip_again_mm" in row:
+                text += (
+                    f"; with {DEFAULT_SIZE_MM:g} mm it is {row['moc_tip_after_mm']:.3f} mm after the travel, and "
+                    f"registering again leaves {row['moc_tip_again_mm']:.3f} (DCAC: {row['dcac_tip_again_mm']:.3f})"
+                )
+        said.append(f"{text} ({origins['trials']} trials).")
+    return said
+
+
+def _at(size: float | None, unit: str) -> str:
+    return "more than was tried" if size is None else f"{size:.2g} {unit}"
+
+
+def pictures(rows: Sequence[Mapping[str, Any]], config: Config) -> list[Picture]:
+    """Draw the registered tip error over the size of the origins' error: DCAC, MOC, and MOC registered again."""
+    found, colors = [], list(SERIES)
+    for preset in config.presets:
+        mine = [row for row in rows if (row["preset"], row["kind"]) == (preset, "origins")]
+        drawn = figure()
+        for name, key, color, dash in (
+            ("DCAC", f"dcac_{JUDGED}", 0, "solid"), ("MOC", f"moc_{JUDGED}", 1, "solid"),
+            ("MOC after the travel, registered again", "moc_tip_again_mm", 1, "dash"),
+        ):  # fmt: skip
+            known = [row for row in mine if key in row]
+            drawn.add_scatter(
+                x=[row["size"] for row in known], y=[row[key] for row in known], name=label(name),
+                mode="lines+markers", line={"color": colors[color], "dash": dash},
+                error_y={"type": "data", "symmetric": False, "array": [row[f"{key}_high"] - row[key] for row in known],
+                         "arrayminus": [row[key] - row[f"{key}_low"] for row in known]},
+            )  # fmt: skip
+        drawn.update_xaxes(title_text="joints' origins off by [mm]")
+        drawn.update_yaxes(title_text="mean tip error, registered frame [mm]", rangemode="tozero")
+        rule(drawn, "y", MOST_MM, f"{MOST_MM:g} mm")
+        says = f"Preset {preset}: tip error in the frame registered at the start, with 95 % intervals over the trials."
+        found.append(Picture(drawn, says, f"calibration-{preset}"))
+    return found
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the benchmark; see `cli.run` for the exit status."""
-    options = cli.parser("plant", "What each defect of the arm costs.")
-    options.add_argument("--page", action="store_true", help="write the tables into docs/plant.md")
-    return cli.run(options, study, arguments, cli.GOES_ON)
+    """Run the study; returns the exit status."""
+    return command("plant", "What each defect of the arm costs.", Config, work, arguments)
 
 
 if __name__ == "__main__":

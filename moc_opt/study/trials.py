@@ -161,6 +161,11 @@ class Run:
 
 def run_trial(asked: Trial) -> Run:
     """Run and summarise, in a worker; a run that breaks off is a result with its reason."""
+    return run_and_trace(asked)[0]
+
+
+def run_and_trace(asked: Trial) -> tuple[Run, Trace | None]:
+    """Return what `run_trial` does, and the whole trace where there is one."""
     marks = list[Disturbance]()
 
     def watch(tick: int) -> None:
@@ -172,7 +177,7 @@ def run_trial(asked: Trial) -> Run:
     except scenario.RunAway as error:
         trace = error.trace
     except MocOptError as error:
-        return asked.failed(describe(error))
+        return asked.failed(describe(error)), None
     ended = str(trace.meta["ended"])
     whole = Ending.of(ended).whole
     metrics = summarize(trace)
@@ -185,7 +190,7 @@ def run_trial(asked: Trial) -> Run:
         "ticks": len(trace), **_counts(trace), **metrics,
     }  # fmt: skip
     load = marks[-1] - marks[0] + Disturbance(len(trace)) if marks else UNDISTURBED
-    return Run(row, _columns(asked, trace) if whole else {}, load)
+    return Run(row, _columns(asked, trace) if whole else {}, load), trace
 
 
 def _counts(trace: Trace) -> dict[str, Any]:

@@ -31,8 +31,8 @@ def of_robots(arm):
 
 
 def of_plant():
-    jobs = shipped(plant, "plant").jobs()
-    return [job.trial for job in jobs if job.about == jobs[0].about]
+    config = shipped(plant, "plant")
+    return [*config.cases(), *config.cases(plant.CALIBRATION_STREAM, config.calibration.trials)]
 
 
 def of_paper():
