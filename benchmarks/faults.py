@@ -1,44 +1,108 @@
-"""Every fault under every controller: survived, or stopped safely?
+"""What happens when something breaks? Every fault under every controller: survived within limits, or stopped safely.
 
-python -m benchmarks.faults [CONFIG.toml] [--out DIR] [--seed N] [--quick] [--page]
+python -m benchmarks.faults [CONFIG.toml] [--out DIR] [--seed N] [--quick] [--json]
 
---page also writes docs/reliability.md, and docs/reliability.json with the figures in it.
+Solvers fail, lie or hang, packets are late or lost, encoders jump, drift or stick, the arm is pushed, the trocar moves.
+Every run is compared with the same run without a fault.
 """
 
 from __future__ import annotations
 
 import sys
-from argparse import Namespace
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar, Literal, Self
 
-from pydantic import Field, field_validator
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, field_validator, model_validator
 
-from benchmarks.common import cli
-from benchmarks.common.config import Configuration, runnable
-from benchmarks.reliability.page import PAGE, answer, report, write_page
-from benchmarks.reliability.runs import BASELINE, Case, Job, lost_job, run_job
-from benchmarks.reliability.verdict import goals, summarise
-from moc_opt.inputs.settings import Name
-from moc_opt.scenario import Scenario
-from moc_opt.study import Kept, each
+from moc_opt import figures
+from moc_opt.arrays import Array
+from moc_opt.errors import MocOptError
+from moc_opt.inputs.settings import Name, Settings
+from moc_opt.report.tables import Column, Table
+from moc_opt.scenario import Scenario, Setup
+from moc_opt.sim.loop import RunAway
+from moc_opt.study import Failed, Job
+from moc_opt.study.command import Found, Study, StudyConfig, command, runnable
+from moc_opt.study.results import Results
+from moc_opt.study.show import Goal, Picture, Report, Section, about, goals_sentence, goals_table, judge
+from moc_opt.study.trials import BASELINE, variant
+from moc_opt.tasks import Reference
+from moc_opt.tasks.waiting import WaitingReference
+from moc_opt.trace.meta import Ending
+from moc_opt.trace.trace import Trace
+
+PICTURED = ("none", "bump-30N", "trocar-slips", "nan-lasting")
+"""Cases whose traces are drawn, of `exact` on the first trial."""
+CURVES = ("t_s", "tip_error_m", "rcm_error_m", "trocar_force_N")
+SMOOTH_S, RECOVERED, RESOLUTION_M = 0.2, 1.2, 5e-5
+"""Errors are averaged over 0.2 s and compared with 1.2 times the level without a fault, half an encoder step more."""
+COMPLAINTS = ("failed", "raised", "malformed", "not_finite", "outside", "lied", "late", "lost")
+"""Faults that a supervisor names when a solver misbehaves; "infeasible" is an honest answer."""
+OUTCOMES = ("survived", "stopped", "oscillated", "diverged", "ran away", "refused", "failed")
+WORST = (
+    "tip_error_max_mm", "rcm_error_max_mm", "trocar_force_max_N", "rcm_mean_percent", "rcm_max_percent",
+    "stop_travel_mm", "last_speed_rad_per_s",
+)  # fmt: skip
+COUNTS = ("injected", "detected", "harmless", "missed", "false_alarms", "ticks")
+AT_REST_RAD_PER_S, RCM_LIMIT_PERCENT, FALSE_ALARMS_PERCENT = 0.05, 5.0, 1.0
+EVERY, SOLVERS = "Every fault", "Solver faults"
+CASES = [
+    Column("case", "fault"), Column("controller", "controller"),
+    Column("outcome", "outcome", help="of the trials: survived within the limits, or stopped safely"),
+    Column("tip_error_max_mm", "worst tip", unit="mm", format=".2f", help="until the stop, where there was one"),
+    Column("rcm_error_max_mm", "worst RCM", unit="mm", format=".2f", help="the stop included"),
+    Column("trocar_force_max_N", "worst force", unit="N", format=".2f"),
+    Column("rcm_mean_percent", "mean RCM", unit="%", format="+.1f", help="above the same run without the fault"),
+    Column("recover_s", "recovered after", unit="s", format=".2f", help="from the fault's end, or its start where it "
+           "lasts: both errors below 1.2 times the fault-free level for good; a dash: not within the run"),
+    Column("stop_travel_mm", "stop travel", unit="mm", format=".1f", help="of the tip after the stop began"),
+]  # fmt: skip
+SEEN = [
+    Column("case", "fault"), Column("controller", "controller"), Column("injected", "injected", format=".0f"),
+    Column("detected", "detected", format=".0f"),
+    Column("harmless", "harmless", format=".0f", help="corrupted, taken, and verified as optimal all the same"),
+    Column("missed", "missed", format=".0f"),
+    Column("false_alarms", "false alarms", format=".0f", help="honest answers that were refused"),
+]  # fmt: skip
 
 
-class Config(Configuration):
+class Case(Settings):
+    """One fault: its changes of a scenario, and the time in which it acts."""
+
+    KIND: ClassVar[str] = "[cases]"
+    group: Literal["solver", "sensors", "plant", "contact", "camera"]
+    faults: dict[str, Any] = Field(default_factory=dict)
+    plant: dict[str, Any] = Field(default_factory=dict)
+    trocar: dict[str, Any] = Field(default_factory=dict)
+    camera_lost_s: tuple[float, float] | None = Field(
+        None, description="the board is out of sight from .. until; the tip waits meanwhile"
+    )
+    from_s: float = Field(0.0, ge=0.0)
+    until_s: float | None = Field(None, ge=0.0, description="None: it lasts")
+
+    @model_validator(mode="after")
+    def _in_order(self) -> Self:
+        if self.until_s is not None and self.until_s < self.from_s:
+            raise ValueError(f"until_s = {self.until_s} is before from_s = {self.from_s}: exchange them")
+        return self
+
+    def corrupt(self, scenario: Scenario) -> Scenario:
+        """Return the scenario with this fault in it."""
+        return scenario.change(faults=self.faults, plant=self.plant, trocar=self.trocar)
+
+
+class Config(StudyConfig):
     """benchmarks/configs/faults.toml."""
 
     trials: int = Field(2, ge=1)
     solvers: list[str] = Field(["exact", "osqp", "rnn"], min_length=1)
-    processes: int = Field(2, ge=1)
     tip_limit_mm: float = Field(20.0, gt=0.0)
     rcm_limit_mm: float = Field(20.0, gt=0.0)
     scenario: Scenario = Scenario()
     cases: dict[Name, Case] = Field(min_length=1)
-
-    @field_validator("scenario", mode="before")
-    @classmethod
-    def _validated(cls, value: Any) -> Any:
-        return Scenario(**value) if isinstance(value, dict) else value
 
     @field_validator("cases")
     @classmethod
@@ -49,48 +113,297 @@ class Config(Configuration):
             raise ValueError("'none' is the name of the run without a fault: choose another one")
         return cases
 
-    def quick(self) -> Config:
+    def quick(self) -> Self:
         """Return the same faults on one trial of half the length."""
         short = self.scenario.change(duration_s=min(3.2, self.scenario.duration_s or 3.2))
         return self.model_copy(update={"trials": 1, "scenario": short})
 
-    def jobs(self) -> list[Job]:
-        """Return every controller on every trial; DCAC has no solver that could fail."""
-        found, limits = [], (self.tip_limit_mm, self.rcm_limit_mm)
-        sound = {name: case for name, case in self.cases.items() if case.group != "solver"}
-        for trial in range(self.trials):
-            base = self.scenario.change(seed=self.seed + trial)
-            found.append(Job(BASELINE, trial, base.change(control=base.control.matched_dcac()), sound, limits))
-            for name in self.solvers:
-                solved = base.change(solver={"name": name, "settings": {}})
-                found.append(Job(name, trial, solved, dict(self.cases), limits))
+    def scenarios(self) -> list[Scenario]:
+        """Return the trials."""
+        return [self.scenario.change(name=f"trial {k}", seed=self.seed + k) for k in range(self.trials)]
+
+
+@dataclass(frozen=True)
+class Block:
+    """One controller on one trial, with the faults to inject."""
+
+    controller: str
+    trial: Scenario
+    cases: Mapping[str, Case]
+    limits_mm: tuple[float, float]  # tip, RCM
+    pictured: bool = False
+
+    def row(self, name: str, ended: str) -> dict[str, Any]:
+        group = self.cases[name].group if name in self.cases else "none"
+        about = {"case": name, "group": group, "controller": self.controller}
+        return {**about, "trial": self.trial.name, "seed": self.trial.seed, "ended": ended}
+
+
+def work(study: Study, config: Config) -> Found:
+    """Inject every fault under every controller, and judge the goals."""
+    runnable(config.solvers)
+    limits, cases = (config.tip_limit_mm, config.rcm_limit_mm), config.cases
+    sound = {name: case for name, case in cases.items() if case.group != "solver"}  # DCAC has no solver that could fail
+    blocks = [
+        Block(name, variant(trial, name), sound if name == BASELINE else cases, limits, (name, k) == ("exact", 0))
+        for k, trial in enumerate(config.scenarios()) for name in (BASELINE, *config.solvers)
+    ]  # fmt: skip
+    rows, traces = Results(), dict[str, Trace]()
+    jobs = [Job(run_block, (block,), 60.0 * (1 + len(block.cases))) for block in blocks]
+    for block, found in zip(blocks, study.run(jobs, "controllers"), strict=True):
+        if isinstance(found, Failed):
+            lost = [block.row(name, "failed") for name in ("none", *block.cases)]
+            rows.add(*({**row, "outcome": "failed", "error": str(found)} for row in lost))
+        else:
+            rows.add(*found[0])
+            traces |= {name: Trace(columns) for name, columns in found[1].items()}
+    summary: dict[str, Any] = {"cases": summarise(rows)}
+    summary["goals"] = judge(summary["cases"], goals_of(cases))
+    return Found(report(summary, cases, traces, config), summary, rows)
+
+
+def run_block(block: Block) -> tuple[list[dict[str, Any]], dict[str, dict[str, Array]]]:
+    """Run all cases of a block, that without a fault first; return a row each, and curves to be drawn."""
+    free, ended = run_case(block.trial, None)
+    if free is None:
+        raise MocOptError(f"{block.controller}: the run without a fault did not start: {ended}")
+    rows, curves = [], {}
+    waiting: Trace | None = None
+    for name, case in {"none": None, **block.cases}.items():
+        level = free
+        trace, how = (free, ended) if case is None else run_case(case.corrupt(block.trial), case.camera_lost_s)
+        if case is not None and case.camera_lost_s is not None:
+            # A path that may wait starts gently, so it is compared with one that never has to.
+            waiting = run_case(block.trial, (0.0, 0.0))[0] if waiting is None else waiting
+            level = free if waiting is None else waiting
+        rows.append(block.row(name, how) | measure(trace, level, how, case, block.limits_mm))
+        if name in PICTURED and block.pictured and trace is not None:
+            curves[name] = {column: trace.columns[column] for column in CURVES}
+    return rows, curves
+
+
+class Waited(Reference):
+    """A reference whose path waits while the board is out of sight."""
+
+    rows_played: Array
+
+    def __init__(self, reference: Reference, times: Array, lost_s: tuple[float, float]) -> None:
+        super().__init__(reference.path, reference.v_max, reference.a_max, reference.t_start)
+        seen = (times < lost_s[0]) | (times >= lost_s[1])
+        played, _ = WaitingReference(reference, float(times[1] - times[0])).play(seen)
+        object.__setattr__(self, "rows_played", played)
+
+    def at(self, t: Any) -> tuple[Array, Array, Array]:
+        """Return the point, velocity, acceleration, (k, 3) each, of the first k ticks."""
+        x, dx, ddx = np.swapaxes(self.rows_played[: len(t)], 0, 1)
+        return x, dx, ddx
+
+
+def run_case(scenario: Scenario, camera_lost_s: tuple[float, float] | None) -> tuple[Trace | None, str]:
+    """Return the trace as far as it goes, and how the run ended."""
+    try:
+        setup = Setup(scenario)
+        if camera_lost_s is not None:
+            setup.reference = Waited(setup.reference, setup.times(), camera_lost_s)
+        trace = setup.trace()
+    except RunAway as error:
+        trace = error.trace
+    except MocOptError as error:
+        return None, f"refused: {type(error).__name__}: {error}"
+    return trace, str(trace.meta["ended"])
+
+
+def measure(
+    trace: Trace | None, free: Trace, ended: str, case: Case | None, limits_mm: tuple[float, float]
+) -> dict[str, Any]:
+    """Return the figures of one run beside the run without a fault."""
+    if trace is None:
+        return {"outcome": "refused"}
+    # A stopped arm need not follow its reference: the way that it moves on counts.
+    whole, stopped_at = trace, trace.meta.get("stopped_at_s")
+    trace = trace if stopped_at is None else trace.select(trace.t_s <= stopped_at)
+    tip, rcm = 1e3 * trace.tip_error_m, 1e3 * whole.rcm_error_m
+    bounded = bool(tip.max() <= limits_mm[0] and rcm.max() <= limits_mm[1])  # False for NaN as well
+    outcome = Ending.of(ended).value
+    if ended == Ending.COMPLETED:
+        outcome = "survived" if bounded else "diverged"
+    coast = 1e3 * np.linalg.norm(whole.tip_m[len(trace) - 1 :] - whole.tip_m[len(trace) - 1], axis=1)
+    found: dict[str, Any] = {
+        "outcome": outcome, "ticks": len(whole), "stopped_at_s": stopped_at,
+        "stop_travel_mm": None if stopped_at is None else float(coast.max()),
+        "tip_error_max_mm": float(tip.max()), "rcm_error_max_mm": float(rcm.max()),
+        "tip_error_mean_mm": float(tip.mean()), "rcm_error_mean_mm": float(rcm.mean()),
+        "trocar_force_max_N": float(np.linalg.norm(whole.trocar_force_N, axis=1).max()),
+        "last_speed_rad_per_s": float(np.abs(whole.v_rad_per_s[-1]).max()),
+        "recover_s": recovery(trace, free, case, ended),
+    }  # fmt: skip
+    if outcome == "survived":
+        found["rcm_mean_percent"] = 100.0 * (found["rcm_error_mean_mm"] / (1e3 * free.rcm_error_m.mean()) - 1.0)
+        found["rcm_max_percent"] = 100.0 * (found["rcm_error_max_mm"] / (1e3 * free.rcm_error_m.max()) - 1.0)
+    return found | (detection(whole) if "fault" in whole.columns else {})
+
+
+def detection(trace: Trace) -> dict[str, int]:
+    """Count injected solver faults, those that were refused, and those that were not.
+
+    An answer that was corrupted, was taken, and is verified as the optimum all the same (the opposite gradient can
+    have the same optimum, where the box leaves one point) did no harm: it counts apart from the missed ones.
+    """
+    never: NDArray[np.bool_] = np.zeros(len(trace), dtype=np.bool_)
+    injected = trace.columns.get("injected", never) & (trace.fault != "stopped")
+    refused = ~np.isin(trace.fault, ("none", "stopped"))
+    taken, right = injected & ~refused, trace.columns.get("verified", never)
+    return {
+        "injected": int(np.count_nonzero(injected)),
+        "detected": int(np.count_nonzero(injected & refused)),
+        "harmless": int(np.count_nonzero(taken & right)),
+        "missed": int(np.count_nonzero(taken & ~right)),
+        "false_alarms": int(np.count_nonzero(~injected & np.isin(trace.fault, COMPLAINTS))),
+    }
+
+
+def recovery(trace: Trace, free: Trace, case: Case | None, ended: str) -> float | None:
+    """Return the seconds from the fault's end (its start, if it lasts) until both errors stay below 1.2 of their level.
+
+    None where the run was stopped, or ends above that level.
+    """
+    if ended != "completed" or len(trace) != len(free):
+        return None
+    if case is None:
+        return 0.0
+    period = float(trace.t_s[1] - trace.t_s[0])
+    width = max(1, round(SMOOTH_S / period))
+    since = case.from_s if case.until_s is None else case.until_s
+    last = since
+    for column in ("tip_error_m", "rcm_error_m"):
+        now, level = (smooth(run.columns[column], width) for run in (trace, free))
+        above = np.flatnonzero((now > RECOVERED * level + RESOLUTION_M) & (trace.t_s >= since))
+        if above.size:
+            if above[-1] == len(trace) - 1:
+                return None
+            last = max(last, float(trace.t_s[above[-1]]) + period)
+    return last - since
+
+
+def smooth(values: Array, width: int) -> Array:
+    """Return the mean of the last ``width`` values, (N,); of fewer at the beginning."""
+    total = np.concatenate([[0.0], np.cumsum(values)])
+    end = np.arange(1, len(values) + 1)
+    begin = np.maximum(end - width, 0)
+    mean: Array = (total[end] - total[begin]) / (end - begin)
+    return mean
+
+
+def summarise(rows: Results) -> dict[str, dict[str, dict[str, Any]]]:
+    """Return case -> controller -> figures: outcomes counted over the trials, worst errors, faults summed."""
+    return {
+        case: {name: _worst(list(mine.where(controller=name))) for name in mine.names()}
+        for case in rows.names("case") for mine in [rows.where(case=case)]
+    }  # fmt: skip
+
+
+def _worst(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    figures: dict[str, Any] = {"group": rows[0]["group"], "runs": len(rows)}
+    figures |= {name.replace(" ", "_"): sum(r["outcome"] == name for r in rows) for name in OUTCOMES}
+    figures["ended"] = "; ".join(sorted({str(r["ended"]) for r in rows}))
+    for names, combine in ((WORST, max), (COUNTS, sum)):
+        for name in names:
+            if values := [r[name] for r in rows if r.get(name) is not None]:
+                figures[name] = combine(values)
+    times = [r["recover_s"] for r in rows if r.get("recover_s") is not None]
+    figures["recovered"] = len(times)
+    if len(times) == len(rows):
+        figures["recover_s"] = max(times)
+    return figures
+
+
+def case_rows(summary: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Return one row per case and controller, with the outcome in a word, or several where the trials differ."""
+    found = []
+    for case, by in summary.items():
+        for name, row in by.items():
+            there = {word: count for word in OUTCOMES if (count := row.get(word.replace(" ", "_"), 0))}
+            said = next(iter(there)) if len(there) == 1 else ", ".join(f"{n} {word}" for word, n in there.items())
+            found.append({"case": case, "controller": name, **row, "outcome": said})
+    return found
+
+
+def goals_of(cases: Mapping[str, Case]) -> dict[str, Goal]:
+    """Return the goals; each is measured in the summary of the cases."""
+    shares = {name: case.faults.get("solver_share", 0.0) for name, case in cases.items() if case.group == "solver"}
+    always = {name for name, share in shares.items() if share >= 1.0}
+    seldom = set(shares) - always
+
+    def total(*keys: str) -> Any:
+        return lambda summary: sum(row.get(key, 0) for row in case_rows(summary) for key in keys)
+
+    def largest(key: str, among: Collection[str]) -> Any:
+        return lambda summary: max(r[key] for r in case_rows(summary) if r["case"] in among and key in r)
+
+    def where(key: str, among: Collection[str]) -> Any:
+        def found(summary: Any) -> str:
+            row = max((r for r in case_rows(summary) if r["case"] in among and key in r), key=lambda r: r[key])
+            return f"{row['case']}, {row['controller']}"
+
         return found
 
+    above = "RCM error above the fault-free run, solver faulty"
+    return {
+        "diverged": Goal("runs that diverge and are not stopped", "", 0, total("diverged"), section=EVERY),
+        "lost": Goal("runs that the plant or the process could not finish", "", 0,
+                     total("ran_away", "refused", "failed"), section=EVERY),
+        "missed": Goal("injected solver faults that were not noticed", "", 0, total("missed"), section=SOLVERS),
+        "false_alarms": Goal(
+            "honest answers refused", "% of all ticks", FALSE_ALARMS_PERCENT,
+            lambda summary: 100.0 * total("false_alarms")(summary) / max(total("ticks")(summary), 1), section=SOLVERS),
+        "mean_seldom": Goal(f"mean {above} now and then", "%", RCM_LIMIT_PERCENT, largest("rcm_mean_percent", seldom),
+                            made_of=where("rcm_mean_percent", seldom), section=EVERY),
+        "max_seldom": Goal(f"largest {above} now and then", "%", RCM_LIMIT_PERCENT, largest("rcm_max_percent", seldom),
+                           made_of=where("rcm_max_percent", seldom), section=EVERY),
+        "mean_always": Goal(f"mean {above} at every tick", "%", RCM_LIMIT_PERCENT, largest("rcm_mean_percent", always),
+                            made_of=where("rcm_mean_percent", always), section=EVERY),
+        "rest": Goal("speed of any joint at the end of a stop", "rad/s", AT_REST_RAD_PER_S,
+                     lambda summary: max(r["last_speed_rad_per_s"] for r in case_rows(summary) if r["stopped"]),
+                     section=EVERY),
+    }  # fmt: skip
 
-def inject(given: Namespace) -> cli.Results:
-    """Inject every fault; with ``--page`` write docs/reliability.md."""
-    config = Config.chosen(given, "faults")
-    runnable(config.solvers)
-    work, kept = config.jobs(), Kept(given.out / "jobs")
-    with cli.steps("faults", len(work)) as step:
-        outcomes = each(run_job, work, kept=kept, workers=config.processes, step=step, failed=lost_job)
-    rows = [row for outcome in outcomes for row in outcome.rows]
-    traces = {name: trace for outcome in outcomes for name, trace in outcome.traces.items()}
-    cases = summarise(rows)
-    reached = goals(config.cases, cases)
-    environment = config.environment(given, jobs_of_an_earlier_run=kept.reused)
-    if given.page:
-        write_page({"cases": cases, "goals": reached, "environment": environment})
-    first = answer(cases, reached, traces)
-    summary = {**cases, "goals": {goal["goal"]: goal for goal in reached}}
-    return cli.Results(summary, environment, rows, report(cases, first, environment), answer=first)
+
+def report(
+    summary: Mapping[str, Any], cases: Mapping[str, Case], traces: Mapping[str, Trace], config: Config
+) -> Report:
+    """Show the goals first, then every fault, then what was noticed of the solvers'."""
+    rows, goals = case_rows(summary["cases"]), goals_of(cases)
+    runs, survived, stopped, injected, detected, harmless = (
+        sum(r.get(key, 0) for r in rows) for key in ("runs", "survived", "stopped", "injected", "detected", "harmless")
+    )
+    answer = [
+        f"Of {runs} runs {survived} survived within the limits, {stopped} were stopped, and "
+        f"{runs - survived - stopped} did neither.",
+        f"Of {injected} injected solver faults {detected} were detected"
+        + (f"; {harmless} more had the optimum for an answer." if harmless else "."),
+        goals_sentence(summary["goals"]),
+    ]
+    says = "MOC with exact, first trial: errors and trocar force come back after a fault, or the arm has stopped."
+    pictures = [Picture(figures.time_series(traces, CURVES[1:]), says, "faults")] if traces else []
+    groups = {"none": "no fault", "sensors": "sensors and packets", "plant": "plant and delay",
+              "contact": "bumps and trocar", "camera": "camera", "solver": "solvers"}  # fmt: skip
+    tables = [
+        Table(f"Worst of {config.trials} trials: {title}", CASES, mine)
+        for group, title in groups.items() if (mine := [row for row in rows if row["group"] == group])
+    ]  # fmt: skip
+    seen = [row for row in rows if row["group"] == "solver"]
+    limits = f"Survived: tip and RCM error within {config.tip_limit_mm:g} and {config.rcm_limit_mm:g} mm."
+    sections = [
+        Section(EVERY, limits, tables),
+        Section(SOLVERS, "", [Table("Solver faults, injected and detected", SEEN, seen)]),
+    ]
+    table = goals_table(summary["goals"], goals)
+    return Report(f"Every fault: {about(config.scenario)}", answer, table, pictures, sections)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the benchmark; see `cli.run` for the exit status."""
-    options = cli.parser("faults", "Inject every fault under every controller.")
-    options.add_argument("--page", action="store_true", help=f"write {PAGE.parent.name}/{PAGE.name} as well")
-    return cli.run(options, inject, arguments, cli.GOES_ON)
+    """Run the study; returns the exit status."""
+    return command("faults", "Every fault under every controller.", Config, work, arguments)
 
 
 if __name__ == "__main__":

@@ -14,10 +14,14 @@ from typing import Any, NamedTuple
 
 import plotly.graph_objects as go
 
+from moc_opt.control import ControlSettings
+from moc_opt.control.presets import PRESETS
 from moc_opt.figures.notation import Doubtful, Mark, Notation, pretty_units
 from moc_opt.figures.style import figure, label, log_axis, rule
 from moc_opt.report.page import Page
 from moc_opt.report.tables import Column, Table
+from moc_opt.robots import load_data
+from moc_opt.scenario import Scenario
 from moc_opt.study.results import change_name
 from moc_opt.study.statistics import Interval, spread
 from moc_opt.trace.metrics import METRICS
@@ -114,6 +118,15 @@ class Report:
         yield self.table
         if self.load:
             yield self.load
+
+
+def about(scenario: Scenario, *, solver: bool = False) -> str:
+    """Return arm, task and preset of a scenario for a title, and its solver."""
+    control = scenario.control
+    preset = next((name for name in PRESETS if control == ControlSettings.preset(name)), None)
+    named = "default" if control == ControlSettings() else preset or "own settings"
+    parts = [load_data(scenario.robot.name).name, scenario.task.path, f"preset {named}"]
+    return ", ".join([*parts, *([scenario.solver.name] if solver else [])])
 
 
 def _markdown(table: Table) -> str:

@@ -1,26 +1,35 @@
-"""The fault benchmark: figures that follow from the runs, a command that leaves its files, a page that is its own."""
+"""The study of faults: its figures follow from the runs, and every fault meets every controller."""
 
 import json
-import re
 
 import numpy as np
-import pyarrow.parquet as pq
+import polars as pl
 import pytest
 
 from benchmarks import faults
-from benchmarks.common.output import default_config
-from benchmarks.faults import Config
-from benchmarks.reliability import page
-from benchmarks.reliability.runs import Case, Waited, detection, measure, recovery, run_case, smooth
-from benchmarks.reliability.verdict import goals, outcome, summarise
+from benchmarks.faults import (
+    Case,
+    Config,
+    Waited,
+    case_rows,
+    detection,
+    goals_of,
+    measure,
+    recovery,
+    run_case,
+    smooth,
+    summarise,
+)
 from moc_opt.scenario import Scenario, Setup
+from moc_opt.study.command import CONFIGS
+from moc_opt.study.results import Results
+from moc_opt.study.show import judge
 from moc_opt.trace.trace import Trace
 from tests import first_screens
 
 TINY = """
 trials = 1
 solvers = ["exact"]
-processes = 1
 [scenario]
 control = { preset = "tuned" }
 duration_s = 0.4
@@ -40,7 +49,7 @@ camera_lost_s = [0.1, 0.2]
 
 @pytest.fixture(scope="module")
 def shipped():
-    return Config.load(default_config("faults"))
+    return Config.load(CONFIGS / "faults.toml")
 
 
 @pytest.fixture(scope="module")
@@ -67,7 +76,7 @@ def run_of(error, level=1e-3, **meta):
 
 
 def test_every_fault_of_the_configuration_fits_a_scenario(shipped):
-    assert {case.group for case in shipped.cases.values()} == set(page.TITLES) - {"none"}
+    assert {case.group for case in shipped.cases.values()} == {"solver", "sensors", "plant", "contact", "camera"}
     for case in shipped.cases.values():
         assert case.corrupt(shipped.scenario) != shipped.scenario or case.camera_lost_s is not None
     delays = {case.plant.get("delay_ticks") for case in shipped.cases.values()} - {None}
@@ -78,14 +87,18 @@ def test_every_fault_of_the_configuration_fits_a_scenario(shipped):
     assert kinds == {"fail", "nan", "lie", "raise", "outside", "rig", "malformed", "hang"}
 
 
-def test_every_fault_meets_every_controller(shipped):
-    work = shipped.jobs()
-    assert len(work) == shipped.trials * (1 + len(shipped.solvers))
-    for job in work:
-        left_out = set(shipped.cases) - set(job.cases)
-        assert all(shipped.cases[name].group == "solver" for name in left_out)
-        assert bool(left_out) == (job.controller == "dcac")
-    assert {job.scenario.seed for job in work} == {0, 1}
+def test_every_run_is_a_row_and_the_summary_follows(left):
+    rows = pl.read_parquet(left / "rows.parquet").to_dicts()
+    assert [(row["controller"], row["case"]) for row in rows] == [
+        ("dcac", "none"), ("dcac", "gone"), ("dcac", "camera"),
+        ("exact", "none"), ("exact", "lies"), ("exact", "gone"), ("exact", "camera"),
+    ]  # fmt: skip
+    summary = json.loads((left / "summary.json").read_text())
+    gone, lies = summary["cases"]["gone"]["exact"], summary["cases"]["lies"]["exact"]
+    assert (gone["stopped"], lies["survived"]) == (1, 1)
+    assert lies["injected"] == lies["detected"] > 10
+    assert summary["goals"]["missed"]["reached"] == "yes"
+    first_screens.check((left / "report.html").read_text(), pictures=1)
 
 
 @pytest.mark.parametrize(
@@ -151,19 +164,25 @@ def test_detection_counts_each_kind_apart():
 
 
 def row(case, solver, kind="survived", **figures):
-    base = {"case": case, "group": "solver", "solver": solver, "trial": 0, "ended": "completed"}
+    base = {"case": case, "group": "solver", "controller": solver, "trial": 0, "ended": "completed"}
     return {**base, "outcome": kind, "ticks": 100, "recover_s": 0.1, **figures}
 
 
 def test_goals_follow_from_the_rows(shipped):
     good = {"injected": 5, "detected": 5, "missed": 0, "rcm_mean_percent": 1.0, "rcm_max_percent": 2.0,
             "false_alarms": 0}  # fmt: skip
-    fine = summarise(
+
+    def figures(rows):
+        return summarise(Results(rows))
+
+    def lost(summary):
+        return [key for key, goal in judge(summary, goals_of(shipped.cases)).items() if goal["reached"] == "no"]
+
+    fine = figures(
         [row("solver-lies", "exact", **good), row("solver-nan-always", "exact", **{**good, "rcm_mean_percent": 4.0}),
          row("nan-lasting", "exact", "stopped", last_speed_rad_per_s=0.01, recover_s=None)]
     )  # fmt: skip
-    assert all(goal["reached"] for goal in goals(shipped.cases, fine))
-    assert outcome(fine["nan-lasting"]["exact"]) == "stopped"
+    assert {goal["reached"] for goal in judge(fine, goals_of(shipped.cases)).values()} == {"yes"}
     assert "recover_s" not in fine["nan-lasting"]["exact"]
     for bad in (  # each of them breaks one goal
         row("delay-5", "rnn", "diverged"), row("delay-5", "rnn", "ran away"), row("delay-5", "rnn", "refused"),
@@ -174,11 +193,9 @@ def test_goals_follow_from_the_rows(shipped):
         row("solver-lies", "rnn", **{**good, "false_alarms": 30}),
         row("nan-lasting", "rnn", "stopped", last_speed_rad_per_s=0.2),
     ):  # fmt: skip
-        found = goals(shipped.cases, summarise([row("solver-lies", "exact", **good), bad]))
-        lost = [goal for goal in found if not goal["reached"]]
-        assert len(lost) == 1, (bad, lost)
-    mixed = summarise([row("a", "exact"), row("a", "exact", "stopped")])
-    assert outcome(mixed["a"]["exact"]) == "1 survived, 1 stopped"
+        assert len(lost(figures([row("solver-lies", "exact", **good), bad]))) == 1, bad
+    [mixed] = case_rows(figures([row("a", "exact"), row("a", "exact", "stopped")]))
+    assert mixed["outcome"] == "1 survived, 1 stopped"
 
 
 def test_a_lost_camera_makes_the_path_wait():
@@ -199,50 +216,3 @@ def test_a_case_that_cannot_start_is_a_row():
     assert ended.startswith("refused: UnknownNameError")
 
 
-def test_the_command_leaves_its_files(left):
-    summary = json.loads((left / "summary.json").read_text())
-    assert set(summary) == {"none", "lies", "gone", "camera", "goals"}
-    assert summary["lies"]["exact"]["injected"] == summary["lies"]["exact"]["detected"] > 10
-    assert summary["gone"]["exact"]["stopped"] == 1
-    assert set(summary["gone"]) == {"dcac", "exact"}
-    assert set(summary["lies"]) == {"exact"}
-    rows = pq.read_table(left / "rows.parquet").to_pylist()
-    assert len(rows) == 3 + 4
-    environment = json.loads((left / "environment.json").read_text())
-    assert environment["seed"] == 3
-    assert environment["config"]["cases"]["lies"]["faults"] == {"solver": "lie", "solver_share": 0.2}
-    first_screens.check((left / "report.html").read_text(), pictures=1)
-
-
-def test_the_same_seed_gives_the_same_numbers_and_finished_jobs_are_taken_again(left, tmp_path):
-    (tmp_path / "tiny.toml").write_text(TINY)
-    summaries = []
-    for reused in (0, 2):
-        assert faults.main([str(tmp_path / "tiny.toml"), "--out", str(tmp_path / "out"), "--seed", "3"]) == 0
-        environment = json.loads((tmp_path / "out" / "environment.json").read_text())
-        assert environment["jobs_of_an_earlier_run"] == reused
-        summaries.append((tmp_path / "out" / "summary.json").read_bytes())
-    assert summaries == [(left / "summary.json").read_bytes()] * 2
-
-
-def test_the_page_belongs_to_its_generator():
-    """docs/reliability.md is what the generator makes of docs/reliability.json, to the letter."""
-    found = json.loads(page.PAGE.with_suffix(".json").read_text(encoding="utf-8"))
-    assert page.page(found) == page.PAGE.read_text(encoding="utf-8"), (
-        "run python -m benchmarks.faults --page"
-    )
-
-
-def test_the_page_is_of_the_configuration_that_ships(shipped):
-    """Figures of other faults, or of fewer, would not be those of the command."""
-    found = json.loads(page.PAGE.with_suffix(".json").read_text(encoding="utf-8"))
-    assert found["environment"]["config"] == json.loads(json.dumps(shipped.model_dump(mode="json")))
-    assert set(found["cases"]) == {"none", *shipped.cases}
-    text = page.PAGE.read_text(encoding="utf-8")
-    promises = re.findall(r"^\d+\. \*\*(.+?)\*\* (?:.+? )?Tested: .+ \((.+?)\)$", text, re.M)
-    assert len(promises) == len(re.findall(r"^\d+\. ", text, re.M)) >= 15
-    for promise, files in promises:
-        assert promise.endswith(".")
-        for name in files.replace("`", "").split(", "):
-            path = page.PAGE.parents[1] / name
-            assert name == "this benchmark" or path.exists(), name

@@ -41,8 +41,7 @@ def of_paper():
 
 
 def of_faults():
-    jobs = shipped(faults, "faults").jobs()
-    return [job.scenario for job in jobs if job.controller == jobs[-1].controller]
+    return shipped(faults, "faults").scenarios()
 
 
 def of_sweep(name):
