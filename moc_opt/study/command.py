@@ -21,7 +21,7 @@ import threading
 from argparse import ArgumentParser, ArgumentTypeError, Namespace
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, ClassVar, Literal, Self, TypeVar
@@ -148,9 +148,12 @@ class Study:
         with progress(f"{self.name}: {what}", len(jobs)) as own:
             return work(own, 1.0)
 
-    def trials(self, asked: Sequence[Trial], what: str = "runs", **options: Any) -> list[Run]:
-        """Run trials: one row each, also of those that hung, died or raised."""
-        results = self.run([one.job for one in asked], what, **options)
+    def trials(
+        self, asked: Sequence[Trial], what: str = "runs", *, limit_s: float | None = None, **options: Any
+    ) -> list[Run]:
+        """Run trials: one row each, also of those that hung, died or raised; ``limit_s`` replaces each one's own."""
+        jobs = [one.job if limit_s is None else replace(one.job, limit_s=limit_s) for one in asked]
+        results = self.run(jobs, what, **options)
         return [outcome(one, result) for one, result in zip(asked, results, strict=True)]
 
     def placed(self, cases: Sequence[Scenario]) -> tuple[list[Scenario], list[dict[str, Any]]]:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import io
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import polars as pl
@@ -62,9 +62,9 @@ class Results:
         """Tell whether a row has these values."""
         return any(all(row.get(name) == value for name, value in keys.items()) for row in self._rows)
 
-    def where(self, test: Callable[[Mapping[str, Any]], bool] = lambda row: True, **keys: Any) -> Results:
-        """Return the rows with these values that pass a test."""
-        return Results(row for row in self._rows if all(row.get(k) == v for k, v in keys.items()) and test(row))
+    def where(self, **keys: Any) -> Results:
+        """Return the rows with these values."""
+        return Results(row for row in self._rows if all(row.get(name) == value for name, value in keys.items()))
 
     def names(self, column: str = "controller") -> list[Any]:
         """Return the distinct values of a column, in order, without None."""

@@ -83,8 +83,13 @@ def placed(trial: Scenario) -> Scenario:
 
 
 def variant(trial: Scenario, controller: str, settings: Mapping[str, Any] | None = None) -> Scenario:
-    """Return the trial under one of `BASELINES`, or under MOC with the solver of that name and its settings."""
+    """Return the trial under one of `BASELINES`, or under MOC with the solver of that name and its settings.
+
+    A scenario that is DCAC already keeps its gains.
+    """
     control = trial.control
+    if controller == BASELINE and control.law == "dcac":
+        return trial
     if controller not in BASELINES:
         return trial.change(solver={"name": controller, "settings": dict(settings or {})})
     if controller == OWN:

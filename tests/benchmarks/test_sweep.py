@@ -13,11 +13,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from benchmarks import sweep
-from benchmarks.common.output import default_config
-from benchmarks.sweeps.config import Config
-from benchmarks.sweeps.fields import check_path, paths, random_draws
-from benchmarks.sweeps.plan import plan
+from benchmarks.sweep import Config, check_path, paths, plan, random_draws
 from moc_opt.errors import MocOptError, SolverError, UnknownNameError
+from moc_opt.study.command import CONFIGS
+from moc_opt.study.results import Results
+from moc_opt.study.trials import variant
 from tests import first_screens
 
 TINY = {"duration_s": 0.05, "judge": False, "bound_samples": 0}
@@ -94,11 +94,10 @@ def test_names_in_values_and_settings_are_checked_before_anything_runs() -> None
 
 def test_solver_that_cannot_run_here_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
-        "benchmarks.common.config.available", lambda: {"exact": None, "osqp": "pip install osqp"}
+        "moc_opt.study.command.available", lambda: {"exact": None, "osqp": "pip install osqp"}
     )
     with pytest.raises(SolverError, match="pip install osqp"):
         plan(config(solvers=["osqp"]))
-    assert {run.solver for run in plan(config(solvers="all"))} == {"dcac", "exact"}
 
 
 @given(st.integers(0, 2**32), st.integers(1, 40), st.floats(1e-9, 1e3), st.floats(1.01, 1e6))
@@ -130,29 +129,19 @@ def test_a_logarithmic_sample_is_uniform_in_its_exponent() -> None:
 def test_the_plan_is_every_combination_in_a_fixed_order() -> None:
     runs = plan(config(solvers=["exact", "osqp"]))
     assert len(runs) == 24
-    assert [run.solver for run in runs[:3]] == ["exact", "osqp", "exact"]
-    assert [run.seed for run in runs[:5]] == [0, 0, 1, 1, 0]
-    last = runs[-1].scenario
+    assert [run.controller for run in runs[:3]] == ["exact", "osqp", "exact"]
+    assert [run.case.seed for run in runs[:5]] == [0, 0, 1, 1, 0]
+    last = runs[-1].case
     assert (last.control.regularization, last.plant.mass_error, last.seed) == (1e-4, 0.1, 1)
-    assert (last.solver.name, last.duration_s) == ("osqp", 0.05)
-
-
-def test_ids_belong_to_scenarios_not_to_places() -> None:
-    runs, others = plan(config()), plan(config(grid={"plant.mass_error": [0.1]}, seeds=[1]))
-    here = {run.id: run.scenario for run in runs}
-    assert len(here) == 12
-    assert here[others[0].id] == others[0].scenario  # regularization 1e-5 is the default
-    assert plan(config(scenario={**TINY, "duration_s": 0.06}))[0].id not in here
+    assert (runs[-1].controller, last.duration_s) == ("osqp", 0.05)
 
 
 def test_the_same_run_is_done_once() -> None:
     axes = {"solver.settings.eps": [1e-6, 1e-8], "control.k0_per_s": [1.0, 2.0]}
     runs = plan(config(solvers=["dcac", "osqp"], grid=axes, seeds=1))
     assert len(runs) == 6  # of 8: dcac asks no solver
-    assert [run.values["solver.settings.eps"] for run in runs if run.solver == "dcac"] == [None, None]
-    assert runs[0].scenario.control.law == "dcac"
-    assert runs[0].scenario.control.gains == "default"
-    assert runs[1].scenario.solver.settings == {"eps": 1e-6}
+    assert ["solver.settings.eps" in run.tags for run in runs if run.controller == "dcac"] == [False, False]
+    assert runs[1].settings == {"eps": 1e-6}
     drawn = {"samples": 50, "fields": {"task.path": {"choice": ["circle", "spiral"]}}}
     assert len(plan(config(random=drawn, grid={}, seeds=1))) == 2
 
@@ -160,68 +149,54 @@ def test_the_same_run_is_done_once() -> None:
 def test_without_solvers_the_scenarios_own_is_taken() -> None:
     own = {**TINY, "solver": {"name": "osqp", "settings": {"eps": 1e-7}}, "control": {"law": "moc"}}
     (run,) = plan(Config(scenario=own, seeds=1))
-    assert (run.solver, run.scenario.solver.settings) == ("osqp", {"eps": 1e-7})
+    assert (run.controller, run.settings) == ("osqp", {"eps": 1e-7})
     (dcac,) = plan(Config(scenario={**TINY, "control": {"law": "dcac"}}))
-    assert (dcac.solver, dcac.scenario.control.gains) == ("dcac", "default")
+    kept = variant(dcac.case, dcac.controller).control
+    assert (dcac.controller, kept.law, kept.gains) == ("dcac", "dcac", "default")
 
 
 def test_quick_is_the_same_sweep_on_less() -> None:
-    full = Config.load(default_config("sweep"))
+    full = Config.load(CONFIGS / "sweep.toml")
     small, whole = plan(full.quick()), plan(full)
     assert 0 < len(small) <= 8 < len(whole)
-    assert small[0].values.keys() == whole[0].values.keys()
-    assert small[0].scenario.duration_s == 0.2
+    assert small[0].tags.keys() == whole[0].tags.keys()
+    assert small[0].case.duration_s == 0.2
 
 
 def test_groups_hold_the_figures_of_their_rows() -> None:
-    rows = [
-        {"solver": name, "ended": ended, "error": error, "mu_mean": mu}
-        for name, ended, error, mu in [
-            ("a", "completed", None, 1.0), ("a", "completed", None, 3.0), ("a", "stopped: force", None, 9.0),
-            ("a", "failed", "no", None), ("b", "oscillated", None, 5.0),
+    rows = Results(
+        {"controller": name, "ended": ended, "whole": whole, "error": None if whole else ended, "mu_mean": mu}
+        for name, ended, whole, mu in [
+            ("a", "completed", True, 1.0), ("a", "completed", True, 3.0), ("a", "stopped: force", False, 9.0),
+            ("a", "failed", False, None), ("b", "oscillated", True, 5.0),
         ]
-    ]  # fmt: skip
-    found = sweep.summarise(rows)
-    counts = {word: found["a"][word] for word in ("runs", "failed", "stopped", "oscillated")}
-    assert counts == {"runs": 4, "failed": 1, "stopped": 1, "oscillated": 0}
-    assert found["a"]["mu_mean"] == pytest.approx(
-        {"count": 2, "mean": 2.0, "min": 1.0, "max": 3.0, "p05": 1.1, "p50": 2.0, "p95": 2.9}
-    )
-    assert found["b"]["mu_mean"]["mean"] == 5.0
+    )  # fmt: skip
+    found = sweep.grouped(rows)
+    assert [found["a"][word] for word in ("runs", "failed", "oscillated")] == [4, 2, 0]
+    assert [found["a"][f"mu_mean{end}"] for end in ("", "_p05", "_p95")] == pytest.approx([2.0, 1.1, 2.9])
+    assert (found["b"]["mu_mean"], found["b"]["oscillated"]) == (5.0, 1)
 
 
-def test_the_command_leaves_its_files_and_keeps_shared_times_out(tmp_path: Path, capsys: Any) -> None:
+def test_the_command_leaves_its_files_and_goes_on_from_them(tmp_path: Path, capsys: Any) -> None:
     file = tmp_path / "sweep.toml"
     file.write_text(
-        'seeds = 1\nsolvers = ["dcac", "exact"]\n[grid]\ncontrol.regularization = [1e-6, 1e-4]\n'
+        'seeds = 1\nsolvers = ["dcac", "exact"]\ntimed = true\n[grid]\ncontrol.regularization = [1e-6, 1e-4]\n'
         "[scenario]\nduration_s = 0.05\njudge = false\nbound_samples = 0\n"
     )
-    command = [str(file), "--out", str(tmp_path / "out"), "--workers", "1"]
+    command = [str(file), "--out", str(tmp_path / "out")]
     assert sweep.main(command) == 0
-    shown = capsys.readouterr().out
-    assert "By solver and control.regularization" in shown
-    assert "4 runs, 0 of them ended by an error" in shown
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
-    assert summary["sweep"]["runs"] == {
-        "all": 4, "failed": 0, "stopped": 0, "oscillated": 0, "timed_alone": 4, "timed_shared": 0,
-    }  # fmt: skip
-    assert summary["latency"]["exact"]["tick_p50_us"]["count"] == 2
+    assert (summary["all"]["exact"]["runs"], summary["all"]["exact"]["failed"]) == (2, 0)
+    assert summary["all"]["exact"]["tick_p50_us"] > 0.0
     assert summary["by control.regularization"]["exact, 0.0001"]["runs"] == 1
-    page = (tmp_path / "out" / "report.html").read_text()
-    assert "Manipulability against control.regularization" in page
-    first_screens.check(page, pictures=2)
-    assert (tmp_path / "out" / "environment.json").exists()
+    first_screens.check((tmp_path / "out" / "report.html").read_text(), pictures=2)
     rows = pl.read_parquet(tmp_path / "out" / "rows.parquet")
+    capsys.readouterr()
     assert sweep.main(command) == 0
-    again = pl.read_parquet(tmp_path / "out" / "rows.parquet")
-    assert rows.equals(again)  # times too: nothing was done again
-    assert "4 of 4 runs were finished before" in capsys.readouterr().err
-
-    shared = [str(file), "--out", str(tmp_path / "shared"), "--workers", "2", "--json"]
-    assert sweep.main(shared) == 0
-    summary = json.loads(capsys.readouterr().out)
-    assert summary["sweep"]["runs"]["timed_shared"] == 4
-    assert summary["latency"] == {}
+    assert rows.equals(pl.read_parquet(tmp_path / "out" / "rows.parquet")), "times too: nothing was done again"
+    assert "4 jobs are those of an earlier run" in capsys.readouterr().out
+    file.write_text(file.read_text().replace("timed = true", "timed = false"))
+    assert sweep.main([str(file), "--out", str(tmp_path / "shared")]) == 0
     other = pl.read_parquet(tmp_path / "shared" / "rows.parquet")
-    clocks = [name for name in rows.columns if name.endswith("_us")] + ["wall_s", "deadline_misses", "timing_shared"]
-    assert other.drop(clocks, strict=False).equals(rows.drop(clocks, strict=False))
+    assert not [name for name in other.columns if name.endswith("_us")], "times of runs side by side are left out"
+    assert other["mu_mean"].equals(rows["mu_mean"])

@@ -6,7 +6,6 @@ from benchmarks import faults, paper, plan, plant, robots, solvers, sweep
 from benchmarks.common.output import default_config
 from benchmarks.maintenance import coverage, tune
 from benchmarks.solver_study.cases import drawn
-from benchmarks.sweeps.config import chosen_seeds
 from moc_opt.scenario import Setup
 
 SET_UP = 15
@@ -46,7 +45,7 @@ def of_faults():
 
 def of_sweep(name):
     config = shipped(sweep, name)
-    return [config.scenario.change(seed=seed) for seed in chosen_seeds(config)]
+    return [config.scenario.change(seed=seed) for seed in config.chosen_seeds()]
 
 
 def of_tune():
