@@ -23,7 +23,7 @@ from moc_opt.report.tables import Column, Table
 from moc_opt.robots import load_data
 from moc_opt.scenario import Scenario
 from moc_opt.study.results import change_name
-from moc_opt.study.statistics import Interval, spread
+from moc_opt.study.statistics import Change, Interval, spread, too_few
 from moc_opt.trace.metrics import METRICS
 
 YES, NO, OPEN = Mark("✔", "yes", "good", 0), Mark("✘", "no", "bad", 2), Mark("–", "open", "other", 1)
@@ -208,7 +208,8 @@ class Goal(NamedTuple):
         what: in words.
         unit: of value and limit.
         limit: the limit.
-        measured: the value in a summary, a number or an `Interval`; a LookupError means that it was not measured.
+        measured: the value in a summary, a number, an `Interval` or a `Change`, both of whose means are asked then; a
+            LookupError means that it was not measured.
         most: the limit is the largest value that will do; else the smallest.
         made_of: what the value was made of, in words, from a summary.
         section: of the page, with the figures around it.
@@ -226,8 +227,8 @@ class Goal(NamedTuple):
 def judge(summary: Mapping[str, Any], goals: Mapping[str, Goal]) -> dict[str, dict[str, Any]]:
     """Return goal -> what, unit, goal, kind, value (None: not measured), made_of, reached.
 
-    ``reached`` is "yes", "no", "not measured", or "open": the value's interval holds the limit, or a time is not to be
-    trusted (a time that was lengthened by other work and is short enough all the same is trusted).
+    ``reached`` is "yes", "no", "not measured", or "open": the value's interval holds the limit, the trials are too few,
+    or a time is not to be trusted (one that was lengthened by other work and is short enough all the same is trusted).
     """
     found: dict[str, dict[str, Any]] = {}
     for key, goal in goals.items():
@@ -244,11 +245,16 @@ def judge(summary: Mapping[str, Any], goals: Mapping[str, Goal]) -> dict[str, di
 def _reached(goal: Goal, measured: Any) -> dict[str, Any]:
     if isinstance(measured, Doubtful):
         return {"value": measured, "reached": "yes" if goal.most and goal.unit and measured <= goal.limit else "open"}
-    if not isinstance(measured, Interval):
+    if not isinstance(measured, Interval | Change):
         measured = Interval(float(measured), float(measured), float(measured), 1)
-    within = [end <= goal.limit if goal.most else end >= goal.limit for end in (measured.low, measured.high)]
-    found = {"value": measured.value, "reached": "yes" if all(within) else "open" if any(within) else "no"}
-    return found if measured.low == measured.high else found | measured.entries("value")
+    both = measured if isinstance(measured, Change) else [measured]
+    one = both[0]
+    within = [end <= goal.limit if goal.most else end >= goal.limit for by in both for end in (by.low, by.high)]
+    reached = "yes" if all(within) else "open" if any(within) else "no"
+    if one.samples > 1 and too_few(one.samples):
+        reached = "open"
+    found = {"value": one.value, "reached": reached}
+    return found if one.low == one.high else found | measured.entries("value")
 
 
 def goals_table(found: Mapping[str, Mapping[str, Any]], goals: Mapping[str, Goal], title: str = "Goals") -> Table:
