@@ -56,7 +56,7 @@ class ControlSettings(Settings):
         description="constant lambda of the paper's |e_N1| = d / lambda, 0.5 in the paper; None: |N_d - N| itself",
     )
     projector: Projector = Field(
-        default="dynamic", description="null-space projector of level 2: docs/errata.md explains all three"
+        default="dynamic", description="null-space projector of level 2: docs/method.md explains all three"
     )
     feedforward: bool = Field(
         default=True, description="whether the accelerations of tip and wrist are fed forward; the paper does not"

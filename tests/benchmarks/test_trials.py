@@ -2,9 +2,8 @@
 
 import pytest
 
-from benchmarks import faults, paper, plan, plant, robots, solvers, sweep
+from benchmarks import coverage, faults, paper, plan, plant, robots, solvers, sweep, tune
 from benchmarks.common.output import default_config
-from benchmarks.maintenance import coverage, tune
 from benchmarks.solver_study.cases import drawn
 from moc_opt.scenario import Setup
 
@@ -35,8 +34,7 @@ def of_plant():
 
 
 def of_paper():
-    jobs = shipped(paper, "paper").jobs()
-    return [job.trial for job in jobs if job.group == jobs[0].group]
+    return shipped(paper, "paper").cases("paper")
 
 
 def of_faults():
@@ -53,7 +51,7 @@ def of_tune():
     found = []
     for stream, per_task in ((tune.SEARCH_STREAM, config.trials), (tune.FINAL_STREAM, config.final_trials)):
         own = tune.seeds(config.seed, stream, per_task * len(config.tasks))
-        found += [trial for _, trial in tune.trials(config.scenario, config.tasks, own)]
+        found += tune.trials(config.scenario, config.tasks, own, virtual=True)
     return found
 
 

@@ -8,12 +8,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from benchmarks.common.output import default_config
-from benchmarks.maintenance import tune
-from benchmarks.paper_experiment.trials import MATCHED, STREAM, Measurement, Outcome, seeds
+from benchmarks import tune
+from benchmarks.paper import STREAM
 from moc_opt.control import ControlSettings
 from moc_opt.control.presets import TUNED
 from moc_opt.robots import load_data
+from moc_opt.study.command import CONFIGS
+from moc_opt.study.results import Results
+from moc_opt.study.trials import BASELINE, Run, seeds
 
 GOOD = {
     "gain": 20.0, "worst_gain": 1.0, "tip_error_model_mean_mm": 0.06, "rcm_error_model_mean_mm": 0.12,
@@ -29,7 +31,6 @@ local = 1
 finalists = 2
 trials = 2
 final_trials = 2
-processes = 1
 [space]
 rho_over_c2 = { low = 0.05, high = 0.3, log = true }
 K_N2 = { low = 10.0, high = 40.0, log = true }
@@ -44,13 +45,13 @@ bound_samples = 0
 
 @pytest.fixture(scope="module")
 def config():
-    return tune.Config.load(default_config("tune"))
+    return tune.Config.load(CONFIGS / "tune.toml")
 
 
 @settings(max_examples=30)
 @given(st.integers(0, 10**6))
 def test_candidates_stay_in_the_space_and_make_settings(seed):
-    config = tune.Config.load(default_config("tune"))
+    config = tune.Config.load(CONFIGS / "tune.toml")
     rng = np.random.default_rng(seed)
     first = tune.draw(config, rng)
     for candidate in (first, tune.draw(config, rng, [first])):
@@ -115,44 +116,39 @@ def test_a_settled_phase_that_never_came_is_a_missed_goal():
     assert tune.objective(never) > tune.objective(GOOD) + 10.0
 
 
-def outcome(group, controller, rate, mu=0.3, gain=0.0, trial=0):
-    metrics = {"torque_rate_rms_Nm_per_s": rate, "tip_error_model_mean_mm": 0.05, "rcm_error_model_mean_mm": 0.12,
-               "mu_mean": mu, "mu_gain_percent": gain}  # fmt: skip
-    entry = Measurement(group, controller, "circle", f"circle/{trial}", 1, "whole", metrics)
-    return Outcome([entry], {}, {}, [])
+def run(group, controller, rate, mu=0.3, trial=0, **more):
+    metrics = {"torque_rate_rms_Nm_per_s": rate, "mu_mean": mu, **dict.fromkeys(tune.ERRORS, 0.05)}
+    about = {"group": group, "controller": controller, "trial": f"t{trial}", "ended": "completed"}
+    return Run({**about, "whole": True, "error": None, **metrics, **more})
 
 
 def test_score_reads_the_gain_and_refuses_what_is_not_calm():
     """Gains of 100 and 10 %: of the means it is 19 %, and the mean of both, 55 %, would be another number."""
     candidate = tune.Candidate((), {})
     usual = [
-        outcome("", MATCHED, 500.0, 0.1, 0.0, 0), outcome("", tune.SOLVER, 500.0, 0.2, 100.0, 0),
-        outcome("", MATCHED, 500.0, 0.9, 0.0, 1), outcome("", tune.SOLVER, 500.0, 0.99, 10.0, 1),
+        run("", BASELINE, 500.0, 0.1), run("", tune.SOLVER, 500.0, 0.2),
+        run("", BASELINE, 500.0, 0.9, 1), run("", tune.SOLVER, 500.0, 0.99, 1),
     ]  # fmt: skip
-    found = tune.score(candidate, [*usual, outcome("hard", tune.SOLVER, 600.0)])
+    found = tune.score(candidate, [*usual, run("hard", tune.SOLVER, 600.0)])
     assert found.figures["gain"] == pytest.approx(19.0)
-    assert found.figures["worst_gain"] == 10.0
+    assert found.figures["worst_gain"] == pytest.approx(10.0)
     assert math.isfinite(found.objective)
-    wild = tune.score(candidate, [*usual, outcome("hard", tune.SOLVER, 5000.0)])
-    assert wild.objective == math.inf
-    assert "5000" in wild.reason
-
-
-def test_score_refuses_what_breaks_off():
-    broken = Outcome([], {}, {}, [{"error": "PlantError: the arm ran away"}])
-    found = tune.score(tune.Candidate((), {}), [outcome("", tune.SOLVER, 500.0, 20.0), broken])
-    assert found.objective == math.inf
-    assert "ran away" in found.reason
+    for bad, said in (
+        (run("hard", tune.SOLVER, 5000.0), "5000"),
+        (run("", tune.SOLVER, 500.0, whole=False, error="the arm ran away"), "ran away"),
+        (run("", tune.SOLVER, 500.0, ended="oscillated: joint_7"), "joint_7"),
+    ):
+        refused = tune.score(candidate, [*usual, bad])
+        assert (refused.objective, said in refused.reason) == (math.inf, True)
 
 
 def test_change_while_settled_is_that_of_the_same_trials():
-    entries = []
-    for trial, (moc, dcac) in enumerate([(0.1, 0.2), (0.2, 0.4), (0.3, 0.6)]):
-        for controller, value in ((tune.SOLVER, moc), (MATCHED, dcac)):
-            metrics = {**dict.fromkeys(tune.ERRORS, value), "ticks": 100.0}
-            entries.append(Measurement("", controller, "circle", f"circle/{trial}", 0, "settled", metrics))
-        entries.extend(outcome("", tune.SOLVER, 500.0, 20.0).measurements)
-    values = tune.figures(entries)
+    rows = [
+        run("", name, 500.0, trial=k, settled_ticks=100, **{f"settled_{e}": value for e in tune.ERRORS}).row
+        for k, both in enumerate([(0.1, 0.2), (0.2, 0.4), (0.3, 0.6)])
+        for name, value in zip((tune.SOLVER, BASELINE), both, strict=True)
+    ]  # fmt: skip
+    values = tune.figures(Results(rows))
     assert values["settled_tip_error_model_mean_mm"] == pytest.approx(-50.0)
     assert "travelling_tip_error_model_mean_mm" not in values
 

@@ -1,14 +1,14 @@
-"""What the paper prints and what we compute: every row of the table, with the number that decides it, and the page."""
+"""What the paper prints and what we compute: each row of docs/method.md's table, with its number."""
 
 import numpy as np
 import pytest
 
-from benchmarks.maintenance import errata
-from benchmarks.maintenance.errata import K_N2, PAPER, K, idempotence, leak, saddle
 from moc_opt import solvers
 from moc_opt.robots.chain import desired_wrist
 from moc_opt.vision.board import BOARD_TASKS
 from tests.control.torques import third, tracking
+from tests.reference import errata
+from tests.reference.errata import K_N2, PAPER, K, idempotence, leak, saddle
 from tests.reference.law import null_space, third_level, velocity_damper
 
 
@@ -162,30 +162,3 @@ def test_printed_network_does_not_raise_the_manipulability():
     gain = errata.gains_in_mu()
     assert gain["exact"] > 10.0
     assert abs(gain["rnn-printed"]) < 1e-3 * gain["exact"]
-
-
-# the page
-
-
-def test_the_page_agrees_with_the_numbers(capsys):
-    assert errata.main(["--check"]) == 0, capsys.readouterr().err
-
-
-def test_a_page_that_does_not_agree_is_found_and_mended(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(errata, "page", lambda: "the numbers\n")
-    file = tmp_path / "errata.md"
-    assert errata.main(["--check", "--out", str(file)]) == 1
-    assert "python -m benchmarks.errata" in capsys.readouterr().err
-    assert errata.main(["--out", str(file)]) == 0
-    assert errata.main(["--check", "--out", str(file)]) == 0
-    file.write_text("other numbers\n")
-    assert errata.main(["--check", "--out", str(file)]) == 1
-
-
-@pytest.mark.parametrize(
-    ("value", "text"),
-    [(3e-14, "below 1e-12"), (123.4, "120"), (0.0567, "0.057"), (3.71e7, "3.7e7"), (-2.0, "-2"), (1.2e-6, "1.2e-6")],
-)
-def test_numbers_are_written_alike_on_every_machine(value, text):
-    assert errata.number(value) == text
-    assert errata.span([value, value]) == text

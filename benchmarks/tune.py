@@ -23,7 +23,6 @@ from __future__ import annotations
 import json
 import math
 import sys
-from argparse import Namespace
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Self
@@ -31,15 +30,14 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from benchmarks.common import cli
-from benchmarks.common.config import Configuration
-from benchmarks.paper_experiment.trials import MATCHED, Job, Measurement, Outcome, run_job, seeds, trials
-from benchmarks.paper_experiment.verdict import effect
 from moc_opt.errors import ScenarioError
 from moc_opt.inputs.settings import Settings
 from moc_opt.report.tables import Column, Table
 from moc_opt.scenario import Scenario
-from moc_opt.study import each
+from moc_opt.study.command import Found, Study, StudyConfig, command
+from moc_opt.study.results import Results
+from moc_opt.study.show import Report, Section
+from moc_opt.study.trials import BASELINE, PHASES, Run, Trial, seeds, trials, with_phases
 from moc_opt.trace.meta import Ending
 
 SOLVER = "exact"
@@ -73,7 +71,7 @@ class Range(Settings):
         return float(f"{self.low * ratio**place if self.log else self.low + place * (self.high - self.low):.3g}")
 
 
-class Config(Configuration):
+class Config(StudyConfig):
     """benchmarks/configs/tune.toml."""
 
     tasks: list[str] = Field(["circle", "sinusoid", "spiral"], min_length=1)
@@ -82,12 +80,11 @@ class Config(Configuration):
     finalists: int = Field(6, ge=1)
     trials: int = Field(2, ge=2)
     final_trials: int = Field(5, ge=2)
-    processes: int = Field(2, ge=1)
     space: dict[str, Range]
     hard: dict[str, Any] = Field(default_factory=dict)
     scenario: Scenario = Scenario(judge=False, bound_samples=0)
 
-    def quick(self) -> Config:
+    def quick(self) -> Self:
         """Return the same search with few candidates."""
         few = {"random": 3, "local": 1, "finalists": 2, "trials": 2, "final_trials": 2, "tasks": self.tasks[:1]}
         return self.model_copy(update=few)
@@ -131,17 +128,17 @@ def draw(config: Config, rng: np.random.Generator, near: Sequence[Candidate] = (
     return Candidate(drawn, {k: span.at(place) for (k, span), place in zip(config.space.items(), drawn, strict=True)})
 
 
-def figures(found: Sequence[Measurement]) -> dict[str, float]:
+def figures(rows: Results) -> dict[str, float]:
     """Return the figures that the objective reads, over all trials."""
-    whole = [m.metrics for m in found if (m.controller, m.phase) == (SOLVER, "whole")]
-    gain = effect(found, "", SOLVER, MATCHED, "mu_mean")
+    gain = rows.change("mu_mean", SOLVER)
     values = {"gain": -100.0 if gain is None else gain.ratio.value}  # without a pair of runs there is none
-    values["worst_gain"] = min(metrics["mu_gain_percent"] for metrics in whole)
-    values |= {name: float(np.mean([metrics[name] for metrics in whole])) for name in ERRORS}
-    values["torque_rate"] = float(np.mean([metrics["torque_rate_rms_Nm_per_s"] for metrics in whole]))
-    for phase in ("settled", "travelling"):
+    mine, theirs = rows.pairs("mu_mean", SOLVER)
+    values["worst_gain"] = min((100.0 * (a / b - 1.0) for a, b in zip(mine, theirs, strict=True)), default=-100.0)
+    for name, key in (*((name, name) for name in ERRORS), ("torque_rate_rms_Nm_per_s", "torque_rate")):
+        values[key] = float(np.mean(list(rows.values(name, SOLVER).values())))
+    for phase in PHASES:
         for name in ERRORS:
-            change = effect(found, "", SOLVER, MATCHED, name, phase)
+            change = rows.change(f"{phase}_{name}", SOLVER)
             if change is not None and change.ratio.samples > 1:
                 values |= {f"{phase}_{name}": change.ratio.value, f"{phase}_{name}_high": change.ratio.high}
     return values
@@ -168,51 +165,46 @@ def objective(values: Values) -> float:
     return 10.0 * shortfall + cost
 
 
-def jobs_of(config: Config, candidate: Candidate, stream: int, per_task: int, hard: bool) -> list[Job]:
+def asked(config: Config, candidate: Candidate, stream: int, per_task: int, hard: bool) -> list[Trial]:
     """Return the candidate on every trial of a stream, and one trial on the worse arm."""
     base = config.scenario.change(control=candidate.control)
-    cases = trials(base, config.tasks, seeds(config.seed, stream, per_task * len(config.tasks)))
-    jobs = [Job("", task, trial, (MATCHED, SOLVER)) for task, trial in cases]
-    if hard:
-        task, trial = cases[0]
-        jobs.append(Job("hard", task, trial.change(plant=config.hard), (SOLVER,)))
-    return jobs
+    cases = trials(base, config.tasks, seeds(config.seed, stream, per_task * len(config.tasks)), virtual=True)
+    found = [Trial(case, name, tags={"group": ""}, keep="curves") for case in cases for name in (BASELINE, SOLVER)]
+    return [*found, Trial(cases[0].change(plant=config.hard), SOLVER, tags={"group": "hard"})] if hard else found
 
 
-def score(candidate: Candidate, outcomes: Sequence[Outcome]) -> Score:
-    """Judge a candidate by the results of its jobs."""
-    if broken := [entry["error"] for outcome in outcomes for entry in outcome.broken]:
+def score(candidate: Candidate, runs: Sequence[Run]) -> Score:
+    """Judge a candidate by its runs."""
+    if broken := [run.row["error"] for run in runs if not run.row["whole"]]:
         return Score(candidate, math.inf, {}, f"broke off: {broken[0]:.120}")
-    found = [m for outcome in outcomes for m in outcome.measurements]
-    usual = [m for m in found if m.group == ""]
-    if shaken := [m.ended for m in usual if Ending.of(m.ended) is Ending.OSCILLATED]:
+    usual = [run for run in runs if run.row["group"] == ""]
+    if shaken := [run.row["ended"] for run in usual if Ending.of(run.row["ended"]) is Ending.OSCILLATED]:
         return Score(candidate, math.inf, {}, shaken[0])
-    values = figures(usual)
-    rates = [m.metrics["torque_rate_rms_Nm_per_s"] for m in found if (m.group, m.phase) == ("hard", "whole")]
+    values = figures(Results(run.row for run in with_phases(usual)))
+    rates = [run.row["torque_rate_rms_Nm_per_s"] for run in runs if run.row["group"] == "hard"]
     if rates and max(rates) > CALM * values["torque_rate"]:
         return Score(candidate, math.inf, values, f"torque rate of {max(rates):.0f} Nm/s on the worse arm")
     return Score(candidate, objective(values), values)
 
 
-def search(config: Config) -> tuple[list[Score], list[Score]]:
+def search(study: Study, config: Config) -> tuple[list[Score], list[Score]]:
     """Return (every score of the search, scores of the finalists on fresh trials), each best first."""
     rng = np.random.default_rng(config.seed)
 
-    def evaluate(candidates: Sequence[Candidate], stream: int, per_task: int) -> list[Score]:
-        batches = [jobs_of(config, one, stream, per_task, hard=stream == SEARCH_STREAM) for one in candidates]
-        outcomes = iter(each(run_job, [job for batch in batches for job in batch], workers=config.processes, step=step))
-        return [score(one, [next(outcomes) for _ in batch]) for one, batch in zip(candidates, batches, strict=True)]
+    def evaluate(candidates: Sequence[Candidate], stream: int, per_task: int, what: str) -> list[Score]:
+        batches = [asked(config, one, stream, per_task, hard=stream == SEARCH_STREAM) for one in candidates]
+        runs = iter(study.trials([trial for batch in batches for trial in batch], what))
+        return [score(one, [next(runs) for _ in batch]) for one, batch in zip(candidates, batches, strict=True)]
 
     def best(scores: Sequence[Score], count: int) -> list[Candidate]:
         ranked = sorted(scores, key=lambda s: s.objective)
         return [s.candidate for s in ranked[:count] if math.isfinite(s.objective)]
 
-    runs = (config.random + config.local) * (config.trials * len(config.tasks) + 1)
-    with cli.steps("search", runs + config.finalists * config.final_trials * len(config.tasks)) as step:
-        found = evaluate([draw(config, rng) for _ in range(config.random)], SEARCH_STREAM, config.trials)
-        if near := best(found, 5):
-            found += evaluate([draw(config, rng, near) for _ in range(config.local)], SEARCH_STREAM, config.trials)
-        finals = evaluate(best(found, config.finalists), FINAL_STREAM, config.final_trials)
+    found = evaluate([draw(config, rng) for _ in range(config.random)], SEARCH_STREAM, config.trials, "whole space")
+    if near := best(found, 5):
+        drawn = [draw(config, rng, near) for _ in range(config.local)]
+        found += evaluate(drawn, SEARCH_STREAM, config.trials, "near the best")
+    finals = evaluate(best(found, config.finalists), FINAL_STREAM, config.final_trials, "finalists")
     return sorted(found, key=lambda s: s.objective), sorted(finals, key=lambda s: s.objective)
 
 
@@ -228,27 +220,34 @@ def preset(winner: Score) -> str:
     return "\n".join(["[control]", *lines])
 
 
-def tune(given: Namespace) -> cli.Results:
+def work(study: Study, config: Config) -> Found:
     """Search, and verify the finalists.
 
     Raises:
         ScenarioError: no candidate survived.
     """
-    config = Config.chosen(given, "tune")
-    found, finals = search(config)
+    found, finals = search(study, config)
     if not finals or not math.isfinite(finals[0].objective):
         raise ScenarioError("no candidate survived: widen [space], or draw more with random = ...")
     winner = finals[0]
     summary = {"tuned": {"control": winner.candidate.control, "figures": dict(winner.figures)}}
-    rows = [row("search", s) for s in found] + [row("final", s) for s in finals]
-    columns = [Column(name, name, digits=3) for name in ("objective", *config.space, *winner.figures)]
-    table = Table("Finalists on fresh trials", columns, rows[len(found) :])
-    return cli.Results(summary, config.environment(given), rows, tables=[table], sentences=[preset(winner)])
+    rows = Results([*(row("search", s) for s in found), *(row("final", s) for s in finals)])
+    every = "Finalists"
+    first = ["objective", *list(config.space)[:5]]
+    heads = [Column(name, name.replace("_", " "), digits=3, section=every) for name in first]
+    table = Table("Finalists on fresh trials, best first", heads, list(rows.where(part="final")))
+    wide = [Column(name, name.replace("_", " "), digits=3) for name in ("objective", *config.space, *winner.figures)]
+    refused = sum(not math.isfinite(s.objective) for s in found)
+    answer = [f"The best of {len(found)} candidates has the objective {winner.objective:.3g} on fresh trials.",
+              f"{refused} candidates were refused: a run broke off, oscillated, or was not calm on the worse arm."]
+    sections = [Section(every, "", [Table("Every figure", wide, list(rows.where(part="final")))])]
+    return Found(Report("Search for the preset tuned", answer, table, (), sections), summary, rows,
+                 sentences=[preset(winner)])  # fmt: skip
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the search; see `cli.run` for the exit status."""
-    return cli.run(cli.parser("tune", "Search for control settings that reach the goals."), tune, arguments)
+    """Run the search; returns the exit status."""
+    return command("tune", "Search for control settings that reach the goals.", Config, work, arguments)
 
 
 if __name__ == "__main__":
