@@ -1,46 +1,72 @@
-"""How much manipulability a path holds, and how much of it each third level reaches in the loop.
+"""How much manipulability does a path hold, and how much of it does each third level reach in the loop?
 
-python -m benchmarks.plan [CONFIG.toml] [--out DIR] [--seed N] [--quick] [--json] [--page]
+python -m benchmarks.plan [CONFIG.toml] [--out DIR] [--seed N] [--quick] [--json]
 
-Starts are drawn by the rules of `moc_opt.vision.preflight.random_start`. The map's largest mu is searched for by
-inverse kinematics from random starts, the nonlinear program is begun elsewhere, and the grid is halved.
---page also writes the tables into docs/planning.md.
+Starts are drawn from the whole workspace. Courses are planned from each start and over all; the map's largest mu is
+searched for by inverse kinematics from random starts, and the grid is halved.
 """
 
 from __future__ import annotations
 
 import sys
-from argparse import Namespace
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from typing import Any, Self, get_args
 
+import numpy as np
 from pydantic import Field
 
-from benchmarks.common import cli
-from benchmarks.common.config import Configuration
-from benchmarks.common.markdown import write_section
-from benchmarks.common.output import default_config
-from benchmarks.paper_experiment.trials import seeds, trials
-from benchmarks.planning.page import COMMANDS, PAGE, answer, page_text, report
-from benchmarks.planning.runs import Job, lost_job, run_job
-from benchmarks.planning.verdict import summarise
+from moc_opt import scenario
 from moc_opt.control import ControlSettings
-from moc_opt.errors import MocOptError
-from moc_opt.planning.pose_map import closed_form
+from moc_opt.errors import MocOptError, RobotError, describe
+from moc_opt.figures.notation import Mark
+from moc_opt.figures.style import Styles, figure, label, log_axis, rule
+from moc_opt.planning.pose_map import closed_form, map_of
+from moc_opt.planning.self_motion import self_motion
+from moc_opt.report.tables import Column, Table
+from moc_opt.robots.inverse_kinematics import solve_pose
 from moc_opt.scenario import Scenario
-from moc_opt.study import Kept, each
+from moc_opt.scenario.planned import plan
+from moc_opt.study import Failed, Job
+from moc_opt.study.command import Found, Study, StudyConfig, command
+from moc_opt.study.results import Results, change_name
+from moc_opt.study.show import (
+    MARKS,
+    Goal,
+    Picture,
+    Report,
+    Section,
+    columns,
+    goals_sentence,
+    goals_table,
+    judge,
+)
+from moc_opt.study.statistics import Interval, mean, spread, too_few
+from moc_opt.study.trials import placed, seeds, trials
+from moc_opt.trace.meta import Ending
+from moc_opt.trace.metrics import summarize
 
+STREAM, LOCAL = 7, "local"
 CONTROL = ControlSettings.model_fields
 LOOPS: dict[str, dict[str, Any]] = {
     **{level: {"third_level": level} for level in get_args(CONTROL["third_level"].annotation)},
-    # What the observer's gain under a course is worth to the climb, beside it: tip and RCM error come of its lag.
+    # What the observer's gain under a course is worth to the climb: tip and RCM error come of its lag.
     "local, observer of the courses": {"observer_gain_per_s": CONTROL["course_observer_gain_per_s"].default},
 }
-STREAM = 7
-"""Of the seeds: no trial of this benchmark is one of another."""
+ERRORS = ("tip_error_model_mean_mm", "rcm_error_model_mean_mm")
+MOST_GAP_PERCENT = {LOCAL: 2.0, "receding": 1.0, "planned": 0.5}
+"""Mean mu in the loop below that of the best course from the same start."""
+MOST_PLANNED_PERCENT, MOST_CHANGE_PERCENT, TRAPPED_PERCENT, LEAST_DRAWN_PERCENT = 3.0, 5.0, 5.0, 0.01
+MOST_SCRATCH_S, MOST_REPLAN_MS, MOST_ABOVE_MAP, MOST_HALVING_PERCENT = 3.0, 20.0, 1e-6, 0.5
+FIGURES = ("gap_percent", "fraction_of_best", *ERRORS, "course_gap_percent", "replan_ms_p99")
+COURSES = (
+    "from_start", "best", "climb_gap_percent", "start_loss_percent", "bound_gap_percent", "refined_percent",
+    "halving_percent", "map_s", "search_s", "refine_s", "scratch_s",
+)  # fmt: skip
+IN_THE_LOOP, ALONG = "In the loop", "Courses and checks"
 
 
-class Config(Configuration):
+class Config(StudyConfig):
     """benchmarks/configs/plan.toml."""
 
     robots: list[str] = Field(["lwr4", "iiwa14", "panda"], min_length=1)
@@ -49,67 +75,333 @@ class Config(Configuration):
     poses: int = Field(20, ge=1, description="random starts per task and robot")
     loops: dict[str, dict[str, Any]] = Field(LOOPS, description="closed loops: name -> [control]")
     halvings: int = Field(3, ge=0, description="starts at which the grid is halved")
-    processes: int = Field(2, ge=1)
-    map_points: int = Field(3, ge=0)
+    map_points: int = Field(3, ge=0, description="starts at which the map's largest mu is searched for at random")
     random_starts: int = Field(1000, ge=1)
-    restart_poses: int = Field(2, ge=0)
-    restarts: int = Field(100, ge=1)
     scenario: Scenario = Scenario(start={"pose": "random"})
 
     def quick(self) -> Self:
         """Return the same on less data."""
-        less = {"robots": self.robots[:2], "tasks": self.tasks[:1], "poses": 2, "map_points": 1, "random_starts": 30}
-        return self.model_copy(update=less | {"restart_poses": 1, "restarts": 3, "halvings": 1})
+        return self.model_copy(update={
+            "robots": self.robots[:2], "tasks": self.tasks[:1], "poses": 2, "map_points": 1, "random_starts": 30,
+            "halvings": 1,
+        })  # fmt: skip
 
-    def jobs(self) -> list[Job]:
-        """Return every part on every trial that it is for; the checks of map and program are of closed forms."""
-        found: list[Job] = []
-        count = self.poses * len(self.tasks)
+    def cases(self) -> list[Scenario]:
+        """Return the trials, arm by arm."""
+        count, found = self.poses * len(self.tasks), list[Scenario]()
         own = seeds(self.seed, STREAM, count * len(self.robots))
         for k, name in enumerate(self.robots):
             base = self.scenario.change(robot={"name": name})
-            drawn = trials(base, self.tasks, own[k * count : (k + 1) * count])
-            some = drawn[:: max(1, len(drawn) // max(self.map_points, self.restart_poses, self.halvings, 1))]
-            found += [Job("courses", name, *trial, loops=self.loops) for trial in drawn]
-            found += [Job("halving", name, *trial) for trial in some[: self.halvings]]
-            if closed_form(base.robot.arm()) is not None:
-                found += [Job("closed_form", name, *one, self.random_starts) for one in some[: self.map_points]]
-                found += [Job("restarts", name, *one, self.restarts) for one in some[: self.restart_poses]]
+            found += trials(base, self.tasks, own[k * count : (k + 1) * count], virtual=True)
         return found
 
 
-def study(given: Namespace) -> cli.Results:
-    """Plan every trial; ``--page`` writes docs/planning.md."""
-    config = Config.chosen(given, "plan")
-    section = section_of(config) if given.page else ""
-    jobs, environment, kept = config.jobs(), config.environment(given), Kept(given.out / "jobs")
-    with cli.steps("plans", len(jobs)) as step:
-        done = each(run_job, jobs, kept=kept, workers=config.processes, step=step, failed=lost_job)
-    rows = [row for found in done for row in found]
-    summary = summarise(rows)
-    if section:
-        write_section(PAGE, section, page_text(section, summary, environment))
-    first = answer(summary, rows)
-    return cli.Results(summary, environment, rows, report(summary, rows, first, environment), answer=first)
+def about(case: Scenario, part: str) -> dict[str, Any]:
+    """Return the columns that name a row."""
+    return {"part": part, "robot": case.robot.name, "trial": case.name, "seed": case.seed, "controller": part,
+            "whole": True, "error": None}  # fmt: skip
 
 
-def section_of(config: Config) -> str:
-    """Return the section of docs/planning.md that a configuration writes.
+def courses(case: Scenario, loops: Mapping[str, Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """Return every course from one start with their bounds, and a row for each closed loop on it."""
+    trial = placed(case)
+    found = plan(trial)
+    row = about(case, "courses") | {
+        "executable": found.executable, "blocked": "" if found.blocked is None else found.blocked.reason,
+        "climbed_whole": found.climbed_whole, "map_s": found.map_s, "search_s": found.search_s,
+        "refine_s": found.refine_s, "scratch_s": found.map_s + found.search_s,
+    }  # fmt: skip
+    mine, best = found.from_start, found.best
+    if mine is None or best is None:
+        return [row]
+    row |= {
+        "from_start": mine.mu_mean, "best": best.mu_mean, "certified": mine.certified, "violation": mine.violation,
+        "start_loss_percent": 100.0 * (1.0 - mine.mu_mean / best.mu_mean),
+    }  # fmt: skip
+    for name, bound, course in (("", found.bound_from_start, mine), ("_best", found.bound, best)):
+        if np.isfinite(bound):
+            row[f"bound_gap{name}_percent"] = 100.0 * (bound / course.mu_mean - 1.0)
+    if found.climbed_whole:
+        row["climb_gap_percent"] = 100.0 * (1.0 - found.climbed.mu_mean / mine.mu_mean)
+    return [row, *(loop(case, trial, name, change, mine.mu_mean, best.mu_mean) for name, change in loops.items())]
 
-    Raises:
-        MocOptError: the page shows no figures of this one.
+
+def loop(case: Scenario, trial: Scenario, name: str, change: Mapping[str, Any], mine: float, best: float) -> Any:
+    """Return the row of one run of the trial in its plant, against the mean mu of the best courses."""
+    row = about(case, "loop") | {"controller": name}
+    try:
+        trace = scenario.run(trial.change(control=change, best_courses=False, bound_samples=0, judge=False))
+    except MocOptError as error:
+        return row | {"ended": "failed", "whole": False, "error": describe(error)}
+    row["ended"] = str(trace.meta["ended"])
+    if not Ending.of(row["ended"]).whole:
+        return row | {"whole": False, "error": row["ended"]}
+    metrics, replans = summarize(trace), trace.meta.get("replans", {})
+    row |= {name: metrics[name] for name in ("mu_mean", *ERRORS)}
+    row |= {"gap_percent": 100.0 * (1.0 - row["mu_mean"] / mine), "fraction_of_best": row["mu_mean"] / best}
+    if "course_mu_mean" in trace.meta:
+        row["course_gap_percent"] = 100.0 * (1.0 - float(trace.meta["course_mu_mean"]) / mine)
+    if "left_course_s" in replans:
+        row["left_course_s"] = replans["left_course_s"]
+    elif replans:
+        row["replan_ms_p99"] = replans["solve_ms_p99"]
+    return row
+
+
+def halving(case: Scenario) -> list[dict[str, Any]]:
+    """Return what refinement adds to the grid's course, and what a grid twice as fine in both directions does."""
+    found, coarse = plan(case), plan(case, refined=False)
+    finer = plan(case, refined=False, times=2 * len(found.targets) - 1, swivels=1440).from_start
+    row = about(case, "halving")
+    if found.from_start is not None and coarse.from_start is not None:
+        base = coarse.from_start.mu_mean
+        row["refined_percent"] = 100.0 * (found.from_start.mu_mean / base - 1.0)
+        if finer is not None:
+            row["halving_percent"] = 100.0 * (finer.mu_mean / base - 1.0)
+    return [row]
+
+
+def random_starts(case: Scenario, count: int) -> list[dict[str, Any]]:
+    """Compare the map's largest mu at the trial's first point with inverse kinematics from random starts.
+
+    Each pose that is found is then climbed along its own self-motion by continuation.
     """
-    for name in COMMANDS:
-        if config == Config.load(default_config(name)):
-            return name
-    raise MocOptError(f"--page: the page shows runs of {' and '.join(map(repr, COMMANDS.values()))}: run one of these")
+    found = plan(case, times=2, refined=False)
+    robot, rng = case.robot.arm(), np.random.default_rng([case.seed, 1])
+    best = float(map_of(robot, found.climbed.q_rad[0], found.targets).highest()[0])
+    reached = []
+    for _ in range(count):
+        drawn = rng.uniform(robot.q_min, robot.q_max)
+        pose = solve_pose(robot, drawn, found.targets.tip[0], found.targets.wrist[0])
+        if pose.found:
+            with suppress(RobotError):  # singular: no curve leads through it
+                reached.append(self_motion(robot, pose.q, 0.05).mu_best)
+    top = max(reached, default=float("nan"))
+    figures = {"starts": count, "placed": len(reached), "map_mu": best, "random_mu": top, "above_map": top - best}
+    return [about(case, "random starts") | figures]
+
+
+def work(study: Study, config: Config) -> Found:
+    """Plan every trial, run the loops, check map and grid, and judge the goals."""
+    cases, jobs, names = config.cases(), list[Job](), list[tuple[Scenario, str]]()
+
+    def ask(part: str, case: Scenario, function: Any, *arguments: Any) -> None:
+        jobs.append(Job(function, (case, *arguments)))
+        names.append((case, part))
+
+    for robot in config.robots:
+        mine = [case for case in cases if case.robot.name == robot]
+        some = mine[:: max(1, len(mine) // max(config.map_points, config.halvings, 1))]
+        for case in mine:
+            ask("courses", case, courses, config.loops)
+        for case in some[: config.halvings]:
+            ask("halving", case, halving)
+        if closed_form(mine[0].robot.arm()) is not None:
+            for case in some[: config.map_points]:
+                ask("random starts", case, random_starts, config.random_starts)
+    rows = Results()
+    for (case, part), found in zip(names, study.run(jobs, "plans"), strict=True):
+        failed = isinstance(found, Failed)
+        rows.add(*([about(case, part) | {"whole": False, "error": str(found)}] if failed else found))
+    summary: dict[str, Any] = {"courses": {}, "loops": {}, "checks": {}}
+    for robot in config.robots:
+        of = rows.where(robot=robot)
+        summary["courses"][robot] = course_figures(of)
+        summary["loops"][robot] = {name: loop_figures(of.where(part="loop"), name) for name in config.loops}
+        summary["checks"][robot] = list(of.where(part="random starts"))
+    asked = {robot: goals(config.loops) for robot in config.robots}
+    own = {
+        robot: {"loops": summary["loops"][robot], "courses": summary["courses"][robot],
+                "checks": summary["checks"][robot]} for robot in config.robots
+    }  # fmt: skip
+    summary["goals"] = {robot: judge(own[robot], asked[robot]) for robot in config.robots}
+    return Found(report(summary, rows, asked, config), summary, rows)
+
+
+def loop_figures(rows: Results, name: str) -> dict[str, Any]:
+    """Return means over the whole runs of one third level, and changes against "local" on the same trials."""
+    found = rows.figures(name, FIGURES, ERRORS if name != LOCAL else (), LOCAL)
+    gaps = list(rows.values("gap_percent", name).values())
+    found["left_course"] = len(rows.values("left_course_s", name))
+    for metric in FIGURES:
+        if values := rows.values(metric, name):
+            found[f"{metric}_max"] = max(values.values())
+    if gaps:
+        found |= {"gap_percent_median": float(np.median(gaps)), "trapped": sum(gap > TRAPPED_PERCENT for gap in gaps)}
+    return found
+
+
+def course_figures(rows: Results) -> dict[str, Any]:
+    """Return what the courses of an arm are worth, and how sure they are."""
+    planned = rows.where(part="courses")
+    found: dict[str, Any] = {"trials": len(planned), "failed": len(planned.failed())}
+    flags = ("executable", "climbed_whole", "certified")
+    found |= {name: sum(bool(row.get(name)) for row in planned) for name in flags}
+    for name in COURSES:
+        values = [row[name] for part in ("courses", "halving") for row in rows.where(part=part) if name in row]
+        if values:
+            found |= mean(values).entries(name) | {f"{name}_max": max(values), f"{name}_abs_max": max(map(abs, values))}
+    found["violation_max"] = max((row["violation"] for row in planned if "violation" in row), default=None)
+    found["unbounded"] = sum("best" in row and "bound_gap_best_percent" not in row for row in planned)
+    return found
+
+
+def goals(loops: Mapping[str, Any]) -> dict[str, Goal]:
+    """Return the goals of one arm."""
+
+    def interval(name: str, key: str) -> Any:
+        def measured(summary: Any) -> Interval:
+            of = summary["loops"][name]
+            return Interval(of[key], of[f"{key}_low"], of[f"{key}_high"], of["whole"])
+
+        return measured
+
+    found = {
+        f"gap {name}": Goal(f"{name}: mean gap to the best course", "%", most, interval(name, "gap_percent"),
+                            section=IN_THE_LOOP)
+        for name, most in MOST_GAP_PERCENT.items() if name in loops
+    }  # fmt: skip
+    found["planned worst"] = Goal("planned: largest gap", "%", MOST_PLANNED_PERCENT,
+                                  lambda s: s["loops"]["planned"]["gap_percent_max"], section=IN_THE_LOOP)  # fmt: skip
+    for name in ("planned", "receding"):
+        for error, words in zip(ERRORS, ("tip", "RCM"), strict=True):
+            found[f"{name} {words}"] = Goal(f"{name}: {words} error against local's", "%", MOST_CHANGE_PERCENT,
+                                            interval(name, change_name(error)), section=IN_THE_LOOP)  # fmt: skip
+    return found | {
+        "replan": Goal("receding: p99 of the solves of the worst run", "ms", MOST_REPLAN_MS,
+                       lambda s: s["loops"]["receding"]["replan_ms_p99_max"], section=IN_THE_LOOP),
+        "scratch": Goal("map and search from scratch, slowest start", "s", MOST_SCRATCH_S,
+                        lambda s: s["courses"]["scratch_s_max"], section=ALONG),
+        "halving": Goal("change of mean mu where the grid is halved", "%", MOST_HALVING_PERCENT,
+                        lambda s: s["courses"]["halving_percent_abs_max"], section=ALONG),
+        "random": Goal("largest mu of random starts above the map's", "m^3", MOST_ABOVE_MAP,
+                       lambda s: max(row["above_map"] for row in s["checks"]), section=ALONG),
+    }  # fmt: skip
+
+
+def report(
+    summary: Mapping[str, Any], rows: Results, asked: Mapping[str, Mapping[str, Goal]], config: Config
+) -> Report:
+    """Show how far each third level ends below the best course, then courses, checks and goals."""
+    first, wide = [], []
+    for robot, by in summary["loops"].items():
+        for name, found in by.items():
+            judged = summary["goals"][robot]
+            first.append({
+                "robot": robot, "loop": name, **found,
+                "gap": _mark(judged.get(f"gap {name}"), found, "gap_percent", ".2f"),
+                **{words: _mark(judged.get(f"{name} {words}"), found, change_name(error), "+.0f")
+                   for error, words in zip(ERRORS, ("tip", "RCM"), strict=True)},
+            })  # fmt: skip
+            spreads = {f"{key} with interval": spread(found, key) for key in ("gap_percent", "course_gap_percent")}
+            wide.append({"robot": robot, "loop": name, **found, **spreads})
+    table = Table("How far mean mu ends below that of the best course from the same start", [
+        Column("robot", "arm", section=ALONG), Column("loop", "third level"),
+        Column("gap", "below best", unit="%", section=IN_THE_LOOP),
+        Column("gap_percent_max", "worst", unit="%", format=".1f", section=IN_THE_LOOP),
+        Column("trapped", "trapped", format="d", help=f"runs more than {TRAPPED_PERCENT:g} % below"),
+        Column("tip", "tip", unit="%", section=IN_THE_LOOP, help="change of the error against local's"),
+        Column("RCM", "RCM", unit="%", section=IN_THE_LOOP, help="change of the error against local's"),
+    ], first, "✔ the goal is met, ✘ missed, – open.")  # fmt: skip
+    changes = [change_name(error) for error in ERRORS]
+    by_robot = [{"robot": robot, **figures} for robot, figures in summary["courses"].items()]
+    checks = [row for of in summary["checks"].values() for row in of]
+    arm = Column("robot", "arm")
+    sections = [
+        Section("Goals", "", [goals_table(judged, asked[robot], f"Goals, {robot}")
+                              for robot, judged in summary["goals"].items()]),
+        Section(IN_THE_LOOP, "Means over the whole runs, with 95 % intervals.", [Table("Closed loops", [
+            arm, Column("loop", "third level"), *columns("whole", "trials"),
+            Column("gap_percent with interval", "below best from start", unit="%"),
+            Column("gap_percent_median", "median", unit="%", format=".2f"),
+            Column("course_gap_percent with interval", "its course below best", unit="%"),
+            *columns("left_course", "fraction_of_best", *ERRORS, *changes)], wide)]),
+        Section(ALONG, "", [
+            Table("Courses along the path, means over the trials", [
+                arm, *columns("trials", "executable", "climbed_whole"),
+                Column("from_start", "mu, best from start", unit="m^3", format=".4f"),
+                Column("best", "mu, best over all", unit="m^3", format=".4f"),
+                Column("climb_gap_percent", "ideal climb below best from start", unit="%", format=".2f"),
+                Column("climb_gap_percent_max", "largest", unit="%", format=".1f"),
+                Column("start_loss_percent", "start below best", unit="%", format=".2f"),
+                Column("start_loss_percent_max", "largest", unit="%", format=".1f")], by_robot),
+            Table("How sure the courses are", [
+                arm, Column("certified", "local optima", format="d"),
+                Column("violation_max", "largest violation", unit="m, rad", format=".0e"),
+                Column("bound_gap_percent", "bound above course", unit="%", format=".3f"),
+                Column("unbounded", "best above its bound", format="d"),
+                Column("refined_percent", "refinement gains", unit="%", format=".3f"),
+                Column("halving_percent_abs_max", "halving the grid", unit="%", format=".3f"),
+                Column("map_s", "map", unit="s", format=".2f"), Column("search_s", "search", unit="s", format=".2f"),
+                Column("scratch_s_max", "both, slowest", unit="s", format=".2f"),
+                Column("refine_s", "refinement", unit="s", format=".2f")], by_robot),
+            Table("The map's largest mu against random inverse kinematics", [
+                arm, Column("trial", "trial"), *columns("starts", "placed"),
+                Column("map_mu", "largest mu of the map", unit="m^3", format=".8f"),
+                Column("random_mu", "found at random", unit="m^3", format=".8f"),
+                Column("above_map", "difference", unit="m^3", format=".1e")], checks)]),
+    ]  # fmt: skip
+    title = f"{', '.join(config.robots)}: manipulability of planned and climbed courses"
+    return Report(title, sentences(summary, rows, config), table, pictures(rows), sections)
+
+
+def _mark(goal: Mapping[str, Any] | None, found: Mapping[str, Any], key: str, form: str) -> Mark | None:
+    if found.get(key) is None:
+        return None
+    known = MARKS.get(goal["reached"] if goal else None, MARKS[None])
+    return Mark(known.symbol, format(found[key], form), known.tone, known.rank)
+
+
+def sentences(summary: Mapping[str, Any], rows: Results, config: Config) -> list[str]:
+    """Say what each third level leaves, where the climb is trapped, and which goals are met."""
+    runs = [row for row in rows.where(part="loop") if row["whole"]]
+    if not runs:
+        return ["No run came to its end; see the errors below."]
+    said = []
+    for name in config.loops:
+        gaps = [row["gap_percent"] for row in runs if row["controller"] == name]
+        if gaps:
+            few = too_few(len(gaps))
+            said.append(f"{name} {mean(gaps):.2f} % (largest {max(gaps):.1f}, {few or f'{len(gaps)} runs'})")
+    local = [row["gap_percent"] for row in runs if row["controller"] == LOCAL]
+    trapped = sum(gap > TRAPPED_PERCENT for gap in local)
+    goals_said = [f"{robot}: {goals_sentence(judged)}" for robot, judged in summary["goals"].items()]
+    return [
+        f"Mean mu ends below that of the best course from the same start by: {'; '.join(said)}.",
+        f"The climb ends at a lower maximum, more than {TRAPPED_PERCENT:g} % below, from {trapped} of {len(local)} "
+        "starts.",
+        " ".join(goals_said),
+    ]
+
+
+def pictures(rows: Results) -> list[Picture]:
+    """Draw the gap of every run, the starts that are worst for the climb first."""
+    starts: dict[tuple[str, str], dict[str, float]] = {}
+    for row in rows.where(part="loop", whole=True):
+        starts.setdefault((row["robot"], row["trial"]), {})[row["controller"]] = row["gap_percent"]
+    if not starts:
+        return []
+    order = sorted(starts, key=lambda key: -starts[key].get(LOCAL, 0.0))
+    names = rows.where(part="loop").names()
+    drawn, styles = figure(legend_y=1.08, height=340), Styles(names)
+    for name in names:
+        known = [(place, key, starts[key][name]) for place, key in enumerate(order, 1) if name in starts[key]]
+        drawn.add_scatter(
+            x=[place for place, *_ in known], y=[max(gap, LEAST_DRAWN_PERCENT) for *_, gap in known], mode="markers",
+            name=label(name), customdata=[label(f"{robot} {trial}: {gap:.2f} %") for _, (robot, trial), gap in known],
+            marker={"color": styles[name].color, "symbol": styles[name].symbol, "size": 7},
+            hovertemplate="%{customdata}<extra>%{fullData.name}</extra>",
+        )  # fmt: skip
+    largest = max(gap for by in starts.values() for gap in by.values())
+    log_axis(drawn, "y", "below the best course [%]", [LEAST_DRAWN_PERCENT, max(largest, 1.0)])
+    rule(drawn, "y", TRAPPED_PERCENT, "trapped")
+    drawn.update_xaxes(title_text="start, sorted by the climb's gap")
+    return [Picture(drawn, "Every run, the starts that are worst for the climb first.", "gaps")]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the benchmark; see `cli.run` for the exit status."""
-    options = cli.parser("plan", "How much manipulability a path holds.")
-    options.add_argument("--page", action="store_true", help=f"write the tables into {PAGE.parent.name}/{PAGE.name}")
-    return cli.run(options, study, arguments, cli.GOES_ON)
+    """Run the study; returns the exit status."""
+    return command("plan", "How much manipulability a path holds.", Config, work, arguments)
 
 
 if __name__ == "__main__":

@@ -1,1 +1,0 @@
-"""What `python -m benchmarks.plan` is made of: ``runs``, ``verdict`` and ``page``."""
