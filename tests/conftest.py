@@ -29,13 +29,13 @@ settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "repeatable"))
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
-LONGEST = (
+SLOW = (
     "tests/test_documents.py", "tests/benchmarks/test_plan.py", "tests/study/test_engine.py", "tests/test_site.py",
     "tests/benchmarks/test_speed.py", "tests/benchmarks/test_solvers.py", "tests/live/test_page.py",
     "tests/benchmarks/test_paper.py", "tests/test_wheel.py", "tests/solvers/test_isolated.py",
     "tests/planning/test_follow.py", "tests/export/test_folder.py",
 )  # fmt: skip
-"""Files that several processes begin with: at the end the others would wait for the one that has such a file."""
+"""The longest files, the longest first: they are marked `slow` and run after the rest."""
 
 
 @pytest.hookimpl(optionalhook=True)
@@ -45,12 +45,16 @@ def pytest_xdist_auto_num_workers() -> int:
     return cores + cores // 2
 
 
+@pytest.hookimpl(tryfirst=True)  # before pytest selects by `-m slow`
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Put the longest files first where several processes share the tests."""
-    if hasattr(config, "workerinput"):
-        place = {file: k for k, file in enumerate(LONGEST)}
-        assert all((config.rootpath / file).is_file() for file in place), "LONGEST names a file that is gone"
-        items.sort(key=lambda item: place.get(item.nodeid.partition("::")[0], len(place)))
+    """Mark the slow tests, and put them last."""
+    place = {file: k for k, file in enumerate(SLOW, start=1)}
+    assert all((config.rootpath / file).is_file() for file in place), "SLOW names a file that is gone"
+    order = {item: place.get(item.nodeid.partition("::")[0], 0) for item in items}
+    for item in items:
+        if order[item]:
+            item.add_marker("slow")
+    items.sort(key=order.__getitem__)
 
 
 @pytest.fixture(autouse=True)

@@ -1,9 +1,11 @@
-"""What pip installs is whole: the wheel, in an environment with its own requirements and no other package.
+"""The source archive and the wheel are whole, also where the only compiler is the one of the `ziglang` wheel.
 
-Nothing is fetched: the wheel is built without isolation, and the packages that it requires, and those that they
-require, are linked in from this environment. Extras, tests and the checkout are out of sight.
+Nothing is fetched. The archive is made from the checkout, the wheel from the archive, by a stand-in for ziglang that
+calls the system's compiler. It is installed where there are its own requirements and no other package, linked in from
+this environment.
 """
 
+import importlib.util
 import json
 import os
 import re
@@ -13,17 +15,24 @@ import sys
 import sysconfig
 from importlib.metadata import Distribution, PackageNotFoundError, distribution
 from pathlib import Path
+from zipfile import ZipFile
 
 import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
-PATIENCE_S = 300
+COMPILER = shutil.which("cc")
+STAND_IN = """import os, sys
+open({log!r}, "a").write(" ".join(sys.argv[1:]) + "\\n")
+at = sys.argv.index("-target")
+os.environ["PATH"] = {path!r}
+os.execv({compiler!r}, ["cc", *sys.argv[2:at], *sys.argv[at + 2:]])
+"""
 
 
-def call(*command, **more):
-    found = subprocess.run(command, capture_output=True, text=True, check=False, timeout=PATIENCE_S, **more)
-    assert found.returncode == 0, f"{command}\n{found.stdout[-2000:]}\n{found.stderr[-2000:]}"
-    return found.stdout
+def call(*command, **options):
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=300, **options)
+    assert done.returncode == 0, f"{command}\n{done.stdout[-2000:]}\n{done.stderr[-2000:]}"
+    return done.stdout
 
 
 def required(lines):
@@ -32,64 +41,130 @@ def required(lines):
 
 
 def closure(names):
-    """Every distribution here that these need, themselves included."""
+    """Every installed distribution that these need, themselves included."""
     found, waiting = {}, set(names)
     while waiting:
-        name = waiting.pop()
         try:
-            one = distribution(name)
+            one = distribution(waiting.pop())
         except PackageNotFoundError:
             continue  # of another platform or Python; a missing one shows when the wheel runs
         if one.metadata["Name"] not in found:
             found[one.metadata["Name"]] = one
             waiting |= required(one.requires)
-    return found
+    return found.values()
 
 
 @pytest.fixture(scope="module")
-def installed(tmp_path_factory):
-    """The folder of programs of an environment in which the wheel is installed."""
-    source, built, home = (tmp_path_factory.mktemp(name) for name in ("source", "built", "home"))
+def wheel(tmp_path_factory):
+    """The wheel, built from the source archive of a checkout with no compiler on the path."""
+    if COMPILER is None:
+        pytest.skip("no C compiler on the path")
+    source, built, tools, path = (
+        tmp_path_factory.mktemp(name) for name in ("source", "built", "tools", "path")
+    )
+    hooks = os.environ | {"PYTHONPATH": str(source / "packaging")}
     for name in ("moc_opt", "benchmarks", "packaging"):
-        shutil.copytree(ROOT / name, source / name, ignore=shutil.ignore_patterns("__pycache__"))
-    for name in ("pyproject.toml", "README.md", "LICENSE"):
+        shutil.copytree(ROOT / name, source / name, ignore=shutil.ignore_patterns("__pycache__", "*.so"))
+    for name in ("pyproject.toml", "MANIFEST.in", "README.md", "LICENSE"):
         shutil.copy(ROOT / name, source)
-    call(sys.executable, "-m", "pip", "wheel", "--no-deps", "--no-build-isolation", "--wheel-dir", built, source)
-    (wheel,) = built.glob("*.whl")
+    call(
+        sys.executable,
+        "-c",
+        "import backend, sys; backend.build_sdist(sys.argv[1])",
+        built,
+        cwd=source,
+        env=hooks,
+    )
+
+    (tools / "ziglang").mkdir()
+    stand_in = STAND_IN.format(log=str(tools / "log"), path=os.environ["PATH"], compiler=COMPILER)
+    (tools / "ziglang" / "__main__.py").write_text(stand_in, encoding="utf-8")
+    bare = {name: value for name, value in os.environ.items() if name != "CC"}
+    bare |= {"PATH": str(path), "PYTHONPATH": str(tools)}
+    (archive,) = built.glob("*.tar.gz")
+    pip = (sys.executable, "-m", "pip", "wheel", "--no-deps", "--no-build-isolation", "--no-index")
+    call(*pip, "--wheel-dir", built, archive, env=bare)
+    assert (tools / "log").read_text(encoding="utf-8").count("-target ") > 10
+    return next(built.glob("*.whl"))
+
+
+@pytest.fixture(scope="module")
+def installed(wheel, tmp_path_factory):
+    """The folder of programs of an environment in which the wheel is installed."""
+    home = tmp_path_factory.mktemp("home")
     call(sys.executable, "-m", "venv", "--without-pip", home / "env")
     python = home / "env" / "bin" / "python"
     call(sys.executable, "-m", "pip", "--python", python, "install", "--no-deps", "--no-index", wheel)
     site = Path(sysconfig.get_path("purelib", vars={"base": str(home / "env")}))
     (info,) = site.glob("moc_opt-*.dist-info")
-    for one in closure(required(Distribution.at(info).requires)).values():
+    for one in closure(required(Distribution.at(info).requires)):
         for top in {file.parts[0] for file in one.files} - {".."}:
             if not (site / top).exists():
                 (site / top).symlink_to(one.locate_file(top))
     return python.parent
 
 
-def test_the_wheel_runs_from_an_empty_folder_with_its_requirements_alone(installed, tmp_path):
+@pytest.fixture
+def run(installed, tmp_path):
+    """A function that calls the installed `moc-opt` in an empty folder and an empty home."""
     environment = {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}
-    place = {"cwd": tmp_path, "env": environment}
-    command = str(installed / "moc-opt")
-    assert re.fullmatch(r"moc-opt \d+\.\d+\.\d+\n", call(command, "--version", **place))
+    environment["HOME"] = str(tmp_path / "home")
+    return lambda *words: call(installed / "moc-opt", *words, cwd=tmp_path, env=environment)
 
-    solvers = json.loads(call(command, "solvers", "--list", "--json", **place))
+
+def test_one_wheel_for_all_pythons_with_one_package(wheel):
+    assert "-cp311-abi3-" in wheel.name
+    tops = {name.partition("/")[0] for name in ZipFile(wheel).namelist()}
+    assert {name for name in tops if not name.endswith(".dist-info")} == {"moc_opt"}
+
+
+def test_the_wheel_runs_from_an_empty_folder_with_its_requirements_alone(run, tmp_path):
+    assert re.fullmatch(r"moc-opt \d+\.\d+\.\d+\n", run("--version"))
+    solvers = json.loads(run("solvers", "--list", "--json"))
     assert solvers["exact"]["here"] == "yes"
     assert "not installed" in solvers["daqp"]["here"], "an extra is in sight: this is no bare installation"
 
-    run = json.loads(call(command, "run", "--trace", "a.parquet", "--report", "a.html", "--json", **place))
-    assert run["ended"] == "completed"
-    assert run["verified_solved"] == run["claimed_solved"] > 4000
-    assert run["mu_gain_percent"] > 5.0
-    call(command, "replay", "a.parquet", **place)
-    call(command, "export-c", "--out", "c", **place)
+    summary = json.loads(run("run", "--trace", "a.parquet", "--report", "a.html", "--json"))
+    assert summary["ended"] == "completed"
+    assert summary["verified_solved"] == summary["claimed_solved"] > 4000
+    assert summary["mu_gain_percent"] > 5.0
+    run("replay", "a.parquet")
+    run("export-c", "--out", "c")
     assert {"a.parquet", "a.html", "replay.html", "c"} <= {file.name for file in tmp_path.iterdir()}
 
-    program = "import moc_opt, benchmarks; print(moc_opt.__file__, benchmarks.__file__)"
-    where = call(installed / "python", "-c", program, **place)
-    assert str(ROOT) not in where
-    call(command, "solvers", "--quick", "--only", "exact", "--parts", "testsets", "--sets", "random", **place)
+
+@pytest.mark.xfail(reason="the study of the solvers is in benchmarks, of the checkout", raises=AssertionError)
+def test_the_study_runs_from_the_wheel(run, tmp_path):
+    run("solvers", "--quick", "--only", "exact", "--parts", "testsets", "--sets", "random")
     summary = json.loads((tmp_path / "results" / "solvers" / "summary.json").read_text(encoding="utf-8"))
     (found,) = (of for name, of in summary["testset random"].items() if name.startswith("exact"))
     assert found["claimed_solved"] > 0
+
+
+@pytest.fixture
+def backend():
+    spec = importlib.util.spec_from_file_location("backend", ROOT / "packaging" / "backend.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.mark.parametrize("hook", ["get_requires_for_build_wheel", "get_requires_for_build_editable"])
+def test_ziglang_is_asked_for_only_where_no_compiler_is(hook, backend, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)  # setuptools leaves files in it
+    monkeypatch.setenv("PATH", str(tmp_path))
+    monkeypatch.delenv("CC", raising=False)
+    assert any(name.startswith("ziglang") for name in getattr(backend, hook)())
+    monkeypatch.setenv("CC", "icx")
+    assert getattr(backend, hook)() == []
+    monkeypatch.delenv("CC")
+    compiler = tmp_path / sysconfig.get_config_var("CC").split()[0]
+    compiler.write_text("#!/bin/sh\n", encoding="utf-8")
+    compiler.chmod(0o755)
+    assert getattr(backend, hook)() == []
+
+
+def test_a_python_without_headers_is_named_with_the_cure(backend, monkeypatch, tmp_path):
+    monkeypatch.setattr(sysconfig, "get_path", lambda name: str(tmp_path))
+    with pytest.raises(SystemExit, match=r"Python\.h.*python3-dev"):
+        backend.get_requires_for_build_wheel()
