@@ -130,17 +130,14 @@ def log_axis(
     shown = np.asarray(values, dtype=np.float64)
     if shown.size == 0 or not (shown > 0.0).all():
         raise ReportError(f"{title}: a log axis needs values, and positive ones; leave the figure out and say why")
-    logs = np.log10(shown)
-    low, high = float(logs.min()), float(logs.max())
+    low, high = math.log10(shown.min()), math.log10(shown.max())
     free = margin * max(high - low, 0.5)
-    low, high = low - free, high + free
-    step = 1
+    low, high, step = low - free, high + free, 1
+    ticks: dict[str, object] = {"nticks": 7, "exponentformat": "none"}
     if powers:
         step = max(1, math.ceil((high - low) / MAX_POWERS))
         exponents = range(step * math.ceil(low / step), math.floor(high) + 1, step)
         ticks = {"tickvals": [10.0**power for power in exponents], "ticktext": [*map(pretty_power, exponents)]}
-    else:
-        ticks = {"nticks": 7, "exponentformat": "none"}
     # Chosen here: left to itself, plotly strews thousands between labels that it did not choose.
     minor = {"ticks": "outside", "ticklen": 2, "tickcolor": MUTED, "dtick": "D1" if step == 1 else 1}
     layout = {"type": "log", "title": {"text": pretty_units(title)}, "minor": minor, "range": [low, high], **ticks}
@@ -149,11 +146,10 @@ def log_axis(
 
 def rule(drawn: go.Figure, axis: str, at: float, text: str) -> None:
     """Draw a limit: a dashed line at `at` of axis "x" or "y", and its name above the plot or inside at the right."""
-    log = drawn.layout[f"{axis}axis"].type == "log"
     line = {"color": WORST, "width": 1.2, "dash": "dash"}
-    # plotly wants the value for a line on a log axis, its logarithm for a text.
-    place = math.log10(at) if log else at
     note = {"text": text, "showarrow": False, "font": {"size": 11, "color": WORST}, "yanchor": "bottom"}
+    # plotly wants the value for a line on a log axis, its logarithm for a text.
+    place = math.log10(at) if drawn.layout[f"{axis}axis"].type == "log" else at
     if axis == "x":
         drawn.add_shape(type="line", x0=at, x1=at, y0=0, y1=1, yref="paper", line=line)
         drawn.add_annotation(x=place, y=1.0, yref="paper", **note)
