@@ -42,9 +42,7 @@ class _Console(Console):
 def console(*, stderr: bool = False, file: IO[str] | None = None) -> Console:
     """Make a console; where its output is no terminal it writes plain text, 80 columns wide or as many as COLUMNS says.
 
-    Args:
-        stderr: write there; results belong on stdout, messages on stderr.
-        file: write to it instead.
+    Results belong on stdout, messages on stderr.
     """
     made = _Console(stderr=stderr, file=file, highlight=False, soft_wrap=False)
     if not made.is_terminal and not os.environ.get("COLUMNS", "").isdigit():
@@ -93,8 +91,8 @@ def progress(
     """Show a bar with the time left on stderr until the work is done; without a terminal, a line every ten seconds.
 
     Args:
-        total: steps in all; None where that is not known.
-        on: another console than that of stderr.
+        total: steps in all; None where that is not known yet.
+        on: another console.
         below: what is drawn below it, asked for at each refresh.
     """
     where = on or console(stderr=True)

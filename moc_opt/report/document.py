@@ -100,13 +100,12 @@ def check_out(path: str | os.PathLike[str], what: str, *, force: bool = False) -
     """
     file = Path(path)
     check_replaceable(file, what, ReportError)
-    if file.exists() and not force and not _is_ours(file):
-        raise ReportError(
-            f"{file}: this {what} would replace a file that is no page of moc_opt: give another name, or --force"
-        )
     folder = next(folder for folder in file.absolute().parents if folder.exists())
     if not folder.is_dir() or not os.access(folder, os.W_OK | os.X_OK):
         raise ReportError(f"{file}: cannot be written: {str(folder)!r} is no folder that may be written to")
+    if os.path.isfile(file) and not force and not _is_ours(file):
+        cure = "give another name, or --force"
+        raise ReportError(f"{file}: this {what} would replace a file that is no page of moc_opt: {cure}")
     return file
 
 
