@@ -64,9 +64,7 @@ def time_series(
         for rank, (name, columns) in enumerate(data.items()):
             if column not in columns:
                 continue
-            values = columns[column]
-            # The first ones are wider, so that they can be seen below others that coincide with them.
-            line = {"color": styles[name].color, "width": 1.3 + 0.8 * min(len(data) - 1 - rank, 3)}
+            values, line = columns[column], {"color": styles[name].color, "width": 1.3}
             sizes = np.linalg.norm(values, axis=1) if values.ndim == 2 else values.astype(np.float64)
             t, y = envelope(columns["t_s"], factor * sizes)
             drawn.add_scatter(
@@ -78,7 +76,7 @@ def time_series(
                 scanned = ~np.isnan(bound)
                 drawn.add_scatter(
                     x=columns["t_s"][scanned], y=bound[scanned], mode="lines", name=LARGEST, legendgroup="largest",
-                    row=row, col=1, opacity=0.8, line={**line, "width": 1.3, "dash": "dot"}, hovertemplate=HOVER,
+                    row=row, col=1, opacity=0.8, line={**line, "dash": "dot"}, hovertemplate=HOVER,
                     legendrank=len(data),
                 )  # fmt: skip
         drawn.update_yaxes(row=row, col=1, rangemode="normal" if column == "mu" else "tozero", nticks=5)

@@ -115,11 +115,9 @@ def legend_height(names: Iterable[str]) -> int:
 def log_axis(
     drawn: go.Figure, axis: str, title: str, values: ArrayLike, *, powers: bool = False, margin: float = 0.05
 ) -> None:
-    """Make "x" or "y" a log axis.
+    """Make "x" or "y" a log axis of a figure.
 
     Args:
-        drawn: the figure, changed in place.
-        axis: "x" or "y".
         values: positive; all drawn values, limits included.
         powers: label it in powers of ten, for residuals; else in plain numbers, for times.
         margin: kept free at each end, as a fraction of the whole.

@@ -49,8 +49,8 @@ def run_page(
     page.figure(
         time_series(traces, styles=styles),
         "Manipulability with the largest that the self-motion allows (dotted, where it was scanned), tip error by the "
-        "robot's own kinematics where that is known, distance of the shaft from the trocar, force on it.",
-        name="curves",
+        "robot's own kinematics where that is known, distance of the shaft from the trocar, force on it. A later run "
+        "covers an earlier one that coincides with it: a click in the legend hides it.", name="curves",
     )  # fmt: skip
     page.section("Where the elbow went")
     longest = max(float(trace.t_s[-1] - trace.t_s[0]) for trace in traces.values())
