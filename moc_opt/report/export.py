@@ -22,7 +22,6 @@ if TYPE_CHECKING:
 FORMATS = ("svg", "pdf")
 WIDTH_PX = 680
 """Of a figure that has no width of its own: 180 mm, two columns of a journal; 12 px of type are then 9 pt."""
-
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome", "microsoft-edge")
 FLAGS = (
     "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking",
@@ -38,15 +37,12 @@ SHEET = "<!DOCTYPE html><style>@page{margin:0} body{margin:0} svg{display:block}
 def save_figures(
     figures: Mapping[str, go.Figure], directory: str | os.PathLike[str], formats: Iterable[str] = FORMATS
 ) -> list[Path]:
-    """Write each figure as DIRECTORY/NAME.FORMAT, light, as vectors, with text as text.
+    """Write each figure as DIRECTORY/NAME.FORMAT, as vectors in the colours of a light page; return the files.
 
     Args:
         figures: name -> figure; `Page.figures` is one such mapping.
         directory: made if it is not there.
         formats: of "svg" and "pdf".
-
-    Returns:
-        The files, in the order of figures and formats.
 
     Raises:
         BrowserError: playwright or a browser is missing, or the browser failed; the message holds the cure.
@@ -110,10 +106,8 @@ def _draw(chromium: Browser, figures: Mapping[str, go.Figure]) -> dict[str, dict
     page.add_script_tag(content=get_plotlyjs())
     drawn = {}
     for name, figure in figures.items():
-        size = {
-            "width": figure.layout.width or WIDTH_PX,
-            "height": figure.layout.height or figure.layout.template.layout.height or 450,
-        }
+        height = figure.layout.height or figure.layout.template.layout.height or 450
+        size = {"width": figure.layout.width or WIDTH_PX, "height": height}
         url = page.evaluate(
             "([figure, size]) => Plotly.toImage(JSON.parse(figure), {format: 'svg', ...size})",
             [figure.to_json(), size],

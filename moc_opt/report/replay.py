@@ -59,7 +59,7 @@ class Replay:
             traces: name -> run, in the order in which they are shown.
             robot: their arm; `robot_of` finds it from a trace.
             title: of the page; the arm, the task, the gains and the solvers if empty.
-            styles: of each run, as in a report's figures; None assigns colours anew.
+            styles: of each run, as in a report's figures.
 
         Raises:
             ReportError: no runs, too many, or one that cannot be shown with this arm.
@@ -88,16 +88,13 @@ class Replay:
         end = max(float(trace.t_s[-1]) for trace in self.traces.values())
         frames = min(int(np.ceil((end - start) * FRAMES_PER_S)) + 1, FRAMES_IN_ALL // len(self.traces))
         times = np.linspace(start, end, max(2, frames))
-        runs = []
-        for name, trace in self.traces.items():
-            color = self._styles[name].color
-            runs.append({
-                "name": name, "color": {"light": color, "dark": DARK.get(color, color)},
-                **_run_data(trace, self.robot, times),
-            })  # fmt: skip
         lengths = np.linalg.norm(self.robot.chain.origins, axis=1)
         return {
-            "times": times, "runs": runs, "parts": [part._asdict() for part in arm_parts(self.robot)],
+            "times": times, "parts": [part._asdict() for part in arm_parts(self.robot)],
+            "runs": [
+                {"name": name, **_run_data(trace, self.robot, times, self._styles[name].color)}
+                for name, trace in self.traces.items()
+            ],
             "panels": [{"title": title, "zero": column != "mu"} for column, (title, _) in PANELS.items()],
             "reach": float(lengths.sum() + self.robot.data.tool_length),
         }  # fmt: skip
@@ -112,15 +109,7 @@ class Replay:
         )  # fmt: skip
 
     def save(self, path: str | os.PathLike[str], *, force: bool = False) -> Path:
-        """Write the file, all or nothing: an older one of that name stays until the new one is there.
-
-        Args:
-            path: of the file.
-            force: replace a file that is no page of moc_opt, too.
-
-        Raises:
-            ReportError: it would be larger than `document.MAX_BYTES`, or cannot be written.
-        """
+        """Write the file, as `save_document` does."""
         cure = "show fewer runs, or a part of them (`trace.select`)"
         return save_document(path, self.html(), "replay", lambda: cure, force=force)
 
@@ -167,13 +156,14 @@ def _robot_table(trace: Trace) -> dict[str, Any]:
 # --- what moves: poses, points and curves of every run, thinned ---
 
 
-def _run_data(trace: Trace, robot: RobotModel, times: Array) -> dict[str, Any]:
+def _run_data(trace: Trace, robot: RobotModel, times: Array, color: str) -> dict[str, Any]:
     """Return what one run shows at these times; one that ends early stands still afterwards."""
     t = trace.t_s
     ticks = np.clip(np.searchsorted(t, times, side="right") - 1, 0, len(t) - 1)
     origins, rotations = link_frames(robot.chain, trace.q_rad[ticks])
     course = np.unique(np.linspace(0, len(t) - 1, min(len(t), PATH_POINTS)).round().astype(int))
     return {
+        "color": {"light": color, "dark": DARK.get(color, color)},
         "end": float(t[-1]), "ended": str(trace.meta.get("ended", "completed")),
         "poses": np.concatenate([rotations, origins[..., None]], axis=3),  # (k, n, 3, 4)
         "tip": trace.tip_m[ticks], "asked": trace.tip_ref_m[ticks],
@@ -215,9 +205,8 @@ def velocity_ellipsoids(jacobians: Array) -> Array:
     Args:
         jacobians: J_T (k, 3, n).
     """
-    values, vectors = np.linalg.eigh(jacobians @ np.swapaxes(jacobians, 1, 2))
-    lengths = np.sqrt(np.maximum(values, 0.0))
-    roots: Array = (vectors * lengths[:, None, :]) @ np.swapaxes(vectors, 1, 2)
+    axes, lengths, _ = np.linalg.svd(jacobians, full_matrices=False)
+    roots: Array = (axes * lengths[:, None, :]) @ np.swapaxes(axes, 1, 2)
     return roots
 
 

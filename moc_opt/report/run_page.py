@@ -10,7 +10,7 @@ from moc_opt.figures import Styles, time_series
 from moc_opt.planning.swivel_map import manipulability_map
 from moc_opt.report.map_page import add_map
 from moc_opt.report.page import Page
-from moc_opt.report.run_table import below_best, listed, part, refusals, run_table, title_of, told, warnings
+from moc_opt.report.run_table import below_best, ending, listed, part, run_table, title_of
 from moc_opt.report.tables import Column, Table
 from moc_opt.robots.model import RobotModel
 from moc_opt.trace.trace import Trace
@@ -38,10 +38,8 @@ def run_page(
     styles, page = Styles(traces), Page(title or title_of(judged), f"runs: {'; '.join(traces)}")
     page.section("How it ended")
     for name in sorted(traces, key=lambda name: name not in metrics):  # what was asked for before its baseline
-        trace = traces[name]
-        below = below_best(trace) if name in metrics else ""
-        said = [f"{name}{part(trace)} {trace.meta.get('ended', 'unknown')}", told(trace), below]
-        page.text("; ".join(filter(None, [*said, *refusals(trace), *warnings(trace)])) + ".")
+        below = below_best(traces[name]) if name in metrics else ""
+        page.text("; ".join(filter(None, [*ending(name, traces[name]), below])) + ".")
     page.section("What to look at first")
     for table in run_tables(traces, metrics, first=True):
         page.table(table)

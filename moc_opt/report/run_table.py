@@ -105,7 +105,7 @@ def below_best(trace: Trace) -> str:
     return f"{said}; the local law ends {where} {top}, the course {best}"
 
 
-def asked(trace: Trace) -> dict[str, str]:
+def facts(trace: Trace) -> dict[str, str]:
     """Return what was run, in the words of its scenario; entries that the trace lacks are left out."""
     scenario = table(trace.meta, "scenario")
     law, control = about(trace).get("solver"), table(scenario, "control")
@@ -120,7 +120,7 @@ def asked(trace: Trace) -> dict[str, str]:
 
 def title_of(traces: Mapping[str, Trace]) -> str:
     """Return "lwr4, circle, default gains: dcac and exact" for runs of one arm; their names where they do not say."""
-    runs = [asked(trace) for trace in traces.values()]
+    runs = [facts(trace) for trace in traces.values()]
     each = {word: listed([run[word] for run in runs if word in run]) for word in ("arm", "path", "gains")}
     laws = listed([run.get("controller") or run.get("solver") or name for name, run in zip(traces, runs, strict=True)])
     task = [each["arm"], each["path"], each["gains"] and f"{each['gains']} gains"]
@@ -152,7 +152,7 @@ def run_table(
     word, _, reason = ended.partition(": ") if first else (ended, "", "")
     rows: list[dict[str, Any]] = [{"metric": "ended", "value": word, "says": reason or f"after {len(trace)} ticks"}]
     if count:
-        rows.append({"metric": "solver replaced", "value": count})
+        rows.append({"metric": "solver replaced", "value": count, "says": ""})
     for metric, value in metrics.items():
         if first and metric not in MATTER:
             continue
@@ -167,13 +167,19 @@ def run_table(
     columns = [Column("metric", "metric"), Column("value", "value")]
     columns += [Column("says", "meaning")] if first or explained else []
     said = [ANOTHER_PROBLEM] if other and set(VERDICTS) & set(metrics) else []
-    title = ": ".join(filter(None, [f"{name}{of}", told(trace) if first else ""]))
+    title = ": ".join(filter(None, [f"{name}{of}", description(trace) if first else ""]))
     return Table(title, columns, rows, caption="\n".join([*said, *warnings(trace)]))
 
 
-def told(trace: Trace) -> str:
+def description(trace: Trace) -> str:
     """Return "arm lwr4, path circle, ..."; empty where the trace does not say."""
-    return ", ".join(f"{word} {value}" for word, value in asked(trace).items())
+    return ", ".join(f"{word} {value}" for word, value in facts(trace).items())
+
+
+def ending(name: str, trace: Trace) -> list[str]:
+    """Return how a run ended, what was run, and what the supervisor and the safety filter noted, as phrases."""
+    ended = f"{name}{part(trace)} {trace.meta.get('ended', 'unknown')}"
+    return [ended, description(trace), *refusals(trace), *warnings(trace)]
 
 
 def run_json(trace: Trace, metrics: Mapping[str, float]) -> dict[str, Any]:

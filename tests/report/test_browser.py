@@ -31,7 +31,8 @@ def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
     t = 0.002 * np.arange(3000)
     errors = {"tip_error_m": 1e-4, "rcm_error_m": 1e-3, "trocar_force_N": 1.0}
     runs = {
-        name: {"t_s": t, "mu": mean + 0.01 * np.sin(t), **{key: size * rng.random(3000) for key, size in errors.items()}}
+        name: {"t_s": t, "mu": mean + 0.01 * np.sin(t)}
+        | {column: size * rng.random(3000) for column, size in errors.items()}
         for name, mean in (("DCAC", 0.27), ("MOC", 0.3))
     }
     page = Page("A report", "of made-up numbers")

@@ -165,8 +165,8 @@ def page(chromium: Any, robot: RobotModel, tmp_path_factory: pytest.TempPathFact
     runs = {"swaying": wave(robot, 1500), "swaying otherwise": wave(robot, 1500, phase=1.5)}
     file = Replay(runs, robot).save(tmp_path_factory.mktemp("replay") / "replay.html")
     # A quarter of the pixels: without a graphics card each costs time.
-    looks = {"viewport": {"width": 900, "height": 800}, "color_scheme": "light", "device_scale_factor": 0.5}
-    with opened(chromium, file.as_uri(), "html[data-drawn=yes]", **looks) as found:
+    size = {"viewport": {"width": 900, "height": 800}, "device_scale_factor": 0.5}
+    with opened(chromium, file.as_uri(), "html[data-drawn=yes]", **size) as found:
         yield found
 
 

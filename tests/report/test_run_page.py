@@ -12,7 +12,7 @@ from moc_opt.errors import ReportError
 from moc_opt.report.console import print_json
 from moc_opt.report.document import save_document
 from moc_opt.report.map_page import bar_digits, load_map
-from moc_opt.report.run_page import run_page
+from moc_opt.report.run_page import run_page, run_tables
 from moc_opt.report.run_table import part, run_json, run_table, title_of, warnings
 from moc_opt.trace.trace import Trace
 
@@ -124,6 +124,20 @@ def test_the_exit_status_tells_success_from_the_rest(tmp_path, capsys, table, st
         assert "mu_gain_percent" in found or "not compared with DCAC" in said.err
     else:
         assert "mu_gain_percent" in found
+
+
+def test_whole_runs_stand_side_by_side_and_parts_alone():
+    late = {"late": {"count": 1, "first_at_s": 0.0, "first": "x"}}
+    runs = {"a": trace(faults=late), "b": trace("oscillated: joint_7", scenario={"solver": {"name": "nlp-sqp"}})}
+    metrics = {"a": {"mu_mean": 0.2, "silently_wrong": 1.0}, "b": {"mu_mean": 0.3, "silently_wrong": 1.0}}
+    (table,) = run_tables(runs, metrics, first=True)
+    cells = {column.title: [cell.text for cell in table.cells(column)] for column in table.columns}
+    assert cells["metric"] == ["ended", "solver replaced", "mu_mean", "silently_wrong"]
+    assert cells["a"] == ["completed", "at 1 of 4 ticks: late 1", "0.2000", "1"]
+    assert cells["b"] == ["oscillated", "–", "0.3000", "–"]
+    assert "nonlinear" in table.caption
+    apart = run_tables({**runs, "b": trace("stopped: x", 3)}, metrics, first=True)
+    assert [table.title for table in apart] == ["a", "b (first 0.3 s of 0.4 s)"]
 
 
 # --- pages ---
