@@ -1,4 +1,4 @@
-"""The manipulability map: a figure, a part of a page with its result in words and numbers, a page of its own."""
+"""The manipulability map: a figure, a part of a page with a table of what each run makes of it, and a page."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ COLUMNS = (
 def add_map(
     page: Page, found: SwivelMap, *, name: str = "map", what: str = "", styles: Styles | None = None
 ) -> list[Reading]:
-    """Append words, figure and table of one map.
+    """Append figure and table of one map.
 
     Args:
         found: of `manipulability_map`.
@@ -78,7 +78,6 @@ def add_map(
             f"{listed(found.held)} {'stand' if len(found.held) > 1 else 'stands'} as in the longest run; poses with "
             "other values there may have a larger mu than the best shown here."
         )
-    page.text(in_words(readings))
     times, swivels = found.mu.shape
     page.figure(
         drawn, f"{what[:1].upper()}{what[1:]}{': every' if what else 'Every'} pose that keeps tip and trocar, over "
@@ -91,29 +90,13 @@ def add_map(
     return readings
 
 
-def in_words(readings: Sequence[Reading]) -> str:
-    """Say for how much of the time each run is at the optimum, and how it ends."""
-    shares, ends = [], dict[str, list[str]]()
-    for reading in readings:
-        ends.setdefault(_end(reading), []).append(reading.name)
-        if np.isfinite(reading.near):
-            since = f", for good from {reading.from_s:.1f} s on" if reading.from_s > 0.0 else ""
-            shares.append(f"{reading.name} {100.0 * reading.near:.0f}\u00a0%{since}")
-    optimum = f"Share of the time at the optimum (mu at most {100.0 * NEAR:.0f}\u00a0% below the best of that time)"
-    ended = "; ".join(f"{listed(names)} {end}" for end, names in ends.items())
-    return f"{optimum}: {'; '.join(shares) or 'unknown'}. In the end: {ended}."
-
-
-def _end(reading: Reading) -> str:
-    return f"{reading.end}, joint {reading.joint}" if reading.joint else str(reading.end)
-
-
 def _row(reading: Reading) -> dict[str, Any]:
     return {
         "name": reading.name, "near": 100.0 * reading.near,
         "from_s": reading.from_s if reading.end is End.OPTIMUM else Missing("not there in the end"),
         "mu_percent": 100.0 * reading.mu_share, "travel": np.degrees(reading.travel_rad),
-        "at_edge": 100.0 * reading.at_edge, "end": _end(reading),
+        "at_edge": 100.0 * reading.at_edge,
+        "end": f"{reading.end}, joint {reading.joint}" if reading.joint else str(reading.end),
     }  # fmt: skip
 
 
