@@ -24,10 +24,9 @@ def accuracy_against_time(
     """Draw error over time, both on log axes; the Pareto front (nobody is both faster and more accurate) is marked.
 
     Args:
-        points: name -> (time, error); both at least 0, errors below `floor` are drawn at `floor`; entries that
-            are not finite are left out.
+        points: name -> (time, error); entries that are not finite are left out.
         x_label, y_label: of the axes, with units.
-        floor: the smallest error drawn.
+        floor: smaller errors are drawn there.
 
     Raises:
         ReportError: no entry is finite, a time is not positive, or an error is negative.

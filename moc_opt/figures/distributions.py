@@ -83,13 +83,13 @@ def box_plots(groups: Mapping[str, Samples], value_label: str, *, log: bool = Fa
         boxes = {task: _box(f"{name}, {task}", values, log) for task, values in known.items() if len(values)}
         shown += [value for *five, beyond in boxes.values() for value in (*five, *beyond)]
         lower, q1, median, q3, upper, beyond = zip(*boxes.values(), strict=True) if boxes else [()] * 6
-        style = styles[name]
         drawn.add_box(
             x=[label(task) for task in boxes], lowerfence=lower, q1=q1, median=median, q3=q3, upperfence=upper,
             # plotly draws nothing of a name whose first list of points is empty; a point in the box it hides.
             y=[points or [middle] for points, middle in zip(beyond, median, strict=True)],
-            boxpoints="outliers", name=label(name), offsetgroup=name, fillcolor=style.fill(0.28),
-            line={"color": style.color, "width": 1.4}, marker={"size": 3, "opacity": 0.6}, whiskerwidth=0.5,
+            boxpoints="outliers", name=label(name), offsetgroup=name,
+            fillcolor=f"{styles[name].color}48",  # an opacity of 0.28; a dark page exchanges the first seven characters
+            line={"color": styles[name].color, "width": 1.4}, marker={"size": 3, "opacity": 0.6}, whiskerwidth=0.5,
         )  # fmt: skip
     tasks = dict.fromkeys(label(task) for group in groups.values() for task in group)
     drawn.update_xaxes(

@@ -10,7 +10,6 @@ import html
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
-from types import MappingProxyType
 
 import numpy as np
 import plotly.graph_objects as go
@@ -20,22 +19,18 @@ from moc_opt.errors import ReportError
 from moc_opt.figures.notation import pretty_power, pretty_units, printable
 
 INK, MUTED, GRID, PAPER = "#1f2328", "#5f6871", "#e3e6e9", "#ffffff"
-GOOD, FAIR, BAD, WORST = "#3b7fb8", "#a9c6de", "#c9ccd1", "#c4421a"
-"""Of answers: solved and optimal; optimal but not claimed; honestly failed; wrong under a claim of success."""
+GOOD, BAD, WORST = "#3b7fb8", "#c9ccd1", "#c4421a"
+"""Of answers: solved and optimal; failed and reported as such; wrong under a claim of success."""
 
 # Okabe and Ito's palette, yellow and black replaced (they vanish on one of the two backgrounds), light -> dark.
-SERIES = MappingProxyType(
-    {
-        "#0072b2": "#4da3dd", "#d55e00": "#f0834a", "#009e73": "#3fc39d", "#b6569a": "#dc8fc4",
-        "#c98a00": "#e8b33f", "#3fa0d0": "#8accf0", "#77787b": "#a9abb0", "#6a4fb3": "#a994ea",
-    }
-)  # fmt: skip
-DARK = MappingProxyType(
-    {
-        INK: "#e4e7ea", MUTED: "#9aa3ac", GRID: "#31373d", PAPER: "#15181b",
-        GOOD: "#4f95d0", FAIR: "#34546f", BAD: "#565c63", WORST: "#f2693c", **SERIES,
-    }
-)  # fmt: skip
+SERIES = {
+    "#0072b2": "#4da3dd", "#d55e00": "#f0834a", "#009e73": "#3fc39d", "#b6569a": "#dc8fc4",
+    "#c98a00": "#e8b33f", "#3fa0d0": "#8accf0", "#77787b": "#a9abb0", "#6a4fb3": "#a994ea",
+}  # fmt: skip
+DARK = {
+    INK: "#e4e7ea", MUTED: "#9aa3ac", GRID: "#31373d", PAPER: "#15181b", GOOD: "#4f95d0", BAD: "#565c63",
+    WORST: "#f2693c", **SERIES,
+}  # fmt: skip
 """Colour on a light page -> on a dark one."""
 
 DASHES = ("solid", "dash", "dot", "dashdot", "longdash")
@@ -51,10 +46,6 @@ class Style:
     color: str
     dash: str
     symbol: str
-
-    def fill(self, opacity: float) -> str:
-        """Return the colour as "#rrggbbaa": the first seven characters stay those that a dark page exchanges."""
-        return f"{self.color}{round(255 * opacity):02x}"
 
 
 class Styles(dict[str, Style]):

@@ -123,7 +123,7 @@ def test_the_legend_hides_a_run_in_every_panel_and_in_every_light(page: Any) -> 
     )
 
 
-@pytest.mark.parametrize(("begins", "width"), [(360, 360), (1000, 768), (1000, 360)])
+@pytest.mark.parametrize(("begins", "width"), [(360, 360), (1000, 360)])
 def test_nothing_is_wider_than_the_screen(chromium: Any, report: Path, begins: int, width: int) -> None:
     size = {"width": begins, "height": 800}
     with opened(chromium, report.as_uri(), DRAWN, viewport=size, color_scheme="light") as page:
