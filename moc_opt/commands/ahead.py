@@ -34,6 +34,7 @@ def plan_scenario(given: argparse.Namespace) -> int:
 
 def _plan_scenario(given: argparse.Namespace) -> int:
     from moc_opt.report.console import console, print_json
+    from moc_opt.report.document import check_out
     from moc_opt.report.plan_table import place_json, place_table, plan_json, plan_tables, start_toml
     from moc_opt.scenario.course_file import following_warnings, save_course
     from moc_opt.scenario.placement import place
@@ -48,6 +49,7 @@ def _plan_scenario(given: argparse.Namespace) -> int:
     scenario, title = read_scenario(given.scenario)
     if given.out is not None:
         new_file(given.out)  # before the search, which may take a minute
+        check_out(given.out, "course", force=given.force)
     follows = scenario.control.follows or given.out is not None  # a course is written to be followed
     found, within = followable_plan(
         scenario, given.margin, given.speed_share, objective=given.objective, acceleration=given.acceleration,

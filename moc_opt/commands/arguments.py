@@ -16,6 +16,9 @@ LISTS = {
 }
 
 
+FORCE = "write over a file that is no page of moc_opt"
+
+
 def add_commands(commands: Any) -> None:
     """Add the commands to argparse's subparsers."""
     one = commands.add_parser("compare", help="solvers, and DCAC with the same gains, on the same random trials")
@@ -27,10 +30,12 @@ def add_commands(commands: Any) -> None:
         "--keep-start", action="store_true", help="every trial starts as the scenario's [start] says, not at random"
     )
     one.add_argument("--out", type=Path, metavar="FILE.csv", help="one row a run goes here")
+    one.add_argument("--force", action="store_true", help=FORCE)
     one.add_argument("--json", action="store_true", help="print JSON")
     made = commands.add_parser("report", help="saved traces as one HTML file: metrics, curves, manipulability map")
     made.add_argument("traces", nargs="+", type=Path, help="Parquet, as `run --trace` writes; a baseline first")
     made.add_argument("--out", type=Path, default=Path("report.html"), help="default report.html")
+    made.add_argument("--force", action="store_true", help=FORCE)
     study = commands.add_parser(
         "solvers", add_help=False,
         help="--list: which solvers there are; else the whole study of them, with the options of benchmarks.solvers",

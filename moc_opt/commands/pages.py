@@ -10,8 +10,8 @@ def save_replay(given: argparse.Namespace) -> int:
     from moc_opt.report.document import check_out
     from moc_opt.report.replay import Replay
 
-    check_out(given.out, "replay")
-    print(Replay.load(given.traces).save(given.out))
+    check_out(given.out, "replay", force=given.force)
+    print(Replay.load(given.traces).save(given.out, force=given.force))
     return 0
 
 
@@ -21,9 +21,9 @@ def save_map(given: argparse.Namespace) -> int:
     from moc_opt.report.export import save_figures
     from moc_opt.report.map_page import load_map
 
-    check_out(given.out, "map")
+    check_out(given.out, "map", force=given.force)
     page = load_map(given.traces)
-    print(page.save(given.out))
+    print(page.save(given.out, force=given.force))
     for file in save_figures(page.figures, given.out.parent / "figures") if given.figures else ():
         print(file)
     return 0

@@ -63,6 +63,7 @@ def _add_runs(commands: Any) -> None:
     one.add_argument("--metric", action="append", metavar="NAME", help="print this metric alone; may be repeated")
     one.add_argument("--all", action="store_true", help="print every metric, not those alone to look at first")
     one.add_argument("--report", type=Path, metavar="FILE.html", help="metrics, curves and map of the run go here")
+    one.add_argument("--force", action="store_true", help=arguments.FORCE)
     one.add_argument(
         "--third-level", choices=("local", "planned", "receding"), help="replaces the scenario's [control] third_level"
     )
@@ -102,6 +103,7 @@ def _add_runs(commands: Any) -> None:
     )
     ahead.add_argument("--candidates", type=int, metavar="N", help="with --place: places that are tried; default 40")
     ahead.add_argument("--out", type=Path, metavar="FILE.parquet", help="the course to follow goes here")
+    ahead.add_argument("--force", action="store_true", help=arguments.FORCE)
     ahead.add_argument("--json", action="store_true", help="print JSON")
 
 
@@ -110,9 +112,11 @@ def _add_pages(commands: Any) -> None:
     replay = commands.add_parser("replay", help="one to four saved traces in 3-D, as one HTML file")
     replay.add_argument("traces", nargs="+", type=Path, help="Parquet, as `run --trace` writes")
     replay.add_argument("--out", type=Path, default=Path("replay.html"), help="default replay.html")
+    replay.add_argument("--force", action="store_true", help=arguments.FORCE)
     chart = commands.add_parser("map", help="saved traces of one path on the manipulability map, as one HTML file")
     chart.add_argument("traces", nargs="+", type=Path, help="Parquet, as `run --trace` writes")
     chart.add_argument("--out", type=Path, default=Path("map.html"), help="default map.html")
+    chart.add_argument("--force", action="store_true", help=arguments.FORCE)
     chart.add_argument("--figures", action="store_true", help="also as SVG and PDF, in a folder beside it")
     live = commands.add_parser("live", help="a scenario in real time, on a page of this machine")
     live.add_argument("scenario", nargs="?", type=Path, help="TOML; without it the default scenario")

@@ -16,8 +16,8 @@ def report_runs(given: argparse.Namespace) -> int:
     from moc_opt.report.run_page import run_page
     from moc_opt.trace.metrics import summarize
 
-    check_out(given.out, "report")
+    check_out(given.out, "report", force=given.force)
     traces, robot = load_runs(given.traces)
     metrics = {name: summarize(trace) for name, trace in traces.items()}
-    print(run_page(traces, metrics, robot).save(given.out))
+    print(run_page(traces, metrics, robot).save(given.out, force=given.force))
     return 0

@@ -27,7 +27,7 @@ def run_scenario(given: argparse.Namespace) -> int:
     given.course = scenario.control.course or None  # the scenario's own file is not to be overwritten, either
     check_paths(given)
     if given.report is not None:
-        check_out(given.report, "report")
+        check_out(given.report, "report", force=given.force)
     with progress(title) as bar:
         bar.at("sets up; the first run after an installation compiles, for one to three minutes")
         setup = Setup(scenario)
@@ -69,7 +69,8 @@ def show(scenario: Scenario, title: str, trace: Trace, given: argparse.Namespace
     metrics = summarize(trace, baseline)
     if getattr(given, "report", None) is not None:  # `plant` has none
         runs = {title: trace} if baseline is None else {"DCAC, same gains": baseline, title: trace}
-        print(run_page(runs, {title: metrics}, scenario.robot.arm(), title).save(given.report), file=sys.stderr)
+        page = run_page(runs, {title: metrics}, scenario.robot.arm())
+        print(page.save(given.report, force=given.force), file=sys.stderr)
     for name in scenario.metrics:
         if name not in metrics:
             print(f"{title}: metric {name}: not known of this run", file=sys.stderr)

@@ -28,7 +28,7 @@ def compare_solvers(given: argparse.Namespace) -> int:
     from moc_opt.study.compare import compare
 
     if given.out is not None:
-        check_out(given.out, "table of runs")
+        check_out(given.out, "table of runs", force=given.force)
     scenario, _ = read_scenario(given.scenario)
     with progress("compare", given.trials * (len(given.solvers) + 1)) as bar:
 

@@ -1,7 +1,6 @@
-"""Figures: plain data or runs in, a plotly figure in the house style out, one function per kind of figure.
+"""Figures: plain arrays in, a plotly figure in the house style out, one function per kind of figure.
 
-``style`` has the colours and the template, ``notation`` the text of numbers, units and missing values. Imports no
-trace: a run is its columns. Imports ``errors``; any room above may import it.
+``style`` has the colours and the template, ``notation`` the text of numbers, units and missing values.
 """
 
 from moc_opt.figures.comparisons import accuracy_against_time, pareto

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 
 import numpy as np
 import plotly.graph_objects as go
@@ -13,9 +13,8 @@ from moc_opt.figures.style import HEIGHT_PX, INK, MUTED, PAPER, Styles, figure, 
 MARGIN = 0.12
 Box = tuple[float, float, float, float]
 """Left, top, right, bottom [px], y downwards."""
-
 CHARACTER_PX, LINE_PX, MARKER_PX = 6.3, 14.0, 7.0
-TOLERATED_PX2, SHYNESS_PX2 = 25.0, 20.0
+TOLERATED_PX2 = 25.0
 
 
 def accuracy_against_time(
@@ -25,10 +24,9 @@ def accuracy_against_time(
     """Draw error over time, both on log axes; the Pareto front (nobody is both faster and more accurate) is marked.
 
     Args:
-        points: name -> (time, error); both at least 0, errors below `floor` are drawn at `floor`; entries that
-            are not finite are left out.
+        points: name -> (time, error); entries that are not finite are left out.
         x_label, y_label: of the axes, with units.
-        floor: the smallest error drawn.
+        floor: smaller errors are drawn there.
 
     Raises:
         ReportError: no entry is finite, a time is not positive, or an error is negative.
@@ -42,8 +40,14 @@ def accuracy_against_time(
     log_axis(drawn, "x", x_label, [time for time, _ in known.values()], margin=MARGIN)
     log_axis(drawn, "y", y_label, [error for _, error in known.values()], powers=True, margin=MARGIN)
     front = pareto(known)
-    _staircase(drawn, [known[name] for name in front])
-    sides = label_sides(_pixels(known), front)
+    # The border of the dominated region, from the top of the plot to its right.
+    top, right = 10.0 ** drawn.layout.yaxis.range[1], 10.0 ** drawn.layout.xaxis.range[1]
+    times, errors = zip(*(known[name] for name in front), strict=True)
+    drawn.add_scatter(
+        x=[times[0], *times, right], y=[top, *errors, errors[-1]], mode="lines", hoverinfo="skip", showlegend=False,
+        line={"color": MUTED, "width": 1, "dash": "dot", "shape": "hv"},
+    )  # fmt: skip
+    sides = label_sides(_pixels({name: known[name] for name in dict.fromkeys([*front, *known])}))
     for name, (time, error) in known.items():
         best, style, side = name in front, styles[name], sides[name]
         drawn.add_scatter(
@@ -58,24 +62,6 @@ def accuracy_against_time(
     return drawn
 
 
-def _staircase(drawn: go.Figure, front: list[tuple[float, float]]) -> None:
-    """Draw the border of the dominated region, from the top of the plot to its right."""
-    top, right = 10.0 ** drawn.layout.yaxis.range[1], 10.0 ** drawn.layout.xaxis.range[1]
-    steps = [(front[0][0], top), *front, (right, front[-1][1])]
-    drawn.add_scatter(
-        x=[time for time, _ in steps], y=[error for _, error in steps], mode="lines", hoverinfo="skip",
-        showlegend=False, line={"color": MUTED, "width": 1, "dash": "dot", "shape": "hv"},
-    )  # fmt: skip
-
-
-def _pixels(points: Mapping[str, tuple[float, float]]) -> dict[str, tuple[float, float]]:
-    """Return where the points lie in a plot of usual size, from its middle, y downwards [px]."""
-    logs = np.log10(np.array(list(points.values())))
-    extent = np.maximum(np.ptp(logs, axis=0), 0.5) * (1.0 + 2.0 * MARGIN)
-    centres = (logs - logs.mean(axis=0)) / extent * [680.0, -310.0]
-    return {name: (float(x), float(y)) for name, (x, y) in zip(points, centres, strict=True)}
-
-
 def pareto(points: Mapping[str, tuple[float, float]]) -> list[str]:
     """Return the names that no other beats in both coordinates (less is better), by the first coordinate."""
     best, front = np.inf, []
@@ -86,47 +72,48 @@ def pareto(points: Mapping[str, tuple[float, float]]) -> list[str]:
     return front
 
 
-def label_sides(points: Mapping[str, tuple[float, float]], front: Collection[str] = ()) -> dict[str, str | None]:
-    """Choose on which side of its point each name stands, in plotly's words.
+def _pixels(points: Mapping[str, tuple[float, float]]) -> dict[str, tuple[float, float]]:
+    """Return where the points lie in a plot of usual size, from its middle, y downwards [px]."""
+    logs = np.log10(np.array(list(points.values())))
+    extent = np.maximum(np.ptp(logs, axis=0), 0.5) * (1.0 + 2.0 * MARGIN)
+    centres = (logs - logs.mean(axis=0)) / extent * [680.0, -310.0]
+    return {name: (float(x), float(y)) for name, (x, y) in zip(points, centres, strict=True)}
 
-    Greedy: the names of `front` choose first, then the others in their order; each takes the side where it covers
-    least of the drawn points.
+
+def label_sides(points: Mapping[str, tuple[float, float]]) -> dict[str, str | None]:
+    """Choose on which side of its point each name stands, where it covers least of points and earlier names.
 
     Args:
-        points: name -> place of the point [px], y downwards.
-        front: names on a line that runs above and to the right of its points: they would rather stand below.
+        points: name -> place of the point [px], y downwards; the first ones choose first.
 
     Returns:
-        Name -> "top center" and the like; None where there is no room.
+        Name -> "top center" and the like, in plotly's words; None where there is no room.
     """
     markers = {name: (x - MARKER_PX, y - MARKER_PX, x + MARKER_PX, y + MARKER_PX) for name, (x, y) in points.items()}
     placed: list[Box] = []
     sides: dict[str, str | None] = {}
-    for name in sorted(points, key=lambda name: name not in front):
+    for name, place in points.items():
         taken = [*placed, *(box for other, box in markers.items() if other != name)]
-        boxes = _boxes(name, *points[name])
+        boxes = _boxes(name, *place)
         covered = {side: sum(_shared(box, other) for other in taken) for side, box in boxes.items()}
-        if name in front:
-            covered = {side: area + SHYNESS_PX2 * ("bottom" not in side) for side, area in covered.items()}
         best = min(covered, key=lambda side: covered[side])
-        if covered[best] > TOLERATED_PX2:
-            sides[name] = None
-            continue
-        placed.append(boxes[best])
-        sides[name] = best
+        sides[name] = best if covered[best] <= TOLERATED_PX2 else None
+        if sides[name]:
+            placed.append(boxes[best])
     return sides
 
 
 def _boxes(name: str, x: float, y: float) -> dict[str, Box]:
-    """Return side -> the rectangle that the name would take there, the sides we like best first."""
+    """Return side -> the rectangle that the name would take there, the preferred sides first."""
     wide, near, far = CHARACTER_PX * len(name), MARKER_PX + 1.0, MARKER_PX + 1.0 + LINE_PX
     left, right = (x - near - wide, x - near), (x + near, x + near + wide)
     centre, middle = (x - wide / 2, x + wide / 2), (y - LINE_PX / 2, y + LINE_PX / 2)
     above, below = (y - far, y - near), (y + near, y + far)
+    # Below first: the front's line runs above and to the right of its points.
     spans = {
-        "top center": (centre, above), "bottom center": (centre, below), "middle right": (right, middle),
-        "middle left": (left, middle), "top right": (right, above), "bottom right": (right, below),
-        "top left": (left, above), "bottom left": (left, below),
+        "bottom center": (centre, below), "top center": (centre, above), "middle left": (left, middle),
+        "middle right": (right, middle), "bottom left": (left, below), "bottom right": (right, below),
+        "top left": (left, above), "top right": (right, above),
     }  # fmt: skip
     return {side: (across[0], down[0], across[1], down[1]) for side, (across, down) in spans.items()}
 

@@ -16,8 +16,7 @@ Floats = NDArray[np.float64]
 Samples = Mapping[str, ArrayLike]
 CLOCK_US = 1e-3
 """Times below a clock's nanosecond are drawn there: zero has no place on a log axis."""
-
-_ECDF_POINTS = 400
+ECDF_POINTS = 400
 
 
 def latency_ecdf(samples: Samples, deadline_us: float | None = None, *, tail: bool = False) -> go.Figure:
@@ -40,7 +39,8 @@ def latency_ecdf(samples: Samples, deadline_us: float | None = None, *, tail: bo
             drawn.add_scatter(x=[], y=[], name=f"{label(name)} (no sample)", line_color=styles[name].color)
             continue
         # Few quantiles suffice in the middle; each of the slowest has its own step.
-        ranks = _ranks(len(times))
+        slowest = len(times) - np.geomspace(1, len(times), ECDF_POINTS)
+        ranks = np.unique(np.append(np.linspace(0, len(times) - 1, ECDF_POINTS), np.ceil(slowest)).astype(np.int64))
         share = 1.0 - ranks / count if tail else (ranks + 1) / count
         drawn.add_scatter(
             x=times[ranks], y=share, mode="lines", name=label(name), line={
@@ -76,21 +76,20 @@ def box_plots(groups: Mapping[str, Samples], value_label: str, *, log: bool = Fa
     Raises:
         ReportError: a sample is infinite, or not positive under `log`.
     """
-    drawn, styles = (figure(boxmode="group", boxgap=0.3, boxgroupgap=0.25, margin_b=32), Styles(groups))
+    drawn, styles = figure(boxmode="group", boxgap=0.3, boxgroupgap=0.25, margin_b=32), Styles(groups)
     shown: list[float] = []
     for name, group in groups.items():
         known = {task: _known(f"{name}, {task}", values, signed=True) for task, values in group.items()}
         boxes = {task: _box(f"{name}, {task}", values, log) for task, values in known.items() if len(values)}
         shown += [value for *five, beyond in boxes.values() for value in (*five, *beyond)]
         lower, q1, median, q3, upper, beyond = zip(*boxes.values(), strict=True) if boxes else [()] * 6
-        style = styles[name]
         drawn.add_box(
             x=[label(task) for task in boxes], lowerfence=lower, q1=q1, median=median, q3=q3, upperfence=upper,
             # plotly draws nothing of a name whose first list of points is empty; a point in the box it hides.
             y=[points or [middle] for points, middle in zip(beyond, median, strict=True)],
-            boxpoints="outliers", name=label(name),
-            offsetgroup=name, fillcolor=style.fill(0.28),
-            line={"color": style.color, "width": 1.4}, marker={"size": 3, "opacity": 0.6}, whiskerwidth=0.5,
+            boxpoints="outliers", name=label(name), offsetgroup=name,
+            fillcolor=f"{styles[name].color}48",  # an opacity of 0.28; a dark page exchanges the first seven characters
+            line={"color": styles[name].color, "width": 1.4}, marker={"size": 3, "opacity": 0.6}, whiskerwidth=0.5,
         )  # fmt: skip
     tasks = dict.fromkeys(label(task) for group in groups.values() for task in group)
     drawn.update_xaxes(
@@ -103,17 +102,16 @@ def box_plots(groups: Mapping[str, Samples], value_label: str, *, log: bool = Fa
 
 
 def _box(name: str, values: Floats, log: bool) -> tuple[float, float, float, float, float, list[float]]:
-    """Lower whisker, quartiles, upper whisker, and the samples beyond, thinned."""
+    """Return lower whisker, quartiles, upper whisker, and the samples beyond, thinned."""
     values = np.sort(values)
     if np.isinf(values).any() or (log and values[0] <= 0.0):
         raise ReportError(f"{name!r} reaches from {values[0]} to {values[-1]}: this axis cannot show that")
     scale = np.log10(values) if log else values
     q1, q3 = np.percentile(scale, (25, 75))
-    # The smallest allowance is for rounding, where all samples are the same.
-    reach = 1.5 * (q3 - q1) + 1e-12 * abs(q3)
+    reach = 1.5 * (q3 - q1) + 1e-12 * abs(q3)  # the latter for rounding, where all samples are the same
     near = (scale >= q1 - reach) & (scale <= q3 + reach)
     inside, beyond = values[near], values[~near]
-    kept = beyond[np.unique(np.linspace(0, len(beyond) - 1, 40).astype(int))] if len(beyond) else beyond
+    kept = beyond[np.unique(np.linspace(0, len(beyond) - 1, min(len(beyond), 40)).astype(int))]
     q1, median, q3 = np.percentile(values, (25, 50, 75))
     return float(inside[0]), float(q1), float(median), float(q3), float(inside[-1]), kept.tolist()
 
@@ -125,9 +123,3 @@ def _known(name: str, values: ArrayLike, *, signed: bool = False) -> Floats:
     if not signed and (known < 0.0).any():
         raise ReportError(f"{name!r} has the sample {known.min()}: times and residuals are not negative")
     return known
-
-
-def _ranks(count: int) -> NDArray[np.int64]:
-    """Return which of `count` sorted samples to draw: evenly, and every one of the largest."""
-    even = np.linspace(0, count - 1, _ECDF_POINTS)
-    return np.unique(np.concatenate([even, count - np.geomspace(1, count, _ECDF_POINTS).astype(int)]).astype(np.int64))

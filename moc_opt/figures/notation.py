@@ -80,12 +80,11 @@ class Notation:
     @classmethod
     def of(cls, values: Iterable[object], digits: int = 3, spec: str = "") -> Notation:
         """Choose one notation for all `values`, so that a column can be compared by eye."""
-        numbers = [value for value in values if is_number(value) and math.isfinite(float(value))]  # type: ignore[arg-type]
+        numbers = [float(value) for value in values if is_number(value)]  # type: ignore[arg-type]
+        sizes = [abs(number) for number in numbers if math.isfinite(number)]
         # Counts come as floats too: a column of whole numbers is written as such.
-        integral = bool(numbers) and all(float(value).is_integer() for value in numbers)  # type: ignore[arg-type]
-        sizes = [abs(float(value)) for value in numbers if value]  # type: ignore[arg-type]
-        wide = bool(sizes) and (min(sizes) < 1e-4 or max(sizes) >= 1e6)
-        integral = integral and (not sizes or max(sizes) < 1e12)
+        integral = bool(sizes) and all(size.is_integer() for size in sizes) and max(sizes) < 1e12
+        wide = any(0.0 < size < 1e-4 or size >= 1e6 for size in sizes)
         return cls(digits, spec, scientific=wide and not integral, integral=integral)
 
     def __call__(self, value: float) -> str:

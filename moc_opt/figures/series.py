@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Mapping, Sequence
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
@@ -15,6 +15,7 @@ from moc_opt.errors import ReportError, shown
 from moc_opt.figures.style import TEMPLATE, Styles, label, legend_height
 
 Floats = NDArray[np.float64]
+Columns = Mapping[str, NDArray[Any]]
 PANELS = {
     "mu": ("µ [m³]", 1.0),
     "tip_error_m": ("tip error in space [mm]", 1e3),
@@ -24,87 +25,73 @@ PANELS = {
 """Column of a trace -> label of its panel, and the factor to the unit there."""
 MODEL_TIP = "tip_error_model_m"
 LABELS = {**PANELS, MODEL_TIP: ("tip error, own kinematics [mm]", 1e3)}
-"""The same, of every column that has a label of its own: two errors of the tip must not look like one."""
-
-
-class Run(Protocol):
-    """The columns of a run that are drawn; a `Trace` has them."""
-
-    @property
-    def columns(self) -> Mapping[str, NDArray[Any]]:
-        """Name -> (N,) or (N, k), one row a tick."""
-
-    @property
-    def meta(self) -> Mapping[str, Any]:
-        """How the run came about."""
-
-    def __getattr__(self, name: str) -> NDArray[Any]:
-        """Return a column, or raise an error that says which there are."""
+LARGEST = "largest µ of all poses"
+HOVER = "%{y:.4g}<extra>%{fullData.name}</extra>"
 
 
 def time_series(
-    runs: Mapping[str, Run], panels: Sequence[str] | None = None, *, styles: Styles | None = None
+    runs: Mapping[str, Any], panels: Sequence[str] | None = None, *, styles: Styles | None = None
 ) -> go.Figure:
     """Draw several runs over time, one panel per column, one legend entry per run for all panels.
 
-    Beside mu the largest mu of all feasible poses is dotted in, one legend entry for all runs; a curve's own name
-    says how it was found.
-    Long runs are thinned to the smallest and largest value of each stretch of time: peaks stay as high as they
-    are.
+    Beside mu the largest mu of all feasible poses is dotted in. Long runs are thinned to the smallest and largest
+    value of each stretch of time: peaks stay as high as they are.
 
     Args:
-        runs: name -> trace; a run that lacks a column is absent from its panel; of vectors the length is drawn.
+        runs: name -> columns of a run, (N,) or (N, k), `t_s` among them, or a `Trace`; a run that lacks a column is
+            absent from its panel; of vectors the length is drawn.
         panels: columns, from top to bottom; None: those of ``PANELS``, with the tip's error by the robot's own
             kinematics where every run has it. The absolute one is mostly the error of the arm's calibration.
         styles: of each run; None assigns colours anew.
 
     Raises:
-        ReportError: ``panels`` is empty, no list of names, or names a column that no run has or that holds texts.
-        MissingDataError: a run has no `t_s`.
+        ReportError: ``panels`` is empty, no list of names, or names a column that no run has or that holds texts; a
+            run has no `t_s`.
     """
     styles = styles or Styles(runs)
+    data: dict[str, Columns] = {name: getattr(run, "columns", run) for name, run in runs.items()}
+    for name, columns in data.items():
+        if "t_s" not in columns:
+            raise ReportError(f"run {name!r} has no column t_s: give the time of each row [s]")
     if panels is None:
-        known = all(MODEL_TIP in trace.columns for trace in runs.values())
+        known = all(MODEL_TIP in columns for columns in data.values())
         panels = [MODEL_TIP if known and column == "tip_error_m" else column for column in PANELS]
     else:
-        panels = _checked(panels, runs)
+        _check(panels, data)
     drawn = make_subplots(rows=len(panels), cols=1, shared_xaxes=True, vertical_spacing=0.22 / len(panels))
-    named: set[str] = set()
     for row, column in enumerate(panels, start=1):
         words, factor = LABELS.get(column, (label(column), 1.0))
-        for name, trace in runs.items():
-            if column not in trace.columns:
+        for rank, (name, columns) in enumerate(data.items()):
+            if column not in columns:
                 continue
-            values = trace.columns[column]
+            values, line = columns[column], {"color": styles[name].color, "width": 1.3}
             sizes = np.linalg.norm(values, axis=1) if values.ndim == 2 else values.astype(np.float64)
-            t, y = envelope(trace.t_s, factor * sizes)
+            t, y = envelope(columns["t_s"], factor * sizes)
             drawn.add_scatter(
                 x=t.astype(np.float32), y=y.astype(np.float32), mode="lines", name=label(name), legendgroup=name,
-                showlegend=name not in named, row=row, col=1, connectgaps=False,
-                line={"color": styles[name].color, "dash": styles[name].dash, "width": 1.3},
-                hovertemplate="%{y:.4g}<extra>%{fullData.name}</extra>",
+                row=row, col=1, connectgaps=False, line={**line, "dash": styles[name].dash}, hovertemplate=HOVER,
+                legendrank=rank,
             )  # fmt: skip
-            named.add(name)
-            if column == "mu" and "mu_bound" in trace.columns and not np.isnan(trace.mu_bound).all():
-                scanned = ~np.isnan(trace.mu_bound)
-                how = trace.meta.get("mu_bound_method", "scanned")
+            if column == "mu" and np.isfinite(bound := columns.get("mu_bound", np.zeros(0))).any():
+                scanned = ~np.isnan(bound)
                 drawn.add_scatter(
-                    x=trace.t_s[scanned], y=trace.mu_bound[scanned], mode="lines", name="largest µ of all poses",
-                    legendgroup="largest", showlegend="largest" not in named, row=row, col=1, opacity=0.8,
-                    line={"color": styles[name].color, "dash": "dot", "width": 1.3},
-                    hovertemplate=f"%{{y:.4g}}<extra>{label(name)}, largest: {label(how)}</extra>",
+                    x=columns["t_s"][scanned], y=bound[scanned], mode="lines", name=LARGEST, legendgroup="largest",
+                    row=row, col=1, opacity=0.8, line={**line, "dash": "dot"}, hovertemplate=HOVER,
+                    legendrank=len(data),
                 )  # fmt: skip
-                named.add("largest")
         drawn.update_yaxes(row=row, col=1, rangemode="normal" if column == "mu" else "tozero", nticks=5)
         # Horizontal, above its panel: it can be read on a narrow screen.
         drawn.add_annotation(
             text=words, xref="paper", x=0.0, xanchor="left", yref=f"y{row if row > 1 else ''} domain", y=1.0,
             yanchor="bottom", showarrow=False, font={"size": 12}, xshift=-2,
         )  # fmt: skip
-    if not named:
+    if not drawn.data:
         raise ReportError(f"no run has any of the columns {', '.join(panels)}: name columns that a trace has")
+    groups = [trace.legendgroup for trace in drawn.data]
+    for k, trace in enumerate(drawn.data):
+        trace.showlegend = trace.legendgroup not in groups[:k]
     drawn.update_xaxes(title_text="time [s]", row=len(panels), col=1)
-    height = 70 + 155 * len(panels) + legend_height(runs)
+    height = 70 + 155 * len(panels) + legend_height([*data, LARGEST])
     drawn.update_layout(template=TEMPLATE, height=height, legend_y=1.06, margin_t=30, hovermode="x unified")
     return drawn
 
@@ -132,27 +119,22 @@ def envelope(t: ArrayLike, y: ArrayLike, points: int = 1200) -> tuple[Floats, Fl
         return times, values
     kept = {0, len(times) - 1}
     for stretch in np.array_split(np.arange(len(times)), points // 2 - 1):
-        inside = values[stretch]
-        known = ~np.isnan(inside)
-        if known.any():
-            kept.add(int(stretch[known][np.argmin(inside[known])]))
-            kept.add(int(stretch[known][np.argmax(inside[known])]))
-        if not known.all():
-            kept.add(int(stretch[~known][0]))
+        known = stretch[~np.isnan(values[stretch])]
+        if len(known):
+            kept |= {int(known[np.argmin(values[known])]), int(known[np.argmax(values[known])])}
+        if len(known) < len(stretch):
+            kept.add(int(np.setdiff1d(stretch, known)[0]))
     chosen = np.array(sorted(kept))
     return times[chosen], values[chosen]
 
 
-def _checked(panels: object, runs: Mapping[str, Run]) -> list[str]:
-    """Return the columns that were asked for, each one of numbers in a run at least."""
+def _check(panels: object, runs: Mapping[str, Columns]) -> None:
     if isinstance(panels, str) or not isinstance(panels, Sequence) or not panels:
         raise ReportError(f"columns = {shown(panels)}: give a list of names, such as ['mu', 'tip_error_m']")
-    drawable = sorted({
-        name for run in runs.values() for name, array in run.columns.items() if array.dtype.kind in "fiub"
-    })  # fmt: skip
+    everything = {name: array for columns in runs.values() for name, array in columns.items()}
+    drawable = sorted(name for name, array in everything.items() if array.dtype.kind in "fiub")
     for name in panels:
         if name not in drawable:
-            kind = "holds texts" if any(name in run.columns for run in runs.values()) else "is in no run"
+            kind = "holds texts" if name in everything else "is in no run"
             near = difflib.get_close_matches(str(name), drawable, n=3) or drawable
             raise ReportError(f"column {shown(name)} {kind}: name columns of numbers, such as {', '.join(near)}")
-    return list(panels)

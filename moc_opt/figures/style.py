@@ -10,7 +10,6 @@ import html
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
-from types import MappingProxyType
 
 import numpy as np
 import plotly.graph_objects as go
@@ -20,22 +19,18 @@ from moc_opt.errors import ReportError
 from moc_opt.figures.notation import pretty_power, pretty_units, printable
 
 INK, MUTED, GRID, PAPER = "#1f2328", "#5f6871", "#e3e6e9", "#ffffff"
-GOOD, FAIR, BAD, WORST = "#3b7fb8", "#a9c6de", "#c9ccd1", "#c4421a"
-"""Of answers: solved and optimal; optimal but not claimed; honestly failed; wrong under a claim of success."""
+GOOD, BAD, WORST = "#3b7fb8", "#c9ccd1", "#c4421a"
+"""Of answers: solved and optimal; failed and reported as such; wrong under a claim of success."""
 
 # Okabe and Ito's palette, yellow and black replaced (they vanish on one of the two backgrounds), light -> dark.
-SERIES = MappingProxyType(
-    {
-        "#0072b2": "#4da3dd", "#d55e00": "#f0834a", "#009e73": "#3fc39d", "#b6569a": "#dc8fc4",
-        "#c98a00": "#e8b33f", "#3fa0d0": "#8accf0", "#77787b": "#a9abb0", "#6a4fb3": "#a994ea",
-    }
-)  # fmt: skip
-DARK = MappingProxyType(
-    {
-        INK: "#e4e7ea", MUTED: "#9aa3ac", GRID: "#31373d", PAPER: "#15181b",
-        GOOD: "#4f95d0", FAIR: "#34546f", BAD: "#565c63", WORST: "#f2693c", **SERIES,
-    }
-)  # fmt: skip
+SERIES = {
+    "#0072b2": "#4da3dd", "#d55e00": "#f0834a", "#009e73": "#3fc39d", "#b6569a": "#dc8fc4",
+    "#c98a00": "#e8b33f", "#3fa0d0": "#8accf0", "#77787b": "#a9abb0", "#6a4fb3": "#a994ea",
+}  # fmt: skip
+DARK = {
+    INK: "#e4e7ea", MUTED: "#9aa3ac", GRID: "#31373d", PAPER: "#15181b", GOOD: "#4f95d0", BAD: "#565c63",
+    WORST: "#f2693c", **SERIES,
+}  # fmt: skip
 """Colour on a light page -> on a dark one."""
 
 DASHES = ("solid", "dash", "dot", "dashdot", "longdash")
@@ -51,10 +46,6 @@ class Style:
     color: str
     dash: str
     symbol: str
-
-    def fill(self, opacity: float) -> str:
-        """Return the colour as "#rrggbbaa": the first seven characters stay those that a dark page exchanges."""
-        return f"{self.color}{round(255 * opacity):02x}"
 
 
 class Styles(dict[str, Style]):
@@ -115,11 +106,9 @@ def legend_height(names: Iterable[str]) -> int:
 def log_axis(
     drawn: go.Figure, axis: str, title: str, values: ArrayLike, *, powers: bool = False, margin: float = 0.05
 ) -> None:
-    """Make "x" or "y" a log axis.
+    """Make "x" or "y" a log axis of a figure.
 
     Args:
-        drawn: the figure, changed in place.
-        axis: "x" or "y".
         values: positive; all drawn values, limits included.
         powers: label it in powers of ten, for residuals; else in plain numbers, for times.
         margin: kept free at each end, as a fraction of the whole.
@@ -130,17 +119,14 @@ def log_axis(
     shown = np.asarray(values, dtype=np.float64)
     if shown.size == 0 or not (shown > 0.0).all():
         raise ReportError(f"{title}: a log axis needs values, and positive ones; leave the figure out and say why")
-    logs = np.log10(shown)
-    low, high = float(logs.min()), float(logs.max())
+    low, high = math.log10(shown.min()), math.log10(shown.max())
     free = margin * max(high - low, 0.5)
-    low, high = low - free, high + free
-    step = 1
+    low, high, step = low - free, high + free, 1
+    ticks: dict[str, object] = {"nticks": 7, "exponentformat": "none"}
     if powers:
         step = max(1, math.ceil((high - low) / MAX_POWERS))
         exponents = range(step * math.ceil(low / step), math.floor(high) + 1, step)
         ticks = {"tickvals": [10.0**power for power in exponents], "ticktext": [*map(pretty_power, exponents)]}
-    else:
-        ticks = {"nticks": 7, "exponentformat": "none"}
     # Chosen here: left to itself, plotly strews thousands between labels that it did not choose.
     minor = {"ticks": "outside", "ticklen": 2, "tickcolor": MUTED, "dtick": "D1" if step == 1 else 1}
     layout = {"type": "log", "title": {"text": pretty_units(title)}, "minor": minor, "range": [low, high], **ticks}
@@ -149,11 +135,10 @@ def log_axis(
 
 def rule(drawn: go.Figure, axis: str, at: float, text: str) -> None:
     """Draw a limit: a dashed line at `at` of axis "x" or "y", and its name above the plot or inside at the right."""
-    log = drawn.layout[f"{axis}axis"].type == "log"
     line = {"color": WORST, "width": 1.2, "dash": "dash"}
-    # plotly wants the value for a line on a log axis, its logarithm for a text.
-    place = math.log10(at) if log else at
     note = {"text": text, "showarrow": False, "font": {"size": 11, "color": WORST}, "yanchor": "bottom"}
+    # plotly wants the value for a line on a log axis, its logarithm for a text.
+    place = math.log10(at) if drawn.layout[f"{axis}axis"].type == "log" else at
     if axis == "x":
         drawn.add_shape(type="line", x0=at, x1=at, y0=0, y1=1, yref="paper", line=line)
         drawn.add_annotation(x=place, y=1.0, yref="paper", **note)

@@ -17,6 +17,8 @@ from moc_opt.figures.notation import DASH, printable
 from moc_opt.inputs.files import check_replaceable, write_whole
 
 MAX_BYTES = 8_000_000
+GENERATOR = b'<meta name="generator" content="moc_opt">'
+"""Marks a page as ours, in its first lines."""
 # A piece of a path: no scheme's colon, no backslash that browsers read as a slash, nothing that leads upwards.
 PIECE = re.compile(r"(?!\.+$)[\w.()+, -]+")
 
@@ -85,34 +87,53 @@ def beside(target: str) -> str:
     return quote(path) + (f"#{quote(place, safe='=')}" if place else "")
 
 
-def check_out(path: str | os.PathLike[str], what: str) -> None:
-    """Check before any work that a file can be written there.
+def check_out(path: str | os.PathLike[str], what: str, *, force: bool = False) -> Path:
+    """Check before any work that a file can be written there, and return its path.
+
+    Args:
+        path: of the file.
+        what: kind of file, for messages.
+        force: a file that is no page of moc_opt may be replaced, too.
 
     Raises:
-        ReportError: it cannot.
+        ReportError: it cannot, or such a file is there.
     """
     file = Path(path)
     check_replaceable(file, what, ReportError)
     folder = next(folder for folder in file.absolute().parents if folder.exists())
     if not folder.is_dir() or not os.access(folder, os.W_OK | os.X_OK):
         raise ReportError(f"{file}: cannot be written: {str(folder)!r} is no folder that may be written to")
+    if os.path.isfile(file) and not force and not _is_ours(file):
+        cure = "give another name, or --force"
+        raise ReportError(f"{file}: this {what} would replace a file that is no page of moc_opt: {cure}")
+    return file
 
 
-def save_document(path: str | os.PathLike[str], text: str, what: str, cure: Callable[[], str]) -> Path:
-    """Write a file, all or nothing: an older one of that name stays until the new one is there.
+def _is_ours(file: Path) -> bool:
+    try:
+        with file.open("rb") as content:
+            return GENERATOR in content.read(2000)
+    except OSError:
+        return False
+
+
+def save_document(
+    path: str | os.PathLike[str], text: str, what: str, cure: Callable[[], str], *, force: bool = False
+) -> Path:
+    """Write a page, all or nothing: an older one of that name stays until the new one is there.
 
     Args:
-        path: of the file; its folder is made.
+        path, what, force: as `check_out`; the folder is made.
+        text: of the page.
         cure: called for the advice if the page is too large.
 
     Raises:
-        ReportError: it would be larger than MAX_BYTES, or cannot be written.
+        ReportError: it would be larger than MAX_BYTES, would replace another's file, or cannot be written.
     """
-    file, content = Path(path), text.encode()
+    file, content = check_out(path, what, force=force), text.encode()
     if len(content) > MAX_BYTES:
         sizes = f"{len(content) / 1e6:.1f} MB, more than {MAX_BYTES / 1e6:.0f}"
         raise ReportError(f"{file}: the {what} has {sizes}: {cure()}")
-    check_replaceable(file, what, ReportError)
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
         write_whole(file, content)

@@ -22,7 +22,6 @@ if TYPE_CHECKING:
 FORMATS = ("svg", "pdf")
 WIDTH_PX = 680
 """Of a figure that has no width of its own: 180 mm, two columns of a journal; 12 px of type are then 9 pt."""
-
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome", "microsoft-edge")
 FLAGS = (
     "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking",
@@ -32,20 +31,18 @@ CURE = (
     "install a browser (Debian, Ubuntu: apt-get install chromium; anywhere: python -m playwright install chromium), "
     "or name one in the environment variable MOC_OPT_BROWSER"
 )
+SHEET = "<!DOCTYPE html><style>@page{margin:0} body{margin:0} svg{display:block}</style><body></body>"
 
 
 def save_figures(
     figures: Mapping[str, go.Figure], directory: str | os.PathLike[str], formats: Iterable[str] = FORMATS
 ) -> list[Path]:
-    """Write each figure as DIRECTORY/NAME.FORMAT, light, as vectors, with text as text.
+    """Write each figure as DIRECTORY/NAME.FORMAT, as vectors in the colours of a light page; return the files.
 
     Args:
         figures: name -> figure; `Page.figures` is one such mapping.
         directory: made if it is not there.
         formats: of "svg" and "pdf".
-
-    Returns:
-        The files, in the order of figures and formats.
 
     Raises:
         BrowserError: playwright or a browser is missing, or the browser failed; the message holds the cure.
@@ -59,36 +56,38 @@ def save_figures(
     for name in figures:
         if name != file_stem(name):
             raise ReportError(f"figure {name!r}: give a name without a folder in it; {file_stem(name)!r} would do")
-    folder, written = Path(directory), []
+    folder = Path(directory)
     with browser() as chromium:
-        drawn = dict(_draw(chromium, figures, "pdf" in wanted))
+        drawn = _draw(chromium, figures)
+    files = {folder / f"{name}.{kind}": contents[kind] for name, contents in drawn.items() for kind in wanted}
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        for name, contents in drawn.items():
-            for kind in wanted:
-                file = folder / f"{name}.{kind}"
-                file.write_bytes(contents[kind])
-                written.append(file)
+        for file, content in files.items():
+            file.write_bytes(content)
     except OSError as error:
         raise ReportError(f"{folder}: cannot be written: {error.strerror or error}") from error
-    return written
+    return list(files)
 
 
 @contextmanager
 def browser() -> Iterator[Browser]:
-    """Start a headless Chromium, and close it in the end.
+    """Start a headless Chromium, the one that MOC_OPT_BROWSER names or one of the system, and close it in the end.
 
     Raises:
         BrowserMissingError: playwright or a browser is missing.
-        BrowserError: it does not start, or breaks down.
+        BrowserError: MOC_OPT_BROWSER names no program; the browser does not start, or breaks down.
     """
     try:
         from playwright.sync_api import Error, sync_playwright
     except ImportError as error:
         raise BrowserMissingError(f"playwright is missing: pip install 'moc-opt[figures]', and {CURE}") from error
+    chosen = os.environ.get("MOC_OPT_BROWSER")
+    program = shutil.which(chosen) if chosen else next(filter(None, map(shutil.which, NAMES)), None)
+    if chosen and program is None:
+        raise BrowserError(f"MOC_OPT_BROWSER = {chosen!r} is no program: {CURE}")
     try:
         with sync_playwright() as playwright:
-            program = browser_path() or playwright.chromium.executable_path
+            program = program or playwright.chromium.executable_path
             if not Path(program).exists():
                 raise BrowserMissingError(f"no Chromium or Chrome was found: {CURE}")
             chromium = playwright.chromium.launch(executable_path=program, args=list(FLAGS))
@@ -100,39 +99,23 @@ def browser() -> Iterator[Browser]:
         raise BrowserError(f"the browser failed: {str(error).splitlines()[0]}; {CURE}") from error
 
 
-def browser_path() -> str | None:
-    """Return the browser that is named in MOC_OPT_BROWSER or installed in the system; None where there is none.
-
-    Raises:
-        BrowserError: MOC_OPT_BROWSER names no program.
-    """
-    chosen = os.environ.get("MOC_OPT_BROWSER")
-    if chosen:
-        found = shutil.which(chosen)
-        if found is None:
-            raise BrowserError(f"MOC_OPT_BROWSER = {chosen!r} is no program: {CURE}")
-        return found
-    return next(filter(None, map(shutil.which, NAMES)), None)
-
-
-def _draw(chromium: Browser, figures: Mapping[str, go.Figure], pdf: bool) -> Iterator[tuple[str, dict[str, bytes]]]:
+def _draw(chromium: Browser, figures: Mapping[str, go.Figure]) -> dict[str, dict[str, bytes]]:
     page = chromium.new_page()
-    # Whatever a figure might refer to, nothing is fetched.
-    page.route("**/*", lambda route: route.abort())
-    page.set_content("<!DOCTYPE html><style>@page{margin:0} body{margin:0} svg{display:block}</style><body></body>")
+    page.route("**/*", lambda route: route.abort())  # nothing that a figure refers to is fetched
+    page.set_content(SHEET)
     page.add_script_tag(content=get_plotlyjs())
+    drawn = {}
     for name, figure in figures.items():
-        house = figure.layout.template.layout
-        size = {"width": figure.layout.width or WIDTH_PX, "height": figure.layout.height or house.height or 450}
+        height = figure.layout.height or figure.layout.template.layout.height or 450
+        size = {"width": figure.layout.width or WIDTH_PX, "height": height}
         url = page.evaluate(
             "([figure, size]) => Plotly.toImage(JSON.parse(figure), {format: 'svg', ...size})",
             [figure.to_json(), size],
         )
         svg = unquote(url.partition(",")[2])
-        contents = {"svg": svg.encode()}
-        if pdf:
-            page.evaluate("svg => { document.body.innerHTML = svg }", svg)
-            width, height = (f"{side}px" for side in size.values())
-            contents["pdf"] = page.pdf(width=width, height=height, print_background=True, page_ranges="1")
-        yield name, contents
+        page.evaluate("svg => { document.body.innerHTML = svg }", svg)
+        width, height = (f"{side}px" for side in size.values())
+        pdf = page.pdf(width=width, height=height, print_background=True, page_ranges="1")
+        drawn[name] = {"svg": svg.encode(), "pdf": pdf}
     page.close()
+    return drawn

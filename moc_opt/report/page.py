@@ -133,13 +133,17 @@ class Page:
             figures=self._figures,
         )  # fmt: skip
 
-    def save(self, path: str | os.PathLike[str]) -> Path:
+    def save(self, path: str | os.PathLike[str], *, force: bool = False) -> Path:
         """Write the file, all or nothing: an older one of that name stays until the new one is there.
+
+        Args:
+            path: of the file.
+            force: replace a file that is no page of moc_opt, too.
 
         Raises:
             ReportError: it would be larger than `document.MAX_BYTES`, or cannot be written.
         """
-        return save_document(path, self.html(), "page", self._thinner)
+        return save_document(path, self.html(), "page", self._thinner, force=force)
 
     def _thinner(self) -> str:
         sizes = {name: len(_plain_json(figure)) for name, figure in self._figures.items()}

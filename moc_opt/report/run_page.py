@@ -10,7 +10,7 @@ from moc_opt.figures import Styles, time_series
 from moc_opt.planning.swivel_map import manipulability_map
 from moc_opt.report.map_page import add_map
 from moc_opt.report.page import Page
-from moc_opt.report.run_table import asked, below_best, in_short, part, refusals, run_table, warnings
+from moc_opt.report.run_table import below_best, ending, listed, part, run_table, title_of
 from moc_opt.report.tables import Column, Table
 from moc_opt.robots.model import RobotModel
 from moc_opt.trace.trace import Trace
@@ -27,33 +27,28 @@ def run_page(
     Args:
         traces: name -> run, of one arm; a baseline first.
         metrics: name -> metric -> number, of those runs that get a table.
-        title: of the page; from the names if empty.
+        title: of the page; the arm, the task, the gains and the solvers if empty.
 
     Raises:
         ReportError: there is no run, or none has a column that can be drawn.
     """
     if not traces:
         raise ReportError("no run: give one trace or more")
-    styles, page = Styles(traces), Page(title or " and ".join(traces), f"{robot.data.name}, simulated")
+    judged = {name: traces[name] for name in metrics if name in traces} or traces
+    styles, page = Styles(traces), Page(title or title_of(judged), f"runs: {'; '.join(traces)}")
     page.section("How it ended")
     for name in sorted(traces, key=lambda name: name not in metrics):  # what was asked for before its baseline
-        trace = traces[name]
-        told = [f"{name} {trace.meta.get('ended', 'unknown')}{part(trace)}."]
-        told += [f"Asked for: {asked(trace)}."] if asked(trace) else []
-        figures = in_short(metrics[name]) if name in metrics and not part(trace) else ""
-        below = below_best(trace) if name in metrics else ""
-        told += [f"{said[0].upper()}{said[1:]}." for said in (figures, below) if said]
-        page.text(" ".join([*told, *(f"{line}." for line in refusals(trace) + warnings(trace))]))
+        below = below_best(traces[name]) if name in metrics else ""
+        page.text("; ".join(filter(None, [*ending(name, traces[name]), below])) + ".")
     page.section("What to look at first")
-    short = {name: run_table(name, traces[name], values, first=True) for name, values in metrics.items()}
-    for shown in beside(short, traces):
-        page.table(shown)
+    for table in run_tables(traces, metrics, first=True):
+        page.table(table)
     page.section("Over time")
     page.figure(
         time_series(traces, styles=styles),
         "Manipulability with the largest that the self-motion allows (dotted, where it was scanned), tip error by the "
-        "robot's own kinematics where that is known, distance of the shaft from the trocar, force on it.",
-        name="curves",
+        "robot's own kinematics where that is known, distance of the shaft from the trocar, force on it. A later run "
+        "covers an earlier one that coincides with it: a click in the legend hides it.", name="curves",
     )  # fmt: skip
     page.section("Where the elbow went")
     longest = max(float(trace.t_s[-1] - trace.t_s[0]) for trace in traces.values())
@@ -63,31 +58,31 @@ def run_page(
     except MocOptError as error:
         page.text(f"There is no map: {error}")
     page.section("All metrics")
-    whole = {name: run_table(name, traces[name], values, explained=True) for name, values in metrics.items()}
-    for shown in beside(whole, traces):
-        page.table(shown)
+    for table in run_tables(traces, metrics, explained=True):
+        page.table(table)
     return page
 
 
-def beside(tables: Mapping[str, Table], traces: Mapping[str, Trace]) -> list[Table]:
-    """Make one table of those of several runs, a column for each run.
+def run_tables(
+    traces: Mapping[str, Trace], metrics: Mapping[str, Mapping[str, float]], **which: bool
+) -> list[Table]:
+    """Make one table of several runs, a column for each; tables of their own where a run was broken off.
 
-    Where a run was broken off they stay apart: figures of a part are no peers of a whole run's.
+    Figures of a part cannot be compared with those of a whole run.
 
     Args:
-        tables: name of a run -> `run_table` of it, with what each figure says.
-        traces: name -> run.
+        traces, metrics: as of `run_page`.
+        which: `first` or `explained`, of `run_table`.
     """
+    tables = {name: run_table(name, traces[name], values, **which) for name, values in metrics.items()}
     if len(tables) < 2 or any(part(traces[name]) for name in tables):
         return list(tables.values())
     rows: dict[str, dict[str, Any]] = {}
-    for k, run in enumerate(tables.values()):
-        for row in run.rows:
-            said = row.get("says", "")
-            joint = rows.setdefault(row["metric"], {"metric": row["metric"], "says": said})
-            joint[f"run {k}"] = row["value"]
-            joint["says"] = said if joint["says"] == said else ""
-    runs = [Column(f"run {k}", name) for k, name in enumerate(tables)]
-    captions = dict.fromkeys(run.caption for run in tables.values() if run.caption)
-    columns = [Column("metric", "metric"), *runs, Column("says", "what it says")]
-    return [Table(" and ".join(tables), columns, list(rows.values()), "\n".join(captions))]
+    for name, table in tables.items():
+        for row in table.rows:
+            joint = rows.setdefault(row["metric"], dict(row))
+            joint[f"run {name}"] = row["value"]
+            joint["says"] = row["says"] if row["says"] == joint["says"] else ""
+    columns = [Column("metric", "metric"), *(Column(f"run {name}", name) for name in tables), Column("says", "meaning")]
+    captions = dict.fromkeys(table.caption for table in tables.values() if table.caption)
+    return [Table(listed(tables), columns, list(rows.values()), "\n".join(captions))]

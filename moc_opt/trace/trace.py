@@ -178,8 +178,8 @@ class Trace:
             beside: a second run, drawn as "baseline".
 
         Raises:
-            ReportError: ``columns`` is empty, no list of names, or names one that no run has or that holds no numbers.
-            MissingDataError: it has no `t_s`.
+            ReportError: ``columns`` is empty, no list of names, or names one that no run has or that holds no numbers;
+                it has no `t_s`.
 
         Example:
             >>> trace = mo.Trace({"t_s": [0.0, 0.002, 0.004], "mu": [0.30, 0.31, 0.29]})

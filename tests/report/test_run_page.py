@@ -1,45 +1,211 @@
-"""The page of a run, from the command line."""
+"""Runs as tables, as JSON and as pages: the ending first, figures of a part marked, and nothing of others replaced."""
 
-import shutil
+import json
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+import moc_opt as mo
 from moc_opt.__main__ import main
-from moc_opt.report.run_page import run_page
+from moc_opt.errors import ReportError
+from moc_opt.report.console import print_json
+from moc_opt.report.document import save_document
+from moc_opt.report.map_page import bar_digits, load_map
+from moc_opt.report.run_page import run_page, run_tables
+from moc_opt.report.run_table import part, run_json, run_table, title_of, warnings
 from moc_opt.trace.trace import Trace
 
+WARNING = {"of": "the RCM error", "first_s": 1.25, "largest": 11.04, "unit": "mm", "level": 6.0}
 
-def test_run_writes_the_page_with_its_baseline(tmp_path, capsys):
+
+def trace(ended="completed", ticks=4, **meta):
+    counts = {"period_s": 0.1, "ticks": ticks, "ticks_planned": 4}
+    return Trace({"t_s": 0.1 * np.arange(ticks)}, {"ended": ended, **counts, **meta})
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory) -> list[Path]:
+    """Two saved runs of a tenth of a second."""
+    trial = mo.Scenario(duration_s=0.1, judge=False, bound_samples=0)
+    folder = tmp_path_factory.mktemp("runs")
+    found = {"moc": trial, "dcac": trial.change(control={"law": "dcac"})}
+    for name, scenario in found.items():
+        mo.run(scenario).save(folder / f"{name}.parquet")
+    return [folder / f"{name}.parquet" for name in found]
+
+
+# --- tables and JSON ---
+
+
+def test_only_a_run_that_was_broken_off_is_a_part():
+    assert part(trace()) == part(trace("oscillated: joint_7")) == ""
+    assert part(trace("stopped: x", 3)) == " (first 0.3 s of 0.4 s)"
+    assert part(Trace({"t_s": [0.0]})) == ""  # of an older version: nothing is known
+
+
+def test_the_ending_is_the_first_row_and_a_parts_figures_say_so():
+    metrics = {"completed": 0.0, "share_of_run": 0.75, "mu_mean": 0.25}
+    table = run_table("slip", trace("stopped: x", 3, warnings=[WARNING]), metrics)
+    assert [row["metric"] for row in table.rows] == ["ended", "completed", "share_of_run", "mu_mean (part)"]
+    assert table.title == "slip (first 0.3 s of 0.4 s)"
+    assert table.rows[0]["value"] == "stopped: x"
+    assert "the RCM error was above 6 mm from t = 1.250 s on, 11 mm at most" in table.caption
+    assert [row["metric"] for row in run_table("slip", trace(), metrics).rows] == ["ended", *metrics]
+    assert warnings(trace()) == []
+
+
+@pytest.mark.parametrize(("raised", "most"), [(1, False), (2, False), (3, True)])
+def test_a_solver_that_was_replaced_is_named_before_any_figure(raised, most):
+    """A run whose answers all came from the fallback completes like any other: it must not read like one."""
+    faults = {"raised": {"count": raised, "first_at_s": 0.0, "first": "ZeroDivisionError"}}
+    table = run_table("slip", trace(faults=faults), {"mu_mean": 0.25}, first=True)
+    assert [row["metric"] for row in table.rows] == ["ended", "solver replaced", "mu_mean"]
+    said = table.rows[1]["value"]
+    assert said.startswith(f"at {raised} of 4 ticks")
+    assert ("not this solver's" in said) == most
+    found = run_json(trace(faults=faults), {"mu_mean": 0.25})
+    assert list(found).index("solver_replaced") < list(found).index("mu_mean")
+    assert found["solver_replaced"] == said
+    assert "solver_replaced" not in run_json(trace(), {})
+
+
+def test_json_begins_with_the_ending_and_is_json(capsys):
+    found = run_json(trace("stopped: x", 3, warnings=[WARNING]), {"mu_mean": float("nan"), "loss_max": np.inf})
+    print_json(found)
+    text = capsys.readouterr().out
+    assert text.lstrip("{ \n").startswith('"ended": "stopped: x"')
+    assert json.loads(text, parse_constant=pytest.fail) == {
+        "ended": "stopped: x", "part": "first 0.3 s of 0.4 s", "mu_mean": None, "loss_max": None,
+        "warnings": [WARNING], "faults": {},
+    }  # fmt: skip
+    assert "part" not in run_json(trace(), {})
+
+
+@pytest.mark.parametrize(
+    ("solver", "law", "shown"), [("nlp-sqp", "moc", "–"), ("osqp", "moc", "4"), ("nlp-sqp", "dcac", "4")]
+)
+def test_verdicts_of_the_linear_problem_are_not_passed_on_answers_to_another(solver, law, shown):
+    run = trace(scenario={"solver": {"name": solver}, "control": {"law": law}})
+    metrics = {"mu_mean": 0.2, "verified_solved": 4.0, "silently_wrong": 4.0}
+    table = run_table("x", run, metrics, first=True)
+    (value,) = (table.cells(column) for column in table.columns if column.key == "value")
+    assert [cell.text for cell in value] == ["completed", "0.2000", shown, shown]
+    assert ("nonlinear" in table.caption) == (shown == "–")
+    assert run_json(run, metrics)["silently_wrong"] == (None if shown == "–" else 4.0)
+    assert "silently_wrong" not in run_json(run, {})
+
+
+@pytest.mark.parametrize(
+    ("table", "status", "ended"),
+    [
+        ("", 0, "completed"),
+        ("[plant]\nfriction = 0.0\n", 3, "oscillated: joint_7 at "),
+        ("[guard]\nrcm_error_m = 1e-5\nrcm_warning_m = 1e-5\n", 3, "stopped: the RCM error has been above 0.01 mm"),
+    ],
+    ids=["completed", "oscillated", "stopped"],
+)
+def test_the_exit_status_tells_success_from_the_rest(tmp_path, capsys, table, status, ended):
+    file = tmp_path / "s.toml"
+    file.write_text(
+        'name = "one"\nduration_s = 2.0\nbound_samples = 0\njudge = false\n'
+        f"[control]\nK_X = 3000.0\nD_X = 80.0\nK_N = 800.0\nD_N = 60.0\nK_N2 = 80.0\nD_N2 = 1.0\n{table}"
+    )
+    assert main(["run", str(file), "--json"]) == status
+    said = capsys.readouterr()
+    found = json.loads(said.out, parse_constant=pytest.fail)
+    assert found["ended"].startswith(ended)
+    assert found["completed"] == float(status == 0)
+    assert ("one: " + found["ended"] in said.err) == (status != 0)
+    if ended.startswith("stopped"):
+        assert found["share_of_run"] < 1.0
+        assert [w["of"] for w in found["warnings"]] == ["the RCM error"]
+        # DCAC is stopped even sooner, or later: a part is compared with the same part, or with nothing
+        assert "mu_gain_percent" in found or "not compared with DCAC" in said.err
+    else:
+        assert "mu_gain_percent" in found
+
+
+def test_whole_runs_stand_side_by_side_and_parts_alone():
+    late = {"late": {"count": 1, "first_at_s": 0.0, "first": "x"}}
+    runs = {"a": trace(faults=late), "b": trace("oscillated: joint_7", scenario={"solver": {"name": "nlp-sqp"}})}
+    metrics = {"a": {"mu_mean": 0.2, "silently_wrong": 1.0}, "b": {"mu_mean": 0.3, "silently_wrong": 1.0}}
+    (table,) = run_tables(runs, metrics, first=True)
+    cells = {column.title: [cell.text for cell in table.cells(column)] for column in table.columns}
+    assert cells["metric"] == ["ended", "solver replaced", "mu_mean", "silently_wrong"]
+    assert cells["a"] == ["completed", "at 1 of 4 ticks: late 1", "0.2000", "1"]
+    assert cells["b"] == ["oscillated", "–", "0.3000", "–"]
+    assert "nonlinear" in table.caption
+    apart = run_tables({**runs, "b": trace("stopped: x", 3)}, metrics, first=True)
+    assert [table.title for table in apart] == ["a", "b (first 0.3 s of 0.4 s)"]
+
+
+# --- pages ---
+
+
+def test_run_and_report_write_pages_that_name_arm_task_gains_and_solver(tmp_path, capsys, files):
     file, page = tmp_path / "line.toml", tmp_path / "pages" / "line.html"
     file.write_text('duration_s = 0.4\nbound_samples = 3\n[task]\npath = "line"\n', encoding="utf-8")
     assert main(["run", str(file), "--report", str(page), "--trace", str(tmp_path / "a.parquet")]) == 0
-    shown = capsys.readouterr()
-    assert str(page) in shown.err
+    assert str(page) in capsys.readouterr().err
     text = page.read_text(encoding="utf-8")
-    assert "<title>line" in text
-    assert "DCAC, same gains" in text
-    assert "mu_gain_percent" in text
-    assert main(["report", str(tmp_path / "a.parquet"), "--out", str(tmp_path / "b.html")]) == 0
-    assert "verified_solved" in (tmp_path / "b.html").read_text(encoding="utf-8")
-    two = [str(shutil.copy(tmp_path / "a.parquet", tmp_path / f"{name}.parquet")) for name in ("one", "other")]
-    assert main(["report", *two, "--out", str(tmp_path / "both.html")]) == 0
-    assert "one and other" in (tmp_path / "both.html").read_text(encoding="utf-8")
+    assert "<title>lwr4, line, default gains: exact</title>" in text
+    assert all(words in text for words in ("DCAC, same gains", "mu_gain_percent", "verified_solved"))
+    both = tmp_path / "both.html"
+    assert main(["report", *map(str, files), "--out", str(both)]) == 0
+    assert "<title>lwr4, circle, default gains: exact and dcac</title>" in both.read_text(encoding="utf-8")
 
 
-@pytest.mark.parametrize("command", ["report", "replay", "map"])
-def test_where_a_page_cannot_go_is_said_before_any_work(tmp_path, capsys, command):
-    assert main([command, str(tmp_path / "no.parquet"), "--out", str(tmp_path)]) == 2
-    assert "a folder, pipe or device is there" in capsys.readouterr().err
-    (tmp_path / "file").write_text("")
-    assert main([command, str(tmp_path / "no.parquet"), "--out", str(tmp_path / "file" / "x.html")]) == 2
-    assert "is no folder that may be written to" in capsys.readouterr().err
+def test_runs_that_do_not_say_what_they_are_have_their_names_as_title():
+    assert title_of({"a": trace(), "b": trace()}) == "a and b"
 
 
-def test_a_file_that_is_no_trace_is_named(tmp_path, capsys):
-    (tmp_path / "a.parquet").write_text("hello")
-    assert main(["report", str(tmp_path / "a.parquet"), "--out", str(tmp_path / "b.html")]) == 2
-    assert "a.parquet" in capsys.readouterr().err
+def test_a_run_that_cannot_be_mapped_has_its_curves(robot):
+    t = np.linspace(0.0, 1.0, 20)
+    found = run_page(
+        {"own": Trace({"t_s": t, "mu": 0.1 + t}, {"ended": "stopped: too far off"})}, {"own": {"mu_mean": 0.6}}, robot
+    )
+    assert set(found.figures) == {"curves"}
+    html = found.html()
+    assert "There is no map" in html
+    assert "stopped: too far off" in html
+
+
+def test_map_writes_the_page_and_the_figures(files, tmp_path, capsys):
+    out = tmp_path / "new" / "map.html"
+    code = main(["map", *map(str, files), "--out", str(out), "--figures"])
+    printed = capsys.readouterr()
+    assert out.stat().st_size > 10_000, "the page is there, with or without a browser"
+    if "BrowserMissingError" in printed.err:
+        pytest.skip(printed.err)
+    assert code == 0
+    figures = [out.parent / "figures" / f"map.{kind}" for kind in ("svg", "pdf")]
+    assert printed.out.split() == [str(file) for file in (out, *figures)]
+    assert all(file.stat().st_size > 10_000 for file in figures)
+
+
+@pytest.mark.parametrize(("span", "digits"), [(0.15, 2), (0.04, 3), (0.003, 4)])
+def test_neighbouring_labels_of_the_colour_bar_differ(files, span, digits):
+    (drawn,) = load_map(files).figures.values()
+    assert drawn.data[0].colorbar.tickformat == ".2f"
+    assert bar_digits(span) == digits
+
+
+def test_runs_that_cannot_be_shown_together_are_refused(files, tmp_path, capsys):
+    first = Trace.load(files[0])
+    first.with_columns(tip_ref_m=first.tip_ref_m + np.array([0.0, 0.0, 0.01])).save(tmp_path / "moved.parquet")
+    Trace(dict(first.columns), {**first.meta, "kind": "course"}).save(tmp_path / "course.parquet")
+    (tmp_path / "text.parquet").write_text("hello")
+    for name, said in (
+        ("moved", "'moved' was given another path"), ("course", "'course' is a course, not a run"),
+        ("text", "text.parquet"),
+    ):  # fmt: skip
+        out = tmp_path / "m.html"
+        assert main(["map", str(files[0]), str(tmp_path / f"{name}.parquet"), "--out", str(out)]) == 2
+        assert said in capsys.readouterr().err
+        assert not out.exists()
+    with pytest.raises(ReportError, match="one robot with one tool"):
+        load_map([])
 
 
 def test_a_trace_in_the_place_of_a_scenario_is_told_apart(tmp_path, capsys):
@@ -48,11 +214,40 @@ def test_a_trace_in_the_place_of_a_scenario_is_told_apart(tmp_path, capsys):
     assert "is a trace, no scenario: moc-opt report, replay or map shows it" in capsys.readouterr().err
 
 
-def test_a_run_that_cannot_be_mapped_has_its_curves(robot):
-    t = np.linspace(0.0, 1.0, 20)
-    trace = Trace({"t_s": t, "mu": 0.1 + t}, {"ended": "stopped: too far off"})
-    found = run_page({"own": trace}, {"own": {"mu_mean": 0.6}}, robot)
-    assert set(found.figures) == {"curves"}
-    html = found.html()
-    assert "There is no map" in html
-    assert "stopped: too far off" in html
+# --- where a page may be written ---
+
+
+@pytest.mark.parametrize("command", ["report", "replay", "map"])
+def test_where_a_page_cannot_go_is_said_before_any_work(tmp_path, capsys, command):
+    (tmp_path / "file").write_text("mine")
+    for out, said in (
+        (tmp_path, "a folder, pipe or device is there"), (tmp_path / "file", "--force"),
+        (tmp_path / "file" / "x.html", "is no folder that may be written to"),
+    ):  # fmt: skip
+        assert main([command, str(tmp_path / "no.parquet"), "--out", str(out)]) == 2
+        assert said in capsys.readouterr().err
+    assert (tmp_path / "file").read_text() == "mine"
+
+
+@pytest.mark.parametrize("command", ["report", "replay", "map"])
+def test_a_page_replaces_its_like_and_other_files_by_force_alone(files, tmp_path, command):
+    out = tmp_path / "page.html"
+    out.write_text("<html>mine</html>")
+    order = [command, str(files[0]), "--out", str(out)]
+    assert main(order) == 2
+    assert out.read_text() == "<html>mine</html>"
+    assert main([*order, "--force"]) == 0
+    assert main(order) == 0, "a page of ours may be made anew"
+    assert out.stat().st_size > 10_000
+
+
+def test_the_other_results_replace_nothing_without_force(tmp_path, capsys):
+    out = tmp_path / "rows"
+    out.write_text("mine")
+    for order in (["compare", "exact"], ["plan"]):
+        assert main([*order, "--out", str(out)]) == 2
+        assert "--force" in capsys.readouterr().err
+    with pytest.raises(ReportError, match="--force"):
+        save_document(out, "page", "page", str)
+    assert out.read_text() == "mine"
+    assert save_document(out, "page", "page", str, force=True).read_text() == "page"

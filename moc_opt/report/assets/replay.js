@@ -6,17 +6,11 @@
   const trouble = (text) => { const note = document.createElement("p"); note.className = "trouble"; note.textContent = text; $("stage").append(note); };
 
   const unpack = async () => {
-    const packed = Uint8Array.from(atob($("replay-numbers").textContent), (c) => c.charCodeAt(0));
+    const packed = Uint8Array.from(atob($("replay-data").textContent), (c) => c.charCodeAt(0));
     const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("gzip"));
-    const all = new Float32Array(await new Response(stream).arrayBuffer());
-    const value = JSON.parse($("replay-value").textContent);
-    const array = ([start, ...shape]) => all.subarray(start, start + shape.reduce((a, b) => a * b, 1));
-    for (const run of value.runs) {
-      for (const name of ["poses", "tip", "asked", "ellipsoid", "course", "course_asked", "course_t", "trocar"]) if (run[name]) run[name] = array(run[name]);
-      for (const panel of run.panels) if (panel) for (const name of ["t", "y", "at", "bound_t", "bound"]) if (panel[name]) panel[name] = array(panel[name]);
-    }
-    value.times = array(value.times);
-    return value;
+    // Every list of numbers as an array of them; null is NaN.
+    const array = (key, value) => Array.isArray(value) && value.every((v) => v === null || typeof v === "number") ? Float32Array.from(value, (v) => v ?? NaN) : value;
+    return JSON.parse(await new Response(stream).text(), array);
   };
 
   let data;

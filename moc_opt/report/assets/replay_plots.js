@@ -40,7 +40,7 @@ const Plots = (root, data, seek) => {
     pen.lineWidth = 1;
     pen.fillStyle = color("--muted");
     pen.strokeStyle = color("--line");
-    const dy = steps(panel.high - panel.low, 4), dx = steps(last - first, Math.max(3, w / 90));
+    const dy = steps(panel.high - panel.low, 5.5), dx = steps(last - first, Math.max(3, w / 90));
     pen.textAlign = "right";
     pen.textBaseline = "middle";
     for (let v = dy * Math.ceil(panel.low / dy - 1e-9); v <= panel.high; v += dy) {
@@ -50,8 +50,9 @@ const Plots = (root, data, seek) => {
     }
     pen.textAlign = "center";
     pen.textBaseline = "top";
-    for (let t = dx * Math.ceil(first / dx - 1e-9); t <= last + 1e-9; t += dx) {
-      const end = t + dx > last + 1e-9;
+    const stop = last + 0.005 * (last - first); // the last tick of a run of 2 s is at 1.998 s
+    for (let t = dx * Math.ceil(first / dx - 1e-9); t <= stop; t += dx) {
+      const end = t + dx > stop;
       pen.fillText(String(+t.toPrecision(6)) + (end ? " s" : ""), Math.min(panel.x(t), w - 14), h - PAD.b + 5);
     }
     for (const line of panel.lines) {
