@@ -69,8 +69,7 @@ def _plan_scenario(given: argparse.Namespace) -> int:
         if places:
             shown.append(place_table(f"Places of the {given.place}", candidates, box_m, took, places))
         for table in shown:
-            for piece in table.fitted(screen.width):
-                screen.print(piece)
+            screen.print(table)
         print(start_toml(scenario.robot.arm(), found, places))
     for line in warned:  # last, below the tables
         print(f"{title}: warning: {line}", file=sys.stderr)

@@ -25,8 +25,7 @@ def print_list(given: argparse.Namespace) -> int:
         return 0
     table = here(table) if given.command == "solvers" else replace(table, rows=[_written(row) for row in table.rows])
     screen = console()
-    for piece in replace(table, caption="").fitted(screen.width):
-        screen.print(piece)
+    screen.print(replace(table, caption=""))
     if table.caption:  # below a narrow table it would be a narrow column
         screen.print(table.caption, markup=False, highlight=False)
     return 0

@@ -49,8 +49,7 @@ def print_keys(given: argparse.Namespace) -> int:
         return 0
     screen = console()
     for name in found if given.table is None else [given.table]:
-        for piece in _drawn(name, found[name][1]).fitted(screen.width):
-            screen.print(piece)
+        screen.print(_drawn(name, found[name][1]))
     return 0
 
 

@@ -80,8 +80,7 @@ def show(scenario: Scenario, title: str, trace: Trace, given: argparse.Namespace
     else:
         short = not scenario.metrics and not given.all
         screen, table = console(), run_table(title, trace, wanted, first=short)
-        for piece in table.fitted(screen.width):
-            screen.print(piece)
+        screen.print(table)
         if short:
             hidden = len(set(metrics) - set(MATTER))
             screen.print(f"{hidden} more with `--all`; `moc-opt metrics` says what each is.", markup=False)

@@ -32,7 +32,6 @@ from moc_opt.errors import MocOptError, ScenarioError, SolverError, UnknownNameE
 from moc_opt.inputs.files import read_toml, to_json, write_whole
 from moc_opt.inputs.settings import Settings
 from moc_opt.report.console import Bar, busy, console, progress
-from moc_opt.report.tables import Table
 from moc_opt.scenario import Scenario
 from moc_opt.solvers import available
 from moc_opt.study.engine import Failed, Job, run
@@ -238,7 +237,7 @@ def leave(found: Found, study: Study, config: StudyConfig, argv: Sequence[str], 
         return
     screen = console()
     for part in found.report.screens():
-        screen.print(part.narrowed(screen.width) if isinstance(part, Table) else part, markup=False)
+        screen.print(part, markup=False)
     if study.kept.reused:
         screen.print(f"{study.kept.reused} jobs are those of an earlier run in {out}/jobs.", soft_wrap=True)
     for sentence in (*found.sentences, *([begun] if begun and not found.report.load else [])):
