@@ -31,8 +31,7 @@ from benchmarks.paper_experiment.verdict import (
 from moc_opt import figures
 from moc_opt.figures.notation import Mark
 from moc_opt.figures.style import GOOD, MUTED, SERIES, WORST, Styles, figure, label
-from moc_opt.planning.map_analysis import read_trajectory
-from moc_opt.planning.swivel_map import SwivelMap
+from moc_opt.planning.swivel_map import SwivelMap, read_trajectory
 from moc_opt.report.map_page import add_map
 from moc_opt.report.page import Page
 from moc_opt.report.tables import Column, Table

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from moc_opt import scenario
 from moc_opt.control.gains import GAINS
 from moc_opt.errors import MocOptError
+from moc_opt.planning.elbow import in_transient
 from moc_opt.planning.self_motion import self_motion
-from moc_opt.planning.transient import in_transient
 from moc_opt.robots import load_data
 from moc_opt.scenario import Scenario
 from moc_opt.study import Failed

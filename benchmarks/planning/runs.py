@@ -13,7 +13,7 @@ from moc_opt import scenario
 from moc_opt.errors import MocOptError, RobotError
 from moc_opt.planning.course import Limits, make_course
 from moc_opt.planning.plan import best_course
-from moc_opt.planning.pose_map import map_of
+from moc_opt.planning.pose_map import largest_mu, map_of
 from moc_opt.planning.program import refine
 from moc_opt.planning.search import Value
 from moc_opt.planning.self_motion import self_motion
@@ -136,7 +136,7 @@ def random_starts(job: Job) -> list[dict[str, Any]]:
     found = plan(job.trial, times=2, refined=False)
     robot, rng = job.trial.robot.arm(), np.random.default_rng([job.trial.seed, 1])
     start = found.climbed.q_rad[0]
-    best = float(map_of(robot, start, found.targets).highest()[0])
+    best = float(largest_mu(robot, start[None]).mu[0])
     reached = []
     for _ in range(job.count):
         drawn = rng.uniform(robot.q_min, robot.q_max)

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.paper_experiment.trials import MATCHED, attempt, variant
-from moc_opt.planning.transient import in_transient
+from moc_opt.planning.elbow import in_transient
 from moc_opt.scenario import Scenario, Setup
 from moc_opt.sim.settings import PlantSettings
 from moc_opt.study import Failed

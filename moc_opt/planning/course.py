@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -122,10 +122,6 @@ class Course:
     def kept(self) -> bool:
         """Whether it keeps targets, limits and speeds to `MOST_VIOLATION`."""
         return self.violation <= MOST_VIOLATION
-
-    def as_certified(self) -> Course:
-        """Return the same, said to be a local optimum."""
-        return replace(self, certified=True)
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from moc_opt.arrays import Array
 from moc_opt.errors import ScenarioError, TaskError, is_number
 from moc_opt.inputs.names import table_html
-from moc_opt.planning.arm_angle import Elbow
 from moc_opt.planning.course import (
     OBJECTIVES,
     Course,
@@ -23,6 +22,7 @@ from moc_opt.planning.course import (
     make_course,
     margin_at,
 )
+from moc_opt.planning.elbow import Elbow
 from moc_opt.planning.pose_map import SWIVELS, PoseMap, map_of
 from moc_opt.planning.program import refine, worth
 from moc_opt.planning.search import WHOLE_CELL, Value, keeping_shaft, reached
@@ -67,7 +67,7 @@ class Plan:
     is: it passes so near a singular pose that mu changes within a step of the map."""
     bound: float  #: The same of every course, from any start.
     blocked: Blocked | None  #: Where and why the path cannot be executed from the start; None: it can.
-    start_swivel_rad: float  #: Of the elbow at the start [rad]; see `moc_opt.planning.arm_angle`.
+    start_swivel_rad: float  #: Of the elbow at the start [rad]; see `moc_opt.planning.elbow`.
     best_swivel_rad: float  #: The start swivel proposed: that of ``best``; NaN: there is none.
     swivel_rad: Array  #: (k,) of ``course`` [rad]; empty where there is none
     map_s: float  #: Time for the map [s].

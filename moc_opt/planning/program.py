@@ -161,7 +161,7 @@ class Program:
         dt, n = self.period_s if period_s is None else period_s, len(start)
         speed = np.zeros(n) if speed is None else speed
         known = End(start, np.zeros(n), low=-np.inf, high=np.inf) if end is None else end
-        one, two = _across_shafts(targets.wrist - targets.tip)
+        one, two = np.moveaxis(across(targets.wrist - targets.tip), 1, 0)
         given = np.concatenate([
             start, speed, [dt], targets.tip.ravel(), one.ravel(), two.ravel(), known.q_rad, known.along,
             [known.slope, known.bend],
@@ -224,7 +224,7 @@ def refine(
     lost = any(gain < -loss * abs(course.value(what)) for gain, what in zip(gained, judged, strict=True))
     if not found.kept or (course.kept and lost):
         return course
-    return found.as_certified() if met else found
+    return replace(found, certified=met)
 
 
 def _above(robot: RobotModel, course: Course, limits: Limits) -> bool:
@@ -256,9 +256,7 @@ def too_fast(speed: Any, pose: Any, low: Any, high: Any, brake: float) -> Any:
     return ca.vertcat(speed - most(high - pose), -speed - most(pose - low))
 
 
-def _across_shafts(shafts: Array) -> tuple[Array, Array]:
-    along = shafts / np.linalg.norm(shafts, axis=1, keepdims=True)
-    other = np.eye(3)[np.argmin(np.abs(along).max(axis=0))]
-    first = np.cross(along, other)
-    first /= np.linalg.norm(first, axis=1, keepdims=True)
-    return first, np.cross(along, first)
+def across(shafts: Array) -> Array:
+    """Return two unit vectors (N,2,3) across each shaft (N,3), at a right angle to each other."""
+    vectors: Array = np.linalg.svd(shafts[:, None])[2][:, 1:]
+    return vectors

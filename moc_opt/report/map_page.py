@@ -13,23 +13,21 @@ from moc_opt.arrays import Array
 from moc_opt.errors import ReportError
 from moc_opt.figures.notation import Missing
 from moc_opt.figures.style import BAD, INK, MUTED, Style, Styles, figure, label, legend_height
-from moc_opt.planning.map_analysis import (
+from moc_opt.planning.swivel_map import (
     ALIKE_RAD,
     CLOSE_RAD,
     END,
-    NEAR,
-    End,
-    Reading,
-    alike,
-    read_trajectory,
-)
-from moc_opt.planning.swivel_map import (
     FEASIBLE,
+    NEAR,
     OTHER_BRANCH_RAD,
     UNREACHABLE,
+    End,
+    Reading,
     SwivelMap,
     Trajectory,
+    alike,
     manipulability_map,
+    read_trajectory,
 )
 from moc_opt.report.page import Page
 from moc_opt.report.replay import load_runs

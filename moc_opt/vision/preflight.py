@@ -12,8 +12,7 @@ from numpy.typing import ArrayLike
 
 from moc_opt.arrays import Array
 from moc_opt.errors import RobotError, ScenarioError, TaskError
-from moc_opt.planning.freedoms import freedoms
-from moc_opt.planning.self_motion import self_motion
+from moc_opt.planning.self_motion import freedoms, self_motion
 from moc_opt.robots.chain import desired_wrist
 from moc_opt.robots.inverse_kinematics import Placed, solve_pose
 from moc_opt.robots.model import RobotModel, RobotState

@@ -10,9 +10,9 @@ import pytest
 import moc_opt as mo
 from moc_opt.control import Controller
 from moc_opt.errors import ControlError, MocOptError, ScenarioError
-from moc_opt.planning.arm_angle import reach
 from moc_opt.planning.course import Course, Limits
 from moc_opt.planning.follow import NODES, Follower
+from moc_opt.planning.pose_map import reach
 from moc_opt.planning.program import Program
 from moc_opt.planning.search import Value
 from moc_opt.robots.model import RobotModel

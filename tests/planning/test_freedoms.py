@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from moc_opt.errors import RobotError
-from moc_opt.planning.freedoms import best_freedoms, freedoms, limit_shares, require_freedom
+from moc_opt.planning.self_motion import best_freedoms, freedoms, limit_shares, require_freedom
 from moc_opt.robots import loader
 from moc_opt.robots.model import RobotModel, load_robot
 from moc_opt.scenario import Scenario, run

@@ -9,7 +9,7 @@ import pytest
 from scipy.optimize import linprog, minimize
 
 from moc_opt import core
-from moc_opt.planning.largest import SCANNED, largest_mu
+from moc_opt.planning.pose_map import SCANNED, largest_mu
 from moc_opt.planning.self_motion import self_motion
 from moc_opt.robots.inverse_kinematics import solve_pose
 from moc_opt.robots.model import RobotModel, load_robot

@@ -9,8 +9,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from moc_opt.planning.map_analysis import CLOSE_RAD, NEAR, End, Reading, alike, read_trajectory
-from moc_opt.planning.swivel_map import FEASIBLE, UNREACHABLE, SwivelMap, Trajectory
+from moc_opt.planning.swivel_map import (
+    CLOSE_RAD,
+    FEASIBLE,
+    NEAR,
+    UNREACHABLE,
+    End,
+    Reading,
+    SwivelMap,
+    Trajectory,
+    alike,
+    read_trajectory,
+)
 
 T = np.linspace(0.0, 10.0, 21)
 ROWS = np.arange(-180.0, 180.0, 3.0)

@@ -9,8 +9,8 @@ import pytest
 
 from moc_opt.errors import RobotError
 from moc_opt.planning import pose_map
-from moc_opt.planning.arm_angle import Elbow
 from moc_opt.planning.course import Targets
+from moc_opt.planning.elbow import Elbow
 from moc_opt.planning.pose_map import PoseMap, closed_form, map_of
 from moc_opt.planning.self_motion import self_motion
 from moc_opt.robots.inverse_kinematics import solve_pose

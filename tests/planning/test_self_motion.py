@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from moc_opt.errors import RobotError
-from moc_opt.planning.arm_angle import Elbow
+from moc_opt.planning.elbow import Elbow
 from moc_opt.planning.self_motion import SelfMotion, parabola_peak, self_motion
 from moc_opt.robots.model import RobotModel, load_robot
 from tests.conftest import Array, Draw

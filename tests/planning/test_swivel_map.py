@@ -8,8 +8,8 @@ import pytest
 import moc_opt as mo
 from moc_opt.errors import ReportError, RobotError
 from moc_opt.figures.style import BAD
-from moc_opt.planning.arm_angle import Elbow
-from moc_opt.planning.largest import largest_mu
+from moc_opt.planning.elbow import Elbow
+from moc_opt.planning.pose_map import largest_mu
 from moc_opt.planning.self_motion import self_motion
 from moc_opt.planning.swivel_map import FEASIBLE, UNREACHABLE, SwivelMap, manipulability_map
 from moc_opt.report.map_page import add_map, map_figure

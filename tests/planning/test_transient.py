@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from moc_opt.errors import RobotError
+from moc_opt.planning.elbow import distance_to_go, in_transient, uphill
 from moc_opt.planning.self_motion import self_motion
-from moc_opt.planning.transient import distance_to_go, in_transient, uphill
 
 
 @pytest.fixture(scope="module")

@@ -18,7 +18,7 @@ from benchmarks.solver_study import look as solvers_look
 from benchmarks.solver_study.closed_loop import POSES_EVERY, Run, finish
 from moc_opt.errors import BrowserMissingError
 from moc_opt.figures.style import Styles
-from moc_opt.planning.map_analysis import End
+from moc_opt.planning.swivel_map import End
 from moc_opt.report import export
 from moc_opt.report.page import Page
 from moc_opt.scenario import Scenario
