@@ -38,7 +38,8 @@ from moc_opt.vision.augmented_reality import Augmented
 from moc_opt.vision.board import Board, board_below, board_task
 from moc_opt.vision.hands_on import HandsOnSettings, HandsOnStatus, guide_to
 from moc_opt.vision.preflight import check_reachable
-from moc_opt.vision.settings import CameraSettings, TrackerSettings
+from moc_opt.vision.camera import CameraSettings
+from moc_opt.vision.tracking import TrackerSettings
 
 METRICS = ("mu_mean", "tip_error_mean_mm", "rcm_error_mean_mm", "trocar_force_mean_N")
 

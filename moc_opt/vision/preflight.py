@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import NamedTuple, TypeVar
 
@@ -33,11 +34,7 @@ _START_TOLERANCE_M = 0.002
 
 
 class UnreachableError(TaskError):
-    """The arm cannot do this task.
-
-    Attributes: `field`, the setting to change: "path", "trocar", "joint limits", "v_max", "start"; `arc_length_m`,
-        the place on the path [m].
-    """
+    """The arm cannot do this task: `field` ("path", "trocar", "joint limits", "v_max", "start"), `arc_length_m` [m]."""
 
     def __init__(self, field: str, arc_length_m: float, problem: str, cure: str) -> None:
         super().__init__(f"{field}: at {1e3 * arc_length_m:.1f} mm along the path {problem}: {cure}")
@@ -111,13 +108,10 @@ def random_start(
 ) -> Found:  # fmt: skip
     """Draw poses until one can do the task, and return what was laid out from it.
 
-    A pose is drawn evenly from the joints' ranges, less `DRAWN_MARGIN` at both ends, and rejected where, after its
-    swivel is chosen,
-
-    - it is singular or nearly so (`REGULAR`), or a pose along the path is;
-    - a joint is within its margin of its limit, at the start or along the path;
-    - tip or wrist is below the plane that the arm stands on, at the start or along the path;
-    - the task cannot be done from it within joint limits and joint speeds.
+    A pose is drawn evenly from the joints' ranges, less `DRAWN_MARGIN` at both ends. It is rejected where the task
+    cannot be done from it within joint limits and speeds, and where, at the start after its swivel is chosen or along
+    the path, it is nearly singular (`REGULAR`), a joint is within its margin of its limit, or tip or wrist is below the
+    plane that the arm stands on.
 
     Args:
         swivelled: a pose -> the one that is begun with, of the same tip and wrist.
@@ -168,24 +162,14 @@ def _require_fit(robot: RobotModel, q: Array, margins: Array, where: str = "") -
         raise _UnfitError(f"below the arm's base{where}")
 
 
-class _Places(NamedTuple):
-    t: Array
-    arc: Array
-    tip: Array
-    tip_velocity: Array
-    trocar: Array
-    trocar_velocity: Array
-
-
 def check_reachable(
     robot: RobotModel, q_start: ArrayLike, reference: Reference, trocar: Trocar | ArrayLike, *,
     spacing_m: float = 0.002, until_s: float = np.inf,
 ) -> Reach:  # fmt: skip
     """Follow the reference with the shaft through the trocar, inside joint limits and joint speeds.
 
-    Each point is solved from the pose before it, with the joints that have room taking over from those at a
-    limit. If that ends nowhere, the path is tried again from the middle of the starting self-motion. A
-    refused path may still be possible along a way that this search does not try; an accepted path is possible.
+    Each point is solved from the pose before it. If that fails, the path is tried again from the middle of the
+    starting self-motion. A refused path may still be possible another way; an accepted path is possible.
 
     Args:
         q_start: (n,) the pose it begins with, its tip at the start of the reference [rad].
@@ -208,14 +192,21 @@ def check_reachable(
     _check_depth(robot, places)
     try:
         return _follow(robot, state.q, places, reference)
-    except UnreachableError as told:
+    except UnreachableError:
         other = _middle(robot, state.q)
-        try:
-            if other is not None:
+        if other is not None:
+            with suppress(UnreachableError):
                 return _follow(robot, other, places, reference)
-        except UnreachableError:
-            raise told from None  # what stopped the given pose is what the user should hear
-        raise
+        raise  # what stopped the given pose is what the user should hear
+
+
+class _Places(NamedTuple):
+    t: Array
+    arc: Array
+    tip: Array
+    tip_velocity: Array
+    trocar: Array
+    trocar_velocity: Array
 
 
 def _places(reference: Reference, trocar: Trocar, spacing_m: float, until_s: float) -> _Places:

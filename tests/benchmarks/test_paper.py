@@ -49,7 +49,7 @@ from moc_opt.tasks import make_path
 from moc_opt.trace.trace import Trace
 from moc_opt.vision.board import BOARD_TASKS, Board
 from moc_opt.vision.hands_on import HandsOnSettings
-from moc_opt.vision.settings import CameraSettings
+from moc_opt.vision.camera import CameraSettings
 from tests import first_screens
 
 TINY = """

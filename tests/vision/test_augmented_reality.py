@@ -14,10 +14,9 @@ from moc_opt.tasks import Reference
 from moc_opt.tasks.waiting import WaitingReference, flags_at
 from moc_opt.vision.augmented_reality import Augmented, pose_accuracy
 from moc_opt.vision.board import BOARD_TASKS, Board, board_below
-from moc_opt.vision.camera import Camera
+from moc_opt.vision.camera import Camera, CameraSettings
 from moc_opt.vision.overlay import DONE, TASK, TIP, TROCAR, draw, save_film
 from moc_opt.vision.pose import Pose
-from moc_opt.vision.settings import CameraSettings
 
 EXACT = CameraSettings(rate_Hz=20.0, calibration_error_m=0.0, calibration_error_deg=0.0)
 CIRCLE = BOARD_TASKS["circle"]
