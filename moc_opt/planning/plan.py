@@ -116,12 +116,10 @@ def make_plan(
     """Plan a path from one start, and from all.
 
     Args:
-        robot: the arm.
         q_start: (n,) with tip and wrist at the first target [rad].
         targets: of tip and wrist at k evenly spaced times, (k,3) each [m].
         limits: that courses keep; a start nearer to a joint limit lowers the margin, see `margin_at`. Bounds are of
             courses that keep them, NaN where the one found does not.
-        objective: "mean", "worst" or "log".
         swivels: samples of one turn; of an arm without a closed form see `map_of`.
         refined: whether courses are improved beyond the grid.
 
@@ -159,6 +157,7 @@ def make_plan(
             course = refine(robot, targets, course, limits, objective)
         courses.append(course if course is not None and (course.kept or sure) else None)
     clock.append(time.perf_counter())
+    took = np.diff(clock).tolist()
     if courses[0] is not None:  # the given start is one of all starts
         both = [course for course in courses[::-1] if course is not None]
         courses[1] = max(both, key=lambda course: worth(robot, course, limits, objective, top))
@@ -166,7 +165,6 @@ def make_plan(
     elbow = Elbow(robot, targets.wrist)
     shown = mine if mine is not None else best
     climbed = make_course(robot, targets, climb(found, given, limits), limits)
-    took = np.diff(clock).tolist()
     # None without a course, and where the course shows that it is none.
     mine_most, most = (
         np.nan if course is None or course.value(objective) > value else value
@@ -220,11 +218,9 @@ def best_course(value: Value, limits: Limits, start: Array | None) -> Array | No
 def climb(found: PoseMap, start: Array, limits: Limits) -> Array:
     """Follow the gradient of mu from the start (n,) on the samples of the map, as an ideal local law does.
 
-    In each period the poses within the joints' steps are looked at; from the one that asks the least of the joints it
-    goes uphill over neighbouring samples of its branch until mu falls, or a limit or the speed ends it.
-
-    Returns:
-        (k,n) its poses, the start first; fewer than the path has times where no pose is within reach.
+    From the pose that asks the least of the joints it goes uphill over neighbouring samples of its branch, in each
+    period, until mu falls, or a limit or the speed ends it. Its poses (k,n) begin at the start; they are fewer than the
+    path has times where no pose is within reach.
     """
     step, feasible = limits.speed_share * found.robot.v_max * found.targets.period_s, found.feasible(limits.margin)
     poses = [np.array(start)]

@@ -74,10 +74,8 @@ class Program:
         Args:
             nodes: N, times after the start.
             period_s: between two times [s]; on a horizon each solve has its own.
-            limits: of the course.
             mu: mu_0, what a pose is usually worth [m^3].
             top: largest mu, in what a pose costs that nearly loses the shaft [m^3]; 0: mu_0.
-            objective: as of a search.
             smoothness: w [s^4/rad^2].
             brake: deceleration that stops a joint before its limit [rad/s^2].
             horizon: solved by three quadratic programs, not by ipopt, and not at rest at its end.
@@ -196,13 +194,12 @@ def refine(
     Args:
         course: that is to be improved; it may break constraints.
         limits: of the answer.
-        objective: as of the search.
         smoothness, brake: as of `Program`; the answer is taken if the objective proper falls by no more than
             `SMOOTH_LOSS` of the given course's.
 
     Returns:
         The better course by the robot model's own mu; the given one where the other breaks a constraint by more than
-        `MOST_VIOLATION`. ``certified`` where ipopt met its tolerances at the course that is returned.
+        `MOST_VIOLATION`. ``certified`` where ipopt met its tolerances.
     """
     if limits.shaft > 0.0 and _above(robot, course, limits):  # without the margin a program takes half of the time
         bare = replace(limits, shaft=0.0)

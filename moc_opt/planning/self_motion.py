@@ -148,9 +148,8 @@ def self_motion(robot: RobotModel, q: ArrayLike, step: float = 0.02) -> SelfMoti
     """Scan the feasible self-motion through q at fixed tip and wrist.
 
     Joints that move neither tip nor wrist are held. If more than one freedom is left (a rail, a tool off the last
-    axis), joints that slide at the base and then those nearest the tip are held too until one is: the result is then
-    a curve on a larger set of poses, and its largest mu no bound (`pose_map.largest_mu` has that). If none is
-    left, the curve is one pose.
+    axis), joints that slide at the base and then those nearest the tip are held too until one is; the largest mu on the
+    curve is then no bound (see `pose_map.largest_mu`). If none is left, the curve is one pose.
 
     Args:
         q: (n,) a pose inside the joint limits [rad].

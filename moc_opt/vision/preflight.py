@@ -53,11 +53,10 @@ class Reach:
 
 
 def check_start(robot: RobotModel, q: ArrayLike) -> RobotState:
-    """Check that a run can begin at q (n,) [rad], and return the state there.
+    """Return the state at q (n,) [rad], where a run can begin there.
 
     Raises:
-        ScenarioError: wrong shape, not finite, outside the joint limits, or singular: the tip cannot move in some
-            direction, or tip and wrist cannot move together as they can elsewhere.
+        ScenarioError: wrong shape, not finite, outside the joint limits, or singular.
     """
     pose = np.asarray(q, dtype=np.float64)
     if pose.shape != (robot.n,) or not np.isfinite(pose).all():
@@ -85,12 +84,7 @@ def check_start(robot: RobotModel, q: ArrayLike) -> RobotState:
 def check_path(
     robot: RobotModel, q: ArrayLike, reference: Reference, registered: Trocar, until_s: float = np.inf
 ) -> Reach:
-    """Check that the tip can follow the reference from q with the shaft through the registered trocar.
-
-    Args:
-        q: (n,) the start [rad].
-        registered: the trocar that the controller is told.
-        until_s: end of the run [s]; the reference after it is ignored.
+    """Check that the tip can follow the reference from q (n,) [rad] with the shaft through the registered trocar.
 
     Raises:
         UnreachableError: a point or a joint speed is out of reach; names what, where and the cure.
@@ -173,7 +167,6 @@ def check_reachable(
 
     Args:
         q_start: (n,) the pose it begins with, its tip at the start of the reference [rad].
-        reference: where the tip has to be, and when.
         trocar: where the shaft has to pass; a point (3,) [m] rests.
         spacing_m: distance of the points that are looked at [m].
         until_s: time at which the run ends [s]; the reference after it is ignored.
@@ -269,10 +262,11 @@ def _out_of_reach(robot: RobotModel, places: _Places, k: int, wrist: Array, plac
 
 def _too_fast(robot: RobotModel, places: _Places, k: int, rates: Array, reference: Reference) -> UnreachableError:
     shares = np.abs(rates / robot.v_max)
-    i, name = int(np.argmax(shares)), robot.data.joint_names[int(np.argmax(shares))]
+    i = int(np.argmax(shares))
+    name, most = robot.data.joint_names[i], robot.v_max[i]
     # Joint speeds go with the tip's, which may peak below v_max where the acceleration is what limits it.
     slower = 0.99 * float(np.linalg.norm(places.tip_velocity, axis=1).max()) / shares[i]
-    problem = f"{name} would have to turn at {abs(rates[i]):.2f} rad/s and can do {robot.v_max[i]:.2f}"
+    problem = f"{name} would have to turn at {abs(rates[i]):.2f} rad/s and can do {most:.2f}"
     cure = f"lower v_max from {reference.v_max:g} to {slower:.3g} m/s or less, or move the path away from the trocar"
     return UnreachableError("v_max", places.arc[k], problem, cure)
 

@@ -48,8 +48,8 @@ from moc_opt.study.statistics import Change, Interval, too_few
 from moc_opt.tasks import make_path
 from moc_opt.trace.trace import Trace
 from moc_opt.vision.board import BOARD_TASKS, Board
-from moc_opt.vision.hands_on import HandsOnSettings
 from moc_opt.vision.camera import CameraSettings
+from moc_opt.vision.hands_on import HandsOnSettings
 from tests import first_screens
 
 TINY = """

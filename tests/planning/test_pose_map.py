@@ -18,7 +18,7 @@ from moc_opt.planning.self_motion import self_motion
 from moc_opt.robots.inverse_kinematics import solve_pose
 from moc_opt.robots.model import RobotModel, load_robot
 from tests.conftest import Array
-from tests.planning.arms import IIWA14, PANDA, H, at_poses, build, line_from
+from tests.planning.arms import IIWA14, H, at_poses, build, line_from
 
 
 @pytest.fixture(scope="module", params=["lwr4", "iiwa14"])
@@ -114,7 +114,7 @@ def test_shipped_arms_have_their_published_lengths(name: str, shoulder: float, l
 def test_an_arm_without_normal_form_is_told(tmp_path: Path, changes: dict[str, object]) -> None:
     assert closed_form(build(tmp_path, IIWA14)) is not None, "the name of an arm does not count"
     assert closed_form(build(tmp_path, IIWA14, **changes)) is None
-    assert closed_form(build(tmp_path, PANDA)) is None
+    assert closed_form(load_robot("panda")) is None
 
 
 # --- traced ---
@@ -131,7 +131,7 @@ def test_tracing_agrees_with_the_closed_form(robot: RobotModel, monkeypatch: pyt
 
 
 def test_each_joint_keeps_its_own_margin(tmp_path: Path) -> None:
-    panda = build(tmp_path, PANDA)
+    panda = load_robot("panda")
     found = map_of(panda, panda.data.q_home, line_from(panda, panda.data.q_home))
     margin = np.array([0.4, 0.1, 0.8, 0.3, 0.05, 0.2, 9.0])  # the last joint is idle
     may = found.feasible(margin)
@@ -145,7 +145,7 @@ def test_each_joint_keeps_its_own_margin(tmp_path: Path) -> None:
 
 
 def test_a_panda_has_every_pose_that_random_starts_find(tmp_path: Path) -> None:
-    panda = build(tmp_path, PANDA)
+    panda = load_robot("panda")
     targets = line_from(panda, panda.data.q_home)
     found = map_of(panda, panda.data.q_home, targets)
     poses = found.q_rad[2, 0][np.isfinite(found.mu[2, 0])]
@@ -162,7 +162,7 @@ def test_a_panda_has_every_pose_that_random_starts_find(tmp_path: Path) -> None:
 
 
 def test_more_swivels_than_the_default_are_denser_samples(tmp_path: Path) -> None:
-    panda = build(tmp_path, PANDA)
+    panda = load_robot("panda")
     targets = line_from(panda, panda.data.q_home, 2)
     fewer, usual, twice = (map_of(panda, panda.data.q_home, targets, swivels) for swivels in (90, 720, 1440))
     one, two, four = (np.isfinite(found.mu[0]).sum() for found in (fewer, usual, twice))

@@ -154,13 +154,15 @@ def test_courses_of_finer_maps_stay_below_the_coarse_bound(robot: RobotModel) ->
     assert low.best()[0] - 1e-4 <= high.best()[0] <= bound.best()[0]
 
 
-def test_a_margin_costs_mu_and_is_kept(robot: RobotModel) -> None:
-    found = map_of(robot, robot.data.q_home, task(robot, robot.data.q_home, 60), 180)
-    free, kept = (Value(found, Limits(margin)) for margin in (0.0, 0.4))
-    poses = best_course(kept, Limits(0.4), None)
+def test_the_margins_of_joint_limits_and_of_the_shaft_cost_mu(robot: RobotModel) -> None:
+    q, mu = robot.data.q_home, robot.state(robot.data.q_home).mu
+    found = map_of(robot, q, task(robot, q, 60), 180)
+    poses = best_course(Value(found, Limits(0.4)), Limits(0.4), None)
     assert poses is not None
     assert np.minimum(poses - robot.q_min, robot.q_max - poses)[:, :6].min() >= 0.4 - 1e-9
+    free, kept = (Value(found, Limits(margin)) for margin in (0.0, 0.4))
     assert kept.best()[0] <= free.best()[0]
+    assert Value(keeping_shaft(found, Limits(shaft=1.0)), Limits()).of(q, mu) < free.of(q, mu)
 
 
 def test_the_climb_is_a_course_and_no_better_than_the_best(robot: RobotModel) -> None:
