@@ -59,12 +59,9 @@ def lay_targets(
     reference: Reference, trocar: Trocar, span_m: float, duration_s: float, count: int,
     tool_m: float = np.inf,
 ) -> Targets:  # fmt: skip
-    """Sample the reference and the trocar at ``count`` times from 0 to the end.
+    """Sample the reference and the trocar at ``count`` times from 0 to the end of the run.
 
-    Args:
-        span_m: wrist to tip [m].
-        duration_s: end of the run [s].
-        tool_m: mount to tip [m]: only so much of the shaft can lie in the trocar.
+    ``span_m`` is from wrist to tip, ``tool_m`` from mount to tip: only so much of the shaft can lie in the trocar [m].
 
     Raises:
         TaskError: fewer than two times, or the trocar is not on the shaft at one of them.

@@ -98,8 +98,7 @@ def in_transient(
     move.
 
     Args:
-        t_s: (N,) time of each tick [s].
-        q_rad: (N, n) true joint positions [rad].
+        t_s, q_rad: (N,) time of each tick [s], (N, n) true joint positions [rad].
         samples_per_s: how often the self-motion is scanned [1/s].
         window_s: the speed is the change of the distance to go over this time [s].
 

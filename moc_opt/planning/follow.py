@@ -136,13 +136,9 @@ class Follower:
         self, period_s: float, *, course: Course | None = None, planner: Planner | None = None,
         q_start: Array | None = None,
     ) -> None:  # fmt: skip
-        """Follow a course from t = 0 on, or what the planner makes from ``q_start`` on.
+        """Follow a course from t = 0 on, and hold its last pose; or what the planner makes from ``q_start`` (n,) on.
 
-        Args:
-            period_s: of a tick [s].
-            course: made before the run; after its end its last pose is held. None: the planner makes one all the time.
-            planner: with a course, it takes over from the present pose if the arm has left it.
-            q_start: (n,) at t = 0, without a course [rad].
+        With both, the planner takes over from the present pose if the arm has left the course.
 
         Raises:
             TaskError: the planner has no course from the start.

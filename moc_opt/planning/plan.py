@@ -235,7 +235,7 @@ def climb(found: PoseMap, start: Array, limits: Limits) -> Array:
 
 
 class Top(NamedTuple):
-    """Where the way up from a pose ends."""
+    """Where the way up in mu from a pose ends."""
 
     mu: float  #: [m^3]
     q_rad: Array  #: (n,)

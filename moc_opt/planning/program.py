@@ -143,7 +143,7 @@ class Program:
         self, guess: Array, start: Array, targets: Targets, speed: Array | None = None, end: End | None = None,
         period_s: float | None = None,
     ) -> tuple[Array, bool]:  # fmt: skip
-        """Solve it.
+        """Return poses (N,n) [rad], not judged, NaN where nothing was found, and if the solver met its tolerances.
 
         Args:
             guess: (N,n) to begin with [rad].
@@ -152,9 +152,6 @@ class Program:
             speed: (n,) the joints' velocity at the start [rad/s]; None: at rest.
             end: what the last pose is worth.
             period_s: between two times [s], if not that of the program.
-
-        Returns:
-            (N,n) [rad], not judged, NaN where nothing was found; and whether the solver met its tolerances.
         """
         dt, n = self.period_s if period_s is None else period_s, len(start)
         speed = np.zeros(n) if speed is None else speed
@@ -237,13 +234,10 @@ def worth(robot: RobotModel, course: Course, limits: Limits, objective: Objectiv
 
 
 def too_fast(speed: Any, pose: Any, low: Any, high: Any, brake: float) -> Any:
-    """Write how much too fast joints go towards their limits to stop there (2 m), not above 0 where they can.
+    """Write how much too fast joints go towards their limits to stop there, not above 0 where they can.
 
-    At a distance d the most is sqrt(2 b) (sqrt(d + e) - sqrt(e)), e = `SOFT_RAD`.
-
-    Args:
-        speed, pose, low, high: (m,) CasADi vectors [rad/s], [rad].
-        brake: b [rad/s^2].
+    At a distance d the most is sqrt(2 b) (sqrt(d + e) - sqrt(e)), b the brake [rad/s^2], e = `SOFT_RAD`. The vectors
+    of CasADi have m entries, the answer 2 m.
     """
     import casadi as ca  # late: half a second
 

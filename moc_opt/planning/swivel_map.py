@@ -184,15 +184,12 @@ def _best(swivel: Array, mu: Array, limit: NDArray[np.int64]) -> tuple[float, fl
 
 
 def _cut(feasible: NDArray[np.bool_]) -> int:
-    # The row at which the circle is best cut open: in the middle of the widest run of forbidden rows.
-    forbidden: NDArray[np.bool_] = np.logical_not(feasible.any(axis=0))
-    count = len(forbidden)
-    if not forbidden.any() or forbidden.all():
+    # The circle is cut open at the row that is farthest from every row in which a pose is allowed.
+    allowed, count = np.flatnonzero(feasible.any(axis=0)), feasible.shape[1]
+    if not len(allowed):
         return 0
-    first = int(np.argmin(forbidden))  # begin at a row that is allowed somewhere, so that no run is split
-    runs = np.split(first + np.arange(count), np.flatnonzero(np.diff(np.roll(forbidden, -first))) + 1)
-    widest = max((run for run in runs if forbidden[run[0] % count]), key=len)
-    return int(widest[-1] - len(widest) // 2) % count
+    apart = np.abs(np.arange(count)[:, None] - allowed)
+    return int(np.argmax(np.minimum(apart, count - apart).min(axis=1)))
 
 
 def _onto(angles: Array, swivel: Array) -> Array:
@@ -261,11 +258,10 @@ def read_trajectory(found: SwivelMap, name: str) -> Reading:
     """Return what the trajectory of one run, by its name on the map, amounts to."""
     trajectory, known = found.trajectories[name], np.isfinite(found.best_mu)
     travel = float(np.unwrap(trajectory.swivel_rad)[-1] - trajectory.swivel_rad[0])
-    nan = float("nan")
+    nan = np.nan
     if not known.any() or trajectory.gap_rad > OTHER_BRANCH_RAD:
         end = End.OTHER_BRANCH if known.any() else End.UNKNOWN
-        return Reading(name, nan, nan, travel, from_s=nan, end=end, joint=0, at_edge=nan, limits=())
-    at_edge, limits = _at_edge(found, trajectory)
+        return Reading(name, nan, nan, travel, nan, end, 0, nan, ())
     best = np.interp(trajectory.t_s, found.t_s[known], found.best_mu[known])
     near = trajectory.mu >= (1.0 - NEAR) * best
     late = trajectory.t_s >= trajectory.t_s[-1] - END * (trajectory.t_s[-1] - trajectory.t_s[0])
@@ -276,17 +272,11 @@ def read_trajectory(found: SwivelMap, name: str) -> Reading:
         since = float(trajectory.t_s[min(off[-1] + 1, len(near) - 1)] if len(off) else trajectory.t_s[0])
     else:
         end, joint = _what_holds(found, trajectory, late)
-    return Reading(
-        name, float(near.mean()), share, travel, from_s=since, end=end, joint=joint, at_edge=at_edge, limits=limits
-    )
+    return Reading(name, float(near.mean()), share, travel, since, end, joint, *_at_edge(found, trajectory))
 
 
 def alike(found: SwivelMap, within_rad: float = ALIKE_RAD) -> dict[str, list[str]]:
-    """Return the trajectories that cannot be told apart on the map: first of each kind -> the others, in their order.
-
-    Args:
-        within_rad: two trajectories are alike where their swivels never lie farther apart at the same time.
-    """
+    """Group the trajectories whose swivels never lie farther apart at the same time: first of a kind -> the others."""
     kinds: dict[str, list[str]] = {}
     for name, trajectory in found.trajectories.items():
         alike = (first for first in kinds if _apart(found.trajectories[first], trajectory) <= within_rad)
