@@ -68,6 +68,7 @@ class Value:
         self._slacks: dict[int, Array] = {}
         self._price, count = price / self._period, len(found.targets)
         self._weight = np.ones(count) if objective == "worst" else weights(count) * self._period
+        self._whole = 1.0 if objective == "worst" else float(self._weight.sum())
         feasible, mu = found.feasible(limits.margin), found.mu
         if cell >= 1.0:
             feasible = feasible | np.roll(feasible, 1, axis=2) | np.roll(feasible, -1, axis=2)
@@ -90,12 +91,12 @@ class Value:
         own = float(_gain(np.array(mu), self.objective)) * self._weight[0]
         found = self._next(1, q, np.zeros(len(q)), self._step, self._price)
         rest = -np.inf if found is None else float(self.value[1][found])
-        return self._mean(min(own, rest) if self.objective == "worst" else own + rest)
+        return min(own, rest) if self.objective == "worst" else (own + rest) / self._whole
 
     def best(self) -> tuple[float, Array | None]:
         """Return the objective of the best course from any pose, and that pose (n,); None: there is none."""
         first = np.unravel_index(int(np.argmax(self.value[0])), self.value[0].shape)
-        value = self._mean(float(self.value[0][first]))
+        value = float(self.value[0][first]) / self._whole
         return value, self.map.q_rad[0][first] if np.isfinite(value) else None
 
     def way(self, q: Array, t_s: float = 0.0, end: int = -1, hurry: float = 1.0) -> Way | None:
@@ -158,8 +159,6 @@ class Value:
             self._slacks[k] = self.cell * half_cells(q) if self.cell else np.zeros_like(q)
         return self._slacks[k]
 
-    def _mean(self, total: float) -> float:
-        return total if self.objective == "worst" else total / float(self._weight.sum())
 
 
 def keeping_shaft(found: PoseMap, limits: Limits) -> PoseMap:

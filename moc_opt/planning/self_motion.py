@@ -100,15 +100,11 @@ class SelfMotion:
     q: Array  #: (k,n) [rad]
     mu: Array  #: (k,) [m^3]
     ends: tuple[str, str]
-    """Why the curve ends: at a "limit", "closed" (a full turn), "singular", "length" (gave up), "point"."""
+    """Why the curve ends: at a "limit", "singular", "length" (gave up), "point"; "closed": its last pose is its first,
+    up to whole turns of a joint."""
     held: tuple[int, ...]
     """Joints (from 0) that stand still: they move neither tip nor wrist, or would make it a surface."""
     _curve: _Curve = field(repr=False)
-
-    @property
-    def closed(self) -> bool:
-        """Whether the curve is a loop: its last pose is its first, up to whole turns of a joint."""
-        return "closed" in self.ends
 
     def at(self, fraction: float) -> Array:
         """Return the pose (n,) at a fraction in [0, 1] of the arc length, corrected to 1e-10 m.

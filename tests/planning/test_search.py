@@ -18,7 +18,6 @@ from moc_opt.planning.search import (
     advance,
     half_cells,
     keeping_shaft,
-    reached,
     shaft_shares,
 )
 from moc_opt.robots.model import RobotModel
@@ -198,16 +197,6 @@ def test_a_course_goes_through_a_singular_pose_into_the_next_branch(robot: Robot
         assert np.sign(course.q_rad[0, 1]) != np.sign(course.q_rad[-1, 1])
     assert course.mu_mean > 0.995 * mean
     assert mean <= Value(found, Limits(), cell=WHOLE_CELL).of(way[0], robot.state(way[0]).mu)
-
-
-def test_a_path_that_leaves_the_reach_is_blocked_there(robot: RobotModel) -> None:
-    q = robot.data.q_home
-    state, t = robot.state(q), 0.05 * np.arange(40)
-    away = np.linspace(0.0, 0.8, 40)[:, None] * state.tool_direction
-    found = map_of(robot, q, Targets(t, state.tip - away, state.wrist - away, away[:, 2]), 180)
-    first = int(np.argmin(np.isfinite(found.mu[:, 0, 0])))
-    assert best_course(Value(found, Limits()), Limits(), q) is None
-    assert 0 < len(reached(found, q, Limits())) < first
 
 
 def test_poses_that_nearly_lose_the_shaft_are_worth_less(robot: RobotModel) -> None:

@@ -76,7 +76,7 @@ def test_a_full_turn_closes() -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         motion = self_motion(robot, q)
-        assert motion.closed
+        assert motion.ends == ("closed", "closed")
         turns = (motion.q[-1] - motion.q[0]) / (2 * np.pi)
         np.testing.assert_allclose(turns, np.round(turns), atol=1e-12)
         check(robot, q, motion, motion.q[::9])
