@@ -136,8 +136,7 @@ def lowered(mu: Array, share: Array, limits: Limits, top: float) -> Array:
     """Take off mu what a pose costs that nearly loses the shaft: `WORTH` top (1 - share/margin)^2 below the margin.
 
     With the tip held, the wrist is moved across the shaft by mu_shaft. Where its share of the squared lever is small
-    the joints turn fast to keep the shaft in the trocar, and what they lag of it is RCM error. ``top`` is the largest
-    mu of the map [m^3].
+    the joints turn fast to keep the shaft in the trocar, and their lag is RCM error. ``top``: largest mu [m^3].
     """
     if limits.shaft <= 0.0:
         return mu

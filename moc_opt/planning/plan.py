@@ -63,8 +63,8 @@ class Plan:
     best: Course | None  #: The best over all swivels and branches at the start of the path; None: from nowhere.
     climbed: Course  #: The course of a local climb; shorter than the path if the climb ends at a limit.
     bound_from_start: float
-    """No course from the start that the map resolves is better, in the objective's unit; NaN where one was found that
-    is: it passes so near a singular pose that mu changes within a step of the map."""
+    """No course from the start that the map resolves is better, in the objective's unit. NaN where one was found that
+    is, near a singular pose: mu changes there within a step of the map."""
     bound: float  #: The same of every course, from any start.
     blocked: Blocked | None  #: Where and why the path cannot be executed from the start; None: it can.
     start_swivel_rad: float  #: Of the elbow at the start [rad]; see `moc_opt.planning.elbow`.
@@ -136,11 +136,10 @@ def make_plan(
     if np.isfinite(limits.acceleration) and not refined:
         raise TaskError(f"acceleration = {limits.acceleration:g}: the grid alone knows no limit; give refined = True")
     limits = replace(limits, margin=margin_at(robot, q_start, limits.margin))
-    clock = [time.perf_counter()]
-    whole = map_of(robot, q_start, targets, swivels)
+    clock, given = [time.perf_counter()], np.array(q_start, dtype=np.float64)
+    whole = map_of(robot, given, targets, swivels)
     found, top = keeping_shaft(whole, limits), float(np.nanmax(whole.mu, initial=0.0))
     clock.append(time.perf_counter())
-    given = np.array(q_start, dtype=np.float64)
     value = Value(found, limits, objective)
     grid = [best_course(value, limits, start) for start in (given, None)]
     clock.append(time.perf_counter())

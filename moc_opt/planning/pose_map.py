@@ -42,8 +42,7 @@ ROUNDING_RAD = 1e-9  #: A pose this far beyond a limit still stands on it.
 SWIVELS, MOST_SWIVELS = 720, 2880  #: Samples of one turn, where no other number is asked for; and most of them.
 PEAKS = 4  #: Local maxima of mu that are climbed to their top at each point of the path.
 STEP_RAD = 0.03  #: Spacing of the samples along a traced curve.
-SEEDS = 64
-"""Random starts of the inverse kinematics at the first time of a traced map; a sixteenth of them at each later one."""
+SEEDS = 64  #: Random starts of inverse kinematics at the first time of a traced map; later a sixteenth of them.
 MOST_CURVES = 16  #: Most different curves at one time; further ones are left out.
 SAME_CURVE = 0.7  #: A pose this share of a step from a sample lies on its curve.
 NO_LIMIT_RAD = 20.0

@@ -53,13 +53,10 @@ HORIZON: dict[str, Any] = {
 SETTLED_S = 0.3  #: A joint's speed counts as much as an acceleration that takes it away in this time.
 SOFT_RAD = 0.003  #: Rounds the speed of a joint that brakes off at its end, where a square root has no slope.
 SMOOTH_LOSS = 0.05
-"""Share of the objective that a smoother course, or one that brakes, may cost; where it costs more, the program went to
-another local maximum."""
+"""Share of the objective that smoothness and braking may cost; above it the program went to another local maximum."""
 MEAN_TOO = 1e-3  #: Weight of the mean of mu, in shares of itself, beside the worst mu.
 LEAST_SHARE = 1e-4  #: Rounds the share of the squared lever off at zero, where a square root has no slope.
-INSIDE = 1e-9
-"""Limits and speeds are kept this far inside, so that rounding stays within them [rad]; half of a step at most is taken
-off."""
+INSIDE = 1e-9  #: Limits and speeds are kept this far inside, at most by half a step, for rounding [rad].
 
 
 class Program:

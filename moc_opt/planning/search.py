@@ -174,7 +174,7 @@ def keeping_shaft(found: PoseMap, limits: Limits) -> PoseMap:
 
 
 def reached(found: PoseMap, q_start: Array, limits: Limits) -> list[NDArray[np.bool_]]:
-    """Return for the times after the start, as far as any course gets, the poses (b,m) that are reached from it."""
+    """Return the poses (b,m) that are reached from the start, for each later time as far as any course gets."""
     step, feasible = limits.speed_share * found.robot.v_max * found.targets.period_s, found.feasible(limits.margin)
     before, value = np.tile(q_start, (found.mu.shape[1], 1, 1)), np.zeros((found.mu.shape[1], 1))
     each: list[NDArray[np.bool_]] = []

@@ -40,8 +40,7 @@ OTHER_BRANCH_RAD = 0.5  #: A trajectory with a larger gap belongs to an arm that
 NEEDED = ("t_s", "q_rad", "tip_m", "tip_ref_m")
 NEAR = 0.02  #: A trajectory is at the optimum where its mu is at most this fraction below the best.
 END = 0.2  #: The last part of a trajectory, as a fraction of its time, which gives its end.
-CLOSE_RAD = np.radians(12.0)
-"""Nearer to a local maximum or the edge of the feasible poses than this, a trajectory is held by it."""
+CLOSE_RAD = np.radians(12.0)  #: Nearer to a local maximum or the edge of the feasible poses, a run is held by it.
 STILL_RAD_PER_S = np.radians(1.0)
 ALIKE_RAD = np.radians(3.0)
 
@@ -54,8 +53,8 @@ class Trajectory:
     swivel_rad: Array  #: Nearest to the map's axis; it may jump by a turn.
     mu: Array
     gap_rad: float
-    """Median distance of its joints from the map's poses at the same time and swivel: large where the arm is
-    folded another way than the run that the map was scanned from, and the map does not hold for it."""
+    """Median distance of its joints from the map's poses at the same time and swivel: large where the arm is folded
+    another way, so that the map does not hold for it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -245,12 +244,11 @@ class Reading:
     name: str
     near: float  #: Share of the time in which it is at the optimum; NaN where no pose of the map is allowed.
     mu_share: float  #: Mean mu over the mean of the best mu at the same times.
-    travel_rad: float  #: How far the elbow has turned in the end; positive upwards on the map.
+    travel_rad: float  #: Turn of the elbow from start to end; positive upwards on the map.
     from_s: float  #: From when on it stays at the optimum [s]; NaN where it is not there in the end.
     end: End
     joint: int  #: The joint (from 1) whose limit it stands before; 0 where that is the arm's reach, or nothing.
-    at_edge: float
-    """Share of the time in which its pose is infeasible, or no farther from such a pose than a row of the map."""
+    at_edge: float  #: Share of the time in which its pose is infeasible, or a row of the map from such a pose.
     limits: tuple[int, ...]  #: Whose limits these are, joints from 1.
 
 
