@@ -10,8 +10,7 @@ import numpy as np
 
 from moc_opt.control import ControlSettings
 from moc_opt.errors import RobotError
-from moc_opt.planning.freedoms import best_freedoms, freedoms
-from moc_opt.planning.self_motion import self_motion
+from moc_opt.planning.self_motion import best_freedoms, freedoms, self_motion
 from moc_opt.robots import urdf
 from moc_opt.robots.home import task_fault
 from moc_opt.robots.model import RobotModel, largest_inverse_masses, largest_null_rate, largest_rate

@@ -10,8 +10,7 @@ import pinocchio as pin
 
 from moc_opt.arrays import Array
 from moc_opt.errors import MocOptError, RobotError
-from moc_opt.planning.freedoms import freedoms, limit_shares
-from moc_opt.planning.self_motion import self_motion
+from moc_opt.planning.self_motion import freedoms, limit_shares, self_motion
 from moc_opt.robots.model import RobotModel
 from moc_opt.robots.vendor import rpy_of
 from moc_opt.scenario.config import Scenario

@@ -16,7 +16,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from moc_opt.arrays import Array
 from moc_opt.errors import RobotError
-from moc_opt.planning.freedoms import require_freedom
+from moc_opt.planning.self_motion import require_freedom
 from moc_opt.robots import urdf
 from moc_opt.robots.home import Home, find_shaft, search_home
 from moc_opt.robots.model import RobotModel, derived_gains, load_robot

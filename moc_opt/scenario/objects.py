@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from moc_opt.arrays import Array
 from moc_opt.control import Controller
 from moc_opt.control.guide import Guide
-from moc_opt.planning.freedoms import require_freedom
+from moc_opt.planning.self_motion import require_freedom
 from moc_opt.scenario.adapter import ControllerAdapter
 from moc_opt.scenario.agreement import check_engines
 from moc_opt.scenario.config import Scenario

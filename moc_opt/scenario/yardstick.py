@@ -17,12 +17,12 @@ from numpy.typing import NDArray
 
 from moc_opt.errors import MocOptError
 from moc_opt.inputs.files import to_json
-from moc_opt.planning.arm_angle import Elbow
 from moc_opt.planning.course import Course, Limits, make_course
-from moc_opt.planning.freedoms import best_freedoms
+from moc_opt.planning.elbow import Elbow
 from moc_opt.planning.plan import best_course, top_of
 from moc_opt.planning.pose_map import PoseMap, map_of
 from moc_opt.planning.search import Value
+from moc_opt.planning.self_motion import best_freedoms
 from moc_opt.robots.model import RobotModel
 from moc_opt.scenario.config import Scenario
 from moc_opt.scenario.planned import layout_of, targets_of

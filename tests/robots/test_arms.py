@@ -13,8 +13,7 @@ import pinocchio as pin
 import pytest
 from numpy.typing import NDArray
 
-from moc_opt.planning.freedoms import freedoms
-from moc_opt.planning.self_motion import self_motion
+from moc_opt.planning.self_motion import freedoms, self_motion
 from moc_opt.robots import loader, urdf
 from moc_opt.robots.model import RobotModel, largest_rate, load_robot
 from moc_opt.scenario.agreement import check_engines

@@ -12,7 +12,7 @@ import pytest
 
 from moc_opt.__main__ import main
 from moc_opt.errors import RobotError
-from moc_opt.planning.freedoms import freedoms, limit_shares
+from moc_opt.planning.self_motion import freedoms, limit_shares
 from moc_opt.robots import available_robots
 from moc_opt.robots.check import check_robot, verdict
 from moc_opt.robots.home import CLEARANCE_M, MARGIN, REGULAR, SHARE, find_shaft, search_home, task_fault
