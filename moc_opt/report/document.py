@@ -91,11 +91,7 @@ def check_out(path: str | os.PathLike[str], what: str) -> None:
     Raises:
         ReportError: it cannot.
     """
-    file = Path(path)
-    check_replaceable(file, what, ReportError)
-    folder = next(folder for folder in file.absolute().parents if folder.exists())
-    if not folder.is_dir() or not os.access(folder, os.W_OK | os.X_OK):
-        raise ReportError(f"{file}: cannot be written: {str(folder)!r} is no folder that may be written to")
+    check_replaceable(path, what, ReportError)
 
 
 def save_document(path: str | os.PathLike[str], text: str, what: str, cure: Callable[[], str]) -> Path:
@@ -112,10 +108,4 @@ def save_document(path: str | os.PathLike[str], text: str, what: str, cure: Call
     if len(content) > MAX_BYTES:
         sizes = f"{len(content) / 1e6:.1f} MB, more than {MAX_BYTES / 1e6:.0f}"
         raise ReportError(f"{file}: the {what} has {sizes}: {cure()}")
-    check_replaceable(file, what, ReportError)
-    try:
-        file.parent.mkdir(parents=True, exist_ok=True)
-        write_whole(file, content)
-    except OSError as error:
-        raise ReportError(f"{file}: cannot be written: {error.strerror or error}") from error
-    return file
+    return write_whole(file, content, what, ReportError)

@@ -14,6 +14,7 @@ import plotly.graph_objects as go
 from plotly.offline import get_plotlyjs
 
 from moc_opt.errors import BrowserError, BrowserMissingError, ReportError, UnknownNameError
+from moc_opt.inputs.files import write_whole
 from moc_opt.inputs.names import file_stem
 
 if TYPE_CHECKING:
@@ -59,19 +60,13 @@ def save_figures(
     for name in figures:
         if name != file_stem(name):
             raise ReportError(f"figure {name!r}: give a name without a folder in it; {file_stem(name)!r} would do")
-    folder, written = Path(directory), []
+    folder = Path(directory)
     with browser() as chromium:
         drawn = dict(_draw(chromium, figures, "pdf" in wanted))
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        for name, contents in drawn.items():
-            for kind in wanted:
-                file = folder / f"{name}.{kind}"
-                file.write_bytes(contents[kind])
-                written.append(file)
-    except OSError as error:
-        raise ReportError(f"{folder}: cannot be written: {error.strerror or error}") from error
-    return written
+    return [
+        write_whole(folder / f"{name}.{kind}", contents[kind], "figure", ReportError)
+        for name, contents in drawn.items() for kind in wanted
+    ]  # fmt: skip
 
 
 @contextmanager

@@ -12,6 +12,7 @@ import numpy as np
 
 from moc_opt.errors import RobotError
 from moc_opt.inputs import names
+from moc_opt.inputs.files import decimal
 
 MOVING = frozenset({"revolute", "continuous", "prismatic"})
 TOOL_LINK, TIP_LINK, WRIST_LINK = "tool", "tip", "wrist"
@@ -50,10 +51,7 @@ def number(text: str, what: str, unit: str) -> float:
     Raises:
         RobotError: no number, or a size that no arm has.
     """
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
+    value = decimal(text.strip())
     if not abs(value) <= LARGEST[unit]:
         raise RobotError(
             f"urdf: {what} is {text!r:.80}: give a finite decimal number of at most {LARGEST[unit]:g} ({unit})"

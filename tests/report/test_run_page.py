@@ -33,7 +33,7 @@ def test_where_a_page_cannot_go_is_said_before_any_work(tmp_path, capsys, comman
     assert "a folder, pipe or device is there" in capsys.readouterr().err
     (tmp_path / "file").write_text("")
     assert main([command, str(tmp_path / "no.parquet"), "--out", str(tmp_path / "file" / "x.html")]) == 2
-    assert "is no folder that may be written to" in capsys.readouterr().err
+    assert "cannot be written in the folder" in capsys.readouterr().err
 
 
 def test_a_file_that_is_no_trace_is_named(tmp_path, capsys):
