@@ -22,18 +22,14 @@ from moc_opt.errors import RobotError
 from moc_opt.report.replay import robot_of
 from moc_opt.robots import available_robots, loader
 from moc_opt.robots.chain import desired_wrist
-from moc_opt.robots.model import (
+from moc_opt.robots.gains import (
     CARTESIAN_RATE,
     JOINT_RATE,
-    RobotModel,
-    RobotState,
-    carried,
     derived_gains,
     largest_inverse_masses,
     largest_rate,
-    load_robot,
-    restored,
 )
+from moc_opt.robots.model import RobotModel, RobotState, carried, load_robot, restored
 from moc_opt.robots.state import layout, record_size
 from moc_opt.scenario import Scenario, run
 from moc_opt.tasks import Trocar

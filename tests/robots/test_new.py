@@ -135,7 +135,7 @@ def test_of_a_flange_without_mass_the_tool_is_what_the_last_joint_moves(tmp_path
     place = text.index('<link name="link_7">')
     start, end = (text.index(tag, place) for tag in ("<inertial>", "</inertial>"))
     arm = made(tmp_path, text[:start] + text[end + len("</inertial>") :])
-    assert any("link_7: what joint_7 carries has no mass, and the tool is all" in note for note in arm.notes)
+    assert any("link_7: what joint_7 carries has no mass, so it moves the tool alone" in note for note in arm.notes)
     whole = load_robot("panda")
     assert 0.0 < arm.robot.state(whole.data.q_home).M[5, 5] < whole.state(whole.data.q_home).M[5, 5]
 
