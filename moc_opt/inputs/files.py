@@ -192,8 +192,9 @@ def check_replaceable(path: Path_, what: str, error: Wrong) -> None:
     """
     target = as_path(path, what, error)
     try:
-        if target.exists() and not target.is_file():
-            raise error(f"{what} {str(target)!r} cannot be written: a folder, pipe or device is there; take another")
+        with contextlib.suppress(FileNotFoundError):
+            if not stat.S_ISREG(os.stat(target).st_mode):
+                raise error(f"{what} {str(target)!r} cannot be written: a folder, pipe or device is there")
         folder = next(folder for folder in target.absolute().parents if folder.exists())
         with tempfile.TemporaryFile(dir=folder):  # root may write to /proc by its rights, and yet cannot
             pass

@@ -139,6 +139,8 @@ def explain(error: ValidationError, kind: str) -> list[str]:
         message = item["msg"].removeprefix("Value error, ")
         if isinstance(item.get("ctx", {}).get("error"), MocOptError):  # of a table inside: it names its own field
             lines.append(message if not field or message.startswith(f"[{field}]") else f"{kind} {field}: {message}")
+        elif item["type"] == "missing":
+            lines.append(f"{kind} {field} is missing: add it")
         elif field:
             lines.append(
                 f"{kind} {field} = {shown(item['input'])}: {message[0].lower()}{message[1:]}{_in_metres(field, item)}"

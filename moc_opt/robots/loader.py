@@ -34,12 +34,6 @@ _FOLDER = Path(__file__).parent
 class _Table(Settings):
     ERROR: ClassVar[type[MocOptError]] = RobotError
 
-    def __init__(self, **values: Any) -> None:
-        for name, field in type(self).model_fields.items():
-            if field.is_required() and not set(values) - set(type(self).model_fields) and name not in values:
-                raise RobotError(f"{self.KIND} {name} is missing: add it")
-        super().__init__(**values)
-
 
 class Frames(_Table):
     """Where wrist and tool sit on the last link; xyz in m, rpy in rad (URDF's fixed-axis order)."""
