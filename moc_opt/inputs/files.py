@@ -194,7 +194,7 @@ def check_replaceable(path: Path_, what: str, error: Wrong) -> None:
     try:
         with contextlib.suppress(FileNotFoundError):
             if not stat.S_ISREG(os.stat(target).st_mode):
-                raise error(f"{what} {str(target)!r} cannot be written: a folder, pipe or device is there")
+                raise error(f"{what} {str(target)!r} cannot be written: a folder, pipe or device is there: name a file")
         folder = next(folder for folder in target.absolute().parents if folder.exists())
         with tempfile.TemporaryFile(dir=folder):  # root may write to /proc by its rights, and yet cannot
             pass
