@@ -13,7 +13,6 @@ from moc_opt.errors import MocOptError, RobotError
 from moc_opt.planning.freedoms import freedoms, limit_shares
 from moc_opt.planning.self_motion import self_motion
 from moc_opt.robots.model import RobotModel
-from moc_opt.robots.vendor import rpy_of
 from moc_opt.scenario.config import Scenario
 from moc_opt.scenario.layout import lay_out
 
@@ -182,4 +181,6 @@ def _tidy(point: Array) -> Array:
 def _towards(direction: Array) -> tuple[float, float, float]:
     if np.hypot(direction[0], direction[1]) < 1e-14:  # a tilt of 1e-9 rad would make an idle joint move the tip
         return (0.0, 0.0, 0.0) if direction[2] > 0.0 else (float(np.pi), 0.0, 0.0)
-    return rpy_of(pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), direction).toRotationMatrix())
+    turn = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), direction).toRotationMatrix()
+    roll, pitch, yaw = pin.rpy.matrixToRpy(turn).tolist()
+    return roll, pitch, yaw

@@ -119,12 +119,6 @@ def chain_joints(arm: VendorArm) -> list[ET.Element]:
     return [by_name[name] for name in arm.chain]
 
 
-def rpy_of(R: np.ndarray) -> tuple[float, float, float]:
-    """Return roll, pitch and yaw [rad] of a rotation (3,3), in URDF's order."""
-    roll, pitch, yaw = pin.rpy.matrixToRpy(R).tolist()
-    return roll, pitch, yaw
-
-
 def _declared(text: str) -> tuple[str, list[str]]:
     # Some vendors' files use prefixes that they never declare, which no XML reader takes.
     used = {name for tag in re.findall(r"<[^!?][^>]*>", text) for name in _PREFIX.findall(_QUOTED.sub("", tag))}
@@ -213,7 +207,7 @@ def _shift(joint: ET.Element, value: float) -> None:
         R = R @ pin.exp3(motion)
     origin = ET.SubElement(joint, "origin") if origin is None else origin
     origin.set("xyz", as_text(*place))
-    origin.set("rpy", as_text(*rpy_of(R)))
+    origin.set("rpy", as_text(*pin.rpy.matrixToRpy(R)))
 
 
 class _Tree(urdf.Tree):
