@@ -7,7 +7,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.subproblems.arms import Arm, problem_of, random_arm, random_box, rotation, smooth_sequence, unit
+from benchmarks.subproblems.arms import (
+    Arm,
+    problem_of,
+    random_arm,
+    random_box,
+    rotation,
+    smooth_sequence,
+    unit,
+)
 from moc_opt.qp.problem import NullSpaceQP
 
 Array = NDArray[np.float64]
