@@ -82,7 +82,9 @@ def read_text(path: Path_, what: str, error: Wrong, most: int = MOST_TEXT) -> st
     try:
         return read_bytes(path, what, error, most).decode("utf-8-sig").replace("\r\n", "\n")
     except UnicodeDecodeError as reason:
-        raise error(f"{what} {os.fspath(path)!r} is not in UTF-8 (byte {reason.start}): save it as such") from reason
+        raise error(
+            f"{what} {os.fspath(path)!r} cannot be read: it is not in UTF-8 (byte {reason.start}); save it as such"
+        ) from reason
 
 
 def read_toml(path: Path_, what: str, error: Wrong) -> dict[str, Any]:
