@@ -1,4 +1,4 @@
-"""Paths of the tool tip in space, with point, tangent and curvature by arc length: planar curves, and waypoints."""
+"""Paths of the tool tip in space by arc length: planar curves, and smooth curves through waypoints."""
 
 from __future__ import annotations
 

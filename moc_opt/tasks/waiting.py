@@ -69,16 +69,10 @@ class WaitingReference:
         return rows
 
     def play(self, go_on: ArrayLike) -> tuple[Array, Array]:
-        """Play it from the start for a whole run.
-
-        Args:
-            go_on: (N,) flags, one a tick.
+        """Play it from the start with the flags go_on (N,), one a tick; a TaskError where these are no flags.
 
         Returns:
             rows (N, 3, 3) as `step` gives them, and the path time (N,) [s] at each tick.
-
-        Raises:
-            TaskError: these are no flags.
         """
         flags = np.asarray(go_on)
         if flags.ndim != 1 or flags.dtype != np.bool_:
@@ -96,14 +90,11 @@ def flags_at(times: ArrayLike, seen_times: ArrayLike, seen: ArrayLike) -> NDArra
 
     Args:
         times: (N,) of the ticks [s].
-        seen_times: (k,) of the pictures [s], rising.
+        seen_times: (k,) of the pictures [s], rising; a TaskError where they do not.
         seen: (k,) flags.
 
     Returns:
         (N,) flags; False before the first picture.
-
-    Raises:
-        TaskError: the pictures' times do not rise, or their numbers differ.
     """
     pictures, answers = np.asarray(seen_times, dtype=np.float64), np.asarray(seen, dtype=np.bool_)
     if pictures.ndim != 1 or pictures.shape != answers.shape or (np.diff(pictures) <= 0.0).any():
