@@ -140,7 +140,7 @@ def read_waypoints(path: str) -> list[tuple[float, ...]]:
         ScenarioError: a line is no point, named with file and number, or there is none.
     """
     from moc_opt.errors import ScenarioError, shown
-    from moc_opt.inputs.files import read_text
+    from moc_opt.inputs.files import decimal, read_text
 
     points: list[tuple[float, ...]] = []
     named = False
@@ -151,10 +151,7 @@ def read_waypoints(path: str) -> list[tuple[float, ...]]:
         if not points and not named and [part.strip("\"'").lower() for part in parts] in HEADINGS:
             named = True
             continue
-        try:
-            point = tuple(map(float, parts))
-        except ValueError:
-            point = ()  # refused below
+        point = tuple(map(decimal, parts))
         if len(point) != 3 or not all(map(math.isfinite, point)):
             cure = "give x, y, z [m]; the first line may name the columns, x_m,y_m,z_m, and any other begins with #"
             if len(point) == 4 and point[0] == len(points):

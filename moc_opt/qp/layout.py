@@ -1,7 +1,4 @@
-"""Where the parts of a packed subproblem lie: one flat record of 10 n + 10 numbers for n joints.
-
-`moc_opt/core/binding.h` reads the same record.
-"""
+"""Where the parts of a packed subproblem lie: 10 n + 10 numbers for n joints; `moc_opt/core/binding.h` reads them."""
 
 from __future__ import annotations
 

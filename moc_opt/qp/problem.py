@@ -51,10 +51,8 @@ def fields(rows: Array) -> Fields:
     n = joints_of(rows.shape[-1])
     if n < 1 or row_length(n) != rows.shape[-1]:
         raise SubproblemError(f"row: length {rows.shape[-1]} is not 10 n + 10; use NullSpaceQP(...).row")
-    if rows.ndim == 1:  # in the control loop: five microseconds less
-        A, *parts = (rows[place] for place in _places(n))
-    else:
-        A, *parts = (rows[..., place] for place in _places(n))
+    one = rows.ndim == 1  # in the control loop: five microseconds less without the ellipsis
+    A, *parts = (rows[place] if one else rows[..., place] for place in _places(n))
     return Fields(A.reshape(*rows.shape[:-1], 6, n), *parts)
 
 
@@ -139,10 +137,7 @@ class NullSpaceQP:
 
     @classmethod
     def from_row(cls, row: Array) -> NullSpaceQP:
-        """Adopt a flat record without copying or checking its values; the record becomes read-only.
-
-        For the controller and for recordings, whose records were made by this package.
-        """
+        """Adopt a flat record that this package made, without copying or checking it; it becomes read-only."""
         self = object.__new__(cls)
         self._adopt(row, joints_of(row.shape[0]))
         return self
@@ -222,9 +217,9 @@ class NullSpaceQP:
 
     @cached_property
     def _reduced(self) -> Reduced:
-        # Tip and wrist are rigidly tied: u^T (J_T - J_W) = 0 for the direction u of the tool, so the wrist's row along
-        # u repeats the tip's. Left are the tip's three rows and the wrist's two across u: A5 = lift A6, and
-        # A5^T y5 = A6^T (lift^T y5). `moc_opt/core/rows.c` takes the same decision for the adapters of libraries.
+        # A rigid tool: u^T (J_T - J_W) = 0 for its direction u, so the wrist's row along u repeats the tip's. Left are
+        # the tip's three rows and the wrist's two across u: A5 = lift A6, and A5^T y5 = A6^T (lift^T y5).
+        # `moc_opt/core/rows.c` takes the same decision for the adapters of libraries.
         u = _tool_direction(self.A)
         lift = np.eye(6)
         if u is not None:

@@ -1,7 +1,7 @@
 """Residuals of an answer to the null-space subproblem: one definition for every solver.
 
-All functions take a leading batch shape ``(...,)`` and need numpy only, so that one call judges
-a single tick or a whole recording. None of them uses the status that the solver reports.
+All functions take a leading batch shape ``(...,)``, so that one call judges a single tick or a whole recording. None of
+them uses the status that the solver reports.
 
 On A x = b the tracking terms of the cost are constant. The rest, rho/2 |x|^2 - c2 grad_mu^T x, is a sum over
 independent parts: each idle joint (its column of A is zero) on its own interval, and the other joints together on
@@ -102,12 +102,8 @@ def residuals(problem: Problem, x: Array, y: Array | None = None) -> Residuals:
     """
     shape = x.shape[:-1]
     n = x.shape[-1]
-    flat = Problem(
-        *(
-            np.broadcast_to(f, shape + f.shape[-k:]).reshape(-1, *f.shape[-k:])
-            for f, k in zip(problem, (2, 1, 1, 1, 1, 1), strict=True)
-        )
-    )
+    ends = [f.shape[-2:] if f is problem.A else f.shape[-1:] for f in problem]
+    flat = Problem(*(np.broadcast_to(f, shape + e).reshape(-1, *e) for f, e in zip(problem, ends, strict=True)))
     x = x.reshape(-1, n)
     finite = np.all(np.isfinite(x), axis=-1)
     x = np.where(finite[:, None], x, 0.0)

@@ -37,7 +37,7 @@ def recorded_times(scenario: Scenario) -> list[float] | None:
     except (TypeError, ValueError) as error:
         if isinstance(error, ScenarioError):
             raise
-        raise ScenarioError(f"[solver] replay_us = {given!r}: no .npy file of numbers: {error}") from error
+        raise ScenarioError(f"[solver] replay_us = {given!r}: no .npy file of numbers; give times [us]") from error
     if times.ndim != 1 or times.size == 0 or not (np.isfinite(times) & (times >= 0.0)).all():
         raise ScenarioError(
             f"[solver] replay_us: shape {times.shape}: give one time of 0 us or more a tick, at least one"

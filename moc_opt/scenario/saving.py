@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from moc_opt.control.settings import PRESETS, ControlSettings
 from moc_opt.errors import ScenarioError, shown
-from moc_opt.inputs.files import as_path, check_replaceable, to_toml, write_whole
+from moc_opt.inputs.files import as_path, to_toml, write_whole
 from moc_opt.inputs.settings import Settings
 from moc_opt.sim.settings import PlantSettings
 
@@ -69,11 +69,7 @@ def save(scenario: Scenario, path: str | os.PathLike[str]) -> None:
         text = to_toml(_without_none(table))
     except TypeError as error:
         raise ScenarioError(f"the scenario cannot be written as TOML: {error}") from error
-    check_replaceable(file, "scenario", ScenarioError)
-    try:
-        write_whole(file, text.encode())
-    except OSError as error:
-        raise ScenarioError(f"scenario {str(file)!r} cannot be written: {error}; give another path") from error
+    write_whole(file, text, "scenario", ScenarioError)
 
 
 def _given_settings(scenario: Scenario) -> dict[str, Any]:

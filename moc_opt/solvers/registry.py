@@ -210,7 +210,7 @@ def _made(name: str, entry: Entry, settings: dict[str, Any]) -> Solver:
         solver = entry.make(**settings)
     except MocOptError:
         raise
-    except Exception as error:
+    except (Exception, SystemExit, KeyboardInterrupt) as error:
         valid = [p.name for p in entry.parameters() if p.name != "name"]
         unknown = sorted(set(settings) - set(valid))
         if isinstance(error, TypeError) and unknown:

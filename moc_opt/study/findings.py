@@ -8,12 +8,12 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from moc_opt.errors import ScenarioError, UnknownNameError
+from moc_opt.inputs.files import write_whole
 from moc_opt.report.run_table import ANOTHER_PROBLEM
 from moc_opt.report.tables import TEXT, Column, Table, as_text, terminal_width
 from moc_opt.scenario import Scenario
@@ -262,11 +262,7 @@ class Comparison:
         table = csv.DictWriter(written, list(dict.fromkeys(key for row in self.rows for key in row)))
         table.writeheader()
         table.writerows(self.rows)
-        try:
-            Path(path).parent.mkdir(parents=True, exist_ok=True)
-            Path(path).write_text(written.getvalue(), encoding="utf-8", newline="")
-        except OSError as error:
-            raise ScenarioError(f"{path}: cannot be written: {error}") from error
+        write_whole(path, written.getvalue(), "table of runs", ScenarioError)
 
     def __repr__(self) -> str:
         return as_text(self.tables(width := terminal_width()), width)

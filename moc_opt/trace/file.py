@@ -46,10 +46,10 @@ def new_file(path: str | os.PathLike[str]) -> Path:
             f"trace {str(target)!r}: a trace is written as Parquet: name it {target.stem + '.parquet'!r}; in Python "
             "load_trace(...).to_pandas().to_csv(...) makes a CSV of it"
         )
-    check_replaceable(target, "trace", TraceError)
     folder = target.absolute().parent
     if not os.path.isdir(folder):
         raise TraceError(f"the trace cannot be saved as {str(target)!r}: there is no folder {str(folder)!r}")
+    check_replaceable(target, "trace", TraceError)
     return target
 
 
@@ -74,13 +74,7 @@ def write(path: str | os.PathLike[str], columns: Columns, meta: Mapping[str, Any
         for name, array in columns.items()
     ])  # fmt: skip
     frame.write_parquet(packed, compression="zstd", metadata=metadata)
-    try:
-        write_whole(target, packed.getvalue())
-    except OSError as error:
-        raise TraceError(
-            f"the trace cannot be saved as {str(target)!r} ({error}): "
-            "give a file in a directory that exists and can be written"
-        ) from error
+    write_whole(target, packed.getvalue(), "trace", TraceError)
 
 
 def read(path: str | os.PathLike[str]) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:

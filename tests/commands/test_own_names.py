@@ -107,6 +107,7 @@ def test_a_first_line_that_names_the_columns_is_no_point(heading, tmp_path):
         ("x_mm,y_mm,z_mm\n10,0,0\n", 1, "the first line may name the columns, x_m,y_m,z_m"),
         ("y,x,z\n0,0,0\n", 1, "x_m,y_m,z_m"),
         ("x,y,z\nx,y,z\n0,0,0\n", 2, "give x, y, z"), ("0.1, 0.2\n", 1, "'0.1, 0.2'"), ("0 0 0\n1 2 nan\n", 2, "nan"),
+        ("0_1 0 0\n", 1, "give x, y, z"), ("0,0,\u0661\n", 1, "give x, y, z"),
         ("# index and all\n0,0.1,0,0\n1,0.2,0,0\n", 2, r"pandas: to_csv\(index=False\)"),
     ],
 )

@@ -103,6 +103,8 @@ BROKEN = {
     "no such module": ("import no_such_module", "C", "ModuleNotFoundError: No module named 'no_such_module'"),
     "raises when imported": ("raise RuntimeError('boom at import')", "C", "RuntimeError: boom at import"),
     "exits when imported": ("raise SystemExit(3)", "C", "SystemExit: 3"),
+    "interrupts when imported": ("raise KeyboardInterrupt", "C", "KeyboardInterrupt"),
+    "interrupts when made": (WHOLE + "class C(Good):\n def __init__(self): raise KeyboardInterrupt", "C", "Interrupt"),
     "no such class": ("", "C", "AttributeError"),
     "no class": ("C = [1, 2]", "C", "is a list: give a class or a function"),
     "no supports": (WHOLE + "class C(Good):\n supports = None", "C", r"has no supports \(a method of qp\)"),
