@@ -14,7 +14,7 @@ from moc_opt.arrays import Array
 from moc_opt.errors import MocOptError
 from moc_opt.inputs.settings import Settings
 from moc_opt.scenario import Scenario, Setup
-from moc_opt.sim.loop import RunAway
+from moc_opt.sim.record import RunAway
 from moc_opt.study import Failed
 from moc_opt.tasks import Reference
 from moc_opt.tasks.waiting import WaitingReference

@@ -11,7 +11,7 @@ from moc_opt.errors import MocOptError
 from moc_opt.scenario.config import Scenario
 from moc_opt.scenario.parts import make_safety_filter, make_solver, make_stop
 from moc_opt.scenario.setup import Setup, run
-from moc_opt.sim.loop import RunAway
+from moc_opt.sim.record import RunAway
 
 __all__ = [
     "MocOptError", "RunAway", "Scenario", "Setup", "make_safety_filter", "make_solver", "make_stop", "run",

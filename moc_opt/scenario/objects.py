@@ -14,7 +14,7 @@ from moc_opt.control import Controller
 from moc_opt.control.guide import Guide
 from moc_opt.planning.freedoms import require_freedom
 from moc_opt.scenario.adapter import ControllerAdapter
-from moc_opt.scenario.agreement import check_engines
+from moc_opt.sim.agreement import check_engines
 from moc_opt.scenario.config import Scenario
 from moc_opt.scenario.guided import guides
 from moc_opt.scenario.layout import breathing, lay_out, seeds_of
@@ -26,10 +26,10 @@ from moc_opt.scenario.parts import (
     make_stop,
     recorded_times,
 )
-from moc_opt.sim.closed_loop import ClosedLoop
-from moc_opt.sim.log import TaskOffset
+from moc_opt.sim.loop import ClosedLoop
 from moc_opt.sim.plant import Plant
 from moc_opt.sim.protocols import LoggedController, TorqueController
+from moc_opt.sim.record import TaskOffset
 from moc_opt.solvers.base import Solver
 from moc_opt.solvers.faulty import Faulty, draw
 from moc_opt.tasks import Trocar
@@ -88,7 +88,7 @@ class Objects:
         """
         plant = self.plant
         if not (plant.mismatch.displaces or plant.settings.elastic):
-            return TaskOffset.nothing()  # equal but for rounding
+            return TaskOffset()  # equal but for rounding
         shaft, tip = plant.tip - plant.wrist, self.robot.state(self.q_start).tip
         return TaskOffset(plant.tip - tip, plant.tip - depth * shaft / np.linalg.norm(shaft) - entry)
 

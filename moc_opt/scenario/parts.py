@@ -14,7 +14,7 @@ from moc_opt.inputs.files import read_arrays
 from moc_opt.inputs.names import RULE, is_name
 from moc_opt.robots.model import RobotModel
 from moc_opt.scenario.config import Scenario
-from moc_opt.sim.closed_loop import Stop
+from moc_opt.sim.plant import Stop
 from moc_opt.solvers.base import Solver
 from moc_opt.solvers.isolated import Isolated
 from moc_opt.solvers.registry import accepts

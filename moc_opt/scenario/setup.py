@@ -19,8 +19,8 @@ from moc_opt.scenario.objects import Objects
 from moc_opt.scenario.parts import make_safety_filter, make_stop
 from moc_opt.scenario.yardstick import against_best
 from moc_opt.sim.faults import Faults
-from moc_opt.sim.log import Columns
-from moc_opt.sim.loop import RunAway, simulate
+from moc_opt.sim.loop import simulate
+from moc_opt.sim.record import Columns, RunAway
 from moc_opt.solvers.base import Solver
 from moc_opt.trace.file import new_file
 from moc_opt.trace.oscillation import judged_for_oscillation
