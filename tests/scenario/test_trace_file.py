@@ -142,7 +142,7 @@ def test_the_control_end_of_a_wire_builds_no_plant(monkeypatch: pytest.MonkeyPat
     def refused(*given: object, **named: object) -> None:
         raise AssertionError("a plant was built")
 
-    monkeypatch.setattr("moc_opt.scenario.objects.Plant", refused)
+    monkeypatch.setattr("moc_opt.scenario.setup.Plant", refused)
     alone = Setup(RUN, realtime=True)
     adapter = alone.adapter()
     refs = (np.stack(alone.reference.at(0.0)), np.stack(alone.registered.at(0.0)))
