@@ -108,7 +108,7 @@ class Trace:
         return table_html("Trace", {**about(self), "columns": ", ".join(units)})
 
     def __dir__(self) -> Iterable[str]:
-        """List methods and columns: a notebook completes both."""
+        """List methods and columns."""
         return [*super().__dir__(), *self.columns]
 
     def with_columns(self, **arrays: ArrayLike) -> Trace:
