@@ -45,7 +45,6 @@ class PlantServer(Setup):
     """The plant of a scenario, for a controller at the other end of a wire.
 
     Args:
-        scenario: of the run.
         listen: "HOST:PORT"; port 0 is any free one, see ``address``.
         key: of the check; None: loopback only.
         lock_step: wait for each command instead of keeping the time.
@@ -111,12 +110,7 @@ class PlantServer(Setup):
     ) -> Trace:
         """Wait for the controller, run, and return the trace; ``meta["wire"]`` has the counts of this end.
 
-        Args:
-            watch: of no meaning here: the wire keeps the time.
-            to: see `Setup.trace`.
-
-        Raises:
-            MocOptError: as for `Setup.trace`; or no controller came.
+        ``watch`` is not called: the wire keeps the time. Errors as for `Setup.trace`, or no controller came.
         """
         try:
             return super().trace(self._remote.pace, to)
