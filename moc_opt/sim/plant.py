@@ -217,11 +217,8 @@ class Plant:
     def brake(self, damping_Nm_s_per_rad: float, friction_Nm: ArrayLike = 0.0) -> None:
         """Close the brakes until reset: more damping and dry friction in every joint, under any command.
 
-        Both act on the true motion, as a real arm's brakes do: no sensor is needed. With damping alone the arm sinks
-        under a load that the torque does not carry.
-
         Args:
-            damping_Nm_s_per_rad: of the drives, short-circuited.
+            damping_Nm_s_per_rad: of the drives, short-circuited; with it alone a loaded arm sinks.
             friction_Nm: of the holding brakes, one number or one a joint (n,).
 
         Raises:

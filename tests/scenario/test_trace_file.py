@@ -93,6 +93,18 @@ def test_ctrl_c_says_one_line(tmp_path):
     assert sorted(os.listdir(tmp_path)) == ["s.toml", "t.parquet"]
 
 
+def test_ctrl_c_after_the_run_says_where_it_is(tmp_path, capsys, monkeypatch):
+    def interrupted(*given):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("moc_opt.commands.running._matched_dcac", interrupted)
+    file, target = tmp_path / "s.toml", tmp_path / "t.parquet"
+    file.write_text("duration_s = 0.1\nbest_courses = false\n")
+    assert main(["run", str(file), "--trace", str(target)]) == 130
+    assert capsys.readouterr().err == f"interrupted; the whole run is in {target}\n"
+    assert len(Trace.load(target)) == 50
+
+
 def test_a_defect_says_one_line_and_where_the_rows_are(tmp_path, capsys, monkeypatch):
     ticks = iter(range(10**6))
     real = Plant.measure
