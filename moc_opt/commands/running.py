@@ -29,7 +29,7 @@ def run_scenario(given: argparse.Namespace) -> int:
     if given.report is not None:
         check_out(given.report, "report")
     with progress(title) as bar:
-        bar.at("sets up; the first run after an installation compiles, for one to three minutes")
+        bar.at("sets up")
         setup = Setup(scenario)
         bar.of(len(setup.times()))
 

@@ -151,11 +151,6 @@ class Scenario(Settings):
         Raises:
             ScenarioError: no such file, no TOML, or a value out of range; names file and field.
             UnknownNameError: a key or preset that does not exist.
-
-        Example:
-            >>> mo.Scenario(seed=3).save("scenario.toml")
-            >>> mo.Scenario.load("scenario.toml").seed
-            3
         """
         file = as_path(path, "scenario", ScenarioError)
         if file.suffix == ".parquet":
@@ -282,22 +277,17 @@ def _with_paths_from(folder: Path, table: dict[str, Any]) -> dict[str, Any]:
     return found
 
 
-def _tables(value: Settings, name: str = "") -> Iterator[dict[str, Any]]:
+def _tables(value: Settings, name: str) -> Iterator[dict[str, Any]]:
     """Yield the ways to write a table: with no preset, then with each that it has."""
-    yield _differences(value, type(value)())
+    yield value.model_dump(exclude_defaults=True)
     for preset, make in PRESETS.get(name, {}).items():
-        table = _differences(value, make())
+        base, table = make(), dict[str, Any]()
+        for key in type(value).model_fields:
+            entry = getattr(value, key)
+            if entry != getattr(base, key):
+                table[key] = entry.model_dump(exclude_defaults=True) if isinstance(entry, Settings) else entry
         if None not in table.values():  # what a preset sets, a file cannot set back to None
             yield {"preset": preset, **table}
-
-
-def _differences(value: Settings, base: Settings) -> dict[str, Any]:
-    found: dict[str, Any] = {}
-    for name in type(value).model_fields:
-        entry = getattr(value, name)
-        if entry != getattr(base, name):
-            found[name] = min(_tables(entry), key=len) if isinstance(entry, Settings) else entry
-    return found
 
 
 def _without_usual_none(solver: SolverTable) -> dict[str, Any]:
