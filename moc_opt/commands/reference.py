@@ -58,8 +58,8 @@ def tables(kind: type[Settings] = Scenario, path: str = "") -> Iterator[tuple[st
     inner: list[tuple[str, type[Settings]]] = []
     keys = []
     if path in PRESETS:
-        kind_of = " | ".join(map(repr, PRESETS[path]))
-        keys.append(Key("preset", kind_of, "", "none", "a named set of values of this table; the other keys override it"))
+        meaning = "a named set of values of this table; the other keys override it"
+        keys.append(Key("preset", " | ".join(map(repr, PRESETS[path])), "", "none", meaning))
     for name, field in kind.model_fields.items():
         hint = field.annotation
         if isinstance(hint, type) and issubclass(hint, Settings):
