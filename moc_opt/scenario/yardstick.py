@@ -68,9 +68,10 @@ def _planned(table: str) -> Yardstick:
 
 
 def against_best(scenario: Scenario, trace: Trace) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
-    """Return the columns of the best courses, and meta's entry ``best_courses``; ``absent`` in it says why none.
+    """Return the columns of the best courses, and meta's entry ``best_courses``.
 
-    Its ``end`` has the top of mu [m^3] above the run's last pose, the course's last mu, and the swivels of both [deg].
+    Its ``absent`` says why there is none; its ``end`` has the maximum of mu [m^3] that a climb reaches from the run's
+    last pose, the course's last mu, and the swivels of both [deg].
     """
     try:
         known = yardstick(scenario)

@@ -152,7 +152,7 @@ class Faults:
 
 
 class _Packets:
-    """Frozen, late, repeated and drifting measurements; drops draws what is lost, signs the drift's directions."""
+    """Frozen, late, repeated and drifting measurements."""
 
     def __init__(
         self, settings: FaultSettings, n: int, period: float, drops: np.random.Generator, signs: np.random.Generator
