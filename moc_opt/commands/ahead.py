@@ -36,9 +36,8 @@ def _plan_scenario(given: argparse.Namespace) -> int:
     from moc_opt.report.console import console, print_json
     from moc_opt.report.document import check_out
     from moc_opt.report.plan_table import place_json, place_table, plan_json, plan_tables, start_toml
-    from moc_opt.scenario.course_file import following_warnings, save_course
     from moc_opt.scenario.placement import place
-    from moc_opt.scenario.planned import followable_plan
+    from moc_opt.scenario.planned import followable_plan, following_warnings, save_course
     from moc_opt.trace.file import new_file
 
     for option, value in (("--box", given.box), ("--candidates", given.candidates)):

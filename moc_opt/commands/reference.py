@@ -13,15 +13,14 @@ from moc_opt.errors import UnknownNameError
 from moc_opt.inputs.settings import Settings
 from moc_opt.report.console import console
 from moc_opt.report.tables import Column, Table
-from moc_opt.scenario import Scenario
+from moc_opt.scenario.config import PRESETS, Scenario
 
 _UNIT = r"(?:N?m|Ns?|rad|s|us|Hz|kg|deg|MB)"
 _SUFFIX = re.compile(rf"_((?:{_UNIT}_)*{_UNIT}[2]?(?:_per_{_UNIT}2?)*|per_{_UNIT}2?)$")
 _HEAD = """# The keys of a scenario
 
 Made by `moc-opt keys --markdown` from the schema that checks every file: edit the schema, not this page. A key that is
-left out has its default. The levels of RCM error and forces in `[guard]` may be `inf`: no limit. `[control]` takes a
-`preset` too (`paper`, `tuned`, `robust`), and so does `[plant]` (`realistic`, `nominal`); the other keys override it.
+left out has its default. The levels of RCM error and forces in `[guard]` may be `inf`: no limit.
 """
 
 
@@ -57,6 +56,9 @@ def tables(kind: type[Settings] = Scenario, path: str = "") -> Iterator[tuple[st
     """Yield every table: its name (empty: the top of the file), its first line of documentation, its keys."""
     inner: list[tuple[str, type[Settings]]] = []
     keys = []
+    if path in PRESETS:
+        meaning = "a named set of values of this table; the other keys override it"
+        keys.append(Key("preset", " | ".join(map(repr, PRESETS[path])), "", "none", meaning))
     for name, field in kind.model_fields.items():
         hint = field.annotation
         if isinstance(hint, type) and issubclass(hint, Settings):

@@ -29,7 +29,7 @@ def run_scenario(given: argparse.Namespace) -> int:
     if given.report is not None:
         check_out(given.report, "report", force=given.force)
     with progress(title) as bar:
-        bar.at("sets up; the first run after an installation compiles, for one to three minutes")
+        bar.at("sets up")
         setup = Setup(scenario)
         bar.of(len(setup.times()))
 
@@ -65,7 +65,12 @@ def show(scenario: Scenario, title: str, trace: Trace, given: argparse.Namespace
         print(f"{title}: {line}", file=sys.stderr)
     if below_best(trace):
         print(f"{title}: {below_best(trace)}", file=sys.stderr)
-    baseline = _matched_dcac(scenario, title, len(trace)) if scenario.control.law == "moc" else None
+    try:
+        baseline = _matched_dcac(scenario, title, len(trace)) if scenario.control.law == "moc" else None
+    except KeyboardInterrupt as stop:
+        if given.trace is not None:
+            stop.add_note(f"the whole run is in {given.trace}")
+        raise
     metrics = summarize(trace, baseline)
     if getattr(given, "report", None) is not None:  # `plant` has none
         runs = {title: trace} if baseline is None else {"DCAC, same gains": baseline, title: trace}

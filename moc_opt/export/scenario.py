@@ -15,7 +15,7 @@ from moc_opt.realtime.packets import c_header
 from moc_opt.scenario import Scenario, Setup, make_safety_filter
 from moc_opt.scenario.adapter import ControllerAdapter
 from moc_opt.scenario.wired import fingerprint
-from moc_opt.sim.closed_loop import FilteredController
+from moc_opt.sim.loop import FilteredController
 from moc_opt.sim.sensors import Measurement
 from moc_opt.solvers.exact import Exact
 

@@ -98,7 +98,7 @@ class Settings(BaseModel):
         Args:
             values: of the table that has another one.
         """
-        return list(cls.model_fields)
+        return list(dict.fromkeys([*cls.model_fields, *filter(None, [cls.MEANT_KEY])]))
 
 
 def _converted(given: Any, value: Any, where: str = "") -> str:

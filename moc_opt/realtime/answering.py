@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from moc_opt.arrays import Array
+from moc_opt.control.safety_filter import SafetyFilter
 from moc_opt.inputs.files import to_json
 from moc_opt.realtime.link import Link, WireError, WireSettings, compare, written
 from moc_opt.realtime.packets import (
@@ -24,9 +25,8 @@ from moc_opt.realtime.packets import (
     Kind,
     Packet,
 )  # fmt: skip
-from moc_opt.sim.closed_loop import FilteredController
-from moc_opt.sim.loop import no_collector
-from moc_opt.sim.protocols import LoggedController, SafetyFilter
+from moc_opt.sim.loop import FilteredController, no_collector
+from moc_opt.sim.protocols import LoggedController
 from moc_opt.sim.sensors import Measurement
 
 _REPEAT_S, _LINGER_S = 0.1, 0.3  #: HELLO and START are sent again after the one; the end is waited out for the other.

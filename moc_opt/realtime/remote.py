@@ -11,13 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from moc_opt.arrays import Array
+from moc_opt.control.safety_filter import SafetyFilter
 from moc_opt.errors import MocOptError, printable
 from moc_opt.inputs.files import parse_json
 from moc_opt.realtime.clock import WallClock
 from moc_opt.realtime.link import BACKLOG, Link, WireError, WireSettings, compare, written
 from moc_opt.realtime.packets import ENDED, REPORTED, RUNNING, STOP, WAITING, Kind, Packet
-from moc_opt.sim.closed_loop import Filtered
-from moc_opt.sim.protocols import SafetyFilter
+from moc_opt.sim.protocols import Filtered
 from moc_opt.sim.sensors import Measurement
 from moc_opt.trace.meta import check_entry
 

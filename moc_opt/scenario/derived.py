@@ -13,8 +13,8 @@ from moc_opt.planning import pose_map
 from moc_opt.qp.problem import compute_residuals
 from moc_opt.qp.residuals import Residuals
 from moc_opt.robots.model import RobotModel
-from moc_opt.sim.log import TaskOffset
 from moc_opt.sim.plant import Plant
+from moc_opt.sim.record import TaskOffset
 from moc_opt.solvers.base import Status
 from moc_opt.tasks.trocar import shaft_distance
 

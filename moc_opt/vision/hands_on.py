@@ -19,8 +19,8 @@ from moc_opt.errors import MocOptError, PlantError, TaskError
 from moc_opt.inputs.settings import Settings
 from moc_opt.robots.inverse_kinematics import pose_with_tip
 from moc_opt.robots.model import RobotModel, RobotState
-from moc_opt.sim.closed_loop import ClosedLoop, Stop
-from moc_opt.sim.plant import Plant
+from moc_opt.sim.loop import ClosedLoop
+from moc_opt.sim.plant import Plant, Stop
 from moc_opt.tasks.checks import vector3
 from moc_opt.trace.trace import Trace
 

@@ -13,11 +13,11 @@ from moc_opt.control import Controller
 from moc_opt.errors import MocOptError
 from moc_opt.planning.course import Course
 from moc_opt.planning.follow import NODES, Follower
+from moc_opt.planning.guides import followed_course
 from moc_opt.planning.pose_map import reach
 from moc_opt.planning.program import Program
 from moc_opt.robots.model import RobotModel
 from moc_opt.scenario import Scenario, Setup
-from moc_opt.scenario.guided import followed_course
 from moc_opt.scenario.planned import targets_of
 from moc_opt.tasks.trocar import shaft_distance
 from moc_opt.trace.trace import Trace
@@ -98,7 +98,7 @@ def test_the_arm_goes_along_its_course_and_no_worse_than_by_climbing() -> None:
     setup = Setup(FOLLOWED)
     trace = mo.run(FOLLOWED)
     assert trace.meta["ended"] == "completed"
-    course = followed_course(FOLLOWED, setup.robot, setup.layout)
+    course = followed_course(setup.following)
     assert trace.meta["course_mu_mean"] == pytest.approx(course.mu_mean, rel=1e-6)
     wanted = np.stack([np.interp(trace.t_s, course.t_s, joint) for joint in course.q_rad.T], axis=1)
     assert np.abs(trace.q_rad - wanted)[trace.t_s > 1.0].max() < 0.05
@@ -117,7 +117,7 @@ def test_from_a_start_just_inside_the_margin_the_course_is_as_smooth_and_good_as
         setup = Setup(FOLLOWED.change(start={"swivel": swivel}, control={"course_margin_rad": 0.05}))
         room = np.minimum(setup.q_start - setup.robot.q_min, setup.robot.q_max - setup.q_start)
         assert 0.02 < room[setup.robot.moves.any(axis=0)].min() < 0.05
-        courses.append(followed_course(setup.scenario, setup.robot, setup.layout))
+        courses.append(followed_course(setup.following))
     deeper, just_inside = courses
     assert just_inside.certified
     assert just_inside.kept

@@ -10,7 +10,6 @@ import moc_opt as mo
 from moc_opt.errors import ScenarioError
 from moc_opt.inputs.settings import Settings
 from moc_opt.scenario.config import Scenario
-from moc_opt.scenario.saving import changes
 
 POSITIVE = st.floats(1e-6, 90.0)
 NOT_NEGATIVE = st.just(0.0) | POSITIVE
@@ -71,7 +70,7 @@ def test_what_is_saved_loads_as_the_same(tmp_path_factory, values):
 
 def test_only_what_differs_is_written(tmp_path):
     scenario = Scenario(seed=3, control={"preset": "tuned", "K_N2": 20.0}, plant={"preset": "nominal"})
-    assert changes(scenario) == {
+    assert scenario.changes() == {
         "seed": 3, "control": {"preset": "tuned", "K_N2": 20.0}, "plant": {"preset": "nominal"},
     }  # fmt: skip
     Scenario().save(tmp_path / "a.toml")
