@@ -30,11 +30,10 @@ class Status(Enum):
     NUMERICAL = "numerical trouble: take rows = 5, regularization > 0 or a larger cost_scale"
     UNSUPPORTED = "ask supports(qp) why this solver cannot take this problem"
 
-    label: str
-    """Lower-case name, as it stands in traces and tables."""
+    label: str  #: Lower-case name, as it stands in traces and tables.
 
     def __init__(self, cure: str) -> None:
-        self.label = self.name.lower()  # once: the loop writes it down at every tick
+        self.label = self.name.lower()
 
 
 class Solution(NamedTuple):
@@ -65,12 +64,14 @@ class Solution(NamedTuple):
         return table_html("Solution", self._shown())
 
     def _shown(self) -> dict[str, str]:
-        lines = {"status": self.status.label, "x": _row(self.x), "y": "none" if self.y is None else _row(self.y)}
-        return {**lines, "iterations": str(self.iterations)}
+        def row(values: Array | None) -> str:
+            if values is None:
+                return "none"
+            return str(np.array2string(np.asarray(values), precision=4, separator=", ", max_line_width=1000))
 
-
-def _row(values: Array) -> str:
-    return str(np.array2string(np.asarray(values), precision=4, separator=", ", max_line_width=1000))
+        return {
+            "status": self.status.label, "x": row(self.x), "y": row(self.y), "iterations": str(self.iterations),
+        }  # fmt: skip
 
 
 class Session(Protocol):
