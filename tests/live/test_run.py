@@ -136,7 +136,7 @@ def test_what_only_the_loop_can_tell_becomes_a_message(run: LiveRun) -> None:
 
     controller = run._build(run.control, "exact")
     controller.solver = Refuses()  # type: ignore[assignment]
-    run._in_use.replace(Choice(controller, "refuses", run.control))
+    run._in_use.next = Choice(controller, "refuses", run.control)
     run.advance(10)
     assert "not in the mood; exact goes on" in run.messages.popleft()
     assert run.moment().solver == run.solver == "exact"
