@@ -234,13 +234,11 @@ class Panel:
 
 def _empty(title: str, lines: list[tuple[str, str, float, str]]) -> dict[str, Any]:
     series = [{"label": "t [s]"}, *({"label": name, "stroke": color, "width": 1.5} for _, name, _, color in lines)]
-    grid, logarithmic = {"stroke": "#e3e6e9", "width": 1}, "µs" in title  # one long tick must not flatten the others
-    axis = {"grid": grid, "ticks": {"show": False}}
+    logarithmic = {"y": {"distr": 3, "log": 10}} if "µs" in title else {}  # one long tick must not flatten the others
     return {
         "data": (np.array([0.0, 1.0]), *(np.full(2, np.nan) for _ in lines)), "series": tuple(series), "title": title,
-        "height": 140, "legend": {"show": len(lines) > 1},
-        "scales": {"x": {"time": False}, **({"y": {"distr": 3, "log": 10}} if logarithmic else {})},
-        "axes": (axis, {**axis, "size": 56, "grid": {"show": False} if logarithmic else grid}),
+        "height": 140, "legend": {"show": len(lines) > 1}, "scales": {"x": {"time": False}, **logarithmic},
+        "axes": ({"ticks": {"show": False}}, {"ticks": {"show": False}, "grid": {"show": not logarithmic}, "size": 56}),
     }  # fmt: skip
 
 

@@ -19,16 +19,15 @@ from moc_opt.sim.loop import no_collector
 from moc_opt.sim.protocols import LoggedController, SafetyFilter
 from moc_opt.sim.sensors import Measurement
 
-_REPEAT_S, _LINGER_S = 0.1, 0.3  #: HELLO and START are sent again after the one; the end is waited out for the other.
+_REPEAT_S = 0.1  # after which HELLO and START are sent again
+_LINGER_S = 0.3  # for which the end is acknowledged again
 
 
 @dataclass(frozen=True)
 class Ending:
     """How a run looked from the controller's end."""
 
-    ended: str
-    """"completed", "stopped: ..." after a request of the safety filter, "the plant ended the run at tick ..." where it
-    did so early, or "the plant has been silent ..."."""
+    ended: str  #: "completed", "stopped: ...", "the plant ended the run at tick ...", "the plant has been silent ...".
     ticks: int  #: measurements that were answered
     quality: dict[str, int]  #: counts of the plant's packets
     plant: dict[str, int]  #: the plant's own counts, as its last measurement has them

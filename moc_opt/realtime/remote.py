@@ -32,11 +32,6 @@ class Watchdog:
 
     The last torque is held for ``hold_ticks``. For ``damp_ticks`` more the drives carry the arm's weight and damp its
     motion; a command in that time is followed again. Then the brakes close, and nothing opens them.
-
-    Args:
-        settings: see ``WireSettings``.
-        safety_filter: knows the arm's weight and its brakes; the plant's own, not the controller's.
-        first: the measurement at which the run begins.
     """
 
     def __init__(self, settings: WireSettings, safety_filter: SafetyFilter, first: Measurement) -> None:
@@ -78,7 +73,7 @@ class RemoteController(Filtered):
     Args:
         link: listens at the plant's address.
         settings: watchdog and time-outs.
-        safety_filter: the plant's own, for the watchdog.
+        safety_filter: the plant's own, which knows the arm's weight and its brakes.
         columns: number of ticks -> the columns of the controller that is at the other end.
         applied: (n,) torque before the first tick [Nm].
         tau_max: (n,) largest torques [Nm]: a command beyond them is not followed, like one that did not come.

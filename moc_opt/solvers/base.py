@@ -43,7 +43,7 @@ class Solution(NamedTuple):
         x: (n,) joint velocity [rad/s]; NaN where there is none.
         y: (6,) multipliers of the six equality rows with P x + p + A^T y + z = 0
             (five-row duals are lifted), or None where the solver gives none.
-        status: what the solver claims.
+        status: the solver's claim.
         iterations: of the solver's own loop; 0 for closed forms.
 
     Example:
@@ -159,13 +159,10 @@ class ObservingSession(Protocol):
 
 
 def check_settings(settings: Any, **choices: Sequence[object]) -> None:
-    """Check every field of a solver's settings that has a plain default, which also says what is usual.
+    """Check every field of a dataclass of settings that has a plain default, which also says what is usual.
 
     A field named in ``choices`` must be one of them; else a flag's default asks for a flag, that of a whole number for
     one of 1 or larger, of a number for a positive one (or None, if that is the default), 0.0 for one not negative.
-
-    Args:
-        settings: a dataclass with a ``name``.
 
     Raises:
         SolverError: a field is out of range; names the field, its value and the cure.
