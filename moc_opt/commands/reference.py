@@ -9,9 +9,9 @@ import typing
 from collections.abc import Iterator
 from typing import Any, Literal, NamedTuple, get_args, get_origin
 
+from moc_opt.commands.running import print_tables
 from moc_opt.errors import UnknownNameError
 from moc_opt.inputs.settings import Settings
-from moc_opt.report.console import console
 from moc_opt.report.tables import Column, Table
 from moc_opt.scenario.config import PRESETS, Scenario
 
@@ -35,20 +35,14 @@ class Key(NamedTuple):
 
 
 def print_keys(given: argparse.Namespace) -> int:
-    """Print the keys; returns 0.
-
-    Raises:
-        UnknownNameError: no such table.
-    """
+    """Print the keys of every table, or of one; returns 0."""
     found = {name or "scenario": (about, keys) for name, about, keys in tables()}
     if given.table is not None and given.table not in found:
         raise UnknownNameError("table of a scenario", given.table, found)
     if given.markdown:
         print(markdown(given.table), end="")
         return 0
-    screen = console()
-    for name in found if given.table is None else [given.table]:
-        screen.print(_drawn(name, found[name][1]))
+    print_tables(_drawn(name, found[name][1]) for name in (found if given.table is None else [given.table]))
     return 0
 
 
@@ -100,10 +94,8 @@ def markdown(only: str | None = None) -> str:
 
 
 def _drawn(name: str, keys: list[Key]) -> Table:
-    columns = [
-        Column("name", "key"), Column("kind", "type"), Column("unit", "unit"), Column("default", "default"),
-        Column("meaning", "meaning"),
-    ]  # fmt: skip
+    titles = {"name": "key", "kind": "type", "unit": "unit", "default": "default", "meaning": "meaning"}
+    columns = [Column(key, title) for key, title in titles.items()]
     title = "At the top of the file" if name == "scenario" else f"[{name}]"
     return Table(title, columns, [key._asdict() for key in keys])
 

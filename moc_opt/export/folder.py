@@ -26,7 +26,7 @@ CORE = (
 )  # fmt: skip
 """The files of `moc_opt/core` that `moc_step` needs."""
 TESTS = ("main.c", "Makefile", "README.md")
-UDP = ("udp.c", "wire_link.c", "wire_link.h", "wire_check.c", "wire_check.h")
+UDP = ("udp.c", "wire_link.c", "wire_link.h", "wire_check.c", "wire_check.h", "wire_packets.h")
 OWN = files("moc_opt.export") / "c"
 MARK = "Written by moc-opt export-c"
 SUPERVISION = (

@@ -221,7 +221,10 @@ def _find(name_or_path: str | os.PathLike[str]) -> Path:
     if kind == ".urdf":
         beside = path.with_suffix(".toml")
         if not beside.is_file():
-            raise RobotError(f"robot file {str(beside)!r} does not exist: a URDF needs a TOML of its name beside it")
+            raise RobotError(
+                f"robot file {str(beside)!r} does not exist: a URDF needs a TOML of its name beside it; "
+                f"`moc-opt robot new {path.name} --out my.toml` writes one from a vendor's URDF"
+            )
         return beside
     if isinstance(name_or_path, str) and os.sep not in name_or_path:
         error = UnknownNameError("robot", name_or_path, known)

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from moc_opt import solvers
 from moc_opt.control.safety_filter import SafetyFilter
 from moc_opt.errors import ScenarioError, SolverError, shown
 from moc_opt.inputs.files import read_arrays
@@ -17,7 +16,7 @@ from moc_opt.scenario.config import Scenario
 from moc_opt.sim.plant import Stop
 from moc_opt.solvers.base import Solver
 from moc_opt.solvers.isolated import Isolated
-from moc_opt.solvers.registry import accepts
+from moc_opt.solvers.registry import find
 
 
 def recorded_times(scenario: Scenario) -> list[float] | None:
@@ -58,9 +57,10 @@ def check_solver(given: object) -> None:
 
 def make_solver(name: str, robot: RobotModel, **settings: Any) -> Solver:
     """Create a solver, giving it the arm's kinematics where it can use them."""
-    if "kinematics" not in settings and accepts(name, "kinematics"):
+    entry = find(name)
+    if "kinematics" not in settings and "kinematics" in entry.parameters:
         settings = {**settings, "kinematics": robot.kinematics()}
-    return solvers.create(name, **settings)
+    return entry.create(**settings)
 
 
 def isolated(solver: Solver, scenario: Scenario, budget_us: float | None = None, realtime: bool = False) -> Solver:

@@ -18,11 +18,11 @@ from hypothesis import strategies as st
 
 import moc_opt.export
 from moc_opt.export import export_scenario
-from moc_opt.realtime.packets import Kind
+from moc_opt.realtime.packets import RUNNING, Kind
 from moc_opt.scenario import Scenario, run
 from moc_opt.scenario.wired import PlantServer
 from moc_opt.trace.trace import Trace
-from tests.realtime.relay import TO_CONTROLLER, Relay
+from tests.realtime.relay import FAULTS, TO_CONTROLLER, Relay
 
 pytestmark = pytest.mark.skipif(
     shutil.which("make") is None or shutil.which("cc") is None, reason="no make or cc"
@@ -94,11 +94,11 @@ def test_faults_of_the_wire_are_counted_and_change_nothing(built: tuple[Scenario
     expected = run(scenario)
     np.testing.assert_array_equal(found.q_rad, expected.q_rad)
     done, counts = relay.done[TO_CONTROLLER], said["quality"]
-    assert min(done.values()) > 2
-    # The program has left its last tick before a packet of that tick that comes late.
-    assert 0 <= done["cut"] - counts["truncated"] <= 1
-    assert 0 <= done["forge"] - counts["forged"] <= 1
-    assert counts["doubled"] > 2
+    assert all(done[fault] for fault in FAULTS)
+    assert (counts["truncated"], counts["forged"]) == (done["cut"], done["forge"])
+    of_ticks = relay.whole[TO_CONTROLLER][Kind.MEASUREMENT, RUNNING]
+    assert counts["received"] + counts["doubled"] + counts["reordered"] + counts["late"] == of_ticks
+    assert counts["doubled"] > 5
     assert counts["missed"] == 0
     assert said["ticks"] == len(expected)
 
