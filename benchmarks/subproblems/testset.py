@@ -22,6 +22,7 @@ from moc_opt.qp.problem import NullSpaceQP
 VERSION = 1
 ARGUMENTS = (
     "J_tip", "J_wrist", "v_tip", "v_wrist", "grad_mu", "lower", "upper", "c0", "c1", "c2", "regularization", "q",
+    "pull",
 )  # fmt: skip
 FOLDER = Path(__file__).parent / f"v{VERSION}"
 

@@ -92,15 +92,12 @@ class Controller:
     @property
     def null_space(self) -> Array:
         """Z (r, n) of the last tick, a copy."""
-        Z = np.empty((self._n, self._n))
-        return Z[: self._law.null_space(Z)]
+        return np.array(self._law.Z).reshape(-1, self._n)
 
     @property
     def external_torque(self) -> Array:
         """The observer's estimate of the external torque (n,) [Nm], a copy; zero without an observer."""
-        r = np.empty(self._n)
-        self._law.external(r)
-        return r
+        return np.array(self._law.external)
 
     def warm_up(self, state: RobotState, tip_ref: Array, trocar: Array) -> None:
         """Run one discarded tick on a copy, so that libraries have set up before the loop.
@@ -145,7 +142,7 @@ class Controller:
             tip_ref = np.ascontiguousarray(tip_ref, dtype=np.float64)
         if trocar.strides != _ROWS or trocar.dtype is not _DOUBLE:
             trocar = np.ascontiguousarray(trocar, dtype=np.float64)
-        law, x, tau = self._law, None, np.empty(self._n)
+        law, tau = self._law, np.empty(self._n)
         pull = None if self._guide is None else self._guide.desired_velocity(state)
         # tau = tau_tip + tau_rcm - r, and the subproblem
         row = np.empty(self._row_length)
@@ -153,10 +150,11 @@ class Controller:
         if self._session is not None:
             # x*: the subproblem's answer, or the supervisor's substitute.
             self.subproblem = qp = NullSpaceQP.from_row(row)
-            self.solution, x = self._supervisor.solve(self._session, qp, state.v if self._observes else None)
-            self.answer = x
-        # tau += M Z^T (Z M Z^T)^-1 Z (K_N2 (x* - v) - D_N2 v), cut at tau_max
-        law.finish(x, tau)
+            # and tau += M Z^T (Z M Z^T)^-1 Z (K_N2 (x* - v) - D_N2 v), cut at tau_max
+            v = state.v if self._observes else None
+            self.solution, self.answer = self._supervisor.solve(self._session, qp, tau, v)
+        else:
+            law.finish(0, 0, None, 0.0, np.empty(self._n), tau)
         return read_only(tau)
 
     def set_applied_torque(self, tau: Array) -> None:

@@ -141,11 +141,14 @@ class Supervisor:
         self.firsts: dict[str, First] = {}
         self._asked = 0
 
-    def solve(self, session: Session, qp: NullSpaceQP, v: Array | None = None) -> tuple[Solution, Array]:
-        """Ask the session, check its answer, and return one in any case.
+    def solve(
+        self, session: Session, qp: NullSpaceQP, tau: Array, v: Array | None = None
+    ) -> tuple[Solution, Array]:
+        """Ask the session, check its answer, and finish the law's tick with one in any case.
 
         Args:
             qp: the subproblem that the law has begun; the session gets a copy.
+            tau: (n,) is filled with the law's torque [Nm].
             v: (n,) measured velocity [rad/s] for a session that observes it, which gets a copy; None: it does not.
 
         Returns:
@@ -153,9 +156,9 @@ class Supervisor:
         """
         solution, known, text = self._ask(session, qp, v)
         x = np.empty(self._n)
-        number = self._law.supervise(
+        number = self._law.finish(
             0 if known is None else _FAULTS.index(known), _CLAIMS.get(solution.status, _NO_ANSWER), solution.x,
-            self.solve_us, x,
+            self.solve_us, x, tau,
         )  # fmt: skip
         self.fault = fault = _FAULTS[number]
         self._asked += 1

@@ -230,7 +230,8 @@ void moc_fill_problem(const moc_law *law, int n, const moc_terms *t, const moc_r
         wider += law->spare_speed * fmin(1.0, BOX_OPENS * (1.0 - t->mu_shaft / law->shaft_margin));
     for (int j = 0; j < n; j++) {
         double v_max = law->v_max[j] * wider;
-        p->grad_mu[j] = pull ? law->rho / law->c2 * pull[j] : t->grad_mu[j] + push * t->grad_mu_shaft[j];
+        p->grad_mu[j] = t->grad_mu[j];
+        p->pull[j] = pull ? law->rho / law->c2 * pull[j] : t->grad_mu[j] + push * t->grad_mu_shaft[j];
         /* the velocity damper closes at k0 and never crosses: beyond a limit only velocities back inside are left */
         p->lower[j] = fmin(fmax(-v_max, -law->k0 * (t->q[j] - law->q_min[j])), v_max);
         p->upper[j] = fmax(fmin(v_max, -law->k0 * (t->q[j] - law->q_max[j])), -v_max);

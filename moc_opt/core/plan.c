@@ -1,8 +1,7 @@
 /* Self-motion by pseudo-arclength continuation, climbs of mu over poses of one tip and wrist, and a value function. */
-#include "plan.h"
-
 #include <string.h>
 
+#include "tools.h"
 #include "vec.h"
 
 #define TOLERANCE 1e-10 /* on tip and wrist [m] */

@@ -1,6 +1,7 @@
 /* Inverse kinematics: damped Gauss-Newton for a pose with the tip, and the wrist if wanted, at given points. */
 #include <string.h>
 
+#include "tools.h"
 #include "vec.h"
 
 #define TOLERANCE_M 1e-9

@@ -4,6 +4,7 @@
  * the tip's. Left are the tip's three rows and the wrist's two across u: A5 = lift A, and A5^T y5 = A^T (lift^T y5). */
 #include <string.h>
 
+#include "tools.h"
 #include "vec.h"
 
 #define TIED 1e-7 /* sixth singular value of A, relative to its norm, below which tip and wrist are tied (qp/residuals.py) */
@@ -56,7 +57,7 @@ void moc_cost(const moc_problem *p, double P[][MOC_MAX_JOINTS], double *linear)
             tip += p->A[k][i] * p->b[k];
             wrist += p->A[3 + k][i] * p->b[3 + k];
         }
-        linear[i] = -p->c0 * tip - p->c1 * wrist - p->c2 * p->grad_mu[i];
+        linear[i] = -p->c0 * tip - p->c1 * wrist - p->c2 * p->pull[i];
         for (int j = 0; j <= i; j++) {
             double of_tip = 0.0, of_wrist = 0.0;
             for (int k = 0; k < 3; k++) {

@@ -4,7 +4,7 @@
 
 #include <math.h>
 
-#include "moc.h"
+#include "shared.h"
 
 static inline double dot3(const double a[3], const double b[3])
 {
