@@ -16,7 +16,8 @@ from moc_opt.control.supervisor import Fault, Supervisor
 from moc_opt.errors import ControlError
 from moc_opt.qp.problem import NullSpaceQP, row_length
 from moc_opt.robots.model import RobotModel, RobotState
-from moc_opt.solvers.base import ObservingSession, Session, Solution, Solver
+from moc_opt.solvers.base import ObservingSession, Session, Solution, Solver, Status, no_answer
+from moc_opt.solvers.exact import Exact
 from moc_opt.solvers.isolated import IsolatedSession
 
 _DOUBLE, _ROWS = np.dtype(np.float64), (24, 8)
@@ -52,6 +53,7 @@ class Controller:
         if guide is not None or (settings.climb == "scaled" and settings.law == "moc"):
             settings.check_guided()
         self._guide, self._n, self._row_length = guide, robot.n, row_length(robot.n)
+        self._exact = solver if type(solver) is Exact else None  # the core's own: no session, and no copies for it
         self._started = False
         self._supervisor = Supervisor(settings.supervisor, self._law, robot.n, times_us)
         self._forget()
@@ -60,9 +62,39 @@ class Controller:
         self._supervisor.forget()
         self._session: Session | None = None
         self._observes = False
-        self.subproblem: NullSpaceQP | None = None
-        self.solution: Solution | None = None
-        self.answer = np.full(self._n, np.nan)
+        self._subproblem: NullSpaceQP | None = None
+        self._solution: Solution | None = None
+        self._answer = np.full(self._n, np.nan)
+        self._ticked: tuple[Status, Array] | None = None
+
+    def _take_apart(self) -> None:
+        """Read the last tick of the core's own solver, once somebody asks for it."""
+        if self._ticked is None:
+            return
+        status, out = self._ticked
+        end, n, self._ticked = self._row_length, self._n, None
+        self._subproblem = NullSpaceQP.from_row(out[:end])
+        solved = status is Status.SOLVED
+        self._solution = Solution(out[end : end + n], out[end + n : end + n + 6], status) if solved else no_answer(n, status)
+        self._answer = out[end + n + 6 : end + 2 * n + 6]
+
+    @property
+    def subproblem(self) -> NullSpaceQP | None:
+        """The subproblem of the last tick; None under DCAC."""
+        self._take_apart()
+        return self._subproblem
+
+    @property
+    def solution(self) -> Solution | None:
+        """The solver's answer to it."""
+        self._take_apart()
+        return self._solution
+
+    @property
+    def answer(self) -> Array:
+        """What the third level followed, (n,) [rad/s]: the answer, or the supervisor's substitute; NaN under DCAC."""
+        self._take_apart()
+        return self._answer
 
     @property
     def fault(self) -> Fault:
@@ -142,19 +174,21 @@ class Controller:
             tip_ref = np.ascontiguousarray(tip_ref, dtype=np.float64)
         if trocar.strides != _ROWS or trocar.dtype is not _DOUBLE:
             trocar = np.ascontiguousarray(trocar, dtype=np.float64)
-        law, tau = self._law, np.empty(self._n)
         pull = None if self._guide is None else self._guide.desired_velocity(state)
+        if self._exact is not None:
+            self._ticked = _, out = self._supervisor.step(state.record, tip_ref, trocar, pull, self._exact.tolerance)
+            return read_only(out)[-self._n :]
+        tau, row = np.empty(self._n), np.empty(self._row_length)
         # tau = tau_tip + tau_rcm - r, and the subproblem
-        row = np.empty(self._row_length)
-        law.begin(state.record, tip_ref, trocar, pull, row)
+        self._law.begin(state.record, tip_ref, trocar, pull, row)
         if self._session is not None:
-            # x*: the subproblem's answer, or the supervisor's substitute.
-            self.subproblem = qp = NullSpaceQP.from_row(row)
-            # and tau += M Z^T (Z M Z^T)^-1 Z (K_N2 (x* - v) - D_N2 v), cut at tau_max
+            self._subproblem = qp = NullSpaceQP.from_row(row)
+            # x*: the subproblem's answer, or the supervisor's substitute;
+            # tau += M Z^T (Z M Z^T)^-1 Z (K_N2 (x* - v) - D_N2 v), cut at tau_max
             v = state.v if self._observes else None
-            self.solution, self.answer = self._supervisor.solve(self._session, qp, tau, v)
+            self._solution, self._answer = self._supervisor.solve(self._session, qp, tau, v)
         else:
-            law.finish(0, 0, None, 0.0, np.empty(self._n), tau)
+            self._law.finish(0, 0, None, 0.0, np.empty(self._n), tau)
         return read_only(tau)
 
     def set_applied_torque(self, tau: Array) -> None:

@@ -49,6 +49,10 @@ class Law:
     def finish(
         self, known: int, claim: int, answer: Array | None, solve_us: float, x: Array, tau: Array, /
     ) -> int: ...
+    def step(
+        self, record: Array, tip_ref: Array, trocar: Array, pull: Array | None, tolerance: float, solve_us: float,
+        out: Array, /,
+    ) -> tuple[int, int, float]: ...
     def set_applied(self, tau: Array, /) -> None: ...
 
 REASONS: tuple[str, ...]

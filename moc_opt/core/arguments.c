@@ -24,6 +24,8 @@ static int fits(call *c, int wanted, Py_ssize_t length)
         return length == c->n * c->n + 13 * c->n + 18;
     case TWICE:
         return length == 2 * c->n;
+    case TICKED:
+        return length == 14 * c->n + 16;
     case K:
         c->k = c->k < 0 ? length : c->k;
         return length == c->k;
@@ -34,7 +36,7 @@ static int fits(call *c, int wanted, Py_ssize_t length)
 
 static void say(const call *c, int wanted, char text[32])
 {
-    static const char *const words[] = {"n", "k", "any", "11 n + 10", "n n + 13 n + 18", "2 n"};
+    static const char *const words[] = {"n", "k", "any", "11 n + 10", "n n + 13 n + 18", "2 n", "14 n + 16"};
     if (wanted == N && c->n > 0)
         wanted = c->n;
     if (wanted < 0)

@@ -174,7 +174,7 @@ static double take_in(double number, int slots, double *numbers, double *at, moc
     if (!(fabs(number) < LARGEST_NUMBER))
         return before->hits;
     before->readings += 1.0;
-    int slot = (int)fmod(fabs(number) * FINE, slots);
+    int slot = (int)((long long)(fabs(number) * FINE) % slots);
     double lag = before->readings - at[slot];
     if (at[slot] > 0.0 && same(number, numbers[slot]) && lag > 1.0) { /* lag 1: a frozen reading, a sign of its own */
         before->hits = same(lag, before->lag) ? before->hits + 1.0 : 1.0;

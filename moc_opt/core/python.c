@@ -1,7 +1,10 @@
 /* The core as a Python module, for CPython's limited API: one wheel serves every version from 3.11 on.
  *
  * Here are its objects: the arm, the law with its memory, and the safety filter. tools.c has its functions. */
+#define _POSIX_C_SOURCE 199309L
 #include "python.h"
+
+#include <time.h>
 
 PyTypeObject *moc_arm_type;
 
@@ -328,6 +331,39 @@ static PyObject *law_finish(PyObject *object, PyObject *const *args, Py_ssize_t 
     return whole(&c, self->state.fault);
 }
 
+static double now_us(void)
+{
+    struct timespec now;
+    clock_gettime(CLOCK_MONOTONIC, &now);
+    return 1e6 * (double)now.tv_sec + 1e-3 * (double)now.tv_nsec;
+}
+
+static PyObject *law_step(PyObject *object, PyObject *const *args, Py_ssize_t count)
+{
+    Law *self = (Law *)object;
+    moc_state *s = &self->state;
+    moc_input in;
+    call c;
+
+    if (!TAKE(&c, self->arm.n, "step", TICK, {"pull", MAYBE, N}, {"tolerance", NUMBER}, {"solve_us", NUMBER},
+              {"out", WRITE, TICKED}))
+        return NULL;
+    size_t bytes = (size_t)c.n * sizeof(double);
+    double *row = c.array[6], *found = row + 11 * c.n + 10;
+    take_tick(self, &c, &in);
+    self->controller.tolerance = c.number[4];
+    moc_levels(&self->controller, &in, s);
+    double from = now_us();
+    moc_answer answer = moc_ask_exact(&self->controller, s);
+    answer.us = isnan(c.number[5]) ? now_us() - from : c.number[5];
+    moc_finish(&self->controller, &answer, s, found + 2 * c.n + 6);
+    moc_pack_problem(&s->problem, s->terms.q, row);
+    memcpy(found, s->answer, bytes);
+    memcpy(found + c.n, s->y, sizeof s->y);
+    memcpy(found + c.n + 6, s->x, bytes);
+    return moc_done(&c, Py_BuildValue("iid", (int)s->status, (int)s->fault, answer.us));
+}
+
 static PyObject *law_set_applied(PyObject *object, PyObject *const *args, Py_ssize_t count)
 {
     Law *self = (Law *)object;
@@ -359,6 +395,10 @@ static PyMethodDef law_methods[] = {
     FAST("load", law_load, "load(record, Z): take these for this tick's subproblem and null space"),
     FAST("begin", law_begin, "begin(record, tip_ref, trocar, pull, row): levels 1 and 2, and the subproblem into row"),
     FAST("finish", law_finish, "finish(known, claim, answer, solve_us, x, tau) -> fault: x is what the arm follows"),
+    FAST("step", law_step,
+         "step(record, tip_ref, trocar, pull, tolerance, solve_us, out) -> (status, fault, us):\n"
+         "begin, the exact solver and finish; solve_us: NaN, or what replaces the clock; out: the subproblem's record,\n"
+         "the solver's x and y, the x that the arm follows, and tau"),
     FAST("set_applied", law_set_applied, "set_applied(tau): replace the last torque by the one that was applied"),
     {NULL, NULL, 0, NULL},
 };

@@ -21,8 +21,9 @@
 typedef enum { READ, WRITE, STRIDED, MAYBE, NUMBER, WHOLE, LONG, OBJECT } kind;
 
 /* Lengths that are no plain number: n joints, k rows (the first such array says how many), any number,
- * a packed subproblem (11 n + 10), a packed state (n n + 13 n + 18), 2 n. Columns 0: an array of one axis. */
-enum { N = -1, K = -2, ANY = -3, ROW = -4, TERMS = -5, TWICE = -6 };
+ * a packed subproblem (11 n + 10), a packed state (n n + 13 n + 18), 2 n, a tick's results (14 n + 16).
+ * Columns 0: an array of one axis. */
+enum { N = -1, K = -2, ANY = -3, ROW = -4, TERMS = -5, TWICE = -6, TICKED = -7 };
 
 typedef struct {
     const char *name;

@@ -154,4 +154,7 @@ void moc_guard_rest(const moc_guard *g, const moc_arm *arm, const double *before
 void moc_start_law(const moc_controller *c, moc_state *state);
 void moc_levels(const moc_controller *c, const moc_input *in, moc_state *state);
 
+/* The answer of moc_solve_exact to the subproblem in the state, where its x, multipliers and status are kept. */
+moc_answer moc_ask_exact(const moc_controller *c, moc_state *state);
+
 #endif

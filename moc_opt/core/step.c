@@ -152,14 +152,18 @@ moc_stop moc_finish(const moc_controller *c, const moc_answer *answer, moc_state
     return s->reason;
 }
 
-moc_stop moc_step(const moc_controller *c, const moc_input *in, moc_state *s, double *tau)
+moc_answer moc_ask_exact(const moc_controller *c, moc_state *s)
 {
     static const moc_claim claims[] = {MOC_CLAIMS_OPTIMUM, MOC_CLAIMS_INFEASIBLE, MOC_GIVES_NONE}; /* of a status */
+    s->status = moc_solve_exact(&s->problem, c->tolerance, s->answer, s->y);
+    return (moc_answer){s->answer, claims[s->status], MOC_TAKEN, 0.0};
+}
+
+moc_stop moc_step(const moc_controller *c, const moc_input *in, moc_state *s, double *tau)
+{
     moc_answer answer = {s->answer, MOC_GIVES_NONE, MOC_TAKEN, 0.0};
 
-    if (moc_begin(c, in, s) == MOC_RUNNING && c->law->third_level) {
-        s->status = moc_solve_exact(&s->problem, c->tolerance, s->answer, s->y);
-        answer.claim = claims[s->status];
-    }
+    if (moc_begin(c, in, s) == MOC_RUNNING && c->law->third_level)
+        answer = moc_ask_exact(c, s);
     return moc_finish(c, &answer, s, tau);
 }

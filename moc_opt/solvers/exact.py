@@ -21,8 +21,8 @@ from moc_opt.qp.layout import joints_of
 from moc_opt.qp.problem import NullSpaceQP, row_length
 from moc_opt.solvers.base import Solution, Status, no_answer
 
-_STATUS = {core.OK: Status.SOLVED, core.INFEASIBLE: Status.INFEASIBLE, core.DOUBTFUL: Status.NUMERICAL}
-_STATUSES = np.array([_STATUS.get(code) for code in range(max(_STATUS) + 1)], dtype=object)
+STATUS = {core.OK: Status.SOLVED, core.INFEASIBLE: Status.INFEASIBLE, core.DOUBTFUL: Status.NUMERICAL}
+_STATUSES = np.array([STATUS.get(code) for code in range(max(STATUS) + 1)], dtype=object)
 # Looked up once: the loop needs them at every tick.
 _solve, _empty, _new, _SOLVED, _OK = core.solve_exact, np.empty, tuple.__new__, Status.SOLVED, core.OK
 
@@ -105,4 +105,4 @@ class ExactSession:
         """Answer one subproblem; the answer's arrays are the caller's."""
         x, y = _empty(qp.n), _empty(6)
         code = _solve(qp.row, self.tolerance, x, y)
-        return _new(Solution, (x, y, _SOLVED, 0)) if code == _OK else no_answer(qp.n, _STATUS[code])
+        return _new(Solution, (x, y, _SOLVED, 0)) if code == _OK else no_answer(qp.n, STATUS[code])
