@@ -1,7 +1,6 @@
 /* The core as a Python module, for CPython's limited API: one wheel serves every version from 3.11 on.
  *
  * Here are its objects: the arm, the law with its memory, and the safety filter. tools.c has its functions. */
-#define _POSIX_C_SOURCE 199309L
 #include "python.h"
 
 #include <time.h>
