@@ -1,6 +1,6 @@
 """The certified test sets of the subproblem: their contents and their reader.
 
-Every set is an .npz without pickles: ``rows`` (k, 10 n + 10) flat NullSpaceQP records, ``x`` (k, n) the
+Every set is an .npz without pickles: ``rows`` (k, 11 n + 10) flat NullSpaceQP records, ``x`` (k, n) the
 certified answers (NaN where none exists) and ``feasible`` (k,).
 """
 

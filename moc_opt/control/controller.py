@@ -74,8 +74,8 @@ class Controller:
         status, out = self._ticked
         end, n, self._ticked = self._row_length, self._n, None
         self._subproblem = NullSpaceQP.from_row(out[:end])
-        solved = status is Status.SOLVED
-        self._solution = Solution(out[end : end + n], out[end + n : end + n + 6], status) if solved else no_answer(n, status)
+        x, y = out[end : end + n], out[end + n : end + n + 6]
+        self._solution = Solution(x, y, status) if status is Status.SOLVED else no_answer(n, status)
         self._answer = out[end + n + 6 : end + 2 * n + 6]
 
     @property

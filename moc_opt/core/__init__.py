@@ -43,6 +43,6 @@ except ImportError as error:
 
 __all__ = [
     "BAD_Q", "BAD_V", "DOUBTFUL", "INFEASIBLE", "MAX_JOINTS", "OK", "REASONS", "UNFINISHED", "Arm", "Guard", "Law",
-    "add_force", "advance", "ascend", "desired_wrist", "follow_curve", "judge", "least_violation", "load", "onto_curve", "read_encoders", "retreat", "shaft_force", "solve_exact", "solve_exact_rows",
-    "step_network",
+    "add_force", "advance", "ascend", "desired_wrist", "follow_curve", "judge", "least_violation", "load", "onto_curve",
+    "read_encoders", "retreat", "shaft_force", "solve_exact", "solve_exact_rows", "step_network",
 ]  # fmt: skip

@@ -26,7 +26,9 @@ class Offsets(NamedTuple):
 
 def offsets(n: int) -> Offsets:
     """Compute where the parts of a record with n joints begin."""
-    return Offsets(0, 6 * n, *(k * n + 6 for k in range(6, 11)), 10 * n + 10, 11 * n + 10)
+    return Offsets(
+        0, 6 * n, 6 * n + 6, 7 * n + 6, 8 * n + 6, 9 * n + 6, 10 * n + 6, 10 * n + 10, 11 * n + 10
+    )
 
 
 def joints_of(length: int) -> int:

@@ -4,8 +4,8 @@
     s.t.   J_T x = v_T,   J_W x = v_W,   lower <= x <= upper
 
 x is a joint velocity [rad/s]. pull is grad mu, unless a course or a climb gives the velocity x_d that the elbow is to
-follow: it is (regularization / c2) x_d then. regularization = 0 is the problem of Su et al. 2019; regularization > 0 makes it a
-strictly convex QP. The six rows have rank five where tip and wrist are tied by a rigid tool.
+follow: it is (regularization / c2) x_d then. regularization = 0 is the problem of Su et al. 2019; regularization > 0
+makes it a strictly convex QP. The six rows have rank five where tip and wrist are tied by a rigid tool.
 """
 
 from __future__ import annotations

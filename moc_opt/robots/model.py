@@ -145,7 +145,8 @@ class RobotModel:
             code = self.arm.terms(q, v, record)
         if code != core.OK:
             name, value = ("q", q) if code == core.BAD_Q else ("v", v)
-            raise RobotError(f"{name} = {np.asarray(value).tolist()} is not finite: check the sensor or step that gave it")
+            numbers = np.asarray(value).tolist()
+            raise RobotError(f"{name} = {numbers} is not finite: check the sensor or step that gave it")
         return RobotState(record, self.n)
 
     def mu_along(self, poses: Array) -> Array:
