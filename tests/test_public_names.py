@@ -62,10 +62,10 @@ def test_subproblem_signature():
     parameters = inspect.signature(mo.NullSpaceQP).parameters
     assert list(parameters) == [
         "J_tip", "J_wrist", "v_tip", "v_wrist", "grad_mu", "lower", "upper", "c0", "c1", "c2", "regularization",
-        "q",
+        "q", "pull",
     ]  # fmt: skip
     defaults = {name: p.default for name, p in parameters.items() if p.default is not p.empty}
-    assert defaults == {"c0": 0.01, "c1": 0.01, "c2": 0.001, "regularization": 1e-5, "q": None}
+    assert defaults == {"c0": 0.01, "c1": 0.01, "c2": 0.001, "regularization": 1e-5, "q": None, "pull": None}
 
 
 def test_the_printed_example(tmp_path):

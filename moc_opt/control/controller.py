@@ -10,10 +10,9 @@ import numpy as np
 from moc_opt.arrays import Array, read_only
 from moc_opt.control.guide import Guide
 from moc_opt.control.law import law_of
-from moc_opt.control.session import check_references, start_session
 from moc_opt.control.settings import ControlSettings
 from moc_opt.control.supervisor import Fault, Supervisor
-from moc_opt.errors import ControlError
+from moc_opt.errors import ControlError, MocOptError, describe
 from moc_opt.qp.problem import NullSpaceQP, row_length
 from moc_opt.robots.model import RobotModel, RobotState
 from moc_opt.solvers.base import ObservingSession, Session, Solution, Solver, Status, no_answer
@@ -118,7 +117,7 @@ class Controller:
 
     @property
     def solve_us(self) -> float:
-        """Time of the last solve [us]; NaN where there was none."""
+        """Time of the last solve [us], of `exact` that in the core alone; NaN where there was none."""
         return self._supervisor.solve_us
 
     @property
@@ -154,7 +153,7 @@ class Controller:
         if self._guide is not None:
             self._guide.start()
         if self.solver is not None:
-            self._session = start_session(self.solver, NullSpaceQP.from_row(row))
+            self._session = _start_session(self.solver, NullSpaceQP.from_row(row))
             self._observes = isinstance(self._session, ObservingSession)
         self._started = True
 
@@ -169,7 +168,12 @@ class Controller:
         Raises:
             ControlError: not started, or a reference of the wrong shape.
         """
-        check_references(self._started, tip_ref, trocar)
+        if not self._started:
+            raise ControlError("tick before start: call start once before the first tick")
+        if tip_ref.shape != (3, 3) or trocar.shape != (2, 3):
+            raise ControlError(
+                f"tip_ref has shape {tip_ref.shape}, trocar {trocar.shape}: give (3, 3) and (2, 3), a row a derivative"
+            )
         if tip_ref.strides != _ROWS or tip_ref.dtype is not _DOUBLE:
             tip_ref = np.ascontiguousarray(tip_ref, dtype=np.float64)
         if trocar.strides != _ROWS or trocar.dtype is not _DOUBLE:
@@ -194,3 +198,23 @@ class Controller:
     def set_applied_torque(self, tau: Array) -> None:
         """Replace the last torque by the one (n,) [Nm] that was applied: the observer uses it."""
         self._law.set_applied(np.ascontiguousarray(tau, dtype=np.float64))
+
+
+def _start_session(solver: Solver, qp: NullSpaceQP) -> Session:
+    # A MocOptError of the solver passes; whatever else it raises is told in words.
+    name = "?"
+    try:
+        name = repr(solver.name)
+        reason = solver.supports(qp.copy())
+        if reason is None:
+            session = solver.start(qp.copy())
+            if callable(getattr(session, "solve", None)):
+                return session
+            reason = f"start returned a {type(session).__name__} without solve: return a Session"
+        elif not isinstance(reason, str):
+            reason = f"supports returned a {type(reason).__name__}: return None or the reason why not"
+    except (KeyboardInterrupt, MocOptError):
+        raise
+    except BaseException as error:  # foreign code may raise anything
+        raise ControlError(f"solver {name} cannot run in this controller: {describe(error)}") from error
+    raise ControlError(f"solver {name} cannot run in this controller: {reason}")
