@@ -251,7 +251,7 @@ typedef struct {
     int yields, open;                            /* whether the brakes are open because of it; for how many ticks */
     int cut;                                     /* 1: a drive does not do what it is told: none is used in the stop */
     int limited;                                 /* joints at which the last torque was changed */
-    long long now, newest, delay, elapsed;       /* numbers of control periods: see moc_age in guard.c */
+    long long now, newest, delay, elapsed;       /* numbers of control periods: see `age` in guard.c */
     struct {
         double gap, peak, shown, speed;          /* q - integral of v; largest recent |v|; the last q and v */
         double repeats, whole;                   /* ticks in a row with the same q; so far with the same q and v */
