@@ -22,8 +22,11 @@ static int tool_direction(const moc_problem *p, double u[3])
     for (int i = 0; i < 6; i++)
         size += dot(n, p->A[i], p->A[i]);
     for (int i = 0; i < 3; i++)
-        for (int j = 0; j < 3; j++)
-            G[i][j] = dot(n, D[i], D[j]);
+        for (int j = 0; j < 3; j++) {
+            G[i][j] = 0.0;
+            for (int k = 0; k < n; k++) /* in order, as qp/problem.py does: D may have lost two directions */
+                G[i][j] += D[i][k] * D[j][k];
+        }
     for (int i = 0; i < 3; i++) {
         int a = (i + 1) % 3, b = (i + 2) % 3;
         minors[i] = G[a][a] * G[b][b] - G[a][b] * G[b][a];
