@@ -24,8 +24,8 @@ static int tool_direction(const moc_problem *p, double u[3])
     for (int i = 0; i < 3; i++)
         for (int j = 0; j < 3; j++) {
             G[i][j] = 0.0;
-            for (int k = 0; k < n; k++) /* in order, as qp/problem.py does: D may have lost two directions */
-                G[i][j] += D[i][k] * D[j][k];
+            for (int c = 0; c < n; c++) /* in order, as qp/problem.py does: D may have lost two directions */
+                G[i][j] += D[i][c] * D[j][c];
         }
     for (int i = 0; i < 3; i++) {
         int a = (i + 1) % 3, b = (i + 2) % 3;
