@@ -134,8 +134,7 @@ PARTS = {
     "model state": "kinematics, dynamics, manipulability and its gradient (RobotModel.state)",
     "before the solver": "observer, levels 1 and 2, null space and subproblem: one call of the core",
     "solver": "exact, from Python",
-    "check": "what the answer is worth, and what stands in for it: one call of the core",
-    "level 3 and limits": "one call of the core",
+    "after the solver": "what the answer is worth, what stands in for it, level 3 and limits: one call of the core",
 }
 """Part of a tick -> what it is."""
 
@@ -161,8 +160,7 @@ def parts(bench: Bench, scenario: Scenario, robot: RobotModel, inputs: list[Inpu
         "model state": (lambda item: robot.state(item[0], item[1]), inputs),
         "before the solver": (begin, given),
         "solver": (session.solve, problems),
-        "check": (lambda answer: law.supervise(0, 0, answer, 1.0, x), answers),
-        "level 3 and limits": (lambda answer: law.finish(answer, tau), answers),
+        "after the solver": (lambda answer: law.finish(0, 0, answer, 1.0, x, tau), answers),
     }
     times, seen = bench.time("tick_parts", {name: Timed(*entry) for name, entry in calls.items()}, rounds)
     return {name: figures(of, "tick", seen[name]) for name, of in times.items()}

@@ -26,7 +26,7 @@ CORE = (
 )  # fmt: skip
 """The files of `moc_opt/core` that `moc_step` needs."""
 TESTS = ("main.c", "Makefile", "README.md")
-UDP = ("udp.c", "wire_link.c", "wire_link.h", "wire_check.c", "wire_check.h", "wire_packets.h")
+UDP = ("udp.c", "wire_packets.h")
 OWN = files("moc_opt.export") / "c"
 MARK = "Written by moc-opt export-c"
 SUPERVISION = (
@@ -101,7 +101,7 @@ def constants(
 ) -> dict[str, str]:
     """Write constants.h and constants.c, text by name; arguments as for `write`."""
     header = f"""\
-/* The scenario's numbers: moc_constants is what moc_begin_run and moc_step take. */
+/* The scenario's numbers: moc_constants is what moc_start and moc_step take. */
 #ifndef CONSTANTS_H
 #define CONSTANTS_H
 

@@ -106,13 +106,16 @@ class RobotModel:
         Raises:
             RobotError: q or v has the wrong shape or is not finite.
         """
-        position = self._vector("q", q)
-        velocity = self._rest if v is None else self._vector("v", v)
-        record = np.empty(self._size)
-        code = self.arm.terms(position, velocity, record)
+        record, v = np.empty(self._size), self._rest if v is None else v
+        try:  # the core checks arrays by itself
+            code = self.arm.terms(q, v, record)  # type: ignore[arg-type]
+        except ValueError:
+            q, v = self._vector("q", q), self._vector("v", v)
+            code = self.arm.terms(q, v, record)
         if code != core.OK:
-            name, value = ("q", position) if code == core.BAD_Q else ("v", velocity)
-            raise RobotError(f"{name} = {value.tolist()} is not finite: check the sensor or step that gave it")
+            name, value = ("q", q) if code == core.BAD_Q else ("v", v)
+            numbers = np.asarray(value).tolist()
+            raise RobotError(f"{name} = {numbers} is not finite: check the sensor or step that gave it")
         return RobotState(record, self.n)
 
     def mu_along(self, poses: Array) -> Array:

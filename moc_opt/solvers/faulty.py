@@ -98,5 +98,5 @@ class FaultySession(ShownBySettings):
             part.A[:], part.b[:], part.lower[:], part.upper[:] = 0.0, 0.0, -1e3, 1e3
             return Solution(np.full(qp.n, 50.0), None, Status.SOLVED)
         row = np.array(qp.row)
-        fields(row).grad_mu[:] *= -1.0
+        fields(row).pull[:] *= -1.0
         return self._false.solve(NullSpaceQP.from_row(row))

@@ -165,15 +165,16 @@ class Loader:
         self, rows: int, scale: float, *, P: Array, p: Array, A: Array, low: Array, high: Array, lower: Array,
         upper: Array, packed: Array | None = None, signs: tuple[float, float, float] = (1.0, 1.0, 1.0),
     ) -> None:  # fmt: skip
-        packed = np.empty(0) if packed is None else packed
-        self._core = core.Loader(rows == 5, scale, signs, P, p, A, low, high, lower, upper, packed)
+        self._lift = np.empty((len(A), 6))
+        self._to = (
+            rows == 5, scale, np.array(signs), P, p, A, low, high, lower, upper,
+            np.empty(0) if packed is None else packed, self._lift,
+        )  # fmt: skip
 
     def __call__(self, qp: NullSpaceQP) -> bool:
         """Load ``qp``; False where it has another shape, and the buffers hold nothing of use."""
-        return self._core.load(qp.row)
+        return core.load(qp.row, *self._to)
 
     def lifted(self, y: Array, factor: float) -> Array:
         """Return the multipliers of the six rows (6,) from the library's (m,), times ``factor``."""
-        six = np.empty(6)
-        self._core.lifted(y if y.strides == (8,) else np.ascontiguousarray(y), factor, six)
-        return six
+        return factor * (y @ self._lift)

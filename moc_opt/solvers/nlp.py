@@ -249,7 +249,7 @@ class NLPSession(ShownBySettings):
         self._places.run()
         self._p[:n] = part.q
         self._p[n : n + 7] = self._base[:7]
-        np.subtract(part.grad_mu, self._base[7:], out=self._p[n + 7 : 2 * n + 7])
+        np.subtract(part.pull, self._base[7:], out=self._p[n + 7 : 2 * n + 7])
         self._p[2 * n + 7 : 2 * n + 13] = lift[3:, 3:].ravel(order="F")
         self._p[2 * n + 13 :] = part.weights[2:]
         self._lower[:], self._upper[:] = part.lower, part.upper

@@ -68,7 +68,7 @@ def test_record_round_trip(arguments):
     assert again == qp
     assert pickle.loads(pickle.dumps(qp)) == qp
     assert NullSpaceQP(**{**arguments, "q": np.arange(7.0)}).q.tolist() == list(range(7))
-    with pytest.raises(SubproblemError, match="10 n"):
+    with pytest.raises(SubproblemError, match="11 n"):
         fields(np.zeros(83))
 
 

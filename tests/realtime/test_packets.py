@@ -28,7 +28,7 @@ def table(mark: str) -> list[tuple[int, str, str]]:
 
 def spelled(dtype: np.dtype) -> str:
     base, shape = (dtype.subdtype or (dtype, ()))[0], dtype.shape
-    times = {(): "", (7,): " x n", (6,): " x 6", (8,): " x 8", (80,): " x (10 n + 10)"}[shape]
+    times = {(): "", (7,): " x n", (6,): " x 6", (8,): " x 8", (87,): " x (11 n + 10)"}[shape]
     return base.str.lstrip("<|") + times
 
 

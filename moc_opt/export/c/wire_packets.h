@@ -44,7 +44,7 @@ typedef struct {
 typedef struct {
     wire_header head;
     double solve_us, x_rad_per_s[WIRE_JOINTS], applied_x_rad_per_s[WIRE_JOINTS], dual[6];
-    double subproblem[10 * WIRE_JOINTS + 10];
+    double subproblem[11 * WIRE_JOINTS + 10];
     int32_t iterations;
     uint32_t spare;
     char status[16], fault[16];
