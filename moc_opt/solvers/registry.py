@@ -67,7 +67,7 @@ class Entry(NamedTuple):
             solver = self.make(**settings)
         except MocOptError:
             raise
-        except Exception as error:
+        except (Exception, SystemExit, KeyboardInterrupt) as error:  # foreign code may raise anything
             valid = [name for name in self.parameters if name != "name"]
             unknown = sorted(set(settings) - set(valid))
             if isinstance(error, TypeError) and unknown:
