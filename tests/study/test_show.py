@@ -10,20 +10,9 @@ from moc_opt.figures.notation import Doubtful
 from moc_opt.figures.style import figure
 from moc_opt.report.tables import Column, Table
 from moc_opt.scenario import Scenario
+from moc_opt.study import show
 from moc_opt.study.results import change_name
-from moc_opt.study.show import (
-    Goal,
-    Picture,
-    Report,
-    Section,
-    about,
-    columns,
-    ends,
-    goals_sentence,
-    goals_table,
-    intervals_picture,
-    judge,
-)
+from moc_opt.study.show import Goal, Picture, Report, Section, columns
 from moc_opt.study.statistics import Change, Interval
 from moc_opt.trace.metrics import METRICS
 from tests import first_screens
@@ -52,16 +41,13 @@ def test_a_page_begins_with_the_answer_and_folds_the_rest() -> None:
     assert "Runs that failed" not in REPORT.page({}).html()
 
 
-def test_markdown_has_every_sentence_and_table() -> None:
+def test_markdown_has_every_sentence_and_table_and_a_terminal_the_first_screen() -> None:
+    assert list(REPORT.screens()) == [*REPORT.answer, TABLE, REPORT.load]
     assert REPORT.markdown() == (
         "# A title\n\nIt holds.\n\nIt is `exact`.\n\n| arm | mean [m^3] |\n| --- | --- |\n| a\\|b | 0.13 |\n| c | – |"
         "\n\nOver ten trials.\n\nTimes were taken.\n\n## All figures\n\nRead these.\n\n| arm |\n| --- |\n| panda |\n\n"
         "## Added\n"
     )
-
-
-def test_a_terminal_shows_sentences_table_and_load() -> None:
-    assert list(REPORT.screens()) == [*REPORT.answer, TABLE, REPORT.load]
 
 
 def test_columns_take_unit_format_and_help_from_the_metrics() -> None:
@@ -77,15 +63,15 @@ def test_columns_take_unit_format_and_help_from_the_metrics() -> None:
 
 
 def test_a_title_names_arm_task_and_preset() -> None:
-    assert about(Scenario()) == "lwr4, circle, preset default"
+    assert show.about(Scenario()) == "lwr4, circle, preset default"
     tuned = Scenario(robot={"name": "panda"}, control={"preset": "tuned"}, solver={"name": "osqp"})
-    assert about(tuned, solver=True) == "panda, circle, preset tuned, osqp"
-    assert about(Scenario(control={"K_X": 3.0})).endswith("own settings")
+    assert show.about(tuned, solver=True) == "panda, circle, preset tuned, osqp"
+    assert show.about(Scenario(control={"K_X": 3.0})).endswith("own settings")
 
 
 def test_intervals_stand_in_order_around_their_values() -> None:
     given = {"one": (1.0, 2.0, 4.0), "two": (3.0, 3.0, 3.0)}
-    drawn = intervals_picture(given, "x [us]", {"limit": 10.0}, {"one": "#000000"}, log=True)
+    drawn = show.intervals_picture(given, "x [us]", {"limit": 10.0}, {"one": "#000000"}, log=True)
     found = {}
     for line in drawn.data:
         (value,) = line.x
@@ -94,7 +80,7 @@ def test_intervals_stand_in_order_around_their_values() -> None:
     assert [*found] == ["two", "one"], "the first name is drawn last, at the top"
     assert drawn.layout.xaxis.type == "log"
     summary = {"a": 2.0, "a_low": 1.0, "a_high": 4.0, "b": 3.0, "b_low": float("nan"), "b_high": float("nan")}
-    assert [ends(summary, name) for name in "abc"] == [given["one"], given["two"], None]
+    assert [show.ends(summary, name) for name in "abc"] == [given["one"], given["two"], None]
 
 
 def change(one: tuple[float, float], two: tuple[float, float], trials: int = 9) -> Change:
@@ -115,7 +101,7 @@ def change(one: tuple[float, float], two: tuple[float, float], trials: int = 9) 
 def test_a_goal_is_judged_by_the_worse_end_of_every_interval(measured: Any, most: str, least: str) -> None:
     summary = {} if measured is None else {"x": measured}
     goals = {str(m): Goal("x", "us", 5.0, lambda s: s["x"], most=m, made_of=lambda s: "all") for m in (True, False)}
-    found = judge(summary, goals)
+    found = show.judge(summary, goals)
     assert [found[str(m)]["reached"] for m in (True, False)] == [most, least]
     assert found["True"]["kind"] == "at most"
     assert found["True"]["made_of"] == ("" if measured is None else "all")
@@ -125,11 +111,11 @@ def test_a_goal_is_judged_by_the_worse_end_of_every_interval(measured: Any, most
 def test_goals_are_shown_missed_ones_first() -> None:
     values = {"a": 1.0, "b": Interval(7.0, 6.0, 8.0, 9), "c": Doubtful(9.0)}
     goals = {key: Goal(f"goal {key}", "us", 5.0, lambda s, key=key: s[key], section="All") for key in "abcd"}
-    found = judge(values, goals)
-    table = goals_table(found, goals)
+    found = show.judge(values, goals)
+    table = show.goals_table(found, goals)
     rows = [(row["what"][-1], row["reached"].symbol, row["measured"]) for row in table.rows]
     assert rows == [("b", "✘", "7 [6, 8] us"), ("c", "–", "?9 us"), ("d", "–", None), ("a", "✔", "1 us")]
     assert [column.title for column in table.columns] == ["", "goal", "wanted", "measured"]
-    assert goals_sentence(found) == (
+    assert show.goals_sentence(found) == (
         "1 of 4 goals are reached, 1 open, 1 not measured; missed: goal b (7 [6, 8] us)."
     )

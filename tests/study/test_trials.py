@@ -7,28 +7,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from moc_opt.control import ControlSettings
 from moc_opt.planning.transient import in_transient
 from moc_opt.robots import load_data
 from moc_opt.scenario import Scenario, Setup
+from moc_opt.study import trials as study
 from moc_opt.study.engine import Failed
-from moc_opt.study.trials import (
-    BASELINE,
-    BASELINES,
-    DAMPED,
-    OWN,
-    POSES_EVERY,
-    Run,
-    Trial,
-    outcome,
-    placed,
-    run_and_trace,
-    run_trial,
-    seeds,
-    trials,
-    variant,
-    with_phases,
-)
+from moc_opt.study.trials import BASELINE, BASELINES, DAMPED, OWN, Run, Trial, run_trial, variant
 from moc_opt.trace.metrics import summarize
 from moc_opt.vision.board import BOARD_TASKS
 
@@ -37,32 +21,32 @@ SHORT = Scenario(judge=False, bound_samples=0, duration_s=0.3, control={"preset"
 
 @pytest.fixture(scope="module")
 def case() -> Scenario:
-    return placed(trials(SHORT, ["circle"], [5], virtual=True)[0])
+    return study.placed(study.trials(SHORT, ["circle"], [5], virtual=True)[0])
 
 
 def test_streams_share_no_seed_and_a_longer_one_begins_alike() -> None:
-    drawn = [seeds(seed, stream, 60) for seed in range(2) for stream in range(4)]
+    drawn = [study.seeds(seed, stream, 60) for seed in range(2) for stream in range(4)]
     assert len({one for stream in drawn for one in stream}) == 8 * 60
-    assert seeds(0, 3, 60)[:7] == seeds(0, 3, 7)
+    assert study.seeds(0, 3, 60)[:7] == study.seeds(0, 3, 7)
 
 
 def test_each_seed_has_a_scenario_of_its_own() -> None:
-    own = seeds(0, 0, 6)
-    drawn = trials(SHORT, list(BOARD_TASKS), own, virtual=True)
+    own = study.seeds(0, 0, 6)
+    drawn = study.trials(SHORT, list(BOARD_TASKS), own, virtual=True)
     assert [scene.seed for scene in drawn] == own
     assert [scene.name for scene in drawn] == [f"{task}/{s}" for task, s in zip([*BOARD_TASKS] * 2, own, strict=True)]
     for scene in drawn:
         task = BOARD_TASKS[scene.name.partition("/")[0]]
         assert (scene.task.path, scene.task.sizes) == (task.kind, dict(task.sizes))
         assert (scene.trocar.depth_m, scene.start.swivel) == (task.depth_m, "random")
-    plain = trials(SHORT, ["line", "circle"], own[:3])
+    plain = study.trials(SHORT, ["line", "circle"], own[:3])
     assert [scene.task.path for scene in plain] == ["line", "circle", "line"]
     assert [scene.trocar.depth_m for scene in plain] == [SHORT.trocar.depth_m] * 3
 
 
 def test_a_placed_trial_starts_where_the_search_would_start_it() -> None:
-    (drawn,) = trials(SHORT.change(start={"pose": "random"}), ["circle"], [9])
-    found = placed(drawn)
+    (drawn,) = study.trials(SHORT.change(start={"pose": "random"}), ["circle"], [9])
+    found = study.placed(drawn)
     assert (found.seed, found.name, found.start.pose) == (9, drawn.name, "home")
     np.testing.assert_allclose(Setup(found).q_start, Setup(drawn).q_start, atol=1e-12)
 
@@ -93,19 +77,15 @@ def test_baselines_differ_from_moc_in_what_they_say(case: Scenario, preset: str)
             np.testing.assert_array_equal(theirs[key], tables["dcac"][key] if name == OWN else getattr(ours, key))
     assert variant(given, BASELINE).control.dcac_damping == variant(given, OWN).control.dcac_damping == 0.0
     np.testing.assert_allclose(variant(given, DAMPED).control.dcac_damping, ours.K_N2 + ours.D_N2)
-
-
-def test_a_scenario_that_is_dcac_keeps_its_gains() -> None:
-    own = SHORT.change(control=ControlSettings(law="dcac", K_X=77.0))
-    assert variant(own, BASELINE) == own
-    own_gains = variant(own, OWN).control.resolve_gains(load_data("lwr4").gains, 7)
-    assert set(np.ravel(own_gains.K_X)) == set(np.ravel(load_data("lwr4").gains["dcac"]["K_X"]))
+    dcac = given.change(control={"law": "dcac", "K_X": 77.0})
+    assert variant(dcac, BASELINE) == dcac, "it keeps its gains"
+    assert variant(dcac, OWN).control.K_X is None
 
 
 @pytest.fixture(scope="module")
 def ran(case: Scenario) -> dict[str, Any]:
     asked = [Trial(case, name, tags={"group": "g"}, keep="poses") for name in (BASELINE, "exact", "rnn")]
-    return {one.controller: run_and_trace(one) for one in asked}
+    return {one.controller: study.run_and_trace(one) for one in asked}
 
 
 def test_a_run_is_its_metrics_and_what_is_to_be_kept(case: Scenario, ran: dict[str, Any]) -> None:
@@ -122,8 +102,8 @@ def test_a_run_is_its_metrics_and_what_is_to_be_kept(case: Scenario, ran: dict[s
     assert "travelling" not in ran[BASELINE][0].columns, "DCAC has no optimum to go to"
     drawn = run.trace
     assert drawn is not None
-    np.testing.assert_allclose(drawn.q_rad, trace.q_rad[::POSES_EVERY], rtol=1e-6)
-    np.testing.assert_array_equal(drawn.mu, trace.mu[::POSES_EVERY])
+    np.testing.assert_allclose(drawn.q_rad, trace.q_rad[::study.POSES_EVERY], rtol=1e-6)
+    np.testing.assert_array_equal(drawn.mu, trace.mu[::study.POSES_EVERY])
     assert Run(run.row).trace is None
 
 
@@ -156,6 +136,8 @@ def test_a_run_that_breaks_off_is_a_row_with_its_reason(
     assert run.row["error"].startswith(error or ended)
     assert (run.row["trial"], run.row["controller"], run.row["group"]) == (case.name, solver, "g")
     assert run.columns == {}
+    hung = study.outcome(Trial(case, solver, tags={"group": "g"}), Failed("hung", "no answer within 30 s")).row
+    assert hung == {**hung, "ended": "failed", "whole": False, "group": "g", "error": "hung: no answer within 30 s"}
 
 
 def test_what_a_solver_raises_is_told_beside_a_run_that_goes_on(case: Scenario) -> None:
@@ -163,14 +145,6 @@ def test_what_a_solver_raises_is_told_beside_a_run_that_goes_on(case: Scenario) 
     assert (row["ended"], row["error"]) == ("completed", None)
     assert row["raised"].startswith(f"{row['fault_raised']} ticks, first at ")
     assert row["fault_raised"] > 0
-
-
-def test_a_process_that_hung_or_died_is_a_row(case: Scenario) -> None:
-    asked = Trial(case, "exact", tags={"group": "g"})
-    row = outcome(asked, Failed("hung", "no answer within 30 s")).row
-    assert (row["ended"], row["whole"], row["group"]) == ("failed", False, "g")
-    assert row["error"] == "hung: no answer within 30 s"
-    assert outcome(asked, Run({"kept": 1})).row == {"kept": 1}
 
 
 def made(controller: str, travelling: list[int] | None, trial: str = "t", **more: Any) -> Run:
@@ -189,7 +163,7 @@ def test_phases_are_the_same_ticks_for_all_controllers_of_a_trial() -> None:
         made("exact", [0, 0, 0, 0], "other trial"), made("exact", [0, 1, 0, 0], "t", group="other group"),
         made(BASELINE, None, "of DCAC alone"),
     ]  # fmt: skip
-    base, exact, rnn, broken, still, grouped, alone = (run.row for run in with_phases(runs))
+    base, exact, rnn, broken, still, grouped, alone = (run.row for run in study.with_phases(runs))
     for row, scale in ((base, 2.0), (exact, 1.0), (rnn, 1.0)):
         assert (row["travelling_ticks"], row["settled_ticks"]) == (2, 2)
         assert row["travelling_mu_mean"] == pytest.approx(scale * 2.5e-6)  # 1 and 4
@@ -200,9 +174,5 @@ def test_phases_are_the_same_ticks_for_all_controllers_of_a_trial() -> None:
     assert (still["settled_ticks"], "travelling_mu_mean" in still) == (4, False)
     assert grouped["travelling_mu_mean"] == pytest.approx(2e-6)
     assert alone == runs[-1].row
-
-
-def test_controllers_of_different_lengths_have_no_common_phase() -> None:
-    long, whole = made("exact", [1, 1, 1, 1]), made("rnn", [1, 1, 1, 1])
-    short = Run(whole.row, {name: column[:3] for name, column in whole.columns.items()})
-    assert [run.row for run in with_phases([long, short])] == [long.row, short.row]
+    short = Run(runs[2].row, {name: column[:3] for name, column in runs[2].columns.items()})
+    assert study.with_phases([runs[1], short]) == [runs[1], short], "of different lengths, they share no tick"
