@@ -260,6 +260,6 @@ def with_phases(runs: Iterable[Run]) -> list[Run]:
 def _means(columns: Mapping[str, Array], ticks: Array) -> dict[str, float]:
     found = {"mu_mean": float(columns["mu"][ticks].mean())}
     for name, column in columns.items():
-        if name.endswith("_error_m") or "_error_" in name:
+        if "_error_" in name:
             found[f"{name.removesuffix('_m')}_mean_mm"] = 1e3 * float(column[ticks].mean())
     return found | {"trocar_force_mean_N": float(np.linalg.norm(columns["trocar_force_N"][ticks], axis=-1).mean())}

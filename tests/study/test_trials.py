@@ -170,6 +170,8 @@ def test_phases_are_the_same_ticks_for_all_controllers_of_a_trial() -> None:
         assert row["settled_tip_error_mean_mm"] == pytest.approx(scale * 5e-3)  # 2 and 8
         assert row["settled_rcm_error_model_mean_mm"] == row["settled_tip_error_mean_mm"]
         assert row["settled_trocar_force_mean_N"] == pytest.approx(scale * 5e-6)
+    means = ("mu_mean", "tip_error_mean_mm", "rcm_error_model_mean_mm", "trocar_force_mean_N", "ticks")
+    assert {*exact} == {"trial", "controller", *(f"{phase}_{name}" for phase in study.PHASES for name in means)}
     assert broken == runs[3].row
     assert (still["settled_ticks"], "travelling_mu_mean" in still) == (4, False)
     assert grouped["travelling_mu_mean"] == pytest.approx(2e-6)
