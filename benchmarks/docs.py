@@ -33,7 +33,7 @@ def block(folder: Path, title: str | None) -> str | None:
     text = parts[0].split("\n", 1)[1] if title is None else sections[title]
     made = json.loads((folder / "environment.json").read_text(encoding="utf-8"))
     machine = made["machine"]
-    command = " ".join(["python -m benchmarks." + folder.name, *made["arguments"]])
+    command = " ".join(["python -m benchmarks." + made["study"], *made["arguments"]])
     return (
         f"`{command}` (seed {made['seed']}, {machine['cores']} cores, {machine['processor']}, load "
         f"{machine['load_1min']:.1f}, Python {machine['python']}):\n\n{text.strip()}\n"

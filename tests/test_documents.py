@@ -5,7 +5,6 @@ that begins with "# in a checkout" takes minutes and a virtual environment, so i
 Makefile; and `moc-opt live` serves until Ctrl-C, so it is started, its address awaited, and interrupted.
 """
 
-import importlib.util
 import os
 import re
 import signal
@@ -108,13 +107,6 @@ def test_what_is_said_of_a_checkout_is_there():
         program, target = line.split()[:2]
         assert program == "make"
         assert target in targets
-
-
-def test_every_benchmark_that_readme_names_exists():
-    text = (ROOT / "README.md").read_text(encoding="utf-8")
-    names = set(re.findall(r"\bbenchmarks\.([a-z_]+)\b", text)) - {"NAME"}
-    assert len(names) > 10
-    assert [name for name in sorted(names) if importlib.util.find_spec(f"benchmarks.{name}") is None] == []
 
 
 def test_every_file_that_the_documents_link_to_exists():

@@ -44,11 +44,8 @@ def python(tmp_path_factory):
     return binary
 
 
-def test_it_is_not_known_before():
-    assert "slsqp" not in available()
-
-
 def test_it_is_found_by_its_entry_point(python, tmp_path):
+    assert "slsqp" not in available(), "it is not known before"
     code, output, printed = call(
         python, "-c", "import moc_opt_slsqp as m, moc_opt as mo; print(m.__file__, mo.solvers.available()['slsqp'])",
         cwd=tmp_path,

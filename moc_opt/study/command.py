@@ -221,7 +221,7 @@ def leave(found: Found, study: Study, config: StudyConfig, argv: Sequence[str], 
     out = study.out
     out.mkdir(parents=True, exist_ok=True)
     surroundings = environment(config.model_dump(mode="json"), config.seed, argv)
-    surroundings |= {"jobs_of_an_earlier_run": study.kept.reused, **found.environment}
+    surroundings |= {"study": study.name, "jobs_of_an_earlier_run": study.kept.reused, **found.environment}
     write_json(out / "summary.json", with_doubts(found.summary))
     found.rows.write(out / "rows.parquet")
     write_json(out / "environment.json", surroundings)

@@ -251,7 +251,7 @@ def _reached(goal: Goal, measured: Any) -> dict[str, Any]:
     one = both[0]
     within = [end <= goal.limit if goal.most else end >= goal.limit for by in both for end in (by.low, by.high)]
     reached = "yes" if all(within) else "open" if any(within) else "no"
-    if one.samples > 1 and too_few(one.samples):
+    if (one.samples > 1 or one.low != one.high) and too_few(one.samples):  # one trial has no interval: NaN
         reached = "open"
     found = {"value": one.value, "reached": reached}
     return found if one.low == one.high else found | measured.entries("value")
@@ -291,7 +291,3 @@ def goals_sentence(found: Mapping[str, Mapping[str, Any]]) -> str:
     text += "".join(f", {words.count(word)} {word}" for word in ("open", "not measured") if word in words)
     missed = [f"{row['what']} ({value_text(row)})" for row in found.values() if row["reached"] == "no"]
     return text + (f"; missed: {'; '.join(missed)}." if missed else ".")
-
-
-
-

@@ -1,74 +1,106 @@
-"""The commands: ``python -m benchmarks.NAME`` calls each, and those of users stand without those of the maintainers."""
+"""The commands of a checkout: those that the documents name exist, and the figures of studies get into the pages."""
+
+from __future__ import annotations
 
 import ast
+import importlib
+import json
+import re
 import subprocess
 import sys
-from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
 
-import benchmarks
+from benchmarks import docs
+from moc_opt.report.tables import Column, Table
+from moc_opt.study.command import CONFIGS, environment
+from moc_opt.study.show import Report, Section
 
 ROOT = Path(__file__).resolve().parents[2]
-FOLDER = ROOT / "benchmarks"
-USERS = (
-    "solvers", "paper", "speed", "faults", "plan", "plant", "sweep", "testsets", "export", "robots", "realtime",
-)  # fmt: skip
-MAINTAINERS = ("readme", "pictures", "errata", "tune", "coverage", "feedforward")
+PAGES = {
+    page.name: page.read_text(encoding="utf-8")
+    for page in (ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md")))
+}
 
 
-def has_main(file):
+def has_main(file: Path) -> bool:
     return any(isinstance(node, ast.FunctionDef) and node.name == "main" for node in ast.parse(file.read_text()).body)
 
 
-def test_the_commands_are_these():
-    for folder, names in ((FOLDER, USERS), (FOLDER / "maintenance", MAINTAINERS)):
-        assert {file.stem for file in folder.glob("*.py") if has_main(file)} == set(names)
-        for name in names:
-            spec = find_spec(f"benchmarks.{name}")
-            assert spec is not None
-            assert Path(spec.origin) == folder / f"{name}.py"
+COMMANDS = {file.stem for file in (ROOT / "benchmarks").glob("*.py") if has_main(file)}
 
 
-@pytest.mark.parametrize("name", ["readme", "export"])
-def test_a_command_runs_as_a_module(name):
-    command = [sys.executable, "-m", f"benchmarks.{name}", "--help"]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    assert f"python -m benchmarks.{name}" in done.stdout
+def test_the_documents_name_every_command_and_no_other() -> None:
+    named = {page: set(re.findall(r"-m benchmarks\.([a-z_]+)|`benchmarks\.([a-z_]+)`", PAGES[page])) for page in PAGES}
+    wrong = {page: names for page, found in named.items() if (names := {a or b for a, b in found} - COMMANDS)}
+    assert wrong == {}
+    assert COMMANDS - {a or b for found in named.values() for a, b in found} == set()
 
 
-def test_every_command_leaves_its_tail_to_one_function():
-    for name in (*USERS, *MAINTAINERS):
-        (main,) = [
-            node
-            for node in ast.parse(Path(find_spec(f"benchmarks.{name}").origin).read_text()).body
-            if isinstance(node, ast.FunctionDef) and node.name == "main"
-        ]
-        if name in ("solvers", "testsets"):
-            continue
-        assert ast.unparse(main.body[-1]).startswith("return cli.run(")
+@pytest.mark.parametrize("name", sorted(COMMANDS - {"docs"}))
+def test_a_command_says_how_it_is_called(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit, match="0"):
+        importlib.import_module(f"benchmarks.{name}").main(["--help"])
+    assert f"python -m benchmarks.{name}" in capsys.readouterr().out
 
 
-def imported(file):
-    """Modules that a file imports, as they are named in it."""
-    for node in ast.walk(ast.parse(file.read_text())):
-        if isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names)
-        elif isinstance(node, ast.ImportFrom) and node.module:
-            yield from (f"{node.module}.{alias.name}" for alias in node.names)
+def test_a_command_runs_as_a_module() -> None:
+    command = [sys.executable, "-m", "benchmarks.export", "--help"]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
+    assert "python -m benchmarks.export" in done.stdout
 
 
-def test_nothing_that_users_run_imports_what_maintainers_run():
-    inside = {"maintenance", *(path.stem for path in (FOLDER / "maintenance").iterdir())} - {"__init__", "__pycache__"}
-    for file in FOLDER.rglob("*.py"):
-        names = {name.split(".")[1] for name in imported(file) if name.startswith("benchmarks.")}
-        if "maintenance" in file.relative_to(FOLDER).parts:
-            assert not names & (inside - {"maintenance"}), f"{file}: name the folder, or there are two of the module"
-        else:
-            assert not names & inside, file
+def test_every_mark_is_of_a_study_and_has_its_end() -> None:
+    studies, count = COMMANDS | {file.stem for file in CONFIGS.glob("*.toml")}, 0
+    for page, text in PAGES.items():
+        blocks = [(at["name"], at["title"]) for at in docs.BLOCK.finditer(text)]
+        ends = re.findall(r"^<!-- /([\w-]+)(?:: (.+))? -->$", text, re.MULTILINE)
+        assert ends == [(name, title or "") for name, title in blocks], page
+        assert {name for name, _ in blocks} <= studies, page
+        count += len(blocks)
+    assert count > 10
 
 
-def test_what_maintainers_run_is_found_by_one_path_more():
-    assert list(benchmarks.__path__) == [str(FOLDER), str(FOLDER / "maintenance")]
+PAGE = """# Page
+<!-- sums -->
+old
+<!-- /sums -->
+kept
+<!-- sums: More \\1 -->
+<!-- /sums: More \\1 -->
+<!-- other -->
+old
+<!-- /other -->
+"""
+
+
+def test_figures_of_a_study_are_put_into_the_pages(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    table = Table("Sums", [Column("k", "k"), Column("us", "time", unit="us")], [{"k": "a", "us": 2.0}])
+    more = Section("More \\1", "Read this.", [table])
+    report = Report("A title", ["It holds."], table, sections=[Section("Before"), more, Section("Behind", "No.")])
+    results = tmp_path / "results" / "sums"
+    results.mkdir(parents=True)
+    (results / "report.md").write_text(report.markdown())
+    made = {**environment({}, 3, ["--quick"]), "study": "squares"}
+    (results / "environment.json").write_text(json.dumps(made))
+    (tmp_path / "docs").mkdir()
+    (tmp_path / "README.md").write_text("no marks")
+    (tmp_path / "docs" / "page.md").write_text(PAGE)
+    monkeypatch.setattr(docs, "HOME", tmp_path)
+    for changed in ("docs/page.md\n", ""):
+        assert docs.main([]) == 0
+        assert capsys.readouterr().out == changed
+    filled = (tmp_path / "docs" / "page.md").read_text()
+    first, rest = filled.split("\nkept\n")
+    assert first.startswith("# Page\n<!-- sums -->\n`python -m benchmarks.squares --quick` (seed 3, ")
+    assert first.endswith("\n\nIt holds.\n\n| k | time [us] |\n| --- | --- |\n| a | 2 |\n<!-- /sums -->")
+    assert rest.endswith(
+        "\n\nRead this.\n\n| k | time [us] |\n| --- | --- |\n| a | 2 |\n<!-- /sums: More \\1 -->\n"
+        "<!-- other -->\nold\n<!-- /other -->\n"
+    )
+    (tmp_path / "docs" / "page.md").write_text(PAGE.replace("More", "Less"))
+    with pytest.raises(SystemExit, match="has no section 'Less"):
+        docs.main([str(tmp_path / "results")])

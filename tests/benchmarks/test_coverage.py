@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from benchmarks.maintenance import coverage
+from benchmarks import coverage
 from benchmarks.solver_study.combine import COMPARED
 from moc_opt.scenario import Scenario
 

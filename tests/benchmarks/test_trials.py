@@ -1,70 +1,60 @@
 """The trials of every study are independent: no two of them share a seed, a start or an error of registration."""
 
+from __future__ import annotations
+
+from collections.abc import Callable
+from types import ModuleType
+from typing import Any
+
 import pytest
 
 from benchmarks import coverage, faults, paper, plan, plant, robots, solvers, sweep, tune
-from benchmarks.common.output import default_config
 from benchmarks.solver_study.cases import drawn
-from moc_opt.scenario import Setup
+from moc_opt.scenario import Scenario, Setup
+from moc_opt.study.command import CONFIGS
+from moc_opt.study.trials import seeds, trials
 
 SET_UP = 15
 """Trials of a study whose starts and errors are looked at, spread over all of them: a start takes a while to find."""
 
 
-def shipped(command, name):
-    return command.Config.load(default_config(name))
-
-
-def of_solvers(name):
-    config = shipped(solvers, name)
+def of_solvers(config: Any) -> list[Scenario]:
     return list(drawn(config.scenario, config.closed_loop.tasks, config.seed, config.closed_loop.trials).values())
 
 
-def of_plan(name):
-    return shipped(plan, name).cases()
-
-
-def of_robots(arm):
-    return [case for case in shipped(robots, "robots").cases() if case.robot.name == arm]
-
-
-def of_plant():
-    config = shipped(plant, "plant")
-    return [*config.cases(), *config.cases(plant.CALIBRATION_STREAM, config.calibration.trials)]
-
-
-def of_paper():
-    return shipped(paper, "paper").cases("paper")
-
-
-def of_faults():
-    return shipped(faults, "faults").scenarios()
-
-
-def of_sweep(name):
-    config = shipped(sweep, name)
-    return [config.scenario.change(seed=seed) for seed in config.chosen_seeds()]
-
-
-def of_tune():
-    config = shipped(tune, "tune")
+def of_tune(config: Any) -> list[Scenario]:
     found = []
     for stream, per_task in ((tune.SEARCH_STREAM, config.trials), (tune.FINAL_STREAM, config.final_trials)):
-        own = tune.seeds(config.seed, stream, per_task * len(config.tasks))
-        found += tune.trials(config.scenario, config.tasks, own, virtual=True)
+        own = seeds(config.seed, stream, per_task * len(config.tasks))
+        found += trials(config.scenario, config.tasks, own, virtual=True)
     return found
 
 
-@pytest.mark.parametrize(
-    ("study", "given"),
-    [
-        (of_solvers, ["solvers"]), (of_solvers, ["solvers-long"]), (of_plan, ["plan"]), (of_plan, ["plan-limits"]),
-        (of_robots, ["lwr4"]), (of_robots, ["gen3"]), (of_plant, []), (of_paper, []), (of_faults, []),
-        (of_sweep, ["sweep"]), (of_sweep, ["margins"]), (of_tune, []),
-    ],
-)  # fmt: skip
-def test_no_two_trials_share_a_seed_a_start_or_a_registration(study, given):
-    found = study(*given)
+def of_plant(config: Any) -> list[Scenario]:
+    return [*config.cases(), *config.cases(plant.CALIBRATION_STREAM, config.calibration.trials)]
+
+
+def of_sweep(config: Any) -> list[Scenario]:
+    return [config.scenario.change(seed=seed) for seed in config.chosen_seeds()]
+
+
+STUDIES: dict[str, tuple[ModuleType, Callable[[Any], list[Scenario]]]] = {
+    "solvers": (solvers, of_solvers), "solvers-long": (solvers, of_solvers),
+    "plan": (plan, lambda config: config.cases()), "plan-limits": (plan, lambda config: config.cases()),
+    "robots": (robots, lambda config: config.cases()), "plant": (plant, of_plant),
+    "paper": (paper, lambda config: config.cases("paper")), "faults": (faults, lambda config: config.scenarios()),
+    "sweep": (sweep, of_sweep), "margins": (sweep, of_sweep), "tune": (tune, of_tune),
+}  # fmt: skip
+
+
+def shipped(name: str) -> list[Scenario]:
+    study, cases = STUDIES[name]
+    return cases(study.Config.load(CONFIGS / f"{name}.toml"))
+
+
+@pytest.mark.parametrize("name", STUDIES)
+def test_no_two_trials_share_a_seed_a_start_or_a_registration(name: str) -> None:
+    found = shipped(name)
     assert len({trial.seed for trial in found}) == len(found) > 1
     some = [Setup(trial.change(best_courses=False)) for trial in found[:: -(-len(found) // SET_UP)]]
     starts = {(setup.robot.data.name, *setup.q_start.round(9)) for setup in some}
@@ -73,6 +63,6 @@ def test_no_two_trials_share_a_seed_a_start_or_a_registration(study, given):
     assert len(errors) == len(some)
 
 
-def test_the_pool_behind_the_coverage_shares_no_trial_with_the_study():
+def test_the_pool_behind_the_coverage_shares_no_trial_with_the_study() -> None:
     pool = range(coverage.SEED, coverage.SEED + 1000)
-    assert not {trial.seed for name in ("solvers", "solvers-long") for trial in of_solvers(name)} & set(pool)
+    assert not {trial.seed for name in ("solvers", "solvers-long") for trial in shipped(name)} & set(pool)

@@ -1,0 +1,188 @@
+"""The command of a study: options, files, what is printed, exit status, and what stays of a study that is ended."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+import polars as pl
+import pytest
+
+from moc_opt.errors import ScenarioError, SolverError, UnknownNameError
+from moc_opt.figures.notation import Doubtful
+from moc_opt.figures.style import figure
+from moc_opt.report import export
+from moc_opt.report.tables import Column, Table
+from moc_opt.scenario import Scenario
+from moc_opt.study import Job, command
+from moc_opt.study.command import Found, Study, StudyConfig
+from moc_opt.study.kept import Kept
+from moc_opt.study.results import Results
+from moc_opt.study.show import Picture, Report
+from moc_opt.study.trials import Trial
+from tests.study.work import refuse, slow_square
+
+HOME = Path(__file__).resolve().parents[2]
+
+
+class Config(StudyConfig):
+    count: int = 4
+
+    def quick(self) -> Self:
+        return self.model_copy(update={"count": 1})
+
+
+def squares(study: Study, config: Config) -> Found:
+    """A study whose answer is the sum of the first squares, and whose last job fails."""
+    found = study.run([Job(slow_square, (k,)) for k in range(config.count)])
+    rows = Results({"trial": k, "x": x} for k, x in enumerate(found))
+    rows.add({"trial": "last", "error": str(study.run([Job(refuse)])[0])})
+    table = Table("Squares", [Column("trial", "k"), Column("x", "square")], list(rows)[:-1])
+    summary = {"all": {"sum": sum(found), "p99": Doubtful(2.0), "none": float("nan")}}
+    report = Report("Sums", [f"The sum is [{sum(found):.0f}]."], table, [Picture(figure(), "See.", "seen")])
+    return Found(report, summary, rows, {"note": 1}, ["more.txt"], ["One more sentence."], 3)
+
+
+def call(work: Any, *arguments: Any, **more: Any) -> int:
+    return command.command("tiny", "About sums.", Config, work, [*map(str, arguments)], **more)
+
+
+@pytest.fixture
+def asked(tmp_path: Path) -> tuple[Path, Path]:
+    """A configuration, and a folder for results."""
+    (tmp_path / "tiny.toml").write_text("seed = 5\nprocesses = 2\n")
+    return tmp_path / "tiny.toml", tmp_path / "new" / "out"
+
+
+def test_a_study_leaves_its_files_and_prints_its_answer(asked, capsys, monkeypatch):
+    drawn = []
+    monkeypatch.setattr(export, "save_figures", lambda figures, folder: drawn.append((list(figures), folder)))
+    config, out = asked
+    assert call(squares, config, "--out", out, "--figures") == 3, "the status of the findings"
+    said = capsys.readouterr().out
+    assert all(words in said for words in ("The sum is [14].", "Squares", "One more sentence.", "more.txt"))
+    summary = json.loads((out / "summary.json").read_text())
+    assert summary == {"all": {"sum": 14.0, "p99": 2.0, "none": None, "doubtful": ["p99"]}}
+    rows = pl.read_parquet(out / "rows.parquet").to_dicts()
+    assert [row["x"] for row in rows] == [0.0, 1.0, 4.0, 9.0, None]
+    made = json.loads((out / "environment.json").read_text())
+    assert (made["seed"], made["note"], made["config"]["count"], made["jobs_of_an_earlier_run"]) == (5, 1, 4, 0)
+    assert made["arguments"] == [str(config), "--out", str(out), "--figures"]
+    assert made["machine"]["cores"] == os.cpu_count()
+    assert made["versions"] == {**dict.fromkeys(command.PACKAGES), **made["versions"], "numpy": np.__version__}
+    html = (out / "report.html").read_text()
+    assert "The sum is [14]." in html
+    assert rows[-1]["error"].partition("'")[0] in html
+    assert (out / "report.md").read_text().startswith("# Sums\n\nThe sum is [14].\n")
+    assert drawn == [(["seen"], out / "figures")]
+    assert call(squares, config, "--out", out, "--json") == 3
+    assert capsys.readouterr().out == (out / "summary.json").read_text()
+    assert json.loads((out / "environment.json").read_text())["jobs_of_an_earlier_run"] == 4, "all but the failed one"
+
+
+@pytest.mark.parametrize(
+    ("options", "seed", "count"),
+    [((), 5, 4), (("--seed", "7"), 7, 4), (("--quick",), 5, 1), (("--seed", str(2**62), "--quick"), 2**62, 1)],
+)
+def test_options_change_the_question(asked, monkeypatch, options, seed, count):
+    seen = []
+
+    def work(study, config):
+        seen.append((config.seed, config.count, study.processes, study.out, study.given.many))
+        raise ScenarioError("enough")
+
+    monkeypatch.setattr("sys.argv", ["pytest", "--nonsense"])
+    own = {"options": lambda parser: parser.add_argument("--many", type=int, default=8), "folder": asked[0].parent}
+    for given, out in (((asked[0], "--out", "b"), Path("b")), ((), Path("results/tiny"))):
+        assert call(work, *given, *options, **own) == 2
+        assert seen.pop() == (seed, count, 2, out, 8)
+
+
+@pytest.mark.parametrize("text", ["-1", "1.5", "many", str(2**62 + 1)])
+def test_a_seed_is_a_number_that_a_configuration_takes(asked, capsys, text):
+    with pytest.raises(SystemExit, match="2"):
+        call(squares, asked[0], "--seed", text)
+    assert "from 0 to 2^62" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        ("cuont = 3", r"tiny\.toml: .*did you mean 'count'"), ("seed = -1", r"tiny\.toml: .*seed = -1"),
+        ("seed = ", r"tiny\.toml.* is not TOML"), (None, r"tiny\.toml.*no such file"), ("", r"new"),
+    ],
+)  # fmt: skip
+def test_wrong_input_is_one_line_and_status_2(asked, capsys, content, said):
+    config, out = asked
+    config.unlink() if content is None else config.write_text(content)
+    out.parent.write_text("a file in the place of the folder")
+    assert call(squares, config, "--out", out) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert re.search(rf"^\w+Error: .*{said}", line)
+
+
+def test_trials_without_a_start_are_rows(asked):
+    case = Scenario(name="circle/5", seed=5, duration_s=0.1, bound_samples=0, judge=False)
+    bad = case.change(name="bad", start={"q_rad": (0.0,) * 7})
+    study = Study("tiny", asked[1], command.Namespace(), 1)
+    (found,), (lost,) = study.placed([bad, case])
+    assert (found.name, found.start.check_path) == ("circle/5", False)
+    assert (lost["trial"], lost["ended"], lost["whole"]) == ("bad", "no start", False)
+    runs = study.trials([Trial(found, "exact"), Trial(bad, "exact")])
+    assert [run.row["ended"] for run in runs] == ["completed", "failed"]
+    assert study.trials([Trial(found, "rnn")], limit_s=0.01)[0].row["error"].startswith("hung")
+
+
+def test_solvers_are_chosen_by_their_names(monkeypatch):
+    monkeypatch.setattr(command, "available", lambda: {"exact": None, "osqp": "no module named osqp"})
+    assert command.choose("all", "dcac") == (["dcac", "exact"], {"osqp": "no module named osqp"})
+    assert command.runnable(["dcac", "exact"], "dcac") == ["dcac", "exact"]
+    with pytest.raises(UnknownNameError, match="did you mean 'exact'"):
+        command.runnable(["exakt"])
+    with pytest.raises(SolverError, match="'osqp' cannot run here: no module"):
+        command.runnable(["exact", "osqp"])
+
+
+def test_sigterm_is_ctrl_c_while_it_works_and_only_then(asked, capsys):
+    def mine(*_): ...
+
+    before = signal.signal(signal.SIGTERM, mine)
+    try:
+        assert call(lambda study, config: signal.raise_signal(signal.SIGTERM), asked[0], "--out", "there") == 130
+        assert signal.getsignal(signal.SIGTERM) is mine
+    finally:
+        signal.signal(signal.SIGTERM, before)
+    assert "there/jobs" in capsys.readouterr().err
+    with ThreadPoolExecutor(1) as pool, pytest.raises(ZeroDivisionError):  # no handler is set there; a defect is seen
+        pool.submit(call, lambda study, config: 1 // 0, asked[0]).result()
+
+
+def test_a_study_that_is_ended_goes_on(asked):
+    config, out = asked
+    config.write_text("count = 6\nprocesses = 1\n")
+    arguments = [str(config), "--out", str(out)]
+    line = f"import sys; from tests.study.test_command import *; sys.exit(call(squares, *{arguments}))"
+    finished = 0
+    for number, status in ((signal.SIGINT, 130), (signal.SIGKILL, -signal.SIGKILL)):
+        study = subprocess.Popen([sys.executable, "-c", line], cwd=HOME, stderr=subprocess.PIPE, text=True)
+        until, before = time.monotonic() + 60.0, finished
+        while finished <= before and time.monotonic() < until:
+            time.sleep(0.05)
+            finished = len(Kept(out / "jobs")._cache) if out.exists() else 0
+        study.send_signal(number)
+        _, said = study.communicate(timeout=60)
+        assert study.returncode == status, said
+        assert ("stopped; what is finished" in said) == (number == signal.SIGINT)
+        assert not (out / "summary.json").exists()
+    assert call(squares, *arguments) == 3
+    assert json.loads((out / "summary.json").read_text())["all"]["sum"] == 55.0
+    assert 2 <= json.loads((out / "environment.json").read_text())["jobs_of_an_earlier_run"] < 6

@@ -1,0 +1,105 @@
+"""The table of rows: means and changes by hand, what enters them, and its files."""
+
+from __future__ import annotations
+
+import errno
+import os
+from pathlib import Path
+from typing import Any, NoReturn
+
+import numpy as np
+import polars as pl
+import pytest
+
+from moc_opt.errors import StudyError
+from moc_opt.study.results import Results, change_name
+from moc_opt.study.statistics import mean, relative_changes
+
+
+def row(trial: str, controller: str, mu: float, **more: Any) -> dict[str, Any]:
+    return {"trial": trial, "controller": controller, "whole": True, "error": None, "mu_mean": mu, **more}
+
+
+ROWS = [
+    row("a", "dcac", 1.0), row("b", "dcac", 2.0), row("c", "dcac", 9.0, whole=False, error="stopped: far off"),
+    row("b", "exact", 3.0), row("a", "exact", 2.0), row("c", "exact", 4.0),
+    row("d", "exact", 99.0, whole=False, error="ran away"), row("e", "exact", 5.0, raised="2 ticks"),
+    {"trial": "f", "controller": "rnn", "whole": False, "error": "hung"},
+]  # fmt: skip
+
+
+def test_means_are_over_whole_runs_and_changes_over_trials_that_both_completed() -> None:
+    rows = Results(ROWS)
+    assert rows.mean("mu_mean", "exact") == mean([3.0, 2.0, 4.0, 5.0])
+    assert rows.pairs("mu_mean", "exact") == ([3.0, 2.0], [2.0, 1.0])
+    change = rows.change("mu_mean", "exact")
+    assert change == relative_changes([3.0, 2.0], [2.0, 1.0])
+    assert (change.ratio.value, change.ratios.value) == (pytest.approx(200 / 3), pytest.approx(75.0))
+    assert rows.change("mu_mean", "dcac", "exact").ratio.value == pytest.approx(-40.0)
+    assert rows.mean("mu_mean", "rnn") is rows.change("mu_mean", "rnn") is rows.change("tip", "exact") is None
+
+
+def test_a_trial_counts_by_its_ticks_in_a_phase() -> None:
+    """One trial of 1000 settled ticks at -10 %, one of 10 at +100 %: the two means disagree."""
+    both = {"a": (0.9, 1000), "b": (2.0, 10)}
+    rows = Results()
+    for trial, (value, ticks) in both.items():
+        for name, found in (("dcac", 1.0), ("exact", value)):
+            rows.add(row(trial, name, 1.0, settled_mu_mean=found, settled_ticks=ticks, travelling_ticks=7))
+    change = rows.change("settled_mu_mean", "exact")
+    assert change.ratio.value == pytest.approx(100 * (920 / 1010 - 1))
+    assert change.ratios.value == pytest.approx(45.0)
+    assert change.undecided
+    assert rows.figures("exact", (), ["settled_mu_mean"])["settled_mu_change_percent_undecided"] == 1.0
+
+
+def test_figures_of_a_controller() -> None:
+    found = Results(ROWS).figures("exact", ["mu_mean", "unknown"], ["mu_mean", "unknown"])
+    counts = {"trials": 5, "whole": 4, "compared": 2, "reason": "ran away", "trouble": "e, 2 ticks"}
+    assert found.items() >= {**counts, "mu_mean": 3.5, "mu_gain_percent_undecided": 0.0}.items()
+    assert found["mu_mean_low"] < 3.5 < found["mu_mean_high"]
+    assert found["mu_gain_percent"] == pytest.approx(200 / 3)
+    assert not [name for name in found if name.startswith("unknown")]
+    base = Results(ROWS).figures("dcac", ["mu_mean"], ["mu_mean"])
+    assert (base["mu_mean"], base["reason"], "mu_gain_percent" in base) == (1.5, "stopped: far off", False)
+
+
+def test_changes_have_the_name_of_their_metric() -> None:
+    named = {"mu_mean": "mu_gain", "settled_tip_error_model_mean_mm": "settled_tip_error_model_change",
+             "trocar_force_mean_N": "trocar_force_change", "torque_rate_rms_Nm_per_s": "torque_rate_rms_change"}
+    assert [change_name(metric) for metric in named] == [f"{name}_percent" for name in named.values()]
+
+
+def test_rows_are_found_by_their_values() -> None:
+    rows = Results(ROWS)
+    assert [one["controller"] for one in rows.where(trial="a", whole=True)] == ["dcac", "exact"]
+    assert rows.names() == ["dcac", "exact", "rnn"]
+    assert rows.names("raised") == ["2 ticks"]
+    assert [one["trial"] for one in rows.failed()] == ["c", "d", "f"]
+    assert (len(rows), rows.has(trial="f", controller="rnn"), rows.has(trial="f", whole=True)) == (9, True, False)
+
+
+@pytest.mark.parametrize("name", ["rows.parquet", "rows.csv"])
+def test_rows_are_a_file_of_any_columns(tmp_path: Path, name: str) -> None:
+    rows = Results([{"x": 1, "ok": np.bool_(True)}, {"x": np.float64(2.5), "said": "ä"}, {"x": np.inf, "ok": False}])
+    rows.write(tmp_path / name)
+    read = pl.read_csv if name.endswith("csv") else pl.read_parquet
+    assert read(tmp_path / name).to_dicts() == [
+        {"x": 1.0, "ok": True, "said": None}, {"x": 2.5, "ok": None, "said": "ä"},
+        {"x": None, "ok": False, "said": None},
+    ]  # fmt: skip
+
+
+def test_a_full_disk_leaves_the_old_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    file = tmp_path / "rows.parquet"
+    Results(ROWS).write(file)
+    before = file.read_bytes()
+
+    def full(*_: Any) -> NoReturn:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(StudyError, match=r"rows\.parquet: the rows cannot be written .*No space left"):
+        Results(ROWS[:1]).write(file)
+    assert file.read_bytes() == before
+    assert os.listdir(tmp_path) == ["rows.parquet"]

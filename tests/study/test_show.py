@@ -1,0 +1,123 @@
+"""What a reader sees of a study: its page, its Markdown, columns of metrics, and goals."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from moc_opt.figures.notation import Doubtful
+from moc_opt.figures.style import figure
+from moc_opt.report.tables import Column, Table
+from moc_opt.scenario import Scenario
+from moc_opt.study import show
+from moc_opt.study.results import change_name
+from moc_opt.study.show import Goal, Picture, Report, Section, columns
+from moc_opt.study.statistics import Change, Interval
+from moc_opt.trace.metrics import METRICS
+from tests import first_screens
+
+TABLE = Table(
+    "First", [Column("arm", "arm", section="All figures"), Column("mu", "mean", unit="m^3", format=".2f")],
+    [{"arm": "a|b", "mu": 0.126}, {"arm": "c"}], "Over ten trials.",
+)  # fmt: skip
+INNER = Table("Second", [Column("arm", "arm")], [{"arm": "panda"}])
+REPORT = Report(
+    "A title", ["It holds.", "It is `exact`."], TABLE, [Picture(figure(), "See the point.", "seen")],
+    [Section("All figures", "Read these.", [INNER, Picture(figure(), "More.", "more")]),
+     Section("Added", more=lambda page: page.text("by hand"))], load="Times were taken.",
+)  # fmt: skip
+
+
+def test_a_page_begins_with_the_answer_and_folds_the_rest() -> None:
+    failed = [{"trial": "t1", "controller": "rnn", "error": "hung: 30 s", "unknown": 1}]
+    html = REPORT.page({"seed": 3}, failed).html()
+    first_screens.check(html, pictures=1)
+    order = ["It holds.", "It is <code>exact</code>", "First", "Times were taken.", 'id="seen"', "Read these.",
+             "Second", 'id="more"', "by hand", "Runs that failed", "hung: 30 s", "Environment"]  # fmt: skip
+    text = html[html.index("<body") :]
+    places = [text.index(part) for part in order]
+    assert places == sorted(places)
+    assert "Runs that failed" not in REPORT.page({}).html()
+
+
+def test_markdown_has_every_sentence_and_table_and_a_terminal_the_first_screen() -> None:
+    assert list(REPORT.screens()) == [*REPORT.answer, TABLE, REPORT.load]
+    assert REPORT.markdown() == (
+        "# A title\n\nIt holds.\n\nIt is `exact`.\n\n| arm | mean [m^3] |\n| --- | --- |\n| a\\|b | 0.13 |\n| c | – |"
+        "\n\nOver ten trials.\n\nTimes were taken.\n\n## All figures\n\nRead these.\n\n| arm |\n| --- |\n| panda |\n\n"
+        "## Added\n"
+    )
+
+
+def test_columns_take_unit_format_and_help_from_the_metrics() -> None:
+    names = ("tip_error_model_mean_mm", "settled_trocar_force_mean_N", "mu_gain_percent", "whole")
+    tip, force, gain, whole = columns(*names, of="All figures", whole="completed")
+    assert (tip.key, tip.title, tip.unit, tip.format) == (names[0], "tip error model mean", "mm", ".3f")
+    assert tip.help == METRICS[names[0]].about
+    assert (force.key, force.title, force.unit) == (names[1], "trocar force mean", "N")
+    assert (gain.unit, gain.format, gain.title) == ("%", "+.1f", "mu gain")
+    assert (whole.title, whole.unit, whole.help, whole.section) == ("completed", "", "", "All figures")
+    (change,) = columns("travelling_" + change_name(names[0]))
+    assert METRICS[names[0]].about in change.help
+
+
+def test_a_title_names_arm_task_and_preset() -> None:
+    assert show.about(Scenario()) == "lwr4, circle, preset default"
+    tuned = Scenario(robot={"name": "panda"}, control={"preset": "tuned"}, solver={"name": "osqp"})
+    assert show.about(tuned, solver=True) == "panda, circle, preset tuned, osqp"
+    assert show.about(Scenario(control={"K_X": 3.0})).endswith("own settings")
+
+
+def test_intervals_stand_in_order_around_their_values() -> None:
+    given = {"one": (1.0, 2.0, 4.0), "two": (3.0, 3.0, 3.0)}
+    drawn = show.intervals_picture(given, "x [us]", {"limit": 10.0}, {"one": "#000000"}, log=True)
+    found = {}
+    for line in drawn.data:
+        (value,) = line.x
+        found[line.y[0]] = (value - line.error_x.arrayminus[0], value, value + line.error_x.array[0])
+    assert found == given
+    assert [*found] == ["two", "one"], "the first name is drawn last, at the top"
+    assert drawn.layout.xaxis.type == "log"
+    assert show.intervals_picture(given, "x [us]", {}).layout.xaxis.type != "log"
+    summary = {"a": 2.0, "a_low": 1.0, "a_high": 4.0, "b": 3.0, "b_low": float("nan"), "b_high": float("nan")}
+    assert [show.ends(summary, name) for name in "abc"] == [given["one"], given["two"], None]
+
+
+def change(one: tuple[float, float], two: tuple[float, float], trials: int = 9) -> Change:
+    return Change(*(Interval(sum(ends) / 2, *ends, trials) for ends in (one, two)))
+
+
+@pytest.mark.parametrize(
+    ("measured", "most", "least"),
+    [
+        (4.0, "yes", "no"), (5.0, "yes", "yes"), (6.0, "no", "yes"), (Interval(4.0, 3.0, 4.9, 9), "yes", "no"),
+        (Interval(4.0, 3.0, 5.1, 9), "open", "open"), (Interval(7.0, 6.0, 8.0, 9), "no", "yes"),
+        (Interval(4.0, 3.0, 4.9, 7), "open", "open"), (Interval(4.0, 4.0, 4.0, 2), "open", "open"),
+        (Interval(4.0, float("nan"), float("nan"), 1), "open", "open"),
+        (change((3, 4), (2, 4)), "yes", "no"), (change((3, 4), (2, 6)), "open", "open"),
+        (change((3, 4), (6, 7)), "open", "open"), (change((3, 4), (2, 4), 7), "open", "open"),
+        (Doubtful(4.0), "yes", "open"), (Doubtful(6.0), "open", "open"), (None, "not measured", "not measured"),
+    ],
+)  # fmt: skip
+def test_a_goal_is_judged_by_the_worse_end_of_every_interval(measured: Any, most: str, least: str) -> None:
+    summary = {} if measured is None else {"x": measured}
+    goals = {str(m): Goal("x", "us", 5.0, lambda s: s["x"], most=m, made_of=lambda s: "all") for m in (True, False)}
+    found = show.judge(summary, goals)
+    assert [found[str(m)]["reached"] for m in (True, False)] == [most, least]
+    assert found["True"]["kind"] == "at most"
+    assert found["True"]["made_of"] == ("" if measured is None else "all")
+
+
+def test_goals_are_shown_missed_ones_first() -> None:
+    values = {"a": 1.0, "b": Interval(7.0, 6.0, 8.0, 9), "c": Doubtful(9.0)}
+    goals = {key: Goal(f"goal {key}", "us", 5.0, lambda s, key=key: s[key], section="All") for key in "acbd"}
+    found = show.judge(values, goals)
+    table = show.goals_table(found, goals)
+    assert [show.MARKS[said].symbol for said in (True, False, None)] == ["✔", "✘", "–"]
+    rows = [(row["what"][-1], row["reached"].symbol, row["measured"]) for row in table.rows]
+    assert rows == [("b", "✘", "7 [6, 8] us"), ("c", "–", "?9 us"), ("d", "–", None), ("a", "✔", "1 us")]
+    assert [column.title for column in table.columns] == ["", "goal", "wanted", "measured"]
+    assert show.goals_sentence(found) == (
+        "1 of 4 goals are reached, 1 open, 1 not measured; missed: goal b (7 [6, 8] us)."
+    )

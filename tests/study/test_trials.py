@@ -1,0 +1,180 @@
+"""A trial becomes a row: its seed, the same start for all controllers, and whatever way the run ends."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from moc_opt.planning.transient import in_transient
+from moc_opt.robots import load_data
+from moc_opt.scenario import Scenario, Setup
+from moc_opt.study import trials as study
+from moc_opt.study.engine import Failed
+from moc_opt.study.trials import BASELINE, BASELINES, DAMPED, OWN, Run, Trial, run_trial, variant
+from moc_opt.trace.metrics import summarize
+from moc_opt.vision.board import BOARD_TASKS
+
+SHORT = Scenario(judge=False, bound_samples=0, duration_s=0.3, control={"preset": "tuned"})
+
+
+@pytest.fixture(scope="module")
+def case() -> Scenario:
+    return study.placed(study.trials(SHORT, ["circle"], [5], virtual=True)[0])
+
+
+def test_streams_share_no_seed_and_a_longer_one_begins_alike() -> None:
+    drawn = [study.seeds(seed, stream, 60) for seed in range(2) for stream in range(4)]
+    assert len({one for stream in drawn for one in stream}) == 8 * 60
+    assert study.seeds(0, 3, 60)[:7] == study.seeds(0, 3, 7)
+
+
+def test_each_seed_has_a_scenario_of_its_own() -> None:
+    own = study.seeds(0, 0, 6)
+    drawn = study.trials(SHORT, list(BOARD_TASKS), own, virtual=True)
+    assert [scene.seed for scene in drawn] == own
+    assert [scene.name for scene in drawn] == [f"{task}/{s}" for task, s in zip([*BOARD_TASKS] * 2, own, strict=True)]
+    for scene in drawn:
+        task = BOARD_TASKS[scene.name.partition("/")[0]]
+        assert (scene.task.path, scene.task.sizes) == (task.kind, dict(task.sizes))
+        assert (scene.trocar.depth_m, scene.start.swivel) == (task.depth_m, "random")
+    plain = study.trials(SHORT, ["line", "circle"], own[:3])
+    assert [scene.task.path for scene in plain] == ["line", "circle", "line"]
+    assert [scene.trocar.depth_m for scene in plain] == [SHORT.trocar.depth_m] * 3
+
+
+def test_a_placed_trial_starts_where_the_search_would_start_it() -> None:
+    (drawn,) = study.trials(SHORT.change(start={"pose": "random"}), ["circle"], [9])
+    found = study.placed(drawn)
+    assert (found.seed, found.name, found.start.pose) == (9, drawn.name, "home")
+    np.testing.assert_allclose(Setup(found).q_start, Setup(drawn).q_start, atol=1e-12)
+
+
+def test_every_controller_meets_the_same_start_arm_and_noise(case: Scenario) -> None:
+    first, *others = [Setup(variant(case, name)) for name in (*BASELINES, "exact", "rnn-printed")]
+    for other in others:
+        np.testing.assert_array_equal(other.q_start, first.q_start)
+        np.testing.assert_array_equal(other.trocar.point, first.trocar.point)
+        assert other.plant.mismatch.mass_scale == first.plant.mismatch.mass_scale
+        np.testing.assert_array_equal(other.plant.measure().q, first.plant.measure().q)
+
+
+@pytest.mark.parametrize("preset", ["paper", "tuned"])
+def test_baselines_differ_from_moc_in_what_they_say(case: Scenario, preset: str) -> None:
+    given = case.change(control={"preset": preset})
+    tables = load_data("lwr4").gains
+    moc = variant(given, "rnn", {"steps": 5})
+    assert (moc.solver.name, moc.solver.settings, moc.control) == ("rnn", {"steps": 5}, given.control)
+    ours = moc.control.resolve_gains(tables, 7)
+    for name in BASELINES:
+        dcac = variant(given, name).control
+        assert dcac.law == "dcac"
+        assert dcac.observer_rate_per_s == moc.control.observer_rate_per_s
+        assert (dcac.feedforward, dcac.projector) == (moc.control.feedforward, moc.control.projector)
+        theirs = dcac.resolve_gains(tables, 7)._asdict()
+        for key in ("K_X", "D_X", "K_N", "D_N"):
+            np.testing.assert_array_equal(theirs[key], tables["dcac"][key] if name == OWN else getattr(ours, key))
+    assert variant(given, BASELINE).control.dcac_damping == variant(given, OWN).control.dcac_damping == 0.0
+    np.testing.assert_allclose(variant(given, DAMPED).control.dcac_damping, ours.K_N2 + ours.D_N2)
+    dcac = given.change(control={"law": "dcac", "K_X": 77.0})
+    assert variant(dcac, BASELINE) == dcac, "it keeps its gains"
+    assert variant(dcac, OWN).control.K_X is None
+
+
+@pytest.fixture(scope="module")
+def ran(case: Scenario) -> dict[str, Any]:
+    asked = [Trial(case, name, tags={"group": "g"}, keep="poses") for name in (BASELINE, "exact", "rnn")]
+    return {one.controller: study.run_and_trace(one) for one in asked}
+
+
+def test_a_run_is_its_metrics_and_what_is_to_be_kept(case: Scenario, ran: dict[str, Any]) -> None:
+    run, trace = ran["exact"]
+    about = {"trial": case.name, "seed": 5, "robot": "lwr4", "task": "circle", "controller": "exact", "group": "g"}
+    assert run.row.items() >= {**about, "ended": "completed", "whole": True, "error": None, "ticks": 150}.items()
+    metrics = {name: value for name, value in summarize(trace).items() if name in run.row}
+    assert metrics["mu_mean"] == trace.mu.mean()
+    assert run.row.items() >= metrics.items()
+    assert run.row["asked"] == 150
+    assert run.load.calls == 150
+    np.testing.assert_array_equal(run.columns["travelling"], in_transient(case.robot.arm(), trace.t_s, trace.q_rad))
+    np.testing.assert_array_equal(run.columns["trocar_force_N"], trace.trocar_force_N)
+    assert "travelling" not in ran[BASELINE][0].columns, "DCAC has no optimum to go to"
+    drawn = run.trace
+    assert drawn is not None
+    np.testing.assert_allclose(drawn.q_rad, trace.q_rad[::study.POSES_EVERY], rtol=1e-6)
+    np.testing.assert_array_equal(drawn.mu, trace.mu[::study.POSES_EVERY])
+    assert Run(run.row).trace is None
+
+
+def test_times_count_only_where_the_run_is_alone(case: Scenario, ran: dict[str, Any]) -> None:
+    asked = Trial(case, "exact", timed=True)
+    timed = run_trial(asked).row
+    for name in ("solve_p50_us", "tick_p99_us", "deadline_misses"):
+        assert timed[name] >= 0.0
+        assert name not in ran["exact"][0].row
+    assert asked.job.alone
+    assert not Trial(case, "exact").job.alone
+    assert Trial(case.change(duration_s=None), "exact").job.limit_s > asked.job.limit_s
+
+
+@pytest.mark.parametrize(
+    ("change", "solver", "ended", "error"),
+    [
+        ({"guard": {"rcm_error_m": 1e-6, "rcm_warning_m": 1e-6}}, "exact", "stopped: the RCM error", None),
+        ({"plant": {"trocar_stiffness_N_per_m": 1e6, "trocar_damping_Ns_per_m": 1e4}}, "exact", "ran away", None),
+        ({"start": {"q_rad": (0.0,) * 7}}, "exact", "failed", "ScenarioError: [start] q_rad"),
+        ({}, "no-such-solver", "failed", "UnknownNameError: unknown solver"),
+    ],
+)  # fmt: skip
+def test_a_run_that_breaks_off_is_a_row_with_its_reason(
+    case: Scenario, change: dict[str, Any], solver: str, ended: str, error: str | None
+) -> None:
+    run = run_trial(Trial(case.change(**change), solver, tags={"group": "g"}, keep="poses"))
+    assert run.row["whole"] is False
+    assert run.row["ended"].startswith(ended)
+    assert run.row["error"].startswith(error or ended)
+    assert (run.row["trial"], run.row["controller"], run.row["group"]) == (case.name, solver, "g")
+    assert run.columns == {}
+    hung = study.outcome(Trial(case, solver, tags={"group": "g"}), Failed("hung", "no answer within 30 s")).row
+    assert hung == {**hung, "ended": "failed", "whole": False, "group": "g", "error": "hung: no answer within 30 s"}
+
+
+def test_what_a_solver_raises_is_told_beside_a_run_that_goes_on(case: Scenario) -> None:
+    row = run_trial(Trial(case.change(faults={"solver": "raise", "solver_share": 0.2}), "exact")).row
+    assert (row["ended"], row["error"]) == ("completed", None)
+    assert row["raised"].startswith(f"{row['fault_raised']} ticks, first at ")
+    assert row["fault_raised"] > 0
+
+
+def made(controller: str, travelling: list[int] | None, trial: str = "t", **more: Any) -> Run:
+    """A run of four ticks, whose k-th is in error by 2^k um, or less by its controller."""
+    error = 1e-6 * 2.0 ** np.arange(4) * (2.0 if controller == BASELINE else 1.0)
+    columns = dict.fromkeys(("t_s", "mu", "tip_error_m", "rcm_error_model_m"), error)
+    columns["trocar_force_N"] = np.outer(error, (0.0, 0.6, -0.8))
+    flags = {} if travelling is None else {"travelling": np.array(travelling, float)}
+    return Run({"trial": trial, "controller": controller, **more}, {**columns, **flags})
+
+
+def test_phases_are_the_same_ticks_for_all_controllers_of_a_trial() -> None:
+    runs = [
+        made(BASELINE, None), made("exact", [1, 0, 0, 0]), made("rnn", [0, 0, 1, 0]),
+        Run({"trial": "t", "controller": "osqp", "whole": False}),
+        made("exact", [0, 0, 0, 0], "other trial"), made("exact", [0, 1, 0, 0], "t", group="other group"),
+        made(BASELINE, None, "of DCAC alone"),
+    ]  # fmt: skip
+    base, exact, rnn, broken, still, grouped, alone = (run.row for run in study.with_phases(runs))
+    for row, scale in ((base, 2.0), (exact, 1.0), (rnn, 1.0)):
+        assert (row["travelling_ticks"], row["settled_ticks"]) == (2, 2)
+        assert row["travelling_mu_mean"] == pytest.approx(scale * 2.5e-6)  # 1 and 4
+        assert row["settled_tip_error_mean_mm"] == pytest.approx(scale * 5e-3)  # 2 and 8
+        assert row["settled_rcm_error_model_mean_mm"] == row["settled_tip_error_mean_mm"]
+        assert row["settled_trocar_force_mean_N"] == pytest.approx(scale * 5e-6)
+    means = ("mu_mean", "tip_error_mean_mm", "rcm_error_model_mean_mm", "trocar_force_mean_N", "ticks")
+    assert {*exact} == {"trial", "controller", *(f"{phase}_{name}" for phase in study.PHASES for name in means)}
+    assert broken == runs[3].row
+    assert (still["settled_ticks"], "travelling_mu_mean" in still) == (4, False)
+    assert grouped["travelling_mu_mean"] == pytest.approx(2e-6)
+    assert alone == runs[-1].row
+    short = Run(runs[2].row, {name: column[:3] for name, column in runs[2].columns.items()})
+    assert study.with_phases([runs[1], short]) == [runs[1], short], "of different lengths, they share no tick"
