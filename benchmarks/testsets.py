@@ -19,8 +19,8 @@ from benchmarks.common import cli
 from benchmarks.common.output import write_atomically
 from benchmarks.subproblems.certify import certify, make
 from benchmarks.subproblems.recipes import RECIPES
-from benchmarks.subproblems.testset import FOLDER, TestSet
 from moc_opt.robots.model import load_robot
+from moc_opt.study.testsets import FOLDER, TestSet
 
 CLOSE = (
     1e-9  # rad/s: another machine rounds the five rows in other directions, which moves an optimum by 1e-14

@@ -1,8 +1,8 @@
 """The figures of the README, from results.
 
-python -m benchmarks.readme [--solvers DIR] [--paper DIR] [--speed DIR] [--readme FILE]
+python -m benchmarks.readme [--paper DIR] [--speed DIR] [--readme FILE]
 
-What stands between ``<!-- solvers -->`` and ``<!-- /solvers -->`` is written anew, and the same with the others.
+What stands between ``<!-- paper -->`` and ``<!-- /paper -->`` is written anew, and the same with the others.
 """
 
 from __future__ import annotations
@@ -14,11 +14,10 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.common import cli
-from benchmarks.common.markdown import fill_section, of_columns, table
+from benchmarks.common.markdown import fill_section, table
 from benchmarks.common.output import write_atomically
 from benchmarks.latency.verdict import GOALS
 from benchmarks.paper_experiment.verdict import ABOUT_FRAMES, UNDECIDED, goal_value, in_words, what_decides
-from benchmarks.solver_study.first_screen import answer
 from moc_opt.errors import MocOptError
 from moc_opt.inputs.files import read_json
 from moc_opt.study.statistics import spread
@@ -29,19 +28,6 @@ Summary = Mapping[str, Any]
 
 class ReadmeError(MocOptError, ValueError):
     """Results or a README that do not go together."""
-
-
-def solvers_section(summary: Summary, environment: Summary) -> str:
-    """Return the first screen of the solvers' report: its sentences and its table."""
-    first = answer(summary, 0.0, drawn=False)
-    cut = environment.get("config", {}).get("closed_loop", {}).get("duration_s")
-    trials = max((row["trials"] or 0 for row in first.table.rows), default=0)
-    loop = f"; in closed loop {trials:g} trials from random poses" + (f", the first {cut:g} s of each" if cut else "")
-    return "\n\n".join([
-        f"`python -m benchmarks.solvers` ({_where(environment)}{loop if trials else ''}):",
-        *first.sentences, of_columns(first.table.columns, first.table.rows), f"{first.table.caption}.",
-        *([first.note] if first.note else []),
-    ])  # fmt: skip
 
 
 def paper_section(summary: Summary, environment: Summary) -> str:
@@ -135,7 +121,7 @@ def _medians(rows: Mapping[str, Mapping[str, float]]) -> str:
 
 def fill(given: argparse.Namespace) -> int:
     """Write the sections whose results are there."""
-    makers = {"solvers": solvers_section, "paper": paper_section, "speed": speed_section}
+    makers = {"paper": paper_section, "speed": speed_section}
     text = given.readme.read_text(encoding="utf-8")
     for name, make in makers.items():
         folder = getattr(given, name)
@@ -149,7 +135,6 @@ def fill(given: argparse.Namespace) -> int:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Fill the README; see `cli.run` for the exit status."""
     options = argparse.ArgumentParser(prog="python -m benchmarks.readme", description=__doc__)
-    options.add_argument("--solvers", type=Path, help="results of benchmarks.solvers")
     options.add_argument("--paper", type=Path, help="results of benchmarks.paper")
     options.add_argument("--speed", type=Path, help="results of benchmarks.speed")
     options.add_argument("--readme", type=Path, default=Path("README.md"))

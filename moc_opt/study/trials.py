@@ -203,7 +203,6 @@ def _columns(asked: Trial, trace: Trace) -> dict[str, Array]:
     if asked.keep == "row":
         return {}
     found = {name: np.asarray(trace.columns[name], np.float64) for name in CURVES if name in trace.columns}
-    found["trocar_force_N"] = np.linalg.norm(trace.trocar_force_N.reshape(len(trace), -1), axis=1)
     if asked.controller not in BASELINES:
         found["travelling"] = in_transient(asked.case.robot.arm(), trace.t_s, trace.q_rad).astype(np.float64)
     if asked.keep == "poses":
@@ -253,4 +252,4 @@ def _means(columns: Mapping[str, Array], ticks: Array) -> dict[str, float]:
     for name, column in columns.items():
         if name.endswith("_error_m") or "_error_" in name:
             found[f"{name.removesuffix('_m')}_mean_mm"] = 1e3 * float(column[ticks].mean())
-    return found | {"trocar_force_mean_N": float(columns["trocar_force_N"][ticks].mean())}
+    return found | {"trocar_force_mean_N": float(np.linalg.norm(columns["trocar_force_N"][ticks], axis=-1).mean())}

@@ -9,32 +9,10 @@ import pytest
 
 from benchmarks.common.markdown import fill_section
 from benchmarks.maintenance import readme
-from benchmarks.solver_study.combine import COMPARED
 
-NAMES = ("solvers", "paper", "speed")
+NAMES = ("paper", "speed")
 README = "before\n" + "between\n".join(f"<!-- {name} -->\nold\n<!-- /{name} -->\n" for name in NAMES) + "after\n"
 MACHINE = {"cores": 2, "processor": "a processor", "python": "3.11", "load_1min": 0.4}
-ASKED = {"infeasible_asked": 0, "refused_inconsistent": 0}
-OPEN = {"solve_p50_us": 1.74, "solve_p99_us": 3.1, "solves": 10, "right": 10, "verified_solved": 10, "optima_asked": 10,
-        **ASKED}  # fmt: skip
-CLOSED = {
-    "mu_mean": 0.31, "tip_error_model_mean_mm": 0.3, "rcm_error_model_mean_mm": 1.5, "runs": 15, "compared_trials": 15,
-    "torque_rate_rms_Nm_per_s": 7.2, "mu_fraction_of_bound": 0.9474,
-}  # fmt: skip
-RIGHT = {"silently_wrong": 0, "solves": 50, "right": 50, "claimed_solved": 50, "verified_solved": 50,
-         "optima_asked": 50, **ASKED}  # fmt: skip
-SOLVERS = {
-    "open_loop_warm": {"exact": OPEN, "nlp-sqp": OPEN, "qpsolvers:daqp": OPEN},
-    "closed_loop": {"dcac": CLOSED, "exact": {
-        **CLOSED, **dict.fromkeys(COMPARED.values(), 5.0),
-        "mu_gain_percent": 65.5, "mu_gain_percent_low": 50.0, "mu_gain_percent_high": 80.0,
-    }},
-    "testsets": {
-        "osqp@default": {**RIGHT, "silently_wrong": 3}, "daqp@default": {**RIGHT, "silently_wrong": 30},
-        "piqp@default": RIGHT, "exact@recommended": RIGHT, "daqp@recommended": {**RIGHT, "right": 45},
-        "nlp-sqp@recommended": {**RIGHT, "right": 0, "silently_wrong": 50},
-    },
-}  # fmt: skip
 GOALS = [
     {"goal": "gain", "text": "mean gain in mu [%], at least", "limit": 15.0, "reached": True, "open": "",
      "value": 24.27, "value_low": 16.5, "value_high": 33.7},
@@ -85,7 +63,7 @@ PAPER = {"goals": GOALS, "verdict": VERDICT, "ablation": ABLATION, "paper": SHOO
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    for name, summary in (("solvers", SOLVERS), ("paper", PAPER), ("speed", SPEED)):
+    for name, summary in (("paper", PAPER), ("speed", SPEED)):
         (tmp_path / name).mkdir()
         (tmp_path / name / "summary.json").write_text(json.dumps(summary))
         (tmp_path / name / "environment.json").write_text(json.dumps({"machine": MACHINE, "seed": 4, "threads": "1"}))
@@ -98,30 +76,18 @@ def arguments(folder: Path, *names: str) -> list[str]:
     return [*given, "--readme", str(folder / "README.md")]
 
 
-def test_both_sections_are_written_and_nothing_else_is_touched(folder):
-    assert readme.main(arguments(folder, "solvers", "paper")) == 0
+def test_a_section_is_written_and_nothing_else_is_touched(folder):
+    assert readme.main(arguments(folder, "paper")) == 0
     text = (folder / "README.md").read_text()
-    assert text.startswith("before\n<!-- solvers -->\n")
+    assert text.startswith("before\n<!-- paper -->\n")
     assert text.endswith("<!-- speed -->\nold\n<!-- /speed -->\nafter\n")
     assert text.count("\nold\n") == 1
     assert "between" in text
-    (head,) = [line for line in text.splitlines() if line.startswith("| solver |")]
-    assert head.count("|") == 12, "the columns of the report"
-    assert "| exact | ★ take | 100.00 | 0 | 1.7 | 3.1 | +5/+5 | +5/+5 |" in text
-    assert "| daqp | ◐ gaps | 90.00 | 0 |" in text
-    assert "| nlp-sqp | ≠ other | – | – | 1.7 | 3.1 |" in text
-    assert text.index("| exact |") < text.index("| daqp |") < text.index("| nlp-sqp |")
-    assert "15 trials from random poses" in text
-    assert "change mean mu by +66 [50, 80] %" in text
-    assert "qpsolvers" not in text
-    assert "50 of 50 certified optima" in text
-    assert "(`daqp` 30, `osqp` 3)." in text
-    assert "piqp" not in text
     assert "| mean gain in mu [%] | at least 15 | 24.3 [16.5, 33.7] |" in text
     assert "| mean of rcm_error_mean_mm | at most 0.5 | 0.6 (not reached) |" in text
     assert "| mean tip error, base frame [mm] | – | 0.7 |" in text
     assert "| a change [%] | at most 5 | 3 (mean of ratios 8) (undecided) |" in text
-    assert readme.main(arguments(folder, "solvers", "paper")) == 0
+    assert readme.main(arguments(folder, "paper")) == 0
     assert (folder / "README.md").read_text() == text
 
 
@@ -163,21 +129,21 @@ def test_what_everything_costs(folder):
 
 def test_a_section_without_results_stays(folder):
     assert readme.main(arguments(folder, "paper")) == 0
-    assert "<!-- solvers -->\nold\n<!-- /solvers -->" in (folder / "README.md").read_text()
+    assert "<!-- speed -->\nold\n<!-- /speed -->" in (folder / "README.md").read_text()
 
 
 @pytest.mark.parametrize(
     ("break_it", "said"),
     [
-        (lambda folder: (folder / "README.md").write_text("<!-- solvers -->\n"), "no lines <!-- solvers -->"),
-        (lambda folder: (folder / "solvers" / "summary.json").write_text("{"), "not JSON"),
-        (lambda folder: (folder / "solvers" / "summary.json").unlink(), "summary.json"),
+        (lambda folder: (folder / "README.md").write_text("<!-- speed -->\n"), "no lines <!-- speed -->"),
+        (lambda folder: (folder / "speed" / "summary.json").write_text("{"), "not JSON"),
+        (lambda folder: (folder / "speed" / "summary.json").unlink(), "summary.json"),
     ],
 )  # fmt: skip
 def test_what_is_wrong_is_said_and_the_readme_stays(folder, break_it, said, capsys):
     break_it(folder)
     before = (folder / "README.md").read_text()
-    assert readme.main(arguments(folder, "solvers")) == 2
+    assert readme.main(arguments(folder, "speed")) == 2
     assert said in capsys.readouterr().err
     assert (folder / "README.md").read_text() == before
 
