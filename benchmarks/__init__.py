@@ -9,8 +9,5 @@ from pathlib import Path
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS"):
     os.environ.setdefault(_name, "1")
 
-PART_OF = "moc_opt"
-"""By which `moc-opt solvers` tells this package from others of its name."""
-
 # So that `python -m benchmarks.NAME` finds the maintainers' commands too. Imports name their folder.
 __path__.append(str(Path(__file__).with_name("maintenance")))

@@ -236,7 +236,7 @@ def _answer(future: Future[_Done | _Raised], job: Job) -> _Done | Failed:
     except ProcessExpired as error:
         code = error.exitcode or 0
         if code == -signal.SIGALRM:
-            return Failed("hung", "no sign of life within the limit that the job set itself")
+            return Failed("hung", "no answer within the limit that the job set itself")
         how = signal.Signals(-code).name if code < 0 else f"exit code {code}"
         return Failed("crashed", f"the process died ({how})")
     except BrokenProcessPool:

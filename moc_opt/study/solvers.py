@@ -11,6 +11,7 @@ stopped: finished jobs are kept in DIR/jobs.
 
 from __future__ import annotations
 
+import os
 import sys
 from argparse import ArgumentParser
 from collections.abc import Callable, Mapping, Sequence
@@ -51,6 +52,7 @@ from moc_opt.study.timing import Disturbance, clock_cost_us, each_us, load
 from moc_opt.study.trials import BASELINE, seeds, trials
 
 STREAM = 3
+THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 USUAL = ("open_loop", "testsets", "closed_loop")
 SLOW = ("nlp-ipopt", "nlp-fatrop", "qpsolvers:highs", "qpsolvers:scs")
 TASKS = ("circle", "sinusoid", "spiral")  # the paper's
@@ -355,6 +357,8 @@ def main(
         program: how the command is called.
     """
     parts = {**PARTS, **(more or {})}
+    for name in THREADS:  # read by the libraries of the workers, which have not begun
+        os.environ.setdefault(name, "1")
 
     def options(parser: ArgumentParser) -> None:
         parser.epilog = "`moc-opt solvers --list` prints the solvers that can run here, and their settings."
