@@ -6,6 +6,7 @@ The measures of its report are computed here from its rows, as it prints them on
 from __future__ import annotations
 
 import csv
+import io
 import subprocess
 import sys
 from collections.abc import Mapping, Sequence
@@ -14,9 +15,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import polars as pl
 
-from benchmarks.common.output import parquet_bytes, write_atomically
 from moc_opt.errors import MocOptError
+from moc_opt.inputs.files import write_whole
 from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.report.tables import Column, Table
 from moc_opt.solvers import available
@@ -98,8 +100,6 @@ def write_qpbenchmark(folder: Path, names: Sequence[str] = SETS, every: int = 1,
         ExportError: nothing is left to write.
         UnknownNameError: no such set.
     """
-    import polars as pl
-
     chosen = problems(names, every)
     if not chosen:
         raise ExportError(f"sets = {', '.join(names)}: no problem in them is feasible; take other sets")
@@ -110,13 +110,16 @@ def write_qpbenchmark(folder: Path, names: Sequence[str] = SETS, every: int = 1,
         for key in table:
             table[key].append(name if key == "name" else np.ravel(values[key]).tolist() if key in values else None)
     frame = pl.DataFrame(table, schema={key: pl.String if key == "name" else pl.List(pl.Float64) for key in table})
-    write_atomically(folder / f"{NAME}.parquet", parquet_bytes(frame))
+    packed = io.BytesIO()
+    frame.write_parquet(packed)
+    folder.mkdir(parents=True, exist_ok=True)
+    write_whole(folder / f"{NAME}.parquet", packed.getvalue())
     text = MODULE.format(
         title="Null-space subproblems", count=len(chosen), rows=rows, sets=", ".join(names), seconds=SECONDS,
         joints=next(iter(chosen.values())).n,
     )  # fmt: skip
     module = folder / f"{NAME}.py"
-    write_atomically(module, text.encode())
+    write_whole(module, text.encode())
     return module
 
 

@@ -39,18 +39,6 @@ def test_a_command_runs_as_a_module(name):
     assert f"python -m benchmarks.{name}" in done.stdout
 
 
-def test_every_command_leaves_its_tail_to_one_function():
-    for name in (*USERS, *MAINTAINERS):
-        (main,) = [
-            node
-            for node in ast.parse(Path(find_spec(f"benchmarks.{name}").origin).read_text()).body
-            if isinstance(node, ast.FunctionDef) and node.name == "main"
-        ]
-        if name in ("solvers", "testsets"):
-            continue
-        assert ast.unparse(main.body[-1]).startswith("return cli.run(")
-
-
 def imported(file):
     """Modules that a file imports, as they are named in it."""
     for node in ast.walk(ast.parse(file.read_text())):

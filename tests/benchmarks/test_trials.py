@@ -1,13 +1,16 @@
 """The trials of every study are independent: no two of them share a seed, a start or an error of registration."""
 
+from pathlib import Path
+
 import pytest
 
-from benchmarks import faults, paper, plan, plant, robots, solvers, sweep
+from benchmarks import faults, paper, plan, plant, robots, sweep
 from benchmarks.common.output import default_config
 from benchmarks.maintenance import coverage, tune
-from benchmarks.solver_study.cases import drawn
 from benchmarks.sweeps.config import chosen_seeds
 from moc_opt.scenario import Setup
+from moc_opt.study import solvers
+from moc_opt.study.command import CONFIGS
 
 SET_UP = 15
 """Trials of a study whose starts and errors are looked at, spread over all of them: a start takes a while to find."""
@@ -18,8 +21,8 @@ def shipped(command, name):
 
 
 def of_solvers(name):
-    config = shipped(solvers, name)
-    return list(drawn(config.scenario, config.closed_loop.tasks, config.seed, config.closed_loop.trials).values())
+    folder = Path(solvers.__file__).parent if name == "solvers" else CONFIGS
+    return solvers.Config.load(folder / f"{name}.toml").cases()
 
 
 def of_plan(name):
@@ -78,5 +81,6 @@ def test_no_two_trials_share_a_seed_a_start_or_a_registration(study, given):
 
 
 def test_the_pool_behind_the_coverage_shares_no_trial_with_the_study():
-    pool = range(coverage.SEED, coverage.SEED + 1000)
-    assert not {trial.seed for name in ("solvers", "solvers-long") for trial in of_solvers(name)} & set(pool)
+    pool = solvers.Config(seed=coverage.SEED, closed_loop={"trials": 1000}).cases()
+    study = {trial.seed for name in ("solvers", "solvers-long") for trial in of_solvers(name)}
+    assert not study & {trial.seed for trial in pool}

@@ -253,7 +253,8 @@ def test_the_first_screen_fits_a_terminal(whole, width):
         assert heading in text
     assert "99.95" in text, "2047 of 2048 is not 100 %"
     assert "99.94" in text
-    change = [whole[0]["closed_loop"]["clarabel"][f"tip_error_{frame}_change_percent"] for frame in ("model", "registered")]
+    row = whole[0]["closed_loop"]["clarabel"]
+    change = [row[f"tip_error_{frame}_change_percent"] for frame in ("model", "registered")]
     assert f"{change[0]:+.0f}/{change[1]:+.0f}" in re.sub(r"\s", "", text), "both frames"
     assert "counts neither as right nor as wrong" in " ".join(text.split())
     without = {**whole[0], "testsets": {"exact@recommended": certified()}}
