@@ -221,7 +221,8 @@ class Answers:
         found: dict[str, float | None] = {}
         for name in RESIDUALS:
             values = np.asarray(getattr(self.residuals, name))[answered]
-            three = np.percentile(values, (50.0, 99.0, 100.0)).tolist() if values.size else [None] * 3
+            with np.errstate(invalid="ignore"):  # a residual may be infinite
+                three = np.percentile(values, (50.0, 99.0, 100.0)).tolist() if values.size else [None] * 3
             found |= {f"{name}_{word}": value for word, value in zip(("p50", "p99", "max"), three, strict=True)}
         return found
 

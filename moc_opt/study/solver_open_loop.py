@@ -172,7 +172,8 @@ def certified_sets(work: Work) -> None:
             by_set = work.summary.setdefault(f"testset {one.problems.name}", {})
             by_set[setting.label] = one.summary(times.get(id(one)))
             work.answers.add(*one.rows("testset"))
-    work.sections.append(_certified_section(work.summary, [data.name for data in chosen], work.recommended))
+    names = [data.name for data in chosen]
+    work.sections += [_certified_section(work.summary, names, work.recommended), _settings_section(work.settings)]
 
 
 def _certified_section(
@@ -190,12 +191,20 @@ def _certified_section(
         "Right answers, set by set, under our settings", [SOLVER, *(Column(name, name) for name in names)], rows,
         "Wrong: claimed as solved, and not verified. Problems that were refused as inconsistent are not counted.",
     )  # fmt: skip
-    options = [{"solver": label, **row} for label, row in summary["settings"].items()]
-    return Section(CERTIFIED, f"{MEANING}\n\n{INCONSISTENT}", [
-        Table("All sets: sums of counts, largest residuals, times of the slowest set",
-              [*COUNTS, *residual_columns(), *time_columns("_worst_set")], _shown(summary["testsets"])),
-        by_set, Table("Settings", [SOLVER, Column("options", "options"), Column("reason", "why")], options),
-    ])  # fmt: skip
+    totalled = Table(
+        "All sets: sums of counts, largest residuals, times of the slowest set",
+        [*COUNTS, *residual_columns(), *time_columns("_worst_set")], _shown(summary["testsets"]),
+    )  # fmt: skip
+    return Section(CERTIFIED, f"{MEANING}\n\n{INCONSISTENT}", [totalled, by_set])
+
+
+def _settings_section(settings: Sequence[SolverSetting]) -> Section:
+    rows = [
+        {"solver": one.solver, "setting": one.name, "options": in_words(effective(one)), "reason": one.reason}
+        for one in settings
+    ]  # fmt: skip
+    columns = [SOLVER, Column("setting", "setting"), Column("options", "what it gets"), Column("reason", "why")]
+    return Section("Settings", "", [Table("Every setting of every solver", columns, rows)])
 
 
 def more_joints(work: Work) -> None:
@@ -216,7 +225,7 @@ def more_joints(work: Work) -> None:
         Column("solve_p50_us_exponent", "grows as n to the", format=".2f"), Column("reason", "not run because"),
     ]  # fmt: skip
     grown = {name: row["solve_p50_us_ratio"] for name, row in found.items() if "solve_p50_us_ratio" in row}
-    text = "" if not grown else (
+    text = "" if len(grown) < 2 else (
         f"From {joints[0]} to {joints[-1]} joints the median time of a solve grows by a factor of "
         f"{min(grown.values()):.1f} with `{min(grown, key=grown.__getitem__)}` and of {max(grown.values()):.1f} with "
         f"`{max(grown, key=grown.__getitem__)}`."
