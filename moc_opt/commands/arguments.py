@@ -33,7 +33,7 @@ def add_commands(commands: Any) -> None:
     made.add_argument("--out", type=Path, default=Path("report.html"), help="default report.html")
     study = commands.add_parser(
         "solvers", add_help=False,
-        help="--list: which solvers there are; else the whole study of them, with the options of benchmarks.solvers",
+        help="--list: which solvers there are; else the whole study of them, with options of its own",
     )  # fmt: skip
     study.add_argument("--list", action="store_true")
     study.add_argument("--json", action="store_true")
