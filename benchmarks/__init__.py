@@ -8,5 +8,3 @@ import os
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS"):
     os.environ.setdefault(_name, "1")
 
-PART_OF = "moc_opt"
-"""By which `moc-opt solvers` tells this package from others of its name."""

@@ -18,17 +18,15 @@ from typing import Any
 import numpy as np
 
 from benchmarks.common import cli, output
-from benchmarks.solver_study.cases import trials
-from benchmarks.solver_study.combine import COMPARED
-from benchmarks.solver_study.config import Config
-from benchmarks.solver_study.settings import RECOMMENDED, solver_settings
 from moc_opt.arrays import Array
 from moc_opt.errors import ScenarioError
 from moc_opt.report.tables import Column, Table
 from moc_opt.scenario import Scenario, run
 from moc_opt.study import Kept, each
+from moc_opt.study.solver_closed_loop import CHANGES
+from moc_opt.study.solvers import Config
 from moc_opt.study.statistics import relative_change
-from moc_opt.study.trials import BASELINE, variant
+from moc_opt.study.trials import BASELINE, placed, variant
 from moc_opt.trace.meta import Ending
 from moc_opt.trace.metrics import summarize
 
@@ -54,7 +52,7 @@ def metrics_of(given: tuple[Scenario, Mapping[str, Mapping[str, Any]]]) -> dict[
         trace = run(variant(trial, name, settings.get(name)))
         if Ending.of(str(trace.meta["ended"])).whole:
             values = summarize(trace)
-            found[name] = {metric: float(values[metric]) for metric in COMPARED}
+            found[name] = {metric: float(values[metric]) for metric in CHANGES}
     return found
 
 
@@ -82,16 +80,15 @@ def measure(given: Namespace) -> cli.Results:
     """
     if given.trials < 2 * max(SIZES) or min(given.draws, given.processes) < 1:
         raise ScenarioError(f"--trials {given.trials}: give {2 * max(SIZES)} or more; --draws, --processes: 1 or more")
-    config = Config.load(output.default_config("solvers"))
-    base = config.scenario.change(duration_s=config.closed_loop.duration_s, bound_samples=0)
-    settings = {s.solver: s.options for s in solver_settings(SOLVERS, {}) if s.name == RECOMMENDED}
-    pool = trials(base, config.closed_loop.tasks, SEED, given.trials).values()
-    jobs = [(trial.change(best_courses=False), settings) for trial in pool]
+    part = {"trials": given.trials}
+    config = Config(seed=SEED, scenario={"bound_samples": 0}, closed_loop=part)
+    settings: dict[str, dict[str, Any]] = {name: {} for name in SOLVERS}
+    jobs = [(placed(trial), settings) for trial in config.cases()]
     kept = Kept(given.out / "jobs")
     with cli.steps("trials", len(jobs)) as step:
         found = each(metrics_of, jobs, kept=kept, workers=given.processes, step=step)
     rows, asked = [], []
-    for solver, metric in product(SOLVERS, COMPARED):
+    for solver, metric in product(SOLVERS, CHANGES):
         both = [(one[solver][metric], one[BASELINE][metric]) for one in found if solver in one and BASELINE in one]
         treated, control = np.array(both).T
         asked += [(treated, control, size, given.draws) for size in SIZES]

@@ -14,8 +14,9 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from benchmarks.common import cli
 from benchmarks.subproblems.qpbenchmark import SETS, write_qpbenchmark
+from moc_opt.errors import MocOptError
+from moc_opt.study.command import WRONG
 
 
 def write(given: argparse.Namespace) -> int:
@@ -26,14 +27,18 @@ def write(given: argparse.Namespace) -> int:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Write a test set; see `cli.run` for the exit status."""
+    """Write a test set; returns the exit status."""
     options = argparse.ArgumentParser(prog="python -m benchmarks.export", description="The test sets for others.")
     options.add_argument("format", choices=["qpbenchmark"])
     options.add_argument("--out", type=Path, required=True, help="folder for the files")
     options.add_argument("--sets", nargs="+", metavar="NAME", default=list(SETS), help="test sets")
     options.add_argument("--every", type=int, default=1, help="take each every-th problem")
     options.add_argument("--rows", type=int, choices=[5, 6], default=5, help="equality rows")
-    return cli.run(options, write, arguments)
+    try:
+        return write(options.parse_args(arguments))
+    except (MocOptError, OSError) as error:
+        print(f"{type(error).__name__}: {error}", file=sys.stderr)
+        return WRONG
 
 
 if __name__ == "__main__":

@@ -15,33 +15,30 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from benchmarks.common import cli
-from benchmarks.common.output import write_atomically
 from benchmarks.subproblems.certify import certify, make
 from benchmarks.subproblems.recipes import RECIPES
-from benchmarks.subproblems.testset import FOLDER, TestSet
+from moc_opt.inputs.files import write_whole
 from moc_opt.robots.model import load_robot
+from moc_opt.study.testsets import FOLDER, TestSet
 
-CLOSE = (
-    1e-9  # rad/s: another machine rounds the five rows in other directions, which moves an optimum by 1e-14
-)
+CLOSE = 1e-9  # rad/s; another machine rounds the five rows in other directions, which moves an optimum by 1e-14
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Make or check all sets; see `cli.run` for the exit status, which is 1 where the files differ."""
+    """Make or check all sets; returns the exit status, 1 where the files differ."""
     options = argparse.ArgumentParser(prog="python -m benchmarks.testsets", description=__doc__)
     options.add_argument("--check", action="store_true", help="compare with the files instead of writing")
-    return cli.run(options, _make_all, arguments)
+    return make_all(options.parse_args(arguments).check)
 
 
-def _make_all(given: argparse.Namespace) -> int:
+def make_all(check: bool) -> int:
     robot, different = load_robot(), []
     for name in RECIPES:
         made = make(name, robot)
         print(f"{name:20s} {len(made.rows):4d} problems, {int(made.feasible.sum()):4d} feasible", end="")
-        if not given.check:
+        if not check:
             print()
-            write_atomically(FOLDER / f"{name}.npz", made.to_bytes())
+            write_whole(FOLDER / f"{name}.npz", made.to_bytes())
             continue
         kept = TestSet.load(name)
         again = certify(name, kept.problems())

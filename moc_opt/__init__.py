@@ -17,15 +17,14 @@ if TYPE_CHECKING:
     from moc_opt.robots.model import RobotModel, RobotState, load_robot
     from moc_opt.scenario import Scenario, run
     from moc_opt.scenario.planned import plan
-    from moc_opt.study.compare import compare
-    from moc_opt.study.findings import Comparison
+    from moc_opt.study.compare import Comparison, compare
     from moc_opt.trace.metrics import summarize
     from moc_opt.trace.trace import Trace, load_trace
 
 __version__ = "1.0.0"
 
 _HOMES = {
-    "Comparison": "study.findings", "MocOptError": "errors", "NullSpaceQP": "qp.problem", "Plan": "planning.plan",
+    "Comparison": "study.compare", "MocOptError": "errors", "NullSpaceQP": "qp.problem", "Plan": "planning.plan",
     "RobotModel": "robots.model", "RobotState": "robots.model", "Scenario": "scenario",
     "Trace": "trace.trace", "compare": "study.compare", "load_robot": "robots.model",
     "load_trace": "trace.trace", "plan": "scenario.planned", "run": "scenario", "summarize": "trace.metrics",

@@ -18,7 +18,7 @@ import pytest
 import moc_opt as mo
 
 FIGURES = Path(__file__).with_name("frozen.json")
-PROBLEMS = Path(__file__).parents[1] / "benchmarks" / "subproblems" / "v1"
+PROBLEMS = Path(__file__).parents[1] / "moc_opt" / "study" / "subproblems"
 
 SHAPES: dict[Any, dict[str, Any]] = {
     "waypoints": {"waypoints_m": ((0.0, 0.0, 0.0), (0.02, 0.01, 0.005), (0.03, -0.01, 0.0), (0.05, 0.0, -0.005))},

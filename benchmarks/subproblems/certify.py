@@ -19,11 +19,12 @@ import numpy as np
 from scipy.optimize import linprog
 
 from benchmarks.subproblems.recipes import RECIPES, SIZE
-from benchmarks.subproblems.testset import VERSION, CertificateError, TestSet
 from moc_opt.arrays import Array
 from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.robots.model import RobotModel
+from moc_opt.study.testsets import CertificateError, TestSet
 
+VERSION = 1  # of the drawn sets: another one draws other problems
 TIED = 1e-12  # of |A|: largest movement of tip against wrist along the shaft that is taken for rounding
 RANK_TOLERANCE = 1e-12
 """A singular value below this share of |A| counts as zero: the judge's rule, of which no certificate may depend."""

@@ -6,6 +6,7 @@ The measures of its report are computed here from its rows, as it prints them on
 from __future__ import annotations
 
 import csv
+import io
 import subprocess
 import sys
 from collections.abc import Mapping, Sequence
@@ -14,18 +15,35 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import polars as pl
 
-from benchmarks.common.output import parquet_bytes, write_atomically
-from benchmarks.subproblems.recipes import RECIPES
-from benchmarks.subproblems.testset import TestSet
-from moc_opt.errors import MocOptError, UnknownNameError
+from moc_opt.errors import MocOptError
+from moc_opt.inputs.files import write_whole
 from moc_opt.qp.problem import NullSpaceQP
+from moc_opt.report.tables import Column, Table
+from moc_opt.solvers import available
+from moc_opt.study.show import Section
+from moc_opt.study.solver_answers import share_right
+from moc_opt.study.solver_settings import QPSOLVERS
+from moc_opt.study.solvers import Work
+from moc_opt.study.testsets import TestSet, check_name
 
 NAME = "null_space"
 SETS = ("circle", "circle-rho0", "random", "joint-limits", "near-singular", "jumps")
 SETTINGS = ("default", "high_accuracy")
 SECONDS = 0.1  # a solve may take this long there: a thousand times what most solvers need
 SHIFT_S, MARGIN_S = 10.0, 600.0
+OURS = {"default": "default", "high_accuracy": "tight"}
+"""Their settings -> ours."""
+COLUMNS = [
+    Column("solver", "solver"), Column("rank", "their rank"),
+    Column("success_percent", "success", unit="%", format=".0f", better="high"),
+    Column("shgeom_us", "their mean", unit="us", digits=4, better="low", help="shifted geometric mean, shift 10 s"),
+    Column("runtime_p50_us", "their p50", unit="us", format=".1f", better="low"),
+    Column("our_p50_us", "our p50", unit="us", format=".1f"),
+    Column("our_right_percent", "right by us", unit="%", format=".1f", better="high"),
+    Column("reason", "not run because"),
+]  # fmt: skip
 
 MODULE = '''"""{title}: {count} subproblems of a manipulability controller, each of them feasible.
 
@@ -64,8 +82,7 @@ def problems(names: Sequence[str], every: int = 1) -> dict[str, NullSpaceQP]:
     """
     found = {}
     for name in names:
-        if name not in RECIPES:
-            raise UnknownNameError("test set", name, RECIPES)
+        check_name(name)
         kept = TestSet.load(name)
         for index in range(0, len(kept.rows), every):
             if kept.feasible[index]:
@@ -83,8 +100,6 @@ def write_qpbenchmark(folder: Path, names: Sequence[str] = SETS, every: int = 1,
         ExportError: nothing is left to write.
         UnknownNameError: no such set.
     """
-    import polars as pl
-
     chosen = problems(names, every)
     if not chosen:
         raise ExportError(f"sets = {', '.join(names)}: no problem in them is feasible; take other sets")
@@ -95,13 +110,16 @@ def write_qpbenchmark(folder: Path, names: Sequence[str] = SETS, every: int = 1,
         for key in table:
             table[key].append(name if key == "name" else np.ravel(values[key]).tolist() if key in values else None)
     frame = pl.DataFrame(table, schema={key: pl.String if key == "name" else pl.List(pl.Float64) for key in table})
-    write_atomically(folder / f"{NAME}.parquet", parquet_bytes(frame))
+    packed = io.BytesIO()
+    frame.write_parquet(packed)
+    folder.mkdir(parents=True, exist_ok=True)
+    write_whole(folder / f"{NAME}.parquet", packed.getvalue())
     text = MODULE.format(
         title="Null-space subproblems", count=len(chosen), rows=rows, sets=", ".join(names), seconds=SECONDS,
         joints=next(iter(chosen.values())).n,
     )  # fmt: skip
     module = folder / f"{NAME}.py"
-    write_atomically(module, text.encode())
+    write_whole(module, text.encode())
     return module
 
 
@@ -184,3 +202,26 @@ def figures(rows: Sequence[Mapping[str, str]]) -> dict[str, dict[str, Any]]:
 def _succeeds(row: Mapping[str, str], limit: float) -> bool:
     values = [row[key] for key in ("primal_residual", "dual_residual", "duality_gap")]
     return row["found"] == "True" and all(value != "" and float(value) < limit for value in values)
+
+
+def beside_ours(work: Work) -> None:
+    """Add qpbenchmark's ranking of the libraries to the solver study, with our figures of them beside it."""
+    names = [name for name, reason in available().items() if reason is None]
+    found = work.summary["qpbenchmark"] = ranking(work.study.out / "qpbenchmark", names)
+    ours = {
+        label.removeprefix(QPSOLVERS): row for label, row in work.summary.get("testsets", {}).items()
+        if label.startswith(QPSOLVERS) and row.get("solves")
+    }  # fmt: skip
+    rows = []
+    for label, theirs in found.items():
+        solver, _, settings = label.partition("@")
+        mine = ours.get(f"{solver}@{OURS.get(settings, '')}", {})
+        rows.append({
+            "solver": label, **theirs, "our_p50_us": mine.get("solve_p50_us_worst_set"),
+            "our_right_percent": 100.0 * share_right(mine) if mine else None,
+        })  # fmt: skip
+    table = Table("The ranking of qpbenchmark, and our figures of the same libraries", COLUMNS, rows,
+                  "Theirs: on feasible problems of six sets, five rows; ours: the same library and settings on all "
+                  "certified sets. With times of microseconds and a shift of 10 s their geometric mean is an "
+                  "arithmetic one.")  # fmt: skip
+    work.sections.append(Section("What qpbenchmark says", "", [table]))

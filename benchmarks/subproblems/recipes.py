@@ -6,16 +6,15 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from benchmarks.subproblems.testset import TestSet, changed
 from moc_opt.arrays import Array
 from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.robots.chain import desired_wrist
 from moc_opt.robots.model import RobotModel
+from moc_opt.study.testsets import INCONSISTENT, SEQUENCES, TestSet, changed
 
 Rng = np.random.Generator
 
 SIZE = 128  # problems a set
-SEQUENCES = ("circle", "sinusoid", "spiral", "circle-rho0", "sinusoid-rho0", "spiral-rho0")
 
 
 def at_pose(
@@ -113,6 +112,6 @@ RECIPES: dict[str, Callable[[RobotModel, Rng], Iterator[NullSpaceQP]]] = {
     "near-singular": near_singular,
     "joint-limits": joint_limits,
     "infeasible": infeasible,
-    **{f"inconsistent-1e{power}": inconsistent(10.0**power) for power in (-12, -10, -8, -6, -4)},
+    **{name: inconsistent(float(name.removeprefix("inconsistent-"))) for name in INCONSISTENT},
     "jumps": jumps,
 }

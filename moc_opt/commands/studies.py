@@ -1,20 +1,12 @@
-"""moc-opt compare, and moc-opt solvers: solvers on the same trials, and the whole study of the package `benchmarks`.
-
-The study is another package of the same distribution: it is imported by its name, when it is asked for.
-"""
+"""moc-opt compare, and moc-opt solvers: solvers on the same trials, and the whole study of them."""
 
 from __future__ import annotations
 
 import argparse
-import importlib
 import sys
-from collections.abc import Sequence
 from typing import Any
 
 from moc_opt.commands.running import read_scenario
-from moc_opt.errors import SolverError
-
-STUDIES = "benchmarks"
 
 
 def compare_solvers(given: argparse.Namespace) -> int:
@@ -39,7 +31,7 @@ def compare_solvers(given: argparse.Namespace) -> int:
         print_json({name: {key: _plain(value) for key, value in of.items()} for name, of in found.summary().items()})
     else:
         screen = console()
-        for piece in found.tables(screen.width):
+        for piece in found.table.fitted(screen.width):
             screen.print(piece)
     if given.out is not None:
         found.save_rows(given.out)
@@ -58,23 +50,9 @@ def list_or_study(given: argparse.Namespace) -> int:
         from moc_opt.commands.listing import print_list
 
         return print_list(given)
-    return run_study("solvers", [*given.rest, *(["--json"] if given.json else [])])
+    from moc_opt.study import solvers
 
-
-def run_study(name: str, arguments: Sequence[str]) -> int:
-    """Run a command of the package `benchmarks`; a SolverError where it is not there, or another one of that name."""
-    try:
-        package = importlib.import_module(STUDIES)
-    except ImportError as error:
-        raise SolverError(f"the package {STUDIES!r} is not installed ({error}): reinstall moc-opt") from error
-    if getattr(package, "PART_OF", "") != "moc_opt":
-        where = getattr(package, "__file__", None) or next(iter(getattr(package, "__path__", [])), "?")
-        raise SolverError(
-            f"another package is called {STUDIES!r} here ({where}): start moc-opt from another folder, or take that "
-            "place off PYTHONPATH"
-        )
-    status: int = importlib.import_module(f"{STUDIES}.{name}").main(list(arguments))
-    return status
+    return solvers.main([*given.rest, *(["--json"] if given.json else [])])
 
 
 def _plain(value: Any) -> Any:

@@ -1,28 +1,236 @@
-"""Compare solvers in closed loop: the same trials under DCAC and under MOC with each of them."""
+"""Compare solvers in closed loop: the same trials under DCAC and under MOC with each of them (``mo.compare``)."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from moc_opt.errors import MocOptError, ScenarioError, SolverError, describe, shown
-from moc_opt.inputs.files import LARGEST_INTEGER
+from moc_opt.errors import MocOptError, ScenarioError, SolverError, UnknownNameError, describe, shown
+from moc_opt.inputs.files import LARGEST_INTEGER, write_whole
 from moc_opt.report.console import busy
-from moc_opt.report.run_table import VERDICTS, answers_another_problem
+from moc_opt.report.run_table import ANOTHER_PROBLEM, VERDICTS, answers_another_problem
+from moc_opt.report.tables import Column, Table, as_text, terminal_width
 from moc_opt.scenario import RunAway, Scenario, make_solver, run
 from moc_opt.scenario.parts import check_solver
 from moc_opt.solvers.base import Solver
-from moc_opt.study.findings import Comparison
+from moc_opt.study.results import FRAMES, Results
+from moc_opt.study.statistics import Change, Interval, too_few
 from moc_opt.study.trials import BASELINE, placed, variant
 from moc_opt.trace.meta import Ending
-from moc_opt.trace.metrics import summarize
+from moc_opt.trace.metrics import METRICS, summarize
 from moc_opt.trace.trace import Trace
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+    from plotly.graph_objects import Figure
 
 Solvers = Sequence[str | Solver] | Mapping[str, str | Solver]
 Row = dict[str, Any]
+
+CHANGES = {
+    "mu_mean": "gain", "tip_error_model_mean_mm": "tip_change", "tip_error_registered_mean_mm": "tip_patient_change",
+    "rcm_error_model_mean_mm": "rcm_change", "rcm_error_registered_mean_mm": "rcm_patient_change",
+}  # fmt: skip
+"""Metric -> name of its change against DCAC in `Comparison.summary` [percent]; errors in both frames."""
+COLUMNS = [
+    Column("solver", "solver"), Column("trials", "trials"), Column("verified", "verified", "%", digits=4),
+    Column("silently_wrong", "silently wrong"), Column("solve_p50_us", "p50", "us"),
+    Column("solve_p99_us", "p99", "us"), Column("gain", "gain", "%"), Column("tip_change", "tip change", "%"),
+    Column("tip_patient_change", "patient tip change", "%"), Column("rcm_change", "RCM change", "%"),
+    Column("rcm_patient_change", "patient RCM change", "%"), Column("mu_mean", "mu", "m^3"),
+    Column("tip_error_model_mean_mm", "tip", "mm"), Column("tip_error_registered_mean_mm", "patient tip", "mm"),
+    Column("rcm_error_model_mean_mm", "RCM", "mm"), Column("rcm_error_registered_mean_mm", "patient RCM", "mm"),
+    Column("oscillated", "oscillated"),
+]  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """What `compare` found; a notebook shows its table.
+
+    Attributes:
+        rows: one mapping a run: solver, seed, ended, asked (ticks with a subproblem), then every metric; of a run
+            that could not be made `ended` is "failed: " and why, and there is no metric.
+        solvers: their names in the table, the baseline first.
+        scenario: from which the trials were made.
+        note: where the trials start, and a remark if the machine was busy.
+        complete: False where Ctrl-C ended it after some of the trials.
+
+    Example:
+        >>> found = mo.compare(["exact"], mo.Scenario(duration_s=0.05, bound_samples=0), trials=2)
+        >>> found.solvers, found.summary()["exact"]["verified"], sorted(found.values("exact", "mu_mean"))
+        (['dcac', 'exact'], 100.0, [0, 1])
+        >>> gain = found.change("exact", "mu_mean")  # [percent], by both means, with 95 % intervals
+        >>> gain.ratio.low <= gain.ratio.value <= gain.ratio.high, found.mean("dcac", "mu_mean").samples
+        (True, 2)
+        >>> found.table.title, found.to_pandas().shape[0]
+        ('circle: solvers on the same trials', 4)
+        >>> [box.name for box in found.plot("tip_error_max_mm").data]
+        ['dcac', 'exact']
+        >>> found.save_rows("rows.csv")
+    """
+
+    rows: Sequence[Mapping[str, Any]]
+    solvers: Sequence[str]
+    scenario: Scenario
+    note: str = ""
+    complete: bool = True
+
+    @cached_property
+    def _results(self) -> Results:
+        return Results(
+            {**row, "controller": row["solver"], "trial": row["seed"], "whole": Ending.of(row["ended"]).whole}
+            for row in self.rows
+        )
+
+    def values(self, solver: str, metric: str) -> dict[int, float]:
+        """Return seed -> value of a metric, over the trials that the solver completed.
+
+        Raises:
+            UnknownNameError: no such solver, or no run has such a metric.
+        """
+        if solver not in self.solvers:
+            raise UnknownNameError("solver of this comparison", solver, self.solvers)
+        if metric not in METRICS and not any(metric in row for row in self.rows):
+            raise UnknownNameError("metric", metric, METRICS, "moc-opt metrics")
+        return self._results.values(metric, solver)
+
+    def mean(self, solver: str, metric: str) -> Interval | None:
+        """Return the mean of a metric over the solver's whole trials, with its 95 % interval; None without any.
+
+        Raises:
+            UnknownNameError: as for `values`.
+        """
+        return self._results.mean(metric, solver) if self.values(solver, metric) else None
+
+    def change(self, solver: str, metric: str) -> Change | None:
+        """Return the change against DCAC [percent] by both means, on the trials that both completed; or None.
+
+        Raises:
+            UnknownNameError: as for `values`.
+        """
+        return self._results.change(metric, solver) if self.values(solver, metric) else None
+
+    def summary(self) -> dict[str, dict[str, Any]]:
+        """Return solver -> counts, shares, medians of times, means as `Interval` and changes as `Change`."""
+        return {name: dict(found) for name, found in self._summary.items()}
+
+    @cached_property
+    def _summary(self) -> dict[str, dict[str, Any]]:
+        return {name: self._of(name) for name in self.solvers}
+
+    def _of(self, name: str) -> dict[str, Any]:
+        rows = [row for row in self.rows if row["solver"] == name]
+        found: dict[str, Any] = {
+            "trials": sum(Ending.of(row["ended"]).whole for row in rows), "of": len(rows),
+            "oscillated": sum(Ending.of(row["ended"]) is Ending.OSCILLATED for row in rows),
+        }  # fmt: skip
+        answered = [row for row in rows if row["asked"]]
+        if answered and all("verified_solved" in row for row in answered):
+            verified = sum(row["verified_solved"] for row in answered)
+            found["verified"] = 100.0 * verified / sum(row["asked"] for row in answered)
+            found["silently_wrong"] = sum(row["silently_wrong"] for row in answered)
+        if answered:
+            found |= {key: float(np.median([row[key] for row in answered])) for key in ("solve_p50_us", "solve_p99_us")}
+        for metric, change in CHANGES.items():
+            found[metric] = self.mean(name, metric)
+            if name != BASELINE:
+                found[change] = self.change(name, metric)
+        return found
+
+    @property
+    def table(self) -> Table:
+        """One row per solver: trials, claims and verified answers, times, and the effect on the arm."""
+        rows, remarks, few = [], list[str](), dict[str, list[str]]()
+        for name, found in self._summary.items():
+            row = {**found, "solver": name, "trials": f"{found['trials']}"}
+            if found["trials"] < found["of"]:
+                row["trials"] += f" of {found['of']}"
+            for key, value in found.items():
+                if isinstance(value, Interval):
+                    row[key] = _with_ends(value, ".3g")
+                elif isinstance(value, Change):
+                    words = too_few(value.ratio.samples)
+                    row[key] = None if words else _with_ends(value.ratio, "+.3g")
+                    if words and name not in few.setdefault(words, []):
+                        few[words].append(name)
+                    elif not words and value.undecided:
+                        remarks.append(f"{name}, {key.replace('_', ' ')} [%]: {value}.")
+            rows.append(row)
+        optional = {"oscillated", *CHANGES.values()}
+        shown = [c for c in COLUMNS if c.key not in optional or any(row.get(c.key) for row in rows)]
+        remarks += [f"{', '.join(names)} against DCAC: {words}." for words, names in few.items()]
+        unjudged = any(row["asked"] and "verified_solved" not in row for row in self.rows)
+        caption = [
+            "Means over the trials that came to their end, with 95 % intervals; gain and changes: of the mean over "
+            "that of DCAC with the same gains on the same trials; times: of the middle trial.", FRAMES, *remarks,
+            ANOTHER_PROBLEM if unjudged and self.scenario.judge else "", self.note, *self._failures(),
+        ]  # fmt: skip
+        named = "name" in self.scenario.model_fields_set
+        title = self.scenario.name if named else self.scenario.task.path
+        return Table(f"{title}: solvers on the same trials", shown, rows, " ".join(filter(None, caption)))
+
+    def _failures(self) -> list[str]:
+        """Return one sentence a solver of which runs could not be made: how many, and why the first."""
+        said = []
+        for name in self.solvers:
+            mine = [row["ended"] for row in self.rows if row["solver"] == name]
+            failed = [ended for ended in mine if Ending.of(ended) is Ending.FAILED]
+            if failed:
+                said.append(f"{name} failed in {len(failed)}: {failed[0].partition(': ')[2]}.")
+        return said
+
+    def plot(self, metric: str = "mu_mean") -> Figure:
+        """Draw a metric over the trials as one box a solver: a plotly figure.
+
+        Raises:
+            UnknownNameError: no run has such a metric.
+        """
+        from moc_opt.figures import box_plots
+
+        samples = {name: list(self.values(name, metric).values()) for name in self.solvers}
+        unit = METRICS[metric].unit if metric in METRICS else "1"
+        said = metric if unit == "1" or metric.endswith(f"_{unit}") else f"{metric} [{unit}]"
+        return box_plots({name: {"all trials": data} for name, data in samples.items() if data}, said)
+
+    def to_pandas(self) -> DataFrame:
+        """Return a pandas.DataFrame with one row a run: solver, seed, ended, then every metric.
+
+        Raises:
+            ScenarioError: pandas is not installed.
+        """
+        try:
+            import pandas
+        except ImportError as error:
+            raise ScenarioError("pandas is not installed: pip install 'moc-opt[dataframes]'") from error
+        return pandas.DataFrame([dict(row) for row in self.rows])
+
+    def save_rows(self, path: str | os.PathLike[str]) -> None:
+        """Write one row a run as CSV: solver, seed, ended, then every metric.
+
+        Raises:
+            ScenarioError: the file cannot be written.
+        """
+        try:
+            write_whole(path, Results(self.rows).frame.write_csv().encode())
+        except OSError as error:
+            raise ScenarioError(f"{path}: cannot be written: {error}") from error
+
+    def __repr__(self) -> str:
+        return as_text(self.table.fitted(width := terminal_width()), width)
+
+    def _repr_html_(self) -> str:
+        """Show the table in a notebook."""
+        return self.table._repr_html_()
+
+
+def _with_ends(found: Interval, form: str) -> str:
+    return f"{found:{form}}" if found.samples > 1 else f"{found.value:{form}}"
 
 
 def compare(
@@ -102,20 +310,23 @@ def _row(
     trial: Scenario, base: Scenario, name: str, solver: str | Solver, baseline: Trace | None
 ) -> tuple[Row, Trace | None]:
     """Run one solver on a trial: how it ended, its ticks with a subproblem, its metrics; and its trace, if any."""
-    named = solver if isinstance(solver, str) else None
-    case = trial if named is None else variant(trial, named, _settings(base, named))
     try:
-        trace = _run(case, None if isinstance(solver, str) else solver)
+        if isinstance(solver, str):
+            trace = run(variant(trial, solver, _settings(base, solver)))
+        else:
+            trace = run(trial, solver=solver)
+    except RunAway as error:
+        trace = error.trace
     except Exception as error:
         if name == BASELINE or isinstance(error, MemoryError):
             raise  # no solver is at fault
         return {"ended": f"{Ending.FAILED.value}: {describe(error)}", "asked": 0}, None
-    found = {"ended": str(trace.meta["ended"]), "asked": _asked(trace)}
+    asked = int(np.count_nonzero(trace.status != "none")) if "status" in trace.columns else 0
     same_length = baseline is not None and len(trace) == len(baseline)
-    found |= summarize(trace, baseline if same_length else None)
+    found = summarize(trace, baseline if same_length else None)
     if answers_another_problem(trace, solver if isinstance(solver, str) else solver.name):
         found = {key: value for key, value in found.items() if key not in VERDICTS}
-    return found, trace
+    return {"ended": str(trace.meta["ended"]), "asked": asked, **found}, trace
 
 
 def _starts(base: Scenario, random_start: bool) -> str:
@@ -131,18 +342,6 @@ def _starts(base: Scenario, random_start: bool) -> str:
 def _settings(base: Scenario, name: str) -> Mapping[str, Any]:
     """Return the settings of the scenario's own solver, where that one is meant."""
     return base.solver.settings if name == base.solver.name else {}
-
-
-def _run(case: Scenario, solver: Solver | None) -> Trace:
-    try:
-        return run(case, solver=solver)
-    except RunAway as error:
-        return error.trace
-
-
-def _asked(trace: Trace) -> int:
-    """Count the ticks at which there was a subproblem."""
-    return int(np.count_nonzero(trace.status != "none")) if "status" in trace.columns else 0
 
 
 def _named(solvers: Solvers, base: Scenario) -> dict[str, str | Solver]:

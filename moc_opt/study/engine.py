@@ -39,7 +39,7 @@ CONNECT_S = 30.0
 LOOK_S, ATTEMPTS = 1.0, 3  # how often processes are looked after [s], and pools that a job may see break
 BEGUN = ".pid"
 PR_SET_PDEATHSIG = 1
-PRELOAD = ("moc_opt.scenario", "moc_opt.study.engine")
+PRELOAD = ("moc_opt.scenario", "moc_opt.study.trials", "moc_opt.study.solver_answers")
 
 _alone = False  # set in a worker that is the only one
 _parts: str | None = None  # in a worker: the file for what the job hands over
@@ -236,7 +236,7 @@ def _answer(future: Future[_Done | _Raised], job: Job) -> _Done | Failed:
     except ProcessExpired as error:
         code = error.exitcode or 0
         if code == -signal.SIGALRM:
-            return Failed("hung", "no sign of life within the limit that the job set itself")
+            return Failed("hung", "no answer within the limit that the job set itself")
         how = signal.Signals(-code).name if code < 0 else f"exit code {code}"
         return Failed("crashed", f"the process died ({how})")
     except BrokenProcessPool:

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from benchmarks import coverage
-from benchmarks.solver_study.combine import COMPARED
 from moc_opt.scenario import Scenario
+from moc_opt.study.solver_closed_loop import CHANGES
 
 POOL = np.random.default_rng(0).lognormal(0.0, 0.3, (2, 240))
 
@@ -29,4 +29,4 @@ def test_one_trial_is_run_under_the_baseline_and_every_solver():
     trial = Scenario(duration_s=0.02, bound_samples=0)
     found = coverage.metrics_of((trial, {"exact": {}, "rnn": {"steps": 5}}))
     assert list(found) == ["dcac", "exact", "rnn"]
-    assert set(found["rnn"]) == set(COMPARED)
+    assert set(found["rnn"]) == set(CHANGES)

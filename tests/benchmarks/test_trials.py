@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 import pytest
 
-from benchmarks import coverage, faults, paper, plan, plant, robots, solvers, sweep, tune
-from benchmarks.solver_study.cases import drawn
+from benchmarks import coverage, faults, paper, plan, plant, robots, sweep, tune
 from moc_opt.scenario import Scenario, Setup
+from moc_opt.study import solvers
 from moc_opt.study.command import CONFIGS
 from moc_opt.study.trials import seeds, trials
 
@@ -19,7 +20,7 @@ SET_UP = 15
 
 
 def of_solvers(config: Any) -> list[Scenario]:
-    return list(drawn(config.scenario, config.closed_loop.tasks, config.seed, config.closed_loop.trials).values())
+    return config.cases()
 
 
 def of_tune(config: Any) -> list[Scenario]:
@@ -49,7 +50,8 @@ STUDIES: dict[str, tuple[ModuleType, Callable[[Any], list[Scenario]]]] = {
 
 def shipped(name: str) -> list[Scenario]:
     study, cases = STUDIES[name]
-    return cases(study.Config.load(CONFIGS / f"{name}.toml"))
+    folder = Path(solvers.__file__).parent if name == "solvers" else CONFIGS
+    return cases(study.Config.load(folder / f"{name}.toml"))
 
 
 @pytest.mark.parametrize("name", STUDIES)

@@ -2,8 +2,6 @@
 
 import csv
 import json
-import sys
-import types
 
 import pytest
 
@@ -41,9 +39,7 @@ def test_compare_prints_json_with_intervals(capsys, brief):
 
 def test_the_study_gets_its_own_arguments(monkeypatch):
     asked = []
-    module = types.ModuleType("benchmarks.solvers")
-    module.main = lambda arguments: asked.append(arguments) or 7
-    monkeypatch.setitem(sys.modules, "benchmarks.solvers", module)
+    monkeypatch.setattr("moc_opt.study.solvers.main", lambda arguments: asked.append(arguments) or 7)
     assert main(["solvers", "--quick", "--out", "here", "--json"]) == 7
     assert asked == [["--quick", "--out", "here", "--json"]]
 

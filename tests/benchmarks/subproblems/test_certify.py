@@ -11,9 +11,9 @@ from scipy.optimize import linprog
 from benchmarks.subproblems import certify
 from benchmarks.subproblems.certify import certified, five_rows, optimum
 from benchmarks.subproblems.recipes import RECIPES
-from benchmarks.subproblems.testset import CertificateError, TestSet, changed
 from moc_opt.arrays import Array
 from moc_opt.qp.problem import NullSpaceQP, compute_residuals
+from moc_opt.study.testsets import CertificateError, TestSet, changed
 
 
 def found(A: Array, b: Array, pull: Array, rho: float, lower: Array, upper: Array) -> list[float] | None:

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from benchmarks.subproblems import certify, testset
+from benchmarks.subproblems import certify
 from benchmarks.subproblems.recipes import RECIPES
-from benchmarks.subproblems.testset import CertificateError, TestSet, straightened
 from moc_opt.qp.problem import compute_residuals
+from moc_opt.study.testsets import CertificateError, TestSet, five_row_gap, straightened
 
 every_set = pytest.mark.parametrize("name", RECIPES)
 
@@ -38,10 +38,10 @@ def test_a_set_is_made_again_as_it_is(name, robot):
 def test_inconsistent_references_differ_along_the_shaft(power):
     kept = TestSet.load(f"inconsistent-1e{power}")
     for qp in kept.problems()[:8]:
-        gap = testset.five_row_gap(qp, qp.b)
+        gap = five_row_gap(qp, qp.b)
         assert np.linalg.norm(gap) == pytest.approx(10.0**power, rel=1e-2)
         straight = straightened(qp)
-        assert np.linalg.norm(testset.five_row_gap(straight, straight.b)) < 1e-15
+        assert np.linalg.norm(five_row_gap(straight, straight.b)) < 1e-15
         np.testing.assert_allclose(straight.reduced().b, qp.reduced().b, atol=1e-15)
 
 

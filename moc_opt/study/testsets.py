@@ -1,7 +1,7 @@
-"""The certified test sets of the subproblem: their contents and their reader.
+"""The certified test sets of the subproblem: what they hold, and how an inconsistent problem is judged.
 
-Every set is an .npz without pickles: ``rows`` (k, 11 n + 10) flat NullSpaceQP records, ``x`` (k, n) the
-certified answers (NaN where none exists) and ``feasible`` (k,).
+Every set is an .npz without pickles: ``rows`` (k, 11 n + 10) flat NullSpaceQP records, ``x`` (k, n) the certified
+answers (NaN where none exists) and ``feasible`` (k,). ``benchmarks/subproblems`` makes and certifies them.
 """
 
 from __future__ import annotations
@@ -15,20 +15,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from moc_opt.arrays import Array
-from moc_opt.errors import MocOptError
+from moc_opt.errors import MocOptError, UnknownNameError
 from moc_opt.inputs.files import read_arrays
 from moc_opt.qp.problem import NullSpaceQP
 
-VERSION = 1
+SEQUENCES = ("circle", "sinusoid", "spiral", "circle-rho0", "sinusoid-rho0", "spiral-rho0")
+INCONSISTENT = tuple(f"inconsistent-1e{power}" for power in (-12, -10, -8, -6, -4))
+NAMES = (*SEQUENCES, "random", "near-singular", "joint-limits", "infeasible", *INCONSISTENT, "jumps")
+FOLDER = Path(__file__).parent / "subproblems"
 ARGUMENTS = (
     "J_tip", "J_wrist", "v_tip", "v_wrist", "grad_mu", "lower", "upper", "c0", "c1", "c2", "regularization", "q",
     "pull",
 )  # fmt: skip
-FOLDER = Path(__file__).parent / f"v{VERSION}"
 
 
 class CertificateError(MocOptError, ArithmeticError):
-    """A test set holds a problem whose answer cannot be certified."""
+    """A test set holds a problem whose answer cannot be certified, or there is no such set."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +51,7 @@ class TestSet:
     def judged(self) -> Array:
         """Return ``rows`` as answers are judged: with references that the rigid tool can follow.
 
-        Where those of tip and wrist differ along the shaft, the wrist's are moved; what is certified is the answer
+        Where those of tip and wrist differ along the shaft, the wrist's are moved. What is certified is the answer
         to the five rows that this leaves alone.
         """
         return np.array([straightened(qp).row for qp in self.problems()])
@@ -65,7 +67,7 @@ class TestSet:
         """Read a set by name.
 
         Raises:
-            CertificateError: there is no such file.
+            CertificateError: there is no such file, or it lacks an array.
         """
         path = folder / f"{name}.npz"
         if not path.exists():
@@ -75,6 +77,16 @@ class TestSet:
             return cls(name, arrays["rows"], arrays["x"], arrays["feasible"])
         except KeyError as error:
             raise CertificateError(f"test set {name!r}: {path} has no array {error}; make it again") from error
+
+
+def check_name(name: str) -> None:
+    """Check that there is such a set.
+
+    Raises:
+        UnknownNameError: there is none.
+    """
+    if name not in NAMES:
+        raise UnknownNameError("test set", name, NAMES)
 
 
 def straightened(qp: NullSpaceQP) -> NullSpaceQP:

@@ -11,11 +11,12 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from benchmarks.common import markdown
-from moc_opt.solvers import available, create
+from moc_opt.solvers import create
 from moc_opt.solvers.registry import defaults
 
 DEFAULT, TIGHT, RECOMMENDED = "default", "tight", "recommended"
+QPSOLVERS, NONLINEAR = "qpsolvers:", "nlp-"
+"""Beginnings of names: libraries that qpsolvers calls; solvers of the nonlinear problem of the tick."""
 
 
 @dataclass(frozen=True)
@@ -28,14 +29,24 @@ class SolverSetting:
     reason: str
 
     @property
-    def six_rows(self) -> bool:
-        """It is given the paper's six rows, and may say that they contradict each other."""
-        return self.solver == "exact" or self.options.get("rows") == 6
-
-    @property
     def label(self) -> str:
         """Its name in tables."""
         return f"{self.solver}@{self.name}"
+
+    @property
+    def recommended(self) -> bool:
+        """Whether it is the setting under which the solver is judged."""
+        return self.name == RECOMMENDED
+
+    @property
+    def nonlinear(self) -> bool:
+        """Whether the solver answers the nonlinear problem of the tick, which the judge does not verify."""
+        return self.solver.startswith(NONLINEAR)
+
+    @property
+    def six_rows(self) -> bool:
+        """Whether it is given the paper's six rows, and may say that they contradict each other."""
+        return self.solver == "exact" or self.options.get("rows") == 6
 
 
 PAPER_FORM: dict[str, Any] = {"rows": 6, "cost_scale": 1.0}  # what a user writes down who reads the paper
@@ -145,7 +156,6 @@ TIGHT_OPTIONS: dict[str, dict[str, Any]] = {
     "proxqp": {"eps_abs": 1e-9, "eps_rel": 0.0},
     "scs": {"eps_abs": 1e-9, "eps_rel": 0.0},
 }
-QPSOLVERS = "qpsolvers:"
 
 
 def solver_settings(
@@ -202,17 +212,3 @@ def in_words(options: Mapping[str, Any]) -> str:
         else:
             parts.append(f"{name} = {value:g}" if isinstance(value, float) else f"{name} = {value}")
     return ", ".join(parts) or "nothing to set"
-
-
-def as_markdown() -> str:
-    """Write the table of docs/solvers.md: every solver that can run here, plug-ins left out."""
-    here = [name for name, reason in available().items() if reason is None]
-    names = [name for name in here if name in SETTINGS or name.startswith(QPSOLVERS)]
-    return markdown.table(
-        ("solver", "setting", "what it gets", "why"),
-        [(f"`{s.solver}`", s.name, in_words(effective(s)), s.reason) for s in solver_settings(names)],
-    )
-
-
-if __name__ == "__main__":
-    print(as_markdown())

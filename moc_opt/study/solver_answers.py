@@ -1,0 +1,431 @@
+"""Ask solvers for the answers to a set of problems, judge and count these answers, and take the solvers' times.
+
+    problems = Problems.certified("circle")
+    (found,) = ask(study.run, [(setting, problems)], Limits())
+    found.counts()["silently_wrong"]
+
+Solvers run in other processes, and each answer has a time limit of its own, so a solver that never returns or ends
+its process costs one answer. All answers are judged by `moc_opt.qp.residuals`, never by the solver. Times are taken
+afterwards, one solver after the other with nothing beside it.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cache, cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from moc_opt.arrays import Array
+from moc_opt.control.solution_check import received
+from moc_opt.errors import describe
+from moc_opt.qp.layout import joints_of
+from moc_opt.qp.problem import NullSpaceQP, compute_residuals, fields
+from moc_opt.qp.residuals import Residuals
+from moc_opt.robots.model import load_robot
+from moc_opt.scenario import make_solver
+from moc_opt.solvers.base import Session, Solution, Solver, Status, no_answer
+from moc_opt.solvers.exact import Exact
+from moc_opt.study.engine import Failed, Job, alarm, report
+from moc_opt.study.solver_settings import SolverSetting
+from moc_opt.study.testsets import TestSet
+from moc_opt.study.timing import Disturbance, each_us, percentiles
+
+Runner = Callable[..., list[Any]]
+"""`moc_opt.study.run`, with the study's folder, workers and progress."""
+
+HUNG, CRASHED, RAISED, NOT_ASKED, REFUSED = "hung", "crashed", "raised", "not asked", "refused"
+"""What became of an answer, beside the statuses of solvers."""
+GIVE_UP, BROKEN_SETS = 2, 3
+"""Hangs and crashes in one set, after which its rest is not asked; such sets, after which no other one is."""
+HOURS = 1e5  # of a whole set [s]: every answer has its own limit
+WARM_UP = 16  # solves that are not counted
+CONTRADICTION = 1e-13  # m/s; above the rounding of consistent references
+RIGHTLY = 0.99
+"""Least share of right answers of a solver whose times are compared: a wrong one may come fast."""
+RESIDUALS = ("primal", "natural", "natural_best", "relative", "loss")
+
+
+@dataclass(frozen=True)
+class Limits:
+    """How much is measured, and how long a solve and a solver's setting up may take [s]."""
+
+    patience_s: float = 2.0
+    rounds: int = 8
+    seconds: float = 0.5
+    cold: int = 32
+    setup_s: float = 40.0
+
+
+@dataclass(frozen=True)
+class Problems:
+    """Problems as solvers are given them (k, 10 n + 10), as answers are judged, and which of them have an answer."""
+
+    name: str
+    rows: Array
+    judged: Array
+    feasible: NDArray[np.bool_]
+
+    @classmethod
+    def certified(cls, name: str, every: int = 1) -> Problems:
+        """Load each every-th problem of a certified set."""
+        kept = TestSet.load(name)
+        return cls(name, kept.rows, kept.judged(), kept.feasible).thinned(every)
+
+    @classmethod
+    def recorded(cls, name: str, rows: Array) -> Problems:
+        """Make a set of recorded rows; which are feasible is as `exact` says, whose claims the certificates confirm."""
+        problems = [NullSpaceQP.from_row(np.array(row)) for row in rows]
+        session = Exact().start(problems[0])
+        feasible = np.array([session.solve(qp).status is Status.SOLVED for qp in problems])
+        return cls(name, rows, rows, feasible)
+
+    def thinned(self, every: int) -> Problems:
+        """Keep every ``every``-th problem."""
+        part = slice(None, None, every)
+        return replace(self, rows=self.rows[part], judged=self.judged[part], feasible=self.feasible[part])
+
+
+Question = tuple[SolverSetting, Problems]
+
+
+class Answer(NamedTuple):
+    """One answer: a status, iterations, x (n,), y (6,), and what was raised or is wrong with its form ("": nothing)."""
+
+    status: str
+    iterations: int
+    x: Array
+    y: Array
+    trouble: str = ""
+
+
+@dataclass(eq=False)
+class Answers:
+    """The answers of one solver under one setting to one set, judged.
+
+    Attributes:
+        refused: why the solver does not take these problems; "": it does.
+        events: what it raised, and how its process ended, each with the number of the problem.
+        given: of each problem that was asked.
+    """
+
+    setting: SolverSetting
+    problems: Problems
+    refused: str = ""
+    events: list[str] = field(default_factory=list)
+    given: list[Answer] = field(default_factory=list)
+    broken: int = 0  # hangs and crashes
+    open: bool = True  # there is more to ask
+
+    def take(self, result: list[Any] | Failed) -> None:
+        """Append what a job returned, or what it had reported when it failed."""
+        failed = result if isinstance(result, Failed) else None
+        reason, *items = (result.parts if isinstance(result, Failed) else result) or [None]
+        for item in items:
+            if item.trouble:
+                self.events.append(f"problem {len(self.given)}: {item.trouble}")
+            self.given.append(item)
+        self.open = False
+        if reason or (failed and failed.kind == "raised"):  # it does not take the problems, or cannot be made
+            self.refused = reason or str(failed)
+        elif failed and failed.kind != "not run":
+            ready = reason is not None
+            what = "" if ready else ", while setting up"
+            self.events.append(f"problem {len(self.given)}{what}: {failed.reason}")
+            self.given.append(self._blank(HUNG if failed.kind == "hung" else CRASHED))
+            self.broken += 1 if ready else GIVE_UP  # no other problem will be set up either
+            self.open = self.broken < GIVE_UP and len(self.given) < len(self.problems.rows)
+
+    def _blank(self, status: str) -> Answer:
+        return Answer(status, 0, np.full(joints_of(self.problems.rows.shape[1]), np.nan), np.full(6, np.nan))
+
+    @cached_property
+    def every(self) -> list[Answer]:
+        """One answer a problem, those that were not asked among them."""
+        missing = self._blank(REFUSED if self.refused else NOT_ASKED)
+        return [*self.given, *[missing] * (len(self.problems.rows) - len(self.given))]
+
+    @cached_property
+    def status(self) -> NDArray[Any]:
+        """(k,) one word a problem."""
+        return np.array([one.status for one in self.every])
+
+    @cached_property
+    def x(self) -> Array:
+        """(k, n), NaN without an answer."""
+        return np.array([one.x for one in self.every])
+
+    @cached_property
+    def y(self) -> Array:
+        """(k, 6), NaN without duals."""
+        return np.array([one.y for one in self.every])
+
+    @cached_property
+    def residuals(self) -> Residuals:
+        """Of each answer, in the linear problem."""
+        return compute_residuals(self.problems.judged, self.x, self.y)
+
+    @cached_property
+    def verified(self) -> NDArray[np.bool_]:
+        """(k,) which answers are optimal, whatever was claimed."""
+        return np.asarray(self.residuals.verified() & self.problems.feasible)
+
+    @property
+    def right(self) -> NDArray[np.bool_]:
+        """(k,) claims of success that the judge verifies, and of infeasibility that the certificate confirms."""
+        return (self.status == "solved") & self.verified | (self.status == "infeasible") & ~self.problems.feasible
+
+    @property
+    def inconsistent(self) -> NDArray[np.bool_]:
+        """(k,) where the solver was given six rows that contradict each other, and five of them have an optimum."""
+        moved = np.abs(fields(self.problems.judged).b - fields(self.problems.rows).b).max(axis=-1)
+        return np.asarray((moved > CONTRADICTION) & self.problems.feasible & self.setting.six_rows)
+
+    @property
+    def complete(self) -> bool:
+        """Whether every problem was answered, somehow."""
+        return not np.isin(self.status, (HUNG, CRASHED, NOT_ASKED, REFUSED)).any()
+
+    def counts(self) -> dict[str, int]:
+        """Count the answers by outcome: right, wrong and refused ones add up to the number of problems.
+
+        Two kinds of question have a right answer: of `optima_asked` (what is feasible and was not refused)
+        `verified_solved` are right, of `infeasible_asked` `infeasible_right`. Of `inconsistent_asked` problems
+        `refused_inconsistent` were called infeasible: true of the six rows, no answer for the robot, and counted
+        neither as right nor as wrong. The others are among the optima asked.
+        """
+        status, feasible = self.status, self.problems.feasible
+        claimed, infeasible = status == "solved", status == "infeasible"
+        declined = self.inconsistent & infeasible
+        unasked = np.isin(status, (NOT_ASKED, REFUSED))
+        broken = {name: int((status == name).sum()) for name in (HUNG, CRASHED, RAISED)}
+        gone = np.isin(status, (HUNG, CRASHED)) | unasked
+        found = {
+            "right": self.right, "feasible": feasible, "optima_asked": feasible & ~declined,
+            "infeasible_asked": ~feasible, "inconsistent_asked": self.inconsistent, "claimed_solved": claimed,
+            "verified_solved": claimed & self.verified, "silently_wrong": claimed & ~self.verified,
+            "infeasible_right": infeasible & ~feasible, "refused_inconsistent": declined,
+            "infeasible_wrong": infeasible & feasible & ~declined,
+            "failed": ~claimed & ~(infeasible & ~feasible) & ~declined & ~gone, "not_asked": unasked,
+        }  # fmt: skip
+        return {"solves": len(status), **{name: int(flags.sum()) for name, flags in found.items()}, **broken}
+
+    @cached_property
+    def figures(self) -> dict[str, float | None]:
+        """Median, 99th percentile and maximum of the residuals over the feasible problems that were answered."""
+        answered = self.problems.feasible & np.isfinite(self.x).all(axis=1)
+        found: dict[str, float | None] = {}
+        for name in RESIDUALS:
+            values = np.asarray(getattr(self.residuals, name))[answered]
+            with np.errstate(invalid="ignore"):  # a residual may be infinite
+                three = np.percentile(values, (50.0, 99.0, 100.0)).tolist() if values.size else [None] * 3
+            found |= {f"{name}_{word}": value for word, value in zip(("p50", "p99", "max"), three, strict=True)}
+        return found
+
+    def summary(self, times: Times | None = None) -> dict[str, Any]:
+        """Return counts, residuals and times for summary.json, and the first trouble in words."""
+        found: dict[str, Any] = {**self.counts(), **self.figures}
+        if self.refused:
+            found["reason"] = self.refused
+        if self.events:
+            found["trouble"] = f"{self.problems.name}, {self.events[0]}"
+        return found | (times.figures() if times is not None else {})
+
+    def rows(self, part: str) -> list[dict[str, Any]]:
+        """Return one row a problem, for rows.parquet."""
+        columns = {name: getattr(self.residuals, name).tolist() for name in RESIDUALS}
+        columns |= {"feasible": self.problems.feasible.tolist(), "verified": self.verified.tolist()}
+        about = {"part": part, "solver": self.setting.solver, "setting": self.setting.name, "set": self.problems.name}
+        return [
+            {**about, "index": i, "status": one.status, "iterations": one.iterations,
+             **{name: column[i] for name, column in columns.items()}}
+            for i, one in enumerate(self.every)
+        ]  # fmt: skip
+
+
+def share_right(counts: Mapping[str, Any]) -> float:
+    """Return the share of right answers among the problems that were not refused as inconsistent."""
+    asked = counts.get("solves", 0) - counts.get("refused_inconsistent", 0)
+    return float(counts["right"] / asked) if asked else 0.0
+
+
+def totals(answers: Sequence[Answers], times: Sequence[Times]) -> dict[str, Any]:
+    """Sum up one solver under one setting over its sets: sums of counts, largest residuals, times of the slowest set.
+
+    A mean of times over sets would hide the slowest one.
+    """
+    found: dict[str, Any] = dict(sum((Counter(one.counts()) for one in answers), Counter[str]()))
+    found = {name: found.get(name, 0) for name in answers[0].counts()}
+    for name in RESIDUALS:
+        values = [value for one in answers if (value := one.figures[f"{name}_max"]) is not None]
+        found[f"{name}_max"] = max(values) if values else None
+    trouble = [one.summary()["trouble"] for one in answers if one.events]
+    figures = [one.figures() for one in times]
+    for name in dict.fromkeys(name for entry in figures for name in entry if name.endswith("_us")):
+        found[f"{name}_worst_set"] = max(entry[name] for entry in figures if name in entry)
+    loads = Disturbance.total(figures).entries() if figures else {}
+    return {**found, **loads, **({"trouble": trouble[0]} if trouble else {})}
+
+
+# --- asking ---
+
+
+def ask(run: Runner, questions: Sequence[Question], limits: Limits, *, warm: bool = True) -> list[Answers]:
+    """Collect all answers of each solver to its set, from one session in order, or each from a new session.
+
+    After `GIVE_UP` hangs or crashes in a set the rest of it is not asked; after `BROKEN_SETS` such sets no other is.
+    """
+    found = [Answers(*question) for question in questions]
+    asked = found
+    while asked:
+        jobs = [
+            Job(answer, (one.setting, one.problems.rows[len(one.given) :], warm, limits.patience_s, limits.setup_s),
+                HOURS, group=one.setting.label)
+            for one in asked
+        ]  # fmt: skip
+        for one, result in zip(asked, run(jobs, give_up=BROKEN_SETS), strict=True):
+            one.take(result)
+        broken, asked = Counter[str](), []
+        for one in found:
+            if one.open and broken[one.setting.label] < BROKEN_SETS:
+                asked.append(one)
+            broken[one.setting.label] += one.broken > 0
+    return found
+
+
+def answer(setting: SolverSetting, rows: Array, warm: bool, patience_s: float, setup_s: float) -> list[Any]:
+    """Return the reason why the solver does not take these problems, or "", and then an `Answer` each; in a worker.
+
+    Each is reported as it comes, and each may take ``patience_s``; setting up, which may build programs, ``setup_s``.
+    """
+    found: list[Any] = []
+    alarm(setup_s)
+    for item in _answers(setting, rows, warm):
+        alarm(patience_s)
+        report(item)
+        found.append(item)
+    return found
+
+
+def _answers(setting: SolverSetting, rows: Array, warm: bool) -> Iterator[Any]:
+    solver, problems = _made(setting), _problems(rows)
+    session, reason = _session(solver, problems[0])
+    yield reason
+    if session is None:
+        return
+    for qp in problems:
+        said = ""
+        if session is None or not warm:
+            session, said = _session(solver, qp)
+        solution, said = (no_answer(qp.n, Status.NUMERICAL), said) if session is None else _asked(session, qp)
+        if said:  # the next problem is asked of a new session
+            session = None
+            yield Answer(RAISED, 0, np.full(qp.n, np.nan), np.full(6, np.nan), said)
+            continue
+        y = np.full(6, np.nan) if solution.y is None else solution.y
+        yield Answer(solution.status.label, solution.iterations, np.array(solution.x), np.array(y))
+
+
+_robot = cache(load_robot)  # read once by each worker, which makes hundreds of solvers
+
+
+def _made(setting: SolverSetting) -> Solver:
+    return make_solver(setting.solver, _robot(), **setting.options)
+
+
+def _problems(rows: Array) -> list[NullSpaceQP]:
+    """Make the problems, with all that adapters read of them: it is computed before the clock starts."""
+    found = [NullSpaceQP.from_row(np.array(row)) for row in rows]
+    for qp in found:
+        _ = qp.P, qp.p, qp.q
+        qp.reduced()
+    return found
+
+
+def _session(solver: Solver, qp: NullSpaceQP) -> tuple[Session | None, str]:
+    """Return a session, or None and the reason why there is none: the solver's own, or what it raised."""
+    try:
+        reason = solver.supports(qp)
+        if reason is None:
+            session = solver.start(qp)
+            return (session, "") if session is not None else (None, "start returned None: return a Session")
+        return None, reason if isinstance(reason, str) and reason else f"supports returned {reason!r:.100}"
+    except (Exception, SystemExit) as error:  # noqa: BLE001 - foreign code may raise anything
+        return None, describe(error)
+
+
+def _asked(session: Session, qp: NullSpaceQP) -> tuple[Solution, str]:
+    """Return the answer, and what was raised or is wrong with its form."""
+    try:
+        return received(session.solve(qp), qp.n)
+    except (Exception, SystemExit) as error:  # noqa: BLE001 - as above
+        return no_answer(qp.n, Status.NUMERICAL), describe(error)
+
+
+# --- times ---
+
+
+@dataclass(frozen=True)
+class Times:
+    """Times of one solver on one set [us], and what the machine did meanwhile.
+
+    Attributes:
+        solve: (rounds, k) of one session that goes through all problems.
+        setup, cold: of fresh sessions: starting, and the first solve.
+        update: of the library's problem; empty where a session cannot take one without solving it.
+        warm_load, cold_load: what the machine did.
+    """
+
+    solve: Array
+    setup: Array
+    cold: Array
+    update: Array
+    warm_load: Disturbance
+    cold_load: Disturbance
+
+    def figures(self) -> dict[str, Any]:
+        """Return percentiles of the times, the number of timed solves, and what the machine did while they ran."""
+        found: dict[str, Any] = {"timed_solves": int(self.solve.size), **self.warm_load.entries()}
+        found |= percentiles(self.solve.ravel(), "solve", self.warm_load)
+        for name in ("cold", "setup", "update"):
+            found |= percentiles(getattr(self, name), name, self.cold_load)
+        return found
+
+
+def time(run: Runner, answers: Sequence[Answers], limits: Limits) -> list[Times | None]:
+    """Time the solvers of these answers on their sets, one after the other with nothing beside.
+
+    None where a problem was not answered, or the timing broke off. Times whose p99 is not to be trusted are not kept.
+    """
+    limit = 20.0 * limits.seconds + limits.patience_s + limits.setup_s
+    whole = [one for one in answers if one.complete]
+    jobs = [
+        Job(measure, (one.setting, one.problems.rows, max(1, len(one.problems.rows) // limits.cold), limits.rounds,
+                      limits.seconds), limit, alone=True, group=one.setting.label)
+        for one in whole
+    ]  # fmt: skip
+    found = dict(zip(map(id, whole), run(jobs, keep=lambda times: times.warm_load.trusts(99.0)), strict=True))
+    return [None if isinstance(times := found.get(id(one)), Failed) else times for one in answers]
+
+
+def measure(setting: SolverSetting, rows: Array, every: int, rounds: int, seconds: float) -> Times:
+    """Time one session over all problems, round by round, and fresh ones for each ``every``-th; in a worker."""
+    solver, problems = _made(setting), _problems(rows)
+    session = solver.start(problems[0])
+    each_us(session.solve, problems[:WARM_UP])
+    warm, seen = list[Array](), list[Disturbance]()
+    while len(warm) < rounds and 1e-6 * sum(one.sum() for one in warm) <= seconds:
+        warm.append(each_us(session.solve, problems, seen=seen))
+    few, then = problems[::every], list[Disturbance]()
+    solver.start(few[0]).solve(few[0])
+    sessions: list[Any] = []
+    setup = each_us(solver.start, few, sessions, seen=then)
+    pairs = list(zip(sessions, few, strict=True))
+    cold = each_us(lambda pair: pair[0].solve(pair[1]), pairs, seen=then)
+    update = getattr(sessions[0], "update", None)
+    updates = np.empty(0) if update is None else each_us(update, few, seen=then)
+    return Times(np.array(warm), setup, cold, updates, sum(seen, Disturbance()), sum(then, Disturbance()))

@@ -1,0 +1,404 @@
+"""Which solver to take and which to avoid: one verdict for each by stated rules, and the first screen that says it.
+
+The numbers come from summary.json and, for the damage in closed loop, from the runs' rows.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+from moc_opt import figures
+from moc_opt.figures.notation import Doubtful, Mark, Missing
+from moc_opt.figures.style import BAD, FAIR, GOOD, MUTED, WORST
+from moc_opt.report.tables import Column, Table
+from moc_opt.study.results import Results, change_name
+from moc_opt.study.show import Picture, Section, ends, intervals_picture
+from moc_opt.study.solver_answers import RIGHTLY, share_right
+from moc_opt.study.solver_settings import DEFAULT, NONLINEAR, QPSOLVERS, RECOMMENDED, of
+from moc_opt.study.statistics import LEAST_TRIALS, Change, spread, too_few
+from moc_opt.study.trials import BASELINE
+
+Summary = Mapping[str, Any]
+Row = dict[str, Any]
+
+TAKE, SOUND = Mark("★", "take", "best", 0), Mark("✔", "sound", "good", 1)
+GAPS, NEAR = Mark("◐", "gaps", "fair", 2), Mark("≈", "near", "fair", 3)
+OTHER, OPEN = Mark("≠", "other", "other", 4), Mark("–", "open", "other", 5)
+AVOID = Mark("✘", "avoid", "bad", 6)
+TONES = {TAKE: GOOD, SOUND: GOOD, GAPS: FAIR, NEAR: FAIR, OTHER: MUTED, OPEN: BAD, AVOID: WORST}
+TOO_MUCH = 5.0
+"""Times what counts as equal: from there on a solver is to be avoided."""
+
+
+class Cost(NamedTuple):
+    """A closed-loop figure by which solvers are compared: its word, and the share of it that counts as equal."""
+
+    word: str
+    equal: float
+    more_is_better: bool = False
+
+
+COSTS = {
+    "mu_mean": Cost("mu", 0.01, True),
+    "tip_error_model_mean_mm": Cost("tip", 0.05), "tip_error_registered_mean_mm": Cost("patient tip", 0.05),
+    "rcm_error_model_mean_mm": Cost("RCM", 0.05), "rcm_error_registered_mean_mm": Cost("patient RCM", 0.05),
+    "torque_rate_rms_Nm_per_s": Cost("chatter", 0.1),
+}  # fmt: skip
+FRAMED = ("tip_error_model_mean_mm", "tip_error_registered_mean_mm", "rcm_error_model_mean_mm",
+          "rcm_error_registered_mean_mm")  # fmt: skip
+RULES: Mapping[Mark, str] = {
+    OTHER: "it answers another problem, the nonlinear one of the same tick, which the judge of the linear problem "
+    "cannot verify; no count of the judge is held against it",
+    OPEN: "neither the certified sets nor the recorded sequence were asked",
+    AVOID: "it claimed success for a wrong answer, hung, crashed, broke off a trial or made it oscillate; or a "
+    f"closed-loop mean is surely worse by more than {TOO_MUCH:g} times what counts as equal",
+    NEAR: "it never claims an optimum, or a closed-loop mean is surely worse by more than what counts as equal",
+    GAPS: f"it answered less than {100 * RIGHTLY:g} % of the problems rightly, and said so each time; inconsistent "
+    "rows that it refused are not counted",
+    TAKE: "of all others, the one with the lowest 99th percentile of its time on the recorded sequence; where the "
+    "machine was too busy to tell, the one with the lowest median; where that cannot be told either, none",
+    SOUND: "none of these",
+}
+EQUAL = (
+    "The first line that fits decides. Equal in closed loop are mean manipulability within 1 %, mean errors of tip and "
+    "RCM (by the robot's own kinematics, and in the frame registered at the start, the patient's) within 5 % "
+    "and chatter within 10 % of the solver that is taken, over the trials that both ran. A mean is surely worse where "
+    "the 95 % intervals of the ratio of the means and of the mean of the ratios both lie beyond that. Where one of "
+    "them reaches beyond it, the damage is undecided, and no verdict follows from it. Nor does any follow from fewer "
+    f"than {LEAST_TRIALS} trials."
+)
+HOW = "How the verdicts are made"
+CERTIFIED, RECORDED, CLOSED = "Certified test sets", "Recorded sequence", "Closed loop"
+INCONSISTENT = (
+    "In the inconsistent sets the six rows as given contradict each other along the shaft, by 1e-12 to 1e-4 m/s, while "
+    "five of them have a certified optimum. 'Infeasible' is true of the six rows but no answer for the robot, so it "
+    "counts neither as right nor as wrong."
+)
+
+
+def assess(summary: Summary, runs: Results) -> list[Row]:
+    """Return one row for each solver under its recommended setting, the best first; parts may be missing yet.
+
+    ``ranked_by`` is the key of the time that decided among sound solvers, see `_ranking`. A library that qpsolvers
+    calls as well is judged where its own adapter calls it.
+    """
+    sets, warm, closed = (summary.get(part, {}) for part in ("testsets", "open_loop_warm", "closed_loop"))
+    certified = {n.removesuffix(f"@{RECOMMENDED}"): m for n, m in sets.items() if n.endswith(f"@{RECOMMENDED}")}
+    every = dict.fromkeys([*certified, *warm, *(n for n in closed if n != BASELINE)])
+    names = [n for n in every if n.removeprefix(QPSOLVERS) == n or n.removeprefix(QPSOLVERS) not in every]
+    rows = [_figures(n, certified.get(n, {}), warm.get(n, {}), closed.get(n, {})) for n in names]
+    for row in rows:
+        row["verdict"] = _alone(row)
+    ran = [row for row in rows if row["closed"].get("whole") and row["verdict"] is not OTHER]
+    by = _ranking(rows)
+    reference = min(ran, key=lambda row: _order(row, by), default=None)
+    for row in rows:
+        row["damage"], size = _damage(row, None if reference is None else reference["solver"], runs)
+        if row["verdict"] not in (OTHER, OPEN, AVOID) and size > 1.0:
+            row["verdict"] = AVOID if size > TOO_MUCH else NEAR
+    sound, by = [row for row in rows if row["verdict"] is SOUND], _ranking(rows)
+    timed = [row for row in sound if row["p99_us"] is not None]
+    if len(sound) == 1 or (timed and by):
+        min(timed or sound, key=lambda row: _time(row, by))["verdict"] = TAKE
+    return [{**row, "ranked_by": by} for row in sorted(rows, key=lambda row: _order(row, by))]
+
+
+def _figures(name: str, certified: Row, warm: Row, closed: Row) -> Row:
+    """Return the figures of one solver: certified sets first, the recorded sequence where they were not run."""
+    counted = certified or warm
+    other = name.startswith(NONLINEAR)
+    hidden = Missing("it answers the nonlinear problem of the tick: not comparable")
+    wrong = sum(int(part.get("silently_wrong") or 0) for part in (certified, warm, closed))
+    timed = warm if warm.get("solve_p50_us") is not None else {
+        key: certified.get(f"{key}_worst_set") for key in ("solve_p50_us", "solve_p99_us")
+    }  # fmt: skip
+    share = math.floor(1e4 * share_right(counted)) / 100.0 if counted.get("solves") else None  # 100 is all of them
+    return {
+        "solver": name, "counted": counted, "closed": closed, "relative_max": counted.get("relative_max"),
+        "right_percent": hidden if other else share, "silently_wrong": hidden if other else wrong,
+        "p50_us": timed.get("solve_p50_us"), "p99_us": timed.get("solve_p99_us"), "trials": closed.get("compared", 0),
+    }  # fmt: skip
+
+
+def _alone(row: Row) -> Mark:
+    """Return the verdict without what the answers do to mean figures in closed loop."""
+    counted = row["counted"]
+    if row["solver"].startswith(NONLINEAR):
+        return OTHER
+    broken = counted.get("hung", 0) + counted.get("crashed", 0) + sum(_ended(row["closed"]).values())
+    if row["silently_wrong"] or broken:
+        return AVOID
+    if not counted.get("solves"):
+        return OPEN
+    if not counted["claimed_solved"]:
+        return NEAR
+    return SOUND if share_right(counted) >= RIGHTLY else GAPS
+
+
+def _ended(closed: Row) -> dict[str, int]:
+    broke_off = closed.get("trials", 0) - closed.get("whole", 0)
+    return {"broke off": broke_off, "oscillated": closed.get("oscillated", 0)}
+
+
+def _ranking(rows: Sequence[Row]) -> str:
+    """Return the time by which the fastest sound solver can be told: p99, else the median; "" where there is none.
+
+    A p99 that is not to be trusted is at least its median, which may be more than the least p99 already.
+    """
+    sound = [row for row in rows if row["verdict"] is SOUND and row["p99_us"] is not None]
+    for by in ("p99_us", "p50_us"):
+        least = min((_time(row, by) for row in sound), default=0.0)
+        if all(_time(row, "p50_us", unknown=0.0) >= least for row in sound if _doubted(row, by)):
+            return by
+    return ""
+
+
+def _doubted(row: Row, by: str) -> bool:
+    return row[by] is None or isinstance(row[by], Doubtful)
+
+
+def _time(row: Row, by: str, unknown: float = math.inf) -> float:
+    return unknown if not by or _doubted(row, by) else float(row[by])
+
+
+def _order(row: Row, by: str) -> tuple[float, float, float]:
+    gaps = -row["right_percent"] if row["verdict"] is GAPS else 0.0
+    return row["verdict"].rank, gaps, _time(row, by)
+
+
+def _damage(row: Row, reference: str | None, runs: Results) -> tuple[Any, float]:
+    """Return the worst of it in words, and how many times what counts as equal it surely is."""
+    for word, count in _ended(row["closed"]).items():
+        if count:
+            return f"{count} {word}", TOO_MUCH
+    if reference is None or not row["closed"].get("whole"):
+        return Missing("not run in closed loop"), 0.0
+    changes = {metric: runs.change(metric, row["solver"], reference) for metric in COSTS}
+    known = {metric: change for metric, change in changes.items() if change is not None}
+    if not known:
+        return Missing("no trial that both ran"), 0.0
+    if few := too_few(min(change.ratio.samples for change in known.values())):
+        return Missing(few), 0.0
+    sizes = {metric: _size(COSTS[metric], change) for metric, change in known.items()}
+    surely = max(sizes, key=lambda metric: sizes[metric][0])
+    perhaps = max(sizes, key=lambda metric: sizes[metric][1])
+    if sizes[surely][0] > 1.0:
+        return f"{known[surely].ratio.value:+.0f}% {COSTS[surely].word}", sizes[surely][0]
+    if sizes[perhaps][1] > 1.0:
+        low, high = known[perhaps].ratio[1:3]
+        return f"undecided: {COSTS[perhaps].word} [{low:.0f}, {high:.0f}] %", 0.0
+    return "none", 0.0
+
+
+def _size(cost: Cost, change: Change) -> tuple[float, float]:
+    """Return the least and the largest cost that both intervals hold, over what counts as equal."""
+    sides = [(-one.high, -one.low) if cost.more_is_better else (one.low, one.high) for one in change]
+    return min(low for low, _ in sides) / (100.0 * cost.equal), max(high for _, high in sides) / (100.0 * cost.equal)
+
+
+# --- in words ---
+
+
+def sentences(summary: Summary, rows: Sequence[Row]) -> list[str]:
+    """Say which solver to take and why, what else is sound and what it does to the robot, and what to avoid."""
+    if not rows:
+        return ["Nothing was run."]
+    best, sound = rows[0], [row for row in rows if row["verdict"] is SOUND]
+    if best["verdict"] is SOUND:
+        why = "they were not timed" if best["p99_us"] is None else (
+            "the machine was busy while times were taken; run again on a quiet machine"
+        )  # fmt: skip
+        names = ", ".join(f"`{row['solver']}`" for row in sound)
+        said = [f"Sound: {names}. Which of them is fastest cannot be told: {why}."]
+    elif best["verdict"] is TAKE:
+        said = [f"Take `{best['solver']}` ({_reason(summary, best)}){_why(summary, best, len(sound), len(rows))}."]
+    elif "testsets" not in summary and "open_loop_warm" not in summary:
+        said = ["Which solver is sound was not asked: the certified sets were not run."]
+    else:
+        said = ["No solver is sound on what was run; see the table."]
+    ran = [row for row in rows if row["verdict"] in (TAKE, SOUND) and row["trials"]]
+    clauses = _in_closed_loop(max(ran, key=lambda row: row["trials"])) if ran else []
+    if best["verdict"] is TAKE and sound:
+        names = ", ".join(f"`{row['solver']}`" + _median(row) for row in sound[:3])
+        clauses.insert(0, f"sound as well: {names}")
+    text = "; ".join(clauses)
+    return [*said, *([f"{text[0].upper()}{text[1:]}."] if text else []), *_avoid(summary, rows)]
+
+
+def _median(row: Row) -> str:
+    return "" if row["p50_us"] is None else f" ({row['p50_us']:.0f} us)"
+
+
+def _reason(summary: Summary, row: Row) -> str:
+    known = summary.get("settings", {}).get(f"{row['solver']}@{RECOMMENDED}", {})
+    return str(known.get("reason") or "its recommended setting")
+
+
+def _why(summary: Summary, row: Row, others: int, asked: int) -> str:
+    """Say what the solver to take was asked for and answered, and how its time was ranked."""
+    counted = row["counted"]
+    kind = "certified" if "testsets" in summary else "recorded"
+    parts = [f"{counted['verified_solved']} of {counted['optima_asked']} {kind} optima verified"]
+    if counted["infeasible_asked"]:
+        parts.append(f"{counted['infeasible_right']} of {counted['infeasible_asked']} infeasible problems recognised")
+    if counted["refused_inconsistent"]:
+        inconsistent = f"{counted['refused_inconsistent']} of {counted['inconsistent_asked']}"
+        parts.append(f"{inconsistent} with inconsistent rows refused")
+    text = f": {', '.join(parts)}, none silently wrong"
+    if row["p50_us"] is not None:
+        text += f", median {row['p50_us']:.1f} and p99 {row['p99_us']:.1f} us"
+    if not others:
+        return f", the only sound one of the {asked} solvers asked{text}" if asked > 1 else text
+    busy = row["ranked_by"] == "p50_us"
+    return text + ("; the median decided, as the machine was too busy to rank by p99" if busy else "")
+
+
+def _in_closed_loop(row: Row) -> list[str]:
+    """Say what a sound solver's answers do to the robot, with the errors in both frames."""
+    closed, trials = row["closed"], row["trials"]
+    if few := too_few(trials):
+        return [f"what sound answers do in closed loop: {few}"]
+    mu, *changes = (spread(closed, change_name(name), 2, "+", " %") for name in ("mu_mean", *FRAMED))
+    tip, patient_tip, rcm, patient_rcm = changes
+    return [
+        f"in closed loop ({trials} independent trials of `{row['solver']}`, ratio of the means) sound answers change "
+        f"mean mu by {mu} over `{BASELINE}`, the tip error by {tip} by the robot's own kinematics and by {patient_tip} "
+        f"in the frame registered at the start, which is the patient's, and the RCM error by {rcm} and {patient_rcm}"
+    ]
+
+
+def _avoid(summary: Summary, rows: Sequence[Row]) -> list[str]:
+    """Say what to avoid: solvers with the reason, and the settings that libraries come with."""
+    parts = []
+    for row in rows:
+        if row["verdict"] is AVOID:
+            wrong = row["silently_wrong"]
+            gone = row["counted"].get("hung", 0) + row["counted"].get("crashed", 0)
+            why = f"{wrong} silently wrong" if wrong else f"{gone} hung or crashed" if gone else str(row["damage"])
+            parts.append(f"`{row['solver']}` ({why})")
+    ending = f"@{DEFAULT}"
+    plain = {
+        name.removesuffix(ending): m["silently_wrong"] for name, m in summary.get("testsets", {}).items()
+        if name.endswith(ending) and of(name.removesuffix(ending))[DEFAULT][0].get("rows") == 6
+    }  # fmt: skip
+    wrong = sorted((name for name in plain if plain[name]), key=lambda name: -plain[name])
+    if wrong:
+        listed = ", ".join(f"`{name}` {plain[name]}" for name in wrong)
+        parts.append(
+            "the libraries' own defaults on the paper's six dependent rows with the cost unscaled: "
+            f"{len(wrong)} of {len(plain)} claimed success for wrong answers ({listed})"
+        )
+    return [f"Avoid {'; '.join(parts)}."] if parts else []
+
+
+# --- the first screen ---
+
+
+def first_table(summary: Summary, rows: Sequence[Row]) -> Table:
+    """Return the one table: every solver under its recommended setting, the best first."""
+    counted = max((row["counted"].get("solves", 0) for row in rows), default=0)
+    kind = CERTIFIED if "testsets" in summary else RECORDED
+    recorded = RECORDED if "open_loop_warm" in summary else CERTIFIED
+    columns = [
+        Column("solver", "solver"), Column("verdict", "verdict", section=HOW),
+        Column("right_percent", "right", unit="%", format=".2f", section=kind,
+               help=f"of {counted} problems without refused ones: verified, or rightly called infeasible"),
+        Column("silently_wrong", "silently wrong", format=".0f", section=kind, help="claimed solved, not optimal"),
+        Column("p50_us", "p50", unit="us", format=".1f", section=recorded, help="median time of a warm solve"),
+        Column("p99_us", "p99", unit="us", format=".1f", section=recorded, help="one solve in a hundred is slower"),
+    ]  # fmt: skip
+    caption = (
+        "★ take, ✔ sound, ◐ gaps: fails on some problems but reports it, ≈ near: close to the optimum, never within "
+        "tolerance, ✘ avoid."
+    )
+    if any(row["verdict"] is OTHER for row in rows):
+        caption += (
+            " ≠ other: it answers the nonlinear problem of the tick, about 1e-3 m/s off the linear one that the judge "
+            "knows."
+        )
+    if any(row["trials"] for row in rows):
+        columns += [
+            Column("tip_change", "tip own/ patient", unit="%", align="right", section=CLOSED,
+                   help="change of the mean tip error against DCAC, in both frames"),
+            Column("damage", "worst damage", section=CLOSED,
+                   help="the closed-loop figure that is worst beyond what counts as equal to the solver to take"),
+        ]  # fmt: skip
+        caption += (
+            " Tip: change against DCAC on the same trials, by the robot's own kinematics, which a controller can "
+            "answer for / in the frame registered at the start, which is what the patient gets; ? undecided, as the "
+            "two means disagree. Worst damage: against the solver to take, not DCAC; none means within what counts as "
+            "equal."
+        )
+    if any(row["counted"].get("refused_inconsistent") for row in rows):
+        caption += f" {INCONSISTENT}"
+    shown = [{**row, "tip_change": both_frames(row["closed"], "tip")} for row in rows]
+    return Table("Solvers under the settings we recommend, best first", columns, shown, caption)
+
+
+def both_frames(closed: Row, which: str) -> str | None:
+    """Write the changes of the tip's or RCM's error in both frames as one text; None of too few trials."""
+    keys = [change_name(name) for name in FRAMED if name.startswith(which)]
+    if closed.get("compared", 0) < LEAST_TRIALS or not all(key in closed for key in keys):
+        return None
+    return "/".join(f"{closed[key]:+.0f}" + "?" * bool(closed[f"{key}_undecided"]) for key in keys)
+
+
+def pictures(summary: Summary, rows: Sequence[Row], deadline_us: float) -> list[Picture]:
+    """Draw accuracy against time, the effect in closed loop, and the time of a tick against its deadline."""
+    found = list[Picture]()
+    points = {
+        row["solver"]: (float(row["p50_us"]), row["relative_max"]) for row in rows
+        if row["verdict"] is not OTHER and not _doubted(row, "p50_us") and row["relative_max"] is not None
+    }
+    if points:
+        where = "certified problem" if "testsets" in summary else "recorded problem"
+        drawn = figures.accuracy_against_time(
+            points, x_label="median time of a warm solve [us]", y_label=f"worst relative residual, any {where}",
+            floor=1e-12,
+        )  # fmt: skip
+        front = figures.pareto({name: (time, max(error, 1e-12)) for name, (time, error) in points.items()})
+        says = f"To the lower left is better: no other solver is both faster and more accurate than {_and(front)}."
+        found.append(Picture(drawn, says, "accuracy-against-time"))
+    tones = {row["solver"]: TONES[row["verdict"]] for row in rows}
+    gains = {row["solver"]: gain for row in rows if (gain := ends(row["closed"], "mu_gain_percent")) is not None}
+    if gains:
+        poor = [row["solver"] for row in rows if row["solver"] in gains and str(row["damage"]).endswith("% mu")]
+        few = too_few(max(row["trials"] for row in rows))
+        says = f"Gain of mean manipulability over `{BASELINE}` with its 95 % interval over a solver's trials: " + (
+            few or (f"{_and(poor)} surely lost some." if poor else "none surely lost some.")
+        )
+        drawn = intervals_picture(gains, "gain of mean mu [%]", {"no gain": 0.0}, tones)
+        found.append(Picture(drawn, says, "closed-loop-effect"))
+    return found + _deadlines(rows, tones, deadline_us)
+
+
+def _deadlines(rows: Sequence[Row], tones: Mapping[str, str], deadline_us: float) -> list[Picture]:
+    tails = {row["solver"]: row["closed"] for row in rows if row["closed"].get("tick_p99_9_us")}
+    if not tails:
+        return []
+    late = [name for name, row in tails.items() if row["tick_p99_9_us"] > deadline_us]
+    unknown = [name for name in late if isinstance(tails[name]["tick_p99_9_us"], Doubtful)]
+    late = [name for name in late if name not in unknown]
+    says = "Median to 99.9th percentile of a whole tick in closed loop, the dot at p99: " + (
+        f"{_and(late)} {'misses' if len(late) == 1 else 'miss'} the deadline of {deadline_us:g} us now and then."
+        if late else f"all {'others ' if unknown else ''}meet the deadline of {deadline_us:g} us."
+    ) + (f" Of {_and(unknown)} it cannot be told: the machine was busy." if unknown else "")  # fmt: skip
+    ticks = {
+        name: (float(row["tick_p50_us"]), float(row["tick_p99_us"]), float(row["tick_p99_9_us"]))
+        for name, row in tails.items()
+    }
+    drawn = intervals_picture(ticks, "time of a tick [us]", {"deadline": deadline_us}, tones, log=True)
+    return [Picture(drawn, says, "deadlines")]
+
+
+def _and(names: Sequence[str]) -> str:
+    return " and ".join(filter(None, [", ".join(names[:-1]), names[-1]]))
+
+
+def rules() -> Section:
+    """Return the section that says how verdicts are made."""
+    order = [*RULES]
+    shown = [{"verdict": mark, "when": RULES[mark]} for mark in order]
+    return Section(HOW, EQUAL, [Table("Verdicts", [Column("verdict", "verdict"), Column("when", "where")], shown)])

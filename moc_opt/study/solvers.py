@@ -1,0 +1,377 @@
+"""The main job: every solver on certified and recorded subproblems, and in the same torque controller.
+
+moc-opt solvers [CONFIG.toml] [--out DIR] [--seed N] [--quick | --full] [--only SOLVER ...] [--sets NAME ...]
+                [--parts PART ...]
+
+In the order of reading: `Config` (the question), the parts in open loop (those in closed loop are in
+``solver_closed_loop``), `work`. ``solver_answers`` asks, counts and times, ``solver_settings`` has every solver's
+settings and why, ``solver_verdicts`` the rules from numbers to a verdict. A run that was stopped goes on where it
+stopped: finished jobs are kept in DIR/jobs.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from argparse import ArgumentParser
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property, partial
+from pathlib import Path
+from typing import Any, ClassVar, Literal, Self
+
+import numpy as np
+from pydantic import Field, field_validator
+
+from moc_opt.arrays import Array
+from moc_opt.errors import UnknownNameError
+from moc_opt.inputs.settings import Level, Settings
+from moc_opt.qp.equalities import assembled
+from moc_opt.qp.problem import NullSpaceQP
+from moc_opt.report.console import console
+from moc_opt.report.tables import Column, Table
+from moc_opt.scenario import Scenario
+from moc_opt.study import testsets
+from moc_opt.study.command import Found, Study, StudyConfig, choose, command
+from moc_opt.study.engine import Failed, Job
+from moc_opt.study.results import Results
+from moc_opt.study.show import Report, Section
+from moc_opt.study.solver_answers import Limits
+from moc_opt.study.solver_closed_loop import closed_loop, sweeps
+from moc_opt.study.solver_open_loop import (
+    SOLVER,
+    certified_sets,
+    duals,
+    more_joints,
+    record,
+    recorded_sequence,
+)
+from moc_opt.study.solver_settings import QPSOLVERS, SolverSetting, solver_settings
+from moc_opt.study.solver_verdicts import assess, first_table, pictures, rules, sentences
+from moc_opt.study.timing import Disturbance, clock_cost_us, each_us, load
+from moc_opt.study.trials import BASELINE, seeds, trials
+
+STREAM = 3
+THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
+USUAL = ("open_loop", "testsets", "closed_loop")
+SLOW = ("nlp-ipopt", "nlp-fatrop", "qpsolvers:highs", "qpsolvers:scs")
+TASKS = ("circle", "sinusoid", "spiral")  # the paper's
+TIMED = ("open_loop_warm", "testsets", "growth", "closed_loop")
+"""Parts of the summary with times of solves and ticks, each measurement once."""
+
+
+class OpenLoop(Settings):
+    """The recorded sequence."""
+
+    KIND: ClassVar[str] = "[open_loop]"
+    task: str = "circle"
+    ticks: int = Field(500, ge=2)
+    cold: int = Field(50, ge=1)
+
+
+class TestSets(Settings):
+    """The certified sets."""
+
+    __test__: ClassVar[bool] = False  # not a class of tests
+
+    KIND: ClassVar[str] = "[testsets]"
+    names: Literal["all"] | list[str] = "all"
+    timed: list[str] = Field(["circle", "circle-rho0", "random"], description="under every setting")
+    timed_too: list[str] = Field(
+        ["infeasible", "joint-limits", "jumps", "near-singular", "inconsistent-1e-6"],
+        description="under the recommended settings",
+    )
+    every: int = Field(1, ge=1, description="take each every-th problem")
+    every_other: int = Field(4, ge=1, description="under default and tight settings, and of nlp-*, each so many-th")
+    rounds: int = Field(8, ge=1)
+    seconds: float = Field(0.05, gt=0.0, description="of timing a set, at most")
+    patience_s: float = Field(1.0, gt=0.0, description="longer without an answer is a hang")
+    setup_s: float = Field(15.0, gt=0.0, description="longer without being set up is one too")
+    cold: int = Field(16, ge=1)
+
+    @field_validator("names", "timed", "timed_too")
+    @classmethod
+    def _exist(cls, value: Any) -> Any:
+        for name in [] if value == "all" else value:
+            testsets.check_name(name)
+        return value
+
+    def chosen(self) -> list[str]:
+        """Return the names of the sets, in the order in which they are always shown."""
+        return [name for name in testsets.NAMES if self.names == "all" or name in self.names]
+
+    def times(self, recommended: bool) -> list[str]:
+        """Return the names of the sets that are timed."""
+        return [*self.timed, *self.timed_too] if recommended else self.timed
+
+    def limits(self) -> Limits:
+        """Return the limits of time and number of solves."""
+        return Limits(self.patience_s, self.rounds, self.seconds, self.cold, self.setup_s)
+
+
+class ClosedLoop(Settings):
+    """The trials."""
+
+    KIND: ClassVar[str] = "[closed_loop]"
+    tasks: list[str] = Field(list(TASKS), min_length=1, description="of the trials, in turn")
+    trials: int = Field(60, ge=1, description="of DCAC and the cited solvers, each with a seed of its own")
+    cited: list[str] = Field(["exact", "rnn", "rnn-printed"], description="solvers that the first sentences speak of")
+    others: int = Field(15, ge=1, description="trials of every other solver, the first ones")
+    timed: int = Field(1, ge=1, description="trials that run alone, the only ones whose times are used")
+    duration_s: Level = Field(4.0, description="of a trial; inf: the whole task")
+    slow: list[str] = Field(list(SLOW), description="solvers that are left out: they take a millisecond a tick")
+
+    def of(self, solver: str) -> int:
+        """Return the number of trials that a solver, or the baseline, runs: the first so many."""
+        return self.trials if solver in (BASELINE, *self.cited) else min(self.others, self.trials)
+
+
+class Growth(Settings):
+    """Problems with more joints."""
+
+    KIND: ClassVar[str] = "[growth]"
+    joints: list[int] = Field([7, 10, 14], min_length=2)
+
+
+class Sweeps(Settings):
+    """What is varied in closed loop."""
+
+    KIND: ClassVar[str] = "[sweeps]"
+    trials: int = Field(9, ge=1, description="the first ones of [closed_loop]")
+    duration_s: Level = Field(4.0, description="of a trial")
+    values: Literal["few", "usual", "many"] = "usual"
+    deadline_solvers: list[str] = Field(["osqp", "piqp"])
+    late_percent: list[float] = Field([1.0, 20.0], description="of the recorded times, above the budget")
+
+
+class Config(StudyConfig):
+    """moc_opt/study/solvers.toml."""
+
+    solvers: Literal["all"] | list[str] = "all"
+    twice: bool = Field(False, description="qpsolvers:NAME too where NAME has an adapter of its own")
+    parts: list[str] = Field(list(USUAL))
+    open_loop: OpenLoop = OpenLoop()
+    testsets: TestSets = TestSets()
+    growth: Growth = Growth()
+    closed_loop: ClosedLoop = ClosedLoop()
+    sweeps: Sweeps = Sweeps()
+    settings: dict[str, dict[str, Any]] = Field(default_factory=dict, description="per solver")
+    scenario: Scenario = Scenario()
+
+    def quick(self) -> Self:
+        """Return the same on less data."""
+        sets = ["circle", "infeasible", "jumps"]
+        return self._with(
+            open_loop={"ticks": 200, "cold": 10},
+            testsets={"names": sets, "timed": [], "timed_too": sets, "every": 8, "every_other": 1, "rounds": 2,
+                      "cold": 4, "seconds": 0.02, "setup_s": 6.0},
+            growth={"joints": [7, 10]}, closed_loop={"trials": 2, "others": 1, "duration_s": 1.0},
+            sweeps={"trials": 1, "duration_s": 0.7, "values": "few", "deadline_solvers": ["osqp"],
+                    "late_percent": [5.0]},
+        )  # fmt: skip
+
+    def full(self, parts: Sequence[str]) -> Self:
+        """Return the study with more of everything, for figures to be cited: an hour or two."""
+        return self._with(
+            twice=True, parts=list(parts), open_loop={"ticks": 4000, "cold": 400},
+            testsets={"timed": list(testsets.NAMES), "timed_too": [], "every_other": 1, "rounds": 100,
+                      "seconds": 10.0, "cold": 128, "patience_s": 10.0},
+            growth={"joints": list(range(7, 15))},
+            closed_loop={"trials": 120, "others": 30, "timed": 3, "duration_s": None, "slow": []},
+            sweeps={"trials": 15, "duration_s": None, "values": "many", "late_percent": [0.1, 1.0, 5.0, 20.0],
+                    "deadline_solvers": ["osqp", "piqp", "clarabel"]},
+        )  # fmt: skip
+
+    def choosing(self, sets: list[str] | None, parts: list[str] | None) -> Self:
+        """Return the same on some sets and with some parts alone; None leaves them as they are."""
+        for name in sets or ():
+            testsets.check_name(name)
+        return self._with(
+            **({} if parts is None else {"parts": parts}),
+            **({} if sets is None else {"testsets": {"names": sets, "timed_too": sets}}),
+        )
+
+    def cases(self, duration_s: float | None = None) -> list[Scenario]:
+        """Return the trials of the closed loop, cut to a duration [s] if one is given."""
+        part = self.closed_loop
+        base = self.scenario.change(duration_s=duration_s or part.duration_s, start={"pose": "random"})
+        return trials(base, part.tasks, seeds(self.seed, STREAM, part.trials))
+
+    def _with(self, **changes: Any) -> Self:
+        return self.model_copy(update={
+            name: getattr(self, name).model_copy(update=value) if isinstance(value, dict) else value
+            for name, value in changes.items()
+        })  # fmt: skip
+
+
+@dataclass
+class Work:
+    """What the parts of the study share, and what they have found so far.
+
+    Attributes:
+        names: of the solvers that can run here.
+        summary: part -> solver or controller -> metric.
+        runs: a row for each run in closed loop.
+        answers: a row for each answer in open loop.
+        times: solver -> its solve times in the timed trials [us].
+        sections: of the report.
+    """
+
+    study: Study
+    config: Config
+    names: Sequence[str]
+    summary: dict[str, dict[str, Any]] = field(default_factory=dict)
+    runs: Results = field(default_factory=Results)
+    answers: Results = field(default_factory=Results)
+    times: dict[str, Array] = field(default_factory=dict)
+    sections: list[Section] = field(default_factory=list)
+    said: str = ""
+
+    @cached_property
+    def settings(self) -> list[SolverSetting]:
+        """Every setting of every solver, the recommended ones first."""
+        found = solver_settings(self.names, self.config.settings)
+        return sorted(found, key=lambda setting: not setting.recommended)
+
+    @property
+    def recommended(self) -> list[SolverSetting]:
+        """Each solver under the setting that we recommend."""
+        return [setting for setting in self.settings if setting.recommended]
+
+    @cached_property
+    def _rows(self) -> Array:
+        config = self.config
+        base = config.scenario.change(start={"pose": "random"})
+        (case,) = trials(base, [config.open_loop.task], seeds(config.seed, STREAM, 1))
+        (found,) = self.study.run([Job(record, (case, config.open_loop.ticks))], "recording")
+        if isinstance(found, Failed):
+            raise found.error or RuntimeError(str(found))
+        return np.asarray(found)
+
+    def sequence(self) -> Array:
+        """Return the recorded subproblems, one a tick (ticks, 10 n + 10)."""
+        return self._rows
+
+    def runner(self, what: str) -> Callable[..., list[Any]]:
+        """Return `moc_opt.study.run` with the study's folder, workers and progress."""
+        return partial(self.study.run, what=what)
+
+    def say(self) -> None:
+        """Print the first sentence as far as it is known, if it changed."""
+        said = sentences(self.summary, assess(self.summary, self.runs))[0]
+        if said != self.said:
+            self.said = said
+            console(stderr=True).print(f"so far: {said}", markup=False, soft_wrap=True)
+
+
+Part = Callable[[Work], None]
+
+
+# --- the command ---
+
+PARTS: Mapping[str, Part] = {
+    "open_loop": recorded_sequence, "testsets": certified_sets, "closed_loop": closed_loop, "sweeps": sweeps,
+    "growth": more_joints, "duals": duals,
+}  # fmt: skip
+
+
+def work(parts: Mapping[str, Part], study: Study, config: Config) -> Found:
+    """Run the parts that are asked for, in the order in which they need each other."""
+    given = study.given
+    if given.full and not given.quick:
+        config = config.full(list(parts))
+    config = config.choosing(given.sets, given.parts)
+    for name in config.parts:
+        if name not in parts:
+            raise UnknownNameError("part", name, parts)
+    names, missing = choose(given.only or config.solvers)
+    if not (config.twice or given.only):
+        names, again = once(names)
+        missing |= again
+    found = Work(study, config, names, {"not_run": {name: {"reason": reason} for name, reason in missing.items()}})
+    for name, part in parts.items():
+        if name in config.parts:
+            part(found)
+            found.say()
+    fresh = [NullSpaceQP.from_row(np.array(row)) for row in found.sequence()]
+    assembled(fresh[0])
+    found.summary["clock"] = {
+        "cost": {"p50_us": clock_cost_us()}, "assembly": {"p50_us": float(np.median(each_us(assembled, fresh)))},
+    }  # fmt: skip
+    slow = [name for name in names if name in config.closed_loop.slow and "closed_loop" in config.parts]
+    told = [f"Not in the closed loop, as they take about a millisecond a tick: {', '.join(slow)}; --full runs them."]
+    return Found(
+        report(found), found.summary, Results([*found.answers, *found.runs]),
+        {"load": Disturbance.total(timed_rows(found.summary)).told()}, sentences=told if slow else (),
+    )  # fmt: skip
+
+
+def once(names: Sequence[str]) -> tuple[list[str], dict[str, str]]:
+    """Return the names without a library that has an adapter of its own, and name -> reason for those."""
+    native = {f"{QPSOLVERS}{name}": name for name in names}
+    return [name for name in names if name not in native], {
+        name: f"the same library as `{native[name]}`: `twice = true` in the configuration asks both ways"
+        for name in names if name in native
+    }  # fmt: skip
+
+
+def timed_rows(summary: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+    """Return the rows of the summary with times, each measurement once."""
+    return [row for part in TIMED for row in summary.get(part, {}).values()]
+
+
+def report(found: Work) -> Report:
+    """Say which solver to take, why, and which to avoid."""
+    summary, scenario = found.summary, found.config.scenario
+    rows = assess(summary, found.runs)
+    troubles = [
+        {"solver": name, "part": part, "trouble": row["trouble"]}
+        for part, entries in summary.items() for name, row in entries.items()
+        if isinstance(row, Mapping) and row.get("trouble")
+    ]  # fmt: skip
+    sections = [*found.sections, rules()]
+    if troubles:
+        shown = [SOLVER, Column("part", "part"), Column("trouble", "first time")]
+        first = Table("First time that it happened", shown, troubles)
+        sections.append(Section("Exceptions, hangs and crashes", "", [first]))
+    if summary["not_run"]:
+        left = [{"solver": name, **row} for name, row in summary["not_run"].items()]
+        shown = [SOLVER, Column("reason", "why")]
+        sections.append(Section("Not run", "", [Table("Solvers that did not run", shown, left)]))
+    title = f"Solvers of the null-space subproblem on the {scenario.robot.name}"
+    about = f"{', '.join(found.config.closed_loop.tasks)}; gains {scenario.control.gains}; judged by one measure"
+    return Report(
+        title, sentences(summary, rows), first_table(summary, rows), pictures(summary, rows, scenario.deadline_us),
+        sections, load(timed_rows(summary)), about,
+    )  # fmt: skip
+
+
+def main(
+    arguments: Sequence[str] | None = None, *, more: Mapping[str, Part] | None = None, program: str = "moc-opt solvers"
+) -> int:
+    """Run the study; returns the exit status.
+
+    Args:
+        arguments: of the command; None: those of this process.
+        more: further parts, which need more than the installed package has.
+        program: how the command is called.
+    """
+    parts = {**PARTS, **(more or {})}
+    for name in THREADS:  # read by the libraries of the workers, which have not begun
+        os.environ.setdefault(name, "1")
+
+    def options(parser: ArgumentParser) -> None:
+        parser.epilog = "`moc-opt solvers --list` prints the solvers that can run here, and their settings."
+        parser.add_argument("--full", action="store_true", help="more of everything; takes an hour or two")
+        parser.add_argument("--only", nargs="+", metavar="SOLVER", help="these solvers alone")
+        parser.add_argument("--sets", nargs="+", metavar="NAME", help="these test sets alone")
+        parser.add_argument("--parts", nargs="+", metavar="PART", choices=parts, help=f"of {', '.join(parts)}")
+
+    return command(
+        "solvers", "Compare the solvers, open loop and in closed loop.", Config, partial(work, parts), arguments,
+        options=options, folder=Path(__file__).parent, program=program,
+    )  # fmt: skip
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,215 @@
+"""Answers to sets: what is counted as what, and that a solver which hangs or crashes is recorded and no more."""
+
+from __future__ import annotations
+
+from functools import partial
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+
+from moc_opt.figures.notation import Doubtful
+from moc_opt.scenario import make_solver
+from moc_opt.solvers import available
+from moc_opt.solvers.registry import accepts
+from moc_opt.study import Kept, run
+from moc_opt.study.solver_answers import (
+    Answer,
+    Answers,
+    Limits,
+    Problems,
+    Times,
+    ask,
+    share_right,
+    time,
+    totals,
+)
+from moc_opt.study.solver_open_loop import smooth_sequence
+from moc_opt.study.solver_settings import (
+    SETTINGS,
+    TIGHT_OPTIONS,
+    SolverSetting,
+    effective,
+    solver_settings,
+)
+from moc_opt.study.testsets import TestSet
+from moc_opt.study.timing import UNDISTURBED, Disturbance
+from tests import broken_solvers
+
+LIMITS = Limits(patience_s=1.0, rounds=2, seconds=0.2, cold=4)
+EXACT = SolverSetting("exact", "recommended", {}, "")
+ONE = partial(run, workers=1)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def broken(tmp_path_factory):
+    """Workers that find the broken solvers."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(str(broken_solvers.install(tmp_path_factory.mktemp("plugin"))))
+        assert {name: available().get(name, "") for name in broken_solvers.NAMES} == dict.fromkeys(broken_solvers.NAMES)
+        yield
+
+
+def answers(setting: SolverSetting, problems: Problems, warm: bool = True) -> Answers:
+    (found,) = ask(ONE, [(setting, problems)], LIMITS, warm=warm)
+    return found
+
+
+def breaking(name: str, **options: Any) -> SolverSetting:
+    return SolverSetting(name, "recommended", options, "")
+
+
+@pytest.mark.parametrize(("name", "every"), [("circle", 16), ("infeasible", 8), ("inconsistent-1e-4", 8), ("jumps", 8)])
+def test_exact_is_right_on_every_set(name, every):
+    counts = answers(EXACT, Problems.certified(name, every)).counts()
+    assert counts["verified_solved"] == counts["optima_asked"]
+    assert (counts["refused_inconsistent"] > 0) == name.startswith("inconsistent")
+    assert counts["infeasible_right"] == counts["infeasible_asked"]
+    assert counts["silently_wrong"] == counts["failed"] == counts["infeasible_wrong"] == 0
+
+
+@pytest.mark.parametrize(
+    ("setting", "every", "status", "said"),
+    [
+        # A fresh session after each hang; after two of them the rest is left alone.
+        (breaking("hangs", at=1), 16, ["solved", "hung", "solved", "hung"] + ["not asked"] * 4, "no answer within"),
+        (breaking("stuck"), 32, ["hung"] + ["not asked"] * 3, "problem 0, while setting up"),
+        (breaking("crashes", at=1), 32, ["solved", "crashed", "solved", "crashed"], "SIGSEGV"),
+        (breaking("raises", at=2), 32, ["solved", "solved", "raised", "solved"], "problem 2: ZeroDivisionError"),
+        (breaking("once", at=1), 32, ["solved", "raised", "raised", "raised"], "problem 1: ZeroDivisionError"),
+        (breaking("untyped"), 64, ["raised", "raised"], "solve returned a NoneType"),
+        (breaking("quits"), 64, ["refused", "refused"], "SystemExit: no more"),
+        (breaking("empty"), 64, ["refused", "refused"], "start returned None"),
+        (breaking("no-such"), 64, ["refused", "refused"], "UnknownName"),
+    ],
+    ids=lambda value: value.solver if isinstance(value, SolverSetting) else "",
+)
+def test_what_a_solver_does_costs_its_own_answers_alone(setting, every, status, said):
+    limits = Limits(patience_s=1.0, setup_s=4.0)
+    (found,) = ask(ONE, [(setting, Problems.certified("circle", every))], limits)
+    assert found.status.tolist() == status
+    assert said in " ".join([found.refused, *found.events])
+    counts = found.counts()
+    assert counts["not_asked"] == sum(word in ("not asked", "refused") for word in status)
+    assert counts["verified_solved"] == status.count("solved")
+    assert {word: counts[word] for word in ("hung", "crashed", "raised")} == {
+        word: status.count(word) for word in ("hung", "crashed", "raised")
+    }
+    assert found.summary().get("trouble", found.refused) != ""
+    if not found.complete:
+        assert time(ONE, [found], LIMITS) == [None]
+
+
+def test_a_solver_that_hangs_in_three_sets_is_asked_about_no_other():
+    sets = [Problems.certified(name, 64) for name in ("circle", "spiral", "sinusoid", "random", "jumps")]
+    found = ask(ONE, [(breaking("hangs", at=0), data) for data in sets], Limits(patience_s=0.5))
+    status = [one.status.tolist() for one in found]
+    assert status[:3] == [["hung", "hung"]] * 3
+    assert status[4] == ["not asked"] * 2
+
+
+def test_a_solver_that_refuses_is_not_asked():
+    found = answers(SolverSetting("quadprog", "recommended", {}, ""), Problems.certified("circle-rho0", 16))
+    assert "regularization" in found.refused
+    assert found.counts()["not_asked"] == 8
+
+
+def made(setting: SolverSetting, problems: Problems, status: list[str], x: Any) -> Answers:
+    found = Answers(setting, problems)
+    found.take(["", *(Answer(word, 1, row, np.full(6, np.nan)) for word, row in zip(status, x, strict=True))])
+    return found
+
+
+@pytest.mark.parametrize(
+    ("feasible", "status", "expected"),
+    [
+        (True, ["solved", "solved", "infeasible", "max_iter"],
+         {"claimed_solved": 2, "verified_solved": 1, "silently_wrong": 1, "infeasible_wrong": 1, "failed": 2}),
+        (False, ["infeasible", "solved", "max_iter", "solved"],
+         {"infeasible_right": 1, "infeasible_wrong": 0, "silently_wrong": 2, "failed": 1, "right": 1}),
+    ],
+)  # fmt: skip
+def test_claims_are_counted_by_the_certificate_and_the_judge(feasible, status, expected):
+    rows, x = (array[::32].copy() for array in (TestSet.load("circle").rows, TestSet.load("circle").x))
+    x[1] = 0.0  # claimed, and wrong
+    counts = made(EXACT, Problems("made", rows, rows, np.full(4, feasible)), status, x).counts()
+    assert {name: counts[name] for name in expected} == expected
+    assert counts["right"] == counts["verified_solved"] + counts["infeasible_right"]
+    assert counts["optima_asked"] + counts["infeasible_asked"] + counts["refused_inconsistent"] == counts["solves"]
+
+
+@pytest.mark.parametrize(("rows", "refused"), [(6, 7), (5, 0)])
+def test_refused_inconsistent_rows_are_neither_right_nor_wrong(rows, refused):
+    """Of eight problems one is answered. Six rows contradict each other, so the others may be refused; five do not."""
+    problems = Problems.certified("inconsistent-1e-4", 16)
+    x = TestSet.load("inconsistent-1e-4").x[::16].copy()
+    x[1:] = np.nan
+    setting = SolverSetting("osqp", "recommended", {"rows": rows}, "")
+    found = made(setting, problems, ["solved"] + ["infeasible"] * 7, x)
+    counts = found.counts()
+    assert (counts["right"], counts["verified_solved"], counts["optima_asked"]) == (1, 1, 8 - refused)
+    assert (counts["refused_inconsistent"], counts["inconsistent_asked"]) == (refused, 8 if rows == 6 else 0)
+    assert counts["infeasible_wrong"] == counts["failed"] == 7 - refused
+    assert share_right(totals([found], [])) == 1 / (8 - refused)
+
+
+def test_totals_add_counts_and_quote_the_slowest_set():
+    some = [answers(EXACT, Problems.certified(name, 32)) for name in ("circle", "infeasible")]
+    one = np.ones(1)
+    slow, fast = (Times(np.full((2, 4), us), one, one, one, UNDISTURBED, UNDISTURBED) for us in (7.0, 3.0))
+    found = totals(some, [slow, fast])
+    assert found["solves"] == 8
+    assert found["solve_p50_us_worst_set"] == 7.0
+    assert not any("mean" in name for name in found), "a mean would hide the slowest set"
+
+
+def test_cold_sessions_know_nothing_of_each_other():
+    """The network forgets: cold, every answer starts from rest."""
+    data, setting = Problems.certified("circle", 16), SolverSetting("rnn", "x", {"steps": 5}, "")
+    warm, cold = answers(setting, data), answers(setting, data, warm=False)
+    assert np.abs(warm.x[-1] - cold.x[-1]).max() > 1e-3
+    np.testing.assert_array_equal(warm.x[0], cold.x[0])
+
+
+@pytest.mark.parametrize("trusted", [True, False])
+def test_times_are_kept_where_they_are_trusted_and_doubtful_elsewhere(trusted, tmp_path, monkeypatch):
+    monkeypatch.setattr(Disturbance, "trusts", lambda *_: trusted)
+    asked = answers(EXACT, Problems.certified("circle", 16))
+    (first,), (again,) = (time(partial(ONE, kept=Kept(tmp_path / "jobs")), [asked], LIMITS) for _ in range(2))
+    assert first.warm_load.calls == first.solve.size == first.figures()["timed_solves"] > 0
+    assert isinstance(first.figures()["solve_p99_us"], Doubtful) is not trusted
+    assert np.array_equal(again.solve, first.solve) is trusted
+
+
+@pytest.mark.parametrize("n", [7, 10, 14])
+def test_problems_of_more_joints_are_feasible_neighbours_and_answered(n):
+    problems = smooth_sequence(n, count=6)
+    data = Problems.recorded(f"n={n}", np.array([qp.row for qp in problems]))
+    assert data.feasible.all()
+    assert answers(EXACT, data).counts()["verified_solved"] == 6
+    assert max(np.abs(b.A - a.A).max() for a, b in pairwise(problems)) < 0.02
+
+
+# --- settings ---
+
+
+@pytest.mark.parametrize(
+    "setting", solver_settings([n for n, why in available().items() if why is None]), ids=lambda e: e.label
+)
+def test_every_setting_exists_and_has_its_reason(setting, robot):
+    assert len(setting.reason) > 10
+    assert make_solver(setting.solver, robot, **setting.options).name == setting.solver
+    assert all(accepts(setting.solver, option) for option in setting.options)
+
+
+def test_settings_are_of_solvers_that_exist_and_overrides_change_the_recommended_one_alone():
+    assert {*SETTINGS, *(f"qpsolvers:{name}" for name in TIGHT_OPTIONS)} <= set(available())
+    by_label = {e.label: effective(e) for e in solver_settings(["osqp", "qpsolvers:osqp", "exact"])}
+    assert by_label["osqp@recommended"]["cost_scale"] == 100.0
+    assert by_label["osqp@default"]["rows"] == 6
+    assert by_label["qpsolvers:osqp@recommended"]["eps_abs"] == 1e-8
+    assert "eps_abs" not in by_label["qpsolvers:osqp@default"]
+    found = {e.name: e.options for e in solver_settings(["osqp"], {"osqp": {"eps": 0.5}})}
+    assert found["recommended"] == {"eps": 0.5}
+    assert found["default"]["eps"] == 1e-3

@@ -1,0 +1,306 @@
+"""Verdicts follow their stated rules, and the first screen says what they rest on."""
+
+from __future__ import annotations
+
+import io
+import re
+from typing import Any
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from moc_opt.figures.notation import Doubtful
+from moc_opt.study.results import Results, change_name
+from moc_opt.study.show import Report
+from moc_opt.study.solver_closed_loop import correlations, cost_begins, figures, predicted
+from moc_opt.study.solver_verdicts import (
+    AVOID,
+    COSTS,
+    GAPS,
+    INCONSISTENT,
+    NEAR,
+    OPEN,
+    OTHER,
+    SOUND,
+    TAKE,
+    assess,
+    first_table,
+    pictures,
+    rules,
+    sentences,
+)
+from moc_opt.study.statistics import spread
+
+NOISE = np.random.default_rng(3).lognormal(0.0, 0.5, 60)
+MEANS = {
+    "mu_mean": 0.3, "tip_error_model_mean_mm": 0.2, "rcm_error_model_mean_mm": 0.4, "torque_rate_rms_Nm_per_s": 600.0,
+    "tip_error_registered_mean_mm": 0.3, "rcm_error_registered_mean_mm": 0.5,
+}  # fmt: skip
+ENDED = {"broke off": "stopped: the tip", "oscillated": "oscillated: joint_3"}
+
+
+def runs(controller: str, trials: int = 15, unlike: float = 0.0, first_ends: str = "completed", **times: float) -> Any:
+    """Rows of trials that differ much, and are the same multiple of the reference's up to ``unlike``."""
+    own = np.random.default_rng(5).lognormal(0.0, unlike, trials) if unlike else np.ones(trials)
+    found = []
+    for k in range(trials):
+        ended = first_ends if k == 0 else "completed"
+        values = {name: value * times.get(name, 1.0) * NOISE[k] * own[k] for name, value in MEANS.items()}
+        found.append({"trial": f"circle/{k}", "controller": controller, "ended": ended, "error": None,
+                      "whole": not ended.startswith("stopped"), "silently_wrong": 0, **values})  # fmt: skip
+    return found
+
+
+def certified(right: int = 1000, p50: float = 5.0, p99: float = 9.0, **more: Any) -> dict[str, Any]:
+    found = {
+        "solves": 1000, "right": right, "claimed_solved": right, "silently_wrong": 0, "hung": 0, "crashed": 0,
+        "verified_solved": right, "optima_asked": 1000, "infeasible_asked": 0, "refused_inconsistent": 0,
+    }  # fmt: skip
+    return {**found, "solve_p50_us_worst_set": p50, "solve_p99_us_worst_set": p99, "relative_max": 1e-9, **more}
+
+
+def study(sets: dict[str, Any], rows: list[Any] = ()) -> tuple[dict[str, Any], Results]:  # type: ignore[assignment]
+    results = Results(rows)
+    summary: dict[str, Any] = {"testsets": {f"{name}@recommended": found for name, found in sets.items()}}
+    if rows:
+        summary["closed_loop"] = {name: figures(results, name) for name in results.names()}
+    return summary, results
+
+
+def assessed(sets: dict[str, Any], rows: list[Any] = ()) -> dict[str, Any]:  # type: ignore[assignment]
+    return {row["solver"]: row for row in assess(*study(sets, rows))}
+
+
+@pytest.mark.parametrize(
+    ("asked", "times", "verdict", "damage"),
+    [
+        (certified(), {}, SOUND, "none"),
+        (certified(990), {}, SOUND, "none"),
+        (certified(989), {}, GAPS, "none"),
+        (certified(silently_wrong=1), {}, AVOID, "none"),
+        (certified(hung=1), {}, AVOID, "none"),
+        (certified(crashed=2), {}, AVOID, "none"),
+        (certified(0), {}, NEAR, "none"),
+        (certified(), {"mu_mean": 0.995}, SOUND, "none"),
+        (certified(), {"mu_mean": 0.97}, NEAR, "-3% mu"),
+        (certified(), {"mu_mean": 0.90}, AVOID, "-10% mu"),
+        (certified(), {"mu_mean": 1.5}, SOUND, "none"),
+        (certified(), {"tip_error_model_mean_mm": 1.1}, NEAR, "+10% tip"),
+        (certified(), {"rcm_error_model_mean_mm": 2.0}, AVOID, "+100% RCM"),
+        (certified(), {"tip_error_registered_mean_mm": 1.1}, NEAR, "+10% patient tip"),
+        (certified(), {"torque_rate_rms_Nm_per_s": 1.15}, NEAR, "+15% chatter"),
+        (certified(), {"first_ends": ENDED["broke off"]}, AVOID, "1 broke off"),
+        (certified(), {"first_ends": ENDED["oscillated"]}, AVOID, "1 oscillated"),
+        (None, {}, OPEN, "none"),
+    ],
+)
+def test_each_rule(asked, times, verdict, damage):
+    sets = {"best": certified(p99=1.0), **({} if asked is None else {"asked": asked})}
+    found = assessed(sets, [*runs("dcac"), *runs("best"), *runs("asked", **times)])
+    assert (found["asked"]["verdict"], found["asked"]["damage"]) == (verdict, damage)
+    assert found["best"]["verdict"] is TAKE
+
+
+def test_wrong_answers_in_closed_loop_count_and_the_nonlinear_ones_are_no_liars():
+    lying = [{**row, "silently_wrong": 1} for row in runs("asked")]
+    assert assessed({"best": certified(), "asked": certified()}, [*runs("best"), *lying])["asked"]["verdict"] is AVOID
+    row = assessed({"best": certified(), "nlp-sqp": certified(50, silently_wrong=900)}, runs("best"))["nlp-sqp"]
+    assert row["verdict"] is OTHER
+    assert "nonlinear" in row["silently_wrong"].reason
+
+
+def test_the_best_come_first_and_one_is_taken():
+    found = assessed({
+        "best": certified(p99=1.0), "slow": certified(p99=50.0), "liar": certified(p99=0.1, silently_wrong=1),
+        "half": certified(500), "most": certified(900, p99=90.0),
+    })  # fmt: skip
+    assert list(found) == ["best", "slow", "most", "half", "liar"]
+    assert [row["verdict"] for row in found.values()].count(TAKE) == 1
+    assert assess({}, Results()) == []
+
+
+@pytest.mark.parametrize(
+    ("cost", "unlike", "trials", "verdict", "damage"),
+    [
+        (1.07, 0.0, 15, NEAR, "+7% tip"),
+        (1.07, 0.3, 15, SOUND, "undecided: "),  # as large in the mean, but not surely so
+        (1.01, 0.02, 15, SOUND, "none"),
+        (2.5, 0.3, 15, AVOID, "% tip"),
+        (1.6, 0.0, 7, SOUND, "too few trials to decide (7 of at least 8)"),
+        (1.6, 0.0, 8, AVOID, "+60% tip"),
+    ],
+)
+def test_only_what_an_interval_excludes_decides(cost, unlike, trials, verdict, damage):
+    """The reference ran more trials: those that only one of them ran decide nothing."""
+    rows = [*runs("best", 60), *runs("asked", trials, unlike, tip_error_model_mean_mm=cost)]
+    if unlike:  # the other figures are equal
+        for row, mine in zip(rows, rows[60:], strict=False):
+            mine |= {name: row[name] for name in MEANS if name != "tip_error_model_mean_mm"}
+    row = assessed({"best": certified(p99=1.0), "asked": certified()}, rows)["asked"]
+    assert row["verdict"] is verdict
+    assert damage in getattr(row["damage"], "reason", row["damage"])
+
+
+def test_a_library_is_judged_once_and_parts_may_be_missing():
+    rows = assess(*study({name: certified() for name in ("daqp", "qpsolvers:daqp", "qpsolvers:scs")}))
+    assert [row["solver"] for row in rows] == ["daqp", "qpsolvers:scs"]
+    assert "not run" in rows[0]["damage"].reason
+
+
+@pytest.mark.parametrize(
+    ("fast", "steady", "slow", "by", "taken"),
+    [
+        ((3.0, 20.0), (5.0, 9.0), (50.0, 60.0), "p99_us", "steady"),
+        # That of the slow one is 50 at least: it cannot be the least.
+        ((3.0, 20.0), (5.0, 9.0), (50.0, Doubtful(9000.0)), "p99_us", "steady"),
+        # That of the fast one might be 4.
+        ((3.0, Doubtful(8123.0)), (5.0, 9.0), (50.0, 60.0), "p50_us", "fast"),
+        ((3.0, Doubtful(8.0)), (5.0, Doubtful(9.0)), (50.0, Doubtful(60.0)), "p50_us", "fast"),
+        ((Doubtful(3.0), Doubtful(8.0)), (5.0, 9.0), (50.0, 60.0), "", None),
+        ((3.0, Doubtful(8.0)), (5.0, 9.0), (Doubtful(50.0), Doubtful(60.0)), "", None),
+    ],
+)
+def test_a_time_that_is_not_to_be_trusted_ranks_nothing(fast, steady, slow, by, taken):
+    summary, results = study({"steady": certified(1000, *steady), "slow": certified(1000, *slow),
+                              "fast": certified(1000, *fast)})  # fmt: skip
+    rows = assess(summary, results)
+    assert {row["ranked_by"] for row in rows} == {by}
+    assert [row["solver"] for row in rows if row["verdict"] is TAKE] == ([] if taken is None else [taken])
+    said = sentences(summary, rows)[0]
+    assert said.startswith("Take" if taken else "Sound")
+    assert ("busy" in said) == (by != "p99_us")
+
+
+# --- in words ---
+
+
+@pytest.fixture(scope="module")
+def whole() -> tuple[dict[str, Any], Results]:
+    sets = {
+        "exact": certified(1799, 1.2, 1.5, solves=2048, optima_asked=1621, verified_solved=1620, infeasible_asked=179,
+                           infeasible_right=179, refused_inconsistent=248, inconsistent_asked=621),
+        "clarabel": certified(2047, 48.5, 60.0, solves=2048), "nlp-ipopt": certified(268, silently_wrong=1776),
+        "qpsolvers:highs": certified(1767, 900.0, 999.0, solves=2048, silently_wrong=1),
+        "qpsolvers:quadprog": certified(0, 1234.6, 9999.9),
+    }  # fmt: skip
+    rows = [*runs("dcac", 60)]
+    for name in sets:
+        rows += runs(name, 60 if name == "exact" else 15, 0.1, mu_mean=1.12, tip_error_registered_mean_mm=2.0)
+    summary, results = study(sets, rows)
+    plain = {"osqp": 1301, "qpsolvers:scs": 432, "piqp": 0, "rnn": 7}
+    summary["testsets"] |= {f"{name}@default": certified(silently_wrong=wrong) for name, wrong in plain.items()}
+    summary["settings"] = {"exact@recommended": {"reason": "nothing to set"}}
+    for row in summary["closed_loop"].values():
+        row |= {"tick_p50_us": 37.0, "tick_p99_us": 105.0, "tick_p99_9_us": 2100.0}
+    return summary, results
+
+
+def test_the_answer_comes_in_three_sentences(whole):
+    take, sound, avoid = sentences(whole[0], assess(*whole))
+    assert take.startswith("Take `exact` (nothing to set): ")
+    for counted in ("1620 of 1621 certified optima", "179 of 179 infeasible", "248 of 621 with inconsistent rows",
+                    "median 1.2 and p99 1.5 us"):  # fmt: skip
+        assert counted in take
+    assert "Sound as well: `clarabel` (48 us)" in sound
+    assert "60 independent trials of `exact`" in sound
+    for name in ("mu_mean", "tip_error_model_mean_mm", "tip_error_registered_mean_mm", "rcm_error_model_mean_mm"):
+        assert spread(whole[0]["closed_loop"]["exact"], change_name(name), 2, "+", " %") in sound
+    assert "`qpsolvers:highs` (1 silently wrong)" in avoid
+    assert "2 of 3 claimed success for wrong answers (`osqp` 1301, `qpsolvers:scs` 432)" in avoid
+    assert "nlp" not in avoid
+    assert "rnn" not in avoid, "the network has no library and no six rows"
+
+
+@pytest.mark.parametrize(
+    ("sets", "said", "unsaid"),
+    [
+        ({"exact": certified()}, "Take `exact`", "only"),
+        ({"exact": certified(), "osqp": certified(silently_wrong=3)}, "the only sound one of the 2 solvers", "fastest"),
+        ({"exact": certified(p50=None, p99=None)}, "Take `exact`", "None"),
+        ({"a": certified(p50=None, p99=None), "b": certified(p50=None, p99=None)}, "they were not timed", "Take"),
+        ({"osqp": certified(silently_wrong=3)}, "No solver is sound", "Take"),
+        ({}, "Nothing was run", "Take"),
+    ],
+)
+def test_sentences_do_not_say_more_than_was_found(sets, said, unsaid):
+    summary, results = study(sets)
+    first = sentences(summary, assess(summary, results))[0]
+    assert said in first
+    assert unsaid not in first
+
+
+def test_few_trials_claim_nothing_in_closed_loop():
+    rows = [row for name in ("dcac", "exact") for row in runs(name, 7)]
+    summary, results = study({"exact": certified()}, rows)
+    found = assess(summary, results)
+    assert "too few trials to decide (7 of at least 8)" in " ".join(sentences(summary, found))
+    assert not any(row["tip_change"] for row in first_table(summary, found).rows)
+    assert "too few" in pictures(summary, found, 2000.0)[1].says
+
+
+@pytest.mark.parametrize("width", [80, 132])
+def test_the_first_screen_fits_a_terminal(whole, width):
+    rows = assess(*whole)
+    shown = Report("t", sentences(whole[0], rows), first_table(whole[0], rows))
+    screen = Console(file=io.StringIO(), width=width, color_system=None, highlight=False)
+    for part in shown.screens():
+        screen.print(part.narrowed(width) if part is shown.table else part, markup=False)
+    text = screen.file.getvalue()
+    assert max(map(len, text.splitlines())) <= width
+    assert "…" not in text
+    for heading in ("solver", "verdict", "right", "silently", "p50", "p99", "patient", "damage"):
+        assert heading in text
+    assert "99.95" in text, "2047 of 2048 is not 100 %"
+    assert "99.94" in text
+    row = whole[0]["closed_loop"]["clarabel"]
+    change = [row[f"tip_error_{frame}_change_percent"] for frame in ("model", "registered")]
+    assert f"{change[0]:+.0f}/{change[1]:+.0f}" in re.sub(r"\s", "", text), "both frames"
+    assert "counts neither as right nor as wrong" in " ".join(text.split())
+    without = {**whole[0], "testsets": {"exact@recommended": certified()}}
+    assert INCONSISTENT not in first_table(without, assess(without, whole[1])).caption
+
+
+def test_pictures_say_what_to_see(whole):
+    accuracy, gain, deadline = pictures(whole[0], assess(*whole), 2000.0)
+    assert "no other solver is both faster and more accurate than exact" in accuracy.says
+    assert "none surely lost some" in gain.says
+    assert "miss the deadline of 2000 us" in deadline.says
+    shown = " ".join(str(value) for row in rules().parts[0].rows for value in row.values()) + rules().text
+    assert "*" not in shown, "no raw Markdown"
+
+
+# --- sweeps ---
+
+NAMES = [f"solver {k}" for k in range(8)]
+
+
+def correlated(primal: Any, mu: Any, tip: Any) -> Any:
+    opened = {name: {"primal_p50": x} for name, x in zip(NAMES, primal, strict=True)}
+    closed = {name: {"mu_mean": a, "tip_error_model_mean_mm": b} for name, a, b in zip(NAMES, mu, tip, strict=True)}
+    return correlations(opened, closed)
+
+
+def test_what_is_better_in_both_correlates_by_one():
+    residual, up = 10.0 ** np.arange(-9.0, -1.0), 2.0 ** np.arange(8.0)
+    found = correlated(residual, up[::-1], up[::-1])
+    assert found["primal_p50 ~ mu_mean"]["rank_correlation"] == pytest.approx(1.0)
+    assert found["primal_p50 ~ tip_error_model_mean_mm"]["rank_correlation"] == pytest.approx(-1.0)
+    assert "mu: it follows the median primal residual" in predicted(found, 8)
+    assert "the wrong way round" in predicted(found, 8)
+    assert "too few trials to decide (7 of at least 8)" in predicted(found, 7)
+    assert "Too few" in predicted({}, 15)
+
+
+def test_noise_decides_no_rank_and_chance_is_no_prediction():
+    mu = 0.3 * (1.0 + 1e-4 * np.array([3, 1, 4, 1, 5, 9, 2, 6]))
+    assert correlated(np.arange(8.0), mu, np.ones(8)) == {}
+    found = correlated(np.arange(1.0, 9.0), 2.0 ** np.array([4, 8, 1, 6, 3, 7, 2, 5]), np.ones(8))
+    assert "no residual of open loop predicts it" in predicted(found, 15)
+
+
+def test_costs_begin_where_a_metric_leaves_its_last_value():
+    points = {f"eps={v:g}": {"mu_mean": m, "tip_error_model_mean_mm": 1.0} for v, m in
+              ((1e-1, 0.2), (1e-2, 0.30), (1e-3, 0.299), (1e-4, 0.3))}  # fmt: skip
+    assert cost_begins(points) == {"mu_mean": "eps=0.01", "tip_error_model_mean_mm": "eps=0.1"}
+    assert set(cost_begins(points)) < set(COSTS)

@@ -1,0 +1,263 @@
+"""The study of solvers: its files and parts, that it goes on after it was stopped, that broken solvers end nothing."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+import pytest
+
+from moc_opt.study import Kept, solvers, testsets
+from moc_opt.study.command import CONFIGS
+from moc_opt.study.solvers import PARTS, SLOW, USUAL, Config
+from moc_opt.study.timing import Disturbance
+from moc_opt.study.trials import BASELINE
+from tests import broken_solvers, first_screens
+
+ROOT = Path(__file__).parents[2]
+SMALL = """
+seed = 3
+processes = 2
+[open_loop]
+ticks = 40
+cold = 5
+[testsets]
+names = ["circle", "infeasible"]
+timed = ["circle"]
+every = 16
+rounds = 2
+seconds = 0.1
+patience_s = 1.5
+cold = 4
+[growth]
+joints = [7, 9]
+[closed_loop]
+tasks = ["circle"]
+trials = 3
+cited = ["exact"]
+others = 2
+duration_s = 0.2
+[sweeps]
+trials = 2
+duration_s = 0.2
+values = "few"
+deadline_solvers = ["osqp"]
+late_percent = [10.0]
+[scenario]
+bound_samples = 2
+"""
+NAMES = ("exact", "osqp", "rnn", "quadprog")
+
+
+@pytest.fixture(autouse=True)
+def quiet_machine(monkeypatch):
+    """What else runs beside these tests decides nothing in them."""
+    monkeypatch.setattr(Disturbance, "trusts", lambda *_: True)
+
+
+def run(folder: Path, *more: str, names: tuple[str, ...] = NAMES) -> int:
+    (folder / "small.toml").write_text(SMALL)
+    return solvers.main([str(folder / "small.toml"), "--out", str(folder / "out"), "--only", *names, *more])
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A whole small study, with every part."""
+    found: Path = tmp_path_factory.mktemp("study")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Disturbance, "trusts", lambda *_: True)
+        assert run(found, "--parts", *PARTS) == 0
+    return found
+
+
+@pytest.fixture(scope="module")
+def summary(folder) -> dict[str, Any]:
+    found: dict[str, Any] = json.loads((folder / "out" / "summary.json").read_text())
+    return found
+
+
+def test_every_part_is_there_under_the_names_that_others_read(summary):
+    expected = {
+        "open_loop_warm", "open_loop_cold", "testsets", "testset circle", "testset infeasible", "growth", "closed_loop",
+        "sweep osqp.eps", "sweep damping", "sweep k0", "sweep deadline.osqp", "prediction", "cost_begins",
+        "duals on six rows", "duals on five rows", "settings", "not_run", "clock",
+    }  # fmt: skip
+    assert expected <= set(summary)
+    assert set(summary["closed_loop"]) == {BASELINE, *NAMES}
+    assert {"osqp@default", "osqp@tight", "osqp@recommended", "rnn@semi-implicit-10"} <= set(summary["testsets"])
+    answered = {"claimed_solved", "verified_solved", "silently_wrong", "primal_max", "natural_max", "loss_max"}
+    assert answered | {"solve_p50_us", "solve_p99_us", "timed_solves"} <= set(summary["open_loop_warm"]["osqp"])
+    assert "setup_p50_us" in summary["open_loop_cold"]["osqp"]
+    looped = {"mu_mean", "mu_gain_percent", "mu_fraction_of_best", "tip_error_registered_change_percent", "tick_p99_us",
+              "tick_p99_9_us", "deadline_misses"}  # fmt: skip
+    assert answered - {"primal_max"} | looped <= set(summary["closed_loop"]["osqp"])
+    counts = {name: (row["trials"], row["whole"]) for name, row in summary["closed_loop"].items()}
+    assert counts == {BASELINE: (3, 3), "exact": (3, 3), "osqp": (2, 2), "rnn": (2, 2), "quadprog": (2, 2)}
+    for part, points in summary.items():
+        if part.startswith("sweep "):
+            assert all("mu_fraction_of_bound" in point and "solve_p50_us" not in point for point in points.values())
+    late = summary["sweep deadline.osqp"]["10% late, hold"]
+    assert 0.05 < late["fault_late"] / late["ticks"] < 0.2
+
+
+def test_no_mean_of_times_hides_a_tail(summary):
+    def keys(value):
+        for key, inner in value.items() if isinstance(value, dict) else ():
+            yield from (key, *keys(inner))
+
+    assert [k for k in keys(summary) if k.endswith("_us") and "mean" in k] == []
+
+
+def test_all_files_are_written(folder):
+    out = folder / "out"
+    rows = pl.read_parquet(out / "rows.parquet")
+    assert {"open_loop_warm", "open_loop_cold", "testset"} <= set(rows["part"])
+    mine = rows.filter((pl.col("part") == "testset") & (pl.col("set") == "circle") & (pl.col("solver") == "osqp"))
+    assert len(mine) == 8 + 2 + 2, "every problem as we recommend it, every fourth as the library comes and tight"
+    loop = rows.filter(pl.col("controller").is_not_null() & pl.col("group").is_null())
+    assert len(loop) == 3 + 3 + 2 + 2 + 2
+    assert loop["seed"].n_unique() == 3
+    assert json.loads((out / "environment.json").read_text())["config"]["testsets"]["every"] == 16
+    page = (out / "report.html").read_text()
+    first_screens.check(page)
+    for words in ("set by set", "How the verdicts are made", "Where inaccuracy begins to cost", 'id="map"',
+                  'href="replay.html"', "Distance between two solvers", "the first 0.2 s"):  # fmt: skip
+        assert words in page
+    assert (out / "replay.html").stat().st_size > 10_000
+    assert np.load(out / "solve_us_osqp.npy").shape == (100,)
+
+
+def test_a_second_run_takes_everything_from_the_first(folder, summary, capsys):
+    """Nothing is measured again, so that even the times are the same."""
+    assert run(folder, "--parts", *PARTS) == 0
+    again = json.loads((folder / "out" / "summary.json").read_text())
+    assert {part: again[part] for part in again if part != "clock"} == {
+        part: summary[part] for part in summary if part != "clock"
+    }
+    said = capsys.readouterr().out
+    assert "jobs are those of an earlier run" in said
+    assert max(len(line) for line in said.splitlines() if str(folder) not in line) <= 80, "but for paths"
+
+
+def test_broken_solvers_are_rows_and_the_others_are_unharmed(tmp_path, monkeypatch, capsys):
+    monkeypatch.syspath_prepend(str(broken_solvers.install(tmp_path / "plugin")))
+    monkeypatch.setattr("moc_opt.study.trials.PATIENCE_S", 3.0)
+    monkeypatch.setattr("moc_opt.study.trials.PER_S", 1.0)
+    names = ("hangs", "exact", "crashes", "raises")
+    assert run(tmp_path, "--parts", "testsets", "closed_loop", "--sets", "circle", "--json", names=names) == 0
+    summary = json.loads(capsys.readouterr().out)
+    table, loop = summary["testsets"], summary["closed_loop"]
+    assert (table["hangs@recommended"]["hung"], table["crashes@recommended"]["crashed"]) == (2, 2)
+    assert table["exact@recommended"]["verified_solved"] == table["exact@recommended"]["feasible"]
+    assert {name: row["trials"] - row["whole"] for name, row in loop.items()} == {
+        BASELINE: 0, "hangs": 2, "exact": 0, "crashes": 2, "raises": 0,
+    }  # fmt: skip
+    assert "hung" in loop["hangs"]["reason"]
+    assert "SIGSEGV" in loop["crashes"]["reason"]
+    assert "first at 0.006 s: ZeroDivisionError: division by zero" in loop["raises"]["trouble"]
+    assert "problem 3: ZeroDivisionError: division by zero" in table["raises@recommended"]["trouble"]
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert "Exceptions, hangs and crashes" in page
+    assert "hung or crashed" in page
+
+
+# --- stopped and started again ---
+
+
+def started(folder: Path, out: str) -> subprocess.Popen[str]:
+    (folder / "small.toml").write_text(SMALL)
+    words = f"-m moc_opt solvers small.toml --out {out} --only exact rnn --parts testsets closed_loop"
+    command = [sys.executable, *words.split()]
+    return subprocess.Popen(
+        command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+    )  # fmt: skip
+
+
+def jobs(folder: Path) -> int:
+    return len(Kept(folder)._cache) if (folder / "cache.db").exists() else 0
+
+
+def figures(folder: Path) -> dict[str, Any]:
+    """What the clock does not decide."""
+    found = json.loads((folder / "summary.json").read_text())
+
+    def timeless(value: Any) -> Any:
+        if not isinstance(value, dict):
+            return value
+        clocks = ("_us", "times_", "timed_", "deadline_", "doubtful")
+        return {k: timeless(v) for k, v in value.items() if not any(word in k for word in clocks)}
+
+    return {part: timeless(rows) for part, rows in found.items() if part != "clock"}
+
+
+def test_a_run_that_is_killed_twice_goes_on_and_ends_with_the_same_figures(tmp_path):
+    whole = started(tmp_path, "whole")
+    _, told = whole.communicate(timeout=200)
+    assert whole.returncode == 0, told
+    said = [line for line in told.splitlines() if line.startswith("so far: ")]
+    assert said[0].startswith("so far: Take `exact`"), "the first sentence comes before the closed loop"
+    assert len(set(said)) == len(said), "no sentence is said twice"
+    for more, how, status in ((3, signal.SIGKILL, -9), (8, signal.SIGKILL, -9), (13, signal.SIGTERM, 130)):
+        process = started(tmp_path, "stopped")
+        end = time.monotonic() + 100.0
+        while jobs(tmp_path / "stopped" / "jobs") < more and process.poll() is None and time.monotonic() < end:
+            time.sleep(0.1)
+        process.send_signal(how)
+        assert process.wait(timeout=60) == status
+        assert jobs(tmp_path / "stopped" / "jobs") >= more, "what was finished is kept"
+    assert "the same command goes on from there" in process.stderr.read()
+    last = started(tmp_path, "stopped")
+    assert last.wait(timeout=200) == 0
+    assert "jobs are those of an earlier run" in last.stdout.read()
+    assert figures(tmp_path / "stopped") == figures(tmp_path / "whole")
+
+
+# --- what is asked for ---
+
+
+def test_wrong_input_is_refused_with_the_nearest(tmp_path, capsys):
+    (tmp_path / "bad.toml").write_text("[testsets]\nroundz = 1")
+    (tmp_path / "sets.toml").write_text("[testsets]\ntimed = ['circel']")
+    (tmp_path / "parts.toml").write_text("parts = ['sweep']")
+    for arguments, cure in (
+        (["--only", "osqq"], "'osqp'"), (["--sets", "circel"], "'circle'"), ([str(tmp_path / "bad.toml")], "roundz"),
+        ([str(tmp_path / "sets.toml")], "'circle'"), ([str(tmp_path / "parts.toml")], "'sweeps'"),
+        ([str(tmp_path / "none.toml")], "none.toml"),
+    ):  # fmt: skip
+        assert solvers.main([*arguments, "--out", str(tmp_path)]) == 2
+        assert cure in capsys.readouterr().err
+
+
+def test_the_shipped_configurations_are_what_was_promised():
+    config = Config.load(Path(solvers.__file__).with_name("solvers.toml"))
+    assert config == Config()
+    assert tuple(config.parts) == USUAL
+    names = (BASELINE, "exact", "rnn", "rnn-printed", "osqp")
+    assert [config.closed_loop.of(name) for name in names] == [60, 60, 60, 60, 15]
+    assert len({case.seed for case in config.cases()}) == 60
+    assert {case.start.pose for case in config.cases()} == {"random"}
+    assert set(config.closed_loop.slow) == set(SLOW)
+    assert config.quick().testsets.every > 1
+    long, full = Config.load(CONFIGS / "solvers-long.toml"), config.full(list(PARTS))
+    for more in (long, full):
+        assert more.twice
+        assert set(more.parts) >= set(PARTS)
+        assert more.closed_loop.slow == []
+        assert more.testsets.every_other == 1
+        assert more.sweeps.trials >= 15
+        assert set(more.testsets.times(recommended=True)) == set(testsets.NAMES)
+
+
+def test_a_library_is_asked_once():
+    names, left_out = solvers.once(["exact", "daqp", "qpsolvers:daqp", "qpsolvers:scs"])
+    assert names == ["exact", "daqp", "qpsolvers:scs"]
+    assert "`daqp`" in left_out["qpsolvers:daqp"]
