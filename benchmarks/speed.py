@@ -212,7 +212,6 @@ COLUMNS = {
         Column("us_per_tick", "all of a tick", unit="us", format=".1f", help="plant, trace and references included"),
         *_times("tick", "p50", "p99", "p99_9"),
     ]),
-    "not_run": ("What could not run here", [Column("name", "not run"), Column("reason", "reason")]),
 }  # fmt: skip
 SECTIONS = {
     TICKS: (
@@ -240,7 +239,6 @@ SECTIONS = {
         "set-up, and judging the answers comes after it. The limit is MuJoCo's own steps of a control period through "
         "the states of the run, and `moc_step`.",
     ),
-    "Not run": (("not_run",), ""),
 }  # fmt: skip
 
 

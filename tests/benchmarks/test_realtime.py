@@ -65,7 +65,7 @@ def test_report_shows_the_cases_with_their_goals():
     report = realtime.report(summary, runs)
     assert "C, 500 Hz 1 of 100,000" in report.answer[0]
     assert "3 of 2,000 were missed, the largest RCM error was 2.50 mm" in report.answer[1]
-    assert [row["goal"].word for row in report.table.rows] == ["open", "no", "yes"]
+    assert [row["reached"].word for row in report.table.rows] == ["no", "open", "open", "yes", "yes"]
     assert "| C, 500 Hz, quiet | 100 000 | 1 | 1 [0.025, 5.6] | 0 |" in report.markdown().replace("\u202f", " ")
     first_screens.check(report.page({}).html(), pictures=2)
 

@@ -147,7 +147,6 @@ def test_report_is_made_of_the_numbers():
     expected = ("20.0 us", "12 times real time", "pink-trimmed, takes 300.0 us", "missed: default")
     assert all(words in said for words in expected)
     assert report.table.rows[0]["reached"].word == "no"
-    assert "peer tsid | it is missing" in report.markdown()
     assert "solver | 20.00 | 30.00 | exact, from Python" in report.markdown()
     first_screens.check(report.page({}).html(), pictures=1)
 
@@ -199,6 +198,8 @@ def test_command_leaves_its_files(tmp_path, capsys, monkeypatch):
     assert environment["load"]["calls"] > 0
     rows = pl.read_parquet(out / "rows.parquet").to_dicts()
     assert {row["part"] for row in rows} == {"tick", "tick_parts", "adapters", "loop", "setup", None}
+    assert [row["controller"] for row in rows if row["error"] == "it is missing"] == ["peer tsid"]
+    assert "it is missing" in (out / "report.html").read_text()
     setup = summary["setup"]
     assert setup["first_tick_s"] == pytest.approx(setup["libraries_s"] + setup["model_s"] + setup["start_and_tick_s"])
     (us,) = [row["us_per_tick"] for row in rows if row["part"] == "loop"]  # one round
