@@ -32,7 +32,8 @@ def test_a_tiny_pool(tmp_path, monkeypatch):
     monkeypatch.setattr(coverage.Config, "cases", lambda config: cases(config)[:3])
     monkeypatch.setattr(coverage, "SOLVERS", ("rnn-printed",))
     file = tmp_path / "tiny.toml"
-    file.write_text("trials = 120\ndraws = 3\n[scenario]\nduration_s = 0.02\nbound_samples = 0\n")
+    scenario = "[scenario]\nduration_s = 0.02\nbound_samples = 0\nstart = { pose = \"home\" }\n"
+    file.write_text("trials = 120\ndraws = 3\n" + scenario)
     assert coverage.main([str(file), "--out", str(tmp_path / "out")]) == 0
     found = json.loads((tmp_path / "out" / "summary.json").read_text())["coverage"]
     assert {row["trials"] for row in found.values()} == {3}
