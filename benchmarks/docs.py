@@ -53,7 +53,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
         after = BLOCK.sub(fill, before)
         if after != before:
-            write_whole(page, after.encode())
+            write_whole(page, after)
             print(page.relative_to(HOME))
     return 0
 

@@ -23,7 +23,7 @@ from moc_opt.errors import MocOptError
 from moc_opt.inputs.settings import Name, Settings
 from moc_opt.report.tables import Column, Table
 from moc_opt.scenario import Scenario, Setup
-from moc_opt.sim.loop import RunAway
+from moc_opt.sim.record import RunAway
 from moc_opt.study import Failed, Job
 from moc_opt.study.command import Found, Study, StudyConfig, command, runnable
 from moc_opt.study.results import Results

@@ -21,7 +21,7 @@ from moc_opt.control import ControlSettings
 from moc_opt.errors import MocOptError, RobotError, describe
 from moc_opt.figures.notation import Mark
 from moc_opt.figures.style import Styles, figure, label, log_axis, rule
-from moc_opt.planning.pose_map import closed_form, map_of
+from moc_opt.planning.pose_map import closed_form, largest_mu
 from moc_opt.planning.self_motion import self_motion
 from moc_opt.report.tables import Column, Table
 from moc_opt.robots.inverse_kinematics import solve_pose
@@ -168,7 +168,7 @@ def random_starts(case: Scenario, count: int) -> list[dict[str, Any]]:
     """
     found = plan(case, times=2, refined=False)
     robot, rng = case.robot.arm(), np.random.default_rng([case.seed, 1])
-    best = float(map_of(robot, found.climbed.q_rad[0], found.targets).highest()[0])
+    best = float(largest_mu(robot, found.climbed.q_rad[:1]).mu[0])
     reached = []
     for _ in range(count):
         drawn = rng.uniform(robot.q_min, robot.q_max)

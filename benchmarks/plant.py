@@ -21,7 +21,7 @@ from pydantic import Field
 
 from moc_opt.figures.style import SERIES, figure, label, rule
 from moc_opt.inputs.settings import Settings
-from moc_opt.planning.transient import in_transient
+from moc_opt.planning.elbow import in_transient
 from moc_opt.report.tables import Column, Table
 from moc_opt.scenario import Scenario, Setup
 from moc_opt.sim.settings import PlantSettings

@@ -36,9 +36,10 @@ from moc_opt.trace.oscillation import judged_for_oscillation
 from moc_opt.trace.trace import Trace
 from moc_opt.vision.augmented_reality import Augmented
 from moc_opt.vision.board import Board, board_below, board_task
+from moc_opt.vision.camera import CameraSettings
 from moc_opt.vision.hands_on import HandsOnSettings, HandsOnStatus, guide_to
 from moc_opt.vision.preflight import check_reachable
-from moc_opt.vision.settings import CameraSettings, TrackerSettings
+from moc_opt.vision.tracking import TrackerSettings
 
 METRICS = ("mu_mean", "tip_error_mean_mm", "rcm_error_mean_mm", "trocar_force_mean_N")
 

@@ -129,8 +129,7 @@ PARTS = {
     "model state": "kinematics, dynamics, manipulability and its gradient (RobotModel.state)",
     "before the solver": "observer, levels 1 and 2, null space and subproblem: one call of the core",
     "solver": "exact, from Python",
-    "check": "what the answer is worth, and what stands in for it: one call of the core",
-    "level 3 and limits": "one call of the core",
+    "after the solver": "what the answer is worth, what stands in for it, level 3 and limits: one call of the core",
 }
 """Part of a tick -> what it is."""
 
@@ -157,8 +156,7 @@ def tick_parts(scenario: Scenario, rounds: int) -> Part:
         "model state": Timed(lambda item: robot.state(item[0], item[1]), inputs),
         "before the solver": Timed(begin, given),
         "solver": Timed(session.solve, problems),
-        "check": Timed(lambda answer: law.supervise(0, 0, answer, 1.0, x), answers),
-        "level 3 and limits": Timed(lambda answer: law.finish(answer, tau), answers),
+        "after the solver": Timed(lambda answer: law.finish(0, 0, answer, 1.0, x, tau), answers),
     }
     times, seen = part.time("tick_parts", entries, rounds)
     part.found["tick_parts"] = {name: figures(of, "tick", seen[name]) for name, of in times.items()}

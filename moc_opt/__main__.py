@@ -8,8 +8,7 @@ import traceback
 from collections.abc import Sequence
 from pathlib import Path
 
-from moc_opt.commands.arguments import check_paths
-from moc_opt.commands.parser import make_parser, work_of
+from moc_opt.commands.parser import check_paths, make_parser, work_of
 from moc_opt.errors import MocOptError, describe
 
 

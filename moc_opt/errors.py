@@ -64,9 +64,7 @@ class UnknownNameError(MocOptError, LookupError):
     """A name that is in no list; the message holds the nearest valid ones."""
 
     MOST = 10_000  # a long list is ours
-
-    FEW: ClassVar[int] = 12
-    """So many names are all shown, even where they are listed elsewhere."""
+    FEW: ClassVar[int] = 12  #: So many names are all shown, even where a command lists them.
 
     def __init__(self, kind: str, name: str, valid: Iterable[str], listed_by: str = "") -> None:
         """Build the message.
@@ -81,18 +79,12 @@ class UnknownNameError(MocOptError, LookupError):
         short = bool(listed_by) and len(names) > self.FEW
         # a key without its table is looked for among the last parts of dotted ones
         ends = {one: one if "." in name else one.rpartition(".")[2] for one in names}
-        close = difflib.get_close_matches(name[:100], set(ends.values()), n=3, cutoff=0.4 if short else 0.5)
-        if short:  # the low cutoff is for names without a nearer match
-            close = [end for end in close if _likeness(name, end) > _likeness(name, close[0]) - 0.25]
+        close = difflib.get_close_matches(name[:100], set(ends.values()), n=3, cutoff=0.55)
         near = [one for end in close for one in names if ends[one] == end][:3]
         hint = f"did you mean {' or '.join(map(repr, near))}? " if near else ""
         every = f"`{listed_by}` lists all {len(names)}" if short else f"valid names: {', '.join(names)}"
         super().__init__(f"unknown {kind} {shown(name)}: {hint}{every}")
         self.kind, self.name, self.valid = kind, name, names
-
-
-def _likeness(name: str, other: str) -> float:
-    return difflib.SequenceMatcher(None, name[:100], other).ratio()
 
 
 def is_number(value: object) -> bool:
@@ -107,31 +99,22 @@ def is_number(value: object) -> bool:
 
 
 def shown(value: object, most: int = 200) -> str:
-    """Return the value as a message shows it, in at most ``most`` characters, whatever its size.
-
-    An integer of thousands of digits has no text, and neither has a list nested a thousand deep.
-    """
+    """Return the value as a message shows it, in at most ``most`` characters, whatever its size."""
     try:
         text = repr(value)
-    except Exception as reason:  # noqa: BLE001 - a value's text is foreign code, too
+    except Exception as reason:  # noqa: BLE001 - foreign code; an integer of thousands of digits has no text either
         text = f"({type(value).__name__} that cannot be written: {type(reason).__name__})"
     return text if len(text) <= most else text[: most - 3] + "..."
 
 
 def describe(error: BaseException, most: int = 300) -> str:
-    """Return the exception's type and text in one line of at most ``most`` characters; it comes from foreign code.
-
-    Whatever its text raises (but a user's Ctrl-C) is named instead, and no character in it steers a terminal.
-    """
+    """Return type and text of an exception of foreign code in one line, printable, of at most ``most`` characters."""
     try:
         said = " ".join(str(error).split())
-    except KeyboardInterrupt:
-        raise
-    except BaseException as worse:  # noqa: BLE001 - an exception whose text cannot be had
+    except (Exception, SystemExit) as worse:  # noqa: BLE001 - its text is foreign code, too
         said = f"(its text raised {_type_name(worse)})"
     text = f"{_type_name(error)}: {said}" if said else _type_name(error)
-    text = text if len(text) <= most else text[: most - 3] + "..."
-    return printable(text)
+    return printable(text if len(text) <= most else text[: most - 3] + "...")
 
 
 def printable(text: str) -> str:

@@ -26,14 +26,9 @@ __all__ = [
 
 
 def random_problem(
-    rng: np.random.Generator,
-    n: int = 7,
-    *,
-    arm: Arm | None = None,
-    structured: bool = True,
-    feasible: bool = True,
+    rng: np.random.Generator, n: int = 7, *, arm: Arm | None = None, structured: bool = True, feasible: bool = True,
     **weights: float,
-) -> NullSpaceQP:
+) -> NullSpaceQP:  # fmt: skip
     """One subproblem of a random arm (or of ``arm``) at a random pose; weights: c0, c1, c2, regularization."""
     arm = random_arm(rng, n, structured) if arm is None else arm
     q = rng.uniform(-1.5, 1.5, arm.n)
@@ -67,18 +62,7 @@ def out_of_reach(rng: np.random.Generator, qp: NullSpaceQP) -> NullSpaceQP:
     reach = np.maximum(w * qp.lower, w * qp.upper).sum()
     b = qp.A @ w * (rng.uniform(1.1, 2.0) * reach / (w @ w))
     return NullSpaceQP(
-        qp.J_tip,
-        qp.J_wrist,
-        b[:3],
-        b[3:],
-        qp.grad_mu,
-        qp.lower,
-        qp.upper,
-        qp.c0,
-        qp.c1,
-        qp.c2,
-        qp.regularization,
-        qp.q,
+        qp.J_tip, qp.J_wrist, b[:3], b[3:], qp.grad_mu, qp.lower, qp.upper, qp.c0, qp.c1, qp.c2, qp.regularization, qp.q
     )
 
 

@@ -43,9 +43,10 @@ def test_each_name_loads_on_its_own(name):
 
 def test_subproblem_signature():
     parameters = inspect.signature(mo.NullSpaceQP).parameters
-    assert " ".join(parameters) == "J_tip J_wrist v_tip v_wrist grad_mu lower upper c0 c1 c2 regularization q"
+    names = "J_tip J_wrist v_tip v_wrist grad_mu lower upper c0 c1 c2 regularization q pull"
+    assert " ".join(parameters) == names
     defaults = {name: p.default for name, p in parameters.items() if p.default is not p.empty}
-    assert defaults == {"c0": 0.01, "c1": 0.01, "c2": 0.001, "regularization": 1e-5, "q": None}
+    assert defaults == {"c0": 0.01, "c1": 0.01, "c2": 0.001, "regularization": 1e-5, "q": None, "pull": None}
 
 
 def test_from_robot_to_summary(tmp_path):

@@ -1,7 +1,7 @@
 """Wrong answers that satisfy everything but the one thing that is checked: each is feasible, none is optimal.
 
 The feasible set is a box cut by A x = b: at a corner r joints are at their bounds and the others follow. How wrong a
-corner is, is found by going through all of them, without the solvers and without the judge.
+corner is, is found by going through all active sets, without the solvers and without the judge.
 """
 
 from __future__ import annotations
@@ -31,28 +31,41 @@ def kernel(qp: NullSpaceQP) -> Array:
     return np.linalg.svd(qp.A)[2][5:].T
 
 
-def corners(qp: NullSpaceQP, x: Array) -> Array:
-    """All corners (k, n) of the feasible set, which passes through x: r joints at their bounds."""
-    Z = kernel(qp)
-    n, r = Z.shape
-    found = []
-    for joints in map(list, combinations(range(n), r)):
-        if abs(np.linalg.det(Z[joints])) < 1e-6:
-            continue
-        sides = np.array(list(product((0, 1), repeat=r)))
-        bounds = np.where(sides == 0, qp.lower[joints], qp.upper[joints])
-        points = x + (Z @ np.linalg.solve(Z[joints], (bounds - x[joints]).T)).T
-        points[:, joints] = bounds
-        found.append(points)
-    points = np.concatenate(found)
-    width = (qp.upper - qp.lower).max()
-    inside = (points >= qp.lower - 1e-10 * width) & (points <= qp.upper + 1e-10 * width)
-    return points[inside.all(1)]
-
-
 def cost(qp: NullSpaceQP, x: Array) -> Array:
     """What is left of the cost on A x = b."""
     return 0.5 * qp.regularization * (x**2).sum(-1) - qp.c2 * x @ qp.grad_mu
+
+
+def corners(qp: NullSpaceQP, x: Array) -> Array:
+    """All corners (k, n) of the feasible set, which passes through x: r joints at their bounds."""
+    return candidates(qp, kernel(qp), x, damped=False)
+
+
+def candidates(qp: NullSpaceQP, Z: Array, base: Array, *, damped: bool) -> Array:
+    """All points (k, n) of base + span Z in the box where r bounds are met.
+
+    Where it is damped, also those with fewer bounds met at which the cost is stationary in what is left: the optimum is
+    among them.
+    """
+    n, r = Z.shape
+    found, width = [], float((qp.upper - qp.lower).max())
+    for k in range(r + 1) if damped and qp.regularization > 0.0 else (r,):
+        sides = np.array(list(product((0, 1), repeat=k))).reshape(2**k, k)
+        for joints in map(list, combinations(range(n), k)):
+            C = Z[joints]
+            if k and np.linalg.svd(C)[1].min() < 1e-7:
+                continue
+            at = np.where(sides == 0, qp.lower[joints], qp.upper[joints])
+            w = (at - base[joints]) @ np.linalg.pinv(C).T if k else np.zeros((1, r))
+            if k < r:
+                free = np.linalg.svd(C)[2][k:] if k else np.eye(r)
+                w = w + ((Z.T @ (qp.c2 * qp.grad_mu / qp.regularization - base)) - w) @ free.T @ free
+            points = base + w @ Z.T
+            points[:, joints] = at
+            found.append(points)
+    points = np.concatenate(found)
+    slack = 1e-9 * width
+    return points[((points >= qp.lower - slack) & (points <= qp.upper + slack)).all(1)]
 
 
 def changed(qp: NullSpaceQP, x: Array, tilt: float, size: float, regularization: float) -> tuple[NullSpaceQP, Array]:
@@ -86,31 +99,8 @@ def wrong_corners(
         qp, x = changed(qp, x, tilt, size, regularization)
         points = corners(qp, x)
         costs = cost(qp, points)
-        best = min(costs.min(), smallest_cost(qp, points)) if regularization > 0.0 else costs.min()
+        best = cost(qp, candidates(qp, kernel(qp), x, damped=True)).min()
         share = (costs - best) / (costs.max() - best)
         bad = np.flatnonzero(share > least)
         found += [Wrong(qp, points[i], float(share[i])) for i in rng.permutation(bad)[:4]]
     return found
-
-
-def smallest_cost(qp: NullSpaceQP, points: Array) -> float:
-    """Smallest damped cost over the hull of the corners, by Frank-Wolfe with away steps (Guelat and Marcotte 1986)."""
-    weights = np.zeros(len(points))
-    weights[np.argmin(cost(qp, points))] = 1.0
-    for _ in range(3000):
-        x = weights @ points
-        slope = points @ (qp.regularization * x - qp.c2 * qp.grad_mu)
-        to, off = int(np.argmin(slope)), int(np.argmax(np.where(weights > 0.0, slope, -np.inf)))
-        here = weights @ slope
-        if here - slope[to] >= slope[off] - here:
-            d, most = -weights, 1.0
-            d[to] += 1.0
-        else:
-            d, most = np.array(weights), weights[off] / max(1.0 - weights[off], 1e-300)
-            d[off] -= 1.0
-        move, gain = d @ points, -(d @ slope)
-        if gain <= 1e-13 * np.abs(slope).max():
-            break
-        weights = np.maximum(weights + min(most, gain / max(qp.regularization * move @ move, 1e-300)) * d, 0.0)
-        weights /= weights.sum()
-    return float(cost(qp, weights @ points))

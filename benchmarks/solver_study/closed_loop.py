@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from moc_opt import scenario
 from moc_opt.control.supervisor import Fault
 from moc_opt.errors import MocOptError
-from moc_opt.planning.transient import in_transient
+from moc_opt.planning.elbow import in_transient
 from moc_opt.scenario import Scenario
 from moc_opt.study import Failed, Job
 from moc_opt.study.timing import UNDISTURBED, Disturbance, used

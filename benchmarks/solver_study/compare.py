@@ -148,7 +148,7 @@ def dual_distances(problems: Sequence[NullSpaceQP], duals: Mapping[str, Array]) 
     """
     u = np.array([np.linalg.svd(qp.J_tip - qp.J_wrist)[0][:, 2] for qp in problems])
     null = np.concatenate([u, -u], axis=1) / np.sqrt(2.0)
-    scale = np.array([max(qp.c2 * np.abs(qp.grad_mu).max(), 1e-300) for qp in problems])
+    scale = np.array([max(qp.c2 * np.abs(qp.pull).max(), 1e-300) for qp in problems])
     found = {}
     for a, b in combinations(duals, 2):
         both = np.isfinite(duals[a]).all(axis=1) & np.isfinite(duals[b]).all(axis=1)

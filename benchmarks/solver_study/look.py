@@ -10,8 +10,7 @@ from typing import Any
 from benchmarks.common.look import add_replay, trial_map
 from benchmarks.solver_study.closed_loop import Run
 from moc_opt.figures.style import Styles
-from moc_opt.planning.map_analysis import read_trajectory
-from moc_opt.planning.swivel_map import SwivelMap
+from moc_opt.planning.swivel_map import SwivelMap, read_trajectory
 from moc_opt.report.map_page import add_map
 from moc_opt.report.page import Page
 from moc_opt.scenario import Scenario

@@ -149,7 +149,7 @@ def eliminated(matrix: list[Vector]) -> tuple[list[Vector], list[int]]:
 def certified(qp: NullSpaceQP) -> Vector | None:
     """Return an optimum of the five rows without rounding, (n,); None: infeasible."""
     A, b = five_rows(qp)
-    pull = [Fraction(qp.c2) * Fraction(g) for g in qp.grad_mu]
+    pull = [Fraction(qp.c2) * Fraction(g) for g in qp.pull]
     return optimum(A, b, pull, qp.regularization, qp.lower, qp.upper)
 
 

@@ -104,7 +104,7 @@ def jumps(robot: RobotModel, rng: Rng) -> Iterator[NullSpaceQP]:
     while True:
         qp = at_pose(robot, robot.random_regular_pose(rng), tip_velocity(rng, 0.05), regularization=0.0)
         yield qp
-        yield changed(qp, grad_mu=-qp.grad_mu)
+        yield changed(qp, grad_mu=-qp.grad_mu, pull=-qp.pull)
 
 
 RECIPES: dict[str, Callable[[RobotModel, Rng], Iterator[NullSpaceQP]]] = {

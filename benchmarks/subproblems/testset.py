@@ -1,6 +1,6 @@
 """The certified test sets of the subproblem: their contents and their reader.
 
-Every set is an .npz without pickles: ``rows`` (k, 10 n + 10) flat NullSpaceQP records, ``x`` (k, n) the
+Every set is an .npz without pickles: ``rows`` (k, 11 n + 10) flat NullSpaceQP records, ``x`` (k, n) the
 certified answers (NaN where none exists) and ``feasible`` (k,).
 """
 
@@ -22,6 +22,7 @@ from moc_opt.qp.problem import NullSpaceQP
 VERSION = 1
 ARGUMENTS = (
     "J_tip", "J_wrist", "v_tip", "v_wrist", "grad_mu", "lower", "upper", "c0", "c1", "c2", "regularization", "q",
+    "pull",
 )  # fmt: skip
 FOLDER = Path(__file__).parent / f"v{VERSION}"
 

@@ -7,8 +7,7 @@ where a joint limit forbids it. The lines are the trajectories of runs.
 """
 
 import moc_opt as mo
-from moc_opt.planning.map_analysis import read_trajectory
-from moc_opt.planning.swivel_map import manipulability_map
+from moc_opt.planning.swivel_map import manipulability_map, read_trajectory
 from moc_opt.report.map_page import map_figure
 
 trial = mo.Scenario(seed=5, start={"pose": "random", "swivel": "random"}, duration_s=5.0, bound_samples=0)

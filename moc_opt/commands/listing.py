@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import argparse
 import inspect
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
+from moc_opt.commands.running import print_tables
+from moc_opt.errors import MocOptError
 from moc_opt.inputs.files import plain, to_json
 from moc_opt.report.console import console, print_json
 from moc_opt.report.tables import Column, Table
@@ -23,20 +25,19 @@ def print_list(given: argparse.Namespace) -> int:
         first, *others = [column.key for column in table.columns]
         print_json({str(row[first]): {key: row.get(key) for key in others} for row in table.rows})
         return 0
-    table = here(table) if given.command == "solvers" else replace(table, rows=[_written(row) for row in table.rows])
-    screen = console()
-    for piece in replace(table, caption="").fitted(screen.width):
-        screen.print(piece)
+    if given.command == "solvers":
+        table = _those_here(table)
+    if given.command == "tasks":
+        table = replace(table, rows=[{**row, "sizes": _sizes(row["sizes"])} for row in table.rows])
+    print_tables([replace(table, caption="")])
     if table.caption:  # below a narrow table it would be a narrow column
-        screen.print(table.caption, markup=False, highlight=False)
+        console().print(table.caption, markup=False, highlight=False)
     return 0
 
 
-def _written(row: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Write the sizes of a path as the words of a line; what has no default is a name alone."""
-    if not isinstance(sizes := row.get("sizes"), dict):
-        return row
-    return {**row, "sizes": ", ".join(k if v is None else f"{k} = {v:g}" for k, v in sizes.items()) or None}
+def _sizes(sizes: dict[str, Any]) -> str | None:
+    """Write the sizes of a path in one line; what has no default is a name alone."""
+    return ", ".join(k if v is None else f"{k} = {v:g}" for k, v in sizes.items()) or None
 
 
 def solvers() -> Table:
@@ -61,14 +62,14 @@ def _plain(value: Any) -> Any:
     return plain(value)
 
 
-def here(found: Table) -> Table:
+def _those_here(every: Table) -> Table:
     """Return those that can run here, with the names of their settings; the others in one sentence."""
-    can = [row for row in found.rows if row["here"] == "yes"]
+    can = [row for row in every.rows if row["here"] == "yes"]
     rows = [{**row, "settings": ", ".join(row["settings"]) or None} for row in can]
-    absent = [row["solver"] for row in found.rows if row["here"] != "yes"]
-    told = f"Not here, for want of a package: {', '.join(absent)}. " if absent else ""
-    columns = [column for column in found.columns if column.key != "here"]
-    return Table(found.title, columns, rows, f"{told}--json: defaults of the settings, and what is missing.")
+    absent = [row["solver"] for row in every.rows if row["here"] != "yes"]
+    lacking = f"Not installed: {', '.join(absent)}. " if absent else ""
+    columns = [column for column in every.columns if column.key != "here"]
+    return Table(every.title, columns, rows, f"{lacking}--json: defaults of the settings, and what is missing.")
 
 
 def robots() -> Table:
@@ -85,13 +86,12 @@ def robots() -> Table:
         Column("robot", "robot"), Column("joints", "joints"), Column("real", "freedoms"), Column("idle", "idle"),
         Column("tool", "tool", "m"), Column("about", "what it is"),
     ]  # fmt: skip
-    told = "A path to a robot file of your own may stand in the place of a name; `moc-opt robot check NAME` says more."
-    return Table("Robots: [robot] name", columns, rows, told)
+    more = "A path to a robot file of your own may stand in the place of a name; `moc-opt robot check NAME` says more."
+    return Table("Robots: [robot] name", columns, rows, more)
 
 
 def tasks() -> Table:
     """Return every path, its sizes with their defaults, and its description."""
-    from moc_opt.errors import MocOptError
     from moc_opt.scenario.tables import TaskTable
     from moc_opt.tasks.kinds import kinds, sizes
 

@@ -9,19 +9,18 @@ import typing
 from collections.abc import Iterator
 from typing import Any, Literal, NamedTuple, get_args, get_origin
 
+from moc_opt.commands.running import print_tables
 from moc_opt.errors import UnknownNameError
 from moc_opt.inputs.settings import Settings
-from moc_opt.report.console import console
 from moc_opt.report.tables import Column, Table
-from moc_opt.scenario import Scenario
+from moc_opt.scenario.config import PRESETS, Scenario
 
 _UNIT = r"(?:N?m|Ns?|rad|s|us|Hz|kg|deg|MB)"
 _SUFFIX = re.compile(rf"_((?:{_UNIT}_)*{_UNIT}[2]?(?:_per_{_UNIT}2?)*|per_{_UNIT}2?)$")
 _HEAD = """# The keys of a scenario
 
 Made by `moc-opt keys --markdown` from the schema that checks every file: edit the schema, not this page. A key that is
-left out has its default. The levels of RCM error and forces in `[guard]` may be `inf`: no limit. `[control]` takes a
-`preset` too (`paper`, `tuned`, `robust`), and so does `[plant]` (`realistic`, `nominal`); the other keys override it.
+left out has its default. The levels of RCM error and forces in `[guard]` may be `inf`: no limit.
 """
 
 
@@ -36,21 +35,14 @@ class Key(NamedTuple):
 
 
 def print_keys(given: argparse.Namespace) -> int:
-    """Print the keys; returns 0.
-
-    Raises:
-        UnknownNameError: no such table.
-    """
+    """Print the keys of every table, or of one; returns 0."""
     found = {name or "scenario": (about, keys) for name, about, keys in tables()}
     if given.table is not None and given.table not in found:
         raise UnknownNameError("table of a scenario", given.table, found)
     if given.markdown:
         print(markdown(given.table), end="")
         return 0
-    screen = console()
-    for name in found if given.table is None else [given.table]:
-        for piece in _drawn(name, found[name][1]).fitted(screen.width):
-            screen.print(piece)
+    print_tables(_drawn(name, found[name][1]) for name in (found if given.table is None else [given.table]))
     return 0
 
 
@@ -58,6 +50,9 @@ def tables(kind: type[Settings] = Scenario, path: str = "") -> Iterator[tuple[st
     """Yield every table: its name (empty: the top of the file), its first line of documentation, its keys."""
     inner: list[tuple[str, type[Settings]]] = []
     keys = []
+    if path in PRESETS:
+        meaning = "a named set of values of this table; the other keys override it"
+        keys.append(Key("preset", " | ".join(map(repr, PRESETS[path])), "", "none", meaning))
     for name, field in kind.model_fields.items():
         hint = field.annotation
         if isinstance(hint, type) and issubclass(hint, Settings):
@@ -99,10 +94,8 @@ def markdown(only: str | None = None) -> str:
 
 
 def _drawn(name: str, keys: list[Key]) -> Table:
-    columns = [
-        Column("name", "key"), Column("kind", "type"), Column("unit", "unit"), Column("default", "default"),
-        Column("meaning", "meaning"),
-    ]  # fmt: skip
+    titles = {"name": "key", "kind": "type", "unit": "unit", "default": "default", "meaning": "meaning"}
+    columns = [Column(key, title) for key, title in titles.items()]
     title = "At the top of the file" if name == "scenario" else f"[{name}]"
     return Table(title, columns, [key._asdict() for key in keys])
 

@@ -18,11 +18,7 @@ STUDIES = "benchmarks"
 
 
 def compare_solvers(given: argparse.Namespace) -> int:
-    """Compare, print, and write the rows; returns 0, 3 where a solver drove no trial to its end, 130 after Ctrl-C.
-
-    Raises:
-        MocOptError: see `moc_opt.study.compare.compare`; or the rows cannot be written.
-    """
+    """Compare, print, and write the rows; returns 0, 3 where a solver drove no trial to its end, 130 after Ctrl-C."""
     from moc_opt.report.console import console, print_json, progress
     from moc_opt.report.document import check_out
     from moc_opt.study.compare import compare
@@ -57,7 +53,7 @@ def compare_solvers(given: argparse.Namespace) -> int:
 
 
 def list_or_study(given: argparse.Namespace) -> int:
-    """List the solvers, or run the whole study of them with the arguments that are its own; returns its exit status."""
+    """List the solvers, or run the whole study of them with its own arguments; returns its exit status."""
     if given.list:
         from moc_opt.commands.listing import print_list
 
@@ -66,11 +62,7 @@ def list_or_study(given: argparse.Namespace) -> int:
 
 
 def run_study(name: str, arguments: Sequence[str]) -> int:
-    """Run a command of the package `benchmarks`, with its own arguments; returns its exit status.
-
-    Raises:
-        SolverError: the package is not there, or is another one of that name.
-    """
+    """Run a command of the package `benchmarks`; a SolverError where it is not there, or another one of that name."""
     try:
         package = importlib.import_module(STUDIES)
     except ImportError as error:

@@ -34,7 +34,7 @@ def run_plant(given: argparse.Namespace) -> int:
 
 
 def run_control(given: argparse.Namespace) -> int:
-    """Answer a plant until its run ends; print how."""
+    """Answer a plant until its run ends, and print how it went."""
     from moc_opt.realtime.clock import ask_for_realtime
     from moc_opt.realtime.link import read_key
     from moc_opt.report.console import console, print_json

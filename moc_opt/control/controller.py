@@ -10,13 +10,13 @@ import numpy as np
 from moc_opt.arrays import Array, read_only
 from moc_opt.control.guide import Guide
 from moc_opt.control.law import law_of
-from moc_opt.control.session import check_references, start_session
 from moc_opt.control.settings import ControlSettings
 from moc_opt.control.supervisor import Fault, Supervisor
-from moc_opt.errors import ControlError
+from moc_opt.errors import ControlError, MocOptError, describe
 from moc_opt.qp.problem import NullSpaceQP, row_length
 from moc_opt.robots.model import RobotModel, RobotState
-from moc_opt.solvers.base import ObservingSession, Session, Solution, Solver
+from moc_opt.solvers.base import ObservingSession, Session, Solution, Solver, Status, no_answer
+from moc_opt.solvers.exact import Exact
 from moc_opt.solvers.isolated import IsolatedSession
 
 _DOUBLE, _ROWS = np.dtype(np.float64), (24, 8)
@@ -52,6 +52,7 @@ class Controller:
         if guide is not None or (settings.climb == "scaled" and settings.law == "moc"):
             settings.check_guided()
         self._guide, self._n, self._row_length = guide, robot.n, row_length(robot.n)
+        self._exact = solver if type(solver) is Exact else None  # the core's own: no session, and no copies for it
         self._started = False
         self._supervisor = Supervisor(settings.supervisor, self._law, robot.n, times_us)
         self._forget()
@@ -60,9 +61,39 @@ class Controller:
         self._supervisor.forget()
         self._session: Session | None = None
         self._observes = False
-        self.subproblem: NullSpaceQP | None = None
-        self.solution: Solution | None = None
-        self.answer = np.full(self._n, np.nan)
+        self._subproblem: NullSpaceQP | None = None
+        self._solution: Solution | None = None
+        self._answer = np.full(self._n, np.nan)
+        self._ticked: tuple[Status, Array] | None = None
+
+    def _take_apart(self) -> None:
+        """Read the last tick of the core's own solver, once somebody asks for it."""
+        if self._ticked is None:
+            return
+        status, out = self._ticked
+        end, n, self._ticked = self._row_length, self._n, None
+        self._subproblem = NullSpaceQP.from_row(out[:end])
+        x, y = out[end : end + n], out[end + n : end + n + 6]
+        self._solution = Solution(x, y, status) if status is Status.SOLVED else no_answer(n, status)
+        self._answer = out[end + n + 6 : end + 2 * n + 6]
+
+    @property
+    def subproblem(self) -> NullSpaceQP | None:
+        """The subproblem of the last tick; None under DCAC."""
+        self._take_apart()
+        return self._subproblem
+
+    @property
+    def solution(self) -> Solution | None:
+        """The solver's answer to it."""
+        self._take_apart()
+        return self._solution
+
+    @property
+    def answer(self) -> Array:
+        """What the third level followed, (n,) [rad/s]: the answer, or the supervisor's substitute; NaN under DCAC."""
+        self._take_apart()
+        return self._answer
 
     @property
     def fault(self) -> Fault:
@@ -86,21 +117,18 @@ class Controller:
 
     @property
     def solve_us(self) -> float:
-        """Time of the last solve [us]; NaN where there was none."""
+        """Time of the last solve [us], of `exact` that in the core alone; NaN where there was none."""
         return self._supervisor.solve_us
 
     @property
     def null_space(self) -> Array:
         """Z (r, n) of the last tick, a copy."""
-        Z = np.empty((self._n, self._n))
-        return Z[: self._law.null_space(Z)]
+        return np.array(self._law.Z).reshape(-1, self._n)
 
     @property
     def external_torque(self) -> Array:
         """The observer's estimate of the external torque (n,) [Nm], a copy; zero without an observer."""
-        r = np.empty(self._n)
-        self._law.external(r)
-        return r
+        return np.array(self._law.external)
 
     def warm_up(self, state: RobotState, tip_ref: Array, trocar: Array) -> None:
         """Run one discarded tick on a copy, so that libraries have set up before the loop.
@@ -125,7 +153,7 @@ class Controller:
         if self._guide is not None:
             self._guide.start()
         if self.solver is not None:
-            self._session = start_session(self.solver, NullSpaceQP.from_row(row))
+            self._session = _start_session(self.solver, NullSpaceQP.from_row(row))
             self._observes = isinstance(self._session, ObservingSession)
         self._started = True
 
@@ -140,25 +168,53 @@ class Controller:
         Raises:
             ControlError: not started, or a reference of the wrong shape.
         """
-        check_references(self._started, tip_ref, trocar)
+        if not self._started:
+            raise ControlError("tick before start: call start once before the first tick")
+        if tip_ref.shape != (3, 3) or trocar.shape != (2, 3):
+            raise ControlError(
+                f"tip_ref has shape {tip_ref.shape}, trocar {trocar.shape}: give (3, 3) and (2, 3), a row a derivative"
+            )
         if tip_ref.strides != _ROWS or tip_ref.dtype is not _DOUBLE:
             tip_ref = np.ascontiguousarray(tip_ref, dtype=np.float64)
         if trocar.strides != _ROWS or trocar.dtype is not _DOUBLE:
             trocar = np.ascontiguousarray(trocar, dtype=np.float64)
-        law, x, tau = self._law, None, np.empty(self._n)
         pull = None if self._guide is None else self._guide.desired_velocity(state)
+        if self._exact is not None:
+            self._ticked = _, out = self._supervisor.step(state.record, tip_ref, trocar, pull, self._exact.tolerance)
+            return read_only(out)[-self._n :]
+        tau, row = np.empty(self._n), np.empty(self._row_length)
         # tau = tau_tip + tau_rcm - r, and the subproblem
-        row = np.empty(self._row_length)
-        law.begin(state.record, tip_ref, trocar, pull, row)
+        self._law.begin(state.record, tip_ref, trocar, pull, row)
         if self._session is not None:
-            # x*: the subproblem's answer, or the supervisor's substitute.
-            self.subproblem = qp = NullSpaceQP.from_row(row)
-            self.solution, x = self._supervisor.solve(self._session, qp, state.v if self._observes else None)
-            self.answer = x
-        # tau += M Z^T (Z M Z^T)^-1 Z (K_N2 (x* - v) - D_N2 v), cut at tau_max
-        law.finish(x, tau)
+            self._subproblem = qp = NullSpaceQP.from_row(row)
+            # x*: the subproblem's answer, or the supervisor's substitute;
+            # tau += M Z^T (Z M Z^T)^-1 Z (K_N2 (x* - v) - D_N2 v), cut at tau_max
+            v = state.v if self._observes else None
+            self._solution, self._answer = self._supervisor.solve(self._session, qp, tau, v)
+        else:
+            self._law.finish(0, 0, None, 0.0, np.empty(self._n), tau)
         return read_only(tau)
 
     def set_applied_torque(self, tau: Array) -> None:
         """Replace the last torque by the one (n,) [Nm] that was applied: the observer uses it."""
         self._law.set_applied(np.ascontiguousarray(tau, dtype=np.float64))
+
+
+def _start_session(solver: Solver, qp: NullSpaceQP) -> Session:
+    # A MocOptError of the solver passes; whatever else it raises is told in words.
+    name = "?"
+    try:
+        name = repr(solver.name)
+        reason = solver.supports(qp.copy())
+        if reason is None:
+            session = solver.start(qp.copy())
+            if callable(getattr(session, "solve", None)):
+                return session
+            reason = f"start returned a {type(session).__name__} without solve: return a Session"
+        elif not isinstance(reason, str):
+            reason = f"supports returned a {type(reason).__name__}: return None or the reason why not"
+    except (KeyboardInterrupt, MocOptError):
+        raise
+    except BaseException as error:  # foreign code may raise anything
+        raise ControlError(f"solver {name} cannot run in this controller: {describe(error)}") from error
+    raise ControlError(f"solver {name} cannot run in this controller: {reason}")

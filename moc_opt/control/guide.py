@@ -11,7 +11,7 @@ from moc_opt.robots.state import RobotState
 class Guide(Protocol):
     """Gives the desired self-motion of every tick.
 
-    The controller puts (rho / c2) x_d in the place of grad mu: on the feasible set the subproblem then is
+    The subproblem's `pull` is (rho / c2) x_d in place of grad mu: on the feasible set the subproblem then is
     min rho/2 |x - x_d|^2, and box, solver, supervisor and residual check are those of every other run.
     """
 

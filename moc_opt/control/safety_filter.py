@@ -93,21 +93,20 @@ class SafetyFilter:
             trocar: (2, 3) rows P_t, dP_t, as registered: RCM error and trocar force are checked at the pose that is
                 believed; None: the arm is in no incision.
         """
-        reason = self._guard.believe(q, v, stamp, applied, _NO_WRENCH if wrench is None else wrench, trocar)
+        believed = np.empty((2, self._robot.n))
+        reason = self._guard.believe(q, v, stamp, applied, _NO_WRENCH if wrench is None else wrench, trocar, believed)
         if reason:
             self.request_stop(self._words[reason])
-        believed, speed = np.empty_like(self._rest), np.empty_like(self._rest)
-        self._guard.believed(believed, speed)
-        return believed, speed
+        return believed[0], believed[1]
 
     @property
     def warnings(self) -> list[dict[str, Any]]:
         """Figures above their warning level since the start: ``of``, ``first_s``, ``largest``, ``unit``, ``level``."""
-        *figures, _ = self._guard.figures()
+        figures = zip(self._guard.largest, self._guard.first_tick, strict=True)
         return [
             {"of": name, "first_s": first * self._period, "largest": scale * largest, "unit": unit,
              "level": scale * warning}
-            for (_, largest, first), (warning, _), (name, unit, scale)
+            for (largest, first), (warning, _), (name, unit, scale)
             in zip(figures, self.settings.incision_levels, _WATCHED, strict=True)
             if warning is not None and first >= 0
         ]  # fmt: skip
@@ -115,7 +114,7 @@ class SafetyFilter:
     @property
     def bad_ticks(self) -> int:
         """Number of measurements in a row that were not accepted."""
-        return self._guard.figures()[2]
+        return self._guard.bad
 
     @property
     def stopped(self) -> bool:

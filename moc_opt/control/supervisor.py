@@ -27,6 +27,7 @@ from moc_opt.errors import ControlError, MocOptError, describe
 from moc_opt.inputs.settings import Settings
 from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.solvers.base import Session, Solution, Status, TruncatingSession, no_answer
+from moc_opt.solvers.exact import STATUS as EXACT_STATUS
 from moc_opt.solvers.isolated import Unanswered
 
 
@@ -108,7 +109,7 @@ _FAULTS = tuple(Fault)  #: In the order of the core's enum.
 _CLAIMS = {Status.SOLVED: 0, Status.INFEASIBLE: 1, Status.MAX_ITER: 2, Status.TIME_LIMIT: 2}
 """Status -> the core's claim; any other is that there is no answer."""
 _NO_ANSWER = 3
-_TAKEN = Fault.NONE
+_NAN = float("nan")
 
 
 class Supervisor:
@@ -141,11 +142,14 @@ class Supervisor:
         self.firsts: dict[str, First] = {}
         self._asked = 0
 
-    def solve(self, session: Session, qp: NullSpaceQP, v: Array | None = None) -> tuple[Solution, Array]:
-        """Ask the session, check its answer, and return one in any case.
+    def solve(
+        self, session: Session, qp: NullSpaceQP, tau: Array, v: Array | None = None
+    ) -> tuple[Solution, Array]:
+        """Ask the session, check its answer, and finish the law's tick with one in any case.
 
         Args:
             qp: the subproblem that the law has begun; the session gets a copy.
+            tau: (n,) is filled with the law's torque [Nm].
             v: (n,) measured velocity [rad/s] for a session that observes it, which gets a copy; None: it does not.
 
         Returns:
@@ -153,19 +157,42 @@ class Supervisor:
         """
         solution, known, text = self._ask(session, qp, v)
         x = np.empty(self._n)
-        number = self._law.supervise(
+        number = self._law.finish(
             0 if known is None else _FAULTS.index(known), _CLAIMS.get(solution.status, _NO_ANSWER), solution.x,
-            self.solve_us, x,
+            self.solve_us, x, tau,
         )  # fmt: skip
+        self._note(number, solution.status, text)
+        return solution, x
+
+    def step(
+        self, record: Array, tip_ref: Array, trocar: Array, pull: Array | None, tolerance: float
+    ) -> tuple[Status, Array]:
+        """Do the whole tick in the core, with its own solver `exact`: nothing is copied between the two.
+
+        Args:
+            record, tip_ref, trocar, pull: as `core.Law.begin` takes them.
+            tolerance: of `exact`.
+
+        Returns:
+            the solver's status, and (14 n + 16,): the subproblem's record, the solver's x (n,) and y (6,), the x (n,)
+            that the arm follows, and the law's torque (n,) [Nm].
+        """
+        out = np.empty(14 * self._n + 16)
+        given_us = _NAN if self._times is None else next(self._times, _NAN)
+        code, number, self.solve_us = self._law.step(record, tip_ref, trocar, pull, tolerance, given_us, out)
+        status = EXACT_STATUS[code]
+        self._note(number, status, "")
+        return status, out
+
+    def _note(self, number: int, status: Status, text: str) -> None:
         self.fault = fault = _FAULTS[number]
         self._asked += 1
-        if fault is not _TAKEN:
-            label = fault.label
-            self.counts[label] += 1
-            if label not in self.firsts:
-                cure = f" ({solution.status.value})" if fault is Fault.FAILED else ""
-                self.firsts[label] = First(self._asked - 1, text or fault.value + cure)
-        return solution, x
+        if not number:
+            return
+        self.counts[fault.label] += 1
+        if fault.label not in self.firsts:
+            cure = f" ({status.value})" if fault is Fault.FAILED else ""
+            self.firsts[fault.label] = First(self._asked - 1, text or fault.value + cure)
 
     def _ask(self, session: Session, qp: NullSpaceQP, v: Array | None) -> tuple[Solution, Fault | None, str]:
         shown, given, text = qp.copy(), None, ""

@@ -1,7 +1,7 @@
 """The tick in C: arm, law, subproblem, `exact`, the network, the safety filter. `moc.h` is where to begin.
 
-`plan.h` and `plant.h` are what planning and the simulated plant need of it. The binding (`python.c`, `tools.c`) checks
-every array (float64, C-contiguous, its shape) and raises ValueError or TypeError; only a Loader keeps any.
+`tools.h` has what Python needs beside the controller. The binding (`python.c`, `arguments.c`, `tools.c`) checks every
+array (float64, C-contiguous, its shape) and raises ValueError or TypeError; it keeps none.
 """
 
 from __future__ import annotations
@@ -19,15 +19,14 @@ try:
         Arm,
         Guard,
         Law,
-        Loader,
         add_force,
         advance,
         ascend,
-        assemble,
         desired_wrist,
         follow_curve,
         judge,
         least_violation,
+        load,
         onto_curve,
         read_encoders,
         retreat,
@@ -44,7 +43,6 @@ except ImportError as error:
 
 __all__ = [
     "BAD_Q", "BAD_V", "DOUBTFUL", "INFEASIBLE", "MAX_JOINTS", "OK", "REASONS", "UNFINISHED", "Arm", "Guard", "Law",
-    "Loader", "add_force", "advance", "ascend", "assemble", "desired_wrist", "follow_curve", "judge",
-    "least_violation", "onto_curve", "read_encoders", "retreat", "shaft_force", "solve_exact", "solve_exact_rows",
-    "step_network",
+    "add_force", "advance", "ascend", "desired_wrist", "follow_curve", "judge", "least_violation", "load", "onto_curve",
+    "read_encoders", "retreat", "shaft_force", "solve_exact", "solve_exact_rows", "step_network",
 ]  # fmt: skip

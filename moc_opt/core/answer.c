@@ -41,7 +41,7 @@ static double way_down(const moc_problem *p, int rows, double Z[][MOC_MAX_JOINTS
     int n = p->n;
 
     for (int j = 0; j < n; j++) {
-        cost[j] = p->c2 * p->grad_mu[j] - p->rho * x[j];
+        cost[j] = p->c2 * p->pull[j] - p->rho * x[j];
         for (int k = 0; k < n; k++) {
             Pi[j][k] = 0.0;
             for (int i = 0; i < rows; i++)
@@ -52,7 +52,7 @@ static double way_down(const moc_problem *p, int rows, double Z[][MOC_MAX_JOINTS
         int idle = Pi[j][j] > 1.0 - 1e-12; /* e_j itself lies in ker A */
         int low = x[j] - p->lower[j] <= AT_BOUND, high = p->upper[j] - x[j] <= AT_BOUND;
         d[j] = idle ? 0.0 : dot(n, Pi[j], cost);
-        largest = fmax(largest, idle ? 0.0 : p->c2 * fabs(dot(n, Pi[j], p->grad_mu)));
+        largest = fmax(largest, idle ? 0.0 : p->c2 * fabs(dot(n, Pi[j], p->pull)));
         length = fmax(length, fabs(d[j]));
         side[j] = idle || !(Pi[j][j] > IMMOBILE) ? FREE : low && high ? FIXED : low ? LOWER : high ? UPPER : FREE;
     }
@@ -98,10 +98,10 @@ moc_residuals moc_judge(const moc_problem *p, int rows, double Z[][MOC_MAX_JOINT
         found.primal = fmax(found.primal, fabs(dot(n, p->A[i], x) - p->b[i]));
     for (int j = 0; j < n; j++) {
         found.outside = fmax(found.outside, fmax(p->lower[j] - x[j], x[j] - p->upper[j]));
-        steepest = fmax(steepest, fabs(p->grad_mu[j]));
+        steepest = fmax(steepest, fabs(p->pull[j]));
     }
     for (int i = 0; i < rows; i++) {
-        double along = dot(n, Z[i], p->grad_mu);
+        double along = dot(n, Z[i], p->pull);
         for (int j = 0; j < n; j++)
             line[j] += along * Z[i][j];
     }
@@ -120,8 +120,8 @@ moc_residuals moc_judge(const moc_problem *p, int rows, double Z[][MOC_MAX_JOINT
     double slope = 0.0, total = 0.0, place = 0.0, pull = 0.0, low = -HUGE_VAL, high = HUGE_VAL, room = HUGE_VAL;
     for (int j = 0; j < n; j++) {
         line[j] /= length;
-        slope += line[j] * (p->rho * x[j] - p->c2 * p->grad_mu[j]) / scale;
-        pull += p->c2 * line[j] * p->grad_mu[j];
+        slope += line[j] * (p->rho * x[j] - p->c2 * p->pull[j]) / scale;
+        pull += p->c2 * line[j] * p->pull[j];
         total += fabs(line[j]);
         place += line[j] * x[j];
         if (fabs(line[j]) > still) {
@@ -227,14 +227,16 @@ void moc_least_violation(const moc_problem *p, double *x)
         memset(x, 0, (unsigned)n * sizeof *x);
 }
 
-static moc_fault judge_claim(const moc_supervision *s, const moc_problem *p, moc_claim claim, const double *answer,
-                             const moc_memory *memory)
+static moc_fault fault_of(const moc_supervision *s, const moc_problem *p, const moc_answer *answer, moc_memory *memory)
 {
+    moc_claim claim = answer->claim;
+    if (answer->known != MOC_TAKEN)
+        return answer->known;
     if (claim == MOC_CLAIMS_INFEASIBLE)
         return MOC_FAULT_INFEASIBLE;
     if (claim == MOC_GIVES_NONE)
         return MOC_FAULT_FAILED;
-    moc_residuals found = moc_judge(p, memory->rows, ((moc_memory *)memory)->Z, answer);
+    moc_residuals found = moc_judge(p, memory->rows, memory->Z, answer->x);
     double limit = claim == MOC_CLAIMS_OPTIMUM ? s->primal_limit : s->box_limit;
     if (!(found.primal >= 0.0))
         return MOC_FAULT_NOT_FINITE;
@@ -243,20 +245,18 @@ static moc_fault judge_claim(const moc_supervision *s, const moc_problem *p, moc
     if (s->check && claim == MOC_CLAIMS_OPTIMUM &&
         (found.natural > s->relative_limit || (found.off > s->opposite_limit && found.opposite < found.off)))
         return MOC_FAULT_FALSE_OPTIMUM;
-    return MOC_TAKEN;
+    return answer->us > s->budget_us ? MOC_FAULT_LATE : MOC_TAKEN;
 }
 
-moc_fault moc_supervise(const moc_supervision *s, const moc_problem *p, moc_fault known, moc_claim claim,
-                        const double *answer, double solve_us, moc_memory *memory, double *x)
+moc_fault moc_supervise(const moc_supervision *s, const moc_problem *p, const moc_answer *answer, moc_memory *memory,
+                        double *x)
 {
-    moc_fault fault = known != MOC_TAKEN ? known : judge_claim(s, p, claim, answer, memory);
+    moc_fault fault = fault_of(s, p, answer, memory);
     unsigned bytes = (unsigned)p->n * sizeof *x;
 
-    if (fault == MOC_TAKEN && solve_us > s->budget_us)
-        fault = MOC_FAULT_LATE;
     if (fault == MOC_TAKEN) {
-        memcpy(memory->good, answer, bytes);
-        memcpy(x, answer, bytes);
+        memcpy(memory->good, answer->x, bytes);
+        memcpy(x, answer->x, bytes);
         memory->age = 0;
         return fault;
     }
@@ -268,8 +268,8 @@ moc_fault moc_supervise(const moc_supervision *s, const moc_problem *p, moc_faul
         return fault;
     else if (fault == MOC_FAULT_LATE && s->late == MOC_LATE_ZERO)
         return fault;
-    else if (fault == MOC_FAULT_LATE && s->late == MOC_LATE_ITERATE && all_finite(p->n, answer))
-        memcpy(x, answer, bytes);
+    else if (fault == MOC_FAULT_LATE && s->late == MOC_LATE_ITERATE && all_finite(p->n, answer->x))
+        memcpy(x, answer->x, bytes);
     else if (memory->age <= s->hold_ticks)
         memcpy(x, memory->good, bytes);
     else if (s->keep_off_limits)

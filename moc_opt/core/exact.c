@@ -1,6 +1,6 @@
 /* The subproblem's optimum by elimination, without iterating towards a tolerance.
  *
- * On A x = b the c0, c1 terms are constant: what is left is rho/2 |x|^2 - c2 grad_mu^T x over the box. Gauss-Jordan
+ * On A x = b the c0, c1 terms are constant: what is left is rho/2 |x|^2 - c2 pull^T x over the box. Gauss-Jordan
  * with complete pivoting (Golub and Van Loan, Matrix Computations, 3.4.8) writes x = particular + (free joints). Joints
  * whose column is zero (joint 7 under a tool on its axis) move nothing and are solved alone. One freedom that is left,
  * the elbow swivel, is a ratio test in closed form; several are a projection onto a polytope, see polytope.c.
@@ -8,7 +8,6 @@
  * The kernels are inlined for rows of 8 and of 16 numbers, padded with zeros: no loop over a row is left then. */
 #include <string.h>
 
-#include "shared.h"
 #include "vec.h"
 
 #if defined(__GNUC__)
@@ -22,7 +21,7 @@
 #define LOOK_CLOSER 1e3      /* a sixth pivot below this multiple of its tolerance is looked at more closely */
 #define LEFT 1e-6            /* |A x - b| that a dropped row may be left with: the judge's primal tolerance [m/s] */
 #define IDLE 1e-14           /* a free column smaller than this moves neither tip nor wrist */
-#define ROUNDING 1e-9        /* of the largest entry of grad_mu */
+#define ROUNDING 1e-9        /* of the largest entry of pull */
 #define GROWTH 4e-12         /* 2^14 roundings: what six steps cancel between columns that differ a thousandfold */
 #define WIDEST 1e-5          /* of the tolerances that rounding may explain [rad/s] */
 
@@ -131,11 +130,11 @@ static void place_idle(const moc_problem *p, const double *reach, double *x)
 {
     double steepest = 0.0;
     for (int j = 0; j < p->n; j++)
-        steepest = fmax(steepest, fabs(p->grad_mu[j]));
+        steepest = fmax(steepest, fabs(p->pull[j]));
     for (int j = 0; j < p->n; j++)
         if (reach[j] >= 0.0 && reach[j] <= IDLE) {
             /* a gradient at rounding level must not throw an idle joint to its bound */
-            double pull = fabs(p->grad_mu[j]) > ROUNDING * steepest ? p->c2 * p->grad_mu[j] : 0.0;
+            double pull = fabs(p->pull[j]) > ROUNDING * steepest ? p->c2 * p->pull[j] : 0.0;
             double wanted = p->rho > 0.0 ? pull / p->rho : pull > 0.0 ? HUGE_VAL : pull < 0.0 ? -HUGE_VAL : 0.0;
             x[j] = clip(wanted, p->lower[j], p->upper[j]);
         }
@@ -180,7 +179,7 @@ static moc_status solve_one(const moc_plane *plane, const moc_problem *p, double
     for (int j = 0; j < n; j++) {
         zz += z[j] * z[j];
         zx += z[j] * x[j];
-        zg += z[j] * p->grad_mu[j];
+        zg += z[j] * p->pull[j];
         if (fabs(z[j]) > IDLE) {
             double inverse = 1.0 / z[j], one = (p->lower[j] - x[j]) * inverse, other = (p->upper[j] - x[j]) * inverse;
             double start = z[j] > 0.0 ? one : other, end = z[j] > 0.0 ? other : one;
@@ -211,14 +210,14 @@ static moc_status solve_one(const moc_plane *plane, const moc_problem *p, double
     }
     for (int j = 0; j < n; j++) {
         x[j] += best * z[j];
-        slope += z[j] * (p->rho * x[j] - p->c2 * p->grad_mu[j]);
+        slope += z[j] * (p->rho * x[j] - p->c2 * p->pull[j]);
     }
     if (at_bound >= 0)
         force[at_bound] = slope / z[at_bound];
     return MOC_OK;
 }
 
-/* Put x into its box, and write y: A^T y = force - (rho x - c2 grad_mu). Returns by how much x was outside [rad/s]. */
+/* Put x into its box, and write y: A^T y = force - (rho x - c2 pull). Returns by how much x was outside [rad/s]. */
 static double finish(const moc_plane *plane, const moc_problem *p, const double *point, double *force, double *x,
                      double y[6])
 {
@@ -226,7 +225,7 @@ static double finish(const moc_plane *plane, const moc_problem *p, const double 
     for (int j = 0; j < p->n; j++) {
         beyond = fmax(beyond, fmax(p->lower[j] - point[j], point[j] - p->upper[j]));
         x[j] = point[j] < p->lower[j] ? p->lower[j] : point[j] > p->upper[j] ? p->upper[j] : point[j];
-        force[j] += p->c2 * p->grad_mu[j] - p->rho * x[j];
+        force[j] += p->c2 * p->pull[j] - p->rho * x[j];
     }
     for (int i = 0; i < 6; i++) {
         y[i] = 0.0;

@@ -1,5 +1,24 @@
 /* The safety filter: what a measurement may be, whether it shows the arm that the torque went to, limits of torque and
- * motion at every tick, and the reasons to stop. docs/reliability.md has each check with its formula and its level. */
+ * motion at every tick, and the reasons to stop. In the order in which they are looked at, T the period (moc_guard has the
+ * levels; docs/reliability.md says where each comes from):
+ *
+ *   LATE              now - newest stamp > ordinary delay + patience
+ *   MEASUREMENT       |q - q_believed| > jump + ticks v_max T, or |v| > speed_factor v_max: more than patience in a row
+ *   REPEATED          all q the same for more than patience ticks, while the reference moved by repeat_m or a torque
+ *                     changed by repeat_torque tau_max (with the wrench the same too: by the repeat_whole levels)
+ *   RAN_AWAY          |q - integral of v over motion_s| > motion_rad + motion_lag_s largest recent |v|
+ *   ONE_REPEATED      one q the same for more than repeat_joint_ticks; q and v more than repeat_reading_ticks in all
+ *   WRENCH_REPEATED   a wrench with noise the same for more than repeat_whole_ticks
+ *   LAGGING           one encoder's readings came before, at one lag, more than repeat_reading_ticks times
+ *   REPLAYED          whole readings did, more than repeat_whole_ticks (no noise in the wrench: replayed_ticks) times
+ *   WRENCH            the wrench is no number, more than patience in a row
+ *   RCM, FORCE        rms of the shaft's distance from the trocar, of the trocar's force > limit
+ *   TIP               rms |X - X_d| > tip_error
+ *   STUCK             while q_i is the same: |integral of (change of r_i beyond held_i) / M_ii| > stuck_speed
+ *   UNEXPLAINED       |r_i - mean| > residual_torque tau_max, or |r_i| > residual_whole tau_max: more than patience
+ *   TORQUE            the controller's torque is not finite
+ *
+ * r is the momentum residual. What is left of a torque: wall and brake of a joint (wall), torque_step, tau_max. */
 #include <limits.h>
 #include <string.h>
 
@@ -174,7 +193,7 @@ static double take_in(double number, int slots, double *numbers, double *at, moc
     if (!(fabs(number) < LARGEST_NUMBER))
         return before->hits;
     before->readings += 1.0;
-    int slot = (int)fmod(fabs(number) * FINE, slots);
+    int slot = (int)((long long)(fabs(number) * FINE) % slots);
     double lag = before->readings - at[slot];
     if (at[slot] > 0.0 && same(number, numbers[slot]) && lag > 1.0) { /* lag 1: a frozen reading, a sign of its own */
         before->hits = same(lag, before->lag) ? before->hits + 1.0 : 1.0;

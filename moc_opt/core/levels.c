@@ -79,14 +79,18 @@ static void desired_wrist_acceleration(const moc_terms *t, const double dX[3], c
  *
  * With M = L L^T the rows of A5 L^-T are made orthogonal instead of squared: the torque of a nearly straight elbow
  * keeps twice the digits. Such an elbow can hardly move the wrist in one direction, which is left out (STRAIGHT): at
- * the straight elbow itself it would need an infinite torque, whose sign rounding would decide. */
+ * the straight elbow itself it would need an infinite torque, whose sign rounding would decide.
+ * tip_rows: J_T L^-T. */
 static void add_feedforward(int n, const moc_terms *t, double L[][MOC_MAX_JOINTS], const double *inverse,
-                            const double tip[3], const double wrist[3], double *tau)
+                            double tip_rows[3][MOC_MAX_JOINTS], const double tip[3], const double wrist[3], double *tau)
 {
     double rows[5][MOC_MAX_JOINTS], b[2][3], a[5], c[5], gap[3];
 
     across(t->u, b);
     five_rows(n, ((moc_terms *)t)->A, b, rows);
+    memcpy(rows, tip_rows, 3 * sizeof *rows);
+    for (int i = 3; i < 5; i++)
+        solve_lower(n, L, inverse, rows[i]);
     for (int i = 0; i < 3; i++) {
         a[i] = tip[i] - t->drift[i];
         gap[i] = wrist[i] - t->drift[3 + i];
@@ -94,8 +98,6 @@ static void add_feedforward(int n, const moc_terms *t, double L[][MOC_MAX_JOINTS
     a[3] = dot3(b[0], gap);
     a[4] = dot3(b[1], gap);
     for (int i = 0; i < 5; i++) { /* the tip's rows become orthonormal, the wrist's orthogonal to them */
-        for (int j = 0; j < n; j++)
-            rows[i][j] = (rows[i][j] - dot(j, L[j], rows[i])) * inverse[j];
         for (int k = 0; k < i && k < 3; k++) {
             double along = dot(n, rows[k], rows[i]);
             a[i] -= along * c[k];
@@ -131,28 +133,27 @@ static void add_feedforward(int n, const moc_terms *t, double L[][MOC_MAX_JOINTS
     }
 }
 
-/* Level 2's part of the wrist's torque that moves the tip, taken out: tau += (I - J_T^T G) tau_W. */
-static void add_projected(const moc_law *law, int n, double J[][MOC_MAX_JOINTS], double W[][MOC_MAX_JOINTS],
-                          double mobility[][MOC_MAX_JOINTS], const double *tau_W, double *tau)
+/* tau += (I - J_T^T G) tau_W: level 2, less what of it moves the tip. With M = L L^T, tip_rows: J_T L^-T, so that
+ * J_T M^-1 J_T^T is their Gram matrix; tau_W is overwritten. */
+static void add_projected(const moc_law *law, int n, double J[][MOC_MAX_JOINTS], double L[][MOC_MAX_JOINTS],
+                          const double *inverse, double tip_rows[3][MOC_MAX_JOINTS], double *tau_W, double *tau)
 {
-    double at_tip[3], gram[3][MOC_MAX_JOINTS], L[3][MOC_MAX_JOINTS], inverse[3];
+    double(*rows)[MOC_MAX_JOINTS] = J, at_tip[3], gram[3][MOC_MAX_JOINTS], factor[3][MOC_MAX_JOINTS], diagonal[3];
 
     for (int j = 0; j < n; j++)
         tau[j] += tau_W[j];
-    if (law->projector == MOC_AS_PUBLISHED) { /* I - J^T J: not idempotent, and its units do not fit */
-        times(n, J, tau_W, at_tip);
-    } else if (law->projector == MOC_STATIC) { /* I - J^T pinv(J)^T: no force at the tip in rest */
+    if (law->projector == MOC_DYNAMIC) { /* I - J^T Jbar^T, Jbar = M^-1 J^T (J M^-1 J^T)^-1: no acceleration of the tip */
+        rows = tip_rows;
+        solve_lower(n, L, inverse, tau_W);
+    }
+    times(n, rows, tau_W, at_tip);
+    if (law->projector != MOC_AS_PUBLISHED) { /* MOC_STATIC: I - J^T pinv(J)^T, no force at the tip in rest */
         for (int i = 0; i < 3; i++)
             for (int k = 0; k < 3; k++)
-                gram[i][k] = dot(n, J[i], J[k]);
-        times(n, J, tau_W, at_tip);
-        cholesky(3, gram, L, inverse);
-        solve_factored(3, L, inverse, at_tip);
-    } else { /* I - J^T Jbar^T, Jbar = M^-1 J^T (J M^-1 J^T)^-1: no acceleration of the tip */
-        times(n, W, tau_W, at_tip);
-        cholesky(3, mobility, L, inverse);
-        solve_factored(3, L, inverse, at_tip);
-    }
+                gram[i][k] = dot(n, rows[i], rows[k]);
+        cholesky(3, gram, factor, diagonal);
+        solve_factored(3, factor, diagonal, at_tip);
+    } /* else I - J^T J: not idempotent, and its units do not fit */
     add_force(n, J, -1.0, at_tip, tau);
 }
 
@@ -161,18 +162,15 @@ void moc_tracking_torque(const moc_law *law, int n, const moc_terms *terms, cons
 {
     moc_terms *t = (moc_terms *)terms; /* C has no conversion to arrays of const arrays; nothing is written */
     double(*J_T)[MOC_MAX_JOINTS] = t->A, (*J_W)[MOC_MAX_JOINTS] = t->A + 3;
-    double L[MOC_MAX_JOINTS][MOC_MAX_JOINTS], inverse[MOC_MAX_JOINTS], W[3][MOC_MAX_JOINTS];
-    double mobility[3][MOC_MAX_JOINTS], dX[3], dN[3], F[3], N_d[3], dN_d[3], tau_W[MOC_MAX_JOINTS] = {0.0};
+    double L[MOC_MAX_JOINTS][MOC_MAX_JOINTS], inverse[MOC_MAX_JOINTS], tip_rows[3][MOC_MAX_JOINTS];
+    double dX[3], dN[3], F[3], N_d[3], dN_d[3], tau_W[MOC_MAX_JOINTS] = {0.0};
 
     times(n, J_T, t->v, dX);
     times(n, J_W, t->v, dN);
-    cholesky(n, t->M, L, inverse);
-    for (int i = 0; i < 3; i++) { /* W = J_T M^-1 */
-        memcpy(W[i], J_T[i], (unsigned)n * sizeof **W);
-        solve_factored(n, L, inverse, W[i]);
-        for (int k = 0; k <= i; k++)
-            mobility[i][k] = mobility[k][i] = dot(n, J_T[k], W[i]);
-    }
+    cholesky(n, t->M, L, inverse); /* M = L L^T */
+    memcpy(tip_rows, J_T, sizeof tip_rows);
+    for (int i = 0; i < 3; i++)
+        solve_lower(n, L, inverse, tip_rows[i]);
 
     /* Tip: F_T = K_X (X_d - X) + D_X (dX_d - dX). */
     for (int i = 0; i < 3; i++)
@@ -182,7 +180,7 @@ void moc_tracking_torque(const moc_law *law, int n, const moc_terms *terms, cons
     if (law->feedforward) {
         double ddN_d[3];
         desired_wrist_acceleration(t, dX, ref->ddX, trocar, ddN_d);
-        add_feedforward(n, t, L, inverse, ref->ddX, ddN_d, tau);
+        add_feedforward(n, t, L, inverse, tip_rows, ref->ddX, ddN_d, tau);
     }
 
     /* RCM: F_W = K_N (N_d - N) + D_N (dN_d - dN). */
@@ -199,7 +197,7 @@ void moc_tracking_torque(const moc_law *law, int n, const moc_terms *terms, cons
     for (int i = 0; i < 3; i++)
         F[i] = law->K_N * (N_d[i] - t->wrist[i]) + law->D_N * (dN_d[i] - dN[i]);
     add_force(n, J_W, 1.0, F, tau_W);
-    add_projected(law, n, J_T, W, mobility, tau_W, tau);
+    add_projected(law, n, J_T, L, inverse, tip_rows, tau_W, tau);
 }
 
 /* Weight of grad mu_shaft beside grad mu [m], zero from the margin on: SHAFT_PULL (1 - m/margin) m / (m^2 + lost^2),
@@ -230,7 +228,8 @@ void moc_fill_problem(const moc_law *law, int n, const moc_terms *t, const moc_r
         wider += law->spare_speed * fmin(1.0, BOX_OPENS * (1.0 - t->mu_shaft / law->shaft_margin));
     for (int j = 0; j < n; j++) {
         double v_max = law->v_max[j] * wider;
-        p->grad_mu[j] = pull ? law->rho / law->c2 * pull[j] : t->grad_mu[j] + push * t->grad_mu_shaft[j];
+        p->grad_mu[j] = t->grad_mu[j];
+        p->pull[j] = pull ? law->rho / law->c2 * pull[j] : t->grad_mu[j] + push * t->grad_mu_shaft[j];
         /* the velocity damper closes at k0 and never crosses: beyond a limit only velocities back inside are left */
         p->lower[j] = fmin(fmax(-v_max, -law->k0 * (t->q[j] - law->q_min[j])), v_max);
         p->upper[j] = fmax(fmin(v_max, -law->k0 * (t->q[j] - law->q_max[j])), -v_max);

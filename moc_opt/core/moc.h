@@ -12,12 +12,12 @@ typedef enum {
     MOC_OK = 0,
     MOC_INFEASIBLE, /* no x of the box meets A x = b */
     MOC_DOUBTFUL,   /* rounding decides the rank of A: no answer */
-    MOC_UNFINISHED, /* the network is still moving */
+    MOC_UNFINISHED, /* the network (rnn.c) is still moving */
     MOC_BAD_Q,      /* q is not finite */
     MOC_BAD_V       /* v is not finite */
 } moc_status;
 
-/* --- the arm (arm.c, manipulability.c) --- */
+/* --- the arm --- */
 
 /* A joint, and the link that it carries, in the joint's own axes. */
 typedef struct {
@@ -42,17 +42,6 @@ typedef struct {
     double gravity[3];             /* [m/s^2] */
 } moc_arm;
 
-/* Where a joint's axes are in the world. */
-typedef struct {
-    double R[3][3]; /* rows */
-    double p[3];    /* [m] */
-} moc_frame;
-
-/* Velocity that a unit speed of one joint gives, at the world's origin. */
-typedef struct {
-    double lin[3], ang[3];
-} moc_twist;
-
 /* What the law needs of the arm at one (q, v). */
 typedef struct {
     double q[MOC_MAX_JOINTS], v[MOC_MAX_JOINTS];
@@ -68,50 +57,15 @@ typedef struct {
     double energy_slope[MOC_MAX_JOINTS];     /* dT/dq = C^T v, T the kinetic energy [Nm] */
 } moc_terms;
 
-/* tip, wrist, u, span, A, mu and mu_shaft with their gradients at a finite q (n,): what needs no velocity. */
-void moc_compute_kinematics(const moc_arm *arm, const double *q, moc_terms *terms);
+/* --- the subproblem --- */
 
-/* All terms at q, v (n,). Returns MOC_OK, MOC_BAD_Q or MOC_BAD_V. */
-moc_status moc_compute_terms(const moc_arm *arm, const double *q, const double *v, moc_terms *terms);
-
-/* Every joint's axes in the world, frame[n]. */
-void moc_place(const moc_arm *arm, const double *q, moc_frame *frame);
-
-/* twist[n] of the placed joints. */
-void moc_twists(const moc_arm *arm, const moc_frame *frame, moc_twist *twist);
-
-/* The tool's axes x, y, z and its tip in the world, pose[4] rows. */
-void moc_tool_pose(const moc_arm *arm, const double *q, double pose[4][3]);
-
-/* Torque that carries the arm's weight (n,) [Nm]. */
-void moc_gravity(const moc_arm *arm, const double *q, double *torque);
-
-/* A point of the last joint's axes in the world. */
-void moc_point(const moc_frame *last, const double local[3], double out[3]);
-
-/* Jacobian (3,n) of a world point of the last link; joints that do not move it have columns of zeros. */
-void moc_jacobian(int n, const moc_twist *twist, const double point[3], const int *moves, double J[][MOC_MAX_JOINTS]);
-
-/* mu = sqrt(det(J J^T)) of J (3,n) alone. */
-double moc_yoshikawa(int n, double J[][MOC_MAX_JOINTS]);
-
-/* mu, and its gradient; see manipulability.c. */
-double moc_manipulability(int n, const moc_twist *twist, double J[][MOC_MAX_JOINTS], double *gradient);
-double moc_shaft_manipulability(int n, const moc_twist *twist, double A[][MOC_MAX_JOINTS], const double u[3],
-                                double *gradient);
-
-/* Newton's method for a pose with the tip (points = 1), or tip and wrist (points = 2), at target[points]; q (n,) is
- * where it begins, low and high are joint limits. Returns what the best pose misses them by [m]. */
-double moc_nearest_pose(const moc_arm *arm, int points, double target[][3], const double *low, const double *high,
-                        int iterations, const double *q, double *best);
-
-/* --- the subproblem (exact.c, rnn.c) --- */
-
-/* min_x c0/2 |J_T x - v_T|^2 + c1/2 |J_W x - v_W|^2 - c2 x^T grad_mu + rho/2 |x|^2,  A x = b,  lower <= x <= upper */
+/* min_x c0/2 |J_T x - v_T|^2 + c1/2 |J_W x - v_W|^2 - c2 x^T pull + rho/2 |x|^2,  A x = b,  lower <= x <= upper */
 typedef struct {
     int n;
-    double A[6][MOC_MAX_JOINTS], b[6];
-    double grad_mu[MOC_MAX_JOINTS], lower[MOC_MAX_JOINTS], upper[MOC_MAX_JOINTS];
+    double A[6][MOC_MAX_JOINTS], b[6];     /* [J_T; J_W], [v_T; v_W] */
+    double grad_mu[MOC_MAX_JOINTS];        /* of the pose */
+    double pull[MOC_MAX_JOINTS];           /* grad_mu, with the shaft's share; or (rho/c2) x_d of a course or a climb */
+    double lower[MOC_MAX_JOINTS], upper[MOC_MAX_JOINTS]; /* [rad/s] */
     double c0, c1, c2, rho;
 } moc_problem;
 
@@ -119,28 +73,7 @@ typedef struct {
  * that still counts as feasible [rad/s]. Returns MOC_OK, MOC_INFEASIBLE or MOC_DOUBTFUL; x and y hold no answer then. */
 moc_status moc_solve_exact(const moc_problem *problem, double tolerance, double *x, double y[6]);
 
-/* P (n,n) and p (n,) of the cost 1/2 x^T P x + p^T x. */
-void moc_cost(const moc_problem *problem, double P[][MOC_MAX_JOINTS], double *linear);
-
-/* The equality rows that a library takes: five independent ones where there are such and `five` asks for them, else the
- * six. y6 = lift^T y. Returns how many. */
-int moc_equalities(const moc_problem *problem, int five, double A[6][MOC_MAX_JOINTS], double b[6], double lift[6][6]);
-
-/* How the network of rnn.c steps. */
-typedef struct {
-    int steps;      /* at most so many */
-    double h_x, h_y; /* step sizes of x and of the multipliers, dt/eps */
-    double k;       /* the paper's gain */
-    double scale;   /* multiplies c0, c1, c2 and rho */
-    int implicit;   /* 1: the multipliers see the new x */
-    double rest;    /* it ends where its right-hand side is at most this [rad/s, m/s] */
-} moc_network;
-
-/* Advance x (n,) and y (6,) in place. Returns MOC_OK at rest, MOC_UNFINISHED, or MOC_DOUBTFUL where a number is no
- * longer finite; *made is the number of steps. */
-moc_status moc_step_network(const moc_problem *problem, const moc_network *network, double *x, double y[6], int *made);
-
-/* --- the law (levels.c, null_space.c) --- */
+/* --- the law --- */
 
 typedef struct {
     double X[3], dX[3], ddX[3]; /* of the tip [m], [m/s], [m/s^2] */
@@ -185,53 +118,7 @@ typedef struct {
     int age;                                     /* ticks since then */
 } moc_memory;
 
-/* Levels 1 and 2, tau_tip + tau_rcm (n,) [Nm]. */
-void moc_tracking_torque(const moc_law *law, int n, const moc_terms *t, const moc_reference *ref,
-                         const moc_trocar *trocar, double *tau);
-
-/* This tick's subproblem; pull (n,): a velocity [rad/s] that replaces the climb of mu, or NULL. */
-void moc_fill_problem(const moc_law *law, int n, const moc_terms *t, const moc_reference *ref,
-                      const moc_trocar *trocar, const double *pull, moc_problem *problem);
-
-/* x_d (n,) of the scaled climb [rad/s]; zero at a top of mu, and where the pose is singular. */
-void moc_climb(const moc_arm *arm, const moc_law *law, const moc_terms *t, double *x_d);
-
-/* N_d = X + L e, which puts the shaft through the trocar, and dN_d, for a tip at X that moves with dX. */
-void moc_desired_wrist(const double X[3], const double dX[3], const moc_trocar *trocar, double span, double N_d[3],
-                       double dN_d[3]);
-
-/* Bring the basis Z (rows, n) of ker A from the last tick's pose to this one's; 0 where that fails (a singularity). */
-int moc_follow_null_space(int n, double A[][MOC_MAX_JOINTS], const double u[3], int rows, double Z[][MOC_MAX_JOINTS]);
-
-/* A basis of ker A from scratch, turned towards Z (rows, n) where that has as many rows; returns its rows. */
-int moc_null_space(int n, double A[][MOC_MAX_JOINTS], int rows, double Z[][MOC_MAX_JOINTS]);
-
-/* tau += share M Z^T (Z M Z^T)^-1 Z (K_N2 (x - v) - D_N2 v), cut at tau_max. */
-void moc_add_third_level(const moc_law *law, int n, const moc_terms *t, const moc_memory *memory, const double *x,
-                         double *tau);
-
-/* r = K_o (p - integral(tau + C^T v - g + r)), p = M v, advanced by one period over which tau (n,) acted. */
-void moc_observe(int n, const moc_terms *t, const double *tau, double gain, double period, double *integral,
-                 double *r);
-
-/* --- what an answer is worth, and what stands in for it (answer.c) --- */
-
-typedef struct {
-    double primal;   /* |A x - b|_inf; NaN where x is not finite [m/s] */
-    double outside;  /* violation of the box [rad/s] */
-    double natural;  /* natural residual along the self-motion, the cost scaled to slope one [rad/s] */
-    double off;      /* distance from the optimum [rad/s] */
-    double opposite; /* and from that of the opposite gradient [rad/s] */
-} moc_residuals;
-
-/* Judge x (n,) on the self-motion that Z leaves; see answer.c. */
-moc_residuals moc_judge(const moc_problem *problem, int rows, double Z[][MOC_MAX_JOINTS], const double *x);
-
-/* The smallest self-motion that brings the arm's other motion into the box (n,) [rad/s]; zero where none does. */
-void moc_retreat(const moc_problem *problem, int rows, double Z[][MOC_MAX_JOINTS], double *motion);
-
-/* The x of the box with the least |A x - b| [rad/s]. */
-void moc_least_violation(const moc_problem *problem, double *x);
+/* --- an answer, its supervision, and what stands in for it --- */
 
 /* What a solver says of its answer. */
 typedef enum {
@@ -256,6 +143,14 @@ typedef enum {
     MOC_FAULTS
 } moc_fault;
 
+/* What a solver gives back. */
+typedef struct {
+    const double *x;  /* (n,) [rad/s]; read only where there is an answer, but never NULL */
+    moc_claim claim;
+    moc_fault known;  /* a fault that the caller has seen, or MOC_TAKEN */
+    double us;        /* time that it took */
+} moc_answer;
+
 typedef enum { MOC_DAMPING = 0, MOC_HOLD, MOC_LEAST_VIOLATION } moc_fallback;
 typedef enum { MOC_LATE_HOLD = 0, MOC_LATE_ZERO, MOC_LATE_ITERATE } moc_late;
 
@@ -271,11 +166,6 @@ typedef struct {
     moc_late late;          /* what replaces a late answer */
     double budget_us;       /* time that a solve may take; infinite: no limit */
 } moc_supervision;
-
-/* Check an answer (n,) and write the x (n,) that the arm follows. known: a fault that the caller has seen, or
- * MOC_TAKEN. */
-moc_fault moc_supervise(const moc_supervision *s, const moc_problem *problem, moc_fault known, moc_claim claim,
-                        const double *answer, double solve_us, moc_memory *memory, double *x);
 
 /* --- the safety filter (guard.c) --- */
 
@@ -355,13 +245,13 @@ typedef struct {
     double point[3];                             /* the trocar, as registered last [m] */
     double mean_square[2], largest[2];           /* of RCM error and force; the largest root above its warning */
     double whole_square;                         /* the same mean of the whole force on the tool, a contact's included */
-    long long first_tick[2], ticks;              /* of a warning, -1: none; ticks in the incision */
+    double first_tick[2], ticks;                 /* of a warning, -1: none; ticks in the incision */
     int unread;                                  /* readings of the wrench in a row that were no numbers */
     double press, borne;                         /* mean of the trocar's force in a stop; what closed brakes bear [N] */
     int yields, open;                            /* whether the brakes are open because of it; for how many ticks */
     int cut;                                     /* 1: a drive does not do what it is told: none is used in the stop */
     int limited;                                 /* joints at which the last torque was changed */
-    long long now, newest, delay, elapsed;       /* numbers of control periods: see moc_age in guard.c */
+    long long now, newest, delay, elapsed;       /* numbers of control periods: see `age` in guard.c */
     struct {
         double gap, peak, shown, speed;          /* q - integral of v; largest recent |v|; the last q and v */
         double repeats, whole;                   /* ticks in a row with the same q; so far with the same q and v */
@@ -388,39 +278,11 @@ typedef struct {
     const double *wrench;  /* (6,) force [N] and torque [Nm] of the tool on its mount, tool axes */
 } moc_measurement;
 
-/* Begin at a finite q, v (n,), measurement number `stamp`. */
-void moc_guard_start(const moc_guard *g, int n, const double *q, const double *v, long long stamp, moc_watch *w);
-
-/* Judge a measurement; watch->q, v are then what to believe. trocar: NULL where the arm is in no incision. */
-moc_stop moc_guard_believe(const moc_guard *g, const moc_arm *arm, const moc_measurement *m, const moc_trocar *trocar,
-                           moc_watch *w);
-
-/* Judge the tip (NULL: not known) and the motion (terms of watch->q, v; NULL: not known), then cut tau (n,) in place.
- * before (n,): torque of the last tick. tau stays as it was where it is not finite. */
-moc_stop moc_guard_follow(const moc_guard *g, const moc_arm *arm, const moc_terms *t, const double *tip,
-                          const double *tip_ref, const double *before, double *tau, moc_watch *w);
-
-/* The torque of a damped stop: the weight of the arm in the last pose believed, reached at the torque rate. */
-void moc_guard_rest(const moc_guard *g, const moc_arm *arm, const double *before, const moc_watch *w, double *tau);
-
-/* Dry friction (n,) [Nm] of the brakes in a stop; zero while the trocar presses the shaft hard. */
-void moc_guard_hold(const moc_guard *g, const moc_arm *arm, const double *wrench, moc_watch *w, double *friction);
-
 /* A reason in words. */
 const char *moc_reason(moc_stop reason);
 
-/* --- the tick of the law, around any solver (step.c) --- */
-
-/* Forget all, and begin at these terms. */
-void moc_start(const moc_law *law, int n, const moc_terms *t, moc_memory *memory);
-
-/* Before the solver: tau (n,) = levels 1 and 2 less the disturbance; the subproblem where there is a third level.
- * pull: as for moc_fill_problem. */
-void moc_begin(const moc_arm *arm, const moc_law *law, const moc_terms *t, const moc_reference *ref,
-               const moc_trocar *trocar, const double *pull, moc_memory *memory, moc_problem *problem, double *tau);
-
-/* After it: add the third level, which follows x (n,) (NULL: rest), cut the torque and remember it. */
-void moc_finish(const moc_law *law, int n, const moc_terms *t, const double *x, moc_memory *memory, double *tau);
+/* Dry friction (n,) [Nm] of the brakes in a stop, once a period; zero while the trocar presses the shaft hard. */
+void moc_guard_hold(const moc_guard *g, const moc_arm *arm, const double *wrench, moc_watch *w, double *friction);
 
 /* --- the whole controller (step.c) --- */
 
@@ -429,40 +291,62 @@ typedef struct {
     const moc_arm *arm;
     const moc_law *law;
     const moc_supervision *supervision;
-    const moc_guard *guard;
-    double tolerance; /* of moc_solve_exact [rad/s] */
+    const moc_guard *guard; /* NULL: no safety filter; measurements are believed, and nothing stops the arm */
+    double tolerance;       /* of moc_solve_exact [rad/s] */
 } moc_controller;
+
+/* What comes in at a tick. */
+typedef struct {
+    moc_measurement measured;
+    moc_reference ref;
+    moc_trocar trocar;
+    const double *pull; /* velocity (n,) that the third level is to follow [rad/s]; NULL: it climbs mu */
+} moc_input;
 
 /* What one arm's controller remembers. */
 typedef struct {
     moc_memory memory;
     moc_watch watch;
-    moc_terms terms;                /* of the last tick, as are the next six */
+    moc_terms terms;                /* of the last tick, as are the next ones */
     moc_problem problem;            /* where the law has a third level */
-    double answer[MOC_MAX_JOINTS];  /* of moc_solve_exact, with its multipliers and status [rad/s] */
+    double told[3];                 /* the tip's reference [m] */
+    double tau[MOC_MAX_JOINTS];     /* of levels 1 and 2; after moc_finish, of all three [Nm] */
+    moc_fault fault;                /* of the answer */
+    double x[MOC_MAX_JOINTS];       /* what the third level followed [rad/s] */
+    double answer[MOC_MAX_JOINTS];  /* of moc_step: x of moc_solve_exact, its multipliers and status */
     double y[6];
     moc_status status;
-    moc_fault fault;                /* of that answer */
-    double x[MOC_MAX_JOINTS];       /* what the third level followed [rad/s] */
     double sent[MOC_MAX_JOINTS];    /* torque of the last tick [Nm] */
     moc_stop reason;                /* the first one stays */
-    unsigned begun;                 /* MOC_BEGUN once moc_begin_run has been called */
+    unsigned begun;                 /* MOC_BEGUN once moc_start has been called */
 } moc_state;
 
 #define MOC_BEGUN 0x6d6f6331u
 
 /* Forget all, and begin at a measurement; m->applied is the torque that acts now. Returns MOC_RUNNING, or
  * MOC_STOP_NOT_STARTED where a number is not finite or a torque beyond its limit. */
-moc_stop moc_begin_run(const moc_controller *c, const moc_measurement *m, moc_state *state);
+moc_stop moc_start(const moc_controller *c, const moc_measurement *m, moc_state *state);
 
-/* One control period: the torque tau (n,) to send, finite and within the limits of c->guard whatever is measured.
+/* The first half of a control period: the measurement is checked, then come the arm's terms, levels 1 and 2, and the
+ * subproblem, state->problem, for any solver in any language.
  *
- * m->applied: the torque that acted in the last period, where that is not the one that was sent; NULL: it is. What
- * comes in and what goes out must not overlap.
+ * measured.applied: the torque that acted in the last period, where that is not the one that was sent; NULL: it is.
+ * Returns MOC_RUNNING, or why the arm is stopped: no solver is needed then. */
+moc_stop moc_begin(const moc_controller *c, const moc_input *in, moc_state *state);
+
+/* The second half: the answer (NULL: the law has no third level, or the arm is stopped) is checked, and replaced where
+ * it is refused; then come level 3 and the safety filter. tau (n,) is the torque to send, finite and within the limits
+ * of c->guard whatever was measured.
+ *
  * Returns MOC_RUNNING, or why the arm is stopped: tau then carries its weight in the last pose believed, and the drives
- * have to brake, with the dry friction that moc_guard_hold gives once a period. Only moc_begin_run ends a stop; before
- * it tau is zero. */
-moc_stop moc_step(const moc_controller *c, const moc_measurement *m, const moc_reference *ref,
-                  const moc_trocar *trocar, moc_state *state, double *tau);
+ * have to brake, with the dry friction of moc_guard_hold. Only moc_start ends a stop; before it tau is zero. */
+moc_stop moc_finish(const moc_controller *c, const moc_answer *answer, moc_state *state, double *tau);
+
+/* Both, with moc_solve_exact between them. What comes in and what goes out must not overlap. */
+moc_stop moc_step(const moc_controller *c, const moc_input *in, moc_state *state, double *tau);
+
+/* The optimum x (n,) and multipliers y (6,) of the rows of A, by elimination; `tolerance` is the violation of the box
+ * that still counts as feasible [rad/s]. Returns MOC_OK, MOC_INFEASIBLE or MOC_DOUBTFUL; x and y hold no answer then. */
+moc_status moc_solve_exact(const moc_problem *problem, double tolerance, double *x, double y[6]);
 
 #endif

@@ -1,7 +1,6 @@
 /* A basis Z of ker A that follows the arm, and the climb of mu in it. */
 #include <string.h>
 
-#include "shared.h"
 #include "vec.h"
 
 /* Scaled climb: Newton's step to the local top of mu, at most LONGEST, in 1 / RATE seconds. */

@@ -1,8 +1,8 @@
-/* Self-motion by pseudo-arclength continuation, climbs of mu over poses of one tip and wrist, and a value function. */
-#include "plan.h"
-
+/* Poses of a tip and a wrist by Newton's method, self-motion by pseudo-arclength continuation, climbs of mu, and a value
+ * function. */
 #include <string.h>
 
+#include "tools.h"
 #include "vec.h"
 
 #define TOLERANCE 1e-10 /* on tip and wrist [m] */
@@ -49,6 +49,103 @@ static int outside(const plan_task *task, const double *q)
         if (q[i] < task->low[i] || q[i] > task->high[i])
             return 1;
     return 0;
+}
+
+/* --- one pose --- */
+
+#define LONGEST 0.25    /* of a step, in joint space [rad]: beyond it the linearization is worth little */
+#define DAMPING 1e-12   /* of the trace of A A^T: tip and wrist are rigidly tied, A has a row too many */
+
+/* The step (n,) nearest to the desired one that changes A q (rows) by the error and leads to no limit.
+ *
+ * No joint within `near` of a limit goes towards it. An active-set method: joints that would leave are held, and one
+ * that its multiplier draws inwards is let go. */
+static void allowed_step(const plan_task *task, int rows, const double *q, double A[6][MOC_MAX_JOINTS],
+                         const double *error, const double *desired, double damping, double near, double *step)
+{
+    double part[6][MOC_MAX_JOINTS], still[MOC_MAX_JOINTS];
+    int n = task->arm->n, held[MOC_MAX_JOINTS] = {0};
+
+    memcpy(part, A, sizeof part);
+    memcpy(still, desired, (unsigned)n * sizeof *still);
+    for (int round = 0; round < 4 * n; round++) {
+        double S[6][MOC_MAX_JOINTS], L[6][MOC_MAX_JOINTS], inverse[6], force[6], trace = 0.0, most = 0.0;
+        int left = 0, drawn = -1;
+
+        for (int i = 0; i < rows; i++) {
+            for (int k = 0; k < rows; k++)
+                S[i][k] = dot(n, part[i], part[k]);
+            trace += S[i][i];
+            force[i] = error[i] - dot(n, part[i], still);
+        }
+        for (int i = 0; i < rows; i++)
+            S[i][i] += fmax(damping, DAMPING * trace) + 1e-14;
+        cholesky(rows, S, L, inverse);
+        solve_factored(rows, L, inverse, force);
+        for (int j = 0; j < n; j++) {
+            double free = desired[j];
+            for (int i = 0; i < rows; i++)
+                free += A[i][j] * force[i];
+            step[j] = held[j] ? 0.0 : free;
+            int outwards = (q[j] >= task->high[j] - near && free > 0.0) || (q[j] <= task->low[j] + near && free < 0.0);
+            if (outwards && !held[j]) {
+                left = held[j] = 1;
+                still[j] = step[j] = 0.0;
+                for (int i = 0; i < rows; i++)
+                    part[i][j] = 0.0;
+            } else if (held[j] && !outwards && fabs(free) > most) {
+                drawn = j;
+                most = fabs(free);
+            }
+        }
+        if (left)
+            continue;
+        if (drawn < 0)
+            return;
+        held[drawn] = 0;
+        still[drawn] = desired[drawn];
+        for (int i = 0; i < rows; i++)
+            part[i][drawn] = A[i][drawn];
+    }
+}
+
+/* Damped Gauss-Newton for the tip alone (points = 1), or tip and wrist, from `start`; the best pose may be `start`. */
+static double place(const plan_task *task, int points, int rounds, const double *start, double *best)
+{
+    static const double nowhere[MOC_MAX_JOINTS];
+    double q[MOC_MAX_JOINTS], A[6][MOC_MAX_JOINTS], error[6], step[MOC_MAX_JOINTS];
+    double damping = 0.0, last = HUGE_VAL, miss = HUGE_VAL;
+    int n = task->arm->n;
+
+    memcpy(q, start, (unsigned)n * sizeof *q);
+    for (int round = 0; round < rounds; round++) {
+        look(task, q, error, A, NULL);
+        double worst = largest(3 * points, error);
+        if (worst < miss || round == 0) {
+            memcpy(best, q, (unsigned)n * sizeof *best);
+            miss = worst;
+        }
+        if (worst < TOLERANCE)
+            break;
+        /* out of reach, undamped steps swing about without end */
+        damping = worst < 0.5 * last ? 0.0 : fmin(fmax(10.0 * damping, 1e-8), 1e-2);
+        last = worst;
+        allowed_step(task, 3 * points, q, A, error, nowhere, damping, 0.0, step);
+        double length = largest(n, step);
+        if (!(length >= 1e-12))
+            break;
+        for (int j = 0; j < n; j++)
+            q[j] = fmin(fmax(q[j] + step[j] * fmin(1.0, LONGEST / length), task->low[j]), task->high[j]);
+    }
+    return miss;
+}
+
+double moc_nearest_pose(const moc_arm *arm, int points, double target[][3], const double *low, const double *high,
+                        int iterations, const double *q, double *best)
+{
+    plan_task task = {.arm = arm, .low = low, .high = high};
+    memcpy(task.target, target, (unsigned)points * sizeof *task.target);
+    return place(&task, points, iterations, q, best);
 }
 
 /* --- along a curve --- */
@@ -199,88 +296,10 @@ int plan_follow(const plan_task *task, const double *start, const double *tangen
 
 /* --- climbs --- */
 
-#define LONGEST 0.3    /* of a step, in joint space [rad] */
 #define SHORTEST 1e-6  /* below it an ascent has arrived: mu is flat there to its square */
 #define FLAT 1e-9      /* of the gradient: less of it along the allowed ways is none */
 #define STEPS 200
 #define NEWTON 40
-#define DAMPING 1e-12  /* of the trace of A A^T: A has a row too many */
-
-/* The step (n,) nearest to the desired one that moves tip and wrist by the error and leads to no limit.
- *
- * No joint within `near` of a limit goes towards it. An active-set method: joints that would leave are held, and one
- * that its multiplier draws inwards is let go. */
-static void allowed_step(const plan_task *task, const double *q, double A[6][MOC_MAX_JOINTS], const double *error,
-                         const double *desired, double near, double *step)
-{
-    double part[6][MOC_MAX_JOINTS], still[MOC_MAX_JOINTS], held[MOC_MAX_JOINTS] = {0.0};
-    int n = task->arm->n;
-
-    memcpy(part, A, sizeof part);
-    memcpy(still, desired, (unsigned)n * sizeof *still);
-    for (int round = 0; round < 4 * n; round++) {
-        double S[6][MOC_MAX_JOINTS], L[6][MOC_MAX_JOINTS], inverse[6], force[6], trace = 0.0, most = 0.0;
-        int left = 0, drawn = -1;
-
-        for (int i = 0; i < 6; i++) {
-            for (int k = 0; k < 6; k++)
-                S[i][k] = dot(n, part[i], part[k]);
-            trace += S[i][i];
-            force[i] = error[i] - dot(n, part[i], still);
-        }
-        for (int i = 0; i < 6; i++)
-            S[i][i] += DAMPING * trace + 1e-14;
-        cholesky(6, S, L, inverse);
-        solve_factored(6, L, inverse, force);
-        for (int j = 0; j < n; j++) {
-            double free = desired[j];
-            for (int i = 0; i < 6; i++)
-                free += A[i][j] * force[i];
-            step[j] = held[j] > 0.0 ? 0.0 : free;
-            int outwards = (q[j] >= task->high[j] - near && free > 0.0) || (q[j] <= task->low[j] + near && free < 0.0);
-            if (outwards && !(held[j] > 0.0)) {
-                left = 1;
-                held[j] = 1.0;
-                still[j] = step[j] = 0.0;
-                for (int i = 0; i < 6; i++)
-                    part[i][j] = 0.0;
-            } else if (held[j] > 0.0 && !outwards && fabs(free) > most) {
-                drawn = j;
-                most = fabs(free);
-            }
-        }
-        if (left)
-            continue;
-        if (drawn < 0)
-            return;
-        held[drawn] = 0.0;
-        still[drawn] = desired[drawn];
-        for (int i = 0; i < 6; i++)
-            part[i][drawn] = A[i][drawn];
-    }
-}
-
-/* Move q (n,) inside its limits onto tip and wrist by Newton's method; whether it came there. */
-static int place(const plan_task *task, double *q, int rounds)
-{
-    static const double nowhere[MOC_MAX_JOINTS];
-    double error[6], A[6][MOC_MAX_JOINTS], step[MOC_MAX_JOINTS];
-    int n = task->arm->n;
-
-    for (int round = 0; round < rounds; round++) {
-        look(task, q, error, A, NULL);
-        if (largest(6, error) < TOLERANCE)
-            return 1;
-        allowed_step(task, q, A, error, nowhere, 0.0, step);
-        double length = largest(n, step);
-        if (!(length > 1e-13))
-            return 0;
-        double share = fmin(1.0, LONGEST / length);
-        for (int j = 0; j < n; j++)
-            q[j] = fmin(fmax(q[j] + share * step[j], task->low[j]), task->high[j]);
-    }
-    return 0;
-}
 
 double plan_ascend(const plan_task *task, double *q)
 {
@@ -288,16 +307,16 @@ double plan_ascend(const plan_task *task, double *q)
     double error[6], A[6][MOC_MAX_JOINTS], grad[MOC_MAX_JOINTS], way[MOC_MAX_JOINTS], trial[MOC_MAX_JOINTS], h = 0.1;
     int n = task->arm->n;
 
-    if (!place(task, q, NEWTON))
+    if (!(place(task, 2, NEWTON, q, q) < TOLERANCE))
         return -1.0;
     double mu = look(task, q, error, A, grad);
     for (int round = 0; round < STEPS; round++) {
-        allowed_step(task, q, A, nothing, grad, 0.01 * h, way); /* a step that a limit cuts short leads nowhere */
+        allowed_step(task, 6, q, A, nothing, grad, 0.0, 0.01 * h, way); /* a step that a limit cuts short leads nowhere */
         double length = sqrt(dot(n, way, way)), found = -1.0;
         while (length > FLAT * sqrt(dot(n, grad, grad)) && h >= SHORTEST) {
             for (int j = 0; j < n; j++)
                 trial[j] = fmin(fmax(q[j] + h / length * way[j], task->low[j]), task->high[j]);
-            if (place(task, trial, 10)) {
+            if (place(task, 2, 10, trial, trial) < TOLERANCE) {
                 found = look(task, trial, error, A, grad);
                 if (found > mu)
                     break;

@@ -1,7 +1,7 @@
 /* What the simulated plant needs between two of MuJoCo's steps; no part of the exported controller. */
 #include <string.h>
 
-#include "plant.h"
+#include "tools.h"
 #include "vec.h"
 
 void plant_shaft_force(const double *tip, const double *wrist, const double twist[6], const double *origin,

@@ -9,7 +9,6 @@
  * linear programs: Ferris 1991) repeats the projection. */
 #include <string.h>
 
-#include "shared.h"
 #include "vec.h"
 
 #define NEAR 10.0        /* box widths within which the way to the optimum leaves no rounding worth taking out */
@@ -236,7 +235,7 @@ moc_status moc_solve_several(const moc_plane *plane, const moc_problem *p, doubl
     orthogonalise(&t);
     fill_projector(&t);
     onto_basis(&t, x, 1.0, back);
-    onto_basis(&t, p->grad_mu, p->c2, t.pull);
+    onto_basis(&t, p->pull, p->c2, t.pull);
     for (int j = 0; j < t.n; j++) {
         t.room[j] = t.Pi[j][j];
         t.low[j] = -HUGE_VAL;

@@ -1,7 +1,8 @@
 /* The recurrent neural network of Su et al. 2019, in its consistent sign, integrated by Euler steps of h = dt/eps:
  *
- *   eps dx/dt = -x + clip(x - k (c0 J_T^T (J_T x - v_T) + c1 J_W^T (J_W x - v_W) + rho x - c2 grad_mu + A^T y))
+ *   eps dx/dt = -x + clip(x - k (c0 J_T^T (J_T x - v_T) + c1 J_W^T (J_W x - v_W) + rho x - c2 pull + A^T y))
  *   eps dy/dt = k (A x - b) */
+#include "tools.h"
 #include "vec.h"
 
 moc_status moc_step_network(const moc_problem *p, const moc_network *net, double *x, double y[6], int *made)
@@ -18,7 +19,7 @@ moc_status moc_step_network(const moc_problem *p, const moc_network *net, double
             weight[i] = (i < 3 ? c0 : c1) * gap[i] + y[i];
         }
         for (int j = 0; j < n; j++) {
-            double force = rho * x[j] - c2 * p->grad_mu[j];
+            double force = rho * x[j] - c2 * p->pull[j];
             for (int i = 0; i < 6; i++)
                 force += p->A[i][j] * weight[i];
             double wanted = clip(x[j] - net->k * force, p->lower[j], p->upper[j]), move = wanted - x[j];

@@ -4,6 +4,7 @@
  * the tip's. Left are the tip's three rows and the wrist's two across u: A5 = lift A, and A5^T y5 = A^T (lift^T y5). */
 #include <string.h>
 
+#include "tools.h"
 #include "vec.h"
 
 #define TIED 1e-7 /* sixth singular value of A, relative to its norm, below which tip and wrist are tied (qp/residuals.py) */
@@ -21,8 +22,11 @@ static int tool_direction(const moc_problem *p, double u[3])
     for (int i = 0; i < 6; i++)
         size += dot(n, p->A[i], p->A[i]);
     for (int i = 0; i < 3; i++)
-        for (int j = 0; j < 3; j++)
-            G[i][j] = dot(n, D[i], D[j]);
+        for (int j = 0; j < 3; j++) {
+            G[i][j] = 0.0;
+            for (int c = 0; c < n; c++) /* in order, as qp/problem.py does: D may have lost two directions */
+                G[i][j] += D[i][c] * D[j][c];
+        }
     for (int i = 0; i < 3; i++) {
         int a = (i + 1) % 3, b = (i + 2) % 3;
         minors[i] = G[a][a] * G[b][b] - G[a][b] * G[b][a];
@@ -56,7 +60,7 @@ void moc_cost(const moc_problem *p, double P[][MOC_MAX_JOINTS], double *linear)
             tip += p->A[k][i] * p->b[k];
             wrist += p->A[3 + k][i] * p->b[3 + k];
         }
-        linear[i] = -p->c0 * tip - p->c1 * wrist - p->c2 * p->grad_mu[i];
+        linear[i] = -p->c0 * tip - p->c1 * wrist - p->c2 * p->pull[i];
         for (int j = 0; j <= i; j++) {
             double of_tip = 0.0, of_wrist = 0.0;
             for (int k = 0; k < 3; k++) {

@@ -1,8 +1,92 @@
-/* What the files of the core share: elimination (exact.c), several freedoms (polytope.c), the shaft (levels.c). */
+/* What the files of the core share; moc.h is the interface. */
 #ifndef MOC_SHARED_H
 #define MOC_SHARED_H
 
 #include "moc.h"
+
+/* --- arm.c, manipulability.c --- */
+
+/* Where a joint's axes are in the world. */
+typedef struct {
+    double R[3][3]; /* rows */
+    double p[3];    /* [m] */
+} moc_frame;
+
+/* Velocity that a unit speed of one joint gives, at the world's origin. */
+typedef struct {
+    double lin[3], ang[3];
+} moc_twist;
+
+/* tip, wrist, u, span, A, mu and mu_shaft with their gradients at a finite q (n,): what needs no velocity. */
+void moc_compute_kinematics(const moc_arm *arm, const double *q, moc_terms *terms);
+
+/* All terms at q, v (n,). Returns MOC_OK, MOC_BAD_Q or MOC_BAD_V. */
+moc_status moc_compute_terms(const moc_arm *arm, const double *q, const double *v, moc_terms *terms);
+
+/* Every joint's axes in the world, frame[n]. */
+void moc_place(const moc_arm *arm, const double *q, moc_frame *frame);
+
+/* twist[n] of the placed joints. */
+void moc_twists(const moc_arm *arm, const moc_frame *frame, moc_twist *twist);
+
+/* The tool's axes x, y, z and its tip in the world, pose[4] rows. */
+void moc_tool_pose(const moc_arm *arm, const double *q, double pose[4][3]);
+
+/* Torque that carries the arm's weight (n,) [Nm]. */
+void moc_gravity(const moc_arm *arm, const double *q, double *torque);
+
+/* A point of the last joint's axes in the world. */
+void moc_point(const moc_frame *last, const double local[3], double out[3]);
+
+/* Jacobian (3,n) of a world point of the last link; joints that do not move it have columns of zeros. */
+void moc_jacobian(int n, const moc_twist *twist, const double point[3], const int *moves, double J[][MOC_MAX_JOINTS]);
+
+/* mu = sqrt(det(J J^T)) of J (3,n) alone. */
+double moc_yoshikawa(int n, double J[][MOC_MAX_JOINTS]);
+
+/* mu, and its gradient; see manipulability.c. */
+double moc_manipulability(int n, const moc_twist *twist, double J[][MOC_MAX_JOINTS], double *gradient);
+double moc_shaft_manipulability(int n, const moc_twist *twist, double A[][MOC_MAX_JOINTS], const double u[3],
+                                double *gradient);
+
+/* --- levels.c, null_space.c --- */
+
+/* Levels 1 and 2, tau_tip + tau_rcm (n,) [Nm]. */
+void moc_tracking_torque(const moc_law *law, int n, const moc_terms *t, const moc_reference *ref,
+                         const moc_trocar *trocar, double *tau);
+
+/* This tick's subproblem; pull (n,): a velocity [rad/s] that replaces the climb of mu, or NULL. */
+void moc_fill_problem(const moc_law *law, int n, const moc_terms *t, const moc_reference *ref,
+                      const moc_trocar *trocar, const double *pull, moc_problem *problem);
+
+/* x_d (n,) of the scaled climb [rad/s]; zero at a top of mu, and where the pose is singular. */
+void moc_climb(const moc_arm *arm, const moc_law *law, const moc_terms *t, double *x_d);
+
+/* N_d = X + L e, which puts the shaft through the trocar, and dN_d, for a tip at X that moves with dX. */
+void moc_desired_wrist(const double X[3], const double dX[3], const moc_trocar *trocar, double span, double N_d[3],
+                       double dN_d[3]);
+
+/* Bring the basis Z (rows, n) of ker A from the last tick's pose to this one's; 0 where that fails (a singularity). */
+int moc_follow_null_space(int n, double A[][MOC_MAX_JOINTS], const double u[3], int rows, double Z[][MOC_MAX_JOINTS]);
+
+/* A basis of ker A from scratch, turned towards Z (rows, n) where that has as many rows; returns its rows. */
+int moc_null_space(int n, double A[][MOC_MAX_JOINTS], int rows, double Z[][MOC_MAX_JOINTS]);
+
+/* tau += share M Z^T (Z M Z^T)^-1 Z (K_N2 (x - v) - D_N2 v), cut at tau_max. */
+void moc_add_third_level(const moc_law *law, int n, const moc_terms *t, const moc_memory *memory, const double *x,
+                         double *tau);
+
+/* r = K_o (p - integral(tau + C^T v - g + r)), p = M v, advanced by one period over which tau (n,) acted. */
+void moc_observe(int n, const moc_terms *t, const double *tau, double gain, double period, double *integral,
+                 double *r);
+
+/* Rows (returned) of any basis of ker A; a row of A that is neither repeated nor independent counts as repeated. */
+int moc_kernel(int n, double A[][MOC_MAX_JOINTS], double rows[][MOC_MAX_JOINTS]);
+
+/* Weight of grad mu_shaft beside grad mu [m]. */
+double moc_shaft_push(double mu_shaft, double margin);
+
+/* --- exact.c, polytope.c --- */
 
 /* A x = b, eliminated: row pivot[k] reads x[joint[k]] + sum over free joints of row[.][j] x[j] = from[.][RIGHT]. */
 typedef struct {
@@ -16,12 +100,6 @@ typedef struct {
 
 enum { RIGHT = 6 };
 
-/* Rows (returned) of any basis of ker A; a row of A that is neither repeated nor independent counts as repeated. */
-int moc_kernel(int n, double A[][MOC_MAX_JOINTS], double rows[][MOC_MAX_JOINTS]);
-
-/* Weight of grad mu_shaft beside grad mu [m]. */
-double moc_shaft_push(double mu_shaft, double margin);
-
 /* How all joints move along A x = b when free joint number k moves by one: z (n,). */
 void moc_direction(const moc_plane *plane, int n, int k, double *z);
 
@@ -29,5 +107,54 @@ void moc_direction(const moc_plane *plane, int n, int k, double *z);
  * force (n,): the multipliers of the active bounds are added to it. */
 moc_status moc_solve_several(const moc_plane *plane, const moc_problem *problem, double tolerance, double *x,
                              double *force);
+
+/* --- answer.c --- */
+
+typedef struct {
+    double primal;   /* |A x - b|_inf; NaN where x is not finite [m/s] */
+    double outside;  /* violation of the box [rad/s] */
+    double natural;  /* natural residual along the self-motion, the cost scaled to slope one [rad/s] */
+    double off;      /* distance from the optimum [rad/s] */
+    double opposite; /* and from that of the opposite gradient [rad/s] */
+} moc_residuals;
+
+/* Judge x (n,) on the self-motion that Z leaves; see answer.c. */
+moc_residuals moc_judge(const moc_problem *problem, int rows, double Z[][MOC_MAX_JOINTS], const double *x);
+
+/* The smallest self-motion that brings the arm's other motion into the box (n,) [rad/s]; zero where none does. */
+void moc_retreat(const moc_problem *problem, int rows, double Z[][MOC_MAX_JOINTS], double *motion);
+
+/* The x of the box with the least |A x - b| [rad/s]. */
+void moc_least_violation(const moc_problem *problem, double *x);
+
+/* Check an answer and write the x (n,) that the arm follows. */
+moc_fault moc_supervise(const moc_supervision *s, const moc_problem *problem, const moc_answer *answer,
+                        moc_memory *memory, double *x);
+
+/* --- guard.c --- */
+
+/* Begin at a finite q, v (n,), measurement number `stamp`. */
+void moc_guard_start(const moc_guard *g, int n, const double *q, const double *v, long long stamp, moc_watch *w);
+
+/* Judge a measurement; watch->q, v are then what to believe. trocar: NULL where the arm is in no incision. */
+moc_stop moc_guard_believe(const moc_guard *g, const moc_arm *arm, const moc_measurement *m, const moc_trocar *trocar,
+                           moc_watch *w);
+
+/* Judge the tip (NULL: not known) and the motion (terms of watch->q, v; NULL: not known), then cut tau (n,) in place.
+ * before (n,): torque of the last tick. tau stays as it was where it is not finite. */
+moc_stop moc_guard_follow(const moc_guard *g, const moc_arm *arm, const moc_terms *t, const double *tip,
+                          const double *tip_ref, const double *before, double *tau, moc_watch *w);
+
+/* The torque of a damped stop: the weight of the arm in the last pose believed, reached at the torque rate. */
+void moc_guard_rest(const moc_guard *g, const moc_arm *arm, const double *before, const moc_watch *w, double *tau);
+
+/* --- step.c --- */
+
+/* moc_start and moc_begin behind the measurement: at the terms in the state. */
+void moc_start_law(const moc_controller *c, moc_state *state);
+void moc_levels(const moc_controller *c, const moc_input *in, moc_state *state);
+
+/* The answer of moc_solve_exact to the subproblem in the state, where its x, multipliers and status are kept. */
+moc_answer moc_ask_exact(const moc_controller *c, moc_state *state);
 
 #endif

@@ -1,50 +1,51 @@
-/* One tick: of the law, before and after any solver; and of the whole controller, with `exact` and the safety filter. */
+/* One tick: measurement, terms, levels 1 and 2 and the subproblem; then any solver; then its answer and the torque. */
 #include <string.h>
 
 #include "vec.h"
 
-void moc_start(const moc_law *law, int n, const moc_terms *t, moc_memory *memory)
+/* --- the law at the terms in the state --- */
+
+void moc_start_law(const moc_controller *c, moc_state *s)
 {
-    (void)law;
+    moc_memory *memory = &s->memory;
+    moc_terms *t = &s->terms;
+    int n = c->arm->n;
+
     memset(memory, 0, sizeof *memory);
-    memory->rows = moc_null_space(n, ((moc_terms *)t)->A, 0, memory->Z);
+    memory->rows = moc_null_space(n, t->A, 0, memory->Z);
     for (int i = 0; i < n; i++) {
         memory->integral[i] = dot(n, t->M[i], t->v); /* the momentum: no external torque so far */
         memory->tau[i] = t->h[i];
     }
+    s->reason = MOC_RUNNING;
+    s->begun = MOC_BEGUN;
 }
 
-void moc_begin(const moc_arm *arm, const moc_law *law, const moc_terms *t, const moc_reference *ref,
-               const moc_trocar *trocar, const double *pull, moc_memory *memory, moc_problem *problem, double *tau)
+void moc_levels(const moc_controller *c, const moc_input *in, moc_state *s)
 {
+    const moc_law *law = c->law;
+    moc_memory *memory = &s->memory;
+    moc_terms *t = &s->terms;
+    const double *pull = in->pull;
     double climb[MOC_MAX_JOINTS];
-    int n = arm->n;
+    int n = c->arm->n;
 
     if (law->observer_gain > 0.0) /* friction and model error, from the last torque */
         moc_observe(n, t, memory->tau, law->observer_gain, law->period, memory->integral, memory->external);
-    moc_tracking_torque(law, n, t, ref, trocar, tau);
+    moc_tracking_torque(law, n, t, &in->ref, &in->trocar, s->tau);
     for (int i = 0; i < n; i++)
-        tau[i] -= memory->external[i];
+        s->tau[i] -= memory->external[i];
     if (!law->third_level && !law->damped)
         return;
-    if (!moc_follow_null_space(n, ((moc_terms *)t)->A, t->u, memory->rows, memory->Z))
-        memory->rows = moc_null_space(n, ((moc_terms *)t)->A, memory->rows, memory->Z);
+    if (!moc_follow_null_space(n, t->A, t->u, memory->rows, memory->Z))
+        memory->rows = moc_null_space(n, t->A, memory->rows, memory->Z);
     if (!law->third_level)
         return;
     if (pull == NULL && law->climbs) {
-        moc_climb(arm, law, t, climb);
+        moc_climb(c->arm, law, t, climb);
         pull = climb;
     }
-    moc_fill_problem(law, n, t, ref, trocar, pull, problem);
-}
-
-void moc_finish(const moc_law *law, int n, const moc_terms *t, const double *x, moc_memory *memory, double *tau)
-{
-    static const double rest[MOC_MAX_JOINTS];
-
-    memory->share = law->third_level ? fmin(1.0, memory->share + law->fade) : 1.0;
-    moc_add_third_level(law, n, t, memory, x ? x : rest, tau);
-    memcpy(memory->tau, tau, (unsigned)n * sizeof *tau);
+    moc_fill_problem(law, n, t, &in->ref, &in->trocar, pull, &s->problem);
 }
 
 /* --- the whole controller --- */
@@ -57,56 +58,36 @@ static int within(int n, const double *tau, const double *most)
     return 1;
 }
 
-moc_stop moc_begin_run(const moc_controller *c, const moc_measurement *m, moc_state *state)
+moc_stop moc_start(const moc_controller *c, const moc_measurement *m, moc_state *s)
 {
     int n = c->arm->n;
 
-    memset(state, 0, sizeof *state);
-    state->reason = MOC_STOP_NOT_STARTED;
-    if (!within(n, m->applied, c->guard->tau_max) || moc_compute_terms(c->arm, m->q, m->v, &state->terms) != MOC_OK)
-        return state->reason;
-    moc_start(c->law, n, &state->terms, &state->memory);
-    moc_guard_start(c->guard, n, m->q, m->v, m->stamp, &state->watch);
-    memcpy(state->sent, m->applied, (unsigned)n * sizeof *state->sent);
-    state->begun = MOC_BEGUN;
-    return state->reason = MOC_RUNNING;
+    memset(s, 0, sizeof *s);
+    s->reason = MOC_STOP_NOT_STARTED;
+    if ((c->guard && !within(n, m->applied, c->guard->tau_max)) ||
+        moc_compute_terms(c->arm, m->q, m->v, &s->terms) != MOC_OK)
+        return s->reason;
+    moc_start_law(c, s);
+    if (c->guard)
+        moc_guard_start(c->guard, n, m->q, m->v, m->stamp, &s->watch);
+    memcpy(s->sent, m->applied, (unsigned)n * sizeof *s->sent);
+    return s->reason;
 }
 
-/* The law's torque at the pose that is believed. */
-static moc_stop compute(const moc_controller *c, const moc_reference *ref, const moc_trocar *trocar, moc_state *s,
-                        double *tau)
+/* What the arm is believed to do, in the watch; the torque that acted, in the memory. */
+static void believe(const moc_controller *c, const moc_input *in, moc_state *s)
 {
-    const moc_claim claims[] = {MOC_CLAIMS_OPTIMUM, MOC_CLAIMS_INFEASIBLE, MOC_GIVES_NONE};
-    moc_terms *t = &s->terms;
-
-    if (moc_compute_terms(c->arm, s->watch.q, s->watch.v, t) != MOC_OK)
-        return MOC_STOP_STATE;
-    moc_begin(c->arm, c->law, t, ref, trocar, NULL, &s->memory, &s->problem, tau);
-    if (c->law->third_level) {
-        s->status = moc_solve_exact(&s->problem, c->tolerance, s->answer, s->y);
-        s->fault = moc_supervise(c->supervision, &s->problem, MOC_TAKEN, claims[s->status], s->answer, 0.0, &s->memory,
-                                 s->x);
-    }
-    moc_finish(c->law, c->arm->n, t, c->law->third_level ? s->x : NULL, &s->memory, tau);
-    moc_stop found = moc_guard_follow(c->guard, c->arm, t, t->tip, ref->X, s->sent, tau, &s->watch);
-    if (s->watch.limited) /* the observer takes what went out */
-        memcpy(s->memory.tau, tau, (unsigned)c->arm->n * sizeof *tau);
-    return found;
-}
-
-moc_stop moc_step(const moc_controller *c, const moc_measurement *m, const moc_reference *ref,
-                  const moc_trocar *trocar, moc_state *s, double *tau)
-{
+    moc_measurement seen = in->measured;
     int n = c->arm->n;
-    moc_measurement seen = *m;
 
-    if (s->begun != MOC_BEGUN) {
-        memset(tau, 0, (unsigned)n * sizeof *tau);
-        return MOC_STOP_NOT_STARTED;
+    if (seen.applied && memcmp(seen.applied, s->sent, (unsigned)n * sizeof *s->sent) != 0) {
+        memcpy(s->sent, seen.applied, (unsigned)n * sizeof *s->sent);
+        memcpy(s->memory.tau, seen.applied, (unsigned)n * sizeof *s->sent);
     }
-    if (m->applied && memcmp(m->applied, s->sent, (unsigned)n * sizeof *tau) != 0) {
-        memcpy(s->sent, m->applied, (unsigned)n * sizeof *tau);
-        memcpy(s->memory.tau, m->applied, (unsigned)n * sizeof *tau);
+    if (!c->guard) {
+        memcpy(s->watch.q, seen.q, (unsigned)n * sizeof *s->watch.q);
+        memcpy(s->watch.v, seen.v, (unsigned)n * sizeof *s->watch.v);
+        return;
     }
     if (s->memory.rows < 0 || s->memory.rows > n || !within(n, s->sent, c->guard->tau_max)) {
         s->reason = s->reason == MOC_RUNNING ? MOC_STOP_STATE : s->reason;
@@ -115,13 +96,74 @@ moc_stop moc_step(const moc_controller *c, const moc_measurement *m, const moc_r
     }
     seen.applied = s->sent;
     if (s->reason == MOC_RUNNING)
-        s->reason = moc_guard_believe(c->guard, c->arm, &seen, trocar, &s->watch);
+        s->reason = moc_guard_believe(c->guard, c->arm, &seen, &in->trocar, &s->watch);
+}
+
+moc_stop moc_begin(const moc_controller *c, const moc_input *in, moc_state *s)
+{
+    if (s->begun != MOC_BEGUN)
+        return MOC_STOP_NOT_STARTED;
+    memcpy(s->told, in->ref.X, sizeof s->told);
+    believe(c, in, s);
+    if (s->reason == MOC_RUNNING && moc_compute_terms(c->arm, s->watch.q, s->watch.v, &s->terms) != MOC_OK)
+        s->reason = MOC_STOP_STATE;
     if (s->reason == MOC_RUNNING)
-        s->reason = compute(c, ref, trocar, s, tau);
-    if (s->reason != MOC_RUNNING) {
-        moc_guard_rest(c->guard, c->arm, s->sent, &s->watch, tau);
+        moc_levels(c, in, s);
+    return s->reason;
+}
+
+/* The third level, which follows the answer or what replaces it, and what the safety filter leaves of the torque. */
+static moc_stop complete(const moc_controller *c, const moc_answer *answer, moc_state *s)
+{
+    static const double rest[MOC_MAX_JOINTS];
+    const moc_law *law = c->law;
+    moc_memory *memory = &s->memory;
+    unsigned bytes = (unsigned)c->arm->n * sizeof *s->tau;
+
+    if (law->third_level)
+        s->fault = moc_supervise(c->supervision, &s->problem, answer, memory, s->x);
+    memory->share = law->third_level ? fmin(1.0, memory->share + law->fade) : 1.0;
+    moc_add_third_level(law, c->arm->n, &s->terms, memory, law->third_level ? s->x : rest, s->tau);
+    memcpy(memory->tau, s->tau, bytes);
+    if (!c->guard)
+        return MOC_RUNNING;
+    moc_stop reason = moc_guard_follow(c->guard, c->arm, &s->terms, s->terms.tip, s->told, s->sent, s->tau, &s->watch);
+    if (s->watch.limited) /* the observer takes what went out */
+        memcpy(memory->tau, s->tau, bytes);
+    return reason;
+}
+
+moc_stop moc_finish(const moc_controller *c, const moc_answer *answer, moc_state *s, double *tau)
+{
+    unsigned bytes = (unsigned)c->arm->n * sizeof *tau;
+
+    if (s->begun != MOC_BEGUN) {
+        memset(tau, 0, bytes);
+        return MOC_STOP_NOT_STARTED;
+    }
+    if (s->reason == MOC_RUNNING)
+        s->reason = complete(c, answer, s);
+    if (s->reason != MOC_RUNNING && c->guard) {
+        moc_guard_rest(c->guard, c->arm, s->sent, &s->watch, s->tau);
         s->watch.limited = 0;
     }
-    memcpy(s->sent, tau, (unsigned)n * sizeof *tau);
+    memcpy(tau, s->tau, bytes);
+    memcpy(s->sent, s->tau, bytes);
     return s->reason;
+}
+
+moc_answer moc_ask_exact(const moc_controller *c, moc_state *s)
+{
+    static const moc_claim claims[] = {MOC_CLAIMS_OPTIMUM, MOC_CLAIMS_INFEASIBLE, MOC_GIVES_NONE}; /* of a status */
+    s->status = moc_solve_exact(&s->problem, c->tolerance, s->answer, s->y);
+    return (moc_answer){s->answer, claims[s->status], MOC_TAKEN, 0.0};
+}
+
+moc_stop moc_step(const moc_controller *c, const moc_input *in, moc_state *s, double *tau)
+{
+    moc_answer answer = {s->answer, MOC_GIVES_NONE, MOC_TAKEN, 0.0};
+
+    if (moc_begin(c, in, s) == MOC_RUNNING && c->law->third_level)
+        answer = moc_ask_exact(c, s);
+    return moc_finish(c, &answer, s, tau);
 }

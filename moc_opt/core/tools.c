@@ -1,439 +1,353 @@
-/* The binding's second half: loading a library's buffers, planning, and the simulated plant. */
-#include "binding.h"
-#include "plan.h"
-#include "plant.h"
+/* The module's functions: the subproblem solved and judged, a QP library's buffers, planning, the simulated plant. */
+#include "python.h"
+
+/* --- the subproblem --- */
+
+static PyObject *solve_exact(PyObject *module, PyObject *const *args, Py_ssize_t count)
+{
+    moc_problem problem;
+    call c;
+    (void)module;
+
+    if (!TAKE(&c, 0, "solve_exact", {"record", READ, ROW}, {"tolerance", NUMBER}, {"x", WRITE, N}, {"y", WRITE, 6}))
+        return NULL;
+    moc_unpack_problem(c.array[0], c.n, &problem);
+    return whole(&c, moc_solve_exact(&problem, c.number[1], c.array[2], c.array[3]));
+}
+
+static PyObject *solve_exact_rows(PyObject *module, PyObject *const *args, Py_ssize_t count)
+{
+    call c;
+    (void)module;
+
+    if (!TAKE(&c, 0, "solve_exact_rows", {"records", READ, K, ROW}, {"tolerance", NUMBER}, {"X", WRITE, K, N},
+              {"Y", WRITE, K, 6}, {"status", WRITE, K}))
+        return NULL;
+    Py_BEGIN_ALLOW_THREADS;
+    for (Py_ssize_t i = 0; i < c.k; i++) {
+        moc_problem problem;
+        moc_unpack_problem(c.array[0] + i * (11 * c.n + 10), c.n, &problem);
+        c.array[4][i] = moc_solve_exact(&problem, c.number[1], c.array[2] + i * c.n, c.array[3] + i * 6);
+    }
+    Py_END_ALLOW_THREADS;
+    return none(&c);
+}
+
+static PyObject *step_network(PyObject *module, PyObject *const *args, Py_ssize_t count)
+{
+    moc_problem problem;
+    int made = 0;
+    call c;
+    (void)module;
+
+    if (!TAKE(&c, 0, "step_network", {"record", READ, ROW}, {"x", WRITE, N}, {"y", WRITE, 6}, {"steps", WHOLE},
+              {"h_x", NUMBER}, {"h_y", NUMBER}, {"k", NUMBER}, {"scale", NUMBER}, {"implicit", WHOLE}, {"rest", NUMBER}))
+        return NULL;
+    const moc_network net = {(int)c.whole[3], c.number[4], c.number[5], c.number[6], c.number[7], c.whole[8] != 0,
+                             c.number[9]};
+    moc_unpack_problem(c.array[0], c.n, &problem);
+    moc_status status = moc_step_network(&problem, &net, c.array[1], c.array[2], &made);
+    return moc_done(&c, Py_BuildValue("ii", (int)status, made));
+}
+
+/* Arguments 0 and 1: a record, and a basis Z (r,n) of its null space; returns r. */
+static int take_answered(const call *c, moc_problem *problem, double Z[][MOC_MAX_JOINTS])
+{
+    int rows = c->k < c->n ? (int)c->k : c->n;
+    moc_unpack_problem(c->array[0], c->n, problem);
+    for (int i = 0; i < rows; i++)
+        memcpy(Z[i], c->array[1] + i * c->n, (size_t)c->n * sizeof(double));
+    return rows;
+}
+
+static PyObject *judge(PyObject *module, PyObject *const *args, Py_ssize_t count)
+{
+    moc_problem problem;
+    double Z[MOC_MAX_JOINTS][MOC_MAX_JOINTS];
+    call c;
+    (void)module;
+
+    if (!TAKE(&c, 0, "judge", {"record", READ, ROW}, {"Z", READ, K, N}, {"x", READ, N}))
+        return NULL;
+    int rows = take_answered(&c, &problem, Z);
+    moc_residuals r = moc_judge(&problem, rows, Z, c.array[2]);
+    return moc_done(&c, Py_BuildValue("ddddd", r.primal, r.outside, r.natural, r.off, r.opposite));
+}
+
+static PyObject *retreat(PyObject *module, PyObject *const *args, Py_ssize_t count)
+{
+    moc_problem problem;
+    double Z[MOC_MAX_JOINTS][MOC_MAX_JOINTS];
+    call c;
+    (void)module;
+
+    if (!TAKE(&c, 0, "retreat", {"record", READ, ROW}, {"Z", READ, K, N}, {"x", WRITE, N}))
+        return NULL;
+    int rows = take_answered(&c, &problem, Z);
+    moc_retreat(&problem, rows, Z, c.array[2]);
+    return none(&c);
+}
+
+static PyObject *least_violation(PyObject *module, PyObject *const *args, Py_ssize_t count)
+{
+    moc_problem problem;
+    call c;
+    (void)module;
+
+    if (!TAKE(&c, 0, "least_violation", {"record", READ, ROW}, {"x", WRITE, N}))
+        return NULL;
+    moc_unpack_problem(c.array[0], c.n, &problem);
+    moc_least_violation(&problem, c.array[1]);
+    return none(&c);
+}
 
 /* --- a QP library's buffers --- */
 
-typedef struct {
-    char *base;
-    Py_ssize_t down, across; /* strides in bytes */
-} place;
-
-enum { P_, LINEAR, A_, LOW, HIGH, LOWER, UPPER, PACKED, TARGETS };
-
-typedef struct {
-    PyObject_HEAD
-    Py_buffer view[TARGETS];
-    place at[TARGETS];
-    int held, n, m, five, packed;
-    double scale, signs[3], lift[6][6];
-} Loader;
-
-static void put_at(const place *to, Py_ssize_t i, Py_ssize_t j, double value)
+static void put_at(const call *c, int argument, Py_ssize_t i, Py_ssize_t j, double value)
 {
-    memcpy(to->base + i * to->down + j * to->across, &value, sizeof value);
+    const Py_buffer *view = &c->view[c->place[argument]];
+    char *to = (char *)view->buf + i * view->strides[0] + (view->ndim > 1 ? j * view->strides[1] : 0);
+    memcpy(to, &value, sizeof value);
 }
 
-static void loader_dealloc(PyObject *object)
+static PyObject *load(PyObject *module, PyObject *const *args, Py_ssize_t count)
 {
-    Loader *self = (Loader *)object;
-    PyTypeObject *type = Py_TYPE(object);
-    freefunc release_memory = (freefunc)PyType_GetSlot(type, Py_tp_free);
-    for (int k = 0; k < self->held; k++)
-        PyBuffer_Release(&self->view[k]);
-    release_memory(object);
-    Py_DECREF(type);
-}
-
-PyDoc_STRVAR(loader_doc,
-             "Loader(five, scale, signs, P, p, A, low, high, lower, upper, packed)\n\n"
-             "Writes subproblems into a library's own arrays, float64 in any order of memory, and keeps these: P (n, n),\n"
-             "p (n,), A (m, n), low and high (m,), lower and upper (n,), packed (n (n + 1) / 2,) the upper triangle of P\n"
-             "by columns, or empty. five: the independent rows where there are such; scale: of the cost; signs (3,): of\n"
-             "p, lower and upper.");
-
-static PyObject *loader_new(PyTypeObject *type, PyObject *given, PyObject *keywords)
-{
-    static const char *const names[TARGETS] = {"P", "p", "A", "low", "high", "lower", "upper", "packed"};
-    PyObject *to[TARGETS];
-    double scale, sign[3];
-    int five;
-
-    if (keywords != NULL && PyDict_Size(keywords) > 0) {
-        PyErr_SetString(PyExc_TypeError, "Loader takes no keywords");
-        return NULL;
-    }
-    if (!PyArg_ParseTuple(given, "pd(ddd)OOOOOOOO", &five, &scale, &sign[0], &sign[1], &sign[2], &to[0], &to[1], &to[2],
-                          &to[3], &to[4], &to[5], &to[6], &to[7]))
-        return NULL;
-    allocfunc allocate = (allocfunc)PyType_GetSlot(type, Py_tp_alloc);
-    Loader *self = (Loader *)allocate(type, 0);
-    if (self == NULL)
-        return NULL;
-    self->five = five;
-    self->scale = scale;
-    memcpy(self->signs, sign, sizeof sign);
-    for (int k = 0; k < TARGETS; k++) {
-        Py_buffer *view = &self->view[k];
-        if (PyObject_GetBuffer(to[k], view, PyBUF_STRIDES | PyBUF_FORMAT | PyBUF_WRITABLE) < 0) {
-            Py_DECREF(self);
-            return NULL;
-        }
-        self->held++;
-        if (view->format == NULL || strcmp(view->format, "d") != 0 || view->ndim != (k == P_ || k == A_ ? 2 : 1)) {
-            PyErr_Format(PyExc_ValueError, "%s: give a writable array of float64 of its shape", names[k]);
-            Py_DECREF(self);
-            return NULL;
-        }
-        self->at[k] = (place){view->buf, view->strides[0], view->ndim > 1 ? view->strides[1] : 0};
-    }
-    Py_ssize_t n = self->view[P_].shape[0], m = self->view[A_].shape[0], packed = self->view[PACKED].shape[0];
-    const Py_ssize_t lengths[TARGETS] = {n, n, m, m, m, n, n, packed};
-    for (int k = 0; k < TARGETS; k++) {
-        int square = k == P_ || k == A_;
-        if (n < 1 || n > MOC_MAX_JOINTS || m < 5 || m > 6 || self->view[k].shape[0] != lengths[k] ||
-            (square && self->view[k].shape[1] != n) || (packed != 0 && packed != n * (n + 1) / 2)) {
-            PyErr_Format(PyExc_ValueError, "%s has another shape than P (n, n) and A (m, n) give it, m 5 or 6, n to %d",
-                         names[k], MOC_MAX_JOINTS);
-            Py_DECREF(self);
-            return NULL;
-        }
-    }
-    self->n = (int)n;
-    self->m = (int)m;
-    self->packed = packed > 0;
-    return (PyObject *)self;
-}
-
-PyDoc_STRVAR(load_doc, "load(record) -> bool\n\nWrite a subproblem; False where it has another shape.");
-
-static PyObject *loader_load(PyObject *object, PyObject *const *args, Py_ssize_t count)
-{
-    Loader *self = (Loader *)object;
-    arrays held = {.count = 0};
+    enum { FIVE = 1, SCALE, SIGNS, COST, LINEAR, ROWS, LOW, HIGH, LOWER, UPPER, PACKED, LIFT };
     moc_problem problem;
-    double *record, P[MOC_MAX_JOINTS][MOC_MAX_JOINTS], linear[MOC_MAX_JOINTS], A[6][MOC_MAX_JOINTS], b[6];
-    int n;
+    double P[MOC_MAX_JOINTS][MOC_MAX_JOINTS], linear[MOC_MAX_JOINTS], A[6][MOC_MAX_JOINTS], b[6], lift[6][6];
+    call c;
+    (void)module;
 
-    if (!count_is(count, 1, "load") || !(record = take(&held, args[0], "record", READ, ANY, 0)) ||
-        !(n = joints_of(rows_of(&held))))
-        return release(&held, NULL);
-    unpack(record, n, &problem);
-    release(&held, NULL);
-    if (n != self->n || moc_equalities(&problem, self->five, A, b, self->lift) != self->m)
-        return PyBool_FromLong(0);
+    /* p, lower and upper are multiplied by the signs; packed: the upper triangle of P by columns, or empty */
+    if (!TAKE(&c, 0, "load", {"record", READ, ROW}, {"five", WHOLE}, {"scale", NUMBER}, {"signs", READ, 3},
+              {"P", STRIDED, ANY, ANY}, {"p", STRIDED, ANY}, {"A", STRIDED, K, ANY}, {"low", STRIDED, K},
+              {"high", STRIDED, K}, {"lower", STRIDED, ANY}, {"upper", STRIDED, ANY}, {"packed", STRIDED, ANY},
+              {"lift", WRITE, K, 6}))
+        return NULL;
+    int n = c.n, m = (int)c.k, packed = rows_of(&c, PACKED) > 0;
+    double scale = c.number[SCALE];
+    const double *signs = c.array[SIGNS];
+    moc_unpack_problem(c.array[0], n, &problem);
+    for (int i = COST; i <= UPPER; i++) /* another shape than the buffers have */
+        if ((i == COST || i == LINEAR || i >= LOWER) && rows_of(&c, i) != n)
+            return moc_done(&c, PyBool_FromLong(0));
+    if (c.view[c.place[COST]].shape[1] != n || c.view[c.place[ROWS]].shape[1] != n ||
+        (packed && rows_of(&c, PACKED) != n * (n + 1) / 2) ||
+        moc_equalities(&problem, c.whole[FIVE] != 0, A, b, lift) != m)
+        return moc_done(&c, PyBool_FromLong(0));
+    memcpy(c.array[LIFT], lift, (size_t)m * sizeof *lift);
     moc_cost(&problem, P, linear);
     for (int i = 0, k = 0; i < n; i++) {
         for (int j = 0; j < n; j++)
-            put_at(&self->at[P_], i, j, self->scale * P[i][j]);
-        for (int j = 0; j <= i && self->packed; j++)
-            put_at(&self->at[PACKED], k++, 0, self->scale * P[j][i]);
-        put_at(&self->at[LINEAR], i, 0, self->scale * self->signs[0] * linear[i]);
-        put_at(&self->at[LOWER], i, 0, self->signs[1] * problem.lower[i]);
-        put_at(&self->at[UPPER], i, 0, self->signs[2] * problem.upper[i]);
+            put_at(&c, COST, i, j, scale * P[i][j]);
+        for (int j = 0; j <= i && packed; j++)
+            put_at(&c, PACKED, k++, 0, scale * P[j][i]);
+        put_at(&c, LINEAR, i, 0, scale * signs[0] * linear[i]);
+        put_at(&c, LOWER, i, 0, signs[1] * problem.lower[i]);
+        put_at(&c, UPPER, i, 0, signs[2] * problem.upper[i]);
     }
-    for (int i = 0; i < self->m; i++) {
+    for (int i = 0; i < m; i++) {
         for (int j = 0; j < n; j++)
-            put_at(&self->at[A_], i, j, A[i][j]);
-        put_at(&self->at[LOW], i, 0, b[i]);
-        put_at(&self->at[HIGH], i, 0, b[i]);
+            put_at(&c, ROWS, i, j, A[i][j]);
+        put_at(&c, LOW, i, 0, b[i]);
+        put_at(&c, HIGH, i, 0, b[i]);
     }
-    return PyBool_FromLong(1);
-}
-
-PyDoc_STRVAR(lifted_doc, "lifted(y, factor, six)\n\nWrite factor lift^T y (6,) of a library's multipliers y (m,).");
-
-static PyObject *loader_lifted(PyObject *object, PyObject *const *args, Py_ssize_t count)
-{
-    Loader *self = (Loader *)object;
-    arrays held = {.count = 0};
-    double *y, *six, factor;
-
-    if (!count_is(count, 3, "lifted"))
-        return NULL;
-    factor = PyFloat_AsDouble(args[1]);
-    if ((factor == -1.0 && PyErr_Occurred()) || !(y = take(&held, args[0], "y", READ, self->m, 0)) ||
-        !(six = take(&held, args[2], "six", WRITE, 6, 0)))
-        return release(&held, NULL);
-    for (int j = 0; j < 6; j++) {
-        double total = 0.0;
-        for (int i = 0; i < self->m; i++)
-            total += self->lift[i][j] * y[i];
-        six[j] = factor * total;
-    }
-    Py_INCREF(Py_None);
-    return release(&held, Py_None);
-}
-
-static PyMethodDef loader_methods[] = {
-    FAST("load", loader_load, load_doc), FAST("lifted", loader_lifted, lifted_doc), {NULL, NULL, 0, NULL},
-};
-
-static PyType_Slot loader_slots[] = {
-    {Py_tp_doc, (void *)loader_doc}, {Py_tp_new, loader_new}, {Py_tp_dealloc, loader_dealloc},
-    {Py_tp_methods, loader_methods}, {0, NULL},
-};
-
-static PyType_Spec loader_spec = {"moc_opt.core._core.Loader", sizeof(Loader), 0, Py_TPFLAGS_DEFAULT, loader_slots};
-
-PyDoc_STRVAR(assemble_doc, "assemble(record, five, P, p, A, b, lift) -> rows\n\n"
-                           "Write P (n, n), p (n,) and the equality rows into the first rows of A (6, n), b (6,), lift (6, 6).");
-
-static PyObject *assemble(PyObject *module, PyObject *const *args, Py_ssize_t count)
-{
-    arrays held = {.count = 0};
-    moc_problem problem;
-    double *record, *P, *p, *A, *b, *lift, full[MOC_MAX_JOINTS][MOC_MAX_JOINTS], rows[6][MOC_MAX_JOINTS];
-    int n;
-    (void)module;
-
-    if (!count_is(count, 7, "assemble") || !(record = take(&held, args[0], "record", READ, ANY, 0)) ||
-        !(n = joints_of(rows_of(&held))) || !(P = take(&held, args[2], "P", WRITE, n, n)) ||
-        !(p = take(&held, args[3], "p", WRITE, n, 0)) || !(A = take(&held, args[4], "A", WRITE, 6, n)) ||
-        !(b = take(&held, args[5], "b", WRITE, 6, 0)) || !(lift = take(&held, args[6], "lift", WRITE, 6, 6)))
-        return release(&held, NULL);
-    unpack(record, n, &problem);
-    moc_cost(&problem, full, p);
-    int m = moc_equalities(&problem, PyObject_IsTrue(args[1]), rows, b, (double(*)[6])lift);
-    for (int i = 0; i < n; i++)
-        memcpy(P + i * n, full[i], (size_t)n * sizeof *P);
-    for (int i = 0; i < m; i++)
-        memcpy(A + i * n, rows[i], (size_t)n * sizeof *A);
-    return release(&held, PyLong_FromLong(m));
+    return moc_done(&c, PyBool_FromLong(1));
 }
 
 /* --- planning --- */
 
-/* arm, low (n,), high (n,), target (2, 3), and active: joint numbers as float64, or None. 0 with an exception. */
-static int take_task(arrays *held, PyObject *const *args, plan_task *task)
+/* Arguments 1 to 4 of the functions below; 0 with an exception. */
+static int take_task(const call *c, const moc_arm *arm, plan_task *task)
 {
-    double *target, *active = NULL;
-    int n;
-
-    if (!(task->arm = arm_of(args[0])) || !(n = task->arm->n) || !(task->low = take(held, args[1], "low", READ, n, 0)) ||
-        !(task->high = take(held, args[2], "high", READ, n, 0)) ||
-        !(target = take(held, args[3], "target", READ, 2, 3)) ||
-        (args[4] != Py_None && !(active = take(held, args[4], "active", READ, ANY, 0))))
-        return 0;
-    memcpy(task->target, target, sizeof task->target);
-    task->count = active ? (int)rows_of(held) : 0;
+    task->arm = arm;
+    task->low = c->array[1];
+    task->high = c->array[2];
+    memcpy(task->target, c->array[3], sizeof task->target);
+    task->count = c->array[4] ? rows_of(c, 4) : 0;
     for (int i = 0; i < task->count; i++) {
-        if (task->count > n || !(active[i] >= 0.0 && active[i] < n)) {
-            PyErr_Format(PyExc_ValueError, "active: give numbers of joints from 0 to %d", n - 1);
+        if (task->count > arm->n || !(c->array[4][i] >= 0.0 && c->array[4][i] < arm->n)) {
+            PyErr_Format(PyExc_ValueError, "active: give numbers of joints from 0 to %d", arm->n - 1);
             return 0;
         }
-        task->active[i] = (int)active[i];
+        task->active[i] = (int)c->array[4][i];
     }
-    return n;
+    return 1;
 }
 
-PyDoc_STRVAR(follow_curve_doc,
-             "follow_curve(arm, low, high, target, active, q, tangent, step, s, poses, mus) -> (count, end)\n\n"
-             "Samples of a self-motion from q on along the tangent; s (k,), poses (k, n), mus (k,). See plan.h.");
+/* The arm that is the first argument of a call; NULL with an exception. */
+static const moc_arm *first_arm(PyObject *const *args, Py_ssize_t count)
+{
+    if (count > 0)
+        return moc_arm_of(args[0]);
+    PyErr_SetString(PyExc_TypeError, "arm: give a moc_opt.core.Arm");
+    return NULL;
+}
+
+#define TASK {"arm", OBJECT}, {"low", READ, N}, {"high", READ, N}, {"target", READ, 2, 3}, {"active", MAYBE, ANY}
 
 static PyObject *follow_curve(PyObject *module, PyObject *const *args, Py_ssize_t count)
 {
-    arrays held = {.count = 0};
+    const moc_arm *arm = first_arm(args, count);
     plan_task task;
     plan_end end;
-    double *q, *tangent, *s, *poses, *mus;
-    int n;
+    call c;
     (void)module;
 
-    if (!count_is(count, 11, "follow_curve") || !(n = take_task(&held, args, &task)) ||
-        !(q = take(&held, args[5], "q", READ, n, 0)) || !(tangent = take(&held, args[6], "tangent", READ, n, 0)) ||
-        !(s = take(&held, args[8], "s", WRITE, ANY, 0)))
-        return release(&held, NULL);
-    Py_ssize_t most = rows_of(&held);
-    double step = PyFloat_AsDouble(args[7]);
-    if ((step == -1.0 && PyErr_Occurred()) || !(poses = take(&held, args[9], "poses", WRITE, most, n)) ||
-        !(mus = take(&held, args[10], "mus", WRITE, most, 0)))
-        return release(&held, NULL);
-    if (most < 2 || most > INT_MAX / n) {
-        PyErr_Format(PyExc_ValueError, "s has %zd entries: give 2 or more", most);
-        return release(&held, NULL);
+    if (arm == NULL || !TAKE(&c, arm->n, "follow_curve", TASK, {"q", READ, N}, {"tangent", READ, N}, {"step", NUMBER},
+                             {"s", WRITE, K}, {"poses", WRITE, K, N}, {"mus", WRITE, K}))
+        return NULL;
+    if (!take_task(&c, arm, &task))
+        return moc_done(&c, NULL);
+    if (c.k < 2 || c.k > INT_MAX / arm->n) {
+        PyErr_Format(PyExc_ValueError, "s has %zd entries: give 2 or more", c.k);
+        return moc_done(&c, NULL);
     }
-    int found = plan_follow(&task, q, tangent, step, (int)most, s, poses, mus, &end);
-    return release(&held, Py_BuildValue("ii", found, (int)end));
+    int found = plan_follow(&task, c.array[5], c.array[6], c.number[7], (int)c.k, c.array[8], c.array[9], c.array[10],
+                            &end);
+    return moc_done(&c, Py_BuildValue("ii", found, (int)end));
 }
-
-PyDoc_STRVAR(onto_curve_doc, "onto_curve(arm, low, high, target, active, q, along, pose) -> bool\n\n"
-                             "The pose (n,) on the curve across the unit vector along (n,) from q, inside the limits.");
 
 static PyObject *onto_curve(PyObject *module, PyObject *const *args, Py_ssize_t count)
 {
-    arrays held = {.count = 0};
+    const moc_arm *arm = first_arm(args, count);
     plan_task task;
-    double *q, *along, *pose;
-    int n;
+    call c;
     (void)module;
 
-    if (!count_is(count, 8, "onto_curve") || !(n = take_task(&held, args, &task)) ||
-        !(q = take(&held, args[5], "q", READ, n, 0)) || !(along = take(&held, args[6], "along", READ, n, 0)) ||
-        !(pose = take(&held, args[7], "pose", WRITE, n, 0)))
-        return release(&held, NULL);
-    return release(&held, PyBool_FromLong(plan_correct(&task, q, along, pose)));
+    if (arm == NULL ||
+        !TAKE(&c, arm->n, "onto_curve", TASK, {"q", READ, N}, {"along", READ, N}, {"pose", WRITE, N}))
+        return NULL;
+    if (!take_task(&c, arm, &task))
+        return moc_done(&c, NULL);
+    return moc_done(&c, PyBool_FromLong(plan_correct(&task, c.array[5], c.array[6], c.array[7])));
 }
-
-PyDoc_STRVAR(ascend_doc, "ascend(arm, low, high, target, None, starts, mus)\n\n"
-                         "Climb from every start (k, n), in place, to a local maximum of mu (k,); -1: no pose.");
 
 static PyObject *ascend(PyObject *module, PyObject *const *args, Py_ssize_t count)
 {
-    arrays held = {.count = 0};
+    const moc_arm *arm = first_arm(args, count);
     plan_task task;
-    double *starts, *mus;
-    int n;
+    call c;
     (void)module;
 
-    if (!count_is(count, 7, "ascend") || !(n = take_task(&held, args, &task)) ||
-        !(starts = take(&held, args[5], "starts", WRITE, ANY, n)))
-        return release(&held, NULL);
-    Py_ssize_t k = rows_of(&held);
-    if (!(mus = take(&held, args[6], "mus", WRITE, k, 0)))
-        return release(&held, NULL);
+    if (arm == NULL || !TAKE(&c, arm->n, "ascend", TASK, {"starts", WRITE, K, N}, {"mus", WRITE, K}))
+        return NULL;
+    if (!take_task(&c, arm, &task))
+        return moc_done(&c, NULL);
     Py_BEGIN_ALLOW_THREADS;
-    for (Py_ssize_t i = 0; i < k; i++)
-        mus[i] = plan_ascend(&task, starts + i * n);
+    for (Py_ssize_t i = 0; i < c.k; i++)
+        c.array[6][i] = plan_ascend(&task, c.array[5] + i * arm->n);
     Py_END_ALLOW_THREADS;
-    Py_INCREF(Py_None);
-    return release(&held, Py_None);
+    return none(&c);
 }
-
-PyDoc_STRVAR(advance_doc,
-             "advance(branches, q, slack, gain, q_next, slack_next, value_next, step, crossing, price, worst, value, room)\n\n"
-             "One step of a value function, see plan.h; poses are rows (branches m, n), gain and value (branches m,).");
 
 static PyObject *advance(PyObject *module, PyObject *const *args, Py_ssize_t count)
 {
-    arrays held = {.count = 0};
-    plan_stage t;
-    double *crossing, *value, *room;
+    call c;
     (void)module;
 
-    if (!count_is(count, 13, "advance") || !(t.step = take(&held, args[7], "step", READ, ANY, 0)))
-        return release(&held, NULL);
-    Py_ssize_t n = rows_of(&held), rows, after, m;
-    if (!(t.q = take(&held, args[1], "q", READ, ANY, n)))
-        return release(&held, NULL);
-    rows = rows_of(&held);
-    if (!(t.slack = take(&held, args[2], "slack", READ, rows, n)) || !(t.gain = take(&held, args[3], "gain", READ, rows, 0)) ||
-        !(t.q_next = take(&held, args[4], "q_next", READ, ANY, n)))
-        return release(&held, NULL);
-    after = rows_of(&held);
-    if (!(t.slack_next = take(&held, args[5], "slack_next", READ, after, n)) ||
-        !(t.value_next = take(&held, args[6], "value_next", READ, after, 0)) ||
-        !(crossing = take(&held, args[8], "crossing", READ, ANY, 0)))
-        return release(&held, NULL);
-    m = rows_of(&held);
-    long branches = PyLong_AsLong(args[0]);
-    t.price = PyFloat_AsDouble(args[9]);
-    t.worst = PyObject_IsTrue(args[10]);
-    if (PyErr_Occurred() || !(value = take(&held, args[11], "value", WRITE, rows, 0)))
-        return release(&held, NULL);
-    if (branches < 1 || m < 1 || rows != branches * m || after % branches != 0 || rows * n > INT_MAX ||
-        after * n > INT_MAX) {
-        PyErr_SetString(PyExc_ValueError, "advance: the rows are not those of so many branches and crossings");
-        return release(&held, NULL);
+    if (!TAKE(&c, 0, "advance", {"branches", WHOLE}, {"q", READ, K, N}, {"slack", READ, K, N}, {"gain", READ, K},
+              {"q_next", READ, ANY, N}, {"slack_next", READ, ANY, N}, {"value_next", READ, ANY}, {"step", READ, N},
+              {"crossing", READ, ANY}, {"price", NUMBER}, {"worst", WHOLE}, {"value", WRITE, K}, {"room", WRITE, ANY}))
+        return NULL;
+    Py_ssize_t branches = c.whole[0], m = rows_of(&c, 8), after = rows_of(&c, 4), next = 0, blocks = 0;
+    int fits = branches >= 1 && m >= 1 && c.k == branches * m && after % branches == 0 && rows_of(&c, 5) == after &&
+               rows_of(&c, 6) == after && c.k * c.n <= INT_MAX && after * c.n <= INT_MAX;
+    if (fits) {
+        next = after / branches;
+        blocks = (next + PLAN_BLOCK - 1) / PLAN_BLOCK;
+        fits = rows_of(&c, 12) == branches * blocks * (2 * c.n + 1);
     }
-    Py_ssize_t next = after / branches, blocks = (next + PLAN_BLOCK - 1) / PLAN_BLOCK;
-    if (!(room = take(&held, args[12], "room", WRITE, branches * blocks * (2 * n + 1), 0)))
-        return release(&held, NULL);
     for (Py_ssize_t j = 0; j < m; j++)
-        if (!(crossing[j] >= 0.0 && crossing[j] < (double)branches)) {
-            PyErr_Format(PyExc_ValueError, "crossing: give bits below the %ld branches", branches);
-            return release(&held, NULL);
-        }
-    t.branches = (int)branches;
-    t.m = (int)m;
-    t.next = (int)next;
-    t.n = (int)n;
-    t.crossing = crossing;
+        fits &= c.array[8][j] >= 0.0 && c.array[8][j] < (double)branches;
+    if (!fits) {
+        PyErr_SetString(PyExc_ValueError, "advance: the rows are not those of so many branches and crossings");
+        return moc_done(&c, NULL);
+    }
+    const plan_stage stage = {(int)branches, (int)m, (int)next, c.n, c.array[1], c.array[2], c.array[3], c.array[4],
+                              c.array[5], c.array[6], c.array[7], c.array[8], c.number[9], c.whole[10] != 0};
     Py_BEGIN_ALLOW_THREADS;
-    plan_advance(&t, room, value);
+    plan_advance(&stage, c.array[12], c.array[11]);
     Py_END_ALLOW_THREADS;
-    Py_INCREF(Py_None);
-    return release(&held, Py_None);
+    return none(&c);
 }
 
-/* --- the simulated plant --- */
+/* --- the simulated plant, and the wrist that is wanted --- */
 
-PyDoc_STRVAR(shaft_force_doc,
-             "shaft_force(tip, wrist, twist, origin, trocar, elapsed, stiffness, damping, force, point)\n\n"
-             "Write the trocar's force on the shaft and where it acts, (3,) each, world axes; see plant.h.");
+static PyObject *desired_wrist(PyObject *module, PyObject *const *args, Py_ssize_t count)
+{
+    moc_trocar trocar;
+    call c;
+    (void)module;
+
+    if (!TAKE(&c, 0, "desired_wrist", {"X", READ, 3}, {"dX", READ, 3}, {"trocar", READ, 2, 3}, {"span", NUMBER},
+              {"out", WRITE, 2, 3}))
+        return NULL;
+    memcpy(&trocar, c.array[2], sizeof trocar);
+    moc_desired_wrist(c.array[0], c.array[1], &trocar, c.number[3], c.array[4], c.array[4] + 3);
+    return none(&c);
+}
 
 static PyObject *shaft_force(PyObject *module, PyObject *const *args, Py_ssize_t count)
 {
-    arrays held = {.count = 0};
-    double *tip, *wrist, *twist, *origin, *trocar, *force, *point, number[3];
+    call c;
     (void)module;
 
-    if (!count_is(count, 10, "shaft_force"))
+    if (!TAKE(&c, 0, "shaft_force", {"tip", READ, 3}, {"wrist", READ, 3}, {"twist", READ, 6}, {"origin", READ, 3},
+              {"trocar", READ, 2, 3}, {"elapsed", NUMBER}, {"stiffness", NUMBER}, {"damping", NUMBER},
+              {"force", WRITE, 3}, {"point", WRITE, 3}))
         return NULL;
-    for (int k = 0; k < 3; k++)
-        number[k] = PyFloat_AsDouble(args[5 + k]);
-    if (PyErr_Occurred() || !(tip = take(&held, args[0], "tip", READ, 3, 0)) ||
-        !(wrist = take(&held, args[1], "wrist", READ, 3, 0)) || !(twist = take(&held, args[2], "twist", READ, 6, 0)) ||
-        !(origin = take(&held, args[3], "origin", READ, 3, 0)) || !(trocar = take(&held, args[4], "trocar", READ, 2, 3)) ||
-        !(force = take(&held, args[8], "force", WRITE, 3, 0)) || !(point = take(&held, args[9], "point", WRITE, 3, 0)))
-        return release(&held, NULL);
-    plant_shaft_force(tip, wrist, twist, origin, trocar, number[0], number[1], number[2], force, point);
-    Py_INCREF(Py_None);
-    return release(&held, Py_None);
+    plant_shaft_force(c.array[0], c.array[1], c.array[2], c.array[3], c.array[4], c.number[5], c.number[6], c.number[7],
+                      c.array[8], c.array[9]);
+    return none(&c);
 }
-
-PyDoc_STRVAR(add_force_doc, "add_force(wrench, force, point, com)\n\n"
-                            "Add a force (3,) at a point (3,) to a body's wrench (6,) about its centre of mass (3,).");
 
 static PyObject *add_force(PyObject *module, PyObject *const *args, Py_ssize_t count)
 {
-    arrays held = {.count = 0};
-    double *wrench, *force, *point, *com;
+    call c;
     (void)module;
 
-    if (!count_is(count, 4, "add_force") || !(wrench = take(&held, args[0], "wrench", WRITE, 6, 0)) ||
-        !(force = take(&held, args[1], "force", READ, 3, 0)) || !(point = take(&held, args[2], "point", READ, 3, 0)) ||
-        !(com = take(&held, args[3], "com", READ, 3, 0)))
-        return release(&held, NULL);
-    plant_add_force(wrench, force, point, com);
-    Py_INCREF(Py_None);
-    return release(&held, Py_None);
+    if (!TAKE(&c, 0, "add_force", {"wrench", WRITE, 6}, {"force", READ, 3}, {"point", READ, 3}, {"com", READ, 3}))
+        return NULL;
+    plant_add_force(c.array[0], c.array[1], c.array[2], c.array[3]);
+    return none(&c);
 }
-
-PyDoc_STRVAR(read_encoders_doc, "read_encoders(q, v, noise, memory, resolution, period, gain, exact, reading)\n\n"
-                                "Write positions, then velocities, into reading (2 n,); memory (3, n) goes on. See plant.h.");
 
 static PyObject *read_encoders(PyObject *module, PyObject *const *args, Py_ssize_t count)
 {
-    arrays held = {.count = 0};
-    plant_encoders e;
-    double *q, *v, *noise, *memory, *reading;
+    call c;
     (void)module;
 
-    if (!count_is(count, 9, "read_encoders") || !(q = take(&held, args[0], "q", READ, ANY, 0)))
-        return release(&held, NULL);
-    Py_ssize_t n = rows_of(&held);
-    e.resolution = PyFloat_AsDouble(args[4]);
-    e.period = PyFloat_AsDouble(args[5]);
-    e.gain = PyFloat_AsDouble(args[6]);
-    e.exact = PyObject_IsTrue(args[7]);
-    if (PyErr_Occurred() || !(v = take(&held, args[1], "v", READ, n, 0)) ||
-        !(noise = take(&held, args[2], "noise", READ, n, 0)) || !(memory = take(&held, args[3], "memory", WRITE, 3, n)) ||
-        !(reading = take(&held, args[8], "reading", WRITE, 2 * n, 0)))
-        return release(&held, NULL);
-    plant_read_encoders(&e, (int)n, q, v, noise, memory, reading);
-    Py_INCREF(Py_None);
-    return release(&held, Py_None);
+    if (!TAKE(&c, 0, "read_encoders", {"q", READ, N}, {"v", READ, N}, {"noise", READ, N}, {"memory", WRITE, 3, N},
+              {"resolution", NUMBER}, {"period", NUMBER}, {"gain", NUMBER}, {"exact", WHOLE}, {"reading", WRITE, TWICE}))
+        return NULL;
+    const plant_encoders e = {c.number[4], c.number[5], c.number[6], c.whole[7] != 0};
+    plant_read_encoders(&e, c.n, c.array[0], c.array[1], c.array[2], c.array[3], c.array[8]);
+    return none(&c);
 }
 
-static PyMethodDef tools[] = {
-    FAST("assemble", assemble, assemble_doc),
-    FAST("follow_curve", follow_curve, follow_curve_doc),
-    FAST("onto_curve", onto_curve, onto_curve_doc),
-    FAST("ascend", ascend, ascend_doc),
-    FAST("advance", advance, advance_doc),
-    FAST("shaft_force", shaft_force, shaft_force_doc),
-    FAST("add_force", add_force, add_force_doc),
-    FAST("read_encoders", read_encoders, read_encoders_doc),
+PyMethodDef moc_functions[] = {
+    FAST("solve_exact", solve_exact, "solve_exact(record, tolerance, x, y) -> status"),
+    FAST("solve_exact_rows", solve_exact_rows, "solve_exact_rows(records, tolerance, X, Y, status): without the lock"),
+    FAST("step_network", step_network,
+         "step_network(record, x, y, steps, h_x, h_y, k, scale, implicit, rest) -> (status, steps made)"),
+    FAST("judge", judge, "judge(record, Z, x) -> (primal, outside, natural, off, opposite); see answer.c"),
+    FAST("retreat", retreat, "retreat(record, Z, x): the smallest self-motion x into the box"),
+    FAST("least_violation", least_violation, "least_violation(record, x): the x of the box with the least |A x - b|"),
+    FAST("load", load, "load(record, five, scale, signs, P, p, A, low, high, lower, upper, packed, lift) -> whether the\n"
+                       "subproblem has the shape of these buffers, which hold it then; y6 = lift^T y"),
+    FAST("follow_curve", follow_curve,
+         "follow_curve(arm, low, high, target, active, q, tangent, step, s, poses, mus) -> (count, end); see tools.h"),
+    FAST("onto_curve", onto_curve, "onto_curve(arm, low, high, target, active, q, along, pose) -> bool; see tools.h"),
+    FAST("ascend", ascend, "ascend(arm, low, high, target, None, starts, mus): climb in place; see tools.h"),
+    FAST("advance", advance,
+         "advance(branches, q, slack, gain, q_next, slack_next, value_next, step, crossing, price, worst, value, room):\n"
+         "one step of a value function; see tools.h"),
+    FAST("desired_wrist", desired_wrist, "desired_wrist(X, dX, trocar, span, out): N_d and dN_d (2, 3)"),
+    FAST("shaft_force", shaft_force,
+         "shaft_force(tip, wrist, twist, origin, trocar, elapsed, stiffness, damping, force, point); see tools.h"),
+    FAST("add_force", add_force, "add_force(wrench, force, point, com): add a force at a point to a body's wrench"),
+    FAST("read_encoders", read_encoders,
+         "read_encoders(q, v, noise, memory, resolution, period, gain, exact, reading); see tools.h"),
     {NULL, NULL, 0, NULL},
 };
-
-int moc_add_tools(PyObject *module)
-{
-    PyObject *type = PyType_FromSpec(&loader_spec);
-    if (type == NULL || PyModule_AddObjectRef(module, "Loader", type) < 0)
-        return -1;
-    Py_DECREF(type);
-    return PyModule_AddFunctions(module, tools);
-}

@@ -4,7 +4,7 @@
 
 #include <math.h>
 
-#include "moc.h"
+#include "shared.h"
 
 static inline double dot3(const double a[3], const double b[3])
 {
@@ -19,12 +19,15 @@ static inline void add_cross(double s, const double a[3], const double b[3], dou
     out[2] += s * (a[0] * b[1] - a[1] * b[0]);
 }
 
+/* Two sums, which the processor adds up side by side. */
 static inline double dot(int n, const double *a, const double *b)
 {
-    double sum = 0.0;
-    for (int i = 0; i < n; i++)
-        sum += a[i] * b[i];
-    return sum;
+    double even = 0.0, odd = 0.0;
+    for (int i = 0; i + 1 < n; i += 2) {
+        even += a[i] * b[i];
+        odd += a[i + 1] * b[i + 1];
+    }
+    return n % 2 ? even + odd + a[n - 1] * b[n - 1] : even + odd;
 }
 
 static inline int all_finite(int n, const double *x)
@@ -54,11 +57,17 @@ static inline void cholesky(int m, double S[][MOC_MAX_JOINTS], double L[][MOC_MA
     }
 }
 
-/* x (m,) becomes S^-1 x, given the factor of S. */
-static inline void solve_factored(int m, double L[][MOC_MAX_JOINTS], const double *inverse, double *x)
+/* x (m,) becomes L^-1 x. */
+static inline void solve_lower(int m, double L[][MOC_MAX_JOINTS], const double *inverse, double *x)
 {
     for (int i = 0; i < m; i++)
         x[i] = (x[i] - dot(i, L[i], x)) * inverse[i];
+}
+
+/* x (m,) becomes S^-1 x, given the factor of S. */
+static inline void solve_factored(int m, double L[][MOC_MAX_JOINTS], const double *inverse, double *x)
+{
+    solve_lower(m, L, inverse, x);
     for (int i = m - 1; i >= 0; i--) {
         for (int k = i + 1; k < m; k++)
             x[i] -= L[k][i] * x[k];

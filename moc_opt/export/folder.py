@@ -17,7 +17,7 @@ import numpy as np
 
 from moc_opt.arrays import Array
 from moc_opt.errors import ScenarioError
-from moc_opt.inputs.files import as_path, write_whole
+from moc_opt.inputs.files import as_path, check_replaceable, write_whole
 from moc_opt.robots.model import RobotModel
 
 CORE = (
@@ -26,7 +26,7 @@ CORE = (
 )  # fmt: skip
 """The files of `moc_opt/core` that `moc_step` needs."""
 TESTS = ("main.c", "Makefile", "README.md")
-UDP = ("udp.c", "wire_link.c", "wire_link.h", "wire_check.c", "wire_check.h")
+UDP = ("udp.c", "wire_packets.h")
 OWN = files("moc_opt.export") / "c"
 MARK = "Written by moc-opt export-c"
 SUPERVISION = (
@@ -101,7 +101,7 @@ def constants(
 ) -> dict[str, str]:
     """Write constants.h and constants.c, text by name; arguments as for `write`."""
     header = f"""\
-/* The scenario's numbers: moc_constants is what moc_begin_run and moc_step take. */
+/* The scenario's numbers: moc_constants is what moc_start and moc_step take. */
 #ifndef CONSTANTS_H
 #define CONSTANTS_H
 
@@ -176,19 +176,17 @@ def write(
     parts = [name for name in (*CORE, "constants.c") if name.endswith(".c")]
     texts["Makefile"] = str(texts["Makefile"]).replace("@parts@", " ".join(parts))
     folder = as_path(out, "out =", ScenarioError)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        kept = [name for name in texts if (folder / name).exists() and not _is_own(folder / name)]
-        if kept and not force:
-            raise ScenarioError(
-                f"out = {str(folder)!r}: {', '.join(kept)} there {'is' if len(kept) == 1 else 'are'} not as export-c "
-                "wrote it: name another folder, or give --force to write over it"
-            )
-        for name, text in texts.items():
-            write_whole(folder / name, text if isinstance(text, bytes) else _marked(name, text).encode())
-    except OSError as error:
-        raise ScenarioError(f"out = {str(folder)!r} cannot be written: {error}") from error
-    return [folder / name for name in texts]
+    check_replaceable(folder / "Makefile", "out =", ScenarioError)
+    kept = [name for name in texts if (folder / name).exists() and not _is_own(folder / name)]
+    if kept and not force:
+        raise ScenarioError(
+            f"out = {str(folder)!r}: {', '.join(kept)} there {'is' if len(kept) == 1 else 'are'} not as export-c "
+            "wrote it: name another folder, or give --force to write over it"
+        )
+    return [
+        write_whole(folder / name, text if isinstance(text, bytes) else _marked(name, text), "out =", ScenarioError)
+        for name, text in texts.items()
+    ]
 
 
 def _marked(name: str, text: str) -> str:

@@ -1,7 +1,5 @@
-"""Input from outside: files, names and settings, checked where they are read.
+"""Input from outside: files, names, settings and plug-ins, checked where they are read.
 
-Read first: ``settings`` (the base of every table of a TOML; errors name field, value and range). ``files`` reads and
-writes files (TOML, JSON, numpy's arrays) within limits of size, ``names`` holds the allow-list of characters and
-escapes any other text, ``plugins`` finds entry points. Any room but core, figures, qp, model and redundancy may
-import it; it imports ``errors`` alone.
+``settings`` is the base of every table of a TOML. ``files`` reads files within limits of size, and writes every file
+of the package. ``names`` says what a name may look like. ``plugins`` loads the entry points of other packages.
 """

@@ -1,4 +1,4 @@
-"""Additions of other packages by entry points: found once, loaded at first use, listed if broken."""
+"""Additions of other packages by entry points: found once, loaded at first use, listed with the reason if broken."""
 
 from __future__ import annotations
 
@@ -16,11 +16,10 @@ def plugins(group: str, look: Callable[..., Iterable[EntryPoint]] = entry_points
     return _scan(group, tuple(sys.path), look)
 
 
-@lru_cache(maxsize=24)
+@lru_cache(maxsize=24)  # a scan of a hundred packages takes 10 ms, and a sweep makes thousands of solvers
 def _scan(
     group: str, path: tuple[str, ...], look: Callable[..., Iterable[EntryPoint]]
 ) -> dict[str, list[EntryPoint]]:
-    # 10 ms for a hundred packages, and a sweep makes thousands of solvers
     found: dict[str, dict[str, EntryPoint]] = {}
     for point in look(group=group):
         found.setdefault(point.name, {}).setdefault(point.value, point)
@@ -34,19 +33,13 @@ def in_words(point: EntryPoint) -> str:
 
 
 def load(kind: str, name: str, points: list[EntryPoint], error: type[MocOptError]) -> Any:
-    """Import what an entry point names.
-
-    Args:
-        points: all that claim this name.
-        error: raised where it cannot be had.
-    """
+    """Import what the one entry point of this name names; ``error`` where it does not load, or several claim it."""
     if len(points) > 1:
         claims = " and ".join(map(in_words, points))
         raise error(f"{kind} {name!r}: {claims} claim this name: rename one, or uninstall its package")
-    (point,) = points
     try:
-        return point.load()
-    except (Exception, SystemExit) as reason:
+        return points[0].load()
+    except (Exception, SystemExit, KeyboardInterrupt) as reason:  # foreign code may raise anything
         raise error(
-            f"{kind} {name!r}: {in_words(point)} does not load: {describe(reason)}; mend or uninstall its package"
+            f"{kind} {name!r}: {in_words(points[0])} does not load: {describe(reason)}; mend or uninstall its package"
         ) from reason

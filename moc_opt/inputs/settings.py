@@ -20,12 +20,10 @@ from pydantic import (
 
 from moc_opt.errors import MocOptError, ScenarioError, UnknownNameError, is_number, shown
 from moc_opt.inputs import names
-from moc_opt.inputs.files import LARGEST_INTEGER, to_toml, wrong_size
+from moc_opt.inputs.files import LARGEST_INTEGER, to_toml, wrong_number
 
 LONGEST_S = 1e6
 """Of any time that is run, waited for or averaged over [s]: a week and a half."""
-
-_QUOTED = "a number has no quotes: drop them"
 
 Name = Annotated[str, AfterValidator(names.checked)]
 """A name that comes from a file: `moc_opt.inputs.names.RULE`."""
@@ -70,19 +68,10 @@ class Settings(BaseModel):
     @field_validator("*", mode="wrap")
     @classmethod
     def _as_written(cls, given: Any, validate: ValidatorFunctionWrapHandler, info: ValidationInfo) -> Any:
-        try:
-            value = validate(given)
-        except ValidationError:
-            meant = _without_quotes(given)
-            if meant is not None and _taken(validate, meant):
-                raise ValueError(_QUOTED) from None
-            raise
-        if wrong := _converted(given, value):
+        value, name = validate(given), info.field_name or ""
+        most = LARGEST_INTEGER if name in ("seed", "seeds") else cls.MOST
+        if wrong := _converted(given, value) or wrong_number(value, most):
             raise ValueError(wrong)
-        most = LARGEST_INTEGER if info.field_name in ("seed", "seeds") else cls.MOST
-        if wrong := wrong_size(value, most):
-            raise ValueError(wrong)
-        name = info.field_name or ""
         is_time = name == "seconds" or (name.endswith("_s") and "_per_" not in name)
         if is_time and isinstance(value, float) and value > LONGEST_S:
             raise ValueError(f"give {LONGEST_S:g} s at most")
@@ -109,30 +98,7 @@ class Settings(BaseModel):
         Args:
             values: of the table that has another one.
         """
-        return list(cls.model_fields)
-
-
-def _without_quotes(given: Any) -> Any:
-    """Return the number that a text holds, or a list with such texts as numbers; None where there is no such text."""
-    if isinstance(given, str):
-        try:
-            return float(given)
-        except ValueError:
-            return None
-    if not isinstance(given, list | tuple):
-        return None
-    meant = [_without_quotes(one) if isinstance(one, str) else None for one in given]
-    if all(one is None for one in meant):
-        return None
-    return [one if new is None else new for one, new in zip(given, meant, strict=True)]
-
-
-def _taken(validate: ValidatorFunctionWrapHandler, value: Any) -> bool:
-    try:
-        validate(value)
-    except ValidationError:
-        return False
-    return True
+        return list(dict.fromkeys([*cls.model_fields, *filter(None, [cls.MEANT_KEY])]))
 
 
 def _converted(given: Any, value: Any, where: str = "") -> str:
@@ -147,7 +113,7 @@ def _converted(given: Any, value: Any, where: str = "") -> str:
             cure = "" if flag else "give true or false, without quotes"
         elif isinstance(value, int | float):
             quoted = isinstance(given, str | bytes)
-            cure = _QUOTED if quoted else "give a number" if flag else ""
+            cure = "a number has no quotes: drop them" if quoted else "give a number" if flag else ""
         return f"{where} = {shown(given)}: {cure}" if cure and where else cure
     return next((wrong for pair in inside if (wrong := _converted(*pair))), "")
 
@@ -173,6 +139,8 @@ def explain(error: ValidationError, kind: str) -> list[str]:
         message = item["msg"].removeprefix("Value error, ")
         if isinstance(item.get("ctx", {}).get("error"), MocOptError):  # of a table inside: it names its own field
             lines.append(message if not field or message.startswith(f"[{field}]") else f"{kind} {field}: {message}")
+        elif item["type"] == "missing":
+            lines.append(f"{kind} {field} is missing: add it")
         elif field:
             lines.append(
                 f"{kind} {field} = {shown(item['input'])}: {message[0].lower()}{message[1:]}{_in_metres(field, item)}"

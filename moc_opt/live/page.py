@@ -22,16 +22,15 @@ from moc_opt.arrays import Array
 from moc_opt.errors import MocOptError
 from moc_opt.inputs.names import in_markdown
 from moc_opt.live.run import DCAC, QUANTITIES, LiveError, LiveRun, Moment
-from moc_opt.report.replay import BASE, arm_parts, velocity_ellipsoids
+from moc_opt.report.replay import BASE, arm_parts
 from moc_opt.robots.chain import link_frames
 from moc_opt.scenario import Scenario
 
 HOST, PORT = "127.0.0.1", 8642
 FRAME_S, MOST_LAG_S, PIECE_S = 0.08, 0.2, 0.02
-SHELL, TOOL, JOINT, RIM, PATH = (211, 216, 221), (95, 102, 110), (0, 114, 178), (168, 91, 69), (31, 35, 40)
-ROLES = {"shell": SHELL, "tool": TOOL, "joint": JOINT}
-ELLIPSOID = 1.0 / 6.0
-TAIL_POINTS = 160
+COLOURS = {"shell": (211, 216, 221), "tool": (95, 102, 110), "joint": (0, 114, 178)}
+RIM, PATH = (168, 91, 69), (31, 35, 40)
+ELLIPSOID, TAIL_POINTS = 1.0 / 6.0, 160
 BLUE, ORANGE, GREEN, MUTED = "#0072b2", "#d55e00", "#009e73", "#77787b"
 PLOTS: dict[str, list[tuple[str, str, float, str]]] = {
     "µ and the largest on its self-motion curve [m³]": [("mu", "µ", 1.0, BLUE), ("mu_bound", "largest", 1.0, MUTED)],
@@ -76,15 +75,14 @@ class LivePage:
         except ImportError as error:
             raise LiveError("the live page needs viser: pip install 'moc-opt[live]'") from error
         self.run = LiveRun(scenario)
-        self._pace, self._over = 1.0, Event()
-        token = secrets.token_urlsafe(24)
+        self._over, token = Event(), secrets.token_urlsafe(24)
         with redirect_stdout(io.StringIO()):  # its greeting
             self.server = viser.ViserServer(HOST, port, f"moc_opt: {title or scenario.name}", verbose=False)
         _refuse_without(token, self.server)
         address = f"{HOST}:{self.server.get_port()}"
         self.url = f"http://{address}/?websocket=ws://{address}/{token}"
         self.server.gui.configure_theme(control_width="large", show_logo=False, show_share_button=False)
-        self._scene, self._panel = LiveScene(self.server, self.run), Panel(self.server, self.run)
+        self._scene, self._panel = Scene(self.server, self.run), Panel(self.server, self.run)
 
     def __enter__(self) -> LivePage:
         """Itself."""
@@ -92,36 +90,32 @@ class LivePage:
 
     def __exit__(self, *error: object) -> None:
         """Stop the clock, then the page."""
-        self._over.set()
+        self.stop()
         with redirect_stdout(io.StringIO()):
             self.server.stop()
 
-    def wait(self, seconds: float | None = None) -> None:
-        """Run in step with the clock and keep the page up to date, until so much time is over or until `stop`.
+    def wait(self) -> None:
+        """Run in step with the clock and keep the page up to date until `stop`.
 
         A delay that is too long to catch up with is dropped, and shows in the pace.
         """
-        run, begun, owed, frame = self.run, monotonic(), 0.0, 0.0
-        before = begun
-        while not self._over.wait(max(0.0, before + PIECE_S - monotonic())):
+        run, before, owed, frame, pace = self.run, monotonic(), 0.0, 0.0, 1.0
+        while not self._over.wait(PIECE_S):
             now = monotonic()
-            if seconds is not None and now > begun + seconds:
-                return
             passed, before = now - before, now
             if self._panel.paused:
-                owed, ticks = 0.0, 0
+                owed = 0.0
             else:
-                lost = max(0.0, owed + passed - MOST_LAG_S)
-                self._pace += min(1.0, passed) * ((passed - lost) / max(passed, 1e-9) - self._pace)
-                ticks = int((owed + passed - lost) / run.period_s)
-                owed += passed - lost - ticks * run.period_s
-            if ticks or self._panel.paused:
-                run.advance(ticks)
+                kept = min(owed + passed, MOST_LAG_S) - owed
+                owed, pace = owed + kept, pace + min(1.0, passed) * (kept / max(passed, 1e-9) - pace)
+            ticks = int(owed / run.period_s)
+            owed -= ticks * run.period_s
+            run.advance(ticks)
             if now >= frame:
                 frame = now + FRAME_S
                 with self.server.atomic():
                     self._scene.update(run.moment())
-                    self._panel.update(run.moment(), self._pace)
+                    self._panel.update(run.moment(), pace)
 
     def stop(self) -> None:
         """Let `wait` come to an end."""
@@ -152,14 +146,13 @@ def _refuse_without(token: str, server: Any) -> None:
 
 
 class Panel:
-    """The side panel: sends input to the run, and shows its answers.
+    """The side panel of a viser.ViserServer: hands orders to the run and shows how it goes.
 
     Attributes:
         paused: whether the user has stopped the clock.
     """
 
     def __init__(self, server: Any, run: LiveRun) -> None:
-        """Build it; `server` is a viser.ViserServer."""
         self._server, self._run, gui = server, run, server.gui
         self.paused = False
         self._doing = RLock()  # viser calls back from many threads, in any order; setting a value calls back too
@@ -241,78 +234,69 @@ class Panel:
 
 def _empty(title: str, lines: list[tuple[str, str, float, str]]) -> dict[str, Any]:
     series = [{"label": "t [s]"}, *({"label": name, "stroke": color, "width": 1.5} for _, name, _, color in lines)]
-    axis = {"grid": {"stroke": "#e3e6e9", "width": 1}, "ticks": {"show": False}}
-    scales: dict[str, Any] = {"x": {"time": False}}
-    vertical: dict[str, Any] = {**axis, "size": 56}
-    if "µs" in title:  # one long tick must not flatten all the others
-        scales["y"] = {"distr": 3, "log": 10}
-        vertical["grid"] = {"show": False}  # it would have nine lines a decade
+    logarithmic = {"y": {"distr": 3, "log": 10}} if "µs" in title else {}  # one long tick must not flatten the others
     return {
         "data": (np.array([0.0, 1.0]), *(np.full(2, np.nan) for _ in lines)), "series": tuple(series), "title": title,
-        "height": 140, "scales": scales, "axes": (axis, vertical), "legend": {"show": len(lines) > 1},
+        "height": 140, "legend": {"show": len(lines) > 1}, "scales": {"x": {"time": False}, **logarithmic},
+        "axes": ({"ticks": {"show": False}}, {"ticks": {"show": False}, "grid": {"show": not logarithmic}, "size": 56}),
     }  # fmt: skip
 
 
-# --- the arm in three dimensions ---
-
-
-class LiveScene:
-    """Objects that are drawn once, and objects that move."""
+class Scene:
+    """The arm in three dimensions, in a viser.ViserServer: what is drawn once, and what moves."""
 
     def __init__(self, server: Any, run: LiveRun) -> None:
-        """Draw everything at the run's present moment; `server` is a viser.ViserServer."""
         self._run, scene, start = run, server.scene, run.moment()
         scene.set_up_direction("+z")
         scene.add_grid("/ground", width=2.4, height=2.4, cell_size=0.1, section_size=0.5)
         names = ("base", *run.robot.data.joint_names)
         self._links = [scene.add_frame(f"/arm/{name}", show_axes=False) for name in names]
         for k, part in enumerate(arm_parts(run.robot)):
+            along = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), np.array(part.axis)).matrix()
             scene.add_mesh_simple(
                 f"/arm/{names[part.link - BASE]}/part{k}", *lathe(np.array(part.radii), np.array(part.heights)),
-                color=ROLES[part.role], side="double", wxyz=_quaternion(_frame(np.array(part.axis))),
-                position=np.array(part.origin),
+                color=COLOURS[part.role], side="double", wxyz=_quaternion(along), position=np.array(part.origin),
             )  # fmt: skip
         turn = np.linspace(0.0, 2.0 * np.pi, 13)
         ring = lathe(0.009 - 0.002 * np.cos(turn), 0.002 * np.sin(turn))
         self._trocar = scene.add_mesh_simple("/trocar", *ring, color=RIM, side="double")
         self._ellipsoid = scene.add_icosphere(
-            "/ellipsoid", radius=1.0, color=JOINT, opacity=0.25, subdivisions=4, cast_shadow=False
+            "/ellipsoid", radius=1.0, color=COLOURS["joint"], opacity=0.25, subdivisions=4, cast_shadow=False
         )
         times = np.linspace(0.0, run.reference.one_way_s, 300)
-        asked = np.array([run.reference.rows(float(t))[0] for t in times])
-        scene.add_line_segments("/asked", _segments(asked), PATH, thickness=1.5, thickness_units="screen")
+        path = _segments(np.array([run.reference.rows(float(t))[0] for t in times]))
+        scene.add_line_segments("/asked", path, PATH, thickness=1.5, thickness_units="screen")
         self._tail = np.repeat(start.state.tip[None], TAIL_POINTS, axis=0)
         self._taken = scene.add_line_segments(
-            "/taken", _segments(self._tail), JOINT, thickness=3.5, thickness_units="screen"
+            "/taken", _segments(self._tail), COLOURS["joint"], thickness=3.5, thickness_units="screen"
         )
         middle = np.append(0.5 * start.state.tip[:2], 0.4)
         out = start.state.tip[:2] / max(float(np.linalg.norm(start.state.tip[:2])), 1e-6)
-        side = np.array([out[1], -out[0]])
-        server.initial_camera.position = np.append(middle[:2] + 1.15 * side + 0.7 * out, 0.95)
+        server.initial_camera.position = np.append(middle[:2] + 1.15 * np.array([out[1], -out[0]]) + 0.7 * out, 0.95)
         server.initial_camera.look_at = middle
         self.update(start)
 
     def update(self, moment: Moment) -> None:
         """Move everything to a moment."""
-        origins, rotations = link_frames(self._run.robot.chain, moment.state.q[None])
+        state = moment.state
+        origins, rotations = link_frames(self._run.robot.chain, state.q[None])
         for frame, origin, rotation in zip(self._links[1:], origins[0], rotations[0], strict=True):
             frame.position, frame.wxyz = origin, _quaternion(rotation)
         self._trocar.position = moment.trocar
-        values, vectors = np.linalg.eigh(velocity_ellipsoids(moment.state.J_tip[None])[0])
-        vectors[:, 0] *= np.sign(np.linalg.det(vectors))
-        self._ellipsoid.scale = tuple(ELLIPSOID * np.maximum(values, 1e-4))
-        self._ellipsoid.wxyz, self._ellipsoid.position = _quaternion(vectors), moment.state.tip
-        if np.linalg.norm(moment.state.tip - self._tail[-1]) > 5e-4:
-            self._tail = np.concatenate([self._tail[1:], moment.state.tip[None]])
+        axes, sizes, _ = np.linalg.svd(state.J_tip)  # the ellipsoid of tip velocities
+        axes[:, 0] *= np.linalg.det(axes)
+        self._ellipsoid.scale = tuple(ELLIPSOID * np.maximum(sizes, 1e-4))
+        self._ellipsoid.wxyz, self._ellipsoid.position = _quaternion(axes), state.tip
+        if np.linalg.norm(state.tip - self._tail[-1]) > 5e-4:
+            self._tail = np.concatenate([self._tail[1:], state.tip[None]])
             self._taken.points = _segments(self._tail)
 
 
 def lathe(radii: Array, heights: Array, around: int = 40) -> tuple[Array, NDArray[np.int64]]:
     """Turn a profile about z: vertices (v, 3) and triangles (f, 3)."""
     turn = 2.0 * np.pi * np.arange(around) / around
-    circle = np.stack([np.cos(turn), np.sin(turn)], axis=1)
-    rings = np.concatenate(
-        [radii[:, None, None] * circle, np.broadcast_to(heights[:, None, None], (len(radii), around, 1))], axis=2
+    rings = np.stack(
+        [np.outer(radii, np.cos(turn)), np.outer(radii, np.sin(turn)), np.outer(heights, np.ones(around))], axis=2
     )
     ring, k = np.meshgrid(np.arange(len(radii) - 1), np.arange(around), indexing="ij")
     a, b = ring * around + k, ring * around + (k + 1) % around
@@ -324,24 +308,13 @@ def _segments(points: Array) -> NDArray[np.float32]:  # (k - 1, 2, 3) pieces of 
     return np.stack([points[:-1], points[1:]], axis=1).astype(np.float32)
 
 
-def _frame(axis: Array) -> Array:
-    """Return (3, 3) a rotation whose z axis is `axis`."""
-    across = np.cross(np.eye(3)[0 if abs(axis[0]) < 0.9 else 1], axis)
-    x = across / np.linalg.norm(across)
-    return np.asarray(np.stack([x, np.cross(axis, x), axis], axis=1))
-
-
 def _quaternion(rotation: Array) -> Array:
     x, y, z, w = pin.Quaternion(np.asarray(rotation)).coeffs()
     return np.array([w, x, y, z])
 
 
 def serve(scenario: Scenario, *, port: int = PORT, title: str = "") -> int:
-    """Open the page and keep it until Ctrl-C; return the exit code.
-
-    Raises:
-        MocOptError: as `LivePage`.
-    """
+    """Open the page and keep it until Ctrl-C; return the exit code; raises as `LivePage`."""
     with LivePage(scenario, port=port, title=title) as page:
         # No exception from anywhere, which could leave a lock of the page's threads behind; a second Ctrl-C is one.
         def stop(number: int, frame: object) -> None:

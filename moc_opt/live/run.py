@@ -1,12 +1,11 @@
-"""A scenario that runs on, a few ticks at a time, while everything about it may be changed."""
+"""A scenario that runs on, a few ticks at a time, while solver, gains and trocar may be changed."""
 
 from __future__ import annotations
 
 import math
 from collections import deque
 from collections.abc import Callable
-from queue import SimpleQueue
-from threading import Lock
+from threading import Lock, RLock
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -36,15 +35,14 @@ class LiveError(ScenarioError):
 
 
 class Moment(NamedTuple):
-    """The state that a page shows: the arm's, the trocar (3,) [m], the solver (or `DCAC`) and its last claim."""
+    """What a page shows: the arm's state, the trocar (3,) [m], the solver (or `DCAC`) and its last claim."""
 
     t_s: float
     state: RobotState
     trocar: Array
     solver: str
     status: str
-    stopped: str
-    """Why the arm was stopped; empty while it runs."""
+    stopped: str  # why the arm was stopped; empty while it runs
 
 
 class Choice(NamedTuple):
@@ -69,17 +67,13 @@ class ExchangeableController:
     ) -> None:
         self._robot, self._refused, self.used = robot, refused, first
         self._decay, self._apart = math.exp(-period_s / BLEND_S), round(BLEND_S / period_s)
-        self._next: Choice | None = None
+        self.next: Choice | None = None  # taken at the next tick, or BLEND_S after the last exchange
         self.restart()
 
     @property
     def tip(self) -> Array:
         """Where the last tick saw the tip (3,) [m]: the safety filter compares it with the reference."""
         return self.state.tip
-
-    def replace(self, choice: Choice) -> None:
-        """Use another controller from the next tick on, or BLEND_S after the last exchange, if it can start there."""
-        self._next = choice
 
     def restart(self) -> None:
         """Forget the motion so far: the next tick is the first one of a run."""
@@ -93,8 +87,8 @@ class ExchangeableController:
         """Compute the torque (n,) [Nm] of the controller in use, blended with that of the one before."""
         self.state = self._robot.state(q, v)
         self._wait -= 1
-        if self._wait <= 0 and self._next is not None:
-            choice, self._next = self._next, None
+        if self._wait <= 0 and self.next is not None:
+            choice, self.next = self.next, None
             try:
                 self._take(choice, tip_ref, trocar)
             except MocOptError as error:
@@ -136,9 +130,7 @@ class ToAndFro:
         lap, within = divmod(t, self.one_way_s)
         if int(lap) % 2 == 0:
             return self._reference.rows(within)
-        rows = self._reference.rows(self.one_way_s - within)
-        rows[1] *= -1.0  # backwards in time: the velocity turns round, the acceleration does not
-        return rows
+        return self._reference.rows(self.one_way_s - within) * [[1.0], [-1.0], [1.0]]  # backwards in time
 
 
 class LiveRun:
@@ -149,63 +141,48 @@ class LiveRun:
     or, where only the running loop can tell, found in `messages`.
 
     Attributes:
+        control: the settings that were asked for last.
+        solver: the solver that was asked for last, or `DCAC`.
         messages: errors, oldest first; take them out with `popleft`.
     """
 
     def __init__(self, scenario: Scenario) -> None:
-        """Build everything, at rest at its start.
-
-        Raises:
-            MocOptError: the scenario is not usable.
-        """
+        """Build everything, at rest at its start; a MocOptError where the scenario is not usable."""
         self.scenario, self._setup = scenario, Setup(scenario)
         self.robot, self.period_s = self._setup.robot, scenario.plant.period_s
         self.reference = ToAndFro(self._setup.reference, self._setup.duration_s)
         self.messages: deque[str] = deque(maxlen=100)
-        self._todo: SimpleQueue[Callable[[], object]] = SimpleQueue()
-        self._lock, self._building = Lock(), Lock()
+        self._lock, self._building = RLock(), Lock()
         # Solvers may be built, with CasADi functions of the arm, while the loop uses its own model.
         self._workshop = RobotModel(self.robot.data)
-        self._control = scenario.control
-        self._name = scenario.solver.name if scenario.control.law == "moc" else DCAC
+        self.control = scenario.control
+        self.solver = scenario.solver.name if scenario.control.law == "moc" else DCAC
         self._rows: deque[list[float]] = deque(maxlen=round(HISTORY_S / self.period_s))
         self._truth = np.empty(2 * self.robot.n + 9)
-        first = Choice(self._build(self._control, self._name), self._name, self._control)
+        first = Choice(self._build(self.control, self.solver), self.solver, self.control)
         self._in_use = ExchangeableController(self.robot, first, self.period_s, self._refused)
         self._asked = np.zeros(3)
         self._begin()
 
     # --- what may be called from anywhere ---
 
-    control = property(lambda self: self._control, doc="The settings that were asked for last.")
-    solver = property(lambda self: self._name, doc="The solver that was asked for last, or `DCAC`.")
-
     @property
     def gains(self) -> Gains:
         """K_X .. D_N2 as numbers."""
-        return self._control.resolve_gains(self.robot.data.gains, self.robot.n)
+        return self.control.resolve_gains(self.robot.data.gains, self.robot.n)
 
     def choose(self, solver: str) -> None:
-        """Put another solver, or `DCAC`, into the third level.
-
-        Raises:
-            MocOptError: it does not exist, or cannot run here.
-        """
+        """Put another solver, or `DCAC`, into the third level; a MocOptError where it cannot run here."""
         with self._building:
-            law = self._control.matched_dcac() if solver == DCAC else {"law": "moc"}
-            self._exchange(self._control.replace(law), solver)
+            law = self.control.matched_dcac() if solver == DCAC else {"law": "moc"}
+            self._exchange(self.control.replace(law), solver)
 
     def tune(self, **settings: Any) -> None:
-        """Change settings of the control law, by the names of `ControlSettings`.
-
-        Raises:
-            UnknownNameError: a name that does not exist.
-            ControlError: a value out of range.
-        """
+        """Change settings of the control law, by the names of `ControlSettings`; a MocOptError for a wrong one."""
         with self._building:
             if "law" in settings:
                 raise LiveError("law: choose(solver) decides on it")
-            self._exchange(self._control.replace(settings), self._name)
+            self._exchange(self.control.replace(settings), self.solver)
 
     def place_trocar(self, x_m: float, y_m: float, z_m: float = 0.0) -> None:
         """Move the trocar away from where it was, world axes [m]: slowly, and the controller is told.
@@ -216,16 +193,15 @@ class LiveRun:
         for value in (x_m, y_m, z_m):
             if not is_number(value) or not abs(value) <= MOST_OFFSET_M:
                 raise LiveError(f"trocar offset = {value!r} m: give a number from {-MOST_OFFSET_M} to {MOST_OFFSET_M}")
-        self._todo.put(lambda: setattr(self, "_asked", np.array([x_m, y_m, z_m])))
+        self._asked = np.array([x_m, y_m, z_m])
 
     def reset(self) -> None:
         """Go back to the start, with solver, gains and trocar as they are."""
-        self._todo.put(self._begin)
+        self._reset = True
 
     def moment(self) -> Moment:
         """Return what there is to see now."""
-        with self._lock:
-            return self._moment
+        return self._moment
 
     def history(self, points: int = 400) -> Array:
         """Return the last `HISTORY_S` seconds (k, 8), columns as `QUANTITIES`, thinned to some `points` rows.
@@ -235,31 +211,26 @@ class LiveRun:
         with self._lock:
             rows = np.array(self._rows).reshape(-1, len(QUANTITIES))
         size = max(1, -(-len(rows) // points))
-        whole = rows[len(rows) % size :].reshape(-1, size, len(QUANTITIES))  # the oldest few are left out
-        known = np.where(np.isnan(whole), -np.inf, whole).max(axis=1)
-        return np.where(np.isinf(known), np.nan, known)
+        stretches = rows[len(rows) % size :].reshape(-1, size, len(QUANTITIES))  # the oldest few are left out
+        largest = np.where(np.isnan(stretches), -np.inf, stretches).max(axis=1)
+        return np.where(np.isinf(largest), np.nan, largest)
 
     # --- what the loop's own thread calls ---
 
     def advance(self, ticks: int) -> None:
-        """Run so many ticks, none while the arm is stopped; orders are carried out in either case."""
-        for _ in range(max(ticks, 1)):
-            self._obey()
-            if self._stopped or ticks == 0:
-                return
-            try:
+        """Run so many ticks, none while the arm is stopped; a reset is carried out in either case."""
+        try:
+            if self._reset:
+                self._begin()
+            for _ in range(ticks):
+                if self._stopped:
+                    break
                 self._tick()
-            except MocOptError as error:
-                self._halt(str(error))
-
-    def _obey(self) -> None:
-        while not self._todo.empty():  # nobody else takes anything out
-            try:
-                self._todo.get_nowait()()
-            except MocOptError as error:
-                self.messages.append(str(error))
+        except MocOptError as error:
+            self._halt(str(error))
 
     def _begin(self) -> None:
+        self._reset = False
         self._setup.plant.reset(self._setup.q_start)
         self._in_use.restart()
         self._stopped, self._bound, self._offset = "", np.nan, np.zeros(3)
@@ -311,9 +282,7 @@ class LiveRun:
     def _show(self, t: float, state: RobotState, trocar: Array) -> None:
         used = self._in_use.used
         status = "none" if used.controller.solution is None else used.controller.solution.status.label
-        moment = Moment(t, state, np.array(trocar), used.solver, status, self._stopped)
-        with self._lock:
-            self._moment = moment
+        self._moment = Moment(t, state, np.array(trocar), used.solver, status, self._stopped)
 
     def _halt(self, reason: str) -> None:
         self._stopped = f"stopped at {self._t:.2f} s: {reason}"
@@ -334,13 +303,12 @@ class LiveRun:
         gently = control.model_copy(update={"ramp_s": max(control.ramp_s, RAMP_S)})
         choice = Choice(self._build(gently, name), name, control)
         with self._lock:
-            self._control, self._name = control, name
-            self._todo.put(lambda: self._in_use.replace(choice))
+            self.control, self.solver, self._in_use.next = control, name, choice
 
     def _refused(self, choice: Choice, error: MocOptError) -> None:
         """Say that a choice cannot start, and take back that it was asked for, unless another one was since."""
         _, name, control = self._in_use.used
         with self._lock:
-            if choice.settings is self._control:
-                self._name, self._control = name, control
+            if choice.settings is self.control:
+                self.solver, self.control = name, control
         self.messages.append(f"{error}; {name} goes on")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -59,12 +59,9 @@ def lay_targets(
     reference: Reference, trocar: Trocar, span_m: float, duration_s: float, count: int,
     tool_m: float = np.inf,
 ) -> Targets:  # fmt: skip
-    """Sample the reference and the trocar at ``count`` times from 0 to the end.
+    """Sample the reference and the trocar at ``count`` times from 0 to the end of the run.
 
-    Args:
-        span_m: wrist to tip [m].
-        duration_s: end of the run [s].
-        tool_m: mount to tip [m]: only so much of the shaft can lie in the trocar.
+    ``span_m`` is from wrist to tip, ``tool_m`` from mount to tip: only so much of the shaft can lie in the trocar [m].
 
     Raises:
         TaskError: fewer than two times, or the trocar is not on the shaft at one of them.
@@ -123,10 +120,6 @@ class Course:
         """Whether it keeps targets, limits and speeds to `MOST_VIOLATION`."""
         return self.violation <= MOST_VIOLATION
 
-    def as_certified(self) -> Course:
-        """Return the same, said to be a local optimum."""
-        return replace(self, certified=True)
-
 
 @dataclass(frozen=True, eq=False)
 class Limits:
@@ -143,8 +136,7 @@ def lowered(mu: Array, share: Array, limits: Limits, top: float) -> Array:
     """Take off mu what a pose costs that nearly loses the shaft: `WORTH` top (1 - share/margin)^2 below the margin.
 
     With the tip held, the wrist is moved across the shaft by mu_shaft. Where its share of the squared lever is small
-    the joints turn fast to keep the shaft in the trocar, and what they lag of it is RCM error. ``top`` is the largest
-    mu of the map [m^3].
+    the joints turn fast to keep the shaft in the trocar, and their lag is RCM error. ``top``: largest mu [m^3].
     """
     if limits.shaft <= 0.0:
         return mu

@@ -3,10 +3,8 @@
     x_d(t) = dq_c(t) + k (q_c(t) - q),   projected on ker A by the subproblem itself
 
 q_c is the course, k the gain on its error. The course is made before the run, or again and again in it (`Planner`).
-
-An arm that is far from a course made before the run is not led back by that: the way there may turn away from it at
-first, and close to a singular pose, where one joint alone is free, the error's projection is zero at poses off the
-course. From there a planner makes it anew.
+An arm that is far from a course made before the run is not led back by k alone: close to a singular pose, where one
+joint is free, the error's projection may be zero. From there a planner makes the course anew.
 """
 
 from __future__ import annotations
@@ -27,13 +25,10 @@ GAIN_PER_S = 5.0  #: k
 NODES = 10  #: Times of the nonlinear program after the measured pose.
 CATCH_UP = 1.03  #: Factor on the speed that V assumes, allowed on the horizon, so that a late arm can catch up.
 ON_COURSE_RAD = 0.05
-"""An arm this near to its course in every joint is on it: a new one begins at the course, which the loop tracks, not at
-the measured pose. Else the delay of a solve would close a second loop, which oscillates near singular poses."""
-MOST_OFF = 1e-3
-"""Of an answer that is followed: tip or wrist off its target [m], a joint beyond a limit or its way [rad]. Levels 1 and
-2 keep tip and shaft whatever the third does."""
-LOST_RAD = 0.3
-"""Farther from its course in one joint, an arm has left it: some ten times the usual error on a course."""
+"""An arm this near to its course in every joint is on it: a new course begins on the old one, not at the measured pose.
+Else the delay of a solve would close a second loop, which oscillates near singular poses."""
+MOST_OFF = 1e-3  #: Of an answer that is followed: tip or wrist off its target [m], a joint beyond a limit [rad].
+LOST_RAD = 0.3  #: Farther from its course in one joint, an arm has left it: ten times the usual error.
 ASKED_EACH = 25  #: Ticks between two checks whether the arm has left its course.
 
 
@@ -58,9 +53,9 @@ class Piece(NamedTuple):
 
 
 class Planner:
-    """Makes the course of the next second from any pose: a way on the map, and on from there by V, made smooth.
+    """Makes the course of the next second from any pose.
 
-    The way decides which local maximum of mu to approach; the program makes a course of it that can be followed.
+    The way read off V decides which local maximum of mu to approach; the program makes a smooth course of it.
     """
 
     def __init__(
@@ -77,22 +72,19 @@ class Planner:
         """
         self._value, self._program, self._targets = value, program, targets
         self._horizon_s, self.rate_per_s = horizon_s, rate_per_s
-        self.solve_s: list[float] = []
-        """Time of every solve since the start [s]."""
-        self.refused = 0
-        """Solves since the start whose answer was not usable: the one before went on."""
+        self._solve_s: list[float] = []
+        self._refused = 0
 
     def forget(self) -> None:
         """Make the program's solver anew, for 0.15 s, so that the next run repeats one before to the last bit."""
         self._program.forget()
-        self.solve_s, self.refused = [], 0
+        self._solve_s, self._refused = [], 0
 
     @property
     def told(self) -> dict[str, float]:
         """Number of ``solves`` since the start, of those ``refused``, and their times [ms]."""
-        times = 1e3 * np.array(self.solve_s or [0.0])
-        median, high = np.percentile(times, [50.0, 99.0]).tolist()
-        return {"solves": len(self.solve_s), "refused": self.refused, "solve_ms_median": median, "solve_ms_p99": high}
+        median, high = np.percentile(1e3 * np.array(self._solve_s or [0.0]), [50.0, 99.0]).tolist()
+        return {"solves": len(self._solve_s), "refused": self._refused, "solve_ms_median": median, "solve_ms_p99": high}
 
     def plan(self, q: Array, t: float, last: Piece | None) -> Piece | None:
         """Make the course from a pose (n,) at a time [s]; the last one where none is usable, or the path is over."""
@@ -101,8 +93,8 @@ class Planner:
         if path.t_s[end] - t < 0.5 * path.period_s:
             return last
         found = self._found(q, t, end, last)
-        self.solve_s.append(time.perf_counter() - began)
-        self.refused += found is None
+        self._solve_s.append(time.perf_counter() - began)
+        self._refused += found is None
         return last if found is None else found
 
     def _found(self, q: Array, t: float, end: int, last: Piece | None) -> Piece | None:
@@ -135,19 +127,15 @@ class Planner:
 
 
 class Follower:
-    """Wishes of one run, tick by tick; see `moc_opt.control.guide.Guide`."""
+    """The desired velocities of one run, tick by tick; see `moc_opt.control.guide.Guide`."""
 
     def __init__(
         self, period_s: float, *, course: Course | None = None, planner: Planner | None = None,
         q_start: Array | None = None,
     ) -> None:  # fmt: skip
-        """Follow a course from t = 0 on, or what the planner makes from ``q_start`` on.
+        """Follow a course from t = 0 on, and hold its last pose; or what the planner makes from ``q_start`` (n,) on.
 
-        Args:
-            period_s: of a tick [s].
-            course: made before the run; after its end its last pose is held. None: the planner makes one all the time.
-            planner: with a course, it takes over from the present pose if the arm has left it.
-            q_start: (n,) at t = 0, without a course [rad].
+        With both, the planner takes over from the present pose if the arm has left the course.
 
         Raises:
             TaskError: the planner has no course from the start.

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from moc_opt.arrays import Array
 from moc_opt.errors import ScenarioError, TaskError, is_number
 from moc_opt.inputs.names import table_html
-from moc_opt.planning.arm_angle import Elbow
 from moc_opt.planning.course import (
     OBJECTIVES,
     Course,
@@ -23,6 +22,7 @@ from moc_opt.planning.course import (
     make_course,
     margin_at,
 )
+from moc_opt.planning.elbow import Elbow
 from moc_opt.planning.pose_map import SWIVELS, PoseMap, map_of
 from moc_opt.planning.program import refine, worth
 from moc_opt.planning.search import WHOLE_CELL, Value, keeping_shaft, reached
@@ -63,11 +63,11 @@ class Plan:
     best: Course | None  #: The best over all swivels and branches at the start of the path; None: from nowhere.
     climbed: Course  #: The course of a local climb; shorter than the path if the climb ends at a limit.
     bound_from_start: float
-    """No course from the start that the map resolves is better, in the objective's unit; NaN where one was found that
-    is: it passes so near a singular pose that mu changes within a step of the map."""
+    """No course from the start that the map resolves is better, in the objective's unit. NaN where one was found that
+    is, near a singular pose: mu changes there within a step of the map."""
     bound: float  #: The same of every course, from any start.
     blocked: Blocked | None  #: Where and why the path cannot be executed from the start; None: it can.
-    start_swivel_rad: float  #: Of the elbow at the start [rad]; see `moc_opt.planning.arm_angle`.
+    start_swivel_rad: float  #: Of the elbow at the start [rad]; see `moc_opt.planning.elbow`.
     best_swivel_rad: float  #: The start swivel proposed: that of ``best``; NaN: there is none.
     swivel_rad: Array  #: (k,) of ``course`` [rad]; empty where there is none
     map_s: float  #: Time for the map [s].
@@ -116,12 +116,10 @@ def make_plan(
     """Plan a path from one start, and from all.
 
     Args:
-        robot: the arm.
         q_start: (n,) with tip and wrist at the first target [rad].
         targets: of tip and wrist at k evenly spaced times, (k,3) each [m].
         limits: that courses keep; a start nearer to a joint limit lowers the margin, see `margin_at`. Bounds are of
             courses that keep them, NaN where the one found does not.
-        objective: "mean", "worst" or "log".
         swivels: samples of one turn; of an arm without a closed form see `map_of`.
         refined: whether courses are improved beyond the grid.
 
@@ -138,11 +136,10 @@ def make_plan(
     if np.isfinite(limits.acceleration) and not refined:
         raise TaskError(f"acceleration = {limits.acceleration:g}: the grid alone knows no limit; give refined = True")
     limits = replace(limits, margin=margin_at(robot, q_start, limits.margin))
-    clock = [time.perf_counter()]
-    whole = map_of(robot, q_start, targets, swivels)
+    clock, given = [time.perf_counter()], np.array(q_start, dtype=np.float64)
+    whole = map_of(robot, given, targets, swivels)
     found, top = keeping_shaft(whole, limits), float(np.nanmax(whole.mu, initial=0.0))
     clock.append(time.perf_counter())
-    given = np.array(q_start, dtype=np.float64)
     value = Value(found, limits, objective)
     grid = [best_course(value, limits, start) for start in (given, None)]
     clock.append(time.perf_counter())
@@ -159,6 +156,7 @@ def make_plan(
             course = refine(robot, targets, course, limits, objective)
         courses.append(course if course is not None and (course.kept or sure) else None)
     clock.append(time.perf_counter())
+    took = np.diff(clock).tolist()
     if courses[0] is not None:  # the given start is one of all starts
         both = [course for course in courses[::-1] if course is not None]
         courses[1] = max(both, key=lambda course: worth(robot, course, limits, objective, top))
@@ -166,7 +164,6 @@ def make_plan(
     elbow = Elbow(robot, targets.wrist)
     shown = mine if mine is not None else best
     climbed = make_course(robot, targets, climb(found, given, limits), limits)
-    took = np.diff(clock).tolist()
     # None without a course, and where the course shows that it is none.
     mine_most, most = (
         np.nan if course is None or course.value(objective) > value else value
@@ -220,11 +217,9 @@ def best_course(value: Value, limits: Limits, start: Array | None) -> Array | No
 def climb(found: PoseMap, start: Array, limits: Limits) -> Array:
     """Follow the gradient of mu from the start (n,) on the samples of the map, as an ideal local law does.
 
-    In each period the poses within the joints' steps are looked at; from the one that asks the least of the joints it
-    goes uphill over neighbouring samples of its branch until mu falls, or a limit or the speed ends it.
-
-    Returns:
-        (k,n) its poses, the start first; fewer than the path has times where no pose is within reach.
+    From the pose that asks the least of the joints it goes uphill over neighbouring samples of its branch, in each
+    period, until mu falls, or a limit or the speed ends it. Its poses (k,n) begin at the start; they are fewer than the
+    path has times where no pose is within reach.
     """
     step, feasible = limits.speed_share * found.robot.v_max * found.targets.period_s, found.feasible(limits.margin)
     poses = [np.array(start)]
@@ -239,7 +234,7 @@ def climb(found: PoseMap, start: Array, limits: Limits) -> Array:
 
 
 class Top(NamedTuple):
-    """Where the way up from a pose ends."""
+    """Where the way up in mu from a pose ends."""
 
     mu: float  #: [m^3]
     q_rad: Array  #: (n,)

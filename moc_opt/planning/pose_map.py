@@ -8,24 +8,29 @@ change of sign turns a joint axis round and leaves its line: all eight have the 
 **Traced** for any other arm: at each time the self-motion curves of the time before are reached again by Newton's
 method and scanned, and random inverse kinematics looks for others. All samples stand in one branch. Where tip and
 wrist leave more than one freedom, a curve is a part of the poses only, and the map no bound.
+
+`largest_mu` is the largest mu of all these poses, point by point: climbed to (`moc_opt/core/plan.c`) from the maxima of
+a map in closed form, on every branch; of any other arm, and of several freedoms, from many seeded starts. Some pose
+reaches the value that is found there, but nothing proves that it is the largest.
 """
 
 from __future__ import annotations
 
 import numbers
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from moc_opt import core
 from moc_opt.arrays import Array
 from moc_opt.errors import RobotError, shown
-from moc_opt.planning.arm_angle import Elbow, nearest_turns, reach, without_limits
 from moc_opt.planning.course import Margin, Targets
+from moc_opt.planning.elbow import Elbow, wrapped
 from moc_opt.planning.self_motion import self_motion
 from moc_opt.robots.chain import link_frames
-from moc_opt.robots.inverse_kinematics import solve_pose
+from moc_opt.robots.inverse_kinematics import nearest_pose, solve_pose
 from moc_opt.robots.model import RobotModel
 
 Flags = NDArray[np.bool_]
@@ -35,12 +40,18 @@ BRANCHES = 8  #: Bit 0, 1, 2 of a branch's number: joint 2, 4, 6 is negative in 
 STRAIGHT = 1e-9  #: Sine of joint 4 below which the elbow has no plane.
 ROUNDING_RAD = 1e-9  #: A pose this far beyond a limit still stands on it.
 SWIVELS, MOST_SWIVELS = 720, 2880  #: Samples of one turn, where no other number is asked for; and most of them.
-CANDIDATES = 4  #: Local maxima of mu that are climbed to their top at each point of the path.
+PEAKS = 4  #: Local maxima of mu that are climbed to their top at each point of the path.
 STEP_RAD = 0.03  #: Spacing of the samples along a traced curve.
-SEEDS = 64
-"""Random starts of the inverse kinematics at the first time of a traced map; a sixteenth of them at each later one."""
+SEEDS = 64  #: Random starts of inverse kinematics at the first time of a traced map; later a sixteenth of them.
 MOST_CURVES = 16  #: Most different curves at one time; further ones are left out.
 SAME_CURVE = 0.7  #: A pose this share of a step from a sample lies on its curve.
+NO_LIMIT_RAD = 20.0
+REACHED_M = 1e-9
+SCANNED = "scanned, all branches"
+STARTS = 96  #: Random starts of `largest_mu` at the first point, where nothing is in closed form.
+LATER = 8  #: At each later point one of so many starts is tried: maxima are followed along the path.
+KEPT = 6  #: Different maxima that are followed from a point to its neighbours.
+SAME = 1e-5  #: Maxima of mu nearer than this share are one.
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,43 +81,22 @@ class PoseMap:
             near = signs <= np.sin(np.minimum(2.0 * step_rad[1:6:2], 0.5 * np.pi))
         return near @ np.array([1, 2, 4])
 
-    def highest(self) -> Array:
-        """Return (k,) the largest feasible mu at each time [m^3]; NaN where nothing is feasible.
-
-        In closed form the maxima are climbed between the map's swivels, to rounding.
-        """
-        score = np.where(self.feasible().any(axis=1), self.mu.max(axis=1), -np.inf)
-        best = score.max(axis=1)
-        if self.closed is not None:
-            peak = (score >= np.roll(score, 1, axis=1)) & (score >= np.roll(score, -1, axis=1)) & np.isfinite(score)
-            order = np.argsort(np.where(peak, score, -np.inf), axis=1)[:, ::-1][:, :CANDIDATES]
-            rows = np.arange(len(score))
-            for column in order.T:
-                best = np.maximum(best, self._climbed(self.closed, self.closed.swivel_rad[column], score[rows, column]))
-        return np.where(np.isfinite(best), best, np.nan)
-
-    def _climbed(self, closed: ClosedForm, swivel: Array, value: Array) -> Array:
-        width, rows = closed.swivel_rad[1] - closed.swivel_rad[0], np.arange(len(value))
-        while width > 1e-7:
-            tried = swivel[:, None] + width * np.linspace(-1.0, 1.0, 11)
-            near = closed_map(self.robot, closed, self.targets, tried)
-            reached = np.where(near.feasible().any(axis=1), near.mu[:, 0], -np.inf)
-            at = reached.argmax(axis=1)
-            better = reached[rows, at] > value
-            swivel, value = np.where(better, tried[rows, at], swivel), np.fmax(value, reached[rows, at])
-            width /= 4.0
-        return value
+    def peaks(self, k: int) -> Array:
+        """Return the feasible poses (p,n) at time k at the highest local maxima of mu over the samples, if any."""
+        may = self.feasible()[k]
+        score = np.where(may, self.mu[k], -np.inf).max(axis=0)
+        peak = (score >= np.roll(score, 1)) & (score >= np.roll(score, -1)) & np.isfinite(score)
+        chosen = np.argsort(np.where(peak, -score, np.inf))[: min(PEAKS, int(peak.sum()))]
+        poses: Array = self.q_rad[k][:, chosen][may[:, chosen]]
+        return poses
 
 
-def map_of(
-    robot: RobotModel, q_start: Array, targets: Targets, swivels: int = SWIVELS, rng: np.random.Generator | None = None
-) -> PoseMap:
+def map_of(robot: RobotModel, q_start: Array, targets: Targets, swivels: int = SWIVELS) -> PoseMap:
     """Make the map in closed form if the arm has one, else by tracing; idle joints stay as at the start.
 
     Args:
         q_start: (n,) [rad] a pose for the first target; its swivel is one of the map's.
         swivels: samples of one turn; more than `SWIVELS` make those along a traced curve denser, too.
-        rng: draws the seeds of a traced map; seeded with 0 by default.
 
     Raises:
         RobotError: no whole number of swivels from 8 to `MOST_SWIVELS`.
@@ -115,8 +105,7 @@ def map_of(
         raise RobotError(f"swivels = {shown(swivels)}: give a whole number from 8 to {MOST_SWIVELS}")
     arm = closed_form(robot)
     if arm is None:
-        draw = np.random.default_rng(0) if rng is None else rng
-        return _traced(robot, targets, q_start, STEP_RAD * min(1.0, SWIVELS / swivels), draw)
+        return _traced(robot, targets, q_start, STEP_RAD * min(1.0, SWIVELS / swivels))
     elbow = Elbow(robot, targets.wrist)
     first = float(np.mod(elbow.swivel(q_start[None])[0] + np.pi, 2.0 * np.pi / swivels)) - np.pi
     swivel = first + 2.0 * np.pi * np.arange(swivels) / swivels
@@ -133,7 +122,7 @@ class ClosedForm(NamedTuple):
     fore: float  #: Elbow to wrist along axis 5 [m], likewise.
     tool: float  #: Wrist to tip along axis 7 [m], likewise.
     offset: Array  #: (6,) [rad]
-    swivel_rad: Array = np.empty(0)  #: (m,) evenly over one turn, in the sense of `moc_opt.planning.arm_angle.Elbow`
+    swivel_rad: Array = np.empty(0)  #: (m,) evenly over one turn, in the sense of `moc_opt.planning.elbow.Elbow`
     reference: Array = np.array([0.0, 0.0, 1.0])  #: (3,) the direction from which the swivel counts
     idle_rad: float = 0.0  #: Joint 7, which moves neither tip nor wrist, stands here throughout.
 
@@ -179,7 +168,7 @@ def closed_map(robot: RobotModel, arm: ClosedForm, targets: Targets, swivels: Ar
     other = np.stack([-angle if j % 2 else angle + np.pi for j, angle in enumerate(angles)])
     column = np.s_[:6, None, None]
     middle, half = 0.5 * (robot.q_max + robot.q_min)[column], 0.5 * (robot.q_max - robot.q_min)[column]
-    away = [_wrapped(each - arm.offset[:, None, None] - middle) for each in (angles, other)]
+    away = [wrapped(each - arm.offset[:, None, None] - middle) for each in (angles, other)]
     joints, rooms = [middle + each for each in away], [half - np.abs(each) for each in away]
     shape = len(targets), BRANCHES, swivels.shape[1]
     q, room = np.empty((*shape, 7)), np.empty(shape)
@@ -190,10 +179,6 @@ def closed_map(robot: RobotModel, arm: ClosedForm, targets: Targets, swivels: Ar
     q[..., 6] = np.where(np.isnan(q[..., 0]), np.nan, arm.idle_rad)
     mu = np.broadcast_to(_mu(robot, q[:, 0])[:, None], room.shape)
     return PoseMap(robot, targets, q, mu, room, arm)
-
-
-def _wrapped(angles: Array) -> Array:
-    return angles - 2.0 * np.pi * np.floor(angles / (2.0 * np.pi) + 0.5)
 
 
 def _mu(robot: RobotModel, q: Array) -> Array:
@@ -242,10 +227,28 @@ def _dot(one: Array, two: Array) -> Array:
     return found
 
 
-def _traced(
-    robot: RobotModel, targets: Targets, q_start: Array, step_rad: float, rng: np.random.Generator
-) -> PoseMap:
-    free, moving = without_limits(robot), np.asarray(robot.moves.any(axis=0))
+def reach(robot: RobotModel, q: Array, tip: Array, wrist: Array) -> Array | None:
+    """Return a pose near q with that tip and wrist, whatever the limits, by Newton's method; None: it finds none."""
+    anywhere = np.full(robot.n, np.inf)
+    pose, miss = nearest_pose(robot, q, np.array([tip, wrist]), -anywhere, anywhere, 30)
+    return pose if miss < REACHED_M else None
+
+
+def without_limits(robot: RobotModel) -> RobotModel:
+    """Return the same arm, its revolute joints free to turn."""
+    slides, data = robot.chain.prismatic, robot.data
+    low, high = np.where(slides, data.q_min, -NO_LIMIT_RAD), np.where(slides, data.q_max, NO_LIMIT_RAD)
+    return RobotModel(replace(data, q_min=low, q_max=high))
+
+
+def nearest_turns(robot: RobotModel, q: Array) -> Array:
+    """Return the same poses, every revolute joint whole turns nearer to the middle of its range."""
+    turns = np.round((q - 0.5 * (robot.q_min + robot.q_max)) / (2.0 * np.pi))
+    return q - 2.0 * np.pi * np.where(robot.chain.prismatic, 0.0, turns)
+
+
+def _traced(robot: RobotModel, targets: Targets, q_start: Array, step_rad: float) -> PoseMap:
+    free, moving, rng = without_limits(robot), np.asarray(robot.moves.any(axis=0)), np.random.default_rng(0)
     columns: list[list[Array]] = []
     for k in range(len(targets)):
         tip, wrist = targets.tip[k], targets.wrist[k]
@@ -274,10 +277,58 @@ def _add(free: RobotModel, pose: Array | None, found: list[Array], step: float, 
     if pose is None or len(found) >= MOST_CURVES:
         return
     for curve in found:
-        apart = np.where(free.chain.prismatic, curve - pose, _wrapped(curve - pose))[:, moving]
+        apart = np.where(free.chain.prismatic, curve - pose, wrapped(curve - pose))[:, moving]
         if np.linalg.norm(apart, axis=1).min() < SAME_CURVE * step:
             return
     try:
         found.append(np.array(self_motion(free, pose, step).q))
     except RobotError:
         return  # a singular pose: no single curve leads through it
+
+
+class Largest(NamedTuple):
+    """The largest mu at k points, and how it was found."""
+
+    mu: Array  #: (k,) [m^3]
+    method: str  #: `SCANNED`, or "best found of N starts" with the number of starts at all points together.
+
+
+def largest_mu(robot: RobotModel, poses: Array, *, starts: int = STARTS, seed: int = 0) -> Largest:
+    """Find the largest mu over every feasible pose with the same tip and wrist as each of the given ones.
+
+    Never below mu of the poses themselves.
+
+    Args:
+        poses: (k, n), in the order of a path, as neighbours hand on their maxima [rad, m]; put inside the limits first.
+        starts: random starts at the first point, for arms without closed form; an eighth of them at each later one.
+    """
+    inside = np.clip(poses, robot.q_min, robot.q_max)
+    count, tips, wrists = len(inside), *robot.tool_along(inside)
+    targets, best = np.stack([tips, wrists], axis=1), np.empty(count)
+    if closed_form(robot) is not None:
+        rows = np.append(np.arange(count), 0)  # a map has two points or more
+        at = np.arange(float(len(rows)))
+        found, method = map_of(robot, inside[0], Targets(at, tips[rows], wrists[rows], at)), SCANNED
+        for k in range(count):
+            _, best[k] = _climbed(robot, targets[k], found.peaks(k))
+    else:
+        rng, later = np.random.default_rng(seed), -(-starts // LATER)
+        kept: list[Array] = [np.empty((0, robot.n))] * count
+        for k, q in enumerate(inside):
+            drawn = rng.uniform(robot.q_min, robot.q_max, (later if k else starts, robot.n))
+            kept[k], best[k] = _climbed(robot, targets[k], np.vstack([q[None], kept[k - 1], drawn]))
+        for k in range(count - 2, -1, -1):
+            kept[k], best[k] = _climbed(robot, targets[k], np.vstack([kept[k], kept[k + 1]]))
+        method = f"best found of {starts + (count - 1) * later} starts"
+    return Largest(np.fmax(best, robot.mu_along(inside)), method)
+
+
+def _climbed(robot: RobotModel, target: Array, starts: Array) -> tuple[Array, float]:
+    starts = np.clip(starts, robot.q_min, robot.q_max)
+    mus, target = np.empty(len(starts)), np.ascontiguousarray(target)
+    core.ascend(robot.arm, np.array(robot.q_min), np.array(robot.q_max), target, None, starts, mus)
+    chosen: list[int] = []
+    for i in (int(i) for i in np.argsort(-mus) if mus[i] > 0.0):
+        if len(chosen) < KEPT and all(mus[j] - mus[i] > SAME * mus[j] for j in chosen):
+            chosen.append(i)
+    return starts[chosen], float(mus.max(initial=-1.0))

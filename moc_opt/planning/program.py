@@ -53,13 +53,10 @@ HORIZON: dict[str, Any] = {
 SETTLED_S = 0.3  #: A joint's speed counts as much as an acceleration that takes it away in this time.
 SOFT_RAD = 0.003  #: Rounds the speed of a joint that brakes off at its end, where a square root has no slope.
 SMOOTH_LOSS = 0.05
-"""Share of the objective that a smoother course, or one that brakes, may cost; where it costs more, the program went to
-another local maximum."""
+"""Share of the objective that smoothness and braking may cost; above it the program went to another local maximum."""
 MEAN_TOO = 1e-3  #: Weight of the mean of mu, in shares of itself, beside the worst mu.
 LEAST_SHARE = 1e-4  #: Rounds the share of the squared lever off at zero, where a square root has no slope.
-INSIDE = 1e-9
-"""Limits and speeds are kept this far inside, so that rounding stays within them [rad]; half of a step at most is taken
-off."""
+INSIDE = 1e-9  #: Limits and speeds are kept this far inside, at most by half a step, for rounding [rad].
 
 
 class Program:
@@ -74,10 +71,8 @@ class Program:
         Args:
             nodes: N, times after the start.
             period_s: between two times [s]; on a horizon each solve has its own.
-            limits: of the course.
             mu: mu_0, what a pose is usually worth [m^3].
             top: largest mu, in what a pose costs that nearly loses the shaft [m^3]; 0: mu_0.
-            objective: as of a search.
             smoothness: w [s^4/rad^2].
             brake: deceleration that stops a joint before its limit [rad/s^2].
             horizon: solved by three quadratic programs, not by ipopt, and not at rest at its end.
@@ -145,7 +140,7 @@ class Program:
         self, guess: Array, start: Array, targets: Targets, speed: Array | None = None, end: End | None = None,
         period_s: float | None = None,
     ) -> tuple[Array, bool]:  # fmt: skip
-        """Solve it.
+        """Return poses (N,n) [rad], not judged, NaN where nothing was found, and if the solver met its tolerances.
 
         Args:
             guess: (N,n) to begin with [rad].
@@ -154,14 +149,11 @@ class Program:
             speed: (n,) the joints' velocity at the start [rad/s]; None: at rest.
             end: what the last pose is worth.
             period_s: between two times [s], if not that of the program.
-
-        Returns:
-            (N,n) [rad], not judged, NaN where nothing was found; and whether the solver met its tolerances.
         """
         dt, n = self.period_s if period_s is None else period_s, len(start)
         speed = np.zeros(n) if speed is None else speed
         known = End(start, np.zeros(n), low=-np.inf, high=np.inf) if end is None else end
-        one, two = _across_shafts(targets.wrist - targets.tip)
+        one, two = np.moveaxis(across(targets.wrist - targets.tip), 1, 0)
         given = np.concatenate([
             start, speed, [dt], targets.tip.ravel(), one.ravel(), two.ravel(), known.q_rad, known.along,
             [known.slope, known.bend],
@@ -196,13 +188,12 @@ def refine(
     Args:
         course: that is to be improved; it may break constraints.
         limits: of the answer.
-        objective: as of the search.
         smoothness, brake: as of `Program`; the answer is taken if the objective proper falls by no more than
             `SMOOTH_LOSS` of the given course's.
 
     Returns:
         The better course by the robot model's own mu; the given one where the other breaks a constraint by more than
-        `MOST_VIOLATION`. ``certified`` where ipopt met its tolerances at the course that is returned.
+        `MOST_VIOLATION`. ``certified`` where ipopt met its tolerances.
     """
     if limits.shaft > 0.0 and _above(robot, course, limits):  # without the margin a program takes half of the time
         bare = replace(limits, shaft=0.0)
@@ -224,7 +215,7 @@ def refine(
     lost = any(gain < -loss * abs(course.value(what)) for gain, what in zip(gained, judged, strict=True))
     if not found.kept or (course.kept and lost):
         return course
-    return found.as_certified() if met else found
+    return replace(found, certified=met)
 
 
 def _above(robot: RobotModel, course: Course, limits: Limits) -> bool:
@@ -240,13 +231,10 @@ def worth(robot: RobotModel, course: Course, limits: Limits, objective: Objectiv
 
 
 def too_fast(speed: Any, pose: Any, low: Any, high: Any, brake: float) -> Any:
-    """Write how much too fast joints go towards their limits to stop there (2 m), not above 0 where they can.
+    """Write how much too fast joints go towards their limits to stop there, not above 0 where they can.
 
-    At a distance d the most is sqrt(2 b) (sqrt(d + e) - sqrt(e)), e = `SOFT_RAD`.
-
-    Args:
-        speed, pose, low, high: (m,) CasADi vectors [rad/s], [rad].
-        brake: b [rad/s^2].
+    At a distance d the most is sqrt(2 b) (sqrt(d + e) - sqrt(e)), b the brake [rad/s^2], e = `SOFT_RAD`. The vectors
+    of CasADi have m entries, the answer 2 m.
     """
     import casadi as ca  # late: half a second
 
@@ -256,9 +244,7 @@ def too_fast(speed: Any, pose: Any, low: Any, high: Any, brake: float) -> Any:
     return ca.vertcat(speed - most(high - pose), -speed - most(pose - low))
 
 
-def _across_shafts(shafts: Array) -> tuple[Array, Array]:
-    along = shafts / np.linalg.norm(shafts, axis=1, keepdims=True)
-    other = np.eye(3)[np.argmin(np.abs(along).max(axis=0))]
-    first = np.cross(along, other)
-    first /= np.linalg.norm(first, axis=1, keepdims=True)
-    return first, np.cross(along, first)
+def across(shafts: Array) -> Array:
+    """Return two unit vectors (N,2,3) across each shaft (N,3), at a right angle to each other."""
+    vectors: Array = np.linalg.svd(shafts[:, None])[2][:, 1:]
+    return vectors

@@ -2,12 +2,11 @@
 
     V_k(p) = g_k(p) + max { V_{k+1}(p') - c |q - q'|^2 / dt : |q - q'| <= v_max dt for every joint }
 
-g is mu dt, or log mu dt; with the worst mu in mind V is the least of both. A course is read off V forwards, from any
-pose at any time: at each time the pose within reach that is worth most. From a singular pose it may go on in another
-branch: the joints tell which is next to it.
+g is mu dt, or log mu dt; for the worst mu V is the least of both. A course is read off V forwards, from any pose at any
+time: at each time the pose within reach that is worth most. From a singular pose it may go on in another branch.
 
-A pose of the map may stand for a part of the cell around it. For a receding horizon that is a quarter of a cell, so
-that a coarse map is passable. The bound takes half a cell, and a pose is allowed where a neighbour is, and as good as
+A pose of the map may stand for a part of the cell around it: a quarter of a cell for a receding horizon, so that a
+coarse map is passable; half a cell for the bound. There a pose is also allowed where a neighbour is, and as good as
 the best nearby: any course whose poses lie on the curves that the map samples stays within that.
 """
 
@@ -59,8 +58,6 @@ class Value:
 
         Args:
             found: the map, lowered by `keeping_shaft` where a margin from losing the shaft is kept.
-            limits: margin and speed share of a course.
-            objective: "mean" mu, "worst" mu, or the mean of "log" mu.
             cell: of half a cell, what a pose stands for; 1 and more: search for the bound.
             price: c, of speed [m^3 s^2/rad^2].
             floor: poses with a smaller mu are forbidden [m^3].
@@ -71,6 +68,7 @@ class Value:
         self._slacks: dict[int, Array] = {}
         self._price, count = price / self._period, len(found.targets)
         self._weight = np.ones(count) if objective == "worst" else weights(count) * self._period
+        self._whole = 1.0 if objective == "worst" else float(self._weight.sum())
         feasible, mu = found.feasible(limits.margin), found.mu
         if cell >= 1.0:
             feasible = feasible | np.roll(feasible, 1, axis=2) | np.roll(feasible, -1, axis=2)
@@ -93,12 +91,12 @@ class Value:
         own = float(_gain(np.array(mu), self.objective)) * self._weight[0]
         found = self._next(1, q, np.zeros(len(q)), self._step, self._price)
         rest = -np.inf if found is None else float(self.value[1][found])
-        return self._mean(min(own, rest) if self.objective == "worst" else own + rest)
+        return min(own, rest) if self.objective == "worst" else (own + rest) / self._whole
 
     def best(self) -> tuple[float, Array | None]:
         """Return the objective of the best course from any pose, and that pose (n,); None: there is none."""
         first = np.unravel_index(int(np.argmax(self.value[0])), self.value[0].shape)
-        value = self._mean(float(self.value[0][first]))
+        value = float(self.value[0][first]) / self._whole
         return value, self.map.q_rad[0][first] if np.isfinite(value) else None
 
     def way(self, q: Array, t_s: float = 0.0, end: int = -1, hurry: float = 1.0) -> Way | None:
@@ -161,8 +159,6 @@ class Value:
             self._slacks[k] = self.cell * half_cells(q) if self.cell else np.zeros_like(q)
         return self._slacks[k]
 
-    def _mean(self, total: float) -> float:
-        return total if self.objective == "worst" else total / float(self._weight.sum())
 
 
 def keeping_shaft(found: PoseMap, limits: Limits) -> PoseMap:
@@ -178,7 +174,7 @@ def keeping_shaft(found: PoseMap, limits: Limits) -> PoseMap:
 
 
 def reached(found: PoseMap, q_start: Array, limits: Limits) -> list[NDArray[np.bool_]]:
-    """Return for the times after the start, as far as any course gets, the poses (b,m) that are reached from it."""
+    """Return the poses (b,m) that are reached from the start, for each later time as far as any course gets."""
     step, feasible = limits.speed_share * found.robot.v_max * found.targets.period_s, found.feasible(limits.margin)
     before, value = np.tile(q_start, (found.mu.shape[1], 1, 1)), np.zeros((found.mu.shape[1], 1))
     each: list[NDArray[np.bool_]] = []
@@ -218,14 +214,12 @@ def advance(
 ) -> None:
     """Fill value (b,m): what the poses of one time are worth by those of the time next to it.
 
-    A pose is next to another one if no joint turns by more than its step between them, the slack of both added; in its
-    own branch, or in one next to it near a singular pose.
+    A pose is next to another one if no joint turns by more than its step (n,) [rad] between them, the slack of both
+    added; in its own branch, or in one whose number differs in the bits of ``crossing`` (m,), near a singular pose.
 
     Args:
         q, slack: (b,m,n) [rad], NaN where there is none; gain: (b,m) what a pose adds; -inf: forbidden.
         q_next, slack_next: (b,m1,n); value_next: (b,m1).
-        step: (n,) most that a joint turns in one period [rad].
-        crossing: (m,) bits of the branch's number that may be others at the time next to it.
         price: of a step's square [1/rad^2].
         worst: the value is the least gain on the way, in place of their sum.
     """  # fmt: skip

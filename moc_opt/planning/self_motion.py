@@ -1,12 +1,13 @@
-"""The poses an arm can take while tip and wrist stay where they are: a curve between joint limits, scanned.
+"""The poses an arm can take while tip and wrist stay where they are: the number of freedoms, and one curve of poses.
 
-The largest mu on this curve is what no controller can beat at that tip and wrist. The curve is followed by
-pseudo-arclength continuation: a step along the null vector of A, then Newton corrections across it.
+The curve is followed between the joint limits by pseudo-arclength continuation: a step along the null vector of A, and
+Newton corrections across it. With one freedom no controller that stays on the curve exceeds the largest mu on it.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,7 +17,61 @@ from moc_opt.arrays import Array, read_only
 from moc_opt.errors import RobotError
 from moc_opt.robots.model import RobotModel
 
+HELD = 1e-6
+"""A singular value below this share of the largest holds nothing. Coarser than the rule of ``qp.residuals``, which
+decides for one tick: here random poses are asked how many freedoms an arm is built with."""
+RANK = 1e-9  #: A singular value of A below this counts as zero on the curve.
 _REASONS = ("limit", "closed", "singular", "length")
+
+
+class Freedoms(NamedTuple):
+    """The freedoms of n joints when tip and wrist are held; rank + real + idle = n."""
+
+    rank: int  #: Of A: 5 where the arm can place and turn the shaft.
+    real: int  #: Motions that move links while tip and wrist stay.
+    idle: tuple[int, ...]
+    """Joints (from 0) that move neither tip nor wrist at any pose, such as a last axis along the tool."""
+    tip: float  #: Smallest singular value of the tip's Jacobian over its largest; 0 at a singular pose.
+    both: float
+    """The fifth singular value of A over its largest: 0 where the shaft cannot be placed and turned freely."""
+
+    def refusal(self, robot: RobotModel) -> str:
+        """Say that the third level has nothing to choose, with the count."""
+        idle = ", ".join(robot.data.joint_names[j] for j in self.idle)
+        return (
+            f"robot {robot.data.name!r}: no freedom is left for the third level: of {robot.n} joints the tool's tip "
+            f"and shaft take {self.rank}, {len(self.idle)} turn nothing but the tool{f' ({idle})' if idle else ''}; "
+            "control.law = 'dcac' needs none, the third level an arm with one joint more, or a tool off the last axis"
+        )
+
+
+def freedoms(robot: RobotModel, q: ArrayLike) -> Freedoms:
+    """Count the freedoms at q (n,) [rad, m]."""
+    state = robot.state(q)
+    idle = tuple(int(j) for j in np.flatnonzero(~robot.moves.any(axis=0)))
+    tip, both = (np.linalg.svd(J, compute_uv=False) for J in (state.J_tip, state.A))
+    rank = int(np.sum(both > HELD * both[0]))
+    five = float(both[4] / both[0]) if len(both) > 4 else 0.0
+    return Freedoms(rank, robot.n - rank - len(idle), idle, float(tip[-1] / tip[0]), five)
+
+
+def best_freedoms(robot: RobotModel, poses: int = 8) -> Freedoms:
+    """Count the freedoms at seeded poses of the range; those of the highest rank are what the arm is built for."""
+    drawn = np.random.default_rng(0).uniform(robot.q_min, robot.q_max, (poses, robot.n))
+    return max((freedoms(robot, q) for q in drawn), key=lambda found: (found.rank, found.both))
+
+
+def require_freedom(robot: RobotModel) -> None:
+    """Raise a RobotError where tip and shaft leave the arm no motion, with the count of what takes its joints."""
+    found = best_freedoms(robot)
+    if found.real < 1:
+        raise RobotError(found.refusal(robot))
+
+
+def limit_shares(robot: RobotModel, q: Array) -> Array:
+    """Return each joint's distance to its nearer limit over half of its range, (n,): 1 in the middle, 0 at a limit."""
+    nearest: Array = np.minimum(q - robot.q_min, robot.q_max - q) / (0.5 * (robot.q_max - robot.q_min))
+    return nearest
 
 
 def parabola_peak(x: Array, y: Array) -> tuple[float, float]:
@@ -45,15 +100,11 @@ class SelfMotion:
     q: Array  #: (k,n) [rad]
     mu: Array  #: (k,) [m^3]
     ends: tuple[str, str]
-    """Why the curve ends: at a "limit", "closed" (a full turn), "singular", "length" (gave up), "point"."""
+    """Why the curve ends: at a "limit", "singular", "length" (gave up), "point"; "closed": its last pose is its first,
+    up to whole turns of a joint."""
     held: tuple[int, ...]
     """Joints (from 0) that stand still: they move neither tip nor wrist, or would make it a surface."""
     _curve: _Curve = field(repr=False)
-
-    @property
-    def closed(self) -> bool:
-        """Whether the curve is a loop: its last pose is its first, up to whole turns of a joint."""
-        return "closed" in self.ends
 
     def at(self, fraction: float) -> Array:
         """Return the pose (n,) at a fraction in [0, 1] of the arc length, corrected to 1e-10 m.
@@ -70,7 +121,7 @@ class SelfMotion:
         if 0.0 < weight < 1.0:
             chord = self.q[i + 1] - self.q[i]
             pose = self._curve.correct(self.q[i] + weight * chord, chord)
-        # No pose between two good samples only where the curve grazes a limit or a singularity.
+        # There is no pose between two samples only where the curve grazes a limit or a singularity.
         return np.array(self.q[i + round(max(weight, 0.0))]) if pose is None else pose
 
     @property
@@ -93,9 +144,8 @@ def self_motion(robot: RobotModel, q: ArrayLike, step: float = 0.02) -> SelfMoti
     """Scan the feasible self-motion through q at fixed tip and wrist.
 
     Joints that move neither tip nor wrist are held. If more than one freedom is left (a rail, a tool off the last
-    axis), joints that slide at the base and then those nearest the tip are held too until one is: the result is then
-    a curve on a larger set of poses, and its largest mu no bound (`moc_opt.planning.largest` has that). If none is
-    left, the curve is one pose.
+    axis), joints that slide at the base and then those nearest the tip are held too until one is; the largest mu on the
+    curve is then no bound (see `pose_map.largest_mu`). If none is left, the curve is one pose.
 
     Args:
         q: (n,) a pose inside the joint limits [rad].
@@ -111,39 +161,42 @@ def self_motion(robot: RobotModel, q: ArrayLike, step: float = 0.02) -> SelfMoti
     if outside.size:
         raise RobotError(f"q = {state.q.tolist()}: joints {(outside + 1).tolist()} are outside their limits")
     active = _active_joints(robot, state.A)
-    held = tuple(j for j in range(robot.n) if j not in active)
     curve = _Curve(robot, active, np.array([state.tip, state.wrist]), step)
-    if len(active) <= _rank(state.A[:, active]):
-        return _frozen(np.zeros(1), state.q[None], np.array([state.mu]), ("point", "point"), held, curve)
-    tangent = np.zeros(robot.n)
-    tangent[active] = np.linalg.svd(state.A[:, active])[2][-1]
-    tangent *= np.sign(tangent[np.argmax(np.abs(tangent))])
-    s_up, q_up, mu_up, why_up = curve.follow(state.q, tangent)
-    if why_up == "closed":
-        return _frozen(s_up, q_up, mu_up, ("closed", "closed"), held, curve)
-    s_down, q_down, mu_down, why_down = curve.follow(state.q, -tangent)
-    s, poses, mu = (np.concatenate([b[:0:-1], a]) for a, b in ((s_up, -s_down), (q_up, q_down), (mu_up, mu_down)))
-    return _frozen(s, poses, mu, (why_down, why_up), held, curve)
+    if len(active) <= np.linalg.matrix_rank(state.A[:, active], tol=RANK):
+        s, poses, mu, ends = np.zeros(1), state.q[None], np.array([state.mu]), ("point", "point")
+    else:
+        tangent = np.zeros(robot.n)
+        tangent[active] = np.linalg.svd(state.A[:, active])[2][-1]
+        tangent *= np.sign(tangent[np.argmax(np.abs(tangent))])
+        s, poses, mu, why = curve.follow(state.q, tangent)
+        ends = (why, why)
+        if why != "closed":
+            s_down, q_down, mu_down, why_down = curve.follow(state.q, -tangent)
+            pairs = ((s, -s_down), (poses, q_down), (mu, mu_down))
+            s, poses, mu = (np.concatenate([down[:0:-1], up]) for up, down in pairs)
+            ends = (why_down, why)
+    held = tuple(j for j in range(robot.n) if j not in active)
+    return SelfMotion(read_only(s), read_only(poses), read_only(mu), ends, held, curve)
 
 
 class _Curve:
     """The constraint that defines one curve, as the core takes it."""
 
     def __init__(self, robot: RobotModel, active: list[int], target: Array, step: float) -> None:
-        self._robot = robot
-        limits, self._step = (np.array(robot.q_min), np.array(robot.q_max)), step
+        self._robot, self._step = robot, step
+        limits = np.array(robot.q_min), np.array(robot.q_max)
         self._task = (robot.arm, *limits, target, np.array(active, dtype=np.float64))
         # Far longer than any real curve; it only bounds the memory of one that never ends.
         self._most = int(np.ceil(4 * np.sum(robot.q_max - robot.q_min) / step)) + 2
 
     def follow(self, q: Array, tangent: Array) -> tuple[Array, Array, Array, str]:
-        # Samples from q on along the tangent, q itself first, and why they end.
+        """Return arc lengths, poses and mu from q on along the tangent, q first, and why they end."""
         s, poses, mu = np.empty(self._most), np.empty((self._most, len(q))), np.empty(self._most)
         count, end = core.follow_curve(*self._task, np.array(q), tangent, self._step, s, poses, mu)
         return s[:count].copy(), poses[:count].copy(), mu[:count].copy(), _REASONS[end]
 
     def correct(self, q: Array, along: Array) -> Array | None:
-        # The pose on the curve across `along` from q; None if none is inside the limits.
+        """Return the pose on the curve across ``along`` from q; None if none is inside the limits."""
         pose = np.empty(len(q))
         found = core.onto_curve(*self._task, np.array(q), along / np.linalg.norm(along), pose)
         return pose if found else None
@@ -152,23 +205,18 @@ class _Curve:
         return float(self._robot.mu_along(q[None])[0])
 
 
-def _frozen(s: Array, q: Array, mu: Array, ends: tuple[str, str], held: tuple[int, ...], curve: _Curve) -> SelfMotion:
-    return SelfMotion(read_only(s), read_only(q), read_only(mu), ends, held, curve)
-
-
-def _rank(matrix: Array) -> int:
-    return int(np.linalg.matrix_rank(matrix, tol=1e-9))
-
-
 def _active_joints(robot: RobotModel, a: Array) -> list[int]:
+    def rank(matrix: Array) -> int:
+        return int(np.linalg.matrix_rank(matrix, tol=RANK))
+
     active = np.flatnonzero(robot.moves.any(axis=0)).tolist()
     rng = np.random.default_rng(0)
     draws = [robot.state(rng.uniform(robot.q_min, robot.q_max)).A for _ in range(3)]
-    usual = max(_rank(draw[:, active]) for draw in draws)
-    while len(active) > usual + 1 and robot.chain.prismatic[active[0]] and _rank(a[:, active[1:]]) == usual:
+    usual = max(rank(draw[:, active]) for draw in draws)
+    while len(active) > usual + 1 and robot.chain.prismatic[active[0]] and rank(a[:, active[1:]]) == usual:
         active = active[1:]
     active = active[: usual + 1]
-    rank = _rank(a[:, active])
-    if rank < min(usual, len(active)):
-        raise RobotError(f"q is singular (tip and wrist Jacobians have rank {rank}, not {usual}): move it slightly")
+    found = rank(a[:, active])
+    if found < min(usual, len(active)):
+        raise RobotError(f"q is singular (tip and wrist Jacobians have rank {found}, not {usual}): move it slightly")
     return active

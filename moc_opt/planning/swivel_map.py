@@ -5,12 +5,19 @@ number, the swivel of the elbow. The map shows every swivel there is, and where 
 
 The scan that finds the poses ignores joint limits; they are judged afterwards, each joint taken whole turns nearer
 to the middle of its range.
+
+`read_trajectory` says how long a run is at the optimum, and what keeps it from there. Where it ends off the optimum,
+the map is climbed from there at the time of the end: upwards in mu, swivel by swivel, up to the first pose beyond a
+joint limit. A climb that stops close by, at a local maximum or at the edge of the feasible poses, is what holds the
+run. Where the way up is open, only the run itself can tell why it is not there: a controller without third level, or
+the box of the third level, which closes before the joint limits that the map shows.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from enum import StrEnum
 from types import MappingProxyType
 
 import numpy as np
@@ -18,7 +25,8 @@ from numpy.typing import NDArray
 
 from moc_opt.arrays import Array, read_only
 from moc_opt.errors import ReportError, RobotError
-from moc_opt.planning.arm_angle import Elbow, nearest_turns, reach, without_limits, wrapped
+from moc_opt.planning.elbow import Elbow, wrapped
+from moc_opt.planning.pose_map import nearest_turns, reach, without_limits
 from moc_opt.planning.self_motion import SelfMotion, parabola_peak, self_motion
 from moc_opt.robots.chain import desired_wrist
 from moc_opt.robots.model import RobotModel
@@ -29,6 +37,12 @@ TRAJECTORY_POINTS = 500
 STEP_RAD = 0.05
 SAME_PATH_M = 1e-6
 OTHER_BRANCH_RAD = 0.5  #: A trajectory with a larger gap belongs to an arm that is folded another way than the map.
+NEEDED = ("t_s", "q_rad", "tip_m", "tip_ref_m")
+NEAR = 0.02  #: A trajectory is at the optimum where its mu is at most this fraction below the best.
+END = 0.2  #: The last part of a trajectory, as a fraction of its time, which gives its end.
+CLOSE_RAD = np.radians(12.0)  #: Nearer to a local maximum or the edge of the feasible poses, a run is held by it.
+STILL_RAD_PER_S = np.radians(1.0)
+ALIKE_RAD = np.radians(3.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,8 +53,8 @@ class Trajectory:
     swivel_rad: Array  #: Nearest to the map's axis; it may jump by a turn.
     mu: Array
     gap_rad: float
-    """Median distance of its joints from the map's poses at the same time and swivel: large where the arm is
-    folded another way than the run that the map was scanned from, and the map does not hold for it."""
+    """Median distance of its joints from the map's poses at the same time and swivel: large where the arm is folded
+    another way, so that the map does not hold for it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +97,7 @@ def manipulability_map(
     tips, wrists = _targets(robot, traces, guide, ticks)
     elbow, free = Elbow(robot, wrists), without_limits(robot)
     swivel = -np.pi + 2.0 * np.pi * np.arange(swivels) / swivels
-    q, best = np.full((times, swivels, robot.n), np.nan), np.full((2, times), np.nan)
+    q = np.full((times, swivels, robot.n), np.nan)
     held: set[int] = set()
     for k, tick in enumerate(ticks):
         pose = reach(robot, guide.q_rad[tick], tips[k], wrists[k])
@@ -95,15 +109,12 @@ def manipulability_map(
             continue  # a singular pose: no single curve leads through it, the column stays empty
         held.update(curve.held)
         q[k] = nearest_turns(robot, _poses_at(curve, elbow, swivel))
-        best[:, k] = _best(robot, curve, elbow, swivel, q[k])
     mu, limit = _judged(robot, q)
     turn = _cut(limit == FEASIBLE)
-    swivel = np.roll(swivel, -turn)
-    swivel[swivels - turn :] += 2.0 * np.pi
+    swivel, q, mu, limit = swivel + 2.0 * np.pi * turn / swivels, *(np.roll(a, -turn, axis=1) for a in (q, mu, limit))
     if swivel.mean() >= np.pi:  # what lies about the middle of the map is counted from -180 to 180 degrees
         swivel -= 2.0 * np.pi
-    q, mu, limit = (np.roll(array, -turn, axis=1) for array in (q, mu, limit))
-    best[0] = _onto(best[0], swivel)
+    best = np.array([_best(swivel, *column) for column in zip(mu, limit, strict=True)]).T
     lines = {name: _trajectory(robot, elbow, run, guide.t_s[ticks], swivel, q) for name, run in traces.items()}
     for array in (swivel, q, mu, limit, best):
         read_only(array)
@@ -161,34 +172,29 @@ def _judged(robot: RobotModel, q: Array) -> tuple[Array, NDArray[np.int64]]:
     return mu, limit
 
 
-def _best(robot: RobotModel, curve: SelfMotion, elbow: Elbow, swivel: Array, q: Array) -> Array:
-    mu, limit = _judged(robot, q)
+def _best(swivel: Array, mu: Array, limit: NDArray[np.int64]) -> tuple[float, float]:
     feasible = np.where(limit == FEASIBLE, mu, -np.inf)
-    j, count = int(np.argmax(feasible)), len(swivel)
+    j, width = int(np.argmax(feasible)), swivel[1] - swivel[0]
     if not np.isfinite(feasible[j]):
-        return np.full(2, np.nan)
-    around = np.array([feasible[j - 1], feasible[j], feasible[(j + 1) % count]])
-    step, _ = parabola_peak(2.0 * np.pi / count * np.array([-1.0, 0.0, 1.0]), around)
-    finer = np.array([swivel[j] + step])
-    (higher,), (allowed,) = _judged(robot, nearest_turns(robot, _poses_at(curve, elbow, finer)))
-    return np.array([finer[0], higher] if allowed == FEASIBLE and higher > mu[j] else [swivel[j], mu[j]])
+        return np.nan, np.nan
+    around = feasible[[j - 1, j, (j + 1) % len(mu)]]
+    step, height = parabola_peak(width * np.array([-1.0, 0.0, 1.0]), around)
+    return float(_onto(swivel[j] + step, swivel)), float(feasible[j] + height)
 
 
 def _cut(feasible: NDArray[np.bool_]) -> int:
-    # The row at which the circle is best cut open: in the middle of the widest run of forbidden rows.
-    forbidden: NDArray[np.bool_] = np.logical_not(feasible.any(axis=0))
-    count = len(forbidden)
-    if not forbidden.any() or forbidden.all():
+    # The circle is cut open at the row that is farthest from every row in which a pose is allowed.
+    allowed, count = np.flatnonzero(feasible.any(axis=0)), feasible.shape[1]
+    if not len(allowed):
         return 0
-    first = int(np.argmin(forbidden))  # begin at a row that is allowed somewhere, so that no run is split
-    runs = np.split(first + np.arange(count), np.flatnonzero(np.diff(np.roll(forbidden, -first))) + 1)
-    widest = max((run for run in runs if forbidden[run[0] % count]), key=len)
-    return int(widest[-1] - len(widest) // 2) % count
+    apart = np.abs(np.arange(count)[:, None] - allowed)
+    return int(np.argmax(np.minimum(apart, count - apart).min(axis=1)))
 
 
 def _onto(angles: Array, swivel: Array) -> Array:
     low = swivel[0] - 0.5 * (swivel[1] - swivel[0])
-    return low + np.mod(angles - low, 2.0 * np.pi)
+    turned: Array = low + np.mod(angles - low, 2.0 * np.pi)
+    return turned
 
 
 def _trajectory(robot: RobotModel, elbow: Elbow, trace: Trace, times: Array, swivel: Array, q: Array) -> Trajectory:
@@ -201,9 +207,6 @@ def _trajectory(robot: RobotModel, elbow: Elbow, trace: Trace, times: Array, swi
     gaps = np.abs(wrapped(q[columns, rows] - poses)[:, moving]).max(axis=1)
     gap = float(np.median(gaps[np.isfinite(gaps)])) if np.isfinite(gaps).any() else float("nan")
     return Trajectory(trace.t_s[ticks], angles, robot.mu_along(poses), gap)
-
-
-NEEDED = ("t_s", "q_rad", "tip_m", "tip_ref_m")
 
 
 def check_showable(name: str, trace: Trace, robot: RobotModel) -> None:
@@ -219,3 +222,114 @@ def check_showable(name: str, trace: Trace, robot: RobotModel) -> None:
     for column in NEEDED:
         if not np.isfinite(trace.columns[column]).all():
             raise ReportError(f"run {name!r} is not finite in {column!r}: cut it off before that with `select`")
+
+
+class End(StrEnum):
+    """Where a trajectory is in the end."""
+
+    OPTIMUM = "at the optimum"
+    LOCAL_MAXIMUM = "at a local maximum"
+    FEASIBLE_EDGE = "at the edge of the feasible poses"
+    STILL = "at rest, though mu rises to one side"
+    RISING = "mu still rises"
+    FALLING = "mu falls"
+    OTHER_BRANCH = "on another branch"
+    UNKNOWN = "nothing to compare with"
+
+
+@dataclass(frozen=True)
+class Reading:
+    """The analysis of one trajectory."""
+
+    name: str
+    near: float  #: Share of the time in which it is at the optimum; NaN where no pose of the map is allowed.
+    mu_share: float  #: Mean mu over the mean of the best mu at the same times.
+    travel_rad: float  #: Turn of the elbow from start to end; positive upwards on the map.
+    from_s: float  #: From when on it stays at the optimum [s]; NaN where it is not there in the end.
+    end: End
+    joint: int  #: The joint (from 1) whose limit it stands before; 0 where that is the arm's reach, or nothing.
+    at_edge: float  #: Share of the time in which its pose is infeasible, or a row of the map from such a pose.
+    limits: tuple[int, ...]  #: Whose limits these are, joints from 1.
+
+
+def read_trajectory(found: SwivelMap, name: str) -> Reading:
+    """Return what the trajectory of one run, by its name on the map, amounts to."""
+    trajectory, known = found.trajectories[name], np.isfinite(found.best_mu)
+    travel = float(np.unwrap(trajectory.swivel_rad)[-1] - trajectory.swivel_rad[0])
+    nan = np.nan
+    if not known.any() or trajectory.gap_rad > OTHER_BRANCH_RAD:
+        end = End.OTHER_BRANCH if known.any() else End.UNKNOWN
+        return Reading(name, nan, nan, travel, nan, end, 0, nan, ())
+    best = np.interp(trajectory.t_s, found.t_s[known], found.best_mu[known])
+    near = trajectory.mu >= (1.0 - NEAR) * best
+    late = trajectory.t_s >= trajectory.t_s[-1] - END * (trajectory.t_s[-1] - trajectory.t_s[0])
+    share = float(trajectory.mu.mean() / best.mean())
+    since, end, joint = nan, End.OPTIMUM, 0
+    if np.median(trajectory.mu[late] / best[late]) >= 1.0 - NEAR:
+        off = np.flatnonzero(~near)
+        since = float(trajectory.t_s[min(off[-1] + 1, len(near) - 1)] if len(off) else trajectory.t_s[0])
+    else:
+        end, joint = _what_holds(found, trajectory, late)
+    return Reading(name, float(near.mean()), share, travel, since, end, joint, *_at_edge(found, trajectory))
+
+
+def alike(found: SwivelMap, within_rad: float = ALIKE_RAD) -> dict[str, list[str]]:
+    """Group the trajectories whose swivels never lie farther apart at the same time: first of a kind -> the others."""
+    kinds: dict[str, list[str]] = {}
+    for name, trajectory in found.trajectories.items():
+        alike = (first for first in kinds if _apart(found.trajectories[first], trajectory) <= within_rad)
+        kinds.setdefault(next(alike, name), []).append(name)
+    return {first: names[1:] for first, names in kinds.items()}
+
+
+def _apart(one: Trajectory, two: Trajectory) -> float:
+    longer = abs(one.t_s[-1] - two.t_s[-1]) > 0.02 * (one.t_s[-1] - one.t_s[0])
+    folded = (one.gap_rad > OTHER_BRANCH_RAD) != (two.gap_rad > OTHER_BRANCH_RAD)
+    if longer or folded:
+        return float("inf")
+    there = np.interp(one.t_s, two.t_s, np.unwrap(two.swivel_rad))
+    return float(np.abs(wrapped(there - one.swivel_rad)).max())
+
+
+def _at_edge(found: SwivelMap, trajectory: Trajectory) -> tuple[float, tuple[int, ...]]:
+    columns = np.abs(found.t_s[None] - trajectory.t_s[:, None]).argmin(axis=1)
+    rows = np.abs(wrapped(found.swivel_rad[None] - trajectory.swivel_rad[:, None])).argmin(axis=1)
+    beside = found.limit[columns[:, None], (rows[:, None] + [-1, 0, 1]) % len(found.swivel_rad)]
+    joints = np.unique(beside[beside > FEASIBLE])
+    return float((beside != FEASIBLE).any(axis=1).mean()), tuple(int(joint) for joint in joints)
+
+
+def _what_holds(found: SwivelMap, trajectory: Trajectory, late: NDArray[np.bool_]) -> tuple[End, int]:
+    # The last column until the end in which any pose is allowed; the first such column where none is.
+    known = np.flatnonzero(np.isfinite(found.best_mu))
+    column = int(max(known[found.t_s[known] <= trajectory.t_s[-1] + 1e-9], default=known[0]))
+    mu, limit, best = found.mu[column], found.limit[column], found.best_mu[column]
+    count, step = len(mu), float(found.swivel_rad[1] - found.swivel_rad[0])
+    away = wrapped(found.swivel_rad - trajectory.swivel_rad[-1])
+    row = int(np.argmin(np.abs(away)))
+    side = _uphill(mu, row)
+    stop = row
+    for _ in range(count):
+        following = (stop + side) % count
+        if side == 0 or limit[following] != FEASIBLE or mu[following] <= mu[stop]:
+            break
+        stop = following
+    blocked = side != 0 and limit[(stop + side) % count] != FEASIBLE
+    close = abs(float(away[stop])) <= CLOSE_RAD + 0.5 * step
+    if close and blocked:
+        return End.FEASIBLE_EDGE, max(int(limit[(stop + side) % count]), 0)
+    if close and mu[stop] < (1.0 - NEAR) * best:
+        return End.LOCAL_MAXIMUM, 0
+    t, swivel = trajectory.t_s[late], np.unwrap(trajectory.swivel_rad[late])
+    speed = (swivel[-1] - swivel[0]) / max(t[-1] - t[0], 1e-9)
+    if abs(speed) < STILL_RAD_PER_S:
+        return End.STILL, 0
+    return (End.RISING if speed * side > 0.0 else End.FALLING), 0
+
+
+def _uphill(mu: Array, row: int) -> int:
+    beside = np.array([mu[row - 1], mu[(row + 1) % len(mu)]])
+    rise = np.where(np.isfinite(beside), beside - mu[row], -np.inf)
+    if not (rise > 0.0).any():
+        return 0
+    return 1 if rise[1] > rise[0] else -1

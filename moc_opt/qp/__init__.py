@@ -1,7 +1,6 @@
 """The null-space subproblem as data, and the residuals of its answers.
 
-Read first: ``problem`` (``NullSpaceQP``: cost, rows, box, validated and read-only), then ``residuals`` (how every
-solver's answer is measured, without asking a solver; ``extremes`` finds best and worst cost with several freedoms).
-``layout`` says where the parts of a packed subproblem lie, ``equalities`` gives six rows or five to solvers. Imports
-``errors``, ``arrays`` and ``core``; knows no robot and no solver.
+Read first: ``problem`` (``NullSpaceQP``: cost, rows, box), then ``residuals`` (how every solver's answer is measured;
+``extremes`` finds best and worst cost with several freedoms). ``layout`` says where the parts of a packed subproblem
+lie, ``equalities`` gives six rows or five to solvers. The room knows no robot and no solver.
 """

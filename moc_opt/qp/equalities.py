@@ -33,6 +33,9 @@ def assembled(qp: NullSpaceQP, rows: int = 5) -> Assembled:
     if n > core.MAX_JOINTS:
         five = qp.reduced()
         return Assembled(qp.P, qp.p, *(five if rows == 5 else (qp.A, qp.b, _SIX)))
-    P, p, A, b, lift = np.empty((n, n)), np.empty(n), np.empty((6, n)), np.empty(6), np.empty((6, 6))
-    m = core.assemble(qp.row, rows == 5, P, p, A, b, lift)
-    return Assembled(*(read_only(part) for part in (P, p, A[:m], b[:m], lift[:m])))
+    P, p, spare, plain = np.empty((n, n)), np.empty(n), np.empty(n), np.ones(3)
+    for m in (rows, 6):
+        A, b, lift = np.empty((m, n)), np.empty(m), np.empty((m, 6))
+        if core.load(qp.row, rows == 5, 1.0, plain, P, p, A, b, b, spare, spare, np.empty(0), lift):
+            break
+    return Assembled(*(read_only(part) for part in (P, p, A, b, lift)))

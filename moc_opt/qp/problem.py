@@ -1,10 +1,11 @@
 """The null-space subproblem of one control tick, as data: no robot and no solver.
 
-    min_x  c0/2 |J_T x - v_T|^2 + c1/2 |J_W x - v_W|^2 - c2 x^T grad_mu + regularization/2 |x|^2
+    min_x  c0/2 |J_T x - v_T|^2 + c1/2 |J_W x - v_W|^2 - c2 x^T pull + regularization/2 |x|^2
     s.t.   J_T x = v_T,   J_W x = v_W,   lower <= x <= upper
 
-x is a joint velocity [rad/s]. regularization = 0 is the problem of Su et al. 2019; regularization > 0 makes it a
-strictly convex QP. The six rows have rank five where tip and wrist are tied by a rigid tool.
+x is a joint velocity [rad/s]. pull is grad mu, unless a course or a climb gives the velocity x_d that the elbow is to
+follow: it is (regularization / c2) x_d then. regularization = 0 is the problem of Su et al. 2019; regularization > 0
+makes it a strictly convex QP. The six rows have rank five where tip and wrist are tied by a rigid tool.
 """
 
 from __future__ import annotations
@@ -35,11 +36,12 @@ def row_length(n: int) -> int:
 
 
 class Fields(NamedTuple):
-    """Views into flat records ``(..., 10 n + 10)``; the order here is the order in the record."""
+    """Views into flat records ``(..., 11 n + 10)``; the order here is the order in the record."""
 
     A: Array  # (..., 6, n) = [J_tip; J_wrist]
     b: Array  # (..., 6) = [v_tip; v_wrist]
     grad_mu: Array  # (..., n)
+    pull: Array  # (..., n)
     lower: Array  # (..., n)
     upper: Array  # (..., n)
     weights: Array  # (..., 4) = c0, c1, c2, regularization
@@ -50,11 +52,9 @@ def fields(rows: Array) -> Fields:
     """Name the parts of one record or of a batch of them, without copying."""
     n = joints_of(rows.shape[-1])
     if n < 1 or row_length(n) != rows.shape[-1]:
-        raise SubproblemError(f"row: length {rows.shape[-1]} is not 10 n + 10; use NullSpaceQP(...).row")
-    if rows.ndim == 1:  # in the control loop: five microseconds less
-        A, *parts = (rows[place] for place in _places(n))
-    else:
-        A, *parts = (rows[..., place] for place in _places(n))
+        raise SubproblemError(f"row: length {rows.shape[-1]} is not 11 n + 10; use NullSpaceQP(...).row")
+    one = rows.ndim == 1  # in the control loop: five microseconds less without the ellipsis
+    A, *parts = (rows[place] if one else rows[..., place] for place in _places(n))
     return Fields(A.reshape(*rows.shape[:-1], 6, n), *parts)
 
 
@@ -64,8 +64,10 @@ def _places(n: int) -> tuple[slice, ...]:
 
 
 def compute_residuals(rows: Array, x: Array, y: Array | None = None) -> Residuals:
-    """Return the residuals of a batch of answers x (k, n), y (k, 6) to the subproblems ``rows`` (k, 10 n + 10)."""
-    return optimality.residuals(optimality.Problem(*fields(rows)[:6]), x, y)
+    """Return the residuals of a batch of answers x (k, n), y (k, 6) to the subproblems ``rows`` (k, 11 n + 10)."""
+    part = fields(rows)
+    problem = optimality.Problem(part.A, part.b, part.pull, part.lower, part.upper, part.weights)
+    return optimality.residuals(problem, x, y)
 
 
 class Reduced(NamedTuple):
@@ -86,6 +88,7 @@ class NullSpaceQP:
         lower, upper: (n,) bounds on the joint velocity [rad/s].
         c0, c1, c2: weights of the paper; regularization: rho, 0 for the paper's problem.
         q: (n,) joint position where this was linearized [rad]; only the NLP back-ends need it.
+        pull: (n,) what stands in the cost where that is not grad_mu.
 
     Raises:
         SubproblemError: naming the field, its value and the cure.
@@ -110,14 +113,14 @@ class NullSpaceQP:
     def __init__(
         self, J_tip: ArrayLike, J_wrist: ArrayLike, v_tip: ArrayLike, v_wrist: ArrayLike, grad_mu: ArrayLike,
         lower: ArrayLike, upper: ArrayLike, c0: float = 0.01, c1: float = 0.01, c2: float = 0.001,
-        regularization: float = REGULARIZATION, q: ArrayLike | None = None,
+        regularization: float = REGULARIZATION, q: ArrayLike | None = None, pull: ArrayLike | None = None,
     ) -> None:  # fmt: skip
         jacobian = _array("J_tip", J_tip)
         if jacobian.ndim != 2 or jacobian.shape[0] != 3 or jacobian.shape[1] < 1:
             raise SubproblemError(f"J_tip: shape {jacobian.shape} is not (3, n); pass world-axes rows x, y, z")
         n = jacobian.shape[1]
         low, high = _array("lower", lower, (n,)), _array("upper", upper, (n,))
-        weights = []
+        gradient, weights = _array("grad_mu", grad_mu, (n,)), []
         for name, value in zip(WEIGHTS, (c0, c1, c2, regularization), strict=True):
             weight = float(_array(name, value, ()))
             if not 0.0 <= weight <= LARGEST_WEIGHT:
@@ -132,17 +135,15 @@ class NullSpaceQP:
             )
         parts = (
             jacobian.ravel(), _array("J_wrist", J_wrist, (3, n)).ravel(), _array("v_tip", v_tip, (3,)),
-            _array("v_wrist", v_wrist, (3,)), _array("grad_mu", grad_mu, (n,)), low, high, weights,
+            _array("v_wrist", v_wrist, (3,)), gradient, gradient if pull is None else _array("pull", pull, (n,)),
+            low, high, weights,
             np.full(n, np.nan) if q is None else _array("q", q, (n,)),
         )  # fmt: skip
         self._adopt(np.concatenate(parts), n)
 
     @classmethod
     def from_row(cls, row: Array) -> NullSpaceQP:
-        """Adopt a flat record without copying or checking its values; the record becomes read-only.
-
-        For the controller and for recordings, whose records were made by this package.
-        """
+        """Adopt a flat record that this package made, without copying or checking it; it becomes read-only."""
         self = object.__new__(cls)
         self._adopt(row, joints_of(row.shape[0]))
         return self
@@ -182,7 +183,8 @@ class NullSpaceQP:
     J_wrist = property(lambda self: self.fields.A[3:], doc="(3, n) [m/rad]")
     v_tip = property(lambda self: self.fields.b[:3], doc="(3,) [m/s]")
     v_wrist = property(lambda self: self.fields.b[3:], doc="(3,) [m/s]")
-    grad_mu = property(lambda self: self.fields.grad_mu, doc="(n,)")
+    grad_mu = property(lambda self: self.fields.grad_mu, doc="(n,) of the pose")
+    pull = property(lambda self: self.fields.pull, doc="(n,) what the cost has: grad_mu, or (rho/c2) x_d")
     lower = property(lambda self: self.fields.lower, doc="(n,) [rad/s]")
     upper = property(lambda self: self.fields.upper, doc="(n,) [rad/s]")
     c0 = property(lambda self: float(self.fields.weights[0]), doc="weight of the tip rows")
@@ -207,9 +209,9 @@ class NullSpaceQP:
 
     @cached_property
     def p(self) -> Array:
-        """(n,) linear cost: -c0 J_T^T v_T - c1 J_W^T v_W - c2 grad_mu."""
+        """(n,) linear cost: -c0 J_T^T v_T - c1 J_W^T v_W - c2 pull."""
         part = self.fields
-        return read_only(-(np.repeat(part.weights[:2], 3) * part.b) @ part.A - part.weights[2] * part.grad_mu)
+        return read_only(-(np.repeat(part.weights[:2], 3) * part.b) @ part.A - part.weights[2] * part.pull)
 
     def objective(self, x: ArrayLike) -> float:
         """Return 1/2 x^T P x + p^T x, without the constant.
@@ -222,9 +224,9 @@ class NullSpaceQP:
 
     @cached_property
     def _reduced(self) -> Reduced:
-        # Tip and wrist are rigidly tied: u^T (J_T - J_W) = 0 for the direction u of the tool, so the wrist's row along
-        # u repeats the tip's. Left are the tip's three rows and the wrist's two across u: A5 = lift A6, and
-        # A5^T y5 = A6^T (lift^T y5). `moc_opt/core/rows.c` takes the same decision for the adapters of libraries.
+        # A rigid tool: u^T (J_T - J_W) = 0 for its direction u, so the wrist's row along u repeats the tip's. Left are
+        # the tip's three rows and the wrist's two across u: A5 = lift A6, and A5^T y5 = A6^T (lift^T y5).
+        # `moc_opt/core/rows.c` takes the same decision for the adapters of libraries.
         u = _tool_direction(self.A)
         lift = np.eye(6)
         if u is not None:

@@ -1,9 +1,9 @@
 """Residuals of an answer to the null-space subproblem: one definition for every solver.
 
-All functions take a leading batch shape ``(...,)`` and need numpy only, so that one call judges
-a single tick or a whole recording. None of them uses the status that the solver reports.
+All functions take a leading batch shape ``(...,)``, so that one call judges a single tick or a whole recording. None of
+them uses the status that the solver reports.
 
-On A x = b the tracking terms of the cost are constant. The rest, rho/2 |x|^2 - c2 grad_mu^T x, is a sum over
+On A x = b the tracking terms of the cost are constant. The rest, rho/2 |x|^2 - c2 pull^T x, is a sum over
 independent parts: each idle joint (its column of A is zero) on its own interval, and the other joints together on
 their part of ker A. With one freedom that is an interval too; with more ``moc_opt.qp.extremes`` finds best and worst.
 
@@ -31,7 +31,7 @@ from moc_opt.qp.extremes import extremes
 # tolerance at joint speeds of a few rad/s. Nothing but a straight elbow makes the fifth one small: it is a constraint.
 TIED = 1e-7
 RANK_TOLERANCE = 1e-12
-GRADIENT_ROUNDING = 1e-9  # a reduced gradient below this fraction of |grad_mu|_inf is zero
+GRADIENT_ROUNDING = 1e-9  # a reduced gradient below this fraction of |pull|_inf is zero
 A_POINT = 1e-9  # a feasible interval no longer than this [rad/s] has no ends: rounding decides where on it x is
 FEASIBLE = 1e-6  # box violation up to which a feasible set that x only touches is that point [rad/s]
 STILL = 1e-9  # a joint that moves less than this along a unit vector of self-motion does not bound it
@@ -48,7 +48,7 @@ class Residuals(NamedTuple):
             told from a bad x by ``natural >> natural_best``. With more than ``MOST_FACETS`` facets the
             optimum's y stands for the best one: never too small, and zero at an optimum.
         relative: ``natural_best`` of the same problem with its cost divided by the size of its reduced
-            gradient: max(c2 |Z Z^T grad_mu|_inf, rho times 1 rad/s), Z a basis of ker A; idle joints
+            gradient: max(c2 |Z Z^T pull|_inf, rho times 1 rad/s), Z a basis of ker A; idle joints
             have one of their own. So errors show even if the gradient has almost no component on ker A. Where
             the feasible set is a point, so that there is no loss, it is at least the cost of x above that of the
             point, over that size [rad/s].
@@ -88,7 +88,7 @@ class Problem(NamedTuple):
 
     A: Array  # (..., 6, n)
     b: Array  # (..., 6)
-    grad_mu: Array  # (..., n)
+    pull: Array  # (..., n)
     lower: Array  # (..., n)
     upper: Array  # (..., n)
     weights: Array  # (..., 4): c0, c1, c2, rho
@@ -102,12 +102,8 @@ def residuals(problem: Problem, x: Array, y: Array | None = None) -> Residuals:
     """
     shape = x.shape[:-1]
     n = x.shape[-1]
-    flat = Problem(
-        *(
-            np.broadcast_to(f, shape + f.shape[-k:]).reshape(-1, *f.shape[-k:])
-            for f, k in zip(problem, (2, 1, 1, 1, 1, 1), strict=True)
-        )
-    )
+    ends = [f.shape[-2:] if f is problem.A else f.shape[-1:] for f in problem]
+    flat = Problem(*(np.broadcast_to(f, shape + e).reshape(-1, *e) for f, e in zip(problem, ends, strict=True)))
     x = x.reshape(-1, n)
     finite = np.all(np.isfinite(x), axis=-1)
     x = np.where(finite[:, None], x, 0.0)
@@ -115,7 +111,7 @@ def residuals(problem: Problem, x: Array, y: Array | None = None) -> Residuals:
     outside = np.maximum(np.maximum(flat.lower - x, x - flat.upper), 0.0)
     primal = np.maximum(np.abs(slack).max(-1), outside.max(-1))
 
-    size = np.abs(flat.grad_mu).max(-1)
+    size = np.abs(flat.pull).max(-1)
     best, relative, loss, distance = figures = np.zeros((4, len(x)))
     for rows, joints in _idle_patterns(flat.A):
         figures[:, rows] = _idle_joints(_some(flat, rows, ~joints), x[np.ix_(rows, ~joints)], size[rows])
@@ -131,7 +127,7 @@ def residuals(problem: Problem, x: Array, y: Array | None = None) -> Residuals:
         given = np.all(np.isfinite(y), axis=-1)
         c0, c1, c2, rho = flat.weights.T
         rows6 = slack * np.repeat(np.stack([c0, c1], -1), 3, axis=-1) + np.where(given[:, None], y, 0.0)
-        full = np.einsum("kij,ki->kj", flat.A, rows6) + rho[:, None] * x - c2[:, None] * flat.grad_mu
+        full = np.einsum("kij,ki->kj", flat.A, rows6) + rho[:, None] * x - c2[:, None] * flat.pull
         own = np.abs(x - np.clip(x - full, flat.lower, flat.upper)).max(-1)
         natural = np.where(given, own, best)
     for figure in (primal, natural, best, relative, distance):
@@ -173,13 +169,13 @@ def _idle_patterns(A: Array) -> list[tuple[NDArray[np.intp], NDArray[np.bool_]]]
 
 
 def _some(problem: Problem, rows: NDArray[np.intp], joints: NDArray[np.bool_]) -> Problem:
-    A, b, grad_mu, lower, upper, weights = (f[rows] for f in problem)
-    return Problem(A[:, :, joints], b, grad_mu[:, joints], lower[:, joints], upper[:, joints], weights)
+    A, b, pull, lower, upper, weights = (f[rows] for f in problem)
+    return Problem(A[:, :, joints], b, pull[:, joints], lower[:, joints], upper[:, joints], weights)
 
 
-def _gradient(grad_mu: Array, size: Array) -> Array:
-    largest = np.abs(grad_mu).max(-1, initial=0.0)
-    return np.where((largest > GRADIENT_ROUNDING * size)[:, None], grad_mu, 0.0)
+def _gradient(pull: Array, size: Array) -> Array:
+    largest = np.abs(pull).max(-1, initial=0.0)
+    return np.where((largest > GRADIENT_ROUNDING * size)[:, None], pull, 0.0)
 
 
 def _idle_joints(problem: Problem, x: Array, size: Array) -> Array:
@@ -187,7 +183,7 @@ def _idle_joints(problem: Problem, x: Array, size: Array) -> Array:
     worst = np.zeros((4, len(x)))
     for j in range(x.shape[1]):
         here, low, high = x[:, j], problem.lower[:, j], problem.upper[:, j]
-        push = c2 * _gradient(problem.grad_mu[:, j : j + 1], size)[:, 0]
+        push = c2 * _gradient(problem.pull[:, j : j + 1], size)[:, 0]
         slope, scale = rho * here - push, np.maximum(np.abs(push), rho)
         natural, relative = (np.abs(here - np.clip(here - s, low, high)) for s in (slope, slope / _or_one(scale)))
         step, loss, _ = _on_an_interval(slope, rho, low - here, high - here)
@@ -201,8 +197,8 @@ def _moving_joints(problem: Problem, x: Array, factors: _Factors, slack: Array, 
     steps = np.einsum("kij,ki->kj", factors.U, slack) / factors.s
     slid = np.einsum("knj,kj->kn", factors.V, steps)
     exact = x - slid
-    above = np.einsum("kn,kn->k", slid, 0.5 * rho[:, None] * (x + exact) - c2[:, None] * problem.grad_mu)
-    along = _gradient(np.einsum("kni,kmi,km->kn", Z, Z, problem.grad_mu), size)
+    above = np.einsum("kn,kn->k", slid, 0.5 * rho[:, None] * (x + exact) - c2[:, None] * problem.pull)
+    along = _gradient(np.einsum("kni,kmi,km->kn", Z, Z, problem.pull), size)
     scale = np.maximum(c2 * np.abs(along).max(-1, initial=0.0), rho)
     low, high = problem.lower - exact, problem.upper - exact
     if r == 0:

@@ -10,35 +10,24 @@ from typing import Any
 import numpy as np
 
 from moc_opt.arrays import Array
+from moc_opt.control.safety_filter import SafetyFilter
 from moc_opt.inputs.files import to_json
-from moc_opt.realtime.link import Link, WireError, WireSettings, compare, written
-from moc_opt.realtime.packets import (
-    COUNTERS,
-    ENDED,
-    REASON_BYTES,
-    REPORTED,
-    RUNNING,
-    STOP,
-    WAITING,
-    WORDS_BYTES,
-    Kind,
-    Packet,
-)  # fmt: skip
-from moc_opt.sim.closed_loop import FilteredController
-from moc_opt.sim.loop import no_collector
-from moc_opt.sim.protocols import LoggedController, SafetyFilter
+from moc_opt.realtime import packets
+from moc_opt.realtime.link import Link, WireError, WireSettings, written
+from moc_opt.realtime.packets import COUNTERS, ENDED, REPORTED, RUNNING, STOP, WAITING, Kind, Packet
+from moc_opt.sim.loop import FilteredController, no_collector
+from moc_opt.sim.protocols import LoggedController
 from moc_opt.sim.sensors import Measurement
 
-_REPEAT_S, _LINGER_S = 0.1, 0.3  #: HELLO and START are sent again after the one; the end is waited out for the other.
+_REPEAT_S = 0.1  # after which HELLO and START are sent again
+_LINGER_S = 0.3  # for which the end is acknowledged again
 
 
 @dataclass(frozen=True)
 class Ending:
     """How a run looked from the controller's end."""
 
-    ended: str
-    """"completed", "stopped: ..." after a request of the safety filter, "the plant ended the run at tick ..." where it
-    did so early, or "the plant has been silent ..."."""
+    ended: str  #: "completed", "stopped: ...", "the plant ended the run at tick ...", "the plant has been silent ...".
     ticks: int  #: measurements that were answered
     quality: dict[str, int]  #: counts of the plant's packets
     plant: dict[str, int]  #: the plant's own counts, as its last measurement has them
@@ -110,10 +99,10 @@ class Answering:
             link.send(request)
             again = min(until, monotonic() + _REPEAT_S)
             found = link.receive(again)
-            while found is not None and not wanted(found):
-                found = link.receive(again)
-            if found is not None:
-                return found
+            while found is not None:
+                if wanted(found):
+                    return found
+                found = link.receive(again) if monotonic() < again else None
         raise WireError(
             f"no plant answers at {written(link.peer)} within {self._settings.wait_s:g} s ({link.heard}): start "
             "`moc-opt plant` there, with the same robot and the same key"
@@ -127,15 +116,14 @@ class Answering:
                 self._say_bye(filtered)
                 done, whole = int(found["sequence"]) + 1, len(self._tip_refs)
                 return "completed" if done >= whole else f"the plant ended the run at tick {done} of {whole}"
-            number, newest = int(found["sequence"]), self._newest
-            of_this_run = found["flags"] == RUNNING and number < len(self._tip_refs)
-            said = compare(number, newest) if of_this_run else "foreign"
-            quality["received" if said == "new" else said] += 1
-            if said == "new":
+            number, newest, last = int(found["sequence"]), self._newest, len(self._tip_refs) - 1
+            said = link.judge(number, newest, last) if found["flags"] == RUNNING else "foreign"
+            quality[said] += 1
+            if said == "received":
                 quality["missed"] += number - newest - 1
                 self._newest = number
                 applied = self._answer(filtered, found, applied)
-            elif said == "doubled":  # the plant has not heard the answer
+            elif said == "doubled":  # the plant has not received the answer
                 link.send(self._command)
                 link.send(self._report)
             found = link.receive(monotonic() + self._settings.silence_s)
@@ -145,24 +133,23 @@ class Answering:
         bye, until = Packet(Kind.BYE, self._link.n, self._link.session, self._scenario), monotonic() + _LINGER_S
         bye["words"] = _last_words(self._controller, filtered.warnings)
         self._link.send(bye)
-        while (again := self._link.receive(until)) is not None:
+        while monotonic() < until and (again := self._link.receive(until)) is not None:
             if again["flags"] == ENDED:
                 self._link.send(bye)
 
     def _answer(self, filtered: FilteredController, found: Packet, applied: Array, *, rehearsal: bool = False) -> Array:
         begin, number = perf_counter_ns(), int(found["sequence"])
-        seen, echo = _measurement(found), found["commanded"]
+        seen, echo, command, report = _measurement(found), found["commanded"], self._command, self._report
         if not np.array_equal(echo, applied):  # the plant did not hear, and held another torque
             filtered.set_applied_torque(np.array(echo))
         tau = filtered.tick(seen, self._tip_refs[number], self._registered[number])
-        command = self._command
         command["sequence"], command["tau"], command["limited"] = number, tau, filtered.limited
-        flags = REPORTED
+        command["flags"] = REPORTED
         if filtered.stop_reason:
-            flags |= STOP
-            command["reason"] = filtered.stop_reason.encode()[:REASON_BYTES]
+            command["flags"] = REPORTED | STOP
+            command["reason"] = filtered.stop_reason.encode()[: packets.REASON_BYTES]
             command["friction"] = filtered.brake_friction(seen)
-        command["flags"], command["control_us"] = flags, (perf_counter_ns() - begin) * 1e-3
+        command["control_us"] = (perf_counter_ns() - begin) * 1e-3
         if not rehearsal:
             self._link.send(command)
             self._answered += 1
@@ -170,10 +157,10 @@ class Answering:
             column[:] = self._blank[name]  # a note leaves out what there is not
         self._controller.note(0, self._row)
         for name, column in self._row.items():
-            self._report[name] = column[0]
-        self._report["sequence"] = number
+            report[name] = column[0]
+        report["sequence"] = number
         if not rehearsal:
-            self._link.send(self._report)
+            self._link.send(report)
         return tau
 
 
@@ -184,7 +171,7 @@ def _measurement(packet: Packet) -> Measurement:
 def _last_words(controller: object, warnings: list[dict[str, Any]]) -> bytes:
     counted = {name: getattr(controller, name) for name in ("faults", "restarts") if hasattr(controller, name)}
     text = to_json(counted | {"warnings": warnings}, indent=None).encode()
-    if len(text) > WORDS_BYTES:  # without the texts of refused answers
+    if len(text) > packets.WORDS_BYTES:  # without the texts of refused answers
         faults = {name: {**fault, "first": ""} for name, fault in counted.get("faults", {}).items()}
         text = to_json({"faults": faults, "warnings": warnings}, indent=None).encode()
     return text

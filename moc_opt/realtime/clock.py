@@ -9,8 +9,7 @@ from time import monotonic, sleep
 
 _LOCK_ALL = 1 | 2  # MCL_CURRENT | MCL_FUTURE
 _SET_TIMER_SLACK = 29  # PR_SET_TIMERSLACK
-PRIORITY = 50
-"""Of SCHED_FIFO: above ordinary processes, below the threads of a kernel that serves interrupts in threads."""
+PRIORITY = 50  #: Of SCHED_FIFO: above ordinary processes, below the threads in which a kernel serves interrupts.
 
 
 class WallClock:
@@ -46,11 +45,7 @@ class WallClock:
 
 
 def ask_for_realtime() -> dict[str, str]:
-    """Ask for a real-time priority, for memory that is never paged out, and for exact timers.
-
-    Returns:
-        name -> words on what was granted; a request that is not permitted changes nothing.
-    """
+    """Ask for a real-time priority, for memory that is never paged out, and for exact timers; say what was granted."""
     if not sys.platform.startswith("linux"):
         return {"scheduling": "as other processes (no such system call)"}
     found = {"scheduling": f"SCHED_FIFO {PRIORITY}", "memory": "locked", "timers": "slack 1 ns"}

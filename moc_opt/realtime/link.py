@@ -69,11 +69,7 @@ def parse_address(text: str, option: str) -> Address:
 
 
 def read_key(file: Path | None) -> bytes | None:
-    """Return the key of a file, or else of the environment variable; None where there is neither.
-
-    Raises:
-        WireError: the file cannot be read, or holds no key.
-    """
+    """Return the key of a file, or else of the environment variable; None where there is neither."""
     text = os.environ.get(VARIABLE, "") if file is None else read_text(file, "--key-file", WireError)
     if file is None and not text:
         return None
@@ -87,11 +83,7 @@ def read_key(file: Path | None) -> bytes | None:
 
 
 def checked_key(key: bytes | None, host: str, option: str) -> bytes:
-    """Return the key; without one, that of the loopback.
-
-    Raises:
-        WireError: there is none, and the address can be reached from other machines.
-    """
+    """Return the key, without one that of the loopback; a WireError where other machines reach the address."""
     if key is None and not ip_address(host).is_loopback:
         raise WireError(
             f"{option} {host}: other machines reach that address, and whoever speaks on it moves the arm: give both "
@@ -100,13 +92,8 @@ def checked_key(key: bytes | None, host: str, option: str) -> bytes:
     return LOOPBACK_KEY if key is None else key
 
 
-def compare(number: int, newest: int) -> str:
-    """Return what a packet of a tick is beside the newest that came: "new", "doubled" or "reordered"."""
-    return "new" if number > newest else "doubled" if number == newest else "reordered"
-
-
 class Link:
-    """A socket, a key, and the packets that are expected.
+    """A socket, a key, and the packets that are expected; a WireError where the address cannot be taken.
 
     Args:
         key: of the check.
@@ -114,11 +101,10 @@ class Link:
         listen: where; None: wherever the system likes.
         peer: whom to send to; None: not known yet.
 
-    Attributes: `session`, 0 until it is known; `quality`, a count for each of ``packets.COUNTERS``; `sender` of the
-        last packet.
-
-    Raises:
-        WireError: the address cannot be taken.
+    Attributes:
+        session: 0 until it is known.
+        quality: a count for each of ``packets.COUNTERS``.
+        sender: of the last packet.
     """
 
     def __init__(
@@ -165,9 +151,10 @@ class Link:
                 raise WireError(f"nothing can be sent to {written(to or self.peer)}: {describe(error)}") from error
 
     def receive(self, until: float) -> Packet | None:
-        """Return the next sound packet, or None where none has come at the time ``until`` (of ``time.monotonic``) [s].
+        """Return the next sound packet, valid until the next call, or None at ``until`` (of ``time.monotonic``) [s].
 
-        It is valid until the next call. What has arrived already is returned even where ``until`` has passed.
+        What has arrived already is returned even where ``until`` has passed: who waits for one among many looks at the
+        time himself.
         """
         unsound = 0
         while unsound < BACKLOG or monotonic() < until:
@@ -190,6 +177,12 @@ class Link:
             self.quality[wrong] += 1
             unsound += 1
         return None
+
+    def judge(self, number: int, newest: int, last: int) -> str:
+        """Return the counter for a packet of a tick beside the newest of its kind; none is later than ``last``."""
+        if number > last:
+            return "foreign"
+        return "received" if number > newest else "doubled" if number == newest else "reordered"
 
     def _sound(self, data: memoryview) -> tuple[Packet | None, str]:
         kind = data[5] if len(data) > 5 else 0

@@ -26,24 +26,18 @@ COUNTERS = ("received", "missed", "late", "doubled", "reordered", "truncated", "
 
 
 class Kind(IntEnum):
-    """The kinds of packet."""
+    """The kinds of packet; all but MEASUREMENT go to the plant."""
 
-    HELLO = 1
-    """To the plant: show yourself. Answered by one measurement."""
-    START = 2
-    """To the plant: the controller has started at that measurement; begin."""
+    HELLO = 1  #: Answered by one measurement.
+    START = 2  #: The controller has started at that measurement: begin.
     MEASUREMENT = 3
     COMMAND = 4
-    REPORT = 5
-    """To the plant, after a command: the third level's results, only for the trace."""
-    BYE = 6
-    """To the plant: the end of the run is acknowledged, with the controller's counts."""
+    REPORT = 5  #: After a command: the third level's results, for the trace alone.
+    BYE = 6  #: The end of the run is acknowledged, with the controller's counts.
 
 
-WAITING, RUNNING, ENDED = 0, 1, 2
-"""``flags`` of a measurement: nothing moves yet; a command is expected; the run is over."""
-STOP, REPORTED = 1, 2
-"""Bits in ``flags`` of a command: brake the arm; a report follows."""
+WAITING, RUNNING, ENDED = 0, 1, 2  #: ``flags`` of a measurement: nothing moves yet; a command is expected; the end.
+STOP, REPORTED = 1, 2  #: Bits in ``flags`` of a command: brake the arm; a report follows.
 
 HEADER: list[tuple[Any, ...]] = [
     ("magic", "S4"), ("version", "u1"), ("kind", "u1"), ("joints", "u1"), ("flags", "u1"), ("session", "<u8"),
@@ -117,17 +111,8 @@ class Packet:
         return self.buffer
 
 
-_TYPES = {
-    "<u8": "uint64_t", "<i8": "int64_t", "<f8": "double", "<u4": "uint32_t", "<i4": "int32_t", "|u1": "uint8_t",
-}  # fmt: skip
-_STRUCTS = {
-    "measurement": Kind.MEASUREMENT, "command": Kind.COMMAND, "report": Kind.REPORT, "plain": Kind.HELLO,
-    "bye": Kind.BYE,
-}  # fmt: skip
-
-
-def c_header(n: int, ticks: int, scenario: int, wait_s: float, silence_s: float) -> str:
-    """Write ``wire_packets.h`` of an exported controller: the packets as C structs, from the same layouts.
+def c_numbers(n: int, ticks: int, scenario: int, wait_s: float, silence_s: float) -> str:
+    """Write ``wire_numbers.h`` of an exported controller, from which ``wire_packets.h`` makes the packets in C.
 
     Args:
         n: joints.
@@ -138,38 +123,10 @@ def c_header(n: int, ticks: int, scenario: int, wait_s: float, silence_s: float)
     defines = {
         "JOINTS": n, "TICKS": ticks, "SCENARIO": f"UINT64_C({scenario})", "VERSION": VERSION,
         "MAGIC": f'"{MAGIC.decode()}"', "LOOPBACK_KEY": f'"{LOOPBACK_KEY.decode()}"', "WAIT_S": wait_s,
-        "SILENCE_S": silence_s,
-        "COUNTER_NAMES": "{" + ", ".join(f'"{name}"' for name in COUNTERS) + "}",
+        "SILENCE_S": silence_s, "COUNTER_NAMES": "{" + ", ".join(f'"{name}"' for name in COUNTERS) + "}",
     }  # fmt: skip
-    kinds = ", ".join(f"WIRE_KIND_{kind.name} = {int(kind)}" for kind in Kind)
-    counters = ", ".join(f"WIRE_{name.upper()}" for name in COUNTERS)
-    parts = [
-        "/* Generated: the packets of the wire, see docs/realtime.md. Little-endian machines only. */",
-        "#ifndef WIRE_PACKETS_H\n#define WIRE_PACKETS_H\n\n#include <stdint.h>\n",
-        *(f"#define WIRE_{name} {value}" for name, value in defines.items()),
-        f"\nenum {{{kinds}}};\nenum {{{counters}, WIRE_COUNTERS}};",
-        "enum {WIRE_WAITING, WIRE_RUNNING, WIRE_ENDED}; /* flags of a measurement */",
-        "enum {WIRE_STOP = 1, WIRE_REPORTED = 2};       /* flags of a command */\n",
-        _struct("header", np.dtype(HEADER)),
-    ]
-    for name, kind in _STRUCTS.items():
-        dtype = layout(kind, n)
-        check = f"sizeof(wire_{name}) == {dtype.itemsize}"
-        parts += [_struct(name, dtype, len(HEADER)), f"typedef char wire_{name}_has_its_size[{check} ? 1 : -1];\n"]
-    parts.append(
-        "#if defined(__BYTE_ORDER__) && __BYTE_ORDER__ != __ORDER_LITTLE_ENDIAN__\n"
-        '#error "the packets are little-endian"\n#endif\n\n#endif'
-    )
-    return "\n".join(parts) + "\n"
-
-
-def _struct(name: str, dtype: np.dtype[np.void], begin: int = 0) -> str:
-    lines = ["    wire_header head;"] if begin else []
-    for field in (dtype.names or ())[begin:]:
-        base, shape = dtype[field].base, dtype[field].shape
-        if base.kind in "SV":
-            kind, shape = ("char" if base.kind == "S" else "uint8_t"), (base.itemsize,)
-        else:
-            kind = _TYPES[base.str]
-        lines.append(f"    {kind} {field}{''.join(f'[{size}]' for size in shape)};")
-    return "typedef struct {\n" + "\n".join(lines) + f"\n}} wire_{name};"
+    defines |= {f"KIND_{kind.name}": int(kind) for kind in Kind}
+    defines |= {f"{kind.name}_BYTES": layout(kind, n).itemsize for kind in Kind}
+    lines = [f"#define WIRE_{name} {value}" for name, value in defines.items()]
+    lines.append(f"enum {{ {', '.join(f'WIRE_{name.upper()}' for name in COUNTERS)}, WIRE_COUNTERS }};")
+    return "/* Generated: the numbers of the wire. */\n" + "\n".join(lines) + "\n"

@@ -11,13 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from moc_opt.arrays import Array
+from moc_opt.control.safety_filter import SafetyFilter
 from moc_opt.errors import MocOptError, printable
 from moc_opt.inputs.files import parse_json
 from moc_opt.realtime.clock import WallClock
-from moc_opt.realtime.link import BACKLOG, Link, WireError, WireSettings, compare, written
+from moc_opt.realtime.link import BACKLOG, Link, WireError, WireSettings, written
 from moc_opt.realtime.packets import ENDED, REPORTED, RUNNING, STOP, WAITING, Kind, Packet
-from moc_opt.sim.closed_loop import Filtered
-from moc_opt.sim.protocols import SafetyFilter
+from moc_opt.sim.protocols import Filtered
 from moc_opt.sim.sensors import Measurement
 from moc_opt.trace.meta import check_entry
 
@@ -32,11 +32,6 @@ class Watchdog:
 
     The last torque is held for ``hold_ticks``. For ``damp_ticks`` more the drives carry the arm's weight and damp its
     motion; a command in that time is followed again. Then the brakes close, and nothing opens them.
-
-    Args:
-        settings: see ``WireSettings``.
-        safety_filter: knows the arm's weight and its brakes; the plant's own, not the controller's.
-        first: the measurement at which the run begins.
     """
 
     def __init__(self, settings: WireSettings, safety_filter: SafetyFilter, first: Measurement) -> None:
@@ -78,7 +73,7 @@ class RemoteController(Filtered):
     Args:
         link: listens at the plant's address.
         settings: watchdog and time-outs.
-        safety_filter: the plant's own, for the watchdog.
+        safety_filter: the plant's own, which knows the arm's weight and its brakes.
         columns: number of ticks -> the columns of the controller that is at the other end.
         applied: (n,) torque before the first tick [Nm].
         tau_max: (n,) largest torques [Nm]: a command beyond them is not followed, like one that did not come.
@@ -107,7 +102,7 @@ class RemoteController(Filtered):
 
     @property
     def warnings(self) -> list[dict[str, Any]]:
-        """No warnings: the controller's safety filter is at the other end; see ``told``, after ``close``."""
+        """None: the controller's safety filter is at the other end; see ``told``, after ``close``."""
         return []
 
     def start(self, seen: Measurement, tip_ref: Array, trocar: Array) -> None:
@@ -121,17 +116,17 @@ class RemoteController(Filtered):
         until = monotonic() + self._settings.wait_s
         self._fill(seen, WAITING)
         while True:
-            found = link.receive(until)
+            found = link.receive(until) if monotonic() < until else None  # a flood of packets ends, too
             if found is None:
                 raise WireError(
                     f"no controller came to {written(link.address)} within {self._settings.wait_s:g} s "
                     f"({link.heard}): start `moc-opt control` on the same scenario with the same key, or raise "
                     "[wire] wait_s"
                 )
+            if found.kind is Kind.START and int(found["session"]) == int(packet["session"]):
+                break
             if found.kind is Kind.HELLO:
                 link.send(packet, link.sender)
-            elif found.kind is Kind.START and int(found["session"]) == int(packet["session"]):
-                break
             else:
                 link.quality["foreign"] += 1
         link.peer, link.session = link.sender, int(packet["session"])
@@ -188,26 +183,24 @@ class RemoteController(Filtered):
         if self.clock is not None:
             columns["wake_us"][row] = self.clock.late_us
         if self._reported and self._newest[Kind.REPORT] < self._tick - 1:
-            until = monotonic() + self._settings.resend_s if self.clock is None else self.clock.spare_until
-            self._receive(until, lambda: self._newest[Kind.REPORT] == self._tick - 1)
+            self._receive(
+                Kind.REPORT, monotonic() + self._settings.resend_s if self.clock is None else self.clock.spare_until
+            )
 
     def close(self) -> dict[str, Any]:
         """Tell the controller, once, that the run is over; return the counts. ``told`` holds its answer."""
         if self._counts:
             return self._counts
         self._packet["flags"] = ENDED
-        for _ in range(_BYE_TIMES if self.link.session else 0):
+        found, times = None, _BYE_TIMES if self.link.session else 0
+        while found is None and times > 0:
             self.link.send(self._packet)
-            until = monotonic() + _BYE_S
-            found = self.link.receive(until)
-            while found is not None and found.kind is not Kind.BYE:
-                found = self.link.receive(until) if monotonic() < until else None
-            if found is not None:
-                self.told = _told(bytes(found["words"][()]))
-                break
+            times -= 1
+            found = self._receive(Kind.BYE, monotonic() + _BYE_S)
+        if found is not None:
+            self.told = _told(bytes(found["words"][()]))
         self.link.close()
-        overruns = {} if self.clock is None else {"overruns": self.clock.overruns}
-        self._counts = self.link.quality | overruns
+        self._counts = self.link.quality | ({} if self.clock is None else {"overruns": self.clock.overruns})
         return self._counts
 
     def _fill(self, seen: Measurement, state: int) -> None:
@@ -218,48 +211,44 @@ class RemoteController(Filtered):
 
     def _exchange(self, seen: Measurement) -> Packet | None:
         self._fill(seen, RUNNING)
-        self.link.send(self._packet)
-        if self.clock is not None:
-            return self._receive(self._until)
-        for turn in range(1 + self._settings.resends):
-            if turn:
-                self.link.send(self._packet)
-            found = self._receive(monotonic() + self._settings.resend_s)
-            if found is not None:
-                return found
+        for _ in range(1 if self.clock is not None else 1 + self._settings.resends):
+            self.link.send(self._packet)
+            until = monotonic() + self._settings.resend_s if self.clock is None else self._until
+            if (command := self._receive(Kind.COMMAND, until)) is not None:
+                return command
         return None
 
-    def _receive(self, until: float, done: Callable[[], bool] | None = None) -> Packet | None:
+    def _receive(self, wanted: Kind, until: float) -> Packet | None:
+        """Return this tick's command, a new report, or the acknowledgement of the end; keep reports on the way."""
         for _ in range(BACKLOG):
             found = self.link.receive(until)
             if found is None:
                 break
-            if found.kind is Kind.COMMAND and self._is_usable(found) and self._is_new(found):
-                return found
-            if found.kind is Kind.REPORT and self._is_new(found):
+            new = found.kind not in self._newest or (self._is_usable(found) and self._is_new(found))
+            if new and found.kind is Kind.REPORT:
                 self._keep(found)
-            if done is not None and done():
-                break
+            if new and found.kind is wanted:
+                return found
         return None
 
-    def _is_usable(self, command: Packet) -> bool:
-        friction = command["friction"]
-        inside = (np.abs(command["tau"]) <= self._tau_max).all() and command["limited"] <= self.link.n
+    def _is_usable(self, packet: Packet) -> bool:
+        if packet.kind is Kind.REPORT:
+            return True
+        friction = packet["friction"]
+        inside = (np.abs(packet["tau"]) <= self._tau_max).all() and packet["limited"] <= self.link.n
         usable = bool(inside and ((friction >= 0.0) & (friction < np.inf)).all())
         self.link.quality["foreign"] += not usable
         return usable
 
     def _is_new(self, packet: Packet) -> bool:
         number = int(packet["sequence"])
-        said = compare(number, self._newest[packet.kind])
-        if number > self._tick:
-            said = "foreign"
-        elif said == "new":
+        said = self.link.judge(number, self._newest[packet.kind], self._tick)
+        if said == "received":
             self._newest[packet.kind] = number
             if packet.kind is Kind.COMMAND and number < self._tick:
                 said = "late"
-        self.link.quality["received" if said == "new" else said] += 1
-        return said == "new"
+        self.link.quality[said] += 1
+        return said == "received"
 
     def _keep(self, report: Packet) -> None:
         row = int(report["sequence"])

@@ -100,9 +100,6 @@ def check_out(path: str | os.PathLike[str], what: str, *, force: bool = False) -
     """
     file = Path(path)
     check_replaceable(file, what, ReportError)
-    folder = next(folder for folder in file.absolute().parents if folder.exists())
-    if not folder.is_dir() or not os.access(folder, os.W_OK | os.X_OK):
-        raise ReportError(f"{file}: cannot be written: {str(folder)!r} is no folder that may be written to")
     if os.path.isfile(file) and not force and not _is_ours(file):
         cure = "give another name, or --force"
         raise ReportError(f"{file}: this {what} would replace a file that is no page of moc_opt: {cure}")
@@ -134,9 +131,4 @@ def save_document(
     if len(content) > MAX_BYTES:
         sizes = f"{len(content) / 1e6:.1f} MB, more than {MAX_BYTES / 1e6:.0f}"
         raise ReportError(f"{file}: the {what} has {sizes}: {cure()}")
-    try:
-        file.parent.mkdir(parents=True, exist_ok=True)
-        write_whole(file, content)
-    except OSError as error:
-        raise ReportError(f"{file}: cannot be written: {error.strerror or error}") from error
-    return file
+    return write_whole(file, content, what, ReportError)

@@ -14,6 +14,7 @@ import plotly.graph_objects as go
 from plotly.offline import get_plotlyjs
 
 from moc_opt.errors import BrowserError, BrowserMissingError, ReportError, UnknownNameError
+from moc_opt.inputs.files import write_whole
 from moc_opt.inputs.names import file_stem
 
 if TYPE_CHECKING:
@@ -59,14 +60,10 @@ def save_figures(
     folder = Path(directory)
     with browser() as chromium:
         drawn = _draw(chromium, figures)
-    files = {folder / f"{name}.{kind}": contents[kind] for name, contents in drawn.items() for kind in wanted}
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        for file, content in files.items():
-            file.write_bytes(content)
-    except OSError as error:
-        raise ReportError(f"{folder}: cannot be written: {error.strerror or error}") from error
-    return list(files)
+    return [
+        write_whole(folder / f"{name}.{kind}", contents[kind], "figure", ReportError)
+        for name, contents in drawn.items() for kind in wanted
+    ]  # fmt: skip
 
 
 @contextmanager

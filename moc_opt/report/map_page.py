@@ -15,8 +15,20 @@ from moc_opt.arrays import Array
 from moc_opt.errors import ReportError
 from moc_opt.figures.notation import Missing
 from moc_opt.figures.style import BAD, INK, MUTED, Styles, figure, label, legend_height
-from moc_opt.planning.map_analysis import CLOSE_RAD, END, NEAR, End, Reading, alike, read_trajectory
-from moc_opt.planning.swivel_map import FEASIBLE, OTHER_BRANCH_RAD, UNREACHABLE, SwivelMap, manipulability_map
+from moc_opt.planning.swivel_map import (
+    CLOSE_RAD,
+    END,
+    FEASIBLE,
+    NEAR,
+    OTHER_BRANCH_RAD,
+    UNREACHABLE,
+    End,
+    Reading,
+    SwivelMap,
+    alike,
+    manipulability_map,
+    read_trajectory,
+)
 from moc_opt.report.page import Page
 from moc_opt.report.replay import load_runs
 from moc_opt.report.run_table import below_best, listed, title_of

@@ -33,7 +33,8 @@ VERDICT_TERMS = (
     "Bound: what no course can exceed."
 )
 COURSES_TERMS = (
-    "Local climb: mu climbed from the start, as the control law does. Optimum: 'local' where no course nearby is "
+    "Local climb: an ideal climb of mu from the start, without dynamics or gains: a run with third_level = 'local' may "
+    "reach another value, by what its controller can follow. Optimum: 'local' where no course nearby is "
     "better, 'grid' the best of the map's samples. Violation: the largest miss of the path or of a limit."
 )
 OBJECTIVES = {"mean": "mean mu", "worst": "worst mu", "log": "mean log mu"}

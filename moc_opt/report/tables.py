@@ -5,14 +5,14 @@ from __future__ import annotations
 import io
 import math
 import shutil
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from textwrap import wrap
 from typing import Any, Literal
 
 from rich import box
 from rich.cells import cell_len
-from rich.console import Console
+from rich.console import Console, ConsoleOptions
 from rich.measure import Measurement
 from rich.table import Table as RichTable
 from rich.text import Text
@@ -22,9 +22,8 @@ from moc_opt.figures import notation
 from moc_opt.figures.notation import Doubtful, Mark, Missing, Notation, printable
 from moc_opt.inputs.names import grid_html
 
-TEXT, SHORT_TEXT, HEADING = 24, 14, 10
-"""Characters from where on a text may be broken in a terminal, from where on it is before a column is left out, and
-from where on a heading is, on a page too."""
+SHORT_TEXT, HEADING = 14, 10
+"""Characters from where on a text in a terminal, and a heading anywhere, may be broken."""
 _WIDE = Console(file=io.StringIO(), width=10_000)
 
 TONES = {"best": "bold green", "good": "green", "fair": "yellow", "bad": "red", "other": "cyan"}
@@ -127,77 +126,46 @@ class Table:
             return cells
         return [replace(cell, best=any(cell is one for one in ahead)) for cell in cells]
 
-    def to_rich(self, *, text: int = 0, tight: bool = False) -> RichTable:
-        """Draw the table for a terminal; rich gives each column its width, and breaks texts where they must be.
+    def to_rich(self, width: int = 10_000) -> RichTable:
+        """Draw the table for a terminal of this width [characters]; rich sizes the columns and breaks texts.
 
-        Args:
-            text: characters up to which a text is not broken; numbers never are.
-            tight: one character between columns, not three, and each word of a heading on a line of its own.
+        Numbers are never broken: a table that is too wide loses its last columns, and its caption names them.
         """
+        shown = list(self.columns)
+        while len(shown) > 1 and Measurement.get(_WIDE, _WIDE.options, self._drawn(shown)).minimum > width:
+            shown.pop()
+        return self._drawn(shown)
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> Iterator[RichTable]:
+        yield self.to_rich(options.max_width)
+
+    def _drawn(self, shown: Sequence[Column]) -> RichTable:
         drawn = RichTable(
-            box=box.SIMPLE_HEAD, pad_edge=False, title_justify="left", caption_justify="left",
-            padding=(0, 0) if tight else (0, 1),
-        )  # fmt: skip
+            box=box.SIMPLE_HEAD, pad_edge=False, title_justify="left", caption_justify="left", padding=(0, 1, 0, 0)
+        )
+        hidden = ", ".join(column.title for column in self.columns[len(shown) :])
+        caption = f"{self.caption} Too wide for this terminal: {hidden}." if hidden else self.caption
         drawn.title = Text(printable(self.title), style="bold")
-        drawn.caption = Text(printable(self.caption)) if self.caption else None
+        drawn.caption = Text(printable(caption.strip())) if caption else None
         columns = []
-        for column in self.columns:
+        for column in shown:
             cells = self.cells(column)
             looks = ("bold" if cell.best else "dim" if cell.why else TONES.get(cell.tone, "") for cell in cells)
             columns.append([Text(cell.text, style=look) for cell, look in zip(cells, looks, strict=True)])
-            heading = Text("\n".join(heading_lines(column.title, 1 if tight else HEADING)))
+            heading = Text("\n".join(heading_lines(column.title)))
             if column.unit:
                 heading.append(f"\n{notation.pretty_unit(column.unit)}", style="dim")
             numbers = bool(cells) and all(cell.numeric or cell.why for cell in cells)
             widest = max((cell_len(cell.text) for cell in cells), default=0)
-            least = max(widest if numbers else min(widest, text), 0, *map(cell_len, heading.plain.splitlines()))
+            least = max(widest if numbers else min(widest, SHORT_TEXT), *map(cell_len, heading.plain.splitlines()), 0)
             justify = column.align or alignment(cells)
             drawn.add_column(heading, justify=justify, overflow="fold", no_wrap=numbers, min_width=least)
         for row in zip(*columns, strict=True):
             drawn.add_row(*row)
         return drawn
 
-    def fitted(self, width: int) -> list[RichTable]:
-        """Split the table into parts that a terminal of this width [characters] can show, the first column in each.
-
-        A column that is wider by itself gets a part of its own. The caption stands below the last part.
-        """
-        tight = len(self._parts(width, SHORT_TEXT)) > 1 == len(self._parts(width, SHORT_TEXT, tight=True))
-        parts = self._parts(width, SHORT_TEXT, tight)
-        return [
-            replace(
-                self, columns=part, title=self.title if k == 0 else f"{self.title} (continued)",
-                caption=self.caption if k == len(parts) - 1 else "",
-            ).to_rich(text=SHORT_TEXT, tight=tight)
-            for k, part in enumerate(parts)
-        ]  # fmt: skip
-
-    def fits(self, width: int) -> bool:
-        """Say whether a terminal of this width [characters] can show all columns with no cell broken."""
-        return len(self._parts(width, width, tight=True)) == 1
-
-    def narrowed(self, width: int, *, text: int = SHORT_TEXT) -> RichTable:
-        """Draw as many of the first columns as a terminal of this width [characters] can show.
-
-        Args:
-            width: of the terminal.
-            text: characters up to which a text is not broken.
-        """
-        return replace(self, columns=self._parts(width, text, tight=True)[0]).fitted(width)[0]
-
-    def _parts(self, width: int, text: int, tight: bool = False) -> list[list[Column]]:
-        """Return the columns of each part."""
-        first, *others = self.columns
-        parts = [[first]]
-        for column in others:
-            wider = replace(self, columns=[*parts[-1], column]).to_rich(text=text, tight=tight)
-            if len(parts[-1]) > 1 and Measurement.get(_WIDE, _WIDE.options, wider).minimum > width:
-                parts.append([first])
-            parts[-1].append(column)
-        return parts
-
     def __repr__(self) -> str:
-        return as_text(self.fitted(width := terminal_width()), width)
+        return as_text([self.to_rich(width := terminal_width())], width)
 
     def _repr_html_(self) -> str:
         """Show itself in a notebook."""
@@ -227,9 +195,9 @@ def as_text(drawn: Iterable[RichTable], width: int) -> str:
     return "\n".join(line.rstrip() for line in written.splitlines()) + "\n"
 
 
-def heading_lines(title: str, width: int = HEADING) -> list[str]:
-    """Break a heading between words, into lines of about this width [characters]."""
-    return wrap(printable(title), width, break_long_words=False, break_on_hyphens=False)
+def heading_lines(title: str) -> list[str]:
+    """Break a heading between words, into lines of about `HEADING` characters."""
+    return wrap(printable(title), HEADING, break_long_words=False, break_on_hyphens=False)
 
 
 def alignment(cells: Sequence[Cell]) -> Literal["left", "right"]:

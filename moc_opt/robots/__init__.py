@@ -1,17 +1,13 @@
-"""Robots: one URDF and one TOML file each, the controller's model of an arm, and a new arm from a vendor's URDF.
+"""Robots: arms as data, the controller's model of an arm, inverse kinematics, and a new arm from a vendor's URDF.
 
-Read first: ``lwr4.toml``, ``loader`` (``load_data``: what a TOML may say) and ``model`` (``load_robot``,
-``RobotModel.state(q, v)``); ``state`` says what a state holds.
+To add an arm, write two files, a URDF and a TOML like ``lwr4.toml``, here or anywhere else; `moc-opt robot new` writes
+them from a vendor's URDF, and `moc-opt robot check` judges them. See docs/extending.md.
 
-- ``urdf`` reads a URDF and writes it anew for pinocchio and MuJoCo.
-- ``chain`` holds the kinematics as CasADi functions, places links for drawing and the wrist for a trocar;
-  ``inverse_kinematics`` finds a pose for a given tip.
-- ``new`` makes a robot file from a vendor's URDF (``vendor`` finds the chain and replaces numbers that no arm has,
-  ``home`` places tool, wrist point and home pose), ``check`` judges an arm, ``command`` is their command line.
-
-Loaded here is what reads the files alone: pinocchio loads with the module that needs it. The files import
-inputs, the model core too; ``new``, ``check`` and ``home`` judge an arm by the task it will do and import scenario.
-To add an arm: docs/extending.md.
+- ``loader`` says what the TOML may hold, ``urdf`` checks the URDF and writes it anew for pinocchio and MuJoCo.
+- ``model`` has ``load_robot`` and ``RobotModel.state(q, v)``, ``state`` what a state holds, ``gains`` the gains of an
+  arm that nobody has tuned, ``chain`` the kinematics as CasADi functions; ``inverse_kinematics`` finds poses.
+- ``new`` makes a robot file: ``vendor`` finds the chain and replaces numbers that no arm has, ``home`` places tool and
+  home pose. ``check`` judges an arm; ``command`` is their command line. They know the task, and import scenario.
 """
 
 from moc_opt.robots.loader import RobotData, about, available_robots, load_data

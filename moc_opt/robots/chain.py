@@ -1,4 +1,4 @@
-"""The serial chain as numbers: its frames, its CasADi functions, and where the wrist belongs for a trocar."""
+"""The serial chain as numbers: its frames, its CasADi functions, and the wrist that a trocar asks for."""
 
 from __future__ import annotations
 
@@ -54,10 +54,7 @@ class Chain:
 
 
 def link_frames(chain: Chain, q: Array) -> tuple[Array, Array]:
-    """Compute the forward kinematics of many poses at once.
-
-    Args:
-        q: (k, n) [rad], of prismatic joints [m].
+    """Compute every joint's frame at the poses q (k, n) [rad, m].
 
     Returns:
         Origins (k, n, 3) [m] and rotations (k, n, 3, 3), world from joint frame, after each joint's motion.
@@ -79,8 +76,7 @@ def link_frames(chain: Chain, q: Array) -> tuple[Array, Array]:
 def _turns(axis: Array, angles: Array) -> Array:
     cross = np.cross(np.eye(3), axis)  # Rodrigues' formula
     sine, cosine = np.sin(angles)[:, None, None], np.cos(angles)[:, None, None]
-    turned: Array = np.eye(3) + sine * cross + (1.0 - cosine) * (cross @ cross)
-    return turned
+    return np.asarray(np.eye(3) + sine * cross + (1.0 - cosine) * (cross @ cross))
 
 
 def desired_wrist(

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import argparse
+import math
 from pathlib import Path
 from typing import Any
 
 from moc_opt.errors import RobotError
+from moc_opt.inputs.files import decimal
 
 VERDICTS = {"ok": "can be used", "care": "can be used with care", "cannot": "cannot be used"}
 
@@ -46,11 +48,10 @@ def run_command(given: argparse.Namespace) -> int:
     from moc_opt.report.tables import Column, Table
     from moc_opt.robots.check import check_robot, verdict
     from moc_opt.robots.model import load_robot
+    from moc_opt.robots.new import new_robot
 
     out = console()
     if given.robot_command == "new":
-        from moc_opt.robots.new import new_robot
-
         made = new_robot(
             given.source, given.out, tip=given.tip, tool_m=given.tool, wrist_m=given.wrist, lock=_locks(given.lock),
             base_rpy=tuple(given.base_rpy), seed=given.seed,
@@ -75,8 +76,7 @@ def _locks(given: list[str]) -> dict[str, float]:
     found = {}
     for text in given:
         name, _, value = text.partition("=")
-        try:
-            found[name] = float(value or 0.0)
-        except ValueError as error:
-            raise RobotError(f"--lock {text!r}: write JOINT or JOINT=VALUE, a number in rad or m") from error
+        found[name] = decimal(value or "0")
+        if math.isnan(found[name]):
+            raise RobotError(f"--lock {text!r}: write JOINT or JOINT=VALUE, a number in rad or m")
     return found

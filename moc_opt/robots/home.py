@@ -1,4 +1,4 @@
-"""Where the tool sits on a new arm, and a pose to begin with: regular, tool down, with manipulability to gain."""
+"""Where the tool sits on a new arm, and a home pose: regular, tool down, with manipulability to gain."""
 
 from __future__ import annotations
 
@@ -10,10 +10,8 @@ import pinocchio as pin
 
 from moc_opt.arrays import Array
 from moc_opt.errors import MocOptError, RobotError
-from moc_opt.planning.freedoms import freedoms, limit_shares
-from moc_opt.planning.self_motion import self_motion
+from moc_opt.planning.self_motion import freedoms, limit_shares, self_motion
 from moc_opt.robots.model import RobotModel
-from moc_opt.robots.vendor import rpy_of
 from moc_opt.scenario.config import Scenario
 from moc_opt.scenario.layout import lay_out
 
@@ -52,12 +50,12 @@ class Home:
 
 
 def search_home(robot: RobotModel, *, seed: int = 0) -> Home:
-    """Search the joint ranges for a pose to begin with; the same seed finds the same pose.
+    """Search the joint ranges for a home pose; the same seed finds the same pose.
 
     Poses with tip and wrist on the arm's side of the plane that it stands on or hangs from are ranked by their
     distance from limits and singularities and by mu. The first one is taken whose mu is between `SHARE` of the best on
-    its self-motion and from which the default scenario's path can be followed; if there is none, what was asked for
-    last is given up first.
+    its self-motion and from which the default scenario's path can be followed. Where there is none, the direction of
+    the tool is given up first, then the share.
 
     Raises:
         RobotError: every pose drawn is singular or near a limit.
@@ -65,26 +63,24 @@ def search_home(robot: RobotModel, *, seed: int = 0) -> Home:
     rng = np.random.default_rng(seed)
     middle, half = 0.5 * (robot.q_min + robot.q_max), 0.5 * (robot.q_max - robot.q_min)
     poses = middle + (1.0 - MARGIN) * half * rng.uniform(-1.0, 1.0, (DRAWS, robot.n))
-    poses[:, ~robot.moves.any(axis=0)] = middle[~robot.moves.any(axis=0)]
+    idle = ~robot.moves.any(axis=0)
+    poses[:, idle] = middle[idle]
     tips, wrists = robot.tool_along(poses)
     down = (wrists - tips)[:, 2] / np.linalg.norm(wrists - tips, axis=1)
-    # Most poses lie on the side of the base where the arm is: below it, if it hangs.
-    side = np.sign(np.mean(tips[:, 2]))
+    side = np.sign(np.mean(tips[:, 2]))  # of the base, on which the arm is: below it, if it hangs
     clear = np.minimum(side * tips[:, 2], side * wrists[:, 2])
-    found: Home | None = None
+    found: list[Home] = []
     for least in DOWN:
-        homes = _ranked(robot, poses[(down >= least) & (clear > CLEARANCE_M)])
-        if homes and homes[-1].fit:
-            return homes[-1]
-        found = min([*([found] if found else []), *homes], key=lambda home: home.order, default=None)
-        if found is not None and not found.task:
-            return found
-    if found is None:
+        found += _ranked(robot, poses[(down >= least) & (clear > CLEARANCE_M)])
+        fit = next((home for home in found if home.fit), None)
+        if fit is not None or any(not home.task for home in found):
+            return fit or min(found, key=lambda home: home.order)
+    if not found:
         raise RobotError(
             f"home pose: {DRAWS} poses drawn, each with a joint near its limit, the tip below the base, or singular "
             f"(singular values below {REGULAR} of the largest): is the last link right, and do the limits leave room?"
         )
-    return found
+    return min(found, key=lambda home: home.order)
 
 
 def _ranked(robot: RobotModel, poses: Array) -> list[Home]:
@@ -102,8 +98,8 @@ def _ranked(robot: RobotModel, poses: Array) -> list[Home]:
         except RobotError:
             continue  # singular along the curve: not a pose to begin with
         here = robot.state(q).mu
-        wanted = SHARE[0] <= here / largest <= SHARE[1]
         # Following the path costs more than the scan: only where the share is right, or nothing was found yet.
+        wanted = SHARE[0] <= here / largest <= SHARE[1]
         task = task_fault(robot, q) if wanted or not homes else "not tried"
         homes.append(Home(q, here, largest, float(limit_shares(robot, q)[moving].min()), task))
         if homes[-1].fit:
@@ -122,7 +118,7 @@ def task_fault(robot: RobotModel, q: Array, scenario: Scenario | None = None) ->
 
 
 class Shaft(NamedTuple):
-    """In the frame of the last link."""
+    """Where the tool sits, in the frame of the last link."""
 
     wrist: Array  #: (3,) [m]
     mount: Array  #: (3,) [m]; the link's own origin, put onto the last axis where it is on it but for rounding
@@ -178,15 +174,12 @@ def find_shaft(text: str, last_link: str, *, wrist_m: float | None = None) -> Sh
 
 
 def _tidy(point: Array) -> Array:
-    # Zeros in the place of rounding errors.
-    return np.where(np.abs(point) < 1e-15, 0.0, point)
+    return np.where(np.abs(point) < 1e-15, 0.0, point)  # rounding errors to zero
 
 
 def _towards(direction: Array) -> tuple[float, float, float]:
-    # Of the rotation that turns least.
-    if np.hypot(direction[0], direction[1]) < 1e-14:  # a tilt of 1e-9 rad would wake an idle joint
+    if np.hypot(direction[0], direction[1]) < 1e-14:  # a tilt of 1e-9 rad would make an idle joint move the tip
         return (0.0, 0.0, 0.0) if direction[2] > 0.0 else (float(np.pi), 0.0, 0.0)
-    z = np.array([0.0, 0.0, 1.0])
-    axis = np.cross(z, direction)
-    angle = float(np.arctan2(np.linalg.norm(axis), direction[2]))
-    return rpy_of(pin.AngleAxis(angle, axis / np.linalg.norm(axis)).toRotationMatrix())
+    turn = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), direction).toRotationMatrix()
+    roll, pitch, yaw = pin.rpy.matrixToRpy(turn).tolist()
+    return roll, pitch, yaw

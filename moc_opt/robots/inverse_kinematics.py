@@ -31,18 +31,11 @@ class Placed(NamedTuple):
 def solve_pose(
     robot: RobotModel, q: ArrayLike, tip: Array, wrist: Array | None = None, *, iterations: int = 40
 ) -> Placed:
-    """Find the nearest pose with the tip, and the wrist if given, at these points.
+    """Find the nearest pose with the tip, and the wrist if given, at these points (3,) [m].
 
-    Damped Gauss-Newton from q; a joint that reaches its limit stays there while the others take over, which is
-    how the arm's own redundancy is used. The search is local: that it fails proves nothing by itself.
-
-    Args:
-        q: (n,) where to begin [rad]; put inside the limits first.
-        tip: (3,) [m].
-        wrist: (3,) [m], at the tool's length from the tip; None leaves it free.
-
-    Raises:
-        RobotError: as of `nearest_pose`.
+    Damped Gauss-Newton from q (n,), which is put inside the limits first. A joint that reaches its limit stays there
+    while the others take over. The search is local: that it fails proves nothing by itself. Errors as of
+    `nearest_pose`.
     """
     begin = np.clip(np.asarray(q, dtype=np.float64), robot.q_min, robot.q_max)
     points = np.stack([tip] if wrist is None else [tip, wrist])
@@ -75,11 +68,7 @@ def nearest_pose(
 
 
 def pose_with_tip(robot: RobotModel, q: ArrayLike, tip: ArrayLike) -> Array:
-    """Find a pose (n,) near q with the tip at a point (3,) [m].
-
-    Raises:
-        TaskError: none is found; the message has the least distance of the tip.
-    """
+    """Find a pose (n,) near q with the tip at a point (3,) [m]; a TaskError names the least distance otherwise."""
     point = _point("tip", tip)
     placed = solve_pose(robot, q, point, iterations=200)
     if not placed.found:
@@ -93,8 +82,8 @@ def pose_with_tip(robot: RobotModel, q: ArrayLike, tip: ArrayLike) -> Array:
 def pose_through(robot: RobotModel, tip: ArrayLike, trocar: ArrayLike) -> Array:
     """Find a pose (n,) with the tip at a point and the shaft through the trocar, both (3,) [m].
 
-    Tried from the home pose first, then from seeded random poses, of which the solution farthest from the joint limits
-    is taken.
+    The search begins at the home pose, then at seeded random poses; of their solutions the one farthest from the
+    joint limits is taken.
 
     Raises:
         TaskError: the trocar is not on the shaft's length, or no pose is found.

@@ -1,4 +1,4 @@
-"""A robot's two files: the TOML's schema, and the way from name or path to `RobotData`, numbers and one URDF text."""
+"""A robot's two files: the schema of the TOML, and how it and the URDF become `RobotData`."""
 
 from __future__ import annotations
 
@@ -33,12 +33,6 @@ _FOLDER = Path(__file__).parent
 
 class _Table(Settings):
     ERROR: ClassVar[type[MocOptError]] = RobotError
-
-    def __init__(self, **values: Any) -> None:
-        for name, field in type(self).model_fields.items():
-            if field.is_required() and not set(values) - set(type(self).model_fields) and name not in values:
-                raise RobotError(f"{self.KIND} {name} is missing: add it")
-        super().__init__(**values)
 
 
 class Frames(_Table):
@@ -80,7 +74,7 @@ class Joints(_Table):
 
 
 class Home(_Table):
-    """The pose a run begins near; rad (m for a prismatic joint)."""
+    """The pose that a run begins near; rad (m for a prismatic joint)."""
 
     KIND: ClassVar[str] = "[home]"
     q_rad: Vector
@@ -99,14 +93,6 @@ class RobotDescription(_Table):
     joints: Joints = Joints()
     home: Home
     gains: dict[Name, dict[Name, Number | Vector]] = Field({})
-
-
-def _described(path: Path) -> RobotDescription:
-    raw = read_toml(path, "robot file", RobotError)
-    try:
-        return RobotDescription(**raw)
-    except MocOptError as error:
-        raise RobotError(f"robot file {str(path)!r}: {error}") from error
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,7 +121,7 @@ class RobotData:
 
     def __post_init__(self) -> None:
         for name in (self.name, *self.joint_names, self.wrist_frame, self.tip_frame):
-            if not names.is_name(name):  # they go into generated sources and pages
+            if not names.is_name(name):  # they are written into sources and pages
                 raise RobotError(f"robot {self.name!r:.80}: {name!r:.80} is no name: {names.RULE}")
         for name in _ARRAYS:
             value = np.array(getattr(self, name), dtype=np.float64)
@@ -189,7 +175,9 @@ def load_data(
     except RobotError as error:
         raise RobotError(f"tool_length = {tool_length!r}, tool_mass = {tool_mass!r}: {error}") from error
     given = urdf.parse(read_text(path.parent / description.urdf, "urdf", RobotError))
-    urdf.check_names_free(given)
+    for tag, ours in urdf.TOOL_NAMES.items():
+        if taken := sorted({element.get("name", "") for element in given.findall(tag)} & ours):
+            raise RobotError(f"urdf already has {tag}s named {taken}: rename them, the tool needs these names")
     root = urdf.rebuild(given, description.name)
     chain = urdf.moving_joints(root, description.frames.last_link)
     bounds = _limits(description.limits, chain)
@@ -201,10 +189,8 @@ def load_data(
     q_home = _vector("home.q_rad", description.home.q_rad, n)
     outside = np.flatnonzero((q_home < bounds["q_min"]) | (q_home > bounds["q_max"]))
     if outside.size:
-        raise RobotError(
-            f"home.q_rad = {q_home.tolist()}: joints {(outside + 1).tolist()} are outside their limits, "
-            "move them inside"
-        )
+        joints = (outside + 1).tolist()
+        raise RobotError(f"home.q_rad = {q_home.tolist()}: joints {joints} are outside their limits, move them inside")
     return RobotData(
         name=description.name, urdf=urdf.to_text(root), joint_names=tuple(joint.get("name", "") for joint in chain),
         **bounds,
@@ -216,17 +202,29 @@ def load_data(
     )  # fmt: skip
 
 
+def _described(path: Path) -> RobotDescription:
+    raw = read_toml(path, "robot file", RobotError)
+    try:
+        return RobotDescription(**raw)
+    except MocOptError as error:
+        raise RobotError(f"robot file {str(path)!r}: {error}") from error
+
+
 def _find(name_or_path: str | os.PathLike[str]) -> Path:
     known = available_robots()
     if isinstance(name_or_path, str) and name_or_path in known:
         return _FOLDER / f"{name_or_path}.toml"
     path = as_path(name_or_path, "robot", RobotError)
-    beside = path.with_suffix(".toml")
-    if path.suffix.lower() == ".toml":
+    kind = path.suffix.lower()
+    if kind == ".toml":
         return path
-    if path.suffix.lower() == ".urdf":
+    if kind == ".urdf":
+        beside = path.with_suffix(".toml")
         if not beside.is_file():
-            raise RobotError(f"robot file {str(beside)!r} does not exist: a URDF needs a TOML of its name beside it")
+            raise RobotError(
+                f"robot file {str(beside)!r} does not exist: a URDF needs a TOML of its name beside it; "
+                f"`moc-opt robot new {path.name} --out my.toml` writes one from a vendor's URDF"
+            )
         return beside
     if isinstance(name_or_path, str) and os.sep not in name_or_path:
         error = UnknownNameError("robot", name_or_path, known)
@@ -239,7 +237,7 @@ def _find(name_or_path: str | os.PathLike[str]) -> Path:
 
 def _limits(given: Limits, chain: list[ET.Element]) -> dict[str, Array]:
     out: dict[str, Array] = {}
-    names_of = [joint.get("name") for joint in chain]
+    joints = [joint.get("name") for joint in chain]
     for field, key, entry in (
         ("q_min", "lower", "q_min_deg"), ("q_max", "upper", "q_max_deg"), ("v_max", "velocity", "v_max_deg_per_s"),
         ("tau_max", "effort", "tau_max_Nm"),
@@ -247,8 +245,8 @@ def _limits(given: Limits, chain: list[ET.Element]) -> dict[str, Array]:
         values, degrees = getattr(given, entry), field != "tau_max"
         if values is None:
             found = [urdf.limits(joint).get(key) for joint in chain]
-            lost = [name for name, value in zip(names_of, found, strict=True) if value is None]
-            if lost:
+            if None in found:
+                lost = [name for name, value in zip(joints, found, strict=True) if value is None]
                 raise RobotError(f"{field}: joints {lost} have no {key!r} in their <limit>: add it, or limits.{entry}")
             out[field] = np.array(found, dtype=np.float64)
         elif degrees and any(joint.get("type") == "prismatic" for joint in chain):
@@ -259,16 +257,15 @@ def _limits(given: Limits, chain: list[ET.Element]) -> dict[str, Array]:
         if field in ("v_max", "tau_max") and np.any(out[field] <= 0.0):
             i = int(np.argmax(out[field] <= 0.0))
             raise RobotError(
-                f"{field} of joint {names_of[i]!r} = {out[field][i]:.6g}: give a positive number, in the URDF's "
+                f"{field} of joint {joints[i]!r} = {out[field][i]:.6g}: give a positive number, in the URDF's "
                 f"<limit> or as limits.{entry}"
             )
-    reversed_ = out["q_min"] >= out["q_max"]
-    if reversed_.any():
-        i = int(np.argmax(reversed_))
-        raise RobotError(
-            f"limits of joint {names_of[i]!r}: q_min = {out['q_min'][i]:.6g} is not below "
-            f"q_max = {out['q_max'][i]:.6g} rad: exchange or widen them"
-        )
+    for name, low, high in zip(joints, out["q_min"], out["q_max"], strict=True):
+        if low >= high:
+            raise RobotError(
+                f"limits of joint {name!r}: q_min = {low:.6g} is not below q_max = {high:.6g} rad: exchange or widen "
+                "them"
+            )
     return out
 
 
@@ -282,12 +279,11 @@ def _vector(name: str, values: float | tuple[float, ...], n: int) -> Array:
 
 def _append_tool(root: ET.Element, frames: Frames, tool: Tool) -> None:
     # The wrist must lie on the rod's axis, behind the tip: the control laws take the line between them for the shaft.
-    mount = frames.tool_mount_xyz_m
+    mount, wrist = np.array(frames.tool_mount_xyz_m), np.array(frames.wrist_xyz_m)
     (sr, sp, sy), (cr, cp, cy) = (map(f, frames.tool_mount_rpy_rad) for f in (math.sin, math.cos))
-    axis = (cy * sp * cr + sy * sr, sy * sp * cr - cy * sr, cp * cr)  # third column of Rz(yaw) Ry(pitch) Rx(roll)
-    back = [m - w for m, w in zip(mount, frames.wrist_xyz_m, strict=True)]
-    along = sum(a * b for a, b in zip(axis, back, strict=True))
-    off = math.dist(back, [along * a for a in axis])
+    axis = np.array([cy * sp * cr + sy * sr, sy * sp * cr - cy * sr, cp * cr])  # z of Rz(yaw) Ry(pitch) Rx(roll)
+    along = float(axis @ (mount - wrist))
+    off = float(np.linalg.norm(mount - wrist - along * axis))
     m, length, r = tool.mass_kg, tool.length_m, tool.radius_m
     if off > 1e-6 or along + length <= 0:
         raise RobotError(
@@ -301,18 +297,18 @@ def _append_tool(root: ET.Element, frames: Frames, tool: Tool) -> None:
         raise RobotError(
             f"tool of {m:g} kg, {length:g} m, radius {r:g} m: {why}; raise tool.mass_kg (tool_mass) or tool.radius_m"
         )
-    tip = tuple(at + length * a for at, a in zip(mount, axis, strict=True))
+    rpy = urdf.as_text(*frames.tool_mount_rpy_rad)
     for name, kind, point in (
-        (urdf.TOOL_LINK, "mount", mount), (urdf.TIP_LINK, "frame", tip), (urdf.WRIST_LINK, "frame", frames.wrist_xyz_m),
+        (urdf.TOOL_LINK, "mount", mount), (urdf.TIP_LINK, "frame", mount + length * axis),
+        (urdf.WRIST_LINK, "frame", wrist),
     ):  # fmt: skip
-        link = ET.SubElement(root, "link", name=name)
-        if name == urdf.TOOL_LINK:
-            inertial = ET.SubElement(link, "inertial")
-            ET.SubElement(inertial, "origin", xyz=urdf.as_text(0.0, 0.0, length / 2), rpy="0 0 0")
-            ET.SubElement(inertial, "mass", value=urdf.as_text(m))
-            moments = {"ixx": across, "ixy": 0.0, "ixz": 0.0, "iyy": across, "iyz": 0.0, "izz": about}
-            ET.SubElement(inertial, "inertia", {key: urdf.as_text(value) for key, value in moments.items()})
+        ET.SubElement(root, "link", name=name)
         joint = ET.SubElement(root, "joint", name=f"{name}_{kind}", type="fixed")
         ET.SubElement(joint, "parent", link=frames.last_link)
         ET.SubElement(joint, "child", link=name)
-        ET.SubElement(joint, "origin", xyz=urdf.as_text(*point), rpy=urdf.as_text(*frames.tool_mount_rpy_rad))
+        ET.SubElement(joint, "origin", xyz=urdf.as_text(*point), rpy=rpy)
+    inertial = ET.SubElement(root.findall("link")[-3], "inertial")
+    ET.SubElement(inertial, "origin", xyz=urdf.as_text(0.0, 0.0, length / 2), rpy="0 0 0")
+    ET.SubElement(inertial, "mass", value=urdf.as_text(m))
+    moments = zip(urdf.MOMENTS, (across, across, about, 0.0, 0.0, 0.0), strict=True)
+    ET.SubElement(inertial, "inertia", {key: urdf.as_text(value) for key, value in moments})

@@ -1,17 +1,12 @@
-"""RobotModel: all terms of the control laws at one (q, v) of an arm, and gains for an arm that nobody has tuned.
+"""RobotModel: all terms of the control laws at one (q, v) of an arm.
 
 Pinocchio reads the URDF; `moc_opt.core` computes the terms.
-
-A gain on a joint's velocity over the inertia behind it is a rate [1/s]; the rate times the period decides whether a
-sampled loop is stable (`largest_rate`). The LWR4+ is tuned: other arms get its rates, each joint in its own unit
-(N m s/rad, or N s/m for a prismatic joint), and so the same distance from that limit.
 """
 
 from __future__ import annotations
 
-import math
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import fields, replace
 from functools import cached_property
 from typing import Any
@@ -25,6 +20,7 @@ from moc_opt.arrays import Array, read_only
 from moc_opt.errors import RobotError, shown
 from moc_opt.robots import urdf
 from moc_opt.robots.chain import Chain, Kinematics, build_kinematics
+from moc_opt.robots.gains import CARTESIAN, derived_gains
 from moc_opt.robots.loader import RobotData, load_data
 from moc_opt.robots.state import RobotState, record_size
 
@@ -32,29 +28,6 @@ __all__ = ["RobotModel", "RobotState", "load_robot"]
 
 _DOUBLE, _CLOSE = np.dtype(np.float64), (8,)
 _STRUCTURAL_ZERO = 1e-12  # a column this small at several random poses is zero at all of them
-
-Table = dict[str, float | tuple[float, ...]]
-
-JOINT_RATE = 12.0
-"""K_N2 over the joint's inertia [1/s]: the LWR4+'s table has 10 to 22 over its joints, 12.5 on the last one."""
-DAMPING_SHARE = 1.0 / 7.0  #: D_N2 over K_N2: the same table has 0.13 to 0.2.
-JOINTS: Mapping[str, tuple[float, float, float]] = {
-    "moc": (JOINT_RATE, DAMPING_SHARE, 125.0), "default": (JOINT_RATE, DAMPING_SHARE, 125.0),
-    "tuned": (26.0, 0.087, 125.0), "robust": (17.0, 0.133, 85.0),
-}  # fmt: skip
-"""K_N2 over the joint's inertia [1/s], D_N2 over K_N2, and the most that both may be over the inertia of any motion
-that keeps tip and wrist [1/s]. On the LWR4+ the self-motion's rate under "tuned" and "robust" is 2.16 and 1.41 times
-that of "default" (median over random poses), and the largest are 94, 124 and 85/s."""
-CARTESIAN_RATE = 160.0
-"""Most that D_X or D_N may be over the lightest mass behind it [1/s]: a third of what three ticks of delay bear at
-500 Hz. The LWR4+'s D_X has 90 over its lightest direction, its D_N 16."""
-CARTESIAN: Mapping[str, tuple[float, float, float, float]] = {
-    "dcac": (2000.0, 20.0, 600.0, 10.0), "moc": (3000.0, 30.0, 800.0, 10.0), "default": (3000.0, 80.0, 800.0, 60.0),
-    "tuned": (3000.0, 80.0, 1670.0, 74.2), "robust": (3000.0, 50.0, 1670.0, 74.2),
-}  # fmt: skip
-"""K_X, D_X, K_N, D_N [N/m, N s/m]: Table I of Su et al. (2019), and those of the LWR4+'s file."""
-_POSES = 16
-
 
 class RobotModel:
     """The arm with its tool. `coriolis` and `gravity` share pinocchio's workspace: one thread at a time calls them.
@@ -89,11 +62,7 @@ class RobotModel:
     """
 
     def __init__(self, data: RobotData) -> None:
-        """Build the pinocchio model of `data`.
-
-        Raises:
-            RobotError: pinocchio cannot read the URDF, or its joints or frames are not those of the data.
-        """
+        """Build the model; a RobotError where pinocchio cannot read the URDF, or joints or frames differ."""
         self.data = data
         self.n = n = data.n
         self.q_min, self.q_max, self.v_max, self.tau_max = data.q_min, data.q_max, data.v_max, data.tau_max
@@ -137,31 +106,26 @@ class RobotModel:
         Raises:
             RobotError: q or v has the wrong shape or is not finite.
         """
-        position = self._vector("q", q)
-        velocity = self._rest if v is None else self._vector("v", v)
-        record = np.empty(self._size)
-        code = self.arm.terms(position, velocity, record)
+        record, v = np.empty(self._size), self._rest if v is None else v
+        try:  # the core checks arrays by itself
+            code = self.arm.terms(q, v, record)  # type: ignore[arg-type]
+        except ValueError:
+            q, v = self._vector("q", q), self._vector("v", v)
+            code = self.arm.terms(q, v, record)
         if code != core.OK:
-            name, value = ("q", position) if code == core.BAD_Q else ("v", velocity)
-            raise RobotError(f"{name} = {value.tolist()} is not finite: check the sensor or step that gave it")
+            name, value = ("q", q) if code == core.BAD_Q else ("v", v)
+            numbers = np.asarray(value).tolist()
+            raise RobotError(f"{name} = {numbers} is not finite: check the sensor or step that gave it")
         return RobotState(record, self.n)
 
     def mu_along(self, poses: Array) -> Array:
-        """Compute manipulability (k,) [m^3] at the poses (k,n) [rad], equal to that of `state` to the last bit.
-
-        Raises:
-            RobotError: another shape, or no numbers.
-        """
+        """Compute manipulability (k,) [m^3] at the poses (k,n) [rad], equal to that of `state` to the last bit."""
         along = self._poses(poses)
         self.arm.mu_along(along, mu := np.empty(len(along)))
         return mu
 
     def tool_along(self, poses: Array) -> tuple[Array, Array]:
-        """Compute tip and wrist, (k,3) each [m], at the poses (k,n) [rad].
-
-        Raises:
-            RobotError: another shape, or no numbers.
-        """
+        """Compute tip and wrist, (k,3) each [m], at the poses (k,n) [rad]."""
         along = self._poses(poses)
         points = np.empty((2, len(along), 3))
         self.arm.points_along(along, self._offsets, points.reshape(-1, 3))
@@ -178,18 +142,17 @@ class RobotModel:
 
     def coriolis(self, q: ArrayLike, v: ArrayLike) -> Array:
         """Compute the Coriolis matrix C (n,n) with h = C v + g and dM/dt - 2 C skew-symmetric."""
-        return np.array(
-            pin.computeCoriolisMatrix(self._pin, self._side_data, self._vector("q", q), self._vector("v", v))
-        )
+        position, velocity = self._vector("q", q), self._vector("v", v)
+        return np.array(pin.computeCoriolisMatrix(self._pin, self._side_data, position, velocity))
 
     def gravity(self, q: ArrayLike) -> Array:
         """Compute the gravity torque g (n,) [Nm]."""
         return np.array(pin.computeGeneralizedGravity(self._pin, self._side_data, self._vector("q", q)))
 
     def tool_pose(self, q: ArrayLike) -> Array:
-        """Compute the tool's pose (4,3): its x, y and z axes and its tip [m], in world axes.
+        """Compute the tool's pose (4,3): x, y and z axis, in which the wrench sensor measures, and tip [m]; world axes.
 
-        z runs along the shaft from wrist to tip; these are the axes of the wrench sensor at the tool's mount.
+        z runs along the shaft from wrist to tip.
         """
         pose = np.empty((4, 3))
         self.arm.tool_pose(self._vector("q", q), pose)
@@ -231,7 +194,7 @@ class RobotModel:
     def _vector(self, name: str, value: ArrayLike) -> Array:
         is_close = isinstance(value, np.ndarray) and value.dtype is _DOUBLE and value.strides == _CLOSE
         if isinstance(value, np.ndarray) and is_close and value.shape == self._shape:
-            return value
+            return value  # as it is: the loop asks twice a tick
         try:
             array = np.array(value, dtype=np.float64)
         except (TypeError, ValueError) as error:
@@ -244,9 +207,7 @@ class RobotModel:
 def load_robot(
     name_or_path: str | os.PathLike[str] = "lwr4", *, tool_length: float | None = None, tool_mass: float | None = None
 ) -> RobotModel:
-    """Load a robot by name or path; see `moc_opt.robots.load_data` for the arguments and errors.
-
-    Tables of gains that its TOML does not have are derived from its inertia (`derived_gains`).
+    """Load a robot by name or path; tables of gains that its TOML does not have are derived from its inertia.
 
     Args:
         name_or_path: of an arm of the package (`moc-opt robots` lists them), or a TOML or URDF file.
@@ -292,9 +253,6 @@ def _frame(model: Any, name: str) -> Any:
     return frame
 
 
-# --- in a trace ---
-
-
 def carried(robot: RobotModel) -> dict[str, Any]:
     """Return the robot as values that JSON can hold, so that a run of an arm of one's own replays anywhere."""
     values = {field.name: getattr(robot.data, field.name) for field in fields(robot.data)}
@@ -303,89 +261,10 @@ def carried(robot: RobotModel) -> dict[str, Any]:
 
 
 def restored(values: Mapping[str, Any]) -> RobotModel:
-    """Make the robot of what `carried` gave.
-
-    Raises:
-        RobotError: a field is missing, unknown or of another kind, or the URDF is no such arm.
-    """
+    """Make the robot of what `carried` gave; a RobotError where that is damaged."""
     try:
         root = urdf.rebuild(urdf.parse(values["urdf"]), values["name"])
         given = {**values, "urdf": urdf.to_text(root), "joint_names": tuple(values["joint_names"])}
         return RobotModel(RobotData(**given))
     except (TypeError, ValueError, KeyError, AttributeError) as error:
         raise RobotError(f"the robot in the trace is damaged ({error}): save the trace anew") from error
-
-
-# --- gains ---
-
-
-def derived_gains(robot: RobotModel) -> dict[str, Table]:
-    """Derive the tables "dcac", "moc", "default", "tuned" and "robust" from the arm's inertia.
-
-    K_N2_i is a rate times M_ii at the home pose, and D_N2 a share of it (`JOINTS`), the rate smaller where the null
-    space would exceed its largest. K_X and D_X (K_N, D_N) are those of the
-    LWR4+, both smaller by the same share where the arm is so light that D_X (D_N) would exceed `CARTESIAN_RATE`.
-
-    Args:
-        robot: the arm; it needs no gains.
-    """
-    inertia = np.diag(robot.state(robot.data.q_home).M)
-    inverse_masses = largest_inverse_masses(robot)
-    tables: dict[str, Table] = {}
-    for name, cartesian in CARTESIAN.items():
-        tables[name] = {}
-        for letter, inverse, (K, D) in zip("XN", inverse_masses, (cartesian[:2], cartesian[2:]), strict=True):
-            share = min(1.0, CARTESIAN_RATE / (D * inverse))
-            tables[name] |= {f"K_{letter}": _rounded(share * K), f"D_{letter}": _rounded(share * D)}
-        if name in JOINTS:
-            rate, share, most = JOINTS[name]
-            rate *= min(1.0, most / largest_null_rate(robot, (1.0 + share) * rate * inertia))
-            joints = tuple(_rounded(rate * float(m)) for m in inertia)
-            tables[name] |= {"K_N2": joints, "D_N2": tuple(_rounded(share * gain) for gain in joints)}
-    return tables
-
-
-def largest_inverse_masses(robot: RobotModel) -> tuple[float, float]:
-    """Return the largest eigenvalue of J M^-1 J^T [1/kg] at tip and wrist, over the poses of `surveyed`."""
-    found = [
-        [np.linalg.eigvalsh(J @ np.linalg.solve(state.M, J.T))[-1] for J in (state.J_tip, state.J_wrist)]
-        for state in surveyed(robot)
-    ]
-    tip, wrist = np.max(found, axis=0).tolist()
-    return tip, wrist
-
-
-def largest_null_rate(robot: RobotModel, gains: Array) -> float:
-    """Return the largest eigenvalue of (Z M Z^T)^-1 Z G Z^T [1/s], G = diag(gains (n,)), Z a basis of ker A, there."""
-    found = 0.0
-    for state in surveyed(robot):
-        _, values, rows = np.linalg.svd(state.A)
-        Z = rows[int(np.sum(values > 1e-6 * values[0])) :]
-        if len(Z):
-            rates = np.linalg.eigvals(np.linalg.solve(Z @ state.M @ Z.T, Z @ (gains[:, None] * Z.T)))
-            found = max(found, float(rates.real.max()))
-    return found
-
-
-def surveyed(robot: RobotModel) -> Iterator[RobotState]:
-    """Yield the states at the home pose and at seeded poses of the range: the worst case of a gain is over these."""
-    rng = np.random.default_rng(0)
-    for q in [robot.data.q_home, *rng.uniform(robot.q_min, robot.q_max, (_POSES, robot.n))]:
-        yield robot.state(q)
-
-
-def largest_rate(period_s: float, delay_ticks: int) -> float:
-    """Return the largest rate [1/s] of a velocity gain over an inertia at which a sampled loop is stable.
-
-    A velocity v[k+1] = v[k] - T rate v[k-d] decays while T rate < 2 sin(pi / (2 (2 d + 1))): 2, 1, 0.62, 0.45 for no,
-    one, two and three ticks d of delay (Levin and May, 1976).
-
-    Args:
-        period_s: T [s].
-        delay_ticks: d, from measurement to torque; a filter of the velocity counts as its own delay in ticks.
-    """
-    return 2.0 * math.sin(math.pi / (2.0 * (2.0 * delay_ticks + 1.0))) / period_s
-
-
-def _rounded(value: float) -> float:
-    return float(f"{value:.3g}")  # a gain is a choice

@@ -16,17 +16,19 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from moc_opt.arrays import Array
 from moc_opt.errors import RobotError
-from moc_opt.planning.freedoms import require_freedom
+from moc_opt.inputs.files import check_replaceable, write_whole
+from moc_opt.planning.self_motion import require_freedom
 from moc_opt.robots import urdf
+from moc_opt.robots.gains import derived_gains
 from moc_opt.robots.home import Home, find_shaft, search_home
-from moc_opt.robots.model import RobotModel, derived_gains, load_robot
+from moc_opt.robots.model import RobotModel, load_robot
 from moc_opt.robots.urdf import as_text
 from moc_opt.robots.vendor import VendorArm, chain_joints, choose_efforts, choose_limits, read_vendor
 
 
 @dataclass(frozen=True, eq=False)
 class NewRobot:
-    """The files that were written."""
+    """The files that were written, and their robot."""
 
     toml: Path
     urdf: Path
@@ -68,6 +70,7 @@ def new_robot(
     for file in (out, beside):
         if file.exists():
             raise RobotError(f"{str(file)!r} exists: choose another --out, or move it away")
+        check_replaceable(file, "robot file", RobotError)
     arm = read_vendor(source, tip=tip, lock=lock)
     name = out.stem
     arm.root.set("name", name)
@@ -78,12 +81,12 @@ def new_robot(
 
     def write(path: Path, q: Array, note: str = "", **more: Any) -> RobotModel:
         text = urdf.to_text(arm.root).replace(">\n", f">\n{note}", 1)
-        path.with_suffix(".urdf").write_text(text, encoding="utf-8")
+        write_whole(path.with_suffix(".urdf"), text, "robot file", RobotError)
         toml = _FORM.get_template("new.toml.jinja").render(
             {"home": None, "gains": None, **more}, name=name, notes=arm.notes, last_link=arm.last_link, shaft=shaft,
             tool_m=tool_m, q=q, drives=_drives(arm), slides="prismatic" in {j.get("type") for j in chain_joints(arm)},
         )  # fmt: skip
-        path.write_text(toml, encoding="utf-8")
+        write_whole(path, toml, "robot file", RobotError)
         return load_robot(path)
 
     limits = [urdf.limits(joint) for joint in chain_joints(arm)]
@@ -106,7 +109,6 @@ def new_robot(
         gains = derived_gains(write(draft, home.q))
     if home.task:
         arm.notes.append(f"home pose: the default task cannot be done from it: {home.task}")
-    out.parent.mkdir(parents=True, exist_ok=True)
     source_name = re.sub(r"[^A-Za-z0-9_. ]+", "-", source.name)
     told = "".join(f"\n  - {line}" for line in arm.notes).replace("--", "- -")
     note = f"  <!-- Made from {source_name}. What was assumed:{told}\n  -->\n"
@@ -116,11 +118,10 @@ def new_robot(
 
 def _drives(arm: VendorArm) -> dict[str, list[float]]:
     # Nobody publishes them. A turning joint of 10 Nm and more gets the LWR4+'s rotor of 0.2 kg m^2, a weaker one less
-    # in proportion, and friction of 0.8 % of its torque limit, at most 1 Nm; a sliding one a drive of 4 % of its force.
+    # in proportion, and friction of 0.8 % of its torque limit, at most 1 Nm; a sliding one 4 % and 0.8 % of its force.
     rotors, friction = [], []
     for joint in chain_joints(arm):
-        effort = urdf.limits(joint)["effort"]
-        sliding = joint.get("type") == "prismatic"
+        effort, sliding = urdf.limits(joint)["effort"], joint.get("type") == "prismatic"
         rotors.append(float(f"{0.04 * effort if sliding else 0.2 * min(1.0, effort / 10.0):.2g}"))
         friction.append(float(f"{0.008 * effort if sliding else min(1.0, 0.008 * effort):.2g}"))
     return {

@@ -1,4 +1,4 @@
-"""RobotState: the model's terms of an arm at one instant, in one flat immutable record."""
+"""RobotState: the model's terms of an arm at one (q, v), in one flat read-only array."""
 
 from __future__ import annotations
 
@@ -44,10 +44,10 @@ def _scalar(index: int, doc: str) -> Any:
 
 
 class RobotState:
-    """The model's terms of an arm at one (q, v): computed, immutable, in their own memory.
+    """The model's terms of an arm at one (q, v), immutable.
 
-    All numbers lie in one flat read-only array, `record`, as `layout` says; the attributes are read-only views of it,
-    made when asked for. The core takes `record`.
+    All numbers lie in one flat read-only array, `record`, as `layout` says: the core takes it, and the attributes are
+    views of it.
 
     Example:
         >>> robot = mo.load_robot("lwr4")
@@ -74,7 +74,7 @@ class RobotState:
         raise AttributeError(f"RobotState is immutable: ask the model for a new state instead of setting {name!r}")
 
     def __delattr__(self, name: str) -> None:
-        raise AttributeError(f"RobotState is immutable: {name!r} cannot be deleted")
+        self.__setattr__(name, None)
 
     def __reduce__(self) -> tuple[Any, ...]:
         return RobotState, (self.record.copy(), self.n)

@@ -1,4 +1,4 @@
-"""URDF text: read, checked, written anew so that both engines get the same numbers, and its chain found."""
+"""Read a URDF, check it, and write it anew, so that pinocchio and MuJoCo get the same numbers."""
 
 from __future__ import annotations
 
@@ -6,35 +6,30 @@ import difflib
 import math
 import xml.etree.ElementTree as ET
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 
 import numpy as np
 
 from moc_opt.errors import RobotError
 from moc_opt.inputs import names
+from moc_opt.inputs.files import decimal
 
 MOVING = frozenset({"revolute", "continuous", "prismatic"})
 TOOL_LINK, TIP_LINK, WRIST_LINK = "tool", "tip", "wrist"
-_OURS = {"link": {TOOL_LINK, TIP_LINK, WRIST_LINK}, "joint": {"tool_mount", "tip_frame", "wrist_frame"}}
+TOOL_NAMES = {"link": {TOOL_LINK, TIP_LINK, WRIST_LINK}, "joint": {"tool_mount", "tip_frame", "wrist_frame"}}
+"""Names that the tool brings, and that a URDF must not have."""
 MOST_LINKS = 500
 """Engines walk a tree by recursion: MuJoCo stops at a depth of 1000, and some thousands end the process."""
 MOMENTS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 SMALLEST_MASS, SMALLEST_MOMENT = 1e-6, 1e-12
 _TRIANGLE, _FLAT, _THIN = 1e-6, 1e-9, 1e-12  # of the largest moment: files round their numbers
-SMALLEST = 1e-30
-"""A number nearer to zero is one of rounding, and read as 0: some readers refuse those below 1e-308."""
-LARGEST: Mapping[str, float] = {
-    "m": 100.0, "rad": 100.0, "kg": 1e5, "kg m^2": 1e6, "1": 1e3, "a limit": 1e6,
-}  # fmt: skip
-"""Unit -> the largest size of a number of it that an arm can have."""
+SMALLEST = 1e-30  #: A smaller number is read as 0: some readers refuse those below 1e-308.
+LARGEST = {"m": 100.0, "rad": 100.0, "kg": 1e5, "kg m^2": 1e6, "1": 1e3, "a limit": 1e6}
+"""Unit -> the largest number of it that an arm can have."""
 
 
 def parse(text: str) -> ET.Element:
-    """Parse URDF text.
-
-    Raises:
-        RobotError: not XML, or not a <robot>.
-    """
+    """Parse URDF text; a RobotError where it is no XML, or no <robot>."""
     try:
         root = ET.fromstring(text)
     except ET.ParseError as error:
@@ -45,15 +40,8 @@ def parse(text: str) -> ET.Element:
 
 
 def number(text: str, what: str, unit: str) -> float:
-    """Read one number that is ``what``, in a unit of `LARGEST`.
-
-    Raises:
-        RobotError: no number, or a size that no arm has.
-    """
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
+    """Read one number in a unit of `LARGEST`; a RobotError that names ``what`` where it is none, or too large."""
+    value = decimal(text.strip())
     if not abs(value) <= LARGEST[unit]:
         raise RobotError(
             f"urdf: {what} is {text!r:.80}: give a finite decimal number of at most {LARGEST[unit]:g} ({unit})"
@@ -62,11 +50,7 @@ def number(text: str, what: str, unit: str) -> float:
 
 
 def triple(element: ET.Element | None, key: str, what: str, unit: str) -> tuple[float, float, float]:
-    """Read three numbers from an attribute; zeros where element or attribute is missing.
-
-    Raises:
-        RobotError: another count, or what `number` refuses.
-    """
+    """Read three numbers from an attribute; zeros where element or attribute is missing. Errors as of `number`."""
     if element is None or key not in element.attrib:
         return (0.0, 0.0, 0.0)
     parts = element.get(key, "").split()
@@ -100,7 +84,7 @@ def limits(joint: ET.Element) -> dict[str, float]:
 
 
 def write_limits(joint: ET.Element, lower: float, upper: float, velocity: float, effort: float) -> None:
-    """Put these limits into the text, so that every later reader of the URDF sees the same ones."""
+    """Replace the joint's <limit>, so that every later reader of the URDF sees the same one."""
     if joint.get("type") == "continuous":
         joint.set("type", "revolute")
     for old in joint.findall("limit"):
@@ -116,11 +100,11 @@ def to_text(root: ET.Element) -> str:
 
 
 def rebuild(root: ET.Element, name: str) -> ET.Element:
-    """Copy links and joints with every number read and written by us; shapes and all else stay behind.
+    """Copy links and joints, every number read and written by us; shapes and all else are left out.
 
     Raises:
-        RobotError: a name that is none or is taken, a number that is none, an element that is missing or there
-            twice, an inertia that no body has, or links and joints that are no tree.
+        RobotError: a wrong name or number, an element that is missing or there twice, an inertia that no body has, or
+            links and joints that are no tree.
     """
     count = max(len(root.findall(tag)) for tag in ("link", "joint"))
     if count > MOST_LINKS:
@@ -147,11 +131,11 @@ def inertia_fault(moments: Iterable[float]) -> str | None:
     return None
 
 
-def principal(moments: Iterable[float]) -> tuple[float, float, float]:
-    """Return the principal moments of ixx, iyy, izz, ixy, ixz, iyz, in rising order."""
+def principal(moments: Iterable[float]) -> list[float]:
+    """Return the three principal moments of ixx, iyy, izz, ixy, ixz, iyz, in rising order."""
     xx, yy, zz, xy, xz, yz = moments
-    least, middle, most = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]).tolist()
-    return least, middle, most
+    found: list[float] = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]).tolist()
+    return found
 
 
 def _off_the_edge(moments: dict[str, float]) -> dict[str, float]:
@@ -229,19 +213,17 @@ def _one(parent: ET.Element, tag: str, where: str) -> ET.Element | None:
 
 
 def _checked(element: ET.Element) -> str:
-    try:
-        return names.checked(element.get("name", ""))
-    except ValueError as error:
-        raise RobotError(f"urdf: the name of a {element.tag}, {error}") from error
+    name = element.get("name", "")
+    if not names.is_name(name):
+        raise RobotError(f"urdf: the name of a {element.tag}, {name!r:.80} is no name: {names.RULE}")
+    return name
 
 
 class Tree:
     """The links of a URDF and the joints between them: one ``base``, every other link on one joint.
 
-    ``carrier`` is the joint that a link hangs on, ``carried`` are the joints that hang on it.
-
-    Raises:
-        RobotError: it is no such tree; the message names the links or joints.
+    ``carrier`` is the joint that a link hangs on, ``carried`` are the joints that hang on it. A RobotError names the
+    links or joints that make no such tree.
     """
 
     def __init__(self, root: ET.Element) -> None:
@@ -292,11 +274,7 @@ class Tree:
 
 
 def moving_joints(root: ET.Element, last_link: str) -> list[ET.Element]:
-    """Return the movable joints of a rebuilt tree from base to `last_link`, in that order.
-
-    Raises:
-        RobotError: there are none, or another joint may move.
-    """
+    """Return the movable joints from base to `last_link`; a RobotError where there are none, or another may move."""
     tree = Tree(root)
     if last_link not in tree.links:
         near = difflib.get_close_matches(last_link, tree.links, n=3, cutoff=0.3)
@@ -321,11 +299,3 @@ def check_masses(root: ET.Element, chain: Iterable[ET.Element]) -> None:
         body = tree.reach(end(joint, "child"), fixed=True)
         if not heavy.intersection(body):
             raise RobotError(f"urdf joint {joint.get('name')!r} moves no mass: give link {body[0]!r} an <inertial>")
-
-
-def check_names_free(root: ET.Element) -> None:
-    """Raise a RobotError where a link or joint has a name of those that the tool brings."""
-    for tag, ours in _OURS.items():
-        taken = sorted({element.get("name", "") for element in root.findall(tag)} & ours)
-        if taken:
-            raise RobotError(f"urdf already has {tag}s named {taken}: rename them, the tool needs these names")

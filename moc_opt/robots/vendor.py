@@ -1,4 +1,4 @@
-"""A URDF as vendors write it, made into one serial arm: everything that had to be assumed or changed is noted."""
+"""Make one serial arm of a vendor's URDF; everything that had to be assumed or changed is noted."""
 
 from __future__ import annotations
 
@@ -48,10 +48,10 @@ class VendorArm:
 
 
 def read_vendor(path: Path, *, tip: str | None = None, lock: Mapping[str, float] | None = None) -> VendorArm:
-    """Read a URDF and make it a serial arm.
+    """Read a URDF and make it a serial arm; limits are left to `choose_limits`.
 
     Side joints (fingers, a second arm, a head) and those named in ``lock`` are fixed; masses that no body has are
-    replaced; meshes are not looked at. Limits are left to `choose_limits`.
+    replaced; meshes are not looked at.
 
     Args:
         tip: the link that carries the tool; None: the end of the one chain there is, before the fingers.
@@ -103,8 +103,8 @@ def read_vendor(path: Path, *, tip: str | None = None, lock: Mapping[str, float]
     masses = {link.get("name"): _size(link.find("inertial/mass"), "value") for link in arm.root.findall("link")}
     if max(masses[link] for link in carried) < urdf.SMALLEST_MASS:
         arm.notes.append(
-            f"{', '.join(carried)}: what {arm.chain[-1]} carries has no mass, and the tool is all that it moves; see "
-            "the data sheet for the mass of the flange"
+            f"{', '.join(carried)}: what {arm.chain[-1]} carries has no mass, so it moves the tool alone; see the data "
+            "sheet for the mass of the flange"
         )
     _prune(arm, tree, chain[0])
     mend_bodies(arm.root, arm.notes)
@@ -117,12 +117,6 @@ def chain_joints(arm: VendorArm) -> list[ET.Element]:
     """Return the chain's joints of the clean tree, base first."""
     by_name = {joint.get("name", ""): joint for joint in arm.root.findall("joint")}
     return [by_name[name] for name in arm.chain]
-
-
-def rpy_of(R: np.ndarray) -> tuple[float, float, float]:
-    """Return roll, pitch and yaw [rad] of a rotation (3,3), in URDF's order."""
-    roll, pitch, yaw = pin.rpy.matrixToRpy(R).tolist()
-    return roll, pitch, yaw
 
 
 def _declared(text: str) -> tuple[str, list[str]]:
@@ -213,7 +207,7 @@ def _shift(joint: ET.Element, value: float) -> None:
         R = R @ pin.exp3(motion)
     origin = ET.SubElement(joint, "origin") if origin is None else origin
     origin.set("xyz", as_text(*place))
-    origin.set("rpy", as_text(*rpy_of(R)))
+    origin.set("rpy", as_text(*pin.rpy.matrixToRpy(R)))
 
 
 class _Tree(urdf.Tree):
@@ -279,11 +273,10 @@ def _last_link(tree: _Tree, notes: list[str]) -> str:
 
 
 def mend_bodies(root: ET.Element, notes: list[str]) -> None:
-    """Make every <inertial> one that a body can have, in place; each change is appended to the notes.
+    """Make every <inertial> one that a body can have, in place; each change is noted.
 
-    - Without mass: it is a frame, and merged into the link it is fixed to.
-    - Without inertia: that of a solid sphere of its mass, as dense as water.
-    - An inertia that no body has: the smallest sphere's inertia that makes it possible is added.
+    A link without mass is a frame, and merged into the link it is fixed to. One without inertia gets that of a ball of
+    its mass, as dense as water. To an inertia that no body has, the smallest ball's is added that makes it possible.
     """
     frames = []
     for link in root.findall("link[inertial]"):
@@ -321,11 +314,8 @@ def mend_bodies(root: ET.Element, notes: list[str]) -> None:
 def choose_limits(joints: Iterable[ET.Element], notes: list[str]) -> list[str]:
     """Give every one of these joints a finite range, a speed and an effort, in place; changes are noted.
 
-    Raises:
-        RobotError: a joint's lower limit lies above its upper one; which range is meant is not for us to choose.
-
-    Returns:
-        Joints without a usable effort: `choose_efforts` finds theirs when the arm's weight is known.
+    Returns the joints without a usable effort: `choose_efforts` finds theirs when the arm's weight is known. A
+    RobotError where a joint's lower limit lies above its upper one.
     """
     weak = []
     for joint in joints:
@@ -358,14 +348,13 @@ def _range(name: str, kind: str, endless: bool, given: dict[str, float], notes: 
             return lower, upper
         notes.append(f"{name}: no range: +-{TRAVEL_M} m is taken")
         return -TRAVEL_M, TRAVEL_M
+    why = ""
     if endless or lower == upper:
-        notes.append(f"{name} {'turns without end' if endless else 'has no range'}: +-180 deg is taken")
-        return -math.pi, math.pi
-    if upper - lower > _DEGREES:
-        notes.append(
-            f"{name}: {lower:g} to {upper:g} {unit} is no range of a joint (are they degrees?): +-180 deg is taken; "
-            "see the data sheet"
-        )
+        why = " turns without end" if endless else " has no range"
+    elif upper - lower > _DEGREES:
+        why = f": {lower:g} to {upper:g} {unit} is no range of a joint (are they degrees? see the data sheet)"
+    if why:
+        notes.append(f"{name}{why}: +-180 deg is taken")
         return -math.pi, math.pi
     if upper - lower > 2.0 * math.pi + 1e-6:
         middle = 0.0 if lower <= -math.pi and upper >= math.pi else 0.5 * (lower + upper)

@@ -1,4 +1,4 @@
-"""Connects a controller to the loop of the simulator, which knows neither models nor solvers."""
+"""The package's controller as the closed loop calls it: the loop knows neither models nor solvers."""
 
 from __future__ import annotations
 
@@ -13,57 +13,46 @@ from moc_opt.control import Controller
 from moc_opt.control.supervisor import Fault
 from moc_opt.qp.problem import row_length
 from moc_opt.robots.state import RobotState
+from moc_opt.sim.protocols import LoggedController
 
 
-class ControllerAdapter:
-    """Connects a controller to the loop: measurements become a model state, and the answers become columns."""
+class ControllerAdapter(LoggedController):
+    """Makes a model's state of every measurement, and columns of the controller's answers.
+
+    Attributes:
+        state: of the model at the last tick; None before the first one.
+        tip: (3,) where the last tick saw the tip [m]; zero before the first one.
+    """
 
     def __init__(self, controller: Controller) -> None:
         self.controller, self._robot = controller, controller.robot
-        self._state: RobotState | None = None
-
-    @property
-    def tip(self) -> Array:
-        """Where the last tick saw the tip (3,) [m]; zero before the first one."""
-        return np.zeros(3) if self._state is None else self._state.tip
-
-    @property
-    def state(self) -> RobotState | None:
-        """The model's state at the last tick; None before the first one."""
-        return self._state
-
-    @property
-    def faults(self) -> dict[str, dict[str, Any]]:
-        """Of the third level, as ``Controller.faults``."""
-        return self.controller.faults
-
-    @property
-    def restarts(self) -> list[dict[str, Any]]:
-        """Of the solver's process, as ``Controller.restarts``."""
-        return self.controller.restarts
+        self.state: RobotState | None = None
 
     def start(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> None:
-        """Warm the controller up and start it; see ``sim.protocols``."""
+        """Warm the controller up and start it."""
         state = self._robot.state(q, v)
         self.controller.warm_up(state, tip_ref, trocar)
         self.controller.start(state, tip_ref, trocar)
 
     def tick(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> Array:
-        """Compute the torque (n,) [Nm]; see ``sim.protocols``."""
-        self._state = state = self._robot.state(q, v)
+        """Compute the torque (n,) [Nm]."""
+        self.state = state = self._robot.state(q, v)
         return self.controller.tick(state, tip_ref, trocar)
 
     def set_applied_torque(self, tau: Array) -> None:
-        """Replace the last torque; see ``sim.protocols``."""
+        """Replace the last torque."""
         self.controller.set_applied_torque(tau)
 
+    tip = property(lambda self: np.zeros(3) if self.state is None else self.state.tip)
+    faults = property(lambda self: self.controller.faults, doc="As `Controller.faults`.")
+    restarts = property(lambda self: self.controller.restarts, doc="As `Controller.restarts`.")
+
     def columns(self, ticks: int) -> dict[str, NDArray[Any]]:
-        """Create the third level's columns; none but the status under DCAC."""
+        """Create the third level's columns; none but status and solve time under DCAC."""
         n = self._robot.n
         found: dict[str, NDArray[Any]] = {
-            "status": np.full(ticks, "none", dtype="<U12"),
-            "solve_us": np.full(ticks, np.nan),
-        }
+            "status": np.full(ticks, "none", dtype="<U12"), "solve_us": np.full(ticks, np.nan)
+        }  # fmt: skip
         if self.controller.solver is not None:
             found |= {
                 "x_rad_per_s": np.full((ticks, n), np.nan), "dual": np.full((ticks, 6), np.nan),
@@ -73,7 +62,7 @@ class ControllerAdapter:
         return found
 
     def note(self, row: int, columns: Mapping[str, NDArray[Any]]) -> None:
-        """Write the last tick's values into a row; see ``sim.protocols``."""
+        """Write the last tick's values into a row."""
         controller = self.controller
         solution, qp, fault = controller.solution, controller.subproblem, controller.fault
         if solution is None or qp is None:

@@ -4,25 +4,32 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar, Self
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from moc_opt.control import ControlSettings
 from moc_opt.control.safety_settings import SafetyFilterSettings
+from moc_opt.control.settings import PRESETS as CONTROL_PRESETS
 from moc_opt.errors import MocOptError, ScenarioError, UnknownNameError, shown
-from moc_opt.inputs.files import LARGEST_INTEGER, as_path, read_toml
+from moc_opt.inputs.files import LARGEST_INTEGER, as_path, read_toml, to_toml, write_whole
 from moc_opt.inputs.names import table_html
 from moc_opt.inputs.settings import Name, Settings
 from moc_opt.realtime.link import WireSettings
-from moc_opt.scenario import saving
 from moc_opt.scenario.tables import MOST_S, RobotTable, SolverTable, StartTable, TaskTable, TrocarTable
 from moc_opt.sim.faults import FaultSettings
 from moc_opt.sim.sensors import longest_repetition, repeats_no_reading
 from moc_opt.sim.settings import PlantSettings
+from moc_opt.solvers.registry import defaults
 
+PRESETS: Mapping[str, Mapping[str, Callable[..., Settings]]] = {
+    "control": {name: partial(ControlSettings.preset, name) for name in CONTROL_PRESETS},
+    "plant": {"realistic": PlantSettings.realistic, "nominal": PlantSettings.nominal},
+}
+"""Table -> name of its ``preset`` -> what makes the table from the other keys."""
 _LAGS = 3.0
 """Time constants of the encoders' velocity filter that the safety filter takes for its lag, at least."""
 _TORQUE, _SPEED = 500.0, 600.0
@@ -103,25 +110,16 @@ class Scenario(Settings):
                 found.append(f"in [{table}]")
         return found
 
-    @field_validator("control", mode="before")
+    @field_validator(*PRESETS, mode="before")
     @classmethod
-    def _control_preset(cls, value: Any) -> Any:
-        if isinstance(value, Mapping) and "preset" in value:
-            table = dict(value)
-            return ControlSettings.preset(str(table.pop("preset")), **table)
-        return value
-
-    @field_validator("plant", mode="before")
-    @classmethod
-    def _preset(cls, value: Any) -> Any:
-        if isinstance(value, Mapping) and "preset" in value:
-            table = dict(value)
-            presets = {"realistic": PlantSettings.realistic, "nominal": PlantSettings.nominal}
-            name = table.pop("preset")
-            if name not in list(presets):
-                raise UnknownNameError("plant preset", str(name), presets)
-            return presets[name](**table)
-        return value
+    def _preset(cls, value: Any, info: ValidationInfo) -> Any:
+        if not isinstance(value, Mapping) or "preset" not in value:
+            return value
+        table, presets = dict(value), PRESETS[str(info.field_name)]
+        name = table.pop("preset")
+        if name not in list(presets):
+            raise UnknownNameError(f"{info.field_name} preset", str(name), presets)
+        return presets[name](**table)
 
     @model_validator(mode="after")
     def _box_before_the_wall(self) -> Self:
@@ -153,11 +151,6 @@ class Scenario(Settings):
         Raises:
             ScenarioError: no such file, no TOML, or a value out of range; names file and field.
             UnknownNameError: a key or preset that does not exist.
-
-        Example:
-            >>> mo.Scenario(seed=3).save("scenario.toml")
-            >>> mo.Scenario.load("scenario.toml").seed
-            3
         """
         file = as_path(path, "scenario", ScenarioError)
         if file.suffix == ".parquet":
@@ -196,16 +189,39 @@ class Scenario(Settings):
             >>> mo.Scenario.load("scenario.toml") == scenario
             True
         """
-        saving.save(self, path)
+        file, table = as_path(path, "scenario", ScenarioError), self.changes()
+        if Path(self.robot.name).suffix.lower() in (".toml", ".urdf"):
+            table["robot"] = {**table["robot"], "name": str(Path(self.robot.name).absolute())}
+        if self.control.course:
+            table["control"] = {**table["control"], "course": str(Path(self.control.course).absolute())}
+        if None in self.solver.settings.values():
+            table["solver"] = {**table["solver"], "settings": _without_usual_none(self.solver)}
+        try:
+            text = to_toml(_without_none(table))
+        except TypeError as error:
+            raise ScenarioError(f"the scenario cannot be written as TOML: {error}") from error
+        write_whole(file, text, "scenario", ScenarioError)
+
+    def changes(self) -> dict[str, Any]:
+        """Return what differs from the default scenario, as the keyword arguments that make it.
+
+        A table is written against its defaults or against that preset which leaves fewest keys.
+        """
+        found: dict[str, Any] = {}
+        for name, field in type(self).model_fields.items():
+            value = getattr(self, name)
+            if value != field.default:
+                found[name] = min(_tables(value, name), key=len) if isinstance(value, Settings) else value
+        return found
 
     def __repr__(self) -> str:
-        return f"Scenario({', '.join(f'{name}={value!r}' for name, value in saving.changes(self).items())})"
+        return f"Scenario({', '.join(f'{name}={value!r}' for name, value in self.changes().items())})"
 
     __str__ = __repr__
 
     def _repr_html_(self) -> str:
         """Return HTML for a notebook."""
-        return table_html("Scenario, where it differs from the default", saving.changes(self) or {"nowhere": ""})
+        return table_html("Scenario, where it differs from the default", self.changes() or {"nowhere": ""})
 
     def change(self, **tables: Any) -> Self:
         """Copy the scenario with some fields changed; a mapping changes fields inside a table.
@@ -255,3 +271,39 @@ def _with_paths_from(folder: Path, table: dict[str, Any]) -> dict[str, Any]:
         if key == "course" or Path(given).suffix.lower() in (".toml", ".urdf"):
             found[name] = {**part, key: str(folder / given)}
     return found
+
+
+def _tables(value: Settings, name: str) -> Iterator[dict[str, Any]]:
+    """Yield the ways to write a table: with no preset, then with each that it has."""
+    yield value.model_dump(exclude_defaults=True)
+    for preset, make in PRESETS.get(name, {}).items():
+        base, table = make(), dict[str, Any]()
+        for key in type(value).model_fields:
+            entry = getattr(value, key)
+            if entry != getattr(base, key):
+                table[key] = entry.model_dump(exclude_defaults=True) if isinstance(entry, Settings) else entry
+        if None not in table.values():  # what a preset sets, a file cannot set back to None
+            yield {"preset": preset, **table}
+
+
+def _without_usual_none(solver: SolverTable) -> dict[str, Any]:
+    """Return the solver's settings without those that are None by default: a file has no None."""
+    usual = defaults(solver.name)
+    for name, value in solver.settings.items():
+        if value is None and usual.get(name, ...) is not None:
+            raise ScenarioError(
+                f"[solver.settings] {name} = None has no form in TOML, and left out it would be "
+                f"{shown(usual.get(name, 'unknown'))}: give a value"
+            )
+    return {name: value for name, value in solver.settings.items() if value is not None}
+
+
+def _without_none(table: Mapping[str, Any]) -> dict[str, Any]:
+    """Write None as a file does: no limit is `inf`, no table of gains an empty text."""
+    plain: dict[str, Any] = {}
+    for key, value in table.items():
+        if isinstance(value, Mapping) and key != "settings":
+            plain[key] = _without_none(value)
+        else:
+            plain[key] = ("" if key == "gains" else float("inf")) if value is None else value
+    return plain

@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from moc_opt.arrays import Array
-from moc_opt.planning import largest
+from moc_opt.planning import pose_map
 from moc_opt.qp.problem import compute_residuals
 from moc_opt.qp.residuals import Residuals
 from moc_opt.robots.model import RobotModel
-from moc_opt.sim.log import TaskOffset
 from moc_opt.sim.plant import Plant
+from moc_opt.sim.record import TaskOffset
 from moc_opt.solvers.base import Status
 from moc_opt.tasks.trocar import shaft_distance
 
@@ -64,13 +64,13 @@ def largest_mu(poses: Array, robot: RobotModel, samples: int) -> tuple[Array, di
 
     Returns:
         (N,) the largest mu, NaN between those ticks and where the pose is no number; and the entry of a trace's meta
-        that says how it was found (`moc_opt.planning.largest`), none where nothing was.
+        that says how it was found (`moc_opt.planning.pose_map`), none where nothing was.
     """
     bound = np.full(len(poses), np.nan)
     ticks = np.linspace(0, len(poses) - 1, min(samples, len(poses))).astype(int)
     ticks = ticks[np.isfinite(poses[ticks]).all(axis=1)]
     if not len(ticks):
         return bound, {}
-    found = largest.largest_mu(robot, np.asarray(poses[ticks], dtype=np.float64))
+    found = pose_map.largest_mu(robot, np.asarray(poses[ticks], dtype=np.float64))
     bound[ticks] = found.mu
     return bound, {"mu_bound_method": found.method}

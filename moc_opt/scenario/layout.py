@@ -29,12 +29,9 @@ _POSE_STREAM = (1,)
 class Layout:
     """A start and the task from there, checked."""
 
-    q: Array
-    """(n,) [rad]"""
-    trocar: Array
-    """(3,) at rest, as registered [m]"""
-    registered: Trocar
-    """The registered trocar, which the controller is given."""
+    q: Array  #: (n,) [rad]
+    trocar: Array  #: (3,) at rest, as registered [m]
+    registered: Trocar  #: The registered trocar, which the controller is given.
     reference: Reference
     duration_s: float
 
@@ -63,6 +60,7 @@ def lay_out(scenario: Scenario, robot: RobotModel, swivel_rng: np.random.Generat
     if start.pose == "random":
         rng = np.random.default_rng(np.random.SeedSequence(scenario.seed, spawn_key=_POSE_STREAM))
         margins = np.where(robot.chain.prismatic, start.limit_margin_m, start.limit_margin_rad)
+        # It has to do the whole task, however short the run is.
         return preflight.random_start(robot, rng, swivelled, lambda q: _checked(scenario, robot, q, np.inf), margins)
     q = np.array(robot.data.q_home if start.q_rad is None else start.q_rad, dtype=np.float64)
     preflight.check_start(robot, q)  # of a singular pose there is no swivel
@@ -73,7 +71,6 @@ def lay_out(scenario: Scenario, robot: RobotModel, swivel_rng: np.random.Generat
 
 
 def _checked(scenario: Scenario, robot: RobotModel, q: Array, until_s: float) -> tuple[Layout, Reach]:
-    """Return the task from q, and how it is followed; a random start is asked for all of it, however short the run."""
     found = _task(scenario, robot, q)
     return found, preflight.check_path(robot, q, found.reference, found.registered, until_s)
 

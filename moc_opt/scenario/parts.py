@@ -7,17 +7,16 @@ from typing import Any
 
 import numpy as np
 
-from moc_opt import solvers
 from moc_opt.control.safety_filter import SafetyFilter
-from moc_opt.errors import ScenarioError, SolverError, describe, shown
+from moc_opt.errors import ScenarioError, SolverError, shown
 from moc_opt.inputs.files import read_arrays
 from moc_opt.inputs.names import RULE, is_name
 from moc_opt.robots.model import RobotModel
 from moc_opt.scenario.config import Scenario
-from moc_opt.sim.closed_loop import Stop
+from moc_opt.sim.plant import Stop
 from moc_opt.solvers.base import Solver
 from moc_opt.solvers.isolated import Isolated
-from moc_opt.solvers.registry import accepts
+from moc_opt.solvers.registry import find
 
 
 def recorded_times(scenario: Scenario) -> list[float] | None:
@@ -29,18 +28,14 @@ def recorded_times(scenario: Scenario) -> list[float] | None:
     given = scenario.solver.replay_us
     if given is None:
         return None
-    try:
-        if isinstance(given, str):
-            times = read_arrays(given, "[solver] replay_us", ScenarioError).get("", np.empty(0)).astype(float)
-        else:
-            times = np.asarray(given, dtype=float)
-    except (TypeError, ValueError) as error:
-        if isinstance(error, ScenarioError):
-            raise
-        raise ScenarioError(f"[solver] replay_us = {given!r}: no .npy file of numbers: {error}") from error
-    if times.ndim != 1 or times.size == 0 or not (np.isfinite(times) & (times >= 0.0)).all():
+    if isinstance(given, str):
+        times = read_arrays(given, "[solver] replay_us", ScenarioError).get("", np.empty(0))
+    else:
+        times = np.asarray(given)
+    if times.dtype.kind not in "fiu" or times.ndim != 1 or not len(times) or not (times >= 0.0).all():
         raise ScenarioError(
-            f"[solver] replay_us: shape {times.shape}: give one time of 0 us or more a tick, at least one"
+            f"[solver] replay_us: {times.dtype} of shape {times.shape}: give one time of 0 us or more a tick, at least "
+            "one"
         )
     return [float(time) for time in times]
 
@@ -53,32 +48,25 @@ def check_solver(given: object) -> None:
     """
     if isinstance(given, type):
         raise SolverError(f"{shown(given)} is a class, no solver: call it, as in {given.__name__}()")
-    try:
-        usable = isinstance(given, Solver)
-        name = getattr(given, "name", "")
-    except Exception as error:  # an attribute is code of the solver's author
-        raise SolverError(f"{shown(given, 80)} is no solver: an attribute of it raises {describe(error)}") from error
-    if not usable:
-        cure = "name it in [solver], or take solvers.create(name)" if isinstance(given, str) else (
-            "it needs a name, supports(qp) and start(qp)"
-        )  # fmt: skip
+    if not isinstance(given, Solver):
+        cure = "it needs a name, supports(qp) and start(qp); solvers.create(name) makes one"
         raise SolverError(f"{shown(given, 80)} is no solver: {cure}")
-    if not is_name(name):
-        raise SolverError(f"{shown(given, 80)}: name = {shown(name, 80)}: {RULE}")
+    if not is_name(given.name):
+        raise SolverError(f"{shown(given, 80)}: name = {shown(given.name, 80)}: {RULE}")
 
 
 def make_solver(name: str, robot: RobotModel, **settings: Any) -> Solver:
     """Create a solver, giving it the arm's kinematics where it can use them."""
-    if "kinematics" not in settings and accepts(name, "kinematics"):
+    entry = find(name)
+    if "kinematics" not in settings and "kinematics" in entry.parameters:
         settings = {**settings, "kinematics": robot.kinematics()}
-    return solvers.create(name, **settings)
+    return entry.create(**settings)
 
 
 def isolated(solver: Solver, scenario: Scenario, budget_us: float | None = None, realtime: bool = False) -> Solver:
-    """Wrap a solver in its own process if the scenario requires it; else return the solver itself.
+    """Wrap a solver in its own process if ``[solver]`` requires it; else return the solver itself.
 
     Args:
-        scenario: its ``[solver]`` table decides.
         budget_us: how long a tick waits for its answer [us]; None: until the process counts as hung.
         realtime: the loop runs against a wall clock, and does not wait while a process is replaced.
 

@@ -15,12 +15,13 @@ import numpy as np
 from moc_opt.arrays import Array
 from moc_opt.errors import ScenarioError, TaskError, is_number, shown
 from moc_opt.planning.course import Limits, Objective, make_course
+from moc_opt.planning.guides import margin_of
 from moc_opt.planning.plan import Placement, best_course, check_limits
 from moc_opt.planning.pose_map import SWIVELS, map_of
 from moc_opt.planning.program import worth
 from moc_opt.planning.search import Value, keeping_shaft
 from moc_opt.scenario.config import Scenario
-from moc_opt.scenario.planned import layout_of, margin_of, targets_of
+from moc_opt.scenario.planned import layout_of, targets_of
 
 Movable = Literal["trocar", "base"]
 MOVABLE: tuple[Movable, ...] = get_args(Movable)

@@ -1,27 +1,28 @@
-"""Plan a scenario before its run: `moc_opt.planning` on its path, trocar and start."""
+"""Plan a scenario before its run: `moc_opt.planning` on its path, trocar and start; and the course as a file."""
 
 from __future__ import annotations
 
 import numbers
 import os
+from collections.abc import Mapping
+from pathlib import Path
 from typing import TypedDict
 
 import numpy as np
 
-from moc_opt.errors import ScenarioError, TaskError, is_number, shown
-from moc_opt.planning.course import Limits, Margin, Objective, Targets, lay_targets
+from moc_opt.errors import ControlError, ScenarioError, shown
+from moc_opt.planning.course import Limits, Objective, Targets, lay_targets
+from moc_opt.planning.guides import COURSE_SHARE, ROUNDING, margin_of, speed_shares
 from moc_opt.planning.plan import Plan, make_plan
 from moc_opt.planning.pose_map import SWIVELS
 from moc_opt.robots.model import RobotModel
 from moc_opt.scenario.config import Scenario
-from moc_opt.scenario.layout import Layout, lay_out, seeds_of
+from moc_opt.scenario.layout import Layout, described, lay_out, seeds_of
+from moc_opt.trace.trace import Trace
 
 PERIOD_S = 0.025
 """Between the times of a plan at most, if a path has no more than `MOST_TIMES` of them."""
 MOST_TIMES = 1000
-COURSE_SHARE = 0.25
-"""Of ``[control] shaft_margin``: there the push of the local climb begins; a course, which looks ahead, goes down to a
-quarter of it."""
 
 
 def plan(
@@ -46,9 +47,8 @@ def plan(
         scenario: of the run, or the path of its file.
         objective: maximised by the best course: "mean" mu, "worst" mu, or the mean of "log" mu.
         times: points of the path; None: one each `PERIOD_S`, 2 to 1000.
-        margin_rad: that every joint keeps from its limits [rad].
-        margin_m: the same of a joint that slides [m].
         swivels: samples of one turn of the elbow; an arm without a closed form takes only those above the default.
+        margin_rad, margin_m: that every joint keeps from its limits [rad], [m] where it slides.
         speed_share: of the joints' speed limits that a course may use, above 0 to 1.
         acceleration: most of any joint, from rest [rad/s^2]; the refinement keeps it, the grid does not know it.
         shaft_margin: least share of the squared lever that the shaft's manipulability keeps, where there is a way.
@@ -115,19 +115,6 @@ def followable_plan(
     return found, within
 
 
-def margin_of(robot: RobotModel, margin_rad: float, margin_m: float) -> Margin:
-    """Return one number where no joint slides, else one per joint (n,).
-
-    Raises:
-        TaskError: a margin is no number of zero or more.
-    """
-    for name, value in (("margin_rad", margin_rad), ("margin_m", margin_m)):
-        if not is_number(value) or not 0.0 <= value < np.inf:
-            raise TaskError(f"{name} = {value!r}: give zero or more, and less than half of every joint's range")
-    slides = robot.chain.prismatic
-    return np.where(slides, margin_m, margin_rad) if slides.any() else margin_rad
-
-
 def layout_of(scenario: Scenario, robot: RobotModel) -> Layout:
     """Lay a scenario's task out as its run does, whether or not the arm can follow the path from there.
 
@@ -154,3 +141,72 @@ def targets_of(
         layout.reference, layout.registered, robot.state(layout.q).tool_span, layout.duration_s, count,
         robot.data.tool_length,
     )  # fmt: skip
+
+
+def save_course(
+    found: Plan, scenario: Scenario, to: str | os.PathLike[str], within: Mapping[str, float] | None = None
+) -> Path:
+    """Write the plan's course as a Parquet file that `Trace.load` and ``[control] course`` read.
+
+    Columns: t_s (k,) [s], q_rad (k,n), mu (k,) [m^3], swivel_rad (k,), tip_m, tip_ref_m and wrist_m (k,3).
+
+    Args:
+        found: the plan of the scenario.
+        to: the file.
+        within: limits that it was planned for, by the names of `plan`'s arguments, where there are any.
+
+    Raises:
+        ScenarioError: there is none, neither from the start nor from elsewhere.
+        TraceError: the file cannot be written.
+    """
+    course = found.course
+    if course is None:
+        raise ScenarioError("no course goes all the way from any swivel: there is nothing to write; change the [task]")
+    robot = scenario.robot.arm()
+    tips, wrists = robot.tool_along(course.q_rad)
+    columns = {
+        "t_s": course.t_s, "q_rad": course.q_rad, "mu": course.mu, "swivel_rad": found.swivel_rad,
+        "tip_m": tips, "tip_ref_m": found.targets.tip, "wrist_m": wrists,
+    }  # fmt: skip
+    meta = {
+        "kind": "course", "objective": found.objective, "from_start": found.executable, "violation": course.violation,
+        "certified": course.certified, **described(scenario, robot),
+        "within": {name: value for name, value in (within or {}).items() if np.isfinite(value)},
+    }  # fmt: skip
+    Trace(columns, meta).save(to)
+    return Path(to)
+
+
+def following_warnings(scenario: Scenario, found: Plan) -> list[str]:
+    """Say what keeps the scenario's third level from following the course of its plan, each with its cure."""
+    settings, course = scenario.control, found.course
+    if settings.law != "moc":
+        return [f"law = {settings.law!r} has no third level: nothing follows the course; take law = 'moc'"]
+    said = []
+    try:
+        settings.check_guided()
+    except ControlError as error:
+        said.append(f"the course cannot be followed: {error}")
+    if course is None or len(course.t_s) < 2:
+        return said
+    robot = scenario.robot.arm()
+    names, moving = robot.data.joint_names, np.asarray(robot.moves.any(axis=0))
+    shares = np.where(moving, speed_shares(robot, course.q_rad, found.targets.period_s), 0.0)
+    j, allowed = int(np.argmax(shares)), settings.course_speed_fraction
+    if shares[j] > allowed + ROUNDING:
+        said.append(
+            f"the course moves {names[j]} at {shares[j]:.2f} of its speed limit; the third level "
+            f"follows up to [control] course_speed_fraction = {allowed:g}: plan with --speed-share {allowed:g}"
+        )
+    margins = np.where(robot.chain.prismatic, settings.limit_margin_m, settings.course_margin_rad)
+    room = np.minimum(course.q_rad - robot.q_min, robot.q_max - course.q_rad).min(axis=0)
+    short = np.where(moving, margins - room, -1.0)
+    j = int(np.argmax(short))
+    turns = "rad", "course_margin_rad", "--margin"
+    unit, key, option = ("m", "limit_margin_m", "--margin-m") if robot.chain.prismatic[j] else turns
+    if short[j] > ROUNDING:
+        said.append(
+            f"the course takes {names[j]} to within {room[j]:.3f} {unit} of its limit; the third "
+            f"level keeps {margins[j]:g} {unit}: plan with {option} {margins[j]:g}, or lower {key}"
+        )
+    return said

@@ -1,34 +1,182 @@
-"""Run a scenario with the objects built from it, and collect the columns of its trace."""
+"""Build the objects of a scenario, run it, and collect the columns of its trace."""
 
 from __future__ import annotations
 
+import itertools
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from moc_opt.arrays import Array
+from moc_opt.control import Controller
+from moc_opt.control.guide import Guide
 from moc_opt.errors import ScenarioError, describe, shown
 from moc_opt.planning.follow import Follower
+from moc_opt.planning.guides import Following, guides
+from moc_opt.planning.self_motion import require_freedom
+from moc_opt.scenario.adapter import ControllerAdapter
 from moc_opt.scenario.config import Scenario
 from moc_opt.scenario.derived import largest_mu, model_errors, residual_columns
-from moc_opt.scenario.layout import described
-from moc_opt.scenario.objects import Objects
-from moc_opt.scenario.parts import make_safety_filter, make_stop
+from moc_opt.scenario.layout import breathing, described, lay_out, seeds_of
+from moc_opt.scenario.parts import (
+    check_solver,
+    isolated,
+    make_safety_filter,
+    make_solver,
+    make_stop,
+    recorded_times,
+)
+from moc_opt.scenario.planned import targets_of
 from moc_opt.scenario.yardstick import against_best
+from moc_opt.sim.agreement import check_engines
 from moc_opt.sim.faults import Faults
-from moc_opt.sim.log import Columns
-from moc_opt.sim.loop import RunAway, simulate
+from moc_opt.sim.loop import ClosedLoop, simulate
+from moc_opt.sim.plant import Plant
+from moc_opt.sim.protocols import LoggedController, TorqueController
+from moc_opt.sim.record import Columns, RunAway, TaskOffset
 from moc_opt.solvers.base import Solver
+from moc_opt.solvers.faulty import Faulty, draw
+from moc_opt.tasks import Trocar
 from moc_opt.trace.file import new_file
 from moc_opt.trace.oscillation import judged_for_oscillation
 from moc_opt.trace.trace import Trace
 
 
-class Setup(Objects):
-    """Objects built from a validated scenario: robot, plant, references; ``trace()`` runs it."""
+class Setup:
+    """Objects built from a validated scenario: robot, plant, references; ``trace()`` runs it.
+
+    Everything is built and checked before anything moves.
+
+    Args:
+        solver: asked in place of the one that the scenario names, which stays in the trace's `meta`.
+        realtime: for the controller alone, whose plant is at the other end of a wire: none is built. A tick waits
+            for an isolated solver at most half its period where there is no budget, and never while the process is
+            replaced.
+
+    Raises:
+        MocOptError: the first thing that is wrong, in its own words; see `moc_opt.scenario.layout.lay_out` for the
+            start and the path.
+    """
+
+    def __init__(self, scenario: Scenario, solver: Solver | None = None, *, realtime: bool = False) -> None:
+        if solver is not None:
+            check_solver(solver)
+        self.scenario, self._given, self.realtime = scenario, solver, realtime
+        start_seed, plant_seed, self._fault_seed = seeds_of(scenario)
+        self.robot = scenario.robot.arm()
+        check_engines(self.robot)
+        if scenario.control.law == "moc":
+            require_freedom(self.robot)
+        self.layout = layout = lay_out(scenario, self.robot, np.random.default_rng(start_seed))
+        self.q_start, self.registered, self.reference = layout.q, layout.registered, layout.reference
+        self.duration_s = layout.duration_s
+        self.guide: Guide | None = None
+        """The guide of the last controller's third level; None without one."""
+        self._replayed_us = recorded_times(scenario)
+        if not realtime:
+            self._build_plant(plant_seed)
+
+    def _build_plant(self, seed: int) -> None:
+        """Put the plant at the start, where it truly holds the tool, and lay the true trocar."""
+        scenario, entry = self.scenario, self.layout.trocar
+        self.plant = Plant(self.robot.data, scenario.plant, seed=seed)
+        if scenario.faults.bump_N > 0.0:  # an unknown link is found now, not in the middle of the run
+            self.plant.push(scenario.faults.bump_link, np.zeros(3))
+        self.plant.reset(self.q_start)
+        self.offset = self._offset_of_touch(entry, scenario.trocar.depth_m)
+        true = entry + self.offset.trocar + self.plant.mismatch.registration_error
+        self.trocar = Trocar(true, *breathing(scenario))
+
+    def _offset_of_touch(self, entry: Array, depth: float) -> TaskOffset:
+        """Lay the incision on the shaft as it truly stands, and the start of the path at the true tip.
+
+        ``entry`` (3,) [m] is where the arm's model puts the incision.
+        """
+        plant = self.plant
+        if not (plant.mismatch.displaces or plant.settings.elastic):
+            return TaskOffset()  # equal but for rounding
+        shaft, tip = plant.tip - plant.wrist, self.robot.state(self.q_start).tip
+        return TaskOffset(plant.tip - tip, plant.tip - depth * shaft / np.linalg.norm(shaft) - entry)
+
+    def solver(self) -> Solver | None:
+        """Make the solver of the scenario; None under DCAC."""
+        if self.scenario.control.law != "moc":
+            return None
+        asked, faults = self.scenario.solver, self.scenario.faults
+        solver = self._given or make_solver(asked.name, self.robot, **asked.settings)
+        if faults.solver == "none" or faults.solver == "hang":
+            return solver
+        return Faulty(solver, faults.solver, faults.solver_share, self._fault_seed)
+
+    def controller(self) -> Controller:
+        """Make the scenario's law and solver."""
+        settings, times, solver = self.scenario.control, self._times(), self.solver()
+        budget = settings.supervisor.budget_us
+        if solver is not None:
+            if self.scenario.faults.solver == "hang":
+                budget = budget or self.scenario.deadline_us
+            inside, wall = solver, budget if times is None else None
+            if self.realtime and wall is None:
+                wall = 0.5e6 * self.scenario.plant.period_s
+            solver = isolated(inside, self.scenario, wall, self.realtime)
+            if solver is not inside and times is None:
+                budget = None  # the process keeps it, and an older answer in its place is not late
+        watch = settings.supervisor.model_copy(update={"budget_us": budget})
+        settings = settings.model_copy(update={"supervisor": watch})
+        self.guide = None if self._guides is None else self._guides()
+        return Controller(self.robot, settings, solver, self.scenario.plant.period_s, times, self.guide)
+
+    def _times(self) -> Iterator[float] | None:
+        """Solve times [us] that stand for the clock's, where the scenario replays some or a solver that hangs."""
+        if self.scenario.faults.solver == "hang" and self.scenario.control.law == "moc":
+            # Replayed times, not a clock: the same seed is late at the same ticks on any machine.
+            budget = self.scenario.control.supervisor.budget_us or self.scenario.deadline_us
+            return iter(np.where(self.fault_mask(), 10.0 * budget, 0.0))
+        return None if self._replayed_us is None else itertools.cycle(self._replayed_us)
+
+    @property
+    def following(self) -> Following:
+        """What planning needs to know of a run whose third level follows a course."""
+        scenario = self.scenario
+        return Following(
+            self.robot, self.q_start, scenario.control, partial(targets_of, self.robot, self.layout),
+            scenario.guard.wall_brake_rad_per_s2, scenario.plant.period_s,
+        )  # fmt: skip
+
+    @cached_property
+    def _guides(self) -> Callable[[], Guide] | None:
+        """Planned once, however many controllers are made."""
+        return guides(self.following)
+
+    def fault_mask(self) -> NDArray[np.bool_]:
+        """Return at which ticks the solver's answer is replaced by a fault, (N,)."""
+        faults, ticks = self.scenario.faults, self.ticks
+        if faults.solver == "none" or self.scenario.control.law != "moc":
+            return np.zeros(ticks, dtype=np.bool_)
+        return draw(self._fault_seed, faults.solver_share, ticks)
+
+    def adapter(self) -> LoggedController:
+        """Make the controller as the closed loop calls it; a subclass may return any other."""
+        return ControllerAdapter(self.controller())
+
+    def closed_loop(self, controller: TorqueController) -> ClosedLoop:
+        """Make the loop of the plant and a controller behind the scenario's safety filter, without faults and trace."""
+        safety_filter = make_safety_filter(self.robot, self.scenario)
+        return ClosedLoop(self.plant, controller, safety_filter, make_stop(self.scenario))
+
+    @property
+    def ticks(self) -> int:
+        """Number of ticks of the whole run."""
+        return max(1, round(self.duration_s / self.scenario.plant.period_s))
+
+    def times(self) -> Array:
+        """Return the start of every tick [s]."""
+        return self.scenario.plant.period_s * np.arange(self.ticks, dtype=np.float64)
 
     def trace(
         self, watch: Callable[[int], None] | None = None, to: str | os.PathLike[str] | None = None

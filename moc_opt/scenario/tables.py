@@ -9,7 +9,7 @@ from pydantic import Field, field_validator, model_validator
 
 from moc_opt.errors import is_number
 from moc_opt.inputs.settings import Name, Settings
-from moc_opt.planning.freedoms import Freedoms, best_freedoms
+from moc_opt.planning.self_motion import Freedoms, best_freedoms
 from moc_opt.robots.model import RobotModel, load_robot
 from moc_opt.solvers.registry import check_name, defaults
 from moc_opt.tasks.kinds import check_sizes

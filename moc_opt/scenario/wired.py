@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from moc_opt.control.safety_filter import SafetyFilter
 from moc_opt.inputs.files import to_json
 from moc_opt.realtime.answering import Answering, Ending
 from moc_opt.realtime.clock import WallClock, give_back_realtime
@@ -20,8 +21,8 @@ from moc_opt.robots.model import RobotModel, carried
 from moc_opt.scenario.config import Scenario
 from moc_opt.scenario.parts import make_safety_filter
 from moc_opt.scenario.setup import Setup
-from moc_opt.sim.loop import RunAway
-from moc_opt.sim.protocols import LoggedController, SafetyFilter
+from moc_opt.sim.protocols import LoggedController
+from moc_opt.sim.record import RunAway
 from moc_opt.trace.trace import Trace
 
 SLOWEST_S, FASTEST_S = 0.004, 0.001
@@ -44,7 +45,6 @@ class PlantServer(Setup):
     """The plant of a scenario, for a controller at the other end of a wire.
 
     Args:
-        scenario: of the run.
         listen: "HOST:PORT"; port 0 is any free one, see ``address``.
         key: of the check; None: loopback only.
         lock_step: wait for each command instead of keeping the time.
@@ -110,12 +110,7 @@ class PlantServer(Setup):
     ) -> Trace:
         """Wait for the controller, run, and return the trace; ``meta["wire"]`` has the counts of this end.
 
-        Args:
-            watch: of no meaning here: the wire keeps the time.
-            to: see `Setup.trace`.
-
-        Raises:
-            MocOptError: as for `Setup.trace`; or no controller came.
+        ``watch`` is not called: the wire keeps the time. Errors as for `Setup.trace`, or no controller came.
         """
         try:
             return super().trace(self._remote.pace, to)

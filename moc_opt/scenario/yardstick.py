@@ -8,21 +8,20 @@ once for all runs of one path and start, for all controllers.
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from moc_opt.errors import MocOptError
 from moc_opt.inputs.files import to_json
-from moc_opt.planning.arm_angle import Elbow
 from moc_opt.planning.course import Course, Limits, make_course
-from moc_opt.planning.freedoms import best_freedoms
+from moc_opt.planning.elbow import Elbow
 from moc_opt.planning.plan import best_course, top_of
 from moc_opt.planning.pose_map import PoseMap, map_of
 from moc_opt.planning.search import Value
+from moc_opt.planning.self_motion import best_freedoms
 from moc_opt.robots.model import RobotModel
 from moc_opt.scenario.config import Scenario
 from moc_opt.scenario.planned import layout_of, targets_of
@@ -34,25 +33,18 @@ PATH = ("robot", "start", "trocar", "task", "duration_s", "seed")
 """The fields of a scenario that path and start follow from."""
 
 
-@dataclass(frozen=True, eq=False)
-class Yardstick:
+class Yardstick(NamedTuple):
     """The best courses of one path."""
 
     robot: RobotModel
     from_start: Course | None
     best: Course | None
-    absent: str
-    """Why a course is missing; empty where none is."""
-    last: PoseMap | None
-    """Of the end of the path alone."""
+    absent: str  #: Why a course is missing; empty where none is.
+    last: PoseMap | None  #: Of the end of the path alone.
 
 
 def yardstick(scenario: Scenario) -> Yardstick:
-    """Plan the best courses of a scenario's path, or return those planned before.
-
-    Raises:
-        MocOptError: the scenario's start, path or trocar is not usable.
-    """
+    """Plan the best courses of a scenario's path, or return those planned before; raises as a run does."""
     return _planned(to_json(scenario.model_dump(mode="json", include=set(PATH)), indent=None, sort_keys=True))
 
 
@@ -76,9 +68,10 @@ def _planned(table: str) -> Yardstick:
 
 
 def against_best(scenario: Scenario, trace: Trace) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
-    """Return the columns of the best courses, and meta's entry ``best_courses``; ``absent`` in it says why none.
+    """Return the columns of the best courses, and meta's entry ``best_courses``.
 
-    Its ``end`` has the top of mu [m^3] above the run's last pose, the course's last mu, and the swivels of both [deg].
+    Its ``absent`` says why there is none; its ``end`` has the maximum of mu [m^3] that a climb reaches from the run's
+    last pose, the course's last mu, and the swivels of both [deg].
     """
     try:
         known = yardstick(scenario)

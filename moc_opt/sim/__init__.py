@@ -1,8 +1,9 @@
-"""The simulated plant and the closed loop: arm, trocar, sensors, faults. Imports no controller and no solver.
+"""The simulated plant and the closed loop: arm, trocar, sensors, faults. Knows no solver, and no law of control.
 
-Read first: ``closed_loop`` (the one tick of every closed loop) and ``loop`` (``simulate``, which records), then
-``plant`` (MuJoCo), built by ``mjcf``. ``protocols`` defines a controller. ``joints`` and ``sensors`` are the plant's
-parts; ``faults`` disturb it; docs/plant.md lists ``settings``. Imported by realtime, vision and scenario.
+Read first: ``loop`` (the one closed loop: plant, sensors, safety filter, controller), with ``protocols`` (what can
+stand in it) and ``record`` (its rows); then ``plant`` (MuJoCo), built by ``mjcf``. ``joints`` and ``sensors`` are the
+plant's parts, ``faults`` disturb it, ``agreement`` compares MuJoCo's arm with the controller's; docs/plant.md lists
+``settings``.
 """
 
 from moc_opt.sim.plant import Plant

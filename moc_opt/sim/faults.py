@@ -100,13 +100,9 @@ class FaultSettings(Settings):
 
 
 class Faults:
-    """The faults of one run: ``sense`` corrupts measurements, ``act`` pushes, ``slip`` moves the trocar.
+    """The faults of one run with n joints: ``sense`` corrupts measurements, ``act`` pushes, ``slip`` moves the trocar.
 
-    Args:
-        settings: the faults.
-        n: joints.
-        period: control period [s].
-        seed: of signs, noise, drops and directions.
+    ``period`` is that of control [s]; ``seed`` draws signs, noise, drops and directions.
     """
 
     def __init__(self, settings: FaultSettings, n: int, period: float, seed: int) -> None:
@@ -156,7 +152,7 @@ class Faults:
 
 
 class _Packets:
-    """Frozen, late, repeated and drifting measurements; drops draws what is lost, signs the drift's directions."""
+    """Frozen, late, repeated and drifting measurements."""
 
     def __init__(
         self, settings: FaultSettings, n: int, period: float, drops: np.random.Generator, signs: np.random.Generator

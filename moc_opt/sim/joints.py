@@ -41,7 +41,6 @@ class Joints:
     def __init__(
         self, data: RobotData, settings: PlantSettings, mismatch: Mismatch, model: mujoco.MjModel, state: mujoco.MjData
     ) -> None:
-        """Bind them to a compiled model; arrays are taken once, and must stay MuJoCo's."""
         self._model, self._state, self._limit = model, state, data.tau_max.copy()
         self._elastic, self._on_links = settings.elastic, settings.encoder_side == "link"
         self._stiffness = _stiffnesses(data, settings)
@@ -78,11 +77,7 @@ class Joints:
         self.gather()
 
     def command(self, tau: ArrayLike) -> None:
-        """Take the command of a period (n,) [Nm], and let the one that is due act.
-
-        Raises:
-            PlantError: wrong shape or not finite; nothing has changed then.
-        """
+        """Take the command of a period (n,) [Nm], and let the one that is due act; raises as `Plant.step`."""
         wanted = np.asarray(tau, dtype=np.float64)
         if wanted.shape != self._limit.shape:
             raise PlantError(f"tau has shape {wanted.shape}: give {self._limit.shape}, one torque a joint [Nm]")

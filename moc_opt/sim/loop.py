@@ -1,38 +1,145 @@
-"""Run the closed loop over references, and record what really happened."""
+"""The closed loop: sensors, safety filter, controller, safety filter, drives, once every control period.
+
+A measured q goes through `ClosedLoop.step`, `FilteredController.tick` and the controller's own ``tick``; the torque
+comes back the same way. `simulate` does this over a whole reference and records it; the live page and the operating
+procedure step the loop themselves.
+"""
 
 from __future__ import annotations
 
 import gc
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from typing import Any
+from time import perf_counter_ns
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from moc_opt.arrays import Array
-from moc_opt.errors import PlantError
-from moc_opt.sim.closed_loop import DEFAULT_STOP, ClosedLoop, Stop
+from moc_opt.errors import MocOptError, PlantError
 from moc_opt.sim.faults import Faults
-from moc_opt.sim.log import Columns, Log, TaskOffset
-from moc_opt.sim.plant import Plant
-from moc_opt.sim.protocols import LoggedController, SafetyFilter
+from moc_opt.sim.plant import DEFAULT_STOP, Plant, Stop
+from moc_opt.sim.protocols import Filtered, LoggedController, TorqueController
+from moc_opt.sim.record import Columns, Record, RunAway, TaskOffset
+from moc_opt.sim.sensors import Measurement
 from moc_opt.trace.trace import Trace
 
+if TYPE_CHECKING:
+    from moc_opt.control.safety_filter import SafetyFilter
 
-class RunAway(PlantError):
-    """The plant could not go on; ``trace`` holds the rows so far."""
+AT_REST = 0.005  #: Largest speed of a joint at rest [rad/s], [m/s] where it slides.
+LONGEST = 4  #: A stop ends after this many times its length at the latest: the tissue may push the arm for a while.
 
-    def __init__(self, message: str, trace: Trace) -> None:
-        super().__init__(message)
-        self.trace = trace
+
+class FilteredController(Filtered):
+    """A controller behind its safety filter (None: none); ``applied`` (n,) is the torque that acted last [Nm]."""
+
+    def __init__(self, controller: TorqueController, safety_filter: SafetyFilter | None, applied: Array) -> None:
+        self._controller, self._filter, self._applied = controller, safety_filter, applied
+
+    def start(self, seen: Measurement, tip_ref: Array, trocar: Array) -> None:
+        """Start controller and safety filter at the first measurement."""
+        self._controller.start(seen.q, seen.v, tip_ref, trocar)
+        if self._filter is not None:
+            self._filter.start(seen.q, seen.v, seen.stamp)
+
+    def tick(self, seen: Measurement, tip_ref: Array, trocar: Array) -> Array:
+        """Return this period's torque (n,) [Nm], within its limits; that of a damped stop once one was requested."""
+        safety, controller, applied = self._filter, self._controller, self._applied
+        if safety is None:
+            return controller.tick(seen.q, seen.v, tip_ref, trocar)
+        if not safety.reason:
+            q, v = safety.check_measurement(seen.q, seen.v, seen.stamp, applied, seen.force, trocar)
+        if not safety.reason:
+            try:
+                tau = controller.tick(q, v, tip_ref, trocar)
+                state, tip = getattr(controller, "state", None), getattr(controller, "tip", None)
+                tau = safety.limit_torque(tau, applied, q, v, tip_ref, state, tip)
+                if safety.limited:
+                    controller.set_applied_torque(tau)
+            except (MocOptError, ArithmeticError, np.linalg.LinAlgError) as error:
+                safety.request_stop(f"the controller failed: {error}")
+        if safety.reason:
+            tau = safety.stop_torque(applied)
+        self._applied = tau
+        return tau
+
+    def set_applied_torque(self, tau: Array) -> None:
+        """Correct the torque (n,) [Nm] that acted last, where it was not the one that ``tick`` returned."""
+        self._applied = tau
+        self._controller.set_applied_torque(tau)
+
+    def brake_friction(self, seen: Measurement) -> Array | float:
+        """Return the dry friction (n,) [Nm] that the brakes are to have in a stop."""
+        return 0.0 if self._filter is None else self._filter.brake_friction(seen.force)
+
+    stop_reason = property(lambda self: "" if self._filter is None else self._filter.reason)
+    limited = property(lambda self: 0 if self._filter is None else self._filter.limited)
+    warnings = property(lambda self: [] if self._filter is None else self._filter.warnings)
+
+
+class ClosedLoop:
+    """Plant, controller and safety filter (None: none), advanced one control period at a time.
+
+    A controller that is ``Filtered`` has its safety filter with it; ``faults`` disturb sensors and arm. After a step
+    ``seen`` is the measurement as it arrived, ``tau`` (n,) the torque that was applied [Nm], and ``tick_us`` the time
+    that safety filter and controller took [us]; ``ticks`` counts the steps.
+    """
+
+    def __init__(
+        self, plant: Plant, controller: TorqueController | Filtered, safety_filter: SafetyFilter | None,
+        stop: Stop = DEFAULT_STOP, faults: Faults | None = None,
+    ) -> None:  # fmt: skip
+        self._plant, self._faults, self._damping = plant, faults, stop.damping
+        self._watched, self._stopped_at = round(stop.seconds / plant.settings.period_s), -1
+        self.seen, self.tau, self.tick_us, self.ticks = plant.measure(), plant.applied_torque, float("nan"), 0
+        if not isinstance(controller, Filtered):
+            controller = FilteredController(controller, safety_filter, self.tau)
+        self.filtered: Filtered = controller
+
+    def start(self, tip_ref: Array, registered: Array) -> None:
+        """Start controller and safety filter at the plant's present measurement; arguments as for ``step``."""
+        self.seen = self._plant.measure()
+        self.filtered.start(self.seen, tip_ref, registered)
+
+    def step(self, tip_ref: Array, registered: Array, trocar: Array | None = None) -> None:
+        """Measure, check, compute, limit, and move the arm by one control period.
+
+        Args:
+            tip_ref: (3, 3) rows X_d [m], dX_d [m/s], ddX_d [m/s^2].
+            registered: (2, 3) rows P_t [m], dP_t [m/s] of the trocar, as registered.
+            trocar: (2, 3) the true one; None: the arm is in no incision.
+
+        Raises:
+            PlantError: the plant cannot go on; measurement and torque of this step are there all the same.
+        """
+        plant, seen = self._plant, self._plant.measure()
+        if self._faults is not None:
+            self._faults.act(plant, self.ticks)
+            seen = self._faults.sense(seen, self.ticks)
+        begin = perf_counter_ns()
+        tau = self.filtered.tick(seen, tip_ref, registered)
+        self.tick_us = (perf_counter_ns() - begin) * 1e-3
+        self.seen, self.tau = seen, tau
+        if self.filtered.stop_reason:
+            if self._stopped_at < 0:
+                self._stopped_at = self.ticks
+            plant.brake(self._damping, self.filtered.brake_friction(seen))
+        self.ticks += 1
+        plant.step(tau, trocar)
+
+    @property
+    def finished(self) -> bool:
+        """Whether the arm has been stopped, and simulated until it rests, at least as long as ``Stop`` says."""
+        since = self.ticks - self._stopped_at if self._stopped_at >= 0 else 0
+        return since > self._watched and bool(since > LONGEST * self._watched or np.abs(self._plant.v).max() < AT_REST)
+
+    stop_reason = property(lambda self: self.filtered.stop_reason, doc="Why the arm is being stopped; else empty.")
 
 
 @contextmanager
 def no_collector() -> Iterator[None]:
-    """Keep the garbage collector off inside a real-time loop.
-
-    Only young objects are looked through first: a full collection takes 0.1 s once the libraries are loaded.
-    """
+    """Keep the garbage collector off; a full collection takes 0.1 s, so only young objects are collected first."""
     enabled = gc.isenabled()
     gc.collect(1)
     gc.disable()
@@ -41,12 +148,6 @@ def no_collector() -> Iterator[None]:
     finally:
         if enabled:
             gc.enable()
-
-
-_STOPPED = {
-    "status": "none", "fault": "stopped", "x_rad_per_s": np.nan, "applied_x_rad_per_s": np.nan,
-    "dual": np.nan, "iterations": 0, "solve_us": np.nan,
-}  # fmt: skip
 
 
 def simulate(
@@ -58,75 +159,42 @@ def simulate(
     """Run the closed loop from the plant's present state, and record it.
 
     Args:
-        plant: already reset to the start.
         controller: computes the torque, and may add columns.
         tip_refs: (N, 3, 3) rows X_d, dX_d, ddX_d of every tick.
-        trocars: (N, 2, 3) rows P_t, dP_t: where the trocar really is.
-        registered: (N, 2, 3) the registered trocar.
+        trocars, registered: (N, 2, 3) rows P_t, dP_t of the true and of the registered trocar.
         safety_filter: checks measurements and limits torques; None: neither.
-        faults: disturb sensors and arm; None: nothing does.
-        stop: how the arm is stopped once the safety filter has requested it.
-        offset: how the robot's frame lies in the true one, where `tip_refs` and `registered` were taken with its
-            own tip; None: as the true one.
-        watch: called with the tick's number before each tick (progress, events).
-        meta: goes into the trace.
-        rescue: called with the columns of the rows so far where any other exception than RunAway ends the loop.
+        offset: of the robot's frame, where it registered tip and trocar by touch; None: it is the true frame.
+        watch: called with the tick's number before each tick; meta: goes into the trace.
+        rescue: called with the columns so far where an exception other than RunAway ends the loop.
 
     Returns:
-        One row per tick: the state at its start, and the torque applied then. ``meta["ended"]`` is "completed", or
-        "stopped: ..." with the rows so far, and ``meta["stopped_at_s"]`` says when. ``meta["ticks"]`` of
-        ``meta["ticks_planned"]`` (N) are there; ``meta["warnings"]``, where there are any, are the safety
-        filter's. ``meta["faults"]``, of a controller that counts them, are its refused answers: label -> count,
-        first_at_s, first (in words). ``meta["restarts"]``, where there are any, says when (at_s) the process of an
-        isolated solver was replaced, and why (reason).
+        One row a tick: the state at its start, and the torque applied then; `moc_opt.trace.meta` lists the meta.
 
     Raises:
         RunAway: the plant cannot go on; the error holds the trace so far.
     """
-    ticks, offset = len(tip_refs), TaskOffset.nothing() if offset is None else offset
-    log = Log(plant, controller, tip_refs, trocars, registered, offset)
+    record = Record(plant, controller, tip_refs, trocars, registered, offset or TaskOffset())
     loop = ClosedLoop(plant, controller, safety_filter, stop, faults)
     loop.start(tip_refs[0], registered[0])
-    begin_s = float(log.kept["t_s"][0])
     broken: PlantError | None = None
-    found: dict[str, Any] = {"period_s": plant.settings.period_s, "ended": "completed"}
     try:
         with no_collector():
-            for row in range(ticks):
+            for row, tip_ref in enumerate(tip_refs):
                 if watch is not None:
-                    watch(loop.ticks)
-                plant.write_truth(log.truth[row])
+                    watch(row)
+                record.note_truth()
                 try:
-                    loop.step(tip_refs[row], registered[row], trocars[row])
+                    loop.step(tip_ref, registered[row], trocars[row])
                 except PlantError as error:
                     broken = error
-                controller.note(row, log.kept)
-                log.wrench[row], log.tau[row], log.tick_us[row] = loop.seen.force, loop.tau, loop.tick_us
-                if loop.limited:
-                    log.limited[row] = loop.limited
-                log.done = row + 1
-                if loop.stop_reason:
-                    for name in log.kept.keys() & _STOPPED.keys():
-                        log.kept[name][row] = _STOPPED[name]
-                    if "stopped_at_s" not in found:
-                        t = float(log.kept["t_s"][row])
-                        found |= {"ended": f"stopped: {loop.stop_reason} (t = {t:.3f} s)", "stopped_at_s": t}
-                    if loop.finished:
-                        break
-                if broken is not None:
-                    found["ended"] = f"ran away at t = {log.kept['t_s'][row]:.3f} s"
+                record.note(loop.seen, loop.tau, loop.tick_us, loop.filtered)
+                if broken is not None or loop.finished:
                     break
     except BaseException:
-        if rescue is not None and log.done:
-            rescue(log.columns())
+        if rescue is not None and record.done:
+            rescue(record.columns())
         raise
-    found |= {"ticks": loop.ticks, "ticks_planned": ticks}
-    found |= {"faults": controller.faults} if hasattr(controller, "faults") else {}
-    if restarts := getattr(controller, "restarts", None):
-        found["restarts"] = restarts
-    if loop.warnings:
-        found["warnings"] = [{**w, "first_s": begin_s + w["first_s"]} for w in loop.warnings]
-    trace = Trace(log.columns(), {**found, **(meta or {})})
+    trace = record.trace(loop.filtered.warnings, meta or {}, ran_away=broken is not None)
     if broken is not None:
-        raise RunAway(f"{found['ended']}: {broken}", trace) from broken
+        raise RunAway(f"{trace.meta['ended']}: {broken}", trace) from broken
     return trace

@@ -27,23 +27,16 @@ def build_spec(
 
     Every link stays a body of its own (MuJoCo would weld the tool to the flange, and the sensor between them
     would see nothing). Shapes are left out: nothing collides, and no mass is guessed from a mesh. Rotor
-    inertia becomes `dof_armature`. Joint limits are soft stops.
-
-    Joint friction is MuJoCo's own: viscous `dof_damping` and Coulomb `dof_frictionloss`. Both are integrated
-    implicitly, so they can only take energy out whatever the step is; a smooth tanh applied from outside is
-    explicit, and at 1 ms its slope must stay below 2 M / step, which leaves an arm that creeps under load
-    where a real one sticks. It costs about 1.5 us a step.
+    inertia becomes `dof_armature`. Joint limits are soft stops. Friction is MuJoCo's own, which is integrated
+    implicitly: an explicit smooth tanh lets an arm creep under load where a real one sticks.
 
     Args:
         data: the robot with its tool.
         substep_s: plant step [s].
         gravity: 9.81 m/s^2 along -z, or none.
         mass_scale: link name -> factor on its mass and inertia; the centre of mass stays. Missing links: 1.
-        viscous: (n,) viscous friction [Nm s/rad]; None is none.
-        coulomb: (n,) Coulomb friction [Nm]; None is none.
-        origin_shift: (n + 1, 3) shifts of the joints' origins and of the tool's mount, axes of the link before
-            [m]; None is none.
-        origin_turn: (n, 3) rotation vectors of the joints' frames, in the same axes [rad]; None is none.
+        viscous, coulomb: (n,) friction [Nm s/rad], [Nm]; None is none.
+        origin_shift, origin_turn: as of `Mismatch`; None is none.
 
     Raises:
         PlantError: the URDF cannot be made into a MuJoCo model, or `mass_scale` names no link of it.

@@ -10,7 +10,7 @@ the arm. The shaft's line has no ends: the tool is assumed to be inserted.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from dataclasses import dataclass
 
 import mujoco
 import numpy as np
@@ -34,28 +34,15 @@ if mujoco.get_mju_user_warning() is None:
 _RUNAWAY_RAD_PER_S = 1e3
 
 
-class _Pushes:
-    """External forces held on links until they are cleared: body number -> force [N] and point in its frame [m]."""
+@dataclass(frozen=True)
+class Stop:
+    """How the arm is stopped: damping of the drives [Nm s/rad], and the least time for which that is simulated [s]."""
 
-    def __init__(self, bodies: Mapping[str, int], coms: Array) -> None:
-        self._bodies, self._coms = dict(bodies), coms
-        self.held: dict[int, tuple[Array, Array]] = {}
+    damping: float = 15.0
+    seconds: float = 0.5
 
-    def hold(self, link: str, force: ArrayLike, point: ArrayLike | None = None) -> None:
-        body = self._number(link)
-        where = self._coms[body].copy() if point is None else _finite("push point", point, (3,))
-        self.held[body] = _finite("push force", force, (3,)), where
 
-    def clear(self, link: str | None = None) -> None:
-        if link is None:
-            self.held.clear()
-        else:
-            self.held.pop(self._number(link), None)
-
-    def _number(self, link: str) -> int:
-        if link not in self._bodies:
-            raise UnknownNameError("link", link, self._bodies)
-        return self._bodies[link]
+DEFAULT_STOP = Stop()
 
 
 def _finite(name: str, value: ArrayLike, shape: tuple[int, ...], note: str = "") -> Array:
@@ -69,24 +56,21 @@ class Plant:
     """An arm in MuJoCo with its trocar, its sensors and its delay, advanced one control period at a time.
 
     The results of a run depend only on (data, settings, seed), the start and the torques, to the last bit: `reset`
-    restarts the noise. Plants share no state, so each thread can have its own. The drives
-    have no dynamics; they cut torques at `data.tau_max`.
+    restarts the noise. Plants share no state, so each thread can have its own. At first the arm rests at `data.q_home`.
+
+    Args:
+        data: the robot, as in the controller's model.
+        settings: how the plant differs from it; None is `PlantSettings.realistic()`.
+        seed: of the mismatch and of the noise, 0 or more.
 
     Attributes: `data`, `settings`, `mismatch`, and MuJoCo's `mj_model` and `mj_data`, to draw the scene and
         to check the plant; writing to these two breaks the promises above.
+
+    Raises:
+        PlantError: MuJoCo cannot take the robot, or its URDF lacks a frame.
     """
 
     def __init__(self, data: RobotData, settings: PlantSettings | None = None, seed: int = 0) -> None:
-        """Build the arm and put it at rest at `data.q_home`.
-
-        Args:
-            data: the robot, as in the controller's model.
-            settings: how the plant differs from it; None is `PlantSettings.realistic()`.
-            seed: of the mismatch and of the noise, 0 or more.
-
-        Raises:
-            PlantError: MuJoCo cannot take the robot, or its URDF lacks a frame.
-        """
         self.data = data
         self.settings = settings = PlantSettings.realistic() if settings is None else settings
         # One stream for each purpose: switching one thing off leaves the others' numbers as they are.
@@ -125,7 +109,7 @@ class Plant:
         # MuJoCo's sensor shows what the mount exerts on the tool; ours, as real ones do, the reaction.
         first = model.sensor(FORCE_SENSOR).adr[0]
         self._held = state.sensordata[first : first + 6]
-        self._pushes = _Pushes(bodies, model.body_ipos)
+        self._bodies, self._pushes = bodies, dict[int, tuple[Array, Array]]()  # number -> force, point in its frame
         self._tissue = settings.trocar_stiffness_N_per_m, settings.trocar_damping_Ns_per_m
         self._trocar, self._force, self._point = np.zeros((2, 3)), np.zeros(3), np.zeros(3)
 
@@ -151,8 +135,8 @@ class Plant:
                 f"choose {self.data.q_min[i]:.6g} to {self.data.q_max[i]:.6g}"
             )
         shown, felt = (np.random.default_rng(seed) for seed in self._noise_seeds)
-        self._encoders = Encoders.of(self.settings, self.mismatch.encoder_bias, shown)
-        self._sensor = WrenchSensor.of(self.settings, felt)
+        self._encoders = Encoders(self.settings, self.mismatch.encoder_bias, shown)
+        self._sensor = WrenchSensor(self.settings, felt)
         self._pushes.clear()
         self.mj_model.dof_damping[:] = self._drive_damping
         self.mj_model.dof_frictionloss[:] = self._drive_friction
@@ -212,7 +196,7 @@ class Plant:
             core.add_force(self._tool_wrench, self._force, self._point, self._tool_com)
         else:
             self._force[:] = 0.0
-        for body, (force, point) in self._pushes.held.items():
+        for body, (force, point) in self._pushes.items():
             where = state.xpos[body] + state.xmat[body].reshape(3, 3) @ point
             core.add_force(state.xfrc_applied[body], force, where, state.xipos[body])
 
@@ -233,11 +217,8 @@ class Plant:
     def brake(self, damping_Nm_s_per_rad: float, friction_Nm: ArrayLike = 0.0) -> None:
         """Close the brakes until reset: more damping and dry friction in every joint, under any command.
 
-        Both act on the true motion, as a real arm's brakes do: no sensor is needed. With damping alone the arm sinks
-        under a load that the torque does not carry.
-
         Args:
-            damping_Nm_s_per_rad: of the drives, short-circuited.
+            damping_Nm_s_per_rad: of the drives, short-circuited; with it alone a loaded arm sinks.
             friction_Nm: of the holding brakes, one number or one a joint (n,).
 
         Raises:
@@ -264,11 +245,21 @@ class Plant:
             UnknownNameError: no such link.
             PlantError: wrong shape or not finite.
         """
-        self._pushes.hold(body, force, point)
+        number = self._number(body)
+        where = self.mj_model.body_ipos[number].copy() if point is None else _finite("push point", point, (3,))
+        self._pushes[number] = _finite("push force", force, (3,)), where
 
     def clear_pushes(self, body: str | None = None) -> None:
         """Remove the force on one link, or on all."""
-        self._pushes.clear(body)
+        if body is None:
+            self._pushes.clear()
+        else:
+            self._pushes.pop(self._number(body), None)
+
+    def _number(self, link: str) -> int:
+        if link not in self._bodies:
+            raise UnknownNameError("link", link, self._bodies)
+        return self._bodies[link]
 
     @property
     def time(self) -> float:

@@ -1,27 +1,35 @@
-"""The closed loop's protocols of controllers and of a safety filter; sim imports neither."""
+"""What can stand in the closed loop: a controller, and what a controller is behind its safety filter."""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from typing import Any, Protocol
 
 from numpy.typing import NDArray
 
 from moc_opt.arrays import Array
+from moc_opt.sim.sensors import Measurement
 
 
 class TorqueController(Protocol):
     """Computes a torque from a measurement.
 
-    Where it has ``tip`` (3,) [m], the tip of its last tick, its tip error is checked; where it has ``state``, the
-    model's state of that tick, the safety filter does not compute it again.
+    A controller with ``tip`` (3,) [m] or ``state``, the model's state, of its last tick has its tip error checked;
+    with ``state`` the safety filter does not compute that again.
     """
 
     def start(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> None:
-        """Reset, and prepare for a run that begins at this measurement."""
+        """Reset, and prepare for a run that begins at this measurement; arguments as for ``tick``."""
 
     def tick(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> Array:
-        """Compute the torque (n,) [Nm] for the measured q (n,) [rad] and v (n,) [rad/s]."""
+        """Compute the torque (n,) [Nm] of this period.
+
+        Args:
+            q, v: (n,) as measured [rad], [rad/s].
+            tip_ref: (3, 3) rows X_d [m], dX_d [m/s], ddX_d [m/s^2].
+            trocar: (2, 3) rows P_t [m], dP_t [m/s], as registered.
+        """
 
     def set_applied_torque(self, tau: Array) -> None:
         """Replace the last torque by the one (n,) [Nm] that was applied, where the safety filter changed it."""
@@ -30,53 +38,39 @@ class TorqueController(Protocol):
 class LoggedController(TorqueController, Protocol):
     """A controller that also writes columns of its own into the trace."""
 
-    def note(self, row: int, columns: Mapping[str, NDArray[Any]]) -> None:
-        """Write the last tick's values into a row of ``columns``."""
-
     def columns(self, ticks: int) -> dict[str, NDArray[Any]]:
         """Create the columns that ``note`` fills, ``ticks`` rows each."""
 
+    def note(self, row: int, columns: Mapping[str, NDArray[Any]]) -> None:
+        """Write the last tick's values into a row of ``columns``."""
 
-class SafetyFilter(Protocol):
-    """Checks measurements and limits torques; ``moc_opt.control.safety_filter.SafetyFilter`` says how."""
 
-    limited: int
-    reason: str
-
-    @property
-    def stopped(self) -> bool:
-        """Whether a stop was requested; ``reason`` says why."""
+class Filtered(ABC):
+    """From a measurement to a torque that may be applied: here, or at the other end of a wire (``realtime``)."""
 
     @property
+    @abstractmethod
+    def stop_reason(self) -> str:
+        """Why the arm has to be stopped; empty while it has not."""
+
+    @property
+    @abstractmethod
+    def limited(self) -> int:
+        """Number of joints at which the last torque was changed on its way."""
+
+    @property
+    @abstractmethod
     def warnings(self) -> list[dict[str, Any]]:
-        """Figures above their warning level since the start, as JSON values."""
+        """What exceeded a warning level since the start, as JSON values."""
 
-    def start(self, q: Array, v: Array, stamp: int = 0) -> None:
-        """Begin at the first measurement."""
+    @abstractmethod
+    def start(self, seen: Measurement, tip_ref: Array, trocar: Array) -> None:
+        """Prepare for a run that begins at this measurement."""
 
-    def request_stop(self, reason: str) -> None:
-        """Request the stop; the first reason stays."""
+    @abstractmethod
+    def tick(self, seen: Measurement, tip_ref: Array, trocar: Array) -> Array:
+        """Return this period's torque (n,) [Nm], within its limits; that of a damped stop once one was requested."""
 
-    def check_measurement(
-        self, q: Array, v: Array, stamp: int | None = None, applied: Array | None = None,
-        wrench: Array | None = None, trocar: Array | None = None,
-    ) -> tuple[Array, Array]:  # fmt: skip
-        """Return the measurement, or an extrapolation in place of one that is late, repeated or impossible.
-
-        With the registered trocar (2, 3), RCM error and trocar force are checked too.
-        """
-
-    def limit_torque(
-        self, tau: Array, before: Array, q: Array, v: Array, tip_ref: Array | None = None, state: Any = None,
-        tip: Array | None = None,
-    ) -> Array:  # fmt: skip
-        """Return the torque within its limits; ``limited`` is the number of joints that were changed.
-
-        The tip is also compared with its reference (3, 3), and the motion at (q, v) with the torque ``before``.
-        """
-
-    def stop_torque(self, before: Array) -> Array:
-        """Return the torque (n,) [Nm] of a damped stop, where ``before`` was applied last."""
-
-    def brake_friction(self, wrench: Array) -> Array:
-        """Return the dry friction (n,) [Nm] of the brakes in a stop, for the wrench (6,) at the mount."""
+    @abstractmethod
+    def brake_friction(self, seen: Measurement) -> Array | float:
+        """Return the dry friction (n,) [Nm] that the brakes are to have in a stop."""

@@ -26,10 +26,9 @@ _NOISE_ROWS = 256
 
 
 class _Noise:
-    """Gaussian noise, drawn in blocks: the same numbers as row by row, at a fraction of the calls."""
+    """Gaussian noise of given standard deviations (m,), drawn in blocks: a fraction of the calls."""
 
     def __init__(self, rng: np.random.Generator, deviation: Array) -> None:
-        """Build it with the standard deviation of each entry (m,)."""
         self._rng, self._deviation, self._quiet = rng, deviation, not deviation.any()
         self._block, self._next = np.zeros((_NOISE_ROWS, deviation.size)), _NOISE_ROWS
         self._rows = list(self._block)  # views: taking one from a list costs a quarter of making it
@@ -52,26 +51,19 @@ class Encoders:
     velocity += (1 - exp(-2 pi cutoff period)) (difference quotient - velocity), once a control period.
     Without noise, step and cutoff both values are exact but for the bias; without a cutoff alone, the velocity is
     the bare quotient.
+
+    Args:
+        settings: of the plant: period, noise, resolution, cutoff.
+        bias: (n,) constant error [rad].
+        rng: of the noise.
     """
 
-    def __init__(
-        self, n: int, period_s: float, rng: np.random.Generator, *, noise_rad: float = 0.0,
-        resolution_rad: float = 0.0, cutoff_Hz: float = 0.0, bias: Array | None = None,
-    ) -> None:  # fmt: skip
-        """Build n encoders that are read every `period_s`; noise is a standard deviation, bias (n,) constant [rad]."""
-        exact = noise_rad == resolution_rad == cutoff_Hz == 0.0
-        gain = -math.expm1(-2.0 * math.pi * cutoff_Hz * period_s) if cutoff_Hz > 0.0 else 1.0
-        self._noise = _Noise(rng, np.full(n, noise_rad))
-        self._memory, self._conversion = np.zeros((3, n)), (resolution_rad, period_s, gain, exact)
-        self._memory[0] = 0.0 if bias is None else bias
-
-    @classmethod
-    def of(cls, settings: PlantSettings, bias: Array, rng: np.random.Generator) -> Encoders:
-        """Return the encoders that the plant's settings describe, with the bias (n,) that was drawn for them."""
-        return cls(
-            bias.size, settings.period_s, rng, noise_rad=settings.encoder_noise_rad,
-            resolution_rad=settings.encoder_resolution_rad, cutoff_Hz=settings.velocity_cutoff_Hz, bias=bias,
-        )  # fmt: skip
+    def __init__(self, settings: PlantSettings, bias: Array, rng: np.random.Generator) -> None:
+        noise, step, cutoff = settings.encoder_noise_rad, settings.encoder_resolution_rad, settings.velocity_cutoff_Hz
+        gain = -math.expm1(-2.0 * math.pi * cutoff * settings.period_s) if cutoff > 0.0 else 1.0
+        self._noise, self._memory = _Noise(rng, np.full(bias.size, noise)), np.zeros((3, bias.size))
+        self._memory[0] = bias
+        self._conversion = step, settings.period_s, gain, noise == step == cutoff == 0.0
 
     def start(self, q: Array, v: Array) -> tuple[Array, Array]:
         """Read at (q, v), each (n,), for the first time: the velocity estimate begins at v."""
@@ -91,22 +83,13 @@ class Encoders:
 
 
 class WrenchSensor:
-    """Noise on the wrench that the tool exerts on the mount."""
+    """Shows the wrench that the tool exerts on the mount, with noise."""
 
-    def __init__(self, rng: np.random.Generator, *, force_noise_N: float = 0.0, torque_noise_Nm: float = 0.0) -> None:
-        """Build it with the standard deviations of one axis."""
-        self._noise = _Noise(rng, np.repeat([force_noise_N, torque_noise_Nm], 3))
-
-    @classmethod
-    def of(cls, settings: PlantSettings, rng: np.random.Generator) -> WrenchSensor:
-        """Return the sensor that the plant's settings describe."""
-        return cls(rng, force_noise_N=settings.force_noise_N, torque_noise_Nm=settings.torque_noise_Nm)
+    def __init__(self, settings: PlantSettings, rng: np.random.Generator) -> None:
+        self._noise = _Noise(rng, np.repeat([settings.force_noise_N, settings.torque_noise_Nm], 3))
 
     def read(self, held: Array) -> Array:
-        """Return force [N] and torque [Nm] as measured, (6,) read-only, where the mount truly holds with ``held``.
-
-        The sensor shows the reaction to that: its negative.
-        """
+        """Return force [N] and torque [Nm] as measured, (6,) read-only: the reaction to ``held``, the mount's own."""
         return read_only(self._noise.take() - held)
 
 

@@ -30,11 +30,10 @@ class Status(Enum):
     NUMERICAL = "numerical trouble: take rows = 5, regularization > 0 or a larger cost_scale"
     UNSUPPORTED = "ask supports(qp) why this solver cannot take this problem"
 
-    label: str
-    """Lower-case name, as it stands in traces and tables."""
+    label: str  #: Lower-case name, as it stands in traces and tables.
 
     def __init__(self, cure: str) -> None:
-        self.label = self.name.lower()  # once: the loop writes it down at every tick
+        self.label = self.name.lower()
 
 
 class Solution(NamedTuple):
@@ -44,7 +43,7 @@ class Solution(NamedTuple):
         x: (n,) joint velocity [rad/s]; NaN where there is none.
         y: (6,) multipliers of the six equality rows with P x + p + A^T y + z = 0
             (five-row duals are lifted), or None where the solver gives none.
-        status: what the solver claims.
+        status: the solver's claim.
         iterations: of the solver's own loop; 0 for closed forms.
 
     Example:
@@ -65,12 +64,14 @@ class Solution(NamedTuple):
         return table_html("Solution", self._shown())
 
     def _shown(self) -> dict[str, str]:
-        lines = {"status": self.status.label, "x": _row(self.x), "y": "none" if self.y is None else _row(self.y)}
-        return {**lines, "iterations": str(self.iterations)}
+        def row(values: Array | None) -> str:
+            if values is None:
+                return "none"
+            return str(np.array2string(np.asarray(values), precision=4, separator=", ", max_line_width=1000))
 
-
-def _row(values: Array) -> str:
-    return str(np.array2string(np.asarray(values), precision=4, separator=", ", max_line_width=1000))
+        return {
+            "status": self.status.label, "x": row(self.x), "y": row(self.y), "iterations": str(self.iterations),
+        }  # fmt: skip
 
 
 class Session(Protocol):
@@ -158,13 +159,10 @@ class ObservingSession(Protocol):
 
 
 def check_settings(settings: Any, **choices: Sequence[object]) -> None:
-    """Check every field of a solver's settings that has a plain default, which also says what is usual.
+    """Check every field of a dataclass of settings that has a plain default, which also says what is usual.
 
     A field named in ``choices`` must be one of them; else a flag's default asks for a flag, that of a whole number for
     one of 1 or larger, of a number for a positive one (or None, if that is the default), 0.0 for one not negative.
-
-    Args:
-        settings: a dataclass with a ``name``.
 
     Raises:
         SolverError: a field is out of range; names the field, its value and the cure.

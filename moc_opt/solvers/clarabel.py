@@ -72,14 +72,10 @@ class Clarabel(Adapter):
     """Clarabel's native interface, constraints [A; I; -I] x + s = [b; upper; -lower].
 
     Args:
-        rows: 5 or 6 equality rows.
         cost_scale: multiplies P and p; the duals are scaled back. Without it about one answer in a
             hundred has a relative residual above 1e-3.
         eps: its three tolerances (1e-8 is the library's).
         max_iter: iterations.
-
-    Raises:
-        SolverError: a setting is out of range.
     """
 
     rows: int = 5

@@ -71,9 +71,6 @@ class DAQP(Adapter):
         primal_tol, dual_tol: the library's 1e-6 and 1e-12.
         max_iter: iterations.
         warm: start from the last tick's active set.
-
-    Raises:
-        SolverError: a setting is out of range.
     """
 
     rows: int = 5

@@ -18,11 +18,11 @@ from moc_opt import core
 from moc_opt.arrays import Array
 from moc_opt.errors import SolverError
 from moc_opt.qp.layout import joints_of
-from moc_opt.qp.problem import NullSpaceQP
+from moc_opt.qp.problem import NullSpaceQP, row_length
 from moc_opt.solvers.base import Solution, Status, no_answer
 
-_STATUS = {core.OK: Status.SOLVED, core.INFEASIBLE: Status.INFEASIBLE, core.DOUBTFUL: Status.NUMERICAL}
-_STATUSES = np.array([_STATUS.get(code) for code in range(max(_STATUS) + 1)], dtype=object)
+STATUS = {core.OK: Status.SOLVED, core.INFEASIBLE: Status.INFEASIBLE, core.DOUBTFUL: Status.NUMERICAL}
+_STATUSES = np.array([STATUS.get(code) for code in range(max(STATUS) + 1)], dtype=object)
 # Looked up once: the loop needs them at every tick.
 _solve, _empty, _new, _SOLVED, _OK = core.solve_exact, np.empty, tuple.__new__, Status.SOLVED, core.OK
 
@@ -60,7 +60,7 @@ class Exact:
         return ExactSession(self.tolerance)
 
     def solve_batch(self, rows: Array, threads: int | None = None) -> tuple[Array, Array, list[Status]]:
-        """Solve flat records (k, 10 n + 10): x (k, n), y (k, 6), statuses.
+        """Solve flat records (k, 11 n + 10): x (k, n), y (k, 6), statuses.
 
         x and y are NaN where the status is not SOLVED.
 
@@ -73,11 +73,12 @@ class Exact:
         if threads is not None and threads < 1:
             raise SolverError(f"exact: threads = {threads}: give 1 or more, or None for one a core")
         rows = np.ascontiguousarray(rows, dtype=np.float64)
-        if rows.ndim != 2 or rows.shape[1] % 10 or not 1 <= joints_of(rows.shape[1]) <= core.MAX_JOINTS:
+        n = joints_of(rows.shape[-1])
+        if rows.ndim != 2 or rows.shape[1] != row_length(n) or not 1 <= n <= core.MAX_JOINTS:
             raise SolverError(
-                f"exact: rows has shape {rows.shape}: give (k, 10 n + 10), n at most {core.MAX_JOINTS} joints"
+                f"exact: rows has shape {rows.shape}: give (k, 11 n + 10), n at most {core.MAX_JOINTS} joints"
             )
-        X, Y, codes = np.empty((len(rows), joints_of(rows.shape[1]))), np.empty((len(rows), 6)), np.empty(len(rows))
+        X, Y, codes = np.empty((len(rows), n)), np.empty((len(rows), 6)), np.empty(len(rows))
         ends = np.linspace(0, len(rows), (threads or os.cpu_count() or 1) + 1).astype(int)
         parts = [slice(a, b) for a, b in pairwise(ends.tolist()) if b > a]
         with ThreadPoolExecutor(max(1, len(parts))) as pool:  # the core holds no lock
@@ -104,4 +105,4 @@ class ExactSession:
         """Answer one subproblem; the answer's arrays are the caller's."""
         x, y = _empty(qp.n), _empty(6)
         code = _solve(qp.row, self.tolerance, x, y)
-        return _new(Solution, (x, y, _SOLVED, 0)) if code == _OK else no_answer(qp.n, _STATUS[code])
+        return _new(Solution, (x, y, _SOLVED, 0)) if code == _OK else no_answer(qp.n, STATUS[code])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,7 @@ from moc_opt.solvers.base import Session, ShownBySettings, Solution, Solver, Sta
 from moc_opt.solvers.exact import Exact
 
 Kind = Literal["fail", "nan", "lie", "raise", "outside", "rig", "malformed"]
-KINDS: tuple[Kind, ...] = ("fail", "nan", "lie", "raise", "outside", "rig", "malformed")
+KINDS: tuple[Kind, ...] = get_args(Kind)
 
 
 class InjectedFault(SolverError):
@@ -33,9 +33,6 @@ class Faulty:
             so that this fits, "malformed" gives duals of another kind. The solver inside is not asked then.
         rate: share of faulty ticks, 0 to 1.
         seed: of the draw; the same seed corrupts the same ticks.
-
-    Raises:
-        SolverError: a setting is out of range.
     """
 
     inner: Solver
@@ -49,10 +46,6 @@ class Faulty:
         if not (is_number(self.rate) and 0.0 <= self.rate <= 1.0):
             raise SolverError(f"faulty: rate = {self.rate!r} is a share of the ticks: give 0 to 1")
 
-    def fault_mask(self, ticks: int) -> NDArray[np.bool_]:
-        """Return the fault mask: which of the first answers of a session are replaced, (ticks,)."""
-        return draw(self.seed, self.rate, ticks)
-
     @property
     def name(self) -> str:
         """Name of the wrapped solver, and its fault."""
@@ -63,7 +56,7 @@ class Faulty:
         return self.inner.supports(qp)
 
     def start(self, qp: NullSpaceQP) -> FaultySession:
-        """Return a session with a draw of its own."""
+        """Return a session; `draw` says which of its answers are replaced."""
         return FaultySession(self, self.inner.start(qp), qp)
 
 
@@ -105,5 +98,5 @@ class FaultySession(ShownBySettings):
             part.A[:], part.b[:], part.lower[:], part.upper[:] = 0.0, 0.0, -1e3, 1e3
             return Solution(np.full(qp.n, 50.0), None, Status.SOLVED)
         row = np.array(qp.row)
-        fields(row).grad_mu[:] *= -1.0
+        fields(row).pull[:] *= -1.0
         return self._false.solve(NullSpaceQP.from_row(row))

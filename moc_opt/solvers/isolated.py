@@ -34,14 +34,12 @@ from moc_opt.solvers.base import ObservingSession, Session, Solution, Solver
 
 MOST_BYTES = 1 << 16
 """Largest message: the pipe takes it whole, so that neither side waits for the other in the middle of one."""
-_LOOK_S = 0.05
-"""So often a wait looks whether the process is still there: a child that it left may hold the pipe open."""
-_START = 0
-"""Number of the request to start a session; those to solve have the number of their tick, from 1 on."""
+_LOOK_S = 0.05  # a wait looks this often whether the process is still there: a child of it may hold the pipe open
+_START = 0  # number of the request to start a session; requests to solve have the number of their tick, from 1 on
 
 
 class Unanswered(Exception):
-    """Raised by a session that has no answer: late, or the solver raised, or its process was lost."""
+    """There is no answer: it is late, or the solver raised, or its process was lost."""
 
     def __init__(self, kind: Literal["late", "raised", "lost"], text: str) -> None:
         super().__init__(text)
@@ -68,7 +66,7 @@ class Isolated:
         hang_s: a process that gives no answer for this time is killed and replaced [s].
         memory_MB: memory that a process may have; on Linux.
         most_restarts: after so many replacements a session gives no answers any more.
-        start_s: time in which a process must start, compilation included [s].
+        start_s: time in which a process must start [s].
 
     Raises:
         SolverError: the solver cannot be copied into another process, or this is no Unix.
@@ -106,11 +104,7 @@ class Isolated:
         return None
 
     def start(self, qp: NullSpaceQP) -> Session:
-        """Start a session in a process of its own.
-
-        Raises:
-            SolverError: the process does not start, or the solver does not take the problem.
-        """
+        """Start a session; a SolverError where its process does not start, or the solver does not take the problem."""
         return IsolatedSession(self, qp)
 
     def _worker(self, qp: NullSpaceQP) -> _Worker:
@@ -129,26 +123,22 @@ class IsolatedSession:
         self._solver, self._tick, self.restarts = solver, 0, list[Restart]()
         self._v: Array | None = None
         self._newest: _Answer | None = None
-        self._workers = [solver._worker(qp)]  # the one at work, then the one that is kept ready
+        self._workers = list[_Worker]()  # the one at work, then the one that is kept ready
+        self._fill(qp)
         try:
             if not self._workers[0].started(solver.start_s):
                 raise _Ended(f"it has not started in time; raise [solver.process] start_s = {solver.start_s:g}")
         except _Ended as ended:
-            self._workers.pop().kill()
+            self._workers.pop(0).kill()
             raise SolverError(f"solver {solver.name!r} in a process of its own: {ended}") from None
         if self._workers[0].observes:
             self.observe = self._observe  # the controller calls ``observe`` if it exists
-        self._keep_a_spare(qp)
 
     def _observe(self, v: Array) -> None:
         self._v = v
 
     def solve(self, qp: NullSpaceQP) -> Solution:
-        """Answer one subproblem from the process.
-
-        Raises:
-            Unanswered: there is no answer in time, the solver raised, or its process is lost.
-        """
+        """Answer one subproblem from the process; Unanswered where it is late or lost, or the solver raised."""
         self._tick += 1
         worker, solver = self._ready(qp), self._solver
         until = monotonic() + 1e-6 * solver.budget_us
@@ -160,46 +150,45 @@ class IsolatedSession:
                 self._newest = worker.answer(min(until, worker.asked_at + solver.hang_s)) or self._newest
             if worker.busy and monotonic() >= worker.asked_at + solver.hang_s:
                 raise _Ended(f"it gave no answer for {solver.hang_s:g} s")
-            found = self._newest
-            if found is not None and found.kind == "full":
-                raise _Ended(f"its {solver.memory_MB:g} MB of memory were full: {found.value}")
+            newest = self._newest
+            if newest is not None and newest.kind == "full":
+                raise _Ended(f"its {solver.memory_MB:g} MB of memory were full: {newest.value}")
         except _Ended as ended:
             self._lose(str(ended))
             raise Unanswered("lost", f"the solver's process was lost: {ended}") from None
-        if found is None or self._tick - found.number > solver.answer_age_ticks:
+        if newest is None or self._tick - newest.number > solver.answer_age_ticks:
             raise Unanswered("late", f"no answer after {solver.budget_us:g} us")
-        if found.kind == "raised":
-            raise Unanswered("raised", found.value)
-        answer: Solution = found.value  # of any form, as from a session without isolation: the controller checks it
+        if newest.kind == "raised":
+            raise Unanswered("raised", newest.value)
+        answer: Solution = newest.value  # of any form, as from a session without isolation: the controller checks it
         return answer
+
+    def _fill(self, qp: NullSpaceQP) -> None:
+        """Start the processes that are lacking: one, and against a wall clock a spare one."""
+        solver, workers = self._solver, self._workers
+        while len(workers) < 2 - solver.waits and len(workers) + len(self.restarts) <= solver.most_restarts:
+            workers.append(solver._worker(qp))
 
     def _ready(self, qp: NullSpaceQP) -> _Worker:
         solver = self._solver
-        while self._workers or len(self.restarts) <= solver.most_restarts:
+        while True:
+            self._fill(qp)
             if not self._workers:
-                self._workers.append(solver._worker(qp))
+                raise Unanswered("lost", f"given up: the solver's process was lost {len(self.restarts)} times")
             worker = self._workers[0]
             try:
                 if worker.started(solver.start_s if solver.waits else 0.0):
-                    self._keep_a_spare(qp)
                     return worker
-                if monotonic() >= worker.asked_at + solver.start_s:
-                    raise _Ended("it has not started in time")
+                if monotonic() < worker.asked_at + solver.start_s:
+                    raise Unanswered("lost", "a new process of the solver is being started")
+                raise _Ended("it has not started in time")
             except _Ended as ended:
                 self._lose(str(ended))
-            else:
-                raise Unanswered("lost", "a new process of the solver is being started")
-        raise Unanswered("lost", f"given up: the solver's process was lost {len(self.restarts)} times")
 
     def _lose(self, reason: str) -> None:
         self._workers.pop(0).kill()
         self._newest = None
         self.restarts.append(Restart(self._tick - 1, reason))
-
-    def _keep_a_spare(self, qp: NullSpaceQP) -> None:
-        spare = len(self._workers) < 2 and len(self.restarts) < self._solver.most_restarts
-        if spare and not self._solver.waits:
-            self._workers.append(self._solver._worker(qp))
 
     def __del__(self) -> None:
         for worker in getattr(self, "_workers", []):
@@ -210,11 +199,9 @@ class IsolatedSession:
 
 
 class _Answer(NamedTuple):
-    number: int
-    """Of the request."""
+    number: int  # of the request
     kind: Literal["answered", "raised", "full"]
-    value: Any
-    """The solver's answer; whether a session that was started observes; or what was raised, in words."""
+    value: Any  # the solver's answer; whether a session that was started observes; or what was raised, in words
 
 
 class _Ended(Exception):
@@ -222,17 +209,19 @@ class _Ended(Exception):
 
 
 class _Worker:
-    """The loop's handle on a process that answers one request after another; it is killed when this object goes."""
+    """The loop's handle on a process that answers one request after another; it is killed when this object goes.
+
+    A Popen, since multiprocessing's Process runs the caller's main module once more, which may be a script without a
+    guard, and since the workers of a process pool may not have children of that kind.
+    """
 
     def __init__(self, pickled: bytes, memory_MB: float) -> None:
         self._pipe, theirs = Pipe()
-        # Not multiprocessing's own Process: that one runs the caller's main module once more, which may be a script
-        # without a guard, and the workers of process pools may not start any.
-        with theirs, tempfile.TemporaryFile(buffering=0) as given:
-            given.write(pickle.dumps((sys.path, memory_MB)) + pickled)
-            given.seek(0)
+        with theirs, tempfile.TemporaryFile(buffering=0) as file:  # a pipe would have to be read meanwhile
+            file.write(pickle.dumps((sys.path, memory_MB)) + pickled)
+            file.seek(0)
             self._process = subprocess.Popen(
-                [sys.executable, "-c", _BOOT, str(theirs.fileno())], stdin=given, pass_fds=[theirs.fileno()],
+                [sys.executable, "-c", _BOOT, str(theirs.fileno())], stdin=file, pass_fds=[theirs.fileno()],
                 start_new_session=True,
             )  # fmt: skip
         self._number, self.asked_at, self.busy = _START, monotonic(), False
@@ -248,17 +237,17 @@ class _Worker:
         self._number, self.asked_at, self.busy = number, monotonic(), True
         self._started = self._started and number != _START
         with suppress(OSError):  # the process has ended, which ``answer`` finds
-            self._pipe.send_bytes(pickle.dumps((number, row, v, most_s)))
+            self._pipe.send((number, row, v, most_s))
 
     def started(self, most_s: float) -> bool:
         """Wait until the session has started, at most so long; raise _Ended where it cannot."""
         if not self._started:
-            found = self.answer(monotonic() + most_s)
-            if found is None:
+            said = self.answer(monotonic() + most_s)
+            if said is None:
                 return False
-            if found.kind != "answered":
-                raise _Ended(found.value)
-            self._started, self.observes = True, found.value
+            if said.kind != "answered":
+                raise _Ended(said.value)
+            self._started, self.observes = True, said.value
         return True
 
     def answer(self, until: float) -> _Answer | None:
@@ -296,6 +285,8 @@ def _kill(process: subprocess.Popen[bytes], pipe: Connection, owner: int) -> Non
     pipe.close()
 
 
+# --- in the process ---
+
 _BOOT = (
     "import pickle, sys; sys.path[:], memory_MB = pickle.load(sys.stdin.buffer); "
     "from moc_opt.solvers.isolated import serve; serve(int(sys.argv[1]), memory_MB)"
@@ -303,11 +294,9 @@ _BOOT = (
 
 
 def serve(fd: int, memory_MB: float) -> None:
-    """Answer the requests that come through a pipe until its other end is closed: all that the process does.
+    """Answer the requests that come through the pipe ``fd`` until its other end is closed.
 
-    Args:
-        fd: of the pipe; the pickled solver lies in the standard input.
-        memory_MB: that the process may have.
+    The pickled solver lies in the standard input; ``memory_MB`` is what the process may have.
     """
     if sys.platform == "linux":
         import resource  # late: there is none on Windows
@@ -319,7 +308,7 @@ def serve(fd: int, memory_MB: float) -> None:
     session: Any = None
     while True:
         try:
-            number, row, v, most_s = pickle.loads(pipe.recv_bytes())
+            number, row, v, most_s = pipe.recv()
         except (EOFError, OSError):
             return
         signal.setitimer(signal.ITIMER_REAL, most_s)  # its signal ends the process, whatever hangs in it

@@ -28,14 +28,13 @@ _HAS_X = (Status.SOLVED, Status.MAX_ITER, Status.TIME_LIMIT)
 
 
 class Adapter:
-    """Settings of one library, and the handling of the fields that all have.
+    """Settings of one library, and the handling of the fields that all have; a SolverError where one is out of range.
 
     A subclass is a frozen dataclass with at least ``cost_scale``, and ``rows`` where the library takes six rows.
 
     Attributes:
         rows: 5 or 6 equality rows.
         cost_scale: multiplies P and p; the duals are scaled back.
-        name: in the registry.
         choices: field -> the values it may have.
         needs: what the library does with a cost that is not positive definite; empty where it copes.
     """
@@ -67,13 +66,9 @@ def refuse_semidefinite(qp: NullSpaceQP, needs: str) -> str | None:
 
 
 class LibrarySession(ShownBySettings, ABC):
-    """One workspace of a library and the buffers that it reads.
+    """One workspace of a library and the buffers that it reads."""
 
-    Attributes:
-        dual_sign: of the library's multipliers of A x = b.
-    """
-
-    dual_sign: ClassVar[float] = 1.0
+    dual_sign: ClassVar[float] = 1.0  #: Of the library's multipliers of A x = b.
 
     def __init__(self, settings: Any, qp: NullSpaceQP) -> None:
         self._settings = settings
@@ -159,10 +154,8 @@ class Loader:
     Args:
         rows: 5 or 6, as the solver's setting asks for.
         scale: multiplies P and p.
-        P: (n, n).
-        p: (n,).
-        A: (m, n) equality rows, m as `equalities` has them.
-        low, high: (m,) both sides of the rows; the same array where there is one.
+        P, p: (n, n), (n,) of the cost.
+        A, low, high: (m, n), (m,), (m,) equality rows, m as `equalities` has them, and their sides.
         lower, upper: (n,) the box.
         packed: (n (n + 1) / 2,) upper triangle of P by columns, where that is wanted.
         signs: of p, lower and upper.
@@ -172,15 +165,16 @@ class Loader:
         self, rows: int, scale: float, *, P: Array, p: Array, A: Array, low: Array, high: Array, lower: Array,
         upper: Array, packed: Array | None = None, signs: tuple[float, float, float] = (1.0, 1.0, 1.0),
     ) -> None:  # fmt: skip
-        packed = np.empty(0) if packed is None else packed
-        self._core = core.Loader(rows == 5, scale, signs, P, p, A, low, high, lower, upper, packed)
+        self._lift = np.empty((len(A), 6))
+        self._to = (
+            rows == 5, scale, np.array(signs), P, p, A, low, high, lower, upper,
+            np.empty(0) if packed is None else packed, self._lift,
+        )  # fmt: skip
 
     def __call__(self, qp: NullSpaceQP) -> bool:
         """Load ``qp``; False where it has another shape, and the buffers hold nothing of use."""
-        return self._core.load(qp.row)
+        return core.load(qp.row, *self._to)
 
     def lifted(self, y: Array, factor: float) -> Array:
         """Return the multipliers of the six rows (6,) from the library's (m,), times ``factor``."""
-        six = np.empty(6)
-        self._core.lifted(y if y.strides == (8,) else np.ascontiguousarray(y), factor, six)
-        return six
+        return factor * (y @ self._lift)

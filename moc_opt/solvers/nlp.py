@@ -33,23 +33,12 @@ from moc_opt.solvers.base import ShownBySettings, Solution, Status, check_settin
 
 
 class Kinematics(Protocol):
-    """CasADi functions of q (n,): tip and wrist (3,) [m], mu. Hashable, so that programs can be kept."""
+    """CasADi functions of q (n,): tip and wrist (3,) [m], mu [m^3]. Hashable, so that programs can be kept."""
 
-    @property
-    def n(self) -> int:
-        """Number of joints."""
-
-    @property
-    def tip(self) -> Any:
-        """Function q -> (3,) [m]."""
-
-    @property
-    def wrist(self) -> Any:
-        """Function q -> (3,) [m]."""
-
-    @property
-    def mu(self) -> Any:
-        """Function q -> mu [m^3]."""
+    n: int
+    tip: Any
+    wrist: Any
+    mu: Any
 
 
 @lru_cache(maxsize=16)
@@ -73,7 +62,7 @@ def program(settings: NLP) -> tuple[Any, Any]:
         "f": settings.cost_scale * (0.5 * regularization * ca.dot(x, x) - c2 * (moved[6] + ca.dot(beside, x))),
         "g": ca.vertcat(moved[:3], ca.mtimes(E, moved[3:6])),
     }
-    solver = ca.nlpsol("solver", settings.plugin, nlp, settings.options())
+    solver = ca.nlpsol("solver", settings.plugin, nlp, settings._options())
     slope = ca.gradient(kinematics.mu(q), q)
     return solver, ca.Function("places", [q], [ca.vertcat(places(q), slope)])
 
@@ -114,7 +103,7 @@ class NLP(ABC):
         check_settings(self, hessian=("limited-memory", "exact"))
 
     def supports(self, qp: NullSpaceQP) -> str | None:
-        """Say what is missing: it needs to know where the problem was linearized, and a rigid tool."""
+        """Say what is missing: the place where the problem was linearized, or a rigid tool."""
         if qp.q is None:
             return "the subproblem has no q; an NLP needs the position where it was linearized"
         if qp.n != self.kinematics.n:
@@ -125,14 +114,13 @@ class NLP(ABC):
 
     def start(self, qp: NullSpaceQP) -> NLPSession:
         """Return a session with buffers of its own; the compiled program is shared and holds no state."""
-        reason = self.supports(qp)
-        if reason is not None:
+        if reason := self.supports(qp):
             raise SolverError(f"{self.name}: {reason}")
         return NLPSession(self, *program(self))
 
     @abstractmethod
-    def options(self) -> dict[str, Any]:
-        """Return the options of the CasADi plug-in."""
+    def _options(self) -> dict[str, Any]:
+        """Return the options of the CasADi plug-in: silent, and with our tolerance and limit of iterations."""
 
 
 @dataclass(frozen=True)
@@ -149,8 +137,7 @@ class SQP(NLP):
     name: ClassVar[str] = "nlp-sqp"
     plugin: ClassVar[str] = "sqpmethod"
 
-    def options(self) -> dict[str, Any]:
-        """Return options: silent, with both KKT tolerances at eps."""
+    def _options(self) -> dict[str, Any]:
         quiet = {"print_iter": False, "print_header": False, "print_info": False, "error_on_fail": False}
         return {
             "qpsol": "qrqp", "qpsol_options": quiet, "hessian_approximation": self.hessian, "max_iter": self.max_iter,
@@ -169,8 +156,7 @@ class Ipopt(NLP):
     name: ClassVar[str] = "nlp-ipopt"
     plugin: ClassVar[str] = "ipopt"
 
-    def options(self) -> dict[str, Any]:
-        """Return options: silent, inside the box to the last digit, without IPOPT's scaling of a cost this small."""
+    def _options(self) -> dict[str, Any]:
         return {
             "ipopt.print_level": 0, "ipopt.sb": "yes",
             # Else IPOPT reads ipopt.opt in the current folder, which may name files to write and libraries to load.
@@ -197,8 +183,7 @@ class Fatrop(NLP):
         if self.hessian != "exact":
             raise SolverError(f"{self.name}: hessian = {self.hessian!r} is not to be had; 'exact' is")
 
-    def options(self) -> dict[str, Any]:
-        """Return options: silent, and without a search for stages."""
+    def _options(self) -> dict[str, Any]:
         return {
             "print_time": False, "error_on_fail": False, "structure_detection": "none", "fatrop.print_level": 0,
             "fatrop.max_iter": self.max_iter, "fatrop.tol": self.eps,
@@ -217,20 +202,21 @@ _STATUS = {
 }
 
 
-class _Call:
-    """A CasADi function through its buffer: a plain call costs ten times as much."""
+class BufferedCall:
+    """A CasADi function that reads and writes fixed arrays: a plain call costs ten times as much.
+
+    ``run`` calls it, and raises a RuntimeError where the function does.
+    """
 
     def __init__(self, function: Any, arguments: dict[str, Array], results: dict[str, Array]) -> None:
         self._keep = arguments, results  # the buffer only holds their addresses
         self.run: Callable[[], None]
         self._buffer, self.run = function.buffer()
+        self.stats: Callable[[], Any] = self._buffer.stats
         for name, array in arguments.items():
             self._buffer.set_arg(function.index_in(name), array.data)
         for name, array in results.items():
             self._buffer.set_res(function.index_out(name), array.data)
-
-    def stats(self) -> Any:
-        return self._buffer.stats()
 
 
 class NLPSession(ShownBySettings):
@@ -244,8 +230,8 @@ class NLPSession(ShownBySettings):
         self._multipliers0, self._bound_multipliers0 = np.zeros(5), np.zeros(n)
         self._x, self._multipliers, self._bound_multipliers = np.zeros(n), np.zeros(5), np.zeros(n)
         self._q, self._base = np.zeros(n), np.zeros(7 + n)
-        self._places = _Call(places, {places.name_in(0): self._q}, {places.name_out(0): self._base})
-        self._solver = _Call(
+        self._places = BufferedCall(places, {places.name_in(0): self._q}, {places.name_out(0): self._base})
+        self._solver = BufferedCall(
             solver,
             {
                 "x0": self._x0, "p": self._p, "lbx": self._lower, "ubx": self._upper, "lbg": self._target,
@@ -263,7 +249,7 @@ class NLPSession(ShownBySettings):
         self._places.run()
         self._p[:n] = part.q
         self._p[n : n + 7] = self._base[:7]
-        np.subtract(part.grad_mu, self._base[7:], out=self._p[n + 7 : 2 * n + 7])
+        np.subtract(part.pull, self._base[7:], out=self._p[n + 7 : 2 * n + 7])
         self._p[2 * n + 7 : 2 * n + 13] = lift[3:, 3:].ravel(order="F")
         self._p[2 * n + 13 :] = part.weights[2:]
         self._lower[:], self._upper[:] = part.lower, part.upper

@@ -98,16 +98,11 @@ class OSQP(Adapter):
     ``OSQP(eps=1e-3, eps_rel=1e-3, cost_scale=1.0)`` is the library as it comes.
 
     Args:
-        rows: 5 or 6 equality rows.
-        cost_scale: multiplies P and p; the duals are scaled back.
         eps: absolute tolerance on the scaled problem; eps_rel: the relative one.
         max_iter: iterations a tick.
         check_termination: iterations between two looks at the residuals.
         polishing: solve the active set's equations once more at the end.
         warm: start from the last tick's answer.
-
-    Raises:
-        SolverError: a setting is out of range.
     """
 
     rows: int = 5

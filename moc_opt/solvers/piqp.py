@@ -57,13 +57,8 @@ class PIQP(Adapter):
     """PIQP's dense back-end.
 
     Args:
-        rows: 5 or 6 equality rows.
-        cost_scale: multiplies P and p; the duals are scaled back.
         eps: absolute tolerance on the scaled problem (1e-8 is the library's, with 1e-9 relative).
         max_iter: iterations.
-
-    Raises:
-        SolverError: a setting is out of range.
     """
 
     rows: int = 5

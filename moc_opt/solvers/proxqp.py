@@ -83,17 +83,12 @@ class ProxQP(Adapter):
     infeasible ones without an error; with costs times 1e3 a rare feasible one is called infeasible.
 
     Args:
-        rows: 5 or 6 equality rows.
         box: "bounds" hands the box over as bounds, "rows" as n inequality rows.
-        cost_scale: multiplies P and p; the duals are scaled back.
         eps: absolute tolerance on the scaled problem (1e-5 is the library's).
         eps_primal_inf: tolerance of the proof of infeasibility (1e-4 is the library's).
         max_iter: outer iterations; max_iter_in: inner ones in each. Feasible problems take about ten
             in all; the library's 10000 and 1500 make an undecided one run for minutes.
         warm: start from the last tick's answer where that was solved.
-
-    Raises:
-        SolverError: a setting is out of range.
     """
 
     rows: int = 5

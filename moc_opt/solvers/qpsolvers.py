@@ -29,7 +29,7 @@ PREFIX = "qpsolvers:"
 
 
 class Advice(NamedTuple):
-    """Settings under which a library's claims hold on this problem, with the reason beside each."""
+    """Settings under which a library's claims hold on this problem."""
 
     cost_scale: float
     options: Mapping[str, Any]
@@ -50,12 +50,8 @@ ADVICE: dict[str, Advice] = {
 }
 NO_ADVICE = Advice(1.0, {})
 
-# qpsolvers warns that HiGHS takes no starting point, at every call.
-_NO_START = {"highs"}
 # Libraries for sparse problems: qpsolvers warns of the conversion and of every failure. The status says it.
 _NOISY = set(qpsolvers.sparse_solvers) - set(qpsolvers.dense_solvers)
-# quadprog raises for two reasons only; not-positive-definite is told apart, the other is "no solution".
-_UNSOLVED_IS_INFEASIBLE = {"quadprog"}
 
 
 def reasons() -> dict[str, str | None]:
@@ -75,7 +71,7 @@ class QPSolver:
     Args:
         library: name as qpsolvers spells it.
         rows: 5 or 6 equality rows; on six, daqp fails one problem in a hundred.
-        cost_scale: multiplies P and p; the duals are scaled back. None takes the advised one.
+        cost_scale: multiplies P and p; None takes the advised one.
         options: of the library, on top of the advised ones; those of `moc_opt.solvers.options.ALLOWED`.
         advised: False leaves ``ADVICE`` out: the library as it comes.
         warm: hand the last tick's x over as starting point; libraries without one ignore it.
@@ -95,9 +91,6 @@ class QPSolver:
     def __post_init__(self) -> None:
         check_settings(self, rows=ROWS)
         object.__setattr__(self, "options", checked(self.name, self.options))
-
-    def __reduce__(self) -> tuple[Any, ...]:  # a mapping proxy cannot be pickled
-        return QPSolver, (self.library, self.rows, self.cost_scale, dict(self.options), self.advised, self.warm)
 
     @property
     def name(self) -> str:
@@ -119,8 +112,7 @@ class QPSolver:
 
     def start(self, qp: NullSpaceQP) -> QPSolverSession:
         """Return a session; where there are options of the caller's, one solve shows whether they exist."""
-        reason = self.supports(qp)
-        if reason is not None:
+        if reason := self.supports(qp):
             raise SolverError(f"{self.name}: {reason}")
         if self.options:
             try:
@@ -128,10 +120,8 @@ class QPSolver:
             except (QPError, FloatingPointError, ZeroDivisionError):
                 pass  # the problem's fault, not the options': `solve` will say so with a status
             except Exception as error:  # each library has errors of its own kind for a value that it refuses
-                raise SolverError(
-                    f"{self.name}: options = {dict(self.options)} are refused ({describe(error)}); "
-                    "see the library's manual"
-                ) from error
+                refused = f"options = {self.options} are refused ({describe(error)}); see the library's manual"
+                raise SolverError(f"{self.name}: {refused}") from error
         return QPSolverSession(self)
 
 
@@ -141,7 +131,7 @@ class QPSolverSession(ShownBySettings):
     def __init__(self, settings: QPSolver) -> None:
         self._settings = settings
         self._scale, self._options = settings.advice
-        self._takes_start = settings.warm and settings.library not in _NO_START
+        self._takes_start = settings.warm and settings.library != "highs"  # qpsolvers would warn at every call
         self._last: Array | None = None
 
     def solve(self, qp: NullSpaceQP) -> Solution:
@@ -179,7 +169,7 @@ class QPSolverSession(ShownBySettings):
 
     def _verdict(self, found: qpsolvers.Solution) -> Status:
         """Return why there is no answer: infeasible only where the library's own status says so."""
-        if self._settings.library in _UNSOLVED_IS_INFEASIBLE:
+        if self._settings.library == "quadprog":  # the other reason, a cost that is not definite, raises
             return Status.INFEASIBLE
         limit = self._options.get("time_limit")
         if limit is not None and found.solve_time is not None and found.solve_time >= limit:
@@ -197,4 +187,4 @@ def _iterations(extras: Mapping[str, Any]) -> int:
     """Return the library's iteration count where it hands one out, else 0."""
     info = extras.get("info")
     count = extras.get("iter", extras.get("iterations", getattr(info, "iter", 0)))
-    return count if isinstance(count, int) else int(np.ravel(count)[0])  # quadprog counts two kinds
+    return int(np.ravel(count)[0])  # quadprog counts two kinds

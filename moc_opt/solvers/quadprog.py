@@ -41,12 +41,6 @@ class Quadprog(Adapter):
     """quadprog on five rows: on six dependent ones it fails from an inconsistency of 1e-12 on.
 
     It factorises P, which is singular without regularization.
-
-    Args:
-        cost_scale: multiplies P and p; the duals are scaled back.
-
-    Raises:
-        SolverError: a setting is out of range.
     """
 
     cost_scale: float = 1.0

@@ -1,6 +1,6 @@
 """Solvers by name: those of this package, those that a library finds, and those of other packages by entry points.
 
-A new one of ours is a file in this folder and a line in ``BUILT_IN``. A plug-in that is broken is reported with its
+A new one of ours is a file in this folder and a line in ``BUILT_IN``. A plug-in that is broken is listed with its
 reason and hides no other.
 """
 
@@ -17,8 +17,8 @@ from importlib.util import find_spec
 from typing import Any, NamedTuple
 
 from moc_opt.errors import MocOptError, SolverError, UnknownNameError, describe, shown
-from moc_opt.inputs import names as naming
 from moc_opt.inputs import plugins
+from moc_opt.inputs.names import RULE, is_name
 from moc_opt.inputs.plugins import in_words
 from moc_opt.solvers.base import Solver
 
@@ -37,33 +37,53 @@ BUILT_IN: dict[str, tuple[str, str, str]] = {
     "nlp-sqp": ("moc_opt.solvers.nlp", "SQP", "casadi"),
     "nlp-ipopt": ("moc_opt.solvers.nlp", "Ipopt", "casadi"),
     "nlp-fatrop": ("moc_opt.solvers.nlp", "Fatrop", "casadi"),
+    "casadi:qrqp": ("moc_opt.solvers.qrqp", "QRQP", "casadi"),
 }
-# prefix -> (module, class, package): one adapter for all solvers that a library finds
-FAMILIES: dict[str, tuple[str, str, str]] = {
-    "qpsolvers:": ("moc_opt.solvers.qpsolvers", "QPSolver", "qpsolvers"),
-    "casadi:": ("moc_opt.solvers.casadi_conic", "CasadiConic", "casadi"),
-}
-_NEEDS = {"name": "a text", "supports": "a method of qp", "start": "a method of qp"}
+QPSOLVERS = "qpsolvers:"
+"""Prefix of all solvers that the package qpsolvers finds: one adapter for them."""
+_VARIABLE = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
+_PARTS = {"name": "a text", "supports": "a method of qp", "start": "a method of qp"}
 _GUIDE = "docs/extending.md shows a whole solver"
 
 
 class Entry(NamedTuple):
-    """What makes a solver, and the entry point that it comes from; None: it is ours."""
+    """What makes the named solver, and the entry point that it comes from; None: it is ours."""
 
+    name: str
     make: Callable[..., Solver]
     plugin: EntryPoint | None = None
 
-    def parameters(self) -> list[inspect.Parameter]:
-        """List the settings that it takes; none where its signature is unknown."""
+    @property
+    def parameters(self) -> dict[str, inspect.Parameter]:
+        """Setting -> parameter; empty where the signature is unknown."""
         try:
-            return list(inspect.signature(self.make).parameters.values())
+            return dict(inspect.signature(self.make).parameters)
         except (TypeError, ValueError):
-            return []
+            return {}
 
-
-def names() -> list[str]:
-    """Return every registered name, installed or not; ``qpsolvers:NAME``, ``casadi:NAME`` for what those find here."""
-    return [name for name, reason in available().items() if reason is None or name in BUILT_IN]
+    def create(self, **settings: Any) -> Solver:
+        """Make the solver; see the function `create`."""
+        try:
+            solver = self.make(**settings)
+        except MocOptError:
+            raise
+        except Exception as error:
+            valid = [name for name in self.parameters if name != "name"]
+            unknown = sorted(set(settings) - set(valid))
+            if isinstance(error, TypeError) and unknown:
+                raise UnknownNameError(f"setting of solver {self.name!r}", unknown[0], valid) from error
+            if self.plugin is not None:
+                reason = f"{in_words(self.plugin)} cannot be made: {describe(error)}"
+                raise SolverError(f"solver {self.name!r}: {reason}") from error
+            if isinstance(error, TypeError):
+                raise SolverError(f"solver {self.name!r}: {error}") from error
+            raise
+        if self.plugin is not None:
+            _require(self.name, self.plugin, solver, ("supports", "start", "name"))
+            if not is_name(solver.name):
+                own = f"{in_words(self.plugin)} calls itself {solver.name!r:.80}"
+                raise SolverError(f"solver {self.name!r}: {own}: {RULE}")
+        return solver
 
 
 def available() -> dict[str, str | None]:
@@ -74,20 +94,19 @@ def available() -> dict[str, str | None]:
         True
     """
     found: dict[str, str | None] = {name: _absent(package) for name, (_, _, package) in BUILT_IN.items()}
-    for prefix, (module, _, package) in FAMILIES.items():
-        absent = _absent(package)
-        reasons = {"NAME": absent} if absent else importlib.import_module(module).reasons()
-        found.update({prefix + name: reason for name, reason in reasons.items()})
+    absent = _absent("qpsolvers")
+    reasons = {"NAME": absent} if absent else importlib.import_module("moc_opt.solvers.qpsolvers").reasons()
+    found.update({QPSOLVERS + name: reason for name, reason in reasons.items()})
     for name, points in _plugins().items():
         if _ours(name):
             found[f"{name} ({in_words(points[0])})"] = _clash(name, points)
             continue
-        found[name] = None
         try:
             entry = _of_plugin(name, points)
-            # settings without a default are left for `create` to ask for
-            if all(p.default is not p.empty or p.kind in (p.VAR_POSITIONAL, p.VAR_KEYWORD) for p in entry.parameters()):
-                _made(name, entry, {})
+            needed = [p for p in entry.parameters.values() if p.default is p.empty and p.kind not in _VARIABLE]
+            if not needed:  # else `create` asks for them
+                entry.create()
+            found[name] = None
         except MocOptError as error:
             found[name] = str(error)
     return found
@@ -105,7 +124,7 @@ def check_name(name: str) -> None:
 
 def accepts(name: str, setting: str) -> bool:
     """Return whether the named solver takes a setting of that name."""
-    return setting in {parameter.name for parameter in find(name).parameters()}
+    return setting in find(name).parameters
 
 
 def defaults(name: str) -> dict[str, Any]:
@@ -115,7 +134,7 @@ def defaults(name: str) -> dict[str, Any]:
         UnknownNameError, SolverError: as ``create``.
     """
     entry = find(name)
-    found = {p.name: p.default for p in entry.parameters() if p.default is not p.empty}
+    found = {p.name: p.default for p in entry.parameters.values() if p.default is not p.empty}
     made = entry.make.func if isinstance(entry.make, partial) else entry.make
     if is_dataclass(made):  # a signature has no more than a mark where a default is made anew each time
         found |= {f.name: f.default_factory() for f in fields(made) if f.default_factory is not MISSING}
@@ -136,7 +155,7 @@ def create(name: str, **settings: Any) -> Solver:
         Traceback (most recent call last):
         moc_opt.errors.UnknownNameError: unknown solver 'exacct': did you mean 'exact'? ...
     """
-    return _made(name, find(name), settings)
+    return find(name).create(**settings)
 
 
 def find(name: str) -> Entry:
@@ -155,18 +174,17 @@ def find(name: str) -> Entry:
         if _absent(package):
             raise SolverError(f"solver {name!r} needs the package {package!r}: pip install {package}")
         try:
-            return Entry(getattr(importlib.import_module(module), attribute))
+            return Entry(name, getattr(importlib.import_module(module), attribute))
         except ImportError as error:
             raise SolverError(f"solver {name!r}: {describe(error)}: reinstall {package or 'moc_opt'}") from error
-    for prefix, (module, attribute, package) in FAMILIES.items():
-        if name.startswith(prefix) and not _absent(package):
-            family, short = importlib.import_module(module), name.removeprefix(prefix)
-            reasons = family.reasons()
-            if short not in reasons:
-                raise UnknownNameError(f"{prefix} solver", short, reasons)
-            if reasons[short] is not None:
-                raise SolverError(f"solver {name!r} cannot run: {reasons[short]}")
-            return Entry(partial(getattr(family, attribute), short))
+    if name.startswith(QPSOLVERS) and not _absent("qpsolvers"):
+        family, short = importlib.import_module("moc_opt.solvers.qpsolvers"), name.removeprefix(QPSOLVERS)
+        reasons = family.reasons()
+        if short not in reasons:
+            raise UnknownNameError("qpsolvers: solver", short, reasons)
+        if reasons[short] is not None:
+            raise SolverError(f"solver {name!r} cannot run: {reasons[short]}")
+        return Entry(name, partial(family.QPSolver, short))
     if claimed:
         return _of_plugin(name, claimed)
     raise UnknownNameError("solver", name, available(), "moc-opt solvers --list")
@@ -178,7 +196,7 @@ def _absent(package: str) -> str | None:
 
 
 def _ours(name: str) -> bool:
-    return name in BUILT_IN or name.startswith(tuple(FAMILIES))
+    return name in BUILT_IN or name.startswith(QPSOLVERS)
 
 
 def _plugins() -> dict[str, list[EntryPoint]]:
@@ -186,54 +204,27 @@ def _plugins() -> dict[str, list[EntryPoint]]:
 
 
 def _clash(name: str, points: list[EntryPoint]) -> str:
-    module, attribute, _ = BUILT_IN.get(name, ("moc_opt.solvers.registry", "FAMILIES", ""))
-    return (
-        f"{' and '.join(map(in_words, points))}: the name {name!r} is that of a built-in solver ({module}:{attribute}),"
-        " which is taken: rename the entry point"
-    )
+    claims = " and ".join(map(in_words, points))
+    return f"{claims}: the name {name!r} is that of a built-in solver, which is taken: rename the entry point"
 
 
 def _of_plugin(name: str, points: list[EntryPoint]) -> Entry:
-    if not naming.is_name(name):
-        raise SolverError(f"solver {name!r:.80}: {in_words(points[0])}: rename it; {naming.RULE}")
-    found, point = plugins.load("solver", name, points, SolverError), points[0]
-    if not callable(found):
-        kind = type(found).__name__
+    if not is_name(name):
+        raise SolverError(f"solver {name!r:.80}: {in_words(points[0])}: rename it; {RULE}")
+    made, point = plugins.load("solver", name, points, SolverError), points[0]
+    if not callable(made):
+        kind = type(made).__name__
         raise SolverError(f"solver {name!r}: {in_words(point)} is a {kind}: give a class or a function; {_GUIDE}")
-    if inspect.isclass(found):
-        _require(name, point, found, ("supports", "start"))
-    return Entry(found, point)
+    if inspect.isclass(made):
+        _require(name, point, made, ("supports", "start"))
+    return Entry(name, made, point)
 
 
-def _made(name: str, entry: Entry, settings: dict[str, Any]) -> Solver:
-    try:
-        solver = entry.make(**settings)
-    except MocOptError:
-        raise
-    except Exception as error:
-        valid = [p.name for p in entry.parameters() if p.name != "name"]
-        unknown = sorted(set(settings) - set(valid))
-        if isinstance(error, TypeError) and unknown:
-            raise UnknownNameError(f"setting of solver {name!r}", unknown[0], valid) from error
-        if entry.plugin is not None:
-            what = f"{in_words(entry.plugin)} cannot be made: {describe(error)}"
-            raise SolverError(f"solver {name!r}: {what}") from error
-        if isinstance(error, TypeError):
-            raise SolverError(f"solver {name!r}: {error}") from error
-        raise
-    if entry.plugin is not None:
-        _require(name, entry.plugin, solver, ("supports", "start", "name"))
-        if not naming.is_name(solver.name):
-            raise SolverError(
-                f"solver {name!r}: {in_words(entry.plugin)} calls itself {solver.name!r:.80}: {naming.RULE}"
-            )
-    return solver
+def _require(name: str, point: EntryPoint, given: object, parts: tuple[str, ...]) -> None:
+    def has(part: str) -> bool:
+        value = getattr(given, part, None)
+        return isinstance(value, str) if part == "name" else callable(value)
 
-
-def _require(name: str, point: EntryPoint, found: object, parts: tuple[str, ...]) -> None:
-    lacking = [
-        f"{part} ({_NEEDS[part]})" for part in parts
-        if not (isinstance(getattr(found, part, None), str) if part == "name" else callable(getattr(found, part, None)))
-    ]  # fmt: skip
+    lacking = ", ".join(f"{part} ({_PARTS[part]})" for part in parts if not has(part))
     if lacking:
-        raise SolverError(f"solver {name!r}: {in_words(point)} has no {', '.join(lacking)}: add it; {_GUIDE}")
+        raise SolverError(f"solver {name!r}: {in_words(point)} has no {lacking}: add it; {_GUIDE}")

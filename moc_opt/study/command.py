@@ -28,11 +28,10 @@ from typing import Any, ClassVar, Literal, Self, TypeVar
 
 from pydantic import Field
 
-from moc_opt.errors import MocOptError, ScenarioError, SolverError, UnknownNameError
+from moc_opt.errors import MocOptError, ScenarioError, SolverError, StudyError, UnknownNameError
 from moc_opt.inputs.files import read_toml, to_json, write_whole
 from moc_opt.inputs.settings import Settings
 from moc_opt.report.console import Bar, busy, console, progress
-from moc_opt.report.tables import Table
 from moc_opt.scenario import Scenario
 from moc_opt.solvers import available
 from moc_opt.study.engine import Failed, Job, run
@@ -228,7 +227,7 @@ def leave(found: Found, study: Study, config: StudyConfig, argv: Sequence[str], 
     write_json(out / "environment.json", surroundings)
     page = found.report.page(surroundings, found.rows.failed())
     page.save(out / "report.html")
-    write_whole(out / "report.md", found.report.markdown().encode())
+    write_whole(out / "report.md", found.report.markdown(), "report", StudyError)
     if study.given.figures:
         from moc_opt.report.export import save_figures
 
@@ -238,7 +237,7 @@ def leave(found: Found, study: Study, config: StudyConfig, argv: Sequence[str], 
         return
     screen = console()
     for part in found.report.screens():
-        screen.print(part.narrowed(screen.width) if isinstance(part, Table) else part, markup=False)
+        screen.print(part, markup=False)
     if study.kept.reused:
         screen.print(f"{study.kept.reused} jobs are those of an earlier run in {out}/jobs.", soft_wrap=True)
     for sentence in (*found.sentences, *([begun] if begun and not found.report.load else [])):
@@ -249,7 +248,7 @@ def leave(found: Found, study: Study, config: StudyConfig, argv: Sequence[str], 
 
 def write_json(path: Path, value: Any) -> None:
     """Write it sorted, all or nothing."""
-    write_whole(path, (to_json(value, sort_keys=True) + "\n").encode())
+    write_whole(path, to_json(value, sort_keys=True) + "\n", "file of results", StudyError)
 
 
 def environment(config: Mapping[str, Any], seed: int, argv: Sequence[str] = ()) -> dict[str, Any]:

@@ -6,16 +6,16 @@ import csv
 import io
 import os
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from moc_opt.errors import ScenarioError, UnknownNameError
+from moc_opt.inputs.files import write_whole
 from moc_opt.report.run_table import ANOTHER_PROBLEM
-from moc_opt.report.tables import TEXT, Column, Table, as_text, terminal_width
+from moc_opt.report.tables import Column, Table, as_text, terminal_width
 from moc_opt.scenario import Scenario
 from moc_opt.study.statistics import Change, Interval, StatisticsError, mean, relative_changes, too_few
 from moc_opt.study.trials import BASELINE
@@ -152,11 +152,6 @@ class Comparison:
                 found[change] = self.change(name, metric)
         return found
 
-    def _decided(self) -> bool:
-        """Return whether a solver ran enough trials for its changes to be shown."""
-        found = [row.get("gain") for row in self._summary.values()]
-        return any(change is not None and not too_few(change.ratio.samples) for change in found)
-
     @property
     def table(self) -> Table:
         """One row per solver: trials, claims and verified answers, times, and the effect on the arm."""
@@ -168,17 +163,7 @@ class Comparison:
 
         A table that is still too wide loses its last columns; `to_pandas` and `save_rows` have all.
         """
-        if self.table.fits(width):
-            return self.table.fitted(width)
-        means = self._table(
-            [SOLVER, TRIALS, VERIFIED, WRONG, *CHANGED, TIP, RCM, *TIMES, MU, *PATIENT, OSCILLATED],
-            lambda _, found: found.value,
-        )
-        limits = self._table([SOLVER, *(CHANGED if self._decided() else (MU, TIP, RCM, *PATIENT))], _limits)
-        limits = replace(limits, title="The same: 95 % intervals")
-        known = any(row.get(column.key) for row in limits.rows for column in limits.columns[1:])
-        shown = [replace(means, caption=""), limits] if known else [means]
-        return [table.narrowed(width, text=TEXT) for table in shown]
+        return [self.table.to_rich(width)]
 
     def _table(self, columns: Sequence[Column], write: Callable[[str, Interval], Any]) -> Table:
         rows, remarks, lacking = [], [], dict[str, list[str]]()
@@ -262,11 +247,7 @@ class Comparison:
         table = csv.DictWriter(written, list(dict.fromkeys(key for row in self.rows for key in row)))
         table.writeheader()
         table.writerows(self.rows)
-        try:
-            Path(path).parent.mkdir(parents=True, exist_ok=True)
-            Path(path).write_text(written.getvalue(), encoding="utf-8", newline="")
-        except OSError as error:
-            raise ScenarioError(f"{path}: cannot be written: {error}") from error
+        write_whole(path, written.getvalue(), "table of runs", ScenarioError)
 
     def __repr__(self) -> str:
         return as_text(self.tables(width := terminal_width()), width)

@@ -145,9 +145,4 @@ class Results:
             self.frame.write_csv(packed)
         else:
             self.frame.write_parquet(packed, compression="zstd")
-        try:
-            write_whole(path, packed.getvalue())
-        except OSError as error:
-            raise StudyError(
-                f"{path}: the rows cannot be written ({error}); see to the space, or give another name"
-            ) from error
+        write_whole(path, packed.getvalue(), "rows", StudyError)

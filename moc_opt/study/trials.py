@@ -20,7 +20,7 @@ from moc_opt.arrays import Array
 from moc_opt.control.gains import GAINS
 from moc_opt.control.supervisor import Fault
 from moc_opt.errors import MocOptError, describe
-from moc_opt.planning.transient import in_transient
+from moc_opt.planning.elbow import in_transient
 from moc_opt.robots import load_data
 from moc_opt.scenario import Scenario, Setup
 from moc_opt.study.engine import Failed, Job

@@ -1,9 +1,10 @@
 """The task of the tool: paths of its tip, the time law along them, the trocar that it must pass through.
 
-Read first: ``curves`` (shapes; add yours to ``CURVES``) and ``paths`` (a shape put into space, or any points), then
-``kinds`` (paths by name, those of other packages too), ``timelaw`` (``Reference``: X_d and its derivatives) and
-``trocar``. ``waiting`` makes a reference wait.
-Imports ``errors``, ``inputs`` and numpy alone.
+To add a path, write one function of its sizes that returns waypoints, and enter it in ``CURVES`` at the end of
+``curves``; `moc-opt tasks` then lists it, and ``[task] path`` takes it.
+
+``paths`` puts a curve or waypoints into space, ``kinds`` makes a path by name (those of other packages too),
+``timelaw`` moves along it (``Reference``: X_d and its derivatives), ``waiting`` makes a reference wait.
 """
 
 from __future__ import annotations

@@ -1,16 +1,15 @@
-"""The numbers a task is built from, checked where they come in, and the two shapes of time a task accepts."""
+"""Check the numbers that a task is built from, and evaluate at one time or at many."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from numbers import Real
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from moc_opt.arrays import Array, read_only
-from moc_opt.errors import TaskError
+from moc_opt.errors import TaskError, is_number
 
 TimeLike = float | ArrayLike
 
@@ -18,7 +17,7 @@ TimeLike = float | ArrayLike
 def number(name: str, value: object, above: float = -math.inf) -> float:
     """Return a finite float; a TaskError where it is no number, not finite, or not above this."""
     try:
-        result = float(value) if isinstance(value, Real) and not isinstance(value, bool) else math.nan
+        result = float(value) if is_number(value) else math.nan  # type: ignore[arg-type]
     except OverflowError:
         result = math.inf
     if not math.isfinite(result) or not result > above:
@@ -56,19 +55,15 @@ def direction3(name: str, value: ArrayLike) -> Array:
     largest = float(np.abs(given).max())
     if largest == 0.0:
         raise TaskError(f"{name} = {value!r} has no direction: give a vector of non-zero length")
-    # Divided by its largest entry first, so that very long and very short vectors keep their direction.
-    scaled = given / largest
+    scaled = given / largest  # the square of a very long or very short vector would overflow or vanish
     return read_only(np.asarray(scaled / math.sqrt(float(scaled @ scaled))))
 
 
 def sampled(name: str, value: TimeLike, rows: Callable[[float], Array]) -> Array:
     """Evaluate `rows`, number -> (m, 3), at one number or at each of a vector (k,): (m, 3) or (m, k, 3).
 
-    One by one: the value of a controller at a tick and that of a report afterwards are then the same to the last bit,
-    which numpy's vector sine does not promise.
-
-    Raises:
-        TaskError: `value` is neither a number nor a vector.
+    One by one, so that a controller at a tick and a report afterwards get the same bits, which numpy's vector sine
+    does not promise. A TaskError where `value` is neither a number nor a vector.
     """
     try:
         array = np.asarray(value, dtype=np.float64)

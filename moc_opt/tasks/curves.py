@@ -1,7 +1,6 @@
-"""Shapes of paths: planar curves by arc length.
+"""Shapes of paths; a new one is one entry in `CURVES`.
 
-A curve starts at its own origin and its first axis is the heading. A new shape is one class with `length`,
-`knots` and `at`, and one entry in `CURVES`; the arguments of its constructor are its sizes.
+The shapes here are planar curves by arc length: a curve starts at its own origin, and its first axis is the heading.
 """
 
 from __future__ import annotations
@@ -28,9 +27,9 @@ _GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(10)
 class ArcLength:
     """The inverse w(s) of the arc length s(w) = integral of speed(w) from 0 to w.
 
-    A quintic Hermite interpolation of w(s): the knots are exact (Gauss-Legendre quadrature), and so are both
-    derivatives there, dw/ds = 1/speed and d2w/ds2 = -speed'/speed^3. The knots are doubled until s(w(s)) - s,
-    probed inside every panel by quadrature, is below 1e-10 of the length and below 1e-10 m.
+    A quintic Hermite interpolation of w(s) with exact knots (Gauss-Legendre quadrature) and derivatives there,
+    dw/ds = 1/speed and d2w/ds2 = -speed'/speed^3. The knots are doubled until s(w(s)) - s, probed inside every panel by
+    quadrature, is below 1e-10 of the length and below 1e-10 m.
 
     Args:
         speed: w (k,) -> (ds/dw (k,) [m], d2s/dw2 (k,) [m]), ds/dw above zero.
@@ -151,7 +150,8 @@ class Sinusoid:
         self.length, self.knots = self._arc.length, self._arc.knots
 
     def at(self, s: float) -> PlanePoint:
-        """See `PlanarCurve.at`; from y(x), tangent (1, y')/sqrt(1 + y'^2), curvature y''/(1 + y'^2)^(3/2)."""
+        """See `PlanarCurve.at`."""
+        # tangent (1, y')/sqrt(1 + y'^2), curvature y''/(1 + y'^2)^(3/2)
         phase, a, k = self._arc.parameter(s), self.amplitude, self._k
         sine = math.sin(phase)
         slope = a * k * math.cos(phase)
@@ -177,11 +177,13 @@ class Spiral:
         self.length, self.knots = self._arc.length, self._arc.knots
 
     def at(self, s: float) -> PlanePoint:
-        """See `PlanarCurve.at`; curvature (2 + angle^2) / (pitch (1 + angle^2)^(3/2))."""
+        """See `PlanarCurve.at`."""
+        # curvature (2 + angle^2) / (pitch (1 + angle^2)^(3/2))
         w, b = self._arc.parameter(s), self._pitch
         c, d, ds = math.cos(w), math.sin(w), math.sqrt(1.0 + w * w)
         return b * w * c, b * w * d, (c - w * d) / ds, (d + w * c) / ds, (2.0 + w * w) / (b * ds * ds * ds)
 
 
-CURVES: dict[str, type[Any]] = {"line": Line, "circle": Circle, "sinusoid": Sinusoid, "spiral": Spiral}
-"""Kind of path -> class of its planar curve; the class's arguments are the sizes."""
+CURVES: dict[str, Callable[..., Any]] = {"line": Line, "circle": Circle, "sinusoid": Sinusoid, "spiral": Spiral}
+"""Kind of path -> a function of its sizes that returns waypoints (k, 3) [m] from the start: along the heading, to the
+left, along the normal; or a class like the above, which needs no interpolation. Add yours here."""

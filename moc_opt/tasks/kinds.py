@@ -1,7 +1,7 @@
 """Paths by name: those of the package, waypoints, and those that other packages add.
 
-An entry point of the group `moc_opt.tasks` names a class like those of `curves`, or a function of sizes that returns
-waypoints (k, 3) [m] from the start: along the heading, to the left, along the normal.
+An entry point of the group `moc_opt.tasks` names what an entry of `CURVES` is: a function of sizes that returns
+waypoints, or a class of a planar curve.
 """
 
 from __future__ import annotations
@@ -47,12 +47,7 @@ def sizes(kind: str) -> dict[str, Any]:
 
 
 def check_sizes(kind: str, given: Iterable[str]) -> dict[str, Any]:
-    """Check that there is such a path, and that it has sizes of these names; return all its sizes, as `sizes`.
-
-    Raises:
-        UnknownNameError: no such path, or it has no such size; the message lists the valid names.
-        TaskError: as `sizes`.
-    """
+    """Return `sizes`; an UnknownNameError where a given name is none of them."""
     known = sizes(kind)
     for name in given:
         if name not in known:
@@ -108,11 +103,11 @@ def _maker(kind: str) -> Callable[..., Any]:
     claimed = _plugins()
     if kind not in claimed:
         raise UnknownNameError("path", str(kind), [*CURVES, WAYPOINTS, *claimed])
-    found = plugins.load("path", kind, claimed[kind], TaskError)
+    found: Callable[..., Any] = plugins.load("path", kind, claimed[kind], TaskError)
     if not callable(found):
         what = plugins.in_words(claimed[kind][0])
         raise TaskError(f"path {kind!r}: {what} is no class or function; see docs/extending.md")
-    return found  # type: ignore[no-any-return]
+    return found
 
 
 def _about(maker: Callable[..., Any]) -> str:

@@ -28,15 +28,11 @@ def duration(path: Path, v_max: float, a_max: float) -> float:
     With D the length, kappa the curvature and s = s(u), u = t/T:
         |velocity| = D s'/T                   at most 15 D / (8 T),
         |acceleration| = D g(u) / T^2         with g(u)^2 = s''^2 + (D kappa(D s) s'^2)^2,
-    so T = max(15 D / (8 v_max), sqrt(D max g / a_max)): g does not depend on T. A straight path has
-    max g = 10/sqrt(3).
+    so T = max(15 D / (8 v_max), sqrt(D max g / a_max)): g does not depend on T. A straight path has max g = 10/sqrt(3).
 
     Args:
         v_max: largest speed [m/s].
         a_max: largest acceleration [m/s^2], tangential and centripetal together.
-
-    Raises:
-        TaskError: a limit is not positive and finite.
     """
     v_max, a_max = positive("v_max", v_max), positive("a_max", a_max)
     at_speed = 15.0 * path.length / (8.0 * v_max)
@@ -78,21 +74,14 @@ def _climb(g: Callable[[float], float], lower: float, upper: float) -> float:
 class Reference:
     """The tip reference X_d, dX_d, ddX_d over time: a path at the quintic law, in the shortest allowed time.
 
-    Args:
-        path: where to go.
-        v_max: largest speed [m/s].
-        a_max: largest acceleration [m/s^2], tangential and centripetal together.
-        t_start: when to leave the start [s].
-
-    Raises:
-        TaskError: a limit is not positive and finite, or t_start is not finite.
+    A TaskError where a limit is not positive and finite, or t_start is not finite.
     """
 
     path: Path
-    v_max: float
-    a_max: float
-    t_start: float = 0.0
-    duration: float = field(init=False)
+    v_max: float  #: Largest speed [m/s].
+    a_max: float  #: Largest acceleration [m/s^2], tangential and centripetal together.
+    t_start: float = 0.0  #: When to leave the start [s].
+    duration: float = field(init=False)  #: [s]
 
     def __post_init__(self) -> None:
         for name, value in (

@@ -20,20 +20,13 @@ class Trocar:
     P(t) = point + amplitude (1 - cos(2 pi t / period)) / 2 * direction: it starts at `point`, at rest, and is
     `breathing_amplitude_m` away from it half a period later.
 
-    Args:
-        point: at t = 0, (3,) [m].
-        breathing_amplitude_m: largest distance from `point` [m], zero or above.
-        breathing_period_s: time of one breath [s].
-        direction: of the motion, (3,), any length above zero.
-
-    Raises:
-        TaskError: one of them is not usable.
+    A TaskError where one of these is not usable.
     """
 
-    point: ArrayLike
-    breathing_amplitude_m: float = 0.0
-    breathing_period_s: float = 4.0
-    direction: ArrayLike = (0.0, 0.0, 1.0)
+    point: ArrayLike  #: At t = 0, (3,) [m].
+    breathing_amplitude_m: float = 0.0  #: Largest distance from `point`, zero or above.
+    breathing_period_s: float = 4.0  #: Time of one breath.
+    direction: ArrayLike = (0.0, 0.0, 1.0)  #: Of the motion, (3,), any length above zero.
     _axes: list[tuple[float, float]] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -64,11 +57,7 @@ class Trocar:
         return p, dp
 
     def rows(self, t: float) -> Array:
-        """Return P_t and dP_t as the rows of one (2, 3) array, for one time [s].
-
-        Raises:
-            TaskError: t is not finite.
-        """
+        """Return P_t and dP_t as the rows of one (2, 3) array, for one time [s]; a TaskError where t is not finite."""
         if not math.isfinite(t):
             raise TaskError(f"t = {t!r} is not a time: give seconds")
         amplitude, rate = self.breathing_amplitude_m, 2.0 * math.pi / self.breathing_period_s
@@ -81,12 +70,8 @@ class Trocar:
 def shaft_distance(tip: ArrayLike, wrist: ArrayLike, p: ArrayLike) -> Array:
     """Compute the RCM error d = |(P - X) x u|: how far the shaft's line passes from the trocar [m].
 
-    u = (X - N)/|X - N| is the tool's direction.
-
     Args:
-        tip: X, (3,) or (k, 3) [m].
-        wrist: N, (3,) or (k, 3) [m].
-        p: P, (3,) or (k, 3) [m]; a single point serves for all rows.
+        tip, wrist, p: X, N and P, (3,) or (k, 3) [m]; a single point serves for all rows. u = (X - N)/|X - N|.
 
     Returns:
         d, (k,), or of shape () where all three are single points.

@@ -27,15 +27,12 @@ class WaitingReference:
     """Plays a reference tick by tick, waiting while it is told to; it begins at rest, at the start of the path."""
 
     def __init__(self, reference: Reference, period_s: float, *, brake_m_per_s2: float | None = None) -> None:
-        """Stand at the start.
+        """Begin at the start; a TaskError where a number is not positive and finite.
 
         Args:
             period_s: time from tick to tick [s].
             brake_m_per_s2: what stopping and starting again may add to the acceleration [m/s^2]; None: as much
                 as the reference itself may use.
-
-        Raises:
-            TaskError: a number is not positive and finite.
         """
         self.reference = reference
         self.period_s = positive("period_s", period_s)
@@ -55,13 +52,10 @@ class WaitingReference:
         self.rate = 0.0  #: sigma: path seconds per second, 0 to 1
 
     def step(self, go_on: bool) -> Array:
-        """Return the reference of this tick, and go on to the next one.
+        """Return X_d [m], dX_d [m/s], ddX_d [m/s^2], the rows of (3, 3), at the start of the tick; go on to the next.
 
         Args:
             go_on: whether the path may go on; told wrongly, or on and off at every tick, it is only slower.
-
-        Returns:
-            (3, 3) rows X_d [m], dX_d [m/s], ddX_d [m/s^2] at the start of the tick.
         """
         dt, rate, later = self.period_s, self.rate, 1.0 if go_on else 0.0
         for values in self._averages:  # summed anew: a running sum drifts, and a rate of 1e-17 would never be a stop
@@ -75,16 +69,10 @@ class WaitingReference:
         return rows
 
     def play(self, go_on: ArrayLike) -> tuple[Array, Array]:
-        """Play it from the start for a whole run.
-
-        Args:
-            go_on: (N,) flags, one a tick.
+        """Play it from the start with the flags go_on (N,), one a tick; a TaskError where these are no flags.
 
         Returns:
             rows (N, 3, 3) as `step` gives them, and the path time (N,) [s] at each tick.
-
-        Raises:
-            TaskError: these are no flags.
         """
         flags = np.asarray(go_on)
         if flags.ndim != 1 or flags.dtype != np.bool_:
@@ -102,14 +90,11 @@ def flags_at(times: ArrayLike, seen_times: ArrayLike, seen: ArrayLike) -> NDArra
 
     Args:
         times: (N,) of the ticks [s].
-        seen_times: (k,) of the pictures [s], rising.
+        seen_times: (k,) of the pictures [s], rising; a TaskError where they do not.
         seen: (k,) flags.
 
     Returns:
         (N,) flags; False before the first picture.
-
-    Raises:
-        TaskError: the pictures' times do not rise, or their numbers differ.
     """
     pictures, answers = np.asarray(seen_times, dtype=np.float64), np.asarray(seen, dtype=np.bool_)
     if pictures.ndim != 1 or pictures.shape != answers.shape or (np.diff(pictures) <= 0.0).any():

@@ -62,7 +62,7 @@ COLUMNS: Mapping[str, Column] = MappingProxyType(
         "solve_us": Column("us", "(N,)", "time of the solver; NaN where there was no subproblem"),
         "tick_us": Column("us", "(N,)", "time of the whole tick, state to torque"),
         "tick": Column("1", "(N,)", "number of the tick; without it the rows are consecutive"),
-        "travelling": Column("", "(N,)", "the elbow is still on its way to its optimum", "flag"),
+        "travelling": Column("", "(N,)", "the elbow is still moving to its optimum", "flag"),
         "verified": Column("", "(N,)", "the answer was judged optimal", "flag"),
         "primal": Column("rad/s, m/s", "(N,)", "max(|A x - b|_inf, box violation); NaN: no subproblem"),
         "natural": Column("rad/s", "(N,)", "natural residual; NaN: no subproblem"),

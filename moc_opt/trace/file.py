@@ -1,8 +1,7 @@
 """The Parquet file of a trace, written and read by polars.
 
 Numbers of shape (N, k) are arrays of fixed width in the file, texts are strings. Its metadata have a version, the
-trace's meta and the numpy type of each column as JSON, and a checksum of these and of all columns' bytes: what comes
-back is what was saved, bit by bit, or an error.
+trace's meta and the numpy type of each column as JSON, and a checksum of these and of all columns' bytes.
 """
 
 from __future__ import annotations
@@ -37,8 +36,7 @@ def new_file(path: str | os.PathLike[str]) -> Path:
     """Return where a trace may be written; asked before a run, so that none is lost for its file's name.
 
     Raises:
-        TraceError: a name that promises another format than Parquet, something that is no file is there, or there is no
-            such folder.
+        TraceError: a name of another format than Parquet, no such folder, or something that is no file is there.
     """
     target = as_path(path, "trace", TraceError)
     if target.suffix.lower() in _OTHER_FORMATS:
@@ -46,23 +44,15 @@ def new_file(path: str | os.PathLike[str]) -> Path:
             f"trace {str(target)!r}: a trace is written as Parquet: name it {target.stem + '.parquet'!r}; in Python "
             "load_trace(...).to_pandas().to_csv(...) makes a CSV of it"
         )
-    check_replaceable(target, "trace", TraceError)
     folder = target.absolute().parent
     if not os.path.isdir(folder):
         raise TraceError(f"the trace cannot be saved as {str(target)!r}: there is no folder {str(folder)!r}")
+    check_replaceable(target, "trace", TraceError)
     return target
 
 
 def write(path: str | os.PathLike[str], columns: Columns, meta: Mapping[str, Any]) -> None:
-    """Write a trace, all or nothing.
-
-    Args:
-        columns: name -> (N,) or (N, k) numbers or flags, or (N,) texts.
-        meta: JSON values.
-
-    Raises:
-        TraceError: the file cannot be written.
-    """
+    """Write a trace, all or nothing; a TraceError where the file cannot be written."""
     import polars as pl  # only where a file is touched: it takes longer than all other imports of this room
 
     target, packed = new_file(path), io.BytesIO()
@@ -74,13 +64,7 @@ def write(path: str | os.PathLike[str], columns: Columns, meta: Mapping[str, Any
         for name, array in columns.items()
     ])  # fmt: skip
     frame.write_parquet(packed, compression="zstd", metadata=metadata)
-    try:
-        write_whole(target, packed.getvalue())
-    except OSError as error:
-        raise TraceError(
-            f"the trace cannot be saved as {str(target)!r} ({error}): "
-            "give a file in a directory that exists and can be written"
-        ) from error
+    write_whole(target, packed.getvalue(), "trace", TraceError)
 
 
 def read(path: str | os.PathLike[str]) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
@@ -91,7 +75,10 @@ def read(path: str | os.PathLike[str]) -> tuple[dict[str, NDArray[Any]], dict[st
     """
     import polars as pl
 
-    where = repr(str(as_path(path, "trace", TraceError)))
+    file = as_path(path, "trace", TraceError)
+    where = repr(str(file))
+    if file.suffix.lower() == ".toml":
+        raise TraceError(f"{where} is a scenario, no trace: run it first: moc-opt run {file} --trace run.parquet")
     data = read_bytes(path, "trace", TraceError, MOST_DATA)
     try:
         metadata = pl.read_parquet_metadata(data)
@@ -123,7 +110,7 @@ def _array(column: pl.Series, dtype: np.dtype[Any]) -> NDArray[Any]:
 
 
 def checksum(columns: Columns, *texts: str) -> str:
-    """Return that of some texts and of all columns' bytes, as the file's metadata hold it."""
+    """Return the CRC-32 of some texts and of all columns' bytes, as the file's metadata hold it."""
     found = zlib.crc32("".join(texts).encode())
     for array in columns.values():
         found = zlib.crc32(array.tobytes(), found)

@@ -1,6 +1,15 @@
-"""The meta of a trace: how the run ended, and the required type of each entry that pages and tables read.
+"""The meta of a trace: how the run ended, and the type of each entry that pages and tables read.
 
-A trace may come from anywhere, so that the types are checked where one is made.
+A simulated run has
+
+- ``ended``: "completed", "oscillated: ...", "stopped: ...", "ran away ..."; ``stopped_at_s`` [s] where it was stopped;
+- ``ticks`` of ``ticks_planned``, and ``period_s``;
+- ``warnings``: what exceeded a warning level of the safety filter, and ``faults``: the refused answers of the third
+  level, label -> count, first_at_s, first (in words);
+- ``restarts``: when (at_s) the process of an isolated solver was replaced, and why (reason);
+- ``scenario``, ``robot`` (and ``robot_data`` of an arm that is not of the package), ``start_q_rad``, ``deadline_us``.
+
+A trace may come from anywhere, so the types are checked where one is made.
 """
 
 from __future__ import annotations
@@ -125,11 +134,7 @@ def plain(meta: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def check_entry(name: str, value: Any) -> None:
-    """Check one entry; those that the package does not know may hold anything.
-
-    Raises:
-        TraceError: it is not what its reader takes it for.
-    """
+    """Raise a TraceError where an entry is not of its type; one that the package does not know may hold anything."""
     if name in FORMS:
         try:
             FORMS[name].validate_python(value)

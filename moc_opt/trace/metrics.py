@@ -1,7 +1,7 @@
 """From a trace to numbers: one function per metric under `@metric`, in the order of a summary.
 
-A new metric is one function; its name, with the unit in it, is the key in every summary. It reads the columns it needs;
-a trace without them is summarized without it.
+A new metric is one function; its name, with the unit in it, is the key in every summary. A summary of a trace that
+lacks a column which it reads leaves it out.
 """
 
 from __future__ import annotations
@@ -68,10 +68,9 @@ mu_final = figure("mu_final", "mu", "m^3", "Manipulability at the last tick [m^3
 
 @metric("percent")
 def mu_gain_percent(trace: Trace, baseline: Trace | None) -> float:
-    """Mean manipulability above the baseline's [percent of it]; between runs compare mu_mean.
+    """Mean manipulability above the baseline's [percent of it]; compare two third levels by mu_mean.
 
-    The baseline of a run along a course has the observer gain of the course, that of a climb the gain of the climb: so
-    two third levels are not compared by their gains over different baselines.
+    Their baselines differ: each has the observer gain of its third level.
     """
     if baseline is None:
         raise MissingDataError("mu_gain_percent needs a baseline: give the trace of DCAC on the same trial")
@@ -188,29 +187,30 @@ def deadline_misses(trace: Trace) -> float:
     return float(np.count_nonzero(trace.tick_us > deadline))
 
 
-claimed_solved = ticks_with("claimed_solved", "Ticks at which the solver claimed to have solved the subproblem.", (
-    lambda trace: trace.status == "solved"
-))  # fmt: skip
-verified_solved = ticks_with("verified_solved", "Ticks at which the answer was judged optimal, whatever was claimed.", (
-    lambda trace: trace.verified
-))  # fmt: skip
-silently_wrong = ticks_with("silently_wrong", "Ticks at which success was claimed and the answer was judged wrong.", (
-    lambda trace: (trace.status == "solved") & ~trace.verified
-))  # fmt: skip
-faults = ticks_with("faults", "Ticks at which the third level's answer was refused or missing, for any reason.", (
-    lambda trace: (trace.fault != "none") & (trace.fault != "stopped")
-))  # fmt: skip
-limited_ticks = ticks_with("limited_ticks", "Ticks at which the safety filter changed the torque asked for.", (
-    lambda trace: trace.limited
-))  # fmt: skip
-primal_max = figure(
-    "primal_max", "primal", "rad/s, m/s",
-    "Largest max(|A x - b|_inf, box violation) over the subproblems [rad/s, m/s].", np.max, known,
+claimed_solved = ticks_with(
+    "claimed_solved", "Ticks at which the solver claimed to have solved the subproblem.",
+    lambda trace: trace.status == "solved",
 )  # fmt: skip
-natural_max = figure(
-    "natural_max", "natural", "rad/s", "Largest natural residual over the subproblems [rad/s].", np.max, known
+verified_solved = ticks_with(
+    "verified_solved", "Ticks at which the answer was judged optimal, whatever was claimed.",
+    lambda trace: trace.verified,
+)  # fmt: skip
+silently_wrong = ticks_with(
+    "silently_wrong", "Ticks at which success was claimed and the answer was judged wrong.",
+    lambda trace: (trace.status == "solved") & ~trace.verified,
+)  # fmt: skip
+faults = ticks_with(
+    "faults", "Ticks at which the third level's answer was refused or missing, for any reason.",
+    lambda trace: (trace.fault != "none") & (trace.fault != "stopped"),
+)  # fmt: skip
+limited_ticks = ticks_with(
+    "limited_ticks", "Ticks at which the safety filter changed the torque asked for.", lambda trace: trace.limited
 )
-loss_max = figure(
-    "loss_max", "loss", "1", "Largest share of the cost's range that an answer gave away: 0 at the optimum, 1 at the "
-    "worst point.", np.max, known,
-)  # fmt: skip
+primal_max, natural_max, loss_max = (
+    figure(f"{name}_max", name, unit, f"Largest {about} over the subproblems [{unit}].", np.max, known)
+    for name, unit, about in (
+        ("primal", "rad/s, m/s", "max(|A x - b|_inf, box violation)"),
+        ("natural", "rad/s", "natural residual"),
+        ("loss", "1", "share of the cost's range that an answer lost: 0 at the optimum, 1 at the worst point"),
+    )
+)

@@ -147,8 +147,8 @@ def describe(trace: Trace, joint_names: Sequence[str], slides: Flags) -> str:
 def judged_for_oscillation(trace: Trace, joint_names: Sequence[str], slides: Flags) -> Trace:
     """Return the trace, with ``meta["ended"]`` "oscillated: ..." where it was "completed" and a joint oscillates.
 
-    Where the safety filter stopped it and a joint had oscillated before, "stopped: ..." goes on to say so. In a run
-    that ends within half a window after its start nothing is told from a jerk: it stays as it is.
+    Where the safety filter stopped it and a joint had oscillated before, "stopped: ..." says so too. A run that ends
+    within half a window after its start is not judged: an oscillation cannot be told from a jerk there.
     """
     ended, stopped_s = trace.meta.get("ended"), trace.meta.get("stopped_at_s")
     # A stop begins with a jerk of its own.

@@ -76,11 +76,14 @@ def metric(unit: str | Callable[..., float]) -> Any:
         'rad/s'
     """
     if callable(unit):
-        return _registered("1", unit)
-    return lambda function: _registered(unit, function)
+        return register("1", unit)
+    return lambda function: register(unit, function)
 
 
-def _registered(unit: str, function: Callable[..., float]) -> Metric:
+def register(unit: str, function: Callable[..., float], name: str = "", about: str = "") -> Metric:
+    """Register a function under its own name and docstring, or under others."""
+    if name:
+        function.__name__, function.__qualname__, function.__doc__ = name, name, about
     name, about = function.__name__, (inspect.getdoc(function) or "").strip()
     if not about:
         raise TraceError(f"metric {name!r} has no docstring: say in one line what it measures")
@@ -96,7 +99,7 @@ def load_plugins() -> dict[str, str]:
     """Register the metrics of other packages: functions as `metric` takes them, or made by it.
 
     Returns:
-        Name -> reason for those that cannot be had; each is warned of once, and hides no other.
+        Name -> reason for those that cannot be loaded; each is warned of once.
     """
     for name, points in plugins.plugins(GROUP, entry_points).items():
         if points[0] in _LOADED:
@@ -109,7 +112,7 @@ def load_plugins() -> dict[str, str]:
             else:
                 if not callable(found):
                     raise TraceError(f"metric {name!r}: {plugins.in_words(points[0])} is no function")
-                _registered("1", found)
+                register("1", found)
         except TraceError as error:
             _LOADED[points[0]] = str(error)
             warnings.warn(str(error), UserWarning, stacklevel=3)
@@ -120,7 +123,6 @@ def summarize(trace: Trace, baseline: Trace | None = None, phase: Phase | None =
     """Compute every metric that the trace has the data for.
 
     Args:
-        trace: a run.
         baseline: the run to compare with: DCAC with the same gains on the same trial, over the same time.
         phase: only the ticks while the elbow is "travelling" to its optimum, or has "settled", by the trace's
             column `travelling`; the baseline is then read at the same ticks.
@@ -130,8 +132,8 @@ def summarize(trace: Trace, baseline: Trace | None = None, phase: Phase | None =
         run has no tick in that phase.
 
     Raises:
-        TraceError: the trace or the baseline is none, or empty; they are not of the same time; a column holds numbers
-            that no run has; a phase is asked for and the trace has no column `travelling`.
+        TraceError: the trace or the baseline is none or empty, they are not of the same time, a column holds numbers
+            that no run has, or the trace has no column `travelling` for a phase.
         UnknownNameError: no such phase.
 
     Example:
@@ -166,8 +168,7 @@ def summarize(trace: Trace, baseline: Trace | None = None, phase: Phase | None =
         try:
             summary[name] = function(trace, baseline)
         except MissingDataError:
-            # By contract: a metric without its data has no number, and no key.
-            continue
+            continue  # a metric without its data has no number, and no key
         except ArithmeticError as error:
             raise TraceError(
                 f"metric {name!r} cannot be computed ({describe(error)}): a column that it reads holds zeros, or "
@@ -208,18 +209,12 @@ def figure(
 ) -> Metric:  # fmt: skip
     """Register a figure ``of`` one column, which ``read`` takes out of the trace; metres are told in mm."""
     factor = 1e3 if unit == "mm" else 1.0
-    return _named(name, unit, about, lambda trace: factor * of(read(trace, column)))
+    return register(unit, lambda trace: factor * of(read(trace, column)), name, about)
 
 
 def ticks_with(name: str, about: str, marked: Callable[[Trace], NDArray[Any]]) -> Metric:
     """Register the number of ticks that are marked."""
-    return _named(name, "1", about, lambda trace: float(np.count_nonzero(marked(trace))))
-
-
-def _named(name: str, unit: str, about: str, function: Callable[[Trace], float]) -> Metric:
-    function.__name__ = function.__qualname__ = name
-    function.__doc__ = about
-    return _registered(unit, function)
+    return register("1", lambda trace: float(np.count_nonzero(marked(trace))), name, about)
 
 
 def lengths(rows: Floats) -> Floats:

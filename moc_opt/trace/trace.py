@@ -108,7 +108,7 @@ class Trace:
         return table_html("Trace", {**about(self), "columns": ", ".join(units)})
 
     def __dir__(self) -> Iterable[str]:
-        """List methods and columns: a notebook completes both."""
+        """List methods and columns."""
         return [*super().__dir__(), *self.columns]
 
     def with_columns(self, **arrays: ArrayLike) -> Trace:
@@ -148,8 +148,6 @@ class Trace:
 
     def between(self, start_s: float, stop_s: float) -> Trace:
         """Return the trace of the ticks with start_s <= t_s < stop_s; see `select`.
-
-        Pieces that meet share no tick: ``between(0, 2)`` and ``between(2, 4)`` make ``between(0, 4)``.
 
         Raises:
             TraceError: a time is no number, or no tick lies there.
@@ -259,10 +257,6 @@ class Trace:
 
         Raises:
             TraceError: ``ticks`` is no number of ticks.
-
-        Example:
-            >>> len(mo.Trace({"t_s": [0.0, 0.002, 0.004]}).head(2))
-            2
         """
         if isinstance(ticks, bool) or not isinstance(ticks, int | np.integer) or ticks < 0:
             raise TraceError(f"head: ticks = {shown(ticks)}: give an integer of 0 or more")
@@ -282,15 +276,7 @@ class Trace:
         return self.with_meta(**told)
 
     def with_meta(self, **values: Any) -> Trace:
-        """Return the same columns with entries of meta added or replaced.
-
-        Raises:
-            TraceError: a value is not JSON.
-
-        Example:
-            >>> mo.Trace({"t_s": [0.0]}).with_meta(operator="A. B.").meta["operator"]
-            'A. B.'
-        """
+        """Return the same columns with entries of meta added or replaced; a TraceError where one is not JSON."""
         return self._of(self.columns, MappingProxyType(plain({**self.meta, **values})))
 
     @classmethod
@@ -307,9 +293,6 @@ class Trace:
 
         Raises:
             TraceError: the file cannot be written.
-
-        Example:
-            >>> mo.Trace({"t_s": [0.0, 0.002]}).save("run.parquet")
         """
         file.write(path, self.columns, self.meta)
 
@@ -319,11 +302,6 @@ class Trace:
 
         Raises:
             TraceError: the file is missing, damaged, or no trace.
-
-        Example:
-            >>> mo.Trace({"t_s": [0.0, 0.002]}).save("run.parquet")
-            >>> mo.Trace.load("run.parquet").t_s.tolist()
-            [0.0, 0.002]
         """
         return cls(*file.read(path))
 
@@ -335,13 +313,7 @@ def _name(name: str) -> str:
 
 
 def load_trace(path: str | os.PathLike[str]) -> Trace:
-    """Read a saved trace; see `Trace.load`.
-
-    Args:
-        path: of a file that `Trace.save`, or a command's ``--trace``, wrote.
-
-    Raises:
-        TraceError: the file is missing, damaged, or no trace.
+    """Read a file that `Trace.save`, or a command's ``--trace``, wrote; see `Trace.load`.
 
     Example:
         >>> mo.Trace({"t_s": [0.0, 0.002]}, {"operator": "A. B."}).save("run.parquet")

@@ -6,6 +6,7 @@ import math
 import os
 from collections import Counter
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -17,12 +18,12 @@ from moc_opt.robots.model import RobotModel
 from moc_opt.tasks import Path
 from moc_opt.trace.trace import Trace
 from moc_opt.vision.board import Board, BoardTask
-from moc_opt.vision.camera import Camera, Picture, Scene, View, hide
+from moc_opt.vision.camera import Camera, CameraSettings, Picture, Scene, View, hide
 from moc_opt.vision.overlay import draw, save_film
 from moc_opt.vision.pose import Pose, rotation_from
-from moc_opt.vision.settings import CameraSettings, TrackerSettings
-from moc_opt.vision.tracking import BoardFinder, BoardTracker, Sighting, Tracked
+from moc_opt.vision.tracking import BoardFinder, BoardTracker, Tracked, TrackerSettings
 
+FACING = np.diag([1.0, -1.0, -1.0])
 _SEARCH_S = 2.0
 _ON_PATH_M = 0.001
 
@@ -35,21 +36,15 @@ class Watch(NamedTuple):
 
 
 class Augmented:
-    """An endoscope that looks at a phantom's board, and the evaluation of its pictures.
-
-    Attributes: `camera` where it truly is, `believed` where calibration puts it, `board`.
-    """
+    """An endoscope above a phantom's board: `camera` where it truly is, `believed` where calibration puts it."""
 
     def __init__(
         self, robot: RobotModel, phantom_in_base: Pose, *, camera: CameraSettings | None = None,
         board: Board | None = None, tracker: TrackerSettings | None = None, seed: int = 0,
     ) -> None:  # fmt: skip
-        """Set everything up.
+        """Place the camera around the true pose of the phantom's board; the robot's tool is in its pictures.
 
-        Args:
-            robot: for the tool in the picture.
-            phantom_in_base: true pose of the phantom's board, around which the camera is placed.
-            seed: of noise, calibration error and of which markers are hidden.
+        ``seed`` is that of noise, calibration error and of which markers are hidden.
         """
         self.board, self.phantom = board or Board(), phantom_in_base
         noise, calibration, hidden = np.random.SeedSequence(seed).generate_state(3).tolist()
@@ -66,14 +61,11 @@ class Augmented:
         self._tracker = BoardTracker(tracker)
 
     def locate(self, q: ArrayLike | None = None, *, seconds: float = 1.0) -> Pose:
-        """Search for the board anew, before t = 0 and before anything moves.
+        """Search for the board anew, before t = 0, and return its pose in the base frame, averaged over the pictures.
 
         Args:
             q: (n,) pose of the arm, at rest; None: no arm in the picture.
             seconds: how long the board is looked at, once it has been found [s].
-
-        Returns:
-            The board in the base frame, averaged over the pictures.
 
         Raises:
             TaskError: it was not found within 2 s; says what was seen and what to change.
@@ -85,7 +77,7 @@ class Augmented:
         found: list[Pose] = []
         for k in range(count):
             tracked = self._look((k - count) / rate, q)
-            refused.update([] if tracked.refused is None else [tracked.refused])
+            refused[tracked.refused or "seen"] += 1
             if tracked.seen and tracked.pose is not None:
                 found.append(tracked.pose)
                 if len(found) > wanted:
@@ -112,9 +104,8 @@ class Augmented:
     def accuracy(self, estimate: Pose, task: BoardTask | str) -> dict[str, float]:
         """Measure how far an estimate of the board in the base frame is from the truth, calibration error included.
 
-        Returns:
-            board_position_mm, board_angle_deg, and task_error_max_mm, the largest distance between a point of the
-            task where it should be and where the robot takes it to be.
+        ``task_error_max_mm`` is the largest distance between a point of the task where it should be and where the
+        robot takes it to be.
         """
         way, turn = estimate.distance(self.phantom)
         true, believed = (self.task(task, pose) for pose in (self.phantom, estimate))
@@ -126,15 +117,12 @@ class Augmented:
         }  # fmt: skip
 
     def film(self, file: str | os.PathLike[str], trace: Trace, path: Path, trocar: ArrayLike) -> int:
-        """Film the run as the surgeon sees it, one picture for each of the camera's.
+        """Film the run as the surgeon sees it, and return the number of pictures.
 
         Args:
             file: .webm, .mp4 or .avi.
             trace: the run, with t_s, q_rad, tip_m and tip_ref_m.
             trocar: (3,) as registered, base frame [m].
-
-        Returns:
-            The number of pictures.
 
         Raises:
             PlantError: the film cannot be written.
@@ -162,8 +150,7 @@ class Augmented:
     def _look(self, t: float, q: ArrayLike | None) -> Tracked:
         sighting = self._finder.find(self._picture(t, q))
         if sighting is not None:
-            pose = self.believed.camera_in_base @ sighting.pose
-            sighting = Sighting(pose, sighting.markers, sighting.error_px)
+            sighting = replace(sighting, pose=self.believed.camera_in_base @ sighting.pose)
         return self._tracker.update(t, sighting)
 
 
@@ -172,15 +159,11 @@ def pose_accuracy(
 ) -> dict[str, float]:
     """Measure single pictures: the board found at random poses before the camera, against the truth.
 
-    The board is 0.12 to 0.20 m away, up to 35 degrees from facing the camera and turned as it likes within 45,
-    1 cm out of the middle at most. Calibration plays no part.
-
-    Returns:
-        seen (share of the pictures), position_median_mm, position_p95_mm, angle_median_deg, angle_p95_deg,
-        fit_median_px, markers_mean.
+    The board is 0.12 to 0.20 m away, up to 35 degrees from facing the camera and turned by up to 45,
+    1 cm out of the middle at most. Calibration plays no part. ``seen`` is a share of the pictures.
     """
     sheet = board or Board()
-    eye = Camera(camera or CameraSettings(), Pose(np.diag([1.0, -1.0, -1.0]), (0.6, 0.0, 0.4)))
+    eye = Camera(camera or CameraSettings(), Pose(FACING, (0.6, 0.0, 0.4)))
     view, finder = View(eye, sheet, seed=seed), BoardFinder(sheet, eye)
     rng = np.random.default_rng(seed)
     found: list[tuple[float, float, float, float]] = []
@@ -190,20 +173,19 @@ def pose_accuracy(
         sighting = finder.find(view.picture(Scene(eye.camera_in_base @ truth, hidden)))
         if sighting is not None:
             found.append((*sighting.pose.distance(truth), sighting.error_px, sighting.markers))
-    figures = np.array(found).reshape(-1, 4) if found else np.full((1, 4), np.nan)
-    way, turn = 1e3 * figures[:, 0], np.degrees(figures[:, 1])
-    return {
-        "seen": len(found) / poses, "position_median_mm": float(np.median(way)),
-        "position_p95_mm": float(np.percentile(way, 95)), "angle_median_deg": float(np.median(turn)),
-        "angle_p95_deg": float(np.percentile(turn, 95)), "fit_median_px": float(np.median(figures[:, 2])),
-        "markers_mean": float(figures[:, 3].mean()),
+    way, turn, fit, markers = np.array(found or [(np.nan,) * 4]).T
+    way, turn = 1e3 * way, np.degrees(turn)
+    figures = {
+        "seen": len(found) / poses, "position_median_mm": np.median(way), "position_p95_mm": np.percentile(way, 95),
+        "angle_median_deg": np.median(turn), "angle_p95_deg": np.percentile(turn, 95),
+        "fit_median_px": np.median(fit), "markers_mean": markers.mean(),
     }  # fmt: skip
+    return {name: float(value) for name, value in figures.items()}
 
 
 def _random_pose(rng: np.random.Generator) -> Pose:
-    facing = np.diag([1.0, -1.0, -1.0])
     spin = rotation_from((0.0, 0.0, rng.uniform(-0.25, 0.25) * np.pi))
     angle, tilt = rng.uniform(0.0, 2.0 * np.pi), np.radians(rng.uniform(0.0, 35.0))
     lean = rotation_from(tilt * np.array([np.cos(angle), np.sin(angle), 0.0]))
     place = (*rng.uniform(-0.01, 0.01, 2), rng.uniform(0.12, 0.20))
-    return Pose(lean @ facing @ spin, place)
+    return Pose(lean @ FACING @ spin, place)

@@ -17,11 +17,22 @@ from numpy.typing import ArrayLike
 from pydantic import Field, model_validator
 
 from moc_opt.arrays import Array
-from moc_opt.errors import TaskError, UnknownNameError
+from moc_opt.errors import MocOptError, PlantError, TaskError, UnknownNameError
+from moc_opt.inputs.settings import Settings
 from moc_opt.tasks import Path, make_path
 from moc_opt.tasks.checks import direction3, positive, vector3
 from moc_opt.vision.pose import Pose
-from moc_opt.vision.settings import VisionSettings
+
+
+class VisionSettings(Settings):
+    """Base of the tables of camera, board and tracker.
+
+    Raises:
+        PlantError: a value is out of range.
+        UnknownNameError: a field does not exist.
+    """
+
+    ERROR: ClassVar[type[MocOptError]] = PlantError
 
 
 class Board(VisionSettings):
@@ -67,15 +78,13 @@ class Board(VisionSettings):
         row, column = divmod(marker, self.columns)
         width, height = self.size_m
         pitch = self.marker_m + self.gap_m
-        left = -0.5 * width + self.gap_m + column * pitch
-        top = 0.5 * height - self.gap_m - row * pitch
-        right, bottom = left + self.marker_m, top - self.marker_m
-        return np.array([[left, top, 0.0], [right, top, 0.0], [right, bottom, 0.0], [left, bottom, 0.0]])
+        left, top = -0.5 * width + self.gap_m + column * pitch, 0.5 * height - self.gap_m - row * pitch
+        return _rectangle(left, top, left + self.marker_m, top - self.marker_m)
 
     def outline(self) -> Array:
         """Return the corners (4, 3) of the whole board in its own frame [m]: top left, then clockwise as seen."""
         x, y = 0.5 * self.size_m[0], 0.5 * self.size_m[1]
-        return np.array([[-x, y, 0.0], [x, y, 0.0], [x, -y, 0.0], [-x, -y, 0.0]])
+        return _rectangle(-x, y, x, -y)
 
     def task_in_base(self, task: BoardTask | str, board_in_base: Pose) -> Path:
         """Carry a virtual task from the board into the robot's base frame.
@@ -91,8 +100,7 @@ class Board(VisionSettings):
         wanted = board_task(task) if isinstance(task, str) else task
         own = wanted.on_board()
         places = own.at(np.linspace(0.0, own.length, 65))[0]
-        room = 0.5 * np.array(self.size_m)
-        beyond = float((np.abs(places[:, :2]) - room).max())
+        beyond = float((np.abs(places[:, :2]) - 0.5 * np.array(self.size_m)).max())
         if beyond > 0.0:
             raise TaskError(
                 f"task {wanted.kind!r} reaches {1e3 * beyond:.1f} mm beyond its board of "
@@ -128,6 +136,10 @@ class BoardTask:
         return make_path(self.kind, start, normal=(0.0, 0.0, 1.0), heading=heading, **self.sizes)
 
 
+def _rectangle(left: float, top: float, right: float, bottom: float) -> Array:
+    return np.array([[left, top, 0.0], [right, top, 0.0], [right, bottom, 0.0], [left, bottom, 0.0]])
+
+
 _WAVES = {"amplitude": 0.01, "wavelength": 0.02, "periods": 2.0}
 BOARD_TASKS: Mapping[str, BoardTask] = MappingProxyType({
     "circle": BoardTask("circle", {"radius": 0.02}, start_m=(0.0, -0.02), depth_m=0.15),
@@ -158,7 +170,7 @@ def board_below(trocar: ArrayLike, shaft: ArrayLike, depth_m: float, *, x_axis: 
     """
     into, along = direction3("shaft", shaft), direction3("x_axis", x_axis)
     inside = along - (along @ into) * into
-    if math.sqrt(float(inside @ inside)) < 1e-6:
+    if float(np.linalg.norm(inside)) < 1e-6:
         raise TaskError(f"x_axis = {x_axis!r} is along the shaft {shaft!r}: choose another")
     x, place = direction3("x_axis", inside), vector3("trocar", trocar) + positive("depth_m", depth_m) * into
     return Pose(np.stack([x, np.cross(-into, x), -into], axis=1), place)

@@ -1,4 +1,4 @@
-"""The endoscope's camera: a pinhole with its place in the base frame, and the pictures that it takes of a scene."""
+"""The endoscope's camera: its settings, a pinhole with its place in the base frame, and its pictures of a scene."""
 
 from __future__ import annotations
 
@@ -6,16 +6,16 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import Any, ClassVar
 
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from pydantic import Field
 
 from moc_opt.arrays import Array
-from moc_opt.vision.board import Board
-from moc_opt.vision.pose import Pose, looking_at, rotation_from
-from moc_opt.vision.settings import CameraSettings
+from moc_opt.vision.board import Board, VisionSettings
+from moc_opt.vision.pose import Pose, rotation_from
 
 Picture = NDArray[np.uint8]
 Shaft = Callable[[Array], tuple[Array, Array]]
@@ -25,6 +25,26 @@ SHAFT_RADIUS_M = 0.004  # of the tool as it is drawn
 _MARKER_BITS = 6  # 4 x 4 bits and a black frame around them
 _CELL_PX = 16  # pixels along one of them, as the board is printed
 _FINER = 2  # pixels drawn for each pixel of the picture, each way: the markers' edges come out smooth
+
+
+class CameraSettings(VisionSettings):
+    """An endoscope that looks at the phantom through a port of its own; its pictures are taken as undistorted."""
+
+    KIND: ClassVar[str] = "[camera]"
+
+    width_px: int = Field(640, ge=64, le=4096)
+    height_px: int = Field(480, ge=64, le=4096)
+    fov_deg: float = Field(50.0, ge=10.0, le=120.0, description="angle of view from top to bottom")
+    rate_Hz: float = Field(30.0, gt=0.0, le=500.0, description="pictures in a second")
+    distance_m: float = Field(0.16, ge=0.02, le=1.0, description="from the middle of the phantom's board")
+    tilt_deg: float = Field(25.0, ge=0.0, le=75.0, description="of the line of sight from the board's normal")
+    azimuth_deg: float = Field(-90.0, description="where it stands around the normal, from the board's x")
+    blur_px: float = Field(0.7, ge=0.0, le=10.0, description="standard deviation of the lens's blur")
+    noise: float = Field(3.0, ge=0.0, le=100.0, description="standard deviation, in grey levels of 255")
+    calibration_error_m: float = Field(
+        0.0005, ge=0.0, le=0.05, description="the camera is this far from where the robot takes it to be"
+    )
+    calibration_error_deg: float = Field(0.1, ge=0.0, le=10.0, description="and turned by this")
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,10 +77,11 @@ class Camera:
     def above(cls, settings: CameraSettings, phantom_in_base: Pose) -> Camera:
         """Place the camera of the settings: it looks at the phantom's middle, its top towards the board's y."""
         tilt, azimuth = math.radians(settings.tilt_deg), math.radians(settings.azimuth_deg)
-        away = [math.sin(tilt) * math.cos(azimuth), math.sin(tilt) * math.sin(azimuth), math.cos(tilt)]
-        eye = settings.distance_m * np.array(away)
-        # Seen from along the board's y, its y is still the upper side while the tilt is below a right angle.
-        return cls(settings, phantom_in_base @ looking_at(eye, (0.0, 0.0, 0.0), (0.0, 1.0, 0.0)))
+        away = np.array([math.sin(tilt) * math.cos(azimuth), math.sin(tilt) * math.sin(azimuth), math.cos(tilt)])
+        right = np.cross(-away, (0.0, 1.0, 0.0))  # not zero: the tilt is below a right angle
+        right /= np.linalg.norm(right)
+        turn = np.stack([right, np.cross(-away, right), -away], axis=1)
+        return cls(settings, phantom_in_base @ Pose(turn, settings.distance_m * away))
 
     def miscalibrated(self, seed: int) -> Camera:
         """Return the same camera where the robot's calibration takes it to be: off by the settings' errors, seeded."""
@@ -90,7 +111,7 @@ def hide(ids: range, fraction: float, seed: int) -> frozenset[int]:
 
 
 class View:
-    """Takes pictures: the board by a perspective warp, covers and the tool's shaft as polygons, blur and noise."""
+    """Takes pictures: the board with its covers by a perspective warp, the tool's shaft as polygon, blur and noise."""
 
     def __init__(self, camera: Camera, board: Board, *, shaft: Shaft | None = None, seed: int = 0) -> None:
         """Prepare for the true camera; seed is that of the noise.
@@ -100,7 +121,7 @@ class View:
         """
         self.camera, self._board, self._shaft = camera, board, shaft
         self._page = cv2.cvtColor(board_picture(board), cv2.COLOR_GRAY2BGR)
-        self._to_board = np.linalg.inv(texture_matrix(board))
+        self._texture = texture_matrix(board)
         self._rng = np.random.default_rng(seed)
         # The middle of pixel u of the picture is at 2 u + 0.5 in the finer one.
         self._finer = np.array([[_FINER, 0.0, 0.5 * (_FINER - 1)], [0.0, _FINER, 0.5 * (_FINER - 1)], [0.0, 0.0, 1.0]])
@@ -113,16 +134,23 @@ class View:
         faces = float(pose.R[:, 2] @ pose.t) < 0.0 and float(pose.apply(self._board.outline())[:, 2].min()) > 1e-3
         if faces and not scene.dark:
             flat = np.stack([pose.R[:, 0], pose.R[:, 1], pose.t], axis=1)
-            onto = self._finer @ self.camera.matrix @ flat @ self._to_board
+            onto = self._finer @ self.camera.matrix @ flat @ np.linalg.inv(self._texture)
+            printed = self._covered(scene.hidden)
             cv2.warpPerspective(
-                self._page, onto, page.shape[1::-1], dst=page, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_TRANSPARENT
+                printed, onto, page.shape[1::-1], dst=page, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_TRANSPARENT
             )
-            for marker in scene.hidden:
-                self._fill(page, scene.board_in_base.apply(_cover(self._board, marker)), COVER)
         if self._shaft is not None and scene.q is not None:
             self._draw_shaft(page, *self._shaft(scene.q))
         small = np.asarray(cv2.resize(page, (width, height), interpolation=cv2.INTER_AREA), dtype=np.uint8)
         return expose(small, self.camera.settings, self._rng)
+
+    def _covered(self, hidden: frozenset[int]) -> Picture:
+        printed, board = self._page.copy(), self._board
+        radius = min(0.72 * board.marker_m, 0.5 * board.marker_m + 0.9 * board.gap_m) * self._texture[0, 0]
+        for marker in hidden:
+            x, y, _ = self._texture @ [*board.corners(marker)[:, :2].mean(axis=0), 1.0]
+            cv2.circle(printed, (round(x), round(y)), round(radius), COVER, cv2.FILLED, cv2.LINE_AA)
+        return np.asarray(printed, dtype=np.uint8)
 
     def _draw_shaft(self, page: Picture, tip: Array, other: Array) -> None:
         to_camera, least = self.camera.camera_in_base.inverse(), 0.005
@@ -134,13 +162,10 @@ class View:
         side = np.cross(far - near, near)
         side = SHAFT_RADIUS_M * side / max(float(np.linalg.norm(side)), 1e-12)
         quad = np.array([near + side, far + side, far - side, near - side])
-        self._fill(page, self.camera.camera_in_base.apply(quad), STEEL)
-
-    def _fill(self, page: Picture, points_in_base: Array, colour: tuple[int, int, int]) -> None:
-        pixels = self.camera.project(points_in_base) @ self._finer[:2, :2].T + self._finer[:2, 2]
+        pixels = self.camera.project(self.camera.camera_in_base.apply(quad))
+        pixels = pixels @ self._finer[:2, :2].T + self._finer[:2, 2]
         if np.isfinite(pixels).all() and np.abs(pixels).max() < 1e5:
-            corners = np.rint(16.0 * pixels).astype(np.int32)
-            cv2.fillConvexPoly(page, corners, colour, lineType=cv2.LINE_AA, shift=4)
+            cv2.fillConvexPoly(page, np.rint(16.0 * pixels).astype(np.int32), STEEL, lineType=cv2.LINE_AA, shift=4)
 
 
 def expose(picture: Picture, settings: CameraSettings, rng: np.random.Generator) -> Picture:
@@ -158,19 +183,14 @@ def board_picture(board: Board) -> NDArray[np.uint8]:
     """Draw the board as it is printed (H, W), grey levels."""
     side = _MARKER_BITS * _CELL_PX
     width, height = (math.ceil(side / board.marker_m * size - 1e-6) for size in board.size_m)
-    rim = 2  # room for a marker's white frame where it reaches over the edge
-    page = np.full((height + 2 * rim, width + 2 * rim), 255, dtype=np.uint8)
-    to_pixel = texture_matrix(board)
+    page = np.full((height, width), 255, dtype=np.uint8)
     for marker in board.ids:
-        left, top = (to_pixel @ [*board.corners(marker)[0, :2], 1.0])[:2] + 0.5
-        column, row = math.floor(left + 1e-6), math.floor(top + 1e-6)
-        # A marker that begins inside a pixel is drawn there: rounded, it would be up to 0.1 mm out of place.
-        part = np.array([[1.0, 0.0, max(left - column, 0.0)], [0.0, 1.0, max(top - row, 0.0)]])
-        square = np.pad(cv2.aruco.generateImageMarker(dictionary(), marker, side), rim, constant_values=255)
-        square = cv2.warpAffine(square, part, square.shape[::-1], borderMode=cv2.BORDER_REPLICATE)
-        place = np.s_[row : row + side + 2 * rim, column : column + side + 2 * rim]
-        page[place] = np.minimum(page[place], square)
-    return np.ascontiguousarray(page[rim:-rim, rim:-rim])
+        left, top, _ = texture_matrix(board) @ [*board.corners(marker)[0, :2], 1.0]
+        # Moved by parts of a pixel: rounded, a marker would be up to 0.1 mm out of place.
+        shift = np.array([[1.0, 0.0, left - 0.5], [0.0, 1.0, top - 0.5]])
+        square = np.pad(cv2.aruco.generateImageMarker(dictionary(), marker, side), 1, constant_values=255)
+        cv2.warpAffine(square, shift, (width, height), dst=page, borderMode=cv2.BORDER_TRANSPARENT)
+    return page
 
 
 def texture_matrix(board: Board) -> Array:
@@ -185,10 +205,3 @@ def texture_matrix(board: Board) -> Array:
 def dictionary() -> Any:
     """Return OpenCV's ArUco markers: 250 of 4 x 4 bits."""
     return cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_250)
-
-
-def _cover(board: Board, marker: int) -> Array:
-    radius = min(0.72 * board.marker_m, 0.5 * board.marker_m + 0.9 * board.gap_m)
-    angle = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
-    around = np.stack([np.cos(angle), np.sin(angle), 0.0 * angle], axis=1)
-    return np.asarray(board.corners(marker).mean(axis=0) + radius * around)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Field
 
-from moc_opt.arrays import Array
+from moc_opt.arrays import Array, read_only
 from moc_opt.control.hand_guiding import HandGuiding
 from moc_opt.control.safety_filter import SafetyFilter
 from moc_opt.control.safety_settings import SafetyFilterSettings
@@ -19,8 +19,9 @@ from moc_opt.errors import MocOptError, PlantError, TaskError
 from moc_opt.inputs.settings import Settings
 from moc_opt.robots.inverse_kinematics import pose_with_tip
 from moc_opt.robots.model import RobotModel, RobotState
-from moc_opt.sim.closed_loop import ClosedLoop, Stop
-from moc_opt.sim.plant import Plant
+from moc_opt.sim.loop import ClosedLoop
+from moc_opt.sim.plant import Plant, Stop
+from moc_opt.tasks.checks import vector3
 from moc_opt.trace.trace import Trace
 
 _NO_REFERENCE, _NO_TROCAR = np.zeros((3, 3)), np.zeros((2, 3))
@@ -28,12 +29,7 @@ _SPEED_FILTER_Hz = 5.0  # the encoders' noise alone is some mm/s at the tip
 
 
 class HandSettings(Settings):
-    """How the hand pulls.
-
-    Raises:
-        PlantError: a value is out of range.
-        UnknownNameError: a field does not exist.
-    """
+    """How the hand pulls; a PlantError where a value is out of range."""
 
     KIND: ClassVar[str] = "[hand]"
     ERROR: ClassVar[type[MocOptError]] = PlantError
@@ -49,12 +45,7 @@ class HandSettings(Settings):
 
 
 class HandsOnSettings(Settings):
-    """The guiding, and when the trocar counts as registered.
-
-    Raises:
-        TaskError: a value is out of range.
-        UnknownNameError: a field does not exist.
-    """
+    """The guiding, and when the trocar counts as registered; a TaskError where a value is out of range."""
 
     KIND: ClassVar[str] = "[hands_on]"
     ERROR: ClassVar[type[MocOptError]] = TaskError
@@ -105,11 +96,10 @@ class Hand:
 
     force = D (desired - velocity) + f, |force| <= force_max, where desired is a velocity towards the goal,
     (stiffness/D) times the distance, cut at speed_max, and f grows by correction stiffness distance a second until
-    the hand has arrived, as a person pulls harder when the tip stops short.
+    the hand has arrived, as a person pulls harder when the tip stops short. `pull` is called once a period.
     """
 
     def __init__(self, settings: HandSettings, period_s: float) -> None:
-        """Take hold; `period_s` is the time between two calls of `pull` [s]."""
         self.settings, self._period = settings, period_s
         self._extra = np.zeros(3)
 
@@ -127,8 +117,8 @@ class Hand:
         desired = _cut(hand.stiffness_N_per_m / hand.damping_Ns_per_m * way, hand.speed_max_m_per_s)
         pull = hand.damping_Ns_per_m * (desired - velocity) + self._extra
         force = _cut(pull, hand.force_max_N)
-        # More only near the goal, and not beyond what the arm has strength for, or it would overshoot by far;
-        # less at any place, or a tool that comes loose would be pushed past the goal for ever.
+        # More only near the goal and below the largest force, or it would overshoot by far; less at any place, or a
+        # tool that comes loose would be pushed past the goal for ever.
         near = distance * hand.stiffness_N_per_m < hand.damping_Ns_per_m * hand.speed_max_m_per_s
         less = float(way @ self._extra) < 0.0
         if distance > hand.content_m and (less or (near and force is pull)):
@@ -139,6 +129,27 @@ class Hand:
 def _cut(vector: Array, most: float) -> Array:
     length = math.sqrt(float(vector @ vector))
     return vector if length <= most else vector * (most / length)
+
+
+class _Guiding:
+    """Hand guiding with the interface of a filtered controller; it has no reference and no memory.
+
+    ``seen`` is the state at the last measurement that was believed. The safety filter is not shown it: it would take
+    the hand's force for a motion that no torque explains.
+    """
+
+    def __init__(self, robot: RobotModel, damping_Nm_s_per_rad: float) -> None:
+        self._law, self._robot = HandGuiding(robot, damping_Nm_s_per_rad), robot
+
+    def start(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> None:
+        self.seen: RobotState = self._robot.state(q, v)
+
+    def tick(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> Array:
+        self.seen = self._robot.state(q, v)
+        return self._law.tick(self.seen)
+
+    def set_applied_torque(self, tau: Array) -> None:
+        """Do nothing: the law has no memory."""
 
 
 def guide_to(
@@ -160,9 +171,7 @@ def guide_to(
         PlantError: the arm ran away.
     """
     settings = settings or HandsOnSettings()
-    goal = np.asarray(incision, dtype=np.float64)
-    if goal.shape != (3,) or not np.isfinite(goal).all():
-        raise TaskError(f"incision = {incision!r}: give three finite numbers [m]")
+    goal = vector3("incision", incision)
     away = float(np.linalg.norm(goal - plant.tip))
     if away > settings.distance_max_m:
         raise TaskError(
@@ -170,64 +179,48 @@ def guide_to(
             f"distance_max_m = {settings.distance_max_m:g} m, or start the arm nearer to it"
         )
     pose_with_tip(robot, plant.measure().q, goal)
-    columns, tips, status, q, reason = _guide(goal, plant, robot, settings)
-    registered = None
-    if status is HandsOnStatus.REGISTERED:
-        direction = np.random.default_rng(seed).standard_normal(3)
-        registered = tips.mean(axis=0) + settings.registration_error_m * direction / np.linalg.norm(direction)
-        registered.setflags(write=False)
-    believed = np.full(3, np.nan) if registered is None else registered
-    ticks = len(columns["t_s"])
-    columns["trocar_m"] = columns["tip_ref_m"] = np.tile(goal, (ticks, 1))
-    columns["trocar_registered_m"] = np.tile(believed, (ticks, 1))
-    columns["tip_error_m"] = np.linalg.norm(columns["tip_ref_m"] - columns["tip_m"], axis=1)
-    meta = {
-        "hands_on": settings.model_dump(mode="json"), "status": status.name.lower(), "seed": seed,
-        "ended": f"stopped: {reason}" if reason else "completed",
-    }  # fmt: skip
-    return HandsOn(status, goal, registered, q, Trace(columns, {**meta, "period_s": plant.settings.period_s}))
-
-
-class _Guiding:
-    """Hand guiding with the interface of a filtered controller; it has no reference.
-
-    ``seen`` is the state at the last measurement that was believed. The filter is not shown it: it would take the
-    hand's force for a motion that no torque explains.
-    """
-
-    def __init__(self, law: HandGuiding, robot: RobotModel) -> None:
-        self._law, self._robot = law, robot
-
-    def start(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> None:
-        """Take the first state; the law itself has no memory."""
-        self.seen: RobotState = self._robot.state(q, v)
-
-    def tick(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> Array:
-        """Compute the torque (n,) [Nm] that carries the arm's weight and damps its joints."""
-        self.seen = self._robot.state(q, v)
-        return self._law.tick(self.seen)
-
-    def set_applied_torque(self, tau: Array) -> None:
-        """Do nothing: the law has no memory."""
-
-
-def _guide(
-    goal: Array, plant: Plant, robot: RobotModel, settings: HandsOnSettings
-) -> tuple[dict[str, Array], Array, HandsOnStatus, Array, str]:
     period, guard = plant.settings.period_s, settings.guard
-    law = _Guiding(HandGuiding(robot, settings.joint_damping_Nm_s_per_rad), robot)
+    law = _Guiding(robot, settings.joint_damping_Nm_s_per_rad)
     # The arm is in no incision yet, and a hand of unknown force pulls it.
     safety_filter = SafetyFilter(robot, guard, period, incision=False, momentum=False)
     loop = ClosedLoop(plant, law, safety_filter, Stop(guard.stop_damping_Nm_s_per_rad, guard.stop_s))
+    loop.start(_NO_REFERENCE, _NO_TROCAR)
+    rows, resting, reached = _pulled(goal, plant, robot, settings, loop, law)
+    direction, registered = np.random.default_rng(seed).standard_normal(3), None
+    status = HandsOnStatus.RESTLESS if reached else HandsOnStatus.SHORT
+    if loop.stop_reason:
+        status = HandsOnStatus.STOPPED
+    elif len(resting) == _ticks_at_rest(settings, period):
+        status, error = HandsOnStatus.REGISTERED, settings.registration_error_m * direction / np.linalg.norm(direction)
+        registered = read_only(np.mean(resting, axis=0) + error)
+    columns = {name: np.array([row[name] for row in rows]) for name in rows[0]}
+    columns["trocar_m"] = columns["tip_ref_m"] = np.tile(goal, (len(rows), 1))
+    believed = np.full(3, np.nan) if registered is None else registered
+    columns["trocar_registered_m"] = np.tile(believed, (len(rows), 1))
+    columns["tip_error_m"] = np.linalg.norm(columns["tip_ref_m"] - columns["tip_m"], axis=1)
+    meta = {
+        "hands_on": settings.model_dump(mode="json"), "status": status.name.lower(), "seed": seed, "period_s": period,
+        "ended": f"stopped: {loop.stop_reason}" if loop.stop_reason else "completed",
+    }  # fmt: skip
+    return HandsOn(status, goal, registered, np.array(law.seen.q), Trace(columns, meta))
+
+
+def _ticks_at_rest(settings: HandsOnSettings, period: float) -> int:
+    return max(1, round(settings.rest_s / period))
+
+
+def _pulled(
+    goal: Array, plant: Plant, robot: RobotModel, settings: HandsOnSettings, loop: ClosedLoop, law: _Guiding
+) -> tuple[list[dict[str, Array | float]], list[Array], bool]:
+    """Run the loop; return its rows, the believed tips since the tip rests at the goal, and if it was ever there."""
+    period = plant.settings.period_s
     hand, tool, tip = Hand(settings.hand, period), plant.mj_data.body("tool"), plant.mj_data.body(robot.data.tip_frame)
     point = tool.xmat.reshape(3, 3).T @ (tip.xpos - tool.xpos)  # where the hand holds the tool, in its own frame [m]
     gain = -math.expm1(-2.0 * math.pi * _SPEED_FILTER_Hz * period)
-    needed = max(1, round(settings.rest_s / period))
     slow, reached = np.zeros(3), False
     rows: list[dict[str, Array | float]] = []
     resting: list[Array] = []
-    ticks = math.ceil(settings.time_limit_s / period)
-    loop.start(_NO_REFERENCE, _NO_TROCAR)
+    needed, ticks = _ticks_at_rest(settings, period), math.ceil(settings.time_limit_s / period)
     while len(resting) < needed and loop.ticks < ticks and not loop.finished:
         # The model has the plant's geometry, and differs in masses only: this is the tip's true velocity.
         force = hand.pull(plant.tip, robot.state(plant.q, plant.v).J_tip @ plant.v, goal)
@@ -239,18 +232,11 @@ def _guide(
         there = float(np.linalg.norm(plant.tip - goal)) <= settings.tolerance_m
         loop.step(_NO_REFERENCE, _NO_TROCAR)
         rows[-1]["tau_Nm"] = loop.tau
-        seen = law.seen
-        slow += gain * (seen.J_tip @ seen.v - slow)
+        slow += gain * (law.seen.J_tip @ law.seen.v - slow)
         reached = reached or there
         if there and not loop.stop_reason and float(np.linalg.norm(slow)) <= settings.rest_speed_m_per_s:
-            resting.append(seen.tip)
+            resting.append(law.seen.tip)
         else:
             resting.clear()
     plant.clear_pushes("tool")
-    status = HandsOnStatus.REGISTERED
-    if loop.stop_reason:
-        status = HandsOnStatus.STOPPED
-    elif len(resting) < needed:
-        status = HandsOnStatus.RESTLESS if reached else HandsOnStatus.SHORT
-    columns = {name: np.array([row[name] for row in rows]) for name in rows[0]}
-    return columns, np.array(resting), status, np.array(law.seen.q), loop.stop_reason
+    return rows, resting, reached

@@ -8,7 +8,7 @@ from pathlib import Path as File
 
 import cv2
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from moc_opt.arrays import Array
 from moc_opt.errors import PlantError
@@ -30,7 +30,7 @@ def draw(
         picture: (H, W, 3).
         camera: where the robot takes it to be, so that the drawing shows the robot's plan.
         task: (k, 3) points along the path, base frame [m].
-        progress: share of the path that is done, 0 to 1: drawn in another colour.
+        progress: share of the path that is done, 0 to 1, drawn in another colour.
         tip: (3,) base frame [m].
         trocar: (3,) base frame [m]; mostly outside the picture, so a line is drawn towards it from the tip.
         text: a line at the bottom.
@@ -42,25 +42,29 @@ def draw(
         pixels = camera.project(part)
         pixels = pixels[np.isfinite(pixels).all(axis=1)]
         if len(pixels) > 1:
-            cv2.polylines(page, [_sixteenths(pixels)], False, colour, 2, cv2.LINE_AA, 4)
-    _line_to_trocar(page, camera, end, far)
+            sixteenths = np.rint(16.0 * np.clip(pixels, -1e5, 1e5)).astype(np.int32)
+            cv2.polylines(page, [sixteenths], False, colour, 2, cv2.LINE_AA, 4)
+    near, away = camera.camera_in_base.inverse().apply(np.array([end, far]))[:, 2]
+    if near > _NEAR_M:
+        if away < _NEAR_M:  # behind the camera: the line ends before it
+            far = end + (near - _NEAR_M) / (near - away) * (far - end)
+        _line_to_trocar(page, *np.clip(camera.project(np.array([end, far])), -1e6, 1e6))
     pixel = camera.project(end)[0]
     if np.isfinite(pixel).all() and np.abs(pixel).max() < 1e4:
         cv2.drawMarker(page, _whole(pixel), TIP, cv2.MARKER_CROSS, 16, 2, cv2.LINE_AA)
-    _write(page, text, (6, page.shape[0] - 8))
+    (width, height), below = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, 0.5, 1)
+    x, y = 6, page.shape[0] - 8
+    cv2.rectangle(page, (x - 4, y - height - 4), (x + width + 4, y + below + 2), (40, 40, 40), cv2.FILLED)
+    cv2.putText(page, text, (x, y), cv2.FONT_HERSHEY_SIMPLEX, 0.5, TEXT, 1, cv2.LINE_AA)
     return page
 
 
 def save_film(path: str | os.PathLike[str], pictures: Iterable[Picture], rate_Hz: float) -> int:
-    """Write a film: .webm, .mp4 or .avi.
+    """Write pictures (H, W, 3) of one size as they come, and return their number.
 
     Args:
-        path: the film, in a folder that exists.
-        pictures: (H, W, 3) each, all of one size; they are written as they come.
+        path: the film (.webm, .mp4 or .avi), in a folder that exists.
         rate_Hz: pictures in a second.
-
-    Returns:
-        The number of pictures.
 
     Raises:
         PlantError: unknown suffix, no pictures, or it cannot be written.
@@ -69,49 +73,30 @@ def save_film(path: str | os.PathLike[str], pictures: Iterable[Picture], rate_Hz
     codec = _CODECS.get(file.suffix.lower())
     if codec is None:
         raise PlantError(f"film {str(path)!r}: give a name in {', '.join(_CODECS)}")
-    writer, count = None, 0
+    writer, count = cv2.VideoWriter(), 0
     try:
         for picture in pictures:
-            if writer is None:
-                size = picture.shape[1], picture.shape[0]
-                writer = cv2.VideoWriter(str(file), cv2.VideoWriter.fourcc(*codec), rate_Hz, size)
-                if not writer.isOpened():
-                    raise PlantError(f"film {str(path)!r} cannot be written: check its folder, rights and space")
+            if not count:
+                writer.open(str(file), cv2.VideoWriter.fourcc(*codec), rate_Hz, picture.shape[1::-1])
+            if not writer.isOpened():
+                raise PlantError(f"film {str(path)!r} cannot be written: check its folder, rights and space")
             writer.write(picture)
             count += 1
     finally:
-        if writer is not None:
-            writer.release()
+        writer.release()
     if count == 0:
         raise PlantError(f"film {str(path)!r} has no pictures: give one or more")
     return count
 
 
-def _line_to_trocar(page: Picture, camera: Camera, tip: Array, trocar: Array) -> None:
-    to_camera = camera.camera_in_base.inverse()
-    near, far = float(to_camera.apply(tip)[2]), float(to_camera.apply(trocar)[2])
-    if near <= _NEAR_M:
-        return
-    end = trocar if far >= _NEAR_M else tip + (near - _NEAR_M) / (near - far) * (trocar - tip)
-    width, height = camera.size_px
-    start, stop = np.clip(camera.project(np.array([tip, end])), -1e6, 1e6)
-    inside, first, last = cv2.clipLine((0, 0, width, height), _whole(start), _whole(stop))
+def _line_to_trocar(page: Picture, start: Array, end: Array) -> None:
+    height, width = page.shape[:2]
+    inside, first, last = cv2.clipLine((0, 0, width, height), _whole(start), _whole(end))
     if inside:
         cv2.line(page, first, last, TROCAR, 1, cv2.LINE_AA)
         label = (min(max(last[0] + 6, 0), width - 60), min(max(last[1], 16), height - 8))
         cv2.putText(page, "trocar", label, cv2.FONT_HERSHEY_SIMPLEX, 0.45, TROCAR, 1, cv2.LINE_AA)
 
 
-def _write(page: Picture, text: str, corner: tuple[int, int]) -> None:
-    (width, height), below = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, 0.5, 1)
-    x, y = corner
-    cv2.rectangle(page, (x - 4, y - height - 4), (x + width + 4, y + below + 2), (40, 40, 40), cv2.FILLED)
-    cv2.putText(page, text, corner, cv2.FONT_HERSHEY_SIMPLEX, 0.5, TEXT, 1, cv2.LINE_AA)
-
-
 def _whole(pixel: Array) -> tuple[int, int]:
     return round(float(pixel[0])), round(float(pixel[1]))
-
-
-def _sixteenths(pixels: Array) -> NDArray[np.int32]:
-    return np.rint(16.0 * np.clip(pixels, -1e5, 1e5)).astype(np.int32)

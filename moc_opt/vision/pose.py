@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,15 +10,14 @@ from numpy.typing import ArrayLike
 
 from moc_opt.arrays import Array, read_only
 from moc_opt.errors import TaskError
-from moc_opt.tasks.checks import direction3, vector3
+from moc_opt.tasks.checks import vector3
 
 
 @dataclass(frozen=True, eq=False)
 class Pose:
     """x_outer = R x_inner + t.
 
-    `a_in_b` is a good name for one: it takes points of frame a into frame b. Chains read from right to left:
-    board_in_base = camera_in_base @ board_in_camera.
+    Chains read from right to left: board_in_base = camera_in_base @ board_in_camera.
 
     Args:
         R: (3, 3) rotation, its columns are the inner axes in the outer frame.
@@ -52,7 +50,7 @@ class Pose:
         return Pose(self.R.T, -self.R.T @ self.t)
 
     def __matmul__(self, other: Pose) -> Pose:
-        return Pose(_orthonormal(self.R @ other.R), self.apply(other.t))
+        return Pose(self.R @ other.R, self.apply(other.t))
 
     def distance(self, other: Pose) -> tuple[float, float]:
         """Return how far apart two poses are: between the origins [m], and the angle of the turn between [rad]."""
@@ -61,27 +59,7 @@ class Pose:
     def towards(self, other: Pose, share: float) -> Pose:
         """Return the pose at a share in [0, 1] of the way to another: straight, at a constant rate of turn."""
         turn = rotation_from(share * rotation_vector(self.R.T @ other.R))
-        return Pose(_orthonormal(self.R @ turn), self.t + share * (other.t - self.t))
-
-
-def looking_at(eye: ArrayLike, target: ArrayLike, up: ArrayLike) -> Pose:
-    """Return the pose of a camera in the frame that its arguments are given in: x right, y down, z forward.
-
-    Args:
-        eye: where it is, (3,) [m].
-        target: point in the middle of its picture, (3,) [m].
-        up: direction upwards in the picture, (3,), any length, not along the view.
-
-    Raises:
-        TaskError: eye and target coincide, or `up` is along the view.
-    """
-    at = vector3("eye", eye)
-    forward = direction3("target - eye", vector3("target", target) - at)
-    right = np.cross(forward, direction3("up", up))
-    if math.sqrt(float(right @ right)) < 1e-6:
-        raise TaskError(f"up = {up!r} is along the view: choose another direction for the picture's top")
-    right = direction3("right", right)
-    return Pose(np.stack([right, np.cross(forward, right), forward], axis=1), at)
+        return Pose(self.R @ turn, self.t + share * (other.t - self.t))
 
 
 def rotation_from(vector: ArrayLike) -> Array:
@@ -92,8 +70,3 @@ def rotation_from(vector: ArrayLike) -> Array:
 def rotation_vector(rotation: ArrayLike) -> Array:
     """Return axis times angle (3,) [rad] of a rotation (3, 3), the angle in [0, pi]."""
     return np.asarray(pin.log3(np.array(rotation, dtype=np.float64)))
-
-
-def _orthonormal(rotation: Array) -> Array:
-    left, _, right = np.linalg.svd(rotation)
-    return np.asarray(left @ right)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import NamedTuple, TypeVar
 
@@ -12,8 +13,7 @@ from numpy.typing import ArrayLike
 
 from moc_opt.arrays import Array
 from moc_opt.errors import RobotError, ScenarioError, TaskError
-from moc_opt.planning.freedoms import freedoms
-from moc_opt.planning.self_motion import self_motion
+from moc_opt.planning.self_motion import freedoms, self_motion
 from moc_opt.robots.chain import desired_wrist
 from moc_opt.robots.inverse_kinematics import Placed, solve_pose
 from moc_opt.robots.model import RobotModel, RobotState
@@ -34,11 +34,7 @@ _START_TOLERANCE_M = 0.002
 
 
 class UnreachableError(TaskError):
-    """The arm cannot do this task.
-
-    Attributes: `field`, the setting to change: "path", "trocar", "joint limits", "v_max", "start"; `arc_length_m`,
-        the place on the path [m].
-    """
+    """The arm cannot do this task: `field` ("path", "trocar", "joint limits", "v_max", "start"), `arc_length_m` [m]."""
 
     def __init__(self, field: str, arc_length_m: float, problem: str, cure: str) -> None:
         super().__init__(f"{field}: at {1e3 * arc_length_m:.1f} mm along the path {problem}: {cure}")
@@ -57,11 +53,10 @@ class Reach:
 
 
 def check_start(robot: RobotModel, q: ArrayLike) -> RobotState:
-    """Check that a run can begin at q (n,) [rad], and return the state there.
+    """Return the state at q (n,) [rad], where a run can begin there.
 
     Raises:
-        ScenarioError: wrong shape, not finite, outside the joint limits, or singular: the tip cannot move in some
-            direction, or tip and wrist cannot move together as they can elsewhere.
+        ScenarioError: wrong shape, not finite, outside the joint limits, or singular.
     """
     pose = np.asarray(q, dtype=np.float64)
     if pose.shape != (robot.n,) or not np.isfinite(pose).all():
@@ -89,12 +84,7 @@ def check_start(robot: RobotModel, q: ArrayLike) -> RobotState:
 def check_path(
     robot: RobotModel, q: ArrayLike, reference: Reference, registered: Trocar, until_s: float = np.inf
 ) -> Reach:
-    """Check that the tip can follow the reference from q with the shaft through the registered trocar.
-
-    Args:
-        q: (n,) the start [rad].
-        registered: the trocar that the controller is told.
-        until_s: end of the run [s]; the reference after it is ignored.
+    """Check that the tip can follow the reference from q (n,) [rad] with the shaft through the registered trocar.
 
     Raises:
         UnreachableError: a point or a joint speed is out of reach; names what, where and the cure.
@@ -112,13 +102,10 @@ def random_start(
 ) -> Found:  # fmt: skip
     """Draw poses until one can do the task, and return what was laid out from it.
 
-    A pose is drawn evenly from the joints' ranges, less `DRAWN_MARGIN` at both ends, and rejected where, after its
-    swivel is chosen,
-
-    - it is singular or nearly so (`REGULAR`), or a pose along the path is;
-    - a joint is within its margin of its limit, at the start or along the path;
-    - tip or wrist is below the plane that the arm stands on, at the start or along the path;
-    - the task cannot be done from it within joint limits and joint speeds.
+    A pose is drawn evenly from the joints' ranges, less `DRAWN_MARGIN` at both ends. It is rejected where the task
+    cannot be done from it within joint limits and speeds, and where, at the start after its swivel is chosen or along
+    the path, it is nearly singular (`REGULAR`), a joint is within its margin of its limit, or tip or wrist is below the
+    plane that the arm stands on.
 
     Args:
         swivelled: a pose -> the one that is begun with, of the same tip and wrist.
@@ -169,28 +156,17 @@ def _require_fit(robot: RobotModel, q: Array, margins: Array, where: str = "") -
         raise _UnfitError(f"below the arm's base{where}")
 
 
-class _Places(NamedTuple):
-    t: Array
-    arc: Array
-    tip: Array
-    tip_velocity: Array
-    trocar: Array
-    trocar_velocity: Array
-
-
 def check_reachable(
     robot: RobotModel, q_start: ArrayLike, reference: Reference, trocar: Trocar | ArrayLike, *,
     spacing_m: float = 0.002, until_s: float = np.inf,
 ) -> Reach:  # fmt: skip
     """Follow the reference with the shaft through the trocar, inside joint limits and joint speeds.
 
-    Each point is solved from the pose before it, with the joints that have room taking over from those at a
-    limit. If that ends nowhere, the path is tried again from the middle of the starting self-motion. A
-    refused path may still be possible along a way that this search does not try; an accepted path is possible.
+    Each point is solved from the pose before it. If that fails, the path is tried again from the middle of the
+    starting self-motion. A refused path may still be possible another way; an accepted path is possible.
 
     Args:
         q_start: (n,) the pose it begins with, its tip at the start of the reference [rad].
-        reference: where the tip has to be, and when.
         trocar: where the shaft has to pass; a point (3,) [m] rests.
         spacing_m: distance of the points that are looked at [m].
         until_s: time at which the run ends [s]; the reference after it is ignored.
@@ -209,14 +185,21 @@ def check_reachable(
     _check_depth(robot, places)
     try:
         return _follow(robot, state.q, places, reference)
-    except UnreachableError as told:
+    except UnreachableError:
         other = _middle(robot, state.q)
-        try:
-            if other is not None:
+        if other is not None:
+            with suppress(UnreachableError):
                 return _follow(robot, other, places, reference)
-        except UnreachableError:
-            raise told from None  # what stopped the given pose is what the user should hear
-        raise
+        raise  # what stopped the given pose is what the user should hear
+
+
+class _Places(NamedTuple):
+    t: Array
+    arc: Array
+    tip: Array
+    tip_velocity: Array
+    trocar: Array
+    trocar_velocity: Array
 
 
 def _places(reference: Reference, trocar: Trocar, spacing_m: float, until_s: float) -> _Places:
@@ -279,10 +262,11 @@ def _out_of_reach(robot: RobotModel, places: _Places, k: int, wrist: Array, plac
 
 def _too_fast(robot: RobotModel, places: _Places, k: int, rates: Array, reference: Reference) -> UnreachableError:
     shares = np.abs(rates / robot.v_max)
-    i, name = int(np.argmax(shares)), robot.data.joint_names[int(np.argmax(shares))]
+    i = int(np.argmax(shares))
+    name, most = robot.data.joint_names[i], robot.v_max[i]
     # Joint speeds go with the tip's, which may peak below v_max where the acceleration is what limits it.
     slower = 0.99 * float(np.linalg.norm(places.tip_velocity, axis=1).max()) / shares[i]
-    problem = f"{name} would have to turn at {abs(rates[i]):.2f} rad/s and can do {robot.v_max[i]:.2f}"
+    problem = f"{name} would have to turn at {abs(rates[i]):.2f} rad/s and can do {most:.2f}"
     cure = f"lower v_max from {reference.v_max:g} to {slower:.3g} m/s or less, or move the path away from the trocar"
     return UnreachableError("v_max", places.arc[k], problem, cure)
 

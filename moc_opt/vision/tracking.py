@@ -4,19 +4,34 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import ClassVar
 
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike
+from pydantic import Field
 
 from moc_opt.arrays import Array
 from moc_opt.errors import TaskError
-from moc_opt.vision.board import Board
+from moc_opt.vision.board import Board, VisionSettings
 from moc_opt.vision.camera import Camera, Picture, dictionary
 from moc_opt.vision.pose import Pose, rotation_from, rotation_vector
-from moc_opt.vision.settings import TrackerSettings
 
 _OUTLIER, _CLEAN_PX = 4.0, 0.6  # a corner this many medians off is left out, unless it is this near anyway
+
+
+class TrackerSettings(VisionSettings):
+    """When a sighting of the board is believed."""
+
+    KIND: ClassVar[str] = "[tracker]"
+
+    min_markers: int = Field(3, ge=1, description="fewer than this are no sighting")
+    error_max_px: float = Field(1.0, gt=0.0, description="a worse fit is no sighting")
+    jump_m: float = Field(0.004, gt=0.0, description="a sighting farther than this from the estimate is an outlier")
+    jump_rad: float = Field(0.05, gt=0.0, description="and so is one turned by more")
+    found_after: int = Field(3, ge=1, description="sightings in a row that agree: the board is found, or was moved")
+    lost_after_s: float = Field(0.12, gt=0.0, description="without a sighting: the board is lost")
+    smoothing_s: float = Field(0.3, ge=0.0, description="time constant of the estimate; 0: every sighting as it is")
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,9 +71,6 @@ class BoardFinder:
         A plane seen from afar fits two poses (mirrored about the line of sight): both are computed (IPPE) and
         refined by Levenberg-Marquardt on all corners, and the better one is taken. Corners far off it, mostly where
         the tool's edge crosses a marker, are then left out, and the rest is refined again.
-
-        Args:
-            picture: (H, W, 3), blue green red.
         """
         seen = self.corners(picture)
         if not seen:
@@ -110,7 +122,7 @@ class BoardTracker:
 
     A board that rests is averaged over `smoothing_s`. One sighting far from the estimate is an outlier and
     changes nothing; several in a row that agree with each other are a board that was moved, and the estimate
-    goes there at once: whoever uses it must not jump with it (see `WaitingReference`).
+    goes there at once. Its user must not jump with it (see `WaitingReference`).
     """
 
     def __init__(self, limits: TrackerSettings | None = None) -> None:
@@ -124,15 +136,7 @@ class BoardTracker:
         self._streak: list[Pose] = []  # of good sightings that are not in the estimate yet
 
     def update(self, t: float, sighting: Sighting | None) -> Tracked:
-        """Take in one picture.
-
-        Args:
-            t: when it was taken [s], later than the one before.
-            sighting: the board found in it, None if there is none.
-
-        Raises:
-            TaskError: t is not later than the last picture.
-        """
+        """Take in what the picture of time t [s] shows; a TaskError where t is not after the last picture."""
         if not t > self._time:
             raise TaskError(f"t = {t!r} s is not after the last picture at {self._time!r} s: keep their order")
         elapsed, self._time = t - self._time, t

@@ -107,6 +107,7 @@ def test_a_first_line_that_names_the_columns_is_no_point(heading, tmp_path):
         ("x_mm,y_mm,z_mm\n10,0,0\n", 1, "the first line may name the columns, x_m,y_m,z_m"),
         ("y,x,z\n0,0,0\n", 1, "x_m,y_m,z_m"),
         ("x,y,z\nx,y,z\n0,0,0\n", 2, "give x, y, z"), ("0.1, 0.2\n", 1, "'0.1, 0.2'"), ("0 0 0\n1 2 nan\n", 2, "nan"),
+        ("0_1 0 0\n", 1, "give x, y, z"), ("0,0,\u0661\n", 1, "give x, y, z"),
         ("# index and all\n0,0.1,0,0\n1,0.2,0,0\n", 2, r"pandas: to_csv\(index=False\)"),
     ],
 )
@@ -117,13 +118,14 @@ def test_columns_of_another_unit_order_or_number_are_refused_with_the_cure(text,
         read_waypoints(str(file))
 
 
-def test_waypoints_and_another_path_exclude_each_other(tmp_path, capsys):
-    with pytest.raises(ScenarioError, match=r"path = 'spiral': leave waypoints_m out"):
-        mo.Scenario(task={"path": "spiral", "waypoints_m": POINTS})
-    with pytest.raises(ScenarioError, match=r"path = 'waypoints': give waypoints_m"):
-        mo.Scenario(task={"path": "waypoints"})
+@pytest.mark.parametrize(("arguments", "cure"), [
+    (["--task", "bad.csv"], "bad.csv': there is no point in it"), (["--task", "spirla"], "did you mean 'spiral'"),
+])  # fmt: skip
+def test_a_wrong_task_is_refused_with_the_cure(arguments, cure, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
     (tmp_path / "bad.csv").write_text("# nothing\n", encoding="utf-8")
-    assert main(["run", "--task", str(tmp_path / "bad.csv")]) == 2
-    assert "bad.csv': there is no point in it" in capsys.readouterr().err
-    assert main(["run", "--task", "spirla"]) == 2
-    assert "did you mean 'spiral'" in capsys.readouterr().err
+    assert main(["run", *arguments]) == 2
+    assert cure in capsys.readouterr().err
+    for task, said in ({"path": "spiral", "waypoints_m": POINTS}, "leave"), ({"path": "waypoints"}, "give"):
+        with pytest.raises(ScenarioError, match=said):
+            mo.Scenario(task=task)

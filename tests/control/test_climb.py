@@ -26,7 +26,7 @@ def wish(robot, q, margin=0.0):
     rest = np.array([s.tip, np.zeros(3), np.zeros(3)])
     trocar = np.array([s.tip - 0.15 * s.tool_direction, np.zeros(3)])
     row = subproblem(s, rest, trocar, arm=robot.arm, climbs=True, c2=1.0, rho=1.0, shaft_margin=margin)
-    return np.array(fields(row).grad_mu)
+    return np.array(fields(row).pull)
 
 
 def test_near_a_top_the_wish_is_the_way_to_it(robot: RobotModel) -> None:

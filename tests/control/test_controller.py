@@ -9,6 +9,7 @@ from moc_opt.control import Controller, ControlSettings
 from moc_opt.control.supervisor import Fault, SupervisorSettings
 from moc_opt.errors import ControlError
 from moc_opt.solvers import Status
+from moc_opt.solvers.exact import Exact
 from tests.control.torques import tracking
 from tests.reference.law import null_space
 
@@ -134,9 +135,6 @@ def test_the_box_closes_before_the_limit(robot, margin):
                 qp = controller.subproblem
                 outwards = qp.upper[joint] if side > 0.0 else -qp.lower[joint]
                 assert outwards == pytest.approx(2.0 * inside, abs=1e-12)
-
-
-# --- the null space from tick to tick ---
 
 
 # --- when the subproblem has no answer ---
@@ -307,6 +305,33 @@ def test_a_start_forgets_and_two_controllers_share_nothing(robot):
     assert controller.subproblem is None
     assert np.isnan(controller.answer).all()
     np.testing.assert_array_equal(controller.external_torque, 0.0)
+
+
+class AsAnyOther(Exact):
+    """`exact` in a session of its own, as every other solver: the controller knows its own by its type."""
+
+
+@pytest.mark.parametrize("fallback", ["damping", "hold", "least-violation"])
+@pytest.mark.parametrize("speed", [0.02, 3.0], ids=["feasible", "infeasible"])
+def test_the_cores_own_solver_gives_what_its_session_gives(robot, speed, fallback):
+    rng, settings = np.random.default_rng(3), ControlSettings(fallback=fallback)
+    pair = [Controller(robot, settings, solver) for solver in (Exact(), AsAnyOther())]
+    q = np.array(robot.data.q_home)
+    for k in range(20):
+        state = robot.state(q + 1e-3 * k, 0.1 * rng.normal(size=7))
+        tip_ref, trocar = reference(state)
+        tip_ref[1] = [speed, 0.0, 0.0]
+        if k == 0:
+            for controller in pair:
+                controller.start(state, tip_ref, trocar)
+        own, other = (controller.tick(state, tip_ref, trocar) for controller in pair)
+        np.testing.assert_array_equal(own, other)
+        np.testing.assert_array_equal(pair[0].answer, pair[1].answer)
+        assert pair[0].subproblem == pair[1].subproblem
+        assert repr(pair[0].solution) == repr(pair[1].solution)
+        assert pair[0].fault is pair[1].fault
+    assert pair[0].faults == pair[1].faults
+    assert (pair[0].fault is Fault.NONE) == (speed < 1.0)
 
 
 def test_a_warm_up_changes_nothing(robot):

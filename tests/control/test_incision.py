@@ -21,8 +21,8 @@ def seen(robot, q, point, wrench=None, tip_force=None):
     guard = core.Guard(robot.arm, **numbers_of(s, robot, PERIOD))
     guard.start(q, np.zeros(7), 0)
     reading = np.full(6, np.nan) if wrench is None else wrench
-    guard.believe(q, np.zeros(7), None, None, reading, np.array([point, np.zeros(3)]))
-    (rcm, *_), (force, *_), _ = guard.figures()
+    guard.believe(q, np.zeros(7), None, None, reading, np.array([point, np.zeros(3)]), np.empty((2, 7)))
+    rcm, force = np.sqrt(guard.mean_square)
     return rcm, force
 
 

@@ -26,8 +26,9 @@ def ages(stamps, patience=PATIENCE):
     rest, deaf, found = np.zeros(N), np.full(6, np.nan), []
     guard.start(rest, rest, 0)
     for stamp in stamps:
-        late = core.REASONS[guard.believe(rest, rest, int(stamp), None, deaf, None)] == "measurements are too late"
-        bad = guard.figures()[2]
+        reason = core.REASONS[guard.believe(rest, rest, int(stamp), None, deaf, None, np.empty((2, N)))]
+        late = reason == "measurements are too late"
+        bad = guard.bad
         found.append(OLD if late else REPEAT if bad else FRESH)
     return found
 

@@ -11,7 +11,9 @@ from moc_opt.errors import ControlError, PlantError
 from moc_opt.scenario import Scenario, Setup, run
 from moc_opt.scenario.adapter import ControllerAdapter
 from moc_opt.sim import Plant, PlantSettings
-from moc_opt.sim.loop import RunAway, Stop, simulate
+from moc_opt.sim.loop import simulate
+from moc_opt.sim.plant import Stop
+from moc_opt.sim.record import RunAway
 from moc_opt.trace.trace import Trace
 from tests.control.test_incision import seen
 

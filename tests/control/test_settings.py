@@ -228,7 +228,7 @@ def test_table_one_moc(robot, given, name):
     assert [law[gain] for gain in ("K_X", "D_X", "K_N", "D_N")] == TRACKING["moc"]
     assert (law["rcm_lambda"], law["feedforward"], law["k0"]) == (LAMBDA, False, K_0)
     assert [law[weight] for weight in ("c0", "c1", "c2", "rho")] == [C_0, C_1, C_2, 0.0]
-    assert controller.subproblem.row[6 * 7 + 6 + 21 : 6 * 7 + 10 + 21].tolist() == [C_0, C_1, C_2, 0.0]
+    assert controller.subproblem.fields.weights.tolist() == [C_0, C_1, C_2, 0.0]
     for limit in ("q_min", "q_max", "v_max"):
         np.testing.assert_array_equal(law[limit], getattr(robot, limit))
     assert law["K_N2"].tolist() == K_N2

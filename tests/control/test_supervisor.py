@@ -66,7 +66,7 @@ def solved(qp):
 
 def opposite(qp):
     row = np.array(qp.row)
-    fields(row).grad_mu[:] *= -1.0
+    fields(row).pull[:] *= -1.0
     return solved(NullSpaceQP.from_row(row))
 
 
@@ -308,7 +308,7 @@ def test_what_is_verified_is_taken_where_a_course_rests(seed, rest, off, rho):
 
 def along_the_line(qp, Z, x):
     """What `answer_residuals` says of x, by search: a bounded minimizer for the optima, bisection for the residual."""
-    d = Z.T @ (Z @ qp.grad_mu)
+    d = Z.T @ (Z @ qp.pull)
     d /= np.linalg.norm(d)
     moving = np.abs(d) > 1e-9
     ends = np.array([qp.lower - x, qp.upper - x])[:, moving] / d[moving]
@@ -316,15 +316,15 @@ def along_the_line(qp, Z, x):
 
     def distance(sign):
         def cost(t):
-            return -sign * qp.c2 * (qp.grad_mu @ d) * t + 0.5 * qp.regularization * ((x + t * d) @ (x + t * d))
+            return -sign * qp.c2 * (qp.pull @ d) * t + 0.5 * qp.regularization * ((x + t * d) @ (x + t * d))
 
         edges = [t for t in (low, high) if np.isfinite(t)]
         ends = (max(low, -1e3), min(high, 1e3))
         inside = minimize_scalar(cost, bounds=ends, method="bounded", options={"xatol": 1e-12})
         return abs(min([*edges, inside.x], key=cost))
 
-    scale = max(qp.c2 * np.abs(qp.grad_mu).max(), qp.regularization)
-    slope = d @ (qp.regularization * x - qp.c2 * qp.grad_mu) / scale
+    scale = max(qp.c2 * np.abs(qp.pull).max(), qp.regularization)
+    slope = d @ (qp.regularization * x - qp.c2 * qp.pull) / scale
 
     def reaches(t):  # is there a w with d . w = slope and |x - clip(x - w)| <= t?
         least = np.where(qp.upper - x <= t, -np.inf, -t)
@@ -367,17 +367,17 @@ def test_the_residuals_along_the_line_against_a_search(c2):
 def test_no_line_no_residual_along_it(qp, Z):
     """Without a pull along the self-motion, or without a kernel, every feasible answer is an optimum."""
     x = solved(qp).x
-    for row, Zs in ((np.array(qp.row), np.zeros((0, 7))), (still(qp, "grad_mu"), Z), (still(qp, "c2"), Z)):
+    for row, Zs in ((np.array(qp.row), np.zeros((0, 7))), (still(qp, "pull"), Z), (still(qp, "c2"), Z)):
         assert judged(row, Zs, x)[2:] == (0.0, 0.0, 0.0)
     faint = np.array(qp.row)
-    fields(faint).grad_mu[:] *= 1e-9  # small is not none: what counts is its share along the self-motion
+    fields(faint).pull[:] *= 1e-9  # small is not none: what counts is its share along the self-motion
     assert judged(faint, Z, x + 0.1 * Z[0] + 0.1 * Z[1])[2] > 0.0
 
 
 def still(qp, name):
     row = np.array(qp.row)
-    fields(row).grad_mu[:] *= name != "grad_mu"
-    row[6 * 7 + 8 + 3 * 7] *= name != "c2"
+    fields(row).pull[:] *= name != "pull"
+    fields(row).weights[2] *= name != "c2"
     return row
 
 
@@ -504,7 +504,7 @@ def test_both_ends_of_a_box_that_leaves_no_room_are_right(qp, Z):
     x, along = solved(qp).x, 1e-4 * Z[0]
     low, high = np.minimum(x - along, x + along), np.maximum(x - along, x + along)
     narrow = NullSpaceQP(
-        qp.J_tip, qp.J_wrist, *np.split(qp.A @ x, 2), qp.grad_mu, low, high, regularization=qp.regularization
+        qp.J_tip, qp.J_wrist, *np.split(qp.A @ x, 2), qp.pull, low, high, regularization=qp.regularization
     )
     for end in (x - along, x + along):
         mine = supervisor()
@@ -517,7 +517,7 @@ def test_an_idle_joint_that_is_the_only_freedom_is_judged_as_one(seed):
     """Five joints for five independent rows, and one that moves neither tip nor wrist."""
     qp, joints = random_problem(np.random.default_rng(seed)), [0, 1, 2, 3, 4, 6]
     A, x = qp.A[:, joints], 0.5 * (qp.lower + qp.upper)[joints]
-    one = NullSpaceQP(*np.split(A, 2), *np.split(A @ x, 2), np.r_[qp.grad_mu[:5], 0.2],
+    one = NullSpaceQP(*np.split(A, 2), *np.split(A @ x, 2), np.r_[qp.pull[:5], 0.2],
                       qp.lower[joints], qp.upper[joints])  # fmt: skip
     for end, wrong in ((one.lower[5], True), (one.upper[5], False)):
         x[5] = end

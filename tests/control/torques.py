@@ -31,10 +31,10 @@ def law(n, arm=None, supervision=None, fallback="damping", **changes):
 
 def ticked(state, tip_ref, trocar, x=None, pull=None, **parts):
     """One tick from the start: tau (n,) and the subproblem's record."""
-    made, tau, row = law(state.n, **parts), np.empty(state.n), np.empty(10 * state.n + 10)
+    made, tau, row = law(state.n, check=False, **parts), np.empty(state.n), np.empty(11 * state.n + 10)
     made.start(state.record, tip_ref, trocar, row)
     made.begin(state.record, tip_ref, trocar, pull, row)
-    made.finish(x, tau)
+    made.finish(0, 0, np.zeros(state.n) if x is None else x, 0.0, np.empty(state.n), tau)
     return tau, row
 
 
@@ -64,4 +64,4 @@ class Supervisor(supervisor.Supervisor):
 
     def solve(self, session, qp, Z, v=None):
         self._law.load(qp.row, np.ascontiguousarray(Z))
-        return super().solve(session, qp, v)
+        return super().solve(session, qp, np.empty(qp.n), v)

@@ -8,7 +8,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "moc.h"
+#include "tools.h"
 
 static uint64_t seed = 1;
 
@@ -196,34 +196,37 @@ static int bounded(const moc_guard *g, int n, const double *tau)
 
 static long reasons[MOC_STOPS], faults[MOC_FAULTS], statuses[4];
 
-/* The same states through moc_step: its torque is finite and within the limits in any case. */
-static int step(const moc_controller *c, const moc_measurement *m, const moc_reference *ref, const moc_trocar *trocar,
-                moc_state *state)
+/* One tick of either state: `own` solver between the halves, whose answers and claims are spoilt, or moc_step. */
+static moc_stop tick(const moc_controller *c, const moc_input *in, int own, moc_state *state, double *tau)
 {
-    double tau[MOC_MAX_JOINTS];
-    moc_measurement given = *m;
+    double x[MOC_MAX_JOINTS] = {0.0}, y[6];
+    moc_answer answer = {x, (moc_claim)(bits() % 4), MOC_TAKEN, uniform(0.0, 100.0)};
 
-    if (chance(30))
-        damage(&state->memory, &state->watch);
-    if (chance(60))
-        spoil(state->sent, c->arm->n, 4);
-    given.applied = chance(3) ? m->applied : NULL;
-    reasons[moc_step(c, &given, ref, trocar, state, tau)]++;
-    return bounded(c->guard, c->arm->n, tau);
+    if (!own)
+        return moc_step(c, in, state, tau);
+    if (moc_begin(c, in, state) == MOC_RUNNING && c->law->third_level) {
+        spoil(state->problem.A[0], MOC_MAX_JOINTS, 2000);
+        statuses[moc_solve_exact(&state->problem, 1e-9, x, y) & 3]++;
+        spoil(x, c->arm->n, 300);
+        if (chance(5)) {
+            const moc_network net = {20, 1.0, 1.0, 0.5, 100.0, chance(2), 1e-7};
+            int made;
+            moc_step_network(&state->problem, &net, x, y, &made);
+        }
+    }
+    moc_stop reason = moc_finish(c, &answer, state, tau);
+    faults[state->fault]++;
+    return reason;
 }
 
+/* A course of both; 0 where a torque or a friction is not finite and within its limits. */
 static int course(void)
 {
-    static moc_watch watch;
-    static moc_state state;
+    static moc_state states[2];
     moc_arm arm;
     moc_law law;
     moc_guard guard;
-    moc_memory memory;
-    moc_terms terms;
-    moc_problem problem;
-    moc_reference ref;
-    moc_trocar trocar;
+    moc_input in = {.pull = NULL};
     double q[MOC_MAX_JOINTS], v[MOC_MAX_JOINTS], sent[MOC_MAX_JOINTS] = {0.0}, pose[4][3];
     const moc_supervision supervision = {1, 0.1, 0.01, 0.05, 1e-3, 3, 1, (moc_fallback)(bits() % 3),
                                          (moc_late)(bits() % 3), chance(2) ? HUGE_VAL : 50.0};
@@ -238,23 +241,20 @@ static int course(void)
     }
     moc_tool_pose(&arm, q, pose);
     for (int i = 0; i < 3; i++) {
-        ref.X[i] = pose[3][i];
-        ref.dX[i] = uniform(-0.05, 0.05);
-        ref.ddX[i] = uniform(-0.5, 0.5);
-        trocar.P[i] = pose[3][i] - 0.15 * pose[2][i];
-        trocar.dP[i] = 0.0;
+        in.ref.X[i] = pose[3][i];
+        in.ref.dX[i] = uniform(-0.05, 0.05);
+        in.ref.ddX[i] = uniform(-0.5, 0.5);
+        in.trocar.P[i] = pose[3][i] - 0.15 * pose[2][i];
+        in.trocar.dP[i] = 0.0;
     }
-    if (moc_compute_terms(&arm, q, v, &terms) != MOC_OK)
-        return 1;
-    moc_start(&law, arm.n, &terms, &memory);
-    moc_guard_start(&guard, arm.n, q, v, 0, &watch);
-    memset(&state, 0, sizeof state);
-    if (!chance(20) && moc_begin_run(&controller, &(moc_measurement){q, v, 0, 1, sent, NULL}, &state) != MOC_RUNNING)
-        return 0;
+    for (int k = 0; k < 2; k++) {
+        memset(&states[k], 0, sizeof states[k]);
+        if (!chance(20) &&
+            moc_start(&controller, &(moc_measurement){q, v, 0, 1, sent, NULL}, &states[k]) != MOC_RUNNING)
+            return 0;
+    }
     for (long long k = 1; k < 30; k++) {
-        double seen_q[MOC_MAX_JOINTS], seen_v[MOC_MAX_JOINTS], wrench[6], tau[MOC_MAX_JOINTS] = {0.0};
-        double x[MOC_MAX_JOINTS] = {0.0}, y[6], friction[MOC_MAX_JOINTS];
-        moc_measurement m = {seen_q, seen_v, chance(40) ? (long long)bits() : k, !chance(4), sent, wrench};
+        double seen_q[MOC_MAX_JOINTS], seen_v[MOC_MAX_JOINTS], wrench[6];
 
         memcpy(seen_q, q, sizeof q);
         memcpy(seen_v, v, sizeof v);
@@ -264,45 +264,32 @@ static int course(void)
         spoil(seen_v, arm.n, 400);
         spoil(wrench, 6, 200);
         if (chance(60))
-            spoil(ref.X, 9, 4);
+            spoil(in.ref.X, 9, 4);
         if (chance(60))
-            spoil(trocar.P, 6, 4);
-        if (chance(30))
-            damage(&memory, &watch);
-        if (!step(&controller, &m, &ref, &trocar, &state))
-            return 0;
-        moc_stop reason = moc_guard_believe(&guard, &arm, &m, chance(5) ? NULL : &trocar, &watch);
-        if (moc_compute_terms(&arm, watch.q, watch.v, &terms) == MOC_OK) {
-            moc_begin(&arm, &law, &terms, &ref, &trocar, chance(4) ? v : NULL, &memory, &problem, tau);
-            if (law.third_level) {
-                spoil(problem.A[0], MOC_MAX_JOINTS, 2000);
-                moc_status status = moc_solve_exact(&problem, 1e-9, x, y);
-                statuses[status & 3]++;
-                spoil(x, arm.n, 300);
-                if (chance(5)) {
-                    const moc_network net = {20, 1.0, 1.0, 0.5, 100.0, chance(2), 1e-7};
-                    int made;
-                    moc_step_network(&problem, &net, x, y, &made);
-                }
-                moc_fault fault = moc_supervise(&supervision, &problem, MOC_TAKEN, (moc_claim)(bits() % 4), x,
-                                                uniform(0.0, 100.0), &memory, x);
-                faults[fault]++;
-            }
-            moc_finish(&law, arm.n, &terms, law.third_level ? x : NULL, &memory, tau);
-            moc_stop found = moc_guard_follow(&guard, &arm, &terms, terms.tip, ref.X, sent, tau, &watch);
-            reason = reason == MOC_RUNNING ? found : reason;
-        }
-        reasons[reason]++;
-        if (reason != MOC_RUNNING) {
-            moc_guard_rest(&guard, &arm, sent, &watch, tau);
-            moc_guard_hold(&guard, &arm, wrench, &watch, friction);
+            spoil(in.trocar.P, 6, 4);
+        in.measured = (moc_measurement){seen_q, seen_v, chance(40) ? (long long)bits() : k, !chance(4),
+                                        chance(3) ? sent : NULL, wrench};
+        in.pull = chance(4) ? v : NULL;
+        for (int own = 0; own < 2; own++) {
+            double tau[MOC_MAX_JOINTS], friction[MOC_MAX_JOINTS];
+            moc_state *state = &states[own];
+
+            if (chance(30))
+                damage(&state->memory, &state->watch);
+            if (chance(60))
+                spoil(state->sent, arm.n, 4);
+            moc_stop reason = tick(&controller, &in, own, state, tau);
+            reasons[reason]++;
+            if (!bounded(&guard, arm.n, tau))
+                return 0;
+            if (reason == MOC_RUNNING)
+                continue;
+            moc_guard_hold(&guard, &arm, wrench, &state->watch, friction);
             for (int i = 0; i < arm.n; i++)
                 if (!(friction[i] >= 0.0))
                     return 0;
-        } else if (!bounded(&guard, arm.n, tau)) {
-            return 0;
         }
-        memcpy(sent, bounded(&guard, arm.n, tau) ? tau : sent, sizeof sent);
+        memcpy(sent, states[1].sent, sizeof sent);
         for (int i = 0; i < arm.n; i++)
             q[i] += 0.002 * v[i];
     }

@@ -15,14 +15,14 @@ READ_ONLY.setflags(write=False)
 @pytest.mark.parametrize(
     ("name", "wrong"),
     [
-        ("record", QP.row[:-1]), ("record", QP.row.astype(np.float32)), ("record", QP.row.reshape(8, 10)),
+        ("record", QP.row[:-1]), ("record", QP.row.astype(np.float32)), ("record", QP.row.reshape(3, 29)),
         ("record", "text"), ("x", np.zeros(6)), ("x", np.zeros(14)[::2]), ("x", READ_ONLY), ("x", np.zeros(7, int)),
         ("x", None), ("y", np.zeros((6, 1))), ("y", np.zeros(5)), ("tolerance", "1e-9"),
     ],
 )  # fmt: skip
 def test_a_wrong_array_is_an_exception_that_names_it(name, wrong):
     given = {"record": QP.row, "tolerance": 1e-9, "x": np.zeros(7), "y": np.zeros(6), name: wrong}
-    with pytest.raises((TypeError, ValueError), match="real number" if name == "tolerance" else f"{name}|of "):
+    with pytest.raises((TypeError, ValueError), match="real number" if name == "tolerance" else f"{name}: give"):
         core.solve_exact(*given.values())
 
 
@@ -33,8 +33,8 @@ def test_another_number_of_arguments_is_refused(count):
 
 
 def test_rows_of_another_length_are_refused():
-    for rows in (np.zeros((2, 81)), np.zeros(80), np.zeros((2, 10)), np.zeros((0, 180 + 10))):
-        with pytest.raises(ValueError, match="10 n \\+ 10"):
+    for rows in (np.zeros((2, 88)), np.zeros(87), np.zeros((2, 10)), np.zeros((0, 187 + 10))):
+        with pytest.raises(ValueError, match="11 n \\+ 10"):
             core.solve_exact_rows(rows, 1e-9, np.zeros((2, 7)), np.zeros((2, 6)), np.zeros(2))
 
 

@@ -50,9 +50,6 @@ def test_every_place_where_a_name_is_read_checks_it(bad):
         registry._of_plugin(bad, [registry.EntryPoint(bad, "math:sqrt", registry.GROUP)])
 
 
-PIECES = ["*/", "*\\\n/", "*??/\n/", "\\", "??/", "\n", "/*", "//", "*", "/", "?", "a", '"', "int x;", "\r", "é"]
-
-
 @given(st.one_of(hostile_names, st.text()))
 @settings(max_examples=500, deadline=None, derandomize=True)
 def test_any_text_becomes_a_file_of_its_own_folder(text):

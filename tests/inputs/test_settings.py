@@ -5,7 +5,7 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 import pytest
-from pydantic import Field, StrictFloat
+from pydantic import Field
 
 from moc_opt.errors import ControlError, MocOptError, ScenarioError
 from moc_opt.inputs.settings import Settings
@@ -28,18 +28,6 @@ class Kinds(Settings):
     point: tuple[float, float] = (0.0, 0.0)
     sizes: dict[str, float] = Field(default_factory=dict)
     free: dict[str, Any] = Field(default_factory=dict)
-
-
-class Strict(Settings):
-    """Fields that take no text for a number in the first place."""
-
-    gain: StrictFloat | tuple[StrictFloat, ...] = 1.0
-    mode: Literal["1", "a"] = "a"
-
-    @classmethod
-    def keys(cls, values):
-        """Its own, and those of a free table."""
-        return [*super().keys(values), "settings.radius"]
 
 
 class Outer(Settings):
@@ -67,23 +55,6 @@ def test_a_number_or_flag_that_is_written_as_something_else_is_refused(field, va
         Kinds(**{field: value})
 
 
-@pytest.mark.parametrize(
-    ("values", "said"),
-    [
-        ({"gain": "80"}, r"gain = '80': a number has no quotes: drop them"),
-        ({"gain": ("80", 1.0)}, r"gain = \('80', 1.0\): a number has no quotes: drop them"),
-        ({"gain": ("0",)}, r"gain = \('0',\): a number has no quotes: drop them"),
-        ({"gain": "nan"}, r"'nan': input should be"),
-        ({"mode": "2"}, r"mode = '2': input should be '1' or 'a'"),
-    ],
-)
-def test_quotes_are_the_fault_only_where_the_number_alone_is_taken(values, said):
-    with pytest.raises(ScenarioError, match=said) as found:
-        Strict(**values)
-    assert ("no quotes" in str(found.value)) == ("no quotes" in said)
-    assert Strict(mode="1", gain=(2.0,)).gain == (2.0,)
-
-
 def test_numbers_flags_and_texts_of_the_right_kind_are_taken_as_they_are():
     given = {"flag": True, "limit": "none", "point": [1, 2.5], "sizes": {"a": 1}, "free": {"a": "2", "b": True}}
     assert Kinds(**given).free == given["free"]
@@ -95,7 +66,8 @@ def test_numbers_flags_and_texts_of_the_right_kind_are_taken_as_they_are():
 def test_errors_name_table_field_value_and_range():
     for wrong, said in (
         ({"gian": 1.0}, r"unknown \[inner\] key 'gian': did you mean 'gain'\? valid names: gain, steps"),
-        ({"gain": 11.0}, "gain = 11.0: input should be less than or equal to 10"),
+        *(({"gain": value}, rf"\[inner\] gain = {re.escape(repr(value))}: input should be")
+          for value in (0.0, -1.0, 11.0, float("nan"), float("inf"), "fast", None, [1.0])),
         ({"gain": 0.0, "steps": "two"}, r"gain = 0\.0.*; .*steps = 'two'"),
     ):
         with pytest.raises(MocOptError, match=said):
@@ -107,16 +79,6 @@ def test_errors_name_table_field_value_and_range():
     ):  # fmt: skip
         with pytest.raises(ControlError, match=said):
             Outer(**wrong)
-
-
-@pytest.mark.parametrize("value", [0.0, -1.0, 11.0, float("nan"), float("inf"), "fast", None, [1.0]])
-def test_wrong_value_names_field_value_and_range(value):
-    with pytest.raises(ScenarioError) as caught:
-        Inner(gain=value)
-    message = str(caught.value)
-    assert "[inner] gain = " in message
-    assert repr(value)[:20] in message
-    assert ": input should be" in message
 
 
 # --- numbers of a usable size, in every table ---

@@ -1,4 +1,4 @@
-"""Arms of other makers and shapes, as far as planning sees them: published joint frames and limits, invented masses."""
+"""Arms of given joint frames and limits, with invented masses; and short tasks for any arm."""
 
 from __future__ import annotations
 
@@ -23,18 +23,6 @@ IIWA14 = {
     "v_max": np.radians([85, 85, 100, 75, 130, 135, 135]),
     "wrist": (0, 0, -0.081), "mount": (0, 0, 0.045), "home": (0.4, 0.8, 0.5, -1.4, 0.6, 1.1, 0.0),
 }  # fmt: skip
-
-PANDA = {
-    "joints": [
-        ((0, 0, 0.333), (0, 0, 0)), ((0, 0, 0), (-H, 0, 0)), ((0, -0.316, 0), (H, 0, 0)), ((0.0825, 0, 0), (H, 0, 0)),
-        ((-0.0825, 0.384, 0), (-H, 0, 0)), ((0, 0, 0), (H, 0, 0)), ((0.088, 0, 0), (H, 0, 0)),
-    ],
-    "q_min": np.array([-2.8973, -1.7628, -2.8973, -3.0718, -2.8973, -0.0175, -2.8973]),
-    "q_max": np.array([2.8973, 1.7628, 2.8973, -0.0698, 2.8973, 3.7525, 2.8973]),
-    "v_max": np.array([2.175, 2.175, 2.175, 2.175, 2.61, 2.61, 2.61]),
-    "wrist": (0, 0, 0), "mount": (0, 0, 0.107), "home": (0.2, -0.6, 0.3, -2.2, 0.4, 1.9, 0.7),
-}  # fmt: skip
-
 
 def _numbers(values: object) -> str:
     return " ".join(f"{value:.17g}" for value in np.asarray(values, dtype=float))

@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
 
 import moc_opt as mo
 from moc_opt.control import Controller
-from moc_opt.errors import ControlError, MocOptError, ScenarioError
-from moc_opt.planning.arm_angle import reach
-from moc_opt.planning.course import Course, Limits
+from moc_opt.errors import MocOptError
+from moc_opt.planning.course import Course
 from moc_opt.planning.follow import NODES, Follower
+from moc_opt.planning.guides import followed_course
+from moc_opt.planning.pose_map import reach
 from moc_opt.planning.program import Program
-from moc_opt.planning.search import Value
 from moc_opt.robots.model import RobotModel
-from moc_opt.scenario import Scenario, Setup, guided
-from moc_opt.scenario.guided import followed_course
+from moc_opt.scenario import Scenario, Setup
 from moc_opt.scenario.planned import targets_of
 from moc_opt.tasks.trocar import shaft_distance
 from moc_opt.trace.trace import Trace
@@ -29,20 +29,15 @@ def straight(robot: RobotModel) -> Course:
     return Course(t, robot.data.q_home + 0.1 * t[:, None], np.ones(11), 0.0)
 
 
-def test_on_its_course_an_arm_is_asked_for_the_courses_speed(robot: RobotModel) -> None:
+def test_on_its_course_an_arm_is_asked_for_the_courses_speed_and_an_error_is_pulled_back(robot: RobotModel) -> None:
     guide = Follower(0.002, course=straight(robot))
     for tick in range(400):
         desired = guide.desired_velocity(robot.state(robot.data.q_home + 0.1 * 0.002 * tick))
         np.testing.assert_allclose(desired, 0.1, atol=1e-9)
     guide.start()
-    np.testing.assert_allclose(guide.desired_velocity(robot.state(robot.data.q_home)), 0.1, atol=1e-9)
-
-
-def test_an_error_is_pulled_back_and_after_the_end_the_last_pose_is_held(robot: RobotModel) -> None:
-    guide = Follower(0.002, course=straight(robot))
     off = robot.state(robot.data.q_home + 0.01)
     np.testing.assert_allclose(guide.desired_velocity(off), 0.1 - 0.05, atol=1e-9)
-    for _ in range(600):
+    for _ in range(600):  # after the end the last pose is held
         last = guide.desired_velocity(robot.state(robot.data.q_home + 0.2))
     np.testing.assert_allclose(last, 5.0 * (0.1 - 0.2), atol=1e-9)
 
@@ -103,7 +98,7 @@ def test_the_arm_goes_along_its_course_and_no_worse_than_by_climbing() -> None:
     setup = Setup(FOLLOWED)
     trace = mo.run(FOLLOWED)
     assert trace.meta["ended"] == "completed"
-    course = followed_course(FOLLOWED, setup.robot, setup.layout)
+    course = followed_course(setup.following)
     assert trace.meta["course_mu_mean"] == pytest.approx(course.mu_mean, rel=1e-6)
     wanted = np.stack([np.interp(trace.t_s, course.t_s, joint) for joint in course.q_rad.T], axis=1)
     assert np.abs(trace.q_rad - wanted)[trace.t_s > 1.0].max() < 0.05
@@ -111,6 +106,8 @@ def test_the_arm_goes_along_its_course_and_no_worse_than_by_climbing() -> None:
     # From a pose without a trap a climb gets as far; the course pays for going gently, the climb does not.
     assert trace.mu.mean() > 0.995 * climbed.mu.mean()
     assert trace.columns["verified"].mean() > 0.99
+    baseline = FOLLOWED.change(control=FOLLOWED.control.matched_dcac())
+    assert Setup(baseline).controller()._guide is None
 
 
 def test_from_a_start_just_inside_the_margin_the_course_is_as_smooth_and_good_as_from_deeper_in_it() -> None:
@@ -120,35 +117,25 @@ def test_from_a_start_just_inside_the_margin_the_course_is_as_smooth_and_good_as
         setup = Setup(FOLLOWED.change(start={"swivel": swivel}, control={"course_margin_rad": 0.05}))
         room = np.minimum(setup.q_start - setup.robot.q_min, setup.robot.q_max - setup.q_start)
         assert 0.02 < room[setup.robot.moves.any(axis=0)].min() < 0.05
-        courses.append(followed_course(setup.scenario, setup.robot, setup.layout))
+        courses.append(followed_course(setup.following))
     deeper, just_inside = courses
     assert just_inside.certified
     assert just_inside.kept
     assert just_inside.mu_mean > 0.99 * deeper.mu_mean
 
 
-@pytest.mark.parametrize(
-    ("control", "message"),
-    [({"regularization": 0.0}, "regularization = 0"), ({"c2": 0.0}, "c2 = 0")],
-)
-def test_what_cannot_follow_is_refused(control: dict[str, object], message: str) -> None:
-    with pytest.raises((ControlError, MocOptError), match=message):
-        Setup(FOLLOWED.change(control=control)).adapter()
+FAST = {"task": {"v_max_m_per_s": 2.0, "a_max_m_per_s2": 20.0}, "start": {"check_path": False}}
 
 
-@pytest.mark.parametrize("level", ["planned", "receding"])
-def test_a_path_without_a_course_is_refused_before_the_run(level: str) -> None:
-    task = {"v_max_m_per_s": 2.0, "a_max_m_per_s2": 20.0}
-    fast = FOLLOWED.change(task=task, start={"check_path": False}, control={"third_level": level})
-    with pytest.raises(ScenarioError, match=rf"third_level = '{level}'.*mm along the path"):
-        Setup(fast).controller()
-
-
-def test_dcac_with_a_course_is_refused_and_the_matched_baseline_has_none() -> None:
-    with pytest.raises(ControlError, match=r"law = 'dcac' with third_level = 'planned'"):
-        FOLLOWED.change(control={"law": "dcac"})
-    baseline = FOLLOWED.change(control=FOLLOWED.control.matched_dcac())
-    assert Setup(baseline).controller()._guide is None
+@pytest.mark.parametrize(("change", "message"), [
+    ({"control": {"regularization": 0.0}}, "regularization = 0"), ({"control": {"c2": 0.0}}, "c2 = 0"),
+    ({"control": {"law": "dcac"}}, r"law = 'dcac' with third_level = 'planned'"),
+    (FAST, r"third_level = 'planned'.*mm along the path"),
+    (FAST | {"control": {"third_level": "receding"}}, r"third_level = 'receding'.*mm along the path"),
+])  # fmt: skip
+def test_what_cannot_follow_a_course_is_refused_before_the_run(change: dict[str, Any], message: str) -> None:
+    with pytest.raises(MocOptError, match=message):
+        Setup(FOLLOWED.change(**change)).adapter()
 
 
 @pytest.mark.parametrize("duration_s", [0.002, 0.02, 0.07])
@@ -263,8 +250,3 @@ def test_near_a_pose_v_is_a_parabola_between_what_reaches_the_end() -> None:
             assert close == pytest.approx(value.value[k, b, i % 720], abs=0.02 * abs(value.value[k, b, j]))
 
 
-def test_v_knows_the_margin_of_the_shaft() -> None:
-    found = setup()
-    whole = receding()._planner._value.map  # type: ignore[union-attr]
-    near = guided.keeping_shaft(whole, Limits(shaft=1.0))
-    assert Value(near, Limits()).of(found.q_start, 0.1) < Value(whole, Limits()).of(found.q_start, 0.1)

@@ -18,7 +18,6 @@ from moc_opt.planning.search import (
     advance,
     half_cells,
     keeping_shaft,
-    reached,
     shaft_shares,
 )
 from moc_opt.robots.model import RobotModel
@@ -154,13 +153,15 @@ def test_courses_of_finer_maps_stay_below_the_coarse_bound(robot: RobotModel) ->
     assert low.best()[0] - 1e-4 <= high.best()[0] <= bound.best()[0]
 
 
-def test_a_margin_costs_mu_and_is_kept(robot: RobotModel) -> None:
-    found = map_of(robot, robot.data.q_home, task(robot, robot.data.q_home, 60), 180)
-    free, kept = (Value(found, Limits(margin)) for margin in (0.0, 0.4))
-    poses = best_course(kept, Limits(0.4), None)
+def test_the_margins_of_joint_limits_and_of_the_shaft_cost_mu(robot: RobotModel) -> None:
+    q, mu = robot.data.q_home, robot.state(robot.data.q_home).mu
+    found = map_of(robot, q, task(robot, q, 60), 180)
+    poses = best_course(Value(found, Limits(0.4)), Limits(0.4), None)
     assert poses is not None
     assert np.minimum(poses - robot.q_min, robot.q_max - poses)[:, :6].min() >= 0.4 - 1e-9
+    free, kept = (Value(found, Limits(margin)) for margin in (0.0, 0.4))
     assert kept.best()[0] <= free.best()[0]
+    assert Value(keeping_shaft(found, Limits(shaft=1.0)), Limits()).of(q, mu) < free.of(q, mu)
 
 
 def test_the_climb_is_a_course_and_no_better_than_the_best(robot: RobotModel) -> None:
@@ -196,16 +197,6 @@ def test_a_course_goes_through_a_singular_pose_into_the_next_branch(robot: Robot
         assert np.sign(course.q_rad[0, 1]) != np.sign(course.q_rad[-1, 1])
     assert course.mu_mean > 0.995 * mean
     assert mean <= Value(found, Limits(), cell=WHOLE_CELL).of(way[0], robot.state(way[0]).mu)
-
-
-def test_a_path_that_leaves_the_reach_is_blocked_there(robot: RobotModel) -> None:
-    q = robot.data.q_home
-    state, t = robot.state(q), 0.05 * np.arange(40)
-    away = np.linspace(0.0, 0.8, 40)[:, None] * state.tool_direction
-    found = map_of(robot, q, Targets(t, state.tip - away, state.wrist - away, away[:, 2]), 180)
-    first = int(np.argmin(np.isfinite(found.mu[:, 0, 0])))
-    assert best_course(Value(found, Limits()), Limits(), q) is None
-    assert 0 < len(reached(found, q, Limits())) < first
 
 
 def test_poses_that_nearly_lose_the_shaft_are_worth_less(robot: RobotModel) -> None:

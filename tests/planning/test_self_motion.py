@@ -1,17 +1,28 @@
-"""The self-motion keeps tip, wrist and limits, and its best pose is no worse than any other on the curve."""
+"""The self-motion keeps tip, wrist and limits; the freedoms it leaves are counted as on arms with a known count."""
 
 from __future__ import annotations
 
 import warnings
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from moc_opt.errors import RobotError
-from moc_opt.planning.arm_angle import Elbow
-from moc_opt.planning.self_motion import SelfMotion, parabola_peak, self_motion
+from moc_opt.planning.elbow import Elbow
+from moc_opt.planning.self_motion import (
+    SelfMotion,
+    best_freedoms,
+    freedoms,
+    limit_shares,
+    parabola_peak,
+    require_freedom,
+    self_motion,
+)
+from moc_opt.robots import loader
 from moc_opt.robots.model import RobotModel, load_robot
+from moc_opt.scenario import Scenario, run
 from tests.conftest import Array, Draw
 
 
@@ -27,33 +38,22 @@ def check(robot: RobotModel, start: Array, motion: SelfMotion, poses: Array) -> 
         np.testing.assert_array_equal(q[list(motion.held)], start[list(motion.held)])
 
 
-def test_tip_wrist_and_limits_are_kept(robot: RobotModel, regular_poses: Draw) -> None:
+def test_a_curve_keeps_tip_wrist_and_limits_and_has_the_models_mu(robot: RobotModel, regular_poses: Draw) -> None:
     rng = np.random.default_rng(5)
     for start in regular_poses(15, seed=4):
         motion = self_motion(robot, start)
         check(robot, start, motion, motion.q[::7])
         check(robot, start, motion, np.array([motion.at(f) for f in (0.0, *rng.uniform(size=4), 1.0)]))
+        check(robot, start, motion, motion.best[None])
         assert motion.held == (6,)
-        here = int(np.flatnonzero(motion.s == 0.0)[0])
-        np.testing.assert_array_equal(motion.q[here], start)
-
-
-def test_samples_are_evenly_spaced_and_end_on_a_limit(robot: RobotModel, regular_poses: Draw) -> None:
-    for start in regular_poses(10, seed=6):
-        motion = self_motion(robot, start)
+        np.testing.assert_array_equal(motion.q[int(np.flatnonzero(motion.s == 0.0)[0])], start)
         gaps = np.linalg.norm(np.diff(motion.q, axis=0), axis=1)
         np.testing.assert_allclose(gaps, np.diff(motion.s), atol=1e-12)
         assert 0 < gaps.min() <= gaps.max() < 0.021
         for end, why in zip((motion.q[0], motion.q[-1]), motion.ends, strict=True):
             if why == "limit":
                 assert np.min(np.minimum(end - robot.q_min, robot.q_max - end)) < 1e-8
-
-
-def test_mu_is_the_models_and_best_beats_the_start(robot: RobotModel, regular_poses: Draw) -> None:
-    for start in regular_poses(15, seed=8):
-        motion = self_motion(robot, start)
         np.testing.assert_allclose(motion.mu, [robot.state(q).mu for q in motion.q], atol=1e-12)
-        check(robot, start, motion, motion.best[None])
         assert motion.mu_best == pytest.approx(robot.state(motion.best).mu, abs=1e-12)
         assert motion.mu_best >= motion.mu.max() >= robot.state(start).mu - 1e-12
         assert motion.mu_best == pytest.approx(self_motion(robot, start, step=0.005).mu_best, abs=1e-6)
@@ -76,7 +76,7 @@ def test_a_full_turn_closes() -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         motion = self_motion(robot, q)
-        assert motion.closed
+        assert motion.ends == ("closed", "closed")
         turns = (motion.q[-1] - motion.q[0]) / (2 * np.pi)
         np.testing.assert_allclose(turns, np.round(turns), atol=1e-12)
         check(robot, q, motion, motion.q[::9])
@@ -124,3 +124,59 @@ def test_the_peak_of_a_parabola_is_found_from_any_three_samples() -> None:
     assert parabola_peak(np.arange(3.0), np.array([1.0, 0.0, 1.0])) == (0.0, 0.0)
     assert parabola_peak(np.arange(3.0), np.array([-np.inf, 1.0, 0.5])) == (0.0, 0.0)
     assert parabola_peak(np.arange(3.0), np.array([0.0, 1.0, 2.0])) == (0.0, 0.0)
+
+
+# --- how many freedoms there are ---
+
+FOLDER = Path(loader.__file__).parent
+
+
+def tilted(name: str, folder: Path) -> RobotModel:
+    """The arm with its tool off the last axis: no joint is idle."""
+    text = (FOLDER / f"{name}.toml").read_text(encoding="utf-8")
+    lines = [line for line in text.splitlines() if not line.startswith(("wrist_xyz_m", "tool_mount_"))]
+    at = lines.index("[frames]") + 1
+    lines[at:at] = ["wrist_xyz_m = [0.05, 0.0, 0.0]", "tool_mount_xyz_m = [0.05, 0.0, 0.0]"]
+    (folder / f"{name}.toml").write_text("\n".join(lines), encoding="utf-8")
+    (folder / f"{name}.urdf").write_bytes((FOLDER / f"{name}.urdf").read_bytes())
+    return load_robot(folder / f"{name}.toml")
+
+
+def six_joints(folder: Path) -> Path:
+    """The LWR4+ without its third joint: an arm as most arms are."""
+    urdf = (FOLDER / "lwr4.urdf").read_text(encoding="utf-8")
+    urdf = urdf.replace('name="joint_3" type="revolute"', 'name="joint_3" type="fixed"')
+    toml = (FOLDER / "lwr4.toml").read_text(encoding="utf-8")
+    head = [line for line in toml[: toml.index("[gains.")].splitlines() if not line.startswith(("q_", "v_", "tau_"))]
+    lines = [line for line in head if "friction" not in line.split("=")[0]]
+    (folder / "six.urdf").write_text(urdf, encoding="utf-8")
+    path = folder / "six.toml"
+    home = "q_rad = [0.595, -0.89, 1.45, 0.77, -1.22, 0.0]"
+    path.write_text("\n".join(lines).replace('"lwr4.urdf"', '"six.urdf"') + f"\n{home}\n", encoding="utf-8")
+    return path
+
+
+def test_counts_of_known_arms(robot: RobotModel, odd_robot: RobotModel, tmp_path: Path) -> None:
+    assert best_freedoms(robot)[:3] == (5, 1, (6,))
+    assert best_freedoms(load_robot("lwr4_rail"))[:3] == (5, 2, (7,))
+    assert best_freedoms(tilted("lwr4", tmp_path))[:3] == (5, 2, ())
+    assert best_freedoms(odd_robot).rank == 5
+    straight = freedoms(robot, np.zeros(7))
+    assert straight.rank < 5
+    assert straight.both == pytest.approx(0.0, abs=1e-9)
+
+
+def test_an_arm_without_freedom_is_refused_where_the_third_level_is_asked_for(tmp_path: Path) -> None:
+    path = six_joints(tmp_path)
+    told = r"of 6 joints the tool's tip and shaft take 5, 1 turn nothing but the tool \(joint_7\)"
+    with pytest.raises(RobotError, match=told):
+        require_freedom(load_robot(path))
+    asked = Scenario(robot={"name": str(path)}, duration_s=0.1, bound_samples=0)
+    with pytest.raises(RobotError, match=told):
+        run(asked)
+    assert run(asked.change(control={"law": "dcac"})).meta["ended"] == "completed"
+
+
+def test_limit_shares_are_one_in_the_middle_and_zero_at_a_limit(robot: RobotModel) -> None:
+    np.testing.assert_allclose(limit_shares(robot, 0.5 * (robot.q_min + robot.q_max)), 1.0)
+    np.testing.assert_allclose(limit_shares(robot, robot.q_max), 0.0, atol=1e-12)

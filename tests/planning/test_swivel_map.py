@@ -1,6 +1,12 @@
-"""The manipulability map against direct evaluation, and its figure."""
+"""The manipulability map against direct evaluation; what trajectories amount to, on maps that are made by hand."""
 
 from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import nullcontext
+from dataclasses import replace
+from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 import pytest
@@ -8,10 +14,22 @@ import pytest
 import moc_opt as mo
 from moc_opt.errors import ReportError, RobotError
 from moc_opt.figures.style import BAD
-from moc_opt.planning.arm_angle import Elbow
-from moc_opt.planning.largest import largest_mu
+from moc_opt.planning.elbow import Elbow
+from moc_opt.planning.pose_map import largest_mu
 from moc_opt.planning.self_motion import self_motion
-from moc_opt.planning.swivel_map import FEASIBLE, UNREACHABLE, SwivelMap, manipulability_map
+from moc_opt.planning.swivel_map import (
+    CLOSE_RAD,
+    FEASIBLE,
+    NEAR,
+    UNREACHABLE,
+    End,
+    Reading,
+    SwivelMap,
+    Trajectory,
+    alike,
+    manipulability_map,
+    read_trajectory,
+)
 from moc_opt.report.map_page import add_map, map_figure
 from moc_opt.report.page import Page
 from moc_opt.robots.model import RobotModel, load_robot
@@ -87,7 +105,10 @@ def test_the_elbow_angle_turns_with_the_elbow(robot: RobotModel) -> None:
     assert abs(first) > 0.1
 
 
-def test_trajectories_lie_on_the_map(robot: RobotModel, runs: dict[str, Trace], found: SwivelMap) -> None:
+def test_trajectories_lie_on_the_map_and_below_its_best(
+    robot: RobotModel, runs: dict[str, Trace], found: SwivelMap
+) -> None:
+    assert np.all(found.best_mu >= np.where(found.limit == FEASIBLE, found.mu, -np.inf).max(axis=1))
     for name, trajectory in found.trajectories.items():
         assert trajectory.gap_rad < 0.15, "half a row, as joints move"
         np.testing.assert_array_equal(
@@ -97,18 +118,13 @@ def test_trajectories_lie_on_the_map(robot: RobotModel, runs: dict[str, Trace], 
             i = int(np.argmin(np.abs(trajectory.t_s - t)))
             on_map = np.interp(trajectory.swivel_rad[i], found.swivel_rad, found.mu[k])
             assert trajectory.mu[i] == pytest.approx(on_map, abs=2e-3)
-
-
-def test_the_best_trajectory_is_the_best(robot: RobotModel, runs: dict[str, Trace], found: SwivelMap) -> None:
-    feasible = np.where(found.limit == FEASIBLE, found.mu, -np.inf)
-    assert np.all(found.best_mu >= feasible.max(axis=1))
-    for trajectory in found.trajectories.values():
-        at_columns = np.abs(trajectory.t_s[None] - found.t_s[:, None]).argmin(axis=1)
-        assert np.all(trajectory.mu[at_columns] <= found.best_mu + 1e-3)
+            assert trajectory.mu[i] <= found.best_mu[k] + 1e-3
     guide = max(runs.values(), key=len)
     for k in (0, 6, 12):
-        q = guide.q_rad[np.searchsorted(guide.t_s, found.t_s[k])]
-        assert found.best_mu[k] == pytest.approx(self_motion(robot, q).mu_best, abs=1e-3)
+        motion = self_motion(robot, guide.q_rad[np.searchsorted(guide.t_s, found.t_s[k])])
+        assert found.best_mu[k] == pytest.approx(motion.mu_best, abs=1e-3)
+        angle = Elbow(robot, robot.state(motion.best).wrist[None]).swivel(motion.best[None])[0]
+        assert np.cos(found.best_swivel_rad[k] - angle) > np.cos(0.03)
     moc, dcac = found.trajectories["MOC"], found.trajectories["DCAC"]
     assert found.best_mu[-1] - moc.mu[-1] < 5e-3, "MOC arrives"
     assert found.best_mu[-1] - dcac.mu[-1] > 0.03, "DCAC stays where it is"
@@ -147,12 +163,26 @@ def test_what_is_out_of_reach_is_said_to_be(robot: RobotModel, runs: dict[str, T
     assert set(np.unique(reasons[:, 2:])) == {"out of reach"}
 
 
+@pytest.mark.parametrize(("times", "swivels", "refused"), [(1, 8, True), (2, 7, True), (2, 8, False)])
+def test_the_least_map_has_two_times_and_eight_swivels(
+    robot: RobotModel, runs: dict[str, Trace], times: int, swivels: int, refused: bool
+) -> None:
+    with pytest.raises(ReportError, match=f"1 runs, {times} times, {swivels} swivels") if refused else nullcontext():
+        made = manipulability_map(robot, {"MOC": runs["MOC"]}, times=times, swivels=swivels)
+        assert made.mu.shape == (2, 8)
+
+
 def test_wrong_input_is_refused(robot: RobotModel, odd_robot: RobotModel, runs: dict[str, Trace]) -> None:
     moc = runs["MOC"]
     moved = moc.with_columns(tip_ref_m=moc.tip_ref_m + 1e-3)
     bare = Trace({name: moc.columns[name] for name in ("t_s", "q_rad", "tip_m", "tip_ref_m")})
+    wild = moc.with_columns(tip_m=np.where(np.arange(len(moc))[:, None] > 9, np.nan, moc.tip_m))
     for traces, words in (
         ({}, "0 runs"), ({"a": moc, "b": moved}, "'b' was given another path"), ({"x": bare}, "no column 'trocar_m'"),
+        ({"x": Trace({"t_s": moc.t_s, "q_rad": moc.q_rad})}, "lacks the columns tip_m, tip_ref_m"),
+        ({"x": moc.select(np.zeros(len(moc), dtype=bool))}, "has no ticks"), ({"x": wild}, "not finite in 'tip_m'"),
+        ({"x": moc.with_columns(q_rad=moc.q_rad[:, :6])}, "has 6 joints"),
+        ({"x": Trace(dict(moc.columns), {"kind": "course"})}, "is a course, not a run"),
     ):  # fmt: skip
         with pytest.raises(ReportError, match=words):
             manipulability_map(robot, traces)
@@ -200,3 +230,144 @@ def test_a_map_of_two_freedoms_is_a_slice_that_says_so(found: SwivelMap) -> None
     page = Page("slice")
     add_map(page, made)
     assert "leave this arm 2 freedoms, and the map shows one. joint_1 stands as in the longest run" in page.html()
+
+
+# --- what trajectories amount to ---
+
+T = np.linspace(0.0, 10.0, 21)
+ROWS = np.arange(-180.0, 180.0, 3.0)
+
+
+def hill(top: float, height: float, width: float = 60.0) -> Callable[[Any], Any]:
+    """mu over the swivel [deg]: a smooth hill."""
+    return lambda swivel: height * np.exp(-(((np.asarray(swivel) - top + 180) % 360 - 180) ** 2) / width**2)
+
+
+def made(
+    mu: Callable[[Any], Any],
+    trajectories: dict[str, Any],
+    forbidden: tuple[float, float, int] | None = None,
+    **more: Any,
+) -> SwivelMap:  # fmt: skip
+    """A map that is the same at all times.
+
+    Args:
+        mu: of the swivel [deg].
+        trajectories: name -> swivel over time [deg]: a number, or one at each of 101 times.
+        forbidden: from, to [deg], and what stands in `limit` there.
+        more: of every trajectory.
+    """
+    limit = np.full((len(T), len(ROWS)), FEASIBLE)
+    if forbidden:
+        limit[:, (forbidden[0] <= ROWS) & (forbidden[1] >= ROWS)] = forbidden[2]
+    grid = np.tile(mu(ROWS), (len(T), 1))
+    feasible = np.where(limit == FEASIBLE, grid, -np.inf)
+    best = feasible.max(axis=1)
+    best[~np.isfinite(best)] = np.nan
+    grid[limit == UNREACHABLE] = np.nan
+    t = np.linspace(0.0, 10.0, 101)
+    lines = {}
+    for name, swivel in trajectories.items():
+        degrees = np.broadcast_to(np.asarray(swivel, dtype=float), t.shape)
+        lines[name] = Trajectory(t, np.radians(degrees), mu(degrees), **{"gap_rad": 0.01, **more})
+    return SwivelMap(
+        T, np.radians(ROWS), grid, np.zeros((len(T), len(ROWS), 7)), limit,
+        np.radians(ROWS[np.argmax(feasible, axis=1)]), best, MappingProxyType(lines),
+    )  # fmt: skip
+
+
+def read(*given: Any, **more: Any) -> Reading:
+    return read_trajectory(made(*given, **more), "run")
+
+
+def ramp(start: float, end: float, until: float = 10.0) -> Any:
+    """Evenly from start to end, there at the time `until`."""
+    return start + (end - start) * np.minimum(np.linspace(0.0, 10.0, 101) / until, 1.0)
+
+
+def test_a_trajectory_that_climbs_to_the_optimum() -> None:
+    top = hill(60.0, 0.3)
+    found = read(top, {"run": ramp(-30.0, 60.0, until=5.0)})
+    assert found.end is End.OPTIMUM
+    on_from = 60.0 - 60.0 * np.sqrt(-np.log(1.0 - NEAR))  # where mu is 2 % below the top
+    arrives = 5.0 * (on_from + 30.0) / 90.0
+    assert found.from_s == pytest.approx(arrives, abs=0.11)
+    assert found.near == pytest.approx(1.0 - arrives / 10.0, abs=0.02)
+    assert found.travel_rad == pytest.approx(np.radians(90.0))
+    assert found.mu_share == pytest.approx(top(ramp(-30.0, 60.0, until=5.0)).mean() / 0.3)
+    always = read(top, {"run": 60.0})
+    assert (always.near, always.from_s) == (1.0, 0.0)
+
+
+def test_a_local_maximum_holds_a_course() -> None:
+    def two(swivel: Any) -> Any:
+        return hill(60.0, 0.3, 30.0)(swivel) + hill(-60.0, 0.25, 30.0)(swivel)
+
+    assert read(two, {"run": ramp(-100.0, -60.0, 6.0)}).end is End.LOCAL_MAXIMUM
+    assert read(two, {"run": -60.0 - 0.7 * np.degrees(CLOSE_RAD)}).end is End.LOCAL_MAXIMUM
+    assert read(two, {"run": -60.0 - 2.0 * np.degrees(CLOSE_RAD)}).end is End.STILL, "the way up is open"
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+@pytest.mark.parametrize(("top", "swivel", "end"), [
+    # The best of all poses that are allowed lies at a limit; a run stops before it.
+    (hill(60.0, 0.3), -4.0, End.FEASIBLE_EDGE), (hill(60.0, 0.3), -10.0, End.FEASIBLE_EDGE),
+    (hill(60.0, 0.3), -40.0, End.STILL), (hill(60.0, 0.3, 200.0), -4.0, End.OPTIMUM),
+    (hill(60.0, 0.3, 90.0), -60.0, End.STILL), (hill(60.0, 0.3, 90.0), ramp(-120.0, -30.0), End.RISING),
+    (hill(60.0, 0.3, 90.0), ramp(-20.0, -70.0), End.FALLING),
+])  # fmt: skip
+def test_a_limit_on_the_way_up_holds_a_run_and_where_the_way_is_open_its_motion_tells(
+    side: float, top: Any, swivel: Any, end: End
+) -> None:
+    """Uphill on either side; joint 4 is beyond its limit from 0 to 140 degrees on that side."""
+    forbidden = (0.0, 140.0, 4) if side > 0.0 else (-140.0, 0.0, 4)
+    found = read(lambda given: top(side * np.asarray(given)), {"run": side * np.asarray(swivel)}, forbidden)
+    assert (found.end, found.joint) == (end, 4 if end is End.FEASIBLE_EDGE else 0)
+
+
+def test_time_at_the_grey_is_counted_with_its_joint() -> None:
+    found = read(hill(60.0, 0.3), {"run": ramp(-50.0, 50.0)}, (-4.0, 20.0, 4))
+    assert found.at_edge == pytest.approx((20.0 + 3.0 + 4.0 + 3.0) / 100.0, abs=0.04)
+    assert found.limits == (4,)
+    away = read(hill(60.0, 0.3), {"run": -40.0}, (-4.0, 20.0, 4))
+    assert (away.at_edge, away.limits) == (0.0, ())
+
+
+def test_the_reach_holds_a_trajectory_too() -> None:
+    found = read(hill(60.0, 0.3), {"run": -4.0}, (0.0, 20.0, UNREACHABLE))
+    # mu is not known where there is no pose, so that nobody can say that the way up leads there.
+    assert found.joint == 0
+    assert found.end in (End.FEASIBLE_EDGE, End.LOCAL_MAXIMUM, End.STILL)
+
+
+def test_the_climb_crosses_the_cut_of_the_map() -> None:
+    """The map is a circle, cut open somewhere: a top beyond its last row is close to its first one."""
+
+    def two(swivel: Any) -> Any:
+        return hill(178.0, 0.25, 30.0)(swivel) + hill(0.0, 0.3, 30.0)(swivel)
+
+    assert read(two, {"run": -176.0}).end is End.LOCAL_MAXIMUM
+
+
+def test_what_cannot_be_judged_is_said() -> None:
+    elsewhere = read(hill(60.0, 0.3), {"run": 60.0}, gap_rad=2.0)
+    assert elsewhere.end is End.OTHER_BRANCH
+    assert np.isnan([elsewhere.near, elsewhere.mu_share, elsewhere.from_s]).all()
+    nowhere = read(hill(60.0, 0.3), {"run": 60.0}, (-180.0, 180.0, 1))
+    assert nowhere.end is End.UNKNOWN
+
+
+def test_trajectories_that_look_the_same_are_one_kind() -> None:
+    found = made(
+        hill(60.0, 0.3), {"a": 0.0, "b": 10.0, "c": 2.0, "d": ramp(0.0, 30.0), "e": 11.0, "f": 360.0}
+    )
+    assert alike(found) == {"a": ["c", "f"], "b": ["e"], "d": []}
+    assert alike(found, within_rad=np.radians(0.5)) == {"a": ["f"], "b": [], "c": [], "d": [], "e": []}
+
+
+def test_a_run_that_ends_early_or_folds_otherwise_is_a_kind_of_its_own() -> None:
+    found = made(hill(60.0, 0.3), {"a": 0.0})
+    whole = found.trajectories["a"]
+    short = Trajectory(whole.t_s[:50], whole.swivel_rad[:50], whole.mu[:50], whole.gap_rad)
+    for other in (short, replace(whole, gap_rad=2.0)):
+        assert alike(replace(found, trajectories={"a": whole, "other": other})) == {"a": [], "other": []}

@@ -5,51 +5,24 @@ primal tolerance. Each attempt slides an optimum that way and makes it optimal a
 the cost is right. Best and worst cost come from an enumeration of active sets, without solver and judge.
 """
 
-from itertools import combinations, product
-
 import numpy as np
 import pytest
 
 import moc_opt as mo
 from moc_opt.qp.problem import NullSpaceQP
+from tests.wrong_answers import candidates, cost
 
 ARMS = ("lwr4", "iiwa14", "panda", "gen3", "xarm7", "lwr4_rail")
 SIZES = 10.0 ** np.arange(-13, -3)
 
 
-def candidates(Z, base, lower, upper, c, rho):
-    """Every point of base + span Z in the box where up to r bounds are met and the cost is stationary in the rest."""
-    n, r = Z.shape
-    found = []
-    for k in range(r + 1) if rho > 0.0 else (r,):
-        for joints in map(list, combinations(range(n), k)):
-            C, fixed = Z[joints], np.array(list(product((0, 1), repeat=k))).reshape(2**k, k)
-            if k and np.linalg.svd(C)[1].min() < 1e-7:
-                continue
-            at = np.where(fixed == 0, lower[joints], upper[joints]) - base[joints]
-            w = at @ np.linalg.pinv(C).T if k else np.zeros((1, r))
-            if k < r:
-                free = np.linalg.svd(C)[2][k:] if k else np.eye(r)
-                w = w + ((Z.T @ (c / rho - base)) - w) @ free.T @ free
-            points = base + w @ Z.T
-            points[:, joints] = at + base[joints]
-            found.append(points)
-    points = np.concatenate(found)
-    return points[((points >= lower - 1e-9) & (points <= upper + 1e-9)).all(1)]
-
-
 def extremes(Z, base, qp):
     """The optimum (n,) and the range of the cost over the strict feasible set; None where it is empty."""
-    c, rho = qp.c2 * qp.grad_mu, qp.regularization
-    points = candidates(Z, base, qp.lower, qp.upper, c, rho)
+    points = candidates(qp, Z, base, damped=True)
     if not len(points):
         return None
     costs = cost(qp, points)
     return points[np.argmin(costs)], costs.min(), costs.max()
-
-
-def cost(qp, x):
-    return 0.5 * qp.regularization * (x * x).sum(-1) - qp.c2 * x @ qp.grad_mu
 
 
 def random_case(rng, freedoms, size):

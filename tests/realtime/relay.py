@@ -11,15 +11,19 @@ from collections.abc import Callable
 import numpy as np
 
 from moc_opt.realtime.link import written
-from moc_opt.realtime.packets import Kind
+from moc_opt.realtime.packets import ENDED, Kind
 
 Rule = Callable[[Kind, int], bool]
 TO_PLANT, TO_CONTROLLER = 0, 1
+END, BYE = (Kind.MEASUREMENT, ENDED), (Kind.BYE, 0)
 FAULTS = ("drop", "double", "swap", "cut", "forge")
 
 
 class Relay:
     """Listens for a controller and passes everything on to the plant, and back; a context manager.
+
+    Nothing happens to packets to an end that has got the last one it waits for (the end of the run, its
+    acknowledgement): it no longer counts.
 
     Args:
         plant: address of the plant.
@@ -41,6 +45,7 @@ class Relay:
         self._over = threading.Event()
         self._thread = threading.Thread(target=self._run)
         self.done: list[Counter[str]] = [Counter(), Counter()]  # what was done in either direction
+        self.whole: list[Counter[tuple[Kind, int]]] = [Counter(), Counter()]  # (kind, flags) of intact deliveries
 
     @property
     def address(self) -> str:
@@ -71,9 +76,8 @@ class Relay:
         if self._lost(kind, number):
             self.done[way]["lost"] += 1
             return
-        draw = self._rng.uniform()
-        fault = int(draw / self._share) if self._share > 0.0 else len(FAULTS)
-        name = FAULTS[fault] if fault < len(FAULTS) else ""
+        fault = int(self._rng.uniform() / self._share) if self._share > 0.0 else len(FAULTS)
+        name = FAULTS[fault] if fault < len(FAULTS) and not self._ended(way) else ""
         self.done[way][name] += 1
         held, self._held[way] = self._held[way], None
         if name == "swap" and held is None:
@@ -85,12 +89,14 @@ class Relay:
             at = int(self._rng.integers(0, len(data)))
             at += at == 5  # another kind has another size: that one would count as cut
             self._send(data[:at] + bytes([data[at] ^ 0x10]) + data[at + 1 :], way)
-        elif name != "drop":
-            self._send(data, way)
-        if name == "double":
-            self._send(data, way)
-        if held is not None:
-            self._send(held, way)
+        whole = [] if name in ("drop", "cut", "forge") else [data, data] if name == "double" else [data]
+        for one in whole if held is None else [*whole, held]:
+            if not self._ended(way):
+                self.whole[way][Kind(one[5]), one[7]] += 1
+            self._send(one, way)
+
+    def _ended(self, way: int) -> bool:
+        return (BYE if way == TO_PLANT else END) in self.whole[way]
 
     def _send(self, data: bytes, way: int) -> None:
         target = self._plant if way == TO_PLANT else self._controller

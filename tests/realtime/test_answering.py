@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from moc_opt.realtime.answering import Answering
-from moc_opt.realtime.link import WireError, WireSettings
+from moc_opt.realtime.link import Link, WireError, WireSettings
 from moc_opt.realtime.packets import COUNTERS, ENDED, REPORTED, RUNNING, WAITING, Kind, Packet
 
 N, TICKS = 3, 4
@@ -15,6 +15,8 @@ WAIT = WireSettings(wait_s=0.05, silence_s=0.5)
 
 class Plant:
     """A link whose other end says what the test lists, and hears what is sent."""
+
+    judge = Link.judge
 
     def __init__(self, said):
         self.n, self.peer, self.session, self.quality = N, ("plant", 1), 0, dict.fromkeys(COUNTERS, 0)
@@ -116,6 +118,7 @@ def test_an_end_before_the_last_tick_is_not_called_complete():
     assert ending.ended == "the plant ended the run at tick 2 of 4"
 
 
-def test_a_plant_of_another_scenario_is_refused():
+@pytest.mark.parametrize("said", [[measurement(WAITING, scenario=8)], [], [measurement(RUNNING)] * 100])
+def test_a_plant_of_another_scenario_or_none_is_refused(said):
     with pytest.raises(WireError):
-        answered([measurement(WAITING, scenario=8)])
+        answered(said)

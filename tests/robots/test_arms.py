@@ -13,11 +13,11 @@ import pinocchio as pin
 import pytest
 from numpy.typing import NDArray
 
-from moc_opt.planning.freedoms import freedoms
-from moc_opt.planning.self_motion import self_motion
+from moc_opt.planning.self_motion import freedoms, self_motion
 from moc_opt.robots import loader, urdf
-from moc_opt.robots.model import RobotModel, largest_rate, load_robot
-from moc_opt.scenario.agreement import check_engines
+from moc_opt.robots.gains import largest_rate
+from moc_opt.robots.model import RobotModel, load_robot
+from moc_opt.sim.agreement import check_engines
 
 Array = NDArray[np.float64]
 FOLDER = Path(loader.__file__).parent

@@ -71,14 +71,10 @@ def test_what_is_no_pose_and_no_point_is_refused(robot, q, tip, message):
     """A comparison with NaN is false: unchecked, such a point would count as reached."""
     with pytest.raises(RobotError, match=message):
         solve_pose(robot, q, tip)
-    with pytest.raises(RobotError):
-        solve_pose(robot, robot.data.q_home, robot.state(robot.data.q_home).tip, np.full(3, np.nan))
-
-
-def test_integers_and_other_orders_are_taken(robot):
     state = robot.state(robot.data.q_home)
-    points = np.array([state.tip, state.wrist])
-    none = np.full(7, np.inf)
+    with pytest.raises(RobotError):
+        solve_pose(robot, robot.data.q_home, state.tip, np.full(3, np.nan))
+    points, none = np.array([state.tip, state.wrist]), np.full(7, np.inf)  # integers and other orders are taken
     one = nearest_pose(robot, np.zeros(7), points, -none, none, 40)
     other = nearest_pose(robot, np.zeros(7, dtype=int), np.asfortranarray(points), -none, none, 40)
     np.testing.assert_array_equal(one[0], other[0])
@@ -95,13 +91,9 @@ def test_tip_and_trocar_of_a_pose_can_be_had_again(robot, seed):
     assert inside(robot, q)
     np.testing.assert_allclose(found.tip, state.tip, atol=1e-6)
     assert shaft_distance(found.tip, found.wrist, trocar) < 1e-6
-
-
-def test_the_tip_alone_can_be_placed(robot):
-    point = np.array([0.5, 0.3, 0.3])
-    q = pose_with_tip(robot, robot.data.q_home, point)
-    assert inside(robot, q)
-    np.testing.assert_allclose(robot.state(q).tip, point, atol=1e-6)
+    alone = pose_with_tip(robot, robot.data.q_home, np.array([0.5, 0.3, 0.3]))
+    assert inside(robot, alone)
+    np.testing.assert_allclose(robot.state(alone).tip, [0.5, 0.3, 0.3], atol=1e-6)
 
 
 @pytest.mark.parametrize(

@@ -59,11 +59,10 @@ def test_limits_of_the_toml_win_and_are_written_into_the_urdf(tmp_path: Path) ->
     first = ET.fromstring(data.urdf).find("joint[@name='joint_1']/limit")
     assert first is not None
     assert float(first.get("upper", "")) == data.q_max[0] == pytest.approx(np.radians(150))
-
-
-def test_limits_come_from_the_urdf_where_the_toml_has_none(tmp_path: Path) -> None:
-    data = load_data(write(tmp_path, UNLIMITED))
-    np.testing.assert_allclose(data.q_max, load_data().q_max)
+    np.testing.assert_allclose(load_data(write(tmp_path, UNLIMITED)).q_max, load_data().q_max)  # of the URDF alone
+    urdf = URDF.replace(' velocity="1.9198621771937625"', "")
+    with pytest.raises(RobotError, match=r"v_max: joints \['joint_1', 'joint_2'\].*limits\.v_max_deg_per_s"):
+        load_data(write(tmp_path, UNLIMITED, urdf))
 
 
 @pytest.mark.parametrize(("length", "mass"), [(0.30, 0.3), (0.45, 0.8)])
@@ -102,12 +101,9 @@ def test_files_by_path(tmp_path: Path) -> None:
         assert load_data(given).urdf == expected
 
 
-def test_unknown_robot_names_the_nearest() -> None:
+def test_missing_files(tmp_path: Path) -> None:
     with pytest.raises(UnknownNameError, match="unknown robot 'lwr': did you mean 'lwr4'"):
         load_data("lwr")
-
-
-def test_missing_files(tmp_path: Path) -> None:
     with pytest.raises(RobotError, match=r"none\.toml.*no such file"):
         load_data(tmp_path / "none.toml")
     with pytest.raises(RobotError, match=r"none\.toml.*does not exist"):
@@ -145,7 +141,16 @@ def test_bad_toml_is_explained(case: str, tmp_path: Path) -> None:
         load_data(write(tmp_path, changed(TOML, old, new)))
 
 
+START = URDF.index("<inertial>", URDF.index('<link name="link_6">'))
+BODY_6 = URDF[START : URDF.index("</inertial>", START) + len("</inertial>")]
+DEEP = "".join(  # some thousands of links on each other end the process inside of an engine
+    f'<link name="k{i}"/><joint name="f{i}" type="fixed"><parent link="{f"k{i - 1}" if i else "link_7"}"/>'
+    f'<child link="k{i}"/></joint>'
+    for i in range(MOST_LINKS)
+)
 BAD_URDF = {
+    "no mass to move": (f'<link name="link_6">\n    {BODY_6}', '<link name="link_6">', "joint_6.*moves no mass"),
+    "too deep": ("</robot>", f"{DEEP}</robot>", "links or joints: an arm has 500 at most"),
     "not XML": ("</robot>", "", "not well-formed"),
     "not a robot": ('<robot name="lwr4">', "<sdf>", "not well-formed|<sdf>"),
     "planar joint": ('"joint_3" type="revolute"', '"joint_3" type="planar"', "joint_3.*'planar'"),
@@ -193,17 +198,6 @@ def test_bad_urdf_is_explained(case: str, tmp_path: Path) -> None:
         load_data(write(tmp_path, urdf=changed(URDF, old, new)))
 
 
-def test_a_tree_too_deep_for_the_engines_is_refused(tmp_path: Path) -> None:
-    """Some thousands of links on each other end the process inside of an engine."""
-    chain = "".join(
-        f'<link name="k{i}"/><joint name="f{i}" type="fixed"><parent link="{f"k{i - 1}" if i else "link_7"}"/>'
-        f'<child link="k{i}"/></joint>'
-        for i in range(MOST_LINKS)
-    )
-    with pytest.raises(RobotError, match="links or joints: an arm has 500 at most"):
-        load_data(write(tmp_path, urdf=changed(URDF, "</robot>", chain + "</robot>")))
-
-
 def test_zeros_for_mass_and_inertia_are_a_frame(tmp_path: Path) -> None:
     """As vendors write them; with a mass of zero alone the file contradicts itself."""
     zero = " ".join(f'{key}="0.0"' for key in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz"))
@@ -218,19 +212,6 @@ def test_a_link_may_not_have_the_name_that_is_the_base_to_mujoco(tmp_path: Path)
     assert load_data(write(tmp_path, urdf=URDF.replace('"link_0"', '"world"'))).n == 7
     with pytest.raises(RobotError, match=r"joint_3.*a link 'world'.*rename it"):
         load_data(write(tmp_path, urdf=URDF.replace('"link_3"', '"world"')))
-
-
-def test_limits_in_neither_file(tmp_path: Path) -> None:
-    urdf = URDF.replace(' velocity="1.9198621771937625"', "")
-    with pytest.raises(RobotError, match=r"v_max: joints \['joint_1', 'joint_2'\].*limits\.v_max_deg_per_s"):
-        load_data(write(tmp_path, UNLIMITED, urdf))
-
-
-def test_a_movable_joint_must_move_some_mass(tmp_path: Path) -> None:
-    start = URDF.index("<inertial>", URDF.index('<link name="link_6">'))
-    end = URDF.index("</inertial>", start) + len("</inertial>")
-    with pytest.raises(RobotError, match=r"joint_6.*moves no mass"):
-        load_data(write(tmp_path, urdf=URDF[:start] + URDF[end:]))
 
 
 @pytest.mark.parametrize("bad", [0.0, -0.1, 1e-300, float("nan"), float("inf"), "long"])

@@ -22,18 +22,14 @@ from moc_opt.errors import RobotError
 from moc_opt.report.replay import robot_of
 from moc_opt.robots import available_robots, loader
 from moc_opt.robots.chain import desired_wrist
-from moc_opt.robots.model import (
+from moc_opt.robots.gains import (
     CARTESIAN_RATE,
     JOINT_RATE,
-    RobotModel,
-    RobotState,
-    carried,
     derived_gains,
     largest_inverse_masses,
     largest_rate,
-    load_robot,
-    restored,
 )
+from moc_opt.robots.model import RobotModel, RobotState, carried, load_robot, restored
 from moc_opt.robots.state import layout, record_size
 from moc_opt.scenario import Scenario, run
 from moc_opt.tasks import Trocar
@@ -96,6 +92,7 @@ def test_the_tools_pose_is_pinocchios_frame_and_leaves_the_state_alone(arm: Robo
         before = arm.state(q)
         pose = arm.tool_pose(rng.uniform(arm.q_min, arm.q_max))
         assert np.linalg.norm(pose[3] - before.tip) > 1e-3
+        np.testing.assert_allclose(arm.tool_along(q[None]), [[before.tip], [before.wrist]], rtol=0, atol=1e-14)
         pose = arm.tool_pose(q)
         model, data = reference(arm)
         pin.framesForwardKinematics(model, data, q)
@@ -154,15 +151,10 @@ def test_inertia_and_bias(arm: RobotModel) -> None:
         np.testing.assert_array_equal(s.M, s.M.T)
         assert np.linalg.eigvalsh(s.M)[0] > 0.9 * arm.data.rotor_inertia.min()
         np.testing.assert_allclose(s.h, pin.rnea(model, data, q, v, np.zeros(arm.n)), atol=1e-11)
-
-
-def test_coriolis_and_gravity_make_the_bias(arm: RobotModel) -> None:
-    for q, v, s in samples(arm):
         C, g = arm.coriolis(q, v), arm.gravity(q)
         np.testing.assert_allclose(C @ v + g, s.h, atol=1e-11)
-        np.testing.assert_allclose(arm.state(q).h, g, atol=1e-12)
         np.testing.assert_allclose(s.energy_slope, C.T @ v, atol=1e-12)
-        np.testing.assert_allclose(s.gravity, g, atol=1e-12)
+        np.testing.assert_allclose([s.gravity, arm.state(q).h], [g, g], atol=1e-12)
         dM = (arm.state(q + STEP * v).M - arm.state(q - STEP * v).M) / (2 * STEP)
         np.testing.assert_allclose(dM, C + C.T, atol=1e-7)
 
@@ -226,44 +218,34 @@ def test_the_record_is_what_the_attributes_show(arm: RobotModel) -> None:
     assert not copy.record.flags.writeable
 
 
-def test_any_kind_of_vector_is_taken(robot: RobotModel) -> None:
-    q = np.linspace(-0.5, 0.7, 7)
-    expected = robot.state(q, q).record
-    frozen = q.copy()
-    frozen.flags.writeable = False
-    for given_q in (q.tolist(), tuple(q), frozen, np.repeat(q, 2)[::2]):
-        np.testing.assert_array_equal(robot.state(given_q, given_q).record, expected)
-
-
 @pytest.mark.parametrize(("q", "v", "message"), [
     (np.zeros(6), None, "q has shape"), (np.zeros((7, 1)), None, "q has shape"), (0.0, None, "q has shape"),
     (np.zeros(7), np.zeros(8), "v has shape"), ([0, 0, 0, np.nan, 0, 0, 0], None, "q = "),
     (np.zeros(7), [0, 0, 0, 0, np.inf, 0, 0], "v = "), (np.zeros(7), [0, 0, 0, 0, 0, 0, -np.inf], "v = "),
     (["a"] * 7, None, "q = "),
 ])  # fmt: skip
-def test_bad_vectors_are_named(robot: RobotModel, q: Any, v: Any, message: str) -> None:
+def test_bad_vectors_are_named_and_good_ones_of_any_kind_taken(
+    robot: RobotModel, q: Any, v: Any, message: str
+) -> None:
     with pytest.raises(RobotError, match=message):
         robot.state(q, v)
-    good = robot.state(robot.data.q_home)
-    assert np.isfinite(good.record).all()
+    good = np.linspace(-0.5, 0.7, 7)
+    expected = robot.state(good, good).record
+    assert np.isfinite(expected).all()
+    for taken in (good.tolist(), tuple(good), np.repeat(good, 2)[::2]):
+        np.testing.assert_array_equal(robot.state(taken, taken).record, expected)
 
 
-def test_kinematics_are_the_models(arm: RobotModel) -> None:
-    k = arm.kinematics()
+def test_kinematics_and_a_pickled_copy_are_the_models(arm: RobotModel) -> None:
+    k, again = arm.kinematics(), pickle.loads(pickle.dumps(arm))
     assert k is arm.kinematics()
-    for q, _, s in samples(arm):
+    assert pickle.loads(pickle.dumps(k)) == k
+    for q, v, s in samples(arm):
+        np.testing.assert_array_equal(again.state(q, v).record, s.record)
         np.testing.assert_allclose(np.array(k.tip(q)).ravel(), s.tip, atol=1e-12)
         np.testing.assert_allclose(np.array(k.wrist(q)).ravel(), s.wrist, atol=1e-12)
         assert float(k.mu(q)) == pytest.approx(s.mu, abs=1e-12)
         np.testing.assert_allclose(np.array(k.grad_mu(q)).ravel(), s.grad_mu, atol=1e-12)
-
-
-def test_a_model_and_its_kinematics_can_be_sent_to_another_process(arm: RobotModel) -> None:
-    q, v, s = next(samples(arm))
-    np.testing.assert_array_equal(pickle.loads(pickle.dumps(arm)).state(q, v).record, s.record)
-    kinematics = pickle.loads(pickle.dumps(arm.kinematics()))
-    assert kinematics == arm.kinematics()
-    np.testing.assert_allclose(np.array(kinematics.tip(q)).ravel(), s.tip, atol=1e-12)
 
 
 def test_frames_and_joints_must_be_those_of_the_urdf(robot: RobotModel) -> None:
@@ -298,14 +280,6 @@ def test_drift_is_quadratic_and_even_in_the_velocity(pose: list[float], v: list[
     s, twice = LWR4.state(pose, v), LWR4.state(pose, -2 * np.array(v))
     np.testing.assert_allclose(twice.drift_tip, 4 * s.drift_tip, atol=1e-10)
     np.testing.assert_allclose(twice.drift_wrist, 4 * s.drift_wrist, atol=1e-10)
-
-
-def test_points_along_poses_are_those_of_the_states(arm):
-    poses = np.random.default_rng(8).uniform(arm.q_min, arm.q_max, (20, arm.n))
-    tips, wrists = arm.tool_along(poses)
-    for q, tip, wrist in zip(poses, tips, wrists, strict=True):
-        state = arm.state(q)
-        np.testing.assert_allclose([tip, wrist], [state.tip, state.wrist], rtol=0, atol=1e-14)
 
 
 # --- the shaft through the trocar ---

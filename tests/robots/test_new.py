@@ -12,7 +12,7 @@ import pytest
 
 from moc_opt.__main__ import main
 from moc_opt.errors import RobotError
-from moc_opt.planning.freedoms import freedoms, limit_shares
+from moc_opt.planning.self_motion import freedoms, limit_shares
 from moc_opt.robots import available_robots
 from moc_opt.robots.check import check_robot, verdict
 from moc_opt.robots.home import CLEARANCE_M, MARGIN, REGULAR, SHARE, find_shaft, search_home, task_fault
@@ -78,14 +78,6 @@ def test_it_runs_and_gains_manipulability(panda) -> None:
     assert verdict(check_robot(panda.robot)) == "ok"
 
 
-def test_an_arm_without_freedom_is_refused_with_the_count(tmp_path: Path) -> None:
-    with pytest.raises(RobotError, match="of 6 joints the tool's tip and shaft take 5"):
-        made(tmp_path, text_of(), lock={"joint_3": 0.0})
-    assert not (tmp_path / "out").exists()
-    with pytest.raises(RobotError, match="of 4 joints the tool's tip and shaft take 3"):
-        made(tmp_path, text_of(), lock={"joint_1": 0.0, "joint_3": 0.0, "joint_5": 0.0})
-
-
 def test_a_base_on_the_ceiling_hangs(tmp_path: Path) -> None:
     hanging = made(tmp_path, text_of("iiwa14"), base_rpy=(np.pi, 0.0, 0.0)).robot  # type: ignore[attr-defined]
     standing = load_robot("iiwa14")
@@ -95,21 +87,30 @@ def test_a_base_on_the_ceiling_hangs(tmp_path: Path) -> None:
     assert hanging.state(hanging.data.q_home).tip[2] < 0.0
 
 
-@pytest.mark.parametrize(("options", "option"), [
-    ({"tool_m": float("nan")}, "--tool"), ({"tool_m": 0.0}, "--tool"), ({"wrist_m": float("inf")}, "--wrist"),
-    ({"wrist_m": -1.0}, "--wrist"), ({"base_rpy": (float("nan"), 0.0, 0.0)}, "--base-rpy"),
-    ({"lock": {"joint_3": float("nan")}}, "--lock joint_3"), ({"seed": -1}, "--seed"),
+NAN, MASSLESS = float("nan"), re.sub(r"<inertial>.*?</inertial>", "", text_of(), flags=re.DOTALL)
+FEW = {"joint_1": 0.0, "joint_3": 0.0, "joint_5": 0.0}
+
+
+@pytest.mark.parametrize(("text", "options", "told"), [
+    (text_of(), {"tool_m": NAN}, "--tool"), (text_of(), {"tool_m": 0.0}, "--tool"),
+    (text_of(), {"wrist_m": float("inf")}, "--wrist"), (text_of(), {"wrist_m": -1.0}, "--wrist"),
+    (text_of(), {"base_rpy": (NAN, 0.0, 0.0)}, "--base-rpy"), (text_of(), {"lock": {"joint_3": NAN}}, "--lock joint_3"),
+    (text_of(), {"seed": -1}, "--seed"), (MASSLESS, {}, "joint 'joint_1' moves no mass"),
+    (text_of(), {"lock": {"joint_3": 0.0}}, "of 6 joints the tool's tip and shaft take 5"),
+    (text_of(), {"lock": FEW}, "of 4 joints the tool's tip and shaft take 3"),
 ])  # fmt: skip
-def test_options_that_are_no_numbers_are_refused(options: dict[str, object], option: str, tmp_path: Path) -> None:
-    with pytest.raises(RobotError, match=option):
-        made(tmp_path, text_of(), **options)
+def test_what_makes_no_arm_is_refused_and_leaves_no_file(text: str, options: dict, told: str, tmp_path: Path) -> None:
+    with pytest.raises(RobotError, match=told):
+        made(tmp_path, text, **options)
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize("name", ['a "b" c.toml', "-x.toml", "x.txt"])
-def test_a_name_that_no_robot_has_is_refused(name: str, tmp_path: Path) -> None:
-    with pytest.raises(RobotError, match="--out"):
-        new_robot(tmp_path / "a.urdf", tmp_path / name)
+def test_a_name_that_no_robot_has_or_a_file_that_is_there_is_refused(panda, tmp_path: Path) -> None:
+    for name in ('a "b" c.toml', "-x.toml", "x.txt"):
+        with pytest.raises(RobotError, match="--out"):
+            new_robot(tmp_path / "a.urdf", tmp_path / name)
+    with pytest.raises(RobotError, match="exists"):
+        new_robot(panda.urdf, panda.toml)
 
 
 def test_numbers_of_rounding_do_not_stand_in_the_file(tmp_path: Path) -> None:
@@ -120,22 +121,12 @@ def test_numbers_of_rounding_do_not_stand_in_the_file(tmp_path: Path) -> None:
     assert "e-" not in found.split("[joints]")[0]
 
 
-def test_nothing_is_written_over(panda) -> None:
-    with pytest.raises(RobotError, match="exists"):
-        new_robot(panda.urdf, panda.toml)
-
-
-def test_an_arm_without_masses_is_refused_by_name(tmp_path: Path) -> None:
-    with pytest.raises(RobotError, match="joint 'joint_1' moves no mass"):
-        made(tmp_path, re.sub(r"<inertial>.*?</inertial>", "", text_of(), flags=re.DOTALL))
-
-
 def test_of_a_flange_without_mass_the_tool_is_what_the_last_joint_moves(tmp_path: Path) -> None:
     text = text_of()
     place = text.index('<link name="link_7">')
     start, end = (text.index(tag, place) for tag in ("<inertial>", "</inertial>"))
     arm = made(tmp_path, text[:start] + text[end + len("</inertial>") :])
-    assert any("link_7: what joint_7 carries has no mass, and the tool is all" in note for note in arm.notes)
+    assert any("link_7: what joint_7 carries has no mass, so it moves the tool alone" in note for note in arm.notes)
     whole = load_robot("panda")
     assert 0.0 < arm.robot.state(whole.data.q_home).M[5, 5] < whole.state(whole.data.q_home).M[5, 5]
 
@@ -201,20 +192,16 @@ def test_a_flange_frame_carries_the_same_tool() -> None:
     np.testing.assert_allclose(found.wrist, -0.107 * direction(found.rpy), rtol=0, atol=1e-12)
 
 
-def test_a_flange_off_the_axis_wakes_the_last_joint() -> None:
+def test_a_flange_off_the_axis_or_a_sliding_last_joint_is_noted() -> None:
     flange = link("flange") + joint("f", "fixed", "link_7", "flange", '<origin xyz="0.05 0 0.107"/>')
     found = find_shaft(added(text_of(), flange), "flange")
     assert "off the last axis" in found.note
     np.testing.assert_allclose(direction(found.rpy), [0, 0, 1], rtol=0, atol=1e-12)
-
-
-def test_a_sliding_last_joint_points_along_its_link() -> None:
     text = text_of()
     place = text.index('<joint name="joint_7"')
-    text = text[:place] + changed(text[place:], ('type="revolute"', 'type="prismatic"'))
-    found = find_shaft(text, "link_7")
-    assert "slides" in found.note
-    np.testing.assert_allclose(found.wrist, 0.0)
+    sliding = find_shaft(text[:place] + changed(text[place:], ('type="revolute"', 'type="prismatic"')), "link_7")
+    assert "slides" in sliding.note
+    np.testing.assert_allclose(sliding.wrist, 0.0)
 
 
 def test_the_wrist_can_be_given() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,10 +12,11 @@ import pytest
 import moc_opt as mo
 from moc_opt.__main__ import main
 from moc_opt.errors import ControlError, ScenarioError
+from moc_opt.planning import guides
+from moc_opt.planning.guides import followed_course, load_course, speed_shares
 from moc_opt.planning.plan import Plan
-from moc_opt.scenario import Setup, guided
-from moc_opt.scenario.course_file import following_warnings, load_course, save_course, speed_shares
-from moc_opt.scenario.planned import followable_plan, plan, targets_of
+from moc_opt.scenario import Setup
+from moc_opt.scenario.planned import followable_plan, following_warnings, plan, save_course, targets_of
 
 SCENARIO = mo.Scenario(bound_samples=0, judge=False, duration_s=1.0).change(control={"third_level": "planned"})
 
@@ -27,7 +29,7 @@ def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def loaded(scenario: mo.Scenario) -> Any:
     setup = Setup(scenario.change(control={"third_level": "local", "course": ""}))
-    return load_course(scenario, setup.robot, setup.layout.q, targets_of(setup.robot, setup.layout))
+    return load_course(scenario.control, setup.robot, setup.layout.q, targets_of(setup.robot, setup.layout))
 
 
 def test_a_course_is_written_and_read_back(tmp_path: Path) -> None:
@@ -44,7 +46,7 @@ def test_a_run_along_the_file_is_the_run_along_the_course_that_it_plans(
     file: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     planned = mo.run(SCENARIO)
-    monkeypatch.setattr(guided, "best_course", lambda *given, **more: pytest.fail("the course is in the file"))
+    monkeypatch.setattr(guides, "best_course", lambda *given, **more: pytest.fail("the course is in the file"))
     followed = mo.run(SCENARIO.change(control={"course": str(file)}))
     assert followed.meta["course_mu_mean"] == pytest.approx(planned.meta["course_mu_mean"], rel=1e-4)
     np.testing.assert_allclose(followed.q_rad, planned.q_rad, rtol=0.0, atol=1e-2)
@@ -109,7 +111,7 @@ def test_a_course_is_made_smooth_within_what_it_was_planned_for(tmp_path: Path) 
     scenario = SCENARIO.change(control={"course": str(to)})
     setup = Setup(scenario.change(control={"third_level": "local", "course": ""}))
     robot, targets = setup.robot, targets_of(setup.robot, setup.layout)
-    slow, fast = (guided.followed_course(each, robot, setup.layout) for each in (scenario, SCENARIO))
+    slow, fast = (followed_course(replace(setup.following, settings=each.control)) for each in (scenario, SCENARIO))
     shares = [speed_shares(robot, course.q_rad, targets.period_s).max() for course in (slow, fast)]
     assert 0.05 < shares[0] < 0.1 + 1e-6
     assert shares[1] > 0.3

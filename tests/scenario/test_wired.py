@@ -16,14 +16,15 @@ import pytest
 from moc_opt.__main__ import main
 from moc_opt.realtime.answering import Ending
 from moc_opt.realtime.link import WireError, written
-from moc_opt.realtime.packets import Kind
+from moc_opt.realtime.packets import RUNNING, Kind
 from moc_opt.scenario import Scenario, run
 from moc_opt.scenario.wired import PlantServer, answer, fingerprint
 from moc_opt.trace.trace import Trace
-from tests.realtime.relay import TO_CONTROLLER, TO_PLANT, Relay
+from tests.realtime.relay import FAULTS, TO_CONTROLLER, TO_PLANT, Relay
 
 SHORT: dict[str, Any] = {"duration_s": 0.6, "bound_samples": 0}
 CLOCKS = {"tick_us", "solve_us"}
+COUNTED = {Kind.COMMAND, Kind.REPORT, (Kind.MEASUREMENT, RUNNING)}  # the packets of a tick
 WIRE_COLUMNS = {"wake_us", "control_us", "missed"}
 
 
@@ -92,13 +93,14 @@ def test_where_the_plant_waits_no_fault_of_the_wire_changes_the_run() -> None:
         np.testing.assert_allclose(found.columns[name], expected.columns[name], rtol=1e-12, atol=1e-12)
     counts = found.meta["wire"]
     for end, way in ((counts, TO_PLANT), (ending.quality, TO_CONTROLLER)):
-        done = relay.done[way]
-        assert min(done[fault] for fault in ("drop", "double", "swap", "cut", "forge")) > 2
-        # An end has left its last tick before a packet of that tick that comes late.
-        assert 0 <= done["cut"] - end["truncated"] <= 1
-        assert 0 <= done["forge"] - end["forged"] <= 1
-        assert end["doubled"] > 2
+        done, whole = relay.done[way], relay.whole[way]
+        assert all(done[fault] for fault in FAULTS)
+        assert (end["truncated"], end["forged"]) == (done["cut"], done["forge"])
+        of_ticks = sum(count for (kind, flags), count in whole.items() if (kind, flags) in COUNTED or kind in COUNTED)
+        assert end["received"] + end["doubled"] + end["reordered"] + end["late"] == of_ticks
+        assert end["doubled"] > 5
         assert end["foreign"] <= 3  # of the handshake, repeated
+    assert ending.quality["received"] == ending.ticks == len(expected)
     assert counts["missed"] == ending.quality["missed"] == 0
     assert ending.ended == found.meta["ended"] == "completed"
 

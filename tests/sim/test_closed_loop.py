@@ -10,7 +10,7 @@ from moc_opt.control.safety_filter import SafetyFilterSettings
 from moc_opt.live import LiveRun
 from moc_opt.scenario import Scenario, Setup
 from moc_opt.sim import Plant
-from moc_opt.sim.closed_loop import ClosedLoop
+from moc_opt.sim.loop import ClosedLoop
 from moc_opt.vision.hands_on import HandsOnSettings, guide_to
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -84,21 +84,21 @@ def test_the_stop_is_simulated_for_as_long_as_it_says(robot):
     """One more step than fits into the time, the one that ordered it; the arm is braked from that step on."""
     setup = Setup(Scenario(**QUICK))
     loop = setup.closed_loop(setup.adapter())
-    loop._filtered._filter.request_stop("for a test")  # before the start: it forgets this
+    loop.filtered._filter.request_stop("for a test")  # before the start: it forgets this
     references = setup.reference.rows(0.0), np.stack(setup.registered.at(0.0)), np.stack(setup.trocar.at(0.0))
     loop.start(*references[:2])
     for _ in range(5):
         loop.step(*references)
     assert (loop.stop_reason, loop.finished, loop.ticks) == ("", False, 5)
     free = np.array(setup.plant.mj_model.dof_damping)
-    loop._filtered._filter.request_stop("for a test")
+    loop.filtered._filter.request_stop("for a test")
     steps = 0
     while not loop.finished:
         loop.step(*references)
         steps += 1
     assert steps == round(SafetyFilterSettings().stop_s / setup.plant.settings.period_s) + 1
     np.testing.assert_allclose(setup.plant.mj_model.dof_damping - free, 20.0)
-    np.testing.assert_array_equal(loop.tau, loop._filtered._applied)
+    np.testing.assert_array_equal(loop.tau, loop.filtered._applied)
 
 
 def test_no_other_code_moves_a_plant():
@@ -106,5 +106,5 @@ def test_no_other_code_moves_a_plant():
     by_hand = re.compile(r"plant\.(step|brake)\(")
     files = [path for room in ("moc_opt", "benchmarks") for path in (ROOT / room).rglob("*.py")]
     found = {path.relative_to(ROOT).as_posix() for path in files if by_hand.search(path.read_text(encoding="utf-8"))}
-    assert found == {"moc_opt/sim/closed_loop.py"}
-    assert ClosedLoop.step.__module__ == "moc_opt.sim.closed_loop"
+    assert found == {"moc_opt/sim/loop.py"}
+    assert ClosedLoop.step.__module__ == "moc_opt.sim.loop"

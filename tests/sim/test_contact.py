@@ -138,13 +138,13 @@ def test_pushes_name_what_is_wrong():
     for wrong, name in ((([1, 0],), "push force"), (([1, 0, 0], [np.nan, 0, 0]), "push point")):
         with pytest.raises(PlantError, match=name):
             plant.push("link_1", *wrong)
-    assert not plant._pushes.held
+    assert not plant._pushes
     plant.push("link_1", [1, 0, 0])
     plant.push("link_1", [0, 2, 0])
     plant._load(0.0)
     np.testing.assert_array_equal(plant.mj_data.body("link_1").xfrc_applied, [0, 2, 0, 0, 0, 0])  # it replaces
     plant.clear_pushes("link_1")
-    assert not plant._pushes.held
+    assert not plant._pushes
 
 
 # One plant step from rest, gravity held: v = step * M^-1 J^T F, with J from the controller's model.

@@ -100,16 +100,6 @@ def test_brakes_act_on_the_motors_until_reset():
     assert plant.mj_model.dof_damping[::2].max() < 15.0
 
 
-def test_the_same_seed_gives_the_same_numbers():
-    settings = PlantSettings(joint_stiffness_Nm_per_rad=1e4, substeps=12, torque_ripple=0.002)
-    plants = [Plant(DATA, settings, seed=5) for _ in range(2)]
-    torque = plants[0].applied_torque + np.linspace(-1.0, 1.0, 7)
-    for plant in plants:
-        hold(plant, 30, torque)
-    np.testing.assert_array_equal(plants[0].q, plants[1].q)
-    np.testing.assert_array_equal(plants[0].measure().q, plants[1].measure().q)
-
-
 def test_a_step_too_coarse_for_the_springs_is_refused_with_the_cure():
     with pytest.raises(PlantError, match=r"substeps = 2 .* rad/s: raise substeps to (\d+)") as said:
         Plant(DATA, elastic(substeps=2))

@@ -5,7 +5,7 @@ import pytest
 
 from moc_opt.errors import PlantError, ScenarioError, UnknownNameError
 from moc_opt.scenario import Scenario, Setup, run
-from moc_opt.sim import Measurement, Plant
+from moc_opt.sim import Measurement
 from moc_opt.sim.faults import GRAVITY, Faults, FaultSettings
 
 PERIOD = 0.002
@@ -138,16 +138,6 @@ def test_a_payload_pulls_the_tip_down(robot):
     )
     sag = (loaded.tip_m - clean.tip_m)[-1]
     assert sag[2] == pytest.approx(-GRAVITY / 3000.0, rel=0.3)  # K_X of the tuned gains
-
-
-def test_the_plant_forgets_a_fault_when_it_is_reset(robot):
-    plant = Plant(robot.data)
-    faults(bump_N=30.0, bump_at_s=0.0).act(plant, 0)
-    plant.step(robot.gravity(robot.data.q_home))
-    moved = plant.q
-    plant.reset(robot.data.q_home)
-    plant.step(robot.gravity(robot.data.q_home))
-    assert (plant.q != moved).any()
 
 
 @pytest.mark.parametrize("kind", ["fail", "nan", "lie", "raise", "outside", "rig", "malformed", "hang"])

@@ -225,6 +225,21 @@ def test_warm_equals_cold(name):
         np.testing.assert_allclose(a.x, b.x, rtol=0.0, atol=limits.x)
 
 
+@every_solver
+def test_another_shape_starts_another_workspace(name):
+    """A stream whose number of joints changes: each answer is that of a session that never saw another one."""
+    if expect(name).arm:
+        pytest.skip("its kinematics have one number of joints")
+    rng, limits, chosen = np.random.default_rng(6), expect(name), solver(name)
+    session = chosen.start(random_problem(rng))
+    for n in (9, 6, 7):
+        qp = random_problem(rng, n, structured=False)
+        if chosen.supports(qp) is None:
+            mine, alone = session.solve(qp), chosen.start(qp).solve(qp)
+            assert mine.status is alone.status
+            np.testing.assert_allclose(mine.x, alone.x, rtol=0.0, atol=limits.x)
+
+
 UPDATING = ("osqp", "proxqp", "daqp", "piqp", "quadprog", "clarabel", "casadi:qrqp")
 TRUNCATING = ("osqp", "piqp", "clarabel")
 

@@ -39,8 +39,8 @@ def fault_of(session, qp):
     raise AssertionError("it answered")
 
 
-def pid(session):
-    return session._workers[0]._process.pid
+def pid(session, worker=0):
+    return session._workers[worker]._process.pid
 
 
 def until(said):
@@ -72,40 +72,24 @@ def test_a_solver_that_behaves_gives_the_same_trace(solver):
     assert "restarts" not in isolated.meta
 
 
-@pytest.mark.parametrize(
-    ("act", "reason"),
-    [
-        ("hang", "no answer for 0.5 s"), ("exit", "ended with status 3"), ("fork and exit", "ended with status 3"),
-        ("kill", "killed by SIGKILL"), ("crash", "killed by SIGSEGV"), ("close everything", "closed its end"),
-        ("eat", "800 MB of memory were full"),
-    ],
-)  # fmt: skip
-def test_a_process_that_is_lost_costs_one_answer_and_is_replaced(qp, act, reason):
-    session = started(qp, act, hang_s=0.5 if "0.5 s" in reason else 60.0, memory_MB=800.0)
+@pytest.mark.parametrize(("act", "kind", "reason"), [
+    ("hang", "lost", "no answer for 0.5 s"), ("exit", "lost", "ended with status 3"),
+    ("fork and exit", "lost", "ended with status 3"), ("kill", "lost", "killed by SIGKILL"),
+    ("crash", "lost", "killed by SIGSEGV"), ("close everything", "lost", "closed its end"),
+    ("eat", "lost", "800 MB of memory were full"), ("raise", "raised", "ZeroDivisionError"),
+    ("quit", "raised", "SystemExit: enough"), ("huge", "raised", "bytes: return a Solution"),
+])  # fmt: skip
+def test_a_failure_costs_one_answer_and_only_a_lost_process_is_replaced(qp, act, kind, reason):
+    limits = {"hang": {"hang_s": 0.5}, "eat": {"memory_MB": 800.0}}
+    session = started(qp, act, **limits.get(act, {}))
     assert session.solve(qp).iterations == 1
-    first = pid(session)
-    kind, text = fault_of(session, qp)
-    assert kind == "lost"
+    first, (found, text) = pid(session), fault_of(session, qp)
+    assert found == kind
     assert reason in text
-    assert is_gone(first)
-    assert session.solve(qp).iterations == 1  # of a new session
-    (restart,) = session.restarts
-    assert restart.tick == 1
-    assert restart.reason in text
-
-
-@pytest.mark.parametrize(
-    ("act", "text"),
-    [("raise", "ZeroDivisionError"), ("quit", "SystemExit: enough"), ("huge", "bytes: return a Solution")],
-)
-def test_what_a_solver_raises_costs_no_process(qp, act, text):
-    session = started(qp, act)
-    assert session.solve(qp).iterations == 1
-    kind, found = fault_of(session, qp)
-    assert kind == "raised"
-    assert text in found
-    assert session.restarts == []
-    assert not is_gone(pid(session))
+    assert is_gone(first) == (kind == "lost")
+    if kind == "lost":
+        assert session.solve(qp).iterations == 1  # of a new session
+    assert [(tick, why in text) for tick, why in session.restarts] == ([(1, True)] if kind == "lost" else [])
 
 
 @pytest.mark.parametrize(("act", "fault"), [("shape", "malformed"), ("nan", "not_finite"), ("raise", "raised")])
@@ -137,10 +121,10 @@ def test_an_answer_that_is_late_may_stand_for_the_next_one(qp, tmp_path):
         session.observe(np.arange(7.0))
         assert fault_of(session, numbered(1))[0] == "late"
     (tmp_path / "1").touch()
-    found = old.solve(numbered(2))  # problem 2 has no answer yet
-    assert found.iterations == 1
-    np.testing.assert_array_equal(found.x, np.arange(7.0))
-    np.testing.assert_array_equal(found.y, qp.b)
+    answer = old.solve(numbered(2))  # problem 2 has no answer yet
+    assert answer.iterations == 1
+    np.testing.assert_array_equal(answer.x, np.arange(7.0))
+    np.testing.assert_array_equal(answer.y, qp.b)
     assert fault_of(own, numbered(2))[0] == "late"
     assert fault_of(old, numbered(3))[0] == "late"  # two ticks old by now
     for number in "234":
@@ -157,9 +141,20 @@ def test_against_a_wall_clock_a_spare_takes_over(qp):
     assert "status 3" in fault_of(session, qp)[1]
     assert session.solve(qp).iterations == 1
     assert session._workers[0] is spare
-    os.kill(session._workers[1]._process.pid, signal.SIGSTOP)  # the next spare never gets ready
+    os.kill(pid(session, 1), signal.SIGSTOP)  # the next spare never gets ready
     assert "status 3" in fault_of(session, qp)[1]
     assert fault_of(session, qp) == ("lost", "a new process of the solver is being started")
+
+
+def test_a_process_that_is_ready_serves_the_next_session(qp):
+    solver = Isolated(Misbehaving())
+    session = solver.start(qp)
+    first = pid(session)
+    assert [session.solve(qp).iterations for _ in range(2)] == [1, 2]
+    del session
+    session = solver.start(qp)
+    assert pid(session) == first
+    assert session.solve(qp).iterations == 1  # with no memory of the session before
 
 
 def test_what_the_solver_started_ends_with_it(qp, tmp_path):
@@ -184,14 +179,11 @@ def test_a_process_that_hangs_outlives_a_loop_that_was_killed_by_little():
     until(lambda: is_gone(int(said.stdout)))
 
 
-@pytest.mark.parametrize(
-    ("solver", "text"),
-    [
-        (Misbehaving("refuse"), "solver 'misbehaving' in a process of its own: .* not this one"),
-        (Misbehaving("fail at the start"), "in a process of its own: RuntimeError: no licence"),
-        (Misbehaving(lambda: None), "cannot run in a process of its own: .*isolation = 'none'"),
-    ],
-)
+@pytest.mark.parametrize(("solver", "text"), [
+    (Misbehaving("refuse"), "solver 'misbehaving' in a process of its own: .* not this one"),
+    (Misbehaving("fail at the start"), "in a process of its own: RuntimeError: no licence"),
+    (Misbehaving(lambda: None), "cannot run in a process of its own: .*isolation = 'none'"),
+])  # fmt: skip
 def test_a_solver_that_cannot_run_there_is_refused_before_anything_moves(qp, solver, text):
     with pytest.raises(SolverError, match=text):
         Isolated(solver).start(qp)
@@ -221,8 +213,5 @@ def test_a_budget_is_kept_by_process_or_supervisor():
     assert (replayed.solver.budget_us, replayed.settings.supervisor.budget_us) == (float("inf"), 700.0)
     real = Setup(Scenario(solver={"isolation": "process"}, **QUICK), realtime=True).controller().solver
     assert (real.waits, real.budget_us) == (False, 1000.0)  # half a period
-
-
-def test_what_cannot_be_isolated_is_refused():
     with pytest.raises(MocOptError, match="isolation"):
         Scenario(solver={"isolation": "process"}, control={"supervisor": {"late": "iterate"}})

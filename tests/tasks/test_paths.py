@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import math
-import pickle
 import sys
 import types
 from importlib.metadata import EntryPoint
@@ -121,51 +120,6 @@ def test_line_ends_at_its_end() -> None:
     np.testing.assert_array_equal(path.at(0.1)[2], np.zeros(3))
 
 
-@pytest.mark.parametrize("kind", CURVES)
-def test_vector_form_is_the_scalar_form_to_the_bit(kind: str) -> None:
-    path = build(kind)
-    s = np.random.default_rng(3).uniform(0.0, path.length, 50)
-    vector = path.at(s)
-    for i, entry in enumerate(s):
-        for rows, row in zip(vector, path.at(entry), strict=True):
-            np.testing.assert_array_equal(rows[i], row)
-    assert [rows.shape for rows in path.at(np.empty(0))] == [(0, 3)] * 3
-
-
-@pytest.mark.parametrize("kind", CURVES)
-def test_a_path_survives_pickling_and_its_vectors_are_read_only(kind: str) -> None:
-    path = build(kind)
-    np.testing.assert_array_equal(pickle.loads(pickle.dumps(path)).at(0.01), path.at(0.01))
-    for vector in (path.start, path.normal, path.heading, path.left, path.curve.knots):
-        with pytest.raises(ValueError, match="read-only"):
-            vector[0] = 1.0
-
-
-@pytest.mark.parametrize("s", [-1e-3, 1.0, math.nan, [[0.0]], "here"])
-def test_arc_length_outside_the_path_is_an_error(s: object) -> None:
-    with pytest.raises(TaskError, match="s "):
-        build("line").at(s)  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize("kind", CURVES)
-@pytest.mark.parametrize("bad", [0.0, -0.1, math.nan, math.inf, "0.1", None, True])
-def test_sizes_must_be_positive_finite_numbers(kind: str, bad: object) -> None:
-    for name in SIZES[kind]:
-        with pytest.raises(TaskError, match=name):
-            build(kind, **{name: bad})  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize("change", [
-    {"heading": -2.0 * NORMAL}, {"normal": np.zeros(3)}, {"start": START[:2]}, {"start": [0.0, math.nan, 0.0]},
-    {"kind": "sinusoid", "amplitude": 0.01, "wavelength": 0.03, "periods": 1e9},
-])  # fmt: skip
-def test_unusable_placements_and_sizes_are_refused(change: dict[str, object]) -> None:
-    sizes = {} if "kind" in change else {"length": 0.1}
-    given = {"kind": "line", "start": START, "normal": NORMAL, "heading": HEADING, **sizes, **change}
-    with pytest.raises(TaskError):
-        make_path(**given)  # type: ignore[arg-type]
-
-
 # --- by name, those of other packages among them ---
 
 
@@ -190,8 +144,13 @@ def added(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "entry_points", lambda group: found if group == module.GROUP else [])
 
 
-def test_a_function_of_sizes_gives_a_path_in_space_and_a_class_a_planar_one(added: None) -> None:
-    path = make_path("helix", np.zeros(3), radius=0.02, **AXES)
+@pytest.mark.parametrize("own", [True, False])
+def test_a_function_of_sizes_gives_a_path_in_space(own: bool, added: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In the table of the package as in another package."""
+    if own:
+        monkeypatch.setitem(CURVES, "screw", helix)
+        assert kinds()["screw"] == "Go round once while it climbs."
+    path = make_path("screw" if own else "helix", np.zeros(3), radius=0.02, **AXES)
     assert isinstance(path, Waypoints)
     assert path.at(path.length)[0][2] == pytest.approx(0.01)
     assert path.length == pytest.approx(np.hypot(2 * np.pi * 0.02, 0.01), rel=1e-2)

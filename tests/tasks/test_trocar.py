@@ -10,7 +10,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from moc_opt.errors import TaskError
 from moc_opt.tasks import Trocar, depth, shaft_distance
 
 POINT = (0.5, 0.1, 0.2)
@@ -34,42 +33,6 @@ def test_velocity_is_the_derivative(t: float, amplitude: float, period: float, d
     slope = (trocar.at(t + h)[0] - trocar.at(t - h)[0]) / (2 * h)
     np.testing.assert_allclose(slope, trocar.at(t)[1], atol=1e-8)
     assert np.linalg.norm(trocar.at(t)[0] - POINT) <= amplitude * (1.0 + 1e-12) + 1e-15
-
-
-def test_vector_form_is_the_scalar_form_to_the_bit() -> None:
-    trocar = Trocar(POINT, 0.01, 4.2, (1.0, 2.0, 3.0))
-    t = np.random.default_rng(7).uniform(-10.0, 10.0, 200)
-    p, dp = trocar.at(t)
-    for i, entry in enumerate(t):
-        np.testing.assert_array_equal((p[i], dp[i]), trocar.at(float(entry)))
-        np.testing.assert_array_equal((p[i], dp[i]), trocar.rows(entry))
-
-
-def test_trocar_is_frozen() -> None:
-    given_point = np.array(POINT)
-    trocar = Trocar(given_point)
-    given_point[:] = 0.0
-    np.testing.assert_array_equal(trocar.at([3.0])[0][0], POINT)
-    assert not trocar.at([3.0])[1].any()
-    with pytest.raises(ValueError, match="read-only"):
-        trocar.point[0] = 1.0  # type: ignore[index]
-    with pytest.raises(AttributeError):
-        trocar.breathing_period_s = 1.0  # type: ignore[misc]
-
-
-@pytest.mark.parametrize(("field", "bad"), [
-    ("point", (0.0, 1.0)), ("point", (0.0, math.nan, 0.0)), ("breathing_amplitude_m", -0.01),
-    ("breathing_amplitude_m", math.inf), ("breathing_period_s", 0.0), ("direction", (0.0, 0.0, 0.0)),
-])  # fmt: skip
-def test_bad_settings_name_their_field(field: str, bad: object) -> None:
-    with pytest.raises(TaskError, match=field):
-        Trocar(**{"point": POINT, field: bad})  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize("t", [math.nan, math.inf, [[0.0]], "now"])
-def test_times_must_be_times(t: object) -> None:
-    with pytest.raises(TaskError, match="t "):
-        Trocar(POINT).at(t)  # type: ignore[arg-type]
 
 
 def test_known_distance_and_depth() -> None:
@@ -109,14 +72,3 @@ def test_rows_are_single_points() -> None:
         np.testing.assert_allclose(rows, single, rtol=1e-14)
         tiled = function(tip, wrist, np.tile(p[0], (20, 1)))
         np.testing.assert_array_equal(function(tip, wrist, p[0]), tiled)
-
-
-def test_shapes_that_do_not_fit_are_named() -> None:
-    with pytest.raises(TaskError, match="tip has shape"):
-        shaft_distance(np.zeros(2), np.zeros(3), np.zeros(3))
-    with pytest.raises(TaskError, match="same number of rows"):
-        depth(np.zeros((4, 3)), np.ones((5, 3)), np.zeros(3))
-    with pytest.raises(TaskError, match="coincide"):
-        shaft_distance(np.ones(3), np.ones(3), np.zeros(3))
-    with pytest.raises(TaskError, match="wrist"):
-        shaft_distance(np.ones(3), "here", np.zeros(3))  # type: ignore[arg-type]

@@ -1,11 +1,9 @@
 """A reference that waits never jumps: speed and acceleration keep their bounds through every loss and recovery."""
 
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from moc_opt.errors import TaskError
 from moc_opt.tasks import Reference, make_path
 from moc_opt.tasks.waiting import WaitingReference, flags_at
 
@@ -115,19 +113,9 @@ def test_step_and_play_agree_and_start_again():
     rows, _ = waiting.play(seen)
     waiting.start()
     np.testing.assert_array_equal(rows, [waiting.step(flag) for flag in seen.tolist()])
-    with pytest.raises(TaskError, match="flags"):
-        waiting.play(np.ones(5))
-
-
-@pytest.mark.parametrize(("name", "value"), [("period_s", 0.0), ("brake_m_per_s2", -1.0)])
-def test_bad_settings_name_the_field(name, value):
-    with pytest.raises(TaskError, match=name):
-        WaitingReference(reference(), **{"period_s": PERIOD, name: value})
 
 
 def test_answers_of_the_camera_hold_until_the_next_picture():
     found = flags_at([0.0, 0.05, 0.1, 0.15, 0.2, 0.3], [0.1, 0.2], [True, False])
     np.testing.assert_array_equal(found, [False, False, True, True, False, False])
     np.testing.assert_array_equal(flags_at([0.0, 1.0], [], []), [False, False])
-    with pytest.raises(TaskError, match="rising"):
-        flags_at([0.0], [0.2, 0.1], [True, True])

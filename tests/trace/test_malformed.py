@@ -3,7 +3,6 @@
 import contextlib
 import copy
 import json
-import pickle
 from functools import cache
 
 import hypothesis.strategies as st
@@ -122,32 +121,6 @@ def test_a_table_that_claims_to_be_a_trace_is_one_or_is_refused(tmp_path, column
         assert all(column.dtype.kind in "fiubU" for column in found.columns.values())
         with contextlib.suppress(MocOptError):
             summarize(found)
-
-
-class Evil:
-    """Leaves a file behind where it is unpickled."""
-
-    def __init__(self, path):
-        self.path = path
-
-    def __reduce__(self):
-        return (open, (self.path, "w"))
-
-
-def test_a_parquet_file_runs_no_code(tmp_path):
-    """Pickles where other libraries look for them: extension types, pandas metadata, our own keys."""
-    mark, path = tmp_path / "was-here", tmp_path / "evil.parquet"
-    bomb = pickle.dumps(Evil(str(mark)))
-    told = {"ARROW:extension:name": "arrow.py_extension_type", "ARROW:extension:metadata": bomb}
-    for types in (bomb, b'{"t_s": "|O"}', b'{"t_s": "<f8"}'):
-        keys = {"moc_opt.trace.trace": "2", "moc_opt.types": types, "moc_opt.meta": "{}", "pandas": bomb}
-        schema = pa.schema([pa.field("t_s", pa.float64(), metadata=told)], metadata=keys)
-        pq.write_table(pa.table([pa.array([0.0, 1.0])], schema=schema), path)
-        with contextlib.suppress(TraceError):
-            assert mo.load_trace(path).t_s.dtype == np.float64
-        assert not mark.exists()
-    pickle.loads(bomb).close()
-    assert mark.exists()  # the charge was live
 
 
 def test_a_parquet_file_of_many_rows_is_not_unpacked(tmp_path):

@@ -1,17 +1,13 @@
 """A trace's meta: what pages and tables read is of its kind, or the trace is refused by the entry's name."""
 
-import json
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
 
 from moc_opt.errors import TraceError
-from moc_opt.report.run_table import part, refusals, run_json, run_table, warnings
 from moc_opt.scenario import Scenario, run
 from moc_opt.trace.meta import FORMS, Ending, check_entry
 from moc_opt.trace.trace import Trace
-from tests.odd_inputs import junk
 
 SOUND = {
     "ended": "stopped: the tip", "robot": "lwr4", "mu_bound_method": "scanned",
@@ -56,18 +52,6 @@ def test_what_runs_leave_is_of_its_kind(scenario):
     assert set(meta) & set(FORMS) >= {"ended", "robot", "ticks", "ticks_planned", "period_s", "scenario"}
     for name, value in meta.items():
         check_entry(name, value)
-
-
-@settings(max_examples=200, deadline=None)
-@given(junk)
-def test_whatever_passes_can_be_shown(value):
-    for name in FORMS:
-        try:
-            trace = Trace({"t_s": np.arange(3.0)}, {name: value})
-        except TraceError:
-            continue
-        json.dumps(run_json(trace, {}))
-        assert [part(trace), *refusals(trace), *warnings(trace), run_table("run", trace, {}).to_text()]
 
 
 @pytest.mark.parametrize(("text", "ending", "whole"), [

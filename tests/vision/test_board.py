@@ -1,4 +1,4 @@
-"""The board's geometry, and tasks that are the same path wherever the board lies."""
+"""Poses compose as rigid motions do; tasks on a board are the same path wherever the board lies."""
 
 import numpy as np
 import pytest
@@ -7,13 +7,47 @@ from hypothesis import strategies as st
 
 from moc_opt.errors import TaskError, UnknownNameError
 from moc_opt.vision.board import BOARD_TASKS, Board, BoardTask, board_below, board_task
-from moc_opt.vision.pose import Pose, rotation_from
+from moc_opt.vision.pose import Pose, rotation_from, rotation_vector
 
 BOARD = Board()
-SMALL = st.floats(-1.0, 1.0)
-POSE = st.builds(
-    lambda w, t: Pose(rotation_from(w), t), st.tuples(SMALL, SMALL, SMALL), st.tuples(SMALL, SMALL, SMALL)
+VECTOR = st.tuples(*[st.floats(-2.0, 2.0)] * 3).map(np.array)
+TURN = st.tuples(VECTOR, st.floats(0.0, np.pi)).map(
+    lambda pair: pair[1] * pair[0] / max(np.linalg.norm(pair[0]), 1e-3)
 )
+POSE = st.builds(lambda turn, place: Pose(rotation_from(turn), place), TURN, VECTOR)
+
+
+@given(POSE, POSE, VECTOR)
+def test_a_chain_of_poses_takes_points_from_right_to_left(a, b, point):
+    np.testing.assert_allclose((a @ b).apply(point), a.apply(b.apply(point)), atol=1e-12)
+    np.testing.assert_allclose((a @ a.inverse()).apply(point), point, atol=1e-12)
+    np.testing.assert_allclose(a.apply(np.array([point, 2 * point]))[1], a.apply(2 * point), atol=1e-12)
+    np.testing.assert_allclose(a.turn(point), a.apply(point) - a.apply(np.zeros(3)), atol=1e-12)
+
+
+@given(TURN)
+def test_rotation_vector_is_the_inverse_of_rodrigues(turn):
+    rotation = rotation_from(turn)
+    np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-12)
+    assert np.linalg.det(rotation) == pytest.approx(1.0)
+    np.testing.assert_allclose(rotation_from(rotation_vector(rotation)), rotation, atol=1e-7)
+    assert np.linalg.norm(rotation_vector(rotation)) == pytest.approx(np.linalg.norm(turn), abs=2e-6)
+
+
+@given(POSE, POSE, st.floats(0.0, 1.0))
+def test_blending_goes_straight_from_one_to_the_other(a, b, share):
+    way, turn = a.distance(b)
+    moved, turned = a.distance(a.towards(b, share))
+    assert moved == pytest.approx(share * way, abs=1e-12)
+    # At half a turn there are two ways round; either is of the right length.
+    assert turned == pytest.approx(share * turn, abs=1e-6)
+    assert a.towards(b, 1.0).distance(b) == pytest.approx((0.0, 0.0), abs=2e-6)
+
+
+@pytest.mark.parametrize("rotation", [np.eye(2), 2 * np.eye(3), np.diag([1.0, 1.0, -1.0]), np.full((3, 3), np.nan)])
+def test_no_rotation_no_pose(rotation):
+    with pytest.raises(TaskError):
+        Pose(rotation, (0, 0, 0))
 
 
 def test_markers_are_squares_in_rows_from_the_top_left():
@@ -33,39 +67,26 @@ def test_markers_are_squares_in_rows_from_the_top_left():
     np.testing.assert_allclose(BOARD.outline()[0] + [0.005, -0.005, 0], first, atol=1e-15)
 
 
-@pytest.mark.parametrize("name", list(BOARD_TASKS))
-def test_presets_fit_the_abdomen(name):
-    task = board_task(name)
-    path = task.on_board()
-    places = path.at(np.linspace(0, path.length, 500))[0]
-    extent = np.ptp(places[:, :2], axis=0)
-    assert 0.02 <= extent.max() <= 0.041
-    assert 0.12 <= task.depth_m <= 0.20
-    np.testing.assert_allclose(places[:, 2], task.height_m, atol=1e-15)
-
-
 @given(POSE, st.sampled_from(list(BOARD_TASKS)))
 @settings(max_examples=30)
-def test_a_task_moves_with_its_board(pose, name):
-    own = board_task(name).on_board()
+def test_a_task_is_small_enough_and_moves_with_its_board(pose, name):
+    task, own = board_task(name), board_task(name).on_board()
+    s = np.linspace(0.0, own.length, 200)
+    places = own.at(s)[0]
+    assert 0.02 <= np.ptp(places[:, :2], axis=0).max() <= 0.041
+    assert 0.12 <= task.depth_m <= 0.20
+    np.testing.assert_allclose(places[:, 2], task.height_m, atol=1e-15)
     carried = BOARD.task_in_base(name, pose)
-    s = np.linspace(0.0, own.length, 20)
-    np.testing.assert_allclose(carried.at(s)[0], pose.apply(own.at(s)[0]), atol=1e-9)
+    np.testing.assert_allclose(carried.at(s)[0], pose.apply(places), atol=1e-9)
     np.testing.assert_allclose(carried.at(s)[1], pose.turn(own.at(s)[1]), atol=1e-9)
     np.testing.assert_allclose(carried.normal, pose.R[:, 2], atol=1e-12)
 
 
-def test_a_heading_turns_the_task_on_the_board():
+def test_a_heading_turns_the_task_and_what_is_beyond_the_board_or_unknown_is_refused():
     straight = BoardTask("line", {"length": 0.03}, heading_deg=90.0)
     np.testing.assert_allclose(straight.on_board().at(0.03)[0], [0.0, 0.03, 0.005], atol=1e-15)
-
-
-def test_a_task_beyond_its_board_is_refused():
     with pytest.raises(TaskError):
         BOARD.task_in_base(BoardTask("line", {"length": 0.076}), Pose())
-
-
-def test_an_unknown_task_is_refused():
     with pytest.raises(UnknownNameError):
         board_task("cirle")
 

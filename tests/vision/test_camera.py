@@ -7,28 +7,16 @@ from hypothesis import strategies as st
 
 from moc_opt.errors import PlantError
 from moc_opt.vision.board import Board
-from moc_opt.vision.camera import COVER, STEEL, TISSUE, Camera, Scene, View, expose, hide
+from moc_opt.vision.camera import COVER, STEEL, TISSUE, Camera, CameraSettings, Scene, View, expose, hide
 from moc_opt.vision.pose import Pose, rotation_from
-from moc_opt.vision.settings import CameraSettings, TrackerSettings
-from moc_opt.vision.tracking import BoardFinder
+from moc_opt.vision.tracking import BoardFinder, TrackerSettings
 
 PHANTOM = Pose(rotation_from((0.1, 0.2, 0.3)), (0.6, 0.1, 0.05))
 CAMERA = Camera.above(CameraSettings(), PHANTOM)
 
 
-def test_the_middle_of_the_phantom_is_the_middle_of_the_picture():
+def test_it_stands_where_the_settings_say_and_looks_at_the_middle_of_the_phantom():
     np.testing.assert_allclose(CAMERA.project(PHANTOM.t), [[319.5, 239.5]], atol=1e-9)
-
-
-def test_the_angle_of_view_spans_the_picture_from_edge_to_edge():
-    """The outermost pixels' outer edges are half a pixel beyond their middles."""
-    up = np.tan(np.radians(25.0))
-    top = CAMERA.camera_in_base.apply([0.0, -up, 1.0])
-    side = CAMERA.camera_in_base.apply([up * 640 / 480, 0.0, 1.0])
-    np.testing.assert_allclose(CAMERA.project([top, side]), [[319.5, -0.5], [639.5, 239.5]], atol=1e-9)
-
-
-def test_it_stands_where_the_settings_say():
     eye = PHANTOM.inverse().apply(CAMERA.camera_in_base.t)
     assert np.linalg.norm(eye) == pytest.approx(0.16)
     assert np.degrees(np.arccos(eye[2] / 0.16)) == pytest.approx(25.0)
@@ -46,9 +34,12 @@ def test_projection_is_the_pinhole(direction, depth):
     np.testing.assert_allclose(CAMERA.project(point)[0], expected, atol=1e-6)
 
 
-def test_what_is_behind_is_not_projected():
-    behind = CAMERA.camera_in_base.apply([0.0, 0.0, -0.1])
-    assert np.isnan(CAMERA.project(behind)).all()
+def test_the_angle_of_view_spans_the_picture_and_what_is_behind_is_not_projected():
+    """The outermost pixels' outer edges are half a pixel beyond their middles."""
+    up = np.tan(np.radians(25.0))
+    seen = CAMERA.camera_in_base.apply([[0.0, -up, 1.0], [up * 640 / 480, 0.0, 1.0], [0.0, 0.0, -0.1]])
+    expected = [[319.5, -0.5], [639.5, 239.5], [np.nan, np.nan]]
+    np.testing.assert_allclose(CAMERA.project(seen), expected, atol=1e-9)
 
 
 def test_calibration_is_off_by_what_was_asked_for():
@@ -99,11 +90,6 @@ def test_settings_out_of_range_name_the_field(table, field):
         table(**field)
 
 
-def test_settings_make_what_they_describe():
-    lost = Board(lost_s=((1.0, 2.0), (3.0, 4.0)))
-    assert [lost.is_lost(t) for t in (0.5, 1.0, 1.99, 2.0, 3.5)] == [False, True, True, False, True]
-
-
 # --- its pictures ---
 
 BOARD = Board()
@@ -138,7 +124,9 @@ def test_the_tool_is_drawn_and_hides_what_is_behind_it():
     assert len(BoardFinder(BOARD, CLEAN).corners(without)) == 20
 
 
-def test_a_dark_or_turned_board_is_not_there():
+def test_a_board_is_lost_at_its_times_and_a_dark_or_turned_one_is_not_there():
+    lost = Board(lost_s=((1.0, 2.0), (3.0, 4.0)))
+    assert [lost.is_lost(t) for t in (0.5, 1.0, 1.99, 2.0, 3.5)] == [False, True, True, False, True]
     view, finder = View(CLEAN, BOARD), BoardFinder(BOARD, CLEAN)
     turned = Pose(np.diag([1.0, -1.0, -1.0]), FLAT.t)
     behind = Pose(np.eye(3), CLEAN.camera_in_base.apply([0.0, 0.0, -0.2]))

@@ -8,10 +8,9 @@ from hypothesis import strategies as st
 
 from moc_opt.errors import TaskError
 from moc_opt.vision.board import Board
-from moc_opt.vision.camera import Camera, Scene, View, board_picture, texture_matrix
+from moc_opt.vision.camera import Camera, CameraSettings, Scene, View, board_picture, texture_matrix
 from moc_opt.vision.pose import Pose, rotation_from
-from moc_opt.vision.settings import CameraSettings, TrackerSettings
-from moc_opt.vision.tracking import BoardFinder, BoardTracker, Sighting
+from moc_opt.vision.tracking import BoardFinder, BoardTracker, Sighting, TrackerSettings
 
 BOARD = Board()
 CLEAN = CameraSettings(noise=0.0, blur_px=0.0)
@@ -32,36 +31,25 @@ def test_the_printed_markers_are_where_the_geometry_says(gap_m):
         np.testing.assert_allclose(pixels, there[:, :2] + 20, atol=0.3)
 
 
-def test_the_pose_is_found():
+def test_the_pose_and_the_corners_are_found():
+    """A camera whose middle is half a pixel off would shift the corners all by as much."""
     sighting = FINDER.find(SHOT)
     way, turn = sighting.pose.distance(TILTED)
     assert way < 1e-4
     assert turn < 1e-3
     assert sighting.markers == 20
     assert sighting.error_px < 0.4
-
-
-def test_corners_are_those_of_the_projection_on_average():
-    """A camera whose middle is half a pixel off would shift them all by as much."""
-    found = FINDER.corners(SHOT)
-    off = [
-        pixels - EYE.project((EYE.camera_in_base @ TILTED).apply(BOARD.corners(m)))
-        for m, pixels in found.items()
-    ]
+    there = EYE.camera_in_base @ TILTED
+    off = [pixels - EYE.project(there.apply(BOARD.corners(m))) for m, pixels in FINDER.corners(SHOT).items()]
     np.testing.assert_allclose(np.mean(off, axis=(0, 1)), 0.0, atol=0.03)
 
 
-def test_no_board_no_sighting():
+def test_without_a_marker_there_is_no_sighting_and_one_is_enough_for_a_poorer_pose():
     assert FINDER.find(np.full((480, 640, 3), 90, dtype=np.uint8)) is None
-    noise = np.random.default_rng(0).integers(0, 255, (480, 640, 3)).astype(np.uint8)
-    assert FINDER.find(noise) is None
-
-
-def test_one_marker_is_enough_for_a_pose_though_a_poorer_one():
-    scene = Scene(EYE.camera_in_base @ TILTED, frozenset(BOARD.ids) - {7})
-    sighting = FINDER.find(View(EYE, BOARD).picture(scene))
-    assert sighting.markers == 1
-    assert sighting.pose.distance(TILTED)[0] < 3e-3
+    assert FINDER.find(np.random.default_rng(0).integers(0, 255, (480, 640, 3)).astype(np.uint8)) is None
+    one = FINDER.find(View(EYE, BOARD).picture(Scene(EYE.camera_in_base @ TILTED, frozenset(BOARD.ids) - {7})))
+    assert one.markers == 1
+    assert one.pose.distance(TILTED)[0] < 3e-3
 
 
 def test_a_tool_across_a_marker_does_not_pull_the_pose():
@@ -97,15 +85,13 @@ def noisy(rng, pose=HERE, way=1e-4, turn=1e-3):
     return sight(pose @ Pose(rotation_from(turn * rng.standard_normal(3)), way * rng.standard_normal(3)))
 
 
-def test_it_takes_several_sightings_to_find_a_board():
-    tracked = feed(BoardTracker(), [None, sight(), sight(), sight(), sight()])
-    assert [answer.seen for answer in tracked] == [False] * 3 + [True] * 2
-
-
-def test_a_single_wrong_sighting_finds_nothing():
+@pytest.mark.parametrize(("sightings", "seen"), [
+    ([None, sight(), sight(), sight(), sight()], [False, False, False, True, True]),
+    ([sight(THERE), sight(), sight(), sight()], [False, False, False, True]),
+])  # fmt: skip
+def test_it_takes_several_sightings_that_agree_to_find_a_board(sightings, seen):
     tracker = BoardTracker()
-    seen = feed(tracker, [sight(THERE), sight(HERE), sight(HERE), sight(HERE)])
-    assert [tracked.seen for tracked in seen] == [False, False, False, True]
+    assert [tracked.seen for tracked in feed(tracker, sightings)] == seen
     assert tracker.pose.distance(HERE)[0] < 1e-12
 
 

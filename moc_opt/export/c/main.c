@@ -33,14 +33,14 @@ static moc_measurement measured(int k, const double *applied)
 static void begin(void)
 {
     moc_measurement first = measured(0, sent);
-    if (moc_begin_run(&moc_constants, &first, &state) != MOC_RUNNING)
+    if (moc_start(&moc_constants, &first, &state) != MOC_RUNNING)
         printf("%s\n", moc_reason(state.reason));
 }
 
 static moc_stop step(int k)
 {
-    moc_measurement now = measured(k, NULL);
-    return moc_step(&moc_constants, &now, &recorded[k].ref, &recorded[k].trocar, &state, tau);
+    const moc_input now = {measured(k, NULL), recorded[k].ref, recorded[k].trocar, NULL};
+    return moc_step(&moc_constants, &now, &state, tau);
 }
 
 int main(void)

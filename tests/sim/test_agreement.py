@@ -12,8 +12,7 @@ from hypothesis import given, settings
 from moc_opt.errors import RobotError
 from moc_opt.robots import loader
 from moc_opt.robots.model import RobotModel, load_robot
-from moc_opt.scenario.agreement import TOLERANCE, check_engines
-from moc_opt.sim.reference import reference_terms
+from moc_opt.sim.agreement import TOLERANCE, check_engines, reference_terms
 
 FOLDER = Path(loader.__file__).parent
 URDF, TOML = ((FOLDER / f"lwr4.{kind}").read_text(encoding="utf-8") for kind in ("urdf", "toml"))
@@ -42,7 +41,7 @@ def test_every_term_is_compared(robot, monkeypatch, change):
     def shifted(data, q, v):
         return [t._replace(**{change: getattr(t, change) * (1.0 + scale * TOLERANCE)}) for t in true(data, q, v)]
 
-    monkeypatch.setattr("moc_opt.scenario.agreement.reference_terms", shifted)
+    monkeypatch.setattr("moc_opt.sim.agreement.reference_terms", shifted)
     scale = 0.1
     check_engines(robot)
     scale = 30.0

@@ -1,11 +1,11 @@
-"""When the elbow counts as travelling: told from poses made to travel, to follow, and to rest."""
+"""The elbow is in its transient where its poses are made to move to the optimum, not where they follow it or rest."""
 
 import numpy as np
 import pytest
 
 from moc_opt.errors import RobotError
+from moc_opt.planning.elbow import distance_to_go, in_transient, uphill
 from moc_opt.planning.self_motion import self_motion
-from moc_opt.planning.transient import distance_to_go, in_transient, uphill
 
 
 @pytest.fixture(scope="module")
@@ -18,18 +18,15 @@ def place(curve, s):
     return curve.at((s - curve.s[0]) / (curve.s[-1] - curve.s[0]))
 
 
-def test_distance_to_the_best_pose_is_zero(robot, curve):
-    distance, mu = distance_to_go(robot, [curve.best])
-    assert distance[0] < 1e-3
-    assert mu[0] == pytest.approx(curve.mu_best, rel=1e-5)
-
-
 def test_distance_is_the_arc_length_along_the_self_motion(robot, curve):
     top = float(curve.s[np.argmax(curve.mu)])
     offsets = np.array([-0.6, -0.3, -0.1, 0.1, 0.3, 0.6])
-    distance, mu = distance_to_go(robot, np.array([place(curve, top + offset) for offset in offsets]))
-    np.testing.assert_allclose(distance, np.abs(offsets), atol=0.02)
-    np.testing.assert_allclose(mu, curve.mu_best, rtol=1e-4)
+    poses = [*(place(curve, top + offset) for offset in offsets), curve.best, np.zeros(7)]
+    distance, mu = distance_to_go(robot, poses)
+    np.testing.assert_allclose(distance[:6], np.abs(offsets), atol=0.02)
+    np.testing.assert_allclose(mu[:7], curve.mu_best, rtol=1e-4)
+    assert distance[6] < 1e-3
+    assert np.isnan(distance[7]), "a straight arm is singular"
 
 
 def test_uphill_climbs_to_the_nearest_maximum_and_not_to_the_largest(robot, regular_poses):
@@ -58,25 +55,24 @@ def test_an_elbow_at_speed_travels_until_it_is_there(robot, curve):
     assert not flags[t > 1.9].any()
 
 
-def test_an_elbow_at_rest_far_away_does_not_travel(robot, curve):
-    q = np.tile(place(curve, float(curve.s[0]) + 0.5), (50, 1))
-    assert not in_transient(robot, 0.02 * np.arange(50), q).any()
-
-
-def test_an_elbow_that_follows_its_moving_optimum_does_not_travel(robot, curve):
+def test_an_elbow_at_rest_far_away_or_at_its_moving_optimum_is_in_no_transient(robot, curve):
     """Turning the base carries arm and optimum along, at any speed."""
-    q = np.tile(curve.best, (100, 1))
-    q[:, 0] += np.linspace(0.0, 1.0, 100)
-    assert not in_transient(robot, 0.01 * np.arange(100), q).any()
+    t = 0.01 * np.arange(100)
+    rest, follow = (np.tile(q, (100, 1)) for q in (place(curve, float(curve.s[0]) + 0.5), curve.best))
+    follow[:, 0] += np.linspace(0.0, 1.0, 100)
+    assert not in_transient(robot, t, rest).any()
+    assert not in_transient(robot, t, follow).any()
 
 
-def test_settings_move_the_border(robot, curve):
+def test_speed_and_distance_decide_at_their_borders(robot, curve):
+    """0.1 rad/s is a transient up to a tenth of a radian from the top; 0.03 rad/s is none anywhere."""
     top = float(curve.s[np.argmax(curve.mu)])
-    t = np.arange(0.0, 1.0, 0.01)
-    q = np.array([place(curve, top - 0.5 + 0.1 * each) for each in t])  # 0.1 rad/s
-    assert in_transient(robot, t, q).all()
-    assert not in_transient(robot, t, q, still_rad_per_s=0.2).any()
-    assert not in_transient(robot, t, q, near_rad=0.6).any()
+    t = np.arange(0.0, 4.0, 0.02)
+    flags = in_transient(robot, t, np.array([place(curve, top - 0.4 + 0.1 * each) for each in t]))
+    assert flags[t < 2.8].all()
+    assert not flags[t > 3.2].any()
+    slow = np.array([place(curve, top - 0.4 + 0.03 * each) for each in t])
+    assert not in_transient(robot, t, slow).any()
 
 
 def test_no_ticks_and_another_arms_are_refused_and_one_tick_is_no_journey(robot):
@@ -84,10 +80,3 @@ def test_no_ticks_and_another_arms_are_refused_and_one_tick_is_no_journey(robot)
         with pytest.raises(RobotError, match="q_rad shape"):
             in_transient(robot, t, q)
     assert not in_transient(robot, [0.0], [robot.data.q_home]).any()
-
-
-def test_singular_poses_are_left_out(robot, curve):
-    straight = np.zeros(7)
-    distance, _ = distance_to_go(robot, [straight, curve.best])
-    assert np.isnan(distance[0])
-    assert distance[1] < 1e-3

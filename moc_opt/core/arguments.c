@@ -1,0 +1,237 @@
+/* Arguments of the binding: arrays, numbers, keywords that fill a struct, and packed records. */
+#include "python.h"
+
+PyObject *moc_done(call *c, PyObject *result)
+{
+    while (c->held > 0)
+        PyBuffer_Release(&c->view[--c->held]);
+    return result;
+}
+
+/* Whether a length is the one that is asked for; n and k are bound by the first array that has them. */
+static int fits(call *c, int wanted, Py_ssize_t length)
+{
+    switch (wanted) {
+    case N:
+        if (c->n == 0 && length <= MOC_MAX_JOINTS)
+            c->n = (int)length;
+        return length > 0 && length == c->n;
+    case ROW:
+        if (c->n == 0 && length <= 11 * MOC_MAX_JOINTS + 10)
+            c->n = (int)(length - 10) / 11;
+        return c->n > 0 && length == 11 * c->n + 10;
+    case TERMS:
+        return length == c->n * c->n + 13 * c->n + 18;
+    case TWICE:
+        return length == 2 * c->n;
+    case TICKED:
+        return length == 14 * c->n + 16;
+    case K:
+        c->k = c->k < 0 ? length : c->k;
+        return length == c->k;
+    default:
+        return wanted == ANY || length == wanted;
+    }
+}
+
+static void say(const call *c, int wanted, char text[32])
+{
+    static const char *const words[] = {"n", "k", "any", "11 n + 10", "n n + 13 n + 18", "2 n", "14 n + 16"};
+    if (wanted == N && c->n > 0)
+        wanted = c->n;
+    if (wanted < 0)
+        PyOS_snprintf(text, 32, "%s", words[-1 - wanted]);
+    else
+        PyOS_snprintf(text, 32, "%d", wanted);
+}
+
+static int refuse(const call *c, const parameter *p)
+{
+    char rows[32], columns[32];
+    say(c, p->rows, rows);
+    say(c, p->columns, columns);
+    PyErr_Format(PyExc_ValueError, "%s: give a%s array of float64 of shape (%s,%s%s)%s", p->name,
+                 p->kind == STRIDED ? " writable" : p->kind == WRITE ? " writable, C-contiguous" : " C-contiguous", rows,
+                 p->columns ? " " : "", p->columns ? columns : "", c->n > 0 ? "" : " for 1 to 16 joints");
+    return 0;
+}
+
+static int take_array(call *c, int i, PyObject *given, const parameter *p)
+{
+    Py_buffer *view = &c->view[c->held];
+    int flags = PyBUF_FORMAT | (p->kind == STRIDED ? PyBUF_STRIDES : PyBUF_C_CONTIGUOUS);
+
+    if (PyObject_GetBuffer(given, view, p->kind == WRITE || p->kind == STRIDED ? flags | PyBUF_WRITABLE : flags) < 0) {
+        PyErr_Clear();
+        return refuse(c, p);
+    }
+    c->place[i] = c->held++;
+    if (view->format == NULL || strcmp(view->format, "d") != 0 || view->ndim != (p->columns ? 2 : 1) ||
+        (p->columns && !fits(c, p->columns, view->shape[1])) || !fits(c, p->rows, view->shape[0]))
+        return refuse(c, p);
+    c->array[i] = view->buf;
+    return 1;
+}
+
+static int take_whole(PyObject *given, const char *name, long long most, long long *to)
+{
+    *to = PyLong_AsLongLong(given);
+    if (*to == -1 && PyErr_Occurred())
+        return 0;
+    if (*to >= -most && *to <= most)
+        return 1;
+    PyErr_Format(PyExc_ValueError, "%s = %lld does not fit an int", name, *to);
+    return 0;
+}
+
+static int take_double(PyObject *given, double *to)
+{
+    *to = PyFloat_AsDouble(given);
+    return !(*to == -1.0 && PyErr_Occurred());
+}
+
+int moc_take(call *c, int n, const char *name, PyObject *const *args, Py_ssize_t count, const parameter *table, int wanted)
+{
+    c->n = n;
+    c->k = -1;
+    c->held = 0;
+    if (count != wanted) {
+        PyErr_Format(PyExc_TypeError, "%s takes %d arguments, %zd were given", name, wanted, count);
+        return 0;
+    }
+    for (int i = 0; i < wanted; i++) {
+        const parameter *p = &table[i];
+        int taken = 1;
+        c->array[i] = NULL;
+        c->whole[i] = 0;
+        if (p->kind == NUMBER)
+            taken = take_double(args[i], &c->number[i]);
+        else if (p->kind == WHOLE)
+            taken = take_whole(args[i], p->name, INT_MAX, &c->whole[i]);
+        else if (p->kind == OBJECT || (args[i] == Py_None && (p->kind == LONG || p->kind == MAYBE)))
+            continue;
+        else
+            taken = p->kind == LONG ? take_whole(args[i], p->name, LLONG_MAX, &c->whole[i]) : take_array(c, i, args[i], p);
+        if (!taken) {
+            moc_done(c, NULL);
+            return 0;
+        }
+    }
+    return 1;
+}
+
+/* --- structs --- */
+
+int moc_fill(PyObject *keywords, const field *fields, size_t count, int n, void *to)
+{
+    for (size_t k = 0; k < count; k++) {
+        const field *f = &fields[k];
+        void *place = (char *)to + f->offset;
+        PyObject *given = keywords ? PyDict_GetItemString(keywords, f->name) : NULL;
+        if (given == NULL) {
+            PyErr_Format(PyExc_TypeError, "%s is missing", f->name);
+            return 0;
+        }
+        long long number;
+        if (f->kind == DOUBLE && !take_double(given, place))
+            return 0;
+        if (f->kind == INT && !take_whole(given, f->name, INT_MAX, &number))
+            return 0;
+        if (f->kind == INT)
+            *(int *)place = (int)number;
+        if (f->kind == DOUBLE || f->kind == INT)
+            continue;
+        int length = f->kind == PAIR ? 2 : n;
+        const parameter array = {f->name, READ, length, 0};
+        call c;
+        if (!moc_take(&c, n, f->name, &given, 1, &array, 1))
+            return 0;
+        memcpy(place, c.array[0], (size_t)length * sizeof(double));
+        moc_done(&c, NULL);
+    }
+    return 1;
+}
+
+static PyObject *numbers(const double *from, int count)
+{
+    PyObject *shown = PyTuple_New(count);
+    for (int i = 0; shown != NULL && i < count; i++)
+        PyTuple_SetItem(shown, i, PyFloat_FromDouble(from[i]));
+    return shown;
+}
+
+PyObject *moc_show(const field *f, int n, const void *from)
+{
+    const void *place = (const char *)from + f->offset;
+    if (f->kind == DOUBLE)
+        return PyFloat_FromDouble(*(const double *)place);
+    if (f->kind == INT)
+        return PyLong_FromLong(*(const int *)place);
+    if (f->kind != BASIS)
+        return numbers(place, f->kind == PAIR ? 2 : n);
+    int rows = *(const int *)((const char *)from + f->rows);
+    PyObject *shown = PyTuple_New(rows);
+    for (int i = 0; shown != NULL && i < rows; i++)
+        PyTuple_SetItem(shown, i, numbers((const double *)place + i * MOC_MAX_JOINTS, n));
+    return shown;
+}
+
+/* --- packed records --- */
+
+/* Rows of numbers in a struct, MOC_MAX_JOINTS apart; columns: how many of each, or N. */
+typedef struct {
+    size_t offset;
+    int rows, columns;
+} part;
+
+#define PART(type, name, rows, columns) {offsetof(type, name), rows, columns}
+
+/* moc_opt/robots/state.py reads the same order. */
+static const part terms_parts[] = {
+    PART(moc_terms, q, 1, N), PART(moc_terms, v, 1, N), PART(moc_terms, tip, 1, 3), PART(moc_terms, wrist, 1, 3),
+    PART(moc_terms, u, 1, 3), PART(moc_terms, A, 6, N), PART(moc_terms, drift, 1, 6), PART(moc_terms, grad_mu, 1, N),
+    PART(moc_terms, grad_mu_shaft, 1, N), PART(moc_terms, M, N, N), PART(moc_terms, h, 1, N),
+    PART(moc_terms, energy_slope, 1, N), PART(moc_terms, gravity, 1, N), PART(moc_terms, mu, 1, 1),
+    PART(moc_terms, span, 1, 1), PART(moc_terms, mu_shaft, 1, 1),
+};
+
+/* moc_opt/qp/layout.py reads the same order; q follows. */
+static const part problem_parts[] = {
+    PART(moc_problem, A, 6, N), PART(moc_problem, b, 1, 6), PART(moc_problem, grad_mu, 1, N),
+    PART(moc_problem, pull, 1, N), PART(moc_problem, lower, 1, N), PART(moc_problem, upper, 1, N), PART(moc_problem, c0, 1, 1),
+    PART(moc_problem, c1, 1, 1), PART(moc_problem, c2, 1, 1), PART(moc_problem, rho, 1, 1),
+};
+
+/* Between a struct and its record, one row after the other; returns the end of the record. */
+static double *copy_parts(const part *parts, size_t count, int n, void *of, double *record, int pack)
+{
+    for (size_t k = 0; k < count; k++) {
+        double *row = (double *)((char *)of + parts[k].offset);
+        int rows = parts[k].rows == N ? n : parts[k].rows, columns = parts[k].columns == N ? n : parts[k].columns;
+        for (int i = 0; i < rows; i++, row += MOC_MAX_JOINTS, record += columns)
+            memcpy(pack ? record : row, pack ? row : record, (size_t)columns * sizeof *row);
+    }
+    return record;
+}
+
+void moc_unpack_problem(double *record, int n, moc_problem *p)
+{
+    p->n = n;
+    copy_parts(problem_parts, COUNT(problem_parts), n, p, record, 0);
+}
+
+void moc_pack_problem(moc_problem *p, const double *q, double *record)
+{
+    record = copy_parts(problem_parts, COUNT(problem_parts), p->n, p, record, 1);
+    memcpy(record, q, (size_t)p->n * sizeof *q);
+}
+
+void moc_unpack_terms(double *record, int n, moc_terms *t)
+{
+    copy_parts(terms_parts, COUNT(terms_parts), n, t, record, 0);
+}
+
+void moc_pack_terms(moc_terms *t, int n, double *record)
+{
+    copy_parts(terms_parts, COUNT(terms_parts), n, t, record, 1);
+}

@@ -1,0 +1,103 @@
+/* What Python needs of the core beside the controller; no part of the exported folder. */
+#ifndef MOC_TOOLS_H
+#define MOC_TOOLS_H
+
+#include "shared.h"
+
+/* --- rnn.c --- */
+
+/* How the network of rnn.c steps. */
+typedef struct {
+    int steps;      /* at most so many */
+    double h_x, h_y; /* step sizes of x and of the multipliers, dt/eps */
+    double k;       /* the paper's gain */
+    double scale;   /* multiplies c0, c1, c2 and rho */
+    int implicit;   /* 1: the multipliers see the new x */
+    double rest;    /* it ends where its right-hand side is at most this [rad/s, m/s] */
+} moc_network;
+
+/* Advance x (n,) and y (6,) in place. Returns MOC_OK at rest, MOC_UNFINISHED, or MOC_DOUBTFUL where a number is no
+ * longer finite; *made is the number of steps. */
+moc_status moc_step_network(const moc_problem *problem, const moc_network *network, double *x, double y[6], int *made);
+
+/* --- a QP library's view of the subproblem (rows.c) --- */
+
+/* P (n,n) and p (n,) of the cost 1/2 x^T P x + p^T x. */
+void moc_cost(const moc_problem *problem, double P[][MOC_MAX_JOINTS], double *linear);
+
+/* The equality rows that a library takes: five independent ones where there are such and `five` asks for them, else the
+ * six. y6 = lift^T y. Returns how many. */
+int moc_equalities(const moc_problem *problem, int five, double A[6][MOC_MAX_JOINTS], double b[6], double lift[6][6]);
+
+/* --- planning (plan.c) --- */
+
+/* Newton's method for a pose with the tip (points = 1), or tip and wrist (points = 2), at target[points]; q (n,) is
+ * where it begins, low and high are joint limits. Returns what the best pose misses them by [m]. */
+double moc_nearest_pose(const moc_arm *arm, int points, double target[][3], const double *low, const double *high,
+                        int iterations, const double *q, double *best);
+
+/* An arm inside its limits, with a tip and a wrist that it has to keep. */
+typedef struct {
+    const moc_arm *arm;
+    const double *low, *high;   /* (n,) */
+    double target[2][3];        /* tip and wrist [m] */
+    int active[MOC_MAX_JOINTS]; /* the joints that may move along a curve, one more than tip and wrist fix */
+    int count;
+} plan_task;
+
+typedef enum { PLAN_LIMIT = 0, PLAN_CLOSED, PLAN_SINGULAR, PLAN_LENGTH } plan_end;
+
+/* Samples s, poses (most, n) and mu of the curve from q on along the unit tangent (n,); returns how many. At a joint
+ * limit the last step is bisected; a curve that comes back to its start, up to whole turns, is closed with that pose. */
+int plan_follow(const plan_task *task, const double *q, const double *tangent, double step, int most, double *s,
+                double *poses, double *mus, plan_end *end);
+
+/* The pose (n,) on the curve across the unit vector `along` from q; 0 where Newton's method does not find it. */
+int plan_correct(const plan_task *task, const double *q, const double *along, double *pose);
+
+/* Place q (n,) and climb to a local maximum of mu inside the limits, in place; returns mu, -1 where it has no pose. */
+double plan_ascend(const plan_task *task, double *q);
+
+/* What the poses of one time are worth by those of the time next to it, value[branches][m].
+ *
+ * Poses q (branches, m, n) with slack, NaN where there is none; gain (branches, m): what a pose adds, -inf: forbidden.
+ * A pose is next to another where no joint turns by more than its step (n,) and both slacks; in its own branch, or in
+ * one whose number differs in bits of crossing[m]. price: of a step's square [1/rad^2]; worst: the value is the least
+ * gain on the way in place of their sum. `room`: branches * (blocks of next) * (2 n + 1) numbers of scratch. */
+typedef struct {
+    int branches, m, next, n;
+    const double *q, *slack, *gain;
+    const double *q_next, *slack_next, *value_next;
+    const double *step;
+    const double *crossing; /* whole numbers */
+    double price;
+    int worst;
+} plan_stage;
+
+enum { PLAN_BLOCK = 16 };
+
+void plan_advance(const plan_stage *stage, double *room, double *value);
+
+/* --- the simulated plant (plant.c); sim/contact.py and sim/sensors.py say what it models --- */
+
+/* Force of the trocar on the shaft and where it acts, world axes: with the shaft's point c nearest to the trocar P and
+ * the velocity w of the tool's material there, force = (I - u u^T)(stiffness (P - c) + damping (dP - w)).
+ * tip, wrist: two points of the shaft's line; twist: angular velocity, then the velocity at origin; trocar: P and dP at
+ * the start of the period, `elapsed` seconds ago. */
+void plant_shaft_force(const double *tip, const double *wrist, const double twist[6], const double *origin,
+                       const double trocar[6], double elapsed, double stiffness, double damping, double force[3],
+                       double point[3]);
+
+/* Add a force at a point to a body's wrench (force, then moment about com), world axes. */
+void plant_add_force(double wrench[6], const double force[3], const double point[3], const double com[3]);
+
+typedef struct {
+    double resolution, period, gain; /* [rad], [s], share of the difference quotient that the estimate takes up */
+    int exact;                       /* 1: position and velocity are exact but for the bias */
+} plant_encoders;
+
+/* reading (2 n,): positions, then velocities. memory (3, n): bias, last position, estimate of the velocity. */
+void plant_read_encoders(const plant_encoders *e, int n, const double *q, const double *v, const double *noise,
+                         double *memory, double *reading);
+
+#endif

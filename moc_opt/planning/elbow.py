@@ -1,0 +1,120 @@
+"""The elbow's swivel: its angle, its distance to the maximum of mu uphill, and the ticks at which it moves there.
+
+The swivel is the angle of the elbow about the line from the shoulder to the wrist centre, counted from the plane
+through that line and a fixed direction (Kreutz-Delgado, Long and Seraji 1992). It depends on the pose alone, and
+continuously, so that poses of different times and runs can be compared.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from moc_opt.arrays import Array
+from moc_opt.errors import RobotError
+from moc_opt.planning.self_motion import SelfMotion, parabola_peak, self_motion
+from moc_opt.robots.chain import link_frames
+from moc_opt.robots.model import RobotModel
+
+NEAR_RAD = 0.1
+"""Nearer to its optimum than this the elbow has arrived: it costs less than half a percent of mu on the LWR4+."""
+STILL_RAD_PER_S = 0.05
+"""An elbow that is slower relative to its optimum is stuck or held; in a transient it does 0.3 to 0.8 rad/s."""
+
+
+class Elbow:
+    """The swivel angle of an arm: second joint, elbow and wrist centre span the plane that turns."""
+
+    def __init__(self, robot: RobotModel, wrists: Array) -> None:
+        """Choose elbow and reference direction for the wrist centres (k, 3) [m] that will occur."""
+        self._chain = robot.chain
+        origins, _ = link_frames(robot.chain, robot.data.q_home[None])
+        # Second of the joints that turn: a rail carries the shoulder.
+        self._shoulder = min(int(np.argmin(robot.chain.prismatic)) + 1, robot.n - 1)
+        shoulder, wrist = origins[0, self._shoulder], robot.state(robot.data.q_home).wrist
+        away = np.linalg.norm(np.cross(origins[0] - shoulder, _unit(wrist - shoulder)), axis=1)
+        self.joint = self._shoulder + int(np.argmax(away[self._shoulder :]))
+        # The direction that the shoulder-wrist line stays farthest from: upwards, unless the arm does.
+        sideways = np.sqrt(1.0 - _unit(wrists - shoulder) ** 2).min(axis=0)
+        axis = 2 if sideways[2] > 0.3 else int(np.argmax(sideways))
+        self.reference = np.eye(3)[axis]  #: (3,) unit vector towards which the elbow lies at swivel zero
+
+    def swivel(self, q: Array) -> Array:
+        """Return the swivels (k,) [rad] in (-pi, pi], of poses (k, n)."""
+        origins, rotations = link_frames(self._chain, q)
+        shoulder, elbow = origins[:, self._shoulder], origins[:, self.joint]
+        wrist = origins[:, -1] + rotations[:, -1] @ self._chain.offsets[1]
+        line, out = _unit(wrist - shoulder), elbow - shoulder
+        side = np.cross(line, self.reference)
+        return np.asarray(np.arctan2((out * side).sum(axis=1), (out * np.cross(side, line)).sum(axis=1)))
+
+
+def _unit(vectors: Array) -> Array:
+    return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))
+
+
+def wrapped(angles: Array) -> Array:
+    """Return the same angles [rad] in [-pi, pi)."""
+    return np.asarray(angles - 2.0 * np.pi * np.floor(angles / (2.0 * np.pi) + 0.5))
+
+
+def uphill(curve: SelfMotion) -> tuple[float, float]:
+    """Return the arc length [rad] from the scan's pose (s = 0) to the local maximum of mu uphill of it, and mu there.
+
+    The maximum is refined by a parabola between the samples; at a joint limit it is the last sample.
+    """
+    s, mu, i = curve.s, np.pad(curve.mu, 1, constant_values=-np.inf), 1 + int(np.argmin(np.abs(curve.s)))
+    side = 1 if mu[i + 1] >= mu[i - 1] else -1
+    while mu[i + side] > mu[i]:
+        i += side
+    if not 1 < i < len(s):
+        return abs(float(s[i - 1])), float(mu[i])
+    step, height = parabola_peak(s[i - 2 : i + 1], mu[i - 1 : i + 2])
+    return abs(float(s[i - 1]) + step), float(mu[i] + height)
+
+
+def distance_to_go(robot: RobotModel, q: ArrayLike, step: float = 0.1) -> tuple[Array, Array]:
+    """Return the distance to go (k,) [rad] and the mu that waits there (k,) [m^3], for poses q (k, n) [rad].
+
+    It is the arc length in joint space, idle joints left out, to the maximum of mu to which a gradient leads. NaN where
+    a pose is singular: no single curve leads through it. A pose beyond a limit is taken at the limit.
+    """
+    poses = np.clip(np.asarray(q, dtype=np.float64), robot.q_min, robot.q_max)
+    found = np.full((2, len(poses)), np.nan)
+    for k, pose in enumerate(poses):
+        try:
+            found[:, k] = uphill(self_motion(robot, pose, step))
+        except RobotError:
+            continue  # stays NaN, as documented
+    return found[0], found[1]
+
+
+def in_transient(
+    robot: RobotModel, t_s: ArrayLike, q_rad: ArrayLike, *, samples_per_s: float = 25.0, window_s: float = 0.1
+) -> NDArray[np.bool_]:
+    """Detect the ticks (N,) at which the elbow is still moving towards its optimum: neither there, nor at rest.
+
+    While the elbow follows the optimum that the path carries along, its distance to go stands still, however fast both
+    move.
+
+    Args:
+        t_s, q_rad: (N,) time of each tick [s], (N, n) true joint positions [rad].
+        samples_per_s: how often the self-motion is scanned [1/s].
+        window_s: the speed is the change of the distance to go over this time [s].
+
+    Raises:
+        RobotError: no ticks, or poses of another arm.
+    """
+    t, q = np.asarray(t_s, dtype=np.float64), np.asarray(q_rad, dtype=np.float64)
+    if len(t) == 0 or q.shape != (len(t), robot.n):
+        raise RobotError(f"t_s has {len(t)} ticks, q_rad shape {q.shape}: give (N,) and (N, {robot.n}), N > 0")
+    count = max(2, int(np.ceil((t[-1] - t[0]) * samples_per_s)) + 1)
+    ticks = np.unique(np.linspace(0, len(t) - 1, min(count, len(t))).round().astype(int))
+    distance, _ = distance_to_go(robot, q[ticks])
+    known = np.isfinite(distance)
+    if known.sum() < 2:
+        return np.zeros(len(t), dtype=np.bool_)
+    at, distance = t[ticks][known], distance[known]
+    ahead, behind = np.minimum(t + 0.5 * window_s, t[-1]), np.maximum(t - 0.5 * window_s, t[0])
+    speed = np.abs(np.interp(ahead, at, distance) - np.interp(behind, at, distance)) / (ahead - behind)
+    return np.asarray((speed > STILL_RAD_PER_S) & (np.interp(t, at, distance) > NEAR_RAD))

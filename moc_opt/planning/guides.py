@@ -1,0 +1,309 @@
+"""What the third level follows under ``[control] third_level``, in place of the climb of mu: a course, as a guide.
+
+A course is made before the run, planned or read from the file of ``[control] course`` ("planned"), or made again and
+again in it ("receding"). Both keep to the same limits, and `moc_opt.planning.follow.Follower` follows both.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from copy import copy
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from moc_opt.arrays import Array
+from moc_opt.control.guide import Guide
+from moc_opt.control.settings import ControlSettings
+from moc_opt.errors import ScenarioError, TaskError, TraceError, is_number, shown
+from moc_opt.planning.course import (
+    OBJECTIVES,
+    Course,
+    Limits,
+    Margin,
+    Objective,
+    Targets,
+    between,
+    make_course,
+    margin_at,
+)
+from moc_opt.planning.follow import CATCH_UP, NODES, Follower, Planner
+from moc_opt.planning.plan import best_course, make_plan
+from moc_opt.planning.pose_map import PoseMap, map_of
+from moc_opt.planning.program import SETTLED_S, Program, refine
+from moc_opt.planning.search import WHOLE_CELL, Value, keeping_shaft
+from moc_opt.robots.model import RobotModel
+from moc_opt.trace.trace import Trace
+
+COURSE_SHARE = 0.25
+"""Of ``[control] shaft_margin``: there the push of the local climb begins; a course, which looks ahead, goes down to a
+quarter of it."""
+V_PERIOD_S = 0.1
+"""Between the times of the map under a receding horizon: so long that the way from pose to pose of the map is small
+beside what a joint turns in it."""
+TARGETS_PER_TIME = 20
+"""Targets between two times of that map: the horizon interpolates between them."""
+QUARTER = 0.5
+"""Of half a cell, what a pose of that map stands for."""
+SPEEDS = (1.0, 0.7, 0.4)
+"""Of a course's speed, one after the other where no faster one is smooth and brakes off in time; the last one need not
+brake where no course does."""
+BRAKE_SHARE = 0.9
+"""Of the deceleration that the safety filter's wall allows, a course that is made before the run uses this much."""
+SMOOTHNESS = {"planned": 1e-4, "receding": 5e-4}
+"""Weight of a course's acceleration [s^4/rad^2], see `moc_opt.planning.program`; it lowers tip and RCM errors."""
+MOST_OFF_M = 1e-3
+"""Largest distance of tip or wrist of a file's course from the run's targets; smoothing moves them off these."""
+MOST_OFF_RAD = 1e-6
+"""Largest difference of a file's first pose from the start, of a joint beyond a limit, of an idle joint's motion."""
+ROUNDING = 1e-6
+"""Of the first time [s]; of the last one, as a share of the run's, and of a speed, as a share of its limit."""
+PLAN_IT = "plan it for this scenario: moc-opt plan SCENARIO --out FILE"
+
+
+@dataclass(frozen=True)
+class Following:
+    """A run whose third level follows a course."""
+
+    robot: RobotModel
+    q_start: Array  #: (n,) [rad]
+    settings: ControlSettings
+    targets: Callable[..., Targets]  #: makes them at a period ``period_s``, ``finer`` times as many
+    brake: float  #: deceleration that the safety filter's wall allows [rad/s^2]
+    period_s: float  #: of control
+
+    def limits(self, part: float) -> tuple[Limits, Limits]:
+        """Return what a course keeps where it can, and where it cannot keep the margin from the joint limits."""
+        settings = self.settings
+        margin = margin_of(self.robot, settings.course_margin_rad, settings.limit_margin_m)
+        share, shaft = part * settings.course_speed_fraction, COURSE_SHARE * settings.shaft_margin
+        wanted = Limits(margin_at(self.robot, self.q_start, margin), share, shaft=shaft)
+        return wanted, Limits(0.0, share, shaft=shaft)
+
+    def lowered(self, found: PoseMap) -> PoseMap:
+        """Lower the map's mu where the shaft's manipulability is too low."""
+        return keeping_shaft(found, Limits(shaft=COURSE_SHARE * self.settings.shaft_margin))
+
+    def stuck(self, part: float) -> ScenarioError:
+        """Say where the path cannot be executed."""
+        limits = Limits(speed_share=part * self.settings.course_speed_fraction)
+        stuck = make_plan(self.robot, self.q_start, self.targets(), limits, refined=False).blocked
+        where = "" if stuck is None else f"{1e3 * stuck.arc_length_m:.1f} mm along the path {stuck.reason}"
+        return ScenarioError(
+            f"[control] third_level = {self.settings.third_level!r}: no course goes all the way from this start: "
+            f"{where}; see `moc-opt plan`, or take third_level = 'local'"
+        )
+
+
+def guides(run: Following) -> Callable[[], Guide] | None:
+    """Compute once what ``[control] third_level`` needs, and return what makes a guide of it for each controller.
+
+    Both keep to `course_speed_fraction` of the joint speeds, to `course_margin_rad` from the joint limits, or to no
+    margin where the path cannot be executed with it, and to `COURSE_SHARE` of `shaft_margin` where there is a way.
+
+    Returns:
+        None: the third level climbs where it is.
+
+    Raises:
+        ControlError: the third level cannot follow under these settings.
+        ScenarioError: the path cannot be executed from the start; says where and why.
+    """
+    settings, period = run.settings, run.period_s
+    if settings.third_level == "local":
+        return None
+    settings.check_guided()
+    if settings.third_level == "receding":
+        make = replanned(run)
+        return lambda: Follower(period, planner=make(), q_start=run.q_start)
+    course = followed_course(run)
+    try:
+        rescue = replanned(run)
+    except (ScenarioError, TaskError):  # its coarser map has no way where the course has one
+        return lambda: Follower(period, course=course)
+    return lambda: Follower(period, course=course, planner=rescue())
+
+
+def replanned(run: Following) -> Callable[[], Planner]:
+    """Compute the map and V of a receding horizon, and return what makes a planner on it.
+
+    Raises:
+        ScenarioError: the map has no way from the start to the end.
+        TaskError: no smooth course was found at the start.
+    """
+    settings, smooth = run.settings, SMOOTHNESS["receding"]
+    fine = run.targets(period_s=V_PERIOD_S, finer=TARGETS_PER_TIME)
+    whole = map_of(run.robot, run.q_start, fine[::TARGETS_PER_TIME])
+    lowered, usual = run.lowered(whole), float(np.where(whole.feasible(), whole.mu, 0.0).max(axis=(1, 2)).mean())
+    # The last ones without braking in time, and with V alone to hold the course from losing the shaft.
+    ladder = [(part, run.brake, True) for part in SPEEDS]
+    for part, brake, kept in [*ladder, (SPEEDS[-1], np.inf, True), (SPEEDS[-1], np.inf, False)]:
+        for limits in run.limits(part):
+            value = Value(lowered, limits, cell=QUARTER, price=smooth / SETTLED_S**2 * usual)
+            if value.way(run.q_start) is not None:
+                break
+        else:
+            raise run.stuck(part)
+        held = replace(limits, speed_share=CATCH_UP * limits.speed_share, shaft=limits.shaft if kept else 0.0)
+        program = Program(
+            run.robot, NODES, V_PERIOD_S, held, mu=usual, smoothness=smooth, brake=brake, horizon=True
+        )
+
+        def make(value: Value = value, program: Program = program) -> Planner:
+            # Each controller makes a solver of its own.
+            return Planner(
+                value, copy(program), fine, horizon_s=settings.horizon_s, rate_per_s=settings.replan_per_s
+            )
+
+        if make().plan(run.q_start, 0.0, None) is not None:
+            return make
+    raise TaskError("q_start: no course goes to the end of the path from there within joint speeds and limits")
+
+
+def followed_course(run: Following) -> Course:
+    """Return the best course in mean mu from the start of this run that the third level can follow, made smooth.
+
+    Raises:
+        ScenarioError: no course goes all the way, or the file of ``[control] course`` is refused.
+    """
+    robot, targets, brake = run.robot, run.targets(), BRAKE_SHARE * run.brake
+    smooth = SMOOTHNESS["planned"]
+    if run.settings.course:
+        course, limits, objective = load_course(run.settings, robot, run.q_start, targets)
+        for rule in (brake, np.inf):
+            found = refine(robot, targets, course, limits, objective, smoothness=smooth, brake=rule)
+            if found is not course:
+                return found
+        return course  # as it is, where smoothness would cost too much
+    lowered = run.lowered(map_of(robot, run.q_start, targets))
+    for part in SPEEDS:
+        for limits in run.limits(part):
+            # In whole cells where the grid's steps are just too coarse: the program puts the poses right.
+            each = (best_course(Value(lowered, limits, cell=cell), limits, run.q_start) for cell in (0.0, WHOLE_CELL))
+            q = next((q for q in each if q is not None), None)
+            if q is not None:
+                break
+        else:
+            raise run.stuck(part)
+        course = make_course(robot, targets, q, limits)
+        for rule in (brake,) if part > SPEEDS[-1] else (brake, np.inf):
+            found = refine(robot, targets, course, limits, smoothness=smooth, brake=rule)
+            if found is not course:
+                return found
+    if not course.kept:
+        raise run.stuck(part)
+    return course
+
+
+def load_course(
+    settings: ControlSettings, robot: RobotModel, q_start: Array, targets: Targets
+) -> tuple[Course, Limits, Objective]:
+    """Read the file of ``[control] course``: a course at the times of the targets, its limits and objective.
+
+    Args:
+        settings: names the file, and what a course may do.
+        q_start: (n,) start of the run [rad].
+        targets: of the run; poses between the file's times are interpolated.
+
+    Raises:
+        ScenarioError: the file cannot be read, is no course of this run, or one that its third level cannot follow;
+            says which of robot, start, duration, path, limits and speeds differs, and by how much.
+    """
+
+    def refused(why: str) -> ScenarioError:
+        return ScenarioError(f"[control] course = {shown(settings.course)}: {why}")
+
+    try:
+        trace = Trace.load(settings.course)
+    except TraceError as error:
+        raise refused(f"no file of a course ({error}); {PLAN_IT}") from error
+    t, q = (trace.columns.get(name, np.empty(0)) for name in ("t_s", "q_rad"))
+    if why := _no_course(trace, t, q, robot):
+        raise refused(f"{why}; {PLAN_IT}")
+    poses = between(targets.t_s, t, q)
+    if why := _of_another_run(trace, t, q, poses, robot, q_start, targets):
+        raise refused(why)
+    shares, allowed = speed_shares(robot, poses, targets.period_s), settings.course_speed_fraction
+    j = int(np.argmax(shares))
+    if not shares[j] <= allowed + ROUNDING:
+        raise refused(
+            f"{robot.data.joint_names[j]} moves at {shares[j]:.3f} of its speed limit, the third level follows up "
+            f"to course_speed_fraction = {allowed:g}; plan it with --speed-share {allowed:g}"
+        )
+    within = trace.meta.get("within", {})
+    told: dict[str, Any] = {
+        "margin_rad": 0.0, "margin_m": 0.0, "speed_share": 1.0, "acceleration": np.inf, "shaft_margin": 0.0
+    }  # fmt: skip
+    for name, usual in told.items():
+        told[name] = value = within.get(name, usual) if isinstance(within, Mapping) else None
+        if not isinstance(value, int | float) or not value >= 0.0:
+            raise refused(f"meta['within'] has no usable {name}: {shown(value)}; {PLAN_IT}")
+    margin = margin_of(
+        robot, max(settings.course_margin_rad, told["margin_rad"]), max(settings.limit_margin_m, told["margin_m"])
+    )
+    limits = Limits(
+        # A smoother course begins at this one: it is asked for no margin that this one has not.
+        margin_at(robot, poses, margin), max(float(shares.max()), min(allowed, told["speed_share"])),
+        told["acceleration"], max(COURSE_SHARE * settings.shaft_margin, told["shaft_margin"]),
+    )  # fmt: skip
+    objective: Objective = next((one for one in OBJECTIVES if one == trace.meta.get("objective")), "mean")
+    return make_course(robot, targets, poses, Limits(speed_share=allowed)), limits, objective
+
+
+def _no_course(trace: Trace, t: Array, q: Array, robot: RobotModel) -> str:
+    if trace.meta.get("kind") != "course":
+        return "the file holds no course"
+    if q.shape != (len(t), robot.n) or len(t) < 2 or not t.dtype == q.dtype == np.float64:
+        wanted = f"a course of {robot.n} joints (k,) and (k, {robot.n})"
+        return f"t_s has shape {t.shape} and q_rad {q.shape}, {wanted}"
+    if not (np.isfinite(q).all() and (np.diff(t) > 0.0).all()):
+        return "its times t_s do not rise, or a pose is not finite"
+    if trace.meta.get("robot", robot.data.name) != robot.data.name:
+        return f"a course of robot {shown(trace.meta['robot'])}, this run's is {robot.data.name!r}"
+    return ""
+
+
+def _of_another_run(
+    trace: Trace, t: Array, q: Array, poses: Array, robot: RobotModel, q_start: Array, targets: Targets
+) -> str:
+    names, end_s, off = robot.data.joint_names, float(targets.t_s[-1]), np.abs(q[0] - q_start)
+    tips, wrists = robot.tool_along(poses)
+    away = np.maximum(np.linalg.norm(tips - targets.tip, axis=1), np.linalg.norm(wrists - targets.wrist, axis=1))
+    beyond = np.maximum(poses - robot.q_max, robot.q_min - poses).max(axis=0)
+    idle = np.where(robot.moves.any(axis=0), 0.0, np.abs(poses - q_start).max(axis=0))
+    j, k = int(np.argmax(off)), int(np.argmax(away))
+    if off[j] > MOST_OFF_RAD and trace.meta.get("from_start") is False:
+        return (
+            f"no course begins at this start, {names[j]} of the file {off[j]:.3g} rad from it; "
+            f"begin there: [start] q_rad = {[round(angle, 9) for angle in q[0].tolist()]}"
+        )
+    checks = (
+        (off[j] > MOST_OFF_RAD, f"{names[j]} begins {off[j]:.3g} rad from the start of the run"),
+        (abs(t[0]) > ROUNDING or abs(t[-1] - end_s) > ROUNDING * end_s,
+         f"it goes from {t[0]:.4g} to {t[-1]:.4g} s, the run from 0 to {end_s:.4g}"),
+        (not away[k] <= MOST_OFF_M,
+         f"tip or wrist is {1e3 * away[k]:.3g} mm off path and shaft at t = {targets.t_s[k]:.3g} s"),
+        (beyond.max() > MOST_OFF_RAD, f"{names[int(np.argmax(beyond))]} goes {beyond.max():.3g} rad beyond its limit"),
+        (idle.max() > MOST_OFF_RAD,
+         f"{names[int(np.argmax(idle))]} moves neither tip nor wrist and turns by {idle.max():.3g} rad"),
+    )  # fmt: skip
+    return next((f"{why}; {PLAN_IT}" for wrong, why in checks if wrong), "")
+
+
+def speed_shares(robot: RobotModel, poses: Array, period_s: float) -> Array:
+    """Return (n,) the largest speed of each joint along poses (k,n), as a share of its limit."""
+    fastest: Array = np.abs(np.diff(poses, axis=0)).max(axis=0) / (period_s * robot.v_max)
+    return fastest
+
+
+def margin_of(robot: RobotModel, margin_rad: float, margin_m: float) -> Margin:
+    """Return one number where no joint slides, else one per joint (n,).
+
+    Raises:
+        TaskError: a margin is no number of zero or more.
+    """
+    for name, value in (("margin_rad", margin_rad), ("margin_m", margin_m)):
+        if not is_number(value) or not 0.0 <= value < np.inf:
+            raise TaskError(f"{name} = {value!r}: give zero or more, and less than half of every joint's range")
+    slides = robot.chain.prismatic
+    return np.where(slides, margin_m, margin_rad) if slides.any() else margin_rad

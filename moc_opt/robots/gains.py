@@ -1,0 +1,111 @@
+"""Gains for an arm that nobody has tuned.
+
+A gain on a joint's velocity over the inertia behind it is a rate [1/s]; the rate times the period decides whether a
+sampled loop is stable (`largest_rate`). The LWR4+ is tuned: other arms get its rates, each joint in its own unit
+(N m s/rad, or N s/m for a prismatic joint), and so the same distance from that limit.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from moc_opt.arrays import Array
+from moc_opt.robots.state import RobotState
+
+if TYPE_CHECKING:
+    from moc_opt.robots.model import RobotModel
+
+Table = dict[str, float | tuple[float, ...]]
+
+JOINT_RATE = 12.0
+"""K_N2 over the joint's inertia [1/s]: the LWR4+'s table has 10 to 22 over its joints, 12.5 on the last one."""
+DAMPING_SHARE = 1.0 / 7.0  #: D_N2 over K_N2: the same table has 0.13 to 0.2.
+JOINTS: Mapping[str, tuple[float, float, float]] = {
+    "moc": (JOINT_RATE, DAMPING_SHARE, 125.0), "default": (JOINT_RATE, DAMPING_SHARE, 125.0),
+    "tuned": (26.0, 0.087, 125.0), "robust": (17.0, 0.133, 85.0),
+}  # fmt: skip
+"""K_N2 over the joint's inertia [1/s], D_N2 over K_N2, and the most that both may be over the inertia of any motion
+that keeps tip and wrist [1/s]. On the LWR4+ the self-motion's rate under "tuned" and "robust" is 2.16 and 1.41 times
+that of "default" (median over random poses), and the largest are 94, 124 and 85/s."""
+CARTESIAN_RATE = 160.0
+"""Most that D_X or D_N may be over the lightest mass behind it [1/s]: a third of what three ticks of delay bear at
+500 Hz. The LWR4+'s D_X has 90 over its lightest direction, its D_N 16."""
+CARTESIAN: Mapping[str, tuple[float, float, float, float]] = {
+    "dcac": (2000.0, 20.0, 600.0, 10.0), "moc": (3000.0, 30.0, 800.0, 10.0), "default": (3000.0, 80.0, 800.0, 60.0),
+    "tuned": (3000.0, 80.0, 1670.0, 74.2), "robust": (3000.0, 50.0, 1670.0, 74.2),
+}  # fmt: skip
+"""K_X, D_X, K_N, D_N [N/m, N s/m]: Table I of Su et al. (2019), and those of the LWR4+'s file."""
+_POSES = 16
+
+
+def derived_gains(robot: RobotModel) -> dict[str, Table]:
+    """Derive the tables "dcac", "moc", "default", "tuned" and "robust" from the arm's inertia.
+
+    K_N2_i is a rate times M_ii at the home pose, and D_N2 a share of it (`JOINTS`), the rate smaller where the null
+    space would exceed its largest. K_X and D_X (K_N, D_N) are those of the LWR4+, both smaller by the same share where
+    the arm is so light that D_X (D_N) would exceed `CARTESIAN_RATE`.
+    """
+    inertia = np.diag(robot.state(robot.data.q_home).M)
+    inverse_masses = largest_inverse_masses(robot)
+    tables: dict[str, Table] = {}
+    for name, cartesian in CARTESIAN.items():
+        tables[name] = {}
+        for letter, inverse, (K, D) in zip("XN", inverse_masses, (cartesian[:2], cartesian[2:]), strict=True):
+            share = min(1.0, CARTESIAN_RATE / (D * inverse))
+            tables[name] |= {f"K_{letter}": _rounded(share * K), f"D_{letter}": _rounded(share * D)}
+        if name in JOINTS:
+            rate, share, most = JOINTS[name]
+            rate *= min(1.0, most / largest_null_rate(robot, (1.0 + share) * rate * inertia))
+            joints = tuple(_rounded(rate * float(m)) for m in inertia)
+            tables[name] |= {"K_N2": joints, "D_N2": tuple(_rounded(share * gain) for gain in joints)}
+    return tables
+
+
+def largest_inverse_masses(robot: RobotModel) -> tuple[float, float]:
+    """Return the largest eigenvalue of J M^-1 J^T [1/kg] at tip and wrist, over the poses of `surveyed`."""
+    found = [
+        [np.linalg.eigvalsh(J @ np.linalg.solve(state.M, J.T))[-1] for J in (state.J_tip, state.J_wrist)]
+        for state in surveyed(robot)
+    ]
+    tip, wrist = np.max(found, axis=0).tolist()
+    return tip, wrist
+
+
+def largest_null_rate(robot: RobotModel, gains: Array) -> float:
+    """Return the largest eigenvalue of (Z M Z^T)^-1 Z G Z^T [1/s], G = diag(gains (n,)), Z a basis of ker A, there."""
+    found = 0.0
+    for state in surveyed(robot):
+        _, values, rows = np.linalg.svd(state.A)
+        Z = rows[int(np.sum(values > 1e-6 * values[0])) :]
+        if len(Z):
+            rates = np.linalg.eigvals(np.linalg.solve(Z @ state.M @ Z.T, Z @ (gains[:, None] * Z.T)))
+            found = max(found, float(rates.real.max()))
+    return found
+
+
+def surveyed(robot: RobotModel) -> Iterator[RobotState]:
+    """Yield the states at the home pose and at seeded poses of the range: the worst case of a gain is over these."""
+    rng = np.random.default_rng(0)
+    for q in [robot.data.q_home, *rng.uniform(robot.q_min, robot.q_max, (_POSES, robot.n))]:
+        yield robot.state(q)
+
+
+def largest_rate(period_s: float, delay_ticks: int) -> float:
+    """Return the largest rate [1/s] of a velocity gain over an inertia at which a sampled loop is stable.
+
+    A velocity v[k+1] = v[k] - T rate v[k-d] decays while T rate < 2 sin(pi / (2 (2 d + 1))): 2, 1, 0.62, 0.45 for no,
+    one, two and three ticks d of delay (Levin and May, 1976).
+
+    Args:
+        period_s: T [s].
+        delay_ticks: d, from measurement to torque; a filter of the velocity counts as its own delay in ticks.
+    """
+    return 2.0 * math.sin(math.pi / (2.0 * (2.0 * delay_ticks + 1.0))) / period_s
+
+
+def _rounded(value: float) -> float:
+    return float(f"{value:.3g}")  # a gain is a choice
