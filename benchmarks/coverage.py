@@ -1,6 +1,6 @@
 """How often the intervals of the study of solvers hold the true change, by simulation with the study's own design.
 
-python -m benchmarks.coverage [--trials N] [--draws N] [--processes N] [--out DIR]
+python -m benchmarks.coverage [CONFIG.toml] [--out DIR] [--quick] [--json]
 
 Fresh independent trials make a pool, and the change over the whole pool counts as the true one. From it trials are
 drawn with replacement, as many as the study has, with the interval of `moc_opt.study.statistics` around the
@@ -10,58 +10,62 @@ change of each draw. docs/method.md has the result.
 from __future__ import annotations
 
 import sys
-from argparse import Namespace
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from itertools import product
-from typing import Any
+from typing import Self
 
 import numpy as np
+from numpy.typing import ArrayLike
+from pydantic import Field
 
-from benchmarks.common import cli, output
-from moc_opt.arrays import Array
-from moc_opt.errors import ScenarioError
+from moc_opt.errors import StudyError
 from moc_opt.report.tables import Column, Table
-from moc_opt.scenario import Scenario, run
-from moc_opt.study import Kept, each
-from moc_opt.study.solver_closed_loop import CHANGES
-from moc_opt.study.solvers import Config
+from moc_opt.scenario import Scenario
+from moc_opt.study import Failed, Job
+from moc_opt.study.command import Found, Study, StudyConfig, command
+from moc_opt.study.results import Results
+from moc_opt.study.show import Report, Section
 from moc_opt.study.statistics import relative_change
-from moc_opt.study.trials import BASELINE, placed, variant
-from moc_opt.trace.meta import Ending
-from moc_opt.trace.metrics import summarize
+from moc_opt.study.trials import BASELINE, Trial, trials
 
 SEED = 1_000_000
 """Far from the trials of every study."""
 SOLVERS = ("exact", "rnn", "rnn-printed")
-COLUMNS = [
-    Column("solver", "solver"), Column("metric", "change of"), Column("true_percent", "pool", unit="%", format=".3g"),
-    Column("ratios_percent", "mean of ratios", unit="%", format=".3g", help="of the pool"),
-    Column("covered_60", "60 trials", unit="%", format=".1f", help="of the draws whose interval holds the pool's"),
-    Column("covered_15", "15 trials", unit="%", format=".1f"),
-    Column("width_60", "width of 60", unit="%", format=".3g", help="of the interval, median"),
-    Column("width_15", "width of 15", unit="%", format=".3g"),
-]  # fmt: skip
+METRICS = {
+    "mu_mean": "mu",
+    "rcm_error_model_mean_mm": "RCM, own kinematics", "rcm_error_registered_mean_mm": "RCM, patient",
+    "tip_error_model_mean_mm": "tip, own kinematics", "tip_error_registered_mean_mm": "tip, patient",
+}  # fmt: skip
 SIZES = (60, 15)
 
 
-def metrics_of(given: tuple[Scenario, Mapping[str, Mapping[str, Any]]]) -> dict[str, dict[str, float]]:
-    """Run one trial under all controllers: controller -> metric -> value; without those that broke off."""
-    trial, settings = given
-    found = {}
-    for name in (BASELINE, *settings):
-        trace = run(variant(trial, name, settings.get(name)))
-        if Ending.of(str(trace.meta["ended"])).whole:
-            values = summarize(trace)
-            found[name] = {metric: float(values[metric]) for metric in CHANGES}
-    return found
+class Config(StudyConfig):
+    """benchmarks/configs/coverage.toml."""
+
+    trials: int = Field(240, ge=2 * max(SIZES), description="of the pool")
+    draws: int = Field(1000, ge=1, description="from the pool, of each number of trials")
+    tasks: list[str] = Field(["circle", "sinusoid", "spiral"], min_length=1)
+    scenario: Scenario = Scenario(duration_s=4.0, bound_samples=0, start={"pose": "random"})
+
+    def quick(self) -> Self:
+        """Return the same on less data."""
+        few = {"trials": 2 * max(SIZES), "draws": 50, "scenario": self.scenario.change(duration_s=0.1)}
+        return self.model_copy(update=few)
+
+    def cases(self) -> list[Scenario]:
+        """Return the trials of the pool."""
+        return trials(self.scenario, self.tasks, range(SEED, SEED + self.trials))
 
 
-def covered(given: tuple[Array, Array, int, int]) -> tuple[float, float]:
+def covered(treated: ArrayLike, control: ArrayLike, size: int, draws: int) -> tuple[float, float]:
     """Return the share of draws whose interval holds the pool's change [percent], and its median width [percent].
 
-    The arguments come as one tuple: treated and control of the pool (k,), trials of a draw, and the number of draws.
+    Args:
+        treated, control: of the pool, (k,) each.
+        size: trials of a draw.
+        draws: their number.
     """
-    treated, control, size, draws = given
+    treated, control = np.asarray(treated), np.asarray(control)
     rng, held, widths = np.random.default_rng(size), 0, []
     true = 100.0 * (treated.mean() / control.mean() - 1.0)
     for _ in range(draws):
@@ -72,48 +76,48 @@ def covered(given: tuple[Array, Array, int, int]) -> tuple[float, float]:
     return 100.0 * held / draws, float(np.median(widths))
 
 
-def measure(given: Namespace) -> cli.Results:
-    """Run the pool and draw from it.
-
-    Raises:
-        ScenarioError: too few trials to be a pool, or no draws.
-    """
-    if given.trials < 2 * max(SIZES) or min(given.draws, given.processes) < 1:
-        raise ScenarioError(f"--trials {given.trials}: give {2 * max(SIZES)} or more; --draws, --processes: 1 or more")
-    part = {"trials": given.trials}
-    config = Config(seed=SEED, scenario={"bound_samples": 0}, closed_loop=part)
-    settings: dict[str, dict[str, Any]] = {name: {} for name in SOLVERS}
-    jobs = [(placed(trial), settings) for trial in config.cases()]
-    kept = Kept(given.out / "jobs")
-    with cli.steps("trials", len(jobs)) as step:
-        found = each(metrics_of, jobs, kept=kept, workers=given.processes, step=step)
-    rows, asked = [], []
-    for solver, metric in product(SOLVERS, CHANGES):
-        both = [(one[solver][metric], one[BASELINE][metric]) for one in found if solver in one and BASELINE in one]
-        treated, control = np.array(both).T
-        asked += [(treated, control, size, given.draws) for size in SIZES]
+def work(study: Study, config: Config) -> Found:
+    """Run the pool and draw from it."""
+    starts, lost = study.placed(config.cases())
+    asked = [Trial(case, name) for case in starts for name in (BASELINE, *SOLVERS)]
+    pool = Results([*(run.row for run in study.trials(asked)), *lost])
+    rows, jobs = [], []
+    for solver, metric in product(SOLVERS, METRICS):
+        both = pool.pairs(metric, solver)
+        treated, control = np.array(both)
         rows.append({
-            "solver": solver, "metric": metric, "trials": len(both),
+            "solver": solver, "metric": metric, "change": METRICS[metric], "trials": len(treated),
             "true_percent": 100.0 * (treated.mean() / control.mean() - 1.0),
             "ratios_percent": 100.0 * float(np.mean(treated / control - 1.0)),
         })  # fmt: skip
-    with cli.steps("draws", len(asked)) as step:
-        shares = iter(each(covered, asked, workers=given.processes, step=step))
-    for row, size in product(rows, SIZES):
-        row[f"covered_{size}"], row[f"width_{size}"] = next(shares)
-    title = f"Coverage of nominal 95 % intervals: {given.draws} draws from {given.trials} trials"
-    environment = output.environment({"trials": given.trials, "draws": given.draws}, SEED, given.argv)
+        jobs += [Job(covered, (*both, size, config.draws)) for size in SIZES]
+    for (row, size), found in zip(product(rows, SIZES), study.run(jobs, "draws"), strict=True):
+        if isinstance(found, Failed):
+            raise StudyError(f"{row['solver']}, {row['metric']}: {found}")
+        row[f"covered_{size}"], row[f"width_{size}"] = found
     summary = {"coverage": {f"{row['solver']} {row['metric']}": row for row in rows}}
-    return cli.Results(summary, environment, tables=[Table(title, COLUMNS, rows)])
+    return Found(report(rows, config), summary, pool)
+
+
+def report(rows: Sequence[dict[str, object]], config: Config) -> Report:
+    """Show the share of intervals that hold the pool's change."""
+    named = [Column("solver", "solver"), Column("change", "change of")]
+    table = Table(f"Nominal 95 % intervals: {config.draws} draws from {config.trials} trials", [
+        *named, Column("true_percent", "pool", unit="%", format="+.1f"),
+        Column("ratios_percent", "mean of ratios", unit="%", format="+.1f", help="of the pool"),
+        *(Column(f"covered_{size}", f"{size} trials", unit="%", format=".1f", section="Widths",
+                 help="of the draws whose interval holds the pool's") for size in SIZES),
+    ], rows)  # fmt: skip
+    widths = [Column(f"width_{size}", f"width of {size}", unit="%", format=".3g") for size in SIZES]
+    shares = [float(str(row[f"covered_{size}"])) for row in rows for size in SIZES]
+    answer = f"Intervals called 95 % hold the pool's change in {min(shares):.1f} to {max(shares):.1f} % of the draws."
+    folded = Section("Widths", "The median over the draws.", [Table("Widths", [*named, *widths], rows)])
+    return Report("How often the intervals hold the true change", [answer], table, sections=[folded])
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the simulation; see `cli.run` for the exit status."""
-    options = cli.parser("coverage", "How often the study's intervals hold the true change.", configured=False)
-    options.add_argument("--trials", type=int, default=240, help="of the pool")
-    options.add_argument("--draws", type=int, default=1000, help="from the pool, of each number of trials")
-    options.add_argument("--processes", type=int, default=2)
-    return cli.run(options, measure, arguments)
+    """Run the simulation; returns the exit status."""
+    return command("coverage", "How often the intervals hold the true change.", Config, work, arguments)
 
 
 if __name__ == "__main__":

@@ -19,13 +19,6 @@ from moc_opt.errors import MocOptError
 from moc_opt.study.command import WRONG
 
 
-def write(given: argparse.Namespace) -> int:
-    module = write_qpbenchmark(given.out, given.sets, max(1, given.every), given.rows)
-    print(f"written: {module} and {module.with_suffix('.parquet').name}; run it with")
-    print(f"  qpbenchmark {module} --results-path {module.with_name('results.csv')} run --author NAME")
-    return 0
-
-
 def main(arguments: Sequence[str] | None = None) -> int:
     """Write a test set; returns the exit status."""
     options = argparse.ArgumentParser(prog="python -m benchmarks.export", description="The test sets for others.")
@@ -34,11 +27,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options.add_argument("--sets", nargs="+", metavar="NAME", default=list(SETS), help="test sets")
     options.add_argument("--every", type=int, default=1, help="take each every-th problem")
     options.add_argument("--rows", type=int, choices=[5, 6], default=5, help="equality rows")
+    given = options.parse_args(arguments)
     try:
-        return write(options.parse_args(arguments))
+        module = write_qpbenchmark(given.out, given.sets, max(1, given.every), given.rows)
     except (MocOptError, OSError) as error:
         print(f"{type(error).__name__}: {error}", file=sys.stderr)
         return WRONG
+    print(f"written: {module} and {module.with_suffix('.parquet').name}; run it with")
+    print(f"  qpbenchmark {module} --results-path {module.with_name('results.csv')} run --author NAME")
+    return 0
 
 
 if __name__ == "__main__":

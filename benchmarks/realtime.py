@@ -1,59 +1,266 @@
 """Plant and controller as two processes against the clock: how late each wakes up, what a round trip takes, who misses.
 
-python -m benchmarks.realtime [CONFIG.toml] [--cycles N] [--out DIR] [--seed N] [--quick] [--page]
+python -m benchmarks.realtime [CONFIG.toml] [--cycles N] [--out DIR] [--seed N] [--quick] [--json]
 
-Run it alone: everything else on the machine is in its figures. A run that is done is kept in DIR/jobs: the same command
-goes on where it was broken off, on the same machine. --page also writes the table into
-docs/realtime.md.
+Run it alone: everything else on the machine is in its figures. Each finished run is kept in DIR/jobs: the same command
+goes on where it was broken off, on the same machine, so that a million cycles can be measured in parts.
 """
 
 from __future__ import annotations
 
+import json
 import os
+import subprocess
 import sys
 import tempfile
-from argparse import Namespace
-from collections.abc import Sequence
+from argparse import ArgumentParser
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, Literal, Self
+from typing import Any, Literal, NamedTuple, Self
 
 import numpy as np
 from pydantic import Field
 
-from benchmarks.common import cli
-from benchmarks.common.config import Configuration
-from benchmarks.common.goals import Goal, verdicts
-from benchmarks.common.markdown import write_section
-from benchmarks.common.output import default_config
-from benchmarks.latency import clock, wire
-from benchmarks.latency.wire import Case, Found
-from moc_opt.errors import MocOptError
+from moc_opt.arrays import Array
+from moc_opt.errors import StudyError
+from moc_opt.export import export_scenario
+from moc_opt.figures import latency_ecdf
+from moc_opt.report.tables import Column, Table
 from moc_opt.scenario import Scenario
-from moc_opt.study.kept import Kept, key_of, loaded_sources
+from moc_opt.study import Failed, Job
+from moc_opt.study.command import Found, Study, StudyConfig, command, environment
+from moc_opt.study.results import Results
+from moc_opt.study.show import Goal, Picture, Report, Section, about, goals_sentence, goals_table, judge
 from moc_opt.study.statistics import Interval, share
+from moc_opt.trace.trace import Trace
+
+SPARE_S = 300.0
+"""Beyond the run itself: starting both processes, judging and saving the trace."""
+SAFE_RCM_M, AT_REST_RAD_PER_S = 2e-3, 1e-2
+"""A stop is clean where the RCM error stayed below the one and the arm stands at its end."""
+BURN = "while True:\n    sum(i * i for i in range(100000))"
+PERCENTILES = {"p50": 50.0, "p99": 99.0, "p99_99": 99.99, "worst": 100.0}
+TIMES = {"wake": "wake-up latency", "round": "round trip", "control": "controller"}
+DETAILS = "Cycles, times and stops"
 
 
-class Config(Configuration):
+Rate = Literal[250, 500, 1000]
+
+
+class Case(NamedTuple):
+    """What is measured: which controller, at which rate, on which machine."""
+
+    controller: str
+    rate_Hz: Rate
+    load: str
+
+    def __str__(self) -> str:
+        return f"{self.controller}, {self.rate_Hz} Hz, {self.load}"
+
+
+class Config(StudyConfig):
     """benchmarks/configs/realtime.toml."""
 
     cycles: int = Field(100_000, ge=100, description="of every case")
     run_cycles: int = Field(20_000, ge=100, description="of one run")
-    rates_Hz: list[Literal[250, 500, 1000]] = Field([500, 1000], min_length=1)
+    rates_Hz: list[Rate] = Field([500, 1000], min_length=1)
     controllers: list[Literal["python", "c"]] = Field(["python", "c"], min_length=1)
     loads: list[Literal["quiet", "loaded"]] = Field(["quiet", "loaded"], min_length=1)
-    scenario: Scenario = Scenario(judge=False, bound_samples=0)
+    scenario: Scenario = Scenario()
 
     def quick(self) -> Self:
+        """Return the same on less data."""
         return self.model_copy(update={"cycles": 1000, "run_cycles": 1000, "rates_Hz": self.rates_Hz[:1]})
 
-    def cases(self) -> list[Case]:
+    def measured(self) -> list[Case]:
         """Return every controller at every rate under every load."""
-        return [
-            Case(c, rate, load) for rate in self.rates_Hz for load in self.loads for c in self.controllers
-        ]
+        return [Case(c, rate, load) for rate in self.rates_Hz for load in self.loads for c in self.controllers]
+
+    def run_at(self, rate_Hz: Rate) -> Scenario:
+        """Return the scenario of one run at a rate."""
+        plant = {"period_s": 1.0 / rate_Hz, "substeps": max(1, round(1000 / rate_Hz))}
+        cycles = min(self.cycles, self.run_cycles)
+        return self.scenario.change(
+            name="realtime", seed=self.seed, duration_s=cycles / rate_Hz, plant=plant, judge=False, bound_samples=0
+        )
 
 
-def _share(name: str, least: int) -> Any:
+def work(study: Study, config: Config) -> Found:
+    """Do the runs of every case, those of an earlier command excepted, and judge the goals."""
+    if study.given.cycles is not None:
+        config = Config(**config.model_dump() | {"cycles": study.given.cycles})
+    runs = runs_of(study, config)
+    summary: dict[str, Any] = {"cases": {str(case): summarise(mine) for case, mine in runs.items()}}
+    summary["goals"] = judge(summary, GOALS)
+    shown = ("begun", "missed", "overruns", "ended", "clean", "rcm_max_mm")
+    rows = [
+        {"case": str(case), "run": k, "cycles": len(run.round_us), **{name: getattr(run, name) for name in shown},
+         "round_worst_us": float(run.round_us.max()), "wake_worst_us": float(run.wake_us.max())}
+        for case, mine in runs.items() for k, run in enumerate(mine)
+    ]  # fmt: skip
+    told = {"system": {str(case): mine[0].system for case, mine in runs.items()}, "collector": "off inside both loops"}
+    return Found(report(summary, runs, about(config.scenario, solver=True)), summary, Results(rows), told)
+
+
+# --- runs ---
+
+
+class Run(NamedTuple):
+    """One run: times of every cycle [us] up to a stop, and how it went."""
+
+    wake_us: Array
+    round_us: Array
+    control_us: Array
+    missed: int
+    overruns: int
+    ended: str
+    clean: bool
+    rcm_max_mm: float
+    system: dict[str, Any]
+    begun: str
+
+
+def runs_of(study: Study, config: Config) -> dict[Case, list[Run]]:
+    """Do runs of each case until its cycles are complete; stopped runs are repeated, up to three times as many runs.
+
+    Raises:
+        MocOptError: a run failed.
+    """
+    found: dict[Case, list[Run]] = {case: [] for case in config.measured()}
+    scenarios = {rate: config.run_at(rate) for rate in config.rates_Hz}
+    folder = study.out / "programs"
+    programs = {
+        rate: build(scenario, folder / str(rate)) for rate, scenario in scenarios.items() if "c" in config.controllers
+    }
+    machine = environment({}, 0)["machine"]
+    here = (machine["processor"], machine["cores"])  # a run on another machine is another run
+    each = min(config.cycles, config.run_cycles)
+    most = 3 * -(-config.cycles // each)
+    while True:
+        asked = []
+        for case, mine in found.items():
+            left = config.cycles - sum(len(run.round_us) for run in mine)
+            numbers = range(len(mine), min(most, len(mine) + max(0, -(-left // each))))
+            asked += [(case, number) for number in numbers]
+        if not asked:
+            return found
+        jobs = []
+        for case, number in asked:
+            program = programs.get(case.rate_Hz) if case.controller == "c" else None
+            given = (case, scenarios[case.rate_Hz], program and str(program), number, here)
+            limit_s = each / case.rate_Hz + SPARE_S
+            jobs.append(Job(run_once, given, limit_s, alone=True, group=str(case)))
+        for (case, _number), run in zip(asked, study.run(jobs, "runs"), strict=True):
+            if isinstance(run, Failed):
+                raise StudyError(f"{case}: {run}")
+            found[case].append(run)
+
+
+def build(scenario: Scenario, folder: Path) -> Path:
+    """Export and compile the controller of a scenario as a program.
+
+    Raises:
+        StudyError: make or the compiler failed.
+    """
+    export_scenario(scenario, folder, udp=True)
+    done = subprocess.run(["make", "-C", str(folder), "moc_udp"], capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise StudyError(f"make moc_udp failed:\n{done.stderr[-2000:]}")
+    return folder / "moc_udp"
+
+
+@contextmanager
+def loaded(kind: str) -> Iterator[None]:
+    """Keep every core busy meanwhile, or none."""
+    count = 0 if kind == "quiet" else os.cpu_count() or 1
+    busy = [subprocess.Popen([sys.executable, "-c", BURN]) for _ in range(count)]
+    try:
+        yield
+    finally:
+        for process in busy:
+            process.kill()
+            process.wait()
+
+
+def run_once(case: Case, scenario: Scenario, program: str | None, number: int, machine: Any) -> Run:
+    """Run a scenario over the wire; ``program`` is the C controller, None: Python's. The engine limits its time.
+
+    Raises:
+        StudyError: one of the two processes failed.
+    """
+    begun = datetime.now(UTC).isoformat(timespec="seconds")
+    with tempfile.TemporaryDirectory(prefix="moc-opt-") as folder, loaded(case.load):
+        file, trace = Path(folder, "run.toml"), Path(folder, "run.parquet")
+        scenario.save(file)
+        plant = _started("plant", str(file), "--listen", "127.0.0.1:0", "--trace", str(trace), "--json")
+        control: subprocess.Popen[str] | None = None
+        try:
+            assert plant.stderr is not None
+            first = plant.stderr.readline()
+            if not first.startswith("listening on "):
+                raise StudyError(f"the plant did not start: {first}{plant.stderr.read()}"[:1000])
+            host, port = first.split()[-1].split(":")
+            if program is None:
+                control = _started("control", str(file), "--connect", f"{host}:{port}", "--json")
+            else:
+                control = _started(host, port, str(Path(program).with_name("reference.bin")), program=(program,))
+            said, errors = control.communicate()
+            _, wrong = plant.communicate()
+        finally:
+            for process in (plant, control):
+                if process is not None and process.poll() is None:
+                    process.kill()
+        if plant.returncode not in (0, 3) or control.returncode not in (0, 3):
+            raise StudyError(f"plant: {wrong[-500:]} controller: {errors[-500:]}")
+        return read(Trace.load(trace), json.loads(said), begun)
+
+
+def _started(*words: str, program: Sequence[str] = (sys.executable, "-m", "moc_opt")) -> subprocess.Popen[str]:
+    return subprocess.Popen([*program, *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+def read(trace: Trace, said: dict[str, Any], begun: str) -> Run:
+    """Return what a trace and the last words of the controller (JSON) say of a run."""
+    columns, wire, ended = trace.columns, trace.meta["wire"], str(trace.meta["ended"])
+    rcm = float(np.max(trace.rcm_error_registered_m))
+    rest = bool(np.abs(trace.v_rad_per_s[-1]).max() < AT_REST_RAD_PER_S)
+    clean = ended == "completed" or (ended.startswith("stopped:") and rest and rcm < SAFE_RCM_M)
+    system = {"plant": wire["system"], "controller": said["system"]}
+    whole = "stopped_at_s" not in trace.meta
+    cycles = len(trace) if whole else int(np.searchsorted(trace.t_s, float(trace.meta["stopped_at_s"]))) + 1
+    wake, round_trip, control = (columns[name][:cycles] for name in ("wake_us", "tick_us", "control_us"))
+    return Run(
+        wake, round_trip, control, missed=int(columns["missed"][:cycles].sum()), overruns=int(wire["overruns"]),
+        ended=ended, clean=clean, rcm_max_mm=1e3 * rcm, system=system, begun=begun,
+    )  # fmt: skip
+
+
+# --- table and goals ---
+
+
+def summarise(runs: Sequence[Run]) -> dict[str, Any]:
+    """Return the figures of a case's runs."""
+    found: dict[str, Any] = {
+        "runs": len(runs), "cycles": sum(len(run.round_us) for run in runs), "missed": sum(run.missed for run in runs),
+        "overruns": sum(run.overruns for run in runs), "stopped": sum(run.ended != "completed" for run in runs),
+        "unclean": sum(not run.clean for run in runs), "rcm_max_mm": max(run.rcm_max_mm for run in runs),
+    }  # fmt: skip
+    found |= share(found["missed"], found["cycles"]).entries("missed_share")
+    for time in TIMES:
+        values = samples(runs, time)
+        found |= {f"{time}_{name}_us": float(np.percentile(values, at)) for name, at in PERCENTILES.items()}
+    return found
+
+
+def samples(runs: Sequence[Run], time: str) -> Array:
+    """Return the times of all cycles [us], but for those without one."""
+    values = np.concatenate([getattr(run, f"{time}_us") for run in runs])
+    return values[np.isfinite(values)]
+
+
+def _share(name: str, least: int) -> Callable[[Any], Interval]:
     """Return the share of missed cycles of a case; LookupError where there were too few to tell."""
 
     def measured(summary: Any) -> Interval:
@@ -65,107 +272,98 @@ def _share(name: str, least: int) -> Any:
     return measured
 
 
-def _largest(load: str, metric: str) -> Any:
+def _largest(load: str, metric: str) -> Callable[[Any], Any]:
     return lambda s: max(found[metric] for name, found in s["cases"].items() if name.endswith(load))
 
 
-_GOALS = {
+GOALS = {key: Goal(*given, section=DETAILS) for key, given in {
     "c": ("share of cycles missed, C, 500 Hz, quiet", "", 1e-5, _share("c, 500 Hz, quiet", 100_000)),
     "python": ("share of cycles missed, Python, 500 Hz, quiet", "", 1e-3, _share("python, 500 Hz, quiet", 1_000)),
     "quiet stops": ("runs that were stopped, on a quiet machine", "", 0.0, _largest("quiet", "stopped")),
-    "rcm": ("largest RCM error from the registered trocar, under load", "mm", 1e3 * wire.SAFE_RCM_M,
+    "rcm": ("largest RCM error from the registered trocar, under load", "mm", 1e3 * SAFE_RCM_M,
             _largest("loaded", "rcm_max_mm")),
     "stops": ("stops that were not clean, under load", "", 0.0, _largest("loaded", "unclean")),
-}  # fmt: skip
-GOALS = {key: Goal(*given, section=clock.DETAILS) for key, given in _GOALS.items()}
+}.items()}  # fmt: skip
 
 
-def runs_of(config: Config, folder: Path, kept: Kept, machine: dict[str, Any]) -> dict[Case, list[Found]]:
-    """Do the runs of every case, those of an earlier command excepted.
-
-    They are started from this process: the plant's clock needs the machine for itself.
-    """
-    found: dict[Case, list[Found]] = {}
-    each, cases = min(config.cycles, config.run_cycles), config.cases()
-    most = 3 * -(-config.cycles // each)
-    with cli.steps("realtime", len(cases)) as step:
-        for rate in config.rates_Hz:
-            file = folder / f"{rate}.toml"
-            wire.run_of(config.scenario, rate, each, config.seed).save(file)
-            program = wire.build(file, folder / f"c{rate}") if "c" in config.controllers else None
-            for case in (case for case in cases if case.rate_Hz == rate):
-                runs = found[case] = []
-                while sum(len(run.round_us) for run in runs) < config.cycles and len(runs) < most:
-                    about = [str(case), file.read_text(encoding="utf-8"), machine, len(runs)]
-                    key = key_of(wire.run_once, about)
-                    if (earlier := kept.get(key)) is not None:
-                        runs.append(earlier[0])
-                        continue
-                    own = program if case.controller == "c" else None
-                    runs.append(wire.run_once(case, file, own, each / rate + wire.SPARE_S))
-                    kept.put(key, runs[-1], loaded_sources())
-                step(str(case))
-    return found
+# --- report ---
 
 
-def summarise(runs: Sequence[Found]) -> dict[str, Any]:
-    """Return the figures of a case's runs."""
-    found: dict[str, Any] = {
-        "runs": len(runs), "cycles": sum(len(run.round_us) for run in runs), "missed": sum(run.missed for run in runs),
-        "overruns": sum(run.overruns for run in runs), "stopped": sum(run.ended != "completed" for run in runs),
-        "unclean": sum(not run.clean for run in runs), "rcm_max_mm": max(run.rcm_max_mm for run in runs),
-    }  # fmt: skip
-    found |= share(found["missed"], found["cycles"]).entries("missed_share")
-    for time in clock.TIMES:
-        values = clock.samples(runs, time)
-        found |= {f"{time}_{name}_us": float(np.percentile(values, at)) for name, at in clock.PERCENTILES.items()}
-    return found
+def case_name(case: str, parts: int = 3) -> str:
+    """Return a case's name in words, or its first parts."""
+    controller, *rest = case.split(", ")
+    return ", ".join([{"python": "Python", "c": "C"}[controller], *rest][:parts])
 
 
-def check_page(config: Config) -> None:
-    """Refuse to write the page from another configuration than the one that ships; the cycles are shown with it.
+def case_rows(summary: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Return a row a case, slow rates and quiet machines first; its times as median / p99 / p99.99 / worst."""
+    order = sorted(summary["cases"], key=lambda name: (int(name.split(", ")[1][:-3]), name.endswith("loaded"), name))
+    rows = []
+    for name in order:
+        found = summary["cases"][name]
+        low, value, high = (1e5 * found[f"missed_share{end}"] for end in ("_low", "", "_high"))
+        times = {time: " / ".join(f"{found[f'{time}_{p}_us']:,.0f}" for p in PERCENTILES) for time in TIMES}
+        share_of = f"{value:.2g} [{low:.2g}, {high:.2g}]"
+        rows.append({**found, **times, "name": case_name(name), "in_100000": share_of})
+    return rows
 
-    Raises:
-        MocOptError: it is another one.
-    """
-    shipped = Config.load(default_config("realtime"))
-    if config.model_copy(update={"cycles": shipped.cycles}) != shipped:
-        raise MocOptError("--page: the page shows runs of the configuration that ships: give --cycles alone")
+
+def sentences(summary: Mapping[str, Any]) -> list[str]:
+    """Say how many cycles missed on a quiet machine, what load does, and how many goals are reached."""
+    cases, said = summary["cases"], []
+    quiet = {name: found for name, found in cases.items() if name.endswith("quiet")}
+    if quiet:
+        each = [f"{case_name(name, 2)} {found['missed']} of {found['cycles']:,}" for name, found in quiet.items()]
+        stalled = sum(found["overruns"] for found in quiet.values())
+        said.append(
+            f"Cycles missed on a quiet machine: {'; '.join(each)}; {stalled} times the plant's own process was not run "
+            "for a period."
+        )
+    loaded = [found for name, found in cases.items() if name.endswith("loaded")]
+    if loaded:
+        missed, cycles, unclean = (sum(found[key] for found in loaded) for key in ("missed", "cycles", "unclean"))
+        said.append(
+            f"With every core busy {missed} of {cycles:,} were missed, the largest RCM error was "
+            f"{max(found['rcm_max_mm'] for found in loaded):.2f} mm, and "
+            f"{f'{unclean} stops were not clean' if unclean else 'every stop was clean'}."
+        )
+    return [*said, goals_sentence(summary["goals"])]
 
 
-def study(given: Namespace) -> cli.Results:
-    config = Config.chosen(given, "realtime")
-    if given.cycles is not None:
-        config = Config(**config.model_dump() | {"cycles": given.cycles})
-    if given.page:
-        check_page(config)
-    environment = config.environment(given, collector="off inside both loops", cores=os.cpu_count())
-    machine = {"processor": environment["machine"]["processor"], "cores": os.cpu_count()}
-    with tempfile.TemporaryDirectory(prefix="moc-opt-") as folder:
-        runs = runs_of(config, Path(folder), Kept(given.out / "jobs"), machine)
-    summary: dict[str, Any] = {"cases": {str(case): summarise(found) for case, found in runs.items()}}
-    summary["goals"] = verdicts(summary, GOALS)
-    rows = [
-        {"case": str(case), "run": k, "begun": run.begun, "cycles": len(run.round_us), "missed": run.missed,
-         "overruns": run.overruns, "ended": run.ended, "clean": run.clean, "rcm_max_mm": run.rcm_max_mm,
-         "round_worst_us": float(run.round_us.max()), "wake_worst_us": float(run.wake_us.max())}
-        for case, found in runs.items() for k, run in enumerate(found)
-    ]  # fmt: skip
-    environment |= {"system": {str(case): found[0].system for case, found in runs.items()}}
-    if given.page:
-        write_section(clock.PAGE, clock.SECTION, clock.page_text(summary, environment))
-    first = clock.answer(summary, runs)
-    return cli.Results(summary, environment, rows, clock.report(summary, GOALS, runs, first, environment), answer=first)
+def report(summary: Mapping[str, Any], runs: Mapping[Case, Sequence[Run]], subject: str = "") -> Report:
+    """Show which goals are reached, what the tail of the round trips looks like, and the figures of every case."""
+    table = Table("Every case", [
+        Column("name", "case"), Column("cycles", "cycles"),
+        Column("missed", "missed", format="d", help="round trips that took longer than the period"),
+        Column("in_100000", "in 100,000", help="of the missed, with the 95 % interval"),
+        Column("overruns", "plant stalled", format="d", help="the plant's process was not run for a period"),
+        *(Column(time, title, unit="us") for time, title in TIMES.items()), Column("stopped", "stops", format="d"),
+        Column("unclean", "not clean", format="d", help="stops"),
+        Column("rcm_max_mm", "RCM error, worst", unit="mm", format=".2f"),
+    ], case_rows(summary), "Times: median / 99th / 99.99th percentile / worst.")  # fmt: skip
+    how = (
+        "Wake-up latency: how late the plant's tick begins. Round trip: from the departure of a measurement to the "
+        "arrival of its torque, over the loopback; a cycle is missed where that takes longer than the period. "
+        "Controller: safety filter and control law alone. environment.json says which priority, memory and timers the "
+        "two processes were granted; Python's collector is off inside both loops."
+    )
+    pictures = []
+    for rate in sorted({case.rate_Hz for case in runs}):
+        times = {case_name(str(case)): samples(mine, "round") for case, mine in runs.items() if case.rate_Hz == rate}
+        says = f"Round trips at {rate} Hz, how many take as long: no line should reach the deadline."
+        pictures.append(Picture(latency_ecdf(times, 1e6 / rate, tail=True), says, f"round-{rate}"))
+    title, first = "Plant and controller against the clock", goals_table(summary["goals"], GOALS)
+    return Report(title, sentences(summary), first, pictures, [Section(DETAILS, how, [table])], subtitle=subject)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the benchmark; see `cli.run` for the exit status."""
-    options = cli.parser("realtime", "Measure plant and controller against the clock.")
-    options.add_argument(
-        "--cycles", type=int, metavar="N", help="of every case, in place of the configuration's"
-    )
-    options.add_argument("--page", action="store_true", help="write the table into docs/realtime.md")
-    return cli.run(options, study, arguments, cli.GOES_ON)
+    """Measure; returns the exit status."""
+
+    def options(parser: ArgumentParser) -> None:
+        parser.add_argument("--cycles", type=int, metavar="N", help="of every case, in place of the configuration's")
+
+    about = "Measure plant and controller against the clock."
+    return command("realtime", about, Config, work, arguments, options=options)
 
 
 if __name__ == "__main__":

@@ -1,37 +1,39 @@
 """What does everything cost? All times side by side in one run: ticks, solvers, adapters, the loop, other libraries.
 
-python -m benchmarks.speed [CONFIG.toml] [--out DIR] [--seed N] [--quick]
+python -m benchmarks.speed [CONFIG.toml] [--out DIR] [--seed N] [--quick] [--json]
+
+Its times belong together, so it keeps no jobs: every run measures everything anew.
 """
 
 from __future__ import annotations
 
-import subprocess
 import sys
-from argparse import Namespace
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Annotated, Any, Literal, Self
 
+from numpy.typing import ArrayLike
 from pydantic import Field, field_validator
 
-from benchmarks import baselines as peers
-from benchmarks.common import cli
-from benchmarks.common.config import Configuration, choose
-from benchmarks.common.goals import verdicts
-from benchmarks.latency import runs
-from benchmarks.latency.bare import LIBRARIES
-from benchmarks.latency.page import answer, report, tables, timed_rows
-from benchmarks.latency.verdict import GOALS
-from moc_opt.arrays import Array
-from moc_opt.errors import MocOptError, UnknownNameError
-from moc_opt.robots.model import load_robot
+from benchmarks import peers, timed
+from moc_opt.errors import UnknownNameError
+from moc_opt.figures import latency_ecdf
+from moc_opt.report.tables import Column, Table
 from moc_opt.scenario import Scenario
-from moc_opt.study.timing import Disturbance, clock_cost_us
+from moc_opt.study import Failed, Job
+from moc_opt.study.command import Found, Study, StudyConfig, choose, command
+from moc_opt.study.results import Results
+from moc_opt.study.show import Goal, Picture, Report, Section, about, goals_sentence, goals_table, judge
+from moc_opt.study.timing import Disturbance, clock_cost_us, load
 
 Count = Annotated[int, Field(ge=1)]
 Names = Literal["all"] | list[str]
+Summary = Mapping[str, Any]
+TICKS, PEERS, SOLVERS, LOOP = "Ticks", "Other libraries", "Solvers", "Loop"
+TIMED = ("tick", "tick_parts", "peers", "adapters", "loop")
+"""Parts of the summary whose times were taken one by one."""
 
 
-class Config(Configuration):
+class Config(StudyConfig):
     """benchmarks/configs/speed.toml."""
 
     solvers: list[str] = Field(["exact", "daqp", "proxqp", "osqp"])
@@ -40,7 +42,7 @@ class Config(Configuration):
     batch: Count = 1_000_000
     adapters: Names = "all"
     runs: Count = 5
-    processes: Count = 5
+    starts: Count = Field(5, description="new processes, for the first torque and for `moc-opt run`")
     peers: Names = "all"
     scenario: Scenario = Scenario()
 
@@ -52,80 +54,238 @@ class Config(Configuration):
         return value
 
     def quick(self) -> Self:
+        """Return the same on less data."""
         few = {
-            "ticks": min(self.ticks, 400), "rounds": 1, "batch": min(self.batch, 20_000), "runs": 1,
-            "processes": 1, "scenario": self.scenario.change(duration_s=1.0),
+            "ticks": min(self.ticks, 400), "rounds": 1, "batch": min(self.batch, 20_000), "runs": 1, "starts": 1,
+            "scenario": self.scenario.change(duration_s=1.0),
         }  # fmt: skip
         return self.model_copy(update=few)
 
 
-def measure(config: Config, step: runs.Step) -> tuple[dict[str, Any], list[dict[str, Any]], dict[str, Array]]:
-    """Measure all parts, one after the other.
-
-    Returns:
-        the summary, part -> name -> metric; rows of every chunk and round; times of the ticks [us] by name.
+def known(kind: str, wanted: Names, there: Collection[str]) -> list[str]:
+    """Return the names that are asked for.
 
     Raises:
-        UnknownNameError: a solver, an adapter or another library that does not exist, before anything is measured.
+        UnknownNameError: there is no such adapter or library.
     """
-    bench = runs.Bench()
-    names, reasons = choose(config.solvers)
-    bench.missing |= {f"solver {name}": reason for name, reason in reasons.items()}
-    adapters, reasons = choose(_known("adapter", config.adapters, LIBRARIES))
-    bench.missing |= {f"adapter {name}": reason for name, reason in reasons.items()}
-    libraries = _known("peer", config.peers, peers.PEERS)
-    # The loop alone: what judges its answers comes after it.
-    scenario = config.scenario.change(seed=config.seed, judge=False, bound_samples=0)
-    robot, rounds = load_robot(scenario.robot.name), config.rounds
-
-    long = scenario.change(duration_s=config.ticks * scenario.plant.period_s)
-    inputs, problems = runs.record(long)
-    step("recorded a run")
-    own, others, times = runs.ticks(bench, names, libraries, scenario, robot, inputs, rounds, step)
-    step("whole ticks")
-    try:
-        own["c"] = runs.exported(scenario.change(duration_s=1.0))
-    except (MocOptError, OSError, subprocess.SubprocessError) as error:
-        bench.missing["exported C program"] = f"{type(error).__name__}: {error}"
-    step("moc_step")
-    summary: dict[str, Any] = {"tick": own, "peers": others}
-    summary["tick_parts"] = runs.parts(bench, scenario, robot, inputs, rounds)
-    step("parts of a tick")
-    summary["batch"] = {"exact": runs.batch(problems, config.batch)}
-    step("batch")
-    summary["adapters"] = runs.adapters(bench, adapters, robot, problems, rounds)
-    step("adapters")
-    summary["loop"] = runs.loop(bench, scenario, config.runs, own.get("c", {}).get("tick_p50_us"), step)
-    summary["setup"] = runs.fresh(bench, config.processes, step)
-    summary["clock"] = {"cost": {"p50_us": clock_cost_us()}}
-    summary["not_run"] = {name: {"reason": reason} for name, reason in bench.missing.items()}
-    summary["goals"] = verdicts(summary, GOALS)
-    return summary, bench.rows, times
-
-
-def _known(kind: str, wanted: Names, all_of_them: Mapping[str, Any]) -> list[str]:
-    names = list(all_of_them) if wanted == "all" else list(wanted)
+    names = list(there) if wanted == "all" else list(wanted)
     for name in names:
-        if name not in all_of_them:
-            raise UnknownNameError(kind, name, all_of_them)
+        if name not in there:
+            raise UnknownNameError(kind, name, there)
     return names
 
 
-def study(given: Namespace) -> cli.Results:
-    config = Config.chosen(given, "speed")
-    many = len(peers.PEERS) if config.peers == "all" else len(config.peers)
-    with cli.steps("speed", 6 + many + 1 + config.runs + 2 * config.processes) as step:
-        summary, rows, times = measure(config, step)
-    environment = config.environment(given, load=Disturbance.total(timed_rows(summary)).told())
-    first, shown = answer(summary, times), tables(summary)
-    return cli.Results(
-        summary, environment, rows, report(summary, first, environment), [shown["tick"], shown["peers"]], answer=first
-    )
+def work(study: Study, config: Config) -> Found:
+    """Measure all parts, one after the other, and judge the goals."""
+    solvers, no_solver = choose(config.solvers)
+    adapters, no_adapter = choose(known("adapter", config.adapters, timed.ADAPTERS))
+    libraries = known("peer", config.peers, peers.PEERS)
+    no_peer = {name: reason for name in libraries if (reason := peers.missing(name))}
+    tried = [name for name in libraries if name not in no_peer]
+    checks = [Job(peers.check, (name,), limit_s=60.0) for name in tried]
+    for name, failure in zip(tried, _measured(study, checks, "other libraries"), strict=True):
+        if failure is not None:
+            no_peer[name] = str(failure)
+    able = [name for name in tried if name not in no_peer]
+
+    # The loop alone: what judges its answers comes after it.
+    scenario, rounds = config.scenario.change(seed=config.seed, judge=False, bound_samples=0), config.rounds
+    long = scenario.change(duration_s=config.ticks * scenario.plant.period_s)
+    asked: dict[str, tuple[Callable[..., timed.Part], tuple[Any, ...]]] = {
+        "ticks": (timed.ticks, (long, solvers, able, rounds)), "parts of a tick": (timed.tick_parts, (long, rounds)),
+        "moc_step in C": (timed.exported, (scenario.change(duration_s=1.0),)),
+        "batch": (timed.batch, (long, config.batch)), "adapters": (timed.adapters, (long, adapters, rounds)),
+        "loop": (timed.loop, (scenario, config.runs)), "new processes": (timed.fresh, (config.starts,)),
+    }  # fmt: skip
+    jobs = [Job(call, given, limit_s=1800.0, alone=True, group=name) for name, (call, given) in asked.items()]
+    whole, failed = timed.Part(), dict[str, str]()
+    for name, part in zip(asked, _measured(study, jobs, "times"), strict=True):
+        if isinstance(part, Failed):
+            failed[name] = str(part)
+            continue
+        for key, found in part.found.items():
+            whole.found[key] = {**whole.found.get(key, {}), **found}
+        whole.rows += part.rows
+        failed |= part.missing
+        whole.times |= part.times
+    for kind, reasons in (("solver", no_solver), ("adapter", no_adapter), ("peer", no_peer)):
+        failed |= {f"{kind} {name}": reason for name, reason in reasons.items()}
+    summary = summed_up(whole, failed)
+    rows = Results([*whole.rows, *({"controller": name, "error": reason} for name, reason in failed.items())])
+    seen = Disturbance.total(timed_rows(summary))
+    return Found(report(summary, whole.times, about(scenario)), summary, rows, {"load": seen.told()})
+
+
+def _measured(study: Study, jobs: Sequence[Job], what: str) -> list[Any]:
+    return study.run(jobs, what, keep=lambda result: False)
+
+
+def summed_up(whole: timed.Part, failed: Mapping[str, str]) -> dict[str, Any]:
+    """Return the summary of all parts together, with the loop over its limit and the goals."""
+    summary: dict[str, Any] = {name: {} for name in (*TIMED, "batch", "setup")} | whole.found
+    if loop := summary["loop"]:
+        rounds = [row for row in whole.rows if row["part"] == "loop"]
+        c_tick = summary["tick"].get("c", {}).get("tick_p50_us")
+        loop["limit"] = timed.limit(rounds, c_tick, Disturbance.of(loop["python"]))
+    summary["clock"] = {"cost": {"p50_us": clock_cost_us()}}
+    summary["not_run"] = {name: {"reason": reason} for name, reason in failed.items()}
+    return summary | {"goals": judge(summary, GOALS)}
+
+
+# --- goals ---
+
+
+def _batch(s: Any) -> float:
+    found = s["batch"]["exact"]
+    if found["batch"] < 1_000_000:
+        raise LookupError("of fewer the start of the threads is a large part")
+    return float(found["batch_two_threads_per_s"]) / 1e6
+
+
+GOALS = {
+    "first_torque": Goal(
+        "new process: import to first torque", "s", 0.5, lambda s: s["setup"]["first_tick_s"],
+        made_of=lambda s: "libraries {libraries_s:.2f}, model {model_s:.2f}, start and tick {start_and_tick_s:.2f} s"
+        .format(**s["setup"]),
+    ),
+    "first_run": Goal("new process: a first `moc-opt run`", "s", 10.0, lambda s: s["setup"]["first_run_s"]),
+    "exact": Goal(
+        "exact from Python over daqp by hand", "", 0.12, lambda s: s["adapters"][timed.BY_HAND]["ratio_of_exact"],
+        section=SOLVERS, made_of=lambda s: f"{s['adapters']['exact']['adapter_p50_us']:.2f} and "
+        f"{s['adapters'][timed.BY_HAND]['adapter_p50_us']:.2f} us",
+    ),
+    "batch": Goal(
+        "exact, a batch on two threads", "million/s", 4.0, _batch, most=False, section=SOLVERS,
+        made_of=lambda s: f"one thread {s['batch']['exact']['batch_one_thread_per_s'] / 1e6:.2f} million/s",
+    ),
+    "tick": Goal(
+        "trimmed pink's tick over ours with exact", "", 12.0, lambda s: s["peers"]["pink-trimmed"]["times_ours"],
+        most=False, section=PEERS, made_of=lambda s: f"{s['peers']['pink-trimmed']['tick_p50_us']:.0f} and "
+        f"{s['tick']['exact']['tick_p50_us']:.1f} us",
+    ),
+    "c_tick": Goal(
+        "moc_step in C: median", "us", 4.0, lambda s: s["tick"]["c"]["tick_p50_us"], section=TICKS,
+        made_of=lambda s: f"p99.9 {s['tick']['c']['tick_p99_9_us']:.1f} us",
+    ),
+    "limit": Goal(
+        "default run over its limit, MuJoCo's steps and moc_step", "", 3.0,
+        lambda s: s["loop"]["limit"]["python_over_limit"], section=LOOP,
+        made_of=lambda s: f"{s['loop']['python']['us_per_tick']:.1f} us a tick, filter and controller "
+        f"{s['loop']['python']['tick_p50_us']:.1f} of them; MuJoCo {s['loop']['limit']['steps_us']:.1f}, C "
+        f"{s['tick']['c']['tick_p50_us']:.1f} us",
+    ),
+}  # fmt: skip
+
+
+# --- report ---
+
+
+def _times(of: str, *percentiles: str, digits: int = 1) -> list[Column]:
+    return [
+        Column(f"{of}_{p}_us", p.replace("_", "."), unit="us", format=f".{digits}f", better="low") for p in percentiles
+    ]
+
+
+COLUMNS = {
+    "tick": ("One tick, state to torque", [
+        Column("name", "tick with"), *_times("tick", "p50", "p99", "p99_9"),
+        Column("tick_cold_p50_us", "cold", unit="us", format=".1f", better="low",
+               help="median of the five calls after another entry's turn; the percentiles count them too"),
+        Column("tick_max_us", "longest", unit="us", format=".1f", better="low"),
+    ]),
+    "tick_parts": ("Parts of a tick with exact", [
+        Column("name", "part"), *_times("tick", "p50", "p99", digits=2), Column("is", "what it is"),
+    ]),
+    "peers": ("One tick in other libraries, the same job on the same arm", [
+        Column("name", "controller"), Column("level", "gives", help="a velocity still needs a servo"),
+        *_times("tick", "p50", "p99"), Column("times_ours", "over ours", format=".2f", help="median over the chunks"),
+        Column("tip_error_max_mm", "tip", unit="mm", help="largest tip error on an ideal arm, after half a second"),
+        Column("rcm_error_max_mm", "shaft", unit="mm", help="largest distance of shaft from trocar, likewise"),
+        Column("mu_rise_percent", "mu", unit="%", format="+.1f", help="rise of the manipulability in that second"),
+    ]),
+    "adapters": ("Solvers from Python", [
+        Column("name", "adapter"), *_times("adapter", "p50", "p99", digits=2),
+        Column("ratio_of_exact", "exact over it", format=".3f", help="median over the chunks"),
+    ]),
+    "loop": ("The closed loop", [
+        Column("name", "loop"), Column("factor", "real time", unit="times", format=".1f", better="high"),
+        Column("us_per_tick", "all of a tick", unit="us", format=".1f", help="plant, trace and references included"),
+        *_times("tick", "p50", "p99", "p99_9"),
+    ]),
+}  # fmt: skip
+SECTIONS = {
+    TICKS: (
+        ("tick", "tick_parts"),
+        "Ticks recorded in a closed-loop run with the realistic plant, timed one by one in chunks of 100 that take "
+        "turns, without pauses of the garbage collector. A round that is not timed comes first; after it every call "
+        "counts. The parts are called by themselves, so that their sum is not exactly the whole. `c` is `moc_step`, "
+        "safety filter included, in the exported program.",
+    ),
+    PEERS: (
+        ("peers",),
+        "Tip on its reference, wrist on the line through the trocar, joint speeds in their limits, the freedom left up "
+        "the gradient of the manipulability. Each has its fastest solver, hard equalities where it takes them, our "
+        "compiled gradient where it has none, and is timed on the states of a second on an ideal arm in which it did "
+        "the job. Our tick is timed on the states of its own run with the realistic plant.",
+    ),
+    SOLVERS: (
+        ("adapters",),
+        "By hand: the fastest library with the settings of its adapter, set up once, its numbers loaded from the same "
+        "arrays, solved, answer and multipliers read.",
+    ),
+    LOOP: (
+        ("loop",),
+        "A run includes references, plant, controller, trace and what feeds the progress bar; building the arm is "
+        "set-up, and judging the answers comes after it. The limit is MuJoCo's own steps of a control period through "
+        "the states of the run, and `moc_step`.",
+    ),
+}  # fmt: skip
+
+
+def report(summary: Summary, times: Mapping[str, ArrayLike], subject: str = "") -> Report:
+    """Show the goals, the times of the ticks [us], and the figures around each goal."""
+    rows = {key: [{"name": name, **row} for name, row in summary[key].items()] for key in COLUMNS}
+    for row in rows["tick_parts"]:
+        row["is"] = timed.PARTS[row["name"]]
+    if own := summary["tick"].get("exact"):
+        rows["peers"].insert(0, {"name": "moc_opt", "level": "torque", "times_ours": 1.0, **own})
+    rows["loop"] = [row for row in rows["loop"] if "factor" in row]
+    tables = {key: Table(title, columns, rows[key]) for key, (title, columns) in COLUMNS.items() if rows[key]}
+    sections = [
+        Section(title, text, shown) for title, (keys, text) in SECTIONS.items()
+        if (shown := [tables[key] for key in keys if key in tables])
+    ]  # fmt: skip
+    says = "Time of a tick: further left is faster, steeper is steadier."
+    pictures = [Picture(latency_ecdf(times), says, "ticks")] if times else []
+    first = goals_table(summary["goals"], GOALS)
+    return Report("What everything costs", sentences(summary), first, pictures, sections,
+                  load(timed_rows(summary)), subject)
+
+
+def sentences(summary: Summary) -> list[str]:
+    """Say how long a tick takes, how fast the loop runs, who is fastest of the others, and which goals are reached."""
+    said = []
+    if "exact" in summary["tick"] and "python" in summary["loop"]:
+        own, factor = summary["tick"]["exact"]["tick_p50_us"], summary["loop"]["python"]["factor"]
+        said.append(f"A tick with `exact` takes {own:.1f} us, the closed loop runs {factor:.0f} times real time.")
+    if summary["peers"]:
+        name = min(summary["peers"], key=lambda peer: float(summary["peers"][peer]["times_ours"]))
+        fastest = summary["peers"][name]
+        said.append(
+            f"The fastest other library, {name}, takes {fastest['tick_p50_us']:.1f} us for the same job, "
+            f"{fastest['times_ours']:.2g} times ours."
+        )
+    return [*said, goals_sentence(summary["goals"])]
+
+
+def timed_rows(summary: Summary) -> list[Mapping[str, Any]]:
+    """Return the rows of the summary whose times were taken one by one."""
+    return [row for part in TIMED for row in summary[part].values()]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the benchmark; see `cli.run` for the exit status."""
-    return cli.run(cli.parser("speed", "Measure what everything costs."), study, arguments)
+    """Measure; returns the exit status."""
+    return command("speed", "Measure what everything costs.", Config, work, arguments)
 
 
 if __name__ == "__main__":

@@ -30,9 +30,7 @@ def compare_solvers(given: argparse.Namespace) -> int:
     if given.json:
         print_json({name: {key: _plain(value) for key, value in of.items()} for name, of in found.summary().items()})
     else:
-        screen = console()
-        for piece in found.table.fitted(screen.width):
-            screen.print(piece)
+        console().print(found.table)
     if given.out is not None:
         found.save_rows(given.out)
     lost = [name for name in found.solvers if not found.values(name, "mu_mean")]

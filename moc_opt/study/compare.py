@@ -216,13 +216,10 @@ class Comparison:
         Raises:
             ScenarioError: the file cannot be written.
         """
-        try:
-            write_whole(path, Results(self.rows).frame.write_csv().encode())
-        except OSError as error:
-            raise ScenarioError(f"{path}: cannot be written: {error}") from error
+        write_whole(path, Results(self.rows).frame.write_csv(), "table of runs", ScenarioError)
 
     def __repr__(self) -> str:
-        return as_text(self.table.fitted(width := terminal_width()), width)
+        return as_text([self.table.to_rich(width := terminal_width())], width)
 
     def _repr_html_(self) -> str:
         """Show the table in a notebook."""

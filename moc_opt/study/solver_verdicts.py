@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 from moc_opt import figures
 from moc_opt.figures.notation import Doubtful, Mark, Missing
-from moc_opt.figures.style import BAD, FAIR, GOOD, MUTED, WORST
+from moc_opt.figures.style import BAD, GOOD, MUTED, SERIES, WORST
 from moc_opt.report.tables import Column, Table
 from moc_opt.study.results import Results, change_name
 from moc_opt.study.show import Picture, Section, ends, intervals_picture
@@ -27,7 +27,7 @@ TAKE, SOUND = Mark("★", "take", "best", 0), Mark("✔", "sound", "good", 1)
 GAPS, NEAR = Mark("◐", "gaps", "fair", 2), Mark("≈", "near", "fair", 3)
 OTHER, OPEN = Mark("≠", "other", "other", 4), Mark("–", "open", "other", 5)
 AVOID = Mark("✘", "avoid", "bad", 6)
-TONES = {TAKE: GOOD, SOUND: GOOD, GAPS: FAIR, NEAR: FAIR, OTHER: MUTED, OPEN: BAD, AVOID: WORST}
+TONES = {TAKE: GOOD, SOUND: GOOD, GAPS: list(SERIES)[4], NEAR: list(SERIES)[4], OTHER: MUTED, OPEN: BAD, AVOID: WORST}
 TOO_MUCH = 5.0
 """Times what counts as equal: from there on a solver is to be avoided."""
 

@@ -4,25 +4,23 @@ import json
 import re
 
 import numpy as np
-import pyarrow.parquet as pq
+import polars as pl
 import pytest
 
-from benchmarks import speed
-from benchmarks.common.goals import verdicts
-from benchmarks.common.output import default_config
-from benchmarks.latency import runs
-from benchmarks.latency.bare import LIBRARIES, by_hand
-from benchmarks.latency.page import answer, report, tables
-from benchmarks.latency.verdict import GOALS
+from benchmarks import speed, timed
 from moc_opt.figures.notation import Doubtful
-from moc_opt.qp.problem import compute_residuals
 from moc_opt.scenario import Scenario, Setup
-from moc_opt.solvers import Status, available, create
+from moc_opt.solvers import available, create
 from moc_opt.solvers.exact import Exact
+from moc_opt.study import Failed
+from moc_opt.study.command import CONFIGS
+from moc_opt.study.show import judge
+from moc_opt.study.timing import UNDISTURBED, Disturbance
 from tests import first_screens
 from tests.problems import unstructured_problems
 
-INSTALLED = [name for name in LIBRARIES if available().get(name, "") is None]
+SHORT = Scenario(judge=False, bound_samples=0, duration_s=0.2)
+has_daqp = pytest.mark.skipif(available().get("daqp", "") is not None, reason="daqp is not installed")
 
 
 @pytest.fixture(scope="module")
@@ -30,55 +28,31 @@ def sequence():
     return unstructured_problems(7, 120, np.random.default_rng(4))
 
 
-# --- the libraries by hand ---
-
-
-@pytest.mark.parametrize("name", INSTALLED)
-def test_by_hand_the_answer_is_the_adapter_s_and_optimal(name, sequence):
-    solver = create(name)
-    session, library = solver.start(sequence[0]), by_hand(name, solver, sequence[0])
-    answers = [library(qp) for qp in sequence]
-    theirs = [session.solve(qp) for qp in sequence]
-    X = np.array([x for x, _ in answers])
-    for x, solution in zip(X, theirs, strict=True):
-        np.testing.assert_allclose(x, solution.x, atol=1e-4)
-    found = compute_residuals(np.array([qp.row for qp in sequence]), X)
-    solved = np.array([solution.status is Status.SOLVED for solution in theirs])  # osqp gives up on one of them
-    assert solved.mean() > 0.98
-    assert (found.primal[solved] < 1e-6).all()
-    assert (found.relative[solved] < 1e-3).all()
-    # The multipliers: P x + p + A^T y vanishes inside the box, in the library's own scale and sign.
-    qp, (x, y) = sequence[0], by_hand(name, solver, sequence[0])(sequence[0])
-    inside, scale = (x > qp.lower + 1e-6) & (x < qp.upper - 1e-6), solver.cost_scale
-    slopes = [scale * (qp.P @ x + qp.p) + sign * (qp.reduced().A.T @ y) for sign in (1.0, -1.0)]
-    ends = [np.abs(slope[inside]).max() for slope in slopes]
-    assert np.shape(y) == (5,)
-    assert min(ends) < 1e-4 * max(ends)
-
-
-def test_what_does_other_work_is_not_compared(sequence, monkeypatch):
-    def lazy(at, scale, m, n):
-        x = create("exact").start(sequence[0]).solve(sequence[0]).x
-        return lambda qp: (x, np.zeros(5))
-
-    assert runs.disagreement(INSTALLED[0], create(INSTALLED[0]), sequence) is None
-    monkeypatch.setitem(LIBRARIES, INSTALLED[0], lazy)
-    assert "differ by" in runs.disagreement(INSTALLED[0], create(INSTALLED[0]), sequence)
-
-
 # --- what is timed ---
 
 
+@has_daqp
+def test_by_hand_the_answer_is_the_adapter_s_and_optimal(sequence):
+    solver = create("daqp")
+    by_hand = timed.daqp_by_hand(solver, sequence[0])
+    assert timed.disagreement(solver, by_hand, sequence) is None
+    for qp in sequence[:20]:
+        x, y = by_hand(qp)
+        inside = (x > qp.lower + 1e-6) & (x < qp.upper - 1e-6)
+        slope = solver.cost_scale * (qp.P @ x + qp.p) + qp.reduced().A.T @ y
+        np.testing.assert_allclose(slope[inside], 0.0, atol=1e-8 * np.abs(slope).max() + 1e-9)
+    assert "differ by" in timed.disagreement(solver, lambda qp: (np.zeros(7), np.zeros(5)), sequence)
+
+
 def test_what_was_recorded_is_what_the_run_asked():
-    scenario = Scenario(judge=False, bound_samples=0, duration_s=0.2)
-    inputs, problems = runs.record(scenario)
-    trace = Setup(scenario).trace()
+    inputs, problems = timed.record(SHORT)
+    trace = Setup(SHORT).trace()
     assert len(inputs) == len(problems) == len(trace) == 100
     np.testing.assert_array_equal([qp.row for qp in problems], trace.subproblem)
     np.testing.assert_array_equal([given[2][0] for given in inputs], trace.tip_ref_m)
 
 
-def test_a_batch_is_solved_whole_by_one_thread_and_by_two(sequence, monkeypatch):
+def test_a_batch_is_solved_whole_by_one_thread_and_by_two(monkeypatch):
     asked = []
 
     class Counting(Exact):
@@ -86,8 +60,8 @@ def test_a_batch_is_solved_whole_by_one_thread_and_by_two(sequence, monkeypatch)
             asked.append((len(rows), threads))
             return super().solve_batch(rows, threads)
 
-    monkeypatch.setattr(runs, "Exact", Counting)
-    found = runs.batch(sequence[:7], 2500)
+    monkeypatch.setattr(timed, "Exact", Counting)
+    found = timed.batch(SHORT, 2500).found["batch"]["exact"]
     assert asked == [(1000, None), (2500, 1), (2500, 1), (2500, 2), (2500, 2)]
     assert found["batch"] == 2500
     assert found["batch_two_threads_per_s"] > 0.0
@@ -95,15 +69,17 @@ def test_a_batch_is_solved_whole_by_one_thread_and_by_two(sequence, monkeypatch)
 
 def test_ratios_are_those_of_the_same_round():
     """One slow round in three changes no ratio: it slows both sides of it."""
-    slow = np.array([1.0, 10.0, 1.0])
-    found = runs.loop_ratios(40.0 * slow, np.array([9.0, 99.0, 9.0]), 1.0)
+    rows = [{"us_per_tick": 40.0 * slow, "steps_us": 10.0 * slow - 1.0} for slow in (1.0, 10.0, 1.0)]
+    found = timed.limit(rows, 1.0, UNDISTURBED)
     assert found == {"steps_us": 9.0, "limit_us": 10.0, "python_over_limit": 4.0}
-    assert set(runs.loop_ratios(slow, slow, None)) == {"steps_us"}
+    assert set(timed.limit(rows, None, UNDISTURBED)) == {"steps_us"}
+    spoilt = timed.limit(rows, 1.0, Disturbance(calls=10, switches=9, cpu_s=1.0, wall_s=1.0))
+    assert all(isinstance(value, Doubtful) for value in spoilt.values())
 
 
 def test_the_limit_steps_through_the_states_of_the_run():
     """From each state one control period leads to the next; the forces of its steps differ by one step's motion."""
-    steps = runs.Steps(Scenario(judge=False, bound_samples=0, duration_s=1.0))
+    steps = timed.Steps(SHORT.change(duration_s=1.0))
     after, n = steps.stepped(), 7
     assert len(steps.states) == 500
     np.testing.assert_allclose(after[:-1, 0], steps.states[1:, 0], rtol=1e-12)
@@ -112,114 +88,83 @@ def test_the_limit_steps_through_the_states_of_the_run():
     assert steps.us() > 0.0
 
 
-def test_times_of_new_processes_are_those_they_tell(monkeypatch):
-    monkeypatch.setattr(runs, "FIRST_TICK", "print('{\"first_tick_s\": 1.5}')")
-    monkeypatch.setattr(runs, "FIRST_RUN", ("-c", "import os; assert not os.listdir(os.environ['HOME'])"))
-    bench, told = runs.Bench(), []
-    found = runs.fresh(bench, 2, told.append)
-    assert found["first_tick_s"] == 1.5
-    assert found["first_run_s"] > 0.0
-    assert len(bench.rows) == len(told) == 4
-
-
 # --- goals, report, command ---
 
 
 def made_up(**changes):
     """A summary with a number for everything that the report and the goals ask for."""
     times = {"tick_p50_us": 20.0, "tick_p99_us": 30.0, "tick_p99_9_us": 90.0}
-    summary = {
+    parts = {
         "tick": {"exact": times, "c": {**times, "tick_p50_us": 3.0}},
         "tick_parts": {"solver": times},
-        "peers": {"pink-trimmed": {**times, "level": "velocity", "installed": "make", "tip_error_max_mm": 0.1,
-                                   "tick_p50_us": 300.0, "times_ours": 15.0}},
+        "peers": {"pink-trimmed": {**times, "level": "velocity", "tip_error_max_mm": 0.1, "tick_p50_us": 300.0,
+                                   "times_ours": 15.0}},
         "batch": {"exact": {"batch": 1e6, "batch_one_thread_per_s": 2.1e6, "batch_two_threads_per_s": 4.2e6}},
         "adapters": {"exact": {"adapter_p50_us": 1.0},
-                     "daqp": {"ratio": 1.04, "by_hand_p50_us": 10.0, "ratio_of_exact": 0.1}},
-        "loop": {"python": {"factor": 40.0, "us_per_tick": 50.0, **times},
-                 "limit": {"python_over_limit": 2.9, "steps_us": 12.0}},
+                     timed.BY_HAND: {"adapter_p50_us": 10.0, "ratio_of_exact": 0.1}},
+        "loop": {"python": {"factor": 40.0, "us_per_tick": 29.0, **times}},
         "setup": {"first_tick_s": 0.4, "first_run_s": 8.0, "libraries_s": 0.3, "model_s": 0.1, "start_and_tick_s": 0.0},
-        "not_run": {},
         **changes,
     }  # fmt: skip
-    summary["goals"] = verdicts(summary, GOALS)
-    return summary
+    rows = [{"part": "loop", "us_per_tick": 29.0, "steps_us": 7.0}]
+    return speed.summed_up(timed.Part(parts, rows), {"peer tsid": "it is missing"})
 
 
 def test_goals_are_reached_by_a_summary_that_reaches_them():
     found = made_up()["goals"]
     assert {goal["reached"] for goal in found.values()} == {"yes"}
-    assert set(found) == set(GOALS)
-    assert found["batch"]["value"] == 4.2
+    assert set(found) == set(speed.GOALS)
+    assert (found["batch"]["value"], found["limit"]["value"]) == (4.2, 2.9)
     assert found["exact"]["made_of"] == "1.00 and 10.00 us"
 
 
-def test_goals_that_are_missed_or_not_measured_say_so():
+def test_goals_that_are_missed_not_measured_or_in_doubt_say_so():
     fewer = {"batch": 250_000, "batch_one_thread_per_s": 2e6, "batch_two_threads_per_s": 4e6}
-    worse = made_up(
-        adapters={"exact": {"adapter_p50_us": 1.0}, "daqp": {"by_hand_p50_us": 5.0, "ratio_of_exact": 0.2}}, peers={},
-        batch={"exact": fewer}, loop={"python": {"factor": 29.0}, "limit": {}}, setup={"first_tick_s": 0.6},
-    )["goals"]  # fmt: skip
+    by_hand = {"exact": {"adapter_p50_us": 1.0}, timed.BY_HAND: {"adapter_p50_us": 5.0, "ratio_of_exact": 0.2}}
+    setup = {"first_tick_s": 0.6, "libraries_s": 0.5, "model_s": 0.1, "start_and_tick_s": 0.0}
+    worse = made_up(adapters=by_hand, peers={}, batch={"exact": fewer}, loop={}, setup=setup)["goals"]
     reached = {name: goal["reached"] for name, goal in worse.items()}
     assert reached == {
         "first_torque": "no", "first_run": "not measured", "exact": "no", "batch": "not measured",
         "tick": "not measured", "c_tick": "yes", "limit": "not measured",
     }  # fmt: skip
     assert all((worse[name]["value"] is None) == (word == "not measured") for name, word in reached.items())
-
-
-def test_a_goal_is_open_where_other_work_may_have_missed_it():
     times = {"tick_p50_us": Doubtful(3.0), "tick_p99_us": Doubtful(30.0), "tick_p99_9_us": Doubtful(4000.0)}
-    spoilt = made_up(
-        tick={"exact": times, "c": times}, peers={"pink-trimmed": {"tick_p50_us": 300.0, "times_ours": Doubtful(15.0)}}
-    )
+    peer = {"tick_p50_us": 300.0, "times_ours": Doubtful(15.0)}
+    spoilt = made_up(tick={"exact": times, "c": times}, peers={"pink-trimmed": peer})
     assert spoilt["goals"]["c_tick"]["reached"] == "yes", "undisturbed it is shorter still"
     assert spoilt["goals"]["tick"]["reached"] == "open"
-    shown = {row["what"]: row["measured"] for row in answer(spoilt, {"a": [1.0]}).table.rows}
-    assert shown[GOALS["tick"].what].startswith("?")
+    shown = {row["what"]: row["measured"] for row in speed.report(spoilt, {}).table.rows}
+    assert shown[speed.GOALS["tick"].what].startswith("?")
 
 
-def test_report_and_first_screen_are_made_of_the_numbers():
-    summary = made_up(loop={"python": {"factor": 12.0, "us_per_tick": 160.0, "tick_p50_us": 20.0},
-                            "limit": {"python_over_limit": 5.0, "steps_us": 12.0}},
-                      not_run={"peer tsid": {"reason": "it is missing"}, "solver x": {"reason": "y"}})  # fmt: skip
-    first = answer(summary, {"exact": np.array([1.0, 2.0])})
-    said = " ".join(first.sentences)
+def test_report_is_made_of_the_numbers():
+    summary = made_up(loop={"python": {"factor": 12.0, "us_per_tick": 160.0, "tick_p50_us": 20.0}}, batch={})
+    summary["loop"]["limit"]["python_over_limit"] = 5.0
+    summary["goals"] = judge(summary, speed.GOALS)
+    report = speed.report(summary, {"exact": np.array([1.0, 2.0])})
+    said = " ".join(report.answer)
     expected = ("20.0 us", "12 times real time", "pink-trimmed, takes 300.0 us", "missed: default")
     assert all(words in said for words in expected)
-    assert first.table.rows[0]["reached"].word == "no"
-    rows = {row["name"]: row for row in tables(summary)["peers"].rows}
-    assert rows["pink-trimmed"]["times_ours"] == 15.0
-    assert rows["tsid"]["installed"] == "not run: it is missing"
-    assert "x" not in rows
-    first_screens.check(report(summary, first, {"seed": 0}).html(), pictures=1)
+    assert report.table.rows[0]["reached"].word == "no"
+    assert "solver | 20.00 | 30.00 | exact, from Python" in report.markdown()
+    first_screens.check(report.page({}).html(), pictures=1)
 
 
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("tock = 1", "'tock'.*'ticks'"),
-        ("solvers = ['daqp']", "'exact' must be among them"),
-        ("solvers = ['exact', 'dapq']", "'dapq'.*'daqp'"),
-        ("adapters = ['exakt']", "adapter 'exakt'"),
+        ("tock = 1", "'tock'.*'ticks'"), ("solvers = ['daqp']", "'exact' must be among them"),
+        ("solvers = ['exact', 'dapq']", "'dapq'.*'daqp'"), ("adapters = ['exakt']", "adapter 'exakt'"),
         ("peers = ['minc']", "'minc'.*'mink'"),
-        ("ticks = [", "is not TOML"),
     ],
-)
+)  # fmt: skip
 def test_nonsense_in_a_configuration_is_named(text, words, tmp_path, capsys):
     path = tmp_path / "speed.toml"
     path.write_text(text)
     assert speed.main([str(path), "--out", str(tmp_path / "out")]) == 2
     assert re.search(words, capsys.readouterr().err)
     assert not (tmp_path / "out").exists()
-
-
-def test_default_configuration_is_complete_and_quick_is_less():
-    config = speed.Config.load(default_config("speed"))
-    quick = config.quick()
-    assert config.batch == speed.Config().batch == 1_000_000
-    assert quick.ticks < config.ticks
-    assert quick.solvers == config.solvers
 
 
 SMALL = """
@@ -229,36 +174,55 @@ rounds = 1
 batch = 1000
 adapters = ["daqp"]
 runs = 1
-processes = 1
-peers = []
+starts = 1
+peers = ["tsid"]
 [scenario]
 duration_s = 0.3
 """
 
 
-def test_command_leaves_its_four_files(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(runs, "FIRST_RUN", ("-c", ""))
+def test_command_leaves_its_files(tmp_path, capsys, monkeypatch):
+    config = speed.Config.load(CONFIGS / "speed.toml")
+    assert (config.batch, config.quick().solvers) == (1_000_000, config.solvers)
+    monkeypatch.setattr(speed.peers, "missing", lambda name: "it is missing")
     (tmp_path / "small.toml").write_text(SMALL)
     out = tmp_path / "out"
     assert speed.main([str(tmp_path / "small.toml"), "--out", str(out), "--seed", "3"]) == 0
-    assert {path.name for path in out.iterdir()} == {
-        "environment.json", "report.html", "rows.parquet", "summary.json",
-    }  # fmt: skip
     summary = json.loads((out / "summary.json").read_text())
-    assert summary["tick"]["exact"]["tick_p50_us"] > 0.0
-    assert summary["tick"]["proxqp"]["tick_p50_us"] > 0.0
-    assert summary["goals"]["exact"]["value"] == summary["adapters"]["daqp"]["ratio_of_exact"] > 0.0
+    assert summary["not_run"]["peer tsid"]["reason"] == "it is missing"
+    assert min(summary["tick"][name]["tick_p50_us"] for name in ("exact", "proxqp")) > 0.0
+    assert summary["goals"]["exact"]["value"] == summary["adapters"][timed.BY_HAND]["ratio_of_exact"] > 0.0
     assert summary["goals"]["tick"]["reached"] == summary["goals"]["batch"]["reached"] == "not measured"
     environment = json.loads((out / "environment.json").read_text())
-    assert environment["seed"] == 3
-    assert environment["config"]["ticks"] == 100
-    rows = pq.read_table(out / "rows.parquet").to_pylist()
-    assert {row["part"] for row in rows} == {"tick", "tick_parts", "adapters", "loop", "setup"}
+    assert (environment["seed"], environment["config"]["ticks"]) == (3, 100)
+    assert environment["load"]["calls"] > 0
+    rows = pl.read_parquet(out / "rows.parquet").to_dicts()
+    assert {row["part"] for row in rows} == {"tick", "tick_parts", "adapters", "loop", "setup", None}
+    assert [row["controller"] for row in rows if row["error"] == "it is missing"] == ["peer tsid"]
+    assert "it is missing" in (out / "report.html").read_text()
     setup = summary["setup"]
     assert setup["first_tick_s"] == pytest.approx(setup["libraries_s"] + setup["model_s"] + setup["start_and_tick_s"])
     (us,) = [row["us_per_tick"] for row in rows if row["part"] == "loop"]  # one round
-    limits = summary["loop"]["limit"]
     if "c" in summary["tick"]:
         assert summary["tick"]["c"]["difference_Nm"] == 0.0
-        assert limits["python_over_limit"] == pytest.approx(us / limits["limit_us"])
-    assert "Goals" in capsys.readouterr().out
+        assert summary["loop"]["limit"]["python_over_limit"] == pytest.approx(us / summary["loop"]["limit"]["limit_us"])
+    printed = capsys.readouterr().out
+    assert "Goals" in printed
+    assert "of a core" in printed
+
+
+def test_a_part_that_fails_is_not_measured_and_nothing_is_kept(tmp_path, monkeypatch):
+    asked = []
+
+    def failing(study, jobs, what, keep):
+        asked.extend(jobs)
+        assert not keep(object())
+        return [Failed("crashed", "the process died")] * len(jobs)
+
+    monkeypatch.setattr(speed.Study, "run", failing)
+    assert speed.main(["--quick", "--out", str(tmp_path)]) == 0
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    assert {goal["reached"] for goal in summary["goals"].values()} == {"not measured"}
+    assert summary["not_run"]["batch"]["reason"] == "crashed: the process died"
+    assert [job.group for job in asked if job.alone] == list(dict.fromkeys(job.group for job in asked if job.alone))
+    assert all(job.alone for job in asked if job.work is not speed.peers.check)

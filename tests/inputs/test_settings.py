@@ -94,7 +94,7 @@ def every_table():
 
     for package in (moc_opt, benchmarks):
         for module in pkgutil.walk_packages(package.__path__, package.__name__ + "."):
-            if "__main__" not in module.name and ".baselines." not in module.name:
+            if "__main__" not in module.name:
                 importlib.import_module(module.name)
     found, left = [], [Settings]
     while left:

@@ -1,4 +1,4 @@
-"""What ``python -m benchmarks.speed`` times: ticks, solvers, libraries by hand, the loop, new processes, the C program.
+"""What ``python -m benchmarks.speed`` times; each of `ticks` to `fresh` is a job that runs alone.
 
 Entries take turns in chunks, so that a slow moment of the machine hits all of them alike; ratios are of chunks or of
 rounds that lie side by side.
@@ -13,6 +13,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from time import perf_counter
@@ -20,39 +21,42 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks import baselines as peers
-from benchmarks.baselines.job import PERIOD_S, Inputs, job, perform, verdict
-from benchmarks.latency.bare import by_hand
+from benchmarks import peers
 from moc_opt.arrays import Array
 from moc_opt.control import Controller
 from moc_opt.control.law import law_of
 from moc_opt.export import export_scenario
 from moc_opt.qp.problem import NullSpaceQP, row_length
-from moc_opt.robots.model import RobotModel
+from moc_opt.robots.model import load_robot
 from moc_opt.scenario import Scenario, Setup, make_solver
 from moc_opt.scenario.adapter import ControllerAdapter
 from moc_opt.solvers.exact import Exact
 from moc_opt.study.timing import Disturbance, Timed, figures, interleaved, percentiles, ratios, used
 
-ROOT, CHUNK = Path(__file__).resolve().parents[2], 100
-Step = Callable[[str], None]
+ROOT, CHUNK = Path(__file__).resolve().parents[1], 100
+Figures = dict[str, dict[str, Any]]
 
 
-class Bench:
-    """Times entries side by side, and keeps a row for each chunk and the reasons for what could not run.
+@dataclass
+class Part:
+    """What a job measured.
 
     Attributes:
-        rows: of rows.parquet.
+        found: part of the summary -> name -> metric.
+        rows: of rows.parquet, one a chunk or round.
         missing: what could not run -> why.
+        times: name -> all times [us] that are drawn.
     """
 
-    def __init__(self) -> None:
-        self.rows, self.missing = list[dict[str, Any]](), dict[str, str]()
+    found: dict[str, Figures] = field(default_factory=dict)
+    rows: list[dict[str, Any]] = field(default_factory=list)
+    missing: dict[str, str] = field(default_factory=dict)
+    times: dict[str, Array] = field(default_factory=dict)
 
     def time(
         self, part: str, entries: Mapping[str, Timed], rounds: int
     ) -> tuple[dict[str, Array], dict[str, Disturbance]]:
-        """Return (chunks, CHUNK) times [us] by name, and what the machine did meanwhile."""
+        """Return (chunks, CHUNK) times [us] by name, and what the machine did meanwhile; keep a row for each chunk."""
         seen: dict[str, Disturbance] = {}
         times = interleaved(entries, rounds, CHUNK, seen)
         for name, chunks in times.items():
@@ -64,12 +68,9 @@ class Bench:
         return times, seen
 
 
-# --- one tick, state to torque ---
-
-
-def record(scenario: Scenario) -> tuple[list[Inputs], list[NullSpaceQP]]:
-    """Run a scenario, and return what every tick was given and its subproblem."""
-    heard: list[Inputs] = []
+def record(scenario: Scenario) -> tuple[list[peers.Inputs], list[NullSpaceQP]]:
+    """Run a scenario; returns what every tick was given, and its subproblem."""
+    heard: list[peers.Inputs] = []
 
     class Ear(ControllerAdapter):
         def tick(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> Array:
@@ -87,43 +88,37 @@ def record(scenario: Scenario) -> tuple[list[Inputs], list[NullSpaceQP]]:
     return heard, problems
 
 
-def ticks(
-    bench: Bench, solvers: Iterable[str], libraries: Iterable[str], scenario: Scenario, robot: RobotModel,
-    inputs: list[Inputs], rounds: int, step: Step,
-) -> tuple[dict[str, Any], dict[str, Any], dict[str, Array]]:  # fmt: skip
-    """Time our tick with every solver, and those of other libraries on the states of their own runs.
+# --- one tick, state to torque ---
 
-    Returns:
-        figures of ours, figures of theirs, and all times [us] by name.
-    """
-    entries: dict[str, Timed] = {}
+
+def ticks(scenario: Scenario, solvers: Iterable[str], libraries: Iterable[str], rounds: int) -> Part:
+    """Time our tick with every solver, and those of other libraries on the states of their own runs."""
+    part, entries, (inputs, _) = Part(), dict[str, Timed](), record(scenario)
+    robot = load_robot(scenario.robot.name)
     for name in solvers:
         controller = Controller(robot, scenario.control, make_solver(name, robot), scenario.plant.period_s)
         adapter = ControllerAdapter(controller)
         try:
             adapter.start(*inputs[0])
         except Exception as error:  # noqa: BLE001 - one solver that fails must not end the others
-            bench.missing[f"solver {name}"] = f"{type(error).__name__}: {error}"
+            part.missing[f"solver {name}"] = f"{type(error).__name__}: {error}"
             continue
         entries[name] = Timed(_spread(adapter.tick), inputs)
-    own, theirs, work = list(entries), dict[str, dict[str, Any]](), job(robot)
+    own, theirs, task = list(entries), dict[str, dict[str, Any]](), peers.circle(robot)
     for name in libraries:
-        step(f"tries {name}")
-        if reason := peers.missing(name):
-            bench.missing[f"peer {name}"] = reason
-            continue
-        peer = peers.create(name, robot, PERIOD_S)
-        poses, given = perform(peer, robot, work)
+        peer = peers.PEERS[name](robot)
+        poses, given = peers.perform(peer, robot, task)
         entries[name] = Timed(_spread(peer.tick), given)
-        installed = "make" if peers.PEERS[name].made else "hand"
-        theirs[name] = {"level": peer.level, "installed": installed, **verdict(poses, robot, work)._asdict()}
+        theirs[name] = {"level": peer.level, **peers.verdict(poses, robot, task)._asdict()}
     shortest = min(len(entry.items) for entry in entries.values())
-    times, seen = bench.time("tick", entries, max(rounds, round(rounds * len(inputs) / shortest)))
+    times, seen = part.time("tick", entries, max(rounds, round(rounds * len(inputs) / shortest)))
     found = {name: figures(of, "tick", seen[name]) for name, of in times.items()}
     for name, row in theirs.items():
         over = float(np.median(ratios(times[name], times["exact"])))
         row |= found[name] | {"times_ours": (seen[name] + seen["exact"]).judged(over, 50.0)}
-    return {name: found[name] for name in own}, theirs, {name: of.ravel() for name, of in times.items()}
+    part.found = {"tick": {name: found[name] for name in own}, "peers": theirs}
+    part.times = {name: of.ravel() for name, of in times.items()}
+    return part
 
 
 def _spread(call: Callable[..., Any]) -> Callable[[tuple[Any, ...]], Any]:
@@ -139,11 +134,12 @@ PARTS = {
 """Part of a tick -> what it is."""
 
 
-def parts(bench: Bench, scenario: Scenario, robot: RobotModel, inputs: list[Inputs], rounds: int) -> dict[str, Any]:
+def tick_parts(scenario: Scenario, rounds: int) -> Part:
     """Time the parts of our tick, each on the same states: what the controller calls, called by itself."""
-    n, law = robot.n, law_of(scenario.control, robot, scenario.plant.period_s)
+    part, (inputs, _), robot = Part(), record(scenario), load_robot(scenario.robot.name)
+    law = law_of(scenario.control, robot, scenario.plant.period_s)
     given = [(robot.state(q, v), tip_ref, trocar) for q, v, tip_ref, trocar in inputs]
-    tau, x, row = np.empty(n), np.zeros(n), np.empty(row_length(n))
+    tau, x, row = np.empty(robot.n), np.zeros(robot.n), np.empty(row_length(robot.n))
     law.start(given[0][0].record, given[0][1], given[0][2], row)
 
     def begin(item: Any) -> None:
@@ -156,21 +152,22 @@ def parts(bench: Bench, scenario: Scenario, robot: RobotModel, inputs: list[Inpu
         problems.append(NullSpaceQP.from_row(row.copy()))
     session = Exact().start(problems[0])
     answers = [np.array(session.solve(qp).x) for qp in problems]
-    calls: dict[str, tuple[Callable[[Any], Any], list[Any]]] = {
-        "model state": (lambda item: robot.state(item[0], item[1]), inputs),
-        "before the solver": (begin, given),
-        "solver": (session.solve, problems),
-        "after the solver": (lambda answer: law.finish(0, 0, answer, 1.0, x, tau), answers),
+    entries = {
+        "model state": Timed(lambda item: robot.state(item[0], item[1]), inputs),
+        "before the solver": Timed(begin, given),
+        "solver": Timed(session.solve, problems),
+        "after the solver": Timed(lambda answer: law.finish(0, 0, answer, 1.0, x, tau), answers),
     }
-    times, seen = bench.time("tick_parts", {name: Timed(*entry) for name, entry in calls.items()}, rounds)
-    return {name: figures(of, "tick", seen[name]) for name, of in times.items()}
+    times, seen = part.time("tick_parts", entries, rounds)
+    part.found["tick_parts"] = {name: figures(of, "tick", seen[name]) for name, of in times.items()}
+    return part
 
 
 _SAID = re.compile(r"median ([\d.]+) us, p99\.9 ([\d.]+) us, max ([\d.]+) us")
 _COMPARED = re.compile(r"largest difference from the recorded torque ([\d.e+-]+) Nm")
 
 
-def exported(scenario: Scenario) -> dict[str, float]:
+def exported(scenario: Scenario) -> Part:
     """Export the scenario's controller, make its own program, and return what that says of ``moc_step``.
 
     Raises:
@@ -184,28 +181,27 @@ def exported(scenario: Scenario) -> dict[str, float]:
     said, compared = _SAID.search(done.stdout), _COMPARED.search(done.stdout)
     if said is None or compared is None:
         raise subprocess.SubprocessError(f"the exported program said {done.stdout!r:.200}: its times are not in it")
-    median, late, longest = map(float, said.groups())
-    return {
-        "tick_p50_us": median, "tick_p99_9_us": late, "tick_max_us": longest, "difference_Nm": float(compared[1]),
-    }  # fmt: skip
+    names = ("tick_p50_us", "tick_p99_9_us", "tick_max_us")
+    times = dict(zip(names, map(float, said.groups()), strict=True))
+    return Part({"tick": {"c": {**times, "difference_Nm": float(compared[1])}}})
 
 
 # --- the solver alone ---
 
 
-def batch(problems: list[NullSpaceQP], count: int) -> dict[str, float]:
+def batch(scenario: Scenario, count: int) -> Part:
     """Time ``Exact.solve_batch`` on ``count`` recorded subproblems in one call: the better of two on each.
 
     80 doubles a record of seven joints: a million are 640 MB.
     """
-    rows = np.array([qp.row for qp in problems])
+    rows = np.array([qp.row for qp in record(scenario)[1]])
     many, solver = np.ascontiguousarray(np.resize(rows, (count, rows.shape[1]))), Exact()
     found = {"batch": float(count)}
     solver.solve_batch(many[: min(count, 1000)])
     for name, threads in (("one_thread", 1), ("two_threads", 2)):
         seconds = min(_seconds(partial(solver.solve_batch, many, threads)) for _ in range(2))
         found[f"batch_{name}_per_s"] = count / seconds
-    return found
+    return Part({"batch": {"exact": found}})
 
 
 def _seconds(call: Callable[[], Any]) -> float:
@@ -214,40 +210,63 @@ def _seconds(call: Callable[[], Any]) -> float:
     return perf_counter() - begin
 
 
-def adapters(
-    bench: Bench, names: Iterable[str], robot: RobotModel, problems: list[NullSpaceQP], rounds: int
-) -> dict[str, Any]:
-    """Time every adapter beside its library by hand, and exact beside all of them."""
-    entries, kept = {"exact": Timed(Exact().start(problems[0]).solve, problems)}, []
+ADAPTERS = ("daqp", "piqp", "quadprog", "proxqp", "osqp", "clarabel")
+BY_HAND = "daqp by hand"
+
+
+def adapters(scenario: Scenario, names: Iterable[str], rounds: int) -> Part:
+    """Time adapters of libraries side by side with exact, and the fastest library by hand."""
+    part, (_, problems), robot = Part(), record(scenario), load_robot(scenario.robot.name)
+    entries = {"exact": Timed(Exact().start(problems[0]).solve, problems)}
     for name in names:
         solver: Any = make_solver(name, robot)
-        if reason := solver.supports(problems[0]) or disagreement(name, solver, problems):
-            bench.missing[f"adapter {name}"] = reason
+        if reason := solver.supports(problems[0]):
+            part.missing[f"adapter {name}"] = reason
             continue
-        kept.append(name)
         entries[name] = Timed(solver.start(problems[0]).solve, problems)
-        entries[f"{name} by hand"] = Timed(by_hand(name, solver, problems[0]), problems)
-    times, seen = bench.time("adapters", entries, rounds)
-    found: dict[str, Any] = {"exact": figures(times["exact"], "adapter", seen["exact"])}
-    for name in kept:
-        hand, load = times[f"{name} by hand"], seen[name] + seen[f"{name} by hand"] + seen["exact"]
-        medians = {
-            "by_hand_p50_us": np.median(hand), "ratio": np.median(ratios(times[name], hand)),
-            "ratio_of_exact": np.median(ratios(times["exact"], hand)),
-        }  # fmt: skip
-        found[name] = figures(times[name], "adapter", seen[name])
-        found[name] |= {key: load.judged(float(value), 50.0) for key, value in medians.items()}
-    return found
+        if name == "daqp":
+            by_hand = daqp_by_hand(solver, problems[0])
+            if reason := disagreement(solver, by_hand, problems):
+                part.missing[BY_HAND] = reason
+            else:
+                entries[BY_HAND] = Timed(by_hand, problems)
+    times, seen = part.time("adapters", entries, rounds)
+    part.found["adapters"] = {
+        name: figures(of, "adapter", seen[name])
+        | {"ratio_of_exact": (seen[name] + seen["exact"]).judged(float(np.median(ratios(times["exact"], of))), 50.0)}
+        for name, of in times.items()
+    }
+    return part
 
 
-def disagreement(name: str, solver: Any, problems: list[NullSpaceQP], tolerance: float = 1e-4) -> str | None:
-    """Say why adapter and library by hand do not do the same work; None when their answers agree."""
-    session, library = solver.start(problems[0]), by_hand(name, solver, problems[0])
-    for i, qp in enumerate(problems[:200]):
-        gap = float(np.abs(session.solve(qp).x - library(qp)[0]).max())
-        if not gap <= tolerance:
-            return f"adapter and library by hand differ by {gap:.2g} rad/s at subproblem {i}"
-    return None
+def daqp_by_hand(settings: Any, first: NullSpaceQP) -> Callable[[NullSpaceQP], tuple[Array, Array]]:
+    """Drive daqp as a careful user would without this package: load the numbers, solve, read x and the multipliers.
+
+    It has the workspace, options and buffers of our adapter, so that both do the same work; no status is translated,
+    no dual lifted, nothing checked.
+    """
+    at, scale, n = settings.start(first), settings.cost_scale, first.n
+    core = at._core
+
+    def call(qp: NullSpaceQP) -> tuple[Array, Array]:
+        (A, b, _), part = qp.reduced(), qp.fields
+        np.multiply(qp.P, scale, out=at._P)
+        np.multiply(qp.p, scale, out=at._p)
+        at._A[:] = A
+        at._lower[:n], at._upper[:n] = part.lower, part.upper
+        at._lower[n:] = at._upper[n:] = b
+        core.update(at._P, at._p, at._A, at._upper, at._lower, None)
+        x, _, _, info = core.solve()
+        return x, info["lam"][n:]
+
+    return call
+
+
+def disagreement(solver: Any, by_hand: Callable[[NullSpaceQP], Any], problems: list[NullSpaceQP]) -> str | None:
+    """Return how far the answers of adapter and library by hand differ [rad/s], in words; None when they agree."""
+    session = solver.start(problems[0])
+    gap = max(float(np.abs(session.solve(qp).x - by_hand(qp)[0]).max()) for qp in problems[:200])
+    return None if gap <= 1e-4 else f"adapter and library by hand differ by {gap:.2g} rad/s"
 
 
 # --- the closed loop and its limit ---
@@ -297,42 +316,39 @@ class Steps:
         return 1e6 * _seconds(self.stepped) / len(self.states)
 
 
-def loop(
-    bench: Bench, scenario: Scenario, runs: int, c_tick_us: float | None, step: Step
-) -> dict[str, dict[str, float]]:
+def loop(scenario: Scenario, runs: int) -> Part:
     """Time the run as ``moc-opt run`` does it, with the watch of its progress bar, beside MuJoCo's steps of the same.
 
-    References and trace are in it. One run more comes first, for caches. ``limit`` has the ratio, the rounds' median.
+    References and trace are in it. One run more comes first, for caches. A row holds ``us_per_tick``, ``steps_us``.
     """
-    steps, walls, limits, times = Steps(scenario), list[float](), list[float](), list[Array]()
+    part, steps, times = Part(), Steps(scenario), list[Array]()
     seen, bar = Disturbance(), list[int]()
     for turn in range(1 + runs):
         setup, before = Setup(scenario), used()
         trace = setup.trace(lambda tick: bar.append(tick) if tick % 100 == 0 else None)
         spent = used() - before + Disturbance(len(trace))
-        step("the closed loop")
         if turn:
             seen += spent
-            walls.append(1e6 * spent.wall_s / len(trace))
-            limits.append(steps.us())
             times.append(trace.tick_us)
-            row = {"part": "loop", "name": "python", "round": turn}
-            bench.rows.append(row | {"us_per_tick": walls[-1], "steps_us": limits[-1]})
-    us, over = float(np.median(walls)), loop_ratios(np.array(walls), np.array(limits), c_tick_us)
+            walls = {"us_per_tick": 1e6 * spent.wall_s / len(trace), "steps_us": steps.us()}
+            part.rows.append({"part": "loop", "name": "python", "round": turn, **walls})
+    us = float(np.median([row["us_per_tick"] for row in part.rows]))
     python = {
         "factor": seen.judged(1e6 * scenario.plant.period_s / us, 50.0), "us_per_tick": us,
         **percentiles(np.concatenate(times), "tick", seen), **seen.entries(),
     }  # fmt: skip
-    return {"python": python, "limit": {name: seen.judged(value, 50.0) for name, value in over.items()}}
+    part.found["loop"] = {"python": python}
+    return part
 
 
-def loop_ratios(loop_us: Array, steps_us: Array, c_tick_us: float | None) -> dict[str, float]:
-    """Return the medians over the rounds: MuJoCo's steps, the limit with the tick in C, and the loop over it."""
-    found = {"steps_us": float(np.median(steps_us))}
+def limit(rows: Iterable[Mapping[str, Any]], c_tick_us: float | None, seen: Disturbance) -> dict[str, float]:
+    """Return the medians over the loop's rounds: MuJoCo's steps, the limit with the tick in C, and the loop over it."""
+    us, steps = np.array([(row["us_per_tick"], row["steps_us"]) for row in rows]).T
+    found = {"steps_us": float(np.median(steps))}
     if c_tick_us is not None:
-        limit = steps_us + c_tick_us
-        found |= {"limit_us": float(np.median(limit)), "python_over_limit": float(np.median(loop_us / limit))}
-    return found
+        least = steps + c_tick_us
+        found |= {"limit_us": float(np.median(least)), "python_over_limit": float(np.median(us / least))}
+    return {name: seen.judged(value, 50.0) for name, value in found.items()}
 
 
 # --- new processes ---
@@ -359,23 +375,22 @@ print('{"first_tick_s": %r, "libraries_s": %r, "model_s": %r, "start_and_tick_s"
 FIRST_RUN = ("-m", "moc_opt", "run", "--json")
 
 
-def fresh(bench: Bench, processes: int, step: Step) -> dict[str, float]:
-    """Return medians over new processes [s]: from the first import to the first torque, and a whole ``moc-opt run``.
+def fresh(processes: int) -> Part:
+    """Measure new processes [s]: from the first import to the first torque, and a whole ``moc-opt run``; medians.
 
     Each run has a home of its own, so that nothing that an earlier one left there helps it.
     """
-    rows: list[dict[str, Any]] = []
+    part = Part()
     for turn in range(processes):
-        done = _process("-c", FIRST_TICK)
-        rows.append({"part": "setup", "name": "first tick", "round": turn, **json.loads(done.stdout)})
-        step("first torque of a new process")
+        told = json.loads(_process("-c", FIRST_TICK).stdout)
+        part.rows.append({"part": "setup", "name": "first tick", "round": turn, **told})
         with tempfile.TemporaryDirectory() as home:
             seconds = _seconds(partial(_process, *FIRST_RUN, HOME=home, XDG_CACHE_HOME=home))
-        rows.append({"part": "setup", "name": "first run", "round": turn, "first_run_s": seconds})
-        step("moc-opt run in a new process")
-    bench.rows += rows
-    names = dict.fromkeys(key for row in rows for key in row if key.endswith("_s"))
-    return {key: float(np.median([row[key] for row in rows if key in row])) for key in names}
+        part.rows.append({"part": "setup", "name": "first run", "round": turn, "first_run_s": seconds})
+    names = dict.fromkeys(key for row in part.rows for key in row if key.endswith("_s"))
+    medians = {key: float(np.median([row[key] for row in part.rows if key in row])) for key in names}
+    part.found["setup"] = medians  # type: ignore[assignment]
+    return part
 
 
 def _process(*words: str, **variables: str) -> subprocess.CompletedProcess[str]:

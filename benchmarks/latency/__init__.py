@@ -1,1 +1,0 @@
-"""What `benchmarks.speed` (runs, bare, verdict, page) and `benchmarks.realtime` (wire, clock) are made of."""

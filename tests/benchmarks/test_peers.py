@@ -1,0 +1,90 @@
+"""Other people's controllers: one that is listed does the job, and one that does not is found out."""
+
+import re
+
+import numpy as np
+import pytest
+
+from benchmarks import peers
+from benchmarks.peers import wrist_reference
+
+
+@pytest.fixture(scope="module")
+def task(robot):
+    return peers.circle(robot)
+
+
+def test_gradient_for_peers_is_the_model_s(robot, regular_poses):
+    gradient = peers.tip_gradient(robot)
+    for q in regular_poses(5):
+        np.testing.assert_allclose(gradient(q), robot.state(q).grad_mu, atol=1e-14)
+
+
+def test_wrist_reference_puts_the_shaft_through_the_trocar(robot):
+    state = robot.state(robot.data.q_home)
+    tip_ref = np.array([state.tip + 0.01, [0.02, -0.01, 0.03], np.zeros(3)])
+    trocar = np.array([state.tip - 0.15 * state.tool_direction, np.zeros(3)])
+    wrist, rate = wrist_reference(tip_ref, trocar, state.tool_span)
+    assert peers.shaft_distance(tip_ref[0], wrist, trocar[0]) < 1e-12
+    assert np.linalg.norm(wrist - tip_ref[0]) == pytest.approx(state.tool_span)
+    moved = tip_ref + np.array([1e-6 * tip_ref[1], np.zeros(3), np.zeros(3)])
+    later, _ = wrist_reference(moved, trocar, state.tool_span)
+    np.testing.assert_allclose((later - wrist) / 1e-6, rate, atol=1e-5)
+
+
+@pytest.mark.parametrize("name", list(peers.PEERS))
+def test_a_peer_that_is_listed_does_the_job(name, robot, task):
+    if reason := peers.missing(name):
+        pytest.skip(reason)
+    poses, given = peers.perform(peers.PEERS[name](robot), robot, task)
+    assert peers.verdict(poses, robot, task).failure is None
+    assert len(given) == len(poses) == len(task.tip_refs)
+
+
+class Puppet:
+    """A velocity-level controller of five lines, to be made wrong in one respect."""
+
+    level = "velocity"
+
+    def __init__(self, robot, *, tip=1.0, shaft=1.0, climb=30.0):
+        self.robot, self.parts, self.climb = robot, np.repeat([tip, shaft], 3), climb
+
+    def tick(self, q, v, tip_ref, trocar):
+        state = self.robot.state(q)
+        wrist, rate = wrist_reference(tip_ref, trocar, state.tool_span)
+        error = np.r_[tip_ref[0] - state.tip, wrist - state.wrist]
+        wanted = self.parts * (np.r_[tip_ref[1], rate] + 100.0 * error)
+        pinv = np.linalg.pinv(state.A, rcond=1e-9)
+        return pinv @ wanted + (np.eye(7) - pinv @ state.A) @ (self.climb * state.grad_mu)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        ({}, None), ({"tip": -1.0}, "tip is"), ({"tip": 0.1}, "tip is"), ({"shaft": 0.02}, "shaft is|tip is"),
+        ({"climb": 0.0}, "manipulability rose"), ({"climb": -30.0}, "manipulability rose"),
+    ],
+)  # fmt: skip
+def test_who_does_not_do_the_job_is_found_out(wrong, words, robot, task, monkeypatch):
+    monkeypatch.setitem(peers.PEERS, "puppet", lambda robot: Puppet(robot, **wrong))
+    failure = peers.check("puppet")
+    assert failure is None if words is None else re.search(words, failure)
+
+
+def test_a_torque_peer_moves_the_ideal_arm(robot, task):
+    class Hold:
+        level = "torque"
+
+        def tick(self, q, v, tip_ref, trocar):
+            return robot.state(q, v).h
+
+    poses, _ = peers.perform(Hold(), robot, task)
+    np.testing.assert_allclose(poses[:50], np.tile(task.q_start, (50, 1)), atol=1e-12)
+    assert "tip is" in peers.verdict(poses, robot, task).failure
+    assert peers.verdict(np.full_like(poses, np.nan), robot, task).failure is not None
+
+
+def test_a_peer_whose_package_is_missing_has_a_reason(monkeypatch):
+    monkeypatch.setattr(peers, "find_spec", lambda package: None)
+    assert "'pink' is not installed: pip install" in peers.missing("pink-trimmed")
+    assert "'tsid' is not installed: build it" in peers.missing("tsid")
