@@ -320,10 +320,10 @@ def first_table(summary: Summary, rows: Sequence[Row]) -> Table:
         )
     if any(row["trials"] for row in rows):
         columns += [
-            Column("tip_change", "tip own/ patient", unit="%", align="right", section=CLOSED,
-                   help="change of the mean tip error against DCAC, in both frames"),
             Column("damage", "worst damage", section=CLOSED,
                    help="the closed-loop figure that is worst beyond what counts as equal to the solver to take"),
+            Column("tip_change", "tip own/ patient", unit="%", align="right", section=CLOSED,
+                   help="change of the mean tip error against DCAC, in both frames"),
         ]  # fmt: skip
         caption += (
             " Tip: change against DCAC on the same trials, by the robot's own kinematics, which a controller can "

@@ -34,6 +34,7 @@ from moc_opt.scenario import Scenario
 from moc_opt.study import testsets
 from moc_opt.study.command import Found, Study, StudyConfig, choose, command
 from moc_opt.study.engine import Failed, Job
+from moc_opt.study.look import REPLAY
 from moc_opt.study.results import Results
 from moc_opt.study.show import Report, Section
 from moc_opt.study.solver_answers import Limits
@@ -303,6 +304,7 @@ def work(parts: Mapping[str, Part], study: Study, config: Config) -> Found:
     return Found(
         report(found), found.summary, Results([*found.answers, *found.runs]),
         {"load": Disturbance.total(timed_rows(found.summary)).told()}, sentences=told if slow else (),
+        files=[REPLAY] if found.times else [],
     )  # fmt: skip
 
 
