@@ -80,11 +80,11 @@ def test_readme_runs_from_top_to_bottom_in_an_empty_folder(place):
             serve(line, place)
     folder, _ = place
     pages = {"report.html", "both.html", "replay.html", "map.html"}
-    written = {"scenario.toml", "proxqp.parquet", "network.parquet", "c", *pages}
+    written = {"scenario.toml", "clarabel.parquet", "network.parquet", "c", *pages}
     assert {file.name for file in folder.iterdir()} == written
     # There is something to see: MOC moves the elbow from its poor place, the network as printed does not.
-    mu = {name: mo.load_trace(folder / f"{name}.parquet").mu for name in ("proxqp", "network")}
-    assert mu["proxqp"].mean() > 1.2 * mu["network"].mean()
+    mu = {name: mo.load_trace(folder / f"{name}.parquet").mu for name in ("clarabel", "network")}
+    assert mu["clarabel"].mean() > 1.2 * mu["network"].mean()
     run([sys.executable, "-P", "-c", "\n".join(text for language, text in found if language == "python")], place)
 
 
@@ -115,7 +115,7 @@ def test_every_file_that_the_documents_link_to_exists():
         assert [link for link in links if not (document.parent / link).exists()] == [], document.name
 
 
-def test_the_python_of_look_runs(place, tmp_path):
-    (text,) = (text for language, text in blocks("docs/look.md") if language == "python")
+def test_the_python_of_the_tour_draws_a_map(place, tmp_path):
+    (text,) = (text for language, text in blocks("docs/start.md") if language == "python" and "map.html" in text)
     run([sys.executable, "-P", "-c", text], (tmp_path, place[1]))
     assert (tmp_path / "map.html").stat().st_size > 10_000
