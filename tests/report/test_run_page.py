@@ -222,7 +222,7 @@ def test_where_a_page_cannot_go_is_said_before_any_work(tmp_path, capsys, comman
     (tmp_path / "file").write_text("mine")
     for out, said in (
         (tmp_path, "a folder, pipe or device is there"), (tmp_path / "file", "--force"),
-        (tmp_path / "file" / "x.html", "is no folder that may be written to"),
+        (tmp_path / "file" / "x.html", "cannot be written in the folder"),
     ):  # fmt: skip
         assert main([command, str(tmp_path / "no.parquet"), "--out", str(out)]) == 2
         assert said in capsys.readouterr().err

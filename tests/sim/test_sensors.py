@@ -98,7 +98,7 @@ def test_an_encoder_at_rest_never_repeats_itself_for_longer_than_its_noise_lets_
     longest = longest_repetition(noise, step)
     assert longest is not None
     assert longest >= 10
-    sensor = encoders(seed, N := 50, noise_rad=noise, resolution_rad=step)
+    sensor = encoders(seed, N := 16, noise_rad=noise, resolution_rad=step)
     q = np.full(N, (1000.0 + phase) * max(step, noise))
     sensor.start(q, 0.0 * q)
     read = np.array([sensor.read(q, 0.0 * q)[0] for _ in range(1500)])
@@ -111,7 +111,7 @@ def test_an_encoder_at_rest_never_repeats_itself_for_longer_than_its_noise_lets_
 def test_an_encoder_with_noise_and_a_filter_repeats_no_reading(steps, cutoff, seed):
     """Once its velocity has been other than zero; where that is promised."""
     noise, step = 1e-5, steps * 1e-5
-    sensor = encoders(seed, N := 50, noise_rad=noise, resolution_rad=step, cutoff_Hz=cutoff)
+    sensor = encoders(seed, N := 16, noise_rad=noise, resolution_rad=step, cutoff_Hz=cutoff)
     q = np.full(N, 1000.0 * step)
     sensor.start(q, np.full(N, 1e-3))
     positions, velocities = np.swapaxes([sensor.read(q, 0.0 * q) for _ in range(800)], 0, 1)
