@@ -46,6 +46,9 @@ class Trace:
         (50, (50, 7), 'completed')
         >>> bool(trace.tip_error_m.max() < 0.002)
         True
+        >>> trace.head(2).with_meta(operator="A. B.").save("run.parquet")
+        >>> mo.Trace.load("run.parquet").meta["operator"]
+        'A. B.'
     """
 
     COLUMNS: ClassVar[Mapping[str, Column]] = COLUMNS
