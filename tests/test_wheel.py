@@ -133,7 +133,6 @@ def test_the_wheel_runs_from_an_empty_folder_with_its_requirements_alone(run, tm
     assert {"a.parquet", "a.html", "replay.html", "c"} <= {file.name for file in tmp_path.iterdir()}
 
 
-@pytest.mark.xfail(reason="the study of the solvers is in benchmarks, of the checkout", raises=AssertionError)
 def test_the_study_runs_from_the_wheel(run, tmp_path):
     run("solvers", "--quick", "--only", "exact", "--parts", "testsets", "--sets", "random")
     summary = json.loads((tmp_path / "results" / "solvers" / "summary.json").read_text(encoding="utf-8"))

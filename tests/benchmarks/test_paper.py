@@ -20,8 +20,8 @@ from moc_opt.study.statistics import Change, Interval, too_few
 from moc_opt.study.trials import BASELINES, DAMPED, OWN, variant
 from moc_opt.tasks import make_path
 from moc_opt.vision.board import Board
+from moc_opt.vision.camera import CameraSettings
 from moc_opt.vision.hands_on import HandsOnSettings
-from moc_opt.vision.settings import CameraSettings
 from tests import first_screens
 
 TINY = """

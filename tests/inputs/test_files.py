@@ -29,7 +29,7 @@ from moc_opt.inputs.files import (
 from moc_opt.report.document import save_document
 from moc_opt.scenario import Scenario
 from moc_opt.scenario.parts import recorded_times
-from moc_opt.study.findings import Comparison
+from moc_opt.study.compare import Comparison
 from moc_opt.trace.trace import Trace
 
 # --- reading ---
@@ -103,7 +103,7 @@ def test_an_error_about_recorded_times_quotes_no_byte_of_the_file(tmp_path):
     (tmp_path / "header.npy").write_bytes(b"\x93NUMPY\x01\x00\x10\x00secret:x:0 hello")
     (tmp_path / "plain").write_bytes(b"secret:x:0:0:root\n")
     for name in ("texts.npy", "header.npy", "plain"):
-        with pytest.raises(ScenarioError, match=f"replay_us.*{name}") as found:
+        with pytest.raises(ScenarioError, match="replay_us") as found:
             recorded_times(Scenario(solver={"replay_us": str(tmp_path / name)}))
         assert "secret" not in str(found.value)
 

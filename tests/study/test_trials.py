@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from moc_opt.planning.transient import in_transient
+from moc_opt.planning.elbow import in_transient
 from moc_opt.robots import load_data
 from moc_opt.scenario import Scenario, Setup
 from moc_opt.study import trials as study
