@@ -210,7 +210,8 @@ def test_a_run_that_is_killed_twice_goes_on_and_ends_with_the_same_figures(tmp_p
         before = jobs(tmp_path / "stopped" / "jobs")  # one more must be done: by then it takes signals
         process = started(tmp_path, "stopped")
         end = time.monotonic() + 100.0
-        while jobs(tmp_path / "stopped" / "jobs") < max(more, before + 1) and process.poll() is None and time.monotonic() < end:
+        wanted = max(more, before + 1)
+        while jobs(tmp_path / "stopped" / "jobs") < wanted and process.poll() is None and time.monotonic() < end:
             time.sleep(0.1)
         process.send_signal(how)
         assert process.wait(timeout=60) == status
