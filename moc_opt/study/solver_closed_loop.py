@@ -6,7 +6,7 @@ whether a solver's residuals in open loop predict what it does to the robot.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -45,17 +45,24 @@ COUNTED = (
 )  # fmt: skip
 
 
-def figures(rows: Results, controller: str, timed: Sequence[Run] = ()) -> dict[str, Any]:
+def figures(
+    rows: Results, controller: str, timed: Sequence[Run] = (), common: Container[str] | None = None
+) -> dict[str, Any]:
     """Return what the summary holds of a controller: means and changes over its whole runs, sums and largest values.
 
     Args:
         rows: of the controller and the baseline.
         controller: whose.
         timed: its runs that ran alone, whose times are pooled.
+        common: the trials that every solver runs, None for all: only there are its endings held against a solver, as
+            others may end alike on a trial that they do not run.
     """
     found = rows.figures(controller, MEANS, CHANGES)
     mine = [row for row in rows if row["controller"] == controller]
-    found["oscillated"] = sum(Ending.of(row["ended"]) is Ending.OSCILLATED for row in mine)
+    judged = [row for row in mine if common is None or row["trial"] in common]
+    found["broke_off_in_common"] = sum(not row["whole"] for row in judged)
+    for name, of in (("oscillated", mine), ("oscillated_in_common", judged)):
+        found[name] = sum(Ending.of(row["ended"]) is Ending.OSCILLATED for row in of)
     for names, total in ((SUMS, sum), (LARGEST, max)):
         for name in names:
             if values := [row[name] for row in mine if row.get(name) is not None]:
@@ -80,6 +87,7 @@ def closed_loop(work: Work) -> None:
     names = [BASELINE, *(name for name in work.names if name not in part.slow)]
     timed = dict[str, list[Run]]()
     few = min(part.others, part.trials)
+    common = [case.name for case in cases[:few]]
     for first, last in ((0, few), (few, part.trials)):
         chosen = [case.change(best_courses=True) for case in starts if first <= number[case.name] < last]
         asked = [
@@ -92,7 +100,9 @@ def closed_loop(work: Work) -> None:
             if run.row["timed"] and run.columns:
                 timed.setdefault(run.row["controller"], []).append(run)
         work.runs.add(*(run.row for run in runs))
-        work.summary["closed_loop"] = {name: figures(work.runs, name, timed.get(name, [])) for name in names}
+        work.summary["closed_loop"] = {
+            name: figures(work.runs, name, timed.get(name, []), common) for name in names
+        }  # fmt: skip
         work.say()
     work.times |= {name: np.concatenate([run.columns["solve_us"] for run in runs]) for name, runs in timed.items()}
     first_runs = {name: runs[0] for name, runs in timed.items() if runs[0].row["trial"] == cases[0].name}

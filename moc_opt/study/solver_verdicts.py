@@ -52,8 +52,8 @@ RULES: Mapping[Mark, str] = {
     OTHER: "it answers another problem, the nonlinear one of the same tick, which the judge of the linear problem "
     "cannot verify; no count of the judge is held against it",
     OPEN: "neither the certified sets nor the recorded sequence were asked",
-    AVOID: "it claimed success for a wrong answer, hung, crashed, broke off a trial or made it oscillate; or a "
-    f"closed-loop mean is surely worse by more than {TOO_MUCH:g} times what counts as equal",
+    AVOID: "it claimed success for a wrong answer, hung or crashed; broke off a trial that every solver ran, or made "
+    f"it oscillate; or a closed-loop mean is surely worse by more than {TOO_MUCH:g} times what counts as equal",
     NEAR: "it never claims an optimum, or a closed-loop mean is surely worse by more than what counts as equal",
     GAPS: f"it answered less than {100 * RIGHTLY:g} % of the problems rightly, and said so each time; inconsistent "
     "rows that it refused are not counted",
@@ -88,6 +88,7 @@ def assess(summary: Summary, runs: Results) -> list[Row]:
     certified = {n.removesuffix(f"@{RECOMMENDED}"): m for n, m in sets.items() if n.endswith(f"@{RECOMMENDED}")}
     every = dict.fromkeys([*certified, *warm, *(n for n in closed if n != BASELINE)])
     names = [n for n in every if n.removeprefix(QPSOLVERS) == n or n.removeprefix(QPSOLVERS) not in every]
+    runs = runs.where(group=None)  # a sweep's runs are no trials of the recommended setting
     rows = [_figures(n, certified.get(n, {}), warm.get(n, {}), closed.get(n, {})) for n in names]
     for row in rows:
         row["verdict"] = _alone(row)
@@ -138,8 +139,8 @@ def _alone(row: Row) -> Mark:
 
 
 def _ended(closed: Row) -> dict[str, int]:
-    broke_off = closed.get("trials", 0) - closed.get("whole", 0)
-    return {"broke off": broke_off, "oscillated": closed.get("oscillated", 0)}
+    """Return the runs that did not end well on the trials that every solver ran."""
+    return {word: closed.get(f"{word.replace(' ', '_')}_in_common", 0) for word in ("broke off", "oscillated")}
 
 
 def _ranking(rows: Sequence[Row]) -> str:

@@ -102,6 +102,27 @@ def test_each_rule(asked, times, verdict, damage):
     assert found["best"]["verdict"] is TAKE
 
 
+@pytest.mark.parametrize("ended", ENDED.values())
+def test_what_happens_on_trials_that_the_others_do_not_run_is_held_against_nobody(ended):
+    """Whatever the optimum does on a trial, the solver that alone ran it would be the one to blame."""
+    mine = runs("asked", 60)
+    mine[40] |= {"ended": ended, "whole": not ended.startswith("stopped")}
+    common = {row["trial"] for row in mine[:15]}
+    results = Results([*runs("best"), *mine])
+    summary = study({"best": certified(p99=1.0), "asked": certified()})[0]
+    summary["closed_loop"] = {name: figures(results, name, common=common) for name in ("best", "asked")}
+    found = {row["solver"]: row for row in assess(summary, results)}["asked"]
+    assert (found["verdict"], found["damage"]) == (SOUND, "none")
+    assert found["closed"]["oscillated"] + found["closed"]["trials"] - found["closed"]["whole"] == 1
+
+
+def test_the_points_of_a_sweep_are_no_trials():
+    swept = [{**row, "group": "damping", "point": "rho=0"} for row in runs("asked", mu_mean=0.5)]
+    summary, results = study({"best": certified(p99=1.0), "asked": certified()}, [*runs("best"), *runs("asked")])
+    results.add(*swept)
+    assert {row["solver"]: row["damage"] for row in assess(summary, results)}["asked"] == "none"
+
+
 def test_wrong_answers_in_closed_loop_count_and_the_nonlinear_ones_are_no_liars():
     lying = [{**row, "silently_wrong": 1} for row in runs("asked")]
     assert assessed({"best": certified(), "asked": certified()}, [*runs("best"), *lying])["asked"]["verdict"] is AVOID
