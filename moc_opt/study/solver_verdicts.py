@@ -263,10 +263,12 @@ def _in_closed_loop(row: Row) -> list[str]:
         return [f"what sound answers do in closed loop: {few}"]
     mu, *changes = (spread(closed, change_name(name), 2, "+", " %") for name in ("mu_mean", *FRAMED))
     tip, patient_tip, rcm, patient_rcm = changes
+    shaken = f", {count} of which oscillated" if (count := closed.get("oscillated", 0)) else ""
     return [
-        f"in closed loop ({trials} independent trials of `{row['solver']}`, ratio of the means) sound answers change "
-        f"mean mu by {mu} over `{BASELINE}`, the tip error by {tip} by the robot's own kinematics and by {patient_tip} "
-        f"in the frame registered at the start, which is the patient's, and the RCM error by {rcm} and {patient_rcm}"
+        f"in closed loop ({trials} independent trials of `{row['solver']}`{shaken}, ratio of the means) sound "
+        f"answers change mean mu by {mu} over `{BASELINE}`, the tip error by {tip} by the robot's own kinematics "
+        f"and by {patient_tip} in the frame registered at the start, which is the patient's, and the RCM error by "
+        f"{rcm} and {patient_rcm}"
     ]
 
 

@@ -251,6 +251,14 @@ def test_sentences_do_not_say_more_than_was_found(sets, said, unsaid):
     assert unsaid not in first
 
 
+def test_trials_that_oscillated_are_named_beside_the_means(whole):
+    summary, results = whole
+    loop = {**summary["closed_loop"], "exact": {**summary["closed_loop"]["exact"], "oscillated": 2}}
+    summary = {**summary, "closed_loop": loop}
+    said = " ".join(sentences(summary, assess(summary, results)))
+    assert "60 independent trials of `exact`, 2 of which oscillated," in said
+
+
 def test_few_trials_claim_nothing_in_closed_loop():
     rows = [row for name in ("dcac", "exact") for row in runs(name, 7)]
     summary, results = study({"exact": certified()}, rows)
