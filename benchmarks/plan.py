@@ -42,7 +42,7 @@ from moc_opt.study.show import (
     judge,
 )
 from moc_opt.study.statistics import Interval, mean, spread, too_few
-from moc_opt.study.trials import placed, seeds, trials
+from moc_opt.study.trials import on_each_arm, placed, seeds
 from moc_opt.trace.meta import Ending
 from moc_opt.trace.metrics import summarize
 
@@ -88,12 +88,8 @@ class Config(StudyConfig):
 
     def cases(self) -> list[Scenario]:
         """Return the trials, arm by arm."""
-        count, found = self.poses * len(self.tasks), list[Scenario]()
-        own = seeds(self.seed, STREAM, count * len(self.robots))
-        for k, name in enumerate(self.robots):
-            base = self.scenario.change(robot={"name": name})
-            found += trials(base, self.tasks, own[k * count : (k + 1) * count], virtual=True)
-        return found
+        drawn = seeds(self.seed, STREAM, self.poses * len(self.tasks) * len(self.robots))
+        return on_each_arm(self.scenario, self.robots, self.tasks, drawn)
 
 
 def about(case: Scenario, part: str) -> dict[str, Any]:

@@ -24,7 +24,7 @@ from moc_opt.study.command import Found, Study, StudyConfig, command
 from moc_opt.study.results import ERRORS, FRAMES, Results, change_name
 from moc_opt.study.show import MARKS, Picture, Report, Section, columns, ends, intervals_picture
 from moc_opt.study.statistics import spread, too_few
-from moc_opt.study.trials import BASELINE, Trial, seeds, trials, with_phases
+from moc_opt.study.trials import BASELINE, Trial, on_each_arm, seeds, with_phases
 
 STREAM = 8
 MEANS = (
@@ -60,12 +60,8 @@ class Config(StudyConfig):
 
     def cases(self) -> list[Scenario]:
         """Return the trials, arm by arm."""
-        each, found = self.starts * len(self.tasks), list[Scenario]()
-        drawn = seeds(self.seed, STREAM, each * len(self.robots))
-        for k, name in enumerate(self.robots):
-            base = self.scenario.change(robot={"name": name})
-            found += trials(base, self.tasks, drawn[k * each : (k + 1) * each], virtual=True)
-        return found
+        drawn = seeds(self.seed, STREAM, self.starts * len(self.tasks) * len(self.robots))
+        return on_each_arm(self.scenario, self.robots, self.tasks, drawn)
 
 
 def work(study: Study, config: Config) -> Found:

@@ -77,10 +77,10 @@ def _without_waiting(path: str, flags: int) -> int:
     return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))
 
 
-def read_text(path: Path_, what: str, error: Wrong, most: int = MOST_TEXT) -> str:
+def read_text(path: Path_, what: str, error: Wrong) -> str:
     """Read a text file in UTF-8; arguments as `read_bytes`."""
     try:
-        return read_bytes(path, what, error, most).decode("utf-8-sig").replace("\r\n", "\n")
+        return read_bytes(path, what, error, MOST_TEXT).decode("utf-8-sig").replace("\r\n", "\n")
     except UnicodeDecodeError as reason:
         raise error(
             f"{what} {os.fspath(path)!r} cannot be read: it is not in UTF-8 (byte {reason.start}); save it as such"
@@ -99,11 +99,6 @@ def read_toml(path: Path_, what: str, error: Wrong) -> dict[str, Any]:
     if wrong := wrong_number(table, sizes=False):
         raise error(f"{where}: {wrong}")
     return table
-
-
-def read_json(path: Path_, what: str, error: Wrong, most: int = MOST_TEXT) -> Any:
-    """Read a JSON file; arguments as `read_bytes`."""
-    return parse_json(read_text(path, what, error, most), f"{what} {os.fspath(path)!r}", error)
 
 
 def parse_json(text: str | bytes, where: str, error: Wrong) -> Any:

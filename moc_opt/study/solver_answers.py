@@ -226,13 +226,18 @@ class Answers:
             found |= {f"{name}_{word}": value for word, value in zip(("p50", "p99", "max"), three, strict=True)}
         return found
 
+    @property
+    def trouble(self) -> str:
+        """The first event in words; "": none."""
+        return f"{self.problems.name}, {self.events[0]}" if self.events else ""
+
     def summary(self, times: Times | None = None) -> dict[str, Any]:
         """Return counts, residuals and times for summary.json, and the first trouble in words."""
         found: dict[str, Any] = {**self.counts(), **self.figures}
         if self.refused:
             found["reason"] = self.refused
-        if self.events:
-            found["trouble"] = f"{self.problems.name}, {self.events[0]}"
+        if self.trouble:
+            found["trouble"] = self.trouble
         return found | (times.figures() if times is not None else {})
 
     def rows(self, part: str) -> list[dict[str, Any]]:
@@ -263,7 +268,7 @@ def totals(answers: Sequence[Answers], times: Sequence[Times]) -> dict[str, Any]
     for name in RESIDUALS:
         values = [value for one in answers if (value := one.figures[f"{name}_max"]) is not None]
         found[f"{name}_max"] = max(values) if values else None
-    trouble = [one.summary()["trouble"] for one in answers if one.events]
+    trouble = [one.trouble for one in answers if one.trouble]
     figures = [one.figures() for one in times]
     for name in dict.fromkeys(name for entry in figures for name in entry if name.endswith("_us")):
         found[f"{name}_worst_set"] = max(entry[name] for entry in figures if name in entry)

@@ -76,6 +76,18 @@ def trials(base: Scenario, tasks: Sequence[str], own_seeds: Sequence[int], *, vi
     return found
 
 
+def on_each_arm(
+    base: Scenario, robots: Sequence[str], tasks: Sequence[str], own_seeds: Sequence[int]
+) -> list[Scenario]:
+    """Make as many trials on each arm, arm by arm, as `trials` makes them of the paper's virtual tasks."""
+    share = len(own_seeds) // len(robots)
+    arms = [base.change(robot={"name": name}) for name in robots]
+    return [
+        case for k, arm in enumerate(arms)
+        for case in trials(arm, tasks, own_seeds[k * share : (k + 1) * share], virtual=True)
+    ]  # fmt: skip
+
+
 def placed(trial: Scenario) -> Scenario:
     """Return the trial with its drawn pose written out: many controllers start there, and it is searched for once."""
     q = Setup(trial).q_start.tolist()
@@ -236,7 +248,7 @@ def with_phases(runs: Iterable[Run]) -> list[Run]:
     runs = list(runs)
     groups: dict[tuple[Any, ...], list[Run]] = {}
     for run in runs:
-        groups.setdefault(tuple(run.row.get(key) for key in ("trial", "group", "robot")), []).append(run)
+        groups.setdefault(_of_trial(run), []).append(run)
     phases = {}
     for name, mine in groups.items():
         flags = [run.columns["travelling"].astype(bool) for run in mine if "travelling" in run.columns]
@@ -244,7 +256,7 @@ def with_phases(runs: Iterable[Run]) -> list[Run]:
             phases[name] = np.any(flags, axis=0)
     found = []
     for run in runs:
-        moving = phases.get(tuple(run.row.get(key) for key in ("trial", "group", "robot")))
+        moving = phases.get(_of_trial(run))
         if moving is None or not run.columns or len(run.columns["t_s"]) != len(moving):
             found.append(run)
             continue
@@ -255,6 +267,10 @@ def with_phases(runs: Iterable[Run]) -> list[Run]:
                 row |= {f"{phase}_{name}": value for name, value in _means(run.columns, ticks).items()}
         found.append(replace(run, row=row))
     return found
+
+
+def _of_trial(run: Run) -> tuple[Any, ...]:
+    return tuple(run.row.get(key) for key in ("trial", "group", "robot"))
 
 
 def _means(columns: Mapping[str, Array], ticks: Array) -> dict[str, float]:
