@@ -1,6 +1,6 @@
-"""The commands of `moc-opt`: one module per kind, imported when one of its commands is run.
+"""The commands of `moc-opt`, imported when one of them is run.
 
-Read first: ``parser``, which has every command's arguments and the table of which function does it. ``running`` runs
-and plans a scenario, ``wire`` runs plant and controller as two processes, ``pages`` writes files and pages,
-``listing`` prints names, ``reference`` every key of a scenario, ``studies`` compares solvers and starts the benchmarks.
+Read first: ``parser``, which has every command's options as data, and the function that does it. ``running`` runs and
+plans a scenario, ``pages`` writes files and pages, ``listing`` prints names and ``reference`` every key of a scenario,
+``studies`` compares solvers.
 """

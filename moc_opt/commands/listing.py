@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import inspect
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -13,14 +12,16 @@ from moc_opt.errors import MocOptError
 from moc_opt.inputs.files import plain, to_json
 from moc_opt.report.console import console, print_json
 from moc_opt.report.tables import Column, Table
+from moc_opt.robots import about, available_robots
+from moc_opt.scenario.tables import RobotTable, TaskTable
+from moc_opt.solvers.registry import available, defaults
+from moc_opt.tasks.kinds import kinds, sizes
+from moc_opt.trace.metrics import METRICS, load_plugins
 
 
 def print_list(given: argparse.Namespace) -> int:
     """Print the list that the command names; returns 0."""
-    lists: dict[str, Callable[[], Table]] = {
-        "robots": robots, "tasks": tasks, "metrics": metrics, "solvers": solvers,
-    }  # fmt: skip
-    table = lists[given.command]()
+    table = {"robots": robots, "tasks": tasks, "metrics": metrics, "solvers": solvers}[given.command]()
     if given.json:
         first, *others = [column.key for column in table.columns]
         print_json({str(row[first]): {key: row.get(key) for key in others} for row in table.rows})
@@ -30,23 +31,15 @@ def print_list(given: argparse.Namespace) -> int:
     if given.command == "tasks":
         table = replace(table, rows=[{**row, "sizes": _sizes(row["sizes"])} for row in table.rows])
     print_tables([replace(table, caption="")])
-    if table.caption:  # below a narrow table it would be a narrow column
-        console().print(table.caption, markup=False, highlight=False)
+    console().print(table.caption, markup=False)  # below a narrow table it would be a narrow column
     return 0
-
-
-def _sizes(sizes: dict[str, Any]) -> str | None:
-    """Write the sizes of a path in one line; what has no default is a name alone."""
-    return ", ".join(k if v is None else f"{k} = {v:g}" for k, v in sizes.items()) or None
 
 
 def solvers() -> Table:
     """Return every registered solver, whether it can run here, and its settings."""
-    from moc_opt.solvers.registry import available, defaults
-
     rows = []
     for name, reason in available().items():
-        settings = {} if reason is not None else defaults(name)
+        settings = defaults(name) if reason is None else {}
         known = {key: _plain(value) for key, value in settings.items() if key != "kinematics"}
         rows.append({"solver": name, "here": reason or "yes", "settings": known})
     columns = [Column("solver", "solver"), Column("here", "runs here"), Column("settings", "settings")]
@@ -54,7 +47,7 @@ def solvers() -> Table:
 
 
 def _plain(value: Any) -> Any:
-    """Return a default as JSON can hold it: one of a plug-in may be any object, and is told by its text."""
+    """Return a default as JSON can hold it, or its text: that of a plug-in may be any object."""
     try:
         to_json(value)
     except (TypeError, ValueError):
@@ -63,25 +56,23 @@ def _plain(value: Any) -> Any:
 
 
 def _those_here(every: Table) -> Table:
-    """Return those that can run here, with the names of their settings; the others in one sentence."""
-    can = [row for row in every.rows if row["here"] == "yes"]
-    rows = [{**row, "settings": ", ".join(row["settings"]) or None} for row in can]
-    absent = [row["solver"] for row in every.rows if row["here"] != "yes"]
-    lacking = f"Not installed: {', '.join(absent)}. " if absent else ""
-    columns = [column for column in every.columns if column.key != "here"]
-    return Table(every.title, columns, rows, f"{lacking}--json: defaults of the settings, and what is missing.")
+    """Return the solvers that can run here, with the names of their settings; the caption names the others."""
+    here = [row for row in every.rows if row["here"] == "yes"]
+    absent = ", ".join(row["solver"] for row in every.rows if row["here"] != "yes")
+    caption = f"Not installed: {absent}. " * bool(absent) + "--json: defaults of the settings, and what is missing."
+    rows = [{**row, "settings": ", ".join(row["settings"]) or None} for row in here]
+    return Table(every.title, [column for column in every.columns if column.key != "here"], rows, caption)
 
 
 def robots() -> Table:
     """Return every arm of the package: its joints, its freedoms beside tip and shaft, and its description."""
-    from moc_opt.robots import about, available_robots
-    from moc_opt.scenario.tables import RobotTable
-
     rows = []
     for name in available_robots():
         arm, left = RobotTable(name=name).arm_and_freedoms()
-        rows.append({"robot": name, "joints": arm.n, "real": left.real, "idle": len(left.idle),
-                     "tool": arm.data.tool_length, "about": about(name)})  # fmt: skip
+        rows.append({
+            "robot": name, "joints": arm.n, "real": left.real, "idle": len(left.idle),
+            "tool": arm.data.tool_length, "about": about(name),
+        })  # fmt: skip
     columns = [
         Column("robot", "robot"), Column("joints", "joints"), Column("real", "freedoms"), Column("idle", "idle"),
         Column("tool", "tool", "m"), Column("about", "what it is"),
@@ -92,25 +83,25 @@ def robots() -> Table:
 
 def tasks() -> Table:
     """Return every path, its sizes with their defaults, and its description."""
-    from moc_opt.scenario.tables import TaskTable
-    from moc_opt.tasks.kinds import kinds, sizes
-
     rows = []
-    for name, about in kinds().items():
+    for name, words in kinds().items():
         try:
             known = {**sizes(name), **TaskTable.DEFAULT_SIZES.get(name, {})}
         except MocOptError:
-            known = {}  # it does not load: `about` has the reason
+            known = {}  # it does not load: its description is the reason
         defaults = {key: None if value is inspect.Parameter.empty else value for key, value in known.items()}
-        rows.append({"path": name, "sizes": defaults, "about": about})
+        rows.append({"path": name, "sizes": defaults, "about": words})
     columns = [Column("path", "path"), Column("sizes", "sizes"), Column("about", "what it is")]
     return Table("Tasks: [task] path, [task.sizes]", columns, rows, "Lengths in m.")
 
 
+def _sizes(sizes: dict[str, Any]) -> str | None:
+    """Write the sizes of a path in one line; one without a default is a name alone."""
+    return ", ".join(key if value is None else f"{key} = {value:g}" for key, value in sizes.items()) or None
+
+
 def metrics() -> Table:
     """Return every metric with its unit."""
-    from moc_opt.trace.metrics import METRICS, load_plugins
-
     load_plugins()
     rows = [{"metric": name, "unit": one.unit, "about": one.about} for name, one in METRICS.items()]
     columns = [Column("metric", "metric"), Column("unit", "unit"), Column("about", "what it is")]

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import argparse
 
+from moc_opt.commands.running import read_scenario
+from moc_opt.report.document import check_out
+
 
 def save_replay(given: argparse.Namespace) -> int:
     """Write one to four saved runs in 3-D; returns 0."""
-    from moc_opt.report.document import check_out
     from moc_opt.report.replay import Replay
 
     check_out(given.out, "replay", force=given.force)
@@ -17,7 +19,6 @@ def save_replay(given: argparse.Namespace) -> int:
 
 def save_map(given: argparse.Namespace) -> int:
     """Write the page, then the figures: the page is there even where no browser can draw the files; returns 0."""
-    from moc_opt.report.document import check_out
     from moc_opt.report.export import save_figures
     from moc_opt.report.map_page import load_map
 
@@ -31,7 +32,6 @@ def save_map(given: argparse.Namespace) -> int:
 
 def save_report(given: argparse.Namespace) -> int:
     """Write metrics, curves and map of saved runs; returns 0."""
-    from moc_opt.report.document import check_out
     from moc_opt.report.replay import load_runs
     from moc_opt.report.run_page import run_page
     from moc_opt.trace.metrics import summarize
@@ -45,7 +45,6 @@ def save_report(given: argparse.Namespace) -> int:
 
 def serve_page(given: argparse.Namespace) -> int:
     """Run a scenario in real time until the page is left; returns the exit status."""
-    from moc_opt.commands.running import read_scenario
     from moc_opt.live.page import serve
 
     scenario, title = read_scenario(given.scenario)
@@ -54,7 +53,6 @@ def serve_page(given: argparse.Namespace) -> int:
 
 def export_c(given: argparse.Namespace) -> int:
     """Write the whole controller as C, with recorded ticks for its self-test; returns 0."""
-    from moc_opt.commands.running import read_scenario
     from moc_opt.export import export_scenario
 
     out, udp = given.out, given.main == "udp"

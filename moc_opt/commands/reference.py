@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import json
 import re
 import types
 import typing
@@ -42,7 +43,11 @@ def print_keys(given: argparse.Namespace) -> int:
     if given.markdown:
         print(markdown(given.table), end="")
         return 0
-    print_tables(_drawn(name, found[name][1]) for name in (found if given.table is None else [given.table]))
+    columns = [Column("name", "key"), Column("kind", "type")]
+    columns += [Column(name, name) for name in ("unit", "default", "meaning")]
+    for name in found if given.table is None else [given.table]:
+        title = "At the top of the file" if name == "scenario" else f"[{name}]"
+        print_tables([Table(title, columns, [key._asdict() for key in found[name][1]])])
     return 0
 
 
@@ -93,13 +98,6 @@ def markdown(only: str | None = None) -> str:
     return "".join(parts).lstrip("\n")
 
 
-def _drawn(name: str, keys: list[Key]) -> Table:
-    titles = {"name": "key", "kind": "type", "unit": "unit", "default": "default", "meaning": "meaning"}
-    columns = [Column(key, title) for key, title in titles.items()]
-    title = "At the top of the file" if name == "scenario" else f"[{name}]"
-    return Table(title, columns, [key._asdict() for key in keys])
-
-
 _WORDS = {int: "integer", float: "number", str: "text", bool: "flag", type(None): "", Any: "value"}
 
 
@@ -124,12 +122,4 @@ def _type(hint: Any) -> str:
 
 def _value(value: Any) -> str:
     """Write a default as a TOML file would."""
-    if value is None:
-        return "none"
-    if isinstance(value, bool):
-        return str(value).lower()
-    if isinstance(value, tuple):
-        return f"[{', '.join(_value(entry) for entry in value)}]"
-    if isinstance(value, str):
-        return f'"{value}"'
-    return repr(value)
+    return "none" if value is None else json.dumps(value).replace("Infinity", "inf")

@@ -1,4 +1,4 @@
-"""The commands `run` and `plan`: one scenario, its metrics beside DCAC's with the same gains; its plan before a run."""
+"""The commands `run`, `plant`, `control` and `plan`: one scenario is run, in one process or in two, or planned."""
 
 from __future__ import annotations
 
@@ -7,39 +7,40 @@ import math
 import sys
 import time
 from collections.abc import Iterable
+from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
 from moc_opt.commands.parser import check_paths
 from moc_opt.errors import MocOptError, ScenarioError, UnknownNameError, shown
-
-if TYPE_CHECKING:
-    from moc_opt.report.tables import Table
-    from moc_opt.scenario import Scenario
-    from moc_opt.trace.trace import Trace
+from moc_opt.inputs.files import decimal, read_text, to_json
+from moc_opt.report.console import busy, console, print_json, progress
+from moc_opt.report.document import check_out
+from moc_opt.report.run_table import MATTER, below_best, part, refusals, run_json, run_table, warnings
+from moc_opt.report.tables import Column, Table
+from moc_opt.scenario import RunAway, Scenario, Setup, run
+from moc_opt.trace.file import new_file
+from moc_opt.trace.metrics import METRICS, load_plugins, summarize
+from moc_opt.trace.trace import Trace
 
 HEADINGS = (["x_m", "y_m", "z_m"], ["x", "y", "z"])
 """Names of the columns of a file of waypoints that are read as such, in this order and in metres."""
+SPLIT = str.maketrans(",\"'", "   ")
 PLAN_OPTIONS = {
-    "margin_rad = ": "--margin ", "margin_rad and margin_m": "--margin and --margin-m",
-    "speed_share = ": "--speed-share ", "acceleration = ": "--acceleration ",
-    "box_m = ": "--box ", "candidates = ": "--candidates ",
+    "margin_rad": "--margin", "margin_m": "--margin-m", "speed_share": "--speed-share",
+    "acceleration": "--acceleration", "box_m": "--box", "candidates": "--candidates",
 }  # fmt: skip
 """An argument as errors begin with it -> the option that gave it."""
 
 
 def read_scenario(path: Path | None) -> tuple[Scenario, str]:
     """Return the scenario of a file, or the default one, and its name in messages."""
-    from moc_opt.scenario import Scenario
-
     scenario = Scenario() if path is None else Scenario.load(path)
     return scenario, scenario.name if path is None or "name" in scenario.model_fields_set else path.stem
 
 
 def print_tables(tables: Iterable[Table]) -> None:
     """Print tables as the screen has room for them."""
-    from moc_opt.report.console import console
-
     screen = console()
     for table in tables:
         screen.print(table)
@@ -50,10 +51,6 @@ def print_tables(tables: Iterable[Table]) -> None:
 
 def run_scenario(given: argparse.Namespace) -> int:
     """Run, summarise against DCAC with the same gains, print, save."""
-    from moc_opt.report.console import progress
-    from moc_opt.report.document import check_out
-    from moc_opt.scenario import RunAway, Setup
-
     scenario, title = read_scenario(given.scenario)
     if "best_courses" not in scenario.model_fields_set:
         scenario = scenario.change(best_courses=True)
@@ -81,11 +78,6 @@ def run_scenario(given: argparse.Namespace) -> int:
 
 def show(scenario: Scenario, title: str, trace: Trace, given: argparse.Namespace) -> int:
     """Print how a run ended, and its metrics; return the exit status."""
-    from moc_opt.report.console import busy, console, print_json
-    from moc_opt.report.run_page import run_page
-    from moc_opt.report.run_table import MATTER, below_best, part, refusals, run_json, run_table, warnings
-    from moc_opt.trace.metrics import summarize
-
     ended = str(trace.meta["ended"])
     for line in ([] if ended == "completed" else [f"{ended}{part(trace)}"]) + refusals(trace) + warnings(trace):
         print(f"{title}: {line}", file=sys.stderr)
@@ -99,6 +91,8 @@ def show(scenario: Scenario, title: str, trace: Trace, given: argparse.Namespace
         raise
     metrics = summarize(trace, baseline)
     if getattr(given, "report", None) is not None:  # `plant` has none
+        from moc_opt.report.run_page import run_page  # plotly loads slowly
+
         runs = {title: trace} if baseline is None else {"DCAC, same gains": baseline, title: trace}
         page = run_page(runs, {title: metrics}, scenario.robot.arm())
         print(page.save(given.report, force=given.force), file=sys.stderr)
@@ -121,30 +115,29 @@ def show(scenario: Scenario, title: str, trace: Trace, given: argparse.Namespace
 
 def changed(scenario: Scenario, given: argparse.Namespace) -> Scenario:
     """Return the scenario with the options of ``run`` in place of its own values."""
-    from moc_opt.trace.metrics import METRICS, load_plugins
-
+    if given.course == "":
+        raise ScenarioError("--course '': give the file that `moc-opt plan --out` wrote")
+    if given.course and given.third_level not in (None, "planned"):
+        raise ScenarioError(f"--course {given.course}: only --third-level planned follows a file; leave one out")
+    changes: dict[str, Any] = {}
     if given.seed is not None:
-        scenario = scenario.change(seed=given.seed)
+        changes["seed"] = given.seed
     if given.robot is not None:
-        scenario = scenario.change(robot={"name": given.robot})
-    if given.third_level is not None:
-        course = scenario.control.course if given.third_level == "planned" else ""
-        scenario = scenario.change(control={"third_level": given.third_level, "course": course})
+        changes["robot"] = {"name": given.robot}
     if given.course is not None:
-        if not given.course:
-            raise ScenarioError("--course '': give the file that `moc-opt plan --out` wrote")
-        if given.third_level not in (None, "planned"):
-            raise ScenarioError(f"--course {given.course}: only --third-level planned follows a file; leave one out")
-        scenario = scenario.change(control={"third_level": "planned", "course": given.course})
+        changes["control"] = {"third_level": "planned", "course": given.course}
+    elif given.third_level is not None:
+        course = scenario.control.course if given.third_level == "planned" else ""
+        changes["control"] = {"third_level": given.third_level, "course": course}
     if given.solver is not None:
-        scenario = scenario.change(solver={"name": given.solver, "settings": {}})
+        changes["solver"] = {"name": given.solver, "settings": {}}
     if given.task is not None:
-        task: dict[str, object] = {"path": given.task, "sizes": {}, "waypoints_m": None}
-        if Path(given.task).suffix.lower() in (".csv", ".txt"):
-            task |= {"path": "waypoints", "waypoints_m": read_waypoints(given.task)}
-        scenario = scenario.change(task=task)
+        points = read_waypoints(given.task) if Path(given.task).suffix.lower() in (".csv", ".txt") else None
+        path = given.task if points is None else "waypoints"
+        changes["task"] = {"path": path, "sizes": {}, "waypoints_m": points}
     if given.metric:
-        scenario = scenario.change(metrics=tuple(given.metric))
+        changes["metrics"] = tuple(given.metric)
+    scenario = scenario.change(**changes)
     load_plugins()
     for name in scenario.metrics:
         if name not in METRICS:
@@ -160,23 +153,19 @@ def read_waypoints(path: str) -> list[tuple[float, ...]]:
     Raises:
         ScenarioError: a line is no point, named with file and number, or there is none.
     """
-    from moc_opt.inputs.files import decimal, read_text
-
+    text = read_text(path, "waypoints", ScenarioError)
+    lines = [(number, line.strip()) for number, line in enumerate(text.splitlines(), start=1)]
+    lines = [(number, line) for number, line in lines if line and not line.startswith("#")]
+    if lines and lines[0][1].lower().translate(SPLIT).split() in HEADINGS:
+        del lines[0]
     points: list[tuple[float, ...]] = []
-    named = False
-    for number, line in enumerate(read_text(path, "waypoints", ScenarioError).splitlines(), start=1):
-        if not line.strip() or line.lstrip().startswith("#"):
-            continue
-        parts = line.replace(",", " ").split()
-        if not points and not named and [part.strip("\"'").lower() for part in parts] in HEADINGS:
-            named = True
-            continue
-        point = tuple(map(decimal, parts))
+    for number, line in lines:
+        point = tuple(map(decimal, line.replace(",", " ").split()))
         if len(point) != 3 or not all(map(math.isfinite, point)):
             cure = "give x, y, z [m]; the first line may name the columns, x_m,y_m,z_m, and any other begins with #"
             if len(point) == 4 and point[0] == len(points):
                 cure = "four columns, the first one counts: give x, y, z [m] alone (in pandas: to_csv(index=False))"
-            raise ScenarioError(f"waypoints {path!r}, line {number}: {shown(line.strip(), 60)}: {cure}")
+            raise ScenarioError(f"waypoints {path!r}, line {number}: {shown(line, 60)}: {cure}")
         points.append(point)
     if not points:
         raise ScenarioError(f"waypoints {path!r}: there is no point in it: give x, y, z [m], one point a line")
@@ -185,8 +174,6 @@ def read_waypoints(path: str) -> list[tuple[float, ...]]:
 
 def _matched_dcac(scenario: Scenario, title: str, ticks: int) -> Trace | None:
     """Return the first ticks of DCAC with the same gains; None, and a word on it, where it was stopped before."""
-    from moc_opt.scenario import RunAway, run
-
     try:
         matched = scenario.control.matched_dcac()
         trace = run(scenario.change(control=matched, bound_samples=0, best_courses=False))
@@ -198,6 +185,70 @@ def _matched_dcac(scenario: Scenario, title: str, ticks: int) -> Trace | None:
     return trace.head(ticks)
 
 
+# --- plant and control: the two ends of a wire, each a process of its own ---
+
+
+def run_plant(given: argparse.Namespace) -> int:
+    """Wait for a controller, run against the clock, print as `run` does."""
+    from moc_opt.realtime.clock import ask_for_realtime
+    from moc_opt.realtime.link import read_key, written
+    from moc_opt.scenario.wired import PlantServer
+
+    scenario, title = read_scenario(given.scenario)
+    server = PlantServer(scenario, given.listen, read_key(given.key_file), lock_step=given.lock_step)
+    print(f"listening on {written(server.address)}", file=sys.stderr, flush=True)
+    server.system = {} if given.lock_step else ask_for_realtime()
+    try:
+        trace = server.trace(to=given.trace)
+    except RunAway as error:
+        trace = error.trace
+    for name, value in trace.meta["wire"].items():
+        if value:
+            print(f"plant: {name}: {_words(value)}", file=sys.stderr)
+    return show(scenario, f"{title}, plant", trace, given)
+
+
+def run_control(given: argparse.Namespace) -> int:
+    """Answer a plant until its run ends, and print how it went."""
+    from moc_opt.realtime.clock import ask_for_realtime
+    from moc_opt.realtime.link import read_key
+    from moc_opt.scenario.wired import answer
+
+    (scenario, title), granted = read_scenario(given.scenario), dict[str, str]()
+    key = read_key(given.key_file)
+    if scenario.control.third_level == "receding":
+        print(
+            "control: third_level = 'receding' solves within a tick, for some 10 ms: against the clock those ticks are "
+            "missed; give the plant --lock-step, or take third_level = 'planned'", file=sys.stderr,
+        )  # fmt: skip
+    first = "plans its course, then " if scenario.control.follows else ""
+    where = f"{given.connect}, for {scenario.wire.wait_s:g} s"
+    print(f"control: {first}looks for a plant at {where}", file=sys.stderr, flush=True)
+    found = answer(scenario, given.connect, key, ready=lambda: granted.update(ask_for_realtime()))
+    if given.json:
+        print_json(asdict(found) | {"system": granted})
+    else:
+        console().print(_ending_table(title, asdict(found) | {"system": granted}).to_rich())
+    return 0 if found.ended == "completed" else 3
+
+
+def _ending_table(title: str, found: dict[str, Any]) -> Table:
+    """Return how the run looked from the controller's end, a row a figure; counts of zero are left out."""
+    rows = []
+    for name, value in found.items():
+        if isinstance(value, dict):
+            rows += [{"what": f"{name}: {key}", "value": _words(entry)} for key, entry in value.items() if entry]
+        elif value:
+            rows.append({"what": name, "value": _words(value)})
+    return Table(f"Controller of {title}", [Column("what", "what"), Column("value", "value")], rows)
+
+
+def _words(value: Any) -> str:
+    if isinstance(value, dict) and value.keys() == {"count", "first_at_s", "first"}:  # of answers that were refused
+        return f"{value['count']}, first at {value['first_at_s']:.3f} s: {value['first']}"
+    return value if isinstance(value, str) else to_json(value, indent=None)
+
+
 # --- plan ---
 
 
@@ -206,25 +257,22 @@ def plan_scenario(given: argparse.Namespace) -> int:
     try:
         return _plan(given)
     except MocOptError as error:
-        for argument, option in PLAN_OPTIONS.items():
-            if str(error).startswith(argument):
-                error.args = (str(error).replace(argument, option, 1),)
+        argument, _, rest = str(error).partition(" ")
+        if argument in PLAN_OPTIONS:
+            error.args = (f"{PLAN_OPTIONS[argument]} {rest.removeprefix('= ')}",)
         raise
 
 
 def _plan(given: argparse.Namespace) -> int:
-    from moc_opt.report.console import print_json
-    from moc_opt.report.document import check_out
     from moc_opt.report.plan_table import place_json, place_table, plan_json, plan_tables, start_toml
     from moc_opt.scenario.placement import place
     from moc_opt.scenario.planned import followable_plan, following_warnings, save_course
-    from moc_opt.trace.file import new_file
 
     for option, value in (("--box", given.box), ("--candidates", given.candidates)):
         if value is not None and given.place is None:
             raise ScenarioError(f"{option} {value}: without --place nothing is searched; add --place trocar or base")
-    box_m = 0.05 if given.box is None else float(given.box)
-    candidates = 40 if given.candidates is None else int(given.candidates)
+    box_m = 0.05 if given.box is None else given.box
+    candidates = 40 if given.candidates is None else given.candidates
     scenario, title = read_scenario(given.scenario)
     if given.out is not None:
         new_file(given.out)  # before the search, which may take a minute

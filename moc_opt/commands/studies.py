@@ -6,15 +6,16 @@ import argparse
 import sys
 from typing import Any
 
+from moc_opt.commands.listing import print_list
 from moc_opt.commands.running import read_scenario
+from moc_opt.report.console import console, print_json, progress
+from moc_opt.report.document import check_out
+from moc_opt.study import solvers
+from moc_opt.study.compare import compare
 
 
 def compare_solvers(given: argparse.Namespace) -> int:
     """Compare, print, and write the rows; returns 0, 3 where a solver drove no trial to its end, 130 after Ctrl-C."""
-    from moc_opt.report.console import console, print_json, progress
-    from moc_opt.report.document import check_out
-    from moc_opt.study.compare import compare
-
     if given.out is not None:
         check_out(given.out, "table of runs", force=given.force)
     scenario, _ = read_scenario(given.scenario)
@@ -45,11 +46,7 @@ def compare_solvers(given: argparse.Namespace) -> int:
 def list_or_study(given: argparse.Namespace) -> int:
     """List the solvers, or run the whole study of them with its own arguments; returns its exit status."""
     if given.list:
-        from moc_opt.commands.listing import print_list
-
         return print_list(given)
-    from moc_opt.study import solvers
-
     return solvers.main([*given.rest, *(["--json"] if given.json else [])])
 
 

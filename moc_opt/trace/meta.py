@@ -17,9 +17,9 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from enum import StrEnum
-from typing import Any
+from typing import Any, TypedDict
 
-from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
+from pydantic import FiniteFloat, TypeAdapter, ValidationError
 
 from moc_opt.errors import TraceError, shown
 
@@ -48,68 +48,31 @@ class Ending(StrEnum):
         return self in (Ending.COMPLETED, Ending.OSCILLATED)
 
 
-class _Form(BaseModel):
-    model_config = ConfigDict(strict=True, extra="forbid", allow_inf_nan=False)
-
-
-class _Fault(_Form):
-    count: int
-    first_at_s: float
-    first: str
-
-
-class _Restart(_Form):
-    at_s: float
-    reason: str
-
-
-class _Warning(_Form):
-    of: str
-    unit: str
-    level: float
-    first_s: float
-    largest: float
-
-
-class _End(_Form):
-    mu: float
-    top_mu: float
-    top_swivel_deg: float
-    at_limit: bool
-    best_mu: float
-    best_swivel_deg: float
-
-
-class _Robot(_Form, extra="allow"):
-    name: str = ""
-    tool_length_m: float | None = None
-    tool_mass_kg: float | None = None
-
-
-class _Control(_Form, extra="allow"):
-    law: str = ""
-    third_level: str = ""
-
-
-class _Scenario(_Form, extra="allow"):
-    robot: _Robot = _Robot()
-    control: _Control = _Control()
-
-
-class _BestCourses(_Form, extra="allow"):
-    absent: str = ""
-    end: _End | None = None
-
-
+# ruff: noqa: UP013  (a form a line reads better than a class each)
+_FAULT = TypedDict("_FAULT", {"count": int, "first_at_s": FiniteFloat, "first": str})
+_RESTART = TypedDict("_RESTART", {"at_s": FiniteFloat, "reason": str})
+_WARNING = TypedDict(
+    "_WARNING", {"of": str, "unit": str, "level": FiniteFloat, "first_s": FiniteFloat, "largest": FiniteFloat}
+)
+_END = TypedDict("_END", {
+    "mu": FiniteFloat, "top_mu": FiniteFloat, "top_swivel_deg": FiniteFloat, "at_limit": bool,
+    "best_mu": FiniteFloat, "best_swivel_deg": FiniteFloat,
+})  # fmt: skip
+_ROBOT = TypedDict(
+    "_ROBOT", {"name": str, "tool_length_m": FiniteFloat | None, "tool_mass_kg": FiniteFloat | None}, total=False
+)
+_CONTROL = TypedDict("_CONTROL", {"law": str, "third_level": str}, total=False)
+_SCENARIO = TypedDict("_SCENARIO", {"robot": _ROBOT, "control": _CONTROL}, total=False)
+_COURSES = TypedDict("_COURSES", {"absent": str, "end": _END | None}, total=False)
 FORMS: Mapping[str, TypeAdapter[Any]] = {
-    name: TypeAdapter(form, config=None if form is _Scenario or form is _BestCourses else _Form.model_config)
+    name: TypeAdapter(form)
     for name, form in {
-        "ended": str, "robot": str, "mu_bound_method": str, "ticks": int, "ticks_planned": int, "period_s": float,
-        "stopped_at_s": float, "faults": dict[str, _Fault], "restarts": list[_Restart], "warnings": list[_Warning],
-        "scenario": _Scenario, "best_courses": _BestCourses,
+        "ended": str, "robot": str, "mu_bound_method": str, "ticks": int, "ticks_planned": int,
+        "period_s": FiniteFloat, "stopped_at_s": FiniteFloat, "faults": dict[str, _FAULT],
+        "restarts": list[_RESTART], "warnings": list[_WARNING], "scenario": _SCENARIO, "best_courses": _COURSES,
     }.items()
 }  # fmt: skip
-"""Entry -> what it must be."""
+"""Entry -> what it must be; a table may have further keys."""
 
 
 def plain(meta: Mapping[str, Any]) -> dict[str, Any]:
@@ -137,7 +100,7 @@ def check_entry(name: str, value: Any) -> None:
     """Raise a TraceError where an entry is not of its type; one that the package does not know may hold anything."""
     if name in FORMS:
         try:
-            FORMS[name].validate_python(value)
+            FORMS[name].validate_python(value, strict=True)
         except ValidationError as error:
             wrong = error.errors()[0]
             where = "".join(f"[{key!r:.80}]" for key in (name, *wrong["loc"]))

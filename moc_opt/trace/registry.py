@@ -7,7 +7,7 @@ import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from importlib.metadata import EntryPoint, entry_points
-from typing import Any, Literal, overload
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +23,12 @@ PHASES = ("travelling", "settled")
 
 @dataclass(frozen=True)
 class Metric:
-    """A registered metric: call it with a trace, and with a baseline where it compares two runs."""
+    """A registered metric: call it with a trace, and with a baseline where it compares two runs.
+
+    Raises:
+        MissingDataError: the trace lacks the data.
+        TraceError: the trace or the baseline is empty.
+    """
 
     name: str  #: key in every summary, with the unit in it
     unit: str  #: "mm", "us"; "1" for counts and shares
@@ -35,12 +40,7 @@ class Metric:
         object.__setattr__(self, "__wrapped__", self.function)
 
     def __call__(self, trace: Trace, baseline: Trace | None = None) -> float:
-        """Return the number.
-
-        Raises:
-            MissingDataError: the trace lacks the data.
-            TraceError: the trace or the baseline is empty.
-        """
+        """Return the number."""
         for role, run in (("trace", trace), ("baseline", baseline)):
             if run is not None and len(run) == 0:
                 raise TraceError(f"the {role} is empty: {self.name} needs at least one tick")
@@ -53,10 +53,6 @@ _LOADED: dict[EntryPoint, str] = {}
 METRICS: dict[str, Metric] = {}  #: Name -> metric, in the order of a summary.
 
 
-@overload
-def metric(unit: Callable[..., float]) -> Metric: ...
-@overload
-def metric(unit: str) -> Callable[[Callable[..., float]], Metric]: ...
 def metric(unit: str | Callable[..., float]) -> Any:
     """Register a function as a metric under its own name: `@metric("mm")`, or `@metric` for counts and shares.
 
@@ -84,7 +80,7 @@ def register(unit: str, function: Callable[..., float], name: str = "", about: s
     """Register a function under its own name and docstring, or under others."""
     if name:
         function.__name__, function.__qualname__, function.__doc__ = name, name, about
-    name, about = function.__name__, (inspect.getdoc(function) or "").strip()
+    name, about = function.__name__, inspect.getdoc(function) or ""
     if not about:
         raise TraceError(f"metric {name!r} has no docstring: say in one line what it measures")
     known = METRICS[name].function if name in METRICS else function
@@ -96,11 +92,7 @@ def register(unit: str, function: Callable[..., float], name: str = "", about: s
 
 
 def load_plugins() -> dict[str, str]:
-    """Register the metrics of other packages: functions as `metric` takes them, or made by it.
-
-    Returns:
-        Name -> reason for those that cannot be loaded; each is warned of once.
-    """
+    """Register the metrics of other packages; return name -> reason for those that cannot be loaded."""
     for name, points in plugins.plugins(GROUP, entry_points).items():
         if points[0] in _LOADED:
             continue
@@ -109,10 +101,10 @@ def load_plugins() -> dict[str, str]:
             found = plugins.load("metric", name, points, TraceError)
             if isinstance(found, Metric):
                 METRICS.setdefault(found.name, found)
-            else:
-                if not callable(found):
-                    raise TraceError(f"metric {name!r}: {plugins.in_words(points[0])} is no function")
+            elif callable(found):
                 register("1", found)
+            else:
+                raise TraceError(f"metric {name!r}: {plugins.in_words(points[0])} is no function")
         except TraceError as error:
             _LOADED[points[0]] = str(error)
             warnings.warn(str(error), UserWarning, stacklevel=3)
@@ -128,8 +120,8 @@ def summarize(trace: Trace, baseline: Trace | None = None, phase: Phase | None =
             column `travelling`; the baseline is then read at the same ticks.
 
     Returns:
-        Name -> number, in the order of METRICS; metrics whose data are absent are left out. Empty when the
-        run has no tick in that phase.
+        Name -> number, in the order of METRICS, without those whose data are absent; empty where no tick is in that
+        phase.
 
     Raises:
         TraceError: the trace or the baseline is none or empty, they are not of the same time, a column holds numbers
@@ -178,9 +170,10 @@ def summarize(trace: Trace, baseline: Trace | None = None, phase: Phase | None =
 
 
 def _same_ticks(trace: Trace, baseline: Trace) -> bool:
-    if len(trace) != len(baseline) or "t_s" not in trace.columns or "t_s" not in baseline.columns:
+    times, others = (run.columns.get("t_s") for run in (trace, baseline))
+    if len(trace) != len(baseline) or times is None or others is None:
         return len(trace) == len(baseline)
-    return bool(np.allclose(trace.t_s, baseline.t_s, rtol=0.0, atol=1e-6))
+    return bool(np.allclose(times, others, rtol=0.0, atol=1e-6))
 
 
 def _extent(trace: Trace) -> str:

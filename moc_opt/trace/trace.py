@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from moc_opt.arrays import read_only
-from moc_opt.errors import TraceError, shown
+from moc_opt.errors import TraceError, is_number, shown
 from moc_opt.inputs.files import to_json
 from moc_opt.inputs.names import table_html
 from moc_opt.trace import file
@@ -115,10 +115,7 @@ class Trace:
         return [*super().__dir__(), *self.columns]
 
     def with_columns(self, **arrays: ArrayLike) -> Trace:
-        """Return a new trace with columns added or replaced.
-
-        Raises:
-            TraceError: as for the constructor.
+        """Return a new trace with columns added or replaced; raises as the constructor.
 
         Example:
             >>> mo.Trace({"t_s": [0.0, 0.002]}).with_columns(power_W=[3.0, 3.5]).power_W.tolist()
@@ -160,9 +157,8 @@ class Trace:
             >>> mo.Trace({"t_s": [0.0, 0.002, 0.004]}).between(0.001, 0.003).t_s.tolist()
             [0.002]
         """
-        for name, limit in (("start_s", start_s), ("stop_s", stop_s)):
-            if isinstance(limit, bool) or not isinstance(limit, int | float | np.number):
-                raise TraceError(f"between: {name} = {shown(limit)}: give a time in seconds, inf for no limit")
+        if not (is_number(start_s) and is_number(stop_s)):
+            raise TraceError(f"between({shown(start_s)}, {shown(stop_s)}): give times in seconds, inf for no limit")
         time = np.asarray(self.t_s)
         inside = (time >= start_s) & (time < stop_s)
         if not inside.any():
@@ -179,8 +175,7 @@ class Trace:
             beside: a second run, drawn as "baseline".
 
         Raises:
-            ReportError: ``columns`` is empty, no list of names, or names one that no run has or that holds no numbers;
-                it has no `t_s`.
+            ReportError: as of `moc_opt.figures.time_series`.
 
         Example:
             >>> trace = mo.Trace({"t_s": [0.0, 0.002, 0.004], "mu": [0.30, 0.31, 0.29]})
@@ -199,9 +194,7 @@ class Trace:
         """Return a pandas.DataFrame, one row a tick, indexed by `t_s`; `attrs` holds `meta`.
 
         A vector is spread over columns: `tip_m_x`, `tip_m_y`, `tip_m_z`; joints are numbered from 0 (`q_rad_0`).
-
-        Raises:
-            TraceError: pandas is not installed.
+        A TraceError where pandas is not installed.
 
         Example:
             >>> mo.Trace({"t_s": [0.0, 0.002], "tip_m": [[0.1, 0.2, 0.3]] * 2}).to_pandas().columns.tolist()
@@ -223,31 +216,25 @@ class Trace:
     def to_xarray(self) -> Dataset:
         """Return an xarray.Dataset over `t_s`, `joint` and `axis`; each variable has its unit and meaning.
 
-        Raises:
-            TraceError: xarray is not installed.
+        A TraceError where xarray is not installed.
 
         Example:
             >>> mo.Trace({"t_s": [0.0, 0.002], "tip_m": [[0.1, 0.2, 0.3]] * 2}).to_xarray().tip_m.dims
             ('t_s', 'axis')
         """
         xarray = _package("xarray")
-        rows = "t_s" if "t_s" in self.columns else "row"
         variables: dict[str, Any] = {}
         coordinates: dict[str, Any] = {}
         for name, array in self.columns.items():
-            known = COLUMNS.get(name)
-            words = {} if known is None else {"units": known.unit, "long_name": known.meaning}
-            if name == "t_s":
-                coordinates[name] = ("t_s", array, words)
-                continue
-            dimensions = [rows]
+            known = COLUMNS.get(name, Column("", "", ""))
+            words = {"units": known.unit, "long_name": known.meaning} if name in COLUMNS else {}
+            dimensions = ["t_s" if "t_s" in self.columns else "row"]
             if array.ndim == 2:
-                parts = _parts(name, array.shape[1])
-                shape = "" if known is None else known.shape
-                second = {"(N, n)": "joint", "(N, 3)": "axis"}.get(shape, f"{name}_entry")
-                dimensions.append(second)
-                coordinates.setdefault(second, list(parts))
+                dimensions.append({"(N, n)": "joint", "(N, 3)": "axis"}.get(known.shape, f"{name}_entry"))
+                coordinates.setdefault(dimensions[1], list(_parts(name, array.shape[1])))
             variables[name] = (dimensions, array, words)
+        if "t_s" in variables:
+            coordinates["t_s"] = variables.pop("t_s")
         # Attributes of a NetCDF file are texts and numbers: what is nested goes as JSON.
         attributes = {
             key: value if isinstance(value, str | int | float) else to_json(value, indent=None)
@@ -256,11 +243,7 @@ class Trace:
         return xarray.Dataset(variables, coordinates, attributes)
 
     def head(self, ticks: int) -> Trace:
-        """Return the trace of the first ticks, all where it has no more; ``meta`` as of `select`.
-
-        Raises:
-            TraceError: ``ticks`` is no number of ticks.
-        """
+        """Return the trace of the first ticks, all where it has no more; ``meta`` as of `select`."""
         if isinstance(ticks, bool) or not isinstance(ticks, int | np.integer) or ticks < 0:
             raise TraceError(f"head: ticks = {shown(ticks)}: give an integer of 0 or more")
         columns = MappingProxyType({name: array[:ticks] for name, array in self.columns.items()})
@@ -293,19 +276,13 @@ class Trace:
         """Write a Parquet file, all or nothing: an older file of that name stays until the new one is there.
 
         Numbers of shape (N, k) become arrays of width k, meta is JSON in the file's metadata under "moc_opt.meta".
-
-        Raises:
-            TraceError: the file cannot be written.
+        A TraceError where the file cannot be written.
         """
         file.write(path, self.columns, self.meta)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Trace:
-        """Read what `save` wrote, the same to the last bit.
-
-        Raises:
-            TraceError: the file is missing, damaged, or no trace.
-        """
+        """Read what `save` wrote, the same to the last bit; a TraceError where it is missing, damaged, or no trace."""
         return cls(*file.read(path))
 
 
@@ -334,10 +311,8 @@ def table(of: Mapping[str, Any], name: str) -> dict[str, Any]:
 
 def about(trace: Trace) -> dict[str, str]:
     """Return the main facts of a run, name -> text; entries that `meta` lacks are left out."""
-    meta = trace.meta
-    scenario = table(meta, "scenario")
-    control, solver = table(scenario, "control"), table(scenario, "solver")
-    law = "dcac" if control.get("law") == "dcac" else solver.get("name")
+    meta, scenario = trace.meta, table(trace.meta, "scenario")
+    law = "dcac" if table(scenario, "control").get("law") == "dcac" else table(scenario, "solver").get("name")
     known = {"scenario": scenario.get("name"), "robot": meta.get("robot"), "solver": law, "ended": meta.get("ended")}
     length = {"ticks": str(len(trace))}
     if isinstance(period := meta.get("period_s"), float):
