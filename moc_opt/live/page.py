@@ -14,7 +14,6 @@ from time import monotonic
 from typing import Any
 
 import numpy as np
-import pinocchio as pin
 from numpy.typing import NDArray
 
 from moc_opt import solvers
@@ -22,15 +21,15 @@ from moc_opt.arrays import Array
 from moc_opt.errors import MocOptError
 from moc_opt.inputs.names import in_markdown
 from moc_opt.live.run import DCAC, QUANTITIES, LiveError, LiveRun, Moment
-from moc_opt.report.replay import BASE, arm_parts
+from moc_opt.report.replay import BASE, Part, arm_parts
 from moc_opt.robots.chain import link_frames
 from moc_opt.scenario import Scenario
 
 HOST, PORT = "127.0.0.1", 8642
 FRAME_S, MOST_LAG_S, PIECE_S = 0.08, 0.2, 0.02
 COLOURS = {"shell": (211, 216, 221), "tool": (95, 102, 110), "joint": (0, 114, 178)}
-RIM, PATH = (168, 91, 69), (31, 35, 40)
-ELLIPSOID, TAIL_POINTS = 1.0 / 6.0, 160
+TROCAR, PATH = (168, 91, 69), (31, 35, 40)
+ELLIPSOID = 1.0 / 6.0  # of its true size
 BLUE, ORANGE, GREEN, MUTED = "#0072b2", "#d55e00", "#009e73", "#77787b"
 PLOTS: dict[str, list[tuple[str, str, float, str]]] = {
     "µ and the largest on its self-motion curve [m³]": [("mu", "µ", 1.0, BLUE), ("mu_bound", "largest", 1.0, MUTED)],
@@ -58,11 +57,7 @@ class LivePage:
     """
 
     def __init__(self, scenario: Scenario, *, port: int = PORT, title: str = "") -> None:
-        """Build the run and open the page on loopback.
-
-        Args:
-            port: the next free one from here on; 0: any.
-            title: of the page; the scenario's name if empty.
+        """Build the run and open the page on loopback, at the port or the next free one (0: any).
 
         Raises:
             LiveError: viser is missing, or there is no such port.
@@ -85,7 +80,7 @@ class LivePage:
         self._scene, self._panel = Scene(self.server, self.run), Panel(self.server, self.run)
 
     def __enter__(self) -> LivePage:
-        """Itself."""
+        """Return itself."""
         return self
 
     def __exit__(self, *error: object) -> None:
@@ -146,15 +141,10 @@ def _refuse_without(token: str, server: Any) -> None:
 
 
 class Panel:
-    """The side panel of a viser.ViserServer: hands orders to the run and shows how it goes.
-
-    Attributes:
-        paused: whether the user has stopped the clock.
-    """
+    """The side panel of a viser.ViserServer: hands orders to the run and shows how it goes."""
 
     def __init__(self, server: Any, run: LiveRun) -> None:
         self._server, self._run, gui = server, run, server.gui
-        self.paused = False
         self._doing = RLock()  # viser calls back from many threads, in any order; setting a value calls back too
         self._status = gui.add_markdown("starting")
         choices = [DCAC, *(name for name, reason in solvers.available().items() if reason is None)]
@@ -170,9 +160,13 @@ class Panel:
                 name: gui.add_text(label, self._written(name), hint=hint) for name, (label, hint) in FIELDS.items()
             }
             gui.add_button("Apply").on_click(lambda _: self._do(self._apply))
-        pause = gui.add_checkbox("Pause", initial_value=False)
-        pause.on_update(lambda _: setattr(self, "paused", pause.value))
+        self._pause = gui.add_checkbox("Pause", initial_value=False)
         gui.add_button("Reset to the start").on_click(lambda _: run.reset())
+
+    @property
+    def paused(self) -> bool:
+        """Whether the user has stopped the clock."""
+        return bool(self._pause.value)
 
     def _choose(self) -> None:
         """Request the present choice of the list, which may be later than the change that called."""
@@ -185,11 +179,11 @@ class Panel:
         return numbers[0] if len(set(numbers)) == 1 else " ".join(numbers)
 
     def _apply(self) -> None:
-        """Take all fields at once: half of a change would be another controller."""
+        """Take all changed fields at once: half of a change would be another controller."""
         values: dict[str, Any] = {}
         for name, field in self._fields.items():
             if field.value.strip() == self._written(name):
-                continue  # what nobody has changed stays what it is, digits that are not shown included
+                continue  # it keeps the digits that are not shown
             try:
                 numbers = tuple(float(number) for number in field.value.replace(",", ".").split())
                 values[name] = numbers if len(numbers) > 1 else numbers[0]
@@ -233,12 +227,14 @@ class Panel:
 
 
 def _empty(title: str, lines: list[tuple[str, str, float, str]]) -> dict[str, Any]:
-    series = [{"label": "t [s]"}, *({"label": name, "stroke": color, "width": 1.5} for _, name, _, color in lines)]
-    logarithmic = {"y": {"distr": 3, "log": 10}} if "µs" in title else {}  # one long tick must not flatten the others
+    """Return the arguments of a plot without data; times are on a log axis, so that one long tick flattens none."""
+    times, quiet = "µs" in title, {"ticks": {"show": False}}
+    series = ({"label": name, "stroke": color, "width": 1.5} for _, name, _, color in lines)
     return {
-        "data": (np.array([0.0, 1.0]), *(np.full(2, np.nan) for _ in lines)), "series": tuple(series), "title": title,
-        "height": 140, "legend": {"show": len(lines) > 1}, "scales": {"x": {"time": False}, **logarithmic},
-        "axes": ({"ticks": {"show": False}}, {"ticks": {"show": False}, "grid": {"show": not logarithmic}, "size": 56}),
+        "data": (np.array([0.0, 1.0]), *(np.full(2, np.nan) for _ in lines)), "title": title, "height": 140,
+        "series": ({"label": "t [s]"}, *series),
+        "scales": {"x": {"time": False}, **({"y": {"distr": 3, "log": 10}} if times else {})},
+        "axes": (quiet, {**quiet, "grid": {"show": times}, "size": 56}), "legend": {"show": len(lines) > 1},
     }  # fmt: skip
 
 
@@ -252,28 +248,20 @@ class Scene:
         names = ("base", *run.robot.data.joint_names)
         self._links = [scene.add_frame(f"/arm/{name}", show_axes=False) for name in names]
         for k, part in enumerate(arm_parts(run.robot)):
-            along = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), np.array(part.axis)).matrix()
             scene.add_mesh_simple(
-                f"/arm/{names[part.link - BASE]}/part{k}", *lathe(np.array(part.radii), np.array(part.heights)),
-                color=COLOURS[part.role], side="double", wxyz=_quaternion(along), position=np.array(part.origin),
-            )  # fmt: skip
-        turn = np.linspace(0.0, 2.0 * np.pi, 13)
-        ring = lathe(0.009 - 0.002 * np.cos(turn), 0.002 * np.sin(turn))
-        self._trocar = scene.add_mesh_simple("/trocar", *ring, color=RIM, side="double")
+                f"/arm/{names[part.link - BASE]}/part{k}", *lathe(part), color=COLOURS[part.role], side="double"
+            )
+        self._trocar = scene.add_icosphere("/trocar", radius=0.006, color=TROCAR)
         self._ellipsoid = scene.add_icosphere(
             "/ellipsoid", radius=1.0, color=COLOURS["joint"], opacity=0.25, subdivisions=4, cast_shadow=False
         )
-        times = np.linspace(0.0, run.reference.one_way_s, 300)
-        path = _segments(np.array([run.reference.rows(float(t))[0] for t in times]))
-        scene.add_line_segments("/asked", path, PATH, thickness=1.5, thickness_units="screen")
-        self._tail = np.repeat(start.state.tip[None], TAIL_POINTS, axis=0)
-        self._taken = scene.add_line_segments(
-            "/taken", _segments(self._tail), COLOURS["joint"], thickness=3.5, thickness_units="screen"
-        )
-        middle = np.append(0.5 * start.state.tip[:2], 0.4)
-        out = start.state.tip[:2] / max(float(np.linalg.norm(start.state.tip[:2])), 1e-6)
-        server.initial_camera.position = np.append(middle[:2] + 1.15 * np.array([out[1], -out[0]]) + 0.7 * out, 0.95)
-        server.initial_camera.look_at = middle
+        path = np.array([run.reference.rows(t)[0] for t in np.linspace(0.0, run.reference.one_way_s, 300).tolist()])
+        pieces = np.stack([path[:-1], path[1:]], axis=1).astype(np.float32)
+        scene.add_line_segments("/path", pieces, PATH, thickness=1.5, thickness_units="screen")
+        x, y, _ = start.state.tip / max(float(np.linalg.norm(start.state.tip[:2])), 1e-6)
+        middle = 0.5 * start.state.tip
+        server.initial_camera.position = (middle[0] + 1.15 * y + 0.7 * x, middle[1] - 1.15 * x + 0.7 * y, 0.95)
+        server.initial_camera.look_at = (middle[0], middle[1], 0.4)
         self.update(start)
 
     def update(self, moment: Moment) -> None:
@@ -287,36 +275,29 @@ class Scene:
         axes[:, 0] *= np.linalg.det(axes)
         self._ellipsoid.scale = tuple(ELLIPSOID * np.maximum(sizes, 1e-4))
         self._ellipsoid.wxyz, self._ellipsoid.position = _quaternion(axes), state.tip
-        if np.linalg.norm(state.tip - self._tail[-1]) > 5e-4:
-            self._tail = np.concatenate([self._tail[1:], state.tip[None]])
-            self._taken.points = _segments(self._tail)
 
 
-def lathe(radii: Array, heights: Array, around: int = 40) -> tuple[Array, NDArray[np.int64]]:
-    """Turn a profile about z: vertices (v, 3) and triangles (f, 3)."""
-    turn = 2.0 * np.pi * np.arange(around) / around
-    rings = np.stack(
-        [np.outer(radii, np.cos(turn)), np.outer(radii, np.sin(turn)), np.outer(heights, np.ones(around))], axis=2
-    )
-    ring, k = np.meshgrid(np.arange(len(radii) - 1), np.arange(around), indexing="ij")
+def lathe(part: Part, around: int = 40) -> tuple[Array, NDArray[np.int64]]:
+    """Turn a part's profile about its axis: vertices (k, 3) [m] in its link's frame, triangles (m, 3)."""
+    turn = np.linspace(0.0, 2.0 * np.pi, around, endpoint=False)
+    circle = np.stack([np.cos(turn), np.sin(turn)], axis=1) @ np.linalg.svd(part.axis[None])[2][1:]
+    rings = part.origin + part.heights[:, None, None] * part.axis + part.radii[:, None, None] * circle
+    ring, k = np.meshgrid(np.arange(len(rings) - 1), np.arange(around), indexing="ij")
     a, b = ring * around + k, ring * around + (k + 1) % around
     faces = np.concatenate([np.stack([a, b, b + around], -1), np.stack([a, b + around, a + around], -1)])
     return rings.reshape(-1, 3), faces.reshape(-1, 3)
 
 
-def _segments(points: Array) -> NDArray[np.float32]:  # (k - 1, 2, 3) pieces of a line through (k, 3)
-    return np.stack([points[:-1], points[1:]], axis=1).astype(np.float32)
-
-
 def _quaternion(rotation: Array) -> Array:
-    x, y, z, w = pin.Quaternion(np.asarray(rotation)).coeffs()
-    return np.array([w, x, y, z])
+    from viser.transforms import SO3  # of the extra `live`
+
+    return np.asarray(SO3.from_matrix(rotation).wxyz)
 
 
 def serve(scenario: Scenario, *, port: int = PORT, title: str = "") -> int:
     """Open the page and keep it until Ctrl-C; return the exit code; raises as `LivePage`."""
     with LivePage(scenario, port=port, title=title) as page:
-        # No exception from anywhere, which could leave a lock of the page's threads behind; a second Ctrl-C is one.
+        # The first Ctrl-C raises nothing, which might leave a lock of the page's threads behind; a second one does.
         def stop(number: int, frame: object) -> None:
             signal.signal(signal.SIGINT, before)
             page.stop()

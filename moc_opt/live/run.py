@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections import deque
 from collections.abc import Callable
 from threading import Lock, RLock
@@ -46,7 +45,7 @@ class Moment(NamedTuple):
 
 
 class Choice(NamedTuple):
-    """A controller, and what it was built from."""
+    """A controller, and the solver and settings it was built from."""
 
     controller: Controller
     solver: str
@@ -56,17 +55,16 @@ class Choice(NamedTuple):
 class ExchangeableController:
     """The controller in use, as the closed loop calls it (``sim.protocols.TorqueController``).
 
-    After an exchange the torque goes on where it was, tau = tau_new + offset with offset = tau_old - tau_new at
-    first, and offset decays by exp(-t / BLEND_S). The next exchange waits for BLEND_S: exchanges at every tick would
-    hold the torque where it is, and nobody would control the arm. ``refused`` is called with a choice that cannot
-    start, and its error.
+    After an exchange tau = tau_new + offset: offset is tau_old - tau_new at first and decays by exp(-t / BLEND_S).
+    The next exchange waits for BLEND_S: exchanges at every tick would hold the torque, and nobody would control the
+    arm. ``refused`` is called with a choice that cannot start, and its error.
     """
 
     def __init__(
         self, robot: RobotModel, first: Choice, period_s: float, refused: Callable[[Choice, MocOptError], None]
     ) -> None:
         self._robot, self._refused, self.used = robot, refused, first
-        self._decay, self._apart = math.exp(-period_s / BLEND_S), round(BLEND_S / period_s)
+        self._decay, self._apart = float(np.exp(-period_s / BLEND_S)), round(BLEND_S / period_s)
         self.next: Choice | None = None  # taken at the next tick, or BLEND_S after the last exchange
         self.restart()
 
@@ -76,7 +74,7 @@ class ExchangeableController:
         return self.state.tip
 
     def restart(self) -> None:
-        """Forget the motion so far: the next tick is the first one of a run."""
+        """Make the next tick the first one of a run."""
         self._first, self._wait, self._offset = True, 0, np.zeros(self._robot.n)
 
     def start(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> None:
@@ -98,8 +96,8 @@ class ExchangeableController:
         tau = self.used.controller.tick(self.state, tip_ref, trocar)
         if self._offset.any():
             tau = tau + self._offset
-            self.used.controller.set_applied_torque(tau)
             self._offset = self._offset * self._decay if np.abs(self._offset).max() > 1e-6 else 0.0 * self._offset
+            self.used.controller.set_applied_torque(tau)
         self._applied = tau
         return tau
 
@@ -136,13 +134,12 @@ class ToAndFro:
 class LiveRun:
     """The closed loop of a scenario, its path to and fro for ever.
 
-    `advance` belongs to one thread; every other method may be called from any. What they change takes effect at
-    the next tick (a new controller at least 0.1 s after the one before), and what is wrong with it is raised at once,
-    or, where only the running loop can tell, found in `messages`.
+    `advance` belongs to one thread; every other method may be called from any. A change takes effect at the next tick
+    (a new controller at least 0.1 s after the one before). What is wrong with it is raised at once, or, where only the
+    running loop can tell, found in `messages`.
 
     Attributes:
-        control: the settings that were asked for last.
-        solver: the solver that was asked for last, or `DCAC`.
+        control, solver: the settings and the solver (or `DCAC`) that were asked for last.
         messages: errors, oldest first; take them out with `popleft`.
     """
 
@@ -185,11 +182,7 @@ class LiveRun:
             self._exchange(self.control.replace(settings), self.solver)
 
     def place_trocar(self, x_m: float, y_m: float, z_m: float = 0.0) -> None:
-        """Move the trocar away from where it was, world axes [m]: slowly, and the controller is told.
-
-        Raises:
-            LiveError: farther than `MOST_OFFSET_M` in one direction.
-        """
+        """Move the trocar, slowly, to this offset in world axes [m], `MOST_OFFSET_M` at most; the controller is told."""
         for value in (x_m, y_m, z_m):
             if not is_number(value) or not abs(value) <= MOST_OFFSET_M:
                 raise LiveError(f"trocar offset = {value!r} m: give a number from {-MOST_OFFSET_M} to {MOST_OFFSET_M}")
@@ -204,10 +197,7 @@ class LiveRun:
         return self._moment
 
     def history(self, points: int = 400) -> Array:
-        """Return the last `HISTORY_S` seconds (k, 8), columns as `QUANTITIES`, thinned to some `points` rows.
-
-        Of every stretch it is the last time and the largest of each quantity: peaks stay.
-        """
+        """Return the last `HISTORY_S` seconds (k, 8), columns as `QUANTITIES`, in some `points` rows: peaks stay."""
         with self._lock:
             rows = np.array(self._rows).reshape(-1, len(QUANTITIES))
         size = max(1, -(-len(rows) // points))
@@ -218,14 +208,13 @@ class LiveRun:
     # --- what the loop's own thread calls ---
 
     def advance(self, ticks: int) -> None:
-        """Run so many ticks, none while the arm is stopped; a reset is carried out in either case."""
+        """Reset if that was asked for, and run so many ticks, none while the arm is stopped."""
         try:
             if self._reset:
                 self._begin()
             for _ in range(ticks):
-                if self._stopped:
-                    break
-                self._tick()
+                if not self._stopped:
+                    self._tick()
         except MocOptError as error:
             self._halt(str(error))
 
@@ -250,10 +239,8 @@ class LiveRun:
         tip, wrist, force = self._truth[2 * self.robot.n :].reshape(3, 3)
         if self._loop.ticks % _BOUND_EVERY_TICKS == 1:
             self._bound = self._largest_mu(state.q)
-        row: list[Any] = [
-            t, state.mu, self._bound, np.linalg.norm(tip - tip_ref[0]), shaft_distance(tip, wrist, trocar[0]),
-            np.linalg.norm(force), controller.solve_us, self._loop.tick_us,
-        ]  # fmt: skip
+        errors = np.linalg.norm(tip - tip_ref[0]), shaft_distance(tip, wrist, trocar[0]), np.linalg.norm(force)
+        row = (t, state.mu, self._bound, *errors, controller.solve_us, self._loop.tick_us)
         with self._lock:
             self._rows.append([float(value) for value in row])
         self._show(t, state, trocar[0])

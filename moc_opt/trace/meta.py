@@ -17,9 +17,10 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from enum import StrEnum
-from typing import Any, TypedDict
+from typing import Any
 
 from pydantic import FiniteFloat, TypeAdapter, ValidationError
+from typing_extensions import TypedDict  # of pydantic, which takes that of typing from Python 3.12 on only
 
 from moc_opt.errors import TraceError, shown
 
