@@ -60,6 +60,22 @@ class TraceError(MocOptError, ValueError):
     """A trace file or its columns are not usable."""
 
 
+class StudyError(MocOptError, RuntimeError):
+    """A study cannot go on: no worker stays alive, or finished jobs cannot be kept."""
+
+
+class ReportError(MocOptError, ValueError):
+    """A table, figure or page cannot be made from these data, or not be written."""
+
+
+class BrowserError(ReportError):
+    """A browser cannot be driven here; the message holds the cure."""
+
+
+class BrowserMissingError(BrowserError):
+    """There is none, or nothing to drive it with; the message holds what to install."""
+
+
 class UnknownNameError(MocOptError, LookupError):
     """A name that is in no list; the message holds the nearest valid ones."""
 
@@ -109,35 +125,15 @@ def shown(value: object, most: int = 200) -> str:
 
 def describe(error: BaseException, most: int = 300) -> str:
     """Return type and text of an exception of foreign code in one line, printable, of at most ``most`` characters."""
+    name = type(error).__name__
     try:
         said = " ".join(str(error).split())
     except (Exception, SystemExit) as worse:  # noqa: BLE001 - its text is foreign code, too
-        said = f"(its text raised {_type_name(worse)})"
-    text = f"{_type_name(error)}: {said}" if said else _type_name(error)
+        said = f"(its text raised {type(worse).__name__})"
+    text = f"{name}: {said}" if said else name
     return printable(text if len(text) <= most else text[: most - 3] + "...")
 
 
 def printable(text: str) -> str:
     """Return a text in which no character steers a terminal: it comes from foreign code, or over a wire."""
     return "".join(c if c.isprintable() else "\ufffd" for c in text)
-
-
-def _type_name(value: object) -> str:
-    # Not the value's own repr of its type: a metaclass may return anything, or raise.
-    return str(type.__dict__["__name__"].__get__(type(value)))
-
-
-class StudyError(MocOptError, RuntimeError):
-    """A study cannot go on: no worker stays alive, or finished jobs cannot be kept."""
-
-
-class ReportError(MocOptError, ValueError):
-    """A table, figure or page cannot be made from these data, or not be written."""
-
-
-class BrowserError(ReportError):
-    """A browser cannot be driven here; the message holds the cure."""
-
-
-class BrowserMissingError(BrowserError):
-    """There is none, or nothing to drive it with; the message holds what to install."""

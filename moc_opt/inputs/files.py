@@ -16,7 +16,7 @@ import stat
 import tempfile
 import tomllib
 import zipfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -54,37 +54,26 @@ def read_bytes(path: Path_, what: str, error: Wrong, most: int = MOST_TEXT) -> b
     where = f"{what} {os.fspath(path)!r}"
     try:
         found = os.stat(path)
-        if not stat.S_ISREG(found.st_mode):
-            raise error(f"{where} is no regular file (a folder, pipe or device): give a file")
-        if found.st_size > most:
-            raise error(f"{where} has {found.st_size} bytes: {most} at most are read")
-        with open(path, "rb", opener=_without_waiting) as file:
-            data = file.read(found.st_size or MOST_TEXT + 1)  # the size of a file of the kernel is given as 0
-    except error:
-        raise
+        can_be_read = stat.S_ISREG(found.st_mode) and found.st_size <= most
+        data = Path(path).read_bytes() if can_be_read else b""
     except FileNotFoundError as reason:
         raise error(f"{where}: no such file; check the path") from reason
     except (OSError, ValueError) as reason:  # a ValueError: a NUL in the name
         raise error(f"{where} cannot be read ({reason}); check the path") from reason
-    if data is None:  # /proc/kmsg has nothing to say
-        raise error(f"{where} has nothing to read now: give the path of a file on a disk")
-    if len(data) > most:
-        raise error(f"{where} has more than {most} bytes: no more are read")
+    if not stat.S_ISREG(found.st_mode):
+        raise error(f"{where} is no regular file (a folder, pipe or device): give a file")
+    if found.st_size > most:
+        raise error(f"{where} has {found.st_size} bytes: {most} at most are read")
     return data
-
-
-def _without_waiting(path: str, flags: int) -> int:
-    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))
 
 
 def read_text(path: Path_, what: str, error: Wrong) -> str:
     """Read a text file in UTF-8; arguments as `read_bytes`."""
+    data, where = read_bytes(path, what, error), f"{what} {os.fspath(path)!r}"
     try:
-        return read_bytes(path, what, error, MOST_TEXT).decode("utf-8-sig").replace("\r\n", "\n")
+        return data.decode("utf-8-sig").replace("\r\n", "\n")
     except UnicodeDecodeError as reason:
-        raise error(
-            f"{what} {os.fspath(path)!r} cannot be read: it is not in UTF-8 (byte {reason.start}); save it as such"
-        ) from reason
+        raise error(f"{where} cannot be read: it is not in UTF-8 (byte {reason.start}); save it as such") from reason
 
 
 def read_toml(path: Path_, what: str, error: Wrong) -> dict[str, Any]:
@@ -103,8 +92,12 @@ def read_toml(path: Path_, what: str, error: Wrong) -> dict[str, Any]:
 
 def parse_json(text: str | bytes, where: str, error: Wrong) -> Any:
     """Return the value of a JSON text; NaN and infinity are refused."""
+
+    def refuse(name: str) -> float:
+        raise ValueError(f"{name} is no JSON")
+
     try:
-        value = json.loads(text, parse_constant=_no_constant)
+        value = json.loads(text, parse_constant=refuse)
     except RecursionError as reason:
         raise error(f"{where}: nested too deep") from reason
     except ValueError as reason:
@@ -112,10 +105,6 @@ def parse_json(text: str | bytes, where: str, error: Wrong) -> Any:
     if wrong := wrong_number(value, sizes=False):
         raise error(f"{where}: {wrong}")
     return value
-
-
-def _no_constant(name: str) -> float:
-    raise ValueError(f"{name} is no JSON")
 
 
 def read_arrays(path: Path_, what: str, error: Wrong, most: int = 2**27) -> dict[str, Any]:
@@ -132,51 +121,43 @@ def read_arrays(path: Path_, what: str, error: Wrong, most: int = 2**27) -> dict
         if not data.startswith(b"PK"):
             return {"": np.load(io.BytesIO(data), allow_pickle=False)}
         with zipfile.ZipFile(io.BytesIO(data)) as inside:
-            if sum(one.file_size for one in inside.infolist()) > most:
-                raise error(f"{where} holds more than {most} bytes of arrays")
+            size = sum(one.file_size for one in inside.infolist())
         with np.load(io.BytesIO(data), allow_pickle=False) as file:
-            return {name: file[name] for name in file.files}
-    except error:
-        raise
+            found = {name: file[name] for name in file.files} if size <= most else {}
     except Exception as reason:  # a damaged archive raises anything, and its text may quote the file
         raise error(
             f"{where} is damaged or no file of arrays ({type(reason).__name__}): write it with numpy.save"
         ) from reason
+    if size > most:
+        raise error(f"{where} holds more than {most} bytes of arrays")
+    return found
 
 
-def decimal(text: str) -> float:
-    """Read a decimal number; NaN for any other text, such as 0_1 or digits of another script, which float() takes."""
-    return float(text) if re.fullmatch(r"[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?", text, re.ASCII | re.I) else math.nan
-
-
-def wrong_number(value: Any, most: int = LARGEST_INTEGER, *, sizes: bool = True) -> str:
+def wrong_number(value: Any, most: int = LARGEST_INTEGER, *, sizes: bool = True, path: str = "", depth: int = 0) -> str:
     """Say which number inside a value cannot be used, or what is nested too deep; empty where nothing is wrong.
 
     Args:
         value: numbers in its lists and tables count.
         most: largest integer.
         sizes: whether numbers must lie between `SMALLEST` and `LARGEST`.
+        path, depth: of this value inside another one.
     """
-    for path, depth, entry in _entries(value):
-        if depth > DEEPEST:
-            return f"{path[:80]}... is nested deeper than {DEEPEST} levels"
-        where = f"{path} = {shown(entry)}: " if path else ""
-        if isinstance(entry, int) and not -most <= entry <= most:
-            return f"{where}give an integer of at most {most}"
-        if sizes and isinstance(entry, float) and entry != 0.0 and not SMALLEST <= abs(entry) <= LARGEST:
-            return f"{where}give 0, or a size from {SMALLEST:g} to {LARGEST:g}"
-    return ""
-
-
-def _entries(value: Any) -> Iterator[tuple[str, int, Any]]:
-    stack: list[tuple[str, int, Any]] = [("", 0, value)]  # no recursion: the value may be nested to any depth
-    while stack:
-        path, depth, entry = stack.pop()
-        yield path, depth, entry
-        if isinstance(entry, Mapping):
-            stack += [(f"{path}.{key!s:.80}".lstrip("."), depth + 1, inner) for key, inner in entry.items()]
-        elif isinstance(entry, list | tuple):
-            stack += [(f"{path}[{i}]", depth + 1, inner) for i, inner in enumerate(entry)]
+    if depth > DEEPEST:
+        return f"{path[:80]}... is nested deeper than {DEEPEST} levels"
+    inside: list[tuple[str, Any]] = []
+    wrong = ""
+    if isinstance(value, Mapping):
+        inside = [(f"{path}.{key!s:.80}".lstrip("."), inner) for key, inner in value.items()]
+    elif isinstance(value, list | tuple):
+        inside = [(f"{path}[{i}]", inner) for i, inner in enumerate(value)]
+    elif isinstance(value, int) and not -most <= value <= most:
+        wrong = f"give an integer of at most {most}"
+    elif sizes and isinstance(value, float) and value != 0.0 and not SMALLEST <= abs(value) <= LARGEST:
+        wrong = f"give 0, or a size from {SMALLEST:g} to {LARGEST:g}"
+    if wrong:
+        return f"{path} = {shown(value)}: {wrong}" if path else wrong
+    found = (wrong_number(inner, most, sizes=sizes, path=name, depth=depth + 1) for name, inner in inside)
+    return next(filter(None, found), "")
 
 
 # --- writing ---
@@ -187,18 +168,17 @@ def check_replaceable(path: Path_, what: str, error: Wrong) -> None:
 
     Arguments as `read_bytes`.
     """
-    target = as_path(path, what, error)
+    target, is_taken = as_path(path, what, error), False
     try:
         with contextlib.suppress(FileNotFoundError):
-            if not stat.S_ISREG(os.stat(target).st_mode):
-                raise error(f"{what} {str(target)!r} cannot be written: a folder, pipe or device is there: name a file")
+            is_taken = not stat.S_ISREG(os.stat(target).st_mode)
         folder = next(folder for folder in target.absolute().parents if folder.exists())
         with tempfile.TemporaryFile(dir=folder):  # root may write to /proc by its rights, and yet cannot
             pass
-    except error:
-        raise
     except (OSError, ValueError) as reason:  # a ValueError: a NUL in the name
         raise _unwritable(target, what, error, reason) from reason
+    if is_taken:
+        raise error(f"{what} {str(target)!r} cannot be written: a folder, pipe or device is there: name a file")
 
 
 def write_whole(path: Path_, data: bytes | str, what: str = "file", error: Wrong = MocOptError) -> Path:
@@ -241,7 +221,7 @@ def _unwritable(target: Path, what: str, error: Wrong, reason: Exception) -> Moc
 
 
 def file_in(folder: Path, name: str) -> Path:
-    """Return a free name in a folder, made if need be: ``name``, or with a number before it."""
+    """Return a free name in a folder, which is made: ``name``, or with a number before it."""
     folder.mkdir(parents=True, exist_ok=True)
     free, number = folder / name, 0
     while free.exists() or free.is_symlink():
@@ -294,12 +274,10 @@ def _toml_key(key: str) -> str:
 def _toml_value(value: Any, keys: tuple[str, ...]) -> str:
     if hasattr(value, "tolist"):  # numpy's numbers and arrays
         value = value.tolist()
-    if isinstance(value, bool):
-        return str(value).lower()
-    if isinstance(value, str):  # JSON's escapes are TOML's, but for DEL
-        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
-    if isinstance(value, int | float):
+    if isinstance(value, float):
         return repr(value)
+    if isinstance(value, str | int):  # flags among them; JSON's escapes are TOML's, but for DEL
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
     if isinstance(value, list | tuple):
         return f"[{', '.join(_toml_value(entry, keys) for entry in value)}]"
     if isinstance(value, Mapping):  # in a list

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping
 from typing import Annotated, Any, ClassVar, Self
 
+import numpy as np
 from pydantic import (
     AfterValidator,
     BaseModel,
@@ -29,11 +31,9 @@ Name = Annotated[str, AfterValidator(names.checked)]
 """A name that comes from a file: `moc_opt.inputs.names.RULE`."""
 
 
-def _none_if_infinite(value: Any) -> Any:
-    return None if isinstance(value, float) and value == float("inf") else value
-
-
-Level = Annotated[Annotated[float, Field(gt=0.0)] | None, BeforeValidator(_none_if_infinite)]
+Level = Annotated[
+    Annotated[float, Field(gt=0.0)] | None, BeforeValidator(lambda value: None if value == math.inf else value)
+]
 """A limit above zero; None, or in TOML ``inf``, is no limit."""
 
 
@@ -105,17 +105,18 @@ def _converted(given: Any, value: Any, where: str = "") -> str:
     """Say which number or flag was written as something else; pydantic would read "2" as 2 and "yes" as true."""
     if isinstance(given, Mapping) and isinstance(value, Mapping):
         inside = [(given[key], one, f"{where}.{key!s:.80}".lstrip(".")) for key, one in value.items() if key in given]
-    elif isinstance(given, list | tuple) and isinstance(value, list | tuple) and len(given) == len(value):
-        inside = [(g, one, f"{where}[{i}]") for i, (g, one) in enumerate(zip(given, value, strict=True))]
-    else:
-        flag, cure = type(given).__name__ in ("bool", "bool_"), ""  # Python's own, numpy's
-        if isinstance(value, bool):
-            cure = "" if flag else "give true or false, without quotes"
-        elif isinstance(value, int | float):
-            quoted = isinstance(given, str | bytes)
-            cure = "a number has no quotes: drop them" if quoted else "give a number" if flag else ""
-        return f"{where} = {shown(given)}: {cure}" if cure and where else cure
-    return next((wrong for pair in inside if (wrong := _converted(*pair))), "")
+        return next(filter(None, (_converted(*pair) for pair in inside)), "")
+    if isinstance(given, list | tuple) and isinstance(value, list | tuple):
+        inside = [(one, other, f"{where}[{i}]") for i, (one, other) in enumerate(zip(given, value, strict=False))]
+        return next(filter(None, (_converted(*pair) for pair in inside)), "")
+    is_flag, cure = isinstance(given, bool | np.bool_), ""
+    if isinstance(value, bool) and not is_flag:
+        cure = "give true or false, without quotes"
+    elif is_number(value) and isinstance(given, str | bytes):
+        cure = "a number has no quotes: drop them"
+    elif is_number(value) and is_flag:
+        cure = "give a number"
+    return f"{where} = {shown(given)}: {cure}" if cure and where else cure
 
 
 def field_name(keys: Iterable[object]) -> str:

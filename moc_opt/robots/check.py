@@ -150,12 +150,12 @@ def _weight(robot: RobotModel) -> Finding:
 def _bodies(robot: RobotModel) -> Finding:
     # The loader refuses inertias that no body has; here are those that no arm has.
     wrong, total = [], 0.0
-    for link in urdf.parse(robot.data.urdf).findall("link[inertial]"):
-        mass, moments = (next(link.iter(tag)).attrib for tag in ("mass", "inertia"))
-        total += float(mass["value"])
-        gyration = math.sqrt(max(float(moments[key]) for key in ("ixx", "iyy", "izz")) / float(mass["value"]))
-        if gyration > GYRATION_M:
-            wrong.append(f"{link.get('name')} ({gyration:.2g} m from its middle)")
+    for link in urdf.read(urdf.parse(robot.data.urdf)).links:
+        if link.mass and link.moments:
+            total += link.mass
+            gyration = math.sqrt(max(link.moments[:3]) / link.mass)
+            if gyration > GYRATION_M:
+                wrong.append(f"{link.name} ({gyration:.2g} m from its middle)")
     text = f"{total:.3g} kg, base and tool included"
     if not 0.5 < total < 2000.0:
         return Finding("masses", text, "care", "an arm weighs more, or less: are the masses in kg?")

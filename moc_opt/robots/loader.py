@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import os
-import xml.etree.ElementTree as ET
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from functools import partial
@@ -174,17 +173,17 @@ def load_data(
         tool = description.tool.replace(changes)
     except RobotError as error:
         raise RobotError(f"tool_length = {tool_length!r}, tool_mass = {tool_mass!r}: {error}") from error
-    given = urdf.parse(read_text(path.parent / description.urdf, "urdf", RobotError))
-    for tag, ours in urdf.TOOL_NAMES.items():
-        if taken := sorted({element.get("name", "") for element in given.findall(tag)} & ours):
-            raise RobotError(f"urdf already has {tag}s named {taken}: rename them, the tool needs these names")
-    root = urdf.rebuild(given, description.name)
-    chain = urdf.moving_joints(root, description.frames.last_link)
+    arm = urdf.read(urdf.parse(read_text(path.parent / description.urdf, "urdf", RobotError)))
+    for kind, parts in (("link", arm.links), ("joint", arm.joints)):
+        if taken := sorted({part.name for part in parts} & urdf.TOOL_NAMES[kind]):
+            raise RobotError(f"urdf already has {kind}s named {taken}: rename them, the tool needs these names")
+    urdf.normalize(arm)
+    chain = urdf.moving_joints(arm, description.frames.last_link)
     bounds = _limits(description.limits, chain)
     for joint, *values in zip(chain, *bounds.values(), strict=True):
-        urdf.write_limits(joint, *values)
-    _append_tool(root, description.frames, tool)
-    urdf.check_masses(root, chain)
+        joint.limit(*values)
+    _append_tool(arm, description.frames, tool)
+    urdf.check_masses(arm, chain)
     n, drives = len(chain), description.joints
     q_home = _vector("home.q_rad", description.home.q_rad, n)
     outside = np.flatnonzero((q_home < bounds["q_min"]) | (q_home > bounds["q_max"]))
@@ -192,7 +191,7 @@ def load_data(
         joints = (outside + 1).tolist()
         raise RobotError(f"home.q_rad = {q_home.tolist()}: joints {joints} are outside their limits, move them inside")
     return RobotData(
-        name=description.name, urdf=urdf.to_text(root), joint_names=tuple(joint.get("name", "") for joint in chain),
+        name=description.name, urdf=arm.to_text(description.name), joint_names=tuple(joint.name for joint in chain),
         **bounds,
         rotor_inertia=_vector("joints.rotor_inertia_kg_m2", drives.rotor_inertia_kg_m2, n),
         viscous_friction=_vector("joints.viscous_friction_Nm_s_per_rad", drives.viscous_friction_Nm_s_per_rad, n),
@@ -235,21 +234,19 @@ def _find(name_or_path: str | os.PathLike[str]) -> Path:
     )
 
 
-def _limits(given: Limits, chain: list[ET.Element]) -> dict[str, Array]:
+def _limits(given: Limits, chain: list[urdf.Joint]) -> dict[str, Array]:
     out: dict[str, Array] = {}
-    joints = [joint.get("name") for joint in chain]
+    joints = [joint.name for joint in chain]
     for field, key, entry in (
         ("q_min", "lower", "q_min_deg"), ("q_max", "upper", "q_max_deg"), ("v_max", "velocity", "v_max_deg_per_s"),
         ("tau_max", "effort", "tau_max_Nm"),
     ):  # fmt: skip
         values, degrees = getattr(given, entry), field != "tau_max"
         if values is None:
-            found = [urdf.limits(joint).get(key) for joint in chain]
-            if None in found:
-                lost = [name for name, value in zip(joints, found, strict=True) if value is None]
+            if lost := [joint.name for joint in chain if key not in joint.limits]:
                 raise RobotError(f"{field}: joints {lost} have no {key!r} in their <limit>: add it, or limits.{entry}")
-            out[field] = np.array(found, dtype=np.float64)
-        elif degrees and any(joint.get("type") == "prismatic" for joint in chain):
+            out[field] = np.array([joint.limits[key] for joint in chain])
+        elif degrees and any(joint.kind == "prismatic" for joint in chain):
             raise RobotError(f"limits.{entry} is in degrees, but a joint is prismatic: put its limits into the URDF")
         else:
             vector = _vector(f"limits.{entry}", values, len(chain))
@@ -277,10 +274,10 @@ def _vector(name: str, values: float | tuple[float, ...], n: int) -> Array:
     return np.array(values, dtype=np.float64)
 
 
-def _append_tool(root: ET.Element, frames: Frames, tool: Tool) -> None:
+def _append_tool(arm: urdf.Urdf, frames: Frames, tool: Tool) -> None:
     # The wrist must lie on the rod's axis, behind the tip: the control laws take the line between them for the shaft.
-    mount, wrist = np.array(frames.tool_mount_xyz_m), np.array(frames.wrist_xyz_m)
-    (sr, sp, sy), (cr, cp, cy) = (map(f, frames.tool_mount_rpy_rad) for f in (math.sin, math.cos))
+    mount, wrist, rpy = np.array(frames.tool_mount_xyz_m), np.array(frames.wrist_xyz_m), frames.tool_mount_rpy_rad
+    (sr, sp, sy), (cr, cp, cy) = (map(f, rpy) for f in (math.sin, math.cos))
     axis = np.array([cy * sp * cr + sy * sr, sy * sp * cr - cy * sr, cp * cr])  # z of Rz(yaw) Ry(pitch) Rx(roll)
     along = float(axis @ (mount - wrist))
     off = float(np.linalg.norm(mount - wrist - along * axis))
@@ -291,24 +288,17 @@ def _append_tool(root: ET.Element, frames: Frames, tool: Tool) -> None:
             "put it on the line of the shaft, behind the tip (the tool mount itself will do)"
         )
     across, about = m * (3 * r * r + length * length) / 12, m * r * r / 2
-    fault = urdf.inertia_fault((across, across, about, 0.0, 0.0, 0.0))
+    rod = urdf.Link(urdf.TOOL_LINK, m, (across, across, about, 0.0, 0.0, 0.0), (0.0, 0.0, length / 2))
+    fault = urdf.inertia_fault(rod.moments or ())
     if m < urdf.SMALLEST_MASS or fault is not None:
         why = fault or f"{urdf.SMALLEST_MASS:g} kg is the least"
         raise RobotError(
             f"tool of {m:g} kg, {length:g} m, radius {r:g} m: {why}; raise tool.mass_kg (tool_mass) or tool.radius_m"
         )
-    rpy = urdf.as_text(*frames.tool_mount_rpy_rad)
-    for name, kind, point in (
-        (urdf.TOOL_LINK, "mount", mount), (urdf.TIP_LINK, "frame", mount + length * axis),
-        (urdf.WRIST_LINK, "frame", wrist),
+    for link, kind, point in (
+        (rod, "mount", mount), (urdf.Link(urdf.TIP_LINK), "frame", mount + length * axis),
+        (urdf.Link(urdf.WRIST_LINK), "frame", wrist),
     ):  # fmt: skip
-        ET.SubElement(root, "link", name=name)
-        joint = ET.SubElement(root, "joint", name=f"{name}_{kind}", type="fixed")
-        ET.SubElement(joint, "parent", link=frames.last_link)
-        ET.SubElement(joint, "child", link=name)
-        ET.SubElement(joint, "origin", xyz=urdf.as_text(*point), rpy=rpy)
-    inertial = ET.SubElement(root.findall("link")[-3], "inertial")
-    ET.SubElement(inertial, "origin", xyz=urdf.as_text(0.0, 0.0, length / 2), rpy="0 0 0")
-    ET.SubElement(inertial, "mass", value=urdf.as_text(m))
-    moments = zip(urdf.MOMENTS, (across, across, about, 0.0, 0.0, 0.0), strict=True)
-    ET.SubElement(inertial, "inertia", {key: urdf.as_text(value) for key, value in moments})
+        arm.links.append(link)
+        name, xyz = f"{link.name}_{kind}", tuple(point.tolist())
+        arm.joints.append(urdf.Joint(name, "fixed", frames.last_link, link.name, xyz, rpy))

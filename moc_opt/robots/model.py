@@ -263,8 +263,9 @@ def carried(robot: RobotModel) -> dict[str, Any]:
 def restored(values: Mapping[str, Any]) -> RobotModel:
     """Make the robot of what `carried` gave; a RobotError where that is damaged."""
     try:
-        root = urdf.rebuild(urdf.parse(values["urdf"]), values["name"])
-        given = {**values, "urdf": urdf.to_text(root), "joint_names": tuple(values["joint_names"])}
-        return RobotModel(RobotData(**given))
+        arm = urdf.read(urdf.parse(values["urdf"]))
+        urdf.normalize(arm)
+        text = arm.to_text(values["name"])
+        return RobotModel(RobotData(**{**values, "urdf": text, "joint_names": tuple(values["joint_names"])}))
     except (TypeError, ValueError, KeyError, AttributeError) as error:
         raise RobotError(f"the robot in the trace is damaged ({error}): save the trace anew") from error

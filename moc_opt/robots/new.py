@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 import tempfile
 import textwrap
-import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,8 +21,7 @@ from moc_opt.robots import urdf
 from moc_opt.robots.gains import derived_gains
 from moc_opt.robots.home import Home, find_shaft, search_home
 from moc_opt.robots.model import RobotModel, load_robot
-from moc_opt.robots.urdf import as_text
-from moc_opt.robots.vendor import VendorArm, chain_joints, choose_efforts, choose_limits, read_vendor
+from moc_opt.robots.vendor import VendorArm, choose_efforts, choose_limits, read_vendor
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,33 +71,30 @@ def new_robot(
         check_replaceable(file, "robot file", RobotError)
     arm = read_vendor(source, tip=tip, lock=lock)
     name = out.stem
-    arm.root.set("name", name)
     _stand(arm, base_rpy)
-    weak = choose_limits(chain_joints(arm), arm.notes)
-    shaft = find_shaft(urdf.to_text(arm.root), arm.last_link, wrist_m=wrist_m)
+    weak = choose_limits(arm.chain, arm.notes)
+    shaft = find_shaft(arm.urdf.to_text(name), arm.last_link, wrist_m=wrist_m)
     arm.notes.append(shaft.note)
 
     def write(path: Path, q: Array, note: str = "", **more: Any) -> RobotModel:
-        text = urdf.to_text(arm.root).replace(">\n", f">\n{note}", 1)
+        text = arm.urdf.to_text(name).replace(">\n", f">\n{note}", 1)
         write_whole(path.with_suffix(".urdf"), text, "robot file", RobotError)
         toml = _FORM.get_template("new.toml.jinja").render(
             {"home": None, "gains": None, **more}, name=name, notes=arm.notes, last_link=arm.last_link, shaft=shaft,
-            tool_m=tool_m, q=q, drives=_drives(arm), slides="prismatic" in {j.get("type") for j in chain_joints(arm)},
+            tool_m=tool_m, q=q, drives=_drives(arm), slides="prismatic" in {joint.kind for joint in arm.chain},
         )  # fmt: skip
         write_whole(path, toml, "robot file", RobotError)
         return load_robot(path)
 
-    limits = [urdf.limits(joint) for joint in chain_joints(arm)]
-    middle = np.clip(0.0, [each["lower"] for each in limits], [each["upper"] for each in limits])
+    middle = np.array([min(max(0.0, joint.limits["lower"]), joint.limits["upper"]) for joint in arm.chain])
     with tempfile.TemporaryDirectory(prefix="moc-opt-") as folder:
         draft = Path(folder, out.name)
         robot = write(draft, middle)
         require_freedom(robot)
         if weak:
             efforts = choose_efforts(robot, weak)
-            for joint in chain_joints(arm):
-                found = urdf.limits(joint)
-                urdf.write_limits(joint, **{**found, "effort": efforts.get(joint.get("name", ""), found["effort"])})
+            for joint in arm.chain:
+                joint.limits["effort"] = efforts.get(joint.name, joint.limits["effort"])
             arm.notes.append(
                 f"{', '.join(weak)}: no usable torque limit; three times what gravity asks for is taken; see the data "
                 "sheet"
@@ -120,8 +115,8 @@ def _drives(arm: VendorArm) -> dict[str, list[float]]:
     # Nobody publishes them. A turning joint of 10 Nm and more gets the LWR4+'s rotor of 0.2 kg m^2, a weaker one less
     # in proportion, and friction of 0.8 % of its torque limit, at most 1 Nm; a sliding one 4 % and 0.8 % of its force.
     rotors, friction = [], []
-    for joint in chain_joints(arm):
-        effort, sliding = urdf.limits(joint)["effort"], joint.get("type") == "prismatic"
+    for joint in arm.chain:
+        effort, sliding = joint.limits["effort"], joint.kind == "prismatic"
         rotors.append(float(f"{0.04 * effort if sliding else 0.2 * min(1.0, effort / 10.0):.2g}"))
         friction.append(float(f"{0.008 * effort if sliding else min(1.0, 0.008 * effort):.2g}"))
     return {
@@ -132,12 +127,9 @@ def _drives(arm: VendorArm) -> dict[str, list[float]]:
 def _stand(arm: VendorArm, rpy: tuple[float, float, float]) -> None:
     if not any(rpy):
         return
-    base = urdf.Tree(arm.root).base
-    arm.root.insert(0, ET.Element("link", name="stand"))
-    joint = ET.SubElement(arm.root, "joint", name="stand_joint", type="fixed")
-    ET.SubElement(joint, "parent", link="stand")
-    ET.SubElement(joint, "child", link=base)
-    ET.SubElement(joint, "origin", xyz="0 0 0", rpy=as_text(*rpy))
+    base = urdf.Tree(arm.urdf).base
+    arm.urdf.links.insert(0, urdf.Link("stand"))
+    arm.urdf.joints.append(urdf.Joint("stand_joint", "fixed", "stand", base, rpy=rpy))
     arm.notes.append(f"the base stands turned by {', '.join(f'{a:g}' for a in rpy)} rad about x, y, z")
 
 

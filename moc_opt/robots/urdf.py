@@ -1,18 +1,20 @@
-"""Read a URDF, check it, and write it anew, so that pinocchio and MuJoCo get the same numbers."""
+"""A URDF as plain data: read it, check it, and write it so that pinocchio and MuJoCo get the same numbers.
+
+Links, joints and their numbers are kept; shapes and all else are left out.
+"""
 
 from __future__ import annotations
 
-import difflib
 import math
 import xml.etree.ElementTree as ET
 from collections import Counter, defaultdict
 from collections.abc import Iterable
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from moc_opt.errors import RobotError
+from moc_opt.errors import RobotError, UnknownNameError
 from moc_opt.inputs import names
-from moc_opt.inputs.files import decimal
 
 MOVING = frozenset({"revolute", "continuous", "prismatic"})
 TOOL_LINK, TIP_LINK, WRIST_LINK = "tool", "tip", "wrist"
@@ -24,8 +26,86 @@ MOMENTS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 SMALLEST_MASS, SMALLEST_MOMENT = 1e-6, 1e-12
 _TRIANGLE, _FLAT, _THIN = 1e-6, 1e-9, 1e-12  # of the largest moment: files round their numbers
 SMALLEST = 1e-30  #: A smaller number is read as 0: some readers refuse those below 1e-308.
-LARGEST = {"m": 100.0, "rad": 100.0, "kg": 1e5, "kg m^2": 1e6, "1": 1e3, "a limit": 1e6}
-"""Unit -> the largest number of it that an arm can have."""
+LARGEST = {"m": 100.0, "rad": 100.0, "kg": 1e5, "kg m^2": 1e6, "1": 1e3, "or inf": math.inf}
+"""Unit -> the largest number of it that an arm can have; an endless limit is refused later."""
+LARGEST_LIMIT = 1e6
+
+Triple = tuple[float, float, float]
+_ZEROS: Triple = (0.0, 0.0, 0.0)
+
+
+@dataclass
+class Link:
+    """A link and its body; without mass and moments it is a frame."""
+
+    name: str
+    mass: float | None = None  #: [kg]
+    moments: tuple[float, ...] | None = None  #: `MOMENTS` about the centre of mass [kg m^2]
+    xyz: Triple = _ZEROS  #: centre of mass [m]
+    rpy: Triple = _ZEROS  #: axes of the moments [rad]
+
+    @property
+    def is_frame(self) -> bool:
+        """Whether it has no body."""
+        return self.mass is None and self.moments is None
+
+
+@dataclass
+class Joint:
+    """A joint between two links."""
+
+    name: str
+    kind: str
+    parent: str
+    child: str
+    xyz: Triple = _ZEROS  #: [m]
+    rpy: Triple = _ZEROS  #: [rad]
+    axis: Triple = (1.0, 0.0, 0.0)
+    limits: dict[str, float] = field(default_factory=dict)
+    """Those of lower, upper, velocity and effort that are given [rad, rad/s, Nm, or m, m/s, N]."""
+    mimics: bool = False
+
+    @property
+    def moves(self) -> bool:
+        """Whether it turns or slides."""
+        return self.kind in MOVING
+
+    def limit(self, lower: float, upper: float, velocity: float, effort: float) -> None:
+        """Set all four limits; a joint without end has an end then."""
+        self.kind = "revolute" if self.kind == "continuous" else self.kind
+        self.limits = {"lower": lower, "upper": upper, "velocity": velocity, "effort": effort}
+
+
+@dataclass
+class Urdf:
+    """Links and joints in the file's order."""
+
+    links: list[Link]
+    joints: list[Joint]
+
+    def to_text(self, name: str) -> str:
+        """Write the URDF as text, indented; every reader gets its numbers back to the bit."""
+        root = ET.Element("robot", name=name)
+        for link in self.links:
+            made = ET.SubElement(root, "link", name=link.name)
+            if link.mass is not None and link.moments is not None:
+                inertial = ET.SubElement(made, "inertial")
+                ET.SubElement(inertial, "origin", xyz=as_text(*link.xyz), rpy=as_text(*link.rpy))
+                ET.SubElement(inertial, "mass", value=as_text(link.mass))
+                ET.SubElement(inertial, "inertia", dict(zip(MOMENTS, map(as_text, link.moments), strict=True)))
+        for joint in self.joints:
+            made = ET.SubElement(root, "joint", name=joint.name, type=joint.kind)
+            ET.SubElement(made, "parent", link=joint.parent)
+            ET.SubElement(made, "child", link=joint.child)
+            ET.SubElement(made, "origin", xyz=as_text(*joint.xyz), rpy=as_text(*joint.rpy))
+            if joint.moves:
+                ET.SubElement(made, "axis", xyz=as_text(*joint.axis))
+                ET.SubElement(made, "limit", {key: as_text(value) for key, value in joint.limits.items()})
+        ET.indent(root)
+        return ET.tostring(root, encoding="unicode") + "\n"
+
+
+# --- reading ---
 
 
 def parse(text: str) -> ET.Element:
@@ -39,20 +119,26 @@ def parse(text: str) -> ET.Element:
     return root
 
 
+def read(root: ET.Element) -> Urdf:
+    """Read links and joints, unchecked but for their numbers; a RobotError names the number or the missing element."""
+    return Urdf([_link(each) for each in root.findall("link")], [_joint(each) for each in root.findall("joint")])
+
+
 def number(text: str, what: str, unit: str) -> float:
     """Read one number in a unit of `LARGEST`; a RobotError that names ``what`` where it is none, or too large."""
-    value = decimal(text.strip())
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
     if not abs(value) <= LARGEST[unit]:
-        raise RobotError(
-            f"urdf: {what} is {text!r:.80}: give a finite decimal number of at most {LARGEST[unit]:g} ({unit})"
-        )
-    return 0.0 if 0.0 < abs(value) < SMALLEST else value
+        raise RobotError(f"urdf: {what} is {text!r:.80}: give a finite number of at most {LARGEST[unit]:g} ({unit})")
+    return 0.0 if abs(value) < SMALLEST else value
 
 
-def triple(element: ET.Element | None, key: str, what: str, unit: str) -> tuple[float, float, float]:
+def triple(element: ET.Element | None, key: str, what: str, unit: str) -> Triple:
     """Read three numbers from an attribute; zeros where element or attribute is missing. Errors as of `number`."""
     if element is None or key not in element.attrib:
-        return (0.0, 0.0, 0.0)
+        return _ZEROS
     parts = element.get(key, "").split()
     if len(parts) != 3:
         raise RobotError(f"urdf: {what} is {element.get(key)!r:.80}: write three numbers, such as '0 0 0.1'")
@@ -65,60 +151,119 @@ def as_text(*values: float) -> str:
     return " ".join(repr(float(value)) for value in values)
 
 
-def end(joint: ET.Element, which: str) -> str:
-    """Return the link at the joint's "parent" or "child" end."""
-    found = joint.find(which)
-    if found is None or not found.get("link"):
-        raise RobotError(f"urdf joint {joint.get('name')!r} has no <{which} link=...>: add it")
-    return str(found.get("link"))
+def _link(element: ET.Element) -> Link:
+    name = element.get("name", "")
+    where = f"link {name!r:.80}"
+    inertial, link = _one(element, "inertial", where), Link(name)
+    if inertial is None:
+        return link
+    origin, mass, inertia = (_one(inertial, tag, where) for tag in ("origin", "mass", "inertia"))
+    link.xyz, link.rpy = _place(origin, f"<inertial> of {where}")
+    if mass is not None:
+        link.mass = number(mass.get("value", ""), f"mass of {where}", "kg")
+    if inertia is not None:
+        link.moments = tuple(number(inertia.get(key, "0"), f"{key} of {where}", "kg m^2") for key in MOMENTS)
+    return link
 
 
-def limits(joint: ET.Element) -> dict[str, float]:
-    """Read the numbers of a joint's <limit> element that are there: lower, upper, velocity, effort."""
-    element = joint.find("limit")
-    if element is None:
-        return {}
-    keys = ("lower", "upper", "velocity", "effort")
-    where = f"<limit> of joint {joint.get('name')!r}"
-    return {key: number(element.get(key, ""), f"{where}, {key}", "a limit") for key in keys if key in element.attrib}
+def _joint(element: ET.Element) -> Joint:
+    name = element.get("name", "")
+    where = f"joint {name!r:.80}"
+    ends = {}
+    for which in ("parent", "child"):
+        ends[which] = getattr(element.find(which), "attrib", {}).get("link", "")
+        if not ends[which]:
+            raise RobotError(f"urdf {where} has no <{which} link=...>: add it")
+    origin, axis, limit = (_one(element, tag, where) for tag in ("origin", "axis", "limit"))
+    joint = Joint(name, element.get("type", ""), **ends, mimics=element.find("mimic") is not None)
+    joint.xyz, joint.rpy = _place(origin, where)
+    if axis is not None:
+        joint.axis = triple(axis, "xyz", f"<axis> of {where}, xyz", "1")
+    for key in ("lower", "upper", "velocity", "effort"):
+        if limit is not None and key in limit.attrib:
+            joint.limits[key] = number(limit.get(key, ""), f"<limit> of {where}, {key}", "or inf")
+    return joint
 
 
-def write_limits(joint: ET.Element, lower: float, upper: float, velocity: float, effort: float) -> None:
-    """Replace the joint's <limit>, so that every later reader of the URDF sees the same one."""
-    if joint.get("type") == "continuous":
-        joint.set("type", "revolute")
-    for old in joint.findall("limit"):
-        joint.remove(old)
-    values = {"lower": lower, "upper": upper, "velocity": velocity, "effort": effort}
-    ET.SubElement(joint, "limit", {key: as_text(value) for key, value in values.items()})
+def _place(origin: ET.Element | None, where: str) -> tuple[Triple, Triple]:
+    kinds = (("xyz", "m"), ("rpy", "rad"))
+    xyz, rpy = (triple(origin, key, f"<origin> of {where}, {key}", unit) for key, unit in kinds)
+    return xyz, rpy
 
 
-def to_text(root: ET.Element) -> str:
-    """Write the URDF as text, indented."""
-    ET.indent(root)
-    return ET.tostring(root, encoding="unicode") + "\n"
+def _one(parent: ET.Element, tag: str, where: str) -> ET.Element | None:
+    found = parent.findall(tag)
+    if len(found) > 1:
+        raise RobotError(f"urdf {where} has {len(found)} <{tag}>: leave one, readers differ in which they take")
+    return found[0] if found else None
 
 
-def rebuild(root: ET.Element, name: str) -> ET.Element:
-    """Copy links and joints, every number read and written by us; shapes and all else are left out.
+# --- checking ---
+
+
+def normalize(arm: Urdf) -> None:
+    """Check everything but the moving joints' limits; axes get length one, and flat bodies a thickness, in place.
 
     Raises:
-        RobotError: a wrong name or number, an element that is missing or there twice, an inertia that no body has, or
-            links and joints that are no tree.
+        RobotError: a wrong name or number, a mass or inertia that is missing or that no body has, or links and joints
+            that are no tree.
     """
-    count = max(len(root.findall(tag)) for tag in ("link", "joint"))
+    count = max(len(arm.links), len(arm.joints))
     if count > MOST_LINKS:
         raise RobotError(f"urdf has {count} links or joints: an arm has {MOST_LINKS} at most; leave others out")
-    made = ET.Element("robot", name=name)
-    for element in root:
-        if element.tag in ("link", "joint"):
-            made.append(_link(element) if element.tag == "link" else _joint(element))
-    Tree(made)
-    return made
+    for kind, parts in (("link", arm.links), ("joint", arm.joints)):
+        for part in parts:
+            if not names.is_name(part.name):
+                raise RobotError(f"urdf: the name of a {kind}, {part.name!r:.80} is no name: {names.RULE}")
+    for link in arm.links:
+        _check_body(link)
+    for joint in arm.joints:
+        _check_joint(joint)
+    Tree(arm)
+
+
+def _check_body(link: Link) -> None:
+    where = f"urdf link {link.name!r}"
+    if link.mass == 0.0 and not any(link.moments or ()):
+        link.mass = link.moments = None  # how many vendors write a frame
+    if link.is_frame:
+        return
+    if link.mass is None or link.moments is None:
+        raise RobotError(f"{where} has an <inertial> without <mass> or <inertia>: add it or drop <inertial>")
+    if link.mass < SMALLEST_MASS:
+        raise RobotError(
+            f"{where} has mass {link.mass:g}: give {SMALLEST_MASS:g} kg or more, or drop <inertial> for a frame"
+        )
+    if fault := inertia_fault(link.moments):
+        raise RobotError(
+            f"{where} has an inertia that no body has: {fault}; correct ixx ... izz, about the centre of mass and in "
+            "kg m^2"
+        )
+    # A flat body gets a thickness of 1e-9: as it is, rounding decides whether MuJoCo takes it.
+    least, middle, most = principal(link.moments)
+    lacking = max(_FLAT * most - (least + middle - most), 0.0)
+    link.moments = (*(moment + lacking for moment in link.moments[:3]), *link.moments[3:])
+
+
+def _check_joint(joint: Joint) -> None:
+    where = f"joint {joint.name!r}"
+    if joint.kind not in MOVING | {"fixed"}:
+        raise RobotError(f"urdf {where} has type {joint.kind!r}: use revolute, prismatic, continuous or fixed")
+    if joint.mimics:
+        raise RobotError(f"urdf {where} mimics another: make it fixed or free")
+    length = math.hypot(*joint.axis)
+    if joint.moves and length < 1e-3:
+        raise RobotError(f"urdf: <axis> of {where} has no length: give a direction, such as '0 0 1'")
+    if joint.moves:
+        x, y, z = (value / length for value in joint.axis)
+        joint.axis = (x, y, z)
+    for key, value in joint.limits.items():
+        if abs(value) > LARGEST_LIMIT:
+            raise RobotError(f"urdf: <limit> of {where}, {key} is {value:g}: give a number up to {LARGEST_LIMIT:g}")
 
 
 def inertia_fault(moments: Iterable[float]) -> str | None:
-    """Say why no body has this inertia ixx, iyy, izz, ixy, ixz, iyz [kg m^2] about its centre of mass; None if one may.
+    """Say why no body has this inertia `MOMENTS` [kg m^2] about its centre of mass; None if one may.
 
     It must be positive definite, and no principal moment may be larger than the other two together.
     """
@@ -132,91 +277,10 @@ def inertia_fault(moments: Iterable[float]) -> str | None:
 
 
 def principal(moments: Iterable[float]) -> list[float]:
-    """Return the three principal moments of ixx, iyy, izz, ixy, ixz, iyz, in rising order."""
+    """Return the three principal moments of `MOMENTS`, in rising order."""
     xx, yy, zz, xy, xz, yz = moments
     found: list[float] = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]).tolist()
     return found
-
-
-def _off_the_edge(moments: dict[str, float]) -> dict[str, float]:
-    # A flat body gets a thickness of 1e-9: as it is, rounding decides whether MuJoCo takes it.
-    least, middle, most = principal(moments.values())
-    lacking = max(_FLAT * most - (least + middle - most), 0.0)
-    return {key: value + lacking if key in ("ixx", "iyy", "izz") else value for key, value in moments.items()}
-
-
-def _link(link: ET.Element) -> ET.Element:
-    name = _checked(link)
-    made, inertial = ET.Element("link", name=name), _one(link, "inertial", f"link {name!r}")
-    if inertial is None:
-        return made
-    where = f"<inertial> of link {name!r}"
-    origin, mass, inertia = (_one(inertial, tag, where) for tag in ("origin", "mass", "inertia"))
-    if mass is None or inertia is None:
-        raise RobotError(f"urdf link {name!r} has an <inertial> without <mass> or <inertia>: add it or drop <inertial>")
-    kilograms = number(mass.get("value", ""), f"mass of link {name!r}", "kg")
-    moments = {key: number(inertia.get(key, "0"), f"inertia {key} of link {name!r}", "kg m^2") for key in MOMENTS}
-    if kilograms == 0.0 and not any(moments.values()):
-        return made  # how many vendors write a frame
-    if kilograms < SMALLEST_MASS:
-        raise RobotError(
-            f"urdf link {name!r} has mass {kilograms:g}: give {SMALLEST_MASS:g} kg or more, or drop <inertial> for a "
-            "massless frame"
-        )
-    fault = inertia_fault(moments.values())
-    if fault is not None:
-        raise RobotError(
-            f"urdf link {name!r} has an inertia that no body has: {fault}; correct ixx ... izz, about the centre of "
-            "mass and in kg m^2"
-        )
-    copy = ET.SubElement(made, "inertial")
-    _place(copy, origin, where)
-    ET.SubElement(copy, "mass", value=as_text(kilograms))
-    ET.SubElement(copy, "inertia", {key: as_text(value) for key, value in _off_the_edge(moments).items()})
-    return made
-
-
-def _joint(joint: ET.Element) -> ET.Element:
-    name, kind = _checked(joint), joint.get("type")
-    where = f"joint {name!r}"
-    if kind not in MOVING | {"fixed"}:
-        raise RobotError(f"urdf {where} has type {kind!r}: use revolute, prismatic, continuous or fixed")
-    if joint.find("mimic") is not None:
-        raise RobotError(f"urdf {where} mimics another: make it fixed or free")
-    made = ET.Element("joint", name=name, type=kind)
-    for which in ("parent", "child"):
-        ET.SubElement(made, which, link=end(joint, which))
-    _place(made, _one(joint, "origin", where), where)
-    axis, limit = _one(joint, "axis", where), _one(joint, "limit", where)
-    if kind in MOVING:
-        vector = (1.0, 0.0, 0.0) if axis is None else triple(axis, "xyz", f"<axis> of {where}, xyz", "1")
-        length = math.hypot(*vector)
-        if length < 1e-3:
-            raise RobotError(f"urdf: <axis> of {where} has no length: give a direction, such as '0 0 1'")
-        ET.SubElement(made, "axis", xyz=as_text(*(value / length for value in vector)))
-        if limit is not None:
-            made.append(ET.Element("limit", limit.attrib))  # `limits` reads it, `write_limits` replaces it
-    return made
-
-
-def _place(parent: ET.Element, origin: ET.Element | None, where: str) -> None:
-    xyz = triple(origin, "xyz", f"<origin> of {where}, xyz", "m")
-    rpy = triple(origin, "rpy", f"<origin> of {where}, rpy", "rad")
-    ET.SubElement(parent, "origin", xyz=as_text(*xyz), rpy=as_text(*rpy))
-
-
-def _one(parent: ET.Element, tag: str, where: str) -> ET.Element | None:
-    found = parent.findall(tag)
-    if len(found) > 1:
-        raise RobotError(f"urdf {where} has {len(found)} <{tag}>: leave one, readers differ in which they take")
-    return found[0] if found else None
-
-
-def _checked(element: ET.Element) -> str:
-    name = element.get("name", "")
-    if not names.is_name(name):
-        raise RobotError(f"urdf: the name of a {element.tag}, {name!r:.80} is no name: {names.RULE}")
-    return name
 
 
 class Tree:
@@ -226,28 +290,27 @@ class Tree:
     links or joints that make no such tree.
     """
 
-    def __init__(self, root: ET.Element) -> None:
-        if root.find("link") is None or root.find("joint") is None:
+    def __init__(self, arm: Urdf) -> None:
+        if not arm.links or not arm.joints:
             raise RobotError("urdf has no <link> or no <joint>: a serial arm is needed")
-        for tag in ("link", "joint"):
-            name, times = Counter(element.get("name", "") for element in root.findall(tag)).most_common(1)[0]
+        for kind, parts in (("link", arm.links), ("joint", arm.joints)):
+            name, times = Counter(part.name for part in parts).most_common(1)[0]
             if times > 1:
-                raise RobotError(f"urdf has {times} {tag}s named {name!r}: give each a name of its own")
-        self.links = [link.get("name", "") for link in root.findall("link")]
-        self.carrier: dict[str, ET.Element] = {}
-        self.carried: dict[str, list[ET.Element]] = defaultdict(list)
-        for joint in root.findall("joint"):
-            name, parent, child = joint.get("name", ""), end(joint, "parent"), end(joint, "child")
-            for link in (parent, child):
+                raise RobotError(f"urdf has {times} {kind}s named {name!r}: give each a name of its own")
+        self.links = [link.name for link in arm.links]
+        self.carrier: dict[str, Joint] = {}
+        self.carried: dict[str, list[Joint]] = defaultdict(list)
+        for joint in arm.joints:
+            for link in (joint.parent, joint.child):
                 if link not in self.links:
-                    raise RobotError(f"urdf joint {name!r} names link {link!r:.80}: there is no such link; add it")
-            if child in self.carrier:
-                other = self.carrier[child].get("name")
-                raise RobotError(f"urdf joints {other!r} and {name!r} both carry link {child!r}: leave one")
-            self.carrier[child] = joint
-            self.carried[parent].append(joint)
+                    raise RobotError(f"urdf joint {joint.name!r} names link {link!r:.80}: no such link; add it")
+            if joint.child in self.carrier:
+                other = self.carrier[joint.child].name
+                raise RobotError(f"urdf joints {other!r} and {joint.name!r} both carry link {joint.child!r}: leave one")
+            self.carrier[joint.child] = joint
+            self.carried[joint.parent].append(joint)
         if "world" in self.carrier:
-            name = self.carrier["world"].get("name", "")
+            name = self.carrier["world"].name
             raise RobotError(f"urdf joint {name!r} carries a link 'world', which MuJoCo takes for the base: rename it")
         bases = [link for link in self.links if link not in self.carrier]
         if len(bases) > 1:
@@ -257,45 +320,45 @@ class Tree:
             raise RobotError(f"urdf joints form a loop at links {lost[:5]}: they hang on each other and not on a base")
         self.base = bases[0]
 
-    def path(self, link: str) -> list[ET.Element]:
+    def path(self, link: str) -> list[Joint]:
         """Return the joints from base to link."""
-        found: list[ET.Element] = []
+        found: list[Joint] = []
         while link in self.carrier:
             found.append(self.carrier[link])
-            link = end(found[-1], "parent")
+            link = found[-1].parent
         return found[::-1]
 
     def reach(self, link: str, *, fixed: bool = False) -> list[str]:
         """Return the link and all links that hang on it, or those that are ``fixed`` to it."""
         found = [link]
         for one in found:  # grows while it is walked
-            found += [end(j, "child") for j in self.carried[one] if not fixed or j.get("type") == "fixed"]
+            found += [joint.child for joint in self.carried[one] if not fixed or joint.kind == "fixed"]
         return found
 
 
-def moving_joints(root: ET.Element, last_link: str) -> list[ET.Element]:
-    """Return the movable joints from base to `last_link`; a RobotError where there are none, or another may move."""
-    tree = Tree(root)
+def moving_joints(arm: Urdf, last_link: str) -> list[Joint]:
+    """Return the movable joints from base to `last_link`.
+
+    Raises:
+        UnknownNameError: there is no such link.
+        RobotError: no joint moves, or another one may move.
+    """
+    tree = Tree(arm)
     if last_link not in tree.links:
-        near = difflib.get_close_matches(last_link, tree.links, n=3, cutoff=0.3)
-        raise RobotError(
-            f"frames.last_link = {last_link!r} is no link of the urdf: did you mean one of {near or tree.links[:20]}?"
-        )
-    chain = [joint for joint in tree.path(last_link) if joint.get("type") in MOVING]
+        raise UnknownNameError("link (frames.last_link)", last_link, tree.links)
+    chain = [joint for joint in tree.path(last_link) if joint.moves]
     if not chain:
         raise RobotError(f"frames.last_link = {last_link!r}: no movable joint lies between the base and it")
-    for joint in root.findall("joint"):
-        if joint.get("type") in MOVING and joint not in chain:
-            raise RobotError(
-                f"urdf joint {joint.get('name')!r} moves but is not between base and last link: make it fixed"
-            )
+    for joint in arm.joints:
+        if joint.moves and joint not in chain:
+            raise RobotError(f"urdf joint {joint.name!r} moves but is not between base and last link: make it fixed")
     return chain
 
 
-def check_masses(root: ET.Element, chain: Iterable[ET.Element]) -> None:
+def check_masses(arm: Urdf, chain: Iterable[Joint]) -> None:
     """Raise a RobotError where a movable joint moves no mass."""
-    tree, heavy = Tree(root), {link.get("name", "") for link in root.findall("link[inertial]")}
+    tree, heavy = Tree(arm), {link.name for link in arm.links if not link.is_frame}
     for joint in chain:
-        body = tree.reach(end(joint, "child"), fixed=True)
+        body = tree.reach(joint.child, fixed=True)
         if not heavy.intersection(body):
-            raise RobotError(f"urdf joint {joint.get('name')!r} moves no mass: give link {body[0]!r} an <inertial>")
+            raise RobotError(f"urdf joint {joint.name!r} moves no mass: give link {body[0]!r} an <inertial>")

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import pickle
-import xml.etree.ElementTree as ET
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from moc_opt.errors import RobotError, UnknownNameError
+from moc_opt.errors import MocOptError, RobotError
 from moc_opt.robots import load_data, loader
-from moc_opt.robots.urdf import MOST_LINKS
+from moc_opt.robots.urdf import MOST_LINKS, Urdf, parse, read
 
 FOLDER = Path(loader.__file__).parent
 URDF = (FOLDER / "lwr4.urdf").read_text(encoding="utf-8")
@@ -24,6 +23,10 @@ def write(folder: Path, toml: str = TOML, urdf: str = URDF) -> Path:
     path = folder / "my_arm.toml"
     path.write_text(toml, encoding="utf-8")
     return path
+
+
+def parsed(text: str) -> Urdf:
+    return read(parse(text))
 
 
 def changed(text: str, old: str, new: str) -> str:
@@ -40,26 +43,17 @@ def test_lwr4_holds_the_published_numbers() -> None:
     np.testing.assert_array_equal(data.tau_max, [176, 176, 100, 100, 100, 38, 38])
     np.testing.assert_array_equal(data.rotor_inertia, np.full(7, 0.2))
     assert (data.tool_length, data.tool_mass) == (0.30, 0.3)
-    root = ET.fromstring(data.urdf)
-    masses = [float(m.get("value", "")) for m in root.iterfind("link/inertial/mass")]
+    masses = [link.mass for link in parsed(data.urdf).links if link.mass]
     assert masses == [2.0, 2.7, 2.7, 2.7, 2.7, 1.7, 1.1, 0.25, 0.3]
-
-
-def test_limits_of_both_files_agree() -> None:
-    data = load_data()
-    limits = [joint.find("limit") for joint in ET.fromstring(URDF).iterfind("joint")]
-    of_data = {"lower": data.q_min, "upper": data.q_max, "velocity": data.v_max, "effort": data.tau_max}
-    for key, vector in of_data.items():
-        written = [float(limit.get(key, "")) for limit in limits if limit is not None]
-        np.testing.assert_allclose(written, vector, rtol=1e-12)
 
 
 def test_limits_of_the_toml_win_and_are_written_into_the_urdf(tmp_path: Path) -> None:
     data = load_data(write(tmp_path, changed(TOML, "q_max_deg = [170, 120", "q_max_deg = [150, 120")))
-    first = ET.fromstring(data.urdf).find("joint[@name='joint_1']/limit")
-    assert first is not None
-    assert float(first.get("upper", "")) == data.q_max[0] == pytest.approx(np.radians(150))
-    np.testing.assert_allclose(load_data(write(tmp_path, UNLIMITED)).q_max, load_data().q_max)  # of the URDF alone
+    first = parsed(data.urdf).joints[0]
+    assert first.limits["upper"] == data.q_max[0] == pytest.approx(np.radians(150))
+    bare, own = load_data(write(tmp_path, UNLIMITED)), load_data()
+    for name in ("q_min", "q_max", "v_max", "tau_max"):
+        np.testing.assert_allclose(getattr(bare, name), getattr(own, name), rtol=1e-12)  # of the URDF alone
     urdf = URDF.replace(' velocity="1.9198621771937625"', "")
     with pytest.raises(RobotError, match=r"v_max: joints \['joint_1', 'joint_2'\].*limits\.v_max_deg_per_s"):
         load_data(write(tmp_path, UNLIMITED, urdf))
@@ -67,19 +61,14 @@ def test_limits_of_the_toml_win_and_are_written_into_the_urdf(tmp_path: Path) ->
 
 @pytest.mark.parametrize(("length", "mass"), [(0.30, 0.3), (0.45, 0.8)])
 def test_tool_is_a_slender_rod_on_the_flange(length: float, mass: float) -> None:
-    data = load_data(tool_length=length, tool_mass=mass)
-    root = ET.fromstring(data.urdf)
-    inertial = root.find("link[@name='tool']/inertial")
-    assert inertial is not None
-    moments = {k: float(v) for k, v in inertial.find("inertia").attrib.items()}  # type: ignore[union-attr]
-    assert moments["ixx"] == moments["iyy"] == pytest.approx(mass * length**2 / 12, rel=1e-3)
-    assert 0 < moments["izz"] < 0.01 * moments["ixx"]
-    assert inertial.find("origin").get("xyz") == f"0.0 0.0 {length / 2}"  # type: ignore[union-attr]
-    for name, z in (("tip_frame", length), ("wrist_frame", -0.078)):
-        origin = root.find(f"joint[@name='{name}']/origin")
-        assert origin is not None
-        assert [float(x) for x in origin.get("xyz", "").split()] == [0.0, 0.0, z]
-    assert root.find("joint[@name='tool_mount']/parent").get("link") == "link_7"  # type: ignore[union-attr]
+    arm = parsed(load_data(tool_length=length, tool_mass=mass).urdf)
+    rod, joints = arm.links[-3], {joint.name: joint for joint in arm.joints}
+    assert rod.moments is not None
+    assert (rod.name, rod.mass, rod.xyz) == ("tool", mass, (0.0, 0.0, length / 2))
+    assert rod.moments[0] == rod.moments[1] == pytest.approx(mass * length**2 / 12, rel=1e-3)
+    assert 0 < rod.moments[2] < 0.01 * rod.moments[0]
+    for name, z in (("tool_mount", 0.0), ("tip_frame", length), ("wrist_frame", -0.078)):
+        assert (joints[name].parent, joints[name].xyz) == ("link_7", (0.0, 0.0, z))
 
 
 def test_data_cannot_be_changed_and_can_be_pickled() -> None:
@@ -102,23 +91,21 @@ def test_files_by_path(tmp_path: Path) -> None:
 
 
 def test_missing_files(tmp_path: Path) -> None:
-    with pytest.raises(UnknownNameError, match="unknown robot 'lwr': did you mean 'lwr4'"):
-        load_data("lwr")
-    with pytest.raises(RobotError, match=r"none\.toml.*no such file"):
-        load_data(tmp_path / "none.toml")
-    with pytest.raises(RobotError, match=r"none\.toml.*does not exist"):
-        load_data(tmp_path / "none.urdf")
-    with pytest.raises(RobotError, match="neither"):
-        load_data(tmp_path / "none.xml")
-    with pytest.raises(RobotError, match=r"urdf .*gone\.urdf.*no such file"):
-        load_data(write(tmp_path, changed(TOML, '"lwr4.urdf"', '"gone.urdf"')))
+    gone = write(tmp_path, changed(TOML, '"lwr4.urdf"', '"gone.urdf"'))
+    for given, told in (
+        ("lwr", "unknown robot 'lwr': did you mean 'lwr4'"), (tmp_path / "none.toml", r"none\.toml.*no such file"),
+        (tmp_path / "none.urdf", r"none\.toml.*does not exist"), (tmp_path / "none.xml", "neither"),
+        (gone, r"urdf .*gone\.urdf.*no such file"),
+    ):  # fmt: skip
+        with pytest.raises(MocOptError, match=told):
+            load_data(given)
 
 
 BAD_TOML = {
     "unknown table": ("[frames]", "[framse]\nx = 1\n[frames]", "unknown robot key 'framse'"),
     "unknown key": ("last_link", "last_lnk = 1\nlast_link", r"\[frames\] key 'last_lnk': did you mean 'last_link'"),
     "missing table": ("[home]\nq_rad", "[gains.x]\nq_rad", "home is missing"),
-    "no such link": ('"link_7"', '"link_9"', r"frames\.last_link = 'link_9'.*did you mean.*link_7"),
+    "no such link": ('"link_7"', '"link_9"', r"\(frames\.last_link\) 'link_9': did you mean.*link_7"),
     "wrist off the shaft": ("[0.0, 0.0, -0.078]", "[0.0, 0.01, -0.078]", r"wrist_xyz_m.*0\.01 m off"),
     "no length": ("length_m = 0.30", "length_m = 0.0", r"\[tool\] length_m = 0\.0"),
     "a flag for a number": ("mass_kg = 0.3", "mass_kg = true", r"\[tool\] mass_kg = True"),
@@ -132,13 +119,6 @@ BAD_TOML = {
     "home outside": ("q_rad = [0.595", "q_rad = [3.5", r"home\.q_rad.*\[1\]"),
     "gain not a number": ("K_N2 = [20.0, 30.0,", 'K_N2 = ["eighty", 30.0,', r"gains\.default\.K_N2"),
 }
-
-
-@pytest.mark.parametrize("case", BAD_TOML)
-def test_bad_toml_is_explained(case: str, tmp_path: Path) -> None:
-    old, new, message = BAD_TOML[case]
-    with pytest.raises(RobotError, match=message):
-        load_data(write(tmp_path, changed(TOML, old, new)))
 
 
 START = URDF.index("<inertial>", URDF.index('<link name="link_6">'))
@@ -191,11 +171,12 @@ BAD_URDF = {
 }
 
 
-@pytest.mark.parametrize("case", BAD_URDF)
-def test_bad_urdf_is_explained(case: str, tmp_path: Path) -> None:
-    old, new, message = BAD_URDF[case]
-    with pytest.raises(RobotError, match=message):
-        load_data(write(tmp_path, urdf=changed(URDF, old, new)))
+@pytest.mark.parametrize("case", [*BAD_TOML, *BAD_URDF])
+def test_what_is_wrong_in_a_file_is_named(case: str, tmp_path: Path) -> None:
+    old, new, told = (BAD_TOML | BAD_URDF)[case]
+    toml, urdf = (changed(TOML, old, new), URDF) if case in BAD_TOML else (TOML, changed(URDF, old, new))
+    with pytest.raises(MocOptError, match=told):
+        load_data(write(tmp_path, toml, urdf))
 
 
 def test_zeros_for_mass_and_inertia_are_a_frame(tmp_path: Path) -> None:
