@@ -2,22 +2,19 @@
 
 import errno
 import io
-import json
 import os
 import secrets
 import tomllib
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import moc_opt as mo
-from moc_opt.__main__ import main
 from moc_opt.errors import MocOptError, RobotError, ScenarioError, TraceError
 from moc_opt.inputs.files import (
     check_replaceable,
-    decimal,
     parse_json,
     read_arrays,
     read_bytes,
@@ -79,8 +76,9 @@ def test_what_is_no_json_is_refused(text):
         parse_json(text, "record 's.json'", MocOptError)
 
 
-@pytest.mark.parametrize("shape", [(10**9,), (10**6, 10**6), (3,)])
-@pytest.mark.parametrize("kind", ["<f8", "<U100000", "|O"])
+@pytest.mark.parametrize(
+    ("shape", "kind"), [((10**9,), "<f8"), ((10**6, 10**6), "<f8"), ((3,), "<f8"), ((3,), "|O"), ((3,), "<U100000")]
+)
 def test_an_array_that_its_header_only_promises_is_refused(shape, kind, tmp_path):
     sink = io.BytesIO()
     np.lib.format.write_array_header_1_0(sink, {"descr": kind, "fortran_order": False, "shape": shape})
@@ -105,18 +103,6 @@ def test_an_error_about_recorded_times_quotes_no_byte_of_the_file(tmp_path):
         with pytest.raises(ScenarioError, match="replay_us") as found:
             recorded_times(Scenario(solver={"replay_us": str(tmp_path / name)}))
         assert "secret" not in str(found.value)
-
-
-@pytest.mark.parametrize(
-    "text", ["0_1", "1_000.0", "\u0661", "\u0661.5", "\uff11", "inf", "nan", "0x1p2", "", "1.2.3", "- 1"]
-)
-def test_what_is_no_decimal_number_is_none(text):
-    assert np.isnan(decimal(text))
-
-
-@given(st.floats(allow_nan=False, allow_infinity=False) | st.integers(-(10**20), 10**20))
-def test_every_decimal_number_is_read(value):
-    assert decimal(repr(value)) == float(value)
 
 
 # --- writing ---
@@ -188,33 +174,22 @@ def test_a_link_at_the_name_of_the_unfinished_file_is_not_followed(tmp_path, mon
 @pytest.mark.parametrize("path", ["/proc/x", "/proc/no/such/x", "/dev/null/x", "a\0b", "x" * 300])
 def test_a_folder_that_takes_no_file_is_named_before_any_work(path, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(MocOptError, match=r"cannot be written in the folder '/.*: make room.*may write to") as found:
-        write_whole(path, b"new")
-    assert "Errno" not in str(found.value)
-    with pytest.raises(MocOptError, match="cannot be written"):
-        check_replaceable(path, "file", MocOptError)
-
-
-def test_a_command_says_which_folder_it_cannot_write_to(capsys):
-    assert main(["report", "none.parquet", "--out", "/proc/x.html"]) == 2
-    said = capsys.readouterr().err
-    assert "'/proc'" in said
-    assert "Errno" not in said
+    for work in (lambda: write_whole(path, b"new"), lambda: check_replaceable(path, "file", MocOptError)):
+        with pytest.raises(MocOptError, match=r"cannot be written in the folder '/.*: make room") as found:
+            work()
+        assert "Errno" not in str(found.value)
 
 
 # --- texts that are written are read again ---
 
-leaves = st.integers() | st.floats() | st.text(max_size=3)
+leaves = st.integers(-(2**63), 2**63 - 1) | st.floats() | st.text(max_size=3)
 
 
 @given(st.recursive(leaves, lambda inner: st.lists(inner) | st.dictionaries(st.text(), inner), max_leaves=8))
+@settings(max_examples=30)
 def test_whatever_is_written_as_json_is_json(value):
     text = to_json({"value": value, "numpy": np.array([np.nan, np.inf, 1.0])})
-
-    def never(name):
-        raise AssertionError(name)
-
-    assert json.loads(text, parse_constant=never)["numpy"] == [None, None, 1.0]
+    assert parse_json(text, "it", MocOptError)["numpy"] == [None, None, 1.0]
 
 
 TEXT = st.text(st.characters(exclude_categories=["Cs"]), max_size=6)
@@ -226,6 +201,7 @@ VALUES = st.recursive(
 
 
 @given(st.dictionaries(TEXT, VALUES, max_size=4))
+@settings(max_examples=60)
 def test_toml_that_is_written_is_read_again(table):
     assert tomllib.loads(to_toml(table)) == table
 
