@@ -133,6 +133,11 @@ def read_arrays(path: Path_, what: str, error: Wrong, most: int = 2**27) -> dict
     return found
 
 
+def decimal(text: str) -> float:
+    """Read a decimal number; NaN for any other text, such as 0_1 or digits of another script, which float() takes."""
+    return float(text) if re.fullmatch(r"[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?", text, re.ASCII | re.I) else math.nan
+
+
 def wrong_number(value: Any, most: int = LARGEST_INTEGER, *, sizes: bool = True, path: str = "", depth: int = 0) -> str:
     """Say which number inside a value cannot be used, or what is nested too deep; empty where nothing is wrong.
 

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import argparse
+import math
 from pathlib import Path
 from typing import Any
 
 from moc_opt.errors import RobotError
+from moc_opt.inputs.files import decimal
 
 VERDICTS = {"ok": "can be used", "care": "can be used with care", "cannot": "cannot be used"}
 
@@ -74,8 +76,7 @@ def _locks(given: list[str]) -> dict[str, float]:
     found = {}
     for text in given:
         name, _, value = text.partition("=")
-        try:
-            found[name] = float(value or "0")
-        except ValueError as error:
-            raise RobotError(f"--lock {text!r}: write JOINT or JOINT=VALUE, a number in rad or m") from error
+        found[name] = decimal(value or "0")
+        if math.isnan(found[name]):
+            raise RobotError(f"--lock {text!r}: write JOINT or JOINT=VALUE, a number in rad or m")
     return found

@@ -15,6 +15,7 @@ import moc_opt as mo
 from moc_opt.errors import MocOptError, RobotError, ScenarioError, TraceError
 from moc_opt.inputs.files import (
     check_replaceable,
+    decimal,
     parse_json,
     read_arrays,
     read_bytes,
@@ -103,6 +104,16 @@ def test_an_error_about_recorded_times_quotes_no_byte_of_the_file(tmp_path):
         with pytest.raises(ScenarioError, match="replay_us") as found:
             recorded_times(Scenario(solver={"replay_us": str(tmp_path / name)}))
         assert "secret" not in str(found.value)
+
+
+@pytest.mark.parametrize("text", ["0_1", "1_000.0", "\u0661", "\uff11", "inf", "nan", "0x1p2", "", "1.2.3", "- 1"])
+def test_what_is_no_decimal_number_is_none(text):
+    assert np.isnan(decimal(text))
+
+
+@given(st.floats(allow_nan=False, allow_infinity=False) | st.integers(-(10**20), 10**20))
+def test_every_decimal_number_is_read(value):
+    assert decimal(repr(value)) == float(value)
 
 
 # --- writing ---
