@@ -182,7 +182,7 @@ class LiveRun:
             self._exchange(self.control.replace(settings), self.solver)
 
     def place_trocar(self, x_m: float, y_m: float, z_m: float = 0.0) -> None:
-        """Move the trocar, slowly, to this offset in world axes [m], `MOST_OFFSET_M` at most; the controller is told."""
+        """Move the trocar slowly to an offset in world axes [m] of at most `MOST_OFFSET_M`; the controller is told."""
         for value in (x_m, y_m, z_m):
             if not is_number(value) or not abs(value) <= MOST_OFFSET_M:
                 raise LiveError(f"trocar offset = {value!r} m: give a number from {-MOST_OFFSET_M} to {MOST_OFFSET_M}")
