@@ -158,7 +158,8 @@ class Trace:
             [0.002]
         """
         if not (is_number(start_s) and is_number(stop_s)):
-            raise TraceError(f"between({shown(start_s)}, {shown(stop_s)}): give times in seconds, inf for no limit")
+            given = f"start_s = {shown(start_s)}, stop_s = {shown(stop_s)}"
+            raise TraceError(f"between({given}): give times in seconds, inf for no limit")
         time = np.asarray(self.t_s)
         inside = (time >= start_s) & (time < stop_s)
         if not inside.any():
