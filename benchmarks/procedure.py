@@ -22,9 +22,14 @@ from moc_opt.errors import TaskError
 from moc_opt.inputs.settings import Settings
 from moc_opt.planning.self_motion import self_motion
 from moc_opt.robots.inverse_kinematics import pose_through
-from moc_opt.scenario import Scenario, make_safety_filter, make_solver, make_stop
-from moc_opt.scenario.adapter import ControllerAdapter
-from moc_opt.scenario.parts import isolated
+from moc_opt.scenario import (
+    ControllerAdapter,
+    Scenario,
+    isolated,
+    make_safety_filter,
+    make_solver,
+    make_stop,
+)
 from moc_opt.sim.loop import simulate
 from moc_opt.sim.plant import Plant
 from moc_opt.study import Failed

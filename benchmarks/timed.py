@@ -28,8 +28,7 @@ from moc_opt.control.law import law_of
 from moc_opt.export import export_scenario
 from moc_opt.qp.problem import NullSpaceQP, row_length
 from moc_opt.robots.model import load_robot
-from moc_opt.scenario import Scenario, Setup, make_solver
-from moc_opt.scenario.adapter import ControllerAdapter
+from moc_opt.scenario import ControllerAdapter, Scenario, Setup, make_solver
 from moc_opt.solvers.exact import Exact
 from moc_opt.study.timing import Disturbance, Timed, figures, interleaved, percentiles, ratios, used
 

@@ -28,7 +28,7 @@ from moc_opt.realtime.remote import INCOMING, RemoteController
 from moc_opt.robots import loader
 from moc_opt.scenario import Scenario, Setup, make_safety_filter, run
 from moc_opt.sim import Plant
-from moc_opt.sim.agreement import check_engines
+from moc_opt.sim.mjcf import check_engines
 from moc_opt.sim.sensors import Measurement
 from moc_opt.solvers.base import Status
 from moc_opt.tasks import Waypoints

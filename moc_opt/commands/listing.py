@@ -10,10 +10,12 @@ from typing import Any
 from moc_opt.commands.running import print_tables
 from moc_opt.errors import MocOptError
 from moc_opt.inputs.files import plain, to_json
+from moc_opt.planning.self_motion import best_freedoms
 from moc_opt.report.console import console, print_json
 from moc_opt.report.tables import Column, Table
 from moc_opt.robots import about, available_robots
-from moc_opt.scenario.tables import RobotTable, TaskTable
+from moc_opt.robots.model import load_robot
+from moc_opt.scenario.tables import TaskTable
 from moc_opt.solvers.registry import available, defaults
 from moc_opt.tasks.kinds import kinds, sizes
 from moc_opt.trace.metrics import METRICS, load_plugins
@@ -68,7 +70,8 @@ def robots() -> Table:
     """Return every arm of the package: its joints, its freedoms beside tip and shaft, and its description."""
     rows = []
     for name in available_robots():
-        arm, left = RobotTable(name=name).arm_and_freedoms()
+        arm = load_robot(name)
+        left = best_freedoms(arm)
         rows.append({
             "robot": name, "joints": arm.n, "real": left.real, "idle": len(left.idle),
             "tool": arm.data.tool_length, "about": about(name),

@@ -265,8 +265,7 @@ def plan_scenario(given: argparse.Namespace) -> int:
 
 def _plan(given: argparse.Namespace) -> int:
     from moc_opt.report.plan_table import place_json, place_table, plan_json, plan_tables, start_toml
-    from moc_opt.scenario.placement import place
-    from moc_opt.scenario.planned import followable_plan, following_warnings, save_course
+    from moc_opt.scenario.planned import followable_plan, following_warnings, place, save_course
 
     for option, value in (("--box", given.box), ("--candidates", given.candidates)):
         if value is not None and given.place is None:

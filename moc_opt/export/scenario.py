@@ -12,8 +12,7 @@ from moc_opt.control import Controller, law, safety_filter
 from moc_opt.errors import ScenarioError
 from moc_opt.export.folder import OWN, UDP, Recording, shipped, write
 from moc_opt.realtime.packets import c_numbers
-from moc_opt.scenario import Scenario, Setup, make_safety_filter
-from moc_opt.scenario.adapter import ControllerAdapter
+from moc_opt.scenario import ControllerAdapter, Scenario, Setup, make_safety_filter
 from moc_opt.scenario.wired import fingerprint
 from moc_opt.sim.loop import FilteredController
 from moc_opt.sim.sensors import Measurement

@@ -15,8 +15,7 @@ from moc_opt.control.gains import Gains
 from moc_opt.errors import MocOptError, RobotError, ScenarioError, is_number
 from moc_opt.planning.self_motion import self_motion
 from moc_opt.robots.model import RobotModel, RobotState
-from moc_opt.scenario import Scenario, Setup, make_solver
-from moc_opt.scenario.parts import isolated
+from moc_opt.scenario import Scenario, Setup, isolated, make_solver
 from moc_opt.tasks import Reference
 from moc_opt.tasks.trocar import shaft_distance
 

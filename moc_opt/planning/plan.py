@@ -317,7 +317,7 @@ class Placement:
     """One place of trocar or base.
 
     Example:
-        >>> from moc_opt.scenario.placement import place
+        >>> from moc_opt.scenario.planned import place
         >>> first = place(mo.Scenario(duration_s=1.0), "trocar", candidates=2, best=1)[0]
         >>> sorted(first.changes())
         ['start', 'trocar']

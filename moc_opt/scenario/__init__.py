@@ -2,17 +2,25 @@
 
 Read first: ``config`` (``Scenario``: every key of the TOML; ``tables`` has some of its tables), then ``setup``
 (``Setup`` builds the objects; ``Setup.trace`` and ``run`` make a trace). ``layout`` lays the task out from a start,
-``parts`` makes solver and safety filter, ``adapter`` is the controller in the loop, ``derived`` has columns computed
-after a run. ``planned`` plans before a run, ``placement`` moves trocar or base, ``yardstick`` is the best course that a
-run is compared with. ``wired`` puts a wire between plant and controller.
+``controller`` makes solver, safety filter and the controller as the loop calls it, ``derived`` has columns computed
+after a run, ``planned`` plans before a run and searches a place for trocar or base. ``wired`` puts a wire between plant
+and controller.
 """
 
 from moc_opt.errors import MocOptError
 from moc_opt.scenario.config import Scenario
-from moc_opt.scenario.parts import make_safety_filter, make_solver, make_stop
+from moc_opt.scenario.controller import (
+    ControllerAdapter,
+    check_solver,
+    isolated,
+    make_safety_filter,
+    make_solver,
+    make_stop,
+)
 from moc_opt.scenario.setup import Setup, run
 from moc_opt.sim.record import RunAway
 
 __all__ = [
-    "MocOptError", "RunAway", "Scenario", "Setup", "make_safety_filter", "make_solver", "make_stop", "run",
+    "ControllerAdapter", "MocOptError", "RunAway", "Scenario", "Setup", "check_solver", "isolated",
+    "make_safety_filter", "make_solver", "make_stop", "run",
 ]  # fmt: skip

@@ -56,9 +56,9 @@ class Scenario(Settings):
     """
 
     KIND: ClassVar[str] = "scenario:"
-    name: Name = Field(default="circle", description="title of the run")
+    name: Name = Field("circle", description="title of the run")
     seed: int = Field(
-        default=0, ge=0, le=LARGEST_INTEGER,
+        0, ge=0, le=LARGEST_INTEGER,
         description="seed of the random starting pose and swivel, of the plant's mismatch and of its noise",
     )  # fmt: skip
     robot: RobotTable = RobotTable()
@@ -69,26 +69,26 @@ class Scenario(Settings):
     solver: SolverTable = SolverTable()
     plant: PlantSettings = PlantSettings.realistic()
     duration_s: float | None = Field(
-        default=None, gt=0.0, le=MOST_S,
+        None, gt=0.0, le=MOST_S,
         description="time after which the run stops early; None: it runs to the end of the path",
     )  # fmt: skip
     deadline_us: float = Field(
-        default=2000.0, gt=0.0, le=1e9, description="a tick that takes longer counts as a missed deadline"
+        2000.0, gt=0.0, le=1e9, description="a tick that takes longer counts as a missed deadline"
     )
     guard: SafetyFilterSettings = SafetyFilterSettings()
     faults: FaultSettings = FaultSettings()
     wire: WireSettings = WireSettings()
-    judge: bool = Field(default=True, description="whether every answer is judged after the run")
+    judge: bool = Field(True, description="whether every answer is judged after the run")
     metrics: tuple[Name, ...] = Field(
-        default=(),
+        (),
         description="names of the metrics that `moc-opt run` prints; `moc-opt metrics` lists them; empty: a short "
         "selection",
     )
     bound_samples: int = Field(
-        default=25, ge=0, le=100_000, description="number of points of the path at which the largest mu is searched for"
+        25, ge=0, le=100_000, description="number of points of the path at which the largest mu is searched for"
     )
     best_courses: bool = Field(
-        default=False,
+        False,
         description="plan the best courses of the path after the run and compare mu with them; takes a second or more",
     )
 
@@ -101,14 +101,11 @@ class Scenario(Settings):
             raise
 
     @classmethod
-    def _places(cls, name: str) -> list[str]:
-        """Return the places that have a key of this name: in TOML a key goes to the table above it."""
-        found = ["at the top of the file, above all tables"] if name in cls.model_fields else []
-        for table, field in cls.model_fields.items():
-            kind = field.annotation
-            if isinstance(kind, type) and issubclass(kind, Settings) and name in kind.model_fields:
-                found.append(f"in [{table}]")
-        return found
+    def _places(cls, key: str) -> list[str]:
+        # In TOML a key goes to the table above it, which is often the wrong one.
+        tables = {name: field.annotation for name, field in cls.model_fields.items()}
+        inside = [f"in [{name}]" for name, kind in tables.items() if key in getattr(kind, "model_fields", {})]
+        return ["at the top of the file, above all tables", *inside] if key in tables else inside
 
     @field_validator(*PRESETS, mode="before")
     @classmethod
@@ -155,9 +152,9 @@ class Scenario(Settings):
         file = as_path(path, "scenario", ScenarioError)
         if file.suffix == ".parquet":
             raise ScenarioError(f"{file} is a trace, no scenario: moc-opt report, replay or map shows it")
-        table = _with_paths_from(file.parent, read_toml(file, "scenario", ScenarioError))
+        table = read_toml(file, "scenario", ScenarioError)
         try:
-            return cls(**table)
+            return cls(**_with_files_in(file.parent, table))
         except MocOptError as error:
             error.args = (f"{file}: {error}",)  # of whichever kind it is
             raise
@@ -189,13 +186,12 @@ class Scenario(Settings):
             >>> mo.Scenario.load("scenario.toml") == scenario
             True
         """
-        file, table = as_path(path, "scenario", ScenarioError), self.changes()
-        if Path(self.robot.name).suffix.lower() in (".toml", ".urdf"):
-            table["robot"] = {**table["robot"], "name": str(Path(self.robot.name).absolute())}
-        if self.control.course:
-            table["control"] = {**table["control"], "course": str(Path(self.control.course).absolute())}
+        file, table = as_path(path, "scenario", ScenarioError), _with_files_in(Path.cwd(), self.changes())
         if None in self.solver.settings.values():
-            table["solver"] = {**table["solver"], "settings": _without_usual_none(self.solver)}
+            usual = defaults(self.solver.name)
+            given = self.solver.settings.items()  # a file has no None, and needs none where that is the default
+            kept = {key: value for key, value in given if value is not None or usual.get(key, ...) is not None}
+            table["solver"] = {**table["solver"], "settings": kept}
         try:
             text = to_toml(_without_none(table))
         except TypeError as error:
@@ -260,16 +256,13 @@ class Scenario(Settings):
         return guard.model_copy(update=told)
 
 
-def _with_paths_from(folder: Path, table: dict[str, Any]) -> dict[str, Any]:
-    """Return the table with the files of robot and course, where they are given, taken from the scenario's folder."""
+def _with_files_in(folder: Path, table: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the table with the files of robot and course in a folder, but for absolute paths."""
     found = dict(table)
     for name, key in (("robot", "name"), ("control", "course")):
-        part = table.get(name)
-        given = part.get(key) if isinstance(part, Mapping) else None
-        if part is None or not isinstance(given, str) or not given:
-            continue
-        if key == "course" or Path(given).suffix.lower() in (".toml", ".urdf"):
-            found[name] = {**part, key: str(folder / given)}
+        file = table[name].get(key) if isinstance(table.get(name), Mapping) else None
+        if isinstance(file, str) and file and (key == "course" or Path(file).suffix.lower() in (".toml", ".urdf")):
+            found[name] = {**table[name], key: str(folder / file)}
     return found
 
 
@@ -284,18 +277,6 @@ def _tables(value: Settings, name: str) -> Iterator[dict[str, Any]]:
                 table[key] = entry.model_dump(exclude_defaults=True) if isinstance(entry, Settings) else entry
         if None not in table.values():  # what a preset sets, a file cannot set back to None
             yield {"preset": preset, **table}
-
-
-def _without_usual_none(solver: SolverTable) -> dict[str, Any]:
-    """Return the solver's settings without those that are None by default: a file has no None."""
-    usual = defaults(solver.name)
-    for name, value in solver.settings.items():
-        if value is None and usual.get(name, ...) is not None:
-            raise ScenarioError(
-                f"[solver.settings] {name} = None has no form in TOML, and left out it would be "
-                f"{shown(usual.get(name, 'unknown'))}: give a value"
-            )
-    return {name: value for name, value in solver.settings.items() if value is not None}
 
 
 def _without_none(table: Mapping[str, Any]) -> dict[str, Any]:

@@ -1,27 +1,48 @@
-"""Columns that follow from the recorded ones: the robot's own errors, residuals of the answers, the largest mu."""
+"""Columns that are computed after a run: the arm's own errors, residuals of the answers, and mu beside the best mu.
+
+The best courses, from the run's start and over all starts, are those of dynamic programming within the arm's own joint
+limits and speeds, on a grid of 50 ms and 0.5 degree; refined as `moc_opt.scenario.planned.plan` does they are a little
+better (docs/planning.md). They are planned once for all runs of one path and start, whatever the controller.
+"""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
-from typing import Any
+from functools import lru_cache
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from moc_opt.arrays import Array
+from moc_opt.errors import MocOptError
 from moc_opt.planning import pose_map
+from moc_opt.planning.course import Course, Limits, make_course
+from moc_opt.planning.elbow import Elbow
+from moc_opt.planning.plan import best_course, top_of
+from moc_opt.planning.search import Value
+from moc_opt.planning.self_motion import best_freedoms
 from moc_opt.qp.problem import compute_residuals
 from moc_opt.qp.residuals import Residuals
 from moc_opt.robots.model import RobotModel
+from moc_opt.scenario.config import Scenario
+from moc_opt.scenario.planned import layout_of, targets_of
 from moc_opt.sim.plant import Plant
 from moc_opt.sim.record import TaskOffset
 from moc_opt.solvers.base import Status
 from moc_opt.tasks.trocar import shaft_distance
+from moc_opt.trace.trace import Trace
 
 Columns = Mapping[str, NDArray[Any]]
 
 AT_ONCE = 5000
 """Answers whose residuals are computed together."""
+PERIOD_S = 0.05
+"""Of the best courses' grid: a joint's way in one period is then several swivels of the map, so that little of its
+speed is lost."""
+PATH = {"robot", "start", "trocar", "task", "duration_s", "seed"}
+"""The fields of a scenario that path and start follow from."""
 
 
 def model_errors(columns: Columns, robot: RobotModel, plant: Plant, offset: TaskOffset) -> dict[str, NDArray[Any]]:
@@ -74,3 +95,62 @@ def largest_mu(poses: Array, robot: RobotModel, samples: int) -> tuple[Array, di
     found = pose_map.largest_mu(robot, np.asarray(poses[ticks], dtype=np.float64))
     bound[ticks] = found.mu
     return bound, {"mu_bound_method": found.method}
+
+
+class BestCourses(NamedTuple):
+    """The best courses of one path."""
+
+    robot: RobotModel
+    from_start: Course | None
+    best: Course | None
+    absent: str  #: Why a course is missing; empty where none is.
+    last: pose_map.PoseMap | None  #: Of the end of the path alone.
+
+
+def best_courses(scenario: Scenario) -> BestCourses:
+    """Plan the best courses of a scenario's path, or return those planned before; raises as a run does."""
+    return _planned(scenario.model_dump_json(include=PATH))
+
+
+@lru_cache(maxsize=64)
+def _planned(path: str) -> BestCourses:
+    scenario = Scenario(**json.loads(path))
+    robot = scenario.robot.arm()
+    real = best_freedoms(robot).real
+    if real != 1:
+        return BestCourses(robot, None, None, f"tip and shaft leave {real} freedoms, a map has one", None)
+    layout = layout_of(scenario, robot)
+    targets = targets_of(robot, layout, period_s=PERIOD_S)
+    value = Value(pose_map.map_of(robot, layout.q, targets), Limits())
+    grid = [best_course(value, Limits(), start) for start in (layout.q, None)]
+    mine, best = (None if q is None else make_course(robot, targets, q) for q in grid)
+    absent = "" if mine is not None else "no course was found from this start on the grid of the map"
+    return BestCourses(robot, mine, best, absent, pose_map.map_of(robot, layout.q, targets[-2:]))
+
+
+def against_best(scenario: Scenario, trace: Trace) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+    """Return the columns of the best courses, and meta's entry ``best_courses``.
+
+    Its ``absent`` says why there is none; its ``end`` has the maximum of mu [m^3] that a climb reaches from the run's
+    last pose, the course's last mu, and the swivels of both [deg].
+    """
+    try:
+        known = best_courses(scenario)
+    except MocOptError as error:
+        return {}, {"best_courses": {"absent": str(error)}}
+    t, mine, last = trace.t_s, known.from_start, known.last
+    columns: dict[str, NDArray[Any]] = {}
+    for name, course in (("mu_best_from_start", mine), ("mu_best", known.best)):
+        if course is not None:
+            columns[name] = np.interp(t, course.t_s, course.mu)
+    told: dict[str, Any] = {"absent": known.absent}
+    if mine is not None and last is not None:
+        columns["q_best_from_start_rad"] = np.stack([np.interp(t, mine.t_s, q) for q in mine.q_rad.T], axis=1)
+        top, elbow = top_of(last, trace.q_rad[-1]), Elbow(known.robot, last.targets.wrist)
+        if top is not None and abs(t[-1] - mine.t_s[-1]) < PERIOD_S:  # a run that was stopped ends elsewhere
+            here, there = np.degrees(elbow.swivel(np.stack([top.q_rad, mine.q_rad[-1]]))).tolist()
+            told["end"] = {
+                "mu": float(trace.mu[-1]), "top_mu": top.mu, "top_swivel_deg": here, "at_limit": top.at_limit,
+                "best_mu": float(mine.mu[-1]), "best_swivel_deg": there,
+            }  # fmt: skip
+    return columns, {"best_courses": told}

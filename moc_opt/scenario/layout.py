@@ -21,8 +21,7 @@ from moc_opt.vision.preflight import Reach
 MOST_TICKS = 1_000_000
 """Of a run: half an hour at 500 Hz, and some 4 GB of memory while it is judged."""
 
-_POSE_STREAM = (1,)
-"""Spawn key of the random pose's seed: its draws leave those of swivel, plant and faults as they are."""
+_POSE_STREAM = (1,)  # spawn key: the random pose's draws leave those of swivel, plant and faults as they are
 
 
 @dataclass(frozen=True, eq=False)

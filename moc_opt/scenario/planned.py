@@ -1,20 +1,27 @@
-"""Plan a scenario before its run: `moc_opt.planning` on its path, trocar and start; and the course as a file."""
+"""Plan a scenario before its run: `moc_opt.planning` on its path, trocar and start; and the course as a file.
+
+`place` searches where the trocar, or the arm's base, serves the path best: every place of a box is planned.
+"""
 
 from __future__ import annotations
 
 import numbers
 import os
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
-from typing import TypedDict
+from typing import Literal, TypedDict, get_args
 
 import numpy as np
 
-from moc_opt.errors import ControlError, ScenarioError, shown
-from moc_opt.planning.course import Limits, Objective, Targets, lay_targets
+from moc_opt.arrays import Array
+from moc_opt.errors import ControlError, ScenarioError, TaskError, is_number, shown
+from moc_opt.planning.course import Limits, Objective, Targets, lay_targets, make_course
 from moc_opt.planning.guides import COURSE_SHARE, ROUNDING, margin_of, speed_shares
-from moc_opt.planning.plan import Plan, make_plan
-from moc_opt.planning.pose_map import SWIVELS
+from moc_opt.planning.plan import Placement, Plan, best_course, check_limits, make_plan
+from moc_opt.planning.pose_map import SWIVELS, map_of
+from moc_opt.planning.program import worth
+from moc_opt.planning.search import Value, keeping_shaft
 from moc_opt.robots.model import RobotModel
 from moc_opt.scenario.config import Scenario
 from moc_opt.scenario.layout import Layout, described, lay_out, seeds_of
@@ -23,21 +30,17 @@ from moc_opt.trace.trace import Trace
 PERIOD_S = 0.025
 """Between the times of a plan at most, if a path has no more than `MOST_TIMES` of them."""
 MOST_TIMES = 1000
+COARSE_S, COARSE_SWIVELS = 0.05, 180
+"""Of the grid on which all places are planned first."""
+Movable = Literal["trocar", "base"]
+MOVABLE: tuple[Movable, ...] = get_args(Movable)
 
 
 def plan(
-    scenario: Scenario | str | os.PathLike[str],
-    *,
-    objective: Objective = "mean",
-    times: int | None = None,
-    swivels: int = SWIVELS,
-    margin_rad: float = 0.0,
-    margin_m: float = 0.0,
-    speed_share: float = 1.0,
-    acceleration: float = np.inf,
-    shaft_margin: float = 0.0,
-    refined: bool = True,
-) -> Plan:
+    scenario: Scenario | str | os.PathLike[str], *, objective: Objective = "mean", times: int | None = None,
+    swivels: int = SWIVELS, margin_rad: float = 0.0, margin_m: float = 0.0, speed_share: float = 1.0,
+    acceleration: float = np.inf, shaft_margin: float = 0.0, refined: bool = True,
+) -> Plan:  # fmt: skip
     """Plan a scenario's run: whether it can be executed, from which swivel, how well, and along which course.
 
     The plan uses the controller's data: the robot model, the registered trocar, the reference from the first
@@ -68,51 +71,8 @@ def plan(
     robot = scenario.robot.arm()
     layout = layout_of(scenario, robot)
     limits = Limits(margin_of(robot, margin_rad, margin_m), speed_share, acceleration, shaft_margin)
-    return make_plan(
-        robot, layout.q, targets_of(robot, layout, times), limits, objective, swivels=swivels, refined=refined
-    )
-
-
-class Within(TypedDict):
-    """The limits of a plan, as arguments of `plan`."""
-
-    margin_rad: float
-    margin_m: float
-    speed_share: float
-    shaft_margin: float
-
-
-def followable_plan(
-    scenario: Scenario, margin_rad: float | None, speed_share: float | None, *, objective: Objective,
-    acceleration: float, margin_m: float | None = None, followed: bool | None = None,
-) -> tuple[Plan, Within]:  # fmt: skip
-    """Plan within what a third level keeps to that follows a course, or within the arm's own limits.
-
-    Args:
-        scenario: of the run.
-        margin_rad, margin_m, speed_share: in place of these, where given; a margin alone leaves the other at zero.
-        objective, acceleration: as of `plan`.
-        followed: whether the course is to be followed; None: if the scenario's third level follows one.
-
-    Raises:
-        MocOptError: as of `plan`.
-    """
-    settings = scenario.control
-    follows = settings.follows if followed is None else followed
-    if speed_share is None:
-        speed_share = settings.course_speed_fraction if follows else 1.0
-    shaft = COURSE_SHARE * settings.shaft_margin if follows else 0.0
-    slides = scenario.robot.arm().chain.prismatic.any()
-    margins = [(settings.course_margin_rad, settings.limit_margin_m if slides else 0.0)] if follows else []
-    given = margin_rad is not None or margin_m is not None
-    for turning, sliding in [(margin_rad or 0.0, margin_m or 0.0)] if given else [*margins, (0.0, 0.0)]:
-        within: Within = {
-            "margin_rad": turning, "margin_m": sliding, "speed_share": speed_share, "shaft_margin": shaft
-        }  # fmt: skip
-        found = plan(scenario, objective=objective, acceleration=acceleration, **within)
-        if found.executable:
-            break
-    return found, within
+    targets = targets_of(robot, layout, times)
+    return make_plan(robot, layout.q, targets, limits, objective, swivels=swivels, refined=refined)
 
 
 def layout_of(scenario: Scenario, robot: RobotModel) -> Layout:
@@ -136,11 +96,89 @@ def targets_of(
         finer: so many times as many.
     """
     spaces = int(np.clip(np.ceil(layout.duration_s / period_s), 1, MOST_TIMES - 1))
+    span, length = robot.state(layout.q).tool_span, robot.data.tool_length
     count = times or finer * spaces + 1
-    return lay_targets(
-        layout.reference, layout.registered, robot.state(layout.q).tool_span, layout.duration_s, count,
-        robot.data.tool_length,
-    )  # fmt: skip
+    return lay_targets(layout.reference, layout.registered, span, layout.duration_s, count, length)
+
+
+# --- a course to be followed ---
+
+
+class Within(TypedDict):
+    """The limits of a plan, as arguments of `plan`."""
+
+    margin_rad: float
+    margin_m: float
+    speed_share: float
+    shaft_margin: float
+
+
+def followable_plan(
+    scenario: Scenario, margin_rad: float | None, speed_share: float | None, *, objective: Objective,
+    acceleration: float, margin_m: float | None = None, followed: bool | None = None,
+) -> tuple[Plan, Within]:  # fmt: skip
+    """Plan within what a third level keeps to that follows a course, or within the arm's own limits.
+
+    Where the path cannot be executed with that third level's margins, it is planned without.
+
+    Args:
+        scenario: of the run.
+        margin_rad, margin_m, speed_share: in place of these, where given; a margin alone leaves the other at zero.
+        objective, acceleration: as of `plan`.
+        followed: whether the course is to be followed; None: if the scenario's third level follows one.
+
+    Raises:
+        MocOptError: as of `plan`.
+    """
+    settings = scenario.control
+    follows = settings.follows if followed is None else followed
+    margins = [(margin_rad or 0.0, margin_m or 0.0)]
+    if follows and margin_rad is None and margin_m is None:
+        slides = scenario.robot.arm().chain.prismatic.any()
+        margins.insert(0, (settings.course_margin_rad, settings.limit_margin_m if slides else 0.0))
+    if speed_share is None:
+        speed_share = settings.course_speed_fraction if follows else 1.0
+    shaft = COURSE_SHARE * settings.shaft_margin if follows else 0.0
+    for turning, sliding in margins:
+        within = Within(margin_rad=turning, margin_m=sliding, speed_share=speed_share, shaft_margin=shaft)
+        found = plan(scenario, objective=objective, acceleration=acceleration, **within)
+        if found.executable:
+            break
+    return found, within
+
+
+def following_warnings(scenario: Scenario, found: Plan) -> list[str]:
+    """Say what keeps the scenario's third level from following the course of its plan, each with its cure."""
+    settings, course, said = scenario.control, found.course, list[str]()
+    if settings.law != "moc":
+        return [f"law = {settings.law!r} has no third level: nothing follows the course; take law = 'moc'"]
+    try:
+        settings.check_guided()
+    except ControlError as error:
+        said.append(f"the course cannot be followed: {error}")
+    if course is None or len(course.t_s) < 2:
+        return said
+    robot, allowed = scenario.robot.arm(), settings.course_speed_fraction
+    names, moving, slides = robot.data.joint_names, robot.moves.any(axis=0), robot.chain.prismatic
+    shares = np.where(moving, speed_shares(robot, course.q_rad, found.targets.period_s), 0.0)
+    j = int(np.argmax(shares))
+    if shares[j] > allowed + ROUNDING:
+        said.append(
+            f"the course moves {names[j]} at {shares[j]:.2f} of its speed limit; the third level "
+            f"follows up to [control] course_speed_fraction = {allowed:g}: plan with --speed-share {allowed:g}"
+        )
+    margins = np.where(slides, settings.limit_margin_m, settings.course_margin_rad)
+    room = np.minimum(course.q_rad - robot.q_min, robot.q_max - course.q_rad).min(axis=0)
+    short = np.where(moving, margins - room, -1.0)
+    j = int(np.argmax(short))
+    if short[j] > ROUNDING:
+        slide, turn = ("m", "limit_margin_m", "--margin-m"), ("rad", "course_margin_rad", "--margin")
+        unit, key, option = slide if slides[j] else turn
+        said.append(
+            f"the course takes {names[j]} to within {room[j]:.3f} {unit} of its limit; the third "
+            f"level keeps {margins[j]:g} {unit}: plan with {option} {margins[j]:g}, or lower {key}"
+        )
+    return said
 
 
 def save_course(
@@ -177,36 +215,70 @@ def save_course(
     return Path(to)
 
 
-def following_warnings(scenario: Scenario, found: Plan) -> list[str]:
-    """Say what keeps the scenario's third level from following the course of its plan, each with its cure."""
-    settings, course = scenario.control, found.course
-    if settings.law != "moc":
-        return [f"law = {settings.law!r} has no third level: nothing follows the course; take law = 'moc'"]
-    said = []
-    try:
-        settings.check_guided()
-    except ControlError as error:
-        said.append(f"the course cannot be followed: {error}")
-    if course is None or len(course.t_s) < 2:
-        return said
+# --- a place for trocar or base ---
+
+
+def place(
+    scenario: Scenario, what: Movable, *, box_m: float = 0.05, candidates: int = 40, seed: int = 0, best: int = 5,
+    objective: Objective = "mean", margin_rad: float = 0.0, margin_m: float = 0.0, speed_share: float = 1.0,
+    shaft_margin: float = 0.0,
+) -> list[Placement]:  # fmt: skip
+    """Search a cube for the place that serves the path best; the best first, the present place among them.
+
+    All candidates are planned on a coarse grid, the best few again on the plan's own: by dynamic programming over every
+    swivel and branch at the start. The path of the tip stays where it is.
+
+    Args:
+        what: moves, in the world's axes: the "trocar", or the "base" without turning.
+        box_m: half the edge of the cube about the present place [m].
+        candidates: drawn evenly from the cube.
+        best: places that are planned on the finer grid and returned, besides the present one.
+        objective, margin_rad, margin_m, speed_share, shaft_margin: as of `plan`.
+
+    Raises:
+        ScenarioError, TaskError: an argument is out of range.
+        MocOptError: the scenario's start, path or trocar is not usable.
+
+    Example:
+        >>> from moc_opt.scenario.planned import place
+        >>> places = place(mo.Scenario(duration_s=1.0), "base", candidates=2, best=1)
+        >>> len(places), places[0].course.mu_mean >= places[1].course.mu_mean
+        (2, True)
+    """
+    if what not in MOVABLE:
+        raise ScenarioError(f"place = {what!r}: choose one of {', '.join(map(repr, MOVABLE))}")
+    if not is_number(box_m) or not 0.0 < box_m <= 1.0:
+        raise ScenarioError(f"box_m = {box_m!r}: give half the edge of a cube, above 0 to 1 m")
+    for name, count, least in (("candidates", candidates, 1), ("best", best, 1), ("seed", seed, 0)):
+        if not isinstance(count, numbers.Integral) or count < least:
+            raise ScenarioError(f"{name} = {shown(count)}: give a whole number, {least} or more")
     robot = scenario.robot.arm()
-    names, moving = robot.data.joint_names, np.asarray(robot.moves.any(axis=0))
-    shares = np.where(moving, speed_shares(robot, course.q_rad, found.targets.period_s), 0.0)
-    j, allowed = int(np.argmax(shares)), settings.course_speed_fraction
-    if shares[j] > allowed + ROUNDING:
-        said.append(
-            f"the course moves {names[j]} at {shares[j]:.2f} of its speed limit; the third level "
-            f"follows up to [control] course_speed_fraction = {allowed:g}: plan with --speed-share {allowed:g}"
-        )
-    margins = np.where(robot.chain.prismatic, settings.limit_margin_m, settings.course_margin_rad)
-    room = np.minimum(course.q_rad - robot.q_min, robot.q_max - course.q_rad).min(axis=0)
-    short = np.where(moving, margins - room, -1.0)
-    j = int(np.argmax(short))
-    turns = "rad", "course_margin_rad", "--margin"
-    unit, key, option = ("m", "limit_margin_m", "--margin-m") if robot.chain.prismatic[j] else turns
-    if short[j] > ROUNDING:
-        said.append(
-            f"the course takes {names[j]} to within {room[j]:.3f} {unit} of its limit; the third "
-            f"level keeps {margins[j]:g} {unit}: plan with {option} {margins[j]:g}, or lower {key}"
-        )
-    return said
+    layout = layout_of(scenario, robot)
+    limits = Limits(margin_of(robot, margin_rad, margin_m), speed_share, shaft=shaft_margin)
+    check_limits(robot, limits, objective)
+
+    def planned(shift: Array, times: int | None, swivels: int) -> tuple[float, Placement]:
+        moved, trocar = (float(shift[0]), float(shift[1]), float(shift[2])), layout.registered
+        if what == "trocar":
+            trocar = replace(trocar, point=np.asarray(trocar.point) + shift)
+        depth = float(np.linalg.norm(trocar.at(0.0)[0] - robot.state(layout.q).tip))
+        nowhere = -np.inf, Placement(moved, None, depth)
+        try:
+            targets = targets_of(robot, replace(layout, registered=trocar), times)
+        except TaskError:  # the trocar is off the shaft somewhere
+            return nowhere
+        if what == "base":
+            targets = replace(targets, tip=targets.tip - shift, wrist=targets.wrist - shift)
+        whole = map_of(robot, layout.q, targets, swivels)
+        q = best_course(Value(keeping_shaft(whole, limits), limits, objective), limits, None)
+        if q is None:
+            return nowhere
+        course = make_course(robot, targets, q, limits)
+        return worth(robot, course, limits, objective, float(np.nanmax(whole.mu))), Placement(moved, course, depth)
+
+    shifts = np.vstack([np.zeros(3), np.random.default_rng(seed).uniform(-box_m, box_m, (candidates, 3))])
+    coarse_times = max(2, round(layout.duration_s / COARSE_S) + 1)
+    coarse = [planned(shift, coarse_times, COARSE_SWIVELS)[0] for shift in shifts]
+    order = [int(k) for k in np.argsort(coarse)[::-1] if np.isfinite(coarse[int(k)]) and k][:best]
+    found = sorted((planned(shifts[k], None, SWIVELS) for k in (0, *order)), key=lambda each: each[0], reverse=True)
+    return [each for _, each in found]

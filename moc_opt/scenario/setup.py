@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 import os
 from collections.abc import Callable, Iterator, Mapping
 from functools import cached_property, partial
@@ -15,15 +16,13 @@ from numpy.typing import NDArray
 from moc_opt.arrays import Array
 from moc_opt.control import Controller
 from moc_opt.control.guide import Guide
-from moc_opt.errors import ScenarioError, describe, shown
+from moc_opt.errors import describe
 from moc_opt.planning.follow import Follower
 from moc_opt.planning.guides import Following, guides
 from moc_opt.planning.self_motion import require_freedom
-from moc_opt.scenario.adapter import ControllerAdapter
 from moc_opt.scenario.config import Scenario
-from moc_opt.scenario.derived import largest_mu, model_errors, residual_columns
-from moc_opt.scenario.layout import breathing, described, lay_out, seeds_of
-from moc_opt.scenario.parts import (
+from moc_opt.scenario.controller import (
+    ControllerAdapter,
     check_solver,
     isolated,
     make_safety_filter,
@@ -31,11 +30,12 @@ from moc_opt.scenario.parts import (
     make_stop,
     recorded_times,
 )
+from moc_opt.scenario.derived import against_best, largest_mu, model_errors, residual_columns
+from moc_opt.scenario.layout import breathing, described, lay_out, seeds_of
 from moc_opt.scenario.planned import targets_of
-from moc_opt.scenario.yardstick import against_best
-from moc_opt.sim.agreement import check_engines
 from moc_opt.sim.faults import Faults
 from moc_opt.sim.loop import ClosedLoop, simulate
+from moc_opt.sim.mjcf import check_engines
 from moc_opt.sim.plant import Plant
 from moc_opt.sim.protocols import LoggedController, TorqueController
 from moc_opt.sim.record import Columns, RunAway, TaskOffset
@@ -82,26 +82,19 @@ class Setup:
             self._build_plant(plant_seed)
 
     def _build_plant(self, seed: int) -> None:
-        """Put the plant at the start, where it truly holds the tool, and lay the true trocar."""
+        """Put the plant at the start; lay the incision on its shaft, and the path at its tip, as these truly stand."""
         scenario, entry = self.scenario, self.layout.trocar
-        self.plant = Plant(self.robot.data, scenario.plant, seed=seed)
+        self.plant = plant = Plant(self.robot.data, scenario.plant, seed=seed)
         if scenario.faults.bump_N > 0.0:  # an unknown link is found now, not in the middle of the run
-            self.plant.push(scenario.faults.bump_link, np.zeros(3))
-        self.plant.reset(self.q_start)
-        self.offset = self._offset_of_touch(entry, scenario.trocar.depth_m)
-        true = entry + self.offset.trocar + self.plant.mismatch.registration_error
+            plant.push(scenario.faults.bump_link, np.zeros(3))
+        plant.reset(self.q_start)
+        self.offset = TaskOffset()
+        if plant.mismatch.displaces or plant.settings.elastic:  # else the model's places but for rounding
+            shaft, tip = plant.tip - plant.wrist, self.robot.state(self.q_start).tip
+            touched = plant.tip - scenario.trocar.depth_m * shaft / np.linalg.norm(shaft)
+            self.offset = TaskOffset(plant.tip - tip, touched - entry)
+        true = entry + self.offset.trocar + plant.mismatch.registration_error
         self.trocar = Trocar(true, *breathing(scenario))
-
-    def _offset_of_touch(self, entry: Array, depth: float) -> TaskOffset:
-        """Lay the incision on the shaft as it truly stands, and the start of the path at the true tip.
-
-        ``entry`` (3,) [m] is where the arm's model puts the incision.
-        """
-        plant = self.plant
-        if not (plant.mismatch.displaces or plant.settings.elastic):
-            return TaskOffset()  # equal but for rounding
-        shaft, tip = plant.tip - plant.wrist, self.robot.state(self.q_start).tip
-        return TaskOffset(plant.tip - tip, plant.tip - depth * shaft / np.linalg.norm(shaft) - entry)
 
     def solver(self) -> Solver | None:
         """Make the solver of the scenario; None under DCAC."""
@@ -115,27 +108,29 @@ class Setup:
 
     def controller(self) -> Controller:
         """Make the scenario's law and solver."""
-        settings, times, solver = self.scenario.control, self._times(), self.solver()
+        scenario, times, solver = self.scenario, self._times(), self.solver()
+        settings, period_s = scenario.control, scenario.plant.period_s
         budget = settings.supervisor.budget_us
         if solver is not None:
-            if self.scenario.faults.solver == "hang":
-                budget = budget or self.scenario.deadline_us
-            inside, wall = solver, budget if times is None else None
-            if self.realtime and wall is None:
-                wall = 0.5e6 * self.scenario.plant.period_s
-            solver = isolated(inside, self.scenario, wall, self.realtime)
+            if scenario.faults.solver == "hang":
+                budget = budget or scenario.deadline_us
+            wait_us = 0.5e6 * period_s if self.realtime else math.inf
+            if budget is not None and times is None:
+                wait_us = budget
+            inside, solver = solver, isolated(solver, scenario, wait_us, self.realtime)
             if solver is not inside and times is None:
                 budget = None  # the process keeps it, and an older answer in its place is not late
         watch = settings.supervisor.model_copy(update={"budget_us": budget})
         settings = settings.model_copy(update={"supervisor": watch})
         self.guide = None if self._guides is None else self._guides()
-        return Controller(self.robot, settings, solver, self.scenario.plant.period_s, times, self.guide)
+        return Controller(self.robot, settings, solver, period_s, times, self.guide)
 
     def _times(self) -> Iterator[float] | None:
         """Solve times [us] that stand for the clock's, where the scenario replays some or a solver that hangs."""
-        if self.scenario.faults.solver == "hang" and self.scenario.control.law == "moc":
+        scenario = self.scenario
+        if scenario.faults.solver == "hang" and scenario.control.law == "moc":
             # Replayed times, not a clock: the same seed is late at the same ticks on any machine.
-            budget = self.scenario.control.supervisor.budget_us or self.scenario.deadline_us
+            budget = scenario.control.supervisor.budget_us or scenario.deadline_us
             return iter(np.where(self.fault_mask(), 10.0 * budget, 0.0))
         return None if self._replayed_us is None else itertools.cycle(self._replayed_us)
 
@@ -178,9 +173,7 @@ class Setup:
         """Return the start of every tick [s]."""
         return self.scenario.plant.period_s * np.arange(self.ticks, dtype=np.float64)
 
-    def trace(
-        self, watch: Callable[[int], None] | None = None, to: str | os.PathLike[str] | None = None
-    ) -> Trace:
+    def trace(self, watch: Callable[[int], None] | None = None, to: str | os.PathLike[str] | None = None) -> Trace:
         """Run, check the answers, and return the trace.
 
         Args:
@@ -190,8 +183,6 @@ class Setup:
         Raises:
             MocOptError: the arm ran away, and the error holds the trace; or the trace cannot be saved there.
         """
-        if watch is not None and not callable(watch):
-            raise ScenarioError(f"watch = {shown(watch)}: give a function of a tick's number, or None")
         # Absolute: a solver may leave the process in another working directory.
         file = None if to is None else new_file(to).absolute()
         if self.plant.time > 0.0:
@@ -200,8 +191,7 @@ class Setup:
             **described(self.scenario, self.robot), "deadline_us": self.scenario.deadline_us,
             "start_q_rad": self.q_start.tolist(),
         }  # fmt: skip
-        rows: Columns = {}
-        broken = None
+        rows, broken = dict[str, NDArray[Any]](), None
         try:
             try:
                 found = self._simulate(watch, meta, rows.update)
@@ -231,12 +221,10 @@ class Setup:
             faults=faults if wrong.around_the_arm else None, stop=make_stop(self.scenario), offset=self.offset,
             watch=watch, meta=meta, rescue=rescue,
         )  # fmt: skip
-        guide, told = self.guide, dict[str, Any]()
-        if isinstance(guide, Follower) and guide.course_mu_mean is not None:
-            told["course_mu_mean"] = guide.course_mu_mean
-        if isinstance(guide, Follower) and guide.told:
-            told["replans"] = guide.told
-        return found.with_meta(**told)
+        if not isinstance(self.guide, Follower):
+            return found
+        told = {"course_mu_mean": self.guide.course_mu_mean, "replans": self.guide.told or None}
+        return found.with_meta(**{name: value for name, value in told.items() if value is not None})
 
     def _judged(self, found: Trace) -> Trace:
         trace = found.with_columns(**self._row_by_row(found.columns))

@@ -5,11 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar, Literal, Self
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, model_validator
 
-from moc_opt.errors import is_number
 from moc_opt.inputs.settings import Name, Settings
-from moc_opt.planning.self_motion import Freedoms, best_freedoms
 from moc_opt.robots.model import RobotModel, load_robot
 from moc_opt.solvers.registry import check_name, defaults
 from moc_opt.tasks.kinds import check_sizes
@@ -24,13 +22,11 @@ class RobotTable(Settings):
 
     KIND: ClassVar[str] = "[robot]"
     MEANT_KEY: ClassVar[str] = "name"
-    name: str = Field(default="lwr4", description="a robot of the package, or a path to a URDF or TOML")
+    name: str = Field("lwr4", description="a robot of the package, or a path to a URDF or TOML")
     tool_length_m: float | None = Field(
-        default=None, gt=0.0, le=10.0, description="length from mount to tip; None: the length in the robot's file"
+        None, gt=0.0, le=10.0, description="length from mount to tip; None: the length in the robot's file"
     )
-    tool_mass_kg: float | None = Field(
-        default=None, gt=0.0, le=1000.0, description="None: the mass in the robot's file"
-    )
+    tool_mass_kg: float | None = Field(None, gt=0.0, le=1000.0, description="None: the mass in the robot's file")
 
     def arm(self) -> RobotModel:
         """Load the robot, and build its model.
@@ -40,47 +36,30 @@ class RobotTable(Settings):
         """
         return load_robot(self.name, tool_length=self.tool_length_m, tool_mass=self.tool_mass_kg)
 
-    def arm_and_freedoms(self) -> tuple[RobotModel, Freedoms]:
-        """Return the arm, and what tip and shaft leave of it at the pose where that is most; raises as ``arm``."""
-        arm = self.arm()
-        return arm, best_freedoms(arm)
-
 
 class StartTable(Settings):
     """The pose of the arm at t = 0. The swivel moves the elbow, and neither tip nor wrist."""
 
     KIND: ClassVar[str] = "[start]"
     pose: Literal["home", "random"] = Field(
-        default="home", description="'random': a pose drawn by the seed, from which the whole task can be done"
+        "home", description="'random': a pose drawn by the seed, from which the whole task can be done"
     )
-    q_rad: tuple[float, ...] | None = Field(
-        default=None, description="joint positions that replace the robot's home pose"
-    )
-    swivel: float | Literal["given", "random"] = Field(
-        default="given",
+    q_rad: tuple[float, ...] | None = Field(None, description="joint positions that replace the robot's home pose")
+    swivel: Annotated[float, Field(ge=0.0, le=1.0)] | Literal["given", "random"] = Field(
+        "given",
         description="place of the elbow, as a share from 0 to 1 of the range that the joint limits leave; 'given': "
         "that of q; 'random': drawn by the seed",
     )
     limit_margin_rad: float = Field(
-        default=0.05, ge=0.0, le=3.0,
+        0.05, ge=0.0, le=3.0,
         description="under pose 'random': least distance of a joint from its limits, at the start and along the path. "
         "A smaller one than control.limit_margin_rad lets the run begin with a joint outside the third level's box, "
         "which then moves back from the limit",
     )  # fmt: skip
-    limit_margin_m: float = Field(default=0.05, ge=0.0, le=3.0, description="limit_margin_rad for a sliding joint")
+    limit_margin_m: float = Field(0.05, ge=0.0, le=3.0, description="limit_margin_rad for a sliding joint")
     check_path: bool = Field(
-        default=True,
-        description="refuse a path that the kinematics cannot follow; the search can miss a way that exists",
+        True, description="refuse a path that the kinematics cannot follow; the search can miss a way that exists"
     )
-
-    @field_validator("swivel", mode="before")
-    @classmethod
-    def _a_fraction(cls, value: Any) -> Any:
-        if isinstance(value, str) and value not in ("given", "random"):
-            raise ValueError("give 'given', 'random', or a share from 0 to 1 without quotes")
-        if is_number(value) and not 0.0 <= value <= 1.0:
-            raise ValueError("a swivel is a share from 0 to 1 here, no angle")
-        return value
 
     @model_validator(mode="after")
     def _one_pose(self) -> Self:
@@ -93,17 +72,16 @@ class TrocarTable(Settings):
     """The trocar: a point on the shaft at t = 0, which then rests or moves with the breathing."""
 
     KIND: ClassVar[str] = "[trocar]"
-    depth_m: float = Field(default=0.15, gt=0.0, le=10.0, description="depth of the tip below the trocar at t = 0")
+    depth_m: float = Field(0.15, gt=0.0, le=10.0, description="depth of the tip below the trocar at t = 0")
     breathing_amplitude_m: float = Field(
-        default=0.0, ge=0.0, le=0.5, description="amplitude of the trocar's motion; 0: it rests"
+        0.0, ge=0.0, le=0.5, description="amplitude of the trocar's motion; 0: it rests"
     )
-    breathing_period_s: float = Field(default=4.0, gt=0.0, le=MOST_S, description="period of one breath")
+    breathing_period_s: float = Field(4.0, gt=0.0, le=MOST_S, description="period of one breath")
     breathing_direction: Vector = Field(
-        default=(0.0, 0.0, 1.0), description="direction of the breathing in base axes, of any length"
+        (0.0, 0.0, 1.0), description="direction of the breathing in base axes, of any length"
     )
     breathing_known: bool = Field(
-        default=True,
-        description="whether the registered trocar, which the controller is given, moves with the breathing",
+        True, description="whether the registered trocar, which the controller is given, moves with the breathing"
     )
 
 
@@ -112,30 +90,31 @@ class TaskTable(Settings):
 
     KIND: ClassVar[str] = "[task]"
     MEANT_KEY: ClassVar[str] = "path"
+    DEFAULT_SIZES: ClassVar[dict[str, dict[str, float]]] = {
+        "line": {"length": 0.04},
+        "circle": {"radius": 0.03},
+        "sinusoid": {"amplitude": 0.01, "wavelength": 0.02, "periods": 2.0},
+        "spiral": {"turns": 2.0, "radius": 0.03},
+    }
     path: Name = Field(
-        default="circle",
+        "circle",
         description="name of the path; `moc-opt tasks` lists them; 'waypoints': a smooth curve through waypoints_m",
     )
     sizes: dict[Name, Annotated[float, Field(ge=-1e3, le=1e3)]] = Field(
         default_factory=dict, description="sizes of the path [m]; `moc-opt tasks` lists those of each path"
     )
     waypoints_m: tuple[Vector, ...] | None = Field(
-        default=None,
-        description="points of the tip relative to its start: along the heading, to the left, along the normal",
+        None, description="points of the tip relative to its start: along the heading, to the left, along the normal"
     )
-    normal: Vector = Field(
-        default=(0.0, 0.0, 1.0), description="normal of the path's plane in base axes, of any length"
-    )
+    normal: Vector = Field((0.0, 0.0, 1.0), description="normal of the path's plane in base axes, of any length")
     heading: Vector = Field(
-        default=(1.0, 0.0, 0.0),
+        (1.0, 0.0, 0.0),
         description="direction in which the path begins, in base axes; only its part in the path's plane counts",
     )  # fmt: skip
-    v_max_m_per_s: float = Field(default=0.05, gt=0.0, le=10.0, description="largest speed of the tip")
-    a_max_m_per_s2: float = Field(
-        default=0.2, gt=0.0, le=1e6, description="largest acceleration of the tip, in curves too"
-    )
-    wait_s: float = Field(default=0.5, ge=0.0, le=MOST_S, description="rest before the path begins")
-    hold_s: float = Field(default=0.5, ge=0.0, le=MOST_S, description="rest after the path has ended")
+    v_max_m_per_s: float = Field(0.05, gt=0.0, le=10.0, description="largest speed of the tip")
+    a_max_m_per_s2: float = Field(0.2, gt=0.0, le=1e6, description="largest acceleration of the tip, in curves too")
+    wait_s: float = Field(0.5, ge=0.0, le=MOST_S, description="rest before the path begins")
+    hold_s: float = Field(0.5, ge=0.0, le=MOST_S, description="rest after the path has ended")
 
     @model_validator(mode="before")
     @classmethod
@@ -145,15 +124,11 @@ class TaskTable(Settings):
         return values
 
     @model_validator(mode="after")
-    def _points_for_waypoints(self) -> Self:
-        if (self.path == "waypoints") != (self.waypoints_m is not None):
-            other = "leave waypoints_m out, or set path = 'waypoints'"
-            cure = "give waypoints_m" if self.waypoints_m is None else other
-            raise ValueError(f"path = {self.path!r}: {cure}")
-        return self
-
-    @model_validator(mode="after")
-    def _known(self) -> Self:
+    def _known_path(self) -> Self:
+        if self.path == "waypoints" and self.waypoints_m is None:
+            raise ValueError("path = 'waypoints': give waypoints_m")
+        if self.path != "waypoints" and self.waypoints_m is not None:
+            raise ValueError(f"path = {self.path!r}: leave waypoints_m out, or set path = 'waypoints'")
         check_sizes(self.path, self.sizes)
         return self
 
@@ -161,13 +136,6 @@ class TaskTable(Settings):
     def keys(cls, values: Mapping[str, Any]) -> list[str]:
         """List its keys, and those of ``sizes``."""
         return [*super().keys(values), *sorted({f"sizes.{name}" for of in cls.DEFAULT_SIZES.values() for name in of})]
-
-    DEFAULT_SIZES: ClassVar[dict[str, dict[str, float]]] = {
-        "line": {"length": 0.04},
-        "circle": {"radius": 0.03},
-        "sinusoid": {"amplitude": 0.01, "wavelength": 0.02, "periods": 2.0},
-        "spiral": {"turns": 2.0, "radius": 0.03},
-    }
 
 
 class ProcessTable(Settings):
@@ -194,15 +162,15 @@ class SolverTable(Settings):
 
     KIND: ClassVar[str] = "[solver]"
     MEANT_KEY: ClassVar[str] = "name"
-    name: Name = Field(default="exact", description="name of the solver; `moc-opt solvers --list` lists them")
+    name: Name = Field("exact", description="name of the solver; `moc-opt solvers --list` lists them")
     settings: dict[Name, Any] = Field(default_factory=dict, description="settings of that solver: docs/solvers.md")
     replay_us: str | tuple[Annotated[float, Field(ge=0.0, le=1e9)], ...] | None = Field(
-        default=None,
+        None,
         description="solve times [us], or a .npy file of them, used over and over in place of measured times where a "
         "solve has a time budget: a run with deadlines can then be repeated exactly",
     )
     isolation: Literal["none", "process"] = Field(
-        default="none",
+        "none",
         description="'process': each session of the solver runs in its own process, which is killed when it hangs",
     )
     process: ProcessTable = ProcessTable()

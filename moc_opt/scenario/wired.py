@@ -19,7 +19,7 @@ from moc_opt.realtime.packets import Kind
 from moc_opt.realtime.remote import INCOMING, RemoteController
 from moc_opt.robots.model import RobotModel, carried
 from moc_opt.scenario.config import Scenario
-from moc_opt.scenario.parts import make_safety_filter
+from moc_opt.scenario.controller import make_safety_filter
 from moc_opt.scenario.setup import Setup
 from moc_opt.sim.protocols import LoggedController
 from moc_opt.sim.record import RunAway
@@ -50,6 +50,7 @@ class PlantServer(Setup):
         lock_step: wait for each command instead of keeping the time.
 
     Attributes:
+        address: where the plant listens.
         system: goes into the trace's ``meta["wire"]``, if not empty: what this process was granted.
 
     Raises:
@@ -60,31 +61,24 @@ class PlantServer(Setup):
         super().__init__(scenario)
         if scenario.control.follows:
             scenario.control.check_guided()
-        where = parse_address(listen, "--listen")
-        period = scenario.plant.period_s
+        where, period = parse_address(listen, "--listen"), scenario.plant.period_s
         if not lock_step and not FASTEST_S <= period <= SLOWEST_S:
             raise WireError(
                 f"[plant] period_s = {period}: the clock is kept from {FASTEST_S} to {SLOWEST_S} s (1 kHz to 250 Hz); "
                 "change it, or run in lock-step"
             )
         self.system: dict[str, str] = {}
-        self._clock = None if lock_step else WallClock(period)
-        self._link = Link(self.robot.n, checked_key(key, where[0], "--listen"), INCOMING, listen=where)
+        link = Link(self.robot.n, checked_key(key, where[0], "--listen"), INCOMING, listen=where)
+        self.address: Address = link.address
         self._remote = RemoteController(
-            self._link, scenario.wire, make_safety_filter(self.robot, scenario), super().adapter().columns,
+            link, scenario.wire, make_safety_filter(self.robot, scenario), super().adapter().columns,
             self.plant.applied_torque, self.robot.tau_max, scenario=fingerprint(scenario, self.robot),
-            clock=self._clock,
+            clock=None if lock_step else WallClock(period),
         )  # fmt: skip
 
     @cached_property
     def _guides(self) -> None:
         """Plan nothing: what the third level follows is the controller's at the other end."""
-        return None
-
-    @property
-    def address(self) -> Address:
-        """Where the plant listens."""
-        return self._link.address
 
     def adapter(self) -> LoggedController:
         """Return the controller at the other end."""
@@ -105,9 +99,7 @@ class PlantServer(Setup):
         counts = self._remote.close()
         return found.with_meta(**self._remote.told, wire=counts | ({"system": self.system} if self.system else {}))
 
-    def trace(
-        self, watch: Callable[[int], None] | None = None, to: str | os.PathLike[str] | None = None
-    ) -> Trace:
+    def trace(self, watch: Callable[[int], None] | None = None, to: str | os.PathLike[str] | None = None) -> Trace:
         """Wait for the controller, run, and return the trace; ``meta["wire"]`` has the counts of this end.
 
         ``watch`` is not called: the wire keeps the time. Errors as for `Setup.trace`, or no controller came.
@@ -143,10 +135,9 @@ def answer(
     first = [make()]  # plans, where the third level follows a course: the plant waits for `[wire] wait_s` alone
     link = Link(setup.robot.n, checked, (Kind.MEASUREMENT,), peer=where)
     try:
-        end = Answering(
+        return Answering(
             link, scenario.wire, lambda: first.pop() if first else make(), tip_refs, registered,
             scenario=fingerprint(scenario, setup.robot), ready=ready,
-        )  # fmt: skip
-        return end.run()
+        ).run()  # fmt: skip
     finally:
         link.close()

@@ -28,69 +28,67 @@ class FaultSettings(Settings):
     KIND: ClassVar[str] = "[faults]"
     ERROR: ClassVar[type[MocOptError]] = PlantError
 
-    drop_share: float = Field(default=0.0, ge=0.0, le=1.0, description="share of the measurements that never arrive")
-    late_ticks: int = Field(default=0, ge=0, le=50, description="ticks by which every measurement arrives late")
-    frozen_at_s: float | None = Field(default=None, ge=0.0, description="time from which readings repeat themselves")
-    frozen_ticks: int = Field(default=1_000_000, ge=1, description="ticks for which they do")
+    drop_share: float = Field(0.0, ge=0.0, le=1.0, description="share of the measurements that never arrive")
+    late_ticks: int = Field(0, ge=0, le=50, description="ticks by which every measurement arrives late")
+    frozen_at_s: float | None = Field(None, ge=0.0, description="time from which readings repeat themselves")
+    frozen_ticks: int = Field(1_000_000, ge=1, description="ticks for which they do")
     frozen_joint: int | None = Field(
-        default=None, ge=0,
+        None, ge=0,
         description="freeze one encoder only, counted from 0, while its packets go on; None: whole packets",
     )  # fmt: skip
-    frozen_wrench: bool = Field(
-        default=False, description="freeze the wrench sensor only, while the encoders' packets go on"
-    )
-    frozen_velocity: Literal["repeated", "zero"] = Field(default="repeated", description="velocity in a frozen reading")
-    lag_at_s: float | None = Field(default=None, ge=0.0, description="time from which measurements lag more and more")
+    frozen_wrench: bool = Field(False, description="freeze the wrench sensor only, while the encoders' packets go on")
+    frozen_velocity: Literal["repeated", "zero"] = Field("repeated", description="velocity in a frozen reading")
+    lag_at_s: float | None = Field(None, ge=0.0, description="time from which measurements lag more and more")
     lag_joint: int | None = Field(
-        default=None, ge=0,
+        None, ge=0,
         description="let one encoder only lag, counted from 0, under up-to-date packet numbers; None: all lag",
     )  # fmt: skip
-    lag_ticks: int = Field(default=0, ge=0, le=1000, description="ticks of delay added at once at lag_at_s")
-    lag_growth: float = Field(default=0.1, gt=0.0, le=1.0, description="ticks of delay added in each tick")
+    lag_ticks: int = Field(0, ge=0, le=1000, description="ticks of delay added at once at lag_at_s")
+    lag_growth: float = Field(0.1, gt=0.0, le=1.0, description="ticks of delay added in each tick")
     replay_at_s: float | None = Field(
-        default=None, ge=0.0, description="time from which old packets arrive again, in their order, over and over"
+        None, ge=0.0, description="time from which old packets arrive again, in their order, over and over"
     )
     replay_ticks: int = Field(
-        default=100, ge=1, le=5000, description="number of packets that are replayed: the last ones before replay_at_s"
+        100, ge=1, le=5000, description="number of packets that are replayed: the last ones before replay_at_s"
     )
-    drift_at_s: float = Field(default=0.0, ge=0.0, description="time at which the drift begins")
+    drift_at_s: float = Field(0.0, ge=0.0, description="time at which the drift begins")
     drift_rad_per_s: float = Field(
-        default=0.0, ge=-1.0, le=1.0, description="speed of the encoders' drift, in seeded directions"
+        0.0, ge=-1.0, le=1.0, description="speed of the encoders' drift, in seeded directions"
     )
     drift_velocity: Literal["included", "apart"] = Field(
-        default="included",
+        "included",
         description="'included': the velocity drifts as well; 'apart': it is measured separately and does not",
     )
     forged_stamps: bool = Field(
-        default=False, description="whether frozen, replayed and lagging packets carry the number of the present period"
+        False, description="whether frozen, replayed and lagging packets carry the number of the present period"
     )
 
     encoder_bias_rad: float = Field(
-        default=0.0, ge=-0.1, le=0.1, description="constant error of every encoder, with seeded signs"
+        0.0, ge=-0.1, le=0.1, description="constant error of every encoder, with seeded signs"
     )
-    encoder_noise_rad: float = Field(default=0.0, ge=0.0, le=0.01, description="standard deviation of additional noise")
-    nan_at_s: float | None = Field(default=None, ge=0.0, description="time from which the encoders give NaN")
-    nan_ticks: int = Field(default=1, ge=1, description="ticks for which they do")
+    encoder_noise_rad: float = Field(0.0, ge=0.0, le=0.01, description="standard deviation of additional noise")
+    nan_at_s: float | None = Field(None, ge=0.0, description="time from which the encoders give NaN")
+    nan_ticks: int = Field(1, ge=1, description="ticks for which they do")
     jump_at_s: float | None = Field(
-        default=None, ge=0.0, description="time at which the encoders jump; they do not jump back"
+        None, ge=0.0, description="time at which the encoders jump; they do not jump back"
     )
-    jump_rad: float = Field(default=0.2, description="size of the jump, on every joint")
+    jump_rad: float = Field(0.2, description="size of the jump, on every joint")
 
-    bump_N: float = Field(default=0.0, ge=0.0, le=200.0, description="force of a sideways push on the elbow")
-    bump_at_s: float = Field(default=2.0, ge=0.0, description="time at which the push begins")
-    bump_s: float = Field(default=0.3, gt=0.0, description="duration of the push")
-    bump_link: Name = Field(default="link_4", description="the link that is pushed")
-    payload_kg: float = Field(default=0.0, ge=0.0, le=10.0, description="weight hung on the tool, unknown to the model")
+    bump_N: float = Field(0.0, ge=0.0, le=200.0, description="force of a sideways push on the elbow")
+    bump_at_s: float = Field(2.0, ge=0.0, description="time at which the push begins")
+    bump_s: float = Field(0.3, gt=0.0, description="duration of the push")
+    bump_link: Name = Field("link_4", description="the link that is pushed")
+    payload_kg: float = Field(0.0, ge=0.0, le=10.0, description="weight hung on the tool, unknown to the model")
 
-    slip_m: float = Field(default=0.0, ge=0.0, le=0.1, description="distance by which the trocar slips sideways")
-    slip_at_s: float = Field(default=2.0, ge=0.0, description="time at which the trocar slips")
+    slip_m: float = Field(0.0, ge=0.0, le=0.1, description="distance by which the trocar slips sideways")
+    slip_at_s: float = Field(2.0, ge=0.0, description="time at which the trocar slips")
 
     solver: Literal["none", "fail", "nan", "lie", "raise", "outside", "rig", "malformed", "hang"] = Field(
-        default="none",
+        "none",
         description="how the solver's answers are corrupted (moc_opt.solvers.faulty); 'hang' takes ten times the "
         "budget",
     )
-    solver_share: float = Field(default=0.05, ge=0.0, le=1.0, description="share of the answers that are corrupted")
+    solver_share: float = Field(0.05, ge=0.0, le=1.0, description="share of the answers that are corrupted")
 
     @property
     def around_the_arm(self) -> bool:

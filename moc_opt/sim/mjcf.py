@@ -1,45 +1,45 @@
-"""The MuJoCo model of a robot, made from the very URDF text that the controller's model reads."""
+"""The MuJoCo model of a robot, made from the very URDF text that the controller's model reads; the two are compared."""
 
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
-from collections.abc import Mapping
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
 
 from moc_opt.arrays import Array
-from moc_opt.errors import PlantError
+from moc_opt.errors import PlantError, RobotError
 from moc_opt.robots import RobotData
-from moc_opt.sim.settings import GRAVITY
+from moc_opt.sim.settings import GRAVITY, Mismatch
+
+if TYPE_CHECKING:  # it loads pinocchio
+    from moc_opt.robots.model import RobotModel
 
 TOOL_BODY = "tool"
 MOUNT_SITE = "tool_mount_sensor"
 FORCE_SENSOR, TORQUE_SENSOR = "mount_force", "mount_torque"
+TOLERANCE = 1e-6
+"""Between the engines: of the largest entry of M (without rotors) and of h, and of the tip's distance from the base.
+Rounding makes about 1e-14."""
+POSES = 3  #: At which the engines are compared.
 
 
-def build_spec(
-    data: RobotData, *, substep_s: float, gravity: bool = True, mass_scale: Mapping[str, float] | None = None,
-    viscous: Array | None = None, coulomb: Array | None = None, origin_shift: Array | None = None,
-    origin_turn: Array | None = None,
-) -> mujoco.MjSpec:  # fmt: skip
+def build_spec(data: RobotData, *, substep_s: float, gravity: bool = True) -> mujoco.MjSpec:
     """Build the editable MuJoCo model of the arm; cameras or boards can be added before it is compiled.
 
     Every link stays a body of its own (MuJoCo would weld the tool to the flange, and the sensor between them
     would see nothing). Shapes are left out: nothing collides, and no mass is guessed from a mesh. Rotor
-    inertia becomes `dof_armature`. Joint limits are soft stops. Friction is MuJoCo's own, which is integrated
-    implicitly: an explicit smooth tanh lets an arm creep under load where a real one sticks.
+    inertia becomes `dof_armature`. Joint limits are soft stops. There is no friction yet.
 
     Args:
         data: the robot with its tool.
         substep_s: plant step [s].
         gravity: 9.81 m/s^2 along -z, or none.
-        mass_scale: link name -> factor on its mass and inertia; the centre of mass stays. Missing links: 1.
-        viscous, coulomb: (n,) friction [Nm s/rad], [Nm]; None is none.
-        origin_shift, origin_turn: as of `Mismatch`; None is none.
 
     Raises:
-        PlantError: the URDF cannot be made into a MuJoCo model, or `mass_scale` names no link of it.
+        PlantError: the URDF cannot be made into a MuJoCo model.
     """
     try:
         spec = mujoco.MjSpec.from_string(_bare(data.urdf))
@@ -63,20 +63,46 @@ def build_spec(
         joint.limited = mujoco.mjtLimited.mjLIMITED_TRUE
         joint.actfrclimited = mujoco.mjtLimited.mjLIMITED_FALSE
         joint.armature = data.rotor_inertia[i]
-        joint.damping[0] = 0.0 if viscous is None else viscous[i]
-        joint.frictionloss = 0.0 if coulomb is None else coulomb[i]
+        joint.damping[0] = joint.frictionloss = 0.0
         # A stiff stick: under half its Coulomb torque a resting joint creeps by about 1e-5 rad/s. MuJoCo's
         # default is made for coarser steps and lets it slide a hundred times faster.
         joint.solref_friction = (2.0 * substep_s, 1.0)
         joint.solimp_friction = (0.99, 0.99, 0.001, 0.5, 2.0)
 
-    _scale_masses(data.name, spec, mass_scale or {})
-    _add_sensor(data.name, spec)
-    if origin_shift is not None and origin_shift.any():
-        _shift_origins(data, spec, origin_shift)
-    if origin_turn is not None and origin_turn.any():
-        _turn_frames(spec, origin_turn)
+
+    tool = spec.body(TOOL_BODY)
+    if tool is None:
+        raise PlantError(f"robot {data.name!r}: its URDF has no link {TOOL_BODY!r}: `load_data` adds it")
+    tool.add_site(name=MOUNT_SITE)
+    kinds = {FORCE_SENSOR: mujoco.mjtSensor.mjSENS_FORCE, TORQUE_SENSOR: mujoco.mjtSensor.mjSENS_TORQUE}
+    for sensor, kind in kinds.items():
+        spec.add_sensor(name=sensor, type=kind, objtype=mujoco.mjtObj.mjOBJ_SITE, objname=MOUNT_SITE)
     return spec
+
+
+def add_mismatch(data: RobotData, spec: mujoco.MjSpec, mismatch: Mismatch) -> None:
+    """Give a spec that `build_spec` made the friction, masses and kinematics in which the plant differs.
+
+    Friction is MuJoCo's own, which is integrated implicitly: an explicit smooth tanh lets an arm creep under load where
+    a real one sticks.
+    """
+    for body in spec.bodies:
+        if body.name in mismatch.mass_scale:
+            body.mass *= mismatch.mass_scale[body.name]
+            body.fullinertia = body.fullinertia * mismatch.mass_scale[body.name]
+    for i, joint in enumerate(spec.joints):
+        joint.damping[0], joint.frictionloss = mismatch.viscous_friction[i], mismatch.coulomb_friction[i]
+        link, vector = joint.parent, mismatch.origin_turn[i]
+        link.pos = link.pos + mismatch.origin_shift[i]
+        if angle := float(np.linalg.norm(vector)):
+            by, turned = np.zeros((2, 4))
+            mujoco.mju_axisAngle2Quat(by, vector / angle, angle)
+            mujoco.mju_mulQuat(turned, by, link.quat)
+            link.quat = turned
+    # Wrist and tip are points of the shaft: they go where the tool goes.
+    for name in (TOOL_BODY, data.tip_frame, data.wrist_frame):
+        if (body := spec.body(name)) is not None:
+            body.pos = body.pos + mismatch.origin_shift[-1]
 
 
 def compile_model(name: str, spec: mujoco.MjSpec) -> mujoco.MjModel:
@@ -109,40 +135,51 @@ def _bare(urdf: str) -> str:
     return ET.tostring(root, encoding="unicode")
 
 
-def _scale_masses(name: str, spec: mujoco.MjSpec, scale: Mapping[str, float]) -> None:
-    links = heavy_links(spec)
-    unknown = sorted(set(scale) - set(links))
-    if unknown:
-        raise PlantError(f"robot {name!r}: mass_scale names {unknown}: its links with a mass are {links}")
-    for body in spec.bodies:
-        factor = scale.get(body.name, 1.0)
-        if factor != 1.0:
-            body.mass *= factor
-            body.fullinertia = body.fullinertia * factor
+def reference_terms(data: RobotData, q: Array, v: Array) -> Iterator[dict[str, Array]]:
+    """Compute M (n,n), h (n,), tip and wrist (3,) by MuJoCo, of a plant without defects, sensors or contact.
+
+    Args:
+        q, v: (k,n) positions [rad] and velocities [rad/s].
+
+    Raises:
+        PlantError: MuJoCo cannot take the robot.
+    """
+    model = compile_model(data.name, build_spec(data, substep_s=0.001))
+    state, M = mujoco.MjData(model), np.zeros((data.n, data.n))
+    tip, wrist = (state.xpos[model.body(name).id] for name in (data.tip_frame, data.wrist_frame))
+    for position, velocity in zip(q, v, strict=True):
+        state.qpos[:], state.qvel[:] = position, velocity
+        mujoco.mj_fwdPosition(model, state)
+        mujoco.mj_fwdVelocity(model, state)
+        mujoco.mj_fullM(model, state, M)
+        yield {"M": M, "h": state.qfrc_bias, "tip": tip, "wrist": wrist}
 
 
-def _shift_origins(data: RobotData, spec: mujoco.MjSpec, shift: Array) -> None:
-    for joint, of_joint in zip(spec.joints, shift[:-1], strict=True):
-        joint.parent.pos = joint.parent.pos + of_joint
-    # Wrist and tip are points of the shaft: they go where the tool goes.
-    for name in (TOOL_BODY, data.tip_frame, data.wrist_frame):
-        body = spec.body(name)
-        body.pos = body.pos + shift[-1]
+def check_engines(robot: RobotModel) -> None:
+    """Compare inertia M, bias h, tip and wrist of pinocchio and MuJoCo, at home and at seeded poses in motion.
 
+    It takes about 2 ms. The plant's defects (masses, calibration, friction, elasticity) are no part of it.
 
-def _turn_frames(spec: mujoco.MjSpec, turn: Array) -> None:
-    for joint, vector in zip(spec.joints, turn, strict=True):
-        angle, by, turned = float(np.linalg.norm(vector)), np.zeros(4), np.zeros(4)
-        mujoco.mju_axisAngle2Quat(by, vector / angle, angle)
-        mujoco.mju_mulQuat(turned, by, joint.parent.quat)
-        joint.parent.quat = turned
-
-
-def _add_sensor(name: str, spec: mujoco.MjSpec) -> None:
-    tool = spec.body(TOOL_BODY)
-    if tool is None:
-        raise PlantError(f"robot {name!r}: its URDF has no link {TOOL_BODY!r}: `load_data` adds it")
-    tool.add_site(name=MOUNT_SITE)
-    kinds = {FORCE_SENSOR: mujoco.mjtSensor.mjSENS_FORCE, TORQUE_SENSOR: mujoco.mjtSensor.mjSENS_TORQUE}
-    for sensor, kind in kinds.items():
-        spec.add_sensor(name=sensor, type=kind, objtype=mujoco.mjtObj.mjOBJ_SITE, objname=MOUNT_SITE)
+    Raises:
+        RobotError: they differ by more than `TOLERANCE`; the message names the quantity and the difference.
+        PlantError: MuJoCo cannot take the robot.
+    """
+    data, rng = robot.data, np.random.default_rng(0)
+    q = np.vstack([data.q_home, rng.uniform(data.q_min, data.q_max, (POSES - 1, data.n))])
+    v = rng.uniform(-1.0, 1.0, q.shape) * np.minimum(data.v_max, 1.0)
+    # Rotor inertia is added to both and would hide small links: only its rounding is left in the scale.
+    rotor = np.diag(data.rotor_inertia)
+    for position, speed, theirs in zip(q, v, reference_terms(data, q, v), strict=True):
+        ours = robot.state(position, speed)
+        heavy = max(np.abs(theirs["M"] - rotor).max(), 1e-8 * rotor.max())
+        bias, reach = np.abs(theirs["h"]).max() - GRAVITY[2] * heavy, max(1e-3, np.linalg.norm(theirs["tip"]))
+        sizes = {"M": (heavy, "kg m^2"), "h": (bias, "Nm"), "tip": (reach, "m"), "wrist": (reach, "m")}
+        for name, (size, unit) in sizes.items():
+            off = float(np.abs(getattr(ours, name) - theirs[name]).max())
+            if not off <= TOLERANCE * size:
+                raise RobotError(
+                    f"robot {data.name!r}: pinocchio and MuJoCo differ in {name} by {off:.3g} {unit}, "
+                    f"{off / size:.2g} of its size ({TOLERANCE:g} is allowed), at q = {np.round(position, 3)}: "
+                    "they read its URDF differently; load it with moc_opt.load_robot, which writes it anew, and if it "
+                    "was, report the file"
+                )

@@ -21,7 +21,7 @@ from moc_opt.arrays import Array, read_only_copy
 from moc_opt.errors import PlantError, UnknownNameError
 from moc_opt.robots import RobotData
 from moc_opt.sim.joints import Joints, add_springs, check_substeps
-from moc_opt.sim.mjcf import FORCE_SENSOR, TOOL_BODY, build_spec, compile_model, heavy_links
+from moc_opt.sim.mjcf import FORCE_SENSOR, TOOL_BODY, add_mismatch, build_spec, compile_model, heavy_links
 from moc_opt.sim.sensors import Encoders, Measurement, WrenchSensor
 from moc_opt.sim.settings import Mismatch, PlantSettings
 
@@ -75,24 +75,19 @@ class Plant:
         self.settings = settings = PlantSettings.realistic() if settings is None else settings
         # One stream for each purpose: switching one thing off leaves the others' numbers as they are.
         mismatch, *self._noise_seeds = np.random.SeedSequence(seed).spawn(3)
-        links = heavy_links(build_spec(data, substep_s=settings.substep_s))
-        self.mismatch = Mismatch.draw(data, settings, links, mismatch)
-        spec = build_spec(
-            data, substep_s=settings.substep_s, gravity=settings.gravity, mass_scale=self.mismatch.mass_scale,
-            viscous=self.mismatch.viscous_friction, coulomb=self.mismatch.coulomb_friction,
-            origin_shift=self.mismatch.origin_shift, origin_turn=self.mismatch.origin_turn,
-        )  # fmt: skip
+        spec = build_spec(data, substep_s=settings.substep_s, gravity=settings.gravity)
+        self.mismatch = Mismatch.draw(data, settings, heavy_links(spec), mismatch)
+        add_mismatch(data, spec, self.mismatch)
         if settings.elastic:
             add_springs(data, spec, settings)
-        self.mj_model = compile_model(data.name, spec)
-        self.mj_data = mujoco.MjData(self.mj_model)
-        model = self.mj_model
+        self.mj_model = model = compile_model(data.name, spec)
+        self.mj_data = mujoco.MjData(model)
         self._drive_damping, self._drive_friction = np.array(model.dof_damping), np.array(model.dof_frictionloss)
-        self._joints = Joints(data, settings, self.mismatch, self.mj_model, self.mj_data)
+        self._joints = Joints(data, settings, self.mismatch, model, self.mj_data)
         self._bind()
         self.reset(data.q_home)
         if settings.elastic:
-            check_substeps(self.mj_model, self.mj_data, settings)
+            check_substeps(model, self.mj_data, settings)
 
     def _bind(self) -> None:
         data, model, state, settings = self.data, self.mj_model, self.mj_data, self.settings
@@ -222,10 +217,8 @@ class Plant:
             friction_Nm: of the holding brakes, one number or one a joint (n,).
 
         Raises:
-            PlantError: the damping is not a positive number, or a friction not 0 or more.
+            PlantError: a friction is not 0 or more.
         """
-        if not 0.0 < damping_Nm_s_per_rad < np.inf:
-            raise PlantError(f"damping_Nm_s_per_rad = {damping_Nm_s_per_rad!r}: give a positive number")
         friction = np.broadcast_to(np.asarray(friction_Nm, dtype=np.float64), self.data.n)
         if not ((friction >= 0.0) & np.isfinite(friction)).all():
             raise PlantError(f"friction_Nm = {friction.tolist()}: give 0 or more")

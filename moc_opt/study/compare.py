@@ -15,8 +15,7 @@ from moc_opt.inputs.files import LARGEST_INTEGER, write_whole
 from moc_opt.report.console import busy
 from moc_opt.report.run_table import ANOTHER_PROBLEM, VERDICTS, answers_another_problem
 from moc_opt.report.tables import Column, Table, as_text, terminal_width
-from moc_opt.scenario import RunAway, Scenario, make_solver, run
-from moc_opt.scenario.parts import check_solver
+from moc_opt.scenario import RunAway, Scenario, check_solver, make_solver, run
 from moc_opt.solvers.base import Solver
 from moc_opt.study.results import FRAMES, Results
 from moc_opt.study.statistics import Change, Interval, too_few

@@ -8,8 +8,7 @@ import pytest
 from moc_opt.__main__ import main
 from moc_opt.control.safety_filter import SafetyFilter, SafetyFilterSettings
 from moc_opt.errors import ControlError, PlantError
-from moc_opt.scenario import Scenario, Setup, run
-from moc_opt.scenario.adapter import ControllerAdapter
+from moc_opt.scenario import ControllerAdapter, Scenario, Setup, run
 from moc_opt.sim import Plant, PlantSettings
 from moc_opt.sim.loop import simulate
 from moc_opt.sim.plant import Stop

@@ -17,7 +17,7 @@ from moc_opt.planning.self_motion import freedoms, self_motion
 from moc_opt.robots import loader, urdf
 from moc_opt.robots.gains import largest_rate
 from moc_opt.robots.model import RobotModel, load_robot
-from moc_opt.sim.agreement import check_engines
+from moc_opt.sim.mjcf import check_engines
 
 Array = NDArray[np.float64]
 FOLDER = Path(loader.__file__).parent

@@ -50,7 +50,7 @@ WRONG = [  # tables; what the message of the constructor says
     ({"seed": -1}, "seed = -1"), ({"seed": 1.5}, "seed = 1.5"), ({"duration_s": 0.0}, "duration_s = 0.0"),
     ({"deadline_us": float("inf")}, "deadline_us = inf"), ({"control": 5}, "this is a table: write [control]"),
     ({"control": {"c2": -1.0}}, "[control] c2 = -1.0"), ({"control": {"law": "mok"}}, "law = 'mok'"),
-    ({"start": {"swivel": 1.5}}, "swivel"), ({"start": {"swivel": "0.3"}}, "without quotes"),
+    ({"start": {"swivel": 1.5}}, "swivel"), ({"start": {"swivel": "0.3"}}, "no quotes"),
     ({"trocar": {"depth_m": 150.0}}, "150 mm is 0.15"), ({"task": {"v_max_m_per_s": 50.0}}, "50 mm/s is 0.05"),
     ({"trocar": {"breathing_direction": [1, 0]}}, "breathing_direction"),
     ({"task": {"sizes": {"radius": "big"}}}, "sizes.radius = 'big'"),

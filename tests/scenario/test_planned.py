@@ -13,9 +13,8 @@ from moc_opt.__main__ import main
 from moc_opt.errors import ScenarioError, TaskError
 from moc_opt.planning.plan import top_of
 from moc_opt.scenario import Setup
-from moc_opt.scenario.placement import MOVABLE, Movable, place
-from moc_opt.scenario.planned import plan
-from moc_opt.scenario.yardstick import yardstick
+from moc_opt.scenario.derived import best_courses
+from moc_opt.scenario.planned import MOVABLE, Movable, place, plan
 from moc_opt.tasks.trocar import shaft_distance
 from moc_opt.trace.trace import Trace
 
@@ -213,8 +212,8 @@ def test_the_courses_do_not_depend_on_the_controller_and_are_planned_once(trace:
     other = mo.run(COMPARED.change(control={"law": "dcac"}))
     for name in ("mu_best_from_start", "mu_best", "q_best_from_start_rad"):
         np.testing.assert_array_equal(trace.columns[name], other.columns[name])
-    assert yardstick(COMPARED) is yardstick(COMPARED.change(control={"preset": "tuned"}, solver={"name": "osqp"}))
-    assert yardstick(COMPARED) is not yardstick(COMPARED.change(start={"swivel": 0.3}))
+    assert best_courses(COMPARED) is best_courses(COMPARED.change(control={"preset": "tuned"}, solver={"name": "osqp"}))
+    assert best_courses(COMPARED) is not best_courses(COMPARED.change(start={"swivel": 0.3}))
 
 
 @pytest.mark.parametrize(("line", "there"), [("", True), ("best_courses = false\n", False)])
@@ -233,7 +232,7 @@ def test_of_an_arm_with_two_freedoms_the_reason_is_given() -> None:
 
 
 def test_the_top_above_a_pose_is_one_and_told_from_a_limit() -> None:
-    known = yardstick(COMPARED)
+    known = best_courses(COMPARED)
     found = known.last
     assert found is not None
     top = top_of(found, found.q_rad[-1][0, 100])

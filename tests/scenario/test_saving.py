@@ -111,9 +111,9 @@ def test_a_solver_setting_of_none_is_left_out_where_that_means_the_same(tmp_path
     assert mo.solvers.create(again.solver.name, **again.solver.settings) == mo.solvers.create(
         scenario.solver.name, **settings
     )
-    for name, setting, by_itself in (("osqp", "eps", r"[\d.e-]+"), ("osqp", "nothing", "'unknown'")):
-        with pytest.raises(ScenarioError, match=rf"{setting} = None has no form in TOML, .* be {by_itself}: give"):
-            Scenario(solver={"name": name, "settings": {setting: None}}).save(tmp_path / "b.toml")
+    for setting in ("eps", "nothing"):
+        with pytest.raises(ScenarioError, match=rf"{setting} = None has no form in TOML: give"):
+            Scenario(solver={"name": "osqp", "settings": {setting: None}}).save(tmp_path / "b.toml")
 
 
 def test_what_has_no_form_in_toml_is_named(tmp_path):

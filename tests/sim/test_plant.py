@@ -483,8 +483,6 @@ def test_models_that_cannot_be_are_refused():
         build_spec(replace(DATA, urdf="<robot"), **spec)
     with pytest.raises(PlantError, match=r"lists .*'joint_9'"):
         build_spec(replace(DATA, joint_names=(*DATA.joint_names[:6], "joint_9")), **spec)
-    with pytest.raises(PlantError, match=r"mass_scale names .*'lnk'"):
-        build_spec(DATA, mass_scale={"lnk": 1.1}, **spec)
     with pytest.raises(PlantError, match=r"no links .*'nib'"):
         Plant(replace(DATA, tip_frame="nib"), NOMINAL)
     bad = DATA.urdf.replace('ixx="0.01845"', 'ixx="0.9"')

@@ -7,7 +7,7 @@ import pytest
 from moc_opt.control import Controller, ControlSettings
 from moc_opt.errors import PlantError, TaskError
 from moc_opt.robots.inverse_kinematics import pose_through
-from moc_opt.scenario.adapter import ControllerAdapter
+from moc_opt.scenario import ControllerAdapter
 from moc_opt.sim import Plant, PlantSettings
 from moc_opt.sim.loop import simulate
 from moc_opt.tasks import Reference
