@@ -35,7 +35,7 @@ class Misbehaving:
 
 class MisbehavingSession:
     def __init__(self, settings):
-        self.settings, self.count, self.kept = settings, 0, []
+        self.settings, self.count = settings, 0
 
     def solve(self, qp):
         self.count += 1
@@ -81,14 +81,17 @@ def quit_python(session):
     raise SystemExit("enough")
 
 
+def wrong_in_turn(session):
+    """An answer of three joints, one of NaN, an exception."""
+    kind = session.count % 3
+    return Solution(np.zeros(3) if kind == 0 else np.full(7, np.nan), None, Status.SOLVED) if kind < 2 else 1 / 0
+
+
 ACTS = {
     "hang": hang, "exit": lambda session: os._exit(3), "fork and exit": fork_and_exit, "child and hang": child_and_hang,
-    "kill": lambda session: os.kill(os.getpid(), signal.SIGKILL),
     "crash": lambda session: os.kill(os.getpid(), signal.SIGSEGV),
     "close everything": lambda session: (os.closerange(3, 256), hang(session)),
-    "eat": lambda session: [session.kept.append(np.ones(12_500_000)) for _ in range(10**6)],
+    "eat": lambda session: np.empty(200_000_000),  # 1.6 GB
     "raise": lambda session: 1 / 0, "quit": quit_python,
-    "huge": lambda session: Solution(np.zeros(30_000_000), None, Status.SOLVED),
-    "shape": lambda session: Solution(np.zeros(3), None, Status.SOLVED),
-    "nan": lambda session: Solution(np.full(7, np.nan), None, Status.SOLVED),
+    "in turn": wrong_in_turn,
 }  # fmt: skip

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import fields
+from collections.abc import Mapping
+from dataclasses import Field, fields
 from enum import Enum
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+from typing import Any, ClassVar, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
 from moc_opt.arrays import Array
-from moc_opt.errors import SolverError, is_number
-from moc_opt.inputs.names import table_html
+from moc_opt.errors import SolverError, is_number, shown
 from moc_opt.qp.problem import NullSpaceQP
+
+Choices = Mapping[str, tuple[object, ...]]
+"""Field of some settings -> the values that it may have."""
 
 
 class Status(Enum):
@@ -47,8 +49,8 @@ class Solution(NamedTuple):
         iterations: of the solver's own loop; 0 for closed forms.
 
     Example:
-        >>> mo.solvers.Solution(np.array([0.1, 0.0]), None, mo.solvers.Status.SOLVED)
-        Solution(status=solved, x=[0.1, 0. ], y=none, iterations=0)
+        >>> mo.solvers.Solution(np.array([0.1, 0.0]), None, mo.solvers.Status.SOLVED).status.label
+        'solved'
     """
 
     x: Array
@@ -56,22 +58,10 @@ class Solution(NamedTuple):
     status: Status
     iterations: int = 0
 
-    def __repr__(self) -> str:
-        return f"Solution({', '.join(f'{name}={value}' for name, value in self._shown().items())})"
 
-    def _repr_html_(self) -> str:
-        """Show itself in a notebook."""
-        return table_html("Solution", self._shown())
-
-    def _shown(self) -> dict[str, str]:
-        def row(values: Array | None) -> str:
-            if values is None:
-                return "none"
-            return str(np.array2string(np.asarray(values), precision=4, separator=", ", max_line_width=1000))
-
-        return {
-            "status": self.status.label, "x": row(self.x), "y": row(self.y), "iterations": str(self.iterations),
-        }  # fmt: skip
+def no_answer(n: int, status: Status, iterations: int = 0) -> Solution:
+    """Return a solution without an answer: its x is NaN, so that a use by mistake is found."""
+    return Solution(np.full(n, np.nan), None, status, iterations)
 
 
 class Session(Protocol):
@@ -88,16 +78,6 @@ class Session(Protocol):
     def solve(self, qp: NullSpaceQP) -> Solution:
         """Answer one subproblem; never raises for a problem the solver cannot solve."""
         ...
-
-
-class ShownBySettings:
-    """A session that shows itself by the settings that it was started with."""
-
-    __slots__ = ()
-    _settings: Any
-
-    def __repr__(self) -> str:
-        return f"<session of {self._settings!r}>"
 
 
 @runtime_checkable
@@ -140,11 +120,6 @@ class TruncatingSession(Protocol):
         ...
 
 
-def no_answer(n: int, status: Status, iterations: int = 0) -> Solution:
-    """Return a solution without an answer: its x is NaN, so that a use by mistake is found."""
-    return Solution(np.full(n, np.nan), None, status, iterations)
-
-
 @runtime_checkable
 class ObservingSession(Protocol):
     """A session that needs the measured velocity before each tick; the controller calls ``observe``."""
@@ -158,33 +133,55 @@ class ObservingSession(Protocol):
         ...
 
 
-def check_settings(settings: Any, **choices: Sequence[object]) -> None:
-    """Check every field of a dataclass of settings that has a plain default, which also says what is usual.
+class SolverSettings:
+    """What the solvers of this package share: fields that are checked, and no session for an unsupported problem.
 
-    A field named in ``choices`` must be one of them; else a flag's default asks for a flag, that of a whole number for
-    one of 1 or larger, of a number for a positive one (or None, if that is the default), 0.0 for one not negative.
+    A subclass is a frozen dataclass. Each field with a plain default is checked by it: a flag's default asks for a
+    flag, that of a whole number for one of 1 or larger, of a number for a positive one (or None, if that is the
+    default), 0.0 for one not negative. A field in ``choices`` must have one of the values there.
+
+    Attributes:
+        session: makes a session of settings and a first problem.
 
     Raises:
         SolverError: a field is out of range; names the field, its value and the cure.
     """
-    for field in fields(settings):
-        name, usual, value = field.name, field.default, getattr(settings, field.name)
-        finite = is_number(value) and abs(value) < float("inf")
-        if name in choices:
-            valid = choices[name]
-            right, rule = not isinstance(value, bool) and value in valid, f"is not one of {', '.join(map(repr, valid))}"
-        elif isinstance(usual, bool):
-            right, rule = isinstance(value, bool), "is neither True nor False"
-        elif isinstance(usual, int):
-            right = isinstance(value, int) and not isinstance(value, bool) and value >= 1
-            rule = f"is not a whole number of 1 or larger; {usual} is usual"
-        elif usual == 0.0:
-            right, rule = finite and value >= 0.0, "is not a number of 0 or larger; 0 is usual"
-        elif isinstance(usual, float) or field.type == "float | None":
-            right = (finite and value > 0.0) or (value is None and usual is None)
-            rule = f"is not a positive number; {usual} is usual"
-        else:
-            continue
-        if not right:
-            quoted = "; a number has no quotes: drop them" if isinstance(value, str) and "number" in rule else ""
-            raise SolverError(f"{settings.name}: {name} = {value!r} {rule}{quoted}")
+
+    name: ClassVar[str]
+    session: ClassVar[type[Any]]
+    choices: ClassVar[Choices] = {}
+
+    def __post_init__(self) -> None:
+        for field in fields(self):  # type: ignore[arg-type]
+            value = getattr(self, field.name)
+            right, rule = self._rule(field, value)
+            if not right:
+                quoted = "; a number has no quotes: drop them" if isinstance(value, str) and "number" in rule else ""
+                raise SolverError(f"{self.name}: {field.name} = {shown(value)} is not {rule}{quoted}")
+
+    def _rule(self, field: Field[Any], value: Any) -> tuple[bool, str]:
+        usual, flag = field.default, isinstance(value, bool)
+        number = is_number(value) and abs(value) < float("inf")
+        if field.name in self.choices:
+            valid = self.choices[field.name]
+            return value in valid and not flag, f"one of {', '.join(map(repr, valid))}"
+        if isinstance(usual, bool):
+            return flag, "True or False"
+        if isinstance(usual, int):
+            return number and isinstance(value, int) and value >= 1, f"a whole number of 1 or larger; {usual} is usual"
+        if usual == 0.0:
+            return number and value >= 0.0, "a number of 0 or larger; 0 is usual"
+        if isinstance(usual, float) or field.type == "float | None":
+            return (number and value > 0.0) or (value is None and usual is None), f"a positive number; {usual} is usual"
+        return True, ""
+
+    def supports(self, qp: NullSpaceQP) -> str | None:
+        """Return None if the solver can take the problem, else the reason why not."""
+        return None
+
+    def start(self, qp: NullSpaceQP) -> Session:
+        """Return a session that is set up for the shape and the scaling of ``qp``; a SolverError if not supported."""
+        reason = self.supports(qp)
+        if reason is not None:
+            raise SolverError(f"{self.name}: {reason}")
+        return self.session(self, qp)

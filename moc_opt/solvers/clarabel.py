@@ -7,20 +7,13 @@ objectives". Dense sparsity patterns keep explicit zeros, so that every tick onl
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import clarabel
 import numpy as np
 
 from moc_opt.solvers.base import Status
-from moc_opt.solvers.library import (
-    Adapter,
-    LibrarySession,
-    Outcome,
-    TruncatedSession,
-    stacked,
-    upper_triangle,
-)
+from moc_opt.solvers.library import Adapter, Outcome, TruncatedSession, stacked, upper_triangle
 
 _CODE = clarabel.SolverStatus
 _STATUS = (
@@ -30,7 +23,7 @@ _STATUS = (
     (_CODE.AlmostPrimalInfeasible, Status.MAX_ITER),
     (_CODE.MaxIterations, Status.MAX_ITER),
     (_CODE.MaxTime, Status.TIME_LIMIT),
-)
+)  # a dict would need codes that can be hashed
 
 
 class ClarabelSession(TruncatedSession):
@@ -82,5 +75,5 @@ class Clarabel(Adapter):
     cost_scale: float = 1e3
     eps: float = 1e-9
     max_iter: int = 100
-    name: ClassVar[str] = "clarabel"
-    session: ClassVar[type[LibrarySession]] = ClarabelSession
+    name = "clarabel"
+    session = ClarabelSession

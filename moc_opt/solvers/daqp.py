@@ -7,7 +7,7 @@ using recursive LDL^T updates". Where the cost is only semi-definite it takes pr
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from daqp import Model
@@ -79,5 +79,5 @@ class DAQP(Adapter):
     dual_tol: float = 1e-12
     max_iter: int = 1000
     warm: bool = True
-    name: ClassVar[str] = "daqp"
-    session: ClassVar[type[LibrarySession]] = DAQPSession
+    name = "daqp"
+    session = DAQPSession

@@ -10,7 +10,6 @@ import os
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import ClassVar
 
 import numpy as np
 
@@ -19,7 +18,7 @@ from moc_opt.arrays import Array
 from moc_opt.errors import SolverError
 from moc_opt.qp.layout import joints_of
 from moc_opt.qp.problem import NullSpaceQP, row_length
-from moc_opt.solvers.base import Solution, Status, no_answer
+from moc_opt.solvers.base import Solution, SolverSettings, Status, no_answer
 
 STATUS = {core.OK: Status.SOLVED, core.INFEASIBLE: Status.INFEASIBLE, core.DOUBTFUL: Status.NUMERICAL}
 _STATUSES = np.array([STATUS.get(code) for code in range(max(STATUS) + 1)], dtype=object)
@@ -27,8 +26,23 @@ _STATUSES = np.array([STATUS.get(code) for code in range(max(STATUS) + 1)], dtyp
 _solve, _empty, _new, _SOLVED, _OK = core.solve_exact, np.empty, tuple.__new__, Status.SOLVED, core.OK
 
 
+class ExactSession:
+    """Keeps nothing between ticks: warm equals cold."""
+
+    __slots__ = ("tolerance",)
+
+    def __init__(self, settings: Exact, qp: NullSpaceQP) -> None:
+        self.tolerance = settings.tolerance
+
+    def solve(self, qp: NullSpaceQP) -> Solution:
+        """Answer one subproblem; the answer's arrays are the caller's."""
+        x, y = _empty(qp.n), _empty(6)
+        code = _solve(qp.row, self.tolerance, x, y)
+        return _new(Solution, (x, y, _SOLVED, 0)) if code == _OK else no_answer(qp.n, STATUS[code])
+
+
 @dataclass(frozen=True)
-class Exact:
+class Exact(SolverSettings):
     """Null-space elimination.
 
     Args:
@@ -39,25 +53,12 @@ class Exact:
     """
 
     tolerance: float = 1e-9
-    name: ClassVar[str] = "exact"
-
-    def __post_init__(self) -> None:
-        if not isinstance(self.tolerance, int | float) or not 0.0 < self.tolerance < 1.0:
-            raise SolverError(f"exact: tolerance = {self.tolerance} is not in (0, 1); 1e-9 is usual")
+    name = "exact"
+    session = ExactSession
 
     def supports(self, qp: NullSpaceQP) -> str | None:
         """Return None, or that there are too many joints."""
         return None if qp.n <= core.MAX_JOINTS else f"{qp.n} joints: `exact` takes at most {core.MAX_JOINTS}"
-
-    def start(self, qp: NullSpaceQP) -> ExactSession:
-        """Return a session.
-
-        Raises:
-            SolverError: too many joints.
-        """
-        if reason := self.supports(qp):
-            raise SolverError(f"exact: {reason}")
-        return ExactSession(self.tolerance)
 
     def solve_batch(self, rows: Array, threads: int | None = None) -> tuple[Array, Array, list[Status]]:
         """Solve flat records (k, 11 n + 10): x (k, n), y (k, 6), statuses.
@@ -88,21 +89,3 @@ class Exact:
                 job.result()
         X[codes != core.OK] = Y[codes != core.OK] = np.nan
         return X, Y, _STATUSES[codes.astype(np.intp)].tolist()
-
-
-class ExactSession:
-    """Keeps nothing between ticks: warm equals cold."""
-
-    __slots__ = ("tolerance",)
-
-    def __init__(self, tolerance: float) -> None:
-        self.tolerance = tolerance
-
-    def __repr__(self) -> str:
-        return f"<session of {Exact(self.tolerance)!r}>"
-
-    def solve(self, qp: NullSpaceQP) -> Solution:
-        """Answer one subproblem; the answer's arrays are the caller's."""
-        x, y = _empty(qp.n), _empty(6)
-        code = _solve(qp.row, self.tolerance, x, y)
-        return _new(Solution, (x, y, _SOLVED, 0)) if code == _OK else no_answer(qp.n, STATUS[code])

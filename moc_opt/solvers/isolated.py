@@ -1,25 +1,20 @@
 """A solver in a process of its own: whatever happens there, the control loop waits only for a bounded time.
 
-Without isolation a session runs inside the loop: a solver that hangs, ends the process or keeps the interpreter's lock
-stops the loop too. `Isolated` wraps any solver that pickle can copy. Its sessions send each subproblem to a process,
-wait for the answer at most ``budget_us``, and kill and replace a process that hung, ended or ran out of memory.
-
-In simulated time a tick waits for the answer to its own subproblem, and simulated time stands still in the wait and
-while a process is replaced. So a solver that keeps its budget gives the same run as without isolation, on a fast or a
-slow machine. Against a wall clock (``waits=False``) nothing stands still: a second process is kept ready, and a tick
-without a process has no answer.
+A session sends each subproblem to its process, waits for the answer at most ``budget_us``, and kills and replaces a
+process that hung, ended or ran out of memory. In simulated time a tick waits for its own answer, and simulated time
+stands still while a process is replaced: a solver that keeps its budget gives the same run as without isolation.
+Against a wall clock (``waits=False``) a second process is kept ready, and a tick without a process has no answer.
 """
 
 from __future__ import annotations
 
+import errno
 import math
 import os
 import pickle
-import select
 import signal
 import subprocess
 import sys
-import tempfile
 import weakref
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -32,10 +27,7 @@ from moc_opt.errors import MocOptError, SolverError, describe
 from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.solvers.base import ObservingSession, Session, Solution, Solver
 
-MOST_BYTES = 1 << 16
-"""Largest message: the pipe takes it whole, so that neither side waits for the other in the middle of one."""
 _LOOK_S = 0.05  # a wait looks this often whether the process is still there: a child of it may hold the pipe open
-_START = 0  # number of the request to start a session; requests to solve have the number of their tick, from 1 on
 
 
 class Unanswered(Exception):
@@ -107,14 +99,6 @@ class Isolated:
         """Start a session; a SolverError where its process does not start, or the solver does not take the problem."""
         return IsolatedSession(self, qp)
 
-    def _worker(self, qp: NullSpaceQP) -> _Worker:
-        """Return a process that is starting a session: one that an earlier session has left, or a new one."""
-        worker = self._idle.pop() if self._idle else None
-        if worker is None or not worker.usable:
-            worker = _Worker(self._pickled, self.memory_MB)
-        worker.ask(_START, qp.row, None, self.start_s)
-        return worker
-
 
 class IsolatedSession:
     """One session; ``restarts`` says when its process was replaced, and why."""
@@ -126,10 +110,8 @@ class IsolatedSession:
         self._workers = list[_Worker]()  # the one at work, then the one that is kept ready
         self._fill(qp)
         try:
-            if not self._workers[0].started(solver.start_s):
-                raise _Ended(f"it has not started in time; raise [solver.process] start_s = {solver.start_s:g}")
+            self._workers[0].started(math.inf)
         except _Ended as ended:
-            self._workers.pop(0).kill()
             raise SolverError(f"solver {solver.name!r} in a process of its own: {ended}") from None
         if self._workers[0].observes:
             self.observe = self._observe  # the controller calls ``observe`` if it exists
@@ -144,46 +126,41 @@ class IsolatedSession:
         until = monotonic() + 1e-6 * solver.budget_us
         try:
             if worker.busy:  # with the subproblem of an earlier tick
-                self._newest = worker.answer(min(until, worker.asked_at + solver.hang_s)) or self._newest
+                self._newest = worker.answer(until) or self._newest
             if not worker.busy:
-                worker.ask(self._tick, qp.row, self._v, 2.0 * solver.hang_s + 1.0)
-                self._newest = worker.answer(min(until, worker.asked_at + solver.hang_s)) or self._newest
-            if worker.busy and monotonic() >= worker.asked_at + solver.hang_s:
-                raise _Ended(f"it gave no answer for {solver.hang_s:g} s")
-            newest = self._newest
-            if newest is not None and newest.kind == "full":
-                raise _Ended(f"its {solver.memory_MB:g} MB of memory were full: {newest.value}")
+                worker.ask(self._tick, qp, self._v, solver.hang_s)
+                self._newest = worker.answer(until) or self._newest
         except _Ended as ended:
             self._lose(str(ended))
             raise Unanswered("lost", f"the solver's process was lost: {ended}") from None
-        if newest is None or self._tick - newest.number > solver.answer_age_ticks:
+        newest = self._newest
+        if newest is None or self._tick - newest.tick > solver.answer_age_ticks:
             raise Unanswered("late", f"no answer after {solver.budget_us:g} us")
-        if newest.kind == "raised":
+        if newest.raised:
             raise Unanswered("raised", newest.value)
-        answer: Solution = newest.value  # of any form, as from a session without isolation: the controller checks it
-        return answer
+        return newest.value  # type: ignore[no-any-return]  # of any form: the controller checks it
+
+    def _ready(self, qp: NullSpaceQP) -> _Worker:
+        while True:
+            self._fill(qp)
+            if not self._workers:
+                raise Unanswered("lost", f"given up: the solver's process was lost {len(self.restarts)} times")
+            try:
+                if self._workers[0].started(math.inf if self._solver.waits else 0.0):
+                    return self._workers[0]
+            except _Ended as ended:
+                self._lose(str(ended))
+            else:
+                raise Unanswered("lost", "a new process of the solver is being started")
 
     def _fill(self, qp: NullSpaceQP) -> None:
         """Start the processes that are lacking: one, and against a wall clock a spare one."""
         solver, workers = self._solver, self._workers
         while len(workers) < 2 - solver.waits and len(workers) + len(self.restarts) <= solver.most_restarts:
-            workers.append(solver._worker(qp))
-
-    def _ready(self, qp: NullSpaceQP) -> _Worker:
-        solver = self._solver
-        while True:
-            self._fill(qp)
-            if not self._workers:
-                raise Unanswered("lost", f"given up: the solver's process was lost {len(self.restarts)} times")
-            worker = self._workers[0]
-            try:
-                if worker.started(solver.start_s if solver.waits else 0.0):
-                    return worker
-                if monotonic() < worker.asked_at + solver.start_s:
-                    raise Unanswered("lost", "a new process of the solver is being started")
-                raise _Ended("it has not started in time")
-            except _Ended as ended:
-                self._lose(str(ended))
+            idle = solver._idle.pop() if solver._idle else None  # of an earlier session
+            worker = idle if idle is not None and idle.usable else _Worker(solver.memory_MB)
+            worker.ask(0, qp, None, solver.start_s, solver._pickled)
+            workers.append(worker)
 
     def _lose(self, reason: str) -> None:
         self._workers.pop(0).kill()
@@ -191,16 +168,13 @@ class IsolatedSession:
         self.restarts.append(Restart(self._tick - 1, reason))
 
     def __del__(self) -> None:
-        for worker in getattr(self, "_workers", []):
-            if worker.usable:  # for the next session: a process takes a second to start
-                self._solver._idle.append(worker)
-            else:
-                worker.kill()
+        # For the next session: a process takes a second to start. One that is busy is killed with its handle.
+        self._solver._idle.extend(worker for worker in self._workers if worker.usable)
 
 
 class _Answer(NamedTuple):
-    number: int  # of the request
-    kind: Literal["answered", "raised", "full"]
+    tick: int  # of the request; 0: to start a session
+    raised: bool
     value: Any  # the solver's answer; whether a session that was started observes; or what was raised, in words
 
 
@@ -209,35 +183,33 @@ class _Ended(Exception):
 
 
 class _Worker:
-    """The loop's handle on a process that answers one request after another; it is killed when this object goes.
+    """A process that answers one request after another; it is killed when this object goes.
 
-    A Popen, since multiprocessing's Process runs the caller's main module once more, which may be a script without a
-    guard, and since the workers of a process pool may not have children of that kind.
+    A Popen: multiprocessing's Process would run the caller's script once more, and daemonic workers of a process pool
+    may not have one.
     """
 
-    def __init__(self, pickled: bytes, memory_MB: float) -> None:
+    def __init__(self, memory_MB: float) -> None:
         self._pipe, theirs = Pipe()
-        with theirs, tempfile.TemporaryFile(buffering=0) as file:  # a pipe would have to be read meanwhile
-            file.write(pickle.dumps((sys.path, memory_MB)) + pickled)
-            file.seek(0)
+        program = "import sys; from moc_opt.solvers.isolated import serve; serve(int(sys.argv[1]), float(sys.argv[2]))"
+        with theirs:
             self._process = subprocess.Popen(
-                [sys.executable, "-c", _BOOT, str(theirs.fileno())], stdin=file, pass_fds=[theirs.fileno()],
-                start_new_session=True,
+                [sys.executable, "-c", program, str(theirs.fileno()), str(memory_MB)], pass_fds=[theirs.fileno()],
+                env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}, start_new_session=True,
             )  # fmt: skip
-        self._number, self.asked_at, self.busy = _START, monotonic(), False
-        self._started, self.observes = False, False
         self.kill = weakref.finalize(self, _kill, self._process, self._pipe, os.getpid())
+        self.busy = self._started = self.observes = False
 
     @property
     def usable(self) -> bool:
         return not self.busy and self._process.poll() is None
 
-    def ask(self, number: int, row: Array, v: Array | None, most_s: float) -> None:
-        """Send a request; the process ends by itself if it takes longer than ``most_s``, however this one ended."""
-        self._number, self.asked_at, self.busy = number, monotonic(), True
-        self._started = self._started and number != _START
+    def ask(self, tick: int, qp: NullSpaceQP, v: Array | None, most_s: float, solver: bytes | None = None) -> None:
+        """Send a subproblem to solve, or a pickled solver of which to start a session; it hangs after ``most_s``."""
+        self._tick, self._most_s, self._hung_at, self.busy = tick, most_s, monotonic() + most_s, True
+        self._started = self._started and solver is None
         with suppress(OSError):  # the process has ended, which ``answer`` finds
-            self._pipe.send((number, row, v, most_s))
+            self._pipe.send((solver, qp.row, v, most_s))
 
     def started(self, most_s: float) -> bool:
         """Wait until the session has started, at most so long; raise _Ended where it cannot."""
@@ -245,24 +217,26 @@ class _Worker:
             said = self.answer(monotonic() + most_s)
             if said is None:
                 return False
-            if said.kind != "answered":
+            if said.raised:
                 raise _Ended(said.value)
             self._started, self.observes = True, said.value
         return True
 
     def answer(self, until: float) -> _Answer | None:
-        """Wait for the answer until then (of ``time.monotonic``); raise _Ended where the process has ended."""
+        """Wait for the answer until then (of ``time.monotonic``); raise _Ended where the process hangs or has ended."""
         while True:
-            left = max(until - monotonic(), 0.0)
-            if select.select([self._pipe], [], [], min(left, _LOOK_S))[0]:
-                try:
-                    message = self._pipe.recv_bytes(MOST_BYTES)
-                except (EOFError, OSError):
-                    raise _Ended(self._ending()) from None
-                self.busy = False
-                return _Answer(self._number, *pickle.loads(message))
+            left = max(min(until, self._hung_at) - monotonic(), 0.0)
+            try:
+                if self._pipe.poll(min(left, _LOOK_S)):
+                    answer = _Answer(self._tick, *self._pipe.recv())
+                    self.busy = False
+                    return answer
+            except (EOFError, OSError):
+                raise _Ended(self._ending()) from None
             if self._process.poll() is not None:
                 raise _Ended(self._ending())
+            if monotonic() >= self._hung_at:
+                raise _Ended(f"it gave no answer for {self._most_s:g} s")
             if left == 0.0:
                 return None
 
@@ -272,6 +246,8 @@ class _Worker:
         code = self._process.returncode
         if code is None:
             return "it closed its end of the connection"
+        if code == errno.ENOMEM:
+            return "its memory was full: raise [solver.process] memory_MB"
         return f"it was killed by {signal.Signals(-code).name}" if code < 0 else f"it ended with status {code}"
 
 
@@ -287,50 +263,42 @@ def _kill(process: subprocess.Popen[bytes], pipe: Connection, owner: int) -> Non
 
 # --- in the process ---
 
-_BOOT = (
-    "import pickle, sys; sys.path[:], memory_MB = pickle.load(sys.stdin.buffer); "
-    "from moc_opt.solvers.isolated import serve; serve(int(sys.argv[1]), memory_MB)"
-)
-
 
 def serve(fd: int, memory_MB: float) -> None:
-    """Answer the requests that come through the pipe ``fd`` until its other end is closed.
-
-    The pickled solver lies in the standard input; ``memory_MB`` is what the process may have.
-    """
+    """Answer the requests that come through the pipe ``fd`` until its other end is closed."""
     if sys.platform == "linux":
         import resource  # late: there is none on Windows
 
-        hard = resource.getrlimit(resource.RLIMIT_DATA)[1]
-        most = int(1e6 * memory_MB)
+        most, hard = int(1e6 * memory_MB), resource.getrlimit(resource.RLIMIT_DATA)[1]
         resource.setrlimit(resource.RLIMIT_DATA, (most if hard == resource.RLIM_INFINITY else min(most, hard), hard))
-    pipe, pickled = Connection(fd), sys.stdin.buffer.read()
+    pipe = Connection(fd)
     session: Any = None
     while True:
         try:
-            number, row, v, most_s = pipe.recv()
+            solver, row, v, most_s = pipe.recv()
         except (EOFError, OSError):
             return
-        signal.setitimer(signal.ITIMER_REAL, most_s)  # its signal ends the process, whatever hangs in it
+        # Its signal ends a process that hangs where nobody is left to kill it.
+        signal.setitimer(signal.ITIMER_REAL, 2.0 * most_s + 1.0)
         try:
-            if number == _START:
-                session = _started_session(pickled, NullSpaceQP.from_row(row))
-                answer = pickle.dumps(("answered", isinstance(session, ObservingSession)))
+            qp = NullSpaceQP.from_row(row)
+            if solver is not None:
+                session = _start(solver, qp)
+                found: Any = isinstance(session, ObservingSession)
             else:
                 if v is not None:
                     session.observe(v)
-                answer = pickle.dumps(("answered", session.solve(NullSpaceQP.from_row(row))))
-                if len(answer) > MOST_BYTES:
-                    raise ValueError(f"an answer of {len(answer)} bytes: return a Solution for this subproblem")
-        except MemoryError as error:
-            answer = pickle.dumps(("full", describe(error)))
+                found = session.solve(qp)
+            answer = pickle.dumps((False, found))
+        except MemoryError:
+            os._exit(errno.ENOMEM)
         except BaseException as error:  # noqa: BLE001 - foreign code may raise anything, and this process goes on
-            answer = pickle.dumps(("raised", str(error) if isinstance(error, MocOptError) else describe(error)))
+            answer = pickle.dumps((True, str(error) if isinstance(error, MocOptError) else describe(error)))
         signal.setitimer(signal.ITIMER_REAL, 0.0)
         pipe.send_bytes(answer)
 
 
-def _started_session(pickled: bytes, qp: NullSpaceQP) -> Session:
+def _start(pickled: bytes, qp: NullSpaceQP) -> Any:
     try:
         solver: Solver = pickle.loads(pickled)
     except (ImportError, AttributeError) as error:

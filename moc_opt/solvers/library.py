@@ -10,8 +10,6 @@ call of the core puts them there in a microsecond; the same steps in numpy cost 
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from collections.abc import Mapping
 from typing import Any, ClassVar
 
 import numpy as np
@@ -21,51 +19,39 @@ from moc_opt import core
 from moc_opt.arrays import Array
 from moc_opt.qp.equalities import ROWS, assembled
 from moc_opt.qp.problem import NullSpaceQP
-from moc_opt.solvers.base import Session, ShownBySettings, Solution, Status, check_settings, no_answer
+from moc_opt.solvers.base import Choices, Solution, SolverSettings, Status, no_answer
 
 Outcome = tuple[Status, int, Array, Array]
 _HAS_X = (Status.SOLVED, Status.MAX_ITER, Status.TIME_LIMIT)
 
 
-class Adapter:
-    """Settings of one library, and the handling of the fields that all have; a SolverError where one is out of range.
-
-    A subclass is a frozen dataclass with at least ``cost_scale``, and ``rows`` where the library takes six rows.
+class Adapter(SolverSettings):
+    """Settings of one library; a frozen dataclass with at least ``cost_scale``.
 
     Attributes:
-        rows: 5 or 6 equality rows.
+        rows: 5 or 6 equality rows; a field where the library takes six.
         cost_scale: multiplies P and p; the duals are scaled back.
-        choices: field -> the values it may have.
         needs: what the library does with a cost that is not positive definite; empty where it copes.
     """
 
     rows: int = 5
     cost_scale: float
-    name: ClassVar[str]
-    session: ClassVar[type[LibrarySession]]
-    choices: ClassVar[Mapping[str, tuple[object, ...]]] = {}
+    choices: ClassVar[Choices] = {"rows": ROWS}
     needs: ClassVar[str] = ""
 
-    def __post_init__(self) -> None:
-        check_settings(self, rows=ROWS, **self.choices)
-
     def supports(self, qp: NullSpaceQP) -> str | None:
-        """Say why a subproblem cannot be taken; None where it can."""
+        """Return the reason why a subproblem cannot be taken, or None."""
         return refuse_semidefinite(qp, self.needs) if self.needs else None
-
-    def start(self, qp: NullSpaceQP) -> Session:
-        """Set a workspace up with the shape and the scaling of ``qp``."""
-        return self.session(self, qp)
 
 
 def refuse_semidefinite(qp: NullSpaceQP, needs: str) -> str | None:
-    """Say why a library that ``needs`` a positive definite cost cannot take ``qp``; None where it can."""
+    """Return why a library that ``needs`` a positive definite cost cannot take ``qp``, or None."""
     if qp.regularization > 1e-10 * (qp.c0 + qp.c1):
         return None
     return f"{needs}, and regularization is {qp.regularization:g}: set regularization > 0"
 
 
-class LibrarySession(ShownBySettings, ABC):
+class LibrarySession:
     """One workspace of a library and the buffers that it reads."""
 
     dual_sign: ClassVar[float] = 1.0  #: Of the library's multipliers of A x = b.
@@ -73,7 +59,6 @@ class LibrarySession(ShownBySettings, ABC):
     def __init__(self, settings: Any, qp: NullSpaceQP) -> None:
         self._settings = settings
         self._factor = self.dual_sign / settings.cost_scale
-        self._refuses = bool(settings.needs)
         self._build(qp)
 
     def _build(self, qp: NullSpaceQP) -> None:
@@ -82,9 +67,9 @@ class LibrarySession(ShownBySettings, ABC):
         self._load(qp)
         self._set_up(self._m, self._n)
 
-    @abstractmethod
     def _allocate(self, m: int, n: int) -> dict[str, Any]:
         """Make the arrays that the library reads; returns the arguments of `Loader` that write into them."""
+        raise NotImplementedError
 
     def _set_up(self, m: int, n: int) -> None:
         """Make the library's workspace from the loaded arrays, its options set."""
@@ -92,12 +77,12 @@ class LibrarySession(ShownBySettings, ABC):
     def _hand_over(self) -> None:
         """Hand the loaded arrays to the library."""
 
-    @abstractmethod
     def _run(self) -> Outcome:
         """Run the library: status, iterations, x (n,) in memory of its own, multipliers (m,) of A x = b.
 
         x and multipliers count only where the status is one with an answer.
         """
+        raise NotImplementedError
 
     def update(self, qp: NullSpaceQP) -> None:
         """Hand the subproblem to the library; another shape than the last one's starts a new workspace."""
@@ -107,7 +92,7 @@ class LibrarySession(ShownBySettings, ABC):
 
     def solve(self, qp: NullSpaceQP) -> Solution:
         """Answer one subproblem."""
-        if self._refuses and self._settings.supports(qp) is not None:
+        if self._settings.needs and self._settings.supports(qp) is not None:
             return no_answer(qp.n, Status.UNSUPPORTED)
         self.update(qp)
         status, iterations, x, y = self._run()
@@ -119,9 +104,9 @@ class LibrarySession(ShownBySettings, ABC):
 class TruncatedSession(LibrarySession):
     """A library whose iterations can be limited from call to call."""
 
-    @abstractmethod
     def _limit(self, iterations: int) -> None:
         """Let the library make so many iterations at most."""
+        raise NotImplementedError
 
     def truncated(self, qp: NullSpaceQP, iterations: int) -> Solution:
         """Answer with the iterate after so many iterations (at least 1), from where the last solve began."""
@@ -166,10 +151,8 @@ class Loader:
         upper: Array, packed: Array | None = None, signs: tuple[float, float, float] = (1.0, 1.0, 1.0),
     ) -> None:  # fmt: skip
         self._lift = np.empty((len(A), 6))
-        self._to = (
-            rows == 5, scale, np.array(signs), P, p, A, low, high, lower, upper,
-            np.empty(0) if packed is None else packed, self._lift,
-        )  # fmt: skip
+        packed = np.empty(0) if packed is None else packed
+        self._to = rows == 5, scale, np.array(signs), P, p, A, low, high, lower, upper, packed, self._lift
 
     def __call__(self, qp: NullSpaceQP) -> bool:
         """Load ``qp``; False where it has another shape, and the buffers hold nothing of use."""

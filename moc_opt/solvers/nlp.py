@@ -16,7 +16,6 @@ check with looser tolerances.
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
@@ -29,7 +28,7 @@ from moc_opt.arrays import Array
 from moc_opt.errors import SolverError
 from moc_opt.qp.equalities import assembled
 from moc_opt.qp.problem import NullSpaceQP
-from moc_opt.solvers.base import ShownBySettings, Solution, Status, check_settings, no_answer
+from moc_opt.solvers.base import Choices, Solution, SolverSettings, Status, no_answer
 
 
 class Kinematics(Protocol):
@@ -39,155 +38,6 @@ class Kinematics(Protocol):
     tip: Any
     wrist: Any
     mu: Any
-
-
-@lru_cache(maxsize=16)
-def program(settings: NLP) -> tuple[Any, Any]:
-    """Return the NLP solver, and the function q -> (tip, wrist, mu, grad mu) that gives its parameters.
-
-    The parameters of the solver are q (n,), tip, wrist and mu at q, d (n,), the columns of E, c2 and regularization.
-    """
-    kinematics, n, period = settings.kinematics, settings.kinematics.n, settings.period
-    x, q, base, E = ca.SX.sym("x", n), ca.SX.sym("q", n), ca.SX.sym("base", 7), ca.SX.sym("E", 2, 3)
-    beside = ca.SX.sym("beside", n)
-    c2, regularization = ca.SX.sym("c2"), ca.SX.sym("regularization")
-
-    def places(q: Any) -> Any:
-        return ca.vertcat(kinematics.tip(q), kinematics.wrist(q), kinematics.mu(q))
-
-    moved = (places(q + period * x) - base) / period
-    nlp = {
-        "x": x,
-        "p": ca.vertcat(q, base, beside, ca.vec(E), c2, regularization),
-        "f": settings.cost_scale * (0.5 * regularization * ca.dot(x, x) - c2 * (moved[6] + ca.dot(beside, x))),
-        "g": ca.vertcat(moved[:3], ca.mtimes(E, moved[3:6])),
-    }
-    solver = ca.nlpsol("solver", settings.plugin, nlp, settings._options())
-    slope = ca.gradient(kinematics.mu(q), q)
-    return solver, ca.Function("places", [q], [ca.vertcat(places(q), slope)])
-
-
-@dataclass(frozen=True)
-class NLP(ABC):
-    """Settings that all of them share; use ``SQP``, ``Ipopt`` or ``Fatrop``.
-
-    Args:
-        kinematics: tip, wrist and mu as CasADi functions; ``robot.kinematics()``.
-        period: T [s], the control period.
-        cost_scale: multiplies the cost; the duals are scaled back.
-        eps: tolerance of the scaled problem's KKT conditions.
-        max_iter: iterations a tick.
-        hessian: "limited-memory" (BFGS) or "exact".
-        warm: start from the last tick's answer where that was solved.
-
-    Raises:
-        SolverError: a setting is out of range or the kinematics are missing.
-    """
-
-    kinematics: Kinematics = None  # type: ignore[assignment]
-    period: float = 0.002
-    cost_scale: float = 1e4
-    eps: float = 1e-7
-    max_iter: int = 50
-    hessian: Literal["limited-memory", "exact"] = "exact"
-    warm: bool = True
-    name: ClassVar[str] = ""
-    plugin: ClassVar[str] = ""
-
-    def __post_init__(self) -> None:
-        if not all(hasattr(self.kinematics, key) for key in ("n", "tip", "wrist", "mu")):
-            raise SolverError(
-                f"{self.name}: kinematics = {self.kinematics!r} has no n, tip, wrist and mu; "
-                "pass kinematics=robot.kinematics()"
-            )
-        check_settings(self, hessian=("limited-memory", "exact"))
-
-    def supports(self, qp: NullSpaceQP) -> str | None:
-        """Say what is missing: the place where the problem was linearized, or a rigid tool."""
-        if qp.q is None:
-            return "the subproblem has no q; an NLP needs the position where it was linearized"
-        if qp.n != self.kinematics.n:
-            return f"the kinematics have {self.kinematics.n} joints, the subproblem has {qp.n}"
-        if len(assembled(qp).b) != 5:
-            return "tip and wrist are not rigidly tied: the five rows of this program do not apply"
-        return None
-
-    def start(self, qp: NullSpaceQP) -> NLPSession:
-        """Return a session with buffers of its own; the compiled program is shared and holds no state."""
-        if reason := self.supports(qp):
-            raise SolverError(f"{self.name}: {reason}")
-        return NLPSession(self, *program(self))
-
-    @abstractmethod
-    def _options(self) -> dict[str, Any]:
-        """Return the options of the CasADi plug-in: silent, and with our tolerance and limit of iterations."""
-
-
-@dataclass(frozen=True)
-class SQP(NLP):
-    """CasADi's sqpmethod on its active-set QP solver qrqp; iterations are major ones.
-
-    BFGS starts from the identity, which at cost_scale = 1e5 is the true Hessian of the default regularization of
-    1e-5: half the iterations of 1e3. The exact Hessian is indefinite where regularization = 0: then three problems in
-    ten stay without an answer.
-    """
-
-    cost_scale: float = 1e5
-    hessian: Literal["limited-memory", "exact"] = "limited-memory"
-    name: ClassVar[str] = "nlp-sqp"
-    plugin: ClassVar[str] = "sqpmethod"
-
-    def _options(self) -> dict[str, Any]:
-        quiet = {"print_iter": False, "print_header": False, "print_info": False, "error_on_fail": False}
-        return {
-            "qpsol": "qrqp", "qpsol_options": quiet, "hessian_approximation": self.hessian, "max_iter": self.max_iter,
-            "tol_pr": self.eps, "tol_du": self.eps, "min_step_size": 1e-14, "print_header": False,
-            "print_iteration": False, "print_status": False, "print_time": False, "error_on_fail": False,
-        }  # fmt: skip
-
-
-@dataclass(frozen=True)
-class Ipopt(NLP):
-    """The interior-point method IPOPT (Waechter & Biegler 2006).
-
-    It convexifies the exact Hessian by itself; with BFGS and regularization = 0 it runs out of iterations.
-    """
-
-    name: ClassVar[str] = "nlp-ipopt"
-    plugin: ClassVar[str] = "ipopt"
-
-    def _options(self) -> dict[str, Any]:
-        return {
-            "ipopt.print_level": 0, "ipopt.sb": "yes",
-            # Else IPOPT reads ipopt.opt in the current folder, which may name files to write and libraries to load.
-            "ipopt.option_file_name": "",
-            "print_time": False, "error_on_fail": False, "ipopt.hessian_approximation": self.hessian,
-            "ipopt.max_iter": self.max_iter, "ipopt.tol": self.eps, "ipopt.acceptable_iter": 0,
-            "ipopt.bound_relax_factor": 0.0, "ipopt.nlp_scaling_method": "none",
-        }  # fmt: skip
-
-
-@dataclass(frozen=True)
-class Fatrop(NLP):
-    """The interior-point method FATROP (Vanroye et al. 2023), made for optimal control.
-
-    One control period is a single stage of it, so that nothing of its structure is made use of. It can
-    say that it failed, not why.
-    """
-
-    name: ClassVar[str] = "nlp-fatrop"
-    plugin: ClassVar[str] = "fatrop"
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.hessian != "exact":
-            raise SolverError(f"{self.name}: hessian = {self.hessian!r} is not to be had; 'exact' is")
-
-    def _options(self) -> dict[str, Any]:
-        return {
-            "print_time": False, "error_on_fail": False, "structure_detection": "none", "fatrop.print_level": 0,
-            "fatrop.max_iter": self.max_iter, "fatrop.tol": self.eps,
-        }  # fmt: skip
 
 
 # --- the sessions ---
@@ -219,65 +69,206 @@ class BufferedCall:
             self._buffer.set_res(function.index_out(name), array.data)
 
 
-class NLPSession(ShownBySettings):
+@lru_cache(maxsize=16)
+def program(settings: NLP) -> tuple[Any, Any]:
+    """Return the NLP solver, and the function q -> (tip, wrist, mu, grad mu) that gives its parameters.
+
+    The parameters of the solver are q (n,), tip, wrist and mu at q, d (n,), the columns of E, c2 and regularization.
+    Both hold no state: sessions share them.
+    """
+    kinematics, n, period = settings.kinematics, settings.kinematics.n, settings.period
+    x, q, base, E = ca.SX.sym("x", n), ca.SX.sym("q", n), ca.SX.sym("base", 7), ca.SX.sym("E", 2, 3)
+    beside, c2, regularization = ca.SX.sym("beside", n), ca.SX.sym("c2"), ca.SX.sym("regularization")
+
+    def places(q: Any) -> Any:
+        return ca.vertcat(kinematics.tip(q), kinematics.wrist(q), kinematics.mu(q))
+
+    moved = (places(q + period * x) - base) / period
+    nlp = {
+        "x": x,
+        "p": ca.vertcat(q, base, beside, ca.vec(E), c2, regularization),
+        "f": settings.cost_scale * (0.5 * regularization * ca.dot(x, x) - c2 * (moved[6] + ca.dot(beside, x))),
+        "g": ca.vertcat(moved[:3], ca.mtimes(E, moved[3:6])),
+    }
+    quiet = {"print_time": False, "error_on_fail": False}
+    solver = ca.nlpsol("solver", settings.plugin, nlp, {**quiet, **settings.options()})
+    slope = ca.gradient(kinematics.mu(q), q)
+    return solver, ca.Function("places", [q], [ca.vertcat(places(q), slope)])
+
+
+class NLPSession:
     """Buffers of one solver; the last answer in them is the warm start."""
 
-    def __init__(self, settings: Any, solver: Any, places: Any) -> None:
-        n = settings.kinematics.n
-        self._settings, self._n = settings, n
-        self._p = np.zeros(n + 7 + n + 6 + 2)
-        self._x0, self._lower, self._upper, self._target = (np.zeros(k) for k in (n, n, n, 5))
-        self._multipliers0, self._bound_multipliers0 = np.zeros(5), np.zeros(n)
-        self._x, self._multipliers, self._bound_multipliers = np.zeros(n), np.zeros(5), np.zeros(n)
-        self._q, self._base = np.zeros(n), np.zeros(7 + n)
+    def __init__(self, settings: NLP, qp: NullSpaceQP) -> None:
+        self._settings, n = settings, qp.n
+        solver, places = program(settings)
+        self._q, self._base, self._p = np.zeros(n), np.zeros(7 + n), np.zeros(n + 7 + n + 6 + 2)
+        self._lower, self._upper, self._target = np.zeros(n), np.zeros(n), np.zeros(5)
+        self._start = {"x0": np.zeros(n), "lam_g0": np.zeros(5), "lam_x0": np.zeros(n)}
+        self._end = {"x": np.zeros(n), "lam_g": np.zeros(5), "lam_x": np.zeros(n)}
         self._places = BufferedCall(places, {places.name_in(0): self._q}, {places.name_out(0): self._base})
-        self._solver = BufferedCall(
-            solver,
-            {
-                "x0": self._x0, "p": self._p, "lbx": self._lower, "ubx": self._upper, "lbg": self._target,
-                "ubg": self._target, "lam_g0": self._multipliers0, "lam_x0": self._bound_multipliers0,
-            },
-            {"x": self._x, "lam_g": self._multipliers, "lam_x": self._bound_multipliers},
-        )  # fmt: skip
+        sides = {"lbx": self._lower, "ubx": self._upper, "lbg": self._target, "ubg": self._target}
+        self._solver = BufferedCall(solver, {"p": self._p, **sides, **self._start}, self._end)
 
     def solve(self, qp: NullSpaceQP) -> Solution:
         """Answer one subproblem."""
         if self._settings.supports(qp) is not None:
             return no_answer(qp.n, Status.UNSUPPORTED)
-        n, part, lift = self._n, qp.fields, assembled(qp).lift
-        self._q[:] = part.q
-        self._places.run()
-        self._p[:n] = part.q
-        self._p[n : n + 7] = self._base[:7]
-        np.subtract(part.pull, self._base[7:], out=self._p[n + 7 : 2 * n + 7])
-        self._p[2 * n + 7 : 2 * n + 13] = lift[3:, 3:].ravel(order="F")
-        self._p[2 * n + 13 :] = part.weights[2:]
-        self._lower[:], self._upper[:] = part.lower, part.upper
-        np.dot(lift, part.b, out=self._target)
+        lift = assembled(qp).lift
+        self._load(qp, lift)
         if not self._settings.warm:
             self._forget()
-        np.clip(self._x0, part.lower, part.upper, out=self._x0)
+        x0, x, multipliers = self._start["x0"], self._end["x"], self._end["lam_g"]
+        np.clip(x0, self._lower, self._upper, out=x0)
         try:
             self._solver.run()
         except RuntimeError:  # fatrop raises where a closed box leaves more equations than joints
             self._forget()
-            return no_answer(n, Status.NUMERICAL)
+            return no_answer(qp.n, Status.NUMERICAL)
         stats = self._solver.stats()
-        status = _STATUS.get(str(stats["return_status"]), Status.NUMERICAL)
-        iterations = int(stats["iter_count"])
-        if not (np.isfinite(self._x).all() and np.isfinite(self._multipliers).all()):
-            self._forget()
-            return no_answer(n, Status.NUMERICAL, iterations)
+        status, iterations = _STATUS.get(str(stats["return_status"]), Status.NUMERICAL), int(stats["iter_count"])
+        if not (np.isfinite(x).all() and np.isfinite(multipliers).all()):
+            status = Status.NUMERICAL
         if status is Status.SOLVED:
-            self._x0[:], self._multipliers0[:] = self._x, self._multipliers
-            self._bound_multipliers0[:] = self._bound_multipliers
+            for start, end in zip(self._start.values(), self._end.values(), strict=True):
+                start[:] = end
         else:
             self._forget()
         if status not in (Status.SOLVED, Status.MAX_ITER):
-            return no_answer(n, status, iterations)
-        y = np.dot(self._multipliers, lift) / self._settings.cost_scale
-        return Solution(self._x.copy(), y, status, iterations)
+            return no_answer(qp.n, status, iterations)
+        return Solution(x.copy(), np.dot(multipliers, lift) / self._settings.cost_scale, status, iterations)
+
+    def _load(self, qp: NullSpaceQP, lift: Array) -> None:
+        n, part, p = qp.n, qp.fields, self._p
+        self._q[:] = part.q
+        self._places.run()
+        p[:n] = part.q
+        p[n : n + 7] = self._base[:7]
+        np.subtract(part.pull, self._base[7:], out=p[n + 7 : 2 * n + 7])
+        p[2 * n + 7 : 2 * n + 13] = lift[3:, 3:].ravel(order="F")
+        p[2 * n + 13 :] = part.weights[2:]
+        self._lower[:], self._upper[:] = part.lower, part.upper
+        np.dot(lift, part.b, out=self._target)
 
     def _forget(self) -> None:
-        for start in (self._x0, self._multipliers0, self._bound_multipliers0):
+        for start in self._start.values():
             start[:] = 0.0
+
+
+# --- the settings ---
+
+
+@dataclass(frozen=True)
+class NLP(SolverSettings):
+    """Settings that all of them share; use ``SQP``, ``Ipopt`` or ``Fatrop``.
+
+    Args:
+        kinematics: tip, wrist and mu as CasADi functions; ``robot.kinematics()``.
+        period: T [s], the control period.
+        cost_scale: multiplies the cost; the duals are scaled back.
+        eps: tolerance of the scaled problem's KKT conditions.
+        max_iter: iterations a tick.
+        hessian: "limited-memory" (BFGS) or "exact".
+        warm: start from the last tick's answer where that was solved.
+
+    Raises:
+        SolverError: a setting is out of range or the kinematics are missing.
+    """
+
+    kinematics: Kinematics = None  # type: ignore[assignment]
+    period: float = 0.002
+    cost_scale: float = 1e4
+    eps: float = 1e-7
+    max_iter: int = 50
+    hessian: Literal["limited-memory", "exact"] = "exact"
+    warm: bool = True
+    plugin = ""
+    session = NLPSession
+    choices: ClassVar[Choices] = {"hessian": ("limited-memory", "exact")}
+
+    def __post_init__(self) -> None:
+        if not all(hasattr(self.kinematics, key) for key in ("n", "tip", "wrist", "mu")):
+            raise SolverError(
+                f"{self.name}: kinematics = {self.kinematics!r} has no n, tip, wrist and mu; "
+                "pass kinematics=robot.kinematics()"
+            )
+        super().__post_init__()
+
+    def supports(self, qp: NullSpaceQP) -> str | None:
+        """Say what is missing: the place where the problem was linearized, or a rigid tool."""
+        if qp.q is None:
+            return "the subproblem has no q; an NLP needs the position where it was linearized"
+        if qp.n != self.kinematics.n:
+            return f"the kinematics have {self.kinematics.n} joints, the subproblem has {qp.n}"
+        if len(assembled(qp).b) != 5:
+            return "tip and wrist are not rigidly tied: the five rows of this program do not apply"
+        return None
+
+    def options(self) -> dict[str, Any]:
+        """Return the options of the CasADi plug-in: silent, and with our tolerance and limit of iterations."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True)
+class SQP(NLP):
+    """CasADi's sqpmethod on its active-set QP solver qrqp; iterations are major ones.
+
+    BFGS starts from the identity, which at cost_scale = 1e5 is the true Hessian of the default regularization of
+    1e-5: half the iterations of 1e3. The exact Hessian is indefinite where regularization = 0: then three problems in
+    ten stay without an answer.
+    """
+
+    cost_scale: float = 1e5
+    hessian: Literal["limited-memory", "exact"] = "limited-memory"
+    name = "nlp-sqp"
+    plugin = "sqpmethod"
+
+    def options(self) -> dict[str, Any]:
+        """See `NLP.options`."""
+        quiet = {"print_iter": False, "print_header": False, "print_info": False, "error_on_fail": False}
+        return {
+            "qpsol": "qrqp", "qpsol_options": quiet, "hessian_approximation": self.hessian, "max_iter": self.max_iter,
+            "tol_pr": self.eps, "tol_du": self.eps, "min_step_size": 1e-14, "print_header": False,
+            "print_iteration": False, "print_status": False,
+        }  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Ipopt(NLP):
+    """The interior-point method IPOPT (Waechter & Biegler 2006).
+
+    It convexifies the exact Hessian by itself; with BFGS and regularization = 0 it runs out of iterations.
+    """
+
+    name = "nlp-ipopt"
+    plugin = "ipopt"
+
+    def options(self) -> dict[str, Any]:
+        """See `NLP.options`."""
+        options = {
+            "print_level": 0, "sb": "yes", "hessian_approximation": self.hessian, "max_iter": self.max_iter,
+            "tol": self.eps, "acceptable_iter": 0, "bound_relax_factor": 0.0, "nlp_scaling_method": "none",
+            # Else IPOPT reads ipopt.opt in the current folder, which may name files to write and libraries to load.
+            "option_file_name": "",
+        }  # fmt: skip
+        return {f"ipopt.{key}": value for key, value in options.items()}
+
+
+@dataclass(frozen=True)
+class Fatrop(NLP):
+    """The interior-point method FATROP (Vanroye et al. 2023), made for optimal control.
+
+    One control period is a single stage of it, so that nothing of its structure is made use of. It has the exact
+    Hessian alone, and can say that it failed, not why.
+    """
+
+    name = "nlp-fatrop"
+    plugin = "fatrop"
+    choices: ClassVar[Choices] = {"hessian": ("exact",)}
+
+    def options(self) -> dict[str, Any]:
+        """See `NLP.options`."""
+        return {
+            "structure_detection": "none", "fatrop.print_level": 0, "fatrop.max_iter": self.max_iter,
+            "fatrop.tol": self.eps,
+        }  # fmt: skip

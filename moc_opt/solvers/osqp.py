@@ -7,7 +7,7 @@ l <= A x <= u, so the box becomes n rows below the equalities.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from osqp import ext_builtin
@@ -16,7 +16,6 @@ from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.solvers.base import Solution, Status
 from moc_opt.solvers.library import (
     Adapter,
-    LibrarySession,
     Outcome,
     TruncatedSession,
     stacked,
@@ -113,5 +112,5 @@ class OSQP(Adapter):
     check_termination: int = 25
     polishing: bool = False
     warm: bool = True
-    name: ClassVar[str] = "osqp"
-    session: ClassVar[type[LibrarySession]] = OSQPSession
+    name = "osqp"
+    session = OSQPSession

@@ -7,13 +7,13 @@ An interior-point method has no warm start: only the workspace is kept from tick
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import piqp
 
 from moc_opt.solvers.base import Status
-from moc_opt.solvers.library import Adapter, LibrarySession, Outcome, TruncatedSession
+from moc_opt.solvers.library import Adapter, Outcome, TruncatedSession
 
 _STATUS = {
     piqp.PIQP_SOLVED: Status.SOLVED,
@@ -65,5 +65,5 @@ class PIQP(Adapter):
     cost_scale: float = 1e3
     eps: float = 1e-9
     max_iter: int = 250
-    name: ClassVar[str] = "piqp"
-    session: ClassVar[type[LibrarySession]] = PIQPSession
+    name = "piqp"
+    session = PIQPSession

@@ -5,9 +5,8 @@ Bambade et al. 2022, "PROX-QP: yet another quadratic programming solver for robo
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar, Literal
+from typing import Any
 
 import numpy as np
 from proxsuite import proxqp
@@ -21,25 +20,23 @@ _STATUS = {
     _CODE.PROXQP_PRIMAL_INFEASIBLE: Status.INFEASIBLE,
     _CODE.PROXQP_MAX_ITER_REACHED: Status.MAX_ITER,
 }
-_GUESS = proxqp.InitialGuess
-_COLD = _GUESS.EQUALITY_CONSTRAINED_INITIAL_GUESS
+_COLD = proxqp.InitialGuess.EQUALITY_CONSTRAINED_INITIAL_GUESS
 # The last answer with fresh step sizes. WARM_START_WITH_PREVIOUS_RESULT also keeps the last active set
 # and penalties, and after a jump of the data it can claim success at the opposite bound.
-_WARM = _GUESS.COLD_START_WITH_PREVIOUS_RESULT
+_WARM = proxqp.InitialGuess.COLD_START_WITH_PREVIOUS_RESULT
 
 
 class ProxQPSession(LibrarySession):
-    """One dense ProxQP workspace."""
+    """One dense ProxQP workspace; the box is handed over as bounds."""
 
     def _allocate(self, m: int, n: int) -> dict[str, Any]:
         P, p, A, b, lower, upper = (np.empty(shape) for shape in ((n, n), n, (m, n), m, n, n))
-        box = (None, None, None) if self._settings.box == "bounds" else (np.eye(n),)
-        self._data = (P, p, A, b, *box, lower, upper)
+        self._data = (P, p, A, b, None, None, None, lower, upper)
         return {"P": P, "p": p, "A": A, "low": b, "high": b, "lower": lower, "upper": upper}
 
     def _set_up(self, m: int, n: int) -> None:
-        settings, bounds = self._settings, self._settings.box == "bounds"
-        self._core, self._warm = proxqp.dense.QP(n, m, 0 if bounds else n, bounds), False
+        settings = self._settings
+        self._core, self._warm = proxqp.dense.QP(n, m, 0, True), False
         options = self._core.settings
         options.eps_abs, options.eps_rel = settings.eps, 0.0
         options.eps_primal_inf = settings.eps_primal_inf
@@ -51,19 +48,17 @@ class ProxQPSession(LibrarySession):
         self._core.update(*self._data)
 
     def _run(self) -> Outcome:
-        core = self._core
+        core, result = self._core, self._core.results
         core.solve()
-        result = core.results
-        info = result.info
-        status, iterations = _STATUS.get(info.status, Status.NUMERICAL), info.iter
+        status, iterations = _STATUS.get(result.info.status, Status.NUMERICAL), result.info.iter
         if status is not Status.SOLVED and self._warm:
             # A stale start must not decide that a problem has no answer: ask again from scratch. The
             # data go in again because a failed run leaves the box scaled.
             self._guess(False)
             self._hand_over()
             core.solve()
-            status = _STATUS.get(info.status, Status.NUMERICAL)
-            iterations += info.iter
+            status = _STATUS.get(result.info.status, Status.NUMERICAL)
+            iterations += result.info.iter
         if self._settings.warm and self._warm is not (status is Status.SOLVED):
             self._guess(status is Status.SOLVED)
         return status, iterations, result.x.copy(), result.y
@@ -83,7 +78,6 @@ class ProxQP(Adapter):
     infeasible ones without an error; with costs times 1e3 a rare feasible one is called infeasible.
 
     Args:
-        box: "bounds" hands the box over as bounds, "rows" as n inequality rows.
         eps: absolute tolerance on the scaled problem (1e-5 is the library's).
         eps_primal_inf: tolerance of the proof of infeasibility (1e-4 is the library's).
         max_iter: outer iterations; max_iter_in: inner ones in each. Feasible problems take about ten
@@ -92,13 +86,11 @@ class ProxQP(Adapter):
     """
 
     rows: int = 5
-    box: Literal["bounds", "rows"] = "bounds"
     cost_scale: float = 10.0
     eps: float = 1e-9
     eps_primal_inf: float = 1e-9
     max_iter: int = 100
     max_iter_in: int = 50
     warm: bool = True
-    name: ClassVar[str] = "proxqp"
-    session: ClassVar[type[LibrarySession]] = ProxQPSession
-    choices: ClassVar[Mapping[str, tuple[object, ...]]] = {"box": ("bounds", "rows")}
+    name = "proxqp"
+    session = ProxQPSession

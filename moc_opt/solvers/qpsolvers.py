@@ -11,44 +11,39 @@ import warnings
 from collections.abc import Mapping
 from contextlib import nullcontext
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 import qpsolvers
 from qpsolvers.exceptions import QPError
 
-from moc_opt.arrays import Array
 from moc_opt.errors import SolverError, describe
 from moc_opt.qp.equalities import ROWS, assembled
 from moc_opt.qp.problem import NullSpaceQP
-from moc_opt.solvers.base import ShownBySettings, Solution, Status, check_settings, no_answer
+from moc_opt.solvers.base import Choices, Session, Solution, SolverSettings, Status, no_answer
 from moc_opt.solvers.library import refuse_semidefinite
 from moc_opt.solvers.options import checked
-
-PREFIX = "qpsolvers:"
 
 
 class Advice(NamedTuple):
     """Settings under which a library's claims hold on this problem."""
 
-    cost_scale: float
-    options: Mapping[str, Any]
+    cost_scale: float = 1.0
+    options: Mapping[str, Any] = {}
 
 
 # The gradient of this problem is about 1e-4, the size of a usual tolerance: costs times 1e3 lift it out.
 ADVICE: dict[str, Advice] = {
-    "clarabel": Advice(1e3, {}),  # else about 1 % of its answers have a relative residual above 1e-3
-    "daqp": Advice(1e3, {}),  # else 5 % at the wrong end of the self-motion when regularization = 0
+    "clarabel": Advice(1e3),  # else about 1 % of its answers have a relative residual above 1e-3
+    "daqp": Advice(1e3),  # else 5 % at the wrong end of the self-motion when regularization = 0
     "highs": Advice(1e3, {"time_limit": 0.1}),  # unscaled its QP solver cycles for ever
     "osqp": Advice(1e2, {"eps_abs": 1e-8, "eps_rel": 0.0}),  # with 1e-3 nine answers in ten are wrong
     "piqp": Advice(1e3, {"eps_abs": 1e-9, "eps_rel": 0.0}),
     # Its eps_primal_inf = 1e-4 cannot be set through qpsolvers: 4 % of feasible problems are called
     # infeasible (16 % when regularization = 0). The native adapter "proxqp" has the cure.
     "proxqp": Advice(1e3, {"eps_abs": 1e-9, "eps_rel": 0.0}),
-    "quadprog": Advice(1.0, {}),  # exact, but it needs regularization > 0
     "scs": Advice(1e3, {"eps_abs": 1e-8, "eps_rel": 0.0}),  # with 1e-4 half of the answers are wrong
 }
-NO_ADVICE = Advice(1.0, {})
 
 # Libraries for sparse problems: qpsolvers warns of the conversion and of every failure. The status says it.
 _NOISY = set(qpsolvers.sparse_solvers) - set(qpsolvers.dense_solvers)
@@ -64,75 +59,11 @@ def reasons() -> dict[str, str | None]:
     }
 
 
-@dataclass(frozen=True)
-class QPSolver:
-    """One library behind ``qpsolvers.solve_problem``.
+class QPSolverSession:
+    """Keeps nothing between ticks."""
 
-    Args:
-        library: name as qpsolvers spells it.
-        rows: 5 or 6 equality rows; on six, daqp fails one problem in a hundred.
-        cost_scale: multiplies P and p; None takes the advised one.
-        options: of the library, on top of the advised ones; those of `moc_opt.solvers.options.ALLOWED`.
-        advised: False leaves ``ADVICE`` out: the library as it comes.
-        warm: hand the last tick's x over as starting point; libraries without one ignore it.
-
-    Raises:
-        SolverError: a setting is out of range; from ``start`` where the problem is not supported or
-            the library refuses an option.
-    """
-
-    library: str
-    rows: int = 5
-    cost_scale: float | None = None
-    options: Mapping[str, Any] = field(default_factory=dict, hash=False)
-    advised: bool = True
-    warm: bool = False
-
-    def __post_init__(self) -> None:
-        check_settings(self, rows=ROWS)
-        object.__setattr__(self, "options", checked(self.name, self.options))
-
-    @property
-    def name(self) -> str:
-        """Name in the registry."""
-        return PREFIX + self.library
-
-    @property
-    def advice(self) -> Advice:
-        """The scale of the cost and the library's keyword arguments, as they are passed on."""
-        base = ADVICE.get(self.library, NO_ADVICE) if self.advised else NO_ADVICE
-        scale = base.cost_scale if self.cost_scale is None else self.cost_scale
-        return Advice(scale, {**base.options, **self.options})
-
-    def supports(self, qp: NullSpaceQP) -> str | None:
-        """Say no for quadprog without regularization: it factorises P, and refuses or answers wrongly."""
-        if self.library != "quadprog":
-            return None
-        return refuse_semidefinite(qp, "quadprog needs a positive definite cost")
-
-    def start(self, qp: NullSpaceQP) -> QPSolverSession:
-        """Return a session; where there are options of the caller's, one solve shows whether they exist."""
-        if reason := self.supports(qp):
-            raise SolverError(f"{self.name}: {reason}")
-        if self.options:
-            try:
-                QPSolverSession(self).attempt(qp)
-            except (QPError, FloatingPointError, ZeroDivisionError):
-                pass  # the problem's fault, not the options': `solve` will say so with a status
-            except Exception as error:  # each library has errors of its own kind for a value that it refuses
-                refused = f"options = {self.options} are refused ({describe(error)}); see the library's manual"
-                raise SolverError(f"{self.name}: {refused}") from error
-        return QPSolverSession(self)
-
-
-class QPSolverSession(ShownBySettings):
-    """Keeps the last x, if that."""
-
-    def __init__(self, settings: QPSolver) -> None:
-        self._settings = settings
-        self._scale, self._options = settings.advice
-        self._takes_start = settings.warm and settings.library != "highs"  # qpsolvers would warn at every call
-        self._last: Array | None = None
+    def __init__(self, settings: QPSolver, qp: NullSpaceQP) -> None:
+        self._settings, self._advice = settings, settings.advice
 
     def solve(self, qp: NullSpaceQP) -> Solution:
         """Answer one subproblem."""
@@ -146,36 +77,32 @@ class QPSolverSession(ShownBySettings):
     def attempt(self, qp: NullSpaceQP) -> Solution:
         """Answer one subproblem; raises what the library raises."""
         P, p, A, b, lift = assembled(qp, self._settings.rows)
-        part, scale, library = qp.fields, self._scale, self._settings.library
+        scale, library = self._advice.cost_scale, self._settings.library
         # Copies: daqp refuses read-only arrays.
         problem = qpsolvers.Problem(
-            P * scale, p * scale, None, None, A.copy(), b.copy(), part.lower.copy(), part.upper.copy()
+            P * scale, p * scale, None, None, A.copy(), b.copy(), qp.lower.copy(), qp.upper.copy()
         )
-        last = self._last if self._last is not None and len(self._last) == qp.n else None
         with warnings.catch_warnings() if library in _NOISY else nullcontext():
             if library in _NOISY:
                 warnings.simplefilter("ignore")
-            found = qpsolvers.solve_problem(problem, library, last, **self._options)
-        iterations = _iterations(found.extras)
+            found = qpsolvers.solve_problem(problem, library, **self._advice.options)
+        count = found.extras.get("iter", found.extras.get("iterations", getattr(found.extras.get("info"), "iter", 0)))
+        iterations = int(np.ravel(count)[0])  # quadprog counts two kinds
         if not found.found:
-            self._last = None
             return no_answer(qp.n, self._verdict(found), iterations)
         x = np.array(found.x, dtype=float)
         if not np.isfinite(x).all():
             return no_answer(qp.n, Status.NUMERICAL, iterations)
-        self._last = x if self._takes_start else None
-        y = np.dot(found.y, lift) / scale
-        return Solution(x.copy() if self._takes_start else x, y, Status.SOLVED, iterations)
+        return Solution(x, np.dot(found.y, lift) / scale, Status.SOLVED, iterations)
 
     def _verdict(self, found: qpsolvers.Solution) -> Status:
         """Return why there is no answer: infeasible only where the library's own status says so."""
         if self._settings.library == "quadprog":  # the other reason, a cost that is not definite, raises
             return Status.INFEASIBLE
-        limit = self._options.get("time_limit")
+        limit = self._advice.options.get("time_limit")
         if limit is not None and found.solve_time is not None and found.solve_time >= limit:
             return Status.TIME_LIMIT
-        info = found.extras.get("info")
-        text = str(found.extras.get("status", getattr(info, "status", ""))).lower()
+        text = str(found.extras.get("status", getattr(found.extras.get("info"), "status", ""))).lower()
         if "inaccurate" in text or "almost" in text or ("max" in text and "iter" in text):
             return Status.MAX_ITER
         if "infeasible" in text and "dual" not in text:
@@ -183,8 +110,56 @@ class QPSolverSession(ShownBySettings):
         return Status.TIME_LIMIT if "time" in text else Status.NUMERICAL
 
 
-def _iterations(extras: Mapping[str, Any]) -> int:
-    """Return the library's iteration count where it hands one out, else 0."""
-    info = extras.get("info")
-    count = extras.get("iter", extras.get("iterations", getattr(info, "iter", 0)))
-    return int(np.ravel(count)[0])  # quadprog counts two kinds
+@dataclass(frozen=True)
+class QPSolver(SolverSettings):
+    """One library behind ``qpsolvers.solve_problem``.
+
+    Args:
+        library: name as qpsolvers spells it.
+        rows: 5 or 6 equality rows; on six, daqp fails one problem in a hundred.
+        cost_scale: multiplies P and p; None takes the advised one.
+        options: of the library, on top of the advised ones; those of `moc_opt.solvers.options.ALLOWED`.
+        advised: False leaves ``ADVICE`` out: the library as it comes.
+
+    Raises:
+        SolverError: a setting is out of range; from ``start`` where the problem is not supported or
+            the library refuses an option.
+    """
+
+    library: str
+    rows: int = 5
+    cost_scale: float | None = None
+    options: Mapping[str, Any] = field(default_factory=dict, hash=False)
+    advised: bool = True
+    session = QPSolverSession
+    choices: ClassVar[Choices] = {"rows": ROWS}
+    name = property(lambda self: f"qpsolvers:{self.library}", doc="Name in the registry.")  # type: ignore[assignment]
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        object.__setattr__(self, "options", checked(self.name, self.options))
+
+    @property
+    def advice(self) -> Advice:
+        """The scale of the cost and the library's keyword arguments, as they are passed on."""
+        base = ADVICE.get(self.library, Advice()) if self.advised else Advice()
+        scale = base.cost_scale if self.cost_scale is None else self.cost_scale
+        return Advice(scale, {**base.options, **self.options})
+
+    def supports(self, qp: NullSpaceQP) -> str | None:
+        """Return the reason why quadprog, which factorises P, cannot take a problem; the others take all."""
+        needs = "quadprog needs a positive definite cost"
+        return refuse_semidefinite(qp, needs) if self.library == "quadprog" else None
+
+    def start(self, qp: NullSpaceQP) -> Session:
+        """Return a session; where there are options of the caller's, one solve shows whether they exist."""
+        session = super().start(qp)
+        if self.options:
+            try:
+                session.attempt(qp)  # type: ignore[attr-defined]
+            except (QPError, FloatingPointError, ZeroDivisionError):
+                pass  # the problem's fault, not the options': `solve` will say so with a status
+            except Exception as error:  # each library has errors of its own kind for a value that it refuses
+                refused = f"options = {self.options} are refused ({describe(error)}); see the library's manual"
+                raise SolverError(f"{self.name}: {refused}") from error
+        return session

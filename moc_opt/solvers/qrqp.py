@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, ClassVar
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -74,9 +74,9 @@ class QRQP(Adapter):
     cost_scale: float = 1e3
     options: Mapping[str, Any] = field(default_factory=dict, hash=False)
     warm: bool = False
-    name: ClassVar[str] = "casadi:qrqp"
-    session: ClassVar[type[LibrarySession]] = QRQPSession
-    needs: ClassVar[str] = "casadi's qrqp cycles without regularization"
+    name = "casadi:qrqp"
+    session = QRQPSession
+    needs = "casadi's qrqp cycles without regularization"
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import quadprog
@@ -44,6 +44,6 @@ class Quadprog(Adapter):
     """
 
     cost_scale: float = 1.0
-    name: ClassVar[str] = "quadprog"
-    session: ClassVar[type[LibrarySession]] = QuadprogSession
-    needs: ClassVar[str] = "quadprog needs a positive definite cost"
+    name = "quadprog"
+    session = QuadprogSession
+    needs = "quadprog needs a positive definite cost"

@@ -1,7 +1,7 @@
-"""Solvers by name: those of this package, those that a library finds, and those of other packages by entry points.
+"""Solvers by name: those of this package, those that qpsolvers finds, and those of other packages by entry points.
 
-A new one of ours is a file in this folder and a line in ``BUILT_IN``. A plug-in that is broken is listed with its
-reason and hides no other.
+A new one of ours is a file in this folder and a line in ``BUILT_IN``. A plug-in that is broken is listed with the
+reason and does not affect the others.
 """
 
 from __future__ import annotations
@@ -23,27 +23,24 @@ from moc_opt.inputs.plugins import in_words
 from moc_opt.solvers.base import Solver
 
 GROUP = "moc_opt.solvers"
-# name -> (module, class, package that must be installed or "")
+# name -> (module in this folder, class, package that must be installed or "")
 BUILT_IN: dict[str, tuple[str, str, str]] = {
-    "exact": ("moc_opt.solvers.exact", "Exact", ""),
-    "rnn": ("moc_opt.solvers.rnn", "RNN", ""),
-    "rnn-printed": ("moc_opt.solvers.rnn", "RNNPrinted", ""),
-    "osqp": ("moc_opt.solvers.osqp", "OSQP", "osqp"),
-    "proxqp": ("moc_opt.solvers.proxqp", "ProxQP", "proxsuite"),
-    "daqp": ("moc_opt.solvers.daqp", "DAQP", "daqp"),
-    "piqp": ("moc_opt.solvers.piqp", "PIQP", "piqp"),
-    "quadprog": ("moc_opt.solvers.quadprog", "Quadprog", "quadprog"),
-    "clarabel": ("moc_opt.solvers.clarabel", "Clarabel", "clarabel"),
-    "nlp-sqp": ("moc_opt.solvers.nlp", "SQP", "casadi"),
-    "nlp-ipopt": ("moc_opt.solvers.nlp", "Ipopt", "casadi"),
-    "nlp-fatrop": ("moc_opt.solvers.nlp", "Fatrop", "casadi"),
-    "casadi:qrqp": ("moc_opt.solvers.qrqp", "QRQP", "casadi"),
+    "exact": ("exact", "Exact", ""),
+    "rnn": ("rnn", "RNN", ""),
+    "rnn-printed": ("rnn", "RNNPrinted", ""),
+    "osqp": ("osqp", "OSQP", "osqp"),
+    "proxqp": ("proxqp", "ProxQP", "proxsuite"),
+    "daqp": ("daqp", "DAQP", "daqp"),
+    "piqp": ("piqp", "PIQP", "piqp"),
+    "quadprog": ("quadprog", "Quadprog", "quadprog"),
+    "clarabel": ("clarabel", "Clarabel", "clarabel"),
+    "nlp-sqp": ("nlp", "SQP", "casadi"),
+    "nlp-ipopt": ("nlp", "Ipopt", "casadi"),
+    "nlp-fatrop": ("nlp", "Fatrop", "casadi"),
+    "casadi:qrqp": ("qrqp", "QRQP", "casadi"),
 }
 QPSOLVERS = "qpsolvers:"
 """Prefix of all solvers that the package qpsolvers finds: one adapter for them."""
-_VARIABLE = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
-_PARTS = {"name": "a text", "supports": "a method of qp", "start": "a method of qp"}
-_GUIDE = "docs/extending.md shows a whole solver"
 
 
 class Entry(NamedTuple):
@@ -67,23 +64,27 @@ class Entry(NamedTuple):
             solver = self.make(**settings)
         except MocOptError:
             raise
-        except (Exception, SystemExit, KeyboardInterrupt) as error:  # foreign code may raise anything
-            valid = [name for name in self.parameters if name != "name"]
-            unknown = sorted(set(settings) - set(valid))
+        except (Exception, SystemExit) as error:
+            unknown = sorted(settings.keys() - self.parameters.keys())
             if isinstance(error, TypeError) and unknown:
-                raise UnknownNameError(f"setting of solver {self.name!r}", unknown[0], valid) from error
-            if self.plugin is not None:
-                reason = f"{in_words(self.plugin)} cannot be made: {describe(error)}"
-                raise SolverError(f"solver {self.name!r}: {reason}") from error
-            if isinstance(error, TypeError):
-                raise SolverError(f"solver {self.name!r}: {error}") from error
-            raise
+                raise UnknownNameError(f"setting of solver {self.name!r}", unknown[0], self.parameters) from error
+            made_by = "it" if self.plugin is None else in_words(self.plugin)
+            raise SolverError(f"solver {self.name!r}: {made_by} cannot be made: {describe(error)}") from error
         if self.plugin is not None:
-            _require(self.name, self.plugin, solver, ("supports", "start", "name"))
-            if not is_name(solver.name):
-                own = f"{in_words(self.plugin)} calls itself {solver.name!r:.80}"
-                raise SolverError(f"solver {self.name!r}: {own}: {RULE}")
+            self._check_plugin(solver)
         return solver
+
+    def _check_plugin(self, solver: Solver) -> None:
+        assert self.plugin is not None
+        lacking = [part for part in ("supports", "start") if not callable(getattr(solver, part, None))]
+        if lacking:
+            raise SolverError(
+                f"solver {self.name!r}: {in_words(self.plugin)} has no method {' and no '.join(lacking)}: add it; "
+                "docs/extending.md shows a whole solver"
+            )
+        own = getattr(solver, "name", None)
+        if not is_name(own):
+            raise SolverError(f"solver {self.name!r}: {in_words(self.plugin)} has the name {shown(own, 80)}: {RULE}")
 
 
 def available() -> dict[str, str | None]:
@@ -95,16 +96,16 @@ def available() -> dict[str, str | None]:
     """
     found: dict[str, str | None] = {name: _absent(package) for name, (_, _, package) in BUILT_IN.items()}
     absent = _absent("qpsolvers")
-    reasons = {"NAME": absent} if absent else importlib.import_module("moc_opt.solvers.qpsolvers").reasons()
-    found.update({QPSOLVERS + name: reason for name, reason in reasons.items()})
+    libraries = {"NAME": absent} if absent else importlib.import_module("moc_opt.solvers.qpsolvers").reasons()
+    found.update({QPSOLVERS + name: reason for name, reason in libraries.items()})
     for name, points in _plugins().items():
         if _ours(name):
             found[f"{name} ({in_words(points[0])})"] = _clash(name, points)
             continue
         try:
             entry = _of_plugin(name, points)
-            needed = [p for p in entry.parameters.values() if p.default is p.empty and p.kind not in _VARIABLE]
-            if not needed:  # else `create` asks for them
+            required = (p for p in entry.parameters.values() if p.kind not in (p.VAR_POSITIONAL, p.VAR_KEYWORD))
+            if all(p.default is not p.empty for p in required):  # else `create` asks for them
                 entry.create()
             found[name] = None
         except MocOptError as error:
@@ -171,20 +172,21 @@ def find(name: str) -> Entry:
         warnings.warn(_clash(name, claimed), UserWarning, stacklevel=3)
     if name in BUILT_IN:
         module, attribute, package = BUILT_IN[name]
-        if _absent(package):
-            raise SolverError(f"solver {name!r} needs the package {package!r}: pip install {package}")
+        reason = _absent(package)
+        if reason:
+            raise SolverError(f"solver {name!r} cannot run: {reason}")
         try:
-            return Entry(name, getattr(importlib.import_module(module), attribute))
+            return Entry(name, getattr(importlib.import_module(f"moc_opt.solvers.{module}"), attribute))
         except ImportError as error:
             raise SolverError(f"solver {name!r}: {describe(error)}: reinstall {package or 'moc_opt'}") from error
     if name.startswith(QPSOLVERS) and not _absent("qpsolvers"):
-        family, short = importlib.import_module("moc_opt.solvers.qpsolvers"), name.removeprefix(QPSOLVERS)
-        reasons = family.reasons()
-        if short not in reasons:
-            raise UnknownNameError("qpsolvers: solver", short, reasons)
-        if reasons[short] is not None:
-            raise SolverError(f"solver {name!r} cannot run: {reasons[short]}")
-        return Entry(name, partial(family.QPSolver, short))
+        adapter, library = importlib.import_module("moc_opt.solvers.qpsolvers"), name.removeprefix(QPSOLVERS)
+        reasons = adapter.reasons()
+        if library not in reasons:
+            raise UnknownNameError("qpsolvers: solver", library, reasons)
+        if reasons[library] is not None:
+            raise SolverError(f"solver {name!r} cannot run: {reasons[library]}")
+        return Entry(name, partial(adapter.QPSolver, library))
     if claimed:
         return _of_plugin(name, claimed)
     raise UnknownNameError("solver", name, available(), "moc-opt solvers --list")
@@ -205,26 +207,10 @@ def _plugins() -> dict[str, list[EntryPoint]]:
 
 def _clash(name: str, points: list[EntryPoint]) -> str:
     claims = " and ".join(map(in_words, points))
-    return f"{claims}: the name {name!r} is that of a built-in solver, which is taken: rename the entry point"
+    return f"{claims}: the name {name!r} is that of a built-in solver: rename the entry point"
 
 
 def _of_plugin(name: str, points: list[EntryPoint]) -> Entry:
     if not is_name(name):
         raise SolverError(f"solver {name!r:.80}: {in_words(points[0])}: rename it; {RULE}")
-    made, point = plugins.load("solver", name, points, SolverError), points[0]
-    if not callable(made):
-        kind = type(made).__name__
-        raise SolverError(f"solver {name!r}: {in_words(point)} is a {kind}: give a class or a function; {_GUIDE}")
-    if inspect.isclass(made):
-        _require(name, point, made, ("supports", "start"))
-    return Entry(name, made, point)
-
-
-def _require(name: str, point: EntryPoint, given: object, parts: tuple[str, ...]) -> None:
-    def has(part: str) -> bool:
-        value = getattr(given, part, None)
-        return isinstance(value, str) if part == "name" else callable(value)
-
-    lacking = ", ".join(f"{part} ({_PARTS[part]})" for part in parts if not has(part))
-    if lacking:
-        raise SolverError(f"solver {name!r}: {in_words(point)} has no {lacking}: add it; {_GUIDE}")
+    return Entry(name, plugins.load("solver", name, points, SolverError), points[0])

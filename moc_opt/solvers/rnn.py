@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike
 from moc_opt import core
 from moc_opt.errors import SolverError
 from moc_opt.qp.problem import NullSpaceQP
-from moc_opt.solvers.base import ShownBySettings, Solution, Status, check_settings, no_answer
+from moc_opt.solvers.base import Choices, Solution, SolverSettings, Status, no_answer
 
 
 def unstable(
@@ -53,8 +53,61 @@ def unstable(
     return None
 
 
+class Network(SolverSettings):
+    """What the two share: a step size in (0, 1]."""
+
+    h: float
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.h > 1.0:
+            raise SolverError(f"{self.name}: h = {self.h!r} is above 1, where x leaves the box")
+
+
+class RNNSession:
+    """The state of one network: x and the multipliers, 0 at first."""
+
+    def __init__(self, settings: Any, qp: NullSpaceQP) -> None:
+        self._settings = settings
+        self._rest(qp.n)
+
+    def _rest(self, n: int) -> None:
+        self._x, self._y = np.zeros(n), np.zeros(6)
+
+    def solve(self, qp: NullSpaceQP) -> Solution:
+        """Go on from the last tick's state."""
+        s = self._settings
+        if not s.warm:
+            self._rest(qp.n)
+        return self._advance(qp, s.steps, s.h, s.h, s.scale, s.method == "semi-implicit")
+
+    def _advance(self, qp: NullSpaceQP, most: int, h_x: float, h_y: float, scale: float, implicit: bool) -> Solution:
+        """Take at most so many steps from the state as it is; at rest again where that does not stay finite."""
+        if qp.n != len(self._x):
+            self._rest(qp.n)
+        s, x, y = self._settings, self._x, self._y
+        code, steps = core.step_network(qp.row, x, y, most, h_x, h_y, s.k, scale, implicit, s.eps)
+        if code == core.DOUBTFUL:
+            self._rest(qp.n)
+            return no_answer(qp.n, Status.NUMERICAL, steps)
+        status = Status.SOLVED if code == core.OK else Status.MAX_ITER
+        return Solution(x.copy(), y / scale, status, steps)
+
+
+class RNNPrintedSession(RNNSession):
+    """The multipliers of one network; x comes from outside. See ``base.ObservingSession``."""
+
+    def observe(self, v: ArrayLike) -> None:
+        """Take the measured joint velocity v (n,) [rad/s] as x of the next tick."""
+        self._x = np.array(v, dtype=float)
+
+    def solve(self, qp: NullSpaceQP) -> Solution:
+        """Compute x = P(v - k dL/dqd) with the multipliers as they are, which then go on by one tick."""
+        return self._advance(qp, 1, 1.0, self._settings.h, 1.0, False)
+
+
 @dataclass(frozen=True)
-class RNN:
+class RNN(Network):
     """The network with a state of its own: at most ``steps`` inner steps a tick, warm from tick to tick.
 
     The paper's weights c0 = 0.01 and k = 0.1 need about 3e7 steps to 1e-3, because the explicit step must
@@ -81,52 +134,17 @@ class RNN:
     method: Literal["explicit", "semi-implicit"] = "explicit"
     eps: float = 1e-7
     warm: bool = True
-    name: ClassVar[str] = "rnn"
-
-    def __post_init__(self) -> None:
-        _check(self, method=("explicit", "semi-implicit"))
+    name = "rnn"
+    session = RNNSession
+    choices: ClassVar[Choices] = {"method": ("explicit", "semi-implicit")}
 
     def supports(self, qp: NullSpaceQP) -> str | None:
         """Return why the steps would not be stable, or None."""
         return unstable(qp, self.h, self.k, self.scale, self.method == "semi-implicit")
 
-    def start(self, qp: NullSpaceQP) -> RNNSession:
-        """Return a network at rest: x = 0 (clipped), multipliers 0."""
-        return _started(RNNSession, self, qp)
-
-
-class RNNSession(ShownBySettings):
-    """The state of one network."""
-
-    def __init__(self, settings: RNN | RNNPrinted, n: int) -> None:
-        self._settings: Any = settings
-        self._rest(n)
-
-    def _rest(self, n: int) -> None:
-        self._x, self._y = np.zeros(n), np.zeros(6)
-
-    def solve(self, qp: NullSpaceQP) -> Solution:
-        """Go on from the last tick's state."""
-        s = self._settings
-        if not s.warm:
-            self._rest(qp.n)
-        return self._advance(qp, s.steps, s.h, s.h, s.scale, s.method == "semi-implicit")
-
-    def _advance(self, qp: NullSpaceQP, most: int, h_x: float, h_y: float, scale: float, implicit: bool) -> Solution:
-        """Take at most so many steps from the state as it is; at rest again where that does not stay finite."""
-        if qp.n != len(self._x):
-            self._rest(qp.n)
-        s, x, y = self._settings, self._x, self._y
-        code, steps = core.step_network(qp.row, x, y, most, h_x, h_y, s.k, scale, implicit, s.eps)
-        if code == core.DOUBTFUL:
-            self._rest(qp.n)
-            return no_answer(qp.n, Status.NUMERICAL, steps)
-        status = Status.SOLVED if code == core.OK else Status.MAX_ITER
-        return Solution(x.copy(), y / scale, status, steps)
-
 
 @dataclass(frozen=True)
-class RNNPrinted:
+class RNNPrinted(Network):
     """Equation (2) of the paper to the letter, with the measured joint velocity v as its qd.
 
     The paper's qdd_d = -v + P(v - k dL/dqd) goes to the controller as it is: the answer is x = P(v - k dL/dqd),
@@ -148,40 +166,9 @@ class RNNPrinted:
     k: float = 0.1
     h: float = 0.002
     eps: float = 1e-9
-    name: ClassVar[str] = "rnn-printed"
-
-    def __post_init__(self) -> None:
-        _check(self)
+    name = "rnn-printed"
+    session = RNNPrintedSession
 
     def supports(self, qp: NullSpaceQP) -> str | None:
         """Return why the steps would not be stable, or None."""
         return unstable(qp, self.h, self.k, 1.0, False, h_x=1.0)
-
-    def start(self, qp: NullSpaceQP) -> RNNPrintedSession:
-        """Return a network at rest."""
-        return _started(RNNPrintedSession, self, qp)
-
-
-class RNNPrintedSession(RNNSession):
-    """The multipliers of one network; x comes from outside. See ``base.ObservingSession``."""
-
-    def observe(self, v: ArrayLike) -> None:
-        """Take the measured joint velocity v (n,) [rad/s] as x of the next tick."""
-        self._x = np.array(v, dtype=float)
-
-    def solve(self, qp: NullSpaceQP) -> Solution:
-        """Compute x = P(v - k dL/dqd) with the multipliers as they are, which then go on by one tick."""
-        return self._advance(qp, 1, 1.0, self._settings.h, 1.0, False)
-
-
-def _check(settings: RNN | RNNPrinted, **choices: tuple[str, ...]) -> None:
-    check_settings(settings, **choices)
-    if settings.h > 1.0:
-        raise SolverError(f"{settings.name}: h = {settings.h!r} is above 1, where x leaves the box")
-
-
-def _started(session: type[RNNSession], settings: RNN | RNNPrinted, qp: NullSpaceQP) -> Any:
-    reason = settings.supports(qp)
-    if reason is not None:
-        raise SolverError(f"{settings.name}: {reason}")
-    return session(settings, qp.n)

@@ -17,7 +17,7 @@ from moc_opt.solvers.isolated import Isolated, Unanswered
 from tests.isolated_solvers import Misbehaving
 from tests.problems import random_problem
 
-QUICK = {"bound_samples": 0, "duration_s": 0.4}
+QUICK = {"bound_samples": 0, "judge": False, "duration_s": 0.1}
 
 
 @pytest.fixture
@@ -74,39 +74,37 @@ def test_a_solver_that_behaves_gives_the_same_trace(solver):
 
 @pytest.mark.parametrize(("act", "kind", "reason"), [
     ("hang", "lost", "no answer for 0.5 s"), ("exit", "lost", "ended with status 3"),
-    ("fork and exit", "lost", "ended with status 3"), ("kill", "lost", "killed by SIGKILL"),
-    ("crash", "lost", "killed by SIGSEGV"), ("close everything", "lost", "closed its end"),
-    ("eat", "lost", "800 MB of memory were full"), ("raise", "raised", "ZeroDivisionError"),
-    ("quit", "raised", "SystemExit: enough"), ("huge", "raised", "bytes: return a Solution"),
+    ("fork and exit", "lost", "ended with status 3"), ("crash", "lost", "killed by SIGSEGV"),
+    ("close everything", "lost", "closed its end"), ("eat", "lost", "its memory was full: raise [solver.process]"),
+    ("raise", "raised", "ZeroDivisionError"), ("quit", "raised", "SystemExit: enough"),
 ])  # fmt: skip
 def test_a_failure_costs_one_answer_and_only_a_lost_process_is_replaced(qp, act, kind, reason):
-    limits = {"hang": {"hang_s": 0.5}, "eat": {"memory_MB": 800.0}}
+    limits = {"hang": {"hang_s": 0.5}, "eat": {"memory_MB": 500.0}}
     session = started(qp, act, **limits.get(act, {}))
     assert session.solve(qp).iterations == 1
     first, (found, text) = pid(session), fault_of(session, qp)
     assert found == kind
     assert reason in text
     assert is_gone(first) == (kind == "lost")
-    if kind == "lost":
+    if act == "hang":
         assert session.solve(qp).iterations == 1  # of a new session
     assert [(tick, why in text) for tick, why in session.restarts] == ([(1, True)] if kind == "lost" else [])
 
 
-@pytest.mark.parametrize(("act", "fault"), [("shape", "malformed"), ("nan", "not_finite"), ("raise", "raised")])
-def test_an_answer_that_is_none_is_the_same_fault_as_without_isolation(act, fault):
+def test_an_answer_that_is_none_is_the_same_fault_as_without_isolation():
     for way in ("none", "process"):
-        scenario = Scenario(solver={"isolation": way}, duration_s=0.02, bound_samples=0)
-        trace = run(scenario, solver=Misbehaving(act, at=3))
+        scenario = Scenario(solver={"isolation": way}, **{**QUICK, "duration_s": 0.02})
+        trace = run(scenario, solver=Misbehaving("in turn", at=3))
         assert trace.meta["ended"] == "completed"
-        assert set(trace.fault[2:]) == {fault}
-        assert set(trace.status[2:]) == {"numerical" if act == "raise" else "solved"}
+        assert trace.fault[2:8].tolist() == ["malformed", "not_finite", "raised"] * 2
+        assert trace.status[2:8].tolist() == ["solved", "solved", "numerical"] * 2
 
 
 def test_a_solver_that_is_always_lost_is_given_up(qp):
     session = started(qp, "exit", at=1, most_restarts=1)
     texts = [fault_of(session, qp)[1] for _ in range(4)]
     assert ["status 3" in text for text in texts] == [True, True, False, False]
-    assert "given up: the solver's process was lost 2 times" in texts[-1]
+    assert "given up" in texts[-1]
     assert len(session.restarts) == 2
 
 
@@ -172,21 +170,22 @@ def test_a_process_that_hangs_outlives_a_loop_that_was_killed_by_little():
         "import numpy as np; from tests.problems import random_problem; from moc_opt.solvers.isolated import Isolated; "
         "from tests.isolated_solvers import Misbehaving; qp = random_problem(np.random.default_rng(0)); "
         "s = Isolated(Misbehaving('hang', 1), hang_s=0.2).start(qp); w = s._workers[0]; "
-        "print(w._process.pid, flush=True); w.ask(1, qp.row, None, 1.4); import os; os.kill(os.getpid(), 9)"
+        "print(w._process.pid, flush=True); w.ask(1, qp, None, 0.2); import os; os.kill(os.getpid(), 9)"
     )
     said = subprocess.run([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True, check=False)
     assert said.returncode == -signal.SIGKILL
     until(lambda: is_gone(int(said.stdout)))
 
 
-@pytest.mark.parametrize(("solver", "text"), [
-    (Misbehaving("refuse"), "solver 'misbehaving' in a process of its own: .* not this one"),
-    (Misbehaving("fail at the start"), "in a process of its own: RuntimeError: no licence"),
-    (Misbehaving(lambda: None), "cannot run in a process of its own: .*isolation = 'none'"),
+@pytest.mark.parametrize(("act", "settings", "text"), [
+    ("refuse", {}, "solver 'misbehaving' in a process of its own: .* not this one"),
+    ("fail at the start", {}, "in a process of its own: RuntimeError: no licence"),
+    ("", {"start_s": 0.01}, "no answer for 0.01 s"),
+    (lambda: None, {}, "cannot run in a process of its own: .*isolation = 'none'"),
 ])  # fmt: skip
-def test_a_solver_that_cannot_run_there_is_refused_before_anything_moves(qp, solver, text):
+def test_a_solver_that_cannot_run_there_is_refused_before_anything_moves(qp, act, settings, text):
     with pytest.raises(SolverError, match=text):
-        Isolated(solver).start(qp)
+        Isolated(Misbehaving(act), **settings).start(qp)
 
 
 def test_ctrl_c_ends_a_run_while_a_tick_waits():

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from moc_opt.errors import SolverError
 from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.solvers import Status, create
 from moc_opt.solvers.nlp import SQP, Fatrop, Ipopt
@@ -77,16 +76,6 @@ def test_sqp_without_damping_answers_by_bfgs_and_often_not_by_the_exact_hessian(
     assert len(losses["limited-memory"]) >= 38
     assert max(losses["limited-memory"]) < 0.1
     assert len(losses["exact"]) <= 34
-
-
-@pytest.mark.parametrize("name", ["nlp-sqp", "nlp-ipopt"])
-def test_settings_are_checked(name):
-    with pytest.raises(SolverError, match=rf"{name}: kinematics = None .*robot\.kinematics\(\)"):
-        create(name)
-    wrong = {"period": 0.0, "cost_scale": -1.0, "eps": 0.0, "max_iter": 0, "hessian": "bfgs", "warm": 2}
-    for key, value in wrong.items():
-        with pytest.raises(SolverError, match=f"{name}: {key} = "):
-            create(name, kinematics=KINEMATICS, **{key: value})
 
 
 def test_what_the_gradient_has_beside_mu_is_answered_too(robot, regular_poses):

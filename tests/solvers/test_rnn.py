@@ -156,21 +156,3 @@ def test_printed_is_equation_two_from_the_measured_velocity():
         np.testing.assert_allclose(found.y, np.concatenate([l1, l2]), atol=1e-14)
         assert found.status is Status.MAX_ITER
     assert not isinstance(RNN().start(qps[0]), ObservingSession)
-
-
-@pytest.mark.parametrize(
-    ("values", "message"),
-    [
-        ({"steps": 0}, "rnn: steps = 0 is not a whole number"),
-        ({"steps": 2.5}, "steps = 2.5"),
-        ({"h": 1.5}, "h = 1.5 is above 1"),
-        ({"k": 0.0}, "k = 0.0 is not a positive number"),
-        ({"scale": float("nan")}, "scale = nan"),
-        ({"method": "implicit"}, "method = 'implicit' is not one of 'explicit', 'semi-implicit'"),
-        ({"eps": "small"}, "eps = 'small'"),
-        ({"warm": 1}, "warm = 1 is neither True nor False"),
-    ],
-)
-def test_bad_settings_are_named(values, message):
-    with pytest.raises(SolverError, match=message.replace("(", r"\(")):
-        RNN(**values)
