@@ -66,14 +66,15 @@ def registered_metrics() -> Iterator[None]:
     METRICS.update(before)
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def chromium() -> Iterator[Any]:
-    """A headless browser for the module."""
+    """One headless browser for all tests of this process, lent also to code that would start its own."""
     from moc_opt.errors import BrowserMissingError
     from moc_opt.report import export  # late: few tests draw
 
     try:
-        with export.browser() as running:
+        with export.browser() as running, pytest.MonkeyPatch.context() as patch:
+            patch.setattr(export, "browser", lambda: contextlib.nullcontext(running))
             yield running
     except BrowserMissingError as missing:
         pytest.skip(str(missing))

@@ -4,20 +4,13 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from datetime import timedelta
 from typing import IO, Any
 
-from rich.console import Console, RenderableType
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    TaskProgressColumn,
-    TextColumn,
-    TimeRemainingColumn,
-)
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from moc_opt.figures.notation import printable
 from moc_opt.inputs.files import to_json
@@ -53,15 +46,13 @@ def console(*, stderr: bool = False, file: IO[str] | None = None) -> Console:
 class Bar(Progress):
     """A bar with one task: `advance` it, say what it is `at`; without a terminal it writes a line now and then."""
 
-    below: Callable[[], Iterable[RenderableType]] = staticmethod(tuple)
-
     def advance(self, steps: float = 1.0) -> None:  # type: ignore[override]
         """Count so many more steps as done."""
         (task,) = self.tasks
         self.update(task.id, advance=steps)
-        if self.console.is_terminal or self.get_time() - task.fields["told"] < LINE_EVERY_S:
+        if self.console.is_terminal or self.get_time() - task.fields["written"] < LINE_EVERY_S:
             return
-        self.update(task.id, told=self.get_time())
+        self.update(task.id, written=self.get_time())
         line = task.description
         if task.elapsed and task.total and task.completed:
             share = min(task.completed / task.total, 1.0)
@@ -77,43 +68,28 @@ class Bar(Progress):
         """Name what is being done now."""
         self.update(self.task_ids[0], now=printable(text))
 
-    def get_renderables(self) -> Iterable[RenderableType]:
-        """Return the bar, and below it what is known so far."""
-        yield from super().get_renderables()
-        yield from self.below()
-
 
 @contextmanager
-def progress(
-    description: str, total: float | None = None, *, on: Console | None = None,
-    below: Callable[[], Iterable[RenderableType]] = tuple,
-) -> Iterator[Bar]:  # fmt: skip
+def progress(description: str, total: float | None = None, *, on: Console | None = None) -> Iterator[Bar]:
     """Show a bar with the time left on stderr until the work is done; without a terminal, a line every ten seconds.
 
     Args:
         total: steps in all; None where that is not known yet.
         on: another console.
-        below: what is drawn below it, asked for at each refresh.
     """
     where = on or console(stderr=True)
-    done = MofNCompleteColumn() if below is tuple else TaskProgressColumn()  # with a table below, steps are weighted
     bar = Bar(
-        TextColumn("{task.description}", markup=False), BarColumn(), done, TimeRemainingColumn(),
+        TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(),
         TextColumn("{task.fields[now]}", style="dim", markup=False), console=where, transient=True,
         refresh_per_second=4.0, disable=not where.is_terminal,
     )  # fmt: skip
-    bar.below = below
-    bar.add_task(printable(description), total=total, now="", told=bar.get_time())
+    bar.add_task(printable(description), total=total, now="", written=bar.get_time())
     with bar:
         yield bar
 
 
 def print_json(values: Mapping[str, Any], file: IO[str] | None = None) -> None:
-    """Write one JSON document; numpy's numbers as numbers, NaN and infinity as null.
-
-    Raises:
-        TypeError: a value that JSON cannot hold.
-    """
+    """Write one JSON document; numpy's numbers as numbers, NaN and infinity as null."""
     (file or sys.stdout).write(to_json(values) + "\n")
 
 

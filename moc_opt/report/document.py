@@ -13,7 +13,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
 
 from moc_opt.errors import ReportError
-from moc_opt.figures.notation import DASH, printable
+from moc_opt.figures.notation import DASH, pretty_unit, printable
 from moc_opt.inputs.files import check_replaceable, write_whole
 
 MAX_BYTES = 8_000_000
@@ -69,14 +69,11 @@ _TEMPLATES = Environment(
     loader=_LOADER, autoescape=True, undefined=StrictUndefined, finalize=_shown, trim_blocks=True, lstrip_blocks=True
 )
 _TEMPLATES.globals["asset"] = asset
-_TEMPLATES.filters.update(inline=inline, inert=inert, in_words=in_words, anchor=anchor)
+_TEMPLATES.filters.update(inline=inline, inert=inert, in_words=in_words, anchor=anchor, pretty_unit=pretty_unit)
 
 
 def beside(target: str) -> str:
-    """Return the address of a file that lies beside a page or below it.
-
-    Args:
-        target: a relative path with slashes, and after a ``#`` a place in the file.
+    """Return the address of a file beside a page or below it: a relative path, maybe with a ``#`` and a place in it.
 
     Raises:
         ReportError: it is anything else: an address of another host, a scheme, an absolute path, or one upwards.
@@ -121,8 +118,7 @@ def save_document(
 
     Args:
         path, what, force: as `check_out`; the folder is made.
-        text: of the page.
-        cure: called for the advice if the page is too large.
+        text: of the page; `cure` is called for the advice if it is too large.
 
     Raises:
         ReportError: it would be larger than MAX_BYTES, would replace another's file, or cannot be written.

@@ -51,17 +51,15 @@ def save_figures(
         UnknownNameError: another format.
     """
     wanted = list(dict.fromkeys(formats))
-    for name in wanted:
-        if name not in FORMATS:
-            raise UnknownNameError("figure format", name, FORMATS)
+    if unknown := set(wanted) - set(FORMATS):
+        raise UnknownNameError("figure format", unknown.pop(), FORMATS)
     for name in figures:
         if name != file_stem(name):
             raise ReportError(f"figure {name!r}: give a name without a folder in it; {file_stem(name)!r} would do")
-    folder = Path(directory)
     with browser() as chromium:
         drawn = _draw(chromium, figures)
     return [
-        write_whole(folder / f"{name}.{kind}", contents[kind], "figure", ReportError)
+        write_whole(Path(directory) / f"{name}.{kind}", contents[kind], "figure", ReportError)
         for name, contents in drawn.items() for kind in wanted
     ]  # fmt: skip
 

@@ -68,16 +68,13 @@ COLUMNS = (
 def add_map(
     page: Page, found: SwivelMap, *, name: str = "map", what: str = "", styles: Styles | None = None
 ) -> list[Reading]:
-    """Append figure and table of one map.
+    """Append figure and table of one map; return the reading of each trajectory.
 
     Args:
         found: of `manipulability_map`.
         name: of the figure's file.
         what: it is a map of, in a few words, for caption and table.
         styles: of each run, as in the page's other figures.
-
-    Returns:
-        The reading of each trajectory.
 
     Raises:
         ReportError: no pose of the map is allowed.
@@ -141,10 +138,6 @@ def map_figure(found: SwivelMap, styles: Styles | None = None) -> go.Figure:
 
     Runs that never differ by more than 3 deg share a line. A run that folds the arm another way than the map is
     dotted: the colours under it are not its own.
-
-    Args:
-        found: of `manipulability_map`.
-        styles: of each run, as in other figures; None assigns colours anew.
 
     Raises:
         ReportError: no pose of the map is allowed.

@@ -29,8 +29,8 @@ PLACES = [
     MU_MEAN, MU_WORST,
 ]  # fmt: skip
 VERDICT_TERMS = (
-    "Swivel: angle of the elbow about the line from shoulder to wrist. Course: the poses along the path. "
-    "Bound: what no course can exceed."
+    "Swivel: angle of the elbow about the line from shoulder to wrist. Course: the poses along the path. Bound: what "
+    "no course can exceed."
 )
 COURSES_TERMS = (
     "Local climb: an ideal climb of mu from the start, without dynamics or gains: a run with third_level = 'local' may "
@@ -58,13 +58,10 @@ def plan_json(plan: Plan) -> dict[str, Any]:
 
 
 def plan_tables(name: str, plan: Plan, **within: float) -> list[Table]:
-    """Make the tables of the verdict and of the courses; both fit 80 columns.
+    """Make the tables of the verdict and of the courses of a scenario's plan; both fit 80 columns.
 
     Args:
-        name: of the scenario.
-        plan: of it.
-        within: margin_rad, margin_m, speed_share and shaft_margin that it was made with, as of
-            `moc_opt.scenario.planned.plan`.
+        within: margin_rad, margin_m, speed_share and shaft_margin, as of `moc_opt.scenario.planned.plan`.
     """
     said, unit = {"can be executed from this start": "yes" if plan.executable else "no"}, OBJECTIVES[plan.objective]
     if (stuck := plan.blocked) is not None:

@@ -197,13 +197,10 @@ def _rounded(value: Any) -> Any:
 
 
 def velocity_ellipsoids(jacobians: Array) -> Array:
-    """Return (k, 3, 3) the symmetric S = (J J^T)^(1/2) that takes the unit sphere to the ellipsoid of tip velocities.
+    """Return S = (J J^T)^(1/2) (k, 3, 3) of J_T (k, 3, n): it takes the unit sphere to the ellipsoid of tip velocities.
 
     Its half axes are the singular values of J, its determinant is mu (Yoshikawa 1985), and between two frames
     it changes evenly, as eigenvectors do not.
-
-    Args:
-        jacobians: J_T (k, 3, n).
     """
     axes, lengths, _ = np.linalg.svd(jacobians, full_matrices=False)
     roots: Array = (axes * lengths[:, None, :]) @ np.swapaxes(axes, 1, 2)

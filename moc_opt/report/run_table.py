@@ -12,10 +12,8 @@ from moc_opt.trace.metrics import METRICS
 from moc_opt.trace.trace import Trace, about, table
 
 WHOLE_RUN = ("completed", "share_of_run")
-METHOD = "mu_bound_method"
-"""How the largest mu was found: an entry of a trace's meta."""
-NEAR = 0.02
-"""A run whose mean or final mu is at most this fraction below the best course is near it."""
+METHOD = "mu_bound_method"  #: Entry of a trace's meta: how the largest mu was found.
+NEAR = 0.02  #: A run whose mean or final mu is at most this fraction below the best course is near it.
 
 MATTER = (
     "mu_mean", "mu_gain_percent", "mu_fraction_of_best_from_start", "tip_error_model_mean_mm",
@@ -33,12 +31,7 @@ ANOTHER_PROBLEM = (
 
 
 def answers_another_problem(trace: Trace, solver: str = "") -> bool:
-    """Say whether the answers of a run are those of a nonlinear solver, which the judge's verdicts do not fit.
-
-    Args:
-        trace: of the run; its scenario names the solver.
-        solver: its name, where another one was asked than the scenario names.
-    """
+    """Return whether the solver (the scenario's if empty) is a nonlinear one, which the judge's verdicts do not fit."""
     return (solver or about(trace).get("solver", "")).startswith("nlp-")
 
 
@@ -141,8 +134,7 @@ def run_table(
     Of a run that was broken off the title says which part there is, and every figure is marked as one of that part.
 
     Args:
-        name: of the run.
-        trace: of the run.
+        name, trace: of the run.
         metrics: name -> value.
         first: those of `MATTER` alone, each with its meaning, and what was run in the title.
         explained: all, each with its meaning.

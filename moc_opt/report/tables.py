@@ -17,7 +17,7 @@ from rich.measure import Measurement
 from rich.table import Table as RichTable
 from rich.text import Text
 
-from moc_opt.errors import ReportError, is_number
+from moc_opt.errors import is_number
 from moc_opt.figures import notation
 from moc_opt.figures.notation import Doubtful, Mark, Missing, Notation, printable
 from moc_opt.inputs.names import grid_html
@@ -60,20 +60,10 @@ class Column:
     section: str = ""
     sections: str = ""
 
-    def __post_init__(self) -> None:
-        if self.digits < 1:
-            raise ReportError(f"column {self.key!r}: digits = {self.digits}: give one or more significant digits")
-        if self.better not in (None, "low", "high"):
-            raise ReportError(f"column {self.key!r}: better = {self.better!r} is none of 'low', 'high', None")
-        try:
-            Notation(spec=self.format)(1.0)
-        except ValueError as error:
-            raise ReportError(f"column {self.key!r}: format {self.format!r}: {error}; '.2f' is one") from error
-
 
 @dataclass(frozen=True)
 class Cell:
-    """A value made ready: `text` as the terminal shows it, `sort` what it is ordered by (None: last)."""
+    """A value as the terminal shows it (`text`), and what it is ordered by (`sort`; None: last)."""
 
     text: str
     sort: float | str | None
@@ -99,13 +89,6 @@ class Table:
     columns: Sequence[Column]
     rows: Sequence[Mapping[str, Any]] = field(default_factory=list)
     caption: str = ""
-
-    def __post_init__(self) -> None:
-        keys = [column.key for column in self.columns]
-        if not keys:
-            raise ReportError(f"table {self.title!r} has no columns: give one or more")
-        if len(set(keys)) < len(keys):
-            raise ReportError(f"table {self.title!r}: two columns have the same key in {', '.join(keys)}")
 
     def cells(self, column: Column) -> list[Cell]:
         """Return the column, one cell per row, written in one notation."""
@@ -179,7 +162,7 @@ class Table:
 
 
 def terminal_width() -> int:
-    """Return the width of the terminal that Python prints to [characters], or of a wide one where there is none."""
+    """Return the width of the terminal that Python prints to [characters]; 200 where there is none."""
     return shutil.get_terminal_size((200, 24)).columns
 
 

@@ -1,4 +1,7 @@
-"""Pages: one file that asks for nothing, holds what was given, and is written all or nothing."""
+"""Pages: one file that asks for nothing, holds what was given, is written all or nothing, and works in a browser.
+
+The last part is skipped where playwright or a Chromium is missing.
+"""
 
 from __future__ import annotations
 
@@ -7,140 +10,139 @@ import gzip
 import json
 import re
 import sys
+from collections.abc import Iterator
 from html.parser import HTMLParser
 from pathlib import Path
+from typing import Any
 from urllib.parse import unquote, urljoin
 
 import numpy as np
-import plotly.graph_objects as go
 import pytest
 from hypothesis import given
 
 from moc_opt import figures
 from moc_opt.errors import BrowserError, ReportError, UnknownNameError
+from moc_opt.figures.style import DARK, INK
 from moc_opt.report import document
-from moc_opt.report.export import save_figures
+from moc_opt.report.export import browser, save_figures
 from moc_opt.report.page import Page
-from moc_opt.report.tables import Column, Table
+from moc_opt.report.tables import Column, Missing, Table
+from tests.conftest import opened
 from tests.odd_inputs import names
 
 
 class Resources(HTMLParser):
-    """Whatever a browser might fetch, all element names, ids and inline scripts."""
+    """Whatever a browser might fetch, where links lead, all tags with the names of their attributes, all scripts."""
 
     def __init__(self, source: str) -> None:
         super().__init__()
         self.fetched: list[str] = []
-        self.tags: list[str] = []
-        self.ids: list[str] = []
         self.links: list[str] = []
+        self.tags: list[tuple[str, ...]] = []
         self.data: dict[str, str] = {}
-        self._inside: str | None = None
-        self.styles = ""
-        self.text = ""
+        self._inside = self.styles = ""
         self.feed(source)
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.tags.append(tag)
-        known = dict(attrs)
-        for name in ("src", "href", "srcset", "data", "poster", "action", "background", "xlink:href"):
-            if known.get(name) and not (tag == "a" and name == "href"):
-                self.fetched.append(str(known[name]))
+        known = {key: value or "" for key, value in attrs}
+        self.tags.append((tag, *known))
         if tag == "a":
-            self.links.append(str(known["href"]))
-        self.styles += known.get("style") or ""
-        if "id" in known:
-            self.ids.append(str(known["id"]))
-        self._inside = str(known.get("id", tag)) if tag in ("script", "style") else None
+            self.links.append(known["href"])
+        for name in ("src", "href", "srcset", "data", "poster", "action", "background", "xlink:href"):
+            if known.get(name) and (tag, name) != ("a", "href"):
+                self.fetched.append(known[name])
+        self.styles += known.get("style", "")
+        self._inside = known.get("id", tag) if tag in ("script", "style") else ""
 
     def handle_endtag(self, tag: str) -> None:
-        self._inside = None
+        self._inside = ""
 
     def handle_data(self, data: str) -> None:
         if self._inside == "style":
             self.styles += data
         elif self._inside:
             self.data[self._inside] = data
-        else:
-            self.text += data
 
 
 @pytest.fixture(scope="module")
 def full() -> Page:
-    """A page with one of everything, and texts that would like to be markup."""
-    rng = np.random.default_rng(1)
-    made = Page("Title <b>", "Subtitle <b>")
-    made.headline("Headline <b>")
-    made.section("Results")
-    made.text("First <b>\n\nSecond `name`.")
-    made.link("replay.html#t=3", "Link <b>", "after it <b>")
-    made.table(Table("Times", [Column("n", "solver"), Column("t", "time", "us")], [{"n": "<b>", "t": 1.5}]))
-    made.figure(figures.latency_ecdf({"<b>": rng.lognormal(size=100)}, 9.0), "Times of <b>", name="ecdf")
-    made.figure(
-        figures.box_plots({"<b>": {"<b>": rng.random(9)}}, "error [mm]"), "The same words twice over again"
-    )
-    made.section("Results")
-    made.figure(figures.latency_ecdf({"a": [1.0]}), "The same words twice over indeed")
-    made.environment(
-        {"seed": 3, "machine": {"cpu": "<b>", "cores": [1, 2], "none": None, "deep": {"er": True}}}
-    )
-    return made
+    """A page with one of everything, a wide table, every kind of figure, and a text that would like to be markup."""
+    rng = np.random.default_rng(2)
+    solvers = [f"solver-{k}" for k in range(9)]
+    times = {name: rng.lognormal(k, 0.2, 400) for k, name in enumerate(solvers)}
+    t = 0.002 * np.arange(3000)
+    errors = {"tip_error_m": 1e-4, "rcm_error_m": 1e-3, "trocar_force_N": 1.0}
+    runs = {
+        name: {"t_s": t, "mu": mean + 0.01 * np.sin(t)} | {key: of * rng.random(3000) for key, of in errors.items()}
+        for name, mean in (("DCAC", 0.27), ("MOC", 0.3))
+    }
+    page = Page("A report <b>", "of made-up numbers")
+    page.headline("Nothing is found.")
+    page.section("Results")
+    page.text("First <b>\n\nSecond `name`.")
+    page.link("replay.html#t=3", "Link <b>", "after it <b>")
+    columns = [Column("name", "solver"), Column("value", "time", "us", better="low", help="of a solve")]
+    columns += [Column(f"c{k}", f"column {k}", "rad/s") for k in range(12)]
+    values = [2.5, Missing("no licence"), 1e-3, float("inf"), 30.0, -4.0]
+    page.table(Table("Times", columns, [{"name": solvers[k], "value": value} for k, value in enumerate(values)]))
+    page.section("Results")
+    page.figure(figures.time_series(runs), "Runs.", name="runs")
+    page.figure(figures.latency_ecdf(times, 2000.0), "Times.", name="ecdf")
+    boxes = {name: {"circle": of, "<b>": of} for name, of in times.items()}
+    page.figure(figures.box_plots(boxes, "y", log=True), "The same words twice over again")
+    points = {name: (float(k + 1), 10.0**-k) for k, name in enumerate(solvers)}
+    page.figure(figures.accuracy_against_time(points), "The same words twice over indeed")
+    page.environment({"seed": 3, "machine": {"a_rather_long_key_without_any_gap_in_it": "x" * 200, "none": None}})
+    return page
 
 
-def test_nothing_is_fetched(full: Page) -> None:
+def test_nothing_is_fetched_and_the_data_come_back(full: Page) -> None:
     found = Resources(full.html())
     assert [address for address in found.fetched if not address.startswith("data:")] == []
-    assert "@import" not in found.styles
-    assert "url(" not in found.styles
-    scripts = "".join(found.data.values())
-    assert not re.search(r"\b(fetch|XMLHttpRequest|import|WebSocket|sendBeacon)\s*\(", scripts)
-    assert "link" in found.tags, "an icon of its own, or the browser asks for one"
+    assert not {"@import", "url("} & set(re.findall(r"@import|url\(", found.styles))
+    assert not re.search(r"\b(fetch|XMLHttpRequest|import|WebSocket|sendBeacon)\s*\(", "".join(found.data.values()))
+    assert "link" in {tag for tag, *_ in found.tags}, "an icon of its own, or the browser asks for one"
+    for name, figure in full.figures.items():
+        assert json.loads(found.data[f"{name}-data"]) == json.loads(figure.to_json())
+    assert "plotly.js v" in gzip.decompress(base64.b64decode(found.data["plotly-packed"])).decode()[:200]
+    assert len(set(full.figures)) == 4
 
 
-def tags_and_attributes(text: str) -> list[tuple[str, ...]]:
+def tags(text: str) -> list[tuple[str, ...]]:
     """Of a page on which everything is called that."""
-    made, found = Page(text, text), []
+    made = Page(text, text)
     made.headline(text)
     made.section(text)
     made.table(Table(text, [Column("name", text, help=text)], [{"name": text}]))
+    made.fold()
     made.environment({"solver": text, "deeper": {text: text}})
-    parser = HTMLParser()
-    parser.handle_starttag = lambda tag, attrs: found.append((tag, *(key for key, _ in attrs)))  # type: ignore[method-assign]
-    parser.feed(made.html())
-    return found
+    return Resources(made.html()).tags
 
 
 @given(names)
 def test_no_name_makes_a_tag_an_attribute_or_a_script(text: str) -> None:
-    plain = [tags_and_attributes(each) for each in ("a", "", "a `b`\n\nc", "long " * 20, "1.5")]
-    found = tags_and_attributes(text)
+    plain = [tags(each) for each in ("a", "", "a `b`\n\nc", "long " * 20, "1.5")]
+    found = tags(text)
     assert set(found) <= {tag for page in plain for tag in page}
     assert sum(tag == "script" for tag, *_ in found) == sum(tag == "script" for tag, *_ in plain[0])
 
 
-def test_data_come_back(full: Page) -> None:
-    found = Resources(full.html())
-    for name, figure in full.figures.items():
-        assert json.loads(found.data[f"{name}-data"]) == json.loads(figure.to_json())
-    unpacked = gzip.decompress(base64.b64decode(found.data["plotly-packed"])).decode()
-    assert "plotly.js v" in unpacked[:200]
-
-
-def test_save_is_reproducible_and_small(full: Page, tmp_path: Path) -> None:
+def test_save_is_reproducible_small_and_all_or_nothing(
+    full: Page, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     first, second = full.save(tmp_path / "a" / "report.html"), full.save(tmp_path / "b.html")
-    assert first.read_bytes() == second.read_bytes()
-    assert first.stat().st_size < 3_000_000
-    assert [file.name for file in first.parent.iterdir()] == ["report.html"]
-
-
-def test_a_page_that_is_too_large_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    made = Page("Large")
-    made.figure(go.Figure(go.Scatter(y=np.random.default_rng(0).random(2000))), "Noise.", name="noise")
-    old = made.save(tmp_path / "report.html").read_bytes()
+    old = first.read_bytes()
+    assert old == second.read_bytes()
+    assert len(old) < 3_000_000
+    (tmp_path / "folder.html").mkdir()
+    for place in (tmp_path / "b.html" / "report.html", tmp_path / "folder.html"):
+        with pytest.raises(ReportError, match="cannot be written"):
+            full.save(place)
     monkeypatch.setattr(document, "MAX_BYTES", 100_000)
-    with pytest.raises(ReportError, match=r"noise \(0\.0 MB\)"):
-        made.save(tmp_path / "report.html")
-    assert (tmp_path / "report.html").read_bytes() == old
+    with pytest.raises(ReportError, match=r"runs \(\d\.\d MB\)"):
+        full.save(first)
+    assert first.read_bytes() == old
+    assert sorted(file.name for file in tmp_path.rglob("*")) == ["a", "b.html", "folder.html", "report.html"]
 
 
 @pytest.mark.parametrize("target", ["replay.html", "a b (1).html", "größe.html#t=3.2"])
@@ -151,37 +153,103 @@ def test_a_link_leads_to_a_file_beside_the_page(target: str) -> None:
     assert unquote(urljoin("file:///folder/report.html", address)) == f"file:///folder/{target}"
 
 
-@pytest.mark.parametrize(
-    "target",
-    [
-        "", "https://example.org/x.html", "//example.org/x.html", "/etc/x.html", "javascript:alert(1)", "../up.html",
-        "a/../../up.html", "\\\\example.org\\x", "%2e%2e/x.html", '"><img>',
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize("target", [
+    "", "https://example.org/x.html", "//example.org/x.html", "/etc/x.html", "javascript:alert(1)", "../up.html",
+    "a/../../up.html", "\\\\example.org\\x", "%2e%2e/x.html", '"><img>',
+])  # fmt: skip
 def test_no_link_leads_anywhere_else(target: str) -> None:
     with pytest.raises(ReportError):
         Page("Linked").link(target, "text")
 
 
-def test_what_cannot_be_written_is_said(full: Page, tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("")
-    with pytest.raises(ReportError, match="cannot be written"):
-        full.save(tmp_path / "file" / "report.html")
-    (tmp_path / "folder.html").mkdir()
-    with pytest.raises(ReportError, match="cannot be written"):
-        full.save(tmp_path / "folder.html")
-    assert sorted(entry.name for entry in tmp_path.iterdir()) == ["file", "folder.html"]
-
-
-def test_figures_without_playwright_or_of_another_format_are_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    made = {"one": figures.box_plots({"a": {"t": [1.0]}}, "y")}
+def test_figures_that_cannot_be_saved_are_refused(full: Page, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    one = full.figures["ecdf"]
     with pytest.raises(UnknownNameError, match="pdf, svg"):
-        save_figures(made, tmp_path, ["png"])
+        save_figures({"one": one}, tmp_path, ["png"])
     with pytest.raises(ReportError, match="without a folder"):
-        save_figures({"../one": made["one"]}, tmp_path)
+        save_figures({"../one": one}, tmp_path)
+    assert list(tmp_path.iterdir()) == []
+    monkeypatch.setenv("MOC_OPT_BROWSER", "no-such-program")
+    with pytest.raises(BrowserError, match="is no program"):
+        browser().__enter__()
     monkeypatch.setitem(sys.modules, "playwright.sync_api", None)
     with pytest.raises(BrowserError, match=r"pip install 'moc-opt\[figures\]'"):
-        save_figures(made, tmp_path)
-    assert list(tmp_path.iterdir()) == []
+        browser().__enter__()
+
+
+# --- in a browser ---
+
+POLLING_MS = 50
+DRAWN = "html[data-drawn=yes]"
+
+
+@pytest.fixture(scope="module")
+def report(full: Page, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return full.save(tmp_path_factory.mktemp("report") / "report.html")
+
+
+@pytest.fixture(scope="module")
+def page(chromium: Any, report: Path) -> Iterator[Any]:
+    """Opened once: a browser that shares its processor takes seconds to draw it."""
+    size = {"width": 1000, "height": 800}
+    with opened(chromium, report.as_uri(), DRAWN, viewport=size, color_scheme="light") as found:
+        yield found
+
+
+def column(page: Any, place: int) -> list[str]:
+    return [text.strip() for text in page.locator(f"tbody tr > :nth-child({place})").all_inner_texts()]
+
+
+def test_a_heading_sorts_by_mouse_and_keyboard(page: Any) -> None:
+    before = column(page, 1)
+    heading = page.locator("th[scope=col]").nth(1)
+    heading.locator("button").click()
+    assert heading.get_attribute("aria-sort") == "ascending"
+    sorted_names = [f"solver-{k}" for k in (5, 2, 0, 4, 3, 1)]
+    assert column(page, 1) == sorted_names
+    assert column(page, 2)[-2:] == ["∞", "–a"], "the missing value is last"
+    page.keyboard.press("Enter")
+    assert heading.get_attribute("aria-sort") == "descending"
+    assert column(page, 1) == [*sorted_names[:5][::-1], sorted_names[5]]
+    page.locator("th[scope=col] button").first.press("Space")
+    assert heading.get_attribute("aria-sort") == "none"
+    assert column(page, 1) == before
+
+
+def test_the_legend_hides_a_run_in_every_panel_and_in_every_light(page: Any) -> None:
+    drawn = ".chart", "charts => charts.map(chart => chart.querySelectorAll('.main-svg').length > 0)"
+    assert page.eval_on_selector_all(*drawn) == [True] * 4
+    shown = "() => document.querySelector('#runs').data.map(trace => trace.visible ?? true)"
+    lines = "document.querySelectorAll('#runs .scatterlayer .js-line').length === "
+    assert page.evaluate(shown) == [True] * 8
+    page.locator("#runs .legendtoggle").first.click()
+    page.wait_for_function(f"{lines}4", polling=POLLING_MS)
+    page.emulate_media(color_scheme="dark")
+    color = f"document.querySelector('#ecdf').layout.template.layout.font.color === '{DARK[INK]}'"
+    page.wait_for_function(color, polling=POLLING_MS)
+    assert page.evaluate(shown).count("legendonly") == 4
+    page.locator("#runs .legendtoggle").first.click()
+    page.wait_for_function(f"{lines}8", polling=POLLING_MS)
+
+
+def test_nothing_is_wider_than_the_screen(page: Any) -> None:
+    for width in (1000, 360):
+        page.set_viewport_size({"width": width, "height": 800})
+        widest = "[...document.querySelectorAll('.chart .main-svg')].every(s => s.getBoundingClientRect().right <= "
+        page.wait_for_function(f"{widest}{width})", polling=POLLING_MS)
+        page.evaluate("document.querySelectorAll('details').forEach(block => { block.open = true })")
+        assert page.evaluate("document.documentElement.scrollWidth") <= width
+        inner, outer = page.locator(".scroll").evaluate("box => [box.scrollWidth, box.clientWidth]")
+        assert inner > outer, "the table scrolls in its own box"
+
+
+def test_figures_are_saved_as_vectors(chromium: Any, tmp_path: Path) -> None:
+    made = figures.box_plots({"DCAC": {"circle": [1.0, 2.0, 3.0]}}, "error [mm]")
+    files = save_figures({"one": made, "two": made}, tmp_path / "new")
+    assert [file.name for file in files] == ["one.svg", "one.pdf", "two.svg", "two.pdf"]
+    svg, pdf = files[0].read_text(encoding="utf-8"), files[1].read_bytes()
+    assert svg.startswith("<svg")
+    assert "error [mm]" in svg
+    assert pdf.startswith(b"%PDF")
+    assert b"/Subtype /Image" not in pdf
+    assert pdf.count(b"/Type /Page\n") == 1

@@ -1,8 +1,9 @@
-"""Tables: notation, emphasis, missing values, and that no name from elsewhere becomes markup."""
+"""The terminal: tables with their notation, emphasis and missing values, progress, and JSON that machines can read."""
 
 from __future__ import annotations
 
 import io
+import json
 import math
 import re
 
@@ -12,8 +13,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
 
-from moc_opt.errors import MocOptError, ReportError
 from moc_opt.figures.notation import Doubtful, Missing, Notation
+from moc_opt.inputs.files import plain
+from moc_opt.report.console import console, print_json, progress
 from moc_opt.report.tables import Column, Table
 
 
@@ -51,14 +53,8 @@ def test_the_digits_asked_for_are_kept(value: float, digits: int) -> None:
 
 
 def test_missing_infinite_and_flags() -> None:
-    assert texts([None, math.nan, Missing("not asked"), math.inf, -math.inf, 1.5]) == [
-        "–",
-        "–",
-        "–",
-        "∞",
-        "-∞",
-        "1.50",
-    ]
+    values = [None, math.nan, Missing("not asked"), math.inf, -math.inf, 1.5]
+    assert texts(values) == ["–", "–", "–", "∞", "-∞", "1.50"]
     assert texts([True, np.bool_(False)]) == ["yes", "no"]
     made = table([{"name": "a"}])
     assert made.cells(made.columns[1])[0].text == "–"
@@ -71,22 +67,6 @@ def test_the_best_value_is_what_reads_best() -> None:
     assert best([1.0, 1.0, 3.0, 2.0], better="low") == [True, True, False, False]
     assert best([2.0, 1.0]) == [False, False]
     assert best([2.0, None], better="low") == [False, False]
-
-
-@pytest.mark.parametrize(
-    ("make", "word"),
-    [
-        (lambda: Column("k", "t", digits=0), "digits"),
-        (lambda: Column("k", "t", format="%.2f"), "format"),
-        (lambda: Column("k", "t", better="less"), "better"),  # type: ignore[arg-type]
-        (lambda: Table("t", []), "columns"),
-        (lambda: Table("t", [Column("k", "a"), Column("k", "b")]), "same key"),
-    ],
-)
-def test_bad_settings_name_the_field(make: object, word: str) -> None:
-    with pytest.raises(ReportError, match=word) as caught:
-        make()  # type: ignore[operator]
-    assert isinstance(caught.value, MocOptError)
 
 
 def test_only_rows_with_the_flag_compete_for_the_emphasis():
@@ -124,3 +104,41 @@ def test_a_doubtful_number_is_marked_and_never_the_best():
     assert [cell.best for cell in cells] == [False, True, False, False]
     assert [cell.sort for cell in cells] == [3.0, 12.0, 50.0, 60.0]
     assert "?3.0" in made.to_text()
+
+
+# --- progress and JSON ---
+
+
+@pytest.mark.parametrize("every_s", [10.0, 0.0])
+def test_without_a_terminal_progress_writes_a_line_now_and_then(
+    every_s: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("moc_opt.report.console.LINE_EVERY_S", every_s)
+    file = io.StringIO()
+    with progress("trials", on=console(file=file)) as bar:
+        bar.of(4)
+        for k in range(4):
+            bar.at(f"step {k}")
+            bar.advance()
+    lines = file.getvalue().splitlines()
+    assert len(lines) == (0 if every_s else 4)
+    assert all(line.startswith(f"trials: {25 * (k + 1)} % after 0:00:0") for k, line in enumerate(lines))
+    assert all(line.endswith(f"left  step {k}") for k, line in enumerate(lines))
+
+
+def test_a_terminal_shows_a_bar_and_what_is_done() -> None:
+    file = io.StringIO()
+    with progress("working [bold]", 3, on=Console(file=file, force_terminal=True, width=100)) as bar:
+        bar.at("first\x1b[31m")
+        bar.refresh()
+    assert all(words in file.getvalue() for words in ("working [bold]", "first"))
+    assert "first\x1b[31m" not in file.getvalue()
+
+
+def test_json_has_no_nan() -> None:
+    file = io.StringIO()
+    values = {"a": np.float64(1.5), "b": [np.nan, math.inf], "c": {"d": np.arange(2)}, "e": True, "f": None, "g": "x"}
+    print_json(values, file)
+    read = json.loads(file.getvalue(), parse_constant=lambda name: pytest.fail(name))
+    assert read == {"a": 1.5, "b": [None, None], "c": {"d": [0, 1]}, "e": True, "f": None, "g": "x"}
+    assert plain((np.int64(3),)) == [3]

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import inspect
 import math
+import sys
+import types
+from importlib.metadata import EntryPoint
 
 import numpy as np
 import pytest
@@ -11,8 +14,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from moc_opt.errors import TraceError, UnknownNameError
-from moc_opt.trace import metrics
+from moc_opt.errors import MocOptError, TraceError
+from moc_opt.trace import metrics, registry
 from moc_opt.trace.metrics import METRICS, metric, summarize
 from moc_opt.trace.trace import MissingDataError, Trace
 
@@ -138,37 +141,22 @@ def test_torque_rate_does_not_reach_across_a_gap() -> None:
     assert summarize(ends, phase="settled")["torque_rate_rms_Nm_per_s"] == pytest.approx(5000.0)
 
 
-def test_phase_without_ticks_is_an_empty_summary() -> None:
+def test_what_cannot_be_summarized_is_refused_and_a_phase_without_ticks_is_empty() -> None:
     assert summarize(run(travelling=[True] * 4), phase="settled") == {}
-
-
-def test_phase_needs_its_column_name_and_baseline() -> None:
-    with pytest.raises(TraceError, match="no column 'travelling'"):
-        summarize(run(travelling=None), phase="settled")
-    with pytest.raises(UnknownNameError, match="did you mean 'settled'"):
-        summarize(run(), phase="setled")  # type: ignore[arg-type]
-    with pytest.raises(TraceError, match=r"baseline has 3 ticks .* where the trace has 4"):
-        summarize(run(), run().select([True, True, True, False]), phase="settled")
-
-
-def test_empty_traces_are_refused() -> None:
     empty = Trace({"mu": np.empty(0)})
-    for call in (
-        lambda: summarize(empty),
-        lambda: summarize(Trace({})),
-        lambda: summarize(run(), empty),
-        lambda: METRICS["mu_mean"](empty),
-    ):
-        with pytest.raises(TraceError, match="is empty"):
+    refused = {
+        "no column 'travelling'": lambda: summarize(run(travelling=None), phase="settled"),
+        "did you mean 'settled'": lambda: summarize(run(), phase="setled"),  # type: ignore[arg-type]
+        "has 3 ticks .* where the trace has 4": lambda: summarize(run(), run().select([True, True, True, False])),
+        "trace is empty": lambda: summarize(empty), "baseline is empty": lambda: summarize(run(), empty),
+        "needs at least one tick": lambda: METRICS["mu_mean"](empty),
+        "'t_s' does not increase": lambda: summarize(run(t_s=[0.0, 0.002, 0.002, 0.004])),
+        **{rf"deadline_us'\] = {bad!r}": lambda bad=bad: summarize(run(meta={"deadline_us": bad}))
+           for bad in (0, -1.0, "fast", True)},
+    }  # fmt: skip
+    for said, call in refused.items():
+        with pytest.raises(MocOptError, match=said):
             call()
-
-
-def test_unusable_times_and_deadlines_are_refused() -> None:
-    with pytest.raises(TraceError, match="'t_s' does not increase"):
-        summarize(run(t_s=[0.0, 0.002, 0.002, 0.004]))
-    for bad in (0, -1.0, "fast", True):
-        with pytest.raises(TraceError, match="deadline_us"):
-            summarize(run(meta={"deadline_us": bad}))
 
 
 @given(arrays(np.float64, st.tuples(st.integers(2, 20), st.just(3)), elements=st.floats(-100, 100)))
@@ -212,32 +200,19 @@ def test_registration_refuses_taken_names_and_silence() -> None:
     assert metric(inspect.unwrap(METRICS["mu_mean"])) is METRICS["mu_mean"]
 
 
-def test_every_metric_is_documented_and_public() -> None:
-    for name, function in METRICS.items():
-        assert getattr(metrics, name) is function
-        assert function.__doc__
-        assert function.about
-        assert "\n" not in function.about
-
-
-def test_the_unit_of_a_metric_is_that_of_its_name() -> None:
+def test_every_metric_is_public_and_has_the_unit_of_its_name() -> None:
     named = {"mm": "mm", "us": "us", "N": "N", "Nm": "Nm", "percent": "percent", "rad_per_s": "rad/s",
              "Nm_per_s": "Nm/s"}  # fmt: skip
     for name, function in METRICS.items():
         units = [unit for ending, unit in named.items() if name.endswith(f"_{ending}")]
         if units:
             assert function.unit == units[-1], name
+        assert (getattr(metrics, name), bool(function.about)) == (function, True)
     bare = {name: of.unit for name, of in METRICS.items() if not any(name.endswith(f"_{e}") for e in named)}
     assert {name for name, unit in bare.items() if unit != "1"} == {"mu_mean", "mu_final", "primal_max", "natural_max"}
 
 
 def test_metrics_of_other_packages_are_in_the_summary_and_a_broken_one_hides_none(monkeypatch):
-    import sys
-    import types
-    from importlib.metadata import EntryPoint
-
-    from moc_opt.trace import registry
-
     own = types.ModuleType("own_metrics")
 
     def ticks_of_a_run(trace):

@@ -1,12 +1,9 @@
-"""A trace: what it accepts, that it is frozen, and that its file gives back every bit."""
-
-from __future__ import annotations
+"""A trace: what it accepts, that it is frozen, its file and its meta, and as pandas, xarray and plotly have it."""
 
 import copy
 import os
 import pickle
-from pathlib import Path
-from typing import Any
+import sys
 
 import numpy as np
 import polars as pl
@@ -15,50 +12,56 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays, from_dtype
 
-from moc_opt.errors import TraceError
+import moc_opt as mo
+from moc_opt.errors import MocOptError, TraceError
+from moc_opt.report.run_table import run_table
+from moc_opt.scenario import Scenario, run
+from moc_opt.trace.meta import FORMS, Ending, check_entry
 from moc_opt.trace.trace import MissingDataError, Trace
 
-N = 50
+N = 40
 
 
-def example(rows: int = N) -> Trace:
+def example(rows=N):
     """A trace with columns of every type."""
     rng = np.random.default_rng(2)
     loss = rng.uniform(size=rows)
     loss[::3] = np.nan
     columns = {
-        "t_s": 0.002 * np.arange(rows), "q_rad": rng.normal(size=(rows, 7)),
-        "trocar_force_N": rng.normal(size=(rows, 3)), "verified": rng.uniform(size=rows) < 0.8, "loss": loss,
+        "t_s": 0.1 * np.arange(rows), "q_rad": rng.normal(size=(rows, 7)), "tip_m": rng.normal(size=(rows, 3)),
+        "mu": rng.uniform(0.1, 0.3, rows), "rcm_error_m": rng.uniform(0, 1e-3, rows), "loss": loss,
+        "verified": rng.uniform(size=rows) < 0.8, "own": rng.normal(size=(rows, 3)),
         "status": np.where(rng.uniform(size=rows) < 0.9, "solved", "infeasible"),
     }  # fmt: skip
-    return Trace(columns, {"solver": "osqp", "seed": 3, "config": {"rho": 1e-5, "gains": [1, 2]}})
+    scenario = {"name": "spiral", "control": {"law": "moc"}, "solver": {"name": "osqp"}}
+    return Trace(columns, {"ended": "completed", "period_s": 0.1, "robot": "lwr4", "scenario": scenario})
 
 
-def assert_same(one: Trace, other: Trace) -> None:
+@pytest.fixture(scope="module")
+def trace():
+    return example()
+
+
+def assert_same(one, other):
     """Same names in the same order, same types, shapes and bits."""
     assert list(one.columns) == list(other.columns)
     for name, array in one.columns.items():
         again = other.columns[name]
-        assert (again.dtype, again.shape) == (array.dtype, array.shape), name
-        assert again.tobytes() == array.tobytes(), name
-    assert dict(one.meta) == dict(other.meta)
-
-
-dtypes = st.sampled_from(["f8", "f4", "i8", "i1", "u2", "?", "U5"])
+        assert (again.dtype, again.shape, again.tobytes()) == (array.dtype, array.shape, array.tobytes()), name
+    # Python calls 1.0 and 1, or -0.0 and 0.0, equal; the types and signs must survive too.
+    assert repr(one.meta) == repr(other.meta)
 
 
 @st.composite
-def traces(draw: st.DrawFn) -> Trace:
+def traces(draw):
     """Any trace with columns unknown to the package, every bit pattern of a float included."""
-    rows = draw(st.integers(0, 6))
-    columns: dict[str, Any] = {}
+    rows, columns = draw(st.integers(0, 6)), {}
     for i in range(draw(st.integers(0, 4))):
-        dtype = np.dtype(draw(dtypes))
+        dtype = np.dtype(draw(st.sampled_from(["f8", "f4", "i8", "i1", "u2", "?", "U5"])))
         width = 0 if dtype.kind == "U" else draw(st.integers(0, 3))
         shape = (rows, width) if width else (rows,)
         if dtype.kind == "f":
-            bits = np.dtype(f"u{dtype.itemsize}")
-            columns[f"c{i}"] = draw(arrays(bits, shape)).view(dtype)
+            columns[f"c{i}"] = draw(arrays(np.dtype(f"u{dtype.itemsize}"), shape)).view(dtype)
         elif dtype.kind == "U":
             text = st.text(st.characters(exclude_categories=["Cs"]), max_size=5)
             columns[f"c{i}"] = np.array(draw(st.lists(text, min_size=rows, max_size=rows)), dtype=dtype)
@@ -73,83 +76,83 @@ def traces(draw: st.DrawFn) -> Trace:
     return Trace(columns, draw(st.dictionaries(st.text(), json, max_size=3)))
 
 
-@settings(max_examples=80, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(traces())
-def test_file_gives_back_every_bit(tmp_path: Path, trace: Trace) -> None:
+def test_file_pickle_and_copy_give_back_every_bit(tmp_path, trace):
     trace.save(tmp_path / "trace.parquet")
-    again = Trace.load(tmp_path / "trace.parquet")
-    assert_same(trace, again)
-    # Python calls 1.0 and 1, or -0.0 and 0.0, equal; the types and signs must survive too.
-    assert repr(again.meta) == repr(trace.meta)
+    for again in (Trace.load(tmp_path / "trace.parquet"), pickle.loads(pickle.dumps(trace)), copy.deepcopy(trace)):
+        assert_same(trace, again)
 
 
-def test_columns_are_attributes_and_length_is_ticks() -> None:
-    trace = example()
+def test_columns_are_attributes_and_length_is_ticks(trace):
     assert trace.q_rad is trace.columns["q_rad"]
-    assert len(trace) == N
-    assert len(Trace({})) == 0
-    assert "50 ticks" in repr(trace)
-
-
-def test_absent_column_is_an_attribute_error_with_the_nearest_names() -> None:
-    trace = example()
+    assert (len(trace), len(Trace({}))) == (N, 0)
+    assert {"q_rad", "own", "between", "plot"} <= set(dir(trace))
     with pytest.raises(MissingDataError, match=r"no column 'q_rads'; it has q_rad"):
         _ = trace.q_rads
     assert issubclass(MissingDataError, TraceError)
-    assert not hasattr(trace, "mu")
+    assert not hasattr(trace, "limited")
 
 
-def test_trace_is_frozen_and_owns_its_arrays() -> None:
-    mu, deep = np.ones(4), {"a": [1]}
-    trace = Trace({"mu": mu}, {"deep": deep})
-    mu[0] = 7.0
-    deep["a"].append(2)
-    assert trace.mu.tolist() == [1.0] * 4
-    assert trace.meta["deep"] == {"a": [1]}
-    with pytest.raises(ValueError, match="read-only"):
-        trace.mu[0] = 2.0
-    with pytest.raises(AttributeError, match="frozen"):
-        trace.mu = np.zeros(4)
-    with pytest.raises(TypeError):
-        trace.columns["mu"] = np.zeros(4)  # type: ignore[index]
-    # A read-only view of a writable array can still change underneath.
-    view = np.ones(4)
+def test_trace_is_frozen_and_owns_its_arrays():
+    mu, deep, view = np.ones(4), {"a": [1]}, np.ones(4)
     locked = view[:]
-    locked.setflags(write=False)
-    trace = Trace({"mu": locked})
-    view[0] = 5.0
-    assert trace.mu[0] == 1.0
+    locked.setflags(write=False)  # a read-only view of a writable array can still change underneath
+    made = Trace({"mu": mu, "own": locked}, {"deep": deep})
+    mu[0] = view[0] = 7.0
+    deep["a"].append(2)
+    assert made.mu.tolist() == made.own.tolist() == [1.0] * 4
+    assert made.meta["deep"] == {"a": [1]}
+    with pytest.raises(ValueError, match="read-only"):
+        made.mu[0] = 2.0
+    with pytest.raises(AttributeError):
+        made.mu = np.zeros(4)
+    with pytest.raises(TypeError):
+        made.columns["mu"] = np.zeros(4)
 
 
-def test_with_columns_adds_and_replaces() -> None:
-    trace = example()
-    more = trace.with_columns(mu=np.full(N, 0.3), loss=np.zeros(N))
+def test_with_columns_adds_and_replaces(trace):
+    more = trace.with_columns(mu=np.full(N, 0.3), force_N=np.zeros((N, 3)))
     assert more.mu.tolist() == [0.3] * N
-    assert more.loss.max() == 0.0
-    assert np.isnan(trace.loss).any()
-    assert "mu" not in trace.columns
-    # Nothing is copied that need not be.
-    assert more.q_rad is trace.q_rad
+    assert "force_N" not in trace.columns
+    assert more.q_rad is trace.q_rad, "nothing is copied that need not be"
     assert dict(more.meta) == dict(trace.meta)
-    with pytest.raises(TraceError, match="'mu' has 3 rows where 't_s' has 50"):
+    with pytest.raises(TraceError, match=f"'mu' has 3 rows where 't_s' has {N}"):
         trace.with_columns(mu=np.zeros(3))
 
 
-def test_select_keeps_the_numbers_of_the_ticks() -> None:
-    trace = example()
+def test_select_keeps_the_numbers_of_the_ticks(trace):
     part = trace.select(trace.verified)
     np.testing.assert_array_equal(part.tick, np.flatnonzero(trace.verified))
     np.testing.assert_array_equal(part.q_rad, trace.q_rad[trace.verified])
-    again = part.select(np.arange(len(part)) % 2 == 1)
-    np.testing.assert_array_equal(again.tick, part.tick[1::2])
-    with pytest.raises(TraceError, match="give 50 flags"):
+    np.testing.assert_array_equal(part.select(np.arange(len(part)) % 2 == 1).tick, part.tick[1::2])
+    with pytest.raises(TraceError, match=f"give {N} flags"):
         trace.select(np.arange(N))
 
 
-def test_pickle_and_copy_keep_everything() -> None:
-    trace = example()
-    assert_same(trace, pickle.loads(pickle.dumps(trace)))
-    assert_same(trace, copy.deepcopy(trace))
+def test_pieces_that_meet_make_the_whole(trace):
+    first, second = trace.between(0.0, 2.0), trace.between(2.0, 99.0)
+    assert np.array_equal(np.concatenate([first.tick, second.tick]), np.arange(N))
+    assert first.t_s[-1] < 2.0 <= second.t_s[0]
+    assert {**first.meta, "ended": trace.meta["ended"]} == {**trace.meta, "run_ended": "completed"}
+
+
+def test_a_part_of_a_run_says_so(trace):
+    whole = trace.with_meta(ticks=N, ticks_planned=N)
+    assert mo.summarize(whole)["completed"] == 1.0
+    for part in (whole.between(1.0, 2.0), whole.head(10), whole.select(np.arange(N) < 10)):
+        found = mo.summarize(part)
+        assert ("completed" in found, found["share_of_run"]) == (False, 0.25)
+        assert part.meta["run_ended"] == "completed"
+    part = whole.between(1.0, 2.0).head(3)
+    assert part.meta["ended"] == "part: 1.000 to 1.200 s of a run, which ended: completed"
+    assert run_table("x", part, mo.summarize(part)).title == "x (a part)"
+    assert whole.head(N).meta["ended"] == whole.head(N + 5).meta["ended"] == "completed"
+    untimed = trace.with_columns(t_s=np.full(N, np.nan)).head(10)
+    assert untimed.meta["ended"] == "part: 10 ticks of a run, which ended: completed"
+
+
+# --- what is refused ---
 
 
 @pytest.mark.parametrize(("name", "value"), [
@@ -159,47 +162,52 @@ def test_pickle_and_copy_keep_everything() -> None:
     ("other", np.zeros(N, dtype=np.float16)), ("other", np.zeros(N, dtype="M8[s]")), ("other", [None] * N),
     ("other", [[1.0], [1.0, 2.0]]), ("not a name", np.zeros(N)), ("save", np.zeros(N)), ("_private", np.zeros(N)),
 ])  # fmt: skip
-def test_unusable_columns_are_named(name: str, value: Any) -> None:
+def test_unusable_columns_are_named(name, value):
     with pytest.raises(TraceError, match=f"column {name!r}"):
         Trace({name: value})
 
 
-@pytest.mark.parametrize("value", [np.nan, np.inf, {1, 2}, np.zeros(2), {"deep": [np.nan]}])
-def test_meta_must_be_json(value: Any) -> None:
-    with pytest.raises(TraceError, match=r"meta\['seed'\] cannot be written as JSON"):
-        Trace({}, {"seed": value})
+@pytest.mark.parametrize(("call", "named"), [
+    (lambda t: t.between(None, None), "start_s = None"), (lambda t: t.between(0.0, True), "stop_s = True"),
+    (lambda t: t.between(7.0, 8.0), "from 0 to 3.9 s"), (lambda t: Trace({"mu": [1.0]}).between(0, 1), "column 't_s'"),
+    (lambda t: t.head(-1), "ticks = -1"), (lambda t: t.head(1.5), "ticks = 1.5"),
+    (lambda t: t.plot([]), r"columns = \[\]"), (lambda t: t.plot("mu"), "columns = 'mu'"),
+    (lambda t: t.plot(["status"]), "column 'status'"), (lambda t: t.plot(["mue"]), "column 'mue' .* such as mu"),
+    (lambda t: t.plot(beside="a.parquet"), "beside = 'a.parquet'"),
+    (lambda t: mo.summarize("a.parquet"), "trace is 'a.parquet'"), (lambda t: mo.summarize(t, 3), "baseline is 3"),
+    (lambda t: mo.summarize(t, t.head(20)), "20 ticks from 0.000 to 1.900 s where the trace has 40 ticks from 0.000"),
+    (lambda t: mo.summarize(t, t.with_columns(t_s=t.t_s + 0.1)), "from 0.100 to 4.000 s where"),
+])  # fmt: skip
+def test_a_wrong_argument_is_named(trace, call, named):
+    with pytest.raises(MocOptError, match=named):
+        call(trace)
 
 
-def test_meta_is_kept_as_json_gives_it_back() -> None:
-    assert Trace({}, {"a": (1, 2), "b": {3: "x"}}).meta == {"a": [1, 2], "b": {"3": "x"}}
-    with pytest.raises(TraceError, match="not a text"):
-        Trace({}, {1: "a"})  # type: ignore[dict-item]
+# --- the file ---
 
 
-def test_file_is_readable_by_others(tmp_path: Path) -> None:
-    """Here by pyarrow, and so by pandas."""
-    example().save(tmp_path / "t.parquet")
+def test_the_file_is_read_by_others_and_replaced_never_written_over(tmp_path):
+    path = tmp_path / "t.parquet"
+    example().save(path)
     parquet = pytest.importorskip("pyarrow.parquet")
-    table = parquet.read_table(tmp_path / "t.parquet")
+    table = parquet.read_table(path)
     assert table.schema.field("q_rad").type.list_size == 7
     assert str(table.schema.field("verified").type) == "bool"
-    assert b'"osqp"' in parquet.read_metadata(tmp_path / "t.parquet").metadata[b"moc_opt.meta"]
-    assert table.column("loss").null_count == 0
+    assert b'"osqp"' in parquet.read_metadata(path).metadata[b"moc_opt.meta"]
     assert table.column("status").to_pylist() == example().status.tolist()
+    with path.open("rb") as reader:
+        example(3).save(str(path))
+        assert len(pl.read_parquet(reader)) == N
+    assert len(Trace.load(str(path))) == 3
+    assert os.listdir(tmp_path) == ["t.parquet"]
 
 
-def test_byte_order_of_another_machine_is_turned() -> None:
-    trace = Trace({"mu": np.array([0.1, 0.2], dtype=">f8")})
-    assert trace.mu.dtype == np.dtype("f8")
-    assert trace.mu.tolist() == [0.1, 0.2]
-
-
-def test_failed_save_leaves_the_old_file_and_nothing_else(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_failed_save_leaves_the_old_file_and_nothing_else(tmp_path, monkeypatch):
     path = tmp_path / "t.parquet"
     example().save(path)
     before = path.read_bytes()
 
-    def full(handle: int) -> None:
+    def full(handle):
         raise OSError("no space left on device")
 
     monkeypatch.setattr(os, "fsync", full)
@@ -209,61 +217,143 @@ def test_failed_save_leaves_the_old_file_and_nothing_else(tmp_path: Path, monkey
     assert os.listdir(tmp_path) == ["t.parquet"]
 
 
-def test_save_replaces_and_keeps_no_partial_file(tmp_path: Path) -> None:
-    path = tmp_path / "t.parquet"
-    example().save(path)
-    # Who has the old file open keeps the old file: it is replaced, never written over.
-    with path.open("rb") as reader:
-        example(3).save(str(path))
-        assert len(pl.read_parquet(reader)) == N
-    assert len(Trace.load(str(path))) == 3
-    assert os.listdir(tmp_path) == ["t.parquet"]
+def test_byte_order_of_another_machine_is_turned():
+    mu = Trace({"mu": np.array([0.1, 0.2], dtype=">f8")}).mu
+    assert (mu.dtype, mu.tolist()) == (np.dtype("f8"), [0.1, 0.2])
 
 
-def test_damaged_files_are_told_from_good_ones(tmp_path: Path) -> None:
-    path = tmp_path / "t.parquet"
-    example(2000).save(path)
-    good = path.read_bytes()
-    for length in (0, 3, len(good) // 2, len(good) - 1):
-        path.write_bytes(good[:length])
-        with pytest.raises(TraceError, match=r"t\.parquet.*is damaged .* run the scenario again"):
-            Trace.load(path)
-
-
-def test_foreign_files_are_refused(tmp_path: Path) -> None:
-    path = tmp_path / "t.parquet"
-    with pytest.raises(TraceError, match=r"trace .*t.parquet.: no such file; check the path"):
-        Trace.load(path)
-    path.write_text("t_s,mu\n0.0,0.3\n")
-    with pytest.raises(TraceError, match="no trace"):
-        Trace.load(path)
-    with pytest.raises(TraceError, match="no regular file"):
-        Trace.load(tmp_path)
-    foreign = pl.DataFrame({"mu": [0.1, None]})
-    foreign.write_parquet(path)
-    with pytest.raises(TraceError, match=r"a Parquet file, but no trace: give a file written by Trace\.save"):
-        Trace.load(path)
-    foreign.write_parquet(path, metadata={"moc_opt.trace.trace": "99"})
-    with pytest.raises(TraceError, match="format '99'"):
-        Trace.load(path)
+def test_what_is_no_trace_is_refused(tmp_path):
+    foreign, versioned = tmp_path / "foreign.parquet", tmp_path / "versioned.parquet"
+    pl.DataFrame({"mu": [0.1, None]}).write_parquet(foreign)
+    pl.DataFrame({"mu": [0.1]}).write_parquet(versioned, metadata={"moc_opt.trace.trace": "99"})
+    (tmp_path / "text.parquet").write_text("t_s,mu\n0.0,0.3\n")
     (tmp_path / "s.toml").write_text("seed = 1\n")
-    with pytest.raises(TraceError, match=r"is a scenario, no trace: run it first: moc-opt run .* --trace"):
-        Trace.load(tmp_path / "s.toml")
+    example(2000).save(tmp_path / "good.parquet")
+    good = (tmp_path / "good.parquet").read_bytes()
+    for length in (0, 3, len(good) // 2, len(good) - 1):
+        (tmp_path / f"cut{length}.parquet").write_bytes(good[:length])
+    for name, said in {
+        "gone.parquet": "no such file", "text.parquet": "no trace", "": "no regular file", "s.toml": "is a scenario",
+        "foreign.parquet": "no trace", "versioned.parquet": "format '99'",
+        **{f"cut{length}.parquet": "is damaged" for length in (0, 3, len(good) // 2, len(good) - 1)},
+    }.items():  # fmt: skip
+        with pytest.raises(TraceError, match=said):
+            Trace.load(tmp_path / name)
 
 
 @pytest.mark.parametrize("name", ["t.csv", "t.JSON", "a.b.npz", "absent/t.parquet"])
-def test_a_name_of_another_format_or_in_no_folder_is_refused(name: str, tmp_path: Path) -> None:
+def test_a_name_of_another_format_or_in_no_folder_is_refused(name, tmp_path):
     with pytest.raises(TraceError):
         example().save(tmp_path / name)
     assert list(tmp_path.iterdir()) == []
 
 
-def test_every_documented_column_says_its_unit_and_shape() -> None:
+def test_every_documented_column_says_its_unit_and_shape():
     units = {"_m": "m", "_s": "s", "_us": "us", "_N": "N", "_Nm": "Nm", "_rad": "rad", "_rad_per_s": "rad/s"}
     for name, column in Trace.COLUMNS.items():
         assert column.shape in ("(N,)", "(N, 3)", "(N, n)", "(N, k)"), name
         assert column.meaning, name
-        # The unit stands in the name where there is one.
         suffix = max((end for end in units if name.endswith(end)), key=len, default=None)
-        if suffix is not None:
-            assert column.unit == units[suffix], name
+        assert suffix is None or column.unit == units[suffix], name
+
+
+# --- meta ---
+
+WARNING = {"of": "the RCM error", "unit": "m", "level": 6e-3, "first_s": 0.1, "largest": 8e-3}
+ENTRIES = {
+    "ended": ("stopped: the tip", 3), "robot": ("lwr4", None), "mu_bound_method": ("scanned", []), "ticks": (3, 3.5),
+    "ticks_planned": (9, True), "period_s": (0.002, "0.002"), "stopped_at_s": (1, [1.0]),
+    "faults": ({"raised": {"count": 2, "first_at_s": 0.0, "first": "x"}}, {"raised": {"count": 2, "first": "x"}}),
+    "restarts": ([{"at_s": 0.1, "reason": "it hung"}], {"at_s": 0.1, "reason": "it hung"}),
+    "warnings": ([WARNING], [{**WARNING, "level": None}]),
+    "scenario": ({"robot": {"name": "lwr4", "tool_length_m": None}, "seed": 1}, {"robot": ["lwr4"]}),
+    "best_courses": ({"absent": ""}, {"absent": "", "end": {"mu": 0.1}}),
+}  # fmt: skip
+"""Entry -> one of its kind, and one of another."""
+
+
+@pytest.mark.parametrize("name", FORMS)
+def test_an_entry_of_another_kind_is_refused_by_its_name(name):
+    sound, wrong = ENTRIES[name]
+    Trace({"mu": np.ones(2)}, {name: sound, "my_own": [{"a": None}]})
+    for give in (lambda meta: Trace({}, meta), lambda meta: Trace({}).with_meta(**meta)):
+        with pytest.raises(TraceError, match=name):
+            give({name: wrong})
+
+
+def test_meta_is_kept_as_json_gives_it_back():
+    assert Trace({}, {"a": (1, 2), "b": {3: "x"}}).meta == {"a": [1, 2], "b": {"3": "x"}}
+    for value in (np.nan, np.inf, {1, 2}, np.zeros(2), {"deep": [np.nan]}):
+        with pytest.raises(TraceError, match=r"meta\['seed'\]"):
+            Trace({}, {"seed": value})
+    with pytest.raises(TraceError, match="not a text"):
+        Trace({}, {1: "a"})
+
+
+@pytest.mark.parametrize("changes", [
+    {"faults": {"solver": "raise", "solver_share": 0.5}}, {"robot": {"tool_length_m": 0.25}, "best_courses": True},
+    {"guard": {"rcm_error_m": 1e-9, "rcm_warning_m": 1e-9}},
+])  # fmt: skip
+def test_what_runs_leave_is_of_its_kind(changes):
+    meta = run(Scenario(**changes, duration_s=0.3, bound_samples=2)).meta
+    assert set(meta) & set(FORMS) >= {"ended", "robot", "ticks", "ticks_planned", "period_s", "scenario"}
+    for name, value in meta.items():
+        check_entry(name, value)
+
+
+@pytest.mark.parametrize(("text", "ending", "whole"), [
+    ("completed", Ending.COMPLETED, True), ("oscillated: joint_7 at 47 Hz, 0.51 rad/s", Ending.OSCILLATED, True),
+    ("stopped: the tip is 12 mm off (t = 0.100 s)", Ending.STOPPED, False), ("failed", Ending.FAILED, False),
+    ("ran away at t = 0.250 s", Ending.RAN_AWAY, False), ("ScenarioError: seed = -1", Ending.FAILED, False),
+    ("", Ending.FAILED, False),
+])  # fmt: skip
+def test_the_first_word_decides(text, ending, whole):
+    assert Ending.of(text) is ending
+    assert Ending.of(text).whole is whole
+
+
+# --- as others have it ---
+
+
+def test_pandas_has_every_number_of_every_column(trace):
+    frame = trace.to_pandas()
+    assert (frame.index.name, frame.shape) == ("t_s", (N, 7 + 3 + 3 + 5))
+    assert np.array_equal(frame.index, trace.t_s)
+    assert np.array_equal(frame[["tip_m_x", "tip_m_y", "tip_m_z"]], trace.tip_m)
+    assert np.array_equal(frame[[f"q_rad_{joint}" for joint in range(7)]], trace.q_rad)
+    assert np.array_equal(frame["own_2"], trace.own[:, 2])
+    assert list(frame["status"]) == list(trace.status)
+    assert frame.attrs["ended"] == "completed"
+
+
+def test_xarray_names_the_dimensions_and_units(trace):
+    pytest.importorskip("xarray", reason="xarray is not installed: pip install 'moc-opt[dataframes]'")
+    found = trace.to_xarray()
+    assert (found.q_rad.dims, found.tip_m.dims) == (("t_s", "joint"), ("t_s", "axis"))
+    assert found.q_rad.attrs["units"] == "rad"
+    assert np.array_equal(found.t_s, trace.t_s)
+    assert np.array_equal(found.tip_m.sel(axis="y"), trace.tip_m[:, 1])
+    assert np.array_equal(found.own, trace.own)
+    assert found.attrs["robot"] == "lwr4"
+
+
+@pytest.mark.parametrize(("package", "method"), [("pandas", "to_pandas"), ("xarray", "to_xarray")])
+def test_without_the_package_the_extra_is_named(trace, monkeypatch, package, method):
+    monkeypatch.setitem(sys.modules, package, None)
+    with pytest.raises(TraceError, match=rf"{package} is not installed: pip install 'moc-opt\[dataframes\]'"):
+        getattr(trace, method)()
+
+
+def test_plot_draws_the_columns_asked_for_and_a_baseline(trace):
+    lines = {line.name: line for line in trace.plot(["mu"], name="osqp", beside=trace.between(0.0, 1.0)).data}
+    assert set(lines) == {"baseline", "osqp"}
+    assert np.allclose(lines["osqp"].y, trace.mu)
+    assert len(lines["baseline"].x) == 10
+    assert {line.name for line in trace.plot().data} == {"run"}
+
+
+def test_repr_says_what_run_it_is(trace):
+    assert repr(trace).startswith("Trace(40 ticks, 4.000 s, spiral, lwr4, osqp, completed: t_s, q_rad")
+    html = trace.with_meta(ended="stopped: <b>off</b>")._repr_html_()
+    assert all(words in html for words in ("osqp", "mu [m^3]", "&lt;b&gt;off"))
+    assert "<b>off" not in html
