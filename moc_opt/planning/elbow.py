@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from moc_opt.arrays import Array
 from moc_opt.errors import RobotError
-from moc_opt.planning.self_motion import SelfMotion, parabola_peak, self_motion
+from moc_opt.planning.self_motion import SelfMotion, curve_through, parabola_peak
 from moc_opt.robots.chain import link_frames
 from moc_opt.robots.model import RobotModel
 
@@ -80,13 +80,9 @@ def distance_to_go(robot: RobotModel, q: ArrayLike, step: float = 0.1) -> tuple[
     a pose is singular: no single curve leads through it. A pose beyond a limit is taken at the limit.
     """
     poses = np.clip(np.asarray(q, dtype=np.float64), robot.q_min, robot.q_max)
-    found = np.full((2, len(poses)), np.nan)
-    for k, pose in enumerate(poses):
-        try:
-            found[:, k] = uphill(self_motion(robot, pose, step))
-        except RobotError:
-            continue  # stays NaN, as documented
-    return found[0], found[1]
+    curves = [curve_through(robot, pose, step) for pose in poses]
+    found = np.array([(np.nan, np.nan) if curve is None else uphill(curve) for curve in curves]).reshape(-1, 2)
+    return found[:, 0], found[:, 1]
 
 
 def in_transient(

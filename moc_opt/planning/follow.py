@@ -29,6 +29,7 @@ ON_COURSE_RAD = 0.05
 Else the delay of a solve would close a second loop, which oscillates near singular poses."""
 MOST_OFF = 1e-3  #: Of an answer that is followed: tip or wrist off its target [m], a joint beyond a limit [rad].
 LOST_RAD = 0.3  #: Farther from its course in one joint, an arm has left it: ten times the usual error.
+NO_COURSE = "q_start: no course goes to the end of the path from there within joint speeds and limits"
 ASKED_EACH = 25  #: Ticks between two checks whether the arm has left its course.
 
 
@@ -151,7 +152,7 @@ class Follower:
         self._every = 0 if planner is None else max(1, round(1.0 / (planner.rate_per_s * period_s)))
         self.start()
         if self._now is None:
-            raise TaskError("q_start: no course goes to the end of the path from there within joint speeds and limits")
+            raise TaskError(NO_COURSE)
 
     def start(self) -> None:
         """Go back to t = 0, and to the given course."""

@@ -6,6 +6,7 @@ again in it ("receding"). Both keep to the same limits, and `moc_opt.planning.fo
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Mapping
 from copy import copy
 from dataclasses import dataclass, replace
@@ -28,11 +29,11 @@ from moc_opt.planning.course import (
     make_course,
     margin_at,
 )
-from moc_opt.planning.follow import CATCH_UP, NODES, Follower, Planner
-from moc_opt.planning.plan import best_course, make_plan
-from moc_opt.planning.pose_map import PoseMap, map_of
-from moc_opt.planning.program import SETTLED_S, Program, refine
-from moc_opt.planning.search import WHOLE_CELL, Value, keeping_shaft
+from moc_opt.planning.follow import CATCH_UP, NO_COURSE, NODES, Follower, Planner
+from moc_opt.planning.plan import make_plan
+from moc_opt.planning.pose_map import map_of
+from moc_opt.planning.program import SETTLED_S, SMOOTH_LOSS, Program, refine
+from moc_opt.planning.search import WHOLE_CELL, Value, Way, keeping_shaft
 from moc_opt.robots.model import RobotModel
 from moc_opt.trace.trace import Trace
 
@@ -45,10 +46,14 @@ beside what a joint turns in it."""
 TARGETS_PER_TIME = 20
 """Targets between two times of that map: the horizon interpolates between them."""
 QUARTER = 0.5
-"""Of half a cell, what a pose of that map stands for."""
+"""Of half a cell, what a pose of that map stands for: near singular poses the steps of the map are too coarse."""
 SPEEDS = (1.0, 0.7, 0.4)
 """Of a course's speed, one after the other where no faster one is smooth and brakes off in time; the last one need not
 brake where no course does."""
+HURRY, WORTH_IT = 1.12, 0.01
+"""A course may be faster by this factor, up to `FASTEST` of the joint speeds, where that gains so large a share of mean
+mu: its errors of tip and RCM are larger, and at most starts it gains a tenth of that."""
+FASTEST = 0.97
 BRAKE_SHARE = 0.9
 """Of the deceleration that the safety filter's wall allows, a course that is made before the run uses this much."""
 SMOOTHNESS = {"planned": 1e-4, "receding": 5e-4}
@@ -73,18 +78,6 @@ class Following:
     brake: float  #: deceleration that the safety filter's wall allows [rad/s^2]
     period_s: float  #: of control
 
-    def limits(self, part: float) -> tuple[Limits, Limits]:
-        """Return what a course keeps where it can, and where it cannot keep the margin from the joint limits."""
-        settings = self.settings
-        margin = margin_of(self.robot, settings.course_margin_rad, settings.limit_margin_m)
-        share, shaft = part * settings.course_speed_fraction, COURSE_SHARE * settings.shaft_margin
-        wanted = Limits(margin_at(self.robot, self.q_start, margin), share, shaft=shaft)
-        return wanted, Limits(0.0, share, shaft=shaft)
-
-    def lowered(self, found: PoseMap) -> PoseMap:
-        """Lower the map's mu where the shaft's manipulability is too low."""
-        return keeping_shaft(found, Limits(shaft=COURSE_SHARE * self.settings.shaft_margin))
-
     def stuck(self, part: float) -> ScenarioError:
         """Say where the path cannot be executed."""
         limits = Limits(speed_share=part * self.settings.course_speed_fraction)
@@ -94,6 +87,51 @@ class Following:
             f"[control] third_level = {self.settings.third_level!r}: no course goes all the way from this start: "
             f"{where}; see `moc-opt plan`, or take third_level = 'local'"
         )
+
+
+class Ways:
+    """One coarse map of a run's path, V over it at each of `SPEEDS`, and the ways read off V."""
+
+    def __init__(self, run: Following) -> None:
+        self.run, settings = run, run.settings
+        self.fine = run.targets(period_s=V_PERIOD_S, finer=TARGETS_PER_TIME)
+        whole = map_of(run.robot, run.q_start, self.fine[::TARGETS_PER_TIME])
+        self.shaft = COURSE_SHARE * settings.shaft_margin
+        self._map = keeping_shaft(whole, Limits(shaft=self.shaft))
+        #: Mean over the time of the largest mu [m^3].
+        self.usual = float(np.where(whole.feasible(), whole.mu, 0.0).max(axis=(1, 2)).mean())
+        self._known: dict[float, tuple[Value, Limits, Way]] = {}
+
+    @property
+    def speeds(self) -> tuple[float, ...]:
+        """`SPEEDS`, with `HURRY` before them where it is worth it."""
+        q, mu = self.run.q_start, float(self.run.robot.state(self.run.q_start).mu)
+        usual, fast = (self.at(part)[0].of(q, mu) for part in (1.0, HURRY))
+        return (HURRY, *SPEEDS) if fast > (1.0 + WORTH_IT) * usual else SPEEDS
+
+    def at(self, part: float) -> tuple[Value, Limits, Way]:
+        """Return V at this part of a course's speed, the limits that it keeps, and the way from the start.
+
+        The margin from joint limits is left out where there is no way with it, and then a pose stands for its whole
+        cell where the steps of the map are just too coarse; a ScenarioError where there is no way at all.
+        """
+        if part not in self._known:
+            run, settings = self.run, self.run.settings
+            margin = margin_of(run.robot, settings.course_margin_rad, settings.limit_margin_m)
+            share = part * settings.course_speed_fraction
+            share = share if part <= 1.0 else max(min(share, FASTEST), settings.course_speed_fraction)
+            price = SMOOTHNESS["receding"] / SETTLED_S**2 * self.usual
+            margins = margin_at(run.robot, run.q_start, margin), 0.0
+            for cell, kept in itertools.product((QUARTER, WHOLE_CELL), margins):
+                limits = Limits(kept, share, shaft=self.shaft)
+                value = Value(self._map, limits, cell=cell, price=price)
+                way = value.way(run.q_start)
+                if way is not None:
+                    self._known[part] = value, limits, way
+                    break
+            else:
+                raise run.stuck(part)
+        return self._known[part]
 
 
 def guides(run: Following) -> Callable[[], Guide] | None:
@@ -108,66 +146,55 @@ def guides(run: Following) -> Callable[[], Guide] | None:
     Raises:
         ControlError: the third level cannot follow under these settings.
         ScenarioError: the path cannot be executed from the start; says where and why.
+        TaskError: no smooth course was found at the start.
     """
     settings, period = run.settings, run.period_s
     if settings.third_level == "local":
         return None
     settings.check_guided()
     if settings.third_level == "receding":
-        make = replanned(run)
+        make = replanned(Ways(run))
         return lambda: Follower(period, planner=make(), q_start=run.q_start)
-    course = followed_course(run)
+    ways = Ways(run)
+    course = followed_course(run, ways)
     try:
-        rescue = replanned(run)
-    except (ScenarioError, TaskError):  # its coarser map has no way where the course has one
+        rescue = replanned(ways)
+    except (ScenarioError, TaskError):  # no way, or no smooth course on it, where the course of a file has one
         return lambda: Follower(period, course=course)
     return lambda: Follower(period, course=course, planner=rescue())
 
 
-def replanned(run: Following) -> Callable[[], Planner]:
-    """Compute the map and V of a receding horizon, and return what makes a planner on it.
-
-    Raises:
-        ScenarioError: the map has no way from the start to the end.
-        TaskError: no smooth course was found at the start.
-    """
-    settings, smooth = run.settings, SMOOTHNESS["receding"]
-    fine = run.targets(period_s=V_PERIOD_S, finer=TARGETS_PER_TIME)
-    whole = map_of(run.robot, run.q_start, fine[::TARGETS_PER_TIME])
-    lowered, usual = run.lowered(whole), float(np.where(whole.feasible(), whole.mu, 0.0).max(axis=(1, 2)).mean())
+def replanned(ways: Ways) -> Callable[[], Planner]:
+    """Return what makes a planner of a receding horizon."""
+    run, settings, smooth = ways.run, ways.run.settings, SMOOTHNESS["receding"]
     # The last ones without braking in time, and with V alone to hold the course from losing the shaft.
-    ladder = [(part, run.brake, True) for part in SPEEDS]
+    ladder = [(part, run.brake, True) for part in ways.speeds]
     for part, brake, kept in [*ladder, (SPEEDS[-1], np.inf, True), (SPEEDS[-1], np.inf, False)]:
-        for limits in run.limits(part):
-            value = Value(lowered, limits, cell=QUARTER, price=smooth / SETTLED_S**2 * usual)
-            if value.way(run.q_start) is not None:
-                break
-        else:
-            raise run.stuck(part)
+        value, limits, _ = ways.at(part)
         held = replace(limits, speed_share=CATCH_UP * limits.speed_share, shaft=limits.shaft if kept else 0.0)
         program = Program(
-            run.robot, NODES, V_PERIOD_S, held, mu=usual, smoothness=smooth, brake=brake, horizon=True
+            run.robot, NODES, V_PERIOD_S, held, mu=ways.usual, smoothness=smooth, brake=brake, horizon=True
         )
 
         def make(value: Value = value, program: Program = program) -> Planner:
             # Each controller makes a solver of its own.
             return Planner(
-                value, copy(program), fine, horizon_s=settings.horizon_s, rate_per_s=settings.replan_per_s
+                value, copy(program), ways.fine, horizon_s=settings.horizon_s, rate_per_s=settings.replan_per_s
             )
 
         if make().plan(run.q_start, 0.0, None) is not None:
             return make
-    raise TaskError("q_start: no course goes to the end of the path from there within joint speeds and limits")
+    raise TaskError(NO_COURSE)
 
 
-def followed_course(run: Following) -> Course:
+def followed_course(run: Following, ways: Ways | None = None) -> Course:
     """Return the best course in mean mu from the start of this run that the third level can follow, made smooth.
 
     Raises:
         ScenarioError: no course goes all the way, or the file of ``[control] course`` is refused.
+        TaskError: no smooth course was found.
     """
-    robot, targets, brake = run.robot, run.targets(), BRAKE_SHARE * run.brake
-    smooth = SMOOTHNESS["planned"]
+    robot, targets, brake, smooth = run.robot, run.targets(), BRAKE_SHARE * run.brake, SMOOTHNESS["planned"]
     if run.settings.course:
         course, limits, objective = load_course(run.settings, robot, run.q_start, targets)
         for rule in (brake, np.inf):
@@ -175,24 +202,18 @@ def followed_course(run: Following) -> Course:
             if found is not course:
                 return found
         return course  # as it is, where smoothness would cost too much
-    lowered = run.lowered(map_of(robot, run.q_start, targets))
-    for part in SPEEDS:
-        for limits in run.limits(part):
-            # In whole cells where the grid's steps are just too coarse: the program puts the poses right.
-            each = (best_course(Value(lowered, limits, cell=cell), limits, run.q_start) for cell in (0.0, WHOLE_CELL))
-            q = next((q for q in each if q is not None), None)
-            if q is not None:
-                break
-        else:
-            raise run.stuck(part)
-        course = make_course(robot, targets, q, limits)
-        for rule in (brake,) if part > SPEEDS[-1] else (brake, np.inf):
-            found = refine(robot, targets, course, limits, smoothness=smooth, brake=rule)
-            if found is not course:
+    ways, other = ways or Ways(run), []
+    for part, rule in [*((part, brake) for part in ways.speeds), (SPEEDS[-1], np.inf)]:
+        _, limits, way = ways.at(part)
+        course = make_course(robot, targets, between(targets.t_s, way.t_s, way.q_rad), limits)
+        found = refine(robot, targets, course, limits, smoothness=smooth, brake=rule)
+        if found.kept:
+            other.append(found)
+            if found.mu_mean > (1.0 - SMOOTH_LOSS) * course.mu_mean:
                 return found
-    if not course.kept:
-        raise run.stuck(part)
-    return course
+    if not other:
+        raise TaskError(NO_COURSE)
+    return max(other, key=lambda course: course.mu_mean)
 
 
 def load_course(

@@ -28,6 +28,9 @@ from moc_opt.planning.program import refine, worth
 from moc_opt.planning.search import WHOLE_CELL, Value, keeping_shaft, reached
 from moc_opt.robots.model import RobotModel
 
+ROOM = 0.01
+"""Share of the bound that may lie above a course; where more does, the program also begins at the bound's course."""
+
 
 @dataclass(frozen=True, eq=False)
 class Blocked:
@@ -127,55 +130,63 @@ def make_plan(
         TaskError: an argument is out of range, or the start is not at the first target.
         RobotError: fewer than 8 swivels, or more than `pose_map.MOST_SWIVELS`.
     """
-    limits = limits or Limits()
+    limits, start = limits or Limits(), np.array(q_start, dtype=np.float64)
     check_limits(robot, limits, objective)
-    tips, wrists = robot.tool_along(np.asarray(q_start, dtype=np.float64)[None])
+    tips, wrists = robot.tool_along(start[None])
     off = max(np.abs(tips[0] - targets.tip[0]).max(), np.abs(wrists[0] - targets.wrist[0]).max())
     if off > 1e-6:
         raise TaskError(f"q_start: tip or wrist is {1e3 * off:.3g} mm from the path's first point: begin it there")
     if np.isfinite(limits.acceleration) and not refined:
         raise TaskError(f"acceleration = {limits.acceleration:g}: the grid alone knows no limit; give refined = True")
-    limits = replace(limits, margin=margin_at(robot, q_start, limits.margin))
-    clock, given = [time.perf_counter()], np.array(q_start, dtype=np.float64)
-    whole = map_of(robot, given, targets, swivels)
+    limits, clock = replace(limits, margin=margin_at(robot, start, limits.margin)), [time.perf_counter()]
+
+    def took() -> float:
+        clock.append(time.perf_counter())
+        return clock[-1] - clock[-2]
+
+    whole = map_of(robot, start, targets, swivels)
     found, top = keeping_shaft(whole, limits), float(np.nanmax(whole.mu, initial=0.0))
-    clock.append(time.perf_counter())
+    map_s = took()
     value = Value(found, limits, objective)
-    grid = [best_course(value, limits, start) for start in (given, None)]
-    clock.append(time.perf_counter())
-    bound = Value(found, limits, objective, cell=WHOLE_CELL)
-    bounds = [bound.of(given, float(robot.state(given).mu)), bound.best()[0]]
-    clock.append(time.perf_counter())
+    grid = [best_course(value, limits, begin) for begin in (start, None)]
+    search_s = took()
+    relaxed = Value(found, limits, objective, cell=WHOLE_CELL)
+    bounds = [relaxed.of(start, float(robot.state(start).mu)), relaxed.best()[0]]
+    bound_s = took()
+
+    def better(one: Course | None, other: Course | None) -> Course | None:
+        both = [course for course in (one, other) if course is not None]
+        return max(both, key=lambda course: worth(robot, course, limits, objective, top), default=None)
+
     courses: list[Course | None] = []
-    for q, start in zip(grid, (given, None), strict=True):
-        sure = q is not None and not np.isfinite(limits.acceleration)  # the grid knows all limits but that
-        if q is None and refined:  # where the grid's steps are just too coarse
-            q = best_course(bound, limits, start)
+    for q, begin, bound in zip(grid, (start, None), bounds, strict=True):
         course = None if q is None else make_course(robot, targets, q, limits)
         if course is not None and refined:
             course = refine(robot, targets, course, limits, objective)
-        courses.append(course if course is not None and (course.kept or sure) else None)
-    clock.append(time.perf_counter())
-    took = np.diff(clock).tolist()
-    if courses[0] is not None:  # the given start is one of all starts
-        both = [course for course in courses[::-1] if course is not None]
-        courses[1] = max(both, key=lambda course: worth(robot, course, limits, objective, top))
-    mine, best = courses
-    elbow = Elbow(robot, targets.wrist)
-    shown = mine if mine is not None else best
-    climbed = make_course(robot, targets, climb(found, given, limits), limits)
+        if course is not None and not course.kept and np.isfinite(limits.acceleration):
+            course = None  # the grid knows every limit but that one
+        if refined and (course is None or course.value(objective) + ROOM * abs(bound) < bound):
+            q = best_course(relaxed, limits, begin)  # where the grid's steps are just too coarse
+            if q is not None:
+                other = refine(robot, targets, make_course(robot, targets, q, limits), limits, objective)
+                course = better(course, other if other.kept else None)
+        courses.append(course)
+    mine, best = courses[0], better(courses[1], courses[0])  # the given start is one of all starts
+    refine_s = took()
+    elbow, shown = Elbow(robot, targets.wrist), mine if mine is not None else best
     # None without a course, and where the course shows that it is none.
     mine_most, most = (
-        np.nan if course is None or course.value(objective) > value else value
-        for course, value in zip(courses, bounds, strict=True)
+        np.nan if course is None or course.value(objective) > bound else bound
+        for course, bound in zip((mine, best), bounds, strict=True)
     )
+    climbed = make_course(robot, targets, climb(found, start, limits), limits)
     return Plan(
         objective, targets, mine, best, climbed, mine_most, most,
-        blocked=None if mine is not None else _blocked(found, given, limits, grid[0], bounds[0]),
-        start_swivel_rad=float(elbow.swivel(given[None])[0]),
+        blocked=None if mine is not None else _blocked(found, start, limits, grid[0], bounds[0]),
+        start_swivel_rad=float(elbow.swivel(start[None])[0]),
         best_swivel_rad=np.nan if best is None else float(elbow.swivel(best.q_rad[:1])[0]),
         swivel_rad=np.empty(0) if shown is None else np.unwrap(elbow.swivel(shown.q_rad)),
-        map_s=took[0], search_s=took[1], bound_s=took[2], refine_s=took[3],
+        map_s=map_s, search_s=search_s, bound_s=bound_s, refine_s=refine_s,
     )  # fmt: skip
 
 
@@ -202,15 +213,11 @@ def best_course(value: Value, limits: Limits, start: Array | None) -> Array | No
 
     Of all courses with the largest worst mu (to rounding) the one with the best mean is taken.
     """
-    least = value.best()[0] if start is None else value.of(start, float(value.map.robot.state(start).mu))
-    if not np.isfinite(least):
-        return None
     if value.objective == "worst":
+        least = value.best()[0] if start is None else value.of(start, float(value.map.robot.state(start).mu))
         value = Value(value.map, limits, cell=value.cell, floor=least - 1e-12)
     start = value.best()[1] if start is None else start
-    if start is None:
-        return None
-    way = value.way(start)
+    way = None if start is None else value.way(start)
     return None if way is None else way.q_rad
 
 
@@ -268,48 +275,37 @@ def _blocked(found: PoseMap, start: Array, limits: Limits, grid: Array | None, b
         x, y, z = targets.tip[k].tolist()
         return Blocked(float(targets.t_s[k]), float(targets.arc_length_m[k]), (x, y, z), reason)
 
+    def nearest_limit(k: int, among: NDArray[np.bool_]) -> str:
+        q = found.q_rad[k][among][int(np.argmax(found.room_rad[k][among]))]
+        beyond = np.where(robot.moves.any(axis=0), np.maximum(q - robot.q_max, robot.q_min - q), -np.inf)
+        return str(names[int(np.argmax(beyond))])
+
     if grid is not None:  # the best course without a limit on accelerations is there
         gained = faster(grid) / targets.period_s**2
         k, j = (int(i) for i in np.unravel_index(int(np.argmax(gained)), gained.shape))
         most = f"the one without takes {names[j]} to {gained[k, j]:.3g} rad/s^2 there"
         return at(k, f"no course keeps the acceleration limit; {most}")
-    known, feasible = np.isfinite(found.mu), found.feasible(limits.margin)
     each = reached(found, start, limits)
     k = min(len(each) + 1, len(targets) - 1)
-    if not known[k].any():
+    known, feasible = np.isfinite(found.mu[k]), found.feasible(limits.margin)[k]
+    if not known.any():
         return at(k, "out of reach: no pose has tip and wrist there, whatever the joint limits")
-    if not feasible[k].any():
-        name = _nearest_limit(found, k, known[k])
-        return at(k, f"no pose there is within the joint limits: {name} is beyond its own")
-    before = found.q_rad[k - 1][each[-1]] if each else start[None]
+    if not feasible.any():
+        return at(k, f"no pose there is within the joint limits: {nearest_limit(k, known)} is beyond its own")
     step = limits.speed_share * robot.v_max * targets.period_s
-    share, _, there = _nearest(before, found.q_rad[k], known[k], step)
-    wanted, fast, _ = _nearest(before, found.q_rad[k], feasible[k], step)
-    if share <= 1.0 < wanted:  # the poses next to those reached exist, and are beyond a limit
-        name = _nearest_limit(found, k, there)
+    near, least, fast = np.zeros(known.shape, dtype=np.bool_), np.inf, 0
+    for pose in found.q_rad[k - 1][each[-1]] if each else start[None]:
+        shares = np.abs(found.q_rad[k] - pose) / step
+        largest = shares.max(axis=-1)
+        near |= known & (largest <= 1.0)
+        wanted = float(largest[feasible].min())
+        if wanted < least:
+            least, fast = wanted, int(np.argmax(shares[feasible][int(np.argmin(largest[feasible]))]))
+    if near.any() and least > 1.0:  # the poses next to those reached exist, and are beyond a limit
+        name = nearest_limit(k, near)
         return at(k, f"{name} runs into its limit; only other swivels or branches have poses within the limits")
     doubt = " between the poses of the map; the bound excludes no other way" if np.isfinite(bound) else ""
-    return at(k, f"{names[fast]} would have to turn at {wanted:.3g} times its speed limit{doubt}")
-
-
-def _nearest(before: Array, q: Array, to: NDArray[np.bool_], step: Array) -> tuple[float, int, NDArray[np.bool_]]:
-    least, joint, near = np.inf, -1, np.zeros(to.shape, dtype=np.bool_)
-    for pose in before:
-        parts = np.abs(q - pose) / step
-        share = np.where(to, parts.max(axis=-1), np.inf)
-        near |= share <= 1.0
-        at = np.unravel_index(int(np.argmin(share)), share.shape)
-        if share[at] < least:
-            least, joint = float(share[at]), int(np.argmax(parts[at]))
-    return least, joint, near
-
-
-def _nearest_limit(found: PoseMap, k: int, among: NDArray[np.bool_]) -> str:
-    robot, room = found.robot, np.where(among, found.room_rad[k], -np.inf)
-    q = found.q_rad[k][np.unravel_index(int(np.argmax(room)), room.shape)]
-    moving = np.asarray(robot.moves.any(axis=0))
-    beyond = np.where(moving, np.maximum(q - robot.q_max, robot.q_min - q), -np.inf)
-    return str(robot.data.joint_names[int(np.argmax(beyond))])
+    return at(k, f"{names[fast]} would have to turn at {least:.3g} times its speed limit{doubt}")
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,6 +21,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
+import pinocchio as pin
 from numpy.typing import NDArray
 
 from moc_opt import core
@@ -28,7 +29,7 @@ from moc_opt.arrays import Array
 from moc_opt.errors import RobotError, shown
 from moc_opt.planning.course import Margin, Targets
 from moc_opt.planning.elbow import Elbow, wrapped
-from moc_opt.planning.self_motion import self_motion
+from moc_opt.planning.self_motion import curve_through
 from moc_opt.robots.chain import link_frames
 from moc_opt.robots.inverse_kinematics import nearest_pose, solve_pose
 from moc_opt.robots.model import RobotModel
@@ -143,20 +144,17 @@ def closed_form(robot: RobotModel) -> ClosedForm | None:
     # The point of an axis nearest to the next one, which is at a right angle to it.
     shoulder, elbow, center = (origins[j] + axes[j] * ((origins[j + 1] - origins[j]) @ axes[j]) for j in (0, 2, 4))
     through = [(shoulder, 1), (shoulder, 2), (elbow, 3), (elbow, 4), (center, 5), (center, 6), (tip, 6)]
-    off = [float(np.linalg.norm(np.cross(point - origins[j], axes[j]))) for point, j in through]
-    off.append(float(np.linalg.norm(wrist - center)))
+    off = [np.linalg.norm(np.cross(point - origins[j], axes[j])) for point, j in through]
     upper, fore = float((elbow - shoulder) @ axes[2]), float((center - elbow) @ axes[4])
     whole = (robot.q_max - robot.q_min)[:6].max() > 2.0 * np.pi
-    if max(off) > EXACT_M or min(abs(upper), abs(fore)) < EXACT_M or whole:
+    if max(*off, np.linalg.norm(wrist - center)) > EXACT_M or min(abs(upper), abs(fore)) < EXACT_M or whole:
         return None
     base = np.column_stack([np.cross(axes[1], axes[0]), axes[1], axes[0]])
     offset, turned = np.zeros(6), np.array(base)
     for j in range(1, 6):  # the angle at which the normal form has axis j + 1 where the arm has it at q = 0
         x, y, z = turned.T @ axes[j + 1]
-        offset[j] = angle = np.arctan2(x, z) if j % 2 else np.arctan2(-x, y)
-        c, s = np.cos(angle), np.sin(angle)
-        about_y, about_z = [[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]], [[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]
-        turned = turned @ np.array(about_y if j % 2 else about_z)
+        offset[j] = np.arctan2(x, z) if j % 2 else np.arctan2(-x, y)
+        turned = turned @ pin.exp3(offset[j] * np.eye(3)[1 if j % 2 else 2])
     return ClosedForm(base, shoulder, upper, fore, float((tip - center) @ axes[6]), offset)
 
 
@@ -280,10 +278,9 @@ def _add(free: RobotModel, pose: Array | None, found: list[Array], step: float, 
         apart = np.where(free.chain.prismatic, curve - pose, wrapped(curve - pose))[:, moving]
         if np.linalg.norm(apart, axis=1).min() < SAME_CURVE * step:
             return
-    try:
-        found.append(np.array(self_motion(free, pose, step).q))
-    except RobotError:
-        return  # a singular pose: no single curve leads through it
+    traced = curve_through(free, pose, step)
+    if traced is not None:
+        found.append(traced.q)
 
 
 class Largest(NamedTuple):
@@ -306,9 +303,9 @@ def largest_mu(robot: RobotModel, poses: Array, *, starts: int = STARTS, seed: i
     count, tips, wrists = len(inside), *robot.tool_along(inside)
     targets, best = np.stack([tips, wrists], axis=1), np.empty(count)
     if closed_form(robot) is not None:
-        rows = np.append(np.arange(count), 0)  # a map has two points or more
-        at = np.arange(float(len(rows)))
-        found, method = map_of(robot, inside[0], Targets(at, tips[rows], wrists[rows], at)), SCANNED
+        at, zeros = np.arange(float(count + 1)), np.zeros(count + 1)
+        rows = np.minimum(at, count - 1).astype(int)  # a map has two points or more
+        found, method = map_of(robot, inside[0], Targets(at, tips[rows], wrists[rows], zeros)), SCANNED
         for k in range(count):
             _, best[k] = _climbed(robot, targets[k], found.peaks(k))
     else:

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from moc_opt import core
 from moc_opt.arrays import Array
 from moc_opt.planning.course import LEAST_MU, Limits, Objective, lowered, shaft_shares, weights
+from moc_opt.planning.elbow import wrapped
 from moc_opt.planning.pose_map import PoseMap
 
 WHOLE_CELL = 1.1  #: Of half a cell, for the bound: the way of a joint is curved between the samples.
@@ -65,7 +66,7 @@ class Value:
         self.map, self.objective, self.cell = found, objective, cell
         self._period = found.targets.period_s
         self._step = limits.speed_share * found.robot.v_max * self._period
-        self._slacks: dict[int, Array] = {}
+        self._slack = cell * half_cells(found.q_rad) if cell else np.broadcast_to(0.0, found.q_rad.shape)
         self._price, count = price / self._period, len(found.targets)
         self._weight = np.ones(count) if objective == "worst" else weights(count) * self._period
         self._whole = 1.0 if objective == "worst" else float(self._weight.sum())
@@ -77,14 +78,12 @@ class Value:
         self._gain = np.where(allowed, _gain(mu, objective) * self._weight[:, None, None], -np.inf)
         self.value = np.array(self._gain)
         """(k,b,m) [m^3 s], its own share included; -inf: the end cannot be reached from there"""
-        after = found.q_rad[-1], self._slack(count - 1)
         for k in range(count - 2, -1, -1):
-            here = found.q_rad[k], self._slack(k)
             advance(
-                *here, self._gain[k], *after, self.value[k + 1], self._step, found.crossing(k, self._step), self._price,
-                objective == "worst", self.value[k],
+                found.q_rad[k], self._slack[k], self._gain[k], found.q_rad[k + 1], self._slack[k + 1],
+                self.value[k + 1], self._step, found.crossing(k, self._step), self._price, objective == "worst",
+                self.value[k],
             )  # fmt: skip
-            after = here
 
     def of(self, q: Array, mu: float) -> float:
         """Return the objective of the best course from a pose (n,) of mu at t = 0; -inf: there is none."""
@@ -115,7 +114,7 @@ class Value:
             if found is None:
                 return None
             at, now = found, float(t[k])
-            slack = self._slack(k)[at]
+            slack = self._slack[k][at]
             poses.append(self.map.q_rad[k][at])
         return Way(np.append(t_s, t[first : end + 1]), np.array(poses), at)
 
@@ -134,31 +133,23 @@ class Value:
         low = max(z[dead & (z < 0.0)], default=-NEARBY_RAD)
         high = min(z[dead & (z > 0.0)], default=NEARBY_RAD)
         near = close & np.isfinite(value) & (z > low) & (z < high)
-        if np.count_nonzero(near) < 4:
-            return End(q[j], along, 0.0, 0.0, min(z[near]), max(z[near]))
-        bend, slope, _ = np.polyfit(z[near], value[near] - value[j], 2)
-        return End(q[j], along, float(slope), float(min(2.0 * bend, 0.0)), min(z[near]), max(z[near]))
+        bend, slope = 0.0, 0.0
+        if np.count_nonzero(near) >= 4:
+            bend, slope, _ = np.polyfit(z[near], value[near] - value[j], 2).tolist()
+        return End(q[j], along, slope, min(2.0 * bend, 0.0), min(z[near]), max(z[near]))
 
     def _next(self, k: int, q: Array, slack: Array, step: Array, price: float) -> tuple[int, int] | None:
         alive = self.value[k] > -np.inf
-        way, more = step + slack, self._slack(k)
+        way, more = step + slack, self._slack[k]
         with np.errstate(invalid="ignore"):
-            for a in range(0, len(q), 2):  # most poses are far in one joint already
+            for a in range(len(q)):  # joint by joint, since most poses are far in one already
                 alive &= np.abs(self.map.q_rad[k, ..., a] - q[a]) <= way[a] + more[..., a]
         b, j = np.nonzero(alive)
-        away = np.abs(self.map.q_rad[k, b, j] - q)
-        near = (away <= way + more[b, j]).all(axis=-1)
-        if not near.any():
+        if not len(b):
             return None
-        i = int(np.argmax(np.where(near, self.value[k, b, j] - price * (away**2).sum(axis=-1), -np.inf)))
+        away = ((self.map.q_rad[k, b, j] - q) ** 2).sum(axis=-1)
+        i = int(np.argmax(self.value[k, b, j] - price * away))
         return int(b[i]), int(j[i])
-
-    def _slack(self, k: int) -> Array:
-        if k not in self._slacks:
-            q = self.map.q_rad[k]
-            self._slacks[k] = self.cell * half_cells(q) if self.cell else np.zeros_like(q)
-        return self._slacks[k]
-
 
 
 def keeping_shaft(found: PoseMap, limits: Limits) -> PoseMap:
@@ -190,9 +181,9 @@ def reached(found: PoseMap, q_start: Array, limits: Limits) -> list[NDArray[np.b
 
 
 def half_cells(q: Array) -> Array:
-    """Return (b,m,n) way of each joint within half a cell to either side of poses (b,m,n) [rad]."""
-    apart = np.abs(np.mod(np.roll(q, -1, axis=1) - q + np.pi, 2.0 * np.pi) - np.pi)
-    return 0.5 * np.nan_to_num(np.fmax(apart, np.roll(apart, 1, axis=1)))
+    """Return the way of each joint within half a cell to either side of poses (...,m,n) [rad], of the same shape."""
+    apart = np.abs(wrapped(np.roll(q, -1, axis=-2) - q))
+    return 0.5 * np.nan_to_num(np.fmax(apart, np.roll(apart, 1, axis=-2)))
 
 
 def _gain(mu: Array, objective: Objective) -> Array:

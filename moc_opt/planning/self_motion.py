@@ -179,6 +179,14 @@ def self_motion(robot: RobotModel, q: ArrayLike, step: float = 0.02) -> SelfMoti
     return SelfMotion(read_only(s), read_only(poses), read_only(mu), ends, held, curve)
 
 
+def curve_through(robot: RobotModel, q: ArrayLike, step: float) -> SelfMotion | None:
+    """Return `self_motion`; None where q is singular: no single curve leads through it."""
+    try:
+        return self_motion(robot, q, step)
+    except RobotError:
+        return None
+
+
 class _Curve:
     """The constraint that defines one curve, as the core takes it."""
 

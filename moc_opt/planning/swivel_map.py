@@ -1,10 +1,8 @@
 """The manipulability map: mu over time along the path and elbow swivel, with the trajectories that runs took on it.
 
 At every time the path asks for one tip and, through the trocar, one wrist centre; what is left to the arm is one
-number, the swivel of the elbow. The map shows every swivel there is, and where a joint limit forbids it.
-
-The scan that finds the poses ignores joint limits; they are judged afterwards, each joint taken whole turns nearer
-to the middle of its range.
+number, the swivel of the elbow. The map shows every swivel there is, and where a joint limit forbids it: the poses
+are found without limits, and each joint is then taken whole turns nearer to the middle of its range.
 
 `read_trajectory` says how long a run is at the optimum, and what keeps it from there. Where it ends off the optimum,
 the map is climbed from there at the time of the end: upwards in mu, swivel by swivel, up to the first pose beyond a
@@ -27,7 +25,7 @@ from moc_opt.arrays import Array, read_only
 from moc_opt.errors import ReportError, RobotError
 from moc_opt.planning.elbow import Elbow, wrapped
 from moc_opt.planning.pose_map import nearest_turns, reach, without_limits
-from moc_opt.planning.self_motion import SelfMotion, parabola_peak, self_motion
+from moc_opt.planning.self_motion import SelfMotion, curve_through, parabola_peak
 from moc_opt.robots.chain import desired_wrist
 from moc_opt.robots.model import RobotModel
 from moc_opt.trace.trace import Trace
@@ -101,14 +99,10 @@ def manipulability_map(
     held: set[int] = set()
     for k, tick in enumerate(ticks):
         pose = reach(robot, guide.q_rad[tick], tips[k], wrists[k])
-        if pose is None:
-            continue
-        try:
-            curve = self_motion(free, pose, STEP_RAD)
-        except RobotError:
-            continue  # a singular pose: no single curve leads through it, the column stays empty
-        held.update(curve.held)
-        q[k] = nearest_turns(robot, _poses_at(curve, elbow, swivel))
+        curve = None if pose is None else curve_through(free, pose, STEP_RAD)
+        if curve is not None:
+            held.update(curve.held)
+            q[k] = nearest_turns(robot, _poses_at(curve, elbow, swivel))
     mu, limit = _judged(robot, q)
     turn = _cut(limit == FEASIBLE)
     swivel, q, mu, limit = swivel + 2.0 * np.pi * turn / swivels, *(np.roll(a, -turn, axis=1) for a in (q, mu, limit))
@@ -126,12 +120,12 @@ def _poses_at(curve: SelfMotion, elbow: Elbow, swivels: Array) -> Array:
     # Poses (m, n) of one self-motion at swivels (m,), NaN where it has none.
     angles = np.unwrap(elbow.swivel(curve.q))
     steps = np.diff(angles)
-    if not (np.all(steps > 0.0) or np.all(steps < 0.0)):
+    sign = 1.0 if len(steps) and steps[0] > 0.0 else -1.0
+    if not np.all(sign * steps > 0.0):
         raise RobotError(
             "the arm's elbow goes to and fro on its self-motion, so no swivel angle tells its poses apart: "
             "the map is for arms whose shoulder, elbow and wrist form a triangle"
         )
-    sign = 1.0 if len(steps) and steps[0] > 0.0 else -1.0
     along = (curve.s - curve.s[0]) / max(curve.s[-1] - curve.s[0], 1e-300)
     turned = angles[0] + sign * np.mod(sign * (swivels - angles[0]), 2.0 * np.pi)
     known = sign * (angles[-1] - turned) >= 0.0
@@ -185,10 +179,8 @@ def _best(swivel: Array, mu: Array, limit: NDArray[np.int64]) -> tuple[float, fl
 def _cut(feasible: NDArray[np.bool_]) -> int:
     # The circle is cut open at the row that is farthest from every row in which a pose is allowed.
     allowed, count = np.flatnonzero(feasible.any(axis=0)), feasible.shape[1]
-    if not len(allowed):
-        return 0
     apart = np.abs(np.arange(count)[:, None] - allowed)
-    return int(np.argmax(np.minimum(apart, count - apart).min(axis=1)))
+    return int(np.argmax(np.minimum(apart, count - apart).min(axis=1, initial=count)))
 
 
 def _onto(angles: Array, swivel: Array) -> Array:
@@ -215,13 +207,12 @@ def check_showable(name: str, trace: Trace, robot: RobotModel) -> None:
     if missing or not len(trace):
         what = f"lacks the columns {', '.join(missing)}" if missing else "has no ticks"
         raise ReportError(f"run {name!r} {what}: give a trace as `run` leaves it")
-    if trace.q_rad.shape[1] != robot.n:
-        raise ReportError(
-            f"run {name!r} has {trace.q_rad.shape[1]} joints, robot {robot.data.name!r} {robot.n}: give its own arm"
-        )
-    for column in NEEDED:
-        if not np.isfinite(trace.columns[column]).all():
-            raise ReportError(f"run {name!r} is not finite in {column!r}: cut it off before that with `select`")
+    joints = trace.q_rad.shape[1]
+    if joints != robot.n:
+        raise ReportError(f"run {name!r} has {joints} joints, robot {robot.data.name!r} {robot.n}: give its own arm")
+    wild = [column for column in NEEDED if not np.isfinite(trace.columns[column]).all()]
+    if wild:
+        raise ReportError(f"run {name!r} is not finite in {wild[0]!r}: cut it off before that with `select`")
 
 
 class End(StrEnum):
@@ -254,23 +245,22 @@ class Reading:
 
 def read_trajectory(found: SwivelMap, name: str) -> Reading:
     """Return what the trajectory of one run, by its name on the map, amounts to."""
-    trajectory, known = found.trajectories[name], np.isfinite(found.best_mu)
-    travel = float(np.unwrap(trajectory.swivel_rad)[-1] - trajectory.swivel_rad[0])
-    nan = np.nan
-    if not known.any() or trajectory.gap_rad > OTHER_BRANCH_RAD:
+    run, known = found.trajectories[name], np.isfinite(found.best_mu)
+    travel, nan = float(np.unwrap(run.swivel_rad)[-1] - run.swivel_rad[0]), np.nan
+    if not known.any() or run.gap_rad > OTHER_BRANCH_RAD:
         end = End.OTHER_BRANCH if known.any() else End.UNKNOWN
         return Reading(name, nan, nan, travel, nan, end, 0, nan, ())
-    best = np.interp(trajectory.t_s, found.t_s[known], found.best_mu[known])
-    near = trajectory.mu >= (1.0 - NEAR) * best
-    late = trajectory.t_s >= trajectory.t_s[-1] - END * (trajectory.t_s[-1] - trajectory.t_s[0])
-    share = float(trajectory.mu.mean() / best.mean())
+    best = np.interp(run.t_s, found.t_s[known], found.best_mu[known])
+    near = run.mu >= (1.0 - NEAR) * best
+    late = run.t_s >= run.t_s[-1] - END * (run.t_s[-1] - run.t_s[0])
     since, end, joint = nan, End.OPTIMUM, 0
-    if np.median(trajectory.mu[late] / best[late]) >= 1.0 - NEAR:
-        off = np.flatnonzero(~near)
-        since = float(trajectory.t_s[min(off[-1] + 1, len(near) - 1)] if len(off) else trajectory.t_s[0])
+    if np.median(run.mu[late] / best[late]) >= 1.0 - NEAR:
+        off = np.append(-1, np.flatnonzero(~near))[-1]
+        since = float(run.t_s[min(off + 1, len(near) - 1)])
     else:
-        end, joint = _what_holds(found, trajectory, late)
-    return Reading(name, float(near.mean()), share, travel, since, end, joint, *_at_edge(found, trajectory))
+        end, joint = _what_holds(found, run, late)
+    share = float(run.mu.mean() / best.mean())
+    return Reading(name, float(near.mean()), share, travel, since, end, joint, *_at_edge(found, run))
 
 
 def alike(found: SwivelMap, within_rad: float = ALIKE_RAD) -> dict[str, list[str]]:
@@ -291,45 +281,34 @@ def _apart(one: Trajectory, two: Trajectory) -> float:
     return float(np.abs(wrapped(there - one.swivel_rad)).max())
 
 
-def _at_edge(found: SwivelMap, trajectory: Trajectory) -> tuple[float, tuple[int, ...]]:
-    columns = np.abs(found.t_s[None] - trajectory.t_s[:, None]).argmin(axis=1)
-    rows = np.abs(wrapped(found.swivel_rad[None] - trajectory.swivel_rad[:, None])).argmin(axis=1)
+def _at_edge(found: SwivelMap, run: Trajectory) -> tuple[float, tuple[int, ...]]:
+    columns = np.abs(found.t_s[None] - run.t_s[:, None]).argmin(axis=1)
+    rows = np.abs(wrapped(found.swivel_rad[None] - run.swivel_rad[:, None])).argmin(axis=1)
     beside = found.limit[columns[:, None], (rows[:, None] + [-1, 0, 1]) % len(found.swivel_rad)]
     joints = np.unique(beside[beside > FEASIBLE])
     return float((beside != FEASIBLE).any(axis=1).mean()), tuple(int(joint) for joint in joints)
 
 
-def _what_holds(found: SwivelMap, trajectory: Trajectory, late: NDArray[np.bool_]) -> tuple[End, int]:
+def _what_holds(found: SwivelMap, run: Trajectory, late: NDArray[np.bool_]) -> tuple[End, int]:
     # The last column until the end in which any pose is allowed; the first such column where none is.
     known = np.flatnonzero(np.isfinite(found.best_mu))
-    column = int(max(known[found.t_s[known] <= trajectory.t_s[-1] + 1e-9], default=known[0]))
-    mu, limit, best = found.mu[column], found.limit[column], found.best_mu[column]
-    count, step = len(mu), float(found.swivel_rad[1] - found.swivel_rad[0])
-    away = wrapped(found.swivel_rad - trajectory.swivel_rad[-1])
+    column = int(max(known[found.t_s[known] <= run.t_s[-1] + 1e-9], default=known[0]))
+    mu, limit, count = found.mu[column], found.limit[column], found.mu.shape[1]
+    away = wrapped(found.swivel_rad - run.swivel_rad[-1])
     row = int(np.argmin(np.abs(away)))
-    side = _uphill(mu, row)
+    rise = np.nan_to_num(mu[[row - 1, (row + 1) % count]] - mu[row], nan=-np.inf)
+    side = 0 if rise.max() <= 0.0 else 1 if rise[1] > rise[0] else -1
     stop = row
-    for _ in range(count):
-        following = (stop + side) % count
-        if side == 0 or limit[following] != FEASIBLE or mu[following] <= mu[stop]:
-            break
-        stop = following
-    blocked = side != 0 and limit[(stop + side) % count] != FEASIBLE
-    close = abs(float(away[stop])) <= CLOSE_RAD + 0.5 * step
-    if close and blocked:
-        return End.FEASIBLE_EDGE, max(int(limit[(stop + side) % count]), 0)
-    if close and mu[stop] < (1.0 - NEAR) * best:
-        return End.LOCAL_MAXIMUM, 0
-    t, swivel = trajectory.t_s[late], np.unwrap(trajectory.swivel_rad[late])
+    while side and limit[(stop + side) % count] == FEASIBLE and mu[(stop + side) % count] > mu[stop]:
+        stop = (stop + side) % count
+    beyond = int(limit[(stop + side) % count]) if side else FEASIBLE
+    if abs(float(away[stop])) <= CLOSE_RAD + 0.5 * float(found.swivel_rad[1] - found.swivel_rad[0]):
+        if beyond != FEASIBLE:
+            return End.FEASIBLE_EDGE, max(beyond, 0)
+        if mu[stop] < (1.0 - NEAR) * found.best_mu[column]:
+            return End.LOCAL_MAXIMUM, 0
+    t, swivel = run.t_s[late], np.unwrap(run.swivel_rad[late])
     speed = (swivel[-1] - swivel[0]) / max(t[-1] - t[0], 1e-9)
     if abs(speed) < STILL_RAD_PER_S:
         return End.STILL, 0
     return (End.RISING if speed * side > 0.0 else End.FALLING), 0
-
-
-def _uphill(mu: Array, row: int) -> int:
-    beside = np.array([mu[row - 1], mu[(row + 1) % len(mu)]])
-    rise = np.where(np.isfinite(beside), beside - mu[row], -np.inf)
-    if not (rise > 0.0).any():
-        return 0
-    return 1 if rise[1] > rise[0] else -1

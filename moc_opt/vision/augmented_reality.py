@@ -1,31 +1,35 @@
-"""The augmented reality put together: camera, board, detection and tracking, and the tasks carried to the robot."""
+"""The augmented reality put together: camera, board, detection and tracking, the tasks, and the surgeon's view."""
 
 from __future__ import annotations
 
 import math
 import os
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
+from pathlib import Path as File
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from moc_opt.arrays import Array
-from moc_opt.errors import TaskError
+from moc_opt.errors import PlantError, TaskError
 from moc_opt.robots.model import RobotModel
 from moc_opt.tasks import Path
 from moc_opt.trace.trace import Trace
-from moc_opt.vision.board import Board, BoardTask
-from moc_opt.vision.camera import Camera, CameraSettings, Picture, Scene, View, hide
-from moc_opt.vision.overlay import draw, save_film
-from moc_opt.vision.pose import Pose, rotation_from
+from moc_opt.vision.board import Board, BoardTask, Pose, rotation_from
+from moc_opt.vision.camera import Camera, CameraSettings, Picture, View, hide
 from moc_opt.vision.tracking import BoardFinder, BoardTracker, Tracked, TrackerSettings
 
-FACING = np.diag([1.0, -1.0, -1.0])
+FACING = np.diag([1.0, -1.0, -1.0])  # turns a board towards a camera that looks along z
 _SEARCH_S = 2.0
 _ON_PATH_M = 0.001
+TASK, DONE, TIP, TROCAR, TEXT = (80, 220, 60), (200, 140, 20), (0, 215, 255), (255, 120, 240), (255, 255, 255)
+# What OpenCV's wheel writes without any library of the system; a browser plays webm, not mp4v.
+_CODECS = {".webm": "VP80", ".mp4": "mp4v", ".avi": "MJPG"}
+_NEAR_M = 0.01
 
 
 class Watch(NamedTuple):
@@ -145,7 +149,7 @@ class Augmented:
 
     def _picture(self, t: float, q: ArrayLike | None) -> Picture:
         pose = None if q is None else np.array(q, dtype=np.float64)
-        return self._view.picture(Scene(self.phantom, self._hidden, self.board.is_lost(t), pose))
+        return self._view.picture(None if self.board.is_lost(t) else self.phantom, self._hidden, pose)
 
     def _look(self, t: float, q: ArrayLike | None) -> Tracked:
         sighting = self._finder.find(self._picture(t, q))
@@ -168,9 +172,12 @@ def pose_accuracy(
     rng = np.random.default_rng(seed)
     found: list[tuple[float, float, float, float]] = []
     for k in range(poses):
-        truth = _random_pose(rng)
+        spin = rotation_from((0.0, 0.0, rng.uniform(-0.25, 0.25) * np.pi))
+        angle, tilt = rng.uniform(0.0, 2.0 * np.pi), np.radians(rng.uniform(0.0, 35.0))
+        lean = rotation_from(tilt * np.array([np.cos(angle), np.sin(angle), 0.0]))
+        truth = Pose(lean @ FACING @ spin, (*rng.uniform(-0.01, 0.01, 2), rng.uniform(0.12, 0.20)))
         hidden = hide(sheet.ids, sheet.hidden_fraction, seed + k)
-        sighting = finder.find(view.picture(Scene(eye.camera_in_base @ truth, hidden)))
+        sighting = finder.find(view.picture(eye.camera_in_base @ truth, hidden))
         if sighting is not None:
             found.append((*sighting.pose.distance(truth), sighting.error_px, sighting.markers))
     way, turn, fit, markers = np.array(found or [(np.nan,) * 4]).T
@@ -183,9 +190,79 @@ def pose_accuracy(
     return {name: float(value) for name, value in figures.items()}
 
 
-def _random_pose(rng: np.random.Generator) -> Pose:
-    spin = rotation_from((0.0, 0.0, rng.uniform(-0.25, 0.25) * np.pi))
-    angle, tilt = rng.uniform(0.0, 2.0 * np.pi), np.radians(rng.uniform(0.0, 35.0))
-    lean = rotation_from(tilt * np.array([np.cos(angle), np.sin(angle), 0.0]))
-    place = (*rng.uniform(-0.01, 0.01, 2), rng.uniform(0.12, 0.20))
-    return Pose(lean @ FACING @ spin, place)
+def draw(
+    picture: Picture, camera: Camera, *, task: ArrayLike, progress: float, tip: ArrayLike, trocar: ArrayLike, text: str
+) -> Picture:
+    """Draw task, tip and trocar into a copy of the picture.
+
+    Args:
+        picture: (H, W, 3).
+        camera: where the robot takes it to be, so that the drawing shows the robot's plan.
+        task: (k, 3) points along the path, base frame [m].
+        progress: share of the path that is done, 0 to 1, drawn in another colour.
+        tip: (3,) base frame [m].
+        trocar: (3,) base frame [m]; mostly outside the picture, so a line is drawn towards it from the tip.
+        text: a line at the bottom.
+    """
+    page = picture.copy()
+    points, end, far = (np.asarray(part, dtype=np.float64) for part in (task, tip, trocar))
+    done = round(min(max(progress, 0.0), 1.0) * (len(points) - 1))
+    for part, colour in ((points[done:], TASK), (points[: done + 1], DONE)):
+        pixels = camera.project(part)
+        pixels = pixels[np.isfinite(pixels).all(axis=1)]
+        if len(pixels) > 1:
+            sixteenths = np.rint(16.0 * np.clip(pixels, -1e5, 1e5)).astype(np.int32)
+            cv2.polylines(page, [sixteenths], False, colour, 2, cv2.LINE_AA, 4)
+    near, away = camera.camera_in_base.inverse().apply(np.array([end, far]))[:, 2]
+    if near > _NEAR_M:
+        if away < _NEAR_M:  # behind the camera: the line ends before it
+            far = end + (near - _NEAR_M) / (near - away) * (far - end)
+        pixel, beyond = np.clip(camera.project(np.array([end, far])), -1e6, 1e6)
+        _line_to_trocar(page, _whole(pixel), _whole(beyond))
+        if np.abs(pixel).max() < 1e4:
+            cv2.drawMarker(page, _whole(pixel), TIP, cv2.MARKER_CROSS, 16, 2, cv2.LINE_AA)
+    (width, height), below = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, 0.5, 1)
+    x, y = 6, page.shape[0] - 8
+    cv2.rectangle(page, (x - 4, y - height - 4), (x + width + 4, y + below + 2), (40, 40, 40), cv2.FILLED)
+    cv2.putText(page, text, (x, y), cv2.FONT_HERSHEY_SIMPLEX, 0.5, TEXT, 1, cv2.LINE_AA)
+    return page
+
+
+def _line_to_trocar(page: Picture, start: tuple[int, int], end: tuple[int, int]) -> None:
+    height, width = page.shape[:2]
+    inside, first, last = cv2.clipLine((0, 0, width, height), start, end)
+    if inside:
+        cv2.line(page, first, last, TROCAR, 1, cv2.LINE_AA)
+        label = (min(max(last[0] + 6, 0), width - 60), min(max(last[1], 16), height - 8))
+        cv2.putText(page, "trocar", label, cv2.FONT_HERSHEY_SIMPLEX, 0.45, TROCAR, 1, cv2.LINE_AA)
+
+
+def _whole(pixel: Array) -> tuple[int, int]:
+    return round(float(pixel[0])), round(float(pixel[1]))
+
+
+def save_film(path: str | os.PathLike[str], pictures: Iterable[Picture], rate_Hz: float) -> int:
+    """Write pictures (H, W, 3) of one size as they come, and return their number.
+
+    Args:
+        path: the film (.webm, .mp4 or .avi), in a folder that exists.
+        rate_Hz: pictures in a second.
+
+    Raises:
+        PlantError: unknown suffix, no pictures, or it cannot be written.
+    """
+    file, writer, count = File(path), cv2.VideoWriter(), 0
+    codec = _CODECS.get(file.suffix.lower())
+    if codec is None:
+        raise PlantError(f"film {str(path)!r}: give a name in {', '.join(_CODECS)}")
+    for picture in pictures:
+        if not count:
+            writer.open(str(file), cv2.VideoWriter.fourcc(*codec), rate_Hz, picture.shape[1::-1])
+        if not writer.isOpened():
+            raise PlantError(f"film {str(path)!r} cannot be written: check its folder, rights and space")
+        writer.write(picture)
+        count += 1
+    writer.release()
+    if count == 0:
+        raise PlantError(f"film {str(path)!r} has no pictures: give one or more")
+    return count

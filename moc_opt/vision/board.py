@@ -1,4 +1,4 @@
-"""A marker board and the virtual tasks defined on it: no picture and no camera.
+"""Poses of frames, a marker board, and the virtual tasks defined on it: no picture and no camera.
 
 The board's frame: origin in the middle of the board, x to the right along its rows of markers, y upwards, z out
 of the printed side, towards whoever looks at it.
@@ -13,24 +13,78 @@ from types import MappingProxyType
 from typing import ClassVar, Self
 
 import numpy as np
+import pinocchio as pin
 from numpy.typing import ArrayLike
 from pydantic import Field, model_validator
 
-from moc_opt.arrays import Array
+from moc_opt.arrays import Array, read_only
 from moc_opt.errors import MocOptError, PlantError, TaskError, UnknownNameError
 from moc_opt.inputs.settings import Settings
 from moc_opt.tasks import Path, make_path
 from moc_opt.tasks.checks import direction3, positive, vector3
-from moc_opt.vision.pose import Pose
+
+
+@dataclass(frozen=True, eq=False)
+class Pose:
+    """A rigid pose of an inner frame in an outer one: x_outer = R x_inner + t.
+
+    Chains read from right to left: board_in_base = camera_in_base @ board_in_camera.
+
+    Args:
+        R: (3, 3) rotation, its columns are the inner axes in the outer frame.
+        t: (3,) the inner origin in the outer frame [m].
+
+    Raises:
+        TaskError: a shape is wrong, an entry is not finite, or R is no rotation (to 1e-6).
+    """
+
+    R: Array
+    t: Array
+
+    def __init__(self, R: ArrayLike = np.eye(3), t: ArrayLike = (0.0, 0.0, 0.0)) -> None:  # noqa: B008
+        turn = np.array(R, dtype=np.float64)
+        if turn.shape != (3, 3) or not np.abs(turn @ turn.T - np.eye(3)).max() < 1e-6 or np.linalg.det(turn) < 0.0:
+            raise TaskError(f"R = {turn.tolist()!r:.200} is no rotation: give perpendicular, right-handed unit columns")
+        object.__setattr__(self, "R", read_only(turn))
+        object.__setattr__(self, "t", vector3("t", t))
+
+    def apply(self, points: ArrayLike) -> Array:
+        """Express points (3,) or (k, 3) [m] of the inner frame in the outer one."""
+        return self.turn(points) + self.t
+
+    def turn(self, vectors: ArrayLike) -> Array:
+        """Express directions (3,) or (k, 3) of the inner frame in the outer one."""
+        return np.asarray(np.asarray(vectors, dtype=np.float64) @ self.R.T)
+
+    def inverse(self) -> Pose:
+        """Return the outer frame seen from the inner one."""
+        return Pose(self.R.T, -self.R.T @ self.t)
+
+    def __matmul__(self, other: Pose) -> Pose:
+        return Pose(self.R @ other.R, self.apply(other.t))
+
+    def distance(self, other: Pose) -> tuple[float, float]:
+        """Return how far apart two poses are: between the origins [m], and the angle of the turn between [rad]."""
+        return float(np.linalg.norm(self.t - other.t)), float(np.linalg.norm(rotation_vector(self.R.T @ other.R)))
+
+    def towards(self, other: Pose, share: float) -> Pose:
+        """Return the pose at a share in [0, 1] of the way to another: straight, at a constant rate of turn."""
+        turn = rotation_from(share * rotation_vector(self.R.T @ other.R))
+        return Pose(self.R @ turn, self.t + share * (other.t - self.t))
+
+
+def rotation_from(vector: ArrayLike) -> Array:
+    """Return the rotation (3, 3) about `vector` (3,) by its length [rad]."""
+    return np.asarray(pin.exp3(np.array(vector, dtype=np.float64)))
+
+
+def rotation_vector(rotation: ArrayLike) -> Array:
+    """Return axis times angle (3,) [rad] of a rotation (3, 3), the angle in [0, pi]."""
+    return np.asarray(pin.log3(np.array(rotation, dtype=np.float64)))
 
 
 class VisionSettings(Settings):
-    """Base of the tables of camera, board and tracker.
-
-    Raises:
-        PlantError: a value is out of range.
-        UnknownNameError: a field does not exist.
-    """
+    """Base of the tables of camera, board and tracker; a PlantError where a value is out of range."""
 
     ERROR: ClassVar[type[MocOptError]] = PlantError
 
@@ -76,9 +130,8 @@ class Board(VisionSettings):
     def corners(self, marker: int) -> Array:
         """Return the corners (4, 3) of a marker in the board's frame [m]: top left, then clockwise as seen."""
         row, column = divmod(marker, self.columns)
-        width, height = self.size_m
-        pitch = self.marker_m + self.gap_m
-        left, top = -0.5 * width + self.gap_m + column * pitch, 0.5 * height - self.gap_m - row * pitch
+        pitch, (left, top, _) = self.marker_m + self.gap_m, self.outline()[0]
+        left, top = left + self.gap_m + column * pitch, top - self.gap_m - row * pitch
         return _rectangle(left, top, left + self.marker_m, top - self.marker_m)
 
     def outline(self) -> Array:
@@ -124,16 +177,14 @@ class BoardTask:
     depth_m: float = 0.15  #: how far below the trocar the board lies, for placing the phantom [m]
 
     def on_board(self) -> Path:
-        """Return the path in the board's own frame.
-
-        Raises:
-            UnknownNameError: no such kind of path or size.
-            TaskError: a number is not usable.
-        """
+        """Return the path in the board's own frame; an UnknownNameError or a TaskError where there is none."""
         angle = math.radians(self.heading_deg)
         heading = (math.cos(angle), math.sin(angle), 0.0)
-        start = (*self.start_m, self.height_m)
-        return make_path(self.kind, start, normal=(0.0, 0.0, 1.0), heading=heading, **self.sizes)
+        return make_path(
+            self.kind, (*self.start_m, self.height_m), normal=(0.0, 0.0, 1.0), heading=heading, **self.sizes
+        )
+
+
 
 
 def _rectangle(left: float, top: float, right: float, bottom: float) -> Array:

@@ -14,13 +14,11 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
 from moc_opt.arrays import Array
-from moc_opt.vision.board import Board, VisionSettings
-from moc_opt.vision.pose import Pose, rotation_from
+from moc_opt.vision.board import Board, Pose, VisionSettings, rotation_from
 
-Picture = NDArray[np.uint8]
-Shaft = Callable[[Array], tuple[Array, Array]]
+Picture = NDArray[np.uint8]  # (H, W, 3), blue green red
 
-TISSUE, COVER, STEEL = (92, 100, 178), (70, 60, 150), (150, 148, 145)  # blue, green, red
+TISSUE, COVER, STEEL = (92, 100, 178), (70, 60, 150), (150, 148, 145)
 SHAFT_RADIUS_M = 0.004  # of the tool as it is drawn
 _MARKER_BITS = 6  # 4 x 4 bits and a black frame around them
 _CELL_PX = 16  # pixels along one of them, as the board is printed
@@ -70,8 +68,7 @@ class Camera:
         """Project points to pixels (k, 2) of points (k, 3) [m] of the base frame; NaN for points behind the camera."""
         points = self.camera_in_base.inverse().apply(np.atleast_2d(np.asarray(points_in_base, dtype=np.float64)))
         depth = np.where(points[:, 2] > 1e-6, points[:, 2], np.nan)
-        pixels = points @ self.matrix.T
-        return np.asarray(pixels[:, :2] / depth[:, None])
+        return np.asarray((points @ self.matrix.T)[:, :2] / depth[:, None])
 
     @classmethod
     def above(cls, settings: CameraSettings, phantom_in_base: Pose) -> Camera:
@@ -91,16 +88,6 @@ class Camera:
         return Camera(self.settings, self.camera_in_base @ error)
 
 
-@dataclass(frozen=True, eq=False)
-class Scene:
-    """What the camera looks at."""
-
-    board_in_base: Pose  #: where the board truly is
-    hidden: frozenset[int] = frozenset()  #: numbers of the markers that are covered by something
-    dark: bool = False  #: nothing can be seen of the board (smoke, blood on the lens, the camera turned away)
-    q: Array | None = None  #: (n,) pose of the arm [rad], whose tool can be in the way; None: no arm
-
-
 def hide(ids: range, fraction: float, seed: int) -> frozenset[int]:
     """Draw which markers are covered: the whole number nearest to `fraction` (0 to 1) of them.
 
@@ -111,14 +98,18 @@ def hide(ids: range, fraction: float, seed: int) -> frozenset[int]:
 
 
 class View:
-    """Takes pictures: the board with its covers by a perspective warp, the tool's shaft as polygon, blur and noise."""
+    """Takes pictures: the board with its covers by a perspective warp, the tool's shaft as polygon, blur and noise.
 
-    def __init__(self, camera: Camera, board: Board, *, shaft: Shaft | None = None, seed: int = 0) -> None:
-        """Prepare for the true camera; seed is that of the noise.
+    Args:
+        camera: the true one.
+        shaft: takes a pose q (n,) to the tip and another point (3,) of the shaft, base frame [m]; None: no tool.
+        seed: of the noise.
+    """
 
-        ``shaft`` takes a pose q (n,) of the arm to the tip (3,) and another point (3,) of its shaft, base frame [m];
-        None: the tool is not drawn.
-        """
+    def __init__(
+        self, camera: Camera, board: Board, *, shaft: Callable[[Array], tuple[Array, Array]] | None = None,
+        seed: int = 0,
+    ) -> None:  # fmt: skip
         self.camera, self._board, self._shaft = camera, board, shaft
         self._page = cv2.cvtColor(board_picture(board), cv2.COLOR_GRAY2BGR)
         self._texture = texture_matrix(board)
@@ -126,31 +117,38 @@ class View:
         # The middle of pixel u of the picture is at 2 u + 0.5 in the finer one.
         self._finer = np.array([[_FINER, 0.0, 0.5 * (_FINER - 1)], [0.0, _FINER, 0.5 * (_FINER - 1)], [0.0, 0.0, 1.0]])
 
-    def picture(self, scene: Scene) -> Picture:
-        """Take the camera's picture (H, W, 3), blue green red."""
+    def picture(
+        self, board_in_base: Pose | None, hidden: frozenset[int] = frozenset(), q: Array | None = None
+    ) -> Picture:
+        """Take the camera's picture (H, W, 3).
+
+        Args:
+            board_in_base: where the board truly is; None: nothing of it can be seen.
+            hidden: numbers of the markers that are covered by something.
+            q: (n,) pose of the arm [rad], whose tool can be in the way; None: no arm.
+        """
         width, height = self.camera.size_px
         page = np.full((_FINER * height, _FINER * width, 3), TISSUE, dtype=np.uint8)
-        pose = self.camera.camera_in_base.inverse() @ scene.board_in_base
-        faces = float(pose.R[:, 2] @ pose.t) < 0.0 and float(pose.apply(self._board.outline())[:, 2].min()) > 1e-3
-        if faces and not scene.dark:
-            flat = np.stack([pose.R[:, 0], pose.R[:, 1], pose.t], axis=1)
-            onto = self._finer @ self.camera.matrix @ flat @ np.linalg.inv(self._texture)
-            printed = self._covered(scene.hidden)
-            cv2.warpPerspective(
-                printed, onto, page.shape[1::-1], dst=page, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_TRANSPARENT
-            )
-        if self._shaft is not None and scene.q is not None:
-            self._draw_shaft(page, *self._shaft(scene.q))
+        if board_in_base is not None:
+            self._draw_board(page, self.camera.camera_in_base.inverse() @ board_in_base, hidden)
+        if self._shaft is not None and q is not None:
+            self._draw_shaft(page, *self._shaft(q))
         small = np.asarray(cv2.resize(page, (width, height), interpolation=cv2.INTER_AREA), dtype=np.uint8)
         return expose(small, self.camera.settings, self._rng)
 
-    def _covered(self, hidden: frozenset[int]) -> Picture:
+    def _draw_board(self, page: Picture, pose: Pose, hidden: frozenset[int]) -> None:
         printed, board = self._page.copy(), self._board
+        if pose.R[:, 2] @ pose.t >= 0.0 or pose.apply(board.outline())[:, 2].min() <= 1e-3:
+            return  # its back is seen, or a part of it is behind the camera
         radius = min(0.72 * board.marker_m, 0.5 * board.marker_m + 0.9 * board.gap_m) * self._texture[0, 0]
         for marker in hidden:
             x, y, _ = self._texture @ [*board.corners(marker)[:, :2].mean(axis=0), 1.0]
             cv2.circle(printed, (round(x), round(y)), round(radius), COVER, cv2.FILLED, cv2.LINE_AA)
-        return np.asarray(printed, dtype=np.uint8)
+        flat = np.stack([pose.R[:, 0], pose.R[:, 1], pose.t], axis=1)
+        onto = self._finer @ self.camera.matrix @ flat @ np.linalg.inv(self._texture)
+        cv2.warpPerspective(
+            printed, onto, page.shape[1::-1], dst=page, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_TRANSPARENT
+        )
 
     def _draw_shaft(self, page: Picture, tip: Array, other: Array) -> None:
         to_camera, least = self.camera.camera_in_base.inverse(), 0.005

@@ -96,21 +96,18 @@ class Hand:
 
     force = D (desired - velocity) + f, |force| <= force_max, where desired is a velocity towards the goal,
     (stiffness/D) times the distance, cut at speed_max, and f grows by correction stiffness distance a second until
-    the hand has arrived, as a person pulls harder when the tip stops short. `pull` is called once a period.
+    the hand has arrived, as a person pulls harder when the tip stops short.
     """
 
     def __init__(self, settings: HandSettings, period_s: float) -> None:
-        self.settings, self._period = settings, period_s
-        self._extra = np.zeros(3)
+        self.settings, self._period, self._extra = settings, period_s, np.zeros(3)
 
     def pull(self, place: Array, velocity: Array, goal: Array) -> Array:
-        """Compute the hand's force (3,) [N] on the tool, all arguments (3,) in world axes [m], [m/s].
+        """Compute the hand's force (3,) [N] on the tool, once a period.
 
-        Raises:
-            PlantError: an argument is not finite.
+        All arguments are (3,) in world axes [m], [m/s]; a PlantError where one is not finite.
         """
-        hand = self.settings
-        way = goal - place
+        hand, way = self.settings, goal - place
         distance = math.sqrt(float(way @ way))
         if not math.isfinite(distance + float(velocity @ velocity)):
             raise PlantError(f"the hand lost the tool at {place.tolist()} m: the arm ran away")
@@ -185,42 +182,13 @@ def guide_to(
     safety_filter = SafetyFilter(robot, guard, period, incision=False, momentum=False)
     loop = ClosedLoop(plant, law, safety_filter, Stop(guard.stop_damping_Nm_s_per_rad, guard.stop_s))
     loop.start(_NO_REFERENCE, _NO_TROCAR)
-    rows, resting, reached = _pulled(goal, plant, robot, settings, loop, law)
-    direction, registered = np.random.default_rng(seed).standard_normal(3), None
-    status = HandsOnStatus.RESTLESS if reached else HandsOnStatus.SHORT
-    if loop.stop_reason:
-        status = HandsOnStatus.STOPPED
-    elif len(resting) == _ticks_at_rest(settings, period):
-        status, error = HandsOnStatus.REGISTERED, settings.registration_error_m * direction / np.linalg.norm(direction)
-        registered = read_only(np.mean(resting, axis=0) + error)
-    columns = {name: np.array([row[name] for row in rows]) for name in rows[0]}
-    columns["trocar_m"] = columns["tip_ref_m"] = np.tile(goal, (len(rows), 1))
-    believed = np.full(3, np.nan) if registered is None else registered
-    columns["trocar_registered_m"] = np.tile(believed, (len(rows), 1))
-    columns["tip_error_m"] = np.linalg.norm(columns["tip_ref_m"] - columns["tip_m"], axis=1)
-    meta = {
-        "hands_on": settings.model_dump(mode="json"), "status": status.name.lower(), "seed": seed, "period_s": period,
-        "ended": f"stopped: {loop.stop_reason}" if loop.stop_reason else "completed",
-    }  # fmt: skip
-    return HandsOn(status, goal, registered, np.array(law.seen.q), Trace(columns, meta))
-
-
-def _ticks_at_rest(settings: HandsOnSettings, period: float) -> int:
-    return max(1, round(settings.rest_s / period))
-
-
-def _pulled(
-    goal: Array, plant: Plant, robot: RobotModel, settings: HandsOnSettings, loop: ClosedLoop, law: _Guiding
-) -> tuple[list[dict[str, Array | float]], list[Array], bool]:
-    """Run the loop; return its rows, the believed tips since the tip rests at the goal, and if it was ever there."""
-    period = plant.settings.period_s
     hand, tool, tip = Hand(settings.hand, period), plant.mj_data.body("tool"), plant.mj_data.body(robot.data.tip_frame)
     point = tool.xmat.reshape(3, 3).T @ (tip.xpos - tool.xpos)  # where the hand holds the tool, in its own frame [m]
     gain = -math.expm1(-2.0 * math.pi * _SPEED_FILTER_Hz * period)
     slow, reached = np.zeros(3), False
     rows: list[dict[str, Array | float]] = []
-    resting: list[Array] = []
-    needed, ticks = _ticks_at_rest(settings, period), math.ceil(settings.time_limit_s / period)
+    resting: list[Array] = []  # believed tips since the tip rests at the incision
+    needed, ticks = max(1, round(settings.rest_s / period)), math.ceil(settings.time_limit_s / period)
     while len(resting) < needed and loop.ticks < ticks and not loop.finished:
         # The model has the plant's geometry, and differs in masses only: this is the tip's true velocity.
         force = hand.pull(plant.tip, robot.state(plant.q, plant.v).J_tip @ plant.v, goal)
@@ -239,4 +207,20 @@ def _pulled(
         else:
             resting.clear()
     plant.clear_pushes("tool")
-    return rows, resting, reached
+    status, registered = HandsOnStatus.RESTLESS if reached else HandsOnStatus.SHORT, None
+    if loop.stop_reason:
+        status = HandsOnStatus.STOPPED
+    elif len(resting) == needed:
+        status, direction = HandsOnStatus.REGISTERED, np.random.default_rng(seed).standard_normal(3)
+        error = settings.registration_error_m * direction / np.linalg.norm(direction)
+        registered = read_only(np.mean(resting, axis=0) + error)
+    columns = {name: np.array([row[name] for row in rows]) for name in rows[0]}
+    columns["trocar_m"] = columns["tip_ref_m"] = np.tile(goal, (len(rows), 1))
+    believed = np.full(3, np.nan) if registered is None else registered
+    columns["trocar_registered_m"] = np.tile(believed, (len(rows), 1))
+    columns["tip_error_m"] = np.linalg.norm(columns["tip_ref_m"] - columns["tip_m"], axis=1)
+    meta = {
+        "hands_on": settings.model_dump(mode="json"), "status": status.name.lower(), "seed": seed, "period_s": period,
+        "ended": f"stopped: {loop.stop_reason}" if loop.stop_reason else "completed",
+    }  # fmt: skip
+    return HandsOn(status, goal, registered, np.array(law.seen.q), Trace(columns, meta))

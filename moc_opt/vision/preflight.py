@@ -226,24 +226,27 @@ def _check_depth(robot: RobotModel, places: _Places) -> None:
 
 
 def _follow(robot: RobotModel, q: Array, places: _Places, reference: Reference) -> Reach:
-    count = len(places.t)
-    poses, shares = np.empty((count, robot.n)), np.empty(count)
-    worst: tuple[int, Array] | None = None
-    for k in range(count):
-        span = robot.state(q).tool_span
+    poses, rates = np.empty((2, len(places.t), robot.n))
+    for k in range(len(places.t)):
         tip, speed, trocar, trocar_speed = (rows[k] for rows in places[2:])
-        wrist, wrist_velocity = desired_wrist(tip, speed, trocar, trocar_speed, span)
-        placed = solve_pose(robot, q, places.tip[k], wrist)
+        wrist, wrist_speed = desired_wrist(tip, speed, trocar, trocar_speed, robot.state(q).tool_span)
+        placed = solve_pose(robot, q, tip, wrist)
         if not placed.found:
             raise _out_of_reach(robot, places, k, wrist, placed)
         q = poses[k] = placed.q
-        velocity = np.concatenate([places.tip_velocity[k], wrist_velocity])
-        rates = _least_share(robot, robot.state(q).A, velocity)
-        shares[k] = float(np.abs(rates / robot.v_max).max())
-        if shares[k] > max(1.0, shares[:k].max(initial=0.0)):
-            worst = k, rates
-    if worst is not None:
-        raise _too_fast(robot, places, *worst, reference)
+        rates[k] = _least_rates(robot, robot.state(q).A, np.concatenate([speed, wrist_speed]))
+    shares = np.abs(rates / robot.v_max).max(axis=1)
+    k = int(np.argmax(shares))
+    if shares[k] > 1.0:
+        i = int(np.argmax(np.abs(rates[k] / robot.v_max)))
+        # Joint speeds go with the tip's, which may peak below v_max where the acceleration is what limits it.
+        slower = 0.99 * float(np.linalg.norm(places.tip_velocity, axis=1).max()) / shares[k]
+        raise UnreachableError(
+            "v_max", places.arc[k],
+            f"{robot.data.joint_names[i]} would have to turn at {abs(rates[k, i]):.2f} rad/s and can do "
+            f"{robot.v_max[i]:.2f}",
+            f"lower v_max from {reference.v_max:g} to {slower:.3g} m/s or less, or move the path away from the trocar",
+        )  # fmt: skip
     return Reach(places.t, places.arc, poses, shares)
 
 
@@ -260,31 +263,20 @@ def _out_of_reach(robot: RobotModel, places: _Places, k: int, wrist: Array, plac
     return UnreachableError(field, places.arc[k], problem, cure)
 
 
-def _too_fast(robot: RobotModel, places: _Places, k: int, rates: Array, reference: Reference) -> UnreachableError:
-    shares = np.abs(rates / robot.v_max)
-    i = int(np.argmax(shares))
-    name, most = robot.data.joint_names[i], robot.v_max[i]
-    # Joint speeds go with the tip's, which may peak below v_max where the acceleration is what limits it.
-    slower = 0.99 * float(np.linalg.norm(places.tip_velocity, axis=1).max()) / shares[i]
-    problem = f"{name} would have to turn at {abs(rates[i]):.2f} rad/s and can do {most:.2f}"
-    cure = f"lower v_max from {reference.v_max:g} to {slower:.3g} m/s or less, or move the path away from the trocar"
-    return UnreachableError("v_max", places.arc[k], problem, cure)
-
-
-def _least_share(robot: RobotModel, a: Array, velocity: Array) -> Array:
+def _least_rates(robot: RobotModel, a: Array, velocity: Array) -> Array:
+    """Return the joint velocities (n,) of tip and wrist whose largest share of a speed limit is least, if above 1."""
     left, values, right = np.linalg.svd(a)
     rank = int((values > 1e-9 * values[0]).sum())
     shortest: Array = right[:rank].T @ ((left[:, :rank].T @ velocity) / values[:rank])
-    if float(np.abs(shortest / robot.v_max).max()) <= 1.0 or rank == robot.n:
+    base = shortest / robot.v_max
+    if float(np.abs(base).max()) <= 1.0 or rank == robot.n:
         return shortest
     from scipy.optimize import linprog  # late: slow to import, and rarely needed
 
-    free = right[rank:].T / robot.v_max[:, None]
-    base = shortest / robot.v_max
-    ones = np.ones((robot.n, 1))
+    free, ones = right[rank:].T / robot.v_max[:, None], np.ones((robot.n, 1))
     found = linprog(
-        c=[*([0.0] * free.shape[1]), 1.0], A_ub=np.block([[free, -ones], [-free, -ones]]),
-        b_ub=np.concatenate([-base, base]), bounds=[(None, None)] * (free.shape[1] + 1),
+        c=np.eye(robot.n - rank + 1)[-1], A_ub=np.block([[free, -ones], [-free, -ones]]),
+        b_ub=np.concatenate([-base, base]), bounds=(None, None),
     )  # fmt: skip
     return shortest if found.x is None else shortest + right[rank:].T @ found.x[:-1]
 

@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import cv2
 import numpy as np
-from numpy.typing import ArrayLike
 from pydantic import Field
 
 from moc_opt.arrays import Array
 from moc_opt.errors import TaskError
-from moc_opt.vision.board import Board, VisionSettings
+from moc_opt.vision.board import Board, Pose, VisionSettings, rotation_from, rotation_vector
 from moc_opt.vision.camera import Camera, Picture, dictionary
-from moc_opt.vision.pose import Pose, rotation_from, rotation_vector
 
 _OUTLIER, _CLEAN_PX = 4.0, 0.6  # a corner this many medians off is left out, unless it is this near anyway
 
@@ -36,7 +34,7 @@ class TrackerSettings(VisionSettings):
 
 @dataclass(frozen=True, eq=False)
 class Sighting:
-    """One picture's worth: where the board seemed to be, and how well that fits what was seen."""
+    """Where one picture shows the board, and how well that fits what is seen."""
 
     pose: Pose
     markers: int
@@ -44,10 +42,12 @@ class Sighting:
 
 
 class BoardFinder:
-    """Finds one board in pictures of one camera: markers, sub-pixel corners, pose by PnP and refinement."""
+    """Finds one board in pictures of one camera: markers, sub-pixel corners, pose by PnP and refinement.
+
+    Of the camera only its intrinsics are used.
+    """
 
     def __init__(self, board: Board, camera: Camera) -> None:
-        """Set up the detector; of the camera only its intrinsics are used."""
         parameters = cv2.aruco.DetectorParameters()
         parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
         # A window as wide as a cell, where OpenCV takes a third of one: a quarter less error in the distance.
@@ -59,11 +59,9 @@ class BoardFinder:
     def corners(self, picture: Picture) -> dict[int, Array]:
         """Return the corners (4, 2) [px] of every marker of the board that is seen, by its number."""
         found, ids, _ = self._detector.detectMarkers(cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY))
-        if ids is None:
-            return {}
-        quads = [np.asarray(quad, dtype=np.float64).reshape(4, 2) for quad in found]
-        pairs = zip(map(int, ids.ravel()), quads, strict=True)
-        return {marker: quad for marker, quad in pairs if marker in self._corners}
+        numbers = [] if ids is None else [int(marker) for marker in ids.ravel()]
+        quads = (np.asarray(quad, dtype=np.float64).reshape(4, 2) for quad in found)
+        return {marker: quad for marker, quad in zip(numbers, quads, strict=True) if marker in self._corners}
 
     def find(self, picture: Picture) -> Sighting | None:
         """Find the board's pose in the camera's frame; None where no marker is seen or no pose fits.
@@ -77,23 +75,23 @@ class BoardFinder:
             return None
         points = np.concatenate([self._corners[marker] for marker in seen])
         pixels = np.concatenate(list(seen.values()))
-        count, turns, places, _ = cv2.solvePnPGeneric(points, pixels, self._matrix, None, flags=cv2.SOLVEPNP_IPPE)
-        both = [self._refine(_column(turns[i]), _column(places[i]), points, pixels) for i in range(count)]
+        _, turns, places, _ = cv2.solvePnPGeneric(points, pixels, self._matrix, None, flags=cv2.SOLVEPNP_IPPE)
+        both = [self._refine(*start, points, pixels) for start in zip(turns, places, strict=True)]
         fits = [(pose, self._misses(pose, points, pixels)) for pose in both if pose is not None]
         if not fits:
             return None
         pose, misses = min(fits, key=lambda fit: float(np.median(fit[1])))
         good = misses <= max(_OUTLIER * float(np.median(misses)), _CLEAN_PX)
         if not good.all() and good.sum() >= 4:
-            start = _column(rotation_vector(pose.R)), _column(pose.t)
-            again = self._refine(*start, points[good], pixels[good])
+            again = self._refine(rotation_vector(pose.R), pose.t, points[good], pixels[good])
             if again is not None:
                 pose, misses = again, self._misses(again, points[good], pixels[good])
         markers = int((good.reshape(-1, 4).sum(axis=1) >= 2).sum())
         return Sighting(pose, markers, math.sqrt(float((misses * misses).mean())))
 
-    def _refine(self, turn: Array, place: Array, points: Array, pixels: Array) -> Pose | None:
-        found = cv2.solvePnPRefineLM(points, pixels, self._matrix, None, turn, place)
+    def _refine(self, turn: Any, place: Any, points: Array, pixels: Array) -> Pose | None:
+        start, far = (np.array(vector, dtype=np.float64).reshape(3, 1) for vector in (turn, place))
+        found = cv2.solvePnPRefineLM(points, pixels, self._matrix, None, start, far)
         turn, place = (np.asarray(part, dtype=np.float64).ravel() for part in found)
         if not (np.isfinite(turn).all() and np.isfinite(place).all() and place[2] > 0.0):
             return None
@@ -102,10 +100,6 @@ class BoardFinder:
     def _misses(self, pose: Pose, points: Array, pixels: Array) -> Array:
         rays = pose.apply(points) @ self._matrix.T
         return np.asarray(np.linalg.norm(rays[:, :2] / rays[:, 2:] - pixels, axis=1))
-
-
-def _column(vector: ArrayLike) -> Array:
-    return np.array(vector, dtype=np.float64).reshape(3, 1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,12 +120,9 @@ class BoardTracker:
     """
 
     def __init__(self, limits: TrackerSettings | None = None) -> None:
-        """Begin to search."""
-        self.limits = TrackerSettings() if limits is None else limits
+        self.limits = limits or TrackerSettings()
         self.pose: Pose | None = None
-        self._tracking = False
-        self._time = -float("inf")
-        self._last_seen = -float("inf")
+        self._tracking, self._time, self._last_seen = False, -math.inf, -math.inf
         self._count = 0  # sightings in the estimate
         self._streak: list[Pose] = []  # of good sightings that are not in the estimate yet
 

@@ -161,27 +161,26 @@ def test_a_margin_from_losing_the_shaft_is_kept_where_mu_rises_below_it(robot: R
 # --- on a horizon ---
 
 
+Middle = tuple[RobotModel, Array, Array, Targets, Program]
+
+
+@pytest.fixture(scope="module")
+def middle(robot: RobotModel) -> Middle:
+    """A start in the middle of a course, the course as a guess, and a program."""
+    targets = task(robot, robot.data.q_home, 101)
+    q = on_grid(robot, targets)[0].q_rad
+    return robot, q[29], q[30 : 30 + NODES], targets[30 : 30 + NODES], horizon(robot)
+
+
 def horizon(robot: RobotModel, smoothness: float = 1e-3, margin: Array | float = 0.0) -> Program:
     return Program(robot, NODES, 0.05, Limits(margin), mu=0.1, smoothness=smoothness, horizon=True)
 
 
-@pytest.fixture(scope="module")
-def middle() -> tuple[RobotModel, Array, Array, Targets]:
-    """A start in the middle of a course, and the course as a guess."""
-    robot = load_robot("lwr4")
-    targets = task(robot, robot.data.q_home, 101)
-    q = on_grid(robot, targets)[0].q_rad
-    return robot, q[29], q[30 : 30 + NODES], targets[30 : 30 + NODES]
-
-
-Middle = tuple[RobotModel, Array, Array, Targets]
-
-
 def test_tip_shaft_limits_and_speeds_are_kept_and_a_higher_price_makes_it_smoother(middle: Middle) -> None:
-    robot, start, guess, there = middle
+    robot, start, guess, there, usual = middle
     rough = []
-    for price in (1e-4, 1e-3, 1e-1):
-        answer, _ = horizon(robot, price).solve(guess, start, there)
+    for made in (horizon(robot, 1e-4), usual, horizon(robot, 1e-1)):
+        answer, _ = made.solve(guess, start, there)
         assert make_course(robot, there, answer).violation < 1e-4
         assert (np.abs(answer[0] - start) / there.period_s <= robot.v_max + 1e-3).all()
         rough.append(float((np.diff(np.concatenate([start[None], answer]), axis=0) ** 2).sum()))
@@ -190,8 +189,8 @@ def test_tip_shaft_limits_and_speeds_are_kept_and_a_higher_price_makes_it_smooth
 
 @pytest.mark.parametrize("side", [-1.0, 1.0])
 def test_its_end_is_pulled_to_where_v_is_higher(middle: Middle, side: float) -> None:
-    robot, start, guess, there = middle
-    made, rest = horizon(robot), (guess[-1] - start) / (NODES * there.period_s)
+    robot, start, guess, there, made = middle
+    rest = (guess[-1] - start) / (NODES * there.period_s)
     plain, _ = made.solve(guess, start, there, rest)
     along = np.linalg.svd(robot.state(plain[-1]).A[:, :6])[2][-1]
     along = np.append(along / np.linalg.norm(along), 0.0)
@@ -203,8 +202,7 @@ def test_its_end_is_pulled_to_where_v_is_higher(middle: Middle, side: float) -> 
 
 
 def test_it_begins_at_the_speed_that_the_arm_has(middle: Middle) -> None:
-    robot, start, guess, there = middle
-    made = horizon(robot)
+    robot, start, guess, there, made = middle
     steps = [made.solve(guess, start, there, speed * np.ones(robot.n))[0][0] - start for speed in (-0.5, 0.5)]
     along = np.linalg.svd(robot.state(start).A[:, :6])[2][-1]
     assert abs(along @ (steps[1] - steps[0])[:6]) > 1e-4
@@ -212,8 +210,8 @@ def test_it_begins_at_the_speed_that_the_arm_has(middle: Middle) -> None:
 
 
 def test_a_margin_from_a_limit_is_kept_where_the_course_would_go_beyond(middle: Middle) -> None:
-    robot, start, guess, there = middle
-    free, _ = horizon(robot).solve(guess, start, there)
+    robot, start, guess, there, usual = middle
+    free, _ = usual.solve(guess, start, there)
     turned = np.append(np.abs(np.linalg.svd(robot.state(start).A[:, :6])[2][-1]) > 0.1, False)
     side = np.sign(start - 0.5 * (robot.q_min + robot.q_max))
     way = np.where(turned, side * (free[-1] - start), -np.inf)

@@ -18,7 +18,7 @@ from moc_opt.robots.model import RobotModel
 from moc_opt.sim import Plant, PlantSettings
 from moc_opt.sim.mjcf import build_spec, compile_model
 from moc_opt.sim.plant import _is_sound
-from moc_opt.vision.pose import rotation_from
+from moc_opt.vision.board import rotation_from
 
 DATA = load_data("lwr4")
 MODEL = RobotModel(DATA)

@@ -12,11 +12,18 @@ from moc_opt.sim import Plant, PlantSettings
 from moc_opt.sim.loop import simulate
 from moc_opt.tasks import Reference
 from moc_opt.tasks.waiting import WaitingReference, flags_at
-from moc_opt.vision.augmented_reality import Augmented, pose_accuracy
-from moc_opt.vision.board import BOARD_TASKS, Board, board_below
+from moc_opt.vision.augmented_reality import (
+    DONE,
+    TASK,
+    TIP,
+    TROCAR,
+    Augmented,
+    draw,
+    pose_accuracy,
+    save_film,
+)
+from moc_opt.vision.board import BOARD_TASKS, Board, Pose, board_below
 from moc_opt.vision.camera import Camera, CameraSettings
-from moc_opt.vision.overlay import DONE, TASK, TIP, TROCAR, draw, save_film
-from moc_opt.vision.pose import Pose
 
 EXACT = CameraSettings(rate_Hz=20.0, calibration_error_m=0.0, calibration_error_deg=0.0)
 CIRCLE = BOARD_TASKS["circle"]
@@ -58,19 +65,10 @@ def test_a_board_that_is_never_seen_is_told_before_anything_moves(robot, phantom
         scene.locate()
 
 
-def test_a_loss_is_seen(robot, phantom):
-    scene = Augmented(robot, phantom, camera=EXACT, board=Board(lost_s=((0.5, 1.0),)))
-    scene.locate(seconds=0.3)
-    watch = scene.watch(2.0)
-    lost = watch.t_s[~watch.seen]
-    assert 0.5 < lost[0] < 0.75
-    assert 1.0 < lost[-1] + 0.05 < 1.2
-
-
 @pytest.mark.parametrize("hidden", [0.0, 0.6])
 def test_single_pictures_are_accurate(hidden):
     """0.07 mm and 0.03 degrees are what such a board is good for; twice that is a fault."""
-    found = pose_accuracy(board=Board(hidden_fraction=hidden), poses=25, seed=1)
+    found = pose_accuracy(board=Board(hidden_fraction=hidden), poses=15, seed=1)
     assert found["seen"] == 1.0
     assert found["position_median_mm"] < 0.1
     assert found["angle_median_deg"] < 0.06
@@ -94,6 +92,9 @@ def run(robot, phantom, trocar):
     q = pose_through(robot, path.start, trocar)
     seconds, period = 6.5, 0.002
     watch = scene.watch(seconds, q)
+    lost = watch.t_s[~watch.seen]
+    assert 2.0 < lost[0] < 2.25
+    assert 3.0 < lost[-1] + 0.05 < 3.2
     times = period * np.arange(round(seconds / period))
     waiting = WaitingReference(Reference(path, 0.05, 0.2), period)
     rows, played = waiting.play(flags_at(times, watch.t_s, watch.seen))
@@ -101,8 +102,7 @@ def run(robot, phantom, trocar):
     plant.reset(q)
     points = np.tile(np.stack([trocar, np.zeros(3)]), (len(times), 1, 1))
     driver = ControllerAdapter(Controller(robot, ControlSettings(law="dcac"), None, period))
-    trace = simulate(plant, driver, rows, points, points)
-    return scene, path, trace, played, waiting
+    return scene, path, simulate(plant, driver, rows, points, points), played, waiting
 
 
 def test_the_task_waits_the_tip_holds_and_nothing_jumps(run):

@@ -6,8 +6,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from moc_opt.errors import TaskError, UnknownNameError
-from moc_opt.vision.board import BOARD_TASKS, Board, BoardTask, board_below, board_task
-from moc_opt.vision.pose import Pose, rotation_from, rotation_vector
+from moc_opt.vision.board import (
+    BOARD_TASKS,
+    Board,
+    BoardTask,
+    Pose,
+    board_below,
+    board_task,
+    rotation_from,
+    rotation_vector,
+)
 
 BOARD = Board()
 VECTOR = st.tuples(*[st.floats(-2.0, 2.0)] * 3).map(np.array)

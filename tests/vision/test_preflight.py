@@ -21,7 +21,8 @@ PATHS = ("circle", "sinusoid", "spiral")
 
 def straight(start, end):
     way = end - start
-    return make_path("line", start, normal=np.cross(way, [1.0, 0.3, 0.2]), heading=way, length=np.linalg.norm(way))
+    path = make_path("line", start, normal=np.cross(way, [1.0, 0.3, 0.2]), heading=way, length=np.linalg.norm(way))
+    return Reference(path, 0.05, 0.2)
 
 
 def setup(seed=0, path="circle", **tables):
@@ -104,16 +105,14 @@ def test_too_fast_names_the_joint_and_a_speed_that_works(robot, home, trocar):
     assert 0.0 < told.value.arc_length_m < 0.06
     slower = float(re.search(r"from 5 to ([0-9.]+) m/s", str(told.value)).group(1))
     assert 0.1 < slower < 5.0
-    found = check_reachable(
-        robot, robot.data.q_home, reference(home, "line", slower, 200.0, length=0.06), trocar
-    )
+    found = check_reachable(robot, robot.data.q_home, reference(home, "line", slower, 200.0, length=0.06), trocar)
     assert 0.9 < found.speed_share.max() <= 1.0
 
 
 def test_a_path_that_leaves_the_workspace_says_where(robot):
     """Drawn out along the shaft, the wrist rises until the arm is stretched."""
     tip, trocar = np.array([0.74, 0.0, 0.10]), np.array([0.74, 0.0, 0.30])
-    upwards = Reference(straight(tip, tip + np.array([0.0, 0.0, 0.16])), 0.05, 0.2)
+    upwards = straight(tip, tip + np.array([0.0, 0.0, 0.16]))
     with pytest.raises(UnreachableError) as told:
         check_reachable(robot, pose_through(robot, tip, trocar), upwards, trocar)
     assert told.value.field == "path"
@@ -137,8 +136,8 @@ def test_joint_limits_are_named(robot, home, trocar):
 
 
 def test_a_trocar_beyond_the_tool_or_on_the_path_and_a_start_elsewhere_are_refused(robot, home, trocar):
-    up = Reference(straight(home.tip, home.tip + np.array([0.0, 0.0, 0.06])), 0.05, 0.2)
-    away = Reference(straight(home.tip + np.array([0.0, 0.01, 0.0]), home.tip), 0.05, 0.2)
+    up = straight(home.tip, home.tip + np.array([0.0, 0.0, 0.06]))
+    away = straight(home.tip + np.array([0.0, 0.01, 0.0]), home.tip)
     for task, through, field, place in (
         (reference(home, radius=0.03), trocar + np.array([0.0, 0.0, 0.3]), "trocar", 0.0),
         (up, home.tip - 0.03 * home.tool_direction, "path", 0.03), (away, trocar, "start", 0.0),
@@ -151,14 +150,11 @@ def test_a_trocar_beyond_the_tool_or_on_the_path_and_a_start_elsewhere_are_refus
 
 def test_another_swivel_is_tried_where_the_given_one_gets_stuck(robot, home, trocar, monkeypatch):
     """A start that is made to fail is replaced by the one in the middle of its self-motion."""
-    task = reference(home, radius=0.03)
-    scan = self_motion(robot, home.q)
-    solve = preflight.solve_pose
-    given = home.q[0]
+    task, scan, solve = reference(home, radius=0.03), self_motion(robot, home.q), preflight.solve_pose
 
     def only_elsewhere(arm, q, tip, wrist):
         placed = solve(arm, q, tip, wrist)
-        return placed if abs(q[0] - given) > 0.05 else placed._replace(miss_m=1.0)
+        return placed if abs(q[0] - home.q[0]) > 0.05 else placed._replace(miss_m=1.0)
 
     monkeypatch.setattr(preflight, "solve_pose", only_elsewhere)
     found = check_reachable(robot, home.q, task, trocar)
@@ -214,8 +210,7 @@ def test_what_is_followed_is_the_registered_trocar(monkeypatch):
 # --- random starts ---
 
 
-@pytest.mark.parametrize("swivel", ["given", "random", 0.5])
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize(("seed", "swivel"), [(0, "given"), (1, "random"), (2, 0.5), (3, "random")])
 def test_a_random_start_keeps_the_stated_rules(robot, seed, swivel):
     made = setup(seed, PATHS[seed % 3], start={"pose": "random", "swivel": swivel})
     state = robot.state(made.q_start)
