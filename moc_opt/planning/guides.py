@@ -231,26 +231,43 @@ def load_course(
             says which of robot, start, duration, path, limits and speeds differs, and by how much.
     """
 
-    def refused(why: str) -> ScenarioError:
-        return ScenarioError(f"[control] course = {shown(settings.course)}: {why}")
+    def refused(why: str, cure: str = PLAN_IT) -> ScenarioError:
+        return ScenarioError(f"[control] course = {shown(settings.course)}: {why}; {cure}")
 
     try:
         trace = Trace.load(settings.course)
     except TraceError as error:
-        raise refused(f"no file of a course ({error}); {PLAN_IT}") from error
+        raise refused(f"no file of a course ({error})") from error
     t, q = (trace.columns.get(name, np.empty(0)) for name in ("t_s", "q_rad"))
     if why := _no_course(trace, t, q, robot):
-        raise refused(f"{why}; {PLAN_IT}")
-    poses = between(targets.t_s, t, q)
-    if why := _of_another_run(trace, t, q, poses, robot, q_start, targets):
         raise refused(why)
-    shares, allowed = speed_shares(robot, poses, targets.period_s), settings.course_speed_fraction
-    j = int(np.argmax(shares))
-    if not shares[j] <= allowed + ROUNDING:
-        raise refused(
-            f"{robot.data.joint_names[j]} moves at {shares[j]:.3f} of its speed limit, the third level follows up "
-            f"to course_speed_fraction = {allowed:g}; plan it with --speed-share {allowed:g}"
-        )
+    names, allowed, off = robot.data.joint_names, settings.course_speed_fraction, np.abs(q[0] - q_start)
+    if off.max() > MOST_OFF_RAD and trace.meta.get("from_start") is False:
+        cure = f"begin there: [start] q_rad = {[round(angle, 9) for angle in q[0].tolist()]}"
+        raise refused(f"no course begins at this start, the file's is {off.max():.3g} rad from it", cure)
+    poses, end_s = between(targets.t_s, t, q), float(targets.t_s[-1])
+    tips, wrists = robot.tool_along(poses)
+    away = np.maximum(np.linalg.norm(tips - targets.tip, axis=1), np.linalg.norm(wrists - targets.wrist, axis=1))
+    k = int(np.argmax(away))
+    if abs(t[0]) > ROUNDING or abs(t[-1] - end_s) > ROUNDING * end_s:
+        raise refused(f"it goes from {t[0]:.4g} to {t[-1]:.4g} s, the run from 0 to {end_s:.4g}")
+    if off.max() <= MOST_OFF_RAD and not away[k] <= MOST_OFF_M:
+        raise refused(f"tip or wrist is {1e3 * away[k]:.3g} mm off path and shaft at t = {targets.t_s[k]:.3g} s")
+    shares = speed_shares(robot, poses, targets.period_s)
+    idle = np.where(robot.moves.any(axis=0), 0.0, np.abs(poses - q_start).max(axis=0))
+    beyond = np.maximum(poses - robot.q_max, robot.q_min - poses).max(axis=0)
+    slower = f"plan it with --speed-share {allowed:g}"
+    for each, most, what, cure in (
+        (off, MOST_OFF_RAD, "begins {:.3g} rad from the start of the run", PLAN_IT),
+        (beyond, MOST_OFF_RAD, "goes {:.3g} rad beyond its limit", PLAN_IT),
+        (idle, MOST_OFF_RAD, "moves neither tip nor wrist and turns by {:.3g} rad", PLAN_IT),
+        (shares, allowed + ROUNDING,
+         f"moves at {{:.3f}} of its speed limit, the third level follows up to course_speed_fraction = {allowed:g}",
+         slower),
+    ):  # fmt: skip
+        j = int(np.argmax(each))
+        if not each[j] <= most:
+            raise refused(f"{names[j]} {what.format(each[j])}", cure)
     within = trace.meta.get("within", {})
     told: dict[str, Any] = {
         "margin_rad": 0.0, "margin_m": 0.0, "speed_share": 1.0, "acceleration": np.inf, "shaft_margin": 0.0
@@ -258,7 +275,7 @@ def load_course(
     for name, usual in told.items():
         told[name] = value = within.get(name, usual) if isinstance(within, Mapping) else None
         if not isinstance(value, int | float) or not value >= 0.0:
-            raise refused(f"meta['within'] has no usable {name}: {shown(value)}; {PLAN_IT}")
+            raise refused(f"meta['within'] has no usable {name}: {shown(value)}")
     margin = margin_of(
         robot, max(settings.course_margin_rad, told["margin_rad"]), max(settings.limit_margin_m, told["margin_m"])
     )
@@ -275,40 +292,12 @@ def _no_course(trace: Trace, t: Array, q: Array, robot: RobotModel) -> str:
     if trace.meta.get("kind") != "course":
         return "the file holds no course"
     if q.shape != (len(t), robot.n) or len(t) < 2 or not t.dtype == q.dtype == np.float64:
-        wanted = f"a course of {robot.n} joints (k,) and (k, {robot.n})"
-        return f"t_s has shape {t.shape} and q_rad {q.shape}, {wanted}"
+        return f"t_s has shape {t.shape} and q_rad {q.shape}, a course of {robot.n} joints (k,) and (k, {robot.n})"
     if not (np.isfinite(q).all() and (np.diff(t) > 0.0).all()):
         return "its times t_s do not rise, or a pose is not finite"
     if trace.meta.get("robot", robot.data.name) != robot.data.name:
         return f"a course of robot {shown(trace.meta['robot'])}, this run's is {robot.data.name!r}"
     return ""
-
-
-def _of_another_run(
-    trace: Trace, t: Array, q: Array, poses: Array, robot: RobotModel, q_start: Array, targets: Targets
-) -> str:
-    names, end_s, off = robot.data.joint_names, float(targets.t_s[-1]), np.abs(q[0] - q_start)
-    tips, wrists = robot.tool_along(poses)
-    away = np.maximum(np.linalg.norm(tips - targets.tip, axis=1), np.linalg.norm(wrists - targets.wrist, axis=1))
-    beyond = np.maximum(poses - robot.q_max, robot.q_min - poses).max(axis=0)
-    idle = np.where(robot.moves.any(axis=0), 0.0, np.abs(poses - q_start).max(axis=0))
-    j, k = int(np.argmax(off)), int(np.argmax(away))
-    if off[j] > MOST_OFF_RAD and trace.meta.get("from_start") is False:
-        return (
-            f"no course begins at this start, {names[j]} of the file {off[j]:.3g} rad from it; "
-            f"begin there: [start] q_rad = {[round(angle, 9) for angle in q[0].tolist()]}"
-        )
-    checks = (
-        (off[j] > MOST_OFF_RAD, f"{names[j]} begins {off[j]:.3g} rad from the start of the run"),
-        (abs(t[0]) > ROUNDING or abs(t[-1] - end_s) > ROUNDING * end_s,
-         f"it goes from {t[0]:.4g} to {t[-1]:.4g} s, the run from 0 to {end_s:.4g}"),
-        (not away[k] <= MOST_OFF_M,
-         f"tip or wrist is {1e3 * away[k]:.3g} mm off path and shaft at t = {targets.t_s[k]:.3g} s"),
-        (beyond.max() > MOST_OFF_RAD, f"{names[int(np.argmax(beyond))]} goes {beyond.max():.3g} rad beyond its limit"),
-        (idle.max() > MOST_OFF_RAD,
-         f"{names[int(np.argmax(idle))]} moves neither tip nor wrist and turns by {idle.max():.3g} rad"),
-    )  # fmt: skip
-    return next((f"{why}; {PLAN_IT}" for wrong, why in checks if wrong), "")
 
 
 def speed_shares(robot: RobotModel, poses: Array, period_s: float) -> Array:

@@ -70,8 +70,7 @@ class PoseMap:
     def feasible(self, margin: Margin = 0.0) -> Flags:
         """Return (k,b,m) whether every joint keeps the margin from its limits."""
         room = self.room_rad - margin if np.ndim(margin) == 0 else _room(self.robot, self.q_rad, margin)
-        found: Flags = room >= -ROUNDING_RAD
-        return found
+        return np.asarray(room >= -ROUNDING_RAD)
 
     def crossing(self, k: int, step_rad: Array) -> NDArray[np.int64]:
         """Return (m,) bits of the branch's number that may change within a period with these joint steps (n,) [rad]."""
@@ -88,8 +87,7 @@ class PoseMap:
         score = np.where(may, self.mu[k], -np.inf).max(axis=0)
         peak = (score >= np.roll(score, 1)) & (score >= np.roll(score, -1)) & np.isfinite(score)
         chosen = np.argsort(np.where(peak, -score, np.inf))[: min(PEAKS, int(peak.sum()))]
-        poses: Array = self.q_rad[k][:, chosen][may[:, chosen]]
-        return poses
+        return np.asarray(self.q_rad[k][:, chosen][may[:, chosen]])
 
 
 def map_of(robot: RobotModel, q_start: Array, targets: Targets, swivels: int = SWIVELS) -> PoseMap:
@@ -110,8 +108,7 @@ def map_of(robot: RobotModel, q_start: Array, targets: Targets, swivels: int = S
     elbow = Elbow(robot, targets.wrist)
     first = float(np.mod(elbow.swivel(q_start[None])[0] + np.pi, 2.0 * np.pi / swivels)) - np.pi
     swivel = first + 2.0 * np.pi * np.arange(swivels) / swivels
-    arm = arm._replace(swivel_rad=swivel, reference=elbow.reference, idle_rad=float(q_start[6]))
-    return closed_map(robot, arm, targets, np.broadcast_to(swivel, (len(targets), swivels)))
+    return _closed(robot, arm._replace(swivel_rad=swivel, reference=elbow.reference), targets, float(q_start[6]))
 
 
 class ClosedForm(NamedTuple):
@@ -125,7 +122,6 @@ class ClosedForm(NamedTuple):
     offset: Array  #: (6,) [rad]
     swivel_rad: Array = np.empty(0)  #: (m,) evenly over one turn, in the sense of `moc_opt.planning.elbow.Elbow`
     reference: Array = np.array([0.0, 0.0, 1.0])  #: (3,) the direction from which the swivel counts
-    idle_rad: float = 0.0  #: Joint 7, which moves neither tip nor wrist, stands here throughout.
 
 
 def closed_form(robot: RobotModel) -> ClosedForm | None:
@@ -158,9 +154,9 @@ def closed_form(robot: RobotModel) -> ClosedForm | None:
     return ClosedForm(base, shoulder, upper, fore, float((tip - center) @ axes[6]), offset)
 
 
-def closed_map(robot: RobotModel, arm: ClosedForm, targets: Targets, swivels: Array) -> PoseMap:
-    """Compute the closed form at swivels (k,m) [rad]."""
-    angles = np.moveaxis(_angles(arm, targets, swivels), -1, 0)
+def _closed(robot: RobotModel, arm: ClosedForm, targets: Targets, idle_rad: float) -> PoseMap:
+    # Joint 7, which moves neither tip nor wrist, stands at idle_rad throughout.
+    angles = np.moveaxis(_angles(arm, targets), -1, 0)
     s, e, w = (np.arange(BRANCHES) >> bit & 1 for bit in range(3))  # whether joint 2, 4, 6 is negative
     flips = np.stack([s, s, s ^ e, e, e ^ w, w], axis=1)
     other = np.stack([-angle if j % 2 else angle + np.pi for j, angle in enumerate(angles)])
@@ -168,13 +164,13 @@ def closed_map(robot: RobotModel, arm: ClosedForm, targets: Targets, swivels: Ar
     middle, half = 0.5 * (robot.q_max + robot.q_min)[column], 0.5 * (robot.q_max - robot.q_min)[column]
     away = [wrapped(each - arm.offset[:, None, None] - middle) for each in (angles, other)]
     joints, rooms = [middle + each for each in away], [half - np.abs(each) for each in away]
-    shape = len(targets), BRANCHES, swivels.shape[1]
+    shape = len(targets), BRANCHES, len(arm.swivel_rad)
     q, room = np.empty((*shape, 7)), np.empty(shape)
     for branch, flip in enumerate(flips):
         room[:, branch] = np.min([rooms[f][j] for j, f in enumerate(flip)], axis=0)
         for j, f in enumerate(flip):
             q[:, branch, :, j] = joints[f][j]
-    q[..., 6] = np.where(np.isnan(q[..., 0]), np.nan, arm.idle_rad)
+    q[..., 6] = np.where(np.isnan(q[..., 0]), np.nan, idle_rad)
     mu = np.broadcast_to(_mu(robot, q[:, 0])[:, None], room.shape)
     return PoseMap(robot, targets, q, mu, room, arm)
 
@@ -187,11 +183,11 @@ def _mu(robot: RobotModel, q: Array) -> Array:
 
 
 def _room(robot: RobotModel, q: Array, margin: Margin = 0.0) -> Array:
-    room: Array = (np.minimum(q - robot.q_min, robot.q_max - q) - margin)[..., robot.moves.any(axis=0)].min(axis=-1)
-    return room
+    room = np.minimum(q - robot.q_min, robot.q_max - q) - margin
+    return np.asarray(room[..., robot.moves.any(axis=0)].min(axis=-1))
 
 
-def _angles(arm: ClosedForm, targets: Targets, swivels: Array) -> Array:
+def _angles(arm: ClosedForm, targets: Targets) -> Array:
     way = (targets.wrist - arm.shoulder) @ arm.base
     span = np.linalg.norm(way, axis=1, keepdims=True)
     line, reference = way / span, arm.reference @ arm.base
@@ -200,12 +196,12 @@ def _angles(arm: ClosedForm, targets: Targets, swivels: Array) -> Array:
     along = (arm.upper**2 + span**2 - arm.fore**2) / (2.0 * span)
     square = arm.upper**2 - along**2
     radius = np.sqrt(np.where(square > (STRAIGHT * arm.fore) ** 2, square, np.nan))
-    c, s = np.cos(swivels)[..., None], np.sin(swivels)[..., None]
+    c, s = np.cos(arm.swivel_rad)[:, None], np.sin(arm.swivel_rad)[:, None]
     elbow = (along * line)[:, None] + radius[:, None] * (c * np.cross(side, line)[:, None] + s * side[:, None])
     u = (((targets.tip - targets.wrist) @ arm.base) / arm.tool)[:, None]
     a3, a5 = elbow / arm.upper, (way[:, None] - elbow) / arm.fore
-    found = np.empty((*swivels.shape, 6))
     flat = np.hypot(a3[..., 0], a3[..., 1])
+    found = np.empty((*flat.shape, 6))
     found[..., 0] = np.arctan2(a3[..., 1], a3[..., 0])
     found[..., 1] = np.arctan2(flat, a3[..., 2])
     a2 = np.stack([-np.sin(found[..., 0]), np.cos(found[..., 0]), np.zeros_like(flat)], axis=-1)
@@ -221,8 +217,7 @@ def _angles(arm: ClosedForm, targets: Targets, swivels: Array) -> Array:
 
 
 def _dot(one: Array, two: Array) -> Array:
-    found: Array = np.einsum("...i,...i->...", one, two)
-    return found
+    return np.asarray(np.einsum("...i,...i->...", one, two))
 
 
 def reach(robot: RobotModel, q: Array, tip: Array, wrist: Array) -> Array | None:

@@ -44,8 +44,7 @@ def runs() -> dict[str, Trace]:
         plant={"preset": "nominal"}, start={"swivel": 0.2}, judge=False, bound_samples=0,
         task={"wait_s": 0.5, "hold_s": 0.0, "v_max_m_per_s": 0.05, "a_max_m_per_s2": 0.2},
     )  # fmt: skip
-    dcac = moc.change(control={"law": "dcac"})
-    return {"MOC": mo.run(moc), "DCAC": mo.run(dcac)}
+    return {"MOC": mo.run(moc), "DCAC": mo.run(moc.change(control={"law": "dcac"}))}
 
 
 @pytest.fixture(scope="module")
@@ -64,15 +63,12 @@ def test_the_grid_is_what_direct_evaluation_gives(
         tip = guide.tip_ref_m[tick]
         shaft = guide.trocar_registered_m[tick] - tip
         wrist = tip + shaft / np.linalg.norm(shaft) * robot.state(robot.data.q_home).tool_span
-        for j in np.flatnonzero(known[k]):
-            state = robot.state(found.q_rad[k, j])
-            assert state.mu == found.mu[k, j]
-            np.testing.assert_allclose([state.tip, state.wrist], [tip, wrist], atol=1e-8)
-            beyond = np.maximum(state.q - robot.q_max, robot.q_min - state.q)
-            if found.limit[k, j] == FEASIBLE:
-                assert beyond.max() <= 1e-9
-            else:
-                assert beyond[found.limit[k, j] - 1] == beyond.max() > 0.0
+        q, limit = found.q_rad[k, known[k]], found.limit[k, known[k]]
+        np.testing.assert_array_equal(robot.mu_along(q), found.mu[k, known[k]])
+        for places, place in zip(robot.tool_along(q), (tip, wrist), strict=True):
+            np.testing.assert_allclose(places - place, 0.0, atol=1e-8)
+        beyond = np.maximum(q - robot.q_max, robot.q_min - q)
+        np.testing.assert_array_equal(limit, np.where(beyond.max(axis=1) > 1e-9, 1 + beyond.argmax(axis=1), FEASIBLE))
     assert (found.limit == UNREACHABLE).sum() == (~known).sum()
     assert 0.2 < (found.limit == FEASIBLE).mean() < 0.9
 
@@ -141,20 +137,14 @@ def test_a_run_that_is_folded_another_way_is_told_apart(robot: RobotModel, runs:
     both = manipulability_map(robot, {"MOC": runs["MOC"], "flipped": flipped}, times=3, swivels=24)
     assert both.trajectories["MOC"].gap_rad < 0.3
     assert both.trajectories["flipped"].gap_rad > 1.0
-    lines = {
-        line.name: line.line.dash
-        for line in map_figure(both).data
-        if line.type == "scatter" and line.showlegend is None
-    }
-    assert (lines["MOC"], lines["flipped"]) == ("solid", "dot")
+    dashes = {line.name: line.line.dash for line in map_figure(both).data if line.type == "scatter"}
+    assert (dashes["MOC"], dashes["flipped"]) == ("solid", "dot")
 
 
 def test_what_is_out_of_reach_is_said_to_be(robot: RobotModel, runs: dict[str, Trace]) -> None:
-    far = np.array(runs["MOC"].tip_ref_m)
-    far[len(far) // 2 :] += [1.0, 0.0, 0.0]
-    trocar = np.array(runs["MOC"].trocar_registered_m)
-    trocar[len(far) // 2 :] += [1.0, 0.0, 0.0]
-    torn = runs["MOC"].with_columns(tip_ref_m=far, trocar_registered_m=trocar)
+    moc = runs["MOC"]
+    away = np.where(np.arange(len(moc)) < len(moc) // 2, 0.0, 1.0)[:, None] * np.eye(3)[0]
+    torn = moc.with_columns(tip_ref_m=moc.tip_ref_m + away, trocar_registered_m=moc.trocar_registered_m + away)
     some = manipulability_map(robot, {"MOC": torn}, times=4, swivels=12)
     assert (some.limit[2:] == UNREACHABLE).all()
     assert np.isnan(some.best_mu[2:]).all()
@@ -244,18 +234,12 @@ def hill(top: float, height: float, width: float = 60.0) -> Callable[[Any], Any]
 
 
 def made(
-    mu: Callable[[Any], Any],
-    trajectories: dict[str, Any],
-    forbidden: tuple[float, float, int] | None = None,
+    mu: Callable[[Any], Any], trajectories: dict[str, Any], forbidden: tuple[float, float, int] | None = None,
     **more: Any,
 ) -> SwivelMap:  # fmt: skip
-    """A map that is the same at all times.
+    """A map that is the same at all times: mu of the swivel [deg], runs by their swivels at 101 times [deg].
 
-    Args:
-        mu: of the swivel [deg].
-        trajectories: name -> swivel over time [deg]: a number, or one at each of 101 times.
-        forbidden: from, to [deg], and what stands in `limit` there.
-        more: of every trajectory.
+    ``forbidden``: from, to [deg], and what stands in `limit` there; ``more`` is of every trajectory.
     """
     limit = np.full((len(T), len(ROWS)), FEASIBLE)
     if forbidden:
@@ -333,13 +317,6 @@ def test_time_at_the_grey_is_counted_with_its_joint() -> None:
     assert (away.at_edge, away.limits) == (0.0, ())
 
 
-def test_the_reach_holds_a_trajectory_too() -> None:
-    found = read(hill(60.0, 0.3), {"run": -4.0}, (0.0, 20.0, UNREACHABLE))
-    # mu is not known where there is no pose, so that nobody can say that the way up leads there.
-    assert found.joint == 0
-    assert found.end in (End.FEASIBLE_EDGE, End.LOCAL_MAXIMUM, End.STILL)
-
-
 def test_the_climb_crosses_the_cut_of_the_map() -> None:
     """The map is a circle, cut open somewhere: a top beyond its last row is close to its first one."""
 
@@ -357,16 +334,10 @@ def test_what_cannot_be_judged_is_said() -> None:
     assert nowhere.end is End.UNKNOWN
 
 
-def test_trajectories_that_look_the_same_are_one_kind() -> None:
-    found = made(
-        hill(60.0, 0.3), {"a": 0.0, "b": 10.0, "c": 2.0, "d": ramp(0.0, 30.0), "e": 11.0, "f": 360.0}
-    )
+def test_trajectories_that_look_the_same_are_one_kind_unless_one_ends_early_or_folds_otherwise() -> None:
+    found = made(hill(60.0, 0.3), {"a": 0.0, "b": 10.0, "c": 2.0, "d": ramp(0.0, 30.0), "e": 11.0, "f": 360.0})
     assert alike(found) == {"a": ["c", "f"], "b": ["e"], "d": []}
     assert alike(found, within_rad=np.radians(0.5)) == {"a": ["f"], "b": [], "c": [], "d": [], "e": []}
-
-
-def test_a_run_that_ends_early_or_folds_otherwise_is_a_kind_of_its_own() -> None:
-    found = made(hill(60.0, 0.3), {"a": 0.0})
     whole = found.trajectories["a"]
     short = Trajectory(whole.t_s[:50], whole.swivel_rad[:50], whole.mu[:50], whole.gap_rad)
     for other in (short, replace(whole, gap_rad=2.0)):
