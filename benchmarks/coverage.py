@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
+from functools import partial
 from itertools import product
 from typing import Self
 
@@ -23,7 +24,7 @@ from moc_opt.report.tables import Column, Table
 from moc_opt.scenario import Scenario
 from moc_opt.study import Failed, Job
 from moc_opt.study.command import Found, Study, StudyConfig, command
-from moc_opt.study.results import Results
+from moc_opt.study.results import ERRORS, TITLES, Results
 from moc_opt.study.show import Report, Section
 from moc_opt.study.statistics import relative_change
 from moc_opt.study.trials import BASELINE, Trial, trials
@@ -31,11 +32,7 @@ from moc_opt.study.trials import BASELINE, Trial, trials
 SEED = 1_000_000
 """Far from the trials of every study."""
 SOLVERS = ("exact", "rnn", "rnn-printed")
-METRICS = {
-    "mu_mean": "mu",
-    "rcm_error_model_mean_mm": "RCM, own kinematics", "rcm_error_registered_mean_mm": "RCM, patient",
-    "tip_error_model_mean_mm": "tip, own kinematics", "tip_error_registered_mean_mm": "tip, patient",
-}  # fmt: skip
+METRICS = ("mu_mean", *(ERRORS[k] for k in (3, 4, 0, 1)))
 SIZES = (60, 15)
 
 
@@ -86,7 +83,7 @@ def work(study: Study, config: Config) -> Found:
         both = pool.pairs(metric, solver)
         treated, control = np.array(both)
         rows.append({
-            "solver": solver, "metric": metric, "change": METRICS[metric], "trials": len(treated),
+            "solver": solver, "metric": metric, "change": TITLES.get(metric, "mu"), "trials": len(treated),
             "true_percent": 100.0 * (treated.mean() / control.mean() - 1.0),
             "ratios_percent": 100.0 * float(np.mean(treated / control - 1.0)),
         })  # fmt: skip
@@ -115,10 +112,7 @@ def report(rows: Sequence[dict[str, object]], config: Config) -> Report:
     return Report("How often the intervals hold the true change", [answer], table, sections=[folded])
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the simulation; returns the exit status."""
-    return command("coverage", "How often the intervals hold the true change.", Config, work, arguments)
-
+main = partial(command, "coverage", "How often the intervals hold the true change.", Config, work)
 
 if __name__ == "__main__":
     sys.exit(main())

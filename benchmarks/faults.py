@@ -11,9 +11,11 @@ from __future__ import annotations
 import sys
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
+import polars as pl
 from numpy.typing import NDArray
 from pydantic import Field, field_validator, model_validator
 
@@ -159,7 +161,7 @@ def work(study: Study, config: Config) -> Found:
             traces |= {name: Trace(columns) for name, columns in found[1].items()}
     summary: dict[str, Any] = {"cases": summarise(rows)}
     summary["goals"] = judge(summary["cases"], goals_of(cases))
-    return Found(report(summary, cases, traces, config), summary, rows)
+    return Found(report(summary, traces, config), summary, rows)
 
 
 def run_block(block: Block) -> tuple[list[dict[str, Any]], dict[str, dict[str, Array]]]:
@@ -287,11 +289,7 @@ def recovery(trace: Trace, free: Trace, case: Case | None, ended: str) -> float 
 
 def smooth(values: Array, width: int) -> Array:
     """Return the mean of the last ``width`` values, (N,); of fewer at the beginning."""
-    total = np.concatenate([[0.0], np.cumsum(values)])
-    end = np.arange(1, len(values) + 1)
-    begin = np.maximum(end - width, 0)
-    mean: Array = (total[end] - total[begin]) / (end - begin)
-    return mean
+    return pl.Series(values).rolling_mean(width, min_samples=1).to_numpy()
 
 
 def summarise(rows: Results) -> dict[str, dict[str, dict[str, Any]]]:
@@ -303,18 +301,14 @@ def summarise(rows: Results) -> dict[str, dict[str, dict[str, Any]]]:
 
 
 def _worst(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    figures: dict[str, Any] = {"group": rows[0]["group"], "runs": len(rows)}
-    figures |= {name.replace(" ", "_"): sum(r["outcome"] == name for r in rows) for name in OUTCOMES}
-    figures["ended"] = "; ".join(sorted({str(r["ended"]) for r in rows}))
-    for names, combine in ((WORST, max), (COUNTS, sum)):
-        for name in names:
-            if values := [r[name] for r in rows if r.get(name) is not None]:
-                figures[name] = combine(values)
-    times = [r["recover_s"] for r in rows if r.get("recover_s") is not None]
-    figures["recovered"] = len(times)
-    if len(times) == len(rows):
-        figures["recover_s"] = max(times)
-    return figures
+    found: dict[str, Any] = {"group": rows[0]["group"], "runs": len(rows)}
+    found |= {name.replace(" ", "_"): sum(r["outcome"] == name for r in rows) for name in OUTCOMES}
+    found["ended"] = "; ".join(sorted({str(r["ended"]) for r in rows}))
+    known = {name: [r[name] for r in rows if r.get(name) is not None] for name in (*WORST, *COUNTS, "recover_s")}
+    found["recovered"] = len(known["recover_s"])
+    if len(known["recover_s"]) < len(rows):  # it did not recover in every trial
+        known["recover_s"] = []
+    return found | {name: (sum if name in COUNTS else max)(values) for name, values in known.items() if values}
 
 
 def case_rows(summary: Mapping[str, Any]) -> list[dict[str, Any]]:
@@ -337,17 +331,15 @@ def goals_of(cases: Mapping[str, Case]) -> dict[str, Goal]:
     def total(*keys: str) -> Any:
         return lambda summary: sum(row.get(key, 0) for row in case_rows(summary) for key in keys)
 
-    def largest(key: str, among: Collection[str]) -> Any:
-        return lambda summary: max(r[key] for r in case_rows(summary) if r["case"] in among and key in r)
+    def above(words: str, when: str, column: str, among: Collection[str]) -> Goal:
+        def worst(summary: Any) -> Mapping[str, Any]:
+            known = [row for row in case_rows(summary) if row["case"] in among and column in row]
+            return max(known, key=lambda row: row[column])
 
-    def where(key: str, among: Collection[str]) -> Any:
-        def found(summary: Any) -> str:
-            row = max((r for r in case_rows(summary) if r["case"] in among and key in r), key=lambda r: r[key])
-            return f"{row['case']}, {row['controller']}"
+        return Goal(f"{words} RCM error above the fault-free run, solver faulty {when}", "%", RCM_LIMIT_PERCENT,
+                    lambda summary: worst(summary)[column], section=EVERY,
+                    made_of=lambda summary: "{case}, {controller}".format(**worst(summary)))  # fmt: skip
 
-        return found
-
-    above = "RCM error above the fault-free run, solver faulty"
     return {
         "diverged": Goal("runs that diverge and are not stopped", "", 0, total("diverged"), section=EVERY),
         "lost": Goal("runs that the plant or the process could not finish", "", 0,
@@ -356,26 +348,20 @@ def goals_of(cases: Mapping[str, Case]) -> dict[str, Goal]:
         "false_alarms": Goal(
             "honest answers refused", "% of all ticks", FALSE_ALARMS_PERCENT,
             lambda summary: 100.0 * total("false_alarms")(summary) / max(total("ticks")(summary), 1), section=SOLVERS),
-        "mean_seldom": Goal(f"mean {above} now and then", "%", RCM_LIMIT_PERCENT, largest("rcm_mean_percent", seldom),
-                            made_of=where("rcm_mean_percent", seldom), section=EVERY),
-        "max_seldom": Goal(f"largest {above} now and then", "%", RCM_LIMIT_PERCENT, largest("rcm_max_percent", seldom),
-                           made_of=where("rcm_max_percent", seldom), section=EVERY),
-        "mean_always": Goal(f"mean {above} at every tick", "%", RCM_LIMIT_PERCENT, largest("rcm_mean_percent", always),
-                            made_of=where("rcm_mean_percent", always), section=EVERY),
+        "mean_seldom": above("mean", "now and then", "rcm_mean_percent", seldom),
+        "max_seldom": above("largest", "now and then", "rcm_max_percent", seldom),
+        "mean_always": above("mean", "at every tick", "rcm_mean_percent", always),
         "rest": Goal("speed of any joint at the end of a stop", "rad/s", AT_REST_RAD_PER_S,
                      lambda summary: max(r["last_speed_rad_per_s"] for r in case_rows(summary) if r["stopped"]),
                      section=EVERY),
     }  # fmt: skip
 
 
-def report(
-    summary: Mapping[str, Any], cases: Mapping[str, Case], traces: Mapping[str, Trace], config: Config
-) -> Report:
+def report(summary: Mapping[str, Any], traces: Mapping[str, Trace], config: Config) -> Report:
     """Show the goals first, then every fault, then what was noticed of the solvers'."""
-    rows, goals = case_rows(summary["cases"]), goals_of(cases)
-    runs, survived, stopped, injected, detected, harmless = (
-        sum(r.get(key, 0) for r in rows) for key in ("runs", "survived", "stopped", "injected", "detected", "harmless")
-    )
+    rows = case_rows(summary["cases"])
+    keys = ("runs", "survived", "stopped", "injected", "detected", "harmless")
+    runs, survived, stopped, injected, detected, harmless = (sum(row.get(key, 0) for row in rows) for key in keys)
     answer = [
         f"Of {runs} runs {survived} survived within the limits, {stopped} were stopped, and "
         f"{runs - survived - stopped} did neither.",
@@ -397,14 +383,11 @@ def report(
         Section(EVERY, limits, tables),
         Section(SOLVERS, "", [Table("Solver faults, injected and detected", SEEN, seen)]),
     ]
-    table = goals_table(summary["goals"], goals)
-    return Report(f"Every fault: {about(config.scenario)}", answer, table, pictures, sections)
+    first = goals_table(summary["goals"])
+    return Report(f"Every fault: {about(config.scenario)}", answer, first, pictures, sections)
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the study; returns the exit status."""
-    return command("faults", "Every fault under every controller.", Config, work, arguments)
-
+main = partial(command, "faults", "Every fault under every controller.", Config, work)
 
 if __name__ == "__main__":
     sys.exit(main())

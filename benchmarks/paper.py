@@ -10,7 +10,7 @@ procedure from the hand-guided tip to the end of the path. Several runs go at a 
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from itertools import islice
@@ -25,14 +25,14 @@ from moc_opt.control import ControlSettings
 from moc_opt.errors import UnknownNameError
 from moc_opt.figures import box_plots
 from moc_opt.figures.notation import Mark
-from moc_opt.figures.style import GOOD, MUTED, SERIES, WORST, figure
+from moc_opt.figures.style import GOOD, MUTED, SERIES, WORST
 from moc_opt.inputs.settings import Name, Settings
 from moc_opt.planning.self_motion import self_motion
 from moc_opt.report.tables import Column, Table
 from moc_opt.scenario import Scenario
 from moc_opt.study import Failed, Job
 from moc_opt.study.command import Found, Study, StudyConfig, command, runnable
-from moc_opt.study.results import ERRORS, FRAMES, Results, change_name
+from moc_opt.study.results import ERRORS, FRAMES, TITLES, Results, change_name
 from moc_opt.study.show import (
     Goal,
     Picture,
@@ -44,6 +44,7 @@ from moc_opt.study.show import (
     goals_table,
     intervals_picture,
     judge,
+    lines_picture,
 )
 from moc_opt.study.statistics import Change, Interval, difference_of_changes, spread, too_few
 from moc_opt.study.trials import BASELINE, BASELINES, DAMPED, OWN, PHASES, Trial, seeds, trials, with_phases
@@ -62,10 +63,6 @@ MOST_MM = {
     "rcm_error_registered_mean_mm": 0.2, "rcm_error_mean_mm": 0.5,
 }  # fmt: skip
 """Goals of the means [mm]; 0.3 of the 0.5 mm are the error of a registration that is 0.5 mm off."""
-NAMES = dict(zip(ERRORS, ("tip, own", "tip, registered", "tip, base", "RCM, own", "RCM, registered", "RCM, base"),
-                 strict=True))  # fmt: skip
-WORDS = dict(zip(ERRORS, [f"{part} error, {frame}" for part in ("tip", "RCM") for frame in (
-    "own kinematics", "registered frame", "base frame")], strict=True))  # fmt: skip
 RULES = (
     "An effect is the change of MOC against a DCAC on the same trials, 100 (mean MOC / mean DCAC - 1), with its 95 % "
     "interval, and beside it the mean of the trials' own ratios. A claim is confirmed against one DCAC where both "
@@ -93,8 +90,9 @@ class Claim:
 
     def verdict(self, own: Change | None, matched: Change | None) -> str:
         """Return the verdict from the effects against DCAC with its own gains and with MOC's."""
-        if matched is None or (few := too_few(matched.ratio.samples)):
-            return too_few(0) or "" if matched is None else few or ""
+        few = too_few(matched.ratio.samples if matched else 0)
+        if matched is None or few:
+            return str(few)
         if self.confirmed(matched):
             return HOLDS
         if disagree(matched, self.bound):
@@ -104,12 +102,12 @@ class Claim:
 
 CLAIMS = (
     Claim("mu_mean", "mu", "manipulability rises by more than 7 %", 7.0, upwards=True),
-    Claim(ERRORS[0], NAMES[ERRORS[0]], "tip accuracy is better"),
-    Claim(ERRORS[3], NAMES[ERRORS[3]], "the RCM error is smaller"),
-    Claim(ERRORS[1], NAMES[ERRORS[1]], "the tip is nearer to its path in the patient", papers=False),
-    Claim(ERRORS[2], NAMES[ERRORS[2]], "the tip is nearer to its path in the base frame", papers=False),
-    Claim(ERRORS[4], NAMES[ERRORS[4]], "the shaft is nearer to the incision in the patient", papers=False),
-    Claim(ERRORS[5], NAMES[ERRORS[5]], "the shaft is nearer to the true trocar", papers=False),
+    Claim(ERRORS[0], TITLES[ERRORS[0]], "tip accuracy is better"),
+    Claim(ERRORS[3], TITLES[ERRORS[3]], "the RCM error is smaller"),
+    Claim(ERRORS[1], TITLES[ERRORS[1]], "the tip is nearer to its path in the patient", papers=False),
+    Claim(ERRORS[2], TITLES[ERRORS[2]], "the tip is nearer to its path in the base frame", papers=False),
+    Claim(ERRORS[4], TITLES[ERRORS[4]], "the shaft is nearer to the incision in the patient", papers=False),
+    Claim(ERRORS[5], TITLES[ERRORS[5]], "the shaft is nearer to the true trocar", papers=False),
 )
 """The paper's three claims by the robot's own kinematics, as it measured them; then the same in the other frames."""
 
@@ -306,35 +304,25 @@ def gains(rows: Results, solver: str) -> list[float]:
     return [100.0 * (a / b - 1.0) for a, b in zip(mine, theirs, strict=True)]
 
 
-def asked_goals(rows: Results, solver: str) -> dict[str, Goal]:
-    """Return what the best MOC should reach against DCAC with the same gains and the same compensation."""
+def goals(rows: Results, group: str | None, solver: str) -> dict[str, dict[str, Any]]:
+    """Judge what the best MOC should reach against DCAC with the same gains, on the trials of a group."""
+    mine = rows.where(part="trials", group=group)
 
-    def present(measured: Callable[[], Any], summary: Any) -> Any:
-        value = measured()
-        if value is None:
-            raise LookupError("no trial has it")
-        return value
+    def change(metric: str) -> Callable[[Any], Change | None]:
+        return lambda _: mine.change(metric, solver)
 
-    smallest = gains(rows, solver)
-    found = {
-        "mu_gain": Goal("gain in mean mu, lower end", "%", LEAST_GAIN_PERCENT,
-                        partial(present, partial(rows.change, "mu_mean", solver)), most=False),
-        "mu_worst": Goal(f"smallest gain of {len(smallest)} trials", "%", 0.0,
-                         lambda _: Interval(min(smallest), min(smallest), min(smallest), len(smallest)), most=False),
-    }  # fmt: skip
-    for name in ERRORS:
-        change = partial(rows.change, f"settled_{name}", solver)
-        found[f"settled_{name}"] = Goal(f"settled: change of {WORDS[name]}, upper end", "%", MOST_CHANGE_PERCENT,
-                                        partial(present, change))  # fmt: skip
-    for name, limit in MOST_MM.items():
-        found[name] = Goal(f"mean {WORDS[name]}, upper end", "mm", limit,
-                           partial(present, partial(rows.mean, name, solver)))  # fmt: skip
-    return found
+    def mean(metric: str) -> Callable[[Any], Interval | None]:
+        return lambda _: mine.mean(metric, solver)
 
-
-def goals(rows: Results, group: str, solver: str) -> dict[str, dict[str, Any]]:
-    """Judge the goals of a group."""
-    return judge({}, asked_goals(rows.where(part="trials", group=group), solver))
+    each = gains(mine, solver)
+    worst = Interval(min(each), min(each), min(each), len(each)) if each else None
+    return judge({}, {
+        "mu_gain": Goal("gain in mean mu", "%", LEAST_GAIN_PERCENT, change("mu_mean"), most=False),
+        "mu_worst": Goal(f"smallest gain of {len(each)} trials", "%", 0.0, lambda _: worst, most=False),
+        **{f"settled_{name}": Goal(f"{title}: change of the settled error", "%", MOST_CHANGE_PERCENT,
+                                   change(f"settled_{name}")) for name, title in TITLES.items()},
+        **{name: Goal(f"{TITLES[name]}: mean error", "mm", limit, mean(name)) for name, limit in MOST_MM.items()},
+    })  # fmt: skip
 
 
 def ablation(rows: Results, cases: Mapping[str, Case]) -> list[dict[str, Any]]:
@@ -478,10 +466,8 @@ def _swivel_picture(rows: Results, summary: Mapping[str, Any]) -> list[Picture]:
     points = [(row["fraction"], gain[0]) for row, both in values if (gain := gains(both, solver))]
     if not points or "gain_at_maximum_percent" not in summary["swivel"]:
         return []
-    drawn = figure(showlegend=False)
-    drawn.add_scatter(x=[x for x, _ in points], y=[y for _, y in points], mode="lines+markers")
-    drawn.update_xaxes(title_text="start on the feasible self-motion, from one end to the other")
-    drawn.update_yaxes(title_text="gain of mean mu [%]")
+    lines = {f"MOC with {solver}": [(x, y, y, y) for x, y in points]}
+    drawn = lines_picture(lines, "start on the feasible self-motion, from one end to the other", "gain of mean mu [%]")
     says = (
         f"The gain depends on where the elbow starts: {summary['swivel']['gain_at_maximum_percent']:.2g} % from the "
         f"largest mu, up to {summary['swivel']['gain_max_percent']:.0f} % elsewhere."
@@ -500,8 +486,7 @@ def _sections(summary: Mapping[str, Any], rows: Results, config: Config) -> Iter
         for group in config.groups])  # fmt: skip
     for key, group in (("goals", config.best), ("goals_elsewhere", config.elsewhere)):
         if summary[key]:
-            asked = asked_goals(rows.where(part="trials", group=group), config.best_solver)
-            table = goals_table(summary[key], asked, f"Goals of MOC with {config.best_solver}, group {group}")
+            table = goals_table(summary[key], f"Goals of MOC with {config.best_solver}, group {group}")
             yield Section(f"Goals, group {group}", FRAMES, [table])
     for group in config.groups:
         by = summary["groups"][group]
@@ -512,16 +497,15 @@ def _sections(summary: Mapping[str, Any], rows: Results, config: Config) -> Iter
             for metric, words in (("mu_mean", "mu [m^3]"), (ERRORS[0], "tip error, own kinematics [mm]"),
                                   (ERRORS[3], "RCM error, own kinematics [mm]"))
         ]  # fmt: skip
-        phases = [change_name(f"{phase}_{name}") for phase in PHASES for name in ERRORS]
-        titles = {change_name(f"{phase}_{name}"): f"{phase}: {NAMES[name]}" for phase in PHASES for name in ERRORS}
+        phases = {change_name(f"{phase}_{name}"): f"{phase}: {TITLES[name]}" for phase in PHASES for name in ERRORS}
         named = [Column("name", "controller")]
         figures = [{"name": BASELINES.get(name, f"MOC, {name}"), **row} for name, row in by.items()]
         yield Section(f"Group {group}", config.groups[group].about, [
             Table("Means over the runs that completed the task", [*named, *columns(
                 "whole", "oscillated", "mu_gain_percent", "mu_mean", "mu_fraction_of_best", *ERRORS,
-                "trocar_force_mean_N", "torque_rate_rms_Nm_per_s", **NAMES)], figures),
+                "trocar_force_mean_N", "torque_rate_rms_Nm_per_s")], figures),
             Table("Changes against DCAC with the same gains while the elbow travels, and once it has settled",
-                  [*named, *columns(*phases, **titles)], figures),
+                  [*named, *columns(*phases, **phases)], figures),
             *boxes])  # fmt: skip
     if summary["ablation"]:
         exchanged = [
@@ -548,10 +532,7 @@ def _sections(summary: Mapping[str, Any], rows: Results, config: Config) -> Iter
     ])  # fmt: skip
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the experiment; returns the exit status."""
-    return command("paper", "The paper's experiment, and which of its claims hold.", Config, work, arguments)
-
+main = partial(command, "paper", "The paper's experiment, and which of its claims hold.", Config, work)
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -9,8 +9,9 @@ searched for by inverse kinematics from random starts, and the grid is halved.
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import suppress
+from functools import partial
 from typing import Any, Self, get_args
 
 import numpy as np
@@ -19,8 +20,8 @@ from pydantic import Field
 from moc_opt import scenario
 from moc_opt.control import ControlSettings
 from moc_opt.errors import MocOptError, RobotError, describe
+from moc_opt.figures import box_plots
 from moc_opt.figures.notation import Mark
-from moc_opt.figures.style import Styles, figure, label, log_axis, rule
 from moc_opt.planning.pose_map import closed_form, largest_mu
 from moc_opt.planning.self_motion import self_motion
 from moc_opt.report.tables import Column, Table
@@ -31,7 +32,6 @@ from moc_opt.study import Failed, Job
 from moc_opt.study.command import Found, Study, StudyConfig, command
 from moc_opt.study.results import Results, change_name
 from moc_opt.study.show import (
-    MARKS,
     Goal,
     Picture,
     Report,
@@ -40,6 +40,7 @@ from moc_opt.study.show import (
     goals_sentence,
     goals_table,
     judge,
+    mark,
 )
 from moc_opt.study.statistics import Interval, mean, spread, too_few
 from moc_opt.study.trials import on_each_arm, placed, seeds
@@ -53,12 +54,12 @@ LOOPS: dict[str, dict[str, Any]] = {
     # What the observer's gain under a course is worth to the climb: tip and RCM error come of its lag.
     "local, observer of the courses": {"observer_gain_per_s": CONTROL["course_observer_gain_per_s"].default},
 }
-ERRORS = ("tip_error_model_mean_mm", "rcm_error_model_mean_mm")
+ERRORS = {"tip": "tip_error_model_mean_mm", "RCM": "rcm_error_model_mean_mm"}
 MOST_GAP_PERCENT = {LOCAL: 2.0, "receding": 1.0, "planned": 0.5}
 """Mean mu in the loop below that of the best course from the same start."""
 MOST_PLANNED_PERCENT, MOST_CHANGE_PERCENT, TRAPPED_PERCENT, LEAST_DRAWN_PERCENT = 3.0, 5.0, 5.0, 0.01
 MOST_SCRATCH_S, MOST_REPLAN_MS, MOST_ABOVE_MAP, MOST_HALVING_PERCENT = 3.0, 20.0, 1e-6, 0.5
-FIGURES = ("gap_percent", "fraction_of_best", *ERRORS, "course_gap_percent", "replan_ms_p99")
+FIGURES = ("gap_percent", "fraction_of_best", *ERRORS.values(), "course_gap_percent", "replan_ms_p99")
 COURSES = (
     "from_start", "best", "climb_gap_percent", "start_loss_percent", "bound_gap_percent", "refined_percent",
     "halving_percent", "map_s", "search_s", "refine_s", "scratch_s",
@@ -133,7 +134,7 @@ def loop(case: Scenario, trial: Scenario, name: str, change: Mapping[str, Any], 
     if not Ending.of(row["ended"]).whole:
         return row | {"whole": False, "error": row["ended"]}
     metrics, replans = summarize(trace), trace.meta.get("replans", {})
-    row |= {name: metrics[name] for name in ("mu_mean", *ERRORS)}
+    row |= {name: metrics[name] for name in ("mu_mean", *ERRORS.values())}
     row |= {"gap_percent": 100.0 * (1.0 - row["mu_mean"] / mine), "fraction_of_best": row["mu_mean"] / best}
     if "course_mu_mean" in trace.meta:
         row["course_gap_percent"] = 100.0 * (1.0 - float(trace.meta["course_mu_mean"]) / mine)
@@ -179,50 +180,41 @@ def random_starts(case: Scenario, count: int) -> list[dict[str, Any]]:
 
 def work(study: Study, config: Config) -> Found:
     """Plan every trial, run the loops, check map and grid, and judge the goals."""
-    cases, jobs, names = config.cases(), list[Job](), list[tuple[Scenario, str]]()
-
-    def ask(part: str, case: Scenario, function: Any, *arguments: Any) -> None:
-        jobs.append(Job(function, (case, *arguments)))
-        names.append((case, part))
-
+    cases, asked = config.cases(), list[tuple[str, Job]]()
     for robot in config.robots:
         mine = [case for case in cases if case.robot.name == robot]
         some = mine[:: max(1, len(mine) // max(config.map_points, config.halvings, 1))]
-        for case in mine:
-            ask("courses", case, courses, config.loops)
-        for case in some[: config.halvings]:
-            ask("halving", case, halving)
+        asked += [("courses", Job(courses, (case, config.loops))) for case in mine]
+        asked += [("halving", Job(halving, (case,))) for case in some[: config.halvings]]
         if closed_form(mine[0].robot.arm()) is not None:
-            for case in some[: config.map_points]:
-                ask("random starts", case, random_starts, config.random_starts)
+            points = some[: config.map_points]
+            asked += [("random starts", Job(random_starts, (case, config.random_starts))) for case in points]
     rows = Results()
-    for (case, part), found in zip(names, study.run(jobs, "plans"), strict=True):
-        failed = isinstance(found, Failed)
-        rows.add(*([about(case, part) | {"whole": False, "error": str(found)}] if failed else found))
+    for (part, job), found in zip(asked, study.run([job for _, job in asked], "plans"), strict=True):
+        lost = about(job.arguments[0], part) | {"whole": False, "error": str(found)}
+        rows.add(*([lost] if isinstance(found, Failed) else found))
     summary: dict[str, Any] = {"courses": {}, "loops": {}, "checks": {}}
     for robot in config.robots:
         of = rows.where(robot=robot)
         summary["courses"][robot] = course_figures(of)
         summary["loops"][robot] = {name: loop_figures(of.where(part="loop"), name) for name in config.loops}
         summary["checks"][robot] = list(of.where(part="random starts"))
-    asked = {robot: goals(config.loops) for robot in config.robots}
-    own = {
-        robot: {"loops": summary["loops"][robot], "courses": summary["courses"][robot],
-                "checks": summary["checks"][robot]} for robot in config.robots
-    }  # fmt: skip
-    summary["goals"] = {robot: judge(own[robot], asked[robot]) for robot in config.robots}
-    return Found(report(summary, rows, asked, config), summary, rows)
+    wanted = goals(config.loops)
+    summary["goals"] = {
+        robot: judge({part: summary[part][robot] for part in ("loops", "courses", "checks")}, wanted)
+        for robot in config.robots
+    }
+    return Found(report(summary, rows, config), summary, rows)
 
 
 def loop_figures(rows: Results, name: str) -> dict[str, Any]:
     """Return means over the whole runs of one third level, and changes against "local" on the same trials."""
-    found = rows.figures(name, FIGURES, ERRORS if name != LOCAL else (), LOCAL)
-    gaps = list(rows.values("gap_percent", name).values())
+    found = rows.figures(name, FIGURES, tuple(ERRORS.values()), LOCAL)
     found["left_course"] = len(rows.values("left_course_s", name))
     for metric in FIGURES:
         if values := rows.values(metric, name):
             found[f"{metric}_max"] = max(values.values())
-    if gaps:
+    if gaps := list(rows.values("gap_percent", name).values()):
         found |= {"gap_percent_median": float(np.median(gaps)), "trapped": sum(gap > TRAPPED_PERCENT for gap in gaps)}
     return found
 
@@ -260,7 +252,7 @@ def goals(loops: Mapping[str, Any]) -> dict[str, Goal]:
     found["planned worst"] = Goal("planned: largest gap", "%", MOST_PLANNED_PERCENT,
                                   lambda s: s["loops"]["planned"]["gap_percent_max"], section=IN_THE_LOOP)  # fmt: skip
     for name in ("planned", "receding"):
-        for error, words in zip(ERRORS, ("tip", "RCM"), strict=True):
+        for words, error in ERRORS.items():
             found[f"{name} {words}"] = Goal(f"{name}: {words} error against local's", "%", MOST_CHANGE_PERCENT,
                                             interval(name, change_name(error)), section=IN_THE_LOOP)  # fmt: skip
     return found | {
@@ -275,9 +267,7 @@ def goals(loops: Mapping[str, Any]) -> dict[str, Goal]:
     }  # fmt: skip
 
 
-def report(
-    summary: Mapping[str, Any], rows: Results, asked: Mapping[str, Mapping[str, Goal]], config: Config
-) -> Report:
+def report(summary: Mapping[str, Any], rows: Results, config: Config) -> Report:
     """Show how far each third level ends below the best course, then courses, checks and goals."""
     first, wide = [], []
     for robot, by in summary["loops"].items():
@@ -285,9 +275,9 @@ def report(
             judged = summary["goals"][robot]
             first.append({
                 "robot": robot, "loop": name, **found,
-                "gap": _mark(judged.get(f"gap {name}"), found, "gap_percent", ".2f"),
-                **{words: _mark(judged.get(f"{name} {words}"), found, change_name(error), "+.0f")
-                   for error, words in zip(ERRORS, ("tip", "RCM"), strict=True)},
+                "gap": _mark(judged.get(f"gap {name}"), found.get("gap_percent"), ".2f"),
+                **{words: _mark(judged.get(f"{name} {words}"), found.get(change_name(error)), "+.0f")
+                   for words, error in ERRORS.items()},
             })  # fmt: skip
             spreads = {f"{key} with interval": spread(found, key) for key in ("gap_percent", "course_gap_percent")}
             wide.append({"robot": robot, "loop": name, **found, **spreads})
@@ -299,19 +289,18 @@ def report(
         Column("tip", "tip", unit="%", section=IN_THE_LOOP, help="change of the error against local's"),
         Column("RCM", "RCM", unit="%", section=IN_THE_LOOP, help="change of the error against local's"),
     ], first, "✔ the goal is met, ✘ missed, – open.")  # fmt: skip
-    changes = [change_name(error) for error in ERRORS]
+    changes = [change_name(error) for error in ERRORS.values()]
     by_robot = [{"robot": robot, **figures} for robot, figures in summary["courses"].items()]
     checks = [row for of in summary["checks"].values() for row in of]
     arm = Column("robot", "arm")
     sections = [
-        Section("Goals", "", [goals_table(judged, asked[robot], f"Goals, {robot}")
-                              for robot, judged in summary["goals"].items()]),
+        Section("Goals", "", [goals_table(judged, f"Goals, {robot}") for robot, judged in summary["goals"].items()]),
         Section(IN_THE_LOOP, "Means over the whole runs, with 95 % intervals.", [Table("Closed loops", [
             arm, Column("loop", "third level"), *columns("whole", "trials"),
             Column("gap_percent with interval", "below best from start", unit="%"),
             Column("gap_percent_median", "median", unit="%", format=".2f"),
             Column("course_gap_percent with interval", "its course below best", unit="%"),
-            *columns("left_course", "fraction_of_best", *ERRORS, *changes)], wide)]),
+            *columns("left_course", "fraction_of_best", *ERRORS.values(), *changes)], wide)]),
         Section(ALONG, "", [
             Table("Courses along the path, means over the trials", [
                 arm, *columns("trials", "executable", "climbed_whole"),
@@ -341,64 +330,38 @@ def report(
     return Report(title, sentences(summary, rows, config), table, pictures(rows), sections)
 
 
-def _mark(goal: Mapping[str, Any] | None, found: Mapping[str, Any], key: str, form: str) -> Mark | None:
-    if found.get(key) is None:
-        return None
-    known = MARKS.get(goal["reached"] if goal else None, MARKS[None])
-    return Mark(known.symbol, format(found[key], form), known.tone, known.rank)
+def _mark(goal: Mapping[str, Any] | None, value: float | None, form: str) -> Mark | None:
+    return None if value is None else mark(goal["reached"] if goal else None, format(value, form))
 
 
 def sentences(summary: Mapping[str, Any], rows: Results, config: Config) -> list[str]:
     """Say what each third level leaves, where the climb is trapped, and which goals are met."""
-    runs = [row for row in rows.where(part="loop") if row["whole"]]
-    if not runs:
+    every = {name: list(rows.values("gap_percent", name).values()) for name in config.loops}
+    said = [
+        f"{name} {mean(gaps):.2f} % (largest {max(gaps):.1f}, {too_few(len(gaps)) or f'{len(gaps)} runs'})"
+        for name, gaps in every.items() if gaps
+    ]  # fmt: skip
+    if not said:
         return ["No run came to its end; see the errors below."]
-    said = []
-    for name in config.loops:
-        gaps = [row["gap_percent"] for row in runs if row["controller"] == name]
-        if gaps:
-            few = too_few(len(gaps))
-            said.append(f"{name} {mean(gaps):.2f} % (largest {max(gaps):.1f}, {few or f'{len(gaps)} runs'})")
-    local = [row["gap_percent"] for row in runs if row["controller"] == LOCAL]
+    local = every.get(LOCAL, [])
     trapped = sum(gap > TRAPPED_PERCENT for gap in local)
-    goals_said = [f"{robot}: {goals_sentence(judged)}" for robot, judged in summary["goals"].items()]
     return [
         f"Mean mu ends below that of the best course from the same start by: {'; '.join(said)}.",
         f"The climb ends at a lower maximum, more than {TRAPPED_PERCENT:g} % below, from {trapped} of {len(local)} "
         "starts.",
-        " ".join(goals_said),
+        " ".join(f"{robot}: {goals_sentence(judged)}" for robot, judged in summary["goals"].items()),
     ]
 
 
 def pictures(rows: Results) -> list[Picture]:
-    """Draw the gap of every run, the starts that are worst for the climb first."""
-    starts: dict[tuple[str, str], dict[str, float]] = {}
-    for row in rows.where(part="loop", whole=True):
-        starts.setdefault((row["robot"], row["trial"]), {})[row["controller"]] = row["gap_percent"]
-    if not starts:
-        return []
-    order = sorted(starts, key=lambda key: -starts[key].get(LOCAL, 0.0))
-    names = rows.where(part="loop").names()
-    drawn, styles = figure(legend_y=1.08, height=340), Styles(names)
-    for name in names:
-        known = [(place, key, starts[key][name]) for place, key in enumerate(order, 1) if name in starts[key]]
-        drawn.add_scatter(
-            x=[place for place, *_ in known], y=[max(gap, LEAST_DRAWN_PERCENT) for *_, gap in known], mode="markers",
-            name=label(name), customdata=[label(f"{robot} {trial}: {gap:.2f} %") for _, (robot, trial), gap in known],
-            marker={"color": styles[name].color, "symbol": styles[name].symbol, "size": 7},
-            hovertemplate="%{customdata}<extra>%{fullData.name}</extra>",
-        )  # fmt: skip
-    largest = max(gap for by in starts.values() for gap in by.values())
-    log_axis(drawn, "y", "below the best course [%]", [LEAST_DRAWN_PERCENT, max(largest, 1.0)])
-    rule(drawn, "y", TRAPPED_PERCENT, "trapped")
-    drawn.update_xaxes(title_text="start, sorted by the climb's gap")
-    return [Picture(drawn, "Every run, the starts that are worst for the climb first.", "gaps")]
+    """Draw the gaps of all runs."""
+    gaps = {name: list(rows.values("gap_percent", name).values()) for name in rows.where(part="loop").names()}
+    boxes = {name: {"all starts": np.maximum(of, LEAST_DRAWN_PERCENT)} for name, of in gaps.items() if of}
+    says = f"A climb that is trapped ends more than {TRAPPED_PERCENT:g} % below the best course."
+    return [Picture(box_plots(boxes, "below the best course [%]", log=True), says, "gaps")] if boxes else []
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the study; returns the exit status."""
-    return command("plan", "How much manipulability a path holds.", Config, work, arguments)
-
+main = partial(command, "plan", "How much manipulability a path holds.", Config, work)
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -14,12 +14,14 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
+from itertools import product
 from typing import Any, ClassVar, Self
 
 import numpy as np
 from pydantic import Field
 
-from moc_opt.figures.style import SERIES, figure, label, rule
+from moc_opt.figures.style import rule
 from moc_opt.inputs.settings import Settings
 from moc_opt.planning.elbow import in_transient
 from moc_opt.report.tables import Column, Table
@@ -27,8 +29,8 @@ from moc_opt.scenario import Scenario, Setup
 from moc_opt.sim.settings import PlantSettings
 from moc_opt.study import Failed, Job
 from moc_opt.study.command import Found, Study, StudyConfig, command
-from moc_opt.study.results import ERRORS, FRAMES, Results, change_name
-from moc_opt.study.show import Picture, Report, Section, columns
+from moc_opt.study.results import ERRORS, FRAMES, TITLES, Results, change_name
+from moc_opt.study.show import Picture, Report, Section, columns, ends, lines_picture
 from moc_opt.study.statistics import spread, too_few
 from moc_opt.study.trials import BASELINE, Run, Trial, run_and_trace, seeds, trials
 from moc_opt.tasks.trocar import shaft_distance
@@ -42,12 +44,11 @@ DEFAULT_SIZE_MM = 0.2
 LEAST_S = 0.5
 """Of a run after the elbow's travel; less gives no figure of what comes after."""
 MOST_CHANGE_PERCENT, MOST_MM = 5.0, 0.1
-AFTER = ("tip_after_mm", "tip_again_mm", "rcm_after_mm", "rcm_again_mm")
-SHOWN = (*ERRORS, *AFTER)
-NAMES = dict(zip(SHOWN, (
-    "tip, own", "tip, registered", "tip, base", "RCM, own", "RCM, registered", "RCM, base",
-    "tip after travel", "tip registered again", "RCM after travel", "RCM registered again",
-), strict=True))  # fmt: skip
+AFTER = {
+    "tip_after_mm": "tip after travel", "tip_again_mm": "tip registered again",
+    "rcm_after_mm": "RCM after travel", "rcm_again_mm": "RCM registered again",
+}  # fmt: skip
+SHOWN = {**TITLES, **AFTER}
 JUDGED = "tip_error_registered_mean_mm"
 DEFINED = (
     f"Break-even, in the frame registered at the start: the calibration error from which on MOC's mean tip error is "
@@ -97,7 +98,7 @@ class Config(StudyConfig):
         return trials(self.scenario, self.tasks, drawn, virtual=True)
 
     def under_presets(
-        self, cases: Sequence[Scenario], plants: Sequence[tuple[Mapping[str, Any], PlantSettings]]
+        self, cases: Sequence[Scenario], plants: Sequence[tuple[dict[str, Any], PlantSettings]]
     ) -> Iterator[tuple[dict[str, Any], Scenario]]:
         """Yield (tags, trial) of every trial in every plant under every preset."""
         for preset in self.presets:
@@ -118,40 +119,32 @@ def plant_of(base: PlantSettings, kind: str, size: float) -> PlantSettings:
 
 def work(study: Study, config: Config) -> Found:
     """Run every defect and every size of the calibration error on its trials, under DCAC and MOC."""
-    both = (BASELINE, config.solver)
-    plants: list[tuple[Mapping[str, Any], PlantSettings]] = [
-        ({"part": "effects", "effect": name}, config.plant(name)) for name in config.effects
-    ]
+    both, sweep = (BASELINE, config.solver), config.calibration
+    defects = [({"part": "effects", "effect": name}, config.plant(name)) for name in config.effects]
     asked = [
-        Trial(case, name, tags=tags) for tags, case in config.under_presets(config.cases(), plants) for name in both
+        Trial(case, name, tags=tags) for tags, case in config.under_presets(config.cases(), defects) for name in both
     ]
     rows = Results(run.row for run in study.trials(asked, "defects"))
-    sweep = config.calibration
     sizes = [("both", 0.0), *((kind, size) for kind in KINDS for size in sweep.sizes)]
     plants = [
         ({"part": "calibration", "kind": kind, "size": size}, plant_of(config.scenario.plant, kind, size))
         for kind, size in sizes
     ]
     cases = [case.change(duration_s=sweep.duration_s) for case in config.cases(CALIBRATION_STREAM, sweep.trials)]
-    pairs = [
-        (Trial(case, BASELINE, tags=tags), Trial(case, config.solver, tags=tags))
-        for tags, case in config.under_presets(cases, plants)
-    ]
-    jobs = [Job(registered_again, pair, pair[0].job.limit_s) for pair in pairs]
+    pairs = [[Trial(case, name, tags=tags) for name in both] for tags, case in config.under_presets(cases, plants)]
+    jobs = [Job(registered_again, tuple(pair), pair[0].job.limit_s) for pair in pairs]
     for pair, found in zip(pairs, study.run(jobs, "calibration errors"), strict=True):
         failed = [one.failed(str(found)) for one in pair] if isinstance(found, Failed) else found
         rows.add(*(run.row for run in failed))
+    means = (*ERRORS, "trocar_force_mean_N", "torque_rate_rms_Nm_per_s")
     effects = {
         preset: {
-            f"{effect}, {name}": rows.where(preset=preset, effect=effect).figures(
-                name, (*ERRORS, "trocar_force_mean_N", "torque_rate_rms_Nm_per_s"), ("mu_mean",)
-            )
+            f"{effect}, {name}": rows.where(preset=preset, effect=effect).figures(name, means, ("mu_mean",))
             for effect in config.effects for name in both
         } for preset in config.presets
     }  # fmt: skip
     sizes_found = calibration(rows.where(part="calibration"), config.solver)
-    evens = break_evens(sizes_found)
-    summary = {"effects": effects, "calibration": sizes_found, "break_even": evens}
+    summary = {"effects": effects, "calibration": sizes_found, "break_even": break_evens(sizes_found)}
     return Found(report(summary, config), summary, rows)
 
 
@@ -191,19 +184,17 @@ def after_travel(trace: Trace, setup: Setup, tick: int) -> dict[str, float]:
 def calibration(rows: Results, solver: str) -> list[dict[str, Any]]:
     """Return a row a preset, kind and size: means of both controllers and changes; size 0 stands in every kind."""
     found = []
-    for preset in rows.names("preset"):
-        for kind in KINDS:
-            mine = [row for row in rows.where(preset=preset) if row["kind"] == kind or row["size"] == 0.0]
-            here = Results(mine)
-            for size in sorted(here.names("size")):
-                at = here.where(size=size)
-                both = {
-                    f"{name}_{key}": value
-                    for name, controller in (("dcac", BASELINE), ("moc", solver))
-                    for key, value in at.figures(controller, SHOWN).items()
-                }
-                changes = at.figures(solver, (), ("mu_mean", *SHOWN))
-                found.append({"preset": preset, "kind": kind, "size": size, **both, **changes})
+    for preset, kind in product(rows.names("preset"), KINDS):
+        here = Results(row for row in rows.where(preset=preset) if row["kind"] == kind or row["size"] == 0.0)
+        for size in sorted(here.names("size")):
+            at = here.where(size=size)
+            both = {
+                f"{name}_{key}": value
+                for name, controller in (("dcac", BASELINE), ("moc", solver))
+                for key, value in at.figures(controller, tuple(SHOWN)).items()
+            }
+            changes = at.figures(solver, (), ("mu_mean", *SHOWN))
+            found.append({"preset": preset, "kind": kind, "size": size, **both, **changes})
     return found
 
 
@@ -251,15 +242,13 @@ def report(summary: Mapping[str, Any], config: Config) -> Report:
         for row in summary["calibration"] if row["size"] or row["kind"] == "origins"
     ]  # fmt: skip
     first = [
-        {**row, "off": f"{row['preset']}, {row['size'] or 'nothing'}"}
-        for row in rows
-        if row["kind"] == "origins" or not row["size"]
+        {**row, "off": f"{row['preset']}, {row['size'] or 'nothing'}"} for row in rows if row["kind"] == "origins"
     ]
-    tip = [*ERRORS[:3], *AFTER[:2]]
+    tip = {key: title.removeprefix("tip, ") for key, title in SHOWN.items() if title.startswith("tip")}
     table = Table(
         "Mean tip error under DCAC/MOC, with the joints' origins off", [
             Column("off", "preset, mm off"),
-            *(Column(key, NAMES[key].removeprefix("tip, "), unit="mm", section="Calibration errors") for key in tip),
+            *(Column(key, title, unit="mm", section="Calibration errors") for key, title in tip.items()),
         ], first, f"{DEFINED} After travel: over the ticks after the elbow's arrival.",
     )  # fmt: skip
     evens = [
@@ -274,15 +263,14 @@ def report(summary: Mapping[str, Any], config: Config) -> Report:
             ], evens),
             Table("Mean errors under DCAC/MOC in every frame", [
                 Column("preset", "preset"), Column("off", "off [mm, mrad]"),
-                *(Column(key, title, unit="mm") for key, title in NAMES.items()),
+                *(Column(key, title, unit="mm") for key, title in SHOWN.items()),
                 Column("change", "tip, registered, change", unit="%"),
             ], rows),
         ]),
         *(Section(f"Defects, preset {preset}", "Means over the runs that completed the task.", [Table(
             f"Each defect alone and together, preset {preset}", [
                 Column("group", "effect, controller"),
-                *columns("whole", "mu_gain_percent", *ERRORS, "trocar_force_mean_N", "torque_rate_rms_Nm_per_s",
-                         **NAMES),
+                *columns("whole", "mu_gain_percent", *ERRORS, "trocar_force_mean_N", "torque_rate_rms_Nm_per_s"),
             ], [{"group": name, **row} for name, row in groups.items()])])
           for preset, groups in summary["effects"].items()),
     ]  # fmt: skip
@@ -323,33 +311,23 @@ def _at(size: float | None, unit: str) -> str:
 
 def pictures(rows: Sequence[Mapping[str, Any]], config: Config) -> list[Picture]:
     """Draw the registered tip error over the size of the origins' error: DCAC, MOC, and MOC registered again."""
-    found, colors = [], list(SERIES)
+    found = []
+    keys = {"DCAC": f"dcac_{JUDGED}", "MOC": f"moc_{JUDGED}",
+            "MOC after the travel, registered again": "moc_tip_again_mm"}  # fmt: skip
     for preset in config.presets:
         mine = [row for row in rows if (row["preset"], row["kind"]) == (preset, "origins")]
-        drawn = figure()
-        for name, key, color, dash in (
-            ("DCAC", f"dcac_{JUDGED}", 0, "solid"), ("MOC", f"moc_{JUDGED}", 1, "solid"),
-            ("MOC after the travel, registered again", "moc_tip_again_mm", 1, "dash"),
-        ):  # fmt: skip
-            known = [row for row in mine if key in row]
-            drawn.add_scatter(
-                x=[row["size"] for row in known], y=[row[key] for row in known], name=label(name),
-                mode="lines+markers", line={"color": colors[color], "dash": dash},
-                error_y={"type": "data", "symmetric": False, "array": [row[f"{key}_high"] - row[key] for row in known],
-                         "arrayminus": [row[key] - row[f"{key}_low"] for row in known]},
-            )  # fmt: skip
-        drawn.update_xaxes(title_text="joints' origins off by [mm]")
-        drawn.update_yaxes(title_text="mean tip error, registered frame [mm]", rangemode="tozero")
+        lines = {
+            name: [(row["size"], *at) for row in mine if (at := ends(row, key)) is not None]
+            for name, key in keys.items()
+        }
+        drawn = lines_picture(lines, "joints' origins off by [mm]", "mean tip error, registered frame [mm]")
         rule(drawn, "y", MOST_MM, f"{MOST_MM:g} mm")
         says = f"Preset {preset}: tip error in the frame registered at the start, with 95 % intervals over the trials."
         found.append(Picture(drawn, says, f"calibration-{preset}"))
     return found
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the study; returns the exit status."""
-    return command("plant", "What each defect of the arm costs.", Config, work, arguments)
-
+main = partial(command, "plant", "What each defect of the arm costs.", Config, work)
 
 if __name__ == "__main__":
     sys.exit(main())

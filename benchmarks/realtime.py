@@ -17,6 +17,7 @@ from argparse import ArgumentParser
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, Self
 
@@ -43,8 +44,8 @@ SAFE_RCM_M, AT_REST_RAD_PER_S = 2e-3, 1e-2
 BURN = "while True:\n    sum(i * i for i in range(100000))"
 PERCENTILES = {"p50": 50.0, "p99": 99.0, "p99_99": 99.99, "worst": 100.0}
 TIMES = {"wake": "wake-up latency", "round": "round trip", "control": "controller"}
+LANGUAGES = {"python": "Python", "c": "C"}
 DETAILS = "Cycles, times and stops"
-
 
 Rate = Literal[250, 500, 1000]
 
@@ -57,7 +58,7 @@ class Case(NamedTuple):
     load: str
 
     def __str__(self) -> str:
-        return f"{self.controller}, {self.rate_Hz} Hz, {self.load}"
+        return f"{LANGUAGES[self.controller]}, {self.rate_Hz} Hz, {self.load}"
 
 
 class Config(StudyConfig):
@@ -130,29 +131,28 @@ def runs_of(study: Study, config: Config) -> dict[Case, list[Run]]:
     """
     found: dict[Case, list[Run]] = {case: [] for case in config.measured()}
     scenarios = {rate: config.run_at(rate) for rate in config.rates_Hz}
-    folder = study.out / "programs"
     programs = {
-        rate: build(scenario, folder / str(rate)) for rate, scenario in scenarios.items() if "c" in config.controllers
-    }
+        rate: build(scenario, study.out / "programs" / str(rate))
+        for rate, scenario in scenarios.items() if "c" in config.controllers
+    }  # fmt: skip
     machine = environment({}, 0)["machine"]
     here = (machine["processor"], machine["cores"])  # a run on another machine is another run
     each = min(config.cycles, config.run_cycles)
     most = 3 * -(-config.cycles // each)
+
+    def ask(case: Case, number: int) -> Job:
+        program = str(programs[case.rate_Hz]) if case.controller == "c" else None
+        given = (case, scenarios[case.rate_Hz], program, number, here)
+        return Job(run_once, given, each / case.rate_Hz + SPARE_S, alone=True, group=str(case))
+
     while True:
         asked = []
         for case, mine in found.items():
-            left = config.cycles - sum(len(run.round_us) for run in mine)
-            numbers = range(len(mine), min(most, len(mine) + max(0, -(-left // each))))
-            asked += [(case, number) for number in numbers]
+            left = max(0, config.cycles - sum(len(run.round_us) for run in mine))
+            asked += [(case, number) for number in range(len(mine), min(most, len(mine) + -(-left // each)))]
         if not asked:
             return found
-        jobs = []
-        for case, number in asked:
-            program = programs.get(case.rate_Hz) if case.controller == "c" else None
-            given = (case, scenarios[case.rate_Hz], program and str(program), number, here)
-            limit_s = each / case.rate_Hz + SPARE_S
-            jobs.append(Job(run_once, given, limit_s, alone=True, group=str(case)))
-        for (case, _number), run in zip(asked, study.run(jobs, "runs"), strict=True):
+        for (case, _), run in zip(asked, study.run([ask(*one) for one in asked], "runs"), strict=True):
             if isinstance(run, Failed):
                 raise StudyError(f"{case}: {run}")
             found[case].append(run)
@@ -260,14 +260,12 @@ def samples(runs: Sequence[Run], time: str) -> Array:
     return values[np.isfinite(values)]
 
 
-def _share(name: str, least: int) -> Callable[[Any], Interval]:
-    """Return the share of missed cycles of a case; LookupError where there were too few to tell."""
+def _share(name: str, least: int) -> Callable[[Any], Interval | None]:
+    """Return the share of missed cycles of a case; None where there were too few to tell."""
 
-    def measured(summary: Any) -> Interval:
+    def measured(summary: Any) -> Interval | None:
         found = summary["cases"][name]
-        if found["cycles"] < least:
-            raise LookupError(f"{found['cycles']} cycles")
-        return share(found["missed"], found["cycles"])
+        return share(found["missed"], found["cycles"]) if found["cycles"] >= least else None
 
     return measured
 
@@ -277,8 +275,8 @@ def _largest(load: str, metric: str) -> Callable[[Any], Any]:
 
 
 GOALS = {key: Goal(*given, section=DETAILS) for key, given in {
-    "c": ("share of cycles missed, C, 500 Hz, quiet", "", 1e-5, _share("c, 500 Hz, quiet", 100_000)),
-    "python": ("share of cycles missed, Python, 500 Hz, quiet", "", 1e-3, _share("python, 500 Hz, quiet", 1_000)),
+    "c": ("share of cycles missed, C, 500 Hz, quiet", "", 1e-5, _share("C, 500 Hz, quiet", 100_000)),
+    "python": ("share of cycles missed, Python, 500 Hz, quiet", "", 1e-3, _share("Python, 500 Hz, quiet", 1_000)),
     "quiet stops": ("runs that were stopped, on a quiet machine", "", 0.0, _largest("quiet", "stopped")),
     "rcm": ("largest RCM error from the registered trocar, under load", "mm", 1e3 * SAFE_RCM_M,
             _largest("loaded", "rcm_max_mm")),
@@ -289,22 +287,13 @@ GOALS = {key: Goal(*given, section=DETAILS) for key, given in {
 # --- report ---
 
 
-def case_name(case: str, parts: int = 3) -> str:
-    """Return a case's name in words, or its first parts."""
-    controller, *rest = case.split(", ")
-    return ", ".join([{"python": "Python", "c": "C"}[controller], *rest][:parts])
-
-
 def case_rows(summary: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Return a row a case, slow rates and quiet machines first; its times as median / p99 / p99.99 / worst."""
-    order = sorted(summary["cases"], key=lambda name: (int(name.split(", ")[1][:-3]), name.endswith("loaded"), name))
+    """Return a row a case; its times as median / p99 / p99.99 / worst."""
     rows = []
-    for name in order:
-        found = summary["cases"][name]
+    for name, found in summary["cases"].items():
         low, value, high = (1e5 * found[f"missed_share{end}"] for end in ("_low", "", "_high"))
         times = {time: " / ".join(f"{found[f'{time}_{p}_us']:,.0f}" for p in PERCENTILES) for time in TIMES}
-        share_of = f"{value:.2g} [{low:.2g}, {high:.2g}]"
-        rows.append({**found, **times, "name": case_name(name), "in_100000": share_of})
+        rows.append({**found, **times, "name": name, "in_100000": f"{value:.2g} [{low:.2g}, {high:.2g}]"})
     return rows
 
 
@@ -313,7 +302,7 @@ def sentences(summary: Mapping[str, Any]) -> list[str]:
     cases, said = summary["cases"], []
     quiet = {name: found for name, found in cases.items() if name.endswith("quiet")}
     if quiet:
-        each = [f"{case_name(name, 2)} {found['missed']} of {found['cycles']:,}" for name, found in quiet.items()]
+        each = [f"{name.rpartition(', ')[0]} {found['missed']} of {found['cycles']:,}" for name, found in quiet.items()]
         stalled = sum(found["overruns"] for found in quiet.values())
         said.append(
             f"Cycles missed on a quiet machine: {'; '.join(each)}; {stalled} times the plant's own process was not run "
@@ -349,22 +338,19 @@ def report(summary: Mapping[str, Any], runs: Mapping[Case, Sequence[Run]], subje
     )
     pictures = []
     for rate in sorted({case.rate_Hz for case in runs}):
-        times = {case_name(str(case)): samples(mine, "round") for case, mine in runs.items() if case.rate_Hz == rate}
+        times = {str(case): samples(mine, "round") for case, mine in runs.items() if case.rate_Hz == rate}
         says = f"Round trips at {rate} Hz, how many take as long: no line should reach the deadline."
         pictures.append(Picture(latency_ecdf(times, 1e6 / rate, tail=True), says, f"round-{rate}"))
-    title, first = "Plant and controller against the clock", goals_table(summary["goals"], GOALS)
+    title, first = "Plant and controller against the clock", goals_table(summary["goals"])
     return Report(title, sentences(summary), first, pictures, [Section(DETAILS, how, [table])], subtitle=subject)
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Measure; returns the exit status."""
+def options(parser: ArgumentParser) -> None:
+    """Add the number of cycles."""
+    parser.add_argument("--cycles", type=int, metavar="N", help="of every case, in place of the configuration's")
 
-    def options(parser: ArgumentParser) -> None:
-        parser.add_argument("--cycles", type=int, metavar="N", help="of every case, in place of the configuration's")
 
-    about = "Measure plant and controller against the clock."
-    return command("realtime", about, Config, work, arguments, options=options)
-
+main = partial(command, "realtime", "Measure plant and controller against the clock.", Config, work, options=options)
 
 if __name__ == "__main__":
     sys.exit(main())

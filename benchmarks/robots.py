@@ -8,7 +8,8 @@ Starts are drawn from the whole workspace of each arm. Errors are compared once 
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
+from functools import partial
 from itertools import combinations
 from typing import Any, Self
 
@@ -16,13 +17,12 @@ import numpy as np
 from pydantic import Field
 from scipy import stats
 
-from moc_opt.figures.notation import Mark
 from moc_opt.figures.style import BAD, GOOD, WORST
 from moc_opt.report.tables import Column, Table
 from moc_opt.scenario import Scenario
 from moc_opt.study.command import Found, Study, StudyConfig, command
-from moc_opt.study.results import ERRORS, FRAMES, Results, change_name
-from moc_opt.study.show import MARKS, Picture, Report, Section, columns, ends, intervals_picture
+from moc_opt.study.results import ERRORS, FRAMES, TITLES, Results, change_name
+from moc_opt.study.show import MARKS, Picture, Report, Section, columns, ends, intervals_picture, mark
 from moc_opt.study.statistics import spread, too_few
 from moc_opt.study.trials import BASELINE, Trial, on_each_arm, seeds, with_phases
 
@@ -31,18 +31,16 @@ MEANS = (
     "mu_mean", "mu_fraction_of_bound", "mu_fraction_of_best_from_start", "mu_fraction_of_best", *ERRORS,
     "trocar_force_mean_N", "torque_rate_rms_Nm_per_s", "infeasible",
 )  # fmt: skip
-SETTLED = tuple(f"settled_{name}" for name in ERRORS)
+SETTLED = {f"settled_{name}": title for name, title in TITLES.items()}
 CHANGES = ("mu_mean", "trocar_force_mean_N", "torque_rate_rms_Nm_per_s", *SETTLED)
-TITLES = ("tip, own", "tip, registered", "tip, base", "RCM, own", "RCM, registered", "RCM, base")
 LEAST_GAIN_PERCENT, MOST_CHANGE_PERCENT, MUCH_WORSE, MOST_TAILS = 10.0, 5.0, 1.1, 0.1
 FINDINGS: Mapping[str, str] = {
     "all_end": "every run completes its task",
     "mu_gain_percent": "mean mu rises by 10 % or more",
-    **{change_name(name): f"settled {title} error at most 5 % above DCAC's"
-       for name, title in zip(SETTLED, TITLES, strict=True)},
+    **{change_name(name): f"settled {title} error at most 5 % above DCAC's" for name, title in SETTLED.items()},
     "tails": "tip error (base frame) more than 10 % above DCAC's in at most 10 % of the trials",
 }  # fmt: skip
-DRAWN = ("mu_gain_percent", change_name(SETTLED[1]), change_name(SETTLED[4]))
+DRAWN = ("mu_gain_percent", *(change_name(f"settled_{ERRORS[k]}") for k in (1, 4)))
 
 
 class Config(StudyConfig):
@@ -121,15 +119,14 @@ def report(summary: Mapping[str, Any], judged: str) -> Report:
     arms, findings = summary["robots"], summary["findings"]
     first = []
     for arm, by in arms.items():
-        mine = by.get(judged, {})
-        first.append({"robot": arm, **{key: _mark(holds, mine.get(key)) for key, holds in findings[arm].items()}})
-    shown = ["mu_gain_percent", *(change_name(name) for name in SETTLED)]
-    headings = ["mu", *TITLES]
+        percents = {key: by.get(judged, {}).get(key) for key in FINDINGS}
+        texts = {key: "open" if value is None else f"{value:+.0f}" for key, value in percents.items()}
+        first.append({"robot": arm, **{key: mark(findings[arm][key], text) for key, text in texts.items()}})
+    headings = {"mu_gain_percent": "mu", **{change_name(name): title for name, title in SETTLED.items()}}
     table = Table(
         f"MOC with {judged} against DCAC with the same gains, on every arm",
         [Column("robot", "arm", section="All figures"),
-         *(Column(key, title, unit="%", section="Findings", help=FINDINGS[key])
-           for key, title in zip(shown, headings, strict=True))],
+         *(Column(key, title, unit="%", section="Findings", help=FINDINGS[key]) for key, title in headings.items())],
         first, "Change of the mean. ✔ the finding holds, ✘ it does not, – undecided or too few trials.",
     )  # fmt: skip
     every = [{"robot": arm, "controller": name, **row} for arm, by in arms.items() for name, row in by.items()]
@@ -137,24 +134,19 @@ def report(summary: Mapping[str, Any], judged: str) -> Report:
         {"finding": text, **{arm: MARKS[by[key]] for arm, by in findings.items()}} for key, text in FINDINGS.items()
     ]
     order = [{"robot": arm, "order": ", ".join(names)} for arm, names in summary["ranking"]["order"].items()]
-    names = dict(zip(map(change_name, SETTLED), TITLES, strict=True))
+    arm_column = Column("robot", "arm")
     sections = [
         Section("All figures", "Means over whole runs. Settled: over the ticks at which no elbow moves to its "
                 f"optimum. {FRAMES}", [Table("Every arm and controller", [
-                    Column("robot", "arm"), Column("controller", "controller"),
-                    *columns("trials", "whole", "mu_gain_percent", *names, *MEANS, **names)], every)]),
+                    arm_column, Column("controller", "controller"),
+                    *columns("trials", "whole", *headings, *MEANS, **headings)], every)]),
         Section("Findings", "", [Table("Which findings hold on which arm", [
             Column("finding", "finding"), *(Column(arm, arm) for arm in arms)], marks)]),
-        Section("Solvers", "", [Table("Solvers by mean mu, best first", [
-            Column("robot", "arm"), Column("order", "order")], order)]),
+        Section("Solvers", "", [Table("Solvers by mean mu, best first", [arm_column, Column("order", "order")],
+                                      order)]),
     ]  # fmt: skip
     title = f"MOC with {judged} against DCAC on {', '.join(arms)}"
     return Report(title, sentences(summary, judged), table, pictures(summary, judged), sections)
-
-
-def _mark(holds: bool | None, percent: float | None) -> Mark:
-    known = MARKS[holds]
-    return Mark(known.symbol, "open" if percent is None else f"{percent:+.0f}", known.tone, known.rank)
 
 
 def sentences(summary: Mapping[str, Any], judged: str) -> list[str]:
@@ -194,10 +186,7 @@ def pictures(summary: Mapping[str, Any], judged: str) -> list[Picture]:
     return found
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the study; returns the exit status."""
-    return command("robots", "Which findings hold on every arm.", Config, work, arguments)
-
+main = partial(command, "robots", "Which findings hold on every arm.", Config, work)
 
 if __name__ == "__main__":
     sys.exit(main())

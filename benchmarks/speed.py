@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Collection, Mapping, Sequence
+from functools import partial
 from typing import Annotated, Any, Literal, Self
 
 from numpy.typing import ArrayLike
@@ -135,11 +136,10 @@ def summed_up(whole: timed.Part, failed: Mapping[str, str]) -> dict[str, Any]:
 # --- goals ---
 
 
-def _batch(s: Any) -> float:
+def _batch(s: Any) -> float | None:
     found = s["batch"]["exact"]
-    if found["batch"] < 1_000_000:
-        raise LookupError("of fewer the start of the threads is a large part")
-    return float(found["batch_two_threads_per_s"]) / 1e6
+    # Of fewer the start of the threads is a large part.
+    return found["batch_two_threads_per_s"] / 1e6 if found["batch"] >= 1_000_000 else None
 
 
 GOALS = {
@@ -180,10 +180,8 @@ GOALS = {
 # --- report ---
 
 
-def _times(of: str, *percentiles: str, digits: int = 1) -> list[Column]:
-    return [
-        Column(f"{of}_{p}_us", p.replace("_", "."), unit="us", format=f".{digits}f", better="low") for p in percentiles
-    ]
+def _times(of: str, *percentiles: str, form: str = ".1f") -> list[Column]:
+    return [Column(f"{of}_{p}_us", p.replace("_", "."), unit="us", format=form, better="low") for p in percentiles]
 
 
 COLUMNS = {
@@ -194,7 +192,7 @@ COLUMNS = {
         Column("tick_max_us", "longest", unit="us", format=".1f", better="low"),
     ]),
     "tick_parts": ("Parts of a tick with exact", [
-        Column("name", "part"), *_times("tick", "p50", "p99", digits=2), Column("is", "what it is"),
+        Column("name", "part"), *_times("tick", "p50", "p99", form=".2f"), Column("is", "what it is"),
     ]),
     "peers": ("One tick in other libraries, the same job on the same arm", [
         Column("name", "controller"), Column("level", "gives", help="a velocity still needs a servo"),
@@ -204,7 +202,7 @@ COLUMNS = {
         Column("mu_rise_percent", "mu", unit="%", format="+.1f", help="rise of the manipulability in that second"),
     ]),
     "adapters": ("Solvers from Python", [
-        Column("name", "adapter"), *_times("adapter", "p50", "p99", digits=2),
+        Column("name", "adapter"), *_times("adapter", "p50", "p99", form=".2f"),
         Column("ratio_of_exact", "exact over it", format=".3f", help="median over the chunks"),
     ]),
     "loop": ("The closed loop", [
@@ -257,7 +255,7 @@ def report(summary: Summary, times: Mapping[str, ArrayLike], subject: str = "") 
     ]  # fmt: skip
     says = "Time of a tick: further left is faster, steeper is steadier."
     pictures = [Picture(latency_ecdf(times), says, "ticks")] if times else []
-    first = goals_table(summary["goals"], GOALS)
+    first = goals_table(summary["goals"])
     return Report("What everything costs", sentences(summary), first, pictures, sections,
                   load(timed_rows(summary)), subject)
 
@@ -283,10 +281,7 @@ def timed_rows(summary: Summary) -> list[Mapping[str, Any]]:
     return [row for part in TIMED for row in summary[part].values()]
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Measure; returns the exit status."""
-    return command("speed", "Measure what everything costs.", Config, work, arguments)
-
+main = partial(command, "speed", "Measure what everything costs.", Config, work)
 
 if __name__ == "__main__":
     sys.exit(main())

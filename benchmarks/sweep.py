@@ -11,26 +11,26 @@ from __future__ import annotations
 import hashlib
 import math
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
 from itertools import product
-from typing import Any, ClassVar, Literal, Self, get_args, get_origin
+from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
-from pydantic import BaseModel, Field
+from pydantic import Field, model_validator
 
-from moc_opt.errors import MocOptError, UnknownNameError, shown
-from moc_opt.figures.style import Styles, figure
-from moc_opt.inputs.files import LARGEST_INTEGER, to_json
+from moc_opt.errors import MocOptError, UnknownNameError
+from moc_opt.inputs.files import to_json
 from moc_opt.inputs.settings import Settings
 from moc_opt.report.tables import Column, Table
 from moc_opt.scenario import Scenario, Setup
 from moc_opt.scenario.tables import MOST_S, SolverTable
 from moc_opt.study.command import Found, Study, StudyConfig, command, runnable
 from moc_opt.study.results import Results
-from moc_opt.study.show import Picture, Report, Section, columns
+from moc_opt.study.show import Picture, Report, Section, columns, lines_picture
 from moc_opt.study.trials import BASELINE, Trial, variant
 
-MOST_RUNS, MOST_LISTED = 100_000, 1_000_000
+MOST_RUNS = 100_000
 ELSEWHERE = {"seed": "seeds", "solver.name": "solvers"}
 SHOWN = (
     "mu_mean", "tip_error_mean_mm", "rcm_error_mean_mm", "trocar_force_mean_N", "torque_rate_rms_Nm_per_s",
@@ -45,36 +45,49 @@ class SweepError(MocOptError, ValueError):
     """The configuration of a sweep cannot be used."""
 
 
-class Range(Settings):
-    """A range to draw from, uniformly on its scale; ``integer`` draws whole numbers, both ends included."""
+class Draw(Settings):
+    """What a field is drawn from: a range, uniformly on its scale, or a choice of equally likely values."""
 
-    KIND: ClassVar[str] = "range:"
+    KIND: ClassVar[str] = "[random.fields]"
     ERROR: ClassVar[type[MocOptError]] = SweepError
-    low: float = Field(ge=-1e15, le=1e15)
-    high: float = Field(ge=-1e15, le=1e15)
-    scale: Literal["linear", "log", "integer"] = "linear"
+    low: float = Field(0.0, ge=-1e15, le=1e15)
+    high: float = Field(0.0, ge=-1e15, le=1e15)
+    scale: Literal["linear", "log", "integer"] = Field("linear", description="integer: both ends included")
+    choice: list[Any] | None = Field(None, min_length=1)
 
+    @model_validator(mode="after")
+    def _holds_values(self) -> Self:
+        if self.choice is None and not self.low < self.high:
+            raise ValueError(f"low = {self.low:g}, high = {self.high:g}: give low < high, or a choice")
+        if self.choice is None and self.scale == "log" and self.low <= 0.0:
+            raise ValueError(f"low = {self.low:g}: a logarithmic range begins above 0")
+        if self.choice is None and self.scale == "integer" and math.floor(self.high) < math.ceil(self.low):
+            raise ValueError(f"no whole number lies from {self.low:g} to {self.high:g}")
+        return self
 
-class Choice(Settings):
-    """Values to draw from, each as likely as the others."""
-
-    KIND: ClassVar[str] = "choice:"
-    ERROR: ClassVar[type[MocOptError]] = SweepError
-    choice: list[Any] = Field(min_length=1)
+    def at(self, u: float) -> Any:
+        """Return the value at a place in [0, 1)."""
+        if self.choice is not None:
+            return self.choice[int(u * len(self.choice))]
+        if self.scale == "integer":
+            first = math.ceil(self.low)
+            return first + int(u * (math.floor(self.high) - first + 1))
+        if self.scale == "log":
+            return min(max(self.low * (self.high / self.low) ** u, self.low), self.high)
+        return self.low + u * (self.high - self.low)
 
 
 class RandomSample(Settings):
     """Fields that are drawn, together, ``samples`` times."""
 
     KIND: ClassVar[str] = "[random]"
-    samples: int = Field(1, ge=1, le=MOST_LISTED)
+    samples: int = Field(1, ge=1, le=MOST_RUNS)
     fields: dict[str, Any] = Field(default_factory=dict, description="path -> range or choice")
 
 
 class Config(StudyConfig):
     """benchmarks/configs/sweep.toml."""
 
-    seed: int = Field(0, ge=0, le=LARGEST_INTEGER - MOST_LISTED, description="of the sample; first of the runs' seeds")
     seeds: int | list[int] = Field(1, description="how many, or which")
     solvers: list[str] | None = Field(None, description="None: the scenario's; dcac: no solver")
     timed: bool = Field(False, description="one run at a time, so that times count")
@@ -88,24 +101,16 @@ class Config(StudyConfig):
         """Return the same sweep with the first two values of everything, and short runs."""
         solvers = None if self.solvers is None else self.solvers[:2]
         return self.model_copy(update={
-            "seeds": self.chosen_seeds()[:1], "solvers": solvers,
+            "seeds": list(self.chosen_seeds()[:1]), "solvers": solvers,
             "grid": {path: values[:2] for path, values in grid_axes(self.grid).items()},
             "random": self.random.model_copy(update={"samples": min(self.random.samples, 2)}),
             "settings": {n: s for n, s in self.settings.items() if solvers is None or n in solvers},
             "scenario": self.scenario.change(duration_s=min(self.scenario.duration_s or 0.2, 0.2)),
         })  # fmt: skip
 
-    def chosen_seeds(self) -> list[int]:
-        """Return the seeds of the scenarios.
-
-        Raises:
-            SweepError: there is none, or one twice.
-        """
-        wanted = self.seeds
-        seeds = wanted if isinstance(wanted, list) else [self.seed + i for i in range(min(wanted, MOST_LISTED))]
-        if not seeds or len(set(seeds)) < len(seeds) or min(seeds) < 0:
-            raise SweepError(f"seeds = {shown(wanted)}: give how many (1 or more), or a list of different ones")
-        return seeds
+    def chosen_seeds(self) -> Sequence[int]:
+        """Return the seeds of the scenarios."""
+        return self.seeds if isinstance(self.seeds, list) else range(self.seed, self.seed + self.seeds)
 
     def chosen_solvers(self) -> dict[str, dict[str, Any]]:
         """Return name -> settings, in order; every one of them can run here.
@@ -113,7 +118,7 @@ class Config(StudyConfig):
         Raises:
             UnknownNameError: no such solver.
             SolverError: one cannot run here.
-            SweepError: none, one twice, or settings in two places.
+            SweepError: settings in two places.
         """
         table = self.scenario.solver
         if self.solvers is None:
@@ -122,76 +127,42 @@ class Config(StudyConfig):
         if table != SolverTable():
             raise SweepError("solvers and [scenario.solver] are both given: keep solvers, set them in [settings]")
         names = runnable(self.solvers, BASELINE)
-        if not names or len(set(names)) < len(names):
-            raise SweepError(f"solvers = {names}: give one or more, each once")
         for name in self.settings:
             if name not in names:
                 raise UnknownNameError("solver in [settings]", name, names)
         return {name: self.settings.get(name, {}) for name in names}
 
 
-# --- the fields that may vary: those of a scenario, by dotted path ---
+# --- the fields that vary: those of a scenario, by dotted path ---
 
 
-def paths(model: type[BaseModel] = Scenario, prefix: str = "") -> Iterator[tuple[str, bool]]:
-    """Yield every field of a scenario, tables opened: its dotted path, and whether it takes names of its own."""
-    for name, info in model.model_fields.items():
-        kinds = [info.annotation, *get_args(info.annotation)]
-        tables = [kind for kind in kinds if isinstance(kind, type) and issubclass(kind, BaseModel)]
-        for table in tables:
-            yield from paths(table, f"{prefix}{name}.")
-        if not tables:
-            yield f"{prefix}{name}", any(get_origin(kind) in (dict, Mapping) for kind in kinds)
-
-
-def check_path(path: str) -> None:
-    """Check that a path is that of a field which a sweep may vary.
+def flat(table: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield path and value: TOML reads ``control.c0 = ...`` as a table in a table, and a range is a table as well.
 
     Raises:
-        UnknownNameError: there is no such field; the message lists the nearest ones.
         SweepError: solver and seed, which have places of their own in the configuration.
     """
-    if path in ELSEWHERE:
-        raise SweepError(f"{path!r} cannot be swept as a field: give {ELSEWHERE[path]!r} in the configuration")
-    known = dict(paths())
-    table, _, key = path.rpartition(".")
-    if path not in known and not (key and known.get(table, False)):
-        raise UnknownNameError("scenario field", path, [*known, *(f"{p}.NAME" for p in known if known[p])])
-
-
-def flatten(table: Mapping[str, Any], is_leaf: Callable[[Any], bool], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """Flatten what TOML reads: ``control.c0 = ...`` is a table in a table, ``"control.c0" = ...`` one name."""
     for name, value in table.items():
-        if isinstance(value, Mapping) and not is_leaf(value):
-            yield from flatten(value, is_leaf, f"{prefix}{name}.")
+        path = f"{prefix}{name}"
+        if path in ELSEWHERE:
+            raise SweepError(f"{path!r} cannot be swept as a field: give {ELSEWHERE[path]!r} in the configuration")
+        if isinstance(value, Mapping) and not {"low", "high", "choice"} & value.keys():
+            yield from flat(value, f"{path}.")
         else:
-            yield f"{prefix}{name}", value
+            yield path, value
 
 
 def grid_axes(table: Mapping[str, Any]) -> dict[str, list[Any]]:
-    """Return path -> values, all checked.
+    """Return path -> values of a grid.
 
     Raises:
-        UnknownNameError: no such field.
-        SweepError: not a list of different values, or a field given twice.
+        SweepError: not a list.
     """
-    axes: dict[str, list[Any]] = {}
-    for path, values in flatten(table, lambda value: False):
-        check_path(path)
-        if path in axes:
-            raise SweepError(f"[grid] {path} is given twice: keep one list")
+    found = dict(flat(table))
+    for path, values in found.items():
         if not isinstance(values, list) or not values:
             raise SweepError(f"[grid] {path} = {values!r}: give a list of values")
-        axes[path] = _different(f"[grid] {path}", values)
-    return axes
-
-
-def _different(where: str, values: list[Any]) -> list[Any]:
-    texts = [f"{type(value).__name__} {value!r}" for value in values]
-    for text in texts:
-        if texts.count(text) > 1:
-            raise SweepError(f"{where}: {text.partition(' ')[2]} is given twice: keep one, each value is one run")
-    return values
+    return found
 
 
 def random_draws(table: Mapping[str, Any], samples: int, seed: int) -> dict[str, list[Any]]:
@@ -201,44 +172,17 @@ def random_draws(table: Mapping[str, Any], samples: int, seed: int) -> dict[str,
     lengthen it.
 
     Raises:
-        UnknownNameError: no such field, or a key that no range has.
+        UnknownNameError: a key that no range has.
         SweepError: a range without width, or a logarithmic one that reaches zero.
     """
     draws: dict[str, list[Any]] = {}
-    for path, entry in flatten(table, lambda value: bool({"low", "high", "choice"} & value.keys())):
-        check_path(path)
-        if path in draws:
-            raise SweepError(f"[random.fields] {path} is given twice: keep one range")
+    for path, entry in flat(table):
+        if not isinstance(entry, Mapping):
+            raise SweepError(f"[random.fields] {path} = {entry!r}: give {{low = .., high = ..}} or {{choice = [..]}}")
         words = np.frombuffer(hashlib.sha256(path.encode()).digest(), dtype=np.uint32)
         uniform = np.random.default_rng([seed, *words.tolist()]).random(samples)
-        try:
-            draws[path] = _draw(entry, uniform)
-        except SweepError as error:
-            raise SweepError(f"[random.fields] {path}: {error}") from error
+        draws[path] = [Draw(**entry).at(u) for u in uniform.tolist()]
     return draws
-
-
-def _draw(entry: Any, uniform: np.ndarray[Any, Any]) -> list[Any]:
-    if not isinstance(entry, Mapping):
-        raise SweepError(f"{entry!r}: give {{low = .., high = ..}} or {{choice = [..]}}")
-    if "choice" in entry:
-        options = _different("choice", Choice(**entry).choice)
-        return [options[int(u * len(options))] for u in uniform]
-    known = Range(**entry)
-    low, high = known.low, known.high
-    if not low < high:
-        raise SweepError(f"low = {low:g} is not below high = {high:g}")
-    if known.scale == "log":
-        if low <= 0.0:
-            raise SweepError(f"low = {low:g}: a logarithmic range begins above 0")
-        exponents = math.log(low) + uniform * (math.log(high) - math.log(low))
-        return [min(max(math.exp(e), low), high) for e in exponents]
-    if known.scale == "integer":
-        first, count = math.ceil(low), math.floor(high) - math.ceil(low) + 1
-        if count < 1:
-            raise SweepError(f"no whole number lies from {low:g} to {high:g}")
-        return [first + int(u * count) for u in uniform]
-    return [float(low + u * (high - low)) for u in uniform]
 
 
 # --- the runs ---
@@ -254,8 +198,8 @@ def plan(config: Config) -> list[Trial]:
     grid, seeds, solvers = grid_axes(config.grid), config.chosen_seeds(), config.chosen_solvers()
     samples = config.random.samples if config.random.fields else 1
     count = math.prod([*map(len, grid.values()), samples, len(seeds), len(solvers)])
-    if count > MOST_RUNS:  # before anything is drawn or listed
-        raise SweepError(f"{count} runs: split what makes more than {MOST_RUNS} into several sweeps")
+    if not 1 <= count <= MOST_RUNS:  # before anything is drawn or listed
+        raise SweepError(f"{count} runs: a sweep has 1 to {MOST_RUNS}; split a larger one into several")
     draws = random_draws(config.random.fields, samples, config.seed)
     if twice := grid.keys() & draws.keys():
         raise SweepError(f"{min(twice)} stands in [grid] and in [random.fields]: keep one")
@@ -287,8 +231,6 @@ def _case(base: Scenario, seed: int, fields: Mapping[str, Any]) -> Scenario:
     try:
         return base.change(**changes)
     except MocOptError as error:
-        if isinstance(unknown := error.__cause__ or error, UnknownNameError):
-            raise unknown from None
         raise SweepError(f"seed = {seed}, {_words(fields)}: not a scenario: {error}") from error
 
 
@@ -306,10 +248,11 @@ def _check_names(runs: Sequence[Trial]) -> None:
         seen |= names
         try:
             Setup(variant(run.case, run.controller, run.settings)).controller()
+        except UnknownNameError:
+            raise
         except MocOptError as error:
-            for cause in (error, error.__cause__):
-                if isinstance(cause, UnknownNameError):
-                    raise cause from None
+            if isinstance(error.__cause__, UnknownNameError):
+                raise
             # else a combination that cannot run: its row will say so
 
 
@@ -320,10 +263,10 @@ def work(study: Study, config: Config) -> Found:
     """Do the runs that are not done yet, and summarise all of them."""
     asked = plan(config)
     rows = Results(run.row for run in study.trials(asked, limit_s=config.run_limit_s))
-    axes = {path: values for path, values in grid_axes(config.grid).items() if len(values) > 1}
-    summary: dict[str, Any] = {"all": grouped(rows)} | {f"by {path}": grouped(rows, path) for path in axes}
+    grid = {path: values for path, values in grid_axes(config.grid).items() if len(values) > 1}
+    summary: dict[str, Any] = {"all": grouped(rows)} | {f"by {path}": grouped(rows, path) for path in grid}
     lost = any(str(row["error"]).startswith(("hung", "crashed")) for row in rows.failed())
-    return Found(report(summary, rows, axes, config), summary, rows, status=1 if lost else 0)
+    return Found(report(summary, rows, grid, config), summary, rows, status=1 if lost else 0)
 
 
 def grouped(rows: Results, field: str = "") -> dict[str, dict[str, Any]]:
@@ -376,32 +319,22 @@ def pictures(summary: Mapping[str, Any], axes: Mapping[str, list[Any]]) -> list[
     """Draw metrics over every field of the grid that is a number: mean, 5th to 95th percentile."""
     found = []
     for field, values in axes.items():
-        if not all(type(v) in (int, float) for v in values):
+        if not all(type(value) in (int, float) for value in values):
             continue
+        wide, by = min(values) > 0.0 and max(values) >= 30.0 * min(values), summary[f"by {field}"]
         for metric, words in PLOTTED.items():
-            drawn, styles = figure(), Styles(summary["all"])
-            for solver in summary["all"]:
-                points = [(v, row) for v in sorted(values) if (row := summary[f"by {field}"].get(f"{solver}, {v}"))]
-                points = [(v, row) for v, row in points if metric in row]
-                if points:
-                    drawn.add_scatter(
-                        x=[v for v, _ in points], y=[row[metric] for _, row in points], name=solver,
-                        mode="lines+markers", line={"color": styles[solver].color, "dash": styles[solver].dash},
-                        error_y={"array": [row[f"{metric}_p95"] - row[metric] for _, row in points],
-                                 "arrayminus": [row[metric] - row[f"{metric}_p05"] for _, row in points]},
-                    )  # fmt: skip
-            wide = min(values) > 0.0 and max(values) >= 30.0 * min(values)
-            drawn.update_xaxes(title_text=field, type="log" if wide else "linear")
-            drawn.update_yaxes(title_text=words)
+            lines = {
+                solver: [
+                    (value, row[f"{metric}_p05"], row[metric], row[f"{metric}_p95"])
+                    for value in sorted(values) if metric in (row := by.get(f"{solver}, {value}", {}))
+                ] for solver in summary["all"]
+            }  # fmt: skip
             says = f"{words} over {field}: mean over all else, bars from the 5th to the 95th percentile."
-            found.append(Picture(drawn, says, f"{metric}-{field}"))
+            found.append(Picture(lines_picture(lines, field, words, log=wide), says, f"{metric}-{field}"))
     return found
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the sweep; returns the exit status, 1 where a run hung or crashed."""
-    return command("sweep", "Vary any field of a scenario, over solvers and seeds.", Config, work, arguments)
-
+main = partial(command, "sweep", "Vary any field of a scenario, over solvers and seeds.", Config, work)
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -25,6 +25,7 @@ import math
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -214,12 +215,6 @@ def row(part: str, entry: Score) -> dict[str, Any]:
     return {**told, **entry.candidate.values, **entry.figures}
 
 
-def preset(winner: Score) -> str:
-    """Return the winner as it stands in a scenario."""
-    lines = [f"{name} = {json.dumps(value, allow_nan=False)}" for name, value in winner.candidate.control.items()]
-    return "\n".join(["[control]", *lines])
-
-
 def work(study: Study, config: Config) -> Found:
     """Search, and verify the finalists.
 
@@ -232,23 +227,23 @@ def work(study: Study, config: Config) -> Found:
     winner = finals[0]
     summary = {"tuned": {"control": winner.candidate.control, "figures": dict(winner.figures)}}
     rows = Results([*(row("search", s) for s in found), *(row("final", s) for s in finals)])
-    every = "Finalists"
-    first = ["objective", *list(config.space)[:5]]
-    heads = [Column(name, name.replace("_", " "), digits=3, section=every) for name in first]
-    table = Table("Finalists on fresh trials, best first", heads, list(rows.where(part="final")))
-    wide = [Column(name, name.replace("_", " "), digits=3) for name in ("objective", *config.space, *winner.figures)]
+    every, finalists = "Finalists", list(rows.where(part="final"))
+
+    def table(title: str, names: Sequence[str], section: str = "") -> Table:
+        heads = [Column(name, name.replace("_", " "), digits=3, section=section) for name in names]
+        return Table(title, heads, finalists)
+
+    first = table("Finalists on fresh trials, best first", ["objective", *list(config.space)[:5]], every)
     refused = sum(not math.isfinite(s.objective) for s in found)
     answer = [f"The best of {len(found)} candidates has the objective {winner.objective:.3g} on fresh trials.",
               f"{refused} candidates were refused: a run broke off, oscillated, or was not calm on the worse arm."]
-    sections = [Section(every, "", [Table("Every figure", wide, list(rows.where(part="final")))])]
-    return Found(Report("Search for the preset tuned", answer, table, (), sections), summary, rows,
-                 sentences=[preset(winner)])  # fmt: skip
+    wide = Section(every, "", [table("Every figure", ["objective", *config.space, *winner.figures])])
+    lines = [f"{name} = {json.dumps(value)}" for name, value in winner.candidate.control.items()]
+    return Found(Report("Search for the preset tuned", answer, first, (), [wide]), summary, rows,
+                 sentences=["\n".join(["[control]", *lines])])  # fmt: skip
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the search; returns the exit status."""
-    return command("tune", "Search for control settings that reach the goals.", Config, work, arguments)
-
+main = partial(command, "tune", "Search for control settings that reach the goals.", Config, work)
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -1,28 +1,121 @@
-"""Seeded subproblems for the tests, of the random arms that the benchmarks use too."""
+"""Seeded subproblems for the tests: of random serial arms that hold a rigid tool, and without any structure.
+
+An arm is given by its joint axes at q = 0 (product of exponentials), so that tip and wrist Jacobians are tied as on a
+real arm, and the gradient of the manipulability belongs to the same arm.
+"""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.subproblems.arms import (
-    Arm,
-    problem_of,
-    random_arm,
-    random_box,
-    rotation,
-    smooth_sequence,
-    unit,
-)
 from moc_opt.qp.problem import NullSpaceQP
+from moc_opt.robots.chain import Chain, Kinematics, build_kinematics
 
 Array = NDArray[np.float64]
-__all__ = [
-    "Arm", "infeasible_problem", "on_rows", "out_of_reach", "problem_of", "random_arm", "random_box", "random_problem",
-    "rotation", "smooth_sequence", "unit", "unstructured_problems",
-]  # fmt: skip
+TOOL = 0.38  # wrist to tip [m]
+
+
+@dataclass(frozen=True)
+class Arm:
+    """A serial arm at q = 0: joint axes (n, 3), a point on each (n, 3) [m], tip (3,) and wrist (3,) [m]."""
+
+    axes: Array
+    points: Array
+    tip: Array
+    wrist: Array
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return len(self.axes)
+
+    def jacobians(self, q: Array) -> tuple[Array, Array]:
+        """Return J_tip and J_wrist, (3, n) each [m/rad]."""
+        R, t = np.eye(3), np.zeros(3)
+        axes, points = np.empty_like(self.axes), np.empty_like(self.points)
+        for i, (axis, point) in enumerate(zip(self.axes, self.points, strict=True)):
+            axes[i], points[i] = R @ axis, R @ point + t
+            turn = rotation(axis, float(q[i]))
+            R, t = R @ turn, R @ (point - turn @ point) + t
+        tip, wrist = R @ self.tip + t, R @ self.wrist + t
+        return np.cross(axes, tip - points).T, np.cross(axes, wrist - points).T
+
+    def mu(self, q: Array) -> float:
+        """Return the manipulability sqrt(det(J_T J_T^T))."""
+        J = self.jacobians(q)[0]
+        return float(np.sqrt(max(np.linalg.det(J @ J.T), 0.0)))
+
+    def grad_mu(self, q: Array, step: float = 1e-5) -> Array:
+        """Return the gradient of mu, (n,), by central differences."""
+        steps = step * np.eye(self.n)
+        return np.array([self.mu(q + d) - self.mu(q - d) for d in steps]) / (2.0 * step)
+
+    def kinematics(self) -> Kinematics:
+        """Return the same arm as CasADi functions, for NLP solvers: every frame parallel to the world's at q = 0."""
+        ends = np.array([self.tip, self.wrist]) - self.points[-1]
+        placed = np.diff(self.points, axis=0, prepend=np.zeros((1, 3)))
+        turned, slides = np.tile(np.eye(3), (self.n, 1, 1)), np.zeros(self.n, dtype=np.bool_)
+        return build_kinematics("arm", Chain(turned, placed, self.axes, slides, ends))
+
+
+def rotation(axis: Array, angle: float) -> Array:
+    """Return Rodrigues' rotation, (3, 3)."""
+    K = np.array([[0.0, -axis[2], axis[1]], [axis[2], 0.0, -axis[0]], [-axis[1], axis[0], 0.0]])
+    return np.eye(3) + np.sin(angle) * K + (1.0 - np.cos(angle)) * (K @ K)
+
+
+def unit(rng: np.random.Generator) -> Array:
+    """Return a random direction."""
+    v = rng.normal(size=3)
+    return v / np.linalg.norm(v)
+
+
+def random_arm(rng: np.random.Generator, n: int = 7, structured: bool = True) -> Arm:
+    """Return random axes through points within about half a metre of the wrist.
+
+    structured (n = 7): joints 5 to 7 pass through the wrist and the tool lies along joint 7, so that three wrist
+    columns vanish and joint 7 moves neither point.
+    """
+    axes = np.array([unit(rng) for _ in range(n)])
+    points = rng.normal(scale=0.25, size=(n, 3))
+    tool = unit(rng)
+    if structured and n == 7:
+        points[4:] = 0.0
+        axes[6] = tool
+    return Arm(axes, points, TOOL * tool, np.zeros(3))
+
+
+def problem_of(arm: Arm, q: Array, x_inside: Array, lower: Array, upper: Array, **weights: float) -> NullSpaceQP:
+    """Return the subproblem of ``arm`` at q whose references are met by ``x_inside``."""
+    J_tip, J_wrist = arm.jacobians(q)
+    return NullSpaceQP(
+        J_tip, J_wrist, J_tip @ x_inside, J_wrist @ x_inside, arm.grad_mu(q), lower=lower, upper=upper, q=q, **weights
+    )
+
+
+def random_box(rng: np.random.Generator, n: int) -> tuple[Array, Array]:
+    """Return bounds of 0.3 to 3 rad/s on either side of zero."""
+    return -rng.uniform(0.3, 3.0, n), rng.uniform(0.3, 3.0, n)
+
+
+def smooth_sequence(
+    rng: np.random.Generator, count: int, *, period: float = 0.002, arm: Arm | None = None, **weights: float
+) -> list[NullSpaceQP]:
+    """Make ``count`` subproblems of one arm along a smooth motion, ``period`` [s] apart."""
+    arm = random_arm(rng) if arm is None else arm
+    lower, upper = random_box(rng, arm.n)
+    start, phase = rng.uniform(-1.5, 1.5, arm.n), rng.uniform(0.0, 2.0 * np.pi, arm.n)
+    swing = 0.4 * np.minimum(-lower, upper)
+    problems = []
+    for t in period * np.arange(count):
+        angle = phase + 2.0 * np.pi * 0.5 * t
+        q = start + swing / np.pi * np.sin(angle)
+        problems.append(problem_of(arm, q, swing * np.cos(angle), lower, upper, **weights))
+    return problems
 
 
 def random_problem(

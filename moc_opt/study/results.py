@@ -12,6 +12,7 @@ from __future__ import annotations
 import io
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from itertools import product
 from typing import Any
 
 import polars as pl
@@ -27,6 +28,11 @@ ERRORS = (
 )  # fmt: skip
 """Tip and RCM errors, each by the robot's own kinematics, in the frame registered at the start, and in the base frame:
 what the controller can answer for, what the patient gets, and absolute accuracy."""
+TITLES = {
+    name: f"{part}, {frame}"
+    for name, (part, frame) in zip(ERRORS, product(("tip", "RCM"), ("own", "registered", "base")), strict=True)
+}
+"""Of a column with one of these errors, or with its change."""
 FRAMES = (
     "Own kinematics: what the controller sees and can answer for. Registered: in the frame touched at the start, which "
     "is what the patient gets. Base frame: absolute accuracy."

@@ -17,18 +17,24 @@ import plotly.graph_objects as go
 from moc_opt.control import ControlSettings
 from moc_opt.control.presets import PRESETS
 from moc_opt.figures.notation import Doubtful, Mark, Notation, pretty_units
-from moc_opt.figures.style import figure, label, log_axis, rule
+from moc_opt.figures.style import Styles, figure, label, log_axis, rule
 from moc_opt.report.page import Page
 from moc_opt.report.tables import Column, Table
 from moc_opt.robots import load_data
 from moc_opt.scenario import Scenario
-from moc_opt.study.results import change_name
+from moc_opt.study.results import TITLES, change_name
 from moc_opt.study.statistics import Change, Interval, spread, too_few
 from moc_opt.trace.metrics import METRICS
 
 YES, NO, OPEN = Mark("✔", "yes", "good", 0), Mark("✘", "no", "bad", 2), Mark("–", "open", "other", 1)
 MARKS = {True: YES, False: NO, None: OPEN, "yes": YES, "no": NO, "open": OPEN}
 FORMATS = {"%": "+.1f", "mm": ".3f", "us": ".1f", "m^3": ".4f", "N": ".2f"}
+
+
+def mark(verdict: bool | str | None, text: str) -> Mark:
+    """Return the sign of a verdict, "yes", "no" or open, with a text of its own beside it."""
+    known = MARKS.get(verdict, OPEN)
+    return Mark(known.symbol, text, known.tone, known.rank)
 
 
 class Picture(NamedTuple):
@@ -152,7 +158,8 @@ def columns(*metrics: str, of: str = "", **titles: str) -> list[Column]:
         change = next((m for m in METRICS.values() if change_name(m.name) == bare), None)
         unit = "%" if bare.endswith("_percent") else known.unit if known and known.unit != "1" else ""
         about = (f"Change of: {change.about}" if change else known.about if known else "")
-        title = titles.get(name, bare.removesuffix("_percent").removesuffix(f"_{unit}").replace("_", " "))
+        plain = TITLES.get(change.name if change else bare) or bare.removesuffix("_percent").removesuffix(f"_{unit}")
+        title = titles.get(name, plain.replace("_", " "))
         found.append(Column(name, title, unit=unit, format=FORMATS.get(unit, ""), help=about, section=of))
     return found
 
@@ -190,6 +197,29 @@ def intervals_picture(
     return drawn
 
 
+def lines_picture(
+    lines: Mapping[str, Sequence[tuple[float, float, float, float]]], x_title: str, y_title: str, *, log: bool = False
+) -> go.Figure:
+    """Draw a line through the values of each name, with bars from their lower to their upper ends.
+
+    Args:
+        lines: name -> (x, low, value, high) of each point.
+        x_title, y_title: of the axes.
+        log: powers of ten on the x axis.
+    """
+    drawn, styles = figure(), Styles(lines)
+    for name, points in lines.items():
+        drawn.add_scatter(
+            x=[x for x, *_ in points], y=[value for _, _, value, _ in points], name=label(name), mode="lines+markers",
+            line={"color": styles[name].color, "dash": styles[name].dash},
+            error_y={"type": "data", "symmetric": False, "array": [high - value for *_, value, high in points],
+                     "arrayminus": [value - low for _, low, value, _ in points]},
+        )  # fmt: skip
+    drawn.update_xaxes(title_text=pretty_units(x_title), type="log" if log else "linear")
+    drawn.update_yaxes(title_text=pretty_units(y_title))
+    return drawn
+
+
 def ends(figures: Mapping[str, Any], name: str) -> tuple[float, float, float] | None:
     """Return (low, value, high) of a summary's figure; without an interval the value three times; None without it."""
     value, low, high = (figures.get(f"{name}{end}") for end in ("", "_low", "_high"))
@@ -208,8 +238,8 @@ class Goal(NamedTuple):
         what: in words.
         unit: of value and limit.
         limit: the limit.
-        measured: the value in a summary, a number, an `Interval` or a `Change`, both of whose means are asked then; a
-            LookupError means that it was not measured.
+        measured: the value in a summary, a number, an `Interval` or a `Change`, both of whose means are asked then; None,
+            or a LookupError, means that it was not measured.
         most: the limit is the largest value that will do; else the smallest.
         made_of: what the value was made of, in words, from a summary.
         section: of the page, with the figures around it.
@@ -225,7 +255,7 @@ class Goal(NamedTuple):
 
 
 def judge(summary: Mapping[str, Any], goals: Mapping[str, Goal]) -> dict[str, dict[str, Any]]:
-    """Return goal -> what, unit, goal, kind, value (None: not measured), made_of, reached.
+    """Return goal -> what, unit, goal, kind, value (None: not measured), made_of, reached, section.
 
     ``reached`` is "yes", "no", "not measured", or "open": the value's interval holds the limit, the trials are too few,
     or a time is not to be trusted (one that was lengthened by other work and is short enough all the same is trusted).
@@ -234,10 +264,11 @@ def judge(summary: Mapping[str, Any], goals: Mapping[str, Goal]) -> dict[str, di
     for key, goal in goals.items():
         row: dict[str, Any] = {
             "what": goal.what, "unit": goal.unit, "goal": goal.limit, "kind": "at most" if goal.most else "at least",
-            "value": None, "reached": "not measured", "made_of": "",
+            "value": None, "reached": "not measured", "made_of": "", "section": goal.section,
         }  # fmt: skip
         with suppress(LookupError, ValueError):  # a part that did not run has no entries, and no largest of them
-            row |= _reached(goal, goal.measured(summary)) | {"made_of": goal.made_of(summary)}
+            if (measured := goal.measured(summary)) is not None:
+                row |= _reached(goal, measured) | {"made_of": goal.made_of(summary)}
         found[key] = row
     return found
 
@@ -257,14 +288,14 @@ def _reached(goal: Goal, measured: Any) -> dict[str, Any]:
     return found if one.low == one.high else found | measured.entries("value")
 
 
-def goals_table(found: Mapping[str, Mapping[str, Any]], goals: Mapping[str, Goal], title: str = "Goals") -> Table:
+def goals_table(found: Mapping[str, Mapping[str, Any]], title: str = "Goals") -> Table:
     """Make the table of what `judge` found, missed goals first."""
     rows = [
         {
             "what": row["what"], "wanted": f"{row['kind']} {row['goal']:.3g} {row['unit']}".strip(),
             "measured": value_text(row), "reached": MARKS.get(row["reached"], OPEN), "made_of": row["made_of"] or None,
-            "section": goals[key].section,
-        } for key, row in found.items()
+            "section": row["section"],
+        } for row in found.values()
     ]  # fmt: skip
     rows.sort(key=lambda row: -row["reached"].rank)  # type: ignore[attr-defined]
     shown = [

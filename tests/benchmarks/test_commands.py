@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import importlib
 import json
 import re
@@ -24,11 +23,9 @@ PAGES = {
 }
 
 
-def has_main(file: Path) -> bool:
-    return any(isinstance(node, ast.FunctionDef) and node.name == "main" for node in ast.parse(file.read_text()).body)
-
-
-COMMANDS = {file.stem for file in (ROOT / "benchmarks").glob("*.py") if has_main(file)}
+COMMANDS = {
+    file.stem for file in (ROOT / "benchmarks").glob("*.py") if re.search("^(def )?main\\b", file.read_text(), re.MULTILINE)
+}
 
 
 def test_the_documents_name_every_command_and_no_other() -> None:

@@ -41,18 +41,18 @@ def test_a_case_is_all_cycles_of_its_runs():
 )  # fmt: skip
 def test_the_goal_of_c_needs_enough_cycles_and_few_misses(missed, cycles, reached):
     case, other = {"cycles": cycles, "missed": missed}, {"cycles": 9, "missed": 9}
-    found = judge({"cases": {"c, 500 Hz, quiet": case, "c, 1000 Hz, quiet": other}}, realtime.GOALS)
+    found = judge({"cases": {"C, 500 Hz, quiet": case, "C, 1000 Hz, quiet": other}}, realtime.GOALS)
     assert found["c"]["reached"] == reached
     assert found["python"]["reached"] == found["rcm"]["reached"] == "not measured"
 
 
 def test_goals_under_load_look_at_every_loaded_case_and_stops_of_quiet_ones_at_these():
     good, bad = ({"cycles": 9, "unclean": k, "rcm_max_mm": 1.0 + 2.0 * k} for k in (0, 1))
-    for name, reached in (("c, 1000 Hz, loaded", "no"), ("c, 1000 Hz, quiet", "yes")):
-        found = judge({"cases": {"python, 500 Hz, loaded": good, name: bad}}, realtime.GOALS)
+    for name, reached in (("C, 1000 Hz, loaded", "no"), ("C, 1000 Hz, quiet", "yes")):
+        found = judge({"cases": {"Python, 500 Hz, loaded": good, name: bad}}, realtime.GOALS)
         assert found["rcm"]["reached"] == found["stops"]["reached"] == reached
     case = realtime.summarise([made(20_000, ended="stopped: asked for")] * 50)
-    assert judge({"cases": {"c, 500 Hz, quiet": case}}, realtime.GOALS)["quiet stops"]["reached"] == "no"
+    assert judge({"cases": {"C, 500 Hz, quiet": case}}, realtime.GOALS)["quiet stops"]["reached"] == "no"
 
 
 def test_report_shows_the_cases_with_their_goals():
@@ -114,7 +114,7 @@ def test_runs_that_stop_early_are_repeated_but_not_for_ever_and_run_alone(tmp_pa
     jobs = [job for asked in never.asked for job in asked]
     assert all(job.alone for job in jobs)
     assert len({str(job.arguments) for job in jobs}) == len(jobs), "each run is kept as one of its own"
-    with pytest.raises(StudyError, match="python, 500 Hz, quiet: it is broken"):
+    with pytest.raises(StudyError, match="Python, 500 Hz, quiet: it is broken"):
         realtime.runs_of(Studied(tmp_path, Failed("raised", "it is broken")), config)
 
 

@@ -53,7 +53,7 @@ def test_markdown_has_every_sentence_and_table_and_a_terminal_the_first_screen()
 def test_columns_take_unit_format_and_help_from_the_metrics() -> None:
     names = ("tip_error_model_mean_mm", "settled_trocar_force_mean_N", "mu_gain_percent", "whole")
     tip, force, gain, whole = columns(*names, of="All figures", whole="completed")
-    assert (tip.key, tip.title, tip.unit, tip.format) == (names[0], "tip error model mean", "mm", ".3f")
+    assert (tip.key, tip.title, tip.unit, tip.format) == (names[0], "tip, own", "mm", ".3f")
     assert tip.help == METRICS[names[0]].about
     assert (force.key, force.title, force.unit) == (names[1], "trocar force mean", "N")
     assert (gain.unit, gain.format, gain.title) == ("%", "+.1f", "mu gain")
@@ -113,7 +113,7 @@ def test_goals_are_shown_missed_ones_first() -> None:
     values = {"a": 1.0, "b": Interval(7.0, 6.0, 8.0, 9), "c": Doubtful(9.0)}
     goals = {key: Goal(f"goal {key}", "us", 5.0, lambda s, key=key: s[key], section="All") for key in "acbd"}
     found = show.judge(values, goals)
-    table = show.goals_table(found, goals)
+    table = show.goals_table(found)
     assert [show.MARKS[said].symbol for said in (True, False, None)] == ["✔", "✘", "–"]
     rows = [(row["what"][-1], row["reached"].symbol, row["measured"]) for row in table.rows]
     assert rows == [("b", "✘", "7 [6, 8] us"), ("c", "–", "?9 us"), ("d", "–", None), ("a", "✔", "1 us")]
