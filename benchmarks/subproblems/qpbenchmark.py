@@ -5,11 +5,10 @@ The measures of its report are computed here from its rows, as it prints them on
 
 from __future__ import annotations
 
-import csv
 import io
 import subprocess
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -30,7 +29,8 @@ from moc_opt.study.testsets import TestSet, check_name
 
 NAME = "null_space"
 SETS = ("circle", "circle-rho0", "random", "joint-limits", "near-singular", "jumps")
-SETTINGS = ("default", "high_accuracy")
+TOLERANCES = {"default": 1.0, "high_accuracy": 1e-9}
+"""Their settings -> within which a solve succeeds in their report."""
 SECONDS = 0.1  # a solve may take this long there: a thousand times what most solvers need
 SHIFT_S, MARGIN_S = 10.0, 600.0
 OURS = {"default": "default", "high_accuracy": "tight"}
@@ -123,7 +123,7 @@ def write_qpbenchmark(folder: Path, names: Sequence[str] = SETS, every: int = 1,
     return module
 
 
-def run_qpbenchmark(module: Path, solvers: Sequence[str] | None = None) -> list[dict[str, Any]]:
+def run_qpbenchmark(module: Path, solvers: Sequence[str] | None = None) -> pl.DataFrame:
     """Let qpbenchmark run a test set in a process of its own; the rows of its results.
 
     Args:
@@ -146,8 +146,7 @@ def run_qpbenchmark(module: Path, solvers: Sequence[str] | None = None) -> list[
             raise ExportError(f"qpbenchmark {solver or ''} took more than {MARGIN_S:g} s: {error}") from error
         if done.returncode != 0:
             raise ExportError(f"qpbenchmark {solver or ''} failed: {done.stderr[-500:]}")
-    with results.open(newline="", encoding="utf-8") as file:
-        return list(csv.DictReader(file))
+    return pl.read_csv(results, infer_schema_length=None)
 
 
 def ranking(folder: Path, names: Sequence[str], every: int = 16) -> dict[str, dict[str, Any]]:
@@ -172,36 +171,27 @@ def ranking(folder: Path, names: Sequence[str], every: int = 16) -> dict[str, di
         return {"none": {"reason": str(error)}}
 
 
-def figures(rows: Sequence[Mapping[str, str]]) -> dict[str, dict[str, Any]]:
+def figures(rows: pl.DataFrame) -> dict[str, dict[str, Any]]:
     """Compute qpbenchmark's measures: success in percent, shifted geometric mean of run times, and ranks.
 
-    As in its report: the shift is 10 s, a failure counts as the time limit, and a solve succeeds within its
-    tolerances (1e-9 under high_accuracy, 1 under default).
+    As in its report: the shift is 10 s, a failure counts as the time limit, and a solve succeeds within its tolerances.
     """
-    tolerance = {"default": 1.0, "high_accuracy": 1e-9}
-    found: dict[str, dict[str, Any]] = {}
-    for settings in SETTINGS:
-        mine: dict[str, dict[str, Any]] = {}
-        for solver in sorted({row["solver"] for row in rows}):
-            chosen = [row for row in rows if row["solver"] == solver and row["settings"] == settings]
-            if not chosen:
-                continue
-            ok = [_succeeds(row, tolerance[settings]) for row in chosen]
-            times = np.array([float(row["runtime"]) if row["found"] == "True" else SECONDS for row in chosen])
-            shifted = float(np.exp(np.mean(np.log(times + SHIFT_S))) - SHIFT_S)
-            mine[solver] = {
-                "problems": len(chosen), "success_percent": 100.0 * float(np.mean(ok)), "shgeom_us": 1e6 * shifted,
-                "runtime_p50_us": 1e6 * float(np.median(times)),
-            }  # fmt: skip
-        order = sorted(mine, key=lambda name: mine[name]["shgeom_us"])
-        for place, solver in enumerate(order, start=1):
-            found[f"{solver}@{settings}"] = {**mine[solver], "rank": place}
-    return found
-
-
-def _succeeds(row: Mapping[str, str], limit: float) -> bool:
-    values = [row[key] for key in ("primal_residual", "dual_residual", "duality_gap")]
-    return row["found"] == "True" and all(value != "" and float(value) < limit for value in values)
+    limit = pl.col("settings").replace_strict(TOLERANCES, default=None)
+    right = [pl.col(name) < limit for name in ("primal_residual", "dual_residual", "duality_gap")]
+    time = pl.when("found").then("runtime").otherwise(SECONDS)
+    found = (
+        rows.filter(pl.col("settings").is_in(list(TOLERANCES)))
+        .group_by("settings", "solver")
+        .agg(
+            pl.len().alias("problems"),
+            (100.0 * pl.all_horizontal("found", *right).fill_null(False).mean()).alias("success_percent"),
+            (1e6 * ((time + SHIFT_S).log().mean().exp() - SHIFT_S)).alias("shgeom_us"),
+            (1e6 * time.median()).alias("runtime_p50_us"),
+        )
+        .with_columns(pl.col("shgeom_us").rank("ordinal").over("settings").alias("rank"))
+        .sort("settings", "rank")
+    )
+    return {f"{row.pop('solver')}@{row.pop('settings')}": row for row in found.to_dicts()}
 
 
 def beside_ours(work: Work) -> None:

@@ -24,8 +24,9 @@ PAGES = {
 
 
 COMMANDS = {
-    file.stem for file in (ROOT / "benchmarks").glob("*.py") if re.search("^(def )?main\\b", file.read_text(), re.MULTILINE)
-}
+    file.stem for file in (ROOT / "benchmarks").glob("*.py")
+    if re.search(r"^(def )?main\b", file.read_text(encoding="utf-8"), re.MULTILINE)
+}  # fmt: skip
 
 
 def test_the_documents_name_every_command_and_no_other() -> None:
@@ -46,6 +47,49 @@ def test_a_command_runs_as_a_module() -> None:
     command = [sys.executable, "-m", "benchmarks.export", "--help"]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
     assert "python -m benchmarks.export" in done.stdout
+
+
+FAULT, GROUPS = '[cases.a]\ngroup = "plant"\n', "[groups.tuned]\n[groups.paper]\n[ablation.cases.a]\n"
+
+
+@pytest.mark.parametrize(
+    ("study", "text", "said"),
+    [
+        ("faults", "", "cases"),
+        ("faults", FAULT.replace("cases.a", "cases.none"), "run without a fault"),
+        ("faults", f"{FAULT}plant = {{ delay = 2 }}", "delay_ticks"),
+        ("faults", f"{FAULT}from_s = 2.0\nuntil_s = 1.0", "until_s"),
+        ("faults", f'solvers = ["oskp"]\n{FAULT}', "osqp"),
+        ("paper", f'tasks = ["circel"]\n{GROUPS}', "did you mean 'circle'"),
+        ("paper", f'solvers = ["exact", "rnn-print"]\n{GROUPS}', "did you mean 'rnn-printed'"),
+        ("paper", '[groups.tuned]\ncontrol = { preset = "tunde" }', "did you mean 'tuned'"),
+        ("paper", "[groups.other]", "unknown group 'tuned'"),
+        ("paper", f"trials = 0\n{GROUPS}", "trials = 0"),
+        ("paper", f"trails = 2\n{GROUPS}", "did you mean 'trials'"),
+        ("paper", f'{GROUPS}without = ["rcm_lamda"]', "did you mean 'rcm_lambda'"),
+        ("paper", f"{GROUPS}control = {{ K_n2 = 1.0 }}", "did you mean 'K_N2'"),
+        ("paper", "[groups.tuned", "wrong.toml"),
+        ("plant", "[effects.bias]\nencoder_bais_rad = 0.001", "did you mean 'encoder_bias_rad'"),
+        ("speed", "tock = 1", "did you mean 'ticks'"),
+        ("speed", 'solvers = ["daqp"]', "'exact' must be among them"),
+        ("speed", 'solvers = ["exact", "dapq"]', "did you mean 'daqp'"),
+        ("speed", 'adapters = ["exakt"]', "unknown adapter 'exakt'"),
+        ("speed", 'peers = ["minc"]', "did you mean 'mink'"),
+        ("sweep", '[grid]\n"control.k0_per_sec" = [1.0]', "did you mean 'k0_per_s'"),
+        ("tune", "randon = 1\n[space]", "did you mean 'random'"),
+        ("tune", 'tasks = ["circel"]\n[space.K_N2]', "'circel'"),
+        ("tune", "[space.K_N2]\nlow = 0.3\nhigh = 0.05", "low < high"),
+        ("tune", "[space.K_N2]\nlog = true", "above 0 where log"),
+    ],
+)  # fmt: skip
+def test_a_wrong_configuration_is_refused_before_anything_runs(
+    study: str, text: str, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "wrong.toml").write_text(text)
+    command = importlib.import_module(f"benchmarks.{study}").main
+    assert command([str(tmp_path / "wrong.toml"), "--out", str(tmp_path / "out")]) == 2
+    assert said in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
 
 
 def test_every_mark_is_of_a_study_and_has_its_end() -> None:

@@ -1,13 +1,10 @@
 """The simulation of coverage: shares and widths that are known beforehand."""
 
-import json
-
 import numpy as np
 import pytest
 
 from benchmarks import coverage
 from moc_opt.study.command import CONFIGS
-from tests import first_screens
 
 POOL = np.random.default_rng(0).lognormal(0.0, 0.3, (2, 240))
 
@@ -26,16 +23,12 @@ def test_intervals_of_more_trials_are_shorter_and_hold_the_truth_about_as_often(
     assert coverage.covered(POOL[0] * np.where(rng.random(240) < 0.01, 1e3, 1.0), POOL[1], 15, 30)[0] < 50.0
 
 
-def test_a_tiny_pool(tmp_path, monkeypatch):
+def test_a_tiny_pool(tiny, monkeypatch):
     assert coverage.Config.load(CONFIGS / "coverage.toml") == coverage.Config()
     cases = coverage.Config.cases
     monkeypatch.setattr(coverage.Config, "cases", lambda config: cases(config)[:3])
     monkeypatch.setattr(coverage, "SOLVERS", ("rnn-printed",))
-    file = tmp_path / "tiny.toml"
-    scenario = "[scenario]\nduration_s = 0.02\nbound_samples = 0\nstart = { pose = \"home\" }\n"
-    file.write_text("trials = 120\ndraws = 3\n" + scenario)
-    assert coverage.main([str(file), "--out", str(tmp_path / "out")]) == 0
-    found = json.loads((tmp_path / "out" / "summary.json").read_text())["coverage"]
+    scenario = '[scenario]\nduration_s = 0.02\nbound_samples = 0\nstart = { pose = "home" }\n'
+    found = tiny(coverage, f"trials = 120\ndraws = 3\n{scenario}", pictures=0).summary["coverage"]
     assert {row["trials"] for row in found.values()} == {3}
     assert len(found) == len(coverage.METRICS)
-    first_screens.check((tmp_path / "out" / "report.html").read_text(), pictures=0)

@@ -1,9 +1,6 @@
 """The study of faults: its figures follow from the runs, and every fault meets every controller."""
 
-import json
-
 import numpy as np
-import polars as pl
 import pytest
 
 from benchmarks import faults
@@ -25,7 +22,6 @@ from moc_opt.study.command import CONFIGS
 from moc_opt.study.results import Results
 from moc_opt.study.show import judge
 from moc_opt.trace.trace import Trace
-from tests import first_screens
 
 TINY = """
 trials = 1
@@ -50,15 +46,6 @@ camera_lost_s = [0.1, 0.2]
 @pytest.fixture(scope="module")
 def shipped():
     return Config.load(CONFIGS / "faults.toml")
-
-
-@pytest.fixture(scope="module")
-def left(tmp_path_factory):
-    """What the command leaves of a tiny configuration."""
-    folder = tmp_path_factory.mktemp("faults")
-    (folder / "tiny.toml").write_text(TINY)
-    assert faults.main([str(folder / "tiny.toml"), "--out", str(folder / "out"), "--seed", "3"]) == 0
-    return folder / "out"
 
 
 def run_of(error, level=1e-3, **meta):
@@ -87,36 +74,17 @@ def test_every_fault_of_the_configuration_fits_a_scenario(shipped):
     assert kinds == {"fail", "nan", "lie", "raise", "outside", "rig", "malformed", "hang"}
 
 
-def test_every_run_is_a_row_and_the_summary_follows(left):
-    rows = pl.read_parquet(left / "rows.parquet").to_dicts()
-    assert [(row["controller"], row["case"]) for row in rows] == [
+def test_every_run_is_a_row_and_the_summary_follows(tiny):
+    left = tiny(faults, TINY, pictures=1)
+    assert [(row["controller"], row["case"]) for row in left.rows] == [
         ("dcac", "none"), ("dcac", "gone"), ("dcac", "camera"),
         ("exact", "none"), ("exact", "lies"), ("exact", "gone"), ("exact", "camera"),
     ]  # fmt: skip
-    summary = json.loads((left / "summary.json").read_text())
+    summary = left.summary
     gone, lies = summary["cases"]["gone"]["exact"], summary["cases"]["lies"]["exact"]
     assert (gone["stopped"], lies["survived"]) == (1, 1)
     assert lies["injected"] == lies["detected"] > 10
     assert summary["goals"]["missed"]["reached"] == "yes"
-    first_screens.check((left / "report.html").read_text(), pictures=1)
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("", "cases"),
-        ('[cases.none]\ngroup = "sensors"', "run without a fault"),
-        ('[cases.a]\ngroup = "plant"\nplant = { delay = 2 }', "delay_ticks"),
-        ('[cases.a]\ngroup = "plant"\nfrom_s = 2.0\nuntil_s = 1.0', "until_s"),
-        ('solvers = ["oskp"]\n[cases.a]\ngroup = "plant"', "osqp"),
-    ],
-)
-def test_wrong_configurations_are_refused(text, message, tmp_path, capsys):
-    file = tmp_path / "faults.toml"
-    file.write_text(text)
-    assert faults.main([str(file), "--out", str(tmp_path / "out")]) == 2
-    assert message in capsys.readouterr().err
-    assert not (tmp_path / "out").exists()
 
 
 def test_recovery_is_the_last_time_above_the_level():

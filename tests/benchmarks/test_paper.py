@@ -1,17 +1,15 @@
 """The paper's experiment: verdicts that follow from the numbers, the procedure, and a command that leaves its files."""
 
-import json
 from collections import Counter
 
 import numpy as np
-import polars as pl
 import pytest
 
 from benchmarks import paper, procedure
 from benchmarks.paper import CLAIMS, FAILS, GAINS_ONLY, HOLDS, UNDECIDED, Case, Config
 from benchmarks.procedure import ProcedureJob, ProcedureSettings
 from moc_opt.control import ControlSettings
-from moc_opt.errors import MocOptError, ScenarioError, UnknownNameError
+from moc_opt.errors import MocOptError
 from moc_opt.robots import load_data
 from moc_opt.scenario import Scenario
 from moc_opt.study.command import CONFIGS
@@ -22,7 +20,6 @@ from moc_opt.tasks import make_path
 from moc_opt.vision.board import Board
 from moc_opt.vision.camera import CameraSettings
 from moc_opt.vision.hands_on import HandsOnSettings
-from tests import first_screens
 
 TINY = """
 tasks = ["circle"]
@@ -41,16 +38,14 @@ control = { K_N2 = 5.0 }
 starts = 2
 [procedure]
 poses = 3
-film = false
-[procedure.camera]
-rate_Hz = 10.0
+camera = { rate_Hz = 10.0, width_px = 400, height_px = 300 }
+board = { lost_s = [[1.0, 2.0]] }
 [scenario]
-duration_s = 0.7
+task = { v_max_m_per_s = 0.1 }
+duration_s = 0.4
 judge = false
 bound_samples = 0
 """
-SHORT = Scenario(judge=False, bound_samples=0, duration_s=0.3, control={"preset": "tuned"})
-
 
 
 @pytest.fixture(scope="module")
@@ -155,53 +150,26 @@ def test_one_case_is_dcac_damped_with_the_papers_vector(shipped):
     assert tuple(np.add(moc["K_N2"], moc["D_N2"])) in found
 
 
-def test_a_setting_that_does_not_exist_is_refused(shipped):
-    with pytest.raises(UnknownNameError, match="without 'rcm_lamda': did you mean 'rcm_lambda'"):
-        shipped.changed(Case(without=["rcm_lamda"]))
-    with pytest.raises(UnknownNameError, match="did you mean 'K_N2'"):
-        shipped.changed(Case(control={"K_n2": 1.0}))
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"board": Board(hidden_fraction=1.0)}, "board: never seen"),
+        ({"hands_on": HandsOnSettings(time_limit_s=0.2)}, "did not reach the incision"),
+    ],
+)
+def test_a_procedure_that_cannot_go_on_says_why(changes, message):
+    base = Scenario(judge=False, bound_samples=0, control={"preset": "tuned"})
+    with pytest.raises(MocOptError, match=message):
+        procedure.perform(ProcedureJob(ProcedureSettings(**changes), base, "circle"))
 
 
-@pytest.fixture(scope="module")
-def parts():
-    return ProcedureSettings(
-        camera=CameraSettings(rate_Hz=10.0, width_px=400, height_px=300),
-        board=Board(lost_s=((1.0, 2.0),)),
-    )
-
-
-def test_the_procedure_leads_from_the_hand_to_the_task(parts, tmp_path):
-    base = SHORT.change(duration_s=None, seed=1, task={"v_max_m_per_s": 0.1})
-    row = procedure.perform(ProcedureJob(parts, base, "circle", tmp_path / "film.webm"))
-    assert (row["ended"], row["share_of_run"]) == ("completed", 1.0)
-    assert 0.0 < row["registration_error_mm"] < 5.0
-    assert row["hand_force_max_N"] <= parts.hands_on.hand.force_max_N + 1e-9
-    assert row["board_position_mm"] < 2.0
-    assert 0.9 < row["waited_s"] < 2.5  # lost for a second, and brakes before and after
-    assert row["tip_error_mean_mm"] < 1.5  # absolute: the arm is half a millimetre off its kinematics
-    # What is off the task is where the board was taken to be, and no more than the tip's error beyond that.
-    assert row["path_deviation_max_mm"] < row["task_error_max_mm"] + 1.0
-    assert row["pictures"] > 10
-    assert (tmp_path / "film.webm").stat().st_size > 1000
-
-
-def test_the_procedure_is_guarded_as_every_loop_is(parts):
-    base = SHORT.change(duration_s=None, seed=1, guard={"rcm_error_m": 2e-4, "rcm_warning_m": 1e-4})
+def test_the_procedure_is_guarded_as_every_loop_is():
+    guard = {"rcm_error_m": 2e-4, "rcm_warning_m": 1e-4}
+    base = Scenario(judge=False, bound_samples=0, control={"preset": "tuned"}, seed=1, guard=guard)
+    parts = ProcedureSettings(camera=CameraSettings(rate_Hz=10.0, width_px=400, height_px=300))
     row = procedure.perform(ProcedureJob(parts, base, "circle"))
     assert row["ended"].startswith("stopped: the RCM error has been above 0.2 mm")
     assert row["share_of_run"] < 1.0
-
-
-@pytest.mark.parametrize(
-    ("table", "value", "message"),
-    [
-        ("board", Board(hidden_fraction=1.0), "board: never seen"),
-        ("hands_on", HandsOnSettings(time_limit_s=0.2), "did not reach the incision"),
-    ],
-)
-def test_a_procedure_that_cannot_go_on_says_why(parts, table, value, message):
-    with pytest.raises(MocOptError, match=message):
-        procedure.perform(ProcedureJob(parts.model_copy(update={table: value}), SHORT, "circle"))
 
 
 def test_distance_from_a_path_does_not_ask_when():
@@ -223,32 +191,13 @@ def test_the_configuration_that_ships_is_the_papers_experiment(shipped):
     assert [one.seed for one in shipped.cases(base=shipped.changed(case))] == [one.seed for one in cases["paper"]]
 
 
-@pytest.mark.parametrize(
-    ("wrong", "error", "message"),
-    [
-        (('"circle"', '"circel"'), UnknownNameError, "did you mean 'circle'"),
-        (('"rnn-printed"', '"rnn-print"'), UnknownNameError, "did you mean 'rnn-printed'"),
-        (('"tuned" }', '"tunde" }'), UnknownNameError, "did you mean 'tuned'"),
-        (("groups.tuned", "groups.other"), UnknownNameError, "unknown group 'tuned'"),
-        (("trials = 2", "trials = 0"), ScenarioError, "trials = 0"),
-        (("trials = 2", "trails = 2"), UnknownNameError, "did you mean 'trials'"),
-        (("[swivel]", "[swivel"), ScenarioError, r"bad\.toml"),
-    ],
-)
-def test_wrong_configurations_are_refused_before_anything_moves(tmp_path, wrong, error, message):
-    file = tmp_path / "bad.toml"
-    assert wrong[0] in TINY
-    file.write_text(TINY.replace(*wrong))
-    with pytest.raises(error, match=message):
-        Config.load(file)
+@pytest.fixture(scope="module")
+def left(tiny):
+    return tiny(paper, TINY, pictures=1)
 
 
-def test_the_command_leaves_its_files_and_repeats_itself(tmp_path, capsys):
-    file = tmp_path / "tiny.toml"
-    file.write_text(TINY)
-    assert paper.main([str(file), "--out", str(tmp_path / "a")]) == 0
-    assert "Do the paper's claims hold?" in capsys.readouterr().out
-    summary = json.loads((tmp_path / "a" / "summary.json").read_text())
+def test_the_command_leaves_every_part(left):
+    summary = left.summary
     found = summary["groups"]["tuned"]
     assert set(found) == {*BASELINES, "exact", "rnn-printed"}
     assert (found["exact"]["whole"], found["exact"]["compared"]) == (2, 2)
@@ -256,11 +205,20 @@ def test_the_command_leaves_its_files_and_repeats_itself(tmp_path, capsys):
     assert {entry["case"] for entry in summary["ablation"]} == {"printed", "softer"}
     assert summary["swivel"]["starts"] == 3
     assert summary["swivel"]["gain_at_maximum_percent"] <= summary["swivel"]["gain_max_percent"]
-    assert summary["procedure"]["circle"]["registered"] is True
     assert summary["board_pictures"]["seen"] == 1.0
-    rows = pl.read_parquet(tmp_path / "a" / "rows.parquet")
-    assert set(rows["part"]) == {"trials", "ablation", "swivel", "procedure"}
-    assert not [name for name in rows.columns if name.endswith("_us")], "several runs share the machine"
-    first_screens.check((tmp_path / "a" / "report.html").read_text(), pictures=1)
-    assert paper.main([str(file), "--out", str(tmp_path / "b"), "--json"]) == 0
-    assert json.loads(capsys.readouterr().out) == summary
+    assert {row["part"] for row in left.rows} == {"trials", "ablation", "swivel", "procedure"}
+    assert not [name for name in left.rows[0] if name.endswith("_us")], "several runs share the machine"
+
+
+def test_the_procedure_leads_from_the_hand_to_the_task(left):
+    row = left.summary["procedure"]["circle"]
+    assert (row["ended"], row["share_of_run"], row["registered"]) == ("completed", 1.0, True)
+    assert 0.0 < row["registration_error_mm"] < 5.0
+    assert row["hand_force_max_N"] <= left.config.procedure.hands_on.hand.force_max_N + 1e-9
+    assert row["board_position_mm"] < 2.0
+    assert 0.9 < row["waited_s"] < 2.5  # lost for a second, and brakes before and after
+    assert row["tip_error_mean_mm"] < 1.5  # absolute: the arm is half a millimetre off its kinematics
+    # What is off the task is where the board was taken to be, and no more than the tip's error beyond that.
+    assert row["path_deviation_max_mm"] < row["task_error_max_mm"] + 1.0
+    assert row["pictures"] > 10
+    assert (left.out / "film.webm").stat().st_size > 1000

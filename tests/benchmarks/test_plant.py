@@ -1,8 +1,5 @@
 """The study of the arm's defects: the same trials in every plant, and figures that follow from the traces."""
 
-import json
-
-import polars as pl
 import pytest
 
 from benchmarks import plant
@@ -10,7 +7,6 @@ from moc_opt.scenario import Setup, run
 from moc_opt.study.command import CONFIGS
 from moc_opt.study.trials import variant
 from moc_opt.trace.metrics import summarize
-from tests import first_screens
 
 TINY = """
 tasks = ["circle"]
@@ -35,17 +31,12 @@ duration_s = 0.3
 
 
 @pytest.fixture(scope="module")
-def results(tmp_path_factory):
-    out = tmp_path_factory.mktemp("plant")
-    (out / "tiny.toml").write_text(TINY)
-    assert plant.main([str(out / "tiny.toml"), "--out", str(out / "results"), "--seed", "3"]) == 0
-    config = plant.Config.load(out / "tiny.toml").model_copy(update={"seed": 3})
-    return config, out / "results", json.loads((out / "results" / "summary.json").read_text())
+def results(tiny):
+    return tiny(plant, TINY, pictures=1)
 
 
 def test_every_defect_under_both_controllers(results):
-    config, out, summary = results
-    found = summary["effects"]["tuned"]
+    config, found = results.config, results.summary["effects"]["tuned"]
     assert set(found) == {"none, dcac", "none, exact", "bias, dcac", "bias, exact"}
     none, bias = found["none, exact"], found["bias, exact"]
     assert none["tip_error_mean_mm"] == none["tip_error_registered_mean_mm"] == none["tip_error_model_mean_mm"]
@@ -54,7 +45,7 @@ def test_every_defect_under_both_controllers(results):
     assert bias["rcm_error_mean_mm"] > bias["rcm_error_registered_mean_mm"]
     assert "mu_gain_percent" in none
     assert "mu_gain_percent" not in found["none, dcac"]
-    rows = pl.read_parquet(out / "rows.parquet").to_dicts()
+    rows = results.rows
     assert [row["part"] for row in rows] == ["effects"] * 4 + ["calibration"] * 2 * 4
     [(_, case)] = config.under_presets(config.cases(), [({"effect": "bias"}, config.plant("bias"))])
     again = summarize(run(variant(case, "exact")))
@@ -64,7 +55,7 @@ def test_every_defect_under_both_controllers(results):
 
 def test_a_moving_elbow_costs_what_registering_again_gives_back(results):
     """On one trial MOC's registered tip error is far above DCAC's, and comes down to it; no verdict is given."""
-    _, out, summary = results
+    summary = results.summary
     by = {(row["kind"], row["size"]): row for row in summary["calibration"]}
     assert set(by) == {(kind, size) for kind in plant.KINDS for size in (0.0, 0.5)}
     none, origins = by["origins", 0.0], by["origins", 0.5]
@@ -73,13 +64,11 @@ def test_a_moving_elbow_costs_what_registering_again_gives_back(results):
     assert origins["moc_tip_again_mm"] < 0.5 * origins["moc_tip_after_mm"]
     assert origins["moc_rcm_again_mm"] < 0.7 * origins["moc_rcm_after_mm"]
     assert all("too few trials" in row["undecided"] for row in summary["break_even"])
-    first_screens.check((out / "report.html").read_text(), pictures=1)
 
 
 def test_a_registration_at_the_start_is_the_runs_own(results):
     """What `after_travel` registers at tick 0 is what the run itself counts from."""
-    config, _, _ = results
-    case = config.cases(plant.CALIBRATION_STREAM, 1)[0]
+    case = results.config.cases(plant.CALIBRATION_STREAM, 1)[0]
     case = case.change(duration_s=0.6, plant=plant.plant_of(case.plant, "both", 0.5).model_dump())
     setup = Setup(case)
     trace = setup.trace()
@@ -106,10 +95,3 @@ def test_every_effect_is_run_on_the_same_trials():
     assert all(trials == starts["none"] for trials in starts.values())
     assert len(starts["none"]) == 2 * 15
     assert config.plant("default") == config.scenario.plant
-
-
-def test_a_misspelt_field_is_named(tmp_path, capsys):
-    file = tmp_path / "bad.toml"
-    file.write_text(TINY.replace("encoder_bias_rad = 0.001", "encoder_bais_rad = 0.001"))
-    assert plant.main([str(file), "--out", str(tmp_path)]) == 2
-    assert "did you mean 'encoder_bias_rad'" in capsys.readouterr().err

@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-import json
-from pathlib import Path
 from typing import Any
 
-import polars as pl
 import pytest
 
 from benchmarks import robots
 from moc_opt.robots import available_robots
 from moc_opt.study.command import CONFIGS
 from moc_opt.study.results import Results
-from tests import first_screens
 
 TINY = """
 robots = ["xarm7", "lwr4_rail"]
@@ -22,20 +18,18 @@ starts = 1
 solvers = ["exact"]
 [scenario]
 start = { pose = "random" }
-duration_s = 1.0
+duration_s = 0.4
 bound_samples = 2
 """
 
 
-def test_every_run_is_a_row_and_the_summary_follows(tmp_path: Path) -> None:
-    (tmp_path / "tiny.toml").write_text(TINY, encoding="utf-8")
-    assert robots.main([str(tmp_path / "tiny.toml"), "--out", str(tmp_path / "out"), "--seed", "3"]) == 0
-    first_screens.check((tmp_path / "out" / "report.html").read_text(encoding="utf-8"))
-    rows = pl.read_parquet(tmp_path / "out" / "rows.parquet").to_dicts()
+def test_every_run_is_a_row_and_the_summary_follows(tiny: Any) -> None:
+    left = tiny(robots, TINY)
+    rows = left.rows
     runs = [("xarm7", "dcac"), ("xarm7", "exact"), ("lwr4_rail", "dcac"), ("lwr4_rail", "exact")]
     assert [(row["robot"], row["controller"]) for row in rows] == runs
     assert all(row["ended"] == "completed" for row in rows)
-    summary = json.loads((tmp_path / "out" / "summary.json").read_text(encoding="utf-8"))
+    summary = left.summary
     for robot in ("xarm7", "lwr4_rail"):
         base, mine = (row for row in rows if row["robot"] == robot)
         gain = 100.0 * (mine["mu_mean"] / base["mu_mean"] - 1.0)

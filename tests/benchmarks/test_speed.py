@@ -1,10 +1,8 @@
 """The speed benchmark: what it compares does the same work, its ratios are of times side by side, goals are judged."""
 
 import json
-import re
 
 import numpy as np
-import polars as pl
 import pytest
 
 from benchmarks import speed, timed
@@ -13,7 +11,6 @@ from moc_opt.scenario import Scenario, Setup
 from moc_opt.solvers import available, create
 from moc_opt.solvers.exact import Exact
 from moc_opt.study import Failed
-from moc_opt.study.command import CONFIGS
 from moc_opt.study.show import judge
 from moc_opt.study.timing import UNDISTURBED, Disturbance
 from tests import first_screens
@@ -151,22 +148,6 @@ def test_report_is_made_of_the_numbers():
     first_screens.check(report.page({}).html(), pictures=1)
 
 
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("tock = 1", "'tock'.*'ticks'"), ("solvers = ['daqp']", "'exact' must be among them"),
-        ("solvers = ['exact', 'dapq']", "'dapq'.*'daqp'"), ("adapters = ['exakt']", "adapter 'exakt'"),
-        ("peers = ['minc']", "'minc'.*'mink'"),
-    ],
-)  # fmt: skip
-def test_nonsense_in_a_configuration_is_named(text, words, tmp_path, capsys):
-    path = tmp_path / "speed.toml"
-    path.write_text(text)
-    assert speed.main([str(path), "--out", str(tmp_path / "out")]) == 2
-    assert re.search(words, capsys.readouterr().err)
-    assert not (tmp_path / "out").exists()
-
-
 SMALL = """
 solvers = ["exact", "proxqp"]
 ticks = 100
@@ -181,34 +162,27 @@ duration_s = 0.3
 """
 
 
-def test_command_leaves_its_files(tmp_path, capsys, monkeypatch):
-    config = speed.Config.load(CONFIGS / "speed.toml")
-    assert (config.batch, config.quick().solvers) == (1_000_000, config.solvers)
+def test_command_leaves_its_files(tiny, capsys, monkeypatch):
     monkeypatch.setattr(speed.peers, "missing", lambda name: "it is missing")
-    (tmp_path / "small.toml").write_text(SMALL)
-    out = tmp_path / "out"
-    assert speed.main([str(tmp_path / "small.toml"), "--out", str(out), "--seed", "3"]) == 0
-    summary = json.loads((out / "summary.json").read_text())
+    left = tiny(speed, SMALL, pictures=1)
+    summary, rows = left.summary, left.rows
     assert summary["not_run"]["peer tsid"]["reason"] == "it is missing"
     assert min(summary["tick"][name]["tick_p50_us"] for name in ("exact", "proxqp")) > 0.0
     assert summary["goals"]["exact"]["value"] == summary["adapters"][timed.BY_HAND]["ratio_of_exact"] > 0.0
     assert summary["goals"]["tick"]["reached"] == summary["goals"]["batch"]["reached"] == "not measured"
-    environment = json.loads((out / "environment.json").read_text())
+    environment = json.loads((left.out / "environment.json").read_text())
     assert (environment["seed"], environment["config"]["ticks"]) == (3, 100)
     assert environment["load"]["calls"] > 0
-    rows = pl.read_parquet(out / "rows.parquet").to_dicts()
     assert {row["part"] for row in rows} == {"tick", "tick_parts", "adapters", "loop", "setup", None}
     assert [row["controller"] for row in rows if row["error"] == "it is missing"] == ["peer tsid"]
-    assert "it is missing" in (out / "report.html").read_text()
+    assert "it is missing" in (left.out / "report.html").read_text()
     setup = summary["setup"]
     assert setup["first_tick_s"] == pytest.approx(setup["libraries_s"] + setup["model_s"] + setup["start_and_tick_s"])
     (us,) = [row["us_per_tick"] for row in rows if row["part"] == "loop"]  # one round
     if "c" in summary["tick"]:
         assert summary["tick"]["c"]["difference_Nm"] == 0.0
         assert summary["loop"]["limit"]["python_over_limit"] == pytest.approx(us / summary["loop"]["limit"]["limit_us"])
-    printed = capsys.readouterr().out
-    assert "Goals" in printed
-    assert "of a core" in printed
+    assert "of a core" in capsys.readouterr().out
 
 
 def test_a_part_that_fails_is_not_measured_and_nothing_is_kept(tmp_path, monkeypatch):

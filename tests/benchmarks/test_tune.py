@@ -1,6 +1,5 @@
 """The search for parameters: it stays inside its space, its objective says what it should, and it can be run again."""
 
-import json
 import math
 
 import numpy as np
@@ -167,28 +166,10 @@ def test_the_preset_is_a_point_of_the_space(config):
     assert ControlSettings.tuned() == ControlSettings(**TUNED)
 
 
-def test_the_command_leaves_its_files_and_repeats_itself(tmp_path):
-    file = tmp_path / "tiny.toml"
-    file.write_text(TINY)
-    summaries = []
-    for turn in ("a", "b"):
-        assert tune.main([str(file), "--out", str(tmp_path / turn)]) == 0
-        summaries.append(json.loads((tmp_path / turn / "summary.json").read_text()))
-    assert summaries[0] == summaries[1]
-    assert set(summaries[0]["tuned"]["control"]) == {"gains", "K_N2", "regularization"}
-
-
-def test_wrong_input_is_named(tmp_path, capsys):
-    file = tmp_path / "bad.toml"
-    for text, said in (
-        (TINY.replace("random", "randon"), "did you mean 'random'"),
-        (TINY.replace('"circle"', '"circel"'), "circel"),
-        (TINY.replace("low = 0.05, high = 0.3", "low = 0.3, high = 0.05"), "low < high"),
-        (TINY.replace("low = 10.0", "low = 0.0"), "above 0 where log"),
-    ):
-        file.write_text(text)
-        assert tune.main([str(file), "--out", str(tmp_path / "out")]) == 2
-        assert said in capsys.readouterr().err
+def test_the_command_repeats_itself(tiny):
+    one, two = (tiny(tune, TINY, pictures=0).summary for _ in range(2))
+    assert one == two
+    assert set(one["tuned"]["control"]) == {"gains", "K_N2", "regularization"}
 
 
 def test_choices_are_drawn_evenly():

@@ -5,6 +5,7 @@ import sys
 from importlib.util import find_spec
 
 import numpy as np
+import polars as pl
 import pytest
 
 from benchmarks import export
@@ -72,16 +73,18 @@ def test_the_ranking_stands_on_its_results(tmp_path):
     assert 1.0 < found["daqp@default"]["runtime_p50_us"] < 1e5
 
 
-def row(solver, runtime, found="True", primal="1e-12"):
+def row(solver, runtime, found=True, primal=1e-12):
     return {
-        "solver": solver, "settings": "high_accuracy", "runtime": str(runtime), "found": found,
-        "primal_residual": primal, "dual_residual": "0.0", "duality_gap": "0.0",
+        "solver": solver, "settings": "high_accuracy", "runtime": runtime, "found": found,
+        "primal_residual": primal, "dual_residual": 0.0, "duality_gap": None if primal is None else 0.0,
     }  # fmt: skip
 
 
 def test_figures_are_qpbenchmark_s():
-    found = figures([row("a", 1e-5), row("a", 3e-5), row("b", 1e-6), row("b", 1e-6, found="False"),
-                     row("c", 5e-5, primal="1e-6"), row("c", 5e-5)])  # fmt: skip
+    found = figures(pl.DataFrame([
+        row("a", 1e-5), row("a", 3e-5), row("b", 1e-6), row("b", 1e-6, found=False, primal=None),
+        row("c", 5e-5, primal=1e-6), row("c", 5e-5),
+    ]))  # fmt: skip
     assert found["a@high_accuracy"]["success_percent"] == 100.0
     assert found["b@high_accuracy"]["success_percent"] == found["c@high_accuracy"]["success_percent"] == 50.0
     # at microseconds and a shift of 10 s, the geometric mean is the arithmetic one
