@@ -23,22 +23,17 @@ def found(name):
     return getattr(__import__(module, fromlist=[attribute]), attribute)
 
 
-def text(one):
-    return inspect.getdoc(one) or ""
-
-
 def methods(name):
     """Name -> method of a class, of those that the reference shows; a property has its shape and unit instead."""
     kind, options = ENTRIES[name]
     if kind != "class" or ":members:" not in options or ":undoc-members:" in options:
         return {}
     listed = re.search(r":members: (.+)", options)
-    own = {
+    return {
         member: of for member, of in vars(found(name)).items()
-        if not member.startswith("_")
-        and (isinstance(of, classmethod) or inspect.isfunction(of))
+        if not member.startswith("_") and (isinstance(of, classmethod) or inspect.isfunction(of))
+        and (listed is None or member in listed[1].split(", "))
     }  # fmt: skip
-    return {member: of for member, of in own.items() if listed is None or member in listed[1].split(", ")}
 
 
 def test_every_public_name_is_an_entry():
@@ -49,26 +44,15 @@ def test_every_public_name_is_an_entry():
 
 
 @pytest.mark.parametrize("name", ENTRIES)
-def test_a_public_name_has_an_example_with_an_outcome(name):
-    examples = doctest.DocTestParser().get_examples(text(found(name)))
-    assert any(example.want for example in examples)
-
-
-@pytest.mark.parametrize("name", [name for name in ENTRIES if methods(name)])
-def test_every_method_stands_in_an_example(name):
-    shown = "".join(
-        example.source
-        for one in (found(name), *methods(name).values())
-        for example in doctest.DocTestParser().get_examples(text(one))
-    )
-    assert {member for member in methods(name) if not re.search(rf"(\.|\bdef ){member}\(", shown)} == set()
-
-
-@pytest.mark.parametrize("name", ENTRIES)
-def test_the_examples_run(name, tmp_path, monkeypatch):
+def test_a_public_name_has_an_example_that_runs_and_shows_its_methods(name, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    runner, said = doctest.DocTestRunner(optionflags=doctest.ELLIPSIS), []
+    runner, said, examples = doctest.DocTestRunner(optionflags=doctest.ELLIPSIS), [], []
     for title, one in {name: found(name), **methods(name)}.items():
-        case = doctest.DocTestParser().get_doctest(text(one), {"mo": mo, "np": np}, title, None, 0)
+        text = inspect.getdoc(one) or ""
+        case = doctest.DocTestParser().get_doctest(text, {"mo": mo, "np": np}, title, None, 0)
+        examples += case.examples
+        assert title != name or any(example.want for example in case.examples)
         runner.run(case, out=said.append)
     assert runner.summarize(verbose=False).failed == 0, "".join(said)
+    shown = "".join(example.source for example in examples)
+    assert {member for member in methods(name) if not re.search(rf"(\.|\bdef ){member}\(", shown)} == set()

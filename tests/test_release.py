@@ -22,9 +22,7 @@ def test_package_project_citation_and_changelog_name_one_version_and_one_day():
 
 
 def test_the_pythons_of_the_metadata_are_those_of_the_badge():
-    listed = [
-        word.rpartition(" ")[2] for word in PROJECT["classifiers"] if re.search(r"Python :: 3\.\d+$", word)
-    ]
+    listed = [word.rpartition(" ")[2] for word in PROJECT["classifiers"] if re.search(r"Python :: 3\.\d+$", word)]
     (badge,) = re.findall(r"^!\[Python (.*?)\]", text("README.md"), re.MULTILINE)
     assert badge.split(", ") == listed
     assert PROJECT["requires-python"] == f">={listed[0]}"

@@ -5,6 +5,7 @@ calls the system's compiler. It is installed where there are its own requirement
 this environment.
 """
 
+import contextlib
 import importlib.util
 import json
 import os
@@ -35,22 +36,16 @@ def call(*command, **options):
     return done.stdout
 
 
-def required(lines):
-    """Names of what is required without an extra."""
-    return {re.match(r"[\w.-]+", line)[0] for line in lines or () if "extra ==" not in line}
-
-
-def closure(names):
-    """Every installed distribution that these need, themselves included."""
-    found, waiting = {}, set(names)
+def closure(lines):
+    """Every installed distribution that these requirements need, but for their extras."""
+    found, waiting = {}, list(lines or ())
     while waiting:
-        try:
-            one = distribution(waiting.pop())
-        except PackageNotFoundError:
-            continue  # of another platform or Python; a missing one shows when the wheel runs
-        if one.metadata["Name"] not in found:
-            found[one.metadata["Name"]] = one
-            waiting |= required(one.requires)
+        line = waiting.pop()
+        name = re.match(r"[\w.-]+", line)[0]
+        if "extra ==" not in line and name not in found:
+            with contextlib.suppress(PackageNotFoundError):  # of another platform; a missing one shows when it runs
+                found[name] = distribution(name)
+                waiting += found[name].requires or ()
     return found.values()
 
 
@@ -59,23 +54,13 @@ def wheel(tmp_path_factory):
     """The wheel, built from the source archive of a checkout with no compiler on the path."""
     if COMPILER is None:
         pytest.skip("no C compiler on the path")
-    source, built, tools, path = (
-        tmp_path_factory.mktemp(name) for name in ("source", "built", "tools", "path")
-    )
+    source, built, tools, path = (tmp_path_factory.mktemp(name) for name in ("source", "built", "tools", "path"))
     hooks = os.environ | {"PYTHONPATH": str(source / "packaging")}
     for name in ("moc_opt", "benchmarks", "packaging"):
         shutil.copytree(ROOT / name, source / name, ignore=shutil.ignore_patterns("__pycache__", "*.so"))
     for name in ("pyproject.toml", "MANIFEST.in", "README.md", "LICENSE"):
         shutil.copy(ROOT / name, source)
-    call(
-        sys.executable,
-        "-c",
-        "import backend, sys; backend.build_sdist(sys.argv[1])",
-        built,
-        cwd=source,
-        env=hooks,
-    )
-
+    call(sys.executable, "-c", "import backend, sys; backend.build_sdist(sys.argv[1])", built, cwd=source, env=hooks)
     (tools / "ziglang").mkdir()
     stand_in = STAND_IN.format(log=str(tools / "log"), path=os.environ["PATH"], compiler=COMPILER)
     (tools / "ziglang" / "__main__.py").write_text(stand_in, encoding="utf-8")
@@ -97,7 +82,7 @@ def installed(wheel, tmp_path_factory):
     call(sys.executable, "-m", "pip", "--python", python, "install", "--no-deps", "--no-index", wheel)
     site = Path(sysconfig.get_path("purelib", vars={"base": str(home / "env")}))
     (info,) = site.glob("moc_opt-*.dist-info")
-    for one in closure(required(Distribution.at(info).requires)):
+    for one in closure(Distribution.at(info).requires):
         for top in {file.parts[0] for file in one.files} - {".."}:
             if not (site / top).exists():
                 (site / top).symlink_to(one.locate_file(top))
@@ -107,9 +92,9 @@ def installed(wheel, tmp_path_factory):
 @pytest.fixture
 def run(installed, tmp_path):
     """A function that calls the installed `moc-opt` in an empty folder and an empty home."""
-    environment = {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}
-    environment["HOME"] = str(tmp_path / "home")
-    return lambda *words: call(installed / "moc-opt", *words, cwd=tmp_path, env=environment)
+    bare = {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}
+    bare["HOME"] = str(tmp_path / "home")
+    return lambda *words: call(installed / "moc-opt", *words, cwd=tmp_path, env=bare)
 
 
 def test_one_wheel_for_all_pythons_with_one_package(wheel):

@@ -70,16 +70,16 @@ def test_report_shows_the_cases_with_their_goals():
     first_screens.check(report.page({}).html(), pictures=2)
 
 
-@pytest.mark.parametrize("rate", [250, 500, 1000])
-def test_a_run_is_the_scenario_at_that_rate(rate):
+def test_a_run_is_the_scenario_at_that_rate():
     config = Config.load(CONFIGS / "realtime.toml")
     scenario = config.scenario.change(guard={"patience_ticks": 7})
     config = config.model_copy(update={"run_cycles": 1234, "seed": 7, "scenario": scenario})
-    found = config.run_at(rate)
-    assert found.plant.period_s == 1.0 / rate
-    assert found.plant.substep_s <= 0.001
-    assert (found.duration_s, found.seed, found.judge) == (pytest.approx(1234 / rate), 7, False)
-    assert (found.task, found.guard.patience_ticks) == (config.scenario.task, 7)
+    for rate in (250, 500, 1000):
+        found = config.run_at(rate)
+        assert found.plant.period_s == 1.0 / rate
+        assert found.plant.substep_s <= 0.001
+        assert (found.duration_s, found.seed, found.judge) == (pytest.approx(1234 / rate), 7, False)
+        assert (found.task, found.guard.patience_ticks) == (config.scenario.task, 7)
 
 
 def test_the_load_is_there_and_then_is_not(monkeypatch):
@@ -100,35 +100,27 @@ class Studied:
         self.out, self.made, self.asked = out, run, []
 
     def run(self, jobs, what):
-        self.asked.append(jobs)
+        self.asked += jobs
         return [self.made] * len(jobs)
 
 
-def test_runs_that_stop_early_are_repeated_but_not_for_ever_and_run_alone(tmp_path):
+@pytest.mark.parametrize(("cycles", "ended", "runs"), [(100, "completed", 2), (60, "stopped", 4), (1, "stopped", 6)])
+def test_runs_that_stop_early_are_repeated_but_not_for_ever_and_run_alone(cycles, ended, runs, tmp_path):
     config = Config(cycles=200, run_cycles=100, controllers=["python"])
-    whole, short = Studied(tmp_path, made(100)), Studied(tmp_path, made(60, ended="stopped: x"))
-    assert [len(runs) for runs in realtime.runs_of(whole, config).values()] == [2] * 4
-    assert [len(runs) for runs in realtime.runs_of(short, config).values()] == [4] * 4
-    never = Studied(tmp_path, made(1, ended="stopped: x"))
-    assert [len(runs) for runs in realtime.runs_of(never, config).values()] == [6] * 4
-    jobs = [job for asked in never.asked for job in asked]
-    assert all(job.alone for job in jobs)
-    assert len({str(job.arguments) for job in jobs}) == len(jobs), "each run is kept as one of its own"
+    study = Studied(tmp_path, made(cycles, ended=ended))
+    assert [len(found) for found in realtime.runs_of(study, config).values()] == [runs] * 4
+    assert all(job.alone for job in study.asked)
+    assert len({str(job.arguments) for job in study.asked}) == 4 * runs, "each run is kept as one of its own"
     with pytest.raises(StudyError, match="Python, 500 Hz, quiet: it is broken"):
         realtime.runs_of(Studied(tmp_path, Failed("raised", "it is broken")), config)
 
 
-def test_a_run_by_both_commands_is_kept(tmp_path, capsys):
+def test_a_run_by_both_commands(tiny):
     """How many cycles are missed is the machine's affair; that they are counted is not."""
-    file = tmp_path / "few.toml"
-    file.write_text("run_cycles = 100\nrates_Hz = [250]\ncontrollers = ['python']\nloads = ['quiet']\n")
-    command = [str(file), "--out", str(tmp_path / "out"), "--cycles", "100"]
-    assert realtime.main(command) == 0
-    before = (tmp_path / "out" / "rows.parquet").read_bytes()
-    assert "of an earlier run" not in capsys.readouterr().out
-    assert realtime.main(command) == 0
-    assert (tmp_path / "out" / "rows.parquet").read_bytes() == before
-    assert "of an earlier run" in capsys.readouterr().out
+    text = "run_cycles = 100\nrates_Hz = [250]\ncontrollers = ['python']\nloads = ['quiet']\n"
+    [row] = tiny(realtime, text, "--cycles", "100", pictures=1).rows
+    assert (row["case"], row["run"]) == ("Python, 250 Hz, quiet", 0)
+    assert row["cycles"] == 100 or row["ended"] != "completed"
 
 
 def test_a_run_of_the_c_controller(tmp_path):

@@ -1,6 +1,5 @@
 """The test sets for qpbenchmark: what is written is what the published tool reads, and runs unchanged."""
 
-import subprocess
 import sys
 from importlib.util import find_spec
 
@@ -20,56 +19,27 @@ from benchmarks.subproblems.qpbenchmark import (
 from moc_opt.errors import UnknownNameError
 from moc_opt.solvers import create
 
-needs_qpbenchmark = pytest.mark.skipif(
-    find_spec("qpbenchmark") is None,
-    reason="qpbenchmark is not installed: pip install 'moc-opt[qpbenchmark]'",
-)
 
-
-@needs_qpbenchmark
-def test_the_published_tool_runs_it_unchanged_with_two_solvers(tmp_path):
+@pytest.mark.skipif(find_spec("qpbenchmark") is None, reason="pip install 'moc-opt[qpbenchmark]'")
+def test_the_published_tool_reads_and_runs_it_unchanged(tmp_path):
     """By its own command line, in a process of its own."""
-    assert (
-        export.main(["qpbenchmark", "--out", str(tmp_path), "--sets", "circle", "random", "--every", "64"])
-        == 0
-    )
-    module = tmp_path / "null_space.py"
-    for solver in ("daqp", "quadprog"):
-        command = [
-            sys.executable, "-m", "qpbenchmark.benchmark", str(module), "--results-path", str(tmp_path / "results.csv"),
-            "run", "--solver", solver, "--author", "nobody",
-        ]  # fmt: skip
-        done = subprocess.run(command, capture_output=True, text=True, timeout=120)
-        assert done.returncode == 0, done.stderr[-2000:]
-    lines = (tmp_path / "results.csv").read_text().splitlines()
-    count = len(problems(["circle", "random"], 64))
-    assert len(lines) == 1 + 2 * 4 * count  # each under four settings
-    assert "True" in lines[1]
-    assert "Null-space" in (tmp_path / "null_space.md").read_text()  # its report
-
-
-@needs_qpbenchmark
-def test_it_reads_the_problems_that_were_written(tmp_path):
     from qpbenchmark.benchmark import load_test_set
 
-    write_qpbenchmark(tmp_path, ["circle"], every=32, rows=5)
+    assert export.main(["qpbenchmark", "--out", str(tmp_path), "--sets", "circle", "random", "--every", "64"]) == 0
+    module, written = tmp_path / "null_space.py", problems(["circle", "random"], 64)
     sys.modules.pop("null_space", None)
-    read = {p.name: p for p in load_test_set(str(tmp_path / "null_space.py"))}
-    for name, qp in problems(["circle"], 32).items():
+    read = {problem.name: problem for problem in load_test_set(str(module))}
+    for name, qp in written.items():
         np.testing.assert_array_equal(read[name].P, qp.P)
         np.testing.assert_array_equal(read[name].A, qp.reduced().A)
         np.testing.assert_array_equal(read[name].lb, qp.lower)
         assert read[name].G is None
-
-
-@needs_qpbenchmark
-def test_the_ranking_stands_on_its_results(tmp_path):
-    write_qpbenchmark(tmp_path, ["circle"], every=64)
-    rows = run_qpbenchmark(tmp_path / "null_space.py", ["daqp"])
+    rows = run_qpbenchmark(module, ["daqp"])
+    assert len(rows) == 4 * len(written)  # each under four settings
     found = figures(rows)
     assert set(found) == {"daqp@default", "daqp@high_accuracy"}
-    assert found["daqp@high_accuracy"]["problems"] == 2
-    assert found["daqp@high_accuracy"]["success_percent"] == 100.0
+    best = found["daqp@high_accuracy"]
+    assert (best["problems"], best["success_percent"], best["rank"]) == (len(written), 100.0, 1)
     assert 1.0 < found["daqp@default"]["runtime_p50_us"] < 1e5
 
 
