@@ -20,7 +20,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from pydantic import Field
 
-from benchmarks.procedure import ProcedureJob, ProcedureSettings, lost, perform
+from benchmarks.procedure import ProcedureJob, ProcedureSettings, perform
 from moc_opt.control import ControlSettings
 from moc_opt.errors import UnknownNameError
 from moc_opt.figures import box_plots
@@ -231,15 +231,12 @@ def work(study: Study, config: Config) -> Found:
         Trial(case.change(best_courses=True), name, tags={"part": "trials", "group": group}, keep="curves")
         for group in config.groups for case in config.cases(group) for name in (*BASELINES, *config.solvers)
     ]  # fmt: skip
-    rows = Results(run.row for run in with_phases(study.trials(asked, "trials")))
-    exchanged = [
+    asked += [
         Trial(case, name, tags={"part": "ablation", "group": key})
         for key, exchange in config.ablation.cases.items()
         for case in config.cases(base=config.changed(exchange)) for name in (BASELINE, exchange.controller)
     ]  # fmt: skip
-    rows.add(*(run.row for run in study.trials(exchanged, "Table I")))
-    starts = swivel_trials(config)
-    rows.add(*(run.row for run in study.trials(starts, "starts")))
+    rows = Results(run.row for run in with_phases(study.trials([*asked, *swivel_trials(config)])))
     film = study.out / "film.webm" if config.procedure.film else None
     study.out.mkdir(parents=True, exist_ok=True)
     base = config.base(config.best).change(solver={"name": config.best_solver})
@@ -248,7 +245,10 @@ def work(study: Study, config: Config) -> Found:
         for task, seed in zip(config.tasks, seeds(config.seed, STREAM, len(config.tasks)), strict=True)
     ]
     done = study.run([Job(perform, (task,)) for task in tasks], "procedure")
-    procedure = [lost(task, row) if isinstance(row, Failed) else row for task, row in zip(tasks, done, strict=True)]
+    procedure = [
+        {**task.row(), "ended": "failed", "error": str(row)} if isinstance(row, Failed) else row
+        for task, row in zip(tasks, done, strict=True)
+    ]
     accuracy = pose_accuracy(
         config.procedure.camera, config.procedure.board, poses=config.procedure.poses, seed=config.seed
     )

@@ -32,7 +32,6 @@ from moc_opt.scenario import (
 )
 from moc_opt.sim.loop import simulate
 from moc_opt.sim.plant import Plant
-from moc_opt.study import Failed
 from moc_opt.tasks import Path as TipPath
 from moc_opt.tasks import Reference
 from moc_opt.tasks.waiting import WaitingReference, flags_at
@@ -75,48 +74,35 @@ class ProcedureJob:
         return {"part": "procedure", "task": self.task, "seed": self.scenario.seed}
 
 
-def lost(job: ProcedureJob, failed: Failed) -> dict[str, Any]:
-    """Return the row of a procedure that gave no result."""
-    return job.row() | {"ended": "failed", "error": str(failed)}
-
-
 def perform(job: ProcedureJob) -> dict[str, Any]:
     """Perform the whole procedure once; one row of rows.parquet.
 
     Raises:
         MocOptError: it cannot go on.
     """
-    scenario, table, task = job.scenario, job.scenario.robot, board_task(job.task)
-    robot = table.arm()
+    scenario, parts, task = job.scenario, job.settings, board_task(job.task)
+    robot = scenario.robot.arm()
     home = robot.state(robot.data.q_home)
-    hand_seed, plant_seed, swivel_seed, eye_seed = (
-        np.random.SeedSequence(scenario.seed).generate_state(4).tolist()
-    )
+    hand_seed, plant_seed, swivel_seed, eye_seed = np.random.SeedSequence(scenario.seed).generate_state(4).tolist()
     # The registration error is the hand's and the kinematics' here, not the plant's.
     plant = Plant(
         robot.data, scenario.plant.model_copy(update={"trocar_registration_error_m": 0.0}), seed=plant_seed
     )
-
     incision = home.tip - task.depth_m * home.tool_direction
-    guided = guide_to(incision, plant, robot, job.settings.hands_on, seed=hand_seed)
+    guided = guide_to(incision, plant, robot, parts.hands_on, seed=hand_seed)
     if guided.registered is None:
         raise TaskError(f"hands-on: {guided.status.value}")
 
     phantom = board_below(incision, home.tool_direction, task.depth_m)
-    parts = job.settings
     scene = Augmented(
         robot, phantom, camera=parts.camera, board=parts.board, tracker=parts.tracker, seed=eye_seed
     )
     estimate = scene.locate(guided.q)
     path = scene.task(task, estimate)
-
     q = pose_through(robot, path.start, guided.registered)
     q = self_motion(robot, q).at(np.random.default_rng(swivel_seed).uniform(0.05, 0.95))
-    trocars = (guided.trocar, guided.registered)
-    trace, waited, lost = _run(job, plant, scene, path, q, trocars)
-    count = 0
-    if job.film is not None:
-        count = scene.film(job.film, trace, path, guided.registered)
+    trace, waited, lost = _run(job, plant, scene, path, q, (guided.trocar, guided.registered))
+    count = scene.film(job.film, trace, path, guided.registered) if job.film is not None else 0
     deviation = 1e3 * from_path(trace.tip_m, scene.task(task, phantom))
     metrics = summarize(trace)
     return {
@@ -138,35 +124,29 @@ def _run(
 
     ``trocars``: the true one and the registered one, (3,) each [m].
     """
-    robot, (true, registered) = job.scenario.robot.arm(), trocars
-    scenario, period = job.scenario, job.scenario.plant.period_s
-    reference = Reference(
-        path, scenario.task.v_max_m_per_s, scenario.task.a_max_m_per_s2, t_start=scenario.task.wait_s
-    )
+    scenario, period, (true, registered) = job.scenario, job.scenario.plant.period_s, trocars
+    robot, task = scenario.robot.arm(), scenario.task
+    reference = Reference(path, task.v_max_m_per_s, task.a_max_m_per_s2, t_start=task.wait_s)
     check_reachable(robot, q, reference, registered)
     waiting = WaitingReference(reference, period)
     lost = sum(end - begin for begin, end in job.settings.board.lost_s)
     # Every start and stop takes the brakes' time.
     settling = 2.0 * waiting.settle_s * (1 + len(job.settings.board.lost_s))
-    seconds = reference.t_start + reference.duration + lost + settling + scenario.task.hold_s
+    seconds = reference.t_start + reference.duration + lost + settling + task.hold_s
     times = period * np.arange(round(seconds / period))
     # The tool hides little of the board, and where it will be is not known yet: it is drawn where it starts.
     watch = scene.watch(seconds, q)
     rows, played = waiting.play(flags_at(times, watch.t_s, watch.seen))
     last = int(np.searchsorted(played, reference.t_start + reference.duration))
-    ticks = min(len(times), last + round(scenario.task.hold_s / period))
+    ticks = min(len(times), last + round(task.hold_s / period))
     solver = isolated(make_solver(scenario.solver.name, robot, **scenario.solver.settings), scenario)
     plant.reset(q)
     still = np.zeros(3)
     trace = simulate(
-        plant,
-        ControllerAdapter(Controller(robot, scenario.control, solver, period)),
-        rows[:ticks],
-        np.tile(np.stack([true, still]), (ticks, 1, 1)),
-        np.tile(np.stack([registered, still]), (ticks, 1, 1)),
-        safety_filter=make_safety_filter(robot, scenario),
-        stop=make_stop(scenario),
-    )
+        plant, ControllerAdapter(Controller(robot, scenario.control, solver, period)), rows[:ticks],
+        np.tile(np.stack([true, still]), (ticks, 1, 1)), np.tile(np.stack([registered, still]), (ticks, 1, 1)),
+        safety_filter=make_safety_filter(robot, scenario), stop=make_stop(scenario),
+    )  # fmt: skip
     mu = np.array([robot.state(pose).mu for pose in trace.q_rad])
     waited = float(times[min(last, len(times) - 1)] - (reference.t_start + reference.duration))
     trace = judged_for_oscillation(trace.with_columns(mu=mu), robot.data.joint_names, robot.chain.prismatic)

@@ -214,17 +214,14 @@ COLUMNS = {
 SECTIONS = {
     TICKS: (
         ("tick", "tick_parts"),
-        "Ticks recorded in a closed-loop run with the realistic plant, timed one by one in chunks of 100 that take "
-        "turns, without pauses of the garbage collector. A round that is not timed comes first; after it every call "
-        "counts. The parts are called by themselves, so that their sum is not exactly the whole. `c` is `moc_step`, "
-        "safety filter included, in the exported program.",
+        "Ticks recorded in a run with the realistic plant, in chunks of 100 that take turns. A round that is not timed "
+        "comes first; after it every call counts. The parts are called by themselves: their sum is not exactly the "
+        "whole. `c` is `moc_step`, safety filter included, in the exported program.",
     ),
     PEERS: (
         ("peers",),
-        "Tip on its reference, wrist on the line through the trocar, joint speeds in their limits, the freedom left up "
-        "the gradient of the manipulability. Each has its fastest solver, hard equalities where it takes them, our "
-        "compiled gradient where it has none, and is timed on the states of a second on an ideal arm in which it did "
-        "the job. Our tick is timed on the states of its own run with the realistic plant.",
+        "The same job on the states of a second on an ideal arm in which each did it: tip, shaft, joint speeds, and the "
+        "freedom left up the gradient of mu. Our tick is timed on its own run with the realistic plant.",
     ),
     SOLVERS: (
         ("adapters",),
@@ -233,9 +230,8 @@ SECTIONS = {
     ),
     LOOP: (
         ("loop",),
-        "A run includes references, plant, controller, trace and what feeds the progress bar; building the arm is "
-        "set-up, and judging the answers comes after it. The limit is MuJoCo's own steps of a control period through "
-        "the states of the run, and `moc_step`.",
+        "A run includes references, plant, controller, trace and the progress bar's watch, and neither set-up nor the "
+        "judging of answers. The limit is MuJoCo's own steps through the states of the run, and `moc_step`.",
     ),
 }  # fmt: skip
 
