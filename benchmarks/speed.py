@@ -220,7 +220,7 @@ SECTIONS = {
     ),
     PEERS: (
         ("peers",),
-        "The same job on the states of a second on an ideal arm in which each did it: tip, shaft, joint speeds, and the "
+        "Each on the states of a second on an ideal arm in which it did our job: tip, shaft, joint speeds, and the "
         "freedom left up the gradient of mu. Our tick is timed on its own run with the realistic plant.",
     ),
     SOLVERS: (
