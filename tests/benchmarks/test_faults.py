@@ -4,25 +4,14 @@ import numpy as np
 import pytest
 
 from benchmarks import faults
-from benchmarks.faults import (
-    Case,
-    Config,
-    Waited,
-    case_rows,
-    detection,
-    goals_of,
-    measure,
-    recovery,
-    run_case,
-    smooth,
-    summarise,
-)
+from benchmarks.faults import Case, Config, Waited, case_rows, measure, recovery, run_case, smooth
 from moc_opt.scenario import Scenario, Setup
 from moc_opt.study.command import CONFIGS
 from moc_opt.study.results import Results
 from moc_opt.study.show import judge
 from moc_opt.trace.trace import Trace
 
+SHIPPED = Config.load(CONFIGS / "faults.toml")
 TINY = """
 trials = 1
 solvers = ["exact"]
@@ -43,34 +32,26 @@ camera_lost_s = [0.1, 0.2]
 """
 
 
-@pytest.fixture(scope="module")
-def shipped():
-    return Config.load(CONFIGS / "faults.toml")
-
-
 def run_of(error, level=1e-3, **meta):
     """A made-up run: both errors as given, one row every 10 ms."""
     error = np.asarray(error, dtype=float)
     n = len(error)
-    return Trace(
-        {
-            "t_s": 0.01 * np.arange(n), "tip_error_m": error, "rcm_error_m": np.full(n, level),
-            "tip_m": np.zeros((n, 3)), "trocar_force_N": np.zeros((n, 3)),
-            "v_rad_per_s": np.zeros((n, 7)),
-        },
-        {"ended": "completed", **meta},
-    )  # fmt: skip
+    columns = {
+        "t_s": 0.01 * np.arange(n), "tip_error_m": error, "rcm_error_m": np.full(n, level),
+        "tip_m": np.zeros((n, 3)), "trocar_force_N": np.zeros((n, 3)), "v_rad_per_s": np.zeros((n, 7)),
+    }  # fmt: skip
+    return Trace(columns, {"ended": "completed", **meta})
 
 
-def test_every_fault_of_the_configuration_fits_a_scenario(shipped):
-    assert {case.group for case in shipped.cases.values()} == {"solver", "sensors", "plant", "contact", "camera"}
-    for case in shipped.cases.values():
-        assert case.corrupt(shipped.scenario) != shipped.scenario or case.camera_lost_s is not None
-    delays = {case.plant.get("delay_ticks") for case in shipped.cases.values()} - {None}
-    assert delays | {shipped.scenario.plant.delay_ticks} == {1, 2, 3, 4, 5}
-    assert max(case.faults.get("bump_N", 0.0) for case in shipped.cases.values()) == 30.0
-    assert max(c.trocar.get("breathing_amplitude_m", 0.0) for c in shipped.cases.values()) == 0.015
-    kinds = {case.faults.get("solver") for case in shipped.cases.values()} - {None}
+def test_every_fault_of_the_configuration_fits_a_scenario():
+    assert {case.group for case in SHIPPED.cases.values()} == {"solver", "sensors", "plant", "contact", "camera"}
+    for case in SHIPPED.cases.values():
+        assert case.corrupt(SHIPPED.scenario) != SHIPPED.scenario or case.camera_lost_s is not None
+    delays = {case.plant.get("delay_ticks") for case in SHIPPED.cases.values()} - {None}
+    assert delays | {SHIPPED.scenario.plant.delay_ticks} == {1, 2, 3, 4, 5}
+    assert max(case.faults.get("bump_N", 0.0) for case in SHIPPED.cases.values()) == 30.0
+    assert max(c.trocar.get("breathing_amplitude_m", 0.0) for c in SHIPPED.cases.values()) == 0.015
+    kinds = {case.faults.get("solver") for case in SHIPPED.cases.values()} - {None}
     assert kinds == {"fail", "nan", "lie", "raise", "outside", "rig", "malformed", "hang"}
 
 
@@ -128,7 +109,7 @@ def test_detection_counts_each_kind_apart():
         verified=[False, True, False, True, True, False],
     )
     counts = {"injected": 3, "detected": 1, "harmless": 1, "missed": 1, "false_alarms": 1}
-    assert detection(trace) == counts
+    assert faults.detection(trace) == counts
 
 
 def row(case, solver, kind="survived", **figures):
@@ -136,21 +117,22 @@ def row(case, solver, kind="survived", **figures):
     return {**base, "outcome": kind, "ticks": 100, "recover_s": 0.1, **figures}
 
 
-def test_goals_follow_from_the_rows(shipped):
+def test_goals_follow_from_the_rows():
     good = {"injected": 5, "detected": 5, "missed": 0, "rcm_mean_percent": 1.0, "rcm_max_percent": 2.0,
             "false_alarms": 0}  # fmt: skip
 
-    def figures(rows):
-        return summarise(Results(rows))
+    def figures(*rows):
+        return faults.summarise(Results(rows))
 
     def lost(summary):
-        return [key for key, goal in judge(summary, goals_of(shipped.cases)).items() if goal["reached"] == "no"]
+        return [key for key, goal in judge(summary, faults.goals_of(SHIPPED.cases)).items() if goal["reached"] != "yes"]
 
-    fine = figures(
-        [row("solver-lies", "exact", **good), row("solver-nan-always", "exact", **{**good, "rcm_mean_percent": 4.0}),
-         row("nan-lasting", "exact", "stopped", last_speed_rad_per_s=0.01, recover_s=None)]
-    )  # fmt: skip
-    assert {goal["reached"] for goal in judge(fine, goals_of(shipped.cases)).values()} == {"yes"}
+    fine_rows = [
+        row("solver-lies", "exact", **good), row("solver-nan-always", "exact", **{**good, "rcm_mean_percent": 4.0}),
+        row("nan-lasting", "exact", "stopped", last_speed_rad_per_s=0.01, recover_s=None),
+    ]
+    fine = figures(*fine_rows)
+    assert lost(fine) == []
     assert "recover_s" not in fine["nan-lasting"]["exact"]
     for bad in (  # each of them breaks one goal
         row("delay-5", "rnn", "diverged"), row("delay-5", "rnn", "ran away"), row("delay-5", "rnn", "refused"),
@@ -161,8 +143,8 @@ def test_goals_follow_from_the_rows(shipped):
         row("solver-lies", "rnn", **{**good, "false_alarms": 30}),
         row("nan-lasting", "rnn", "stopped", last_speed_rad_per_s=0.2),
     ):  # fmt: skip
-        assert len(lost(figures([row("solver-lies", "exact", **good), bad]))) == 1, bad
-    [mixed] = case_rows(figures([row("a", "exact"), row("a", "exact", "stopped")]))
+        assert len(lost(figures(*fine_rows, bad))) == 1, bad
+    [mixed] = case_rows(figures(row("a", "exact"), row("a", "exact", "stopped")))
     assert mixed["outcome"] == "1 survived, 1 stopped"
 
 

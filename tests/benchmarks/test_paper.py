@@ -48,9 +48,7 @@ bound_samples = 0
 """
 
 
-@pytest.fixture(scope="module")
-def shipped():
-    return Config.load(CONFIGS / "paper.toml")
+SHIPPED = Config.load(CONFIGS / "paper.toml")
 
 
 def change(low, high, ratios=None, samples=15):
@@ -76,12 +74,11 @@ def test_verdict_on_an_error(own, matched, wanted):
     assert tip.verdict(own, matched) == wanted
 
 
-def test_manipulability_must_rise_by_more_than_seven_percent_with_its_whole_interval():
+@pytest.mark.parametrize(("low", "high", "wanted"), [(7.5, 20, HOLDS), (6.5, 20, FAILS), (-20, -8, FAILS)])
+def test_manipulability_must_rise_by_more_than_seven_percent_with_its_whole_interval(low, high, wanted):
     mu = CLAIMS[0]
     assert (mu.metric, mu.upwards, mu.bound) == ("mu_mean", True, 7.0)
-    assert mu.verdict(None, change(7.5, 20)) == HOLDS
-    assert mu.verdict(None, change(6.5, 20)) == FAILS
-    assert mu.verdict(None, change(-20, -8)) == FAILS
+    assert mu.verdict(None, change(low, high)) == wanted
 
 
 def row(group, controller, k, mu=1.0, tip=1.0, **more):
@@ -125,27 +122,31 @@ def test_an_exchange_decides_where_it_turns_a_claim_for_sure():
     assert found["turns", "tip, own"]["shift_percent"] == pytest.approx(30.0, abs=2.0)
 
 
-def test_the_cases_that_ship_exchange_what_they_say(shipped):
+def test_the_configuration_that_ships_is_the_papers_experiment():
+    cases = {group: SHIPPED.cases(group) for group in SHIPPED.groups}
+    tasks = Counter(case.name.partition("/")[0] for case in cases["paper"])
+    assert tasks == {"circle": 15, "sinusoid": 15, "spiral": 15}
+    assert cases["paper"][0].control.regularization == 0.0
+    one_number = SHIPPED.cases(base=SHIPPED.changed(SHIPPED.ablation.cases["one-number"]))
+    for mine in (*cases.values(), one_number):
+        assert [case.seed for case in mine] == [case.seed for case in cases["paper"]]
+
+
+def test_the_cases_that_ship_exchange_what_they_say():
     """The first is the preset itself; each of the others differs from it in the settings that it names."""
-    base = shipped.base(shipped.ablation.group)
-    assert base.control == ControlSettings.paper()
+    base = SHIPPED.base(SHIPPED.ablation.group).control
+    assert base == ControlSettings.paper()
     named = {}
-    for name, case in shipped.ablation.cases.items():
-        control = shipped.changed(case).control
-        named[name] = {f for f in ControlSettings.model_fields if getattr(control, f) != getattr(base.control, f)}
+    for name, case in SHIPPED.ablation.cases.items():
+        control = SHIPPED.changed(case).control
+        named[name] = {f for f in ControlSettings.model_fields if getattr(control, f) != getattr(base, f)}
         assert named[name] == {*case.control, *case.without}
-    first, *others = shipped.ablation.cases
-    assert named[first] == set()
-    assert shipped.ablation.cases[first].controller == "exact"
-    assert all(entries in [named[name] for name in others] for entries in ({"K_N2", "D_N2"}, {"D_X", "D_N"}))
-    assert {"rcm_lambda"} in [named[name] for name in others]
-
-
-def test_one_case_is_dcac_damped_with_the_papers_vector(shipped):
-    """The damping of the self-motion alone, without a third level."""
-    damped = [case for case in shipped.ablation.cases.values() if case.controller == DAMPED]
-    found = [variant(shipped.changed(case), DAMPED).control.dcac_damping for case in damped]
-    moc = load_data("lwr4").gains["moc"]
+    first = next(iter(named))
+    assert (named[first], SHIPPED.ablation.cases[first].controller) == (set(), "exact")
+    assert all(entries in named.values() for entries in ({"K_N2", "D_N2"}, {"D_X", "D_N"}, {"rcm_lambda"}))
+    # One case is DCAC damped with the paper's vector: the damping of the self-motion alone, without a third level.
+    damped = [SHIPPED.changed(case) for case in SHIPPED.ablation.cases.values() if case.controller == DAMPED]
+    found, moc = [variant(case, DAMPED).control.dcac_damping for case in damped], load_data("lwr4").gains["moc"]
     assert moc["D_N2"] in found
     assert tuple(np.add(moc["K_N2"], moc["D_N2"])) in found
 
@@ -178,17 +179,6 @@ def test_distance_from_a_path_does_not_ask_when():
     assert procedure.from_path(on, path).max() < 2e-5
     above = on + np.array([0.0, 0.0, 0.001])
     np.testing.assert_allclose(procedure.from_path(above, path), 0.001, atol=2e-5)
-
-
-def test_the_configuration_that_ships_is_the_papers_experiment(shipped):
-    cases = {group: shipped.cases(group) for group in shipped.groups}
-    assert {len(found) for found in cases.values()} == {45}
-    tasks = Counter(case.name.partition("/")[0] for case in cases["paper"])
-    assert tasks == {"circle": 15, "sinusoid": 15, "spiral": 15}
-    assert cases["paper"][0].control.regularization == 0.0
-    assert [case.seed for case in cases["tuned"]] == [case.seed for case in cases["paper"]]
-    case = shipped.ablation.cases["one-number"]
-    assert [one.seed for one in shipped.cases(base=shipped.changed(case))] == [one.seed for one in cases["paper"]]
 
 
 @pytest.fixture(scope="module")

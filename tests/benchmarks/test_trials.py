@@ -15,20 +15,14 @@ from moc_opt.study import solvers
 from moc_opt.study.command import CONFIGS
 from moc_opt.study.trials import seeds, trials
 
-SET_UP = 15
+SET_UP = 7
 """Trials of a study whose starts and errors are looked at, spread over all of them: a start takes a while to find."""
 
 
-def of_solvers(config: Any) -> list[Scenario]:
-    return config.cases()
-
-
 def of_tune(config: Any) -> list[Scenario]:
-    found = []
-    for stream, per_task in ((tune.SEARCH_STREAM, config.trials), (tune.FINAL_STREAM, config.final_trials)):
-        own = seeds(config.seed, stream, per_task * len(config.tasks))
-        found += trials(config.scenario, config.tasks, own, virtual=True)
-    return found
+    streams = (tune.SEARCH_STREAM, config.trials), (tune.FINAL_STREAM, config.final_trials)
+    own = [seed for stream, each in streams for seed in seeds(config.seed, stream, each * len(config.tasks))]
+    return trials(config.scenario, config.tasks, own, virtual=True)
 
 
 def of_plant(config: Any) -> list[Scenario]:
@@ -39,12 +33,15 @@ def of_sweep(config: Any) -> list[Scenario]:
     return [config.scenario.change(seed=seed) for seed in config.chosen_seeds()]
 
 
+def of_any(config: Any) -> list[Scenario]:
+    return list(config.cases())
+
+
 STUDIES: dict[str, tuple[ModuleType, Callable[[Any], list[Scenario]]]] = {
-    "solvers": (solvers, of_solvers), "solvers-long": (solvers, of_solvers),
-    "plan": (plan, lambda config: config.cases()), "plan-limits": (plan, lambda config: config.cases()),
-    "robots": (robots, lambda config: config.cases()), "plant": (plant, of_plant),
-    "paper": (paper, lambda config: config.cases("paper")), "faults": (faults, lambda config: config.scenarios()),
-    "sweep": (sweep, of_sweep), "margins": (sweep, of_sweep), "tune": (tune, of_tune),
+    "solvers": (solvers, of_any), "solvers-long": (solvers, of_any), "plan": (plan, of_any),
+    "plan-limits": (plan, of_any), "robots": (robots, of_any), "plant": (plant, of_plant), "paper": (paper, of_any),
+    "faults": (faults, lambda config: config.scenarios()), "sweep": (sweep, of_sweep), "margins": (sweep, of_sweep),
+    "tune": (tune, of_tune),
 }  # fmt: skip
 
 
@@ -59,10 +56,8 @@ def test_no_two_trials_share_a_seed_a_start_or_a_registration(name: str) -> None
     found = shipped(name)
     assert len({trial.seed for trial in found}) == len(found) > 1
     some = [Setup(trial.change(best_courses=False)) for trial in found[:: -(-len(found) // SET_UP)]]
-    starts = {(setup.robot.data.name, *setup.q_start.round(9)) for setup in some}
-    assert len(starts) == len(some)
-    errors = {tuple(setup.plant.mismatch.registration_error) for setup in some}
-    assert len(errors) == len(some)
+    assert len({(setup.robot.data.name, *setup.q_start.round(9)) for setup in some}) == len(some)
+    assert len({tuple(setup.plant.mismatch.registration_error) for setup in some}) == len(some)
 
 
 def test_the_pool_behind_the_coverage_shares_no_trial_with_the_study() -> None:
