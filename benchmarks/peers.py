@@ -58,6 +58,11 @@ def tip_gradient(robot: RobotModel) -> Callable[[Array], Array]:
     return lambda q: robot.state(np.ascontiguousarray(q), rest).grad_mu
 
 
+def ahead(point: Array, rate: Array) -> Array:
+    """Return where a reference will be when a peer's gain has done its share."""
+    return point + rate / STIFFNESS_PER_S
+
+
 def wrist_reference(tip_ref: Array, trocar: Array, span: float) -> Array:
     """Return wrist [m] and velocity [m/s], (2, 3), that put the shaft of a tip on its reference through the trocar."""
     found = np.empty((2, 3))
@@ -179,10 +184,8 @@ class Pink(_PinkArm):
 
     def tick(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> Array:
         self.configuration.update(q)
-        # Each target is where the reference will be when the gain has done its share.
-        wrist, wrist_rate = wrist_reference(tip_ref, trocar, self.span)
-        self._tip.set_target(pin.SE3(self._turn, tip_ref[0] + tip_ref[1] / STIFFNESS_PER_S))
-        self._wrist.set_target(pin.SE3(self._turn, wrist + wrist_rate / STIFFNESS_PER_S))
+        self._tip.set_target(pin.SE3(self._turn, ahead(*tip_ref[:2])))
+        self._wrist.set_target(pin.SE3(self._turn, ahead(*wrist_reference(tip_ref, trocar, self.span))))
         return self.solved((self._tip, self._wrist, self._climb), damping=1e-8)
 
 
@@ -223,15 +226,15 @@ class PinkTrimmed(_PinkArm):
 
     def tick(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> Array:
         self.configuration.update(q)
-        wrist, wrist_rate = wrist_reference(tip_ref, trocar, self.span)
+        wrist = ahead(*wrist_reference(tip_ref, trocar, self.span))
         places, local, rows = self.data.oMf, pin.ReferenceFrame.LOCAL, self._rows
         tip, joint = places[self.tip], places[self.wrist]
         # In the tool's own axes, its z along the shaft: of the wrist's rows only those across it.
         turn = tip.rotation.T
         rows.jacobian[:3] = pin.getFrameJacobian(self.model, self.data, self.tip, local)[:3]
         rows.jacobian[3:] = pin.getFrameJacobian(self.model, self.data, self.wrist, local)[:2]
-        rows.error[:3] = turn @ (tip.translation - tip_ref[0] - tip_ref[1] / STIFFNESS_PER_S)
-        rows.error[3:] = (turn @ (joint.translation - wrist - wrist_rate / STIFFNESS_PER_S))[:2]
+        rows.error[:3] = turn @ (tip.translation - ahead(*tip_ref[:2]))
+        rows.error[3:] = (turn @ (joint.translation - wrist))[:2]
         return self.solved((self._climb,), damping=1.0, constraints=(rows,))
 
 
@@ -258,8 +261,7 @@ class Mink:
 
     def tick(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> Array:
         self._configuration.update(q)
-        aim = tip_ref[0] + tip_ref[1] / STIFFNESS_PER_S
-        self._tip.set_target(self._mink.SE3.from_rotation_and_translation(self._turn, aim))
+        self._tip.set_target(self._mink.SE3.from_rotation_and_translation(self._turn, ahead(*tip_ref[:2])))
         self._shaft.set_target(trocar[0])
         found: Array = self._mink.solve_ik(
             self._configuration, self._tasks, PERIOD_S, "daqp", damping=1.0, limits=self._limits
