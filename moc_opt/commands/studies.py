@@ -36,8 +36,8 @@ def compare_solvers(given: argparse.Namespace) -> int:
         found.save_rows(given.out)
     lost = [name for name in found.solvers if not found.values(name, "mu_mean")]
     for name in lost:
-        ended = next(row["ended"] for row in found.rows if row["solver"] == name)
-        print(f"{name}: no trial came to its end; the first was {ended}", file=sys.stderr)
+        reason = next(row["error"] for row in found.rows if row["solver"] == name)
+        print(f"{name}: no trial came to its end; the first: {reason}", file=sys.stderr)
     if not found.complete:
         return 130  # as after any Ctrl-C
     return 3 if lost else 0

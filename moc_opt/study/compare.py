@@ -15,14 +15,14 @@ from moc_opt.inputs.files import LARGEST_INTEGER, write_whole
 from moc_opt.report.console import busy
 from moc_opt.report.run_table import ANOTHER_PROBLEM, VERDICTS, answers_another_problem
 from moc_opt.report.tables import Column, Table, as_text, terminal_width
-from moc_opt.scenario import RunAway, Scenario, check_solver, make_solver, run
+from moc_opt.scenario import Scenario, check_solver, make_solver
 from moc_opt.solvers.base import Solver
 from moc_opt.study.results import FRAMES, Results
+from moc_opt.study.show import intervals_picture
 from moc_opt.study.statistics import Change, Interval, too_few
-from moc_opt.study.trials import BASELINE, placed, variant
+from moc_opt.study.trials import BASELINE, Trial, placed, run_and_trace
 from moc_opt.trace.meta import Ending
-from moc_opt.trace.metrics import METRICS, summarize
-from moc_opt.trace.trace import Trace
+from moc_opt.trace.metrics import METRICS
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -53,8 +53,9 @@ class Comparison:
     """What `compare` found; a notebook shows its table.
 
     Attributes:
-        rows: one mapping a run: solver, seed, ended, asked (ticks with a subproblem), then every metric; of a run
-            that could not be made `ended` is "failed: " and why, and there is no metric.
+        rows: one mapping a run: solver, seed, ended, error, asked (ticks with a subproblem), every metric, and what
+            else `moc_opt.study.trials` has; of a run that could not be made `ended` is "failed", `error` says why, and
+            there is no metric.
         solvers: their names in the table, the baseline first.
         scenario: from which the trials were made.
         note: where the trials start, and a remark if the machine was busy.
@@ -69,8 +70,6 @@ class Comparison:
         (True, 2)
         >>> found.table.title, found.to_pandas().shape[0]
         ('circle: solvers on the same trials', 4)
-        >>> [box.name for box in found.plot("tip_error_max_mm").data]
-        ['dcac', 'exact']
         >>> found.save_rows("rows.csv")
     """
 
@@ -100,19 +99,11 @@ class Comparison:
         return self._results.values(metric, solver)
 
     def mean(self, solver: str, metric: str) -> Interval | None:
-        """Return the mean of a metric over the solver's whole trials, with its 95 % interval; None without any.
-
-        Raises:
-            UnknownNameError: as for `values`.
-        """
+        """Return the mean of a metric over the solver's whole trials, with its 95 % interval; None without any."""
         return self._results.mean(metric, solver) if self.values(solver, metric) else None
 
     def change(self, solver: str, metric: str) -> Change | None:
-        """Return the change against DCAC [percent] by both means, on the trials that both completed; or None.
-
-        Raises:
-            UnknownNameError: as for `values`.
-        """
+        """Return the change against DCAC [percent] by both means, on the trials that both completed; or None."""
         return self._results.change(metric, solver) if self.values(solver, metric) else None
 
     def summary(self) -> dict[str, dict[str, Any]]:
@@ -125,14 +116,15 @@ class Comparison:
 
     def _of(self, name: str) -> dict[str, Any]:
         rows = [row for row in self.rows if row["solver"] == name]
+        endings = [Ending.of(row["ended"]) for row in rows]
         found: dict[str, Any] = {
-            "trials": sum(Ending.of(row["ended"]).whole for row in rows), "of": len(rows),
-            "oscillated": sum(Ending.of(row["ended"]) is Ending.OSCILLATED for row in rows),
+            "trials": sum(ending.whole for ending in endings), "of": len(rows),
+            "oscillated": endings.count(Ending.OSCILLATED),
         }  # fmt: skip
-        answered = [row for row in rows if row["asked"]]
+        answered = [row for row in rows if row.get("asked")]
         if answered and all("verified_solved" in row for row in answered):
-            verified = sum(row["verified_solved"] for row in answered)
-            found["verified"] = 100.0 * verified / sum(row["asked"] for row in answered)
+            verified, asked = (sum(row[key] for row in answered) for key in ("verified_solved", "asked"))
+            found["verified"] = 100.0 * verified / asked
             found["silently_wrong"] = sum(row["silently_wrong"] for row in answered)
         if answered:
             found |= {key: float(np.median([row[key] for row in answered])) for key in ("solve_p50_us", "solve_p99_us")}
@@ -164,7 +156,7 @@ class Comparison:
         optional = {"oscillated", *CHANGES.values()}
         shown = [c for c in COLUMNS if c.key not in optional or any(row.get(c.key) for row in rows)]
         remarks += [f"{', '.join(names)} against DCAC: {words}." for words, names in few.items()]
-        unjudged = any(row["asked"] and "verified_solved" not in row for row in self.rows)
+        unjudged = any(row.get("asked") and "verified_solved" not in row for row in self.rows)
         caption = [
             "Means over the trials that came to their end, with 95 % intervals; gain and changes: of the mean over "
             "that of DCAC with the same gains on the same trials; times: of the middle trial.", FRAMES, *remarks,
@@ -178,24 +170,17 @@ class Comparison:
         """Return one sentence a solver of which runs could not be made: how many, and why the first."""
         said = []
         for name in self.solvers:
-            mine = [row["ended"] for row in self.rows if row["solver"] == name]
-            failed = [ended for ended in mine if Ending.of(ended) is Ending.FAILED]
-            if failed:
-                said.append(f"{name} failed in {len(failed)}: {failed[0].partition(': ')[2]}.")
+            mine = [row for row in self.rows if row["solver"] == name]
+            failed = [row["error"] for row in mine if row["ended"] == Ending.FAILED.value]
+            said += [f"{name} failed in {len(failed)}: {failed[0]}."] if failed else []
         return said
 
     def plot(self, metric: str = "mu_mean") -> Figure:
-        """Draw a metric over the trials as one box a solver: a plotly figure.
-
-        Raises:
-            UnknownNameError: no run has such a metric.
-        """
-        from moc_opt.figures import box_plots
-
-        samples = {name: list(self.values(name, metric).values()) for name in self.solvers}
+        """Draw each solver's mean of a metric with its 95 % interval: a plotly figure."""
+        means = {name: mean for name in self.solvers if (mean := self.mean(name, metric)) is not None}
         unit = METRICS[metric].unit if metric in METRICS else "1"
         said = metric if unit == "1" or metric.endswith(f"_{unit}") else f"{metric} [{unit}]"
-        return box_plots({name: {"all trials": data} for name, data in samples.items() if data}, said)
+        return intervals_picture({name: (one.low, one.value, one.high) for name, one in means.items()}, said, {})
 
     def to_pandas(self) -> DataFrame:
         """Return a pandas.DataFrame with one row a run: solver, seed, ended, then every metric.
@@ -259,10 +244,6 @@ def compare(
     for argument, value, least in (("trials", trials, 1), ("seed", seed, 0)):
         if isinstance(value, bool) or not isinstance(value, int) or not least <= value <= LARGEST_INTEGER:
             raise ScenarioError(f"{argument} = {shown(value)}: give an integer of {least} or more")
-    if not isinstance(random_start, bool):
-        raise ScenarioError(f"random_start = {shown(random_start)}: give True or False")
-    if watch is not None and not callable(watch):
-        raise ScenarioError(f"watch = {shown(watch)}: give a function of one text, or None")
     if base.control.law != "moc":
         raise ScenarioError("[control] law = 'dcac' asks no solver: take law = 'moc', DCAC is compared anyhow")
     chosen, note, rows = _named(solvers, base), f"{_starts(base, random_start)} {busy()}".strip(), list[Row]()
@@ -270,7 +251,12 @@ def compare(
     done = 0
     try:
         for k in range(seed, seed + trials):
-            rows += _trial(base, k, start, chosen, f"trial {k - seed + 1} of {trials}", watch, first=not rows)
+
+            def say(name: str, where: str = f"trial {k - seed + 1} of {trials}") -> None:
+                if watch is not None:
+                    watch(f"{where}, {name}")
+
+            rows += _trial(base, k, start, chosen, say, first=not rows)
             done += 1
     except KeyboardInterrupt:
         if not done:
@@ -280,49 +266,34 @@ def compare(
 
 
 def _trial(
-    base: Scenario, seed: int, start: Mapping[str, Any], chosen: Mapping[str, str | Solver], where: str,
-    watch: Callable[[str], None] | None, first: bool,
+    base: Scenario, seed: int, start: Mapping[str, Any], chosen: Mapping[str, str | Solver], say: Callable[[str], None],
+    first: bool,
 ) -> list[Row]:  # fmt: skip
     """Run every solver on one trial; an error in laying out the first one is the scenario's, and is raised."""
+    case, baseline, rows = base.change(seed=seed, start=start), None, list[Row]()
     try:
-        trial, baseline = placed(base.change(seed=seed, start=start)), None
+        case = placed(case)
     except MocOptError as error:
         if first:
             raise
-        failed = f"{Ending.FAILED.value}: {describe(error)}"
-        return [{"solver": name, "seed": seed, "ended": failed, "asked": 0} for name in chosen]
-    rows = []
+        return [{"solver": name, **Trial(case, name).failed(describe(error)).row} for name in chosen]
     for name, solver in chosen.items():
-        if watch is not None:
-            watch(f"{where}, {name}")
-        row, trace = _row(trial, base, name, solver, baseline)
-        rows.append({"solver": name, "seed": seed, **row})
-        if name == BASELINE and Ending.of(row["ended"]).whole:
+        say(name)
+        settings = base.solver.settings if solver == base.solver.name else {}
+        asked, trace = Trial(case, name, settings, {"solver": name}, timed=True, solver=solver), None
+        try:
+            run, trace = run_and_trace(asked, baseline)
+        except Exception as error:
+            if name == BASELINE or isinstance(error, MemoryError):
+                raise  # no solver is at fault
+            run = asked.failed(describe(error))
+        row = dict(run.row)
+        if trace is not None and answers_another_problem(trace, solver if isinstance(solver, str) else solver.name):
+            row = {key: value for key, value in row.items() if key not in VERDICTS}
+        rows.append(row)
+        if name == BASELINE and row["whole"]:
             baseline = trace
     return rows
-
-
-def _row(
-    trial: Scenario, base: Scenario, name: str, solver: str | Solver, baseline: Trace | None
-) -> tuple[Row, Trace | None]:
-    """Run one solver on a trial: how it ended, its ticks with a subproblem, its metrics; and its trace, if any."""
-    try:
-        if isinstance(solver, str):
-            trace = run(variant(trial, solver, _settings(base, solver)))
-        else:
-            trace = run(trial, solver=solver)
-    except RunAway as error:
-        trace = error.trace
-    except Exception as error:
-        if name == BASELINE or isinstance(error, MemoryError):
-            raise  # no solver is at fault
-        return {"ended": f"{Ending.FAILED.value}: {describe(error)}", "asked": 0}, None
-    asked = int(np.count_nonzero(trace.status != "none")) if "status" in trace.columns else 0
-    same_length = baseline is not None and len(trace) == len(baseline)
-    found = summarize(trace, baseline if same_length else None)
-    if answers_another_problem(trace, solver if isinstance(solver, str) else solver.name):
-        found = {key: value for key, value in found.items() if key not in VERDICTS}
-    return {"ended": str(trace.meta["ended"]), "asked": asked, **found}, trace
 
 
 def _starts(base: Scenario, random_start: bool) -> str:
@@ -335,13 +306,8 @@ def _starts(base: Scenario, random_start: bool) -> str:
     return text if said else ""
 
 
-def _settings(base: Scenario, name: str) -> Mapping[str, Any]:
-    """Return the settings of the scenario's own solver, where that one is meant."""
-    return base.solver.settings if name == base.solver.name else {}
-
-
 def _named(solvers: Solvers, base: Scenario) -> dict[str, str | Solver]:
-    """Name -> solver, the baseline first; every name is made once, so that a wrong one is found now."""
+    """Return name -> solver, the baseline first; every name is made once, so that a wrong one is found now."""
     if isinstance(solvers, str):
         raise SolverError(f"solvers = {solvers!r} is one text: give a list, [{solvers!r}]")
     if not isinstance(solvers, Mapping | Sequence):
@@ -356,7 +322,7 @@ def _named(solvers: Solvers, base: Scenario) -> dict[str, str | Solver]:
                 f"two solvers are called {name!r}: name each once, or give a mapping, {{'one': ..., 'another': ...}}"
             )
         if isinstance(solver, str):
-            make_solver(solver, robot, **_settings(base, solver))
+            make_solver(solver, robot, **(base.solver.settings if solver == base.solver.name else {}))
         elif isinstance(solvers, Mapping):
             check_solver(solver)
         chosen[name] = solver

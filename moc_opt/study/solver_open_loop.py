@@ -1,9 +1,8 @@
-"""The parts of the solver study in open loop: a recorded sequence, the certified sets, more joints, and duals."""
+"""The parts of the solver study in open loop: a recorded sequence, and the certified sets."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from itertools import combinations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,17 +10,13 @@ import numpy as np
 from moc_opt import figures
 from moc_opt.arrays import Array
 from moc_opt.figures.notation import Doubtful
-from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.report.tables import Column, Table
 from moc_opt.scenario import Scenario, run
-from moc_opt.solvers.registry import accepts
 from moc_opt.study.show import Picture, Section
 from moc_opt.study.solver_answers import (
     RIGHTLY,
-    Answers,
     Limits,
     Problems,
-    Times,
     ask,
     share_right,
     time,
@@ -29,7 +24,7 @@ from moc_opt.study.solver_answers import (
 )
 from moc_opt.study.solver_settings import SolverSetting, effective, in_words
 from moc_opt.study.solver_verdicts import CERTIFIED, INCONSISTENT, RECORDED
-from moc_opt.study.timing import Disturbance, percentiles
+from moc_opt.study.timing import percentiles
 from moc_opt.study.trials import placed
 
 if TYPE_CHECKING:
@@ -106,7 +101,7 @@ def record(case: Scenario, ticks: int) -> Array:
 def recorded_sequence(work: Work) -> None:
     """Ask every solver warm and cold for the recorded sequence, under the recommended settings; times one by one."""
     config = work.config.open_loop
-    data = Problems.recorded("recorded", work.sequence())
+    data = Problems.recorded("recorded", work.sequence)
     limits = Limits(max(2.0, work.config.testsets.patience_s), rounds=2, seconds=1.0, cold=config.cold)
     thin = data.thinned(max(1, len(data.rows) // config.cold))
     asked = ask(work.runner("recorded sequence, warm"), [(setting, data) for setting in work.recommended], limits)
@@ -160,9 +155,8 @@ def certified_sets(work: Work) -> None:
     }
     if "open_loop_warm" in work.summary:
         work.say()
-    to_time = [
-        one for one in answers if not one.refused and one.problems.name in config.times(one.setting.recommended)
-    ]  # fmt: skip
+    timed = {True: [*config.timed, *config.timed_too], False: config.timed}
+    to_time = [one for one in answers if not one.refused and one.problems.name in timed[one.setting.recommended]]
     times = dict(zip(map(id, to_time), time(work.runner("certified sets, times"), to_time, limits), strict=True))
     for setting in work.settings:
         mine = [one for one in answers if one.setting == setting]
@@ -205,146 +199,3 @@ def _settings_section(settings: Sequence[SolverSetting]) -> Section:
     ]  # fmt: skip
     columns = [SOLVER, Column("setting", "setting"), Column("options", "what it gets"), Column("reason", "why")]
     return Section("Settings", "", [Table("Every setting of every solver", columns, rows)])
-
-
-def more_joints(work: Work) -> None:
-    """Measure how times grow with the joints, under the recommended settings; nlp-* have no arm to go with."""
-    limits, joints = work.config.testsets.limits(), work.config.growth.joints
-    sets = {n: Problems.recorded(f"n={n}", np.array([qp.row for qp in smooth_sequence(n)])) for n in joints}
-    settings = [setting for setting in work.recommended if not setting.nonlinear]
-    answers = ask(work.runner("more joints, answers"), [(s, data) for s in settings for data in sets.values()], limits)
-    times = time(work.runner("more joints, times"), answers, limits)
-    found = work.summary.setdefault("growth", {})
-    for k, setting in enumerate(settings):
-        mine = dict(zip(joints, zip(answers[k * len(joints) :], times[k * len(joints) :], strict=False), strict=False))
-        found[setting.solver] = _growth(mine)
-    shown = [
-        SOLVER, Column("verified_solved", "verified"), Column("solves", "solves"),
-        *(_time(f"solve_p50_us_n{n}", f"p50, n = {n}") for n in joints),
-        _time(f"solve_p99_us_n{joints[-1]}", f"p99, n = {joints[-1]}"),
-        Column("solve_p50_us_exponent", "grows as n to the", format=".2f"), Column("reason", "not run because"),
-    ]  # fmt: skip
-    grown = {name: row["solve_p50_us_ratio"] for name, row in found.items() if "solve_p50_us_ratio" in row}
-    text = "" if len(grown) < 2 else (
-        f"From {joints[0]} to {joints[-1]} joints the median time of a solve grows by a factor of "
-        f"{min(grown.values()):.1f} with `{min(grown, key=grown.__getitem__)}` and of {max(grown.values()):.1f} with "
-        f"`{max(grown, key=grown.__getitem__)}`."
-    )  # fmt: skip
-    work.sections.append(Section("More joints", text, [Table("How times grow with the joints", shown, _shown(found))]))
-
-
-def _growth(by_joints: Mapping[int, tuple[Answers, Times | None]]) -> dict[str, Any]:
-    """Return one solver's counts and times by the joints, and the slope of log time over log n."""
-    found: dict[str, Any] = {"verified_solved": 0, "solves": 0}
-    medians, loads = dict[int, float](), list[dict[str, Any]]()
-    for n, (answers, times) in by_joints.items():
-        if answers.refused:
-            found["reason"] = answers.refused
-            continue
-        counts = answers.counts()
-        found |= {key: found[key] + counts[key] for key in ("verified_solved", "solves")}
-        if times is not None:
-            own = times.figures()
-            loads.append(own)
-            found |= {f"{key}_n{n}": own[key] for key in ("solve_p50_us", "solve_p99_us", "setup_p50_us") if key in own}
-            if not isinstance(own["solve_p50_us"], Doubtful):
-                medians[n] = own["solve_p50_us"]
-    if len(medians) > 1:
-        joints, values = np.array(list(medians)), np.array(list(medians.values()))
-        found["solve_p50_us_exponent"] = float(np.polyfit(np.log(joints), np.log(values), 1)[0])
-        found["solve_p50_us_ratio"] = float(values[-1] / values[0])
-    return found | Disturbance.total(loads).entries()
-
-
-def smooth_sequence(n: int, count: int = 32, period_s: float = 0.002) -> list[NullSpaceQP]:
-    """Make feasible subproblems with n joints, neighbours 2 ms apart: a rigid tool, and otherwise random Jacobians."""
-    rng = np.random.default_rng([5, n])
-    axes, arms, turn = rng.normal(size=(3, n)), rng.normal(scale=0.4, size=(3, n)), rng.normal(size=(2, 3, n))
-    tool, gradient, phase = 0.38 * _unit(rng.normal(size=3)), rng.normal(scale=0.1, size=(2, n)), rng.uniform(0, 6, n)
-    lower, upper = -rng.uniform(0.3, 3.0, n), rng.uniform(0.3, 3.0, n)
-    found = []
-    for t in period_s * np.arange(count):
-        J_wrist, spin = arms + 0.3 * t * turn[0], axes + 0.3 * t * turn[1]
-        J_tip = J_wrist + np.cross(spin.T, tool).T
-        x = 0.4 * np.minimum(-lower, upper) * np.cos(phase + np.pi * t)
-        grad_mu = gradient[0] + t * gradient[1]
-        found.append(NullSpaceQP(J_tip, J_wrist, J_tip @ x, J_wrist @ x, grad_mu, lower=lower, upper=upper))
-    return found
-
-
-def _unit(vector: Array) -> Array:
-    return vector / np.linalg.norm(vector)
-
-
-def duals(work: Work) -> None:
-    """Measure how far apart any two solvers' multipliers are on the same problems, with six rows and with five."""
-    sets = [Problems.certified(name, max(2, work.config.testsets.every)) for name in ("circle", "random")]
-    names = [name for name in work.names if accepts(name, "rows")]
-    problems = [NullSpaceQP.from_row(np.array(row)) for data in sets for row in data.rows]
-    columns = [
-        Column("pair", "pair"), Column("p50", "distance p50", digits=2), Column("max", "distance max", digits=2),
-        Column("along_p50", "along the free direction, p50", digits=2),
-        Column("across_p50", "across it, p50", digits=2),
-        Column("across_max", "across it, max", digits=2), Column("problems", "problems"),
-    ]  # fmt: skip
-    tables: list[Table | Picture] = []
-    found = {}
-    for rows, words in ((6, "six rows"), (5, "five rows")):
-        settings = [
-            SolverSetting(name, words, {**work.config.settings.get(name, {}), "rows": rows}, "") for name in names
-        ]
-        asked = [(setting, data) for setting in settings for data in sets]
-        answers = ask(work.runner(f"duals on {words}"), asked, work.config.testsets.limits())
-        given = {
-            setting.solver: np.concatenate([
-                np.where((one.status == "solved")[:, None], one.y, np.nan) for one in answers if one.setting == setting
-            ])
-            for setting in settings
-        }  # fmt: skip
-        found[rows] = work.summary[f"duals on {words}"] = dual_distances(problems, given)
-        shown = [{"pair": pair, **row} for pair, row in found[rows].items()]
-        tables.append(Table(f"Distance between two solvers' duals on {words}", columns, shown,
-                            "Over the size of the cost, c2 |grad mu|_inf."))  # fmt: skip
-    work.sections.append(Section("Duals", said_of_duals(found[6], found[5]), tables))
-
-
-def dual_distances(problems: Sequence[NullSpaceQP], given: Mapping[str, Array]) -> dict[str, dict[str, Any]]:
-    """Measure how far the multipliers (k, 6) of any two solvers lie apart on the same problems.
-
-    Each distance is |y_a - y_b|_inf over c2 |grad_mu|_inf, so that 1 is the size of the whole cost. ``along`` is the
-    part on the null vector [u; -u] of the six rows, which no optimality condition determines; ``across`` the rest.
-
-    Returns:
-        "a | b" -> {p50, max, along_p50, across_p50, across_max, problems}.
-    """
-    u = np.array([np.linalg.svd(qp.J_tip - qp.J_wrist)[0][:, 2] for qp in problems])
-    null = np.concatenate([u, -u], axis=1) / np.sqrt(2.0)
-    scale = np.array([max(qp.c2 * np.abs(qp.grad_mu).max(), 1e-300) for qp in problems])
-    found = {}
-    for a, b in combinations(given, 2):
-        both = np.isfinite(given[a]).all(axis=1) & np.isfinite(given[b]).all(axis=1)
-        if not both.any():
-            continue
-        gap = (given[a] - given[b])[both] / scale[both, None]
-        along = np.einsum("ki,ki->k", gap, null[both])
-        across = np.abs(gap - along[:, None] * null[both]).max(axis=1)
-        size = np.abs(gap).max(axis=1)
-        found[f"{a} | {b}"] = {
-            "p50": float(np.median(size)), "max": float(size.max()), "along_p50": float(np.median(np.abs(along))),
-            "across_p50": float(np.median(across)), "across_max": float(across.max()), "problems": int(both.sum()),
-        }  # fmt: skip
-    return found
-
-
-def said_of_duals(six: Mapping[str, Any], five: Mapping[str, Any]) -> str:
-    """Say what the distances mean."""
-    if not six or not five:
-        return "Fewer than two solvers gave duals on six and on five rows."
-    worst, best = (max(rows, key=lambda pair, rows=rows: rows[pair]["p50"]) for rows in (six, five))  # type: ignore[misc]
-    return (
-        f"On six rows the duals of {worst.replace(' | ', ' and ')} lie {six[worst]['p50']:.2g} times the whole cost "
-        f"apart (median), {six[worst]['across_p50']:.1g} of it across the direction that the dependent row leaves "
-        f"free. On five rows no two lie further apart than {five[best]['p50']:.2g} ({best.replace(' | ', ' and ')})."
-    )
-
-

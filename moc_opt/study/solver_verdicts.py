@@ -88,7 +88,6 @@ def assess(summary: Summary, runs: Results) -> list[Row]:
     certified = {n.removesuffix(f"@{RECOMMENDED}"): m for n, m in sets.items() if n.endswith(f"@{RECOMMENDED}")}
     every = dict.fromkeys([*certified, *warm, *(n for n in closed if n != BASELINE)])
     names = [n for n in every if n.removeprefix(QPSOLVERS) == n or n.removeprefix(QPSOLVERS) not in every]
-    runs = runs.where(group=None)  # a sweep's runs are no trials of the recommended setting
     rows = [_figures(n, certified.get(n, {}), warm.get(n, {}), closed.get(n, {})) for n in names]
     for row in rows:
         row["verdict"] = _alone(row)

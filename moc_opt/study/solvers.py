@@ -3,10 +3,9 @@
 moc-opt solvers [CONFIG.toml] [--out DIR] [--seed N] [--quick | --full] [--only SOLVER ...] [--sets NAME ...]
                 [--parts PART ...]
 
-In the order of reading: `Config` (the question), the parts in open loop (those in closed loop are in
-``solver_closed_loop``), `work`. ``solver_answers`` asks, counts and times, ``solver_settings`` has every solver's
-settings and why, ``solver_verdicts`` the rules from numbers to a verdict. A run that was stopped goes on where it
-stopped: finished jobs are kept in DIR/jobs.
+In the order of reading: `Config` (the question), the parts in ``solver_open_loop`` and ``solver_closed_loop``, `work`,
+`report`. ``solver_answers`` asks, counts and times, ``solver_settings`` has every solver's settings and why,
+``solver_verdicts`` the rules from numbers to a verdict.
 """
 
 from __future__ import annotations
@@ -38,26 +37,19 @@ from moc_opt.study.look import REPLAY
 from moc_opt.study.results import Results
 from moc_opt.study.show import Report, Section
 from moc_opt.study.solver_answers import Limits
-from moc_opt.study.solver_closed_loop import closed_loop, sweeps
-from moc_opt.study.solver_open_loop import (
-    SOLVER,
-    certified_sets,
-    duals,
-    more_joints,
-    record,
-    recorded_sequence,
-)
+from moc_opt.study.solver_closed_loop import closed_loop
+from moc_opt.study.solver_open_loop import SOLVER, certified_sets, record, recorded_sequence
 from moc_opt.study.solver_settings import QPSOLVERS, SolverSetting, solver_settings
 from moc_opt.study.solver_verdicts import assess, first_table, pictures, rules, sentences
 from moc_opt.study.timing import Disturbance, clock_cost_us, each_us, load
 from moc_opt.study.trials import BASELINE, seeds, trials
 
 STREAM = 3
+FULL = Path(__file__).parent / "solvers-full.toml"
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
-USUAL = ("open_loop", "testsets", "closed_loop")
 SLOW = ("nlp-ipopt", "nlp-fatrop", "qpsolvers:highs", "qpsolvers:scs")
 TASKS = ("circle", "sinusoid", "spiral")  # the paper's
-TIMED = ("open_loop_warm", "testsets", "growth", "closed_loop")
+TIMED = ("open_loop_warm", "testsets", "closed_loop")
 """Parts of the summary with times of solves and ticks, each measurement once."""
 
 
@@ -101,10 +93,6 @@ class TestSets(Settings):
         """Return the names of the sets, in the order in which they are always shown."""
         return [name for name in testsets.NAMES if self.names == "all" or name in self.names]
 
-    def times(self, recommended: bool) -> list[str]:
-        """Return the names of the sets that are timed."""
-        return [*self.timed, *self.timed_too] if recommended else self.timed
-
     def limits(self) -> Limits:
         """Return the limits of time and number of solves."""
         return Limits(self.patience_s, self.rounds, self.seconds, self.cold, self.setup_s)
@@ -127,35 +115,15 @@ class ClosedLoop(Settings):
         return self.trials if solver in (BASELINE, *self.cited) else min(self.others, self.trials)
 
 
-class Growth(Settings):
-    """Problems with more joints."""
-
-    KIND: ClassVar[str] = "[growth]"
-    joints: list[int] = Field([7, 10, 14], min_length=2)
-
-
-class Sweeps(Settings):
-    """What is varied in closed loop."""
-
-    KIND: ClassVar[str] = "[sweeps]"
-    trials: int = Field(9, ge=1, description="the first ones of [closed_loop]")
-    duration_s: Level = Field(4.0, description="of a trial")
-    values: Literal["few", "usual", "many"] = "usual"
-    deadline_solvers: list[str] = Field(["osqp", "piqp"])
-    late_percent: list[float] = Field([1.0, 20.0], description="of the recorded times, above the budget")
-
-
 class Config(StudyConfig):
     """moc_opt/study/solvers.toml."""
 
     solvers: Literal["all"] | list[str] = "all"
     twice: bool = Field(False, description="qpsolvers:NAME too where NAME has an adapter of its own")
-    parts: list[str] = Field(list(USUAL))
+    parts: list[str] = Field(["open_loop", "testsets", "closed_loop"])
     open_loop: OpenLoop = OpenLoop()
     testsets: TestSets = TestSets()
-    growth: Growth = Growth()
     closed_loop: ClosedLoop = ClosedLoop()
-    sweeps: Sweeps = Sweeps()
     settings: dict[str, dict[str, Any]] = Field(default_factory=dict, description="per solver")
     scenario: Scenario = Scenario()
 
@@ -166,21 +134,7 @@ class Config(StudyConfig):
             open_loop={"ticks": 200, "cold": 10},
             testsets={"names": sets, "timed": [], "timed_too": sets, "every": 8, "every_other": 1, "rounds": 2,
                       "cold": 4, "seconds": 0.02, "setup_s": 6.0},
-            growth={"joints": [7, 10]}, closed_loop={"trials": 2, "others": 1, "duration_s": 1.0},
-            sweeps={"trials": 1, "duration_s": 0.7, "values": "few", "deadline_solvers": ["osqp"],
-                    "late_percent": [5.0]},
-        )  # fmt: skip
-
-    def full(self, parts: Sequence[str]) -> Self:
-        """Return the study with more of everything, for figures to be cited: an hour or two."""
-        return self._with(
-            twice=True, parts=list(parts), open_loop={"ticks": 4000, "cold": 400},
-            testsets={"timed": list(testsets.NAMES), "timed_too": [], "every_other": 1, "rounds": 100,
-                      "seconds": 10.0, "cold": 128, "patience_s": 10.0},
-            growth={"joints": list(range(7, 15))},
-            closed_loop={"trials": 120, "others": 30, "timed": 3, "duration_s": None, "slow": []},
-            sweeps={"trials": 15, "duration_s": None, "values": "many", "late_percent": [0.1, 1.0, 5.0, 20.0],
-                    "deadline_solvers": ["osqp", "piqp", "clarabel"]},
+            closed_loop={"trials": 2, "others": 1, "duration_s": 1.0},
         )  # fmt: skip
 
     def choosing(self, sets: list[str] | None, parts: list[str] | None) -> Self:
@@ -240,7 +194,8 @@ class Work:
         return [setting for setting in self.settings if setting.recommended]
 
     @cached_property
-    def _rows(self) -> Array:
+    def sequence(self) -> Array:
+        """The recorded subproblems, one a tick (ticks, 11 n + 10)."""
         config = self.config
         base = config.scenario.change(start={"pose": "random"})
         (case,) = trials(base, [config.open_loop.task], seeds(config.seed, STREAM, 1))
@@ -248,10 +203,6 @@ class Work:
         if isinstance(found, Failed):
             raise found.error or RuntimeError(str(found))
         return np.asarray(found)
-
-    def sequence(self) -> Array:
-        """Return the recorded subproblems, one a tick (ticks, 10 n + 10)."""
-        return self._rows
 
     def runner(self, what: str) -> Callable[..., list[Any]]:
         """Return `moc_opt.study.run` with the study's folder, workers and progress."""
@@ -271,8 +222,7 @@ Part = Callable[[Work], None]
 # --- the command ---
 
 PARTS: Mapping[str, Part] = {
-    "open_loop": recorded_sequence, "testsets": certified_sets, "closed_loop": closed_loop, "sweeps": sweeps,
-    "growth": more_joints, "duals": duals,
+    "open_loop": recorded_sequence, "testsets": certified_sets, "closed_loop": closed_loop,
 }  # fmt: skip
 
 
@@ -280,7 +230,7 @@ def work(parts: Mapping[str, Part], study: Study, config: Config) -> Found:
     """Run the parts that are asked for, in the order in which they need each other."""
     given = study.given
     if given.full and not given.quick:
-        config = config.full(list(parts))
+        config = Config.load(FULL).model_copy(update={"seed": config.seed})
     config = config.choosing(given.sets, given.parts)
     for name in config.parts:
         if name not in parts:
@@ -294,7 +244,7 @@ def work(parts: Mapping[str, Part], study: Study, config: Config) -> Found:
         if name in config.parts:
             part(found)
             found.say()
-    fresh = [NullSpaceQP.from_row(np.array(row)) for row in found.sequence()]
+    fresh = [NullSpaceQP.from_row(np.array(row)) for row in found.sequence]
     assembled(fresh[0])
     found.summary["clock"] = {
         "cost": {"p50_us": clock_cost_us()}, "assembly": {"p50_us": float(np.median(each_us(assembled, fresh)))},
@@ -364,7 +314,7 @@ def main(
 
     def options(parser: ArgumentParser) -> None:
         parser.epilog = "`moc-opt solvers --list` prints the solvers that can run here, and their settings."
-        parser.add_argument("--full", action="store_true", help="more of everything; takes an hour or two")
+        parser.add_argument("--full", action="store_true", help=f"more of everything: {FULL.name} of the package")
         parser.add_argument("--only", nargs="+", metavar="SOLVER", help="these solvers alone")
         parser.add_argument("--sets", nargs="+", metavar="NAME", help="these test sets alone")
         parser.add_argument("--parts", nargs="+", metavar="PART", choices=parts, help=f"of {', '.join(parts)}")

@@ -245,13 +245,3 @@ def with_doubts(value: Any) -> Any:
         return value
     names = [key for key, entry in value.items() if isinstance(entry, Doubtful)]
     return {key: with_doubts(entry) for key, entry in value.items()} | ({DOUBTFUL: names} if names else {})
-
-
-def read_doubts(value: Any) -> Any:
-    """Return a summary as it was before `with_doubts`."""
-    if not isinstance(value, Mapping):
-        return value
-    names = value.get(DOUBTFUL, ())
-    return {
-        key: Doubtful(entry) if key in names else read_doubts(entry) for key, entry in value.items() if key != DOUBTFUL
-    }

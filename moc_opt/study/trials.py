@@ -23,6 +23,7 @@ from moc_opt.errors import MocOptError, describe
 from moc_opt.planning.elbow import in_transient
 from moc_opt.robots import load_data
 from moc_opt.scenario import Scenario, Setup
+from moc_opt.solvers.base import Solver
 from moc_opt.study.engine import Failed, Job
 from moc_opt.study.timing import UNDISTURBED, Disturbance, used
 from moc_opt.trace.meta import Ending
@@ -120,8 +121,9 @@ class Trial:
 
     Attributes:
         case: the scenario that all controllers of this trial share.
-        controller: one of `BASELINES`, or a solver.
+        controller: one of `BASELINES`, or the name of a solver.
         settings: of the solver.
+        solver: what the controller asks in place of the solver of its name: another name, or an object.
         tags: further columns of its row, such as a group's name.
         timed: nothing else runs meanwhile, so that its times count.
         keep: beside the row: nothing, the columns in `CURVES`, or these and poses for drawings.
@@ -133,6 +135,7 @@ class Trial:
     tags: Mapping[str, Any] = field(default_factory=dict)
     timed: bool = False
     keep: Literal["row", "curves", "poses"] = "row"
+    solver: str | Solver | None = None
 
     @property
     def about(self) -> dict[str, Any]:
@@ -181,23 +184,26 @@ def run_trial(asked: Trial) -> Run:
     return run_and_trace(asked)[0]
 
 
-def run_and_trace(asked: Trial) -> tuple[Run, Trace | None]:
-    """Return what `run_trial` does, and the whole trace where there is one."""
-    marks = list[Disturbance]()
+def run_and_trace(asked: Trial, baseline: Trace | None = None) -> tuple[Run, Trace | None]:
+    """Return what `run_trial` does, with the gain over a baseline's run, and the whole trace where there is one."""
+    marks, solver = list[Disturbance](), asked.solver
 
     def watch(tick: int) -> None:
         now = used()
         marks[:] = [marks[0] if marks else now, now]
 
     try:
-        trace = scenario.run(variant(asked.case, asked.controller, asked.settings), watch)
+        if solver is None or isinstance(solver, str):
+            trace = scenario.run(variant(asked.case, solver or asked.controller, asked.settings), watch)
+        else:
+            trace = scenario.run(asked.case, watch, solver=solver)
     except scenario.RunAway as error:
         trace = error.trace
     except MocOptError as error:
         return asked.failed(describe(error)), None
     ended = str(trace.meta["ended"])
     whole = Ending.of(ended).whole
-    metrics = summarize(trace)
+    metrics = summarize(trace, baseline if baseline is not None and len(baseline) == len(trace) else None)
     if not asked.timed:
         metrics = {name: value for name, value in metrics.items() if not name.startswith(CLOCKS)}
     raised = trace.meta.get("faults", {}).get(Fault.RAISED.label)

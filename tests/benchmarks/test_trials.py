@@ -38,16 +38,16 @@ def of_any(config: Any) -> list[Scenario]:
 
 
 STUDIES: dict[str, tuple[ModuleType, Callable[[Any], list[Scenario]]]] = {
-    "solvers": (solvers, of_any), "solvers-long": (solvers, of_any), "plan": (plan, of_any),
+    "solvers": (solvers, of_any), "solvers-full": (solvers, of_any), "plan": (plan, of_any),
     "plan-limits": (plan, of_any), "robots": (robots, of_any), "plant": (plant, of_plant), "paper": (paper, of_any),
     "faults": (faults, lambda config: config.scenarios()), "sweep": (sweep, of_sweep), "margins": (sweep, of_sweep),
-    "tune": (tune, of_tune),
+    "accuracy": (sweep, of_sweep), "tune": (tune, of_tune),
 }  # fmt: skip
 
 
 def shipped(name: str) -> list[Scenario]:
     study, cases = STUDIES[name]
-    folder = Path(solvers.__file__).parent if name == "solvers" else CONFIGS
+    folder = Path(solvers.__file__).parent if study is solvers else CONFIGS
     return cases(study.Config.load(folder / f"{name}.toml"))
 
 
@@ -63,4 +63,4 @@ def test_no_two_trials_share_a_seed_a_start_or_a_registration(name: str) -> None
 def test_the_pool_behind_the_coverage_shares_no_trial_with_the_study() -> None:
     pool = {case.seed for case in coverage.Config().cases()}
     assert len(pool) == coverage.Config().trials
-    assert not {trial.seed for name in ("solvers", "solvers-long") for trial in shipped(name)} & pool
+    assert not {trial.seed for name in ("solvers", "solvers-full") for trial in shipped(name)} & pool

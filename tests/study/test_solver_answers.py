@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from functools import partial
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -25,7 +24,6 @@ from moc_opt.study.solver_answers import (
     time,
     totals,
 )
-from moc_opt.study.solver_open_loop import smooth_sequence
 from moc_opt.study.solver_settings import (
     SETTINGS,
     TIGHT_OPTIONS,
@@ -180,15 +178,6 @@ def test_times_are_kept_where_they_are_trusted_and_doubtful_elsewhere(trusted, t
     assert first.warm_load.calls == first.solve.size == first.figures()["timed_solves"] > 0
     assert isinstance(first.figures()["solve_p99_us"], Doubtful) is not trusted
     assert np.array_equal(again.solve, first.solve) is trusted
-
-
-@pytest.mark.parametrize("n", [7, 10, 14])
-def test_problems_of_more_joints_are_feasible_neighbours_and_answered(n):
-    problems = smooth_sequence(n, count=6)
-    data = Problems.recorded(f"n={n}", np.array([qp.row for qp in problems]))
-    assert data.feasible.all()
-    assert answers(EXACT, data).counts()["verified_solved"] == 6
-    assert max(np.abs(b.A - a.A).max() for a, b in pairwise(problems)) < 0.02
 
 
 # --- settings ---

@@ -13,10 +13,9 @@ from rich.console import Console
 from moc_opt.figures.notation import Doubtful
 from moc_opt.study.results import Results, change_name
 from moc_opt.study.show import Report
-from moc_opt.study.solver_closed_loop import correlations, cost_begins, figures, predicted
+from moc_opt.study.solver_closed_loop import figures
 from moc_opt.study.solver_verdicts import (
     AVOID,
-    COSTS,
     GAPS,
     INCONSISTENT,
     NEAR,
@@ -114,13 +113,6 @@ def test_what_happens_on_trials_that_the_others_do_not_run_is_held_against_nobod
     found = {row["solver"]: row for row in assess(summary, results)}["asked"]
     assert (found["verdict"], found["damage"]) == (SOUND, "none")
     assert found["closed"]["oscillated"] + found["closed"]["trials"] - found["closed"]["whole"] == 1
-
-
-def test_the_points_of_a_sweep_are_no_trials():
-    swept = [{**row, "group": "damping", "point": "rho=0"} for row in runs("asked", mu_mean=0.5)]
-    summary, results = study({"best": certified(p99=1.0), "asked": certified()}, [*runs("best"), *runs("asked")])
-    results.add(*swept)
-    assert {row["solver"]: row["damage"] for row in assess(summary, results)}["asked"] == "none"
 
 
 def test_wrong_answers_in_closed_loop_count_and_the_nonlinear_ones_are_no_liars():
@@ -297,39 +289,3 @@ def test_pictures_say_what_to_see(whole):
     assert "miss the deadline of 2000 us" in deadline.says
     shown = " ".join(str(value) for row in rules().parts[0].rows for value in row.values()) + rules().text
     assert "*" not in shown, "no raw Markdown"
-
-
-# --- sweeps ---
-
-NAMES = [f"solver {k}" for k in range(8)]
-
-
-def correlated(primal: Any, mu: Any, tip: Any) -> Any:
-    opened = {name: {"primal_p50": x} for name, x in zip(NAMES, primal, strict=True)}
-    closed = {name: {"mu_mean": a, "tip_error_model_mean_mm": b} for name, a, b in zip(NAMES, mu, tip, strict=True)}
-    return correlations(opened, closed)
-
-
-def test_what_is_better_in_both_correlates_by_one():
-    residual, up = 10.0 ** np.arange(-9.0, -1.0), 2.0 ** np.arange(8.0)
-    found = correlated(residual, up[::-1], up[::-1])
-    assert found["primal_p50 ~ mu_mean"]["rank_correlation"] == pytest.approx(1.0)
-    assert found["primal_p50 ~ tip_error_model_mean_mm"]["rank_correlation"] == pytest.approx(-1.0)
-    assert "mu: it follows the median primal residual" in predicted(found, 8)
-    assert "the wrong way round" in predicted(found, 8)
-    assert "too few trials to decide (7 of at least 8)" in predicted(found, 7)
-    assert "Too few" in predicted({}, 15)
-
-
-def test_noise_decides_no_rank_and_chance_is_no_prediction():
-    mu = 0.3 * (1.0 + 1e-4 * np.array([3, 1, 4, 1, 5, 9, 2, 6]))
-    assert correlated(np.arange(8.0), mu, np.ones(8)) == {}
-    found = correlated(np.arange(1.0, 9.0), 2.0 ** np.array([4, 8, 1, 6, 3, 7, 2, 5]), np.ones(8))
-    assert "no residual of open loop predicts it" in predicted(found, 15)
-
-
-def test_costs_begin_where_a_metric_leaves_its_last_value():
-    points = {f"eps={v:g}": {"mu_mean": m, "tip_error_model_mean_mm": 1.0} for v, m in
-              ((1e-1, 0.2), (1e-2, 0.30), (1e-3, 0.299), (1e-4, 0.3))}  # fmt: skip
-    assert cost_begins(points) == {"mu_mean": "eps=0.01", "tip_error_model_mean_mm": "eps=0.1"}
-    assert set(cost_begins(points)) < set(COSTS)
