@@ -238,8 +238,8 @@ class Goal(NamedTuple):
         what: in words.
         unit: of value and limit.
         limit: the limit.
-        measured: the value in a summary, a number, an `Interval` or a `Change`, both of whose means are asked then; None,
-            or a LookupError, means that it was not measured.
+        measured: the value in a summary, a number, an `Interval` or a `Change`, both of whose means are asked then;
+            None, or a LookupError, means that it was not measured.
         most: the limit is the largest value that will do; else the smallest.
         made_of: what the value was made of, in words, from a summary.
         section: of the page, with the figures around it.
