@@ -5,7 +5,6 @@ The measures of its report are computed here from its rows, as it prints them on
 
 from __future__ import annotations
 
-import io
 import subprocess
 import sys
 from collections.abc import Sequence
@@ -20,7 +19,6 @@ from moc_opt.errors import MocOptError
 from moc_opt.inputs.files import write_whole
 from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.report.tables import Column, Table
-from moc_opt.solvers import available
 from moc_opt.study.show import Section
 from moc_opt.study.solver_answers import share_right
 from moc_opt.study.solver_settings import QPSOLVERS
@@ -110,10 +108,8 @@ def write_qpbenchmark(folder: Path, names: Sequence[str] = SETS, every: int = 1,
         for key in table:
             table[key].append(name if key == "name" else np.ravel(values[key]).tolist() if key in values else None)
     frame = pl.DataFrame(table, schema={key: pl.String if key == "name" else pl.List(pl.Float64) for key in table})
-    packed = io.BytesIO()
-    frame.write_parquet(packed)
     folder.mkdir(parents=True, exist_ok=True)
-    write_whole(folder / f"{NAME}.parquet", packed.getvalue())
+    frame.write_parquet(folder / f"{NAME}.parquet")
     text = MODULE.format(
         title="Null-space subproblems", count=len(chosen), rows=rows, sets=", ".join(names), seconds=SECONDS,
         joints=next(iter(chosen.values())).n,
@@ -123,12 +119,12 @@ def write_qpbenchmark(folder: Path, names: Sequence[str] = SETS, every: int = 1,
     return module
 
 
-def run_qpbenchmark(module: Path, solvers: Sequence[str] | None = None) -> pl.DataFrame:
-    """Let qpbenchmark run a test set in a process of its own; the rows of its results.
+def run_qpbenchmark(module: Path, solver: str = "") -> pl.DataFrame:
+    """Let qpbenchmark run a test set in a process of its own, under all settings; the rows of its results.
 
     Args:
         module: the test set's Python file; results and report are written beside it.
-        solvers: as qpsolvers spells them; None: all that it finds.
+        solver: as qpsolvers spells it; "": all that it finds.
 
     Raises:
         ExportError: it is not installed, failed, or did not end in time.
@@ -136,37 +132,22 @@ def run_qpbenchmark(module: Path, solvers: Sequence[str] | None = None) -> pl.Da
     if find_spec("qpbenchmark") is None:
         raise ExportError("qpbenchmark is not installed: pip install 'moc-opt[qpbenchmark]'")
     results = module.with_name("results.csv")
-    start = [sys.executable, "-m", "qpbenchmark.benchmark", str(module), "--results-path", str(results)]
-    for solver in [None] if solvers is None else solvers:
-        # under all of its settings: with one of them alone its own report fails
-        command = [*start, "run", "--author", "moc_opt", *([] if solver is None else ["--solver", solver])]
-        try:
-            done = subprocess.run(command, capture_output=True, text=True, timeout=MARGIN_S)
-        except subprocess.TimeoutExpired as error:
-            raise ExportError(f"qpbenchmark {solver or ''} took more than {MARGIN_S:g} s: {error}") from error
-        if done.returncode != 0:
-            raise ExportError(f"qpbenchmark {solver or ''} failed: {done.stderr[-500:]}")
+    results.unlink(missing_ok=True)
+    command = [sys.executable, "-m", "qpbenchmark.benchmark", str(module), "--results-path", str(results), "run"]
+    command += ["--author", "moc_opt", *(["--solver", solver] if solver else [])]
+    try:
+        subprocess.run(command, capture_output=True, text=True, timeout=MARGIN_S, check=True)
+    except subprocess.CalledProcessError as error:
+        raise ExportError(f"qpbenchmark {solver} failed: {error.stderr[-500:]}") from error
+    except subprocess.TimeoutExpired as error:
+        raise ExportError(f"qpbenchmark {solver} took more than {MARGIN_S:g} s: {error}") from error
     return pl.read_csv(results, infer_schema_length=None)
 
 
-def ranking(folder: Path, names: Sequence[str], every: int = 16) -> dict[str, dict[str, Any]]:
-    """Ask qpbenchmark for its ranking of a part of the sets: solver@settings -> its figures, or why there is none.
-
-    Args:
-        folder: for the exported set and the results.
-        names: of our solvers; those that begin with ``qpsolvers:`` are asked.
-        every: takes each every-th problem.
-    """
-    solvers = [name.removeprefix("qpsolvers:") for name in names if name.startswith("qpsolvers:")]
-    if not solvers:
-        return {"none": {"reason": "no solver of the selection is called through qpsolvers"}}
-    from qpsolvers import available_solvers
-
-    module = write_qpbenchmark(folder, every=every)
-    module.with_name("results.csv").unlink(missing_ok=True)
+def ranking(folder: Path, every: int = 16) -> dict[str, dict[str, Any]]:
+    """Ask qpbenchmark for its ranking of each every-th problem: solver@settings -> figures, or why there is none."""
     try:
-        # All of them in one process: each start of it takes seconds.
-        return figures(run_qpbenchmark(module, None if set(solvers) >= set(available_solvers) else solvers))
+        return figures(run_qpbenchmark(write_qpbenchmark(folder, every=every)))
     except ExportError as error:
         return {"none": {"reason": str(error)}}
 
@@ -196,8 +177,7 @@ def figures(rows: pl.DataFrame) -> dict[str, dict[str, Any]]:
 
 def beside_ours(work: Work) -> None:
     """Add qpbenchmark's ranking of the libraries to the solver study, with our figures of them beside it."""
-    names = [name for name, reason in available().items() if reason is None]
-    found = work.summary["qpbenchmark"] = ranking(work.study.out / "qpbenchmark", names)
+    found = work.summary["qpbenchmark"] = ranking(work.study.out / "qpbenchmark")
     ours = {
         label.removeprefix(QPSOLVERS): row for label, row in work.summary.get("testsets", {}).items()
         if label.startswith(QPSOLVERS) and row.get("solves")
