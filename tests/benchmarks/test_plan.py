@@ -35,19 +35,17 @@ def test_courses_are_in_order_and_nothing_beats_map_plan_or_bound(tiny: Any) -> 
     course = {row["trial"]: row for row in rows if row["part"] == "courses"}
     for row in course.values():
         assert row["from_start"] <= row["best"]
-        assert row["climb_gap_percent"] >= -1e-9
-        assert row["bound_gap_percent"] >= -1e-9
+        assert min(row["climb_gap_percent"], row["bound_gap_percent"]) >= -1e-9
         assert row["violation"] < 1e-8
-    for row in rows:
-        if row["part"] == "halving":
-            assert abs(row["halving_percent"]) < 0.5
-        if row["part"] == "loop" and row["whole"]:
-            gap = 100.0 * (1.0 - row["mu_mean"] / course[row["trial"]]["from_start"])
-            assert row["gap_percent"] == pytest.approx(gap)
-            assert -0.5 < gap < 50.0
-        if row["part"] == "random starts":
-            assert row["placed"] > 0
-            assert row["above_map"] < 1e-6
+    for row in (row for row in rows if row["part"] == "loop" and row["whole"]):
+        gap = 100.0 * (1.0 - row["mu_mean"] / course[row["trial"]]["from_start"])
+        assert row["gap_percent"] == pytest.approx(gap)
+        assert -0.5 < gap < 50.0
+    [halved] = [row for row in rows if row["part"] == "halving"]
+    assert abs(halved["halving_percent"]) < 0.5
+    [drawn] = [row for row in rows if row["part"] == "random starts"]
+    assert drawn["placed"] > 0
+    assert drawn["above_map"] < 1e-6
     planned = [row["gap_percent"] for row in rows if row["controller"] == "planned" and row["whole"]]
     assert left.summary["loops"]["lwr4"]["planned"]["gap_percent"] == pytest.approx(sum(planned) / len(planned))
 

@@ -15,19 +15,11 @@ from moc_opt.study.timing import UNDISTURBED, Disturbance
 from tests.problems import unstructured_problems
 
 SHORT = Scenario(judge=False, bound_samples=0, duration_s=0.2)
-has_daqp = pytest.mark.skipif(available().get("daqp", "") is not None, reason="daqp is not installed")
 
 
-@pytest.fixture(scope="module")
-def sequence():
-    return unstructured_problems(7, 120, np.random.default_rng(4))
-
-
-# --- what is timed ---
-
-
-@has_daqp
-def test_by_hand_the_answer_is_the_adapter_s_and_optimal(sequence):
+@pytest.mark.skipif(available().get("daqp", "") is not None, reason="daqp is not installed")
+def test_by_hand_the_answer_is_the_adapter_s_and_optimal():
+    sequence = unstructured_problems(7, 60, np.random.default_rng(4))
     solver = create("daqp")
     by_hand = timed.daqp_by_hand(solver, sequence[0])
     assert timed.disagreement(solver, by_hand, sequence) is None
@@ -81,9 +73,6 @@ def test_the_limit_steps_through_the_states_of_the_run():
     moved = np.abs(np.diff(steps.states[:, 1 : 1 + n], axis=0))
     assert np.abs(after[:-1, 1 : 1 + n] - steps.states[1:, 1 : 1 + n]).max() < 0.01 * moved.max()
     assert steps.us() > 0.0
-
-
-# --- goals, report, command ---
 
 
 def made_up(**changes):

@@ -9,7 +9,19 @@ from hypothesis import assume, given, settings
 
 from moc_opt.errors import RobotError
 from moc_opt.robots import load_data
-from moc_opt.robots.urdf import LARGEST, SMALLEST, Joint, Link, Urdf, inertia_fault, normalize, number, parse, read, triple
+from moc_opt.robots.urdf import (
+    LARGEST,
+    SMALLEST,
+    Joint,
+    Link,
+    Urdf,
+    inertia_fault,
+    normalize,
+    number,
+    parse,
+    read,
+    triple,
+)
 
 
 @pytest.mark.parametrize("text", ["", " ", "0x10", "nan", "inf", "1,5", "1e", "1 2", "101", "-100.1", "1e999"])

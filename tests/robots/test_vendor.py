@@ -11,10 +11,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from moc_opt.errors import MocOptError, RobotError, UnknownNameError
+from moc_opt.errors import RobotError, UnknownNameError
 from moc_opt.robots.model import load_robot
 from moc_opt.robots.urdf import Link, inertia_fault, parse, read
-from moc_opt.robots.vendor import CHOSEN, TRAVEL_M, VendorArm, choose_efforts, choose_limits, mend_bodies, read_vendor
+from moc_opt.robots.vendor import (
+    CHOSEN,
+    TRAVEL_M,
+    VendorArm,
+    choose_efforts,
+    choose_limits,
+    mend_bodies,
+    read_vendor,
+)
 from tests.robots.arms import added, changed, joint, link, text_of, with_hand
 
 CHAIN = [f"joint_{j}" for j in range(1, 8)]
