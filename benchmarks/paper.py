@@ -172,25 +172,18 @@ class Config(StudyConfig):
 
     @classmethod
     def load(cls, path: Path) -> Self:
-        """Read a TOML file, and check every name in it before anything moves.
-
-        Raises:
-            MocOptError: the first thing that is wrong.
-        """
+        """Read a TOML file, and check every name in it before anything moves."""
         config = super().load(path)
-        for group in filter(None, (config.best, config.swivel.group, config.elsewhere)):
-            if group not in config.groups:
+        table_1 = config.ablation
+        for group in (config.best, config.swivel.group, config.elsewhere, table_1.group if table_1.cases else None):
+            if group is not None and group not in config.groups:
                 raise UnknownNameError("group", group, config.groups)
-        if config.ablation.cases and config.ablation.group not in config.groups:
-            raise UnknownNameError("group", config.ablation.group, config.groups)
         if config.best_solver not in config.solvers:
             raise UnknownNameError("best_solver", config.best_solver, config.solvers)
         board_task(config.swivel.task)
-        runnable([*config.solvers, *(case.controller for case in config.ablation.cases.values())], *BASELINES)
-        for name in config.groups:
-            config.cases(name)
-        for case in config.ablation.cases.values():
-            config.changed(case)
+        runnable([*config.solvers, *(case.controller for case in table_1.cases.values())], *BASELINES)
+        for base in (*map(config.base, config.groups), *map(config.changed, table_1.cases.values())):
+            config.cases(base)
         return config
 
     def quick(self) -> Self:
@@ -208,33 +201,30 @@ class Config(StudyConfig):
         return self.scenario.change(control=table.control, task=table.task, start=table.start)
 
     def changed(self, case: Case) -> Scenario:
-        """Return the scenario that the trials of a case of the ablation share.
-
-        Raises:
-            MocOptError: a setting that does not exist, or a value out of range.
-        """
+        """Return the scenario that the trials of a case of the ablation share."""
         for name in case.without:
             if name not in ControlSettings.model_fields:
                 raise UnknownNameError("[ablation.cases.*] without", name, ControlSettings.model_fields)
         defaults = {name: getattr(ControlSettings(), name) for name in case.without}
         return self.base(self.ablation.group).change(control={**case.control, **defaults}, bound_samples=0)
 
-    def cases(self, group: str = "", base: Scenario | None = None) -> list[Scenario]:
-        """Return the trials of a group, or of a scenario: those of all groups have the same seeds."""
-        own = base or self.base(group or self.best)
-        return trials(own, self.tasks, seeds(self.seed, STREAM, self.trials * len(self.tasks)), virtual=True)
+    def cases(self, base: Scenario | None = None) -> list[Scenario]:
+        """Return the trials of a scenario: those of all groups have the same seeds."""
+        own = seeds(self.seed, STREAM, self.trials * len(self.tasks))
+        return trials(base or self.base(self.best), self.tasks, own, virtual=True)
 
 
 def work(study: Study, config: Config) -> Found:
     """Run every part, and judge claims and goals."""
     asked = [
         Trial(case.change(best_courses=True), name, tags={"part": "trials", "group": group}, keep="curves")
-        for group in config.groups for case in config.cases(group) for name in (*BASELINES, *config.solvers)
+        for group in config.groups for case in config.cases(config.base(group))
+        for name in (*BASELINES, *config.solvers)
     ]  # fmt: skip
     asked += [
         Trial(case, name, tags={"part": "ablation", "group": key})
         for key, exchange in config.ablation.cases.items()
-        for case in config.cases(base=config.changed(exchange)) for name in (BASELINE, exchange.controller)
+        for case in config.cases(config.changed(exchange)) for name in (BASELINE, exchange.controller)
     ]  # fmt: skip
     rows = Results(run.row for run in with_phases(study.trials([*asked, *swivel_trials(config)])))
     film = study.out / "film.webm" if config.procedure.film else None
@@ -398,28 +388,37 @@ def report(summary: Mapping[str, Any], rows: Results, config: Config) -> Report:
     by: dict[tuple[str, str], dict[str, Any]] = {}
     for row in summary["claims"]:
         by.setdefault((row["group"], row["controller"]), {})[row["claim"]] = row
-    order = sorted(by, key=lambda key: (key[0] != PRINTED, list(config.groups).index(key[0]), key[1] != NETWORK))
-    shown = []
-    for group, solver in order:
-        shook = summary["groups"][group][solver]["oscillated"]
-        name = f"{group}, {solver}" + (f"; {shook} oscillate" if shook else "")
-        shown.append({"name": name, **{claim: _mark(row) for claim, row in by[group, solver].items()}})
-    trials_ = config.trials * len(config.tasks)
+    groups = list(config.groups)
+    shook = {(group, solver): summary["groups"][group][solver]["oscillated"] for group, solver in by}
+    shown = [
+        {"name": f"{group}, {solver}" + (f"; {shook[group, solver]} oscillate" if shook[group, solver] else ""),
+         **{claim: _mark(row) for claim, row in by[group, solver].items()}}
+        for group, solver in sorted(by, key=lambda key: (key[0] != PRINTED, groups.index(key[0]), key[1] != NETWORK))
+    ]  # fmt: skip
+    count = config.trials * len(config.tasks)
     table = Table(
-        f"Do the paper's claims hold? Change against DCAC with the same gains, {trials_} trials",
+        f"Do the paper's claims hold? Change against DCAC with the same gains, {count} trials",
         [Column("name", "parameters, solver", section="Claims"),
          *(Column(claim.metric, claim.title, unit="%", section="Claims", help=claim.text) for claim in CLAIMS)],
-        shown, f"✔ {HOLDS}, ≈ {GAINS_ONLY}, ✘ {FAILS}, – {too_few(trials_) or UNDECIDED}. mu is claimed to rise by "
+        shown, f"✔ {HOLDS}, ≈ {GAINS_ONLY}, ✘ {FAILS}, – {too_few(count) or UNDECIDED}. mu is claimed to rise by "
         f"more than {CLAIMS[0].bound:g} %. The paper's claims are those of mu and of the robot's own kinematics.",
     )  # fmt: skip
-    answer = [*(_held(summary, by, solver, trials_) for solver in (NETWORK, "exact") if (PRINTED, solver) in by)]
-    told = [f"Our goals, group {config.best}: {goals_sentence(summary['goals'])}"]
-    if config.elsewhere:
-        told.append(f"Group {config.elsewhere}: {goals_sentence(summary['goals_elsewhere'])}")
+    answer = []
+    for solver in (name for name in (NETWORK, "exact") if (PRINTED, name) in by):
+        claimed = {claim.title: by[PRINTED, solver][claim.metric] for claim in CLAIMS if claim.papers}
+        held = sum(row["verdict"] == HOLDS for row in claimed.values())
+        effects = [f"{title} {spread(row, 'matched_percent', sign='+') or '?'}" for title, row in claimed.items()]
+        answer.append(
+            f"Table I as printed with {solver}: {too_few(count) or f'{held} of {len(claimed)} claims hold'}; change "
+            f"against DCAC with the same gains [%]: {'; '.join(effects)}; {shook[PRINTED, solver]} of {count} runs "
+            "oscillate."
+        )
+    answer.append(f"Our goals, group {config.best}: {goals_sentence(summary['goals'])}" + (
+        f" Group {config.elsewhere}: {goals_sentence(summary['goals_elsewhere'])}" if config.elsewhere else ""
+    ))  # fmt: skip
     return Report(
-        f"LWR4+, three tasks: the paper's claims with {', '.join(config.solvers)}",
-        [*(answer[:2] if len(answer) > 1 else answer), " ".join(told)][:3], table,
-        [*_effects(by), *_swivel_picture(rows, summary)][:3], list(_sections(summary, rows, config)),
+        f"LWR4+, three tasks: the paper's claims with {', '.join(config.solvers)}", answer, table,
+        [*_effects(by), *_swivel_picture(rows, summary)], list(_sections(summary, rows, config)),
     )  # fmt: skip
 
 
@@ -429,48 +428,32 @@ def _mark(row: Mapping[str, Any]) -> Mark:
     return Mark(symbol, "no trial" if value is None else f"{value:+.{1 if abs(value) < 9.95 else 0}f}", tone, rank)
 
 
-def _held(summary: Mapping[str, Any], by: Mapping[Any, Any], solver: str, count: int) -> str:
-    rows = [by[PRINTED, solver][claim.metric] for claim in CLAIMS if claim.papers]
-    held = sum(row["verdict"] == HOLDS for row in rows)
-    effects = "; ".join(
-        f"{claim.title} {spread(row, 'matched_percent', sign='+') or 'no trial'}"
-        for claim, row in zip(CLAIMS, rows, strict=False)
-    )
-    shook = summary["groups"][PRINTED][solver]["oscillated"]
-    return (
-        f"Table I as printed with {solver}: {too_few(count) or f'{held} of {len(rows)} claims hold'}; change against "
-        f"DCAC with the same gains [%]: {effects}" + (f"; {shook} of {count} runs oscillate." if shook else ".")
-    )
-
-
 def _effects(by: Mapping[Any, Any]) -> list[Picture]:
     """Draw the effects with the paper's parameters."""
-    drawn, tones = {}, {}
-    for (group, solver), rows in by.items():
-        for claim in (claim for claim in CLAIMS if group == PRINTED and claim.papers):
-            found = ends(rows[claim.metric], "matched_percent")
-            if found is not None and found[0] < found[2]:
-                name = f"{solver}: {claim.title}"
-                drawn[name], tones[name] = found, TONES.get(rows[claim.metric]["verdict"], MUTED)
-    if not drawn:
+    rows = {
+        f"{solver}: {claim.title}": claims[claim.metric]
+        for (group, solver), claims in by.items() for claim in CLAIMS if group == PRINTED and claim.papers
+    }  # fmt: skip
+    found = {name: at for name, row in rows.items() if (at := ends(row, "matched_percent")) and at[0] < at[2]}
+    if not found:
         return []
+    tones = {name: TONES.get(rows[name]["verdict"], MUTED) for name in found}
     lines = {"no change": 0.0, f"claimed for mu: +{CLAIMS[0].bound:g}": CLAIMS[0].bound}
     says = "Table I as printed: change against DCAC with the same gains, with 95 % intervals over the trials."
-    return [Picture(intervals_picture(drawn, "change [%]", lines, tones), says, "claims")]
+    return [Picture(intervals_picture(found, "change [%]", lines, tones), says, "claims")]
 
 
 def _swivel_picture(rows: Results, summary: Mapping[str, Any]) -> list[Picture]:
-    mine = rows.where(part="swivel")
-    solver = next((name for name in mine.names() if name != BASELINE), "")
-    values = [(row, mine.where(trial=row["trial"])) for row in mine if row["controller"] == solver and row["whole"]]
-    points = [(row["fraction"], gain[0]) for row, both in values if (gain := gains(both, solver))]
-    if not points or "gain_at_maximum_percent" not in summary["swivel"]:
+    mine, found = rows.where(part="swivel"), summary["swivel"]
+    if "gain_at_maximum_percent" not in found:
         return []
-    lines = {f"MOC with {solver}": [(x, y, y, y) for x, y in points]}
+    [solver] = (name for name in mine.names() if name != BASELINE)
+    each = {row["fraction"]: gains(mine.where(trial=row["trial"]), solver) for row in mine.where(controller=solver)}
+    lines = {f"MOC with {solver}": [(x, *gain * 3) for x, gain in each.items() if gain]}
     drawn = lines_picture(lines, "start on the feasible self-motion, from one end to the other", "gain of mean mu [%]")
     says = (
-        f"The gain depends on where the elbow starts: {summary['swivel']['gain_at_maximum_percent']:.2g} % from the "
-        f"largest mu, up to {summary['swivel']['gain_max_percent']:.0f} % elsewhere."
+        f"The gain depends on where the elbow starts: {found['gain_at_maximum_percent']:.2g} % from the largest mu, up "
+        f"to {found['gain_max_percent']:.0f} % elsewhere."
     )
     return [Picture(drawn, says, "swivel")]
 

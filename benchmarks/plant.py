@@ -85,11 +85,7 @@ class Config(StudyConfig):
         return self.model_copy(update=less)
 
     def plant(self, effect: str) -> PlantSettings:
-        """Return the plant with one effect.
-
-        Raises:
-            MocOptError: a field that does not exist, or a value out of range.
-        """
+        """Return the plant with one effect."""
         return PlantSettings(**self.scenario.plant.model_dump() | self.base | self.effects[effect])
 
     def cases(self, stream: int = EFFECTS_STREAM, count: int | None = None) -> list[Scenario]:

@@ -124,11 +124,7 @@ class Run(NamedTuple):
 
 
 def runs_of(study: Study, config: Config) -> dict[Case, list[Run]]:
-    """Do runs of each case until its cycles are complete; stopped runs are repeated, up to three times as many runs.
-
-    Raises:
-        MocOptError: a run failed.
-    """
+    """Do runs of each case until its cycles are complete; stopped runs are repeated, up to three times as many runs."""
     found: dict[Case, list[Run]] = {case: [] for case in config.measured()}
     scenarios = {rate: config.run_at(rate) for rate in config.rates_Hz}
     programs = {
@@ -159,11 +155,7 @@ def runs_of(study: Study, config: Config) -> dict[Case, list[Run]]:
 
 
 def build(scenario: Scenario, folder: Path) -> Path:
-    """Export and compile the controller of a scenario as a program.
-
-    Raises:
-        StudyError: make or the compiler failed.
-    """
+    """Export and compile the controller of a scenario as a program."""
     export_scenario(scenario, folder, udp=True)
     done = subprocess.run(["make", "-C", str(folder), "moc_udp"], capture_output=True, text=True, check=False)
     if done.returncode:
@@ -185,11 +177,7 @@ def loaded(kind: str) -> Iterator[None]:
 
 
 def run_once(case: Case, scenario: Scenario, program: str | None, number: int, machine: Any) -> Run:
-    """Run a scenario over the wire; ``program`` is the C controller, None: Python's. The engine limits its time.
-
-    Raises:
-        StudyError: one of the two processes failed.
-    """
+    """Run a scenario over the wire; ``program`` is the C controller, None: Python's. The engine limits its time."""
     begun = datetime.now(UTC).isoformat(timespec="seconds")
     with tempfile.TemporaryDirectory(prefix="moc-opt-") as folder, loaded(case.load):
         file, trace = Path(folder, "run.toml"), Path(folder, "run.parquet")

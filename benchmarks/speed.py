@@ -64,11 +64,7 @@ class Config(StudyConfig):
 
 
 def known(kind: str, wanted: Names, there: Collection[str]) -> list[str]:
-    """Return the names that are asked for.
-
-    Raises:
-        UnknownNameError: there is no such adapter or library.
-    """
+    """Return the names that are asked for."""
     names = list(there) if wanted == "all" else list(wanted)
     for name in names:
         if name not in there:

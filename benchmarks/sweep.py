@@ -113,13 +113,7 @@ class Config(StudyConfig):
         return self.seeds if isinstance(self.seeds, list) else range(self.seed, self.seed + self.seeds)
 
     def chosen_solvers(self) -> dict[str, dict[str, Any]]:
-        """Return name -> settings, in order; every one of them can run here.
-
-        Raises:
-            UnknownNameError: no such solver.
-            SolverError: one cannot run here.
-            SweepError: settings in two places.
-        """
+        """Return name -> settings, in order; every one of them can run here."""
         table = self.scenario.solver
         if self.solvers is None:
             name = BASELINE if self.scenario.control.law == "dcac" else table.name
@@ -137,11 +131,7 @@ class Config(StudyConfig):
 
 
 def flat(table: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """Yield path and value: TOML reads ``control.c0 = ...`` as a table in a table, and a range is a table as well.
-
-    Raises:
-        SweepError: solver and seed, which have places of their own in the configuration.
-    """
+    """Yield path and value: TOML reads ``control.c0 = ...`` as a table in a table, and a range is a table as well."""
     for name, value in table.items():
         path = f"{prefix}{name}"
         if path in ELSEWHERE:
@@ -153,11 +143,7 @@ def flat(table: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]
 
 
 def grid_axes(table: Mapping[str, Any]) -> dict[str, list[Any]]:
-    """Return path -> values of a grid.
-
-    Raises:
-        SweepError: not a list.
-    """
+    """Return path -> values of a grid."""
     found = dict(flat(table))
     for path, values in found.items():
         if not isinstance(values, list) or not values:
@@ -170,10 +156,6 @@ def random_draws(table: Mapping[str, Any], samples: int, seed: int) -> dict[str,
 
     Each field has a stream of its own, named by its path: another field changes nothing in it, and more samples only
     lengthen it.
-
-    Raises:
-        UnknownNameError: a key that no range has.
-        SweepError: a range without width, or a logarithmic one that reaches zero.
     """
     draws: dict[str, list[Any]] = {}
     for path, entry in flat(table):
@@ -189,12 +171,7 @@ def random_draws(table: Mapping[str, Any], samples: int, seed: int) -> dict[str,
 
 
 def plan(config: Config) -> list[Trial]:
-    """Return the runs: grid, then sample, then seed, then solver; what is the same run stands once.
-
-    Raises:
-        UnknownNameError: a field, solver or setting that does not exist.
-        SweepError: values that no scenario can be made of, or too many runs.
-    """
+    """Return the runs: grid, then sample, then seed, then solver; what is the same run stands once."""
     grid, seeds, solvers = grid_axes(config.grid), config.chosen_seeds(), config.chosen_solvers()
     samples = config.random.samples if config.random.fields else 1
     count = math.prod([*map(len, grid.values()), samples, len(seeds), len(solvers)])

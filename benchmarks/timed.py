@@ -167,12 +167,7 @@ _COMPARED = re.compile(r"largest difference from the recorded torque ([\d.e+-]+)
 
 
 def exported(scenario: Scenario) -> Part:
-    """Export the scenario's controller, make its own program, and return what that says of ``moc_step``.
-
-    Raises:
-        MocOptError: a setting that C cannot do.
-        OSError, subprocess.SubprocessError: no make or compiler, or the program fails its own test.
-    """
+    """Export the scenario's controller, make its own program, and return what that says of ``moc_step``."""
     with tempfile.TemporaryDirectory() as folder:
         export_scenario(scenario, folder)
         command = ["make", "--silent", "test"]

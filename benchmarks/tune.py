@@ -216,11 +216,7 @@ def row(part: str, entry: Score) -> dict[str, Any]:
 
 
 def work(study: Study, config: Config) -> Found:
-    """Search, and verify the finalists.
-
-    Raises:
-        ScenarioError: no candidate survived.
-    """
+    """Search, and verify the finalists."""
     found, finals = search(study, config)
     if not finals or not math.isfinite(finals[0].objective):
         raise ScenarioError("no candidate survived: widen [space], or draw more with random = ...")

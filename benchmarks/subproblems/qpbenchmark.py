@@ -73,11 +73,7 @@ class ExportError(MocOptError, RuntimeError):
 
 
 def problems(names: Sequence[str], every: int = 1) -> dict[str, NullSpaceQP]:
-    """Map name to each every-th problem of those sets that has an answer.
-
-    Raises:
-        UnknownNameError: no such set.
-    """
+    """Map name to each every-th problem of those sets that has an answer."""
     found = {}
     for name in names:
         check_name(name)
@@ -93,10 +89,6 @@ def write_qpbenchmark(folder: Path, names: Sequence[str] = SETS, every: int = 1,
 
     qpbenchmark counts an unsolved problem against a solver, so problems without an answer are left out. The format
     is that of its ``ProblemList``: matrices by rows in flat columns.
-
-    Raises:
-        ExportError: nothing is left to write.
-        UnknownNameError: no such set.
     """
     chosen = problems(names, every)
     if not chosen:
@@ -125,9 +117,6 @@ def run_qpbenchmark(module: Path, solver: str = "") -> pl.DataFrame:
     Args:
         module: the test set's Python file; results and report are written beside it.
         solver: as qpsolvers spells it; "": all that it finds.
-
-    Raises:
-        ExportError: it is not installed, failed, or did not end in time.
     """
     if find_spec("qpbenchmark") is None:
         raise ExportError("qpbenchmark is not installed: pip install 'moc-opt[qpbenchmark]'")

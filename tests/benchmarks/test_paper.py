@@ -123,11 +123,11 @@ def test_an_exchange_decides_where_it_turns_a_claim_for_sure():
 
 
 def test_the_configuration_that_ships_is_the_papers_experiment():
-    cases = {group: SHIPPED.cases(group) for group in SHIPPED.groups}
+    cases = {group: SHIPPED.cases(SHIPPED.base(group)) for group in SHIPPED.groups}
     tasks = Counter(case.name.partition("/")[0] for case in cases["paper"])
     assert tasks == {"circle": 15, "sinusoid": 15, "spiral": 15}
     assert cases["paper"][0].control.regularization == 0.0
-    one_number = SHIPPED.cases(base=SHIPPED.changed(SHIPPED.ablation.cases["one-number"]))
+    one_number = SHIPPED.cases(SHIPPED.changed(SHIPPED.ablation.cases["one-number"]))
     for mine in (*cases.values(), one_number):
         assert [case.seed for case in mine] == [case.seed for case in cases["paper"]]
 
