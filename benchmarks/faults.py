@@ -75,7 +75,7 @@ class Case(Settings):
     """One fault: its changes of a scenario, and the time in which it acts."""
 
     KIND: ClassVar[str] = "[cases]"
-    group: Literal["solver", "sensors", "plant", "contact", "camera"]
+    group: Literal["none", "solver", "sensors", "plant", "contact", "camera"]
     faults: dict[str, Any] = Field(default_factory=dict)
     plant: dict[str, Any] = Field(default_factory=dict)
     trocar: dict[str, Any] = Field(default_factory=dict)
@@ -96,6 +96,10 @@ class Case(Settings):
         return scenario.change(faults=self.faults, plant=self.plant, trocar=self.trocar)
 
 
+FREE = {"none": Case(group="none")}
+"""The run without a fault, which comes first."""
+
+
 class Config(StudyConfig):
     """benchmarks/configs/faults.toml."""
 
@@ -111,7 +115,7 @@ class Config(StudyConfig):
     def _fit_a_scenario(cls, cases: dict[str, Case]) -> dict[str, Case]:
         for case in cases.values():
             case.corrupt(Scenario())
-        if "none" in cases:
+        if FREE.keys() & cases.keys():
             raise ValueError("'none' is the name of the run without a fault: choose another one")
         return cases
 
@@ -136,26 +140,25 @@ class Block:
     pictured: bool = False
 
     def row(self, name: str, ended: str) -> dict[str, Any]:
-        group = self.cases[name].group if name in self.cases else "none"
-        about = {"case": name, "group": group, "controller": self.controller}
+        about = {"case": name, "group": self.cases[name].group, "controller": self.controller}
         return {**about, "trial": self.trial.name, "seed": self.trial.seed, "ended": ended}
 
 
 def work(study: Study, config: Config) -> Found:
     """Inject every fault under every controller, and judge the goals."""
     runnable(config.solvers)
-    limits, cases = (config.tip_limit_mm, config.rcm_limit_mm), config.cases
+    limits, cases = (config.tip_limit_mm, config.rcm_limit_mm), {**FREE, **config.cases}
     sound = {name: case for name, case in cases.items() if case.group != "solver"}  # DCAC has no solver that could fail
     blocks = [
         Block(name, variant(trial, name), sound if name == BASELINE else cases, limits, (name, k) == ("exact", 0))
         for k, trial in enumerate(config.scenarios()) for name in (BASELINE, *config.solvers)
     ]  # fmt: skip
     rows, traces = Results(), dict[str, Trace]()
-    jobs = [Job(run_block, (block,), 60.0 * (1 + len(block.cases))) for block in blocks]
+    jobs = [Job(run_block, (block,), 60.0 * len(block.cases)) for block in blocks]
     for block, found in zip(blocks, study.run(jobs, "controllers"), strict=True):
         if isinstance(found, Failed):
-            lost = [block.row(name, "failed") for name in ("none", *block.cases)]
-            rows.add(*({**row, "outcome": "failed", "error": str(found)} for row in lost))
+            why = {"outcome": "failed", "error": str(found)}
+            rows.add(*({**block.row(name, "failed"), **why} for name in block.cases))
         else:
             rows.add(*found[0])
             traces |= {name: Trace(columns) for name, columns in found[1].items()}
@@ -165,19 +168,16 @@ def work(study: Study, config: Config) -> Found:
 
 
 def run_block(block: Block) -> tuple[list[dict[str, Any]], dict[str, dict[str, Array]]]:
-    """Run all cases of a block, that without a fault first; return a row each, and curves to be drawn."""
-    free, ended = run_case(block.trial, None)
-    if free is None:
-        raise MocOptError(f"{block.controller}: the run without a fault did not start: {ended}")
+    """Run all cases of a block, and return a row each, and curves to be drawn."""
     rows, curves = [], {}
-    waiting: Trace | None = None
-    for name, case in {"none": None, **block.cases}.items():
-        level = free
-        trace, how = (free, ended) if case is None else run_case(case.corrupt(block.trial), case.camera_lost_s)
-        if case is not None and case.camera_lost_s is not None:
-            # A path that may wait starts gently, so it is compared with one that never has to.
-            waiting = run_case(block.trial, (0.0, 0.0))[0] if waiting is None else waiting
-            level = free if waiting is None else waiting
+    levels: dict[bool, Trace | None] = {}  # without a fault; of a path that never waits, and of one that may
+    for name, case in block.cases.items():
+        trace, how = run_case(case.corrupt(block.trial), case.camera_lost_s)
+        waits = case.camera_lost_s is not None
+        if waits not in levels:  # a path that may wait starts gently, so it is compared with one that never has to
+            levels[waits] = run_case(block.trial, (0.0, 0.0))[0] if waits else trace
+        if (level := levels[waits]) is None:
+            raise MocOptError(f"{block.controller}: the run without a fault did not start: {how}")
         rows.append(block.row(name, how) | measure(trace, level, how, case, block.limits_mm))
         if name in PICTURED and block.pictured and trace is not None:
             curves[name] = {column: trace.columns[column] for column in CURVES}
@@ -216,7 +216,7 @@ def run_case(scenario: Scenario, camera_lost_s: tuple[float, float] | None) -> t
 
 
 def measure(
-    trace: Trace | None, free: Trace, ended: str, case: Case | None, limits_mm: tuple[float, float]
+    trace: Trace | None, free: Trace, ended: str, case: Case, limits_mm: tuple[float, float]
 ) -> dict[str, Any]:
     """Return the figures of one run beside the run without a fault."""
     if trace is None:
@@ -264,15 +264,13 @@ def detection(trace: Trace) -> dict[str, int]:
     }
 
 
-def recovery(trace: Trace, free: Trace, case: Case | None, ended: str) -> float | None:
+def recovery(trace: Trace, free: Trace, case: Case, ended: str) -> float | None:
     """Return the seconds from the fault's end (its start, if it lasts) until both errors stay below 1.2 of their level.
 
     None where the run was stopped, or ends above that level.
     """
     if ended != "completed" or len(trace) != len(free):
         return None
-    if case is None:
-        return 0.0
     period = float(trace.t_s[1] - trace.t_s[0])
     width = max(1, round(SMOOTH_S / period))
     since = case.from_s if case.until_s is None else case.until_s

@@ -8,7 +8,7 @@ Its times belong together, so it keeps no jobs: every run measures everything an
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Annotated, Any, Literal, Self
 
@@ -63,20 +63,13 @@ class Config(StudyConfig):
         return self.model_copy(update=few)
 
 
-def known(kind: str, wanted: Names, there: Collection[str]) -> list[str]:
-    """Return the names that are asked for."""
-    names = list(there) if wanted == "all" else list(wanted)
-    for name in names:
-        if name not in there:
-            raise UnknownNameError(kind, name, there)
-    return names
-
-
 def work(study: Study, config: Config) -> Found:
     """Measure all parts, one after the other, and judge the goals."""
     solvers, no_solver = choose(config.solvers)
-    adapters, no_adapter = choose(known("adapter", config.adapters, timed.ADAPTERS))
-    libraries = known("peer", config.peers, peers.PEERS)
+    adapters, no_adapter = choose(timed.ADAPTERS if config.adapters == "all" else config.adapters)
+    libraries = list(peers.PEERS) if config.peers == "all" else config.peers
+    if unknown := [name for name in libraries if name not in peers.PEERS]:
+        raise UnknownNameError("peer", unknown[0], peers.PEERS)
     no_peer = {name: reason for name in libraries if (reason := peers.missing(name))}
     tried = [name for name in libraries if name not in no_peer]
     checks = [Job(peers.check, (name,), limit_s=60.0) for name in tried]

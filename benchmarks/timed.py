@@ -33,7 +33,6 @@ from moc_opt.solvers.exact import Exact
 from moc_opt.study.timing import Disturbance, Timed, figures, interleaved, percentiles, ratios, used
 
 ROOT, CHUNK = Path(__file__).resolve().parents[1], 100
-Figures = dict[str, dict[str, Any]]
 
 
 @dataclass
@@ -47,7 +46,7 @@ class Part:
         times: name -> all times [us] that are drawn.
     """
 
-    found: dict[str, Figures] = field(default_factory=dict)
+    found: dict[str, dict[str, Any]] = field(default_factory=dict)
     rows: list[dict[str, Any]] = field(default_factory=list)
     missing: dict[str, str] = field(default_factory=dict)
     times: dict[str, Array] = field(default_factory=dict)
@@ -383,7 +382,7 @@ def fresh(processes: int) -> Part:
         part.rows.append({"part": "setup", "name": "first run", "round": turn, "first_run_s": seconds})
     names = dict.fromkeys(key for row in part.rows for key in row if key.endswith("_s"))
     medians = {key: float(np.median([row[key] for row in part.rows if key in row])) for key in names}
-    part.found["setup"] = medians  # type: ignore[assignment]
+    part.found["setup"] = medians
     return part
 
 

@@ -68,7 +68,7 @@ FAULT, GROUPS = '[cases.a]\ngroup = "plant"\n', "[groups.tuned]\n[groups.paper]\
         ("speed", "tock = 1", "did you mean 'ticks'"),
         ("speed", 'solvers = ["daqp"]', "'exact' must be among them"),
         ("speed", 'solvers = ["exact", "dapq"]', "did you mean 'daqp'"),
-        ("speed", 'adapters = ["exakt"]', "unknown adapter 'exakt'"),
+        ("speed", 'adapters = ["exakt"]', "did you mean 'exact'"),
         ("speed", 'peers = ["minc"]', "did you mean 'mink'"),
         ("sweep", '[grid]\n"control.k0_per_sec" = [1.0]', "did you mean 'k0_per_s'"),
         ("tune", "randon = 1\n[space]", "did you mean 'random'"),

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from benchmarks import faults
-from benchmarks.faults import Case, Config, Waited, case_rows, measure, recovery, run_case, smooth
+from benchmarks.faults import FREE, Case, Config, Waited, case_rows, measure, recovery, run_case, smooth
 from moc_opt.scenario import Scenario, Setup
 from moc_opt.study.command import CONFIGS
 from moc_opt.study.results import Results
@@ -79,7 +79,7 @@ def test_recovery_is_the_last_time_above_the_level():
     assert recovery(free, free, case, "completed") == 0.0
     assert recovery(run_of(np.full(300, 2e-3)), free, case, "completed") is None
     assert recovery(run_of(error), free, case, "stopped: x") is None
-    assert recovery(free, free, None, "completed") == 0.0
+    assert recovery(free, free, FREE["none"], "completed") == 0.0
 
 
 def test_smooth_is_a_mean_of_the_past():
@@ -97,9 +97,9 @@ def test_smooth_is_a_mean_of_the_past():
 )  # fmt: skip
 def test_outcomes(error, ended, expected):
     free = run_of(np.full(10, 1e-3))
-    found = measure(run_of(np.full(10, error), ended=ended), free, ended, None, (20.0, 20.0))
+    found = measure(run_of(np.full(10, error), ended=ended), free, ended, FREE["none"], (20.0, 20.0))
     assert found["outcome"] == expected
-    assert measure(None, free, "refused: x", None, (20.0, 20.0)) == {"outcome": "refused"}
+    assert measure(None, free, "refused: x", FREE["none"], (20.0, 20.0)) == {"outcome": "refused"}
 
 
 def test_detection_counts_each_kind_apart():

@@ -3,10 +3,8 @@
 import pytest
 
 from benchmarks import plant
-from moc_opt.scenario import Setup, run
+from moc_opt.scenario import Setup
 from moc_opt.study.command import CONFIGS
-from moc_opt.study.trials import variant
-from moc_opt.trace.metrics import summarize
 
 TINY = """
 tasks = ["circle"]
@@ -36,7 +34,7 @@ def results(tiny):
 
 
 def test_every_defect_under_both_controllers(results):
-    config, found = results.config, results.summary["effects"]["tuned"]
+    found = results.summary["effects"]["tuned"]
     assert set(found) == {"none, dcac", "none, exact", "bias, dcac", "bias, exact"}
     none, bias = found["none, exact"], found["bias, exact"]
     assert none["tip_error_mean_mm"] == none["tip_error_registered_mean_mm"] == none["tip_error_model_mean_mm"]
@@ -45,12 +43,7 @@ def test_every_defect_under_both_controllers(results):
     assert bias["rcm_error_mean_mm"] > bias["rcm_error_registered_mean_mm"]
     assert "mu_gain_percent" in none
     assert "mu_gain_percent" not in found["none, dcac"]
-    rows = results.rows
-    assert [row["part"] for row in rows] == ["effects"] * 4 + ["calibration"] * 2 * 4
-    [(_, case)] = config.under_presets(config.cases(), [({"effect": "bias"}, config.plant("bias"))])
-    again = summarize(run(variant(case, "exact")))
-    mine = next(row for row in rows if (row["effect"], row["controller"]) == ("bias", "exact"))
-    assert mine["tip_error_mean_mm"] == pytest.approx(again["tip_error_mean_mm"], rel=1e-12)
+    assert [row["part"] for row in results.rows] == ["effects"] * 4 + ["calibration"] * 2 * 4
 
 
 def test_a_moving_elbow_costs_what_registering_again_gives_back(results):
