@@ -48,6 +48,8 @@ bound_samples = 0
 """
 
 
+SMALL = CameraSettings(rate_Hz=10.0, width_px=400, height_px=300)
+QUICK = Scenario(judge=False, bound_samples=0, seed=1, control={"preset": "tuned"}, task={"v_max_m_per_s": 0.1})
 SHIPPED = Config.load(CONFIGS / "paper.toml")
 
 
@@ -159,16 +161,13 @@ def test_the_cases_that_ship_exchange_what_they_say():
     ],
 )
 def test_a_procedure_that_cannot_go_on_says_why(changes, message):
-    base = Scenario(judge=False, bound_samples=0, control={"preset": "tuned"})
     with pytest.raises(MocOptError, match=message):
-        procedure.perform(ProcedureJob(ProcedureSettings(**changes), base, "circle"))
+        procedure.perform(ProcedureJob(ProcedureSettings(camera=SMALL, **changes), QUICK, "circle"))
 
 
 def test_the_procedure_is_guarded_as_every_loop_is():
-    guard = {"rcm_error_m": 2e-4, "rcm_warning_m": 1e-4}
-    base = Scenario(judge=False, bound_samples=0, control={"preset": "tuned"}, seed=1, guard=guard)
-    parts = ProcedureSettings(camera=CameraSettings(rate_Hz=10.0, width_px=400, height_px=300))
-    row = procedure.perform(ProcedureJob(parts, base, "circle"))
+    base = QUICK.change(guard={"rcm_error_m": 2e-4, "rcm_warning_m": 1e-4})
+    row = procedure.perform(ProcedureJob(ProcedureSettings(camera=SMALL), base, "circle"))
     assert row["ended"].startswith("stopped: the RCM error has been above 0.2 mm")
     assert row["share_of_run"] < 1.0
 
