@@ -11,7 +11,6 @@ from moc_opt.arrays import Array, read_only
 from moc_opt.qp.problem import NullSpaceQP
 
 ROWS = (5, 6)
-_SIX = read_only(np.eye(6))
 
 
 class Assembled(NamedTuple):
@@ -30,9 +29,6 @@ def assembled(qp: NullSpaceQP, rows: int = 5) -> Assembled:
     rows = 5 still gives six where tip and wrist are not rigidly tied.
     """
     n = qp.n
-    if n > core.MAX_JOINTS:
-        five = qp.reduced()
-        return Assembled(qp.P, qp.p, *(five if rows == 5 else (qp.A, qp.b, _SIX)))
     P, p, spare, plain = np.empty((n, n)), np.empty(n), np.empty(n), np.ones(3)
     for m in (rows, 6):
         A, b, lift = np.empty((m, n)), np.empty(m), np.empty((m, 6))

@@ -10,7 +10,6 @@ makes it a strictly convex QP. The six rows have rank five where tip and wrist a
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import cache, cached_property
 from itertools import pairwise
 from typing import Any, NamedTuple, NoReturn
@@ -163,7 +162,7 @@ class NullSpaceQP:
         raise AttributeError(f"NullSpaceQP is frozen: make a new one to change {name}")
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _unpickle, (np.array(self.row),)
+        return NullSpaceQP.from_row, (np.array(self.row),)
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, NullSpaceQP) and np.array_equal(self.row, other.row, equal_nan=True)
@@ -219,7 +218,7 @@ class NullSpaceQP:
         Raises:
             SubproblemError: x is no (n,) numbers.
         """
-        x = self._answer("x", x, self.n)
+        x = _array("x", x, (self.n,), finite=False)
         return float(0.5 * x @ self.P @ x + self.p @ x)
 
     @cached_property
@@ -247,20 +246,10 @@ class NullSpaceQP:
         Raises:
             SubproblemError: when a shape is wrong. NaN in x is a bad answer, not an error.
         """
-        x = self._answer("x", x, self.n)
-        duals = None if y is None else self._answer("y", y, 6, "; lift five duals with reduced().lift.T")
+        x = _array("x", x, (self.n,), finite=False)
+        duals = None if y is None else _array("y", y, (6,), "; lift five duals with reduced().lift.T", finite=False)
         found = compute_residuals(self.row, x, duals)
         return Residuals(*(float(f) for f in found))  # type: ignore[arg-type]
-
-    @staticmethod
-    def _answer(name: str, value: ArrayLike, length: int, cure: str = "") -> Array:
-        try:
-            array = np.asarray(value, dtype=float)
-        except (TypeError, ValueError) as error:
-            raise SubproblemError(f"{name} = {shown(value)}: give an array of numbers") from error
-        if array.shape != (length,):
-            raise SubproblemError(f"{name}: shape {array.shape} is not ({length},){cure}")
-        return array
 
 
 def _tool_direction(A: Array) -> Array | None:
@@ -278,18 +267,16 @@ def _tool_direction(A: Array) -> Array | None:
     return u if 0.5 * float(apart @ apart) <= TIED * TIED * float((A * A).sum()) else None
 
 
-def _unpickle(row: Array) -> NullSpaceQP:
-    return NullSpaceQP.from_row(row)
-
-
-def _array(name: str, value: ArrayLike | float, shape: Sequence[int] | None = None) -> Array:
+def _array(
+    name: str, value: ArrayLike, shape: tuple[int, ...] | None = None, cure: str = "", finite: bool = True
+) -> Array:
     try:
         array = np.asarray(value, dtype=float)
     except (TypeError, ValueError) as error:
-        raise SubproblemError(f"{name}: {value!r} is not an array of numbers") from error
-    if shape is not None and array.shape != tuple(shape):
-        raise SubproblemError(f"{name}: shape {array.shape} is not {tuple(shape)}")
-    if not np.isfinite(array).all():
+        raise SubproblemError(f"{name}: {shown(value)} is not an array of numbers") from error
+    if shape is not None and array.shape != shape:
+        raise SubproblemError(f"{name}: shape {array.shape} is not {shape}{cure}")
+    if finite and not np.isfinite(array).all():
         where = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
         raise SubproblemError(f"{name}: entry {where} is {array[where]}; every entry must be finite")
     return array

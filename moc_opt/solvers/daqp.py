@@ -16,9 +16,7 @@ from moc_opt.solvers.base import Status
 from moc_opt.solvers.library import Adapter, LibrarySession, Outcome
 
 EQUALITY = 5
-_STATUS = {
-    1: Status.SOLVED, 2: Status.SOLVED, -1: Status.INFEASIBLE, -4: Status.MAX_ITER, -7: Status.TIME_LIMIT,
-}  # fmt: skip
+_STATUS = {1: Status.SOLVED, 2: Status.SOLVED, -1: Status.INFEASIBLE, -4: Status.MAX_ITER, -7: Status.TIME_LIMIT}
 
 
 class DAQPSession(LibrarySession):
@@ -36,21 +34,19 @@ class DAQPSession(LibrarySession):
 
     def _set_up(self, m: int, n: int) -> None:
         self._core, settings = Model(), self._settings
-        self._core.settings = {
-            "primal_tol": settings.primal_tol, "dual_tol": settings.dual_tol, "iter_limit": settings.max_iter,
-        }  # fmt: skip
+        tolerances = {"primal_tol": settings.primal_tol, "dual_tol": settings.dual_tol}
+        self._core.settings = {**tolerances, "iter_limit": settings.max_iter}
         # Below zero where the library could not set the problem up: it raises at whatever follows but another setup.
         self._flag, _ = self._core.setup(self._P, self._p, self._A, self._upper, self._lower, self._sense)
 
     def _hand_over(self) -> None:
-        if self._flag < 0:
+        forget = self._flag < 0 or not self._settings.warm
+        if forget:
             self._sense[:] = self._fresh
+        if self._flag < 0:
             self._set_up(self._m, self._n)
             return
-        sense = None
-        if not self._settings.warm:
-            self._sense[:] = self._fresh
-            sense = self._sense
+        sense = self._sense if forget else None
         self._flag = self._core.update(self._P, self._p, self._A, self._upper, self._lower, sense)
 
     def _run(self) -> Outcome:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import repeat
 
 import numpy as np
 
@@ -76,16 +76,11 @@ class Exact(SolverSettings):
         rows = np.ascontiguousarray(rows, dtype=np.float64)
         n = joints_of(rows.shape[-1])
         if rows.ndim != 2 or rows.shape[1] != row_length(n) or not 1 <= n <= core.MAX_JOINTS:
-            raise SolverError(
-                f"exact: rows has shape {rows.shape}: give (k, 11 n + 10), n at most {core.MAX_JOINTS} joints"
-            )
+            raise SolverError(f"exact: rows has shape {rows.shape}: give (k, 11 n + 10), n at most {core.MAX_JOINTS}")
         X, Y, codes = np.empty((len(rows), n)), np.empty((len(rows), 6)), np.empty(len(rows))
-        ends = np.linspace(0, len(rows), (threads or os.cpu_count() or 1) + 1).astype(int)
-        parts = [slice(a, b) for a, b in pairwise(ends.tolist()) if b > a]
-        with ThreadPoolExecutor(max(1, len(parts))) as pool:  # the core holds no lock
-            for job in [
-                pool.submit(core.solve_exact_rows, rows[p], self.tolerance, X[p], Y[p], codes[p]) for p in parts
-            ]:
-                job.result()
+        shares = threads or os.cpu_count() or 1
+        parts = [np.array_split(array, shares) for array in (rows, X, Y, codes)]
+        with ThreadPoolExecutor(shares) as pool:  # the core holds no lock
+            list(pool.map(core.solve_exact_rows, parts[0], repeat(self.tolerance), *parts[1:]))
         X[codes != core.OK] = Y[codes != core.OK] = np.nan
         return X, Y, _STATUSES[codes.astype(np.intp)].tolist()

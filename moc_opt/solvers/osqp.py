@@ -14,13 +14,7 @@ from osqp import ext_builtin
 
 from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.solvers.base import Solution, Status
-from moc_opt.solvers.library import (
-    Adapter,
-    Outcome,
-    TruncatedSession,
-    stacked,
-    upper_triangle,
-)
+from moc_opt.solvers.library import Adapter, Outcome, TruncatedSession, stacked, upper_triangle
 
 _CODE = ext_builtin.osqp_status_type
 # "Inaccurate" means that a ten times looser tolerance was met when the iterations ran out: not solved.
@@ -94,7 +88,6 @@ class OSQP(Adapter):
     (c2 |grad_mu| is about 1e-4): it then claims success, and nineteen answers in twenty are not optimal.
     eps = 1e-8 with costs times 100 left no wrong claim on some thousand random problems, for twice the
     iterations; one in two hundred is left unsolved at max_iter.
-    ``OSQP(eps=1e-3, eps_rel=1e-3, cost_scale=1.0)`` is the library as it comes.
 
     Args:
         eps: absolute tolerance on the scaled problem; eps_rel: the relative one.

@@ -26,16 +26,12 @@ class QRQPSession(LibrarySession):
     """One conic function and the arrays it reads and writes."""
 
     def _allocate(self, m: int, n: int) -> dict[str, Any]:
-        sizes = {
-            "h": n * n, "g": n, "a": m * n, "lba": m, "uba": m, "lbx": n, "ubx": n, "x0": n, "lam_x0": n, "lam_a0": m,
-        }  # fmt: skip
-        self._in = arrays = {name: np.zeros(size) for name, size in sizes.items()}
-        self._out = {"x": np.zeros(n), "lam_a": np.zeros(m), "lam_x": np.zeros(n)}
-        # matrices by columns, as CasADi stores them
-        return {
-            "P": arrays["h"].reshape((n, n)), "p": arrays["g"], "A": arrays["a"].reshape((m, n), order="F"),
-            "low": arrays["lba"], "high": arrays["uba"], "lower": arrays["lbx"], "upper": arrays["ubx"],
-        }  # fmt: skip
+        h, g, a, lba, uba, lbx, ubx = (np.zeros(size) for size in (n * n, n, m * n, m, m, n, n))
+        self._in = {"h": h, "g": g, "a": a, "lba": lba, "uba": uba, "lbx": lbx, "ubx": ubx}
+        self._start = {"x0": np.zeros(n), "lam_a0": np.zeros(m), "lam_x0": np.zeros(n)}
+        self._end = {"x": np.zeros(n), "lam_a": np.zeros(m), "lam_x": np.zeros(n)}
+        P, A = h.reshape((n, n)), a.reshape((m, n), order="F")  # by columns, as CasADi stores them
+        return {"P": P, "p": g, "A": A, "low": lba, "high": uba, "lower": lbx, "upper": ubx}
 
     def _set_up(self, m: int, n: int) -> None:
         form = {"h": ca.Sparsity.dense(n, n), "a": ca.Sparsity.dense(m, n)}
@@ -44,7 +40,7 @@ class QRQPSession(LibrarySession):
             function = ca.conic("subproblem", "qrqp", form, options)
         except RuntimeError as error:
             raise SolverError(f"{self._settings.name}: options = {options} are refused: {error}") from error
-        self._call = BufferedCall(function, self._in, self._out)
+        self._call = BufferedCall(function, {**self._in, **self._start}, self._end)
 
     def _run(self) -> Outcome:
         status = Status.SOLVED
@@ -54,9 +50,9 @@ class QRQPSession(LibrarySession):
             text = str(self._call.stats().get("return_status", "")).lower()
             status = Status.MAX_ITER if "max" in text else Status.NUMERICAL
         keep = status is Status.SOLVED and self._settings.warm
-        for start, end in (("x0", "x"), ("lam_x0", "lam_x"), ("lam_a0", "lam_a")):
-            self._in[start][:] = self._out[end] if keep else 0.0
-        return status, 0, self._out["x"].copy(), self._out["lam_a"]
+        for start, end in zip(self._start.values(), self._end.values(), strict=True):
+            start[:] = end if keep else 0.0
+        return status, 0, self._end["x"].copy(), self._end["lam_a"]
 
 
 @dataclass(frozen=True)
