@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from moc_opt.qp.problem import NullSpaceQP
-from tests.problems import Arm, random_problem
+from tests.problems import Arm, changed, random_problem
 
 
 def rounded(qp: NullSpaceQP, decimals: int) -> NullSpaceQP:
@@ -17,9 +17,8 @@ def rounded(qp: NullSpaceQP, decimals: int) -> NullSpaceQP:
 
 def remade(qp: NullSpaceQP, A: np.ndarray, b: np.ndarray, size: float = 1.0) -> NullSpaceQP:
     """The problem with other rows, and a box ``size`` times as wide."""
-    return NullSpaceQP(
-        A[:3], A[3:], b[:3], b[3:], qp.grad_mu, size * qp.lower, size * qp.upper, qp.c0, qp.c1, qp.c2,
-        qp.regularization, qp.q,
+    return changed(
+        qp, J_tip=A[:3], J_wrist=A[3:], v_tip=b[:3], v_wrist=b[3:], lower=size * qp.lower, upper=size * qp.upper
     )
 
 

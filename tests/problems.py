@@ -118,6 +118,16 @@ def smooth_sequence(
     return problems
 
 
+PARTS = (
+    "J_tip", "J_wrist", "v_tip", "v_wrist", "grad_mu", "lower", "upper", "c0", "c1", "c2", "regularization", "q",
+)  # fmt: skip
+
+
+def changed(qp: NullSpaceQP, **parts: Any) -> NullSpaceQP:
+    """The problem with other parts, which have the names of the arguments."""
+    return NullSpaceQP(**{**{name: getattr(qp, name) for name in PARTS}, **parts})
+
+
 def random_problem(
     rng: np.random.Generator, n: int = 7, *, arm: Arm | None = None, structured: bool = True, feasible: bool = True,
     **weights: float,
@@ -154,9 +164,7 @@ def out_of_reach(rng: np.random.Generator, qp: NullSpaceQP) -> NullSpaceQP:
     w = qp.A.T @ rng.normal(size=6)
     reach = np.maximum(w * qp.lower, w * qp.upper).sum()
     b = qp.A @ w * (rng.uniform(1.1, 2.0) * reach / (w @ w))
-    return NullSpaceQP(
-        qp.J_tip, qp.J_wrist, b[:3], b[3:], qp.grad_mu, qp.lower, qp.upper, qp.c0, qp.c1, qp.c2, qp.regularization, qp.q
-    )
+    return changed(qp, v_tip=b[:3], v_wrist=b[3:])
 
 
 def on_rows(qp: NullSpaceQP, x: Array) -> Array:
