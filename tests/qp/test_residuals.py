@@ -9,7 +9,7 @@ from moc_opt.qp.problem import NullSpaceQP, compute_residuals
 from moc_opt.qp.residuals import Residuals
 from moc_opt.solvers.exact import Exact
 from tests.hard_problems import rounded
-from tests.problems import random_problem
+from tests.problems import changed, random_problem
 from tests.wrong_answers import corners, cost, kernel, wrong_corners
 
 CASES = [(7, True), (7, False), (8, False)]
@@ -24,28 +24,18 @@ def optimum(qp):
 @pytest.mark.parametrize(("n", "structured"), CASES)
 def test_optimum_passes_and_its_neighbours_fail(n, structured, regularization):
     rng = np.random.default_rng(5)
-    for _ in range(15):
+    for _ in range(8):
         qp = random_problem(rng, n, structured=structured, regularization=regularization)
         x, y = optimum(qp)
         found = qp.residuals(x, y)
         assert found.verified()
         assert max(found.primal, found.natural, found.natural_best) < 1e-12
+        with_bad_duals = qp.residuals(x, y + 1.0)
+        assert with_bad_duals.natural > 1e-3
+        assert with_bad_duals.natural_best == found.natural_best
+        assert with_bad_duals.verified()
         broken = x + 1e-3 * rng.choice([-1.0, 1.0], size=n)
         assert not qp.residuals(broken, y).verified()
-        inside = x + 0.2 * (np.linalg.lstsq(qp.A, qp.b, rcond=None)[0] - x)
-        slid = qp.residuals(inside)
-        assert slid.primal < 1e-2 or not slid.verified()
-
-
-@pytest.mark.parametrize("regularization", [0.0, 1e-5])
-def test_bad_duals_are_told_from_a_bad_answer(regularization):
-    rng = np.random.default_rng(6)
-    qp = random_problem(rng, regularization=regularization)
-    x, y = optimum(qp)
-    found = qp.residuals(x, y + 1.0)
-    assert found.natural > 1e-2
-    assert found.natural_best < 1e-12
-    assert found.verified()
 
 
 @pytest.mark.parametrize(("n", "structured"), CASES)
@@ -65,11 +55,11 @@ def test_best_natural_is_the_smallest_over_all_duals(n, structured):
         scale = 1e4  # the numbers are small against the program's own tolerance
         return linprog(np.zeros(6), A_ub=A[keep], b_ub=b[keep] * scale, bounds=(None, None)).status == 0
 
-    for _ in range(6):
+    for _ in range(3):
         qp = random_problem(rng, n, structured=structured)
         x = np.clip(optimum(qp)[0] + rng.normal(scale=1e-5, size=n), qp.lower, qp.upper)
         low, high = 0.0, 1.0
-        for _ in range(40):
+        for _ in range(30):
             middle = 0.5 * (low + high)
             low, high = (low, middle) if reachable(qp, x, middle) else (middle, high)
         assert qp.residuals(x).natural_best == pytest.approx(high, rel=2e-3, abs=2e-9)
@@ -90,7 +80,7 @@ def ends_of_the_swivel(qp):
 @pytest.mark.parametrize("regularization", [0.0, 1e-5, 1e-3])
 def test_loss_is_the_share_of_the_cost_s_range(regularization):
     rng = np.random.default_rng(8)
-    for _ in range(10):
+    for _ in range(5):
         qp = random_problem(rng, regularization=regularization)
         x, worst = ends_of_the_swivel(qp)
         assert qp.residuals(x).loss == pytest.approx(0.0, abs=1e-9)
@@ -119,14 +109,11 @@ def test_no_wrong_corner_is_verified(n, size, tilt, regularization):
     assert found.relative.max() > 1e-2 * size
 
 
-@pytest.mark.parametrize(
-    ("gates", "verified"),
-    [
-        ({}, True), ({"primal": 2e-6}, False), ({"relative": 2e-3}, False), ({"loss": 2e-2}, False),
-        ({"relative": 1.0, "loss": 1.0, "distance": 1e-6}, True),
-        ({"relative": 1.0, "loss": 1.0, "distance": 1.1e-6}, False), ({"primal": 2e-6, "distance": 0.0}, False),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("gates", "verified"), [
+    ({}, True), ({"primal": 2e-6}, False), ({"relative": 2e-3}, False), ({"loss": 2e-2}, False),
+    ({"relative": 1.0, "loss": 1.0, "distance": 1e-6}, True),
+    ({"relative": 1.0, "loss": 1.0, "distance": 1.1e-6}, False), ({"primal": 2e-6, "distance": 0.0}, False),
+])  # fmt: skip
 def test_each_gate_of_the_rule_decides_alone(gates, verified):
     at_the_limit = {
         "primal": 1e-6, "natural": 9.0, "natural_best": 9.0, "relative": 1e-3, "loss": 1e-2, "distance": 1.0,
@@ -135,25 +122,19 @@ def test_each_gate_of_the_rule_decides_alone(gates, verified):
     assert Residuals(**figures).verified() == verified
     batch = Residuals(**{key: np.array([value, np.inf]) for key, value in figures.items()})
     assert batch.verified().tolist() == [verified, False]
-    tighter = {key: 0.9 * at_the_limit[key] for key in ("primal", "relative", "loss")}
-    for key in tighter:
-        assert not Residuals(**at_the_limit).verified(**{key: tighter[key]})
+    for key in ("primal", "relative", "loss"):
+        assert not Residuals(**at_the_limit).verified(**{key: 0.9 * at_the_limit[key]})
 
 
-def test_what_only_relative_sees():
-    """Half a percent short of the end of a wide box: little of the range, far from the optimum."""
+def test_what_only_relative_and_what_only_loss_sees():
+    """Half a percent short of the end of a wide box; the wrong end of one so small that no residual is large."""
     qp = random_problem(np.random.default_rng(8), regularization=0.0)
     x, worst = ends_of_the_swivel(qp)
     found = qp.residuals(x + 0.005 * (worst - x))
     assert found.loss == pytest.approx(0.005, rel=1e-6)
     assert found.relative > 2e-3
     assert not found.verified()
-
-
-def test_what_only_loss_sees():
-    """The wrong end of a box so small that no residual in rad/s is large."""
-    small = wrong_corners(3, 7, 5, size=1e-4, least=0.5)
-    for w in small:
+    for w in wrong_corners(3, 7, 5, size=1e-4, least=0.5):
         found = w.qp.residuals(w.x)
         assert found.relative < 1e-3
         assert found.loss > 0.5
@@ -170,9 +151,7 @@ def sliver(width, regularization=0.0):
     middle = 0.5 * (x + worst)
     lower, upper = np.array(qp.lower), np.array(qp.upper)
     lower[j], upper[j] = middle[j], middle[j] + width
-    thin = NullSpaceQP(
-        qp.J_tip, qp.J_wrist, qp.v_tip, qp.v_wrist, qp.grad_mu, lower, upper, regularization=regularization
-    )
+    thin = changed(qp, lower=lower, upper=upper)
     return thin, optimum(thin)[0], z
 
 
@@ -193,13 +172,6 @@ def test_an_interval_of_rounding_has_no_ends():
     assert qp.residuals(x - 5e-9 * z).loss == pytest.approx(1.0, abs=1e-4)
 
 
-def with_changes(qp, **changes):
-    parts = {key: getattr(qp, key) for key in (
-        "J_tip", "J_wrist", "v_tip", "v_wrist", "grad_mu", "lower", "upper", "c0", "c1", "c2", "regularization"
-    )}  # fmt: skip
-    return NullSpaceQP(**{**parts, **changes})
-
-
 @pytest.mark.parametrize("regularization", [0.0, 1e-5])
 @pytest.mark.parametrize("pull", [-2.0, 0.0, 3.0])
 def test_an_idle_joint_is_judged_by_its_own_interval(pull, regularization):
@@ -207,7 +179,7 @@ def test_an_idle_joint_is_judged_by_its_own_interval(pull, regularization):
     qp = random_problem(np.random.default_rng(14), regularization=regularization)
     grad_mu = np.array(qp.grad_mu)
     grad_mu[6] = pull
-    qp = with_changes(qp, grad_mu=grad_mu)
+    qp = changed(qp, grad_mu=grad_mu)
     x, worst = ends_of_the_swivel(qp)
     free = np.linspace(qp.lower[6], qp.upper[6], 2001)
     costs = 0.5 * regularization * free**2 - qp.c2 * pull * free
@@ -238,7 +210,7 @@ def test_the_worst_idle_joint_counts():
     grad_mu[[3, 6]] = 2.0, -1.0
     x = np.linalg.lstsq(A, A @ np.array(0.3 * qp.upper), rcond=1e-9)[0]
     b = A @ x
-    qp = with_changes(qp, J_tip=A[:3], J_wrist=A[3:], v_tip=b[:3], v_wrist=b[3:], grad_mu=grad_mu)
+    qp = changed(qp, J_tip=A[:3], J_wrist=A[3:], v_tip=b[:3], v_wrist=b[3:], grad_mu=grad_mu)
     x, _ = optimum(qp)
     assert qp.residuals(x).verified()
     for j, end in ((3, qp.lower[3]), (6, qp.upper[6])):
@@ -257,7 +229,7 @@ def test_a_gradient_that_is_rounding_on_the_kernel_asks_for_nothing(n):
     across = qp.grad_mu - Z @ (Z.T @ qp.grad_mu)
     size = np.abs(across).max() / np.abs(Z[:, 0]).max()
     for share, flat in ((1e-10, True), (1e-8, False)):
-        problem = with_changes(qp, grad_mu=across + share * size * Z[:, 0])
+        problem = changed(qp, grad_mu=across + share * size * Z[:, 0])
         best = optimum(problem)[0]
         wrong = max(corners(problem, x), key=lambda c: float(cost(problem, c)))
         found = problem.residuals(wrong)
@@ -277,7 +249,7 @@ def test_relative_is_scaled_by_what_is_left_of_the_gradient():
             room = np.where(z * slope > 0.0, w.x - w.qp.lower, w.qp.upper - w.x)[np.abs(z) > 1e-9].min()
             rooms.append(max(room, 0.0) > abs(slope) / scale / np.abs(z).sum())
             expected = min(abs(slope) / scale / np.abs(z).sum(), max(room, 0.0))
-            found = with_changes(w.qp, regularization=regularization).residuals(w.x)
+            found = changed(w.qp, regularization=regularization).residuals(w.x)
             assert found.relative == pytest.approx(expected, rel=1e-6, abs=1e-12)
     assert any(rooms)
 
@@ -298,16 +270,11 @@ def test_where_a_and_b_leave_no_freedom_the_references_decide():
 def test_a_box_that_leaves_nothing(n):
     qp = random_problem(np.random.default_rng(17), n, regularization=1e-5)
     x, _ = optimum(qp)
-    z = kernel(qp)[: n - 1 if n == 7 else n, 0]
-    z = np.append(z, np.zeros(n - len(z)))
+    i = int(np.argmax(np.abs(np.linalg.svd(qp.A[:, : 6 if n == 7 else 8])[2][-1])))
     for gap, empty in ((1e-3, True), (1e-8, False)):
-        lower, upper = np.array(qp.lower), np.array(qp.upper)
-        i, j = np.argsort(-np.abs(np.linalg.svd(qp.A[:, : 6 if n == 7 else 8])[2][-1]))[:2]
-        lower[:], upper[:] = x, x
-        lower[i] = upper[i] = x[i] + gap
-        shut = with_changes(qp, lower=lower, upper=upper)
-        found = shut.residuals(x)
-        assert i != j
+        only = np.array(x)
+        only[i] += gap
+        found = changed(qp, lower=only, upper=only).residuals(x)
         assert (found.loss, found.distance == np.inf) == ((1.0, True) if empty else (0.0, False))
 
 
@@ -315,9 +282,7 @@ def test_a_batch_may_mix_ranks_and_idle_joints():
     rng = np.random.default_rng(40)
     problems = [random_problem(rng, 7, structured=k % 2 == 0, regularization=1e-5 * (k % 3)) for k in range(9)]
     J = rng.normal(size=(6, 7))
-    problems.append(
-        NullSpaceQP(J[:3], J[3:], np.zeros(3), np.zeros(3), np.ones(7), -np.ones(7), np.ones(7))
-    )
+    problems.append(NullSpaceQP(J[:3], J[3:], np.zeros(3), np.zeros(3), np.ones(7), -np.ones(7), np.ones(7)))
     X = np.array([np.clip(optimum(qp)[0] + 0.1 * (k % 2), qp.lower, qp.upper) for k, qp in enumerate(problems)])
     rows, Y = np.array([qp.row for qp in problems]).reshape(2, 5, -1), rng.normal(size=(10, 6))
     for y in (None, Y):
@@ -330,19 +295,12 @@ def test_a_batch_may_mix_ranks_and_idle_joints():
 @pytest.mark.parametrize("decimals", [7, 8, 10, 12])
 def test_rounded_jacobians_keep_their_freedoms(decimals):
     rng = np.random.default_rng(decimals)
-    for k in range(6):
+    for k in range(4):
         qp = rounded(random_problem(rng, 7 + k % 2, structured=k % 2 == 0, regularization=0.0), decimals)
-        assert len(qp.reduced().b) == 5
-        x, _ = optimum(qp)
-        five = qp.reduced()
-        program = linprog(
-            -qp.grad_mu, A_eq=five.A, b_eq=five.b, bounds=list(zip(qp.lower, qp.upper, strict=True))
-        )
-        assert -qp.grad_mu @ x == pytest.approx(program.fun, abs=1e-6)
+        five, (x, _) = qp.reduced(), optimum(qp)
+        assert len(five.b) == 5
         assert qp.residuals(x).verified()
-        worst = linprog(
-            qp.grad_mu, A_eq=five.A, b_eq=five.b, bounds=list(zip(qp.lower, qp.upper, strict=True))
-        )
+        worst = linprog(qp.grad_mu, A_eq=five.A, b_eq=five.b, bounds=list(zip(qp.lower, qp.upper, strict=True)))
         assert qp.residuals(worst.x).loss == pytest.approx(1.0, abs=1e-5)
 
 
@@ -352,7 +310,7 @@ def test_natural_is_the_residual_of_the_whole_cost(regularization):
     rng = np.random.default_rng(50)
     for n in (7, 8):
         qp = random_problem(rng, n, structured=False)
-        qp = with_changes(qp, c0=0.3, c1=2.5, c2=0.7, regularization=regularization)
+        qp = changed(qp, c0=0.3, c1=2.5, c2=0.7, regularization=regularization)
         for _ in range(10):
             x, y = rng.uniform(1.3 * qp.lower, 1.3 * qp.upper), rng.normal(size=6)
             slope = qp.P @ x + qp.p + qp.A.T @ y
@@ -395,7 +353,7 @@ def test_a_box_that_touches_in_a_point_has_its_optimum_there(n, structured, regu
     lower[j] = upper[j] = x[j] + 1e-8
     if structured:
         lower[6], upper[6] = qp.lower[6], qp.upper[6]
-    shut = with_changes(qp, lower=lower, upper=upper)
+    shut = changed(qp, lower=lower, upper=upper)
     assert shut.residuals(x).verified()
     for way in (0.1, -0.3):
         found = shut.residuals(x + way * z)
@@ -424,27 +382,19 @@ def test_rest_is_no_optimum_where_the_box_leaves_it_out(n):
     j = int(np.argmax(np.abs(z)))
     lower = -np.ones(n)
     lower[j] = 0.1
-    still = with_changes(qp, v_tip=np.zeros(3), v_wrist=np.zeros(3), grad_mu=np.zeros(n), lower=lower, upper=np.ones(n))
+    still = changed(qp, v_tip=np.zeros(3), v_wrist=np.zeros(3), grad_mu=np.zeros(n), lower=lower, upper=np.ones(n))
     found = still.residuals(np.zeros(n))
     assert found.distance >= 0.1 - 1e-9
     assert found.primal == pytest.approx(0.1)
     assert still.residuals(optimum(still)[0]).verified()
 
 
-def test_nan_is_infinitely_wrong():
-    qp = random_problem(np.random.default_rng(9))
+def test_nan_is_infinitely_wrong_and_relative_does_not_depend_on_c2():
+    qp = random_problem(np.random.default_rng(10), regularization=0.0)
     found = qp.residuals(np.full(7, np.nan))
-    assert found.primal == np.inf
-    assert found.loss == 1.0
-    assert not found.verified()
-
-
-def test_relative_measures_against_the_gradient():
-    """Half the gradient left over is half the gradient, whatever its size."""
-    rng = np.random.default_rng(10)
-    qp = random_problem(rng, regularization=0.0)
-    middle = optimum(with_changes(qp, c2=0.001, regularization=1.0))[0]
-    big, small = (with_changes(qp, c2=c, regularization=0.0).residuals(middle).relative for c in (1.0, 1e-6))
+    assert (found.primal, found.loss, found.verified()) == (np.inf, 1.0, False)
+    middle = optimum(changed(qp, regularization=1.0))[0]
+    big, small = (changed(qp, c2=c).residuals(middle).relative for c in (1.0, 1e-6))
     assert big == pytest.approx(small, rel=1e-9)
 
 
@@ -456,7 +406,7 @@ def test_arms_of_many_freedoms_are_judged_too(n, regularization):
     found = qp.residuals(x, y)
     assert found.verified()
     assert max(found.natural_best, found.relative, found.loss) < 1e-9
-    opposite, _ = optimum(with_changes(qp, grad_mu=-qp.grad_mu, regularization=0.0))
+    opposite, _ = optimum(changed(qp, grad_mu=-qp.grad_mu, regularization=0.0))
     wrong = qp.residuals(opposite)
     assert wrong.loss > 0.5
     assert wrong.relative > 1e-2

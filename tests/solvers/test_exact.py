@@ -12,7 +12,14 @@ from moc_opt.qp.problem import NullSpaceQP, compute_residuals
 from moc_opt.solvers import Status, create
 from moc_opt.solvers.exact import Exact
 from tests.hard_problems import nearly_singular, rounded
-from tests.problems import changed, infeasible_problem, out_of_reach, random_problem, unit, unstructured_problems
+from tests.problems import (
+    changed,
+    infeasible_problem,
+    out_of_reach,
+    random_problem,
+    unit,
+    unstructured_problems,
+)
 
 
 def solve(qp):
@@ -173,9 +180,9 @@ def test_batch_equals_one_by_one():
         again = Exact().solve_batch(rows, threads)
         np.testing.assert_array_equal(again[0], X)
         assert again[2] == statuses
-    for wrong, given in (("threads = 0", (rows, 0)), ("rows has shape", (rows[:, :-1],))):
+    for wrong, arguments in (("threads = 0", (rows, 0)), ("rows has shape", (rows[:, :-1],))):
         with pytest.raises(SolverError, match=wrong):
-            Exact().solve_batch(*given)
+            Exact().solve_batch(*arguments)
     for qp, x, y, status in zip(problems, X, Y, statuses, strict=True):
         one = solve(qp)
         assert status is one.status
