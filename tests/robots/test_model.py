@@ -6,6 +6,7 @@ import json
 import pickle
 import shutil
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -87,37 +88,31 @@ def test_tip_and_wrist_and_their_derivatives_are_pinocchios(arm: RobotModel) -> 
 
 def test_the_tools_pose_is_pinocchios_frame_and_leaves_the_state_alone(arm: RobotModel) -> None:
     rng = np.random.default_rng(3)
+    model, data = reference(arm)
     for _ in range(5):
         q = rng.uniform(arm.q_min, arm.q_max)
-        before = arm.state(q)
-        pose = arm.tool_pose(rng.uniform(arm.q_min, arm.q_max))
-        assert np.linalg.norm(pose[3] - before.tip) > 1e-3
-        np.testing.assert_allclose(arm.tool_along(q[None]), [[before.tip], [before.wrist]], rtol=0, atol=1e-14)
+        state = arm.state(q)
+        assert np.linalg.norm(arm.tool_pose(rng.uniform(arm.q_min, arm.q_max))[3] - state.tip) > 1e-3
+        np.testing.assert_allclose(arm.tool_along(q[None]), [[state.tip], [state.wrist]], rtol=0, atol=1e-14)
         pose = arm.tool_pose(q)
-        model, data = reference(arm)
         pin.framesForwardKinematics(model, data, q)
         frame = data.oMf[model.getFrameId("tool", pin.FrameType.BODY)]
-        np.testing.assert_allclose(pose[:3], frame.rotation.T, atol=1e-12)
-        np.testing.assert_allclose(pose[2], before.tool_direction, atol=1e-12)
-        np.testing.assert_allclose(pose[3], before.tip, atol=1e-12)
+        np.testing.assert_allclose(pose, [*frame.rotation.T, state.tip], atol=1e-12)
+        np.testing.assert_allclose(pose[2], state.tool_direction, atol=1e-12)
         mount = frame.translation  # where the wrench is measured
-        np.testing.assert_allclose(mount + arm.data.tool_length * pose[2], before.tip, atol=1e-12)
+        np.testing.assert_allclose(mount + arm.data.tool_length * pose[2], state.tip, atol=1e-12)
 
 
-def test_mu_and_its_gradient_against_finite_differences(arm: RobotModel) -> None:
-    for q, _, s in samples(arm, count=20):
+def test_both_manipulabilities_and_their_gradients_against_finite_differences(arm: RobotModel) -> None:
+    for q, _, s in samples(arm):
         assert s.mu == pytest.approx(np.sqrt(np.linalg.det(s.J_tip @ s.J_tip.T)), rel=1e-12)
-        np.testing.assert_allclose(s.grad_mu, differences(lambda x: arm.state(x).mu, q), atol=2e-8)
-
-
-def test_mu_of_the_shaft_and_its_gradient_against_finite_differences(arm: RobotModel) -> None:
-    for q, _, s in samples(arm, count=20):
         held = np.eye(arm.n) - np.linalg.pinv(s.J_tip) @ s.J_tip
         sizes = np.linalg.svd(s.J_wrist @ held)[1]
         assert s.mu_shaft == pytest.approx(sizes[0] * sizes[1], rel=1e-9)
         rows = np.vstack([s.J_tip, np.linalg.svd(s.tool_direction[None])[2][1:] @ s.J_wrist])
         assert s.mu * s.mu_shaft == pytest.approx(np.sqrt(np.linalg.det(rows @ rows.T)), rel=1e-8)
-        np.testing.assert_allclose(s.grad_mu_shaft, differences(lambda x: arm.state(x).mu_shaft, q), atol=2e-8)
+        slopes = differences(lambda x: np.array([(at := arm.state(x)).mu, at.mu_shaft]), q)
+        np.testing.assert_allclose([s.grad_mu, s.grad_mu_shaft], slopes, atol=2e-8)
 
 
 def test_a_shaft_that_cannot_turn_while_the_tip_is_held_gives_no_gradient() -> None:
@@ -249,20 +244,20 @@ def test_kinematics_and_a_pickled_copy_are_the_models(arm: RobotModel) -> None:
 
 
 def test_frames_and_joints_must_be_those_of_the_urdf(robot: RobotModel) -> None:
-    fields = {name: getattr(robot.data, name) for name in robot.data.__dataclass_fields__}
     for change, message in (
-        ({"tip_frame": "nose"}, "'nose' is no link"),
+        ({"tip_frame": "nose"}, "'nose' is no link"), ({"wrist_frame": "tip"}, "coincide"),
         ({"wrist_frame": "link_3"}, "'link_3' does not ride on the last joint"),
-        ({"wrist_frame": "tip"}, "coincide"),
-        ({"joint_names": tuple("abcdefg")}, "same serial chain"),
-        ({"urdf": "<robot"}, "cannot be read by pinocchio"),
-    ):
+        ({"joint_names": tuple("abcdefg")}, "same serial chain"), ({"urdf": "<robot"}, "cannot be read by pinocchio"),
+    ):  # fmt: skip
         with pytest.raises(RobotError, match=message):
-            RobotModel(type(robot.data)(**{**fields, **change}))
+            RobotModel(replace(robot.data, **change))
 
 
-@settings(max_examples=60)
-@given(st.lists(st.floats(-2.0, 2.0), min_size=7, max_size=7), st.floats(-2.9, 2.9), st.floats(-2.9, 2.9))
+POSE = st.lists(st.floats(-2.0, 2.0), min_size=7, max_size=7)
+
+
+@settings(max_examples=30)
+@given(POSE, st.floats(-2.9, 2.9), st.floats(-2.9, 2.9))
 def test_mu_does_not_depend_on_the_first_and_last_joint(pose: list[float], first: float, last: float) -> None:
     s = LWR4.state(pose)
     turned = LWR4.state([first, *pose[1:6], last])
@@ -272,10 +267,8 @@ def test_mu_does_not_depend_on_the_first_and_last_joint(pose: list[float], first
         assert abs(s.grad_mu[0]) < 1e-12
 
 
-@settings(max_examples=60)
-@given(
-    st.lists(st.floats(-2.0, 2.0), min_size=7, max_size=7), st.lists(st.floats(-3, 3), min_size=7, max_size=7)
-)
+@settings(max_examples=30)
+@given(POSE, st.lists(st.floats(-3, 3), min_size=7, max_size=7))
 def test_drift_is_quadratic_and_even_in_the_velocity(pose: list[float], v: list[float]) -> None:
     s, twice = LWR4.state(pose, v), LWR4.state(pose, -2 * np.array(v))
     np.testing.assert_allclose(twice.drift_tip, 4 * s.drift_tip, atol=1e-10)
@@ -283,7 +276,6 @@ def test_drift_is_quadratic_and_even_in_the_velocity(pose: list[float], v: list[
 
 
 # --- the shaft through the trocar ---
-
 
 
 def by_the_core(tip, tip_velocity, trocar, trocar_velocity, span):
@@ -296,7 +288,7 @@ SEEDS = st.integers(0, 2**32 - 1)
 
 
 @pytest.mark.parametrize("kernel", [desired_wrist, by_the_core], ids=["numpy", "core"])
-@settings(max_examples=60)
+@settings(max_examples=30)
 @given(seed=SEEDS)
 def test_desired_wrist_velocity_is_the_derivative(kernel, seed):
     """Along a motion of tip and trocar, dN_d is the difference quotient of N_d."""
@@ -316,7 +308,7 @@ def test_desired_wrist_velocity_is_the_derivative(kernel, seed):
     np.testing.assert_allclose(desired(t)[1], slope, atol=1e-6 * (1.0 + np.abs(slope).max()))
 
 
-@settings(max_examples=60)
+@settings(max_examples=20)
 @given(seed=SEEDS, count=st.integers(0, 5))
 def test_rows_are_wrists_one_by_one(seed, count):
     tips, trocars = np.random.default_rng(seed).normal(size=(2, count, 3))
@@ -339,29 +331,26 @@ def without_gains(name: str, folder: Path) -> Path:
 
 
 @pytest.mark.parametrize("name", ["lwr4", "lwr4_rail"])
-def test_a_robot_file_without_gains_gets_them(name: str, tmp_path: Path) -> None:
-    robot = load_robot(without_gains(name, tmp_path))
+def test_a_robot_file_without_gains_gets_them_and_keeps_its_own(name: str, tmp_path: Path) -> None:
+    path = without_gains(name, tmp_path)
+    robot = load_robot(path)
     for preset in ("paper", "tuned", "robust"):
         for law in ("dcac", "moc"):
             ControlSettings.preset(preset, law=law).resolve_gains(robot.data.gains, robot.n)
     found = ControlSettings().resolve_gains(robot.data.gains, robot.n)
     inertia = np.diag(robot.state(robot.data.q_home).M)
     np.testing.assert_allclose(found.K_N2, JOINT_RATE * inertia, rtol=0.005)
-
-
-def test_a_table_that_is_given_is_kept(robot: RobotModel, tmp_path: Path) -> None:
-    path = without_gains("lwr4", tmp_path)
     path.write_text(path.read_text(encoding="utf-8") + "\n[gains.moc]\nK_X = 1.0\n", encoding="utf-8")
     gains = load_robot(path).data.gains
     assert dict(gains["moc"]) == {"K_X": 1.0}
-    assert set(gains) == set(robot.data.gains) == {"dcac", "moc", "default", "tuned", "robust"}
+    assert set(gains) == {"dcac", "moc", "default", "tuned", "robust"}
 
 
 def self_motion_rate(robot: RobotModel, table: str) -> float:
     """K_N2 over the inertia of the self-motion, median over random poses [1/s]; idle joints left out."""
     moving, rates = robot.moves.any(axis=0), []
     gain = np.diag(np.broadcast_to(np.asarray(robot.data.gains[table]["K_N2"]), robot.n)[moving])
-    for q in np.random.default_rng(5).uniform(robot.q_min, robot.q_max, (400, robot.n)):
+    for q in np.random.default_rng(5).uniform(robot.q_min, robot.q_max, (150, robot.n)):
         state = robot.state(q)
         z = np.linalg.svd(state.A[:, moving])[2][-1]
         rates.append(z @ gain @ z / (z @ state.M[np.ix_(moving, moving)] @ z))
@@ -369,21 +358,21 @@ def self_motion_rate(robot: RobotModel, table: str) -> float:
 
 
 def test_the_lwr4_gets_what_it_was_tuned_to(robot: RobotModel) -> None:
+    tables = derived_gains(robot)
     for table in ("default", "tuned", "robust"):
         for gain in ("K_X", "D_X", "K_N", "D_N"):
-            assert derived_gains(robot)[table][gain] == robot.data.gains[table][gain]
-    derived, tuned = derived_gains(robot)["default"], robot.data.gains["default"]
-    ratio = np.divide(derived["K_N2"], tuned["K_N2"])
-    assert ratio.min() > 0.5
-    assert ratio.max() < 1.3
+            assert tables[table][gain] == robot.data.gains[table][gain]
+    ratio = np.divide(tables["default"]["K_N2"], robot.data.gains["default"]["K_N2"])
+    assert 0.5 < ratio.min() <= ratio.max() < 1.3
 
 
-@pytest.mark.parametrize("table", ["tuned", "robust"])
-def test_presets_stand_to_the_default_as_on_the_lwr4(robot: RobotModel, table: str) -> None:
-    wanted = self_motion_rate(robot, table) / self_motion_rate(robot, "default")
-    for name in ("panda", "gen3", "xarm7"):  # the others meet the largest rate allowed
-        other = load_robot(name)
-        assert self_motion_rate(other, table) / self_motion_rate(other, "default") == pytest.approx(wanted, rel=0.1)
+def test_presets_stand_to_the_default_as_on_the_lwr4(robot: RobotModel) -> None:
+    for table in ("tuned", "robust"):
+        wanted = self_motion_rate(robot, table) / self_motion_rate(robot, "default")
+        for name in ("panda", "gen3", "xarm7"):  # the others meet the largest rate allowed
+            other = load_robot(name)
+            found = self_motion_rate(other, table) / self_motion_rate(other, "default")
+            assert found == pytest.approx(wanted, rel=0.15)
 
 
 @pytest.mark.parametrize("name", ["iiwa14", "panda", "gen3", "xarm7", "lwr4_rail"])
@@ -400,21 +389,18 @@ def test_the_tables_of_a_file_are_those_of_its_masses(name: str) -> None:
             np.testing.assert_array_equal(robot.data.gains[key][gain], value, err_msg=f"{key}, {gain}")
 
 
-def test_a_light_arm_gets_smaller_gains_at_the_tip(tmp_path: Path) -> None:
+def test_a_light_arm_gets_smaller_gains_at_the_tip() -> None:
     """A tenth of every rotor: what the tip feels shrinks, and D_X with it."""
-    path = without_gains("gen3", tmp_path)
-    text = path.read_text(encoding="utf-8")
-    line = next(line for line in text.splitlines() if line.startswith("rotor_inertia"))
-    path.write_text(text.replace(line, "rotor_inertia_kg_m2 = 0.02"), encoding="utf-8")
-    light = load_robot(path)
+    light = RobotModel(replace(load_robot("gen3").data, rotor_inertia=np.full(7, 0.02)))
     tip, wrist = largest_inverse_masses(light)
-    gains = light.data.gains["default"]
+    gains = derived_gains(light)["default"]
     assert gains["D_X"] < 60.0
     assert gains["D_X"] * tip == pytest.approx(CARTESIAN_RATE, rel=0.01)
     assert gains["K_X"] / gains["D_X"] == pytest.approx(3000.0 / 80.0, rel=0.01)
     assert gains["D_N"] * wrist <= 1.01 * CARTESIAN_RATE
 
 
+@settings(max_examples=30)
 @given(delay=st.integers(0, 6), side=st.sampled_from([0.98, 1.02]))
 def test_the_largest_rate_is_where_a_delayed_loop_stops_decaying(delay: int, side: float) -> None:
     """The roots of z^(d+1) - z^d + T rate: inside the circle just below it, outside just above."""

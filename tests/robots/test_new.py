@@ -39,43 +39,35 @@ def panda(tmp_path_factory: pytest.TempPathFactory) -> object:
 
 
 def test_what_was_assumed_stands_in_both_files(panda) -> None:
-    text = panda.toml.read_text(encoding="utf-8")
+    text, written = panda.toml.read_text(encoding="utf-8"), panda.urdf.read_text(encoding="utf-8")
     plain = " ".join(line.lstrip("# -") for line in text.splitlines())
     assert len(panda.notes) >= 6
     for note in panda.notes:
         assert note in plain
     for word in ("finger_1", "joint_1 turns without end", "10 rad/s", "no usable torque limit", "hand"):
         assert word in text
-    assert "finger_2" in panda.urdf.read_text(encoding="utf-8")
-    assert "mesh" not in panda.urdf.read_text(encoding="utf-8")
+        assert word in written
+    assert "mesh" not in written
 
 
-def test_the_new_robot_is_the_vendors(panda) -> None:
+def test_the_new_robot_is_the_vendors_with_a_home_pose_to_begin_from(panda) -> None:
     ours, theirs = panda.robot, load_robot("panda")
     assert ours.data.name == "my"
     for q in np.random.default_rng(1).uniform(-1.0, 1.0, (5, 7)):
         np.testing.assert_allclose(ours.state(q).tip, theirs.state(q).tip, rtol=0, atol=1e-9)  # on the hand's origin
-
-
-def test_the_home_pose_is_away_from_limits_and_singularities(panda) -> None:
-    left = freedoms(panda.robot, panda.robot.data.q_home)
+    left = freedoms(ours, ours.data.q_home)
     assert (left.rank, left.real, left.idle) == (5, 1, (6,))
-    assert left.tip > 0.15
-    assert left.both > 0.08
-    assert limit_shares(panda.robot, panda.robot.data.q_home)[:6].min() > MARGIN - 0.02
-    assert 0.7 <= panda.home.mu / panda.home.mu_best <= 0.9
-    assert panda.home.task == ""
+    assert limit_shares(ours, ours.data.q_home)[:6].min() > MARGIN - 0.02
+    assert verdict(check_robot(ours)) == "ok"
 
 
 def test_it_runs_and_gains_manipulability(panda) -> None:
-    asked = Scenario(robot={"name": str(panda.toml)}, bound_samples=0)
-    moc, dcac = run(asked), run(asked.change(control=asked.control.matched_dcac(), judge=False))
-    assert (moc.meta["ended"], dcac.meta["ended"]) == ("completed", "completed")
-    found = summarize(moc, dcac)
-    assert found["mu_gain_percent"] > 10.0
+    trace = run(Scenario(robot={"name": str(panda.toml)}, bound_samples=0, judge=False))
+    assert trace.meta["ended"] == "completed"
+    assert trace.mu[-1] > 1.1 * trace.mu[0]
+    found = summarize(trace)
     assert found["tip_error_max_mm"] < 1.5
     assert found["rcm_error_max_mm"] < 2.5
-    assert verdict(check_robot(panda.robot)) == "ok"
 
 
 def test_a_base_on_the_ceiling_hangs(tmp_path: Path) -> None:
@@ -182,6 +174,8 @@ def test_the_wrist_of_a_known_arm_is_found(name: str) -> None:
     np.testing.assert_allclose(found.wrist, wrist, rtol=0, atol=1e-12)
     np.testing.assert_allclose(direction(found.rpy), towards, rtol=0, atol=1e-12)
     np.testing.assert_allclose(found.mount, 0.0, rtol=0, atol=1e-12)
+    asked = find_shaft(text_of(name), f"link_{last}", wrist_m=0.05)
+    np.testing.assert_allclose(asked.wrist, -0.05 * np.array(towards), rtol=0, atol=1e-12)
 
 
 def test_a_flange_frame_carries_the_same_tool() -> None:
@@ -204,10 +198,6 @@ def test_a_flange_off_the_axis_or_a_sliding_last_joint_is_noted() -> None:
     np.testing.assert_allclose(sliding.wrist, 0.0)
 
 
-def test_the_wrist_can_be_given() -> None:
-    np.testing.assert_allclose(find_shaft(text_of(), "link_7", wrist_m=0.05).wrist, [0, 0, -0.05])
-
-
 # --- the home pose ---
 
 
@@ -223,11 +213,9 @@ def test_a_found_pose_is_what_was_asked_for(name: str) -> None:
     assert state.mu == pytest.approx(home.mu)
     assert min(state.tip[2], state.wrist[2]) > CLEARANCE_M - 0.01
     assert home.task == "" == task_fault(robot, home.q)
-
-
-def test_seeds_repeat_and_differ(robot: RobotModel) -> None:
-    np.testing.assert_array_equal(search_home(robot, seed=1).q, search_home(robot, seed=1).q)
-    assert np.abs(search_home(robot, seed=1).q - search_home(robot, seed=2).q).max() > 0.1
+    if name == "lwr4":
+        np.testing.assert_array_equal(search_home(robot, seed=3).q, home.q)
+        assert np.abs(search_home(robot, seed=2).q - home.q).max() > 0.1
 
 
 def test_an_arm_that_is_singular_everywhere_has_no_home(robot: RobotModel) -> None:
@@ -265,9 +253,7 @@ def test_new_then_check(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> N
     (["--lock", "joint_3=x"], "--lock"), (["--lock", "joint_3"], "of 6 joints"), (["--tip", "gone"], "unknown link"),
     (["--tool", "-1"], "tool"),
 ])  # fmt: skip
-def test_what_is_wrong_is_said_in_one_line(
-    arguments: list[str], told: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_is_wrong_is_said_in_one_line(arguments: list[str], told: str, tmp_path: Path, capsys) -> None:
     source = tmp_path / "vendor.urdf"
     source.write_text(text_of("iiwa14"), encoding="utf-8")
     assert main(["robot", "new", str(source), *arguments, "--out", str(tmp_path / "my.toml")]) == 2
@@ -277,9 +263,7 @@ def test_what_is_wrong_is_said_in_one_line(
     assert not (tmp_path / "my.toml").exists()
 
 
-def test_from_a_vendors_file_to_a_replay_in_three_commands(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_from_a_vendors_file_to_a_replay_in_three_commands(tmp_path: Path, monkeypatch, capsys) -> None:
     (tmp_path / "vendor.urdf").write_text(with_hand(text_of("xarm7")), encoding="utf-8")
     (tmp_path / "short.toml").write_text("duration_s = 0.1\nbound_samples = 2\n", encoding="utf-8")
     monkeypatch.chdir(tmp_path)

@@ -23,14 +23,10 @@ curved = st.one_of(
 )  # fmt: skip
 
 
-def test_quintic_starts_and_ends_at_rest() -> None:
-    assert quintic(0.0) == (0.0, 0.0, 0.0)
-    assert quintic(1.0) == (1.0, 0.0, 0.0)
-    assert quintic(0.5) == (0.5, 1.875, 0.0)
-
-
 @given(st.floats(0.01, 0.99))
-def test_quintic_derivatives_match_finite_differences(u: float) -> None:
+@settings(max_examples=40)
+def test_quintic_starts_and_ends_at_rest_and_its_derivatives_are_its(u: float) -> None:
+    assert [quintic(x) for x in (0.0, 0.5, 1.0)] == [(0.0, 0.0, 0.0), (0.5, 1.875, 0.0), (1.0, 0.0, 0.0)]
     h = 1e-5
     (s0, ds0, _), (s1, ds1, _) = quintic(u - h), quintic(u + h)
     _, ds, dds = quintic(u)
@@ -38,6 +34,7 @@ def test_quintic_derivatives_match_finite_differences(u: float) -> None:
     assert (ds1 - ds0) / (2.0 * h) == pytest.approx(dds, abs=1e-7)
 
 
+@settings(max_examples=40)
 @given(st.floats(1e-4, 10.0), st.floats(1e-3, 10.0), st.floats(1e-3, 100.0))
 @example(0.1, 0.05, 100.0)
 @example(0.1, 10.0, 0.05)
@@ -54,12 +51,12 @@ def extremes(reference: Reference, count: int) -> tuple[float, float]:
     return float(speed) / reference.v_max, float(acceleration) / reference.a_max
 
 
-@settings(max_examples=40)
+@settings(max_examples=30)
 @given(curved, st.floats(0.01, 1.0), st.floats(0.01, 10.0))
 def test_curved_duration_touches_a_limit_and_exceeds_none(path: Path, v_max: float, a_max: float) -> None:
-    used = extremes(Reference(path, v_max, a_max), 6_001)
+    used = extremes(Reference(path, v_max, a_max), 1_501)
     assert max(used) <= 1.0 + 1e-9
-    assert max(used) >= 1.0 - 3e-3
+    assert max(used) >= 1.0 - 1e-2
 
 
 @pytest.mark.parametrize(("kind", "sizes"), [
@@ -67,8 +64,8 @@ def test_curved_duration_touches_a_limit_and_exceeds_none(path: Path, v_max: flo
     ("spiral", {"turns": 50.0, "radius": 0.05}),
 ])  # fmt: skip
 def test_sharp_and_many_bends_are_all_seen(kind: str, sizes: dict[str, float]) -> None:
-    used = extremes(Reference(build(kind, **sizes), 100.0, 0.5), 100_001)
-    assert 1.0 - 1e-3 <= max(used) <= 1.0 + 1e-9
+    used = extremes(Reference(build(kind, **sizes), 100.0, 0.5), 30_001)
+    assert 1.0 - 5e-3 <= max(used) <= 1.0 + 1e-9
 
 
 def test_centripetal_acceleration_lengthens_the_motion() -> None:
@@ -83,21 +80,16 @@ def test_centripetal_acceleration_lengthens_the_motion() -> None:
 
 
 @pytest.mark.parametrize("kind", CURVES)
-def test_velocity_and_acceleration_are_the_derivatives(kind: str) -> None:
-    reference = Reference(build(kind), 0.1, 0.3, t_start=0.5)
-    h = 1e-5 * reference.duration
-    t = 0.5 + reference.duration * np.linspace(0.02, 0.98, 200)
+def test_velocity_and_acceleration_are_the_derivatives_and_it_rests_before_and_after(kind: str) -> None:
+    path = build(kind)
+    reference = Reference(path, 0.1, 0.3, t_start=0.5)
+    end, h = 0.5 + reference.duration, 1e-5 * reference.duration
+    t = 0.5 + reference.duration * np.linspace(0.02, 0.98, 60)
     (x0, v0, _), (x1, v1, _), (_, v, a) = reference.at(t - h), reference.at(t + h), reference.at(t)
     np.testing.assert_allclose((x1 - x0) / (2.0 * h), v, atol=1e-6 * 0.1)
     np.testing.assert_allclose((v1 - v0) / (2.0 * h), a, atol=1e-5 * 0.3)
-
-
-@pytest.mark.parametrize("kind", CURVES)
-def test_holds_before_and_after(kind: str) -> None:
-    path = build(kind)
-    reference = Reference(path, 0.1, 0.3, t_start=2.0)
-    for times, place in (((-5.0, 0.0, 2.0), 0.0), ((2.0 + reference.duration, 1e6, math.inf), path.length)):
-        for t in times:
-            x, dx, ddx = reference.at(t)
+    for times, place in (((-5.0, 0.0, 0.5), 0.0), ((end, 1e6, math.inf), path.length)):
+        for time in times:
+            x, dx, ddx = reference.at(time)
             np.testing.assert_allclose(x, path.at(place)[0], atol=1e-15)
             np.testing.assert_allclose(np.concatenate((dx, ddx)), 0.0, atol=1e-12)

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
@@ -26,6 +26,7 @@ def test_breathing_goes_there_and_back() -> None:
     np.testing.assert_allclose(trocar.at(1.25)[1], away * math.pi / 5.0, rtol=1e-12, atol=1e-18)
 
 
+@settings(max_examples=40)
 @given(st.floats(-20.0, 20.0), st.floats(0.0, 0.05), st.floats(1.0, 10.0), points.filter(np.any))
 def test_velocity_is_the_derivative(t: float, amplitude: float, period: float, direction: np.ndarray) -> None:
     trocar = Trocar(POINT, amplitude, period, direction)
@@ -43,6 +44,7 @@ def test_known_distance_and_depth() -> None:
     assert depth((0, 0, 0.1), (0, 0, 0.478), p) == pytest.approx(-0.1, abs=1e-16)
 
 
+@settings(max_examples=40)
 @given(points, points, points, points, st.floats(0.01, 3.0))
 def test_distance_and_depth_are_geometry(
     tip: np.ndarray, tool: np.ndarray, p: np.ndarray, shift: np.ndarray, stretch: float
