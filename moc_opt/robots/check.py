@@ -73,12 +73,14 @@ def _freedom(robot: RobotModel) -> Iterator[Finding]:
     idle = ", ".join(robot.data.joint_names[j] for j in built.idle) or "none"
     text = f"{built.real} real, {len(built.idle)} idle ({idle})"
     yield Finding("freedoms left", text, "cannot" if cure else "ok", cure)
-    singular = here.tip < SINGULAR or here.both < SINGULAR
-    near = here.tip < REGULAR[0] or here.both < REGULAR[1]
-    cure = f"{'the home pose is' if singular else 'nearly'} singular: bend the arm at home (home.q_rad), or let "
     text = f"tip {here.tip:.2f}, tip and shaft {here.both:.2f}"
-    judged: Verdict = "cannot" if singular else "care" if near else "ok"
-    yield Finding("singular values", text, judged, f"{cure}`robot new` search a pose" if near else "")
+    cure = "bend the arm at home (home.q_rad), or let `robot new` search a pose"
+    if here.tip < SINGULAR or here.both < SINGULAR:
+        yield Finding("singular values", text, "cannot", f"the home pose is singular: {cure}")
+    elif here.tip < REGULAR[0] or here.both < REGULAR[1]:
+        yield Finding("singular values", text, "care", f"the home pose is nearly singular: {cure}")
+    else:
+        yield Finding("singular values", text, "ok")
 
 
 def _climb(robot: RobotModel) -> Iterator[Finding]:
@@ -144,7 +146,9 @@ def _weight(robot: RobotModel) -> Finding:
     text = f"{robot.data.joint_names[j]} holds {100 * share[j]:.0f} % of its limit"
     if share[j] >= 1.0:
         return Finding("gravity at home", text, "cannot", "the arm cannot hold itself: check masses and torque limits")
-    return Finding("gravity at home", text, *(("care", "little torque is left to move") if share[j] > 0.7 else ("ok",)))
+    if share[j] > 0.7:
+        return Finding("gravity at home", text, "care", "little torque is left to move")
+    return Finding("gravity at home", text, "ok")
 
 
 def _bodies(robot: RobotModel) -> Finding:

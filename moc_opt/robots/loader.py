@@ -235,35 +235,29 @@ def _find(name_or_path: str | os.PathLike[str]) -> Path:
 
 
 def _limits(given: Limits, chain: list[urdf.Joint]) -> dict[str, Array]:
-    out: dict[str, Array] = {}
-    joints = [joint.name for joint in chain]
+    found: dict[str, Array] = {}
     for field, key, entry in (
         ("q_min", "lower", "q_min_deg"), ("q_max", "upper", "q_max_deg"), ("v_max", "velocity", "v_max_deg_per_s"),
         ("tau_max", "effort", "tau_max_Nm"),
     ):  # fmt: skip
         values, degrees = getattr(given, entry), field != "tau_max"
-        if values is None:
-            if lost := [joint.name for joint in chain if key not in joint.limits]:
-                raise RobotError(f"{field}: joints {lost} have no {key!r} in their <limit>: add it, or limits.{entry}")
-            out[field] = np.array([joint.limits[key] for joint in chain])
-        elif degrees and any(joint.kind == "prismatic" for joint in chain):
-            raise RobotError(f"limits.{entry} is in degrees, but a joint is prismatic: put its limits into the URDF")
-        else:
+        if values is not None:
+            if degrees and any(joint.kind == "prismatic" for joint in chain):
+                raise RobotError(f"limits.{entry} is in degrees, but a joint slides: put its limits into the URDF")
             vector = _vector(f"limits.{entry}", values, len(chain))
-            out[field] = np.radians(vector) if degrees else vector
-        if field in ("v_max", "tau_max") and np.any(out[field] <= 0.0):
-            i = int(np.argmax(out[field] <= 0.0))
-            raise RobotError(
-                f"{field} of joint {joints[i]!r} = {out[field][i]:.6g}: give a positive number, in the URDF's "
-                f"<limit> or as limits.{entry}"
-            )
-    for name, low, high in zip(joints, out["q_min"], out["q_max"], strict=True):
+            found[field] = np.radians(vector) if degrees else vector
+            continue
+        if lost := [joint.name for joint in chain if key not in joint.limits]:
+            raise RobotError(f"{field}: joints {lost} have no {key!r} in their <limit>: add it, or limits.{entry}")
+        found[field] = np.array([joint.limits[key] for joint in chain])
+    for joint, low, high, speed, torque in zip(chain, *found.values(), strict=True):
+        where = f"of joint {joint.name!r}"
         if low >= high:
-            raise RobotError(
-                f"limits of joint {name!r}: q_min = {low:.6g} is not below q_max = {high:.6g} rad: exchange or widen "
-                "them"
-            )
-    return out
+            raise RobotError(f"limits {where}: q_min = {low:.6g} is not below q_max = {high:.6g} rad: exchange them")
+        for field, value in (("v_max", speed), ("tau_max", torque)):
+            if value <= 0.0:
+                raise RobotError(f"{field} {where} = {value:.6g}: give a positive number, in [limits] or the <limit>")
+    return found
 
 
 def _vector(name: str, values: float | tuple[float, ...], n: int) -> Array:

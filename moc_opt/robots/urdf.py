@@ -307,16 +307,14 @@ class Tree:
             if joint.child in self.carrier:
                 other = self.carrier[joint.child].name
                 raise RobotError(f"urdf joints {other!r} and {joint.name!r} both carry link {joint.child!r}: leave one")
+            if joint.child == "world":
+                raise RobotError(f"urdf joint {joint.name!r} carries a link 'world', MuJoCo's word for the base: rename it")
             self.carrier[joint.child] = joint
             self.carried[joint.parent].append(joint)
-        if "world" in self.carrier:
-            name = self.carrier["world"].name
-            raise RobotError(f"urdf joint {name!r} carries a link 'world', which MuJoCo takes for the base: rename it")
         bases = [link for link in self.links if link not in self.carrier]
         if len(bases) > 1:
             raise RobotError(f"urdf links {bases[:5]} hang on no joint: one base is needed, fix the others to it")
-        lost = sorted(set(self.links) - {link for base in bases for link in self.reach(base)})
-        if lost:
+        if lost := sorted(set(self.links).difference(*map(self.reach, bases))):
             raise RobotError(f"urdf joints form a loop at links {lost[:5]}: they hang on each other and not on a base")
         self.base = bases[0]
 

@@ -133,8 +133,7 @@ def test_a_shaft_that_cannot_turn_while_the_tip_is_held_gives_no_gradient() -> N
 def test_a_singular_arm_gives_no_nan(robot: RobotModel, bend: float) -> None:
     s = robot.state(np.array([0.2, 0.0, 0.0, bend, 0.0, 0.0, 0.0]))
     assert s.mu < 1e-6
-    np.testing.assert_array_equal(s.grad_mu, np.zeros(7))
-    np.testing.assert_array_equal(s.grad_mu_shaft, np.zeros(7))
+    np.testing.assert_array_equal([s.grad_mu, s.grad_mu_shaft], np.zeros((2, 7)))
     assert np.isfinite(s.record).all()
 
 
@@ -182,35 +181,21 @@ def test_a_heavier_tool_adds_its_weight(robot: RobotModel) -> None:
 def test_states_share_no_memory_and_cannot_be_changed(robot: RobotModel) -> None:
     q, v = robot.data.q_home.copy(), np.ones(7)
     first = robot.state(q, v)
-    kept = first.record.copy()
-    second = robot.state(q + 0.3, -v)
+    kept, second = first.record.copy(), robot.state(q + 0.3, -v)
     q[:] = 0.0
     np.testing.assert_array_equal(first.record, kept)
     assert not np.shares_memory(first.record, second.record)
-    for name in layout(7):
-        public = {"u": "tool_direction", "drift": "drift_tip", "scalars": "record"}.get(name, name)
-        with pytest.raises(ValueError, match="read-only"):
-            getattr(first, public)[...] = 0.0
-    with pytest.raises(AttributeError, match="immutable"):
-        first.mu = 1.0  # type: ignore[misc]
-    with pytest.raises(AttributeError, match="immutable"):
-        del first.record
-
-
-def test_the_record_is_what_the_attributes_show(arm: RobotModel) -> None:
-    _, _, s = next(samples(arm))
-    views = {name: s.record[part] for name, part in layout(s.n).items()}
-    assert s.record.shape == (record_size(s.n),)
-    assert sum(view.size for view in views.values()) == s.record.size
-    for name in ("q", "v", "tip", "wrist", "A", "grad_mu", "grad_mu_shaft", "M", "h", "energy_slope", "gravity"):
-        np.testing.assert_array_equal(views[name], getattr(s, name).ravel())
-    np.testing.assert_array_equal(views["u"], s.tool_direction)
-    np.testing.assert_array_equal(views["drift"], np.r_[s.drift_tip, s.drift_wrist])
-    np.testing.assert_array_equal(views["scalars"], [s.mu, s.tool_span, s.mu_shaft])
-    np.testing.assert_array_equal(s.A, np.vstack([s.J_tip, s.J_wrist]))
-    copy = pickle.loads(pickle.dumps(s))
-    np.testing.assert_array_equal(copy.record, s.record)
-    assert not copy.record.flags.writeable
+    assert sum(part.stop - part.start for part in layout(7).values()) == record_size(7) == kept.size
+    copy = pickle.loads(pickle.dumps(first))
+    np.testing.assert_array_equal(copy.record, kept)
+    for state in (first, copy):
+        for name in ("q", "J_tip", "M", "record"):
+            with pytest.raises(ValueError, match="read-only"):
+                getattr(state, name)[...] = 0.0
+        with pytest.raises(AttributeError, match="immutable"):
+            state.mu = 1.0
+        with pytest.raises(AttributeError, match="immutable"):
+            del state.record
 
 
 @pytest.mark.parametrize(("q", "v", "message"), [
@@ -284,12 +269,9 @@ def by_the_core(tip, tip_velocity, trocar, trocar_velocity, span):
     return found
 
 
-SEEDS = st.integers(0, 2**32 - 1)
-
-
 @pytest.mark.parametrize("kernel", [desired_wrist, by_the_core], ids=["numpy", "core"])
 @settings(max_examples=30)
-@given(seed=SEEDS)
+@given(seed=st.integers(0, 2**32 - 1))
 def test_desired_wrist_velocity_is_the_derivative(kernel, seed):
     """Along a motion of tip and trocar, dN_d is the difference quotient of N_d."""
     rng = np.random.default_rng(seed)
@@ -306,17 +288,6 @@ def test_desired_wrist_velocity_is_the_derivative(kernel, seed):
 
     slope = (desired(t + step)[0] - desired(t - step)[0]) / (2.0 * step)
     np.testing.assert_allclose(desired(t)[1], slope, atol=1e-6 * (1.0 + np.abs(slope).max()))
-
-
-@settings(max_examples=20)
-@given(seed=SEEDS, count=st.integers(0, 5))
-def test_rows_are_wrists_one_by_one(seed, count):
-    tips, trocars = np.random.default_rng(seed).normal(size=(2, count, 3))
-    found = desired_wrist(tips, 0.0, trocars, 0.0, 0.4)[0]
-    assert found.shape == (count, 3)
-    for tip, trocar, wrist in zip(tips, trocars, found, strict=True):
-        way = trocar - tip
-        np.testing.assert_allclose(wrist, tip + 0.4 * way / np.linalg.norm(way), rtol=1e-12, atol=1e-12)
 
 
 # --- gains of an arm that nobody has tuned ---
