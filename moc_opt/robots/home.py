@@ -60,10 +60,9 @@ def search_home(robot: RobotModel, *, seed: int = 0) -> Home:
     Raises:
         RobotError: every pose drawn is singular or near a limit.
     """
-    rng = np.random.default_rng(seed)
+    rng, idle = np.random.default_rng(seed), ~robot.moves.any(axis=0)
     middle, half = 0.5 * (robot.q_min + robot.q_max), 0.5 * (robot.q_max - robot.q_min)
     poses = middle + (1.0 - MARGIN) * half * rng.uniform(-1.0, 1.0, (DRAWS, robot.n))
-    idle = ~robot.moves.any(axis=0)
     poses[:, idle] = middle[idle]
     tips, wrists = robot.tool_along(poses)
     down = (wrists - tips)[:, 2] / np.linalg.norm(wrists - tips, axis=1)
@@ -84,8 +83,8 @@ def search_home(robot: RobotModel, *, seed: int = 0) -> Home:
 
 
 def _ranked(robot: RobotModel, poses: Array) -> list[Home]:
-    moving = robot.moves.any(axis=0)
-    scores, mu = np.full(len(poses), -np.inf), robot.mu_along(poses)
+    moving, mu = robot.moves.any(axis=0), robot.mu_along(poses)
+    scores = np.full(len(poses), -np.inf)
     for k, q in enumerate(poses):
         left = freedoms(robot, q)
         if left.tip >= REGULAR[0] and left.both >= REGULAR[1]:

@@ -47,24 +47,22 @@ def solve_pose(
 def nearest_pose(
     robot: RobotModel, q: Array, points: Array, low: Array, high: Array, iterations: int
 ) -> tuple[Array, float]:
-    """Go on from q (n,) within these limits; return the best pose (n,), and what it misses the points by [m].
+    """Go on from q (n,) within the limits low, high (n,); return the best pose (n,) and how far it misses [m].
 
     Args:
         points: (1,3) of the tip, or (2,3) of tip and wrist [m].
-        low, high: (n,) limits; infinite: none.
 
     Raises:
         RobotError: a pose or a point of another shape, or not finite.
     """
-    best = np.empty(robot.n)
     begin, wanted = (np.array(given, dtype=np.float64, order="C") for given in (q, points))
     for name, value, shapes in (("q", begin, [(robot.n,)]), ("tip or wrist", wanted, [(1, 3), (2, 3)])):
         if value.shape not in shapes:
             raise RobotError(f"{name} has shape {value.shape}: give {' or '.join(map(str, shapes))}")
         if not np.isfinite(value).all():
             raise RobotError(f"{name} = {value.tolist()} is not finite: check the sensor or step that gave it")
-    low, high = np.ascontiguousarray(low), np.ascontiguousarray(high)
-    return best, robot.arm.nearest_pose(wanted, low, high, begin, iterations, best)
+    limits, best = np.array([low, high], dtype=np.float64), np.empty(robot.n)
+    return best, robot.arm.nearest_pose(wanted, limits[0], limits[1], begin, iterations, best)
 
 
 def pose_with_tip(robot: RobotModel, q: ArrayLike, tip: ArrayLike) -> Array:
@@ -97,21 +95,20 @@ def pose_through(robot: RobotModel, tip: ArrayLike, trocar: ArrayLike) -> Array:
             f"1 to {1e3 * length:.0f} mm from its tip; move it, or lengthen the tool"
         )
     wrist, _ = desired_wrist(x, 0.0, p, 0.0, robot.state(robot.data.q_home).tool_span)
-    first = solve_pose(robot, robot.data.q_home, x, wrist, iterations=100)
-    if first.found:
-        return first.q
+    tried = [solve_pose(robot, robot.data.q_home, x, wrist, iterations=100)]
+    if tried[0].found:
+        return tried[0].q
     starts = np.random.default_rng(0).uniform(robot.q_min, robot.q_max, (_RESTARTS, robot.n))
-    tried = [first, *(solve_pose(robot, start, x, wrist, iterations=60) for start in starts)]
-    good = np.array([placed.q for placed in tried if placed.found])
-    if not len(good):
+    tried += [solve_pose(robot, start, x, wrist, iterations=60) for start in starts]
+    good = [placed.q for placed in tried if placed.found]
+    if not good:
         nearest = min(tried, key=lambda each: each.miss_m)
         raise TaskError(
             f"trocar = {np.round(p, 4).tolist()} m is out of reach with the tip at {np.round(x, 4).tolist()} m: "
             f"tip or wrist stays {1e3 * nearest.miss_m:.0f} mm away{_limits(robot, nearest)}; move the trocar or the "
             "task towards the arm, or turn the line between them"
         )
-    room = np.minimum(robot.q_max - good, good - robot.q_min).min(axis=1)
-    return np.array(good[int(np.argmax(room))])
+    return max(good, key=lambda q: np.minimum(robot.q_max - q, q - robot.q_min).min())
 
 
 def _limits(robot: RobotModel, placed: Placed) -> str:

@@ -183,7 +183,6 @@ def load_data(
     for joint, *values in zip(chain, *bounds.values(), strict=True):
         joint.limit(*values)
     _append_tool(arm, description.frames, tool)
-    urdf.check_masses(arm, chain)
     n, drives = len(chain), description.joints
     q_home = _vector("home.q_rad", description.home.q_rad, n)
     outside = np.flatnonzero((q_home < bounds["q_min"]) | (q_home > bounds["q_max"]))

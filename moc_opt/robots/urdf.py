@@ -263,10 +263,7 @@ def _check_joint(joint: Joint) -> None:
 
 
 def inertia_fault(moments: Iterable[float]) -> str | None:
-    """Say why no body has this inertia `MOMENTS` [kg m^2] about its centre of mass; None if one may.
-
-    It must be positive definite, and no principal moment may be larger than the other two together.
-    """
+    """Say why no body has this inertia `MOMENTS` [kg m^2] about its centre of mass; None if one may."""
     least, middle, most = principal(moments)
     shown = f"principal moments {least:.4g}, {middle:.4g}, {most:.4g} kg m^2"
     if least < max(SMALLEST_MOMENT, _THIN * most):
@@ -284,10 +281,9 @@ def principal(moments: Iterable[float]) -> list[float]:
 
 
 class Tree:
-    """The links of a URDF and the joints between them: one ``base``, every other link on one joint.
+    """One ``base``, and every other link on one joint; a RobotError where links and joints make no such tree.
 
-    ``carrier`` is the joint that a link hangs on, ``carried`` are the joints that hang on it. A RobotError names the
-    links or joints that make no such tree.
+    ``carrier`` is the joint that a link hangs on, ``carried`` are the joints that hang on it.
     """
 
     def __init__(self, arm: Urdf) -> None:
@@ -308,7 +304,7 @@ class Tree:
                 other = self.carrier[joint.child].name
                 raise RobotError(f"urdf joints {other!r} and {joint.name!r} both carry link {joint.child!r}: leave one")
             if joint.child == "world":
-                raise RobotError(f"urdf joint {joint.name!r} carries a link 'world', MuJoCo's word for the base: rename it")
+                raise RobotError(f"urdf joint {joint.name!r} carries a link 'world', MuJoCo's base: rename it")
             self.carrier[joint.child] = joint
             self.carried[joint.parent].append(joint)
         bases = [link for link in self.links if link not in self.carrier]
@@ -335,13 +331,13 @@ class Tree:
 
 
 def moving_joints(arm: Urdf, last_link: str) -> list[Joint]:
-    """Return the movable joints from base to `last_link`.
+    """Return the movable joints from base to `last_link`, which will carry the tool.
 
     Raises:
         UnknownNameError: there is no such link.
-        RobotError: no joint moves, or another one may move.
+        RobotError: no joint moves, another one may move, or one moves no mass.
     """
-    tree = Tree(arm)
+    tree, heavy = Tree(arm), {last_link, *(link.name for link in arm.links if not link.is_frame)}
     if last_link not in tree.links:
         raise UnknownNameError("link (frames.last_link)", last_link, tree.links)
     chain = [joint for joint in tree.path(last_link) if joint.moves]
@@ -350,13 +346,6 @@ def moving_joints(arm: Urdf, last_link: str) -> list[Joint]:
     for joint in arm.joints:
         if joint.moves and joint not in chain:
             raise RobotError(f"urdf joint {joint.name!r} moves but is not between base and last link: make it fixed")
+        if joint.moves and not heavy.intersection(tree.reach(joint.child, fixed=True)):
+            raise RobotError(f"urdf joint {joint.name!r} moves no mass: give link {joint.child!r} an <inertial>")
     return chain
-
-
-def check_masses(arm: Urdf, chain: Iterable[Joint]) -> None:
-    """Raise a RobotError where a movable joint moves no mass."""
-    tree, heavy = Tree(arm), {link.name for link in arm.links if not link.is_frame}
-    for joint in chain:
-        body = tree.reach(joint.child, fixed=True)
-        if not heavy.intersection(body):
-            raise RobotError(f"urdf joint {joint.name!r} moves no mass: give link {body[0]!r} an <inertial>")

@@ -10,7 +10,7 @@ from pydantic import Field, model_validator
 from moc_opt.inputs.settings import Name, Settings
 from moc_opt.robots.model import RobotModel, load_robot
 from moc_opt.solvers.registry import check_name, defaults
-from moc_opt.tasks.kinds import check_sizes
+from moc_opt.tasks.kinds import sizes
 
 Vector = tuple[float, float, float]
 MOST_S = 100_000.0
@@ -129,7 +129,7 @@ class TaskTable(Settings):
             raise ValueError("path = 'waypoints': give waypoints_m")
         if self.path != "waypoints" and self.waypoints_m is not None:
             raise ValueError(f"path = {self.path!r}: leave waypoints_m out, or set path = 'waypoints'")
-        check_sizes(self.path, self.sizes)
+        sizes(self.path, self.sizes)
         return self
 
     @classmethod

@@ -34,21 +34,15 @@ def kinds() -> dict[str, str]:
     return found
 
 
-def sizes(kind: str) -> dict[str, Any]:
+def sizes(kind: str, given: Iterable[str] = ()) -> dict[str, Any]:
     """Name -> default of every size of a path; `inspect.Parameter.empty` where it has to be given.
 
     Raises:
-        UnknownNameError: no such path.
+        UnknownNameError: no such path, or a given name is none of its sizes.
         TaskError: it is another package's, and does not load.
     """
-    if kind == WAYPOINTS:
-        return {}
-    return {name: parameter.default for name, parameter in inspect.signature(_maker(kind)).parameters.items()}
-
-
-def check_sizes(kind: str, given: Iterable[str]) -> dict[str, Any]:
-    """Return `sizes`; an UnknownNameError where a given name is none of them."""
-    known = sizes(kind)
+    parameters = {} if kind == WAYPOINTS else inspect.signature(_maker(kind)).parameters
+    known = {name: parameter.default for name, parameter in parameters.items()}
     for name in given:
         if name not in known:
             raise UnknownNameError(f"size of a {kind}", name, known)
@@ -75,7 +69,7 @@ def make_path(
         UnknownNameError: no such kind, or the kind has no such size; the message lists the valid names.
         TaskError: a size is missing or not positive and finite, or a vector is not usable.
     """
-    known = check_sizes(kind, given)
+    known = sizes(kind, given)
     missing = [name for name, default in known.items() if default is inspect.Parameter.empty and name not in given]
     if missing:
         raise TaskError(f"a {kind} needs its {', '.join(missing)}: give positive numbers, lengths in m")
