@@ -1,4 +1,4 @@
-"""Messages stay short, whatever a file holds."""
+"""Messages stay short, whatever a file holds, and name the nearest of what would have worked."""
 
 import pytest
 
@@ -10,24 +10,21 @@ def test_a_text_of_a_megabyte_is_cut(kind):
     assert str(kind("a field, its value and the cure")) == "a field, its value and the cure"
     assert str(kind("x" * 2000)) == "x" * 2000
     cut = str(kind("begins so " + "x" * 10**6))
-    assert len(cut) == 2000
-    assert cut.startswith("begins so xxx")
-    assert cut.endswith("...")
+    assert (len(cut), cut[:13], cut[-3:]) == (2000, "begins so xxx", "...")
 
 
-def test_a_key_without_its_table_is_found_by_its_last_part():
-    valid = ["replay_us", "name", "settings.eps", "settings.eps_rel", "settings.name"]
-    assert "did you mean 'settings.eps' or 'settings.eps_rel'" in str(UnknownNameError("key", "eps", valid))
-    assert "did you mean 'name' or 'settings.name'?" in str(UnknownNameError("key", "nam", valid))
-    assert "did you mean 'settings.eps'" in str(UnknownNameError("key", "setings.eps", valid))
+KEYS = ["replay_us", "name", "settings.eps", "settings.eps_rel", "settings.name"]
+MANY = [*(f"name_{i}" for i in range(500)), "osqp", "proxqp", "nlp-fatrop"]
 
 
-def test_of_a_long_list_that_a_command_prints_the_nearest_three_stand():
-    names = [f"name_{i}" for i in range(500)]
-    text = str(UnknownNameError("metric", "name_7x", names, "moc-opt metrics"))
-    assert "did you mean 'name_7'" in text
-    assert text.count("name_") == 4  # what was written, and three
-    assert text.endswith("`moc-opt metrics` lists all 500")
-    names += ["osqp", "proxqp", "nlp-fatrop"]
-    assert "did you mean 'proxqp'? `" in str(UnknownNameError("solver", "proxpq", names, "moc-opt solvers --list"))
-    assert str(UnknownNameError("metric", "a", names[:3], "moc-opt metrics")).endswith("name_0, name_1, name_2")
+@pytest.mark.parametrize(("name", "valid", "told"), [
+    ("eps", KEYS, "did you mean 'settings.eps' or 'settings.eps_rel'"),  # a key without its table
+    ("nam", KEYS, "did you mean 'name' or 'settings.name'?"), ("setings.eps", KEYS, "did you mean 'settings.eps'"),
+    ("name_7x", MANY, "did you mean 'name_7'"), ("proxpq", MANY, "did you mean 'proxqp'? `"),
+    ("a", MANY[:3], "valid names: name_0, name_1, name_2"),
+])  # fmt: skip
+def test_the_nearest_names_stand_and_of_a_long_list_only_these(name, valid, told):
+    text = str(UnknownNameError("metric", name, valid, "moc-opt metrics"))
+    assert told in text
+    assert text.endswith("`moc-opt metrics` lists all 503") == (valid is MANY)
+    assert text.count("name_") <= 4  # what was written, and three

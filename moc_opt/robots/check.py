@@ -50,7 +50,7 @@ def check_robot(robot: RobotModel, scenario: Scenario | None = None) -> list[Fin
     sliding = int(robot.chain.prismatic.sum())
     kinds = f"{robot.n} joints" + (f", {sliding} of them sliding" if sliding else "")
     found = [Finding("arm", f"{kinds}, tool {1e3 * robot.data.tool_length:.0f} mm", "ok"), *_freedom(robot)]
-    if all(row.verdict != "cannot" for row in found):
+    if verdict(found) != "cannot":
         found += [*_climb(robot), _task(robot, asked)]
     return [*found, _limits(robot), _speeds(robot), _weight(robot), _bodies(robot), *_gains(robot, asked)]
 
@@ -61,55 +61,56 @@ def verdict(findings: list[Finding]) -> Verdict:
     return max((row.verdict for row in findings), key=order.index)
 
 
+def _judge(what: str, found: str, *faults: tuple[object, Verdict, str]) -> Finding:
+    """Make a row with the verdict and the cure of the first fault (whether it is there, verdict, cure)."""
+    rows = (Finding(what, found, judged, cure) for fault, judged, cure in faults if fault)
+    return next(rows, Finding(what, found, "ok"))
+
+
 def _freedom(robot: RobotModel) -> Iterator[Finding]:
     built, here = best_freedoms(robot), freedoms(robot, robot.data.q_home)
-    cure = ""
-    if built.real < 1:
-        cure = built.refusal(robot)
-    elif here.rank < built.rank:
-        cure = f"tip and shaft have rank {here.rank} at home, {built.rank} elsewhere: choose another home.q_rad"
-    elif built.rank < 5:
-        cure = f"tip and shaft have rank {built.rank}, and 5 is needed to place and turn a shaft: the arm lacks a joint"
     idle = ", ".join(robot.data.joint_names[j] for j in built.idle) or "none"
-    text = f"{built.real} real, {len(built.idle)} idle ({idle})"
-    yield Finding("freedoms left", text, "cannot" if cure else "ok", cure)
-    text = f"tip {here.tip:.2f}, tip and shaft {here.both:.2f}"
-    cure = "bend the arm at home (home.q_rad), or let `robot new` search a pose"
-    if here.tip < SINGULAR or here.both < SINGULAR:
-        yield Finding("singular values", text, "cannot", f"the home pose is singular: {cure}")
-    elif here.tip < REGULAR[0] or here.both < REGULAR[1]:
-        yield Finding("singular values", text, "care", f"the home pose is nearly singular: {cure}")
-    else:
-        yield Finding("singular values", text, "ok")
+    rank = f"tip and shaft have rank {here.rank} at home, {built.rank} elsewhere: choose another home.q_rad"
+    lacking = f"tip and shaft have rank {built.rank}, and 5 is needed to place and turn a shaft: the arm lacks a joint"
+    yield _judge(
+        "freedoms left", f"{built.real} real, {len(built.idle)} idle ({idle})",
+        (built.real < 1, "cannot", built.refusal(robot)),
+        (here.rank < built.rank, "cannot", rank), (built.rank < 5, "cannot", lacking),
+    )  # fmt: skip
+    cure = "singular: bend the arm at home (home.q_rad), or let `robot new` search a pose"
+    yield _judge(
+        "singular values", f"tip {here.tip:.2f}, tip and shaft {here.both:.2f}",
+        (here.tip < SINGULAR or here.both < SINGULAR, "cannot", f"the home pose is {cure}"),
+        (here.tip < REGULAR[0] or here.both < REGULAR[1], "care", f"nearly {cure}"),
+    )  # fmt: skip
 
 
 def _climb(robot: RobotModel) -> Iterator[Finding]:
-    mu = robot.state(robot.data.q_home).mu
+    mu, what = robot.state(robot.data.q_home).mu, "mu at home"
     (largest,), how = largest_mu(robot.data.q_home[None], robot, 1)
     try:
         curve = self_motion(robot, robot.data.q_home)
     except RobotError as error:
-        yield Finding("mu at home", f"{mu:.3g} m^3", "care", f"its self-motion cannot be scanned: {error}")
+        yield Finding(what, f"{mu:.3g} m^3", "care", f"its self-motion cannot be scanned: {error}")
     else:
         several = freedoms(robot, robot.data.q_home).real > 1
         text = f"{mu:.3g} m^3, {curve.mu.min():.3g} to {curve.mu_best:.3g} on {'one' if several else 'its'} self-motion"
         little = max(curve.mu_best, largest if several else 0.0) < (1.0 + LITTLE_TO_GAIN) * mu
-        cure = "little to gain from there: choose another home.q_rad" if little else ""
-        yield Finding("mu at home", text, "care" if little else "ok", cure)
+        yield _judge(what, text, (little, "care", "little to gain from there: choose another home.q_rad"))
     # With one freedom a local law stays on its curve, and may not get there.
     yield Finding("largest mu there", f"{largest:.3g} m^3, {how['mu_bound_method']}", "ok")
 
 
 def _task(robot: RobotModel, asked: Scenario) -> Finding:
-    fault = task_fault(robot, robot.data.q_home, asked)
+    fault, what = task_fault(robot, robot.data.q_home, asked), "task from home"
     if not fault:
-        return Finding("task from home", f"{asked.task.path} can be done", "ok")
+        return Finding(what, f"{asked.task.path} can be done", "ok")
     for radius in RADII_MM:
         smaller = asked.change(task={"path": "circle", "sizes": {"radius": 1e-3 * radius}})
         if not task_fault(robot, robot.data.q_home, smaller):
             cure = f"take [task] sizes = {{ radius = {1e-3 * radius:g} }}, or another home.q_rad: {fault}"
-            return Finding("task from home", f"a circle of {radius} mm radius, not the {asked.task.path}", "care", cure)
-    return Finding("task from home", f"not even a circle of {RADII_MM[-1]} mm", "cannot", fault)
+            return Finding(what, f"a circle of {radius} mm radius, not the {asked.task.path}", "care", cure)
+    return Finding(what, f"not even a circle of {RADII_MM[-1]} mm", "cannot", fault)
 
 
 def _limits(robot: RobotModel) -> Finding:
@@ -125,46 +126,43 @@ def _limits(robot: RobotModel) -> Finding:
             texts.append(f"{robot.data.joint_names[j]} is {scale * room[j]:.0f} {unit} away")
             if scale * room[j] < margin:
                 cures.append(f"the third level keeps {kept} free: move home.q_rad {margin:.0f} {unit} or more inside")
-    return Finding("nearest limit", ", ".join(texts), "care" if cures else "ok", "; ".join(cures))
+    return _judge("nearest limit", ", ".join(texts), (cures, "care", "; ".join(cures)))
 
 
 def _speeds(robot: RobotModel) -> Finding:
     most = np.where(robot.chain.prismatic, FASTEST["sliding"], FASTEST["turning"])
-    wrong = np.flatnonzero(robot.v_max > most + 1e-9)
     units = ["m/s" if slides else "rad/s" for slides in robot.chain.prismatic]
     text = f"{robot.v_max.min():.2g} to {robot.v_max.max():.2g} {' or '.join(sorted(set(units), reverse=True))}"
-    if not wrong.size:
-        return Finding("joint speeds", text, "ok")
+    wrong = np.flatnonzero(robot.v_max > most + 1e-9)
     told = ", ".join(f"{robot.data.joint_names[j]} {robot.v_max[j]:.3g} {units[j]}" for j in wrong)
     cure = f"no arm is that fast ({told}), and the speed limit is none: see the data sheet, limits.v_max_deg_per_s"
-    return Finding("joint speeds", text, "care", cure)
+    return _judge("joint speeds", text, (told, "care", cure))
 
 
 def _weight(robot: RobotModel) -> Finding:
     share = np.abs(robot.gravity(robot.data.q_home)) / robot.tau_max
     j = int(np.argmax(share))
-    text = f"{robot.data.joint_names[j]} holds {100 * share[j]:.0f} % of its limit"
-    if share[j] >= 1.0:
-        return Finding("gravity at home", text, "cannot", "the arm cannot hold itself: check masses and torque limits")
-    if share[j] > 0.7:
-        return Finding("gravity at home", text, "care", "little torque is left to move")
-    return Finding("gravity at home", text, "ok")
+    return _judge(
+        "gravity at home", f"{robot.data.joint_names[j]} holds {100 * share[j]:.0f} % of its limit",
+        (share[j] >= 1.0, "cannot", "the arm cannot hold itself: check masses and torque limits"),
+        (share[j] > 0.7, "care", "little torque is left to move"),
+    )  # fmt: skip
 
 
 def _bodies(robot: RobotModel) -> Finding:
     # The loader refuses inertias that no body has; here are those that no arm has.
-    wrong, total = [], 0.0
+    far, total = [], 0.0
     for link in urdf.read(urdf.parse(robot.data.urdf)).links:
         if link.mass and link.moments:
             total += link.mass
             gyration = math.sqrt(max(link.moments[:3]) / link.mass)
             if gyration > GYRATION_M:
-                wrong.append(f"{link.name} ({gyration:.2g} m from its middle)")
-    text = f"{total:.3g} kg, base and tool included"
-    if not 0.5 < total < 2000.0:
-        return Finding("masses", text, "care", "an arm weighs more, or less: are the masses in kg?")
-    cure = f"mass far out: {', '.join(wrong)}; is the inertia about the centre of mass, in kg m^2?"
-    return Finding("masses", text, "care" if wrong else "ok", cure if wrong else "")
+                far.append(f"{link.name} ({gyration:.2g} m from its middle)")
+    return _judge(
+        "masses", f"{total:.3g} kg, base and tool included",
+        (not 0.5 < total < 2000.0, "care", "an arm weighs more, or less: are the masses in kg?"),
+        (far, "care", f"mass far out: {', '.join(far)}; is the inertia about the centre of mass, in kg m^2?"),
+    )  # fmt: skip
 
 
 def _gains(robot: RobotModel, asked: Scenario) -> Iterator[Finding]:
@@ -182,15 +180,13 @@ def _gains(robot: RobotModel, asked: Scenario) -> Iterator[Finding]:
         null_space = largest_null_rate(robot, gains.K_N2 + gains.D_N2)
         rates = {"D_X": gains.D_X * tip, "D_N": gains.D_N * wrist, "K_N2": null_space}
         name, rate = max(rates.items(), key=lambda item: item[1])
+        told = cure.format(name, 0.5 * limit / rate)
         text = f"{name} at {100 * rate / limit:.0f} % of the stability limit"
-        near = rate >= CARE * limit
-        judged = worst if rate >= limit else "care" if near else "ok"
-        yield Finding(what, text, judged, cure.format(name, 0.5 * limit / rate) if near else "")
+        yield _judge(what, text, (rate >= limit, worst, told), (rate >= CARE * limit, "care", told))
 
 
 def allowed_rate(plant: PlantSettings) -> float:
     """Return the largest stable rate [1/s] with the plant's period and delay; its velocity filter counts as delay."""
-    lag = 0.0
-    if plant.velocity_cutoff_Hz > 0.0:
-        lag = 1.0 / (2.0 * math.pi * plant.velocity_cutoff_Hz * plant.period_s)
-    return largest_rate(plant.period_s, plant.delay_ticks + math.ceil(lag))
+    cutoff, period = plant.velocity_cutoff_Hz, plant.period_s
+    lag_ticks = 1.0 / (2.0 * math.pi * cutoff * period) if cutoff > 0.0 else 0.0
+    return largest_rate(period, plant.delay_ticks + math.ceil(lag_ticks))

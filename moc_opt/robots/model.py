@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from dataclasses import fields, replace
+from dataclasses import replace
 from functools import cached_property
 from typing import Any
 
@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike
 from moc_opt import core
 from moc_opt.arrays import Array, read_only
 from moc_opt.errors import RobotError, shown
+from moc_opt.inputs.files import plain
 from moc_opt.robots import urdf
 from moc_opt.robots.chain import Chain, Kinematics, build_kinematics
 from moc_opt.robots.gains import CARTESIAN, derived_gains
@@ -26,8 +27,8 @@ from moc_opt.robots.state import RobotState, record_size
 
 __all__ = ["RobotModel", "RobotState", "load_robot"]
 
-_DOUBLE, _CLOSE = np.dtype(np.float64), (8,)
 _STRUCTURAL_ZERO = 1e-12  # a column this small at several random poses is zero at all of them
+
 
 class RobotModel:
     """The arm with its tool. `coriolis` and `gravity` share pinocchio's workspace: one thread at a time calls them.
@@ -75,7 +76,7 @@ class RobotModel:
         self.mount = np.ascontiguousarray(frames[0].placement.rotation.T)
         if np.linalg.norm(self._offsets[0] - self._offsets[1]) < 1e-6:
             raise RobotError("tip and wrist frames coincide: lengthen the tool or move the wrist frame")
-        self._shape, self._size, self._rest = (n,), record_size(n), np.zeros(n)
+        self._size, self._rest = record_size(n), np.zeros(n)
         self.moves = read_only(np.ones((2, n), dtype=np.bool_))
         self.arm = core.Arm(*self.arm_arrays)
         # Which joints ever move tip and wrist: the last joint, for one, moves no tool on its own axis.
@@ -192,14 +193,11 @@ class RobotModel:
         raise RobotError(f"no pose with mu > {mu_min} in 1000 draws: lower mu_min or margin = {margin}")
 
     def _vector(self, name: str, value: ArrayLike) -> Array:
-        is_close = isinstance(value, np.ndarray) and value.dtype is _DOUBLE and value.strides == _CLOSE
-        if isinstance(value, np.ndarray) and is_close and value.shape == self._shape:
-            return value  # as it is: the loop asks twice a tick
         try:
             array = np.array(value, dtype=np.float64)
         except (TypeError, ValueError) as error:
             raise RobotError(f"{name} = {value!r} is not numeric: give {self.n} numbers") from error
-        if array.shape != self._shape:
+        if array.shape != (self.n,):
             raise RobotError(f"{name} has shape {array.shape}: the arm has {self.n} joints, give ({self.n},)")
         return array
 
@@ -240,7 +238,6 @@ def _build(data: RobotData) -> Any:
     names = tuple(model.names)[1:]
     if names != data.joint_names or model.nq != data.n:
         raise RobotError(f"urdf of {data.name!r}: {names} and {data.joint_names} must be the same serial chain")
-    model.armature = data.rotor_inertia.copy()
     return model
 
 
@@ -255,9 +252,7 @@ def _frame(model: Any, name: str) -> Any:
 
 def carried(robot: RobotModel) -> dict[str, Any]:
     """Return the robot as values that JSON can hold, so that a run of an arm of one's own replays anywhere."""
-    values = {field.name: getattr(robot.data, field.name) for field in fields(robot.data)}
-    values = {key: value.tolist() if isinstance(value, np.ndarray) else value for key, value in values.items()}
-    return {**values, "joint_names": list(robot.data.joint_names)}
+    return {name: plain(value) for name, value in vars(robot.data).items()}
 
 
 def restored(values: Mapping[str, Any]) -> RobotModel:
