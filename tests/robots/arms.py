@@ -28,17 +28,12 @@ def added(text: str, more: str) -> str:
 def link(name: str, mass: float | None = None, inertia: float = 1e-3) -> str:
     if mass is None:
         return f'<link name="{name}"/>'
-    moments = " ".join(
-        f'{key}="{inertia if key[1] == key[2] else 0.0}"'
-        for key in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
-    )
+    moments = f'ixx="{inertia}" iyy="{inertia}" izz="{inertia}"'
     return f'<link name="{name}"><inertial><mass value="{mass}"/><inertia {moments}/></inertial></link>'
 
 
 def joint(name: str, kind: str, parent: str, child: str, more: str = "") -> str:
-    return (
-        f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>{more}</joint>'
-    )
+    return f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>{more}</joint>'
 
 
 def with_hand(text: str) -> str:

@@ -108,9 +108,7 @@ def test_a_joint_locked_by_name_stands_where_it_was_told(vendors) -> None:
 
 
 def test_a_mimic_joint_in_the_chain_has_to_be_locked(vendors) -> None:
-    text = text_of()
-    place = text.index('<joint name="joint_5"')
-    text = text[:place] + changed(text[place:], ("</joint>", '<mimic joint="joint_4"/></joint>'))
+    text = changed(text_of(), ('<child link="link_5"/>', '<child link="link_5"/><mimic joint="joint_4"/>'))
     with pytest.raises(RobotError, match=r"'joint_5' .* mimics"):
         vendors(text)
     assert len(vendors(text, lock={"joint_5": 0.0}).chain) == 6
@@ -142,12 +140,11 @@ def test_the_flange_is_known_by_its_name_and_a_jaw_at_the_end_is_no_joint_of_the
     assert chain(vendors(jaw, tip="mover")) == [*CHAIN, "jointGripper"]
 
 
-@pytest.mark.parametrize("text", [
-    '<robot xmlns:xacro="http://x/xacro"><xacro:macro name="a"/></robot>', text_of().replace("0 0 0.333", "0 0 ${d}"),
-])  # fmt: skip
-def test_xacro_is_told_from_a_urdf(text: str, vendors) -> None:
-    with pytest.raises(RobotError, match="xacro"):
-        vendors(text)
+def test_xacro_is_told_from_a_urdf(vendors) -> None:
+    macro = '<robot xmlns:xacro="http://x/xacro"><xacro:macro name="a"/></robot>'
+    for text in (macro, text_of().replace("0 0 0.333", "0 0 ${d}")):
+        with pytest.raises(RobotError, match="xacro"):
+            vendors(text)
 
 
 @pytest.mark.parametrize("declared", [True, False])
@@ -226,9 +223,8 @@ def test_exchanged_limits_are_refused_by_name(name: str, reach: str, unit: str, 
     text = changed(text_of(name), (f'lower="-{reach}" upper="{reach}"', f'lower="{reach}" upper="-{reach}"'))
     with pytest.raises(RobotError, match=rf"'joint_1': .* in {unit}, "):
         limited(vendors, text)
-    for bad in ("nan", "two"):
-        with pytest.raises(RobotError, match="joint 'joint_1', lower is"):
-            limited(vendors, changed(text_of(name), (f'lower="-{reach}"', f'lower="{bad}"')))
+    with pytest.raises(RobotError, match="joint 'joint_1', lower is 'two'"):
+        limited(vendors, changed(text_of(name), (f'lower="-{reach}"', 'lower="two"')))
     if name == "panda":  # the limits of a joint without end mean nothing
         endless = changed(text, ('name="joint_1" type="revolute"', 'name="joint_1" type="continuous"'))
         assert limited(vendors, endless)[2].items() >= ONE_TURN.items()

@@ -1,6 +1,7 @@
 """A reference that waits never jumps: speed and acceleration keep their bounds through every loss and recovery."""
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -85,6 +86,7 @@ def test_seen_all_along_it_is_the_reference_a_little_later():
     settled = round(waiting.settle_s / PERIOD) + 1
     np.testing.assert_allclose(late[settled:], late[settled], atol=1e-12)
     assert late[settled] < waiting.settle_s
+    assert waiting.brake_s == pytest.approx(0.05 / 0.2)
     np.testing.assert_allclose(rows[settled:, 0], CIRCLE.at(times[settled:])[0], atol=1e-15)
 
 
