@@ -3,8 +3,8 @@
 
 PyObject *moc_done(call *c, PyObject *result)
 {
-    while (c->held > 0)
-        PyBuffer_Release(&c->view[--c->held]);
+    while (c->count > 0)
+        PyBuffer_Release(&c->view[--c->count]); /* of a number: nothing */
     return result;
 }
 
@@ -58,14 +58,13 @@ static int refuse(const call *c, const parameter *p)
 
 static int take_array(call *c, int i, PyObject *given, const parameter *p)
 {
-    Py_buffer *view = &c->view[c->held];
+    Py_buffer *view = &c->view[i];
     int flags = PyBUF_FORMAT | (p->kind == STRIDED ? PyBUF_STRIDES : PyBUF_C_CONTIGUOUS);
 
     if (PyObject_GetBuffer(given, view, p->kind == WRITE || p->kind == STRIDED ? flags | PyBUF_WRITABLE : flags) < 0) {
         PyErr_Clear();
         return refuse(c, p);
     }
-    c->place[i] = c->held++;
     if (view->format == NULL || strcmp(view->format, "d") != 0 || view->ndim != (p->columns ? 2 : 1) ||
         (p->columns && !fits(c, p->columns, view->shape[1])) || !fits(c, p->rows, view->shape[0]))
         return refuse(c, p);
@@ -90,29 +89,48 @@ static int take_double(PyObject *given, double *to)
     return !(*to == -1.0 && PyErr_Occurred());
 }
 
+const moc_arm *moc_arm_of(PyObject *given)
+{
+    if (Py_TYPE(given) == moc_arm_type)
+        return &((Arm *)given)->arm;
+    PyErr_SetString(PyExc_TypeError, "arm: give a moc_opt.core.Arm");
+    return NULL;
+}
+
+static int take_one(call *c, int i, PyObject *given, const parameter *p)
+{
+    c->array[i] = NULL;
+    c->whole[i] = 0;
+    c->view[i].obj = NULL;
+    switch (p->kind) {
+    case NUMBER:
+        return take_double(given, &c->number[i]);
+    case WHOLE:
+        return take_whole(given, p->name, INT_MAX, &c->whole[i]);
+    case LONG:
+        return given == Py_None || take_whole(given, p->name, LLONG_MAX, &c->whole[i]);
+    case ARM:
+        c->arm = moc_arm_of(given);
+        c->n = c->arm ? c->arm->n : 0;
+        return c->arm != NULL;
+    default:
+        return (p->kind == MAYBE && given == Py_None) || take_array(c, i, given, p);
+    }
+}
+
 int moc_take(call *c, int n, const char *name, PyObject *const *args, Py_ssize_t count, const parameter *table, int wanted)
 {
+    c->args = args;
     c->n = n;
     c->k = -1;
-    c->held = 0;
+    c->count = 0;
     if (count != wanted) {
         PyErr_Format(PyExc_TypeError, "%s takes %d arguments, %zd were given", name, wanted, count);
         return 0;
     }
     for (int i = 0; i < wanted; i++) {
-        const parameter *p = &table[i];
-        int taken = 1;
-        c->array[i] = NULL;
-        c->whole[i] = 0;
-        if (p->kind == NUMBER)
-            taken = take_double(args[i], &c->number[i]);
-        else if (p->kind == WHOLE)
-            taken = take_whole(args[i], p->name, INT_MAX, &c->whole[i]);
-        else if (p->kind == OBJECT || (args[i] == Py_None && (p->kind == LONG || p->kind == MAYBE)))
-            continue;
-        else
-            taken = p->kind == LONG ? take_whole(args[i], p->name, LLONG_MAX, &c->whole[i]) : take_array(c, i, args[i], p);
-        if (!taken) {
+        c->count = i + 1;
+        if (!take_one(c, i, args[i], &table[i])) {
             moc_done(c, NULL);
             return 0;
         }
@@ -120,34 +138,42 @@ int moc_take(call *c, int n, const char *name, PyObject *const *args, Py_ssize_t
     return 1;
 }
 
-/* --- structs --- */
+/* --- fields of an object --- */
 
-int moc_fill(PyObject *keywords, const field *fields, size_t count, int n, void *to)
+static int fill_one(const field *f, PyObject *given, int n, void *to)
 {
-    for (size_t k = 0; k < count; k++) {
-        const field *f = &fields[k];
-        void *place = (char *)to + f->offset;
-        PyObject *given = keywords ? PyDict_GetItemString(keywords, f->name) : NULL;
+    const parameter array = {f->name, READ, f->kind == PAIR ? 2 : n, 0};
+    long long number;
+    call c;
+
+    if (f->kind == DOUBLE)
+        return take_double(given, to);
+    if (f->kind == INT) {
+        int taken = take_whole(given, f->name, INT_MAX, &number);
+        *(int *)to = (int)number;
+        return taken;
+    }
+    if (!moc_take(&c, n, f->name, &given, 1, &array, 1))
+        return 0;
+    memcpy(to, c.array[0], (size_t)array.rows * sizeof(double));
+    moc_done(&c, NULL);
+    return 1;
+}
+
+int moc_fill(PyObject *keywords, const field *fields, int count, Arm *self)
+{
+    if (keywords != NULL && PyDict_Size(keywords) > count) {
+        PyErr_Format(PyExc_TypeError, "%d keywords are taken, %zd were given", count, PyDict_Size(keywords));
+        return 0;
+    }
+    for (int k = 0; k < count; k++) {
+        PyObject *given = keywords ? PyDict_GetItemString(keywords, fields[k].name) : NULL;
         if (given == NULL) {
-            PyErr_Format(PyExc_TypeError, "%s is missing", f->name);
+            PyErr_Format(PyExc_TypeError, "%s is missing", fields[k].name);
             return 0;
         }
-        long long number;
-        if (f->kind == DOUBLE && !take_double(given, place))
+        if (!fill_one(&fields[k], given, self->arm.n, (char *)self + fields[k].offset))
             return 0;
-        if (f->kind == INT && !take_whole(given, f->name, INT_MAX, &number))
-            return 0;
-        if (f->kind == INT)
-            *(int *)place = (int)number;
-        if (f->kind == DOUBLE || f->kind == INT)
-            continue;
-        int length = f->kind == PAIR ? 2 : n;
-        const parameter array = {f->name, READ, length, 0};
-        call c;
-        if (!moc_take(&c, n, f->name, &given, 1, &array, 1))
-            return 0;
-        memcpy(place, c.array[0], (size_t)length * sizeof(double));
-        moc_done(&c, NULL);
     }
     return 1;
 }
@@ -160,16 +186,17 @@ static PyObject *numbers(const double *from, int count)
     return shown;
 }
 
-PyObject *moc_show(const field *f, int n, const void *from)
+PyObject *moc_show(PyObject *self, void *of)
 {
-    const void *place = (const char *)from + f->offset;
-    if (f->kind == DOUBLE)
-        return PyFloat_FromDouble(*(const double *)place);
+    const field *f = of;
+    const void *place = (const char *)self + f->offset;
+    int n = ((Arm *)self)->arm.n;
+
     if (f->kind == INT)
         return PyLong_FromLong(*(const int *)place);
     if (f->kind != BASIS)
         return numbers(place, f->kind == PAIR ? 2 : n);
-    int rows = *(const int *)((const char *)from + f->rows);
+    int rows = *(const int *)((const char *)self + f->rows);
     PyObject *shown = PyTuple_New(rows);
     for (int i = 0; shown != NULL && i < rows; i++)
         PyTuple_SetItem(shown, i, numbers((const double *)place + i * MOC_MAX_JOINTS, n));
@@ -203,9 +230,9 @@ static const part problem_parts[] = {
 };
 
 /* Between a struct and its record, one row after the other; returns the end of the record. */
-static double *copy_parts(const part *parts, size_t count, int n, void *of, double *record, int pack)
+static double *copy_parts(const part *parts, int count, int n, void *of, double *record, int pack)
 {
-    for (size_t k = 0; k < count; k++) {
+    for (int k = 0; k < count; k++) {
         double *row = (double *)((char *)of + parts[k].offset);
         int rows = parts[k].rows == N ? n : parts[k].rows, columns = parts[k].columns == N ? n : parts[k].columns;
         for (int i = 0; i < rows; i++, row += MOC_MAX_JOINTS, record += columns)
@@ -234,4 +261,12 @@ void moc_unpack_terms(double *record, int n, moc_terms *t)
 void moc_pack_terms(moc_terms *t, int n, double *record)
 {
     copy_parts(terms_parts, COUNT(terms_parts), n, t, record, 1);
+}
+
+int moc_unpack_basis(const call *c, int i, double Z[][MOC_MAX_JOINTS])
+{
+    int rows = rows_of(c, i) < c->n ? rows_of(c, i) : c->n;
+    for (int k = 0; k < rows; k++)
+        memcpy(Z[k], c->array[i] + k * c->n, (size_t)c->n * sizeof(double));
+    return rows;
 }

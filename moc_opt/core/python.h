@@ -17,8 +17,8 @@
 #include "tools.h"
 
 /* An array that is read, written, written with any strides, or read and perhaps None; a number: double, int, or long
- * long and perhaps None, which is 0; or an object that the caller looks at. */
-typedef enum { READ, WRITE, STRIDED, MAYBE, NUMBER, WHOLE, LONG, OBJECT } kind;
+ * long and perhaps None, which is 0; or an arm, which says how many joints there are. */
+typedef enum { READ, WRITE, STRIDED, MAYBE, NUMBER, WHOLE, LONG, ARM } kind;
 
 /* Lengths that are no plain number: n joints, k rows (the first such array says how many), any number,
  * a packed subproblem (11 n + 10), a packed state (n n + 13 n + 18), 2 n, a tick's results (14 n + 16).
@@ -35,63 +35,54 @@ enum { MOST_ARGUMENTS = 14 };
 
 /* The arguments of one call, by their places in its table. */
 typedef struct {
+    PyObject *const *args;
+    const moc_arm *arm;            /* of an argument that is one */
     int n;                         /* joints; 0 until an array tells */
     Py_ssize_t k;                  /* rows; -1 until an array tells */
+    int count;                     /* views that have to be released */
     double *array[MOST_ARGUMENTS]; /* NULL for None */
     double number[MOST_ARGUMENTS];
     long long whole[MOST_ARGUMENTS];
     Py_buffer view[MOST_ARGUMENTS];
-    int held; /* views that have to be released */
-    int place[MOST_ARGUMENTS]; /* of an argument's view */
 } call;
 
 /* Take the arguments of a call on n joints (0: an array tells). Returns 0 with an exception, and nothing is held then. */
 int moc_take(call *c, int n, const char *name, PyObject *const *args, Py_ssize_t count, const parameter *table, int wanted);
 
-#define TAKE(c, n, name, ...)                                                                                          \
-    moc_take(c, n, name, args, count, (const parameter[]){__VA_ARGS__},                                                \
-             (int)(sizeof((const parameter[]){__VA_ARGS__}) / sizeof(parameter)))
-
 /* Release the arrays of a call; returns the result. */
 PyObject *moc_done(call *c, PyObject *result);
-
-static inline PyObject *none(call *c)
-{
-    return moc_done(c, Py_NewRef(Py_None));
-}
-
-static inline PyObject *whole(call *c, int value)
-{
-    return moc_done(c, PyLong_FromLong(value));
-}
 
 /* Rows of argument i. */
 static inline int rows_of(const call *c, int i)
 {
-    return (int)c->view[c->place[i]].shape[0];
+    return (int)c->view[i].shape[0];
 }
 
-/* --- structs --- */
+#define COUNT(table) ((int)(sizeof(table) / sizeof(table)[0]))
 
-/* A field of a struct: double, int, two doubles, one double a joint, rows of them (as many as the int `rows` says). */
-typedef struct {
-    const char *name;
-    size_t offset;
-    enum { DOUBLE, INT, PAIR, JOINTS, BASIS } kind;
-    size_t rows;
-} field;
-
-#define FIELD(type, name, kind) {#name, offsetof(type, name), kind, 0}
-#define COUNT(table) (sizeof(table) / sizeof(table)[0])
-
-/* Fill a struct with the keywords of its fields' names, each of which has to be there. Returns 0 with an exception. */
-int moc_fill(PyObject *keywords, const field *fields, size_t count, int n, void *to);
-
-/* A field of a struct as a number, or as tuples of numbers. */
-PyObject *moc_show(const field *f, int n, const void *from);
+/* FUNCTION(name, parameters...) { body } is a function of the module, METHOD(Type, name, parameters...) { body } one of
+ * an object: the body sees the arguments in `c`, and the object as `self`. */
+#define CALL(function, name, joints, body, ...)                                                                        \
+    static PyObject *function(PyObject *self, PyObject *const *args, Py_ssize_t count)                                 \
+    {                                                                                                                  \
+        static const parameter table[] = {__VA_ARGS__};                                                                \
+        call c;                                                                                                        \
+        (void)self;                                                                                                    \
+        return moc_take(&c, joints, name, args, count, table, COUNT(table)) ? moc_done(&c, body) : NULL;               \
+    }
+#define FUNCTION(name, ...)                                                                                            \
+    static PyObject *name##_body(const call *c);                                                                       \
+    CALL(name, #name, 0, name##_body(&c), __VA_ARGS__)                                                                 \
+    static PyObject *name##_body(const call *c)
+#define METHOD(Type, name, ...)                                                                                        \
+    static PyObject *Type##_##name##_body(Type *self, const call *c);                                                  \
+    CALL(Type##_##name, #name, ((Arm *)self)->arm.n, Type##_##name##_body((Type *)self, &c), __VA_ARGS__)              \
+    static PyObject *Type##_##name##_body(Type *self, const call *c)
+#define FAST(name, function, doc) {#name, (PyCFunction)(void (*)(void))function, METH_FASTCALL, doc}
 
 /* --- objects --- */
 
+/* Every object begins with its arm. */
 typedef struct {
     PyObject_HEAD
     moc_arm arm;
@@ -99,16 +90,32 @@ typedef struct {
 
 extern PyTypeObject *moc_arm_type; /* set once, when the module is made */
 
-void *moc_make(PyTypeObject *type);
+/* The arm of an object of Python; NULL with an exception. */
 const moc_arm *moc_arm_of(PyObject *given);
 
-#define FAST(name, function, doc) {name, (PyCFunction)(void (*)(void))function, METH_FASTCALL, doc}
+/* A number in an object: double, int, two doubles, one double a joint, rows of them (as many as the int `rows` says). */
+typedef struct {
+    const char *name;
+    size_t offset;
+    enum { DOUBLE, INT, PAIR, JOINTS, BASIS } kind;
+    size_t rows;
+} field;
 
-/* n of the subproblem is that of its record; see moc_opt/qp/layout.py and moc_opt/robots/state.py. */
+/* Fill an object with the keywords of its fields' names, each of which has to be there. Returns 0 with an exception. */
+int moc_fill(PyObject *keywords, const field *fields, int count, Arm *self);
+
+/* A getter: the field of an object as a number, or as tuples of numbers. */
+PyObject *moc_show(PyObject *self, void *of);
+
+/* --- packed records; n of the subproblem is that of its record (moc_opt/qp/layout.py, moc_opt/robots/state.py) --- */
+
 void moc_unpack_problem(double *record, int n, moc_problem *problem);
 void moc_pack_problem(moc_problem *problem, const double *q, double *record);
 void moc_unpack_terms(double *record, int n, moc_terms *terms);
 void moc_pack_terms(moc_terms *terms, int n, double *record);
+
+/* Argument i, a basis (k,n), of which as many rows are taken as there are joints; returns how many. */
+int moc_unpack_basis(const call *c, int i, double Z[][MOC_MAX_JOINTS]);
 
 extern PyMethodDef moc_functions[];
 
