@@ -10,21 +10,20 @@
 #define GRADIENT_ROUNDING 1e-9 /* a reduced gradient below this share of the cost's is zero (qp/residuals.py) */
 #define RANK_TOLERANCE 1e-12   /* (qp/residuals.py) */
 #define SWEEPS 200             /* of the multipliers; one freedom needs two */
-#define RETREAT_SWEEPS 50      /* over the joints */
+#define DESCENTS 50            /* of the least violation, over the joints */
 #define OUTSIDE 1e-6           /* what a retreat may leave the box by [rad/s] */
 
 /* The dimensions of ker A that turn joints which move tip or wrist; the rest are idle joints. */
 static int freedoms(const moc_problem *p, int rows)
 {
-    double total = 0.0;
+    double column[MOC_MAX_JOINTS] = {0.0}, total = 0.0; /* squares */
     for (int i = 0; i < 6; i++)
-        total += dot(p->n, p->A[i], p->A[i]);
-    for (int j = 0; j < p->n; j++) {
-        double column = 0.0;
-        for (int i = 0; i < 6; i++)
-            column += p->A[i][j] * p->A[i][j];
-        rows -= column <= RANK_TOLERANCE * RANK_TOLERANCE * total;
-    }
+        for (int j = 0; j < p->n; j++)
+            column[j] += p->A[i][j] * p->A[i][j];
+    for (int j = 0; j < p->n; j++)
+        total += column[j];
+    for (int j = 0; j < p->n; j++)
+        rows -= column[j] <= RANK_TOLERANCE * RANK_TOLERANCE * total;
     return rows;
 }
 
@@ -125,7 +124,7 @@ moc_residuals moc_judge(const moc_problem *p, int rows, double Z[][MOC_MAX_JOINT
         total += fabs(line[j]);
         place += line[j] * x[j];
         if (fabs(line[j]) > still) {
-            double one = (p->lower[j] - x[j]) / line[j], other = (p->upper[j] - x[j]) / line[j];
+            double inverse = 1.0 / line[j], one = (p->lower[j] - x[j]) * inverse, other = (p->upper[j] - x[j]) * inverse;
             low = fmax(low, fmin(one, other));
             high = fmin(high, fmax(one, other));
         }
@@ -149,54 +148,27 @@ moc_residuals moc_judge(const moc_problem *p, int rows, double Z[][MOC_MAX_JOINT
 }
 
 /* With a damped self-motion the arm follows its references with the shortest x of A x = b, which may move a joint to
- * its limit. The shortest Z^T w that brings x + Z^T w into the box is found by Hildreth's dual coordinate ascent, one
- * constraint a joint. */
-void moc_retreat(const moc_problem *p, int rows, double Z[][MOC_MAX_JOINTS], double *motion)
+ * its limit. The shortest x that the box has as well is an optimum of the same kind, without a pull; what it has of
+ * self-motion is the way there. */
+void moc_retreat(const moc_problem *problem, int rows, double Z[][MOC_MAX_JOINTS], double *motion)
 {
-    double S[MOC_MAX_JOINTS][MOC_MAX_JOINTS], L[MOC_MAX_JOINTS][MOC_MAX_JOINTS], inverse[MOC_MAX_JOINTS];
-    double shortest[MOC_MAX_JOINTS], size[MOC_MAX_JOINTS], push[MOC_MAX_JOINTS] = {0.0}, w[MOC_MAX_JOINTS] = {0.0};
-    double change = HUGE_VAL;
-    int n = p->n, inside = 1;
+    moc_problem p = *problem;
+    double x[MOC_MAX_JOINTS], y[6];
 
-    for (int i = 0; i < n; i++) { /* S = A^T A + Z^T Z is regular, and the shortest x of A x = b is S^-1 A^T b */
-        shortest[i] = size[i] = motion[i] = 0.0;
-        for (int k = 0; k < 6; k++)
-            shortest[i] += p->A[k][i] * p->b[k];
-        for (int j = 0; j < n; j++) {
-            S[i][j] = 0.0;
-            for (int k = 0; k < 6; k++)
-                S[i][j] += p->A[k][i] * p->A[k][j];
-            for (int k = 0; k < rows; k++)
-                S[i][j] += Z[k][i] * Z[k][j];
-        }
-        for (int k = 0; k < rows; k++)
-            size[i] += Z[k][i] * Z[k][i];
+    memset(p.pull, 0, sizeof p.pull);
+    memset(motion, 0, (unsigned)p.n * sizeof *motion);
+    p.rho = 1.0;
+    p.c2 = 0.0;
+    if (moc_solve_exact(&p, OUTSIDE, x, y) != MOC_OK)
+        return; /* the box is empty, or A has lost more than a rank */
+    for (int i = 0; i < 6; i++)
+        if (!(fabs(dot(p.n, p.A[i], x) - p.b[i]) <= OUTSIDE)) /* not for a NaN */
+            return;
+    for (int k = 0; k < rows; k++) {
+        double along = dot(p.n, Z[k], x);
+        for (int j = 0; j < p.n; j++)
+            motion[j] += along * Z[k][j];
     }
-    cholesky(n, S, L, inverse);
-    solve_factored(n, L, inverse, shortest);
-    for (int sweep = 0; sweep < RETREAT_SWEEPS && !(change < 1e-12); sweep++) {
-        change = 0.0;
-        for (int j = 0; j < n; j++) {
-            if (!(size[j] > IMMOBILE))
-                continue;
-            double free = shortest[j] - size[j] * push[j];
-            for (int k = 0; k < rows; k++)
-                free += Z[k][j] * w[k];
-            double wanted = (fmin(fmax(free, p->lower[j]), p->upper[j]) - free) / size[j];
-            for (int k = 0; k < rows; k++)
-                w[k] += (wanted - push[j]) * Z[k][j];
-            change = fmax(change, fabs(wanted - push[j]));
-            push[j] = wanted;
-        }
-    }
-    for (int j = 0; j < n; j++) {
-        for (int k = 0; k < rows; k++)
-            motion[j] += Z[k][j] * w[k];
-        double x = shortest[j] + motion[j];
-        inside &= p->lower[j] - OUTSIDE <= x && x <= p->upper[j] + OUTSIDE;
-    }
-    if (!inside) /* the box is empty, or A has lost more than a rank */
-        memset(motion, 0, (unsigned)n * sizeof *motion);
 }
 
 void moc_least_violation(const moc_problem *p, double *x)
@@ -211,7 +183,7 @@ void moc_least_violation(const moc_problem *p, double *x)
     }
     for (int i = 0; i < 6; i++)
         missing[i] = dot(n, p->A[i], x) - p->b[i];
-    for (int sweep = 0; sweep < RETREAT_SWEEPS; sweep++) /* coordinate descent */
+    for (int sweep = 0; sweep < DESCENTS; sweep++) /* coordinate descent */
         for (int j = 0; j < n; j++) {
             if (!(size[j] > IMMOBILE))
                 continue;

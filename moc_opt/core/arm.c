@@ -77,40 +77,39 @@ void moc_jacobian(int n, const moc_twist *twist, const double point[3], const in
     }
 }
 
-/* Mass, first moment and inertia of bodies about the world's origin. */
+/* Mass, first moment and inertia (lower triangle) of bodies about the world's origin. */
 typedef struct {
     double mass, moment[3], I[3][3];
 } body;
 
 static body link_in_world(const moc_joint *joint, const moc_frame *frame)
 {
-    const double *I = joint->inertia;
-    double local[3][3] = {{I[0], I[1], I[3]}, {I[1], I[2], I[4]}, {I[3], I[4], I[5]}}, half[3][3];
+    const double *I = joint->inertia, share = joint->mass > 0.0 ? 1.0 / joint->mass : 0.0;
+    double local[3][3] = {{I[0], I[1], I[3]}, {I[1], I[2], I[4]}, {I[3], I[4], I[5]}};
     body link = {.mass = joint->mass};
 
-    for (int i = 0; i < 3; i++) {
-        link.moment[i] = joint->mass * frame->p[i] + dot3(frame->R[i], joint->moment);
-        for (int c = 0; c < 3; c++)
-            half[i][c] = dot3(frame->R[i], local[c]);
-    }
-    /* Steiner: about the origin there is m (|c|^2 - c c^T) more than about the centre of mass c. */
-    double square = joint->mass > 0.0 ? dot3(link.moment, link.moment) / joint->mass : 0.0;
     for (int i = 0; i < 3; i++)
-        for (int c = 0; c < 3; c++)
-            link.I[i][c] = dot3(half[i], frame->R[c]) + (i == c ? square : 0.0) -
-                           (joint->mass > 0.0 ? link.moment[i] * link.moment[c] / joint->mass : 0.0);
+        link.moment[i] = joint->mass * frame->p[i] + dot3(frame->R[i], joint->moment);
+    /* Steiner: about the origin there is m (|c|^2 - c c^T) more than about the centre of mass c. */
+    double square = share * dot3(link.moment, link.moment);
+    for (int i = 0; i < 3; i++) {
+        double turned[3] = {dot3(frame->R[i], local[0]), dot3(frame->R[i], local[1]), dot3(frame->R[i], local[2])};
+        for (int c = 0; c <= i; c++)
+            link.I[i][c] = dot3(turned, frame->R[c]) - share * link.moment[i] * link.moment[c];
+        link.I[i][i] += square;
+    }
     return link;
 }
 
 /* Momentum of bodies that move with a twist. */
 static moc_twist momentum(const body *b, const moc_twist *twist)
 {
-    moc_twist H;
-    for (int i = 0; i < 3; i++) {
-        H.lin[i] = b->mass * twist->lin[i];
-        H.ang[i] = dot3(b->I[i], twist->ang);
-    }
-    add_cross(1.0, twist->ang, b->moment, H.lin);
+    const double *w = twist->ang;
+    moc_twist H = {{b->mass * twist->lin[0], b->mass * twist->lin[1], b->mass * twist->lin[2]},
+                   {b->I[0][0] * w[0] + b->I[1][0] * w[1] + b->I[2][0] * w[2],
+                    b->I[1][0] * w[0] + b->I[1][1] * w[1] + b->I[2][1] * w[2],
+                    b->I[2][0] * w[0] + b->I[2][1] * w[1] + b->I[2][2] * w[2]}};
+    add_cross(1.0, w, b->moment, H.lin);
     add_cross(1.0, b->moment, twist->lin, H.ang);
     return H;
 }
@@ -166,7 +165,7 @@ static void dynamics(const moc_arm *arm, const moc_frame *frame, const moc_twist
             link[k].mass += link[k + 1].mass;
             for (int i = 0; i < 3; i++) {
                 link[k].moment[i] += link[k + 1].moment[i];
-                for (int c = 0; c < 3; c++)
+                for (int c = 0; c <= i; c++)
                     link[k].I[i][c] += link[k + 1].I[i][c];
             }
             add(1.0, &H[k + 1], &H[k]);
@@ -209,14 +208,19 @@ void moc_gravity(const moc_arm *arm, const double *q, double *torque)
     memcpy(torque, t.gravity, (unsigned)arm->n * sizeof *torque);
 }
 
-void moc_tool_pose(const moc_arm *arm, const double *q, double pose[4][3])
+static void pose_of(const moc_arm *arm, const moc_frame *last, double pose[4][3])
 {
-    moc_frame frame[MOC_MAX_JOINTS], *last = &frame[arm->n - 1];
-    moc_place(arm, q, frame);
     for (int k = 0; k < 3; k++)
         for (int i = 0; i < 3; i++)
             pose[k][i] = dot3(last->R[i], arm->tool[k]);
     moc_point(last, arm->point[MOC_TIP], pose[3]);
+}
+
+void moc_tool_pose(const moc_arm *arm, const double *q, double pose[4][3])
+{
+    moc_frame frame[MOC_MAX_JOINTS];
+    moc_place(arm, q, frame);
+    pose_of(arm, &frame[arm->n - 1], pose);
 }
 
 /* tip to A; the frames and twists are the caller's. */
@@ -226,7 +230,8 @@ static void place_tool(const moc_arm *arm, const double *q, moc_frame *frame, mo
     memcpy(t->q, q, (unsigned)n * sizeof *q);
     moc_place(arm, q, frame);
     moc_twists(arm, frame, twist);
-    moc_point(&frame[n - 1], arm->point[MOC_TIP], t->tip);
+    pose_of(arm, &frame[n - 1], t->pose);
+    memcpy(t->tip, t->pose[3], sizeof t->tip);
     moc_point(&frame[n - 1], arm->point[MOC_WRIST], t->wrist);
     for (int i = 0; i < 3; i++)
         t->u[i] = t->tip[i] - t->wrist[i];

@@ -64,11 +64,10 @@ INLINE int eliminate(moc_plane *plane, const moc_problem *p, int m)
                 double entry = fabs(plane->row[i][c]) * plane->open[i];
                 largest[c] = entry > largest[c] ? entry : largest[c];
             }
-        for (int c = 0; c < m; c++)
-            if (largest[c] > size) {
-                size = largest[c];
-                column = c;
-            }
+        for (int c = 0; c < m; c++) {
+            column = largest[c] > size ? c : column;
+            size = largest[c] > size ? largest[c] : size;
+        }
         first = k == 0 ? size : first;
         if (!(size > 30.0 * RANK_TOLERANCE * first))
             return k == 5 || !(size > 0.1 * RANK_TOLERANCE * first) ? k : -1 - k;

@@ -188,7 +188,7 @@ static moc_stop compare_readings(const moc_guard *g, int n, const moc_measuremen
 }
 
 /* Remember a reading by its number; return how many came before, all of them by the same number of readings. */
-static double take_in(double number, int slots, double *numbers, double *at, moc_came_before *before)
+static inline double take_in(double number, int slots, double *numbers, double *at, moc_came_before *before)
 {
     if (!(fabs(number) < LARGEST_NUMBER))
         return before->hits;
@@ -228,6 +228,27 @@ static moc_stop look(const moc_guard *g, int n, const moc_measurement *m, moc_wa
     return take_in(whole, MOC_SLOTS, w->number, w->at, &w->whole) > most ? MOC_STOP_REPLAYED : found;
 }
 
+moc_stop moc_guard_believe(const moc_guard *g, int n, const moc_measurement *m, moc_watch *w)
+{
+    int late = g->motion && m->has_stamp ? age(g, m->stamp, w) : FRESH;
+    moc_stop found = MOC_RUNNING;
+
+    if (late == FRESH && believable(g, n, m->q, m->v, w)) {
+        memcpy(w->q, m->q, (unsigned)n * sizeof *w->q);
+        memcpy(w->v, m->v, (unsigned)n * sizeof *w->v);
+        w->bad = 0;
+        if (g->motion && m->applied)
+            found = look(g, n, m, w);
+    } else {
+        w->bad += w->bad < INT_MAX;
+        for (int i = 0; i < n; i++)
+            w->q[i] += w->v[i] * g->period;
+        if (w->bad > g->patience)
+            found = MOC_STOP_MEASUREMENT;
+    }
+    return late == OLD ? MOC_STOP_LATE : found;
+}
+
 /* --- the incision --- */
 
 /* Distance of the shaft's line from the point P [m]. */
@@ -263,14 +284,17 @@ static double trocar_force(const moc_guard *g, double pose[4][3], const double P
     return whole - g->tip_force > across ? whole - g->tip_force : across;
 }
 
-static moc_stop look_at_incision(const moc_guard *g, const moc_arm *arm, const double *wrench, moc_watch *w)
+moc_stop moc_guard_incision(const moc_guard *g, double pose[4][3], const moc_trocar *trocar, const double *wrench,
+                            moc_watch *w)
 {
     static const moc_stop reasons[2] = {MOC_STOP_RCM, MOC_STOP_FORCE};
-    double pose[4][3], all;
+    double all;
     moc_stop reason = MOC_RUNNING;
 
+    if (!g->in_incision)
+        return MOC_RUNNING;
+    memcpy(w->point, trocar->P, sizeof w->point);
     w->ticks++;
-    moc_tool_pose(arm, w->q, pose);
     double distance = rcm_error(pose, w->point), force = trocar_force(g, pose, w->point, wrench, &all);
     w->mean_square[MOC_RCM] += g->incision_share * (distance * distance - w->mean_square[MOC_RCM]);
     if (all_finite(1, &force)) {
@@ -290,34 +314,6 @@ static moc_stop look_at_incision(const moc_guard *g, const moc_arm *arm, const d
         }
         if (reason == MOC_RUNNING && g->limit[k] < HUGE_VAL && !(value <= g->limit[k]))
             reason = reasons[k];
-    }
-    return reason;
-}
-
-moc_stop moc_guard_believe(const moc_guard *g, const moc_arm *arm, const moc_measurement *m, const moc_trocar *trocar,
-                           moc_watch *w)
-{
-    int n = arm->n, late = g->motion && m->has_stamp ? age(g, m->stamp, w) : FRESH;
-    moc_stop reason = late == OLD ? MOC_STOP_LATE : MOC_RUNNING, found = MOC_RUNNING;
-
-    if (late == FRESH && believable(g, n, m->q, m->v, w)) {
-        memcpy(w->q, m->q, (unsigned)n * sizeof *w->q);
-        memcpy(w->v, m->v, (unsigned)n * sizeof *w->v);
-        w->bad = 0;
-        if (g->motion && m->applied)
-            found = look(g, n, m, w);
-    } else {
-        w->bad += w->bad < INT_MAX;
-        for (int i = 0; i < n; i++)
-            w->q[i] += w->v[i] * g->period;
-        if (w->bad > g->patience)
-            found = MOC_STOP_MEASUREMENT;
-    }
-    reason = reason == MOC_RUNNING ? found : reason;
-    if (trocar && g->in_incision) {
-        memcpy(w->point, trocar->P, sizeof w->point);
-        found = look_at_incision(g, arm, m->wrench, w);
-        reason = reason == MOC_RUNNING ? found : reason;
     }
     return reason;
 }
@@ -375,32 +371,15 @@ static moc_stop weigh(const moc_guard *g, int n, const moc_terms *t, const doubl
 
 /* --- limits of the torque --- */
 
-/* The speed at which a joint may go towards a wall at this distance: it can still be stopped. */
-static double allowed_speed(const moc_guard *g, int i, double distance)
+/* The most that wall and brake leave of the torque towards a wall, above the weight; infinite where they do not act. */
+static double left_by_wall(const moc_guard *g, int i, double distance, double speed)
 {
-    return fmin(g->v_max[i], sqrt(2.0 * g->wall_brake * fmax(distance, 0.0)));
-}
-
-/* What wall and brake leave of the torque above the weight: at least, at most. Returns whether they act. */
-static int wall(const moc_guard *g, int i, const moc_watch *w, double *least, double *most)
-{
-    double v = w->v[i], below = w->q[i] - w->low[i], above = w->high[i] - w->q[i];
-    double fall = allowed_speed(g, i, below), rise = allowed_speed(g, i, above);
-    int acts = 0;
-
-    *least = -HUGE_VAL;
-    *most = HUGE_VAL;
-    if (below < 0.0 || v < -fall) {
-        *least = g->wall_stiffness * fmax(-below, 0.0) - g->wall_damping * fmin(v + fall, 0.0);
-        acts = 1;
-    }
-    if (above < 0.0 || v > rise) {
-        *most = -g->wall_stiffness * fmax(-above, 0.0) - g->wall_damping * fmax(v - rise, 0.0);
-        acts = 1;
-    }
-    if (*least > *most) /* leaving a wall too fast already: neither spring nor brake */
-        *least = *most = 0.0;
-    return acts;
+    double allowed = 0.0; /* at that speed it can still be stopped */
+    if (speed > 0.0)
+        allowed = fmin(g->v_max[i], sqrt(2.0 * g->wall_brake * fmax(distance, 0.0)));
+    if (!(distance < 0.0 || speed > allowed))
+        return HUGE_VAL;
+    return -g->wall_stiffness * fmax(-distance, 0.0) - g->wall_damping * fmax(speed - allowed, 0.0);
 }
 
 static void weight_of(const moc_guard *g, const moc_arm *arm, const double *q, double *weight)
@@ -416,8 +395,13 @@ static int limit_torque(const moc_guard *g, const moc_arm *arm, const double *be
     double least[MOC_MAX_JOINTS], most[MOC_MAX_JOINTS], weight[MOC_MAX_JOINTS];
     int braked = 0, touched = 0;
 
-    for (int i = 0; i < arm->n; i++)
-        braked |= wall(g, i, w, &least[i], &most[i]);
+    for (int i = 0; i < arm->n; i++) {
+        most[i] = left_by_wall(g, i, w->high[i] - w->q[i], w->v[i]);
+        least[i] = -left_by_wall(g, i, w->q[i] - w->low[i], -w->v[i]);
+        braked |= most[i] < HUGE_VAL || least[i] > -HUGE_VAL;
+        if (least[i] > most[i]) /* leaving a wall too fast already: neither spring nor brake */
+            least[i] = most[i] = 0.0;
+    }
     if (braked)
         weight_of(g, arm, w->q, weight);
     for (int i = 0; i < arm->n; i++) {

@@ -74,30 +74,35 @@ static void desired_wrist_acceleration(const moc_terms *t, const double dX[3], c
         out[i] = ddX_d[i] + t->span * ((pull[i] - along * s.e[i]) / s.distance - square * s.e[i]);
 }
 
-/* Feed-forward of the accelerations that tip and wrist are to have, beyond gravity and Coriolis:
- * tau += A5^T (A5 M^-1 A5^T)^-1 a, a = [ddX_d - dJ_T v; b^T (ddN_d - dJ_W v)] (Khatib 1987, eq. 51, for the tip).
+/* Level 2 in its dynamic form, and the feed-forward of the accelerations that tip and wrist are to have beyond gravity
+ * and Coriolis (Khatib 1987, eq. 51, for the tip):
  *
- * With M = L L^T the rows of A5 L^-T are made orthogonal instead of squared: the torque of a nearly straight elbow
- * keeps twice the digits. Such an elbow can hardly move the wrist in one direction, which is left out (STRAIGHT): at
- * the straight elbow itself it would need an infinite torque, whose sign rounding would decide.
- * tip_rows: J_T L^-T. */
-static void add_feedforward(int n, const moc_terms *t, double L[][MOC_MAX_JOINTS], const double *inverse,
-                            double tip_rows[3][MOC_MAX_JOINTS], const double tip[3], const double wrist[3], double *tau)
+ *   tau += (I - J_T^T Jbar_T^T) tau_W + A5^T (A5 M^-1 A5^T)^-1 a,  Jbar_T = M^-1 J_T^T (J_T M^-1 J_T^T)^-1,
+ *   a = [ddX_d - dJ_T v; b^T (ddN_d - dJ_W v)], or 0 without a feed-forward.
+ *
+ * With M = L L^T the rows of A5 L^-T, and L^-1 tau_W as a sixth one, are made orthogonal to the tip's: nothing is
+ * squared, and the torque of a nearly straight elbow keeps twice the digits. Such an elbow can hardly move the wrist in
+ * one direction, which the feed-forward leaves out (STRAIGHT): at the straight elbow itself it would need an infinite
+ * torque, whose sign rounding would decide. */
+static void add_dynamic(const moc_law *law, int n, moc_terms *t, const double *ddX_d, const double *ddN_d,
+                        const double *tau_W, double *tau)
 {
-    double rows[5][MOC_MAX_JOINTS], b[2][3], a[5], c[5], gap[3];
+    enum { TAU_W = 5 };
+    double L[MOC_MAX_JOINTS][MOC_MAX_JOINTS], inverse[MOC_MAX_JOINTS], rows[6][MOC_MAX_JOINTS], b[2][3];
+    double a[6] = {0.0}, c[6];
 
+    cholesky(n, t->M, L, inverse);
     across(t->u, b);
-    five_rows(n, ((moc_terms *)t)->A, b, rows);
-    memcpy(rows, tip_rows, 3 * sizeof *rows);
-    for (int i = 3; i < 5; i++)
-        solve_lower(n, L, inverse, rows[i]);
-    for (int i = 0; i < 3; i++) {
-        a[i] = tip[i] - t->drift[i];
-        gap[i] = wrist[i] - t->drift[3 + i];
+    five_rows(n, t->A, b, rows);
+    memcpy(rows[TAU_W], tau_W, (unsigned)n * sizeof *tau_W);
+    solve_lower(n, L, inverse, 6, rows);
+    for (int i = 0; i < 3 && law->feedforward; i++) {
+        double gap = ddN_d[i] - t->drift[3 + i];
+        a[i] = ddX_d[i] - t->drift[i];
+        a[3] += b[0][i] * gap;
+        a[4] += b[1][i] * gap;
     }
-    a[3] = dot3(b[0], gap);
-    a[4] = dot3(b[1], gap);
-    for (int i = 0; i < 5; i++) { /* the tip's rows become orthonormal, the wrist's orthogonal to them */
+    for (int i = 0; i < 6; i++) { /* the tip's rows become orthonormal, the others orthogonal to them */
         for (int k = 0; k < i && k < 3; k++) {
             double along = dot(n, rows[k], rows[i]);
             a[i] -= along * c[k];
@@ -126,34 +131,32 @@ static void add_feedforward(int n, const moc_terms *t, double L[][MOC_MAX_JOINTS
     double least = STRAIGHT * STRAIGHT * fmax(one, other);
     c[3] = one > least ? a[3] / one : 0.0;
     c[4] = other > least ? a[4] / other : 0.0;
+    c[TAU_W] = law->projector == MOC_DYNAMIC;
     for (int k = 0; k < n; k++) { /* L times the sum of the rows */
-        double sum = c[0] * rows[0][k] + c[1] * rows[1][k] + c[2] * rows[2][k] + c[3] * rows[3][k] + c[4] * rows[4][k];
+        double sum = 0.0;
+        for (int i = 0; i < 6; i++)
+            sum += c[i] * rows[i][k];
         for (int i = k; i < n; i++)
             tau[i] += L[i][k] * sum;
     }
 }
 
-/* tau += (I - J_T^T G) tau_W: level 2, less what of it moves the tip. With M = L L^T, tip_rows: J_T L^-T, so that
- * J_T M^-1 J_T^T is their Gram matrix; tau_W is overwritten. */
-static void add_projected(const moc_law *law, int n, double J[][MOC_MAX_JOINTS], double L[][MOC_MAX_JOINTS],
-                          const double *inverse, double tip_rows[3][MOC_MAX_JOINTS], double *tau_W, double *tau)
+/* tau += (I - J^T G) tau_W. Static, G = pinv(J)^T: no force at the tip in rest. As published, G = J: it is not idempotent,
+ * and its units do not fit. */
+static void add_at_rest(moc_projector projector, int n, double J[][MOC_MAX_JOINTS], const double *tau_W, double *tau)
 {
-    double(*rows)[MOC_MAX_JOINTS] = J, at_tip[3], gram[3][MOC_MAX_JOINTS], factor[3][MOC_MAX_JOINTS], diagonal[3];
+    double at_tip[3], gram[3][MOC_MAX_JOINTS], factor[3][MOC_MAX_JOINTS], diagonal[3];
 
     for (int j = 0; j < n; j++)
         tau[j] += tau_W[j];
-    if (law->projector == MOC_DYNAMIC) { /* I - J^T Jbar^T, Jbar = M^-1 J^T (J M^-1 J^T)^-1: no acceleration of the tip */
-        rows = tip_rows;
-        solve_lower(n, L, inverse, tau_W);
-    }
-    times(n, rows, tau_W, at_tip);
-    if (law->projector != MOC_AS_PUBLISHED) { /* MOC_STATIC: I - J^T pinv(J)^T, no force at the tip in rest */
+    times(n, J, tau_W, at_tip);
+    if (projector == MOC_STATIC) {
         for (int i = 0; i < 3; i++)
             for (int k = 0; k < 3; k++)
-                gram[i][k] = dot(n, rows[i], rows[k]);
+                gram[i][k] = dot(n, J[i], J[k]);
         cholesky(3, gram, factor, diagonal);
         solve_factored(3, factor, diagonal, at_tip);
-    } /* else I - J^T J: not idempotent, and its units do not fit */
+    }
     add_force(n, J, -1.0, at_tip, tau);
 }
 
@@ -162,26 +165,16 @@ void moc_tracking_torque(const moc_law *law, int n, const moc_terms *terms, cons
 {
     moc_terms *t = (moc_terms *)terms; /* C has no conversion to arrays of const arrays; nothing is written */
     double(*J_T)[MOC_MAX_JOINTS] = t->A, (*J_W)[MOC_MAX_JOINTS] = t->A + 3;
-    double L[MOC_MAX_JOINTS][MOC_MAX_JOINTS], inverse[MOC_MAX_JOINTS], tip_rows[3][MOC_MAX_JOINTS];
-    double dX[3], dN[3], F[3], N_d[3], dN_d[3], tau_W[MOC_MAX_JOINTS] = {0.0};
+    double dX[3], dN[3], F[3], N_d[3], dN_d[3], ddN_d[3], tau_W[MOC_MAX_JOINTS] = {0.0};
 
     times(n, J_T, t->v, dX);
     times(n, J_W, t->v, dN);
-    cholesky(n, t->M, L, inverse); /* M = L L^T */
-    memcpy(tip_rows, J_T, sizeof tip_rows);
-    for (int i = 0; i < 3; i++)
-        solve_lower(n, L, inverse, tip_rows[i]);
 
     /* Tip: F_T = K_X (X_d - X) + D_X (dX_d - dX). */
     for (int i = 0; i < 3; i++)
         F[i] = law->K_X * (ref->X[i] - t->tip[i]) + law->D_X * (ref->dX[i] - dX[i]);
     memcpy(tau, t->h, (unsigned)n * sizeof *tau);
     add_force(n, J_T, 1.0, F, tau);
-    if (law->feedforward) {
-        double ddN_d[3];
-        desired_wrist_acceleration(t, dX, ref->ddX, trocar, ddN_d);
-        add_feedforward(n, t, L, inverse, tip_rows, ref->ddX, ddN_d, tau);
-    }
 
     /* RCM: F_W = K_N (N_d - N) + D_N (dN_d - dN). */
     moc_desired_wrist(t->tip, dX, trocar, t->span, N_d, dN_d);
@@ -197,7 +190,12 @@ void moc_tracking_torque(const moc_law *law, int n, const moc_terms *terms, cons
     for (int i = 0; i < 3; i++)
         F[i] = law->K_N * (N_d[i] - t->wrist[i]) + law->D_N * (dN_d[i] - dN[i]);
     add_force(n, J_W, 1.0, F, tau_W);
-    add_projected(law, n, J_T, L, inverse, tip_rows, tau_W, tau);
+
+    desired_wrist_acceleration(t, dX, ref->ddX, trocar, ddN_d);
+    if (law->feedforward || law->projector == MOC_DYNAMIC)
+        add_dynamic(law, n, t, ref->ddX, ddN_d, tau_W, tau);
+    if (law->projector != MOC_DYNAMIC)
+        add_at_rest(law->projector, n, J_T, tau_W, tau);
 }
 
 /* Weight of grad mu_shaft beside grad mu [m], zero from the margin on: SHAFT_PULL (1 - m/margin) m / (m^2 + lost^2),

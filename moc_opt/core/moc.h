@@ -46,6 +46,7 @@ typedef struct {
 typedef struct {
     double q[MOC_MAX_JOINTS], v[MOC_MAX_JOINTS];
     double tip[3], wrist[3];
+    double pose[4][3];                       /* the tool's axes x, y, z (u) and its tip again */
     double u[3];                             /* (X - N) / L */
     double span;                             /* L [m] */
     double A[6][MOC_MAX_JOINTS];             /* J_T over J_W */
@@ -344,9 +345,5 @@ moc_stop moc_finish(const moc_controller *c, const moc_answer *answer, moc_state
 
 /* Both, with moc_solve_exact between them. What comes in and what goes out must not overlap. */
 moc_stop moc_step(const moc_controller *c, const moc_input *in, moc_state *state, double *tau);
-
-/* The optimum x (n,) and multipliers y (6,) of the rows of A, by elimination; `tolerance` is the violation of the box
- * that still counts as feasible [rad/s]. Returns MOC_OK, MOC_INFEASIBLE or MOC_DOUBTFUL; x and y hold no answer then. */
-moc_status moc_solve_exact(const moc_problem *problem, double tolerance, double *x, double y[6]);
 
 #endif

@@ -8,8 +8,10 @@
 #define LONGEST 1.0  /* [rad] */
 #define PROBE 1e-3   /* way over which the slope's change is taken [rad] */
 
-/* Row k less its part along the rows before it, as a unit vector; 0 where less than `least` is left of it. */
-static int orthonormalise(int n, double Z[][MOC_MAX_JOINTS], int k, double least)
+#define NEARLY_ALL (1.0 - 1e-6) /* what is left of a row of Z that turns by 1.4 mrad: one projection leaves rounding alone */
+
+/* Row k less its part along the rows before it, as a unit vector; returns what was left of it, 0 for less than `least`. */
+static double orthonormalise(int n, double Z[][MOC_MAX_JOINTS], int k, double least)
 {
     for (int i = 0; i < k; i++) {
         double along = dot(n, Z[i], Z[k]);
@@ -18,10 +20,10 @@ static int orthonormalise(int n, double Z[][MOC_MAX_JOINTS], int k, double least
     }
     double length = sqrt(dot(n, Z[k], Z[k]));
     if (!(length > least)) /* also catches NaN */
-        return 0;
+        return 0.0;
     for (int j = 0; j < n; j++)
         Z[k][j] /= length;
-    return 1;
+    return length;
 }
 
 /* The factor of A5 A5^T; 0 near a singularity. */
@@ -62,12 +64,15 @@ int moc_follow_null_space(int n, double A[][MOC_MAX_JOINTS], const double u[3], 
 
     if (!factor_rows(n, A, u, A5, L, inverse))
         return 0;
-    for (int i = 0; i < rows; i++)
-        for (int twice = 0; twice < 2; twice++) { /* which is enough for orthogonality to rounding */
+    for (int i = 0; i < rows; i++) {
+        double left = 0.0;
+        for (int round = 0; round < 2 && left < NEARLY_ALL; round++) { /* twice is enough for orthogonality to rounding */
             onto_kernel(n, A5, L, inverse, Z[i]);
-            if (!orthonormalise(n, Z, i, 0.5))
+            left = orthonormalise(n, Z, i, 0.5);
+            if (!(left > 0.0))
                 return 0;
         }
+    }
     return 1;
 }
 
@@ -87,7 +92,7 @@ int moc_null_space(int n, double A[][MOC_MAX_JOINTS], int rows, double Z[][MOC_M
             for (int j = 0; j < n; j++)
                 turned[i][j] += along * fresh[k][j];
         }
-        alike = orthonormalise(n, turned, i, 0.5) && orthonormalise(n, turned, i, 0.5);
+        alike = orthonormalise(n, turned, i, 0.5) > 0.0 && orthonormalise(n, turned, i, 0.5) > 0.0;
     }
     memcpy(Z, alike ? turned : fresh, sizeof fresh);
     return found;

@@ -327,13 +327,17 @@ METHOD(Guard, believe, {"q", READ, N}, {"v", READ, N}, {"stamp", LONG}, {"applie
        {"wrench", READ, 6}, {"trocar", MAYBE, 2, 3}, {"believed", WRITE, 2, N})
 {
     const moc_measurement m = {c->array[0], c->array[1], c->whole[2], c->args[2] != Py_None, c->array[3], c->array[4]};
-    moc_trocar trocar;
-    if (c->array[5])
+    moc_stop reason = moc_guard_believe(&self->guard, c->n, &m, &self->watch), found = MOC_RUNNING;
+    if (c->array[5] && self->guard.in_incision) {
+        moc_trocar trocar;
+        double pose[4][3];
         memcpy(&trocar, c->array[5], sizeof trocar);
-    moc_stop reason = moc_guard_believe(&self->guard, &self->arm, &m, c->array[5] ? &trocar : NULL, &self->watch);
+        moc_tool_pose(&self->arm, self->watch.q, pose);
+        found = moc_guard_incision(&self->guard, pose, &trocar, m.wrench, &self->watch);
+    }
     memcpy(c->array[6], self->watch.q, (size_t)c->n * sizeof(double));
     memcpy(c->array[6] + c->n, self->watch.v, (size_t)c->n * sizeof(double));
-    return PyLong_FromLong(reason);
+    return PyLong_FromLong(reason == MOC_RUNNING ? found : reason);
 }
 
 METHOD(Guard, follow, {"q", READ, N}, {"v", READ, N}, {"record", MAYBE, TERMS}, {"tip", MAYBE, 3},

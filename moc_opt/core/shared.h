@@ -136,9 +136,12 @@ moc_fault moc_supervise(const moc_supervision *s, const moc_problem *problem, co
 /* Begin at a finite q, v (n,), measurement number `stamp`. */
 void moc_guard_start(const moc_guard *g, int n, const double *q, const double *v, long long stamp, moc_watch *w);
 
-/* Judge a measurement; watch->q, v are then what to believe. trocar: NULL where the arm is in no incision. */
-moc_stop moc_guard_believe(const moc_guard *g, const moc_arm *arm, const moc_measurement *m, const moc_trocar *trocar,
-                           moc_watch *w);
+/* Judge a measurement; watch->q, v are then what to believe. */
+moc_stop moc_guard_believe(const moc_guard *g, int n, const moc_measurement *m, moc_watch *w);
+
+/* Judge RCM error and trocar force, with the tool where it is believed to be (moc_tool_pose). */
+moc_stop moc_guard_incision(const moc_guard *g, double pose[4][3], const moc_trocar *trocar, const double *wrench,
+                            moc_watch *w);
 
 /* Judge the tip (NULL: not known) and the motion (terms of watch->q, v; NULL: not known), then cut tau (n,) in place.
  * before (n,): torque of the last tick. tau stays as it was where it is not finite. */

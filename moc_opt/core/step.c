@@ -74,29 +74,40 @@ moc_stop moc_start(const moc_controller *c, const moc_measurement *m, moc_state 
     return s->reason;
 }
 
-/* What the arm is believed to do, in the watch; the torque that acted, in the memory. */
-static void believe(const moc_controller *c, const moc_input *in, moc_state *s)
+/* The torque that acted, in the memory. A state that no tick has left is a reason to stop. */
+static void take_applied(const moc_controller *c, const double *applied, moc_state *s)
 {
-    moc_measurement seen = in->measured;
     int n = c->arm->n;
 
-    if (seen.applied && memcmp(seen.applied, s->sent, (unsigned)n * sizeof *s->sent) != 0) {
-        memcpy(s->sent, seen.applied, (unsigned)n * sizeof *s->sent);
-        memcpy(s->memory.tau, seen.applied, (unsigned)n * sizeof *s->sent);
+    if (applied && memcmp(applied, s->sent, (unsigned)n * sizeof *s->sent) != 0) {
+        memcpy(s->sent, applied, (unsigned)n * sizeof *s->sent);
+        memcpy(s->memory.tau, applied, (unsigned)n * sizeof *s->sent);
     }
-    if (!c->guard) {
-        memcpy(s->watch.q, seen.q, (unsigned)n * sizeof *s->watch.q);
-        memcpy(s->watch.v, seen.v, (unsigned)n * sizeof *s->watch.v);
+    if (!c->guard || (s->memory.rows >= 0 && s->memory.rows <= n && within(n, s->sent, c->guard->tau_max)))
         return;
-    }
-    if (s->memory.rows < 0 || s->memory.rows > n || !within(n, s->sent, c->guard->tau_max)) {
-        s->reason = s->reason == MOC_RUNNING ? MOC_STOP_STATE : s->reason;
-        for (int i = 0; i < n; i++)
-            s->sent[i] = isnan(s->sent[i]) ? 0.0 : clip(s->sent[i], -c->guard->tau_max[i], c->guard->tau_max[i]);
-    }
+    s->reason = s->reason == MOC_RUNNING ? MOC_STOP_STATE : s->reason;
+    for (int i = 0; i < n; i++)
+        s->sent[i] = isnan(s->sent[i]) ? 0.0 : clip(s->sent[i], -c->guard->tau_max[i], c->guard->tau_max[i]);
+}
+
+/* What the arm is believed to do, and the terms of that. */
+static moc_stop believe(const moc_controller *c, const moc_input *in, moc_state *s)
+{
+    moc_measurement seen = in->measured;
+    moc_stop reason = MOC_RUNNING;
+
     seen.applied = s->sent;
-    if (s->reason == MOC_RUNNING)
-        s->reason = moc_guard_believe(c->guard, c->arm, &seen, &in->trocar, &s->watch);
+    if (c->guard) {
+        reason = moc_guard_believe(c->guard, c->arm->n, &seen, &s->watch);
+        seen.q = s->watch.q;
+        seen.v = s->watch.v;
+    }
+    if (moc_compute_terms(c->arm, seen.q, seen.v, &s->terms) != MOC_OK)
+        return reason == MOC_RUNNING ? MOC_STOP_STATE : reason;
+    if (!c->guard)
+        return MOC_RUNNING;
+    moc_stop found = moc_guard_incision(c->guard, s->terms.pose, &in->trocar, seen.wrench, &s->watch);
+    return reason == MOC_RUNNING ? found : reason;
 }
 
 moc_stop moc_begin(const moc_controller *c, const moc_input *in, moc_state *s)
@@ -104,9 +115,9 @@ moc_stop moc_begin(const moc_controller *c, const moc_input *in, moc_state *s)
     if (s->begun != MOC_BEGUN)
         return MOC_STOP_NOT_STARTED;
     memcpy(s->told, in->ref.X, sizeof s->told);
-    believe(c, in, s);
-    if (s->reason == MOC_RUNNING && moc_compute_terms(c->arm, s->watch.q, s->watch.v, &s->terms) != MOC_OK)
-        s->reason = MOC_STOP_STATE;
+    take_applied(c, in->measured.applied, s);
+    if (s->reason == MOC_RUNNING)
+        s->reason = believe(c, in, s);
     if (s->reason == MOC_RUNNING)
         moc_levels(c, in, s);
     return s->reason;

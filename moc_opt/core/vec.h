@@ -20,7 +20,7 @@ static inline void add_cross(double s, const double a[3], const double b[3], dou
 }
 
 /* Two sums, which the processor adds up side by side. */
-static inline double dot(int n, const double *a, const double *b)
+static inline double dot_of(int n, const double *a, const double *b)
 {
     double even = 0.0, odd = 0.0;
     for (int i = 0; i + 1 < n; i += 2) {
@@ -28,6 +28,12 @@ static inline double dot(int n, const double *a, const double *b)
         odd += a[i + 1] * b[i + 1];
     }
     return n % 2 ? even + odd + a[n - 1] * b[n - 1] : even + odd;
+}
+
+/* Arms of seven joints are the usual ones: their sums are unrolled. */
+static inline double dot(int n, const double *a, const double *b)
+{
+    return n == 7 ? dot_of(7, a, b) : dot_of(n, a, b);
 }
 
 static inline int all_finite(int n, const double *x)
@@ -57,17 +63,20 @@ static inline void cholesky(int m, double S[][MOC_MAX_JOINTS], double L[][MOC_MA
     }
 }
 
-/* x (m,) becomes L^-1 x. */
-static inline void solve_lower(int m, double L[][MOC_MAX_JOINTS], const double *inverse, double *x)
+/* Each of the rows x (m,) becomes L^-1 x; row by row of L, so that the processor works on all of them side by side. */
+static inline void solve_lower(int m, double L[][MOC_MAX_JOINTS], const double *inverse, int count,
+                               double rows[][MOC_MAX_JOINTS])
 {
     for (int i = 0; i < m; i++)
-        x[i] = (x[i] - dot(i, L[i], x)) * inverse[i];
+        for (int k = 0; k < count; k++)
+            rows[k][i] = (rows[k][i] - dot(i, L[i], rows[k])) * inverse[i];
 }
 
 /* x (m,) becomes S^-1 x, given the factor of S. */
 static inline void solve_factored(int m, double L[][MOC_MAX_JOINTS], const double *inverse, double *x)
 {
-    solve_lower(m, L, inverse, x);
+    for (int i = 0; i < m; i++)
+        x[i] = (x[i] - dot(i, L[i], x)) * inverse[i];
     for (int i = m - 1; i >= 0; i--) {
         for (int k = i + 1; k < m; k++)
             x[i] -= L[k][i] * x[k];
