@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
 from moc_opt.arrays import Array, read_only
-from moc_opt.control.guide import Guide
 from moc_opt.control.law import law_of
 from moc_opt.control.settings import ControlSettings
 from moc_opt.control.supervisor import Fault, Supervisor
@@ -20,6 +19,20 @@ from moc_opt.solvers.exact import Exact
 from moc_opt.solvers.isolated import IsolatedSession
 
 _DOUBLE, _ROWS = np.dtype(np.float64), (24, 8)
+
+
+class Guide(Protocol):
+    """Gives the desired self-motion of every tick, in place of the climb of mu.
+
+    The subproblem's `pull` is (rho / c2) x_d in place of grad mu: on the feasible set the subproblem then is
+    min rho/2 |x - x_d|^2, and box, solver, supervisor and residual check are those of every other run.
+    """
+
+    def start(self) -> None:
+        """Begin at t = 0."""
+
+    def desired_velocity(self, state: RobotState) -> Array:
+        """Return x_d (n,) [rad/s] of this tick; its part outside ker A has no effect. Called once a tick."""
 
 
 class Controller:

@@ -128,7 +128,7 @@ class Planner:
 
 
 class Follower:
-    """The desired velocities of one run, tick by tick; see `moc_opt.control.guide.Guide`."""
+    """The desired velocities of one run, tick by tick; see `moc_opt.control.controller.Guide`."""
 
     def __init__(
         self, period_s: float, *, course: Course | None = None, planner: Planner | None = None,

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from moc_opt.arrays import Array
-from moc_opt.control.guide import Guide
+from moc_opt.control.controller import Guide
 from moc_opt.control.settings import ControlSettings
 from moc_opt.errors import ScenarioError, TaskError, TraceError, is_number, shown
 from moc_opt.planning.course import (

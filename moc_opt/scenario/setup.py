@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from moc_opt.arrays import Array
 from moc_opt.control import Controller
-from moc_opt.control.guide import Guide
+from moc_opt.control.controller import Guide
 from moc_opt.errors import describe
 from moc_opt.planning.follow import Follower
 from moc_opt.planning.guides import Following, guides

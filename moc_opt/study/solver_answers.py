@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from moc_opt.arrays import Array
-from moc_opt.control.solution_check import received
+from moc_opt.control.supervisor import received
 from moc_opt.errors import describe
 from moc_opt.qp.layout import joints_of
 from moc_opt.qp.problem import NullSpaceQP, compute_residuals, fields

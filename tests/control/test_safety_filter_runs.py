@@ -1,4 +1,4 @@
-"""The guard in whole runs: what it stops, how soon and at which cost; what it must leave alone."""
+"""The safety filter in whole runs: what it stops, how soon and at which cost; what it must leave alone."""
 
 import json
 
@@ -16,48 +16,59 @@ from moc_opt.sim.record import RunAway
 from moc_opt.trace.trace import Trace
 from tests.control.test_incision import seen
 
-PERIOD, N = 0.002, 7
+PERIOD, N, INF = 0.002, 7, float("inf")
 QUICK = {"bound_samples": 0, "judge": False}
-LAWS = {"moc": {"preset": "tuned"}, "dcac": {"law": "dcac"}}
+DCAC = {"law": "dcac"}
 ANYWHERE = {"start": {"pose": "random"}}
 SWIVEL = {"start": {"swivel": "random"}}
 STILL = {"path": "line", "sizes": {"length": 0.0005}, "wait_s": 0.2, "hold_s": 10.0}
 QUANTIZED = {"encoder_noise_rad": 0.0, "encoder_resolution_rad": 5e-4}
 
 
-def delay(trace, at_s=0.0):
-    """How long after its cause the stop was ordered [s]."""
-    assert trace.meta["ended"].startswith("stopped: "), trace.meta["ended"]
-    return trace.meta["stopped_at_s"] - at_s
-
-
-def excursion(trace):
-    """Largest tip error up to the stop, or way of the tip after it [m]."""
-    stop = trace.t_s >= trace.meta["stopped_at_s"]
-    coast = np.linalg.norm(trace.tip_m[stop] - trace.tip_m[stop][0], axis=1).max()
-    return max(trace.tip_error_registered_m[~stop].max(initial=0.0), coast)
-
-
 def force(trace):
     return np.linalg.norm(trace.trocar_force_N, axis=1).max()
 
 
+def stopped(at, within, error, newton, reason="", **scenario):
+    """A run that is stopped so soon [s] after its cause, with so much tip error, or way after it [m], and force [N]."""
+    trace = run(Scenario(**{"duration_s": 2.0, **scenario, **QUICK}))
+    assert trace.meta["ended"].startswith("stopped: ")
+    assert reason in trace.meta["ended"]
+    ordered = trace.meta["stopped_at_s"]
+    assert -PERIOD < ordered - at < within
+    after = trace.t_s >= ordered
+    coast = np.linalg.norm(trace.tip_m[after] - trace.tip_m[after][0], axis=1).max()
+    assert max(trace.tip_error_registered_m[~after].max(initial=0.0), coast) < error
+    assert force(trace) < newton
+    return trace
+
+
 # --- measurements that are late, frozen, repeated, replayed or adrift ---
+
+AT_REST = {
+    "control": {"preset": "tuned"}, "duration_s": 4.7, **ANYWHERE,
+    "task": {"path": "line", "sizes": {"length": 0.02}, "wait_s": 0.2, "hold_s": 10.0},
+    "faults": {"replay_at_s": 4.0, "replay_ticks": 80, "forged_stamps": True},
+}  # fmt: skip
+COARSE = {"frozen_velocity": "zero", "forged_stamps": True}
 
 # name: the run, when the fault begins [s], by when it is stopped [s after], tip error [m], force [N], the reason
 STOPPED = {
     "all-dropped": ({"faults": {"drop_share": 1.0}}, 0.0, 0.0101, 2.5e-3, 3.0, "3 ticks late"),
-    "frozen": ({"faults": {"frozen_at_s": 0.9}, "control": LAWS["dcac"]}, 0.9, 0.0101, 2.5e-3, 3.0, "3 ticks late"),
-    "frozen-small-circle": (
-        {"faults": {"frozen_at_s": 0.9}, "task": {"path": "circle", "sizes": {"radius": 0.003}}},
-        0.9, 0.0101, 2.5e-3, 3.0, "3 ticks late",
-    ),
+    "frozen": ({"faults": {"frozen_at_s": 0.9}, "control": DCAC}, 0.9, 0.0101, 2.5e-3, 3.0, "3 ticks late"),
     "growing-lag": ({"faults": {"lag_at_s": 1.0, "lag_growth": 0.05}}, 1.0, 0.2, 1.0, 3.0, ""),
     "fast-growing-lag": ({"faults": {"lag_at_s": 1.0, "lag_growth": 0.3}}, 1.0, 0.034, 1.0, 3.0, ""),
     "replayed": ({"faults": {"replay_at_s": 1.0, "replay_ticks": 200}}, 1.0, 0.0101, 1.0, 3.0, ""),
+    # It agrees with its own velocities and with the model: that its noise came before is the only sign.
+    "a recording of the resting arm": ({**AT_REST, "seed": 8316}, 4.0, 0.08, 2e-3, 5.0, "came before"),
+    "the same, no noise in the wrench": (
+        {**AT_REST, "seed": 8307, "plant": {"force_noise_N": 0.0, "torque_noise_Nm": 0.0}}, 4.0, 0.08, 2e-3, 5.0,
+        "came before",
+    ),
+    "slip": ({"faults": {"slip_m": 0.1, "slip_at_s": 1.5}}, 1.5, 0.1, 1.0, 75.0, "force has been above 15 N"),
     "slip-under-a-frozen-wrench": (
         {"faults": {"frozen_at_s": 0.4, "frozen_wrench": True, "slip_m": 0.1, "slip_at_s": 0.8}, "seed": 2140},
-        0.4, 0.056, 1.0, np.inf, "the wrench sensor repeats its reading",
+        0.4, 0.056, 1.0, INF, "the wrench sensor repeats its reading",
     ),
     "drift-apart-from-the-velocity": (
         {"faults": {"drift_rad_per_s": 0.05, "drift_at_s": 0.5, "drift_velocity": "apart"}, "seed": 2210, **SWIVEL},
@@ -67,44 +78,29 @@ STOPPED = {
         {"faults": {"drift_rad_per_s": 0.05, "drift_at_s": 0.5}, "seed": 2200, "duration_s": 6.0, **SWIVEL},
         0.5, 5.5, 0.13, 32.0, "the trocar's force",
     ),
+    "drift-out-of-the-incision": (  # at the believed depth its force passes for a touch of the tip
+        {"faults": {"drift_at_s": 2.02, "drift_rad_per_s": 0.05}, "seed": 7033, "control": {"preset": "robust"},
+         "task": {"v_max_m_per_s": 0.07730648346067734}, "duration_s": 6.0, **SWIVEL},
+        2.02, 4.0, 0.13, 32.0, "the trocar's force",
+    ),
     "coarse-frozen": (
-        {"faults": {"frozen_at_s": 1.0, "frozen_velocity": "zero", "forged_stamps": True}, "seed": 11,
-         "plant": QUANTIZED, "duration_s": 3.0}, 1.0, 0.3, 0.006, 25.0, "",
+        {"faults": {"frozen_at_s": 1.0, **COARSE}, "seed": 11, "plant": QUANTIZED}, 1.0, 0.3, 0.006, 25.0, "",
     ),
     "coarse-one-frozen": (  # found by its momentum alone
-        {"faults": {"frozen_at_s": 1.4, "frozen_velocity": "zero", "forged_stamps": True, "frozen_joint": 3},
-         "seed": 11, "plant": QUANTIZED, "duration_s": 3.0}, 1.4, 0.3, 0.1, 25.0, "",
+        {"faults": {"frozen_at_s": 1.4, "frozen_joint": 3, **COARSE}, "seed": 11, "plant": QUANTIZED},
+        1.4, 0.3, 0.1, 25.0, "",
     ),
 }  # fmt: skip
 
 
 @pytest.mark.parametrize("name", STOPPED)
 def test_measurements_that_are_not_to_be_believed_stop_the_arm(name):
-    scenario, at, within, error, newton, reason = STOPPED[name]
-    trace = run(Scenario(**{"duration_s": 2.0, **scenario, **QUICK}))
-    assert 0.0 <= delay(trace, at) < within
-    assert reason in trace.meta["ended"]
-    assert excursion(trace) < error
-    assert force(trace) < newton
+    scenario, *limits = STOPPED[name]
+    trace = stopped(*limits, **scenario)
     assert np.abs(trace.v_rad_per_s[-1]).max() < 0.03
 
 
-@pytest.mark.parametrize(("seed", "noise"), [(8316, True), (8307, False), (8310, True)])
-def test_a_recording_of_the_resting_arm_is_seen_through(seed, noise):
-    """It agrees with its own velocities and with the model; that its noise came before is the only sign."""
-    trace = run(Scenario(
-        seed=seed, control=LAWS["moc"], duration_s=4.7, **ANYWHERE, **QUICK,
-        task={"path": "line", "sizes": {"length": 0.02}, "wait_s": 0.2, "hold_s": 10.0},
-        faults={"replay_at_s": 4.0, "replay_ticks": 80, "forged_stamps": True},
-        plant={} if noise else {"force_noise_N": 0.0, "torque_noise_Nm": 0.0},
-    ))  # fmt: skip
-    assert delay(trace, 4.0) < 0.08
-    assert trace.meta["ended"].startswith(("stopped: the measurements are a recording", "stopped: one encoder lags"))
-    assert excursion(trace) < 2e-3
-    assert force(trace) < 5.0
-
-
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_frozen_readings_with_forged_numbers_are_seen_through(seed):
     """Poses and moments that no level was chosen on; small tasks and large ones."""
     rng = np.random.default_rng(100 + seed)
@@ -112,10 +108,7 @@ def test_frozen_readings_with_forged_numbers_are_seen_through(seed):
     task = {"path": str(rng.choice(["line", "spiral"])), "v_max_m_per_s": float(rng.uniform(0.01, 0.1))}
     faults = {"frozen_at_s": at, "forged_stamps": True, "frozen_velocity": ("repeated", "zero")[seed % 2]}
     start = {"pose": "random", "swivel": "random"}
-    trace = run(Scenario(seed=500 + seed, start=start, faults=faults, task=task, duration_s=at + 0.7, **QUICK))
-    assert delay(trace, at) < 0.1
-    assert excursion(trace) < 4e-3
-    assert force(trace) < 5.0
+    stopped(at, 0.1, 4e-3, 5.0, seed=500 + seed, start=start, faults=faults, task=task, duration_s=at + 0.7)
 
 
 def one_encoder(kind, rng, joint):
@@ -127,10 +120,11 @@ def one_encoder(kind, rng, joint):
         at = float(rng.uniform(0.3, 1.5))
         velocity = ("repeated", "zero")[joint % 2]
         return {"frozen_at_s": at, "frozen_velocity": velocity, "frozen_joint": joint}, at, 0.0121, 0.012
+    at = float(rng.uniform(0.3, 1.0))
     if kind == "lag":  # a reading comes twice now and then
-        at, growth = float(rng.uniform(0.3, 1.0)), float(rng.uniform(0.05, 0.5))
+        growth = float(rng.uniform(0.05, 0.5))
         return {"lag_at_s": at, "lag_growth": growth, "lag_joint": joint}, at, 0.01 / growth + 0.01, 0.012
-    at, ticks = float(rng.uniform(0.3, 1.0)), int(rng.integers(8, 41))  # from one tick to the next
+    ticks = int(rng.integers(8, 41))  # from one tick to the next
     return {"lag_at_s": at, "lag_ticks": ticks, "lag_growth": 1e-6, "lag_joint": joint}, at, 0.03, 0.004
 
 
@@ -138,67 +132,41 @@ def one_encoder(kind, rng, joint):
 @pytest.mark.parametrize("robot", ["lwr4", "panda", "xarm7", "lwr4_rail"])
 def test_one_encoder_that_is_stuck_or_lags_is_found(robot, kind):
     rng = np.random.default_rng([2110, len(robot), len(kind)])
-    for joint in rng.permutation(7)[:3]:
-        faults, at, within, error = one_encoder(kind, rng, int(joint))
-        seed = int(rng.integers(2000, 3000))
-        trace = run(Scenario(
-            seed=seed, robot={"name": robot}, faults=faults, duration_s=at + within + 0.1, **ANYWHERE, **QUICK
-        ))  # fmt: skip
-        assert delay(trace, at) < within
-        assert excursion(trace) < error
-        assert force(trace) < 6.0
+    faults, at, within, error = one_encoder(kind, rng, int(rng.permutation(7)[0]))
+    seed = int(rng.integers(2000, 3000))
+    stopped(at, within, error, 6.0, seed=seed, robot={"name": robot}, faults=faults, duration_s=at + within + 0.1,
+            **ANYWHERE)  # fmt: skip
 
 
-@pytest.mark.parametrize(("robot", "task"), [("lwr4", STILL), ("gen3", {}), ("xarm7", STILL)])
-def test_a_lag_under_forged_numbers_repeats_readings(robot, task):
-    """It grows by a reading that comes twice, at rest as in motion, from the first tick on: 57 mm without."""
-    rng = np.random.default_rng(2120)
-    for at in (0.0, float(rng.uniform(0.3, 1.0))):
-        growth = float(rng.uniform(0.05, 1.0))
-        trace = run(Scenario(
-            seed=int(rng.integers(2000, 3000)), robot={"name": robot}, control=LAWS["dcac"], task=task, duration_s=1.5,
-            faults={"lag_at_s": at, "lag_growth": growth, "forged_stamps": True}, **ANYWHERE, **QUICK,
-        ))  # fmt: skip
-        # Before the arm moves no velocity is other than zero, and no lag does harm.
-        assert delay(trace, max(at, 0.1)) < 5 / growth * PERIOD + 0.1
-        assert force(trace) < 5.0
-        assert excursion(trace) < 4e-3
+@pytest.mark.parametrize(("robot", "task", "at"), [("lwr4", STILL, 0.0), ("gen3", {}, 0.6), ("xarm7", STILL, 0.4)])
+def test_a_lag_under_forged_numbers_repeats_readings(robot, task, at):
+    """It grows by a reading that comes twice, at rest as in motion, from the first tick on: 57 mm without.
+
+    Before the arm moves no velocity is other than zero, and no lag does harm.
+    """
+    growth = float(np.random.default_rng(2120).uniform(0.05, 1.0))
+    begins = max(at, 0.1)
+    faults = {"lag_at_s": at, "lag_growth": growth, "forged_stamps": True}
+    stopped(min(at, begins), begins - at + 5 / growth * PERIOD + 0.1, 4e-3, 5.0, seed=2345, robot={"name": robot},
+            control=DCAC, task=task, faults=faults, duration_s=1.5, **ANYWHERE)  # fmt: skip
 
 
-@pytest.mark.parametrize(("seed", "joint"), [(2100, 1), (2101, 3), (2100, 6)])
+@pytest.mark.parametrize(("seed", "joint"), [(2100, 1), (2101, 3)])
 def test_one_stuck_encoder_is_found_by_its_noise_at_the_latest(joint, seed):
     """After as many ticks as its noise lets it repeat itself: before that check 204 mm and 61 N."""
     at = float(np.random.default_rng([seed, joint]).uniform(0.5, 2.0))
-    faults = {"frozen_at_s": at, "frozen_joint": joint, "frozen_velocity": "zero"}
-    guard = {"repeat_reading_ticks": 10**6}
-    scenario = Scenario(seed=seed, faults=faults, duration_s=3.0, guard=guard, **SWIVEL, **QUICK)
-    trace = run(scenario)
-    assert delay(trace, at) <= PERIOD * (scenario.told_guard.repeat_joint_ticks + 2)
-    assert force(trace) < 25.0
-    assert excursion(trace) < 0.045
+    scenario = {
+        "faults": {"frozen_at_s": at, "frozen_joint": joint, "frozen_velocity": "zero"}, "seed": seed,
+        "guard": {"repeat_reading_ticks": 10**6}, "duration_s": 3.0, **SWIVEL,
+    }  # fmt: skip
+    ticks = Scenario(**scenario).told_guard.repeat_joint_ticks
+    stopped(at, PERIOD * (ticks + 2) + 1e-9, 0.045, 25.0, **scenario)
 
 
 def test_a_stuck_encoder_without_noise_is_found_by_its_momentum_or_felt():
     """At the latest the trocar's force stops it: not before tens of millimetres."""
     faults = {"frozen_at_s": 1.2, "frozen_joint": 1, "frozen_velocity": "zero"}
-    scenario = Scenario(faults=faults, plant={"encoder_noise_rad": 0.0}, duration_s=4.0, **QUICK)
-    blind = run(scenario.change(guard={"motion": False, "trocar_force_N": None, "rcm_error_m": None}))
-    trace = run(scenario)
-    assert delay(trace, 1.2) < 1.5
-    assert force(trace) < 32.0
-    assert excursion(trace) < min(0.1, 0.8 * blind.tip_error_registered_m.max())
-
-
-def test_a_drift_that_draws_the_tip_out_of_the_incision_is_felt_by_the_whole_force():
-    """At the believed depth its force passes for a touch of the tip: 223 mm and 85 N, to the end of the run."""
-    scenario = Scenario(
-        seed=7033, control={"preset": "robust"}, task={"v_max_m_per_s": 0.07730648346067734}, duration_s=6.0,
-        faults={"drift_at_s": 2.02, "drift_rad_per_s": 0.05}, **SWIVEL, **QUICK,
-    )  # fmt: skip
-    trace = run(scenario)
-    assert "the trocar's force" in trace.meta["ended"]
-    assert force(trace) < 32.0
-    assert excursion(trace) < 0.13
+    stopped(1.2, 1.5, 0.1, 32.0, faults=faults, plant={"encoder_noise_rad": 0.0}, duration_s=4.0)
 
 
 @pytest.mark.parametrize(("robot", "joint"), [("lwr4", 1), ("gen3", 2)])
@@ -210,26 +178,46 @@ def test_a_velocity_of_the_wrong_sign_is_seen_as_soon_as_its_joint_moves(robot, 
         return seen._replace(v=np.where(np.arange(seen.v.size) == joint, -1.0, 1.0) * seen.v)
 
     monkeypatch.setattr(Plant, "measure", turned)
-    trace = run(Scenario(seed=5, robot={"name": robot}, duration_s=4.0, **SWIVEL, **QUICK))
-    assert "do not follow their velocities" in trace.meta["ended"]
+    trace = stopped(0.0, 4.0, 1.0, INF, "do not follow their velocities", seed=5, robot={"name": robot}, duration_s=4.0,
+                    **SWIVEL)  # fmt: skip
     moved = np.abs(trace.q_rad[:, joint] - trace.q_rad[0, joint])[trace.t_s <= trace.meta["stopped_at_s"]]
     assert moved.max() < 0.01
 
 
-@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("gain", [-1.0, 0.0])
 @pytest.mark.parametrize(
-    "faults", [{"nan_at_s": 0.8, "nan_ticks": 9999}, {"jump_at_s": 0.8, "jump_rad": 0.2}], ids=["nan", "jump"]
+    ("arm", "joint", "seed"),
+    [("lwr4", 4, 3), ("iiwa14", 4, 4), ("panda", 4, 3), ("gen3", 2, 0), ("xarm7", 2, 0), ("lwr4_rail", 3, 4)],
 )
-def test_sensors_that_are_lost_stop_the_arm(law, faults):
-    scenario = Scenario(control=LAWS[law], faults=faults, **QUICK)
-    trace = run(scenario)
-    assert trace.meta["ended"].startswith("stopped: measurements not believed")
-    patience = 1e-9 + 0.8 + PERIOD * scenario.guard.patience_ticks
-    assert trace.meta["stopped_at_s"] == pytest.approx(patience)
-    assert trace.t_s[-1] == pytest.approx(patience + scenario.guard.stop_s)
+def test_a_broken_drive_is_stopped_and_the_brakes_hold_the_arm(arm, joint, seed, gain, monkeypatch):
+    """It loses its torque, or turns it round. Of all joints and five seeds of each arm these went farthest."""
+    sound = Plant.step
+
+    def step(plant, tau, trocar=None):
+        tau = np.array(tau)
+        if plant.time >= 0.5 - 1e-9:
+            tau[joint - 1] *= gain
+        sound(plant, tau, trocar)
+
+    monkeypatch.setattr(Plant, "step", step)
+    trace = run(Scenario(robot={"name": arm}, seed=seed, duration_s=2.0, **ANYWHERE, **QUICK))
+    assert trace.meta["ended"].startswith("stopped")
+    after = trace.tip_m[trace.t_s >= 0.5]
+    assert np.linalg.norm(after - after[0], axis=1).max() < 0.05
+
+
+@pytest.mark.parametrize("control", [{"preset": "tuned"}, DCAC], ids=["moc", "dcac"])
+@pytest.mark.parametrize(
+    "faults", [{"nan_at_s": 0.4, "nan_ticks": 9999}, {"jump_at_s": 0.4, "jump_rad": 0.2}], ids=["nan", "jump"]
+)
+def test_sensors_that_are_lost_stop_the_arm(control, faults):
+    scenario = Scenario()
+    patience = PERIOD * scenario.guard.patience_ticks
+    trace = stopped(0.4, 1e-6 + patience, 0.005, INF, "measurements not believed", control=control, faults=faults)
+    assert trace.meta["stopped_at_s"] == pytest.approx(0.4 + patience)
+    assert trace.t_s[-1] == pytest.approx(0.4 + patience + scenario.guard.stop_s)
     assert np.abs(trace.v_rad_per_s[-1]).max() < 0.02
-    assert excursion(trace) < 0.005
-    if law == "moc":
+    if control is not DCAC:
         after = trace.t_s >= trace.meta["stopped_at_s"]
         assert set(trace.fault[after]) == {"stopped"}
         assert set(trace.status[after]) == {"none"}
@@ -237,33 +225,20 @@ def test_sensors_that_are_lost_stop_the_arm(law, faults):
         assert not (trace.fault[~after] == "stopped").any()
 
 
-@pytest.mark.parametrize(
-    ("gap", "longer"),
-    [({"nan_at_s": 0.8, "nan_ticks": 3}, {"nan_at_s": 0.8, "nan_ticks": 4}),
-     ({"frozen_at_s": 0.8, "frozen_ticks": 3}, {"frozen_at_s": 0.8, "frozen_ticks": 4}),
-     ({"frozen_at_s": 0.8, "frozen_ticks": 3, "late_ticks": 2},
-      {"frozen_at_s": 0.8, "frozen_ticks": 4, "late_ticks": 2})],
-    ids=["nan", "frozen", "late-and-frozen"],
-)  # fmt: skip
-def test_a_short_gap_is_bridged(gap, longer):
-    late = {"late_ticks": gap.get("late_ticks", 0)}
-    clean, bridged, lost = (
-        run(Scenario(control={"preset": "robust"}, faults=f, duration_s=1.2, **QUICK)) for f in (late, gap, longer)
-    )
+@pytest.mark.parametrize("gap", [
+    {"nan_at_s": 0.4, "nan_ticks": 3}, {"frozen_at_s": 0.4, "frozen_ticks": 3},
+    {"frozen_at_s": 0.4, "frozen_ticks": 3, "late_ticks": 2},
+], ids=["nan", "frozen", "late-and-frozen"])  # fmt: skip
+def test_a_short_gap_is_bridged(gap):
+    kind = next(name for name in gap if name.endswith("_ticks"))
+    late, robust = {"late_ticks": gap.get("late_ticks", 0)}, {"preset": "robust"}
+    clean, bridged = (run(Scenario(control=robust, faults=f, duration_s=0.8, **QUICK)) for f in (late, gap))
     assert clean.meta["ended"] == bridged.meta["ended"] == "completed"
     assert np.abs(bridged.tip_m - clean.tip_m).max() < 2e-4
-    assert delay(lost, 0.8) <= 0.01
+    stopped(0.4, 0.01 + 1e-9, 1.0, INF, control=robust, faults={**gap, kind: 4}, duration_s=0.8)
 
 
 # --- the incision ---
-
-# The wall begins so far inside the limits that the circle leads joint 4 into it.
-WALL = {"position_margin_rad": 0.62}
-AT_WALL = {
-    "moc": {"preset": "tuned", "limit_margin_rad": 0.0},
-    "dcac": {"law": "dcac", "K_X": 3000.0, "D_X": 80.0, "K_N": 800.0, "D_N": 60.0},
-}  # fmt: skip
-BLIND = {"rcm_error_m": None, "trocar_force_N": None, "motion": False}
 
 
 def test_the_force_agrees_with_the_plant(robot):
@@ -280,22 +255,29 @@ def test_the_force_agrees_with_the_plant(robot):
         assert np.sqrt(np.mean(felt[part] ** 2)) == pytest.approx(np.sqrt(np.mean(true[part] ** 2)), abs=0.5)
 
 
-@pytest.mark.parametrize("control", AT_WALL.values(), ids=AT_WALL)
+@pytest.mark.parametrize("control", [
+    {"preset": "tuned", "limit_margin_rad": 0.0},
+    {**DCAC, "K_X": 3000.0, "D_X": 80.0, "K_N": 800.0, "D_N": 60.0},
+], ids=["moc", "dcac"])  # fmt: skip
 def test_an_arm_at_its_wall_is_stopped(control):
-    """Without the limit on the RCM error it goes on to the end, 14 mm and 11 N off and more: the tip is fine."""
-    blind = run(Scenario(control=control, guard={**WALL, **BLIND}, **QUICK))
-    assert blind.meta["ended"] == "completed"
-    assert blind.rcm_error_m.max() > 0.014
-    assert {w["of"] for w in blind.meta["warnings"]} == {"the RCM error", "the trocar's force"}
-    trace = run(Scenario(control=control, guard=WALL, **QUICK))
-    assert trace.meta["ended"].startswith("stopped: the RCM error has been above 10 mm")
+    """The wall begins so far inside the limits that the circle leads joint 4 into it.
+
+    Without the limit on the RCM error it goes on to the end, 14 mm and 11 N off and more: the tip is fine.
+    """
+    wall = {"position_margin_rad": 0.62}
+    blind = {**wall, "rcm_error_m": None, "trocar_force_N": None, "motion": False}
+    free = run(Scenario(control=control, guard=blind, **QUICK))
+    assert free.meta["ended"] == "completed"
+    assert free.rcm_error_m.max() > 0.014
+    assert {w["of"] for w in free.meta["warnings"]} == {"the RCM error", "the trocar's force"}
+    told = "the RCM error has been above 10 mm"
+    trace = stopped(0.0, 20.0, 0.03, INF, told, control=control, guard=wall, duration_s=None)
     stop = trace.t_s >= trace.meta["stopped_at_s"]
     assert trace.rcm_error_m.max() < 0.0145
     # the tissue's spring pushes the arm back, its brakes open, until they close at half of stop_yield_N
     newton = np.linalg.norm(trace.trocar_force_N[stop], axis=1)
     assert newton.max() < 11.0
     assert newton[-1] < 0.5 * SafetyFilterSettings().stop_yield_N + 0.5
-    assert excursion(trace) < 0.03
     assert np.abs(trace.v_rad_per_s[stop]).max() < 0.3
     assert np.abs(trace.v_rad_per_s[-1]).max() < 0.03
     rcm, *_ = trace.meta["warnings"]
@@ -303,14 +285,42 @@ def test_an_arm_at_its_wall_is_stopped(control):
     assert 0.0 < rcm["first_s"] < trace.meta["stopped_at_s"]
 
 
-def test_a_trocar_that_tears_away_is_felt():
-    """The registered trocar stays where it was, so only the force can tell: 75 N otherwise."""
-    trace = run(Scenario(faults={"slip_m": 0.1, "slip_at_s": 1.5}, **QUICK))
-    assert trace.meta["ended"].startswith("stopped: the trocar's force has been above 15 N")
-    assert delay(trace, 1.5) < 0.1
-
-
 # --- what is left alone ---
+
+
+def unknown_plant(seed):
+    """Wrong masses, friction from none to twice, a constant delay, a payload, coarse and noise-free encoders."""
+    rng = np.random.default_rng(900 + seed)
+    plant = {
+        "delay_ticks": int(rng.integers(0, 3)), "friction": float(rng.uniform(0.0, 2.0)), "mass_error": 0.2,
+        "calibration_error_m": 0.001, "encoder_noise_rad": float(rng.choice([0.0, 3e-5])),
+        "encoder_resolution_rad": float(rng.choice([0.0, 1e-4])),
+        "velocity_cutoff_Hz": float(rng.choice([30.0, 100.0])),
+    }  # fmt: skip
+    return {
+        "seed": 900 + seed, "plant": plant, "control": {"preset": "tuned", "law": ("moc", "dcac")[seed % 2]},
+        "faults": {"payload_kg": 0.5 * (seed % 3 == 0)}, **SWIVEL,
+    }  # fmt: skip
+
+
+def late(ticks, law):
+    control = {"preset": "robust", "law": law}
+    return {"control": control, "faults": {"late_ticks": ticks}, "plant": {"delay_ticks": 0}}
+
+
+def coarse(robot, seed, control, delay):
+    """While friction and a step of 0.5 mrad hold the joints, torque and momentum change: once a reason to stop."""
+    plant = {**QUANTIZED, "friction": 2.0, "delay_ticks": delay}
+    return {"seed": seed, "robot": {"name": robot}, "control": control, "plant": plant, "duration_s": 2.0, **SWIVEL}
+
+
+@pytest.mark.parametrize("scenario", [
+    *map(unknown_plant, range(4)), late(1, "moc"), late(2, "dcac"), late(3, "moc"),
+    coarse("xarm7", 363081978, {"preset": "tuned"}, 0), coarse("xarm7", 1359370278, {"preset": "robust"}, 0),
+    coarse("panda", 656269444, {}, 2),
+], ids=lambda s: "-".join(map(str, (s.get("seed", "late"), s["control"].get("law", "")))))  # fmt: skip
+def test_no_sound_plant_is_stopped(scenario):
+    assert run(Scenario(**{"duration_s": 3.0, **scenario, **QUICK})).meta["ended"] == "completed"
 
 
 @pytest.mark.parametrize("preset", ["default", "tuned", "robust", "paper"])
@@ -327,51 +337,10 @@ def test_sound_runs_are_not_stopped(preset, law):
         assert not trace.limited.any()
 
 
-@pytest.mark.parametrize("seed", range(4))
-def test_no_sound_plant_is_stopped(seed):
-    """Wrong masses, friction from none to twice, a constant delay, a payload, coarse and noise-free encoders."""
-    rng = np.random.default_rng(900 + seed)
-    plant = {
-        "delay_ticks": int(rng.integers(0, 3)), "friction": float(rng.uniform(0.0, 2.0)), "mass_error": 0.2,
-        "calibration_error_m": 0.001, "encoder_noise_rad": float(rng.choice([0.0, 3e-5])),
-        "encoder_resolution_rad": float(rng.choice([0.0, 1e-4])),
-        "velocity_cutoff_Hz": float(rng.choice([30.0, 100.0])),
-    }  # fmt: skip
-    trace = run(Scenario(
-        seed=900 + seed, plant=plant, control={"preset": "tuned", "law": ("moc", "dcac")[seed % 2]},
-        faults={"payload_kg": 0.5 * (seed % 3 == 0)}, duration_s=3.0, **SWIVEL, **QUICK,
-    ))  # fmt: skip
-    assert trace.meta["ended"] == "completed"
-
-
-@pytest.mark.parametrize(("late", "law"), [(1, "moc"), (2, "dcac"), (3, "moc")])
-def test_a_constant_delay_stops_nothing(late, law):
-    control = {"preset": "robust", "law": law}
-    trace = run(Scenario(control=control, faults={"late_ticks": late}, plant={"delay_ticks": 0}, **QUICK))
-    assert trace.meta["ended"] == "completed"
-
-
-@pytest.mark.parametrize(
-    ("robot", "seed", "control", "delay_ticks"),
-    [
-        ("xarm7", 363081978, {"preset": "tuned"}, 0),
-        ("xarm7", 1359370278, {"preset": "robust"}, 0),
-        ("panda", 656269444, {}, 2),
-    ],
-)
-def test_coarse_steps_without_noise_stop_nothing(robot, seed, control, delay_ticks):
-    """While friction and a step of 0.5 mrad hold the joints, torque and momentum change: once a reason to stop."""
-    plant = {**QUANTIZED, "friction": 2.0, "delay_ticks": delay_ticks}
-    trace = run(Scenario(
-        seed=seed, robot={"name": robot}, control=control, plant=plant, duration_s=2.0, **SWIVEL, **QUICK
-    ))  # fmt: skip
-    assert trace.meta["ended"] == "completed"
-
-
 @pytest.mark.parametrize("plant", [{}, {"friction": 0.0}, {"trocar_stiffness_N_per_m": 3000.0}], ids=str)
 def test_the_robust_gains_bear_four_ticks_of_delay(plant):
     """Also without friction to help, and against a stiff trocar: no joint begins to shake."""
-    base = Scenario(control={"preset": "robust"}, seed=3, duration_s=2.5, **SWIVEL, **QUICK)
+    base = Scenario(control={"preset": "robust"}, seed=3, duration_s=2.0, **SWIVEL, **QUICK)
     one, four = (run(base.change(plant={"delay_ticks": ticks, **plant})) for ticks in (1, 4))
     assert four.meta["ended"] == "completed"
     assert not four.limited.any()
@@ -453,11 +422,11 @@ class Breaking(ControllerAdapter):
 
     def tick(self, *args):
         self.k += 1
-        if self.k > 100:
-            if isinstance(self.how, Exception):
-                raise self.how
-            return np.full(N, self.how)
-        return super().tick(*args)
+        if self.k <= 100:
+            return super().tick(*args)
+        if isinstance(self.how, Exception):
+            raise self.how
+        return np.full(N, self.how)
 
 
 def broken_run(how, **options):
@@ -467,7 +436,7 @@ def broken_run(how, **options):
     return simulate(setup.plant, Breaking(setup.controller(), how), *paths, **options)
 
 
-@pytest.mark.parametrize("how", [ControlError("no idea"), ZeroDivisionError("no idea"), float("nan"), float("inf")])
+@pytest.mark.parametrize("how", [ControlError("no idea"), ZeroDivisionError("no idea"), float("nan"), INF])
 def test_a_controller_that_breaks_down_stops_the_arm(robot, how):
     guard = SafetyFilter(robot, SafetyFilterSettings(), PERIOD, incision=False, momentum=False)
     trace = broken_run(how, safety_filter=guard, stop=Stop(40.0, 0.3))

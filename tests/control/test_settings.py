@@ -68,20 +68,21 @@ def test_a_bad_number_in_the_robot_s_table(gain, value):
         MOC.resolve_gains({"moc": {**TABLES["moc"], gain: value}}, 7)
 
 
-def test_gains_that_are_missing_or_do_not_fit(robot):
-    with pytest.raises(UnknownNameError, match=r"'mocc': did you mean 'moc'"):
-        ControlSettings(gains="mocc").resolve_gains(TABLES, 7)
-    with pytest.raises(ControlError, match=r"K_N2: not set, and \[gains.dcac\]"):
-        ControlSettings(law="moc", gains="dcac").resolve_gains(TABLES, 7)
+@pytest.mark.parametrize(("settings", "joints", "words"), [
+    ({"gains": "mocc"}, 7, "'mocc': did you mean 'moc'"), ({"gains": "dcac"}, 7, r"K_N2: not set, and \[gains.dcac\]"),
+    ({"gains": "moc", "K_N2": [3, 2, 1]}, 7, "K_N2 = .* has 3 entries for 7 joints"),
+    ({}, 2, r"K_N2 = .* in \[gains.default\] of the robot has 3 entries for 2"),
+    ({"gains": {"K_N2": 80.0}}, 7, r"gains = .*keys of \[control\]"),
+])  # fmt: skip
+def test_gains_that_are_missing_or_do_not_fit(settings, joints, words):
+    with pytest.raises((ControlError, UnknownNameError), match=words):
+        ControlSettings(**settings).resolve_gains(TABLES, joints)
     assert not ControlSettings(law="dcac", gains="dcac").resolve_gains(TABLES, 7).K_N2.any()  # not needed
-    with pytest.raises(ControlError, match=r"K_N2 = .* has 3 entries for 7 joints"):
-        ControlSettings(gains="moc", K_N2=[3, 2, 1]).resolve_gains(TABLES, 7)
-    with pytest.raises(ControlError, match=r"K_N2 = .* in \[gains.default\] of the robot has 3 entries for 2"):
-        ControlSettings().resolve_gains(TABLES, 2)
+
+
+def test_dampings_of_another_number_of_joints(robot):
     with pytest.raises(ControlError, match=r"dcac_damping = .* has 2 entries for 7 joints"):
         Controller(robot, ControlSettings(law="dcac", dcac_damping=[1.0, 2.0]), None)
-    with pytest.raises(ControlError, match=r"gains = .*keys of \[control\]"):
-        ControlSettings(gains={"K_N2": 80.0})
 
 
 # --- the other settings ---

@@ -9,8 +9,7 @@ from scipy.optimize import minimize_scalar
 
 from moc_opt import core
 from moc_opt.control import Controller
-from moc_opt.control.solution_check import MOST_ITERATIONS
-from moc_opt.control.supervisor import Fault, SupervisorSettings
+from moc_opt.control.supervisor import MOST_ITERATIONS, Fault, SupervisorSettings
 from moc_opt.errors import ControlError
 from moc_opt.qp.problem import NullSpaceQP, compute_residuals, fields
 from moc_opt.scenario import Scenario, Setup, run
@@ -45,8 +44,8 @@ def recorded():
     """Subproblems of closed-loop runs, with and without regularization, far from and near the optimum."""
     rows = []
     for control in ({"preset": "tuned"}, {}, {"preset": "paper"}):
-        trace = run(Scenario(control=control, **{**QUICK, "duration_s": 3.0}, judge=False))
-        rows.append(trace.subproblem[::25])
+        trace = run(Scenario(control=control, **{**QUICK, "duration_s": 1.5}, judge=False))
+        rows.append(trace.subproblem[::12])
     return np.concatenate(rows)
 
 
@@ -74,23 +73,33 @@ def supervisor(fallback="damping", times=None, **changes):
     return Supervisor(SupervisorSettings(**changes), fallback, 7, None if times is None else iter(times))
 
 
+def asked(qp, Z, answer, n=7, v=None, **changes):
+    """The supervisor, the solution and the followed x after one answer."""
+    mine = Supervisor(SupervisorSettings(**changes), "damping", n)
+    session = answer if hasattr(answer, "solve") else Scripted(answer)
+    return mine, *mine.solve(session, qp, Z, v)
+
+
 def judged(row, Z, x):
     """Primal, outside, natural, off and opposite of an answer."""
     return core.judge(row, np.ascontiguousarray(Z), np.ascontiguousarray(x))
 
 
-def test_a_good_answer_is_followed_and_copied(qp, Z):
+def test_a_good_answer_is_followed_and_copied_from_any_layout_of_memory(qp, Z):
     good = solved(qp)
-    mine = supervisor()
-    solution, x = mine.solve(Scripted(good), qp, Z)
-    assert mine.fault is Fault.NONE
-    np.testing.assert_array_equal(solution.x, good.x)
-    np.testing.assert_array_equal(solution.y, good.y)
-    np.testing.assert_array_equal(x, good.x)
-    assert not np.shares_memory(solution.x, good.x)
-    assert not np.shares_memory(solution.y, good.y)
-    assert not np.shares_memory(x, good.x)
-    assert mine.counts == {}
+    wide = np.full((7, 3), 5.0)
+    wide[:, 1] = good.x
+    for x in (good.x, wide[:, 1], good.x[::-1].copy()[::-1]):
+        given = Solution(x, good.y, Status.SOLVED, np.int64(3))
+        mine, solution, followed = asked(qp, Z, given)
+        assert mine.fault is Fault.NONE
+        assert mine.counts == {}
+        np.testing.assert_array_equal(solution.x, good.x)
+        np.testing.assert_array_equal(solution.y, good.y)
+        np.testing.assert_array_equal(followed, good.x)
+        assert solution.x.strides == (8,)
+        for copied, of in ((solution.x, x), (solution.y, good.y), (followed, x)):
+            assert not np.shares_memory(copied, of)
 
 
 def wrong_answers(qp):
@@ -155,19 +164,6 @@ def test_a_solver_that_never_answers_costs_no_joint_its_room(robot):
     assert kept.tip_error_m.max() < 0.2 * bare.tip_error_m.max()
 
 
-def test_answers_in_any_layout_of_memory_are_copied(qp, Z):
-    good = solved(qp)
-    wide = np.full((7, 3), 5.0)
-    wide[:, 1] = good.x
-    for x in (wide[:, 1], good.x[::-1].copy()[::-1]):
-        mine = supervisor()
-        solution, followed = mine.solve(Scripted(Solution(x, good.y, Status.SOLVED, np.int64(3))), qp, Z)
-        assert mine.fault is Fault.NONE
-        np.testing.assert_array_equal(followed, good.x)
-        assert solution.x.strides == (8,)
-        assert not np.shares_memory(solution.x, x)
-
-
 ZERO, OK = np.zeros(7), Status.SOLVED
 
 
@@ -185,8 +181,7 @@ ZERO, OK = np.zeros(7), Status.SOLVED
     ],
 )  # fmt: skip
 def test_an_answer_of_a_wrong_form_is_a_fault_that_says_what_is_wrong(answer, told, qp, Z):
-    mine = supervisor()
-    solution, x = mine.solve(Scripted(answer), qp, Z)
+    mine, solution, x = asked(qp, Z, answer)
     assert mine.fault is Fault.MALFORMED
     assert mine.firsts["malformed"].text.startswith(told)
     assert solution.x.shape == (7,)
@@ -207,8 +202,7 @@ def test_a_solver_may_write_into_what_it_is_shown(qp, Z):
             return Solution(np.full(7, 50.0), None, Status.SOLVED)
 
     before, v = np.array(qp.row), np.zeros(7)
-    mine = supervisor()
-    _, x = mine.solve(Scribbler(), qp, Z, v)
+    mine, _, x = asked(qp, Z, Scribbler(), v=v)
     assert mine.fault is Fault.OUTSIDE
     assert not x.any()
     np.testing.assert_array_equal(qp.row, before)
@@ -232,8 +226,7 @@ class Raises:
 @pytest.mark.parametrize("error", [SystemExit("enough"), RuntimeError("no"), MemoryError()], ids=repr)
 @pytest.mark.parametrize("where", ["observe", "solve"])
 def test_whatever_a_session_raises_is_counted(error, where, qp, Z):
-    mine = supervisor()
-    _, x = mine.solve(Raises(error, where), qp, Z, np.zeros(7))
+    mine, _, x = asked(qp, Z, Raises(error, where), v=np.zeros(7))
     assert mine.fault is Fault.RAISED
     assert mine.firsts["raised"].text.startswith(type(error).__name__)
     assert np.isfinite(x).all()
@@ -275,11 +268,9 @@ def test_a_lie_is_seen_at_every_tick_where_it_is_one(recorded):
         lie = opposite(qp)
         if lie.status is not Status.SOLVED:
             continue
-        mine = supervisor()
-        mine.solve(Scripted(lie), qp, null_space(qp.A))
-        seen = mine.fault is Fault.FALSE_OPTIMUM
+        seen = asked(qp, null_space(qp.A), lie)[0].fault is Fault.FALSE_OPTIMUM
         right = bool(compute_residuals(row[None], lie.x[None]).verified()[0])
-        assert seen or right, (mine.fault, judged(qp.row, null_space(qp.A), lie.x))
+        assert seen or right, judged(qp.row, null_space(qp.A), lie.x)
         lies += seen
     assert lies > 100
 
@@ -299,11 +290,10 @@ def test_what_is_verified_is_taken_where_a_course_rests(seed, rest, off, rho):
     Zs, exact = null_space(qp.A), solved(qp)
     assert exact.status is Status.SOLVED
     x = exact.x + 10.0**off * Zs.T @ rng.normal(size=len(Zs)) * (np.arange(7) < 6)
-    found, mine = qp.residuals(x), supervisor()
-    mine.solve(Scripted(Solution(x, None, Status.SOLVED)), qp, Zs)
+    found, fault = qp.residuals(x), asked(qp, Zs, Solution(x, None, Status.SOLVED))[0].fault
     assert judged(qp.row, Zs, x)[2] <= found.relative * (1.0 + 1e-6) + 1e-9
     if found.verified():
-        assert mine.fault is Fault.NONE
+        assert fault is Fault.NONE
 
 
 def along_the_line(qp, Z, x):
@@ -394,8 +384,7 @@ def test_a_claim_must_meet_references_and_box(part, qp, Z):
             fields(row).upper[6] = good.x[6] - share * limit
             fields(row).lower[6] = good.x[6] - 1.0
         moved = NullSpaceQP.from_row(row)
-        mine = supervisor(relative_limit=1e9, opposite_limit=1e9)
-        mine.solve(Scripted(good), moved, Z)
+        mine, *_ = asked(moved, Z, good, relative_limit=1e9, opposite_limit=1e9)
         assert mine.fault is fault, (part, share)
 
 
@@ -434,9 +423,7 @@ def test_who_claims_nothing_is_held_to_the_references_too(status, qp, Z):
         row = np.array(qp.row)
         part = fields(row)
         part.lower[:], part.upper[:] = np.minimum(part.lower, x), np.maximum(part.upper, x)
-        wide = NullSpaceQP.from_row(row)
-        mine = supervisor()
-        mine.solve(Scripted(Solution(x, None, status)), wide, Z)
+        mine, *_ = asked(NullSpaceQP.from_row(row), Z, Solution(x, None, status))
         assert mine.fault is fault
 
 
@@ -446,11 +433,7 @@ def test_who_claims_nothing_is_held_to_the_references_too(status, qp, Z):
 def test_wrong_corners_of_several_freedoms_are_lies(n, tilt, rho):
     """Two to four freedoms, and as much gradient along them as across, or a thousandth: claimed, and refused."""
     wrong = wrong_corners(n, n, 10, tilt=tilt, regularization=rho)
-    faults = []
-    for w in wrong:
-        mine = Supervisor(SupervisorSettings(), "damping", n)
-        mine.solve(Scripted(Solution(w.x, None, Status.SOLVED)), w.qp, null_space(w.qp.A))
-        faults.append(mine.fault)
+    faults = [asked(w.qp, null_space(w.qp.A), Solution(w.x, None, Status.SOLVED), n)[0].fault for w in wrong]
     assert np.mean([fault is Fault.FALSE_OPTIMUM for fault in faults]) >= (1.0 if rho == 0.0 else 0.9)
 
 
@@ -465,8 +448,7 @@ def test_with_several_freedoms_too_what_is_verified_is_taken(seed, n, rho, off):
     Z = null_space(problem.A)
     x = solved(problem).x + off * Z.T @ rng.normal(size=len(Z))
     found = problem.residuals(x)
-    mine = Supervisor(SupervisorSettings(), "damping", n)
-    mine.solve(Scripted(Solution(x, None, Status.SOLVED)), problem, Z)
+    mine, *_ = asked(problem, Z, Solution(x, None, Status.SOLVED), n)
     if found.verified():
         assert mine.fault is Fault.NONE
     assert off > 0.0 or found.verified()
@@ -475,9 +457,7 @@ def test_with_several_freedoms_too_what_is_verified_is_taken(seed, n, rho, off):
 
 
 def test_the_check_can_be_switched_off(qp, Z):
-    mine = supervisor(check=False)
-    mine.solve(Scripted(opposite(qp)), qp, Z)
-    assert mine.fault is Fault.NONE
+    assert asked(qp, Z, opposite(qp), check=False)[0].fault is Fault.NONE
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -494,9 +474,7 @@ def test_an_idle_joint_says_nothing_about_the_freedoms_that_count(seed, idle_spe
     *_, natural, off, _ = judged(nine.row, null_space(nine.A), x)
     assert natural < 1e-6
     assert off == 0.0
-    mine = Supervisor(SupervisorSettings(), "damping", 9)
-    mine.solve(Scripted(Solution(x, None, Status.SOLVED)), nine, null_space(nine.A))
-    assert mine.fault is Fault.NONE
+    assert asked(nine, null_space(nine.A), Solution(x, None, Status.SOLVED), 9)[0].fault is Fault.NONE
 
 
 def test_both_ends_of_a_box_that_leaves_no_room_are_right(qp, Z):
@@ -507,9 +485,7 @@ def test_both_ends_of_a_box_that_leaves_no_room_are_right(qp, Z):
         qp.J_tip, qp.J_wrist, *np.split(qp.A @ x, 2), qp.pull, low, high, regularization=qp.regularization
     )
     for end in (x - along, x + along):
-        mine = supervisor()
-        mine.solve(Scripted(Solution(end, None, Status.SOLVED)), narrow, Z)
-        assert mine.fault is Fault.NONE
+        assert asked(narrow, Z, Solution(end, None, Status.SOLVED))[0].fault is Fault.NONE
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -625,22 +601,11 @@ def test_honest_solvers_are_not_refused(name):
     assert refused.mean() <= 0.01, dict(zip(*np.unique(trace.fault, return_counts=True), strict=True))
 
 
-class Booms:
-    """Raises at every tick, each time in other words; or when it is stopped."""
-
-    def __init__(self, qp, error=RuntimeError):
-        self.count, self.qp, self.error = 0, qp, error
-
-    def solve(self, qp):
-        self.count += 1
-        raise self.error(f"boom\n{self.count}")
-
-
 def test_what_a_solver_raised_first_is_kept_in_its_own_words(qp, Z):
     mine = supervisor()
     mine.solve(Scripted(solved(qp)), qp, Z)
     assert mine.firsts == {}
-    session = Booms(qp)
+    session = Scripted(*[RuntimeError(f"boom\n{k}") for k in (1, 2, 3)])
     for _ in range(3):
         mine.solve(session, qp, Z)
     assert mine.firsts == {"raised": (1, "RuntimeError: boom 1")}

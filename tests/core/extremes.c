@@ -89,24 +89,13 @@ static void draw_arm(moc_arm *arm)
 
 static void draw_law(moc_law *law, int n)
 {
-    memset(law, 0, sizeof *law);
-    law->K_X = 3000.0;
-    law->D_X = 80.0;
-    law->K_N = 800.0;
-    law->D_N = 60.0;
-    law->rcm_lambda = chance(3) ? 0.5 : 0.0;
-    law->projector = (moc_projector)(bits() % 3);
-    law->feedforward = chance(2);
-    law->k0 = uniform(0.1, 10.0);
-    law->c0 = law->c1 = 0.01;
-    law->c2 = 1e-3;
-    law->rho = chance(3) ? 0.0 : 1e-5;
-    law->shaft_margin = chance(2) ? 0.02 : 0.0;
-    law->spare_speed = 1.0;
-    law->observer_gain = chance(2) ? 20.0 : 0.0;
-    law->period = 0.002;
-    law->fade = 0.01;
-    law->third_level = !chance(4);
+    *law = (moc_law){
+        .K_X = 3000.0, .D_X = 80.0, .K_N = 800.0, .D_N = 60.0, .rcm_lambda = chance(3) ? 0.5 : 0.0,
+        .projector = (moc_projector)(bits() % 3), .feedforward = chance(2), .k0 = uniform(0.1, 10.0), .c0 = 0.01,
+        .c1 = 0.01, .c2 = 1e-3, .rho = chance(3) ? 0.0 : 1e-5, .shaft_margin = chance(2) ? 0.02 : 0.0,
+        .spare_speed = 1.0, .observer_gain = chance(2) ? 20.0 : 0.0, .period = 0.002, .fade = 0.01,
+        .third_level = !chance(4),
+    };
     law->damped = !law->third_level && chance(2);
     law->climbs = law->rho > 0.0 && chance(2);
     for (int j = 0; j < n; j++) {
@@ -121,47 +110,22 @@ static void draw_law(moc_law *law, int n)
 
 static void draw_guard(moc_guard *g, const moc_law *law, int n)
 {
-    memset(g, 0, sizeof *g);
-    g->period = 0.002;
-    g->patience = (int)(bits() % 5);
-    g->carries = !chance(4);
-    g->wall_stiffness = 2000.0;
-    g->wall_damping = 20.0;
-    g->wall_brake = 2.0;
-    g->torque_step = 40.0;
-    g->jump = 0.05;
-    g->speed_factor = 5.0;
-    g->tip_error = 0.01;
-    g->tip_share = 0.02;
-    g->in_incision = !chance(4);
+    *g = (moc_guard){
+        .period = 0.002, .patience = (int)(bits() % 5), .carries = !chance(4), .wall_stiffness = 2000.0,
+        .wall_damping = 20.0, .wall_brake = 2.0, .torque_step = 40.0, .jump = 0.05, .speed_factor = 5.0,
+        .tip_error = 0.01, .tip_share = 0.02, .in_incision = !chance(4), .incision_share = 0.02, .tool_mass = 0.3,
+        .tool_length = 0.3, .tip_force = 10.0, .stop_holding = 0.25, .stop_yield = 8.0, .stop_yield_ticks = 200,
+        .press_share = 0.1, .motion = !chance(3), .motion_s = 0.1, .motion_rad = 0.001, .motion_lag_s = 0.012,
+        .repeat_m = 0.003, .repeat_torque = 0.06, .repeat_whole_m = 0.0005, .repeat_whole_torque = 0.0005,
+        .repeat_whole_ticks = 25.0, .repeat_joint_ticks = chance(2) ? HUGE_VAL : 40.0,
+        .repeat_reading_ticks = chance(2) ? HUGE_VAL : 3.0, .replayed_ticks = 25.0, .stuck_speed = 0.2,
+        .residual_torque = 0.2, .residual_whole = 0.5, .residual_rate = 40.0, .residual_share = 0.008,
+        .settling_ticks = 75,
+    };
     for (int k = 0; k < 2; k++) {
         g->warning[k] = chance(3) ? HUGE_VAL : k ? 8.0 : 0.006;
         g->limit[k] = chance(3) ? HUGE_VAL : k ? 15.0 : 0.012;
     }
-    g->incision_share = 0.02;
-    g->tool_mass = g->tool_length = 0.3;
-    g->tip_force = 10.0;
-    g->stop_holding = 0.25;
-    g->stop_yield = 8.0;
-    g->stop_yield_ticks = 200;
-    g->press_share = 0.1;
-    g->motion = !chance(3);
-    g->motion_s = 0.1;
-    g->motion_rad = 0.001;
-    g->motion_lag_s = 0.012;
-    g->repeat_m = 0.003;
-    g->repeat_torque = 0.06;
-    g->repeat_whole_m = g->repeat_whole_torque = 0.0005;
-    g->repeat_whole_ticks = 25.0;
-    g->repeat_joint_ticks = chance(2) ? HUGE_VAL : 40.0;
-    g->repeat_reading_ticks = chance(2) ? HUGE_VAL : 3.0;
-    g->replayed_ticks = 25.0;
-    g->stuck_speed = 0.2;
-    g->residual_torque = 0.2;
-    g->residual_whole = 0.5;
-    g->residual_rate = 40.0;
-    g->residual_share = 0.008;
-    g->settling_ticks = 75;
     for (int j = 0; j < n; j++) {
         g->low[j] = law->q_min[j] + 0.045;
         g->high[j] = law->q_max[j] - 0.045;

@@ -7,7 +7,9 @@ import hashlib
 import json
 import shutil
 import subprocess
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -16,17 +18,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from moc_opt.export import export_scenario
-from moc_opt.export.folder import CORE
 from moc_opt.realtime.packets import RUNNING, Kind
 from moc_opt.scenario import Scenario, run
 from moc_opt.scenario.wired import PlantServer
 from moc_opt.trace.trace import Trace
+from tests.export.conftest import FLAGS, Export, make
 from tests.realtime.relay import FAULTS, TO_CONTROLLER, Relay
-
-pytestmark = pytest.mark.skipif(
-    shutil.which("make") is None or shutil.which("cc") is None, reason="no make or cc"
-)
 
 BASE: dict[str, Any] = {
     "duration_s": 0.6, "bound_samples": 0, "plant": {"preset": "realistic"},
@@ -40,18 +37,22 @@ RUNS: dict[str, dict[str, Any]] = {
 }
 
 
-@pytest.fixture(scope="module", params=RUNS)
-def built(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[Scenario, Path]:
-    """A scenario and the folder with its program."""
-    out, scenario = tmp_path_factory.mktemp(request.param.replace(" ", "-")), Scenario(**BASE, **RUNS[request.param])
-    assert sorted(export_scenario(scenario, out, udp=True)) == sorted(out.iterdir())
-    done = subprocess.run(
-        ["make", "-C", str(out), "moc_udp", "CFLAGS=-std=c11 -O1 -ffp-contract=off -Werror"],
-        capture_output=True, text=True, timeout=300, check=False,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert "-Wconversion" in done.stdout
-    return scenario, out
+Built = Callable[[str], tuple[Scenario, Path]]
+
+
+@pytest.fixture(scope="module")
+def built(exported: Export) -> Built:
+    """A function `built(name)`: one of RUNS and the folder with its program."""
+
+    @cache
+    def build(name: str) -> tuple[Scenario, Path]:
+        scenario = Scenario(**BASE, **RUNS[name])
+        folder = exported(scenario, udp=True)
+        done = make(folder, "moc_udp", FLAGS)
+        assert done.returncode == 0, done.stdout + done.stderr
+        return scenario, folder
+
+    return build
 
 
 def served(scenario: Scenario, folder: Path, **relayed: Any) -> tuple[Trace, dict[str, Any], int, Relay]:
@@ -67,8 +68,9 @@ def served(scenario: Scenario, folder: Path, **relayed: Any) -> tuple[Trace, dic
         return trace.result(), json.loads(done.stdout), done.returncode, relay
 
 
-def test_it_is_the_controller_that_python_is(built: tuple[Scenario, Path]) -> None:
-    scenario, folder = built
+@pytest.mark.parametrize("name", RUNS)
+def test_it_is_the_controller_that_python_is(built: Built, name: str) -> None:
+    scenario, folder = built(name)
     found, said, status, _ = served(scenario, folder)
     expected = run(scenario)
     assert len(found) == len(expected)
@@ -88,8 +90,9 @@ def test_it_is_the_controller_that_python_is(built: tuple[Scenario, Path]) -> No
         np.testing.assert_array_equal(found.columns["verified"], expected.columns["verified"])
 
 
-def test_faults_of_the_wire_are_counted_and_change_nothing(built: tuple[Scenario, Path]) -> None:
-    scenario, folder = built
+@pytest.mark.parametrize("name", ["default", "stopped"])
+def test_faults_of_the_wire_are_counted_and_change_nothing(built: Built, name: str) -> None:
+    scenario, folder = built(name)
     found, said, _, relay = served(scenario, folder, share=0.04)
     expected = run(scenario)
     np.testing.assert_array_equal(found.q_rad, expected.q_rad)
@@ -103,25 +106,26 @@ def test_faults_of_the_wire_are_counted_and_change_nothing(built: tuple[Scenario
     assert said["ticks"] == len(expected)
 
 
-def test_a_run_that_the_plant_ends_early_is_not_called_complete(built: tuple[Scenario, Path]) -> None:
+def test_a_run_that_the_plant_ends_early_is_not_called_complete(built: Built) -> None:
     """No command from tick 100 on: the plant's watchdog brakes, which the program has not asked for."""
-    scenario, folder = built
+    scenario, folder = built("default")
     blind = scenario.change(wire={"resend_s": 0.5, "resends": 0, "hold_ticks": 0, "damp_ticks": 0})
     found, said, status, _ = served(blind, folder, lost=lambda kind, number: kind is Kind.COMMAND and number >= 100)
     assert found.meta["ended"].startswith("stopped: no command from the controller")
     assert (said["ended"], status, said["ticks"]) == ("the plant ended the run early", 3, 101)
 
 
-def test_it_takes_no_memory_from_the_heap(built: tuple[Scenario, Path]) -> None:
+def test_it_takes_no_memory_from_the_heap(built: Built) -> None:
     if shutil.which("nm") is None:
         pytest.skip("no nm")
-    names = subprocess.run(["nm", "-u", str(built[1] / "moc_udp")], capture_output=True, text=True, check=True).stdout
+    program = built("default")[1] / "moc_udp"
+    names = subprocess.run(["nm", "-u", program], capture_output=True, text=True, check=True).stdout
     assert "sendto" in names
     assert not {"malloc", "calloc", "realloc", "free"} & {name.split("@")[0].split()[-1] for name in names.splitlines()}
 
 
-def test_what_cannot_be_is_refused_in_words(built: tuple[Scenario, Path], tmp_path: Path) -> None:
-    folder, (short, long) = built[1], (tmp_path / "short", tmp_path / "long")
+def test_what_cannot_be_is_refused_in_words(built: Built, tmp_path: Path) -> None:
+    folder, (short, long) = built("default")[1], (tmp_path / "short", tmp_path / "long")
     reference, (good, bad) = str(folder / "reference.bin"), (tmp_path / "good", tmp_path / "bad")
     good.write_text("0123456789abcdef\n")
     bad.write_text("x" * 33)
@@ -143,18 +147,18 @@ def test_what_cannot_be_is_refused_in_words(built: tuple[Scenario, Path], tmp_pa
 
 
 @pytest.fixture(scope="module")
-def check(built: tuple[Scenario, Path], tmp_path_factory: pytest.TempPathFactory) -> Any:
+def check(built: Built) -> Any:
     """The tag that udp.c signs its packets with, from Python."""
-    folder = tmp_path_factory.mktemp("check")
+    folder = built("default")[1]
     library, source = folder / "check.so", folder / "check.c"
     source.write_text(
         '#define main unused\n#include "udp.c"\n'
         "void tag(const uint8_t *data, size_t size, const uint8_t *key, size_t length, uint8_t *to)\n"
         "{\n    sign(data, size, key, length, to);\n}\n"
     )
-    parts = [built[1] / name for name in (*CORE, "constants.c") if name.endswith(".c")]
-    subprocess.run(["cc", "-std=c11", "-O1", "-shared", "-fPIC", f"-I{built[1]}", source, *parts, "-lm", "-o", library],
-                   check=True)  # fmt: skip
+    parts = [file for file in folder.glob("*.o") if file.stem not in ("udp", "main")]
+    subprocess.run(["cc", *FLAGS.removeprefix("CFLAGS=").split(), "-shared", f"-I{folder}", source, *parts, "-lm", "-o",
+                    library], check=True)  # fmt: skip
     library = ctypes.CDLL(str(library))
 
     def call(data: bytes, key: bytes) -> bytes:

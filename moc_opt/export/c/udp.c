@@ -329,16 +329,18 @@ static void fill_report(void)
     }
     for (int i = 0; i < 6; i++)
         report.dual[i] = asked && state.status == MOC_OK ? state.y[i] : (double)NAN;
-    double *row = report.subproblem;
-    for (int i = 0; i < 6; i++)
-        put(p->A[i], JOINTS, &row);
-    put(p->b, 6, &row);
-    put(p->grad_mu, JOINTS, &row);
-    put(p->pull, JOINTS, &row);
-    put(p->lower, JOINTS, &row);
-    put(p->upper, JOINTS, &row);
-    put((const double[]){p->c0, p->c1, p->c2, p->rho}, 4, &row);
-    put(state.terms.q, JOINTS, &row);
+    if (asked) { /* else it stays the one before */
+        double *row = report.subproblem;
+        for (int i = 0; i < 6; i++)
+            put(p->A[i], JOINTS, &row);
+        put(p->b, 6, &row);
+        put(p->grad_mu, JOINTS, &row);
+        put(p->pull, JOINTS, &row);
+        put(p->lower, JOINTS, &row);
+        put(p->upper, JOINTS, &row);
+        put((const double[]){p->c0, p->c1, p->c2, p->rho}, 4, &row);
+        put(state.terms.q, JOINTS, &row);
+    }
     strncpy(report.status, asked ? statuses[state.status] : "none", sizeof report.status - 1);
     strncpy(report.fault, asked ? faults[state.fault] : state.reason ? "stopped" : "none", sizeof report.fault - 1);
     report.solve_us = (double)NAN;

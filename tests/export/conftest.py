@@ -1,0 +1,46 @@
+"""Exported folders whose core is compiled once a session: the scenarios differ in their constants alone."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from moc_opt.export import export_scenario
+from moc_opt.export.folder import CORE
+from moc_opt.scenario import Scenario
+
+FLAGS = "CFLAGS=-std=c11 -ffp-contract=off -fno-math-errno -Werror -fPIC -O1"
+Export = Callable[..., Path]
+
+
+def make(place: Path, *words: str) -> subprocess.CompletedProcess[str]:
+    """Run make in a folder."""
+    return subprocess.run(["make", "-C", place, *words], capture_output=True, text=True, timeout=300, check=False)
+
+
+@pytest.fixture(scope="session")
+def exported(tmp_path_factory: pytest.TempPathFactory) -> Export:
+    """A function `exported(scenario, udp=False)`: its folder, with the core's objects in it."""
+    if shutil.which("make") is None or shutil.which("cc") is None:
+        pytest.skip("no make or cc")
+    core: list[Path] = []
+
+    def export(scenario: Scenario, udp: bool = False) -> Path:
+        out = tmp_path_factory.mktemp("exported")
+        assert sorted(export_scenario(scenario, out, udp=udp)) == sorted(out.iterdir())
+        objects = [name.replace(".c", ".o") for name in CORE if name.endswith(".c")]
+        if not core:
+            done = make(out, FLAGS, *objects)
+            assert done.returncode == 0, done.stdout + done.stderr
+            assert "-Wconversion" in done.stdout
+            core.extend(out / name for name in objects)
+        else:
+            for file in core:
+                shutil.copy(file, out)
+        return out
+
+    return export
