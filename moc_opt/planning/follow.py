@@ -62,14 +62,10 @@ class Planner:
     def __init__(
         self, value: Value, program: Program, targets: Targets, *, horizon_s: float, rate_per_s: float
     ) -> None:
-        """Take what is made before the run.
+        """Take V over the path, a program of `NODES` times, and targets that are interpolated between.
 
-        Args:
-            value: V over the path.
-            program: of `NODES` times.
-            targets: tip and wrist over time, closely enough to interpolate between.
-            horizon_s: least time from the measured pose to where V takes over [s].
-            rate_per_s: solves in a second.
+        ``horizon_s`` is the least time from the measured pose to where V takes over [s], ``rate_per_s`` the number of
+        solves in a second.
         """
         self._value, self._program, self._targets = value, program, targets
         self._horizon_s, self.rate_per_s = horizon_s, rate_per_s
@@ -115,12 +111,10 @@ class Planner:
                 q = followed
         period = float(nodes[1] - nodes[0])
         answer, _ = self._program.solve(guess, q, there, speed, self._value.near(end, way.last), period)
-        course = np.concatenate([q[None], answer])
-        if not np.isfinite(course).all():
-            return None
-        robot, limits = self._program.robot, self._program.limits
+        robot, limits, course = self._program.robot, self._program.limits, np.concatenate([q[None], answer])
         fast = np.abs(np.diff(course, axis=0)) - period * limits.speed_share * robot.v_max
-        if max(make_course(robot, there, answer, limits).violation, float(fast.max())) > MOST_OFF:
+        usable = np.isfinite(course).all() and fast.max() <= MOST_OFF
+        if not usable or make_course(robot, there, answer, limits).violation > MOST_OFF:
             return None
         velocity = np.gradient(course, nodes, axis=0)
         velocity[0] = speed

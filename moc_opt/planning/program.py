@@ -66,11 +66,9 @@ class Program:
         self, robot: RobotModel, nodes: int, period_s: float, limits: Limits, *, mu: float, top: float = 0.0,
         objective: Objective = "mean", smoothness: float = 0.0, brake: float = np.inf, horizon: bool = False,
     ) -> None:  # fmt: skip
-        """Write the program.
+        """Write the program of N = ``nodes`` times after the start, ``period_s`` apart [s].
 
         Args:
-            nodes: N, times after the start.
-            period_s: between two times [s]; on a horizon each solve has its own.
             mu: mu_0, what a pose is usually worth [m^3].
             top: largest mu, in what a pose costs that nearly loses the shaft [m^3]; 0: mu_0.
             smoothness: w [s^4/rad^2].
@@ -142,13 +140,8 @@ class Program:
     ) -> tuple[Array, bool]:  # fmt: skip
         """Return poses (N,n) [rad], not judged, NaN where nothing was found, and if the solver met its tolerances.
 
-        Args:
-            guess: (N,n) to begin with [rad].
-            start: (n,) the pose before the first time [rad].
-            targets: of the N times.
-            speed: (n,) the joints' velocity at the start [rad/s]; None: at rest.
-            end: what the last pose is worth.
-            period_s: between two times [s], if not that of the program.
+        It begins at the ``guess`` (N,n) and leaves the pose ``start`` (n,) at ``speed`` (n,) [rad/s], at rest without
+        one. ``end`` is what the last pose is worth; ``period_s`` stands in place of the program's own.
         """
         dt, n = self.period_s if period_s is None else period_s, len(start)
         speed = np.zeros(n) if speed is None else speed

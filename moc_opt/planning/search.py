@@ -55,13 +55,10 @@ class Value:
         self, found: PoseMap, limits: Limits, objective: Objective = "mean", *, cell: float = 0.0, price: float = 0.0,
         floor: float = -np.inf,
     ) -> None:  # fmt: skip
-        """Go through the map from its end to its start.
+        """Go through the map, lowered by `keeping_shaft` where a margin from losing the shaft is kept, to its start.
 
-        Args:
-            found: the map, lowered by `keeping_shaft` where a margin from losing the shaft is kept.
-            cell: of half a cell, what a pose stands for; 1 and more: search for the bound.
-            price: c, of speed [m^3 s^2/rad^2].
-            floor: poses with a smaller mu are forbidden [m^3].
+        ``cell`` is the part of half a cell that a pose stands for; with 1 and more V is the bound. ``price`` is c, of
+        speed [m^3 s^2/rad^2]; poses with mu below ``floor`` [m^3] are forbidden.
         """
         self.map, self.objective, self.cell = found, objective, cell
         self._period = found.targets.period_s
@@ -101,8 +98,7 @@ class Value:
     def way(self, q: Array, t_s: float = 0.0, end: int = -1, hurry: float = 1.0) -> Way | None:
         """Read the best course off from a pose (n,) [rad] at a time [s] to the map's time ``end``; None: there is none.
 
-        Args:
-            hurry: times the joint steps of V that may be used.
+        ``hurry`` times the joint steps of V may be used.
         """
         t, poses, slack, at = self.map.targets.t_s, [q], np.zeros(len(q)), (0, 0)
         end = len(t) - 1 if end < 0 else end

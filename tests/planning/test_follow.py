@@ -3,25 +3,20 @@
 from __future__ import annotations
 
 from functools import cache
-from typing import Any
 
 import numpy as np
 import pytest
 
 import moc_opt as mo
-from moc_opt.control import Controller
 from moc_opt.errors import MocOptError
 from moc_opt.planning.course import Course
 from moc_opt.planning.follow import NODES, Follower
-from moc_opt.planning.guides import followed_course
+from moc_opt.planning.guides import FASTEST, HURRY, SPEEDS, Ways, followed_course
 from moc_opt.planning.pose_map import reach
 from moc_opt.planning.program import Program
-from moc_opt.robots.model import RobotModel
 from moc_opt.scenario import Scenario, Setup
 from moc_opt.scenario.planned import targets_of
 from moc_opt.tasks.trocar import shaft_distance
-from moc_opt.trace.trace import Trace
-from tests.conftest import Array
 
 BARE = Scenario(bound_samples=0, judge=False)
 FOLLOWED = BARE.change(control={"third_level": "planned"}, plant={"preset": "nominal"})
@@ -32,22 +27,20 @@ TRAPPED = BARE.change(
 
 
 @cache
-def setup(level: str = "receding") -> Setup:
+def setup(level="receding"):
     return Setup((FOLLOWED if level == "planned" else TRAPPED).change(control={"third_level": level}))
 
 
 @cache
-def ran(level: str) -> Trace:
+def ran(level):
     return mo.run(TRAPPED.change(control={"third_level": level}))
 
 
-def follower(of: Setup) -> Follower:
-    found = of.controller()._guide
-    assert isinstance(found, Follower)
-    return found
+def follower(of):
+    return of.controller()._guide
 
 
-def test_on_its_course_an_arm_is_asked_for_the_courses_speed_and_an_error_is_pulled_back(robot: RobotModel) -> None:
+def test_on_its_course_an_arm_is_asked_for_the_courses_speed_and_an_error_is_pulled_back(robot):
     t = np.linspace(0.0, 1.0, 11)
     guide = Follower(0.002, course=Course(t, robot.data.q_home + 0.1 * t[:, None], np.ones(11), 0.0))
     for tick in range(400):
@@ -64,11 +57,10 @@ def test_on_its_course_an_arm_is_asked_for_the_courses_speed_and_an_error_is_pul
 # --- a course made before the run ---
 
 
-def test_an_arm_that_has_left_its_course_is_led_to_its_maximum_of_mu_from_where_it_is() -> None:
+def test_an_arm_that_has_left_its_course_is_led_to_its_maximum_of_mu_from_where_it_is():
     """Its elbow is held for a second, in which the course leaves its first maximum; then it goes as asked."""
     made = Setup(TRAPPED.change(control={"third_level": "planned"}))
     robot, guide, q, held = made.robot, follower(made), np.array(made.q_start), 500
-    assert guide._given is not None
     targets = targets_of(robot, made.layout, made.ticks + 1)
     assert robot.mu_along(guide._given.at(1.0)[0][None])[0] > 1.3 * robot.mu_along(q[None])[0]
     for tick in range(made.ticks):
@@ -78,7 +70,6 @@ def test_an_arm_that_has_left_its_course_is_led_to_its_maximum_of_mu_from_where_
         q = q if tick < held else q + 0.002 * desired
         if tick % 25 == 0:
             reached = reach(robot, q, targets.tip[tick + 1], targets.wrist[tick + 1])
-            assert reached is not None
             q = reached
     assert guide.told["left_course_s"] < 1.0
     assert robot.mu_along(q[None])[0] > 0.99 * robot.mu_along(guide._given.q_rad[-1:])[0]
@@ -86,17 +77,15 @@ def test_an_arm_that_has_left_its_course_is_led_to_its_maximum_of_mu_from_where_
     assert not guide.told
 
 
-def test_the_subproblem_follows_the_wish_on_its_self_motion() -> None:
+def test_the_subproblem_follows_the_wish_on_its_self_motion():
     """x is the references' motion plus the projection of the desired velocity on ker A, by pseudo-inverse."""
     made = setup("planned")
     controller = made.controller()
-    assert isinstance(controller, Controller)
     guide, state = follower(made), made.robot.state(made.q_start)
     tip, trocar = made.reference.rows(0.0), made.registered.rows(0.0)
     controller.start(state, tip, trocar)
     controller.tick(state, tip, trocar)
     desired, qp = guide.desired_velocity(state), controller.subproblem
-    assert qp is not None
     inverse = np.linalg.pinv(state.A, rcond=1e-6)
     expected = inverse @ qp.b + desired - inverse @ (state.A @ desired)
     assert np.abs(expected).max() > 1e-3
@@ -104,7 +93,7 @@ def test_the_subproblem_follows_the_wish_on_its_self_motion() -> None:
     np.testing.assert_allclose(controller.answer, expected, atol=1e-7)
 
 
-def test_the_arm_goes_along_its_course_and_no_worse_than_by_climbing() -> None:
+def test_the_arm_goes_along_its_course_and_no_worse_than_by_climbing():
     trace, course = mo.run(FOLLOWED), followed_course(setup("planned").following)
     assert trace.meta["ended"] == "completed"
     assert trace.meta["course_mu_mean"] == pytest.approx(course.mu_mean, rel=1e-6)
@@ -116,7 +105,7 @@ def test_the_arm_goes_along_its_course_and_no_worse_than_by_climbing() -> None:
     assert Setup(FOLLOWED.change(control=FOLLOWED.control.matched_dcac())).controller()._guide is None
 
 
-def test_from_a_start_just_inside_the_margin_the_course_is_as_smooth_and_good_as_from_deeper_in_it() -> None:
+def test_from_a_start_just_inside_the_margin_the_course_is_as_smooth_and_good_as_from_deeper_in_it():
     """The margin can be regained within a step of the map, but by no course that the refinement may return."""
     courses = []
     for swivel in (0.01, 0.0142):  # 0.030 and 0.043 rad from a limit
@@ -130,6 +119,23 @@ def test_from_a_start_just_inside_the_margin_the_course_is_as_smooth_and_good_as
     assert just_inside.mu_mean > 0.99 * deeper.mu_mean
 
 
+def test_a_course_hurries_only_where_that_gains_much():
+    """From the second start the elbow has far to go: there the speed decides what is lost on the way."""
+    q = (0.11625160465135753, -0.48236975363387774, 0.6927921516761183, -1.0529279629259627, 2.6042965767787516,
+         1.9686742406249267, 1.3759513161472126)  # fmt: skip
+    far = FOLLOWED.change(
+        start={"q_rad": q, "check_path": False}, trocar={"depth_m": 0.2},
+        task={"path": "spiral", "sizes": {"turns": 2.0, "radius": 0.015}},
+    )  # fmt: skip
+    here, there = Ways(setup("planned").following), Ways(Setup(far).following)
+    assert here.speeds == SPEEDS
+    assert there.speeds == (HURRY, *SPEEDS)
+    shares = [there.at(part)[1].speed_share for part in there.speeds]
+    assert shares == pytest.approx([0.952, 0.85, 0.595, 0.34])
+    near_all = Ways(Setup(far.change(control={"course_speed_fraction": 0.95})).following)
+    assert [near_all.at(part)[1].speed_share for part in (HURRY, 1.0)] == [FASTEST, 0.95]
+
+
 FAST = {"task": {"v_max_m_per_s": 2.0, "a_max_m_per_s2": 20.0}, "start": {"check_path": False}}
 
 
@@ -139,20 +145,20 @@ FAST = {"task": {"v_max_m_per_s": 2.0, "a_max_m_per_s2": 20.0}, "start": {"check
     (FAST, r"third_level = 'planned'.*mm along the path"),
     (FAST | {"control": {"third_level": "receding"}}, r"third_level = 'receding'.*mm along the path"),
 ])  # fmt: skip
-def test_what_cannot_follow_a_course_is_refused_before_the_run(change: dict[str, Any], message: str) -> None:
+def test_what_cannot_follow_a_course_is_refused_before_the_run(change, message):
     with pytest.raises(MocOptError, match=message):
         Setup(FOLLOWED.change(**change)).adapter()
 
 
 @pytest.mark.parametrize("duration_s", [0.002, 0.07])
-def test_a_run_of_a_few_ticks_is_planned_too(duration_s: float) -> None:
+def test_a_run_of_a_few_ticks_is_planned_too(duration_s):
     assert len(mo.run(FOLLOWED.change(duration_s=duration_s))) == round(duration_s / 0.002)
 
 
 # --- a course made again and again ---
 
 
-def followed(one: Follower) -> Array:
+def followed(one):
     """Poses of an arm that goes where it is asked to at once."""
     one.start()
     q, poses = np.array(setup().q_start), []
@@ -162,7 +168,7 @@ def followed(one: Follower) -> Array:
     return np.array(poses)
 
 
-def test_it_leaves_the_hump_in_which_the_local_law_is_trapped() -> None:
+def test_it_leaves_the_hump_in_which_the_local_law_is_trapped():
     trace, climbed, told = ran("receding"), ran("local"), ran("receding").meta["replans"]
     assert trace.meta["ended"] == "completed"
     assert told["solves"] > 20.0 * (setup().duration_s - 0.3)
@@ -172,15 +178,14 @@ def test_it_leaves_the_hump_in_which_the_local_law_is_trapped() -> None:
     assert trace.columns["tip_error_model_m"].mean() < 2.0 * climbed.columns["tip_error_model_m"].mean()
 
 
-def test_a_horizon_that_sees_no_further_stays_in_the_hump(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_horizon_that_sees_no_further_stays_in_the_hump(monkeypatch):
     """V is what sees the other maximum: without it the same program ends where the local law does."""
     blind = follower(Setup(TRAPPED.change(control={"horizon_s": 0.2})))
-    assert blind._planner is not None
     monkeypatch.setattr(blind._planner._value, "value", blind._planner._value._gain)
     assert setup().robot.mu_along(followed(blind)).mean() < 1.05 * ran("local").mu.mean()
 
 
-def test_what_it_follows_is_on_the_path_and_within_the_speeds() -> None:
+def test_what_it_follows_is_on_the_path_and_within_the_speeds():
     one = follower(setup())
     q = followed(one)
     assert one.told["refused"] <= 0.05 * one.told["solves"]
@@ -194,12 +199,12 @@ def test_what_it_follows_is_on_the_path_and_within_the_speeds() -> None:
 
 
 @pytest.mark.parametrize("wrong", ["random", "nan", "fast"])
-def test_nonsense_in_place_of_a_course_is_found_out(monkeypatch: pytest.MonkeyPatch, wrong: str) -> None:
+def test_nonsense_in_place_of_a_course_is_found_out(monkeypatch, wrong):
     """The last answer goes on to its end, and there the arm is asked to rest."""
     one, rng = follower(setup()), np.random.default_rng(0)
     robot, q = setup().robot, setup().q_start
 
-    def nonsense(self: Program, guess: Array, *_: object) -> tuple[Array, bool]:
+    def nonsense(self, guess, *_):
         if wrong == "fast":
             return guess + np.eye(7)[6] * np.linspace(0.0, 3.0, len(guess))[:, None] + 0.05, True
         return (rng.normal(size=guess.shape) if wrong == "random" else np.full_like(guess, np.nan)), True
@@ -208,12 +213,11 @@ def test_nonsense_in_place_of_a_course_is_found_out(monkeypatch: pytest.MonkeyPa
     for _ in range(700):
         desired = one.desired_velocity(robot.state(q))
     assert one.told["refused"] == one.told["solves"] - 1 > NODES
-    assert one._now is not None
     np.testing.assert_allclose(desired, 5.0 * (one._now.q_rad[-1] - q), atol=1e-12)
 
 
 @pytest.mark.parametrize("level", ["planned", "receding"])
-def test_a_run_can_be_repeated_and_a_controller_has_its_own_course(level: str) -> None:
+def test_a_run_can_be_repeated_and_a_controller_has_its_own_course(level):
     one, other = follower(setup(level)), follower(setup(level))
     state = setup(level).robot.state(setup(level).q_start)
     first = [one.desired_velocity(state) for _ in range(300 if level == "planned" else 60)]
@@ -223,8 +227,8 @@ def test_a_run_can_be_repeated_and_a_controller_has_its_own_course(level: str) -
     np.testing.assert_array_equal(first, [one.desired_velocity(state) for _ in first])
 
 
-def test_near_a_pose_v_is_a_parabola_between_what_reaches_the_end() -> None:
-    value, k = follower(setup())._planner._value, 5  # type: ignore[union-attr]
+def test_near_a_pose_v_is_a_parabola_between_what_reaches_the_end():
+    value, k = follower(setup())._planner._value, 5
     alive = np.isfinite(value.value[k])
     b, j = (int(i) for i in np.argwhere(alive)[alive.sum() // 2])
     end = value.near(k, (b, j))

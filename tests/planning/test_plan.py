@@ -9,22 +9,18 @@ from moc_opt.errors import TaskError
 from moc_opt.planning.course import MOST_VIOLATION, Limits, Targets, lay_targets
 from moc_opt.planning.plan import make_plan
 from moc_opt.robots.inverse_kinematics import solve_pose
-from moc_opt.robots.model import RobotModel
 from moc_opt.scenario import Scenario, planned
 from moc_opt.tasks import Reference, Trocar, make_path
 from moc_opt.vision.preflight import UnreachableError, check_reachable
-from tests.conftest import Array
 from tests.planning.arms import task
 
 
-def test_the_courses_are_in_order_and_the_proposed_start_keeps_its_promise(robot: RobotModel) -> None:
+def test_the_courses_are_in_order_and_the_proposed_start_keeps_its_promise(robot):
     q = robot.data.q_home
     targets = task(robot, q, 60)
     plan = make_plan(robot, q, targets, swivels=360)
     assert plan.executable
     assert plan.blocked is None
-    assert plan.from_start is not None
-    assert plan.best is not None
     assert plan.climbed_whole
     assert plan.climbed.mu_mean <= plan.from_start.mu_mean <= plan.best.mu_mean
     assert plan.from_start.mu_mean <= plan.bound_from_start < 1.005 * plan.from_start.mu_mean
@@ -33,23 +29,19 @@ def test_the_courses_are_in_order_and_the_proposed_start_keeps_its_promise(robot
     assert repr(plan).startswith(f"Plan(executable: yes, mean mu from the start: {plan.from_start.mu_mean:.4g} m^3, ")
     assert plan.swivel_rad[0] == pytest.approx(plan.start_swivel_rad)
     again = make_plan(robot, plan.best.q_rad[0], targets, swivels=360)
-    assert again.from_start is not None
     assert again.start_swivel_rad == pytest.approx(plan.best_swivel_rad)
     assert again.from_start.mu_mean == pytest.approx(plan.best.mu_mean, rel=1e-4)
 
 
-def test_a_bound_that_a_course_shows_to_be_none_is_not_given(
-    robot: RobotModel, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_bound_that_a_course_shows_to_be_none_is_not_given(robot, monkeypatch):
     """A map too coarse for what mu does between its poses, made by counting the mu of its bound as less."""
     monkeypatch.setattr("moc_opt.planning.search._highest_nearby", lambda mu: 0.9 * mu)
     plan = make_plan(robot, robot.data.q_home, task(robot, robot.data.q_home, 20), swivels=180)
-    assert plan.best is not None
     assert np.isnan(plan.bound)
     assert np.isnan(plan.bound_from_start)
 
 
-def test_the_first_point_out_of_reach_has_no_pose_and_the_one_before_has(robot: RobotModel) -> None:
+def test_the_first_point_out_of_reach_has_no_pose_and_the_one_before_has(robot):
     q = robot.data.q_home
     state = robot.state(q)
     away = np.linspace(0.0, 0.8, 81)[:, None] * np.array([0.0, 0.6, 0.8])
@@ -57,7 +49,6 @@ def test_the_first_point_out_of_reach_has_no_pose_and_the_one_before_has(robot: 
     plan = make_plan(robot, q, targets, swivels=360, refined=False)
     assert not plan.executable
     assert plan.best is None
-    assert plan.blocked is not None
     assert plan.blocked.t_s > 0.0
     assert f"blocked: at t = {plan.blocked.t_s:.3f} s, {plan.blocked.reason}" in repr(plan)
     assert "<th" in plan._repr_html_()
@@ -68,7 +59,7 @@ def test_the_first_point_out_of_reach_has_no_pose_and_the_one_before_has(robot: 
     rng = np.random.default_rng(0)
     starts = [rng.uniform(robot.q_min, robot.q_max) for _ in range(100)]
 
-    def within_reach(i: int) -> bool:
+    def within_reach(i):
         return any(solve_pose(robot, start, targets.tip[i], targets.wrist[i]).found for start in starts)
 
     assert within_reach(k - 1)
@@ -77,16 +68,15 @@ def test_the_first_point_out_of_reach_has_no_pose_and_the_one_before_has(robot: 
 
 
 @pytest.mark.parametrize(("limits", "told"), [(Limits(speed_share=0.03), "its speed limit"), (Limits(0.6), "limit")])
-def test_a_joint_that_is_too_slow_or_at_its_limit_is_named(robot: RobotModel, limits: Limits, told: str) -> None:
+def test_a_joint_that_is_too_slow_or_at_its_limit_is_named(robot, limits, told):
     q = robot.data.q_home
     plan = make_plan(robot, q, task(robot, q, 60), limits, swivels=180, refined=False)
-    assert plan.blocked is not None
     assert "joint_" in plan.blocked.reason
     assert told in plan.blocked.reason
     assert plan.blocked.t_s > 0.2, "while the path rests, no speed is needed"
 
 
-def test_what_kinematics_can_follow_is_executable(robot: RobotModel) -> None:
+def test_what_kinematics_can_follow_is_executable(robot):
     """`check_reachable` finds a way by another method: then the plan has one, too."""
     rng, both = np.random.default_rng(4), 0
     for _ in range(4):
@@ -107,26 +97,23 @@ def test_what_kinematics_can_follow_is_executable(robot: RobotModel) -> None:
     assert both > 1
 
 
-def test_a_limit_on_accelerations_is_kept_and_costs_little(robot: RobotModel) -> None:
+def test_a_limit_on_accelerations_is_kept_and_costs_little(robot):
     q = robot.data.q_home
-    targets = task(robot, q, 60)
-    free = make_plan(robot, q, targets, swivels=360)
-    assert free.from_start is not None
+    targets = task(robot, q, 30)
+    free = make_plan(robot, q, targets, swivels=180)
 
-    def largest(poses: Array) -> float:
+    def largest(poses):
         """Of |ddq| by differences of the speeds, the first of them from rest."""
         speed = np.vstack([np.zeros(robot.n), np.diff(poses, axis=0) / targets.period_s])
         return float(np.abs(np.diff(speed, axis=0)).max() / targets.period_s)
 
     needed = largest(free.from_start.q_rad)
-    kept = make_plan(robot, q, targets, Limits(acceleration=0.5 * needed), swivels=360)
-    assert kept.from_start is not None
+    kept = make_plan(robot, q, targets, Limits(acceleration=0.5 * needed), swivels=180)
     assert largest(kept.from_start.q_rad) <= 0.5 * needed * (1.0 + 1e-6)
     assert kept.from_start.violation < 1e-8
     assert 0.9 * free.from_start.mu_mean < kept.from_start.mu_mean <= free.from_start.mu_mean * (1.0 + 1e-6)
-    never = make_plan(robot, q, targets, Limits(acceleration=1e-3), swivels=360)
+    never = make_plan(robot, q, targets, Limits(acceleration=1e-3), swivels=180)
     assert never.from_start is None
-    assert never.blocked is not None
     assert "acceleration limit" in never.blocked.reason
 
 
@@ -136,31 +123,28 @@ def test_a_limit_on_accelerations_is_kept_and_costs_little(robot: RobotModel) ->
     ({"limits": Limits(speed_share=0.0)}, "speed_share"), ({"limits": Limits(speed_share=1.1)}, "speed_share"),
     ({"limits": Limits(shaft=1.5)}, "shaft_margin"), ({"limits": Limits(-0.1)}, "margin_rad"), ({}, "q_start"),
 ])  # fmt: skip
-def test_bad_arguments_are_named(robot: RobotModel, change: dict[str, object], name: str) -> None:
+def test_bad_arguments_are_named(robot, change, name):
     q = robot.data.q_home
     with pytest.raises(TaskError, match=name):  # the last one begins off the path
-        make_plan(robot, q if change else q + 0.01, task(robot, q, 10), **change)  # type: ignore[arg-type]
+        make_plan(robot, q if change else q + 0.01, task(robot, q, 10), **change)
 
 
-def test_a_way_that_only_the_grid_lacks_is_found_and_without_looking_the_grid_is_named() -> None:
+def test_a_way_that_only_the_grid_lacks_is_found_and_without_looking_the_grid_is_named():
     """The joints' speeds leave room for a swivel that lies between two of a coarse map's."""
     scenario = Scenario(seed=1).change(start={"pose": "random"})
     coarse = {"swivels": 90, "speed_share": 0.15, "times": 400}
     found, grid = planned.plan(scenario, **coarse), planned.plan(scenario, **coarse, refined=False)
-    assert found.from_start is not None
     assert found.from_start.violation < MOST_VIOLATION
     assert grid.from_start is None
-    assert grid.blocked is not None
     assert "between the poses of the map" in grid.blocked.reason
 
 
 @pytest.mark.parametrize("times", [20, 41])
-def test_a_start_inside_the_margin_lowers_it_whatever_the_times(times: int) -> None:
+def test_a_start_inside_the_margin_lowers_it_whatever_the_times(times):
     """The start is 0.012 rad from a limit: a course that keeps 0.02 rad cannot begin there."""
-    scenario = Scenario(start={"swivel": 1.0}, duration_s=2.0)  # type: ignore[arg-type]
+    scenario = Scenario(start={"swivel": 1.0}, duration_s=2.0)
     robot, margin = scenario.robot.arm(), 0.05
     found = planned.plan(scenario, times=times, margin_rad=margin)
-    assert found.from_start is not None
     assert found.from_start.kept
     q = found.from_start.q_rad
     room = np.minimum(q - robot.q_min, robot.q_max - q)[:, robot.moves.any(axis=0)]

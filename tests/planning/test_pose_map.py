@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from scipy.optimize import linprog, minimize
@@ -13,27 +11,26 @@ from moc_opt.errors import RobotError
 from moc_opt.planning import pose_map
 from moc_opt.planning.course import Targets
 from moc_opt.planning.elbow import Elbow, wrapped
-from moc_opt.planning.pose_map import SCANNED, PoseMap, closed_form, largest_mu, map_of
+from moc_opt.planning.pose_map import SCANNED, closed_form, largest_mu, map_of
 from moc_opt.planning.self_motion import self_motion
 from moc_opt.robots.inverse_kinematics import solve_pose
-from moc_opt.robots.model import RobotModel, load_robot
-from tests.conftest import Array
+from moc_opt.robots.model import load_robot
 from tests.planning.arms import IIWA14, H, at_poses, build, line_from
 
 
 @pytest.fixture(scope="module", params=["lwr4", "iiwa14"])
-def arm(request: pytest.FixtureRequest) -> RobotModel:
+def arm(request):
     return load_robot(request.param)
 
 
 @pytest.fixture(scope="module")
-def panda() -> tuple[RobotModel, PoseMap]:
+def panda():
     """An arm without closed form, and its map along a short line."""
     robot = load_robot("panda")
     return robot, map_of(robot, robot.data.q_home, line_from(robot, robot.data.q_home))
 
 
-def test_every_pose_has_tip_wrist_mu_and_room_of_the_model(arm: RobotModel) -> None:
+def test_every_pose_has_tip_wrist_mu_and_room_of_the_model(arm):
     rng = np.random.default_rng(0)
     starts = np.array([arm.random_regular_pose(rng, margin=0.02) for _ in range(10)])
     found = map_of(arm, starts[0], at_poses(arm, starts), 180)
@@ -48,7 +45,7 @@ def test_every_pose_has_tip_wrist_mu_and_room_of_the_model(arm: RobotModel) -> N
             assert room == pytest.approx(found.room_rad[k, branch, j], abs=1e-12)
 
 
-def test_every_pose_of_the_arm_is_in_the_map_in_one_of_eight_branches(arm: RobotModel) -> None:
+def test_every_pose_of_the_arm_is_in_the_map_in_one_of_eight_branches(arm):
     rng, branches = np.random.default_rng(1), set()
     for _ in range(60):
         q = arm.random_regular_pose(rng, margin=0.01)
@@ -57,13 +54,12 @@ def test_every_pose_of_the_arm_is_in_the_map_in_one_of_eight_branches(arm: Robot
         branch, j = (int(i) for i in np.unravel_index(int(gaps.argmin()), gaps.shape))
         assert gaps[branch, j] < 1e-9
         elbow = Elbow(arm, found.targets.wrist)
-        assert found.closed is not None
         assert np.cos(found.closed.swivel_rad[j] - elbow.swivel(q[None])[0]) == pytest.approx(1.0)
         branches.add(branch)
     assert len(branches) == 8
 
 
-def test_out_of_reach_is_no_pose(robot: RobotModel) -> None:
+def test_out_of_reach_is_no_pose(robot):
     q = robot.data.q_home
     targets = at_poses(robot, np.array([q, q]))
     away = np.array([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0]])
@@ -78,7 +74,7 @@ def test_out_of_reach_is_no_pose(robot: RobotModel) -> None:
 
 @pytest.mark.parametrize("swivels", [4, 10**12, 9.5])
 @pytest.mark.parametrize("name", ["lwr4", "panda"])
-def test_too_few_and_too_many_swivels_are_refused(name: str, swivels: int) -> None:
+def test_too_few_and_too_many_swivels_are_refused(name, swivels):
     robot = load_robot(name)
     with pytest.raises(RobotError, match="swivels"):
         map_of(robot, robot.data.q_home, line_from(robot, robot.data.q_home), swivels)
@@ -90,9 +86,8 @@ def test_too_few_and_too_many_swivels_are_refused(name: str, swivels: int) -> No
 @pytest.mark.parametrize(
     ("name", "shoulder", "lengths"), [("lwr4", 0.3105, [0.40, 0.39, 0.378]), ("iiwa14", 0.360, [0.42, 0.40, 0.426])]
 )
-def test_shipped_arms_have_their_published_lengths(name: str, shoulder: float, lengths: list[float]) -> None:
+def test_shipped_arms_have_their_published_lengths(name, shoulder, lengths):
     arm = closed_form(load_robot(name))
-    assert arm is not None
     np.testing.assert_allclose(arm.shoulder, [0.0, 0.0, shoulder], atol=1e-12)
     np.testing.assert_allclose([abs(arm.upper), abs(arm.fore), abs(arm.tool)], lengths, atol=1e-12)
 
@@ -108,7 +103,7 @@ def test_shipped_arms_have_their_published_lengths(name: str, shoulder: float, l
         {"joints": [*IIWA14["joints"][:5], ((0.0, 0.0, 0.2155), (H - 0.1, 0, 0)), IIWA14["joints"][6]]},  # oblique
     ],
 )
-def test_an_arm_without_normal_form_is_told(tmp_path: Path, changes: dict[str, object]) -> None:
+def test_an_arm_without_normal_form_is_told(tmp_path, changes):
     assert closed_form(build(tmp_path, IIWA14)) is not None, "the name of an arm does not count"
     assert closed_form(build(tmp_path, IIWA14, **changes)) is None
     assert closed_form(load_robot("panda")) is None
@@ -117,7 +112,7 @@ def test_an_arm_without_normal_form_is_told(tmp_path: Path, changes: dict[str, o
 # --- traced ---
 
 
-def test_tracing_agrees_with_the_closed_form(robot: RobotModel, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_tracing_agrees_with_the_closed_form(robot, monkeypatch):
     targets = line_from(robot, robot.data.q_home)
     closed = map_of(robot, robot.data.q_home, targets)
     monkeypatch.setattr(pose_map, "closed_form", lambda robot: None)
@@ -128,7 +123,7 @@ def test_tracing_agrees_with_the_closed_form(robot: RobotModel, monkeypatch: pyt
     np.testing.assert_array_equal(followed.q_rad, again.q_rad)
 
 
-def test_each_joint_keeps_its_own_margin(panda: tuple[RobotModel, PoseMap]) -> None:
+def test_each_joint_keeps_its_own_margin(panda):
     robot, found = panda
     margin = np.array([0.4, 0.1, 0.8, 0.3, 0.05, 0.2, 9.0])  # the last joint is idle
     may, low, high = found.feasible(margin), robot.q_min + margin, robot.q_max - margin
@@ -137,7 +132,7 @@ def test_each_joint_keeps_its_own_margin(panda: tuple[RobotModel, PoseMap]) -> N
     np.testing.assert_array_equal(found.feasible(np.full(7, 0.3)), found.feasible(0.3))
 
 
-def test_a_panda_has_every_pose_that_random_starts_find(panda: tuple[RobotModel, PoseMap]) -> None:
+def test_a_panda_has_every_pose_that_random_starts_find(panda):
     robot, found = panda
     tip, wrist = found.targets.tip[2], found.targets.wrist[2]
     poses = found.q_rad[2, 0][np.isfinite(found.mu[2, 0])]
@@ -154,7 +149,7 @@ def test_a_panda_has_every_pose_that_random_starts_find(panda: tuple[RobotModel,
     assert seen > 5
 
 
-def test_more_swivels_than_the_default_are_denser_samples(panda: tuple[RobotModel, PoseMap]) -> None:
+def test_more_swivels_than_the_default_are_denser_samples(panda):
     robot, found = panda
     fewer, twice = (map_of(robot, robot.data.q_home, found.targets[:2], swivels) for swivels in (90, 1440))
     one, two, four = (np.isfinite(each.mu[0]).sum() for each in (fewer, found, twice))
@@ -165,11 +160,11 @@ def test_more_swivels_than_the_default_are_denser_samples(panda: tuple[RobotMode
 # --- the largest mu ---
 
 
-def polished(robot: RobotModel, q: Array, tip: Array, wrist: Array) -> Array:
+def polished(robot, q, tip, wrist):
     """Climb mu with a general nonlinear program that knows nothing of self-motions."""
     free, pose = robot.moves.any(axis=0), q.copy()
 
-    def state(x: Array):
+    def state(x):
         pose[free] = x
         return robot.state(pose)
 
@@ -186,7 +181,7 @@ def polished(robot: RobotModel, q: Array, tip: Array, wrist: Array) -> Array:
     return state(found.x).q
 
 
-def elsewhere(robot: RobotModel, q: Array, starts: int, seed: int) -> float:
+def elsewhere(robot, q, starts, seed):
     """The best mu of random inverse kinematics at the tip and wrist of q, the best eight polished."""
     s, rng = robot.state(q), np.random.default_rng(seed)
     drawn = rng.uniform(robot.q_min, robot.q_max, (starts, robot.n))
@@ -203,7 +198,7 @@ def elsewhere(robot: RobotModel, q: Array, starts: int, seed: int) -> float:
     ("lwr4", SCANNED), ("iiwa14", SCANNED), ("panda", "best found of 96 starts"), ("gen3", "best found of 96 starts"),
     ("xarm7", "best found of 96 starts"), ("lwr4_rail", "best found of 96 starts"),
 ])  # fmt: skip
-def test_random_inverse_kinematics_find_nothing_better(name: str, method: str) -> None:
+def test_random_inverse_kinematics_find_nothing_better(name, method):
     """Beyond 1 %, and on the whole nothing at all: a basin of a few percent of the starts can be missed."""
     robot, rng = load_robot(name), np.random.default_rng(21)
     poses = [robot.data.q_home, *rng.uniform(robot.q_min, robot.q_max, (2, robot.n))]
@@ -219,7 +214,7 @@ def test_random_inverse_kinematics_find_nothing_better(name: str, method: str) -
 
 
 @pytest.mark.parametrize("name", ["lwr4_rail", "odd"])
-def test_with_two_freedoms_one_curve_is_not_all(name: str, odd_robot: RobotModel) -> None:
+def test_with_two_freedoms_one_curve_is_not_all(name, odd_robot):
     robot = odd_robot if name == "odd" else load_robot(name)
     rng = np.random.default_rng(4)
     poses = [robot.data.q_home, *rng.uniform(0.7 * robot.q_min, 0.7 * robot.q_max, (3, robot.n))]
@@ -228,7 +223,7 @@ def test_with_two_freedoms_one_curve_is_not_all(name: str, odd_robot: RobotModel
     assert min(shares) < 0.97
 
 
-def test_sixteen_joints(tmp_path: Path) -> None:
+def test_sixteen_joints(tmp_path):
     turns = [((0, 0, 0.1), (0, 0, 0)), *[((0, 0, 0.08), (sign * np.pi / 2, 0, 0)) for sign in 7 * (1, -1) + (1,)]]
     robot = build(tmp_path, {
         "joints": turns, "q_max": np.full(16, 1.8), "v_max": np.full(16, 2.0), "wrist": (0, 0, 0),
@@ -240,7 +235,7 @@ def test_sixteen_joints(tmp_path: Path) -> None:
     assert found.mu[0] >= elsewhere(robot, q, 20, seed=0) * (1.0 - 5e-3)
 
 
-def test_points_of_a_path_share_their_maxima() -> None:
+def test_points_of_a_path_share_their_maxima():
     """Along a path few starts a point do: what one point found, its neighbours before and behind it have too."""
     robot = load_robot("xarm7")
     curve = np.linspace(0.0, 0.02, 8)[:, None] + robot.data.q_home
@@ -250,7 +245,7 @@ def test_points_of_a_path_share_their_maxima() -> None:
     np.testing.assert_allclose(found.mu, alone, rtol=1e-6)
 
 
-def test_the_same_seed_finds_the_same_and_poses_beyond_a_limit_are_put_inside(odd_robot: RobotModel) -> None:
+def test_the_same_seed_finds_the_same_and_poses_beyond_a_limit_are_put_inside(odd_robot):
     q = np.array(odd_robot.data.q_home)
     q[0] = odd_robot.q_max[0] + 0.1
     inside = np.clip(q, odd_robot.q_min, odd_robot.q_max)
@@ -258,14 +253,14 @@ def test_the_same_seed_finds_the_same_and_poses_beyond_a_limit_are_put_inside(od
     assert one == two == other
 
 
-def ascended(robot: RobotModel, start: Array, target: Array) -> tuple[Array, float]:
+def ascended(robot, start, target):
     """Where a climb from a start ends that keeps tip and wrist at a target (2,3), and mu there."""
     q, mu = start[None].copy(), np.empty(1)
     core.ascend(robot.arm, np.array(robot.q_min), np.array(robot.q_max), target, None, q, mu)
     return q[0], float(mu[0])
 
 
-def steepest(robot: RobotModel, q: Array) -> float:
+def steepest(robot, q):
     """The largest slope of mu along a direction in [-1, 1]^n that keeps tip, wrist and limits, by HiGHS."""
     s = robot.state(q)
     low = np.where(q <= robot.q_min + 1e-6, 0.0, -1.0)
@@ -277,7 +272,7 @@ def steepest(robot: RobotModel, q: Array) -> float:
 
 
 @pytest.mark.parametrize("name", ["panda", "lwr4_rail", "odd"])
-def test_an_ascent_ends_at_a_maximum_inside_the_limits(name: str, odd_robot: RobotModel) -> None:
+def test_an_ascent_ends_at_a_maximum_inside_the_limits(name, odd_robot):
     robot = odd_robot if name == "odd" else load_robot(name)
     rng = np.random.default_rng(8)
     at_limits, slopes = 0, []
@@ -296,6 +291,6 @@ def test_an_ascent_ends_at_a_maximum_inside_the_limits(name: str, odd_robot: Rob
     assert at_limits  # some of them end there, where what is held decides
 
 
-def test_a_point_out_of_reach_is_told(odd_robot: RobotModel) -> None:
+def test_a_point_out_of_reach_is_told(odd_robot):
     s = odd_robot.state(odd_robot.data.q_home)
     assert ascended(odd_robot, np.array(s.q), np.array([s.tip, s.wrist]) + 10.0)[1] == -1.0

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from moc_opt.planning.course import OBJECTIVES, Course, Limits, Objective, Targets, faster, make_course
+from moc_opt.planning.course import OBJECTIVES, Limits, Targets, faster, make_course
 from moc_opt.planning.plan import best_course
 from moc_opt.planning.pose_map import map_of
 from moc_opt.planning.program import WHOLE, Program, across, refine, too_fast, worth
@@ -24,20 +24,17 @@ from tests.planning.arms import at_poses, line_from, task
 NODES = 8
 
 
-def on_grid(
-    robot: RobotModel, targets: Targets, limits: Limits | None = None, objective: Objective = "mean", swivels: int = 180
-) -> tuple[Course, float]:
+def on_grid(robot, targets, limits=None, objective="mean", swivels=180):
     """The best course of a grid from the home pose, and the bound on all."""
     limits, q = limits or Limits(), robot.data.q_home
     found = keeping_shaft(map_of(robot, q, targets, swivels), limits)
     poses = best_course(Value(found, limits, objective), limits, q)
-    assert poses is not None
     bound = Value(found, limits, objective, cell=WHOLE_CELL).of(q, robot.state(q).mu)
     return make_course(robot, targets, poses, limits), bound
 
 
 @pytest.mark.parametrize("objective", OBJECTIVES)
-def test_a_course_is_refined_between_its_grid_and_its_bound(robot: RobotModel, objective: Objective) -> None:
+def test_a_course_is_refined_between_its_grid_and_its_bound(robot, objective):
     targets = task(robot, robot.data.q_home, 60)
     course, bound = on_grid(robot, targets, objective=objective, swivels=90)
     better = refine(robot, targets, course, Limits(), objective)
@@ -49,14 +46,13 @@ def test_a_course_is_refined_between_its_grid_and_its_bound(robot: RobotModel, o
         assert better.value(objective) > course.value(objective)
 
 
-def test_a_course_at_its_limits_stays_at_its_maximum_of_mu_when_it_is_made_smooth(robot: RobotModel) -> None:
+def test_a_course_at_its_limits_stays_at_its_maximum_of_mu_when_it_is_made_smooth(robot):
     """From a start where the way to the better maximum is narrow: the program stays on it, and does not turn back."""
     q = (0.2912492688528833, -0.9312126696305606, -0.2813874639891124, -0.9455987681077571, 0.08576585626315732,
          -1.0843382517252966, 1.987021145390591)  # fmt: skip
     circle = Scenario().change(start={"q_rad": q, "check_path": False}, task={"sizes": {"radius": 0.02}})
     limits = Limits(0.05, 0.97)
     found = plan(circle, margin_rad=0.05, speed_share=0.97, refined=False)
-    assert found.from_start is not None
     smooth = refine(robot, found.targets, found.from_start, limits, smoothness=1e-4)
     assert smooth is not found.from_start
     assert smooth.mu_mean > 0.99 * found.from_start.mu_mean
@@ -65,7 +61,7 @@ def test_a_course_at_its_limits_stays_at_its_maximum_of_mu_when_it_is_made_smoot
     assert faster(gentle.q_rad).max() < faster(smooth.q_rad).max() < faster(found.from_start.q_rad).max()
 
 
-def test_an_arm_without_closed_form_is_refined() -> None:
+def test_an_arm_without_closed_form_is_refined():
     panda = load_robot("panda")
     targets = line_from(panda, panda.data.q_home, 20)
     course, _ = on_grid(panda, targets)
@@ -79,14 +75,14 @@ SHAFT = st.tuples(*[st.floats(-1.0, 1.0)] * 3).filter(lambda shaft: np.linalg.no
 
 
 @given(st.lists(SHAFT, min_size=1, max_size=5))
-def test_two_unit_vectors_lie_across_each_shaft(shafts: list[tuple[float, float, float]]) -> None:
+def test_two_unit_vectors_lie_across_each_shaft(shafts):
     """The five equations stand for lengths: with other vectors their tolerances would be other distances."""
     along = np.array(shafts) / np.linalg.norm(shafts, axis=1, keepdims=True)
     frames = np.concatenate([along[:, None], across(np.array(shafts))], axis=1)
     np.testing.assert_allclose(frames @ np.moveaxis(frames, 1, 2), np.tile(np.eye(3), (len(shafts), 1, 1)), atol=1e-12)
 
 
-def test_a_course_that_breaks_a_limit_is_said_to(robot: RobotModel) -> None:
+def test_a_course_that_breaks_a_limit_is_said_to(robot):
     targets = task(robot, robot.data.q_home, 20)
     course, _ = on_grid(robot, targets)
     jump, off = np.array(course.q_rad), np.array(course.q_rad)
@@ -98,7 +94,7 @@ def test_a_course_that_breaks_a_limit_is_said_to(robot: RobotModel) -> None:
     assert make_course(robot, targets, off).violation > 1e-5
 
 
-def test_a_joint_that_is_just_not_too_fast_stops_before_its_limit_by_braking_alone() -> None:
+def test_a_joint_that_is_just_not_too_fast_stops_before_its_limit_by_braking_alone():
     """Carried on at the most speed that is allowed: never beyond the limit, never braked harder than told."""
     v, q, zero = casadi.MX.sym("v"), casadi.MX.sym("q"), casadi.DM(0.0)
     excess = casadi.Function("excess", [v, q], [too_fast(v, q, casadi.DM(-9.0), zero, 2.0)])
@@ -112,7 +108,7 @@ def test_a_joint_that_is_just_not_too_fast_stops_before_its_limit_by_braking_alo
     assert float(excess(-100.0, -9.0)[1]) == 100.0, "the other way the other limit counts"
 
 
-def test_a_course_brakes_off_before_the_limits_that_it_keeps(robot: RobotModel) -> None:
+def test_a_course_brakes_off_before_the_limits_that_it_keeps(robot):
     """At margins at which the course without a brake is too fast towards a limit, by the rule itself."""
     brake, limits, targets, late = 0.5, Limits(margin=0.3), task(robot, robot.data.q_home, 60), []
     course, _ = on_grid(robot, targets, limits)
@@ -127,14 +123,14 @@ def test_a_course_brakes_off_before_the_limits_that_it_keeps(robot: RobotModel) 
 
 
 @pytest.mark.parametrize("slow", [Limits(speed_share=1e-10), Limits(acceleration=1e-7)])
-def test_a_course_for_which_the_joints_are_far_too_slow_is_none(robot: RobotModel, slow: Limits) -> None:
+def test_a_course_for_which_the_joints_are_far_too_slow_is_none(robot, slow):
     """Also where a step is shorter than what limits are kept inside by: no bounds that cross."""
     targets = task(robot, robot.data.q_home, 20)
     course, _ = on_grid(robot, targets)
     assert not refine(robot, targets, make_course(robot, targets, course.q_rad, slow), slow).kept
 
 
-def test_a_course_is_certified_only_where_the_program_has_ended(robot: RobotModel, monkeypatch) -> None:
+def test_a_course_is_certified_only_where_the_program_has_ended(robot, monkeypatch):
     """Stopped after few steps it may be better, and is at no optimum."""
     targets, said = task(robot, robot.data.q_home, 60), []
     course, _ = on_grid(robot, targets, swivels=90)
@@ -145,7 +141,7 @@ def test_a_course_is_certified_only_where_the_program_has_ended(robot: RobotMode
     assert course.mu_mean <= said[0].mu_mean < said[1].mu_mean
 
 
-def test_a_margin_from_losing_the_shaft_is_kept_where_mu_rises_below_it(robot: RobotModel) -> None:
+def test_a_margin_from_losing_the_shaft_is_kept_where_mu_rises_below_it(robot):
     """The margin is what the course itself has; what is refined without it goes below."""
     targets = task(robot, robot.data.q_home, 40)
     course, _ = on_grid(robot, targets)
@@ -165,18 +161,18 @@ Middle = tuple[RobotModel, Array, Array, Targets, Program]
 
 
 @pytest.fixture(scope="module")
-def middle(robot: RobotModel) -> Middle:
+def middle(robot):
     """A start in the middle of a course, the course as a guess, and a program."""
     targets = task(robot, robot.data.q_home, 101)
     q = on_grid(robot, targets)[0].q_rad
     return robot, q[29], q[30 : 30 + NODES], targets[30 : 30 + NODES], horizon(robot)
 
 
-def horizon(robot: RobotModel, smoothness: float = 1e-3, margin: Array | float = 0.0) -> Program:
+def horizon(robot, smoothness=0.001, margin=0.0):
     return Program(robot, NODES, 0.05, Limits(margin), mu=0.1, smoothness=smoothness, horizon=True)
 
 
-def test_tip_shaft_limits_and_speeds_are_kept_and_a_higher_price_makes_it_smoother(middle: Middle) -> None:
+def test_tip_shaft_limits_and_speeds_are_kept_and_a_higher_price_makes_it_smoother(middle):
     robot, start, guess, there, usual = middle
     rough = []
     for made in (horizon(robot, 1e-4), usual, horizon(robot, 1e-1)):
@@ -188,7 +184,7 @@ def test_tip_shaft_limits_and_speeds_are_kept_and_a_higher_price_makes_it_smooth
 
 
 @pytest.mark.parametrize("side", [-1.0, 1.0])
-def test_its_end_is_pulled_to_where_v_is_higher(middle: Middle, side: float) -> None:
+def test_its_end_is_pulled_to_where_v_is_higher(middle, side):
     robot, start, guess, there, made = middle
     rest = (guess[-1] - start) / (NODES * there.period_s)
     plain, _ = made.solve(guess, start, there, rest)
@@ -201,7 +197,7 @@ def test_its_end_is_pulled_to_where_v_is_higher(middle: Middle, side: float) -> 
     assert abs(along @ (kept[-1] - plain[-1])) < 1e-3
 
 
-def test_it_begins_at_the_speed_that_the_arm_has(middle: Middle) -> None:
+def test_it_begins_at_the_speed_that_the_arm_has(middle):
     robot, start, guess, there, made = middle
     steps = [made.solve(guess, start, there, speed * np.ones(robot.n))[0][0] - start for speed in (-0.5, 0.5)]
     along = np.linalg.svd(robot.state(start).A[:, :6])[2][-1]
@@ -209,7 +205,7 @@ def test_it_begins_at_the_speed_that_the_arm_has(middle: Middle) -> None:
     assert np.sign(along @ (steps[1] - steps[0])[:6]) == np.sign(along.sum())
 
 
-def test_a_margin_from_a_limit_is_kept_where_the_course_would_go_beyond(middle: Middle) -> None:
+def test_a_margin_from_a_limit_is_kept_where_the_course_would_go_beyond(middle):
     robot, start, guess, there, usual = middle
     free, _ = usual.solve(guess, start, there)
     turned = np.append(np.abs(np.linalg.svd(robot.state(start).A[:, :6])[2][-1]) > 0.1, False)
@@ -224,7 +220,7 @@ def test_a_margin_from_a_limit_is_kept_where_the_course_would_go_beyond(middle: 
     assert make_course(robot, there, kept, replace(Limits(), margin=margin)).violation < 1e-4
 
 
-def test_a_margin_from_losing_the_shaft_leads_the_horizon_away(robot: RobotModel) -> None:
+def test_a_margin_from_losing_the_shaft_leads_the_horizon_away(robot):
     """Tip and wrist rest; the elbow moves to where the share is larger, against mu."""
     q = robot.random_regular_pose(np.random.default_rng(5), margin=0.3)
     there, guess, shares = at_poses(robot, np.tile(q, (NODES, 1))), np.tile(q, (NODES, 1)), []

@@ -9,16 +9,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from moc_opt.planning.course import OBJECTIVES, Limits, Objective, Targets, make_course
+from moc_opt.planning.course import OBJECTIVES, Limits, Targets, make_course
 from moc_opt.planning.plan import best_course, climb
 from moc_opt.planning.pose_map import PoseMap, map_of
 from moc_opt.planning.search import WHOLE_CELL, Value, advance, half_cells, keeping_shaft, shaft_shares
-from moc_opt.robots.model import RobotModel
-from tests.conftest import Array
 from tests.planning.arms import at_poses, task
 
 
-def small(rng: np.random.Generator, k: int = 4, m: int = 4) -> PoseMap:
+def small(rng, k=4, m=4):
     """A map of a one-joint arm of speed 1, small enough to try every course; mu of any other pose is 0.4."""
     arm: Any = SimpleNamespace(v_max=np.ones(1), state=lambda q: SimpleNamespace(mu=0.4))
     targets = Targets(np.arange(float(k)), np.zeros((k, 3)), np.zeros((k, 3)), np.zeros(k))
@@ -26,7 +24,7 @@ def small(rng: np.random.Generator, k: int = 4, m: int = 4) -> PoseMap:
     return PoseMap(arm, targets, q, mu, rng.uniform(-0.2, 1.0, (k, 1, m)))
 
 
-def worth(mu: Array, objective: Objective) -> float:
+def worth(mu, objective):
     if objective == "worst":
         return float(mu.min())
     gain, weight = (mu if objective == "mean" else np.log(mu)), np.ones(len(mu))
@@ -34,7 +32,7 @@ def worth(mu: Array, objective: Objective) -> float:
     return float(weight @ gain / weight.sum())
 
 
-def every_course(found: PoseMap, step: float, start: float | None, cell: float = 0.0) -> list[tuple[Array, Array]]:
+def every_course(found, step, start, cell=0.0):
     """Poses and mu of each course that keeps limits and speed, without any dynamic programming."""
     k, _, m = found.mu.shape
     courses, may = [], found.room_rad >= 0.0
@@ -53,7 +51,7 @@ def every_course(found: PoseMap, step: float, start: float | None, cell: float =
 
 @pytest.mark.parametrize("objective", OBJECTIVES)
 @pytest.mark.parametrize(("start", "cell"), [(None, 0.0), (0.5, 0.0), (0.5, 0.5)])
-def test_the_best_of_all_courses_is_found(objective: Objective, start: float | None, cell: float) -> None:
+def test_the_best_of_all_courses_is_found(objective, start, cell):
     rng, none = np.random.default_rng(0), 0
     for _ in range(15):
         found, step = small(rng), float(rng.uniform(0.1, 0.8))
@@ -68,7 +66,6 @@ def test_the_best_of_all_courses_is_found(objective: Objective, start: float | N
             continue
         best = max(worth(mu, objective) for _, mu in courses)
         assert told == pytest.approx(best, abs=1e-12)
-        assert q is not None
         (mu,) = [mu for other, mu in courses if np.array_equal(other, q[:, 0])]
         assert worth(mu, objective) == pytest.approx(best, abs=1e-12)
         if objective == "worst":  # of those with the best worst mu, the best mean
@@ -77,7 +74,7 @@ def test_the_best_of_all_courses_is_found(objective: Objective, start: float | N
     assert none < 15
 
 
-def test_a_price_on_speed_is_what_each_step_costs() -> None:
+def test_a_price_on_speed_is_what_each_step_costs():
     rng, step, price, seen = np.random.default_rng(1), 0.7, 0.3, 0
     for _ in range(10):
         found = small(rng)
@@ -86,13 +83,12 @@ def test_a_price_on_speed_is_what_each_step_costs() -> None:
         if courses:
             seen += 1
             worths = [3.0 * worth(mu, "mean") - price * (np.diff(q) ** 2).sum() for q, mu in courses]
-            assert way is not None
             taken = [each for each, (q, _) in zip(worths, courses, strict=True) if np.array_equal(q, way.q_rad[:, 0])]
             assert taken == [pytest.approx(max(worths), abs=1e-12)]
     assert seen > 3
 
 
-def test_every_pose_is_compared_with_every_other_one_next_to_it() -> None:
+def test_every_pose_is_compared_with_every_other_one_next_to_it():
     """Random bits and slacks, so that poses of one block differ in them."""
     rng = np.random.default_rng(3)
     for trial in range(40):
@@ -117,19 +113,16 @@ def test_every_pose_is_compared_with_every_other_one_next_to_it() -> None:
 
 
 @pytest.fixture(scope="module")
-def coarse(robot: RobotModel) -> PoseMap:
+def coarse(robot):
     return map_of(robot, robot.data.q_home, task(robot, robot.data.q_home, 60), 180)
 
 
 @pytest.mark.parametrize("objective", OBJECTIVES)
-def test_a_course_keeps_the_task_limits_and_speeds_and_lies_below_its_bound(
-    robot: RobotModel, coarse: PoseMap, objective: Objective
-) -> None:
+def test_a_course_keeps_the_task_limits_and_speeds_and_lies_below_its_bound(robot, coarse, objective):
     q, limits = robot.data.q_home, Limits()
     value, bound = (Value(coarse, limits, objective, cell=cell) for cell in (0.0, WHOLE_CELL))
     for start in (q, None):
         poses = best_course(value, limits, start)
-        assert poses is not None
         course = make_course(robot, coarse.targets, poses)
         assert course.violation < 1e-12
         told, most = (v.best()[0] if start is None else v.of(q, robot.state(q).mu) for v in (value, bound))
@@ -139,7 +132,7 @@ def test_a_course_keeps_the_task_limits_and_speeds_and_lies_below_its_bound(
             np.testing.assert_array_equal(course.q_rad[0], q)
 
 
-def test_courses_of_finer_maps_stay_below_the_coarse_bound(robot: RobotModel, coarse: PoseMap) -> None:
+def test_courses_of_finer_maps_stay_below_the_coarse_bound(robot, coarse):
     """The bound is one on every course, also on those whose poses the map does not have."""
     q, mu = robot.data.q_home, robot.state(robot.data.q_home).mu
     fine = map_of(robot, q, coarse.targets, 1440)
@@ -148,15 +141,14 @@ def test_courses_of_finer_maps_stay_below_the_coarse_bound(robot: RobotModel, co
     assert low.best()[0] - 1e-4 <= high.best()[0] <= bound.best()[0]
 
 
-def test_the_margin_of_joint_limits_costs_mu(robot: RobotModel, coarse: PoseMap) -> None:
+def test_the_margin_of_joint_limits_costs_mu(robot, coarse):
     free, kept = (Value(coarse, Limits(margin)) for margin in (0.0, 0.4))
     poses = best_course(kept, Limits(0.4), None)
-    assert poses is not None
     assert np.minimum(poses - robot.q_min, robot.q_max - poses)[:, :6].min() >= 0.4 - 1e-9
     assert kept.best()[0] <= free.best()[0]
 
 
-def test_the_climb_is_a_course_and_no_better_than_the_best(robot: RobotModel) -> None:
+def test_the_climb_is_a_course_and_no_better_than_the_best(robot):
     rng, seen = np.random.default_rng(11), 0
     for q in [robot.data.q_home, *(robot.random_regular_pose(rng, margin=0.2) for _ in range(5))]:
         found = map_of(robot, q, task(robot, q, 60), 180)
@@ -175,14 +167,13 @@ def test_the_climb_is_a_course_and_no_better_than_the_best(robot: RobotModel) ->
 
 
 @pytest.mark.parametrize("joint", [1, 5])
-def test_a_course_goes_through_a_singular_pose_into_the_next_branch(robot: RobotModel, joint: int) -> None:
+def test_a_course_goes_through_a_singular_pose_into_the_next_branch(robot, joint):
     """The targets are those of a joint turning through zero: that motion itself is a course."""
     way = np.tile(np.array([0.3, 0.5, -0.4, 1.2, 0.5, -0.7, 0.0]), (41, 1))
     way[:, joint] = np.linspace(0.45, -0.47, 41) * (1.0 if joint == 1 else -1.0)
     found = map_of(robot, way[0], at_poses(robot, way))
     mean = make_course(robot, found.targets, way).mu_mean
     poses = best_course(Value(found, Limits()), Limits(), way[0])
-    assert poses is not None
     course = make_course(robot, found.targets, poses)
     assert course.violation < 1e-12
     if joint == 1:  # the other one gains by going round
@@ -191,7 +182,7 @@ def test_a_course_goes_through_a_singular_pose_into_the_next_branch(robot: Robot
     assert mean <= Value(found, Limits(), cell=WHOLE_CELL).of(way[0], robot.state(way[0]).mu)
 
 
-def test_poses_that_nearly_lose_the_shaft_are_worth_less(robot: RobotModel, coarse: PoseMap) -> None:
+def test_poses_that_nearly_lose_the_shaft_are_worth_less(robot, coarse):
     """Their share is that of the model; above the margin nothing changes."""
     margin = 0.5
     found = map_of(robot, robot.data.q_home, coarse.targets[:10], 90)

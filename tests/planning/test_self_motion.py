@@ -11,7 +11,6 @@ import pytest
 from moc_opt.errors import RobotError
 from moc_opt.planning.elbow import Elbow
 from moc_opt.planning.self_motion import (
-    SelfMotion,
     best_freedoms,
     freedoms,
     limit_shares,
@@ -22,10 +21,9 @@ from moc_opt.planning.self_motion import (
 from moc_opt.robots import loader
 from moc_opt.robots.model import RobotModel, load_robot
 from moc_opt.scenario import Scenario, run
-from tests.conftest import Array, Draw
 
 
-def check(robot: RobotModel, start: Array, motion: SelfMotion, poses: Array) -> None:
+def check(robot, start, motion, poses):
     """The promises every pose on a curve must keep."""
     s = robot.state(start)
     for q in poses:
@@ -37,7 +35,7 @@ def check(robot: RobotModel, start: Array, motion: SelfMotion, poses: Array) -> 
         np.testing.assert_array_equal(q[list(motion.held)], start[list(motion.held)])
 
 
-def test_a_curve_keeps_tip_wrist_and_limits_and_has_the_models_mu(robot: RobotModel, regular_poses: Draw) -> None:
+def test_a_curve_keeps_tip_wrist_and_limits_and_has_the_models_mu(robot, regular_poses):
     rng = np.random.default_rng(5)
     for start in regular_poses(10, seed=4):
         motion = self_motion(robot, start)
@@ -58,9 +56,7 @@ def test_a_curve_keeps_tip_wrist_and_limits_and_has_the_models_mu(robot: RobotMo
         assert motion.mu_best == pytest.approx(self_motion(robot, start, step=0.005).mu_best, abs=1e-6)
 
 
-def test_the_same_curve_from_any_of_its_poses_and_one_of_a_tool_off_the_last_axis(
-    robot: RobotModel, odd_robot: RobotModel
-) -> None:
+def test_the_same_curve_from_any_of_its_poses_and_one_of_a_tool_off_the_last_axis(robot, odd_robot):
     motion = self_motion(robot, robot.data.q_home)
     again, from_end = (self_motion(robot, q) for q in (motion.at(0.8), motion.q[-1]))
     for other in (again, from_end):
@@ -73,7 +69,7 @@ def test_the_same_curve_from_any_of_its_poses_and_one_of_a_tool_off_the_last_axi
     check(odd_robot, odd_robot.data.q_home, odd, odd.q)
 
 
-def test_a_full_turn_closes(robot: RobotModel) -> None:
+def test_a_full_turn_closes(robot):
     free = RobotModel(replace(robot.data, q_min=np.full(7, -17.0), q_max=np.full(7, 17.0)))
     q = np.array([0.2, -1.0, 0.3, 1.5, -0.4, -0.6, 0.1])
     motion = self_motion(free, q)
@@ -86,7 +82,7 @@ def test_a_full_turn_closes(robot: RobotModel) -> None:
     assert abs(swivel[-1] - swivel[0]) == pytest.approx(2 * np.pi, abs=1e-6)
 
 
-def test_bad_input_is_named(robot: RobotModel) -> None:
+def test_bad_input_is_named(robot):
     q = robot.data.q_home
     for pose, step, told in (
         (q, 0.0, "step = "), (q, -0.1, "step = "), (q, np.nan, "step = "), (np.zeros(7), 0.02, "singular"),
@@ -102,7 +98,7 @@ def test_bad_input_is_named(robot: RobotModel) -> None:
         motion.q[0, 0] = 0.0
 
 
-def test_the_peak_of_a_parabola_is_found_from_any_three_samples() -> None:
+def test_the_peak_of_a_parabola_is_found_from_any_three_samples():
     rng = np.random.default_rng(6)
     for _ in range(100):
         bend, top, height = rng.uniform(-3.0, -0.1), rng.normal(), rng.normal()
@@ -122,7 +118,7 @@ def test_the_peak_of_a_parabola_is_found_from_any_three_samples() -> None:
 FOLDER = Path(loader.__file__).parent
 
 
-def tilted(name: str, folder: Path) -> RobotModel:
+def tilted(name, folder):
     """The arm with its tool off the last axis: no joint is idle."""
     text = (FOLDER / f"{name}.toml").read_text(encoding="utf-8")
     lines = [line for line in text.splitlines() if not line.startswith(("wrist_xyz_m", "tool_mount_"))]
@@ -133,7 +129,7 @@ def tilted(name: str, folder: Path) -> RobotModel:
     return load_robot(folder / f"{name}.toml")
 
 
-def six_joints(folder: Path) -> Path:
+def six_joints(folder):
     """The LWR4+ without its third joint: an arm as most arms are."""
     urdf = (FOLDER / "lwr4.urdf").read_text(encoding="utf-8")
     urdf = urdf.replace('name="joint_3" type="revolute"', 'name="joint_3" type="fixed"')
@@ -147,7 +143,7 @@ def six_joints(folder: Path) -> Path:
     return path
 
 
-def test_counts_of_known_arms(robot: RobotModel, odd_robot: RobotModel, tmp_path: Path) -> None:
+def test_counts_of_known_arms(robot, odd_robot, tmp_path):
     assert best_freedoms(robot)[:3] == (5, 1, (6,))
     assert best_freedoms(load_robot("lwr4_rail"))[:3] == (5, 2, (7,))
     assert best_freedoms(tilted("lwr4", tmp_path))[:3] == (5, 2, ())
@@ -157,7 +153,7 @@ def test_counts_of_known_arms(robot: RobotModel, odd_robot: RobotModel, tmp_path
     assert straight.both == pytest.approx(0.0, abs=1e-9)
 
 
-def test_an_arm_without_freedom_is_refused_where_the_third_level_is_asked_for(tmp_path: Path) -> None:
+def test_an_arm_without_freedom_is_refused_where_the_third_level_is_asked_for(tmp_path):
     path = six_joints(tmp_path)
     told = r"of 6 joints the tool's tip and shaft take 5, 1 turn nothing but the tool \(joint_7\)"
     with pytest.raises(RobotError, match=told):
@@ -168,6 +164,6 @@ def test_an_arm_without_freedom_is_refused_where_the_third_level_is_asked_for(tm
     assert run(asked.change(control={"law": "dcac"})).meta["ended"] == "completed"
 
 
-def test_limit_shares_are_one_in_the_middle_and_zero_at_a_limit(robot: RobotModel) -> None:
+def test_limit_shares_are_one_in_the_middle_and_zero_at_a_limit(robot):
     np.testing.assert_allclose(limit_shares(robot, 0.5 * (robot.q_min + robot.q_max)), 1.0)
     np.testing.assert_allclose(limit_shares(robot, robot.q_max), 0.0, atol=1e-12)

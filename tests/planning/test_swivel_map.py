@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import replace
 from types import MappingProxyType
-from typing import Any
 
 import numpy as np
 import pytest
@@ -23,7 +21,6 @@ from moc_opt.planning.swivel_map import (
     NEAR,
     UNREACHABLE,
     End,
-    Reading,
     SwivelMap,
     Trajectory,
     alike,
@@ -32,13 +29,13 @@ from moc_opt.planning.swivel_map import (
 )
 from moc_opt.report.map_page import add_map, map_figure
 from moc_opt.report.page import Page
-from moc_opt.robots.model import RobotModel, load_robot
+from moc_opt.robots.model import load_robot
 from moc_opt.scenario import Scenario
 from moc_opt.trace.trace import Trace
 
 
 @pytest.fixture(scope="module")
-def runs() -> dict[str, Trace]:
+def runs():
     """Both laws on a circle in a plant that equals the model."""
     moc = Scenario(
         plant={"preset": "nominal"}, start={"swivel": 0.2}, judge=False, bound_samples=0,
@@ -48,13 +45,11 @@ def runs() -> dict[str, Trace]:
 
 
 @pytest.fixture(scope="module")
-def found(robot: RobotModel, runs: dict[str, Trace]) -> SwivelMap:
+def found(robot, runs):
     return manipulability_map(robot, runs, times=13, swivels=72)
 
 
-def test_the_grid_is_what_direct_evaluation_gives(
-    robot: RobotModel, runs: dict[str, Trace], found: SwivelMap
-) -> None:
+def test_the_grid_is_what_direct_evaluation_gives(robot, runs, found):
     guide = max(runs.values(), key=len)
     ticks = np.searchsorted(guide.t_s, found.t_s)
     known = np.isfinite(found.q_rad).all(axis=2)
@@ -73,7 +68,7 @@ def test_the_grid_is_what_direct_evaluation_gives(
     assert 0.2 < (found.limit == FEASIBLE).mean() < 0.9
 
 
-def test_the_swivel_is_a_continuous_coordinate(robot: RobotModel, found: SwivelMap) -> None:
+def test_the_swivel_is_a_continuous_coordinate(robot, found):
     rows = found.q_rad[4]
     angles = Elbow(robot, np.array([robot.state(rows[0]).wrist])).swivel(rows)
     away = np.mod(angles - found.swivel_rad + np.pi, 2 * np.pi) - np.pi
@@ -88,7 +83,7 @@ def test_the_swivel_is_a_continuous_coordinate(robot: RobotModel, found: SwivelM
     assert abs(found.swivel_rad.mean()) <= np.pi
 
 
-def test_the_elbow_angle_turns_with_the_elbow(robot: RobotModel) -> None:
+def test_the_elbow_angle_turns_with_the_elbow(robot):
     """Turned about the vertical through the base, the arm keeps its swivel; mirrored, it changes sign."""
     q = np.array(robot.data.q_home)
     elbow = Elbow(robot, robot.state(q).wrist[None])
@@ -101,9 +96,7 @@ def test_the_elbow_angle_turns_with_the_elbow(robot: RobotModel) -> None:
     assert abs(first) > 0.1
 
 
-def test_trajectories_lie_on_the_map_and_below_its_best(
-    robot: RobotModel, runs: dict[str, Trace], found: SwivelMap
-) -> None:
+def test_trajectories_lie_on_the_map_and_below_its_best(robot, runs, found):
     assert np.all(found.best_mu >= np.where(found.limit == FEASIBLE, found.mu, -np.inf).max(axis=1))
     for name, trajectory in found.trajectories.items():
         assert trajectory.gap_rad < 0.15, "half a row, as joints move"
@@ -126,7 +119,7 @@ def test_trajectories_lie_on_the_map_and_below_its_best(
     assert found.best_mu[-1] - dcac.mu[-1] > 0.03, "DCAC stays where it is"
 
 
-def test_a_run_that_is_folded_another_way_is_told_apart(robot: RobotModel, runs: dict[str, Trace]) -> None:
+def test_a_run_that_is_folded_another_way_is_told_apart(robot, runs):
     flip = np.array(runs["MOC"].q_rad)
     flip[:, 4] -= np.pi * np.sign(flip[:, 4])
     flip[:, 5] *= -1.0
@@ -141,7 +134,7 @@ def test_a_run_that_is_folded_another_way_is_told_apart(robot: RobotModel, runs:
     assert (dashes["MOC"], dashes["flipped"]) == ("solid", "dot")
 
 
-def test_what_is_out_of_reach_is_said_to_be(robot: RobotModel, runs: dict[str, Trace]) -> None:
+def test_what_is_out_of_reach_is_said_to_be(robot, runs):
     moc = runs["MOC"]
     away = np.where(np.arange(len(moc)) < len(moc) // 2, 0.0, 1.0)[:, None] * np.eye(3)[0]
     torn = moc.with_columns(tip_ref_m=moc.tip_ref_m + away, trocar_registered_m=moc.trocar_registered_m + away)
@@ -154,15 +147,13 @@ def test_what_is_out_of_reach_is_said_to_be(robot: RobotModel, runs: dict[str, T
 
 
 @pytest.mark.parametrize(("times", "swivels", "refused"), [(1, 8, True), (2, 7, True), (2, 8, False)])
-def test_the_least_map_has_two_times_and_eight_swivels(
-    robot: RobotModel, runs: dict[str, Trace], times: int, swivels: int, refused: bool
-) -> None:
+def test_the_least_map_has_two_times_and_eight_swivels(robot, runs, times, swivels, refused):
     with pytest.raises(ReportError, match=f"1 runs, {times} times, {swivels} swivels") if refused else nullcontext():
         made = manipulability_map(robot, {"MOC": runs["MOC"]}, times=times, swivels=swivels)
         assert made.mu.shape == (2, 8)
 
 
-def test_wrong_input_is_refused(robot: RobotModel, odd_robot: RobotModel, runs: dict[str, Trace]) -> None:
+def test_wrong_input_is_refused(robot, odd_robot, runs):
     moc = runs["MOC"]
     moved = moc.with_columns(tip_ref_m=moc.tip_ref_m + 1e-3)
     bare = Trace({name: moc.columns[name] for name in ("t_s", "q_rad", "tip_m", "tip_ref_m")})
@@ -186,7 +177,7 @@ def test_wrong_input_is_refused(robot: RobotModel, odd_robot: RobotModel, runs: 
         manipulability_map(odd_robot, {"odd": odd}, times=2, swivels=8)
 
 
-def test_the_figure_shows_it_all(found: SwivelMap) -> None:
+def test_the_figure_shows_it_all(found):
     drawn = map_figure(found)
     colored, grey = (trace for trace in drawn.data if trace.type == "heatmap")
     allowed = found.limit == FEASIBLE
@@ -204,7 +195,7 @@ def test_the_figure_shows_it_all(found: SwivelMap) -> None:
         ))  # fmt: skip
 
 
-def test_a_map_of_two_freedoms_is_a_slice_that_says_so(found: SwivelMap) -> None:
+def test_a_map_of_two_freedoms_is_a_slice_that_says_so(found):
     """On a rail the map holds the rail where the run has it; its best is the slice's."""
     arm = load_robot("lwr4_rail")
     run_of_it = mo.run(Scenario(robot={"name": "lwr4_rail"}, duration_s=1.0, judge=False, bound_samples=0))
@@ -228,15 +219,12 @@ T = np.linspace(0.0, 10.0, 21)
 ROWS = np.arange(-180.0, 180.0, 3.0)
 
 
-def hill(top: float, height: float, width: float = 60.0) -> Callable[[Any], Any]:
+def hill(top, height, width=60.0):
     """mu over the swivel [deg]: a smooth hill."""
     return lambda swivel: height * np.exp(-(((np.asarray(swivel) - top + 180) % 360 - 180) ** 2) / width**2)
 
 
-def made(
-    mu: Callable[[Any], Any], trajectories: dict[str, Any], forbidden: tuple[float, float, int] | None = None,
-    **more: Any,
-) -> SwivelMap:  # fmt: skip
+def made(mu, trajectories, forbidden=None, **more):
     """A map that is the same at all times: mu of the swivel [deg], runs by their swivels at 101 times [deg].
 
     ``forbidden``: from, to [deg], and what stands in `limit` there; ``more`` is of every trajectory.
@@ -260,16 +248,16 @@ def made(
     )  # fmt: skip
 
 
-def read(*given: Any, **more: Any) -> Reading:
+def read(*given, **more):
     return read_trajectory(made(*given, **more), "run")
 
 
-def ramp(start: float, end: float, until: float = 10.0) -> Any:
+def ramp(start, end, until=10.0):
     """Evenly from start to end, there at the time `until`."""
     return start + (end - start) * np.minimum(np.linspace(0.0, 10.0, 101) / until, 1.0)
 
 
-def test_a_trajectory_that_climbs_to_the_optimum() -> None:
+def test_a_trajectory_that_climbs_to_the_optimum():
     top = hill(60.0, 0.3)
     found = read(top, {"run": ramp(-30.0, 60.0, until=5.0)})
     assert found.end is End.OPTIMUM
@@ -283,8 +271,8 @@ def test_a_trajectory_that_climbs_to_the_optimum() -> None:
     assert (always.near, always.from_s) == (1.0, 0.0)
 
 
-def test_a_local_maximum_holds_a_course() -> None:
-    def two(swivel: Any) -> Any:
+def test_a_local_maximum_holds_a_course():
+    def two(swivel):
         return hill(60.0, 0.3, 30.0)(swivel) + hill(-60.0, 0.25, 30.0)(swivel)
 
     assert read(two, {"run": ramp(-100.0, -60.0, 6.0)}).end is End.LOCAL_MAXIMUM
@@ -300,16 +288,14 @@ def test_a_local_maximum_holds_a_course() -> None:
     (hill(60.0, 0.3, 90.0), -60.0, End.STILL), (hill(60.0, 0.3, 90.0), ramp(-120.0, -30.0), End.RISING),
     (hill(60.0, 0.3, 90.0), ramp(-20.0, -70.0), End.FALLING),
 ])  # fmt: skip
-def test_a_limit_on_the_way_up_holds_a_run_and_where_the_way_is_open_its_motion_tells(
-    side: float, top: Any, swivel: Any, end: End
-) -> None:
+def test_a_limit_on_the_way_up_holds_a_run_and_where_the_way_is_open_its_motion_tells(side, top, swivel, end):
     """Uphill on either side; joint 4 is beyond its limit from 0 to 140 degrees on that side."""
     forbidden = (0.0, 140.0, 4) if side > 0.0 else (-140.0, 0.0, 4)
     found = read(lambda given: top(side * np.asarray(given)), {"run": side * np.asarray(swivel)}, forbidden)
     assert (found.end, found.joint) == (end, 4 if end is End.FEASIBLE_EDGE else 0)
 
 
-def test_time_at_the_grey_is_counted_with_its_joint() -> None:
+def test_time_at_the_grey_is_counted_with_its_joint():
     found = read(hill(60.0, 0.3), {"run": ramp(-50.0, 50.0)}, (-4.0, 20.0, 4))
     assert found.at_edge == pytest.approx((20.0 + 3.0 + 4.0 + 3.0) / 100.0, abs=0.04)
     assert found.limits == (4,)
@@ -317,16 +303,16 @@ def test_time_at_the_grey_is_counted_with_its_joint() -> None:
     assert (away.at_edge, away.limits) == (0.0, ())
 
 
-def test_the_climb_crosses_the_cut_of_the_map() -> None:
+def test_the_climb_crosses_the_cut_of_the_map():
     """The map is a circle, cut open somewhere: a top beyond its last row is close to its first one."""
 
-    def two(swivel: Any) -> Any:
+    def two(swivel):
         return hill(178.0, 0.25, 30.0)(swivel) + hill(0.0, 0.3, 30.0)(swivel)
 
     assert read(two, {"run": -176.0}).end is End.LOCAL_MAXIMUM
 
 
-def test_what_cannot_be_judged_is_said() -> None:
+def test_what_cannot_be_judged_is_said():
     elsewhere = read(hill(60.0, 0.3), {"run": 60.0}, gap_rad=2.0)
     assert elsewhere.end is End.OTHER_BRANCH
     assert np.isnan([elsewhere.near, elsewhere.mu_share, elsewhere.from_s]).all()
@@ -334,7 +320,7 @@ def test_what_cannot_be_judged_is_said() -> None:
     assert nowhere.end is End.UNKNOWN
 
 
-def test_trajectories_that_look_the_same_are_one_kind_unless_one_ends_early_or_folds_otherwise() -> None:
+def test_trajectories_that_look_the_same_are_one_kind_unless_one_ends_early_or_folds_otherwise():
     found = made(hill(60.0, 0.3), {"a": 0.0, "b": 10.0, "c": 2.0, "d": ramp(0.0, 30.0), "e": 11.0, "f": 360.0})
     assert alike(found) == {"a": ["c", "f"], "b": ["e"], "d": []}
     assert alike(found, within_rad=np.radians(0.5)) == {"a": ["f"], "b": [], "c": [], "d": [], "e": []}

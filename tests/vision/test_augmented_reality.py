@@ -37,9 +37,7 @@ def trocar(robot):
 
 @pytest.fixture(scope="module")
 def phantom(robot, trocar):
-    return board_below(
-        trocar, robot.state(robot.data.q_home).tool_direction, CIRCLE.depth_m, x_axis=(1, 0.3, 0)
-    )
+    return board_below(trocar, robot.state(robot.data.q_home).tool_direction, CIRCLE.depth_m, x_axis=(1, 0.3, 0))
 
 
 def test_the_board_is_located_and_the_task_carried_over_again_with_the_same_seed(robot, phantom):
@@ -74,20 +72,15 @@ def test_single_pictures_are_accurate(hidden):
     assert found["angle_median_deg"] < 0.06
     assert found["position_p95_mm"] < 0.3
     assert found["markers_mean"] <= 20 * (1 - hidden) + 1e-9
-
-
-def test_a_board_that_is_all_covered_is_never_seen():
-    found = pose_accuracy(board=Board(hidden_fraction=1.0), poses=3)
-    assert found["seen"] == 0.0
-    assert np.isnan(found["position_median_mm"])
+    none = pose_accuracy(board=Board(hidden_fraction=1.0), poses=1)
+    assert none["seen"] == 0.0
+    assert np.isnan(none["position_median_mm"])
 
 
 @pytest.fixture(scope="module")
 def run(robot, phantom, trocar):
     """The whole loop, the board lost for a second in the middle of the circle."""
-    scene = Augmented(
-        robot, phantom, camera=EXACT, board=Board(hidden_fraction=0.2, lost_s=((2.0, 3.0),))
-    )
+    scene = Augmented(robot, phantom, camera=EXACT, board=Board(hidden_fraction=0.2, lost_s=((2.0, 3.0),)))
     path = scene.task(CIRCLE, scene.locate(seconds=0.3))
     q = pose_through(robot, path.start, trocar)
     seconds, period = 6.5, 0.002
