@@ -20,6 +20,8 @@ NEAR_RAD = 0.1
 """Nearer to its optimum than this the elbow has arrived: it costs less than half a percent of mu on the LWR4+."""
 STILL_RAD_PER_S = 0.05
 """An elbow that is slower relative to its optimum is stuck or held; in a transient it does 0.3 to 0.8 rad/s."""
+SAMPLES_PER_S = 25.0  #: How often the self-motion is scanned along a run.
+WINDOW_S = 0.1  #: The speed is the change of the distance to go over this time.
 
 
 class Elbow:
@@ -85,9 +87,7 @@ def distance_to_go(robot: RobotModel, q: ArrayLike, step: float = 0.1) -> tuple[
     return found[:, 0], found[:, 1]
 
 
-def in_transient(
-    robot: RobotModel, t_s: ArrayLike, q_rad: ArrayLike, *, samples_per_s: float = 25.0, window_s: float = 0.1
-) -> NDArray[np.bool_]:
+def in_transient(robot: RobotModel, t_s: ArrayLike, q_rad: ArrayLike) -> NDArray[np.bool_]:
     """Detect the ticks (N,) at which the elbow is still moving towards its optimum: neither there, nor at rest.
 
     While the elbow follows the optimum that the path carries along, its distance to go stands still, however fast both
@@ -95,8 +95,6 @@ def in_transient(
 
     Args:
         t_s, q_rad: (N,) time of each tick [s], (N, n) true joint positions [rad].
-        samples_per_s: how often the self-motion is scanned [1/s].
-        window_s: the speed is the change of the distance to go over this time [s].
 
     Raises:
         RobotError: no ticks, or poses of another arm.
@@ -104,13 +102,13 @@ def in_transient(
     t, q = np.asarray(t_s, dtype=np.float64), np.asarray(q_rad, dtype=np.float64)
     if len(t) == 0 or q.shape != (len(t), robot.n):
         raise RobotError(f"t_s has {len(t)} ticks, q_rad shape {q.shape}: give (N,) and (N, {robot.n}), N > 0")
-    count = max(2, int(np.ceil((t[-1] - t[0]) * samples_per_s)) + 1)
+    count = max(2, int(np.ceil((t[-1] - t[0]) * SAMPLES_PER_S)) + 1)
     ticks = np.unique(np.linspace(0, len(t) - 1, min(count, len(t))).round().astype(int))
     distance, _ = distance_to_go(robot, q[ticks])
     known = np.isfinite(distance)
     if known.sum() < 2:
         return np.zeros(len(t), dtype=np.bool_)
     at, distance = t[ticks][known], distance[known]
-    ahead, behind = np.minimum(t + 0.5 * window_s, t[-1]), np.maximum(t - 0.5 * window_s, t[0])
+    ahead, behind = np.minimum(t + 0.5 * WINDOW_S, t[-1]), np.maximum(t - 0.5 * WINDOW_S, t[0])
     speed = np.abs(np.interp(ahead, at, distance) - np.interp(behind, at, distance)) / (ahead - behind)
     return np.asarray((speed > STILL_RAD_PER_S) & (np.interp(t, at, distance) > NEAR_RAD))

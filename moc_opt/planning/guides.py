@@ -1,7 +1,8 @@
 """What the third level follows under ``[control] third_level``, in place of the climb of mu: a course, as a guide.
 
 A course is made before the run, planned or read from the file of ``[control] course`` ("planned"), or made again and
-again in it ("receding"). Both keep to the same limits, and `moc_opt.planning.follow.Follower` follows both.
+again in it ("receding"). Both come of one map and the ways read off V (`Ways`), keep to the same limits, and are
+followed by `moc_opt.planning.follow.Follower`.
 """
 
 from __future__ import annotations
@@ -41,8 +42,8 @@ COURSE_SHARE = 0.25
 """Of ``[control] shaft_margin``: there the push of the local climb begins; a course, which looks ahead, goes down to a
 quarter of it."""
 V_PERIOD_S = 0.1
-"""Between the times of the map under a receding horizon: so long that the way from pose to pose of the map is small
-beside what a joint turns in it."""
+"""Between the times of the map: so long that the way from pose to pose of the map is small beside what a joint turns
+in it."""
 TARGETS_PER_TIME = 20
 """Targets between two times of that map: the horizon interpolates between them."""
 QUARTER = 0.5
@@ -52,7 +53,7 @@ SPEEDS = (1.0, 0.7, 0.4)
 brake where no course does."""
 HURRY, WORTH_IT = 1.12, 0.01
 """A course may be faster by this factor, up to `FASTEST` of the joint speeds, where that gains so large a share of mean
-mu: its errors of tip and RCM are larger, and at most starts it gains a tenth of that."""
+mu by V: the errors of tip and RCM may then be larger, and most starts gain a tenth of that."""
 FASTEST = 0.97
 BRAKE_SHARE = 0.9
 """Of the deceleration that the safety filter's wall allows, a course that is made before the run uses this much."""

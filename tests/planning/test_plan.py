@@ -7,7 +7,8 @@ import pytest
 
 from moc_opt.errors import TaskError
 from moc_opt.planning.course import MOST_VIOLATION, Limits, Targets, lay_targets
-from moc_opt.planning.plan import make_plan
+from moc_opt.planning import plan
+from moc_opt.planning.plan import climb, make_plan
 from moc_opt.robots.inverse_kinematics import solve_pose
 from moc_opt.scenario import Scenario, planned
 from moc_opt.tasks import Reference, Trocar, make_path
@@ -137,6 +138,21 @@ def test_a_way_that_only_the_grid_lacks_is_found_and_without_looking_the_grid_is
     assert found.from_start.violation < MOST_VIOLATION
     assert grid.from_start is None
     assert "between the poses of the map" in grid.blocked.reason
+
+
+def test_where_the_bound_leaves_room_the_program_begins_at_its_course_too(monkeypatch):
+    """The grid is made to find the climb alone, from a start from which that ends in a low hump of mu."""
+    best_course = plan.best_course
+
+    def poor(value, limits, start):
+        known = value.cell == 0.0 and start is not None
+        return climb(value.map, start, limits) if known else best_course(value, limits, start)
+
+    monkeypatch.setattr(plan, "best_course", poor)
+    trapped = Scenario(seed=9).change(start={"pose": "random"}, task={"path": "circle"})
+    found = planned.plan(trapped, times=60, swivels=180)
+    assert found.climbed_whole
+    assert 1.15 * found.climbed.mu_mean < found.from_start.mu_mean <= found.bound_from_start
 
 
 @pytest.mark.parametrize("times", [20, 41])
