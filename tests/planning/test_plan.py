@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from moc_opt.errors import TaskError
-from moc_opt.planning.course import MOST_VIOLATION, Limits, Targets, lay_targets
 from moc_opt.planning import plan
+from moc_opt.planning.course import MOST_VIOLATION, Limits, Targets, lay_targets
 from moc_opt.planning.plan import climb, make_plan
 from moc_opt.robots.inverse_kinematics import solve_pose
 from moc_opt.scenario import Scenario, planned
