@@ -56,7 +56,7 @@ def printed(capsys, *arguments):
 def test_own_path_and_metric_in_a_file(package, tmp_path, capsys):
     file, trace = tmp_path / "own.toml", tmp_path / "own.parquet"
     file.write_text(
-        'bound_samples = 0\nmetrics = ["own_travel_rad", "mu_mean"]\n'
+        'bound_samples = 0\njudge = false\nbest_courses = false\nmetrics = ["own_travel_rad", "mu_mean"]\n'
         '[task]\npath = "helix"\nwait_s = 0.0\nhold_s = 0.0\n[task.sizes]\nradius = 0.004\n',
         encoding="utf-8",
     )
@@ -85,7 +85,7 @@ def test_own_path_and_metric_on_the_command_line(package, tmp_path, capsys):
 def test_waypoints_from_a_file_of_points_are_those_of_a_scenario(tmp_path, capsys):
     points, file = tmp_path / "points.csv", tmp_path / "short.toml"
     points.write_text("# x, y, z\n0.01, 0, 0\n0.02 0.01 -0.005\n\n0.03,0,0\n", encoding="utf-8")
-    file.write_text("duration_s = 0.7\nbound_samples = 0\n[task]\nwait_s = 0.0\n", encoding="utf-8")
+    file.write_text("duration_s = 0.7\nbound_samples = 0\nbest_courses = false\n[task]\nwait_s = 0.0\n")
     printed(capsys, file, "--task", points, "--trace", tmp_path / "a.parquet")
     scenario = mo.Scenario(duration_s=0.7, bound_samples=0, task={"waypoints_m": POINTS, "wait_s": 0.0})
     assert scenario.task.path == "waypoints"

@@ -1,0 +1,173 @@
+"""Commands: what they read and write, how they end, what they list, and the reference of a scenario's keys."""
+
+import csv
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import moc_opt as mo
+from moc_opt.__main__ import main
+from moc_opt.commands.parser import COMMANDS, work_of
+from moc_opt.commands.reference import markdown, tables
+from moc_opt.robots import available_robots
+from moc_opt.scenario import Scenario
+from moc_opt.tasks import CURVES
+from moc_opt.trace.metrics import METRICS
+
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "scenario.md"
+
+
+@pytest.mark.parametrize("command", [*COMMANDS, "robot"])
+def test_every_command_has_a_function_and_help(command, capsys):
+    assert callable(work_of(command))
+    if command != "solvers":  # its help is the study's
+        with pytest.raises(SystemExit) as ended:
+            main([command, "--help"])
+        assert ended.value.code == 0
+        assert f"usage: moc-opt {command}" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("arguments", [
+    ("run", "a.toml", "--trace", "a.toml"), ("run", "a.toml", "--trace", "b", "--report", "./b"),
+    ("report", "a.toml", "--out", "a.toml"), ("compare", "exact", "--scenario", "a.toml", "--out", "a.toml"),
+    ("plan", "a.toml", "--out", "a.toml"), ("map", "x", "a.toml", "--out", "x/../a.toml"),
+])  # fmt: skip
+def test_what_is_read_is_not_written_over(arguments, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "a.toml").write_text("duration_s = 0.02\n", encoding="utf-8")
+    assert main(list(arguments)) == 2
+    assert "give another name" in capsys.readouterr().err
+    assert (tmp_path / "a.toml").read_text(encoding="utf-8") == "duration_s = 0.02\n"
+    assert [file.name for file in tmp_path.iterdir()] == ["a.toml"]
+
+
+@pytest.mark.parametrize(("command", "name"), [
+    (("run",), "loop"), (("run",), "a\0b"), (("report",), "x" * 300), (("replay",), "\ud800"), (("plan",), "."),
+    (("robot", "new"), ""), (("compare", "exact"), "loop"),
+])  # fmt: skip
+def test_a_name_that_no_file_can_have_is_refused_in_a_line(command, name, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "loop").symlink_to("loop")
+    given = ["--scenario", name] if command[0] == "compare" else [name]
+    out = [] if command[0] in ("run", "compare") else ["--out", "o.toml"]
+    assert main([*command, *given, *out]) == 2
+    said = capsys.readouterr().err
+    assert (said.count("\n"), len(said) > 15) == (1, True)
+    assert [file.name for file in tmp_path.iterdir()] == ["loop"]
+
+
+@pytest.mark.parametrize("arguments", [["run", "--sede=3"], ["solvers", "--list", "--quick"], []])
+def test_an_unknown_option_is_refused_everywhere_but_in_the_study(arguments, capsys):
+    with pytest.raises(SystemExit) as ended:
+        main(arguments)
+    assert ended.value.code == 2
+    assert (arguments or ["no command"])[-1] in capsys.readouterr().err
+
+
+def test_the_version_is_printed(capsys):
+    with pytest.raises(SystemExit) as ended:
+        main(["--version"])
+    assert (ended.value.code, capsys.readouterr().out) == (0, f"moc-opt {mo.__version__}\n")
+
+
+def test_a_reader_that_closes_the_output_ends_the_command_quietly():
+    reader, writer = os.pipe()
+    os.close(reader)  # as `| head` is gone once it has what it wants
+    with os.fdopen(writer, "wb") as closed:
+        ended = subprocess.run([sys.executable, "-m", "moc_opt", "keys"], stdout=closed, stderr=subprocess.PIPE)
+    assert (ended.returncode, ended.stderr) == (141, b"")
+
+
+def test_another_broken_pipe_is_not_taken_for_the_outputs(monkeypatch, capfd):
+    def broken(*_):
+        raise BrokenPipeError("of a wire")
+
+    monkeypatch.setattr("moc_opt.commands.pages.export_c", broken)
+    with pytest.raises(BrokenPipeError, match="of a wire"):
+        main(["export-c", "--out", "c"])
+
+
+# --- lists and keys ---
+
+
+@pytest.mark.parametrize(("command", "expected"), [
+    (["robots"], available_robots), (["tasks"], lambda: [*CURVES, "waypoints"]), (["metrics"], lambda: METRICS),
+    (["solvers", "--list"], mo.solvers.available),
+])  # fmt: skip
+def test_a_list_has_every_name(capsys, monkeypatch, command, expected):
+    monkeypatch.setenv("COLUMNS", "400")  # no name is broken
+    assert main([*command, "--json"]) == 0
+    rows = json.loads(capsys.readouterr().out)
+    assert set(expected()) <= set(rows)
+    assert main(command) == 0
+    shown = capsys.readouterr().out
+    assert all(name in shown for name in rows)
+    if command == ["robots"]:
+        assert {name: (row["joints"], row["real"], row["idle"]) for name, row in rows.items()} == {
+            **dict.fromkeys(("lwr4", "iiwa14", "panda", "gen3", "xarm7"), (7, 1, 1)), "lwr4_rail": (8, 2, 1),
+        }  # fmt: skip
+
+
+def test_the_page_of_keys_is_up_to_date_and_its_defaults_are_those_of_the_scenario():
+    assert PAGE.read_text(encoding="utf-8") == markdown(), "run: moc-opt keys --markdown > docs/scenario.md"
+    for name, _, keys in tables():
+        table = Scenario()
+        for part in filter(None, name.split(".")):
+            table = getattr(table, part)
+        for key in keys:
+            value = getattr(table, key.name, None)  # a preset is of a file alone
+            if isinstance(value, float | int) and not isinstance(value, bool):
+                assert float(key.default) == value, f"{name}.{key.name}"
+
+
+def test_the_command_prints_a_table_of_keys_and_names_those_there_are(capsys):
+    assert main(["keys", "control.supervisor"]) == 0
+    assert "hold_ticks" in capsys.readouterr().out
+    assert main(["keys", "control.supervisor", "--markdown"]) == 0
+    part = capsys.readouterr().out
+    assert part.startswith("## `[control.supervisor]`")
+    assert part in markdown()
+    assert part.count("## ") == 1
+    assert main(["keys", "contrl"]) == 2
+    assert "did you mean 'control'" in capsys.readouterr().err
+
+
+# --- solvers on the same trials ---
+
+
+def test_compare_prints_every_solver_and_writes_every_run(capsys, tmp_path, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "400")
+    brief, rows = tmp_path / "brief.toml", tmp_path / "rows.csv"
+    brief.write_text("duration_s = 0.02\nbound_samples = 0\n", encoding="utf-8")
+    given = ["compare", "exact", "rnn", "--scenario", str(brief), "--trials", "2"]
+    assert main([*given, "--out", str(rows)]) == 0
+    shown = capsys.readouterr().out
+    assert all(name in shown for name in ("dcac", "exact", "rnn"))
+    with rows.open(encoding="utf-8") as file:
+        found = list(csv.DictReader(file))
+    assert [(row["solver"], row["seed"]) for row in found] == [
+        (name, seed) for seed in "01" for name in ("dcac", "exact", "rnn")
+    ]
+    assert all(float(row["mu_mean"]) > 0.0 for row in found)
+    assert main([*given, "--seed", "3", "--json"]) == 0
+    exact = json.loads(capsys.readouterr().out)["exact"]
+    assert (exact["trials"], exact["mu_mean"]["samples"]) == (2, 2)
+    assert exact["mu_mean"]["low"] <= exact["mu_mean"]["value"]
+
+
+def test_a_comparison_that_no_run_survives_says_so(tmp_path, capsys):
+    file = tmp_path / "far.toml"
+    file.write_text("bound_samples = 0\n[guard]\ntip_error_m = 1e-6\ntip_error_s = 0.004\n", encoding="utf-8")
+    assert main(["compare", "exact", "--trials", "1", "--scenario", str(file)]) == 3
+    assert "exact: no trial came to its end; the first was stopped" in capsys.readouterr().err
+
+
+def test_the_study_gets_its_own_arguments(monkeypatch):
+    asked = []
+    monkeypatch.setattr("moc_opt.study.solvers.main", lambda arguments: asked.append(arguments) or 7)
+    assert main(["solvers", "--quick", "--out", "here", "--json"]) == 7
+    assert asked == [["--quick", "--out", "here", "--json"]]
