@@ -228,7 +228,7 @@ def run_control(given: argparse.Namespace) -> int:
     if given.json:
         print_json(asdict(found) | {"system": granted})
     else:
-        console().print(_ending_table(title, asdict(found) | {"system": granted}).to_rich())
+        print_tables([_ending_table(title, asdict(found) | {"system": granted})])
     return 0 if found.ended == "completed" else 3
 
 

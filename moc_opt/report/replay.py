@@ -44,11 +44,7 @@ ACROSS = 0.7
 
 
 class Replay:
-    """One to four runs of one arm, side by side at the same time.
-
-    The file needs a browser of 2023 or later, no server and no network. Append ``#t=3.2`` to its address to
-    open it at that second.
-    """
+    """One to four runs of one arm, side by side at the same time; ``#t=3.2`` in the address opens that second."""
 
     def __init__(
         self, traces: Mapping[str, Trace], robot: RobotModel, *, title: str = "", styles: Styles | None = None
@@ -74,12 +70,7 @@ class Replay:
 
     @classmethod
     def load(cls, files: Sequence[str | os.PathLike[str]]) -> Self:
-        """Load a replay of saved traces, named as their files are.
-
-        Raises:
-            ReportError: they are not of one robot and tool, or cannot be shown.
-            TraceError: a file is missing, damaged, or no trace.
-        """
+        """Load a replay of saved traces, named as their files are; raises as `load_runs`."""
         return cls(*load_runs(files))
 
     def data(self) -> dict[str, Any]:
@@ -101,7 +92,7 @@ class Replay:
 
     def html(self) -> str:
         """Return the whole file as text."""
-        bounds = [str(trace.meta.get("mu_bound_method", "")) for trace in self.traces.values()]
+        bounds = [trace.meta.get("mu_bound_method", "") for trace in self.traces.values()]
         packed = gzip.compress(to_json(_rounded(self.data()), indent=None).encode(), mtime=0)
         return render(
             "replay.html", title=self.title, bound=listed(filter(None, bounds)),
@@ -211,21 +202,14 @@ def velocity_ellipsoids(jacobians: Array) -> Array:
 
 
 class Part(NamedTuple):
-    """A profile turned about an axis.
+    """A profile turned about an axis."""
 
-    Attributes:
-        link: joint whose frame it moves with, from 0; `BASE` stands still.
-        origin: (3,) where height 0 is, in that frame [m]; axis: (3,) unit vector.
-        radii, heights: (k,) the profile's points, from below to above [m].
-        role: "shell", "joint" or "tool", which gives its colour.
-    """
-
-    link: int
-    origin: Array
-    axis: Array
-    radii: Array
-    heights: Array
-    role: str
+    link: int  #: joint whose frame it moves with, from 0; `BASE` stands still
+    origin: Array  #: (3,) where height 0 is, in that frame [m]
+    axis: Array  #: (3,) unit vector
+    radii: Array  #: (k,) of the profile's points, from below to above [m]
+    heights: Array  #: (k,) of the same [m]
+    role: str  #: "shell", "joint" or "tool", which gives its colour
 
 
 def arm_parts(robot: RobotModel) -> list[Part]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import math
 import shutil
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from textwrap import wrap
 from typing import Any, Literal
@@ -32,33 +32,19 @@ TONES = {"best": "bold green", "good": "green", "fair": "yellow", "bad": "red", 
 
 @dataclass(frozen=True)
 class Column:
-    """One column of a table.
+    """One column of a table."""
 
-    Attributes:
-        key: where a row holds the value.
-        title, unit: the heading; the unit ("us", "mm") stands below it.
-        digits: significant digits of its numbers.
-        format: a format specification (".2f", "+.1f", "d") in place of significant digits.
-        align: None: numbers to the right, texts to the left.
-        better: which end is good: its best values are emphasised, unless most rows have them, and sorted to the
-            top first.
-        help: one sentence on its meaning, shown when the heading is pointed at, and folded below the table.
-        among: key of a flag: only rows that have it set compete for the emphasis; "" lets all compete.
-        section: title of the section of the same page that explains its values, which link there.
-        sections: key of a row's own such title, where rows are explained in different sections.
-    """
-
-    key: str
+    key: str  #: where a row holds the value
     title: str
-    unit: str = ""
-    digits: int = 3
-    format: str = ""
-    align: Literal["left", "right", "center"] | None = None
-    better: Literal["low", "high"] | None = None
-    help: str = ""
-    among: str = ""
-    section: str = ""
-    sections: str = ""
+    unit: str = ""  #: "us", "mm"; it stands below the title
+    digits: int = 3  #: significant digits of its numbers
+    format: str = ""  #: a format specification (".2f", "+.1f", "d") in place of significant digits
+    align: Literal["left", "right", "center"] | None = None  #: None: numbers to the right, texts to the left
+    better: Literal["low", "high"] | None = None  #: the good end: emphasised unless most rows have it, sorted first
+    help: str = ""  #: one sentence on its meaning, folded below the table
+    among: str = ""  #: key of a flag: only rows that have it set compete for the emphasis; "" lets all compete
+    section: str = ""  #: title of the section of the same page that explains its values, which link there
+    sections: str = ""  #: key of a row's own such title, where rows are explained in different sections
 
 
 @dataclass(frozen=True)
@@ -75,14 +61,10 @@ class Cell:
 
 @dataclass(frozen=True, repr=False)
 class Table:
-    """Rows of results under typed columns.
+    """Rows of results under typed columns, the first of which names the row.
 
-    Attributes:
-        title: a few words; a page numbers it.
-        columns: from left to right; the first one names the row.
-        rows: key -> text, flag, number, `Doubtful` (never emphasised), None, `Missing(reason)` or `Mark`; absent keys
-            are missing, others ignored.
-        caption: sentences that the reader needs for the table.
+    A row is key -> text, flag, number, `Doubtful` (never emphasised), None, `Missing(reason)` or `Mark`; absent keys
+    are missing, others ignored.
     """
 
     title: str
@@ -148,7 +130,7 @@ class Table:
         return drawn
 
     def __repr__(self) -> str:
-        return as_text([self.to_rich(width := terminal_width())], width)
+        return self.to_text(shutil.get_terminal_size((200, 24)).columns)
 
     def _repr_html_(self) -> str:
         """Show itself in a notebook."""
@@ -156,26 +138,15 @@ class Table:
         headings = [f"{column.title} [{column.unit}]" if column.unit else column.title for column in self.columns]
         return grid_html(self.title, zip(*cells, strict=True), headings, self.caption)
 
-    def to_text(self) -> str:
-        """Write the table as plain text, as wide as it needs to be."""
-        return as_text([self.to_rich()], 10_000)
-
-
-def terminal_width() -> int:
-    """Return the width of the terminal that Python prints to [characters]; 200 where there is none."""
-    return shutil.get_terminal_size((200, 24)).columns
-
-
-def as_text(drawn: Iterable[RichTable], width: int) -> str:
-    """Write tables as plain text of at most this width [characters]."""
-    console = Console(
-        file=io.StringIO(), width=width, color_system=None, force_terminal=False, highlight=False,
-        force_jupyter=False,  # there rich would show the table, and write nothing into the file
-    )  # fmt: skip
-    for table in drawn:
-        console.print(table)
-    written: str = console.file.getvalue()  # type: ignore[attr-defined]
-    return "\n".join(line.rstrip() for line in written.splitlines()) + "\n"
+    def to_text(self, width: int = 10_000) -> str:
+        """Write the table as plain text of at most this width [characters]."""
+        file = io.StringIO()
+        screen = Console(
+            file=file, width=width, color_system=None, force_terminal=False, highlight=False,
+            force_jupyter=False,  # there rich would show the table, and write nothing into the file
+        )  # fmt: skip
+        screen.print(self)
+        return "\n".join(line.rstrip() for line in file.getvalue().splitlines()) + "\n"
 
 
 def heading_lines(title: str) -> list[str]:

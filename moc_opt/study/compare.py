@@ -14,7 +14,7 @@ from moc_opt.errors import MocOptError, ScenarioError, SolverError, UnknownNameE
 from moc_opt.inputs.files import LARGEST_INTEGER, write_whole
 from moc_opt.report.console import busy
 from moc_opt.report.run_table import ANOTHER_PROBLEM, VERDICTS, answers_another_problem
-from moc_opt.report.tables import Column, Table, as_text, terminal_width
+from moc_opt.report.tables import Column, Table
 from moc_opt.scenario import Scenario, check_solver, make_solver
 from moc_opt.solvers.base import Solver
 from moc_opt.study.results import FRAMES, Results
@@ -203,7 +203,7 @@ class Comparison:
         write_whole(path, Results(self.rows).frame.write_csv(), "table of runs", ScenarioError)
 
     def __repr__(self) -> str:
-        return as_text([self.table.to_rich(width := terminal_width())], width)
+        return repr(self.table)
 
     def _repr_html_(self) -> str:
         """Show the table in a notebook."""
