@@ -70,14 +70,14 @@ def until(true: Any, what: str) -> None:
 
 def test_it_listens_on_loopback_alone(live: LivePage) -> None:
     assert live.url.startswith("http://127.0.0.1:")
-    table = Path("/proc/net/tcp")
-    if not table.exists():
-        pytest.skip(f"{table}: there is none here")
-    port, listening = f":{live.server.get_port():04X}", set()
-    for file in (table, Path("/proc/net/tcp6")):
-        rows = [line.split() for line in file.read_text().splitlines()[1:]] if file.exists() else []
-        listening |= {row[1] for row in rows if row[1].endswith(port) and row[3] == "0A"}
-    assert listening == {"0100007F" + port}
+    port, rows = f":{live.server.get_port():04X}", list[str]()
+    for file in (Path("/proc/net/tcp"), Path("/proc/net/tcp6")):
+        rows += file.read_text().splitlines()[1:] if file.exists() else []
+    if not rows:
+        pytest.skip("no /proc/net/tcp here")
+    assert {place for _, place, _, state, *_ in map(str.split, rows) if place.endswith(port) and state == "0A"} == {
+        "0100007F" + port
+    }
 
 
 def test_it_keeps_step_with_the_clock(live: LivePage) -> None:
@@ -92,15 +92,13 @@ def test_it_keeps_step_with_the_clock(live: LivePage) -> None:
     until(in_step, "too fast, or too slow, whenever one looks")
 
 
-@pytest.mark.parametrize(
-    ("field", "wrong"), [("regularization", "-1"), ("regularization", "a lot"), ("K_N", ""), ("K_X", "nan")]
-)
-def test_a_wrong_number_changes_nothing(live: LivePage, field: str, wrong: str) -> None:
+def test_a_wrong_number_changes_nothing(live: LivePage) -> None:
     panel, before = live._panel, live.run.control
-    panel._fields[field].value = wrong
-    panel._do(panel._apply)
-    assert panel._fields[field].value == panel._written(field) != wrong
-    assert live.run.control == before
+    for field, wrong in (("regularization", "-1"), ("regularization", "a lot"), ("K_N", ""), ("K_X", "nan")):
+        panel._fields[field].value = wrong
+        panel._do(panel._apply)
+        assert panel._fields[field].value == panel._written(field) != wrong
+        assert live.run.control == before
 
 
 def test_ctrl_c_ends_it_cleanly() -> None:
@@ -190,7 +188,7 @@ def test_an_order_without_the_token_is_not_obeyed_even_if_it_came_before_the_ref
 @pytest.fixture(scope="module")
 def page(chromium: Any, live: LivePage) -> Iterator[Any]:
     """The open page; in the end there must have been no error, and no request to anyone else."""
-    own, size = f"http://{address(live)}", {"width": 480, "height": 320}
+    own, size = f"http://{address(live)}", {"width": 360, "height": 240}
     with opened(chromium, live.url, "text=real time", own, ("error",), viewport=size) as found:
         yield found
 

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import sys
 import threading
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
 import pytest
 
-from moc_opt.errors import ControlError, MocOptError, UnknownNameError
+from moc_opt.errors import ControlError, UnknownNameError
 from moc_opt.live import LiveError, LiveRun
 from moc_opt.live.run import DCAC, QUANTITIES, SLOWLY_M_PER_S, Choice, ToAndFro
 from moc_opt.robots.model import RobotModel
@@ -30,28 +30,22 @@ def column(run: LiveRun, name: str, ticks: int) -> Any:
     return run.history(10**6)[-ticks:, COLUMN[name]]
 
 
-# --- the run ---
-
-
 def test_it_does_what_the_scenario_does() -> None:
     """The same ticks as the composer's loop, as long as nobody changes anything."""
     scenario = Scenario(start={"swivel": 0.2}, duration_s=0.6, judge=False, bound_samples=0)
     trace = Setup(scenario).trace()
     run = LiveRun(scenario.change(duration_s=None))
     run.advance(len(trace))
-    rows = run.history(10**6)
-    np.testing.assert_allclose(rows[:, COLUMN["t_s"]], trace.t_s, atol=1e-12)
-    np.testing.assert_allclose(rows[:, COLUMN["tip_error_m"]], trace.tip_error_m, atol=1e-9)
-    np.testing.assert_allclose(rows[:, COLUMN["rcm_error_m"]], trace.rcm_error_m, atol=1e-9)
-    np.testing.assert_allclose(
-        rows[:, COLUMN["force_N"]], np.linalg.norm(trace.trocar_force_N, axis=1), atol=1e-6
-    )
+    force = np.linalg.norm(trace.trocar_force_N, axis=1)
+    expected = {"t_s": trace.t_s, "tip_error_m": trace.tip_error_m, "rcm_error_m": trace.rcm_error_m, "force_N": force}
+    for name, values in expected.items():
+        np.testing.assert_allclose(column(run, name, len(trace)), values, atol=1e-6 if name == "force_N" else 1e-9)
 
 
 def test_a_solver_is_exchanged_at_the_next_tick(run: LiveRun) -> None:
     run.advance(5)
     assert run.moment().solver == "exact"
-    run.choose("daqp" if "daqp" in sys.modules else "rnn")
+    run.choose("rnn")
     assert run.moment().solver == "exact", "not before the next tick"
     run.advance(1)
     assert run.moment().solver == run.solver != "exact"
@@ -75,7 +69,7 @@ def test_a_solver_is_exchanged_at_the_next_tick(run: LiveRun) -> None:
 def test_exchanges_do_not_jerk(change: Callable[[LiveRun], None]) -> None:
     """The torque goes on where it was; the arm, in the realistic plant, hardly notices."""
     run = LiveRun(Scenario(start={"swivel": 0.9}))
-    run.advance(600)
+    run.advance(400)
     sent: list[Any] = []
     for k in range(150):
         if k == 50:
@@ -92,17 +86,18 @@ def test_exchanges_do_not_jerk(change: Callable[[LiveRun], None]) -> None:
 def test_wrong_orders_are_refused_and_the_run_goes_on(run: LiveRun) -> None:
     run.advance(20)
     before = run.control
-    orders: list[tuple[Callable[[], None], type[MocOptError]]] = [
-        (lambda: run.choose("exat"), UnknownNameError), (lambda: run.tune(regularization=-1.0), ControlError),
-        (lambda: run.tune(rho=1e-5), UnknownNameError), (lambda: run.tune(law="dcac"), LiveError),
-        (lambda: run.tune(third_level="planned"), LiveError), (lambda: run.place_trocar(0.2, 0.0), LiveError),
-        (lambda: run.place_trocar(float("nan"), 0.0), LiveError),
-        (lambda: run.place_trocar("a", 0.0), LiveError),  # type: ignore[arg-type]
-        (lambda: LiveRun(Scenario().change(control={"third_level": "planned"})) and None, LiveError),
-    ]  # fmt: skip
-    for order, kind in orders:
-        with pytest.raises(kind):
-            order()
+    for kind, orders in {
+        UnknownNameError: (lambda: run.choose("exat"), lambda: run.tune(rho=1e-5)),
+        ControlError: (lambda: run.tune(regularization=-1.0),),
+        LiveError: (
+            lambda: run.tune(law="dcac"), lambda: run.tune(third_level="planned"), lambda: run.place_trocar(0.2, 0.0),
+            lambda: run.place_trocar(float("nan"), 0.0), lambda: run.place_trocar("a", 0.0),  # type: ignore[arg-type]
+            lambda: LiveRun(Scenario().change(control={"third_level": "planned"})),
+        ),
+    }.items():  # fmt: skip
+        for order in orders:
+            with pytest.raises(kind):
+                order()
     assert run.control == before
     run.advance(20)
     assert run.moment().t_s == pytest.approx(0.08, abs=0.003)
@@ -139,19 +134,19 @@ def test_a_run_away_stops_and_can_be_reset(run: LiveRun) -> None:
     assert run.moment().t_s == stopped.t_s, "nothing moves"
     run.tune(K_X=2000.0)
     run.reset()
-    run.advance(1000)
+    run.advance(500)
     assert run._in_use.used.settings.K_X == run.control.K_X == 2000.0
     assert not run.moment().stopped
-    assert run.moment().t_s == pytest.approx(1.998)
+    assert run.moment().t_s == pytest.approx(0.998)
     assert column(run, "tip_error_m", 50).max() < 1e-3
 
 
 def test_the_trocar_moves_slowly_and_stays_there_after_a_reset(run: LiveRun) -> None:
     run.advance(10)
-    start, asked = run.moment().trocar, np.array([0.01, -0.005, 0.002])
+    start, asked = run.moment().trocar, np.array([0.005, -0.0025, 0.001])
     run.place_trocar(*asked)
     places = []
-    for _ in range(1000):
+    for _ in range(400):
         run.advance(1)
         places.append(run.moment().trocar)
     speeds = np.diff(places, axis=0) / run.period_s
@@ -159,37 +154,30 @@ def test_the_trocar_moves_slowly_and_stays_there_after_a_reset(run: LiveRun) -> 
     np.testing.assert_allclose(places[-1] - start, asked, atol=1e-9)
     assert column(run, "rcm_error_m", 100).max() < 3e-3, "the controller knows where it went"
     run.reset()
-    run.advance(500)
+    run.advance(300)
     np.testing.assert_allclose(run.moment().trocar - start, asked, atol=1e-9)
 
 
 def test_orders_come_from_many_threads(run: LiveRun) -> None:
     done = threading.Event()
-    trouble: list[BaseException] = []
 
     def nag(seed: int) -> None:
         rng = np.random.default_rng(seed)
-        try:
-            while not done.is_set():
-                run.choose(str(rng.choice([DCAC, "exact", "rnn"])))
-                run.tune(regularization=float(10 ** rng.uniform(-6, -3)))
-                run.place_trocar(*rng.uniform(-0.005, 0.005, 2))
-                run.moment(), run.history(50)
-                done.wait(0.005)
-        except BaseException as error:
-            trouble.append(error)
-            raise
+        while not done.is_set():
+            run.choose(str(rng.choice([DCAC, "exact", "rnn"])))
+            run.tune(regularization=float(10 ** rng.uniform(-6, -3)))
+            run.place_trocar(*rng.uniform(-0.005, 0.005, 2))
+            run.moment(), run.history(50)
+            done.wait(0.005)
 
-    threads = [threading.Thread(target=nag, args=(seed,)) for seed in range(3)]
-    for thread in threads:
-        thread.start()
-    for _ in range(40):
-        run.advance(10)
-    done.set()
-    for thread in threads:
-        thread.join()
+    with ThreadPoolExecutor(3) as threads:
+        nagging = [threads.submit(nag, seed) for seed in range(3)]
+        for _ in range(40):
+            run.advance(10)
+        done.set()
+        for one in nagging:
+            one.result()
     run.advance(400)  # the torques of so many exchanges blend away
-    assert not trouble
     assert not run.messages
     assert run.moment().solver == run.solver
     assert column(run, "tip_error_m", 20).max() < 5e-3
@@ -206,9 +194,6 @@ def test_a_controller_asked_for_at_every_tick_leaves_the_arm_controlled(run: Liv
     assert column(run, "rcm_error_m", 400).max() < 3e-3
     run.advance(50)
     assert run.moment().solver == run.solver
-
-
-# --- its parts ---
 
 
 def test_the_path_is_followed_to_and_fro(robot: RobotModel) -> None:
