@@ -163,7 +163,7 @@ def test_a_comparison_that_no_run_survives_says_so(tmp_path, capsys):
     file = tmp_path / "far.toml"
     file.write_text("bound_samples = 0\n[guard]\ntip_error_m = 1e-6\ntip_error_s = 0.004\n", encoding="utf-8")
     assert main(["compare", "exact", "--trials", "1", "--scenario", str(file)]) == 3
-    assert "exact: no trial came to its end; the first was stopped" in capsys.readouterr().err
+    assert "exact: no trial came to its end; the first: stopped" in capsys.readouterr().err
 
 
 def test_the_study_gets_its_own_arguments(monkeypatch):
