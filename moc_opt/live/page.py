@@ -121,8 +121,7 @@ def _refuse_without(token: str, server: Any) -> None:
     """Close each WebSocket that does not ask for the token's path, before it is told or obeyed.
 
     A browser lets any site open a WebSocket to this machine, and a foreign name may be made to point here (DNS
-    rebinding): neither knows the token. viser calls this hook before it reads or writes a message, and closes the
-    connection where the hook fails.
+    rebinding): neither knows the token. viser calls this hook before it reads or writes a message.
     """
     sockets = server._websock_server
 

@@ -82,10 +82,8 @@ def plan_tables(name: str, plan: Plan, **within: float) -> list[Table]:
     parts = (("map", plan.map_s), ("search", plan.search_s), ("bounds", plan.bound_s), ("refinement", plan.refine_s))
     said["computed in"] = ", ".join(f"{what} {seconds:.2f} s" for what, seconds in parts)
     rows = [{"what": what, "value": value} for what, value in said.items()]
-    return [
-        Table(f"Plan of {name}", VERDICT, rows, VERDICT_TERMS),
-        Table(f"Courses, best in {unit}", COURSES, _courses(plan), COURSES_TERMS),
-    ]
+    courses = Table(f"Courses, best in {unit}", COURSES, _courses(plan), COURSES_TERMS)
+    return [Table(f"Plan of {name}", VERDICT, rows, VERDICT_TERMS), courses]
 
 
 def _courses(plan: Plan) -> list[dict[str, Any]]:
@@ -95,10 +93,10 @@ def _courses(plan: Plan) -> list[dict[str, Any]]:
     for name, course in known.items():
         if course is None:
             continue
-        whole = plan.best is not None and len(course.mu) == len(plan.targets)
+        best = plan.best if len(course.mu) == len(plan.targets) else None
         rows.append({
             "course": name, "mu_mean": course.mu_mean, "mu_worst": course.value("worst"),
-            "share_percent": 100.0 * course.mu_mean / plan.best.mu_mean if whole and plan.best else None,
+            "share_percent": best and 100.0 * course.mu_mean / best.mu_mean,
             "certified": "" if name == climbed else "local" if course.certified else "grid",
             "violation": course.violation,
         })  # fmt: skip

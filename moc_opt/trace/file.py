@@ -33,11 +33,7 @@ _OTHER_FORMATS = frozenset({".csv", ".tsv", ".txt", ".json", ".npy", ".npz", ".m
 
 
 def new_file(path: str | os.PathLike[str]) -> Path:
-    """Return where a trace may be written; asked before a run, so that none is lost for its file's name.
-
-    Raises:
-        TraceError: a name of another format than Parquet, no such folder, or something that is no file is there.
-    """
+    """Return where a trace may be written, or raise a TraceError before the run: another format, no such folder."""
     target = as_path(path, "trace", TraceError)
     if target.suffix.lower() in _OTHER_FORMATS:
         raise TraceError(
@@ -56,9 +52,9 @@ def write(path: str | os.PathLike[str], columns: Columns, meta: Mapping[str, Any
     import polars as pl  # only where a file is touched: it takes longer than all other imports of this room
 
     target, packed = new_file(path), io.BytesIO()
-    told = json.dumps(dict(meta), allow_nan=False)
+    entries = json.dumps(dict(meta), allow_nan=False)
     types = json.dumps({name: array.dtype.str for name, array in columns.items()}, allow_nan=False)
-    metadata = {VERSION_KEY: VERSION, META_KEY: told, TYPES_KEY: types, SUM_KEY: checksum(columns, told, types)}
+    metadata = {VERSION_KEY: VERSION, META_KEY: entries, TYPES_KEY: types, SUM_KEY: checksum(columns, entries, types)}
     frame = pl.DataFrame([
         pl.Series(name, array.tolist(), dtype=pl.String) if array.dtype.kind == "U" else pl.Series(name, array)
         for name, array in columns.items()
@@ -68,11 +64,7 @@ def write(path: str | os.PathLike[str], columns: Columns, meta: Mapping[str, Any
 
 
 def read(path: str | os.PathLike[str]) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
-    """Read the columns and meta that `write` wrote.
-
-    Raises:
-        TraceError: the file is missing, damaged, or no trace.
-    """
+    """Read the columns and meta that `write` wrote; a TraceError where the file is missing, damaged, or no trace."""
     import polars as pl
 
     file = as_path(path, "trace", TraceError)

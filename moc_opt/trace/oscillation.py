@@ -40,15 +40,11 @@ from moc_opt.trace.trace import MissingDataError, Trace
 Floats = NDArray[np.float64]
 Flags = Sequence[bool] | NDArray[np.bool_]
 
-LIMIT_RAD_PER_S = 0.2
-LIMIT_NM = 10.0
+LIMIT_RAD_PER_S, LIMIT_NM = 0.2, 10.0
 LIMIT_M_PER_S, LIMIT_N = 0.08, 100.0  #: Of a joint that slides.
 PARTS, LOUDEST, KEPT_UP = 8, 2, 0.5
 """Of so many parts of the worst window the loudest ones are left out, and the rest holds this share of a limit."""
-ABOVE_HZ = 8.0
-WINDOW_S = 1.0
-START_S = 0.5
-SHORTEST_S = 1e-6
+ABOVE_HZ, WINDOW_S, START_S, SHORTEST_S = 8.0, 1.0, 0.5, 1e-6
 
 
 class Shaking(NamedTuple):
@@ -157,7 +153,5 @@ def judged_for_oscillation(trace: Trace, joint_names: Sequence[str], slides: Fla
     if brief or (ended != "completed" and stopped_s is None):
         return trace
     found = describe(judged, joint_names, slides)
-    if not found:
-        return trace
     said = f"oscillated: {found}" if stopped_s is None else f"{ended}; oscillated before: {found}"
-    return trace.with_meta(ended=said)
+    return trace.with_meta(ended=said) if found else trace

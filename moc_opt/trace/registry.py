@@ -49,8 +49,8 @@ class Metric:
 
 
 GROUP = "moc_opt.metrics"
-_LOADED: dict[EntryPoint, str] = {}
 METRICS: dict[str, Metric] = {}  #: Name -> metric, in the order of a summary.
+_LOADED: dict[EntryPoint, str] = {}
 
 
 def metric(unit: str | Callable[..., float]) -> Any:
