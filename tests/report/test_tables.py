@@ -64,6 +64,7 @@ def test_the_best_value_is_what_reads_best() -> None:
     assert best([2.0, 1.0, None, math.inf, 1.0004], better="low") == [False, True, False, False, True]
     assert best([2.5, 1.0, -math.inf, math.inf], better="high") == [True, False, False, False]
     assert best([1.0, 1.0, 1.0, 2.0], better="low") == [False] * 4, "most of them: no emphasis"
+    assert best([1.0, 1.0, 2.0], better="low") == [False] * 3
     assert best([1.0, 1.0, 3.0, 2.0], better="low") == [True, True, False, False]
     assert best([2.0, 1.0]) == [False, False]
     assert best([2.0, None], better="low") == [False, False]
@@ -104,6 +105,16 @@ def test_a_doubtful_number_is_marked_and_never_the_best():
     assert [cell.best for cell in cells] == [False, True, False, False]
     assert [cell.sort for cell in cells] == [3.0, 12.0, 50.0, 60.0]
     assert "?3.0" in made.to_text()
+
+
+def test_a_terminal_shows_units_and_keeps_numbers_to_the_right_whatever_is_missing() -> None:
+    columns = [Column("name", "solver"), Column("value", "self-motion loss", "us", format=".1f")]
+    rows = [{"name": "a", "value": 12.0}, {"name": "b"}, {"name": "c", "value": 3.0}]
+    lines = [line for line in Table("Times", columns, rows, "Caption.").to_text().splitlines() if line.strip("─ ")]
+    assert [line.split() for line in lines] == [
+        ["Times"], ["self-motion"], ["solver", "loss"], ["µs"], ["a", "12.0"], ["b", "–"], ["c", "3.0"], ["Caption."],
+    ]  # fmt: skip
+    assert len({len(line) for line in lines[4:7]}) == 1
 
 
 # --- progress and JSON ---
