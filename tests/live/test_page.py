@@ -188,8 +188,8 @@ def test_an_order_without_the_token_is_not_obeyed_even_if_it_came_before_the_ref
 @pytest.fixture(scope="module")
 def page(chromium: Any, live: LivePage) -> Iterator[Any]:
     """The open page; in the end there must have been no error, and no request to anyone else."""
-    own, size = f"http://{address(live)}", {"width": 300, "height": 200}
-    with opened(chromium, live.url, "text=real time", own, ("error",), viewport=size, device_scale_factor=0.25) as found:
+    own, few = f"http://{address(live)}", {"viewport": {"width": 300, "height": 200}, "device_scale_factor": 0.25}
+    with opened(chromium, live.url, "text=real time", own, ("error",), **few) as found:
         yield found
 
 
