@@ -101,33 +101,35 @@ class Faults:
     """The faults of one run with n joints: ``sense`` corrupts measurements, ``act`` pushes, ``slip`` moves the trocar.
 
     ``period`` is that of control [s]; ``seed`` draws signs, noise, drops and directions.
+
+    Raises:
+        PlantError: a joint that the arm does not have.
     """
 
     def __init__(self, settings: FaultSettings, n: int, period: float, seed: int) -> None:
-        self.settings, self._period = settings, period
-        signs, noise, drops, directions, drifts = (
+        self.settings = s = settings
+        self._period = period
+        for name in ("frozen_joint", "lag_joint"):
+            joint = getattr(s, name)
+            if joint is not None and joint >= n:
+                raise PlantError(f"{name} = {joint}: the arm has {n} joints: give 0 to {n - 1}")
+        signs, self._noise, self._drops, directions, drifts = (
             np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(5)
         )
-        self._bias = settings.encoder_bias_rad * signs.choice([-1.0, 1.0], size=n)
-        self._noise, self._packets = noise, _Packets(settings, n, period, drops, drifts)
+        self._bias = s.encoder_bias_rad * signs.choice([-1.0, 1.0], size=n)
+        self._drift = s.drift_rad_per_s * drifts.choice([-1.0, 1.0], size=n)
         angle = directions.uniform(0.0, 2.0 * np.pi, size=2)
-        self._bump = settings.bump_N * np.array([np.cos(angle[0]), np.sin(angle[0]), 0.0])
-        self._weight = np.array([0.0, 0.0, -settings.payload_kg * GRAVITY])
-        self._slip = settings.slip_m * np.array([np.cos(angle[1]), np.sin(angle[1]), 0.0])
-        self._bump_on = round(settings.bump_at_s / period)
-        self._bump_off = self._bump_on + max(1, round(settings.bump_s / period))
-
-    def sense(self, seen: Measurement, tick: int) -> Measurement:
-        """Return the measurement with its faults, as it arrives."""
-        s, t = self.settings, tick * self._period
-        q, v = seen.q + self._bias, seen.v
-        if s.encoder_noise_rad > 0.0:
-            q = q + self._noise.normal(scale=s.encoder_noise_rad, size=q.size)
-        if s.jump_at_s is not None and t >= s.jump_at_s:
-            q = q + s.jump_rad
-        if s.nan_at_s is not None and 0 <= tick - round(s.nan_at_s / self._period) < s.nan_ticks:
-            q = np.full_like(q, np.nan)
-        return self._packets.arrive(seen._replace(q=q, v=v), tick)
+        self._bump = s.bump_N * np.array([np.cos(angle[0]), np.sin(angle[0]), 0.0])
+        self._weight = np.array([0.0, 0.0, -s.payload_kg * GRAVITY])
+        self._slip = s.slip_m * np.array([np.cos(angle[1]), np.sin(angle[1]), 0.0])
+        self._bump_on = round(s.bump_at_s / period)
+        self._bump_off = self._bump_on + max(1, round(s.bump_s / period))
+        most_late = s.late_ticks + (0 if s.lag_at_s is None else 2000)
+        most_old = 0 if s.replay_at_s is None else s.replay_ticks
+        self._past: deque[Measurement] = deque(maxlen=max(most_late, most_old) + 1)
+        self._last: Measurement | None = None
+        self._frozen: Measurement | None = None
+        self._tape: list[Measurement] = []
 
     def act(self, plant: Plant, tick: int) -> None:
         """Begin and end the pushes that fall on this tick."""
@@ -148,47 +150,43 @@ class Faults:
         moved[:, 1] += np.outer(6.0 * u * (1.0 - u) / 0.1, self._slip)
         return moved
 
-
-class _Packets:
-    """Frozen, late, repeated and drifting measurements."""
-
-    def __init__(
-        self, settings: FaultSettings, n: int, period: float, drops: np.random.Generator, signs: np.random.Generator
-    ) -> None:
-        self.settings, self._period, self._drops = settings, period, drops
-        s = settings
-        lag, back = (0 if s.lag_at_s is None else 2000), (0 if s.replay_at_s is None else s.replay_ticks)
-        self._past: deque[Measurement] = deque(maxlen=max(s.late_ticks + lag, back) + 1)
-        for name in ("frozen_joint", "lag_joint"):
-            joint = getattr(s, name)
-            if joint is not None and joint >= n:
-                raise PlantError(f"{name} = {joint}: the arm has {n} joints: give 0 to {n - 1}")
-        self._drift = s.drift_rad_per_s * signs.choice([-1.0, 1.0], size=n)
-        self._last: Measurement | None = None
-        self._frozen: Measurement | None = None
-        self._tape: list[Measurement] = []
-
-    def arrive(self, taken: Measurement, tick: int) -> Measurement:
-        s = self.settings
-        since = tick * self._period - s.drift_at_s
-        if s.drift_rad_per_s != 0.0 and since > 0.0:
-            v = taken.v + self._drift if s.drift_velocity == "included" else taken.v
-            taken = taken._replace(q=taken.q + since * self._drift, v=v)
+    def sense(self, seen: Measurement, tick: int) -> Measurement:
+        """Return the measurement with its faults, as it arrives: late, lagging, frozen, replayed or dropped."""
+        s, taken = self.settings, self._taken(seen, tick)
         self._past.append(taken)
         lagging = self._after(s.lag_at_s, tick)
         late = s.late_ticks + int(s.lag_growth * lagging + 1e-9) + (s.lag_ticks if lagging else 0)
-        arrived = self._past[max(0, len(self._past) - 1 - late)]
-        if late > s.late_ticks:
-            on_time = self._past[max(0, len(self._past) - 1 - s.late_ticks)]
-            arrived = self._forged(arrived, taken) if s.lag_joint is None else _spliced(on_time, arrived, s.lag_joint)
+        arrived = self._ago(late)
+        if late > s.late_ticks and s.lag_joint is not None:
+            arrived = _spliced(self._ago(s.late_ticks), arrived, s.lag_joint)
+        elif late > s.late_ticks:
+            arrived = self._forged(arrived, taken)
         arrived = self._replayed(self._stuck(arrived, taken, tick), taken, tick)
         if s.drop_share > 0.0 and self._last is not None and self._drops.uniform() < s.drop_share:
             arrived = self._last
         self._last = arrived
         return arrived
 
+    def _taken(self, seen: Measurement, tick: int) -> Measurement:
+        s, t = self.settings, tick * self._period
+        q, v = seen.q + self._bias, seen.v
+        if s.encoder_noise_rad > 0.0:
+            q = q + self._noise.normal(scale=s.encoder_noise_rad, size=q.size)
+        if s.jump_at_s is not None and t >= s.jump_at_s:
+            q = q + s.jump_rad
+        if 0 < self._after(s.nan_at_s, tick) <= s.nan_ticks:
+            q = np.full_like(q, np.nan)
+        if s.drift_rad_per_s != 0.0 and t > s.drift_at_s:
+            q = q + (t - s.drift_at_s) * self._drift
+            v = v + self._drift if s.drift_velocity == "included" else v
+        return seen._replace(q=q, v=v)
+
     def _after(self, at_s: float | None, tick: int) -> int:
+        """Ticks since the one at that time, it included; 0 before."""
         return 0 if at_s is None else max(0, tick - round(at_s / self._period) + 1)
+
+    def _ago(self, ticks: int) -> Measurement:
+        return self._past[max(0, len(self._past) - 1 - ticks)]
 
     def _forged(self, arrived: Measurement, taken: Measurement) -> Measurement:
         return arrived._replace(stamp=taken.stamp) if self.settings.forged_stamps else arrived

@@ -125,16 +125,13 @@ class PlantSettings(Settings):
     @classmethod
     def nominal(cls, **changes: Any) -> PlantSettings:
         """Make a plant that equals the controller's model and is measured exactly; `changes` override fields."""
-        exact: dict[str, Any] = dict.fromkeys(
-            (
-                "mass_error", "friction", "friction_error", "calibration_error_m", "calibration_tilt_rad",
-                "encoder_bias_rad", "encoder_noise_rad", "encoder_resolution_rad", "velocity_cutoff_Hz",
-                "joint_stiffness_Nm_per_rad", "torque_ripple", "force_noise_N", "torque_noise_Nm", "delay_ticks",
-                "trocar_registration_error_m",
-            ),
-            0,
-        )
-        return cls(**{**exact, **changes})
+        zero = (
+            "mass_error", "friction", "friction_error", "calibration_error_m", "calibration_tilt_rad",
+            "encoder_bias_rad", "encoder_noise_rad", "encoder_resolution_rad", "velocity_cutoff_Hz",
+            "joint_stiffness_Nm_per_rad", "torque_ripple", "force_noise_N", "torque_noise_Nm", "delay_ticks",
+            "trocar_registration_error_m",
+        )  # fmt: skip
+        return cls(**dict.fromkeys(zero, 0) | changes)
 
 
 @dataclass(frozen=True, eq=False)

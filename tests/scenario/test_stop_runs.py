@@ -15,7 +15,7 @@ from moc_opt.errors import PlantError
 from moc_opt.robots import available_robots
 from moc_opt.robots.model import RobotModel
 from moc_opt.scenario import Scenario, Setup, run
-from moc_opt.scenario import config as scenario_tables
+from moc_opt.scenario.tables import RobotTable
 from moc_opt.sim import Plant, PlantSettings
 from moc_opt.trace.meta import Ending
 from tests.odd_inputs import many
@@ -27,13 +27,13 @@ QUICK = {"bound_samples": 0, "judge": False}
 def weak(monkeypatch):
     """Give every arm that a scenario asks for drives of a share of their torque."""
     share = [1.0]
-    built = scenario_tables.RobotTable.arm
+    built = RobotTable.arm
 
     def arm(table):
         data = built(table).data
         return RobotModel(dataclasses.replace(data, tau_max=share[0] * data.tau_max))
 
-    monkeypatch.setattr(scenario_tables.RobotTable, "arm", arm)
+    monkeypatch.setattr(RobotTable, "arm", arm)
     return share
 
 
@@ -50,16 +50,14 @@ def test_an_arm_with_weak_drives_is_held_from_any_swivel(weak, share, swivel):
     """At 0.15 the drives carry three quarters of the weight: under damping alone the tip sank by 70 mm."""
     weak[0] = share
     rng = np.random.default_rng(round(1e3 * share) + int(swivel))
-    for seed in rng.integers(1000, 2000, 2).tolist():
-        faults = {"nan_at_s": float(rng.uniform(0.05, 1.5)), "nan_ticks": 10**6}
-        start = {"swivel": swivel, "check_path": False}
-        trace = run(Scenario(
-            seed=seed, start=start, faults=faults, control={"preset": "tuned"}, duration_s=2.5, **QUICK
-        ))  # fmt: skip
-        assert trace.meta["ended"].startswith("stopped")
-        way, _, _ = after(trace)
-        assert way < 0.025
-        assert np.abs(trace.v_rad_per_s[-1]).max() < 0.01
+    seed, at = int(rng.integers(1000, 2000)), float(rng.uniform(0.05, 1.0))
+    trace = run(Scenario(
+        seed=seed, start={"swivel": swivel, "check_path": False}, faults={"nan_at_s": at, "nan_ticks": 10**6},
+        control={"preset": "tuned"}, duration_s=2.0, **QUICK,
+    ))  # fmt: skip
+    assert trace.meta["ended"].startswith("stopped")
+    assert after(trace)[0] < 0.025
+    assert np.abs(trace.v_rad_per_s[-1]).max() < 0.01
 
 
 @pytest.mark.parametrize("load", [{"payload_kg": 0.3}, {"payload_kg": 0.7}, {}], ids=str)
@@ -68,8 +66,7 @@ def test_an_unknown_load_does_not_sink(load, seed):
     """Nor masses that are 30 % wrong; as long as it does not feel like a trocar that presses with stop_yield_N."""
     scenario = Scenario(
         seed=seed, start={"pose": "random"}, faults={"nan_at_s": 0.4, "nan_ticks": 10**6, **load},
-        plant={"mass_error": 0.3},
-        duration_s=1.2, **QUICK,
+        plant={"mass_error": 0.3}, duration_s=1.2, **QUICK,
     )  # fmt: skip
     way, _, _ = after(run(scenario))
     assert way < 0.003
@@ -77,8 +74,7 @@ def test_an_unknown_load_does_not_sink(load, seed):
     assert sinking > 2.0 * way
 
 
-@pytest.mark.parametrize("seed", range(50, 54))
-@pytest.mark.parametrize("slip_m", [0.03, 0.1])
+@pytest.mark.parametrize(("seed", "slip_m"), [(50, 0.03), (51, 0.1), (52, 0.03), (53, 0.1)])
 def test_the_arm_gives_way_to_a_trocar_that_presses(seed, slip_m):
     """The tissue may go on moving when the stop is ordered: the force is not held up, and falls to a few newtons."""
     at = float(np.random.default_rng(seed).uniform(0.2, 1.8))
@@ -96,8 +92,8 @@ def test_the_arm_gives_way_to_a_trocar_that_presses(seed, slip_m):
 
 
 @pytest.fixture
-def pressed(robot):
-    """A safety filter at rest in its incision, and the sensor's reading with a force of the trocar across the shaft."""
+def is_open(robot):
+    """Whether the brakes of an arm at rest are open, in each of so many ticks in which its trocar presses so hard."""
     guard = SafetyFilter(robot, SafetyFilterSettings(), 0.002, momentum=False)
     q = np.array(robot.data.q_home)
     guard.start(q, np.zeros(7))
@@ -107,28 +103,26 @@ def pressed(robot):
     weight = -9.81 * mass * pose[:3, 2]
     free = np.concatenate([weight, [-0.5 * length * weight[1], 0.5 * length * weight[0], 0.0]])
     guard.check_measurement(q, np.zeros(7), trocar=trocar, wrench=free)
-    return guard, lambda force: free + np.array([force, 0.0, 0.0, 0.0, force * (length - 0.15), 0.0])
+
+    def during(force, ticks):
+        reading = free + np.array([force, 0.0, 0.0, 0.0, force * (length - 0.15), 0.0])
+        frictions = [guard.brake_friction(reading) for _ in range(ticks)]
+        for friction in frictions:
+            np.testing.assert_allclose(friction, 0.25 * robot.tau_max if friction.any() else 0.0)
+        return [not friction.any() for friction in frictions]
+
+    return during
 
 
-def test_brakes_are_open_only_while_the_trocar_presses(robot, pressed):
+def test_brakes_are_open_only_while_the_trocar_presses(is_open):
     """And never where the sensor says nothing."""
-    guard, reading = pressed
     for force, closed in ((0.0, True), (7.0, True), (20.0, False), (6.0, False), (3.0, True), (np.nan, True)):
-        for _ in range(100):
-            friction = guard.brake_friction(reading(force))
-        assert friction.any() == closed, force
-        if closed:
-            np.testing.assert_allclose(friction, 0.25 * robot.tau_max)
+        assert is_open(force, 100)[-1] != closed, force
 
 
-def test_brakes_that_have_been_open_for_long_enough_close_until_the_force_rises_again(pressed):
+def test_brakes_that_have_been_open_for_long_enough_close_until_the_force_rises_again(is_open):
     """A load that does not go away is held after stop_yield_s; tissue that moves on finds the brakes open once more."""
-    guard, reading = pressed
     most = round(SafetyFilterSettings().stop_yield_s / 0.002)
-
-    def is_open(force, ticks):
-        return [not guard.brake_friction(reading(force)).any() for _ in range(ticks)]
-
     first = is_open(20.0, 1000)
     assert sum(first) == most
     assert not any(first[-500:])
@@ -138,8 +132,7 @@ def test_brakes_that_have_been_open_for_long_enough_close_until_the_force_rises_
     assert sum(is_open(20.0, 1000)) == most  # what it was once closed on is forgotten where it has fallen
 
 
-@pytest.mark.parametrize("robot_name", ["gen3", "panda", "lwr4_rail"])
-@pytest.mark.parametrize("seed", range(70, 73))
+@pytest.mark.parametrize(("robot_name", "seed"), [("gen3", 70), ("gen3", 71), ("panda", 72), ("lwr4_rail", 70)])
 def test_a_trocar_that_slips_during_the_stop_leaves_the_arm_at_rest(weak, robot_name, seed):
     """The stop is watched until then: 0.26 rad/s after half a second. Weak brakes may slip to the very end, slowly."""
     weak[0] = 0.15
@@ -157,8 +150,7 @@ def test_a_trocar_that_slips_during_the_stop_leaves_the_arm_at_rest(weak, robot_
 
 def test_brakes_hold_what_they_are_told_to(robot):
     plant = Plant(robot.data, PlantSettings.nominal(trocar_stiffness_N_per_m=0.0, trocar_damping_Ns_per_m=0.0))
-    ways = []
-    weight = np.abs(robot.gravity(robot.data.q_home))
+    ways, weight = [], np.abs(robot.gravity(robot.data.q_home))
     for friction in (0.0, 0.5 * weight, 1.1 * weight):
         plant.reset(robot.data.q_home)
         plant.brake(40.0, friction)
@@ -228,7 +220,7 @@ FAULTY = st.fixed_dictionaries({
 })  # fmt: skip
 
 
-@many(0.15)
+@many(0.1)
 @given(FAULTY)
 def test_under_several_faults_at_once_a_run_completes_or_the_arm_is_stopped_and_at_rest(case):
     setup = Setup(Scenario(**case, duration_s=1.8, **QUICK))
