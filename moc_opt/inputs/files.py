@@ -177,7 +177,7 @@ def check_replaceable(path: Path_, what: str, error: Wrong) -> None:
     try:
         with contextlib.suppress(FileNotFoundError):
             is_taken = not stat.S_ISREG(os.stat(target).st_mode)
-        folder = next(folder for folder in target.absolute().parents if folder.exists())
+        folder = next(folder for folder in (*target.absolute().parents, target) if folder.exists())
         with tempfile.TemporaryFile(dir=folder):  # root may write to /proc by its rights, and yet cannot
             pass
     except (OSError, ValueError) as reason:  # a ValueError: a NUL in the name

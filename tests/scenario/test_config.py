@@ -1,6 +1,7 @@
 """What a run is: validated tables, errors that help, and one composer whose runs repeat to the bit."""
 
 import re
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -19,13 +20,6 @@ from moc_opt.trace.trace import Trace
 
 CLOCK = {"tick_us", "solve_us"}
 BARE = {"judge": False, "bound_samples": 0}
-POOR = {"swivel": 0.15}
-CALIBRATED = {"calibration_error_m": 0.0, "calibration_tilt_rad": 0.0, "encoder_bias_rad": 0.0}
-
-
-def short(duration_s=0.1, **tables):
-    """A short run without the judge."""
-    return run(Scenario(duration_s=duration_s, **{**BARE, **tables}))
 
 
 def written(folder, text):
@@ -84,35 +78,32 @@ def test_what_does_not_fit_together_is_found_before_anything_moves(tables, words
 # --- files ---
 
 
-FULL = {
-    "name": "all of it", "seed": 7, "duration_s": 0.5, "deadline_us": 1500.0, "judge": False, "bound_samples": 3,
-    "robot": {"name": "lwr4", "tool_length_m": 0.35, "tool_mass_kg": 0.25},
-    "start": {"swivel": 0.3},
-    "trocar": {"depth_m": 0.12, "breathing_amplitude_m": 0.004, "breathing_direction": [0.0, 1.0, 0.0]},
-    "task": {"path": "sinusoid", "sizes": {"amplitude": 0.01, "wavelength": 0.03, "periods": 1.0}, "wait_s": 0.1},
-    "control": {"law": "moc", "gains": "moc", "K_X": 2500.0, "projector": "static", "fallback": "hold"},
-    "solver": {"name": "exact", "settings": {"tolerance": 1e-8}},
-    "plant": {"mass_error": 0.05, "delay_ticks": 2},
-}  # fmt: skip
-
-
 def test_the_trace_remembers_its_scenario():
-    scenario = Scenario(**{**FULL, "duration_s": 0.02})
+    scenario = Scenario(
+        name="all of it", seed=7, duration_s=0.02, deadline_us=1500.0, judge=False, bound_samples=3,
+        robot={"name": "lwr4", "tool_length_m": 0.35, "tool_mass_kg": 0.25}, start={"swivel": 0.3},
+        trocar={"depth_m": 0.12, "breathing_amplitude_m": 0.004, "breathing_direction": [0.0, 1.0, 0.0]},
+        task={"path": "sinusoid", "sizes": {"amplitude": 0.01, "wavelength": 0.03, "periods": 1.0}, "wait_s": 0.1},
+        control={"law": "moc", "gains": "moc", "K_X": 2500.0, "projector": "static", "fallback": "hold"},
+        solver={"name": "exact", "settings": {"tolerance": 1e-8}}, plant={"mass_error": 0.05, "delay_ticks": 2},
+    )  # fmt: skip
     trace = run(scenario)
     assert Scenario(**trace.meta["scenario"]) == scenario
-    assert trace.meta["deadline_us"] == 1500.0
-    assert trace.meta["robot"] == "lwr4"
+    assert (trace.meta["deadline_us"], trace.meta["robot"]) == (1500.0, "lwr4")
     bias = Setup(scenario).plant.mismatch.encoder_bias
     np.testing.assert_array_equal(trace.meta["start_q_rad"] - bias, trace.q_rad[0])
 
 
-def test_presets_in_a_file(tmp_path):
-    assert Scenario.load(written(tmp_path, "")) == Scenario()
-    nominal = Scenario.load(written(tmp_path, '[plant]\npreset = "nominal"\ndelay_ticks = 3\n'))
-    assert nominal.plant == PlantSettings.nominal(delay_ticks=3)
-    assert Scenario().plant == PlantSettings.realistic()
-    paper = Scenario.load(written(tmp_path, '[control]\npreset = "paper"\nlaw = "dcac"\n'))
-    assert paper.control == ControlSettings.paper(law="dcac")
+@pytest.mark.parametrize(
+    ("text", "wanted"),
+    [
+        ("", Scenario()), ('[plant]\npreset = "realistic"\n', Scenario()),
+        ('[plant]\npreset = "nominal"\ndelay_ticks = 3\n', Scenario(plant=PlantSettings.nominal(delay_ticks=3))),
+        ('[control]\npreset = "paper"\nlaw = "dcac"\n', Scenario(control=ControlSettings.paper(law="dcac"))),
+    ],
+)  # fmt: skip
+def test_presets_in_a_file(tmp_path, text, wanted):
+    assert Scenario.load(written(tmp_path, text)) == wanted
 
 
 @pytest.mark.parametrize(
@@ -134,26 +125,28 @@ def test_a_file_that_cannot_be_used_is_named(tmp_path, text, message):
 # --- change ---
 
 
-def test_the_safety_filter_is_told_of_the_encoders():
-    assert Scenario().guard.repeat_joint_ticks is None
-    assert Scenario().told_guard.repeat_joint_ticks == 89
-    assert Scenario(plant={"preset": "nominal"}).told_guard.repeat_joint_ticks is None
-    assert Scenario(guard={"repeat_joint_ticks": 40}).told_guard.repeat_joint_ticks == 40
-    assert Scenario().guard.repeat_reading_ticks is None
-    assert Scenario(guard={"patience_ticks": 5}).told_guard.repeat_reading_ticks == 5
-    assert Scenario(guard={"repeat_joint_ticks": 40, "repeat_reading_ticks": 2}).told_guard.repeat_reading_ticks == 2
-    # Without noise, or a filter, a reading may well be the same.
-    assert Scenario(plant={"preset": "nominal"}).told_guard.repeat_reading_ticks is None
-    assert Scenario(plant={"velocity_cutoff_Hz": 0.0}).told_guard.repeat_reading_ticks is None
-    # A slow filter lags: sound runs with 15 Hz were stopped at the level that 50 Hz need.
-    assert [
-        Scenario(plant={"velocity_cutoff_Hz": cutoff}).told_guard.motion_lag_s for cutoff in (0.0, 50.0, 15.0)
-    ] == pytest.approx([0.012, 0.012, 3.0 / (2.0 * np.pi * 15.0)])
-    # A coarse step hides what moves the joint within it.
-    plants = [{"encoder_resolution_rad": step} for step in (2.4e-5, 1e-4, 5e-4)]
-    assert [Scenario(plant=plant).told_guard.repeat_torque for plant in plants] == pytest.approx([0.06, 0.06, 0.25])
-    assert [Scenario(plant=plant).told_guard.stuck_rad_per_s for plant in plants] == pytest.approx([0.2, 0.2, 0.3])
-    assert Scenario(plant=plants[2], guard={"repeat_torque": 0.4}).told_guard.repeat_torque == 0.4
+@pytest.mark.parametrize(
+    ("tables", "told"),
+    [
+        ({}, {"repeat_joint_ticks": 89, "motion_lag_s": 0.012, "repeat_torque": 0.06, "stuck_rad_per_s": 0.2}),
+        ({"guard": {"repeat_joint_ticks": 40}}, {"repeat_joint_ticks": 40}),
+        ({"guard": {"patience_ticks": 5}}, {"repeat_reading_ticks": 5}),
+        ({"guard": {"repeat_reading_ticks": 2}}, {"repeat_reading_ticks": 2}),
+        # Without noise, or a filter, a reading may well be the same.
+        ({"plant": {"preset": "nominal"}}, {"repeat_joint_ticks": None, "repeat_reading_ticks": None}),
+        ({"plant": {"velocity_cutoff_Hz": 0.0}}, {"repeat_reading_ticks": None, "motion_lag_s": 0.012}),
+        # A slow filter lags: sound runs with 15 Hz were stopped at the level that 50 Hz need.
+        ({"plant": {"velocity_cutoff_Hz": 15.0}}, {"motion_lag_s": 3.0 / (2.0 * np.pi * 15.0)}),
+        # A coarse step hides what moves the joint within it.
+        ({"plant": {"encoder_resolution_rad": 1e-4}}, {"repeat_torque": 0.06, "stuck_rad_per_s": 0.2}),
+        ({"plant": {"encoder_resolution_rad": 5e-4}}, {"repeat_torque": 0.25, "stuck_rad_per_s": 0.3}),
+        ({"plant": {"encoder_resolution_rad": 5e-4}, "guard": {"repeat_torque": 0.4}}, {"repeat_torque": 0.4}),
+    ],
+)
+def test_the_safety_filter_is_told_of_the_encoders(tables, told):
+    scenario = Scenario(**tables)
+    assert {name: getattr(scenario.told_guard, name) for name in told} == pytest.approx(told)
+    assert scenario.guard == Scenario(guard=tables.get("guard", {})).guard
 
 
 def test_change_of_the_plant_keeps_what_it_is_and_is_validated():
@@ -201,17 +194,12 @@ def test_what_the_arm_touched_lies_where_it_truly_is():
     np.testing.assert_array_equal(setup.registered.at(0.0)[0], state.tip - 0.15 * state.tool_direction)
     assert np.linalg.norm(plant.tip - state.tip) > 5e-4
     trace = setup.trace()
-    assert trace.tip_error_m[0] == pytest.approx(np.linalg.norm(plant_tip_off(setup)), abs=1e-12)
+    plant.reset(setup.q_start)
+    assert trace.tip_error_m[0] == pytest.approx(np.linalg.norm(plant.tip - state.tip), abs=1e-12)
     assert trace.tip_error_m.min() > 4e-4
     assert trace.tip_error_registered_m.max() < 5e-5
     assert trace.tip_error_model_m.max() < 5e-5
     np.testing.assert_allclose(trace.trocar_registered_m, trace.trocar_m, atol=1e-12)
-
-
-def plant_tip_off(setup):
-    """True minus modelled tip at the start, read off the plant."""
-    setup.plant.reset(setup.q_start)
-    return setup.plant.tip - setup.robot.state(setup.q_start).tip
 
 
 def test_reference_starts_at_the_tip_and_waits():
@@ -227,7 +215,7 @@ def test_reference_starts_at_the_tip_and_waits():
 @pytest.mark.parametrize("known", [True, False])
 def test_breathing(known):
     breathing = {"breathing_amplitude_m": 0.01, "breathing_period_s": 0.4, "breathing_known": known}
-    trace = short(0.3, trocar={**breathing, "breathing_direction": [0, 0, 1]}, plant={"preset": "nominal"})
+    trace = run(Scenario(duration_s=0.3, trocar=breathing, plant={"preset": "nominal"}, **BARE))
     moved = trace.trocar_m - trace.trocar_m[0]
     np.testing.assert_allclose(moved[:, :2], 0.0, atol=1e-15)
     assert moved[:, 2].max() == pytest.approx(0.01, abs=1e-5)
@@ -255,7 +243,7 @@ def test_columns_of_a_run(tmp_path):
 
 
 def test_without_a_third_level_there_is_no_subproblem():
-    trace = short(0.02, control={"law": "dcac"})
+    trace = run(Scenario(duration_s=0.02, control={"law": "dcac"}, **BARE))
     assert set(np.unique(trace.status)) == {"none"}
     assert "subproblem" not in trace.columns
     assert np.isnan(trace.solve_us).all()
@@ -280,36 +268,24 @@ def test_a_singular_pose_has_a_bound_and_a_lost_one_has_none():
 # --- repetition ---
 
 
-def same(one, other):
-    assert set(one.columns) == set(other.columns)
-    for name in set(one.columns) - CLOCK:
-        np.testing.assert_array_equal(one.columns[name], other.columns[name], err_msg=name)
-
-
 @pytest.mark.parametrize("law", ["moc", "dcac"])
 def test_same_seed_same_trace_to_the_bit(law):
-    scenario = Scenario(
-        duration_s=0.2, bound_samples=3, seed=5, start={"swivel": "random"}, control={"law": law}
-    )
+    scenario = Scenario(duration_s=0.2, bound_samples=3, seed=5, start={"swivel": "random"}, control={"law": law})
     setup = Setup(scenario)
-    same(setup.trace(), setup.trace())
-    same(run(scenario), setup.trace())
+    first = setup.trace()
+    for again in (setup.trace(), run(scenario)):
+        assert set(again.columns) == set(first.columns)
+        for name in set(first.columns) - CLOCK:
+            np.testing.assert_array_equal(again.columns[name], first.columns[name], err_msg=name)
 
 
 # --- end to end ---
 
 
-@pytest.fixture(scope="module")
-def nominal():
+def test_moc_raises_the_manipulability_and_the_tip_follows(robot):
     """Both laws from the same poor swivel, in the plant that equals the model, with matched gains."""
-    base = Scenario(
-        duration_s=3.0, start=POOR, plant={"preset": "nominal"}, bound_samples=9
-    )
-    return {law: run(base.change(control={"law": law})) for law in ("moc", "dcac")}
-
-
-def test_moc_raises_the_manipulability_and_dcac_does_not(nominal, robot):
-    moc, dcac = nominal["moc"], nominal["dcac"]
+    base = Scenario(duration_s=3.0, start={"swivel": 0.15}, plant={"preset": "nominal"}, bound_samples=9)
+    moc, dcac = (run(base.change(control={"law": law})) for law in ("moc", "dcac"))
     best = self_motion(robot, moc.q_rad[0]).mu_best
     assert moc.mu[0] == dcac.mu[0] < 0.7 * best
     assert moc.mu[-1] > 0.95 * best
@@ -318,17 +294,12 @@ def test_moc_raises_the_manipulability_and_dcac_does_not(nominal, robot):
     assert numbers["mu_gain_percent"] > 20.0
     assert numbers["verified_solved"] == numbers["claimed_solved"] == len(moc)
     assert numbers["silently_wrong"] == 0.0
-
-
-def test_tip_follows_and_the_shaft_stays_in_the_trocar(nominal):
-    moc, dcac = nominal["moc"], nominal["dcac"]
-    assert dcac.tip_error_m.max() < 1e-4
-    assert dcac.rcm_error_m.max() < 1e-3
-    assert moc.tip_error_m.max() < 1e-3  # while the elbow swings over at half its joints' speed
-    assert moc.rcm_error_m.max() < 4e-3
-    settled = moc.t_s > 2.2
-    assert moc.tip_error_m[settled].max() < 2e-4
-    assert moc.rcm_error_m[settled].max() < 2e-3
+    settled = moc.t_s > 2.2  # before, the elbow swings over at half its joints' speed
+    for trace, rows, tip, rcm in (
+        (dcac, slice(None), 1e-4, 1e-3), (moc, slice(None), 1e-3, 4e-3), (moc, settled, 2e-4, 2e-3)
+    ):  # fmt: skip
+        assert trace.tip_error_m[rows].max() < tip
+        assert trace.rcm_error_m[rows].max() < rcm
 
 
 def test_a_robots_file_is_found_from_the_scenarios_folder(tmp_path, monkeypatch):
@@ -336,17 +307,12 @@ def test_a_robots_file_is_found_from_the_scenarios_folder(tmp_path, monkeypatch)
     folder = tmp_path / "arms"
     folder.mkdir()
     for kind in ("toml", "urdf"):
-        text = (Path(loader.__file__).parent / f"panda.{kind}").read_text(encoding="utf-8")
-        (folder / f"panda.{kind}").write_text(text, encoding="utf-8")
-    path = tmp_path / "scenario.toml"
+        shutil.copy(Path(loader.__file__).parent / f"panda.{kind}", folder)
     monkeypatch.chdir("/")
     for given, expected in (
-        ("arms/panda.toml", folder / "panda.toml"),
-        (str(folder / "panda.urdf"), folder / "panda.urdf"),
-    ):
-        path.write_text(f'[robot]\nname = "{given}"\n', encoding="utf-8")
-        loaded = Scenario.load(path)
-        assert Path(loaded.robot.name) == expected
+        ("arms/panda.toml", str(folder / "panda.toml")), (f"{folder}/panda.urdf", f"{folder}/panda.urdf"),
+        ("panda", "panda"),
+    ):  # fmt: skip
+        loaded = Scenario.load(written(tmp_path, f'[robot]\nname = "{given}"\n'))
+        assert loaded.robot.name == expected
         assert loaded.robot.arm().data.name == "panda"
-    path.write_text('[robot]\nname = "panda"\n', encoding="utf-8")
-    assert Scenario.load(path).robot.name == "panda"

@@ -58,7 +58,7 @@ SCENARIOS = st.fixed_dictionaries(
 )  # fmt: skip
 
 
-@settings(max_examples=150)
+@settings(max_examples=100)
 @given(SCENARIOS)
 def test_what_is_saved_loads_as_the_same(tmp_path_factory, values):
     scenario = Scenario(**values)

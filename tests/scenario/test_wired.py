@@ -22,7 +22,7 @@ from moc_opt.scenario.wired import PlantServer, answer, fingerprint
 from moc_opt.trace.trace import Trace
 from tests.realtime.relay import FAULTS, TO_CONTROLLER, TO_PLANT, Relay
 
-SHORT: dict[str, Any] = {"duration_s": 0.6, "bound_samples": 0}
+SHORT: dict[str, Any] = {"duration_s": 0.6, "bound_samples": 0, "judge": False}
 CLOCKS = {"tick_us", "solve_us"}
 COUNTED = {Kind.COMMAND, Kind.REPORT, (Kind.MEASUREMENT, RUNNING)}  # the packets of a tick
 WIRE_COLUMNS = {"wake_us", "control_us", "missed"}

@@ -34,10 +34,6 @@ def test_nothing_by_default():
         assert FaultSettings(**{field: 0.01}).around_the_arm
 
 
-def test_late_measurements():
-    np.testing.assert_array_equal(seen(faults(late_ticks=3)), np.maximum(np.arange(20.0) - 3, 0.0))
-
-
 def test_dropped_measurements_repeat_the_last_one():
     found = seen(faults(drop_share=0.4, seed=1), 500)
     same = np.diff(found) == 0.0
@@ -53,20 +49,17 @@ def test_nan_for_so_many_ticks(at):
     np.testing.assert_array_equal(np.flatnonzero(np.isnan(found)), np.arange(first, first + 4))
 
 
-def test_bias_noise_and_jump():
-    mine = faults(encoder_bias_rad=0.01)
-    bias = mine.sense(measured(0), 0).q
+def test_bias_noise_and_jump_of_the_seed():
+    bias = faults(encoder_bias_rad=0.01).sense(measured(0), 0).q
     np.testing.assert_allclose(np.abs(bias), 0.01)
     noisy = np.array([faults(encoder_noise_rad=0.01, seed=s).sense(measured(0), 0).q for s in range(200)])
     assert noisy.std() == pytest.approx(0.01, rel=0.1)
     jump = seen(faults(jump_at_s=0.01, jump_rad=0.3)) - np.arange(20.0)
     np.testing.assert_allclose(jump, 0.3 * (np.arange(20) >= 5))
-
-
-def test_the_seed_decides():
     settings = {"drop_share": 0.3, "encoder_noise_rad": 1e-3, "encoder_bias_rad": 1e-3}
-    np.testing.assert_array_equal(seen(faults(seed=5, **settings)), seen(faults(seed=5, **settings)))
-    assert (seen(faults(seed=6, **settings)) != seen(faults(seed=5, **settings))).any()
+    one, again, other = (seen(faults(seed=seed, **settings)) for seed in (5, 5, 6))
+    np.testing.assert_array_equal(one, again)
+    assert (one != other).any()
 
 
 class Pushed:
@@ -80,27 +73,19 @@ class Pushed:
 
 
 @pytest.mark.parametrize(("at", "long"), [(0.02, 0.01), (0.021, 0.01), (0.0199, 0.0003), (0.0, 0.01)])
-def test_a_bump_begins_and_ends(at, long):
-    """Also where its times lie between the ticks; the shortest one lasts a tick."""
-    plant, mine = Pushed(), faults(bump_N=30.0, bump_at_s=at, bump_s=long)
-    force = []
+@pytest.mark.parametrize("link", ["link_4", "tool"])
+def test_a_bump_begins_and_ends(link, at, long):
+    """Also where its times lie between the ticks; the shortest one lasts a tick. A payload on the tool stays there."""
+    plant, mine = Pushed(), faults(bump_N=30.0, bump_at_s=at, bump_s=long, bump_link=link, payload_kg=2.0)
+    weight = np.array([0.0, 0.0, -2.0 * GRAVITY])
+    begin, ticks, pushed = round(at / PERIOD), max(1, round(long / PERIOD)), []
     for k in range(30):
         mine.act(plant, k)
-        force.append(np.linalg.norm(plant.held.get("link_4", np.zeros(3))))
-    ticks = max(1, round(long / PERIOD))
-    begin = round(at / PERIOD)
-    np.testing.assert_allclose(force, 30.0 * ((np.arange(30) >= begin) & (np.arange(30) < begin + ticks)))
-    assert plant.held["link_4"][2] == 0.0
-
-
-def test_a_bump_on_the_tool_leaves_the_payload_there():
-    plant = Pushed()
-    mine = faults(bump_N=10.0, bump_at_s=0.01, bump_s=0.01, bump_link="tool", payload_kg=2.0)
-    weight = np.array([0.0, 0.0, -2.0 * GRAVITY])
-    for k in range(20):
-        mine.act(plant, k)
-        sideways = plant.held["tool"] - weight
-        assert np.linalg.norm(sideways) == pytest.approx(10.0 if 5 <= k < 10 else 0.0, abs=1e-9)
+        pushed.append(plant.held.get(link, np.zeros(3)) - (weight if link == "tool" else 0.0))
+        assert link == "tool" or (plant.held["tool"] == weight).all()
+    on = (np.arange(30) >= begin) & (np.arange(30) < begin + ticks)
+    np.testing.assert_allclose(np.linalg.norm(pushed, axis=1), 30.0 * on, atol=1e-9)
+    np.testing.assert_allclose(np.array(pushed)[:, 2], 0.0, atol=1e-9)
 
 
 def test_the_trocar_slips_smoothly():
@@ -140,8 +125,13 @@ def test_a_payload_pulls_the_tip_down(robot):
     assert sag[2] == pytest.approx(-GRAVITY / 3000.0, rel=0.3)  # K_X of the tuned gains
 
 
-@pytest.mark.parametrize("kind", ["fail", "nan", "lie", "raise", "outside", "rig", "malformed", "hang"])
-@pytest.mark.parametrize("solver", ["exact", "rnn"])
+@pytest.mark.parametrize(
+    ("kind", "solver"),
+    [
+        *[(kind, "exact") for kind in ("fail", "nan", "lie", "raise", "outside", "rig", "malformed", "hang")],
+        ("lie", "rnn"), ("hang", "rnn"),
+    ],
+)  # fmt: skip
 def test_every_injected_solver_fault_is_named_in_the_trace(kind, solver):
     wrong = {"solver": kind, "solver_share": 0.2}
     scenario = Scenario(control=TUNED, solver={"name": solver}, faults=wrong, seed=3, **SHORT)
@@ -158,7 +148,7 @@ def test_every_injected_solver_fault_is_named_in_the_trace(kind, solver):
 
 def test_a_faulty_solver_costs_the_trocar_nothing():
     clean, corrupted = (
-        run(Scenario(control=TUNED, bound_samples=0, judge=False, duration_s=2.5, faults=f))
+        run(Scenario(control=TUNED, bound_samples=0, judge=False, duration_s=1.5, faults=f))
         for f in ({}, {"solver": "lie", "solver_share": 0.2})
     )
     assert corrupted.rcm_error_m.max() < 1.05 * clean.rcm_error_m.max()
@@ -213,11 +203,12 @@ def test_frozen_for_so_many_ticks():
 @pytest.mark.parametrize("joint", [0, 6])
 def test_one_encoder_is_stuck_and_the_others_are_not(joint):
     stamps, q, v = arrived(frozen_at_s=0.04, frozen_joint=joint, frozen_velocity="zero")
-    others = np.arange(N) != joint
     np.testing.assert_array_equal(stamps, np.arange(60))
-    np.testing.assert_array_equal(q[:, others], np.tile(np.arange(60.0)[:, None], N - 1))
+    np.testing.assert_array_equal(np.delete(q, joint, axis=1), np.tile(np.arange(60.0)[:, None], N - 1))
     assert (q[20:, joint] == 19.0).all()
     assert not v[20:, joint].any()
+    with pytest.raises(PlantError, match="frozen_joint = 7"):
+        faults(frozen_at_s=0.0, frozen_joint=7)
 
 
 @pytest.mark.parametrize("growth", [0.1, 1.0])
@@ -251,8 +242,3 @@ def test_a_drift_is_in_position_and_velocity_alike():
     np.testing.assert_allclose(np.abs(faster[11:]), 0.5)
     np.testing.assert_allclose(np.diff(moved[11:], axis=0) / PERIOD, faster[12:], atol=1e-9)
     assert {-1.0, 1.0} == set(np.sign(faster[-1]))
-
-
-def test_a_joint_that_is_not_there_is_refused():
-    with pytest.raises(PlantError, match="frozen_joint = 7"):
-        Faults(FaultSettings(frozen_at_s=0.0, frozen_joint=7), N, PERIOD, 0)

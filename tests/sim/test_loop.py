@@ -17,13 +17,13 @@ TICKS = 25
 class Holding:
     """Holds the arm by the model's gravity and some damping, and remembers what it was shown."""
 
-    def __init__(self, robot, push=0.0):
+    def __init__(self, robot, push=3.0):
         self.robot, self.push = robot, push
         self.started, self.seen, self.order = [], [], []
 
-    def start(self, q, v, tip_ref, trocar):
+    def start(self, *given):
         """Remember the first measurement."""
-        self.started.append((q.copy(), v.copy(), tip_ref.copy(), trocar.copy()))
+        self.started.append([each.copy() for each in given])
 
     def tick(self, q, v, tip_ref, trocar):
         """Gravity, damping and a push on joint 1."""
@@ -41,52 +41,51 @@ class Holding:
         columns["extra"][row] = len(self.seen)
 
 
-def references(robot, ticks=TICKS):
-    """Recognizable references: every tick its own number."""
-    s = robot.state(robot.data.q_home)
-    k = np.arange(ticks, dtype=float)
-    tip_refs = np.zeros((ticks, 3, 3))
+@pytest.fixture(scope="module")
+def references(robot):
+    """Recognizable tip references, true and registered trocars: every tick its own number."""
+    s, k = robot.state(robot.data.q_home), np.arange(TICKS, dtype=float)
+    tip_refs, trocars = np.zeros((TICKS, 3, 3)), np.zeros((TICKS, 2, 3))
     tip_refs[:, 0] = s.tip + 1e-4 * k[:, None]
     tip_refs[:, 1] = 1e-3 * k[:, None]
-    trocars = np.zeros((ticks, 2, 3))
     trocars[:, 0] = s.tip - 0.15 * s.tool_direction + [1e-3, 0.0, 0.0] + 1e-5 * k[:, None]
-    registered = trocars + np.array([[0.0, 5e-4, 0.0], np.zeros(3)])
-    return tip_refs, trocars, registered
+    return tip_refs, trocars, trocars + np.array([[0.0, 5e-4, 0.0], np.zeros(3)])
 
 
-def ready(robot, settings=None, seed=0):
-    plant = Plant(robot.data, PlantSettings.nominal() if settings is None else settings, seed=seed)
+def ready(robot, settings=None):
+    plant = Plant(robot.data, PlantSettings.nominal() if settings is None else settings)
     plant.reset(robot.data.q_home)
     return plant
 
 
-def test_one_row_a_tick_the_state_at_its_start(robot):
-    """What the trace says is what the plant's own truths were before each step."""
-    tip_refs, trocars, registered = references(robot)
-    trace = simulate(ready(robot), Holding(robot, 3.0), tip_refs, trocars, registered)
-    plant, brain = ready(robot), Holding(robot, 3.0)
+def test_one_row_a_tick_the_state_at_its_start(robot, references):
+    """What the trace says is what the plant's own truths were before each step, and errors count from these."""
+    tip_refs, trocars, registered = references
+    trace = simulate(ready(robot), Holding(robot), *references)
+    plant, brain = ready(robot), Holding(robot)
     assert len(trace) == TICKS
     for k in range(TICKS):
         assert trace.t_s[k] == pytest.approx(plant.time, abs=1e-12)
-        np.testing.assert_array_equal(trace.q_rad[k], plant.q)
-        np.testing.assert_array_equal(trace.v_rad_per_s[k], plant.v)
-        np.testing.assert_array_equal(trace.tip_m[k], plant.tip)
-        np.testing.assert_array_equal(trace.wrist_m[k], plant.wrist)
-        np.testing.assert_array_equal(trace.trocar_force_N[k], plant.trocar_force)
-        wrench = plant.measure().force
-        np.testing.assert_array_equal(np.r_[trace.force_N[k], trace.torque_Nm[k]], wrench)
+        for column, truth in (
+            (trace.q_rad, plant.q), (trace.v_rad_per_s, plant.v), (trace.tip_m, plant.tip),
+            (trace.wrist_m, plant.wrist), (trace.trocar_force_N, plant.trocar_force),
+        ):  # fmt: skip
+            np.testing.assert_array_equal(column[k], truth)
         seen = plant.measure()
+        np.testing.assert_array_equal(np.r_[trace.force_N[k], trace.torque_Nm[k]], seen.force)
         tau = brain.tick(seen.q, seen.v, tip_refs[k], registered[k])
         np.testing.assert_array_equal(trace.tau_Nm[k], tau)
         plant.step(tau, trocars[k])
     assert np.linalg.norm(trace.q_rad[-1] - trace.q_rad[0]) > 1e-4  # it does move
+    np.testing.assert_allclose(trace.tip_error_m, np.linalg.norm(tip_refs[:, 0] - trace.tip_m, axis=1), atol=1e-15)
+    np.testing.assert_allclose(trace.rcm_error_m, shaft_distance(trace.tip_m, trace.wrist_m, trocars[:, 0]))
+    assert trace.rcm_error_m.max() > 1e-4
 
 
-def test_the_brain_is_shown_measurements_and_the_registered_trocar(robot):
-    settings = PlantSettings.realistic()
-    tip_refs, trocars, registered = references(robot)
-    brain = Holding(robot)
-    trace = simulate(ready(robot, settings), brain, tip_refs, trocars, registered)
+def test_the_brain_is_shown_measurements_and_the_registered_trocar(robot, references):
+    tip_refs, trocars, registered = references
+    brain = Holding(robot, 0.0)
+    trace = simulate(ready(robot, PlantSettings.realistic()), brain, *references)
     assert len(brain.started) == 1
     np.testing.assert_array_equal(brain.started[0][3], registered[0])
     for k, (q, v, tip_ref, trocar) in enumerate(brain.seen):
@@ -98,66 +97,46 @@ def test_the_brain_is_shown_measurements_and_the_registered_trocar(robot):
     np.testing.assert_array_equal(trace.trocar_registered_m, registered[:, 0])
 
 
-def test_the_plant_is_given_the_true_trocar(robot):
+def test_the_plant_is_given_the_true_trocar(robot, references):
     """With the true trocar on the shaft there is no force, wherever the controller believes it to be."""
     s = robot.state(robot.data.q_home)
-    tip_refs, trocars, registered = references(robot, 5)
-    trocars[:, 0] = s.tip - 0.15 * s.tool_direction
-    on_the_shaft = simulate(ready(robot), Holding(robot), tip_refs, trocars, registered)
-    assert np.abs(on_the_shaft.trocar_force_N).max() < 1e-2
-    away = trocars + np.array([[5e-3, 0.0, 0.0], np.zeros(3)])
-    beside = simulate(ready(robot), Holding(robot), tip_refs, away, trocars)
-    assert np.abs(beside.trocar_force_N).max() > 1.0
+    tip_refs, _, registered = (each[:5] for each in references)
+    on = np.zeros_like(registered)
+    on[:, 0] = s.tip - 0.15 * s.tool_direction
+    away = on + np.array([[5e-3, 0.0, 0.0], np.zeros(3)])
+    forces = [
+        np.abs(simulate(ready(robot), Holding(robot, 0.0), tip_refs, true, told).trocar_force_N).max()
+        for true, told in ((on, registered), (away, on))
+    ]
+    assert forces[0] < 1e-2
+    assert forces[1] > 1.0
 
 
-def test_errors_are_measured_against_the_truth(robot):
-    tip_refs, trocars, registered = references(robot)
-    trace = simulate(ready(robot), Holding(robot, 3.0), tip_refs, trocars, registered)
-    np.testing.assert_allclose(trace.tip_error_m, np.linalg.norm(tip_refs[:, 0] - trace.tip_m, axis=1), atol=1e-15)
-    np.testing.assert_allclose(trace.rcm_error_m, shaft_distance(trace.tip_m, trace.wrist_m, trocars[:, 0]))
-    assert trace.rcm_error_m.max() > 1e-4
-
-
-def test_a_tick_is_timed_before_it_is_written_down(robot):
-    tip_refs, trocars, registered = references(robot)
+def test_a_tick_is_timed_before_it_is_written_down_and_no_garbage_is_collected_meanwhile(robot, references):
     brain, watched = Holding(robot), []
-    def watch(k):
-        watched.append((k, len(brain.seen)))
-
-    trace = simulate(ready(robot), brain, tip_refs, trocars, registered, watch=watch)
-    assert watched == [(k, k) for k in range(TICKS)]  # before each tick
+    trace = simulate(
+        ready(robot), brain, *references, watch=lambda k: watched.append((k, len(brain.seen), gc.isenabled()))
+    )
+    assert watched == [(k, k, False) for k in range(TICKS)]  # before each tick
+    assert gc.isenabled()
     assert brain.order == ["tick", "note"] * TICKS
     assert 0.0 < trace.tick_us.min() <= np.median(trace.tick_us) < 1e5
     np.testing.assert_array_equal(trace.extra, np.arange(1, TICKS + 1))
 
 
-def test_meta_and_time(robot):
-    tip_refs, trocars, registered = references(robot)
+def test_meta_and_time(robot, references):
     plant = ready(robot, PlantSettings.nominal(period_s=0.004, substeps=4))
-    trace = simulate(plant, Holding(robot), tip_refs, trocars, registered, meta={"answer": 42})
+    trace = simulate(plant, Holding(robot), *references, meta={"answer": 42})
     counted = {"ticks": TICKS, "ticks_planned": TICKS}
     assert dict(trace.meta) == {"period_s": 0.004, "ended": "completed", "answer": 42, **counted}
     np.testing.assert_allclose(np.diff(trace.t_s), 0.004)
-    more = simulate(plant, Holding(robot), tip_refs, trocars, registered)
+    more = simulate(plant, Holding(robot), *references)
     assert more.t_s[0] == pytest.approx(trace.t_s[-1] + 0.004)  # goes on from the plant's present state
-    np.testing.assert_array_equal(more.meta["period_s"], 0.004)
 
 
-def test_no_garbage_collection_in_the_loop(robot):
-    states = []
-    tip_refs, trocars, registered = references(robot)
-    assert gc.isenabled()
-    brain = Holding(robot)
-    simulate(ready(robot), brain, tip_refs, trocars, registered, watch=lambda k: states.append(gc.isenabled()))
-    assert states == [False] * TICKS
-    assert gc.isenabled()
-
-
-def test_the_collector_comes_back_after_an_error_and_stays_off_where_it_was(robot):
-    tip_refs, trocars, registered = references(robot)
-    brain = Holding(robot, push=float("nan"))
+def test_the_collector_comes_back_after_an_error_and_stays_off_where_it_was(robot, references):
     with pytest.raises(PlantError, match="not finite"):
-        simulate(ready(robot), brain, tip_refs, trocars, registered)
+        simulate(ready(robot), Holding(robot, float("nan")), *references)
     assert gc.isenabled()
     gc.disable()
     try:
@@ -170,11 +149,10 @@ def test_the_collector_comes_back_after_an_error_and_stays_off_where_it_was(robo
 
 def test_the_registered_rcm_error_is_the_true_shaft_s_distance_from_what_the_controller_was_told():
     trace = run(Scenario(duration_s=0.1, judge=False, bound_samples=0))
-    for k in (0, 20, 49):
-        u = (trace.tip_m[k] - trace.wrist_m[k]) / np.linalg.norm(trace.tip_m[k] - trace.wrist_m[k])
-        for trocar, found in (
-            (trace.trocar_m, trace.rcm_error_m), (trace.trocar_registered_m, trace.rcm_error_registered_m),
-        ):  # fmt: skip
-            away = np.linalg.norm(np.cross(trocar[k] - trace.tip_m[k], u))
-            assert found[k] == pytest.approx(away, rel=1e-9, abs=1e-12)
+    u = (trace.tip_m - trace.wrist_m) / np.linalg.norm(trace.tip_m - trace.wrist_m, axis=1)[:, None]
+    for trocar, found in (
+        (trace.trocar_m, trace.rcm_error_m), (trace.trocar_registered_m, trace.rcm_error_registered_m)
+    ):  # fmt: skip
+        away = np.linalg.norm(np.cross(trocar - trace.tip_m, u), axis=1)
+        np.testing.assert_allclose(found, away, rtol=1e-9, atol=1e-12)
     assert abs(trace.rcm_error_m - trace.rcm_error_registered_m).max() > 1e-4  # the registration is 0.5 mm off

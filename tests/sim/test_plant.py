@@ -77,7 +77,8 @@ def test_mujoco_and_pinocchio_agree(tool):
         state = model.state(q, v)
         for found, wanted in (
             (inertia(plant), state.M), (plant.mj_data.qfrc_bias, state.h), (plant.tip, state.tip),
-            (plant.wrist, state.wrist), (jacobian(plant, "tip"), state.J_tip), (jacobian(plant, "wrist"), state.J_wrist),
+            (plant.wrist, state.wrist), (jacobian(plant, "tip"), state.J_tip),
+            (jacobian(plant, "wrist"), state.J_wrist),
         ):  # fmt: skip
             np.testing.assert_allclose(found, wanted, atol=1e-9)
         np.testing.assert_array_equal([plant.q, plant.v], [q, v])
