@@ -164,15 +164,14 @@ def test_change_of_the_plant_keeps_what_it_is_and_is_validated():
 # --- how a run is put together ---
 
 
-@pytest.mark.parametrize("fraction", [0.0, 0.15, 0.5, 0.9])
+@pytest.mark.parametrize("fraction", [0.0, 0.9])
 def test_swivel_keeps_tip_and_wrist(robot, fraction):
     home = robot.state(robot.data.q_home)
     q = Setup(Scenario(start={"swivel": fraction})).q_start
     state = robot.state(q)
     np.testing.assert_allclose(state.tip, home.tip, atol=1e-9)
     np.testing.assert_allclose(state.wrist, home.wrist, atol=1e-9)
-    assert (q >= robot.q_min).all()
-    assert (q <= robot.q_max).all()
+    assert ((q >= robot.q_min) & (q <= robot.q_max)).all()
     assert np.abs(q - robot.data.q_home).max() > 0.01
 
 

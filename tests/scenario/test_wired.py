@@ -1,20 +1,16 @@
 """A run over the wire is the simulated run; what happens to packets is counted, and the arm survives it."""
 
-from __future__ import annotations
-
 import json
 import re
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
 from moc_opt.__main__ import main
-from moc_opt.realtime.answering import Ending
 from moc_opt.realtime.link import WireError, written
 from moc_opt.realtime.packets import RUNNING, Kind
 from moc_opt.scenario import Scenario, run
@@ -22,13 +18,13 @@ from moc_opt.scenario.wired import PlantServer, answer, fingerprint
 from moc_opt.trace.trace import Trace
 from tests.realtime.relay import FAULTS, TO_CONTROLLER, TO_PLANT, Relay
 
-SHORT: dict[str, Any] = {"duration_s": 0.6, "bound_samples": 0, "judge": False}
+SHORT = {"duration_s": 0.6, "bound_samples": 0, "judge": False}
 CLOCKS = {"tick_us", "solve_us"}
 COUNTED = {Kind.COMMAND, Kind.REPORT, (Kind.MEASUREMENT, RUNNING)}  # the packets of a tick
 WIRE_COLUMNS = {"wake_us", "control_us", "missed"}
 
 
-def wired(scenario: Scenario, relayed: dict[str, Any] | None = None) -> tuple[Trace, Ending, Relay | None]:
+def wired(scenario, relayed=None):
     """A run in lock-step, its controller in a thread of its own, directly or through a relay."""
     plant = PlantServer(scenario, "127.0.0.1:0", lock_step=True)
     with ThreadPoolExecutor(1) as pool:
@@ -40,7 +36,7 @@ def wired(scenario: Scenario, relayed: dict[str, Any] | None = None) -> tuple[Tr
             return plant.trace(), controller.result(), relay
 
 
-def assert_same(found: Trace, expected: Trace) -> None:
+def assert_same(found, expected):
     """All columns but the clock's, to rounding."""
     assert set(found.columns) == set(expected.columns) | WIRE_COLUMNS
     assert found.meta["ended"] == expected.meta["ended"]
@@ -53,7 +49,7 @@ def assert_same(found: Trace, expected: Trace) -> None:
             np.testing.assert_array_equal(found.columns[name], column, err_msg=name)
 
 
-RUNS: dict[str, dict[str, Any]] = {
+RUNS = {
     "default": {},
     "dcac": {"control": {"law": "dcac"}},
     "eight joints": {"robot": {"name": "lwr4_rail"}},
@@ -65,7 +61,7 @@ RUNS: dict[str, dict[str, Any]] = {
 
 
 @pytest.mark.parametrize("name", RUNS)
-def test_without_loss_the_wire_changes_nothing(name: str) -> None:
+def test_without_loss_the_wire_changes_nothing(name):
     scenario = Scenario(**SHORT, seed=3, **RUNS[name])
     found, ending, _ = wired(scenario)
     expected = run(scenario)
@@ -83,11 +79,10 @@ def test_without_loss_the_wire_changes_nothing(name: str) -> None:
     assert set(found.meta["wire"].values()) == {0}
 
 
-def test_where_the_plant_waits_no_fault_of_the_wire_changes_the_run() -> None:
+def test_where_the_plant_waits_no_fault_of_the_wire_changes_the_run():
     """It sends a measurement again until the command comes: each kind of fault is counted, none is felt."""
     scenario = Scenario(**SHORT, wire={"resend_s": 0.02, "resends": 1000})
     found, ending, relay = wired(scenario, {"share": 0.04, "seed": 1})
-    assert relay is not None
     expected = run(scenario)
     for name in ("tau_Nm", "q_rad", "tip_error_m", "rcm_error_m"):  # a lost report leaves a gap in the others
         np.testing.assert_allclose(found.columns[name], expected.columns[name], rtol=1e-12, atol=1e-12)
@@ -109,7 +104,7 @@ def test_where_the_plant_waits_no_fault_of_the_wire_changes_the_run() -> None:
 BLIND = {"resend_s": 0.33, "resends": 0, "hold_ticks": 3, "damp_ticks": 5}
 
 
-def test_commands_that_never_come_are_bridged_and_then_the_brakes_close() -> None:
+def test_commands_that_never_come_are_bridged_and_then_the_brakes_close():
     gaps = [range(50, 52), range(100, 106), range(220, 10_000)]
     scenario = Scenario(**SHORT, wire=BLIND)
     found, ending, _ = wired(scenario, {"lost": lambda kind, k: kind is Kind.COMMAND and any(k in gap for gap in gaps)})
@@ -125,21 +120,22 @@ def test_commands_that_never_come_are_bridged_and_then_the_brakes_close() -> Non
     assert np.abs(found.v_rad_per_s[-1]).max() < 1e-3
 
 
-def test_a_controller_that_does_not_see_the_arm_stops_it() -> None:
-    scenario = Scenario(**SHORT, wire=BLIND)
+def test_a_controller_that_does_not_see_the_arm_stops_it():
     few, many = {60, 61}, range(150, 156)
-    found, ending, _ = wired(scenario, {"lost": lambda kind, k: kind is Kind.MEASUREMENT and (k in few or k in many)})
+    lost = {"lost": lambda kind, k: kind is Kind.MEASUREMENT and (k in few or k in many)}
+    found, ending, _ = wired(Scenario(**SHORT, wire=BLIND), lost)
     assert found.columns["missed"][sorted(few)].all()
-    assert "ticks late" in found.meta["ended"]
-    assert found.meta["ended"].startswith("stopped: ")
+    reason, _, _ = found.meta["ended"].partition(" (t =")
+    assert reason.startswith("stopped: ")
+    assert "ticks late" in reason
+    assert ending.ended == reason
     assert 0.002 * 156 <= found.meta["stopped_at_s"] <= 0.002 * 166
-    assert ending.ended == "stopped: " + found.meta["ended"].removeprefix("stopped: ").partition(" (t =")[0]
     assert ending.quality["missed"] >= len(few) + len(many)
     assert found.rcm_error_registered_m.max() < 2e-3
     assert np.abs(found.v_rad_per_s[-1]).max() < 1e-3
 
 
-def test_a_plant_that_falls_silent_ends_the_controller() -> None:
+def test_a_plant_that_falls_silent_ends_the_controller():
     scenario = Scenario(**SHORT, wire=BLIND | {"silence_s": 0.6})
     found, ending, _ = wired(scenario, {"lost": lambda kind, k: kind is Kind.MEASUREMENT and k >= 100})
     assert ending.ended == "the plant has been silent for 0.6 s"
@@ -147,7 +143,7 @@ def test_a_plant_that_falls_silent_ends_the_controller() -> None:
     assert found.meta["ended"].startswith("stopped: no command from the controller")
 
 
-def test_against_the_clock_it_runs_or_stops_cleanly(tmp_path: Path) -> None:
+def test_against_the_clock_it_runs_or_stops_cleanly(tmp_path):
     """Two processes by the command line; how many ticks are missed is the machine's affair."""
     file, trace = tmp_path / "run.toml", tmp_path / "run.parquet"
     file.write_text("duration_s = 0.4\nbound_samples = 0\n[plant]\nperiod_s = 0.004\nsubsteps = 4\n")
@@ -157,7 +153,6 @@ def test_against_the_clock_it_runs_or_stops_cleanly(tmp_path: Path) -> None:
         [sys.executable, "-m", "moc_opt", "plant", str(file), "--listen", "127.0.0.1:0", "--trace", str(trace),
          "--key-file", str(key), "--json"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
-    assert plant.stderr is not None
     address = plant.stderr.readline().split()[-1]
     control = subprocess.run(
         [sys.executable, "-m", "moc_opt", "control", str(file), "--connect", address, "--key-file", str(key),
@@ -177,10 +172,10 @@ def test_against_the_clock_it_runs_or_stops_cleanly(tmp_path: Path) -> None:
     assert saved.rcm_error_registered_m.max() < 2e-3
 
 
-def test_both_ends_must_mean_the_same_run() -> None:
+def test_both_ends_must_mean_the_same_run():
     base = Scenario(**SHORT)
 
-    def told(scenario: Scenario) -> int:
+    def told(scenario):
         return fingerprint(scenario, scenario.robot.arm())
 
     assert told(base) == told(base.change(control={"law": "dcac"}, guard={"patience_ticks": 5}))
@@ -198,7 +193,7 @@ def test_both_ends_must_mean_the_same_run() -> None:
         assert run_there.result().meta["ended"] == "completed"
 
 
-def test_another_key_is_not_heard() -> None:
+def test_another_key_is_not_heard():
     base = Scenario(**SHORT, wire={"wait_s": 0.3})
     # The plant waits longer: on a busy machine the controller is late to ask.
     plant = PlantServer(base.change(wire={"wait_s": 4.0}), "127.0.0.1:0", b"k" * 32, lock_step=True)
@@ -210,7 +205,7 @@ def test_another_key_is_not_heard() -> None:
             run_there.result()
 
 
-def test_what_cannot_be_is_refused_in_words(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_what_cannot_be_is_refused_in_words(capsys, tmp_path):
     for command, words in {
         ("plant", "--listen", "0.0.0.0:30200"): "other machines reach that address",
         ("control", "--connect", "192.0.2.1:30200"): "--key-file",
@@ -223,7 +218,7 @@ def test_what_cannot_be_is_refused_in_words(capsys: pytest.CaptureFixture[str], 
         PlantServer(Scenario(plant={"period_s": 0.005, "substeps": 5}), "127.0.0.1:0")
 
 
-def test_the_controller_that_the_page_shows_answers_every_tick() -> None:
+def test_the_controller_that_the_page_shows_answers_every_tick():
     page = (Path(__file__).parents[2] / "docs" / "realtime.md").read_text(encoding="utf-8")
     blocks = re.findall(r"^```python\n(.*?)^```$", page, re.MULTILINE | re.DOTALL)
     (shown,) = (text for text in blocks if "HEADER" in text)

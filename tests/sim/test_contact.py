@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from moc_opt import core
-from moc_opt.errors import PlantError, UnknownNameError
+from moc_opt.errors import MocOptError
 from moc_opt.robots import load_data
 from moc_opt.robots.model import RobotModel
 from moc_opt.sim import Plant, PlantSettings
@@ -129,20 +129,21 @@ def test_loads_add_up_and_old_ones_go():
     assert not state.xfrc_applied.any()
 
 
-def test_pushes_name_what_is_wrong():
+def test_pushes_name_what_is_wrong_and_replace_each_other():
     plant = Plant(DATA, PlantSettings.nominal())
-    with pytest.raises(UnknownNameError, match="did you mean 'link_1'"):
-        plant.push("lnk_1", [1, 0, 0])
-    with pytest.raises(UnknownNameError):
+    for given, message in (
+        (("lnk_1", [1, 0, 0]), "did you mean 'link_1'"), (("link_1", [1, 0]), "push force"),
+        (("link_1", [1, 0, 0], [np.nan, 0, 0]), "push point"),
+    ):  # fmt: skip
+        with pytest.raises(MocOptError, match=message):
+            plant.push(*given)
+    with pytest.raises(MocOptError, match="knee"):
         plant.clear_pushes("knee")
-    for wrong, name in ((([1, 0],), "push force"), (([1, 0, 0], [np.nan, 0, 0]), "push point")):
-        with pytest.raises(PlantError, match=name):
-            plant.push("link_1", *wrong)
     assert not plant._pushes
     plant.push("link_1", [1, 0, 0])
     plant.push("link_1", [0, 2, 0])
     plant._load(0.0)
-    np.testing.assert_array_equal(plant.mj_data.body("link_1").xfrc_applied, [0, 2, 0, 0, 0, 0])  # it replaces
+    np.testing.assert_array_equal(plant.mj_data.body("link_1").xfrc_applied, [0, 2, 0, 0, 0, 0])
     plant.clear_pushes("link_1")
     assert not plant._pushes
 
@@ -151,27 +152,21 @@ def test_pushes_name_what_is_wrong():
 ONE_STEP = PlantSettings.nominal(period_s=1e-3, substeps=1)
 
 
-def test_trocar_accelerates_the_arm_through_the_point_of_contact():
-    plant = Plant(DATA, ONE_STEP)
+def test_trocar_and_push_accelerate_the_arm_through_their_points():
     state = MODEL.state(DATA.q_home)
-    trocar = shaft_of(plant, depth=0.15, off=2e-3)
-    plant.step(state.h, trocar)
-    share = 0.15 / np.linalg.norm(state.tip - state.wrist)
-    jacobian = (1 - share) * state.J_tip + share * state.J_wrist
+    trocar = shaft_of(Plant(DATA, ONE_STEP), depth=0.15, off=2e-3)
     force, _ = numpy_shaft_force(state.tip, state.wrist, np.zeros(6), np.zeros(3), trocar, 0.0, 800.0, 10.0)
     assert np.linalg.norm(force) == pytest.approx(1.6, rel=1e-9)
-    want = 1e-3 * np.linalg.solve(state.M, jacobian.T @ force)
-    np.testing.assert_allclose(plant.v, want, atol=1e-12)
-
-
-@pytest.mark.parametrize(("link", "frame"), [("tip", "J_tip"), ("wrist", "J_wrist")])
-def test_push_accelerates_the_arm_through_its_point(link, frame):
-    plant = Plant(DATA, ONE_STEP)
-    state = MODEL.state(DATA.q_home)
-    plant.push(link, [3.0, -2.0, 1.0], [0.0, 0.0, 0.0])
-    plant.step(state.h)
-    want = 1e-3 * np.linalg.solve(state.M, getattr(state, frame).T @ [3.0, -2.0, 1.0])
-    np.testing.assert_allclose(plant.v, want, atol=1e-12)
+    share, push = 0.15 / np.linalg.norm(state.tip - state.wrist), np.array([3.0, -2.0, 1.0])
+    for link, pushed, where, jacobian in (
+        ("tip", force, trocar, (1 - share) * state.J_tip + share * state.J_wrist),
+        ("tip", push, None, state.J_tip), ("wrist", push, None, state.J_wrist),
+    ):  # fmt: skip
+        plant = Plant(DATA, ONE_STEP)
+        if where is None:
+            plant.push(link, pushed, np.zeros(3))
+        plant.step(state.h, where)
+        np.testing.assert_allclose(plant.v, 1e-3 * np.linalg.solve(state.M, jacobian.T @ pushed), atol=1e-12)
 
 
 def test_push_is_held_until_cleared_or_reset():
@@ -230,14 +225,12 @@ def test_a_moving_trocar_moves_within_the_period():
     np.testing.assert_allclose(coarse.trocar_force, fine.trocar_force, atol=1e-9)
 
 
-@pytest.mark.parametrize("stiffness", [800.0, 20e3])
-@pytest.mark.parametrize("damping", [10.0, 100.0])
+@pytest.mark.parametrize(("stiffness", "damping"), [(800.0, 10.0), (800.0, 100.0), (20e3, 10.0), (20e3, 100.0)])
 def test_stable_up_to_a_rigid_incision(stiffness, damping):
     """1 mm beside the shaft, arm floating, a little joint damping: never above the first force, then rest."""
     wall = PlantSettings.nominal(trocar_stiffness_N_per_m=stiffness, trocar_damping_Ns_per_m=damping)
     plant = Plant(DATA, wall)
-    trocar = shaft_of(plant)
-    forces = []
+    trocar, forces = shaft_of(plant), []
     for _ in range(1000):
         plant.step(MODEL.state(plant.q, plant.v).h - 2.0 * plant.v, trocar)
         forces.append(np.linalg.norm(plant.trocar_force))
@@ -247,13 +240,11 @@ def test_stable_up_to_a_rigid_incision(stiffness, damping):
 
 def test_stiff_and_undamped_still_gains_no_energy():
     plant = Plant(DATA, PlantSettings.nominal(trocar_stiffness_N_per_m=20e3, trocar_damping_Ns_per_m=0))
-    trocar = shaft_of(plant)
-    energies = []
+    trocar, energies, first = shaft_of(plant), [], 0.5 * 20e3 * 1e-6
     for _ in range(1000):
         state = MODEL.state(plant.q, plant.v)
         plant.step(state.h, trocar)
         kinetic = 0.5 * plant.v @ MODEL.state(plant.q).M @ plant.v
         energies.append(kinetic + 0.5 * np.sum(plant.trocar_force**2) / 20e3)
-    first = 0.5 * 20e3 * 1e-6
     assert max(energies) < 1.1 * first
     assert np.mean(energies[-100:]) < 1.05 * first
