@@ -103,11 +103,11 @@ def test_every_limit_that_can_be_lifted_can_be_saved_lifted(tmp_path):
 
 
 def test_a_solver_setting_of_none_is_left_out_where_that_means_the_same(tmp_path):
-    settings = {"cost_scale": None, "warm": True}
+    settings = {"cost_scale": None, "rows": 6}
     scenario = Scenario(solver={"name": "qpsolvers:quadprog", "settings": settings})
     scenario.save(tmp_path / "a.toml")
     again = Scenario.load(tmp_path / "a.toml")
-    assert again.solver.settings == {"warm": True}
+    assert again.solver.settings == {"rows": 6}
     assert mo.solvers.create(again.solver.name, **again.solver.settings) == mo.solvers.create(
         scenario.solver.name, **settings
     )

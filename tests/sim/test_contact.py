@@ -131,12 +131,12 @@ def test_loads_add_up_and_old_ones_go():
 
 def test_pushes_name_what_is_wrong_and_replace_each_other():
     plant = Plant(DATA, PlantSettings.nominal())
-    for given, message in (
+    for push, message in (
         (("lnk_1", [1, 0, 0]), "did you mean 'link_1'"), (("link_1", [1, 0]), "push force"),
         (("link_1", [1, 0, 0], [np.nan, 0, 0]), "push point"),
     ):  # fmt: skip
         with pytest.raises(MocOptError, match=message):
-            plant.push(*given)
+            plant.push(*push)
     with pytest.raises(MocOptError, match="knee"):
         plant.clear_pushes("knee")
     assert not plant._pushes
