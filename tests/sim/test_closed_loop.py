@@ -14,7 +14,7 @@ from moc_opt.sim.loop import ClosedLoop
 from moc_opt.vision.hands_on import HandsOnSettings, guide_to
 
 ROOT = Path(__file__).resolve().parents[2]
-QUICK = {"bound_samples": 0, "judge": False, "duration_s": 1.5}
+QUICK = {"bound_samples": 0, "judge": False, "duration_s": 1.2}
 
 
 def simulation(scenario):
@@ -38,7 +38,7 @@ def procedure(scenario):
     """The same of hand guiding: it has neither a reference nor a trocar."""
     setup = Setup(scenario)
     incision = setup.plant.tip + np.array([0.05, 0.1, 0.1])
-    found = guide_to(incision, setup.plant, setup.robot, HandsOnSettings(guard=scenario.guard, time_limit_s=1.5))
+    found = guide_to(incision, setup.plant, setup.robot, HandsOnSettings(guard=scenario.guard, time_limit_s=1.2))
     assert found.registered is None
     return found.trace.meta["ended"], found.trace.t_s[-1] - scenario.guard.stop_s, setup.plant.v
 

@@ -67,8 +67,8 @@ def test_the_weight_bends_the_joints_and_the_arm_rests(side):
 
 
 def test_very_stiff_joints_are_rigid_ones():
-    rigid = Plant(DATA, PlantSettings.nominal(period_s=1e-3, substeps=1000))
-    stiff = Plant(DATA, elastic(joint_stiffness_Nm_per_rad=1e7, period_s=1e-3, substeps=1000,
+    rigid = Plant(DATA, PlantSettings.nominal(period_s=1e-3, substeps=400))
+    stiff = Plant(DATA, elastic(joint_stiffness_Nm_per_rad=1.5e6, period_s=1e-3, substeps=400,
                                 joint_spring_damping_Nm_s_per_rad=300.0))  # fmt: skip
     push = rigid.applied_torque + np.array([2.0, -2.0, 1.0, 1.0, 0.5, -0.5, 0.2])
     hold(rigid, 30, push)
