@@ -3,43 +3,29 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
 
 from moc_opt.commands.running import read_scenario
 from moc_opt.report.document import check_out
 
 
-def save_replay(given: argparse.Namespace) -> int:
-    """Write one to four saved runs in 3-D; returns 0."""
-    from moc_opt.report.replay import Replay
+def save_page(given: argparse.Namespace) -> int:
+    """Write saved runs as the page that the command is called after, then its figures if asked for; returns 0.
 
-    check_out(given.out, "replay", force=given.force)
-    print(Replay.load(given.traces).save(given.out, force=given.force))
-    return 0
-
-
-def save_map(given: argparse.Namespace) -> int:
-    """Write the page, then the figures: the page is there even where no browser can draw the files; returns 0."""
+    The page is there even where no browser can draw the figures.
+    """
     from moc_opt.report.export import save_figures
     from moc_opt.report.map_page import load_map
+    from moc_opt.report.page import Page
+    from moc_opt.report.replay import Replay
+    from moc_opt.report.run_page import load_report
 
-    check_out(given.out, "map", force=given.force)
-    page = load_map(given.traces)
+    check_out(given.out, given.command, force=given.force)
+    makers: dict[str, Callable[..., Page | Replay]] = {"replay": Replay.load, "map": load_map, "report": load_report}
+    page = makers[given.command](given.traces)
     print(page.save(given.out, force=given.force))
-    for file in save_figures(page.figures, given.out.parent / "figures") if given.figures else ():
-        print(file)
-    return 0
-
-
-def save_report(given: argparse.Namespace) -> int:
-    """Write metrics, curves and map of saved runs; returns 0."""
-    from moc_opt.report.replay import load_runs
-    from moc_opt.report.run_page import run_page
-    from moc_opt.trace.metrics import summarize
-
-    check_out(given.out, "report", force=given.force)
-    traces, robot = load_runs(given.traces)
-    metrics = {name: summarize(trace) for name, trace in traces.items()}
-    print(run_page(traces, metrics, robot).save(given.out, force=given.force))
+    if not isinstance(page, Replay) and getattr(given, "figures", False):  # an option of `map`
+        print(*save_figures(page.figures, given.out.parent / "figures"), sep="\n")
     return 0
 
 

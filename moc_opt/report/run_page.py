@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import os
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from moc_opt.errors import MocOptError, ReportError
@@ -10,13 +11,21 @@ from moc_opt.figures import Styles, time_series
 from moc_opt.planning.swivel_map import manipulability_map
 from moc_opt.report.map_page import add_map
 from moc_opt.report.page import Page
+from moc_opt.report.replay import load_runs
 from moc_opt.report.run_table import below_best, ending, listed, part, run_table, title_of
 from moc_opt.report.tables import Column, Table
 from moc_opt.robots.model import RobotModel
+from moc_opt.trace.metrics import summarize
 from moc_opt.trace.trace import Trace
 
 COLUMNS_PER_S, COLUMNS = 12.0, (10, 96)
 """Of the map."""
+
+
+def load_report(files: Sequence[str | os.PathLike[str]]) -> Page:
+    """Make the page of saved traces, named as their files are; raises as `load_runs`."""
+    traces, robot = load_runs(files)
+    return run_page(traces, {name: summarize(trace) for name, trace in traces.items()}, robot)
 
 
 def run_page(
