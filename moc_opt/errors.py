@@ -11,8 +11,6 @@ from typing import ClassVar
 class MocOptError(Exception):
     """Base of every error that moc_opt raises on purpose; its text is cut at ``MOST`` characters.
 
-    A file may have a thousand wrong fields, or one value of a megabyte.
-
     Example:
         >>> try:
         ...     mo.Scenario(duration_s=-1.0)

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 
 from moc_opt.errors import RobotError, ScenarioError, SolverError
 from moc_opt.inputs import names
-from moc_opt.robots.model import load_robot
+from moc_opt.robots import load_data
 from moc_opt.scenario import Scenario
 from moc_opt.solvers import registry
 from tests.odd_inputs import names as hostile_names
@@ -23,6 +23,9 @@ BAD = [
     "/*", "a*b", 'a"b', "a'b", "a<b", "a>b", "a&b", "a;b", "a$b", "a`b", "a%b", "{a}", "[a]", "a=b", "é", "a\u2028b",
     "１", "\x00", "\x1b[2J", "x" * 101, "a\tb",
 ]  # fmt: skip
+
+
+DATA = load_data()
 
 
 def test_what_a_name_is():
@@ -42,10 +45,9 @@ def test_every_place_where_a_name_is_read_checks_it(bad):
     ):  # fmt: skip
         with pytest.raises(ScenarioError, match="is no name"):
             Scenario(**table)
-    data = load_robot().data
-    for change in ({"name": bad}, {"joint_names": (bad, *data.joint_names[1:])}):
+    for change in ({"name": bad}, {"joint_names": (bad, *DATA.joint_names[1:])}):
         with pytest.raises(RobotError, match="is no name"):
-            replace(data, **change)
+            replace(DATA, **change)
     with pytest.raises(SolverError, match="rename it"):
         registry._of_plugin(bad, [registry.EntryPoint(bad, "math:sqrt", registry.GROUP)])
 

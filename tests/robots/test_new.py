@@ -178,24 +178,23 @@ def test_the_wrist_of_a_known_arm_is_found(name: str) -> None:
     np.testing.assert_allclose(asked.wrist, -0.05 * np.array(towards), rtol=0, atol=1e-12)
 
 
-def test_a_flange_frame_carries_the_same_tool() -> None:
-    origin = '<origin xyz="0 0 0.107" rpy="0.3 1.1 -2"/>'
-    flange = link("flange") + joint("f", "fixed", "link_7", "flange", origin)
-    found = find_shaft(added(text_of(), flange), "flange")
+def test_a_flange_frame_carries_the_same_tool_and_one_off_the_axis_is_noted() -> None:
+    def with_flange(origin: str) -> str:
+        return added(text_of(), link("flange") + joint("f", "fixed", "link_7", "flange", f"<origin {origin}/>"))
+
+    found = find_shaft(with_flange('xyz="0 0 0.107" rpy="0.3 1.1 -2"'), "flange")
     assert found.behind_m == pytest.approx(0.107, abs=1e-12)
     np.testing.assert_allclose(found.wrist, -0.107 * direction(found.rpy), rtol=0, atol=1e-12)
-
-
-def test_a_flange_off_the_axis_or_a_sliding_last_joint_is_noted() -> None:
-    flange = link("flange") + joint("f", "fixed", "link_7", "flange", '<origin xyz="0.05 0 0.107"/>')
-    found = find_shaft(added(text_of(), flange), "flange")
+    found = find_shaft(with_flange('xyz="0.05 0 0.107"'), "flange")
     assert "off the last axis" in found.note
     np.testing.assert_allclose(direction(found.rpy), [0, 0, 1], rtol=0, atol=1e-12)
-    text = text_of()
-    place = text.index('<joint name="joint_7"')
-    sliding = find_shaft(text[:place] + changed(text[place:], ('type="revolute"', 'type="prismatic"')), "link_7")
-    assert "slides" in sliding.note
-    np.testing.assert_allclose(sliding.wrist, 0.0)
+
+
+def test_a_sliding_last_joint_is_noted() -> None:
+    sliding = changed(text_of(), ('name="joint_7" type="revolute"', 'name="joint_7" type="prismatic"'))
+    found = find_shaft(sliding, "link_7")
+    assert "slides" in found.note
+    np.testing.assert_allclose(found.wrist, 0.0)
 
 
 # --- the home pose ---
