@@ -43,11 +43,11 @@ _POSES = 16
 
 
 def derived_gains(robot: RobotModel) -> dict[str, Table]:
-    """Derive the tables "dcac", "moc", "default", "tuned" and "robust" from the arm's inertia.
+    """Derive the tables of `CARTESIAN` from the arm's inertia.
 
-    K_N2_i is a rate times M_ii at the home pose, and D_N2 a share of it (`JOINTS`), the rate smaller where the null
-    space would exceed its largest. K_X and D_X (K_N, D_N) are those of the LWR4+, both smaller by the same share where
-    the arm is so light that D_X (D_N) would exceed `CARTESIAN_RATE`.
+    K_N2_i is a rate times M_ii at the home pose and D_N2 a share of it (`JOINTS`); the rate is smaller where the null
+    space would exceed its largest. K_X, D_X (K_N, D_N) are the LWR4+'s; both are smaller by the same share where the
+    arm is so light that D_X (D_N) would exceed `CARTESIAN_RATE`.
     """
     inertia = np.diag(robot.state(robot.data.q_home).M)
     inverse_masses = largest_inverse_masses(robot)

@@ -71,7 +71,8 @@ def new_robot(
         check_replaceable(file, "robot file", RobotError)
     arm = read_vendor(source, tip=tip, lock=lock)
     name = out.stem
-    _stand(arm, base_rpy)
+    if any(base_rpy):
+        _stand(arm, base_rpy)
     weak = choose_limits(arm.chain, arm.notes)
     shaft = find_shaft(arm.urdf.to_text(name), arm.last_link, wrist_m=wrist_m)
     arm.notes.append(shaft.note)
@@ -124,9 +125,7 @@ def _drives(arm: VendorArm) -> dict[str, list[float]]:
     }  # fmt: skip
 
 
-def _stand(arm: VendorArm, rpy: tuple[float, float, float]) -> None:
-    if not any(rpy):
-        return
+def _stand(arm: VendorArm, rpy: urdf.Triple) -> None:
     base = urdf.Tree(arm.urdf).base
     arm.urdf.links.insert(0, urdf.Link("stand"))
     arm.urdf.joints.append(urdf.Joint("stand_joint", "fixed", "stand", base, rpy=rpy))

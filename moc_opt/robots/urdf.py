@@ -26,8 +26,8 @@ MOMENTS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 SMALLEST_MASS, SMALLEST_MOMENT = 1e-6, 1e-12
 _TRIANGLE, _FLAT, _THIN = 1e-6, 1e-9, 1e-12  # of the largest moment: files round their numbers
 SMALLEST = 1e-30  #: A smaller number is read as 0: some readers refuse those below 1e-308.
-LARGEST = {"m": 100.0, "rad": 100.0, "kg": 1e5, "kg m^2": 1e6, "1": 1e3, "or inf": math.inf}
-"""Unit -> the largest number of it that an arm can have; an endless limit is refused later."""
+LARGEST = {"m": 100.0, "rad": 100.0, "kg": 1e5, "kg m^2": 1e6, "1": 1e3, "a limit": math.inf}
+"""Unit -> the largest number of it that an arm can have; a vendor's limit may be endless until `normalize`."""
 LARGEST_LIMIT = 1e6
 
 Triple = tuple[float, float, float]
@@ -131,7 +131,8 @@ def number(text: str, what: str, unit: str) -> float:
     except ValueError:
         value = math.nan
     if not abs(value) <= LARGEST[unit]:
-        raise RobotError(f"urdf: {what} is {text!r:.80}: give a finite number of at most {LARGEST[unit]:g} ({unit})")
+        size = f"of at most {LARGEST[unit]:g} {unit}" if unit != "a limit" else "such as 2.9"
+        raise RobotError(f"urdf: {what} is {text!r:.80}: give a decimal number {size}")
     return 0.0 if abs(value) < SMALLEST else value
 
 
@@ -181,7 +182,7 @@ def _joint(element: ET.Element) -> Joint:
         joint.axis = triple(axis, "xyz", f"<axis> of {where}, xyz", "1")
     for key in ("lower", "upper", "velocity", "effort"):
         if limit is not None and key in limit.attrib:
-            joint.limits[key] = number(limit.get(key, ""), f"<limit> of {where}, {key}", "or inf")
+            joint.limits[key] = number(limit.get(key, ""), f"<limit> of {where}, {key}", "a limit")
     return joint
 
 

@@ -314,7 +314,7 @@ def _range(joint: Joint, kind: str, notes: list[str]) -> tuple[float, float]:
     if endless or lower == upper:
         why = " turns without end" if endless else " has no range"
     elif upper - lower > _DEGREES:
-        why = f": {lower:g} to {upper:g} {unit} is no range of a joint (are they degrees? see the data sheet)"
+        why = f": {lower:g} to {upper:g} rad is no range of a joint (are they degrees? see the data sheet)"
     if why:
         notes.append(f"{joint.name}{why}: +-180 deg is taken")
         return -math.pi, math.pi

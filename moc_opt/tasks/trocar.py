@@ -18,9 +18,7 @@ class Trocar:
     """A trocar point that may move slowly, as with breathing.
 
     P(t) = point + amplitude (1 - cos(2 pi t / period)) / 2 * direction: it starts at `point`, at rest, and is
-    `breathing_amplitude_m` away from it half a period later.
-
-    A TaskError where one of these is not usable.
+    `breathing_amplitude_m` away half a period later. A TaskError where one of these is not usable.
     """
 
     point: ArrayLike  #: At t = 0, (3,) [m].
