@@ -1,7 +1,5 @@
 """A followed course is where it should be at every tick, and in the closed loop the arm goes along it."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np

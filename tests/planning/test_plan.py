@@ -1,7 +1,5 @@
 """A plan tells whether a path can be executed, and where it ends: checked by inverse kinematics and by its courses."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The program keeps every constraint by the model's own kinematics, over a path and over a horizon."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import casadi

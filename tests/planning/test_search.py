@@ -1,7 +1,5 @@
 """V is what the best course from a pose is worth, by enumeration; what is read off it keeps limits; its bound holds."""
 
-from __future__ import annotations
-
 import itertools
 from types import SimpleNamespace
 from typing import Any

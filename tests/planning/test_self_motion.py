@@ -1,7 +1,5 @@
 """The self-motion keeps tip, wrist and limits; the freedoms it leaves are counted as on arms with a known count."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

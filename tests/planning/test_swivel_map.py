@@ -1,7 +1,5 @@
 """The manipulability map against direct evaluation; what trajectories amount to, on maps that are made by hand."""
 
-from __future__ import annotations
-
 from contextlib import nullcontext
 from dataclasses import replace
 from types import MappingProxyType
