@@ -7,7 +7,7 @@ and what the machine did meanwhile). ``compare`` is the study behind ``mo.compar
 ``moc-opt solvers``. docs/extending.md shows a study of 20 lines.
 """
 
-from moc_opt.study.engine import Failed, Job, each, run
+from moc_opt.study.engine import Failed, Job, run
 from moc_opt.study.kept import Kept
 
-__all__ = ["Failed", "Job", "Kept", "each", "run"]
+__all__ = ["Failed", "Job", "Kept", "run"]

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import ctypes
 import faulthandler
-import importlib
 import multiprocessing
 import os
 import pickle
@@ -24,10 +23,9 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, TimeoutError, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from itertools import count as count_from_zero
 from pathlib import Path
-from types import ModuleType
 from typing import Any, Literal, cast
 
 from pebble import ProcessExpired, ProcessPool
@@ -41,7 +39,6 @@ BEGUN = ".pid"
 PR_SET_PDEATHSIG = 1
 PRELOAD = ("moc_opt.scenario", "moc_opt.study.trials", "moc_opt.study.solver_answers")
 
-_alone = False  # set in a worker that is the only one
 _parts: str | None = None  # in a worker: the file for what the job hands over
 
 
@@ -71,13 +68,11 @@ class Failed:
     Attributes:
         kind: it took longer than its limit, its process died, it raised an exception, or it was not begun.
         reason: in words.
-        error: the exception that was raised.
         parts: what the job had handed over by `report`.
     """
 
     kind: Literal["hung", "crashed", "raised", "not run"]
     reason: str
-    error: BaseException | None = field(default=None, compare=False)
     parts: tuple[Any, ...] = ()
 
     def __str__(self) -> str:
@@ -95,10 +90,7 @@ class _Done:
 
 @dataclass(frozen=True)
 class _Raised:
-    """What a job raised: its text, and its pickle, which may be empty."""
-
     text: str
-    packed: bytes
 
 
 def run(
@@ -150,29 +142,6 @@ def run(
                     kept.put(keys[k], result, answer.sources)
                 finish(k, result)
     return [results[k] for k in range(len(jobs))]
-
-
-def each(
-    work: Callable[[Any], Any], items: Sequence[Any], *, kept: Kept | None = None, workers: int | None = None,
-    step: Callable[[], Any] = lambda: None, failed: Callable[[Any, Failed], Any] | None = None,
-) -> list[Any]:  # fmt: skip
-    """Return ``work(item)`` for every item, in order: for runs whose times are not measured.
-
-    Args:
-        step: called here after each.
-        failed: makes the result of an item whose job failed; without it the failure is raised.
-
-    Raises:
-        MocOptError: what a job raised, or a StudyError that says how its process ended.
-    """
-    jobs = [Job(work, (item,)) for item in items]
-    found = run(jobs, kept=kept, workers=workers, done=lambda job, result: step())
-    for k, result in enumerate(found):
-        if isinstance(result, Failed):
-            if failed is None:
-                raise result.error if isinstance(result.error, MocOptError) else StudyError(str(result))
-            found[k] = failed(items[k], result)
-    return found
 
 
 Submit = Callable[[Job], "Future[_Done | _Raised]"]
@@ -248,8 +217,8 @@ def _answer(future: Future[_Done | _Raised], job: Job) -> _Done | Failed:
     except Exception as error:  # noqa: BLE001 - a job that cannot be sent, or what a cluster says of a dead worker
         if type(error).__name__ == "KilledWorker":
             return Failed("crashed", f"the worker died, or the job took more than {job.limit_s:g} s")
-        return Failed("raised", describe(error), error)
-    return Failed("raised", answer.text, _remade(answer.packed)) if isinstance(answer, _Raised) else answer
+        return Failed("raised", describe(error))
+    return Failed("raised", answer.text) if isinstance(answer, _Raised) else answer
 
 
 def _do(work: Callable[..., Any], arguments: tuple[Any, ...], parts: str | None = None) -> _Done | _Raised:
@@ -261,26 +230,11 @@ def _do(work: Callable[..., Any], arguments: tuple[Any, ...], parts: str | None 
     try:
         result = pickle.dumps(work(*arguments))
     except (Exception, KeyboardInterrupt, SystemExit) as error:  # noqa: BLE001 - foreign code may raise anything
-        text = f"{type(error).__name__}: {error}" if isinstance(error, MocOptError) else describe(error)
-        try:
-            return _Raised(text, pickle.dumps((type(error), error.args, error.__dict__)))
-        except Exception:  # noqa: BLE001 - an exception may hold anything; its text is handed over all the same
-            return _Raised(text, b"")
+        return _Raised(f"{type(error).__name__}: {error}" if isinstance(error, MocOptError) else describe(error))
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0.0)
     sources = loaded_sources()
     return _Done(result, sources, digest_of(sources))
-
-
-def _remade(pickled: bytes) -> BaseException | None:
-    """Return the exception, made without its constructor, which may take other arguments than it keeps."""
-    try:
-        kind, arguments, state = pickle.loads(pickled)
-        found: BaseException = kind.__new__(kind, *arguments)
-        found.__dict__.update(state)
-    except Exception:  # noqa: BLE001 - of a type that cannot be made here; its text was handed over
-        return None
-    return found
 
 
 # --- processes on this machine ---
@@ -302,7 +256,7 @@ def _processes(count: int) -> Iterator[tuple[Submit, int]]:
             masked = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
             try:
                 made = ProcessPool(
-                    count, initializer=_begin, initargs=(folder, total // (count + 1), count == 1), context=context
+                    count, initializer=_begin, initargs=(folder, total // (count + 1)), context=context
                 )
                 made.schedule(os.getpid).result()  # the workers are started now
                 return made
@@ -338,10 +292,8 @@ def _processes(count: int) -> Iterator[tuple[Submit, int]]:
             ended()
 
 
-def _begin(folder: str, memory: int, alone: bool) -> None:
+def _begin(folder: str, memory: int) -> None:
     """Begin a worker: it leads a group, ends with its parent, leaves Ctrl-C to it, and has its share of the memory."""
-    global _alone
-    _alone = alone
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     os.setpgrp()
     Path(folder, "groups", str(os.getpid())).touch()
@@ -378,11 +330,6 @@ def alarm(seconds: float) -> None:
     signal.setitimer(signal.ITIMER_REAL, seconds)
 
 
-def shared() -> bool:
-    """Say inside a job whether other jobs may run on this machine meanwhile."""
-    return not _alone
-
-
 def _cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
@@ -393,9 +340,12 @@ def _cores() -> int:
 @contextmanager
 def _cluster(address: str) -> Iterator[tuple[Submit, int]]:
     """Connect to a Dask scheduler; its workers must have the same sources as this process."""
-    library = _distributed()
     try:
-        client = library.Client(address, timeout=CONNECT_S, set_as_default=False)
+        from distributed import Client
+    except ImportError as error:
+        raise StudyError("a Dask scheduler needs a package that is missing: pip install 'moc-opt[cluster]'") from error
+    try:
+        client = Client(address, timeout=CONNECT_S, set_as_default=False)
     except (OSError, ValueError) as error:
         raise StudyError(f"no Dask scheduler answers at {address}: {error}") from error
     try:
@@ -418,12 +368,3 @@ def _do_within(work: Callable[..., Any], arguments: tuple[Any, ...], limit_s: fl
         return _do(work, arguments)
     finally:
         faulthandler.cancel_dump_traceback_later()
-
-
-def _distributed() -> ModuleType:
-    try:
-        return importlib.import_module("distributed")
-    except ImportError as error:
-        raise StudyError(
-            f"a Dask scheduler needs a package that is missing in {sys.prefix}: pip install 'moc-opt[cluster]'"
-        ) from error

@@ -59,17 +59,8 @@ class Kept:
         """Return (result,), or None where there is none or the code has changed since."""
         try:
             entry = self._cache.get(key)
-        except (
-            sqlite3.Error,
-            pickle.UnpicklingError,
-            EOFError,
-            AttributeError,
-            ImportError,
-            ValueError,
-        ) as error:
-            print(
-                f"{self.folder}: a finished job cannot be read ({error}) and is done again", file=sys.stderr
-            )
+        except (sqlite3.Error, pickle.UnpicklingError, EOFError, AttributeError, ImportError, ValueError) as error:
+            print(f"{self.folder}: a finished job cannot be read ({error}) and is done again", file=sys.stderr)
             return None
         if not isinstance(entry, _Entry) or digest_of(entry.sources) != entry.digest:
             return None
@@ -102,9 +93,7 @@ class Kept:
                 print(f"{self.folder} is damaged ({error}); set aside as {aside}", file=sys.stderr)
                 return diskcache.Cache(self.folder, eviction_policy="none")
         except (OSError, sqlite3.Error) as error:
-            raise StudyError(
-                f"{self.folder}: finished jobs cannot be kept there ({error}); give another --out"
-            ) from error
+            raise StudyError(f"{self.folder}: finished jobs cannot be kept there ({error}); give another --out") from error
 
 
 def key_of(work: Callable[..., Any], arguments: Iterable[Any]) -> str:
@@ -183,11 +172,7 @@ def _plain(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [_plain(entry) for entry in value]
     if isinstance(value, np.ndarray):
-        return [
-            str(value.dtype),
-            value.shape,
-            hashlib.sha256(np.ascontiguousarray(value).tobytes()).hexdigest(),
-        ]
+        return [str(value.dtype), value.shape, hashlib.sha256(np.ascontiguousarray(value).tobytes()).hexdigest()]
     if isinstance(value, partial):
         return ["partial", _plain(value.func), _plain(value.args), _plain(value.keywords)]
     if callable(value):

@@ -23,7 +23,7 @@ import numpy as np
 from pydantic import Field, field_validator
 
 from moc_opt.arrays import Array
-from moc_opt.errors import UnknownNameError
+from moc_opt.errors import StudyError, UnknownNameError
 from moc_opt.inputs.settings import Level, Settings
 from moc_opt.qp.equalities import assembled
 from moc_opt.qp.problem import NullSpaceQP
@@ -201,7 +201,7 @@ class Work:
         (case,) = trials(base, [config.open_loop.task], seeds(config.seed, STREAM, 1))
         (found,) = self.study.run([Job(record, (case, config.open_loop.ticks))], "recording")
         if isinstance(found, Failed):
-            raise found.error or RuntimeError(str(found))
+            raise StudyError(f"the sequence could not be recorded: {found}")
         return np.asarray(found)
 
     def runner(self, what: str) -> Callable[..., list[Any]]:

@@ -122,7 +122,7 @@ def spread(entries: Mapping[str, Any], name: str, digits: int = 3, sign: str = "
     return text
 
 
-def share(found: int, trials: int, *, confidence: float = CONFIDENCE) -> Interval:
+def share(found: int, trials: int) -> Interval:
     """Return found/trials with its exact binomial interval (Clopper and Pearson, Biometrika 26, 1934).
 
     The interval holds where the trials are independent; events that come in bunches have a wider one.
@@ -136,28 +136,26 @@ def share(found: int, trials: int, *, confidence: float = CONFIDENCE) -> Interva
     """
     if not 0 <= found <= trials or trials < 1:
         raise StatisticsError(f"found = {found}, trials = {trials}: give at least one trial, and 0 to so many found")
-    low, high = stats.binomtest(found, trials).proportion_ci(confidence)
+    low, high = stats.binomtest(found, trials).proportion_ci(CONFIDENCE)
     return Interval(found / trials, float(low), float(high), trials)
 
 
-def mean(samples: ArrayLike, *, seed: int = 0, confidence: float = CONFIDENCE) -> Interval:
+def mean(samples: ArrayLike, *, seed: int = 0) -> Interval:
     """Return the mean of one number a trial, (k,), with its interval.
 
     Raises:
         StatisticsError: no sample, or one that is not finite.
     """
-    return _interval(_mean, seed, confidence, samples=samples)
+    return _interval(_mean, seed, samples=samples)
 
 
-def relative_change(
-    treated: ArrayLike, control: ArrayLike, *, seed: int = 0, confidence: float = CONFIDENCE
-) -> Interval:
+def relative_change(treated: ArrayLike, control: ArrayLike, *, seed: int = 0) -> Interval:
     """Compute 100 (mean(treated)/mean(control) - 1) [percent] of (k,) numbers of the same k trials, resampled in pairs.
 
     Raises:
         StatisticsError: no pair, different lengths, a number that is not finite, or controls with mean 0.
     """
-    return _interval(_change, seed, confidence, treated=treated, control=control)
+    return _interval(_change, seed, treated=treated, control=control)
 
 
 def relative_changes(treated: ArrayLike, control: ArrayLike, *, seed: int = 0) -> Change:
@@ -173,16 +171,15 @@ def relative_changes(treated: ArrayLike, control: ArrayLike, *, seed: int = 0) -
 
 
 def difference_of_changes(
-    treated: ArrayLike, control: ArrayLike, treated_before: ArrayLike, control_before: ArrayLike, *, seed: int = 0,
-    confidence: float = CONFIDENCE,
-) -> Interval:  # fmt: skip
+    treated: ArrayLike, control: ArrayLike, treated_before: ArrayLike, control_before: ArrayLike, *, seed: int = 0
+) -> Interval:
     """Subtract the `relative_change` of one pair from that of another [percentage points], on the same k trials.
 
     Raises:
         StatisticsError: no trial, different lengths, a number that is not finite, or controls with mean 0.
     """
     before = {"treated_before": treated_before, "control_before": control_before}
-    return _interval(_difference, seed, confidence, treated=treated, control=control, **before)
+    return _interval(_difference, seed, treated=treated, control=control, **before)
 
 
 def _mean(samples: Array, axis: int = -1) -> Array:
@@ -218,12 +215,12 @@ def _checked(given: Mapping[str, ArrayLike]) -> list[Array]:
     return list(found.values())
 
 
-def _interval(statistic: Callable[..., Any], seed: int, confidence: float, **given: ArrayLike) -> Interval:
+def _interval(statistic: Callable[..., Any], seed: int, **given: ArrayLike) -> Interval:
     samples = _checked(given)
     value, count, low, high = float(statistic(*samples)), len(samples[0]), float("nan"), float("nan")
     if count < 2:
         return Interval(value, low, high, count)
-    quantile = float(stats.t.ppf(1.0 - 0.5 * NOMINAL * (1.0 - confidence), count - 1))
+    quantile = float(stats.t.ppf(1.0 - 0.5 * NOMINAL * (1.0 - CONFIDENCE), count - 1))
     expanded = float(2.0 * stats.norm.cdf(np.sqrt(count / (count - 1)) * quantile) - 1.0)
     half = quantile * _standard_error(statistic, samples)
     for method in ("BCa", "percentile"):

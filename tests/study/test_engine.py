@@ -15,8 +15,8 @@ import numpy as np
 import psutil
 import pytest
 
-from moc_opt.errors import ScenarioError, StudyError
-from moc_opt.study import Failed, Job, Kept, each, engine, run
+from moc_opt.errors import StudyError
+from moc_opt.study import Failed, Job, Kept, engine, run
 from tests.study import work
 
 HOME = Path(__file__).parents[2]
@@ -37,7 +37,6 @@ def test_whatever_a_job_does_is_its_own_row(tmp_path):
     assert "SIGSEGV" in str(found[2])
     assert "exit code 3" in str(found[3])
     assert "'knot'" in str(found[4])
-    assert isinstance(found[4].error, ScenarioError)
     assert "memory" in str(found[7]).lower()
     child = int((tmp_path / "child").read_text())
     for _ in range(100):
@@ -53,14 +52,6 @@ def test_processes_that_die_at_once_or_leave_without_an_error_are_rows(workers):
     jobs = [Job(work.die, (signal.SIGKILL, 0.0)), Job(work.leave, (0, 0.0)), Job(work.square, (2.0,))] * 6
     found = run(jobs, workers=workers)
     assert [getattr(result, "kind", result) for result in found] == ["crashed", "crashed", 4.0] * 6
-
-
-def test_a_failure_is_raised_where_it_is_no_row():
-    with pytest.raises(ScenarioError, match="knot"):
-        each(work.refuse_odd, [2, 3], workers=1)
-    with pytest.raises(StudyError, match="SIGSEGV"):
-        each(work.die, [signal.SIGSEGV], workers=1)
-    assert each(work.refuse_odd, [3, 2], workers=1, failed=lambda item, why: f"{item}: {why.kind}") == ["3: raised", 2]
 
 
 def test_what_hung_once_is_not_begun_again():

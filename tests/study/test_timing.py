@@ -12,7 +12,7 @@ import pytest
 
 from moc_opt.figures.notation import Doubtful
 from moc_opt.inputs.files import to_json
-from moc_opt.study import each, timing
+from moc_opt.study import Job, run, timing
 from moc_opt.study.timing import UNDISTURBED, Disturbance, Timed, each_us, interleaved, percentiles, used
 
 
@@ -146,7 +146,7 @@ def beside_a_competitor(calls):
 
 @pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="this system holds no process to a core")
 def test_times_beside_a_busy_process_on_the_same_core_are_not_trusted():
-    ((times, seen),) = each(beside_a_competitor, [300], workers=1)
+    ((times, seen),) = run([Job(beside_a_competitor, (300,))], workers=1)
     assert seen.calls == len(times) == 300
     assert seen.cpu_share < 0.8
     assert seen.switches > 10
