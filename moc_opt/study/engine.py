@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import ctypes
 import faulthandler
+import importlib
 import multiprocessing
 import os
 import pickle
@@ -341,11 +342,11 @@ def _cores() -> int:
 def _cluster(address: str) -> Iterator[tuple[Submit, int]]:
     """Connect to a Dask scheduler; its workers must have the same sources as this process."""
     try:
-        from distributed import Client
+        client_of: Any = importlib.import_module("distributed").Client
     except ImportError as error:
         raise StudyError("a Dask scheduler needs a package that is missing: pip install 'moc-opt[cluster]'") from error
     try:
-        client = Client(address, timeout=CONNECT_S, set_as_default=False)
+        client = client_of(address, timeout=CONNECT_S, set_as_default=False)
     except (OSError, ValueError) as error:
         raise StudyError(f"no Dask scheduler answers at {address}: {error}") from error
     try:

@@ -93,7 +93,7 @@ class Kept:
                 print(f"{self.folder} is damaged ({error}); set aside as {aside}", file=sys.stderr)
                 return diskcache.Cache(self.folder, eviction_policy="none")
         except (OSError, sqlite3.Error) as error:
-            raise StudyError(f"{self.folder}: finished jobs cannot be kept there ({error}); give another --out") from error
+            raise StudyError(f"{self.folder} cannot keep finished jobs ({error}); give another --out") from error
 
 
 def key_of(work: Callable[..., Any], arguments: Iterable[Any]) -> str:
