@@ -31,7 +31,7 @@ def program(Z, low, high, slope):
     return found.fun * np.abs(slope).max()
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=40)
 @given(seed=st.integers(0, 10**6), shape=SHAPES, size=st.sampled_from([1.0, 1e-4]))
 def test_linear_costs_agree_with_highs(seed, shape, size):
     Z, low, high, slope = cut_box(seed, shape, 1.0)
@@ -45,7 +45,7 @@ def test_linear_costs_agree_with_highs(seed, shape, size):
     assert beyond < 1e-11 * size * shape[1]  # rounding, which grows with the freedoms
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(seed=st.integers(0, 10**6), shape=SHAPES, weight=st.floats(-9.0, 2.0))
 def test_damped_optimum_is_certified_and_the_worst_is_a_corner(seed, shape, weight):
     """Weak duality certifies the optimum; no random feasible point is better than it, or worse than the worst."""
@@ -68,11 +68,11 @@ def test_damped_optimum_is_certified_and_the_worst_is_a_corner(seed, shape, weig
     np.testing.assert_allclose(Z.T @ found.pull, slope, atol=1e-9 * np.abs(slope).max())
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(
     seed=st.integers(0, 10**6), shape=st.sampled_from([(5, 2), (7, 2), (8, 3)]),
-    weight=st.sampled_from([0.0, 1e-3, 1.0]),
-    size=st.sampled_from([1e-6, 1e-4, 1e3]), steep=st.sampled_from([1e-6, 1e3]),
+    weight=st.sampled_from([0.0, 1e-3, 1.0]), size=st.sampled_from([1e-6, 1e-4, 1e3]),
+    steep=st.sampled_from([1e-6, 1e3]),
 )  # fmt: skip
 def test_the_units_of_speed_and_cost_do_not_matter(seed, shape, weight, size, steep):
     Z, low, high, slope = cut_box(seed, shape)
@@ -91,7 +91,7 @@ def test_the_units_of_speed_and_cost_do_not_matter(seed, shape, weight, size, st
 def test_beyond_the_corners_that_can_be_tried_the_worst_is_not_overstated(shape, monkeypatch):
     """A worst that is too small makes a loss that is too large: the safe side."""
     exact = []
-    for seed in range(30):
+    for seed in range(15):
         Z, low, high, slope = cut_box(seed, shape)
         regularization = float(np.linalg.norm(slope))
         whole = extremes(Z, low, high, slope, regularization)
@@ -107,7 +107,7 @@ def test_beyond_the_corners_that_can_be_tried_the_worst_is_not_overstated(shape,
 @pytest.mark.parametrize("shape", [(12, 7), (16, 10), (24, 18)])
 def test_with_almost_no_damping_the_walks_uphill_end_at_the_worst_of_the_linear_cost(shape):
     """Boxes a thousand times wider on some joints than on others, as near joint limits."""
-    for seed in range(10):
+    for seed in range(5):
         Z, low, high, slope = cut_box(seed, shape)
         narrow = 10.0 ** np.random.default_rng(seed).uniform(-3.0, 0.0, shape[0])
         inside = nearest(Z, low, high, np.zeros(shape[1]))[0]
@@ -122,7 +122,7 @@ def test_the_worst_of_many_freedoms_is_found_in_few_steps(monkeypatch):
     calls, whole = [], np.linalg.qr
     monkeypatch.setattr(module.np.linalg, "qr", lambda *given: (calls.append(1), whole(*given))[1])
     monkeypatch.setattr(module, "nearest", lambda *given: (calls.append(1), nearest(*given))[1])
-    for seed in range(10):
+    for seed in range(5):
         Z, low, high, slope = cut_box(seed, (16, 10))
         calls.clear()
         assert extremes(Z, low, high, slope, 0.1 * float(np.linalg.norm(slope))) is not None
@@ -130,8 +130,7 @@ def test_the_worst_of_many_freedoms_is_found_in_few_steps(monkeypatch):
 
 
 def test_an_optimum_that_is_not_unique_is_the_nearest_one():
-    Z, low, high = np.eye(3), -np.ones(3), np.ones(3)
-    found = extremes(Z, low, high, np.array([1.0, 0.0, 0.0]), 0.0)
+    found = extremes(np.eye(3), -np.ones(3), np.ones(3), np.array([1.0, 0.0, 0.0]), 0.0)
     np.testing.assert_allclose(found.w, [-1.0, 0.0, 0.0], atol=1e-11)
     assert (found.least, found.most) == pytest.approx((-1.0, 1.0))
 
@@ -154,7 +153,7 @@ def test_a_range_of_rounding_is_none_at_all():
     assert found.least == pytest.approx(-1e-8)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=40)
 @given(seed=st.integers(0, 10**6), shape=SHAPES)
 def test_nearest_point_and_its_forces(seed, shape):
     Z, low, high, _ = cut_box(seed, shape)
@@ -166,12 +165,8 @@ def test_nearest_point_and_its_forces(seed, shape):
     at_low, at_high = np.abs(x - low) < 1e-9, np.abs(x - high) < 1e-9
     assert (force[~at_low] <= 0.0).all()
     assert (force[~at_high] >= 0.0).all()
-
-
-def test_a_point_on_its_bound_is_its_own_nearest():
-    w, force = nearest(np.eye(2), np.array([0.0, -1.0]), np.ones(2), np.zeros(2))
-    np.testing.assert_array_equal(w, np.zeros(2))
-    np.testing.assert_array_equal(force, np.zeros(2))
+    for part in nearest(np.eye(2), np.array([0.0, -1.0]), np.ones(2), np.zeros(2)):  # a point on its bound
+        np.testing.assert_array_equal(part, np.zeros(2))
 
 
 def test_joints_that_move_alike_make_no_corner():

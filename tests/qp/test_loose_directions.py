@@ -12,7 +12,7 @@ import moc_opt as mo
 from moc_opt.qp.problem import NullSpaceQP
 from tests.wrong_answers import candidates, cost
 
-ARMS = ("lwr4", "iiwa14", "panda", "gen3", "xarm7", "lwr4_rail")
+ROBOTS = [mo.load_robot(name) for name in ("lwr4", "iiwa14", "panda", "gen3", "xarm7", "lwr4_rail")]
 SIZES = 10.0 ** np.arange(-13, -3)
 
 
@@ -38,9 +38,8 @@ def random_case(rng, freedoms, size):
     return qp, x, V[:, rank(A) :], V[:, 4]
 
 
-def arm_case(rng, name, size):
+def arm_case(rng, robot, size):
     """A subproblem of a real arm whose elbow is bent so little that the fifth singular value is about ``size``."""
-    robot = mo.load_robot(name)
     q = robot.random_regular_pose(rng)
     elbow = robot.n - 4
     q[elbow] = np.clip(size * rng.choice([-3.0, 3.0]), robot.q_min[elbow], robot.q_max[elbow])
@@ -83,7 +82,7 @@ def attempts(rng, count):
     while count > 0:
         size = rng.choice(SIZES) * rng.uniform(0.5, 2.0)
         kind = rng.integers(9)
-        made = random_case(rng, 1 + kind, size) if kind < 3 else arm_case(rng, ARMS[kind - 3], size)
+        made = random_case(rng, 1 + kind, size) if kind < 3 else arm_case(rng, ROBOTS[kind - 3], size)
         for x, share in attack(rng, *made):
             count -= 1
             if share > 0.01:
@@ -93,8 +92,8 @@ def attempts(rng, count):
 @pytest.mark.parametrize("seed", range(3))
 def test_no_answer_that_slid_to_a_worse_cost_is_verified(seed):
     rng = np.random.default_rng(seed)
-    tried = [(qp, x, qp.residuals(x)) for qp, x in attempts(rng, 150)]
-    assert len(tried) > 20
+    tried = [(qp, x, qp.residuals(x)) for qp, x in attempts(rng, 80)]
+    assert len(tried) > 10
     fooled = [(qp, x, found) for qp, x, found in tried if found.verified()]
     assert not fooled, fooled[0]
     assert all(found.loss > 0.0 or found.relative > 1e-3 for _, _, found in tried)
@@ -110,7 +109,7 @@ def test_the_optimum_of_a_nearly_singular_problem_is_verified():
 
 
 def test_an_elbow_bent_by_a_microradian_lets_no_answer_slide():
-    robot = mo.load_robot("lwr4")
+    robot = ROBOTS[0]
     q = np.array(robot.data.q_home)
     q[3] = 1e-6
     state = robot.state(q)
