@@ -98,6 +98,9 @@ def test_the_trocar_slips_smoothly():
     rate = np.gradient(moved[:, 0], PERIOD, axis=0)
     np.testing.assert_allclose(moved[1:-1, 1], rate[1:-1], atol=4e-3)  # of 0.15 m/s
     assert faults().slip(still, t) is still
+    ways = np.array([faults(seed, slip_m=0.01, slip_at_s=0.0).slip(still, t)[-1, 0] for seed in range(40)])
+    assert (ways[:, :2].min(axis=0) < -0.008).all()  # to every side
+    assert (ways[:, :2].max(axis=0) > 0.008).all()
 
 
 @pytest.mark.parametrize("settings", [
