@@ -20,7 +20,7 @@ BARE = Scenario(bound_samples=0, judge=False)
 FOLLOWED = BARE.change(control={"third_level": "planned"}, plant={"preset": "nominal"})
 # From this start the local law ends in a hump of mu that is far from the best.
 TRAPPED = BARE.change(
-    seed=9, control={"third_level": "receding"}, start={"pose": "random"}, task={"path": "circle"}
+    seed=9, duration_s=4.0, control={"third_level": "receding"}, start={"pose": "random"}, task={"path": "circle"}
 )
 
 
@@ -31,7 +31,7 @@ def setup(level="receding"):
 
 @cache
 def ran(level):
-    return mo.run(TRAPPED.change(control={"third_level": level}))
+    return setup(level).trace() if level == "receding" else mo.run(TRAPPED.change(control={"third_level": level}))
 
 
 def follower(of):
@@ -92,10 +92,12 @@ def test_the_subproblem_follows_the_wish_on_its_self_motion():
 
 
 def test_the_arm_goes_along_its_course_and_no_worse_than_by_climbing():
-    trace, course = mo.run(FOLLOWED), followed_course(setup("planned").following)
+    made = setup("planned")
+    trace, guide = made.trace(), follower(made)
     assert trace.meta["ended"] == "completed"
-    assert trace.meta["course_mu_mean"] == pytest.approx(course.mu_mean, rel=1e-6)
-    wanted = np.stack([np.interp(trace.t_s, course.t_s, joint) for joint in course.q_rad.T], axis=1)
+    assert trace.meta["course_mu_mean"] == guide.course_mu_mean
+    assert guide.course_mu_mean == pytest.approx(made.robot.mu_along(guide._given.q_rad).mean(), rel=1e-2)
+    wanted = np.array([guide._given.at(t)[0] for t in trace.t_s])
     assert np.abs(trace.q_rad - wanted)[trace.t_s > 1.0].max() < 0.05
     climbed = mo.run(FOLLOWED.change(control={"third_level": "local"}))
     # From a pose without a trap a climb gets as far; the course pays for going gently, the climb does not.
@@ -148,9 +150,8 @@ def test_what_cannot_follow_a_course_is_refused_before_the_run(change, message):
         Setup(FOLLOWED.change(**change)).adapter()
 
 
-@pytest.mark.parametrize("duration_s", [0.002, 0.07])
-def test_a_run_of_a_few_ticks_is_planned_too(duration_s):
-    assert len(mo.run(FOLLOWED.change(duration_s=duration_s))) == round(duration_s / 0.002)
+def test_a_run_of_one_tick_is_planned_too():
+    assert len(mo.run(FOLLOWED.change(duration_s=0.002))) == 1
 
 
 # --- a course made again and again ---
