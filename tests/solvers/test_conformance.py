@@ -23,7 +23,7 @@ from moc_opt.solvers import Solver, Status, create, registry
 from moc_opt.solvers.base import TruncatingSession
 from moc_opt.solvers.registry import available
 from tests.hard_problems import hard_problems
-from tests.problems import infeasible_problem, on_rows, random_arm, random_problem, smooth_sequence
+from tests.problems import changed, infeasible_problem, on_rows, random_arm, random_problem, smooth_sequence
 
 COUNT = 24
 ARM = random_arm(np.random.default_rng(3))
@@ -302,7 +302,7 @@ def test_sessions_share_nothing(name):
 @every_solver
 def test_inputs_and_earlier_answers_stay_untouched(name):
     qps = [NullSpaceQP.from_row(np.array(qp.row)) for qp in sequence(name, seed=8, count=4)]
-    before = [(qp.row.tobytes(), qp.P.tobytes(), qp.p.tobytes(), qp.reduced().A.tobytes()) for qp in qps]
+    before = [[part.tobytes() for part in (qp.row, qp.P, qp.p, qp.reduced().A)] for qp in qps]
     session = solver(name).start(qps[0])
     found = [session.solve(qp) for qp in qps]
     copies = [np.array(s.x) for s in found]
@@ -310,28 +310,23 @@ def test_inputs_and_earlier_answers_stay_untouched(name):
     session.solve(qps[0])
     for solution, x in zip(found[:-1], copies[:-1], strict=True):
         np.testing.assert_array_equal(solution.x, x)
-    after = [(qp.row.tobytes(), qp.P.tobytes(), qp.p.tobytes(), qp.reduced().A.tobytes()) for qp in qps]
-    assert before == after
+    assert before == [[part.tobytes() for part in (qp.row, qp.P, qp.p, qp.reduced().A)] for qp in qps]
 
 
 def odd_problems() -> list[NullSpaceQP]:
     """Legal, and awkward: nothing to gain, no room, no motion, large and small numbers, few joints."""
     rng = np.random.default_rng(9)
     qp = random_problem(rng, arm=ARM)
-    parts = {
-        "J_tip": qp.J_tip, "J_wrist": qp.J_wrist, "v_tip": qp.v_tip, "v_wrist": qp.v_wrist,
-        "grad_mu": qp.grad_mu, "lower": qp.lower, "upper": qp.upper, "q": qp.q,
-    }
     x = create("exact").start(qp).solve(qp).x
-    still = {key: np.zeros_like(parts[key]) for key in ("J_tip", "J_wrist", "v_tip", "v_wrist")}
+    still = {name: np.zeros_like(getattr(qp, name)) for name in ("J_tip", "J_wrist", "v_tip", "v_wrist")}
     return [
-        NullSpaceQP(**{**parts, "grad_mu": np.zeros(7)}),
-        NullSpaceQP(**{**parts, "lower": x, "upper": x}),
-        NullSpaceQP(**{**parts, **still}),
-        NullSpaceQP(**{**parts, "grad_mu": 1e6 * qp.grad_mu}),
-        NullSpaceQP(**{**parts, "lower": -1e6 * np.ones(7), "upper": 1e6 * np.ones(7)}),
-        NullSpaceQP(**parts, c0=0.0, c1=0.0),
-        NullSpaceQP(**{**parts, "q": None}),
+        changed(qp, grad_mu=np.zeros(7)),
+        changed(qp, lower=x, upper=x),
+        changed(qp, **still),
+        changed(qp, grad_mu=1e6 * qp.grad_mu),
+        changed(qp, lower=-1e6 * np.ones(7), upper=1e6 * np.ones(7)),
+        changed(qp, c0=0.0, c1=0.0),
+        changed(qp, q=None),
         random_problem(rng, 5, structured=False),
         random_problem(rng, 9, structured=False),
     ]

@@ -201,9 +201,9 @@ def test_what_writes_loads_or_compiles_is_refused_by_name(solver):
     for option in HOSTILE[solver]:
         with pytest.raises(UnknownNameError, match=f"option of {solver} '{option}'"):
             checked(solver, {option: 1})
-        if solver in HERE:
-            with pytest.raises(MocOptError, match=f"'{option}'"):
-                run(Scenario(solver={"name": solver, "settings": {"options": {option: 1}}}, duration_s=0.01))
+    if solver in HERE:
+        with pytest.raises(MocOptError, match=f"'{option}'"):
+            run(Scenario(solver={"name": solver, "settings": {"options": {option: 1}}}, duration_s=0.01))
 
 
 @pytest.mark.parametrize("value", ["1e-6", "/tmp/x", [1.0], {"a": 1}, None, float("nan"), float("inf"), 2**70, 1e300])
@@ -235,7 +235,7 @@ values = st.one_of(st.booleans(), st.integers(-MOST, MOST), st.floats(-MOST, MOS
 
 
 @given(st.data())
-@settings(max_examples=60, deadline=None, derandomize=True)
+@settings(max_examples=40)
 def test_any_option_and_value_ends_in_a_refusal_or_a_session(data):
     """With values of any size: a refusal, or a session that answers; and the folder stays as it was."""
     solver = data.draw(st.sampled_from([name for name in WITH_OPTIONS if "highs" not in name]))

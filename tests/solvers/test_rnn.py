@@ -9,11 +9,10 @@ from hypothesis import strategies as st
 from scipy.linalg import block_diag
 
 from moc_opt.errors import SolverError
-from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.solvers import Status, create
 from moc_opt.solvers.base import ObservingSession
 from moc_opt.solvers.rnn import RNN, RNNPrinted, unstable
-from tests.problems import infeasible_problem, random_problem, smooth_sequence
+from tests.problems import changed, infeasible_problem, random_problem, smooth_sequence
 
 SEEDS = st.integers(0, 100_000)
 
@@ -59,7 +58,7 @@ def spectral_radius(qp, c, h, k, implicit, h_x):
     return np.abs(np.linalg.eigvals(basis.T @ step @ basis)).max()
 
 
-@settings(max_examples=150)
+@settings(max_examples=100)
 @given(
     seed=SEEDS, c=st.floats(1e-3, 20.0), k=st.floats(1e-3, 10.0), h=st.floats(0.05, 1.0),
     implicit=st.booleans(), h_x=st.none() | st.floats(0.05, 1.0),
@@ -116,19 +115,16 @@ def test_claims_are_true_and_x_stays_in_the_box(seed, steps, infeasible):
 
 def test_ten_warm_steps_follow_a_smooth_motion():
     """From tick to tick the network closes in; forgetting its state, ten steps are nowhere near."""
-    qps = smooth_sequence(np.random.default_rng(3), 300)
+    qps = smooth_sequence(np.random.default_rng(3), 200)
     warm, cold = RNN().start(qps[0]), RNN(warm=False).start(qps[0])
-    errors = np.array([[qp.residuals(s.solve(qp).x).primal for s in (warm, cold)] for qp in qps])
-    assert np.median(errors[200:, 0]) < 0.1 * np.median(errors[200:, 1])
-    assert np.median(errors[200:, 0]) < 1e-2
+    errors = np.array([[np.abs(qp.A @ s.solve(qp).x - qp.b).max() for s in (warm, cold)] for qp in qps])
+    assert np.median(errors[130:, 0]) < 0.1 * np.median(errors[130:, 1])
+    assert np.median(errors[130:, 0]) < 1e-2
 
 
 def test_a_state_that_overflows_is_given_up():
     good = random_problem(np.random.default_rng(5))
-    huge = NullSpaceQP(
-        1e200 * good.J_tip, 1e200 * good.J_wrist, good.v_tip, good.v_wrist, good.grad_mu,
-        good.lower, good.upper,
-    )
+    huge = changed(good, J_tip=1e200 * good.J_tip, J_wrist=1e200 * good.J_wrist)
     session = RNN(k=0.2).start(good)
     assert session.solve(huge).status is Status.NUMERICAL
     fresh = RNN(k=0.2).start(good).solve(good)
