@@ -6,9 +6,6 @@ import json
 import os
 import re
 import signal
-import subprocess
-import sys
-import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, Self
@@ -25,7 +22,6 @@ from moc_opt.report.tables import Column, Table
 from moc_opt.scenario import Scenario
 from moc_opt.study import Job, command
 from moc_opt.study.command import Found, Study, StudyConfig
-from moc_opt.study.kept import Kept
 from moc_opt.study.results import Results
 from moc_opt.study.show import Picture, Report
 from moc_opt.study.trials import Trial
@@ -164,25 +160,3 @@ def test_sigterm_is_ctrl_c_while_it_works_and_only_then(asked, capsys):
     assert "there/jobs" in capsys.readouterr().err
     with ThreadPoolExecutor(1) as pool, pytest.raises(ZeroDivisionError):  # no handler is set there; a defect is seen
         pool.submit(call, lambda study, config: 1 // 0, asked[0]).result()
-
-
-def test_a_study_that_is_ended_goes_on(asked):
-    config, out = asked
-    config.write_text("count = 6\nprocesses = 1\n")
-    arguments = [str(config), "--out", str(out)]
-    line = f"import sys; from tests.study.test_command import *; sys.exit(call(squares, *{arguments}))"
-    finished = 0
-    for number, status in ((signal.SIGINT, 130), (signal.SIGKILL, -signal.SIGKILL)):
-        study = subprocess.Popen([sys.executable, "-c", line], cwd=HOME, stderr=subprocess.PIPE, text=True)
-        until, before = time.monotonic() + 60.0, finished
-        while finished <= before and time.monotonic() < until:
-            time.sleep(0.05)
-            finished = len(Kept(out / "jobs")._cache) if out.exists() else 0
-        study.send_signal(number)
-        _, said = study.communicate(timeout=60)
-        assert study.returncode == status, said
-        assert ("stopped; what is finished" in said) == (number == signal.SIGINT)
-        assert not (out / "summary.json").exists()
-    assert call(squares, *arguments) == 3
-    assert json.loads((out / "summary.json").read_text())["all"]["sum"] == 55.0
-    assert 2 <= json.loads((out / "environment.json").read_text())["jobs_of_an_earlier_run"] < 6

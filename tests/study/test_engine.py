@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import os
 import signal
 import subprocess
@@ -90,12 +91,7 @@ def test_finished_jobs_are_kept_and_failures_are_not(tmp_path):
 def test_a_result_that_is_not_to_be_kept_is_done_again(tmp_path):
     for _ in range(2):
         kept = Kept(tmp_path / "jobs")
-        run(
-            [Job(work.square, (2.0,)), Job(work.square, (3.0,))],
-            kept=kept,
-            workers=1,
-            keep=lambda found: found > 5.0,
-        )
+        run([Job(work.square, (x,)) for x in (2.0, 3.0)], kept=kept, workers=1, keep=lambda found: found > 5.0)
     assert kept.reused == 1
 
 
@@ -129,25 +125,19 @@ def _python(script: Path, *arguments: Any) -> subprocess.CompletedProcess[str]:
 
 KILLED = """
     from pathlib import Path
-    from moc_opt.study import Job, run
-    from moc_opt.study.kept import Kept
+    from moc_opt.study import Job, Kept, run
     from tests.study.work import slow_square
     if __name__ == "__main__":
-        kept = Kept(Path("jobs"))
-        print(run([Job(slow_square, (k,)) for k in range(8)], kept=kept, workers=2), flush=True)
+        print(run([Job(slow_square, (k,)) for k in range(8)], kept=Kept(Path("jobs")), workers=2), flush=True)
 """
 
 
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT])
-def test_a_study_that_is_killed_loses_nothing_and_leaves_no_process(tmp_path, number):
+def test_a_study_that_is_killed_loses_nothing_and_leaves_no_process(tmp_path):
     (tmp_path / "script.py").write_text(textwrap.dedent(KILLED))
     env = os.environ | {"PYTHONPATH": str(HOME)}
-    command = [sys.executable, "script.py"]
     done = 0
-    for _ in range(2):
-        study = subprocess.Popen(
-            command, env=env, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
-        )
+    for number in (signal.SIGKILL, signal.SIGINT):
+        study = subprocess.Popen([sys.executable, "script.py"], env=env, cwd=tmp_path, stderr=subprocess.DEVNULL)
         before, until = _finished(tmp_path), time.monotonic() + 30.0
         while _finished(tmp_path) <= before and study.poll() is None and time.monotonic() < until:
             time.sleep(0.02)
@@ -159,8 +149,7 @@ def test_a_study_that_is_killed_loses_nothing_and_leaves_no_process(tmp_path, nu
         assert _finished(tmp_path) >= done
         done = _finished(tmp_path)
     assert 2 <= done < 8
-    found = subprocess.run(command, env=env, cwd=tmp_path, capture_output=True, text=True, check=True)
-    assert found.stdout.strip() == str([float(k * k) for k in range(8)])
+    assert _python(tmp_path / "script.py").stdout.strip() == str([float(k * k) for k in range(8)])
 
 
 def _finished(folder: Path) -> int:
@@ -186,19 +175,19 @@ def test_a_folder_that_cannot_be_used_is_named(tmp_path):
 
 def test_the_same_jobs_on_a_cluster(monkeypatch, tmp_path):
     monkeypatch.setattr(engine, "CONNECT_S", 5.0)
+    monkeypatch.syspath_prepend(HOME / "examples")
+    own_study = importlib.import_module("own_study")
     distributed = pytest.importorskip("distributed")
-    with distributed.LocalCluster(
-        n_workers=1, threads_per_worker=1, processes=True, dashboard_address=None
-    ) as cluster:
+    with distributed.LocalCluster(1, threads_per_worker=1, processes=True, dashboard_address=None) as cluster:
         jobs = [Job(work.square, (3.0,)), Job(work.refuse), Job(work.arrays, (2,))]
         here, there = run(jobs, workers=1), run(jobs, dask=cluster.scheduler_address)
         assert there[0] == here[0]
         assert str(there[1]) == str(here[1])
         np.testing.assert_array_equal(there[2]["column"], here[2]["column"])
-        found = _python(HOME / "examples" / "own_study.py", tmp_path / "delays", cluster.scheduler_address)
-        assert "│ osqp   ┆ 3     ┆ 10 " in found.stdout
-    again = _python(HOME / "examples" / "own_study.py", tmp_path / "delays")
-    assert again.stdout == found.stdout, "taken from the folder: no scheduler is left"
+        trials = [Job(own_study.trial, ("exact", delay, 0)) for delay in (1, 3)]
+        rows = run(trials, kept=Kept(tmp_path / "jobs"), dask=cluster.scheduler_address)
+    assert [row["delay"] for row in rows] == [1, 3]
+    assert run(trials, kept=Kept(tmp_path / "jobs")) == rows, "taken from the folder: no scheduler is left"
     with pytest.raises(StudyError, match="no Dask scheduler answers"):
         run(jobs, dask="tcp://127.0.0.1:1")
 

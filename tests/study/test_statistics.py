@@ -115,8 +115,9 @@ def test_a_change_on_which_two_means_disagree_is_undecided():
 
 def test_the_interval_of_a_share_covers_the_truth_at_least_as_often_as_it_says():
     rng = np.random.default_rng(0)
-    found = [share(int(k), 2000) for k in rng.binomial(2000, 2e-3, 2000)]
-    covered = np.mean([one.low <= 2e-3 <= one.high for one in found])
+    drawn, times = np.unique(rng.binomial(2000, 2e-3, 20_000), return_counts=True)
+    holds = [(one := share(int(k), 2000)).low <= 2e-3 <= one.high for k in drawn]
+    covered = times @ holds / times.sum()
     assert 0.95 <= covered < 0.995
 
 
