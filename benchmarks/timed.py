@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from time import perf_counter
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -51,19 +51,33 @@ class Part:
     missing: dict[str, str] = field(default_factory=dict)
     times: dict[str, Array] = field(default_factory=dict)
 
-    def time(
-        self, part: str, entries: Mapping[str, Timed], rounds: int
-    ) -> tuple[dict[str, Array], dict[str, Disturbance]]:
-        """Return (chunks, CHUNK) times [us] by name, and what the machine did meanwhile; keep a row for each chunk."""
-        seen: dict[str, Disturbance] = {}
-        times = interleaved(entries, rounds, CHUNK, seen)
-        for name, chunks in times.items():
+    def time(self, part: str, entries: Mapping[str, Timed], rounds: int) -> Turns:
+        """Time entries that take turns; keep a row for each chunk."""
+        turns = Turns({}, {})
+        turns.times.update(interleaved(entries, rounds, CHUNK, turns.seen))
+        for name, chunks in turns.times.items():
             late = np.percentile(chunks, [50, 99, 100], axis=1).T.tolist()
             self.rows += [
                 {"part": part, "name": name, "round": i, "p50_us": p50, "p99_us": p99, "max_us": longest}
                 for i, (p50, p99, longest) in enumerate(late)
             ]
-        return times, seen
+        return turns
+
+
+class Turns(NamedTuple):
+    """Times (chunks, CHUNK) [us] of entries that took turns, by name, and what the machine did meanwhile."""
+
+    times: dict[str, Array]
+    seen: dict[str, Disturbance]
+
+    def figures(self, name: str, prefix: str) -> dict[str, float]:
+        """Return the figures of an entry."""
+        return figures(self.times[name], prefix, self.seen[name])
+
+    def over(self, name: str, other: str) -> float:
+        """Return the ratio of two entries, the median over the chunks."""
+        value = float(np.median(ratios(self.times[name], self.times[other])))
+        return (self.seen[name] + self.seen[other]).judged(value, 50.0)
 
 
 def record(scenario: Scenario) -> tuple[list[peers.Inputs], list[NullSpaceQP]]:
@@ -109,13 +123,11 @@ def ticks(scenario: Scenario, solvers: Iterable[str], libraries: Iterable[str], 
         entries[name] = Timed(_spread(peer.tick), given)
         theirs[name] = {"level": peer.level, **peers.verdict(poses, robot, task)._asdict()}
     shortest = min(len(entry.items) for entry in entries.values())
-    times, seen = part.time("tick", entries, max(rounds, round(rounds * len(inputs) / shortest)))
-    found = {name: figures(of, "tick", seen[name]) for name, of in times.items()}
+    turns = part.time("tick", entries, max(rounds, round(rounds * len(inputs) / shortest)))
     for name, row in theirs.items():
-        over = float(np.median(ratios(times[name], times["exact"])))
-        row |= found[name] | {"times_ours": (seen[name] + seen["exact"]).judged(over, 50.0)}
-    part.found = {"tick": {name: found[name] for name in own}, "peers": theirs}
-    part.times = {name: of.ravel() for name, of in times.items()}
+        row |= turns.figures(name, "tick") | {"times_ours": turns.over(name, "exact")}
+    part.found = {"tick": {name: turns.figures(name, "tick") for name in own}, "peers": theirs}
+    part.times = {name: of.ravel() for name, of in turns.times.items()}
     return part
 
 
@@ -156,8 +168,8 @@ def tick_parts(scenario: Scenario, rounds: int) -> Part:
         "solver": Timed(session.solve, problems),
         "after the solver": Timed(lambda answer: law.finish(0, 0, answer, 1.0, x, tau), answers),
     }
-    times, seen = part.time("tick_parts", entries, rounds)
-    part.found["tick_parts"] = {name: figures(of, "tick", seen[name]) for name, of in times.items()}
+    turns = part.time("tick_parts", entries, rounds)
+    part.found["tick_parts"] = {name: turns.figures(name, "tick") for name in entries}
     return part
 
 
@@ -223,11 +235,9 @@ def adapters(scenario: Scenario, names: Iterable[str], rounds: int) -> Part:
                 part.missing[BY_HAND] = reason
             else:
                 entries[BY_HAND] = Timed(by_hand, problems)
-    times, seen = part.time("adapters", entries, rounds)
+    turns = part.time("adapters", entries, rounds)
     part.found["adapters"] = {
-        name: figures(of, "adapter", seen[name])
-        | {"ratio_of_exact": (seen[name] + seen["exact"]).judged(float(np.median(ratios(times["exact"], of))), 50.0)}
-        for name, of in times.items()
+        name: turns.figures(name, "adapter") | {"ratio_of_exact": turns.over("exact", name)} for name in entries
     }
     return part
 

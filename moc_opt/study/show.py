@@ -158,7 +158,8 @@ def columns(*metrics: str, of: str = "", **titles: str) -> list[Column]:
         change = next((m for m in METRICS.values() if change_name(m.name) == bare), None)
         unit = "%" if bare.endswith("_percent") else known.unit if known and known.unit != "1" else ""
         about = (f"Change of: {change.about}" if change else known.about if known else "")
-        plain = TITLES.get(change.name if change else bare) or bare.removesuffix("_percent").removesuffix(f"_{unit}")
+        suffix = "_percent" if unit == "%" else f"_{unit.replace('/', '_per_')}"
+        plain = TITLES.get(change.name if change else bare) or bare.removesuffix(suffix)
         title = titles.get(name, plain.replace("_", " "))
         found.append(Column(name, title, unit=unit, format=FORMATS.get(unit, ""), help=about, section=of))
     return found
