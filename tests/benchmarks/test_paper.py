@@ -23,7 +23,7 @@ from moc_opt.vision.hands_on import HandsOnSettings
 
 TINY = """
 tasks = ["circle"]
-trials = 2
+trials = 1
 solvers = ["exact", "rnn-printed"]
 [groups.tuned]
 about = "few and short trials"
@@ -189,7 +189,7 @@ def test_the_command_leaves_every_part(left):
     summary = left.summary
     found = summary["groups"]["tuned"]
     assert set(found) == {*BASELINES, "exact", "rnn-printed"}
-    assert (found["exact"]["whole"], found["exact"]["compared"]) == (2, 2)
+    assert (found["exact"]["whole"], found["exact"]["compared"]) == (1, 1)
     assert {entry["claim"] for entry in summary["claims"]} == {claim.metric for claim in CLAIMS}
     assert {entry["case"] for entry in summary["ablation"]} == {"printed", "softer"}
     assert summary["swivel"]["starts"] == 3
