@@ -171,9 +171,9 @@ class Config(StudyConfig):
     scenario: Scenario = Scenario(judge=False)
 
     @classmethod
-    def load(cls, path: Path) -> Self:
+    def load(cls, path: Path, seed: int | None = None) -> Self:
         """Read a TOML file, and check every name in it before anything moves."""
-        config = super().load(path)
+        config = super().load(path, seed)
         table_1 = config.ablation
         for group in (config.best, config.swivel.group, config.elsewhere, table_1.group if table_1.cases else None):
             if group is not None and group not in config.groups:

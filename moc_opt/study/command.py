@@ -18,7 +18,7 @@ import signal
 import subprocess
 import sys
 import threading
-from argparse import ArgumentParser, ArgumentTypeError, Namespace
+from argparse import ArgumentParser, Namespace
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -31,7 +31,7 @@ from pydantic import Field
 from moc_opt.errors import MocOptError, ScenarioError, SolverError, StudyError, UnknownNameError
 from moc_opt.inputs.files import read_toml, to_json, write_whole
 from moc_opt.inputs.settings import Settings
-from moc_opt.report.console import Bar, busy, console, progress
+from moc_opt.report.console import busy, console, progress
 from moc_opt.scenario import Scenario
 from moc_opt.solvers import available
 from moc_opt.study.engine import Failed, Job, run
@@ -54,15 +54,15 @@ class StudyConfig(Settings):
 
     MOST: ClassVar[int] = 1_000_000
     KIND: ClassVar[str] = "configuration:"
-    seed: int = Field(0, ge=0)
+    seed: int = Field(0, ge=0, le=2**62)
     processes: int | None = Field(None, ge=1, description="jobs at a time where no times are taken; none: every core")
 
     @classmethod
-    def load(cls, path: Path) -> Self:
-        """Read a TOML file; errors name file and field."""
+    def load(cls, path: Path, seed: int | None = None) -> Self:
+        """Read a TOML file, with another seed if one is given; errors name file and field."""
         table = read_toml(path, "configuration", ScenarioError)
         try:
-            return cls(**table)
+            return cls(**table if seed is None else {**table, "seed": seed})
         except MocOptError as error:
             error.args = (f"{path}: {error}",)
             raise
@@ -121,31 +121,18 @@ class Study:
 
     def run(
         self, jobs: Sequence[Job], what: str = "jobs", *, done: Callable[[Job, Any], None] = lambda job, result: None,
-        bar: Bar | None = None, **options: Any,
+        **options: Any,
     ) -> list[Any]:  # fmt: skip
-        """Do jobs as `moc_opt.study.run` does, with a progress line; finished ones are kept.
+        """Do jobs as `moc_opt.study.run` does, with a progress line; finished ones are kept."""
+        with progress(f"{self.name}: {what}", len(jobs)) as bar:
 
-        Args:
-            jobs: in the order of their results.
-            what: they are, for the progress line.
-            done: called with each job and its result.
-            bar: that is advanced by one in all; None: a line of its own.
-            options: of `moc_opt.study.run`.
-        """
-        dask = getattr(self.given, "dask", None)
-
-        def work(shown: Bar, step: float) -> list[Any]:
             def note(job: Job, result: Any) -> None:
-                shown.at(job.group)
-                shown.advance(step)
+                bar.at(job.group)
+                bar.advance()
                 done(job, result)
 
+            dask = getattr(self.given, "dask", None)
             return run(jobs, kept=self.kept, workers=self.processes, dask=dask, done=note, **options)
-
-        if bar is not None:
-            return work(bar, 1.0 / max(1, len(jobs)))
-        with progress(f"{self.name}: {what}", len(jobs)) as own:
-            return work(own, 1.0)
 
     def trials(
         self, asked: Sequence[Trial], what: str = "runs", *, limit_s: float | None = None, **options: Any
@@ -188,7 +175,7 @@ def command(
     parser = ArgumentParser(prog=program or f"python -m benchmarks.{name}", description=about)
     parser.add_argument("config", nargs="?", type=Path, help=f"TOML; default: {name}.toml of the package")
     parser.add_argument("--out", type=Path, default=Path("results") / name, help="folder for the results")
-    parser.add_argument("--seed", type=seed_number, help="replaces the configuration's seed")
+    parser.add_argument("--seed", type=int, help="replaces the configuration's seed")
     parser.add_argument("--quick", action="store_true", help="the same on less data")
     parser.add_argument("--json", action="store_true", help="print summary.json instead of the answer")
     parser.add_argument("--figures", action="store_true", help="every figure also as SVG and PDF")
@@ -197,8 +184,7 @@ def command(
     given = parser.parse_args(arguments)
     try:
         with _sigterm_as_ctrl_c():
-            asked = config.load(given.config or (folder or CONFIGS) / f"{name}.toml")
-            asked = asked if given.seed is None else asked.model_copy(update={"seed": given.seed})
+            asked = config.load(given.config or (folder or CONFIGS) / f"{name}.toml", given.seed)
             asked = asked.quick() if given.quick else asked
             study = Study(name, given.out, given, asked.processes)
             begun = busy()  # by others: this study has not begun
@@ -302,17 +288,6 @@ def runnable(wanted: Sequence[str], *beside: str) -> list[str]:
         name, reason = next(iter(reasons.items()))
         raise SolverError(f"solver {name!r} cannot run here: {reason}")
     return names
-
-
-def seed_number(text: str) -> int:
-    """Read the number of ``--seed``."""
-    try:
-        seed = int(text)
-    except ValueError:
-        seed = -1
-    if not 0 <= seed <= 2**62:
-        raise ArgumentTypeError(f"{text:.40}: give a whole number from 0 to 2^62")
-    return seed
 
 
 @contextmanager

@@ -230,7 +230,7 @@ def work(parts: Mapping[str, Part], study: Study, config: Config) -> Found:
     """Run the parts that are asked for, in the order in which they need each other."""
     given = study.given
     if given.full and not given.quick:
-        config = Config.load(FULL).model_copy(update={"seed": config.seed})
+        config = Config.load(FULL, config.seed)
     config = config.choosing(given.sets, given.parts)
     for name in config.parts:
         if name not in parts:

@@ -103,11 +103,10 @@ def test_options_change_the_question(asked, monkeypatch, options, seed, count):
         assert seen.pop() == (seed, count, 2, out, 8)
 
 
-@pytest.mark.parametrize("text", ["-1", "1.5", "many", str(2**62 + 1)])
+@pytest.mark.parametrize("text", ["-1", str(2**62 + 1)])
 def test_a_seed_is_a_number_that_a_configuration_takes(asked, capsys, text):
-    with pytest.raises(SystemExit, match="2"):
-        call(squares, asked[0], "--seed", text)
-    assert "from 0 to 2^62" in capsys.readouterr().err
+    assert call(squares, asked[0], "--seed", text) == 2
+    assert f"seed = {text}" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
