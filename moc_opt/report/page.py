@@ -6,7 +6,7 @@ import base64
 import gzip
 import os
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
@@ -22,7 +22,7 @@ from moc_opt.figures.notation import Missing, fraction_length
 from moc_opt.figures.style import DARK
 from moc_opt.inputs.files import to_json
 from moc_opt.report.document import anchor, beside, macros, render, save_document
-from moc_opt.report.tables import Column, Table, alignment, heading_lines
+from moc_opt.report.tables import Cell, Column, Table, alignment, heading_lines
 
 # As wide as a digit and as a point, where figures are tabular: they align numbers on their points.
 FIGURE_SPACE, POINT_SPACE = "\u2007", "\u2008"
@@ -175,18 +175,19 @@ def draw(table: Table, number: int | None = None) -> Markup:
         {"column": column, "align": column.align or alignment(of), "lines": heading_lines(column.title)}
         for column, of in cells.items()
     ]
-    rows = list(zip(*(list(_column(table, column, notes)) for column in table.columns), strict=True))
+    rows = list(zip(*(_column(column, of, table.rows, notes) for column, of in cells.items()), strict=True))
     made: Markup = macros("table.html").draw(number, table, headings, rows, notes)
     return made
 
 
-def _column(table: Table, column: Column, notes: Mapping[str, str]) -> Iterator[dict[str, Any]]:
-    cells = table.cells(column)
+def _column(
+    column: Column, cells: list[Cell], rows: Sequence[Mapping[str, Any]], notes: Mapping[str, str]
+) -> Iterator[dict[str, Any]]:
     align = column.align or alignment(cells)
     numbers = [cell.text for cell in cells if cell.numeric]
     fraction = max(map(fraction_length, numbers), default=0)
     power = max((len(text.partition("e")[2]) for text in numbers), default=0)
-    for cell, row in zip(cells, table.rows, strict=True):
+    for cell, row in zip(cells, rows, strict=True):
         own = fraction_length(cell.text)
         # An integer in a column of fractions lacks the point as well as the digits after it.
         pad = POINT_SPACE * bool(fraction and not own) + FIGURE_SPACE * (fraction - max(own, 1))

@@ -46,7 +46,7 @@ def test_names_are_never_markup() -> None:
         assert not any("<a" in text for text in shown)
 
 
-@settings(max_examples=50)
+@settings(max_examples=25)
 @given(arrays(np.float64, st.integers(1, 60), elements=st.floats(0.5, 1e4)))
 def test_an_ecdf_of_few_samples_is_exact(times: np.ndarray) -> None:
     (line,) = figures.latency_ecdf({"a": times}).data

@@ -230,12 +230,13 @@ def test_what_is_no_trace_is_refused(tmp_path):
     (tmp_path / "s.toml").write_text("seed = 1\n")
     example(2000).save(tmp_path / "good.parquet")
     good = (tmp_path / "good.parquet").read_bytes()
-    for length in (0, 3, len(good) // 2, len(good) - 1):
-        (tmp_path / f"cut{length}.parquet").write_bytes(good[:length])
+    cut = {f"cut{length}.parquet": good[:length] for length in (0, 3, len(good) // 2, len(good) - 1)}
+    for name, data in cut.items():
+        (tmp_path / name).write_bytes(data)
     for name, said in {
         "gone.parquet": "no such file", "text.parquet": "no trace", "": "no regular file", "s.toml": "is a scenario",
         "foreign.parquet": "no trace", "versioned.parquet": "format '99'",
-        **{f"cut{length}.parquet": "is damaged" for length in (0, 3, len(good) // 2, len(good) - 1)},
+        **dict.fromkeys(cut, "is damaged"),
     }.items():  # fmt: skip
         with pytest.raises(TraceError, match=said):
             Trace.load(tmp_path / name)
