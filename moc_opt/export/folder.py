@@ -26,7 +26,7 @@ CORE = (
 )  # fmt: skip
 """The files of `moc_opt/core` that `moc_step` needs."""
 TESTS = ("main.c", "Makefile", "README.md")
-UDP = ("udp.c", "wire_packets.h")
+UDP = ("udp.c",)
 OWN = files("moc_opt.export") / "c"
 MARK = "Written by moc-opt export-c"
 SUPERVISION = (

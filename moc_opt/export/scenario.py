@@ -11,7 +11,7 @@ from moc_opt.arrays import Array
 from moc_opt.control import Controller, law, safety_filter
 from moc_opt.errors import ScenarioError
 from moc_opt.export.folder import OWN, UDP, Recording, shipped, write
-from moc_opt.realtime.packets import c_numbers
+from moc_opt.realtime.packets import c_packets
 from moc_opt.scenario import ControllerAdapter, Scenario, Setup, make_safety_filter
 from moc_opt.scenario.wired import fingerprint
 from moc_opt.sim.loop import FilteredController
@@ -48,8 +48,8 @@ def export_scenario(
     extra: dict[str, str | bytes] = {}
     if udp:
         said = fingerprint(scenario, robot), scenario.wire.wait_s, scenario.wire.silence_s
-        numbers_of_wire = c_numbers(robot.n, setup.ticks, *said)
-        extra |= {**shipped(OWN, UDP), "wire_numbers.h": numbers_of_wire, "reference.bin": references(setup)}
+        packets = c_packets(robot.n, setup.ticks, *said)
+        extra |= {**shipped(OWN, UDP), "wire_packets.h": packets, "reference.bin": references(setup)}
     stop = scenario.guard.stop_damping_Nm_s_per_rad, scenario.guard.stop_s
     return write(
         robot, numbers, limits, record(setup), out, tolerance=solver.tolerance if isinstance(solver, Exact) else 1e-9,

@@ -111,8 +111,27 @@ class Packet:
         return self.buffer
 
 
-def c_numbers(n: int, ticks: int, scenario: int, wait_s: float, silence_s: float) -> str:
-    """Write ``wire_numbers.h`` of an exported controller, from which ``wire_packets.h`` makes the packets in C.
+_C_TYPES = {
+    "f8": "double", "u1": "uint8_t", "u4": "uint32_t", "i4": "int32_t", "u8": "uint64_t", "i8": "int64_t", "S": "char",
+    "V": "uint8_t",
+}  # fmt: skip
+
+
+def _c_struct(name: str, whole: np.dtype[Any], head: str) -> str:
+    fields = [f"    {head} head;"] if head else []
+    for field in (whole.names or ())[len(HEADER) if head else 0 :]:
+        of = whole[field]
+        base, count = of.base, of.itemsize // of.base.itemsize
+        if base.kind in "SV":
+            base, count = np.dtype(base.kind), base.itemsize
+        size = f"[{count}]" if of.shape or base.itemsize == 0 else ""
+        fields.append(f"    {_C_TYPES[base.str[1:].removesuffix('0')]} {field}{size};")
+    check = f'_Static_assert(sizeof({name}) == {whole.itemsize}, "{name}");'
+    return "\n".join(["typedef struct {", *fields, f"}} {name};", check])
+
+
+def c_packets(n: int, ticks: int, scenario: int, wait_s: float, silence_s: float) -> str:
+    """Write ``wire_packets.h`` of an exported controller: a struct for every kind of packet, and the wire's numbers.
 
     Args:
         n: joints.
@@ -124,9 +143,18 @@ def c_numbers(n: int, ticks: int, scenario: int, wait_s: float, silence_s: float
         "JOINTS": n, "TICKS": ticks, "SCENARIO": f"UINT64_C({scenario})", "VERSION": VERSION,
         "MAGIC": f'"{MAGIC.decode()}"', "LOOPBACK_KEY": f'"{LOOPBACK_KEY.decode()}"', "WAIT_S": wait_s,
         "SILENCE_S": silence_s, "COUNTER_NAMES": "{" + ", ".join(f'"{name}"' for name in COUNTERS) + "}",
+        "WAITING": WAITING, "RUNNING": RUNNING, "ENDED": ENDED, "STOP": STOP, "REPORTED": REPORTED,
     }  # fmt: skip
     defines |= {f"KIND_{kind.name}": int(kind) for kind in Kind}
-    defines |= {f"{kind.name}_BYTES": layout(kind, n).itemsize for kind in Kind}
-    lines = [f"#define WIRE_{name} {value}" for name, value in defines.items()]
-    lines.append(f"enum {{ {', '.join(f'WIRE_{name.upper()}' for name in COUNTERS)}, WIRE_COUNTERS }};")
-    return "/* Generated: the numbers of the wire. */\n" + "\n".join(lines) + "\n"
+    structs = {f"wire_{kind.name.lower()}": layout(kind, n) for kind in Kind}
+    return "\n".join([
+        "/* The packets of the wire and its numbers, written by moc_opt/realtime/packets.py; see docs/realtime.md. */",
+        "#include <stdint.h>",
+        "#if defined(__BYTE_ORDER__) && __BYTE_ORDER__ != __ORDER_LITTLE_ENDIAN__",
+        '#error "the packets are little-endian"',
+        "#endif",
+        *(f"#define WIRE_{name} {value}" for name, value in defines.items()),
+        f"enum {{ {', '.join(f'WIRE_{name.upper()}' for name in COUNTERS)}, WIRE_COUNTERS }};",
+        _c_struct("wire_header", np.dtype(HEADER), ""),
+        *(_c_struct(name, whole, "wire_header") for name, whole in structs.items()), "",
+    ])  # fmt: skip

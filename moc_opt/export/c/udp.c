@@ -300,7 +300,7 @@ static int ask(int kind, int waiting, wire_measurement *found)
     int64_t until = now_ns() + (int64_t)(1e9 * WIRE_WAIT_S);
 
     while (now_ns() < until) {
-        wire_plain request = {0};
+        wire_hello request = {0};
         int64_t again = now_ns() + REPEAT_MS * MS;
         send_packet(&request.head, sizeof request, kind, 0);
         while (receive(again, found))
