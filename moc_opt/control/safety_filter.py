@@ -1,13 +1,7 @@
 """The safety filter: limits of torque and motion that act on every output of the levels, and the request to stop.
 
-Limits: torque and torque rate are cut; a joint near its limit or above its speed limit is braked.
-
-Reasons to stop: an impossible measurement (NaN, or a jump that no motion explains) for too long, a torque
-that is not finite, a controller that fails, a tip far from its reference, a shaft far from the registered trocar, a
-large force on the trocar, and motion that the torque does not explain. In a stop the drives brake, and the torque
-carries the arm's weight in the last pose that passed the checks.
-
-`moc_opt/core/guard.c` has every check; docs/reliability.md has its formula and level.
+`moc_opt/core/guard.c` has every limit and every reason to stop; docs/reliability.md has its formula and level. In a
+stop the drives brake, and the torque carries the arm's weight in the last pose that passed the checks.
 """
 
 from __future__ import annotations
@@ -164,10 +158,8 @@ class SafetyFilter:
     def brake_friction(self, wrench: Array) -> Array:
         """Return the dry friction (n,) [Nm] of the brakes in a stop; zero while the trocar presses the shaft hard.
 
-        Closed brakes hold the arm against the tissue's push, so the force stays; with open brakes the arm sinks under
-        a load that is missing in its model. So they open at ``stop_yield_N``, close again at half of it or after
-        ``stop_yield_s``, and open once more if the force has risen by as much again since. They stay closed if the
-        drives cannot carry the weight.
+        They open at ``stop_yield_N``, close again at half of it or after ``stop_yield_s``, and open once more if the
+        force has risen by as much again since; `moc_guard_hold` in guard.c says why.
 
         Args:
             wrench: (6,) force [N] and torque [Nm] of the tool on its mount, tool axes.

@@ -1,12 +1,9 @@
 """The supervisor of the third level: every answer is checked before the arm follows it.
 
-Tip and RCM control never depend on a solver. An answer that raised, is missing, is not finite, came
-too late, or is claimed to be optimal and is not, is replaced: by the last good one for a few ticks,
-then by null-space damping alone. Every such tick is counted and named in the trace, and the first of each
-kind is kept in words.
-
-A solver gets a copy of the subproblem, and its answer is copied before the check: what it writes into
-either afterwards reaches neither the check nor the torque.
+Tip and RCM control never depend on a solver. An answer with a fault is replaced: by the last good one for a few ticks,
+then by null-space damping alone. Every such tick is counted and named in the trace, and the first of each kind is kept
+in words. A solver gets a copy of the subproblem, and its answer is copied before the check: what it writes into either
+afterwards reaches neither the check nor the torque.
 """
 
 from __future__ import annotations
