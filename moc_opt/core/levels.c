@@ -141,8 +141,8 @@ static void add_dynamic(const moc_law *law, int n, moc_terms *t, const double *d
     }
 }
 
-/* tau += (I - J^T G) tau_W. Static, G = pinv(J)^T: no force at the tip in rest. As published, G = J: it is not idempotent,
- * and its units do not fit. */
+/* tau += (I - J^T G) tau_W. Static, G = pinv(J)^T: no force at the tip in rest. As published, G = J: it is not
+ * idempotent, and its units do not fit. */
 static void add_at_rest(moc_projector projector, int n, double J[][MOC_MAX_JOINTS], const double *tau_W, double *tau)
 {
     double at_tip[3], gram[3][MOC_MAX_JOINTS], factor[3][MOC_MAX_JOINTS], diagonal[3];

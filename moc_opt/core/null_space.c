@@ -8,9 +8,10 @@
 #define LONGEST 1.0  /* [rad] */
 #define PROBE 1e-3   /* way over which the slope's change is taken [rad] */
 
-#define NEARLY_ALL (1.0 - 1e-6) /* what is left of a row of Z that turns by 1.4 mrad: one projection leaves rounding alone */
+/* What is left of a row of Z that turns by 1.4 mrad in a tick: up to there one projection is as good as two. */
+#define NEARLY_ALL (1.0 - 1e-6)
 
-/* Row k less its part along the rows before it, as a unit vector; returns what was left of it, 0 for less than `least`. */
+/* Row k less its part along the rows before it, as a unit vector; returns what was left, 0 for less than `least`. */
 static double orthonormalise(int n, double Z[][MOC_MAX_JOINTS], int k, double least)
 {
     for (int i = 0; i < k; i++) {
@@ -66,7 +67,7 @@ int moc_follow_null_space(int n, double A[][MOC_MAX_JOINTS], const double u[3], 
         return 0;
     for (int i = 0; i < rows; i++) {
         double left = 0.0;
-        for (int round = 0; round < 2 && left < NEARLY_ALL; round++) { /* twice is enough for orthogonality to rounding */
+        for (int round = 0; round < 2 && left < NEARLY_ALL; round++) { /* twice is always enough */
             onto_kernel(n, A5, L, inverse, Z[i]);
             left = orthonormalise(n, Z, i, 0.5);
             if (!(left > 0.0))
