@@ -66,7 +66,7 @@ def test_it_is_compared_with_the_rest(python, tmp_path):
     """The main job's own command, in the fresh environment."""
     (tmp_path / "small.toml").write_text(
         "[open_loop]\nticks = 20\ncold = 3\n[testsets]\nnames = ['circle']\nevery = 16\nrounds = 2\nseconds = 0.1\n"
-        "[closed_loop]\ntasks = ['circle']\ntrials = 5\nothers = 5\nduration_s = 0.2\n[scenario]\nbound_samples = 2\n"
+        "[closed_loop]\ntasks = ['circle']\ntrials = 1\nothers = 1\nduration_s = 0.2\n[scenario]\nbound_samples = 2\n"
     )
     code, output, _ = call(
         python, "-m", "benchmarks.solvers", tmp_path / "small.toml", "--only", "exact", "slsqp",
@@ -79,6 +79,6 @@ def test_it_is_compared_with_the_rest(python, tmp_path):
     assert mine["verified_solved"] >= 0.9 * mine["solves"]
     assert mine["solve_p50_us"] > exact["solve_p50_us"]
     loop = summary["closed_loop"]
-    assert loop["slsqp"]["whole"] == loop["slsqp"]["trials"] == 5
+    assert loop["slsqp"]["whole"] == loop["slsqp"]["trials"] == 1
     assert loop["slsqp"]["mu_mean"] == pytest.approx(loop["exact"]["mu_mean"], rel=1e-3)
     assert "slsqp" in output

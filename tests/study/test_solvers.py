@@ -106,7 +106,7 @@ def test_all_files_are_written(folder):
     assert {"open_loop_warm", "open_loop_cold", "testset"} <= set(rows["part"])
     mine = rows.filter((pl.col("part") == "testset") & (pl.col("set") == "circle") & (pl.col("solver") == "osqp"))
     assert len(mine) == 8 + 2 + 2, "every problem as we recommend it, every fourth as the library comes and tight"
-    loop = rows.filter(pl.col("controller").is_not_null() & pl.col("group").is_null())
+    loop = rows.filter(pl.col("controller").is_not_null())
     assert len(loop) == 3 + 3 + 2 + 2 + 2
     assert loop["seed"].n_unique() == 3
     assert json.loads((out / "environment.json").read_text())["config"]["testsets"]["every"] == 16
