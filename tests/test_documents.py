@@ -110,5 +110,8 @@ def test_what_is_said_of_a_checkout_is_there():
 
 def test_every_file_that_the_documents_link_to_exists():
     for document in [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]:
-        links = re.findall(r"\]\((?!https?:|#|mailto:)([^)#\s]+)", document.read_text(encoding="utf-8"))
+        text = document.read_text(encoding="utf-8")
+        links = re.findall(r"\]\((?!https?:|#|mailto:)([^)#\s]+)", text)
         assert [link for link in links if not (document.parent / link).exists()] == [], document.name
+        named = re.findall(r"`((?:moc_opt|benchmarks|tests|examples|docs)/[\w./-]+\.\w+)`", text)
+        assert [path for path in named if "NAME" not in path and not (ROOT / path).exists()] == [], document.name

@@ -43,12 +43,16 @@ def print_keys(given: argparse.Namespace) -> int:
     if given.markdown:
         print(markdown(given.table), end="")
         return 0
-    columns = [Column("name", "key"), Column("kind", "type")]
-    columns += [Column(name, name) for name in ("unit", "default", "meaning")]
+    columns = [Column("key", "key"), Column("meaning", "meaning")]
     for name in found if given.table is None else [given.table]:
         title = "At the top of the file" if name == "scenario" else f"[{name}]"
-        print_tables([Table(title, columns, [key._asdict() for key in found[name][1]])])
+        print_tables([Table(title, columns, [_on_a_screen(key) for key in found[name][1]])])
     return 0
+
+
+def _on_a_screen(key: Key) -> dict[str, str]:
+    unit = "" if key.unit in ("", "1") or f"[{key.unit}]" in key.meaning else f" [{key.unit}]"
+    return {"key": f"{key.name} = {key.default}", "meaning": f"{key.meaning}{unit} ({key.kind})".strip()}
 
 
 def tables(kind: type[Settings] = Scenario, path: str = "") -> Iterator[tuple[str, str, list[Key]]]:

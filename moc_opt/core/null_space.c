@@ -113,7 +113,7 @@ static void slope_of(int n, const moc_law *law, moc_terms *t, double *slope)
 
 /* d = (I - A^+ A)(grad mu + p grad mu_shaft), t = d / |d|, h = dd/ds along t:  x_d = RATE t |d| / max(-h, |d| / LONGEST).
  *
- * As the paper has it the speed is c2/rho |d|: where mu is small or flat the climb is slow, and at a sharp top it is
+ * With a pull of grad mu alone the speed is c2/rho |d|: where mu is small or flat the climb is slow, and at a sharp top it is
  * stiff. */
 void moc_climb(const moc_arm *arm, const moc_law *law, const moc_terms *t, double *x_d)
 {

@@ -19,7 +19,7 @@ from moc_opt.scenario import Scenario, check_solver, make_solver
 from moc_opt.solvers.base import Solver
 from moc_opt.study.results import FRAMES, Results
 from moc_opt.study.show import intervals_picture
-from moc_opt.study.statistics import Change, Interval, too_few
+from moc_opt.study.statistics import LEAST_TRIALS, Change, Interval, too_few
 from moc_opt.study.trials import BASELINE, Trial, placed, run_and_trace
 from moc_opt.trace.meta import Ending
 from moc_opt.trace.metrics import METRICS
@@ -158,8 +158,9 @@ class Comparison:
         remarks += [f"{', '.join(names)} against DCAC: {words}." for words, names in few.items()]
         unjudged = any(row.get("asked") and "verified_solved" not in row for row in self.rows)
         caption = [
-            "Means over the trials that came to their end, with 95 % intervals; gain and changes: of the mean over "
-            "that of DCAC with the same gains on the same trials; times: of the middle trial.", FRAMES, *remarks,
+            f"Means over the trials that came to their end, from {LEAST_TRIALS} trials on with 95 % intervals; gain "
+            "and changes: of the mean over that of DCAC with the same gains on the same trials; times: of the middle "
+            "trial, and those of exact within C, without the call.", FRAMES, *remarks,
             ANOTHER_PROBLEM if unjudged and self.scenario.judge else "", self.note, *self._failures(),
         ]  # fmt: skip
         named = "name" in self.scenario.model_fields_set
@@ -211,7 +212,7 @@ class Comparison:
 
 
 def _with_ends(found: Interval, form: str) -> str:
-    return f"{found:{form}}" if found.samples > 1 else f"{found.value:{form}}"
+    return f"{found:{form}}" if found.samples >= LEAST_TRIALS else f"{found.value:{form}}"
 
 
 def compare(

@@ -312,8 +312,8 @@ def first_table(summary: Summary, rows: Sequence[Row]) -> Table:
         Column("p99_us", "p99", unit="us", format=".1f", section=recorded, help="one solve in a hundred is slower"),
     ]  # fmt: skip
     caption = (
-        "★ take, ✔ sound, ◐ gaps: fails on some problems but reports it, ≈ near: close to the optimum, never within "
-        "tolerance, ✘ avoid."
+        f"★ take, ✔ sound, ◐ gaps: less than {100 * RIGHTLY:g} % right, and reports it, ≈ near: claims no optimum, or "
+        "is surely worse in closed loop, ✘ avoid. Right: verified, or rightly called infeasible."
     )
     if any(row["verdict"] is OTHER for row in rows):
         caption += (
@@ -331,12 +331,22 @@ def first_table(summary: Summary, rows: Sequence[Row]) -> Table:
             " Tip: change against DCAC on the same trials, by the robot's own kinematics, which a controller can "
             "answer for / in the frame registered at the start, which is what the patient gets; ? undecided, as the "
             "two means disagree. Worst damage: against the solver to take, not DCAC; none means within what counts as "
-            "equal."
+            f"equal. {_trials_told(rows)} A run that broke off or oscillated counts on the trials that all ran."
         )
     if any(row["counted"].get("refused_inconsistent") for row in rows):
         caption += f" {INCONSISTENT}"
     shown = [{**row, "tip_change": both_frames(row["closed"], "tip")} for row in rows]
     return Table("Solvers under the settings we recommend, best first", columns, shown, caption)
+
+
+def _trials_told(rows: Sequence[Row]) -> str:
+    """Say how many trials each solver ran: figures over different trials are not to be compared with each other."""
+    most = max(row["closed"].get("trials", 0) for row in rows)
+    all_of = [row["solver"] for row in rows if row["closed"].get("trials") == most]
+    fewer = {row["closed"]["trials"] for row in rows if 0 < row["closed"].get("trials", 0) < most}
+    if not fewer:
+        return f"Every solver ran {most} trials."
+    return f"{_and(all_of)} ran {most} trials, the others the first {min(fewer)} of these."
 
 
 def both_frames(closed: Row, which: str) -> str | None:
