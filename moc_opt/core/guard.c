@@ -9,8 +9,9 @@
  *   RAN_AWAY          |q - integral of v over motion_s| > motion_rad + motion_lag_s largest recent |v|
  *   ONE_REPEATED      one q the same for more than repeat_joint_ticks; q and v more than repeat_reading_ticks in all
  *   WRENCH_REPEATED   a wrench with noise the same for more than repeat_whole_ticks
- *   LAGGING           one encoder's readings came before, at one lag, more than repeat_reading_ticks times
- *   REPLAYED          whole readings did, more than repeat_whole_ticks (no noise in the wrench: replayed_ticks) times
+ *   LAGGING           one encoder repeats its earlier readings with a constant lag, more than repeat_reading_ticks times
+ *   REPLAYED          all encoders and the wrench do, more than repeat_whole_ticks (a wrench without noise:
+ *                     replayed_ticks) times
  *   WRENCH            the wrench is no number, more than patience in a row
  *   RCM, FORCE        rms of the shaft's distance from the trocar, of the trocar's force > limit
  *   TIP               rms |X - X_d| > tip_error

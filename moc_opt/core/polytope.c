@@ -11,7 +11,7 @@
 
 #include "vec.h"
 
-#define NEAR 10.0        /* box widths within which the way to the optimum leaves no rounding worth taking out */
+#define NEAR 10.0        /* box widths: a step shorter than this leaves rounding that needs no second pass */
 #define FAR 1e3          /* box widths beyond which the unconstrained optimum is approached in proximal steps */
 #define UNMOVED 1e-26    /* Pi_jj, the square of how far joint j goes on a step of one: below it, it does not move */
 #define DELICATE 1e-6    /* of Pi_jj: with less than that left by the active joints, rounding shows in a push */

@@ -61,6 +61,7 @@ class Encoders:
     def __init__(self, settings: PlantSettings, bias: Array, rng: np.random.Generator) -> None:
         noise, step, cutoff = settings.encoder_noise_rad, settings.encoder_resolution_rad, settings.velocity_cutoff_Hz
         gain = -math.expm1(-2.0 * math.pi * cutoff * settings.period_s) if cutoff > 0.0 else 1.0
+        # memory: bias [rad]; position shown last [rad]; velocity estimate [rad/s]
         self._noise, self._memory = _Noise(rng, np.full(bias.size, noise)), np.zeros((3, bias.size))
         self._memory[0] = bias
         self._conversion = step, settings.period_s, gain, noise == step == cutoff == 0.0
@@ -93,7 +94,7 @@ class WrenchSensor:
         return read_only(self._noise.take() - held)
 
 
-_CHANCE = 1e-10  #: Of a longer repetition, at each reading, where the joint stands in the middle of a step.
+_CHANCE = 1e-10  #: Probability of a longer repetition at a reading of a joint that stands in the middle of a step.
 _MOST_TICKS = 500
 
 
@@ -112,7 +113,7 @@ def longest_repetition(noise_rad: float, resolution_rad: float) -> int | None:
     return max(10, math.ceil(math.log(_CHANCE) / math.log(max(same, _CHANCE))))
 
 
-_DEAD = 600.0  #: Time constants of a filter after which its output is so small that it may stay the same.
+_DEAD = 600.0  #: After so many time constants the output of a filter is so small that it may stay the same.
 
 
 def repeats_no_reading(noise_rad: float, resolution_rad: float, cutoff_Hz: float, period_s: float) -> bool:

@@ -1,4 +1,4 @@
-"""Paths of the tool tip in space by arc length: planar curves, and smooth curves through waypoints."""
+"""Paths of the tool tip in space by arc length: planar curves (`curves.py` has them), and curves through waypoints."""
 
 from __future__ import annotations
 
