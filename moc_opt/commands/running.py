@@ -19,7 +19,7 @@ from moc_opt.report.document import check_out
 from moc_opt.report.run_table import MATTER, below_best, part, refusals, run_json, run_table, warnings
 from moc_opt.report.tables import Column, Table
 from moc_opt.scenario import RunAway, Scenario, Setup, run
-from moc_opt.trace.file import new_file
+from moc_opt.trace.file import check_trace, new_file
 from moc_opt.trace.metrics import METRICS, load_plugins, summarize
 from moc_opt.trace.trace import Trace
 
@@ -59,6 +59,8 @@ def run_scenario(given: argparse.Namespace) -> int:
     check_paths(given)
     if given.report is not None:
         check_out(given.report, "report", force=given.force)
+    if given.trace is not None and not given.force:
+        check_trace(given.trace)
     with progress(title) as bar:
         bar.at("sets up")
         setup = Setup(scenario)

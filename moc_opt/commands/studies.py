@@ -12,6 +12,7 @@ from moc_opt.report.console import console, print_json, progress
 from moc_opt.report.document import check_out
 from moc_opt.study import solvers
 from moc_opt.study.compare import compare
+from moc_opt.study.statistics import Change, too_few
 
 
 def compare_solvers(given: argparse.Namespace) -> int:
@@ -51,4 +52,9 @@ def list_or_study(given: argparse.Namespace) -> int:
 
 
 def _plain(value: Any) -> Any:
-    return {key: _plain(entry) for key, entry in value._asdict().items()} if hasattr(value, "_asdict") else value
+    if not hasattr(value, "_asdict"):
+        return value
+    found = {key: _plain(entry) for key, entry in value._asdict().items()}
+    if isinstance(value, Change):
+        found |= {"undecided": value.undecided, "too_few": too_few(value.ratio.samples)}
+    return found

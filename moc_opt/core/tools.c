@@ -133,6 +133,8 @@ static int take_task(const call *c, plan_task *task)
     return 1;
 }
 
+#define LONGEST_STEP 10.0 /* along a curve [rad] */
+
 FUNCTION(follow_curve, TASK, {"q", READ, N}, {"tangent", READ, N}, {"step", NUMBER}, {"s", WRITE, K},
          {"poses", WRITE, K, N}, {"mus", WRITE, K})
 {
@@ -142,6 +144,8 @@ FUNCTION(follow_curve, TASK, {"q", READ, N}, {"tangent", READ, N}, {"step", NUMB
         return NULL;
     if (c->k < 2 || c->k > INT_MAX / c->n)
         return PyErr_Format(PyExc_ValueError, "s has %zd entries: give 2 or more", c->k);
+    if (!(c->number[7] > 0.0 && c->number[7] <= LONGEST_STEP))
+        return PyErr_Format(PyExc_ValueError, "step: give a length above 0 and of at most %d rad", (int)LONGEST_STEP);
     int found = plan_follow(&task, c->array[5], c->array[6], c->number[7], (int)c->k, c->array[8], c->array[9],
                             c->array[10], &end);
     return Py_BuildValue("ii", found, (int)end);

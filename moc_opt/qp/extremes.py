@@ -23,7 +23,8 @@ ROUNDS = 200
 STEPS = 20  # uphill, times the number of joints
 ROUNDING = 1e-14  # of numbers of order one
 SETTLED = 1e-11  # proximal steps shorter than this are the rounding of where they come from, FAR away
-FLAT = 1e-9  # a range of the cost below this fraction of slope times box width is rounding
+FLAT = 1e-9  # a slope or pull below this fraction of the largest is none
+LEVEL = 1e-12  # a range of the cost below this fraction of slope times box width is rounding
 
 
 class Extremes(NamedTuple):
@@ -63,7 +64,7 @@ def extremes(Z: Array, low: Array, high: Array, slope: Array, rho: float) -> Ext
     pull = Z @ slope + force - Z @ (Z.T @ force)
     least = _lower_bound(low, high, pull, rho)
     most = _largest(Z, low, high, slope, rho, w)
-    if most - least <= FLAT:  # every point is optimal to rounding
+    if most - least <= LEVEL:  # every point is optimal to rounding
         least, most = 0.0, 1.0
     return Extremes(width * w, steep * width * least, steep * width * most, steep * pull)
 

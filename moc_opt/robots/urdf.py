@@ -15,6 +15,7 @@ import numpy as np
 
 from moc_opt.errors import RobotError, UnknownNameError
 from moc_opt.inputs import names
+from moc_opt.inputs.files import decimal
 
 MOVING = frozenset({"revolute", "continuous", "prismatic"})
 TOOL_LINK, TIP_LINK, WRIST_LINK = "tool", "tip", "wrist"
@@ -126,10 +127,8 @@ def read(root: ET.Element) -> Urdf:
 
 def number(text: str, what: str, unit: str) -> float:
     """Read one number in a unit of `LARGEST`; a RobotError that names ``what`` where it is none, or too large."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
+    text = text.strip()
+    value = float(text) if text.lower().lstrip("+-") in ("inf", "infinity") else decimal(text)
     if not abs(value) <= LARGEST[unit]:
         size = f"of at most {LARGEST[unit]:g} {unit}" if unit != "a limit" else "such as 2.9"
         raise RobotError(f"urdf: {what} is {text!r:.80}: give a decimal number {size}")

@@ -187,6 +187,7 @@ def command(
             asked = config.load(given.config or (folder or CONFIGS) / f"{name}.toml", given.seed)
             asked = asked.quick() if given.quick else asked
             study = Study(name, given.out, given, asked.processes)
+            check_folder(given.out)
             begun = busy()  # by others: this study has not begun
             found = work(study, asked)
             leave(found, study, asked, sys.argv[1:] if arguments is None else arguments, begun)
@@ -199,6 +200,20 @@ def command(
         return INTERRUPTED
 
 
+FILES = ("environment.json", "summary.json", "rows.parquet", "report.html", "report.md")
+
+
+def check_folder(out: Path) -> None:
+    """Refuse a folder whose files of these names no study has written; a StudyError names them, before any work."""
+    there = [name for name in FILES if (out / name).exists()]
+    try:
+        ours = not there or '"study":' in (out / FILES[0]).read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError):
+        ours = False
+    if not ours:
+        raise StudyError(f"{out} has {', '.join(there)} that no study has written: give another folder as --out")
+
+
 CONFIGS = Path(__file__).parents[2] / "benchmarks" / "configs"
 
 
@@ -208,9 +223,9 @@ def leave(found: Found, study: Study, config: StudyConfig, argv: Sequence[str], 
     out.mkdir(parents=True, exist_ok=True)
     surroundings = environment(config.model_dump(mode="json"), config.seed, argv)
     surroundings |= {"study": study.name, "jobs_of_an_earlier_run": study.kept.reused, **found.environment}
+    write_json(out / "environment.json", surroundings)
     write_json(out / "summary.json", with_doubts(found.summary))
     found.rows.write(out / "rows.parquet")
-    write_json(out / "environment.json", surroundings)
     page = found.report.page(surroundings, found.rows.failed())
     page.save(out / "report.html")
     write_whole(out / "report.md", found.report.markdown(), "report", StudyError)
@@ -228,8 +243,7 @@ def leave(found: Found, study: Study, config: StudyConfig, argv: Sequence[str], 
         screen.print(f"{study.kept.reused} jobs are those of an earlier run in {out}/jobs.", soft_wrap=True)
     for sentence in (*found.sentences, *([begun] if begun and not found.report.load else [])):
         screen.print(sentence, markup=False, soft_wrap=True)
-    files = ["report.html", "report.md", "summary.json", "rows.parquet", "environment.json", *found.files]
-    screen.print(f"written: {out}/{' '.join(files)}", markup=False, soft_wrap=True)
+    screen.print(f"written: {out}/{' '.join([*reversed(FILES), *found.files])}", markup=False, soft_wrap=True)
 
 
 def write_json(path: Path, value: Any) -> None:

@@ -12,6 +12,7 @@ import numpy as np
 
 from moc_opt.errors import MocOptError, ScenarioError, SolverError, UnknownNameError, describe, shown
 from moc_opt.inputs.files import LARGEST_INTEGER, write_whole
+from moc_opt.inputs.names import RULE, is_name
 from moc_opt.report.console import busy
 from moc_opt.report.run_table import ANOTHER_PROBLEM, VERDICTS, answers_another_problem
 from moc_opt.report.tables import Column, Table
@@ -245,6 +246,8 @@ def compare(
     for argument, value, least in (("trials", trials, 1), ("seed", seed, 0)):
         if isinstance(value, bool) or not isinstance(value, int) or not least <= value <= LARGEST_INTEGER:
             raise ScenarioError(f"{argument} = {shown(value)}: give an integer of {least} or more")
+    if seed + trials - 1 > LARGEST_INTEGER:
+        raise ScenarioError(f"seed = {seed}, trials = {trials}: the last trial's seed is beyond {LARGEST_INTEGER}")
     if base.control.law != "moc":
         raise ScenarioError("[control] law = 'dcac' asks no solver: take law = 'moc', DCAC is compared anyhow")
     chosen, note, rows = _named(solvers, base), f"{_starts(base, random_start)} {busy()}".strip(), list[Row]()
@@ -316,6 +319,8 @@ def _named(solvers: Solvers, base: Scenario) -> dict[str, str | Solver]:
     pairs = solvers.items() if isinstance(solvers, Mapping) else [(_name(one), one) for one in solvers]
     robot, chosen = base.robot.arm(), dict[str, str | Solver]({BASELINE: BASELINE})
     for name, solver in pairs:
+        if not is_name(name):
+            raise SolverError(f"{shown(name)} cannot name a solver in the table: {RULE}")
         if name == solver == BASELINE:
             continue  # the baseline is always compared
         if name in chosen:

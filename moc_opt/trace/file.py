@@ -47,6 +47,19 @@ def new_file(path: str | os.PathLike[str]) -> Path:
     return target
 
 
+def check_trace(path: str | os.PathLike[str]) -> None:
+    """Refuse to replace a file that is no trace; a TraceError before the run."""
+    import polars as pl
+
+    if os.path.isfile(path) and os.path.getsize(path):
+        try:
+            ours = VERSION_KEY in pl.read_parquet_metadata(os.fspath(path))
+        except (OSError, pl.exceptions.PolarsError):
+            ours = False
+        if not ours:
+            raise TraceError(f"{os.fspath(path)!r} is no trace and would be lost: give another name, or --force")
+
+
 def write(path: str | os.PathLike[str], columns: Columns, meta: Mapping[str, Any]) -> None:
     """Write a trace, all or nothing; a TraceError where the file cannot be written."""
     import polars as pl  # only where a file is touched: it takes longer than all other imports of this room

@@ -103,6 +103,15 @@ def test_options_change_the_question(asked, monkeypatch, options, seed, count):
         assert seen.pop() == (seed, count, 2, out, 8)
 
 
+def test_files_of_others_are_kept(asked, capsys):
+    config, out = asked
+    out.mkdir(parents=True)
+    (out / "summary.json").write_text("mine")
+    assert call(lambda *_: pytest.fail("no work before that"), config, "--out", out) == 2
+    assert "summary.json" in capsys.readouterr().err
+    assert (out / "summary.json").read_text() == "mine"
+
+
 @pytest.mark.parametrize("text", ["-1", str(2**62 + 1)])
 def test_a_seed_is_a_number_that_a_configuration_takes(asked, capsys, text):
     assert call(squares, asked[0], "--seed", text) == 2

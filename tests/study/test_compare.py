@@ -119,6 +119,8 @@ def test_the_table_the_plot_and_pandas_show_every_solver(found):
         ([Standing(), Standing()], {}, SolverError, "called 'standing': name each once, or give a mapping"),
         ([object()], {}, SolverError, "is no solver: it needs a name"),
         ([Standing], {}, SolverError, r"is a class, no solver: call it, as in Standing\(\)"),
+        ({1: "exact"}, {}, SolverError, "1 cannot name a solver"),
+        (["exact"], {"seed": 2**63 - 2, "trials": 3}, ScenarioError, "the last trial's seed"),
         (None, {}, SolverError, r"solvers = None: give a list of names or solvers"),
         (7, {}, SolverError, r"solvers = 7: give a list of names or solvers"),
         (["exact"], {"trials": 0}, ScenarioError, "trials = 0: give an integer of 1 or more"),
