@@ -270,7 +270,7 @@ def test_the_first_screen_fits_a_terminal(whole, width):
     text = screen.file.getvalue()
     assert max(map(len, text.splitlines())) <= width
     assert "…" not in text
-    for heading in ("solver", "verdict", "right", "silently", "p50", "p99", "patient", "damage"):
+    for heading in ("solver", "verdict", "right", "wrong", "p50", "p99", "patient", "damage"):
         assert heading in text
     assert "99.95" in text, "2047 of 2048 is not 100 %"
     assert "99.94" in text
