@@ -312,8 +312,8 @@ def first_table(summary: Summary, rows: Sequence[Row]) -> Table:
     ]  # fmt: skip
     caption = (
         f"★ take, ✔ sound, ◐ gaps: less than {100 * RIGHTLY:g} % right, and reports it, ≈ near: claims no optimum, or "
-        "is surely worse in closed loop, ✘ avoid. Right: verified, or rightly called infeasible. Wrong: silently wrong, "
-        "claimed as solved and not optimal."
+        "is surely worse in closed loop, ✘ avoid. Right: verified, or rightly called infeasible. Wrong: silently "
+        "wrong, claimed as solved and not optimal."
     )
     if any(row["verdict"] is OTHER for row in rows):
         caption += (
