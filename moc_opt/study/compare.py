@@ -71,6 +71,8 @@ class Comparison:
         (True, 2)
         >>> found.table.title, found.to_pandas().shape[0]
         ('circle: solvers on the same trials', 4)
+        >>> found.plot("tip_error_max_mm").layout.xaxis.title.text
+        'tip_error_max_mm'
         >>> found.save_rows("rows.csv")
     """
 
