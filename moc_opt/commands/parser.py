@@ -112,6 +112,7 @@ COMMANDS = {
         option("--listen", metavar="HOST:PORT", default=WIRE, help=f"default {WIRE}"),
         flag("--lock-step", "wait for each command instead of keeping the time"),
         option("--trace", type=Path, help="the trace goes here (Parquet)"),
+        FORCE,
         ALL,
         KEY,
         JSON,

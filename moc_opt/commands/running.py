@@ -59,8 +59,7 @@ def run_scenario(given: argparse.Namespace) -> int:
     check_paths(given)
     if given.report is not None:
         check_out(given.report, "report", force=given.force)
-    if given.trace is not None and not given.force:
-        check_trace(given.trace)
+    _keep_others(given)
     with progress(title) as bar:
         bar.at("sets up")
         setup = Setup(scenario)
@@ -76,6 +75,12 @@ def run_scenario(given: argparse.Namespace) -> int:
         except RunAway as error:
             trace = error.trace
     return show(scenario, title, trace, given)
+
+
+def _keep_others(given: argparse.Namespace) -> None:
+    """Refuse, before the run, to write its trace over a file that is none."""
+    if given.trace is not None and not given.force:
+        check_trace(given.trace)
 
 
 def show(scenario: Scenario, title: str, trace: Trace, given: argparse.Namespace) -> int:
@@ -197,6 +202,7 @@ def run_plant(given: argparse.Namespace) -> int:
     from moc_opt.scenario.wired import PlantServer
 
     scenario, title = read_scenario(given.scenario)
+    _keep_others(given)
     server = PlantServer(scenario, given.listen, read_key(given.key_file), lock_step=given.lock_step)
     print(f"listening on {written(server.address)}", file=sys.stderr, flush=True)
     server.system = {} if given.lock_step else ask_for_realtime()

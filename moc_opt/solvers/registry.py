@@ -123,11 +123,6 @@ def check_name(name: str) -> None:
         raise UnknownNameError("solver", name, available(), "moc-opt solvers --list")
 
 
-def accepts(name: str, setting: str) -> bool:
-    """Return whether the named solver takes a setting of that name."""
-    return setting in find(name).parameters
-
-
 def defaults(name: str) -> dict[str, Any]:
     """Return setting -> default of the named solver; those without one are left out.
 

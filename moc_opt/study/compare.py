@@ -285,8 +285,8 @@ def _trial(
         return [{"solver": name, **Trial(case, name).failed(describe(error)).row} for name in chosen]
     for name, solver in chosen.items():
         say(name)
-        settings = base.solver.settings if solver == base.solver.name else {}
-        asked, trace = Trial(case, name, settings, {"solver": name}, timed=True, solver=solver), None
+        asked = Trial(case, name, _settings(base, solver), {"solver": name}, timed=True, solver=solver)
+        trace = None
         try:
             run, trace = run_and_trace(asked, baseline)
         except Exception as error:
@@ -312,6 +312,11 @@ def _starts(base: Scenario, random_start: bool) -> str:
     return text if said else ""
 
 
+def _settings(base: Scenario, solver: str | Solver) -> Mapping[str, Any]:
+    """Return the settings of the scenario's own solver, where that one is meant."""
+    return base.solver.settings if solver == base.solver.name else {}
+
+
 def _named(solvers: Solvers, base: Scenario) -> dict[str, str | Solver]:
     """Return name -> solver, the baseline first; every name is made once, so that a wrong one is found now."""
     if isinstance(solvers, str):
@@ -330,7 +335,7 @@ def _named(solvers: Solvers, base: Scenario) -> dict[str, str | Solver]:
                 f"two solvers are called {name!r}: name each once, or give a mapping, {{'one': ..., 'another': ...}}"
             )
         if isinstance(solver, str):
-            make_solver(solver, robot, **(base.solver.settings if solver == base.solver.name else {}))
+            make_solver(solver, robot, **_settings(base, solver))
         elif isinstance(solvers, Mapping):
             check_solver(solver)
         chosen[name] = solver

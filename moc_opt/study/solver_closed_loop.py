@@ -9,7 +9,7 @@ import numpy as np
 
 from moc_opt.figures import time_series
 from moc_opt.report.tables import Column, Table
-from moc_opt.study.look import add_look
+from moc_opt.study.look import REPLAY, add_look
 from moc_opt.study.results import ERRORS, FRAMES, Results, change_name
 from moc_opt.study.show import Picture, Section, columns
 from moc_opt.study.solver_verdicts import CLOSED, COSTS
@@ -93,7 +93,7 @@ def closed_loop(work: Work) -> None:
             name: figures(work.runs, name, timed.get(name, []), common) for name in names
         }  # fmt: skip
         work.say()
-    work.times |= {name: np.concatenate([run.columns["solve_us"] for run in runs]) for name, runs in timed.items()}
+    work.files += [REPLAY] if timed else []
     first_runs = {name: runs[0] for name, runs in timed.items() if runs[0].row["trial"] == cases[0].name}
     work.sections.append(_section(work, {name: run for name, run in first_runs.items() if run.trace is not None}))
 

@@ -335,7 +335,7 @@ def first_table(summary: Summary, rows: Sequence[Row]) -> Table:
         )
     if any(row["counted"].get("refused_inconsistent") for row in rows):
         caption += f" {INCONSISTENT}"
-    shown = [{**row, "tip_change": both_frames(row["closed"], "tip")} for row in rows]
+    shown = [{**row, "tip_change": _tip_in_both_frames(row["closed"])} for row in rows]
     return Table("Solvers under the settings we recommend, best first", columns, shown, caption)
 
 
@@ -349,9 +349,9 @@ def _trials_told(rows: Sequence[Row]) -> str:
     return f"{_and(all_of)} ran {most} trials, the others the first {min(fewer)} of these."
 
 
-def both_frames(closed: Row, which: str) -> str | None:
-    """Write the changes of the tip's or RCM's error in both frames as one text; None of too few trials."""
-    keys = [change_name(name) for name in FRAMED if name.startswith(which)]
+def _tip_in_both_frames(closed: Row) -> str | None:
+    """Write the changes of the tip's error in both frames as one text; None of too few trials."""
+    keys = [change_name(name) for name in FRAMED if name.startswith("tip")]
     if closed.get("compared", 0) < LEAST_TRIALS or not all(key in closed for key in keys):
         return None
     return "/".join(f"{closed[key]:+.0f}" + "?" * bool(closed[f"{key}_undecided"]) for key in keys)

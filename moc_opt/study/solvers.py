@@ -33,7 +33,6 @@ from moc_opt.scenario import Scenario
 from moc_opt.study import testsets
 from moc_opt.study.command import Found, Study, StudyConfig, choose, command
 from moc_opt.study.engine import Failed, Job
-from moc_opt.study.look import REPLAY
 from moc_opt.study.results import Results
 from moc_opt.study.show import Report, Section
 from moc_opt.study.solver_answers import Limits
@@ -168,7 +167,7 @@ class Work:
         summary: part -> solver or controller -> metric.
         runs: a row for each run in closed loop.
         answers: a row for each answer in open loop.
-        times: solver -> its solve times in the timed trials [us].
+        files: names of files that a part wrote into the study's folder.
         sections: of the report.
     """
 
@@ -178,7 +177,7 @@ class Work:
     summary: dict[str, dict[str, Any]] = field(default_factory=dict)
     runs: Results = field(default_factory=Results)
     answers: Results = field(default_factory=Results)
-    times: dict[str, Array] = field(default_factory=dict)
+    files: list[str] = field(default_factory=list)
     sections: list[Section] = field(default_factory=list)
     said: str = ""
 
@@ -254,7 +253,7 @@ def work(parts: Mapping[str, Part], study: Study, config: Config) -> Found:
     return Found(
         report(found), found.summary, Results([*found.answers, *found.runs]),
         {"load": Disturbance.total(timed_rows(found.summary)).told()}, sentences=told if slow else (),
-        files=[REPLAY] if found.times else [],
+        files=found.files,
     )  # fmt: skip
 
 

@@ -157,6 +157,8 @@ def test_compare_prints_every_solver_and_writes_every_run(capsys, tmp_path, monk
     exact = json.loads(capsys.readouterr().out)["exact"]
     assert (exact["trials"], exact["mu_mean"]["samples"]) == (2, 2)
     assert exact["mu_mean"]["low"] <= exact["mu_mean"]["value"]
+    assert "2 of at least 8" in exact["gain"]["too_few"]
+    assert exact["gain"]["undecided"] in (True, False)
 
 
 def test_a_comparison_that_no_run_survives_says_so(tmp_path, capsys):

@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 
 import numpy as np
+import polars as pl
 import pytest
 
 import moc_opt as mo
@@ -206,9 +207,14 @@ def test_a_page_is_written_where_it_can_be_and_replaces_others_by_force_alone(fi
 def test_the_other_results_replace_nothing_without_force(tmp_path, capsys):
     out = tmp_path / "rows"
     out.write_text("mine")
-    for order in (["compare", "exact"], ["plan"]):
-        assert main([*order, "--out", str(out)]) == 2
+    for order in (["compare", "exact", "--out"], ["plan", "--out"], ["run", "--trace"], ["plant", "--trace"]):
+        assert main([*order, str(out)]) == 2
         assert "--force" in capsys.readouterr().err
+    pl.DataFrame({"own": [1.0]}).write_parquet(tmp_path / "own.parquet")
+    for command in ("run", "plant"):
+        assert main([command, "--trace", str(tmp_path / "own.parquet")]) == 2
+        assert "--force" in capsys.readouterr().err
+    assert pl.read_parquet(tmp_path / "own.parquet").columns == ["own"]
     with pytest.raises(ReportError, match="--force"):
         save_document(out, "page", "page", str)
     assert out.read_text() == "mine"

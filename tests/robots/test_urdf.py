@@ -24,7 +24,9 @@ from moc_opt.robots.urdf import (
 )
 
 
-@pytest.mark.parametrize("text", ["", " ", "0x10", "nan", "inf", "1,5", "1e", "1 2", "101", "-100.1", "1e999"])
+@pytest.mark.parametrize(
+    "text", ["", " ", "0x10", "nan", "inf", "1,5", "1e", "1 2", "101", "-100.1", "1e999", "1_0", "\u0663.0"]
+)
 def test_what_is_no_number_or_no_length_is_refused(text):
     with pytest.raises(RobotError, match="urdf: x of link 'a' is "):
         number(text, "x of link 'a'", "m")

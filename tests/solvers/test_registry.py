@@ -59,8 +59,8 @@ def test_every_built_in_solver_is_here_and_its_settings_are_known():
     assert mo.solvers.create is create
     assert registry.defaults("osqp")["max_iter"] == 4000
     assert registry.defaults("qpsolvers:osqp")["options"] == {}
-    assert registry.accepts("nlp-sqp", "kinematics")
-    assert not registry.accepts("exact", "kinematics")
+    assert "kinematics" in registry.find("nlp-sqp").parameters
+    assert "kinematics" not in registry.find("exact").parameters
 
 
 @pytest.mark.parametrize(("name", "given", "error", "cure"), [
