@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import math
 import sys
-import time
 from collections.abc import Iterable
 from dataclasses import asdict
 from pathlib import Path
@@ -28,7 +27,7 @@ HEADINGS = (["x_m", "y_m", "z_m"], ["x", "y", "z"])
 SPLIT = str.maketrans(",\"'", "   ")
 PLAN_OPTIONS = {
     "margin_rad": "--margin", "margin_m": "--margin-m", "speed_share": "--speed-share",
-    "acceleration": "--acceleration", "box_m": "--box", "candidates": "--candidates",
+    "acceleration": "--acceleration",
 }  # fmt: skip
 """An argument as errors begin with it -> the option that gave it."""
 
@@ -272,14 +271,9 @@ def plan_scenario(given: argparse.Namespace) -> int:
 
 
 def _plan(given: argparse.Namespace) -> int:
-    from moc_opt.report.plan_table import place_json, place_table, plan_json, plan_tables, start_toml
-    from moc_opt.scenario.planned import followable_plan, following_warnings, place, save_course
+    from moc_opt.report.plan_table import plan_json, plan_tables, start_toml
+    from moc_opt.scenario.planned import followable_plan, following_warnings, save_course
 
-    for option, value in (("--box", given.box), ("--candidates", given.candidates)):
-        if value is not None and given.place is None:
-            raise ScenarioError(f"{option} {value}: without --place nothing is searched; add --place trocar or base")
-    box_m = 0.05 if given.box is None else given.box
-    candidates = 40 if given.candidates is None else given.candidates
     scenario, title = read_scenario(given.scenario)
     if given.out is not None:
         new_file(given.out)  # before the search, which may take a minute
@@ -289,20 +283,12 @@ def _plan(given: argparse.Namespace) -> int:
         scenario, given.margin, given.speed_share, objective=given.objective, acceleration=given.acceleration,
         margin_m=given.margin_m, followed=follows,
     )
-    began, places = time.perf_counter(), []
-    if given.place is not None:
-        places = place(scenario, given.place, box_m=box_m, candidates=candidates, objective=given.objective, **within)
-    took = time.perf_counter() - began
     warned = following_warnings(scenario, plan) if follows else []
     if given.json:
-        searched = {"places": place_json(places), "place_s": took} if places else {}
-        print_json(plan_json(plan) | {"within": within, "warnings": warned} | searched)
+        print_json(plan_json(plan) | {"within": within, "warnings": warned})
     else:
-        tables = plan_tables(title, plan, **within)
-        if places:
-            tables.append(place_table(f"Places of the {given.place}", candidates, box_m, took, places))
-        print_tables(tables)
-        print(start_toml(scenario.robot.arm(), plan, places))
+        print_tables(plan_tables(title, plan, **within))
+        print(start_toml(scenario.robot.arm(), plan))
     for line in warned:  # last, below the tables
         print(f"{title}: warning: {line}", file=sys.stderr)
     if given.out is not None and plan.course is None:

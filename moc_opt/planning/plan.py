@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from moc_opt.arrays import Array
-from moc_opt.errors import ScenarioError, TaskError, is_number
+from moc_opt.errors import TaskError, is_number
 from moc_opt.inputs.names import table_html
 from moc_opt.planning.course import (
     OBJECTIVES,
@@ -306,30 +306,3 @@ def _blocked(found: PoseMap, start: Array, limits: Limits, grid: Array | None, b
         return at(k, f"{name} runs into its limit; only other swivels or branches have poses within the limits")
     doubt = " between the poses of the map; the bound excludes no other way" if np.isfinite(bound) else ""
     return at(k, f"{names[fast]} would have to turn at {least:.3g} times its speed limit{doubt}")
-
-
-@dataclass(frozen=True, eq=False)
-class Placement:
-    """One place of trocar or base.
-
-    Example:
-        >>> from moc_opt.scenario.planned import place
-        >>> first = place(mo.Scenario(duration_s=1.0), "trocar", candidates=2, best=1)[0]
-        >>> sorted(first.changes())
-        ['start', 'trocar']
-    """
-
-    shift_m: tuple[float, float, float]  #: From where the scenario has it, in the world [m].
-    course: Course | None  #: The best over all swivels and branches at the start; None: the path cannot be executed.
-    depth_m: float  #: Of the tip below the trocar at the start [m].
-
-    def changes(self) -> dict[str, object]:
-        """Return what a scenario needs to begin there: ``scenario.change(**placement.changes())``.
-
-        Raises:
-            ScenarioError: the path cannot be executed.
-        """
-        if self.course is None:
-            raise ScenarioError(f"shift_m = {self.shift_m}: the path cannot be executed there; take another place")
-        start = {"pose": "home", "q_rad": tuple(self.course.q_rad[0].tolist()), "swivel": "given"}
-        return {"start": start, "trocar": {"depth_m": self.depth_m}}

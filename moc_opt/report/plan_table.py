@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import textwrap
-from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,7 +11,7 @@ import numpy as np
 from moc_opt.report.tables import Column, Table
 
 if TYPE_CHECKING:
-    from moc_opt.planning.plan import Placement, Plan
+    from moc_opt.planning.plan import Plan
     from moc_opt.robots.model import RobotModel
 
 MU_MEAN = Column("mu_mean", "mean mu", unit="m^3", format=".4f", better="high")
@@ -23,10 +22,6 @@ COURSES = [
     Column("share_percent", "of best", unit="%", format=".1f", help="mean mu over that of the best over all starts"),
     Column("certified", "optimum", help="'local' to the tolerance of the solver, or 'grid'"),
     Column("violation", "violation", unit="m, rad", format=".0e"),
-]  # fmt: skip
-PLACES = [
-    Column("shift", "moved by x, y, z", unit="mm"), Column("depth_mm", "tip below trocar", unit="mm", format=".0f"),
-    MU_MEAN, MU_WORST,
 ]  # fmt: skip
 VERDICT_TERMS = (
     "Swivel: angle of the elbow about the line from shoulder to wrist. Course: the poses along the path. Bound: what "
@@ -103,42 +98,15 @@ def _courses(plan: Plan) -> list[dict[str, Any]]:
     return rows
 
 
-def place_json(places: Sequence[Placement]) -> list[dict[str, Any]]:
-    """Return the places, the best first, with the start pose that each one's course begins at."""
-    return [
-        {
-            "shift_mm": [1e3 * x for x in place.shift_m], "depth_m": place.depth_m,
-            "mu_mean": place.course and place.course.mu_mean,
-            "mu_worst": place.course and place.course.value("worst"),
-            "q_rad": place.course and place.course.q_rad[0].tolist(),
-        } for place in places
-    ]  # fmt: skip
-
-
-def place_table(title: str, candidates: int, box_m: float, took_s: float, places: Sequence[Placement]) -> Table:
-    """Make the table of the places, the best first."""
-    rows = []
-    for row in place_json(places):
-        x, y, z = row["shift_mm"]
-        here = "" if x or y or z else " (as it is)"
-        rows.append({**row, "shift": f"{x:+.0f}, {y:+.0f}, {z:+.0f}{here}", "depth_mm": 1e3 * row["depth_m"]})
-    about = f"{candidates} places drawn from a cube of +-{1e3 * box_m:.0f} mm, planned in {took_s:.0f} s."
-    return Table(title, PLACES, rows, about)
-
-
-def start_toml(robot: RobotModel, plan: Plan, places: Sequence[Placement] = ()) -> str:
-    """Write the tables that begin a scenario where the best course, or that of the best place, does; empty without one.
+def start_toml(robot: RobotModel, plan: Plan) -> str:
+    """Write the table that begins a scenario where the best course does; empty where there is none.
 
     A number is rounded towards the inside of its joint's limits.
     """
-    place = places[0] if places and places[0].course is not None else None
-    course = place.course if place else plan.best
-    if course is None:
+    if plan.best is None:
         return ""
     inside = np.ceil(1e6 * robot.q_min) / 1e6, np.floor(1e6 * robot.q_max) / 1e6
-    q = np.clip(np.round(course.q_rad[0], 6), *inside)
+    q = np.clip(np.round(plan.best.q_rad[0], 6), *inside)
     numbers = textwrap.fill(", ".join(f"{x:.6f}" for x in q), 76, initial_indent="  ", subsequent_indent="  ")
-    of, more = ("the course of the first place", " and depth_m") if place else ("the best course", "")
-    about = f"# to begin {of}, put in place of the scenario's own [start]{more}:"
-    trocar = ["[trocar]", f"depth_m = {place.depth_m:.6f}"] if place else []
-    return "\n".join([about, "[start]", f"q_rad = [\n{numbers},\n]", *trocar])
+    about = "# to begin the best course, put in place of the scenario's own [start]:"
+    return "\n".join([about, "[start]", f"q_rad = [\n{numbers},\n]"])

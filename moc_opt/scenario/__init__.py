@@ -3,8 +3,7 @@
 Read first: ``config`` (``Scenario``: every key of the TOML; ``tables`` has some of its tables), then ``setup``
 (``Setup`` builds the objects; ``Setup.trace`` and ``run`` make a trace). ``layout`` lays the task out from a start,
 ``controller`` makes solver, safety filter and the controller as the loop calls it, ``derived`` has columns computed
-after a run, ``planned`` plans before a run and searches a place for trocar or base. ``wired`` puts a wire between plant
-and controller.
+after a run, ``planned`` plans before a run. ``wired`` puts a wire between plant and controller.
 """
 
 from moc_opt.errors import MocOptError

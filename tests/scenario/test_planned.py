@@ -1,4 +1,4 @@
-"""The plan of a scenario is that of its run; a place is proposed by it, and a run compared with it."""
+"""The plan of a scenario is that of its run, and a run is compared with its best courses."""
 
 import json
 
@@ -7,11 +7,10 @@ import pytest
 
 import moc_opt as mo
 from moc_opt.__main__ import main
-from moc_opt.errors import MocOptError, ScenarioError
 from moc_opt.planning.plan import top_of
 from moc_opt.scenario import Setup
 from moc_opt.scenario.derived import best_courses
-from moc_opt.scenario.planned import MOVABLE, place, plan
+from moc_opt.scenario.planned import plan
 from moc_opt.tasks.trocar import shaft_distance
 
 
@@ -56,9 +55,6 @@ def test_a_path_that_cannot_be_executed_exits_with_three(tmp_path, capsys):
     [
         (["--margin", "-1"], "--margin -1.0: give zero or more"),
         (["--acceleration", "0"], "--acceleration 0.0: give a limit above 0"),
-        (["--box", "0.1"], "--box 0.1: without --place nothing is searched"),
-        (["--place", "base", "--candidates", "0"], "--candidates 0: give a whole number, 1 or more"),
-        (["--place", "base", "--box", "2"], "--box 2.0: give half the edge"),
     ],
 )
 def test_a_wrong_option_is_named_as_it_was_typed(tmp_path, capsys, arguments, message):
@@ -89,66 +85,6 @@ def test_it_plans_within_what_a_third_level_that_follows_keeps_to(tmp_path, caps
         within = {"margin_rad": margin, "margin_m": 0.0, "shaft_margin": 0.04375, "speed_share": share}
         assert told["within"] == within
         assert bool(told["warnings"]) == bool(options)  # such a course is too fast to be followed
-
-
-# --- a place for arm or trocar ---
-
-
-ASKED = mo.Scenario(duration_s=1.0)
-
-
-@pytest.fixture(scope="module", params=MOVABLE)
-def searched(request):
-    return request.param, place(ASKED, request.param, box_m=0.08, candidates=12, best=2)
-
-
-def test_the_best_place_serves_better_and_keeps_its_promise(searched):
-    what, places = searched
-    values = [found.course.mu_mean for found in places if found.course is not None]
-    assert len(places) == 3
-    assert values == sorted(values, reverse=True)
-    first, (here,) = places[0], [found for found in places if not any(found.shift_m)]
-    assert first.course.mu_mean > here.course.mu_mean
-    assert 0.0 < np.abs(first.shift_m).max() <= 0.08
-    moved = ASKED.change(**first.changes())
-    assert plan(moved, refined=False).from_start.mu_mean == pytest.approx(first.course.mu_mean, rel=2e-3)
-    # The trocar of that scenario is where the search had it, seen from the arm's own base.
-    entries = [Setup(each.change(start={"check_path": False})).registered.at(0.0)[0] for each in (ASKED, moved)]
-    shift = np.array(first.shift_m) * (1.0 if what == "trocar" else -1.0)
-    np.testing.assert_allclose(entries[1] - entries[0], shift, atol=1e-8)
-
-
-def test_the_search_is_seeded_and_plans_what_it_is_asked_for(searched):
-    what, places = searched
-    again, other = (place(ASKED, what, box_m=0.08, candidates=12, best=2, seed=seed) for seed in (0, 2))
-    assert [p.shift_m for p in again] == [p.shift_m for p in places] != [p.shift_m for p in other]
-    away = place(ASKED, what, candidates=1, best=1, margin_rad=1.0)
-    assert away[-1].course is None
-    with pytest.raises(ScenarioError, match="cannot be executed there"):
-        away[-1].changes()
-
-
-@pytest.mark.parametrize(
-    "change",
-    [
-        {"what": "table"}, {"box_m": 0.0}, {"box_m": "a"}, {"candidates": 0}, {"candidates": 2.5}, {"seed": -1},
-        {"best": 0}, {"objective": "x"}, {"margin_rad": -1.0}, {"margin_m": "x"}, {"speed_share": -1.0},
-        {"shaft_margin": -1.0},
-    ],
-)  # fmt: skip
-def test_bad_arguments_are_named(change):
-    ((name, value),) = change.items()
-    with pytest.raises(MocOptError, match=f"{'place' if name == 'what' else name} = {value!r}"):
-        place(ASKED, **{"what": "base", **change})
-
-
-def test_the_command_prints_the_places(tmp_path, capsys):
-    file = scenario_file(tmp_path, "duration_s = 0.5\n")
-    asked = ["plan", file, "--place", "trocar", "--candidates", "2", "--box", "0.03"]
-    assert main(asked) == 0
-    assert "(as it is)" in capsys.readouterr().out
-    assert main([*asked, "--json"]) == 0
-    assert {"shift_mm", "depth_m", "mu_mean", "q_rad"} <= set(json.loads(capsys.readouterr().out)["places"][0])
 
 
 # --- the best courses that a run is compared with ---
