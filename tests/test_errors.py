@@ -14,7 +14,7 @@ def test_a_text_of_a_megabyte_is_cut(kind):
 
 
 KEYS = ["replay_us", "name", "settings.eps", "settings.eps_rel", "settings.name"]
-MANY = [*(f"name_{i}" for i in range(500)), "osqp", "proxqp", "nlp-fatrop"]
+MANY = [*(f"name_{i}" for i in range(500)), "osqp", "proxqp", "nlp-ipopt"]
 
 
 @pytest.mark.parametrize(("name", "valid", "told"), [

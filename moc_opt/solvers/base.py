@@ -47,10 +47,6 @@ class Solution(NamedTuple):
             (five-row duals are lifted), or None where the solver gives none.
         status: the solver's claim.
         iterations: of the solver's own loop; 0 for closed forms.
-
-    Example:
-        >>> mo.solvers.Solution(np.array([0.1, 0.0]), None, mo.solvers.Status.SOLVED).status.label
-        'solved'
     """
 
     x: Array
@@ -65,15 +61,7 @@ def no_answer(n: int, status: Status, iterations: int = 0) -> Solution:
 
 
 class Session(Protocol):
-    """The workspace and the warm start of one solver on one stream of subproblems.
-
-    Example:
-        >>> qp = mo.NullSpaceQP(np.eye(3, 7), np.eye(3, 7), *np.zeros((2, 3)), np.ones(7), -np.ones(7), np.ones(7))
-        >>> session = mo.solvers.create("rnn").start(qp)
-        >>> answers = [session.solve(qp) for _ in range(3)]  # each begins where the last one ended
-        >>> answers[-1].x.shape
-        (7,)
-    """
+    """The workspace and the warm start of one solver on one stream of subproblems."""
 
     def solve(self, qp: NullSpaceQP) -> Solution:
         """Answer one subproblem; never raises for a problem the solver cannot solve."""
@@ -82,20 +70,7 @@ class Session(Protocol):
 
 @runtime_checkable
 class Solver(Protocol):
-    """Settings. Two sessions of one solver share nothing.
-
-    Example:
-        >>> class Still:
-        ...     name = "still"
-        ...     def supports(self, qp):
-        ...         return None
-        ...     def start(self, qp):
-        ...         return self
-        ...     def solve(self, qp):
-        ...         return mo.solvers.Solution(np.zeros(qp.n), None, mo.solvers.Status.SOLVED)
-        >>> isinstance(Still(), mo.solvers.Solver)
-        True
-    """
+    """Settings. Two sessions of one solver share nothing. docs/extending.md has a whole one."""
 
     @property
     def name(self) -> str:
@@ -126,10 +101,6 @@ class ObservingSession(Protocol):
 
     def observe(self, v: Array) -> None:
         """Take the measured joint velocity v (n,) [rad/s]."""
-        ...
-
-    def solve(self, qp: NullSpaceQP) -> Solution:
-        """Answer one subproblem."""
         ...
 
 

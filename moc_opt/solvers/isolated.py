@@ -3,7 +3,7 @@
 A session sends each subproblem to its process, waits for the answer at most ``budget_us``, and kills and replaces a
 process that hung, ended or ran out of memory. In simulated time a tick waits for its own answer, and simulated time
 stands still while a process is replaced: a solver that keeps its budget gives the same run as without isolation.
-Against a wall clock (``waits=False``) a second process is kept ready, and a tick without a process has no answer.
+Against a wall clock (``waits=False``) the ticks until the new process is ready, about a second, have no answer.
 """
 
 from __future__ import annotations
@@ -52,8 +52,7 @@ class Isolated:
     Attributes:
         inner: any solver that pickle can copy.
         budget_us: how long a tick waits for its answer [us].
-        waits: whether a tick waits for a process that is being replaced, as in simulated time; False: it has no answer,
-            and a second process is kept ready.
+        waits: whether a tick waits for a process that is being replaced, as in simulated time; False: it has no answer.
         answer_age_ticks: largest age of an earlier answer that may replace a late one; 0: none may.
         hang_s: a process that gives no answer for this time is killed and replaced [s].
         memory_MB: memory that a process may have; on Linux.
@@ -73,7 +72,6 @@ class Isolated:
     most_restarts: int = 20
     start_s: float = 120.0
     _pickled: bytes = field(default=b"", init=False, repr=False, compare=False)
-    _idle: list[_Worker] = field(default_factory=list, init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         if os.name != "posix":
@@ -107,120 +105,94 @@ class IsolatedSession:
         self._solver, self._tick, self.restarts = solver, 0, list[Restart]()
         self._v: Array | None = None
         self._newest: _Answer | None = None
-        self._workers = list[_Worker]()  # the one at work, then the one that is kept ready
-        self._fill(qp)
+        self._process: _Process | None = _Process(solver, qp)
         try:
-            self._workers[0].started(math.inf)
+            self._process.started(math.inf)
         except _Ended as ended:
             raise SolverError(f"solver {solver.name!r} in a process of its own: {ended}") from None
-        if self._workers[0].observes:
-            self.observe = self._observe  # the controller calls ``observe`` if it exists
 
-    def _observe(self, v: Array) -> None:
+    def observe(self, v: Array) -> None:
+        """Take the measured joint velocity v (n,) [rad/s], for a solver that observes it."""
         self._v = v
 
     def solve(self, qp: NullSpaceQP) -> Solution:
         """Answer one subproblem from the process; Unanswered where it is late or lost, or the solver raised."""
         self._tick += 1
-        worker, solver = self._ready(qp), self._solver
-        until = monotonic() + 1e-6 * solver.budget_us
+        solver = self._solver
+        if self._process is None:
+            if len(self.restarts) > solver.most_restarts:
+                raise Unanswered("lost", f"given up: the solver's process was lost {len(self.restarts)} times")
+            self._process = _Process(solver, qp)
         try:
-            if worker.busy:  # with the subproblem of an earlier tick
-                self._newest = worker.answer(until) or self._newest
-            if not worker.busy:
-                worker.ask(self._tick, qp, self._v, solver.hang_s)
-                self._newest = worker.answer(until) or self._newest
+            newest = self._answered(self._process, qp)
         except _Ended as ended:
-            self._lose(str(ended))
+            self._process.kill()
+            self._process = self._newest = None
+            self.restarts.append(Restart(self._tick - 1, str(ended)))
             raise Unanswered("lost", f"the solver's process was lost: {ended}") from None
-        newest = self._newest
         if newest is None or self._tick - newest.tick > solver.answer_age_ticks:
             raise Unanswered("late", f"no answer after {solver.budget_us:g} us")
         if newest.raised:
             raise Unanswered("raised", newest.value)
         return newest.value  # type: ignore[no-any-return]  # of any form: the controller checks it
 
-    def _ready(self, qp: NullSpaceQP) -> _Worker:
-        while True:
-            self._fill(qp)
-            if not self._workers:
-                raise Unanswered("lost", f"given up: the solver's process was lost {len(self.restarts)} times")
-            try:
-                if self._workers[0].started(math.inf if self._solver.waits else 0.0):
-                    return self._workers[0]
-            except _Ended as ended:
-                self._lose(str(ended))
-            else:
-                raise Unanswered("lost", "a new process of the solver is being started")
-
-    def _fill(self, qp: NullSpaceQP) -> None:
-        """Start the processes that are lacking: one, and against a wall clock a spare one."""
-        solver, workers = self._solver, self._workers
-        while len(workers) < 2 - solver.waits and len(workers) + len(self.restarts) <= solver.most_restarts:
-            idle = solver._idle.pop() if solver._idle else None  # of an earlier session
-            worker = idle if idle is not None and idle.usable else _Worker(solver.memory_MB)
-            worker.ask(0, qp, None, solver.start_s, solver._pickled)
-            workers.append(worker)
-
-    def _lose(self, reason: str) -> None:
-        self._workers.pop(0).kill()
-        self._newest = None
-        self.restarts.append(Restart(self._tick - 1, reason))
-
-    def __del__(self) -> None:
-        # For the next session: a process takes a second to start. One that is busy is killed with its handle.
-        self._solver._idle.extend(worker for worker in self._workers if worker.usable)
+    def _answered(self, process: _Process, qp: NullSpaceQP) -> _Answer | None:
+        """Return the newest answer at the end of the budget."""
+        solver = self._solver
+        if not process.started(math.inf if solver.waits else 0.0):
+            raise Unanswered("lost", "a new process of the solver is being started")
+        until = monotonic() + 1e-6 * solver.budget_us
+        if process.busy:  # with the subproblem of an earlier tick
+            self._newest = process.answer(until) or self._newest
+        if not process.busy:
+            process.ask(self._tick, qp, self._v, solver.hang_s)
+            self._newest = process.answer(until) or self._newest
+        return self._newest
 
 
 class _Answer(NamedTuple):
     tick: int  # of the request; 0: to start a session
     raised: bool
-    value: Any  # the solver's answer; whether a session that was started observes; or what was raised, in words
+    value: Any  # the solver's answer, or what was raised, in words
 
 
 class _Ended(Exception):
     """A process is of no more use; the text says why."""
 
 
-class _Worker:
-    """A process that answers one request after another; it is killed when this object goes.
+class _Process:
+    """A process that starts a session and answers one request after another; it is killed when this object goes.
 
     A Popen: multiprocessing's Process would run the caller's script once more, and daemonic workers of a process pool
     may not have one.
     """
 
-    def __init__(self, memory_MB: float) -> None:
+    def __init__(self, solver: Isolated, qp: NullSpaceQP) -> None:
         self._pipe, theirs = Pipe()
         program = "import sys; from moc_opt.solvers.isolated import serve; serve(int(sys.argv[1]), float(sys.argv[2]))"
         with theirs:
             self._process = subprocess.Popen(
-                [sys.executable, "-c", program, str(theirs.fileno()), str(memory_MB)], pass_fds=[theirs.fileno()],
-                env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}, start_new_session=True,
+                [sys.executable, "-c", program, str(theirs.fileno()), str(solver.memory_MB)],
+                pass_fds=[theirs.fileno()], env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
+                start_new_session=True,
             )  # fmt: skip
         self.kill = weakref.finalize(self, _kill, self._process, self._pipe, os.getpid())
-        self.busy = self._started = self.observes = False
-
-    @property
-    def usable(self) -> bool:
-        return not self.busy and self._process.poll() is None
+        self._started = False
+        self.ask(0, qp, None, solver.start_s, solver._pickled)
 
     def ask(self, tick: int, qp: NullSpaceQP, v: Array | None, most_s: float, solver: bytes | None = None) -> None:
         """Send a subproblem to solve, or a pickled solver of which to start a session; it hangs after ``most_s``."""
         self._tick, self._most_s, self._hung_at, self.busy = tick, most_s, monotonic() + most_s, True
-        self._started = self._started and solver is None
         with suppress(OSError):  # the process has ended, which ``answer`` finds
             self._pipe.send((solver, qp.row, v, most_s))
 
     def started(self, most_s: float) -> bool:
         """Wait until the session has started, at most so long; raise _Ended where it cannot."""
-        if not self._started:
-            said = self.answer(monotonic() + most_s)
-            if said is None:
-                return False
+        if not self._started and (said := self.answer(monotonic() + most_s)) is not None:
             if said.raised:
                 raise _Ended(said.value)
-            self._started, self.observes = True, said.value
-        return True
+            self._started = True
+        return self._started
 
     def answer(self, until: float) -> _Answer | None:
         """Wait for the answer until then (of ``time.monotonic``); raise _Ended where the process hangs or has ended."""
@@ -283,10 +255,9 @@ def serve(fd: int, memory_MB: float) -> None:
         try:
             qp = NullSpaceQP.from_row(row)
             if solver is not None:
-                session = _start(solver, qp)
-                found: Any = isinstance(session, ObservingSession)
+                session, found = _start(solver, qp), None
             else:
-                if v is not None:
+                if v is not None and isinstance(session, ObservingSession):
                     session.observe(v)
                 found = session.solve(qp)
             answer = pickle.dumps((False, found))
@@ -298,12 +269,11 @@ def serve(fd: int, memory_MB: float) -> None:
         pipe.send_bytes(answer)
 
 
-def _start(pickled: bytes, qp: NullSpaceQP) -> Any:
+def _start(pickled: bytes, qp: NullSpaceQP) -> Session:
     try:
         solver: Solver = pickle.loads(pickled)
     except (ImportError, AttributeError) as error:
         raise SolverError(f"{describe(error)}: its class must lie in an importable module") from error
-    reason = solver.supports(qp)
-    if reason is not None:
+    if (reason := solver.supports(qp)) is not None:
         raise SolverError(f"it does not take this subproblem: {reason}")
     return solver.start(qp)

@@ -48,7 +48,6 @@ _STATUS = {
     "Solve_Succeeded": Status.SOLVED,
     "Maximum_Iterations_Exceeded": Status.MAX_ITER,
     "Infeasible_Problem_Detected": Status.INFEASIBLE,
-    "0": Status.SOLVED,  # fatrop's; its 1 says no more than "not solved"
 }
 
 
@@ -120,11 +119,7 @@ class NLPSession:
             self._forget()
         x0, x, multipliers = self._start["x0"], self._end["x"], self._end["lam_g"]
         np.clip(x0, self._lower, self._upper, out=x0)
-        try:
-            self._solver.run()
-        except RuntimeError:  # fatrop raises where a closed box leaves more equations than joints
-            self._forget()
-            return no_answer(qp.n, Status.NUMERICAL)
+        self._solver.run()
         stats = self._solver.stats()
         status, iterations = _STATUS.get(str(stats["return_status"]), Status.NUMERICAL), int(stats["iter_count"])
         if not (np.isfinite(x).all() and np.isfinite(multipliers).all()):
@@ -160,7 +155,7 @@ class NLPSession:
 
 @dataclass(frozen=True)
 class NLP(SolverSettings):
-    """Settings that all of them share; use ``SQP``, ``Ipopt`` or ``Fatrop``.
+    """Settings that all of them share; use ``SQP`` or ``Ipopt``.
 
     Args:
         kinematics: tip, wrist and mu as CasADi functions; ``robot.kinematics()``.
@@ -252,23 +247,3 @@ class Ipopt(NLP):
             "option_file_name": "",
         }  # fmt: skip
         return {f"ipopt.{key}": value for key, value in options.items()}
-
-
-@dataclass(frozen=True)
-class Fatrop(NLP):
-    """The interior-point method FATROP (Vanroye et al. 2023), made for optimal control.
-
-    One control period is a single stage of it, so that nothing of its structure is made use of. It has the exact
-    Hessian alone, and can say that it failed, not why.
-    """
-
-    name = "nlp-fatrop"
-    plugin = "fatrop"
-    choices: ClassVar[Choices] = {"hessian": ("exact",)}
-
-    def options(self) -> dict[str, Any]:
-        """See `NLP.options`."""
-        return {
-            "structure_detection": "none", "fatrop.print_level": 0, "fatrop.max_iter": self.max_iter,
-            "fatrop.tol": self.eps,
-        }  # fmt: skip

@@ -53,7 +53,6 @@ ALLOWED = {
         "qpsolvers:scs": """
             eps_abs eps_rel eps_infeas max_iters time_limit_secs normalize scale adaptive_scale rho_x
             alpha acceleration_lookback acceleration_interval""",
-        "casadi:qrqp": "max_iter constr_viol_tol dual_inf_tol min_lam",
     }.items()
 }  # fmt: skip
 """Solver -> the options that may be set. Any other solver takes none."""

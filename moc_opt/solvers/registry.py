@@ -36,8 +36,6 @@ BUILT_IN: dict[str, tuple[str, str, str]] = {
     "clarabel": ("clarabel", "Clarabel", "clarabel"),
     "nlp-sqp": ("nlp", "SQP", "casadi"),
     "nlp-ipopt": ("nlp", "Ipopt", "casadi"),
-    "nlp-fatrop": ("nlp", "Fatrop", "casadi"),
-    "casadi:qrqp": ("qrqp", "QRQP", "casadi"),
 }
 QPSOLVERS = "qpsolvers:"
 """Prefix of all solvers that the package qpsolvers finds: one adapter for them."""

@@ -99,14 +99,6 @@ SETTINGS: dict[str, dict[str, tuple[dict[str, Any], str]]] = {
         TIGHT: ({**PAPER_FORM, "eps": 1e-11}, "tol_gap = tol_feas = 1e-11"),
         RECOMMENDED: ({}, "costs x 1e3: else about one answer in a hundred misses 1e-3 relative; five rows"),
     },
-    "casadi:qrqp": {
-        DEFAULT: (PAPER_FORM, "CasADi 3.8: constr_viol_tol = dual_inf_tol = 1e-8"),
-        TIGHT: (
-            {**PAPER_FORM, "options": {"constr_viol_tol": 1e-11, "dual_inf_tol": 1e-11}},
-            "both tolerances 1e-11",
-        ),
-        RECOMMENDED: ({}, "five rows: it fails on six; needs regularization > 0, as it cycles without"),
-    },
     "nlp-sqp": {
         DEFAULT: (
             {"cost_scale": 1.0, "eps": 1e-6, "hessian": "exact"},
@@ -122,11 +114,6 @@ SETTINGS: dict[str, dict[str, tuple[dict[str, Any], str]]] = {
     "nlp-ipopt": {
         DEFAULT: ({"cost_scale": 1.0, "eps": 1e-8, "max_iter": 3000}, "IPOPT: tol = 1e-8, 3000 iterations"),
         TIGHT: ({"cost_scale": 1.0, "eps": 1e-10, "max_iter": 3000}, "tol = 1e-10"),
-        RECOMMENDED: ({}, "costs x 1e4 instead of a tolerance near rounding"),
-    },
-    "nlp-fatrop": {
-        DEFAULT: ({"cost_scale": 1.0, "eps": 1e-8, "max_iter": 1000}, "FATROP: tol = 1e-8, 1000 iterations"),
-        TIGHT: ({"cost_scale": 1.0, "eps": 1e-10, "max_iter": 1000}, "tol = 1e-10"),
         RECOMMENDED: ({}, "costs x 1e4 instead of a tolerance near rounding"),
     },
     "rnn-printed": {RECOMMENDED: ({}, "equation (2) to the letter; its modes are slower than 50 s")},

@@ -46,7 +46,7 @@ from moc_opt.study.trials import BASELINE, seeds, trials
 STREAM = 3
 FULL = Path(__file__).parent / "solvers-full.toml"
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
-SLOW = ("nlp-ipopt", "nlp-fatrop", "qpsolvers:highs", "qpsolvers:scs")
+SLOW = ("nlp-ipopt", "qpsolvers:highs", "qpsolvers:scs")
 TASKS = ("circle", "sinusoid", "spiral")  # the paper's
 TIMED = ("open_loop_warm", "testsets", "closed_loop")
 """Parts of the summary with times of solves and ticks, each measurement once."""

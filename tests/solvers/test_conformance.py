@@ -72,10 +72,8 @@ EXPECT = {
     "qpsolvers:osqp": Expect(solved=0.95, undamped=0.95),
     "piqp": Expect(certified=0.85),  # the others end as MAX_ITER
     "quadprog": Expect(undamped=None),  # needs P > 0
-    "casadi:qrqp": Expect(certified=0.0, undamped=None),  # gives no reason; cycles without regularization
     "nlp-sqp": dataclasses.replace(NLP, certified=0.0),  # it stops without saying why
     "nlp-ipopt": NLP,
-    "nlp-fatrop": dataclasses.replace(NLP, certified=0.0),  # it stops without saying why
     # Through qpsolvers these two hand out no reason.
     "qpsolvers:daqp": Expect(certified=0.0),
     # Our limit of 0.1 s is for a control loop; here a busy machine must not decide.
@@ -240,7 +238,7 @@ def test_another_shape_starts_another_workspace(name):
             np.testing.assert_allclose(mine.x, alone.x, rtol=0.0, atol=limits.x)
 
 
-UPDATING = ("osqp", "proxqp", "daqp", "piqp", "quadprog", "clarabel", "casadi:qrqp")
+UPDATING = ("osqp", "proxqp", "daqp", "piqp", "quadprog", "clarabel")
 TRUNCATING = ("osqp", "piqp", "clarabel")
 
 

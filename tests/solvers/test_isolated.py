@@ -1,6 +1,5 @@
 """Solvers in processes of their own: the same run where they behave, a tick without their answer where they do not."""
 
-import os
 import signal
 import subprocess
 import sys
@@ -39,8 +38,8 @@ def fault_of(session, qp):
     raise AssertionError("it answered")
 
 
-def pid(session, worker=0):
-    return session._workers[worker]._process.pid
+def pid(session):
+    return session._process._process.pid
 
 
 def until(said):
@@ -131,28 +130,13 @@ def test_an_answer_that_is_late_may_stand_for_the_next_one(qp, tmp_path):
     assert own.restarts == old.restarts == []
 
 
-def test_against_a_wall_clock_a_spare_takes_over(qp):
+def test_against_a_wall_clock_no_tick_waits_for_the_new_process(qp):
     session = started(qp, "exit", waits=False)
-    spare = session._workers[1]
-    until(lambda: spare.started(0.0))
     session.solve(qp)
     assert "status 3" in fault_of(session, qp)[1]
-    assert session.solve(qp).iterations == 1
-    assert session._workers[0] is spare
-    os.kill(pid(session, 1), signal.SIGSTOP)  # the next spare never gets ready
-    assert "status 3" in fault_of(session, qp)[1]
     assert fault_of(session, qp) == ("lost", "a new process of the solver is being started")
-
-
-def test_a_process_that_is_ready_serves_the_next_session(qp):
-    solver = Isolated(Misbehaving())
-    session = solver.start(qp)
-    first = pid(session)
-    assert [session.solve(qp).iterations for _ in range(2)] == [1, 2]
-    del session
-    session = solver.start(qp)
-    assert pid(session) == first
-    assert session.solve(qp).iterations == 1  # with no memory of the session before
+    until(lambda: session._process.started(0.0))
+    assert session.solve(qp).iterations == 1
 
 
 def test_what_the_solver_started_ends_with_it(qp, tmp_path):
@@ -169,7 +153,7 @@ def test_a_process_that_hangs_outlives_a_loop_that_was_killed_by_little():
     code = (
         "import numpy as np; from tests.problems import random_problem; from moc_opt.solvers.isolated import Isolated; "
         "from tests.isolated_solvers import Misbehaving; qp = random_problem(np.random.default_rng(0)); "
-        "s = Isolated(Misbehaving('hang', 1), hang_s=0.2).start(qp); w = s._workers[0]; "
+        "s = Isolated(Misbehaving('hang', 1), hang_s=0.2).start(qp); w = s._process; "
         "print(w._process.pid, flush=True); w.ask(1, qp, None, 0.2); import os; os.kill(os.getpid(), 9)"
     )
     said = subprocess.run([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True, check=False)

@@ -7,12 +7,12 @@ import pytest
 
 from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.solvers import Status, create
-from moc_opt.solvers.nlp import SQP, Fatrop, Ipopt
+from moc_opt.solvers.nlp import SQP, Ipopt
 from tests.problems import random_arm, random_problem
 
 ARM = random_arm(np.random.default_rng(3))
 KINEMATICS = ARM.kinematics()
-EVERY = pytest.mark.parametrize("kind", [SQP, Ipopt, Fatrop])
+EVERY = pytest.mark.parametrize("kind", [SQP, Ipopt])
 
 
 def solve(chosen, qp):

@@ -83,7 +83,7 @@ def test_wrong_names_and_settings_come_with_the_cure(name, given, error, cure):
     ("qpsolvers:daqp", "advised", "no"), ("rnn", "steps", 0), ("rnn", "steps", 2.5), ("rnn", "h", 1.5),
     ("rnn", "k", 0.0), ("rnn", "scale", float("nan")), ("rnn", "scale", float("inf")), ("rnn", "method", "implicit"),
     ("rnn", "warm", 1), ("rnn-printed", "h", 1.5), ("nlp-sqp", "kinematics", None), ("nlp-sqp", "period", 0.0),
-    ("nlp-sqp", "hessian", "bfgs"), ("nlp-ipopt", "max_iter", 0), ("nlp-fatrop", "hessian", "limited-memory"),
+    ("nlp-sqp", "hessian", "bfgs"), ("nlp-ipopt", "max_iter", 0),
 ])  # fmt: skip
 def test_bad_settings_are_named(name, field, value):
     arm = {"kinematics": SimpleNamespace(n=7, tip=None, wrist=None, mu=None)} if name.startswith("nlp") else {}
@@ -189,10 +189,6 @@ HOSTILE = {
     "qpsolvers:quadprog": ["factorized", "verbose"],
     "qpsolvers:gurobi": ["LogFile", "ResultFile", "SolFiles", "NodefileDir"],
     "qpsolvers:cvxopt": ["mosek", "solver"],
-    "casadi:qrqp": [
-        "dump", "dump_in", "dump_out", "dump_dir", "dump_format", "jit", "compiler", "jit_options",
-        "external_transform", "print_time", "record_time", "main", "cache", "specific_options",
-    ],
 }  # fmt: skip
 
 
