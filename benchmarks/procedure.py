@@ -22,14 +22,7 @@ from moc_opt.errors import TaskError
 from moc_opt.inputs.settings import Settings
 from moc_opt.planning.self_motion import self_motion
 from moc_opt.robots.inverse_kinematics import pose_through
-from moc_opt.scenario import (
-    ControllerAdapter,
-    Scenario,
-    isolated,
-    make_safety_filter,
-    make_solver,
-    make_stop,
-)
+from moc_opt.scenario import Scenario, isolated, make_safety_filter, make_solver, make_stop
 from moc_opt.sim.loop import simulate
 from moc_opt.sim.plant import Plant
 from moc_opt.tasks import Path as TipPath
@@ -143,7 +136,7 @@ def _run(
     plant.reset(q)
     still = np.zeros(3)
     trace = simulate(
-        plant, ControllerAdapter(Controller(robot, scenario.control, solver, period)), rows[:ticks],
+        plant, Controller(robot, scenario.control, solver, period), rows[:ticks],
         np.tile(np.stack([true, still]), (ticks, 1, 1)), np.tile(np.stack([registered, still]), (ticks, 1, 1)),
         safety_filter=make_safety_filter(robot, scenario), stop=make_stop(scenario),
     )  # fmt: skip

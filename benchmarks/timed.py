@@ -28,7 +28,7 @@ from moc_opt.control.law import law_of
 from moc_opt.export import export_scenario
 from moc_opt.qp.problem import NullSpaceQP, row_length
 from moc_opt.robots.model import load_robot
-from moc_opt.scenario import ControllerAdapter, Scenario, Setup, make_solver
+from moc_opt.scenario import Scenario, Setup, make_solver
 from moc_opt.solvers.exact import Exact
 from moc_opt.study.timing import Disturbance, Timed, figures, interleaved, percentiles, ratios, used
 
@@ -84,14 +84,14 @@ def record(scenario: Scenario) -> tuple[list[peers.Inputs], list[NullSpaceQP]]:
     """Run a scenario; returns what every tick was given, and its subproblem."""
     heard: list[peers.Inputs] = []
 
-    class Ear(ControllerAdapter):
+    class Ear(Controller):
         def tick(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> Array:
             heard.append((q, v, np.array(tip_ref), np.array(trocar)))
             return super().tick(q, v, tip_ref, trocar)
 
     class Heard(Setup):
-        def adapter(self) -> ControllerAdapter:
-            return Ear(self.controller())
+        def controller(self) -> Ear:
+            return Ear(self.robot, scenario.control, self.solver(), scenario.plant.period_s)
 
     trace = Heard(scenario).trace()
     problems = [NullSpaceQP.from_row(np.array(row)) for row in trace.subproblem]
@@ -109,13 +109,12 @@ def ticks(scenario: Scenario, solvers: Iterable[str], libraries: Iterable[str], 
     robot = load_robot(scenario.robot.name)
     for name in solvers:
         controller = Controller(robot, scenario.control, make_solver(name, robot), scenario.plant.period_s)
-        adapter = ControllerAdapter(controller)
         try:
-            adapter.start(*inputs[0])
+            controller.start(*inputs[0])
         except Exception as error:  # noqa: BLE001 - one solver that fails must not end the others
             part.missing[f"solver {name}"] = f"{type(error).__name__}: {error}"
             continue
-        entries[name] = Timed(_spread(adapter.tick), inputs)
+        entries[name] = Timed(_spread(controller.tick), inputs)
     own, theirs, task = list(entries), dict[str, dict[str, Any]](), peers.circle(robot)
     for name in libraries:
         peer = peers.PEERS[name](robot)
@@ -369,8 +368,8 @@ state = robot.state(robot.data.q_home)
 tip_ref = np.array([state.tip, np.zeros(3), np.zeros(3)])
 trocar = np.array([state.tip - 0.15 * state.tool_direction, np.zeros(3)])
 built = perf_counter()
-controller.start(state, tip_ref, trocar)
-controller.tick(state, tip_ref, trocar)
+controller.start(state.q, state.v, tip_ref, trocar)
+controller.tick(state.q, state.v, tip_ref, trocar)
 done = perf_counter()
 print('{"first_tick_s": %r, "libraries_s": %r, "model_s": %r, "start_and_tick_s": %r}' % (
     done - begin, loaded - begin, built - loaded, done - built))

@@ -65,7 +65,7 @@ class OwnLaw:
 class OwnSetup(Setup):
     """A scenario's objects with another controller."""
 
-    def adapter(self):
+    def controller(self):
         """Make the controller of a run."""
         return OwnLaw(self.robot)
 

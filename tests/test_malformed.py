@@ -337,7 +337,7 @@ def test_no_packet_moves_the_arm_beyond_its_limits_or_steers_a_terminal(robot, s
     nothing, link = (np.zeros((3, 3)), np.zeros((2, 3))), Link(7, KEY, INCOMING, listen=("127.0.0.1", 0))
     plant = RemoteController(
         link, WireSettings(hold_ticks=1, damp_ticks=1, wait_s=1.0), make_safety_filter(robot, setup.scenario),
-        setup.adapter().columns, hold, robot.tau_max, scenario=SCENARIO, clock=NoTime(),
+        setup.controller().columns, hold, robot.tau_max, scenario=SCENARIO, clock=NoTime(),
     )  # fmt: skip
     columns, session = plant.columns(TICKS), int(plant._packet["session"])
     with ends_well(), contextlib.closing(link), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as peer:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from moc_opt.arrays import Array, read_only
 from moc_opt.control.law import law_of
@@ -36,10 +37,10 @@ class Guide(Protocol):
 
 
 class Controller:
-    """One arm, one law, one solver; call ``start`` once, then ``tick`` every period.
+    """One arm, one law, one solver, as the closed loop calls it: ``start`` once, then ``tick`` every period.
 
-    After a tick, ``subproblem``, ``solution``, ``answer``, ``fault`` and ``solve_us`` say what the third
-    level did (None and NaN under DCAC).
+    After a tick, ``state`` is the model's, and ``subproblem``, ``solution``, ``answer``, ``fault`` and ``solve_us`` say
+    what the third level did (None and NaN under DCAC).
 
     Args:
         robot: the model that the control law uses.
@@ -143,26 +144,25 @@ class Controller:
         """The observer's estimate of the external torque (n,) [Nm], a copy; zero without an observer."""
         return np.array(self._law.external)
 
-    def warm_up(self, state: RobotState, tip_ref: Array, trocar: Array) -> None:
-        """Run one discarded tick on a copy, so that libraries have set up before the loop.
+    def start(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> None:
+        """Reset the state and set up the solver for problems like the one at this measurement; arguments as for `tick`.
 
-        Nothing of this controller changes, and no recorded solve time is used up. Arguments and errors as for
-        ``start``.
-        """
-        copy = Controller(self.robot, self.settings, self.solver, self._period)
-        copy.start(state, tip_ref, trocar)
-        copy.tick(state, tip_ref, trocar)
-
-    def start(self, state: RobotState, tip_ref: Array, trocar: Array) -> None:
-        """Reset the state and set up the solver for problems like the one at ``state``.
+        A copy runs one discarded tick first, so that libraries have set up before the loop.
 
         Raises:
             ControlError: the solver does not support the subproblem, or raises an exception at its start.
         """
+        copy = Controller(self.robot, self.settings, self.solver, self._period)
+        copy._begin(q, v, tip_ref, trocar)
+        copy.tick(q, v, tip_ref, trocar)
+        self._begin(q, v, tip_ref, trocar)
+
+    def _begin(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> None:
         self._forget()
         tip_ref, trocar = (np.ascontiguousarray(given, dtype=np.float64) for given in (tip_ref, trocar))
         row = np.empty(self._row_length)
-        self._law.start(state.record, tip_ref, trocar, row)
+        self.state: RobotState = self.robot.state(q, v)
+        self._law.start(self.state.record, tip_ref, trocar, row)
         if self._guide is not None:
             self._guide.start()
         if self.solver is not None:
@@ -170,11 +170,11 @@ class Controller:
             self._observes = isinstance(self._session, ObservingSession)
         self._started = True
 
-    def tick(self, state: RobotState, tip_ref: Array, trocar: Array) -> Array:
+    def tick(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> Array:
         """Compute the torque (n,) [Nm] of this period.
 
         Args:
-            state: of the model at the measured q and v.
+            q, v: (n,) as measured [rad], [rad/s].
             tip_ref: (3, 3) rows X_d [m], dX_d [m/s], ddX_d [m/s^2].
             trocar: (2, 3) rows P_t [m], dP_t [m/s], as registered.
 
@@ -191,6 +191,7 @@ class Controller:
             tip_ref = np.ascontiguousarray(tip_ref, dtype=np.float64)
         if trocar.strides != _ROWS or trocar.dtype is not _DOUBLE:
             trocar = np.ascontiguousarray(trocar, dtype=np.float64)
+        self.state = state = self.robot.state(q, v)
         pull = None if self._guide is None else self._guide.desired_velocity(state)
         if self._exact is not None:
             self._ticked = _, out = self._supervisor.step(state.record, tip_ref, trocar, pull, self._exact.tolerance)
@@ -202,8 +203,8 @@ class Controller:
             self._subproblem = qp = NullSpaceQP.from_row(row)
             # x*: the subproblem's answer, or the supervisor's substitute;
             # tau += M Z^T (Z M Z^T)^-1 Z (K_N2 (x* - v) - D_N2 v), cut at tau_max
-            v = state.v if self._observes else None
-            self._solution, self._answer = self._supervisor.solve(self._session, qp, tau, v)
+            seen = state.v if self._observes else None
+            self._solution, self._answer = self._supervisor.solve(self._session, qp, tau, seen)
         else:
             self._law.finish(0, 0, None, 0.0, np.empty(self._n), tau)
         return read_only(tau)
@@ -211,6 +212,37 @@ class Controller:
     def set_applied_torque(self, tau: Array) -> None:
         """Replace the last torque by the one (n,) [Nm] that was applied: the observer uses it."""
         self._law.set_applied(np.ascontiguousarray(tau, dtype=np.float64))
+
+    def columns(self, ticks: int) -> dict[str, NDArray[Any]]:
+        """Create the third level's columns of a trace; none but status and solve time under DCAC."""
+        found: dict[str, NDArray[Any]] = {
+            "status": np.full(ticks, "none", dtype="<U12"), "solve_us": np.full(ticks, np.nan)
+        }  # fmt: skip
+        if self.solver is not None:
+            found |= {
+                "x_rad_per_s": np.full((ticks, self._n), np.nan),
+                "applied_x_rad_per_s": np.full((ticks, self._n), np.nan),
+                "dual": np.full((ticks, 6), np.nan), "subproblem": np.zeros((ticks, self._row_length)),
+                "iterations": np.zeros(ticks, dtype=np.int32), "fault": np.full(ticks, "none", dtype="<U12"),
+            }  # fmt: skip
+        return found
+
+    def note(self, row: int, columns: Mapping[str, NDArray[Any]]) -> None:
+        """Write the last tick's values into a row of them."""
+        solution, qp = self.solution, self.subproblem
+        if solution is None or qp is None:
+            return
+        columns["solve_us"][row] = self.solve_us
+        columns["status"][row] = solution.status.label
+        columns["x_rad_per_s"][row] = solution.x
+        columns["applied_x_rad_per_s"][row] = self.answer
+        columns["subproblem"][row] = qp.row
+        if solution.y is not None:
+            columns["dual"][row] = solution.y
+        if solution.iterations:
+            columns["iterations"][row] = solution.iterations
+        if self.fault is not Fault.NONE:
+            columns["fault"][row] = self.fault.label
 
 
 def _start_session(solver: Solver, qp: NullSpaceQP) -> Session:

@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 
 from moc_opt.arrays import Array
-from moc_opt.control import Controller, law, safety_filter
+from moc_opt.control import law, safety_filter
 from moc_opt.errors import ScenarioError
 from moc_opt.export.folder import OWN, UDP, Recording, shipped, write
 from moc_opt.realtime.packets import c_packets
-from moc_opt.scenario import ControllerAdapter, Scenario, Setup, make_safety_filter
+from moc_opt.scenario import Scenario, Setup, make_safety_filter
 from moc_opt.scenario.wired import fingerprint
 from moc_opt.sim.loop import FilteredController
 from moc_opt.sim.sensors import Measurement
@@ -107,8 +107,7 @@ def record(setup: Setup) -> Recording:
         _spoil(setup, q[sound:], v[sound:], tip_ref[sound:], stamp[sound:])
 
     sent = np.clip(setup.robot.gravity(q[0]), -setup.robot.tau_max, setup.robot.tau_max)
-    controller = Controller(setup.robot, scenario.control, setup.solver(), scenario.plant.period_s)
-    loop = FilteredController(ControllerAdapter(controller), make_safety_filter(setup.robot, scenario), sent)
+    loop = FilteredController(setup.controller(), make_safety_filter(setup.robot, scenario), sent)
     loop.start(Measurement(q[0], v[0], wrench[0], 0), tip_ref[0], trocar[0])
     tau, stopped_at = np.empty_like(q), -1
     for i in range(k):

@@ -62,37 +62,36 @@ class ExchangeableController:
     def __init__(
         self, robot: RobotModel, first: Choice, period_s: float, refused: Callable[[Choice, MocOptError], None]
     ) -> None:
-        self._robot, self._refused, self.used = robot, refused, first
+        self._refused, self.used = refused, first
         self._decay, self._apart = float(np.exp(-period_s / BLEND_S)), round(BLEND_S / period_s)
-        self.next: Choice | None = None  # taken at the next tick, or BLEND_S after the last exchange
-        self.restart()
+        self.next: Choice | None = None  # taken at the next tick but the first, or BLEND_S after the last exchange
+        self._applied = np.zeros(robot.n)
 
     @property
-    def tip(self) -> Array:
-        """Where the last tick saw the tip (3,) [m]: the safety filter compares it with the reference."""
-        return self.state.tip
-
-    def restart(self) -> None:
-        """Make the next tick the first one of a run."""
-        self._first, self._wait, self._offset = True, 0, np.zeros(self._robot.n)
+    def state(self) -> RobotState:
+        """The model's state at the last tick."""
+        return self.used.controller.state
 
     def start(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> None:
-        """Take the first state; the controller itself starts at its first tick."""
-        self.state: RobotState = self._robot.state(q, v)
+        """Start the controller in use."""
+        self._wait, self._offset = 2, np.zeros(len(q))  # no exchange at the first tick: no torque has acted yet
+        self.used.controller.start(q, v, tip_ref, trocar)
 
     def tick(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> Array:
         """Compute the torque (n,) [Nm] of the controller in use, blended with that of the one before."""
-        self.state = self._robot.state(q, v)
         self._wait -= 1
+        tau = None
         if self._wait <= 0 and self.next is not None:
             choice, self.next = self.next, None
             try:
-                self._take(choice, tip_ref, trocar)
+                choice.controller.start(q, v, tip_ref, trocar)
+                choice.controller.set_applied_torque(self._applied)
+                tau = choice.controller.tick(q, v, tip_ref, trocar)
+                self.used, self._offset, self._wait = choice, self._applied - tau, self._apart
             except MocOptError as error:
                 self._refused(choice, error)
-        if self._first:
-            self._take(self.used, tip_ref, trocar)
-        tau = self.used.controller.tick(self.state, tip_ref, trocar)
+        if tau is None:
+            tau = self.used.controller.tick(q, v, tip_ref, trocar)
         if self._offset.any():
             tau = tau + self._offset
             self._offset = self._offset * self._decay if np.abs(self._offset).max() > 1e-6 else 0.0 * self._offset
@@ -104,16 +103,6 @@ class ExchangeableController:
         """See ``sim.protocols.TorqueController``."""
         self._applied = tau
         self.used.controller.set_applied_torque(tau)
-
-    def _take(self, choice: Choice, tip_ref: Array, trocar: Array) -> None:
-        controller = choice.controller
-        controller.start(self.state, tip_ref, trocar)
-        first = controller.tick(self.state, tip_ref, trocar)
-        controller.start(self.state, tip_ref, trocar)
-        if not self._first:
-            self._offset, self._wait = self._applied - first, self._apart
-            controller.set_applied_torque(self._applied)
-        self.used, self._first = choice, False
 
 
 class ToAndFro:
@@ -220,7 +209,6 @@ class LiveRun:
     def _begin(self) -> None:
         self._reset = False
         self._setup.plant.reset(self._setup.q_start)
-        self._in_use.restart()
         self._stopped, self._bound, self._offset = "", np.nan, np.zeros(3)
         self._loop = self._setup.closed_loop(self._in_use)
         self._move_trocars()

@@ -1,27 +1,19 @@
-"""What a scenario configures about its controller: the solver, recorded times, the safety filter; and its columns."""
+"""What a scenario configures about its controller: the solver, recorded times, the safety filter."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from moc_opt.arrays import Array
-from moc_opt.control import Controller
 from moc_opt.control.safety_filter import SafetyFilter
-from moc_opt.control.supervisor import Fault
 from moc_opt.errors import ScenarioError, SolverError, shown
 from moc_opt.inputs.files import read_arrays
 from moc_opt.inputs.names import RULE, is_name
-from moc_opt.qp.problem import row_length
 from moc_opt.robots.model import RobotModel
-from moc_opt.robots.state import RobotState
 from moc_opt.scenario.config import Scenario
 from moc_opt.sim.plant import Stop
-from moc_opt.sim.protocols import LoggedController
 from moc_opt.solvers.base import Solver
 from moc_opt.solvers.isolated import Isolated
 from moc_opt.solvers.registry import find
@@ -84,64 +76,3 @@ def recorded_times(scenario: Scenario) -> list[float] | None:
         cure = "give one time of 0 us or more a tick, at least one"
         raise ScenarioError(f"[solver] replay_us: {times.dtype} of shape {times.shape}: {cure}")
     return [float(time) for time in times]
-
-
-class ControllerAdapter(LoggedController):
-    """The package's controller as the closed loop calls it, which knows neither models nor solvers.
-
-    Makes a model's state of every measurement, and columns of the controller's answers; ``state`` is of the last tick.
-    """
-
-    def __init__(self, controller: Controller) -> None:
-        self.controller, self._robot = controller, controller.robot
-        self.state: RobotState | None = None
-
-    def start(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> None:
-        """Warm the controller up and start it."""
-        state = self._robot.state(q, v)
-        self.controller.warm_up(state, tip_ref, trocar)
-        self.controller.start(state, tip_ref, trocar)
-
-    def tick(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> Array:
-        """Compute the torque (n,) [Nm]."""
-        self.state = state = self._robot.state(q, v)
-        return self.controller.tick(state, tip_ref, trocar)
-
-    def set_applied_torque(self, tau: Array) -> None:
-        """Replace the last torque."""
-        self.controller.set_applied_torque(tau)
-
-    faults = property(lambda self: self.controller.faults, doc="As `Controller.faults`.")
-    restarts = property(lambda self: self.controller.restarts, doc="As `Controller.restarts`.")
-
-    def columns(self, ticks: int) -> dict[str, NDArray[Any]]:
-        """Create the third level's columns; none but status and solve time under DCAC."""
-        n = self._robot.n
-        found: dict[str, NDArray[Any]] = {
-            "status": np.full(ticks, "none", dtype="<U12"), "solve_us": np.full(ticks, np.nan)
-        }  # fmt: skip
-        if self.controller.solver is not None:
-            found |= {
-                "x_rad_per_s": np.full((ticks, n), np.nan), "applied_x_rad_per_s": np.full((ticks, n), np.nan),
-                "dual": np.full((ticks, 6), np.nan), "subproblem": np.zeros((ticks, row_length(n))),
-                "iterations": np.zeros(ticks, dtype=np.int32), "fault": np.full(ticks, "none", dtype="<U12"),
-            }  # fmt: skip
-        return found
-
-    def note(self, row: int, columns: Mapping[str, NDArray[Any]]) -> None:
-        """Write the last tick's values into a row."""
-        controller = self.controller
-        solution, qp, fault = controller.solution, controller.subproblem, controller.fault
-        if solution is None or qp is None:
-            return
-        columns["solve_us"][row] = controller.solve_us
-        columns["status"][row] = solution.status.label
-        columns["x_rad_per_s"][row] = solution.x
-        columns["applied_x_rad_per_s"][row] = controller.answer
-        columns["subproblem"][row] = qp.row
-        if solution.y is not None:
-            columns["dual"][row] = solution.y
-        if solution.iterations:
-            columns["iterations"][row] = solution.iterations
-        if fault is not Fault.NONE:
-            columns["fault"][row] = fault.label

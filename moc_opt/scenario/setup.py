@@ -22,7 +22,6 @@ from moc_opt.planning.guides import Following, guides
 from moc_opt.planning.self_motion import require_freedom
 from moc_opt.scenario.config import Scenario
 from moc_opt.scenario.controller import (
-    ControllerAdapter,
     check_solver,
     isolated,
     make_safety_filter,
@@ -106,8 +105,8 @@ class Setup:
             return solver
         return Faulty(solver, faults.solver, faults.solver_share, self._fault_seed)
 
-    def controller(self) -> Controller:
-        """Make the scenario's law and solver."""
+    def controller(self) -> LoggedController:
+        """Make the controller of the loop: the scenario's law and solver. A subclass may return any other."""
         scenario, times, solver = self.scenario, self._times(), self.solver()
         settings, period_s = scenario.control, scenario.plant.period_s
         budget = settings.supervisor.budget_us
@@ -154,10 +153,6 @@ class Setup:
         if faults.solver == "none" or self.scenario.control.law != "moc":
             return np.zeros(ticks, dtype=np.bool_)
         return draw(self._fault_seed, faults.solver_share, ticks)
-
-    def adapter(self) -> LoggedController:
-        """Make the controller as the closed loop calls it; a subclass may return any other."""
-        return ControllerAdapter(self.controller())
 
     def closed_loop(self, controller: TorqueController) -> ClosedLoop:
         """Make the loop of the plant and a controller behind the scenario's safety filter, without faults and trace."""
@@ -215,7 +210,7 @@ class Setup:
         wrong, times = self.scenario.faults, self.times()
         faults = Faults(wrong, self.robot.n, self.scenario.plant.period_s, self._fault_seed)
         found = simulate(
-            self.plant, self.adapter(), np.stack(self.reference.at(times), axis=1),
+            self.plant, self.controller(), np.stack(self.reference.at(times), axis=1),
             faults.slip(np.stack(self.trocar.at(times), axis=1), times), np.stack(self.registered.at(times), axis=1),
             safety_filter=make_safety_filter(self.robot, self.scenario),
             faults=faults if wrong.around_the_arm else None, stop=make_stop(self.scenario), offset=self.offset,

@@ -71,7 +71,7 @@ class PlantServer(Setup):
         link = Link(self.robot.n, checked_key(key, where[0], "--listen"), INCOMING, listen=where)
         self.address: Address = link.address
         self._remote = RemoteController(
-            link, scenario.wire, make_safety_filter(self.robot, scenario), super().adapter().columns,
+            link, scenario.wire, make_safety_filter(self.robot, scenario), super().controller().columns,
             self.plant.applied_torque, self.robot.tau_max, scenario=fingerprint(scenario, self.robot),
             clock=None if lock_step else WallClock(period),
         )  # fmt: skip
@@ -80,7 +80,7 @@ class PlantServer(Setup):
     def _guides(self) -> None:
         """Plan nothing: what the third level follows is the controller's at the other end."""
 
-    def adapter(self) -> LoggedController:
+    def controller(self) -> LoggedController:
         """Return the controller at the other end."""
         return self._remote  # type: ignore[return-value]
 
@@ -130,7 +130,7 @@ def answer(
     tip_refs, registered = (np.stack(of.at(setup.times()), axis=1) for of in (setup.reference, setup.registered))
 
     def make() -> tuple[LoggedController, SafetyFilter]:
-        return setup.adapter(), make_safety_filter(setup.robot, scenario)
+        return setup.controller(), make_safety_filter(setup.robot, scenario)
 
     first = [make()]  # plans, where the third level follows a course: the plant waits for `[wire] wait_s` alone
     link = Link(setup.robot.n, checked, (Kind.MEASUREMENT,), peer=where)

@@ -8,7 +8,7 @@ import pytest
 from moc_opt.__main__ import main
 from moc_opt.control.safety_filter import SafetyFilter, SafetyFilterSettings
 from moc_opt.errors import ControlError, PlantError
-from moc_opt.scenario import ControllerAdapter, Scenario, Setup, run
+from moc_opt.scenario import Scenario, Setup, run
 from moc_opt.sim import Plant, PlantSettings
 from moc_opt.sim.loop import simulate
 from moc_opt.sim.plant import Stop
@@ -413,27 +413,23 @@ def test_a_saboteur_gets_no_joint_past_its_limit(robot, every, seed):
     assert np.median(speed.max(axis=1)) < 2.0
 
 
-class Breaking(ControllerAdapter):
-    """A controller that breaks down at a tick, in one way or another."""
-
-    def __init__(self, controller, how):
-        super().__init__(controller)
-        self.how, self.k = how, 0
-
-    def tick(self, *args):
-        self.k += 1
-        if self.k <= 100:
-            return super().tick(*args)
-        if isinstance(self.how, Exception):
-            raise self.how
-        return np.full(N, self.how)
-
-
 def broken_run(how, **options):
+    """A run whose controller breaks down at a tick, in one way or another."""
     setup = Setup(Scenario(control={"preset": "tuned"}, **QUICK))
     t = PERIOD * np.arange(400)
     paths = [np.stack(r.at(t), axis=1) for r in (setup.reference, setup.trocar, setup.registered)]
-    return simulate(setup.plant, Breaking(setup.controller(), how), *paths, **options)
+    controller, ticks = setup.controller(), iter(range(len(t)))
+    sound = controller.tick
+
+    def tick(*given):
+        if next(ticks) < 100:
+            return sound(*given)
+        if isinstance(how, Exception):
+            raise how
+        return np.full(N, how)
+
+    controller.tick = tick
+    return simulate(setup.plant, controller, *paths, **options)
 
 
 @pytest.mark.parametrize("how", [ControlError("no idea"), ZeroDivisionError("no idea"), float("nan"), INF])

@@ -208,8 +208,9 @@ def inputs(robot, given, law, solver=None):
     """A controller of the preset after one tick, and the numbers that the core is given."""
     settings = ControlSettings.preset("paper", law=law)
     controller = Controller(robot, settings, solver)
-    controller.start(*given)
-    controller.tick(*given)
+    state, *references = given
+    controller.start(state.q, state.v, *references)
+    controller.tick(state.q, state.v, *references)
     return controller, numbers_of(settings, robot, 0.002)
 
 

@@ -570,11 +570,11 @@ def test_tip_and_rcm_do_not_depend_on_the_third_level(kind, robot):
     rng = np.random.default_rng(5)
     q = setup.q_start
     for mine in (good, bad):
-        mine.start(robot.state(q), reference(setup, 0.0), trocar(setup, 0.0))
+        mine.start(q, np.zeros(7), reference(setup, 0.0), trocar(setup, 0.0))
     for k in range(30):
         state = robot.state(q + 1e-4 * rng.normal(size=7), 1e-2 * rng.normal(size=7))
         t = 0.6 + 0.002 * k
-        torques = [mine.tick(state, reference(setup, t), trocar(setup, t)) for mine in (good, bad)]
+        torques = [mine.tick(state.q, state.v, reference(setup, t), trocar(setup, t)) for mine in (good, bad)]
         assert good.fault is Fault.NONE
         assert bad.fault is not Fault.NONE
         change = state.A @ np.linalg.solve(state.M, torques[1] - torques[0])

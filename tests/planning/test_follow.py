@@ -81,8 +81,8 @@ def test_the_subproblem_follows_the_wish_on_its_self_motion():
     controller = made.controller()
     guide, state = follower(made), made.robot.state(made.q_start)
     tip, trocar = made.reference.rows(0.0), made.registered.rows(0.0)
-    controller.start(state, tip, trocar)
-    controller.tick(state, tip, trocar)
+    controller.start(state.q, state.v, tip, trocar)
+    controller.tick(state.q, state.v, tip, trocar)
     desired, qp = guide.desired_velocity(state), controller.subproblem
     inverse = np.linalg.pinv(state.A, rcond=1e-6)
     expected = inverse @ qp.b + desired - inverse @ (state.A @ desired)
@@ -147,7 +147,7 @@ FAST = {"task": {"v_max_m_per_s": 2.0, "a_max_m_per_s2": 20.0}, "start": {"check
 ])  # fmt: skip
 def test_what_cannot_follow_a_course_is_refused_before_the_run(change, message):
     with pytest.raises(MocOptError, match=message):
-        Setup(FOLLOWED.change(**change)).adapter()
+        Setup(FOLLOWED.change(**change)).controller()
 
 
 def test_a_run_of_one_tick_is_planned_too():

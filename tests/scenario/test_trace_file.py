@@ -155,7 +155,7 @@ def test_the_control_end_of_a_wire_builds_no_plant(monkeypatch):
     whole = Setup(RUN)
     monkeypatch.setattr("moc_opt.scenario.setup.Plant", lambda *given, **named: pytest.fail("a plant was built"))
     alone = Setup(RUN, realtime=True)
-    adapter, rest = alone.adapter(), np.zeros(alone.robot.n)
+    adapter, rest = alone.controller(), np.zeros(alone.robot.n)
     refs = (np.stack(alone.reference.at(0.0)), np.stack(alone.registered.at(0.0)))
     adapter.start(alone.q_start, rest, *refs)
     assert np.isfinite(adapter.tick(alone.q_start, rest, *refs)).all()

@@ -83,7 +83,7 @@ def test_without_a_reason_none_of_them_stops(loop):
 def test_the_stop_is_simulated_for_as_long_as_it_says(robot):
     """One more step than fits into the time, the one that ordered it; the arm is braked from that step on."""
     setup = Setup(Scenario(**QUICK))
-    loop = setup.closed_loop(setup.adapter())
+    loop = setup.closed_loop(setup.controller())
     loop.filtered._filter.request_stop("for a test")  # before the start: it forgets this
     references = setup.reference.rows(0.0), np.stack(setup.registered.at(0.0)), np.stack(setup.trocar.at(0.0))
     loop.start(*references[:2])

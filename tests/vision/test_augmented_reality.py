@@ -7,7 +7,6 @@ import pytest
 from moc_opt.control import Controller, ControlSettings
 from moc_opt.errors import PlantError, TaskError
 from moc_opt.robots.inverse_kinematics import pose_through
-from moc_opt.scenario import ControllerAdapter
 from moc_opt.sim import Plant, PlantSettings
 from moc_opt.sim.loop import simulate
 from moc_opt.tasks import Reference
@@ -94,7 +93,7 @@ def run(robot, phantom, trocar):
     plant = Plant(robot.data, PlantSettings.realistic(trocar_registration_error_m=0.0), seed=1)
     plant.reset(q)
     points = np.tile(np.stack([trocar, np.zeros(3)]), (len(times), 1, 1))
-    driver = ControllerAdapter(Controller(robot, ControlSettings(law="dcac"), None, period))
+    driver = Controller(robot, ControlSettings(law="dcac"), None, period)
     return scene, path, simulate(plant, driver, rows, points, points), played, waiting
 
 
