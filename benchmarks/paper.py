@@ -23,29 +23,16 @@ from pydantic import Field
 from benchmarks.procedure import ProcedureJob, ProcedureSettings, perform
 from moc_opt.control import ControlSettings
 from moc_opt.errors import UnknownNameError
-from moc_opt.figures import box_plots
 from moc_opt.figures.notation import Mark
 from moc_opt.figures.style import GOOD, MUTED, SERIES, WORST
 from moc_opt.inputs.settings import Name, Settings
 from moc_opt.planning.self_motion import self_motion
 from moc_opt.report.tables import Column, Table
 from moc_opt.scenario import Scenario
-from moc_opt.study import Failed, Job
+from moc_opt.study import Failed, Job, show
 from moc_opt.study.command import Found, Study, StudyConfig, command, runnable
 from moc_opt.study.results import ERRORS, FRAMES, TITLES, Results, change_name
-from moc_opt.study.show import (
-    Goal,
-    Picture,
-    Report,
-    Section,
-    columns,
-    ends,
-    goals_sentence,
-    goals_table,
-    intervals_picture,
-    judge,
-    lines_picture,
-)
+from moc_opt.study.show import Goal, Picture, Report, Section, columns, ends, goals_sentence, judge
 from moc_opt.study.statistics import Change, Interval, difference_of_changes, spread, too_few
 from moc_opt.study.trials import BASELINE, BASELINES, DAMPED, OWN, PHASES, Trial, seeds, trials, with_phases
 from moc_opt.vision.augmented_reality import pose_accuracy
@@ -369,7 +356,7 @@ def swivel_trials(config: Config) -> list[Trial]:
 
 def swivel(rows: Results, solver: str) -> dict[str, Any]:
     """Return the gain from the start of the largest mu, and the gains from the others [percent]."""
-    top, others = (Results(row for row in rows if row["at_maximum"] is best) for best in (True, False))
+    top, others = (rows.where(at_maximum=best) for best in (True, False))
     found: dict[str, Any] = {"starts": len(rows) // 2, "broke_off": len(rows.failed())}
     if (of_top := gains(top, solver)) and (of_others := gains(others, solver)):
         change = others.change("mu_mean", solver)
@@ -418,7 +405,7 @@ def report(summary: Mapping[str, Any], rows: Results, config: Config) -> Report:
     ))  # fmt: skip
     return Report(
         f"LWR4+, three tasks: the paper's claims with {', '.join(config.solvers)}", answer, table,
-        [*_effects(by), *_swivel_picture(rows, summary)], list(_sections(summary, rows, config)),
+        [*_effects(by), *_swivel_picture(rows, summary)], list(_sections(summary, config)),
     )  # fmt: skip
 
 
@@ -440,7 +427,7 @@ def _effects(by: Mapping[Any, Any]) -> list[Picture]:
     tones = {name: TONES.get(rows[name]["verdict"], MUTED) for name in found}
     lines = {"no change": 0.0, f"claimed for mu: +{CLAIMS[0].bound:g}": CLAIMS[0].bound}
     says = "Table I as printed: change against DCAC with the same gains, with 95 % intervals over the trials."
-    return [Picture(intervals_picture(found, "change [%]", lines, tones), says, "claims")]
+    return [Picture(show.intervals_picture(found, "change [%]", lines, tones), says, "claims")]
 
 
 def _swivel_picture(rows: Results, summary: Mapping[str, Any]) -> list[Picture]:
@@ -450,7 +437,7 @@ def _swivel_picture(rows: Results, summary: Mapping[str, Any]) -> list[Picture]:
     [solver] = (name for name in mine.names() if name != BASELINE)
     each = {row["fraction"]: gains(mine.where(trial=row["trial"]), solver) for row in mine.where(controller=solver)}
     lines = {f"MOC with {solver}": [(x, *gain * 3) for x, gain in each.items() if gain]}
-    drawn = lines_picture(lines, "start on the feasible self-motion, from one end to the other", "gain of mean mu [%]")
+    drawn = show.lines_picture(lines, "start on the feasible self-motion, end to end", "gain of mean mu [%]")
     says = (
         f"The gain depends on where the elbow starts: {found['gain_at_maximum_percent']:.2g} % from the largest mu, up "
         f"to {found['gain_max_percent']:.0f} % elsewhere."
@@ -458,7 +445,7 @@ def _swivel_picture(rows: Results, summary: Mapping[str, Any]) -> list[Picture]:
     return [Picture(drawn, says, "swivel")]
 
 
-def _sections(summary: Mapping[str, Any], rows: Results, config: Config) -> Iterable[Section]:
+def _sections(summary: Mapping[str, Any], config: Config) -> Iterable[Section]:
     yield Section("Claims", f"{RULES} {FRAMES}", [Table(
         f"Group {group}: {config.groups[group].about}", [
             Column("text", "claim"), Column("controller", "solver"), Column("verdict", "verdict"),
@@ -469,17 +456,10 @@ def _sections(summary: Mapping[str, Any], rows: Results, config: Config) -> Iter
         for group in config.groups])  # fmt: skip
     for key, group in (("goals", config.best), ("goals_elsewhere", config.elsewhere)):
         if summary[key]:
-            table = goals_table(summary[key], f"Goals of MOC with {config.best_solver}, group {group}")
+            table = show.goals_table(summary[key], f"Goals of MOC with {config.best_solver}, group {group}")
             yield Section(f"Goals, group {group}", FRAMES, [table])
     for group in config.groups:
         by = summary["groups"][group]
-        mine = rows.where(part="trials", group=group)
-        boxes = [
-            Picture(box_plots({name: {"all trials": list(mine.values(metric, name).values())} for name in by}, words),
-                    f"Mean of each trial, group {group}.", f"{group}-{metric}")
-            for metric, words in (("mu_mean", "mu [m^3]"), (ERRORS[0], "tip error, own kinematics [mm]"),
-                                  (ERRORS[3], "RCM error, own kinematics [mm]"))
-        ]  # fmt: skip
         phases = {change_name(f"{phase}_{name}"): f"{phase}: {TITLES[name]}" for phase in PHASES for name in ERRORS}
         named = [Column("name", "controller")]
         figures = [{"name": BASELINES.get(name, f"MOC, {name}"), **row} for name, row in by.items()]
@@ -488,8 +468,7 @@ def _sections(summary: Mapping[str, Any], rows: Results, config: Config) -> Iter
                 "whole", "oscillated", "mu_gain_percent", "mu_mean", "mu_fraction_of_best", *ERRORS,
                 "trocar_force_mean_N", "torque_rate_rms_Nm_per_s")], figures),
             Table("Changes against DCAC with the same gains while the elbow travels, and once it has settled",
-                  [*named, *columns(*phases, **phases)], figures),
-            *boxes])  # fmt: skip
+                  [*named, *columns(*phases, **phases)], figures)])  # fmt: skip
     if summary["ablation"]:
         exchanged = [
             {**row, "effect": spread(row, "effect_percent", sign="+"), "shift": spread(row, "shift_percent", sign="+")}

@@ -27,13 +27,12 @@ from pydantic import Field
 from moc_opt.arrays import Array
 from moc_opt.errors import StudyError
 from moc_opt.export import export_scenario
-from moc_opt.figures import latency_ecdf
 from moc_opt.report.tables import Column, Table
 from moc_opt.scenario import Scenario
 from moc_opt.study import Failed, Job
 from moc_opt.study.command import Found, Study, StudyConfig, command, environment
 from moc_opt.study.results import Results
-from moc_opt.study.show import Goal, Picture, Report, Section, about, goals_sentence, goals_table, judge
+from moc_opt.study.show import Goal, Report, Section, about, goals_sentence, goals_table, judge
 from moc_opt.study.statistics import Interval, share
 from moc_opt.trace.trace import Trace
 
@@ -102,7 +101,7 @@ def work(study: Study, config: Config) -> Found:
         for case, mine in runs.items() for k, run in enumerate(mine)
     ]  # fmt: skip
     told = {"system": {str(case): mine[0].system for case, mine in runs.items()}, "collector": "off inside both loops"}
-    return Found(report(summary, runs, about(config.scenario, solver=True)), summary, Results(rows), told)
+    return Found(report(summary, about(config.scenario, solver=True)), summary, Results(rows), told)
 
 
 # --- runs ---
@@ -124,34 +123,27 @@ class Run(NamedTuple):
 
 
 def runs_of(study: Study, config: Config) -> dict[Case, list[Run]]:
-    """Do runs of each case until its cycles are complete; stopped runs are repeated, up to three times as many runs."""
-    found: dict[Case, list[Run]] = {case: [] for case in config.measured()}
+    """Do as many runs of each case as its cycles take; one that was stopped has fewer cycles, and is not repeated."""
     scenarios = {rate: config.run_at(rate) for rate in config.rates_Hz}
     programs = {
-        rate: build(scenario, study.out / "programs" / str(rate))
+        rate: str(build(scenario, study.out / "programs" / str(rate)))
         for rate, scenario in scenarios.items() if "c" in config.controllers
     }  # fmt: skip
     machine = environment({}, 0)["machine"]
     here = (machine["processor"], machine["cores"])  # a run on another machine is another run
     each = min(config.cycles, config.run_cycles)
-    most = 3 * -(-config.cycles // each)
-
-    def ask(case: Case, number: int) -> Job:
-        program = str(programs[case.rate_Hz]) if case.controller == "c" else None
-        given = (case, scenarios[case.rate_Hz], program, number, here)
-        return Job(run_once, given, each / case.rate_Hz + SPARE_S, alone=True, group=str(case))
-
-    while True:
-        asked = []
-        for case, mine in found.items():
-            left = max(0, config.cycles - sum(len(run.round_us) for run in mine))
-            asked += [(case, number) for number in range(len(mine), min(most, len(mine) + -(-left // each)))]
-        if not asked:
-            return found
-        for (case, _), run in zip(asked, study.run([ask(*one) for one in asked], "runs"), strict=True):
-            if isinstance(run, Failed):
-                raise StudyError(f"{case}: {run}")
-            found[case].append(run)
+    asked = [(case, number) for case in config.measured() for number in range(-(-config.cycles // each))]
+    jobs = [
+        Job(run_once, (case, scenarios[case.rate_Hz], programs[case.rate_Hz] if case.controller == "c" else None,
+                       number, here), each / case.rate_Hz + SPARE_S, alone=True, group=str(case))
+        for case, number in asked
+    ]  # fmt: skip
+    found: dict[Case, list[Run]] = {}
+    for (case, _), run in zip(asked, study.run(jobs, "runs"), strict=True):
+        if isinstance(run, Failed):
+            raise StudyError(f"{case}: {run}")
+        found.setdefault(case, []).append(run)
+    return found
 
 
 def build(scenario: Scenario, folder: Path) -> Path:
@@ -237,15 +229,10 @@ def summarise(runs: Sequence[Run]) -> dict[str, Any]:
     }  # fmt: skip
     found |= share(found["missed"], found["cycles"]).entries("missed_share")
     for time in TIMES:
-        values = samples(runs, time)
+        values = np.concatenate([getattr(run, f"{time}_us") for run in runs])
+        values = values[np.isfinite(values)]  # a cycle without an answer has none
         found |= {f"{time}_{name}_us": float(np.percentile(values, at)) for name, at in PERCENTILES.items()}
     return found
-
-
-def samples(runs: Sequence[Run], time: str) -> Array:
-    """Return the times of all cycles [us], but for those without one."""
-    values = np.concatenate([getattr(run, f"{time}_us") for run in runs])
-    return values[np.isfinite(values)]
 
 
 def _share(name: str, least: int) -> Callable[[Any], Interval | None]:
@@ -275,16 +262,6 @@ GOALS = {key: Goal(*given, section=DETAILS) for key, given in {
 # --- report ---
 
 
-def case_rows(summary: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Return a row a case; its times as median / p99 / p99.99 / worst."""
-    rows = []
-    for name, found in summary["cases"].items():
-        low, value, high = (1e5 * found[f"missed_share{end}"] for end in ("_low", "", "_high"))
-        times = {time: " / ".join(f"{found[f'{time}_{p}_us']:,.0f}" for p in PERCENTILES) for time in TIMES}
-        rows.append({**found, **times, "name": name, "in_100000": f"{value:.2g} [{low:.2g}, {high:.2g}]"})
-    return rows
-
-
 def sentences(summary: Mapping[str, Any]) -> list[str]:
     """Say how many cycles missed on a quiet machine, what load does, and how many goals are reached."""
     cases, said = summary["cases"], []
@@ -307,8 +284,13 @@ def sentences(summary: Mapping[str, Any]) -> list[str]:
     return [*said, goals_sentence(summary["goals"])]
 
 
-def report(summary: Mapping[str, Any], runs: Mapping[Case, Sequence[Run]], subject: str = "") -> Report:
-    """Show which goals are reached, what the tail of the round trips looks like, and the figures of every case."""
+def report(summary: Mapping[str, Any], subject: str = "") -> Report:
+    """Show which goals are reached, and the figures of every case."""
+    rows = []
+    for name, found in summary["cases"].items():
+        low, value, high = (1e5 * found[f"missed_share{end}"] for end in ("_low", "", "_high"))
+        times = {time: " / ".join(f"{found[f'{time}_{p}_us']:,.0f}" for p in PERCENTILES) for time in TIMES}
+        rows.append({**found, **times, "name": name, "in_100000": f"{value:.2g} [{low:.2g}, {high:.2g}]"})
     table = Table("Every case", [
         Column("name", "case"), Column("cycles", "cycles"),
         Column("missed", "missed", format="d", help="round trips that took longer than the period"),
@@ -317,20 +299,15 @@ def report(summary: Mapping[str, Any], runs: Mapping[Case, Sequence[Run]], subje
         *(Column(time, title, unit="us") for time, title in TIMES.items()), Column("stopped", "stops", format="d"),
         Column("unclean", "not clean", format="d", help="stops"),
         Column("rcm_max_mm", "RCM error, worst", unit="mm", format=".2f"),
-    ], case_rows(summary), "Times: median / 99th / 99.99th percentile / worst.")  # fmt: skip
+    ], rows, "Times: median / 99th / 99.99th percentile / worst.")  # fmt: skip
     how = (
         "Wake-up latency: how late the plant's tick begins. Round trip: from the departure of a measurement to the "
         "arrival of its torque, over the loopback; a cycle is missed where that takes longer than the period. "
         "Controller: safety filter and control law alone. environment.json says which priority, memory and timers the "
         "two processes were granted; Python's collector is off inside both loops."
     )
-    pictures = []
-    for rate in sorted({case.rate_Hz for case in runs}):
-        times = {str(case): samples(mine, "round") for case, mine in runs.items() if case.rate_Hz == rate}
-        says = f"Round trips at {rate} Hz, how many take as long: no line should reach the deadline."
-        pictures.append(Picture(latency_ecdf(times, 1e6 / rate, tail=True), says, f"round-{rate}"))
     title, first = "Plant and controller against the clock", goals_table(summary["goals"])
-    return Report(title, sentences(summary), first, pictures, [Section(DETAILS, how, [table])], subtitle=subject)
+    return Report(title, sentences(summary), first, (), [Section(DETAILS, how, [table])], subtitle=subject)
 
 
 def options(parser: ArgumentParser) -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 
-from benchmarks.subproblems.qpbenchmark import beside_ours
+from benchmarks.export import beside_ours
 from moc_opt.study import solvers
 
 

@@ -97,7 +97,8 @@ def work(study: Study, config: Config) -> Found:
             whole.found[key] = {**whole.found.get(key, {}), **found}
         whole.rows += part.rows
         failed |= part.missing
-        whole.times |= part.times
+        if name == "ticks":
+            whole.times = {entry: times.ravel() for entry, times in part.times.items()}
     for kind, reasons in (("solver", no_solver), ("adapter", no_adapter), ("peer", no_peer)):
         failed |= {f"{kind} {name}": reason for name, reason in reasons.items()}
     summary = summed_up(whole, failed)

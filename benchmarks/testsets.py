@@ -2,26 +2,128 @@
 
 python -m benchmarks.testsets [--check]
 
-The same seed gives the same problems, on one machine to the last bit; those of the sequences, which were recorded in
-closed loop, are taken from the files. Compared are the problems made here with those of the files, and the answers in
-the files with the certificate of the same problems.
+Each set is random arm poses of one kind; the same seed gives the same problems, on one machine to the last bit. Those
+of the sequences, 500 Hz from the middle of the elbow's travel in closed loop, are taken from the files: the control law
+has changed since these runs. Compared are the problems made here with those of the files, and the answers in the files
+with the certificate of the same problems.
 """
 
 from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from itertools import islice
 
 import numpy as np
 
-from benchmarks.subproblems.certify import certify, make
-from benchmarks.subproblems.recipes import RECIPES
+from benchmarks.certify import certify
+from moc_opt.arrays import Array
 from moc_opt.inputs.files import write_whole
-from moc_opt.robots.model import load_robot
-from moc_opt.study.testsets import FOLDER, TestSet
+from moc_opt.qp.problem import NullSpaceQP
+from moc_opt.robots.chain import desired_wrist
+from moc_opt.robots.model import RobotModel, load_robot
+from moc_opt.study.testsets import FOLDER, INCONSISTENT, NAMES, SEQUENCES, TestSet, changed
 
 CLOSE = 1e-9  # rad/s; another machine rounds the five rows in other directions, which moves an optimum by 1e-14
+Rng = np.random.Generator
+SIZE = 128  # problems a set
+VERSION = 1  # of the drawn sets: another one draws other problems
+
+
+def at_pose(
+    robot: RobotModel, q: Array, v_tip: Array, *, regularization: float = 1e-5, k0: float = 2.0, depth: float = 0.15
+) -> NullSpaceQP:
+    """Build the subproblem of an arm at q whose shaft passes the trocar ``depth`` above the tip, for a tip velocity."""
+    state = robot.state(q)
+    trocar = state.tip - depth * state.tool_direction
+    _, v_wrist = desired_wrist(state.tip, v_tip, trocar, np.zeros(3), state.tool_span)
+    lower, upper = (np.clip(-k0 * (q - limit), -robot.v_max, robot.v_max) for limit in (robot.q_min, robot.q_max))
+    v_wrist = along_the_shaft(v_tip, v_wrist, state.tool_direction)
+    return NullSpaceQP(
+        state.J_tip, state.J_wrist, v_tip, v_wrist, state.grad_mu, lower=lower, upper=upper, q=q,
+        regularization=regularization,
+    )  # fmt: skip
+
+
+def along_the_shaft(v_tip: Array, v_wrist: Array, u: Array) -> Array:
+    """Return v_W with u^T (v_T - v_W) = 0: a rigid tool cannot change its length."""
+    return np.asarray(v_wrist + u * (u @ (v_tip - v_wrist)))
+
+
+def tip_velocity(rng: Rng, speed: float) -> Array:
+    """Return a random direction at a random speed up to ``speed`` [m/s]."""
+    v = rng.normal(size=3)
+    return np.asarray(v * speed * rng.uniform() / np.linalg.norm(v))
+
+
+def random_poses(robot: RobotModel, rng: Rng) -> Iterator[NullSpaceQP]:
+    """Yield problems at regular poses all over the workspace."""
+    while True:
+        yield at_pose(robot, robot.random_regular_pose(rng), tip_velocity(rng, 0.05))
+
+
+def near_singular(robot: RobotModel, rng: Rng) -> Iterator[NullSpaceQP]:
+    """Yield problems with the elbow 0.1 rad to 1e-8 rad short of straight: ker A grows from dimension two to three."""
+    for bend in np.logspace(-1, -8, SIZE):
+        q = robot.random_regular_pose(rng)
+        q[3] = bend
+        # at rest: near the singularity almost every other velocity is out of reach
+        yield at_pose(robot, q, np.zeros(3))
+
+
+def joint_limits(robot: RobotModel, rng: Rng) -> Iterator[NullSpaceQP]:
+    """Yield problems with one to three joints within a milliradian of a limit: the box is closed on that side."""
+    while True:
+        q = robot.random_regular_pose(rng)
+        for joint in rng.choice(robot.n - 1, size=rng.integers(1, 4), replace=False):
+            gap = 10.0 ** rng.uniform(-6, -3)
+            q[joint] = robot.q_min[joint] + gap if rng.uniform() < 0.5 else robot.q_max[joint] - gap
+        yield at_pose(robot, q, tip_velocity(rng, 0.005))
+
+
+def infeasible(robot: RobotModel, rng: Rng) -> Iterator[NullSpaceQP]:
+    """Yield problems with the paper's k0 = 0.1 and fast references, near the border of feasibility on both sides."""
+    while True:
+        yield at_pose(robot, robot.random_regular_pose(rng), tip_velocity(rng, 0.1), k0=0.1)
+
+
+def inconsistent(size: float) -> Callable[[RobotModel, Rng], Iterator[NullSpaceQP]]:
+    """Yield tip and wrist references that differ along the shaft by ``size`` [m/s]."""
+
+    def make(robot: RobotModel, rng: Rng) -> Iterator[NullSpaceQP]:
+        while True:
+            qp = at_pose(robot, robot.random_regular_pose(rng), tip_velocity(rng, 0.05))
+            u = robot.state(qp.q if qp.q is not None else np.zeros(robot.n)).tool_direction
+            yield changed(qp, v_wrist=qp.v_wrist + size * u)
+
+    return make
+
+
+def jumps(robot: RobotModel, rng: Rng) -> Iterator[NullSpaceQP]:
+    """Yield neighbours from far apart, every second one with its gradient turned round, against warm starts."""
+    while True:
+        qp = at_pose(robot, robot.random_regular_pose(rng), tip_velocity(rng, 0.05), regularization=0.0)
+        yield qp
+        yield changed(qp, grad_mu=-qp.grad_mu, pull=-qp.pull)
+
+
+RECIPES: dict[str, Callable[[RobotModel, Rng], Iterator[NullSpaceQP]]] = {
+    "random": random_poses,
+    "near-singular": near_singular,
+    "joint-limits": joint_limits,
+    "infeasible": infeasible,
+    **{name: inconsistent(float(name.removeprefix("inconsistent-"))) for name in INCONSISTENT},
+    "jumps": jumps,
+}
+
+
+def make(name: str, robot: RobotModel, seed: int = 0) -> TestSet:
+    """Make one set: of a recorded sequence from its file, else from its name and the seed alone."""
+    if name in SEQUENCES:
+        return certify(name, TestSet.load(name).problems())
+    rng = np.random.default_rng([seed, VERSION, *name.encode()])
+    return certify(name, list(islice(RECIPES[name](robot, rng), SIZE)))
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -33,7 +135,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def make_all(check: bool) -> int:
     robot, different = load_robot(), []
-    for name in RECIPES:
+    for name in NAMES:
         made = make(name, robot)
         print(f"{name:20s} {len(made.rows):4d} problems, {int(made.feasible.sum()):4d} feasible", end="")
         if not check:

@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from time import perf_counter
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -43,32 +43,25 @@ class Part:
         found: part of the summary -> name -> metric.
         rows: of rows.parquet, one a chunk or round.
         missing: what could not run -> why.
-        times: name -> all times [us] that are drawn.
+        times: (chunks, CHUNK) [us] of entries that took turns, by name.
+        seen: what the machine did to each of these meanwhile.
     """
 
     found: dict[str, dict[str, Any]] = field(default_factory=dict)
     rows: list[dict[str, Any]] = field(default_factory=list)
     missing: dict[str, str] = field(default_factory=dict)
     times: dict[str, Array] = field(default_factory=dict)
+    seen: dict[str, Disturbance] = field(default_factory=dict)
 
-    def time(self, part: str, entries: Mapping[str, Timed], rounds: int) -> Turns:
+    def time(self, part: str, entries: Mapping[str, Timed], rounds: int) -> None:
         """Time entries that take turns; keep a row for each chunk."""
-        turns = Turns({}, {})
-        turns.times.update(interleaved(entries, rounds, CHUNK, turns.seen))
-        for name, chunks in turns.times.items():
+        self.times |= interleaved(entries, rounds, CHUNK, self.seen)
+        for name, chunks in self.times.items():
             late = np.percentile(chunks, [50, 99, 100], axis=1).T.tolist()
             self.rows += [
                 {"part": part, "name": name, "round": i, "p50_us": p50, "p99_us": p99, "max_us": longest}
                 for i, (p50, p99, longest) in enumerate(late)
             ]
-        return turns
-
-
-class Turns(NamedTuple):
-    """Times (chunks, CHUNK) [us] of entries that took turns, by name, and what the machine did meanwhile."""
-
-    times: dict[str, Array]
-    seen: dict[str, Disturbance]
 
     def figures(self, name: str, prefix: str) -> dict[str, float]:
         """Return the figures of an entry."""
@@ -122,11 +115,10 @@ def ticks(scenario: Scenario, solvers: Iterable[str], libraries: Iterable[str], 
         entries[name] = Timed(_spread(peer.tick), given)
         theirs[name] = {"level": peer.level, **peers.verdict(poses, robot, task)._asdict()}
     shortest = min(len(entry.items) for entry in entries.values())
-    turns = part.time("tick", entries, max(rounds, round(rounds * len(inputs) / shortest)))
+    part.time("tick", entries, max(rounds, round(rounds * len(inputs) / shortest)))
     for name, row in theirs.items():
-        row |= turns.figures(name, "tick") | {"times_ours": turns.over(name, "exact")}
-    part.found = {"tick": {name: turns.figures(name, "tick") for name in own}, "peers": theirs}
-    part.times = {name: of.ravel() for name, of in turns.times.items()}
+        row |= part.figures(name, "tick") | {"times_ours": part.over(name, "exact")}
+    part.found = {"tick": {name: part.figures(name, "tick") for name in own}, "peers": theirs}
     return part
 
 
@@ -167,8 +159,8 @@ def tick_parts(scenario: Scenario, rounds: int) -> Part:
         "solver": Timed(session.solve, problems),
         "after the solver": Timed(lambda answer: law.finish(0, 0, answer, 1.0, x, tau), answers),
     }
-    turns = part.time("tick_parts", entries, rounds)
-    part.found["tick_parts"] = {name: turns.figures(name, "tick") for name in entries}
+    part.time("tick_parts", entries, rounds)
+    part.found["tick_parts"] = {name: part.figures(name, "tick") for name in entries}
     return part
 
 
@@ -234,9 +226,9 @@ def adapters(scenario: Scenario, names: Iterable[str], rounds: int) -> Part:
                 part.missing[BY_HAND] = reason
             else:
                 entries[BY_HAND] = Timed(by_hand, problems)
-    turns = part.time("adapters", entries, rounds)
+    part.time("adapters", entries, rounds)
     part.found["adapters"] = {
-        name: turns.figures(name, "adapter") | {"ratio_of_exact": turns.over("exact", name)} for name in entries
+        name: part.figures(name, "adapter") | {"ratio_of_exact": part.over("exact", name)} for name in entries
     }
     return part
 
@@ -274,48 +266,38 @@ def disagreement(solver: Any, by_hand: Callable[[NullSpaceQP], Any], problems: l
 # --- the closed loop and its limit ---
 
 
-class Steps:
-    """MuJoCo's own steps of the control periods of a run: no Python between them, no trocar, no sensors of ours.
+def own_steps(scenario: Scenario) -> tuple[Array, Callable[[], Array]]:
+    """Return MuJoCo's states (k, m) before each control period of a run, its time first, and a call that steps all.
 
-    MuJoCo's time depends on the state: dry friction, joint limits and the trocar are work that an arm left alone does
-    not have. So each period is stepped from its own recorded state, under the forces of the step before it.
-
-    Attributes:
-        states: (k, m) of MuJoCo before each period, its time first.
+    The call returns the states (k, m) after each: no Python between the steps, no trocar, no sensors of ours. MuJoCo's
+    time depends on the state: dry friction, joint limits and the trocar are work that an arm left alone does not have.
+    So each period is stepped from its own recorded state, under the forces of the step before it.
     """
+    # Late: a process that measures other parts needs no threads of MuJoCo's.
+    import mujoco
+    from mujoco.rollout import rollout
 
-    def __init__(self, scenario: Scenario) -> None:
-        # Late: a process that measures other parts needs no threads of MuJoCo's.
-        import mujoco
-        from mujoco.rollout import rollout
+    kinds = mujoco.mjtState
+    state, applied = kinds.mjSTATE_FULLPHYSICS, kinds.mjSTATE_QFRC_APPLIED | kinds.mjSTATE_XFRC_APPLIED
+    setup, found = Setup(scenario), list[tuple[Array, Array, Array]]()
+    model, data = setup.plant.mj_model, setup.plant.mj_data
 
-        kinds = mujoco.mjtState
-        state, self._forces_kind = kinds.mjSTATE_FULLPHYSICS, kinds.mjSTATE_QFRC_APPLIED | kinds.mjSTATE_XFRC_APPLIED
-        setup = Setup(scenario)
-        self._plant, self._rollout = setup.plant, rollout
-        model, data, found = self._plant.mj_model, self._plant.mj_data, list[tuple[Array, Array, Array]]()
+    def read(what: int) -> Array:
+        values = np.empty(mujoco.mj_stateSize(model, what))
+        mujoco.mj_getState(model, data, values, what)
+        return values
 
-        def read(what: int) -> Array:
-            values = np.empty(mujoco.mj_stateSize(model, what))
-            mujoco.mj_getState(model, data, values, what)
-            return values
+    setup.trace(lambda tick: found.append((read(state), read(applied), np.array(data.qacc_warmstart))))
+    before, forces, warm = (np.array(part) for part in zip(*found, strict=True))
 
-        setup.trace(lambda tick: found.append((read(state), read(self._forces_kind), np.array(data.qacc_warmstart))))
-        self.states, forces, self._warm = (np.array(part) for part in zip(*found, strict=True))
-        self._forces = forces[:, None]
-
-    def stepped(self) -> Array:
-        """Step every period once, and return the states (k, m) after each."""
-        states, _ = self._rollout(
-            self._plant.mj_model, self._plant.mj_data, self.states, self._forces, control_spec=self._forces_kind,
-            nstep=self._plant.settings.substeps, initial_warmstart=self._warm,
-        )  # fmt: skip
-        after: Array = states[:, -1]
+    def stepped() -> Array:
+        after: Array = rollout(
+            model, data, before, forces[:, None], control_spec=applied, nstep=scenario.plant.substeps,
+            initial_warmstart=warm,
+        )[0][:, -1]  # fmt: skip
         return after
 
-    def us(self) -> float:
-        """Time one control period's steps [us], the mean over all of them."""
-        return 1e6 * _seconds(self.stepped) / len(self.states)
+    return before, stepped
 
 
 def loop(scenario: Scenario, runs: int) -> Part:
@@ -323,7 +305,7 @@ def loop(scenario: Scenario, runs: int) -> Part:
 
     References and trace are in it. One run more comes first, for caches. A row holds ``us_per_tick``, ``steps_us``.
     """
-    part, steps, times = Part(), Steps(scenario), list[Array]()
+    part, (states, stepped), times = Part(), own_steps(scenario), list[Array]()
     seen, bar = Disturbance(), list[int]()
     for turn in range(1 + runs):
         setup, before = Setup(scenario), used()
@@ -332,7 +314,7 @@ def loop(scenario: Scenario, runs: int) -> Part:
         if turn:
             seen += spent
             times.append(trace.tick_us)
-            walls = {"us_per_tick": 1e6 * spent.wall_s / len(trace), "steps_us": steps.us()}
+            walls = {"us_per_tick": 1e6 * spent.wall_s / len(trace), "steps_us": 1e6 * _seconds(stepped) / len(states)}
             part.rows.append({"part": "loop", "name": "python", "round": turn, **walls})
     us = float(np.median([row["us_per_tick"] for row in part.rows]))
     python = {

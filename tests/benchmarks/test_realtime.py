@@ -13,7 +13,6 @@ from benchmarks import realtime
 from benchmarks.realtime import Case, Config, Run
 from moc_opt.errors import StudyError
 from moc_opt.scenario import Scenario
-from moc_opt.study import Failed
 from moc_opt.study.command import CONFIGS
 from moc_opt.study.show import judge
 from moc_opt.trace.trace import Trace
@@ -47,28 +46,19 @@ def test_the_goal_of_c_needs_enough_cycles_and_few_misses(missed, cycles, reache
     assert found["python"]["reached"] == found["rcm"]["reached"] == "not measured"
 
 
-def test_goals_under_load_look_at_every_loaded_case_and_stops_of_quiet_ones_at_these():
-    good, bad = ({"cycles": 9, "unclean": k, "rcm_max_mm": 1.0 + 2.0 * k} for k in (0, 1))
-    for name, reached in (("C, 1000 Hz, loaded", "no"), ("C, 1000 Hz, quiet", "yes")):
-        found = judge({"cases": {"Python, 500 Hz, loaded": good, name: bad}}, realtime.GOALS)
-        assert found["rcm"]["reached"] == found["stops"]["reached"] == reached
-    case = realtime.summarise([made(100, ended="stopped: asked for")])
-    assert judge({"cases": {"C, 500 Hz, quiet": case}}, realtime.GOALS)["quiet stops"]["reached"] == "no"
-
-
 def test_report_shows_the_cases_with_their_goals():
     runs = {
         Case("c", 500, "quiet"): [made(100_000, missed=1)], Case("c", 500, "loaded"): [made(1000, missed=3, rcm=2.5)],
-        Case("python", 1000, "loaded"): [made(1000, rcm=1.0)],
+        Case("python", 1000, "loaded"): [made(1000, ended="stopped: late", clean=False)],
     }  # fmt: skip
     summary = {"cases": {str(case): realtime.summarise(mine) for case, mine in runs.items()}}
     summary["goals"] = judge(summary, realtime.GOALS)
-    report = realtime.report(summary, runs)
+    report = realtime.report(summary)
     assert "C, 500 Hz 1 of 100,000" in report.answer[0]
     assert "3 of 2,000 were missed, the largest RCM error was 2.50 mm" in report.answer[1]
-    assert [row["reached"].word for row in report.table.rows] == ["no", "open", "open", "yes", "yes"]
+    assert [row["reached"].word for row in report.table.rows] == ["no", "no", "open", "open", "yes"]
     assert "| C, 500 Hz, quiet | 100 000 | 1 | 1 [0.025, 5.6] | 0 |" in report.markdown().replace("\u202f", " ")
-    first_screens.check(report.page({}).html(), pictures=2)
+    first_screens.check(report.page({}).html(), pictures=0)
 
 
 def test_a_run_is_the_scenario_at_that_rate():
@@ -94,32 +84,10 @@ def test_the_load_is_there_and_then_is_not(monkeypatch):
     assert all(process.poll() is not None for process in started)
 
 
-class Studied:
-    """A study whose engine returns made-up runs."""
-
-    def __init__(self, out, run):
-        self.out, self.made, self.asked = out, run, []
-
-    def run(self, jobs, what):
-        self.asked += jobs
-        return [self.made] * len(jobs)
-
-
-@pytest.mark.parametrize(("cycles", "ended", "runs"), [(100, "completed", 2), (60, "stopped", 4), (1, "stopped", 6)])
-def test_runs_that_stop_early_are_repeated_but_not_for_ever_and_run_alone(cycles, ended, runs, tmp_path):
-    config = Config(cycles=200, run_cycles=100, controllers=["python"])
-    study = Studied(tmp_path, made(cycles, ended=ended))
-    assert [len(found) for found in realtime.runs_of(study, config).values()] == [runs] * 4
-    assert all(job.alone for job in study.asked)
-    assert len({str(job.arguments) for job in study.asked}) == 4 * runs, "each run is kept as one of its own"
-    with pytest.raises(StudyError, match="Python, 500 Hz, quiet: it is broken"):
-        realtime.runs_of(Studied(tmp_path, Failed("raised", "it is broken")), config)
-
-
 def test_a_run_by_both_commands_and_one_of_the_c_controller(tiny):
     """How many cycles are missed is the machine's affair; that they are counted is not."""
     text = "run_cycles = 100\nrates_Hz = [250]\nloads = ['quiet']\n"
-    left = tiny(realtime, text, "--cycles", "100", pictures=1)
+    left = tiny(realtime, text, "--cycles", "100", pictures=0)
     assert {row["case"] for row in left.rows} == {"Python, 250 Hz, quiet", "C, 250 Hz, quiet"}
     for row in left.rows:
         assert row["clean"]

@@ -1,4 +1,4 @@
-"""Make a test set: draw its problems, find their answers, and prove them by nothing that is ours.
+"""Find the answers of a test set, and prove them by nothing that is ours.
 
 What is certified is the optimum over five rows: the tip's three and the wrist's two across the shaft, rounded to
 doubles. The sixth row, along the shaft, repeats the tip's because the tool is rigid; in doubles it repeats it to
@@ -18,13 +18,10 @@ from itertools import combinations, product
 import numpy as np
 from scipy.optimize import linprog
 
-from benchmarks.subproblems.recipes import RECIPES, SIZE
 from moc_opt.arrays import Array
 from moc_opt.qp.problem import NullSpaceQP
-from moc_opt.robots.model import RobotModel
 from moc_opt.study.testsets import CertificateError, TestSet
 
-VERSION = 1  # of the drawn sets: another one draws other problems
 TIED = 1e-12  # of |A|: largest movement of tip against wrist along the shaft that is taken for rounding
 RANK_TOLERANCE = 1e-12
 """A singular value below this share of |A| counts as zero: the judge's rule, of which no certificate may depend."""
@@ -172,10 +169,3 @@ def certify(name: str, problems: Sequence[NullSpaceQP]) -> TestSet:
             word = "infeasible" if found is None else "feasible"
             raise CertificateError(f"{name}[{i}]: {word} by enumeration, but HiGHS says: {program.message}")
     return TestSet(name, np.array([qp.row for qp in problems]), X, ~np.isnan(X[:, 0]))
-
-
-def make(name: str, robot: RobotModel, seed: int = 0) -> TestSet:
-    """Make one set: of a recorded sequence from its file, else from its name and the seed alone."""
-    rng = np.random.default_rng([seed, VERSION, *name.encode()])
-    source = RECIPES[name](robot, rng)
-    return certify(name, [qp for qp, _ in zip(source, range(SIZE), strict=False)])

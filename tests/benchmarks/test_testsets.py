@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 from scipy.optimize import linprog
 
-from benchmarks.subproblems import certify
-from benchmarks.subproblems.certify import certified, five_rows, optimum
-from benchmarks.subproblems.recipes import RECIPES
+from benchmarks import certify, testsets
+from benchmarks.certify import certified, five_rows, optimum
 from moc_opt.arrays import Array
 from moc_opt.qp.problem import NullSpaceQP, compute_residuals
-from moc_opt.study.testsets import CertificateError, TestSet, changed, five_row_gap, straightened
+from moc_opt.study.testsets import NAMES, CertificateError, TestSet, changed, five_row_gap, straightened
 
 
 def found(A: Array, b: Array, pull: Array, rho: float, lower: Array, upper: Array) -> list[float] | None:
@@ -69,7 +68,7 @@ def descent(A: Array, b: Array, slope: Array, lower: Array, upper: Array, x: Arr
     return float(unit @ x - best.fun)
 
 
-@pytest.mark.parametrize("name", RECIPES)
+@pytest.mark.parametrize("name", NAMES)
 def test_the_shipped_answers_are_the_certificate_s_and_highs_bears_them_out(name):
     kept = TestSet.load(name)
     again = certify.certify(name, [NullSpaceQP.from_row(np.array(row)) for row in kept.rows[::16]])
@@ -128,7 +127,7 @@ def test_tip_and_wrist_must_be_tied():
 # --- the shipped sets ---
 
 
-@pytest.mark.parametrize("name", RECIPES)
+@pytest.mark.parametrize("name", NAMES)
 def test_certified_answers_are_optimal_and_the_others_infeasible(name):
     """And every joint 0.05 rad/s faster would be seen to be wrong."""
     kept = TestSet.load(name)
@@ -140,7 +139,7 @@ def test_certified_answers_are_optimal_and_the_others_infeasible(name):
 
 @pytest.mark.parametrize("name", ["random", "joint-limits", "jumps", "inconsistent-1e-6"])
 def test_a_set_is_made_again_as_it_is(name, robot):
-    made, kept = certify.make(name, robot), TestSet.load(name)
+    made, kept = testsets.make(name, robot), TestSet.load(name)
     np.testing.assert_allclose(made.rows, kept.rows, rtol=1e-9, atol=1e-12, equal_nan=True)
     np.testing.assert_array_equal(made.feasible, kept.feasible)
 

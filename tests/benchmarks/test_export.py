@@ -8,14 +8,7 @@ import polars as pl
 import pytest
 
 from benchmarks import export
-from benchmarks.subproblems import qpbenchmark
-from benchmarks.subproblems.qpbenchmark import (
-    ExportError,
-    figures,
-    problems,
-    run_qpbenchmark,
-    write_qpbenchmark,
-)
+from benchmarks.export import ExportError, figures, problems, run_qpbenchmark, write_qpbenchmark
 from moc_opt.errors import UnknownNameError
 from moc_opt.solvers import create
 
@@ -89,7 +82,7 @@ def test_wrong_input_is_refused(tmp_path, capsys, monkeypatch):
     assert "'circle'" in capsys.readouterr().err
     with pytest.raises(UnknownNameError):
         problems(["nothing"])
-    monkeypatch.setattr(qpbenchmark, "find_spec", lambda _: None)
+    monkeypatch.setattr(export, "find_spec", lambda _: None)
     with pytest.raises(ExportError, match="pip install"):
         run_qpbenchmark(tmp_path / "null_space.py", "daqp")
-    assert "pip install" in qpbenchmark.ranking(tmp_path, every=64)["none"]["reason"]
+    assert "pip install" in export.ranking(tmp_path, every=64)["none"]["reason"]

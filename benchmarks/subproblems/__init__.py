@@ -1,1 +1,0 @@
-"""The certified test sets: `recipes` draws problems, `certify` proves their answers, `qpbenchmark` hands them on."""
