@@ -31,7 +31,7 @@ from moc_opt.planning.course import Margin, Targets
 from moc_opt.planning.elbow import Elbow, wrapped
 from moc_opt.planning.self_motion import curve_through
 from moc_opt.robots.chain import link_frames
-from moc_opt.robots.inverse_kinematics import nearest_pose, solve_pose
+from moc_opt.robots.inverse_kinematics import solve_pose
 from moc_opt.robots.model import RobotModel
 
 Flags = NDArray[np.bool_]
@@ -222,9 +222,8 @@ def _dot(one: Array, two: Array) -> Array:
 
 def reach(robot: RobotModel, q: Array, tip: Array, wrist: Array) -> Array | None:
     """Return a pose near q with that tip and wrist, whatever the limits, by Newton's method; None: it finds none."""
-    anywhere = np.full(robot.n, np.inf)
-    pose, miss = nearest_pose(robot, q, np.array([tip, wrist]), -anywhere, anywhere, 30)
-    return pose if miss < REACHED_M else None
+    placed = solve_pose(robot, q, tip, wrist, iterations=30, limited=False)
+    return placed.q if placed.miss_m < REACHED_M else None
 
 
 def without_limits(robot: RobotModel) -> RobotModel:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -117,6 +118,7 @@ class Kinematics:
     """q -> scalar, (mu_shaft / |X - N|^2)^2 of `moc_opt/core/manipulability.c`; squared it has no kink"""
 
 
+@lru_cache(maxsize=64)
 def build_kinematics(name: str, chain: Chain) -> Kinematics:
     """Write the chain's forward kinematics in CasADi SX; mu from the geometric Jacobian, grad mu by AD."""
     import casadi as ca  # late: half a second that only the NLP back-ends need

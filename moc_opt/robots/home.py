@@ -39,13 +39,8 @@ class Home:
     task: str  #: Empty where the default task can be done from it, else why not.
 
     @property
-    def fit(self) -> bool:
-        """Whether the task can be done and mu is as far from the best as wanted."""
-        return not self.task and SHARE[0] <= self.mu / self.mu_best <= SHARE[1]
-
-    @property
     def order(self) -> tuple[bool, float]:
-        """Smaller is better."""
+        """Smaller is better: the task can be done, and mu is near the middle of `SHARE`."""
         return bool(self.task), abs(self.mu / self.mu_best - 0.5 * (SHARE[0] + SHARE[1]))
 
 
@@ -71,9 +66,8 @@ def search_home(robot: RobotModel, *, seed: int = 0) -> Home:
     found: list[Home] = []
     for least in DOWN:
         found += _ranked(robot, poses[(down >= least) & (clear > CLEARANCE_M)])
-        fit = next((home for home in found if home.fit), None)
-        if fit is not None or any(not home.task for home in found):
-            return fit or min(found, key=lambda home: home.order)
+        if any(not home.task for home in found):
+            break
     if not found:
         raise RobotError(
             f"home pose: {DRAWS} poses drawn, each with a joint near its limit, the tip below the base, or singular "
@@ -83,6 +77,7 @@ def search_home(robot: RobotModel, *, seed: int = 0) -> Home:
 
 
 def _ranked(robot: RobotModel, poses: Array) -> list[Home]:
+    """Return the best of the poses as homes, the last one the first that is as wanted."""
     moving, mu = robot.moves.any(axis=0), robot.mu_along(poses)
     scores = np.full(len(poses), -np.inf)
     for k, q in enumerate(poses):
@@ -101,7 +96,7 @@ def _ranked(robot: RobotModel, poses: Array) -> list[Home]:
         wanted = SHARE[0] <= here / largest <= SHARE[1]
         task = task_fault(robot, q) if wanted or not homes else "not tried"
         homes.append(Home(q, here, largest, float(limit_shares(robot, q)[moving].min()), task))
-        if homes[-1].fit:
+        if wanted and not task:
             break
     return homes
 
@@ -122,7 +117,6 @@ class Shaft(NamedTuple):
     wrist: Array  #: (3,) [m]
     mount: Array  #: (3,) [m]; the link's own origin, put onto the last axis where it is on it but for rounding
     rpy: tuple[float, float, float]  #: turns z of the link into the tool's direction [rad]
-    behind_m: float  #: from wrist point to mount [m]
     note: str
 
 
@@ -169,7 +163,7 @@ def find_shaft(text: str, last_link: str, *, wrist_m: float | None = None) -> Sh
         note = f"{note}; the wrist point, {behind:.4g} m behind the mount, is the nearest to the axis before it"
     down = place.rotation.T @ direction
     mount = _tidy(place.rotation.T @ (origin - place.translation))
-    return Shaft(_tidy(mount - behind * down), mount, _towards(down), behind, note)
+    return Shaft(_tidy(mount - behind * down), mount, _towards(down), note)
 
 
 def _tidy(point: Array) -> Array:

@@ -29,40 +29,30 @@ class Placed(NamedTuple):
 
 
 def solve_pose(
-    robot: RobotModel, q: ArrayLike, tip: Array, wrist: Array | None = None, *, iterations: int = 40
-) -> Placed:
+    robot: RobotModel, q: ArrayLike, tip: ArrayLike, wrist: ArrayLike | None = None, *, iterations: int = 40,
+    limited: bool = True,
+) -> Placed:  # fmt: skip
     """Find the nearest pose with the tip, and the wrist if given, at these points (3,) [m].
 
     Damped Gauss-Newton from q (n,), which is put inside the limits first. A joint that reaches its limit stays there
-    while the others take over. The search is local: that it fails proves nothing by itself. Errors as of
-    `nearest_pose`.
-    """
-    begin = np.clip(np.asarray(q, dtype=np.float64), robot.q_min, robot.q_max)
-    points = np.stack([tip] if wrist is None else [tip, wrist])
-    best, miss = nearest_pose(robot, begin, points, robot.q_min, robot.q_max, iterations)
-    stuck = np.flatnonzero((best <= robot.q_min) | (best >= robot.q_max))
-    return Placed(best, miss, tuple(stuck.tolist()))
-
-
-def nearest_pose(
-    robot: RobotModel, q: Array, points: Array, low: Array, high: Array, iterations: int
-) -> tuple[Array, float]:
-    """Go on from q (n,) within the limits low, high (n,); return the best pose (n,) and how far it misses [m].
-
-    Args:
-        points: (1,3) of the tip, or (2,3) of tip and wrist [m].
+    while the others take over. The search is local: that it fails proves nothing by itself. Without ``limited`` the
+    joints have no limits.
 
     Raises:
         RobotError: a pose or a point of another shape, or not finite.
     """
-    begin, wanted = (np.array(given, dtype=np.float64, order="C") for given in (q, points))
-    for name, value, shapes in (("q", begin, [(robot.n,)]), ("tip or wrist", wanted, [(1, 3), (2, 3)])):
+    points = np.array([tip] if wrist is None else [tip, wrist], dtype=np.float64)
+    low, high = (robot.q_min, robot.q_max) if limited else (np.full(robot.n, -np.inf), np.full(robot.n, np.inf))
+    begin = np.clip(np.asarray(q, dtype=np.float64), low, high)
+    for name, value, shapes in (("q", begin, [(robot.n,)]), ("tip or wrist", points, [(1, 3), (2, 3)])):
         if value.shape not in shapes:
             raise RobotError(f"{name} has shape {value.shape}: give {' or '.join(map(str, shapes))}")
         if not np.isfinite(value).all():
             raise RobotError(f"{name} = {value.tolist()} is not finite: check the sensor or step that gave it")
-    limits, best = np.array([low, high], dtype=np.float64), np.empty(robot.n)
-    return best, robot.arm.nearest_pose(wanted, limits[0], limits[1], begin, iterations, best)
+    best = np.empty(robot.n)
+    miss = robot.arm.nearest_pose(points, low, high, begin, iterations, best)
+    stuck = np.flatnonzero((best <= low) | (best >= high))
+    return Placed(best, miss, tuple(stuck.tolist()))
 
 
 def pose_with_tip(robot: RobotModel, q: ArrayLike, tip: ArrayLike) -> Array:

@@ -90,7 +90,7 @@ class RobotModel:
         """The arm as numbers, in the order of `core.Arm`."""
         inertias = list(self._pin.inertias)[1:]
         return (
-            self.chain.joints, np.array([_numbers(body) for body in inertias]),
+            self.chain.joints, np.array([_inertia(body) for body in inertias]),
             np.array(self.data.rotor_inertia, dtype=np.float64), self._offsets, self.mount,
             self.moves.astype(np.float64), np.array(self._pin.gravity.linear),
         )  # fmt: skip
@@ -111,7 +111,7 @@ class RobotModel:
         try:  # the core checks arrays by itself
             code = self.arm.terms(q, v, record)  # type: ignore[arg-type]
         except ValueError:
-            q, v = self._vector("q", q), self._vector("v", v)
+            q, v = self._numbers("q", q), self._numbers("v", v)
             code = self.arm.terms(q, v, record)
         if code != core.OK:
             name, value = ("q", q) if code == core.BAD_Q else ("v", v)
@@ -121,34 +121,25 @@ class RobotModel:
 
     def mu_along(self, poses: Array) -> Array:
         """Compute manipulability (k,) [m^3] at the poses (k,n) [rad], equal to that of `state` to the last bit."""
-        along = self._poses(poses)
+        along = self._numbers("poses", poses, 2)
         self.arm.mu_along(along, mu := np.empty(len(along)))
         return mu
 
     def tool_along(self, poses: Array) -> tuple[Array, Array]:
         """Compute tip and wrist, (k,3) each [m], at the poses (k,n) [rad]."""
-        along = self._poses(poses)
+        along = self._numbers("poses", poses, 2)
         points = np.empty((2, len(along), 3))
         self.arm.points_along(along, self._offsets, points.reshape(-1, 3))
         return points[0], points[1]
 
-    def _poses(self, given: object) -> Array:
-        try:
-            poses = np.array(given, dtype=np.float64, order="C")  # compiled code takes that for granted
-        except (TypeError, ValueError) as error:
-            raise RobotError(f"poses = {shown(given)}: give an array of numbers (k, {self.n})") from error
-        if poses.ndim != 2 or poses.shape[1] != self.n:
-            raise RobotError(f"poses has shape {poses.shape}: give (k, {self.n}), one pose a row")
-        return poses
-
     def coriolis(self, q: ArrayLike, v: ArrayLike) -> Array:
         """Compute the Coriolis matrix C (n,n) with h = C v + g and dM/dt - 2 C skew-symmetric."""
-        position, velocity = self._vector("q", q), self._vector("v", v)
+        position, velocity = self._numbers("q", q), self._numbers("v", v)
         return np.array(pin.computeCoriolisMatrix(self._pin, self._side_data, position, velocity))
 
     def gravity(self, q: ArrayLike) -> Array:
         """Compute the gravity torque g (n,) [Nm]."""
-        return np.array(pin.computeGeneralizedGravity(self._pin, self._side_data, self._vector("q", q)))
+        return np.array(pin.computeGeneralizedGravity(self._pin, self._side_data, self._numbers("q", q)))
 
     def tool_pose(self, q: ArrayLike) -> Array:
         """Compute the tool's pose (4,3): x, y and z axis, in which the wrench sensor measures, and tip [m]; world axes.
@@ -156,7 +147,7 @@ class RobotModel:
         z runs along the shaft from wrist to tip.
         """
         pose = np.empty((4, 3))
-        self.arm.tool_pose(self._vector("q", q), pose)
+        self.arm.tool_pose(self._numbers("q", q), pose)
         return pose
 
     @cached_property
@@ -173,10 +164,6 @@ class RobotModel:
 
     def kinematics(self) -> Kinematics:
         """Return CasADi functions tip, wrist, mu, grad_mu of q, built at the first call."""
-        return self._kinematics
-
-    @cached_property
-    def _kinematics(self) -> Kinematics:
         return build_kinematics(self.data.name, self.chain)
 
     def random_regular_pose(self, rng: np.random.Generator, *, margin: float = 0.1, mu_min: float = 0.05) -> Array:
@@ -192,13 +179,14 @@ class RobotModel:
                 return q
         raise RobotError(f"no pose with mu > {mu_min} in 1000 draws: lower mu_min or margin = {margin}")
 
-    def _vector(self, name: str, value: ArrayLike) -> Array:
+    def _numbers(self, name: str, value: ArrayLike, dimensions: int = 1) -> Array:
+        shape = f"({'k, ' if dimensions > 1 else ''}{self.n},)"
         try:
-            array = np.array(value, dtype=np.float64)
+            array = np.array(value, dtype=np.float64, order="C")  # compiled code takes that for granted
         except (TypeError, ValueError) as error:
-            raise RobotError(f"{name} = {value!r} is not numeric: give {self.n} numbers") from error
-        if array.shape != (self.n,):
-            raise RobotError(f"{name} has shape {array.shape}: the arm has {self.n} joints, give ({self.n},)")
+            raise RobotError(f"{name} = {shown(value)} is not numeric: give numbers {shape}") from error
+        if array.ndim != dimensions or array.shape[-1] != self.n:
+            raise RobotError(f"{name} has shape {array.shape}: the arm has {self.n} joints, give {shape}")
         return array
 
 
@@ -225,7 +213,7 @@ def load_robot(
     return robot
 
 
-def _numbers(body: Any) -> list[float]:
+def _inertia(body: Any) -> list[float]:
     inertia = body.inertia
     return [body.mass, *(body.mass * body.lever), *(inertia[i, j] for i in range(3) for j in range(i + 1))]
 

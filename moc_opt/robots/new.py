@@ -17,11 +17,10 @@ from moc_opt.arrays import Array
 from moc_opt.errors import RobotError
 from moc_opt.inputs.files import check_replaceable, write_whole
 from moc_opt.planning.self_motion import require_freedom
-from moc_opt.robots import urdf
 from moc_opt.robots.gains import derived_gains
 from moc_opt.robots.home import Home, find_shaft, search_home
 from moc_opt.robots.model import RobotModel, load_robot
-from moc_opt.robots.vendor import VendorArm, choose_efforts, choose_limits, read_vendor
+from moc_opt.robots.vendor import VendorArm, enough_efforts, read_vendor
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,11 +68,7 @@ def new_robot(
         if file.exists():
             raise RobotError(f"{str(file)!r} exists: choose another --out, or move it away")
         check_replaceable(file, "robot file", RobotError)
-    arm = read_vendor(source, tip=tip, lock=lock)
-    name = out.stem
-    if any(base_rpy):
-        _stand(arm, base_rpy)
-    weak = choose_limits(arm.chain, arm.notes)
+    arm, name = read_vendor(source, tip=tip, lock=lock, base_rpy=base_rpy), out.stem
     shaft = find_shaft(arm.urdf.to_text(name), arm.last_link, wrist_m=wrist_m)
     arm.notes.append(shaft.note)
 
@@ -92,14 +87,11 @@ def new_robot(
         draft = Path(folder, out.name)
         robot = write(draft, middle)
         require_freedom(robot)
-        if weak:
-            efforts = choose_efforts(robot, weak)
-            for joint in arm.chain:
-                joint.limits["effort"] = efforts.get(joint.name, joint.limits["effort"])
-            arm.notes.append(
-                f"{', '.join(weak)}: no usable torque limit; three times what gravity asks for is taken; see the data "
-                "sheet"
-            )
+        if arm.weak:
+            for joint, effort in zip(arm.chain, enough_efforts(robot), strict=True):
+                joint.limits["effort"] = effort if joint.name in arm.weak else joint.limits["effort"]
+            weak = ", ".join(arm.weak)
+            arm.notes.append(f"{weak}: no usable torque limit: three times what gravity asks for is taken")
             robot = write(draft, middle)
         home = search_home(robot, seed=seed)
         gains = derived_gains(write(draft, home.q))
@@ -123,13 +115,6 @@ def _drives(arm: VendorArm) -> dict[str, list[float]]:
     return {
         "rotor_inertia_kg_m2": rotors, "viscous_friction_Nm_s_per_rad": friction, "coulomb_friction_Nm": friction,
     }  # fmt: skip
-
-
-def _stand(arm: VendorArm, rpy: urdf.Triple) -> None:
-    base = urdf.Tree(arm.urdf).base
-    arm.urdf.links.insert(0, urdf.Link("stand"))
-    arm.urdf.joints.append(urdf.Joint("stand_joint", "fixed", "stand", base, rpy=rpy))
-    arm.notes.append(f"the base stands turned by {', '.join(f'{a:g}' for a in rpy)} rad about x, y, z")
 
 
 def _numbers(values: float | Iterable[float]) -> str:

@@ -44,10 +44,7 @@ def _scalar(index: int, doc: str) -> Any:
 
 
 class RobotState:
-    """The model's terms of an arm at one (q, v), immutable.
-
-    All numbers lie in one flat read-only array, `record`, as `layout` says: the core takes it, and the attributes are
-    views of it.
+    """The model's terms of an arm at one (q, v), immutable: views of one flat array, `record`, in order of `layout`.
 
     Example:
         >>> robot = mo.load_robot("lwr4")
@@ -67,14 +64,11 @@ class RobotState:
     def __init__(self, record: Array, n: int) -> None:
         """Wrap a complete record (record_size(n),), which becomes read-only; RobotModel.state makes them."""
         record.setflags(write=False)
-        _put_record(self, record)
-        _put_n(self, n)
+        object.__setattr__(self, "record", record)
+        object.__setattr__(self, "n", n)
 
     def __setattr__(self, name: str, value: object) -> None:
         raise AttributeError(f"RobotState is immutable: ask the model for a new state instead of setting {name!r}")
-
-    def __delattr__(self, name: str) -> None:
-        self.__setattr__(name, None)
 
     def __reduce__(self) -> tuple[Any, ...]:
         return RobotState, (self.record.copy(), self.n)
@@ -109,7 +103,3 @@ class RobotState:
         "energy_slope", "dT/dq = C^T v (n,) [Nm], T the kinetic energy and C Christoffel's Coriolis matrix."
     )
     gravity: Array = _part("gravity", "g (n,) [Nm], the torque that carries the arm's weight.")
-
-
-# Around our own __setattr__, which refuses everybody else: two are made every tick.
-_put_record, _put_n = vars(RobotState)["record"].__set__, vars(RobotState)["n"].__set__

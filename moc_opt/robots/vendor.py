@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,8 +16,7 @@ from moc_opt.robots import urdf
 from moc_opt.robots.model import RobotModel
 from moc_opt.robots.urdf import Joint, Link, Urdf
 
-FINGERS = 2  #: Moving joints in a row that a branch may have to count as a finger.
-ARM = 5  #: Moving joints in a row that a chain must have to be an arm.
+FINGERS = 2  #: Moving joints in a row that a branch may have to be left out as a finger or a head.
 FASTEST = {"turning": 2.0 * math.pi, "sliding": 2.0}
 """Joint speeds above it are no arm's [rad/s, m/s]: a public file of the iiwa says 10 rad/s, its maker 1.5 to 2.4."""
 CHOSEN = {"turning": 2.0, "sliding": 0.5}  #: The speed that is taken in place of a missing or absurd one.
@@ -26,59 +24,58 @@ TRAVEL_M = 0.5  #: Range of a sliding joint without limits, to both sides [m].
 _STRONGEST = {"turning": 2000.0, "sliding": 20000.0}  # Nm, N
 _UNITS = {"turning": ("rad", "rad/s"), "sliding": ("m", "m/s")}
 _DEGREES = 40.0  # a range [rad] beyond it is one of degrees: six turns are the most that an arm's joint has
-_LARGEST = 1e5  # rad, rad/s, Nm, m, m/s and N
-_FLANGES = ("tool0", "flange", "link8", "end_effector", "link_ee", "ee_link", "eef")
-_JAW = re.compile("grip|finger|jaw", re.IGNORECASE)
-_RESERVED = {"world"}.union(*urdf.TOOL_NAMES.values())
-_PREFIX = re.compile(r"(?:</?|\s)([A-Za-z_][\w.-]*):[A-Za-z_]")
-_QUOTED = re.compile(r'"[^"]*"|\'[^\']*\'')
+_ENDLESS = 1e5  # rad, rad/s, Nm, m, m/s and N
 
 
 @dataclass
 class VendorArm:
-    """One serial arm, its side joints fixed."""
+    """One serial arm, its side joints fixed, and a limit of every kind for each joint of the chain."""
 
     urdf: Urdf
     last_link: str = ""
     chain: list[Joint] = field(default_factory=list)  #: The moving joints from base to last link.
+    weak: list[str] = field(default_factory=list)  #: Joints without a usable effort; see `enough_efforts`.
     notes: list[str] = field(default_factory=list)  #: Assumptions and changes, one sentence each.
 
 
-def read_vendor(path: Path, *, tip: str | None = None, lock: Mapping[str, float] | None = None) -> VendorArm:
-    """Read a URDF and make it a serial arm; limits are left to `choose_limits`.
+def read_vendor(
+    path: Path, *, tip: str | None = None, lock: Mapping[str, float] | None = None,
+    base_rpy: urdf.Triple = (0.0, 0.0, 0.0),
+) -> VendorArm:  # fmt: skip
+    """Read a URDF and make it a serial arm.
 
-    Side joints (fingers, a second arm, a head) and those named in ``lock`` are fixed; masses that no body has are
-    replaced; meshes are not looked at.
+    Side joints (fingers, a second arm, a head) and those named in ``lock`` are fixed; masses and limits that no arm has
+    are replaced; meshes are not looked at.
 
     Args:
         path: the vendor's file.
-        tip: the link that carries the tool; None: the end of the one chain there is, before the fingers.
+        tip: the link that carries the tool; None: that of the last moving joint of the one chain there is.
         lock: joint -> the position [rad, m] at which it is fixed.
+        base_rpy: how the base stands [rad].
 
     Raises:
         RobotError: no URDF, xacro that is not expanded, no single chain, a mimic joint in the chain.
         UnknownNameError: ``tip`` or a joint of ``lock`` is not in the file.
     """
-    text, undeclared = _declared(read_text(path, "urdf", RobotError))
-    root = urdf.parse(text)
-    values = [value for kind in ("link", "joint") for each in root.findall(kind) for part in each.iter()
-              for value in part.attrib.values()]  # fmt: skip
-    if any("xacro" in each.tag for each in root) or any("${" in value for value in values):
+    root = urdf.parse(read_text(path, "urdf", RobotError))
+    if any("xacro" in each.tag for each in root):
         raise RobotError(f"urdf {str(path)!r} is a xacro file: expand it first (xacro {path.name} > arm.urdf)")
-    arm, locked = VendorArm(urdf.read(root)), dict(lock or {})
-    if undeclared:
-        arm.notes.append(f"names with {', '.join(undeclared)} are not read: the file does not say what they are")
+    arm = VendorArm(urdf.read(root))
+    joints = {joint.name: joint for joint in arm.urdf.joints}
     _rename(arm)
-    _drop_endless_limits(arm)
-    moving = [joint.name for joint in arm.urdf.joints if joint.moves]
-    for name in locked:
-        if name not in moving:
-            raise UnknownNameError("joint (--lock)", name, moving)
-    tree = _Tree(arm.urdf, locked)
+    _drop_endless_limits(arm.urdf.joints)
+    for name, value in (lock or {}).items():
+        if name not in joints or not joints[name].moves:
+            raise UnknownNameError("joint (--lock)", name, [name for name, joint in joints.items() if joint.moves])
+        _fix([joints[name]], arm.notes, at=value)
+    tree = urdf.Tree(arm.urdf)
     if tip is not None and tip not in tree.links:
         raise UnknownNameError("link (--tip)", tip, tree.links)
-    arm.last_link = tip or _last_link(tree, arm.notes)
-    arm.chain = _chain(tree, arm.last_link)
+    arm.last_link = tip or _last_link(tree)
+    arm.notes.append(f"the tool sits on {arm.last_link!r}, the link {'asked for' if tip else 'of the last joint'}")
+    arm.chain = [joint for joint in tree.path(arm.last_link) if joint.moves]
+    if not arm.chain:
+        raise RobotError(f"urdf: no moving joint lies between the base and {arm.last_link!r}: choose another --tip")
     carried = tree.reach(arm.chain[-1].child)
     if max(link.mass or 0.0 for link in arm.urdf.links if link.name in carried) < urdf.SMALLEST_MASS:
         arm.notes.append(
@@ -87,23 +84,21 @@ def read_vendor(path: Path, *, tip: str | None = None, lock: Mapping[str, float]
         )
     _prune(arm, tree)
     mend_bodies(arm.urdf.links, arm.notes)
-    _fix_others(arm, locked)
+    between = tree.path(arm.last_link)[len(tree.path(arm.chain[0].parent)) :]  # `normalize` judges these
+    _fix([joint for joint in arm.urdf.joints if joint not in between and joint.kind != "fixed"], arm.notes)
+    if any(base_rpy):
+        arm.urdf.links.insert(0, Link("stand"))
+        arm.urdf.joints.append(Joint("stand_joint", "fixed", "stand", tree.base, rpy=base_rpy))
+        arm.notes.append(f"the base stands turned by {', '.join(f'{a:g}' for a in base_rpy)} rad about x, y, z")
     urdf.normalize(arm.urdf)
+    arm.weak = _choose_limits(arm.chain, arm.notes)
     return arm
-
-
-def _declared(text: str) -> tuple[str, list[str]]:
-    # Some vendors' files use prefixes that they never declare, which no XML reader takes.
-    used = {name for tag in re.findall(r"<[^!?][^>]*>", text) for name in _PREFIX.findall(_QUOTED.sub("", tag))}
-    missing = sorted(name for name in used - {"xml", "xmlns"} if f"xmlns:{name}=" not in text.replace(" ", ""))
-    told = "".join(f' xmlns:{name}="{name}"' for name in missing)
-    return re.sub(r"<robot\b", f"<robot{told}", text, count=1), [f"{name}:" for name in missing]
 
 
 def _rename(arm: VendorArm) -> None:
     for kind, parts in (("link", arm.urdf.links), ("joint", arm.urdf.joints)):
         for part in parts:
-            if part.name in _RESERVED:
+            if part.name in urdf.TOOL_NAMES[kind] | {"world"}:
                 old, part.name = part.name, f"{part.name}_{kind}"
                 arm.notes.append(f"{kind} {old!r} is called {part.name!r} here: the name is taken")
                 for joint in arm.urdf.joints if kind == "link" else ():
@@ -111,63 +106,62 @@ def _rename(arm: VendorArm) -> None:
                     joint.child = part.name if joint.child == old else joint.child
 
 
-def _drop_endless_limits(arm: VendorArm) -> None:
-    for joint in arm.urdf.joints:
-        endless = [key for key, value in joint.limits.items() if abs(value) > _LARGEST]
-        if endless:
-            told = ", ".join(f"{key} = {joint.limits[key]:g}" for key in endless)
-            arm.notes.append(f"{joint.name}: {told} is no limit, and is taken for none")
-        for key in {"lower", "upper", *endless} if {"lower", "upper"} & set(endless) else endless:
-            joint.limits.pop(key, None)
+def _drop_endless_limits(joints: Iterable[Joint]) -> None:
+    for joint in joints:
+        endless = {key for key, value in joint.limits.items() if abs(value) > _ENDLESS}
+        if endless & {"lower", "upper"}:
+            endless |= {"lower", "upper"}
+        joint.limits = {key: value for key, value in joint.limits.items() if key not in endless}
 
 
-def _chain(tree: _Tree, last_link: str) -> list[Joint]:
-    on_path = tree.path(last_link)
-    chain = [joint for joint in on_path if tree.moves(joint)]
-    if not chain:
-        raise RobotError(f"urdf: no moving joint lies between the base and {last_link!r}: choose another --tip")
-    for joint in on_path:
-        if tree.moves(joint) and joint.mimics:
-            raise RobotError(
-                f"urdf joint {joint.name!r} lies between base and last link and mimics another: it cannot be driven by "
-                "itself; fix it with --lock, or choose another --tip"
-            )
-    for joint in on_path[on_path.index(chain[0]) :]:
-        if not joint.moves and joint.kind != "fixed":
-            raise RobotError(
-                f"urdf joint {joint.name!r} lies between two joints of the arm and is {joint.kind}: no drive moves it "
-                "so; make it revolute, prismatic or fixed, or choose another --tip"
-            )
-    return chain
+def _last_link(tree: urdf.Tree) -> str:
+    link, last = tree.base, None
+    while branches := [joint for joint in tree.carried[link] if _depth(tree, joint)]:
+        if len(branches) > 1:
+            long = [joint for joint in branches if _depth(tree, joint) > FINGERS]
+            if not long and last is not None:
+                break
+            if len(long) != 1:
+                raise RobotError(
+                    f"urdf: {len(branches)} chains leave link {link!r}, towards {[j.child for j in branches][:6]}: say "
+                    "with --tip which link carries the tool"
+                )
+            branches = long
+        link = branches[0].child
+        last = branches[0] if branches[0].moves else last
+    if last is None:
+        raise RobotError("urdf: no joint moves: a serial arm is needed")
+    return last.child
 
 
-def _prune(arm: VendorArm, tree: _Tree) -> None:
-    below, first = tree.path(arm.chain[0].parent), arm.chain[0]
-    kept = {tree.base, *(joint.child for joint in below), *tree.reach(first.child)}
-    left_out = len(arm.urdf.links) - len(kept)
+def _depth(tree: urdf.Tree, joint: Joint) -> int:
+    """Count the most moving joints in a row, this one the first."""
+    return joint.moves + max((_depth(tree, other) for other in tree.carried[joint.child]), default=0)
+
+
+def _prune(arm: VendorArm, tree: urdf.Tree) -> None:
+    first = arm.chain[0]
+    kept = {tree.base, *(joint.child for joint in tree.path(first.parent)), *tree.reach(first.child)}
+    if left_out := len(arm.urdf.links) - len(kept):
+        arm.notes.append(f"{left_out} links that hang on the base beside the arm are left out")
     arm.urdf.links = [link for link in arm.urdf.links if link.name in kept]
     arm.urdf.joints = [joint for joint in arm.urdf.joints if joint.child in kept]
-    if left_out:
-        arm.notes.append(f"{left_out} links that hang on the base beside the arm are left out")
 
 
-def _fix_others(arm: VendorArm, locked: Mapping[str, float]) -> None:
+def _fix(joints: Iterable[Joint], notes: list[str], at: float | None = None) -> None:
+    """Fix joints at this position, or at the one of their range that is nearest to 0."""
     fixed = []
-    for joint in arm.urdf.joints:
-        joint.mimics = False
-        if joint in arm.chain or joint.kind == "fixed":
-            continue
+    for joint in joints:
+        told, unit = joint.kind, "m" if joint.kind == "prismatic" else "rad"
         if joint.moves:
-            reach = joint.limits if joint.kind != "continuous" else {}
-            nearest = min(max(0.0, reach.get("lower", -_LARGEST)), reach.get("upper", _LARGEST))
-            value = locked.get(joint.name, nearest)
+            reach = {} if joint.kind == "continuous" else joint.limits
+            value = min(max(0.0, reach.get("lower", -math.inf)), reach.get("upper", math.inf)) if at is None else at
             _shift(joint, value)
-            fixed.append(f"{joint.name} at {value:.3g} {'m' if joint.kind == 'prismatic' else 'rad'}")
-        else:
-            fixed.append(f"{joint.name} ({joint.kind})")
-        joint.kind = "fixed"
+            told = f"at {value:.3g} {unit}"
+        fixed.append(f"{joint.name} ({told})")
+        joint.kind, joint.mimics, joint.limits = "fixed", False, {}
     if fixed:
-        arm.notes.append(f"fixed, for they are not of the chain: {', '.join(fixed)}")
+        notes.append(f"fixed: {', '.join(fixed)}")
 
 
 def _shift(joint: Joint, value: float) -> None:
@@ -178,64 +172,6 @@ def _shift(joint: Joint, value: float) -> None:
         joint.xyz = tuple((np.array(joint.xyz) + R @ motion).tolist())
     else:
         joint.rpy = tuple(pin.rpy.matrixToRpy(R @ pin.exp3(motion)).tolist())
-
-
-class _Tree(urdf.Tree):
-    """A tree of links in which some joints are locked."""
-
-    def __init__(self, arm: Urdf, locked: Mapping[str, float]) -> None:
-        super().__init__(arm)
-        self.locked = locked
-
-    def moves(self, joint: Joint) -> bool:
-        return joint.moves and joint.name not in self.locked
-
-    def depth(self, link: str) -> int:
-        """Count the most moving joints in a row that hang on this link."""
-        return max((self.moves(joint) + self.depth(joint.child) for joint in self.carried[link]), default=0)
-
-    def arms(self) -> list[str]:
-        """Links that end a chain of `ARM` moving joints, longest first; branches shorter than that are fingers."""
-        found: list[tuple[int, str]] = []
-        waiting = [(self.base, 0)]
-        while waiting:
-            link, count = waiting.pop()
-            ways = [(joint.child, count + self.moves(joint)) for joint in self.carried[link]]
-            on = [way for way in ways if way[1] > count or self.depth(way[0])]
-            longest = max((n - count + self.depth(child) for child, n in on), default=0)
-            if on and (len(on) == 1 or longest >= ARM or count < ARM):
-                waiting += on
-            elif count >= ARM:
-                found.append((count, link))
-        return [link for _, link in sorted(found, key=lambda each: (-each[0], each[1]))]
-
-
-def _last_link(tree: _Tree, notes: list[str]) -> str:
-    link, joints = tree.base, 0
-    while branches := [j for j in tree.carried[link] if tree.moves(j) or tree.depth(j.child)]:
-        if len(branches) > 1:
-            long = [j for j in branches if tree.moves(j) + tree.depth(j.child) > FINGERS]
-            if not long and joints >= FINGERS:
-                notes.append(f"the chain ends at {link!r}, where {len(branches)} fingers branch off")
-                return link
-            if len(long) != 1:
-                ends, arms = [j.child for j in (long or branches)], tree.arms()[:8]
-                raise RobotError(
-                    f"urdf: {len(ends)} chains leave link {link!r}, towards {ends[:6]}: say with --tip which link "
-                    f"carries the tool{f', such as {arms}' if arms else ''}"
-                )
-            branches = long
-        joints += tree.moves(branches[0])
-        link = branches[0].child
-    last = next((j for j in reversed(tree.path(link)) if tree.moves(j)), None)
-    if last is not None and joints > 1 and _JAW.search(f"{last.name} {last.child}"):
-        notes.append(f"{last.name!r} is taken for the jaw of a gripper: the chain ends before it, at {last.parent!r}")
-        return last.parent
-    # Behind the last moving joint only frames are left: the flange is the one that is named so, else the link itself.
-    flange = next((found for word in _FLANGES for found in tree.reach(link) if found.endswith(word)), None)
-    how = "the flange by its name" if flange else "carried by the last moving joint"
-    notes.append(f"last link: {flange or link!r}, {how}")
-    return flange or link
 
 
 # --- numbers that no arm has ---
@@ -273,22 +209,17 @@ def mend_bodies(links: Iterable[Link], notes: list[str]) -> None:
         notes.append(f"frames without mass, merged into what they are fixed to: {', '.join(frames)}")
 
 
-def choose_limits(joints: Iterable[Joint], notes: list[str]) -> list[str]:
-    """Give every one of these joints a finite range, a speed and an effort, in place; changes are noted.
-
-    Returns the joints without a usable effort: `choose_efforts` finds theirs when the arm's weight is known. A
-    RobotError where a joint's lower limit lies above its upper one.
-    """
+def _choose_limits(joints: Iterable[Joint], notes: list[str]) -> list[str]:
     weak = []
     for joint in joints:
         kind = "sliding" if joint.kind == "prismatic" else "turning"
-        lower, upper = _range(joint, kind, notes)
-        speed, effort, per_second = joint.limits.get("velocity", 0.0), joint.limits.get("effort", 0.0), _UNITS[kind][1]
+        lower, upper, change = _range(joint, kind)
+        if change:
+            notes.append(f"{joint.name} {change}")
+        speed, effort, unit = joint.limits.get("velocity", 0.0), joint.limits.get("effort", 0.0), _UNITS[kind][1]
         if not 0.0 < speed <= FASTEST[kind]:
-            notes.append(
-                f"{joint.name}: {f'{speed:g} {per_second} is no speed of an arm' if speed else 'no speed limit'}: "
-                f"{CHOSEN[kind]:g} {per_second} is taken; see the data sheet"
-            )
+            why = f"{speed:g} {unit} is no speed of an arm" if speed else "no speed limit"
+            notes.append(f"{joint.name}: {why}: {CHOSEN[kind]:g} {unit} is taken; see the data sheet")
             speed = CHOSEN[kind]
         if not 0.0 < effort <= _STRONGEST[kind]:
             weak.append(joint.name)
@@ -297,38 +228,34 @@ def choose_limits(joints: Iterable[Joint], notes: list[str]) -> list[str]:
     return weak
 
 
-def _range(joint: Joint, kind: str, notes: list[str]) -> tuple[float, float]:
+def _range(joint: Joint, kind: str) -> tuple[float, float, str]:
+    """Return a finite range, and what was changed in words."""
     lower, upper = joint.limits.get("lower", 0.0), joint.limits.get("upper", 0.0)
-    unit, endless = _UNITS[kind][0], joint.kind == "continuous"
-    if lower > upper and not endless:
+    if joint.kind == "continuous":
+        return -math.pi, math.pi, "turns without end: +-180 deg is taken"
+    if lower > upper:
         raise RobotError(
             f"urdf joint {joint.name!r}: lower = {lower:g} lies above upper = {upper:g}: are they exchanged? Give the "
-            f"range of the data sheet in {unit}, the smaller number as lower"
+            f"range of the data sheet in {_UNITS[kind][0]}, the smaller number as lower"
         )
     if kind == "sliding":
-        if lower < upper <= 100.0:
-            return lower, upper
-        notes.append(f"{joint.name}: no range: +-{TRAVEL_M} m is taken")
-        return -TRAVEL_M, TRAVEL_M
-    why = ""
-    if endless or lower == upper:
-        why = " turns without end" if endless else " has no range"
-    elif upper - lower > _DEGREES:
-        why = f": {lower:g} to {upper:g} rad is no range of a joint (are they degrees? see the data sheet)"
-    if why:
-        notes.append(f"{joint.name}{why}: +-180 deg is taken")
-        return -math.pi, math.pi
+        good = lower < upper <= 100.0
+        return (lower, upper, "") if good else (-TRAVEL_M, TRAVEL_M, f"has no range: +-{TRAVEL_M} m is taken")
+    if lower == upper:
+        return -math.pi, math.pi, "has no range: +-180 deg is taken"
+    if upper - lower > _DEGREES:
+        told = f"{lower:g} to {upper:g} rad is no range of a joint (are they degrees? see the data sheet)"
+        return -math.pi, math.pi, f"has {told}: +-180 deg is taken"
     if upper - lower > 2.0 * math.pi + 1e-6:
         middle = 0.0 if lower <= -math.pi and upper >= math.pi else 0.5 * (lower + upper)
-        notes.append(f"{joint.name}: {math.degrees(upper - lower):.0f} deg of range are cut to one turn")
-        return middle - math.pi, middle + math.pi
-    return lower, upper
+        told = f"has {math.degrees(upper - lower):.0f} deg of range: they are cut to one turn"
+        return middle - math.pi, middle + math.pi, told
+    return lower, upper, ""
 
 
-def choose_efforts(robot: RobotModel, weak: list[str]) -> dict[str, float]:
-    """Choose efforts [Nm, N] of at least 5 for these joints: three times the most that gravity asks for."""
+def enough_efforts(robot: RobotModel) -> list[float]:
+    """Return three times the most [Nm, N] that gravity asks of each joint, at least 5."""
     poses = np.random.default_rng(0).uniform(robot.q_min, robot.q_max, (200, robot.n))
     most = np.max([np.abs(robot.gravity(q)) for q in poses], axis=0)
     needed = 3.0 * np.maximum(most, np.diag(robot.state(robot.data.q_home).M))
-    by_name = dict(zip(robot.data.joint_names, needed, strict=True))
-    return {name: max(5.0, float(f"{by_name[name]:.2g}")) for name in weak}
+    return [max(5.0, float(f"{effort:.2g}")) for effort in needed]

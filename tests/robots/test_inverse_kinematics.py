@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from moc_opt.errors import RobotError, TaskError
-from moc_opt.robots.inverse_kinematics import nearest_pose, pose_through, pose_with_tip, solve_pose
+from moc_opt.robots.inverse_kinematics import pose_through, pose_with_tip, solve_pose
 from moc_opt.tasks import shaft_distance
 
 
@@ -69,12 +69,12 @@ def test_what_is_no_pose_and_no_point_is_refused(robot, q, tip, message):
         solve_pose(robot, q, tip)
 
 
-def test_integers_and_other_orders_are_taken(robot):
-    state, none = robot.state(robot.data.q_home), np.full(7, np.inf)
-    points = np.array([state.tip, state.wrist])
-    one = nearest_pose(robot, np.zeros(7), points, -none, none, 40)
-    other = nearest_pose(robot, np.zeros(7, dtype=int), np.asfortranarray(points), -none, none, 40)
-    np.testing.assert_array_equal(one[0], other[0])
+def test_without_limits_the_search_leaves_them(robot):
+    state, q = robot.state(robot.data.q_home), [9, 0, 0, 0, 0, 0, 0]
+    free, bound = (solve_pose(robot, q, state.tip, state.wrist, limited=limited) for limited in (False, True))
+    assert free.miss_m < 1e-6
+    assert not inside(robot, free.q)
+    assert inside(robot, bound.q)
 
 
 @given(st.integers(0, 10_000))

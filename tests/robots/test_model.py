@@ -194,8 +194,6 @@ def test_states_share_no_memory_and_cannot_be_changed(robot: RobotModel) -> None
                 getattr(state, name)[...] = 0.0
         with pytest.raises(AttributeError, match="immutable"):
             state.mu = 1.0
-        with pytest.raises(AttributeError, match="immutable"):
-            del state.record
 
 
 @pytest.mark.parametrize(("q", "v", "message"), [

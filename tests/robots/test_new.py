@@ -17,51 +17,47 @@ from moc_opt.robots import available_robots
 from moc_opt.robots.check import check_robot, verdict
 from moc_opt.robots.home import CLEARANCE_M, MARGIN, REGULAR, SHARE, find_shaft, search_home, task_fault
 from moc_opt.robots.model import RobotModel, load_robot
-from moc_opt.robots.new import new_robot
+from moc_opt.robots.new import NewRobot, new_robot
 from moc_opt.scenario import Scenario, run
 from moc_opt.trace.metrics import summarize
 from tests.robots.arms import added, changed, joint, link, text_of, with_hand
 
 
-def made(folder: Path, text: str, **options: object) -> object:
+def made(folder: Path, text: str, **options: object) -> NewRobot:
     source = folder / "vendor.urdf"
     source.write_text(text, encoding="utf-8")
     return new_robot(source, folder / "out" / "my.toml", **options)  # type: ignore[arg-type]
 
 
 @pytest.fixture(scope="module")
-def panda(tmp_path_factory: pytest.TempPathFactory) -> object:
+def panda(tmp_path_factory: pytest.TempPathFactory) -> NewRobot:
     text = changed(
         with_hand(text_of()), ('name="joint_1" type="revolute"', 'name="joint_1" type="continuous"'),
         ('velocity="2.61" effort="12"', 'velocity="10" effort="0"'),
     )  # fmt: skip
-    return made(tmp_path_factory.mktemp("panda"), text)
+    return made(tmp_path_factory.mktemp("panda"), text, tip="hand")
 
 
 def test_what_was_assumed_stands_in_both_files(panda) -> None:
     text, written = panda.toml.read_text(encoding="utf-8"), panda.urdf.read_text(encoding="utf-8")
     plain = " ".join(line.lstrip("# -") for line in text.splitlines())
     assert len(panda.notes) >= 6
-    for note in panda.notes:
-        assert note in plain
-    for word in ("finger_1", "joint_1 turns without end", "10 rad/s", "no usable torque limit", "hand"):
+    assert all(note in plain for note in panda.notes)
+    for word in ("finger_1", "joint_1 turns without end", "10 rad/s", "no usable torque limit", "the link asked for"):
         assert word in text
         assert word in written
     assert "mesh" not in written
 
 
-def test_the_new_robot_is_the_vendors_with_a_home_pose_to_begin_from(panda) -> None:
+def test_the_new_robot_is_the_vendors_with_a_home_pose_from_which_it_gains_manipulability(panda) -> None:
     ours, theirs = panda.robot, load_robot("panda")
     assert ours.data.name == "my"
     for q in np.random.default_rng(1).uniform(-1.0, 1.0, (5, 7)):
-        np.testing.assert_allclose(ours.state(q).tip, theirs.state(q).tip, rtol=0, atol=1e-9)  # on the hand's origin
+        np.testing.assert_allclose(ours.state(q).tip, theirs.state(q).tip, rtol=0, atol=1e-9)
     left = freedoms(ours, ours.data.q_home)
     assert (left.rank, left.real, left.idle) == (5, 1, (6,))
     assert limit_shares(ours, ours.data.q_home)[:6].min() > MARGIN - 0.02
     assert verdict(check_robot(ours)) == "ok"
-
-
-def test_it_runs_and_gains_manipulability(panda) -> None:
     trace = run(Scenario(robot={"name": str(panda.toml)}, bound_samples=0, judge=False))
     assert trace.meta["ended"] == "completed"
     assert trace.mu[-1] > 1.1 * trace.mu[0]
@@ -71,7 +67,7 @@ def test_it_runs_and_gains_manipulability(panda) -> None:
 
 
 def test_a_base_on_the_ceiling_hangs(tmp_path: Path) -> None:
-    hanging = made(tmp_path, text_of("iiwa14"), base_rpy=(np.pi, 0.0, 0.0)).robot  # type: ignore[attr-defined]
+    hanging = made(tmp_path, text_of("iiwa14"), base_rpy=(np.pi, 0.0, 0.0)).robot
     standing = load_robot("iiwa14")
     for q in np.random.default_rng(1).uniform(-1.0, 1.0, (3, 7)):
         tip = standing.state(q).wrist
@@ -109,8 +105,7 @@ def test_numbers_of_rounding_do_not_stand_in_the_file(tmp_path: Path) -> None:
     """A joint without an axis turns about x: the mount's angles come out as 1e-31."""
     bare = re.sub(r'(<joint name="joint_7".*?)<axis [^>]*/>', r"\1", text_of("iiwa14"), flags=re.DOTALL)
     assert bare != text_of("iiwa14")
-    found = made(tmp_path, bare).toml.read_text(encoding="utf-8")  # type: ignore[attr-defined]
-    assert "e-" not in found.split("[joints]")[0]
+    assert "e-" not in made(tmp_path, bare).toml.read_text(encoding="utf-8").split("[joints]")[0]
 
 
 def test_of_a_flange_without_mass_the_tool_is_what_the_last_joint_moves(tmp_path: Path) -> None:
@@ -154,43 +149,35 @@ def test_a_vendors_file_works_as_it_comes(path: str, tip: str | None, joints: in
 
 # --- tool and wrist point: found on every arm of the package as its makers and we chose them ---
 
-# last link, wrist point, direction: those of the robot files of the package
-KNOWN = {
-    "lwr4": (7, [0, 0, -0.078], [0, 0, 1]), "iiwa14": (7, [0, 0, -0.081], [0, 0, 1]),
-    "panda": (7, [0, 0, 0], [0, 0, 1]), "gen3": (7, [0, 0, 0.10593], [0, 0, -1]),
-    "xarm7": (7, [0, 0, -0.097], [0, 0, 1]), "lwr4_rail": (8, [0, 0, -0.078], [0, 0, 1]),
-}  # fmt: skip
-
 
 def direction(rpy: tuple[float, float, float]) -> np.ndarray:
     (sr, sp, sy), (cr, cp, cy) = np.sin(rpy), np.cos(rpy)
     return np.array([cy * sp * cr + sy * sr, sy * sp * cr - cy * sr, cp * cr])
 
 
-@pytest.mark.parametrize("name", KNOWN)
-def test_the_wrist_of_a_known_arm_is_found(name: str) -> None:
-    last, wrist, towards = KNOWN[name]
-    found = find_shaft(text_of(name), f"link_{last}")
-    np.testing.assert_allclose(found.wrist, wrist, rtol=0, atol=1e-12)
-    np.testing.assert_allclose(direction(found.rpy), towards, rtol=0, atol=1e-12)
-    np.testing.assert_allclose(found.mount, 0.0, rtol=0, atol=1e-12)
-    asked = find_shaft(text_of(name), f"link_{last}", wrist_m=0.05)
-    np.testing.assert_allclose(asked.wrist, -0.05 * np.array(towards), rtol=0, atol=1e-12)
+@pytest.mark.parametrize(("name", "height", "up"), [
+    ("lwr4", -0.078, 1), ("iiwa14", -0.081, 1), ("panda", 0, 1), ("gen3", 0.10593, -1), ("xarm7", -0.097, 1),
+    ("lwr4_rail", -0.078, 1),
+])  # fmt: skip
+def test_the_wrist_of_a_known_arm_is_found(name: str, height: float, up: int) -> None:
+    last = f"link_{8 if name == 'lwr4_rail' else 7}"
+    found, asked = find_shaft(text_of(name), last), find_shaft(text_of(name), last, wrist_m=0.05)
+    for point, expected in (
+        (found.wrist, [0, 0, height]), (direction(found.rpy), [0, 0, up]), (found.mount, [0, 0, 0]),
+        (asked.wrist, [0, 0, -0.05 * up]),
+    ):  # fmt: skip
+        np.testing.assert_allclose(point, expected, rtol=0, atol=1e-12)
 
 
-def test_a_flange_frame_carries_the_same_tool_and_one_off_the_axis_is_noted() -> None:
+def test_a_flange_frame_carries_the_same_tool_and_one_off_the_axis_or_that_slides_is_noted() -> None:
     def with_flange(origin: str) -> str:
         return added(text_of(), link("flange") + joint("f", "fixed", "link_7", "flange", f"<origin {origin}/>"))
 
     found = find_shaft(with_flange('xyz="0 0 0.107" rpy="0.3 1.1 -2"'), "flange")
-    assert found.behind_m == pytest.approx(0.107, abs=1e-12)
     np.testing.assert_allclose(found.wrist, -0.107 * direction(found.rpy), rtol=0, atol=1e-12)
     found = find_shaft(with_flange('xyz="0.05 0 0.107"'), "flange")
     assert "off the last axis" in found.note
     np.testing.assert_allclose(direction(found.rpy), [0, 0, 1], rtol=0, atol=1e-12)
-
-
-def test_a_sliding_last_joint_is_noted() -> None:
     sliding = changed(text_of(), ('name="joint_7" type="revolute"', 'name="joint_7" type="prismatic"'))
     found = find_shaft(sliding, "link_7")
     assert "slides" in found.note
@@ -229,23 +216,31 @@ def test_an_arm_that_is_singular_everywhere_has_no_home(robot: RobotModel) -> No
 # --- as a user types it ---
 
 
-def test_new_then_check(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    source, out = tmp_path / "vendor.urdf", tmp_path / "my.toml"
-    source.write_text(with_hand(text_of("iiwa14")), encoding="utf-8")
-    assert main(["robot", "new", str(source), "--tool", "0.25", "--out", str(out)]) == 0
+def test_from_a_vendors_file_to_a_check_a_run_and_a_replay(tmp_path: Path, monkeypatch, capsys) -> None:
+    (tmp_path / "vendor.urdf").write_text(with_hand(text_of("iiwa14")), encoding="utf-8")
+    (tmp_path / "short.toml").write_text("duration_s = 0.1\nbound_samples = 2\n", encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    new = ["robot", "new", "vendor.urdf", "--tool", "0.25", "--out", "my.toml"]
+    assert main(new) == 0
     said = capsys.readouterr().out
-    assert "2 fingers branch off" in said
+    assert "the tool sits on 'link_7'" in said
     assert "tool 250 mm" in said
-    text = out.read_text(encoding="utf-8")
+    text = Path("my.toml").read_text(encoding="utf-8")
     assert "length_m = 0.25" in text
-    assert main(["robot", "check", str(out)]) == 0
+    assert main(["robot", "check", "my.toml"]) == 0
     said = capsys.readouterr().out
     assert "1 real, 1 idle (joint_7)" in said
     assert max(len(line.rstrip()) for line in said.splitlines()) <= 80
-    assert main(["robot", "new", str(source), "--out", str(out)]) == 2
+    assert main(["run", "short.toml", "--robot", "my.toml", "--trace", "run.parquet"]) == 0
+    assert main(new) == 2
     line = next(line for line in text.splitlines() if line.startswith("q_rad"))
-    out.write_text(text.replace(line, f"q_rad = {[0.0] * 7}"), encoding="utf-8")
-    assert main(["robot", "check", str(out)]) == 3
+    Path("my.toml").write_text(text.replace(line, f"q_rad = {[0.0] * 7}"), encoding="utf-8")
+    assert main(["robot", "check", "my.toml"]) == 3
+    Path("my.toml").unlink()  # the trace carries the arm
+    assert main(["replay", "run.parquet", "--out", "run.html"]) == 0
+    assert (tmp_path / "run.html").stat().st_size > 20_000
+    assert main(["run", "short.toml", "--robot", "my.toml"]) == 2
+    assert "my.toml" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(("arguments", "told"), [
@@ -260,16 +255,3 @@ def test_what_is_wrong_is_said_in_one_line(arguments: list[str], told: str, tmp_
     assert told in said
     assert len(said.strip().splitlines()) == 1
     assert not (tmp_path / "my.toml").exists()
-
-
-def test_from_a_vendors_file_to_a_replay_in_three_commands(tmp_path: Path, monkeypatch, capsys) -> None:
-    (tmp_path / "vendor.urdf").write_text(with_hand(text_of("xarm7")), encoding="utf-8")
-    (tmp_path / "short.toml").write_text("duration_s = 0.1\nbound_samples = 2\n", encoding="utf-8")
-    monkeypatch.chdir(tmp_path)
-    assert main(["robot", "new", "vendor.urdf", "--out", "my.toml"]) == 0
-    assert main(["run", "short.toml", "--robot", "my.toml", "--trace", "run.parquet"]) == 0
-    (tmp_path / "my.toml").unlink()  # the trace carries the arm
-    assert main(["replay", "run.parquet", "--out", "run.html"]) == 0
-    assert (tmp_path / "run.html").stat().st_size > 20_000
-    assert main(["run", "short.toml", "--robot", "my.toml"]) == 2
-    assert "my.toml" in capsys.readouterr().err
