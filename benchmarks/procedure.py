@@ -26,7 +26,7 @@ from moc_opt.scenario import Scenario, isolated, make_safety_filter, make_solver
 from moc_opt.sim.loop import simulate
 from moc_opt.sim.plant import Plant
 from moc_opt.tasks import Path as TipPath
-from moc_opt.tasks import Reference
+from moc_opt.tasks import Reference, Trocar
 from moc_opt.tasks.waiting import WaitingReference, flags_at
 from moc_opt.trace.metrics import summarize
 from moc_opt.trace.oscillation import judged_for_oscillation
@@ -91,12 +91,12 @@ def perform(job: ProcedureJob) -> dict[str, Any]:
         robot, phantom, camera=parts.camera, board=parts.board, tracker=parts.tracker, seed=eye_seed
     )
     estimate = scene.locate(guided.q)
-    path = scene.task(task, estimate)
+    path = scene.board.task_in_base(task, estimate)
     q = pose_through(robot, path.start, guided.registered)
     q = self_motion(robot, q).at(np.random.default_rng(swivel_seed).uniform(0.05, 0.95))
     trace, waited, lost = _run(job, plant, scene, path, q, (guided.trocar, guided.registered))
     count = scene.film(job.film, trace, path, guided.registered) if job.film is not None else 0
-    deviation = 1e3 * from_path(trace.tip_m, scene.task(task, phantom))
+    deviation = 1e3 * from_path(trace.tip_m, scene.board.task_in_base(task, phantom))
     metrics = summarize(trace)
     return {
         **job.row(), "ended": trace.meta["ended"], "share_of_run": metrics["share_of_run"],
@@ -120,7 +120,7 @@ def _run(
     scenario, period, (true, registered) = job.scenario, job.scenario.plant.period_s, trocars
     robot, task = scenario.robot.arm(), scenario.task
     reference = Reference(path, task.v_max_m_per_s, task.a_max_m_per_s2, t_start=task.wait_s)
-    check_reachable(robot, q, reference, registered)
+    check_reachable(robot, q, reference, Trocar(registered))
     waiting = WaitingReference(reference, period)
     lost = sum(end - begin for begin, end in job.settings.board.lost_s)
     # Every start and stop takes the brakes' time.
@@ -128,8 +128,8 @@ def _run(
     seconds = reference.t_start + reference.duration + lost + settling + task.hold_s
     times = period * np.arange(round(seconds / period))
     # The tool hides little of the board, and where it will be is not known yet: it is drawn where it starts.
-    watch = scene.watch(seconds, q)
-    rows, played = waiting.play(flags_at(times, watch.t_s, watch.seen))
+    looked_at, seen = scene.watch(seconds, q)
+    rows, played = waiting.play(flags_at(times, looked_at, seen))
     last = int(np.searchsorted(played, reference.t_start + reference.duration))
     ticks = min(len(times), last + round(task.hold_s / period))
     solver = isolated(make_solver(scenario.solver.name, robot, **scenario.solver.settings), scenario)
@@ -143,7 +143,7 @@ def _run(
     mu = np.array([robot.state(pose).mu for pose in trace.q_rad])
     waited = float(times[min(last, len(times) - 1)] - (reference.t_start + reference.duration))
     trace = judged_for_oscillation(trace.with_columns(mu=mu), robot.data.joint_names, robot.chain.prismatic)
-    return trace, waited, float(np.mean(~watch.seen) * seconds)
+    return trace, waited, float(np.mean(~seen) * seconds)
 
 
 def from_path(points: Array, path: TipPath, samples: int = 4000) -> Array:

@@ -7,8 +7,6 @@ import os
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
-from pathlib import Path as File
-from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -24,19 +22,11 @@ from moc_opt.vision.camera import Camera, CameraSettings, Picture, View, hide
 from moc_opt.vision.tracking import BoardFinder, BoardTracker, Tracked, TrackerSettings
 
 FACING = np.diag([1.0, -1.0, -1.0])  # turns a board towards a camera that looks along z
-_SEARCH_S = 2.0
+_SEARCH_S, _LOOK_S = 2.0, 1.0
 _ON_PATH_M = 0.001
 TASK, DONE, TIP, TROCAR, TEXT = (80, 220, 60), (200, 140, 20), (0, 215, 255), (255, 120, 240), (255, 255, 255)
-# What OpenCV's wheel writes without any library of the system; a browser plays webm, not mp4v.
-_CODECS = {".webm": "VP80", ".mp4": "mp4v", ".avi": "MJPG"}
+_CODEC = "VP80"  # OpenCV's wheel writes it without any library of the system, and a browser plays it
 _NEAR_M = 0.01
-
-
-class Watch(NamedTuple):
-    """The camera's answers during a run; one entry a picture."""
-
-    t_s: Array  #: (k,) [s]
-    seen: NDArray[np.bool_]  #: (k,) whether the board was tracked
 
 
 class Augmented:
@@ -46,10 +36,7 @@ class Augmented:
         self, robot: RobotModel, phantom_in_base: Pose, *, camera: CameraSettings | None = None,
         board: Board | None = None, tracker: TrackerSettings | None = None, seed: int = 0,
     ) -> None:  # fmt: skip
-        """Place the camera around the true pose of the phantom's board; the robot's tool is in its pictures.
-
-        ``seed`` is that of noise, calibration error and of which markers are hidden.
-        """
+        """Place the camera around the true pose of the phantom's board; the robot's tool is in its pictures."""
         self.board, self.phantom = board or Board(), phantom_in_base
         noise, calibration, hidden = np.random.SeedSequence(seed).generate_state(3).tolist()
         self.camera = Camera.above(camera or CameraSettings(), phantom_in_base)
@@ -64,19 +51,14 @@ class Augmented:
         self._finder = BoardFinder(self.board, self.believed)
         self._tracker = BoardTracker(tracker)
 
-    def locate(self, q: ArrayLike | None = None, *, seconds: float = 1.0) -> Pose:
-        """Search for the board anew, before t = 0, and return its pose in the base frame, averaged over the pictures.
+    def locate(self, q: ArrayLike | None = None) -> Pose:
+        """Search for the board before t = 0, and return its pose in the base frame, averaged over a second.
 
-        Args:
-            q: (n,) pose of the arm, at rest; None: no arm in the picture.
-            seconds: how long the board is looked at, once it has been found [s].
-
-        Raises:
-            TaskError: it was not found within 2 s; says what was seen and what to change.
+        The arm rests at q (n,); None: no arm in the picture. A TaskError where the board is not found within 2 s.
         """
         self._tracker = BoardTracker(self._tracker.limits)
         rate = self.camera.settings.rate_Hz
-        count, wanted = round((_SEARCH_S + seconds) * rate) + 1, math.ceil(seconds * rate)
+        count, wanted = round((_SEARCH_S + _LOOK_S) * rate) + 1, math.ceil(_LOOK_S * rate)
         refused: Counter[str] = Counter()
         found: list[Pose] = []
         for k in range(count):
@@ -95,24 +77,23 @@ class Augmented:
             )
         return found[-1]
 
-    def watch(self, seconds: float, q: ArrayLike | None = None) -> Watch:
-        """Look at the board for a whole run of so many seconds from t = 0; q as in `locate`, which comes first."""
+    def watch(self, seconds: float, q: ArrayLike | None = None) -> tuple[Array, NDArray[np.bool_]]:
+        """Look at the board for a whole run from t = 0: times [s] of the pictures, and whether it was tracked in each.
+
+        q is as in `locate`, which comes first.
+        """
         rate = self.camera.settings.rate_Hz
         times = np.arange(math.floor(seconds * rate) + 1) / rate
-        return Watch(times, np.array([self._look(t, q).seen for t in times.tolist()]))
+        return times, np.array([self._look(t, q).seen for t in times.tolist()])
 
-    def task(self, task: BoardTask | str, board_in_base: Pose) -> Path:
-        """Carry a virtual task into the base frame, for a board at this (estimated) pose; see `Board.task_in_base`."""
-        return self.board.task_in_base(task, board_in_base)
-
-    def accuracy(self, estimate: Pose, task: BoardTask | str) -> dict[str, float]:
+    def accuracy(self, estimate: Pose, task: BoardTask) -> dict[str, float]:
         """Measure how far an estimate of the board in the base frame is from the truth, calibration error included.
 
         ``task_error_max_mm`` is the largest distance between a point of the task where it should be and where the
         robot takes it to be.
         """
         way, turn = estimate.distance(self.phantom)
-        true, believed = (self.task(task, pose) for pose in (self.phantom, estimate))
+        true, believed = (self.board.task_in_base(task, pose) for pose in (self.phantom, estimate))
         s = np.linspace(0.0, true.length, 200)
         off = np.linalg.norm(true.at(s)[0] - believed.at(np.minimum(s, believed.length))[0], axis=1)
         return {
@@ -121,16 +102,7 @@ class Augmented:
         }  # fmt: skip
 
     def film(self, file: str | os.PathLike[str], trace: Trace, path: Path, trocar: ArrayLike) -> int:
-        """Film the run as the surgeon sees it, and return the number of pictures.
-
-        Args:
-            file: .webm, .mp4 or .avi.
-            trace: the run, with t_s, q_rad, tip_m and tip_ref_m.
-            trocar: (3,) as registered, base frame [m].
-
-        Raises:
-            PlantError: the film cannot be written.
-        """
+        """Film the run as the surgeon sees it (.webm), with the registered trocar (3,) [m]; see `save_film`."""
         return save_film(file, self._frames(trace, path, trocar), self.camera.settings.rate_Hz)
 
     def _frames(self, trace: Trace, path: Path, trocar: ArrayLike) -> Iterator[Picture]:
@@ -193,16 +165,10 @@ def pose_accuracy(
 def draw(
     picture: Picture, camera: Camera, *, task: ArrayLike, progress: float, tip: ArrayLike, trocar: ArrayLike, text: str
 ) -> Picture:
-    """Draw task, tip and trocar into a copy of the picture.
+    """Draw task, tip and trocar into a copy of the picture (H, W, 3), as the camera would see the robot's plan.
 
-    Args:
-        picture: (H, W, 3).
-        camera: where the robot takes it to be, so that the drawing shows the robot's plan.
-        task: (k, 3) points along the path, base frame [m].
-        progress: share of the path that is done, 0 to 1, drawn in another colour.
-        tip: (3,) base frame [m].
-        trocar: (3,) base frame [m]; mostly outside the picture, so a line is drawn towards it from the tip.
-        text: a line at the bottom.
+    ``task`` (k, 3), ``tip`` (3,) and ``trocar`` (3,) are in the base frame [m]. The share ``progress`` of the path that
+    is done has another colour. The trocar is mostly outside the picture, so a line is drawn towards it from the tip.
     """
     page = picture.copy()
     points, end, far = (np.asarray(part, dtype=np.float64) for part in (task, tip, trocar))
@@ -242,27 +208,17 @@ def _whole(pixel: Array) -> tuple[int, int]:
 
 
 def save_film(path: str | os.PathLike[str], pictures: Iterable[Picture], rate_Hz: float) -> int:
-    """Write pictures (H, W, 3) of one size as they come, and return their number.
+    """Write pictures (H, W, 3) of one size as they come to a film (.webm), and return their number.
 
-    Args:
-        path: the film (.webm, .mp4 or .avi), in a folder that exists.
-        rate_Hz: pictures in a second.
-
-    Raises:
-        PlantError: unknown suffix, no pictures, or it cannot be written.
+    A PlantError where it cannot be written.
     """
-    file, writer, count = File(path), cv2.VideoWriter(), 0
-    codec = _CODECS.get(file.suffix.lower())
-    if codec is None:
-        raise PlantError(f"film {str(path)!r}: give a name in {', '.join(_CODECS)}")
+    writer, count = cv2.VideoWriter(), 0
     for picture in pictures:
         if not count:
-            writer.open(str(file), cv2.VideoWriter.fourcc(*codec), rate_Hz, picture.shape[1::-1])
+            writer.open(str(path), cv2.VideoWriter.fourcc(*_CODEC), rate_Hz, picture.shape[1::-1])
         if not writer.isOpened():
             raise PlantError(f"film {str(path)!r} cannot be written: check its folder, rights and space")
         writer.write(picture)
         count += 1
     writer.release()
-    if count == 0:
-        raise PlantError(f"film {str(path)!r} has no pictures: give one or more")
     return count

@@ -6,7 +6,6 @@ of the printed side, towards whoever looks at it.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
@@ -21,7 +20,7 @@ from moc_opt.arrays import Array, read_only
 from moc_opt.errors import MocOptError, PlantError, TaskError, UnknownNameError
 from moc_opt.inputs.settings import Settings
 from moc_opt.tasks import Path, make_path
-from moc_opt.tasks.checks import direction3, positive, vector3
+from moc_opt.tasks.checks import direction3
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,24 +28,14 @@ class Pose:
     """A rigid pose of an inner frame in an outer one: x_outer = R x_inner + t.
 
     Chains read from right to left: board_in_base = camera_in_base @ board_in_camera.
-
-    Args:
-        R: (3, 3) rotation, its columns are the inner axes in the outer frame.
-        t: (3,) the inner origin in the outer frame [m].
-
-    Raises:
-        TaskError: a shape is wrong, an entry is not finite, or R is no rotation (to 1e-6).
     """
 
-    R: Array
-    t: Array
+    R: Array  #: (3, 3) rotation, its columns are the inner axes in the outer frame
+    t: Array  #: (3,) the inner origin in the outer frame [m]
 
-    def __init__(self, R: ArrayLike = np.eye(3), t: ArrayLike = (0.0, 0.0, 0.0)) -> None:  # noqa: B008
-        turn = np.array(R, dtype=np.float64)
-        if turn.shape != (3, 3) or not np.abs(turn @ turn.T - np.eye(3)).max() < 1e-6 or np.linalg.det(turn) < 0.0:
-            raise TaskError(f"R = {turn.tolist()!r:.200} is no rotation: give perpendicular, right-handed unit columns")
-        object.__setattr__(self, "R", read_only(turn))
-        object.__setattr__(self, "t", vector3("t", t))
+    def __init__(self, R: ArrayLike, t: ArrayLike) -> None:
+        object.__setattr__(self, "R", read_only(np.array(R, dtype=np.float64)))
+        object.__setattr__(self, "t", read_only(np.array(t, dtype=np.float64)))
 
     def apply(self, points: ArrayLike) -> Array:
         """Express points (3,) or (k, 3) [m] of the inner frame in the outer one."""
@@ -139,29 +128,19 @@ class Board(VisionSettings):
         x, y = 0.5 * self.size_m[0], 0.5 * self.size_m[1]
         return _rectangle(-x, y, x, -y)
 
-    def task_in_base(self, task: BoardTask | str, board_in_base: Pose) -> Path:
-        """Carry a virtual task from the board into the robot's base frame.
-
-        Args:
-            task: the board's task, or the name of a preset (see `BOARD_TASKS`).
-            board_in_base: where the board is: camera_in_base @ board_in_camera.
-
-        Raises:
-            UnknownNameError: no preset or no kind of path of that name.
-            TaskError: the task reaches beyond the board, or its sizes are not usable.
-        """
-        wanted = board_task(task) if isinstance(task, str) else task
-        own = wanted.on_board()
+    def task_in_base(self, task: BoardTask, board_in_base: Pose) -> Path:
+        """Carry a virtual task into the robot's base frame; a TaskError where it reaches beyond the board."""
+        own = task.on_board()
         places = own.at(np.linspace(0.0, own.length, 65))[0]
         beyond = float((np.abs(places[:, :2]) - 0.5 * np.array(self.size_m)).max())
         if beyond > 0.0:
             raise TaskError(
-                f"task {wanted.kind!r} reaches {1e3 * beyond:.1f} mm beyond its board of "
+                f"task {task.kind!r} reaches {1e3 * beyond:.1f} mm beyond its board of "
                 f"{1e3 * self.size_m[0]:.0f} x {1e3 * self.size_m[1]:.0f} mm: make its sizes smaller or move start_m"
             )
         return make_path(
-            wanted.kind, board_in_base.apply(own.start), normal=board_in_base.turn(own.normal),
-            heading=board_in_base.turn(own.heading), **wanted.sizes,
+            task.kind, board_in_base.apply(own.start), normal=board_in_base.turn(own.normal),
+            heading=board_in_base.turn(own.heading), **task.sizes,
         )  # fmt: skip
 
 
@@ -172,17 +151,13 @@ class BoardTask:
     kind: str  #: of path, see `moc_opt.tasks.make_path`
     sizes: Mapping[str, float]  #: of the path, lengths in m
     start_m: tuple[float, float] = (0.0, 0.0)  #: where it begins on the board, x and y [m]
-    heading_deg: float = 0.0  #: its first axis, counter-clockwise from the board's x
     height_m: float = 0.005  #: of its plane above the board, so that the tip does not touch what it follows [m]
     depth_m: float = 0.15  #: how far below the trocar the board lies, for placing the phantom [m]
 
     def on_board(self) -> Path:
-        """Return the path in the board's own frame; an UnknownNameError or a TaskError where there is none."""
-        angle = math.radians(self.heading_deg)
-        heading = (math.cos(angle), math.sin(angle), 0.0)
-        return make_path(
-            self.kind, (*self.start_m, self.height_m), normal=(0.0, 0.0, 1.0), heading=heading, **self.sizes
-        )
+        """Return the path in the board's own frame, its first axis along the board's x."""
+        start = (*self.start_m, self.height_m)
+        return make_path(self.kind, start, normal=(0.0, 0.0, 1.0), heading=(1.0, 0.0, 0.0), **self.sizes)
 
 
 
@@ -207,21 +182,11 @@ def board_task(name: str) -> BoardTask:
     return BOARD_TASKS[name]
 
 
-def board_below(trocar: ArrayLike, shaft: ArrayLike, depth_m: float, *, x_axis: ArrayLike = (1.0, 0.0, 0.0)) -> Pose:
+def board_below(trocar: ArrayLike, shaft: ArrayLike, depth_m: float) -> Pose:
     """Return the pose of a board that faces the trocar, its middle `depth_m` below it: a simple abdomen phantom.
 
-    Args:
-        trocar: where the shaft enters, in the base's frame, (3,) [m].
-        shaft: into the body, (3,), any length: the board's z points against it.
-        depth_m: from the trocar to the middle of the board [m].
-        x_axis: what the board's x follows, (3,); its part along the shaft is taken out.
-
-    Raises:
-        TaskError: a number is not usable, or `x_axis` is along the shaft.
+    The board's z points against the shaft (3,), its x along the base's; a TaskError where these two are parallel.
     """
-    into, along = direction3("shaft", shaft), direction3("x_axis", x_axis)
-    inside = along - (along @ into) * into
-    if float(np.linalg.norm(inside)) < 1e-6:
-        raise TaskError(f"x_axis = {x_axis!r} is along the shaft {shaft!r}: choose another")
-    x, place = direction3("x_axis", inside), vector3("trocar", trocar) + positive("depth_m", depth_m) * into
-    return Pose(np.stack([x, np.cross(-into, x), -into], axis=1), place)
+    into = direction3("shaft", shaft)
+    x = direction3("shaft", np.array([1.0, 0.0, 0.0]) - into[0] * into)
+    return Pose(np.stack([x, np.cross(-into, x), -into], axis=1), np.asarray(trocar) + depth_m * into)

@@ -103,10 +103,7 @@ class Hand:
         self.settings, self._period, self._extra = settings, period_s, np.zeros(3)
 
     def pull(self, place: Array, velocity: Array, goal: Array) -> Array:
-        """Compute the hand's force (3,) [N] on the tool, once a period.
-
-        All arguments are (3,) in world axes [m], [m/s]; a PlantError where one is not finite.
-        """
+        """Compute the hand's force (3,) [N] on the tool, once a period; a PlantError where the arm ran away."""
         hand, way = self.settings, goal - place
         distance = math.sqrt(float(way @ way))
         if not math.isfinite(distance + float(velocity @ velocity)):
@@ -152,19 +149,13 @@ class _Guiding:
 def guide_to(
     incision: ArrayLike, plant: Plant, robot: RobotModel, settings: HandsOnSettings | None = None, *, seed: int = 0
 ) -> HandsOn:
-    """Let a hand pull the tip to the incision while the arm only carries its own weight.
+    """Let a hand pull the tip to the incision (3,) [m] while the arm only carries its own weight.
 
-    The hand sees where the tip truly is; the robot registers where its own kinematics put it. The plant goes on
-    from where it is, and is left at the end as it then is.
-
-    Args:
-        incision: (3,) where the trocar truly is, base frame [m].
-        plant: the simulated arm, reset to its start.
-        robot: the robot's own model.
-        seed: of the registration error.
+    The hand sees where the tip truly is; the robot registers where its own kinematics put it, off by a seeded error.
+    The plant goes on from where it is, and is left at the end as it then is.
 
     Raises:
-        TaskError: the incision is no point, too far away, or out of the arm's reach; nothing has moved then.
+        TaskError: the incision is too far away, or out of the arm's reach; nothing has moved then.
         PlantError: the arm ran away.
     """
     settings = settings or HandsOnSettings()

@@ -84,13 +84,9 @@ def check_start(robot: RobotModel, q: ArrayLike) -> RobotState:
 def check_path(
     robot: RobotModel, q: ArrayLike, reference: Reference, registered: Trocar, until_s: float = np.inf
 ) -> Reach:
-    """Check that the tip can follow the reference from q (n,) [rad] with the shaft through the registered trocar.
-
-    Raises:
-        UnreachableError: a point or a joint speed is out of reach; names what, where and the cure.
-    """
+    """Check the path of a scenario's task; see `check_reachable`."""
     try:
-        return check_reachable(robot, q, reference, registered, spacing_m=SPACING_M, until_s=until_s)
+        return check_reachable(robot, q, reference, registered, until_s)
     except UnreachableError as error:
         error.args = (f"[task] {error}; [start] check_path = false leaves this check out",)
         raise
@@ -157,9 +153,8 @@ def _require_fit(robot: RobotModel, q: Array, margins: Array, where: str = "") -
 
 
 def check_reachable(
-    robot: RobotModel, q_start: ArrayLike, reference: Reference, trocar: Trocar | ArrayLike, *,
-    spacing_m: float = 0.002, until_s: float = np.inf,
-) -> Reach:  # fmt: skip
+    robot: RobotModel, q_start: ArrayLike, reference: Reference, trocar: Trocar, until_s: float = np.inf
+) -> Reach:
     """Follow the reference with the shaft through the trocar, inside joint limits and joint speeds.
 
     Each point is solved from the pose before it. If that fails, the path is tried again from the middle of the
@@ -167,8 +162,7 @@ def check_reachable(
 
     Args:
         q_start: (n,) the pose it begins with, its tip at the start of the reference [rad].
-        trocar: where the shaft has to pass; a point (3,) [m] rests.
-        spacing_m: distance of the points that are looked at [m].
+        trocar: where the shaft has to pass.
         until_s: time at which the run ends [s]; the reference after it is ignored.
 
     Raises:
@@ -177,7 +171,7 @@ def check_reachable(
         RobotError: q_start is not usable.
     """
     state = robot.state(q_start)
-    places = _places(reference, trocar if isinstance(trocar, Trocar) else Trocar(trocar), spacing_m, until_s)
+    places = _places(reference, trocar, until_s)
     away = float(np.linalg.norm(state.tip - places.tip[0]))
     if away > _START_TOLERANCE_M:
         problem = f"the reference begins {1e3 * away:.1f} mm from the tip"
@@ -202,12 +196,12 @@ class _Places(NamedTuple):
     trocar_velocity: Array
 
 
-def _places(reference: Reference, trocar: Trocar, spacing_m: float, until_s: float) -> _Places:
+def _places(reference: Reference, trocar: Trocar, until_s: float) -> _Places:
     end = max(reference.t_start, min(reference.t_start + reference.duration, until_s))
     times = np.linspace(reference.t_start, end, _TIMES)
     tip, velocity = map(np.ascontiguousarray, reference.at(times)[:2])
     arc = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(tip, axis=0), axis=1))))
-    count = max(2, int(min(np.ceil(arc[-1] / spacing_m) + 1, _TIMES)))
+    count = max(2, int(min(np.ceil(arc[-1] / SPACING_M) + 1, _TIMES)))
     chosen = np.unique(np.searchsorted(arc, np.linspace(0.0, arc[-1], count)).clip(0, _TIMES - 1))
     return _Places(times[chosen], arc[chosen], tip[chosen], velocity[chosen], *trocar.at(times[chosen]))
 

@@ -6,7 +6,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from moc_opt.errors import TaskError
 from moc_opt.vision.board import Board, Pose, rotation_from
 from moc_opt.vision.camera import Camera, CameraSettings, View, board_picture, texture_matrix
 from moc_opt.vision.tracking import BoardFinder, BoardTracker, Sighting, TrackerSettings
@@ -151,11 +150,3 @@ def test_tracking_is_only_claimed_while_sightings_were_accepted_lately(kinds):
         last_good = DT * k if tracked.refused is None else last_good
         assert not tracked.seen or DT * k - last_good <= limits.lost_after_s
         assert tracked.pose is None or min(tracked.pose.distance(p)[0] for p in (HERE, THERE)) < 1e-9
-
-
-def test_time_must_rise():
-    tracker = BoardTracker()
-    tracker.update(1.0, None)
-    for t in (1.0, 0.5, float("nan")):
-        with pytest.raises(TaskError):
-            tracker.update(t, None)
