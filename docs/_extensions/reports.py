@@ -11,12 +11,12 @@ from docutils.parsers.rst import Directive
 from sphinx.application import Sphinx
 
 RESULTS = Path(__file__).resolve().parents[2] / "results"
-PAGES = ("report.html", "replay.html")
+PAGE = "report.html"
 
 
 def found() -> list[Path]:
     """Return the folders of results that have a report, by name."""
-    return sorted(path.parent for path in RESULTS.glob("*/report.html"))
+    return sorted(path.parent for path in RESULTS.glob(f"*/{PAGE}"))
 
 
 class PublishedReports(Directive):
@@ -32,7 +32,7 @@ class PublishedReports(Directive):
         listed = nodes.bullet_list()
         for folder in found():
             entry = nodes.paragraph()
-            entry += nodes.reference("", folder.name, refuri=f"reports/{folder.name}/report.html")
+            entry += nodes.reference("", folder.name, refuri=f"reports/{folder.name}/{PAGE}")
             entry += nodes.Text(_origin(folder))
             listed += nodes.list_item("", entry)
         return [listed]
@@ -52,9 +52,7 @@ def _copy(app: Sphinx, error: Exception | None) -> None:
         for folder in found():
             target = Path(app.outdir) / "reports" / folder.name
             target.mkdir(parents=True, exist_ok=True)
-            for name in PAGES:
-                if (folder / name).is_file():
-                    shutil.copyfile(folder / name, target / name)
+            shutil.copyfile(folder / PAGE, target / PAGE)
 
 
 def setup(app: Sphinx) -> dict[str, bool]:

@@ -7,7 +7,6 @@ import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
-from urllib.parse import quote
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
@@ -19,8 +18,6 @@ from moc_opt.inputs.files import check_replaceable, write_whole
 MAX_BYTES = 8_000_000
 GENERATOR = b'<meta name="generator" content="moc_opt">'
 """Marks a page as ours, in its first lines."""
-# A piece of a path: no scheme's colon, no backslash that browsers read as a slash, nothing that leads upwards.
-PIECE = re.compile(r"(?!\.+$)[\w.()+, -]+")
 
 
 def render(template: str, **values: Any) -> str:
@@ -70,18 +67,6 @@ _TEMPLATES = Environment(
 )
 _TEMPLATES.globals["asset"] = asset
 _TEMPLATES.filters.update(inline=inline, inert=inert, in_words=in_words, anchor=anchor, pretty_unit=pretty_unit)
-
-
-def beside(target: str) -> str:
-    """Return the address of a file beside a page or below it: a relative path, maybe with a ``#`` and a place in it.
-
-    Raises:
-        ReportError: it is anything else: an address of another host, a scheme, an absolute path, or one upwards.
-    """
-    path, _, place = target.partition("#")
-    if not all(PIECE.fullmatch(piece) for piece in path.split("/")):
-        raise ReportError(f"link to {target!r}: give a file beside the page or below it, such as 'replay.html'")
-    return quote(path) + (f"#{quote(place, safe='=')}" if place else "")
 
 
 def check_out(path: str | os.PathLike[str], what: str, *, force: bool = False) -> Path:

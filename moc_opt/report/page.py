@@ -21,7 +21,7 @@ from plotly.offline import get_plotlyjs
 from moc_opt.figures.notation import Missing, fraction_length
 from moc_opt.figures.style import DARK
 from moc_opt.inputs.files import to_json
-from moc_opt.report.document import anchor, beside, macros, render, save_document
+from moc_opt.report.document import anchor, macros, render, save_document
 from moc_opt.report.tables import Cell, Column, Table, alignment, heading_lines
 
 # As wide as a digit and as a point, where figures are tabular: they align numbers on their points.
@@ -75,17 +75,6 @@ class Page:
         for paragraph in re.split(r"\n\s*\n", text.strip()):
             if paragraph:
                 self._add(_PARTS.paragraph(paragraph))
-
-    def link(self, target: str, text: str, about: str = "") -> None:
-        """Append a paragraph with a link to a file that lies beside the page; the page is complete without it.
-
-        Args:
-            target: relative path of that file, such as "replay.html", or "replay.html#t=3".
-
-        Raises:
-            ReportError: the target is not beside or below the page: no other host, scheme or folder above is allowed.
-        """
-        self._add(_PARTS.link(beside(target), text, about))
 
     def table(self, table: Table) -> None:
         """Append a numbered table."""

@@ -47,12 +47,11 @@ class Picture(NamedTuple):
 
 @dataclass(frozen=True)
 class Section:
-    """Text, tables and pictures under a title, folded on the page; ``more`` adds what is neither."""
+    """Text, tables and pictures under a title, folded on the page."""
 
     title: str
     text: str = ""
     parts: Sequence[Table | Picture] = ()
-    more: Callable[[Page], None] = lambda page: None
 
 
 @dataclass(frozen=True)
@@ -101,7 +100,6 @@ class Report:
                     page.table(part)
                 else:
                     page.figure(part.figure, part.says, name=part.name)
-            section.more(page)
         if failed:
             page.section("Runs that failed")
             keys = ("group", "robot", "trial", "controller", "error")

@@ -40,8 +40,8 @@ Runner = Callable[..., list[Any]]
 
 HUNG, CRASHED, RAISED, NOT_ASKED, REFUSED = "hung", "crashed", "raised", "not asked", "refused"
 """What became of an answer, beside the statuses of solvers."""
-GIVE_UP, BROKEN_SETS = 2, 3
-"""Hangs and crashes in one set, after which its rest is not asked; such sets, after which no other one is."""
+BROKEN_SETS = 3
+"""A set is left at its first hang or crash; after so many such sets no other one is asked."""
 HOURS = 1e5  # of a whole set [s]: every answer has its own limit
 WARM_UP = 16  # solves that are not counted
 CONTRADICTION = 1e-13  # m/s; above the rounding of consistent references
@@ -118,27 +118,21 @@ class Answers:
     refused: str = ""
     events: list[str] = field(default_factory=list)
     given: list[Answer] = field(default_factory=list)
-    broken: int = 0  # hangs and crashes
-    open: bool = True  # there is more to ask
 
     def take(self, result: list[Any] | Failed) -> None:
-        """Append what a job returned, or what it had reported when it failed."""
+        """Take what the job returned, or what it had reported when it failed."""
         failed = result if isinstance(result, Failed) else None
         reason, *items = (result.parts if isinstance(result, Failed) else result) or [None]
         for item in items:
             if item.trouble:
                 self.events.append(f"problem {len(self.given)}: {item.trouble}")
             self.given.append(item)
-        self.open = False
         if reason or (failed and failed.kind == "raised"):  # it does not take the problems, or cannot be made
             self.refused = reason or str(failed)
         elif failed and failed.kind != "not run":
-            ready = reason is not None
-            what = "" if ready else ", while setting up"
+            what = ", while setting up" if reason is None else ""
             self.events.append(f"problem {len(self.given)}{what}: {failed.reason}")
             self.given.append(self._blank(HUNG if failed.kind == "hung" else CRASHED))
-            self.broken += 1 if ready else GIVE_UP  # no other problem will be set up either
-            self.open = self.broken < GIVE_UP and len(self.given) < len(self.problems.rows)
 
     def _blank(self, status: str) -> Answer:
         return Answer(status, 0, np.full(joints_of(self.problems.rows.shape[1]), np.nan), np.full(6, np.nan))
@@ -282,23 +276,15 @@ def totals(answers: Sequence[Answers], times: Sequence[Times]) -> dict[str, Any]
 def ask(run: Runner, questions: Sequence[Question], limits: Limits, *, warm: bool = True) -> list[Answers]:
     """Collect all answers of each solver to its set, from one session in order, or each from a new session.
 
-    After `GIVE_UP` hangs or crashes in a set the rest of it is not asked; after `BROKEN_SETS` such sets no other is.
+    After a hang or a crash the rest of its set is not asked; after `BROKEN_SETS` such sets no other is.
     """
+    jobs = [
+        Job(answer, (setting, problems.rows, warm, limits.patience_s, limits.setup_s), HOURS, group=setting.label)
+        for setting, problems in questions
+    ]
     found = [Answers(*question) for question in questions]
-    asked = found
-    while asked:
-        jobs = [
-            Job(answer, (one.setting, one.problems.rows[len(one.given) :], warm, limits.patience_s, limits.setup_s),
-                HOURS, group=one.setting.label)
-            for one in asked
-        ]  # fmt: skip
-        for one, result in zip(asked, run(jobs, give_up=BROKEN_SETS), strict=True):
-            one.take(result)
-        broken, asked = Counter[str](), []
-        for one in found:
-            if one.open and broken[one.setting.label] < BROKEN_SETS:
-                asked.append(one)
-            broken[one.setting.label] += one.broken > 0
+    for one, result in zip(found, run(jobs, give_up=BROKEN_SETS), strict=True):
+        one.take(result)
     return found
 
 

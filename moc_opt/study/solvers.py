@@ -3,9 +3,9 @@
 moc-opt solvers [CONFIG.toml] [--out DIR] [--seed N] [--quick | --full] [--only SOLVER ...] [--sets NAME ...]
                 [--parts PART ...]
 
-In the order of reading: `Config` (the question), the parts in ``solver_open_loop`` and ``solver_closed_loop``, `work`,
-`report`. ``solver_answers`` asks, counts and times, ``solver_settings`` has every solver's settings and why,
-``solver_verdicts`` the rules from numbers to a verdict.
+In the order of reading: `Config` (the question), the parts in ``solver_parts``, `work`, `report`. ``solver_answers``
+asks, counts and times, ``solver_settings`` has every solver's settings and why, ``solver_verdicts`` the rules from
+numbers to a verdict.
 """
 
 from __future__ import annotations
@@ -36,8 +36,7 @@ from moc_opt.study.engine import Failed, Job
 from moc_opt.study.results import Results
 from moc_opt.study.show import Report, Section
 from moc_opt.study.solver_answers import Limits
-from moc_opt.study.solver_closed_loop import closed_loop
-from moc_opt.study.solver_open_loop import SOLVER, certified_sets, record, recorded_sequence
+from moc_opt.study.solver_parts import SOLVER, certified_sets, closed_loop, record, recorded_sequence
 from moc_opt.study.solver_settings import QPSOLVERS, SolverSetting, solver_settings
 from moc_opt.study.solver_verdicts import assess, first_table, pictures, rules, sentences
 from moc_opt.study.timing import Disturbance, clock_cost_us, each_us, load
@@ -77,7 +76,7 @@ class TestSets(Settings):
     every_other: int = Field(4, ge=1, description="under default and tight settings, and of nlp-*, each so many-th")
     rounds: int = Field(8, ge=1)
     seconds: float = Field(0.05, gt=0.0, description="of timing a set, at most")
-    patience_s: float = Field(1.0, gt=0.0, description="longer without an answer is a hang")
+    patience_s: float = Field(0.5, gt=0.0, description="longer without an answer is a hang")
     setup_s: float = Field(15.0, gt=0.0, description="longer without being set up is one too")
     cold: int = Field(16, ge=1)
 
@@ -167,7 +166,6 @@ class Work:
         summary: part -> solver or controller -> metric.
         runs: a row for each run in closed loop.
         answers: a row for each answer in open loop.
-        files: names of files that a part wrote into the study's folder.
         sections: of the report.
     """
 
@@ -177,7 +175,6 @@ class Work:
     summary: dict[str, dict[str, Any]] = field(default_factory=dict)
     runs: Results = field(default_factory=Results)
     answers: Results = field(default_factory=Results)
-    files: list[str] = field(default_factory=list)
     sections: list[Section] = field(default_factory=list)
     said: str = ""
 
@@ -253,7 +250,6 @@ def work(parts: Mapping[str, Part], study: Study, config: Config) -> Found:
     return Found(
         report(found), found.summary, Results([*found.answers, *found.runs]),
         {"load": Disturbance.total(timed_rows(found.summary)).told()}, sentences=told if slow else (),
-        files=found.files,
     )  # fmt: skip
 
 

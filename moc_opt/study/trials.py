@@ -41,9 +41,6 @@ CURVES = (
     "t_s", "mu", "tip_error_model_m", "tip_error_registered_m", "tip_error_m", "rcm_error_model_m",
     "rcm_error_registered_m", "rcm_error_m", "trocar_force_N", "solve_us", "tick_us",
 )  # fmt: skip
-POSES = ("q_rad", "tip_m", "tip_ref_m", "trocar_m", "trocar_registered_m")
-POSES_EVERY = 5
-"""Of the ticks whose poses are kept."""
 PHASES = ("settled", "travelling")
 CLOCKS = ("solve_", "tick_", "deadline_")
 PATIENCE_S, PER_S, LONGEST_S = 30.0, 30.0, 60.0
@@ -126,7 +123,7 @@ class Trial:
         solver: what the controller asks in place of the solver of its name: another name, or an object.
         tags: further columns of its row, such as a group's name.
         timed: nothing else runs meanwhile, so that its times count.
-        keep: beside the row: nothing, the columns in `CURVES`, or these and poses for drawings.
+        keep: whether the columns in `CURVES` stay beside the row.
     """
 
     case: Scenario
@@ -134,7 +131,7 @@ class Trial:
     settings: Mapping[str, Any] = field(default_factory=dict)
     tags: Mapping[str, Any] = field(default_factory=dict)
     timed: bool = False
-    keep: Literal["row", "curves", "poses"] = "row"
+    keep: Literal["row", "curves"] = "row"
     solver: str | Solver | None = None
 
     @property
@@ -162,21 +159,13 @@ class Run:
     Attributes:
         row: what names it; ``ended``, ``whole`` (the task was driven to its end), ``error`` (None: none), ``raised``
             (what the solver raised first); then every metric, with times only where it ran alone.
-        columns: name -> array with a row a tick; poses at every `POSES_EVERY`-th tick. Empty where it broke off.
+        columns: name -> array with a row a tick; empty where it broke off.
         load: what the machine did from the first tick to the last.
     """
 
     row: Mapping[str, Any]
     columns: Mapping[str, Array] = field(default_factory=dict)
     load: Disturbance = UNDISTURBED
-
-    @property
-    def trace(self) -> Trace | None:
-        """What can be drawn of the run; None where no poses were kept."""
-        if POSES[0] not in self.columns:
-            return None
-        curves = {name: self.columns[name][::POSES_EVERY] for name in CURVES if name in self.columns}
-        return Trace({**curves, **{name: self.columns[name] for name in POSES}}, {"ended": self.row["ended"]})
 
 
 def run_trial(asked: Trial) -> Run:
@@ -233,8 +222,6 @@ def _columns(asked: Trial, trace: Trace) -> dict[str, Array]:
     found = {name: np.asarray(trace.columns[name], np.float64) for name in CURVES if name in trace.columns}
     if asked.controller not in BASELINES:
         found["travelling"] = in_transient(asked.case.robot.arm(), trace.t_s, trace.q_rad).astype(np.float64)
-    if asked.keep == "poses":
-        found |= {name: np.asarray(trace.columns[name][::POSES_EVERY], np.float32) for name in POSES}
     return found
 
 

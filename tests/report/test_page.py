@@ -14,7 +14,6 @@ from collections.abc import Iterator
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
-from urllib.parse import unquote, urljoin
 
 import numpy as np
 import pytest
@@ -32,12 +31,11 @@ from tests.odd_inputs import names
 
 
 class Resources(HTMLParser):
-    """Whatever a browser might fetch, where links lead, all tags with the names of their attributes, all scripts."""
+    """Whatever a browser might fetch, all tags with the names of their attributes, all scripts."""
 
     def __init__(self, source: str) -> None:
         super().__init__()
         self.fetched: list[str] = []
-        self.links: list[str] = []
         self.tags: list[tuple[str, ...]] = []
         self.data: dict[str, str] = {}
         self._inside = self.styles = ""
@@ -46,8 +44,6 @@ class Resources(HTMLParser):
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
         known = {key: value or "" for key, value in attrs}
         self.tags.append((tag, *known))
-        if tag == "a":
-            self.links.append(known["href"])
         for name in ("src", "href", "srcset", "data", "poster", "action", "background", "xlink:href"):
             if known.get(name) and (tag, name) != ("a", "href"):
                 self.fetched.append(known[name])
@@ -80,7 +76,6 @@ def full() -> Page:
     page.headline("Nothing is found.")
     page.section("Results")
     page.text("First <b>\n\nSecond `name`.")
-    page.link("replay.html#t=3", "Link <b>", "after it <b>")
     columns = [Column("name", "solver"), Column("value", "time", "us", better="low", help="of a solve")]
     columns += [Column(f"c{k}", f"column {k}", "rad/s") for k in range(12)]
     values = [2.5, Missing("no licence"), 1e-3, float("inf"), 30.0, -4.0]
@@ -147,23 +142,6 @@ def test_save_is_reproducible_small_and_all_or_nothing(
         full.save(first)
     assert first.read_bytes() == old
     assert sorted(file.name for file in tmp_path.rglob("*")) == ["a", "b.html", "folder.html", "report.html"]
-
-
-@pytest.mark.parametrize("target", ["replay.html", "a b (1).html", "größe.html#t=3.2"])
-def test_a_link_leads_to_a_file_beside_the_page(target: str) -> None:
-    made = Page("Linked")
-    made.link(target, "text", " and so on")
-    (address,) = Resources(made.html()).links
-    assert unquote(urljoin("file:///folder/report.html", address)) == f"file:///folder/{target}"
-
-
-@pytest.mark.parametrize("target", [
-    "", "https://example.org/x.html", "//example.org/x.html", "/etc/x.html", "javascript:alert(1)", "../up.html",
-    "a/../../up.html", "\\\\example.org\\x", "%2e%2e/x.html", '"><img>',
-])  # fmt: skip
-def test_no_link_leads_anywhere_else(target: str) -> None:
-    with pytest.raises(ReportError):
-        Page("Linked").link(target, "text")
 
 
 def test_figures_that_cannot_be_saved_are_refused(full: Page, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

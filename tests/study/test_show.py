@@ -24,8 +24,7 @@ TABLE = Table(
 INNER = Table("Second", [Column("arm", "arm")], [{"arm": "panda"}])
 REPORT = Report(
     "A title", ["It holds.", "It is `exact`."], TABLE, [Picture(figure(), "See the point.", "seen")],
-    [Section("All figures", "Read these.", [INNER, Picture(figure(), "More.", "more")]),
-     Section("Added", more=lambda page: page.text("by hand"))], load="Times were taken.",
+    [Section("All figures", "Read these.", [INNER, Picture(figure(), "More.", "more")])], load="Times were taken.",
 )  # fmt: skip
 
 
@@ -34,7 +33,7 @@ def test_a_page_begins_with_the_answer_and_folds_the_rest() -> None:
     html = REPORT.page({"seed": 3}, failed).html()
     first_screens.check(html, pictures=1)
     order = ["It holds.", "It is <code>exact</code>", "First", "Times were taken.", 'id="seen"', "Read these.",
-             "Second", 'id="more"', "by hand", "Runs that failed", "hung: 30 s", "Environment"]  # fmt: skip
+             "Second", 'id="more"', "Runs that failed", "hung: 30 s", "Environment"]  # fmt: skip
     text = html[html.index("<body") :]
     places = [text.index(part) for part in order]
     assert places == sorted(places)
@@ -45,8 +44,7 @@ def test_markdown_has_every_sentence_and_table_and_a_terminal_the_first_screen()
     assert list(REPORT.screens()) == [*REPORT.answer, TABLE, REPORT.load]
     assert REPORT.markdown() == (
         "# A title\n\nIt holds.\n\nIt is `exact`.\n\n| arm | mean [m^3] |\n| --- | --- |\n| a\\|b | 0.13 |\n| c | – |"
-        "\n\nOver ten trials.\n\nTimes were taken.\n\n## All figures\n\nRead these.\n\n| arm |\n| --- |\n| panda |\n\n"
-        "## Added\n"
+        "\n\nOver ten trials.\n\nTimes were taken.\n\n## All figures\n\nRead these.\n\n| arm |\n| --- |\n| panda |\n"
     )
 
 

@@ -13,7 +13,7 @@ from rich.console import Console
 from moc_opt.figures.notation import Doubtful
 from moc_opt.study.results import Results, change_name
 from moc_opt.study.show import Report
-from moc_opt.study.solver_closed_loop import figures
+from moc_opt.study.solver_parts import figures
 from moc_opt.study.solver_verdicts import (
     AVOID,
     GAPS,

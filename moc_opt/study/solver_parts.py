@@ -1,0 +1,254 @@
+"""The parts of the solver study: a recorded sequence and the certified sets in open loop, and the closed loop."""
+
+from __future__ import annotations
+
+from collections.abc import Container, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from moc_opt.arrays import Array
+from moc_opt.report.tables import Column, Table
+from moc_opt.scenario import Scenario, run
+from moc_opt.study.results import ERRORS, FRAMES, Results, change_name
+from moc_opt.study.show import Section, columns
+from moc_opt.study.solver_answers import RIGHTLY, Limits, Problems, ask, share_right, time, totals
+from moc_opt.study.solver_settings import SolverSetting, effective, in_words
+from moc_opt.study.solver_verdicts import CERTIFIED, CLOSED, COSTS, INCONSISTENT, RECORDED
+from moc_opt.study.statistics import spread, too_few
+from moc_opt.study.timing import Disturbance, percentiles
+from moc_opt.study.trials import BASELINE, Run, Trial, placed
+from moc_opt.trace.meta import Ending
+
+if TYPE_CHECKING:
+    from moc_opt.study.solvers import Work
+
+MEANING = (
+    "An answer is verified when its primal residual is at most 1e-6, its relative natural residual 1e-3 and its "
+    "self-motion loss 1e-2; the solver is not asked. Silently wrong: claimed as solved, and not verified. Claims of "
+    "infeasibility are right where the set's certificate says so; a wrong one counts among the failed, too. Right: "
+    "verified, or rightly called infeasible, as a share of the problems that were not refused as inconsistent. Times "
+    f"are compared among solvers that are right at {100 * RIGHTLY:g} % of the problems or more. Hung: no answer within "
+    "the time limit, and the process was ended; the rest of that set is not asked, and no further set after three "
+    "such sets. Update: of a warm solve, the part that hands the new problem to the library. A time marked ? was "
+    "spoilt by other work on the machine. The solvers nlp-* answer the nonlinear problem of the tick: a right answer "
+    "of theirs lies about 1e-3 m/s off A x = b, so that the judge of the linear problem counts it as silently wrong."
+)
+SOLVER = Column("solver", "solver")
+RANKED = "answers_rightly"  # flag of the rows whose times are compared
+COUNTS = {
+    "claimed_solved": "claimed", "verified_solved": "verified", "silently_wrong": "silently wrong",
+    "infeasible_right": "infeas. right", "refused_inconsistent": "refused: inconsistent",
+    "infeasible_wrong": "infeas. wrong", "failed": "failed", "hung": "hung", "crashed": "crashed",
+    "not_asked": "not asked",
+}  # fmt: skip
+FAULTS = ("silently_wrong", "infeasible_wrong", "failed", "hung", "crashed")
+RESIDUALS = {
+    "primal": "of all answers, claimed or not", "natural": "with the solver's own duals",
+    "relative": "with the best duals, the cost scaled to one", "loss": "0 optimum, 1 opposite end",
+}  # fmt: skip
+TIMES = {
+    "solve_p50_us": "p50", "solve_p99_us": "p99", "solve_p99_9_us": "p99.9", "update_p50_us": "update p50",
+    "cold_p50_us": "cold p50", "cold_p99_us": "cold p99", "setup_p50_us": "set-up p50",
+}  # fmt: skip
+
+MEANS = (
+    "mu_mean", "mu_fraction_of_bound", "mu_fraction_of_best_from_start", "mu_fraction_of_best", *ERRORS,
+    "trocar_force_mean_N", "torque_rate_rms_Nm_per_s",
+)  # fmt: skip
+CHANGES = tuple(name for name in COSTS if name != "torque_rate_rms_Nm_per_s")
+SUMS = ("ticks", "asked", "infeasible", "fault_late", "claimed_solved", "verified_solved", "silently_wrong")
+LARGEST = ("primal_max", "natural_max", "loss_max", "tip_error_model_max_mm", "rcm_error_model_max_mm")
+COUNTED = (
+    "claimed_solved", "verified_solved", "silently_wrong", "infeasible", "loss_max", "tip_error_model_max_mm",
+    "rcm_error_model_max_mm", "oscillated",
+)  # fmt: skip
+
+
+def answers_table(title: str, part: Mapping[str, Mapping[str, Any]], suffix: str = "") -> Table:
+    """Make the table of a part in open loop: counts, largest residuals, times (whose keys end with the suffix)."""
+    rows = []
+    for name, row in part.items():
+        share = share_right(row) if "right" in row else None
+        ranked = {} if share is None else {"right_percent": np.floor(1e4 * share) / 100.0, RANKED: share >= RIGHTLY}
+        rows.append({"solver": name, **row, **ranked})
+    shown = [
+        SOLVER, Column("right_percent", "right", unit="%", format=".2f", better="high"),
+        *(Column(key, title, format=".0f", better="low" if key in FAULTS else None) for key, title in COUNTS.items()),
+        *(Column(f"{name}_max", name, format=".1e", better="low", help=text) for name, text in RESIDUALS.items()),
+        *(Column(f"{key}{suffix}", title, unit="us", format=".1f", better="low", among=RANKED)
+          for key, title in TIMES.items()),
+    ]  # fmt: skip
+    return Table(title, shown, rows)
+
+
+# --- the recorded sequence ---
+
+
+def record(case: Scenario, ticks: int) -> Array:
+    """Record the subproblems of a closed-loop run with ``exact``, one a tick; in a worker."""
+    duration_s = ticks * case.plant.period_s
+    trace = run(placed(case).change(duration_s=duration_s, judge=False, bound_samples=0))
+    return np.asarray(trace.subproblem)
+
+
+def recorded_sequence(work: Work) -> None:
+    """Ask every solver warm and cold for the recorded sequence, under the recommended settings; times one by one."""
+    config = work.config.open_loop
+    data = Problems.recorded("recorded", work.sequence)
+    limits = Limits(max(2.0, work.config.testsets.patience_s), rounds=2, seconds=1.0, cold=config.cold)
+    thin = data.thinned(max(1, len(data.rows) // config.cold))
+    asked = ask(work.runner("recorded sequence, warm"), [(setting, data) for setting in work.recommended], limits)
+    taken = [one for one in asked if not one.refused]
+    work.summary["not_run"] |= {one.setting.solver: {"reason": one.refused} for one in asked if one.refused}
+    apart = ask(work.runner("recorded sequence, cold"), [(one.setting, thin) for one in taken], limits, warm=False)
+    measured = time(work.runner("recorded sequence, times"), taken, limits)
+    warm, cold = (work.summary.setdefault(f"open_loop_{word}", {}) for word in ("warm", "cold"))
+    for one, alone, times in zip(taken, apart, measured, strict=True):
+        solver = one.setting.solver
+        warm[solver], cold[solver] = one.summary(times), alone.summary()
+        if times is not None:
+            for name, prefix in (("cold", "solve"), ("setup", "setup")):
+                cold[solver] |= percentiles(getattr(times, name), prefix, times.cold_load)
+            cold[solver] |= times.cold_load.entries()
+        work.answers.add(*one.rows("open_loop_warm"), *alone.rows("open_loop_cold"))
+    table = answers_table("One session through the sequence; cold times are those of fresh sessions", warm)
+    about = f"{len(data.rows)} subproblems of one run with exact, a tick apart."
+    work.sections.append(Section(RECORDED, about, [table]))
+
+
+# --- the certified sets ---
+
+
+def certified_sets(work: Work) -> None:
+    """Ask every solver under every setting for every set; the answers several at a time, the times one by one."""
+    config = work.config.testsets
+    chosen = [Problems.certified(name, config.every) for name in config.chosen()]
+    thinned = [data.thinned(config.every_other) for data in chosen]
+    limits = config.limits()
+    questions = [
+        (setting, data) for setting in work.settings
+        for data in (chosen if setting.recommended and not setting.nonlinear else thinned)
+    ]  # fmt: skip
+    answers = ask(work.runner("certified sets, answers"), questions, limits)
+    of = {setting.label: [one for one in answers if one.setting == setting] for setting in work.settings}
+    whole = work.summary["testsets"] = {label: totals(mine, []) for label, mine in of.items()}
+    work.summary["settings"] = {
+        one.label: {"options": in_words(effective(one)), "reason": one.reason} for one in work.settings
+    }
+    if "open_loop_warm" in work.summary:
+        work.say()
+    timed = {True: [*config.timed, *config.timed_too], False: config.timed}
+    to_time = [one for one in answers if not one.refused and one.problems.name in timed[one.setting.recommended]]
+    times = dict(zip(map(id, to_time), time(work.runner("certified sets, times"), to_time, limits), strict=True))
+    for label, mine in of.items():
+        whole[label] = totals(mine, [found for one in mine if (found := times.get(id(one))) is not None])
+        for one in mine:
+            work.summary.setdefault(f"testset {one.problems.name}", {})[label] = one.summary(times.get(id(one)))
+            work.answers.add(*one.rows("testset"))
+    totalled = answers_table("All sets: sums of counts, largest residuals, times of the slowest", whole, "_worst_set")
+    by_set = _set_by_set(work.summary, [data.name for data in chosen], work.recommended)
+    settings = Table(
+        "Every setting of every solver",
+        [SOLVER, Column("setting", "setting"), Column("options", "what it gets"), Column("reason", "why")],
+        [{"solver": one.solver, "setting": one.name, **work.summary["settings"][one.label]} for one in work.settings],
+    )
+    work.sections.append(Section(CERTIFIED, f"{MEANING}\n\n{INCONSISTENT}", [totalled, by_set]))
+    work.sections.append(Section("Settings", "", [settings]))
+
+
+def _set_by_set(summary: Mapping[str, Any], names: Sequence[str], recommended: Sequence[SolverSetting]) -> Table:
+    rows = []
+    for setting in recommended:
+        row = {"solver": setting.solver}
+        for name in names:
+            counts = summary[f"testset {name}"][setting.label]
+            wrong, declined = counts["silently_wrong"], counts["refused_inconsistent"]
+            row[name] = f"{counts['right']} of {counts['solves'] - declined}" + f", {wrong} wrong" * bool(wrong)
+        rows.append(row)
+    return Table(
+        "Right answers, set by set, under our settings", [SOLVER, *(Column(name, name) for name in names)], rows,
+        "Wrong: claimed as solved, and not verified. Problems that were refused as inconsistent are not counted.",
+    )  # fmt: skip
+
+
+# --- the closed loop ---
+
+
+def closed_loop(work: Work) -> None:
+    """Run every solver in the controller, and the baseline, each on its trials."""
+    part = work.config.closed_loop
+    cases = work.config.cases()
+    number = {case.name: k for k, case in enumerate(cases)}
+    starts, lost = work.study.placed(cases)
+    work.runs.add(*lost)
+    names = [BASELINE, *(name for name in work.names if name not in part.slow)]
+    asked = []
+    for case in starts:
+        k, case = number[case.name], case.change(best_courses=True)
+        timed = k < part.timed
+        asked += [
+            Trial(case, name, work.config.settings.get(name, {}), timed=timed, keep="curves" if timed else "row")
+            for name in names if k < part.of(name)
+        ]  # fmt: skip
+    runs = work.study.trials(asked, "closed loop", keep=lambda run: not run.row["timed"] or run.load.trusts(99.0))
+    work.runs.add(*(run.row for run in runs))
+    common = [case.name for case in cases[: part.others]]
+    work.summary["closed_loop"] = {
+        name: figures(work.runs, name, [run for run in runs if run.row["controller"] == name], common)
+        for name in names
+    }
+    length = f"the first {part.duration_s:g} s of its task" if part.duration_s else "its whole task"
+    text = f"Each trial has a seed of its own, which draws pose, mismatch and noise, and shows {length}."
+    work.sections.append(Section(CLOSED, text, [_controllers(work.summary["closed_loop"])]))
+
+
+def figures(
+    rows: Results, controller: str, runs: Sequence[Run] = (), common: Container[str] | None = None
+) -> dict[str, Any]:
+    """Return what the summary holds of a controller: means and changes over its whole runs, sums and largest values.
+
+    Args:
+        rows: of the controller and the baseline.
+        controller: whose.
+        runs: its runs; the times of those that ran alone are pooled.
+        common: the trials that every solver runs, None for all: only there are its endings held against a solver, as
+            others may end alike on a trial that they do not run.
+    """
+    found = rows.figures(controller, MEANS, CHANGES)
+    mine = [row for row in rows if row["controller"] == controller]
+    judged = [row for row in mine if common is None or row["trial"] in common]
+    found["broke_off_in_common"] = sum(not row["whole"] for row in judged)
+    for name, of in (("oscillated", mine), ("oscillated_in_common", judged)):
+        found[name] = sum(Ending.of(row["ended"]) is Ending.OSCILLATED for row in of)
+    for names, total in ((SUMS, sum), (LARGEST, max)):
+        for name in names:
+            if values := [row[name] for row in mine if row.get(name) is not None]:
+                found[name] = total(values)
+    timed = [run for run in runs if run.row["timed"] and run.columns]
+    if timed:
+        load = sum((run.load for run in timed), Disturbance())
+        found |= {**load.entries(), "timed_runs": len(timed)}
+        found["deadline_misses"] = load.judged(sum(run.row["deadline_misses"] for run in timed), 99.9)
+        for name in ("solve", "tick"):
+            times = [run.columns[f"{name}_us"] for run in timed if f"{name}_us" in run.columns]
+            found |= percentiles(np.concatenate([np.empty(0), *times]), name, load)
+    return found
+
+
+def _controllers(rows: Mapping[str, Mapping[str, Any]]) -> Table:
+    shown = []
+    for name, row in rows.items():
+        few = too_few(row.get("compared", 0))
+        changes = {key: few or spread(row, key) for key in map(change_name, CHANGES) if key in row}
+        shown.append({"solver": name, **row, **changes})
+    ticks = {"tick_p50_us": "tick p50", "tick_p99_us": "tick p99", "tick_p99_9_us": "tick p99.9"}
+    return Table(
+        "The same trials under every controller",
+        [Column("solver", "controller"), Column("trials", "trials"), Column("whole", "whole"),
+         *(Column(change_name(name), f"change of {COSTS[name].word}", unit="%") for name in CHANGES),
+         *columns(*MEANS), *columns(*COUNTED),
+         *(Column(key, title, unit="us", format=".1f") for key, title in ticks.items()),
+         Column("deadline_misses", "misses", format=".0f")],
+        shown, "Changes against DCAC on the trials that both ran: of the mean, with 95 % intervals. " + FRAMES,
+    )  # fmt: skip
