@@ -12,6 +12,7 @@ import sys
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import product
 from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
@@ -155,16 +156,18 @@ def work(study: Study, config: Config) -> Found:
     ]  # fmt: skip
     rows, traces = Results(), dict[str, Trace]()
     jobs = [Job(run_block, (block,), 60.0 * len(block.cases)) for block in blocks]
-    for block, found in zip(blocks, study.run(jobs, "controllers"), strict=True):
-        if isinstance(found, Failed):
-            why = {"outcome": "failed", "error": str(found)}
+    for block, done in zip(blocks, study.run(jobs, "controllers"), strict=True):
+        if isinstance(done, Failed):
+            why = {"outcome": "failed", "error": str(done)}
             rows.add(*({**block.row(name, "failed"), **why} for name in block.cases))
         else:
-            rows.add(*found[0])
-            traces |= {name: Trace(columns) for name, columns in found[1].items()}
-    summary: dict[str, Any] = {"cases": summarise(rows)}
-    summary["goals"] = judge(summary["cases"], goals_of(cases))
-    return Found(report(summary, traces, config), summary, rows)
+            rows.add(*done[0])
+            traces |= {name: Trace(columns) for name, columns in done[1].items()}
+    found, by_case = worst(rows), dict[str, dict[str, Any]]()
+    for row in found:
+        by_case.setdefault(row["case"], {})[row["controller"]] = row
+    goals = judge({"rows": found}, goals_of(cases))
+    return Found(report(found, goals, traces, config), {"cases": by_case, "goals": goals}, rows)
 
 
 def run_block(block: Block) -> tuple[list[dict[str, Any]], dict[str, dict[str, Array]]]:
@@ -290,53 +293,44 @@ def smooth(values: Array, width: int) -> Array:
     return pl.Series(values).rolling_mean(width, min_samples=1).to_numpy()
 
 
-def summarise(rows: Results) -> dict[str, dict[str, dict[str, Any]]]:
-    """Return case -> controller -> figures: outcomes counted over the trials, worst errors, faults summed."""
-    return {
-        case: {name: _worst(list(mine.where(controller=name))) for name in mine.names()}
-        for case in rows.names("case") for mine in [rows.where(case=case)]
-    }  # fmt: skip
-
-
-def _worst(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    found: dict[str, Any] = {"group": rows[0]["group"], "runs": len(rows)}
-    found |= {name.replace(" ", "_"): sum(r["outcome"] == name for r in rows) for name in OUTCOMES}
-    found["ended"] = "; ".join(sorted({str(r["ended"]) for r in rows}))
-    known = {name: [r[name] for r in rows if r.get(name) is not None] for name in (*WORST, *COUNTS, "recover_s")}
-    found["recovered"] = len(known["recover_s"])
-    if len(known["recover_s"]) < len(rows):  # it did not recover in every trial
-        known["recover_s"] = []
-    return found | {name: (sum if name in COUNTS else max)(values) for name, values in known.items() if values}
-
-
-def case_rows(summary: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Return one row per case and controller, with the outcome in a word, or several where the trials differ."""
+def worst(rows: Results) -> list[dict[str, Any]]:
+    """Return a row a case and controller: outcomes counted over the trials, worst errors, faults summed."""
     found = []
-    for case, by in summary.items():
-        for name, row in by.items():
-            there = {word: count for word in OUTCOMES if (count := row.get(word.replace(" ", "_"), 0))}
-            said = next(iter(there)) if len(there) == 1 else ", ".join(f"{n} {word}" for word, n in there.items())
-            found.append({"case": case, "controller": name, **row, "outcome": said})
+    for case, name in product(rows.names("case"), rows.names()):
+        if not (mine := list(rows.where(case=case, controller=name))):
+            continue
+        counts = {word: sum(row["outcome"] == word for row in mine) for word in OUTCOMES}
+        there = [f"{n} {word}" if n < len(mine) else word for word, n in counts.items() if n]
+        known = {key: [r[key] for r in mine if r.get(key) is not None] for key in (*WORST, *COUNTS, "recover_s")}
+        recovered = len(known["recover_s"])
+        if recovered < len(mine):  # it did not recover in every trial
+            known["recover_s"] = []
+        found.append({
+            "case": case, "controller": name, "group": mine[0]["group"], "outcome": ", ".join(there), "runs": len(mine),
+            **{word.replace(" ", "_"): n for word, n in counts.items()}, "recovered": recovered,
+            "ended": "; ".join(sorted({str(row["ended"]) for row in mine})),
+            **{key: (sum if key in COUNTS else max)(values) for key, values in known.items() if values},
+        })  # fmt: skip
     return found
 
 
 def goals_of(cases: Mapping[str, Case]) -> dict[str, Goal]:
-    """Return the goals; each is measured in the summary of the cases."""
+    """Return the goals; each is measured in the rows of `worst`."""
     shares = {name: case.faults.get("solver_share", 0.0) for name, case in cases.items() if case.group == "solver"}
     always = {name for name, share in shares.items() if share >= 1.0}
     seldom = set(shares) - always
 
     def total(*keys: str) -> Any:
-        return lambda summary: sum(row.get(key, 0) for row in case_rows(summary) for key in keys)
+        return lambda summary: sum(row.get(key, 0) for row in summary["rows"] for key in keys)
 
     def above(words: str, when: str, column: str, among: Collection[str]) -> Goal:
-        def worst(summary: Any) -> Mapping[str, Any]:
-            known = [row for row in case_rows(summary) if row["case"] in among and column in row]
+        def highest(summary: Any) -> Mapping[str, Any]:
+            known = [row for row in summary["rows"] if row["case"] in among and column in row]
             return max(known, key=lambda row: row[column])
 
         return Goal(f"{words} RCM error above the fault-free run, solver faulty {when}", "%", RCM_LIMIT_PERCENT,
-                    lambda summary: worst(summary)[column], section=EVERY,
-                    made_of=lambda summary: "{case}, {controller}".format(**worst(summary)))  # fmt: skip
+                    lambda summary: highest(summary)[column], section=EVERY,
+                    made_of=lambda summary: "{case}, {controller}".format(**highest(summary)))  # fmt: skip
 
     return {
         "diverged": Goal("runs that diverge and are not stopped", "", 0, total("diverged"), section=EVERY),
@@ -350,14 +344,15 @@ def goals_of(cases: Mapping[str, Case]) -> dict[str, Goal]:
         "max_seldom": above("largest", "now and then", "rcm_max_percent", seldom),
         "mean_always": above("mean", "at every tick", "rcm_mean_percent", always),
         "rest": Goal("speed of any joint at the end of a stop", "rad/s", AT_REST_RAD_PER_S,
-                     lambda summary: max(r["last_speed_rad_per_s"] for r in case_rows(summary) if r["stopped"]),
+                     lambda summary: max(r["last_speed_rad_per_s"] for r in summary["rows"] if r["stopped"]),
                      section=EVERY),
     }  # fmt: skip
 
 
-def report(summary: Mapping[str, Any], traces: Mapping[str, Trace], config: Config) -> Report:
+def report(
+    rows: Sequence[Mapping[str, Any]], goals: Mapping[str, Any], traces: Mapping[str, Trace], config: Config
+) -> Report:
     """Show the goals first, then every fault, then what was noticed of the solvers'."""
-    rows = case_rows(summary["cases"])
     keys = ("runs", "survived", "stopped", "injected", "detected", "harmless")
     runs, survived, stopped, injected, detected, harmless = (sum(row.get(key, 0) for row in rows) for key in keys)
     answer = [
@@ -365,7 +360,7 @@ def report(summary: Mapping[str, Any], traces: Mapping[str, Trace], config: Conf
         f"{runs - survived - stopped} did neither.",
         f"Of {injected} injected solver faults {detected} were detected"
         + (f"; {harmless} more had the optimum for an answer." if harmless else "."),
-        goals_sentence(summary["goals"]),
+        goals_sentence(goals),
     ]
     says = "MOC with exact, first trial: errors and trocar force come back after a fault, or the arm has stopped."
     pictures = [Picture(figures.time_series(traces, CURVES[1:]), says, "faults")] if traces else []
@@ -381,7 +376,7 @@ def report(summary: Mapping[str, Any], traces: Mapping[str, Trace], config: Conf
         Section(EVERY, limits, tables),
         Section(SOLVERS, "", [Table("Solver faults, injected and detected", SEEN, seen)]),
     ]
-    first = goals_table(summary["goals"])
+    first = goals_table(goals)
     return Report(f"Every fault: {about(config.scenario)}", answer, first, pictures, sections)
 
 

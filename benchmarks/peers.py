@@ -43,13 +43,7 @@ class Peer(Protocol):
         """The result of a tick; a velocity still needs a servo."""
 
     def tick(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> Array:
-        """Return the joint torques (n,) [Nm] or velocities (n,) [rad/s].
-
-        Args:
-            q, v: (n,) measured [rad], [rad/s].
-            tip_ref: (3, 3) rows X_d, dX_d, ddX_d.
-            trocar: (2, 3) rows P_t, dP_t.
-        """
+        """Return torques [Nm] or velocities [rad/s] (n,); tip_ref has rows X_d, dX_d, ddX_d, trocar P_t, dP_t."""
 
 
 def tip_gradient(robot: RobotModel) -> Callable[[Array], Array]:

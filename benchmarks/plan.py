@@ -2,50 +2,31 @@
 
 python -m benchmarks.plan [CONFIG.toml] [--out DIR] [--seed N] [--quick] [--json]
 
-Starts are drawn from the whole workspace. Courses are planned from each start and over all; the map's largest mu is
-searched for by inverse kinematics from random starts, and the grid is halved.
+Starts are drawn from the whole workspace. Courses are planned from each start and over all, and the grid is halved.
 """
 
 from __future__ import annotations
 
 import sys
 from collections.abc import Mapping
-from contextlib import suppress
 from functools import partial
 from typing import Any, Self, get_args
 
 import numpy as np
 from pydantic import Field
 
-from moc_opt import scenario
 from moc_opt.control import ControlSettings
-from moc_opt.errors import MocOptError, RobotError, describe
 from moc_opt.figures import box_plots
 from moc_opt.figures.notation import Mark
-from moc_opt.planning.pose_map import closed_form, largest_mu
-from moc_opt.planning.self_motion import self_motion
 from moc_opt.report.tables import Column, Table
-from moc_opt.robots.inverse_kinematics import solve_pose
 from moc_opt.scenario import Scenario
 from moc_opt.scenario.planned import plan
-from moc_opt.study import Failed, Job
+from moc_opt.study import Failed, Job, show
 from moc_opt.study.command import Found, Study, StudyConfig, command
 from moc_opt.study.results import Results, change_name
-from moc_opt.study.show import (
-    Goal,
-    Picture,
-    Report,
-    Section,
-    columns,
-    goals_sentence,
-    goals_table,
-    judge,
-    mark,
-)
+from moc_opt.study.show import Goal, Picture, Report, Section, columns, goals_sentence, judge
 from moc_opt.study.statistics import Interval, mean, spread, too_few
-from moc_opt.study.trials import on_each_arm, placed, seeds
-from moc_opt.trace.meta import Ending
-from moc_opt.trace.metrics import summarize
+from moc_opt.study.trials import Trial, on_each_arm, placed, run_and_trace, seeds
 
 STREAM, LOCAL = 7, "local"
 CONTROL = ControlSettings.model_fields
@@ -58,7 +39,7 @@ ERRORS = {"tip": "tip_error_model_mean_mm", "RCM": "rcm_error_model_mean_mm"}
 MOST_GAP_PERCENT = {LOCAL: 2.0, "receding": 1.0, "planned": 0.5}
 """Mean mu in the loop below that of the best course from the same start."""
 MOST_PLANNED_PERCENT, MOST_CHANGE_PERCENT, TRAPPED_PERCENT, LEAST_DRAWN_PERCENT = 3.0, 5.0, 5.0, 0.01
-MOST_SCRATCH_S, MOST_REPLAN_MS, MOST_ABOVE_MAP, MOST_HALVING_PERCENT = 3.0, 20.0, 1e-6, 0.5
+MOST_SCRATCH_S, MOST_REPLAN_MS, MOST_HALVING_PERCENT = 3.0, 20.0, 0.5
 FIGURES = ("gap_percent", "fraction_of_best", *ERRORS.values(), "course_gap_percent", "replan_ms_p99")
 COURSES = (
     "from_start", "best", "climb_gap_percent", "start_loss_percent", "bound_gap_percent", "refined_percent",
@@ -76,16 +57,12 @@ class Config(StudyConfig):
     poses: int = Field(20, ge=1, description="random starts per task and robot")
     loops: dict[str, dict[str, Any]] = Field(LOOPS, description="closed loops: name -> [control]")
     halvings: int = Field(3, ge=0, description="starts at which the grid is halved")
-    map_points: int = Field(3, ge=0, description="starts at which the map's largest mu is searched for at random")
-    random_starts: int = Field(1000, ge=1)
     scenario: Scenario = Scenario(start={"pose": "random"})
 
     def quick(self) -> Self:
         """Return the same on less data."""
-        return self.model_copy(update={
-            "robots": self.robots[:2], "tasks": self.tasks[:1], "poses": 2, "map_points": 1, "random_starts": 30,
-            "halvings": 1,
-        })  # fmt: skip
+        few = {"robots": self.robots[:2], "tasks": self.tasks[:1], "poses": 2, "halvings": 1}
+        return self.model_copy(update=few)
 
     def cases(self) -> list[Scenario]:
         """Return the trials, arm by arm."""
@@ -120,22 +97,18 @@ def courses(case: Scenario, loops: Mapping[str, Mapping[str, Any]]) -> list[dict
             row[f"bound_gap{name}_percent"] = 100.0 * (bound / course.mu_mean - 1.0)
     if found.climbed_whole:
         row["climb_gap_percent"] = 100.0 * (1.0 - found.climbed.mu_mean / mine.mu_mean)
-    return [row, *(loop(case, trial, name, change, mine.mu_mean, best.mu_mean) for name, change in loops.items())]
+    return [row, *(loop(trial, name, change, mine.mu_mean, best.mu_mean) for name, change in loops.items())]
 
 
-def loop(case: Scenario, trial: Scenario, name: str, change: Mapping[str, Any], mine: float, best: float) -> Any:
+def loop(trial: Scenario, name: str, change: Mapping[str, Any], mine: float, best: float) -> dict[str, Any]:
     """Return the row of one run of the trial in its plant, against the mean mu of the best courses."""
-    row = about(case, "loop") | {"controller": name}
-    try:
-        trace = scenario.run(trial.change(control=change, best_courses=False, bound_samples=0, judge=False))
-    except MocOptError as error:
-        return row | {"ended": "failed", "whole": False, "error": describe(error)}
-    row["ended"] = str(trace.meta["ended"])
-    if not Ending.of(row["ended"]).whole:
-        return row | {"whole": False, "error": row["ended"]}
-    metrics, replans = summarize(trace), trace.meta.get("replans", {})
-    row |= {name: metrics[name] for name in ("mu_mean", *ERRORS.values())}
-    row |= {"gap_percent": 100.0 * (1.0 - row["mu_mean"] / mine), "fraction_of_best": row["mu_mean"] / best}
+    case = trial.change(control=change, best_courses=False, bound_samples=0, judge=False)
+    asked = Trial(case, name, case.solver.settings, {"part": "loop"}, solver=case.solver.name)
+    run, trace = run_and_trace(asked)
+    if trace is None or not run.row["whole"]:
+        return dict(run.row)
+    mu, replans = run.row["mu_mean"], trace.meta.get("replans", {})
+    row = {**run.row, "gap_percent": 100.0 * (1.0 - mu / mine), "fraction_of_best": mu / best}
     if "course_mu_mean" in trace.meta:
         row["course_gap_percent"] = 100.0 * (1.0 - float(trace.meta["course_mu_mean"]) / mine)
     if "left_course_s" in replans:
@@ -158,52 +131,26 @@ def halving(case: Scenario) -> list[dict[str, Any]]:
     return [row]
 
 
-def random_starts(case: Scenario, count: int) -> list[dict[str, Any]]:
-    """Compare the map's largest mu at the trial's first point with inverse kinematics from random starts.
-
-    Each pose that is found is then climbed along its own self-motion by continuation.
-    """
-    found = plan(case, times=2, refined=False)
-    robot, rng = case.robot.arm(), np.random.default_rng([case.seed, 1])
-    best = float(largest_mu(robot, found.climbed.q_rad[:1]).mu[0])
-    reached = []
-    for _ in range(count):
-        drawn = rng.uniform(robot.q_min, robot.q_max)
-        pose = solve_pose(robot, drawn, found.targets.tip[0], found.targets.wrist[0])
-        if pose.found:
-            with suppress(RobotError):  # singular: no curve leads through it
-                reached.append(self_motion(robot, pose.q, 0.05).mu_best)
-    top = max(reached, default=float("nan"))
-    figures = {"starts": count, "placed": len(reached), "map_mu": best, "random_mu": top, "above_map": top - best}
-    return [about(case, "random starts") | figures]
-
-
 def work(study: Study, config: Config) -> Found:
-    """Plan every trial, run the loops, check map and grid, and judge the goals."""
+    """Plan every trial, run the loops, halve the grid, and judge the goals."""
     cases, asked = config.cases(), list[tuple[str, Job]]()
     for robot in config.robots:
         mine = [case for case in cases if case.robot.name == robot]
-        some = mine[:: max(1, len(mine) // max(config.map_points, config.halvings, 1))]
+        some = mine[:: max(1, len(mine) // max(config.halvings, 1))][: config.halvings]
         asked += [("courses", Job(courses, (case, config.loops))) for case in mine]
-        asked += [("halving", Job(halving, (case,))) for case in some[: config.halvings]]
-        if closed_form(mine[0].robot.arm()) is not None:
-            points = some[: config.map_points]
-            asked += [("random starts", Job(random_starts, (case, config.random_starts))) for case in points]
+        asked += [("halving", Job(halving, (case,))) for case in some]
     rows = Results()
     for (part, job), found in zip(asked, study.run([job for _, job in asked], "plans"), strict=True):
         lost = about(job.arguments[0], part) | {"whole": False, "error": str(found)}
         rows.add(*([lost] if isinstance(found, Failed) else found))
-    summary: dict[str, Any] = {"courses": {}, "loops": {}, "checks": {}}
+    summary: dict[str, Any] = {"courses": {}, "loops": {}, "goals": {}}
     for robot in config.robots:
-        of = rows.where(robot=robot)
-        summary["courses"][robot] = course_figures(of)
-        summary["loops"][robot] = {name: loop_figures(of.where(part="loop"), name) for name in config.loops}
-        summary["checks"][robot] = list(of.where(part="random starts"))
-    wanted = goals(config.loops)
-    summary["goals"] = {
-        robot: judge({part: summary[part][robot] for part in ("loops", "courses", "checks")}, wanted)
-        for robot in config.robots
-    }
+        of, wanted = rows.where(robot=robot), goals(config.loops)
+        figures = {name: loop_figures(of.where(part="loop"), name) for name in config.loops}
+        found = {"loops": figures, "courses": course_figures(of)}
+        found |= {"goals": judge(found, wanted)}
+        for part, of_arm in found.items():
+            summary[part][robot] = of_arm
     return Found(report(summary, rows, config), summary, rows)
 
 
@@ -262,8 +209,6 @@ def goals(loops: Mapping[str, Any]) -> dict[str, Goal]:
                         lambda s: s["courses"]["scratch_s_max"], section=ALONG),
         "halving": Goal("change of mean mu where the grid is halved", "%", MOST_HALVING_PERCENT,
                         lambda s: s["courses"]["halving_percent_abs_max"], section=ALONG),
-        "random": Goal("largest mu of random starts above the map's", "m^3", MOST_ABOVE_MAP,
-                       lambda s: max(row["above_map"] for row in s["checks"]), section=ALONG),
     }  # fmt: skip
 
 
@@ -291,10 +236,10 @@ def report(summary: Mapping[str, Any], rows: Results, config: Config) -> Report:
     ], first, "✔ the goal is met, ✘ missed, – open.")  # fmt: skip
     changes = [change_name(error) for error in ERRORS.values()]
     by_robot = [{"robot": robot, **figures} for robot, figures in summary["courses"].items()]
-    checks = [row for of in summary["checks"].values() for row in of]
     arm = Column("robot", "arm")
+    by_arm = [show.goals_table(judged, f"Goals, {robot}") for robot, judged in summary["goals"].items()]
     sections = [
-        Section("Goals", "", [goals_table(judged, f"Goals, {robot}") for robot, judged in summary["goals"].items()]),
+        Section("Goals", "", by_arm),
         Section(IN_THE_LOOP, "Means over the whole runs, with 95 % intervals.", [Table("Closed loops", [
             arm, Column("loop", "third level"), *columns("whole", "trials"),
             Column("gap_percent with interval", "below best from start", unit="%"),
@@ -319,19 +264,14 @@ def report(summary: Mapping[str, Any], rows: Results, config: Config) -> Report:
                 Column("halving_percent_abs_max", "halving the grid", unit="%", format=".3f"),
                 Column("map_s", "map", unit="s", format=".2f"), Column("search_s", "search", unit="s", format=".2f"),
                 Column("scratch_s_max", "both, slowest", unit="s", format=".2f"),
-                Column("refine_s", "refinement", unit="s", format=".2f")], by_robot),
-            Table("The map's largest mu against random inverse kinematics", [
-                arm, Column("trial", "trial"), *columns("starts", "placed"),
-                Column("map_mu", "largest mu of the map", unit="m^3", format=".8f"),
-                Column("random_mu", "found at random", unit="m^3", format=".8f"),
-                Column("above_map", "difference", unit="m^3", format=".1e")], checks)]),
+                Column("refine_s", "refinement", unit="s", format=".2f")], by_robot)]),
     ]  # fmt: skip
     title = f"{', '.join(config.robots)}: manipulability of planned and climbed courses"
     return Report(title, sentences(summary, rows, config), table, pictures(rows), sections)
 
 
 def _mark(goal: Mapping[str, Any] | None, value: float | None, form: str) -> Mark | None:
-    return None if value is None else mark(goal["reached"] if goal else None, format(value, form))
+    return None if value is None else show.mark(goal["reached"] if goal else None, format(value, form))
 
 
 def sentences(summary: Mapping[str, Any], rows: Results, config: Config) -> list[str]:

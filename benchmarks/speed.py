@@ -182,7 +182,7 @@ COLUMNS = {
         Column("tick_max_us", "longest", unit="us", format=".1f", better="low"),
     ]),
     "tick_parts": ("Parts of a tick with exact", [
-        Column("name", "part"), *_times("tick", "p50", "p99", form=".2f"), Column("is", "what it is"),
+        Column("name", "part"), *_times("tick", "p50", "p99", form=".2f"),
     ]),
     "peers": ("One tick in other libraries, the same job on the same arm", [
         Column("name", "controller"), Column("level", "gives", help="a velocity still needs a servo"),
@@ -229,8 +229,6 @@ SECTIONS = {
 def report(summary: Summary, times: Mapping[str, ArrayLike], subject: str = "") -> Report:
     """Show the goals, the times of the ticks [us], and the figures around each goal."""
     rows = {key: [{"name": name, **row} for name, row in summary[key].items()] for key in COLUMNS}
-    for row in rows["tick_parts"]:
-        row["is"] = timed.PARTS[row["name"]]
     if own := summary["tick"].get("exact"):
         rows["peers"].insert(0, {"name": "moc_opt", "level": "torque", "times_ours": 1.0, **own})
     rows["loop"] = [row for row in rows["loop"] if "factor" in row]

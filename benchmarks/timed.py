@@ -126,15 +126,6 @@ def _spread(call: Callable[..., Any]) -> Callable[[tuple[Any, ...]], Any]:
     return lambda given: call(*given)
 
 
-PARTS = {
-    "model state": "kinematics, dynamics, manipulability and its gradient (RobotModel.state)",
-    "before the solver": "observer, levels 1 and 2, null space and subproblem: one call of the core",
-    "solver": "exact, from Python",
-    "after the solver": "what the answer is worth, what stands in for it, level 3 and limits: one call of the core",
-}
-"""Part of a tick -> what it is."""
-
-
 def tick_parts(scenario: Scenario, rounds: int) -> Part:
     """Time the parts of our tick, each on the same states: what the controller calls, called by itself."""
     part, (inputs, _), robot = Part(), record(scenario), load_robot(scenario.robot.name)
@@ -153,7 +144,7 @@ def tick_parts(scenario: Scenario, rounds: int) -> Part:
         problems.append(NullSpaceQP.from_row(row.copy()))
     session = Exact().start(problems[0])
     answers = [np.array(session.solve(qp).x) for qp in problems]
-    entries = {
+    entries = {  # kinematics, dynamics and manipulability; levels 1 and 2 and the subproblem; the check and level 3
         "model state": Timed(lambda item: robot.state(item[0], item[1]), inputs),
         "before the solver": Timed(begin, given),
         "solver": Timed(session.solve, problems),

@@ -26,13 +26,13 @@ import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, ClassVar, Self
+from typing import Any, Self
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field
 
+from benchmarks.sweep import Draw
 from moc_opt.errors import ScenarioError
-from moc_opt.inputs.settings import Settings
 from moc_opt.report.tables import Column, Table
 from moc_opt.scenario import Scenario
 from moc_opt.study.command import Found, Study, StudyConfig, command
@@ -49,29 +49,6 @@ NEAR = 0.1  # spread of local candidates, in parts of a range
 Values = Mapping[str, float]
 
 
-class Range(Settings):
-    """Where one parameter may lie: between two numbers, or one of some choices."""
-
-    KIND: ClassVar[str] = "[space]"
-    low: float = 0.0
-    high: float = 1.0
-    log: bool = False
-    choices: list[bool | float] | None = Field(None, min_length=1)
-
-    @model_validator(mode="after")
-    def _in_order(self) -> Self:
-        if not self.low < self.high or (self.log and self.low <= 0.0):
-            raise ValueError(f"low = {self.low}, high = {self.high}: give low < high, and above 0 where log is true")
-        return self
-
-    def at(self, place: float) -> float | bool:
-        """Return the value at a place in [0, 1], to three significant digits: a preset is read by people."""
-        if self.choices is not None:
-            return self.choices[min(int(place * len(self.choices)), len(self.choices) - 1)]
-        ratio = self.high / self.low if self.log else 1.0
-        return float(f"{self.low * ratio**place if self.log else self.low + place * (self.high - self.low):.3g}")
-
-
 class Config(StudyConfig):
     """benchmarks/configs/tune.toml."""
 
@@ -81,7 +58,7 @@ class Config(StudyConfig):
     finalists: int = Field(6, ge=1)
     trials: int = Field(2, ge=2)
     final_trials: int = Field(5, ge=2)
-    space: dict[str, Range]
+    space: dict[str, Draw]
     hard: dict[str, Any] = Field(default_factory=dict)
     scenario: Scenario = Scenario(judge=False, bound_samples=0)
 
@@ -125,8 +102,12 @@ def draw(config: Config, rng: np.random.Generator, near: Sequence[Candidate] = (
         places = np.clip(centre + NEAR * rng.standard_normal(size), 0.0, 1.0)
     else:
         places = rng.uniform(0.0, 1.0, size)
-    drawn = tuple(float(place) for place in places)
-    return Candidate(drawn, {k: span.at(place) for (k, span), place in zip(config.space.items(), drawn, strict=True)})
+    drawn, values = tuple(float(place) for place in places), dict[str, float]()
+    for (name, span), place in zip(config.space.items(), drawn, strict=True):
+        value = span.at(min(place, np.nextafter(1.0, 0.0)))
+        # Three significant digits: a preset is read by people.
+        values[name] = value if span.choice is not None else float(f"{value:.3g}")
+    return Candidate(drawn, values)
 
 
 def figures(rows: Results) -> dict[str, float]:

@@ -8,7 +8,7 @@ import polars as pl
 import pytest
 
 from benchmarks import export
-from benchmarks.export import ExportError, figures, problems, run_qpbenchmark, write_qpbenchmark
+from benchmarks.export import ExportError, figures, problems, run_qpbenchmark
 from moc_opt.errors import UnknownNameError
 from moc_opt.solvers import create
 
@@ -67,14 +67,6 @@ def test_only_feasible_problems_are_handed_over():
     assert 0 < len(chosen) < 128
     assert all(session.solve(qp).status.label == "solved" for qp in chosen.values())
     assert all(name.isidentifier() for name in chosen)
-
-
-def test_six_rows_are_those_of_the_paper(tmp_path):
-    import pyarrow.parquet as pq
-
-    write_qpbenchmark(tmp_path, ["circle"], every=64, rows=6)
-    (first, *_) = pq.read_table(tmp_path / "null_space.parquet").to_pylist()
-    assert (len(first["A"]), len(first["b"])) == (42, 6)
 
 
 def test_wrong_input_is_refused(tmp_path, capsys, monkeypatch):

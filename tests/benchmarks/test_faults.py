@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from benchmarks import faults
-from benchmarks.faults import FREE, Case, Config, Waited, case_rows, measure, recovery, run_case, smooth
+from benchmarks.faults import FREE, Case, Config, Waited, measure, recovery, run_case, worst
 from moc_opt.scenario import Scenario, Setup
 from moc_opt.study.command import CONFIGS
 from moc_opt.study.results import Results
@@ -82,11 +82,6 @@ def test_recovery_is_the_last_time_above_the_level():
     assert recovery(free, free, FREE["none"], "completed") == 0.0
 
 
-def test_smooth_is_a_mean_of_the_past():
-    np.testing.assert_allclose(smooth(np.array([1.0, 3.0, 5.0, 7.0]), 2), [1.0, 2.0, 4.0, 6.0])
-    np.testing.assert_allclose(smooth(np.arange(5.0), 1), np.arange(5.0))
-
-
 @pytest.mark.parametrize(
     ("error", "ended", "expected"),
     [
@@ -121,19 +116,16 @@ def test_goals_follow_from_the_rows():
     good = {"injected": 5, "detected": 5, "missed": 0, "rcm_mean_percent": 1.0, "rcm_max_percent": 2.0,
             "false_alarms": 0}  # fmt: skip
 
-    def figures(*rows):
-        return faults.summarise(Results(rows))
+    def lost(*rows):
+        found = judge({"rows": worst(Results(rows))}, faults.goals_of(SHIPPED.cases))
+        return [key for key, goal in found.items() if goal["reached"] != "yes"]
 
-    def lost(summary):
-        return [key for key, goal in judge(summary, faults.goals_of(SHIPPED.cases)).items() if goal["reached"] != "yes"]
-
-    fine_rows = [
+    fine = [
         row("solver-lies", "exact", **good), row("solver-nan-always", "exact", **{**good, "rcm_mean_percent": 4.0}),
         row("nan-lasting", "exact", "stopped", last_speed_rad_per_s=0.01, recover_s=None),
     ]
-    fine = figures(*fine_rows)
-    assert lost(fine) == []
-    assert "recover_s" not in fine["nan-lasting"]["exact"]
+    assert lost(*fine) == []
+    assert "recover_s" not in worst(Results(fine))[-1]
     for bad in (  # each of them breaks one goal
         row("delay-5", "rnn", "diverged"), row("delay-5", "rnn", "ran away"), row("delay-5", "rnn", "refused"),
         row("solver-lies", "rnn", **{**good, "missed": 1}),
@@ -143,8 +135,8 @@ def test_goals_follow_from_the_rows():
         row("solver-lies", "rnn", **{**good, "false_alarms": 30}),
         row("nan-lasting", "rnn", "stopped", last_speed_rad_per_s=0.2),
     ):  # fmt: skip
-        assert len(lost(figures(*fine_rows, bad))) == 1, bad
-    [mixed] = case_rows(figures(row("a", "exact"), row("a", "exact", "stopped")))
+        assert len(lost(*fine, bad)) == 1, bad
+    [mixed] = worst(Results([row("a", "exact"), row("a", "exact", "stopped")]))
     assert mixed["outcome"] == "1 survived, 1 stopped"
 
 

@@ -76,11 +76,11 @@ def test_verdict_on_an_error(own, matched, wanted):
     assert tip.verdict(own, matched) == wanted
 
 
-@pytest.mark.parametrize(("low", "high", "wanted"), [(7.5, 20, HOLDS), (6.5, 20, FAILS), (-20, -8, FAILS)])
-def test_manipulability_must_rise_by_more_than_seven_percent_with_its_whole_interval(low, high, wanted):
+def test_manipulability_must_rise_by_more_than_seven_percent_with_its_whole_interval():
     mu = CLAIMS[0]
     assert (mu.metric, mu.upwards, mu.bound) == ("mu_mean", True, 7.0)
-    assert mu.verdict(None, change(low, high)) == wanted
+    found = [mu.verdict(None, change(*ends)) for ends in ((7.5, 20), (6.5, 20), (-20, -8))]
+    assert found == [HOLDS, FAILS, FAILS]
 
 
 def row(group, controller, k, mu=1.0, tip=1.0, **more):

@@ -78,9 +78,3 @@ def test_a_torque_peer_moves_the_ideal_arm(robot, task):
     np.testing.assert_allclose(poses[:50], np.tile(task.q_start, (50, 1)), atol=1e-12)
     assert "tip is" in peers.verdict(poses, robot, task).failure
     assert peers.verdict(np.full_like(poses, np.nan), robot, task).failure is not None
-
-
-def test_a_peer_whose_package_is_missing_has_a_reason(monkeypatch):
-    monkeypatch.setattr(peers, "find_spec", lambda package: None)
-    assert "'pink' is not installed: pip install" in peers.missing("pink-trimmed")
-    assert "'tsid' is not installed: build it" in peers.missing("tsid")

@@ -15,8 +15,6 @@ TINY = """
 robots = ["lwr4"]
 tasks = ["circle"]
 poses = 1
-map_points = 1
-random_starts = 4
 halvings = 1
 [loops]
 local = { third_level = "local" }
@@ -31,7 +29,7 @@ def test_courses_are_in_order_and_nothing_beats_map_plan_or_bound(tiny: Any) -> 
     left = tiny(plan, TINY, pictures=1)
     rows = left.rows
     parts = [row["part"] for row in rows]
-    assert {part: parts.count(part) for part in parts} == {"courses": 1, "loop": 2, "halving": 1, "random starts": 1}
+    assert {part: parts.count(part) for part in parts} == {"courses": 1, "loop": 2, "halving": 1}
     course = {row["trial"]: row for row in rows if row["part"] == "courses"}
     for row in course.values():
         assert row["from_start"] <= row["best"]
@@ -43,9 +41,6 @@ def test_courses_are_in_order_and_nothing_beats_map_plan_or_bound(tiny: Any) -> 
         assert -0.5 < gap < 50.0
     [halved] = [row for row in rows if row["part"] == "halving"]
     assert abs(halved["halving_percent"]) < 0.5
-    [drawn] = [row for row in rows if row["part"] == "random starts"]
-    assert drawn["placed"] > 0
-    assert drawn["above_map"] < 1e-6
     planned = [row["gap_percent"] for row in rows if row["controller"] == "planned" and row["whole"]]
     assert left.summary["loops"]["lwr4"]["planned"]["gap_percent"] == pytest.approx(sum(planned) / len(planned))
 
@@ -73,9 +68,9 @@ def runs(gaps: dict[str, list[float]], tip: float = 0.11) -> list[dict[str, Any]
 def test_a_goal_is_judged_by_the_end_of_its_interval(spread: tuple[float, float], count: int, reached: str) -> None:
     rows = Results(runs({"local": [1.0] * count, "planned": [spread[k % 2] for k in range(count)]}))
     loops = {name: plan.loop_figures(rows, name) for name in ("local", "planned")}
-    found = judge({"loops": loops, "courses": {}, "checks": []}, plan.goals(loops))
+    found = judge({"loops": loops, "courses": {}}, plan.goals(loops))
     assert found["gap planned"]["reached"] == reached
-    assert {found[key]["reached"] for key in ("scratch", "halving", "random")} == {"not measured"}
+    assert {found[key]["reached"] for key in ("scratch", "halving")} == {"not measured"}
     assert found["planned tip"]["reached"] == ("no" if count == 8 else "open"), "10 % above local's"
 
 

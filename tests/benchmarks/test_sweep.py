@@ -13,8 +13,7 @@ from hypothesis import strategies as st
 
 from benchmarks import sweep
 from benchmarks.sweep import Config, plan, random_draws
-from moc_opt.errors import MocOptError, SolverError
-from moc_opt.study.command import CONFIGS
+from moc_opt.errors import MocOptError
 from moc_opt.study.results import Results
 from moc_opt.study.trials import variant
 
@@ -56,12 +55,6 @@ def config(**changes: Any) -> Config:
 def test_what_cannot_be_swept_is_said_before_anything_runs(changes: dict[str, Any], message: str) -> None:
     with pytest.raises(MocOptError, match=message):
         plan(config(**changes))
-
-
-def test_solver_that_cannot_run_here_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("moc_opt.study.command.available", lambda: {"exact": None, "osqp": "pip install osqp"})
-    with pytest.raises(SolverError, match="pip install osqp"):
-        plan(config(solvers=["osqp"]))
 
 
 @given(st.integers(0, 2**32), st.integers(1, 40), st.floats(1e-9, 1e3), st.floats(1.01, 1e6))
@@ -115,14 +108,6 @@ def test_without_solvers_the_scenarios_own_is_taken() -> None:
     (dcac,) = plan(Config(scenario={**TINY, "control": {"law": "dcac"}}))
     kept = variant(dcac.case, dcac.controller).control
     assert (dcac.controller, kept.law, kept.gains) == ("dcac", "dcac", "default")
-
-
-def test_quick_is_the_same_sweep_on_less() -> None:
-    full = Config.load(CONFIGS / "sweep.toml")
-    small = plan(full.quick())
-    assert 0 < len(small) <= 8
-    assert small[0].tags.keys() == {*sweep.grid_axes(full.grid), *dict(sweep.flat(full.random.fields))}
-    assert small[0].case.duration_s == 0.2
 
 
 def test_groups_hold_the_figures_of_their_rows() -> None:

@@ -161,12 +161,3 @@ def test_the_names_keep_their_word():
     np.testing.assert_array_equal(jumps[0].grad_mu, -jumps[1].grad_mu)
     steps = [np.abs(np.diff(TestSet.load(n).x, axis=0)).max() for n in ("circle", "jumps")]
     assert steps[0] < 0.3 < np.nan_to_num(steps[1], nan=1.0)
-
-
-def test_a_set_survives_its_file(tmp_path):
-    kept = TestSet.load("random")
-    (tmp_path / "other.npz").write_bytes(kept.to_bytes())
-    again = TestSet.load("other", tmp_path)
-    np.testing.assert_array_equal(again.rows, kept.rows)
-    with pytest.raises(CertificateError, match="make it with"):
-        TestSet.load("none", tmp_path)
