@@ -28,7 +28,7 @@ lint: setup
 	$(RUN) -m mypy
 
 # The core's own code, without its binding, under the address and the undefined-behaviour sanitizer.
-CORE := $(filter-out %/python.c %/arguments.c %/tools.c %/plant.c,$(wildcard moc_opt/core/*.c))
+CORE := $(filter-out %/python.c %/python_arm.c %/python_subproblem.c %/arguments.c %/plant.c,$(wildcard moc_opt/core/*.c))
 EXTREMES ?= build/extremes
 
 sanitize: $(EXTREMES)

@@ -1,6 +1,6 @@
 """The tick in C: arm, law, subproblem, `exact`, the network, the safety filter. `moc.h` is where to begin.
 
-`tools.h` has what Python needs beside the controller. The binding (`python.c`, `arguments.c`, `tools.c`) checks every
+`tools.h` has what Python needs beside the controller. The binding (`arguments.c`, `python*.c`, `plant.c`) checks every
 array (float64, C-contiguous, its shape) and raises ValueError or TypeError; it keeps none.
 """
 
@@ -21,15 +21,10 @@ try:
         Law,
         add_force,
         advance,
-        ascend,
         desired_wrist,
-        follow_curve,
         judge,
-        least_violation,
         load,
-        onto_curve,
         read_encoders,
-        retreat,
         shaft_force,
         solve_exact,
         solve_exact_rows,
@@ -43,6 +38,6 @@ except ImportError as error:
 
 __all__ = [
     "BAD_Q", "BAD_V", "DOUBTFUL", "INFEASIBLE", "MAX_JOINTS", "OK", "REASONS", "UNFINISHED", "Arm", "Guard", "Law",
-    "add_force", "advance", "ascend", "desired_wrist", "follow_curve", "judge", "least_violation", "load", "onto_curve",
-    "read_encoders", "retreat", "shaft_force", "solve_exact", "solve_exact_rows", "step_network",
+    "add_force", "advance", "desired_wrist", "judge", "load", "onto_curve",
+    "read_encoders", "shaft_force", "solve_exact", "solve_exact_rows", "step_network",
 ]  # fmt: skip

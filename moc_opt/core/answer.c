@@ -147,10 +147,12 @@ moc_residuals moc_judge(const moc_problem *p, int rows, double Z[][MOC_MAX_JOINT
     return found;
 }
 
-/* With a damped self-motion the arm follows its references with the shortest x of A x = b, which may move a joint to
+/* The smallest self-motion that brings the arm's other motion into the box; zero where none does.
+ *
+ * With a damped self-motion the arm follows its references with the shortest x of A x = b, which may move a joint to
  * its limit. The shortest x that the box has as well is an optimum of the same kind, without a pull; what it has of
  * self-motion is the way there. */
-void moc_retreat(const moc_problem *problem, int rows, double Z[][MOC_MAX_JOINTS], double *motion)
+static void retreat(const moc_problem *problem, int rows, double Z[][MOC_MAX_JOINTS], double *motion)
 {
     moc_problem p = *problem;
     double x[MOC_MAX_JOINTS], y[6];
@@ -171,7 +173,8 @@ void moc_retreat(const moc_problem *problem, int rows, double Z[][MOC_MAX_JOINTS
     }
 }
 
-void moc_least_violation(const moc_problem *p, double *x)
+/* The x of the box with the least |A x - b|. */
+static void least_violation(const moc_problem *p, double *x)
 {
     double missing[6], size[MOC_MAX_JOINTS] = {0.0};
     int n = p->n;
@@ -235,7 +238,7 @@ moc_fault moc_supervise(const moc_supervision *s, const moc_problem *p, const mo
     memory->age += memory->age < 1 << 30;
     memset(x, 0, bytes);
     if (fault == MOC_FAULT_INFEASIBLE && s->fallback == MOC_LEAST_VIOLATION)
-        moc_least_violation(p, x);
+        least_violation(p, x);
     else if (fault == MOC_FAULT_INFEASIBLE && s->fallback == MOC_DAMPING)
         return fault;
     else if (fault == MOC_FAULT_LATE && s->late == MOC_LATE_ZERO)
@@ -245,6 +248,6 @@ moc_fault moc_supervise(const moc_supervision *s, const moc_problem *p, const mo
     else if (memory->age <= s->hold_ticks)
         memcpy(x, memory->good, bytes);
     else if (s->keep_off_limits)
-        moc_retreat(p, memory->rows, memory->Z, x);
+        retreat(p, memory->rows, memory->Z, x);
     return fault;
 }

@@ -8,39 +8,34 @@ PyObject *moc_done(call *c, PyObject *result)
     return result;
 }
 
+/* nn n n + n n + one of each length, in the order of the enum. */
+static const struct {
+    int nn, n, one;
+    const char *words;
+} lengths[] = {{0, 1, 0, "n"}, {0, 11, 10, "11 n + 10"}, {1, 13, 18, "n n + 13 n + 18"}, {0, 2, 0, "2 n"},
+               {0, 14, 16, "14 n + 16"}, {0, 0, 0, "k"}, {0, 0, 0, "any"}};
+
 /* Whether a length is the one that is asked for; n and k are bound by the first array that has them. */
 static int fits(call *c, int wanted, Py_ssize_t length)
 {
-    switch (wanted) {
-    case N:
-        if (c->n == 0 && length <= MOC_MAX_JOINTS)
-            c->n = (int)length;
-        return length > 0 && length == c->n;
-    case ROW:
-        if (c->n == 0 && length <= 11 * MOC_MAX_JOINTS + 10)
-            c->n = (int)(length - 10) / 11;
-        return c->n > 0 && length == 11 * c->n + 10;
-    case TERMS:
-        return length == c->n * c->n + 13 * c->n + 18;
-    case TWICE:
-        return length == 2 * c->n;
-    case TICKED:
-        return length == 14 * c->n + 16;
-    case K:
+    if (wanted >= 0 || wanted == ANY)
+        return wanted == ANY || length == wanted;
+    if (wanted == K) {
         c->k = c->k < 0 ? length : c->k;
         return length == c->k;
-    default:
-        return wanted == ANY || length == wanted;
     }
+    int nn = lengths[-1 - wanted].nn, n = lengths[-1 - wanted].n, one = lengths[-1 - wanted].one;
+    if (c->n == 0 && length >= n + one && length <= MOC_MAX_JOINTS * n + one)
+        c->n = (int)(length - one) / n;
+    return c->n > 0 && length == (nn * c->n + n) * c->n + one;
 }
 
 static void say(const call *c, int wanted, char text[32])
 {
-    static const char *const words[] = {"n", "k", "any", "11 n + 10", "n n + 13 n + 18", "2 n", "14 n + 16"};
     if (wanted == N && c->n > 0)
         wanted = c->n;
     if (wanted < 0)
-        PyOS_snprintf(text, 32, "%s", words[-1 - wanted]);
+        PyOS_snprintf(text, 32, "%s", lengths[-1 - wanted].words);
     else
         PyOS_snprintf(text, 32, "%d", wanted);
 }
@@ -89,30 +84,18 @@ static int take_double(PyObject *given, double *to)
     return !(*to == -1.0 && PyErr_Occurred());
 }
 
-const moc_arm *moc_arm_of(PyObject *given)
-{
-    if (Py_TYPE(given) == moc_arm_type)
-        return &((Arm *)given)->arm;
-    PyErr_SetString(PyExc_TypeError, "arm: give a moc_opt.core.Arm");
-    return NULL;
-}
-
 static int take_one(call *c, int i, PyObject *given, const parameter *p)
 {
     c->array[i] = NULL;
-    c->whole[i] = 0;
     c->view[i].obj = NULL;
     switch (p->kind) {
     case NUMBER:
         return take_double(given, &c->number[i]);
     case WHOLE:
         return take_whole(given, p->name, INT_MAX, &c->whole[i]);
-    case LONG:
+    case STAMP:
+        c->whole[i] = NO_STAMP;
         return given == Py_None || take_whole(given, p->name, LLONG_MAX, &c->whole[i]);
-    case ARM:
-        c->arm = moc_arm_of(given);
-        c->n = c->arm ? c->arm->n : 0;
-        return c->arm != NULL;
     default:
         return (p->kind == MAYBE && given == Py_None) || take_array(c, i, given, p);
     }
@@ -120,7 +103,6 @@ static int take_one(call *c, int i, PyObject *given, const parameter *p)
 
 int moc_take(call *c, int n, const char *name, PyObject *const *args, Py_ssize_t count, const parameter *table, int wanted)
 {
-    c->args = args;
     c->n = n;
     c->k = -1;
     c->count = 0;
@@ -215,18 +197,13 @@ typedef struct {
 
 /* moc_opt/robots/state.py reads the same order. */
 static const part terms_parts[] = {
-    PART(moc_terms, q, 1, N), PART(moc_terms, v, 1, N), PART(moc_terms, tip, 1, 3), PART(moc_terms, wrist, 1, 3),
-    PART(moc_terms, u, 1, 3), PART(moc_terms, A, 6, N), PART(moc_terms, drift, 1, 6), PART(moc_terms, grad_mu, 1, N),
-    PART(moc_terms, grad_mu_shaft, 1, N), PART(moc_terms, M, N, N), PART(moc_terms, h, 1, N),
-    PART(moc_terms, energy_slope, 1, N), PART(moc_terms, gravity, 1, N), PART(moc_terms, mu, 1, 1),
-    PART(moc_terms, span, 1, 1), PART(moc_terms, mu_shaft, 1, 1),
+    PART(moc_terms, q, 2, N), PART(moc_terms, tip, 1, 9), PART(moc_terms, A, 6, N), PART(moc_terms, drift, 1, 6),
+    PART(moc_terms, grad_mu, 2, N), PART(moc_terms, M, N, N), PART(moc_terms, h, 3, N), PART(moc_terms, mu, 1, 3),
 };
 
 /* moc_opt/qp/layout.py reads the same order; q follows. */
 static const part problem_parts[] = {
-    PART(moc_problem, A, 6, N), PART(moc_problem, b, 1, 6), PART(moc_problem, grad_mu, 1, N),
-    PART(moc_problem, pull, 1, N), PART(moc_problem, lower, 1, N), PART(moc_problem, upper, 1, N), PART(moc_problem, c0, 1, 1),
-    PART(moc_problem, c1, 1, 1), PART(moc_problem, c2, 1, 1), PART(moc_problem, rho, 1, 1),
+    PART(moc_problem, A, 6, N), PART(moc_problem, b, 1, 6), PART(moc_problem, grad_mu, 4, N), PART(moc_problem, c0, 1, 4),
 };
 
 /* Between a struct and its record, one row after the other; returns the end of the record. */
@@ -235,8 +212,14 @@ static double *copy_parts(const part *parts, int count, int n, void *of, double 
     for (int k = 0; k < count; k++) {
         double *row = (double *)((char *)of + parts[k].offset);
         int rows = parts[k].rows == N ? n : parts[k].rows, columns = parts[k].columns == N ? n : parts[k].columns;
-        for (int i = 0; i < rows; i++, row += MOC_MAX_JOINTS, record += columns)
-            memcpy(pack ? record : row, pack ? row : record, (size_t)columns * sizeof *row);
+        for (int i = 0; i < rows; i++, row += MOC_MAX_JOINTS, record += columns) {
+            double *to = pack ? record : row;
+            const double *from = pack ? row : record;
+            if (columns == 7) /* as most rows are: without a call */
+                memcpy(to, from, 7 * sizeof *to);
+            else
+                memcpy(to, from, (size_t)columns * sizeof *to);
+        }
     }
     return record;
 }

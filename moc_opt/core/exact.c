@@ -5,7 +5,7 @@
  * whose column is zero (joint 7 under a tool on its axis) move nothing and are solved alone. One freedom that is left,
  * the elbow swivel, is a ratio test in closed form; several are a projection onto a polytope, see polytope.c.
  *
- * The kernels are inlined for rows of 8 and of 16 numbers, padded with zeros: no loop over a row is left then. */
+ * The elimination is inlined for rows of 8 and of 16 numbers, padded with zeros: no loop over a row is left then. */
 #include <string.h>
 
 #include "vec.h"
@@ -25,19 +25,27 @@
 #define GROWTH 4e-12         /* 2^14 roundings: what six steps cancel between columns that differ a thousandfold */
 #define WIDEST 1e-5          /* of the tolerances that rounding may explain [rad/s] */
 
-/* How much the last open row has of its own, in units of the tolerance on the sixth singular value.
+/* Weights g (6,) of the eliminated rows become those of the rows of A: the transposed steps, backwards. */
+static void weigh_back(const moc_plane *plane, int steps, double g[6])
+{
+    for (int k = steps - 1; k >= 0; k--)
+        g[plane->pivot[k]] = dot(6, plane->step[k], g);
+}
+
+/* How much the sixth row, the only open one, has of its own, in units of the tolerance on the sixth singular value.
  *
- * A pivot alone overstates that value, up to a hundredfold: the row is e^T A with a long e, which `from` holds.
+ * A pivot alone overstates that value, up to a hundredfold: the row is e^T A with a long e.
  * |e^T A| / |e| is what a singular value is the smallest of. */
 static double own_part(const moc_plane *plane, const moc_problem *p)
 {
-    double size = 0.0, most = 0.0;
-    for (int i = 0; i < 6; i++)
+    double e[6], size = 0.0, own = 0.0;
+    memcpy(e, plane->open, sizeof e);
+    weigh_back(plane, 5, e);
+    for (int i = 0; i < 6; i++) {
         size += dot(p->n, p->A[i], p->A[i]);
-    for (int i = 0; i < 6; i++)
-        if (plane->open[i] > 0.0)
-            most = fmax(most, dot(p->n, plane->row[i], plane->row[i]) / dot(6, plane->from[i], plane->from[i]));
-    return sqrt(most / size) / TIED;
+        own += plane->open[i] * dot(p->n, plane->row[i], plane->row[i]);
+    }
+    return sqrt(own / (size * dot(6, e, e))) / TIED;
 }
 
 /* The rank of A; -1 - rank of the rest where a row is neither repeated nor independent. */
@@ -48,13 +56,11 @@ INLINE int eliminate(moc_plane *plane, const moc_problem *p, int m)
     for (int i = 0; i < 6; i++) {
         for (int c = 0; c < m; c++)
             plane->row[i][c] = c < p->n ? p->A[i][c] : 0.0;
-        for (int c = 0; c < 8; c++)
-            plane->from[i][c] = c == i ? 1.0 : 0.0;
-        plane->from[i][RIGHT] = p->b[i];
+        plane->right[i] = p->b[i];
         plane->open[i] = 1.0;
     }
     for (int k = 0; k < 6; k++) {
-        double largest[MOC_MAX_JOINTS], pivot_row[MOC_MAX_JOINTS], pivot_from[8], size = 0.0;
+        double largest[MOC_MAX_JOINTS], pivot_row[MOC_MAX_JOINTS], size = 0.0;
         int column = 0, pivot = 0;
 
         for (int c = 0; c < m; c++)
@@ -62,7 +68,7 @@ INLINE int eliminate(moc_plane *plane, const moc_problem *p, int m)
         for (int i = 0; i < 6; i++)
             for (int c = 0; c < m; c++) {
                 double entry = fabs(plane->row[i][c]) * plane->open[i];
-                largest[c] = entry > largest[c] ? entry : largest[c];
+                largest[c] = larger(entry, largest[c]);
             }
         for (int c = 0; c < m; c++) {
             column = largest[c] > size ? c : column;
@@ -81,20 +87,19 @@ INLINE int eliminate(moc_plane *plane, const moc_problem *p, int m)
         plane->joint[k] = column;
         plane->pivot[k] = pivot;
         plane->open[pivot] = 0.0;
-        double inverse = 1.0 / plane->row[pivot][column];
+        double inverse = 1.0 / plane->row[pivot][column], pivot_right = plane->right[pivot];
         memcpy(pivot_row, plane->row[pivot], (unsigned)m * sizeof *pivot_row);
-        memcpy(pivot_from, plane->from[pivot], sizeof pivot_from);
         for (int i = 0; i < 6; i++) {
             double scale = plane->row[i][column] * inverse;
+            plane->step[k][i] = -scale;
+            plane->right[i] -= scale * pivot_right;
             for (int c = 0; c < m; c++)
                 plane->row[i][c] -= scale * pivot_row[c];
-            for (int c = 0; c < 8; c++)
-                plane->from[i][c] -= scale * pivot_from[c];
         }
+        plane->step[k][pivot] = inverse;
+        plane->right[pivot] = pivot_right * inverse;
         for (int c = 0; c < m; c++)
             plane->row[pivot][c] = pivot_row[c] * inverse;
-        for (int c = 0; c < 8; c++)
-            plane->from[pivot][c] = pivot_from[c] * inverse;
     }
     return 6;
 }
@@ -103,11 +108,11 @@ INLINE int eliminate(moc_plane *plane, const moc_problem *p, int m)
 static int contradicts(const moc_plane *plane, const moc_problem *p)
 {
     for (int i = 0; i < 6; i++) {
-        double reach = LEFT, right = fabs(plane->from[i][RIGHT]);
+        double reach = LEFT, right = fabs(plane->right[i]);
         if (plane->open[i] * right <= LEFT)
             continue;
         for (int j = 0; j < p->n; j++)
-            reach += fabs(plane->row[i][j]) * fmax(fabs(p->lower[j]), fabs(p->upper[j]));
+            reach += fabs(plane->row[i][j]) * larger(fabs(p->lower[j]), fabs(p->upper[j]));
         if (right > reach)
             return 1;
     }
@@ -120,23 +125,22 @@ static double left_over(const moc_plane *plane, int n, const double *x)
     double most = 0.0;
     for (int i = 0; i < 6; i++)
         if (plane->open[i] > 0.0)
-            most = fmax(most, fabs(dot(n, plane->row[i], x) - plane->from[i][RIGHT]));
+            most = larger(fabs(dot(n, plane->row[i], x) - plane->right[i]), most);
     return most;
 }
 
-/* Joints that move neither tip nor wrist go where the cost alone takes them. */
-static void place_idle(const moc_problem *p, const double *reach, double *x)
+/* Eliminate, and number the other joints behind those of the pivots; 0 where the rank is in doubt. */
+static int reduce(moc_plane *plane, const moc_problem *p)
 {
-    double steepest = 0.0;
+    int found = p->n <= 8 ? eliminate(plane, p, 8) : eliminate(plane, p, 16), taken[MOC_MAX_JOINTS] = {0}, next;
+
+    next = plane->rank = found < 0 ? -1 - found : found;
+    for (int k = 0; k < plane->rank; k++)
+        taken[plane->joint[k]] = 1;
     for (int j = 0; j < p->n; j++)
-        steepest = fmax(steepest, fabs(p->pull[j]));
-    for (int j = 0; j < p->n; j++)
-        if (reach[j] >= 0.0 && reach[j] <= IDLE) {
-            /* a gradient at rounding level must not throw an idle joint to its bound */
-            double pull = fabs(p->pull[j]) > ROUNDING * steepest ? p->c2 * p->pull[j] : 0.0;
-            double wanted = p->rho > 0.0 ? pull / p->rho : pull > 0.0 ? HUGE_VAL : pull < 0.0 ? -HUGE_VAL : 0.0;
-            x[j] = clip(wanted, p->lower[j], p->upper[j]);
-        }
+        if (!taken[j])
+            plane->joint[next++] = j;
+    return found >= 0;
 }
 
 void moc_direction(const moc_plane *plane, int n, int k, double *z)
@@ -153,19 +157,24 @@ int moc_kernel(int n, double A[][MOC_MAX_JOINTS], double rows[][MOC_MAX_JOINTS])
 {
     moc_problem problem = {.n = n};
     moc_plane plane;
-    int taken[MOC_MAX_JOINTS] = {0}, found = 0;
 
     memcpy(problem.A, A, sizeof problem.A);
-    int rank = eliminate(&plane, &problem, MOC_MAX_JOINTS);
-    plane.rank = rank < 0 ? -1 - rank : rank;
-    for (int k = 0; k < plane.rank; k++)
-        taken[plane.joint[k]] = 1;
-    for (int j = 0; j < n; j++)
-        if (!taken[j]) {
-            plane.joint[plane.rank] = j;
-            moc_direction(&plane, n, 0, rows[found++]);
-        }
-    return found;
+    reduce(&plane, &problem);
+    for (int k = 0; k < n - plane.rank; k++)
+        moc_direction(&plane, n, k, rows[k]);
+    return n - plane.rank;
+}
+
+/* Where the cost alone takes a joint that moves neither tip nor wrist. */
+static double idle_speed(const moc_problem *p, int j)
+{
+    double steepest = 0.0;
+    for (int k = 0; k < p->n; k++)
+        steepest = larger(fabs(p->pull[k]), steepest);
+    /* a gradient at rounding level must not throw an idle joint to its bound */
+    double pull = fabs(p->pull[j]) > ROUNDING * steepest ? p->c2 * p->pull[j] : 0.0;
+    double wanted = p->rho > 0.0 ? pull / p->rho : pull > 0.0 ? HUGE_VAL : pull < 0.0 ? -HUGE_VAL : 0.0;
+    return clip(wanted, p->lower[j], p->upper[j]);
 }
 
 /* One freedom, x + s z: the ratio test gives the interval of s, then its best point. */
@@ -182,14 +191,10 @@ static moc_status solve_one(const moc_plane *plane, const moc_problem *p, double
         if (fabs(z[j]) > IDLE) {
             double inverse = 1.0 / z[j], one = (p->lower[j] - x[j]) * inverse, other = (p->upper[j] - x[j]) * inverse;
             double start = z[j] > 0.0 ? one : other, end = z[j] > 0.0 ? other : one;
-            if (start > low) {
-                low = start;
-                low_joint = j;
-            }
-            if (end < high) {
-                high = end;
-                high_joint = j;
-            }
+            low_joint = start > low ? j : low_joint;
+            low = larger(start, low);
+            high_joint = end < high ? j : high_joint;
+            high = smaller(end, high);
         }
     }
     if (low > high + tolerance)
@@ -222,47 +227,42 @@ static double finish(const moc_plane *plane, const moc_problem *p, const double 
 {
     double beyond = 0.0;
     for (int j = 0; j < p->n; j++) {
-        beyond = fmax(beyond, fmax(p->lower[j] - point[j], point[j] - p->upper[j]));
-        x[j] = point[j] < p->lower[j] ? p->lower[j] : point[j] > p->upper[j] ? p->upper[j] : point[j];
+        beyond = larger(larger(p->lower[j] - point[j], point[j] - p->upper[j]), beyond);
+        x[j] = clip(point[j], p->lower[j], p->upper[j]);
         force[j] += p->c2 * p->pull[j] - p->rho * x[j];
     }
-    for (int i = 0; i < 6; i++) {
+    for (int i = 0; i < 6; i++)
         y[i] = 0.0;
-        for (int k = 0; k < plane->rank; k++)
-            y[i] += plane->from[plane->pivot[k]][i] * force[plane->joint[k]];
-    }
+    for (int k = 0; k < plane->rank; k++)
+        y[plane->pivot[k]] = force[plane->joint[k]];
+    weigh_back(plane, plane->rank, y);
     return beyond;
 }
 
-/* With one tolerance; m >= n numbers to a row, 8 or 16. */
-INLINE moc_status solve_width(const moc_problem *p, double tolerance, double *x, double y[6], int m)
+/* With one tolerance. */
+static moc_status solve(const moc_problem *p, double tolerance, double *x, double y[6])
 {
     moc_plane plane;
-    double point[MOC_MAX_JOINTS] = {0.0}, force[MOC_MAX_JOINTS] = {0.0}, reach[MOC_MAX_JOINTS];
+    double point[MOC_MAX_JOINTS] = {0.0}, force[MOC_MAX_JOINTS] = {0.0};
     moc_status status = MOC_OK;
 
-    plane.rank = eliminate(&plane, p, m);
-    if (plane.rank < 0)
+    if (!reduce(&plane, p))
         return MOC_DOUBTFUL;
     if (contradicts(&plane, p))
         return MOC_INFEASIBLE;
-    for (int c = 0; c < m; c++)
-        reach[c] = 0.0;
-    for (int i = 0; i < 6; i++)
-        for (int c = 0; c < m; c++) {
-            double entry = (1.0 - plane.open[i]) * fabs(plane.row[i][c]);
-            reach[c] = entry > reach[c] ? entry : reach[c];
-        }
-    for (int k = 0; k < plane.rank; k++) { /* a particular solution */
-        point[plane.joint[k]] = plane.from[plane.pivot[k]][RIGHT];
-        reach[plane.joint[k]] = -1.0;
-    }
+    for (int k = 0; k < plane.rank; k++) /* a particular solution */
+        point[plane.joint[k]] = plane.right[plane.pivot[k]];
     plane.freedoms = 0;
-    for (int j = 0; j < p->n; j++)
-        if (reach[j] > IDLE)
+    for (int k = plane.rank; k < p->n; k++) {
+        int j = plane.joint[k];
+        double reach = 0.0;
+        for (int i = 0; i < plane.rank; i++)
+            reach = larger(fabs(plane.row[plane.pivot[i]][j]), reach);
+        if (reach > IDLE)
             plane.joint[plane.rank + plane.freedoms++] = j;
-    if (plane.rank + plane.freedoms < p->n)
-        place_idle(p, reach, point);
+        else
+            point[j] = idle_speed(p, j);
+    }
     if (plane.freedoms == 1)
         status = solve_one(&plane, p, tolerance, point, force);
     else if (plane.freedoms > 1)
@@ -274,16 +274,6 @@ INLINE moc_status solve_width(const moc_problem *p, double tolerance, double *x,
     return status == MOC_OK && left_over(&plane, p->n, x) > LEFT ? MOC_DOUBTFUL : status;
 }
 
-static moc_status solve_8(const moc_problem *p, double tolerance, double *x, double y[6])
-{
-    return solve_width(p, tolerance, x, y, 8);
-}
-
-static moc_status solve_16(const moc_problem *p, double tolerance, double *x, double y[6])
-{
-    return solve_width(p, tolerance, x, y, 16);
-}
-
 /* How far rounding of A x = b may put a joint out of its box [rad/s]: a rounding error of the largest |A| |x| in the
  * box, carried over to the joint that moves tip and wrist least. */
 static double explained_by_rounding(const moc_problem *p)
@@ -292,14 +282,14 @@ static double explained_by_rounding(const moc_problem *p)
     for (int i = 0; i < 6; i++) {
         double sum = 0.0;
         for (int j = 0; j < p->n; j++)
-            sum += fabs(p->A[i][j]) * fmax(fabs(p->lower[j]), fabs(p->upper[j]));
-        largest = fmax(largest, sum);
+            sum += fabs(p->A[i][j]) * larger(fabs(p->lower[j]), fabs(p->upper[j]));
+        largest = larger(sum, largest);
     }
     for (int j = 0; j < p->n; j++) {
         double column = 0.0;
         for (int i = 0; i < 6; i++)
-            column = fmax(column, fabs(p->A[i][j]));
-        least = column > IDLE ? fmin(least, column) : least;
+            column = larger(fabs(p->A[i][j]), column);
+        least = column > IDLE ? smaller(column, least) : least;
     }
     return GROWTH * largest / least;
 }
@@ -308,13 +298,12 @@ static double off_the_plane(const moc_problem *p, const double *x)
 {
     double most = 0.0;
     for (int i = 0; i < 6; i++)
-        most = fmax(most, fabs(dot(p->n, p->A[i], x) - p->b[i]));
+        most = larger(fabs(dot(p->n, p->A[i], x) - p->b[i]), most);
     return most;
 }
 
 moc_status moc_solve_exact(const moc_problem *p, double tolerance, double *x, double y[6])
 {
-    moc_status (*solve)(const moc_problem *, double, double *, double *) = p->n <= 8 ? solve_8 : solve_16;
     moc_status status = solve(p, tolerance, x, y);
 
     /* Where columns of A differ so much that rounding may have decided it, the tolerance on the way is raised to what

@@ -42,20 +42,21 @@ typedef struct {
     double gravity[3];             /* [m/s^2] */
 } moc_arm;
 
-/* What the law needs of the arm at one (q, v). */
+/* What the law needs of the arm at one (q, v); the binding's records rely on the order. */
 typedef struct {
     double q[MOC_MAX_JOINTS], v[MOC_MAX_JOINTS];
-    double tip[3], wrist[3];
+    double tip[3], wrist[3], u[3];           /* u = (X - N) / L */
     double pose[4][3];                       /* the tool's axes x, y, z (u) and its tip again */
-    double u[3];                             /* (X - N) / L */
-    double span;                             /* L [m] */
     double A[6][MOC_MAX_JOINTS];             /* J_T over J_W */
     double drift[6];                         /* dJ_T/dt v, dJ_W/dt v [m/s^2] */
-    double mu, grad_mu[MOC_MAX_JOINTS];      /* [m^3] */
-    double mu_shaft, grad_mu_shaft[MOC_MAX_JOINTS]; /* of the shaft once the tip is held [m^2] */
+    double grad_mu[MOC_MAX_JOINTS], grad_mu_shaft[MOC_MAX_JOINTS];
     double M[MOC_MAX_JOINTS][MOC_MAX_JOINTS];
-    double h[MOC_MAX_JOINTS], gravity[MOC_MAX_JOINTS];
+    double h[MOC_MAX_JOINTS];
     double energy_slope[MOC_MAX_JOINTS];     /* dT/dq = C^T v, T the kinetic energy [Nm] */
+    double gravity[MOC_MAX_JOINTS];
+    double mu;                               /* [m^3] */
+    double span;                             /* L [m] */
+    double mu_shaft;                         /* of the shaft once the tip is held [m^2] */
 } moc_terms;
 
 /* --- the subproblem --- */

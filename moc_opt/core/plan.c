@@ -110,7 +110,7 @@ static void allowed_step(const plan_task *task, int rows, const double *q, doubl
 }
 
 /* Damped Gauss-Newton for the tip alone (points = 1), or tip and wrist, from `start`; the best pose may be `start`. */
-static double place(const plan_task *task, int points, int rounds, const double *start, double *best)
+double plan_place(const plan_task *task, int points, int rounds, const double *start, double *best)
 {
     static const double nowhere[MOC_MAX_JOINTS];
     double q[MOC_MAX_JOINTS], A[6][MOC_MAX_JOINTS], error[6], step[MOC_MAX_JOINTS];
@@ -138,14 +138,6 @@ static double place(const plan_task *task, int points, int rounds, const double 
             q[j] = fmin(fmax(q[j] + step[j] * fmin(1.0, LONGEST / length), task->low[j]), task->high[j]);
     }
     return miss;
-}
-
-double moc_nearest_pose(const moc_arm *arm, int points, double target[][3], const double *low, const double *high,
-                        int iterations, const double *q, double *best)
-{
-    plan_task task = {.arm = arm, .low = low, .high = high};
-    memcpy(task.target, target, (unsigned)points * sizeof *task.target);
-    return place(&task, points, iterations, q, best);
 }
 
 /* --- along a curve --- */
@@ -307,7 +299,7 @@ double plan_ascend(const plan_task *task, double *q)
     double error[6], A[6][MOC_MAX_JOINTS], grad[MOC_MAX_JOINTS], way[MOC_MAX_JOINTS], trial[MOC_MAX_JOINTS], h = 0.1;
     int n = task->arm->n;
 
-    if (!(place(task, 2, NEWTON, q, q) < TOLERANCE))
+    if (!(plan_place(task, 2, NEWTON, q, q) < TOLERANCE))
         return -1.0;
     double mu = look(task, q, error, A, grad);
     for (int round = 0; round < STEPS; round++) {
@@ -316,7 +308,7 @@ double plan_ascend(const plan_task *task, double *q)
         while (length > FLAT * sqrt(dot(n, grad, grad)) && h >= SHORTEST) {
             for (int j = 0; j < n; j++)
                 trial[j] = fmin(fmax(q[j] + h / length * way[j], task->low[j]), task->high[j]);
-            if (place(task, 2, 10, trial, trial) < TOLERANCE) {
+            if (plan_place(task, 2, 10, trial, trial) < TOLERANCE) {
                 found = look(task, trial, error, A, grad);
                 if (found > mu)
                     break;

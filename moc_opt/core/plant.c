@@ -1,22 +1,26 @@
-/* What the simulated plant needs between two of MuJoCo's steps; no part of the exported controller. */
-#include <string.h>
-
-#include "tools.h"
+/* What the simulated plant needs between two of MuJoCo's steps, as functions of the module; sim/contact.py and
+ * sim/sensors.py say what it models. No part of the exported controller. */
+#include "python.h"
 #include "vec.h"
 
-void plant_shaft_force(const double *tip, const double *wrist, const double twist[6], const double *origin,
-                       const double trocar[6], double elapsed, double stiffness, double damping, double force[3],
-                       double point[3])
+/* Force of the trocar on the shaft and where it acts, world axes: with the shaft's point c nearest to the trocar P and
+ * the velocity w of the tool's material there, force = (I - u u^T)(stiffness (P - c) + damping (dP - w)).
+ * tip, wrist: two points of the shaft's line; twist: angular velocity, then the velocity at origin; trocar: P and dP at
+ * the start of the period, `elapsed` seconds ago. */
+FUNCTION(shaft_force, {"tip", READ, 3}, {"wrist", READ, 3}, {"twist", READ, 6}, {"origin", READ, 3},
+         {"trocar", READ, 2, 3}, {"elapsed", NUMBER}, {"stiffness", NUMBER}, {"damping", NUMBER}, {"force", WRITE, 3},
+         {"point", WRITE, 3})
 {
-    double u[3], P[3], lever[3], w[3], length;
+    const double *tip = c->array[0], *wrist = c->array[1], *twist = c->array[2], *origin = c->array[3];
+    const double *P_start = c->array[4], *dP = c->array[4] + 3;
+    double *force = c->array[8], *point = c->array[9];
+    double u[3], P[3], lever[3], w[3];
 
-    for (int i = 0; i < 3; i++)
-        u[i] = tip[i] - wrist[i];
-    length = sqrt(dot3(u, u));
     for (int i = 0; i < 3; i++) {
-        u[i] /= length;
-        P[i] = trocar[i] + elapsed * trocar[3 + i];
+        u[i] = tip[i] - wrist[i];
+        P[i] = P_start[i] + c->number[5] * dP[i];
     }
+    normalise3(u);
     double along = dot3(P, u) - dot3(tip, u);
     for (int i = 0; i < 3; i++) {
         point[i] = tip[i] + along * u[i];
@@ -25,38 +29,53 @@ void plant_shaft_force(const double *tip, const double *wrist, const double twis
     }
     add_cross(1.0, twist, lever, w);
     for (int i = 0; i < 3; i++)
-        force[i] = stiffness * (P[i] - point[i]) + damping * (trocar[3 + i] - w[i]);
+        force[i] = c->number[6] * (P[i] - point[i]) + c->number[7] * (dP[i] - w[i]);
     double axial = dot3(force, u);
     for (int i = 0; i < 3; i++)
         force[i] -= axial * u[i];
+    Py_RETURN_NONE;
 }
 
-void plant_add_force(double wrench[6], const double force[3], const double point[3], const double com[3])
+/* A force at a point, added to a body's wrench (force, then moment about com), world axes. */
+FUNCTION(add_force, {"wrench", WRITE, 6}, {"force", READ, 3}, {"point", READ, 3}, {"com", READ, 3})
 {
     double lever[3];
     for (int i = 0; i < 3; i++) {
-        lever[i] = point[i] - com[i];
-        wrench[i] += force[i];
+        lever[i] = c->array[2][i] - c->array[3][i];
+        c->array[0][i] += c->array[1][i];
     }
-    add_cross(1.0, lever, force, wrench + 3);
+    add_cross(1.0, lever, c->array[1], c->array[0] + 3);
+    Py_RETURN_NONE;
 }
 
-void plant_read_encoders(const plant_encoders *e, int n, const double *q, const double *v, const double *noise,
-                         double *memory, double *reading)
+/* Positions, then velocities, as encoders give them. memory (3, n): bias, last position, estimate of the velocity;
+ * resolution [rad]; gain: the share of the difference quotient that the estimate takes up; exact: but for the bias. */
+FUNCTION(read_encoders, {"q", READ, N}, {"v", READ, N}, {"noise", READ, N}, {"memory", WRITE, 3, N},
+         {"resolution", NUMBER}, {"period", NUMBER}, {"gain", NUMBER}, {"exact", WHOLE}, {"reading", WRITE, TWICE})
 {
-    const double *bias = memory;
-    double *last = memory + n, *speed = memory + 2 * n;
+    const double *bias = c->array[3], resolution = c->number[4];
+    double *last = c->array[3] + c->n, *speed = last + c->n, *reading = c->array[8];
 
-    for (int i = 0; i < n; i++) {
-        reading[i] = q[i] + bias[i];
-        reading[n + i] = v[i];
-        if (e->exact)
+    for (int i = 0; i < c->n; i++) {
+        reading[i] = c->array[0][i] + bias[i];
+        reading[c->n + i] = c->array[1][i];
+        if (c->whole[7])
             continue;
-        double position = reading[i] + noise[i];
-        if (e->resolution > 0.0)
-            position = e->resolution * nearbyint(position / e->resolution);
-        speed[i] += e->gain * ((position - last[i]) / e->period - speed[i]);
+        double position = reading[i] + c->array[2][i];
+        if (resolution > 0.0)
+            position = resolution * nearbyint(position / resolution);
+        speed[i] += c->number[6] * ((position - last[i]) / c->number[5] - speed[i]);
         reading[i] = last[i] = position;
-        reading[n + i] = speed[i];
+        reading[c->n + i] = speed[i];
     }
+    Py_RETURN_NONE;
 }
+
+PyMethodDef moc_plant_functions[] = {
+    ENTRY("shaft_force", shaft_force,
+          "shaft_force(tip, wrist, twist, origin, trocar, elapsed, stiffness, damping, force, point); see plant.c"),
+    ENTRY("add_force", add_force, "add_force(wrench, force, point, com): add a force at a point to a body's wrench"),
+    ENTRY("read_encoders", read_encoders,
+          "read_encoders(q, v, noise, memory, resolution, period, gain, exact, reading); see plant.c"),
+    {NULL, NULL, 0, NULL},
+};

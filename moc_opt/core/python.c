@@ -1,131 +1,23 @@
 /* The core as a Python module, for CPython's limited API: one wheel serves every version from 3.11 on.
  *
- * Here are its objects: the arm, the law with its memory, and the safety filter. tools.c has its functions. */
+ * Here are the law with its memory, and the safety filter; python_arm.c has the arm, python_subproblem.c and plant.c have
+ * functions. */
 #include "python.h"
 
 #include <time.h>
 
-PyTypeObject *moc_arm_type;
-
-/* --- the arm --- */
-
-static PyObject *arm_new(PyTypeObject *type, PyObject *given, PyObject *keywords)
-{
-    static const parameter table[] = {
-        {"joints", READ, N, 16}, {"bodies", READ, N, 10}, {"rotors", READ, N}, {"points", READ, 2, 3},
-        {"tool", READ, 3, 3}, {"moves", READ, 2, N}, {"gravity", READ, 3},
-    };
-    PyObject *args[7];
-    call c;
-    (void)keywords;
-
-    if (!PyArg_UnpackTuple(given, "Arm", 7, 7, &args[0], &args[1], &args[2], &args[3], &args[4], &args[5], &args[6]) ||
-        !moc_take(&c, 0, "Arm", args, 7, table, 7))
-        return NULL;
-    Arm *self = (Arm *)PyType_GenericAlloc(type, 0); /* zeros */
-    if (self == NULL)
-        return moc_done(&c, NULL);
-    moc_arm *arm = &self->arm;
-    arm->n = c.n;
-    for (int j = 0; j < c.n; j++) {
-        moc_joint *joint = &arm->joint[j];
-        const double *row = c.array[0] + 16 * j, *body = c.array[1] + 10 * j;
-        memcpy(joint->rotation, row, sizeof joint->rotation);
-        memcpy(joint->origin, row + 9, sizeof joint->origin);
-        memcpy(joint->axis, row + 12, sizeof joint->axis);
-        joint->slides = row[15] > 0.0;
-        joint->mass = body[0];
-        memcpy(joint->moment, body + 1, sizeof joint->moment);
-        memcpy(joint->inertia, body + 4, sizeof joint->inertia);
-        joint->rotor = c.array[2][j];
-        arm->moves[MOC_TIP][j] = c.array[5][j] != 0.0;
-        arm->moves[MOC_WRIST][j] = c.array[5][c.n + j] != 0.0;
-    }
-    memcpy(arm->point, c.array[3], sizeof arm->point);
-    memcpy(arm->tool, c.array[4], sizeof arm->tool);
-    memcpy(arm->gravity, c.array[6], sizeof arm->gravity);
-    return moc_done(&c, (PyObject *)self);
-}
-
-METHOD(Arm, terms, {"q", READ, N}, {"v", READ, N}, {"record", WRITE, TERMS})
-{
-    moc_terms terms;
-    moc_status status = moc_compute_terms(&self->arm, c->array[0], c->array[1], &terms);
-    if (status == MOC_OK)
-        moc_pack_terms(&terms, c->n, c->array[2]);
-    return PyLong_FromLong(status);
-}
-
-METHOD(Arm, mu_along, {"poses", READ, K, N}, {"mu", WRITE, K})
-{
-    const moc_arm *arm = &self->arm;
-    moc_frame frame[MOC_MAX_JOINTS];
-    moc_twist twist[MOC_MAX_JOINTS];
-    double J[3][MOC_MAX_JOINTS], tip[3];
-
-    for (Py_ssize_t i = 0; i < c->k; i++) {
-        moc_place(arm, c->array[0] + i * c->n, frame);
-        moc_twists(arm, frame, twist);
-        moc_point(&frame[c->n - 1], arm->point[MOC_TIP], tip);
-        moc_jacobian(c->n, twist, tip, arm->moves[MOC_TIP], J);
-        c->array[1][i] = moc_yoshikawa(c->n, J);
-    }
-    Py_RETURN_NONE;
-}
-
-METHOD(Arm, points_along, {"poses", READ, K, N}, {"points", READ, ANY, 3}, {"out", WRITE, ANY, 3})
-{
-    moc_frame frame[MOC_MAX_JOINTS];
-    int points = rows_of(c, 1);
-
-    if (rows_of(c, 2) != c->k * points)
-        return PyErr_Format(PyExc_ValueError, "out: give (m k, 3) for m points at k poses");
-    for (Py_ssize_t i = 0; i < c->k; i++) {
-        moc_place(&self->arm, c->array[0] + i * c->n, frame);
-        for (int j = 0; j < points; j++)
-            moc_point(&frame[c->n - 1], c->array[1] + 3 * j, c->array[2] + 3 * (j * c->k + i));
-    }
-    Py_RETURN_NONE;
-}
-
-METHOD(Arm, tool_pose, {"q", READ, N}, {"pose", WRITE, 4, 3})
-{
-    moc_tool_pose(&self->arm, c->array[0], (double(*)[3])c->array[1]);
-    Py_RETURN_NONE;
-}
-
-METHOD(Arm, nearest_pose, {"targets", READ, K, 3}, {"low", READ, N}, {"high", READ, N}, {"q", READ, N},
-       {"iterations", WHOLE}, {"best", WRITE, N})
-{
-    if (c->k < 1 || c->k > 2)
-        return PyErr_Format(PyExc_ValueError, "targets has %zd rows: give one (tip) or two (tip and wrist)", c->k);
-    return PyFloat_FromDouble(moc_nearest_pose(&self->arm, (int)c->k, (double(*)[3])c->array[0], c->array[1],
-                                               c->array[2], (int)c->whole[4], c->array[3], c->array[5]));
-}
-
-static PyMethodDef arm_methods[] = {
-    FAST(terms, Arm_terms, "terms(q, v, record) -> status: all terms of one state"),
-    FAST(mu_along, Arm_mu_along, "mu_along(poses, mu): manipulability of the tip"),
-    FAST(points_along, Arm_points_along, "points_along(poses, points, out): points of the last joint's axes [m]"),
-    FAST(tool_pose, Arm_tool_pose, "tool_pose(q, pose): the tool's axes x, y, z and its tip [m]"),
-    FAST(nearest_pose, Arm_nearest_pose, "nearest_pose(targets, low, high, q, iterations, best) -> miss [m]"),
-    {NULL, NULL, 0, NULL},
-};
-
-static PyType_Slot arm_slots[] = {
-    {Py_tp_doc, "Arm(joints, bodies, rotors, points, tool, moves, gravity)\n\nA serial chain of 1 to 16 joints as data."},
-    {Py_tp_new, arm_new}, {Py_tp_methods, arm_methods}, {0, NULL},
-};
+static PyTypeObject *arm_type; /* set once, when the module is made, and kept for ever */
 
 /* An object with the arm that is the only positional argument, filled by keywords; NULL with an exception. */
 static PyObject *with_arm(PyTypeObject *type, PyObject *given, PyObject *keywords, const field *fields, int count)
 {
-    PyObject *shown;
-    const moc_arm *arm = PyArg_UnpackTuple(given, "arm", 1, 1, &shown) ? moc_arm_of(shown) : NULL;
-    Arm *self = arm ? (Arm *)PyType_GenericAlloc(type, 0) : NULL;
+    PyObject *arm;
+    if (!PyArg_ParseTuple(given, "O!:arm", arm_type, &arm))
+        return NULL;
+    Arm *self = (Arm *)PyType_GenericAlloc(type, 0);
     if (self == NULL)
         return NULL;
-    self->arm = *arm;
+    self->arm = ((Arm *)arm)->arm;
     if (moc_fill(keywords, fields, count, self))
         return (PyObject *)self;
     Py_DECREF(self);
@@ -269,15 +161,15 @@ static PyGetSetDef law_attributes[] = {
 };
 
 static PyMethodDef law_methods[] = {
-    FAST(start, Law_start, "start(record, tip_ref, trocar, row): forget all; the subproblem of this state into row"),
-    FAST(load, Law_load, "load(record, Z): take these for this tick's subproblem and null space"),
-    FAST(begin, Law_begin, "begin(record, tip_ref, trocar, pull, row): levels 1 and 2, and the subproblem into row"),
-    FAST(finish, Law_finish, "finish(known, claim, answer, solve_us, x, tau) -> fault: x is what the arm follows"),
-    FAST(step, Law_step,
+    ENTRY("start", Law_start, "start(record, tip_ref, trocar, row): forget all; the subproblem of this state into row"),
+    ENTRY("load", Law_load, "load(record, Z): take these for this tick's subproblem and null space"),
+    ENTRY("begin", Law_begin, "begin(record, tip_ref, trocar, pull, row): levels 1 and 2, and the subproblem into row"),
+    ENTRY("finish", Law_finish, "finish(known, claim, answer, solve_us, x, tau) -> fault: x is what the arm follows"),
+    ENTRY("step", Law_step,
          "step(record, tip_ref, trocar, pull, tolerance, solve_us, out) -> (status, fault, us):\n"
          "begin, the exact solver and finish; solve_us: NaN, or what replaces the clock; out: the subproblem's record,\n"
          "the solver's x and y, the x that the arm follows, and tau"),
-    FAST(set_applied, Law_set_applied, "set_applied(tau): replace the last torque by the one that was applied"),
+    ENTRY("set_applied", Law_set_applied, "set_applied(tau): replace the last torque by the one that was applied"),
     {NULL, NULL, 0, NULL},
 };
 
@@ -317,16 +209,16 @@ static PyObject *guard_new(PyTypeObject *type, PyObject *given, PyObject *keywor
     return with_arm(type, given, keywords, guard_fields, COUNT(guard_fields));
 }
 
-METHOD(Guard, start, {"q", READ, N}, {"v", READ, N}, {"stamp", LONG})
+METHOD(Guard, start, {"q", READ, N}, {"v", READ, N}, {"stamp", STAMP})
 {
     moc_guard_start(&self->guard, c->n, c->array[0], c->array[1], c->whole[2], &self->watch);
     Py_RETURN_NONE;
 }
 
-METHOD(Guard, believe, {"q", READ, N}, {"v", READ, N}, {"stamp", LONG}, {"applied", MAYBE, N},
+METHOD(Guard, believe, {"q", READ, N}, {"v", READ, N}, {"stamp", STAMP}, {"applied", MAYBE, N},
        {"wrench", READ, 6}, {"trocar", MAYBE, 2, 3}, {"believed", WRITE, 2, N})
 {
-    const moc_measurement m = {c->array[0], c->array[1], c->whole[2], c->args[2] != Py_None, c->array[3], c->array[4]};
+    const moc_measurement m = {c->array[0], c->array[1], c->whole[2], c->whole[2] != NO_STAMP, c->array[3], c->array[4]};
     moc_stop reason = moc_guard_believe(&self->guard, c->n, &m, &self->watch), found = MOC_RUNNING;
     if (c->array[5] && self->guard.in_incision) {
         moc_trocar trocar;
@@ -383,11 +275,11 @@ static PyGetSetDef guard_attributes[] = {
 };
 
 static PyMethodDef guard_methods[] = {
-    FAST(start, Guard_start, "start(q, v, stamp): forget all, and begin at a finite measurement, number `stamp`"),
-    FAST(believe, Guard_believe, "believe(q, v, stamp, applied, wrench, trocar, believed) -> reason"),
-    FAST(follow, Guard_follow, "follow(q, v, record, tip, tip_ref, before, tau) -> (reason, joints limited)"),
-    FAST(rest, Guard_rest, "rest(before, tau): the torque of a damped stop"),
-    FAST(hold, Guard_hold, "hold(wrench, friction): dry friction of the brakes in a stop [Nm]"),
+    ENTRY("start", Guard_start, "start(q, v, stamp): forget all, and begin at a finite measurement, number `stamp`"),
+    ENTRY("believe", Guard_believe, "believe(q, v, stamp, applied, wrench, trocar, believed) -> reason"),
+    ENTRY("follow", Guard_follow, "follow(q, v, record, tip, tip_ref, before, tau) -> (reason, joints limited)"),
+    ENTRY("rest", Guard_rest, "rest(before, tau): the torque of a damped stop"),
+    ENTRY("hold", Guard_hold, "hold(wrench, friction): dry friction of the brakes in a stop [Nm]"),
     {NULL, NULL, 0, NULL},
 };
 
@@ -398,26 +290,21 @@ static PyType_Slot guard_slots[] = {
 
 /* --- the module --- */
 
-static PyType_Spec specs[] = {
-    {"moc_opt.core._core.Arm", sizeof(Arm), 0, Py_TPFLAGS_DEFAULT, arm_slots},
-    {"moc_opt.core._core.Law", sizeof(Law), 0, Py_TPFLAGS_DEFAULT, law_slots},
-    {"moc_opt.core._core.Guard", sizeof(Guard), 0, Py_TPFLAGS_DEFAULT, guard_slots},
-};
+static PyType_Spec law_spec = {"moc_opt.core._core.Law", sizeof(Law), 0, Py_TPFLAGS_DEFAULT, law_slots};
+static PyType_Spec guard_spec = {"moc_opt.core._core.Guard", sizeof(Guard), 0, Py_TPFLAGS_DEFAULT, guard_slots};
 
 static int fill(PyObject *module)
 {
-    static const char *const types[] = {"Arm", "Law", "Guard"};
     static const char *const names[] = {"OK", "INFEASIBLE", "DOUBTFUL", "UNFINISHED", "BAD_Q", "BAD_V"}; /* moc_status */
+    PyType_Spec *specs[] = {&law_spec, &guard_spec, &moc_arm_spec};
 
     for (int k = 0; k < COUNT(specs); k++) {
-        PyObject *type = PyType_FromSpec(&specs[k]);
-        if (type == NULL || PyModule_AddObjectRef(module, types[k], type) < 0)
+        arm_type = (PyTypeObject *)PyType_FromSpec(specs[k]); /* the last one stays in it */
+        if (arm_type == NULL || PyModule_AddType(module, arm_type) < 0)
             return -1;
-        if (k == 0)
-            moc_arm_type = (PyTypeObject *)type; /* kept for ever */
-        else
-            Py_DECREF(type);
     }
+    if (PyModule_AddFunctions(module, moc_subproblem_functions) < 0 || PyModule_AddFunctions(module, moc_plant_functions) < 0)
+        return -1;
     PyObject *reasons = PyTuple_New(MOC_STOPS);
     for (int k = 0; reasons != NULL && k < MOC_STOPS; k++)
         PyTuple_SetItem(reasons, k, PyUnicode_FromString(moc_reason((moc_stop)k)));
@@ -433,8 +320,7 @@ static int fill(PyObject *module)
 static PyModuleDef_Slot module_slots[] = {{Py_mod_exec, fill}, {0, NULL}};
 
 static PyModuleDef definition = {
-    PyModuleDef_HEAD_INIT, "_core", "The tick in C; see moc_opt/core/moc.h.", 0, moc_functions, module_slots, NULL, NULL,
-    NULL,
+    PyModuleDef_HEAD_INIT, "_core", "The tick in C; see moc_opt/core/moc.h.", 0, NULL, module_slots, NULL, NULL, NULL,
 };
 
 PyMODINIT_FUNC PyInit__core(void);

@@ -13,17 +13,18 @@
 #include <stddef.h>
 #include <string.h>
 
-#include "moc.h"
 #include "tools.h"
 
 /* An array that is read, written, written with any strides, or read and perhaps None; a number: double, int, or long
- * long and perhaps None, which is 0; or an arm, which says how many joints there are. */
-typedef enum { READ, WRITE, STRIDED, MAYBE, NUMBER, WHOLE, LONG, ARM } kind;
+ * long and perhaps None, which is NO_STAMP. */
+typedef enum { READ, WRITE, STRIDED, MAYBE, NUMBER, WHOLE, STAMP } kind;
 
-/* Lengths that are no plain number: n joints, k rows (the first such array says how many), any number,
- * a packed subproblem (11 n + 10), a packed state (n n + 13 n + 18), 2 n, a tick's results (14 n + 16).
+#define NO_STAMP (-LLONG_MAX)
+
+/* Lengths that are no plain number: n joints, a packed subproblem (11 n + 10), a packed state (n n + 13 n + 18), 2 n, a
+ * tick's results (14 n + 16), k rows (the first such array says how many), any number.
  * Columns 0: an array of one axis. */
-enum { N = -1, K = -2, ANY = -3, ROW = -4, TERMS = -5, TWICE = -6, TICKED = -7 };
+enum { N = -1, ROW = -2, TERMS = -3, TWICE = -4, TICKED = -5, K = -6, ANY = -7 };
 
 typedef struct {
     const char *name;
@@ -35,8 +36,6 @@ enum { MOST_ARGUMENTS = 14 };
 
 /* The arguments of one call, by their places in its table. */
 typedef struct {
-    PyObject *const *args;
-    const moc_arm *arm;            /* of an argument that is one */
     int n;                         /* joints; 0 until an array tells */
     Py_ssize_t k;                  /* rows; -1 until an array tells */
     int count;                     /* views that have to be released */
@@ -78,9 +77,7 @@ static inline int rows_of(const call *c, int i)
     static PyObject *Type##_##name##_body(Type *self, const call *c);                                                  \
     CALL(Type##_##name, #name, ((Arm *)self)->arm.n, Type##_##name##_body((Type *)self, &c), __VA_ARGS__)              \
     static PyObject *Type##_##name##_body(Type *self, const call *c)
-#define FAST(name, function, doc) {#name, (PyCFunction)(void (*)(void))function, METH_FASTCALL, doc}
-
-/* --- objects --- */
+#define ENTRY(name, function, doc) {name, (PyCFunction)(void (*)(void))function, METH_FASTCALL, doc}
 
 /* Every object begins with its arm. */
 typedef struct {
@@ -88,10 +85,8 @@ typedef struct {
     moc_arm arm;
 } Arm;
 
-extern PyTypeObject *moc_arm_type; /* set once, when the module is made */
-
-/* The arm of an object of Python; NULL with an exception. */
-const moc_arm *moc_arm_of(PyObject *given);
+extern PyType_Spec moc_arm_spec;                                      /* python_arm.c */
+extern PyMethodDef moc_subproblem_functions[], moc_plant_functions[]; /* python_subproblem.c, plant.c */
 
 /* A number in an object: double, int, two doubles, one double a joint, rows of them (as many as the int `rows` says). */
 typedef struct {
@@ -107,8 +102,7 @@ int moc_fill(PyObject *keywords, const field *fields, int count, Arm *self);
 /* A getter: the field of an object as a number, or as tuples of numbers. */
 PyObject *moc_show(PyObject *self, void *of);
 
-/* --- packed records; n of the subproblem is that of its record (moc_opt/qp/layout.py, moc_opt/robots/state.py) --- */
-
+/* Packed records, by the number of joints; moc_opt/qp/layout.py and moc_opt/robots/state.py read the same ones. */
 void moc_unpack_problem(double *record, int n, moc_problem *problem);
 void moc_pack_problem(moc_problem *problem, const double *q, double *record);
 void moc_unpack_terms(double *record, int n, moc_terms *terms);
@@ -116,7 +110,5 @@ void moc_pack_terms(moc_terms *terms, int n, double *record);
 
 /* Argument i, a basis (k,n), of which as many rows are taken as there are joints; returns how many. */
 int moc_unpack_basis(const call *c, int i, double Z[][MOC_MAX_JOINTS]);
-
-extern PyMethodDef moc_functions[];
 
 #endif

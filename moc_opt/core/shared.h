@@ -88,17 +88,15 @@ double moc_shaft_push(double mu_shaft, double margin);
 
 /* --- exact.c, polytope.c --- */
 
-/* A x = b, eliminated: row pivot[k] reads x[joint[k]] + sum over free joints of row[.][j] x[j] = from[.][RIGHT]. */
+/* A x = b, eliminated: row pivot[k] reads x[joint[k]] + sum over free joints of row[.][j] x[j] = right[.]. */
 typedef struct {
-    double row[6][MOC_MAX_JOINTS];
-    double from[6][8];         /* the row as a combination of the rows of A; then its right-hand side */
+    double row[6][MOC_MAX_JOINTS], right[6];
     double open[6];            /* 1 for a row that is no pivot */
+    double step[6][6];         /* how much of row pivot[k] went into each row */
     int pivot[6];
     int joint[MOC_MAX_JOINTS]; /* those of the pivots, then the free ones that move tip or wrist */
     int rank, freedoms;
 } moc_plane;
-
-enum { RIGHT = 6 };
 
 /* How all joints move along A x = b when free joint number k moves by one: z (n,). */
 void moc_direction(const moc_plane *plane, int n, int k, double *z);
@@ -120,12 +118,6 @@ typedef struct {
 
 /* Judge x (n,) on the self-motion that Z leaves; see answer.c. */
 moc_residuals moc_judge(const moc_problem *problem, int rows, double Z[][MOC_MAX_JOINTS], const double *x);
-
-/* The smallest self-motion that brings the arm's other motion into the box (n,) [rad/s]; zero where none does. */
-void moc_retreat(const moc_problem *problem, int rows, double Z[][MOC_MAX_JOINTS], double *motion);
-
-/* The x of the box with the least |A x - b| [rad/s]. */
-void moc_least_violation(const moc_problem *problem, double *x);
 
 /* Check an answer and write the x (n,) that the arm follows. */
 moc_fault moc_supervise(const moc_supervision *s, const moc_problem *problem, const moc_answer *answer,

@@ -31,11 +31,6 @@ int moc_equalities(const moc_problem *problem, int five, double A[6][MOC_MAX_JOI
 
 /* --- planning (plan.c) --- */
 
-/* Newton's method for a pose with the tip (points = 1), or tip and wrist (points = 2), at target[points]; q (n,) is
- * where it begins, low and high are joint limits. Returns what the best pose misses them by [m]. */
-double moc_nearest_pose(const moc_arm *arm, int points, double target[][3], const double *low, const double *high,
-                        int iterations, const double *q, double *best);
-
 /* An arm inside its limits, with a tip and a wrist that it has to keep. */
 typedef struct {
     const moc_arm *arm;
@@ -44,6 +39,10 @@ typedef struct {
     int active[MOC_MAX_JOINTS]; /* the joints that may move along a curve, one more than tip and wrist fix */
     int count;
 } plan_task;
+
+/* Newton's method for a pose with the tip (points = 1), or tip and wrist (points = 2), at the target; q (n,) is where it
+ * begins, and may be the best pose. Returns what the best pose misses by [m]. */
+double plan_place(const plan_task *task, int points, int iterations, const double *q, double *best);
 
 typedef enum { PLAN_LIMIT = 0, PLAN_CLOSED, PLAN_SINGULAR, PLAN_LENGTH } plan_end;
 
@@ -77,27 +76,5 @@ typedef struct {
 enum { PLAN_BLOCK = 16 };
 
 void plan_advance(const plan_stage *stage, double *room, double *value);
-
-/* --- the simulated plant (plant.c); sim/contact.py and sim/sensors.py say what it models --- */
-
-/* Force of the trocar on the shaft and where it acts, world axes: with the shaft's point c nearest to the trocar P and
- * the velocity w of the tool's material there, force = (I - u u^T)(stiffness (P - c) + damping (dP - w)).
- * tip, wrist: two points of the shaft's line; twist: angular velocity, then the velocity at origin; trocar: P and dP at
- * the start of the period, `elapsed` seconds ago. */
-void plant_shaft_force(const double *tip, const double *wrist, const double twist[6], const double *origin,
-                       const double trocar[6], double elapsed, double stiffness, double damping, double force[3],
-                       double point[3]);
-
-/* Add a force at a point to a body's wrench (force, then moment about com), world axes. */
-void plant_add_force(double wrench[6], const double force[3], const double point[3], const double com[3]);
-
-typedef struct {
-    double resolution, period, gain; /* [rad], [s], share of the difference quotient that the estimate takes up */
-    int exact;                       /* 1: position and velocity are exact but for the bias */
-} plant_encoders;
-
-/* reading (2 n,): positions, then velocities. memory (3, n): bias, last position, estimate of the velocity. */
-void plant_read_encoders(const plant_encoders *e, int n, const double *q, const double *v, const double *noise,
-                         double *memory, double *reading);
 
 #endif

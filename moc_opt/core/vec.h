@@ -19,6 +19,20 @@ static inline void add_cross(double s, const double a[3], const double b[3], dou
     out[2] += s * (a[0] * b[1] - a[1] * b[0]);
 }
 
+static inline double norm3(const double a[3])
+{
+    return sqrt(dot3(a, a));
+}
+
+/* a becomes a unit vector; returns the length that it had. */
+static inline double normalise3(double a[3])
+{
+    double length = norm3(a);
+    for (int i = 0; i < 3; i++)
+        a[i] /= length;
+    return length;
+}
+
 /* Two sums, which the processor adds up side by side. */
 static inline double dot_of(int n, const double *a, const double *b)
 {
@@ -42,6 +56,17 @@ static inline int all_finite(int n, const double *x)
     for (int i = 0; i < n; i++)
         sum += 0.0 * x[i]; /* NaN for NaN and for both infinities */
     return sum == 0.0;
+}
+
+/* As fmax and fmin, b where a is no number; calls of the C library cost more than all the rest of a loop. */
+static inline double larger(double a, double b)
+{
+    return a > b ? a : b;
+}
+
+static inline double smaller(double a, double b)
+{
+    return a < b ? a : b;
 }
 
 /* x, or the nearer end of [low, high]; the high end where they are the wrong way round. */

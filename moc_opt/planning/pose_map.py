@@ -24,7 +24,6 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from moc_opt import core
 from moc_opt.arrays import Array
 from moc_opt.errors import RobotError, shown
 from moc_opt.planning.course import Margin, Targets
@@ -317,7 +316,7 @@ def largest_mu(robot: RobotModel, poses: Array, *, starts: int = STARTS, seed: i
 def _climbed(robot: RobotModel, target: Array, starts: Array) -> tuple[Array, float]:
     starts = np.clip(starts, robot.q_min, robot.q_max)
     mus, target = np.empty(len(starts)), np.ascontiguousarray(target)
-    core.ascend(robot.arm, np.array(robot.q_min), np.array(robot.q_max), target, None, starts, mus)
+    robot.arm.ascend(np.array(robot.q_min), np.array(robot.q_max), target, starts, mus)
     chosen: list[int] = []
     for i in (int(i) for i in np.argsort(-mus) if mus[i] > 0.0):
         if len(chosen) < KEPT and all(mus[j] - mus[i] > SAME * mus[j] for j in chosen):

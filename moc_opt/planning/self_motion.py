@@ -12,7 +12,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from moc_opt import core
 from moc_opt.arrays import Array, read_only
 from moc_opt.errors import RobotError
 from moc_opt.robots.model import RobotModel
@@ -193,20 +192,20 @@ class _Curve:
     def __init__(self, robot: RobotModel, active: list[int], target: Array, step: float) -> None:
         self._robot, self._step = robot, step
         limits = np.array(robot.q_min), np.array(robot.q_max)
-        self._task = (robot.arm, *limits, target, np.array(active, dtype=np.float64))
+        self._task = (*limits, target, np.array(active, dtype=np.float64))
         # Far longer than any real curve; it only bounds the memory of one that never ends.
         self._most = int(np.ceil(4 * np.sum(robot.q_max - robot.q_min) / step)) + 2
 
     def follow(self, q: Array, tangent: Array) -> tuple[Array, Array, Array, str]:
         """Return arc lengths, poses and mu from q on along the tangent, q first, and why they end."""
         s, poses, mu = np.empty(self._most), np.empty((self._most, len(q))), np.empty(self._most)
-        count, end = core.follow_curve(*self._task, np.array(q), tangent, self._step, s, poses, mu)
+        count, end = self._robot.arm.follow_curve(*self._task, np.array(q), tangent, self._step, s, poses, mu)
         return s[:count].copy(), poses[:count].copy(), mu[:count].copy(), _REASONS[end]
 
     def correct(self, q: Array, along: Array) -> Array | None:
         """Return the pose on the curve across ``along`` from q; None if none is inside the limits."""
         pose = np.empty(len(q))
-        found = core.onto_curve(*self._task, np.array(q), along / np.linalg.norm(along), pose)
+        found = self._robot.arm.onto_curve(*self._task, np.array(q), along / np.linalg.norm(along), pose)
         return pose if found else None
 
     def mu(self, q: Array) -> float:

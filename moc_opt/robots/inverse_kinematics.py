@@ -50,7 +50,7 @@ def solve_pose(
         if not np.isfinite(value).all():
             raise RobotError(f"{name} = {value.tolist()} is not finite: check the sensor or step that gave it")
     best = np.empty(robot.n)
-    miss = robot.arm.nearest_pose(points, low, high, begin, iterations, best)
+    miss = robot.arm.nearest_pose(low, high, points, begin, iterations, best)
     stuck = np.flatnonzero((best <= low) | (best >= high))
     return Placed(best, miss, tuple(stuck.tolist()))
 

@@ -86,7 +86,7 @@ class LibrarySession:
 
     def update(self, qp: NullSpaceQP) -> None:
         """Hand the subproblem to the library; another shape than the last one's starts a new workspace."""
-        if not self._load(qp):
+        if qp.n != self._n or not self._load(qp):
             self._build(qp)
         self._hand_over()
 
@@ -155,7 +155,7 @@ class Loader:
         self._to = rows == 5, scale, np.array(signs), P, p, A, low, high, lower, upper, packed, self._lift
 
     def __call__(self, qp: NullSpaceQP) -> bool:
-        """Load ``qp``; False where it has another shape, and the buffers hold nothing of use."""
+        """Load ``qp`` of as many joints; False, and nothing is written, where it has more or fewer equality rows."""
         return core.load(qp.row, *self._to)
 
     def lifted(self, y: Array, factor: float) -> Array:

@@ -56,6 +56,14 @@ def subproblem(state, tip_ref, trocar, **parts):
     return ticked(state, tip_ref, trocar, **parts)[1]
 
 
+def stand_in(row, Z, fault, fallback="damping"):
+    """The x (n,) that the arm follows in place of an answer with a fault, from the first one on."""
+    made, x = law(Z.shape[1], fallback=fallback, hold_ticks=0), np.empty(Z.shape[1])
+    made.load(row, Z)
+    assert made.finish(fault, 0, np.zeros_like(x), 0.0, x, np.empty_like(x)) == fault
+    return x
+
+
 class Supervisor(supervisor.Supervisor):
     """A supervisor whose law has the subproblem and the null space that the test gives it."""
 

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from scipy.optimize import linprog, minimize
 
-from moc_opt import core
 from moc_opt.errors import RobotError
 from moc_opt.planning import pose_map
 from moc_opt.planning.course import Targets
@@ -247,7 +246,7 @@ def test_the_same_seed_finds_the_same_and_poses_beyond_a_limit_are_put_inside(od
 def ascended(robot, start, target):
     """Where a climb from a start ends that keeps tip and wrist at a target (2,3), and mu there."""
     q, mu = start[None].copy(), np.empty(1)
-    core.ascend(robot.arm, np.array(robot.q_min), np.array(robot.q_max), target, None, q, mu)
+    robot.arm.ascend(np.array(robot.q_min), np.array(robot.q_max), target, q, mu)
     return q[0], float(mu[0])
 
 

@@ -1,0 +1,180 @@
+/* The arm as an object of Python, with its poses and curves for the planning. */
+#include "python.h"
+
+static PyObject *arm_new(PyTypeObject *type, PyObject *given, PyObject *keywords)
+{
+    static const parameter table[] = {
+        {"joints", READ, N, 16}, {"bodies", READ, N, 10}, {"rotors", READ, N}, {"points", READ, 2, 3},
+        {"tool", READ, 3, 3}, {"moves", READ, 2, N}, {"gravity", READ, 3},
+    };
+    PyObject *args[7];
+    call c;
+    (void)keywords;
+
+    if (!PyArg_UnpackTuple(given, "Arm", 7, 7, &args[0], &args[1], &args[2], &args[3], &args[4], &args[5], &args[6]) ||
+        !moc_take(&c, 0, "Arm", args, 7, table, 7))
+        return NULL;
+    Arm *self = (Arm *)PyType_GenericAlloc(type, 0); /* zeros */
+    if (self == NULL)
+        return moc_done(&c, NULL);
+    moc_arm *arm = &self->arm;
+    arm->n = c.n;
+    for (int j = 0; j < c.n; j++) {
+        moc_joint *joint = &arm->joint[j];
+        const double *row = c.array[0] + 16 * j, *body = c.array[1] + 10 * j;
+        memcpy(joint->rotation, row, sizeof joint->rotation);
+        memcpy(joint->origin, row + 9, sizeof joint->origin);
+        memcpy(joint->axis, row + 12, sizeof joint->axis);
+        joint->slides = row[15] > 0.0;
+        joint->mass = body[0];
+        memcpy(joint->moment, body + 1, sizeof joint->moment);
+        memcpy(joint->inertia, body + 4, sizeof joint->inertia);
+        joint->rotor = c.array[2][j];
+        arm->moves[MOC_TIP][j] = c.array[5][j] != 0.0;
+        arm->moves[MOC_WRIST][j] = c.array[5][c.n + j] != 0.0;
+    }
+    memcpy(arm->point, c.array[3], sizeof arm->point);
+    memcpy(arm->tool, c.array[4], sizeof arm->tool);
+    memcpy(arm->gravity, c.array[6], sizeof arm->gravity);
+    return moc_done(&c, (PyObject *)self);
+}
+
+METHOD(Arm, terms, {"q", READ, N}, {"v", READ, N}, {"record", WRITE, TERMS})
+{
+    moc_terms terms;
+    moc_status status = moc_compute_terms(&self->arm, c->array[0], c->array[1], &terms);
+    if (status == MOC_OK)
+        moc_pack_terms(&terms, c->n, c->array[2]);
+    return PyLong_FromLong(status);
+}
+
+METHOD(Arm, mu_along, {"poses", READ, K, N}, {"mu", WRITE, K})
+{
+    const moc_arm *arm = &self->arm;
+    moc_frame frame[MOC_MAX_JOINTS];
+    moc_twist twist[MOC_MAX_JOINTS];
+    double J[3][MOC_MAX_JOINTS], tip[3];
+
+    for (Py_ssize_t i = 0; i < c->k; i++) {
+        moc_place(arm, c->array[0] + i * c->n, frame);
+        moc_twists(arm, frame, twist);
+        moc_point(&frame[c->n - 1], arm->point[MOC_TIP], tip);
+        moc_jacobian(c->n, twist, tip, arm->moves[MOC_TIP], J);
+        c->array[1][i] = moc_yoshikawa(c->n, J);
+    }
+    Py_RETURN_NONE;
+}
+
+METHOD(Arm, points_along, {"poses", READ, K, N}, {"points", READ, ANY, 3}, {"out", WRITE, ANY, 3})
+{
+    moc_frame frame[MOC_MAX_JOINTS];
+    int points = rows_of(c, 1);
+
+    if (rows_of(c, 2) != c->k * points)
+        return PyErr_Format(PyExc_ValueError, "out: give (m k, 3) for m points at k poses");
+    for (Py_ssize_t i = 0; i < c->k; i++) {
+        moc_place(&self->arm, c->array[0] + i * c->n, frame);
+        for (int j = 0; j < points; j++)
+            moc_point(&frame[c->n - 1], c->array[1] + 3 * j, c->array[2] + 3 * (j * c->k + i));
+    }
+    Py_RETURN_NONE;
+}
+
+METHOD(Arm, tool_pose, {"q", READ, N}, {"pose", WRITE, 4, 3})
+{
+    moc_tool_pose(&self->arm, c->array[0], (double(*)[3])c->array[1]);
+    Py_RETURN_NONE;
+}
+
+/* --- planning --- */
+
+#define TASK(points) {"low", READ, N}, {"high", READ, N}, {"target", READ, points, 3}
+#define CURVE TASK(2), {"active", READ, ANY}
+
+/* Arguments 0 to 2 of the methods below. */
+static plan_task take_task(const Arm *self, const call *c)
+{
+    plan_task task = {.arm = &self->arm, .low = c->array[0], .high = c->array[1]};
+    memcpy(task.target, c->array[2], (rows_of(c, 2) == 1 ? 1 : 2) * sizeof *task.target);
+    return task;
+}
+
+/* Argument 3 too; 0 with an exception. */
+static int take_curve(const Arm *self, const call *c, plan_task *task)
+{
+    *task = take_task(self, c);
+    task->count = rows_of(c, 3);
+    for (int i = 0; i < task->count; i++) {
+        if (task->count > c->n || !(c->array[3][i] >= 0.0 && c->array[3][i] < c->n)) {
+            PyErr_Format(PyExc_ValueError, "active: give numbers of joints from 0 to %d", c->n - 1);
+            return 0;
+        }
+        task->active[i] = (int)c->array[3][i];
+    }
+    return 1;
+}
+
+METHOD(Arm, nearest_pose, TASK(ANY), {"q", READ, N}, {"iterations", WHOLE}, {"best", WRITE, N})
+{
+    int points = rows_of(c, 2);
+    if (points < 1 || points > 2)
+        return PyErr_Format(PyExc_ValueError, "target has %d rows: give one (tip) or two (tip and wrist)", points);
+    const plan_task task = take_task(self, c);
+    return PyFloat_FromDouble(plan_place(&task, points, (int)c->whole[4], c->array[3], c->array[5]));
+}
+
+#define LONGEST_STEP 10.0 /* along a curve [rad] */
+
+METHOD(Arm, follow_curve, CURVE, {"q", READ, N}, {"tangent", READ, N}, {"step", NUMBER}, {"s", WRITE, K},
+       {"poses", WRITE, K, N}, {"mus", WRITE, K})
+{
+    plan_task task;
+    plan_end end;
+    if (!take_curve(self, c, &task))
+        return NULL;
+    if (c->k < 2 || c->k > INT_MAX / c->n)
+        return PyErr_Format(PyExc_ValueError, "s has %zd entries: give 2 or more", c->k);
+    if (!(c->number[6] > 0.0 && c->number[6] <= LONGEST_STEP))
+        return PyErr_Format(PyExc_ValueError, "step: give a length above 0 and of at most %d rad", (int)LONGEST_STEP);
+    int found = plan_follow(&task, c->array[4], c->array[5], c->number[6], (int)c->k, c->array[7], c->array[8],
+                            c->array[9], &end);
+    return Py_BuildValue("ii", found, (int)end);
+}
+
+METHOD(Arm, onto_curve, CURVE, {"q", READ, N}, {"along", READ, N}, {"pose", WRITE, N})
+{
+    plan_task task;
+    if (!take_curve(self, c, &task))
+        return NULL;
+    return PyBool_FromLong(plan_correct(&task, c->array[4], c->array[5], c->array[6]));
+}
+
+METHOD(Arm, ascend, TASK(2), {"starts", WRITE, K, N}, {"mus", WRITE, K})
+{
+    const plan_task task = take_task(self, c);
+    Py_BEGIN_ALLOW_THREADS;
+    for (Py_ssize_t i = 0; i < c->k; i++)
+        c->array[4][i] = plan_ascend(&task, c->array[3] + i * c->n);
+    Py_END_ALLOW_THREADS;
+    Py_RETURN_NONE;
+}
+
+static PyMethodDef methods[] = {
+    ENTRY("terms", Arm_terms, "terms(q, v, record) -> status: all terms of one state"),
+    ENTRY("mu_along", Arm_mu_along, "mu_along(poses, mu): manipulability of the tip"),
+    ENTRY("points_along", Arm_points_along, "points_along(poses, points, out): points of the last joint's axes [m]"),
+    ENTRY("tool_pose", Arm_tool_pose, "tool_pose(q, pose): the tool's axes x, y, z and its tip [m]"),
+    ENTRY("nearest_pose", Arm_nearest_pose, "nearest_pose(low, high, target, q, iterations, best) -> miss [m]"),
+    ENTRY("follow_curve", Arm_follow_curve,
+          "follow_curve(low, high, target, active, q, tangent, step, s, poses, mus) -> (count, end); see tools.h"),
+    ENTRY("onto_curve", Arm_onto_curve, "onto_curve(low, high, target, active, q, along, pose) -> bool; see tools.h"),
+    ENTRY("ascend", Arm_ascend, "ascend(low, high, target, starts, mus): climb in place; see tools.h"),
+    {NULL, NULL, 0, NULL},
+};
+
+static PyType_Slot slots[] = {
+    {Py_tp_doc, "Arm(joints, bodies, rotors, points, tool, moves, gravity)\n\nA serial chain of 1 to 16 joints as data."},
+    {Py_tp_new, arm_new}, {Py_tp_methods, methods}, {0, NULL},
+};
+
+PyType_Spec moc_arm_spec = {"moc_opt.core._core.Arm", sizeof(Arm), 0, Py_TPFLAGS_DEFAULT, slots};

@@ -1,0 +1,151 @@
+/* The module's functions: the subproblem solved and judged, a QP library's buffers. */
+#include "python.h"
+
+/* --- the subproblem --- */
+
+FUNCTION(solve_exact, {"record", READ, ROW}, {"tolerance", NUMBER}, {"x", WRITE, N}, {"y", WRITE, 6})
+{
+    moc_problem problem;
+    moc_unpack_problem(c->array[0], c->n, &problem);
+    return PyLong_FromLong(moc_solve_exact(&problem, c->number[1], c->array[2], c->array[3]));
+}
+
+FUNCTION(solve_exact_rows, {"records", READ, K, ROW}, {"tolerance", NUMBER}, {"X", WRITE, K, N},
+         {"Y", WRITE, K, 6}, {"status", WRITE, K})
+{
+    Py_BEGIN_ALLOW_THREADS;
+    for (Py_ssize_t i = 0; i < c->k; i++) {
+        moc_problem problem;
+        double *x = c->array[2] + i * c->n, *y = c->array[3] + i * 6;
+        moc_unpack_problem(c->array[0] + i * (11 * c->n + 10), c->n, &problem);
+        moc_status status = moc_solve_exact(&problem, c->number[1], x, y);
+        for (int j = 0; j < c->n && status != MOC_OK; j++)
+            x[j] = (double)NAN;
+        for (int j = 0; j < 6 && status != MOC_OK; j++)
+            y[j] = (double)NAN;
+        c->array[4][i] = status;
+    }
+    Py_END_ALLOW_THREADS;
+    Py_RETURN_NONE;
+}
+
+FUNCTION(step_network, {"record", READ, ROW}, {"x", WRITE, N}, {"y", WRITE, 6}, {"steps", WHOLE},
+         {"h_x", NUMBER}, {"h_y", NUMBER}, {"k", NUMBER}, {"scale", NUMBER},
+         {"implicit", WHOLE}, {"rest", NUMBER})
+{
+    moc_problem problem;
+    int made = 0;
+    const moc_network net = {(int)c->whole[3], c->number[4], c->number[5], c->number[6], c->number[7], c->whole[8] != 0,
+                             c->number[9]};
+    moc_unpack_problem(c->array[0], c->n, &problem);
+    moc_status status = moc_step_network(&problem, &net, c->array[1], c->array[2], &made);
+    return Py_BuildValue("ii", (int)status, made);
+}
+
+FUNCTION(judge, {"record", READ, ROW}, {"Z", READ, K, N}, {"x", READ, N})
+{
+    moc_problem problem;
+    double Z[MOC_MAX_JOINTS][MOC_MAX_JOINTS];
+    int rows = moc_unpack_basis(c, 1, Z);
+    moc_unpack_problem(c->array[0], c->n, &problem);
+    moc_residuals r = moc_judge(&problem, rows, Z, c->array[2]);
+    return Py_BuildValue("ddddd", r.primal, r.outside, r.natural, r.off, r.opposite);
+}
+
+/* --- a QP library's buffers --- */
+
+/* Fill an array of any strides with a vector, or a matrix with rows of MOC_MAX_JOINTS. */
+static void put(const call *c, int argument, double scale, const double *from)
+{
+    const Py_buffer *view = &c->view[argument];
+    int matrix = view->ndim > 1;
+    for (Py_ssize_t i = 0; i < view->shape[0]; i++)
+        for (Py_ssize_t j = 0; j < (matrix ? view->shape[1] : 1); j++) {
+            double value = scale * from[matrix ? i * MOC_MAX_JOINTS + j : i];
+            memcpy((char *)view->buf + i * view->strides[0] + (matrix ? j * view->strides[1] : 0), &value, sizeof value);
+        }
+}
+
+/* p, lower and upper are multiplied by the signs; packed: the upper triangle of P by columns, or empty. */
+FUNCTION(load, {"record", READ, ROW}, {"five", WHOLE}, {"scale", NUMBER}, {"signs", READ, 3}, {"P", STRIDED, N, N},
+         {"p", STRIDED, N}, {"A", STRIDED, K, N}, {"low", STRIDED, K}, {"high", STRIDED, K}, {"lower", STRIDED, N},
+         {"upper", STRIDED, N}, {"packed", STRIDED, ANY}, {"lift", WRITE, K, 6})
+{
+    enum { FIVE = 1, SCALE, SIGNS, COST, LINEAR, ROWS, LOW, HIGH, LOWER, UPPER, PACKED, LIFT };
+    moc_problem problem;
+    double P[MOC_MAX_JOINTS][MOC_MAX_JOINTS], linear[MOC_MAX_JOINTS], A[6][MOC_MAX_JOINTS], b[6], lift[6][6];
+    double triangle[MOC_MAX_JOINTS * MOC_MAX_JOINTS], scale = c->number[SCALE], *signs = c->array[SIGNS];
+    int n = c->n, size = 0;
+
+    moc_unpack_problem(c->array[0], n, &problem);
+    if (moc_equalities(&problem, c->whole[FIVE] != 0, A, b, lift) != c->k)
+        return PyBool_FromLong(0);
+    moc_cost(&problem, P, linear);
+    for (int i = 0; i < n; i++)
+        for (int j = 0; j <= i; j++)
+            triangle[size++] = P[j][i];
+    if (rows_of(c, PACKED) != 0 && rows_of(c, PACKED) != size)
+        return PyErr_Format(PyExc_ValueError, "packed: give %d numbers, or none", size);
+    put(c, COST, scale, P[0]);
+    put(c, PACKED, scale, triangle);
+    put(c, LINEAR, scale * signs[0], linear);
+    put(c, ROWS, 1.0, A[0]);
+    put(c, LOW, 1.0, b);
+    put(c, HIGH, 1.0, b);
+    put(c, LOWER, signs[1], problem.lower);
+    put(c, UPPER, signs[2], problem.upper);
+    memcpy(c->array[LIFT], lift, (size_t)c->k * sizeof *lift);
+    return PyBool_FromLong(1);
+}
+
+/* --- the wrist that is wanted, and one step of a value function --- */
+
+FUNCTION(desired_wrist, {"X", READ, 3}, {"dX", READ, 3}, {"trocar", READ, 2, 3}, {"span", NUMBER},
+         {"out", WRITE, 2, 3})
+{
+    moc_trocar trocar;
+    memcpy(&trocar, c->array[2], sizeof trocar);
+    moc_desired_wrist(c->array[0], c->array[1], &trocar, c->number[3], c->array[4], c->array[4] + 3);
+    Py_RETURN_NONE;
+}
+
+FUNCTION(advance, {"branches", WHOLE}, {"q", READ, K, N}, {"slack", READ, K, N}, {"gain", READ, K},
+         {"q_next", READ, ANY, N}, {"slack_next", READ, ANY, N}, {"value_next", READ, ANY}, {"step", READ, N},
+         {"crossing", READ, ANY}, {"price", NUMBER}, {"worst", WHOLE}, {"value", WRITE, K},
+         {"room", WRITE, ANY})
+{
+    Py_ssize_t branches = c->whole[0], m = rows_of(c, 8), after = rows_of(c, 4), next = 0, blocks = 0;
+    int fits = branches >= 1 && m >= 1 && c->k == branches * m && after % branches == 0 && rows_of(c, 5) == after &&
+               rows_of(c, 6) == after && c->k * c->n <= INT_MAX && after * c->n <= INT_MAX;
+    if (fits) {
+        next = after / branches;
+        blocks = (next + PLAN_BLOCK - 1) / PLAN_BLOCK;
+        fits = rows_of(c, 12) == branches * blocks * (2 * c->n + 1);
+    }
+    for (Py_ssize_t j = 0; j < m; j++)
+        fits &= c->array[8][j] >= 0.0 && c->array[8][j] < (double)branches;
+    if (!fits)
+        return PyErr_Format(PyExc_ValueError, "advance: the rows are not those of so many branches and crossings");
+    const plan_stage stage = {(int)branches, (int)m, (int)next, c->n, c->array[1], c->array[2], c->array[3], c->array[4],
+                              c->array[5], c->array[6], c->array[7], c->array[8], c->number[9], c->whole[10] != 0};
+    Py_BEGIN_ALLOW_THREADS;
+    plan_advance(&stage, c->array[12], c->array[11]);
+    Py_END_ALLOW_THREADS;
+    Py_RETURN_NONE;
+}
+
+PyMethodDef moc_subproblem_functions[] = {
+    ENTRY("solve_exact", solve_exact, "solve_exact(record, tolerance, x, y) -> status"),
+    ENTRY("solve_exact_rows", solve_exact_rows,
+          "solve_exact_rows(records, tolerance, X, Y, status): without the lock; NaN where there is no answer"),
+    ENTRY("step_network", step_network,
+          "step_network(record, x, y, steps, h_x, h_y, k, scale, implicit, rest) -> (status, steps made)"),
+    ENTRY("judge", judge, "judge(record, Z, x) -> (primal, outside, natural, off, opposite); see answer.c"),
+    ENTRY("load", load, "load(record, five, scale, signs, P, p, A, low, high, lower, upper, packed, lift) -> whether the\n"
+          "subproblem has as many equality rows as these buffers, which hold it then; y6 = lift^T y"),
+    ENTRY("desired_wrist", desired_wrist, "desired_wrist(X, dX, trocar, span, out): N_d and dN_d (2, 3)"),
+    ENTRY("advance", advance,
+          "advance(branches, q, slack, gain, q_next, slack_next, value_next, step, crossing, price, worst, value, room):\n"
+          "one step of a value function; see tools.h"),
+    {NULL, NULL, 0, NULL},
+};
