@@ -26,14 +26,14 @@ from moc_opt.study import Failed, Job
 from moc_opt.study.command import Found, Study, StudyConfig, command
 from moc_opt.study.results import ERRORS, TITLES, Results
 from moc_opt.study.show import Report, Section
-from moc_opt.study.statistics import relative_change
+from moc_opt.study.statistics import LEAST_TRIALS, relative_change
 from moc_opt.study.trials import BASELINE, Trial, trials
 
 SEED = 1_000_000
 """Far from the trials of every study."""
 SOLVERS = ("exact", "rnn", "rnn-printed")
 METRICS = ("mu_mean", *(ERRORS[k] for k in (3, 4, 0, 1)))
-SIZES = (60, 15)
+SIZES = (60, 15, LEAST_TRIALS)
 
 
 class Config(StudyConfig):

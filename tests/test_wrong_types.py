@@ -27,7 +27,7 @@ def each(call: Callable, *names: str, **usual: object) -> dict[str, Callable]:
 
 CALLS: dict[str, Callable] = {
     "run scenario": mo.run, **each(mo.run, "solver", "to", scenario=SCENARIO), "plan scenario": mo.plan,
-    **each(mo.plan, "objective", "times", "swivels", "margin_rad", "speed_share", "acceleration",
+    **each(mo.plan, "times", "swivels", "margin_rad", "speed_share",
            scenario=SCENARIO, refined=False, swivels=16, times=3),
     **each(mo.compare, "solvers", "scenario", "trials", "seed", solvers=["exact"], scenario=SCENARIO, trials=1),
     "load_robot": mo.load_robot, **each(mo.load_robot, "tool_length", "tool_mass"),

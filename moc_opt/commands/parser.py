@@ -72,16 +72,12 @@ COMMANDS = {
     "plan": Command("commands.running:plan_scenario",
                     "say before anything moves whether and how well a scenario can be executed", (
         SCENARIO,
-        option("--objective", choices=("mean", "worst", "log"), default="mean",
-               help="what is made large: mean or worst mu along the path, or the mean of its logarithm"),
         option("--margin", type=float, metavar="RAD",
                help="what joints keep from their limits; default 0, or what a third level that follows a course keeps"),
         option("--margin-m", type=float, metavar="M", help="the same for a joint that slides"),
         option("--speed-share", type=float, metavar="S",
                help="share of the joints' speed limits that may be used, above 0 to 1; default 1, or what that level "
                     "uses"),
-        option("--acceleration", type=float, default=float("inf"), metavar="A",
-               help="largest of any joint [rad/s^2]; default: no limit"),
         option("--out", type=Path, metavar="FILE.parquet", help="the course to follow goes here"),
         FORCE,
         JSON,

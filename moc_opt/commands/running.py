@@ -25,10 +25,7 @@ from moc_opt.trace.trace import Trace
 HEADINGS = (["x_m", "y_m", "z_m"], ["x", "y", "z"])
 """Names of the columns of a file of waypoints that are read as such, in this order and in metres."""
 SPLIT = str.maketrans(",\"'", "   ")
-PLAN_OPTIONS = {
-    "margin_rad": "--margin", "margin_m": "--margin-m", "speed_share": "--speed-share",
-    "acceleration": "--acceleration",
-}  # fmt: skip
+PLAN_OPTIONS = {"margin_rad": "--margin", "margin_m": "--margin-m", "speed_share": "--speed-share"}
 """An argument as errors begin with it -> the option that gave it."""
 
 
@@ -280,8 +277,7 @@ def _plan(given: argparse.Namespace) -> int:
         check_out(given.out, "course", force=given.force)
     follows = scenario.control.follows or given.out is not None  # a course is written to be followed
     plan, within = followable_plan(
-        scenario, given.margin, given.speed_share, objective=given.objective, acceleration=given.acceleration,
-        margin_m=given.margin_m, followed=follows,
+        scenario, given.margin, given.speed_share, given.margin_m, followed=follows,
     )
     warned = following_warnings(scenario, plan) if follows else []
     if given.json:
@@ -294,7 +290,6 @@ def _plan(given: argparse.Namespace) -> int:
     if given.out is not None and plan.course is None:
         print(f"{title}: --out {given.out}: no course goes all the way: nothing is written", file=sys.stderr)
     elif given.out is not None:
-        limits = {**within, "acceleration": given.acceleration}
-        path = save_course(plan, scenario, given.out, limits)
+        path = save_course(plan, scenario, given.out, within)
         print(path, file=sys.stderr if given.json else sys.stdout)
     return 0 if plan.executable else 3

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
@@ -15,11 +14,8 @@ from moc_opt.tasks import Reference, Trocar
 
 Margin = float | Array
 """From the joint limits: one number for all, or one per joint (n,) [rad], [m] of a joint that slides."""
-Objective = Literal["mean", "worst", "log"]
-OBJECTIVES: tuple[Objective, ...] = ("mean", "worst", "log")
 SHALLOWEST_M = 0.002  #: Nearer to the trocar the shaft has no direction.
 MOST_VIOLATION = 1e-8  #: Of a course that is taken for one [m], [rad].
-LEAST_MU = 1e-12  #: Below it the logarithm is taken here [m^3].
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +86,7 @@ class Course:
 
     Example:
         >>> course = mo.plan(mo.Scenario(duration_s=1.0), times=20, refined=False).best
-        >>> course.q_rad.shape, course.kept, course.value("worst") <= course.mu_mean
+        >>> course.q_rad.shape, course.kept, bool(course.mu.min() <= course.mu_mean)
         ((20, 7), True, True)
     """
 
@@ -98,22 +94,13 @@ class Course:
     q_rad: Array  #: (k,n)
     mu: Array  #: (k,) [m^3], by the robot model
     violation: float
-    """Largest of: tip or wrist off its target [m]; a joint beyond its limit, its speed times the period, or its
-    acceleration times the period's square [rad]."""
+    """Largest of: tip or wrist off its target [m]; a joint beyond its limit, or its speed times the period [rad]."""
     certified: bool = False  #: Whether it is a local optimum to the solver's tolerance; False: the best on a grid.
-
-    def value(self, objective: Objective) -> float:
-        """Mean mu, worst mu [m^3], or mean of log mu, over the time by the trapezoidal rule."""
-        if objective == "worst":
-            return float(self.mu.min())
-        gain = self.mu if objective == "mean" else np.log(np.maximum(self.mu, LEAST_MU))
-        weight = weights(len(gain))
-        return float(weight @ gain / weight.sum())
 
     @property
     def mu_mean(self) -> float:
-        """Mean manipulability over the time [m^3]."""
-        return self.value("mean")
+        """Mean manipulability over the time, by the trapezoidal rule [m^3]."""
+        return time_mean(self.mu)
 
     @property
     def kept(self) -> bool:
@@ -127,7 +114,6 @@ class Limits:
 
     margin: Margin = 0.0  #: from the joint limits
     speed_share: float = 1.0  #: of the joints' speed limits
-    acceleration: float = np.inf  #: most of any joint, from rest [rad/s^2]; the search does not know it
     shaft: float = 0.0
     """share of the squared lever below which the shaft is nearly lost: a pose there is worth less, see `lowered`"""
 
@@ -162,9 +148,10 @@ def weights(count: int) -> Array:
     return weight
 
 
-def faster(q: Array) -> Array:
-    """Return |ddq| dt^2 (k-1,n) [rad] of evenly spaced poses (k,n) that begin at rest."""
-    return np.abs(np.diff(q, n=2, axis=0, prepend=q[:1]))
+def time_mean(rows: Array) -> float:
+    """Return the mean over evenly spaced times by the trapezoidal rule, of rows (k,)."""
+    weight = weights(len(rows))
+    return float(weight @ rows / weight.sum())
 
 
 def between(t: Array, times: Array, rows: Array) -> Array:
@@ -180,14 +167,13 @@ def margin_at(robot: RobotModel, poses: Array, margin: Margin) -> Margin:
 
 
 def make_course(robot: RobotModel, targets: Targets, q: Array, limits: Limits | None = None) -> Course:
-    """Judge poses (k,n) for the first k times by the robot model itself; the joints begin at rest."""
+    """Judge poses (k,n) for the first k times by the robot model itself."""
     limits, count = Limits() if limits is None else limits, len(q)
     tips, wrists = robot.tool_along(q)
     off = max(np.abs(tips - targets.tip[:count]).max(), np.abs(wrists - targets.wrist[:count]).max())
     moving = robot.moves.any(axis=0)
     beyond = np.maximum(q - robot.q_max + limits.margin, robot.q_min + limits.margin - q)[:, moving].max()
     fast = np.abs(np.diff(q, axis=0)) - limits.speed_share * robot.v_max * targets.period_s
-    gained = faster(q) - limits.acceleration * targets.period_s**2
-    violation = float(max(off, beyond, fast.max(initial=-np.inf), gained.max(initial=-np.inf), 0.0))
+    violation = float(max(off, beyond, fast.max(initial=-np.inf), 0.0))
     t, poses, mu = np.array(targets.t_s[:count]), np.array(q), robot.mu_along(q)
     return Course(read_only(t), read_only(poses), read_only(mu), violation)

@@ -19,17 +19,7 @@ from moc_opt.arrays import Array
 from moc_opt.control.controller import Guide
 from moc_opt.control.settings import ControlSettings
 from moc_opt.errors import ScenarioError, TaskError, TraceError, is_number, shown
-from moc_opt.planning.course import (
-    OBJECTIVES,
-    Course,
-    Limits,
-    Margin,
-    Objective,
-    Targets,
-    between,
-    make_course,
-    margin_at,
-)
+from moc_opt.planning.course import Course, Limits, Margin, Targets, between, make_course, margin_at
 from moc_opt.planning.follow import CATCH_UP, NO_COURSE, NODES, Follower, Planner
 from moc_opt.planning.plan import make_plan
 from moc_opt.planning.pose_map import map_of
@@ -197,9 +187,9 @@ def followed_course(run: Following, ways: Ways | None = None) -> Course:
     """
     robot, targets, brake, smooth = run.robot, run.targets(), BRAKE_SHARE * run.brake, SMOOTHNESS["planned"]
     if run.settings.course:
-        course, limits, objective = load_course(run.settings, robot, run.q_start, targets)
+        course, limits = load_course(run.settings, robot, run.q_start, targets)
         for rule in (brake, np.inf):
-            found = refine(robot, targets, course, limits, objective, smoothness=smooth, brake=rule)
+            found = refine(robot, targets, course, limits, smoothness=smooth, brake=rule)
             if found is not course:
                 return found
         return course  # as it is, where smoothness would cost too much
@@ -219,8 +209,8 @@ def followed_course(run: Following, ways: Ways | None = None) -> Course:
 
 def load_course(
     settings: ControlSettings, robot: RobotModel, q_start: Array, targets: Targets
-) -> tuple[Course, Limits, Objective]:
-    """Read the file of ``[control] course``: a course at the times of the targets, its limits and objective.
+) -> tuple[Course, Limits]:
+    """Read the file of ``[control] course``: a course at the times of the targets, and its limits.
 
     Args:
         settings: names the file, and what a course may do.
@@ -242,7 +232,7 @@ def load_course(
     t, q = (trace.columns.get(name, np.empty(0)) for name in ("t_s", "q_rad"))
     if why := _no_course(trace, t, q, robot):
         raise refused(why)
-    names, allowed, off = robot.data.joint_names, settings.course_speed_fraction, np.abs(q[0] - q_start)
+    off = np.abs(q[0] - q_start)
     if off.max() > MOST_OFF_RAD and trace.meta.get("from_start") is False:
         cure = f"begin there: [start] q_rad = {[round(angle, 9) for angle in q[0].tolist()]}"
         raise refused(f"no course begins at this start, the file's is {off.max():.3g} rad from it", cure)
@@ -254,25 +244,19 @@ def load_course(
         raise refused(f"it goes from {t[0]:.4g} to {t[-1]:.4g} s, the run from 0 to {end_s:.4g}")
     if off.max() <= MOST_OFF_RAD and not away[k] <= MOST_OFF_M:
         raise refused(f"tip or wrist is {1e3 * away[k]:.3g} mm off path and shaft at t = {targets.t_s[k]:.3g} s")
-    shares = speed_shares(robot, poses, targets.period_s)
+    if (fast := too_fast_to_follow(settings, robot, poses, targets.period_s)) is not None:
+        raise refused(*fast)
     idle = np.where(robot.moves.any(axis=0), 0.0, np.abs(poses - q_start).max(axis=0))
     beyond = np.maximum(poses - robot.q_max, robot.q_min - poses).max(axis=0)
-    slower = f"plan it with --speed-share {allowed:g}"
-    for each, most, what, cure in (
-        (off, MOST_OFF_RAD, "begins {:.3g} rad from the start of the run", PLAN_IT),
-        (beyond, MOST_OFF_RAD, "goes {:.3g} rad beyond its limit", PLAN_IT),
-        (idle, MOST_OFF_RAD, "moves neither tip nor wrist and turns by {:.3g} rad", PLAN_IT),
-        (shares, allowed + ROUNDING,
-         f"moves at {{:.3f}} of its speed limit, the third level follows up to course_speed_fraction = {allowed:g}",
-         slower),
+    for each, what in (
+        (off, "begins {:.3g} rad from the start of the run"), (beyond, "goes {:.3g} rad beyond its limit"),
+        (idle, "moves neither tip nor wrist and turns by {:.3g} rad"),
     ):  # fmt: skip
         j = int(np.argmax(each))
-        if not each[j] <= most:
-            raise refused(f"{names[j]} {what.format(each[j])}", cure)
+        if not each[j] <= MOST_OFF_RAD:
+            raise refused(f"{robot.data.joint_names[j]} {what.format(each[j])}")
     within = trace.meta.get("within", {})
-    told: dict[str, Any] = {
-        "margin_rad": 0.0, "margin_m": 0.0, "speed_share": 1.0, "acceleration": np.inf, "shaft_margin": 0.0
-    }  # fmt: skip
+    told: dict[str, Any] = {"margin_rad": 0.0, "margin_m": 0.0, "speed_share": 1.0, "shaft_margin": 0.0}
     for name, usual in told.items():
         told[name] = value = within.get(name, usual) if isinstance(within, Mapping) else None
         if not isinstance(value, int | float) or not value >= 0.0:
@@ -280,13 +264,13 @@ def load_course(
     margin = margin_of(
         robot, max(settings.course_margin_rad, told["margin_rad"]), max(settings.limit_margin_m, told["margin_m"])
     )
+    allowed, fastest = settings.course_speed_fraction, float(speed_shares(robot, poses, targets.period_s).max())
     limits = Limits(
         # A smoother course begins at this one: it is asked for no margin that this one has not.
-        margin_at(robot, poses, margin), max(float(shares.max()), min(allowed, told["speed_share"])),
-        told["acceleration"], max(COURSE_SHARE * settings.shaft_margin, told["shaft_margin"]),
+        margin_at(robot, poses, margin), max(fastest, min(allowed, told["speed_share"])),
+        max(COURSE_SHARE * settings.shaft_margin, told["shaft_margin"]),
     )  # fmt: skip
-    objective: Objective = next((one for one in OBJECTIVES if one == trace.meta.get("objective")), "mean")
-    return make_course(robot, targets, poses, Limits(speed_share=allowed)), limits, objective
+    return make_course(robot, targets, poses, Limits(speed_share=allowed)), limits
 
 
 def _no_course(trace: Trace, t: Array, q: Array, robot: RobotModel) -> str:
@@ -305,6 +289,19 @@ def speed_shares(robot: RobotModel, poses: Array, period_s: float) -> Array:
     """Return (n,) the largest speed of each joint along poses (k,n), as a share of its limit."""
     fastest: Array = np.abs(np.diff(poses, axis=0)).max(axis=0) / (period_s * robot.v_max)
     return fastest
+
+
+def too_fast_to_follow(
+    settings: ControlSettings, robot: RobotModel, poses: Array, period_s: float
+) -> tuple[str, str] | None:
+    """Say which joint is faster along poses (k,n) than a third level follows, and the cure; None where none is."""
+    allowed = settings.course_speed_fraction
+    shares = np.where(robot.moves.any(axis=0), speed_shares(robot, poses, period_s), 0.0)
+    j = int(np.argmax(shares))
+    if shares[j] <= allowed + ROUNDING:
+        return None
+    said = f"{robot.data.joint_names[j]} moves at {shares[j]:.3f} of its speed limit; the third level follows up to "
+    return f"{said}[control] course_speed_fraction = {allowed:g}", f"plan it with --speed-share {allowed:g}"
 
 
 def margin_of(robot: RobotModel, margin_rad: float, margin_m: float) -> Margin:

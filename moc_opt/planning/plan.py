@@ -12,16 +12,7 @@ from numpy.typing import NDArray
 from moc_opt.arrays import Array
 from moc_opt.errors import TaskError, is_number
 from moc_opt.inputs.names import table_html
-from moc_opt.planning.course import (
-    OBJECTIVES,
-    Course,
-    Limits,
-    Objective,
-    Targets,
-    faster,
-    make_course,
-    margin_at,
-)
+from moc_opt.planning.course import Course, Limits, Targets, make_course, margin_at
 from moc_opt.planning.elbow import Elbow
 from moc_opt.planning.pose_map import SWIVELS, PoseMap, map_of
 from moc_opt.planning.program import refine, worth
@@ -60,14 +51,13 @@ class Plan:
         True
     """
 
-    objective: Objective  #: Objective of the best courses: "mean" mu, "worst" mu, or the mean of "log" mu.
     targets: Targets  #: Targets of tip and wrist on the path, (k,3) each [m], at (k,) times [s].
     from_start: Course | None  #: The best course from the start; None: the path cannot be executed from there.
     best: Course | None  #: The best over all swivels and branches at the start of the path; None: from nowhere.
     climbed: Course  #: The course of a local climb; shorter than the path if the climb ends at a limit.
     bound_from_start: float
-    """No course from the start that the map resolves is better, in the objective's unit. NaN where one was found that
-    is, near a singular pose: mu changes there within a step of the map."""
+    """No course from the start that the map resolves has more mean mu [m^3]. NaN where one was found that has, near a
+    singular pose: mu changes there within a step of the map."""
     bound: float  #: The same of every course, from any start.
     blocked: Blocked | None  #: Where and why the path cannot be executed from the start; None: it can.
     start_swivel_rad: float  #: Of the elbow at the start [rad]; see `moc_opt.planning.elbow`.
@@ -94,7 +84,7 @@ class Plan:
                 found[f"mean mu {name}"] = f"{course.mu_mean:.4g} m^3{part}"
         if np.isfinite(self.best_swivel_rad):
             found["swivel at the start"] = f"{self.start_swivel_rad:.3f} rad, best {self.best_swivel_rad:.3f} rad"
-        return {**found, "objective": self.objective}
+        return found
 
     @property
     def executable(self) -> bool:
@@ -113,8 +103,8 @@ class Plan:
 
 
 def make_plan(
-    robot: RobotModel, q_start: Array, targets: Targets, limits: Limits | None = None, objective: Objective = "mean", *,
-    swivels: int = SWIVELS, refined: bool = True,
+    robot: RobotModel, q_start: Array, targets: Targets, limits: Limits | None = None, *, swivels: int = SWIVELS,
+    refined: bool = True,
 ) -> Plan:  # fmt: skip
     """Plan a path from one start, and from all.
 
@@ -131,13 +121,11 @@ def make_plan(
         RobotError: fewer than 8 swivels, or more than `pose_map.MOST_SWIVELS`.
     """
     limits, start = limits or Limits(), np.array(q_start, dtype=np.float64)
-    check_limits(robot, limits, objective)
+    check_limits(robot, limits)
     tips, wrists = robot.tool_along(start[None])
     off = max(np.abs(tips[0] - targets.tip[0]).max(), np.abs(wrists[0] - targets.wrist[0]).max())
     if off > 1e-6:
         raise TaskError(f"q_start: tip or wrist is {1e3 * off:.3g} mm from the path's first point: begin it there")
-    if np.isfinite(limits.acceleration) and not refined:
-        raise TaskError(f"acceleration = {limits.acceleration:g}: the grid alone knows no limit; give refined = True")
     limits, clock = replace(limits, margin=margin_at(robot, start, limits.margin)), [time.perf_counter()]
 
     def took() -> float:
@@ -147,28 +135,26 @@ def make_plan(
     whole = map_of(robot, start, targets, swivels)
     found, top = keeping_shaft(whole, limits), float(np.nanmax(whole.mu, initial=0.0))
     map_s = took()
-    value = Value(found, limits, objective)
-    grid = [best_course(value, limits, begin) for begin in (start, None)]
+    value = Value(found, limits)
+    grid = [best_course(value, begin) for begin in (start, None)]
     search_s = took()
-    relaxed = Value(found, limits, objective, cell=WHOLE_CELL)
+    relaxed = Value(found, limits, cell=WHOLE_CELL)
     bounds = [relaxed.of(start, float(robot.state(start).mu)), relaxed.best()[0]]
     bound_s = took()
 
     def better(one: Course | None, other: Course | None) -> Course | None:
         both = [course for course in (one, other) if course is not None]
-        return max(both, key=lambda course: worth(robot, course, limits, objective, top), default=None)
+        return max(both, key=lambda course: worth(robot, course, limits, top), default=None)
 
     courses: list[Course | None] = []
     for q, begin, bound in zip(grid, (start, None), bounds, strict=True):
         course = None if q is None else make_course(robot, targets, q, limits)
         if course is not None and refined:
-            course = refine(robot, targets, course, limits, objective)
-        if course is not None and not course.kept and np.isfinite(limits.acceleration):
-            course = None  # the grid knows every limit but that one
-        if refined and (course is None or course.value(objective) + ROOM * abs(bound) < bound):
-            q = best_course(relaxed, limits, begin)  # where the grid's steps are just too coarse
+            course = refine(robot, targets, course, limits)
+        if refined and (course is None or course.mu_mean < (1.0 - ROOM) * bound):
+            q = best_course(relaxed, begin)  # where the grid's steps are just too coarse
             if q is not None:
-                other = refine(robot, targets, make_course(robot, targets, q, limits), limits, objective)
+                other = refine(robot, targets, make_course(robot, targets, q, limits), limits)
                 course = better(course, other if other.kept else None)
         courses.append(course)
     mine, best = courses[0], better(courses[1], courses[0])  # the given start is one of all starts
@@ -176,13 +162,13 @@ def make_plan(
     elbow, shown = Elbow(robot, targets.wrist), mine if mine is not None else best
     # None without a course, and where the course shows that it is none.
     mine_most, most = (
-        np.nan if course is None or course.value(objective) > bound else bound
+        np.nan if course is None or course.mu_mean > bound else bound
         for course, bound in zip((mine, best), bounds, strict=True)
     )
     climbed = make_course(robot, targets, climb(found, start, limits), limits)
     return Plan(
-        objective, targets, mine, best, climbed, mine_most, most,
-        blocked=None if mine is not None else _blocked(found, start, limits, grid[0], bounds[0]),
+        targets, mine, best, climbed, mine_most, most,
+        blocked=None if mine is not None else _blocked(found, start, limits, bounds[0]),
         start_swivel_rad=float(elbow.swivel(start[None])[0]),
         best_swivel_rad=np.nan if best is None else float(elbow.swivel(best.q_rad[:1])[0]),
         swivel_rad=np.empty(0) if shown is None else np.unwrap(elbow.swivel(shown.q_rad)),
@@ -190,14 +176,11 @@ def make_plan(
     )  # fmt: skip
 
 
-def check_limits(robot: RobotModel, limits: Limits, objective: Objective = "mean") -> None:
+def check_limits(robot: RobotModel, limits: Limits) -> None:
     """Check what a plan is asked for; a TaskError where something is out of range."""
-    if not isinstance(objective, str) or objective not in OBJECTIVES:
-        raise TaskError(f"objective = {objective!r}: choose one of {', '.join(map(repr, OBJECTIVES))}")
     margin = limits.margin
     for name, value, least, most, words in (
         ("speed_share", limits.speed_share, 1e-300, 1.0, "a share above 0 up to 1"),
-        ("acceleration", limits.acceleration, 1e-300, np.inf, "a limit above 0"),
         ("shaft_margin", limits.shaft, 0.0, 1.0, "a share of the squared lever from 0 to 1"),
     ):
         if not is_number(value) or not least <= value <= most:
@@ -208,14 +191,8 @@ def check_limits(robot: RobotModel, limits: Limits, objective: Objective = "mean
         raise TaskError(f"{name} = {margin!r}: give zero or more, and less than half of every joint's range")
 
 
-def best_course(value: Value, limits: Limits, start: Array | None) -> Array | None:
-    """Return the best poses (k,n) on the grid, from a start (n,) or any; None: none goes all the way.
-
-    Of all courses with the largest worst mu (to rounding) the one with the best mean is taken.
-    """
-    if value.objective == "worst":
-        least = value.best()[0] if start is None else value.of(start, float(value.map.robot.state(start).mu))
-        value = Value(value.map, limits, cell=value.cell, floor=least - 1e-12)
+def best_course(value: Value, start: Array | None) -> Array | None:
+    """Return the best poses (k,n) on the grid, from a start (n,) or any; None: none goes all the way."""
     start = value.best()[1] if start is None else start
     way = None if start is None else value.way(start)
     return None if way is None else way.q_rad
@@ -268,7 +245,7 @@ def _uphill(mu: Array, within: NDArray[np.bool_], j: int) -> tuple[int, int]:
     return j, side
 
 
-def _blocked(found: PoseMap, start: Array, limits: Limits, grid: Array | None, bound: float) -> Blocked:
+def _blocked(found: PoseMap, start: Array, limits: Limits, bound: float) -> Blocked:
     robot, targets, names = found.robot, found.targets, found.robot.data.joint_names
 
     def at(k: int, reason: str) -> Blocked:
@@ -280,11 +257,6 @@ def _blocked(found: PoseMap, start: Array, limits: Limits, grid: Array | None, b
         beyond = np.where(robot.moves.any(axis=0), np.maximum(q - robot.q_max, robot.q_min - q), -np.inf)
         return str(names[int(np.argmax(beyond))])
 
-    if grid is not None:  # the best course without a limit on accelerations is there
-        gained = faster(grid) / targets.period_s**2
-        k, j = (int(i) for i in np.unravel_index(int(np.argmax(gained)), gained.shape))
-        most = f"the one without takes {names[j]} to {gained[k, j]:.3g} rad/s^2 there"
-        return at(k, f"no course keeps the acceleration limit; {most}")
     each = reached(found, start, limits)
     k = min(len(each) + 1, len(targets) - 1)
     known, feasible = np.isfinite(found.mu[k]), found.feasible(limits.margin)[k]

@@ -8,7 +8,7 @@ Variables are the joints that move, at N evenly spaced times after a start that 
 
 B_k (3,2) is orthogonal to the shaft: five equations, since tip and wrist are rigidly tied; with six no multiplier is
 unique. mu is less where the shaft is nearly lost, as on the map. V is what the last pose is worth for the rest of the
-path (`search`). In place of the mean of mu stands that of log mu, or s with mu(q_k) >= s.
+path (`search`).
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ from moc_opt.planning.course import (
     WORTH,
     Course,
     Limits,
-    Objective,
     Targets,
     lowered,
     make_course,
     shaft_shares,
+    time_mean,
 )
 from moc_opt.planning.search import End
 from moc_opt.robots.model import RobotModel
@@ -53,8 +53,7 @@ HORIZON: dict[str, Any] = {
 SETTLED_S = 0.3  #: A joint's speed counts as much as an acceleration that takes it away in this time.
 SOFT_RAD = 0.003  #: Rounds the speed of a joint that brakes off at its end, where a square root has no slope.
 SMOOTH_LOSS = 0.05
-"""Share of the objective that smoothness and braking may cost; above it the program went to another local maximum."""
-MEAN_TOO = 1e-3  #: Weight of the mean of mu, in shares of itself, beside the worst mu.
+"""Share of mean mu that smoothness and braking may cost; above it the program went to another local maximum."""
 LEAST_SHARE = 1e-4  #: Rounds the share of the squared lever off at zero, where a square root has no slope.
 INSIDE = 1e-9  #: Limits and speeds are kept this far inside, at most by half a step, for rounding [rad].
 
@@ -64,7 +63,7 @@ class Program:
 
     def __init__(
         self, robot: RobotModel, nodes: int, period_s: float, limits: Limits, *, mu: float, top: float = 0.0,
-        objective: Objective = "mean", smoothness: float = 0.0, brake: float = np.inf, horizon: bool = False,
+        smoothness: float = 0.0, brake: float = np.inf, horizon: bool = False,
     ) -> None:  # fmt: skip
         """Write the program of N = ``nodes`` times after the start, ``period_s`` apart [s].
 
@@ -96,10 +95,6 @@ class Program:
         low, high = ((limit + sign * keep)[moving] for limit, sign in ((robot.q_min, 1.0), (robot.q_max, -1.0)))
         self._low, self._high = np.tile(low, nodes), np.tile(high, nodes)
         self._speed = np.tile((limits.speed_share * robot.v_max)[moving], nodes)
-        self._gain = np.full(a * nodes, limits.acceleration)
-        kept = [*(ca.vec(task) for task in tasks), ca.vec(steps)]
-        if np.isfinite(limits.acceleration):
-            kept.append(ca.vec(steps - before))
         brakes = ca.MX(0, 1)
         if np.isfinite(brake):
             ends = ca.repmat(ca.DM(low), nodes), ca.repmat(ca.DM(high), nodes)
@@ -108,8 +103,6 @@ class Program:
         share = ca.sqrt(kin.shaft.map(nodes)(q) + LEAST_SHARE**2)
         price = WORTH * ca.fmax(1.0 - share / limits.shaft, 0.0) ** 2 if limits.shaft > 0.0 else ca.MX.zeros(1, nodes)
         worth = (mus - (top or mu) * price) / mu
-        if objective == "log":
-            worth = ca.log(mus) - price
         weight = np.ones(nodes)
         weight[-1] = 0.5
         cost = -ca.dot(ca.DM(weight), worth.T) / nodes - (slope * z + 0.5 * bend * z**2) / (mu * nodes * dt)
@@ -117,14 +110,10 @@ class Program:
         if not horizon:
             rough += ca.sumsqr(steps[:, -1]) / dt**4
         cost += smoothness / nodes * rough
-        variables, self._least, least_rows = ca.vec(x), objective == "worst", ca.MX(0, 1)
-        if self._least:  # once the least mu cannot be raised, its mean decides: the start may be the worst pose of all
-            least = sym("s")
-            variables, least_rows = ca.vertcat(variables, least), worth.T - least
-            cost = MEAN_TOO * cost - least
-        self._mu, self._brakes, self._above = mu, brakes.numel(), least_rows.numel()
+        self._brakes = brakes.numel()
         given = ca.vertcat(start, speed_0, dt, ca.vec(tip), ca.vec(one), ca.vec(two), end, along, slope, bend)
-        problem = {"x": variables, "p": given, "f": cost, "g": ca.vertcat(*kept, z, brakes, least_rows)}
+        kept = ca.vertcat(*(ca.vec(task) for task in tasks), ca.vec(steps), z, brakes)
+        problem = {"x": ca.vec(x), "p": given, "f": cost, "g": kept}
         method, options = ("sqpmethod", HORIZON) if horizon else ("ipopt", WHOLE)
         self._make: Callable[[], Any] = lambda: ca.nlpsol("course", method, problem, options)
         self.period_s = period_s
@@ -151,38 +140,28 @@ class Program:
             start, speed, [dt], targets.tip.ravel(), one.ravel(), two.ravel(), known.q_rad, known.along,
             [known.slope, known.bend],
         ])  # fmt: skip
-        rows = [dt * self._speed]
-        if np.isfinite(self.limits.acceleration):
-            rows.append(dt**2 * self._gain)
-        most = np.concatenate([np.maximum(row - INSIDE, 0.5 * row) for row in rows])
-        equal, above = np.zeros(5 * self.nodes), np.full(self._above, np.inf)
-        begin, low, high = np.clip(guess[:, self._moving].ravel(), self._low, self._high), self._low, self._high
-        if self._least:
-            begin = np.append(begin, self.robot.mu_along(guess).min() / self._mu)
-            low, high = np.append(low, -np.inf), np.append(high, np.inf)
-        free = np.full(self._brakes, -np.inf)
+        most, equal = np.maximum(dt * self._speed - INSIDE, 0.5 * dt * self._speed), np.zeros(5 * self.nodes)
         answer = self._solver(
-            x0=begin, p=given, lbx=low, ubx=high,
-            lbg=np.concatenate([equal, -most, [known.low], free, np.zeros(self._above)]),
-            ubg=np.concatenate([equal, most, [known.high], np.zeros(self._brakes), above]),
+            x0=np.clip(guess[:, self._moving].ravel(), self._low, self._high), p=given, lbx=self._low, ubx=self._high,
+            lbg=np.concatenate([equal, -most, [known.low], np.full(self._brakes, -np.inf)]),
+            ubg=np.concatenate([equal, most, [known.high], np.zeros(self._brakes)]),
         )  # fmt: skip
         found = np.tile(start, (self.nodes, 1))
-        count = self.nodes * len(self._moving)
-        found[:, self._moving] = np.array(answer["x"]).ravel()[:count].reshape(self.nodes, -1)
+        found[:, self._moving] = np.array(answer["x"]).reshape(self.nodes, -1)
         return found, bool(self._solver.stats()["success"])
 
 
 def refine(
-    robot: RobotModel, targets: Targets, course: Course, limits: Limits, objective: Objective = "mean", *,
-    smoothness: float = 0.0, brake: float = np.inf,
+    robot: RobotModel, targets: Targets, course: Course, limits: Limits, *, smoothness: float = 0.0,
+    brake: float = np.inf,
 ) -> Course:  # fmt: skip
     """Improve a course of all times from its first pose, within limits, to a local optimum.
 
     Args:
         course: that is to be improved; it may break constraints.
         limits: of the answer.
-        smoothness, brake: as of `Program`; the answer is taken if the objective proper falls by no more than
-            `SMOOTH_LOSS` of the given course's.
+        smoothness, brake: as of `Program`; the answer is taken if mean mu falls by no more than `SMOOTH_LOSS` of the
+            given course's.
 
     Returns:
         The better course by the robot model's own mu; the given one where the other breaks a constraint by more than
@@ -190,23 +169,21 @@ def refine(
     """
     if limits.shaft > 0.0 and _above(robot, course, limits):  # without the margin a program takes half of the time
         bare = replace(limits, shaft=0.0)
-        free = refine(robot, targets, course, bare, objective, smoothness=smoothness, brake=brake)
+        free = refine(robot, targets, course, bare, smoothness=smoothness, brake=brake)
         if _above(robot, free, limits):
             return free
     top = float(course.mu.max())
     program = Program(
-        robot, len(targets) - 1, targets.period_s, limits, mu=course.mu_mean, top=top, objective=objective,
-        smoothness=smoothness, brake=brake,
+        robot, len(targets) - 1, targets.period_s, limits, mu=course.mu_mean, top=top, smoothness=smoothness,
+        brake=brake,
     )  # fmt: skip
     poses, met = program.solve(course.q_rad[1:], course.q_rad[0], targets[1:])
     if not np.isfinite(poses).all():
         return course
     found = make_course(robot, targets, np.concatenate([course.q_rad[:1], poses]), limits)
     loss = SMOOTH_LOSS if smoothness > 0.0 or np.isfinite(brake) else 0.0
-    judged: tuple[Objective, ...] = (objective, "mean") if loss and objective == "worst" else (objective,)
-    gained = [worth(robot, found, limits, what, top) - worth(robot, course, limits, what, top) for what in judged]
-    lost = any(gain < -loss * abs(course.value(what)) for gain, what in zip(gained, judged, strict=True))
-    if not found.kept or (course.kept and lost):
+    gained = worth(robot, found, limits, top) - worth(robot, course, limits, top)
+    if not found.kept or (course.kept and gained < -loss * course.mu_mean):
         return course
     return replace(found, certified=met)
 
@@ -215,12 +192,9 @@ def _above(robot: RobotModel, course: Course, limits: Limits) -> bool:
     return bool((shaft_shares(robot, course.q_rad) >= limits.shaft).all())
 
 
-def worth(robot: RobotModel, course: Course, limits: Limits, objective: Objective, top: float) -> float:
-    """Return what a course is worth with mu lowered where the shaft is nearly lost, as on the map."""
-    if limits.shaft <= 0.0:
-        return course.value(objective)
-    less = lowered(course.mu, shaft_shares(robot, course.q_rad), limits, top)
-    return Course(course.t_s, course.q_rad, less, course.violation).value(objective)
+def worth(robot: RobotModel, course: Course, limits: Limits, top: float) -> float:
+    """Return a course's mean mu [m^3], mu lowered where the shaft is nearly lost, as on the map."""
+    return time_mean(lowered(course.mu, shaft_shares(robot, course.q_rad), limits, top))
 
 
 def too_fast(speed: Any, pose: Any, low: Any, high: Any, brake: float) -> Any:

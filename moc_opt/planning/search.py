@@ -2,8 +2,8 @@
 
     V_k(p) = g_k(p) + max { V_{k+1}(p') - c |q - q'|^2 / dt : |q - q'| <= v_max dt for every joint }
 
-g is mu dt, or log mu dt; for the worst mu V is the least of both. A course is read off V forwards, from any pose at any
-time: at each time the pose within reach that is worth most. From a singular pose it may go on in another branch.
+g is mu dt. A course is read off V forwards, from any pose at any time: at each time the pose within reach that is worth
+most. From a singular pose it may go on in another branch.
 
 A pose of the map may stand for a part of the cell around it: a quarter of a cell for a receding horizon, so that a
 coarse map is passable; half a cell for the bound. There a pose is also allowed where a neighbour is, and as good as
@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from moc_opt import core
 from moc_opt.arrays import Array
-from moc_opt.planning.course import LEAST_MU, Limits, Objective, lowered, shaft_shares, weights
+from moc_opt.planning.course import Limits, lowered, shaft_shares, weights
 from moc_opt.planning.elbow import wrapped
 from moc_opt.planning.pose_map import PoseMap
 
@@ -52,47 +52,42 @@ class Value:
     """V over a map of k times, b branches, m samples."""
 
     def __init__(
-        self, found: PoseMap, limits: Limits, objective: Objective = "mean", *, cell: float = 0.0, price: float = 0.0,
-        floor: float = -np.inf,
-    ) -> None:  # fmt: skip
+        self, found: PoseMap, limits: Limits, *, cell: float = 0.0, price: float = 0.0
+    ) -> None:
         """Go through the map, lowered by `keeping_shaft` where a margin from losing the shaft is kept, to its start.
 
         ``cell`` is the part of half a cell that a pose stands for; with 1 and more V is the bound. ``price`` is c, of
-        speed [m^3 s^2/rad^2]; poses with mu below ``floor`` [m^3] are forbidden.
+        speed [m^3 s^2/rad^2].
         """
-        self.map, self.objective, self.cell = found, objective, cell
+        self.map = found
         self._period = found.targets.period_s
         self._step = limits.speed_share * found.robot.v_max * self._period
         self._slack = cell * half_cells(found.q_rad) if cell else np.broadcast_to(0.0, found.q_rad.shape)
         self._price, count = price / self._period, len(found.targets)
-        self._weight = np.ones(count) if objective == "worst" else weights(count) * self._period
-        self._whole = 1.0 if objective == "worst" else float(self._weight.sum())
+        self._weight = weights(count) * self._period
         feasible, mu = found.feasible(limits.margin), found.mu
         if cell >= 1.0:
             feasible = feasible | np.roll(feasible, 1, axis=2) | np.roll(feasible, -1, axis=2)
             mu = _highest_nearby(mu)
-        allowed = feasible & (mu >= floor)
-        self._gain = np.where(allowed, _gain(mu, objective) * self._weight[:, None, None], -np.inf)
-        self.value = np.array(self._gain)
+        gain = np.where(feasible, mu * self._weight[:, None, None], -np.inf)
+        self.value = np.array(gain)
         """(k,b,m) [m^3 s], its own share included; -inf: the end cannot be reached from there"""
         for k in range(count - 2, -1, -1):
             advance(
-                found.q_rad[k], self._slack[k], self._gain[k], found.q_rad[k + 1], self._slack[k + 1],
-                self.value[k + 1], self._step, found.crossing(k, self._step), self._price, objective == "worst",
-                self.value[k],
+                found.q_rad[k], self._slack[k], gain[k], found.q_rad[k + 1], self._slack[k + 1],
+                self.value[k + 1], self._step, found.crossing(k, self._step), self._price, self.value[k],
             )  # fmt: skip
 
     def of(self, q: Array, mu: float) -> float:
-        """Return the objective of the best course from a pose (n,) of mu at t = 0; -inf: there is none."""
-        own = float(_gain(np.array(mu), self.objective)) * self._weight[0]
+        """Return the mean mu of the best course from a pose (n,) of mu at t = 0 [m^3]; -inf: there is none."""
         found = self._next(1, q, np.zeros(len(q)), self._step, self._price)
         rest = -np.inf if found is None else float(self.value[1][found])
-        return min(own, rest) if self.objective == "worst" else (own + rest) / self._whole
+        return float(mu * self._weight[0] + rest) / self._weight.sum()
 
     def best(self) -> tuple[float, Array | None]:
-        """Return the objective of the best course from any pose, and that pose (n,); None: there is none."""
+        """Return the mean mu of the best course from any pose, and that pose (n,); None: there is none."""
         first = np.unravel_index(int(np.argmax(self.value[0])), self.value[0].shape)
-        value = float(self.value[0][first]) / self._whole
+        value = float(self.value[0][first]) / self._weight.sum()
         return value, self.map.q_rad[0][first] if np.isfinite(value) else None
 
     def way(self, q: Array, t_s: float = 0.0, end: int = -1, hurry: float = 1.0) -> Way | None:
@@ -168,7 +163,7 @@ def reached(found: PoseMap, q_start: Array, limits: Limits) -> list[NDArray[np.b
     for k in range(1, len(found.targets)):
         q, gain, now = found.q_rad[k], np.where(feasible[k], 0.0, -np.inf), np.empty(feasible[k].shape)
         crossing = found.crossing(k, step)
-        advance(q, np.zeros_like(q), gain, before, np.zeros_like(before), value, step, crossing, 0.0, False, now)
+        advance(q, np.zeros_like(q), gain, before, np.zeros_like(before), value, step, crossing, 0.0, now)
         if not np.isfinite(now).any():
             break
         each.append(np.isfinite(now))
@@ -182,11 +177,6 @@ def half_cells(q: Array) -> Array:
     return 0.5 * np.nan_to_num(np.fmax(apart, np.roll(apart, 1, axis=-2)))
 
 
-def _gain(mu: Array, objective: Objective) -> Array:
-    with np.errstate(invalid="ignore"):
-        return np.log(np.maximum(mu, LEAST_MU)) if objective == "log" else mu
-
-
 def _highest_nearby(mu: Array) -> Array:
     left, right = np.roll(mu, 1, axis=2), np.roll(mu, -1, axis=2)
     bend = np.nan_to_num(np.abs(left + right - 2.0 * mu))
@@ -197,7 +187,7 @@ def _highest_nearby(mu: Array) -> Array:
 
 def advance(
     q: Array, slack: Array, gain: Array, q_next: Array, slack_next: Array, value_next: Array, step: Array,
-    crossing: NDArray[np.int64], price: float, worst: bool, value: Array,
+    crossing: NDArray[np.int64], price: float, value: Array,
 ) -> None:
     """Fill value (b,m): what the poses of one time are worth by those of the time next to it.
 
@@ -208,14 +198,13 @@ def advance(
         q, slack: (b,m,n) [rad], NaN where there is none; gain: (b,m) what a pose adds; -inf: forbidden.
         q_next, slack_next: (b,m1,n); value_next: (b,m1).
         price: of a step's square [1/rad^2].
-        worst: the value is the least gain on the way, in place of their sum.
     """  # fmt: skip
     branches, _, n = q.shape
     blocks, worth = -(-q_next.shape[1] // BLOCK), np.empty(gain.size)
     at, room, then, later = (np.ascontiguousarray(each).reshape(-1, n) for each in (q, slack, q_next, slack_next))
     core.advance(
         branches, at, room, np.ascontiguousarray(gain).ravel(), then, later, np.ascontiguousarray(value_next).ravel(),
-        np.ascontiguousarray(step), crossing.astype(np.float64), price, worst, worth,
+        np.ascontiguousarray(step), crossing.astype(np.float64), price, False, worth,
         np.empty(branches * blocks * (2 * n + 1)),
     )  # fmt: skip
     value[:] = worth.reshape(gain.shape)

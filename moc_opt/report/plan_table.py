@@ -32,13 +32,12 @@ COURSES_TERMS = (
     "reach another value, by what its controller can follow. Optimum: 'local' where no course nearby is "
     "better, 'grid' the best of the map's samples. Violation: the largest miss of the path or of a limit."
 )
-OBJECTIVES = {"mean": "mean mu", "worst": "worst mu", "log": "mean log mu"}
 
 
 def plan_json(plan: Plan) -> dict[str, Any]:
     """Return the figures of a plan, nested as the tables are."""
     stuck = plan.blocked
-    same = ("executable", "objective", "bound_from_start", "bound", "map_s", "search_s", "bound_s", "refine_s")
+    same = ("executable", "bound_from_start", "bound", "map_s", "search_s", "bound_s", "refine_s")
     return {
         **{name: getattr(plan, name) for name in same},
         "blocked": None if stuck is None else {
@@ -58,7 +57,7 @@ def plan_tables(name: str, plan: Plan, **within: float) -> list[Table]:
     Args:
         within: margin_rad, margin_m, speed_share and shaft_margin, as of `moc_opt.scenario.planned.plan`.
     """
-    said, unit = {"can be executed from this start": "yes" if plan.executable else "no"}, OBJECTIVES[plan.objective]
+    said = {"can be executed from this start": "yes" if plan.executable else "no"}
     if (stuck := plan.blocked) is not None:
         point = ", ".join(f"{x:.3f}" for x in stuck.tip_m)
         where = f"{1e3 * stuck.arc_length_m:.1f} mm along the path (t = {stuck.t_s:.2f} s), tip at {point} m"
@@ -73,11 +72,11 @@ def plan_tables(name: str, plan: Plan, **within: float) -> list[Table]:
         said[what] = f"{math.degrees(angle):.1f} deg" if math.isfinite(angle) else "none: no course goes all the way"
     for what, bound in (("bound from this start", plan.bound_from_start), ("bound over all starts", plan.bound)):
         if math.isfinite(bound):
-            said[f"{what} ({unit})"] = f"{bound:.5f}"
+            said[f"{what} (mean mu)"] = f"{bound:.5f}"
     parts = (("map", plan.map_s), ("search", plan.search_s), ("bounds", plan.bound_s), ("refinement", plan.refine_s))
     said["computed in"] = ", ".join(f"{what} {seconds:.2f} s" for what, seconds in parts)
     rows = [{"what": what, "value": value} for what, value in said.items()]
-    courses = Table(f"Courses, best in {unit}", COURSES, _courses(plan), COURSES_TERMS)
+    courses = Table("Courses, best in mean mu", COURSES, _courses(plan), COURSES_TERMS)
     return [Table(f"Plan of {name}", VERDICT, rows, VERDICT_TERMS), courses]
 
 
@@ -90,7 +89,7 @@ def _courses(plan: Plan) -> list[dict[str, Any]]:
             continue
         best = plan.best if len(course.mu) == len(plan.targets) else None
         rows.append({
-            "course": name, "mu_mean": course.mu_mean, "mu_worst": course.value("worst"),
+            "course": name, "mu_mean": course.mu_mean, "mu_worst": course.mu.min(),
             "share_percent": best and 100.0 * course.mu_mean / best.mu_mean,
             "certified": "" if name == climbed else "local" if course.certified else "grid",
             "violation": course.violation,

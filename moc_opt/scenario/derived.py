@@ -122,7 +122,7 @@ def _planned(path: str) -> BestCourses:
     layout = layout_of(scenario, robot)
     targets = targets_of(robot, layout, period_s=PERIOD_S)
     value = Value(pose_map.map_of(robot, layout.q, targets), Limits())
-    grid = [best_course(value, Limits(), start) for start in (layout.q, None)]
+    grid = [best_course(value, start) for start in (layout.q, None)]
     mine, best = (None if q is None else make_course(robot, targets, q) for q in grid)
     absent = "" if mine is not None else "no course was found from this start on the grid of the map"
     return BestCourses(robot, mine, best, absent, pose_map.map_of(robot, layout.q, targets[-2:]))

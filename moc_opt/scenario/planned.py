@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import numbers
 import os
-from collections.abc import Mapping
 from pathlib import Path
 from typing import TypedDict
 
 import numpy as np
 
 from moc_opt.errors import ControlError, ScenarioError, shown
-from moc_opt.planning.course import Limits, Objective, Targets, lay_targets
-from moc_opt.planning.guides import COURSE_SHARE, ROUNDING, margin_of, speed_shares
+from moc_opt.planning.course import Limits, Targets, lay_targets
+from moc_opt.planning.guides import COURSE_SHARE, margin_of, too_fast_to_follow
 from moc_opt.planning.plan import Plan, make_plan
 from moc_opt.planning.pose_map import SWIVELS
 from moc_opt.robots.model import RobotModel
@@ -26,9 +25,9 @@ MOST_TIMES = 1000
 
 
 def plan(
-    scenario: Scenario | str | os.PathLike[str], *, objective: Objective = "mean", times: int | None = None,
-    swivels: int = SWIVELS, margin_rad: float = 0.0, margin_m: float = 0.0, speed_share: float = 1.0,
-    acceleration: float = np.inf, shaft_margin: float = 0.0, refined: bool = True,
+    scenario: Scenario | str | os.PathLike[str], *, times: int | None = None, swivels: int = SWIVELS,
+    margin_rad: float = 0.0, margin_m: float = 0.0, speed_share: float = 1.0, shaft_margin: float = 0.0,
+    refined: bool = True,
 ) -> Plan:  # fmt: skip
     """Plan a scenario's run: whether it can be executed, from which swivel, how well, and along which course.
 
@@ -37,12 +36,10 @@ def plan(
 
     Args:
         scenario: of the run, or the path of its file.
-        objective: maximised by the best course: "mean" mu, "worst" mu, or the mean of "log" mu.
         times: points of the path; None: one each `PERIOD_S`, 2 to 1000.
         swivels: samples of one turn of the elbow; an arm without a closed form takes only those above the default.
         margin_rad, margin_m: that every joint keeps from its limits [rad], [m] where it slides.
         speed_share: of the joints' speed limits that a course may use, above 0 to 1.
-        acceleration: most of any joint, from rest [rad/s^2]; the refinement keeps it, the grid does not know it.
         shaft_margin: least share of the squared lever that the shaft's manipulability keeps, where there is a way.
         refined: whether courses are improved beyond the grid.
 
@@ -59,9 +56,9 @@ def plan(
         raise ScenarioError(f"times = {shown(times)}: give 2 to 100000 points of the path")
     robot = scenario.robot.arm()
     layout = layout_of(scenario, robot)
-    limits = Limits(margin_of(robot, margin_rad, margin_m), speed_share, acceleration, shaft_margin)
+    limits = Limits(margin_of(robot, margin_rad, margin_m), speed_share, shaft_margin)
     targets = targets_of(robot, layout, times)
-    return make_plan(robot, layout.q, targets, limits, objective, swivels=swivels, refined=refined)
+    return make_plan(robot, layout.q, targets, limits, swivels=swivels, refined=refined)
 
 
 def layout_of(scenario: Scenario, robot: RobotModel) -> Layout:
@@ -103,9 +100,9 @@ class Within(TypedDict):
 
 
 def followable_plan(
-    scenario: Scenario, margin_rad: float | None, speed_share: float | None, *, objective: Objective,
-    acceleration: float, margin_m: float | None = None, followed: bool | None = None,
-) -> tuple[Plan, Within]:  # fmt: skip
+    scenario: Scenario, margin_rad: float | None = None, speed_share: float | None = None,
+    margin_m: float | None = None, followed: bool | None = None,
+) -> tuple[Plan, Within]:
     """Plan within what a third level keeps to that follows a course, or within the arm's own limits.
 
     Where the path cannot be executed with that third level's margins, it is planned without.
@@ -113,7 +110,6 @@ def followable_plan(
     Args:
         scenario: of the run.
         margin_rad, margin_m, speed_share: in place of these, where given; a margin alone leaves the other at zero.
-        objective, acceleration: as of `plan`.
         followed: whether the course is to be followed; None: if the scenario's third level follows one.
 
     Raises:
@@ -130,7 +126,7 @@ def followable_plan(
     shaft = COURSE_SHARE * settings.shaft_margin if follows else 0.0
     for turning, sliding in margins:
         within = Within(margin_rad=turning, margin_m=sliding, speed_share=speed_share, shaft_margin=shaft)
-        found = plan(scenario, objective=objective, acceleration=acceleration, **within)
+        found = plan(scenario, **within)
         if found.executable:
             break
     return found, within
@@ -147,31 +143,12 @@ def following_warnings(scenario: Scenario, found: Plan) -> list[str]:
         said.append(f"the course cannot be followed: {error}")
     if course is None or len(course.t_s) < 2:
         return said
-    robot, allowed = scenario.robot.arm(), settings.course_speed_fraction
-    names, moving, slides = robot.data.joint_names, robot.moves.any(axis=0), robot.chain.prismatic
-    shares = np.where(moving, speed_shares(robot, course.q_rad, found.targets.period_s), 0.0)
-    j = int(np.argmax(shares))
-    if shares[j] > allowed + ROUNDING:
-        said.append(
-            f"the course moves {names[j]} at {shares[j]:.2f} of its speed limit; the third level "
-            f"follows up to [control] course_speed_fraction = {allowed:g}: plan with --speed-share {allowed:g}"
-        )
-    margins = np.where(slides, settings.limit_margin_m, settings.course_margin_rad)
-    room = np.minimum(course.q_rad - robot.q_min, robot.q_max - course.q_rad).min(axis=0)
-    short = np.where(moving, margins - room, -1.0)
-    j = int(np.argmax(short))
-    if short[j] > ROUNDING:
-        slide, turn = ("m", "limit_margin_m", "--margin-m"), ("rad", "course_margin_rad", "--margin")
-        unit, key, option = slide if slides[j] else turn
-        said.append(
-            f"the course takes {names[j]} to within {room[j]:.3f} {unit} of its limit; the third "
-            f"level keeps {margins[j]:g} {unit}: plan with {option} {margins[j]:g}, or lower {key}"
-        )
-    return said
+    fast = too_fast_to_follow(settings, scenario.robot.arm(), course.q_rad, found.targets.period_s)
+    return said if fast is None else [*said, "; ".join(fast)]
 
 
 def save_course(
-    found: Plan, scenario: Scenario, to: str | os.PathLike[str], within: Mapping[str, float] | None = None
+    found: Plan, scenario: Scenario, to: str | os.PathLike[str], within: Within | None = None
 ) -> Path:
     """Write the plan's course as a Parquet file that `Trace.load` and ``[control] course`` read.
 
@@ -196,9 +173,8 @@ def save_course(
         "tip_m": tips, "tip_ref_m": found.targets.tip, "wrist_m": wrists,
     }  # fmt: skip
     meta = {
-        "kind": "course", "objective": found.objective, "from_start": found.executable, "violation": course.violation,
-        "certified": course.certified, **described(scenario, robot),
-        "within": {name: value for name, value in (within or {}).items() if np.isfinite(value)},
+        "kind": "course", "from_start": found.executable, "violation": course.violation,
+        "certified": course.certified, **described(scenario, robot), "within": dict(within or {}),
     }  # fmt: skip
     Trace(columns, meta).save(to)
     return Path(to)

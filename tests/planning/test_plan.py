@@ -96,29 +96,8 @@ def test_what_kinematics_can_follow_is_executable(robot):
     assert both > 1
 
 
-def test_a_limit_on_accelerations_is_kept_and_costs_little(robot):
-    q = robot.data.q_home
-    targets = task(robot, q, 30)
-    free = make_plan(robot, q, targets, swivels=180)
-
-    def largest(poses):
-        """Of |ddq| by differences of the speeds, the first of them from rest."""
-        speed = np.vstack([np.zeros(robot.n), np.diff(poses, axis=0) / targets.period_s])
-        return float(np.abs(np.diff(speed, axis=0)).max() / targets.period_s)
-
-    needed = largest(free.from_start.q_rad)
-    kept = make_plan(robot, q, targets, Limits(acceleration=0.5 * needed), swivels=180)
-    assert largest(kept.from_start.q_rad) <= 0.5 * needed * (1.0 + 1e-6)
-    assert kept.from_start.violation < 1e-8
-    assert 0.9 * free.from_start.mu_mean < kept.from_start.mu_mean <= free.from_start.mu_mean * (1.0 + 1e-6)
-    never = make_plan(robot, q, targets, Limits(acceleration=1e-3), swivels=180)
-    assert never.from_start is None
-    assert "acceleration limit" in never.blocked.reason
-
-
 @pytest.mark.parametrize(("change", "name"), [
-    ({"limits": Limits(acceleration=0.0)}, "acceleration"), ({"objective": "best"}, "objective"),
-    ({"limits": Limits(acceleration=5.0), "refined": False}, "refined"), ({"limits": Limits(3.0)}, "margin_rad"),
+    ({"limits": Limits(3.0)}, "margin_rad"),
     ({"limits": Limits(speed_share=0.0)}, "speed_share"), ({"limits": Limits(speed_share=1.1)}, "speed_share"),
     ({"limits": Limits(shaft=1.5)}, "shaft_margin"), ({"limits": Limits(-0.1)}, "margin_rad"), ({}, "q_start"),
 ])  # fmt: skip
@@ -140,11 +119,11 @@ def test_a_way_that_only_the_grid_lacks_is_found_and_without_looking_the_grid_is
 
 def test_where_the_bound_leaves_room_the_program_begins_at_its_course_too(monkeypatch):
     """The grid is made to find the climb alone, from a start from which that ends in a low hump of mu."""
-    best_course = plan.best_course
+    best_course, asked = plan.best_course, []
 
-    def poor(value, limits, start):
-        known = value.cell == 0.0 and start is not None
-        return climb(value.map, start, limits) if known else best_course(value, limits, start)
+    def poor(value, start):
+        asked.append(start)
+        return climb(value.map, start, Limits()) if len(asked) == 1 else best_course(value, start)
 
     monkeypatch.setattr(plan, "best_course", poor)
     trapped = Scenario(seed=9).change(start={"pose": "random"}, task={"path": "circle"})

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from moc_opt.planning.course import OBJECTIVES, Limits, Targets, make_course
+from moc_opt.planning.course import Limits, Targets, make_course
 from moc_opt.planning.plan import best_course, climb
 from moc_opt.planning.pose_map import PoseMap, map_of
 from moc_opt.planning.search import WHOLE_CELL, Value, advance, half_cells, keeping_shaft, shaft_shares
@@ -22,12 +22,10 @@ def small(rng, k=4, m=4):
     return PoseMap(arm, targets, q, mu, rng.uniform(-0.2, 1.0, (k, 1, m)))
 
 
-def worth(mu, objective):
-    if objective == "worst":
-        return float(mu.min())
-    gain, weight = (mu if objective == "mean" else np.log(mu)), np.ones(len(mu))
+def worth(mu):
+    weight = np.ones(len(mu))
     weight[[0, -1]] = 0.5
-    return float(weight @ gain / weight.sum())
+    return float(weight @ mu / weight.sum())
 
 
 def every_course(found, step, start, cell=0.0):
@@ -47,28 +45,24 @@ def every_course(found, step, start, cell=0.0):
     return courses
 
 
-@pytest.mark.parametrize("objective", OBJECTIVES)
 @pytest.mark.parametrize(("start", "cell"), [(None, 0.0), (0.5, 0.0), (0.5, 0.5)])
-def test_the_best_of_all_courses_is_found(objective, start, cell):
+def test_the_best_of_all_courses_is_found(start, cell):
     rng, none = np.random.default_rng(0), 0
     for _ in range(15):
         found, step = small(rng), float(rng.uniform(0.1, 0.8))
         courses = every_course(found, step, start, cell)
-        value = Value(found, Limits(speed_share=step), objective, cell=cell)
+        value = Value(found, Limits(speed_share=step), cell=cell)
         told = value.best()[0] if start is None else value.of(np.array([start]), 0.4)
-        q = best_course(value, Limits(speed_share=step), None if start is None else np.array([start]))
+        q = best_course(value, None if start is None else np.array([start]))
         if not courses:
             none += 1
             assert q is None
             assert told == -np.inf
             continue
-        best = max(worth(mu, objective) for _, mu in courses)
+        best = max(worth(mu) for _, mu in courses)
         assert told == pytest.approx(best, abs=1e-12)
         (mu,) = [mu for other, mu in courses if np.array_equal(other, q[:, 0])]
-        assert worth(mu, objective) == pytest.approx(best, abs=1e-12)
-        if objective == "worst":  # of those with the best worst mu, the best mean
-            rest = [worth(mu, "mean") for _, mu in courses if mu.min() >= best - 1e-12]
-            assert worth(mu, "mean") == pytest.approx(max(rest), abs=1e-9)
+        assert worth(mu) == pytest.approx(best, abs=1e-12)
     assert none < 15
 
 
@@ -80,7 +74,7 @@ def test_a_price_on_speed_is_what_each_step_costs():
         courses = every_course(found, step, 0.5)
         if courses:
             seen += 1
-            worths = [3.0 * worth(mu, "mean") - price * (np.diff(q) ** 2).sum() for q, mu in courses]
+            worths = [3.0 * worth(mu) - price * (np.diff(q) ** 2).sum() for q, mu in courses]
             taken = [each for each, (q, _) in zip(worths, courses, strict=True) if np.array_equal(q, way.q_rad[:, 0])]
             assert taken == [pytest.approx(max(worths), abs=1e-12)]
     assert seen > 3
@@ -101,10 +95,9 @@ def test_every_pose_is_compared_with_every_other_one_next_to_it():
         allowed = (bits[:, None] & ~crossing[None, :, None]) == 0
         near = (away <= step + slack[:, :, None, None] + slack_after[None, None]).all(axis=-1) & allowed[..., None]
         ways = np.where(near, rest - price * (away**2).sum(axis=-1), -np.inf).reshape(8, m, -1).max(axis=2)
-        for worst in (False, True):
-            value = np.empty((8, m))
-            advance(q, slack, gain, after, slack_after, rest, step, crossing, price, worst, value)
-            np.testing.assert_allclose(value, np.minimum(ways, gain) if worst else ways + gain, atol=1e-12)
+        value = np.empty((8, m))
+        advance(q, slack, gain, after, slack_after, rest, step, crossing, price, value)
+        np.testing.assert_allclose(value, ways + gain, atol=1e-12)
 
 
 # --- on the arm ---
@@ -115,16 +108,15 @@ def coarse(robot):
     return map_of(robot, robot.data.q_home, task(robot, robot.data.q_home, 60), 180)
 
 
-@pytest.mark.parametrize("objective", OBJECTIVES)
-def test_a_course_keeps_the_task_limits_and_speeds_and_lies_below_its_bound(robot, coarse, objective):
-    q, limits = robot.data.q_home, Limits()
-    value, bound = (Value(coarse, limits, objective, cell=cell) for cell in (0.0, WHOLE_CELL))
+def test_a_course_keeps_the_task_limits_and_speeds_and_lies_below_its_bound(robot, coarse):
+    q = robot.data.q_home
+    value, bound = (Value(coarse, Limits(), cell=cell) for cell in (0.0, WHOLE_CELL))
     for start in (q, None):
-        poses = best_course(value, limits, start)
+        poses = best_course(value, start)
         course = make_course(robot, coarse.targets, poses)
         assert course.violation < 1e-12
         told, most = (v.best()[0] if start is None else v.of(q, robot.state(q).mu) for v in (value, bound))
-        assert course.value(objective) == pytest.approx(told, abs=1e-12)
+        assert course.mu_mean == pytest.approx(told, abs=1e-12)
         assert told <= most < told + 0.05 * abs(told)
         if start is not None:
             np.testing.assert_array_equal(course.q_rad[0], q)
@@ -141,7 +133,7 @@ def test_courses_of_finer_maps_stay_below_the_coarse_bound(robot, coarse):
 
 def test_the_margin_of_joint_limits_costs_mu(robot, coarse):
     free, kept = (Value(coarse, Limits(margin)) for margin in (0.0, 0.4))
-    poses = best_course(kept, Limits(0.4), None)
+    poses = best_course(kept, None)
     assert np.minimum(poses - robot.q_min, robot.q_max - poses)[:, :6].min() >= 0.4 - 1e-9
     assert kept.best()[0] <= free.best()[0]
 
@@ -171,7 +163,7 @@ def test_a_course_goes_through_a_singular_pose_into_the_next_branch(robot, joint
     way[:, joint] = np.linspace(0.45, -0.47, 41) * (1.0 if joint == 1 else -1.0)
     found = map_of(robot, way[0], at_poses(robot, way))
     mean = make_course(robot, found.targets, way).mu_mean
-    poses = best_course(Value(found, Limits()), Limits(), way[0])
+    poses = best_course(Value(found, Limits()), way[0])
     course = make_course(robot, found.targets, poses)
     assert course.violation < 1e-12
     if joint == 1:  # the other one gains by going round

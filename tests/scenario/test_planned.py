@@ -50,17 +50,9 @@ def test_a_path_that_cannot_be_executed_exits_with_three(tmp_path, capsys):
     assert told["blocked"]["t_s"] > 0.0
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["--margin", "-1"], "--margin -1.0: give zero or more"),
-        (["--acceleration", "0"], "--acceleration 0.0: give a limit above 0"),
-    ],
-)
-def test_a_wrong_option_is_named_as_it_was_typed(tmp_path, capsys, arguments, message):
-    file = scenario_file(tmp_path, "duration_s = 0.1\n")
-    assert main(["plan", file, *arguments]) == 2
-    assert message in capsys.readouterr().err
+def test_a_wrong_option_is_named_as_it_was_typed(tmp_path, capsys):
+    assert main(["plan", scenario_file(tmp_path, "duration_s = 0.1\n"), "--margin", "-1"]) == 2
+    assert "--margin -1.0: give zero or more" in capsys.readouterr().err
 
 
 def test_what_it_proposes_can_be_pasted_into_the_scenario(tmp_path, capsys):
