@@ -39,15 +39,13 @@ COLUMNS: Mapping[str, Column] = MappingProxyType(
         "force_N": Column("N", "(N, 3)", "of the tool on its mount, as the wrench sensor shows it, its axes"),
         "torque_Nm": Column("Nm", "(N, 3)", "the same wrench's moment"),
         "mu": Column("m^3", "(N,)", "manipulability sqrt(det(J_T J_T^T))"),
-        "tip_error_m": Column("m", "(N,)", "|X_d - X|: absolute, in the base frame"),
-        "tip_error_registered_m": Column("m", "(N,)", "the same in the frame registered by touch at the start"),
-        "tip_error_model_m": Column("m", "(N,)", "the same by the robot's own kinematics, sensor noise aside"),
-        "rcm_error_m": Column("m", "(N,)", "distance of the shaft's line from the trocar"),
-        "rcm_error_registered_m": Column(
-            "m", "(N,)", "the same from the trocar as registered by touch: less the registration's error"
-        ),
-        "rcm_error_model_m": Column("m", "(N,)", "the latter by the robot's own kinematics, sensor noise aside"),
-        "trocar_force_N": Column("N", "(N, 3)", "true force of the trocar on the shaft, world axes"),
+        "tip_error_m": Column("m", "(N,)", "|X_d - X| in the base frame: absolute accuracy"),
+        "tip_error_registered_m": Column("m", "(N,)", "|X_d - X| in the frame registered at the start"),
+        "tip_error_model_m": Column("m", "(N,)", "|X_d - X| by the robot's own kinematics, sensor noise aside"),
+        "rcm_error_m": Column("m", "(N,)", "distance of the shaft from the true trocar"),
+        "rcm_error_registered_m": Column("m", "(N,)", "distance of the true shaft from the trocar registered by touch"),
+        "rcm_error_model_m": Column("m", "(N,)", "distance of shaft and registered trocar by the robot's kinematics"),
+        "trocar_force_N": Column("N", "(N, 3)", "true force of the trocar on the shaft; world axes"),
         "x_rad_per_s": Column("rad/s", "(N, n)", "the subproblem's answer; NaN where there was none"),
         "dual": Column("", "(N, k)", "multipliers y of the six rows; NaN where the solver gave none"),
         "subproblem": Column("", "(N, k)", "its packed numbers: `NullSpaceQP.from_row`"),
@@ -64,7 +62,7 @@ COLUMNS: Mapping[str, Column] = MappingProxyType(
         "tick": Column("1", "(N,)", "number of the tick; without it the rows are consecutive"),
         "travelling": Column("", "(N,)", "the elbow is still moving to its optimum", "flag"),
         "verified": Column("", "(N,)", "the answer was judged optimal", "flag"),
-        "primal": Column("rad/s, m/s", "(N,)", "max(|A x - b|_inf, box violation); NaN: no subproblem"),
+        "primal": Column("rad/s, m/s", "(N,)", "primal residual max(|A x - b|_inf, box violation); NaN: no subproblem"),
         "natural": Column("rad/s", "(N,)", "natural residual; NaN: no subproblem"),
         "natural_best": Column("rad/s", "(N,)", "the same with the best multipliers for that answer"),
         "relative": Column("rad/s", "(N,)", "that of the cost divided by its slope along the self-motion"),
@@ -87,17 +85,7 @@ def column(name: str, value: ArrayLike) -> NDArray[Any]:
         raise TraceError(f"column {name!r} has rows of different lengths: give an array") from error
     if array.dtype == object and all(isinstance(entry, str) for entry in array.flat):
         array = array.astype(np.str_)
-    check_column(name, array.dtype, array.shape)
-    # Only an array that nobody else can write through may be kept without a copy.
-    native = array.dtype.newbyteorder("=")
-    if array.flags.writeable or not array.flags.owndata or array.dtype != native:
-        array = np.array(array, dtype=native, order="C")
-    return read_only(array)
-
-
-def check_column(name: str, dtype: np.dtype[Any], shape: tuple[int, ...]) -> None:
-    """Say what is wrong with a column's type or shape."""
-    kind = dtype.kind
+    dtype, shape, kind = array.dtype, array.shape, array.dtype.kind
     if kind != "U" and dtype.itemsize not in _SIZES.get(kind, ()):
         raise TraceError(f"column {name!r} has type {dtype}: give floats, integers, flags or texts")
     if len(shape) not in ((1,) if kind == "U" else (1, 2)) or shape[1:] == (0,):
@@ -109,3 +97,8 @@ def check_column(name: str, dtype: np.dtype[Any], shape: tuple[int, ...]) -> Non
         fits = len(shape) == 1 if not width else len(shape) == 2 and width in ("n", "k", str(shape[1]))
         if kind not in wanted or not fits:
             raise TraceError(f"column {name!r} is {dtype} of shape {shape}: give {known.kind}s of shape {known.shape}")
+    # Only an array that nobody else can write through may be kept without a copy.
+    native = dtype.newbyteorder("=")
+    if array.flags.writeable or not array.flags.owndata or dtype != native:
+        array = np.array(array, dtype=native, order="C")
+    return read_only(array)

@@ -82,18 +82,18 @@ def plain(meta: Mapping[str, Any]) -> dict[str, Any]:
     Raises:
         TraceError: it is not JSON, or an entry is not what its reader takes it for.
     """
+    found = {}
     for name, value in meta.items():
         if not isinstance(name, str):
             raise TraceError(f"meta key {name!r} is not a text: give names as texts")
         try:
-            json.dumps(value, allow_nan=False)
+            found[name] = json.loads(json.dumps(value, allow_nan=False))
         except (TypeError, ValueError, RecursionError) as error:
             raise TraceError(
                 f"meta[{name!r}] cannot be written as JSON ({error}): "
                 f"give texts, finite numbers, flags, None, and lists and dicts of them"
             ) from error
-        check_entry(name, value)
-    found: dict[str, Any] = json.loads(json.dumps(dict(meta), allow_nan=False))
+        check_entry(name, found[name])
     return found
 
 

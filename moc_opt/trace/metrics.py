@@ -1,37 +1,199 @@
-"""From a trace to numbers: one function per metric under `@metric`, in the order of a summary.
+"""From a trace to numbers: `summarize` computes every metric that a trace has the data for.
 
-A new metric is one function; its name, with the unit in it, is the key in every summary. A summary of a trace that
-lacks a column which it reads leaves it out.
+A new metric is one function under `@metric`; its name, with the unit in it, is the key in every summary. A summary of a
+trace that lacks a column which it reads leaves it out.
 """
 
 from __future__ import annotations
 
+import inspect
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from functools import partial
+from importlib.metadata import EntryPoint, entry_points
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from moc_opt.errors import TraceError
+from moc_opt.errors import TraceError, describe, shown
+from moc_opt.inputs import plugins
+from moc_opt.trace.columns import COLUMNS
 from moc_opt.trace.meta import Ending
 from moc_opt.trace.oscillation import shaking
-from moc_opt.trace.registry import (
-    METRICS,
-    PHASES,
-    Metric,
-    figure,
-    floats,
-    known,
-    lengths,
-    load_plugins,
-    metric,
-    summarize,
-    ticks_with,
-)  # fmt: skip
 from moc_opt.trace.trace import MissingDataError, Trace
 
-__all__ = ["METRICS", "PHASES", "Metric", "load_plugins", "metric", "summarize"]
+Floats = NDArray[np.float64]
+GROUP = "moc_opt.metrics"
+_LOADED: dict[EntryPoint, str] = {}  # with the reason where one cannot be used
 
 
-# How a run ended.
+@dataclass(frozen=True)
+class Metric:
+    """A registered metric: call it with a trace, and with a baseline where it compares two runs.
+
+    A MissingDataError where the trace lacks the data.
+    """
+
+    name: str  #: key in every summary, with the unit in it
+    unit: str  #: "mm", "us"; "1" for counts and shares
+    about: str  #: one line on what it measures
+    function: Callable[..., float] = field(repr=False)  #: `(trace) -> number` or `(trace, baseline) -> number`
+
+    def __call__(self, trace: Trace, baseline: Trace | None = None) -> float:
+        """Return the number."""
+        compares = len(inspect.signature(self.function).parameters) > 1
+        return float(self.function(trace, baseline) if compares else self.function(trace))
+
+
+METRICS: dict[str, Metric] = {}  #: Name -> metric, in the order of a summary.
+
+
+def metric(unit: str | Callable[..., float]) -> Any:
+    """Register a function as a metric under its own name: `@metric("mm")`, or `@metric` for counts and shares.
+
+    The function takes `(trace)` or `(trace, baseline)` and has a docstring whose first line describes it. If it
+    raises MissingDataError, as the access to an absent column does, a summary leaves it out.
+
+    Raises:
+        TraceError: it has no docstring, or another function has its name already.
+
+    Example:
+        >>> from moc_opt.trace.metrics import metric
+        >>> @metric("rad/s")
+        ... def fastest_joint_rad_per_s(trace):
+        ...     "Largest speed of any joint."
+        ...     return abs(trace.v_rad_per_s).max()
+        >>> fastest_joint_rad_per_s.unit
+        'rad/s'
+    """
+    if not callable(unit):
+        return lambda function: _add(function.__name__, unit, inspect.getdoc(function) or "", function)
+    return _add(unit.__name__, "1", inspect.getdoc(unit) or "", unit)
+
+
+def _add(name: str, unit: str, about: str, function: Callable[..., float]) -> Metric:
+    if not about:
+        raise TraceError(f"metric {name!r} has no docstring: say in one line what it measures")
+    known = METRICS[name].function if name in METRICS else function
+    # A module that is loaded a second time may bring its own metrics again.
+    if (known.__module__, known.__qualname__) != (function.__module__, function.__qualname__):
+        raise TraceError(f"metric {name!r} is there already, from {known.__module__}: choose another name")
+    METRICS[name] = Metric(name, unit, about.splitlines()[0], function)
+    return METRICS[name]
+
+
+def load_plugins() -> dict[str, str]:
+    """Register the metrics of other packages; return name -> reason for those that cannot be loaded."""
+    for name, points in plugins.plugins(GROUP, entry_points).items():
+        if points[0] in _LOADED:
+            continue
+        _LOADED[points[0]] = ""
+        try:
+            found = plugins.load("metric", name, points, TraceError)
+            if isinstance(found, Metric):
+                METRICS.setdefault(found.name, found)
+            elif callable(found):
+                metric(found)
+            else:
+                raise TraceError(f"metric {name!r}: {plugins.in_words(points[0])} is no function")
+        except TraceError as error:
+            _LOADED[points[0]] = str(error)
+            warnings.warn(str(error), UserWarning, stacklevel=3)
+    return {point.name: reason for point, reason in _LOADED.items() if reason}
+
+
+def summarize(trace: Trace, baseline: Trace | None = None) -> dict[str, float]:
+    """Compute every metric that the trace has the data for.
+
+    Args:
+        baseline: the run to compare with: DCAC with the same gains on the same trial, over the same time.
+
+    Returns:
+        Name -> number, in the order of METRICS, without those whose data are absent.
+
+    Raises:
+        TraceError: the trace or the baseline is none or empty, they are not of the same time, or a column holds
+            numbers that no run has.
+
+    Example:
+        >>> short = mo.Scenario(duration_s=0.1, bound_samples=0)
+        >>> trace, baseline = mo.run(short), mo.run(short.change(control={"law": "dcac"}))
+        >>> numbers = mo.summarize(trace, baseline)
+        >>> numbers["verified_solved"], "mu_gain_percent" in numbers
+        (50.0, True)
+    """
+    load_plugins()
+    for role, run in (("trace", trace), ("baseline", baseline)):
+        if not isinstance(run, Trace) and (run is not None or role == "trace"):
+            raise TraceError(f"the {role} is {shown(run)}: give a Trace, such as load_trace(path)")
+        if run is not None and len(run) == 0:
+            raise TraceError(f"the {role} is empty: run the scenario for at least one tick")
+    if baseline is not None and not _same_ticks(trace, baseline):
+        raise TraceError(
+            f"the baseline has {_extent(baseline)} where the trace has {_extent(trace)}: they are compared tick by "
+            "tick; cut the longer one with head(ticks) or between(start_s, stop_s)"
+        )
+    summary = {}
+    for name, function in METRICS.items():
+        try:
+            summary[name] = function(trace, baseline)
+        except MissingDataError:
+            continue  # a metric without its data has no number, and no key
+        except ArithmeticError as error:
+            raise TraceError(
+                f"metric {name!r} cannot be computed ({describe(error)}): a column that it reads holds zeros, or "
+                "numbers that no run has"
+            ) from error
+    return summary
+
+
+def _same_ticks(trace: Trace, baseline: Trace) -> bool:
+    times, others = (run.columns.get("t_s") for run in (trace, baseline))
+    if len(trace) != len(baseline) or times is None or others is None:
+        return len(trace) == len(baseline)
+    return bool(np.allclose(times, others, rtol=0.0, atol=1e-6))
+
+
+def _extent(trace: Trace) -> str:
+    times = trace.columns.get("t_s")
+    return f"{len(trace)} ticks" + ("" if times is None else f" from {times[0]:.3f} to {times[-1]:.3f} s")
+
+
+def _floats(trace: Trace, column: str) -> Floats:
+    """Return a column of numbers; of vectors, their lengths."""
+    values = np.asarray(getattr(trace, column), dtype=np.float64)
+    return values if values.ndim == 1 else _lengths(values)
+
+
+def _lengths(rows: Floats) -> Floats:
+    return np.asarray(np.sqrt((rows * rows).sum(axis=1)), dtype=np.float64)
+
+
+def _known(trace: Trace, column: str) -> Floats:
+    """Return the entries of a column that are not NaN; there must be one."""
+    values = _floats(trace, column)
+    values = values[~np.isnan(values)]
+    if values.size == 0:
+        raise MissingDataError(f"column {column!r} is NaN at every tick: there was nothing to measure")
+    return values
+
+
+def _count(flags: NDArray[Any]) -> float:
+    return float(np.count_nonzero(flags))
+
+
+def _figure(
+    name: str, unit: str, said: str, column: str, of: Callable[[Any], float],
+    read: Callable[[Trace, str], Floats] = _floats,
+) -> None:  # fmt: skip
+    factor = 1e3 if unit == "mm" else 1.0
+    meaning, _, _ = COLUMNS[column].meaning.partition(";")
+    _add(name, unit, f"{said} {meaning} [{unit}].", lambda trace: factor * of(read(trace, column)))
+
+
+# --- how a run ended ---
 
 
 @metric
@@ -54,16 +216,11 @@ def share_of_run(trace: Trace) -> float:
     return ticks / planned
 
 
-# Manipulability over a run.
+# --- manipulability ---
 
 
-@metric("m^3")
-def mu_mean(trace: Trace) -> float:
-    """Mean manipulability over the ticks [m^3]."""
-    return floats(trace, "mu").mean()
-
-
-mu_final = figure("mu_final", "mu", "m^3", "Manipulability at the last tick [m^3].", lambda values: values[-1])
+_figure("mu_mean", "m^3", "Mean", "mu", np.mean)
+_figure("mu_final", "m^3", "Last", "mu", lambda values: values[-1])
 
 
 @metric("percent")
@@ -73,78 +230,54 @@ def mu_gain_percent(trace: Trace, baseline: Trace | None) -> float:
     Their baselines differ: each has the observer gain of its third level.
     """
     if baseline is None:
-        raise MissingDataError("mu_gain_percent needs a baseline: give the trace of DCAC on the same trial")
-    reference = mu_mean(baseline)
+        raise MissingDataError("there is no baseline: give the trace of DCAC on the same trial")
+    reference = METRICS["mu_mean"](baseline)
     if reference == 0.0:
         raise MissingDataError("the baseline is singular throughout: a gain over zero has no value")
-    return 100.0 * (mu_mean(trace) / reference - 1.0)
+    return 100.0 * (METRICS["mu_mean"](trace) / reference - 1.0)
 
 
 @metric
 def mu_fraction_of_bound(trace: Trace) -> float:
     """Mean manipulability over that of the largest of all feasible poses, at the ticks where it was looked for."""
-    bound = float(known(trace, "mu_bound").mean())
+    bound = float(_known(trace, "mu_bound").mean())
     if bound == 0.0:
         raise MissingDataError("the largest mu is zero throughout: a share of it has no value")
-    return float(floats(trace, "mu")[~np.isnan(trace.mu_bound)].mean()) / bound
+    return float(_floats(trace, "mu")[~np.isnan(trace.mu_bound)].mean()) / bound
 
 
 @metric
 def mu_fraction_of_best_from_start(trace: Trace) -> float:
     """Mean manipulability over that of the best course from the same start, where planned."""
-    return mu_mean(trace) / known(trace, "mu_best_from_start").mean()
+    return METRICS["mu_mean"](trace) / _known(trace, "mu_best_from_start").mean()
 
 
 @metric
 def mu_fraction_of_best(trace: Trace) -> float:
     """Mean manipulability over that of the best course from any swivel and branch, where planned."""
-    return mu_mean(trace) / known(trace, "mu_best").mean()
+    return METRICS["mu_mean"](trace) / _known(trace, "mu_best").mean()
 
 
-# Errors of tip and remote centre of motion (RCM), and the trocar's force: mean and largest of a column each.
+# --- errors of tip and remote centre of motion (RCM), and the trocar's force ---
 
 
-def _mean_and_max(column: str, unit: str, about: str, of_mean: str = "") -> tuple[Metric, Metric]:
-    stem = column.rpartition("_")[0]
-    return (
-        figure(f"{stem}_mean_{unit}", column, unit, f"Mean {about} [{unit}]{of_mean}.", np.mean),
-        figure(f"{stem}_max_{unit}", column, unit, f"Largest {about} [{unit}].", np.max),
-    )
+for _column, _unit in (
+    ("tip_error_model_m", "mm"), ("tip_error_registered_m", "mm"), ("tip_error_m", "mm"), ("rcm_error_model_m", "mm"),
+    ("rcm_error_registered_m", "mm"), ("rcm_error_m", "mm"), ("trocar_force_N", "N"),
+):  # fmt: skip
+    for _word, _said, _of in (("mean", "Mean", np.mean), ("max", "Largest", np.max)):
+        _figure(f"{_column.rpartition('_')[0]}_{_word}_{_unit}", _unit, _said, _column, _of)
 
 
-tip_error_model_mean_mm, tip_error_model_max_mm = _mean_and_max(
-    "tip_error_model_m", "mm", "distance of the tip from its reference by the robot's own kinematics",
-    ", which its controller sees",
-)  # fmt: skip
-tip_error_registered_mean_mm, tip_error_registered_max_mm = _mean_and_max(
-    "tip_error_registered_m", "mm", "distance of the tip from its reference, both in the frame registered at the start"
-)
-tip_error_mean_mm, tip_error_max_mm = _mean_and_max(
-    "tip_error_m", "mm", "distance of the tip from its reference in the base frame: absolute accuracy"
-)
-rcm_error_model_mean_mm, rcm_error_model_max_mm = _mean_and_max(
-    "rcm_error_model_m", "mm", "distance of the shaft from the registered trocar by the robot's own kinematics"
-)
-rcm_error_registered_mean_mm, rcm_error_registered_max_mm = _mean_and_max(
-    "rcm_error_registered_m", "mm", "distance of the true shaft's line from the trocar as registered by touch"
-)
-rcm_error_mean_mm, rcm_error_max_mm = _mean_and_max(
-    "rcm_error_m", "mm", "distance of the shaft's line from the true trocar", "; the registration's error is part of it"
-)
-trocar_force_mean_N, trocar_force_max_N = _mean_and_max(
-    "trocar_force_N", "N", "magnitude of the trocar's force on the shaft"
-)
-
-
-# Chatter and oscillation.
+# --- chatter and oscillation ---
 
 
 @metric("Nm/s")
 def torque_rate_rms_Nm_per_s(trace: Trace) -> float:
     """Chatter: root mean square over the ticks of |tau_k - tau_(k-1)| / (t_k - t_(k-1)) [Nm/s]."""
-    change, step = lengths(np.diff(trace.tau_Nm, axis=0)), np.diff(floats(trace, "t_s"))
+    change, step = _lengths(np.diff(trace.tau_Nm, axis=0)), np.diff(_floats(trace, "t_s"))
     if "tick" in trace.columns:
-        # The ticks of one phase may lie apart; a difference across such a gap is no rate.
+        # Selected ticks may lie apart; a difference across such a gap is no rate.
         together = np.diff(trace.tick) == 1
         change, step = change[together], step[together]
     if step.size == 0:
@@ -166,14 +299,12 @@ def oscillation_Nm(trace: Trace) -> float:
     return shaking(trace, "tau_Nm").rms
 
 
-# Times, claims, verdicts and residuals of the solver.
+# --- times, claims, verdicts and residuals of the solver ---
 
 
-solve_p50_us, solve_p99_us, tick_p50_us, tick_p99_us = (
-    figure(f"{what}_p{q}_us", f"{what}_us", "us", f"{words} time of a {of} [us].", partial(np.percentile, q=q), known)
-    for what, of in (("solve", "solve"), ("tick", "whole tick"))
-    for q, words in ((50, "Median"), (99, "99th percentile of the"))
-)
+for _column in ("solve_us", "tick_us"):
+    for _q, _said in ((50, "Median"), (99, "99th percentile of the")):
+        _figure(f"{_column[:-3]}_p{_q}_us", "us", _said, _column, partial(np.percentile, q=_q), _known)
 
 
 @metric
@@ -184,33 +315,38 @@ def deadline_misses(trace: Trace) -> float:
         raise MissingDataError("meta has no 'deadline_us': give the time a tick may take [us]")
     if isinstance(deadline, bool) or not isinstance(deadline, (int, float)) or deadline <= 0.0:
         raise TraceError(f"meta['deadline_us'] = {deadline!r}: give a positive number of microseconds")
-    return float(np.count_nonzero(trace.tick_us > deadline))
+    return _count(trace.tick_us > deadline)
 
 
-claimed_solved = ticks_with(
-    "claimed_solved", "Ticks at which the solver claimed to have solved the subproblem.",
-    lambda trace: trace.status == "solved",
-)  # fmt: skip
-verified_solved = ticks_with(
-    "verified_solved", "Ticks at which the answer was judged optimal, whatever was claimed.",
-    lambda trace: trace.verified,
-)  # fmt: skip
-silently_wrong = ticks_with(
-    "silently_wrong", "Ticks at which success was claimed and the answer was judged wrong.",
-    lambda trace: (trace.status == "solved") & ~trace.verified,
-)  # fmt: skip
-faults = ticks_with(
-    "faults", "Ticks at which the third level's answer was refused or missing, for any reason.",
-    lambda trace: (trace.fault != "none") & (trace.fault != "stopped"),
-)  # fmt: skip
-limited_ticks = ticks_with(
-    "limited_ticks", "Ticks at which the safety filter changed the torque asked for.", lambda trace: trace.limited
-)
-primal_max, natural_max, loss_max = (
-    figure(f"{name}_max", name, unit, f"Largest {about} over the subproblems [{unit}].", np.max, known)
-    for name, unit, about in (
-        ("primal", "rad/s, m/s", "max(|A x - b|_inf, box violation)"),
-        ("natural", "rad/s", "natural residual"),
-        ("loss", "1", "share of the cost's range that an answer lost: 0 at the optimum, 1 at the worst point"),
-    )
-)
+@metric
+def claimed_solved(trace: Trace) -> float:
+    """Ticks at which the solver claimed to have solved the subproblem."""
+    return _count(trace.status == "solved")
+
+
+@metric
+def verified_solved(trace: Trace) -> float:
+    """Ticks at which the answer was judged optimal, whatever was claimed."""
+    return _count(trace.verified)
+
+
+@metric
+def silently_wrong(trace: Trace) -> float:
+    """Ticks at which success was claimed and the answer was judged wrong."""
+    return _count((trace.status == "solved") & ~trace.verified)
+
+
+@metric
+def faults(trace: Trace) -> float:
+    """Ticks at which the third level's answer was refused or missing, for any reason."""
+    return _count((trace.fault != "none") & (trace.fault != "stopped"))
+
+
+@metric
+def limited_ticks(trace: Trace) -> float:
+    """Ticks at which the safety filter changed the torque asked for."""
+    return _count(trace.limited)
+
+
+for _column, _unit in (("primal", "rad/s, m/s"), ("natural", "rad/s"), ("loss", "1")):
+    _figure(f"{_column}_max", _unit, "Largest", _column, np.max, _known)

@@ -3,8 +3,7 @@
 Chatter and limit cycles of a torque loop lie above 8 Hz; a task, its time law and a push on the arm lie below. So
 each joint's velocity and torque are taken above that (a centred mean over 1/8 s is subtracted), and their largest root
 mean square over a second counts, the first half second aside, in which an arm starts with a jerk. Largest values over
-the joints, measured on the LWR4+ in the realistic plant, every start swivel drawn. "80" are gains of one size for every
-joint, K_N2 = 80 and D_N2 = 1, the rest as in the robot's `default`:
+the joints on the LWR4+ in the realistic plant, every start swivel drawn ("80": K_N2 = 80 and D_N2 = 1 for every joint):
 
 | runs | velocity [rad/s] | torque [Nm] |
 |---|---|---|
@@ -14,15 +13,11 @@ joint, K_N2 = 80 and D_N2 = 1, the rest as in the robot's `default`:
 | two ticks of delay, 80: chatter at 24 Hz | 2.7 | 119 |
 | rho = 0, 80: the linear problem's bang-bang answer | 2.6 to 2.7 | 119 |
 | rho = 0, `paper`: the same, milder | 0.05 to 1.1 | 5 to 67 |
-| the default scenario, its gains unchanged, with one, two and three ticks of delay: sound | 0.012 to 0.013 | 0.5 |
-| the same with rho = 0 | 0.48 | 26 |
 
 Both limits lie near the geometric middle of sound and unsound. Those of a joint that slides are the same motion at
 0.4 m from an axis, of a mass that goes with such an axis: 0.08 m/s, and 100 N (the rail's sound runs have 11 N). A
-single jerk is no oscillation: without its loudest quarter, the second has to hold half of a limit still. DCAC's
-elbow, which nothing holds, slipped by a radian within 0.1 s in one of 270 runs: 0.40 rad/s with that quarter, 0.03
-without. With the paper's rho = 0 the answer jumps between vertices: where that shakes the arm it is chatter like any
-other, and is called so.
+single jerk is no oscillation: without its loudest quarter, the second has to hold half of a limit still. (DCAC's
+elbow, which nothing holds, slipped by a radian within 0.1 s: 0.40 rad/s with that quarter, 0.03 without.)
 """
 
 from __future__ import annotations

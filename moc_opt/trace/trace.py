@@ -123,16 +123,11 @@ class Trace:
         """
         return Trace({**self.columns, **arrays}, self.meta)
 
-    def select(self, ticks: ArrayLike, *, as_part: bool = True) -> Trace:
-        """Return the trace of some of the ticks; its column `tick` keeps their numbers.
+    def select(self, ticks: ArrayLike) -> Trace:
+        """Return the trace of some of the ticks, given as flags (N,); a TraceError where these are none.
 
-        Args:
-            ticks: (N,) flags.
-            as_part: ``meta["ended"]`` says that it is a part, and ``meta["run_ended"]`` how the run ended; False
-                leaves the meta of the whole run.
-
-        Raises:
-            TraceError: `ticks` is not one flag per tick.
+        Its column `tick` keeps their numbers; ``meta["ended"]`` says that it is a part, ``meta["run_ended"]`` how the
+        run ended.
 
         Example:
             >>> trace = mo.Trace({"t_s": [0.0, 0.002, 0.004], "mu": [0.30, 0.31, 0.29]})
@@ -143,8 +138,8 @@ class Trace:
         if mask.dtype != np.bool_ or mask.shape != (len(self),):
             raise TraceError(f"ticks is {mask.dtype} of shape {mask.shape}: give {len(self)} flags")
         columns = {"tick": np.arange(len(self)), **self.columns}
-        found = self._of(MappingProxyType({name: read_only(array[mask]) for name, array in columns.items()}), self.meta)
-        return found._as_part_of(self) if as_part else found
+        found = {name: read_only(array[mask]) for name, array in columns.items()}
+        return self._of(MappingProxyType(found), self.meta)._as_part_of(self)
 
     def between(self, start_s: float, stop_s: float) -> Trace:
         """Return the trace of the ticks with start_s <= t_s < stop_s; see `select`.
@@ -187,8 +182,6 @@ class Trace:
 
         if beside is not None and not isinstance(beside, Trace):
             raise TraceError(f"plot: beside = {shown(beside)}: give a Trace, such as load_trace(path)")
-        if not isinstance(name, str):
-            raise TraceError(f"plot: name = {shown(name)}: give a text")
         return time_series({name: self} if beside is None else {"baseline": beside, name: self}, columns)
 
     def to_pandas(self) -> DataFrame:

@@ -10,7 +10,7 @@ import moc_opt as mo
 from moc_opt.__main__ import main
 from moc_opt.commands.running import read_waypoints
 from moc_opt.errors import ScenarioError
-from moc_opt.trace import registry
+from moc_opt.trace import metrics
 
 PACKAGE = '''
 import numpy as np
@@ -42,7 +42,7 @@ def package(tmp_path, monkeypatch):
         encoding="utf-8",
     )
     monkeypatch.syspath_prepend(str(site))
-    monkeypatch.setattr(registry, "_LOADED", {})
+    monkeypatch.setattr(metrics, "_LOADED", {})
     monkeypatch.delitem(sys.modules, "own_things", raising=False)
 
 

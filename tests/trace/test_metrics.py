@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 import math
 import sys
 import types
@@ -15,7 +14,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from moc_opt.errors import MocOptError, TraceError
-from moc_opt.trace import metrics, registry
+from moc_opt.trace import metrics
 from moc_opt.trace.metrics import METRICS, metric, summarize
 from moc_opt.trace.trace import MissingDataError, Trace
 
@@ -105,12 +104,11 @@ def test_metrics_without_baseline_deadline_or_subproblem_are_left_out() -> None:
 
 
 def test_a_whole_run_is_told_from_a_part_and_from_one_that_oscillated() -> None:
-    """Also in a phase of it: the share is of the run, not of the ticks that were chosen."""
     whole = run(meta={"ended": "completed", "ticks": 4, "ticks_planned": 4})
     shaken = run(meta={"ended": "oscillated: joint_7", "ticks": 4, "ticks_planned": 4})
     for trace, expected in ((whole, (1.0, 1.0)), (shaken, (0.0, 1.0)), (run(), (0.0, 0.25))):
-        for found in (summarize(trace), summarize(trace, phase="settled")):
-            assert (found["completed"], found["share_of_run"]) == expected
+        found = summarize(trace)
+        assert (found["completed"], found["share_of_run"]) == expected
 
 
 def test_a_diverged_run_does_not_look_good() -> None:
@@ -121,34 +119,17 @@ def test_a_diverged_run_does_not_look_good() -> None:
     assert summary["primal_max"] == math.inf
 
 
-def test_phases_are_the_ticks_by_travelling() -> None:
-    baseline = run(mu=[0.1, 0.4, 0.1, 0.2])
-    travelling = summarize(run(), baseline, "travelling")
-    settled = summarize(run(), baseline, phase="settled")
-    assert (travelling["mu_mean"], settled["mu_mean"]) == pytest.approx((0.2, 0.3))
-    assert travelling["mu_final"] == 0.3
-    assert (travelling["tip_error_max_mm"], settled["tip_error_max_mm"]) == pytest.approx((1.0, 3.0))
-    # The baseline is read at the same ticks.
-    assert travelling["mu_gain_percent"] == pytest.approx(100.0)
-    assert settled["mu_gain_percent"] == pytest.approx(0.0)
-    assert (travelling["silently_wrong"], settled["silently_wrong"]) == (0.0, 1.0)
-
-
 def test_torque_rate_does_not_reach_across_a_gap() -> None:
-    assert "torque_rate_rms_Nm_per_s" not in summarize(run(), phase="settled")
-    ends = run(travelling=[False, True, False, False])
-    assert summarize(ends, phase="settled")["torque_rate_rms_Nm_per_s"] == pytest.approx(5000.0)
+    assert "torque_rate_rms_Nm_per_s" not in summarize(run().select([False, True, False, True]))
+    ends = run().select([True, False, True, True])
+    assert summarize(ends)["torque_rate_rms_Nm_per_s"] == pytest.approx(5000.0)
 
 
-def test_what_cannot_be_summarized_is_refused_and_a_phase_without_ticks_is_empty() -> None:
-    assert summarize(run(travelling=[True] * 4), phase="settled") == {}
+def test_what_cannot_be_summarized_is_refused() -> None:
     empty = Trace({"mu": np.empty(0)})
     refused = {
-        "no column 'travelling'": lambda: summarize(run(travelling=None), phase="settled"),
-        "did you mean 'settled'": lambda: summarize(run(), phase="setled"),  # type: ignore[arg-type]
         "has 3 ticks .* where the trace has 4": lambda: summarize(run(), run().select([True, True, True, False])),
         "trace is empty": lambda: summarize(empty), "baseline is empty": lambda: summarize(run(), empty),
-        "needs at least one tick": lambda: METRICS["mu_mean"](empty),
         "'t_s' does not increase": lambda: summarize(run(t_s=[0.0, 0.002, 0.002, 0.004])),
         **{rf"deadline_us'\] = {bad!r}": lambda bad=bad: summarize(run(meta={"deadline_us": bad}))
            for bad in (0, -1.0, "fast", True)},
@@ -174,7 +155,7 @@ def test_others_can_register_a_metric() -> None:
         """Largest speed of the tip [m/s]."""
         return float(trace.tip_speed_m_per_s.max())
 
-    assert METRICS["tip_speed_max_m_per_s"].__doc__ == "Largest speed of the tip [m/s]."
+    assert METRICS["tip_speed_max_m_per_s"].about == "Largest speed of the tip [m/s]."
     assert "tip_speed_max_m_per_s" not in summarize(run())
     speed = run().with_columns(tip_speed_m_per_s=[0.1, 0.5, 0.2, 0.3])
     assert summarize(speed)["tip_speed_max_m_per_s"] == 0.5
@@ -182,12 +163,12 @@ def test_others_can_register_a_metric() -> None:
 
 
 def test_registration_refuses_taken_names_and_silence() -> None:
-    def mu_mean(trace: Trace) -> float:
+    def completed(trace: Trace) -> float:
         """Another one."""
         return 0.0
 
-    with pytest.raises(TraceError, match=r"'mu_mean' is there already, from moc_opt\.trace\.metrics"):
-        metric(mu_mean)
+    with pytest.raises(TraceError, match=r"'completed' is there already, from moc_opt\.trace\.metrics"):
+        metric(completed)
 
     def unexplained(trace: Trace) -> float:
         return 0.0
@@ -196,17 +177,17 @@ def test_registration_refuses_taken_names_and_silence() -> None:
         metric(unexplained)
     assert "unexplained" not in METRICS
     # A notebook that runs its cell again registers the same function again.
-    assert metric(inspect.unwrap(METRICS["mu_mean"])) is METRICS["mu_mean"]
+    assert metric(METRICS["completed"].function) is METRICS["completed"]
 
 
-def test_every_metric_is_public_and_has_the_unit_of_its_name() -> None:
+def test_every_metric_has_the_unit_of_its_name() -> None:
     named = {"mm": "mm", "us": "us", "N": "N", "Nm": "Nm", "percent": "percent", "rad_per_s": "rad/s",
              "Nm_per_s": "Nm/s"}  # fmt: skip
     for name, function in METRICS.items():
         units = [unit for ending, unit in named.items() if name.endswith(f"_{ending}")]
         if units:
             assert function.unit == units[-1], name
-        assert (getattr(metrics, name), bool(function.about)) == (function, True)
+        assert function.about
     bare = {name: of.unit for name, of in METRICS.items() if not any(name.endswith(f"_{e}") for e in named)}
     assert {name for name, unit in bare.items() if unit != "1"} == {"mu_mean", "mu_final", "primal_max", "natural_max"}
 
@@ -221,13 +202,13 @@ def test_metrics_of_other_packages_are_in_the_summary_and_a_broken_one_hides_non
     own.ticks_of_a_run, own.number = ticks_of_a_run, 3
     monkeypatch.setitem(sys.modules, "own_metrics", own)
     values = {"ticks_of_a_run": "own_metrics:ticks_of_a_run", "number": "own_metrics:number", "gone": "no_such:f"}
-    found = [EntryPoint(name, value, registry.GROUP) for name, value in values.items()]
-    monkeypatch.setattr(registry, "entry_points", lambda group: found)
-    monkeypatch.setattr(registry, "_LOADED", {})
+    found = [EntryPoint(name, value, metrics.GROUP) for name, value in values.items()]
+    monkeypatch.setattr(metrics, "entry_points", lambda group: found)
+    monkeypatch.setattr(metrics, "_LOADED", {})
     trace = Trace({"t_s": [0.0, 0.1], "mu": [0.1, 0.2]})
     with pytest.warns(UserWarning, match="metric 'gone': .* does not load") as said:
         summary = summarize(trace)
     assert any("is no function" in str(one.message) for one in said)
     assert summary["ticks_of_a_run"] == 2.0
     assert summary["mu_mean"] == pytest.approx(0.15)
-    assert set(registry.load_plugins()) == {"number", "gone"}
+    assert set(metrics.load_plugins()) == {"number", "gone"}

@@ -15,8 +15,7 @@ from hypothesis.extra.numpy import arrays, from_dtype
 import moc_opt as mo
 from moc_opt.errors import MocOptError, TraceError
 from moc_opt.report.run_table import run_table
-from moc_opt.scenario import Scenario, run
-from moc_opt.trace.meta import FORMS, Ending, check_entry
+from moc_opt.trace.meta import FORMS, Ending
 from moc_opt.trace.trace import MissingDataError, Trace
 
 N = 40
@@ -202,21 +201,6 @@ def test_the_file_is_read_by_others_and_replaced_never_written_over(tmp_path):
     assert os.listdir(tmp_path) == ["t.parquet"]
 
 
-def test_failed_save_leaves_the_old_file_and_nothing_else(tmp_path, monkeypatch):
-    path = tmp_path / "t.parquet"
-    example().save(path)
-    before = path.read_bytes()
-
-    def full(handle):
-        raise OSError("no space left on device")
-
-    monkeypatch.setattr(os, "fsync", full)
-    with pytest.raises(TraceError, match="no space left"):
-        example(3).save(path)
-    assert path.read_bytes() == before
-    assert os.listdir(tmp_path) == ["t.parquet"]
-
-
 def test_byte_order_of_another_machine_is_turned():
     mu = Trace({"mu": np.array([0.1, 0.2], dtype=">f8")}).mu
     assert (mu.dtype, mu.tolist()) == (np.dtype("f8"), [0.1, 0.2])
@@ -247,15 +231,6 @@ def test_a_name_of_another_format_or_in_no_folder_is_refused(name, tmp_path):
     with pytest.raises(TraceError):
         example().save(tmp_path / name)
     assert list(tmp_path.iterdir()) == []
-
-
-def test_every_documented_column_says_its_unit_and_shape():
-    units = {"_m": "m", "_s": "s", "_us": "us", "_N": "N", "_Nm": "Nm", "_rad": "rad", "_rad_per_s": "rad/s"}
-    for name, column in Trace.COLUMNS.items():
-        assert column.shape in ("(N,)", "(N, 3)", "(N, n)", "(N, k)"), name
-        assert column.meaning, name
-        suffix = max((end for end in units if name.endswith(end)), key=len, default=None)
-        assert suffix is None or column.unit == units[suffix], name
 
 
 # --- meta ---
@@ -289,17 +264,6 @@ def test_meta_is_kept_as_json_gives_it_back():
             Trace({}, {"seed": value})
     with pytest.raises(TraceError, match="not a text"):
         Trace({}, {1: "a"})
-
-
-@pytest.mark.parametrize("changes", [
-    {"faults": {"solver": "raise", "solver_share": 0.5}}, {"robot": {"tool_length_m": 0.25}, "best_courses": True},
-    {"guard": {"rcm_error_m": 1e-9, "rcm_warning_m": 1e-9}},
-])  # fmt: skip
-def test_what_runs_leave_is_of_its_kind(changes):
-    meta = run(Scenario(**changes, duration_s=0.3, bound_samples=2)).meta
-    assert set(meta) & set(FORMS) >= {"ended", "robot", "ticks", "ticks_planned", "period_s", "scenario"}
-    for name, value in meta.items():
-        check_entry(name, value)
 
 
 @pytest.mark.parametrize(("text", "ending", "whole"), [
