@@ -20,7 +20,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from pydantic import Field
 
-from benchmarks.procedure import ProcedureJob, ProcedureSettings, perform
+from benchmarks.procedure import ProcedureSettings, perform
 from moc_opt.control import ControlSettings
 from moc_opt.errors import UnknownNameError
 from moc_opt.figures.notation import Mark
@@ -217,15 +217,14 @@ def work(study: Study, config: Config) -> Found:
     film = study.out / "film.webm" if config.procedure.film else None
     study.out.mkdir(parents=True, exist_ok=True)
     base = config.base(config.best).change(solver={"name": config.best_solver})
-    tasks = [
-        ProcedureJob(config.procedure, base.change(seed=seed), task, film if task == config.tasks[0] else None)
+    jobs = [
+        Job(perform, (config.procedure, base.change(seed=seed), task, film if task == config.tasks[0] else None))
         for task, seed in zip(config.tasks, seeds(config.seed, STREAM, len(config.tasks)), strict=True)
     ]
-    done = study.run([Job(perform, (task,)) for task in tasks], "procedure")
-    procedure = [
-        {**task.row(), "ended": "failed", "error": str(row)} if isinstance(row, Failed) else row
-        for task, row in zip(tasks, done, strict=True)
-    ]
+    procedure = {
+        task: {"ended": "failed", "error": str(row)} if isinstance(row, Failed) else row
+        for task, row in zip(config.tasks, study.run(jobs, "procedure"), strict=True)
+    }
     accuracy = pose_accuracy(
         config.procedure.camera, config.procedure.board, poses=config.procedure.poses, seed=config.seed
     )
@@ -239,10 +238,10 @@ def work(study: Study, config: Config) -> Found:
         "goals_elsewhere": goals(rows, config.elsewhere, config.best_solver) if config.elsewhere else {},
         "ablation": ablation(rows.where(part="ablation"), config.ablation.cases),
         "swivel": swivel(rows.where(part="swivel"), config.best_solver),
-        "procedure": {row["task"]: {k: v for k, v in row.items() if k not in ("part", "task")} for row in procedure},
+        "procedure": procedure,
         "board_pictures": dict(accuracy),
     }  # fmt: skip
-    rows.add(*procedure)
+    rows.add(*({"part": "procedure", "task": task, **row} for task, row in procedure.items()))
     files = ["film.webm"] if film and film.exists() else []
     return Found(report(summary, rows, config), summary, rows, files=files)
 

@@ -8,7 +8,6 @@ on the phantom.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -53,27 +52,12 @@ class ProcedureSettings(Settings):
     film: bool = Field(True, description="save what the surgeon sees during the first task")
 
 
-@dataclass(frozen=True)
-class ProcedureJob:
-    """One task from guiding to the end of its path; ``film`` is where the pictures go, None for nowhere."""
+def perform(parts: ProcedureSettings, scenario: Scenario, name: str, film: Path | None = None) -> dict[str, Any]:
+    """Perform the whole procedure once, on the task of that name; one row of rows.parquet.
 
-    settings: ProcedureSettings
-    scenario: Scenario
-    task: str
-    film: Path | None = None
-
-    def row(self) -> dict[str, Any]:
-        """Return what tells its row from others."""
-        return {"part": "procedure", "task": self.task, "seed": self.scenario.seed}
-
-
-def perform(job: ProcedureJob) -> dict[str, Any]:
-    """Perform the whole procedure once; one row of rows.parquet.
-
-    Raises:
-        MocOptError: it cannot go on.
+    ``film`` is the file for what the surgeon sees. A MocOptError where the procedure cannot go on.
     """
-    scenario, parts, task = job.scenario, job.settings, board_task(job.task)
+    task = board_task(name)
     robot = scenario.robot.arm()
     home = robot.state(robot.data.q_home)
     hand_seed, plant_seed, swivel_seed, eye_seed = np.random.SeedSequence(scenario.seed).generate_state(4).tolist()
@@ -94,12 +78,12 @@ def perform(job: ProcedureJob) -> dict[str, Any]:
     path = scene.board.task_in_base(task, estimate)
     q = pose_through(robot, path.start, guided.registered)
     q = self_motion(robot, q).at(np.random.default_rng(swivel_seed).uniform(0.05, 0.95))
-    trace, waited, lost = _run(job, plant, scene, path, q, (guided.trocar, guided.registered))
-    count = scene.film(job.film, trace, path, guided.registered) if job.film is not None else 0
+    trace, waited, lost = _run(scenario, plant, scene, path, q, (guided.trocar, guided.registered))
+    count = scene.film(film, trace, path, guided.registered) if film is not None else 0
     deviation = 1e3 * from_path(trace.tip_m, scene.board.task_in_base(task, phantom))
     metrics = summarize(trace)
     return {
-        **job.row(), "ended": trace.meta["ended"], "share_of_run": metrics["share_of_run"],
+        "ended": trace.meta["ended"], "share_of_run": metrics["share_of_run"],
         "registered": guided.status is HandsOnStatus.REGISTERED, "registration_error_mm": 1e3 * guided.error_m,
         "guiding_s": float(guided.trace.t_s[-1]),
         "hand_force_max_N": float(np.linalg.norm(guided.trace.hand_force_N, axis=1).max()),
@@ -111,20 +95,20 @@ def perform(job: ProcedureJob) -> dict[str, Any]:
 
 
 def _run(
-    job: ProcedureJob, plant: Plant, scene: Augmented, path: TipPath, q: Array, trocars: tuple[Array, Array]
+    scenario: Scenario, plant: Plant, scene: Augmented, path: TipPath, q: Array, trocars: tuple[Array, Array]
 ) -> tuple[Trace, float, float]:
     """Run the task under MOC, waiting while the board is lost; the trace, and how long it waited and was lost [s].
 
     ``trocars``: the true one and the registered one, (3,) each [m].
     """
-    scenario, period, (true, registered) = job.scenario, job.scenario.plant.period_s, trocars
+    period, (true, registered) = scenario.plant.period_s, trocars
     robot, task = scenario.robot.arm(), scenario.task
     reference = Reference(path, task.v_max_m_per_s, task.a_max_m_per_s2, t_start=task.wait_s)
     check_reachable(robot, q, reference, Trocar(registered))
     waiting = WaitingReference(reference, period)
-    lost = sum(end - begin for begin, end in job.settings.board.lost_s)
+    lost = sum(end - begin for begin, end in scene.board.lost_s)
     # Every start and stop takes the brakes' time.
-    settling = 2.0 * waiting.settle_s * (1 + len(job.settings.board.lost_s))
+    settling = 2.0 * waiting.settle_s * (1 + len(scene.board.lost_s))
     seconds = reference.t_start + reference.duration + lost + settling + task.hold_s
     times = period * np.arange(round(seconds / period))
     # The tool hides little of the board, and where it will be is not known yet: it is drawn where it starts.

@@ -7,7 +7,7 @@ import pytest
 
 from benchmarks import paper, procedure
 from benchmarks.paper import CLAIMS, FAILS, GAINS_ONLY, HOLDS, UNDECIDED, Case, Config
-from benchmarks.procedure import ProcedureJob, ProcedureSettings
+from benchmarks.procedure import ProcedureSettings
 from moc_opt.control import ControlSettings
 from moc_opt.errors import MocOptError
 from moc_opt.robots import load_data
@@ -162,12 +162,12 @@ def test_the_cases_that_ship_exchange_what_they_say():
 )
 def test_a_procedure_that_cannot_go_on_says_why(changes, message):
     with pytest.raises(MocOptError, match=message):
-        procedure.perform(ProcedureJob(ProcedureSettings(camera=SMALL, **changes), QUICK, "circle"))
+        procedure.perform(ProcedureSettings(camera=SMALL, **changes), QUICK, "circle")
 
 
 def test_the_procedure_is_guarded_as_every_loop_is():
     base = QUICK.change(guard={"rcm_error_m": 2e-4, "rcm_warning_m": 1e-4})
-    row = procedure.perform(ProcedureJob(ProcedureSettings(camera=SMALL), base, "circle"))
+    row = procedure.perform(ProcedureSettings(camera=SMALL), base, "circle")
     assert row["ended"].startswith("stopped: the RCM error has been above 0.2 mm")
     assert row["share_of_run"] < 1.0
 
