@@ -1,55 +1,32 @@
-"""The test sets for qpbenchmark (2.7.1 or later), and its ranking of solvers.
+"""The test sets in other people's formats: for qpbenchmark (2.7.1 or later).
 
     python -m benchmarks.export qpbenchmark --out DIR [--sets NAME ...] [--every K] [--rows 5|6]
 
 writes DIR/null_space.py and DIR/null_space.parquet, a test set that qpbenchmark runs as it is:
 
     qpbenchmark DIR/null_space.py --results-path DIR/results.csv run --author NAME
-
-The measures of its report are computed here from its rows, as it prints them only.
 """
 
 from __future__ import annotations
 
 import argparse
-import subprocess
 import sys
 from collections.abc import Sequence
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import polars as pl
 
-from moc_opt.errors import MocOptError
+from moc_opt.errors import MocOptError, StudyError
 from moc_opt.inputs.files import write_whole
 from moc_opt.qp.problem import NullSpaceQP
-from moc_opt.report.tables import Column, Table
 from moc_opt.study.command import WRONG
-from moc_opt.study.show import Section
-from moc_opt.study.solver_answers import share_right
-from moc_opt.study.solver_settings import QPSOLVERS
-from moc_opt.study.solvers import Work
 from moc_opt.study.testsets import TestSet, check_name
 
 NAME = "null_space"
 SETS = ("circle", "circle-rho0", "random", "joint-limits", "near-singular", "jumps")
-TOLERANCES = {"default": 1.0, "high_accuracy": 1e-9}
-"""Their settings -> within which a solve succeeds in their report."""
 SECONDS = 0.1  # a solve may take this long there: a thousand times what most solvers need
-SHIFT_S, MARGIN_S = 10.0, 600.0
-OURS = {"default": "default", "high_accuracy": "tight"}
-"""Their settings -> ours."""
-COLUMNS = [
-    Column("solver", "solver"), Column("rank", "their rank"),
-    Column("success_percent", "success", unit="%", format=".0f", better="high"),
-    Column("shgeom_us", "their mean", unit="us", digits=4, better="low", help="shifted geometric mean, shift 10 s"),
-    Column("runtime_p50_us", "their p50", unit="us", format=".1f", better="low"),
-    Column("our_p50_us", "our p50", unit="us", format=".1f"),
-    Column("our_right_percent", "right by us", unit="%", format=".1f", better="high"),
-    Column("reason", "not run because"),
-]  # fmt: skip
 
 MODULE = '''"""{title}: {count} subproblems of a manipulability controller, each of them feasible.
 
@@ -76,10 +53,6 @@ class NullSpace(ParquetTestSet):
 '''
 
 
-class ExportError(MocOptError, RuntimeError):
-    """A test set cannot be handed over."""
-
-
 def problems(names: Sequence[str], every: int = 1) -> dict[str, NullSpaceQP]:
     """Map name to each every-th problem of those sets that has an answer."""
     found = {}
@@ -100,7 +73,7 @@ def write_qpbenchmark(folder: Path, names: Sequence[str] = SETS, every: int = 1,
     """
     chosen = problems(names, every)
     if not chosen:
-        raise ExportError(f"sets = {', '.join(names)}: no problem in them is feasible; take other sets")
+        raise StudyError(f"sets = {', '.join(names)}: no problem in them is feasible; take other sets")
     table: dict[str, list[Any]] = {key: [] for key in ("P", "q", "G", "h", "A", "b", "lb", "ub", "name")}
     for name, qp in chosen.items():
         A, b = (qp.A, qp.b) if rows == 6 else qp.reduced()[:2]
@@ -117,81 +90,6 @@ def write_qpbenchmark(folder: Path, names: Sequence[str] = SETS, every: int = 1,
     module = folder / f"{NAME}.py"
     write_whole(module, text.encode())
     return module
-
-
-def run_qpbenchmark(module: Path, solver: str = "") -> pl.DataFrame:
-    """Let qpbenchmark run a test set in a process of its own, under all settings; the rows of its results.
-
-    Args:
-        module: the test set's Python file; results and report are written beside it.
-        solver: as qpsolvers spells it; "": all that it finds.
-    """
-    if find_spec("qpbenchmark") is None:
-        raise ExportError("qpbenchmark is not installed: pip install 'moc-opt[qpbenchmark]'")
-    results = module.with_name("results.csv")
-    results.unlink(missing_ok=True)
-    command = [sys.executable, "-m", "qpbenchmark.benchmark", str(module), "--results-path", str(results), "run"]
-    command += ["--author", "moc_opt", *(["--solver", solver] if solver else [])]
-    try:
-        subprocess.run(command, capture_output=True, text=True, timeout=MARGIN_S, check=True)
-    except subprocess.CalledProcessError as error:
-        raise ExportError(f"qpbenchmark {solver} failed: {error.stderr[-500:]}") from error
-    except subprocess.TimeoutExpired as error:
-        raise ExportError(f"qpbenchmark {solver} took more than {MARGIN_S:g} s: {error}") from error
-    return pl.read_csv(results, infer_schema_length=None)
-
-
-def ranking(folder: Path, every: int = 16) -> dict[str, dict[str, Any]]:
-    """Ask qpbenchmark for its ranking of each every-th problem: solver@settings -> figures, or why there is none."""
-    try:
-        return figures(run_qpbenchmark(write_qpbenchmark(folder, every=every)))
-    except ExportError as error:
-        return {"none": {"reason": str(error)}}
-
-
-def figures(rows: pl.DataFrame) -> dict[str, dict[str, Any]]:
-    """Compute qpbenchmark's measures: success in percent, shifted geometric mean of run times, and ranks.
-
-    As in its report: the shift is 10 s, a failure counts as the time limit, and a solve succeeds within its tolerances.
-    """
-    limit = pl.col("settings").replace_strict(TOLERANCES, default=None)
-    right = [pl.col(name) < limit for name in ("primal_residual", "dual_residual", "duality_gap")]
-    time = pl.when("found").then("runtime").otherwise(SECONDS)
-    found = (
-        rows.filter(pl.col("settings").is_in(list(TOLERANCES)))
-        .group_by("settings", "solver")
-        .agg(
-            pl.len().alias("problems"),
-            (100.0 * pl.all_horizontal("found", *right).fill_null(False).mean()).alias("success_percent"),
-            (1e6 * ((time + SHIFT_S).log().mean().exp() - SHIFT_S)).alias("shgeom_us"),
-            (1e6 * time.median()).alias("runtime_p50_us"),
-        )
-        .with_columns(pl.col("shgeom_us").rank("ordinal").over("settings").alias("rank"))
-        .sort("settings", "rank")
-    )
-    return {f"{row.pop('solver')}@{row.pop('settings')}": row for row in found.to_dicts()}
-
-
-def beside_ours(work: Work) -> None:
-    """Add qpbenchmark's ranking of the libraries to the solver study, with our figures of them beside it."""
-    found = work.summary["qpbenchmark"] = ranking(work.study.out / "qpbenchmark")
-    ours = {
-        label.removeprefix(QPSOLVERS): row for label, row in work.summary.get("testsets", {}).items()
-        if label.startswith(QPSOLVERS) and row.get("solves")
-    }  # fmt: skip
-    rows = []
-    for label, theirs in found.items():
-        solver, _, settings = label.partition("@")
-        mine = ours.get(f"{solver}@{OURS.get(settings, '')}", {})
-        rows.append({
-            "solver": label, **theirs, "our_p50_us": mine.get("solve_p50_us_worst_set"),
-            "our_right_percent": 100.0 * share_right(mine) if mine else None,
-        })  # fmt: skip
-    table = Table("The ranking of qpbenchmark, and our figures of the same libraries", COLUMNS, rows,
-                  "Theirs: on feasible problems of six sets, five rows; ours: the same library and settings on all "
-                  "certified sets. With times of microseconds and a shift of 10 s their geometric mean is an "
-                  "arithmetic one.")  # fmt: skip
-    work.sections.append(Section("What qpbenchmark says", "", [table]))
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

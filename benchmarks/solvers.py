@@ -1,4 +1,4 @@
-"""The main job, as `moc-opt solvers` and `make solvers` run it, with the ranking of qpbenchmark beside ours as a part.
+"""The main job, as `moc-opt solvers` and `make solvers` run it.
 
 python -m benchmarks.solvers [CONFIG.toml] [--out DIR] [--seed N] [--quick | --full] [--only SOLVER ...]
                              [--sets NAME ...] [--parts PART ...]
@@ -7,16 +7,11 @@ python -m benchmarks.solvers [CONFIG.toml] [--out DIR] [--seed N] [--quick | --f
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from functools import partial
 
-from benchmarks.export import beside_ours
 from moc_opt.study import solvers
 
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the study; returns the exit status."""
-    return solvers.main(arguments, more={"qpbenchmark": beside_ours}, program="python -m benchmarks.solvers")
-
+main = partial(solvers.main, program="python -m benchmarks.solvers")
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -222,21 +222,21 @@ PARTS: Mapping[str, Part] = {
 }  # fmt: skip
 
 
-def work(parts: Mapping[str, Part], study: Study, config: Config) -> Found:
+def work(study: Study, config: Config) -> Found:
     """Run the parts that are asked for, in the order in which they need each other."""
     given = study.given
     if given.full and not given.quick:
         config = Config.load(FULL, config.seed)
     config = config.choosing(given.sets, given.parts)
     for name in config.parts:
-        if name not in parts:
-            raise UnknownNameError("part", name, parts)
+        if name not in PARTS:
+            raise UnknownNameError("part", name, PARTS)
     names, missing = choose(given.only or config.solvers)
     if not (config.twice or given.only):
         names, again = once(names)
         missing |= again
     found = Work(study, config, names, {"not_run": {name: {"reason": reason} for name, reason in missing.items()}})
-    for name, part in parts.items():
+    for name, part in PARTS.items():
         if name in config.parts:
             part(found)
             found.say()
@@ -293,17 +293,8 @@ def report(found: Work) -> Report:
     )  # fmt: skip
 
 
-def main(
-    arguments: Sequence[str] | None = None, *, more: Mapping[str, Part] | None = None, program: str = "moc-opt solvers"
-) -> int:
-    """Run the study; returns the exit status.
-
-    Args:
-        arguments: of the command; None: those of this process.
-        more: further parts, which need more than the installed package has.
-        program: how the command is called.
-    """
-    parts = {**PARTS, **(more or {})}
+def main(arguments: Sequence[str] | None = None, *, program: str = "moc-opt solvers") -> int:
+    """Run the study as the command that is called so; returns the exit status."""
     for name in THREADS:  # read by the libraries of the workers, which have not begun
         os.environ.setdefault(name, "1")
 
@@ -312,10 +303,10 @@ def main(
         parser.add_argument("--full", action="store_true", help=f"more of everything: {FULL.name} of the package")
         parser.add_argument("--only", nargs="+", metavar="SOLVER", help="these solvers alone")
         parser.add_argument("--sets", nargs="+", metavar="NAME", help="these test sets alone")
-        parser.add_argument("--parts", nargs="+", metavar="PART", choices=parts, help=f"of {', '.join(parts)}")
+        parser.add_argument("--parts", nargs="+", metavar="PART", choices=PARTS, help=f"of {', '.join(PARTS)}")
 
     return command(
-        "solvers", "Compare the solvers, open loop and in closed loop.", Config, partial(work, parts), arguments,
+        "solvers", "Compare the solvers, open loop and in closed loop.", Config, work, arguments,
         options=options, folder=Path(__file__).parent, program=program,
     )  # fmt: skip
 
