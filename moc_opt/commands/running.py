@@ -194,12 +194,12 @@ def _matched_dcac(scenario: Scenario, title: str, ticks: int) -> Trace | None:
 def run_plant(given: argparse.Namespace) -> int:
     """Wait for a controller, run against the clock, print as `run` does."""
     from moc_opt.realtime.clock import ask_for_realtime
-    from moc_opt.realtime.link import read_key, written
+    from moc_opt.realtime.link import written
     from moc_opt.scenario.wired import PlantServer
 
     scenario, title = read_scenario(given.scenario)
     _keep_others(given)
-    server = PlantServer(scenario, given.listen, read_key(given.key_file), lock_step=given.lock_step)
+    server = PlantServer(scenario, given.listen, given.key_file, lock_step=given.lock_step)
     print(f"listening on {written(server.address)}", file=sys.stderr, flush=True)
     server.system = {} if given.lock_step else ask_for_realtime()
     try:
@@ -215,11 +215,9 @@ def run_plant(given: argparse.Namespace) -> int:
 def run_control(given: argparse.Namespace) -> int:
     """Answer a plant until its run ends, and print how it went."""
     from moc_opt.realtime.clock import ask_for_realtime
-    from moc_opt.realtime.link import read_key
     from moc_opt.scenario.wired import answer
 
     (scenario, title), granted = read_scenario(given.scenario), dict[str, str]()
-    key = read_key(given.key_file)
     if scenario.control.third_level == "receding":
         print(
             "control: third_level = 'receding' solves within a tick, for some 10 ms: against the clock those ticks are "
@@ -228,7 +226,7 @@ def run_control(given: argparse.Namespace) -> int:
     first = "plans its course, then " if scenario.control.follows else ""
     where = f"{given.connect}, for {scenario.wire.wait_s:g} s"
     print(f"control: {first}looks for a plant at {where}", file=sys.stderr, flush=True)
-    found = answer(scenario, given.connect, key, ready=lambda: granted.update(ask_for_realtime()))
+    found = answer(scenario, given.connect, given.key_file, ready=lambda: granted.update(ask_for_realtime()))
     if given.json:
         print_json(asdict(found) | {"system": granted})
     else:

@@ -2,10 +2,8 @@
 
 Read first: ``packets`` (the bytes of each packet, for Python and as a C header), then ``remote`` (the plant's end: a
 controller in another process, and the watchdog in its place) and ``answering`` (the controller's end). ``link`` is the
-socket with addresses, key and checks, ``clock`` keeps the time and requests real-time scheduling.
-Both ends drive the parts of the simulator: ``sim.loop.ClosedLoop`` with the remote controller in it here,
-its ``FilteredController`` with the safety filter there. ``scenario.wired`` composes both ends.
-For users: docs/realtime.md.
+socket with addresses, key and checks, ``clock`` keeps the time. ``scenario.wired`` composes both ends; for users:
+docs/realtime.md.
 """
 
 from moc_opt.realtime.link import WireError

@@ -18,12 +18,11 @@ class WallClock:
     Attributes:
         late_us: how late the last tick began [us].
         overruns: how often the times were moved: this process was not run for more than a period.
-        spare_until: until then the present tick has time for work that is not urgent (of ``time.monotonic``) [s].
     """
 
     def __init__(self, period_s: float) -> None:
         self._period, self._begin = period_s, 0.0
-        self.late_us, self.overruns, self.spare_until = 0.0, 0, 0.0
+        self.late_us, self.overruns = 0.0, 0
 
     def start(self) -> None:
         """Let tick 0 begin one period from now."""
@@ -40,7 +39,6 @@ class WallClock:
         if now - due > self._period:
             self._begin += now - due
             self.overruns += 1
-        self.spare_until = now + 0.75 * self._period
         return now + self._period  # whoever is late, the controller has a whole period
 
 

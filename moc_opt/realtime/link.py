@@ -19,7 +19,7 @@ from pydantic import Field
 from moc_opt.errors import MocOptError, describe
 from moc_opt.inputs.files import read_text
 from moc_opt.inputs.settings import Settings
-from moc_opt.realtime.packets import COUNTERS, LOOPBACK_KEY, MAGIC, VERSION, Kind, Packet, layout, sealed
+from moc_opt.realtime.packets import COUNTERS, LOOPBACK_KEY, Kind, Packet, sealed
 
 VARIABLE = "MOC_OPT_WIRE_KEY"
 SHORTEST, LONGEST = 16, 32  #: Bytes of a key; BLAKE2s takes no longer ones.
@@ -68,11 +68,20 @@ def parse_address(text: str, option: str) -> Address:
     return str(found[0][4][0]), int(port)
 
 
-def read_key(file: Path | None) -> bytes | None:
-    """Return the key of a file, or else of the environment variable; None where there is neither."""
+def read_key(file: Path | None, host: str, option: str) -> bytes:
+    """Return the key of a file, or else of the environment variable, or else that of the loopback.
+
+    Raises:
+        WireError: it has a wrong length, or there is none and other machines reach the host.
+    """
     text = os.environ.get(VARIABLE, "") if file is None else read_text(file, "--key-file", WireError)
     if file is None and not text:
-        return None
+        if ip_address(host).is_loopback:
+            return LOOPBACK_KEY
+        raise WireError(
+            f"{option} {host}: other machines reach that address, and whoever speaks on it moves the arm: give both "
+            f"ends the same key by --key-file or {VARIABLE}, or take 127.0.0.1"
+        )
     key = text.strip().encode(errors="surrogateescape")
     if not SHORTEST <= len(key) <= LONGEST:
         raise WireError(
@@ -80,16 +89,6 @@ def read_key(file: Path | None) -> bytes | None:
             f"{SHORTEST} to {LONGEST}, such as `openssl rand -hex 16` prints"
         )
     return key
-
-
-def checked_key(key: bytes | None, host: str, option: str) -> bytes:
-    """Return the key, without one that of the loopback; a WireError where other machines reach the address."""
-    if key is None and not ip_address(host).is_loopback:
-        raise WireError(
-            f"{option} {host}: other machines reach that address, and whoever speaks on it moves the arm: give both "
-            f"ends the same key by --key-file or {VARIABLE}, or take 127.0.0.1"
-        )
-    return LOOPBACK_KEY if key is None else key
 
 
 class Link:
@@ -112,10 +111,8 @@ class Link:
     ) -> None:
         self.n, self.peer, self.session = n, peer, 0
         self.quality, self.sender = dict.fromkeys(COUNTERS, 0), peer
-        self._key = key
+        self._key, self._scratch = key, bytearray(16384)
         self._incoming = {int(kind): Packet(kind, n) for kind in expected}
-        self._sizes = {int(kind): layout(kind, n).itemsize for kind in Kind}
-        self._scratch = bytearray(4096)
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
             if listen is not None:
@@ -143,12 +140,12 @@ class Link:
     def send(self, packet: Packet, to: Address | None = None) -> None:
         """Seal a packet and send it; one that the system does not take is lost, as any packet may be."""
         packet["sent_ns"] = monotonic_ns()
-        data = packet.seal(self._key)
         try:
-            self._socket.sendto(data, self.peer if to is None else to)  # type: ignore[arg-type]
+            self._socket.sendto(packet.seal(self._key), to or self.peer)  # type: ignore[arg-type]
+        except (BlockingIOError, ConnectionError):
+            pass
         except OSError as error:
-            if not isinstance(error, BlockingIOError | ConnectionError):
-                raise WireError(f"nothing can be sent to {written(to or self.peer)}: {describe(error)}") from error
+            raise WireError(f"nothing can be sent to {written(to or self.peer)}: {describe(error)}") from error
 
     def receive(self, until: float) -> Packet | None:
         """Return the next sound packet, valid until the next call, or None at ``until`` (of ``time.monotonic``) [s].
@@ -169,29 +166,22 @@ class Link:
             except ConnectionError:
                 continue  # nobody listened where this end sent to: that packet is lost
             packet, wrong = self._sound(memoryview(self._scratch)[:size])
-            if packet is not None and self.session and (packet["session"] != self.session or sender != self.peer):
-                packet, wrong = None, "foreign"
-            if packet is not None:
+            if packet is not None and (not self.session or (packet["session"] == self.session and sender == self.peer)):
                 self.sender = sender
                 return packet
             self.quality[wrong] += 1
             unsound += 1
         return None
 
-    def judge(self, number: int, newest: int, last: int) -> str:
-        """Return the counter for a packet of a tick beside the newest of its kind; none is later than ``last``."""
-        if number > last:
-            return "foreign"
-        return "received" if number > newest else "doubled" if number == newest else "reordered"
-
     def _sound(self, data: memoryview) -> tuple[Packet | None, str]:
-        kind = data[5] if len(data) > 5 else 0
-        if len(data) != self._sizes.get(kind, -1):
-            return None, "truncated"
+        """Return a packet, or None and the counter of what is wrong with it."""
+        packet = self._incoming.get(data[5]) if len(data) > 5 else None
+        if packet is None or len(data) != len(packet.buffer):
+            return None, "foreign"
         if not sealed(data, self._key):
             return None, "forged"
-        packet = self._incoming.get(kind)
-        if packet is None or bytes(data[:4]) != MAGIC or data[4] != VERSION or data[6] != self.n:
+        mine = bytes(packet.buffer[:7])  # magic, version, kind, joints
+        if data[:7] != mine:
             return None, "foreign"
         packet.buffer[:] = data
-        return packet, ""
+        return packet, "foreign"

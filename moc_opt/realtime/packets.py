@@ -17,12 +17,11 @@ from numpy.typing import NDArray
 
 from moc_opt.qp.layout import offsets
 
-MAGIC, VERSION = b"MOCW", 1
+MAGIC, VERSION = b"MOCW", 2
 LOOPBACK_KEY = b"moc_opt: loopback, no secret"
 TAG_BYTES = 16
-REASON_BYTES, WORDS_BYTES = 96, 3000
-COUNTERS = ("received", "missed", "late", "doubled", "reordered", "truncated", "forged", "foreign")
-"""The quality counters of an end, in the order of the packet; docs/realtime.md says what each counts."""
+COUNTERS = ("received", "missed", "late", "forged", "foreign")
+"""What an end counts; docs/realtime.md says what each is."""
 
 
 class Kind(IntEnum):
@@ -32,12 +31,11 @@ class Kind(IntEnum):
     START = 2  #: The controller has started at that measurement: begin.
     MEASUREMENT = 3
     COMMAND = 4
-    REPORT = 5  #: After a command: the third level's results, for the trace alone.
-    BYE = 6  #: The end of the run is acknowledged, with the controller's counts.
+    BYE = 5  #: The end of the run is acknowledged, with what the controller has to say of it.
 
 
 WAITING, RUNNING, ENDED = 0, 1, 2  #: ``flags`` of a measurement: nothing moves yet; a command is expected; the end.
-STOP, REPORTED = 1, 2  #: Bits in ``flags`` of a command: brake the arm; a report follows.
+STOP, REPORTED = 1, 2  #: Bits in ``flags`` of a command: brake the arm; it holds the third level's results.
 
 HEADER: list[tuple[Any, ...]] = [
     ("magic", "S4"), ("version", "u1"), ("kind", "u1"), ("joints", "u1"), ("flags", "u1"), ("session", "<u8"),
@@ -51,18 +49,15 @@ def layout(kind: Kind, n: int) -> np.dtype[Any]:
     bodies: dict[Kind, list[tuple[Any, ...]]] = {
         Kind.MEASUREMENT: [
             ("stamp", "<i8"), ("q", "<f8", (n,)), ("v", "<f8", (n,)), ("wrench", "<f8", (6,)),
-            ("commanded", "<f8", (n,)), ("counters", "<u4", (len(COUNTERS),)),
+            ("commanded", "<f8", (n,)),
         ],
         Kind.COMMAND: [
             ("tau", "<f8", (n,)), ("friction", "<f8", (n,)), ("control_us", "<f8"), ("limited", "<u4"),
-            ("spare", "<u4"), ("reason", f"S{REASON_BYTES}"),
+            ("iterations", "<i4"), ("reason", "S96"), ("status", "S16"), ("fault", "S16"), ("solve_us", "<f8"),
+            ("x_rad_per_s", "<f8", (n,)), ("applied_x_rad_per_s", "<f8", (n,)), ("dual", "<f8", (6,)),
+            ("subproblem", "<f8", (offsets(n).end,)),
         ],
-        Kind.REPORT: [
-            ("solve_us", "<f8"), ("x_rad_per_s", "<f8", (n,)), ("applied_x_rad_per_s", "<f8", (n,)),
-            ("dual", "<f8", (6,)), ("subproblem", "<f8", (offsets(n).end,)), ("iterations", "<i4"), ("spare", "<u4"),
-            ("status", "S16"), ("fault", "S16"),
-        ],
-        Kind.BYE: [("words", f"S{WORDS_BYTES}")],
+        Kind.BYE: [("words", "S8000")],
     }  # fmt: skip
     return np.dtype([*HEADER, *bodies.get(kind, []), ("tag", f"V{TAG_BYTES}")])
 
@@ -81,7 +76,6 @@ class Packet:
     """One packet of a kind; ``packet["q"]`` is a view of its bytes, a scalar being an array of shape ().
 
     Args:
-        kind: which.
         session: drawn by the plant when it is started; 0: not known yet.
         scenario: fingerprint of the settings that both ends must share.
     """

@@ -6,15 +6,15 @@ import hashlib
 import os
 from collections.abc import Callable
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from moc_opt.control.safety_filter import SafetyFilter
 from moc_opt.inputs.files import to_json
 from moc_opt.realtime.answering import Answering, Ending
 from moc_opt.realtime.clock import WallClock, give_back_realtime
-from moc_opt.realtime.link import Address, Link, WireError, checked_key, parse_address
+from moc_opt.realtime.link import Address, Link, WireError, parse_address, read_key
 from moc_opt.realtime.packets import Kind
 from moc_opt.realtime.remote import INCOMING, RemoteController
 from moc_opt.robots.model import RobotModel, carried
@@ -46,7 +46,7 @@ class PlantServer(Setup):
 
     Args:
         listen: "HOST:PORT"; port 0 is any free one, see ``address``.
-        key: of the check; None: loopback only.
+        key_file: has the key; see `read_key`.
         lock_step: wait for each command instead of keeping the time.
 
     Attributes:
@@ -57,7 +57,9 @@ class PlantServer(Setup):
         MocOptError: as for `Setup`; an address that cannot be taken, or one that needs a key.
     """
 
-    def __init__(self, scenario: Scenario, listen: str, key: bytes | None = None, *, lock_step: bool = False) -> None:
+    def __init__(
+        self, scenario: Scenario, listen: str, key_file: Path | None = None, *, lock_step: bool = False
+    ) -> None:
         super().__init__(scenario)
         if scenario.control.follows:
             scenario.control.check_guided()
@@ -68,7 +70,7 @@ class PlantServer(Setup):
                 "change it, or run in lock-step"
             )
         self.system: dict[str, str] = {}
-        link = Link(self.robot.n, checked_key(key, where[0], "--listen"), INCOMING, listen=where)
+        link = Link(self.robot.n, read_key(key_file, where[0], "--listen"), INCOMING, listen=where)
         self.address: Address = link.address
         self._remote = RemoteController(
             link, scenario.wire, make_safety_filter(self.robot, scenario), super().controller().columns,
@@ -111,33 +113,29 @@ class PlantServer(Setup):
 
 
 def answer(
-    scenario: Scenario, connect: str, key: bytes | None = None, ready: Callable[[], None] = lambda: None
+    scenario: Scenario, connect: str, key_file: Path | None = None, ready: Callable[[], None] = lambda: None
 ) -> Ending:
     """Be the controller of a plant at the other end of a wire, until its run ends.
 
     Args:
         scenario: the plant's; control, solver and guard are this end's own.
         connect: "HOST:PORT" of the plant.
-        key: of the check; None: loopback only.
+        key_file: has the key; see `read_key`.
         ready: called once when the plant has been found and the controller has started.
 
     Raises:
         MocOptError: as for `Setup`; or no plant answers there, or it runs another scenario.
     """
     where = parse_address(connect, "--connect")
-    checked = checked_key(key, where[0], "--connect")
+    key = read_key(key_file, where[0], "--connect")
     setup = Setup(scenario, realtime=True)
     tip_refs, registered = (np.stack(of.at(setup.times()), axis=1) for of in (setup.reference, setup.registered))
-
-    def make() -> tuple[LoggedController, SafetyFilter]:
-        return setup.controller(), make_safety_filter(setup.robot, scenario)
-
-    first = [make()]  # plans, where the third level follows a course: the plant waits for `[wire] wait_s` alone
-    link = Link(setup.robot.n, checked, (Kind.MEASUREMENT,), peer=where)
+    controller = setup.controller()  # plans where the third level follows a course: before it looks for the plant
+    link = Link(setup.robot.n, key, (Kind.MEASUREMENT,), peer=where)
     try:
         return Answering(
-            link, scenario.wire, lambda: first.pop() if first else make(), tip_refs, registered,
-            scenario=fingerprint(scenario, setup.robot), ready=ready,
+            link, scenario.wire, controller, make_safety_filter(setup.robot, scenario), tip_refs, registered,
+            fingerprint(scenario, setup.robot), ready,
         ).run()  # fmt: skip
     finally:
         link.close()

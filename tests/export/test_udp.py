@@ -98,10 +98,10 @@ def test_faults_of_the_wire_are_counted_and_change_nothing(built: Built, name: s
     np.testing.assert_array_equal(found.q_rad, expected.q_rad)
     done, counts = relay.done[TO_CONTROLLER], said["quality"]
     assert all(done[fault] for fault in FAULTS)
-    assert (counts["truncated"], counts["forged"]) == (done["cut"], done["forge"])
-    of_ticks = relay.whole[TO_CONTROLLER][Kind.MEASUREMENT, RUNNING]
-    assert counts["received"] + counts["doubled"] + counts["reordered"] + counts["late"] == of_ticks
-    assert counts["doubled"] > 5
+    assert counts["forged"] == done["forge"]
+    assert counts["foreign"] >= done["cut"]
+    assert counts["received"] + counts["late"] == relay.whole[TO_CONTROLLER][Kind.MEASUREMENT, RUNNING]
+    assert counts["late"] > 5
     assert counts["missed"] == 0
     assert said["ticks"] == len(expected)
 
@@ -125,25 +125,23 @@ def test_it_takes_no_memory_from_the_heap(built: Built) -> None:
 
 
 def test_what_cannot_be_is_refused_in_words(built: Built, tmp_path: Path) -> None:
-    folder, (short, long) = built("default")[1], (tmp_path / "short", tmp_path / "long")
-    reference, (good, bad) = str(folder / "reference.bin"), (tmp_path / "good", tmp_path / "bad")
-    good.write_text("0123456789abcdef\n")
-    bad.write_text("x" * 33)
+    folder, short = built("default")[1], tmp_path / "short"
+    reference = str(folder / "reference.bin")
     short.write_bytes((folder / "reference.bin").read_bytes()[:-8])
-    for words, arguments in {
-        "usage": (),
-        "not the file": ("127.0.0.1", "1", str(short)),
-        "numbers": ("localhost", "1", reference),
-        "other machines": ("192.0.2.1", "1", reference),
-        "cannot be read": ("192.0.2.1", "1", reference, str(long)),
-        "16 to 32": ("192.0.2.1", "1", reference, str(bad)),
-        " numbers": ("192.0.2.1", "70000", reference, str(good)),
-    }.items():
+    for words, arguments, key in (
+        ("usage", (), ""),
+        ("not the file", ("127.0.0.1", "1", str(short)), ""),
+        ("numbers", ("localhost", "1", reference), ""),
+        ("numbers", ("192.0.2.1", "70000", reference), "0123456789abcdef"),
+        ("other machines", ("192.0.2.1", "1", reference), ""),
+        ("16 to 32", ("192.0.2.1", "1", reference), "x" * 33),
+    ):
         done = subprocess.run(
-            [str(folder / "moc_udp"), *arguments], capture_output=True, text=True, timeout=60, check=False
-        )
+            [str(folder / "moc_udp"), *arguments], capture_output=True, text=True, timeout=60, check=False,
+            env={"MOC_OPT_WIRE_KEY": key},
+        )  # fmt: skip
         assert done.returncode == 2
-        assert words.strip() in done.stderr
+        assert words in done.stderr
 
 
 @pytest.fixture(scope="module")

@@ -12,7 +12,7 @@ import pytest
 
 from moc_opt.__main__ import main
 from moc_opt.realtime.link import WireError, written
-from moc_opt.realtime.packets import RUNNING, Kind
+from moc_opt.realtime.packets import COUNTERS, RUNNING, Kind
 from moc_opt.scenario import Scenario, run
 from moc_opt.scenario.wired import PlantServer, answer, fingerprint
 from moc_opt.trace.trace import Trace
@@ -20,7 +20,6 @@ from tests.realtime.relay import FAULTS, TO_CONTROLLER, TO_PLANT, Relay
 
 SHORT = {"duration_s": 0.6, "bound_samples": 0, "judge": False}
 CLOCKS = {"tick_us", "solve_us"}
-COUNTED = {Kind.COMMAND, Kind.REPORT, (Kind.MEASUREMENT, RUNNING)}  # the packets of a tick
 WIRE_COLUMNS = {"wake_us", "control_us", "missed"}
 
 
@@ -74,9 +73,7 @@ def test_without_loss_the_wire_changes_nothing(name):
         assert found.meta.get(entry) == expected.meta.get(entry)
     assert expected.meta.get({"warned": "warnings", "spoilt answers": "faults"}.get(name, "ended"))
     assert sum(ending.quality.values()) == ending.ticks  # and nothing else came
-    reports = found.meta["wire"].pop("received") - len(expected)
-    assert reports == len(expected)
-    assert set(found.meta["wire"].values()) == {0}
+    assert found.meta["wire"] == dict.fromkeys(COUNTERS, 0) | {"received": len(expected)}
 
 
 def test_where_the_plant_waits_no_fault_of_the_wire_changes_the_run():
@@ -84,17 +81,16 @@ def test_where_the_plant_waits_no_fault_of_the_wire_changes_the_run():
     scenario = Scenario(**SHORT, wire={"resend_s": 0.02, "resends": 1000})
     found, ending, relay = wired(scenario, {"share": 0.04, "seed": 1})
     expected = run(scenario)
-    for name in ("tau_Nm", "q_rad", "tip_error_m", "rcm_error_m"):  # a lost report leaves a gap in the others
-        np.testing.assert_allclose(found.columns[name], expected.columns[name], rtol=1e-12, atol=1e-12)
+    assert_same(found, expected)
     counts = found.meta["wire"]
     for end, way in ((counts, TO_PLANT), (ending.quality, TO_CONTROLLER)):
         done, whole = relay.done[way], relay.whole[way]
         assert all(done[fault] for fault in FAULTS)
-        assert (end["truncated"], end["forged"]) == (done["cut"], done["forge"])
-        of_ticks = sum(count for (kind, flags), count in whole.items() if (kind, flags) in COUNTED or kind in COUNTED)
-        assert end["received"] + end["doubled"] + end["reordered"] + end["late"] == of_ticks
-        assert end["doubled"] > 5
-        assert end["foreign"] <= 3  # of the handshake, repeated
+        assert end["forged"] == done["forge"]
+        assert 0 <= end["foreign"] - done["cut"] <= 10  # of the handshake, repeated
+        of_ticks = sum(count for (kind, flags), count in whole.items() if kind is Kind.COMMAND or flags == RUNNING)
+        assert end["received"] + end["late"] == of_ticks
+        assert end["late"] > 5
     assert ending.quality["received"] == ending.ticks == len(expected)
     assert counts["missed"] == ending.quality["missed"] == 0
     assert ending.ended == found.meta["ended"] == "completed"
@@ -193,14 +189,17 @@ def test_both_ends_must_mean_the_same_run():
         assert run_there.result().meta["ended"] == "completed"
 
 
-def test_another_key_is_not_heard():
+def test_another_key_is_not_heard(tmp_path):
+    keys = [tmp_path / name for name in "kl"]
+    for key in keys:
+        key.write_text(key.name * 32)
     base = Scenario(**SHORT, wire={"wait_s": 0.3})
     # The plant waits longer: on a busy machine the controller is late to ask.
-    plant = PlantServer(base.change(wire={"wait_s": 4.0}), "127.0.0.1:0", b"k" * 32, lock_step=True)
+    plant = PlantServer(base.change(wire={"wait_s": 4.0}), "127.0.0.1:0", keys[0], lock_step=True)
     with ThreadPoolExecutor(1) as pool:
         run_there = pool.submit(plant.trace)
         with pytest.raises(WireError, match="no plant answers"):
-            answer(base, written(plant.address), b"l" * 32)
+            answer(base, written(plant.address), keys[1])
         with pytest.raises(WireError, match=r"no controller came .*forged [1-9]"):
             run_there.result()
 
@@ -232,4 +231,4 @@ def test_the_controller_that_the_page_shows_answers_every_tick():
     assert not found.columns["missed"].any()
     wire = found.meta["wire"]
     assert wire["received"] == len(found) == 50
-    assert sum(wire[name] for name in ("late", "truncated", "forged", "foreign")) == 0
+    assert sum(wire[name] for name in ("late", "forged", "foreign")) == 0
