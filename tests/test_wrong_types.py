@@ -35,7 +35,7 @@ CALLS: dict[str, Callable] = {
     "load_trace": mo.load_trace, "Trace columns": mo.Trace, "Trace meta": lambda x: mo.Trace({"a": [1.0]}, x),
     "between": lambda x: TRACE.between(x, 1.0), "head": TRACE.head, "select": TRACE.select, "plot": TRACE.plot,
     **each(TRACE.plot, "name", "beside"), "save": TRACE.save,
-    "summarize": mo.summarize, **each(mo.summarize, "baseline", "phase", trace=TRACE),
+    "summarize": mo.summarize, **each(mo.summarize, "baseline", trace=TRACE),
     "load": mo.Scenario.load, "Scenario.save": SCENARIO.save, "change": lambda x: SCENARIO.change(task=x),
     **each(mo.Scenario, *mo.Scenario.model_fields), "preset": lambda x: SCENARIO.change(control={"preset": x}),
     "create": mo.solvers.create, "create setting": lambda x: mo.solvers.create("exact", tolerance=x),

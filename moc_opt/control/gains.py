@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pydantic import BeforeValidator
 
 from moc_opt.errors import ControlError, UnknownNameError
-from moc_opt.inputs.files import LARGEST
+from moc_opt.inputs.settings import LARGEST
 
 
 def _number_or_numbers(value: Any) -> float | tuple[float, ...]:

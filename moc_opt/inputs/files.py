@@ -15,7 +15,6 @@ import secrets
 import stat
 import tempfile
 import tomllib
-import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -23,11 +22,8 @@ from typing import Any
 from moc_opt.errors import MocOptError, shown
 
 MOST_TEXT = 4 * 2**20  #: Largest text file (TOML, URDF, JSON) that is read [bytes].
-MOST_DATA = 4 * 2**30  #: Largest file of numbers (Parquet, .npy) that is read [bytes].
-DEEPEST = 64  #: Tables or lists inside one another.
-LARGEST_INTEGER = 2**63 - 1
-SMALLEST, LARGEST = 1e-30, 1e30
-"""A setting's number is 0, or its size lies between these: beyond them products of a few overflow or vanish."""
+MOST_ARRAYS = 2**27  #: Largest file of numpy's arrays that is read [bytes].
+MOST_DATA = 4 * 2**30  #: Largest Parquet file that is read [bytes].
 
 Path_ = str | os.PathLike[str]
 Wrong = type[MocOptError]
@@ -80,14 +76,9 @@ def read_toml(path: Path_, what: str, error: Wrong) -> dict[str, Any]:
     """Read a TOML file; arguments as `read_bytes`."""
     text, where = read_text(path, what, error), f"{what} {os.fspath(path)!r}"
     try:
-        table = tomllib.loads(text)
-    except RecursionError as reason:
-        raise error(f"{where}: tables or lists in it are nested too deep") from reason
-    except ValueError as reason:  # also an integer of thousands of digits
+        return tomllib.loads(text)
+    except (ValueError, RecursionError) as reason:  # also an integer of thousands of digits
         raise error(f"{where} is not TOML: {reason}") from reason
-    if wrong := wrong_number(table, sizes=False):
-        raise error(f"{where}: {wrong}")
-    return table
 
 
 def parse_json(text: str | bytes, where: str, error: Wrong) -> Any:
@@ -97,72 +88,27 @@ def parse_json(text: str | bytes, where: str, error: Wrong) -> Any:
         raise ValueError(f"{name} is no JSON")
 
     try:
-        value = json.loads(text, parse_constant=refuse)
-    except RecursionError as reason:
-        raise error(f"{where}: nested too deep") from reason
-    except ValueError as reason:
+        return json.loads(text, parse_constant=refuse)
+    except (ValueError, RecursionError) as reason:
         raise error(f"{where} is not JSON: {reason}") from reason
-    if wrong := wrong_number(value, sizes=False):
-        raise error(f"{where}: {wrong}")
-    return value
 
 
-def read_arrays(path: Path_, what: str, error: Wrong, most: int = 2**27) -> dict[str, Any]:
-    """Read the arrays of a .npz file, or that of a .npy file under the name "", as numpy arrays.
-
-    Args:
-        path, what, error: as `read_bytes`.
-        most: bytes of the file, and of all its arrays together.
-    """
+def read_arrays(path: Path_, what: str, error: Wrong) -> dict[str, Any]:
+    """Read the arrays of a .npz file, or that of a .npy file under the name "", as numpy arrays; as `read_bytes`."""
     import numpy as np
 
-    data, where = read_bytes(path, what, error, most), f"{what} {os.fspath(path)!r}"
+    data, where = read_bytes(path, what, error, MOST_ARRAYS), f"{what} {os.fspath(path)!r}"
     try:
-        if not data.startswith(b"PK"):
-            return {"": np.load(io.BytesIO(data), allow_pickle=False)}
-        with zipfile.ZipFile(io.BytesIO(data)) as inside:
-            size = sum(one.file_size for one in inside.infolist())
-        with np.load(io.BytesIO(data), allow_pickle=False) as file:
-            found = {name: file[name] for name in file.files} if size <= most else {}
+        found = np.load(io.BytesIO(data), allow_pickle=False)
+        return {"": found} if isinstance(found, np.ndarray) else dict(found)
     except Exception as reason:  # a damaged archive raises anything, and its text may quote the file
-        raise error(
-            f"{where} is damaged or no file of arrays ({type(reason).__name__}): write it with numpy.save"
-        ) from reason
-    if size > most:
-        raise error(f"{where} holds more than {most} bytes of arrays")
-    return found
+        why = type(reason).__name__
+        raise error(f"{where} is damaged or no file of arrays ({why}): write it with numpy.save") from reason
 
 
 def decimal(text: str) -> float:
     """Read a decimal number; NaN for any other text, such as 0_1 or digits of another script, which float() takes."""
     return float(text) if re.fullmatch(r"[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?", text, re.ASCII | re.I) else math.nan
-
-
-def wrong_number(value: Any, most: int = LARGEST_INTEGER, *, sizes: bool = True, path: str = "", depth: int = 0) -> str:
-    """Say which number inside a value cannot be used, or what is nested too deep; empty where nothing is wrong.
-
-    Args:
-        value: numbers in its lists and tables count.
-        most: largest integer.
-        sizes: whether numbers must lie between `SMALLEST` and `LARGEST`.
-        path, depth: of this value inside another one.
-    """
-    if depth > DEEPEST:
-        return f"{path[:80]}... is nested deeper than {DEEPEST} levels"
-    inside: list[tuple[str, Any]] = []
-    wrong = ""
-    if isinstance(value, Mapping):
-        inside = [(f"{path}.{key!s:.80}".lstrip("."), inner) for key, inner in value.items()]
-    elif isinstance(value, list | tuple):
-        inside = [(f"{path}[{i}]", inner) for i, inner in enumerate(value)]
-    elif isinstance(value, int) and not -most <= value <= most:
-        wrong = f"give an integer of at most {most}"
-    elif sizes and isinstance(value, float) and value != 0.0 and not SMALLEST <= abs(value) <= LARGEST:
-        wrong = f"give 0, or a size from {SMALLEST:g} to {LARGEST:g}"
-    if wrong:
-        return f"{path} = {shown(value)}: {wrong}" if path else wrong
-    found = (wrong_number(inner, most, sizes=sizes, path=name, depth=depth + 1) for name, inner in inside)
-    return next(filter(None, found), "")
 
 
 # --- writing ---

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from html import escape
 
 MAX_LENGTH = 100
@@ -37,13 +37,8 @@ def in_markdown(text: str) -> str:
     return re.sub(r"[^A-Za-z0-9 .,:;()/%°µ-]", lambda found: f"&#{ord(found.group())};", text)
 
 
-def table_html(title: str, rows: Mapping[str, object]) -> str:
-    """Write a title and a table of names and values; every text is escaped."""
-    return grid_html(title, rows.items())
-
-
 def grid_html(title: str, rows: Iterable[Iterable[object]], headings: Iterable[str] = (), caption: str = "") -> str:
-    """Write a table row by row under its headings, the first column set apart; every text is escaped."""
+    """Write a title and a table row by row, the first column set apart; every text is escaped."""
     head = "".join(f"<th>{escape(text)}</th>" for text in headings)
     body = [f"<tr>{head}</tr>" if head else ""]
     for row in rows:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Annotated, Any, ClassVar, Self
 
 import numpy as np
@@ -22,15 +22,16 @@ from pydantic import (
 
 from moc_opt.errors import MocOptError, ScenarioError, UnknownNameError, is_number, shown
 from moc_opt.inputs import names
-from moc_opt.inputs.files import LARGEST_INTEGER, to_toml, wrong_number
+from moc_opt.inputs.files import to_toml
 
+LARGEST_INTEGER = 2**63 - 1
+SMALLEST, LARGEST = 1e-30, 1e30
+"""A setting's number is 0, or its size lies between these: beyond them products of a few overflow or vanish."""
 LONGEST_S = 1e6
 """Of any time that is run, waited for or averaged over [s]: a week and a half."""
 
 Name = Annotated[str, AfterValidator(names.checked)]
 """A name that comes from a file: `moc_opt.inputs.names.RULE`."""
-
-
 Level = Annotated[
     Annotated[float, Field(gt=0.0)] | None, BeforeValidator(lambda value: None if value == math.inf else value)
 ]
@@ -70,8 +71,9 @@ class Settings(BaseModel):
     def _as_written(cls, given: Any, validate: ValidatorFunctionWrapHandler, info: ValidationInfo) -> Any:
         value, name = validate(given), info.field_name or ""
         most = LARGEST_INTEGER if name in ("seed", "seeds") else cls.MOST
-        if wrong := _converted(given, value) or wrong_number(value, most):
-            raise ValueError(wrong)
+        for where, written, read in _leaves(given, value):
+            if cure := _fault(written, read, most):
+                raise ValueError(f"{where} = {shown(written)}: {cure}" if where else cure)
         is_time = name == "seconds" or (name.endswith("_s") and "_per_" not in name)
         if is_time and isinstance(value, float) and value > LONGEST_S:
             raise ValueError(f"give {LONGEST_S:g} s at most")
@@ -101,22 +103,32 @@ class Settings(BaseModel):
         return list(dict.fromkeys([*cls.model_fields, *filter(None, [cls.MEANT_KEY])]))
 
 
-def _converted(given: Any, value: Any, where: str = "") -> str:
-    """Say which number or flag was written as something else; pydantic would read "2" as 2 and "yes" as true."""
-    if isinstance(given, Mapping) and isinstance(value, Mapping):
-        inside = [(given[key], one, f"{where}.{key!s:.80}".lstrip(".")) for key, one in value.items() if key in given]
-        return next(filter(None, (_converted(*pair) for pair in inside)), "")
-    if isinstance(given, list | tuple) and isinstance(value, list | tuple):
-        inside = [(one, other, f"{where}[{i}]") for i, (one, other) in enumerate(zip(given, value, strict=False))]
-        return next(filter(None, (_converted(*pair) for pair in inside)), "")
-    is_flag, cure = isinstance(given, bool | np.bool_), ""
-    if isinstance(value, bool) and not is_flag:
-        cure = "give true or false, without quotes"
-    elif is_number(value) and isinstance(given, str | bytes):
-        cure = "a number has no quotes: drop them"
-    elif is_number(value) and is_flag:
-        cure = "give a number"
-    return f"{where} = {shown(given)}: {cure}" if cure and where else cure
+def _leaves(given: Any, value: Any, where: str = "") -> Iterator[tuple[str, Any, Any]]:
+    """Yield place, what was written there and what was read, for every entry of nested tables and lists."""
+    if isinstance(value, Mapping):
+        for key, one in value.items():
+            written = given.get(key, one) if isinstance(given, Mapping) else one
+            yield from _leaves(written, one, f"{where}.{key!s:.80}".lstrip("."))
+    elif isinstance(value, list | tuple):
+        written = given if isinstance(given, list | tuple) and len(given) == len(value) else value
+        for i, (one, other) in enumerate(zip(written, value, strict=True)):
+            yield from _leaves(one, other, f"{where}[{i}]")
+    else:
+        yield where, given, value
+
+
+def _fault(written: Any, read: Any, most: int) -> str:
+    """Say what is wrong with a number or flag; pydantic would read "2" as 2 and "yes" as true."""
+    is_flag = isinstance(written, bool | np.bool_)
+    if isinstance(read, bool):
+        return "" if is_flag else "give true or false, without quotes"
+    if is_number(read) and (is_flag or isinstance(written, str | bytes)):
+        return "give a number" if is_flag else "a number has no quotes: drop them"
+    if isinstance(read, int) and not -most <= read <= most:
+        return f"give an integer of at most {most}"
+    if isinstance(read, float) and read != 0.0 and not SMALLEST <= abs(read) <= LARGEST:
+        return f"give 0, or a size from {SMALLEST:g} to {LARGEST:g}"
+    return ""
 
 
 def field_name(keys: Iterable[object]) -> str:

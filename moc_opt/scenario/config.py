@@ -15,9 +15,9 @@ from moc_opt.control import ControlSettings
 from moc_opt.control.safety_settings import SafetyFilterSettings
 from moc_opt.control.settings import PRESETS as CONTROL_PRESETS
 from moc_opt.errors import MocOptError, ScenarioError, UnknownNameError, shown
-from moc_opt.inputs.files import LARGEST_INTEGER, as_path, read_toml, to_toml, write_whole
-from moc_opt.inputs.names import table_html
-from moc_opt.inputs.settings import Name, Settings
+from moc_opt.inputs.files import as_path, read_toml, to_toml, write_whole
+from moc_opt.inputs.names import grid_html
+from moc_opt.inputs.settings import LARGEST_INTEGER, Name, Settings
 from moc_opt.realtime.link import WireSettings
 from moc_opt.scenario.tables import MOST_S, RobotTable, SolverTable, StartTable, TaskTable, TrocarTable
 from moc_opt.sim.faults import FaultSettings
@@ -217,7 +217,7 @@ class Scenario(Settings):
 
     def _repr_html_(self) -> str:
         """Return HTML for a notebook."""
-        return table_html("Scenario, where it differs from the default", self.changes() or {"nowhere": ""})
+        return grid_html("Scenario, where it differs from the default", (self.changes() or {"nowhere": ""}).items())
 
     def change(self, **tables: Any) -> Self:
         """Copy the scenario with some fields changed; a mapping changes fields inside a table.

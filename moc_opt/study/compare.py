@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from moc_opt.errors import MocOptError, ScenarioError, SolverError, UnknownNameError, describe, shown
-from moc_opt.inputs.files import LARGEST_INTEGER, write_whole
+from moc_opt.inputs.files import write_whole
 from moc_opt.inputs.names import RULE, is_name
+from moc_opt.inputs.settings import LARGEST_INTEGER
 from moc_opt.report.console import busy
 from moc_opt.report.run_table import ANOTHER_PROBLEM, VERDICTS, answers_another_problem
 from moc_opt.report.tables import Column, Table

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from moc_opt.arrays import read_only
 from moc_opt.errors import TraceError, is_number, shown
 from moc_opt.inputs.files import to_json
-from moc_opt.inputs.names import table_html
+from moc_opt.inputs.names import grid_html
 from moc_opt.trace import file
 from moc_opt.trace.columns import COLUMNS, Column, column
 from moc_opt.trace.meta import Ending, plain
@@ -108,7 +108,7 @@ class Trace:
 
     def _repr_html_(self) -> str:
         units = [f"{name} [{COLUMNS[name].unit}]" if name in COLUMNS else name for name in self.columns]
-        return table_html("Trace", {**about(self), "columns": ", ".join(units)})
+        return grid_html("Trace", {**about(self), "columns": ", ".join(units)}.items())
 
     def __dir__(self) -> Iterable[str]:
         """List methods and columns."""
@@ -182,6 +182,8 @@ class Trace:
 
         if beside is not None and not isinstance(beside, Trace):
             raise TraceError(f"plot: beside = {shown(beside)}: give a Trace, such as load_trace(path)")
+        if not isinstance(name, str):
+            raise TraceError(f"plot: name = {shown(name)}: give a text")
         return time_series({name: self} if beside is None else {"baseline": beside, name: self}, columns)
 
     def to_pandas(self) -> DataFrame:

@@ -59,13 +59,10 @@ def test_a_file_is_measured_before_it_is_read(tmp_path):
 @pytest.mark.parametrize(
     ("text", "why"),
     [
-        ("a" + ".a" * 100 + " = 1", "deep"), ("a = " + "[" * 100_000, "deep"),
-        ("a = " + "[" * 80 + "]" * 80, r"a\[0\].*deep"), ("seed = " + "9" * 5000, "not TOML"),
-        ("seed = 0x" + "f" * 5000, "seed"), (f"[x]\ny = [1, {2**63}]", r"x\.y\[1\] = 9223372036854775808"),
-        ("x = \ud800", "UTF-8"),
+        ("a = " + "[" * 100_000, "not TOML"), ("seed = " + "9" * 5000, "not TOML"), ("x = \ud800", "UTF-8"),
     ],
 )  # fmt: skip
-def test_toml_that_asks_for_too_much_is_refused_by_name(text, why, tmp_path):
+def test_what_is_no_toml_is_refused_by_name(text, why, tmp_path):
     (tmp_path / "s.toml").write_bytes(text.encode("utf-8", "surrogatepass"))
     with pytest.raises(ScenarioError, match=rf"s\.toml.*{why}"):
         read_toml(tmp_path / "s.toml", "scenario", ScenarioError)
@@ -88,12 +85,10 @@ def test_an_array_that_its_header_only_promises_is_refused(shape, kind, tmp_path
         read_arrays(tmp_path / "a.npy", "times", MocOptError)
 
 
-def test_arrays_come_back_and_packed_ones_are_measured_first(tmp_path):
+def test_arrays_come_back(tmp_path):
     np.savez_compressed(tmp_path / "b.npz", x=np.zeros(10_000), t=np.array(["a"]))
-    found = read_arrays(tmp_path / "b.npz", "set", MocOptError, 100_000)
+    found = read_arrays(tmp_path / "b.npz", "set", MocOptError)
     assert (found["x"].shape, found["t"].tolist()) == ((10_000,), ["a"])
-    with pytest.raises(MocOptError, match=r"b\.npz.*more than 50000 bytes"):
-        read_arrays(tmp_path / "b.npz", "set", MocOptError, 50_000)
 
 
 def test_an_error_about_recorded_times_quotes_no_byte_of_the_file(tmp_path):
