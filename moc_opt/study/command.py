@@ -11,7 +11,6 @@ jobs/: a run that was stopped, in whatever way, goes on from these when the same
 from __future__ import annotations
 
 import datetime
-import importlib.metadata
 import os
 import platform
 import signal
@@ -19,8 +18,7 @@ import subprocess
 import sys
 import threading
 from argparse import ArgumentParser, Namespace
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -35,7 +33,7 @@ from moc_opt.report.console import busy, console, progress
 from moc_opt.scenario import Scenario
 from moc_opt.solvers import available
 from moc_opt.study.engine import Failed, Job, run
-from moc_opt.study.kept import Kept
+from moc_opt.study.kept import Kept, versions
 from moc_opt.study.results import Results
 from moc_opt.study.show import Report
 from moc_opt.study.timing import with_doubts
@@ -43,10 +41,6 @@ from moc_opt.study.trials import Run, Trial, outcome, placed
 
 WRONG, INTERRUPTED = 2, 130
 """Exit status after an error that is the user's or the machine's, and after Ctrl-C."""
-PACKAGES = (
-    "moc-opt", "numpy", "pin", "mujoco", "casadi", "osqp", "proxsuite", "qpsolvers", "daqp", "piqp", "quadprog",
-    "clarabel", "scs", "highspy", "polars", "pydantic", "tsid", "pin-pink", "mink",
-)  # fmt: skip
 
 
 class StudyConfig(Settings):
@@ -77,42 +71,25 @@ Config = TypeVar("Config", bound=StudyConfig)
 
 @dataclass(frozen=True)
 class Found:
-    """What a study found.
-
-    Attributes:
-        report: for the reader.
-        summary: of summary.json: part -> solver or controller -> metric.
-        rows: of rows.parquet.
-        environment: further entries of environment.json.
-        files: names of files that the study wrote into the same folder by itself.
-        sentences: printed below the report.
-        status: exit status.
-    """
+    """What a study found: for the reader, and for summary.json (part -> solver or controller -> metric)."""
 
     report: Report
     summary: Mapping[str, Any]
     rows: Results = field(default_factory=Results)
-    environment: Mapping[str, Any] = field(default_factory=dict)
-    files: Sequence[str] = ()
-    sentences: Sequence[str] = ()
-    status: int = 0
+    environment: Mapping[str, Any] = field(default_factory=dict)  #: further entries of environment.json
+    files: Sequence[str] = ()  #: names of files that the study wrote into the same folder by itself
+    sentences: Sequence[str] = ()  #: printed below the report
+    status: int = 0  #: exit status
 
 
 @dataclass(frozen=True)
 class Study:
-    """What a study works with: its name, the folder of its results, its options, and the engine.
-
-    Attributes:
-        name: of the command.
-        out: folder of the results.
-        given: the parsed options.
-        processes: jobs at a time; None: one a core.
-    """
+    """What a study works with: its name, the folder of its results, its parsed options, and the engine."""
 
     name: str
     out: Path
     given: Namespace
-    processes: int | None = None
+    processes: int | None = None  #: jobs at a time; None: one a core
 
     @cached_property
     def kept(self) -> Kept:
@@ -162,8 +139,7 @@ def command(
     Args:
         name: of the study: its configuration is NAME.toml, its results lie in results/NAME.
         about: first line of ``--help``.
-        config: what the configuration is read into.
-        work: makes the findings.
+        config, work: what the configuration is read into, and the function that makes the findings of it.
         arguments: of the command; None: those of this process.
         options: adds options of its own to the parser; `Study.given` has them.
         folder: of the configurations; None: benchmarks/configs.
@@ -182,16 +158,17 @@ def command(
     parser.add_argument("--dask", metavar="ADDRESS", help="let the workers of this Dask scheduler do what is not timed")
     options(parser)
     given = parser.parse_args(arguments)
+    if threading.current_thread() is threading.main_thread():  # no other thread may set a handler
+        signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
-        with _sigterm_as_ctrl_c():
-            asked = config.load(given.config or (folder or CONFIGS) / f"{name}.toml", given.seed)
-            asked = asked.quick() if given.quick else asked
-            study = Study(name, given.out, given, asked.processes)
-            check_folder(given.out)
-            begun = busy()  # by others: this study has not begun
-            found = work(study, asked)
-            leave(found, study, asked, sys.argv[1:] if arguments is None else arguments, begun)
-            return found.status
+        asked = config.load(given.config or (folder or CONFIGS) / f"{name}.toml", given.seed)
+        asked = asked.quick() if given.quick else asked
+        study = Study(name, given.out, given, asked.processes)
+        check_folder(given.out)
+        begun = busy()  # by others: this study has not begun
+        found = work(study, asked)
+        leave(found, study, asked, sys.argv[1:] if arguments is None else arguments, begun)
+        return found.status
     except (MocOptError, OSError) as error:
         print(f"{type(error).__name__}: {error}", file=sys.stderr)
         return WRONG
@@ -253,12 +230,6 @@ def write_json(path: Path, value: Any) -> None:
 
 def environment(config: Mapping[str, Any], seed: int, argv: Sequence[str] = ()) -> dict[str, Any]:
     """Return the machine, versions, commit, seed and the whole configuration."""
-    versions: dict[str, str | None] = {}
-    for name in PACKAGES:
-        try:
-            versions[name] = importlib.metadata.version(name)
-        except importlib.metadata.PackageNotFoundError:
-            versions[name] = None
     return {
         "when": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
         "machine": {
@@ -267,7 +238,7 @@ def environment(config: Mapping[str, Any], seed: int, argv: Sequence[str] = ()) 
         },
         "threads": os.environ.get("OMP_NUM_THREADS"),
         "openblas_coretype": os.environ.get("OPENBLAS_CORETYPE"),  # another kernel rounds otherwise
-        "versions": versions, "commit": _commit(), "seed": seed, "arguments": list(argv), "config": dict(config),
+        "versions": versions(), "commit": _commit(), "seed": seed, "arguments": list(argv), "config": dict(config),
     }  # fmt: skip
 
 
@@ -302,19 +273,6 @@ def runnable(wanted: Sequence[str], *beside: str) -> list[str]:
         name, reason = next(iter(reasons.items()))
         raise SolverError(f"solver {name!r} cannot run here: {reason}")
     return names
-
-
-@contextmanager
-def _sigterm_as_ctrl_c() -> Iterator[None]:
-    """Let SIGTERM end the work by an exception, so that the processes that it started are ended, too."""
-    if threading.current_thread() is not threading.main_thread():  # no other thread may set a handler
-        yield
-        return
-    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
 
 
 def _processor() -> str:

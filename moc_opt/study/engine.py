@@ -1,10 +1,8 @@
-"""Do jobs in other processes. What happens in one job is its result, or the reason why there is none; never the end.
+"""Do jobs in other processes: in pebble's pool, or on the workers of a Dask scheduler.
 
     results = run([Job(trial, (scenario, "osqp", seed)) for seed in range(60)], kept=Kept(out / "jobs"))
 
-A job is a function of a module and its arguments. It runs in a process of pebble's pool, which is ended if the job
-takes longer than its limit, dies by a signal, or asks for more memory than there is. With the address of a Dask
-scheduler the same function runs on the workers behind it.
+A job that takes longer than its limit, raises, dies by a signal or asks for too much memory costs its own result alone.
 """
 
 from __future__ import annotations
@@ -89,11 +87,6 @@ class _Done:
     digest: str
 
 
-@dataclass(frozen=True)
-class _Raised:
-    text: str
-
-
 def run(
     jobs: Sequence[Job], *, kept: Kept | None = None, workers: int | None = None, dask: str | None = None,
     done: Callable[[Job, Any], None] = lambda job, result: None, keep: Callable[[Any], bool] = lambda result: True,
@@ -145,15 +138,16 @@ def run(
     return [results[k] for k in range(len(jobs))]
 
 
-Submit = Callable[[Job], "Future[_Done | _Raised]"]
+Answer = Future[_Done | Failed]
+Submit = Callable[[Job], Answer]
 
 
 def _answers(
     jobs: Sequence[Job], waiting: Sequence[int], submit: Submit, slots: int, broken: Counter[str], give_up: int
 ) -> Iterator[tuple[int, _Done | Failed]]:
     """Yield (index, answer) as they come. Two jobs a slot are under way, so that a group can still be given up."""
-    left, flying = list(reversed(waiting)), dict[Future[_Done | _Raised], int]()
-    gone, again = set[Future[_Done | _Raised]](), Counter[int]()
+    left, flying = list(reversed(waiting)), dict[Answer, int]()
+    gone, again = set[Answer](), Counter[int]()
     while left or flying:
         while left and len(flying) < 2 * slots:
             k = left.pop()
@@ -186,7 +180,7 @@ def _answers(
             yield k, answer
 
 
-def _process_is_gone(future: Future[_Done | _Raised]) -> bool:
+def _process_is_gone(future: Answer) -> bool:
     """Tell whether the job began in a process that is there no more."""
     begun = Path(f"{getattr(future, 'parts', '')}{BEGUN}")
     if not begun.exists() or not (pid := begun.read_text()):
@@ -198,9 +192,9 @@ def _process_is_gone(future: Future[_Done | _Raised]) -> bool:
     return False
 
 
-def _answer(future: Future[_Done | _Raised], job: Job) -> _Done | Failed:
+def _answer(future: Answer, job: Job) -> _Done | Failed:
     try:
-        answer = future.result()
+        return future.result()
     except TimeoutError:
         return Failed("hung", f"no answer within {job.limit_s:g} s")
     except ProcessExpired as error:
@@ -219,10 +213,9 @@ def _answer(future: Future[_Done | _Raised], job: Job) -> _Done | Failed:
         if type(error).__name__ == "KilledWorker":
             return Failed("crashed", f"the worker died, or the job took more than {job.limit_s:g} s")
         return Failed("raised", describe(error))
-    return Failed("raised", answer.text) if isinstance(answer, _Raised) else answer
 
 
-def _do(work: Callable[..., Any], arguments: tuple[Any, ...], parts: str | None = None) -> _Done | _Raised:
+def _do(work: Callable[..., Any], arguments: tuple[Any, ...], parts: str | None = None) -> _Done | Failed:
     """Do one job, in a worker."""
     global _parts
     _parts = parts
@@ -231,7 +224,8 @@ def _do(work: Callable[..., Any], arguments: tuple[Any, ...], parts: str | None 
     try:
         result = pickle.dumps(work(*arguments))
     except (Exception, KeyboardInterrupt, SystemExit) as error:  # noqa: BLE001 - foreign code may raise anything
-        return _Raised(f"{type(error).__name__}: {error}" if isinstance(error, MocOptError) else describe(error))
+        own = isinstance(error, MocOptError)
+        return Failed("raised", f"{type(error).__name__}: {error}" if own else describe(error))
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0.0)
     sources = loaded_sources()
@@ -276,7 +270,7 @@ def _processes(count: int) -> Iterator[tuple[Submit, int]]:
 
         pool = started()
 
-        def submit(job: Job) -> Future[_Done | _Raised]:
+        def submit(job: Job) -> Answer:
             nonlocal pool
             parts = str(Path(folder, "parts", str(next(numbers))))
             if not pool.active:  # pebble gives a pool up where its only worker dies at once
@@ -284,7 +278,7 @@ def _processes(count: int) -> Iterator[tuple[Submit, int]]:
                 pool = started()
             future: Any = pool.schedule(_do, args=[job.work, job.arguments, parts], timeout=job.limit_s)
             future.parts = parts
-            return cast("Future[_Done | _Raised]", future)
+            return cast("Answer", future)
 
         try:
             yield submit, count
@@ -294,7 +288,7 @@ def _processes(count: int) -> Iterator[tuple[Submit, int]]:
 
 
 def _begin(folder: str, memory: int) -> None:
-    """Begin a worker: it leads a group, ends with its parent, leaves Ctrl-C to it, and has its share of the memory."""
+    """Let a worker lead a group, end with its parent, leave Ctrl-C to it, and have its share of the memory."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     os.setpgrp()
     Path(folder, "groups", str(os.getpid())).touch()
@@ -362,7 +356,7 @@ def _cluster(address: str) -> Iterator[tuple[Submit, int]]:
         client.close(timeout=CONNECT_S)
 
 
-def _do_within(work: Callable[..., Any], arguments: tuple[Any, ...], limit_s: float) -> _Done | _Raised:
+def _do_within(work: Callable[..., Any], arguments: tuple[Any, ...], limit_s: float) -> _Done | Failed:
     """Do one job on a worker of a cluster, which ends itself when the time is up, even where a library hangs."""
     faulthandler.dump_traceback_later(limit_s, exit=True, file=2)
     try:

@@ -1,9 +1,7 @@
 """Finished jobs in a folder: a study that was stopped, in whatever way, goes on where it was.
 
-The folder is a `diskcache.Cache`, so a process that is killed leaves whole results or none. A result is taken again
-if its job has the same function and arguments, the libraries have the same versions, and every file of this project
-that the job's process had imported, and every robot's file, is as it was. The worker reports these files, so nobody
-has to list them.
+A result is taken again if its job has the same function and arguments, the packages have the same versions, and every
+file of this project that the job's process had imported, and every robot's file, is as it was.
 """
 
 from __future__ import annotations
@@ -17,6 +15,7 @@ import sqlite3
 import sys
 import sysconfig
 from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
 from functools import cache, lru_cache, partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -29,9 +28,9 @@ from moc_opt import core
 from moc_opt.errors import StudyError
 from moc_opt.inputs.files import file_in, to_json
 
-LIBRARIES = (
-    "numpy", "scipy", "pin", "mujoco", "casadi", "osqp", "proxsuite", "qpsolvers", "daqp", "piqp", "quadprog",
-    "clarabel", "scs", "highspy",
+PACKAGES = (
+    "moc-opt", "numpy", "scipy", "pin", "mujoco", "casadi", "osqp", "proxsuite", "qpsolvers", "daqp", "piqp",
+    "quadprog", "clarabel", "scs", "highspy", "polars", "pydantic", "tsid", "pin-pink", "mink",
 )  # fmt: skip
 SHOWS = ("report", "figures", "commands", "live")
 """Rooms of the package that decide nothing of a result."""
@@ -139,14 +138,12 @@ def robot_files() -> tuple[str, ...]:
 
 
 @cache
-def versions() -> dict[str, str]:
-    """Return library -> version, of those that are installed."""
-    installed = {}
-    for name in LIBRARIES:
-        try:
+def versions() -> dict[str, str | None]:
+    """Return package -> version, None where it is not installed."""
+    installed: dict[str, str | None] = dict.fromkeys(PACKAGES)
+    for name in PACKAGES:
+        with suppress(importlib.metadata.PackageNotFoundError):
             installed[name] = importlib.metadata.version(name)
-        except importlib.metadata.PackageNotFoundError:
-            continue
     return installed
 
 
