@@ -38,6 +38,7 @@ CHANGES = {
     "rcm_error_model_mean_mm": "rcm_change", "rcm_error_registered_mean_mm": "rcm_patient_change",
 }  # fmt: skip
 """Metric -> name of its change against DCAC in `Comparison.summary` [percent]; errors in both frames."""
+FAILED = Ending.FAILED.value
 COLUMNS = [
     Column("solver", "solver"), Column("trials", "trials"), Column("verified", "verified", "%", digits=4),
     Column("silently_wrong", "silently wrong"), Column("solve_p50_us", "p50", "us"),
@@ -55,9 +56,8 @@ class Comparison:
     """What `compare` found; a notebook shows its table.
 
     Attributes:
-        rows: one mapping a run: solver, seed, ended, error, asked (ticks with a subproblem), every metric, and what
-            else `moc_opt.study.trials` has; of a run that could not be made `ended` is "failed", `error` says why, and
-            there is no metric.
+        rows: one mapping a run: solver, seed, ended, error, asked (ticks with a subproblem) and every metric; of a run
+            that could not be made `ended` is "failed", `error` says why, and there is no metric.
         solvers: their names in the table, the baseline first.
         scenario: from which the trials were made.
         note: where the trials start, and a remark if the machine was busy.
@@ -112,10 +112,6 @@ class Comparison:
 
     def summary(self) -> dict[str, dict[str, Any]]:
         """Return solver -> counts, shares, medians of times, means as `Interval` and changes as `Change`."""
-        return {name: dict(found) for name, found in self._summary.items()}
-
-    @cached_property
-    def _summary(self) -> dict[str, dict[str, Any]]:
         return {name: self._of(name) for name in self.solvers}
 
     def _of(self, name: str) -> dict[str, Any]:
@@ -141,22 +137,24 @@ class Comparison:
     @property
     def table(self) -> Table:
         """One row per solver: trials, claims and verified answers, times, and the effect on the arm."""
-        rows, remarks, few = [], list[str](), dict[str, list[str]]()
-        for name, found in self._summary.items():
+        rows, remarks, failures, few = [], list[str](), list[str](), dict[str, list[str]]()
+        for name, found in self.summary().items():
             row = {**found, "solver": name, "trials": f"{found['trials']}"}
             if found["trials"] < found["of"]:
                 row["trials"] += f" of {found['of']}"
             for key, value in found.items():
                 if isinstance(value, Interval):
-                    row[key] = _with_ends(value, ".3g")
+                    row[key] = f"{value.value:.3g}" if too_few(value.samples) else f"{value:.3g}"
                 elif isinstance(value, Change):
                     words = too_few(value.ratio.samples)
-                    row[key] = None if words else _with_ends(value.ratio, "+.3g")
+                    row[key] = None if words else f"{value.ratio:+.3g}"
                     if words and name not in few.setdefault(words, []):
                         few[words].append(name)
                     elif not words and value.undecided:
                         remarks.append(f"{name}, {key.replace('_', ' ')} [%]: {value}.")
             rows.append(row)
+            failed = [one["error"] for one in self.rows if one["solver"] == name and one["ended"] == FAILED]
+            failures += [f"{name} failed in {len(failed)}: {failed[0]}."] if failed else []
         optional = {"oscillated", *CHANGES.values()}
         shown = [c for c in COLUMNS if c.key not in optional or any(row.get(c.key) for row in rows)]
         remarks += [f"{', '.join(names)} against DCAC: {words}." for words, names in few.items()]
@@ -165,20 +163,11 @@ class Comparison:
             f"Means over the trials that came to their end, from {LEAST_TRIALS} trials on with 95 % intervals; gain "
             "and changes: of the mean over that of DCAC with the same gains on the same trials; times: of the middle "
             "trial, and those of exact within C, without the call.", FRAMES, *remarks,
-            ANOTHER_PROBLEM if unjudged and self.scenario.judge else "", self.note, *self._failures(),
+            ANOTHER_PROBLEM if unjudged and self.scenario.judge else "", self.note, *failures,
         ]  # fmt: skip
         named = "name" in self.scenario.model_fields_set
         title = self.scenario.name if named else self.scenario.task.path
         return Table(f"{title}: solvers on the same trials", shown, rows, " ".join(filter(None, caption)))
-
-    def _failures(self) -> list[str]:
-        """Return one sentence a solver of which runs could not be made: how many, and why the first."""
-        said = []
-        for name in self.solvers:
-            mine = [row for row in self.rows if row["solver"] == name]
-            failed = [row["error"] for row in mine if row["ended"] == Ending.FAILED.value]
-            said += [f"{name} failed in {len(failed)}: {failed[0]}."] if failed else []
-        return said
 
     def plot(self, metric: str = "mu_mean") -> Figure:
         """Draw each solver's mean of a metric with its 95 % interval: a plotly figure."""
@@ -215,13 +204,9 @@ class Comparison:
         return self.table._repr_html_()
 
 
-def _with_ends(found: Interval, form: str) -> str:
-    return f"{found:{form}}" if found.samples >= LEAST_TRIALS else f"{found.value:{form}}"
-
-
 def compare(
     solvers: Solvers, scenario: Scenario | str | os.PathLike[str] | None = None, trials: int = 15, *, seed: int = 0,
-    random_start: bool = True, watch: Callable[[str], None] | None = None,
+    random_start: bool = True, watch: Callable[[str], object] = lambda words: None,
 ) -> Comparison:  # fmt: skip
     """Run every solver, and DCAC with the same gains, on the same trials.
 
@@ -257,36 +242,31 @@ def compare(
     start = {"pose": "random", "q_rad": None, "swivel": "random"} if random_start else {}
     done = 0
     try:
-        for k in range(seed, seed + trials):
-
-            def say(name: str, where: str = f"trial {k - seed + 1} of {trials}") -> None:
-                if watch is not None:
-                    watch(f"{where}, {name}")
-
-            rows += _trial(base, k, start, chosen, say, first=not rows)
-            done += 1
+        for done in range(trials):
+            case = base.change(seed=seed + done, start=start)
+            try:
+                case = placed(case)
+            except MocOptError as error:
+                if not rows:
+                    raise  # it is the scenario's
+                rows += [{"solver": name, **Trial(case, name).failed(describe(error)).row} for name in chosen]
+                continue
+            rows += _trial(case, chosen, f"trial {done + 1} of {trials}", watch)
     except KeyboardInterrupt:
         if not done:
             raise
         note = f"Interrupted: {done} of {trials} trials. {note}".strip()
-    return Comparison(rows, list(chosen), base, note, done == trials)
+        return Comparison(rows, list(chosen), base, note, complete=False)
+    return Comparison(rows, list(chosen), base, note)
 
 
 def _trial(
-    base: Scenario, seed: int, start: Mapping[str, Any], chosen: Mapping[str, str | Solver], say: Callable[[str], None],
-    first: bool,
-) -> list[Row]:  # fmt: skip
-    """Run every solver on one trial; an error in laying out the first one is the scenario's, and is raised."""
-    case, baseline, rows = base.change(seed=seed, start=start), None, list[Row]()
-    try:
-        case = placed(case)
-    except MocOptError as error:
-        if first:
-            raise
-        return [{"solver": name, **Trial(case, name).failed(describe(error)).row} for name in chosen]
+    case: Scenario, chosen: Mapping[str, str | Solver], which: str, watch: Callable[[str], object]
+) -> list[Row]:
+    baseline, rows = None, list[Row]()
     for name, solver in chosen.items():
-        say(name)
-        asked = Trial(case, name, _settings(base, solver), {"solver": name}, timed=True, solver=solver)
+        watch(f"{which}, {name}")
+        asked = Trial(case, name, _settings(case, solver), {"solver": name}, timed=True, solver=solver)
         trace = None
         try:
             run, trace = run_and_trace(asked, baseline)
@@ -304,7 +284,6 @@ def _trial(
 
 
 def _starts(base: Scenario, random_start: bool) -> str:
-    """Say from where the trials start, where that is not what the scenario says, or the same for all."""
     if not random_start:
         fixed = base.start.pose != "random" and base.start.swivel != "random"
         return "All trials start as the scenario's [start] says, from one pose." if fixed else ""
@@ -314,7 +293,6 @@ def _starts(base: Scenario, random_start: bool) -> str:
 
 
 def _settings(base: Scenario, solver: str | Solver) -> Mapping[str, Any]:
-    """Return the settings of the scenario's own solver, where that one is meant."""
     return base.solver.settings if solver == base.solver.name else {}
 
 
@@ -324,9 +302,14 @@ def _named(solvers: Solvers, base: Scenario) -> dict[str, str | Solver]:
         raise SolverError(f"solvers = {solvers!r} is one text: give a list, [{solvers!r}]")
     if not isinstance(solvers, Mapping | Sequence):
         raise SolverError(f"solvers = {shown(solvers)}: give a list of names or solvers, such as ['exact', 'osqp']")
-    pairs = solvers.items() if isinstance(solvers, Mapping) else [(_name(one), one) for one in solvers]
+    if isinstance(solvers, Mapping):
+        pairs = list(solvers.items())
+    else:
+        pairs = [(one if isinstance(one, str) else getattr(one, "name", ""), one) for one in solvers]
     robot, chosen = base.robot.arm(), dict[str, str | Solver]({BASELINE: BASELINE})
     for name, solver in pairs:
+        if not isinstance(solver, str):
+            check_solver(solver)
         if not is_name(name):
             raise SolverError(f"{shown(name)} cannot name a solver in the table: {RULE}")
         if name == solver == BASELINE:
@@ -337,16 +320,7 @@ def _named(solvers: Solvers, base: Scenario) -> dict[str, str | Solver]:
             )
         if isinstance(solver, str):
             make_solver(solver, robot, **_settings(base, solver))
-        elif isinstance(solvers, Mapping):
-            check_solver(solver)
         chosen[name] = solver
     if len(chosen) == 1:
         raise SolverError("no solver to compare: give one name or more, such as ['exact', 'osqp']")
     return chosen
-
-
-def _name(solver: str | Solver) -> str:
-    if isinstance(solver, str):
-        return solver
-    check_solver(solver)
-    return solver.name

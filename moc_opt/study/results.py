@@ -64,10 +64,6 @@ class Results:
         """Append rows; a column that a row lacks is null there."""
         self._rows += [dict(row) for row in rows]
 
-    def has(self, **keys: Any) -> bool:
-        """Tell whether a row has these values."""
-        return any(all(row.get(name) == value for name, value in keys.items()) for row in self._rows)
-
     def where(self, **keys: Any) -> Results:
         """Return the rows with these values."""
         return Results(row for row in self._rows if all(row.get(name) == value for name, value in keys.items()))
@@ -106,14 +102,7 @@ class Results:
     def figures(
         self, controller: str, means: Sequence[str] = (), changes: Sequence[str] = (), baseline: str = BASELINE
     ) -> dict[str, Any]:
-        """Return what a summary holds of a controller.
-
-        Args:
-            controller: whose rows.
-            means: metrics whose means are wanted, as NAME, NAME_low, NAME_high.
-            changes: metrics whose changes against the baseline are wanted, see `change_name` and `Change.entries`.
-            baseline: a controller.
-        """
+        """Return what a summary holds of a controller: counts, means and, against a baseline, changes of metrics."""
         mine = [row for row in self._rows if row.get("controller") == controller]
         found: dict[str, Any] = {
             "trials": len(mine), "whole": sum(bool(row.get("whole")) for row in mine),

@@ -1,14 +1,13 @@
 """Means and changes over independent trials, with bootstrap intervals, and when they decide nothing.
 
 Resampling is scipy's: bias-corrected and accelerated (Efron 1987), over trials, and over pairs where two controllers
-ran the same trials. Ticks of one trial are not independent, so they are never resampled. A bootstrap of few samples is
-too narrow, and BCa follows the few outliers of a change that is zero in most trials. So its confidence level is raised
-to what Student's t asks of as many samples (Hesterberg 2015, "expanded percentiles"), the interval also holds that of
-Student's t around the value with the jackknife's standard error, and both are made at `NOMINAL`, so that they cover
-as often as `CONFIDENCE` says. docs/method.md has the coverage, simulated with the design of the study.
+ran the same trials. A bootstrap of few samples is too narrow, and BCa follows the few outliers of a change that is zero
+in most trials. So its confidence level is raised to what Student's t asks of as many samples (Hesterberg 2015,
+"expanded percentiles"), the interval also holds that of Student's t around the value with the jackknife's standard
+error, and both are made at `NOMINAL`, so that they cover as often as `CONFIDENCE` says (docs/method.md).
 
-A change is the ratio of the means. The mean of the trials' ratios, in which a trial with a small denominator counts
-for more, is computed beside it: where the two disagree in sign or verdict the change is undecided.
+A change is the ratio of the means. The mean of the trials' ratios is computed beside it: where the two disagree in sign
+or verdict the change is undecided.
 """
 
 from __future__ import annotations
@@ -66,13 +65,7 @@ class Interval(NamedTuple):
 
 
 class Change(NamedTuple):
-    """A change against a baseline [percent], by both means: ``ratio`` of the means, and mean of the trials' ``ratios``.
-
-    Example:
-        >>> change = relative_changes([0.4, 2.0, 2.1, 2.2] * 3, [0.1, 3.0, 3.1, 3.2] * 3)
-        >>> f"{change.ratio.value:.3g} {change.ratios.value:.3g} {change.undecided}"
-        '-28.7 50.8 True'
-    """
+    """A change against a baseline [percent], by both means: ``ratio`` of the means, mean of the trials' ``ratios``."""
 
     ratio: Interval
     ratios: Interval
@@ -123,16 +116,10 @@ def spread(entries: Mapping[str, Any], name: str, digits: int = 3, sign: str = "
 
 
 def share(found: int, trials: int) -> Interval:
-    """Return found/trials with its exact binomial interval (Clopper and Pearson, Biometrika 26, 1934).
-
-    The interval holds where the trials are independent; events that come in bunches have a wider one.
+    """Return found/trials with the exact binomial interval of independent trials (Clopper and Pearson 1934).
 
     Raises:
         StatisticsError: not 0 <= found <= trials, or no trials.
-
-    Example:
-        >>> str(share(0, 300_000))
-        '0 [0, 1.23e-05]'
     """
     if not 0 <= found <= trials or trials < 1:
         raise StatisticsError(f"found = {found}, trials = {trials}: give at least one trial, and 0 to so many found")
@@ -140,46 +127,38 @@ def share(found: int, trials: int) -> Interval:
     return Interval(found / trials, float(low), float(high), trials)
 
 
-def mean(samples: ArrayLike, *, seed: int = 0) -> Interval:
+def mean(samples: ArrayLike) -> Interval:
     """Return the mean of one number a trial, (k,), with its interval.
 
     Raises:
         StatisticsError: no sample, or one that is not finite.
     """
-    return _interval(_mean, seed, samples=samples)
+    return _interval(_mean, samples=samples)
 
 
-def relative_change(treated: ArrayLike, control: ArrayLike, *, seed: int = 0) -> Interval:
+def relative_change(treated: ArrayLike, control: ArrayLike) -> Interval:
     """Compute 100 (mean(treated)/mean(control) - 1) [percent] of (k,) numbers of the same k trials, resampled in pairs.
 
     Raises:
         StatisticsError: no pair, different lengths, a number that is not finite, or controls with mean 0.
     """
-    return _interval(_change, seed, treated=treated, control=control)
+    return _interval(_change, treated=treated, control=control)
 
 
-def relative_changes(treated: ArrayLike, control: ArrayLike, *, seed: int = 0) -> Change:
-    """Compute `relative_change`, and beside it the mean over the trials of 100 (treated/control - 1) [percent].
-
-    Raises:
-        StatisticsError: as for `relative_change`; or a control of 0.
-    """
-    ratio = relative_change(treated, control, seed=seed)
+def relative_changes(treated: ArrayLike, control: ArrayLike) -> Change:
+    """Compute `relative_change`, and the mean over the trials of 100 (treated/control - 1) [percent]; raises as it."""
+    ratio = relative_change(treated, control)
     with np.errstate(divide="ignore", invalid="ignore"):
         each = 100.0 * (np.asarray(treated, float) / np.asarray(control, float) - 1.0)
-    return Change(ratio, mean(each, seed=seed))
+    return Change(ratio, mean(each))
 
 
 def difference_of_changes(
-    treated: ArrayLike, control: ArrayLike, treated_before: ArrayLike, control_before: ArrayLike, *, seed: int = 0
+    treated: ArrayLike, control: ArrayLike, treated_before: ArrayLike, control_before: ArrayLike
 ) -> Interval:
-    """Subtract the `relative_change` of one pair from that of another [percentage points], on the same k trials.
-
-    Raises:
-        StatisticsError: no trial, different lengths, a number that is not finite, or controls with mean 0.
-    """
+    """Subtract one `relative_change` from another, of the same trials [percentage points]; raises as it."""
     before = {"treated_before": treated_before, "control_before": control_before}
-    return _interval(_difference, seed, treated=treated, control=control, **before)
+    return _interval(_difference, treated=treated, control=control, **before)
 
 
 def _mean(samples: Array, axis: int = -1) -> Array:
@@ -195,11 +174,6 @@ def _difference(a: Array, b: Array, c: Array, d: Array, axis: int = -1) -> Array
 
 
 def _checked(given: Mapping[str, ArrayLike]) -> list[Array]:
-    """Return the samples by name, (k,) each.
-
-    Raises:
-        StatisticsError: they make no statistic.
-    """
     found = {name: np.asarray(samples, dtype=np.float64) for name, samples in given.items()}
     for name, array in found.items():
         if array.ndim != 1 or array.size == 0 or not np.isfinite(array).all():
@@ -215,7 +189,7 @@ def _checked(given: Mapping[str, ArrayLike]) -> list[Array]:
     return list(found.values())
 
 
-def _interval(statistic: Callable[..., Any], seed: int, **given: ArrayLike) -> Interval:
+def _interval(statistic: Callable[..., Any], **given: ArrayLike) -> Interval:
     samples = _checked(given)
     value, count, low, high = float(statistic(*samples)), len(samples[0]), float("nan"), float("nan")
     if count < 2:
@@ -229,7 +203,7 @@ def _interval(statistic: Callable[..., Any], seed: int, **given: ArrayLike) -> I
             warnings.simplefilter("ignore", stats.DegenerateDataWarning)
             warnings.simplefilter("ignore", RuntimeWarning)
             found = stats.bootstrap(
-                tuple(samples), statistic, method=method, rng=np.random.default_rng(seed), paired=True,
+                tuple(samples), statistic, method=method, rng=np.random.default_rng(0), paired=True,
                 vectorized=True, n_resamples=RESAMPLES, confidence_level=min(expanded, 0.9999),
             ).confidence_interval  # fmt: skip
         low, high = float(found.low), float(found.high)

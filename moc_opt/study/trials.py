@@ -93,10 +93,7 @@ def placed(trial: Scenario) -> Scenario:
 
 
 def variant(trial: Scenario, controller: str, settings: Mapping[str, Any] | None = None) -> Scenario:
-    """Return the trial under one of `BASELINES`, or under MOC with the solver of that name and its settings.
-
-    A scenario that is DCAC already keeps its gains.
-    """
+    """Return the trial under one of `BASELINES`, or under MOC with a solver; a scenario of DCAC keeps its gains."""
     control = trial.control
     if controller == BASELINE and control.law == "dcac":
         return trial
@@ -114,25 +111,15 @@ def variant(trial: Scenario, controller: str, settings: Mapping[str, Any] | None
 
 @dataclass(frozen=True)
 class Trial:
-    """A run that is asked for.
-
-    Attributes:
-        case: the scenario that all controllers of this trial share.
-        controller: one of `BASELINES`, or the name of a solver.
-        settings: of the solver.
-        solver: what the controller asks in place of the solver of its name: another name, or an object.
-        tags: further columns of its row, such as a group's name.
-        timed: nothing else runs meanwhile, so that its times count.
-        keep: whether the columns in `CURVES` stay beside the row.
-    """
+    """A run that is asked for, of a scenario that all controllers of this trial share."""
 
     case: Scenario
-    controller: str
-    settings: Mapping[str, Any] = field(default_factory=dict)
-    tags: Mapping[str, Any] = field(default_factory=dict)
-    timed: bool = False
-    keep: Literal["row", "curves"] = "row"
-    solver: str | Solver | None = None
+    controller: str  #: one of `BASELINES`, or the name of a solver
+    settings: Mapping[str, Any] = field(default_factory=dict)  #: of the solver
+    tags: Mapping[str, Any] = field(default_factory=dict)  #: further columns of its row, such as a group's name
+    timed: bool = False  #: nothing else runs meanwhile, so that its times count
+    keep: Literal["row", "curves"] = "row"  #: whether the columns in `CURVES` stay beside the row
+    solver: str | Solver | None = None  #: asked in place of the solver of its name: another name, or an object
 
     @property
     def about(self) -> dict[str, Any]:
@@ -234,9 +221,8 @@ def with_phases(runs: Iterable[Run]) -> list[Run]:
     """Add to each row the means of its errors while the elbow moves to its optimum, and after that.
 
     ``travelling_NAME`` is the mean of a metric NAME over the ticks at which the elbow of at least one controller of
-    the trial still moves to its optimum, ``settled_NAME`` that over the rest; ``travelling_ticks`` and
-    ``settled_ticks`` count them. These are the same ticks for all controllers. DCAC has no optimum to go to, and a run
-    that broke off has no say.
+    the trial still moves to its optimum, ``settled_NAME`` that over the rest: the same ticks for all controllers.
+    ``travelling_ticks`` and ``settled_ticks`` count them.
     """
     runs = list(runs)
     groups: dict[tuple[Any, ...], list[Run]] = {}
