@@ -1,31 +1,27 @@
 """Ask solvers for the answers to a set of problems, judge and count these answers, and take the solvers' times.
 
-    problems = Problems.certified("circle")
-    (found,) = ask(study.run, [(setting, problems)], Limits())
-    found.counts()["silently_wrong"]
-
-Solvers run in other processes, and each answer has a time limit of its own, so a solver that never returns or ends
-its process costs one answer. All answers are judged by `moc_opt.qp.residuals`, never by the solver. Times are taken
-afterwards, one solver after the other with nothing beside it.
+Solvers run in other processes, and each answer has a time limit of its own. All answers are judged by
+`moc_opt.qp.residuals`, never by the solver. Times are taken afterwards, one solver after the other, nothing beside it.
 """
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cache, cached_property
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 from moc_opt.arrays import Array
 from moc_opt.control.supervisor import received
 from moc_opt.errors import describe
+from moc_opt.inputs.settings import Settings
 from moc_opt.qp.layout import joints_of
 from moc_opt.qp.problem import NullSpaceQP, compute_residuals, fields
-from moc_opt.qp.residuals import Residuals
 from moc_opt.robots.model import load_robot
 from moc_opt.scenario import make_solver
 from moc_opt.solvers.base import Session, Solution, Solver, Status, no_answer
@@ -50,15 +46,15 @@ RIGHTLY = 0.99
 RESIDUALS = ("primal", "natural", "natural_best", "relative", "loss")
 
 
-@dataclass(frozen=True)
-class Limits:
-    """How much is measured, and how long a solve and a solver's setting up may take [s]."""
+class Limits(Settings):
+    """How much is measured, and how long a solve and a solver's setting up may take."""
 
-    patience_s: float = 2.0
-    rounds: int = 8
-    seconds: float = 0.5
-    cold: int = 32
-    setup_s: float = 40.0
+    KIND: ClassVar[str] = "[testsets]"
+    rounds: int = Field(8, ge=1, description="through a set, warm; fewer where they take longer than `seconds`")
+    seconds: float = Field(0.05, gt=0.0)
+    cold: int = Field(16, ge=1, description="problems of a set that are solved cold")
+    patience_s: float = Field(0.5, gt=0.0, description="longer without an answer is a hang")
+    setup_s: float = Field(15.0, gt=0.0, description="longer without being set up is one too")
 
 
 @dataclass(frozen=True)
@@ -103,81 +99,35 @@ class Answer(NamedTuple):
     trouble: str = ""
 
 
-@dataclass(eq=False)
 class Answers:
-    """The answers of one solver under one setting to one set, judged.
+    """The answers of one solver under one setting to one set of k problems, judged.
 
     Attributes:
         refused: why the solver does not take these problems; "": it does.
         events: what it raised, and how its process ended, each with the number of the problem.
-        given: of each problem that was asked.
+        every: one answer a problem, those that were not asked among them; status (k,), x (k, n) are theirs.
+        residuals: of each answer, in the linear problem.
+        verified: (k,) which answers are optimal, whatever was claimed.
     """
 
-    setting: SolverSetting
-    problems: Problems
-    refused: str = ""
-    events: list[str] = field(default_factory=list)
-    given: list[Answer] = field(default_factory=list)
-
-    def take(self, result: list[Any] | Failed) -> None:
-        """Take what the job returned, or what it had reported when it failed."""
+    def __init__(self, setting: SolverSetting, problems: Problems, result: list[Any] | Failed) -> None:
+        """Judge what the job returned, or what it had reported when it failed."""
+        self.setting, self.problems, self.refused = setting, problems, ""
         failed = result if isinstance(result, Failed) else None
-        reason, *items = (result.parts if isinstance(result, Failed) else result) or [None]
-        for item in items:
-            if item.trouble:
-                self.events.append(f"problem {len(self.given)}: {item.trouble}")
-            self.given.append(item)
+        reason, *given = (result.parts if isinstance(result, Failed) else result) or [None]
+        self.events = [f"problem {k}: {one.trouble}" for k, one in enumerate(given) if one.trouble]
+        blank = Answer(NOT_ASKED, 0, np.full(joints_of(problems.rows.shape[1]), np.nan), np.full(6, np.nan))
         if reason or (failed and failed.kind == "raised"):  # it does not take the problems, or cannot be made
-            self.refused = reason or str(failed)
+            self.refused, blank = reason or str(failed), blank._replace(status=REFUSED)
         elif failed and failed.kind != "not run":
             what = ", while setting up" if reason is None else ""
-            self.events.append(f"problem {len(self.given)}{what}: {failed.reason}")
-            self.given.append(self._blank(HUNG if failed.kind == "hung" else CRASHED))
-
-    def _blank(self, status: str) -> Answer:
-        return Answer(status, 0, np.full(joints_of(self.problems.rows.shape[1]), np.nan), np.full(6, np.nan))
-
-    @cached_property
-    def every(self) -> list[Answer]:
-        """One answer a problem, those that were not asked among them."""
-        missing = self._blank(REFUSED if self.refused else NOT_ASKED)
-        return [*self.given, *[missing] * (len(self.problems.rows) - len(self.given))]
-
-    @cached_property
-    def status(self) -> NDArray[Any]:
-        """(k,) one word a problem."""
-        return np.array([one.status for one in self.every])
-
-    @cached_property
-    def x(self) -> Array:
-        """(k, n), NaN without an answer."""
-        return np.array([one.x for one in self.every])
-
-    @cached_property
-    def y(self) -> Array:
-        """(k, 6), NaN without duals."""
-        return np.array([one.y for one in self.every])
-
-    @cached_property
-    def residuals(self) -> Residuals:
-        """Of each answer, in the linear problem."""
-        return compute_residuals(self.problems.judged, self.x, self.y)
-
-    @cached_property
-    def verified(self) -> NDArray[np.bool_]:
-        """(k,) which answers are optimal, whatever was claimed."""
-        return np.asarray(self.residuals.verified() & self.problems.feasible)
-
-    @property
-    def right(self) -> NDArray[np.bool_]:
-        """(k,) claims of success that the judge verifies, and of infeasibility that the certificate confirms."""
-        return (self.status == "solved") & self.verified | (self.status == "infeasible") & ~self.problems.feasible
-
-    @property
-    def inconsistent(self) -> NDArray[np.bool_]:
-        """(k,) where the solver was given six rows that contradict each other, and five of them have an optimum."""
-        moved = np.abs(fields(self.problems.judged).b - fields(self.problems.rows).b).max(axis=-1)
-        return np.asarray((moved > CONTRADICTION) & self.problems.feasible & self.setting.six_rows)
+            self.events.append(f"problem {len(given)}{what}: {failed.reason}")
+            given.append(blank._replace(status=HUNG if failed.kind == "hung" else CRASHED))
+        self.every: list[Answer] = [*given, *[blank] * (len(problems.rows) - len(given))]
+        self.status = np.array([one.status for one in self.every])
+        self.x = np.array([one.x for one in self.every])
+        self.residuals = compute_residuals(problems.judged, self.x, np.array([one.y for one in self.every]))
+        self.verified = np.asarray(self.residuals.verified() & problems.feasible)
 
     @property
     def complete(self) -> bool:
@@ -194,17 +144,19 @@ class Answers:
         """
         status, feasible = self.status, self.problems.feasible
         claimed, infeasible = status == "solved", status == "infeasible"
-        declined = self.inconsistent & infeasible
+        moved = np.abs(fields(self.problems.judged).b - fields(self.problems.rows).b).max(axis=-1)
+        inconsistent = (moved > CONTRADICTION) & feasible & self.setting.six_rows
+        optimal, recognised, declined = claimed & self.verified, infeasible & ~feasible, inconsistent & infeasible
         unasked = np.isin(status, (NOT_ASKED, REFUSED))
         broken = {name: int((status == name).sum()) for name in (HUNG, CRASHED, RAISED)}
         gone = np.isin(status, (HUNG, CRASHED)) | unasked
         found = {
-            "right": self.right, "feasible": feasible, "optima_asked": feasible & ~declined,
-            "infeasible_asked": ~feasible, "inconsistent_asked": self.inconsistent, "claimed_solved": claimed,
-            "verified_solved": claimed & self.verified, "silently_wrong": claimed & ~self.verified,
-            "infeasible_right": infeasible & ~feasible, "refused_inconsistent": declined,
+            "right": optimal | recognised, "feasible": feasible, "optima_asked": feasible & ~declined,
+            "infeasible_asked": ~feasible, "inconsistent_asked": inconsistent, "claimed_solved": claimed,
+            "verified_solved": optimal, "silently_wrong": claimed & ~self.verified,
+            "infeasible_right": recognised, "refused_inconsistent": declined,
             "infeasible_wrong": infeasible & feasible & ~declined,
-            "failed": ~claimed & ~(infeasible & ~feasible) & ~declined & ~gone, "not_asked": unasked,
+            "failed": ~claimed & ~recognised & ~declined & ~gone, "not_asked": unasked,
         }  # fmt: skip
         return {"solves": len(status), **{name: int(flags.sum()) for name, flags in found.items()}, **broken}
 
@@ -227,11 +179,8 @@ class Answers:
 
     def summary(self, times: Times | None = None) -> dict[str, Any]:
         """Return counts, residuals and times for summary.json, and the first trouble in words."""
-        found: dict[str, Any] = {**self.counts(), **self.figures}
-        if self.refused:
-            found["reason"] = self.refused
-        if self.trouble:
-            found["trouble"] = self.trouble
+        said = {"reason": self.refused, "trouble": self.trouble}
+        found = self.counts() | self.figures | {key: words for key, words in said.items() if words}
         return found | (times.figures() if times is not None else {})
 
     def rows(self, part: str) -> list[dict[str, Any]]:
@@ -282,10 +231,8 @@ def ask(run: Runner, questions: Sequence[Question], limits: Limits, *, warm: boo
         Job(answer, (setting, problems.rows, warm, limits.patience_s, limits.setup_s), HOURS, group=setting.label)
         for setting, problems in questions
     ]
-    found = [Answers(*question) for question in questions]
-    for one, result in zip(found, run(jobs, give_up=BROKEN_SETS), strict=True):
-        one.take(result)
-    return found
+    results = run(jobs, give_up=BROKEN_SETS)
+    return [Answers(*question, result) for question, result in zip(questions, results, strict=True)]
 
 
 def answer(setting: SolverSetting, rows: Array, warm: bool, patience_s: float, setup_s: float) -> list[Any]:
@@ -362,19 +309,12 @@ def _asked(session: Session, qp: NullSpaceQP) -> tuple[Solution, str]:
 
 @dataclass(frozen=True)
 class Times:
-    """Times of one solver on one set [us], and what the machine did meanwhile.
+    """Times of one solver on one set [us], and what the machine did meanwhile."""
 
-    Attributes:
-        solve: (rounds, k) of one session that goes through all problems.
-        setup, cold: of fresh sessions: starting, and the first solve.
-        update: of the library's problem; empty where a session cannot take one without solving it.
-        warm_load, cold_load: what the machine did.
-    """
-
-    solve: Array
-    setup: Array
-    cold: Array
-    update: Array
+    solve: Array  #: (rounds, k) of one session that goes through all problems
+    setup: Array  #: of starting a fresh session
+    cold: Array  #: of its first solve
+    update: Array  #: of the library's problem; empty where a session cannot take one without solving it
     warm_load: Disturbance
     cold_load: Disturbance
 

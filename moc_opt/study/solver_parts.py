@@ -96,7 +96,7 @@ def recorded_sequence(work: Work) -> None:
     """Ask every solver warm and cold for the recorded sequence, under the recommended settings; times one by one."""
     config = work.config.open_loop
     data = Problems.recorded("recorded", work.sequence)
-    limits = Limits(max(2.0, work.config.testsets.patience_s), rounds=2, seconds=1.0, cold=config.cold)
+    limits = Limits(patience_s=2.0, setup_s=40.0, rounds=2, seconds=1.0, cold=config.cold)
     thin = data.thinned(max(1, len(data.rows) // config.cold))
     asked = ask(work.runner("recorded sequence, warm"), [(setting, data) for setting in work.recommended], limits)
     taken = [one for one in asked if not one.refused]
@@ -125,12 +125,11 @@ def certified_sets(work: Work) -> None:
     config = work.config.testsets
     chosen = [Problems.certified(name, config.every) for name in config.chosen()]
     thinned = [data.thinned(config.every_other) for data in chosen]
-    limits = config.limits()
     questions = [
         (setting, data) for setting in work.settings
         for data in (chosen if setting.recommended and not setting.nonlinear else thinned)
     ]  # fmt: skip
-    answers = ask(work.runner("certified sets, answers"), questions, limits)
+    answers = ask(work.runner("certified sets, answers"), questions, config)
     of = {setting.label: [one for one in answers if one.setting == setting] for setting in work.settings}
     whole = work.summary["testsets"] = {label: totals(mine, []) for label, mine in of.items()}
     work.summary["settings"] = {
@@ -140,7 +139,7 @@ def certified_sets(work: Work) -> None:
         work.say()
     timed = {True: [*config.timed, *config.timed_too], False: config.timed}
     to_time = [one for one in answers if not one.refused and one.problems.name in timed[one.setting.recommended]]
-    times = dict(zip(map(id, to_time), time(work.runner("certified sets, times"), to_time, limits), strict=True))
+    times = dict(zip(map(id, to_time), time(work.runner("certified sets, times"), to_time, config), strict=True))
     for label, mine in of.items():
         whole[label] = totals(mine, [found for one in mine if (found := times.get(id(one))) is not None])
         for one in mine:

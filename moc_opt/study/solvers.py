@@ -60,12 +60,11 @@ class OpenLoop(Settings):
     cold: int = Field(50, ge=1)
 
 
-class TestSets(Settings):
+class TestSets(Limits):
     """The certified sets."""
 
     __test__: ClassVar[bool] = False  # not a class of tests
 
-    KIND: ClassVar[str] = "[testsets]"
     names: Literal["all"] | list[str] = "all"
     timed: list[str] = Field(["circle", "circle-rho0", "random"], description="under every setting")
     timed_too: list[str] = Field(
@@ -74,11 +73,6 @@ class TestSets(Settings):
     )
     every: int = Field(1, ge=1, description="take each every-th problem")
     every_other: int = Field(4, ge=1, description="under default and tight settings, and of nlp-*, each so many-th")
-    rounds: int = Field(8, ge=1)
-    seconds: float = Field(0.05, gt=0.0, description="of timing a set, at most")
-    patience_s: float = Field(0.5, gt=0.0, description="longer without an answer is a hang")
-    setup_s: float = Field(15.0, gt=0.0, description="longer without being set up is one too")
-    cold: int = Field(16, ge=1)
 
     @field_validator("names", "timed", "timed_too")
     @classmethod
@@ -90,10 +84,6 @@ class TestSets(Settings):
     def chosen(self) -> list[str]:
         """Return the names of the sets, in the order in which they are always shown."""
         return [name for name in testsets.NAMES if self.names == "all" or name in self.names]
-
-    def limits(self) -> Limits:
-        """Return the limits of time and number of solves."""
-        return Limits(self.patience_s, self.rounds, self.seconds, self.cold, self.setup_s)
 
 
 class ClosedLoop(Settings):

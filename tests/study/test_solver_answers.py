@@ -113,9 +113,8 @@ def test_a_solver_that_refuses_is_not_asked():
 
 
 def made(setting: SolverSetting, problems: Problems, status: list[str], x: Any) -> Answers:
-    found = Answers(setting, problems)
-    found.take(["", *(Answer(word, 1, row, np.full(6, np.nan)) for word, row in zip(status, x, strict=True))])
-    return found
+    given = [Answer(word, 1, row, np.full(6, np.nan)) for word, row in zip(status, x, strict=True)]
+    return Answers(setting, problems, ["", *given])
 
 
 @pytest.mark.parametrize(
