@@ -43,36 +43,22 @@ _parts: str | None = None  # in a worker: the file for what the job hands over
 
 @dataclass(frozen=True)
 class Job:
-    """A function of a module with its arguments; both, and the result, must pickle.
-
-    Attributes:
-        work: the function.
-        arguments: of the call.
-        limit_s: a call that takes longer is ended with its process [s].
-        alone: its times are measured: no other job runs meanwhile.
-        group: after several of this name hung or crashed, the others of that name are not begun.
-    """
+    """A function of a module with its arguments; both, and the result, must pickle."""
 
     work: Callable[..., Any]
     arguments: tuple[Any, ...] = ()
-    limit_s: float = 600.0
-    alone: bool = False
-    group: str = ""
+    limit_s: float = 600.0  #: a call that takes longer is ended with its process [s]
+    alone: bool = False  #: its times are measured: no other job runs meanwhile
+    group: str = ""  #: after several of this name hung or crashed, the others of that name are not begun
 
 
 @dataclass(frozen=True)
 class Failed:
-    """Why a job has no result.
-
-    Attributes:
-        kind: it took longer than its limit, its process died, it raised an exception, or it was not begun.
-        reason: in words.
-        parts: what the job had handed over by `report`.
-    """
+    """Why a job has no result: it took longer than its limit, its process died, it raised, or it was not begun."""
 
     kind: Literal["hung", "crashed", "raised", "not run"]
     reason: str
-    parts: tuple[Any, ...] = ()
+    parts: tuple[Any, ...] = ()  #: what the job had handed over by `report`
 
     def __str__(self) -> str:
         return self.reason if self.kind in ("raised", "not run") else f"{self.kind}: {self.reason}"

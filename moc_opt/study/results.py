@@ -1,9 +1,5 @@
 """The one results table of every study: a row a run, and what controllers' rows say against a baseline's.
 
-    results = Results(run.row for run in runs)
-    results.where(robot="panda").change("mu_mean", "exact").ratio      # an Interval [percent]
-    results.write(out / "rows.parquet")
-
 Means and changes are over whole runs. A change is over the trials that the controller and the baseline both completed.
 """
 

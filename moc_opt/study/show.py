@@ -1,8 +1,4 @@
-"""What a study shows, as data: an answer in up to three sentences, one table, pictures, and sections folded below.
-
-A study makes a `Report`; this file turns it into a page and into what a terminal prints. Studies say what to show,
-never how.
-"""
+"""What a study shows, as data: a `Report`, which this file turns into a page and into what a terminal prints."""
 
 from __future__ import annotations
 
@@ -56,33 +52,18 @@ class Section:
 
 @dataclass(frozen=True)
 class Report:
-    """What a study found, for a reader.
+    """What a study found, for a reader."""
 
-    Attributes:
-        title: names the question, and arm, task, preset and solver where there is one of each.
-        answer: up to three sentences, the most important one first.
-        table: the table of the first screen, of few columns.
-        pictures: up to three.
-        sections: in reading order; a column's ``section`` links to one of them.
-        load: what the machine did while times were taken; "" where none were.
-        subtitle: below the title.
-    """
-
-    title: str
-    answer: Sequence[str]
-    table: Table
-    pictures: Sequence[Picture] = ()
-    sections: Sequence[Section] = ()
-    load: str = ""
+    title: str  #: names the question, and arm, task, preset and solver where there is one of each
+    answer: Sequence[str]  #: up to three sentences, the most important one first
+    table: Table  #: of the first screen, of few columns
+    pictures: Sequence[Picture] = ()  #: up to three
+    sections: Sequence[Section] = ()  #: in reading order; a column's ``section`` links to one of them
+    load: str = ""  #: what the machine did while times were taken; "" where none were
     subtitle: str = ""
 
     def page(self, environment: Mapping[str, Any], failed: Sequence[Mapping[str, Any]] = ()) -> Page:
-        """Lay it out as one page.
-
-        Args:
-            environment: of environment.json, shown at the end.
-            failed: rows with an ``error``, shown in a table.
-        """
+        """Lay it out as one page, with the rows that failed and environment.json at the end."""
         page = Page(self.title, self.subtitle)
         for sentence in self.answer:
             page.headline(sentence)
@@ -144,10 +125,7 @@ def _markdown(table: Table) -> str:
 def columns(*metrics: str, of: str = "", **titles: str) -> list[Column]:
     """Describe metrics, or their changes ("mu_gain_percent"), as columns: unit, format and help are the metric's.
 
-    Args:
-        metrics: names of metrics, or of their changes; "settled_" and "travelling_" may stand before.
-        of: title of the section that explains them.
-        titles: name -> heading, where the name itself is too long.
+    "settled_" and "travelling_" may stand before a name; ``titles`` are headings where the name itself is too long.
     """
     found = []
     for name in metrics:
@@ -155,7 +133,7 @@ def columns(*metrics: str, of: str = "", **titles: str) -> list[Column]:
         known = METRICS.get(bare)
         change = next((m for m in METRICS.values() if change_name(m.name) == bare), None)
         unit = "%" if bare.endswith("_percent") else known.unit if known and known.unit != "1" else ""
-        about = (f"Change of: {change.about}" if change else known.about if known else "")
+        about = f"Change of: {change.about}" if change else known.about if known else ""
         suffix = "_percent" if unit == "%" else f"_{unit.replace('/', '_per_')}"
         plain = TITLES.get(change.name if change else bare) or bare.removesuffix(suffix)
         title = titles.get(name, plain.replace("_", " "))
@@ -167,15 +145,7 @@ def intervals_picture(
     found: Mapping[str, tuple[float, float, float]], x_label: str, limits: Mapping[str, float],
     tones: Mapping[str, str] | None = None, *, log: bool = False,
 ) -> go.Figure:  # fmt: skip
-    """Draw a point between two ends for each name, the first name at the top, and lines at the limits.
-
-    Args:
-        found: name -> (low, value, high).
-        x_label: of the axis.
-        limits: words -> where a line stands.
-        tones: name -> colour.
-        log: powers of ten on the axis.
-    """
+    """Draw (low, value, high) of each name, the first one at the top, and a line at each limit, named in words."""
     drawn = figure(showlegend=False, height=90 + 24 * max(len(found), 4))
     for name, (low, value, high) in reversed(list(found.items())):
         tone = (tones or {}).get(name)
@@ -199,13 +169,7 @@ def intervals_picture(
 def lines_picture(
     lines: Mapping[str, Sequence[tuple[float, float, float, float]]], x_title: str, y_title: str, *, log: bool = False
 ) -> go.Figure:
-    """Draw a line through the values of each name, with bars from their lower to their upper ends.
-
-    Args:
-        lines: name -> (x, low, value, high) of each point.
-        x_title, y_title: of the axes.
-        log: powers of ten on the x axis.
-    """
+    """Draw a line through the points (x, low, value, high) of each name, with bars from low to high."""
     drawn, styles = figure(), Styles(lines)
     for name, points in lines.items():
         drawn.add_scatter(
@@ -233,24 +197,17 @@ def ends(figures: Mapping[str, Any], name: str) -> tuple[float, float, float] | 
 class Goal(NamedTuple):
     """Reached when the value, or the worse end of its interval, is at most, or at least, the limit.
 
-    Attributes:
-        what: in words.
-        unit: of value and limit.
-        limit: the limit.
-        measured: the value in a summary, a number, an `Interval` or a `Change`, both of whose means are asked then;
-            None, or a LookupError, means that it was not measured.
-        most: the limit is the largest value that will do; else the smallest.
-        made_of: what the value was made of, in words, from a summary.
-        section: of the page, with the figures around it.
+    ``measured`` takes the value from a summary: a number, an `Interval` or a `Change`, both of whose means are asked
+    then; None, or a LookupError, means that it was not measured.
     """
 
     what: str
-    unit: str
+    unit: str  #: of value and limit
     limit: float
     measured: Callable[[Any], Any]
-    most: bool = True
-    made_of: Callable[[Any], str] = lambda summary: ""
-    section: str = ""
+    most: bool = True  #: the limit is the largest value that will do; else the smallest
+    made_of: Callable[[Any], str] = lambda summary: ""  #: what the value was made of, in words, from a summary
+    section: str = ""  #: of the page, with the figures around it
 
 
 def judge(summary: Mapping[str, Any], goals: Mapping[str, Goal]) -> dict[str, dict[str, Any]]:

@@ -148,18 +148,12 @@ TIGHT_OPTIONS: dict[str, dict[str, Any]] = {
 def solver_settings(
     names: Iterable[str], overrides: Mapping[str, Mapping[str, Any]] | None = None
 ) -> list[SolverSetting]:
-    """Return every setting of every named solver, in that order.
-
-    Args:
-        names: of the registry; a solver without a row in the table (a plug-in) is studied as it comes.
-        overrides: solver -> settings that are laid over its recommended ones.
-    """
-    found = []
-    for solver in names:
-        for name, (options, reason) in of(solver).items():
-            extra = (overrides or {}).get(solver, {}) if name == RECOMMENDED else {}
-            found.append(SolverSetting(solver, name, {**options, **extra}, reason))
-    return found
+    """Return every setting of every named solver; ``overrides`` (solver -> options) change the recommended ones."""
+    return [
+        SolverSetting(solver, name, {**options, **((overrides or {}).get(solver, {}) if name == RECOMMENDED else {})},
+                      reason)
+        for solver in names for name, (options, reason) in of(solver).items()
+    ]  # fmt: skip
 
 
 def of(name: str) -> dict[str, tuple[dict[str, Any], str]]:

@@ -46,8 +46,7 @@ COSTS = {
     "rcm_error_model_mean_mm": Cost("RCM", 0.05), "rcm_error_registered_mean_mm": Cost("patient RCM", 0.05),
     "torque_rate_rms_Nm_per_s": Cost("chatter", 0.1),
 }  # fmt: skip
-FRAMED = ("tip_error_model_mean_mm", "tip_error_registered_mean_mm", "rcm_error_model_mean_mm",
-          "rcm_error_registered_mean_mm")  # fmt: skip
+FRAMED = tuple(name for name in COSTS if "_error_" in name)
 RULES: Mapping[Mark, str] = {
     OTHER: "it answers another problem, the nonlinear one of the same tick, which the judge of the linear problem "
     "cannot verify; no count of the judge is held against it",
@@ -212,27 +211,21 @@ def sentences(summary: Summary, rows: Sequence[Row]) -> list[str]:
         names = ", ".join(f"`{row['solver']}`" for row in sound)
         said = [f"Sound: {names}. Which of them is fastest cannot be told: {why}."]
     elif best["verdict"] is TAKE:
-        said = [f"Take `{best['solver']}` ({_reason(summary, best)}){_why(summary, best, len(sound), len(rows))}."]
+        known = summary.get("settings", {}).get(f"{best['solver']}@{RECOMMENDED}", {})
+        reason = known.get("reason") or "its recommended setting"
+        said = [f"Take `{best['solver']}` ({reason}){_why(summary, best, len(sound), len(rows))}."]
     elif "testsets" not in summary and "open_loop_warm" not in summary:
         said = ["Which solver is sound was not asked: the certified sets were not run."]
     else:
         said = ["No solver is sound on what was run; see the table."]
     ran = [row for row in rows if row["verdict"] in (TAKE, SOUND) and row["trials"]]
-    clauses = _in_closed_loop(max(ran, key=lambda row: row["trials"])) if ran else []
+    clauses = [_in_closed_loop(max(ran, key=lambda row: row["trials"]))] if ran else []
     if best["verdict"] is TAKE and sound:
-        names = ", ".join(f"`{row['solver']}`" + _median(row) for row in sound[:3])
+        medians = ["" if row["p50_us"] is None else f" ({row['p50_us']:.0f} us)" for row in sound[:3]]
+        names = ", ".join(f"`{row['solver']}`{median}" for row, median in zip(sound[:3], medians, strict=True))
         clauses.insert(0, f"sound as well: {names}")
     text = "; ".join(clauses)
     return [*said, *([f"{text[0].upper()}{text[1:]}."] if text else []), *_avoid(summary, rows)]
-
-
-def _median(row: Row) -> str:
-    return "" if row["p50_us"] is None else f" ({row['p50_us']:.0f} us)"
-
-
-def _reason(summary: Summary, row: Row) -> str:
-    known = summary.get("settings", {}).get(f"{row['solver']}@{RECOMMENDED}", {})
-    return str(known.get("reason") or "its recommended setting")
 
 
 def _why(summary: Summary, row: Row, others: int, asked: int) -> str:
@@ -254,20 +247,20 @@ def _why(summary: Summary, row: Row, others: int, asked: int) -> str:
     return text + ("; the median decided, as the machine was too busy to rank by p99" if busy else "")
 
 
-def _in_closed_loop(row: Row) -> list[str]:
+def _in_closed_loop(row: Row) -> str:
     """Say what a sound solver's answers do to the robot, with the errors in both frames."""
     closed, trials = row["closed"], row["trials"]
     if few := too_few(trials):
-        return [f"what sound answers do in closed loop: {few}"]
-    mu, *changes = (spread(closed, change_name(name), 2, "+", " %") for name in ("mu_mean", *FRAMED))
-    tip, patient_tip, rcm, patient_rcm = changes
+        return f"what sound answers do in closed loop: {few}"
+    changes = (spread(closed, change_name(name), 2, "+", " %") for name in ("mu_mean", *FRAMED))
+    mu, tip, patient_tip, rcm, patient_rcm = changes
     shaken = f", {count} of which oscillated" if (count := closed.get("oscillated", 0)) else ""
-    return [
+    return (
         f"in closed loop ({trials} independent trials of `{row['solver']}`{shaken}, ratio of the means) sound "
         f"answers change mean mu by {mu} over `{BASELINE}`, the tip error by {tip} by the robot's own kinematics "
         f"and by {patient_tip} in the frame registered at the start, which is the patient's, and the RCM error by "
         f"{rcm} and {patient_rcm}"
-    ]
+    )
 
 
 def _avoid(summary: Summary, rows: Sequence[Row]) -> list[str]:
@@ -411,6 +404,5 @@ def _and(names: Sequence[str]) -> str:
 
 def rules() -> Section:
     """Return the section that says how verdicts are made."""
-    order = [*RULES]
-    shown = [{"verdict": mark, "when": RULES[mark]} for mark in order]
+    shown = [{"verdict": mark, "when": when} for mark, when in RULES.items()]
     return Section(HOW, EQUAL, [Table("Verdicts", [Column("verdict", "verdict"), Column("when", "where")], shown)])

@@ -47,8 +47,7 @@ FULL = Path(__file__).parent / "solvers-full.toml"
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 SLOW = ("nlp-ipopt", "qpsolvers:highs", "qpsolvers:scs")
 TASKS = ("circle", "sinusoid", "spiral")  # the paper's
-TIMED = ("open_loop_warm", "testsets", "closed_loop")
-"""Parts of the summary with times of solves and ticks, each measurement once."""
+TIMED = ("open_loop_warm", "testsets", "closed_loop")  # parts of the summary with times, each measurement once
 
 
 class OpenLoop(Settings):
@@ -118,29 +117,21 @@ class Config(StudyConfig):
     def quick(self) -> Self:
         """Return the same on less data."""
         sets = ["circle", "infeasible", "jumps"]
-        return self._with(
+        return self.but(
             open_loop={"ticks": 200, "cold": 10},
             testsets={"names": sets, "timed": [], "timed_too": sets, "every": 8, "every_other": 1, "rounds": 2,
                       "cold": 4, "seconds": 0.02, "setup_s": 6.0},
             closed_loop={"trials": 2, "others": 1, "duration_s": 1.0},
         )  # fmt: skip
 
-    def choosing(self, sets: list[str] | None, parts: list[str] | None) -> Self:
-        """Return the same on some sets and with some parts alone; None leaves them as they are."""
-        for name in sets or ():
-            testsets.check_name(name)
-        return self._with(
-            **({} if parts is None else {"parts": parts}),
-            **({} if sets is None else {"testsets": {"names": sets, "timed_too": sets}}),
-        )
-
-    def cases(self, duration_s: float | None = None) -> list[Scenario]:
-        """Return the trials of the closed loop, cut to a duration [s] if one is given."""
+    def cases(self) -> list[Scenario]:
+        """Return the trials of the closed loop."""
         part = self.closed_loop
-        base = self.scenario.change(duration_s=duration_s or part.duration_s, start={"pose": "random"})
+        base = self.scenario.change(duration_s=part.duration_s, start={"pose": "random"})
         return trials(base, part.tasks, seeds(self.seed, STREAM, part.trials))
 
-    def _with(self, **changes: Any) -> Self:
+    def but(self, **changes: Any) -> Self:
+        """Return the same with other entries; a mapping changes entries of a table."""
         return self.model_copy(update={
             name: getattr(self, name).model_copy(update=value) if isinstance(value, dict) else value
             for name, value in changes.items()
@@ -149,23 +140,15 @@ class Config(StudyConfig):
 
 @dataclass
 class Work:
-    """What the parts of the study share, and what they have found so far.
-
-    Attributes:
-        names: of the solvers that can run here.
-        summary: part -> solver or controller -> metric.
-        runs: a row for each run in closed loop.
-        answers: a row for each answer in open loop.
-        sections: of the report.
-    """
+    """What the parts of the study share, and what they have found so far."""
 
     study: Study
     config: Config
-    names: Sequence[str]
-    summary: dict[str, dict[str, Any]] = field(default_factory=dict)
-    runs: Results = field(default_factory=Results)
-    answers: Results = field(default_factory=Results)
-    sections: list[Section] = field(default_factory=list)
+    names: Sequence[str]  #: of the solvers that can run here
+    summary: dict[str, dict[str, Any]] = field(default_factory=dict)  #: part -> solver or controller -> metric
+    runs: Results = field(default_factory=Results)  #: a row for each run in closed loop
+    answers: Results = field(default_factory=Results)  #: a row for each answer in open loop
+    sections: list[Section] = field(default_factory=list)  #: of the report
     said: str = ""
 
     @cached_property
@@ -189,6 +172,11 @@ class Work:
         if isinstance(found, Failed):
             raise StudyError(f"the sequence could not be recorded: {found}")
         return np.asarray(found)
+
+    @property
+    def timed(self) -> list[Mapping[str, Any]]:
+        """The rows of the summary with times."""
+        return [row for part in TIMED for row in self.summary.get(part, {}).values()]
 
     def runner(self, what: str) -> Callable[..., list[Any]]:
         """Return `moc_opt.study.run` with the study's folder, workers and progress."""
@@ -217,7 +205,12 @@ def work(study: Study, config: Config) -> Found:
     given = study.given
     if given.full and not given.quick:
         config = Config.load(FULL, config.seed)
-    config = config.choosing(given.sets, given.parts)
+    if given.parts:
+        config = config.but(parts=given.parts)
+    if given.sets:
+        for name in given.sets:
+            testsets.check_name(name)
+        config = config.but(testsets={"names": given.sets, "timed_too": given.sets})
     for name in config.parts:
         if name not in PARTS:
             raise UnknownNameError("part", name, PARTS)
@@ -239,7 +232,7 @@ def work(study: Study, config: Config) -> Found:
     told = [f"Not in the closed loop, as they take about a millisecond a tick: {', '.join(slow)}; --full runs them."]
     return Found(
         report(found), found.summary, Results([*found.answers, *found.runs]),
-        {"load": Disturbance.total(timed_rows(found.summary)).told()}, sentences=told if slow else (),
+        {"load": Disturbance.total(found.timed).told()}, sentences=told if slow else (),
     )  # fmt: skip
 
 
@@ -250,11 +243,6 @@ def once(names: Sequence[str]) -> tuple[list[str], dict[str, str]]:
         name: f"the same library as `{native[name]}`: `twice = true` in the configuration asks both ways"
         for name in names if name in native
     }  # fmt: skip
-
-
-def timed_rows(summary: Mapping[str, Any]) -> list[Mapping[str, Any]]:
-    """Return the rows of the summary with times, each measurement once."""
-    return [row for part in TIMED for row in summary.get(part, {}).values()]
 
 
 def report(found: Work) -> Report:
@@ -279,7 +267,7 @@ def report(found: Work) -> Report:
     about = f"{', '.join(found.config.closed_loop.tasks)}; gains {scenario.control.gains}; judged by one measure"
     return Report(
         title, sentences(summary, rows), first_table(summary, rows), pictures(summary, rows, scenario.deadline_us),
-        sections, load(timed_rows(summary)), about,
+        sections, load(found.timed), about,
     )  # fmt: skip
 
 

@@ -80,11 +80,7 @@ class TestSet:
 
 
 def check_name(name: str) -> None:
-    """Check that there is such a set.
-
-    Raises:
-        UnknownNameError: there is none.
-    """
+    """Raise an UnknownNameError where there is no such set."""
     if name not in NAMES:
         raise UnknownNameError("test set", name, NAMES)
 

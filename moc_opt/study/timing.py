@@ -28,20 +28,13 @@ class Disturbance:
     """What the machine did to this process while calls were timed; those of several stretches add up.
 
     It does not show what lengthens every call alike: caches, memory or half a core shared with others, a lower clock.
-
-    Attributes:
-        calls: that were timed.
-        switches: how often the core was taken from the process (ru_nivcsw).
-        waits: how often it gave the core away (ru_nvcsw).
-        cpu_s: that all its threads had a core [s].
-        wall_s: by the clock on the wall [s].
     """
 
-    calls: int = 0
-    switches: int = 0
-    waits: int = 0
-    cpu_s: float = 0.0
-    wall_s: float = 0.0
+    calls: int = 0  #: that were timed
+    switches: int = 0  #: how often the core was taken from the process (ru_nivcsw)
+    waits: int = 0  #: how often it gave the core away (ru_nvcsw)
+    cpu_s: float = 0.0  #: that all its threads had a core [s]
+    wall_s: float = 0.0  #: by the clock on the wall [s]
 
     @classmethod
     def of(cls, row: Mapping[str, Any]) -> Disturbance:
@@ -73,15 +66,11 @@ class Disturbance:
         return self.cpu_s / self.wall_s if self.wall_s else 1.0
 
     def trusts(self, percentile: float) -> bool:
-        """Return whether a percentile of the times is to be trusted.
+        """Return whether a percentile of the times is to be trusted (docs/solvers.md has what that was measured on).
 
-        A switch lengthens one call. A percentile holds as long as the switches are few beside the calls beyond it, 1 %
-        of all for p99: at most ``MOST_HIT`` of these. Measured with clarabel at 90 us a solve: switches in 0.4 % of the
-        calls leave p99 within 5 %, 0.8 % raise it by a quarter, 1.3 % six times; the median stands at 2.7 %.
-
-        And none holds where the process had less than ``LEAST_CPU_SHARE`` of a core: another one fills its caches, or
-        a hypervisor takes the core, which no switch shows, and two medians taken one after the other are no longer of
-        the same machine. This is not asked of a process that waits of its own accord, for a thread or a child.
+        A switch lengthens one call: there may be ``MOST_HIT`` as many as calls beyond the percentile. None holds where
+        the process had less than ``LEAST_CPU_SHARE`` of a core, unless it waits of its own accord, for a thread or a
+        child: a hypervisor takes the core, which no switch shows.
         """
         few = self.switches <= MOST_HIT * (1.0 - percentile / 100.0) * self.calls + 1e-9
         return few and (self.cpu_share >= LEAST_CPU_SHARE or self.waits > OWN_WAITS * self.calls)
@@ -113,11 +102,9 @@ def each_us(
     call: Callable[[Any], Any], items: Iterable[Any], results: list[Any] | None = None,
     prepare: Callable[[Any], Any] | None = None, seen: list[Disturbance] | None = None,
 ) -> Array:  # fmt: skip
-    """Time ``call(item)`` one by one [us], without garbage-collection pauses.
+    """Time ``call(item)`` one by one [us], without garbage-collection pauses, each after ``prepare(item)``.
 
-    Args:
-        prepare: called with each item before the clock starts.
-        seen: what the machine did meanwhile is appended to it.
+    Results, and in ``seen`` what the machine did meanwhile, are appended to the lists that are given.
     """
     times = []
     keep = results.append if results is not None else None
@@ -150,16 +137,10 @@ def interleaved(
     """Time several calls side by side: each goes through its own items, ``chunk`` of them at a time, in turn.
 
     Whatever the machine does meanwhile hits all alike, so ratios of what is found chunk by chunk are steadier than
-    the times. All entries have as many items as the shortest.
-
-    Args:
-        entries: name -> what is timed.
-        rounds: how often all items are gone through; one round more comes first and is not timed.
-        chunk: items in a row. Every one counts, also the first ones, which find other entries' data in the caches.
-        seen: filled with what the machine did to each entry.
+    the times. All entries have as many items as the shortest. One round comes before ``rounds`` and is not timed.
 
     Returns:
-        name -> (rounds * chunks, chunk) [us].
+        name -> (rounds * chunks, chunk) [us]; ``seen`` is filled with what the machine did to each entry.
 
     Raises:
         ValueError: fewer items than a chunk.
@@ -191,11 +172,7 @@ def ratios(times: Array, base: Array) -> Array:
 
 
 def figures(times: Array, prefix: str, seen: Disturbance) -> dict[str, float]:
-    """Return percentiles and maximum of a result of `interleaved` (chunks, chunk), and the median of the cold calls.
-
-    The cold calls are the first ``COLD`` of each chunk: another entry ran before them. What the machine did stands
-    beside them.
-    """
+    """Return percentiles and maximum of a result of `interleaved`, and the median of the first calls of each chunk."""
     return {
         **percentiles(times.ravel(), prefix, seen), f"{prefix}_max_us": seen.judged(float(times.max()), 100.0),
         f"{prefix}_cold_p50_us": seen.judged(float(np.median(times[:, :COLD])), 50.0), **seen.entries(),
@@ -203,11 +180,7 @@ def figures(times: Array, prefix: str, seen: Disturbance) -> dict[str, float]:
 
 
 def percentiles(times: Array, prefix: str, seen: Disturbance = UNDISTURBED) -> dict[str, float]:
-    """Return {prefix_p50_us, prefix_p99_us, ...} of the finite times; empty where there is none.
-
-    Args:
-        seen: what the machine did meanwhile: a percentile that it spoils is a `Doubtful`.
-    """
+    """Return {prefix_p50_us, ...} of the finite times, if any; a percentile that the machine spoilt is `Doubtful`."""
     times = times[np.isfinite(times)]
     if times.size == 0:
         return {}

@@ -1,9 +1,5 @@
 """One run becomes one row: a trial (a scenario with a seed of its own) under one controller.
 
-    cases = trials(Scenario(), ["circle", "spiral"], seeds(0, stream=3, count=60))
-    runs = study.trials([Trial(case, name) for case in cases for name in ("dcac", "exact")])
-    results = Results(run.row for run in with_phases(runs))
-
 Each seed draws start, mismatch and noise, so that trials are independent. All controllers run the same trials.
 """
 
@@ -56,11 +52,7 @@ def seeds(seed: int, stream: int, count: int) -> list[int]:
 def trials(base: Scenario, tasks: Sequence[str], own_seeds: Sequence[int], *, virtual: bool = False) -> list[Scenario]:
     """Make one scenario a seed, with the tasks in turn and the starting swivel drawn; its name is "task/seed".
 
-    Args:
-        base: what all trials share.
-        tasks: names of paths.
-        own_seeds: of the trials.
-        virtual: take size and depth of the paper's virtual task of that name.
+    ``virtual`` takes size and depth of the paper's virtual task of that name.
     """
     found = []
     for k, seed in enumerate(own_seeds):
@@ -143,16 +135,13 @@ class Trial:
 class Run:
     """What is left of a run.
 
-    Attributes:
-        row: what names it; ``ended``, ``whole`` (the task was driven to its end), ``error`` (None: none), ``raised``
-            (what the solver raised first); then every metric, with times only where it ran alone.
-        columns: name -> array with a row a tick; empty where it broke off.
-        load: what the machine did from the first tick to the last.
+    Its row has what names it; ``ended``, ``whole`` (the task was driven to its end), ``error`` (None: none), ``raised``
+    (what the solver raised first); then every metric, with times only where it ran alone.
     """
 
     row: Mapping[str, Any]
-    columns: Mapping[str, Array] = field(default_factory=dict)
-    load: Disturbance = UNDISTURBED
+    columns: Mapping[str, Array] = field(default_factory=dict)  #: name -> a row a tick; empty where it broke off
+    load: Disturbance = UNDISTURBED  #: what the machine did from the first tick to the last
 
 
 def run_trial(asked: Trial) -> Run:
