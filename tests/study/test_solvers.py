@@ -92,14 +92,6 @@ def test_every_part_is_there_under_the_names_that_others_read(summary):
     assert counts == {BASELINE: (3, 3), "exact": (3, 3), "osqp": (2, 2), "rnn": (2, 2), "quadprog": (2, 2)}
 
 
-def test_no_mean_of_times_hides_a_tail(summary):
-    def keys(value):
-        for key, inner in value.items() if isinstance(value, dict) else ():
-            yield from (key, *keys(inner))
-
-    assert [k for k in keys(summary) if k.endswith("_us") and "mean" in k] == []
-
-
 def test_all_files_are_written(folder):
     out = folder / "out"
     rows = pl.read_parquet(out / "rows.parquet")
@@ -187,7 +179,7 @@ def test_a_run_that_is_killed_twice_goes_on_and_ends_with_the_same_figures(tmp_p
     said = [line for line in told.splitlines() if line.startswith("so far: ")]
     assert said[0].startswith("so far: Take `exact`"), "the first sentence comes before the closed loop"
     assert len(set(said)) == len(said), "no sentence is said twice"
-    for more, how, status in ((3, signal.SIGKILL, -9), (8, signal.SIGKILL, -9), (13, signal.SIGTERM, 130)):
+    for more, how, status in ((3, signal.SIGKILL, -9), (8, signal.SIGTERM, 130)):
         before = jobs(tmp_path / "stopped" / "jobs")  # one more must be done: by then it takes signals
         process = started(tmp_path, "stopped")
         end = time.monotonic() + 100.0
