@@ -47,10 +47,6 @@ def test_every_fault_of_the_configuration_fits_a_scenario():
     assert {case.group for case in SHIPPED.cases.values()} == {"solver", "sensors", "plant", "contact", "camera"}
     for case in SHIPPED.cases.values():
         assert case.corrupt(SHIPPED.scenario) != SHIPPED.scenario or case.camera_lost_s is not None
-    delays = {case.plant.get("delay_ticks") for case in SHIPPED.cases.values()} - {None}
-    assert delays | {SHIPPED.scenario.plant.delay_ticks} == {1, 2, 3, 4, 5}
-    assert max(case.faults.get("bump_N", 0.0) for case in SHIPPED.cases.values()) == 30.0
-    assert max(c.trocar.get("breathing_amplitude_m", 0.0) for c in SHIPPED.cases.values()) == 0.015
     kinds = {case.faults.get("solver") for case in SHIPPED.cases.values()} - {None}
     assert kinds == {"fail", "nan", "lie", "raise", "outside", "rig", "malformed", "hang"}
 

@@ -14,20 +14,6 @@ def task(robot):
     return peers.circle(robot)
 
 
-def test_what_peers_are_given_is_the_model_s(robot, regular_poses):
-    """The gradient, and a wrist that puts the shaft through the trocar."""
-    for q in regular_poses(5):
-        np.testing.assert_allclose(peers.tip_gradient(robot)(q), robot.state(q).grad_mu, atol=1e-14)
-    state = robot.state(robot.data.q_home)
-    tip_ref = np.array([state.tip + 0.01, [0.02, -0.01, 0.03], np.zeros(3)])
-    trocar = np.array([state.tip - 0.15 * state.tool_direction, np.zeros(3)])
-    wrist, rate = wrist_reference(tip_ref, trocar, state.tool_span)
-    assert peers.shaft_distance(tip_ref[0], wrist, trocar[0]) < 1e-12
-    assert np.linalg.norm(wrist - tip_ref[0]) == pytest.approx(state.tool_span)
-    moved = tip_ref + np.array([1e-6 * tip_ref[1], np.zeros(3), np.zeros(3)])
-    np.testing.assert_allclose((wrist_reference(moved, trocar, state.tool_span)[0] - wrist) / 1e-6, rate, atol=1e-5)
-
-
 @pytest.mark.parametrize("name", list(peers.PEERS))
 def test_a_peer_that_is_listed_does_the_job(name, robot, task):
     if reason := peers.missing(name):

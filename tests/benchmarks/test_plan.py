@@ -72,15 +72,3 @@ def test_a_goal_is_judged_by_the_end_of_its_interval(spread: tuple[float, float]
     assert found["gap planned"]["reached"] == reached
     assert {found[key]["reached"] for key in ("scratch", "halving")} == {"not measured"}
     assert found["planned tip"]["reached"] == ("no" if count == 8 else "open"), "10 % above local's"
-
-
-def test_the_answer_says_where_the_climb_is_trapped() -> None:
-    rows = Results(runs({"local": [3.0, 22.0, 3.5, 8.0] * 2, "planned": [0.2, 0.3, 0.1, 0.2] * 2}))
-    config = plan.Config(robots=["lwr4"], loops={"local": {}, "planned": {}})
-    summary = {"goals": {}}
-    said = plan.sentences(summary, rows, config)
-    assert "planned 0.20 [" in said[0]
-    assert "largest 22.0, 8 runs" in said[0]
-    assert "from 4 of 8 starts" in said[1]
-    [picture] = plan.pictures(rows)
-    assert [box.name for box in picture.figure.data] == ["local", "planned"]

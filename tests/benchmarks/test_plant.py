@@ -4,7 +4,6 @@ import pytest
 
 from benchmarks import plant
 from moc_opt.scenario import Setup
-from moc_opt.study.command import CONFIGS
 
 TINY = """
 tasks = ["circle"]
@@ -77,14 +76,3 @@ def test_a_registration_at_the_start_is_the_runs_own(results):
 )
 def test_where_a_limit_is_crossed_for_good(values, at):
     assert plant.crossing((0.0, 1.0, 2.0), values, 5.0) == at
-
-
-def test_every_effect_is_run_on_the_same_trials():
-    config = plant.Config.load(CONFIGS / "plant.toml")
-    plants = [({"effect": name}, config.plant(name)) for name in config.effects]
-    starts = {}
-    for tags, case in config.under_presets(config.cases(), plants):
-        starts.setdefault(tags["effect"], []).append((tags["preset"], case.seed, case.task, case.start))
-    assert all(trials == starts["none"] for trials in starts.values())
-    assert len(starts["none"]) == 2 * 15
-    assert config.plant("default") == config.scenario.plant

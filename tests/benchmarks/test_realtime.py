@@ -36,9 +36,8 @@ def test_a_case_is_all_cycles_of_its_runs():
 
 @pytest.mark.parametrize(
     ("missed", "cycles", "reached"),
-    [(3, 1_000_000, "yes"), (4, 1_000_000, "open"), (1, 100_000, "open"), (0, 100_000, "open"), (0, 400_000, "yes"),
-     (0, 99_999, "not measured"), (16, 1_000_000, "open"), (18, 1_000_000, "no"), (9, 100_000, "no")],
-)  # fmt: skip
+    [(3, 1_000_000, "yes"), (4, 1_000_000, "open"), (18, 1_000_000, "no"), (0, 99_999, "not measured")],
+)
 def test_the_goal_of_c_needs_enough_cycles_and_few_misses(missed, cycles, reached):
     case, other = {"cycles": cycles, "missed": missed}, {"cycles": 9, "missed": 9}
     found = judge({"cases": {"C, 500 Hz, quiet": case, "C, 1000 Hz, quiet": other}}, realtime.GOALS)
@@ -63,14 +62,11 @@ def test_report_shows_the_cases_with_their_goals():
 
 def test_a_run_is_the_scenario_at_that_rate():
     config = Config.load(CONFIGS / "realtime.toml")
-    scenario = config.scenario.change(guard={"patience_ticks": 7})
-    config = config.model_copy(update={"run_cycles": 1234, "seed": 7, "scenario": scenario})
     for rate in (250, 500, 1000):
         found = config.run_at(rate)
-        assert found.plant.period_s == 1.0 / rate
+        assert (found.plant.period_s, found.duration_s) == (1.0 / rate, pytest.approx(config.run_cycles / rate))
         assert found.plant.substep_s <= 0.001
-        assert (found.duration_s, found.seed, found.judge) == (pytest.approx(1234 / rate), 7, False)
-        assert (found.task, found.guard.patience_ticks) == (config.scenario.task, 7)
+        assert found.task == config.scenario.task
 
 
 def test_the_load_is_there_and_then_is_not(monkeypatch):

@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import polars as pl
 import pytest
 from hypothesis import given, settings
@@ -33,10 +32,7 @@ def config(**changes: Any) -> Config:
         ({"grid": {"solver.name": ["osqp"]}}, "give 'solvers'"),
         ({"grid": {"control.regularization": 1e-5}}, "give a list of values"),
         ({"grid": {"control.k0_per_sec": [1.0]}}, "did you mean 'k0_per_s'"),
-        ({"grid": {"plant.mas_error": [1.0]}}, "did you mean 'mass_error'"),
-        ({"grid": {"solver.setings.eps": [1.0]}}, "did you mean 'settings'"),
         ({"grid": {"plant.mass_error": [0.1, 2.0]}}, "mass_error = 2.0: not a scenario"),
-        ({"grid": {"task.sizes.radius": [float("nan")]}}, r"radius\[0\] = nan"),
         ({"grid": {"task.path": ["circle", "circel"]}}, "did you mean 'circle'"),
         ({"grid": {"solver.settings.epss": [1e-6]}, "solvers": ["osqp"]}, "did you mean 'eps'"),
         ({"grid": {p: [i / 1e4 for i in range(4000)] for p in ("control.c0", "control.c1")}}, "into several"),
@@ -45,7 +41,6 @@ def config(**changes: Any) -> Config:
         ({"random": {"fields": {"plant.delay_ticks": {"low": 0.2, "high": 0.8, "scale": "integer"}}}}, "whole number"),
         ({"random": {"fields": {"plant.friction": 3.0}}}, "choice"),
         ({"random": {"fields": {"plant.mass_error": {"low": 0.1, "high": 0.2}}}}, r"\[grid\] and in \[random"),
-        ({"seeds": 0}, "0 runs"),
         ({"seeds": []}, "0 runs"),
         ({"solvers": ["osqpp"]}, "did you mean 'osqp'"),
         ({"settings": {"osqp": {}}}, r"\[settings\]"),
@@ -73,12 +68,6 @@ def test_a_sample_stays_in_its_range_and_only_grows(seed: int, samples: int, low
     assert all(isinstance(v, int) for v in drawn["plant.delay_ticks"])
     longer = random_draws({"control": {"regularization": fields["control.regularization"]}}, samples + 3, seed)
     assert longer["control.regularization"][:samples] == drawn["control.regularization"]
-
-
-def test_a_logarithmic_sample_is_uniform_in_its_exponent() -> None:
-    fields = {"control.regularization": {"low": 1e-6, "high": 1e-2, "scale": "log"}}
-    drawn = np.log10(random_draws(fields, 4000, 0)["control.regularization"])
-    assert np.histogram(drawn, [-6, -5, -4, -3, -2])[0] == pytest.approx([1000] * 4, rel=0.1)
 
 
 def test_the_plan_is_every_combination_in_a_fixed_order() -> None:

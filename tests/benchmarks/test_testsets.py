@@ -81,17 +81,6 @@ def test_the_shipped_answers_are_the_certificate_s_and_highs_bears_them_out(name
             assert descent(A, b, slope, qp.lower, qp.upper, x) < 1e-6
 
 
-def test_it_does_not_depend_on_how_the_five_rows_are_chosen():
-    """Nor near a straight elbow, where the fifth singular value falls to 2e-11."""
-    kept = TestSet.load("near-singular")
-    for qp, x in zip(kept.problems()[::8], kept.x[::8], strict=True):
-        A, b, _ = qp.reduced()
-        pull = [Fraction(qp.c2) * Fraction(g) for g in qp.grad_mu]
-        again = optimum(A, b, pull, qp.regularization, qp.lower, qp.upper)
-        assert again is not None
-        np.testing.assert_allclose([float(value) for value in again], x, atol=1e-12)
-
-
 @pytest.mark.parametrize("name", ["circle", "random", "joint-limits", "inconsistent-1e-4"])
 def test_the_judge_measures_the_distance_to_the_certified_optimum(name):
     """From answers that are moved along the self-motion, towards the middle of the box."""
@@ -106,15 +95,12 @@ def test_the_judge_measures_the_distance_to_the_certified_optimum(name):
 
 
 def test_what_highs_does_not_bear_out_is_refused(monkeypatch):
-    problems = TestSet.load("circle").problems()[:2]
-    monkeypatch.setattr(certify, "certified", lambda _: None)
-    with pytest.raises(CertificateError):
-        certify.certify("wrong", problems)
     infeasible = TestSet.load("infeasible")
-    (qp,) = [qp for qp, feasible in zip(infeasible.problems(), infeasible.feasible, strict=True) if not feasible][:1]
-    monkeypatch.setattr(certify, "certified", lambda qp: [Fraction(0)] * qp.n)
-    with pytest.raises(CertificateError):
-        certify.certify("wrong", [qp])
+    unsolved = infeasible.problems()[int(np.argmin(infeasible.feasible))]
+    for qp, answer in ((TestSet.load("circle").problems()[0], None), (unsolved, [Fraction(0)] * 7)):
+        monkeypatch.setattr(certify, "certified", lambda _, answer=answer: answer)
+        with pytest.raises(CertificateError):
+            certify.certify("wrong", [qp])
 
 
 def test_tip_and_wrist_must_be_tied():
@@ -151,13 +137,3 @@ def test_inconsistent_references_differ_along_the_shaft():
             straight = straightened(qp)
             assert np.linalg.norm(five_row_gap(straight, straight.b)) < 1e-15
             np.testing.assert_allclose(straight.reduced().b, qp.reduced().b, atol=1e-15)
-
-
-def test_the_names_keep_their_word():
-    for name, rho in {"circle-rho0": 0.0, "circle": 1e-5}.items():
-        assert TestSet.load(name).problems()[0].regularization == rho
-    assert not TestSet.load("infeasible").feasible.all()
-    jumps = TestSet.load("jumps").problems()
-    np.testing.assert_array_equal(jumps[0].grad_mu, -jumps[1].grad_mu)
-    steps = [np.abs(np.diff(TestSet.load(n).x, axis=0)).max() for n in ("circle", "jumps")]
-    assert steps[0] < 0.3 < np.nan_to_num(steps[1], nan=1.0)

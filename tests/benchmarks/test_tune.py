@@ -13,7 +13,6 @@ from moc_opt.control import ControlSettings
 from moc_opt.control.presets import TUNED
 from moc_opt.robots import load_data
 from moc_opt.study.command import CONFIGS
-from moc_opt.study.results import Results
 from moc_opt.study.trials import BASELINE, Run, seeds
 
 CONFIG = tune.Config.load(CONFIGS / "tune.toml")
@@ -99,17 +98,6 @@ def test_score_reads_the_gain_and_refuses_what_is_not_calm():
     ):
         refused = tune.score(candidate, [*usual, bad])
         assert (refused.objective, said in refused.reason) == (math.inf, True)
-
-
-def test_change_while_settled_is_that_of_the_same_trials():
-    rows = [
-        run("", name, 500.0, trial=k, settled_ticks=100, **{f"settled_{e}": value for e in tune.ERRORS}).row
-        for k, both in enumerate([(0.1, 0.2), (0.2, 0.4), (0.3, 0.6)])
-        for name, value in zip((tune.SOLVER, BASELINE), both, strict=True)
-    ]  # fmt: skip
-    values = tune.figures(Results(rows))
-    assert values[f"settled_{TIP}"] == pytest.approx(-50.0)
-    assert f"travelling_{TIP}" not in values
 
 
 def test_search_and_experiment_share_no_trial():
