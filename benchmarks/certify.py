@@ -33,8 +33,7 @@ Vector = list[Fraction]
 def five_rows(qp: NullSpaceQP) -> tuple[Array, Array]:
     """Return the rows that are certified, (5, n) and (5,): the tip's, and the wrist's across the shaft.
 
-    Raises:
-        CertificateError: tip and wrist are not tied by a rigid tool, or the rows have no rank of five.
+    A CertificateError where tip and wrist are not tied by a rigid tool, or the rows have no rank of five.
     """
     directions, sizes, _ = np.linalg.svd(qp.J_tip - qp.J_wrist)
     if sizes[2] > TIED * np.linalg.norm(qp.A):
@@ -122,7 +121,6 @@ def _stationary(
 
 
 def dot(one: Iterable[Fraction], other: Iterable[Fraction]) -> Fraction:
-    """Return the inner product without rounding."""
     return sum((a * b for a, b in zip(one, other, strict=True)), NONE)
 
 
@@ -152,11 +150,7 @@ def certified(qp: NullSpaceQP) -> Vector | None:
 
 
 def certify(name: str, problems: Sequence[NullSpaceQP]) -> TestSet:
-    """Find the answers and prove them.
-
-    Raises:
-        CertificateError: HiGHS finds a point where the enumeration finds none, or none where it finds one.
-    """
+    """Find the answers and prove them; a CertificateError where HiGHS contradicts the enumeration on feasibility."""
     X = np.full((len(problems), problems[0].n), np.nan)
     for i, qp in enumerate(problems):
         found = certified(qp)

@@ -37,31 +37,21 @@ SIZES = (60, 15, LEAST_TRIALS)
 
 
 class Config(StudyConfig):
-    """benchmarks/configs/coverage.toml."""
-
     trials: int = Field(240, ge=2 * max(SIZES), description="of the pool")
     draws: int = Field(1000, ge=1, description="from the pool, of each number of trials")
     tasks: list[str] = Field(["circle", "sinusoid", "spiral"], min_length=1)
     scenario: Scenario = Scenario(duration_s=4.0, bound_samples=0, start={"pose": "random"})
 
     def quick(self) -> Self:
-        """Return the same on less data."""
         few = {"trials": 2 * max(SIZES), "draws": 50, "scenario": self.scenario.change(duration_s=0.1)}
         return self.model_copy(update=few)
 
     def cases(self) -> list[Scenario]:
-        """Return the trials of the pool."""
         return trials(self.scenario, self.tasks, range(SEED, SEED + self.trials))
 
 
 def covered(treated: ArrayLike, control: ArrayLike, size: int, draws: int) -> tuple[float, float]:
-    """Return the share of draws whose interval holds the pool's change [percent], and its median width [percent].
-
-    Args:
-        treated, control: of the pool, (k,) each.
-        size: trials of a draw.
-        draws: their number.
-    """
+    """Return the share of draws of ``size`` trials whose interval holds the pool's change, and its median width [%]."""
     treated, control = np.asarray(treated), np.asarray(control)
     rng, held, widths = np.random.default_rng(size), 0, []
     true = 100.0 * (treated.mean() / control.mean() - 1.0)
@@ -74,7 +64,6 @@ def covered(treated: ArrayLike, control: ArrayLike, size: int, draws: int) -> tu
 
 
 def work(study: Study, config: Config) -> Found:
-    """Run the pool and draw from it."""
     starts, lost = study.placed(config.cases())
     asked = [Trial(case, name) for case in starts for name in (BASELINE, *SOLVERS)]
     pool = Results([*(run.row for run in study.trials(asked)), *lost])
@@ -97,7 +86,6 @@ def work(study: Study, config: Config) -> Found:
 
 
 def report(rows: Sequence[dict[str, object]], config: Config) -> Report:
-    """Show the share of intervals that hold the pool's change."""
     named = [Column("solver", "solver"), Column("change", "change of")]
     table = Table(f"Nominal 95 % intervals: {config.draws} draws from {config.trials} trials", [
         *named, Column("true_percent", "pool", unit="%", format="+.1f"),

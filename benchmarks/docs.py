@@ -41,7 +41,6 @@ def block(folder: Path, title: str | None) -> str | None:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Fill every block of every page; prints the pages that changed."""
     given = sys.argv[1:] if arguments is None else arguments
     results = Path(given[0]) if given else HOME / "results"
     for page in [HOME / "README.md", *sorted((HOME / "docs").glob("*.md"))]:

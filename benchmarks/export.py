@@ -93,7 +93,6 @@ def write_qpbenchmark(folder: Path, names: Sequence[str] = SETS, every: int = 1,
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Write a test set; returns the exit status."""
     options = argparse.ArgumentParser(prog="python -m benchmarks.export", description="The test sets for others.")
     options.add_argument("format", choices=["qpbenchmark"])
     options.add_argument("--out", type=Path, required=True, help="folder for the files")

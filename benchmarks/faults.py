@@ -93,7 +93,6 @@ class Case(Settings):
         return self
 
     def corrupt(self, scenario: Scenario) -> Scenario:
-        """Return the scenario with this fault in it."""
         return scenario.change(faults=self.faults, plant=self.plant, trocar=self.trocar)
 
 
@@ -102,8 +101,6 @@ FREE = {"none": Case(group="none")}
 
 
 class Config(StudyConfig):
-    """benchmarks/configs/faults.toml."""
-
     trials: int = Field(2, ge=1)
     solvers: list[str] = Field(["exact", "osqp", "rnn"], min_length=1)
     tip_limit_mm: float = Field(20.0, gt=0.0)
@@ -121,12 +118,10 @@ class Config(StudyConfig):
         return cases
 
     def quick(self) -> Self:
-        """Return the same faults on one trial of half the length."""
         short = self.scenario.change(duration_s=min(3.2, self.scenario.duration_s or 3.2))
         return self.model_copy(update={"trials": 1, "scenario": short})
 
     def scenarios(self) -> list[Scenario]:
-        """Return the trials."""
         return [self.scenario.change(name=f"trial {k}", seed=self.seed + k) for k in range(self.trials)]
 
 
@@ -146,7 +141,6 @@ class Block:
 
 
 def work(study: Study, config: Config) -> Found:
-    """Inject every fault under every controller, and judge the goals."""
     runnable(config.solvers)
     limits, cases = (config.tip_limit_mm, config.rcm_limit_mm), {**FREE, **config.cases}
     sound = {name: case for name, case in cases.items() if case.group != "solver"}  # DCAC has no solver that could fail
@@ -352,7 +346,6 @@ def goals_of(cases: Mapping[str, Case]) -> dict[str, Goal]:
 def report(
     rows: Sequence[Mapping[str, Any]], goals: Mapping[str, Any], traces: Mapping[str, Trace], config: Config
 ) -> Report:
-    """Show the goals first, then every fault, then what was noticed of the solvers'."""
     keys = ("runs", "survived", "stopped", "injected", "detected", "harmless")
     runs, survived, stopped, injected, detected, harmless = (sum(row.get(key, 0) for row in rows) for key in keys)
     answer = [

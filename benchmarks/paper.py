@@ -143,8 +143,6 @@ class Swivel(Settings):
 
 
 class Config(StudyConfig):
-    """benchmarks/configs/paper.toml."""
-
     tasks: list[str] = Field(["circle", "sinusoid", "spiral"], min_length=1)
     trials: int = Field(5, ge=1, description="per task")
     solvers: list[str] = Field(["exact", "rnn", "rnn-printed"], min_length=1)
@@ -174,7 +172,6 @@ class Config(StudyConfig):
         return config
 
     def quick(self) -> Self:
-        """Return the same experiment on less data."""
         cases = dict(islice(self.ablation.cases.items(), 2))
         return self.model_copy(update={
             "tasks": self.tasks[:1], "trials": 2, "swivel": self.swivel.model_copy(update={"starts": 3}),
@@ -196,13 +193,11 @@ class Config(StudyConfig):
         return self.base(self.ablation.group).change(control={**case.control, **defaults}, bound_samples=0)
 
     def cases(self, base: Scenario | None = None) -> list[Scenario]:
-        """Return the trials of a scenario: those of all groups have the same seeds."""
         own = seeds(self.seed, STREAM, self.trials * len(self.tasks))
         return trials(base or self.base(self.best), self.tasks, own, virtual=True)
 
 
 def work(study: Study, config: Config) -> Found:
-    """Run every part, and judge claims and goals."""
     asked = [
         Trial(case.change(best_courses=True), name, tags={"part": "trials", "group": group}, keep="curves")
         for group in config.groups for case in config.cases(config.base(group))
@@ -370,7 +365,6 @@ def swivel(rows: Results, solver: str) -> dict[str, Any]:
 
 
 def report(summary: Mapping[str, Any], rows: Results, config: Config) -> Report:
-    """Show the paper's claims first, then our goals, every group, the ablation, the starts and the procedure."""
     by: dict[tuple[str, str], dict[str, Any]] = {}
     for row in summary["claims"]:
         by.setdefault((row["group"], row["controller"]), {})[row["claim"]] = row
@@ -415,7 +409,6 @@ def _mark(row: Mapping[str, Any]) -> Mark:
 
 
 def _effects(by: Mapping[Any, Any]) -> list[Picture]:
-    """Draw the effects with the paper's parameters."""
     rows = {
         f"{solver}: {claim.title}": claims[claim.metric]
         for (group, solver), claims in by.items() for claim in CLAIMS if group == PRINTED and claim.papers

@@ -294,7 +294,6 @@ class Verdict(NamedTuple):
 
     @property
     def failure(self) -> str | None:
-        """The failed part of the job; None if there is none."""
         for what, off in (("tip", self.tip_error_max_mm), ("shaft", self.rcm_error_max_mm)):
             if not off <= TOLERANCE_MM:
                 return f"the {what} is {off:.3g} mm off, {TOLERANCE_MM} are allowed"

@@ -13,7 +13,6 @@ from moc_opt.scenario import Scenario, run
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Draw one trial under four controllers, as SVG."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.pictures", description=__doc__)
     parser.add_argument("--out", type=Path, default=Path("docs") / "pictures")
     given = parser.parse_args(arguments)

@@ -49,8 +49,6 @@ IN_THE_LOOP, ALONG = "In the loop", "Courses and checks"
 
 
 class Config(StudyConfig):
-    """benchmarks/configs/plan.toml."""
-
     robots: list[str] = Field(["lwr4", "iiwa14", "panda"], min_length=1)
     tasks: list[str] = Field(["circle", "sinusoid", "spiral"], min_length=1)
     seed: int = Field(4000, ge=0, description="not one of those that the limits of courses were chosen on")
@@ -60,18 +58,15 @@ class Config(StudyConfig):
     scenario: Scenario = Scenario(start={"pose": "random"})
 
     def quick(self) -> Self:
-        """Return the same on less data."""
         few = {"robots": self.robots[:2], "tasks": self.tasks[:1], "poses": 2, "halvings": 1}
         return self.model_copy(update=few)
 
     def cases(self) -> list[Scenario]:
-        """Return the trials, arm by arm."""
         drawn = seeds(self.seed, STREAM, self.poses * len(self.tasks) * len(self.robots))
         return on_each_arm(self.scenario, self.robots, self.tasks, drawn)
 
 
 def about(case: Scenario, part: str) -> dict[str, Any]:
-    """Return the columns that name a row."""
     return {"part": part, "robot": case.robot.name, "trial": case.name, "seed": case.seed, "controller": part,
             "whole": True, "error": None}  # fmt: skip
 
@@ -132,7 +127,6 @@ def halving(case: Scenario) -> list[dict[str, Any]]:
 
 
 def work(study: Study, config: Config) -> Found:
-    """Plan every trial, run the loops, halve the grid, and judge the goals."""
     cases, asked = config.cases(), list[tuple[str, Job]]()
     for robot in config.robots:
         mine = [case for case in cases if case.robot.name == robot]
@@ -213,7 +207,6 @@ def goals(loops: Mapping[str, Any]) -> dict[str, Goal]:
 
 
 def report(summary: Mapping[str, Any], rows: Results, config: Config) -> Report:
-    """Show how far each third level ends below the best course, then courses, checks and goals."""
     first, wide = [], []
     for robot, by in summary["loops"].items():
         for name, found in by.items():
@@ -275,7 +268,6 @@ def _mark(goal: Mapping[str, Any] | None, value: float | None, form: str) -> Mar
 
 
 def sentences(summary: Mapping[str, Any], rows: Results, config: Config) -> list[str]:
-    """Say what each third level leaves, where the climb is trapped, and which goals are met."""
     every = {name: list(rows.values("gap_percent", name).values()) for name in config.loops}
     said = [
         f"{name} {mean(gaps):.2f} % (largest {max(gaps):.1f}, {too_few(len(gaps)) or f'{len(gaps)} runs'})"
@@ -294,7 +286,6 @@ def sentences(summary: Mapping[str, Any], rows: Results, config: Config) -> list
 
 
 def pictures(rows: Results) -> list[Picture]:
-    """Draw the gaps of all runs."""
     gaps = {name: list(rows.values("gap_percent", name).values()) for name in rows.where(part="loop").names()}
     boxes = {name: {"all starts": np.maximum(of, LEAST_DRAWN_PERCENT)} for name, of in gaps.items() if of}
     says = f"A climb that is trapped ends more than {TRAPPED_PERCENT:g} % below the best course."

@@ -67,8 +67,6 @@ class Sweep(Settings):
 
 
 class Config(StudyConfig):
-    """benchmarks/configs/plant.toml."""
-
     tasks: list[str] = Field(["circle", "sinusoid", "spiral"], min_length=1)
     trials: int = Field(5, ge=1, description="per task")
     presets: list[str] = Field(["tuned", "default"], min_length=1)
@@ -79,17 +77,14 @@ class Config(StudyConfig):
     scenario: Scenario = Scenario(judge=False, bound_samples=0)
 
     def quick(self) -> Self:
-        """Return the same on less data."""
         sweep = self.calibration.model_copy(update={"trials": 2, "sizes": self.calibration.sizes[-1:]})
         less = {"tasks": self.tasks[:1], "trials": 2, "presets": self.presets[:1], "calibration": sweep}
         return self.model_copy(update=less)
 
     def plant(self, effect: str) -> PlantSettings:
-        """Return the plant with one effect."""
         return PlantSettings(**self.scenario.plant.model_dump() | self.base | self.effects[effect])
 
     def cases(self, stream: int = EFFECTS_STREAM, count: int | None = None) -> list[Scenario]:
-        """Return the trials of the effects, or of another stream."""
         drawn = seeds(self.seed, stream, (count or self.trials) * len(self.tasks))
         return trials(self.scenario, self.tasks, drawn, virtual=True)
 
@@ -114,7 +109,6 @@ def plant_of(base: PlantSettings, kind: str, size: float) -> PlantSettings:
 
 
 def work(study: Study, config: Config) -> Found:
-    """Run every defect and every size of the calibration error on its trials, under DCAC and MOC."""
     both, sweep = (BASELINE, config.solver), config.calibration
     defects = [({"part": "effects", "effect": name}, config.plant(name)) for name in config.effects]
     asked = [
@@ -227,7 +221,6 @@ def crossing(sizes: Sequence[float], values: Sequence[float], limit: float) -> f
 
 
 def report(summary: Mapping[str, Any], config: Config) -> Report:
-    """Show the tip's errors first, then every figure of the sizes, then each defect."""
     rows = [
         {
             "preset": row["preset"], "off": f"{row['kind']} {row['size']:g}" if row["size"] else "nothing",
@@ -275,7 +268,6 @@ def report(summary: Mapping[str, Any], config: Config) -> Report:
 
 
 def sentences(summary: Mapping[str, Any]) -> list[str]:
-    """Say for each preset from which error on the elbow costs tip accuracy, and what registering again leaves."""
     said, evens = [], {(one["preset"], one["kind"]): one for one in summary["break_even"]}
     for preset in dict.fromkeys(preset for preset, _ in evens):
         origins, encoders = evens[preset, "origins"], evens[preset, "encoders"]
@@ -306,7 +298,6 @@ def _at(size: float | None, unit: str) -> str:
 
 
 def pictures(rows: Sequence[Mapping[str, Any]], config: Config) -> list[Picture]:
-    """Draw the registered tip error over the size of the origins' error: DCAC, MOC, and MOC registered again."""
     found = []
     keys = {"DCAC": f"dcac_{JUDGED}", "MOC": f"moc_{JUDGED}",
             "MOC after the travel, registered again": "moc_tip_again_mm"}  # fmt: skip

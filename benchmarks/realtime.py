@@ -61,8 +61,6 @@ class Case(NamedTuple):
 
 
 class Config(StudyConfig):
-    """benchmarks/configs/realtime.toml."""
-
     cycles: int = Field(100_000, ge=100, description="of every case")
     run_cycles: int = Field(20_000, ge=100, description="of one run")
     rates_Hz: list[Rate] = Field([500, 1000], min_length=1)
@@ -71,15 +69,12 @@ class Config(StudyConfig):
     scenario: Scenario = Scenario()
 
     def quick(self) -> Self:
-        """Return the same on less data."""
         return self.model_copy(update={"cycles": 1000, "run_cycles": 1000, "rates_Hz": self.rates_Hz[:1]})
 
     def measured(self) -> list[Case]:
-        """Return every controller at every rate under every load."""
         return [Case(c, rate, load) for rate in self.rates_Hz for load in self.loads for c in self.controllers]
 
     def run_at(self, rate_Hz: Rate) -> Scenario:
-        """Return the scenario of one run at a rate."""
         plant = {"period_s": 1.0 / rate_Hz, "substeps": max(1, round(1000 / rate_Hz))}
         cycles = min(self.cycles, self.run_cycles)
         return self.scenario.change(
@@ -88,7 +83,6 @@ class Config(StudyConfig):
 
 
 def work(study: Study, config: Config) -> Found:
-    """Do the runs of every case, those of an earlier command excepted, and judge the goals."""
     if study.given.cycles is not None:
         config = Config(**config.model_dump() | {"cycles": study.given.cycles})
     runs = runs_of(study, config)
@@ -147,7 +141,6 @@ def runs_of(study: Study, config: Config) -> dict[Case, list[Run]]:
 
 
 def build(scenario: Scenario, folder: Path) -> Path:
-    """Export and compile the controller of a scenario as a program."""
     export_scenario(scenario, folder, udp=True)
     done = subprocess.run(["make", "-C", str(folder), "moc_udp"], capture_output=True, text=True, check=False)
     if done.returncode:
@@ -221,7 +214,6 @@ def read(trace: Trace, said: dict[str, Any], begun: str) -> Run:
 
 
 def summarise(runs: Sequence[Run]) -> dict[str, Any]:
-    """Return the figures of a case's runs."""
     found: dict[str, Any] = {
         "runs": len(runs), "cycles": sum(len(run.round_us) for run in runs), "missed": sum(run.missed for run in runs),
         "overruns": sum(run.overruns for run in runs), "stopped": sum(run.ended != "completed" for run in runs),
@@ -263,7 +255,6 @@ GOALS = {key: Goal(*given, section=DETAILS) for key, given in {
 
 
 def sentences(summary: Mapping[str, Any]) -> list[str]:
-    """Say how many cycles missed on a quiet machine, what load does, and how many goals are reached."""
     cases, said = summary["cases"], []
     quiet = {name: found for name, found in cases.items() if name.endswith("quiet")}
     if quiet:
@@ -285,7 +276,6 @@ def sentences(summary: Mapping[str, Any]) -> list[str]:
 
 
 def report(summary: Mapping[str, Any], subject: str = "") -> Report:
-    """Show which goals are reached, and the figures of every case."""
     rows = []
     for name, found in summary["cases"].items():
         low, value, high = (1e5 * found[f"missed_share{end}"] for end in ("_low", "", "_high"))
@@ -311,7 +301,6 @@ def report(summary: Mapping[str, Any], subject: str = "") -> Report:
 
 
 def options(parser: ArgumentParser) -> None:
-    """Add the number of cycles."""
     parser.add_argument("--cycles", type=int, metavar="N", help="of every case, in place of the configuration's")
 
 

@@ -44,8 +44,6 @@ DRAWN = ("mu_gain_percent", *(change_name(f"settled_{ERRORS[k]}") for k in (1, 4
 
 
 class Config(StudyConfig):
-    """benchmarks/configs/robots.toml."""
-
     robots: list[str] = Field(["lwr4", "iiwa14", "panda", "gen3", "xarm7", "lwr4_rail"], min_length=1)
     tasks: list[str] = Field(["circle", "sinusoid", "spiral"], min_length=1)
     starts: int = Field(5, ge=1, description="random starts per task and robot")
@@ -53,17 +51,14 @@ class Config(StudyConfig):
     scenario: Scenario = Scenario(start={"pose": "random"}, bound_samples=10)
 
     def quick(self) -> Self:
-        """Return the same on less data."""
         return self.model_copy(update={"tasks": self.tasks[:1], "starts": 2, "solvers": self.solvers[:2]})
 
     def cases(self) -> list[Scenario]:
-        """Return the trials, arm by arm."""
         drawn = seeds(self.seed, STREAM, self.starts * len(self.tasks) * len(self.robots))
         return on_each_arm(self.scenario, self.robots, self.tasks, drawn)
 
 
 def work(study: Study, config: Config) -> Found:
-    """Run every controller on every trial of every arm, and judge the findings."""
     starts, lost = study.placed(config.cases())
     asked = [
         Trial(case.change(best_courses=True), name, keep="curves")
@@ -115,7 +110,6 @@ def ranking(robots: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
 
 
 def report(summary: Mapping[str, Any], judged: str) -> Report:
-    """Say what holds where."""
     arms, findings = summary["robots"], summary["findings"]
     first = []
     for arm, by in arms.items():
@@ -150,7 +144,6 @@ def report(summary: Mapping[str, Any], judged: str) -> Report:
 
 
 def sentences(summary: Mapping[str, Any], judged: str) -> list[str]:
-    """Say what mu gains on which arm, what holds on every arm, and whether solvers rank alike."""
     mine = {arm: by[judged] for arm, by in summary["robots"].items() if "mu_gain_percent" in by.get(judged, {})}
     if not mine:
         return [f"No trial was completed by {judged} and by DCAC."]
@@ -172,7 +165,6 @@ def sentences(summary: Mapping[str, Any], judged: str) -> list[str]:
 
 
 def pictures(summary: Mapping[str, Any], judged: str) -> list[Picture]:
-    """Draw the changes of every arm with their intervals."""
     found = []
     for key in DRAWN:
         drawn = {arm: e for arm, by in summary["robots"].items() if (e := ends(by.get(judged, {}), key)) is not None}

@@ -35,8 +35,6 @@ TIMED = ("tick", "tick_parts", "peers", "adapters", "loop")
 
 
 class Config(StudyConfig):
-    """benchmarks/configs/speed.toml."""
-
     solvers: list[str] = Field(["exact", "daqp", "proxqp", "osqp"])
     ticks: int = Field(2000, ge=100)
     rounds: Count = 4
@@ -55,7 +53,6 @@ class Config(StudyConfig):
         return value
 
     def quick(self) -> Self:
-        """Return the same on less data."""
         few = {
             "ticks": min(self.ticks, 400), "rounds": 1, "batch": min(self.batch, 20_000), "runs": 1, "starts": 1,
             "scenario": self.scenario.change(duration_s=1.0),
@@ -64,7 +61,6 @@ class Config(StudyConfig):
 
 
 def work(study: Study, config: Config) -> Found:
-    """Measure all parts, one after the other, and judge the goals."""
     solvers, no_solver = choose(config.solvers)
     adapters, no_adapter = choose(timed.ADAPTERS if config.adapters == "all" else config.adapters)
     libraries = list(peers.PEERS) if config.peers == "all" else config.peers
@@ -112,7 +108,6 @@ def _measured(study: Study, jobs: Sequence[Job], what: str) -> list[Any]:
 
 
 def summed_up(whole: timed.Part, failed: Mapping[str, str]) -> dict[str, Any]:
-    """Return the summary of all parts together, with the loop over its limit and the goals."""
     summary: dict[str, Any] = {name: {} for name in (*TIMED, "batch", "setup")} | whole.found
     if loop := summary["loop"]:
         rounds = [row for row in whole.rows if row["part"] == "loop"]
@@ -227,7 +222,6 @@ SECTIONS = {
 
 
 def report(summary: Summary, times: Mapping[str, ArrayLike], subject: str = "") -> Report:
-    """Show the goals, the times of the ticks [us], and the figures around each goal."""
     rows = {key: [{"name": name, **row} for name, row in summary[key].items()] for key in COLUMNS}
     if own := summary["tick"].get("exact"):
         rows["peers"].insert(0, {"name": "moc_opt", "level": "torque", "times_ours": 1.0, **own})
@@ -245,7 +239,6 @@ def report(summary: Summary, times: Mapping[str, ArrayLike], subject: str = "") 
 
 
 def sentences(summary: Summary) -> list[str]:
-    """Say how long a tick takes, how fast the loop runs, who is fastest of the others, and which goals are reached."""
     said = []
     if "exact" in summary["tick"] and "python" in summary["loop"]:
         own, factor = summary["tick"]["exact"]["tick_p50_us"], summary["loop"]["python"]["factor"]
@@ -261,7 +254,6 @@ def sentences(summary: Summary) -> list[str]:
 
 
 def timed_rows(summary: Summary) -> list[Mapping[str, Any]]:
-    """Return the rows of the summary whose times were taken one by one."""
     return [row for part in TIMED for row in summary[part].values()]
 
 

@@ -86,8 +86,6 @@ class RandomSample(Settings):
 
 
 class Config(StudyConfig):
-    """benchmarks/configs/sweep.toml."""
-
     seeds: int | list[int] = Field(1, description="how many, or which")
     solvers: list[str] | None = Field(None, description="None: the scenario's; dcac: no solver")
     timed: bool = Field(False, description="one run at a time, so that times count")
@@ -98,7 +96,6 @@ class Config(StudyConfig):
     scenario: Scenario = Scenario()
 
     def quick(self) -> Self:
-        """Return the same sweep with the first two values of everything, and short runs."""
         solvers = None if self.solvers is None else self.solvers[:2]
         return self.model_copy(update={
             "seeds": list(self.chosen_seeds()[:1]), "solvers": solvers,
@@ -109,7 +106,6 @@ class Config(StudyConfig):
         })  # fmt: skip
 
     def chosen_seeds(self) -> Sequence[int]:
-        """Return the seeds of the scenarios."""
         return self.seeds if isinstance(self.seeds, list) else range(self.seed, self.seed + self.seeds)
 
     def chosen_solvers(self) -> dict[str, dict[str, Any]]:
@@ -237,7 +233,6 @@ def _check_names(runs: Sequence[Trial]) -> None:
 
 
 def work(study: Study, config: Config) -> Found:
-    """Do the runs that are not done yet, and summarise all of them."""
     asked = plan(config)
     rows = Results(run.row for run in study.trials(asked, limit_s=config.run_limit_s))
     grid = {path: values for path, values in grid_axes(config.grid).items() if len(values) > 1}
@@ -270,7 +265,6 @@ def grouped(rows: Results, field: str = "") -> dict[str, dict[str, Any]]:
 
 
 def report(summary: Mapping[str, Any], rows: Results, axes: Mapping[str, list[Any]], config: Config) -> Report:
-    """Show the solvers first, then every field of the grid."""
     metrics = [*SHOWN, *(TIMES if config.timed else ())]
 
     def table(title: str, part: str, metrics: Sequence[str] = metrics) -> Table:
@@ -293,7 +287,6 @@ def report(summary: Mapping[str, Any], rows: Results, axes: Mapping[str, list[An
 
 
 def pictures(summary: Mapping[str, Any], axes: Mapping[str, list[Any]]) -> list[Picture]:
-    """Draw metrics over every field of the grid that is a number: mean, 5th to 95th percentile."""
     found = []
     for field, values in axes.items():
         if not all(type(value) in (int, float) for value in values):

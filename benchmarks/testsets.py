@@ -39,16 +39,12 @@ def at_pose(
     trocar = state.tip - depth * state.tool_direction
     _, v_wrist = desired_wrist(state.tip, v_tip, trocar, np.zeros(3), state.tool_span)
     lower, upper = (np.clip(-k0 * (q - limit), -robot.v_max, robot.v_max) for limit in (robot.q_min, robot.q_max))
-    v_wrist = along_the_shaft(v_tip, v_wrist, state.tool_direction)
+    u = state.tool_direction
+    v_wrist = v_wrist + u * (u @ (v_tip - v_wrist))  # a rigid tool cannot change its length
     return NullSpaceQP(
         state.J_tip, state.J_wrist, v_tip, v_wrist, state.grad_mu, lower=lower, upper=upper, q=q,
         regularization=regularization,
     )  # fmt: skip
-
-
-def along_the_shaft(v_tip: Array, v_wrist: Array, u: Array) -> Array:
-    """Return v_W with u^T (v_T - v_W) = 0: a rigid tool cannot change its length."""
-    return np.asarray(v_wrist + u * (u @ (v_tip - v_wrist)))
 
 
 def tip_velocity(rng: Rng, speed: float) -> Array:
@@ -127,7 +123,6 @@ def make(name: str, robot: RobotModel, seed: int = 0) -> TestSet:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Make or check all sets; returns the exit status, 1 where the files differ."""
     options = argparse.ArgumentParser(prog="python -m benchmarks.testsets", description=__doc__)
     options.add_argument("--check", action="store_true", help="compare with the files instead of writing")
     return make_all(options.parse_args(arguments).check)

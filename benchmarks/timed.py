@@ -54,7 +54,6 @@ class Part:
     seen: dict[str, Disturbance] = field(default_factory=dict)
 
     def time(self, part: str, entries: Mapping[str, Timed], rounds: int) -> None:
-        """Time entries that take turns; keep a row for each chunk."""
         self.times |= interleaved(entries, rounds, CHUNK, self.seen)
         for name, chunks in self.times.items():
             late = np.percentile(chunks, [50, 99, 100], axis=1).T.tolist()
@@ -64,7 +63,6 @@ class Part:
             ]
 
     def figures(self, name: str, prefix: str) -> dict[str, float]:
-        """Return the figures of an entry."""
         return figures(self.times[name], prefix, self.seen[name])
 
     def over(self, name: str, other: str) -> float:

@@ -50,8 +50,6 @@ Values = Mapping[str, float]
 
 
 class Config(StudyConfig):
-    """benchmarks/configs/tune.toml."""
-
     tasks: list[str] = Field(["circle", "sinusoid", "spiral"], min_length=1)
     random: int = Field(60, ge=1)
     local: int = Field(40, ge=0)
@@ -63,7 +61,6 @@ class Config(StudyConfig):
     scenario: Scenario = Scenario(judge=False, bound_samples=0)
 
     def quick(self) -> Self:
-        """Return the same search with few candidates."""
         few = {"random": 3, "local": 1, "finalists": 2, "trials": 2, "final_trials": 2, "tasks": self.tasks[:1]}
         return self.model_copy(update=few)
 
@@ -77,7 +74,6 @@ class Candidate:
 
     @property
     def control(self) -> dict[str, Any]:
-        """Return it as a table of control settings."""
         table: dict[str, Any] = {"gains": "default", **self.values}
         if "rho_over_c2" in table:
             table["regularization"] = float(f"{table.pop('rho_over_c2') * 1e-3:.3g}")
@@ -111,7 +107,6 @@ def draw(config: Config, rng: np.random.Generator, near: Sequence[Candidate] = (
 
 
 def figures(rows: Results) -> dict[str, float]:
-    """Return the figures that the objective reads, over all trials."""
     gain = rows.change("mu_mean", SOLVER)
     values = {"gain": -100.0 if gain is None else gain.ratio.value}  # without a pair of runs there is none
     mine, theirs = rows.pairs("mu_mean", SOLVER)
@@ -156,7 +151,6 @@ def asked(config: Config, candidate: Candidate, stream: int, per_task: int, hard
 
 
 def score(candidate: Candidate, runs: Sequence[Run]) -> Score:
-    """Judge a candidate by its runs."""
     if broken := [run.row["error"] for run in runs if not run.row["whole"]]:
         return Score(candidate, math.inf, {}, f"broke off: {broken[0]:.120}")
     usual = [run for run in runs if run.row["group"] == ""]
@@ -191,13 +185,11 @@ def search(study: Study, config: Config) -> tuple[list[Score], list[Score]]:
 
 
 def row(part: str, entry: Score) -> dict[str, Any]:
-    """Return one row of rows.parquet and of the table."""
     told = {"part": part, "objective": entry.objective, "reason": entry.reason or None}
     return {**told, **entry.candidate.values, **entry.figures}
 
 
 def work(study: Study, config: Config) -> Found:
-    """Search, and verify the finalists."""
     found, finals = search(study, config)
     if not finals or not math.isfinite(finals[0].objective):
         raise ScenarioError("no candidate survived: widen [space], or draw more with random = ...")
