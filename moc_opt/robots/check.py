@@ -46,8 +46,7 @@ def check_robot(robot: RobotModel, scenario: Scenario | None = None) -> list[Fin
     Returns:
         One finding a row, in the order of the table; the arm's own verdict is the worst of them.
     """
-    asked = scenario or Scenario(robot={"name": robot.data.name})
-    sliding = int(robot.chain.prismatic.sum())
+    asked, sliding = scenario or Scenario(robot={"name": robot.data.name}), int(robot.chain.prismatic.sum())
     kinds = f"{robot.n} joints" + (f", {sliding} of them sliding" if sliding else "")
     found = [Finding("arm", f"{kinds}, tool {1e3 * robot.data.tool_length:.0f} mm", "ok"), *_freedom(robot)]
     if verdict(found) != "cannot":
@@ -152,7 +151,7 @@ def _weight(robot: RobotModel) -> Finding:
 def _bodies(robot: RobotModel) -> Finding:
     # The loader refuses inertias that no body has; here are those that no arm has.
     far, total = [], 0.0
-    for link in urdf.read(urdf.parse(robot.data.urdf)).links:
+    for link in urdf.read(robot.data.urdf).links:
         if link.mass and link.moments:
             total += link.mass
             gyration = math.sqrt(max(link.moments[:3]) / link.mass)

@@ -6,7 +6,6 @@ import math
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
-from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
@@ -130,8 +129,8 @@ class RobotData:
             object.__setattr__(self, name, value)
         object.__setattr__(self, "gains", {name: dict(table) for name, table in self.gains.items()})
 
-    def __reduce__(self) -> tuple[Any, ...]:
-        return partial(RobotData, **{field.name: getattr(self, field.name) for field in fields(self)}), ()
+    def __reduce__(self) -> tuple[Any, ...]:  # what is read is read-only again
+        return RobotData, tuple(getattr(self, field.name) for field in fields(self))
 
     @property
     def n(self) -> int:
@@ -168,12 +167,9 @@ def load_data(
     """
     path = _find(name_or_path)
     description = _described(path)
-    changes = {key: value for key, value in (("length_m", tool_length), ("mass_kg", tool_mass)) if value is not None}
-    try:
-        tool = description.tool.replace(changes)
-    except RobotError as error:
-        raise RobotError(f"tool_length = {tool_length!r}, tool_mass = {tool_mass!r}: {error}") from error
-    arm = urdf.read(urdf.parse(read_text(path.parent / description.urdf, "urdf", RobotError)))
+    changes = {"length_m": tool_length, "mass_kg": tool_mass}
+    tool = description.tool.replace({key: value for key, value in changes.items() if value is not None})
+    arm = urdf.read(read_text(path.parent / description.urdf, "urdf", RobotError))
     for kind, parts in (("link", arm.links), ("joint", arm.joints)):
         if taken := sorted({part.name for part in parts} & urdf.TOOL_NAMES[kind]):
             raise RobotError(f"urdf already has {kind}s named {taken}: rename them, the tool needs these names")
@@ -216,21 +212,17 @@ def _find(name_or_path: str | os.PathLike[str]) -> Path:
     kind = path.suffix.lower()
     if kind == ".toml":
         return path
-    if kind == ".urdf":
-        beside = path.with_suffix(".toml")
-        if not beside.is_file():
-            raise RobotError(
-                f"robot file {str(beside)!r} does not exist: a URDF needs a TOML of its name beside it; "
-                f"`moc-opt robot new {path.name} --out my.toml` writes one from a vendor's URDF"
-            )
-        return beside
-    if isinstance(name_or_path, str) and os.sep not in name_or_path:
-        error = UnknownNameError("robot", name_or_path, known)
+    if kind != ".urdf":
+        error = UnknownNameError("robot", str(path), known)
         error.args = (f"{error}; or give the path of a robot's TOML or URDF file",)
         raise error
-    raise RobotError(
-        f"robot file {str(path)!r} is neither .toml nor .urdf: give such a path, or one of {', '.join(known)}"
-    )
+    beside = path.with_suffix(".toml")
+    if not beside.is_file():
+        raise RobotError(
+            f"robot file {str(beside)!r} does not exist: a URDF needs a TOML of its name beside it; "
+            f"`moc-opt robot new {path.name} --out my.toml` writes one from a vendor's URDF"
+        )
+    return beside
 
 
 def _limits(given: Limits, chain: list[urdf.Joint]) -> dict[str, Array]:

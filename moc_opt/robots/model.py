@@ -246,7 +246,7 @@ def carried(robot: RobotModel) -> dict[str, Any]:
 def restored(values: Mapping[str, Any]) -> RobotModel:
     """Make the robot of what `carried` gave; a RobotError where that is damaged."""
     try:
-        arm = urdf.read(urdf.parse(values["urdf"]))
+        arm = urdf.read(values["urdf"])
         urdf.normalize(arm)
         text = arm.to_text(values["name"])
         return RobotModel(RobotData(**{**values, "urdf": text, "joint_names": tuple(values["joint_names"])}))

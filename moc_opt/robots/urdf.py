@@ -109,41 +109,39 @@ class Urdf:
 # --- reading ---
 
 
-def parse(text: str) -> ET.Element:
-    """Parse URDF text; a RobotError where it is no XML, or no <robot>."""
+def read(text: str) -> Urdf:
+    """Read links and joints, unchecked but for their numbers.
+
+    Raises:
+        RobotError: no XML, no <robot>, or a number or an element that is wrong or missing; the message names it.
+    """
     try:
         root = ET.fromstring(text)
     except ET.ParseError as error:
         raise RobotError(f"urdf is not well-formed XML ({error}): expand xacro files and check the line") from error
     if root.tag != "robot":
         raise RobotError(f"urdf root is <{root.tag}>: a URDF begins with <robot>")
-    return root
-
-
-def read(root: ET.Element) -> Urdf:
-    """Read links and joints, unchecked but for their numbers; a RobotError names the number or the missing element."""
+    if any("xacro" in element.tag for element in root):
+        raise RobotError("urdf is a xacro file: expand it first (xacro FILE > arm.urdf)")
     return Urdf([_link(each) for each in root.findall("link")], [_joint(each) for each in root.findall("joint")])
 
 
-def number(text: str, what: str, unit: str) -> float:
-    """Read one number in a unit of `LARGEST`; a RobotError that names ``what`` where it is none, or too large."""
-    text = text.strip()
-    value = float(text) if text.lower().lstrip("+-") in ("inf", "infinity") else decimal(text)
-    if not abs(value) <= LARGEST[unit]:
-        size = f"of at most {LARGEST[unit]:g} {unit}" if unit != "a limit" else "such as 2.9"
-        raise RobotError(f"urdf: {what} is {text!r:.80}: give a decimal number {size}")
-    return 0.0 if abs(value) < SMALLEST else value
+def numbers(element: ET.Element | None, key: str, what: str, unit: str, count: int = 3) -> tuple[float, ...]:
+    """Read the numbers of an attribute, in a unit of `LARGEST`; zeros where element or attribute is missing.
 
-
-def triple(element: ET.Element | None, key: str, what: str, unit: str) -> Triple:
-    """Read three numbers from an attribute; zeros where element or attribute is missing. Errors as of `number`."""
-    if element is None or key not in element.attrib:
-        return _ZEROS
-    parts = element.get(key, "").split()
-    if len(parts) != 3:
-        raise RobotError(f"urdf: {what} is {element.get(key)!r:.80}: write three numbers, such as '0 0 0.1'")
-    x, y, z = (number(part, what, unit) for part in parts)
-    return (x, y, z)
+    Raises:
+        RobotError: another count of numbers, what is no number, or one that is too large; the message names ``what``.
+    """
+    text = None if element is None else element.get(key)
+    if text is None:
+        return (0.0,) * count
+    endless = ("inf", "infinity")
+    found = [float(part) if part.lower().lstrip("+-") in endless else decimal(part) for part in text.split()]
+    if len(found) != count or not all(abs(value) <= LARGEST[unit] for value in found):
+        wanted = "three decimal numbers, such as '0 0 0.1'," if count == 3 else "a decimal number"
+        size = f" of at most {LARGEST[unit]:g} {unit}" if unit != "a limit" else ", such as 2.9"
+        raise RobotError(f"urdf: {what} is {text!r:.80}: give {wanted}{size}")
+    return tuple(0.0 if abs(value) < SMALLEST else value for value in found)
 
 
 def as_text(*values: float) -> str:
@@ -160,9 +158,9 @@ def _link(element: ET.Element) -> Link:
     origin, mass, inertia = (_one(inertial, tag, where) for tag in ("origin", "mass", "inertia"))
     link.xyz, link.rpy = _place(origin, f"<inertial> of {where}")
     if mass is not None:
-        link.mass = number(mass.get("value", ""), f"mass of {where}", "kg")
+        (link.mass,) = numbers(mass, "value", f"mass of {where}", "kg", 1)
     if inertia is not None:
-        link.moments = tuple(number(inertia.get(key, "0"), f"{key} of {where}", "kg m^2") for key in MOMENTS)
+        link.moments = sum((numbers(inertia, key, f"{key} of {where}", "kg m^2", 1) for key in MOMENTS), ())
     return link
 
 
@@ -178,17 +176,20 @@ def _joint(element: ET.Element) -> Joint:
     joint = Joint(name, element.get("type", ""), **ends, mimics=element.find("mimic") is not None)
     joint.xyz, joint.rpy = _place(origin, where)
     if axis is not None:
-        joint.axis = triple(axis, "xyz", f"<axis> of {where}, xyz", "1")
+        joint.axis = _triple(axis, "xyz", f"<axis> of {where}", "1")
     for key in ("lower", "upper", "velocity", "effort"):
         if limit is not None and key in limit.attrib:
-            joint.limits[key] = number(limit.get(key, ""), f"<limit> of {where}, {key}", "a limit")
+            (joint.limits[key],) = numbers(limit, key, f"<limit> of {where}, {key}", "a limit", 1)
     return joint
 
 
 def _place(origin: ET.Element | None, where: str) -> tuple[Triple, Triple]:
-    kinds = (("xyz", "m"), ("rpy", "rad"))
-    xyz, rpy = (triple(origin, key, f"<origin> of {where}, {key}", unit) for key, unit in kinds)
-    return xyz, rpy
+    return _triple(origin, "xyz", f"<origin> of {where}", "m"), _triple(origin, "rpy", f"<origin> of {where}", "rad")
+
+
+def _triple(element: ET.Element | None, key: str, where: str, unit: str) -> Triple:
+    x, y, z = numbers(element, key, f"{where}, {key}", unit)
+    return x, y, z
 
 
 def _one(parent: ET.Element, tag: str, where: str) -> ET.Element | None:

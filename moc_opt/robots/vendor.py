@@ -57,10 +57,7 @@ def read_vendor(
         RobotError: no URDF, xacro that is not expanded, no single chain, a mimic joint in the chain.
         UnknownNameError: ``tip`` or a joint of ``lock`` is not in the file.
     """
-    root = urdf.parse(read_text(path, "urdf", RobotError))
-    if any("xacro" in each.tag for each in root):
-        raise RobotError(f"urdf {str(path)!r} is a xacro file: expand it first (xacro {path.name} > arm.urdf)")
-    arm = VendorArm(urdf.read(root))
+    arm = VendorArm(urdf.read(read_text(path, "urdf", RobotError)))
     joints = {joint.name: joint for joint in arm.urdf.joints}
     _rename(arm)
     _drop_endless_limits(arm.urdf.joints)

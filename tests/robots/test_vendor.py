@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from moc_opt.errors import RobotError, UnknownNameError
 from moc_opt.robots.model import load_robot
-from moc_opt.robots.urdf import Link, inertia_fault, parse, read
+from moc_opt.robots.urdf import Link, inertia_fault, read
 from moc_opt.robots.vendor import CHOSEN, TRAVEL_M, VendorArm, enough_efforts, mend_bodies, read_vendor
 from tests.robots.arms import added, changed, joint, link, text_of, with_hand
 
@@ -133,7 +133,7 @@ def mended(*links: Link) -> list[str]:
 
 
 def test_without_mass_it_is_a_frame_and_without_inertia_a_ball() -> None:
-    ours, again = (read(parse(text_of())).links for _ in range(2))
+    ours, again = (read(text_of()).links for _ in range(2))
     assert mended(*ours) == []
     assert ours == again  # possible bodies stay
     frame, ball, weightless = Link("f", 0.0, (0.1,) * 6), Link("b", 1.0), Link("n", None, (0.0,) * 6)
