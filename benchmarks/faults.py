@@ -33,7 +33,7 @@ from moc_opt.study.results import Results
 from moc_opt.study.show import Goal, Picture, Report, Section, about, goals_sentence, goals_table, judge
 from moc_opt.study.trials import BASELINE, variant
 from moc_opt.tasks import Reference
-from moc_opt.tasks.waiting import WaitingReference
+from moc_opt.tasks.timelaw import WaitingReference
 from moc_opt.trace.meta import Ending
 from moc_opt.trace.trace import Trace
 

@@ -26,7 +26,7 @@ from moc_opt.sim.loop import simulate
 from moc_opt.sim.plant import Plant
 from moc_opt.tasks import Path as TipPath
 from moc_opt.tasks import Reference, Trocar
-from moc_opt.tasks.waiting import WaitingReference, flags_at
+from moc_opt.tasks.timelaw import WaitingReference, flags_at
 from moc_opt.trace.metrics import summarize
 from moc_opt.trace.oscillation import judged_for_oscillation
 from moc_opt.trace.trace import Trace

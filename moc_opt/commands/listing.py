@@ -17,7 +17,7 @@ from moc_opt.robots import about, available_robots
 from moc_opt.robots.model import load_robot
 from moc_opt.scenario.tables import TaskTable
 from moc_opt.solvers.registry import available, defaults
-from moc_opt.tasks.kinds import kinds, sizes
+from moc_opt.tasks.paths import kinds, sizes
 from moc_opt.trace.metrics import METRICS, load_plugins
 
 

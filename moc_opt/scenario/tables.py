@@ -10,7 +10,7 @@ from pydantic import Field, model_validator
 from moc_opt.inputs.settings import Name, Settings
 from moc_opt.robots.model import RobotModel, load_robot
 from moc_opt.solvers.registry import check_name, defaults
-from moc_opt.tasks.kinds import sizes
+from moc_opt.tasks.paths import sizes
 
 Vector = tuple[float, float, float]
 MOST_S = 100_000.0

@@ -30,22 +30,17 @@ def positive(name: str, value: object) -> float:
     return number(name, value, above=0.0)
 
 
-def rows_of(name: str, value: ArrayLike, shape: str, *dimensions: int) -> Array:
-    """Return a copy of numbers (3,) or (k, 3), as the dimensions allow; a TaskError where they are none."""
+def vector3(name: str, value: ArrayLike, *, rows: bool = False) -> Array:
+    """Return a read-only copy of numbers (3,), or (k, 3) as ``rows``; a TaskError where they are no finite numbers."""
+    wanted = "give finite numbers (k, 3)" if rows else "give three finite numbers"
     try:
         result = np.array(value, dtype=np.float64)
     except (TypeError, ValueError) as error:
-        raise TaskError(f"{name} = {value!r:.200}: give {shape} numbers") from error
-    if result.ndim not in dimensions or result.shape[-1] != 3:
-        raise TaskError(f"{name} has shape {result.shape}: give {shape} numbers")
-    return result
-
-
-def vector3(name: str, value: ArrayLike) -> Array:
-    """Return a read-only (3,) copy with finite entries; a TaskError where it is none."""
-    result = rows_of(name, value, "three finite", 1)
+        raise TaskError(f"{name} = {value!r:.200}: {wanted}") from error
+    if result.ndim != 1 + rows or result.shape[-1] != 3:
+        raise TaskError(f"{name} has shape {result.shape}: {wanted}")
     if not np.isfinite(result).all():
-        raise TaskError(f"{name} = {value!r}: give three finite numbers")
+        raise TaskError(f"{name} = {value!r:.200}: {wanted}")
     return read_only(result)
 
 

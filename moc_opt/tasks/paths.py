@@ -1,18 +1,29 @@
-"""Paths of the tool tip in space by arc length: planar curves (`curves.py` has them), and curves through waypoints."""
+"""Paths of the tool tip in space by arc length: planar curves, curves through waypoints, and all of them by name.
+
+An entry point of the group `moc_opt.tasks` names what an entry of `CURVES` is: a function of sizes that returns
+waypoints, or a class of a planar curve.
+"""
 
 from __future__ import annotations
 
+import inspect
 import math
 from bisect import bisect_right
+from collections.abc import Callable, Iterable
+from importlib.metadata import EntryPoint, entry_points
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from moc_opt.arrays import Array
-from moc_opt.errors import TaskError
-from moc_opt.tasks.checks import TimeLike, direction3, rows_of, sampled, vector3
-from moc_opt.tasks.curves import ArcLength, PlanarCurve
+from moc_opt.errors import MocOptError, TaskError, UnknownNameError, describe
+from moc_opt.inputs import plugins
+from moc_opt.tasks.checks import TimeLike, direction3, sampled, vector3
+from moc_opt.tasks.curves import CURVES, ArcLength, PlanarCurve
 
+GROUP = "moc_opt.tasks"
+WAYPOINTS = "waypoints"
 MOST = 1000  #: Waypoints of one path.
 FARTHEST_M = 1000.0  #: Of a waypoint from the start, along each axis: as for the sizes of other paths.
 _SLOWEST = 0.05  # of the spline's speed over its chords: below it, the path all but turns back on the spot
@@ -25,15 +36,12 @@ class Path:
     knots: Array  #: Arc lengths (k,) [m], from 0 to `length`, close enough together to see every bend.
 
     def __init__(self, curve: PlanarCurve, start: ArrayLike, *, normal: ArrayLike, heading: ArrayLike) -> None:
-        """Place the curve.
+        """Place the curve; a TaskError where a vector is not usable, or heading and normal are parallel.
 
         Args:
             start: where it begins, (3,) [m].
             normal: of its plane, (3,), any length above zero. "To the left" is seen from its tip.
             heading: the curve's first axis, (3,); its part along the normal is taken out.
-
-        Raises:
-            TaskError: a vector is not usable, or heading and normal are parallel.
         """
         self._place(start, normal, heading)
         self.curve, self.length, self.knots = curve, float(curve.length), curve.knots
@@ -53,16 +61,9 @@ class Path:
         return self.curve.at(s)[4]
 
     def at(self, s: TimeLike) -> tuple[Array, Array, Array]:
-        """Return point, unit tangent and curvature vector at an arc length.
+        """Return p [m], dp/ds and d2p/ds2 [1/m] at arc length s [m]; each (3,), or (k, 3) for lengths (k,).
 
-        Args:
-            s: arc length [m] in [0, length], a number or a vector (k,).
-
-        Returns:
-            p [m], dp = dp/ds, ddp = d2p/ds2 [1/m]; each (3,), or (k, 3) for a vector.
-
-        Raises:
-            TaskError: s is outside the path, or no number or vector.
+        A TaskError where s is outside the path, or no number or vector.
         """
         p, dp, ddp = sampled("s", s, self._rows)
         return p, dp, ddp
@@ -80,9 +81,6 @@ class Path:
             raise TaskError(f"s = {s!r} is outside the path: give an arc length in [0, {self.length!r}] m")
         return np.array(self.point(min(max(s, 0.0), self.length))).reshape(3, 3)
 
-    def __repr__(self) -> str:
-        return f"Path({type(self.curve).__name__.lower()}, {self.length:.4g} m, start={self.start.tolist()})"
-
 
 class Waypoints(Path):
     """A path from `start` through every waypoint, its direction and curvature continuous.
@@ -91,13 +89,11 @@ class Waypoints(Path):
     """
 
     def __init__(self, points: ArrayLike, start: ArrayLike, *, normal: ArrayLike, heading: ArrayLike) -> None:
-        """Lay the path.
+        """Lay the path; start, normal and heading are those of `Path`.
 
         Args:
             points: (k, 3) [m] from the start: along the heading, to the left, along the normal. The start itself may
                 stand first.
-            start: where the path begins, (3,) [m].
-            normal, heading: as in `Path`.
 
         Raises:
             TaskError: no such points, two alike beside each other, or a path that turns back on the spot.
@@ -154,14 +150,9 @@ class Waypoints(Path):
                 "curve"
             )
 
-    def __repr__(self) -> str:
-        return f"Waypoints({len(self._at)} points, {self.length:.4g} m, start={self.start.tolist()})"
-
 
 def _checked(points: ArrayLike) -> Array:
-    found = rows_of("waypoints", points, "finite (k, 3)", 2)
-    if not np.isfinite(found).all():
-        raise TaskError("waypoints are not finite: give finite numbers (k, 3) [m]")
+    found = vector3("waypoints", points, rows=True)
     for point in found[np.abs(found).max(axis=1, initial=0.0) > FARTHEST_M].tolist():
         raise TaskError(f"waypoint {point}: {FARTHEST_M:g} m from the start is the most, and the unit is m")
     if not 1 <= len(found) <= MOST or not found.any():
@@ -174,3 +165,85 @@ def _spline(t: Array, points: Array) -> Array:
 
     found = CubicSpline(t, points, bc_type="natural").c  # (4, pieces, 3), highest power first
     return np.ascontiguousarray(found[::-1].transpose(1, 2, 0))
+
+
+# --- by name ---
+
+
+def kinds() -> dict[str, str]:
+    """Name -> one line on every path that a scenario may name; of one that is broken, the reason."""
+    found = {name: _about(curve) for name, curve in CURVES.items()}
+    found[WAYPOINTS] = "A smooth path through the points of `waypoints_m`, in three dimensions."
+    for name in _plugins():
+        try:
+            found.setdefault(name, _about(_maker(name)))
+        except TaskError as error:
+            found.setdefault(name, str(error))
+    return found
+
+
+def sizes(kind: str, given: Iterable[str] = ()) -> dict[str, Any]:
+    """Name -> default of every size of a path; `inspect.Parameter.empty` where it has to be given.
+
+    Raises:
+        UnknownNameError: no such path, or a given name is none of its sizes.
+        TaskError: it is another package's, and does not load.
+    """
+    parameters = {} if kind == WAYPOINTS else inspect.signature(_maker(kind)).parameters
+    known = {name: parameter.default for name, parameter in parameters.items()}
+    for name in given:
+        if name not in known:
+            raise UnknownNameError(f"size of a {kind}", name, known)
+    return known
+
+
+def make_path(
+    kind: str, start: ArrayLike, *, normal: ArrayLike, heading: ArrayLike, waypoints: ArrayLike | None = None,
+    **given: float,
+) -> Path:  # fmt: skip
+    """Build a path of one of `kinds` with the given `sizes`; start, normal and heading are those of `Path`.
+
+    Args:
+        waypoints: (k, 3) [m], see `Waypoints`; of the kind "waypoints" alone.
+
+    Raises:
+        UnknownNameError: no such kind, or the kind has no such size; the message lists the valid names.
+        TaskError: a size is missing or not positive and finite, or a vector is not usable.
+    """
+    known = sizes(kind, given)
+    missing = [name for name, default in known.items() if default is inspect.Parameter.empty and name not in given]
+    if missing:
+        raise TaskError(f"a {kind} needs its {', '.join(missing)}: give positive numbers, lengths in m")
+    if kind == WAYPOINTS:
+        return Waypoints([] if waypoints is None else waypoints, start, normal=normal, heading=heading)
+    try:
+        made = _maker(kind)(**given)
+    except MocOptError:
+        raise
+    except Exception as error:
+        if kind in CURVES:
+            raise
+        raise TaskError(f"path {kind!r}: {plugins.in_words(_plugins()[kind][0])} raised {describe(error)}") from error
+    shape = Path if hasattr(made, "at") else Waypoints
+    return shape(made, start, normal=normal, heading=heading)
+
+
+def _plugins() -> dict[str, list[EntryPoint]]:
+    return plugins.plugins(GROUP, entry_points)
+
+
+def _maker(kind: str) -> Callable[..., Any]:
+    if kind in CURVES:
+        return CURVES[kind]
+    claimed = _plugins()
+    if kind not in claimed:
+        raise UnknownNameError("path", str(kind), [*CURVES, WAYPOINTS, *claimed])
+    found: Callable[..., Any] = plugins.load("path", kind, claimed[kind], TaskError)
+    if not callable(found):
+        what = plugins.in_words(claimed[kind][0])
+        raise TaskError(f"path {kind!r}: {what} is no class or function; see docs/extending.md")
+    return found
+
+
+def _about(maker: Callable[..., Any]) -> str:
+    return (inspect.getdoc(maker) or "").strip().partition("\n")[0]

@@ -1,4 +1,4 @@
-"""The quintic time law along a path, and the shortest duration within limits of speed and acceleration."""
+"""The quintic time law along a path in the shortest time within limits, and a reference that can wait on its way."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from moc_opt.arrays import Array
 from moc_opt.errors import TaskError
@@ -35,11 +36,7 @@ def duration(path: Path, v_max: float, a_max: float) -> float:
         a_max: largest acceleration [m/s^2], tangential and centripetal together.
     """
     v_max, a_max = positive("v_max", v_max), positive("a_max", a_max)
-    at_speed = 15.0 * path.length / (8.0 * v_max)
-    bends = any(path.curvature(s) != 0.0 for s in path.knots.tolist())
-    if not bends:
-        return max(at_speed, math.sqrt(10.0 * path.length / (math.sqrt(3.0) * a_max)))
-    return max(at_speed, math.sqrt(path.length * _largest_acceleration(path) / a_max))
+    return max(15.0 * path.length / (8.0 * v_max), math.sqrt(path.length * _largest_acceleration(path) / a_max))
 
 
 def _largest_acceleration(path: Path) -> float:
@@ -91,18 +88,10 @@ class Reference:
             object.__setattr__(self, name, value)
 
     def at(self, t: TimeLike) -> tuple[Array, Array, Array]:
-        """Return point, velocity and acceleration of the reference.
+        """Return x [m], dx [m/s] and ddx [m/s^2] at t [s]; each (3,), or (k, 3) with the same bits for times (k,).
 
-        Before t_start it rests at the start of the path, after t_start + duration at its end.
-
-        Args:
-            t: time [s], a number or a vector (k,).
-
-        Returns:
-            x [m], dx [m/s], ddx [m/s^2]; each (3,), or (k, 3) for a vector, with the same bits either way.
-
-        Raises:
-            TaskError: t is no number or vector, or NaN.
+        Before t_start it rests at the start of the path, after t_start + duration at its end. A TaskError where t is no
+        number or vector, or NaN.
         """
         x, dx, ddx = sampled("t", t, self.rows)
         return x, dx, ddx
@@ -118,3 +107,64 @@ class Reference:
         x, y, z, tx, ty, tz, cx, cy, cz = self.path.point(min(progress * length, length))
         c = v * v
         return np.array([(x, y, z), (v * tx, v * ty, v * tz), (a * tx + c * cx, a * ty + c * cy, a * tz + c * cz)])
+
+
+class WaitingReference:
+    """Plays a reference; it slows down to a stop while it may not go on, and speeds up again when it may.
+
+    It begins at rest, at the start of the path. Nothing jumps: with the path time tau running at the rate sigma in
+    [0, 1],
+
+        X_d(t) = X(tau(t)),   dX_d = sigma X',   ddX_d = sigma^2 X'' + sigma' X'
+
+    so |dX_d| <= v_max and |ddX_d| <= 2 a_max. The rate is the yes-or-no of each tick sent through two moving averages:
+    it never leaves [0, 1], is exactly 0 (or 1) once the answer has stood for their length, and its slope is at most
+    one over the longer of them, v_max / a_max.
+    """
+
+    def __init__(self, reference: Reference, period_s: float) -> None:
+        """Take the time from tick to tick [s]; a TaskError where it is not positive and finite."""
+        self.reference, self.period_s = reference, positive("period_s", period_s)
+        # Rounded up: a longer average is a gentler one.
+        long = max(1, math.ceil(reference.v_max / reference.a_max / self.period_s - 1e-9))
+        self._lengths = long, max(1, long // 2)
+        self.settle_s = sum(self._lengths) * self.period_s
+        """Time from the last change of the answer until the path rests, or runs at its full rate [s]."""
+
+    def play(self, go_on: ArrayLike) -> tuple[Array, Array]:
+        """Play it from the start with the flags go_on (N,), one a tick; a TaskError where these are no flags.
+
+        Returns:
+            X_d [m], dX_d [m/s], ddX_d [m/s^2] as rows (N, 3, 3), and the path time (N,) [s] at each tick.
+        """
+        flags = np.asarray(go_on)
+        if flags.ndim != 1 or flags.dtype != np.bool_:
+            raise TaskError(f"go_on is {flags.dtype} of shape {flags.shape}: give flags (N,), one a tick")
+        later = flags.astype(np.float64)  # the rate at the end of each tick
+        for length in self._lengths:
+            later = np.convolve(later, np.ones(length))[: len(flags)] / length
+        rate = np.concatenate([[0.0], later])[: len(flags)]
+        # Exact for a rate that is a straight line, and an acceleration that is constant, over the tick.
+        times = np.concatenate([[0.0], np.cumsum(0.5 * self.period_s * (rate + later))])[: len(flags)]
+        x, v, a = self.reference.at(times)
+        slope = (later - rate) / self.period_s
+        return np.stack([x, rate[:, None] * v, (rate * rate)[:, None] * a + slope[:, None] * v], axis=1), times
+
+
+def flags_at(times: ArrayLike, seen_times: ArrayLike, seen: ArrayLike) -> NDArray[np.bool_]:
+    """Carry the camera's answers over to the control ticks: each holds from its picture to the next one.
+
+    Args:
+        times: (N,) of the ticks [s].
+        seen_times: (k,) of the pictures [s], rising; a TaskError where they do not.
+        seen: (k,) flags.
+
+    Returns:
+        (N,) flags; False before the first picture.
+    """
+    pictures, answers = np.asarray(seen_times, dtype=np.float64), np.asarray(seen, dtype=np.bool_)
+    if pictures.ndim != 1 or pictures.shape != answers.shape or (np.diff(pictures) <= 0.0).any():
+        raise TaskError("seen_times: give one rising time [s] for each entry of seen")
+    # A picture taken at a tick counts for it, whatever the rounding of the two clocks.
+    last = np.searchsorted(pictures, np.asarray(times, dtype=np.float64) + 1e-9, side="right")
+    return np.concatenate(([False], answers))[last]

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from moc_opt.arrays import Array
 from moc_opt.errors import TaskError
-from moc_opt.tasks.checks import TimeLike, direction3, number, positive, rows_of, sampled, vector3
+from moc_opt.tasks.checks import TimeLike, direction3, number, positive, sampled, vector3
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,16 +40,9 @@ class Trocar:
             object.__setattr__(self, name, value)
 
     def at(self, t: TimeLike) -> tuple[Array, Array]:
-        """Return position and velocity of the trocar.
+        """Return position p [m] and velocity dp [m/s] at t [s]; each (3,), or (k, 3) with the same bits for times (k,).
 
-        Args:
-            t: time [s], a number or a vector (k,).
-
-        Returns:
-            p [m], dp [m/s]; each (3,), or (k, 3) for a vector, with the same bits either way.
-
-        Raises:
-            TaskError: t is no number or vector, or not finite.
+        A TaskError where t is no number or vector, or not finite.
         """
         p, dp = sampled("t", t, self.rows)
         return p, dp
@@ -73,35 +66,9 @@ def shaft_distance(tip: ArrayLike, wrist: ArrayLike, p: ArrayLike) -> Array:
 
     Returns:
         d, (k,), or of shape () where all three are single points.
-
-    Raises:
-        TaskError: shapes do not fit, or tip and wrist coincide.
     """
-    to_trocar, u = _shaft(tip, wrist, p)
+    tool = np.subtract(tip, wrist)
+    u = tool / np.sqrt((tool * tool).sum(axis=-1, keepdims=True))
     # Written out: np.cross costs ten times as much on rows of three.
-    (a, b, c), (d, e, f) = np.moveaxis(to_trocar, -1, 0), np.moveaxis(u, -1, 0)
+    (a, b, c), (d, e, f) = np.moveaxis(np.subtract(p, tip), -1, 0), np.moveaxis(u, -1, 0)
     return np.asarray(np.sqrt((b * f - c * e) ** 2 + (c * d - a * f) ** 2 + (a * e - b * d) ** 2))
-
-
-def depth(tip: ArrayLike, wrist: ArrayLike, p: ArrayLike) -> Array:
-    """Return how far the tip is beyond the trocar along the shaft, (X - P)^T u [m]; negative while outside the body.
-
-    Arguments, shapes and errors as for `shaft_distance`.
-    """
-    to_trocar, u = _shaft(tip, wrist, p)
-    return np.asarray(-(to_trocar * u).sum(axis=-1))
-
-
-def _shaft(tip: ArrayLike, wrist: ArrayLike, p: ArrayLike) -> tuple[Array, Array]:
-    named = {"tip": tip, "wrist": wrist, "p": p}
-    rows = [rows_of(name, value, "(3,) or (k, 3)", 1, 2) for name, value in named.items()]
-    try:
-        x, n, trocar = np.broadcast_arrays(*rows)
-    except ValueError as error:
-        shapes = ", ".join(str(array.shape) for array in rows)
-        raise TaskError(f"tip, wrist and p have shapes {shapes}: give the same number of rows") from error
-    tool = x - n
-    length = np.sqrt((tool * tool).sum(axis=-1, keepdims=True))
-    if (length == 0.0).any():
-        raise TaskError("tip and wrist coincide: the shaft has no direction there")
-    return trocar - x, tool / length

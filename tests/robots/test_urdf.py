@@ -20,7 +20,7 @@ def with_origin(xyz, rpy="0 0 0"):
     *(f"0 0 {bad}" for bad in ("0x10", "nan", "inf", "1,5", "1e", "101", "-100.1", "1e999", "1_0", "\u0663.0")),
 ])  # fmt: skip
 def test_what_is_no_number_or_no_length_is_refused(text):
-    with pytest.raises(RobotError, match="<origin> of joint 'j', xyz is '.*give three decimal numbers"):
+    with pytest.raises(RobotError, match=r"<origin> of joint 'j', xyz is '.*give three decimal numbers"):
         with_origin(text)
 
 

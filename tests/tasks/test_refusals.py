@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from moc_opt.errors import TaskError
-from moc_opt.tasks import CURVES, Reference, Trocar, Waypoints, depth, duration, make_path, shaft_distance
-from moc_opt.tasks.waiting import WaitingReference, flags_at
+from moc_opt.tasks import CURVES, Reference, Trocar, Waypoints, duration, make_path
+from moc_opt.tasks.timelaw import WaitingReference, flags_at
 from tests.tasks.test_paths import AXES, HEADING, NORMAL, SIZES, START, build
 
 LINE = build("line")
@@ -52,7 +52,7 @@ def test_what_was_given_is_copied_and_read_only() -> None:
 
 
 NUMBERS = [0.0, -0.1, math.nan, math.inf, "0.1", None, True]
-ZERO, ONE, FAR = np.zeros(3), np.ones(3), [[0.01, 0, 0], [-1001.0, 0, 0]]
+ZERO, FAR = np.zeros(3), [[0.01, 0, 0], [-1001.0, 0, 0]]
 REFUSED: dict[str, tuple[str, Callable[[Any], Any], list[Any]]] = {
     "arc length": ("s ", LINE.at, [-1e-3, 1.0, math.nan, [[0.0]], "here"]),
     "time of a trocar": ("t ", Trocar(START).at, [math.nan, math.inf, [[0.0]], "now"]),
@@ -63,8 +63,6 @@ REFUSED: dict[str, tuple[str, Callable[[Any], Any], list[Any]]] = {
     "v_max": ("v_max", lambda x: Reference(LINE, x, 0.3), NUMBERS),
     "a_max": ("a_max", lambda x: duration(build("circle"), 0.1, x), NUMBERS),
     "period_s": ("period_s", lambda x: WaitingReference(Reference(LINE, 0.1, 0.3), x), NUMBERS),
-    "brake": ("brake_m_per_s2",
-              lambda x: WaitingReference(Reference(LINE, 0.1, 0.3), 0.002, brake_m_per_s2=x), [0.0, -1.0]),
     "flags": ("flags", WaitingReference(Reference(LINE, 0.1, 0.3), 0.002).play, [np.ones(5), [[True]]]),
     "pictures": ("rising", lambda x: flags_at([0.0], x, [True, True]), [[0.2, 0.1], [0.1]]),
     "point": ("point", Trocar, [(0.0, 1.0), (0.0, math.nan, 0.0)]),
@@ -76,10 +74,6 @@ REFUSED: dict[str, tuple[str, Callable[[Any], Any], list[Any]]] = {
     "start": ("start", lambda x: make_path("line", x, normal=NORMAL, heading=HEADING, length=0.1),
               [START[:2], [0.0, math.nan, 0.0]]),
     "periods": ("cannot be tabulated", lambda x: build("sinusoid", periods=x), [1e9]),
-    "tip": ("tip has shape", lambda x: shaft_distance(x, ZERO, ZERO), [np.zeros(2)]),
-    "wrist": ("wrist", lambda x: shaft_distance(ONE, x, ZERO), ["here"]),
-    "rows": ("same number of rows", lambda x: depth(x, np.ones((5, 3)), ZERO), [np.zeros((4, 3))]),
-    "no shaft": ("coincide", lambda x: shaft_distance(x, x, ZERO), [ONE]),
     **{f"waypoints {told}": (told, lambda x: Waypoints(x, START, **AXES), [points]) for told, points in (
         ("off the start", [[0.0, 0.0, 0.0]]), (r"shape \(0,\)", []), (r"shape \(1, 2\)", [[0.1, 0.0]]),
         ("finite", [[0.1, 0.0, np.nan]]), ("numbers", [[0.1, "a", 0.0]]), ("1001 waypoints", np.ones((1001, 3))),

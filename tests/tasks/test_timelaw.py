@@ -9,8 +9,9 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from moc_opt.tasks import CURVES, Path, Reference, duration, quintic
-from tests.tasks.test_paths import build, size
+from moc_opt.tasks import CURVES, Path, Reference, duration, make_path, quintic
+from moc_opt.tasks.timelaw import WaitingReference, flags_at
+from tests.tasks.test_paths import START, build, size
 
 # No steeper than that an even sampling can see the crests; steeper ones have a test of their own.
 curved = st.one_of(
@@ -38,9 +39,9 @@ def test_quintic_starts_and_ends_at_rest_and_its_derivatives_are_its(u: float) -
 @given(st.floats(1e-4, 10.0), st.floats(1e-3, 10.0), st.floats(1e-3, 100.0))
 @example(0.1, 0.05, 100.0)
 @example(0.1, 10.0, 0.05)
-def test_straight_duration_is_the_formula_exactly(length: float, v_max: float, a_max: float) -> None:
+def test_straight_duration_is_the_formula(length: float, v_max: float, a_max: float) -> None:
     expected = max(15.0 * length / (8.0 * v_max), math.sqrt(10.0 * length / (math.sqrt(3.0) * a_max)))
-    assert duration(build("line", length=length), v_max, a_max) == expected
+    assert duration(build("line", length=length), v_max, a_max) == pytest.approx(expected, rel=1e-14)
 
 
 def extremes(reference: Reference, count: int) -> tuple[float, float]:
@@ -93,3 +94,101 @@ def test_velocity_and_acceleration_are_the_derivatives_and_it_rests_before_and_a
             x, dx, ddx = reference.at(time)
             np.testing.assert_allclose(x, path.at(place)[0], atol=1e-15)
             np.testing.assert_allclose(np.concatenate((dx, ddx)), 0.0, atol=1e-12)
+
+
+# --- a reference that waits ---
+
+PERIOD = 0.01
+REFERENCES = {
+    kind: Reference(make_path(kind, START, normal=(0, 0, 1), heading=(1, 0, 0), **sizes), 0.05, 0.2)
+    for kind, sizes in {
+        "line": {"length": 0.04}, "circle": {"radius": 0.02}, "spiral": {"turns": 1.0, "radius": 0.015},
+        "sinusoid": {"amplitude": 0.01, "wavelength": 0.02, "periods": 1.0},
+    }.items()
+}  # fmt: skip
+CIRCLE = REFERENCES["circle"]
+BRAKE_S = 0.05 / 0.2  # one over the steepest slope of the rate
+
+
+def flags(seconds, losses):
+    t = PERIOD * np.arange(round(seconds / PERIOD))
+    seen = np.ones(len(t), dtype=bool)
+    for start, length in losses:
+        seen[(t >= start) & (t < start + length)] = False
+    return seen
+
+
+LOSSES = st.lists(st.tuples(st.floats(0.0, 5.0), st.floats(0.0, 1.5)), max_size=4)
+
+
+@given(st.sampled_from(list(REFERENCES)), LOSSES)
+@settings(max_examples=30)
+def test_position_speed_and_acceleration_are_continuous_and_bounded(kind, losses):
+    waiting = WaitingReference(original := REFERENCES[kind], PERIOD)
+    v_bound, a_bound = original.v_max, 2.0 * original.a_max
+    rows, times = waiting.play(flags(6.0, losses))
+    x, dx, ddx = rows[:, 0], rows[:, 1], rows[:, 2]
+    slack = 1 + 1e-9
+    assert np.linalg.norm(dx, axis=1).max() <= v_bound * slack
+    assert np.linalg.norm(ddx, axis=1).max() <= a_bound * slack
+    # What it says is what it does, judged by the positions alone.
+    assert np.linalg.norm(np.diff(x, axis=0), axis=1).max() <= v_bound * PERIOD * slack
+    second = np.diff(x, 2, axis=0) / PERIOD**2
+    assert np.linalg.norm(second, axis=1).max() <= a_bound * (1 + 1e-4)
+    # A tick's acceleration is that of its start; until the next one it changes by the slope's own steps.
+    steps = v_bound * PERIOD / (0.5 * BRAKE_S**2)
+    assert np.abs(second - ddx[1:-1]).max() < 0.01 + 1.2 * steps
+    middle = np.diff(x, axis=0) / PERIOD - 0.5 * (dx[1:] + dx[:-1])
+    assert np.abs(middle).max() < 5e-4
+    assert (np.diff(times) >= 0.0).all()
+    assert (np.diff(times) <= PERIOD * slack).all()
+
+
+@given(LOSSES)
+@settings(max_examples=15)
+def test_it_stays_on_the_path_and_arrives(losses):
+    waiting, seen = WaitingReference(CIRCLE, PERIOD), flags(16.0, losses)
+    rows, times = waiting.play(seen)
+    np.testing.assert_allclose(rows[::50, 0], CIRCLE.at(times[::50])[0], atol=1e-12)
+    assert times[-1] >= 16.0 - PERIOD * (~seen).sum() - waiting.settle_s - 2 * PERIOD
+    assert times[-1] >= CIRCLE.t_start + CIRCLE.duration
+    np.testing.assert_allclose(rows[-1, 0], START, atol=1e-9)
+    np.testing.assert_array_equal(rows[-1, 1:], 0.0)
+
+
+def test_a_lost_board_stops_the_tip_dead_and_it_goes_on_later():
+    waiting = WaitingReference(CIRCLE, PERIOD)
+    rows, times = waiting.play(flags(8.0, [(2.0, 2.0)]))
+    stop, go = round((2.0 + waiting.settle_s) / PERIOD), round(4.0 / PERIOD)
+    held = rows[stop + 1 : go]
+    np.testing.assert_array_equal(held[:, 1:], 0.0)
+    np.testing.assert_array_equal(held[:, 0], np.broadcast_to(held[0, 0], held[:, 0].shape))
+    assert 0.0 < times[go] < CIRCLE.duration
+    assert times[-1] > times[go] + 1.0
+
+
+def test_seen_all_along_it_is_the_reference_a_little_later():
+    waiting = WaitingReference(CIRCLE, PERIOD)
+    rows, times = waiting.play(flags(8.0, []))
+    late = PERIOD * np.arange(len(times)) - times
+    settled = round(waiting.settle_s / PERIOD) + 1
+    np.testing.assert_allclose(late[settled:], late[settled], atol=1e-12)
+    assert late[settled] < waiting.settle_s
+    np.testing.assert_allclose(rows[settled:, 0], CIRCLE.at(times[settled:])[0], atol=1e-15)
+
+
+def test_never_seen_it_never_moves_and_flags_that_chatter_only_slow_it_down():
+    waiting = WaitingReference(CIRCLE, PERIOD)
+    rows, times = waiting.play(np.zeros(200, dtype=bool))
+    np.testing.assert_array_equal(rows[:, 0], np.broadcast_to(START, (200, 3)))
+    np.testing.assert_array_equal(rows[:, 1:], 0.0)
+    np.testing.assert_array_equal(times, 0.0)
+    _, times = waiting.play(np.arange(600) % 2 == 0)
+    rate = np.diff(times[100:]) / PERIOD
+    assert 0.45 < rate.min() <= rate.max() < 0.55
+
+
+def test_answers_of_the_camera_hold_until_the_next_picture():
+    found = flags_at([0.0, 0.05, 0.1, 0.15, 0.2, 0.3], [0.1, 0.2], [True, False])
+    np.testing.assert_array_equal(found, [False, False, True, True, False, False])
+    np.testing.assert_array_equal(flags_at([0.0, 1.0], [], []), [False, False])

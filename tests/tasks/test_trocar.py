@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from moc_opt.tasks import Trocar, depth, shaft_distance
+from moc_opt.tasks import Trocar, shaft_distance
 
 POINT = (0.5, 0.1, 0.2)
 points = arrays(np.float64, 3, elements=st.floats(-1.0, 1.0))
@@ -36,27 +36,16 @@ def test_velocity_is_the_derivative(t: float, amplitude: float, period: float, d
     assert np.linalg.norm(trocar.at(t)[0] - POINT) <= amplitude * (1.0 + 1e-12) + 1e-15
 
 
-def test_known_distance_and_depth() -> None:
-    # A vertical shaft, tip 0.2 m below the trocar's height and 3-4-5 mm beside it.
-    tip, wrist, p = (0.0, 0.0, -0.2), (0.0, 0.0, 0.178), (0.003, 0.004, 0.0)
-    assert shaft_distance(tip, wrist, p) == pytest.approx(0.005, abs=1e-16)
-    assert depth(tip, wrist, p) == pytest.approx(0.2, abs=1e-16)
-    assert depth((0, 0, 0.1), (0, 0, 0.478), p) == pytest.approx(-0.1, abs=1e-16)
-
-
 @settings(max_examples=40)
 @given(points, points, points, points, st.floats(0.01, 3.0))
-def test_distance_and_depth_are_geometry(
+def test_distance_is_geometry(
     tip: np.ndarray, tool: np.ndarray, p: np.ndarray, shift: np.ndarray, stretch: float
 ) -> None:
     length = np.linalg.norm(tool)
     if length < 1e-3:
         return
     wrist = tip - tool
-    d, inside = shaft_distance(tip, wrist, p), depth(tip, wrist, p)
-    # Pythagoras: along the shaft and across it.
-    assert math.hypot(d, inside) == pytest.approx(np.linalg.norm(p - tip), abs=1e-12)
-    u = tool / length
+    d, u = shaft_distance(tip, wrist, p), tool / length
     assert d == pytest.approx(np.linalg.norm(np.cross(p - tip, u)), abs=1e-12)
     # The distance knows neither where the world's origin is nor where on the shaft the wrist sits.
     assert shaft_distance(tip + shift, tip - stretch * tool + shift, p + shift) == pytest.approx(d, abs=1e-11)
@@ -67,10 +56,8 @@ def test_distance_and_depth_are_geometry(
 def test_rows_are_single_points() -> None:
     rng = np.random.default_rng(11)
     tip, wrist, p = rng.normal(size=(3, 20, 3))
-    for function in (shaft_distance, depth):
-        rows = function(tip, wrist, p)
-        assert rows.shape == (20,)
-        single = [function(tip[i], wrist[i], p[i]) for i in range(20)]
-        np.testing.assert_allclose(rows, single, rtol=1e-14)
-        tiled = function(tip, wrist, np.tile(p[0], (20, 1)))
-        np.testing.assert_array_equal(function(tip, wrist, p[0]), tiled)
+    rows = shaft_distance(tip, wrist, p)
+    assert rows.shape == (20,)
+    singly = [shaft_distance(*each) for each in zip(tip, wrist, p, strict=True)]
+    np.testing.assert_allclose(rows, singly, rtol=1e-14)
+    np.testing.assert_array_equal(shaft_distance(tip, wrist, p[0]), shaft_distance(tip, wrist, np.tile(p[0], (20, 1))))

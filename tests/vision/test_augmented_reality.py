@@ -10,7 +10,7 @@ from moc_opt.robots.inverse_kinematics import pose_through
 from moc_opt.sim import Plant, PlantSettings
 from moc_opt.sim.loop import simulate
 from moc_opt.tasks import Reference
-from moc_opt.tasks.waiting import WaitingReference, flags_at
+from moc_opt.tasks.timelaw import WaitingReference, flags_at
 from moc_opt.vision.augmented_reality import (
     DONE,
     TASK,
