@@ -38,7 +38,6 @@ class RobotModel:
         n: number of joints.
         q_min, q_max: (n,) limits [rad; m where a joint slides].
         v_max: (n,) largest speeds [rad/s or m/s]; tau_max: (n,) largest torques [Nm or N].
-        mount: (3,3) rows: the tool's axes x, y, z in the last joint's frame.
         moves: (2,n) which joints can move the tip (first row) and the wrist (second row) at all.
         arm: the same arm as the core's data.
 
@@ -54,8 +53,8 @@ class RobotModel:
         >>> tip, wrist = robot.tool_along(poses)
         >>> np.linalg.norm(tip - wrist, axis=1).round(6).tolist()
         [0.378, 0.378]
-        >>> np.allclose(robot.tool_pose(q)[3], state.tip), robot.mount.shape
-        (True, (3, 3))
+        >>> np.allclose(robot.tool_pose(q)[3], state.tip)
+        True
         >>> robot.moves[:, -1].tolist()  # the last joint turns the tool about its own axis
         [False, False]
         >>> float(robot.kinematics().mu(q)) - state.mu < 1e-12, robot.chain.axes.shape
@@ -63,7 +62,7 @@ class RobotModel:
     """
 
     def __init__(self, data: RobotData) -> None:
-        """Build the model; a RobotError where pinocchio cannot read the URDF, or joints or frames differ."""
+        """Build the model; a RobotError where pinocchio cannot read the URDF, or its joints are others."""
         self.data = data
         self.n = n = data.n
         self.q_min, self.q_max, self.v_max, self.tau_max = data.q_min, data.q_max, data.v_max, data.tau_max
@@ -71,11 +70,10 @@ class RobotModel:
             raise RobotError(f"{data.name!r} has {n} joints: at most {core.MAX_JOINTS} can be controlled")
         self._pin = _build(data)
         self._side_data = self._pin.createData()
-        frames = [_frame(self._pin, name) for name in (data.tip_frame, data.wrist_frame)]
+        tip, wrist = (self._pin.getFrameId(name, pin.FrameType.BODY) for name in (data.tip_frame, data.wrist_frame))
+        frames = [self._pin.frames[tip], self._pin.frames[wrist]]
         self._offsets = read_only(np.array([frame.placement.translation for frame in frames]))
-        self.mount = np.ascontiguousarray(frames[0].placement.rotation.T)
-        if np.linalg.norm(self._offsets[0] - self._offsets[1]) < 1e-6:
-            raise RobotError("tip and wrist frames coincide: lengthen the tool or move the wrist frame")
+        self._mount = np.ascontiguousarray(frames[0].placement.rotation.T)
         self._size, self._rest = record_size(n), np.zeros(n)
         self.moves = read_only(np.ones((2, n), dtype=np.bool_))
         self.arm = core.Arm(*self.arm_arrays)
@@ -91,7 +89,7 @@ class RobotModel:
         inertias = list(self._pin.inertias)[1:]
         return (
             self.chain.joints, np.array([_inertia(body) for body in inertias]),
-            np.array(self.data.rotor_inertia, dtype=np.float64), self._offsets, self.mount,
+            np.array(self.data.rotor_inertia, dtype=np.float64), self._offsets, self._mount,
             self.moves.astype(np.float64), np.array(self._pin.gravity.linear),
         )  # fmt: skip
 
@@ -229,15 +227,6 @@ def _build(data: RobotData) -> Any:
     return model
 
 
-def _frame(model: Any, name: str) -> Any:
-    if not model.existFrame(name, pin.FrameType.BODY):
-        raise RobotError(f"frame {name!r} is no link of the urdf: its links are {[f.name for f in model.frames]}")
-    frame = model.frames[model.getFrameId(name, pin.FrameType.BODY)]
-    if frame.parentJoint != model.njoints - 1:
-        raise RobotError(f"frame {name!r} does not ride on the last joint: fix it to the last link")
-    return frame
-
-
 def carried(robot: RobotModel) -> dict[str, Any]:
     """Return the robot as values that JSON can hold, so that a run of an arm of one's own replays anywhere."""
     return {name: plain(value) for name, value in vars(robot.data).items()}
@@ -250,5 +239,5 @@ def restored(values: Mapping[str, Any]) -> RobotModel:
         urdf.normalize(arm)
         text = arm.to_text(values["name"])
         return RobotModel(RobotData(**{**values, "urdf": text, "joint_names": tuple(values["joint_names"])}))
-    except (TypeError, ValueError, KeyError, AttributeError) as error:
+    except (TypeError, ValueError, LookupError, AttributeError) as error:
         raise RobotError(f"the robot in the trace is damaged ({error}): save the trace anew") from error

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import pickle
-import shutil
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -20,7 +19,6 @@ from numpy.typing import NDArray
 from moc_opt import core
 from moc_opt.control.settings import ControlSettings
 from moc_opt.errors import RobotError
-from moc_opt.report.replay import robot_of
 from moc_opt.robots import available_robots, loader
 from moc_opt.robots.chain import desired_wrist
 from moc_opt.robots.gains import (
@@ -32,9 +30,7 @@ from moc_opt.robots.gains import (
 )
 from moc_opt.robots.model import RobotModel, RobotState, carried, load_robot, restored
 from moc_opt.robots.state import layout, record_size
-from moc_opt.scenario import Scenario, run
 from moc_opt.tasks import Trocar
-from moc_opt.trace.trace import Trace
 from tests.conftest import Draw
 
 FOLDER = Path(loader.__file__).parent
@@ -226,16 +222,6 @@ def test_kinematics_and_a_pickled_copy_are_the_models(arm: RobotModel) -> None:
         np.testing.assert_allclose(np.array(k.grad_mu(q)).ravel(), s.grad_mu, atol=1e-12)
 
 
-def test_frames_and_joints_must_be_those_of_the_urdf(robot: RobotModel) -> None:
-    for change, message in (
-        ({"tip_frame": "nose"}, "'nose' is no link"), ({"wrist_frame": "tip"}, "coincide"),
-        ({"wrist_frame": "link_3"}, "'link_3' does not ride on the last joint"),
-        ({"joint_names": tuple("abcdefg")}, "same serial chain"), ({"urdf": "<robot"}, "cannot be read by pinocchio"),
-    ):  # fmt: skip
-        with pytest.raises(RobotError, match=message):
-            RobotModel(replace(robot.data, **change))
-
-
 POSE = st.lists(st.floats(-2.0, 2.0), min_size=7, max_size=7)
 
 
@@ -315,17 +301,6 @@ def test_a_robot_file_without_gains_gets_them_and_keeps_its_own(name: str, tmp_p
     assert set(gains) == {"dcac", "moc", "default", "tuned", "robust"}
 
 
-def self_motion_rate(robot: RobotModel, table: str) -> float:
-    """K_N2 over the inertia of the self-motion, median over random poses [1/s]; idle joints left out."""
-    moving, rates = robot.moves.any(axis=0), []
-    gain = np.diag(np.broadcast_to(np.asarray(robot.data.gains[table]["K_N2"]), robot.n)[moving])
-    for q in np.random.default_rng(5).uniform(robot.q_min, robot.q_max, (150, robot.n)):
-        state = robot.state(q)
-        z = np.linalg.svd(state.A[:, moving])[2][-1]
-        rates.append(z @ gain @ z / (z @ state.M[np.ix_(moving, moving)] @ z))
-    return float(np.median(rates))
-
-
 def test_the_lwr4_gets_what_it_was_tuned_to(robot: RobotModel) -> None:
     tables = derived_gains(robot)
     for table in ("default", "tuned", "robust"):
@@ -333,15 +308,6 @@ def test_the_lwr4_gets_what_it_was_tuned_to(robot: RobotModel) -> None:
             assert tables[table][gain] == robot.data.gains[table][gain]
     ratio = np.divide(tables["default"]["K_N2"], robot.data.gains["default"]["K_N2"])
     assert 0.5 < ratio.min() <= ratio.max() < 1.3
-
-
-def test_presets_stand_to_the_default_as_on_the_lwr4(robot: RobotModel) -> None:
-    for table in ("tuned", "robust"):
-        wanted = self_motion_rate(robot, table) / self_motion_rate(robot, "default")
-        for name in ("panda", "gen3", "xarm7"):  # the others meet the largest rate allowed
-            other = load_robot(name)
-            found = self_motion_rate(other, table) / self_motion_rate(other, "default")
-            assert found == pytest.approx(wanted, rel=0.15)
 
 
 @pytest.mark.parametrize("name", ["iiwa14", "panda", "gen3", "xarm7", "lwr4_rail"])
@@ -394,21 +360,9 @@ def test_a_carried_robot_is_the_same_arm(name: str) -> None:
     assert again.data.tool_length == 0.25
 
 
-def test_a_trace_replays_when_the_robots_files_are_gone(tmp_path: Path) -> None:
-    folder = tmp_path / "arm"
-    folder.mkdir()
-    for kind in ("toml", "urdf"):
-        shutil.copy(FOLDER / f"xarm7.{kind}", folder)
-    run(Scenario(robot={"name": str(folder / "xarm7.toml")}, duration_s=0.05), to=tmp_path / "run.parquet")
-    shutil.rmtree(folder)
-    trace = Trace.load(tmp_path / "run.parquet")
-    tips, _ = robot_of(trace).tool_along(trace.q_rad)
-    np.testing.assert_allclose(tips, load_robot("xarm7").tool_along(trace.q_rad)[0], rtol=0, atol=1e-15)
-
-
 @pytest.mark.parametrize("change", [
     {"q_min": [0.0]}, {"q_min": "x"}, {"q_max": [np.nan] * 7}, {"joint_names": []}, {"more": 1}, {"urdf": "<robot/>"},
-    {"gains": 3}, {"tip_frame": "gone"}, None,
+    {"gains": 3}, {"tip_frame": "gone"}, {"joint_names": [*"abcdefg"]}, {"urdf": "<robot"}, None,
 ])  # fmt: skip
 def test_what_is_no_robot_is_refused(robot: RobotModel, change: dict[str, Any] | None) -> None:
     with pytest.raises(RobotError):
