@@ -99,11 +99,7 @@ moc_residuals moc_judge(const moc_problem *p, int rows, double Z[][MOC_MAX_JOINT
         found.outside = fmax(found.outside, fmax(p->lower[j] - x[j], x[j] - p->upper[j]));
         steepest = fmax(steepest, fabs(p->pull[j]));
     }
-    for (int i = 0; i < rows; i++) {
-        double along = dot(n, Z[i], p->pull);
-        for (int j = 0; j < n; j++)
-            line[j] += along * Z[i][j];
-    }
+    moc_onto(n, rows, Z, p->pull, line);
     if (sqrt(dot(n, line, line)) <= NO_GRADIENT * steepest || !(p->c2 > 0.0))
         return found;
     /* The floor rho: a course that rests asks for x_d = 0, and its gradient (rho/c2) x_d is no scale then. */
@@ -166,11 +162,7 @@ static void retreat(const moc_problem *problem, int rows, double Z[][MOC_MAX_JOI
     for (int i = 0; i < 6; i++)
         if (!(fabs(dot(p.n, p.A[i], x) - p.b[i]) <= OUTSIDE)) /* not for a NaN */
             return;
-    for (int k = 0; k < rows; k++) {
-        double along = dot(p.n, Z[k], x);
-        for (int j = 0; j < p.n; j++)
-            motion[j] += along * Z[k][j];
-    }
+    moc_onto(p.n, rows, Z, x, motion);
 }
 
 /* The x of the box with the least |A x - b|. */

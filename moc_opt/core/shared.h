@@ -59,18 +59,19 @@ void moc_tracking_torque(const moc_law *law, int n, const moc_terms *t, const mo
 void moc_fill_problem(const moc_law *law, int n, const moc_terms *t, const moc_reference *ref,
                       const moc_trocar *trocar, const double *pull, moc_problem *problem);
 
-/* x_d (n,) of the scaled climb [rad/s]; zero at a top of mu, and where the pose is singular. */
-void moc_climb(const moc_arm *arm, const moc_law *law, const moc_terms *t, double *x_d);
+/* x_d (n,) of the scaled climb [rad/s], with the basis in the memory; zero at a top of mu, and in a singular pose. */
+void moc_climb(const moc_arm *arm, const moc_law *law, const moc_terms *t, moc_memory *memory, double *x_d);
 
 /* N_d = X + L e, which puts the shaft through the trocar, and dN_d, for a tip at X that moves with dX. */
 void moc_desired_wrist(const double X[3], const double dX[3], const moc_trocar *trocar, double span, double N_d[3],
                        double dN_d[3]);
 
-/* Bring the basis Z (rows, n) of ker A from the last tick's pose to this one's; 0 where that fails (a singularity). */
-int moc_follow_null_space(int n, double A[][MOC_MAX_JOINTS], const double u[3], int rows, double Z[][MOC_MAX_JOINTS]);
-
-/* A basis of ker A from scratch, turned towards Z (rows, n) where that has as many rows; returns its rows. */
+/* An orthonormal basis Z of ker A, turned towards the one that is in it (rows, n) where that has as many rows; returns
+ * its rows. */
 int moc_null_space(int n, double A[][MOC_MAX_JOINTS], int rows, double Z[][MOC_MAX_JOINTS]);
+
+/* part (n,) = Z^T Z x of an orthonormal basis Z (rows, n); part may be x. */
+void moc_onto(int n, int rows, double Z[][MOC_MAX_JOINTS], const double *x, double *part);
 
 /* tau += share M Z^T (Z M Z^T)^-1 Z (K_N2 (x - v) - D_N2 v), cut at tau_max. */
 void moc_add_third_level(const moc_law *law, int n, const moc_terms *t, const moc_memory *memory, const double *x,

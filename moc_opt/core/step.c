@@ -37,12 +37,11 @@ void moc_levels(const moc_controller *c, const moc_input *in, moc_state *s)
         s->tau[i] -= memory->external[i];
     if (!law->third_level && !law->damped)
         return;
-    if (!moc_follow_null_space(n, t->A, t->u, memory->rows, memory->Z))
-        memory->rows = moc_null_space(n, t->A, memory->rows, memory->Z);
+    memory->rows = moc_null_space(n, t->A, memory->rows, memory->Z);
     if (!law->third_level)
         return;
     if (pull == NULL && law->climbs) {
-        moc_climb(c->arm, law, t, climb);
+        moc_climb(c->arm, law, t, memory, climb);
         pull = climb;
     }
     moc_fill_problem(law, n, t, &in->ref, &in->trocar, pull, &s->problem);
