@@ -9,7 +9,6 @@
 #define IMMOBILE 1e-12         /* squared length of a joint's column below which it does not move */
 #define GRADIENT_ROUNDING 1e-9 /* a reduced gradient below this share of the cost's is zero (qp/residuals.py) */
 #define RANK_TOLERANCE 1e-12   /* (qp/residuals.py) */
-#define SWEEPS 200             /* of the multipliers; one freedom needs two */
 #define DESCENTS 50            /* of the least violation, over the joints */
 #define OUTSIDE 1e-6           /* what a retreat may leave the box by [rad/s] */
 
@@ -30,53 +29,36 @@ static int freedoms(const moc_problem *p, int rows)
 /* The steepest descent d (n,) from x that stays in ker A and in the box; returns the scale of the cost.
  *
  * That is the projection of minus the reduced gradient on the tangent cone of the feasible set, and zero at an optimum
- * and nowhere else. Joints that are AT_BOUND may only move inwards; their multipliers are found one after the other
- * (Hildreth 1957), which is exact for one and converges for several. Idle joints are left out. */
+ * and nowhere else: a subproblem of its own, in which joints AT_BOUND may only move inwards. Idle joints are left out. */
 static double way_down(const moc_problem *p, int rows, double Z[][MOC_MAX_JOINTS], const double *x, double *d)
 {
-    double cost[MOC_MAX_JOINTS], Pi[MOC_MAX_JOINTS][MOC_MAX_JOINTS], multiplier[MOC_MAX_JOINTS] = {0.0};
-    double largest = 0.0, length = 0.0, left = 0.0, whole = 0.0;
-    enum { FREE, LOWER, UPPER, FIXED } side[MOC_MAX_JOINTS];
+    moc_problem cone = {.n = p->n, .rho = 1.0};
+    double pull[MOC_MAX_JOINTS], y[6], largest = 0.0, left = 0.0, whole = 0.0;
     int n = p->n;
 
+    memcpy(cone.A, p->A, sizeof cone.A);
+    moc_onto(n, rows, Z, p->pull, pull);
+    for (int j = 0; j < n; j++)
+        cone.pull[j] = p->c2 * p->pull[j] - p->rho * x[j];
+    double length = sqrt(dot(n, cone.pull, cone.pull));
+    cone.c2 = length > 0.0 ? 1.0 / length : 0.0; /* d is no longer than one */
     for (int j = 0; j < n; j++) {
-        cost[j] = p->c2 * p->pull[j] - p->rho * x[j];
-        for (int k = 0; k < n; k++) {
-            Pi[j][k] = 0.0;
-            for (int i = 0; i < rows; i++)
-                Pi[j][k] += Z[i][j] * Z[i][k];
-        }
+        double own = 0.0;
+        for (int i = 0; i < rows; i++)
+            own += Z[i][j] * Z[i][j];
+        int idle = own > 1.0 - 1e-12; /* e_j itself lies in ker A */
+        cone.lower[j] = idle || x[j] - p->lower[j] <= AT_BOUND ? 0.0 : -2.0;
+        cone.upper[j] = idle || p->upper[j] - x[j] <= AT_BOUND ? 0.0 : 2.0;
+        largest = larger(idle ? 0.0 : p->c2 * fabs(pull[j]), largest);
     }
+    moc_status status = moc_solve_exact(&cone, 1e-9, d, y);
     for (int j = 0; j < n; j++) {
-        int idle = Pi[j][j] > 1.0 - 1e-12; /* e_j itself lies in ker A */
-        int low = x[j] - p->lower[j] <= AT_BOUND, high = p->upper[j] - x[j] <= AT_BOUND;
-        d[j] = idle ? 0.0 : dot(n, Pi[j], cost);
-        largest = fmax(largest, idle ? 0.0 : p->c2 * fabs(dot(n, Pi[j], p->pull)));
-        length = fmax(length, fabs(d[j]));
-        side[j] = idle || !(Pi[j][j] > IMMOBILE) ? FREE : low && high ? FIXED : low ? LOWER : high ? UPPER : FREE;
+        left = larger(fabs(d[j]), left);
+        whole = larger(cone.c2 * fabs(cone.pull[j]), whole);
     }
-    for (int sweep = 0; sweep < SWEEPS; sweep++) {
-        double change = 0.0;
-        for (int j = 0; j < n; j++) {
-            if (side[j] == FREE)
-                continue;
-            double step = -d[j] / Pi[j][j];
-            step = side[j] == LOWER ? fmax(step, -multiplier[j]) : side[j] == UPPER ? fmin(step, -multiplier[j]) : step;
-            multiplier[j] += step;
-            for (int k = 0; k < n; k++)
-                d[k] += step * Pi[j][k];
-            change = fmax(change, fabs(step));
-        }
-        if (change <= 1e-10 * length)
-            break;
-    }
-    for (int j = 0; j < n; j++) {
-        left = fmax(left, fabs(d[j]));
-        whole = fmax(whole, fabs(cost[j]));
-    }
-    if (left <= fmax(1e-8 * length, GRADIENT_ROUNDING * whole))
+    if (status != MOC_OK || left <= GRADIENT_ROUNDING * whole)
         memset(d, 0, (unsigned)n * sizeof *d);
-    return fmax(largest, p->rho);
+    return larger(largest, p->rho);
 }
 
 /* Let s be the coordinate of x along a line of self-motion. On it the cost -c2 g s + rho s^2 / 2 has its optimum at
@@ -94,10 +76,10 @@ moc_residuals moc_judge(const moc_problem *p, int rows, double Z[][MOC_MAX_JOINT
         return found;
     }
     for (int i = 0; i < 6; i++)
-        found.primal = fmax(found.primal, fabs(dot(n, p->A[i], x) - p->b[i]));
+        found.primal = larger(fabs(dot(n, p->A[i], x) - p->b[i]), found.primal);
     for (int j = 0; j < n; j++) {
-        found.outside = fmax(found.outside, fmax(p->lower[j] - x[j], x[j] - p->upper[j]));
-        steepest = fmax(steepest, fabs(p->pull[j]));
+        found.outside = larger(larger(p->lower[j] - x[j], x[j] - p->upper[j]), found.outside);
+        steepest = larger(fabs(p->pull[j]), steepest);
     }
     moc_onto(n, rows, Z, p->pull, line);
     if (sqrt(dot(n, line, line)) <= NO_GRADIENT * steepest || !(p->c2 > 0.0))
@@ -121,18 +103,18 @@ moc_residuals moc_judge(const moc_problem *p, int rows, double Z[][MOC_MAX_JOINT
         place += line[j] * x[j];
         if (fabs(line[j]) > still) {
             double inverse = 1.0 / line[j], one = (p->lower[j] - x[j]) * inverse, other = (p->upper[j] - x[j]) * inverse;
-            low = fmax(low, fmin(one, other));
-            high = fmin(high, fmax(one, other));
+            low = larger(smaller(one, other), low);
+            high = smaller(larger(one, other), high);
         }
     }
-    low = fmin(low, 0.0); /* x itself counts as feasible: its violation is judged above */
-    high = fmax(high, 0.0);
+    low = smaller(0.0, low); /* x itself counts as feasible: its violation is judged above */
+    high = larger(0.0, high);
     for (int j = 0; j < n; j++) {
         double push = line[j] * slope;
         if (push > still * fabs(slope))
-            room = fmin(room, fmax(x[j] - p->lower[j], 0.0));
+            room = smaller(larger(x[j] - p->lower[j], 0.0), room);
         else if (push < -still * fabs(slope))
-            room = fmin(room, fmax(p->upper[j] - x[j], 0.0));
+            room = smaller(larger(p->upper[j] - x[j], 0.0), room);
     }
     double desired = p->rho > 0.0 ? pull / p->rho : HUGE_VAL;
     found.natural = fmin(fabs(slope) / total, room);
@@ -172,7 +154,7 @@ static void least_violation(const moc_problem *p, double *x)
     int n = p->n;
 
     for (int j = 0; j < n; j++) {
-        x[j] = fmin(fmax(0.0, p->lower[j]), p->upper[j]);
+        x[j] = clip(0.0, p->lower[j], p->upper[j]);
         for (int i = 0; i < 6; i++)
             size[j] += p->A[i][j] * p->A[i][j];
     }
@@ -185,7 +167,7 @@ static void least_violation(const moc_problem *p, double *x)
             double along = 0.0;
             for (int i = 0; i < 6; i++)
                 along += p->A[i][j] * missing[i];
-            double best = fmin(fmax(x[j] - along / size[j], p->lower[j]), p->upper[j]);
+            double best = clip(x[j] - along / size[j], p->lower[j], p->upper[j]);
             for (int i = 0; i < 6; i++)
                 missing[i] += (best - x[j]) * p->A[i][j];
             x[j] = best;

@@ -6,47 +6,22 @@
 /* Below this det(J J^T), relative to the cube of the mean of its diagonal, mu is rounding. */
 #define SINGULAR 1e-14
 
-/* A symmetric matrix [[a, b, c], [b, d, e], [c, e, f]]. */
-typedef struct {
-    double a, b, c, d, e, f;
-} symmetric;
-
-static symmetric gram(int n, double J[][MOC_MAX_JOINTS])
+/* (J J^T)^-1 times the determinant, which is returned; 0 where it is rounding. */
+static double gram_adjugate(int n, double J[][MOC_MAX_JOINTS], double adj[3][3], int *regular)
 {
-    return (symmetric){dot(n, J[0], J[0]), dot(n, J[0], J[1]), dot(n, J[0], J[2]),
-                       dot(n, J[1], J[1]), dot(n, J[1], J[2]), dot(n, J[2], J[2])};
-}
-
-/* The adjugate, which is the inverse times the determinant; returns the determinant. */
-static double adjugate(symmetric s, symmetric *adj)
-{
-    *adj = (symmetric){s.d * s.f - s.e * s.e, s.c * s.e - s.b * s.f, s.b * s.e - s.c * s.d,
-                       s.a * s.f - s.c * s.c, s.b * s.c - s.a * s.e, s.a * s.d - s.b * s.b};
-    return s.a * adj->a + s.b * adj->b + s.c * adj->c;
-}
-
-static void times(symmetric s, const double x[3], double out[3])
-{
-    out[0] = s.a * x[0] + s.b * x[1] + s.c * x[2];
-    out[1] = s.b * x[0] + s.d * x[1] + s.e * x[2];
-    out[2] = s.c * x[0] + s.e * x[1] + s.f * x[2];
-}
-
-static symmetric scaled(double s, symmetric m)
-{
-    return (symmetric){s * m.a, s * m.b, s * m.c, s * m.d, s * m.e, s * m.f};
+    double S[3][3];
+    for (int i = 0; i < 3; i++)
+        for (int k = 0; k <= i; k++)
+            S[i][k] = S[k][i] = dot(n, J[i], J[k]);
+    double det = adjugate3(S, adj), mean = (S[0][0] + S[1][1] + S[2][2]) / 3.0;
+    *regular = det > SINGULAR * mean * mean * mean;
+    return det;
 }
 
 static void column(double J[][MOC_MAX_JOINTS], int k, double out[3])
 {
     for (int i = 0; i < 3; i++)
         out[i] = J[i][k];
-}
-
-double moc_yoshikawa(int n, double J[][MOC_MAX_JOINTS])
-{
-    symmetric unused;
-    return sqrt(fmax(adjugate(gram(n, J), &unused), 0.0));
 }
 
 /* mu = sqrt(det(J J^T)); dmu/dq_k = mu trace(dJ/dq_k pinv(J)).
@@ -56,16 +31,18 @@ double moc_yoshikawa(int n, double J[][MOC_MAX_JOINTS])
  * At a singularity mu has a kink and no gradient: zero is written, never NaN. */
 double moc_manipulability(int n, const moc_twist *twist, double J[][MOC_MAX_JOINTS], double *gradient)
 {
-    symmetric s = gram(n, J), adj;
-    double det = adjugate(s, &adj), mean = (s.a + s.d + s.f) / 3.0, mu = sqrt(fmax(det, 0.0));
-    double P[MOC_MAX_JOINTS][3], Jk[3], sum[3] = {0.0, 0.0, 0.0};
+    double adj[3][3], P[MOC_MAX_JOINTS][3], Jk[3], sum[3] = {0.0, 0.0, 0.0};
+    int regular;
+    double mu = sqrt(fmax(gram_adjugate(n, J, adj, &regular), 0.0));
 
+    if (gradient == NULL)
+        return mu;
     memset(gradient, 0, (unsigned)n * sizeof *gradient);
-    if (!(det > SINGULAR * mean * mean * mean))
+    if (!regular)
         return mu;
     for (int k = 0; k < n; k++) { /* the adjugate is the inverse times mu^2: divided by mu at the end */
         column(J, k, Jk);
-        times(adj, Jk, P[k]);
+        times3(adj, Jk, P[k]);
         gradient[k] = dot3(Jk, sum);
         add_cross(1.0, P[k], twist[k].ang, sum);
     }
@@ -90,23 +67,20 @@ double moc_shaft_manipulability(int n, const moc_twist *twist, double A[][MOC_MA
                                 double *gradient)
 {
     double(*T)[MOC_MAX_JOINTS] = A, (*W)[MOC_MAX_JOINTS] = A + 3;
-    symmetric tip = gram(n, T), adj;
-    double det = adjugate(tip, &adj), mean = (tip.a + tip.d + tip.f) / 3.0;
-    double mixed[3][3], K[3][3], C[3][3];
+    double adj[3][3], mixed[3], K[3][3], C[3][3];
+    int regular;
+    double det = gram_adjugate(n, T, adj, &regular);
 
     memset(gradient, 0, (unsigned)n * sizeof *gradient);
-    if (!(det > SINGULAR * mean * mean * mean))
+    if (!regular)
         return 0.0;
-    symmetric inverse = scaled(1.0 / det, adj), rest = gram(n, W);
-    double whole[3][3] = {{rest.a, rest.b, rest.c}, {rest.b, rest.d, rest.e}, {rest.c, rest.e, rest.f}};
     for (int a = 0; a < 3; a++) {
         for (int b = 0; b < 3; b++)
-            mixed[a][b] = dot(n, W[a], T[b]);
-        times(inverse, mixed[a], K[a]);
+            mixed[b] = dot(n, W[a], T[b]) / det;
+        times3(adj, mixed, K[a]);
+        for (int b = 0; b <= a; b++)
+            C[a][b] = C[b][a] = dot(n, W[a], W[b]) - det * dot3(K[b], mixed);
     }
-    for (int a = 0; a < 3; a++)
-        for (int b = 0; b < 3; b++)
-            C[a][b] = whole[a][b] - dot3(K[a], mixed[b]);
 
     /* Of rank two: the sum of the principal minors is the product of both eigenvalues. */
     double minors = 0.0, trace = C[0][0] + C[1][1] + C[2][2];
@@ -115,10 +89,10 @@ double moc_shaft_manipulability(int n, const moc_twist *twist, double A[][MOC_MA
     double mu = sqrt(fmax(minors, 0.0));
     if (!(minors > SINGULAR * trace * trace))
         return mu;
-    double size = 0.5 * trace; /* fills the direction of u, which (J_W N) does not have: any number above zero */
-    symmetric full = {C[0][0] + size * u[0] * u[0], C[0][1] + size * u[0] * u[1], C[0][2] + size * u[0] * u[2],
-                      C[1][1] + size * u[1] * u[1], C[1][2] + size * u[1] * u[2], C[2][2] + size * u[2] * u[2]};
-    inverse = scaled(1.0 / adjugate(full, &adj), adj);
+    for (int a = 0; a < 3; a++) /* fills the direction of u, which (J_W N) does not have: any number above zero */
+        for (int b = 0; b < 3; b++)
+            C[a][b] += 0.5 * trace * u[a] * u[b];
+    double shrink = mu / adjugate3(C, adj);
 
     double turns[2][3] = {{0.0}}, pulls[2][3] = {{0.0}}; /* sums over j < k of J_j x P_j and P_j x ang_j */
     for (int k = 0; k < n; k++) {
@@ -126,13 +100,12 @@ double moc_shaft_manipulability(int n, const moc_twist *twist, double A[][MOC_MA
         column(T, k, Jk[MOC_TIP]);
         column(W, k, Jk[MOC_WRIST]);
         for (int a = 0; a < 3; a++)
-            moved[a] = Jk[MOC_WRIST][a] - dot3(K[a], Jk[MOC_TIP]); /* column k of J_W N */
-        times(inverse, moved, P[MOC_WRIST]);
+            moved[a] = shrink * (Jk[MOC_WRIST][a] - dot3(K[a], Jk[MOC_TIP])); /* column k of J_W N, times mu */
+        times3(adj, moved, P[MOC_WRIST]);
         for (int a = 0; a < 3; a++)
-            P[MOC_TIP][a] =
-                -(K[0][a] * P[MOC_WRIST][0] + K[1][a] * P[MOC_WRIST][1] + K[2][a] * P[MOC_WRIST][2]);
+            P[MOC_TIP][a] = -(K[0][a] * P[MOC_WRIST][0] + K[1][a] * P[MOC_WRIST][1] + K[2][a] * P[MOC_WRIST][2]);
         for (int i = 0; i < 2; i++) {
-            gradient[k] += mu * (dot3(Jk[i], pulls[i]) - dot3(twist[k].ang, turns[i]));
+            gradient[k] += dot3(Jk[i], pulls[i]) - dot3(twist[k].ang, turns[i]);
             add_cross(1.0, P[i], twist[k].ang, pulls[i]);
             add_cross(1.0, Jk[i], P[i], turns[i]);
         }

@@ -24,7 +24,7 @@ static double look(const plan_task *task, const double *q, double error[6], doub
         for (int i = 0; i < 3; i++)
             error[3 * p + i] = task->target[p][i] - point[i];
     }
-    return grad ? moc_manipulability(n, twist, A, grad) : moc_yoshikawa(n, A);
+    return moc_manipulability(n, twist, A, grad);
 }
 
 static double largest(int count, const double *x)

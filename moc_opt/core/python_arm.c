@@ -60,7 +60,7 @@ METHOD(Arm, mu_along, {"poses", READ, K, N}, {"mu", WRITE, K})
         moc_twists(arm, frame, twist);
         moc_point(&frame[c->n - 1], arm->point[MOC_TIP], tip);
         moc_jacobian(c->n, twist, tip, arm->moves[MOC_TIP], J);
-        c->array[1][i] = moc_yoshikawa(c->n, J);
+        c->array[1][i] = moc_manipulability(c->n, twist, J, NULL);
     }
     Py_RETURN_NONE;
 }

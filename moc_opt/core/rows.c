@@ -13,7 +13,7 @@
  * The adjugate of (J_T - J_W)(J_T - J_W)^T is a multiple of u u^T; its longest column is taken. */
 static int tool_direction(const moc_problem *p, double u[3])
 {
-    double D[3][MOC_MAX_JOINTS], G[3][3], minors[3], size = 0.0, apart = 0.0;
+    double D[3][MOC_MAX_JOINTS], G[3][3] = {{0.0}}, adj[3][3], size = 0.0, apart = 0.0;
     int k = 0, most = 0, n = p->n;
 
     for (int i = 0; i < 3; i++)
@@ -22,28 +22,20 @@ static int tool_direction(const moc_problem *p, double u[3])
     for (int i = 0; i < 6; i++)
         size += dot(n, p->A[i], p->A[i]);
     for (int i = 0; i < 3; i++)
-        for (int j = 0; j < 3; j++) {
-            G[i][j] = 0.0;
+        for (int j = 0; j < 3; j++)
             for (int c = 0; c < n; c++) /* in order, as qp/problem.py does: D may have lost two directions */
                 G[i][j] += D[i][c] * D[j][c];
-        }
-    for (int i = 0; i < 3; i++) {
-        int a = (i + 1) % 3, b = (i + 2) % 3;
-        minors[i] = G[a][a] * G[b][b] - G[a][b] * G[b][a];
-        k = minors[i] > minors[k] ? i : k;
-    }
-    for (int i = 0; i < 3; i++) { /* column k of the adjugate: the cross product of the two other columns of G */
-        int a = (i + 1) % 3, b = (i + 2) % 3, c = (k + 1) % 3, d = (k + 2) % 3;
-        u[i] = G[a][c] * G[b][d] - G[b][c] * G[a][d];
-    }
-    double length = sqrt(dot3(u, u));
-    if (n < 3 || !(length > 0.0))
-        return 0;
+    adjugate3(G, adj);
+    for (int i = 1; i < 3; i++)
+        k = adj[i][i] > adj[k][k] ? i : k;
+    memcpy(u, adj[k], 3 * sizeof *u);
     for (int i = 1; i < 3; i++)
         most = fabs(u[i]) > fabs(u[most]) ? i : most;
-    length = u[most] < 0.0 ? -length : length;
+    double sign = u[most] < 0.0 ? -1.0 : 1.0;
+    if (n < 3 || !(normalise3(u) > 0.0))
+        return 0;
     for (int i = 0; i < 3; i++)
-        u[i] /= length;
+        u[i] *= sign;
     for (int j = 0; j < n; j++) {
         double gap = u[0] * D[0][j] + u[1] * D[1][j] + u[2] * D[2][j];
         apart += gap * gap;
@@ -55,20 +47,17 @@ static int tool_direction(const moc_problem *p, double u[3])
 void moc_cost(const moc_problem *p, double P[][MOC_MAX_JOINTS], double *linear)
 {
     for (int i = 0; i < p->n; i++) {
-        double tip = 0.0, wrist = 0.0;
-        for (int k = 0; k < 3; k++) {
-            tip += p->A[k][i] * p->b[k];
-            wrist += p->A[3 + k][i] * p->b[3 + k];
+        linear[i] = -p->c2 * p->pull[i];
+        for (int j = 0; j <= i; j++)
+            P[i][j] = i == j ? p->rho : 0.0;
+        for (int k = 0; k < 6; k++) {
+            double weighed = (k < 3 ? p->c0 : p->c1) * p->A[k][i];
+            linear[i] -= weighed * p->b[k];
+            for (int j = 0; j <= i; j++)
+                P[i][j] += weighed * p->A[k][j];
         }
-        linear[i] = -p->c0 * tip - p->c1 * wrist - p->c2 * p->pull[i];
-        for (int j = 0; j <= i; j++) {
-            double of_tip = 0.0, of_wrist = 0.0;
-            for (int k = 0; k < 3; k++) {
-                of_tip += p->A[k][i] * p->A[k][j];
-                of_wrist += p->A[3 + k][i] * p->A[3 + k][j];
-            }
-            P[i][j] = P[j][i] = p->c0 * of_tip + p->c1 * of_wrist + (i == j ? p->rho : 0.0);
-        }
+        for (int j = 0; j < i; j++)
+            P[j][i] = P[i][j];
     }
 }
 

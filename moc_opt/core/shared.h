@@ -41,10 +41,7 @@ void moc_point(const moc_frame *last, const double local[3], double out[3]);
 /* Jacobian (3,n) of a world point of the last link; joints that do not move it have columns of zeros. */
 void moc_jacobian(int n, const moc_twist *twist, const double point[3], const int *moves, double J[][MOC_MAX_JOINTS]);
 
-/* mu = sqrt(det(J J^T)) of J (3,n) alone. */
-double moc_yoshikawa(int n, double J[][MOC_MAX_JOINTS]);
-
-/* mu, and its gradient; see manipulability.c. */
+/* mu = sqrt(det(J J^T)) of J (3,n), and its gradient (n,), NULL: without; the same of the shaft. */
 double moc_manipulability(int n, const moc_twist *twist, double J[][MOC_MAX_JOINTS], double *gradient);
 double moc_shaft_manipulability(int n, const moc_twist *twist, double A[][MOC_MAX_JOINTS], const double u[3],
                                 double *gradient);

@@ -33,6 +33,22 @@ static inline double normalise3(double a[3])
     return length;
 }
 
+static inline void times3(double S[3][3], const double x[3], double out[3])
+{
+    for (int i = 0; i < 3; i++)
+        out[i] = dot3(S[i], x);
+}
+
+/* The adjugate of a symmetric matrix, which is its inverse times the determinant; returns that. */
+static inline double adjugate3(double S[3][3], double adj[3][3])
+{
+    for (int i = 0; i < 3; i++) {
+        adj[i][0] = adj[i][1] = adj[i][2] = 0.0;
+        add_cross(1.0, S[(i + 1) % 3], S[(i + 2) % 3], adj[i]);
+    }
+    return dot3(S[0], adj[0]);
+}
+
 /* Two sums, which the processor adds up side by side. */
 static inline double dot_of(int n, const double *a, const double *b)
 {
