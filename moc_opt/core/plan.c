@@ -27,11 +27,12 @@ static double look(const plan_task *task, const double *q, double error[6], doub
     return moc_manipulability(n, twist, A, grad);
 }
 
+/* NaN for one. */
 static double largest(int count, const double *x)
 {
     double most = 0.0;
     for (int i = 0; i < count; i++)
-        most = fmax(most, fabs(x[i]));
+        most = fabs(x[i]) <= most ? most : fabs(x[i]);
     return most;
 }
 
@@ -55,21 +56,24 @@ static int outside(const plan_task *task, const double *q)
 
 #define LONGEST 0.25    /* of a step, in joint space [rad]: beyond it the linearization is worth little */
 #define DAMPING 1e-12   /* of the trace of A A^T: tip and wrist are rigidly tied, A has a row too many */
+#define ANYWHERE (-HUGE_VAL) /* `near` of a step that may lead out of the limits */
+
+enum { ROWS = 7 }; /* tip and wrist, and the tangent of a curve */
 
 /* The step (n,) nearest to the desired one that changes A q (rows) by the error and leads to no limit.
  *
  * No joint within `near` of a limit goes towards it. An active-set method: joints that would leave are held, and one
  * that its multiplier draws inwards is let go. */
-static void allowed_step(const plan_task *task, int rows, const double *q, double A[6][MOC_MAX_JOINTS],
+static void allowed_step(const plan_task *task, int rows, const double *q, double A[ROWS][MOC_MAX_JOINTS],
                          const double *error, const double *desired, double damping, double near, double *step)
 {
-    double part[6][MOC_MAX_JOINTS], still[MOC_MAX_JOINTS];
+    double part[ROWS][MOC_MAX_JOINTS], still[MOC_MAX_JOINTS];
     int n = task->arm->n, held[MOC_MAX_JOINTS] = {0};
 
-    memcpy(part, A, sizeof part);
+    memcpy(part, A, (unsigned)rows * sizeof *part);
     memcpy(still, desired, (unsigned)n * sizeof *still);
     for (int round = 0; round < 4 * n; round++) {
-        double S[6][MOC_MAX_JOINTS], L[6][MOC_MAX_JOINTS], inverse[6], force[6], trace = 0.0, most = 0.0;
+        double S[ROWS][MOC_MAX_JOINTS], L[ROWS][MOC_MAX_JOINTS], inverse[ROWS], force[ROWS], trace = 0.0, most = 0.0;
         int left = 0, drawn = -1;
 
         for (int i = 0; i < rows; i++) {
@@ -113,7 +117,7 @@ static void allowed_step(const plan_task *task, int rows, const double *q, doubl
 double plan_place(const plan_task *task, int points, int rounds, const double *start, double *best)
 {
     static const double nowhere[MOC_MAX_JOINTS];
-    double q[MOC_MAX_JOINTS], A[6][MOC_MAX_JOINTS], error[6], step[MOC_MAX_JOINTS];
+    double q[MOC_MAX_JOINTS], A[ROWS][MOC_MAX_JOINTS], error[6], step[MOC_MAX_JOINTS];
     double damping = 0.0, last = HUGE_VAL, miss = HUGE_VAL;
     int n = task->arm->n;
 
@@ -142,79 +146,70 @@ double plan_place(const plan_task *task, int points, int rounds, const double *s
 
 /* --- along a curve --- */
 
-/* Solve [A; t^T] x = [b; c] for x (m,) in the sense of least squares, by Cholesky on its normal equations.
- * Near a singularity the added 1e-14 keeps the matrix positive; a poor step is found out by its residual. */
-static void bordered(int m, double A[6][MOC_MAX_JOINTS], const double *t, const double b[6], double c, double *x)
+/* A below the tangent's row: joints that are not active stay, for Newton's method and for the tangent. */
+static double look_across(const plan_task *task, const double *q, const double *tangent, double error[ROWS],
+                          double A[ROWS][MOC_MAX_JOINTS])
 {
-    double L[MOC_MAX_JOINTS][MOC_MAX_JOINTS];
-    for (int i = 0; i < m; i++) {
-        x[i] = t[i] * c;
-        for (int row = 0; row < 6; row++)
-            x[i] += A[row][i] * b[row];
-        for (int j = 0; j <= i; j++) {
-            double total = t[i] * t[j] + (i == j ? 1e-14 : 0.0);
-            for (int row = 0; row < 6; row++)
-                total += A[row][i] * A[row][j];
-            total -= dot(j, L[i], L[j]);
-            L[i][j] = i == j ? sqrt(fmax(total, 1e-16)) : total / L[j][j];
-        }
-    }
-    for (int i = 0; i < m; i++)
-        x[i] = (x[i] - dot(i, L[i], x)) / L[i][i];
-    for (int i = m - 1; i >= 0; i--) {
-        for (int k = i + 1; k < m; k++)
-            x[i] -= L[k][i] * x[k];
-        x[i] /= L[i][i];
-    }
+    double mu = look(task, q, error, A, NULL), full[6][MOC_MAX_JOINTS];
+    memcpy(full, A, sizeof full);
+    memset(A, 0, 6 * sizeof *A);
+    for (int k = 0; k < task->count; k++)
+        for (int i = 0; i < 6; i++)
+            A[i][task->active[k]] = full[i][task->active[k]];
+    memcpy(A[6], tangent, (unsigned)task->arm->n * sizeof *tangent);
+    error[6] = 0.0;
+    return mu;
 }
 
-static void take_active(const plan_task *task, double full[6][MOC_MAX_JOINTS], double A[6][MOC_MAX_JOINTS])
-{
-    for (int row = 0; row < 6; row++)
-        for (int i = 0; i < task->count; i++)
-            A[row][i] = full[row][task->active[i]];
-}
-
-/* Go h along the tangent (n,) from q, then by Newton's method across it onto the curve. */
+/* The pose of the curve across the tangent, h ahead of q; A and mu there. Returns 0 where Newton's method fails. */
 static int correct(const plan_task *task, const double *q, double h, const double *tangent, double *pose,
-                   double A[6][MOC_MAX_JOINTS], double *mu)
+                   double A[ROWS][MOC_MAX_JOINTS], double *mu)
 {
-    double full[6][MOC_MAX_JOINTS], error[6], t[MOC_MAX_JOINTS], dq[MOC_MAX_JOINTS];
+    static const double nowhere[MOC_MAX_JOINTS];
+    double error[ROWS], step[MOC_MAX_JOINTS];
+    int n = task->arm->n;
 
-    for (int i = 0; i < task->arm->n; i++)
+    for (int i = 0; i < n; i++)
         pose[i] = q[i] + h * tangent[i];
-    for (int i = 0; i < task->count; i++)
-        t[i] = tangent[task->active[i]];
     for (int round = 0; round < 10; round++) {
-        *mu = look(task, pose, error, full, NULL);
-        take_active(task, full, A);
+        *mu = look_across(task, pose, tangent, error, A);
         if (largest(6, error) < TOLERANCE)
             return 1;
-        bordered(task->count, A, t, error, 0.0, dq);
-        for (int i = 0; i < task->count; i++)
-            pose[task->active[i]] += dq[i];
+        allowed_step(task, ROWS, pose, A, error, nowhere, 0.0, ANYWHERE, step);
+        for (int i = 0; i < n; i++)
+            pose[i] += step[i];
     }
     return 0;
 }
 
 int plan_correct(const plan_task *task, const double *q, const double *along, double *pose)
 {
-    double A[6][MOC_MAX_JOINTS], mu;
+    double A[ROWS][MOC_MAX_JOINTS], mu;
     return correct(task, q, 0.0, along, pose, A, &mu) && !outside(task, pose);
 }
 
-/* The unit tangent (n,) that points the same way as the last one: A t = 0, t_old . t > 0. */
-static void turn_tangent(const plan_task *task, double A[6][MOC_MAX_JOINTS], double *tangent)
+/* The unit tangent (n,) that points the same way as the last one, the last row of A: A t = 0, t_old . t > 0. */
+static void turn_tangent(const plan_task *task, double A[ROWS][MOC_MAX_JOINTS], double *tangent)
 {
-    static const double none[6];
-    double t[MOC_MAX_JOINTS], turned[MOC_MAX_JOINTS];
+    static const double ahead[ROWS] = {[6] = 1.0}, nowhere[MOC_MAX_JOINTS];
+    allowed_step(task, ROWS, tangent, A, ahead, nowhere, 0.0, ANYWHERE, tangent);
+    double length = sqrt(dot(task->arm->n, tangent, tangent));
+    for (int i = 0; i < task->arm->n; i++)
+        tangent[i] /= length;
+}
 
-    for (int i = 0; i < task->count; i++)
-        t[i] = tangent[task->active[i]];
-    bordered(task->count, A, t, none, 1.0, turned);
-    double length = sqrt(dot(task->count, turned, turned));
-    for (int i = 0; i < task->count; i++)
-        tangent[task->active[i]] = turned[i] / length;
+/* Whether the start (n,), up to whole turns, is ahead of q within a step, and how far; `pose` is the start then. */
+static int closes(const plan_task *task, const double *start, const double *q, const double *tangent, double step,
+                  double *pose, double *gap)
+{
+    double ahead = 0.0;
+    for (int i = 0; i < task->arm->n; i++) {
+        double turns = task->arm->joint[i].slides ? 0.0 : nearbyint((q[i] - start[i]) / (2.0 * PI));
+        pose[i] = start[i] + 2.0 * PI * turns;
+        ahead += (pose[i] - q[i]) * tangent[i];
+    }
+    *gap = distance(task->arm->n, pose, q);
+    return *gap <= 1.01 * step && ahead > 0.0 && !outside(task, pose);
 }
 
 int plan_follow(const plan_task *task, const double *start, const double *tangent_start, double step, int most,
@@ -222,58 +217,47 @@ int plan_follow(const plan_task *task, const double *start, const double *tangen
 {
     int n = task->arm->n, count = 1;
     unsigned bytes = (unsigned)n * sizeof *poses;
-    double q[MOC_MAX_JOINTS], tangent[MOC_MAX_JOINTS], trial[MOC_MAX_JOINTS], A[6][MOC_MAX_JOINTS], mu;
-    double h = step, low = 0.0, high = -1.0; /* the bracket of the limit, once one has been crossed */
+    double tangent[MOC_MAX_JOINTS], trial[MOC_MAX_JOINTS], A[ROWS][MOC_MAX_JOINTS], mu, gap, h = step;
 
-    memcpy(q, start, bytes);
     memcpy(tangent, tangent_start, bytes);
-    correct(task, q, 0.0, tangent, trial, A, &mu);
+    memcpy(poses, start, bytes);
+    correct(task, start, 0.0, tangent, trial, A, &mu);
     s[0] = 0.0;
     mus[0] = mu;
-    memcpy(poses, q, bytes);
     *end = PLAN_LENGTH;
     while (count < most) {
-        int found = correct(task, q, h, tangent, trial, A, &mu);
-        if (high < 0.0 && (!found || distance(n, trial, q) > 2.0 * h)) {
+        double *q = poses + (count - 1) * n, *next = q + n;
+        if (!correct(task, q, h, tangent, trial, A, &mu) || distance(n, trial, q) > 2.0 * h) {
             h *= 0.5;
-            if (h < 1e-3 * step) {
-                *end = PLAN_SINGULAR;
-                return count;
-            }
-            continue;
-        }
-        if (high >= 0.0 || outside(task, trial)) {
-            if (!found || outside(task, trial)) {
-                high = h;
-            } else {
-                low = h;
-                memcpy(poses + count * n, trial, bytes);
-                mus[count] = mu;
-            }
-            if (high - low > 1e-10) {
-                h = 0.5 * (low + high);
+            if (h >= 1e-3 * step)
                 continue;
+            *end = PLAN_SINGULAR;
+            return count;
+        }
+        if (outside(task, trial)) { /* bisect the last step at the limit */
+            double low = 0.0, high = h;
+            while (high - low > 1e-10) {
+                h = 0.5 * (low + high);
+                if (correct(task, q, h, tangent, trial, A, &mu) && !outside(task, trial)) {
+                    low = h;
+                    memcpy(next, trial, bytes);
+                    mus[count] = mu;
+                } else {
+                    high = h;
+                }
             }
             *end = PLAN_LIMIT;
             if (low < 1e-9) /* it stood on the limit already */
                 return count;
-            s[count] = s[count - 1] + distance(n, poses + count * n, q);
+            s[count] = s[count - 1] + distance(n, next, q);
             return count + 1;
         }
         s[count] = s[count - 1] + distance(n, trial, q);
         mus[count] = mu;
-        memcpy(poses + count * n, trial, bytes);
-        memcpy(q, trial, bytes);
+        memcpy(next, trial, bytes);
         count++;
         turn_tangent(task, A, tangent);
-        double ahead = 0.0;
-        for (int i = 0; i < n; i++) {
-            double turns = task->arm->joint[i].slides ? 0.0 : nearbyint((q[i] - start[i]) / (2.0 * PI));
-            trial[i] = start[i] + 2.0 * PI * turns;
-            ahead += (trial[i] - q[i]) * tangent[i];
-        }
-        double gap = distance(n, trial, q);
-        if (gap <= 1.01 * step && ahead > 0.0 && !outside(task, trial) && count > 3 && count < most) {
+        if (closes(task, start, next, tangent, step, trial, &gap) && count > 3 && count < most) {
             int last = gap > 0.1 * step ? count : count - 1; /* no two samples on top of each other */
             s[last] = s[count - 1] + gap;
             mus[last] = mus[0];
@@ -296,7 +280,7 @@ int plan_follow(const plan_task *task, const double *start, const double *tangen
 double plan_ascend(const plan_task *task, double *q)
 {
     static const double nothing[6];
-    double error[6], A[6][MOC_MAX_JOINTS], grad[MOC_MAX_JOINTS], way[MOC_MAX_JOINTS], trial[MOC_MAX_JOINTS], h = 0.1;
+    double error[6], A[ROWS][MOC_MAX_JOINTS], grad[MOC_MAX_JOINTS], way[MOC_MAX_JOINTS], trial[MOC_MAX_JOINTS], h = 0.1;
     int n = task->arm->n;
 
     if (!(plan_place(task, 2, NEWTON, q, q) < TOLERANCE))
