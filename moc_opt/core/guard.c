@@ -115,31 +115,31 @@ static void compare_wrench(const double *wrench, moc_watch *w)
     }
 }
 
-/* Position against velocity, and whether joint i repeats itself. Returns whether it runs away from its velocity. */
-static int compare_joint(const moc_guard *g, int i, double q, double v, double elapsed, int *all_whole, moc_watch *w)
+/* Position against velocity, and whether a joint repeats itself, *whole: with its velocity. Returns whether it runs away
+ * from its velocity. */
+static int compare_joint(const moc_guard *g, double q, double v, double elapsed, int *whole, moc_joint_watch *j)
 {
     double keep = 1.0 - fmin(1.0, elapsed / g->motion_s);
-    int first = w->joint[i].repeats < 0.0;
+    int first = j->repeats < 0.0;
 
     if (first) /* what it is compared with begins here */
-        w->joint[i].shown = q - elapsed * v;
-    w->joint[i].gap = keep * w->joint[i].gap + (q - w->joint[i].shown) - elapsed * v;
-    w->joint[i].peak = fmax(keep * w->joint[i].peak, fabs(v));
-    int repeats = same(q, w->joint[i].shown);
+        j->shown = q - elapsed * v;
+    j->gap = keep * j->gap + (q - j->shown) - elapsed * v;
+    j->peak = fmax(keep * j->peak, fabs(v));
+    int repeats = same(q, j->shown);
     /* A velocity that was never other than zero is no sign: the joint has rested since the start. */
-    int whole = !first && repeats && same(v, w->joint[i].speed) && w->joint[i].peak > 0.0;
-    w->joint[i].whole += whole;
-    *all_whole &= whole;
-    w->joint[i].speed = v;
+    *whole = !first && repeats && same(v, j->speed) && j->peak > 0.0;
+    j->whole += *whole;
+    j->speed = v;
     if (first || repeats) {
-        w->joint[i].repeats += 1.0;
+        j->repeats += 1.0;
     } else {
-        w->joint[i].repeats = 0.0;
-        w->joint[i].at_repeat = w->joint[i].mean; /* of the last residual a coarse step has its share */
-        w->joint[i].unseen = 0.0;
+        j->repeats = 0.0;
+        j->at_repeat = j->mean; /* of the last residual a coarse step has its share */
+        j->unseen = 0.0;
     }
-    w->joint[i].shown = q;
-    return fabs(w->joint[i].gap) > g->motion_rad + g->motion_lag_s * w->joint[i].peak;
+    j->shown = q;
+    return fabs(j->gap) > g->motion_rad + g->motion_lag_s * j->peak;
 }
 
 /* Whether the arm was told to move, or the torque changed, while all encoders repeated themselves. */
@@ -160,32 +160,30 @@ static moc_stop compare_readings(const moc_guard *g, int n, const moc_measuremen
 {
     double elapsed = g->period * (w->elapsed > 1 ? (double)w->elapsed : 1.0);
     double fewest = 1e18, most = 0.0, most_whole = 0.0;
-    int ran_away = 0, all_whole = 1;
+    int ran_away = 0, all_whole = 1, whole;
 
     w->elapsed = 0;
     compare_wrench(m->wrench, w);
     for (int i = 0; i < n; i++) {
-        ran_away |= compare_joint(g, i, m->q[i], m->v[i], elapsed, &all_whole, w);
+        ran_away |= compare_joint(g, m->q[i], m->v[i], elapsed, &whole, &w->joint[i]);
+        all_whole &= whole;
         fewest = fmin(fewest, w->joint[i].repeats);
         most = fmax(most, w->joint[i].repeats);
         most_whole = fmax(most_whole, w->joint[i].whole);
     }
     w->readings_twice += all_whole;
-    if (w->readings_twice > g->repeat_reading_ticks)
-        return MOC_STOP_REPEATED;
-    int deaf = wrench_has_noise(w) && w->wrench_repeats > g->repeat_whole_ticks;
     if (fewest <= g->patience) { /* from here on a repeated reading counts, and so does what changes */
         for (int i = 0; i < n; i++)
             w->joint[i].torque = m->applied[i];
         memcpy(w->still, w->told, sizeof w->still);
-    } else if (deaf || told_to_move(g, n, m->applied, w)) {
-        return MOC_STOP_REPEATED;
     }
-    if (ran_away)
-        return MOC_STOP_RAN_AWAY;
-    if (most > g->repeat_joint_ticks || most_whole > g->repeat_reading_ticks)
-        return MOC_STOP_ONE_REPEATED;
-    return deaf ? MOC_STOP_WRENCH_REPEATED : MOC_RUNNING;
+    int deaf = wrench_has_noise(w) && w->wrench_repeats > g->repeat_whole_ticks;
+    int repeated = fewest > g->patience && (deaf || told_to_move(g, n, m->applied, w));
+    return repeated || w->readings_twice > g->repeat_reading_ticks               ? MOC_STOP_REPEATED
+           : ran_away                                                            ? MOC_STOP_RAN_AWAY
+           : most > g->repeat_joint_ticks || most_whole > g->repeat_reading_ticks ? MOC_STOP_ONE_REPEATED
+           : deaf                                                                ? MOC_STOP_WRENCH_REPEATED
+                                                                                 : MOC_RUNNING;
 }
 
 /* Remember a reading by its number; return how many came before, all of them by the same number of readings. */
@@ -214,9 +212,8 @@ static double as_number(int count, const double *values, double number)
 
 /* A recording agrees with its own velocities and with the model: no other sign finds it. The same holds for an encoder
  * whose filtered velocity comes with its position, and which begins to lag by k readings: it shows k of them again. */
-static moc_stop look(const moc_guard *g, int n, const moc_measurement *m, moc_watch *w)
+static moc_stop came_before(const moc_guard *g, int n, const moc_measurement *m, moc_watch *w)
 {
-    moc_stop found = compare_readings(g, n, m, w);
     double most = fmin(g->repeat_reading_ticks, wrench_has_noise(w) ? g->repeat_whole_ticks : g->replayed_ticks);
     double lagging = 0.0, whole = as_number(6, m->wrench, as_number(n, m->v, as_number(n, m->q, 0.0)));
 
@@ -224,9 +221,9 @@ static moc_stop look(const moc_guard *g, int n, const moc_measurement *m, moc_wa
     for (int i = 0; i < n && g->repeat_reading_ticks < HUGE_VAL; i++)
         lagging = fmax(lagging, take_in(SHRINK * m->q[i] + m->v[i], MOC_JOINT_SLOTS, w->joint_number[i], w->joint_at[i],
                                         &w->lagging[i]));
-    if (found == MOC_RUNNING && lagging > g->repeat_reading_ticks)
-        found = MOC_STOP_LAGGING;
-    return take_in(whole, MOC_SLOTS, w->number, w->at, &w->whole) > most ? MOC_STOP_REPLAYED : found;
+    if (take_in(whole, MOC_SLOTS, w->number, w->at, &w->whole) > most)
+        return MOC_STOP_REPLAYED;
+    return lagging > g->repeat_reading_ticks ? MOC_STOP_LAGGING : MOC_RUNNING;
 }
 
 moc_stop moc_guard_believe(const moc_guard *g, int n, const moc_measurement *m, moc_watch *w)
@@ -238,8 +235,11 @@ moc_stop moc_guard_believe(const moc_guard *g, int n, const moc_measurement *m, 
         memcpy(w->q, m->q, (unsigned)n * sizeof *w->q);
         memcpy(w->v, m->v, (unsigned)n * sizeof *w->v);
         w->bad = 0;
-        if (g->motion && m->applied)
-            found = look(g, n, m, w);
+        if (g->motion && m->applied) {
+            found = compare_readings(g, n, m, w);
+            moc_stop again = came_before(g, n, m, w);
+            found = again == MOC_STOP_REPLAYED ? again : first_of(found, again);
+        }
     } else {
         w->bad += w->bad < INT_MAX;
         for (int i = 0; i < n; i++)
@@ -339,31 +339,29 @@ static moc_stop weigh(const moc_guard *g, int n, const moc_terms *t, const doubl
 
     w->weighed += w->weighed < INT_MAX;
     for (int i = 0; i < n; i++) {
-        double p = dot(n, t->M[i], t->v);
-        if (w->weighed == 1) {
-            w->joint[i].integral = p;
-            continue;
-        }
-        w->joint[i].integral += (tau[i] + t->energy_slope[i] - t->gravity[i] + w->joint[i].residual) * g->period;
-        w->joint[i].residual = g->residual_rate * (p - w->joint[i].integral);
+        moc_joint_watch *j = &w->joint[i];
+        if (w->weighed == 1)
+            j->integral = dot(n, t->M[i], t->v);
+        else
+            moc_observe(n, t, i, tau[i], g->residual_rate, g->period, &j->integral, &j->residual);
     }
     for (int i = 0; i < n && w->weighed > 1; i++) {
-        double r = w->joint[i].residual;
+        moc_joint_watch *j = &w->joint[i];
         if (w->weighed <= g->settling_ticks) {
-            w->joint[i].mean = w->joint[i].at_repeat = r;
-            w->joint[i].unseen = 0.0;
+            j->mean = j->at_repeat = j->residual;
+            j->unseen = 0.0;
         }
-        w->joint[i].mean += g->residual_share * (r - w->joint[i].mean);
-        double beyond = r - w->joint[i].at_repeat;
+        j->mean += g->residual_share * (j->residual - j->mean);
+        double beyond = j->residual - j->at_repeat;
         beyond -= clip(beyond, -g->held[i], g->held[i]);
-        w->joint[i].unseen += g->period * beyond / t->M[i][i];
-        if (w->joint[i].repeats > g->patience && fabs(w->joint[i].unseen) > g->stuck_speed)
+        j->unseen += g->period * beyond / t->M[i][i];
+        if (j->repeats > g->patience && fabs(j->unseen) > g->stuck_speed)
             found = MOC_STOP_STUCK;
-        int far = fabs(r - w->joint[i].mean) > g->residual_torque * g->tau_max[i] ||
-                  fabs(r) > g->residual_whole * g->tau_max[i];
-        w->joint[i].exceeded = far ? w->joint[i].exceeded + 1.0 : 0.0;
-        if (w->joint[i].exceeded > g->patience) {
-            w->cut = r * tau[i] < 0.0 && alone(g, n, i, w);
+        int far = fabs(j->residual - j->mean) > g->residual_torque * g->tau_max[i] ||
+                  fabs(j->residual) > g->residual_whole * g->tau_max[i];
+        j->exceeded = far ? j->exceeded + 1.0 : 0.0;
+        if (j->exceeded > g->patience) {
+            w->cut = j->residual * tau[i] < 0.0 && alone(g, n, i, w);
             return MOC_STOP_UNEXPLAINED;
         }
     }
@@ -430,12 +428,11 @@ moc_stop moc_guard_follow(const moc_guard *g, const moc_arm *arm, const moc_term
     }
     if (t && g->motion)
         found = weigh(g, arm->n, t, before, w);
-    reason = reason == MOC_RUNNING ? found : reason;
     w->limited = 0;
     if (!all_finite(arm->n, tau))
-        return reason == MOC_RUNNING ? MOC_STOP_TORQUE : reason;
+        return first_of(first_of(reason, found), MOC_STOP_TORQUE);
     w->limited = limit_torque(g, arm, before, w, tau);
-    return reason;
+    return first_of(reason, found);
 }
 
 /* --- a stop --- */
@@ -490,26 +487,7 @@ void moc_guard_hold(const moc_guard *g, const moc_arm *arm, const double *wrench
 
 const char *moc_reason(moc_stop reason)
 {
-    static const char *const words[] = {
-        "running",
-        "not started",
-        "the controller's state is damaged",
-        "measurements not believed",
-        "the wrench sensor's readings are no numbers",
-        "the RCM error has been above its limit",
-        "the trocar's force has been above its limit",
-        "the tip has been off its reference",
-        "the controller's torque is not finite",
-        "measurements are too late",
-        "all encoders repeat one reading, as no arm that moves or has noise does",
-        "the encoders' positions do not follow their velocities",
-        "an encoder repeats one reading while torque acts on its joint",
-        "the measured motion is not what the torque makes: a wrong encoder, an unknown force, or a loop that shakes "
-        "at too long a delay",
-        "the measurements are a recording: they came before, to the last bit",
-        "one encoder repeats its reading, as its noise does not let it",
-        "the wrench sensor repeats its reading, as its noise does not let it",
-        "one encoder lags: its readings came before, to the last bit",
-    };
-    return reason >= MOC_RUNNING && reason < MOC_STOPS ? words[reason] : "unknown";
+#define WORDS(name, words) words,
+    static const char *const all[] = {MOC_REASONS(WORDS)};
+    return reason >= MOC_RUNNING && reason < MOC_STOPS ? all[reason] : "unknown";
 }

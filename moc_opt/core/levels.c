@@ -268,10 +268,8 @@ void moc_add_third_level(const moc_law *law, int n, const moc_terms *terms, cons
     }
 }
 
-void moc_observe(int n, const moc_terms *t, const double *tau, double gain, double period, double *integral, double *r)
+void moc_observe(int n, const moc_terms *t, int i, double tau, double gain, double period, double *integral, double *r)
 {
-    for (int i = 0; i < n; i++) {
-        integral[i] += (tau[i] + t->energy_slope[i] - t->gravity[i] + r[i]) * period;
-        r[i] = gain * (dot(n, t->M[i], t->v) - integral[i]);
-    }
+    *integral += (tau + t->energy_slope[i] - t->gravity[i] + *r) * period;
+    *r = gain * (dot(n, t->M[i], t->v) - *integral);
 }

@@ -171,28 +171,30 @@ typedef struct {
 
 /* --- the safety filter (guard.c) --- */
 
-/* Why the arm has to be stopped. */
-typedef enum {
-    MOC_RUNNING = 0,
-    MOC_STOP_NOT_STARTED,     /* moc_step without a start, or after one that was refused */
-    MOC_STOP_STATE,           /* the memory is not what the last step left */
-    MOC_STOP_MEASUREMENT,     /* measurements not believed, more than `patience` in a row */
-    MOC_STOP_WRENCH,          /* as many readings of the wrench sensor were no numbers */
-    MOC_STOP_RCM,             /* the shaft has been too far from the registered trocar */
-    MOC_STOP_FORCE,           /* the trocar has been pressed too hard */
-    MOC_STOP_TIP,             /* the tip has been too far off its reference */
-    MOC_STOP_TORQUE,          /* the controller's torque is not finite */
-    MOC_STOP_LATE,            /* measurements are more than `patience` ticks late */
-    MOC_STOP_REPEATED,        /* all encoders repeat one reading, as no arm that moves or has noise does */
-    MOC_STOP_RAN_AWAY,        /* the encoders' positions do not follow their velocities */
-    MOC_STOP_STUCK,           /* an encoder repeats one reading while torque acts on its joint */
-    MOC_STOP_UNEXPLAINED,     /* the measured motion is not what the torque makes */
-    MOC_STOP_REPLAYED,        /* the measurements are a recording: they came before, to the last bit */
-    MOC_STOP_ONE_REPEATED,    /* one encoder repeats its reading, as its noise does not let it */
-    MOC_STOP_WRENCH_REPEATED, /* the wrench sensor does, as its noise does not let it */
-    MOC_STOP_LAGGING,         /* one encoder lags: its readings came before, to the last bit */
-    MOC_STOPS
-} moc_stop;
+/* Why the arm has to be stopped, and the words of moc_reason. */
+#define MOC_REASONS(REASON)                                                                                            \
+    REASON(MOC_RUNNING, "running")                                                                                     \
+    REASON(MOC_STOP_NOT_STARTED, "not started") /* or after a start that was refused */                                \
+    REASON(MOC_STOP_STATE, "the controller's state is damaged")                                                        \
+    REASON(MOC_STOP_MEASUREMENT, "measurements not believed")                                                          \
+    REASON(MOC_STOP_WRENCH, "the wrench sensor's readings are no numbers")                                             \
+    REASON(MOC_STOP_RCM, "the RCM error has been above its limit")                                                     \
+    REASON(MOC_STOP_FORCE, "the trocar's force has been above its limit")                                              \
+    REASON(MOC_STOP_TIP, "the tip has been off its reference")                                                         \
+    REASON(MOC_STOP_TORQUE, "the controller's torque is not finite")                                                   \
+    REASON(MOC_STOP_LATE, "measurements are too late")                                                                 \
+    REASON(MOC_STOP_REPEATED, "all encoders repeat one reading, as no arm that moves or has noise does")               \
+    REASON(MOC_STOP_RAN_AWAY, "the encoders' positions do not follow their velocities")                                \
+    REASON(MOC_STOP_STUCK, "an encoder repeats one reading while torque acts on its joint")                            \
+    REASON(MOC_STOP_UNEXPLAINED, "the measured motion is not what the torque makes: a wrong encoder, an unknown "      \
+                                 "force, or a loop that shakes at too long a delay")                                   \
+    REASON(MOC_STOP_REPLAYED, "the measurements are a recording: they came before, to the last bit")                   \
+    REASON(MOC_STOP_ONE_REPEATED, "one encoder repeats its reading, as its noise does not let it")                     \
+    REASON(MOC_STOP_WRENCH_REPEATED, "the wrench sensor repeats its reading, as its noise does not let it")            \
+    REASON(MOC_STOP_LAGGING, "one encoder lags: its readings came before, to the last bit")
+
+#define MOC_NAME(name, words) name,
+typedef enum { MOC_REASONS(MOC_NAME) MOC_STOPS } moc_stop;
 
 /* Levels; one that is infinite is off. The fields of [guard] in a scenario, where docs/keys explains each. */
 typedef struct {
@@ -238,6 +240,15 @@ typedef struct {
     double readings, lag, hits;
 } moc_came_before;
 
+/* What the safety filter remembers of a joint. */
+typedef struct {
+    double gap, peak, shown, speed;          /* q - integral of v; largest recent |v|; the last q and v */
+    double repeats, whole;                   /* ticks in a row with the same q; so far with the same q and v */
+    double torque;                           /* where all had repeated themselves for the patience [Nm] */
+    double integral, residual, mean;         /* of the momentum observer; the mean of the residual */
+    double at_repeat, unseen, exceeded;      /* the mean where it began to repeat; speed gathered since; ticks far off */
+} moc_joint_watch;
+
 /* What the safety filter remembers. */
 typedef struct {
     double q[MOC_MAX_JOINTS], v[MOC_MAX_JOINTS]; /* the last measurement that was believed, moved on since */
@@ -254,13 +265,7 @@ typedef struct {
     int cut;                                     /* 1: a drive does not do what it is told: none is used in the stop */
     int limited;                                 /* joints at which the last torque was changed */
     long long now, newest, delay, elapsed;       /* numbers of control periods: see `age` in guard.c */
-    struct {
-        double gap, peak, shown, speed;          /* q - integral of v; largest recent |v|; the last q and v */
-        double repeats, whole;                   /* ticks in a row with the same q; so far with the same q and v */
-        double torque;                           /* where all had repeated themselves for the patience [Nm] */
-        double integral, residual, mean;         /* of the momentum observer; the mean of the residual */
-        double at_repeat, unseen, exceeded;      /* the mean where it began to repeat; speed gathered since; ticks far off */
-    } joint[MOC_MAX_JOINTS];
+    moc_joint_watch joint[MOC_MAX_JOINTS];
     double readings_twice;                       /* readings in which all joints repeated q and v */
     double told[3], still[3];                    /* the tip's reference; where all had repeated themselves [m] */
     double wrench[6], wrench_repeats;
@@ -280,7 +285,6 @@ typedef struct {
     const double *wrench;  /* (6,) force [N] and torque [Nm] of the tool on its mount, tool axes */
 } moc_measurement;
 
-/* A reason in words. */
 const char *moc_reason(moc_stop reason);
 
 /* Dry friction (n,) [Nm] of the brakes in a stop, once a period; zero while the trocar presses the shaft hard. */

@@ -74,9 +74,8 @@ void moc_onto(int n, int rows, double Z[][MOC_MAX_JOINTS], const double *x, doub
 void moc_add_third_level(const moc_law *law, int n, const moc_terms *t, const moc_memory *memory, const double *x,
                          double *tau);
 
-/* r = K_o (p - integral(tau + C^T v - g + r)), p = M v, advanced by one period over which tau (n,) acted. */
-void moc_observe(int n, const moc_terms *t, const double *tau, double gain, double period, double *integral,
-                 double *r);
+/* r = K_o (p - integral(tau + C^T v - g + r)), p = M v, of joint i, advanced by one period over which tau acted. */
+void moc_observe(int n, const moc_terms *t, int i, double tau, double gain, double period, double *integral, double *r);
 
 /* Rows (returned) of any basis of ker A; a row of A that is neither repeated nor independent counts as repeated. */
 int moc_kernel(int n, double A[][MOC_MAX_JOINTS], double rows[][MOC_MAX_JOINTS]);

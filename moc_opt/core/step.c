@@ -30,8 +30,8 @@ void moc_levels(const moc_controller *c, const moc_input *in, moc_state *s)
     double climb[MOC_MAX_JOINTS];
     int n = c->arm->n;
 
-    if (law->observer_gain > 0.0) /* friction and model error, from the last torque */
-        moc_observe(n, t, memory->tau, law->observer_gain, law->period, memory->integral, memory->external);
+    for (int i = 0; i < n && law->observer_gain > 0.0; i++) /* friction and model error, from the last torque */
+        moc_observe(n, t, i, memory->tau[i], law->observer_gain, law->period, &memory->integral[i], &memory->external[i]);
     moc_tracking_torque(law, n, t, &in->ref, &in->trocar, s->tau);
     for (int i = 0; i < n; i++)
         s->tau[i] -= memory->external[i];
@@ -84,7 +84,7 @@ static void take_applied(const moc_controller *c, const double *applied, moc_sta
     }
     if (!c->guard || (s->memory.rows >= 0 && s->memory.rows <= n && within(n, s->sent, c->guard->tau_max)))
         return;
-    s->reason = s->reason == MOC_RUNNING ? MOC_STOP_STATE : s->reason;
+    s->reason = first_of(s->reason, MOC_STOP_STATE);
     for (int i = 0; i < n; i++)
         s->sent[i] = isnan(s->sent[i]) ? 0.0 : clip(s->sent[i], -c->guard->tau_max[i], c->guard->tau_max[i]);
 }
@@ -102,11 +102,10 @@ static moc_stop believe(const moc_controller *c, const moc_input *in, moc_state 
         seen.v = s->watch.v;
     }
     if (moc_compute_terms(c->arm, seen.q, seen.v, &s->terms) != MOC_OK)
-        return reason == MOC_RUNNING ? MOC_STOP_STATE : reason;
+        return first_of(reason, MOC_STOP_STATE);
     if (!c->guard)
         return MOC_RUNNING;
-    moc_stop found = moc_guard_incision(c->guard, s->terms.pose, &in->trocar, seen.wrench, &s->watch);
-    return reason == MOC_RUNNING ? found : reason;
+    return first_of(reason, moc_guard_incision(c->guard, s->terms.pose, &in->trocar, seen.wrench, &s->watch));
 }
 
 moc_stop moc_begin(const moc_controller *c, const moc_input *in, moc_state *s)

@@ -104,6 +104,11 @@ static inline void cholesky(int m, double S[][MOC_MAX_JOINTS], double L[][MOC_MA
     }
 }
 
+static inline moc_stop first_of(moc_stop reason, moc_stop other)
+{
+    return reason == MOC_RUNNING ? other : reason;
+}
+
 /* Each of the rows x (m,) becomes L^-1 x; row by row of L, so that the processor works on all of them side by side. */
 static inline void solve_lower(int m, double L[][MOC_MAX_JOINTS], const double *inverse, int count,
                                double rows[][MOC_MAX_JOINTS])
