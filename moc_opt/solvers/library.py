@@ -86,7 +86,7 @@ class LibrarySession:
 
     def update(self, qp: NullSpaceQP) -> None:
         """Hand the subproblem to the library; another shape than the last one's starts a new workspace."""
-        if qp.n != self._n or not self._load(qp):
+        if not self._load(qp):
             self._build(qp)
         self._hand_over()
 
@@ -150,13 +150,13 @@ class Loader:
         self, rows: int, scale: float, *, P: Array, p: Array, A: Array, low: Array, high: Array, lower: Array,
         upper: Array, packed: Array | None = None, signs: tuple[float, float, float] = (1.0, 1.0, 1.0),
     ) -> None:  # fmt: skip
-        self._lift = np.empty((len(A), 6))
+        self._lift, self._p = np.empty((len(A), 6)), p
         packed = np.empty(0) if packed is None else packed
         self._to = rows == 5, scale, np.array(signs), P, p, A, low, high, lower, upper, packed, self._lift
 
     def __call__(self, qp: NullSpaceQP) -> bool:
-        """Load ``qp`` of as many joints; False, and nothing is written, where it has more or fewer equality rows."""
-        return core.load(qp.row, *self._to)
+        """Load ``qp``; False, and nothing is written, where it has another shape."""
+        return qp.n == len(self._p) and core.load(qp.row, *self._to)
 
     def lifted(self, y: Array, factor: float) -> Array:
         """Return the multipliers of the six rows (6,) from the library's (m,), times ``factor``."""
