@@ -18,12 +18,7 @@ Choices = Mapping[str, tuple[object, ...]]
 
 
 class Status(Enum):
-    """A solver's claim about its own answer. The text is the cure.
-
-    Example:
-        >>> mo.solvers.Status.MAX_ITER.label, mo.solvers.Status.MAX_ITER.value
-        ('max_iter', 'raise max_iter or loosen eps')
-    """
+    """A solver's claim about its own answer. The text is the cure."""
 
     SOLVED = "the solver claims an optimum"
     INFEASIBLE = "no velocity inside the box meets the references: slow the path down or raise k0"

@@ -86,12 +86,7 @@ class Entry(NamedTuple):
 
 
 def available() -> dict[str, str | None]:
-    """Name -> None when it can run here, else the reason why not.
-
-    Example:
-        >>> mo.solvers.available()["exact"] is None
-        True
-    """
+    """Name -> None when it can run here, else the reason why not."""
     found: dict[str, str | None] = {name: _absent(package) for name, (_, _, package) in BUILT_IN.items()}
     absent = _absent("qpsolvers")
     libraries = {"NAME": absent} if absent else importlib.import_module("moc_opt.solvers.qpsolvers").reasons()

@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from moc_opt.errors import SolverError
 from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.robots import available_robots
 from moc_opt.robots.model import load_robot
@@ -330,24 +329,6 @@ def odd_problems() -> list[NullSpaceQP]:
     ]
 
 
-@every_solver
-def test_odd_problems_are_refused_with_a_reason_or_answered(name):
-    """And in a stream, whatever follows is answered with a status."""
-    chosen = solver(name)
-    stream = chosen.start(of(name)[0])
-    for qp in [*odd_problems(), random_problem(np.random.default_rng(1), regularization=0.0)]:
-        reason, found = chosen.supports(qp), stream.solve(qp)
-        assert found.x.shape == (qp.n,)
-        assert found.status is not Status.SOLVED or np.isfinite(found.x).all()
-        if reason is not None:
-            assert len(reason) > 10
-            continue
-        solution = chosen.start(qp).solve(qp)
-        if solution.status is Status.SOLVED:
-            assert np.isfinite(solution.x).all()
-            assert solution.y is None or np.isfinite(solution.y).all()
-
-
 # One bad problem may take these minutes by their own limits.
 CATCH_UP: dict[str, dict[str, Any]] = {
     "rnn": {"steps": 1000},
@@ -360,21 +341,25 @@ CATCH_UP: dict[str, dict[str, Any]] = {
 
 @every_solver
 def test_nothing_is_raised_at_the_edge_of_what_can_be_computed(name):
-    """Rounded, nearly singular, huge and tiny: cold and in a stream, with an update before it, there is a status."""
+    """Odd, rounded, nearly singular, huge and tiny: cold and in a stream, after an update too, there is a status."""
     limits = expect(name)
     extra = {"kinematics": kinematics()} if limits.arm else {}
     chosen = create(name, **CATCH_UP.get(name, limits.settings), **extra)
-    taken = [qp for qp in hard_problems(ARM if limits.arm else None) if chosen.supports(qp) is None][::2]
-    assert len(taken) > 20
-    stream = chosen.start(taken[0])
-    for qp in taken:
-        cold = chosen.start(qp)
-        if hasattr(stream, "update"):
-            stream.update(qp)
-        for solution in (cold.solve(qp), stream.solve(qp)):
+    stream, taken = chosen.start(of(name)[0]), 0
+    for qp in [*odd_problems(), *hard_problems(ARM if limits.arm else None)[::2]]:
+        found = [stream.solve(qp)]
+        if chosen.supports(qp) is None:
+            taken += 1
+            if hasattr(stream, "update"):
+                stream.update(qp)
+            found += [stream.solve(qp), chosen.start(qp).solve(qp)]
+        for solution in found:
             assert isinstance(solution.status, Status)
             assert solution.x.shape == (qp.n,)
-            assert solution.status is not Status.SOLVED or np.isfinite(solution.x).all()
+            if solution.status is Status.SOLVED:
+                assert np.isfinite(solution.x).all()
+                assert solution.y is None or np.isfinite(solution.y).all()
+    assert taken > 20
     if limits.solved == 1.0 and limits.recovers:
         assert stream.solve(of(name)[0]).status is Status.SOLVED  # and goes on from there
 
@@ -387,7 +372,3 @@ def test_settings_are_frozen_values(name):
     assert one.name == name
     with pytest.raises(dataclasses.FrozenInstanceError):
         one.name = "other"
-    positive = {"eps", "cost_scale", "tolerance", "h", "k"}
-    for key in positive & {f.name for f in dataclasses.fields(one)}:
-        with pytest.raises(SolverError, match=f"{key} = -1"):
-            dataclasses.replace(one, **{key: -1.0})
