@@ -81,13 +81,9 @@ class UnknownNameError(MocOptError, LookupError):
     FEW: ClassVar[int] = 12  #: So many names are all shown, even where a command lists them.
 
     def __init__(self, kind: str, name: str, valid: Iterable[str], listed_by: str = "") -> None:
-        """Build the message.
+        """Build the message of the kind ("solver", "robot"), the name as it was written, and those that are valid.
 
-        Args:
-            kind: of the name, in the user's words ("solver", "robot").
-            name: as the user wrote it.
-            valid: every name that would have worked.
-            listed_by: the command that lists them; of a long list the message then names the nearest three alone.
+        ``listed_by`` is the command that lists them: of a long list the message then names the nearest three alone.
         """
         names = sorted(valid)
         short = bool(listed_by) and len(names) > self.FEW
@@ -102,13 +98,7 @@ class UnknownNameError(MocOptError, LookupError):
 
 
 def is_number(value: object) -> bool:
-    """Return whether a value is a real number, numpy's included, and no truth value.
-
-    Example:
-        >>> from moc_opt.errors import is_number
-        >>> is_number(1), is_number(np.float64("nan")), is_number(True), is_number("1")
-        (True, True, False, False)
-    """
+    """Return whether a value is a real number, numpy's included, and no truth value."""
     return isinstance(value, Real) and not isinstance(value, bool)
 
 

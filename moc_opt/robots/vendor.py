@@ -24,7 +24,6 @@ TRAVEL_M = 0.5  #: Range of a sliding joint without limits, to both sides [m].
 _STRONGEST = {"turning": 2000.0, "sliding": 20000.0}  # Nm, N
 _UNITS = {"turning": ("rad", "rad/s"), "sliding": ("m", "m/s")}
 _DEGREES = 40.0  # a range [rad] beyond it is one of degrees: six turns are the most that an arm's joint has
-_ENDLESS = 1e5  # rad, rad/s, Nm, m, m/s and N
 
 
 @dataclass
@@ -60,7 +59,6 @@ def read_vendor(
     arm = VendorArm(urdf.read(read_text(path, "urdf", RobotError)))
     joints = {joint.name: joint for joint in arm.urdf.joints}
     _rename(arm)
-    _drop_endless_limits(arm.urdf.joints)
     for name, value in (lock or {}).items():
         if name not in joints or not joints[name].moves:
             raise UnknownNameError("joint (--lock)", name, [name for name, joint in joints.items() if joint.moves])
@@ -87,8 +85,8 @@ def read_vendor(
         arm.urdf.links.insert(0, Link("stand"))
         arm.urdf.joints.append(Joint("stand_joint", "fixed", "stand", tree.base, rpy=base_rpy))
         arm.notes.append(f"the base stands turned by {', '.join(f'{a:g}' for a in base_rpy)} rad about x, y, z")
-    urdf.normalize(arm.urdf)
     arm.weak = _choose_limits(arm.chain, arm.notes)
+    urdf.normalize(arm.urdf)
     return arm
 
 
@@ -101,14 +99,6 @@ def _rename(arm: VendorArm) -> None:
                 for joint in arm.urdf.joints if kind == "link" else ():
                     joint.parent = part.name if joint.parent == old else joint.parent
                     joint.child = part.name if joint.child == old else joint.child
-
-
-def _drop_endless_limits(joints: Iterable[Joint]) -> None:
-    for joint in joints:
-        endless = {key for key, value in joint.limits.items() if abs(value) > _ENDLESS}
-        if endless & {"lower", "upper"}:
-            endless |= {"lower", "upper"}
-        joint.limits = {key: value for key, value in joint.limits.items() if key not in endless}
 
 
 def _last_link(tree: urdf.Tree) -> str:
@@ -236,7 +226,7 @@ def _range(joint: Joint, kind: str) -> tuple[float, float, str]:
             f"range of the data sheet in {_UNITS[kind][0]}, the smaller number as lower"
         )
     if kind == "sliding":
-        good = lower < upper <= 100.0
+        good = -100.0 <= lower < upper <= 100.0
         return (lower, upper, "") if good else (-TRAVEL_M, TRAVEL_M, f"has no range: +-{TRAVEL_M} m is taken")
     if lower == upper:
         return -math.pi, math.pi, "has no range: +-180 deg is taken"

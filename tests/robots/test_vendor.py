@@ -172,7 +172,7 @@ FAST = {"velocity": CHOSEN["turning"]}
     ("panda", 'velocity="2" effort="87"', ONE_TURN, ["has no range"]),
     ("panda", 'lower="-166" upper="166" velocity="2" effort="87"', ONE_TURN, ["-166 to 166 rad"]),  # degrees
     *(("panda", f'lower="-{size}" upper="1.5" velocity="{size}" effort="{size}"', {**ONE_TURN, **FAST},
-       ["has no range", "no speed limit"]) for size in ("inf", "1e16")),
+       ["to 1.5 rad is no range", "is no speed"]) for size in ("inf", "1e16")),
     ("lwr4_rail", "", {"lower": -TRAVEL_M, "upper": TRAVEL_M, "velocity": CHOSEN["sliding"]},
      ["has no range: .* m is taken", "no speed limit: .* m/s is taken"]),
 ])  # fmt: skip
