@@ -17,7 +17,7 @@ FLOORS = (
     ("vision", "planning", "realtime"),
     ("scenario",),
     ("export", "report"),
-    ("study", "live", "robots.check", "robots.command", "robots.home", "robots.new"),
+    ("study", "live", "robots.check", "robots.command", "robots.new"),
     ("commands", "__init__", "__main__"),
     ("benchmarks", "tests", "examples"),
 )

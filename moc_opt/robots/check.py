@@ -13,8 +13,8 @@ from moc_opt.errors import RobotError
 from moc_opt.planning.self_motion import best_freedoms, freedoms, self_motion
 from moc_opt.robots import urdf
 from moc_opt.robots.gains import largest_inverse_masses, largest_null_rate, largest_rate
-from moc_opt.robots.home import task_fault
 from moc_opt.robots.model import RobotModel
+from moc_opt.robots.new import task_fault
 from moc_opt.robots.vendor import FASTEST
 from moc_opt.scenario.config import Scenario
 from moc_opt.scenario.derived import largest_mu

@@ -15,9 +15,18 @@ from moc_opt.errors import RobotError
 from moc_opt.planning.self_motion import freedoms, limit_shares
 from moc_opt.robots import available_robots
 from moc_opt.robots.check import check_robot, verdict
-from moc_opt.robots.home import CLEARANCE_M, MARGIN, REGULAR, SHARE, find_shaft, search_home, task_fault
 from moc_opt.robots.model import RobotModel, load_robot
-from moc_opt.robots.new import NewRobot, new_robot
+from moc_opt.robots.new import (
+    CLEARANCE_M,
+    MARGIN,
+    REGULAR,
+    SHARE,
+    NewRobot,
+    find_shaft,
+    new_robot,
+    search_home,
+    task_fault,
+)
 from moc_opt.scenario import Scenario, run
 from moc_opt.trace.metrics import summarize
 from tests.robots.arms import added, changed, joint, link, text_of, with_hand
