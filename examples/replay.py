@@ -7,7 +7,6 @@ import sys
 from pathlib import Path
 
 import moc_opt as mo
-from moc_opt.figures.style import Styles
 from moc_opt.planning.swivel_map import manipulability_map
 from moc_opt.report.map_page import add_map
 from moc_opt.report.page import Page
@@ -20,14 +19,10 @@ runs = {
     "MOC, rnn-printed": mo.run(trial.change(solver={"name": "rnn-printed", "settings": {}})),
     "DCAC, same gains": mo.run(trial.change(control={"law": "dcac"})),
 }
-robot, styles = mo.load_robot(trial.robot.name), Styles(runs)
+robot = mo.load_robot(trial.robot.name)
 pair = {name: runs[name] for name in ("MOC, exact", "DCAC, same gains")}
-print(
-    Replay(pair, robot, title="A circle with and without the third level", styles=styles).save(
-        folder / "replay.html"
-    )
-)
+print(Replay(pair, robot).save(folder / "replay.html"))
 
 page = Page("Where there was manipulability to gain", "one circle, three controllers")
-add_map(page, manipulability_map(robot, runs), what="one circle", styles=styles)
+add_map(page, manipulability_map(robot, runs))
 print(page.save(folder / "map.html"))

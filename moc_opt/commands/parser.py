@@ -124,7 +124,6 @@ COMMANDS = {
         option("--scenario", type=Path, metavar="FILE.toml", help="without it the default scenario"),
         option("--trials", type=int, default=15, help="from poses and swivels that the seed draws; default 15"),
         option("--seed", type=int, default=0, help="of the first trial; default 0"),
-        flag("--keep-start", "every trial starts as the scenario's [start] says, not at random"),
         option("--out", type=Path, metavar="FILE.csv", help="one row a run goes here"),
         FORCE,
         JSON,

@@ -26,9 +26,7 @@ def compare_solvers(given: argparse.Namespace) -> int:
             bar.at(words)
             bar.advance()
 
-        found = compare(
-            given.solvers, scenario, given.trials, seed=given.seed, random_start=not given.keep_start, watch=watch
-        )
+        found = compare(given.solvers, scenario, given.trials, seed=given.seed, watch=watch)
     if given.json:
         print_json({name: {key: _plain(value) for key, value in of.items()} for name, of in found.summary().items()})
     else:

@@ -4,23 +4,22 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 from urllib.parse import unquote
 
 import plotly.graph_objects as go
 from plotly.offline import get_plotlyjs
 
-from moc_opt.errors import BrowserError, BrowserMissingError, ReportError, UnknownNameError
+from moc_opt.errors import BrowserError, BrowserMissingError, ReportError
 from moc_opt.inputs.files import write_whole
 from moc_opt.inputs.names import file_stem
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
 
-FORMATS = ("svg", "pdf")
 WIDTH_PX = 680
 """Of a figure that has no width of its own: 180 mm, two columns of a journal; 12 px of type are then 9 pt."""
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome", "microsoft-edge")
@@ -36,23 +35,15 @@ SHEET = "<!DOCTYPE html><style>@page{margin:0} body{margin:0} svg{display:block}
 
 
 def save_figures(
-    figures: Mapping[str, go.Figure], directory: str | os.PathLike[str], formats: Iterable[str] = FORMATS
-) -> list[Path]:
+    figures: Mapping[str, go.Figure], directory: str | os.PathLike[str],
+    formats: Sequence[Literal["svg", "pdf"]] = ("svg", "pdf"),
+) -> list[Path]:  # fmt: skip
     """Write each figure as DIRECTORY/NAME.FORMAT, as vectors in the colours of a light page; return the files.
-
-    Args:
-        figures: name -> figure; `Page.figures` is one such mapping.
-        directory: made if it is not there.
-        formats: of "svg" and "pdf".
 
     Raises:
         BrowserError: playwright or a browser is missing, or the browser failed; the message holds the cure.
         ReportError: a name is no file name, or a file cannot be written.
-        UnknownNameError: another format.
     """
-    wanted = list(dict.fromkeys(formats))
-    if unknown := set(wanted) - set(FORMATS):
-        raise UnknownNameError("figure format", unknown.pop(), FORMATS)
     for name in figures:
         if name != file_stem(name):
             raise ReportError(f"figure {name!r}: give a name without a folder in it; {file_stem(name)!r} would do")
@@ -60,7 +51,7 @@ def save_figures(
         drawn = _draw(chromium, figures)
     return [
         write_whole(Path(directory) / f"{name}.{kind}", contents[kind], "figure", ReportError)
-        for name, contents in drawn.items() for kind in wanted
+        for name, contents in drawn.items() for kind in formats
     ]  # fmt: skip
 
 

@@ -65,16 +65,8 @@ COLUMNS = (
 )  # fmt: skip
 
 
-def add_map(
-    page: Page, found: SwivelMap, *, name: str = "map", what: str = "", styles: Styles | None = None
-) -> list[Reading]:
+def add_map(page: Page, found: SwivelMap, *, styles: Styles | None = None) -> list[Reading]:
     """Append figure and table of one map; return the reading of each trajectory.
-
-    Args:
-        found: of `manipulability_map`.
-        name: of the figure's file.
-        what: it is a map of, in a few words, for caption and table.
-        styles: of each run, as in the page's other figures.
 
     Raises:
         ReportError: no pose of the map is allowed.
@@ -89,13 +81,12 @@ def add_map(
         )
     times, swivels = found.mu.shape
     page.figure(
-        drawn, f"{what[:1].upper()}{what[1:]}{': every' if what else 'Every'} pose that keeps tip and trocar, over "
-        f"time ({times} by {swivels} poses): upwards the swivel of the elbow, as colour the manipulability mu; grey "
-        "where a joint would be beyond its limit or the arm does not reach. A line is the trajectory of one run, or of "
-        "several that never differ visibly, from the marker at its start; the dotted one joins the best poses, and may "
-        "leap where no arm can follow.", name=name,
+        drawn, f"Every pose that keeps tip and trocar, over time ({times} by {swivels} poses): upwards the swivel of "
+        "the elbow, as colour the manipulability mu; grey where a joint would be beyond its limit or the arm does not "
+        "reach. A line is the trajectory of one run, or of several that never differ visibly, from the marker at its "
+        "start; the dotted one joins the best poses, and may leap where no arm can follow.", name="map",
     )  # fmt: skip
-    page.table(Table(f"Trajectories on the map{': ' * bool(what)}{what}", COLUMNS, [_row(one) for one in readings]))
+    page.table(Table("Trajectories on the map", COLUMNS, [_row(one) for one in readings]))
     return readings
 
 

@@ -1,8 +1,7 @@
-"""Runs in 3-D, in one HTML file that opens by itself: ``Replay({"exact": trace}, robot).save("replay.html")``.
+"""Runs in 3-D, in one HTML file that opens by itself.
 
-The arm moves in a small WebGL viewer, its curves move along, nothing is fetched. The arm is drawn from its joint
-frames alone: every part is a body of revolution on one link. No mesh file is needed, so that any robot that can be
-loaded can be shown; lengths and axes are the robot's, the thickness is invented in proportion to its reach.
+The arm is drawn from its joint frames alone: every part is a body of revolution on one link. No mesh file is needed;
+lengths and axes are the robot's, the thickness is invented in proportion to its reach.
 """
 
 from __future__ import annotations
@@ -46,16 +45,8 @@ ACROSS = 0.7
 class Replay:
     """One to four runs of one arm, side by side at the same time; ``#t=3.2`` in the address opens that second."""
 
-    def __init__(
-        self, traces: Mapping[str, Trace], robot: RobotModel, *, title: str = "", styles: Styles | None = None
-    ) -> None:
+    def __init__(self, traces: Mapping[str, Trace], robot: RobotModel) -> None:
         """Check the runs.
-
-        Args:
-            traces: name -> run, in the order in which they are shown.
-            robot: their arm; `robot_of` finds it from a trace.
-            title: of the page; the arm, the task, the gains and the solvers if empty.
-            styles: of each run, as in a report's figures.
 
         Raises:
             ReportError: no runs, too many, or one that cannot be shown with this arm.
@@ -65,8 +56,6 @@ class Replay:
         for name, trace in traces.items():
             check_showable(name, trace, robot)
         self.traces, self.robot = MappingProxyType(dict(traces)), robot
-        self.title = title or title_of(traces)
-        self._styles = styles or Styles(traces)
 
     @classmethod
     def load(cls, files: Sequence[str | os.PathLike[str]]) -> Self:
@@ -79,11 +68,11 @@ class Replay:
         end = max(float(trace.t_s[-1]) for trace in self.traces.values())
         frames = min(int(np.ceil((end - start) * FRAMES_PER_S)) + 1, FRAMES_IN_ALL // len(self.traces))
         times = np.linspace(start, end, max(2, frames))
-        lengths = np.linalg.norm(self.robot.chain.origins, axis=1)
+        lengths, styles = np.linalg.norm(self.robot.chain.origins, axis=1), Styles(self.traces)
         return {
             "times": times, "parts": [part._asdict() for part in arm_parts(self.robot)],
             "runs": [
-                {"name": name, **_run_data(trace, self.robot, times, self._styles[name].color)}
+                {"name": name, **_run_data(trace, self.robot, times, styles[name].color)}
                 for name, trace in self.traces.items()
             ],
             "panels": [{"title": title, "zero": column != "mu"} for column, (title, _) in PANELS.items()],
@@ -95,7 +84,7 @@ class Replay:
         bounds = [trace.meta.get("mu_bound_method", "") for trace in self.traces.values()]
         packed = gzip.compress(to_json(_rounded(self.data()), indent=None).encode(), mtime=0)
         return render(
-            "replay.html", title=self.title, bound=listed(filter(None, bounds)),
+            "replay.html", title=title_of(self.traces), bound=listed(filter(None, bounds)),
             subtitle=f"tool of {self.robot.data.tool_length:.2f} m", packed=base64.b64encode(packed).decode(),
         )  # fmt: skip
 
@@ -190,8 +179,7 @@ def _rounded(value: Any) -> Any:
 def velocity_ellipsoids(jacobians: Array) -> Array:
     """Return S = (J J^T)^(1/2) (k, 3, 3) of J_T (k, 3, n): it takes the unit sphere to the ellipsoid of tip velocities.
 
-    Its half axes are the singular values of J, its determinant is mu (Yoshikawa 1985), and between two frames
-    it changes evenly, as eigenvectors do not.
+    Its determinant is mu (Yoshikawa 1985), and between two frames it changes evenly, as eigenvectors do not.
     """
     axes, lengths, _ = np.linalg.svd(jacobians, full_matrices=False)
     roots: Array = (axes * lengths[:, None, :]) @ np.swapaxes(axes, 1, 2)

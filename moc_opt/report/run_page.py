@@ -6,7 +6,7 @@ import os
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from moc_opt.errors import MocOptError, ReportError
+from moc_opt.errors import MocOptError
 from moc_opt.figures import Styles, time_series
 from moc_opt.planning.swivel_map import manipulability_map
 from moc_opt.report.map_page import add_map
@@ -29,22 +29,15 @@ def load_report(files: Sequence[str | os.PathLike[str]]) -> Page:
 
 
 def run_page(
-    traces: Mapping[str, Trace], metrics: Mapping[str, Mapping[str, float]], robot: RobotModel, title: str = ""
+    traces: Mapping[str, Trace], metrics: Mapping[str, Mapping[str, float]], robot: RobotModel
 ) -> Page:
-    """Make the page.
-
-    Args:
-        traces: name -> run, of one arm; a baseline first.
-        metrics: name -> metric -> number, of those runs that get a table.
-        title: of the page; the arm, the task, the gains and the solvers if empty.
+    """Make the page of runs of one arm, a baseline first, with a table of the metrics of those that have some.
 
     Raises:
-        ReportError: there is no run, or none has a column that can be drawn.
+        ReportError: no run has a column that can be drawn.
     """
-    if not traces:
-        raise ReportError("no run: give one trace or more")
-    judged = {name: traces[name] for name in metrics if name in traces} or traces
-    styles, page = Styles(traces), Page(title or title_of(judged), f"runs: {'; '.join(traces)}")
+    judged = {name: traces[name] for name in metrics}
+    styles, page = Styles(traces), Page(title_of(judged), f"runs: {'; '.join(traces)}")
     page.section("How it ended")
     for name in sorted(traces, key=lambda name: name not in metrics):  # what was asked for before its baseline
         below = below_best(traces[name]) if name in metrics else ""
@@ -77,11 +70,7 @@ def run_tables(
 ) -> list[Table]:
     """Make one table of several runs, a column for each; tables of their own where a run was broken off.
 
-    Figures of a part cannot be compared with those of a whole run.
-
-    Args:
-        traces, metrics: as of `run_page`.
-        which: `first` or `explained`, of `run_table`.
+    Figures of a part cannot be compared with those of a whole run. ``which`` is `first` or `explained` of `run_table`.
     """
     tables = {name: run_table(name, traces[name], values, **which) for name, values in metrics.items()}
     if len(tables) < 2 or any(part(traces[name]) for name in tables):

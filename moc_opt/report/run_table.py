@@ -132,12 +132,7 @@ def run_table(
     """Lay out the metrics of one run, the ending in the first row, and in the second how often the solver was replaced.
 
     Of a run that was broken off the title says which part there is, and every figure is marked as one of that part.
-
-    Args:
-        name, trace: of the run.
-        metrics: name -> value.
-        first: those of `MATTER` alone, each with its meaning, and what was run in the title.
-        explained: all, each with its meaning.
+    ``first``: those of `MATTER` alone, and what was run in the title. Both ``first`` and ``explained`` add meanings.
     """
     of, other, count = part(trace), answers_another_problem(trace), replaced(trace)
     ended = str(trace.meta.get("ended", "unknown"))

@@ -206,7 +206,7 @@ class Comparison:
 
 def compare(
     solvers: Solvers, scenario: Scenario | str | os.PathLike[str] | None = None, trials: int = 15, *, seed: int = 0,
-    random_start: bool = True, watch: Callable[[str], object] = lambda words: None,
+    watch: Callable[[str], object] = lambda words: None,
 ) -> Comparison:  # fmt: skip
     """Run every solver, and DCAC with the same gains, on the same trials.
 
@@ -216,9 +216,8 @@ def compare(
     Args:
         solvers: names, or solver objects (of `solvers.create` or your own); a mapping gives them other names.
         scenario: of every trial, or the path of its file; None: the default one.
-        trials: how many; trial k has the seed ``seed + k``, which draws start, mismatch and noise.
+        trials: how many; trial k has the seed ``seed + k``, which draws pose, swivel, mismatch and noise.
         seed: of the first trial.
-        random_start: whether pose and swivel are drawn too, in place of the scenario's `[start]`.
         watch: called with a few words before each run.
 
     Raises:
@@ -238,12 +237,13 @@ def compare(
         raise ScenarioError(f"seed = {seed}, trials = {trials}: the last trial's seed is beyond {LARGEST_INTEGER}")
     if base.control.law != "moc":
         raise ScenarioError("[control] law = 'dcac' asks no solver: take law = 'moc', DCAC is compared anyhow")
-    chosen, note, rows = _named(solvers, base), f"{_starts(base, random_start)} {busy()}".strip(), list[Row]()
-    start = {"pose": "random", "q_rad": None, "swivel": "random"} if random_start else {}
-    done = 0
+    chosen, rows, done = _named(solvers, base), list[Row](), 0
+    drawn = {"pose": "random", "q_rad": None, "swivel": "random"}
+    unused = "Starts are drawn at random: [start] is not used." if base.start.model_fields_set & {*drawn} else ""
+    note = f"{unused} {busy()}".strip()
     try:
         for done in range(trials):
-            case = base.change(seed=seed + done, start=start)
+            case = base.change(seed=seed + done, start=drawn)
             try:
                 case = placed(case)
             except MocOptError as error:
@@ -281,15 +281,6 @@ def _trial(
         if name == BASELINE and row["whole"]:
             baseline = trace
     return rows
-
-
-def _starts(base: Scenario, random_start: bool) -> str:
-    if not random_start:
-        fixed = base.start.pose != "random" and base.start.swivel != "random"
-        return "All trials start as the scenario's [start] says, from one pose." if fixed else ""
-    said = base.start.model_fields_set & {"pose", "q_rad", "swivel"}
-    text = "Starts are drawn at random: [start] is not used (`--keep-start`, random_start=False keep it)."
-    return text if said else ""
 
 
 def _settings(base: Scenario, solver: str | Solver) -> Mapping[str, Any]:
