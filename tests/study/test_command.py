@@ -6,7 +6,6 @@ import json
 import os
 import re
 import signal
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, Self
 
@@ -87,7 +86,7 @@ def test_a_study_leaves_its_files_and_prints_its_answer(asked, capsys, monkeypat
 
 @pytest.mark.parametrize(
     ("options", "seed", "count"),
-    [((), 5, 4), (("--seed", "7"), 7, 4), (("--quick",), 5, 1), (("--seed", str(2**62), "--quick"), 2**62, 1)],
+    [((), 5, 4), (("--seed", str(2**62)), 2**62, 4), (("--seed", "7", "--quick"), 7, 1)],
 )
 def test_options_change_the_question(asked, monkeypatch, options, seed, count):
     seen = []
@@ -110,12 +109,6 @@ def test_files_of_others_are_kept(asked, capsys):
     assert call(lambda *_: pytest.fail("no work before that"), config, "--out", out) == 2
     assert "summary.json" in capsys.readouterr().err
     assert (out / "summary.json").read_text() == "mine"
-
-
-@pytest.mark.parametrize("text", ["-1", str(2**62 + 1)])
-def test_a_seed_is_a_number_that_a_configuration_takes(asked, capsys, text):
-    assert call(squares, asked[0], "--seed", text) == 2
-    assert f"seed = {text}" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -163,5 +156,3 @@ def test_sigterm_is_ctrl_c(asked, capsys):
     finally:
         signal.signal(signal.SIGTERM, before)
     assert "there/jobs" in capsys.readouterr().err
-    with ThreadPoolExecutor(1) as pool, pytest.raises(ZeroDivisionError):  # no handler is set there; a defect is seen
-        pool.submit(call, lambda study, config: 1 // 0, asked[0]).result()

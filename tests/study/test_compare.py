@@ -62,12 +62,14 @@ def test_every_solver_and_dcac_run_the_same_trials(found):
     assert [(row["solver"], row["seed"]) for row in found.rows] == [
         (name, seed) for seed in (4, 5) for name in found.solvers
     ]
-    starts = {row["seed"]: [] for row in found.rows}
-    for row in found.rows:
-        starts[row["seed"]].append(row["mu_mean"])
-    for values in starts.values():  # the same pose at the start: within 0.3 s nobody is far from it
+    starts = [[row["mu_mean"] for row in found.rows if row["seed"] == seed] for seed in (4, 5)]
+    for values in starts:  # the same pose at the start: within 0.3 s nobody is far from it
         assert np.ptp(values) < 0.05 * np.mean(values)
-    assert abs(np.mean(starts[4]) - np.mean(starts[5])) > 1e-3
+    assert abs(np.mean(starts[0]) - np.mean(starts[1])) > 1e-3
+    mine, base = ([row["mu_mean"] for row in found.rows if row["solver"] == name] for name in ("exact", "dcac"))
+    assert found.change("exact", "mu_mean").ratio.value == pytest.approx(100 * (np.mean(mine) / np.mean(base) - 1))
+    gains = [row["mu_gain_percent"] for row in found.rows if row["solver"] == "exact"]
+    assert gains == pytest.approx([100 * (mu / of - 1) for mu, of in zip(mine, base, strict=True)])
 
 
 def test_an_instance_is_asked_and_its_claims_are_judged(found):
@@ -76,23 +78,6 @@ def test_an_instance_is_asked_and_its_claims_are_judged(found):
     assert exact["silently_wrong"] == 0
     assert standing["verified"] < 100.0
     assert "verified" not in found.summary()["dcac"]
-
-
-def test_every_run_has_its_gain_over_dcac_on_the_same_trial(found):
-    mu = {(row["solver"], row["seed"]): row["mu_mean"] for row in found.rows}
-    for row in found.rows:
-        if row["solver"] == "dcac":
-            assert "mu_gain_percent" not in row
-        else:
-            gain = 100 * (row["mu_mean"] / mu["dcac", row["seed"]] - 1)
-            assert row["mu_gain_percent"] == pytest.approx(gain)
-
-
-def test_means_and_changes_are_those_of_the_rows(found):
-    mine, base = ([row["mu_mean"] for row in found.rows if row["solver"] == name] for name in ("exact", "dcac"))
-    assert found.mean("exact", "mu_mean").value == pytest.approx(np.mean(mine))
-    assert found.mean("exact", "mu_mean").samples == 2
-    assert found.change("exact", "mu_mean").ratio.value == pytest.approx(100 * (np.mean(mine) / np.mean(base) - 1))
 
 
 def test_the_table_the_plot_and_pandas_show_every_solver(found):
@@ -121,14 +106,9 @@ def test_the_table_the_plot_and_pandas_show_every_solver(found):
         ([Standing], {}, SolverError, r"is a class, no solver: call it, as in Standing\(\)"),
         ({1: "exact"}, {}, SolverError, "1 cannot name a solver"),
         (["exact"], {"seed": 2**63 - 2, "trials": 3}, ScenarioError, "the last trial's seed"),
-        (None, {}, SolverError, r"solvers = None: give a list of names or solvers"),
         (7, {}, SolverError, r"solvers = 7: give a list of names or solvers"),
         (["exact"], {"trials": 0}, ScenarioError, "trials = 0: give an integer of 1 or more"),
-        (["exact"], {"trials": True}, ScenarioError, "trials = True: give an integer"),
-        (["exact"], {"seed": 1.5}, ScenarioError, "seed = 1.5: give an integer of 0 or more"),
         (["exact"], {"seed": -1}, ScenarioError, "seed = -1: give an integer of 0 or more"),
-        (["exact"], {"scenario": "none.toml"}, ScenarioError, "none.toml': no such file"),
-        (["exact"], {"scenario": 7}, ScenarioError, "scenario = 7: give a Scenario, or the path"),
         (["exact"], {"scenario": mo.Scenario(control={"law": "dcac"})}, ScenarioError, "law = 'dcac' asks no solver"),
     ],
 )
@@ -139,18 +119,12 @@ def test_what_cannot_be_compared_is_said_before_anything_runs(solvers, more, err
 
 def test_a_solver_that_cannot_start_has_rows_and_the_others_go_on():
     found = mo.compare([Broken(), "exact"], BRIEF, trials=2)
-    assert [(row["solver"], row["seed"]) for row in found.rows] == [
-        (name, seed) for seed in (0, 1) for name in ("dcac", "broken", "exact")
-    ]
     assert {(row["ended"], row["error"]) for row in found.rows if row["solver"] == "broken"} == {
         ("failed", "ControlError: solver 'broken' cannot run in this controller: RuntimeError: no licence here")
     }
-    assert found.mean("broken", "mu_mean") is None
-    assert found.change("broken", "mu_mean") is None
-    assert found.mean("exact", "mu_mean").samples == 2
+    assert found.mean("broken", "mu_mean") is found.change("broken", "mu_mean") is None
     assert [row["trials"] for row in found.table.rows] == ["2", "0 of 2", "2"]
     assert "broken failed in 2: ControlError: solver 'broken'" in found.table.caption
-    assert len(found.to_pandas()) == 6
 
 
 def test_a_later_trial_without_a_start_costs_that_trial_alone(monkeypatch):
@@ -177,9 +151,6 @@ def test_an_interrupt_leaves_the_trials_that_are_done():
     runs = [(row["seed"], row["solver"]) for row in found.rows]
     assert runs == [(k, name) for k in (0, 1) for name in ("dcac", "exact")]
     assert found.note.startswith("Interrupted: 2 of 4 trials.")
-    whole = mo.compare(["exact"], BRIEF, 2)
-    assert whole.complete
-    assert found.values("exact", "mu_mean") == whole.values("exact", "mu_mean")
     with pytest.raises(KeyboardInterrupt):
         mo.compare(["exact"], BRIEF, 4, watch=lambda words: (_ for _ in ()).throw(KeyboardInterrupt()))
 

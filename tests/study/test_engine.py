@@ -88,13 +88,6 @@ def test_finished_jobs_are_kept_and_failures_are_not(tmp_path):
     assert len((tmp_path / "log").read_text().split()) == 5
 
 
-def test_a_result_that_is_not_to_be_kept_is_done_again(tmp_path):
-    for _ in range(2):
-        kept = Kept(tmp_path / "jobs")
-        run([Job(work.square, (x,)) for x in (2.0, 3.0)], kept=kept, workers=1, keep=lambda found: found > 5.0)
-    assert kept.reused == 1
-
-
 def test_a_changed_source_does_its_jobs_again(tmp_path, monkeypatch):
     module = tmp_path / "own_trial.py"
     monkeypatch.syspath_prepend(tmp_path)
@@ -159,18 +152,14 @@ def _finished(folder: Path) -> int:
 def test_a_damaged_folder_is_set_aside_and_its_jobs_are_done_again(tmp_path, capfd):
     jobs = [Job(work.square, (2.0,))]
     run(jobs, kept=Kept(tmp_path / "jobs"), workers=1)
+    with pytest.raises(StudyError, match=r"cache\.db"):
+        Kept(tmp_path / "jobs" / "cache.db")
     (tmp_path / "jobs" / "cache.db").write_bytes(b"not a database" * 1000)
     for extra in (tmp_path / "jobs").glob("cache.db-*"):
         extra.unlink()
     assert run(jobs, kept=Kept(tmp_path / "jobs"), workers=1) == [4.0]
     assert "set aside" in capfd.readouterr().err
     assert (tmp_path / "damaged").is_dir()
-
-
-def test_a_folder_that_cannot_be_used_is_named(tmp_path):
-    (tmp_path / "jobs").write_text("a file")
-    with pytest.raises(StudyError, match="jobs"):
-        Kept(tmp_path / "jobs")
 
 
 def test_the_same_jobs_on_a_cluster(monkeypatch, tmp_path):

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import errno
-import os
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 import numpy as np
 import polars as pl
 import pytest
 
-from moc_opt.errors import StudyError
 from moc_opt.study.results import Results, change_name
 from moc_opt.study.statistics import mean, relative_changes
 
@@ -88,18 +85,3 @@ def test_rows_are_a_file_of_any_columns(tmp_path: Path, name: str) -> None:
         {"x": 1.0, "ok": True, "said": None}, {"x": 2.5, "ok": None, "said": "ä"},
         {"x": None, "ok": False, "said": None},
     ]  # fmt: skip
-
-
-def test_a_full_disk_leaves_the_old_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    file = tmp_path / "rows.parquet"
-    Results(ROWS).write(file)
-    before = file.read_bytes()
-
-    def full(*_: Any) -> NoReturn:
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
-    monkeypatch.setattr(os, "fsync", full)
-    with pytest.raises(StudyError, match=r"rows.parquet.*No space left"):
-        Results(ROWS[:1]).write(file)
-    assert file.read_bytes() == before
-    assert os.listdir(tmp_path) == ["rows.parquet"]

@@ -9,7 +9,6 @@ import pytest
 from moc_opt.figures.notation import Doubtful
 from moc_opt.figures.style import figure
 from moc_opt.report.tables import Column, Table
-from moc_opt.scenario import Scenario
 from moc_opt.study import show
 from moc_opt.study.results import change_name
 from moc_opt.study.show import Goal, Picture, Report, Section, columns
@@ -58,13 +57,6 @@ def test_columns_take_unit_format_and_help_from_the_metrics() -> None:
     assert (whole.title, whole.unit, whole.help, whole.section) == ("completed", "", "", "All figures")
     (change,) = columns("travelling_" + change_name(names[0]))
     assert METRICS[names[0]].about in change.help
-
-
-def test_a_title_names_arm_task_and_preset() -> None:
-    assert show.about(Scenario()) == "lwr4, circle, preset default"
-    tuned = Scenario(robot={"name": "panda"}, control={"preset": "tuned"}, solver={"name": "osqp"})
-    assert show.about(tuned, solver=True) == "panda, circle, preset tuned, osqp"
-    assert show.about(Scenario(control={"K_X": 3.0})).endswith("own settings")
 
 
 def test_intervals_stand_in_order_around_their_values() -> None:

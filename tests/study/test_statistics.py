@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy import stats
 
 from moc_opt.study.statistics import (
     StatisticsError,
@@ -65,14 +64,6 @@ def test_a_change_does_not_depend_on_the_unit(values, factor):
     np.testing.assert_allclose(b[:3], a[:3], rtol=1e-6, atol=1e-6)
 
 
-@settings(max_examples=15)
-@given(SAMPLES)
-def test_the_value_lies_in_its_interval(values):
-    found = mean(values)
-    assert found.low - 1e-12 <= found.value <= found.high + 1e-12
-    assert found.samples == len(values)
-
-
 @pytest.mark.parametrize("bad", [[], [1.0, np.nan], [[1.0, 2.0]]])
 def test_no_statistic_of_nothing(bad):
     with pytest.raises(StatisticsError, match="samples"):
@@ -84,15 +75,6 @@ def test_pairs_must_be_pairs():
         relative_change([1.0, 2.0], [1.0, 2.0, 3.0])
     with pytest.raises(StatisticsError, match="mean 0"):
         relative_change([1.0, 2.0], [-1.0, 1.0])
-
-
-def test_the_interval_is_corrected_for_skew():
-    """Bias-corrected and accelerated: of a skewed sample it reaches further up than the percentiles do."""
-    sample = np.random.default_rng(5).exponential(size=15)
-    found = mean(sample)
-    plain = stats.bootstrap((sample,), np.mean, method="percentile", n_resamples=4000, rng=np.random.default_rng(0))
-    above, below = found.high - plain.confidence_interval.high, plain.confidence_interval.low - found.low
-    assert above > below
 
 
 @pytest.mark.parametrize("count", [8, 15])

@@ -68,16 +68,6 @@ def slow_square(x: float) -> float:
     return float(x * x)
 
 
-def refuse_odd(k: int) -> int:
-    if k % 2:
-        refuse()
-    return k
-
-
-def die_of(job: Any) -> None:
-    die()
-
-
 def steps(seconds: list[float], limit_s: float) -> int:
     for one in seconds:
         alarm(limit_s)
