@@ -125,9 +125,9 @@ def certified_sets(work: Work) -> None:
     config = work.config.testsets
     chosen = [Problems.certified(name, config.every) for name in config.chosen()]
     thinned = [data.thinned(config.every_other) for data in chosen]
-    questions = [
-        (setting, data) for setting in work.settings
-        for data in (chosen if setting.recommended and not setting.nonlinear else thinned)
+    questions = [  # set by set: were all questions to a solver that hangs under way at once, each would have to hang
+        (setting, data if setting.recommended and not setting.nonlinear else thin)
+        for data, thin in zip(chosen, thinned, strict=True) for setting in work.settings
     ]  # fmt: skip
     answers = ask(work.runner("certified sets, answers"), questions, config)
     of = {setting.label: [one for one in answers if one.setting == setting] for setting in work.settings}
