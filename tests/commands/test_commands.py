@@ -68,27 +68,12 @@ def test_an_unknown_option_is_refused_everywhere_but_in_the_study(arguments, cap
     assert (arguments or ["no command"])[-1] in capsys.readouterr().err
 
 
-def test_the_version_is_printed(capsys):
-    with pytest.raises(SystemExit) as ended:
-        main(["--version"])
-    assert (ended.value.code, capsys.readouterr().out) == (0, f"moc-opt {mo.__version__}\n")
-
-
 def test_a_reader_that_closes_the_output_ends_the_command_quietly():
     reader, writer = os.pipe()
     os.close(reader)  # as `| head` is gone once it has what it wants
     with os.fdopen(writer, "wb") as closed:
         ended = subprocess.run([sys.executable, "-m", "moc_opt", "keys"], stdout=closed, stderr=subprocess.PIPE)
     assert (ended.returncode, ended.stderr) == (141, b"")
-
-
-def test_another_broken_pipe_is_not_taken_for_the_outputs(monkeypatch, capfd):
-    def broken(*_):
-        raise BrokenPipeError("of a wire")
-
-    monkeypatch.setattr("moc_opt.commands.pages.export_c", broken)
-    with pytest.raises(BrokenPipeError, match="of a wire"):
-        main(["export-c", "--out", "c"])
 
 
 # --- lists and keys ---

@@ -10,11 +10,10 @@ import pytest
 import moc_opt as mo
 from moc_opt.__main__ import main
 from moc_opt.errors import ReportError
-from moc_opt.report.console import print_json
 from moc_opt.report.document import save_document
-from moc_opt.report.map_page import bar_digits, load_map
+from moc_opt.report.map_page import load_map
 from moc_opt.report.run_page import run_page, run_tables
-from moc_opt.report.run_table import part, run_json, run_table, title_of, warnings
+from moc_opt.report.run_table import run_json, run_table, title_of
 from moc_opt.trace.trace import Trace
 
 WARNING = {"of": "the RCM error", "first_s": 1.25, "largest": 11.04, "unit": "mm", "level": 6.0}
@@ -39,12 +38,6 @@ def files(tmp_path_factory) -> list[Path]:
 # --- tables and JSON ---
 
 
-def test_only_a_run_that_was_broken_off_is_a_part():
-    assert part(trace()) == part(trace("oscillated: joint_7")) == ""
-    assert part(trace("stopped: x", 3)) == " (first 0.3 s of 0.4 s)"
-    assert part(Trace({"t_s": [0.0]})) == ""  # of an older version: nothing is known
-
-
 def test_the_ending_is_the_first_row_and_a_parts_figures_say_so():
     metrics = {"completed": 0.0, "share_of_run": 0.75, "mu_mean": 0.25}
     table = run_table("slip", trace("stopped: x", 3, warnings=[WARNING]), metrics)
@@ -52,8 +45,8 @@ def test_the_ending_is_the_first_row_and_a_parts_figures_say_so():
     assert table.title == "slip (first 0.3 s of 0.4 s)"
     assert table.rows[0]["value"] == "stopped: x"
     assert "the RCM error was above 6 mm from t = 1.250 s on, 11 mm at most" in table.caption
-    assert [row["metric"] for row in run_table("slip", trace(), metrics).rows] == ["ended", *metrics]
-    assert warnings(trace()) == []
+    for ended in ("completed", "oscillated: joint_7"):
+        assert [row["metric"] for row in run_table("slip", trace(ended), metrics).rows] == ["ended", *metrics]
 
 
 @pytest.mark.parametrize(("raised", "most"), [(1, False), (2, False), (3, True)])
@@ -71,15 +64,11 @@ def test_a_solver_that_was_replaced_is_named_before_any_figure(raised, most):
     assert "solver_replaced" not in run_json(trace(), {})
 
 
-def test_json_begins_with_the_ending_and_is_json(capsys):
-    found = run_json(trace("stopped: x", 3, warnings=[WARNING]), {"mu_mean": float("nan"), "loss_max": np.inf})
-    print_json(found)
-    text = capsys.readouterr().out
-    assert text.lstrip("{ \n").startswith('"ended": "stopped: x"')
-    assert json.loads(text, parse_constant=pytest.fail) == {
-        "ended": "stopped: x", "part": "first 0.3 s of 0.4 s", "mu_mean": None, "loss_max": None,
-        "warnings": [WARNING], "faults": {},
-    }  # fmt: skip
+def test_json_begins_with_the_ending_and_names_the_part():
+    found = run_json(trace("stopped: x", 3, warnings=[WARNING]), {"mu_mean": 0.2})
+    assert found == {"ended": "stopped: x", "part": "first 0.3 s of 0.4 s", "mu_mean": 0.2, "warnings": [WARNING],
+                     "faults": {}}  # fmt: skip
+    assert next(iter(found)) == "ended"
     assert "part" not in run_json(trace(), {})
 
 
@@ -167,7 +156,6 @@ def test_map_writes_the_page_and_the_figures(files, tmp_path, capsys, chromium):
     figures = [out.parent / "figures" / f"map.{kind}" for kind in ("svg", "pdf")]
     assert capsys.readouterr().out.split() == [str(file) for file in (out, *figures)]
     assert all(file.stat().st_size > 10_000 for file in (out, *figures))
-    assert [bar_digits(span) for span in (0.15, 0.04, 0.003)] == [2, 3, 4]
 
 
 def test_runs_that_cannot_be_shown_together_are_refused(files, tmp_path, capsys):
