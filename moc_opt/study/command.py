@@ -13,6 +13,7 @@ from __future__ import annotations
 import datetime
 import os
 import platform
+import re
 import signal
 import subprocess
 import sys
@@ -200,8 +201,8 @@ def leave(found: Found, study: Study, config: StudyConfig, argv: Sequence[str], 
     out.mkdir(parents=True, exist_ok=True)
     surroundings = environment(config.model_dump(mode="json"), config.seed, argv)
     surroundings |= {"study": study.name, "jobs_of_an_earlier_run": study.kept.reused, **found.environment}
-    write_json(out / "environment.json", surroundings)
-    write_json(out / "summary.json", with_doubts(found.summary))
+    for name, value in (("environment", surroundings), ("summary", with_doubts(found.summary))):
+        write_whole(out / f"{name}.json", to_json(value, sort_keys=True) + "\n", "file of results", StudyError)
     found.rows.write(out / "rows.parquet")
     page = found.report.page(surroundings, found.rows.failed())
     page.save(out / "report.html")
@@ -223,11 +224,6 @@ def leave(found: Found, study: Study, config: StudyConfig, argv: Sequence[str], 
     screen.print(f"written: {out}/{' '.join([*reversed(FILES), *found.files])}", markup=False, soft_wrap=True)
 
 
-def write_json(path: Path, value: Any) -> None:
-    """Write it sorted, all or nothing."""
-    write_whole(path, to_json(value, sort_keys=True) + "\n", "file of results", StudyError)
-
-
 def environment(config: Mapping[str, Any], seed: int, argv: Sequence[str] = ()) -> dict[str, Any]:
     """Return the machine, versions, commit, seed and the whole configuration."""
     return {
@@ -245,12 +241,7 @@ def environment(config: Mapping[str, Any], seed: int, argv: Sequence[str] = ()) 
 def choose(wanted: Literal["all"] | Sequence[str], *beside: str) -> tuple[list[str], dict[str, str]]:
     """Return the names of solvers that can run here, and name -> reason for those that cannot.
 
-    Args:
-        wanted: names; "all" are all there are.
-        beside: further names, such as that of a baseline.
-
-    Raises:
-        UnknownNameError: no such solver.
+    "all" are all there are; names ``beside`` them, such as that of a baseline, are known, too.
     """
     found: dict[str, str | None] = {**dict.fromkeys(beside), **available()}
     names = list(found) if wanted == "all" else list(wanted)
@@ -262,12 +253,7 @@ def choose(wanted: Literal["all"] | Sequence[str], *beside: str) -> tuple[list[s
 
 
 def runnable(wanted: Sequence[str], *beside: str) -> list[str]:
-    """Return the names of a study's solvers.
-
-    Raises:
-        UnknownNameError: no such solver.
-        SolverError: one cannot run here, and why.
-    """
+    """Return the names of a study's solvers; a SolverError says why one cannot run here."""
     names, reasons = choose(wanted, *beside)
     if reasons:
         name, reason = next(iter(reasons.items()))
@@ -277,22 +263,15 @@ def runnable(wanted: Sequence[str], *beside: str) -> list[str]:
 
 def _processor() -> str:
     cpu = Path("/proc/cpuinfo")
-    if cpu.exists():
-        for line in cpu.read_text().splitlines():
-            if line.startswith("model name"):
-                return line.split(":", 1)[1].strip()
-    return platform.processor()
+    found = re.search(r"model name\s*: (.*)", cpu.read_text()) if cpu.exists() else None
+    return found[1] if found else platform.processor()
 
 
 def _commit() -> str | None:
     """Return the commit of this checkout, marked where files differ from it; None outside a checkout."""
-
-    def git(*words: str) -> str:
-        here = Path(__file__).parent
-        return subprocess.run(["git", *words], cwd=here, capture_output=True, text=True, check=True).stdout
-
+    order = ["git", "describe", "--always", "--abbrev=40", "--exclude=*", "--dirty=+changes"]
     try:
-        head, changed = git("rev-parse", "HEAD"), git("status", "--porcelain", "-uno")
+        done = subprocess.run(order, cwd=Path(__file__).parent, capture_output=True, text=True, check=True)
     except (OSError, subprocess.CalledProcessError):
         return None
-    return head.strip() + ("+changes" if changed.strip() else "")
+    return done.stdout.strip()

@@ -80,8 +80,6 @@ def run(
 ) -> list[Any]:  # fmt: skip
     """Do all jobs, those first that run alone; return their results in order, `Failed` where there is none.
 
-    Ctrl-C ends the processes and is raised; what was finished is kept by then.
-
     Args:
         kept: where results are kept, and taken from if an earlier run left them there. Failures are not kept.
         workers: processes on this machine; None: one for each core.

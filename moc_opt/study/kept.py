@@ -44,11 +44,7 @@ class _Entry(NamedTuple):
 
 
 class Kept:
-    """Finished jobs in ``folder``, which is made when it is first needed.
-
-    Raises:
-        StudyError: the folder cannot be used.
-    """
+    """Finished jobs in ``folder``; a StudyError where it cannot be used."""
 
     def __init__(self, folder: Path) -> None:
         self.folder, self.reused = folder, 0
@@ -67,11 +63,7 @@ class Kept:
         return (entry.result,)
 
     def put(self, key: str, result: Any, sources: tuple[str, ...]) -> None:
-        """Keep a result with the files that decided it.
-
-        Raises:
-            StudyError: it cannot be written; what was kept before stays.
-        """
+        """Keep a result with the files that decided it; a StudyError where it cannot be written."""
         try:
             self._cache[key] = _Entry(result, sources, digest_of(sources))
         except (OSError, sqlite3.Error) as error:

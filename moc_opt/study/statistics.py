@@ -12,7 +12,6 @@ or verdict the change is undecided.
 
 from __future__ import annotations
 
-import threading
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
@@ -24,8 +23,6 @@ from scipy import stats
 from moc_opt.arrays import Array
 from moc_opt.errors import MocOptError
 
-_FILTERS = threading.Lock()
-"""Held while warnings are off: they are the process's own, and several threads ask for intervals."""
 RESAMPLES = 4000
 CONFIDENCE = 0.95
 NOMINAL = 0.7
@@ -180,12 +177,11 @@ def _checked(given: Mapping[str, ArrayLike]) -> list[Array]:
             raise StatisticsError(
                 f"{name} = {array.tolist()!r:.200}: give one finite number a trial, one trial or more"
             )
-    (first, count), *others = [(name, len(array)) for name, array in found.items()]
-    if any(length != count for _, length in others):
-        lengths = ", ".join(f"{name} {length}" for name, length in others)
-        raise StatisticsError(f"{first} has {count} samples, {lengths}: give the same trials")
-    if any(name.startswith("control") and array.mean() == 0.0 for name, array in found.items()):
-        raise StatisticsError("control has mean 0: a change relative to it has no value")
+        if name.startswith("control") and array.mean() == 0.0:
+            raise StatisticsError(f"{name} has mean 0: a change relative to it has no value")
+    if len({len(array) for array in found.values()}) > 1:
+        lengths = ", ".join(f"{name} {len(array)}" for name, array in found.items())
+        raise StatisticsError(f"different numbers of samples, {lengths}: give the same trials")
     return list(found.values())
 
 
@@ -199,9 +195,8 @@ def _interval(statistic: Callable[..., Any], **given: ArrayLike) -> Interval:
     half = quantile * _standard_error(statistic, samples)
     for method in ("BCa", "percentile"):
         # BCa has no value where all resamples agree or the jackknife does; the percentiles always have.
-        with _FILTERS, warnings.catch_warnings():
-            warnings.simplefilter("ignore", stats.DegenerateDataWarning)
-            warnings.simplefilter("ignore", RuntimeWarning)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # degenerate samples
             found = stats.bootstrap(
                 tuple(samples), statistic, method=method, rng=np.random.default_rng(0), paired=True,
                 vectorized=True, n_resamples=RESAMPLES, confidence_level=min(expanded, 0.9999),
