@@ -219,28 +219,31 @@ class Controller:
             "status": np.full(ticks, "none", dtype="<U12"), "solve_us": np.full(ticks, np.nan)
         }  # fmt: skip
         if self.solver is not None:
+            n, end = self._n, self._row_length
+            # One block, in the order in which the core gives a tick's row, x, y and the answer that is followed.
+            self._block = block = np.full((ticks, end + 2 * n + 6), np.nan)
             found |= {
-                "x_rad_per_s": np.full((ticks, self._n), np.nan),
-                "applied_x_rad_per_s": np.full((ticks, self._n), np.nan),
-                "dual": np.full((ticks, 6), np.nan), "subproblem": np.zeros((ticks, self._row_length)),
+                "subproblem": block[:, :end], "x_rad_per_s": block[:, end : end + n],
+                "dual": block[:, end + n : -n], "applied_x_rad_per_s": block[:, -n:],
                 "iterations": np.zeros(ticks, dtype=np.int32), "fault": np.full(ticks, "none", dtype="<U12"),
             }  # fmt: skip
+            found["subproblem"][:] = 0.0
         return found
 
     def note(self, row: int, columns: Mapping[str, NDArray[Any]]) -> None:
         """Write the last tick's values into a row of them."""
-        solution, qp = self.solution, self.subproblem
-        if solution is None or qp is None:
-            return
-        columns["solve_us"][row] = self.solve_us
-        columns["status"][row] = solution.status.label
-        columns["x_rad_per_s"][row] = solution.x
-        columns["applied_x_rad_per_s"][row] = self.answer
-        columns["subproblem"][row] = qp.row
-        if solution.y is not None:
-            columns["dual"][row] = solution.y
-        if solution.iterations:
+        if self._ticked is not None and self._ticked[0] is Status.SOLVED:
+            status, out = self._ticked
+            self._block[row] = out[: -self._n]
+        elif (solution := self.solution) is not None and (qp := self.subproblem) is not None:
+            status, columns["subproblem"][row], columns["x_rad_per_s"][row] = solution.status, qp.row, solution.x
+            columns["applied_x_rad_per_s"][row] = self.answer
+            if solution.y is not None:
+                columns["dual"][row] = solution.y
             columns["iterations"][row] = solution.iterations
+        else:
+            return
+        columns["solve_us"][row], columns["status"][row] = self.solve_us, status.label
         if self.fault is not Fault.NONE:
             columns["fault"][row] = self.fault.label
 

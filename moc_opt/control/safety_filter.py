@@ -144,7 +144,7 @@ class SafetyFilter:
         )
         if reason:
             self.request_stop(self._words[reason])
-        return tau if np.isfinite(tau).all() else before
+        return tau if math.isfinite(tau.dot(tau)) else before
 
     def stop_torque(self, before: Array) -> Array:
         """Return the torque (n,) [Nm] of a damped stop: the weight of the arm in the last pose that was accepted.

@@ -82,7 +82,7 @@ class PoseMap:
 
     def peaks(self, k: int) -> Array:
         """Return the feasible poses (p,n) at time k at the highest local maxima of mu over the samples, if any."""
-        may = self.feasible()[k]
+        may = self.room_rad[k] >= -ROUNDING_RAD
         score = np.where(may, self.mu[k], -np.inf).max(axis=0)
         peak = (score >= np.roll(score, 1)) & (score >= np.roll(score, -1)) & np.isfinite(score)
         chosen = np.argsort(np.where(peak, -score, np.inf))[: min(PEAKS, int(peak.sum()))]

@@ -81,7 +81,7 @@ class Joints:
         wanted = np.asarray(tau, dtype=np.float64)
         if wanted.shape != self._limit.shape:
             raise PlantError(f"tau has shape {wanted.shape}: give {self._limit.shape}, one torque a joint [Nm]")
-        if not np.isfinite(wanted).all():
+        if not math.isfinite(wanted.dot(wanted)):
             raise PlantError(
                 f"tau = {wanted.tolist()} Nm is not finite: the arm has not moved; mend the controller, "
                 "or stop it when its solver fails"

@@ -184,7 +184,8 @@ def closed_loop(work: Work) -> None:
     names = [BASELINE, *(name for name in work.names if name not in part.slow)]
     asked = []
     for case in starts:
-        k, case = number[case.name], case.change(best_courses=True)
+        k = number[case.name]
+        case = case.change(best_courses=k < part.others)  # each takes as long as a run, and all solvers share these
         timed = k < part.timed
         asked += [
             Trial(case, name, work.config.settings.get(name, {}), timed=timed, keep="curves" if timed else "row")
