@@ -14,14 +14,13 @@ from time import monotonic
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from moc_opt import solvers
 from moc_opt.arrays import Array
 from moc_opt.errors import MocOptError
 from moc_opt.inputs.names import in_markdown
 from moc_opt.live.run import DCAC, QUANTITIES, LiveError, LiveRun, Moment
-from moc_opt.report.replay import BASE, Part, arm_parts
+from moc_opt.report.replay import BASE, arm_parts
 from moc_opt.robots.chain import link_frames
 from moc_opt.scenario import Scenario
 
@@ -50,19 +49,17 @@ FIELDS = {
 
 
 class LivePage:
-    """A run, its clock and its page; a context manager that ends all of it.
+    """A run, its clock and its page on loopback, at the port or the next free one; a context manager that ends all.
 
     Attributes:
         url: the address with the token; without the token nobody is shown or obeyed.
+
+    Raises:
+        LiveError: viser is missing, or there is no such port.
+        MocOptError: the scenario is not usable.
     """
 
     def __init__(self, scenario: Scenario, *, port: int = PORT, title: str = "") -> None:
-        """Build the run and open the page on loopback, at the port or the next free one (0: any).
-
-        Raises:
-            LiveError: viser is missing, or there is no such port.
-            MocOptError: the scenario is not usable.
-        """
         if not 0 <= port < 65536:
             raise LiveError(f"--port {port}: give 0 to 65535")
         try:
@@ -80,11 +77,9 @@ class LivePage:
         self._scene, self._panel = Scene(self.server, self.run), Panel(self.server, self.run)
 
     def __enter__(self) -> LivePage:
-        """Return itself."""
         return self
 
     def __exit__(self, *error: object) -> None:
-        """Stop the clock, then the page."""
         self.stop()
         with redirect_stdout(io.StringIO()):
             self.server.stop()
@@ -168,7 +163,6 @@ class Panel:
         return bool(self._pause.value)
 
     def _choose(self) -> None:
-        """Request the present choice of the list, which may be later than the change that called."""
         if self._solver.value != self._run.solver:  # it may have been set back, not chosen
             self._run.choose(self._solver.value)
 
@@ -178,16 +172,15 @@ class Panel:
         return numbers[0] if len(set(numbers)) == 1 else " ".join(numbers)
 
     def _apply(self) -> None:
-        """Take all changed fields at once: half of a change would be another controller."""
-        values: dict[str, Any] = {}
+        values: dict[str, Any] = {}  # all at once: half of a change would be another controller
         for name, field in self._fields.items():
             if field.value.strip() == self._written(name):
                 continue  # it keeps the digits that are not shown
             try:
-                numbers = tuple(float(number) for number in field.value.replace(",", ".").split())
-                values[name] = numbers if len(numbers) > 1 else numbers[0]
-            except (ValueError, IndexError) as error:
+                first, *others = map(float, field.value.replace(",", ".").split())
+            except ValueError as error:
                 raise LiveError(f"{FIELDS[name][0]} = {field.value!r}: give a number, or one per joint") from error
+            values[name] = (first, *others) if others else first
         if values:
             self._run.tune(**values)
 
@@ -228,10 +221,11 @@ class Panel:
 def _empty(title: str, lines: list[tuple[str, str, float, str]]) -> dict[str, Any]:
     """Return the arguments of a plot without data; times are on a log axis, so that one long tick flattens none."""
     times, quiet = "µs" in title, {"ticks": {"show": False}}
-    series = ({"label": name, "stroke": color, "width": 1.5} for _, name, _, color in lines)
     return {
         "data": (np.array([0.0, 1.0]), *(np.full(2, np.nan) for _ in lines)), "title": title, "height": 140,
-        "series": ({"label": "t [s]"}, *series),
+        "series": (
+            {"label": "t [s]"}, *({"label": name, "stroke": color, "width": 1.5} for _, name, _, color in lines)
+        ),
         "scales": {"x": {"time": False}, **({"y": {"distr": 3, "log": 10}} if times else {})},
         "axes": (quiet, {**quiet, "grid": {"show": times}, "size": 56}), "legend": {"show": len(lines) > 1},
     }  # fmt: skip
@@ -241,20 +235,26 @@ class Scene:
     """The arm in three dimensions, in a viser.ViserServer: what is drawn once, and what moves."""
 
     def __init__(self, server: Any, run: LiveRun) -> None:
+        from trimesh.creation import revolve  # it comes with viser, which is of the extra `live`
+
         self._run, scene, start = run, server.scene, run.moment()
         scene.set_up_direction("+z")
         scene.add_grid("/ground", width=2.4, height=2.4, cell_size=0.1, section_size=0.5)
         names = ("base", *run.robot.data.joint_names)
         self._links = [scene.add_frame(f"/arm/{name}", show_axes=False) for name in names]
         for k, part in enumerate(arm_parts(run.robot)):
+            turned = revolve(np.stack([part.radii, part.heights], axis=1), sections=40)
+            side = np.linalg.svd(part.axis[None])[2][1]
+            upright = np.stack([side, np.cross(part.axis, side), part.axis], axis=1)
             scene.add_mesh_simple(
-                f"/arm/{names[part.link - BASE]}/part{k}", *lathe(part), color=COLOURS[part.role], side="double"
-            )
+                f"/arm/{names[part.link - BASE]}/part{k}", turned.vertices, turned.faces, color=COLOURS[part.role],
+                side="double", position=part.origin, wxyz=_quaternion(upright),
+            )  # fmt: skip
         self._trocar = scene.add_icosphere("/trocar", radius=0.006, color=TROCAR)
         self._ellipsoid = scene.add_icosphere(
             "/ellipsoid", radius=1.0, color=COLOURS["joint"], opacity=0.25, subdivisions=4, cast_shadow=False
         )
-        path = np.array([run.reference.rows(t)[0] for t in np.linspace(0.0, run.reference.one_way_s, 300).tolist()])
+        path = np.array([run.reference.rows(float(t))[0] for t in np.linspace(0.0, run.reference.one_way_s, 300)])
         pieces = np.stack([path[:-1], path[1:]], axis=1).astype(np.float32)
         scene.add_line_segments("/path", pieces, PATH, thickness=1.5, thickness_units="screen")
         x, y, _ = start.state.tip / max(float(np.linalg.norm(start.state.tip[:2])), 1e-6)
@@ -274,17 +274,6 @@ class Scene:
         axes[:, 0] *= np.linalg.det(axes)
         self._ellipsoid.scale = tuple(ELLIPSOID * np.maximum(sizes, 1e-4))
         self._ellipsoid.wxyz, self._ellipsoid.position = _quaternion(axes), state.tip
-
-
-def lathe(part: Part, around: int = 40) -> tuple[Array, NDArray[np.int64]]:
-    """Turn a part's profile about its axis: vertices (k, 3) [m] in its link's frame, triangles (m, 3)."""
-    turn = np.linspace(0.0, 2.0 * np.pi, around, endpoint=False)
-    circle = np.stack([np.cos(turn), np.sin(turn)], axis=1) @ np.linalg.svd(part.axis[None])[2][1:]
-    rings = part.origin + part.heights[:, None, None] * part.axis + part.radii[:, None, None] * circle
-    ring, k = np.meshgrid(np.arange(len(rings) - 1), np.arange(around), indexing="ij")
-    a, b = ring * around + k, ring * around + (k + 1) % around
-    faces = np.concatenate([np.stack([a, b, b + around], -1), np.stack([a, b + around, a + around], -1)])
-    return rings.reshape(-1, 3), faces.reshape(-1, 3)
 
 
 def _quaternion(rotation: Array) -> Array:

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
-from threading import Lock, RLock
+from threading import Lock
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -44,7 +43,7 @@ class Moment(NamedTuple):
 
 
 class Choice(NamedTuple):
-    """A controller, and the solver and settings it was built from."""
+    """A controller, and the solver and settings that were asked for."""
 
     controller: Controller
     solver: str
@@ -56,21 +55,17 @@ class ExchangeableController:
 
     After an exchange tau = tau_new + offset: offset is tau_old - tau_new at first and decays by exp(-t / BLEND_S).
     The next exchange waits for BLEND_S: exchanges at every tick would hold the torque, and nobody would control the
-    arm. ``refused`` is called with a choice that cannot start, and its error.
+    arm. A choice that cannot start is dropped, and its error noted in ``messages``.
     """
 
-    def __init__(
-        self, robot: RobotModel, first: Choice, period_s: float, refused: Callable[[Choice, MocOptError], None]
-    ) -> None:
-        self._refused, self.used = refused, first
+    def __init__(self, first: Choice, period_s: float, messages: deque[str]) -> None:
+        self.used, self._messages = first, messages
         self._decay, self._apart = float(np.exp(-period_s / BLEND_S)), round(BLEND_S / period_s)
-        self.next: Choice | None = None  # taken at the next tick but the first, or BLEND_S after the last exchange
-        self._applied = np.zeros(robot.n)
+        self.next: Choice | None = None  # taken at the next tick, or BLEND_S after the last exchange
+        self.lock = Lock()  # of `next`
+        self._applied = np.zeros(0)
 
-    @property
-    def state(self) -> RobotState:
-        """The model's state at the last tick."""
-        return self.used.controller.state
+    state = property(lambda self: self.used.controller.state, doc="The model's state at the last tick.")
 
     def start(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> None:
         """Start the controller in use."""
@@ -80,16 +75,18 @@ class ExchangeableController:
     def tick(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> Array:
         """Compute the torque (n,) [Nm] of the controller in use, blended with that of the one before."""
         self._wait -= 1
-        tau = None
-        if self._wait <= 0 and self.next is not None:
-            choice, self.next = self.next, None
+        tau, choice = None, self.next
+        if self._wait <= 0 and choice is not None:
+            controller = choice.controller
             try:
-                choice.controller.start(q, v, tip_ref, trocar)
-                choice.controller.set_applied_torque(self._applied)
-                tau = choice.controller.tick(q, v, tip_ref, trocar)
+                controller.start(q, v, tip_ref, trocar)
+                controller.set_applied_torque(self._applied)
+                tau = controller.tick(q, v, tip_ref, trocar)
                 self.used, self._offset, self._wait = choice, self._applied - tau, self._apart
             except MocOptError as error:
-                self._refused(choice, error)
+                self._messages.append(f"{error}; {self.used.solver} goes on")
+            with self.lock:  # another one may have been asked for meanwhile
+                self.next = None if self.next is choice else self.next
         if tau is None:
             tau = self.used.controller.tick(q, v, tip_ref, trocar)
         if self._offset.any():
@@ -120,36 +117,38 @@ class ToAndFro:
 
 
 class LiveRun:
-    """The closed loop of a scenario, its path to and fro for ever.
+    """The closed loop of a scenario, its path to and fro for ever; a MocOptError where the scenario is not usable.
 
     `advance` belongs to one thread; every other method may be called from any. A change takes effect at the next tick
     (a new controller at least 0.1 s after the one before). What is wrong with it is raised at once, or, where only the
-    running loop can tell, found in `messages`.
-
-    Attributes:
-        control, solver: the settings and the solver (or `DCAC`) that were asked for last.
-        messages: errors, oldest first; take them out with `popleft`.
+    running loop can tell, found in `messages`, oldest first: take them out with `popleft`.
     """
 
     def __init__(self, scenario: Scenario) -> None:
-        """Build everything, at rest at its start; a MocOptError where the scenario is not usable."""
         self.scenario, self._setup = scenario, Setup(scenario)
         self.robot, self.period_s = self._setup.robot, scenario.plant.period_s
         self.reference = ToAndFro(self._setup.reference, self._setup.duration_s)
         self.messages: deque[str] = deque(maxlen=100)
-        self._lock, self._building = RLock(), Lock()
+        self._lock, self._building = Lock(), Lock()  # of the history, and of whoever builds a controller
         # Solvers may be built, with CasADi functions of the arm, while the loop uses its own model.
         self._workshop = RobotModel(self.robot.data)
-        self.control = scenario.control
-        self.solver = scenario.solver.name if scenario.control.law == "moc" else DCAC
         self._rows: deque[list[float]] = deque(maxlen=round(HISTORY_S / self.period_s))
         self._truth = np.empty(2 * self.robot.n + 9)
-        first = Choice(self._build(self.control, self.solver), self.solver, self.control)
-        self._in_use = ExchangeableController(self.robot, first, self.period_s, self._refused)
+        solver = scenario.solver.name if scenario.control.law == "moc" else DCAC
+        first = Choice(self._build(scenario.control, solver), solver, scenario.control)
+        self._in_use = ExchangeableController(first, self.period_s, self.messages)
         self._asked = np.zeros(3)
         self._begin()
 
     # --- what may be called from anywhere ---
+
+    @property
+    def chosen(self) -> Choice:
+        """What was asked for last: the choice that waits, or else the one in use."""
+        return self._in_use.next or self._in_use.used
+
+    control = property(lambda self: self.chosen.settings, doc="The settings that were asked for last.")
+    solver = property(lambda self: self.chosen.solver, doc="The solver, or `DCAC`, that was asked for last.")
 
     @property
     def gains(self) -> Gains:
@@ -190,8 +189,7 @@ class LiveRun:
             rows = np.array(self._rows).reshape(-1, len(QUANTITIES))
         size = max(1, -(-len(rows) // points))
         stretches = rows[len(rows) % size :].reshape(-1, size, len(QUANTITIES))  # the oldest few are left out
-        largest = np.where(np.isnan(stretches), -np.inf, stretches).max(axis=1)
-        return np.where(np.isinf(largest), np.nan, largest)
+        return np.fmax.reduce(stretches, axis=1)
 
     # --- what the loop's own thread calls ---
 
@@ -207,9 +205,8 @@ class LiveRun:
             self._halt(str(error))
 
     def _begin(self) -> None:
-        self._reset = False
+        self._reset, self._stopped, self._bound, self._offset = False, "", np.nan, np.zeros(3)
         self._setup.plant.reset(self._setup.q_start)
-        self._stopped, self._bound, self._offset = "", np.nan, np.zeros(3)
         self._loop = self._setup.closed_loop(self._in_use)
         self._move_trocars()
         self._loop.start(self.reference.rows(0.0), self._now[1])
@@ -276,13 +273,5 @@ class LiveRun:
     def _exchange(self, control: ControlSettings, name: str) -> None:
         gently = control.model_copy(update={"ramp_s": max(control.ramp_s, RAMP_S)})
         choice = Choice(self._build(gently, name), name, control)
-        with self._lock:
-            self.control, self.solver, self._in_use.next = control, name, choice
-
-    def _refused(self, choice: Choice, error: MocOptError) -> None:
-        """Say that a choice cannot start, and take back that it was asked for, unless another one was since."""
-        _, name, control = self._in_use.used
-        with self._lock:
-            if choice.settings is self.control:
-                self.solver, self.control = name, control
-        self.messages.append(f"{error}; {name} goes on")
+        with self._in_use.lock:
+            self._in_use.next = choice

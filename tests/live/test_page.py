@@ -8,6 +8,7 @@ from __future__ import annotations
 import asyncio
 import os
 import signal
+import socket
 import subprocess
 import sys
 import threading
@@ -69,15 +70,10 @@ def until(true: Any, what: str) -> None:
 
 
 def test_it_listens_on_loopback_alone(live: LivePage) -> None:
-    assert live.url.startswith("http://127.0.0.1:")
-    port, rows = f":{live.server.get_port():04X}", list[str]()
-    for file in (Path("/proc/net/tcp"), Path("/proc/net/tcp6")):
-        rows += file.read_text().splitlines()[1:] if file.exists() else []
-    if not rows:
-        pytest.skip("no /proc/net/tcp here")
-    assert {place for _, place, _, state, *_ in map(str.split, rows) if place.endswith(port) and state == "0A"} == {
-        "0100007F" + port
-    }
+    with socket.create_connection(("127.0.0.1", live.server.get_port())):
+        pass
+    with pytest.raises(ConnectionRefusedError):  # what listens on every address is heard here, too
+        socket.create_connection(("127.0.0.2", live.server.get_port()))
 
 
 def test_it_keeps_step_with_the_clock(live: LivePage) -> None:
@@ -121,9 +117,7 @@ def test_ctrl_c_ends_it_cleanly() -> None:
     assert (program.returncode, out, err) == (0, "", "ended\n")
 
 
-def test_of_rapid_choices_the_one_that_the_list_shows_runs(
-    live: LivePage, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_of_rapid_choices_the_one_that_the_list_shows_runs(live: LivePage, monkeypatch: pytest.MonkeyPatch) -> None:
     """The page calls back from many threads: the first choice must not come through after the second."""
     panel: Any = live._panel
     begun, choose = threading.Event(), live.run.choose
@@ -142,6 +136,7 @@ def test_of_rapid_choices_the_one_that_the_list_shows_runs(
         first.result(), second.result()
     assert live.run.solver == panel._solver.value == "osqp"
 
+
 # --- who may see and command it ---
 
 
@@ -158,7 +153,7 @@ def knock(live: LivePage, path: str, say: bytes = b"") -> Any:
             return None
 
 
-@pytest.mark.parametrize("path", ["/", "/wrong", "/?token={token}", "/{token}x", "/{token}/", "//{token}", "/%ff"])
+@pytest.mark.parametrize("path", ["/", "/?token={token}", "/{token}x", "//{token}", "/%ff"])
 def test_without_the_token_nothing_is_told(live: LivePage, path: str) -> None:
     assert knock(live, path.format(token=token(live))) is None
 
