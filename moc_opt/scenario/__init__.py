@@ -2,23 +2,24 @@
 
 Read first: ``config`` (``Scenario``: every key of the TOML; ``tables`` has some of its tables), then ``setup``
 (``Setup`` builds the objects; ``Setup.trace`` and ``run`` make a trace). ``layout`` lays the task out from a start,
-``controller`` makes solver and safety filter, ``derived`` has columns computed
-after a run, ``planned`` plans before a run. ``wired`` puts a wire between plant and controller.
+``derived`` has columns computed after a run, ``planned`` plans before a run. ``wired`` puts a wire between plant and
+controller.
 """
 
 from moc_opt.errors import MocOptError
 from moc_opt.scenario.config import Scenario
-from moc_opt.scenario.controller import (
+from moc_opt.scenario.setup import (
+    Setup,
     check_solver,
     isolated,
     make_safety_filter,
     make_solver,
     make_stop,
+    run,
 )
-from moc_opt.scenario.setup import Setup, run
 from moc_opt.sim.record import RunAway
 
 __all__ = [
-    "MocOptError", "RunAway", "Scenario", "Setup", "check_solver", "isolated",
-    "make_safety_filter", "make_solver", "make_stop", "run",
+    "MocOptError", "RunAway", "Scenario", "Setup", "check_solver", "isolated", "make_safety_filter", "make_solver",
+    "make_stop", "run",
 ]  # fmt: skip

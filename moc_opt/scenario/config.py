@@ -34,7 +34,7 @@ _LAGS = 3.0
 """Time constants of the encoders' velocity filter that the safety filter takes for its lag, at least."""
 _TORQUE, _SPEED = 500.0, 600.0
 """For each rad of the encoders' step: change of a torque [of tau_max], and speed [rad/s] by the momentum residual, that
-may come before a sound joint shows a step. Chosen on 85 runs without encoder noise, and judged on others."""
+may come before a sound joint shows a step. Chosen on 85 runs without encoder noise."""
 
 
 class Scenario(Settings):
@@ -133,8 +133,8 @@ class Scenario(Settings):
 
     @model_validator(mode="after")
     def _isolated_by_what_can(self) -> Self:
-        isolated = self.solver.isolation == "process" and self.control.law == "moc"
-        if isolated and self.control.supervisor.late == "iterate":
+        control = self.control
+        if self.solver.isolation == "process" and control.law == "moc" and control.supervisor.late == "iterate":
             raise ValueError(
                 "[control.supervisor] late = 'iterate': what an isolated solver has when its budget ends is not "
                 "there; take 'hold' or 'zero', or [solver] isolation = 'none'"
@@ -181,9 +181,8 @@ class Scenario(Settings):
             ScenarioError: a solver's setting has no form in TOML, or the file cannot be written.
 
         Example:
-            >>> scenario = mo.Scenario(duration_s=2.0)
-            >>> scenario.save("scenario.toml")
-            >>> mo.Scenario.load("scenario.toml") == scenario
+            >>> mo.Scenario(duration_s=2.0).save("scenario.toml")
+            >>> mo.Scenario.load("scenario.toml") == mo.Scenario(duration_s=2.0)
             True
         """
         file, table = as_path(path, "scenario", ScenarioError), _with_files_in(Path.cwd(), self.changes())

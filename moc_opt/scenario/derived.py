@@ -36,13 +36,11 @@ from moc_opt.trace.trace import Trace
 
 Columns = Mapping[str, NDArray[Any]]
 
-AT_ONCE = 5000
-"""Answers whose residuals are computed together."""
+AT_ONCE = 5000  # answers whose residuals are computed together
 PERIOD_S = 0.05
 """Of the best courses' grid: a joint's way in one period is then several swivels of the map, so that little of its
 speed is lost."""
-PATH = {"robot", "start", "trocar", "task", "duration_s", "seed"}
-"""The fields of a scenario that path and start follow from."""
+PATH = {"robot", "start", "trocar", "task", "duration_s", "seed"}  # of a scenario: path and start follow from them
 
 
 def model_errors(columns: Columns, robot: RobotModel, plant: Plant, offset: TaskOffset) -> dict[str, NDArray[Any]]:
@@ -77,15 +75,10 @@ def residual_columns(columns: Columns) -> dict[str, NDArray[Any]]:
 
 
 def largest_mu(poses: Array, robot: RobotModel, samples: int) -> tuple[Array, dict[str, str]]:
-    """Compute the largest mu at evenly spaced ticks over every feasible pose with the same tip and wrist.
+    """Compute the largest mu at so many evenly spaced ticks over every feasible pose with the same tip and wrist.
 
-    Args:
-        poses: (N, n) [rad].
-        samples: ticks at which it is computed.
-
-    Returns:
-        (N,) the largest mu, NaN between those ticks and where the pose is no number; and the entry of a trace's meta
-        that says how it was found (`moc_opt.planning.pose_map`), none where nothing was.
+    Returns it (N,), NaN between those ticks and where the pose (N, n) is no number, and the entry of a trace's meta
+    that says how it was found, none where nothing was.
     """
     bound = np.full(len(poses), np.nan)
     ticks = np.linspace(0, len(poses) - 1, min(samples, len(poses))).astype(int)

@@ -41,7 +41,7 @@ def seeds_of(scenario: Scenario) -> tuple[int, int, int]:
     return start, plant, faults
 
 
-def lay_out(scenario: Scenario, robot: RobotModel, swivel_rng: np.random.Generator) -> Layout:
+def lay_out(scenario: Scenario, robot: RobotModel) -> Layout:
     """Choose the start, lay the task out from it, and check that the arm can do it.
 
     Raises:
@@ -51,7 +51,8 @@ def lay_out(scenario: Scenario, robot: RobotModel, swivel_rng: np.random.Generat
         TaskError: there is no such path.
     """
     start = scenario.start
-    fraction = swivel_rng.uniform(0.05, 0.95) if start.swivel == "random" else start.swivel
+    rng = np.random.default_rng(seeds_of(scenario)[0])
+    fraction = rng.uniform(0.05, 0.95) if start.swivel == "random" else start.swivel
 
     def swivelled(q: Array) -> Array:
         return q if fraction == "given" else self_motion(robot, q).at(float(fraction))
@@ -82,7 +83,7 @@ def _task(scenario: Scenario, robot: RobotModel, q: Array) -> Layout:
             "the trocar must lie between them"
         )
     point = state.tip - trocar.depth_m * state.tool_direction
-    registered = Trocar(point, *(breathing(scenario) if trocar.breathing_known else (0.0,)))
+    registered = Trocar(point, *(trocar.breathing if trocar.breathing_known else (0.0,)))
     sizes = {**TaskTable.DEFAULT_SIZES.get(task.path, {}), **task.sizes}
     try:
         path = make_path(
@@ -100,12 +101,6 @@ def _task(scenario: Scenario, robot: RobotModel, q: Array) -> Layout:
             "give a shorter duration_s"
         )
     return Layout(q, point, registered, reference, duration_s)
-
-
-def breathing(scenario: Scenario) -> tuple[float, float, tuple[float, float, float]]:
-    """Return how the trocar moves: amplitude [m], period [s], direction."""
-    trocar = scenario.trocar
-    return trocar.breathing_amplitude_m, trocar.breathing_period_s, trocar.breathing_direction
 
 
 def described(scenario: Scenario, robot: RobotModel) -> dict[str, Any]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numbers
 import os
 from pathlib import Path
-from typing import TypedDict
 
 import numpy as np
 
@@ -16,7 +15,7 @@ from moc_opt.planning.plan import Plan, make_plan
 from moc_opt.planning.pose_map import SWIVELS
 from moc_opt.robots.model import RobotModel
 from moc_opt.scenario.config import Scenario
-from moc_opt.scenario.layout import Layout, described, lay_out, seeds_of
+from moc_opt.scenario.layout import Layout, described, lay_out
 from moc_opt.trace.trace import Trace
 
 PERIOD_S = 0.025
@@ -68,7 +67,7 @@ def layout_of(scenario: Scenario, robot: RobotModel) -> Layout:
         MocOptError: the scenario's start, path or trocar is not usable.
     """
     unchecked = scenario if scenario.start.pose == "random" else scenario.change(start={"check_path": False})
-    return lay_out(unchecked, robot, np.random.default_rng(seeds_of(scenario)[0]))
+    return lay_out(unchecked, robot)
 
 
 def targets_of(
@@ -90,19 +89,10 @@ def targets_of(
 # --- a course to be followed ---
 
 
-class Within(TypedDict):
-    """The limits of a plan, as arguments of `plan`."""
-
-    margin_rad: float
-    margin_m: float
-    speed_share: float
-    shaft_margin: float
-
-
 def followable_plan(
     scenario: Scenario, margin_rad: float | None = None, speed_share: float | None = None,
     margin_m: float | None = None, followed: bool | None = None,
-) -> tuple[Plan, Within]:
+) -> tuple[Plan, dict[str, float]]:
     """Plan within what a third level keeps to that follows a course, or within the arm's own limits.
 
     Where the path cannot be executed with that third level's margins, it is planned without.
@@ -125,8 +115,8 @@ def followable_plan(
         speed_share = settings.course_speed_fraction if follows else 1.0
     shaft = COURSE_SHARE * settings.shaft_margin if follows else 0.0
     for turning, sliding in margins:
-        within = Within(margin_rad=turning, margin_m=sliding, speed_share=speed_share, shaft_margin=shaft)
-        found = plan(scenario, **within)
+        within = {"margin_rad": turning, "margin_m": sliding, "speed_share": speed_share, "shaft_margin": shaft}
+        found = plan(scenario, **within)  # type: ignore[arg-type]
         if found.executable:
             break
     return found, within
@@ -148,7 +138,7 @@ def following_warnings(scenario: Scenario, found: Plan) -> list[str]:
 
 
 def save_course(
-    found: Plan, scenario: Scenario, to: str | os.PathLike[str], within: Within | None = None
+    found: Plan, scenario: Scenario, to: str | os.PathLike[str], within: dict[str, float] | None = None
 ) -> Path:
     """Write the plan's course as a Parquet file that `Trace.load` and ``[control] course`` read.
 

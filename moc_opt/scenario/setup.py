@@ -16,34 +16,87 @@ from numpy.typing import NDArray
 from moc_opt.arrays import Array
 from moc_opt.control import Controller
 from moc_opt.control.controller import Guide
-from moc_opt.errors import describe
+from moc_opt.control.safety_filter import SafetyFilter
+from moc_opt.errors import ScenarioError, SolverError, describe, shown
+from moc_opt.inputs.files import read_arrays
+from moc_opt.inputs.names import RULE, is_name
 from moc_opt.planning.follow import Follower
 from moc_opt.planning.guides import Following, guides
 from moc_opt.planning.self_motion import require_freedom
+from moc_opt.robots.model import RobotModel
 from moc_opt.scenario.config import Scenario
-from moc_opt.scenario.controller import (
-    check_solver,
-    isolated,
-    make_safety_filter,
-    make_solver,
-    make_stop,
-    recorded_times,
-)
 from moc_opt.scenario.derived import against_best, largest_mu, model_errors, residual_columns
-from moc_opt.scenario.layout import breathing, described, lay_out, seeds_of
+from moc_opt.scenario.layout import described, lay_out, seeds_of
 from moc_opt.scenario.planned import targets_of
 from moc_opt.sim.faults import Faults
 from moc_opt.sim.loop import ClosedLoop, simulate
 from moc_opt.sim.mjcf import check_engines
-from moc_opt.sim.plant import Plant
+from moc_opt.sim.plant import Plant, Stop
 from moc_opt.sim.protocols import LoggedController, TorqueController
 from moc_opt.sim.record import Columns, RunAway, TaskOffset
 from moc_opt.solvers.base import Solver
 from moc_opt.solvers.faulty import Faulty, draw
+from moc_opt.solvers.isolated import Isolated
+from moc_opt.solvers.registry import find
 from moc_opt.tasks import Trocar
 from moc_opt.trace.file import new_file
 from moc_opt.trace.oscillation import judged_for_oscillation
 from moc_opt.trace.trace import Trace
+
+
+def check_solver(given: object) -> None:
+    """Refuse what is no solver: a name, a class that has not been called, any other object; a SolverError says so."""
+    if isinstance(given, type):
+        raise SolverError(f"{shown(given)} is a class, no solver: call it, as in {given.__name__}()")
+    if not isinstance(given, Solver):
+        cure = "it needs a name, supports(qp) and start(qp); solvers.create(name) makes one"
+        raise SolverError(f"{shown(given, 80)} is no solver: {cure}")
+    if not is_name(given.name):
+        raise SolverError(f"{shown(given, 80)}: name = {shown(given.name, 80)}: {RULE}")
+
+
+def make_solver(name: str, robot: RobotModel, **settings: Any) -> Solver:
+    """Create a solver, giving it the arm's kinematics where it can use them."""
+    entry = find(name)
+    if "kinematics" not in settings and "kinematics" in entry.parameters:
+        settings = {**settings, "kinematics": robot.kinematics()}
+    return entry.create(**settings)
+
+
+def isolated(solver: Solver, scenario: Scenario, budget_us: float = math.inf, realtime: bool = False) -> Solver:
+    """Wrap a solver in its own process if ``[solver]`` requires it; else return the solver itself.
+
+    A tick waits ``budget_us`` for its answer, at most until the process counts as hung; under ``realtime`` it does not
+    wait while a process is replaced. A SolverError where pickle cannot copy the solver.
+    """
+    if scenario.solver.isolation == "none":
+        return solver
+    return Isolated(solver, budget_us=budget_us, waits=not realtime, **scenario.solver.process.model_dump())
+
+
+def make_safety_filter(robot: RobotModel, scenario: Scenario) -> SafetyFilter:
+    """Make the safety filter of an arm in its incision."""
+    return SafetyFilter(robot, scenario.told_guard, scenario.plant.period_s)
+
+
+def make_stop(scenario: Scenario) -> Stop:
+    """Return how the settings of the safety filter stop an arm."""
+    return Stop(scenario.guard.stop_damping_Nm_s_per_rad, scenario.guard.stop_s)
+
+
+def recorded_times(scenario: Scenario) -> list[float] | None:
+    """Read the times [us] of ``[solver] replay_us``; None: the clock decides. A ScenarioError refuses a wrong file."""
+    given = scenario.solver.replay_us
+    if given is None:
+        return None
+    if isinstance(given, str):
+        times = read_arrays(given, "[solver] replay_us", ScenarioError).get("", np.empty(0))
+    else:
+        times = np.asarray(given)
+    if times.dtype.kind not in "fiu" or times.ndim != 1 or not len(times) or not (times >= 0.0).all():
+        cure = "give one time of 0 us or more a tick, at least one"
+        raise ScenarioError(f"[solver] replay_us: {times.dtype} of shape {times.shape}: {cure}")
+    return [float(time) for time in times]
 
 
 class Setup:
@@ -66,12 +119,12 @@ class Setup:
         if solver is not None:
             check_solver(solver)
         self.scenario, self._given, self.realtime = scenario, solver, realtime
-        start_seed, plant_seed, self._fault_seed = seeds_of(scenario)
+        _, plant_seed, self._fault_seed = seeds_of(scenario)
         self.robot = scenario.robot.arm()
         check_engines(self.robot)
         if scenario.control.law == "moc":
             require_freedom(self.robot)
-        self.layout = layout = lay_out(scenario, self.robot, np.random.default_rng(start_seed))
+        self.layout = layout = lay_out(scenario, self.robot)
         self.q_start, self.registered, self.reference = layout.q, layout.registered, layout.reference
         self.duration_s = layout.duration_s
         self.guide: Guide | None = None
@@ -93,7 +146,7 @@ class Setup:
             touched = plant.tip - scenario.trocar.depth_m * shaft / np.linalg.norm(shaft)
             self.offset = TaskOffset(plant.tip - tip, touched - entry)
         true = entry + self.offset.trocar + plant.mismatch.registration_error
-        self.trocar = Trocar(true, *breathing(scenario))
+        self.trocar = Trocar(true, *scenario.trocar.breathing)
 
     def solver(self) -> Solver | None:
         """Make the solver of the scenario; None under DCAC."""

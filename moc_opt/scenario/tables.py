@@ -84,6 +84,11 @@ class TrocarTable(Settings):
         True, description="whether the registered trocar, which the controller is given, moves with the breathing"
     )
 
+    @property
+    def breathing(self) -> tuple[float, float, Vector]:
+        """How the trocar moves: amplitude [m], period [s], direction."""
+        return self.breathing_amplitude_m, self.breathing_period_s, self.breathing_direction
+
 
 class TaskTable(Settings):
     """The path of the tip."""

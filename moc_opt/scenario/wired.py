@@ -19,8 +19,7 @@ from moc_opt.realtime.packets import Kind
 from moc_opt.realtime.remote import INCOMING, RemoteController
 from moc_opt.robots.model import RobotModel, carried
 from moc_opt.scenario.config import Scenario
-from moc_opt.scenario.controller import make_safety_filter
-from moc_opt.scenario.setup import Setup
+from moc_opt.scenario.setup import Setup, make_safety_filter
 from moc_opt.sim.protocols import LoggedController
 from moc_opt.sim.record import RunAway
 from moc_opt.trace.trace import Trace

@@ -26,7 +26,7 @@ from moc_opt.inputs.files import (
 )
 from moc_opt.report.document import save_document
 from moc_opt.scenario import Scenario
-from moc_opt.scenario.controller import recorded_times
+from moc_opt.scenario.setup import recorded_times
 from moc_opt.study.compare import Comparison
 from moc_opt.trace.trace import Trace
 
