@@ -295,7 +295,7 @@ def task_fault(robot: RobotModel, q: Array, scenario: Scenario | None = None) ->
     """Say why the default scenario's path (or that of ``scenario``) cannot be followed from q; empty if it can."""
     asked = (scenario or Scenario()).change(start={"q_rad": tuple(q.tolist())})
     try:
-        lay_out(asked, robot, np.random.default_rng(0))
+        lay_out(asked, robot)
     except MocOptError as error:
         return str(error)
     return ""
