@@ -16,7 +16,6 @@ from moc_opt.scenario.config import Scenario
 from moc_opt.scenario.tables import TaskTable
 from moc_opt.tasks import Reference, Trocar, make_path
 from moc_opt.vision import preflight
-from moc_opt.vision.preflight import Reach
 
 MOST_TICKS = 1_000_000
 """Of a run: half an hour at 500 Hz, and some 4 GB of memory while it is judged."""
@@ -70,7 +69,7 @@ def lay_out(scenario: Scenario, robot: RobotModel) -> Layout:
     return _checked(scenario, robot, q, scenario.duration_s or np.inf)[0]
 
 
-def _checked(scenario: Scenario, robot: RobotModel, q: Array, until_s: float) -> tuple[Layout, Reach]:
+def _checked(scenario: Scenario, robot: RobotModel, q: Array, until_s: float) -> tuple[Layout, Array]:
     found = _task(scenario, robot, q)
     return found, preflight.check_path(robot, q, found.reference, found.registered, until_s)
 

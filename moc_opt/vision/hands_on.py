@@ -83,7 +83,7 @@ class HandsOn:
     trocar: Array  #: (3,) where the incision truly is [m]
     registered: Array | None  #: (3,) the registered trocar [m]; None if it was not registered
     q: Array  #: (n,) the robot's measured pose at the end [rad]
-    trace: Trace  #: one row a tick; `trocar_m` and `trocar_registered_m` (NaN if there is none) are kept apart
+    trace: Trace  #: one row a tick
 
     @property
     def error_m(self) -> float:
@@ -184,11 +184,12 @@ def guide_to(
         # The model has the plant's geometry, and differs in masses only: this is the tip's true velocity.
         force = hand.pull(plant.tip, robot.state(plant.q, plant.v).J_tip @ plant.v, goal)
         plant.push("tool", force, point)
+        off = float(np.linalg.norm(plant.tip - goal))
         rows.append({
-            "t_s": plant.time, "q_rad": plant.q, "v_rad_per_s": plant.v, "tip_m": plant.tip, "wrist_m": plant.wrist,
+            "t_s": plant.time, "q_rad": plant.q, "v_rad_per_s": plant.v, "tip_m": plant.tip, "tip_error_m": off,
             "hand_force_N": force,
         })  # fmt: skip
-        there = float(np.linalg.norm(plant.tip - goal)) <= settings.tolerance_m
+        there = off <= settings.tolerance_m
         loop.step(_NO_REFERENCE, _NO_TROCAR)
         rows[-1]["tau_Nm"] = loop.tau
         slow += gain * (law.seen.J_tip @ law.seen.v - slow)
@@ -206,12 +207,5 @@ def guide_to(
         error = settings.registration_error_m * direction / np.linalg.norm(direction)
         registered = read_only(np.mean(resting, axis=0) + error)
     columns = {name: np.array([row[name] for row in rows]) for name in rows[0]}
-    columns["trocar_m"] = columns["tip_ref_m"] = np.tile(goal, (len(rows), 1))
-    believed = np.full(3, np.nan) if registered is None else registered
-    columns["trocar_registered_m"] = np.tile(believed, (len(rows), 1))
-    columns["tip_error_m"] = np.linalg.norm(columns["tip_ref_m"] - columns["tip_m"], axis=1)
-    meta = {
-        "hands_on": settings.model_dump(mode="json"), "status": status.name.lower(), "seed": seed, "period_s": period,
-        "ended": f"stopped: {loop.stop_reason}" if loop.stop_reason else "completed",
-    }  # fmt: skip
-    return HandsOn(status, goal, registered, np.array(law.seen.q), Trace(columns, meta))
+    ended = f"stopped: {loop.stop_reason}" if loop.stop_reason else "completed"
+    return HandsOn(status, goal, registered, np.array(law.seen.q), Trace(columns, {"ended": ended}))

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
 from typing import NamedTuple, TypeVar
 
 import numpy as np
@@ -41,17 +40,6 @@ class UnreachableError(TaskError):
         self.field, self.arc_length_m = field, arc_length_m
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class Reach:
-    """One way through the task; one row for each point of the path that was looked at."""
-
-    t_s: Array  #: (k,) time of the reference [s]
-    arc_length_m: Array  #: (k,) way of the tip so far [m]
-    q_rad: Array
-    """(k, n) the pose taken there, inside the joint limits; the elbow may have to travel to q_rad[0] first"""
-    speed_share: Array  #: (k,) largest share of a joint's speed limit that is needed there, 1 is all of it
-
-
 def check_start(robot: RobotModel, q: ArrayLike) -> RobotState:
     """Return the state at q (n,) [rad], where a run can begin there.
 
@@ -83,7 +71,7 @@ def check_start(robot: RobotModel, q: ArrayLike) -> RobotState:
 
 def check_path(
     robot: RobotModel, q: ArrayLike, reference: Reference, registered: Trocar, until_s: float = np.inf
-) -> Reach:
+) -> Array:
     """Check the path of a scenario's task; see `check_reachable`."""
     try:
         return check_reachable(robot, q, reference, registered, until_s)
@@ -94,7 +82,7 @@ def check_path(
 
 def random_start(
     robot: RobotModel, rng: np.random.Generator, swivelled: Callable[[Array], Array],
-    lay_out: Callable[[Array], tuple[Found, Reach]], margins: Array,
+    lay_out: Callable[[Array], tuple[Found, Array]], margins: Array,
 ) -> Found:  # fmt: skip
     """Draw poses until one can do the task, and return what was laid out from it.
 
@@ -105,7 +93,7 @@ def random_start(
 
     Args:
         swivelled: a pose -> the one that is begun with, of the same tip and wrist.
-        lay_out: a pose -> the task from there, and how it is followed.
+        lay_out: a pose -> the task from there, and the poses (k, n) that follow it.
         margins: (n,) that the joints keep from their limits [rad], [m] where they slide.
 
     Raises:
@@ -121,8 +109,8 @@ def random_start(
             _require_fit(robot, drawn, margins)
             q = swivelled(drawn)
             _require_fit(robot, q, margins)
-            found, reach = lay_out(q)
-            for pose in reach.q_rad:
+            found, poses = lay_out(q)
+            for pose in poses:
                 _require_fit(robot, pose, margins, " along the path")
             return found
         except _UnfitError as error:
@@ -154,11 +142,12 @@ def _require_fit(robot: RobotModel, q: Array, margins: Array, where: str = "") -
 
 def check_reachable(
     robot: RobotModel, q_start: ArrayLike, reference: Reference, trocar: Trocar, until_s: float = np.inf
-) -> Reach:
-    """Follow the reference with the shaft through the trocar, inside joint limits and joint speeds.
+) -> Array:
+    """Return poses (k, n) that follow the reference with the shaft through the trocar, inside joint limits and speeds.
 
-    Each point is solved from the pose before it. If that fails, the path is tried again from the middle of the
-    starting self-motion. A refused path may still be possible another way; an accepted path is possible.
+    There is one each `SPACING_M`, solved from the pose before it; the elbow may have to travel to the first. If that
+    fails, the path is tried again from the middle of the starting self-motion. A refused path may still be possible
+    another way; an accepted path is possible.
 
     Args:
         q_start: (n,) the pose it begins with, its tip at the start of the reference [rad].
@@ -219,7 +208,7 @@ def _check_depth(robot: RobotModel, places: _Places) -> None:
         raise UnreachableError("path", places.arc[k], problem, cure)
 
 
-def _follow(robot: RobotModel, q: Array, places: _Places, reference: Reference) -> Reach:
+def _follow(robot: RobotModel, q: Array, places: _Places, reference: Reference) -> Array:
     poses, rates = np.empty((2, len(places.t), robot.n))
     for k in range(len(places.t)):
         tip, speed, trocar, trocar_speed = (rows[k] for rows in places[2:])
@@ -241,7 +230,7 @@ def _follow(robot: RobotModel, q: Array, places: _Places, reference: Reference) 
             f"{robot.v_max[i]:.2f}",
             f"lower v_max from {reference.v_max:g} to {slower:.3g} m/s or less, or move the path away from the trocar",
         )  # fmt: skip
-    return Reach(places.t, places.arc, poses, shares)
+    return poses
 
 
 def _out_of_reach(robot: RobotModel, places: _Places, k: int, wrist: Array, placed: Placed) -> UnreachableError:

@@ -87,8 +87,8 @@ def test_what_kinematics_can_follow_is_executable(robot):
             way = check_reachable(robot, q, reference, trocar)
         except UnreachableError:
             continue
-        margin = np.minimum(way.q_rad - robot.q_min, robot.q_max - way.q_rad).min()
-        if np.abs(way.q_rad[0] - q).max() > 1e-3 or margin < 0.02 or way.speed_share.max() > 0.9:
+        margin = np.minimum(way - robot.q_min, robot.q_max - way).min()
+        if np.abs(way[0] - q).max() > 1e-3 or margin < 0.02:
             continue
         both += 1
         targets = lay_targets(reference, trocar, state.tool_span, 0.2 + reference.duration, 80)

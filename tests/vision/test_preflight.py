@@ -75,9 +75,12 @@ def reference(home, kind="circle", v_max=0.05, a_max=0.2, **sizes):
 
 def check_followed(robot, found, task, trocar):
     """Tip and shaft are where they should be at every point of a way through the task."""
-    tips, wrists = robot.tool_along(found.q_rad)
-    np.testing.assert_allclose(tips, task.at(found.t_s)[0], atol=2e-6)
-    assert shaft_distance(tips, wrists, trocar.at(found.t_s)[0]).max() < 2e-6
+    tips, wrists = robot.tool_along(found)
+    t = preflight._places(task, trocar, np.inf).t
+    np.testing.assert_allclose(tips, task.at(t)[0], atol=2e-6)
+    assert shaft_distance(tips, wrists, trocar.at(t)[0]).max() < 2e-6
+    rates = np.diff(found, axis=0) / np.diff(t)[:, None]
+    assert np.abs(rates / robot.v_max).max() < 1.0
 
 
 @pytest.mark.parametrize("name", list(BOARD_TASKS))
@@ -88,22 +91,8 @@ def test_the_three_tasks_are_within_reach(robot, home, trocar, name):
     q = pose_through(robot, task.path.start, point)
     found = check_reachable(robot, q, task, trocar)
     check_followed(robot, found, task, trocar)
-    np.testing.assert_array_equal(found.q_rad[0], robot.state(q).q)
-    assert ((found.q_rad > robot.q_min) & (found.q_rad < robot.q_max)).all()
-    assert found.arc_length_m[-1] == pytest.approx(task.path.length, rel=1e-4)
-    assert found.speed_share.max() < 1.0
-
-
-def test_the_speeds_are_those_of_the_followed_poses(robot, home, trocar, monkeypatch):
-    """Between two close points the joints need no less than the share that was reported."""
-    monkeypatch.setattr(preflight, "SPACING_M", 5e-4)
-    task = reference(home, radius=0.03)
-    found = check_reachable(robot, robot.data.q_home, task, trocar)
-    rates = np.diff(found.q_rad, axis=0) / np.diff(found.t_s)[:, None]
-    shares = np.abs(rates / robot.v_max).max(axis=1)
-    middle = 0.5 * (found.speed_share[1:] + found.speed_share[:-1])
-    fast = middle > 0.03
-    np.testing.assert_allclose(shares[fast], middle[fast], rtol=0.05)
+    np.testing.assert_array_equal(found[0], robot.state(q).q)
+    assert ((found > robot.q_min) & (found < robot.q_max)).all()
 
 
 def test_too_fast_names_the_joint_and_a_speed_that_works(robot, home, trocar):
@@ -113,8 +102,7 @@ def test_too_fast_names_the_joint_and_a_speed_that_works(robot, home, trocar):
     assert 0.0 < told.value.arc_length_m < 0.06
     slower = float(re.search(r"from 5 to ([0-9.]+) m/s", str(told.value)).group(1))
     assert 0.1 < slower < 5.0
-    found = check_reachable(robot, robot.data.q_home, reference(home, "line", slower, 200.0, length=0.06), trocar)
-    assert 0.9 < found.speed_share.max() <= 1.0
+    check_reachable(robot, robot.data.q_home, reference(home, "line", slower, 200.0, length=0.06), trocar)
 
 
 def test_a_path_that_leaves_the_workspace_says_where(robot):
@@ -139,8 +127,8 @@ def test_joint_limits_are_named(robot, home, trocar):
         check_reachable(stiff, home.q, reference(home, "line", length=0.1), trocar)
     assert told.value.field == "joint limits"
     free = check_reachable(robot, home.q, reference(home, "line", length=0.1), trocar)
-    over = free.q_rad[:, 3] > highest[3]
-    assert told.value.arc_length_m == pytest.approx(free.arc_length_m[over][0], abs=PLACE_M)
+    over = free[:, 3] > highest[3]
+    assert told.value.arc_length_m == pytest.approx(0.1 * np.linspace(0.0, 1.0, len(free))[over][0], abs=PLACE_M)
 
 
 def test_a_trocar_beyond_the_tool_or_on_the_path_and_a_start_elsewhere_are_refused(robot, home, trocar):
@@ -167,7 +155,7 @@ def test_another_swivel_is_tried_where_the_given_one_gets_stuck(robot, home, tro
     monkeypatch.setattr(preflight, "solve_pose", only_elsewhere)
     found = check_reachable(robot, home.q, task, trocar)
     room = np.minimum(scan.q - robot.q_min, robot.q_max - scan.q).min(axis=1)
-    taken = np.minimum(found.q_rad[0] - robot.q_min, robot.q_max - found.q_rad[0]).min()
+    taken = np.minimum(found[0] - robot.q_min, robot.q_max - found[0]).min()
     assert taken == pytest.approx(room.max(), abs=1e-6)
 
 
@@ -230,8 +218,8 @@ def test_a_random_start_keeps_the_margins_that_were_asked_for(name, margins):
     kept = []
     for keys in (asking, {}):
         made = setup(0, robot={"name": name}, start={"pose": "random", "swivel": "random", **keys})
-        arm, reach = made.robot, preflight.check_path(made.robot, made.q_start, made.reference, made.registered)
-        poses = np.vstack([made.q_start, reach.q_rad])
+        arm, followed = made.robot, preflight.check_path(made.robot, made.q_start, made.reference, made.registered)
+        poses = np.vstack([made.q_start, followed])
         asked = np.where(arm.chain.prismatic, margins[1], margins[0])
         kept.append(bool((np.minimum(poses - arm.q_min, arm.q_max - poses) >= asked).all()))
     assert kept == [True, False]
