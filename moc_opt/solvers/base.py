@@ -60,7 +60,6 @@ class Session(Protocol):
 
     def solve(self, qp: NullSpaceQP) -> Solution:
         """Answer one subproblem; never raises for a problem the solver cannot solve."""
-        ...
 
 
 @runtime_checkable
@@ -70,15 +69,12 @@ class Solver(Protocol):
     @property
     def name(self) -> str:
         """Name in the registry."""
-        ...
 
     def supports(self, qp: NullSpaceQP) -> str | None:
         """Return None if the solver can take the problem, else the reason why not."""
-        ...
 
     def start(self, qp: NullSpaceQP) -> Session:
         """Return a new session with its memory sized and set up for problems like ``qp``."""
-        ...
 
 
 @runtime_checkable
@@ -87,7 +83,6 @@ class TruncatingSession(Protocol):
 
     def truncated(self, qp: NullSpaceQP, iterations: int) -> Solution:
         """Return the iterate after ``iterations`` (at least 1), from where the last solve began."""
-        ...
 
 
 @runtime_checkable
@@ -96,7 +91,6 @@ class ObservingSession(Protocol):
 
     def observe(self, v: Array) -> None:
         """Take the measured joint velocity v (n,) [rad/s]."""
-        ...
 
 
 class SolverSettings:

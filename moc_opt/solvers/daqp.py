@@ -40,14 +40,11 @@ class DAQPSession(LibrarySession):
         self._flag, _ = self._core.setup(self._P, self._p, self._A, self._upper, self._lower, self._sense)
 
     def _hand_over(self) -> None:
-        forget = self._flag < 0 or not self._settings.warm
-        if forget:
-            self._sense[:] = self._fresh
         if self._flag < 0:
+            self._sense[:] = self._fresh
             self._set_up(self._m, self._n)
-            return
-        sense = self._sense if forget else None
-        self._flag = self._core.update(self._P, self._p, self._A, self._upper, self._lower, sense)
+        else:
+            self._flag = self._core.update(self._P, self._p, self._A, self._upper, self._lower, None)
 
     def _run(self) -> Outcome:
         if self._flag < 0:
@@ -66,7 +63,6 @@ class DAQP(Adapter):
             answer in twenty stops at the wrong end of the self-motion.
         primal_tol, dual_tol: the library's 1e-6 and 1e-12.
         max_iter: iterations.
-        warm: start from the last tick's active set.
     """
 
     rows: int = 5
@@ -74,6 +70,5 @@ class DAQP(Adapter):
     primal_tol: float = 1e-9
     dual_tol: float = 1e-12
     max_iter: int = 1000
-    warm: bool = True
     name = "daqp"
     session = DAQPSession

@@ -47,30 +47,16 @@ class Restart(NamedTuple):
 
 @dataclass(frozen=True)
 class Isolated:
-    """A solver whose sessions run each in a process of its own.
-
-    Attributes:
-        inner: any solver that pickle can copy.
-        budget_us: how long a tick waits for its answer [us].
-        waits: whether a tick waits for a process that is being replaced, as in simulated time; False: it has no answer.
-        answer_age_ticks: largest age of an earlier answer that may replace a late one; 0: none may.
-        hang_s: a process that gives no answer for this time is killed and replaced [s].
-        memory_MB: memory that a process may have; on Linux.
-        most_restarts: after so many replacements a session gives no answers any more.
-        start_s: time in which a process must start [s].
-
-    Raises:
-        SolverError: the solver cannot be copied into another process, or this is no Unix.
-    """
+    """A solver whose sessions run each in a process of its own; a SolverError where pickle cannot copy it there."""
 
     inner: Solver
-    budget_us: float = math.inf
-    waits: bool = True
-    answer_age_ticks: int = 0
-    hang_s: float = 1.0
-    memory_MB: float = 4096.0
-    most_restarts: int = 20
-    start_s: float = 120.0
+    budget_us: float = math.inf  #: How long a tick waits for its answer [us].
+    waits: bool = True  #: Whether a tick waits while a process is replaced, as in simulated time.
+    answer_age_ticks: int = 0  #: Largest age of an earlier answer that may replace a late one; 0: none may.
+    hang_s: float = 1.0  #: A process that gives no answer for this time is killed and replaced [s].
+    memory_MB: float = 4096.0  #: That a process may have; on Linux.
+    most_restarts: int = 20  #: After so many replacements a session gives no answers any more.
+    start_s: float = 120.0  #: In which a process must start [s].
     _pickled: bytes = field(default=b"", init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:

@@ -136,14 +136,9 @@ def stacked(values: Array, boxes: int) -> sparse.csc_matrix:
 class Loader:
     """Writes subproblems of one shape into given buffers; each is an array of the library's, or a view into one.
 
-    Args:
-        rows: 5 or 6, as the solver's setting asks for.
-        scale: multiplies P and p.
-        P, p: (n, n), (n,) of the cost.
-        A, low, high: (m, n), (m,), (m,) equality rows, m as `equalities` has them, and their sides.
-        lower, upper: (n,) the box.
-        packed: (n (n + 1) / 2,) upper triangle of P by columns, where that is wanted.
-        signs: of p, lower and upper.
+    P (n, n) and p (n,) are of the cost, times ``scale``; A (m, n), low and high (m,) the equality rows, 5 or 6 as
+    ``rows`` asks for, and their sides; lower and upper (n,) the box; packed (n (n + 1) / 2,) the upper triangle of P by
+    columns; ``signs`` are those of p, lower and upper.
     """
 
     def __init__(

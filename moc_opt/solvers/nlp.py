@@ -115,8 +115,6 @@ class NLPSession:
             return no_answer(qp.n, Status.UNSUPPORTED)
         lift = assembled(qp).lift
         self._load(qp, lift)
-        if not self._settings.warm:
-            self._forget()
         x0, x, multipliers = self._start["x0"], self._end["x"], self._end["lam_g"]
         np.clip(x0, self._lower, self._upper, out=x0)
         self._solver.run()
@@ -164,7 +162,6 @@ class NLP(SolverSettings):
         eps: tolerance of the scaled problem's KKT conditions.
         max_iter: iterations a tick.
         hessian: "limited-memory" (BFGS) or "exact".
-        warm: start from the last tick's answer where that was solved.
 
     Raises:
         SolverError: a setting is out of range or the kinematics are missing.
@@ -176,7 +173,6 @@ class NLP(SolverSettings):
     eps: float = 1e-7
     max_iter: int = 50
     hessian: Literal["limited-memory", "exact"] = "exact"
-    warm: bool = True
     plugin = ""
     session = NLPSession
     choices: ClassVar[Choices] = {"hessian": ("limited-memory", "exact")}

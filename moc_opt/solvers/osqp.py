@@ -35,7 +35,7 @@ class OSQPSession(TruncatedSession):
         self._P = np.empty(n * (n + 1) // 2)
         self._A = np.ones((n, m + 1))  # the columns of [A; I]: explicit zeros stay
         self._q, self._l, self._u = np.empty(n), np.empty(m + n), np.empty(m + n)
-        self._zeros = self._last = self._before = np.zeros(n), np.zeros(m + n)  # x and all multipliers
+        self._last = self._before = np.zeros(n), np.zeros(m + n)  # x and all multipliers
         return {
             "P": np.empty((n, n)), "packed": self._P, "p": self._q, "A": self._A[:, :m].T,
             "low": self._l[:m], "high": self._u[:m], "lower": self._l[m:], "upper": self._u[m:],
@@ -49,7 +49,7 @@ class OSQPSession(TruncatedSession):
         options.eps_abs, options.eps_rel = settings.eps, settings.eps_rel
         options.max_iter, options.check_termination = settings.max_iter, settings.check_termination
         options.polishing = int(settings.polishing)
-        self._options, self._rho = options, options.rho
+        self._options = options
         P, A = upper_triangle(self._P, n), stacked(self._A, 1)
         self._core: Any = core.OSQPSolver(core.CSC(P), self._q, core.CSC(A), self._l, self._u, m + n, n, options)
 
@@ -60,9 +60,6 @@ class OSQPSession(TruncatedSession):
     def _run(self) -> Outcome:
         core = self._core
         self._before = self._last
-        if not self._settings.warm:
-            core.update_rho(self._rho)
-            core.warm_start(*self._zeros)
         core.solve()
         status = _STATUS.get(core.info.status_val, Status.NUMERICAL)
         x, y = core.solution.x, core.solution.y
@@ -94,7 +91,6 @@ class OSQP(Adapter):
         max_iter: iterations a tick.
         check_termination: iterations between two looks at the residuals.
         polishing: solve the active set's equations once more at the end.
-        warm: start from the last tick's answer.
     """
 
     rows: int = 5
@@ -104,6 +100,5 @@ class OSQP(Adapter):
     max_iter: int = 4000
     check_termination: int = 25
     polishing: bool = False
-    warm: bool = True
     name = "osqp"
     session = OSQPSession

@@ -59,7 +59,7 @@ class ProxQPSession(LibrarySession):
             core.solve()
             status = _STATUS.get(result.info.status, Status.NUMERICAL)
             iterations += result.info.iter
-        if self._settings.warm and self._warm is not (status is Status.SOLVED):
+        if self._warm is not (status is Status.SOLVED):
             self._guess(status is Status.SOLVED)
         return status, iterations, result.x.copy(), result.y
 
@@ -82,7 +82,6 @@ class ProxQP(Adapter):
         eps_primal_inf: tolerance of the proof of infeasibility (1e-4 is the library's).
         max_iter: outer iterations; max_iter_in: inner ones in each. Feasible problems take about ten
             in all; the library's 10000 and 1500 make an undecided one run for minutes.
-        warm: start from the last tick's answer where that was solved.
     """
 
     rows: int = 5
@@ -91,6 +90,5 @@ class ProxQP(Adapter):
     eps_primal_inf: float = 1e-9
     max_iter: int = 100
     max_iter_in: int = 50
-    warm: bool = True
     name = "proxqp"
     session = ProxQPSession

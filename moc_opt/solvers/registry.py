@@ -107,21 +107,13 @@ def available() -> dict[str, str | None]:
 
 
 def check_name(name: str) -> None:
-    """Check that there is a solver of that name, without importing it; `create` finds whether it can run here.
-
-    Raises:
-        UnknownNameError: with the nearest names.
-    """
+    """Raise an UnknownNameError where there is no solver of that name; `create` finds whether it can run here."""
     if not (_ours(name) or name in _plugins()):
         raise UnknownNameError("solver", name, available(), "moc-opt solvers --list")
 
 
 def defaults(name: str) -> dict[str, Any]:
-    """Return setting -> default of the named solver; those without one are left out.
-
-    Raises:
-        UnknownNameError, SolverError: as ``create``.
-    """
+    """Return setting -> default of the named solver, where there is one; raises what ``create`` raises."""
     entry = find(name)
     found = {p.name: p.default for p in entry.parameters.values() if p.default is not p.empty}
     made = entry.make.func if isinstance(entry.make, partial) else entry.make
@@ -148,11 +140,7 @@ def create(name: str, **settings: Any) -> Solver:
 
 
 def find(name: str) -> Entry:
-    """Import what makes the named solver.
-
-    Raises:
-        UnknownNameError, SolverError: as ``create``.
-    """
+    """Import what makes the named solver; raises what ``create`` raises."""
     if not isinstance(name, str):
         raise SolverError(f"solver = {shown(name)}: give the name of one, such as 'exact'")
     claimed = _plugins().get(name, [])

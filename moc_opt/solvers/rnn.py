@@ -77,8 +77,6 @@ class RNNSession:
     def solve(self, qp: NullSpaceQP) -> Solution:
         """Go on from the last tick's state."""
         s = self._settings
-        if not s.warm:
-            self._rest(qp.n)
         return self._advance(qp, s.steps, s.h, s.h, s.scale, s.method == "semi-implicit")
 
     def _advance(self, qp: NullSpaceQP, most: int, h_x: float, h_y: float, scale: float, implicit: bool) -> Solution:
@@ -121,7 +119,6 @@ class RNN(Network):
         scale: multiplies c0, c1, c2 and regularization; the multipliers are scaled back.
         method: "explicit" Euler, or "semi-implicit": the multipliers see the new x.
         eps: SOLVED is claimed where the right-hand side of the network is at most this [rad/s, m/s].
-        warm: False forgets the state before each tick.
 
     Raises:
         SolverError: a setting is out of range; from ``start`` where the steps would diverge.
@@ -133,7 +130,6 @@ class RNN(Network):
     scale: float = 100.0
     method: Literal["explicit", "semi-implicit"] = "explicit"
     eps: float = 1e-7
-    warm: bool = True
     name = "rnn"
     session = RNNSession
     choices: ClassVar[Choices] = {"method": ("explicit", "semi-implicit")}

@@ -176,7 +176,7 @@ def of(name: str) -> dict[str, tuple[dict[str, Any], str]]:
 def effective(setting: SolverSetting) -> dict[str, Any]:
     """Return all options the solver gets: our adapter's defaults with its options over them."""
     found = {**defaults(setting.solver), **setting.options}
-    for name in ("kinematics", "period", "warm"):
+    for name in ("kinematics", "period"):
         found.pop(name, None)
     if setting.solver.startswith(QPSOLVERS):
         advice = create(setting.solver, **setting.options).advice  # type: ignore[attr-defined]

@@ -82,7 +82,7 @@ def test_wrong_names_and_settings_come_with_the_cure(name, given, error, cure):
     ("qpsolvers:daqp", "rows", 4), ("qpsolvers:daqp", "cost_scale", 0.0), ("qpsolvers:daqp", "options", 3),
     ("qpsolvers:daqp", "advised", "no"), ("rnn", "steps", 0), ("rnn", "steps", 2.5), ("rnn", "h", 1.5),
     ("rnn", "k", 0.0), ("rnn", "scale", float("nan")), ("rnn", "scale", float("inf")), ("rnn", "method", "implicit"),
-    ("rnn", "warm", 1), ("rnn-printed", "h", 1.5), ("nlp-sqp", "kinematics", None), ("nlp-sqp", "period", 0.0),
+    ("rnn-printed", "h", 1.5), ("nlp-sqp", "kinematics", None), ("nlp-sqp", "period", 0.0),
     ("nlp-sqp", "hessian", "bfgs"), ("nlp-ipopt", "max_iter", 0),
 ])  # fmt: skip
 def test_bad_settings_are_named(name, field, value):
