@@ -171,16 +171,6 @@ def _unwritable(target: Path, what: str, error: Wrong, reason: Exception) -> Moc
     )
 
 
-def file_in(folder: Path, name: str) -> Path:
-    """Return a free name in a folder, which is made: ``name``, or with a number before it."""
-    folder.mkdir(parents=True, exist_ok=True)
-    free, number = folder / name, 0
-    while free.exists() or free.is_symlink():
-        number += 1
-        free = folder / f"{number}-{name}"
-    return free
-
-
 def plain(value: Any) -> Any:
     """Return the same with nothing but JSON's own types; numpy's numbers as numbers, NaN and infinity as None."""
     if isinstance(value, Mapping):

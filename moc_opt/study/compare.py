@@ -233,8 +233,6 @@ def compare(
     for argument, value, least in (("trials", trials, 1), ("seed", seed, 0)):
         if isinstance(value, bool) or not isinstance(value, int) or not least <= value <= LARGEST_INTEGER:
             raise ScenarioError(f"{argument} = {shown(value)}: give an integer of {least} or more")
-    if seed + trials - 1 > LARGEST_INTEGER:
-        raise ScenarioError(f"seed = {seed}, trials = {trials}: the last trial's seed is beyond {LARGEST_INTEGER}")
     if base.control.law != "moc":
         raise ScenarioError("[control] law = 'dcac' asks no solver: take law = 'moc', DCAC is compared anyhow")
     chosen, rows, done = _named(solvers, base), list[Row](), 0
@@ -289,9 +287,7 @@ def _settings(base: Scenario, solver: str | Solver) -> Mapping[str, Any]:
 
 def _named(solvers: Solvers, base: Scenario) -> dict[str, str | Solver]:
     """Return name -> solver, the baseline first; every name is made once, so that a wrong one is found now."""
-    if isinstance(solvers, str):
-        raise SolverError(f"solvers = {solvers!r} is one text: give a list, [{solvers!r}]")
-    if not isinstance(solvers, Mapping | Sequence):
+    if isinstance(solvers, str) or not isinstance(solvers, Mapping | Sequence):
         raise SolverError(f"solvers = {shown(solvers)}: give a list of names or solvers, such as ['exact', 'osqp']")
     if isinstance(solvers, Mapping):
         pairs = list(solvers.items())

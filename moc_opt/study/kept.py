@@ -10,7 +10,6 @@ import dataclasses
 import hashlib
 import importlib.metadata
 import pickle
-import shutil
 import sqlite3
 import sys
 import sysconfig
@@ -26,7 +25,7 @@ from pydantic import BaseModel
 
 from moc_opt import core
 from moc_opt.errors import StudyError
-from moc_opt.inputs.files import file_in, to_json
+from moc_opt.inputs.files import to_json
 
 PACKAGES = (
     "moc-opt", "numpy", "scipy", "pin", "mujoco", "casadi", "osqp", "proxsuite", "qpsolvers", "daqp", "piqp",
@@ -48,7 +47,11 @@ class Kept:
 
     def __init__(self, folder: Path) -> None:
         self.folder, self.reused = folder, 0
-        self._cache: Any = self._opened()
+        try:
+            self._cache: Any = diskcache.Cache(folder, eviction_policy="none")
+        except (OSError, sqlite3.Error) as error:
+            cure = "remove it, or give another --out"
+            raise StudyError(f"{folder} cannot keep finished jobs ({error}): {cure}") from error
 
     def get(self, key: str) -> tuple[Any] | None:
         """Return (result,), or None where there is none or the code has changed since."""
@@ -71,20 +74,6 @@ class Kept:
                 f"{self.folder}: a finished job cannot be kept ({error}); see to the space and the permissions and "
                 "start the same command again: what was finished before is safe there"
             ) from error
-
-    def _opened(self) -> diskcache.Cache:
-        try:
-            try:
-                return diskcache.Cache(self.folder, eviction_policy="none")
-            except sqlite3.DatabaseError as error:
-                if isinstance(error, sqlite3.OperationalError):
-                    raise
-                aside = file_in(self.folder.parent / "damaged", self.folder.name)
-                shutil.move(self.folder, aside)
-                print(f"{self.folder} is damaged ({error}); set aside as {aside}", file=sys.stderr)
-                return diskcache.Cache(self.folder, eviction_policy="none")
-        except (OSError, sqlite3.Error) as error:
-            raise StudyError(f"{self.folder} cannot keep finished jobs ({error}); give another --out") from error
 
 
 def key_of(work: Callable[..., Any], arguments: Iterable[Any]) -> str:

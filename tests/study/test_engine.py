@@ -149,17 +149,13 @@ def _finished(folder: Path) -> int:
     return len(Kept(folder / "jobs")._cache) if (folder / "jobs").exists() else 0
 
 
-def test_a_damaged_folder_is_set_aside_and_its_jobs_are_done_again(tmp_path, capfd):
-    jobs = [Job(work.square, (2.0,))]
-    run(jobs, kept=Kept(tmp_path / "jobs"), workers=1)
-    with pytest.raises(StudyError, match=r"cache\.db"):
-        Kept(tmp_path / "jobs" / "cache.db")
+def test_a_folder_that_is_damaged_or_none_is_refused_with_the_cure(tmp_path):
+    (tmp_path / "file").write_text("")
+    (tmp_path / "jobs").mkdir()
     (tmp_path / "jobs" / "cache.db").write_bytes(b"not a database" * 1000)
-    for extra in (tmp_path / "jobs").glob("cache.db-*"):
-        extra.unlink()
-    assert run(jobs, kept=Kept(tmp_path / "jobs"), workers=1) == [4.0]
-    assert "set aside" in capfd.readouterr().err
-    assert (tmp_path / "damaged").is_dir()
+    for name in ("jobs", "file"):
+        with pytest.raises(StudyError, match=f"{name} cannot keep finished jobs .*remove it"):
+            Kept(tmp_path / name)
 
 
 def test_the_same_jobs_on_a_cluster(monkeypatch, tmp_path):
