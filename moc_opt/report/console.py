@@ -88,9 +88,9 @@ def progress(description: str, total: float | None = None, *, on: Console | None
         yield bar
 
 
-def print_json(values: Mapping[str, Any], file: IO[str] | None = None) -> None:
+def print_json(values: Mapping[str, Any]) -> None:
     """Write one JSON document; numpy's numbers as numbers, NaN and infinity as null."""
-    (file or sys.stdout).write(to_json(values) + "\n")
+    print(to_json(values))
 
 
 def busy() -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -72,38 +72,22 @@ _TEMPLATES.filters.update(inline=inline, inert=inert, in_words=in_words, anchor=
 def check_out(path: str | os.PathLike[str], what: str, *, force: bool = False) -> Path:
     """Check before any work that a file can be written there, and return its path.
 
-    Args:
-        path: of the file.
-        what: kind of file, for messages.
-        force: a file that is no page of moc_opt may be replaced, too.
-
     Raises:
-        ReportError: it cannot, or such a file is there.
+        ReportError: it cannot, or a file that is no page of moc_opt is there, which only ``force`` replaces.
     """
     file = Path(path)
     check_replaceable(file, what, ReportError)
-    if os.path.isfile(file) and not force and not _is_ours(file):
+    if os.path.isfile(file) and not force:
+        with suppress(OSError), file.open("rb") as content:
+            if GENERATOR in content.read(2000):
+                return file
         cure = "give another name, or --force"
         raise ReportError(f"{file}: this {what} would replace a file that is no page of moc_opt: {cure}")
     return file
 
 
-def _is_ours(file: Path) -> bool:
-    try:
-        with file.open("rb") as content:
-            return GENERATOR in content.read(2000)
-    except OSError:
-        return False
-
-
-def save_document(
-    path: str | os.PathLike[str], text: str, what: str, cure: Callable[[], str], *, force: bool = False
-) -> Path:
+def save_document(path: str | os.PathLike[str], text: str, what: str, *, force: bool = False) -> Path:
     """Write a page, all or nothing: an older one of that name stays until the new one is there.
-
-    Args:
-        path, what, force: as `check_out`; the folder is made.
-        text: of the page; `cure` is called for the advice if it is too large.
 
     Raises:
         ReportError: it would be larger than MAX_BYTES, would replace another's file, or cannot be written.
@@ -111,5 +95,5 @@ def save_document(
     file, content = check_out(path, what, force=force), text.encode()
     if len(content) > MAX_BYTES:
         sizes = f"{len(content) / 1e6:.1f} MB, more than {MAX_BYTES / 1e6:.0f}"
-        raise ReportError(f"{file}: the {what} has {sizes}: {cure()}")
+        raise ReportError(f"{file}: the {what} has {sizes}: show fewer runs, or parts of them (`trace.between`)")
     return write_whole(file, content, what, ReportError)

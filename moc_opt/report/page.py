@@ -82,12 +82,9 @@ class Page:
         self._add(draw(table, self._tables))
 
     def figure(self, figure: go.Figure, caption: str, *, name: str = "") -> None:
-        """Append a numbered figure.
+        """Append a numbered figure, whose caption names the point to notice.
 
-        Args:
-            figure: of `moc_opt.figures`, or any plotly figure.
-            caption: the content of the figure, and the point to notice.
-            name: of its file, where the figures are saved too; from the caption's first words if empty.
+        ``name`` is that of its file, where the figures are saved too; from the caption's first words if empty.
         """
         name = _unlike(name or " ".join(caption.split()[:5]), self._figures)
         self._figures[name] = figure
@@ -109,7 +106,7 @@ class Page:
 
     def html(self) -> str:
         """Return the whole file as text."""
-        data = {f"{name}-data": _plain_json(figure) for name, figure in self._figures.items()}
+        data = {f"{name}-data": str(figure.to_json()) for name, figure in self._figures.items()}
         if self._figures:
             data |= {"dark-colors": to_json(DARK, indent=None), "plotly-packed": _packed_plotly()}
         contents = [] if self._folding else [section for section in self._sections if section.title]
@@ -120,12 +117,7 @@ class Page:
 
     def save(self, path: str | os.PathLike[str], *, force: bool = False) -> Path:
         """Write the file as `save_document` does; `force` replaces a file that is no page of moc_opt, too."""
-        return save_document(path, self.html(), "page", self._thinner, force=force)
-
-    def _thinner(self) -> str:
-        sizes = {name: len(_plain_json(figure)) for name, figure in self._figures.items()}
-        largest = sorted(sizes, key=lambda name: -sizes[name])[:3]
-        return f"thin out its largest figures: {', '.join(f'{name} ({sizes[name] / 1e6:.1f} MB)' for name in largest)}"
+        return save_document(path, self.html(), "page", force=force)
 
 
 def _unlike(text: str, taken: Iterable[str]) -> str:
@@ -136,11 +128,6 @@ def _unlike(text: str, taken: Iterable[str]) -> str:
         count += 1
         name = f"{words}-{count}"
     return name
-
-
-def _plain_json(figure: go.Figure) -> str:
-    text: str = figure.to_json()
-    return text
 
 
 @cache

@@ -90,8 +90,7 @@ class Replay:
 
     def save(self, path: str | os.PathLike[str], *, force: bool = False) -> Path:
         """Write the file, as `save_document` does."""
-        cure = "show fewer runs, or a part of them (`trace.select`)"
-        return save_document(path, self.html(), "replay", lambda: cure, force=force)
+        return save_document(path, self.html(), "replay", force=force)
 
 
 # --- saved runs, and their arm ---

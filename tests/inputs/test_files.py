@@ -129,7 +129,7 @@ def writers():
     return {
         "bytes": lambda path: write_whole(path, b"new"),
         "trace": mo.Trace({"t_s": [0.0, 0.1]}, {"ended": "completed"}).save, "scenario": Scenario().save,
-        "table of runs": table.save_rows, "page": lambda path: save_document(path, "text", "page", str, force=True),
+        "table of runs": table.save_rows, "page": lambda path: save_document(path, "text", "page", force=True),
     }  # fmt: skip
 
 

@@ -204,6 +204,6 @@ def test_the_other_results_replace_nothing_without_force(tmp_path, capsys):
         assert "--force" in capsys.readouterr().err
     assert pl.read_parquet(tmp_path / "own.parquet").columns == ["own"]
     with pytest.raises(ReportError, match="--force"):
-        save_document(out, "page", "page", str)
+        save_document(out, "page", "page")
     assert out.read_text() == "mine"
-    assert save_document(out, "page", "page", str, force=True).read_text() == "page"
+    assert save_document(out, "page", "page", force=True).read_text() == "page"

@@ -127,9 +127,8 @@ def test_a_terminal_shows_a_bar_and_what_is_done() -> None:
     assert "first\x1b[31m" not in file.getvalue()
 
 
-def test_json_has_no_nan() -> None:
-    file = io.StringIO()
+def test_json_has_no_nan(capsys: pytest.CaptureFixture[str]) -> None:
     values = {"a": np.float64(1.5), "b": [np.nan, math.inf], "c": {"d": np.arange(2)}, "e": True, "f": None, "g": "x"}
-    print_json(values, file)
-    read = json.loads(file.getvalue(), parse_constant=lambda name: pytest.fail(name))
+    print_json(values)
+    read = json.loads(capsys.readouterr().out, parse_constant=lambda name: pytest.fail(name))
     assert read == {"a": 1.5, "b": [None, None], "c": {"d": [0, 1]}, "e": True, "f": None, "g": "x"}
