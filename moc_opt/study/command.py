@@ -155,7 +155,6 @@ def command(
     parser.add_argument("--seed", type=int, help="replaces the configuration's seed")
     parser.add_argument("--quick", action="store_true", help="the same on less data")
     parser.add_argument("--json", action="store_true", help="print summary.json instead of the answer")
-    parser.add_argument("--figures", action="store_true", help="every figure also as SVG and PDF")
     parser.add_argument("--dask", metavar="ADDRESS", help="let the workers of this Dask scheduler do what is not timed")
     options(parser)
     given = parser.parse_args(arguments)
@@ -204,13 +203,8 @@ def leave(found: Found, study: Study, config: StudyConfig, argv: Sequence[str], 
     for name, value in (("environment", surroundings), ("summary", with_doubts(found.summary))):
         write_whole(out / f"{name}.json", to_json(value, sort_keys=True) + "\n", "file of results", StudyError)
     found.rows.write(out / "rows.parquet")
-    page = found.report.page(surroundings, found.rows.failed())
-    page.save(out / "report.html")
+    found.report.page(surroundings, found.rows.failed()).save(out / "report.html")
     write_whole(out / "report.md", found.report.markdown(), "report", StudyError)
-    if study.given.figures:
-        from moc_opt.report.export import save_figures
-
-        save_figures(page.figures, out / "figures")
     if study.given.json:
         print((out / "summary.json").read_text(encoding="utf-8"), end="")
         return

@@ -16,7 +16,6 @@ import pytest
 from moc_opt.errors import ScenarioError, SolverError, UnknownNameError
 from moc_opt.figures.notation import Doubtful
 from moc_opt.figures.style import figure
-from moc_opt.report import export
 from moc_opt.report.tables import Column, Table
 from moc_opt.scenario import Scenario
 from moc_opt.study import Job, command
@@ -58,11 +57,9 @@ def asked(tmp_path: Path) -> tuple[Path, Path]:
     return tmp_path / "tiny.toml", tmp_path / "new" / "out"
 
 
-def test_a_study_leaves_its_files_and_prints_its_answer(asked, capsys, monkeypatch):
-    drawn = []
-    monkeypatch.setattr(export, "save_figures", lambda figures, folder: drawn.append((list(figures), folder)))
+def test_a_study_leaves_its_files_and_prints_its_answer(asked, capsys):
     config, out = asked
-    assert call(squares, config, "--out", out, "--figures") == 3, "the status of the findings"
+    assert call(squares, config, "--out", out) == 3, "the status of the findings"
     said = capsys.readouterr().out
     assert all(words in said for words in ("The sum is [14].", "Squares", "One more sentence.", "more.txt"))
     summary = json.loads((out / "summary.json").read_text())
@@ -71,14 +68,13 @@ def test_a_study_leaves_its_files_and_prints_its_answer(asked, capsys, monkeypat
     assert [row["x"] for row in rows] == [0.0, 1.0, 4.0, 9.0, None]
     made = json.loads((out / "environment.json").read_text())
     assert (made["seed"], made["note"], made["config"]["count"], made["jobs_of_an_earlier_run"]) == (5, 1, 4, 0)
-    assert made["arguments"] == [str(config), "--out", str(out), "--figures"]
+    assert made["arguments"] == [str(config), "--out", str(out)]
     assert made["machine"]["cores"] == os.cpu_count()
     assert made["versions"]["numpy"] == np.__version__
     html = (out / "report.html").read_text()
     assert "The sum is [14]." in html
     assert rows[-1]["error"].partition("'")[0] in html
     assert (out / "report.md").read_text().startswith("# Sums\n\nThe sum is [14].\n")
-    assert drawn == [(["seen"], out / "figures")]
     assert call(squares, config, "--out", out, "--json") == 3
     assert capsys.readouterr().out == (out / "summary.json").read_text()
     assert json.loads((out / "environment.json").read_text())["jobs_of_an_earlier_run"] == 4, "all but the failed one"
