@@ -25,7 +25,8 @@ HOME = Path(__file__).parents[2]
 
 def test_whatever_a_job_does_is_its_own_row(tmp_path):
     jobs = [
-        Job(work.square, (3.0,)), Job(work.hang, limit_s=0.5), Job(work.die), Job(work.leave), Job(work.refuse),
+        Job(work.square, (3.0,)), Job(time.sleep, (60.0,), limit_s=0.5), Job(work.die), Job(work.leave),
+        Job(work.refuse),
         Job(work.press_ctrl_c), Job(work.fork_and_hang, (str(tmp_path / "child"),), limit_s=3.0),
         Job(work.eat_memory), Job(lambda: None), Job(work.refuse_name), Job(work.odd_result), Job(work.square, (4.0,)),
     ]  # fmt: skip
@@ -56,7 +57,7 @@ def test_processes_that_die_at_once_or_leave_without_an_error_are_rows(workers):
 
 
 def test_what_hung_once_is_not_begun_again():
-    jobs = [Job(work.hang, limit_s=0.3, group="slow") for _ in range(6)] + [Job(work.square, (2.0,))]
+    jobs = [Job(time.sleep, (60.0,), limit_s=0.3, group="slow") for _ in range(6)] + [Job(work.square, (2.0,))]
     found = run(jobs, workers=1)
     kinds = [result.kind for result in found[:-1]]
     assert kinds[0] == "hung"
@@ -72,7 +73,7 @@ def test_a_job_may_limit_its_own_steps():
 
 
 def test_jobs_whose_times_count_run_alone_and_in_one_process():
-    found = run([Job(work.pid, alone=True) for _ in range(4)] + [Job(work.pid)], workers=2)
+    found = run([Job(os.getpid, alone=True) for _ in range(4)] + [Job(os.getpid)], workers=2)
     assert len(set(found[:4])) == 1
     assert found[4] != found[0]
 

@@ -23,10 +23,6 @@ def square(x: float, log: str = "") -> float:
     return x * x
 
 
-def hang(seconds: float = 60.0) -> None:
-    time.sleep(seconds)
-
-
 def die(number: int = signal.SIGSEGV, after_s: float = 0.3) -> None:
     time.sleep(after_s)  # the pool knows then who had the job, and how it ended
     os.kill(os.getpid(), number)
@@ -57,10 +53,6 @@ def eat_memory() -> int:
 
 def arrays(k: int) -> dict[str, Any]:
     return {"k": k, "column": np.arange(float(k))}
-
-
-def pid() -> int:
-    return os.getpid()
 
 
 def slow_square(x: float) -> float:
