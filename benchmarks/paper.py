@@ -35,7 +35,6 @@ from moc_opt.study.results import ERRORS, FRAMES, TITLES, Results, change_name
 from moc_opt.study.show import Goal, Picture, Report, Section, columns, ends, goals_sentence, judge
 from moc_opt.study.statistics import Change, Interval, difference_of_changes, spread, too_few
 from moc_opt.study.trials import BASELINE, BASELINES, DAMPED, OWN, PHASES, Trial, seeds, trials, with_phases
-from moc_opt.vision.augmented_reality import pose_accuracy
 from moc_opt.vision.board import board_task
 
 STREAM = 0
@@ -175,7 +174,7 @@ class Config(StudyConfig):
         cases = dict(islice(self.ablation.cases.items(), 2))
         return self.model_copy(update={
             "tasks": self.tasks[:1], "trials": 2, "swivel": self.swivel.model_copy(update={"starts": 3}),
-            "procedure": self.procedure.model_copy(update={"poses": 20, "film": False}),
+            "procedure": self.procedure.model_copy(update={"film": False}),
             "ablation": self.ablation.model_copy(update={"cases": cases}),
         })  # fmt: skip
 
@@ -220,9 +219,6 @@ def work(study: Study, config: Config) -> Found:
         task: {"ended": "failed", "error": str(row)} if isinstance(row, Failed) else row
         for task, row in zip(config.tasks, study.run(jobs, "procedure"), strict=True)
     }
-    accuracy = pose_accuracy(
-        config.procedure.camera, config.procedure.board, poses=config.procedure.poses, seed=config.seed
-    )
     summary: dict[str, Any] = {
         "groups": {group: group_figures(rows.where(part="trials", group=group)) for group in config.groups},
         "claims": [
@@ -234,7 +230,6 @@ def work(study: Study, config: Config) -> Found:
         "ablation": ablation(rows.where(part="ablation"), config.ablation.cases),
         "swivel": swivel(rows.where(part="swivel"), config.best_solver),
         "procedure": procedure,
-        "board_pictures": dict(accuracy),
     }  # fmt: skip
     rows.add(*({"part": "procedure", "task": task, **row} for task, row in procedure.items()))
     files = ["film.webm"] if film and film.exists() else []
@@ -481,8 +476,6 @@ def _sections(summary: Mapping[str, Any], config: Config) -> Iterable[Section]:
                   "task is done under MOC.", [
         Table("One procedure a task", [Column("task", "task"), *columns(*keys)],
               [{"task": task, **row} for task, row in summary["procedure"].items()]),
-        Table("Single pictures of the board against the truth", columns(*summary["board_pictures"]),
-              [summary["board_pictures"]]),
     ])  # fmt: skip
 
 

@@ -48,7 +48,6 @@ class ProcedureSettings(Settings):
     camera: CameraSettings = CameraSettings()
     board: Board = Board()
     tracker: TrackerSettings = TrackerSettings()
-    poses: int = Field(100, ge=1, description="at which single pictures are judged")
     film: bool = Field(True, description="save what the surgeon sees during the first task")
 
 

@@ -59,8 +59,7 @@ class ProxQPSession(LibrarySession):
             core.solve()
             status = _STATUS.get(result.info.status, Status.NUMERICAL)
             iterations += result.info.iter
-        if self._warm is not (status is Status.SOLVED):
-            self._guess(status is Status.SOLVED)
+        self._guess(status is Status.SOLVED)
         return status, iterations, result.x.copy(), result.y
 
     def _guess(self, warm: bool) -> None:

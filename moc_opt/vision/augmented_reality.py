@@ -17,11 +17,10 @@ from moc_opt.errors import PlantError, TaskError
 from moc_opt.robots.model import RobotModel
 from moc_opt.tasks import Path
 from moc_opt.trace.trace import Trace
-from moc_opt.vision.board import Board, BoardTask, Pose, rotation_from
+from moc_opt.vision.board import Board, BoardTask, Pose
 from moc_opt.vision.camera import Camera, CameraSettings, Picture, View, hide
 from moc_opt.vision.tracking import BoardFinder, BoardTracker, Tracked, TrackerSettings
 
-FACING = np.diag([1.0, -1.0, -1.0])  # turns a board towards a camera that looks along z
 _SEARCH_S, _LOOK_S = 2.0, 1.0
 _ON_PATH_M = 0.001
 TASK, DONE, TIP, TROCAR, TEXT = (80, 220, 60), (200, 140, 20), (0, 215, 255), (255, 120, 240), (255, 255, 255)
@@ -128,38 +127,6 @@ class Augmented:
         if sighting is not None:
             sighting = replace(sighting, pose=self.believed.camera_in_base @ sighting.pose)
         return self._tracker.update(t, sighting)
-
-
-def pose_accuracy(
-    camera: CameraSettings | None = None, board: Board | None = None, *, poses: int = 100, seed: int = 0
-) -> dict[str, float]:
-    """Measure single pictures: the board found at random poses before the camera, against the truth.
-
-    The board is 0.12 to 0.20 m away, up to 35 degrees from facing the camera and turned by up to 45,
-    1 cm out of the middle at most. Calibration plays no part. ``seen`` is a share of the pictures.
-    """
-    sheet = board or Board()
-    eye = Camera(camera or CameraSettings(), Pose(FACING, (0.6, 0.0, 0.4)))
-    view, finder = View(eye, sheet, seed=seed), BoardFinder(sheet, eye)
-    rng = np.random.default_rng(seed)
-    found: list[tuple[float, float, float, float]] = []
-    for k in range(poses):
-        spin = rotation_from((0.0, 0.0, rng.uniform(-0.25, 0.25) * np.pi))
-        angle, tilt = rng.uniform(0.0, 2.0 * np.pi), np.radians(rng.uniform(0.0, 35.0))
-        lean = rotation_from(tilt * np.array([np.cos(angle), np.sin(angle), 0.0]))
-        truth = Pose(lean @ FACING @ spin, (*rng.uniform(-0.01, 0.01, 2), rng.uniform(0.12, 0.20)))
-        hidden = hide(sheet.ids, sheet.hidden_fraction, seed + k)
-        sighting = finder.find(view.picture(eye.camera_in_base @ truth, hidden))
-        if sighting is not None:
-            found.append((*sighting.pose.distance(truth), sighting.error_px, sighting.markers))
-    way, turn, fit, markers = np.array(found or [(np.nan,) * 4]).T
-    way, turn = 1e3 * way, np.degrees(turn)
-    figures = {
-        "seen": len(found) / poses, "position_median_mm": np.median(way), "position_p95_mm": np.percentile(way, 95),
-        "angle_median_deg": np.median(turn), "angle_p95_deg": np.percentile(turn, 95),
-        "fit_median_px": np.median(fit), "markers_mean": markers.mean(),
-    }  # fmt: skip
-    return {name: float(value) for name, value in figures.items()}
 
 
 def draw(
