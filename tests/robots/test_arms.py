@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 
 from moc_opt.planning.self_motion import freedoms, self_motion
 from moc_opt.robots import urdf
-from moc_opt.robots.gains import largest_rate
 from moc_opt.robots.model import RobotModel, load_robot
 from moc_opt.sim.mjcf import check_engines
 
@@ -132,17 +131,3 @@ def test_the_home_pose_is_fit_to_begin_with(arm: RobotModel) -> None:
     assert state.tool_direction[2] < -0.8  # the tool points down
     assert state.tip[2] > 0.05
     assert 0.7 < state.mu / self_motion(arm, q).mu_best < 0.9  # there is something to gain
-
-
-def test_gains_stay_far_from_the_stability_limit(arm: RobotModel) -> None:
-    """The rates of tip, wrist and null space, with a period of 2 ms, against three ticks of delay."""
-    limit, gains = largest_rate(0.002, 3), arm.data.gains["default"]
-    K = np.diag(gains["K_N2"]) + np.diag(gains["D_N2"])
-    for q in [arm.data.q_home, *poses(arm)]:
-        state = arm.state(q)
-        yields = np.linalg.solve(state.M, state.A.T)
-        assert gains["D_X"] * np.linalg.eigvalsh(state.J_tip @ yields[:, :3])[-1] < 0.85 * limit
-        assert gains["D_N"] * np.linalg.eigvalsh(state.J_wrist @ yields[:, 3:])[-1] < 0.5 * limit
-        Z = np.linalg.svd(state.A)[2][5:]
-        rates = np.linalg.eigvals(np.linalg.solve(Z @ state.M @ Z.T, Z @ K @ Z.T)).real
-        assert rates.max() < 0.6 * limit

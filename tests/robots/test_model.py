@@ -66,37 +66,26 @@ def differences(function: Any, q: Array) -> Array:
     return np.stack(columns, axis=-1)
 
 
-def test_tip_and_wrist_and_their_derivatives_are_pinocchios(arm: RobotModel) -> None:
+def test_places_and_their_derivatives_are_pinocchios(arm: RobotModel) -> None:
     model, data = reference(arm)
+    world = pin.LOCAL_WORLD_ALIGNED
     for q, v, s in samples(arm):
         pin.forwardKinematics(model, data, q, v, np.zeros(arm.n))
         pin.computeJointJacobians(model, data, q)
         pin.updateFramePlacements(model, data)
-        tip, wrist = ("tip", s.tip, s.J_tip, s.drift_tip), ("wrist", s.wrist, s.J_wrist, s.drift_wrist)
-        for name, point, jacobian, drift in (tip, wrist):
+        for name, point, jacobian, drift in (
+            ("tip", s.tip, s.J_tip, s.drift_tip), ("wrist", s.wrist, s.J_wrist, s.drift_wrist),
+        ):  # fmt: skip
             k = model.getFrameId(name, pin.FrameType.BODY)
             np.testing.assert_allclose(point, data.oMf[k].translation, atol=1e-13)
-            world = pin.LOCAL_WORLD_ALIGNED
             np.testing.assert_allclose(jacobian, pin.getFrameJacobian(model, data, k, world)[:3], atol=1e-13)
             acceleration = pin.getFrameClassicalAcceleration(model, data, k, world).linear
             np.testing.assert_allclose(drift, acceleration, atol=1e-11)
-
-
-def test_the_tools_pose_is_pinocchios_frame_and_leaves_the_state_alone(arm: RobotModel) -> None:
-    rng = np.random.default_rng(3)
-    model, data = reference(arm)
-    for _ in range(5):
-        q = rng.uniform(arm.q_min, arm.q_max)
-        state = arm.state(q)
-        assert np.linalg.norm(arm.tool_pose(rng.uniform(arm.q_min, arm.q_max))[3] - state.tip) > 1e-3
-        np.testing.assert_allclose(arm.tool_along(q[None]), [[state.tip], [state.wrist]], rtol=0, atol=1e-14)
-        pose = arm.tool_pose(q)
-        pin.framesForwardKinematics(model, data, q)
-        frame = data.oMf[model.getFrameId("tool", pin.FrameType.BODY)]
-        np.testing.assert_allclose(pose, [*frame.rotation.T, state.tip], atol=1e-12)
-        np.testing.assert_allclose(pose[2], state.tool_direction, atol=1e-12)
-        mount = frame.translation  # where the wrench is measured
-        np.testing.assert_allclose(mount + arm.data.tool_length * pose[2], state.tip, atol=1e-12)
+        frame, pose = data.oMf[model.getFrameId("tool", pin.FrameType.BODY)], arm.tool_pose(q)
+        np.testing.assert_allclose(arm.tool_along(q[None]), [[s.tip], [s.wrist]], rtol=0, atol=1e-14)
+        np.testing.assert_allclose(pose, [*frame.rotation.T, s.tip], atol=1e-12)
+        np.testing.assert_allclose(pose[2], s.tool_direction, atol=1e-12)
+        np.testing.assert_allclose(frame.translation + arm.data.tool_length * pose[2], s.tip, atol=1e-12)
 
 
 def test_both_manipulabilities_and_their_gradients_against_finite_differences(arm: RobotModel) -> None:
@@ -164,14 +153,6 @@ def test_tip_and_wrist_are_rigidly_tied(arm: RobotModel) -> None:
         np.testing.assert_allclose(s.tool_direction @ (s.J_tip - s.J_wrist), 0, atol=1e-14)
         np.testing.assert_allclose(s.wrist + s.tool_span * s.tool_direction, s.tip, atol=1e-15)
         assert np.linalg.matrix_rank(s.A, tol=1e-9) == 5
-
-
-def test_a_heavier_tool_adds_its_weight(robot: RobotModel) -> None:
-    q = robot.data.q_home
-    heavy = load_robot(tool_mass=1.3)
-    s = robot.state(q)
-    middle = s.J_wrist + (s.J_tip - s.J_wrist) * (0.078 + 0.15) / 0.378
-    np.testing.assert_allclose(heavy.gravity(q) - robot.gravity(q), middle.T @ [0, 0, 9.81], atol=1e-12)
 
 
 def test_states_share_no_memory_and_cannot_be_changed(robot: RobotModel) -> None:
