@@ -19,7 +19,7 @@ def add_commands(commands: Any) -> None:
     kinds = robot.add_subparsers(dest="robot_command", required=True)
     new = kinds.add_parser("new", help="write a robot file (TOML, and a URDF beside it) from any vendor's URDF")
     new.add_argument("source", type=Path, metavar="ARM.urdf")
-    new.add_argument("--tip", metavar="LINK", help="the link that carries the tool")
+    new.add_argument("--tip", metavar="LINK", help="the link that carries the tool; else that of the last joint")
     new.add_argument("--tool", type=float, default=0.30, metavar="M", help="length of the tool [m]")
     new.add_argument(
         "--wrist", type=float, metavar="M", help="from wrist point to mount along the shaft [m]; else found"
