@@ -70,9 +70,7 @@ def new_robot(
     Raises:
         RobotError: a file that cannot be such an arm; no freedom is left; or a file is there already.
     """
-    if out.suffix.lower() != ".toml":
-        raise RobotError(f"--out {str(out)!r}: give a name that ends in .toml")
-    if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]{0,99}", out.stem):
+    if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]{0,99}\.toml", out.name):
         raise RobotError(f"--out {out.name!r}: the robot is called like it: give letters, digits, _ and -, then .toml")
     for option, value, least, most in (
         ("tool", tool_m, 1e-3, 10.0), ("wrist", wrist_m or 0.0, 0.0, 10.0), ("seed", seed, 0, 2**63),

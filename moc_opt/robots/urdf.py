@@ -167,11 +167,7 @@ def _link(element: ET.Element) -> Link:
 def _joint(element: ET.Element) -> Joint:
     name = element.get("name", "")
     where = f"joint {name!r:.80}"
-    ends = {}
-    for which in ("parent", "child"):
-        ends[which] = getattr(element.find(which), "attrib", {}).get("link", "")
-        if not ends[which]:
-            raise RobotError(f"urdf {where} has no <{which} link=...>: add it")
+    ends = {which: getattr(element.find(which), "attrib", {}).get("link", "") for which in ("parent", "child")}
     origin, axis, limit = (_one(element, tag, where) for tag in ("origin", "axis", "limit"))
     joint = Joint(name, element.get("type", ""), **ends, mimics=element.find("mimic") is not None)
     joint.xyz, joint.rpy = _place(origin, where)
@@ -266,12 +262,12 @@ def _check_joint(joint: Joint) -> None:
 def inertia_fault(moments: Iterable[float]) -> str | None:
     """Say why no body has this inertia `MOMENTS` [kg m^2] about its centre of mass; None if one may."""
     least, middle, most = principal(moments)
-    shown = f"principal moments {least:.4g}, {middle:.4g}, {most:.4g} kg m^2"
-    if least < max(SMALLEST_MOMENT, _THIN * most):
-        return f"it is not positive definite ({shown}; {SMALLEST_MOMENT:g}, or {_THIN:g} of the largest, is the least)"
-    if least + middle < most * (1.0 - _TRIANGLE):
-        return f"the largest of its {shown} is more than the other two together (triangle inequality)"
-    return None
+    if least >= max(SMALLEST_MOMENT, _THIN * most) and least + middle >= most * (1.0 - _TRIANGLE):
+        return None
+    return (
+        f"of its principal moments {least:.4g}, {middle:.4g}, {most:.4g} kg m^2 each must be positive, "
+        f"{SMALLEST_MOMENT:g} and {_THIN:g} of the largest at least, and none more than the other two together"
+    )
 
 
 def principal(moments: Iterable[float]) -> list[float]:
@@ -300,7 +296,7 @@ class Tree:
         for joint in arm.joints:
             for link in (joint.parent, joint.child):
                 if link not in self.links:
-                    raise RobotError(f"urdf joint {joint.name!r} names link {link!r:.80}: no such link; add it")
+                    raise RobotError(f"urdf joint {joint.name!r} names link {link!r:.80}: there is none, add it")
             if joint.child in self.carrier:
                 other = self.carrier[joint.child].name
                 raise RobotError(f"urdf joints {other!r} and {joint.name!r} both carry link {joint.child!r}: leave one")

@@ -74,7 +74,6 @@ def test_the_verdict_is_that_of_the_principal_moments_in_any_axes(moments, seed)
     for sign, wrong in ((1.0, a + b < c), (-1.0, True)):
         fault = inertia_fault(in_order(Q @ np.diag([a, b, sign * c]) @ Q.T))
         assert (fault is not None) == wrong
-        assert sign > 0.0 or "not positive definite" in fault
 
 
 def test_only_what_was_read_is_written():
