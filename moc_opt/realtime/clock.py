@@ -46,17 +46,15 @@ def ask_for_realtime() -> dict[str, str]:
     """Ask for a real-time priority, for memory that is never paged out, and for exact timers; say what was granted."""
     if not sys.platform.startswith("linux"):
         return {"scheduling": "as other processes (no such system call)"}
-    found = {"scheduling": f"SCHED_FIFO {PRIORITY}", "memory": "locked", "timers": "slack 1 ns"}
+    found, libc = {"scheduling": f"SCHED_FIFO {PRIORITY}"}, ctypes.CDLL(None, use_errno=True)
     try:
         # Reset in children: the process of a solver that is replaced starts at leisure, not before the loop.
         os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(PRIORITY))
     except OSError as error:
         found["scheduling"] = f"as other processes (SCHED_FIFO: {error.strerror})"
-    libc = ctypes.CDLL(None, use_errno=True)
-    if libc.mlockall(_LOCK_ALL) != 0:
-        found["memory"] = f"not locked ({os.strerror(ctypes.get_errno())})"
-    if libc.prctl(_SET_TIMER_SLACK, 1, 0, 0, 0) != 0:
-        found["timers"] = "as they are"
+    locked = libc.mlockall(_LOCK_ALL) == 0
+    found["memory"] = "locked" if locked else f"not locked ({os.strerror(ctypes.get_errno())})"
+    found["timers"] = "slack 1 ns" if libc.prctl(_SET_TIMER_SLACK, 1, 0, 0, 0) == 0 else "as they are"
     return found
 
 

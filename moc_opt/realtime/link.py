@@ -92,15 +92,10 @@ def read_key(file: Path | None, host: str, option: str) -> bytes:
 
 
 class Link:
-    """A socket, a key, and the packets that are expected; a WireError where the address cannot be taken.
-
-    Args:
-        key: of the check.
-        expected: kinds that this end receives.
-        listen: where; None: wherever the system likes.
-        peer: whom to send to; None: not known yet.
+    """A socket, a key, and the kinds of packet that this end receives; a WireError where the address cannot be taken.
 
     Attributes:
+        peer: whom to send to; None: not known yet.
         session: 0 until it is known.
         quality: a count for each of ``packets.COUNTERS``.
         sender: of the last packet.
@@ -150,8 +145,7 @@ class Link:
     def receive(self, until: float) -> Packet | None:
         """Return the next sound packet, valid until the next call, or None at ``until`` (of ``time.monotonic``) [s].
 
-        What has arrived already is returned even where ``until`` has passed: who waits for one among many looks at the
-        time himself.
+        What has arrived already is returned even where ``until`` has passed.
         """
         unsound = 0
         while unsound < BACKLOG or monotonic() < until:

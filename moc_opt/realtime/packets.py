@@ -127,11 +127,7 @@ def _c_struct(name: str, whole: np.dtype[Any], head: str) -> str:
 def c_packets(n: int, ticks: int, scenario: int, wait_s: float, silence_s: float) -> str:
     """Write ``wire_packets.h`` of an exported controller: a struct for every kind of packet, and the wire's numbers.
 
-    Args:
-        n: joints.
-        ticks: of the run.
-        scenario: its fingerprint.
-        wait_s, silence_s: of ``[wire]``.
+    ``ticks`` and the fingerprint ``scenario`` are of the run, ``wait_s`` and ``silence_s`` of ``[wire]``.
     """
     defines = {
         "JOINTS": n, "TICKS": ticks, "SCENARIO": f"UINT64_C({scenario})", "VERSION": VERSION,

@@ -160,12 +160,15 @@ class Setup:
 
     def controller(self) -> LoggedController:
         """Make the controller of the loop: the scenario's law and solver. A subclass may return any other."""
-        scenario, times, solver = self.scenario, self._times(), self.solver()
+        scenario, solver = self.scenario, self.solver()
         settings, period_s = scenario.control, scenario.plant.period_s
         budget = settings.supervisor.budget_us
+        times: Iterator[float] | None = None if self._replayed_us is None else itertools.cycle(self._replayed_us)
         if solver is not None:
             if scenario.faults.solver == "hang":
+                # Replayed times, not a clock: the same seed is late at the same ticks on any machine.
                 budget = budget or scenario.deadline_us
+                times = iter(np.where(self.fault_mask(), 10.0 * budget, 0.0))
             wait_us = 0.5e6 * period_s if self.realtime else math.inf
             if budget is not None and times is None:
                 wait_us = budget
@@ -176,15 +179,6 @@ class Setup:
         settings = settings.model_copy(update={"supervisor": watch})
         self.guide = None if self._guides is None else self._guides()
         return Controller(self.robot, settings, solver, period_s, times, self.guide)
-
-    def _times(self) -> Iterator[float] | None:
-        """Solve times [us] that stand for the clock's, where the scenario replays some or a solver that hangs."""
-        scenario = self.scenario
-        if scenario.faults.solver == "hang" and scenario.control.law == "moc":
-            # Replayed times, not a clock: the same seed is late at the same ticks on any machine.
-            budget = scenario.control.supervisor.budget_us or scenario.deadline_us
-            return iter(np.where(self.fault_mask(), 10.0 * budget, 0.0))
-        return None if self._replayed_us is None else itertools.cycle(self._replayed_us)
 
     @property
     def following(self) -> Following:
