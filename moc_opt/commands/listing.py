@@ -14,7 +14,6 @@ from moc_opt.report.console import console, print_json
 from moc_opt.report.tables import Column, Table
 from moc_opt.robots import about, available_robots
 from moc_opt.robots.model import load_robot
-from moc_opt.scenario.tables import TaskTable
 from moc_opt.solvers.registry import available, defaults
 from moc_opt.tasks.paths import kinds, sizes
 from moc_opt.trace.metrics import METRICS, load_plugins
@@ -93,7 +92,7 @@ def tasks() -> Listing:
     rows = {}
     for name, words in kinds().items():
         try:
-            known = {**sizes(name), **TaskTable.DEFAULT_SIZES.get(name, {})}
+            known = sizes(name)
         except MocOptError:
             known = {}  # it does not load: its description is the reason
         defaults = {key: None if value is inspect.Parameter.empty else value for key, value in known.items()}

@@ -13,7 +13,6 @@ from moc_opt.planning.self_motion import self_motion
 from moc_opt.robots import available_robots
 from moc_opt.robots.model import RobotModel, carried
 from moc_opt.scenario.config import Scenario
-from moc_opt.scenario.tables import TaskTable
 from moc_opt.tasks import Reference, Trocar, make_path
 from moc_opt.vision import preflight
 
@@ -83,10 +82,9 @@ def _task(scenario: Scenario, robot: RobotModel, q: Array) -> Layout:
         )
     point = state.tip - trocar.depth_m * state.tool_direction
     registered = Trocar(point, *(trocar.breathing if trocar.breathing_known else (0.0,)))
-    sizes = {**TaskTable.DEFAULT_SIZES.get(task.path, {}), **task.sizes}
     try:
         path = make_path(
-            task.path, state.tip, normal=task.normal, heading=task.heading, waypoints=task.waypoints_m, **sizes
+            task.path, state.tip, normal=task.normal, heading=task.heading, waypoints=task.waypoints_m, **task.sizes
         )
     except MocOptError as error:
         error.args = (f"[task] {error}",)  # of whichever kind it is

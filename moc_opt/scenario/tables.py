@@ -10,6 +10,7 @@ from pydantic import Field, model_validator
 from moc_opt.inputs.settings import Name, Settings
 from moc_opt.robots.model import RobotModel, load_robot
 from moc_opt.solvers.registry import check_name, defaults
+from moc_opt.tasks.curves import CURVES
 from moc_opt.tasks.paths import sizes
 
 Vector = tuple[float, float, float]
@@ -95,12 +96,6 @@ class TaskTable(Settings):
 
     KIND: ClassVar[str] = "[task]"
     MEANT_KEY: ClassVar[str] = "path"
-    DEFAULT_SIZES: ClassVar[dict[str, dict[str, float]]] = {
-        "line": {"length": 0.04},
-        "circle": {"radius": 0.03},
-        "sinusoid": {"amplitude": 0.01, "wavelength": 0.02, "periods": 2.0},
-        "spiral": {"turns": 2.0, "radius": 0.03},
-    }
     path: Name = Field(
         "circle",
         description="name of the path; `moc-opt tasks` lists them; 'waypoints': a smooth curve through waypoints_m",
@@ -140,7 +135,7 @@ class TaskTable(Settings):
     @classmethod
     def keys(cls, values: Mapping[str, Any]) -> list[str]:
         """List its keys, and those of ``sizes``."""
-        return [*super().keys(values), *sorted({f"sizes.{name}" for of in cls.DEFAULT_SIZES.values() for name in of})]
+        return [*super().keys(values), *sorted({f"sizes.{name}" for path in CURVES for name in sizes(path)})]
 
 
 class ProcessTable(Settings):

@@ -106,7 +106,7 @@ class PlanarCurve(Protocol):
 class Line:
     """A straight line of the given length [m] along the heading."""
 
-    def __init__(self, length: float) -> None:
+    def __init__(self, length: float = 0.04) -> None:
         self.length = positive("length", length)
         self.knots = read_only(np.array([0.0, self.length]))
 
@@ -118,7 +118,7 @@ class Line:
 class Circle:
     """One full turn of the given radius [m], to the left, the heading being its first tangent."""
 
-    def __init__(self, radius: float) -> None:
+    def __init__(self, radius: float = 0.03) -> None:
         self.radius = positive("radius", radius)
         self.length = 2.0 * math.pi * self.radius
         self.knots = read_only(np.linspace(0.0, self.length, 17))
@@ -136,7 +136,7 @@ class Sinusoid:
     Amplitude and wavelength in m. It starts on its axis, at its steepest.
     """
 
-    def __init__(self, amplitude: float, wavelength: float, periods: float) -> None:
+    def __init__(self, amplitude: float = 0.01, wavelength: float = 0.02, periods: float = 2.0) -> None:
         self.amplitude, periods = positive("amplitude", amplitude), positive("periods", periods)
         self._k = 2.0 * math.pi / positive("wavelength", wavelength)
         steepness = self.amplitude * self._k
@@ -165,7 +165,7 @@ class Spiral:
     `turns` whole or not, `radius` [m] the final one. At the centre the curvature is 4 pi turns / radius.
     """
 
-    def __init__(self, turns: float, radius: float) -> None:
+    def __init__(self, turns: float = 2.0, radius: float = 0.03) -> None:
         turns = positive("turns", turns)
         self._pitch = pitch = positive("radius", radius) / (2.0 * math.pi * turns)
 

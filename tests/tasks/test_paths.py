@@ -157,7 +157,7 @@ def test_a_function_of_sizes_gives_a_path_in_space(own: bool, added: None, monke
 @pytest.mark.parametrize(("kind", "sizes", "error", "told"), [
     ("sinus", {}, UnknownNameError, "'sinusoid'"), ("circle", {"radus": 0.1}, UnknownNameError, "'radius'"),
     ("circle", {"radius": 0.1, "length": 0.3}, UnknownNameError, "valid names: radius$"),  # only what a user sets
-    ("sinusoid", {"amplitude": 0.1}, TaskError, "wavelength, periods"), ("helix", {}, TaskError, "radius"),
+    ("helix", {}, TaskError, "radius"),
     ("helix", {"radios": 0.1}, UnknownNameError, "'radius'"), ("helx", {}, UnknownNameError, "'helix'"),
     ("number", {}, TaskError, "class or function"), ("crash", {}, TaskError, "ZeroDivisionError"),
     ("gone", {}, TaskError, "ModuleNotFoundError"), ("waypoints", {}, TaskError, "waypoints"),
