@@ -76,8 +76,8 @@ def write_qpbenchmark(folder: Path, names: Sequence[str] = SETS, every: int = 1,
         raise StudyError(f"sets = {', '.join(names)}: no problem in them is feasible; take other sets")
     table: dict[str, list[Any]] = {key: [] for key in ("P", "q", "G", "h", "A", "b", "lb", "ub", "name")}
     for name, qp in chosen.items():
-        A, b = (qp.A, qp.b) if rows == 6 else qp.reduced()[:2]
-        values = {"P": qp.P, "q": qp.p, "A": A, "b": b, "lb": qp.lower, "ub": qp.upper}
+        P, p, A, b, _ = qp.assembled(rows)
+        values = {"P": P, "q": p, "A": A, "b": b, "lb": qp.lower, "ub": qp.upper}
         for key in table:
             table[key].append(name if key == "name" else np.ravel(values[key]).tolist() if key in values else None)
     frame = pl.DataFrame(table, schema={key: pl.String if key == "name" else pl.List(pl.Float64) for key in table})

@@ -87,7 +87,7 @@ def record(scenario: Scenario) -> tuple[list[peers.Inputs], list[NullSpaceQP]]:
     trace = Heard(scenario).trace()
     problems = [NullSpaceQP.from_row(np.array(row)) for row in trace.subproblem]
     for qp in problems:  # what the adapters read is computed before the clock starts
-        _ = qp.P, qp.p, qp.q, qp.reduced()
+        _ = qp.q, qp.reduced()
     return heard, problems
 
 
@@ -232,9 +232,9 @@ def daqp_by_hand(settings: Any, first: NullSpaceQP) -> Callable[[NullSpaceQP], t
     core = at._core
 
     def call(qp: NullSpaceQP) -> tuple[Array, Array]:
-        (A, b, _), part = qp.reduced(), qp.fields
-        np.multiply(qp.P, scale, out=at._P)
-        np.multiply(qp.p, scale, out=at._p)
+        (P, p, A, b, _), part = qp.reduced(), qp.fields
+        np.multiply(P, scale, out=at._P)
+        np.multiply(p, scale, out=at._p)
         at._A[:] = A
         at._lower[:n], at._upper[:n] = part.lower, part.upper
         at._lower[n:] = at._upper[n:] = b

@@ -2,5 +2,5 @@
 
 Read first: ``problem`` (``NullSpaceQP``: cost, rows, box), then ``residuals`` (how every solver's answer is measured;
 ``extremes`` finds best and worst cost with several freedoms). ``layout`` says where the parts of a packed subproblem
-lie, ``equalities`` gives six rows or five to solvers. The room knows no robot and no solver.
+lie. The room knows no robot and no solver.
 """

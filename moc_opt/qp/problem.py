@@ -17,15 +17,17 @@ from typing import Any, NamedTuple, NoReturn
 import numpy as np
 from numpy.typing import ArrayLike
 
+from moc_opt import core
 from moc_opt.arrays import Array, read_only
 from moc_opt.errors import SubproblemError, shown
 from moc_opt.qp import residuals as optimality
 from moc_opt.qp.layout import joints_of, offsets
-from moc_opt.qp.residuals import TIED, Residuals
+from moc_opt.qp.residuals import Residuals
 
 LARGEST_WEIGHT = 1e12
 REGULARIZATION = 1e-5
 WEIGHTS = ("c0", "c1", "c2", "regularization")
+ROWS = (5, 6)  #: How many equality rows a solver may ask for.
 _DOUBLE, _CLOSE = np.dtype(np.float64), (8,)
 
 
@@ -69,12 +71,14 @@ def compute_residuals(rows: Array, x: Array, y: Array | None = None) -> Residual
     return optimality.residuals(problem, x, y)
 
 
-class Reduced(NamedTuple):
-    """The equalities without their dependent row: ``A5 x = b5``, and ``y6 = lift.T @ y5``."""
+class Assembled(NamedTuple):
+    """A subproblem as a solver takes it: 1/2 x^T P x + p^T x, A x = b, and y6 = lift^T y; read-only arrays."""
 
-    A: Array
-    b: Array
-    lift: Array
+    P: Array  #: (n, n)
+    p: Array  #: (n,)
+    A: Array  #: (m, n)
+    b: Array  #: (m,)
+    lift: Array  #: (m, 6)
 
 
 class NullSpaceQP:
@@ -198,19 +202,8 @@ class NullSpaceQP:
         """(n,) joint position [rad], or None where it was not given."""
         return None if np.isnan(self.fields.q[0]) else self.fields.q
 
-    @cached_property
-    def P(self) -> Array:
-        """(n, n) Hessian: c0 J_T^T J_T + c1 J_W^T J_W + regularization I."""
-        A = self.fields.A
-        P = (A.T * np.repeat(self.fields.weights[:2], 3)) @ A
-        P.flat[:: self.n + 1] += self.fields.weights[3]
-        return read_only(P)
-
-    @cached_property
-    def p(self) -> Array:
-        """(n,) linear cost: -c0 J_T^T v_T - c1 J_W^T v_W - c2 pull."""
-        part = self.fields
-        return read_only(-(np.repeat(part.weights[:2], 3) * part.b) @ part.A - part.weights[2] * part.pull)
+    P = property(lambda self: self.reduced().P, doc="(n, n): c0 J_T^T J_T + c1 J_W^T J_W + regularization I")
+    p = property(lambda self: self.reduced().p, doc="(n,): -c0 J_T^T v_T - c1 J_W^T v_W - c2 pull")
 
     def objective(self, x: ArrayLike) -> float:
         """Return 1/2 x^T P x + p^T x, without the constant.
@@ -221,23 +214,25 @@ class NullSpaceQP:
         x = _array("x", x, (self.n,), finite=False)
         return float(0.5 * x @ self.P @ x + self.p @ x)
 
-    @cached_property
-    def _reduced(self) -> Reduced:
-        # A rigid tool: u^T (J_T - J_W) = 0 for its direction u, so the wrist's row along u repeats the tip's. Left are
-        # the tip's three rows and the wrist's two across u: A5 = lift A6, and A5^T y5 = A6^T (lift^T y5).
-        # `moc_opt/core/rows.c` takes the same decision for the adapters of libraries.
-        u = _tool_direction(self.A)
-        lift = np.eye(6)
-        if u is not None:
-            across = np.cross(u, np.eye(3)[int(np.argmin(np.abs(u)))])
-            across /= np.linalg.norm(across)
-            lift = lift[:5]
-            lift[3:] = 0.0
-            lift[3:, 3:] = across, np.cross(u, across)
-        return Reduced(read_only(lift @ self.A), read_only(lift @ self.b), read_only(lift))
+    def assembled(self, rows: int = 5) -> Assembled:
+        """Compute cost and equality rows: the paper's six, or five (`moc_opt/core/rows.c`).
 
-    def reduced(self) -> Reduced:
-        """Return five independent rows, or the six where tip and wrist are not rigidly tied."""
+        rows = 5 still gives six where tip and wrist are not rigidly tied.
+        """
+        n = self.n
+        P, p, spare, plain = np.empty((n, n)), np.empty(n), np.empty(n), np.ones(3)
+        for m in (rows, 6):
+            A, b, lift = np.empty((m, n)), np.empty(m), np.empty((m, 6))
+            if core.load(self.row, rows == 5, 1.0, plain, P, p, A, b, b, spare, spare, np.empty(0), lift):
+                break
+        return Assembled(*(read_only(part) for part in (P, p, A, b, lift)))
+
+    @cached_property
+    def _reduced(self) -> Assembled:
+        return self.assembled()
+
+    def reduced(self) -> Assembled:
+        """Return `assembled`, which is computed once: five independent rows, where there are."""
         return self._reduced
 
     def residuals(self, x: ArrayLike, y: ArrayLike | None = None) -> Residuals:
@@ -250,21 +245,6 @@ class NullSpaceQP:
         duals = None if y is None else _array("y", y, (6,), "; lift five duals with reduced().lift.T", finite=False)
         found = compute_residuals(self.row, x, duals)
         return Residuals(*(float(f) for f in found))  # type: ignore[arg-type]
-
-
-def _tool_direction(A: Array) -> Array | None:
-    # The adjugate of (J_T - J_W)(J_T - J_W)^T is a multiple of u u^T: its longest column.
-    D = A[:3] - A[3:]
-    G = np.cumsum(D[:, None] * D, axis=-1)[..., -1]  # summed in order, as in C: D may have lost two directions
-    adjugate = np.stack([np.cross(G[1], G[2]), np.cross(G[2], G[0]), np.cross(G[0], G[1])])
-    u = adjugate[int(np.argmax(np.diag(adjugate)))]
-    length = float(np.linalg.norm(u))
-    if A.shape[1] < 3 or not length > 0.0:
-        return None
-    u = u / np.copysign(length, u[int(np.argmax(np.abs(u)))])
-    # [u; -u] / sqrt(2) is the left singular vector of A that belongs to its sixth singular value.
-    apart = u @ D
-    return u if 0.5 * float(apart @ apart) <= TIED * TIED * float((A * A).sum()) else None
 
 
 def _array(

@@ -17,8 +17,7 @@ import scipy.sparse as sparse
 
 from moc_opt import core
 from moc_opt.arrays import Array
-from moc_opt.qp.equalities import ROWS, assembled
-from moc_opt.qp.problem import NullSpaceQP
+from moc_opt.qp.problem import ROWS, NullSpaceQP
 from moc_opt.solvers.base import Choices, Solution, SolverSettings, Status, no_answer
 
 Outcome = tuple[Status, int, Array, Array]
@@ -62,7 +61,7 @@ class LibrarySession:
         self._build(qp)
 
     def _build(self, qp: NullSpaceQP) -> None:
-        self._m, self._n = assembled(qp, self._settings.rows).A.shape
+        self._m, self._n = qp.assembled(self._settings.rows).A.shape
         self._load = Loader(self._settings.rows, self._settings.cost_scale, **self._allocate(self._m, self._n))
         self._load(qp)
         self._set_up(self._m, self._n)

@@ -26,7 +26,6 @@ import numpy as np
 
 from moc_opt.arrays import Array
 from moc_opt.errors import SolverError
-from moc_opt.qp.equalities import assembled
 from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.solvers.base import Choices, Solution, SolverSettings, Status, no_answer
 
@@ -113,7 +112,7 @@ class NLPSession:
         """Answer one subproblem."""
         if self._settings.supports(qp) is not None:
             return no_answer(qp.n, Status.UNSUPPORTED)
-        lift = assembled(qp).lift
+        lift = qp.assembled().lift
         self._load(qp, lift)
         x0, x, multipliers = self._start["x0"], self._end["x"], self._end["lam_g"]
         np.clip(x0, self._lower, self._upper, out=x0)
@@ -191,7 +190,7 @@ class NLP(SolverSettings):
             return "the subproblem has no q; an NLP needs the position where it was linearized"
         if qp.n != self.kinematics.n:
             return f"the kinematics have {self.kinematics.n} joints, the subproblem has {qp.n}"
-        if len(assembled(qp).b) != 5:
+        if len(qp.assembled().b) != 5:
             return "tip and wrist are not rigidly tied: the five rows of this program do not apply"
         return None
 

@@ -18,8 +18,7 @@ import qpsolvers
 from qpsolvers.exceptions import QPError
 
 from moc_opt.errors import SolverError, describe
-from moc_opt.qp.equalities import ROWS, assembled
-from moc_opt.qp.problem import NullSpaceQP
+from moc_opt.qp.problem import ROWS, NullSpaceQP
 from moc_opt.solvers.base import Choices, Session, Solution, SolverSettings, Status, no_answer
 from moc_opt.solvers.library import refuse_semidefinite
 from moc_opt.solvers.options import checked
@@ -76,7 +75,7 @@ class QPSolverSession:
 
     def attempt(self, qp: NullSpaceQP) -> Solution:
         """Answer one subproblem; raises what the library raises."""
-        P, p, A, b, lift = assembled(qp, self._settings.rows)
+        P, p, A, b, lift = qp.assembled(self._settings.rows)
         scale, library = self._advice.cost_scale, self._settings.library
         # Copies: daqp refuses read-only arrays.
         problem = qpsolvers.Problem(

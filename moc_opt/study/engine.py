@@ -25,7 +25,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from itertools import count as count_from_zero
 from pathlib import Path
-from typing import Any, Literal, cast
+from typing import IO, Any, Literal, cast
 
 from pebble import ProcessExpired, ProcessPool
 
@@ -38,7 +38,7 @@ BEGUN = ".pid"
 PR_SET_PDEATHSIG = 1
 PRELOAD = ("moc_opt.scenario", "moc_opt.study.trials", "moc_opt.study.solver_answers", "casadi", "qpsolvers")
 
-_parts: str | None = None  # in a worker: the file for what the job hands over
+_parts: IO[bytes] | None = None  # in a worker: the file for what the job hands over
 
 
 @dataclass(frozen=True)
@@ -202,9 +202,9 @@ def _answer(future: Answer, job: Job) -> _Done | Failed:
 def _do(work: Callable[..., Any], arguments: tuple[Any, ...], parts: str | None = None) -> _Done | Failed:
     """Do one job, in a worker."""
     global _parts
-    _parts = parts
     if parts is not None:
         Path(f"{parts}{BEGUN}").write_text(str(os.getpid()))
+        _parts = open(parts, "wb", buffering=0)  # noqa: SIM115 - it is open for as long as the job runs
     try:
         result = pickle.dumps(work(*arguments))
     except (Exception, KeyboardInterrupt, SystemExit) as error:  # noqa: BLE001 - foreign code may raise anything
@@ -212,6 +212,9 @@ def _do(work: Callable[..., Any], arguments: tuple[Any, ...], parts: str | None 
         return Failed("raised", f"{type(error).__name__}: {error}" if own else describe(error))
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0.0)
+        if _parts is not None:
+            _parts.close()
+            _parts = None
     sources = loaded_sources()
     return _Done(result, sources, digest_of(sources))
 
@@ -274,6 +277,7 @@ def _processes(count: int) -> Iterator[tuple[Submit, int]]:
 def _begin(folder: str, memory: int) -> None:
     """Let a worker lead a group, end with its parent, leave Ctrl-C to it, and have its share of the memory."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGALRM, signal.SIG_DFL)
     os.setpgrp()
     Path(folder, "groups", str(os.getpid())).touch()
     if sys.platform == "linux":
@@ -287,8 +291,7 @@ def report(part: Any) -> None:
     Workers of a cluster hand nothing over.
     """
     if _parts is not None:
-        with open(_parts, "ab") as file:
-            pickle.dump(part, file)
+        _parts.write(pickle.dumps(part))
 
 
 def _reported(file: str | None) -> tuple[Any, ...]:
@@ -305,7 +308,6 @@ def alarm(seconds: float) -> None:
 
     A job that calls it before each of many steps limits each of them.
     """
-    signal.signal(signal.SIGALRM, signal.SIG_DFL)
     signal.setitimer(signal.ITIMER_REAL, seconds)
 
 

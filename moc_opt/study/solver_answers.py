@@ -279,8 +279,7 @@ def _problems(rows: Array) -> list[NullSpaceQP]:
     """Make the problems, with all that adapters read of them: it is computed before the clock starts."""
     found = [NullSpaceQP.from_row(np.array(row)) for row in rows]
     for qp in found:
-        _ = qp.P, qp.p, qp.q
-        qp.reduced()
+        _ = qp.q, qp.reduced()
     return found
 
 

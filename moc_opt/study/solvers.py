@@ -25,7 +25,6 @@ from pydantic import Field, field_validator
 from moc_opt.arrays import Array
 from moc_opt.errors import StudyError, UnknownNameError
 from moc_opt.inputs.settings import Level, Settings
-from moc_opt.qp.equalities import assembled
 from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.report.console import console
 from moc_opt.report.tables import Column, Table
@@ -224,10 +223,9 @@ def work(study: Study, config: Config) -> Found:
             part(found)
             found.say()
     fresh = [NullSpaceQP.from_row(np.array(row)) for row in found.sequence]
-    assembled(fresh[0])
-    found.summary["clock"] = {
-        "cost": {"p50_us": clock_cost_us()}, "assembly": {"p50_us": float(np.median(each_us(assembled, fresh)))},
-    }  # fmt: skip
+    fresh[0].assembled()
+    assembly = float(np.median(each_us(NullSpaceQP.assembled, fresh)))
+    found.summary["clock"] = {"cost": {"p50_us": clock_cost_us()}, "assembly": {"p50_us": assembly}}
     slow = [name for name in names if name in config.closed_loop.slow and "closed_loop" in config.parts]
     told = [f"Not in the closed loop, as they take about a millisecond a tick: {', '.join(slow)}; --full runs them."]
     return Found(

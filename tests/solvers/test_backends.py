@@ -11,7 +11,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from moc_opt.errors import MocOptError, SolverError
-from moc_opt.qp.equalities import assembled
 from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.solvers import Status
 from moc_opt.solvers.library import Loader
@@ -87,7 +86,7 @@ def test_every_number_is_where_it_belongs(seed, n, rows, tied, scale, signs):
     np.testing.assert_array_equal(arrays["packed"], [arrays["P"][i, j] for j in range(n) for i in range(j + 1)])
     assert np.isnan(sides[:, -1]).all()
     assert np.isnan(columns[:, m:]).all()
-    y, five = np.arange(1.0, m + 1.0), assembled(qp, rows)
+    y, five = np.arange(1.0, m + 1.0), qp.assembled(rows)
     np.testing.assert_allclose(load.lifted(y, 0.5), 0.5 * y @ five.lift, atol=1e-14)
     np.testing.assert_allclose(qp.A.T @ load.lifted(y, 2.0), 2.0 * five.A.T @ y, atol=1e-12)
 
