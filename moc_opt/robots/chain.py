@@ -48,10 +48,7 @@ class Chain:
     @property
     def fingerprint(self) -> str:
         """Twelve hex digits that change with any number of the chain."""
-        digest = hashlib.sha256()
-        for array in (self.rotations, self.origins, self.axes, self.prismatic, self.offsets):
-            digest.update(array.tobytes())
-        return digest.hexdigest()[:12]
+        return hashlib.sha256(self.joints.tobytes() + self.offsets.tobytes()).hexdigest()[:12]
 
 
 def link_frames(chain: Chain, q: Array) -> tuple[Array, Array]:

@@ -247,7 +247,7 @@ def _check_joint(joint: Joint) -> None:
     if joint.kind not in MOVING | {"fixed"}:
         raise RobotError(f"urdf {where} has type {joint.kind!r}: use revolute, prismatic, continuous or fixed")
     if joint.mimics:
-        raise RobotError(f"urdf {where} mimics another: make it fixed or free")
+        raise RobotError(f"urdf {where} mimics another: make it fixed (`robot new --lock`) or free")
     length = math.hypot(*joint.axis)
     if joint.moves and length < 1e-3:
         raise RobotError(f"urdf: <axis> of {where} has no length: give a direction, such as '0 0 1'")
