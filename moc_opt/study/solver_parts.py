@@ -65,7 +65,7 @@ COUNTED = (
 )  # fmt: skip
 
 
-def answers_table(title: str, part: Mapping[str, Mapping[str, Any]], suffix: str = "") -> Table:
+def answers_table(title: str, part: Mapping[str, Mapping[str, Any]], suffix: str = "", *more: Column) -> Table:
     """Make the table of a part in open loop: counts, largest residuals, times (whose keys end with the suffix)."""
     rows = []
     for name, row in part.items():
@@ -77,7 +77,7 @@ def answers_table(title: str, part: Mapping[str, Mapping[str, Any]], suffix: str
         *(Column(key, title, format=".0f", better="low" if key in FAULTS else None) for key, title in COUNTS.items()),
         *(Column(f"{name}_max", name, format=".1e", better="low", help=text) for name, text in RESIDUALS.items()),
         *(Column(f"{key}{suffix}", title, unit="us", format=".1f", better="low", among=RANKED)
-          for key, title in TIMES.items()),
+          for key, title in TIMES.items()), *more,
     ]  # fmt: skip
     return Table(title, shown, rows)
 
@@ -112,7 +112,9 @@ def recorded_sequence(work: Work) -> None:
                 cold[solver] |= percentiles(getattr(times, name), prefix, times.cold_load)
             cold[solver] |= times.cold_load.entries()
         work.answers.add(*one.rows("open_loop_warm"), *alone.rows("open_loop_cold"))
-    table = answers_table("One session through the sequence; cold times are those of fresh sessions", warm)
+    both = {name: row | {"right_cold": f"{cold[name]['right']} of {cold[name]['solves']}"} for name, row in warm.items()}
+    title = "One session through the sequence; cold: a fresh one for each problem"
+    table = answers_table(title, both, "", Column("right_cold", "right, cold"))
     about = f"{len(data.rows)} subproblems of one run with exact, a tick apart."
     work.sections.append(Section(RECORDED, about, [table]))
 
