@@ -112,7 +112,8 @@ def recorded_sequence(work: Work) -> None:
                 cold[solver] |= percentiles(getattr(times, name), prefix, times.cold_load)
             cold[solver] |= times.cold_load.entries()
         work.answers.add(*one.rows("open_loop_warm"), *alone.rows("open_loop_cold"))
-    both = {name: row | {"right_cold": f"{cold[name]['right']} of {cold[name]['solves']}"} for name, row in warm.items()}
+    right = {name: f"{row['right']} of {row['solves']}" for name, row in cold.items()}
+    both = {name: row | {"right_cold": right[name]} for name, row in warm.items()}
     title = "One session through the sequence; cold: a fresh one for each problem"
     table = answers_table(title, both, "", Column("right_cold", "right, cold"))
     about = f"{len(data.rows)} subproblems of one run with exact, a tick apart."

@@ -46,8 +46,8 @@ def test_what_is_read_is_not_written_over(arguments, tmp_path, monkeypatch, caps
 
 
 @pytest.mark.parametrize(("command", "name"), [
-    (("run",), "loop"), (("run",), "a\0b"), (("report",), "x" * 300), (("replay",), "\ud800"), (("plan",), "."),
-    (("robot", "new"), ""), (("compare", "exact"), "loop"),
+    (("run",), "a\0b"), (("report",), "x" * 300), (("replay",), "\ud800"), (("plan",), "."), (("robot", "new"), ""),
+    (("compare", "exact"), "loop"),
 ])  # fmt: skip
 def test_a_name_that_no_file_can_have_is_refused_in_a_line(command, name, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)

@@ -118,15 +118,6 @@ def test_without_a_terminal_progress_writes_a_line_now_and_then(
     assert all(line.endswith(f"left  step {k}") for k, line in enumerate(lines))
 
 
-def test_a_terminal_shows_a_bar_and_what_is_done() -> None:
-    file = io.StringIO()
-    with progress("working [bold]", 3, on=Console(file=file, force_terminal=True, width=100)) as bar:
-        bar.at("first\x1b[31m")
-        bar.refresh()
-    assert all(words in file.getvalue() for words in ("working [bold]", "first"))
-    assert "first\x1b[31m" not in file.getvalue()
-
-
 def test_json_has_no_nan(capsys: pytest.CaptureFixture[str]) -> None:
     values = {"a": np.float64(1.5), "b": [np.nan, math.inf], "c": {"d": np.arange(2)}, "e": True, "f": None, "g": "x"}
     print_json(values)
