@@ -16,8 +16,7 @@ from moc_opt.figures.notation import DASH, pretty_unit, printable
 from moc_opt.inputs.files import check_replaceable, write_whole
 
 MAX_BYTES = 8_000_000
-GENERATOR = b'<meta name="generator" content="moc_opt">'
-"""Marks a page as ours, in its first lines."""
+GENERATOR = b'<meta name="generator" content="moc_opt">'  # marks a page as ours, in its first lines
 
 
 def render(template: str, **values: Any) -> str:

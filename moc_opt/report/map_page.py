@@ -39,8 +39,7 @@ from moc_opt.trace.trace import Trace
 SCALE = ((0.0, "#f4f1e6"), (0.25, "#cfe0cf"), (0.5, "#8fc4bd"), (0.75, "#3f8f9c"), (1.0, "#143f5c"))
 EDGE, BEST = "#fffffe", "#17191b"
 HEIGHT_PX = 460
-LEAP_DEG = 25.0
-"""A line that turns by more from one time to the next has a gap there."""
+LEAP_DEG = 25.0  # A line that turns by more from one time to the next has a gap there
 HOVER = "%{x:.2f} s, %{y:.0f}°: µ = %{customdata:.3f} m³<extra>%{fullData.name}</extra>"
 COLUMNS = (
     Column("name", "trajectory"),

@@ -18,8 +18,7 @@ from moc_opt.robots.model import RobotModel
 from moc_opt.trace.metrics import summarize
 from moc_opt.trace.trace import Trace
 
-COLUMNS_PER_S, COLUMNS = 12.0, (10, 96)
-"""Of the map."""
+COLUMNS_PER_S, COLUMNS = 12.0, (10, 96)  # of the map
 
 
 def load_report(files: Sequence[str | os.PathLike[str]]) -> Page:

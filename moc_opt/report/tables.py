@@ -22,8 +22,7 @@ from moc_opt.figures import notation
 from moc_opt.figures.notation import Doubtful, Mark, Missing, Notation, printable
 from moc_opt.inputs.names import grid_html
 
-SHORT_TEXT, HEADING = 14, 10
-"""Characters from where on a text in a terminal, and a heading anywhere, may be broken."""
+SHORT_TEXT, HEADING = 14, 10  # characters from where on a text in a terminal, and a heading anywhere, may be broken
 _WIDE = Console(file=io.StringIO(), width=10_000)
 
 TONES = {"best": "bold green", "good": "green", "fair": "yellow", "bad": "red", "other": "cyan"}

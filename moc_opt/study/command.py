@@ -40,8 +40,7 @@ from moc_opt.study.show import Report
 from moc_opt.study.timing import with_doubts
 from moc_opt.study.trials import Run, Trial, outcome, placed
 
-WRONG, INTERRUPTED = 2, 130
-"""Exit status after an error that is the user's or the machine's, and after Ctrl-C."""
+WRONG, INTERRUPTED = 2, 130  # exit status after an error that is the user's or the machine's, and after Ctrl-C
 
 
 class StudyConfig(Settings):

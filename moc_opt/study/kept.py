@@ -31,8 +31,7 @@ PACKAGES = (
     "moc-opt", "numpy", "scipy", "pin", "mujoco", "casadi", "osqp", "proxsuite", "qpsolvers", "daqp", "piqp",
     "quadprog", "clarabel", "scs", "highspy", "polars", "pydantic", "tsid", "pin-pink", "mink",
 )  # fmt: skip
-SHOWS = ("report", "figures", "commands", "live")
-"""Rooms of the package that decide nothing of a result."""
+SHOWS = ("report", "figures", "commands", "live")  # rooms of the package that decide nothing of a result
 HOME = Path(core.__file__).parents[1]
 
 

@@ -31,18 +31,15 @@ from moc_opt.study.solver_settings import SolverSetting
 from moc_opt.study.testsets import TestSet
 from moc_opt.study.timing import Disturbance, each_us, percentiles
 
-Runner = Callable[..., list[Any]]
-"""`moc_opt.study.run`, with the study's folder, workers and progress."""
+Runner = Callable[..., list[Any]]  # `moc_opt.study.run`, with the study's folder, workers and progress
 
 HUNG, CRASHED, RAISED, NOT_ASKED, REFUSED = "hung", "crashed", "raised", "not asked", "refused"
 """What became of an answer, beside the statuses of solvers."""
-BROKEN_SETS = 3
-"""A set is left at its first hang or crash; after so many such sets no other one is asked."""
+BROKEN_SETS = 3  # A set is left at its first hang or crash; after so many such sets no other one is asked
 HOURS = 1e5  # of a whole set [s]: every answer has its own limit
 WARM_UP = 16  # solves that are not counted
 CONTRADICTION = 1e-13  # m/s; above the rounding of consistent references
-RIGHTLY = 0.99
-"""Least share of right answers of a solver whose times are compared: a wrong one may come fast."""
+RIGHTLY = 0.99  # least share of right answers of a solver whose times are compared: a wrong one may come fast
 RESIDUALS = ("primal", "natural", "natural_best", "relative", "loss")
 
 

@@ -28,8 +28,7 @@ GAPS, NEAR = Mark("◐", "gaps", "fair", 2), Mark("≈", "near", "fair", 3)
 OTHER, OPEN = Mark("≠", "other", "other", 4), Mark("–", "open", "other", 5)
 AVOID = Mark("✘", "avoid", "bad", 6)
 TONES = {TAKE: GOOD, SOUND: GOOD, GAPS: list(SERIES)[4], NEAR: list(SERIES)[4], OTHER: MUTED, OPEN: BAD, AVOID: WORST}
-TOO_MUCH = 5.0
-"""Times what counts as equal: from there on a solver is to be avoided."""
+TOO_MUCH = 5.0  # times what counts as equal: from there on a solver is to be avoided
 
 
 class Cost(NamedTuple):

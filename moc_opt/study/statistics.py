@@ -27,10 +27,8 @@ RESAMPLES = 4000
 CONFIDENCE = 0.95
 NOMINAL = 0.7
 """Part of the share of misses (1 - confidence) at which intervals are made: simulated ones cover less than they say."""
-ROUNDING = 1e-9
-"""A change smaller than this is none [percent]."""
-LEAST_TRIALS = 8
-"""Fewer trials decide nothing: no verdict is given on them."""
+ROUNDING = 1e-9  # A change smaller than this is none [percent]
+LEAST_TRIALS = 8  # fewer trials decide nothing: no verdict is given on them
 
 
 def too_few(trials: int) -> str | None:
