@@ -8,12 +8,11 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache, cached_property
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from moc_opt.arrays import Array
@@ -25,7 +24,6 @@ from moc_opt.qp.problem import NullSpaceQP, compute_residuals, fields
 from moc_opt.robots.model import load_robot
 from moc_opt.scenario import make_solver
 from moc_opt.solvers.base import Session, Solution, Solver, Status, no_answer
-from moc_opt.solvers.exact import Exact
 from moc_opt.study.engine import Failed, Job, alarm, report
 from moc_opt.study.solver_settings import SolverSetting
 from moc_opt.study.testsets import TestSet
@@ -54,36 +52,7 @@ class Limits(Settings):
     setup_s: float = Field(15.0, gt=0.0, description="longer without being set up is one too")
 
 
-@dataclass(frozen=True)
-class Problems:
-    """Problems as solvers are given them (k, 10 n + 10), as answers are judged, and which of them have an answer."""
-
-    name: str
-    rows: Array
-    judged: Array
-    feasible: NDArray[np.bool_]
-
-    @classmethod
-    def certified(cls, name: str, every: int = 1) -> Problems:
-        """Load each every-th problem of a certified set."""
-        kept = TestSet.load(name)
-        return cls(name, kept.rows, kept.judged(), kept.feasible).thinned(every)
-
-    @classmethod
-    def recorded(cls, name: str, rows: Array) -> Problems:
-        """Make a set of recorded rows; which are feasible is as `exact` says, whose claims the certificates confirm."""
-        problems = [NullSpaceQP.from_row(np.array(row)) for row in rows]
-        session = Exact().start(problems[0])
-        feasible = np.array([session.solve(qp).status is Status.SOLVED for qp in problems])
-        return cls(name, rows, rows, feasible)
-
-    def thinned(self, every: int) -> Problems:
-        """Keep every ``every``-th problem."""
-        part = slice(None, None, every)
-        return replace(self, rows=self.rows[part], judged=self.judged[part], feasible=self.feasible[part])
-
-
-Question = tuple[SolverSetting, Problems]
+Question = tuple[SolverSetting, TestSet]
 
 
 class Answer(NamedTuple):
@@ -107,7 +76,7 @@ class Answers:
         verified: (k,) which answers are optimal, whatever was claimed.
     """
 
-    def __init__(self, setting: SolverSetting, problems: Problems, result: list[Any] | Failed) -> None:
+    def __init__(self, setting: SolverSetting, problems: TestSet, result: list[Any] | Failed) -> None:
         """Judge what the job returned, or what it had reported when it failed."""
         self.setting, self.problems, self.refused = setting, problems, ""
         failed = result if isinstance(result, Failed) else None

@@ -8,14 +8,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from moc_opt.arrays import Array
+from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.report.tables import Column, Table
 from moc_opt.scenario import Scenario, run
+from moc_opt.solvers.base import Status
+from moc_opt.solvers.exact import Exact
 from moc_opt.study.results import ERRORS, FRAMES, Results, change_name
 from moc_opt.study.show import Section, columns
-from moc_opt.study.solver_answers import RIGHTLY, Limits, Problems, ask, share_right, time, totals
+from moc_opt.study.solver_answers import RIGHTLY, Limits, ask, share_right, time, totals
 from moc_opt.study.solver_settings import SolverSetting, effective, in_words
 from moc_opt.study.solver_verdicts import CERTIFIED, CLOSED, COSTS, INCONSISTENT, RECORDED
 from moc_opt.study.statistics import spread, too_few
+from moc_opt.study.testsets import TestSet
 from moc_opt.study.timing import Disturbance, percentiles
 from moc_opt.study.trials import BASELINE, Run, Trial, placed
 from moc_opt.trace.meta import Ending
@@ -95,7 +99,11 @@ def record(case: Scenario, ticks: int) -> Array:
 def recorded_sequence(work: Work) -> None:
     """Ask every solver warm and cold for the recorded sequence, under the recommended settings; times one by one."""
     config = work.config.open_loop
-    data = Problems.recorded("recorded", work.sequence)
+    problems = [NullSpaceQP.from_row(np.array(row)) for row in work.sequence]
+    session = Exact().start(problems[0])
+    optima = [session.solve(qp) for qp in problems]  # whose claims the certificates of the sets confirm
+    feasible = np.array([one.status is Status.SOLVED for one in optima])
+    data = TestSet("recorded", work.sequence, np.array([one.x for one in optima]), feasible)
     limits = Limits(patience_s=2.0, setup_s=40.0, rounds=2, seconds=1.0, cold=config.cold)
     thin = data.thinned(max(1, len(data.rows) // config.cold))
     asked = ask(work.runner("recorded sequence, warm"), [(setting, data) for setting in work.recommended], limits)
@@ -126,7 +134,7 @@ def recorded_sequence(work: Work) -> None:
 def certified_sets(work: Work) -> None:
     """Ask every solver under every setting for every set; the answers several at a time, the times one by one."""
     config = work.config.testsets
-    chosen = [Problems.certified(name, config.every) for name in config.chosen()]
+    chosen = [TestSet.load(name).thinned(config.every) for name in config.chosen()]
     thinned = [data.thinned(config.every_other) for data in chosen]
     questions = [  # set by set: were all questions to a solver that hangs under way at once, each would have to hang
         (setting, data if setting.recommended and not setting.nonlinear else thin)

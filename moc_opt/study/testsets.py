@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import io
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -48,6 +49,7 @@ class TestSet:
         """Return the subproblems, in order: in a sequence neighbours are 2 ms apart."""
         return [NullSpaceQP.from_row(np.array(row)) for row in self.rows]
 
+    @cached_property
     def judged(self) -> Array:
         """Return ``rows`` as answers are judged: with references that the rigid tool can follow.
 
@@ -55,6 +57,10 @@ class TestSet:
         to the five rows that this leaves alone.
         """
         return np.array([straightened(qp).row for qp in self.problems()])
+
+    def thinned(self, every: int) -> TestSet:
+        """Keep every ``every``-th problem."""
+        return TestSet(self.name, self.rows[::every], self.x[::every], self.feasible[::every])
 
     def to_bytes(self) -> bytes:
         """Return the .npz file."""

@@ -85,7 +85,7 @@ def test_the_shipped_answers_are_the_certificate_s_and_highs_bears_them_out(name
 def test_the_judge_measures_the_distance_to_the_certified_optimum(name):
     """From answers that are moved along the self-motion, towards the middle of the box."""
     kept = TestSet.load(name)
-    judged = kept.judged()[kept.feasible]
+    judged = kept.judged[kept.feasible]
     for row, x in zip(judged[::8], kept.x[kept.feasible][::8], strict=True):
         motion = np.linalg.svd(five_rows(NullSpaceQP.from_row(np.array(row)))[0][:, :6])[2][-1]
         moved = x.copy()
@@ -118,8 +118,8 @@ def test_certified_answers_are_optimal_and_the_others_infeasible(name):
     """And every joint 0.05 rad/s faster would be seen to be wrong."""
     kept = TestSet.load(name)
     assert kept.rows.shape[0] == kept.x.shape[0] == kept.feasible.size > 0
-    assert compute_residuals(kept.judged(), kept.x).verified(primal=1e-9)[kept.feasible].all()
-    assert not compute_residuals(kept.judged(), kept.x + 0.05).verified()[kept.feasible].any()
+    assert compute_residuals(kept.judged, kept.x).verified(primal=1e-9)[kept.feasible].all()
+    assert not compute_residuals(kept.judged, kept.x + 0.05).verified()[kept.feasible].any()
     assert np.isnan(kept.x[~kept.feasible]).all()
 
 

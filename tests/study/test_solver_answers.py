@@ -17,7 +17,6 @@ from moc_opt.study.solver_answers import (
     Answer,
     Answers,
     Limits,
-    Problems,
     Times,
     ask,
     share_right,
@@ -49,7 +48,7 @@ def broken(tmp_path_factory):
         yield
 
 
-def answers(setting: SolverSetting, problems: Problems, warm: bool = True) -> Answers:
+def answers(setting: SolverSetting, problems: TestSet, warm: bool = True) -> Answers:
     (found,) = ask(ONE, [(setting, problems)], LIMITS, warm=warm)
     return found
 
@@ -60,7 +59,7 @@ def breaking(name: str, **options: Any) -> SolverSetting:
 
 @pytest.mark.parametrize(("name", "every"), [("circle", 16), ("infeasible", 8), ("inconsistent-1e-4", 8), ("jumps", 8)])
 def test_exact_is_right_on_every_set(name, every):
-    counts = answers(EXACT, Problems.certified(name, every)).counts()
+    counts = answers(EXACT, TestSet.load(name).thinned(every)).counts()
     assert counts["verified_solved"] == counts["optima_asked"]
     assert (counts["refused_inconsistent"] > 0) == name.startswith("inconsistent")
     assert counts["infeasible_right"] == counts["infeasible_asked"]
@@ -82,7 +81,7 @@ def test_exact_is_right_on_every_set(name, every):
 )
 def test_what_a_solver_does_costs_its_own_answers_alone(setting, every, status, said):
     limits = Limits(patience_s=1.0, setup_s=4.0)
-    (found,) = ask(ONE, [(setting, Problems.certified("circle", every))], limits)
+    (found,) = ask(ONE, [(setting, TestSet.load("circle").thinned(every))], limits)
     assert found.status.tolist() == status
     assert said in " ".join([found.refused, *found.events])
     counts = found.counts()
@@ -97,14 +96,14 @@ def test_what_a_solver_does_costs_its_own_answers_alone(setting, every, status, 
 
 
 def test_a_solver_that_hangs_in_three_sets_is_asked_about_no_other():
-    sets = [Problems.certified(name, 64) for name in ("circle", "spiral", "sinusoid", "random", "jumps")]
+    sets = [TestSet.load(name).thinned(64) for name in ("circle", "spiral", "sinusoid", "random", "jumps")]
     found = ask(ONE, [(breaking("hangs", at=0), data) for data in sets], Limits(patience_s=0.5))
     status = [one.status.tolist() for one in found]
     assert status[:3] == [["hung", "not asked"]] * 3
     assert status[4] == ["not asked"] * 2
 
 
-def made(setting: SolverSetting, problems: Problems, status: list[str], x: Any) -> Answers:
+def made(setting: SolverSetting, problems: TestSet, status: list[str], x: Any) -> Answers:
     given = [Answer(word, 1, row, np.full(6, np.nan)) for word, row in zip(status, x, strict=True)]
     return Answers(setting, problems, ["", *given])
 
@@ -121,7 +120,7 @@ def made(setting: SolverSetting, problems: Problems, status: list[str], x: Any) 
 def test_claims_are_counted_by_the_certificate_and_the_judge(feasible, status, expected):
     rows, x = (array[::32].copy() for array in (TestSet.load("circle").rows, TestSet.load("circle").x))
     x[1] = 0.0  # claimed, and wrong
-    counts = made(EXACT, Problems("made", rows, rows, np.full(4, feasible)), status, x).counts()
+    counts = made(EXACT, TestSet("made", rows, x, np.full(4, feasible)), status, x).counts()
     assert {name: counts[name] for name in expected} == expected
     assert counts["right"] == counts["verified_solved"] + counts["infeasible_right"]
     assert counts["optima_asked"] + counts["infeasible_asked"] + counts["refused_inconsistent"] == counts["solves"]
@@ -130,7 +129,7 @@ def test_claims_are_counted_by_the_certificate_and_the_judge(feasible, status, e
 @pytest.mark.parametrize(("rows", "refused"), [(6, 7), (5, 0)])
 def test_refused_inconsistent_rows_are_neither_right_nor_wrong(rows, refused):
     """Of eight problems one is answered. Six rows contradict each other, so the others may be refused; five do not."""
-    problems = Problems.certified("inconsistent-1e-4", 16)
+    problems = TestSet.load("inconsistent-1e-4").thinned(16)
     x = TestSet.load("inconsistent-1e-4").x[::16].copy()
     x[1:] = np.nan
     setting = SolverSetting("osqp", "recommended", {"rows": rows}, "")
@@ -143,7 +142,7 @@ def test_refused_inconsistent_rows_are_neither_right_nor_wrong(rows, refused):
 
 
 def test_totals_add_counts_and_quote_the_slowest_set():
-    some = [answers(EXACT, Problems.certified(name, 32)) for name in ("circle", "infeasible")]
+    some = [answers(EXACT, TestSet.load(name).thinned(32)) for name in ("circle", "infeasible")]
     one = np.ones(1)
     slow, fast = (Times(np.full((2, 4), us), one, one, one, UNDISTURBED, UNDISTURBED) for us in (7.0, 3.0))
     found = totals(some, [slow, fast])
@@ -153,7 +152,7 @@ def test_totals_add_counts_and_quote_the_slowest_set():
 
 def test_cold_sessions_know_nothing_of_each_other():
     """The network forgets: cold, every answer starts from rest."""
-    data, setting = Problems.certified("circle", 16), SolverSetting("rnn", "x", {"steps": 5}, "")
+    data, setting = TestSet.load("circle").thinned(16), SolverSetting("rnn", "x", {"steps": 5}, "")
     warm, cold = answers(setting, data), answers(setting, data, warm=False)
     assert np.abs(warm.x[-1] - cold.x[-1]).max() > 1e-3
     np.testing.assert_array_equal(warm.x[0], cold.x[0])
@@ -162,7 +161,7 @@ def test_cold_sessions_know_nothing_of_each_other():
 @pytest.mark.parametrize("trusted", [True, False])
 def test_times_are_kept_where_they_are_trusted_and_doubtful_elsewhere(trusted, tmp_path, monkeypatch):
     monkeypatch.setattr(Disturbance, "trusts", lambda *_: trusted)
-    asked = answers(EXACT, Problems.certified("circle", 16))
+    asked = answers(EXACT, TestSet.load("circle").thinned(16))
     (first,), (again,) = (time(partial(ONE, kept=Kept(tmp_path / "jobs")), [asked], LIMITS) for _ in range(2))
     assert first.warm_load.calls == first.solve.size == first.figures()["timed_solves"] > 0
     assert isinstance(first.figures()["solve_p99_us"], Doubtful) is not trusted
