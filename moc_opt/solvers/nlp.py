@@ -16,7 +16,7 @@ check with looser tolerances.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, ClassVar, Literal, Protocol
@@ -50,21 +50,14 @@ _STATUS = {
 }
 
 
-class BufferedCall:
-    """A CasADi function that reads and writes fixed arrays: a plain call costs ten times as much.
-
-    ``run`` calls it, and raises a RuntimeError where the function does.
-    """
-
-    def __init__(self, function: Any, arguments: dict[str, Array], results: dict[str, Array]) -> None:
-        self._keep = arguments, results  # the buffer only holds their addresses
-        self.run: Callable[[], None]
-        self._buffer, self.run = function.buffer()
-        self.stats: Callable[[], Any] = self._buffer.stats
-        for name, array in arguments.items():
-            self._buffer.set_arg(function.index_in(name), array.data)
-        for name, array in results.items():
-            self._buffer.set_res(function.index_out(name), array.data)
+def buffered(function: Any, arguments: Mapping[str, Array], results: Mapping[str, Array]) -> tuple[Any, Any]:
+    """Return buffer and call of a CasADi function on the caller's own arrays; a plain call takes ten times as long."""
+    buffer, call = function.buffer()
+    for name, array in arguments.items():
+        buffer.set_arg(function.index_in(name), array.data)
+    for name, array in results.items():
+        buffer.set_res(function.index_out(name), array.data)
+    return buffer, call
 
 
 @lru_cache(maxsize=16)
@@ -89,7 +82,7 @@ def program(settings: NLP) -> tuple[Any, Any]:
         "g": ca.vertcat(moved[:3], ca.mtimes(E, moved[3:6])),
     }
     quiet = {"print_time": False, "error_on_fail": False}
-    solver = ca.nlpsol("solver", settings.plugin, nlp, {**quiet, **settings.options()})
+    solver = ca.nlpsol("solver", settings.plugin, nlp, {**quiet, **settings._options()})
     slope = ca.gradient(kinematics.mu(q), q)
     return solver, ca.Function("places", [q], [ca.vertcat(places(q), slope)])
 
@@ -104,9 +97,9 @@ class NLPSession:
         self._lower, self._upper, self._target = np.zeros(n), np.zeros(n), np.zeros(5)
         self._start = {"x0": np.zeros(n), "lam_g0": np.zeros(5), "lam_x0": np.zeros(n)}
         self._end = {"x": np.zeros(n), "lam_g": np.zeros(5), "lam_x": np.zeros(n)}
-        self._places = BufferedCall(places, {places.name_in(0): self._q}, {places.name_out(0): self._base})
+        self._places = buffered(places, {places.name_in(0): self._q}, {places.name_out(0): self._base})
         sides = {"lbx": self._lower, "ubx": self._upper, "lbg": self._target, "ubg": self._target}
-        self._solver = BufferedCall(solver, {"p": self._p, **sides, **self._start}, self._end)
+        self._solver = buffered(solver, {"p": self._p, **sides, **self._start}, self._end)
 
     def solve(self, qp: NullSpaceQP) -> Solution:
         """Answer one subproblem."""
@@ -116,8 +109,9 @@ class NLPSession:
         self._load(qp, lift)
         x0, x, multipliers = self._start["x0"], self._end["x"], self._end["lam_g"]
         np.clip(x0, self._lower, self._upper, out=x0)
-        self._solver.run()
-        stats = self._solver.stats()
+        buffer, run = self._solver
+        run()
+        stats = buffer.stats()
         status, iterations = _STATUS.get(str(stats["return_status"]), Status.NUMERICAL), int(stats["iter_count"])
         if not (np.isfinite(x).all() and np.isfinite(multipliers).all()):
             status = Status.NUMERICAL
@@ -133,7 +127,7 @@ class NLPSession:
     def _load(self, qp: NullSpaceQP, lift: Array) -> None:
         n, part, p = qp.n, qp.fields, self._p
         self._q[:] = part.q
-        self._places.run()
+        self._places[1]()
         p[:n] = part.q
         p[n : n + 7] = self._base[:7]
         np.subtract(part.pull, self._base[7:], out=p[n + 7 : 2 * n + 7])
@@ -152,7 +146,7 @@ class NLPSession:
 
 @dataclass(frozen=True)
 class NLP(SolverSettings):
-    """Settings that all of them share; use ``SQP`` or ``Ipopt``.
+    """Settings that both share; use ``SQP`` or ``Ipopt``.
 
     Args:
         kinematics: tip, wrist and mu as CasADi functions; ``robot.kinematics()``.
@@ -161,9 +155,6 @@ class NLP(SolverSettings):
         eps: tolerance of the scaled problem's KKT conditions.
         max_iter: iterations a tick.
         hessian: "limited-memory" (BFGS) or "exact".
-
-    Raises:
-        SolverError: a setting is out of range or the kinematics are missing.
     """
 
     kinematics: Kinematics = None  # type: ignore[assignment]
@@ -194,7 +185,7 @@ class NLP(SolverSettings):
             return "tip and wrist are not rigidly tied: the five rows of this program do not apply"
         return None
 
-    def options(self) -> dict[str, Any]:
+    def _options(self) -> dict[str, Any]:
         """Return the options of the CasADi plug-in: silent, and with our tolerance and limit of iterations."""
         raise NotImplementedError
 
@@ -213,8 +204,7 @@ class SQP(NLP):
     name = "nlp-sqp"
     plugin = "sqpmethod"
 
-    def options(self) -> dict[str, Any]:
-        """See `NLP.options`."""
+    def _options(self) -> dict[str, Any]:
         quiet = {"print_iter": False, "print_header": False, "print_info": False, "error_on_fail": False}
         return {
             "qpsol": "qrqp", "qpsol_options": quiet, "hessian_approximation": self.hessian, "max_iter": self.max_iter,
@@ -233,8 +223,7 @@ class Ipopt(NLP):
     name = "nlp-ipopt"
     plugin = "ipopt"
 
-    def options(self) -> dict[str, Any]:
-        """See `NLP.options`."""
+    def _options(self) -> dict[str, Any]:
         options = {
             "print_level": 0, "sb": "yes", "hessian_approximation": self.hessian, "max_iter": self.max_iter,
             "tol": self.eps, "acceptable_iter": 0, "bound_relax_factor": 0.0, "nlp_scaling_method": "none",

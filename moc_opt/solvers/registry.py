@@ -58,6 +58,7 @@ class Entry(NamedTuple):
 
     def create(self, **settings: Any) -> Solver:
         """Make the solver; see the function `create`."""
+        made_by = "it" if self.plugin is None else in_words(self.plugin)
         try:
             solver = self.make(**settings)
         except MocOptError:
@@ -66,23 +67,19 @@ class Entry(NamedTuple):
             unknown = sorted(settings.keys() - self.parameters.keys())
             if isinstance(error, TypeError) and unknown:
                 raise UnknownNameError(f"setting of solver {self.name!r}", unknown[0], self.parameters) from error
-            made_by = "it" if self.plugin is None else in_words(self.plugin)
             raise SolverError(f"solver {self.name!r}: {made_by} cannot be made: {describe(error)}") from error
-        if self.plugin is not None:
-            self._check_plugin(solver)
-        return solver
-
-    def _check_plugin(self, solver: Solver) -> None:
-        assert self.plugin is not None
+        if self.plugin is None:
+            return solver
         lacking = [part for part in ("supports", "start") if not callable(getattr(solver, part, None))]
         if lacking:
             raise SolverError(
-                f"solver {self.name!r}: {in_words(self.plugin)} has no method {' and no '.join(lacking)}: add it; "
+                f"solver {self.name!r}: {made_by} has no method {' and no '.join(lacking)}: add it; "
                 "docs/extending.md shows a whole solver"
             )
         own = getattr(solver, "name", None)
         if not is_name(own):
-            raise SolverError(f"solver {self.name!r}: {in_words(self.plugin)} has the name {shown(own, 80)}: {RULE}")
+            raise SolverError(f"solver {self.name!r}: {made_by} has the name {shown(own, 80)}: {RULE}")
+        return solver
 
 
 def available() -> dict[str, str | None]:

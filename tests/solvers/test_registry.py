@@ -19,7 +19,7 @@ from moc_opt.__main__ import main
 from moc_opt.errors import MocOptError, SolverError, UnknownNameError
 from moc_opt.scenario import Scenario, run
 from moc_opt.solvers import Status, available, create, registry
-from moc_opt.solvers.options import ALLOWED, MOST, checked
+from moc_opt.solvers.qpsolvers import ALLOWED, MOST, checked
 from tests.problems import random_problem
 
 HERE = [name for name, reason in available().items() if reason is None]
