@@ -48,7 +48,6 @@ class NewRobot:
     toml: Path
     urdf: Path
     robot: RobotModel
-    home: Home
     notes: tuple[str, ...]  #: Assumptions and changes, one sentence each.
 
 
@@ -117,7 +116,7 @@ def new_robot(
     told = "".join(f"\n  - {line}" for line in arm.notes).replace("--", "- -")
     note = f"  <!-- Made from {source_name}. What was assumed:{told}\n  -->\n"
     robot = write(out, home.q, note, home=home, gains=gains)
-    return NewRobot(out, beside, robot, home, tuple(arm.notes))
+    return NewRobot(out, beside, robot, tuple(arm.notes))
 
 
 def _drives(arm: VendorArm) -> dict[str, list[float]]:
