@@ -109,12 +109,8 @@ def test_what_cannot_be_shown_is_refused(robot: RobotModel, tmp_path: Path) -> N
     assert list(Replay.load(files).traces) == ["exact", "dcac", str(files[2])]
     other = tmp_path / "other.parquet"
     Trace(good.columns, {"scenario": {"robot": {"name": "lwr4", "tool_length_m": 0.4}}}).save(other)
-    for wrong, said in (
-        ([files[0], other], "one robot with one tool"), ([], "one robot with one tool"),
-        ([tmp_path / "missing.parquet"], "missing.parquet"),
-    ):  # fmt: skip
-        with pytest.raises(MocOptError, match=said):
-            Replay.load(wrong)
+    with pytest.raises(MocOptError, match="one robot with one tool"):
+        Replay.load([files[0], other])
 
 
 # --- in a browser ---

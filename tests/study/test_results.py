@@ -9,7 +9,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-from moc_opt.study.results import Results, change_name
+from moc_opt.study.results import Results
 from moc_opt.study.statistics import mean, relative_changes
 
 
@@ -59,12 +59,6 @@ def test_figures_of_a_controller() -> None:
     assert not [name for name in found if name.startswith("unknown")]
     base = Results(ROWS).figures("dcac", ["mu_mean"], ["mu_mean"])
     assert (base["mu_mean"], base["reason"], "mu_gain_percent" in base) == (1.5, "stopped: far off", False)
-
-
-def test_changes_have_the_name_of_their_metric() -> None:
-    named = {"mu_mean": "mu_gain", "settled_tip_error_model_mean_mm": "settled_tip_error_model_change",
-             "trocar_force_mean_N": "trocar_force_change", "torque_rate_rms_Nm_per_s": "torque_rate_rms_change"}
-    assert [change_name(metric) for metric in named] == [f"{name}_percent" for name in named.values()]
 
 
 def test_rows_are_found_by_their_values() -> None:

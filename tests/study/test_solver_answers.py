@@ -91,8 +91,6 @@ def test_what_a_solver_does_costs_its_own_answers_alone(setting, every, status, 
         word: status.count(word) for word in ("hung", "crashed", "raised")
     }
     assert found.summary().get("trouble", found.refused) != ""
-    if not found.complete:
-        assert time(ONE, [found], LIMITS) == [None]
 
 
 def test_a_solver_that_hangs_in_three_sets_is_asked_about_no_other():
@@ -188,5 +186,4 @@ def test_settings_are_of_solvers_that_exist_and_overrides_change_the_recommended
     assert by_label["qpsolvers:osqp@recommended"]["eps_abs"] == 1e-8
     assert "eps_abs" not in by_label["qpsolvers:osqp@default"]
     found = {e.name: e.options for e in solver_settings(["osqp"], {"osqp": {"eps": 0.5}})}
-    assert found["recommended"] == {"eps": 0.5}
-    assert found["default"]["eps"] == 1e-3
+    assert (found["recommended"], found["default"]["eps"]) == ({"eps": 0.5}, 1e-3)

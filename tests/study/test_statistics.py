@@ -64,6 +64,14 @@ def test_a_change_does_not_depend_on_the_unit(values, factor):
     np.testing.assert_allclose(b[:3], a[:3], rtol=1e-6, atol=1e-6)
 
 
+@settings(max_examples=15)
+@given(SAMPLES)
+def test_the_value_lies_in_its_interval(values):
+    found = mean(values)
+    assert found.low - 1e-12 <= found.value <= found.high + 1e-12
+    assert found.samples == len(values)
+
+
 @pytest.mark.parametrize("bad", [[], [1.0, np.nan], [[1.0, 2.0]]])
 def test_no_statistic_of_nothing(bad):
     with pytest.raises(StatisticsError, match="samples"):

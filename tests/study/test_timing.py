@@ -40,13 +40,10 @@ def test_every_call_is_timed_without_its_preparation(spin):
     assert each_us(spin, []).shape == (0,)
 
 
-def test_the_collector_is_off_while_the_clock_runs_and_as_before_afterwards():
+def test_the_collector_is_off_while_the_clock_runs():
     during = []
     each_us(lambda item: during.append(gc.isenabled()), [1])
-    assert during == [False]
-    with pytest.raises(ZeroDivisionError):
-        each_us(lambda item: 1 // item, [0])
-    assert gc.isenabled()
+    assert (during, gc.isenabled()) == ([False], True)
 
 
 def test_interleaved_takes_turns_chunk_by_chunk():
