@@ -36,7 +36,7 @@ CONNECT_S = 30.0
 LOOK_S, ATTEMPTS = 1.0, 3  # how often processes are looked after [s], and pools that a job may see break
 BEGUN = ".pid"
 PR_SET_PDEATHSIG = 1
-PRELOAD = ("moc_opt.scenario", "moc_opt.study.trials", "moc_opt.study.solver_answers", "casadi", "qpsolvers")
+PRELOAD = ("moc_opt.scenario", "moc_opt.study.trials", "moc_opt.study.solver_answers")
 
 _parts: IO[bytes] | None = None  # in a worker: the file for what the job hands over
 
