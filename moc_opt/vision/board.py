@@ -73,7 +73,7 @@ def rotation_vector(rotation: ArrayLike) -> Array:
 
 
 class VisionSettings(Settings):
-    """Base of the tables of camera, board and tracker; a PlantError where a value is out of range."""
+    """Base of the tables of this room; a PlantError where a value is out of range."""
 
     ERROR: ClassVar[type[MocOptError]] = PlantError
 

@@ -100,10 +100,7 @@ def hide(ids: range, fraction: float, seed: int) -> frozenset[int]:
 class View:
     """Takes pictures: the board with its covers by a perspective warp, the tool's shaft as polygon, blur and noise.
 
-    Args:
-        camera: the true one.
-        shaft: takes a pose q (n,) to the tip and another point (3,) of the shaft, base frame [m]; None: no tool.
-        seed: of the noise.
+    ``shaft`` takes a pose q (n,) to the tip and another point (3,) of the shaft, base frame [m]; None: no tool.
     """
 
     def __init__(
@@ -120,13 +117,7 @@ class View:
     def picture(
         self, board_in_base: Pose | None, hidden: frozenset[int] = frozenset(), q: Array | None = None
     ) -> Picture:
-        """Take the camera's picture (H, W, 3).
-
-        Args:
-            board_in_base: where the board truly is; None: nothing of it can be seen.
-            hidden: numbers of the markers that are covered by something.
-            q: (n,) pose of the arm [rad], whose tool can be in the way; None: no arm.
-        """
+        """Take the picture (H, W, 3) of a board (None: out of sight) with covered markers, and the tool at q (n,)."""
         width, height = self.camera.size_px
         page = np.full((_FINER * height, _FINER * width, 3), TISSUE, dtype=np.uint8)
         if board_in_base is not None:

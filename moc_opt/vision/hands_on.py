@@ -15,24 +15,23 @@ from moc_opt.arrays import Array, read_only
 from moc_opt.control.hand_guiding import HandGuiding
 from moc_opt.control.safety_filter import SafetyFilter
 from moc_opt.control.safety_settings import SafetyFilterSettings
-from moc_opt.errors import MocOptError, PlantError, TaskError
-from moc_opt.inputs.settings import Settings
+from moc_opt.errors import PlantError, TaskError
 from moc_opt.robots.inverse_kinematics import pose_with_tip
 from moc_opt.robots.model import RobotModel, RobotState
 from moc_opt.sim.loop import ClosedLoop
 from moc_opt.sim.plant import Plant, Stop
 from moc_opt.tasks.checks import vector3
 from moc_opt.trace.trace import Trace
+from moc_opt.vision.board import VisionSettings
 
 _NO_REFERENCE, _NO_TROCAR = np.zeros((3, 3)), np.zeros((2, 3))
 _SPEED_FILTER_Hz = 5.0  # the encoders' noise alone is some mm/s at the tip
 
 
-class HandSettings(Settings):
-    """How the hand pulls; a PlantError where a value is out of range."""
+class HandSettings(VisionSettings):
+    """How the hand pulls."""
 
     KIND: ClassVar[str] = "[hand]"
-    ERROR: ClassVar[type[MocOptError]] = PlantError
 
     stiffness_N_per_m: float = Field(600.0, gt=0.0, le=1e4)
     damping_Ns_per_m: float = Field(60.0, gt=0.0, le=1e3)
@@ -44,11 +43,10 @@ class HandSettings(Settings):
     content_m: float = Field(0.0005, ge=0.0, le=0.05, description="nearer than this it corrects no more")
 
 
-class HandsOnSettings(Settings):
-    """The guiding, and when the trocar counts as registered; a TaskError where a value is out of range."""
+class HandsOnSettings(VisionSettings):
+    """The guiding, and when the trocar counts as registered."""
 
     KIND: ClassVar[str] = "[hands_on]"
-    ERROR: ClassVar[type[MocOptError]] = TaskError
 
     joint_damping_Nm_s_per_rad: float = Field(3.0, ge=0.0, le=100.0)
     registration_error_m: float = Field(

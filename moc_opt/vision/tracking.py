@@ -65,9 +65,8 @@ class BoardFinder:
     def find(self, picture: Picture) -> Sighting | None:
         """Find the board's pose in the camera's frame; None where no marker is seen or no pose fits.
 
-        A plane seen from afar fits two poses (mirrored about the line of sight): both are computed (IPPE) and
-        refined by Levenberg-Marquardt on all corners, and the better one is taken. Corners far off it, mostly where
-        the tool's edge crosses a marker, are then left out, and the rest is refined again.
+        A plane seen from afar fits two poses (mirrored about the line of sight): both are refined, and the better one
+        is taken. Corners far off it, mostly where the tool's edge crosses a marker, are then left out.
         """
         seen = self.corners(picture)
         if not seen:
