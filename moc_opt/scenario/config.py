@@ -228,14 +228,11 @@ class Scenario(Settings):
             >>> mo.Scenario(seed=3).change(duration_s=1.0, plant={"friction": 0.0})
             Scenario(seed=3, plant={'friction': 0.0}, duration_s=1.0)
         """
-        values: dict[str, Any] = {}
-        for name in type(self).model_fields:
-            old = getattr(self, name)
-            new = tables.pop(name, old)
+        for name, new in tables.items():
+            old = getattr(self, name, None)
             if isinstance(old, Settings) and isinstance(new, Mapping) and "preset" not in new:
-                new = old.replace(new)
-            values[name] = new
-        return type(self)(**values, **tables)
+                tables[name] = old.replace(new)
+        return self.replace(tables)
 
     @property
     def told_guard(self) -> SafetyFilterSettings:

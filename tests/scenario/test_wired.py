@@ -204,12 +204,10 @@ def test_another_key_is_not_heard(tmp_path):
             run_there.result()
 
 
-def test_what_cannot_be_is_refused_in_words(capsys, tmp_path):
+def test_what_cannot_be_is_refused_in_words(capsys):
     for command, words in {
         ("plant", "--listen", "0.0.0.0:30200"): "other machines reach that address",
         ("control", "--connect", "192.0.2.1:30200"): "--key-file",
-        ("plant", "--listen", "here"): "HOST:PORT",
-        ("control", "--key-file", str(tmp_path / "none")): "no such file",
     }.items():
         assert main(command) == 2
         assert words in capsys.readouterr().err
