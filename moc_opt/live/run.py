@@ -43,11 +43,10 @@ class Moment(NamedTuple):
 
 
 class Choice(NamedTuple):
-    """A controller, and the solver and settings that were asked for."""
+    """A controller, and its solver by the name that was asked for."""
 
     controller: Controller
     solver: str
-    settings: ControlSettings
 
 
 class ExchangeableController:
@@ -135,7 +134,7 @@ class LiveRun:
         self._rows: deque[list[float]] = deque(maxlen=round(HISTORY_S / self.period_s))
         self._truth = np.empty(2 * self.robot.n + 9)
         solver = scenario.solver.name if scenario.control.law == "moc" else DCAC
-        first = Choice(self._build(scenario.control, solver), solver, scenario.control)
+        first = Choice(self._build(scenario.control, solver), solver)
         self._in_use = ExchangeableController(first, self.period_s, self.messages)
         self._asked = np.zeros(3)
         self._begin()
@@ -147,7 +146,7 @@ class LiveRun:
         """What was asked for last: the choice that waits, or else the one in use."""
         return self._in_use.next or self._in_use.used
 
-    control = property(lambda self: self.chosen.settings, doc="The settings that were asked for last.")
+    control = property(lambda self: self.chosen.controller.settings, doc="The settings that were asked for last.")
     solver = property(lambda self: self.chosen.solver, doc="The solver, or `DCAC`, that was asked for last.")
 
     @property
@@ -272,6 +271,6 @@ class LiveRun:
 
     def _exchange(self, control: ControlSettings, name: str) -> None:
         gently = control.model_copy(update={"ramp_s": max(control.ramp_s, RAMP_S)})
-        choice = Choice(self._build(gently, name), name, control)
+        choice = Choice(self._build(gently, name), name)
         with self._in_use.lock:
             self._in_use.next = choice

@@ -132,10 +132,9 @@ def c_packets(n: int, ticks: int, scenario: int, wait_s: float, silence_s: float
     defines = {
         "JOINTS": n, "TICKS": ticks, "SCENARIO": f"UINT64_C({scenario})", "VERSION": VERSION,
         "MAGIC": f'"{MAGIC.decode()}"', "LOOPBACK_KEY": f'"{LOOPBACK_KEY.decode()}"', "WAIT_S": wait_s,
-        "SILENCE_S": silence_s, "COUNTER_NAMES": "{" + ", ".join(f'"{name}"' for name in COUNTERS) + "}",
-        "WAITING": WAITING, "RUNNING": RUNNING, "ENDED": ENDED, "STOP": STOP, "REPORTED": REPORTED,
+        "SILENCE_S": silence_s, "WAITING": WAITING, "RUNNING": RUNNING, "ENDED": ENDED, "STOP": STOP,
+        "REPORTED": REPORTED, **{f"KIND_{kind.name}": int(kind) for kind in Kind},
     }  # fmt: skip
-    defines |= {f"KIND_{kind.name}": int(kind) for kind in Kind}
     structs = {f"wire_{kind.name.lower()}": layout(kind, n) for kind in Kind}
     return "\n".join([
         "/* The packets of the wire and its numbers, written by moc_opt/realtime/packets.py; see docs/realtime.md. */",

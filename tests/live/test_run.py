@@ -114,7 +114,7 @@ def test_what_only_the_loop_can_tell_becomes_a_message(run: LiveRun) -> None:
 
     controller = run._build(run.control, "exact")
     controller.solver = Refuses()  # type: ignore[assignment]
-    run._in_use.next = Choice(controller, "refuses", run.control)
+    run._in_use.next = Choice(controller, "refuses")
     run.advance(10)
     assert "not in the mood; exact goes on" in run.messages.popleft()
     assert run.moment().solver == run.solver == "exact"
@@ -133,7 +133,7 @@ def test_a_run_away_stops_and_can_be_reset(run: LiveRun) -> None:
     run.tune(K_X=2000.0)
     run.reset()
     run.advance(500)
-    assert run._in_use.used.settings.K_X == run.control.K_X == 2000.0
+    assert run._in_use.used.controller.settings.K_X == run.control.K_X == 2000.0
     assert not run.moment().stopped
     assert run.moment().t_s == pytest.approx(0.998)
     assert column(run, "tip_error_m", 50).max() < 1e-3
