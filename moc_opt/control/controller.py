@@ -137,12 +137,14 @@ class Controller:
     @property
     def null_space(self) -> Array:
         """Z (r, n) of the last tick, a copy."""
-        return np.array(self._law.Z).reshape(-1, self._n)
+        rows = self._law.basis(Z := np.empty((self._n, self._n)))
+        return Z[:rows]
 
     @property
     def external_torque(self) -> Array:
         """The observer's estimate of the external torque (n,) [Nm], a copy; zero without an observer."""
-        return np.array(self._law.external)
+        self._law.external(torque := np.empty(self._n))
+        return torque
 
     def start(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> None:
         """Reset the state and set up the solver for problems like the one at this measurement; arguments as for `tick`.

@@ -96,19 +96,20 @@ class SafetyFilter:
     @property
     def warnings(self) -> list[dict[str, Any]]:
         """Figures above their warning level since the start: ``of``, ``first_s``, ``largest``, ``unit``, ``level``."""
-        figures = zip(self._guard.largest, self._guard.first_tick, strict=True)
+        self._guard.watched(figures := np.empty((3, 2)))
+        _, largests, firsts = figures.tolist()
         return [
             {"of": name, "first_s": first * self._period, "largest": scale * largest, "unit": unit,
              "level": scale * warning}
             for (largest, first), (warning, _), (name, unit, scale)
-            in zip(figures, self.settings.incision_levels, _WATCHED, strict=True)
+            in zip(zip(largests, firsts, strict=True), self.settings.incision_levels, _WATCHED, strict=True)
             if warning is not None and first >= 0
         ]  # fmt: skip
 
     @property
     def bad_ticks(self) -> int:
         """Number of measurements in a row that were not accepted."""
-        return self._guard.bad
+        return self._guard.watched(np.empty((3, 2)))
 
     @property
     def stopped(self) -> bool:

@@ -160,31 +160,6 @@ int moc_fill(PyObject *keywords, const field *fields, int count, Arm *self)
     return 1;
 }
 
-static PyObject *numbers(const double *from, int count)
-{
-    PyObject *shown = PyTuple_New(count);
-    for (int i = 0; shown != NULL && i < count; i++)
-        PyTuple_SetItem(shown, i, PyFloat_FromDouble(from[i]));
-    return shown;
-}
-
-PyObject *moc_show(PyObject *self, void *of)
-{
-    const field *f = of;
-    const void *place = (const char *)self + f->offset;
-    int n = ((Arm *)self)->arm.n;
-
-    if (f->kind == INT)
-        return PyLong_FromLong(*(const int *)place);
-    if (f->kind != BASIS)
-        return numbers(place, f->kind == PAIR ? 2 : n);
-    int rows = *(const int *)((const char *)self + f->rows);
-    PyObject *shown = PyTuple_New(rows);
-    for (int i = 0; shown != NULL && i < rows; i++)
-        PyTuple_SetItem(shown, i, numbers((const double *)place + i * MOC_MAX_JOINTS, n));
-    return shown;
-}
-
 /* --- packed records --- */
 
 /* Rows of numbers in a struct, MOC_MAX_JOINTS apart; columns: how many of each, or N. */

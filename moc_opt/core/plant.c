@@ -72,10 +72,5 @@ FUNCTION(read_encoders, {"q", READ, N}, {"v", READ, N}, {"noise", READ, N}, {"me
 }
 
 PyMethodDef moc_plant_functions[] = {
-    ENTRY("shaft_force", shaft_force,
-          "shaft_force(tip, wrist, twist, origin, trocar, elapsed, stiffness, damping, force, point); see plant.c"),
-    ENTRY("add_force", add_force, "add_force(wrench, force, point, com): add a force at a point to a body's wrench"),
-    ENTRY("read_encoders", read_encoders,
-          "read_encoders(q, v, noise, memory, resolution, period, gain, exact, reading); see plant.c"),
-    {NULL, NULL, 0, NULL},
+    ENTRY(core, shaft_force), ENTRY(core, add_force), ENTRY(core, read_encoders), {NULL, NULL, 0, NULL},
 };

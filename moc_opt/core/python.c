@@ -35,8 +35,8 @@ typedef struct {
     moc_state state;
 } Law;
 
-#define LAW(name, kind) {#name, offsetof(Law, law.name), kind, 0}
-#define CHECK(name, kind) {#name, offsetof(Law, supervision.name), kind, 0}
+#define LAW(name, kind) {#name, offsetof(Law, law.name), kind}
+#define CHECK(name, kind) {#name, offsetof(Law, supervision.name), kind}
 
 static const field law_fields[] = {
     LAW(K_X, DOUBLE), LAW(D_X, DOUBLE), LAW(K_N, DOUBLE), LAW(D_N, DOUBLE), LAW(rcm_lambda, DOUBLE),
@@ -149,33 +149,28 @@ METHOD(Law, set_applied, {"tau", READ, N})
     Py_RETURN_NONE;
 }
 
-static const field law_shown[] = {
-    {"external", offsetof(Law, state.memory.external), JOINTS, 0},
-    {"Z", offsetof(Law, state.memory.Z), BASIS, offsetof(Law, state.memory.rows)},
-};
+METHOD(Law, external, {"torque", WRITE, N})
+{
+    memcpy(c->array[0], self->state.memory.external, (size_t)c->n * sizeof(double));
+    Py_RETURN_NONE;
+}
 
-static PyGetSetDef law_attributes[] = {
-    {"external", moc_show, NULL, "the observer's estimate of the external torque (n,) [Nm]", (void *)&law_shown[0]},
-    {"Z", moc_show, NULL, "the basis of ker A, (r, n)", (void *)&law_shown[1]},
-    {NULL, NULL, NULL, NULL, NULL},
-};
+METHOD(Law, basis, {"Z", WRITE, N, N})
+{
+    const moc_memory *memory = &self->state.memory;
+    for (int k = 0; k < memory->rows; k++)
+        memcpy(c->array[0] + k * c->n, memory->Z[k], (size_t)c->n * sizeof(double));
+    return PyLong_FromLong(memory->rows);
+}
 
 static PyMethodDef law_methods[] = {
-    ENTRY("start", Law_start, "start(record, tip_ref, trocar, row): forget all; the subproblem of this state into row"),
-    ENTRY("load", Law_load, "load(record, Z): take these for this tick's subproblem and null space"),
-    ENTRY("begin", Law_begin, "begin(record, tip_ref, trocar, pull, row): levels 1 and 2, and the subproblem into row"),
-    ENTRY("finish", Law_finish, "finish(known, claim, answer, solve_us, x, tau) -> fault: x is what the arm follows"),
-    ENTRY("step", Law_step,
-         "step(record, tip_ref, trocar, pull, tolerance, solve_us, out) -> (status, fault, us):\n"
-         "begin, the exact solver and finish; solve_us: NaN, or what replaces the clock; out: the subproblem's record,\n"
-         "the solver's x and y, the x that the arm follows, and tau"),
-    ENTRY("set_applied", Law_set_applied, "set_applied(tau): replace the last torque by the one that was applied"),
-    {NULL, NULL, 0, NULL},
+    ENTRY(Law, start), ENTRY(Law, load), ENTRY(Law, begin), ENTRY(Law, finish), ENTRY(Law, step),
+    ENTRY(Law, set_applied), ENTRY(Law, external), ENTRY(Law, basis), {NULL, NULL, 0, NULL},
 };
 
 static PyType_Slot law_slots[] = {
     {Py_tp_doc, "Law(arm, **numbers)\n\nThe law with its memory; numbers: the fields of moc_law and moc_supervision."},
-    {Py_tp_new, law_new}, {Py_tp_methods, law_methods}, {Py_tp_getset, law_attributes}, {0, NULL},
+    {Py_tp_new, law_new}, {Py_tp_methods, law_methods}, {0, NULL},
 };
 
 /* --- the safety filter --- */
@@ -187,7 +182,7 @@ typedef struct {
     moc_watch watch;
 } Guard;
 
-#define LEVEL(name, kind) {#name, offsetof(Guard, guard.name), kind, 0}
+#define LEVEL(name, kind) {#name, offsetof(Guard, guard.name), kind}
 
 static const field guard_fields[] = {
     LEVEL(period, DOUBLE), LEVEL(patience, INT), LEVEL(carries, INT), LEVEL(low, JOINTS), LEVEL(high, JOINTS),
@@ -260,32 +255,23 @@ METHOD(Guard, hold, {"wrench", READ, 6}, {"friction", WRITE, N})
     Py_RETURN_NONE;
 }
 
-#define WATCH(name, kind) {#name, offsetof(Guard, watch.name), kind, 0}
-
-static const field watch_shown[] = {
-    WATCH(bad, INT), WATCH(mean_square, PAIR), WATCH(largest, PAIR), WATCH(first_tick, PAIR),
-};
-
-static PyGetSetDef guard_attributes[] = {
-    {"bad", moc_show, NULL, "measurements in a row that were not believed", (void *)&watch_shown[0]},
-    {"mean_square", moc_show, NULL, "of RCM error [m^2] and trocar force [N^2]", (void *)&watch_shown[1]},
-    {"largest", moc_show, NULL, "root of either above its warning [m], [N]", (void *)&watch_shown[2]},
-    {"first_tick", moc_show, NULL, "of either's warning; -1: none", (void *)&watch_shown[3]},
-    {NULL, NULL, NULL, NULL, NULL},
-};
+METHOD(Guard, watched, {"figures", WRITE, 3, 2})
+{
+    const moc_watch *w = &self->watch;
+    memcpy(c->array[0], w->mean_square, sizeof w->mean_square);
+    memcpy(c->array[0] + 2, w->largest, sizeof w->largest);
+    memcpy(c->array[0] + 4, w->first_tick, sizeof w->first_tick);
+    return PyLong_FromLong(w->bad);
+}
 
 static PyMethodDef guard_methods[] = {
-    ENTRY("start", Guard_start, "start(q, v, stamp): forget all, and begin at a finite measurement, number `stamp`"),
-    ENTRY("believe", Guard_believe, "believe(q, v, stamp, applied, wrench, trocar, believed) -> reason"),
-    ENTRY("follow", Guard_follow, "follow(q, v, record, tip, tip_ref, before, tau) -> (reason, joints limited)"),
-    ENTRY("rest", Guard_rest, "rest(before, tau): the torque of a damped stop"),
-    ENTRY("hold", Guard_hold, "hold(wrench, friction): dry friction of the brakes in a stop [Nm]"),
-    {NULL, NULL, 0, NULL},
+    ENTRY(Guard, start), ENTRY(Guard, believe), ENTRY(Guard, follow), ENTRY(Guard, rest), ENTRY(Guard, hold),
+    ENTRY(Guard, watched), {NULL, NULL, 0, NULL},
 };
 
 static PyType_Slot guard_slots[] = {
     {Py_tp_doc, "Guard(arm, **numbers)\n\nThe safety filter with its memory; numbers: the fields of moc_guard."},
-    {Py_tp_new, guard_new}, {Py_tp_methods, guard_methods}, {Py_tp_getset, guard_attributes}, {0, NULL},
+    {Py_tp_new, guard_new}, {Py_tp_methods, guard_methods}, {0, NULL},
 };
 
 /* --- the module --- */

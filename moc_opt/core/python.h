@@ -60,7 +60,7 @@ static inline int rows_of(const call *c, int i)
 #define COUNT(table) ((int)(sizeof(table) / sizeof(table)[0]))
 
 /* FUNCTION(name, parameters...) { body } is a function of the module, METHOD(Type, name, parameters...) { body } one of
- * an object: the body sees the arguments in `c`, and the object as `self`. */
+ * an object: the body sees the arguments in `c`, and the object as `self`. _core.pyi says what each of them does. */
 #define CALL(function, name, joints, body, ...)                                                                        \
     static PyObject *function(PyObject *self, PyObject *const *args, Py_ssize_t count)                                 \
     {                                                                                                                  \
@@ -71,13 +71,13 @@ static inline int rows_of(const call *c, int i)
     }
 #define FUNCTION(name, ...)                                                                                            \
     static PyObject *name##_body(const call *c);                                                                       \
-    CALL(name, #name, 0, name##_body(&c), __VA_ARGS__)                                                                 \
+    CALL(core_##name, #name, 0, name##_body(&c), __VA_ARGS__)                                                          \
     static PyObject *name##_body(const call *c)
 #define METHOD(Type, name, ...)                                                                                        \
     static PyObject *Type##_##name##_body(Type *self, const call *c);                                                  \
     CALL(Type##_##name, #name, ((Arm *)self)->arm.n, Type##_##name##_body((Type *)self, &c), __VA_ARGS__)              \
     static PyObject *Type##_##name##_body(Type *self, const call *c)
-#define ENTRY(name, function, doc) {name, (PyCFunction)(void (*)(void))function, METH_FASTCALL, doc}
+#define ENTRY(Type, name) {#name, (PyCFunction)(void (*)(void))Type##_##name, METH_FASTCALL, NULL}
 
 /* Every object begins with its arm. */
 typedef struct {
@@ -88,19 +88,15 @@ typedef struct {
 extern PyType_Spec moc_arm_spec;                                      /* python_arm.c */
 extern PyMethodDef moc_subproblem_functions[], moc_plant_functions[]; /* python_subproblem.c, plant.c */
 
-/* A number in an object: double, int, two doubles, one double a joint, rows of them (as many as the int `rows` says). */
+/* A number in an object: double, int, two doubles, one double a joint. */
 typedef struct {
     const char *name;
     size_t offset;
-    enum { DOUBLE, INT, PAIR, JOINTS, BASIS } kind;
-    size_t rows;
+    enum { DOUBLE, INT, PAIR, JOINTS } kind;
 } field;
 
 /* Fill an object with the keywords of its fields' names, each of which has to be there. Returns 0 with an exception. */
 int moc_fill(PyObject *keywords, const field *fields, int count, Arm *self);
-
-/* A getter: the field of an object as a number, or as tuples of numbers. */
-PyObject *moc_show(PyObject *self, void *of);
 
 /* Packed records, by the number of joints; moc_opt/qp/layout.py and moc_opt/robots/state.py read the same ones. */
 void moc_unpack_problem(double *record, int n, moc_problem *problem);

@@ -160,16 +160,8 @@ METHOD(Arm, ascend, TASK(2), {"starts", WRITE, K, N}, {"mus", WRITE, K})
 }
 
 static PyMethodDef methods[] = {
-    ENTRY("terms", Arm_terms, "terms(q, v, record) -> status: all terms of one state"),
-    ENTRY("mu_along", Arm_mu_along, "mu_along(poses, mu): manipulability of the tip"),
-    ENTRY("points_along", Arm_points_along, "points_along(poses, points, out): points of the last joint's axes [m]"),
-    ENTRY("tool_pose", Arm_tool_pose, "tool_pose(q, pose): the tool's axes x, y, z and its tip [m]"),
-    ENTRY("nearest_pose", Arm_nearest_pose, "nearest_pose(low, high, target, q, iterations, best) -> miss [m]"),
-    ENTRY("follow_curve", Arm_follow_curve,
-          "follow_curve(low, high, target, active, q, tangent, step, s, poses, mus) -> (count, end); see tools.h"),
-    ENTRY("onto_curve", Arm_onto_curve, "onto_curve(low, high, target, active, q, along, pose) -> bool; see tools.h"),
-    ENTRY("ascend", Arm_ascend, "ascend(low, high, target, starts, mus): climb in place; see tools.h"),
-    {NULL, NULL, 0, NULL},
+    ENTRY(Arm, terms), ENTRY(Arm, mu_along), ENTRY(Arm, points_along), ENTRY(Arm, tool_pose), ENTRY(Arm, nearest_pose),
+    ENTRY(Arm, follow_curve), ENTRY(Arm, onto_curve), ENTRY(Arm, ascend), {NULL, NULL, 0, NULL},
 };
 
 static PyType_Slot slots[] = {

@@ -135,17 +135,6 @@ FUNCTION(advance, {"branches", WHOLE}, {"q", READ, K, N}, {"slack", READ, K, N},
 }
 
 PyMethodDef moc_subproblem_functions[] = {
-    ENTRY("solve_exact", solve_exact, "solve_exact(record, tolerance, x, y) -> status"),
-    ENTRY("solve_exact_rows", solve_exact_rows,
-          "solve_exact_rows(records, tolerance, X, Y, status): without the lock; NaN where there is no answer"),
-    ENTRY("step_network", step_network,
-          "step_network(record, x, y, steps, h_x, h_y, k, scale, implicit, rest) -> (status, steps made)"),
-    ENTRY("judge", judge, "judge(record, Z, x) -> (primal, outside, natural, off, opposite); see answer.c"),
-    ENTRY("load", load, "load(record, five, scale, signs, P, p, A, low, high, lower, upper, packed, lift) -> whether the\n"
-          "subproblem has as many equality rows as these buffers, which hold it then; y6 = lift^T y"),
-    ENTRY("desired_wrist", desired_wrist, "desired_wrist(X, dX, trocar, span, out): N_d and dN_d (2, 3)"),
-    ENTRY("advance", advance,
-          "advance(branches, q, slack, gain, q_next, slack_next, value_next, step, crossing, price, worst, value, room):\n"
-          "one step of a value function; see tools.h"),
-    {NULL, NULL, 0, NULL},
+    ENTRY(core, solve_exact), ENTRY(core, solve_exact_rows), ENTRY(core, step_network), ENTRY(core, judge),
+    ENTRY(core, load), ENTRY(core, desired_wrist), ENTRY(core, advance), {NULL, NULL, 0, NULL},
 };

@@ -131,7 +131,8 @@ def test_the_observer(robot):
             later = robot.state(s.q, s.v + 0.1 * rng.normal(size=robot.n))
             made.begin(later.record, tip_ref, trocar, None, row)
             integral, wanted = reference.observe(robot, later, tau, 25.0, 0.002, integral, wanted)
-            np.testing.assert_allclose(made.external, wanted, rtol=1e-8, atol=1e-8)
+            made.external(found := np.empty(robot.n))
+            np.testing.assert_allclose(found, wanted, rtol=1e-8, atol=1e-8)
 
 
 def test_the_scaled_climb(robot):
@@ -167,7 +168,8 @@ def test_the_basis_turns_no_further_than_the_kernel_and_survives_the_straight_el
         if before is None:
             made.start(s.record, rest, trocar, row)
         made.begin(s.record, rest, trocar, None, row)
-        Z = np.array(made.Z)
+        Z = np.empty((7, 7))
+        Z = Z[: made.basis(Z)]
         np.testing.assert_allclose(s.A @ Z.T, 0.0, atol=1e-9)
         np.testing.assert_allclose(Z @ Z.T, np.eye(len(Z)), atol=1e-9)
         if before is not None and len(Z) == len(before) and abs(angle) > 0.01:
