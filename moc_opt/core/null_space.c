@@ -8,8 +8,7 @@
 #define LONGEST 1.0  /* [rad] */
 #define PROBE 1e-3   /* way over which the slope's change is taken [rad] */
 
-/* Row k less its part along the rows before it, as a unit vector; 0 where less than `least` was left. */
-static int orthonormalise(int n, double Z[][MOC_MAX_JOINTS], int k, double least)
+int moc_orthonormalise(int n, double Z[][MOC_MAX_JOINTS], int k, double least)
 {
     for (int twice = 0; twice < 2; twice++) { /* is always enough */
         for (int i = 0; i < k; i++) {
@@ -44,10 +43,10 @@ int moc_null_space(int n, double A[][MOC_MAX_JOINTS], int rows, double Z[][MOC_M
     int found = moc_kernel(n, A, fresh), alike = found == rows;
 
     for (int i = 0; i < found; i++)
-        orthonormalise(n, fresh, i, 0.0);
+        moc_orthonormalise(n, fresh, i, 0.0);
     for (int i = 0; i < found && alike; i++) {
         moc_onto(n, found, fresh, Z[i], turned[i]);
-        alike = orthonormalise(n, turned, i, 0.5);
+        alike = moc_orthonormalise(n, turned, i, 0.5);
     }
     memcpy(Z, alike ? turned : fresh, (unsigned)found * sizeof *Z);
     return found;

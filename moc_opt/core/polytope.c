@@ -26,42 +26,17 @@ typedef struct {
     double force[MOC_MAX_JOINTS];              /* multiplier of that bound: above zero at a lower one */
     double room[MOC_MAX_JOINTS];               /* Pi_jj before any sweep */
     double Pi[MOC_MAX_JOINTS][MOC_MAX_JOINTS]; /* swept on the active joints */
-    double Z[MOC_MAX_JOINTS][MOC_MAX_JOINTS];  /* orthogonal rows, a basis of ker A */
-    double inverse[MOC_MAX_JOINTS];            /* 1 / |Z_k|^2 */
+    double Z[MOC_MAX_JOINTS][MOC_MAX_JOINTS];  /* orthonormal basis of ker A */
 } polytope;
 
-static void orthogonalise(polytope *t)
-{
-    for (int a = 0; a < t->r; a++) {
-        t->inverse[a] = 1.0 / dot(t->n, t->Z[a], t->Z[a]);
-        for (int b = a + 1; b < t->r; b++) {
-            double along = t->inverse[a] * dot(t->n, t->Z[a], t->Z[b]);
-            for (int j = 0; j < t->n; j++)
-                t->Z[b][j] -= along * t->Z[a][j];
-        }
-    }
-}
-
-/* to = scale Pi x, through the basis. */
-static void onto_basis(const polytope *t, const double *x, double scale, double *to)
-{
-    double sum[MOC_MAX_JOINTS] = {0.0};
-    for (int k = 0; k < t->r; k++) {
-        double along = scale * t->inverse[k] * dot(t->n, t->Z[k], x);
-        for (int j = 0; j < t->n; j++)
-            sum[j] += along * t->Z[k][j];
-    }
-    memcpy(to, sum, (unsigned)t->n * sizeof *to);
-}
-
-/* Pi = sum of z z^T / |z|^2, not swept. */
+/* Pi = Z^T Z, not swept. */
 static void fill_projector(polytope *t)
 {
     for (int i = 0; i < t->n; i++)
         for (int j = 0; j < t->n; j++) {
             t->Pi[i][j] = 0.0;
             for (int k = 0; k < t->r; k++)
-                t->Pi[i][j] += t->Z[k][i] * t->inverse[k] * t->Z[k][j];
+                t->Pi[i][j] += t->Z[k][i] * t->Z[k][j];
         }
 }
 
@@ -86,8 +61,8 @@ static void sweep(polytope *t, int p, double sign)
 static void settle(polytope *t)
 {
     double back[MOC_MAX_JOINTS];
-    onto_basis(t, t->s, 1.0, back);
-    memcpy(t->s, back, (unsigned)t->n * sizeof *back);
+    moc_onto(t->n, t->r, t->Z, t->s, t->s);
+    memcpy(back, t->s, sizeof back);
     for (int a = 0; a < t->n; a++) {
         if (!(fabs(t->side[a]) > 0.0))
             continue;
@@ -103,7 +78,7 @@ static int furthest_out(const polytope *t, double slack)
 {
     int joint = -1;
     for (int j = 0; j < t->n; j++) {
-        double below = t->low[j] - t->s[j], over = t->s[j] - t->high[j], beyond = below > over ? below : over;
+        double beyond = larger(t->low[j] - t->s[j], t->s[j] - t->high[j]);
         if (beyond > slack) {
             slack = beyond;
             joint = j;
@@ -230,13 +205,15 @@ moc_status moc_solve_several(const moc_plane *plane, const moc_problem *p, doubl
     polytope t = {.n = p->n, .r = plane->freedoms};
     double back[MOC_MAX_JOINTS], room = 0.0, weight = p->rho;
 
-    for (int k = 0; k < t.r; k++)
+    for (int k = 0; k < t.r; k++) {
         moc_direction(plane, t.n, k, t.Z[k]);
-    orthogonalise(&t);
+        moc_orthonormalise(t.n, t.Z, k, 0.0);
+    }
     fill_projector(&t);
-    onto_basis(&t, x, 1.0, back);
-    onto_basis(&t, p->pull, p->c2, t.pull);
+    moc_onto(t.n, t.r, t.Z, x, back);
+    moc_onto(t.n, t.r, t.Z, p->pull, t.pull);
     for (int j = 0; j < t.n; j++) {
+        t.pull[j] *= p->c2;
         t.room[j] = t.Pi[j][j];
         t.low[j] = -HUGE_VAL;
         t.high[j] = HUGE_VAL;

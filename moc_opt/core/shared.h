@@ -67,6 +67,9 @@ void moc_desired_wrist(const double X[3], const double dX[3], const moc_trocar *
  * its rows. */
 int moc_null_space(int n, double A[][MOC_MAX_JOINTS], int rows, double Z[][MOC_MAX_JOINTS]);
 
+/* Row k of Z less its part along the rows before it, as a unit vector; 0 where less than `least` of a length was left. */
+int moc_orthonormalise(int n, double Z[][MOC_MAX_JOINTS], int k, double least);
+
 /* part (n,) = Z^T Z x of an orthonormal basis Z (rows, n); part may be x. */
 void moc_onto(int n, int rows, double Z[][MOC_MAX_JOINTS], const double *x, double *part);
 
