@@ -124,20 +124,15 @@ int moc_take(call *c, int n, const char *name, PyObject *const *args, Py_ssize_t
 
 static int fill_one(const field *f, PyObject *given, int n, void *to)
 {
-    const parameter array = {f->name, READ, f->kind == PAIR ? 2 : n, 0};
-    long long number;
     call c;
-
-    if (f->kind == DOUBLE)
-        return take_double(given, to);
-    if (f->kind == INT) {
-        int taken = take_whole(given, f->name, INT_MAX, &number);
-        *(int *)to = (int)number;
-        return taken;
-    }
-    if (!moc_take(&c, n, f->name, &given, 1, &array, 1))
+    if (!moc_take(&c, n, f->is.name, &given, 1, &f->is, 1))
         return 0;
-    memcpy(to, c.array[0], (size_t)array.rows * sizeof(double));
+    if (f->is.kind == NUMBER)
+        *(double *)to = c.number[0];
+    else if (f->is.kind == WHOLE)
+        *(int *)to = (int)c.whole[0];
+    else
+        memcpy(to, c.array[0], (size_t)rows_of(&c, 0) * sizeof(double));
     moc_done(&c, NULL);
     return 1;
 }
@@ -149,9 +144,9 @@ int moc_fill(PyObject *keywords, const field *fields, int count, Arm *self)
         return 0;
     }
     for (int k = 0; k < count; k++) {
-        PyObject *given = keywords ? PyDict_GetItemString(keywords, fields[k].name) : NULL;
+        PyObject *given = keywords ? PyDict_GetItemString(keywords, fields[k].is.name) : NULL;
         if (given == NULL) {
-            PyErr_Format(PyExc_TypeError, "%s is missing", fields[k].name);
+            PyErr_Format(PyExc_TypeError, "%s is missing", fields[k].is.name);
             return 0;
         }
         if (!fill_one(&fields[k], given, self->arm.n, (char *)self + fields[k].offset))

@@ -35,19 +35,19 @@ typedef struct {
     moc_state state;
 } Law;
 
-#define LAW(name, kind) {#name, offsetof(Law, law.name), kind}
-#define CHECK(name, kind) {#name, offsetof(Law, supervision.name), kind}
+#define LAW(name, ...) {{#name, __VA_ARGS__}, offsetof(Law, law.name)}
+#define CHECK(name, ...) {{#name, __VA_ARGS__}, offsetof(Law, supervision.name)}
 
 static const field law_fields[] = {
-    LAW(K_X, DOUBLE), LAW(D_X, DOUBLE), LAW(K_N, DOUBLE), LAW(D_N, DOUBLE), LAW(rcm_lambda, DOUBLE),
-    LAW(projector, INT), LAW(feedforward, INT), LAW(K_N2, JOINTS), LAW(D_N2, JOINTS), LAW(tau_max, JOINTS),
-    LAW(k0, DOUBLE), LAW(c0, DOUBLE), LAW(c1, DOUBLE), LAW(c2, DOUBLE), LAW(rho, DOUBLE), LAW(q_min, JOINTS),
-    LAW(q_max, JOINTS), LAW(v_max, JOINTS), LAW(shaft_margin, DOUBLE), LAW(spare_speed, DOUBLE),
-    LAW(observer_gain, DOUBLE), LAW(period, DOUBLE), LAW(fade, DOUBLE), LAW(third_level, INT), LAW(damped, INT),
-    LAW(climbs, INT),
-    CHECK(check, INT), CHECK(box_limit, DOUBLE), CHECK(primal_limit, DOUBLE), CHECK(relative_limit, DOUBLE),
-    CHECK(opposite_limit, DOUBLE), CHECK(hold_ticks, INT), CHECK(keep_off_limits, INT), CHECK(fallback, INT),
-    CHECK(late, INT), CHECK(budget_us, DOUBLE),
+    LAW(K_X, NUMBER), LAW(D_X, NUMBER), LAW(K_N, NUMBER), LAW(D_N, NUMBER), LAW(rcm_lambda, NUMBER),
+    LAW(projector, WHOLE), LAW(feedforward, WHOLE), LAW(K_N2, READ, N), LAW(D_N2, READ, N), LAW(tau_max, READ, N),
+    LAW(k0, NUMBER), LAW(c0, NUMBER), LAW(c1, NUMBER), LAW(c2, NUMBER), LAW(rho, NUMBER), LAW(q_min, READ, N),
+    LAW(q_max, READ, N), LAW(v_max, READ, N), LAW(shaft_margin, NUMBER), LAW(spare_speed, NUMBER),
+    LAW(observer_gain, NUMBER), LAW(period, NUMBER), LAW(fade, NUMBER), LAW(third_level, WHOLE), LAW(damped, WHOLE),
+    LAW(climbs, WHOLE),
+    CHECK(check, WHOLE), CHECK(box_limit, NUMBER), CHECK(primal_limit, NUMBER), CHECK(relative_limit, NUMBER),
+    CHECK(opposite_limit, NUMBER), CHECK(hold_ticks, WHOLE), CHECK(keep_off_limits, WHOLE), CHECK(fallback, WHOLE),
+    CHECK(late, WHOLE), CHECK(budget_us, NUMBER),
 };
 
 static PyObject *law_new(PyTypeObject *type, PyObject *given, PyObject *keywords)
@@ -182,21 +182,21 @@ typedef struct {
     moc_watch watch;
 } Guard;
 
-#define LEVEL(name, kind) {#name, offsetof(Guard, guard.name), kind}
+#define LEVEL(name, ...) {{#name, __VA_ARGS__}, offsetof(Guard, guard.name)}
 
 static const field guard_fields[] = {
-    LEVEL(period, DOUBLE), LEVEL(patience, INT), LEVEL(carries, INT), LEVEL(low, JOINTS), LEVEL(high, JOINTS),
-    LEVEL(v_max, JOINTS), LEVEL(tau_max, JOINTS), LEVEL(wall_stiffness, DOUBLE), LEVEL(wall_damping, DOUBLE),
-    LEVEL(wall_brake, DOUBLE), LEVEL(torque_step, DOUBLE), LEVEL(jump, DOUBLE), LEVEL(speed_factor, DOUBLE),
-    LEVEL(tip_error, DOUBLE), LEVEL(tip_share, DOUBLE), LEVEL(in_incision, INT), LEVEL(warning, PAIR),
-    LEVEL(limit, PAIR), LEVEL(incision_share, DOUBLE), LEVEL(tool_mass, DOUBLE), LEVEL(tool_length, DOUBLE),
-    LEVEL(tip_force, DOUBLE), LEVEL(stop_holding, DOUBLE), LEVEL(stop_yield, DOUBLE), LEVEL(stop_yield_ticks, INT),
-    LEVEL(press_share, DOUBLE), LEVEL(motion, INT), LEVEL(motion_s, DOUBLE), LEVEL(motion_rad, DOUBLE),
-    LEVEL(motion_lag_s, DOUBLE), LEVEL(repeat_m, DOUBLE), LEVEL(repeat_torque, DOUBLE), LEVEL(repeat_whole_m, DOUBLE),
-    LEVEL(repeat_whole_torque, DOUBLE), LEVEL(repeat_whole_ticks, DOUBLE), LEVEL(repeat_joint_ticks, DOUBLE),
-    LEVEL(repeat_reading_ticks, DOUBLE), LEVEL(replayed_ticks, DOUBLE), LEVEL(stuck_speed, DOUBLE),
-    LEVEL(held, JOINTS), LEVEL(residual_torque, DOUBLE), LEVEL(residual_whole, DOUBLE), LEVEL(residual_rate, DOUBLE),
-    LEVEL(residual_share, DOUBLE), LEVEL(settling_ticks, INT),
+    LEVEL(period, NUMBER), LEVEL(patience, WHOLE), LEVEL(carries, WHOLE), LEVEL(low, READ, N), LEVEL(high, READ, N),
+    LEVEL(v_max, READ, N), LEVEL(tau_max, READ, N), LEVEL(wall_stiffness, NUMBER), LEVEL(wall_damping, NUMBER),
+    LEVEL(wall_brake, NUMBER), LEVEL(torque_step, NUMBER), LEVEL(jump, NUMBER), LEVEL(speed_factor, NUMBER),
+    LEVEL(tip_error, NUMBER), LEVEL(tip_share, NUMBER), LEVEL(in_incision, WHOLE), LEVEL(warning, READ, 2),
+    LEVEL(limit, READ, 2), LEVEL(incision_share, NUMBER), LEVEL(tool_mass, NUMBER), LEVEL(tool_length, NUMBER),
+    LEVEL(tip_force, NUMBER), LEVEL(stop_holding, NUMBER), LEVEL(stop_yield, NUMBER), LEVEL(stop_yield_ticks, WHOLE),
+    LEVEL(press_share, NUMBER), LEVEL(motion, WHOLE), LEVEL(motion_s, NUMBER), LEVEL(motion_rad, NUMBER),
+    LEVEL(motion_lag_s, NUMBER), LEVEL(repeat_m, NUMBER), LEVEL(repeat_torque, NUMBER), LEVEL(repeat_whole_m, NUMBER),
+    LEVEL(repeat_whole_torque, NUMBER), LEVEL(repeat_whole_ticks, NUMBER), LEVEL(repeat_joint_ticks, NUMBER),
+    LEVEL(repeat_reading_ticks, NUMBER), LEVEL(replayed_ticks, NUMBER), LEVEL(stuck_speed, NUMBER),
+    LEVEL(held, READ, N), LEVEL(residual_torque, NUMBER), LEVEL(residual_whole, NUMBER), LEVEL(residual_rate, NUMBER),
+    LEVEL(residual_share, NUMBER), LEVEL(settling_ticks, WHOLE),
 };
 
 static PyObject *guard_new(PyTypeObject *type, PyObject *given, PyObject *keywords)

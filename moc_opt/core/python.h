@@ -88,11 +88,10 @@ typedef struct {
 extern PyType_Spec moc_arm_spec;                                      /* python_arm.c */
 extern PyMethodDef moc_subproblem_functions[], moc_plant_functions[]; /* python_subproblem.c, plant.c */
 
-/* A number in an object: double, int, two doubles, one double a joint. */
+/* A number in an object, or an array of them, where it lies there. */
 typedef struct {
-    const char *name;
+    parameter is;
     size_t offset;
-    enum { DOUBLE, INT, PAIR, JOINTS } kind;
 } field;
 
 /* Fill an object with the keywords of its fields' names, each of which has to be there. Returns 0 with an exception. */

@@ -1,4 +1,4 @@
-/* What the files of the core share; moc.h is the interface. */
+/* What the files of the core share; moc.h is the interface. Vectors of joints are (n,), rows have MOC_MAX_JOINTS. */
 #ifndef MOC_SHARED_H
 #define MOC_SHARED_H
 
@@ -17,74 +17,67 @@ typedef struct {
     double lin[3], ang[3];
 } moc_twist;
 
-/* tip, wrist, u, span, A, mu and mu_shaft with their gradients at a finite q (n,): what needs no velocity. */
+/* What needs no velocity, at a finite q: tip, wrist, u, span, A, mu and mu_shaft with their gradients. */
 void moc_compute_kinematics(const moc_arm *arm, const double *q, moc_terms *terms);
 
-/* All terms at q, v (n,). Returns MOC_OK, MOC_BAD_Q or MOC_BAD_V. */
+/* All terms. Returns MOC_OK, MOC_BAD_Q or MOC_BAD_V. */
 moc_status moc_compute_terms(const moc_arm *arm, const double *q, const double *v, moc_terms *terms);
 
-/* Every joint's axes in the world, frame[n]. */
+/* Every joint's axes in the world, frame[n], and its twist[n]. */
 void moc_place(const moc_arm *arm, const double *q, moc_frame *frame);
-
-/* twist[n] of the placed joints. */
 void moc_twists(const moc_arm *arm, const moc_frame *frame, moc_twist *twist);
 
-/* The tool's axes x, y, z and its tip in the world, pose[4] rows. */
+/* The tool's axes x, y, z and its tip in the world. */
 void moc_tool_pose(const moc_arm *arm, const double *q, double pose[4][3]);
 
-/* Torque that carries the arm's weight (n,) [Nm]. */
+/* Torque that carries the arm's weight [Nm]. */
 void moc_gravity(const moc_arm *arm, const double *q, double *torque);
 
-/* A point of the last joint's axes in the world. */
+/* A point of the last joint's axes in the world, and its Jacobian (3,n): zeros for joints that do not move it. */
 void moc_point(const moc_frame *last, const double local[3], double out[3]);
-
-/* Jacobian (3,n) of a world point of the last link; joints that do not move it have columns of zeros. */
 void moc_jacobian(int n, const moc_twist *twist, const double point[3], const int *moves, double J[][MOC_MAX_JOINTS]);
 
-/* mu = sqrt(det(J J^T)) of J (3,n), and its gradient (n,), NULL: without; the same of the shaft. */
+/* mu = sqrt(det(J J^T)) of J (3,n) and its gradient (NULL: without); the same of the shaft, of A (6,n). */
 double moc_manipulability(int n, const moc_twist *twist, double J[][MOC_MAX_JOINTS], double *gradient);
 double moc_shaft_manipulability(int n, const moc_twist *twist, double A[][MOC_MAX_JOINTS], const double u[3],
                                 double *gradient);
 
 /* --- levels.c, null_space.c --- */
 
-/* Levels 1 and 2, tau_tip + tau_rcm (n,) [Nm]. */
+/* Levels 1 and 2, tau_tip + tau_rcm [Nm]. */
 void moc_tracking_torque(const moc_law *law, int n, const moc_terms *t, const moc_reference *ref,
                          const moc_trocar *trocar, double *tau);
 
-/* This tick's subproblem; pull (n,): a velocity [rad/s] that replaces the climb of mu, or NULL. */
+/* This tick's subproblem; pull: a velocity [rad/s] that replaces the climb of mu, or NULL. */
 void moc_fill_problem(const moc_law *law, int n, const moc_terms *t, const moc_reference *ref,
                       const moc_trocar *trocar, const double *pull, moc_problem *problem);
-
-/* x_d (n,) of the scaled climb [rad/s], with the basis in the memory; zero at a top of mu, and in a singular pose. */
-void moc_climb(const moc_arm *arm, const moc_law *law, const moc_terms *t, moc_memory *memory, double *x_d);
-
-/* N_d = X + L e, which puts the shaft through the trocar, and dN_d, for a tip at X that moves with dX. */
-void moc_desired_wrist(const double X[3], const double dX[3], const moc_trocar *trocar, double span, double N_d[3],
-                       double dN_d[3]);
-
-/* An orthonormal basis Z of ker A, turned towards the one that is in it (rows, n) where that has as many rows; returns
- * its rows. */
-int moc_null_space(int n, double A[][MOC_MAX_JOINTS], int rows, double Z[][MOC_MAX_JOINTS]);
-
-/* Row k of Z less its part along the rows before it, as a unit vector; 0 where less than `least` of a length was left. */
-int moc_orthonormalise(int n, double Z[][MOC_MAX_JOINTS], int k, double least);
-
-/* part (n,) = Z^T Z x of an orthonormal basis Z (rows, n); part may be x. */
-void moc_onto(int n, int rows, double Z[][MOC_MAX_JOINTS], const double *x, double *part);
 
 /* tau += share M Z^T (Z M Z^T)^-1 Z (K_N2 (x - v) - D_N2 v), cut at tau_max. */
 void moc_add_third_level(const moc_law *law, int n, const moc_terms *t, const moc_memory *memory, const double *x,
                          double *tau);
 
+/* N_d = X + L e, which puts the shaft through the trocar, and dN_d, for a tip at X that moves with dX. */
+void moc_desired_wrist(const double X[3], const double dX[3], const moc_trocar *trocar, double span, double N_d[3],
+                       double dN_d[3]);
+
 /* r = K_o (p - integral(tau + C^T v - g + r)), p = M v, of joint i, advanced by one period over which tau acted. */
 void moc_observe(int n, const moc_terms *t, int i, double tau, double gain, double period, double *integral, double *r);
 
-/* Rows (returned) of any basis of ker A; a row of A that is neither repeated nor independent counts as repeated. */
-int moc_kernel(int n, double A[][MOC_MAX_JOINTS], double rows[][MOC_MAX_JOINTS]);
-
 /* Weight of grad mu_shaft beside grad mu [m]. */
 double moc_shaft_push(double mu_shaft, double margin);
+
+/* x_d of the scaled climb [rad/s], with the basis in the memory; zero at a top of mu, and in a singular pose. */
+void moc_climb(const moc_arm *arm, const moc_law *law, const moc_terms *t, moc_memory *memory, double *x_d);
+
+/* An orthonormal basis Z of ker A, turned towards the one that is in it (rows, n) where that has as many; returns how
+ * many. */
+int moc_null_space(int n, double A[][MOC_MAX_JOINTS], int rows, double Z[][MOC_MAX_JOINTS]);
+
+/* Row k of Z less its part along the rows before it, as a unit vector; 0 where less than `least` of a length was left. */
+int moc_orthonormalise(int n, double Z[][MOC_MAX_JOINTS], int k, double least);
+
+/* part = Z^T Z x of an orthonormal basis Z (rows, n); part may be x. */
+void moc_onto(int n, int rows, double Z[][MOC_MAX_JOINTS], const double *x, double *part);
 
 /* --- exact.c, polytope.c --- */
 
@@ -98,13 +91,16 @@ typedef struct {
     int rank, freedoms;
 } moc_plane;
 
-/* How all joints move along A x = b when free joint number k moves by one: z (n,). */
+/* How all joints move along A x = b when free joint number k moves by one. */
 void moc_direction(const moc_plane *plane, int n, int k, double *z);
 
-/* Move x (n,), any point of the plane, along it to the optimum over the box, where the plane has two freedoms or more.
- * force (n,): the multipliers of the active bounds are added to it. */
+/* Move x, any point of the plane, along it to the optimum over the box, where the plane has two freedoms or more. The
+ * multipliers of the active bounds are added to force. */
 moc_status moc_solve_several(const moc_plane *plane, const moc_problem *problem, double tolerance, double *x,
                              double *force);
+
+/* Rows (returned) of any basis of ker A; a row of A that is neither repeated nor independent counts as repeated. */
+int moc_kernel(int n, double A[][MOC_MAX_JOINTS], double rows[][MOC_MAX_JOINTS]);
 
 /* --- answer.c --- */
 
@@ -116,27 +112,27 @@ typedef struct {
     double opposite; /* and from that of the opposite gradient [rad/s] */
 } moc_residuals;
 
-/* Judge x (n,) on the self-motion that Z leaves; see answer.c. */
+/* Judge x on the self-motion that Z leaves. */
 moc_residuals moc_judge(const moc_problem *problem, int rows, double Z[][MOC_MAX_JOINTS], const double *x);
 
-/* Check an answer and write the x (n,) that the arm follows. */
+/* Check an answer and write the x that the arm follows. */
 moc_fault moc_supervise(const moc_supervision *s, const moc_problem *problem, const moc_answer *answer,
                         moc_memory *memory, double *x);
 
 /* --- guard.c --- */
 
-/* Begin at a finite q, v (n,), measurement number `stamp`. */
+/* Begin at a finite q, v, measurement number `stamp`. */
 void moc_guard_start(const moc_guard *g, int n, const double *q, const double *v, long long stamp, moc_watch *w);
 
 /* Judge a measurement; watch->q, v are then what to believe. */
 moc_stop moc_guard_believe(const moc_guard *g, int n, const moc_measurement *m, moc_watch *w);
 
-/* Judge RCM error and trocar force, with the tool where it is believed to be (moc_tool_pose). */
+/* Judge RCM error and trocar force, with the tool where it is believed to be. */
 moc_stop moc_guard_incision(const moc_guard *g, double pose[4][3], const moc_trocar *trocar, const double *wrench,
                             moc_watch *w);
 
-/* Judge the tip (NULL: not known) and the motion (terms of watch->q, v; NULL: not known), then cut tau (n,) in place.
- * before (n,): torque of the last tick. tau stays as it was where it is not finite. */
+/* Judge the tip (NULL: not known) and the motion (terms of watch->q, v; NULL: not known), then cut tau in place.
+ * before: torque of the last tick. tau stays as it was where it is not finite. */
 moc_stop moc_guard_follow(const moc_guard *g, const moc_arm *arm, const moc_terms *t, const double *tip,
                           const double *tip_ref, const double *before, double *tau, moc_watch *w);
 
