@@ -28,8 +28,8 @@ static int freedoms(const moc_problem *p, int rows)
 
 /* The steepest descent d (n,) from x that stays in ker A and in the box; returns the scale of the cost.
  *
- * That is the projection of minus the reduced gradient on the tangent cone of the feasible set, and zero at an optimum
- * and nowhere else: a subproblem of its own, in which joints AT_BOUND may only move inwards. Idle joints are left out. */
+ * It is the projection of minus the reduced gradient on the tangent cone of the feasible set, zero at an optimum and
+ * nowhere else: a subproblem of its own, in which joints AT_BOUND may only move inwards. Idle joints are left out. */
 static double way_down(const moc_problem *p, int rows, double Z[][MOC_MAX_JOINTS], const double *x, double *d)
 {
     moc_problem cone = {.n = p->n, .rho = 1.0};
@@ -102,7 +102,7 @@ moc_residuals moc_judge(const moc_problem *p, int rows, double Z[][MOC_MAX_JOINT
         total += fabs(line[j]);
         place += line[j] * x[j];
         if (fabs(line[j]) > still) {
-            double inverse = 1.0 / line[j], one = (p->lower[j] - x[j]) * inverse, other = (p->upper[j] - x[j]) * inverse;
+            double one = (p->lower[j] - x[j]) / line[j], other = (p->upper[j] - x[j]) / line[j];
             low = larger(smaller(one, other), low);
             high = smaller(larger(one, other), high);
         }

@@ -45,8 +45,8 @@ static int refuse(const call *c, const parameter *p)
     char rows[32], columns[32];
     say(c, p->rows, rows);
     say(c, p->columns, columns);
-    PyErr_Format(PyExc_ValueError, "%s: give a%s array of float64 of shape (%s,%s%s)%s", p->name,
-                 p->kind == STRIDED ? " writable" : p->kind == WRITE ? " writable, C-contiguous" : " C-contiguous", rows,
+    PyErr_Format(PyExc_ValueError, "%s: give a %s array of float64 of shape (%s,%s%s)%s", p->name,
+                 p->kind == STRIDED ? "writable" : p->kind == WRITE ? "writable, C-contiguous" : "C-contiguous", rows,
                  p->columns ? " " : "", p->columns ? columns : "", c->n > 0 ? "" : " for 1 to 16 joints");
     return 0;
 }
@@ -101,7 +101,8 @@ static int take_one(call *c, int i, PyObject *given, const parameter *p)
     }
 }
 
-int moc_take(call *c, int n, const char *name, PyObject *const *args, Py_ssize_t count, const parameter *table, int wanted)
+int moc_take(call *c, int n, const char *name, PyObject *const *args, Py_ssize_t count, const parameter *table,
+             int wanted)
 {
     c->n = n;
     c->k = -1;
@@ -173,7 +174,8 @@ static const part terms_parts[] = {
 
 /* moc_opt/qp/layout.py reads the same order; q follows. */
 static const part problem_parts[] = {
-    PART(moc_problem, A, 6, N), PART(moc_problem, b, 1, 6), PART(moc_problem, grad_mu, 4, N), PART(moc_problem, c0, 1, 4),
+    PART(moc_problem, A, 6, N), PART(moc_problem, b, 1, 6), PART(moc_problem, grad_mu, 4, N),
+    PART(moc_problem, c0, 1, 4),
 };
 
 /* Between a struct and its record, one row after the other; returns the end of the record. */

@@ -104,29 +104,22 @@ INLINE int eliminate(moc_plane *plane, const moc_problem *p, int m)
     return 6;
 }
 
-/* Whether a dropped row asks for a velocity that no x of the box has: it repeats others with another right-hand side. */
-static int contradicts(const moc_plane *plane, const moc_problem *p)
+/* Whether x meets the dropped rows too. One that repeats others with another right-hand side may ask for a velocity that
+ * no x of the box has; else it is neither independent nor repeated, and what it allows cannot be told. */
+static moc_status check_dropped(const moc_plane *plane, const moc_problem *p, const double *x)
 {
+    moc_status status = MOC_OK;
     for (int i = 0; i < 6; i++) {
-        double reach = LEFT, right = fabs(plane->right[i]);
-        if (plane->open[i] * right <= LEFT)
+        double reach = LEFT, right = plane->right[i];
+        if (!(plane->open[i] > 0.0) || fabs(dot(p->n, plane->row[i], x) - right) <= LEFT)
             continue;
         for (int j = 0; j < p->n; j++)
             reach += fabs(plane->row[i][j]) * larger(fabs(p->lower[j]), fabs(p->upper[j]));
-        if (right > reach)
-            return 1;
+        if (fabs(right) > reach)
+            return MOC_INFEASIBLE;
+        status = MOC_DOUBTFUL;
     }
-    return 0;
-}
-
-/* What x misses of the dropped rows. */
-static double left_over(const moc_plane *plane, int n, const double *x)
-{
-    double most = 0.0;
-    for (int i = 0; i < 6; i++)
-        if (plane->open[i] > 0.0)
-            most = larger(fabs(dot(n, plane->row[i], x) - plane->right[i]), most);
-    return most;
+    return status;
 }
 
 /* Eliminate, and number the other joints behind those of the pivots; 0 where the rank is in doubt. */
@@ -248,8 +241,6 @@ static moc_status solve(const moc_problem *p, double tolerance, double *x, doubl
 
     if (!reduce(&plane, p))
         return MOC_DOUBTFUL;
-    if (contradicts(&plane, p))
-        return MOC_INFEASIBLE;
     for (int k = 0; k < plane.rank; k++) /* a particular solution */
         point[plane.joint[k]] = plane.right[plane.pivot[k]];
     plane.freedoms = 0;
@@ -268,10 +259,9 @@ static moc_status solve(const moc_problem *p, double tolerance, double *x, doubl
     else if (plane.freedoms > 1)
         status = moc_solve_several(&plane, p, tolerance, point, force);
     double beyond = finish(&plane, p, point, force, x, y);
-    if (status == MOC_OK && beyond > tolerance)
-        return MOC_INFEASIBLE;
-    /* rows that are neither independent nor repeated: which velocities they allow cannot be told */
-    return status == MOC_OK && left_over(&plane, p->n, x) > LEFT ? MOC_DOUBTFUL : status;
+    if (status != MOC_OK)
+        return status;
+    return beyond > tolerance ? MOC_INFEASIBLE : check_dropped(&plane, p, x);
 }
 
 /* How far rounding of A x = b may put a joint out of its box [rad/s]: a rounding error of the largest |A| |x| in the

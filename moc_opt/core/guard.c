@@ -1,6 +1,6 @@
 /* The safety filter: what a measurement may be, whether it shows the arm that the torque went to, limits of torque and
- * motion at every tick, and the reasons to stop. In the order in which they are looked at, T the period (moc_guard has the
- * levels; docs/reliability.md says where each comes from):
+ * motion at every tick, and the reasons to stop. In the order in which they are looked at, T the period (moc_guard has
+ * the levels; docs/reliability.md says where each comes from):
  *
  *   LATE              now - newest stamp > ordinary delay + patience
  *   MEASUREMENT       |q - q_believed| > jump + ticks v_max T, or |v| > speed_factor v_max: more than patience in a row
@@ -9,7 +9,7 @@
  *   RAN_AWAY          |q - integral of v over motion_s| > motion_rad + motion_lag_s largest recent |v|
  *   ONE_REPEATED      one q the same for more than repeat_joint_ticks; q and v more than repeat_reading_ticks in all
  *   WRENCH_REPEATED   a wrench with noise the same for more than repeat_whole_ticks
- *   LAGGING           one encoder repeats its earlier readings with a constant lag, more than repeat_reading_ticks times
+ *   LAGGING           one encoder repeats earlier readings with a constant lag, more than repeat_reading_ticks times
  *   REPLAYED          all encoders and the wrench do, more than repeat_whole_ticks (a wrench without noise:
  *                     replayed_ticks) times
  *   WRENCH            the wrench is no number, more than patience in a row
@@ -115,8 +115,8 @@ static void compare_wrench(const double *wrench, moc_watch *w)
     }
 }
 
-/* Position against velocity, and whether a joint repeats itself, *whole: with its velocity. Returns whether it runs away
- * from its velocity. */
+/* Position against velocity, and whether a joint repeats itself, *whole: with its velocity. Returns whether it runs
+ * away from its velocity. */
 static int compare_joint(const moc_guard *g, double q, double v, double elapsed, int *whole, moc_joint_watch *j)
 {
     double keep = 1.0 - fmin(1.0, elapsed / g->motion_s);
@@ -262,10 +262,10 @@ static double rcm_error(double pose[4][3], const double P[3])
 
 /* Force of the trocar on the shaft, across it [N], by the sensor at the tool's mount.
  *
- * Less the tool's weight the reading is the sum of the trocar's force f, a depth d before the tip, and of a contact g at
- * the tip: force = f + g, torque = (L - d) z x f + L z x g, hence f = (L force - torque x z) / d. If the encoders are
- * wrong, so is d, and the trocar's force may be taken for a contact: at most tip_force is. A load on the tool, which the
- * formula takes for both, may hide a part of f: *all is the whole force, which warns. */
+ * Less the tool's weight the reading is the sum of the trocar's force f, a depth d before the tip, and of a contact g
+ * at the tip: force = f + g, torque = (L - d) z x f + L z x g, hence f = (L force - torque x z) / d. If the encoders are
+ * wrong, so is d, and the trocar's force may be taken for a contact: at most tip_force is. A load on the tool, which
+ * the formula takes for both, may hide a part of f: *all is the whole force, which warns. */
 static double trocar_force(const moc_guard *g, double pose[4][3], const double P[3], const double *wrench, double *all)
 {
     double depth = 0.0, L = g->tool_length, weight[2], force[2];

@@ -72,7 +72,7 @@ typedef struct {
 } moc_problem;
 
 /* The optimum x (n,) and multipliers y (6,) of the rows of A, by elimination; `tolerance` is the violation of the box
- * that still counts as feasible [rad/s]. Returns MOC_OK, MOC_INFEASIBLE or MOC_DOUBTFUL; x and y hold no answer then. */
+ * that still counts as feasible [rad/s]. Returns MOC_OK, or MOC_INFEASIBLE or MOC_DOUBTFUL without an answer. */
 moc_status moc_solve_exact(const moc_problem *problem, double tolerance, double *x, double y[6]);
 
 /* --- the law --- */
@@ -218,7 +218,7 @@ typedef struct {
     double press_share;                                 /* of a tick in the mean of that force */
     int motion;                                         /* 0: the checks below are off */
     double motion_s, motion_rad, motion_lag_s;          /* position against velocity */
-    double repeat_m, repeat_torque;                     /* while all encoders repeat themselves: way, share of tau_max */
+    double repeat_m, repeat_torque;                     /* while all encoders repeat: way, share of tau_max */
     double repeat_whole_m, repeat_whole_torque;         /* the same while the wrench repeats itself too */
     double repeat_whole_ticks;                          /* a wrench sensor with noise may repeat itself for */
     double repeat_joint_ticks, repeat_reading_ticks;    /* one encoder may, in a row; so may all, in a run */
@@ -246,7 +246,7 @@ typedef struct {
     double repeats, whole;                   /* ticks in a row with the same q; so far with the same q and v */
     double torque;                           /* where all had repeated themselves for the patience [Nm] */
     double integral, residual, mean;         /* of the momentum observer; the mean of the residual */
-    double at_repeat, unseen, exceeded;      /* the mean where it began to repeat; speed gathered since; ticks far off */
+    double at_repeat, unseen, exceeded;      /* mean where it began to repeat; speed gathered since; ticks far off */
 } moc_joint_watch;
 
 /* What the safety filter remembers. */
@@ -257,7 +257,7 @@ typedef struct {
     double tip_square;                           /* mean square of the tip's error [m^2] */
     double point[3];                             /* the trocar, as registered last [m] */
     double mean_square[2], largest[2];           /* of RCM error and force; the largest root above its warning */
-    double whole_square;                         /* the same mean of the whole force on the tool, a contact's included */
+    double whole_square;                         /* the same of the whole force on the tool, a contact's included */
     double first_tick[2], ticks;                 /* of a warning, -1: none; ticks in the incision */
     int unread;                                  /* readings of the wrench in a row that were no numbers */
     double press, borne;                         /* mean of the trocar's force in a stop; what closed brakes bear [N] */

@@ -61,10 +61,9 @@ static void slope_of(int n, const moc_law *law, const moc_terms *t, int rows, do
     moc_onto(n, rows, Z, slope, slope);
 }
 
-/* d = (I - A^+ A)(grad mu + p grad mu_shaft), t = d / |d|, h = dd/ds along t:  x_d = RATE t |d| / max(-h, |d| / LONGEST).
- *
- * With a pull of grad mu alone the speed is c2/rho |d|: where mu is small or flat the climb is slow, and at a sharp top it is
- * stiff. */
+/* x_d = RATE t |d| / max(-h, |d| / LONGEST) with d = (I - A^+ A)(grad mu + p grad mu_shaft), t = d / |d|, h = dd/ds
+ * along t. With a pull of grad mu alone the speed is c2/rho |d|: where mu is small or flat the climb is slow, and at a
+ * sharp top it is stiff. */
 void moc_climb(const moc_arm *arm, const moc_law *law, const moc_terms *t, moc_memory *memory, double *x_d)
 {
     double slope[MOC_MAX_JOINTS], q[MOC_MAX_JOINTS], there[MOC_MAX_JOINTS], Z[MOC_MAX_JOINTS][MOC_MAX_JOINTS];

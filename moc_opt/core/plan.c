@@ -1,5 +1,5 @@
-/* Poses of a tip and a wrist by Newton's method, self-motion by pseudo-arclength continuation, climbs of mu, and a value
- * function. */
+/* Poses of a tip and a wrist by Newton's method, self-motion by pseudo-arclength continuation, climbs of mu, and a
+ * value function. */
 #include <string.h>
 
 #include "tools.h"
@@ -287,7 +287,8 @@ double plan_ascend(const plan_task *task, double *q)
         return -1.0;
     double mu = look(task, q, error, A, grad);
     for (int round = 0; round < STEPS; round++) {
-        allowed_step(task, 6, q, A, nothing, grad, 0.0, 0.01 * h, way); /* a step that a limit cuts short leads nowhere */
+        /* a step that a limit cuts short leads nowhere */
+        allowed_step(task, 6, q, A, nothing, grad, 0.0, 0.01 * h, way);
         double length = sqrt(dot(n, way, way)), found = -1.0;
         while (length > FLAT * sqrt(dot(n, grad, grad)) && h >= SHORTEST) {
             for (int j = 0; j < n; j++)

@@ -1,7 +1,7 @@
 /* The core as a Python module, for CPython's limited API: one wheel serves every version from 3.11 on.
  *
- * Here are the law with its memory, and the safety filter; python_arm.c has the arm, python_subproblem.c and plant.c have
- * functions. */
+ * Here are the law with its memory and the safety filter; python_arm.c has the arm, python_subproblem.c and plant.c
+ * have functions. */
 #include "python.h"
 
 #include <time.h>
@@ -31,7 +31,7 @@ typedef struct {
     moc_arm arm;
     moc_law law;
     moc_supervision supervision;
-    moc_controller controller; /* points to the three above; no safety filter: Python puts its own around any controller */
+    moc_controller controller; /* points to these; no safety filter: Python puts its own around any controller */
     moc_state state;
 } Law;
 
@@ -213,7 +213,8 @@ METHOD(Guard, start, {"q", READ, N}, {"v", READ, N}, {"stamp", STAMP})
 METHOD(Guard, believe, {"q", READ, N}, {"v", READ, N}, {"stamp", STAMP}, {"applied", MAYBE, N},
        {"wrench", READ, 6}, {"trocar", MAYBE, 2, 3}, {"believed", WRITE, 2, N})
 {
-    const moc_measurement m = {c->array[0], c->array[1], c->whole[2], c->whole[2] != NO_STAMP, c->array[3], c->array[4]};
+    const moc_measurement m = {c->array[0], c->array[1], c->whole[2], c->whole[2] != NO_STAMP, c->array[3],
+                               c->array[4]};
     moc_stop reason = moc_guard_believe(&self->guard, c->n, &m, &self->watch), found = MOC_RUNNING;
     if (c->array[5] && self->guard.in_incision) {
         moc_trocar trocar;
@@ -281,7 +282,8 @@ static PyType_Spec guard_spec = {"moc_opt.core._core.Guard", sizeof(Guard), 0, P
 
 static int fill(PyObject *module)
 {
-    static const char *const names[] = {"OK", "INFEASIBLE", "DOUBTFUL", "UNFINISHED", "BAD_Q", "BAD_V"}; /* moc_status */
+    /* of moc_status */
+    static const char *const names[] = {"OK", "INFEASIBLE", "DOUBTFUL", "UNFINISHED", "BAD_Q", "BAD_V"};
     PyType_Spec *specs[] = {&law_spec, &guard_spec, &moc_arm_spec};
 
     for (int k = 0; k < COUNT(specs); k++) {
@@ -289,7 +291,8 @@ static int fill(PyObject *module)
         if (arm_type == NULL || PyModule_AddType(module, arm_type) < 0)
             return -1;
     }
-    if (PyModule_AddFunctions(module, moc_subproblem_functions) < 0 || PyModule_AddFunctions(module, moc_plant_functions) < 0)
+    if (PyModule_AddFunctions(module, moc_subproblem_functions) < 0 ||
+        PyModule_AddFunctions(module, moc_plant_functions) < 0)
         return -1;
     PyObject *reasons = PyTuple_New(MOC_STOPS);
     for (int k = 0; reasons != NULL && k < MOC_STOPS; k++)

@@ -45,8 +45,9 @@ typedef struct {
     Py_buffer view[MOST_ARGUMENTS];
 } call;
 
-/* Take the arguments of a call on n joints (0: an array tells). Returns 0 with an exception, and nothing is held then. */
-int moc_take(call *c, int n, const char *name, PyObject *const *args, Py_ssize_t count, const parameter *table, int wanted);
+/* Take the arguments of a call on n joints (0: an array tells). Returns 0 with an exception, and holds nothing then. */
+int moc_take(call *c, int n, const char *name, PyObject *const *args, Py_ssize_t count, const parameter *table,
+             int wanted);
 
 /* Release the arrays of a call; returns the result. */
 PyObject *moc_done(call *c, PyObject *result);

@@ -165,8 +165,7 @@ static PyMethodDef methods[] = {
 };
 
 static PyType_Slot slots[] = {
-    {Py_tp_doc, "Arm(joints, bodies, rotors, points, tool, moves, gravity)\n\nA serial chain of 1 to 16 joints as data."},
-    {Py_tp_new, arm_new}, {Py_tp_methods, methods}, {0, NULL},
+    {Py_tp_doc, "A serial chain of 1 to 16 joints as data."}, {Py_tp_new, arm_new}, {Py_tp_methods, methods}, {0, NULL},
 };
 
 PyType_Spec moc_arm_spec = {"moc_opt.core._core.Arm", sizeof(Arm), 0, Py_TPFLAGS_DEFAULT, slots};

@@ -62,7 +62,8 @@ static void put(const call *c, int argument, double scale, const double *from)
     for (Py_ssize_t i = 0; i < view->shape[0]; i++)
         for (Py_ssize_t j = 0; j < (matrix ? view->shape[1] : 1); j++) {
             double value = scale * from[matrix ? i * MOC_MAX_JOINTS + j : i];
-            memcpy((char *)view->buf + i * view->strides[0] + (matrix ? j * view->strides[1] : 0), &value, sizeof value);
+            char *to = (char *)view->buf + i * view->strides[0] + (matrix ? j * view->strides[1] : 0);
+            memcpy(to, &value, sizeof value);
         }
 }
 
@@ -126,8 +127,9 @@ FUNCTION(advance, {"branches", WHOLE}, {"q", READ, K, N}, {"slack", READ, K, N},
         fits &= c->array[8][j] >= 0.0 && c->array[8][j] < (double)branches;
     if (!fits)
         return PyErr_Format(PyExc_ValueError, "advance: the rows are not those of so many branches and crossings");
-    const plan_stage stage = {(int)branches, (int)m, (int)next, c->n, c->array[1], c->array[2], c->array[3], c->array[4],
-                              c->array[5], c->array[6], c->array[7], c->array[8], c->number[9], c->whole[10] != 0};
+    const plan_stage stage = {(int)branches, (int)m,      (int)next,   c->n,        c->array[1],
+                              c->array[2],   c->array[3], c->array[4], c->array[5], c->array[6],
+                              c->array[7],   c->array[8], c->number[9], c->whole[10] != 0};
     Py_BEGIN_ALLOW_THREADS;
     plan_advance(&stage, c->array[12], c->array[11]);
     Py_END_ALLOW_THREADS;

@@ -7,7 +7,7 @@
 #include "tools.h"
 #include "vec.h"
 
-#define TIED 1e-7 /* sixth singular value of A, relative to its norm, below which tip and wrist are tied (qp/residuals.py) */
+#define TIED 1e-7 /* sixth singular value of A over its norm, below which tip and wrist are tied (qp/residuals.py) */
 
 /* The unit vector u with u^T (J_T - J_W) = 0, its largest entry positive; 0 where tip and wrist are not tied.
  * The adjugate of (J_T - J_W)(J_T - J_W)^T is a multiple of u u^T; its longest column is taken. */

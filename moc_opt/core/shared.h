@@ -73,7 +73,7 @@ void moc_climb(const moc_arm *arm, const moc_law *law, const moc_terms *t, moc_m
  * many. */
 int moc_null_space(int n, double A[][MOC_MAX_JOINTS], int rows, double Z[][MOC_MAX_JOINTS]);
 
-/* Row k of Z less its part along the rows before it, as a unit vector; 0 where less than `least` of a length was left. */
+/* Row k of Z less its part along the rows before it, as a unit vector; 0 where no more than `least` was left. */
 int moc_orthonormalise(int n, double Z[][MOC_MAX_JOINTS], int k, double least);
 
 /* part = Z^T Z x of an orthonormal basis Z (rows, n); part may be x. */

@@ -40,14 +40,14 @@ typedef struct {
     int count;
 } plan_task;
 
-/* Newton's method for a pose with the tip (points = 1), or tip and wrist (points = 2), at the target; q (n,) is where it
- * begins, and may be the best pose. Returns what the best pose misses by [m]. */
+/* Newton's method for a pose with the tip (points = 1), or tip and wrist (points = 2), at the target; q (n,) is where
+ * it begins, and may be the best pose. Returns what the best pose misses by [m]. */
 double plan_place(const plan_task *task, int points, int iterations, const double *q, double *best);
 
 typedef enum { PLAN_LIMIT = 0, PLAN_CLOSED, PLAN_SINGULAR, PLAN_LENGTH } plan_end;
 
 /* Samples s, poses (most, n) and mu of the curve from q on along the unit tangent (n,); returns how many. At a joint
- * limit the last step is bisected; a curve that comes back to its start, up to whole turns, is closed with that pose. */
+ * limit the last step is bisected; a curve that returns to its start, up to whole turns, is closed with that pose. */
 int plan_follow(const plan_task *task, const double *q, const double *tangent, double step, int most, double *s,
                 double *poses, double *mus, plan_end *end);
 
