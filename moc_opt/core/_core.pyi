@@ -54,8 +54,9 @@ class Law:
     # The law with its memory; numbers: the fields of moc_law and moc_supervision. start forgets all and writes the
     # subproblem into row; load takes another subproblem and null space for this tick; begin: levels 1 and 2, and the
     # subproblem; finish -> fault, x is what the arm follows; step -> (status, fault, us): begin, the exact solver and
-    # finish, solve_us NaN or what replaces the clock, out: the subproblem's record, the solver's x and y, the x that the
-    # arm follows, tau; set_applied replaces the last torque; external: the observer's estimate [Nm]; basis -> rows of Z.
+    # finish, solve_us NaN or what replaces the clock, out: the subproblem's record, the solver's x and y, the x that
+    # the arm follows, tau; set_applied replaces the last torque; external: the observer's estimate [Nm]; basis -> rows
+    # of Z.
     def start(self, record: Array, tip_ref: Array, trocar: Array, row: Array, /) -> None: ...
     def load(self, record: Array, Z: Array, /) -> None: ...
     def begin(

@@ -178,44 +178,31 @@ static const part problem_parts[] = {
     PART(moc_problem, c0, 1, 4),
 };
 
-/* Between a struct and its record, one row after the other; returns the end of the record. */
-static double *copy_parts(const part *parts, int count, int n, void *of, double *record, int pack)
+static void copy_parts(const part *parts, int count, int n, void *of, double *record, direction way)
 {
     for (int k = 0; k < count; k++) {
         double *row = (double *)((char *)of + parts[k].offset);
         int rows = parts[k].rows == N ? n : parts[k].rows, columns = parts[k].columns == N ? n : parts[k].columns;
         for (int i = 0; i < rows; i++, row += MOC_MAX_JOINTS, record += columns) {
-            double *to = pack ? record : row;
-            const double *from = pack ? row : record;
+            double *to = way == PACK ? record : row;
+            const double *from = way == PACK ? row : record;
             if (columns == 7) /* as most rows are: without a call */
                 memcpy(to, from, 7 * sizeof *to);
             else
                 memcpy(to, from, (size_t)columns * sizeof *to);
         }
     }
-    return record;
 }
 
-void moc_unpack_problem(double *record, int n, moc_problem *p)
+void moc_copy_problem(moc_problem *p, int n, double *record, direction way)
 {
     p->n = n;
-    copy_parts(problem_parts, COUNT(problem_parts), n, p, record, 0);
+    copy_parts(problem_parts, COUNT(problem_parts), n, p, record, way);
 }
 
-void moc_pack_problem(moc_problem *p, const double *q, double *record)
+void moc_copy_terms(moc_terms *t, int n, double *record, direction way)
 {
-    record = copy_parts(problem_parts, COUNT(problem_parts), p->n, p, record, 1);
-    memcpy(record, q, (size_t)p->n * sizeof *q);
-}
-
-void moc_unpack_terms(double *record, int n, moc_terms *t)
-{
-    copy_parts(terms_parts, COUNT(terms_parts), n, t, record, 0);
-}
-
-void moc_pack_terms(moc_terms *t, int n, double *record)
-{
-    copy_parts(terms_parts, COUNT(terms_parts), n, t, record, 1);
+    copy_parts(terms_parts, COUNT(terms_parts), n, t, record, way);
 }
 
 int moc_unpack_basis(const call *c, int i, double Z[][MOC_MAX_JOINTS])

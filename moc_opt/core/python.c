@@ -70,10 +70,18 @@ static PyObject *law_new(PyTypeObject *type, PyObject *given, PyObject *keywords
 static moc_input take_tick(Law *self, const call *c, const double *pull)
 {
     moc_input in = {.pull = pull};
-    moc_unpack_terms(c->array[0], c->n, &self->state.terms);
+    moc_copy_terms(&self->state.terms, c->n, c->array[0], UNPACK);
     memcpy(&in.ref, c->array[1], sizeof in.ref);
     memcpy(&in.trocar, c->array[2], sizeof in.trocar);
     return in;
+}
+
+/* The tick's subproblem, with its pose. */
+static void put_row(Law *self, double *row)
+{
+    int n = self->arm.n;
+    moc_copy_problem(&self->state.problem, n, row, PACK);
+    memcpy(row + 10 * n + 10, self->state.terms.q, (size_t)n * sizeof *row);
 }
 
 METHOD(Law, start, TICK, {"row", WRITE, ROW})
@@ -82,13 +90,13 @@ METHOD(Law, start, TICK, {"row", WRITE, ROW})
     const moc_input in = take_tick(self, c, NULL);
     moc_start_law(&self->controller, s);
     moc_fill_problem(&self->law, c->n, &s->terms, &in.ref, &in.trocar, NULL, &s->problem);
-    moc_pack_problem(&s->problem, s->terms.q, c->array[3]);
+    put_row(self, c->array[3]);
     Py_RETURN_NONE;
 }
 
 METHOD(Law, load, {"record", READ, ROW}, {"Z", READ, K, N})
 {
-    moc_unpack_problem(c->array[0], c->n, &self->state.problem);
+    moc_copy_problem(&self->state.problem, c->n, c->array[0], UNPACK);
     self->state.memory.rows = moc_unpack_basis(c, 1, self->state.memory.Z);
     self->state.begun = MOC_BEGUN;
     Py_RETURN_NONE;
@@ -99,7 +107,7 @@ METHOD(Law, begin, TICK, {"pull", MAYBE, N}, {"row", WRITE, ROW})
     const moc_input in = take_tick(self, c, c->array[3]);
     moc_levels(&self->controller, &in, &self->state);
     if (self->law.third_level)
-        moc_pack_problem(&self->state.problem, self->state.terms.q, c->array[4]);
+        put_row(self, c->array[4]);
     Py_RETURN_NONE;
 }
 
@@ -136,7 +144,7 @@ METHOD(Law, step, TICK, {"pull", MAYBE, N}, {"tolerance", NUMBER}, {"solve_us", 
     moc_answer answer = moc_ask_exact(&self->controller, s);
     answer.us = isnan(c->number[5]) ? now_us() - from : c->number[5];
     moc_finish(&self->controller, &answer, s, found + 2 * c->n + 6);
-    moc_pack_problem(&s->problem, s->terms.q, row);
+    put_row(self, row);
     memcpy(found, s->answer, bytes);
     memcpy(found + c->n, s->y, sizeof s->y);
     memcpy(found + c->n + 6, s->x, bytes);
@@ -234,7 +242,7 @@ METHOD(Guard, follow, {"q", READ, N}, {"v", READ, N}, {"record", MAYBE, TERMS}, 
     const double *tip = c->array[3];
     moc_terms terms;
     if (c->array[2]) {
-        moc_unpack_terms(c->array[2], c->n, &terms);
+        moc_copy_terms(&terms, c->n, c->array[2], UNPACK);
         tip = tip ? tip : terms.tip;
     }
     memcpy(self->watch.q, c->array[0], (size_t)c->n * sizeof(double));

@@ -98,11 +98,11 @@ typedef struct {
 /* Fill an object with the keywords of its fields' names, each of which has to be there. Returns 0 with an exception. */
 int moc_fill(PyObject *keywords, const field *fields, int count, Arm *self);
 
-/* Packed records, by the number of joints; moc_opt/qp/layout.py and moc_opt/robots/state.py read the same ones. */
-void moc_unpack_problem(double *record, int n, moc_problem *problem);
-void moc_pack_problem(moc_problem *problem, const double *q, double *record);
-void moc_unpack_terms(double *record, int n, moc_terms *terms);
-void moc_pack_terms(moc_terms *terms, int n, double *record);
+/* Between a struct and its packed record; moc_opt/qp/layout.py and moc_opt/robots/state.py read the same ones. The
+ * record of a subproblem has its pose q (n,) at the end, which is no part of the struct. */
+typedef enum { UNPACK, PACK } direction;
+void moc_copy_problem(moc_problem *problem, int n, double *record, direction way);
+void moc_copy_terms(moc_terms *terms, int n, double *record, direction way);
 
 /* Argument i, a basis (k,n), of which as many rows are taken as there are joints; returns how many. */
 int moc_unpack_basis(const call *c, int i, double Z[][MOC_MAX_JOINTS]);

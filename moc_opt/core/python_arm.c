@@ -44,7 +44,7 @@ METHOD(Arm, terms, {"q", READ, N}, {"v", READ, N}, {"record", WRITE, TERMS})
     moc_terms terms;
     moc_status status = moc_compute_terms(&self->arm, c->array[0], c->array[1], &terms);
     if (status == MOC_OK)
-        moc_pack_terms(&terms, c->n, c->array[2]);
+        moc_copy_terms(&terms, c->n, c->array[2], PACK);
     return PyLong_FromLong(status);
 }
 

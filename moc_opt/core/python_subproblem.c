@@ -6,7 +6,7 @@
 FUNCTION(solve_exact, {"record", READ, ROW}, {"tolerance", NUMBER}, {"x", WRITE, N}, {"y", WRITE, 6})
 {
     moc_problem problem;
-    moc_unpack_problem(c->array[0], c->n, &problem);
+    moc_copy_problem(&problem, c->n, c->array[0], UNPACK);
     return PyLong_FromLong(moc_solve_exact(&problem, c->number[1], c->array[2], c->array[3]));
 }
 
@@ -17,7 +17,7 @@ FUNCTION(solve_exact_rows, {"records", READ, K, ROW}, {"tolerance", NUMBER}, {"X
     for (Py_ssize_t i = 0; i < c->k; i++) {
         moc_problem problem;
         double *x = c->array[2] + i * c->n, *y = c->array[3] + i * 6;
-        moc_unpack_problem(c->array[0] + i * (11 * c->n + 10), c->n, &problem);
+        moc_copy_problem(&problem, c->n, c->array[0] + i * (11 * c->n + 10), UNPACK);
         moc_status status = moc_solve_exact(&problem, c->number[1], x, y);
         for (int j = 0; j < c->n && status != MOC_OK; j++)
             x[j] = (double)NAN;
@@ -37,7 +37,7 @@ FUNCTION(step_network, {"record", READ, ROW}, {"x", WRITE, N}, {"y", WRITE, 6}, 
     int made = 0;
     const moc_network net = {(int)c->whole[3], c->number[4], c->number[5], c->number[6], c->number[7], c->whole[8] != 0,
                              c->number[9]};
-    moc_unpack_problem(c->array[0], c->n, &problem);
+    moc_copy_problem(&problem, c->n, c->array[0], UNPACK);
     moc_status status = moc_step_network(&problem, &net, c->array[1], c->array[2], &made);
     return Py_BuildValue("ii", (int)status, made);
 }
@@ -47,7 +47,7 @@ FUNCTION(judge, {"record", READ, ROW}, {"Z", READ, K, N}, {"x", READ, N})
     moc_problem problem;
     double Z[MOC_MAX_JOINTS][MOC_MAX_JOINTS];
     int rows = moc_unpack_basis(c, 1, Z);
-    moc_unpack_problem(c->array[0], c->n, &problem);
+    moc_copy_problem(&problem, c->n, c->array[0], UNPACK);
     moc_residuals r = moc_judge(&problem, rows, Z, c->array[2]);
     return Py_BuildValue("ddddd", r.primal, r.outside, r.natural, r.off, r.opposite);
 }
@@ -78,7 +78,7 @@ FUNCTION(load, {"record", READ, ROW}, {"five", WHOLE}, {"scale", NUMBER}, {"sign
     double triangle[MOC_MAX_JOINTS * MOC_MAX_JOINTS], scale = c->number[SCALE], *signs = c->array[SIGNS];
     int n = c->n, size = 0;
 
-    moc_unpack_problem(c->array[0], n, &problem);
+    moc_copy_problem(&problem, n, c->array[0], UNPACK);
     if (moc_equalities(&problem, c->whole[FIVE] != 0, A, b, lift) != c->k)
         return PyBool_FromLong(0);
     moc_cost(&problem, P, linear);
