@@ -235,9 +235,7 @@ static void place_tool(const moc_arm *arm, const double *q, moc_frame *frame, mo
     moc_point(&frame[n - 1], arm->point[MOC_WRIST], t->wrist);
     for (int i = 0; i < 3; i++)
         t->u[i] = t->tip[i] - t->wrist[i];
-    t->span = sqrt(dot3(t->u, t->u));
-    for (int i = 0; i < 3; i++)
-        t->u[i] /= t->span;
+    t->span = normalise3(t->u);
     moc_jacobian(n, twist, t->tip, arm->moves[MOC_TIP], t->A);
     moc_jacobian(n, twist, t->wrist, arm->moves[MOC_WRIST], t->A + 3);
     t->mu = moc_manipulability(n, twist, t->A, t->grad_mu);

@@ -28,9 +28,7 @@ static line shaft_line(const double X[3], const double dX[3], const moc_trocar *
         s.e[i] = trocar->P[i] - X[i];
         s.turn[i] = trocar->dP[i] - dX[i];
     }
-    s.distance = sqrt(dot3(s.e, s.e));
-    for (int i = 0; i < 3; i++)
-        s.e[i] /= s.distance;
+    s.distance = normalise3(s.e);
     s.closing = dot3(s.e, s.turn);
     for (int i = 0; i < 3; i++)
         s.turn[i] = (s.turn[i] - s.closing * s.e[i]) / s.distance;
@@ -261,10 +259,7 @@ void moc_add_third_level(const moc_law *law, int n, const moc_terms *terms, cons
     for (int j = 0; j < n; j++) {
         for (int i = 0; i < r; i++)
             tau[j] += MZ[i][j] * along[i];
-        if (tau[j] > law->tau_max[j]) /* a NaN passes: guard and plant refuse it by name */
-            tau[j] = law->tau_max[j];
-        else if (tau[j] < -law->tau_max[j])
-            tau[j] = -law->tau_max[j];
+        tau[j] = clip(tau[j], -law->tau_max[j], law->tau_max[j]); /* a NaN passes: guard and plant refuse it by name */
     }
 }
 

@@ -19,15 +19,10 @@ static inline void add_cross(double s, const double a[3], const double b[3], dou
     out[2] += s * (a[0] * b[1] - a[1] * b[0]);
 }
 
-static inline double norm3(const double a[3])
-{
-    return sqrt(dot3(a, a));
-}
-
 /* a becomes a unit vector; returns the length that it had. */
 static inline double normalise3(double a[3])
 {
-    double length = norm3(a);
+    double length = sqrt(dot3(a, a));
     for (int i = 0; i < 3; i++)
         a[i] /= length;
     return length;
@@ -134,15 +129,13 @@ static inline void solve_factored(int m, double L[][MOC_MAX_JOINTS], const doubl
 static inline void across(const double u[3], double b[2][3])
 {
     int k = fabs(u[0]) <= fabs(u[1]) && fabs(u[0]) <= fabs(u[2]) ? 0 : fabs(u[1]) <= fabs(u[2]) ? 1 : 2;
-    double e[3] = {0.0, 0.0, 0.0}, length;
+    double e[3] = {0.0, 0.0, 0.0};
 
     e[k] = 1.0;
     for (int i = 0; i < 3; i++)
         b[0][i] = b[1][i] = 0.0;
     add_cross(1.0, u, e, b[0]);
-    length = sqrt(dot3(b[0], b[0]));
-    for (int i = 0; i < 3; i++)
-        b[0][i] /= length;
+    normalise3(b[0]);
     add_cross(1.0, u, b[0], b[1]);
 }
 
