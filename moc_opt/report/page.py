@@ -91,9 +91,9 @@ class Page:
         height = int(figure.layout.height or figure.layout.template.layout.height or 450)
         self._add(_PARTS.figure(name, len(self._figures), caption, height))
 
-    def environment(self, values: Mapping[str, Any], title: str = "Environment") -> None:
+    def environment(self, values: Mapping[str, Any]) -> None:
         """Append a section on how the numbers came about: nested plain values; each mapping at the top is folded."""
-        self.section(title)
+        self.section("Environment")
         plain = {key: value for key, value in values.items() if not isinstance(value, Mapping)}
         if plain:
             self._add(_PARTS.definitions(plain))

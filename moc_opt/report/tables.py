@@ -131,11 +131,15 @@ class Table:
     def __repr__(self) -> str:
         return self.to_text(shutil.get_terminal_size((200, 24)).columns)
 
+    def texts(self) -> tuple[list[str], list[tuple[str, ...]]]:
+        """Return the headings with their units, and the texts of the rows."""
+        headings = [f"{column.title} [{column.unit}]" if column.unit else column.title for column in self.columns]
+        return headings, list(zip(*([cell.text for cell in self.cells(of)] for of in self.columns), strict=True))
+
     def _repr_html_(self) -> str:
         """Show itself in a notebook."""
-        cells = [[cell.text for cell in self.cells(column)] for column in self.columns]
-        headings = [f"{column.title} [{column.unit}]" if column.unit else column.title for column in self.columns]
-        return grid_html(self.title, zip(*cells, strict=True), headings, self.caption)
+        headings, rows = self.texts()
+        return grid_html(self.title, rows, headings, self.caption)
 
     def to_text(self, width: int = 10_000) -> str:
         """Write the table as plain text of at most this width [characters]."""

@@ -115,9 +115,8 @@ def about(scenario: Scenario, *, solver: bool = False) -> str:
 
 
 def _markdown(table: Table) -> str:
-    heads = [f"{column.title} [{column.unit}]" if column.unit else column.title for column in table.columns]
-    cells = [[cell.text.replace("|", "\\|") for cell in table.cells(column)] for column in table.columns]
-    lines = [heads, ["---"] * len(heads), *map(list, zip(*cells, strict=True))]
+    headings, rows = table.texts()
+    lines = [headings, ["---"] * len(headings), *([text.replace("|", "\\|") for text in row] for row in rows)]
     drawn = "\n".join("| " + " | ".join(line) + " |" for line in lines)
     return f"{drawn}\n\n{table.caption}".strip()
 
