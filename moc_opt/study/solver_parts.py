@@ -261,5 +261,6 @@ def _controllers(rows: Mapping[str, Mapping[str, Any]]) -> Table:
          *columns(*MEANS), *columns(*COUNTED),
          *(Column(key, title, unit="us", format=".1f") for key, title in ticks.items()),
          Column("deadline_misses", "misses", format=".0f")],
-        shown, "Changes against DCAC on the trials that both ran: of the mean, with 95 % intervals. " + FRAMES,
+        shown, "Changes against DCAC on the trials that both ran: of the mean, with 95 % intervals. Shares of the best "
+        f"courses are of the trials that every controller runs. {FRAMES}",
     )  # fmt: skip
