@@ -23,7 +23,7 @@ import numpy as np
 from pydantic import Field, field_validator
 
 from moc_opt.arrays import Array
-from moc_opt.errors import StudyError, UnknownNameError
+from moc_opt.errors import StudyError
 from moc_opt.inputs.settings import Level, Settings
 from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.report.console import console
@@ -44,8 +44,6 @@ from moc_opt.study.trials import BASELINE, seeds, trials
 STREAM = 3
 FULL = Path(__file__).parent / "solvers-full.toml"
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
-SLOW = ("nlp-ipopt", "qpsolvers:highs", "qpsolvers:scs")
-TASKS = ("circle", "sinusoid", "spiral")  # the paper's
 TIMED = ("open_loop_warm", "testsets", "closed_loop")  # parts of the summary with times, each measurement once
 
 
@@ -88,13 +86,15 @@ class ClosedLoop(Settings):
     """The trials."""
 
     KIND: ClassVar[str] = "[closed_loop]"
-    tasks: list[str] = Field(list(TASKS), min_length=1, description="of the trials, in turn")
+    tasks: list[str] = Field(["circle", "sinusoid", "spiral"], min_length=1, description="of the trials, in turn")
     trials: int = Field(60, ge=1, description="of DCAC and the cited solvers, each with a seed of its own")
     cited: list[str] = Field(["exact", "rnn", "rnn-printed"], description="solvers that the first sentences speak of")
     others: int = Field(15, ge=1, description="trials of every other solver, the first ones")
     timed: int = Field(1, ge=1, description="trials that run alone, the only ones whose times are used")
     duration_s: Level = Field(4.0, description="of a trial; inf: the whole task")
-    slow: list[str] = Field(list(SLOW), description="solvers that are left out: they take a millisecond a tick")
+    slow: list[str] = Field(
+        ["nlp-ipopt", "qpsolvers:highs", "qpsolvers:scs"], description="left out: they take a millisecond a tick"
+    )
 
     def of(self, solver: str) -> int:
         """Return the number of trials that a solver, or the baseline, runs: the first so many."""
@@ -106,7 +106,7 @@ class Config(StudyConfig):
 
     solvers: Literal["all"] | list[str] = "all"
     twice: bool = Field(False, description="qpsolvers:NAME too where NAME has an adapter of its own")
-    parts: list[str] = Field(["open_loop", "testsets", "closed_loop"])
+    parts: list[Literal["open_loop", "testsets", "closed_loop"]] = Field(["open_loop", "testsets", "closed_loop"])
     open_loop: OpenLoop = OpenLoop()
     testsets: TestSets = TestSets()
     closed_loop: ClosedLoop = ClosedLoop()
@@ -189,14 +189,9 @@ class Work:
             console(stderr=True).print(f"so far: {said}", markup=False, soft_wrap=True)
 
 
-Part = Callable[[Work], None]
-
-
 # --- the command ---
 
-PARTS: Mapping[str, Part] = {
-    "open_loop": recorded_sequence, "testsets": certified_sets, "closed_loop": closed_loop,
-}  # fmt: skip
+PARTS = {"open_loop": recorded_sequence, "testsets": certified_sets, "closed_loop": closed_loop}
 
 
 def work(study: Study, config: Config) -> Found:
@@ -210,9 +205,6 @@ def work(study: Study, config: Config) -> Found:
         for name in given.sets:
             testsets.check_name(name)
         config = config.but(testsets={"names": given.sets, "timed_too": given.sets})
-    for name in config.parts:
-        if name not in PARTS:
-            raise UnknownNameError("part", name, PARTS)
     names, missing = choose(given.only or config.solvers)
     if not (config.twice or given.only):
         names, again = once(names)
