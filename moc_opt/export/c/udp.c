@@ -214,12 +214,6 @@ static struct {
 static moc_state state;
 static wire_command command;
 
-static void put(const double *from, int count, double **to)
-{
-    memcpy(*to, from, (size_t)count * sizeof *from);
-    *to += count;
-}
-
 /* The third level's answer and its subproblem, in the order of moc_opt/qp/layout.py, where the law has that level. */
 static void report(void)
 {
@@ -228,6 +222,13 @@ static void report(void)
                                                    "not_finite", "outside",    "lied",   "late",   "lost"};
     const moc_problem *p = &state.problem;
     int asked = state.reason == MOC_RUNNING && moc_constants.law->third_level, solved = asked && state.status == MOC_OK;
+    const double weights[] = {p->c0, p->c1, p->c2, p->rho};
+    const struct {
+        const double *from;
+        size_t count;
+    } parts[] = {{p->A[0], JOINTS}, {p->A[1], JOINTS}, {p->A[2], JOINTS},    {p->A[3], JOINTS}, {p->A[4], JOINTS},
+                 {p->A[5], JOINTS}, {p->b, 6},         {p->grad_mu, JOINTS}, {p->pull, JOINTS}, {p->lower, JOINTS},
+                 {p->upper, JOINTS}, {weights, 4},     {state.terms.q, JOINTS}};
     double *row = command.subproblem;
 
     for (int i = 0; i < JOINTS; i++) {
@@ -236,16 +237,9 @@ static void report(void)
     }
     for (int i = 0; i < 6; i++)
         command.dual[i] = solved ? state.y[i] : (double)NAN;
-    for (int i = 0; asked && i < 6; i++)
-        put(p->A[i], JOINTS, &row);
-    if (asked) { /* else it stays the one before */
-        put(p->b, 6, &row);
-        put(p->grad_mu, JOINTS, &row);
-        put(p->pull, JOINTS, &row);
-        put(p->lower, JOINTS, &row);
-        put(p->upper, JOINTS, &row);
-        put((const double[]){p->c0, p->c1, p->c2, p->rho}, 4, &row);
-        put(state.terms.q, JOINTS, &row);
+    for (size_t i = 0; asked && i < sizeof parts / sizeof *parts; i++) { /* else it stays the one before */
+        memcpy(row, parts[i].from, parts[i].count * sizeof *row);
+        row += parts[i].count;
     }
     strncpy(command.status, asked ? statuses[state.status] : "none", sizeof command.status - 1);
     strncpy(command.fault, asked ? faults[state.fault] : state.reason ? "stopped" : "none", sizeof command.fault - 1);
