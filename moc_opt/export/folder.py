@@ -159,10 +159,8 @@ def write(
     """Write the folder, and return its files.
 
     Args:
-        robot: its model is compiled in.
         law, guard: numbers by the names in moc.h (`numbers_of` of control/law.py and control/safety_filter.py).
         recording: what ``make test`` runs again.
-        out: folder, made if need be.
         tolerance: of the solver ``exact`` [rad/s].
         stop: damping of the drives in a stop [Nm s/rad], and how long they keep it at least [s].
         extra: further files, by name; with udp.c among them the Makefile builds moc_udp.

@@ -26,16 +26,13 @@ INFEASIBLE, VIOLENT = 0.5, 10.0  # beyond the reference's velocity [m/s]: no x m
 def export_scenario(
     scenario: Scenario, out: str | os.PathLike[str], *, udp: bool = False, force: bool = False
 ) -> list[Path]:
-    """Write the whole controller of a scenario as C: tick, supervisor, fallback and safety filter.
+    """Write the whole controller of a scenario as C (tick, supervisor, fallback and safety filter); return the files.
 
     Args:
         scenario: of the controller; its run gives the recorded ticks.
         out: folder, made if need be.
         udp: also a program that is this controller at the end of a wire, and the references of its ticks.
         force: write over files that are not export-c's own.
-
-    Returns:
-        the files.
 
     Raises:
         MocOptError: a setting that C cannot do, named; the scenario cannot be run; or ``out`` cannot be written.

@@ -283,7 +283,7 @@ def _quaternion(rotation: Array) -> Array:
 
 
 def serve(scenario: Scenario, *, port: int = PORT, title: str = "") -> int:
-    """Open the page and keep it until Ctrl-C; return the exit code; raises as `LivePage`."""
+    """Open the page and keep it until Ctrl-C; return the exit code."""
     with LivePage(scenario, port=port, title=title) as page:
         # The first Ctrl-C raises nothing, which might leave a lock of the page's threads behind; a second one does.
         def stop(number: int, frame: object) -> None:
