@@ -129,9 +129,9 @@ def halving(case: Scenario) -> list[dict[str, Any]]:
 def work(study: Study, config: Config) -> Found:
     cases, asked = config.cases(), list[tuple[str, Job]]()
     for robot in config.robots:
-        mine = [case for case in cases if case.robot.name == robot]
-        some = mine[:: max(1, len(mine) // max(config.halvings, 1))][: config.halvings]
-        asked += [("courses", Job(courses, (case, config.loops))) for case in mine]
+        own = [case for case in cases if case.robot.name == robot]
+        some = own[:: max(1, len(own) // max(config.halvings, 1))][: config.halvings]
+        asked += [("courses", Job(courses, (case, config.loops))) for case in own]
         asked += [("halving", Job(halving, (case,))) for case in some]
     rows = Results()
     for (part, job), found in zip(asked, study.run([job for _, job in asked], "plans"), strict=True):
@@ -139,11 +139,10 @@ def work(study: Study, config: Config) -> Found:
         rows.add(*([lost] if isinstance(found, Failed) else found))
     summary: dict[str, Any] = {"courses": {}, "loops": {}, "goals": {}}
     for robot in config.robots:
-        of, wanted = rows.where(robot=robot), goals(config.loops)
-        figures = {name: loop_figures(of.where(part="loop"), name) for name in config.loops}
-        found = {"loops": figures, "courses": course_figures(of)}
-        found |= {"goals": judge(found, wanted)}
-        for part, of_arm in found.items():
+        mine = rows.where(robot=robot)
+        loops = {name: loop_figures(mine.where(part="loop"), name) for name in config.loops}
+        figures = {"loops": loops, "courses": course_figures(mine)}
+        for part, of_arm in {**figures, "goals": judge(figures, goals(config.loops))}.items():
             summary[part][robot] = of_arm
     return Found(report(summary, rows, config), summary, rows)
 

@@ -120,18 +120,17 @@ def runs_of(study: Study, config: Config) -> dict[Case, list[Run]]:
     """Do as many runs of each case as its cycles take; one that was stopped has fewer cycles, and is not repeated."""
     scenarios = {rate: config.run_at(rate) for rate in config.rates_Hz}
     programs = {
-        rate: str(build(scenario, study.out / "programs" / str(rate)))
+        ("c", rate): str(build(scenario, study.out / "programs" / str(rate)))
         for rate, scenario in scenarios.items() if "c" in config.controllers
     }  # fmt: skip
     machine = environment({}, 0)["machine"]
     here = (machine["processor"], machine["cores"])  # a run on another machine is another run
     each = min(config.cycles, config.run_cycles)
     asked = [(case, number) for case in config.measured() for number in range(-(-config.cycles // each))]
-    jobs = [
-        Job(run_once, (case, scenarios[case.rate_Hz], programs[case.rate_Hz] if case.controller == "c" else None,
-                       number, here), each / case.rate_Hz + SPARE_S, alone=True, group=str(case))
-        for case, number in asked
-    ]  # fmt: skip
+    jobs = []
+    for case, number in asked:
+        given = (case, scenarios[case.rate_Hz], programs.get((case.controller, case.rate_Hz)), number, here)
+        jobs.append(Job(run_once, given, each / case.rate_Hz + SPARE_S, alone=True, group=str(case)))
     found: dict[Case, list[Run]] = {}
     for (case, _), run in zip(asked, study.run(jobs, "runs"), strict=True):
         if isinstance(run, Failed):
