@@ -57,11 +57,10 @@ def solve_pose(
 
 def pose_with_tip(robot: RobotModel, q: ArrayLike, tip: ArrayLike) -> Array:
     """Find a pose (n,) near q with the tip at a point (3,) [m]; a TaskError names the least distance otherwise."""
-    point = _point("tip", tip)
-    placed = solve_pose(robot, q, point, iterations=200)
+    placed = solve_pose(robot, q, tip, iterations=200)
     if not placed.found:
         raise TaskError(
-            f"incision = {np.round(point, 4).tolist()} m is out of reach: the tip gets to "
+            f"incision = {np.round(np.asarray(tip), 4).tolist()} m is out of reach: the tip gets to "
             f"{1e3 * placed.miss_m:.0f} mm from it{_limits(robot, placed)}; move the patient or the robot's base"
         )
     return placed.q
@@ -76,7 +75,7 @@ def pose_through(robot: RobotModel, tip: ArrayLike, trocar: ArrayLike) -> Array:
     Raises:
         TaskError: the trocar is not on the shaft's length, or no pose is found.
     """
-    x, p = _point("tip", tip), _point("trocar", trocar)
+    x, p = np.asarray(tip, dtype=np.float64), np.asarray(trocar, dtype=np.float64)
     length = robot.data.tool_length
     depth = float(np.linalg.norm(p - x))
     if not 1e-3 < depth < length:
@@ -104,10 +103,3 @@ def pose_through(robot: RobotModel, tip: ArrayLike, trocar: ArrayLike) -> Array:
 def _limits(robot: RobotModel, placed: Placed) -> str:
     names = [robot.data.joint_names[i] for i in placed.at_limit]
     return f" ({', '.join(names)} at the limit)" if names else ""
-
-
-def _point(name: str, value: ArrayLike) -> Array:
-    point = np.asarray(value, dtype=np.float64)
-    if point.shape != (3,) or not np.isfinite(point).all():
-        raise TaskError(f"{name} = {value!r}: give three finite numbers [m]")
-    return point
