@@ -70,10 +70,6 @@ class Comparison:
         >>> gain = found.change("exact", "mu_mean")  # [percent], by both means, with 95 % intervals
         >>> gain.ratio.low <= gain.ratio.value <= gain.ratio.high, found.mean("dcac", "mu_mean").samples
         (True, 2)
-        >>> found.table.title, found.to_pandas().shape[0]
-        ('circle: solvers on the same trials', 4)
-        >>> found.plot("tip_error_max_mm").layout.xaxis.title.text
-        'tip_error_max_mm'
         >>> found.save_rows("rows.csv")
     """
 
@@ -223,11 +219,6 @@ def compare(
     Raises:
         UnknownNameError, SolverError: no such solver, no solver, or two of one name; before anything runs.
         ScenarioError: an argument is not usable, the scenario has no third level, or DCAC cannot run it.
-
-    Example:
-        >>> short = mo.Scenario(duration_s=0.05, bound_samples=0)
-        >>> mo.compare({"one": "exact", "two": mo.solvers.create("exact")}, short, trials=1).solvers
-        ['dcac', 'one', 'two']
     """
     base = Scenario() if scenario is None else Scenario.given(scenario)
     for argument, value, least in (("trials", trials, 1), ("seed", seed, 0)):
