@@ -288,7 +288,7 @@ def pictures(rows: Results) -> list[Picture]:
     gaps = {name: list(rows.values("gap_percent", name).values()) for name in rows.where(part="loop").names()}
     boxes = {name: {"all starts": np.maximum(of, LEAST_DRAWN_PERCENT)} for name, of in gaps.items() if of}
     says = f"A climb that is trapped ends more than {TRAPPED_PERCENT:g} % below the best course."
-    return [Picture(box_plots(boxes, "below the best course [%]", log=True), says, "gaps")] if boxes else []
+    return [Picture(box_plots(boxes, "below the best course [%]"), says, "gaps")] if boxes else []
 
 
 main = partial(command, "plan", "How much manipulability a path holds.", Config, work)

@@ -82,9 +82,9 @@ def full() -> Page:
     page.table(Table("Times", columns, [{"name": solvers[k], "value": value} for k, value in enumerate(values)]))
     page.section("Results")
     page.figure(figures.time_series(runs), "Runs.", name="runs")
-    page.figure(figures.latency_ecdf(times, 2000.0), "Times.", name="ecdf")
+    page.figure(figures.latency_ecdf(times), "Times.", name="ecdf")
     boxes = {name: {"circle": of, "<b>": of} for name, of in times.items()}
-    page.figure(figures.box_plots(boxes, "y", log=True), "The same words twice over again")
+    page.figure(figures.box_plots(boxes, "y"), "The same words twice over again")
     points = {name: (float(k + 1), 10.0**-k) for k, name in enumerate(solvers)}
     page.figure(figures.accuracy_against_time(points), "The same words twice over indeed")
     page.environment({"seed": 3, "machine": {"a_rather_long_key_without_any_gap_in_it": "x" * 200, "none": None}})
