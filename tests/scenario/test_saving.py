@@ -11,50 +11,39 @@ from moc_opt.errors import ScenarioError
 from moc_opt.inputs.settings import Settings
 from moc_opt.scenario.config import Scenario
 
-POSITIVE = st.floats(1e-6, 90.0)
-NOT_NEGATIVE = st.just(0.0) | POSITIVE
+NOT_NEGATIVE = st.just(0.0) | st.floats(1e-6, 90.0)
 NAMES = st.from_regex(r"[A-Za-z0-9_][A-Za-z0-9_.+-]{0,8}[A-Za-z0-9_]", fullmatch=True).filter(lambda s: ".." not in s)
 TEXT = st.text(st.characters(exclude_categories=["Cs"]), max_size=8)
 FINITE = st.floats(1e-20, 1e6) | st.integers(-9, 9) | st.booleans() | TEXT
-CONTROL = st.fixed_dictionaries(
-    {},
-    optional={
-        "preset": st.sampled_from(["paper", "tuned", "robust"]),
-        "K_N2": st.floats(0.1, 200.0) | st.lists(NOT_NEGATIVE, min_size=7, max_size=7),
-        "gains": st.sampled_from([None, "moc", "default"]),
-        "rcm_lambda": st.none() | st.floats(0.1, 1.0),
-        "regularization": st.floats(1e-9, 1.0),
-        "fallback": st.sampled_from(["damping", "hold"]),
-        "supervisor": st.fixed_dictionaries({}, optional={"budget_us": st.floats(1.0, 1e4)}),
-    },
-)
-PLANT = st.fixed_dictionaries(
-    {},
-    optional={
-        "preset": st.sampled_from(["nominal", "realistic"]),
-        "friction": st.floats(1e-6, 3.0),
-        "delay_ticks": st.integers(0, 4),
-        "gravity": st.booleans(),
-    },
-)
-SCENARIOS = st.fixed_dictionaries(
-    {},
-    optional={
-        "name": NAMES,
-        "seed": st.integers(0, 2**63 - 1),
-        "duration_s": st.none() | st.floats(0.01, 100.0),
-        "control": CONTROL,
-        "plant": PLANT,
-        "task": st.fixed_dictionaries({"path": st.sampled_from(["circle", "spiral"])}, optional={
-            "sizes": st.dictionaries(st.just("radius"), st.floats(0.01, 0.1)),
-            "heading": st.tuples(*[st.floats(0.1, 1.0)] * 3),
-        }),
-        "solver": st.fixed_dictionaries({"name": st.sampled_from(["exact", "rnn", "osqp"])}, optional={
-            "settings": st.dictionaries(NAMES, FINITE | st.lists(FINITE, max_size=3), max_size=3),
-            "replay_us": st.none() | st.lists(NOT_NEGATIVE, max_size=3),
-        }),
-        "guard": st.fixed_dictionaries({}, optional={"position_margin_rad": st.floats(0.001, 0.1)}),
-    },
+
+
+def table(**fields):
+    return st.fixed_dictionaries({}, optional=fields)
+
+
+SCENARIOS = table(
+    name=NAMES, seed=st.integers(0, 2**63 - 1), duration_s=st.none() | st.floats(0.01, 100.0),
+    control=table(
+        preset=st.sampled_from(["paper", "tuned", "robust"]),
+        K_N2=st.floats(0.1, 200.0) | st.lists(NOT_NEGATIVE, min_size=7, max_size=7),
+        gains=st.sampled_from([None, "moc", "default"]), rcm_lambda=st.none() | st.floats(0.1, 1.0),
+        regularization=st.floats(1e-9, 1.0), fallback=st.sampled_from(["damping", "hold"]),
+        supervisor=table(budget_us=st.floats(1.0, 1e4)),
+    ),
+    plant=table(
+        preset=st.sampled_from(["nominal", "realistic"]), friction=st.floats(1e-6, 3.0),
+        delay_ticks=st.integers(0, 4), gravity=st.booleans(),
+    ),
+    task=table(
+        path=st.sampled_from(["circle", "spiral"]), sizes=st.dictionaries(st.just("radius"), st.floats(0.01, 0.1)),
+        heading=st.tuples(*[st.floats(0.1, 1.0)] * 3),
+    ),
+    solver=table(
+        name=st.sampled_from(["exact", "rnn", "osqp"]),
+        settings=st.dictionaries(NAMES, FINITE | st.lists(FINITE, max_size=3), max_size=3),
+        replay_us=st.none() | st.lists(NOT_NEGATIVE, max_size=3),
+    ),
+    guard=table(position_margin_rad=st.floats(0.001, 0.1)),
 )  # fmt: skip
 
 

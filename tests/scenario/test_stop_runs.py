@@ -171,53 +171,50 @@ def test_brakes_hold_what_they_are_told_to(robot):
 PRESSED_N = 35.0
 """Force, as a root mean square over 0.1 s, above which no run may have completed; the limit of the filter is 15 N."""
 
-at_s = st.floats(0.05, 0.6)
+at_s, some, whole = st.floats(0.05, 0.6), st.floats, st.integers
+
+
+def table(**fields):
+    return st.fixed_dictionaries(fields)
 
 
 def signed(least, most):
     return st.floats(least, most).flatmap(lambda size: st.sampled_from([-size, size]))
 
 
+JOINT = st.none() | st.integers(0, 6)
 FAULTS = [
-    st.fixed_dictionaries({"encoder_bias_rad": st.floats(1e-6, 0.003), "encoder_noise_rad": st.floats(1e-6, 1e-4)}),
-    st.fixed_dictionaries({"nan_at_s": at_s, "nan_ticks": st.integers(1, 1000)}),
-    st.fixed_dictionaries({"jump_at_s": at_s, "jump_rad": signed(1e-3, 1.0)}),
-    st.fixed_dictionaries({
-        "frozen_at_s": at_s, "frozen_ticks": st.integers(1, 1000), "frozen_joint": st.none() | st.integers(0, 6),
-        "frozen_velocity": st.sampled_from(["repeated", "zero"]), "forged_stamps": st.booleans(),
-        "frozen_wrench": st.booleans(),
-    }),
-    st.fixed_dictionaries({
-        "lag_at_s": at_s, "lag_growth": st.floats(0.01, 1.0), "forged_stamps": st.booleans(),
-        "lag_joint": st.none() | st.integers(0, 6),
-        "lag_ticks": st.integers(0, 60),
-    }),
-    st.fixed_dictionaries({"replay_at_s": at_s, "replay_ticks": st.integers(1, 200), "forged_stamps": st.booleans()}),
-    st.fixed_dictionaries({
-        "drift_at_s": at_s, "drift_rad_per_s": signed(1e-3, 0.1),
-        "drift_velocity": st.sampled_from(["included", "apart"]),
-    }),
-    st.fixed_dictionaries({"drop_share": st.floats(1e-3, 1.0), "late_ticks": st.integers(0, 3)}),
-    st.fixed_dictionaries({"bump_N": st.floats(1.0, 60.0), "bump_at_s": at_s, "bump_s": st.floats(0.01, 0.5)}),
-    st.fixed_dictionaries({"payload_kg": st.floats(0.01, 1.0)}),
-    st.fixed_dictionaries({"slip_m": st.floats(1e-3, 0.1), "slip_at_s": at_s}),
-    st.fixed_dictionaries({
-        "solver": st.sampled_from(["fail", "nan", "lie", "raise", "outside", "rig", "malformed", "hang"]),
-        "solver_share": st.floats(0.01, 1.0),
-    }),
+    table(encoder_bias_rad=some(1e-6, 0.003), encoder_noise_rad=some(1e-6, 1e-4)),
+    table(nan_at_s=at_s, nan_ticks=whole(1, 1000)),
+    table(jump_at_s=at_s, jump_rad=signed(1e-3, 1.0)),
+    table(
+        frozen_at_s=at_s, frozen_ticks=whole(1, 1000), frozen_joint=JOINT, forged_stamps=st.booleans(),
+        frozen_velocity=st.sampled_from(["repeated", "zero"]), frozen_wrench=st.booleans(),
+    ),
+    table(
+        lag_at_s=at_s, lag_growth=some(0.01, 1.0), forged_stamps=st.booleans(), lag_joint=JOINT, lag_ticks=whole(0, 60)
+    ),
+    table(replay_at_s=at_s, replay_ticks=whole(1, 200), forged_stamps=st.booleans()),
+    table(
+        drift_at_s=at_s, drift_rad_per_s=signed(1e-3, 0.1), drift_velocity=st.sampled_from(["included", "apart"])
+    ),
+    table(drop_share=some(1e-3, 1.0), late_ticks=whole(0, 3)),
+    table(bump_N=some(1.0, 60.0), bump_at_s=at_s, bump_s=some(0.01, 0.5)),
+    table(payload_kg=some(0.01, 1.0)),
+    table(slip_m=some(1e-3, 0.1), slip_at_s=at_s),
+    table(
+        solver=st.sampled_from(["fail", "nan", "lie", "raise", "outside", "rig", "malformed", "hang"]),
+        solver_share=some(0.01, 1.0),
+    ),
 ]  # fmt: skip
-
-
-FAULTY = st.fixed_dictionaries({
-    "seed": st.integers(0, 2**31), "faults": st.lists(st.one_of(FAULTS), min_size=1, max_size=4).map(
+FAULTY = table(
+    seed=whole(0, 2**31), robot=table(name=st.sampled_from(available_robots())), start=st.just({"swivel": "random"}),
+    faults=st.lists(st.one_of(FAULTS), min_size=1, max_size=4).map(
         lambda parts: {name: value for part in parts for name, value in part.items()}
     ),
-    "robot": st.fixed_dictionaries({"name": st.sampled_from(available_robots())}),
-    "control": st.fixed_dictionaries({
-        "preset": st.sampled_from(["tuned", "robust"]), "law": st.sampled_from(["moc", "dcac"]),
-    }),
-    "start": st.just({"swivel": "random"}), "plant": st.fixed_dictionaries({"delay_ticks": st.integers(0, 2)}),
-})  # fmt: skip
+    control=table(preset=st.sampled_from(["tuned", "robust"]), law=st.sampled_from(["moc", "dcac"])),
+    plant=table(delay_ticks=whole(0, 2)),
+)  # fmt: skip
 
 
 @many(0.1)
