@@ -35,6 +35,7 @@ from moc_opt.study.kept import Kept, digest_of, key_of, loaded_sources
 CONNECT_S = 30.0
 LOOK_S, ATTEMPTS = 1.0, 3  # how often processes are looked after [s], and pools that a job may see break
 BEGUN = ".pid"
+WAITS = 5.0
 PR_SET_PDEATHSIG = 1
 PRELOAD = ("moc_opt.scenario", "moc_opt.study.trials", "moc_opt.study.solver_answers")
 
@@ -183,7 +184,7 @@ def _answer(future: Answer, job: Job) -> _Done | Failed:
         return Failed("hung", f"no answer within {job.limit_s:g} s")
     except ProcessExpired as error:
         code = error.exitcode or 0
-        if code == -signal.SIGALRM:
+        if -code in (signal.SIGALRM, signal.SIGPROF):
             return Failed("hung", "no answer within the limit that the job set itself")
         how = signal.Signals(-code).name if code < 0 else f"exit code {code}"
         return Failed("crashed", f"the process died ({how})")
@@ -211,7 +212,7 @@ def _do(work: Callable[..., Any], arguments: tuple[Any, ...], parts: str | None 
         own = isinstance(error, MocOptError)
         return Failed("raised", f"{type(error).__name__}: {error}" if own else describe(error))
     finally:
-        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        alarm(0.0)
         if _parts is not None:
             _parts.close()
             _parts = None
@@ -277,7 +278,8 @@ def _processes(count: int) -> Iterator[tuple[Submit, int]]:
 def _begin(folder: str, memory: int) -> None:
     """Let a worker lead a group, end with its parent, leave Ctrl-C to it, and have its share of the memory."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGALRM, signal.SIG_DFL)
+    for number in (signal.SIGALRM, signal.SIGPROF):
+        signal.signal(number, signal.SIG_DFL)
     os.setpgrp()
     Path(folder, "groups", str(os.getpid())).touch()
     if sys.platform == "linux":
@@ -306,9 +308,11 @@ def _reported(file: str | None) -> tuple[Any, ...]:
 def alarm(seconds: float) -> None:
     """Let the kernel end this job's process after so many seconds, even where a library hangs; 0: never.
 
-    A job that calls it before each of many steps limits each of them.
+    They are of processor time, so that a busy machine makes no answer late; a process that waits is ended after
+    `WAITS` times as many on the clock. A job that calls it before each of many steps limits each of them.
     """
-    signal.setitimer(signal.ITIMER_REAL, seconds)
+    signal.setitimer(signal.ITIMER_PROF, seconds)
+    signal.setitimer(signal.ITIMER_REAL, WAITS * seconds)
 
 
 def _cores() -> int:

@@ -48,7 +48,7 @@ class Limits(Settings):
     rounds: int = Field(8, ge=1, description="through a set, warm; fewer where they take longer than `seconds`")
     seconds: float = Field(0.05, gt=0.0)
     cold: int = Field(16, ge=1, description="problems of a set that are solved cold")
-    patience_s: float = Field(0.5, gt=0.0, description="longer without an answer is a hang")
+    patience_s: float = Field(0.5, gt=0.0, description="of processor time; more without an answer is a hang")
     setup_s: float = Field(15.0, gt=0.0, description="longer without being set up is one too")
 
 
