@@ -101,8 +101,8 @@ class NullSpaceQP:
         >>> state = robot.state(robot.data.q_home)
         >>> qp = mo.NullSpaceQP(state.J_tip, state.J_wrist, v_tip=[0.01, 0, 0], v_wrist=[0.01, 0, 0],
         ...                     grad_mu=state.grad_mu, lower=-robot.v_max, upper=robot.v_max)
-        >>> qp.A.shape, qp.P.shape, qp.reduced().A.shape, qp.copy() == qp
-        ((6, 7), (7, 7), (5, 7), True)
+        >>> qp.A.shape, qp.P.shape, qp.assembled(6).A.shape, qp.reduced().A.shape, qp.copy() == qp
+        ((6, 7), (7, 7), (6, 7), (5, 7), True)
         >>> solution = mo.solvers.create("exact").start(qp).solve(qp)
         >>> bool(qp.residuals(solution.x, solution.y).verified()), qp.objective(solution.x) < 0.0
         (True, True)
