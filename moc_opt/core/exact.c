@@ -104,8 +104,8 @@ INLINE int eliminate(moc_plane *plane, const moc_problem *p, int m)
     return 6;
 }
 
-/* Whether x meets the dropped rows too. One that repeats others with another right-hand side may ask for a velocity that
- * no x of the box has; else it is neither independent nor repeated, and what it allows cannot be told. */
+/* Whether x meets the dropped rows too. One that repeats others with another right-hand side may ask for a velocity
+ * that no x of the box has; else it is neither independent nor repeated, and what it allows cannot be told. */
 static moc_status check_dropped(const moc_plane *plane, const moc_problem *p, const double *x)
 {
     moc_status status = MOC_OK;

@@ -263,9 +263,9 @@ static double rcm_error(double pose[4][3], const double P[3])
 /* Force of the trocar on the shaft, across it [N], by the sensor at the tool's mount.
  *
  * Less the tool's weight the reading is the sum of the trocar's force f, a depth d before the tip, and of a contact g
- * at the tip: force = f + g, torque = (L - d) z x f + L z x g, hence f = (L force - torque x z) / d. If the encoders are
- * wrong, so is d, and the trocar's force may be taken for a contact: at most tip_force is. A load on the tool, which
- * the formula takes for both, may hide a part of f: *all is the whole force, which warns. */
+ * at the tip: force = f + g, torque = (L - d) z x f + L z x g, hence f = (L force - torque x z) / d. If the encoders
+ * are wrong, so is d, and the trocar's force may be taken for a contact: at most tip_force is. A load on the tool,
+ * which the formula takes for both, may hide a part of f: *all is the whole force, which warns. */
 static double trocar_force(const moc_guard *g, double pose[4][3], const double P[3], const double *wrench, double *all)
 {
     double depth = 0.0, L = g->tool_length, weight[2], force[2];

@@ -60,16 +60,14 @@ static void times(int n, double J[][MOC_MAX_JOINTS], const double *v, double out
 
 /* ddN_d of N_d = X + L e, without the trocar's own acceleration. With r = P_t - X = |r| e:
  * e'' = (I - e e^T)(r'' - 2 |r|' e') / |r| - |e'|^2 e. */
-static void desired_wrist_acceleration(const moc_terms *t, const double dX[3], const double ddX_d[3],
-                                       const moc_trocar *trocar, double out[3])
+static void desired_wrist_acceleration(const line *s, double span, const double ddX_d[3], double out[3])
 {
-    line s = shaft_line(t->tip, dX, trocar);
-    double pull[3], along, square = dot3(s.turn, s.turn);
+    double pull[3], square = dot3(s->turn, s->turn);
     for (int i = 0; i < 3; i++)
-        pull[i] = -ddX_d[i] - 2.0 * s.closing * s.turn[i];
-    along = dot3(s.e, pull);
+        pull[i] = -ddX_d[i] - 2.0 * s->closing * s->turn[i];
+    double along = dot3(s->e, pull);
     for (int i = 0; i < 3; i++)
-        out[i] = ddX_d[i] + t->span * ((pull[i] - along * s.e[i]) / s.distance - square * s.e[i]);
+        out[i] = ddX_d[i] + span * ((pull[i] - along * s->e[i]) / s->distance - square * s->e[i]);
 }
 
 /* Level 2 in its dynamic form, and the feed-forward of the accelerations that tip and wrist are to have beyond gravity
@@ -163,7 +161,7 @@ void moc_tracking_torque(const moc_law *law, int n, const moc_terms *terms, cons
 {
     moc_terms *t = (moc_terms *)terms; /* C has no conversion to arrays of const arrays; nothing is written */
     double(*J_T)[MOC_MAX_JOINTS] = t->A, (*J_W)[MOC_MAX_JOINTS] = t->A + 3;
-    double dX[3], dN[3], F[3], N_d[3], dN_d[3], ddN_d[3], tau_W[MOC_MAX_JOINTS] = {0.0};
+    double dX[3], dN[3], F[3], ddN_d[3], tau_W[MOC_MAX_JOINTS] = {0.0}, share = 1.0;
 
     times(n, J_T, t->v, dX);
     times(n, J_W, t->v, dN);
@@ -174,22 +172,18 @@ void moc_tracking_torque(const moc_law *law, int n, const moc_terms *terms, cons
     memcpy(tau, t->h, (unsigned)n * sizeof *tau);
     add_force(n, J_T, 1.0, F, tau);
 
-    /* RCM: F_W = K_N (N_d - N) + D_N (dN_d - dN). */
-    moc_desired_wrist(t->tip, dX, trocar, t->span, N_d, dN_d);
-    if (law->rcm_lambda > 0.0) {
-        /* |N_d - N| is 2 L sin(theta/2) and the RCM error d = |P_t - X| sin(theta): the true lambda of
-         * |N_d - N| = d / lambda is |P_t - X| / L cos(theta/2); the paper takes a constant. */
-        line s = shaft_line(t->tip, dX, trocar);
-        double half = sqrt(fmax(0.0, 0.5 * (1.0 - dot3(s.e, t->u))));
-        double share = s.distance / t->span * half / law->rcm_lambda;
-        for (int i = 0; i < 3; i++)
-            N_d[i] = t->wrist[i] + share * (N_d[i] - t->wrist[i]);
-    }
+    /* RCM: F_W = K_N (N_d - N) + D_N (dN_d - dN), N_d = X + L e. |N_d - N| is 2 L sin(theta/2) and the RCM error
+     * d = |P_t - X| sin(theta): the true lambda of |N_d - N| = d / lambda is |P_t - X| / L cos(theta/2); the paper
+     * takes a constant. */
+    line s = shaft_line(t->tip, dX, trocar);
+    if (law->rcm_lambda > 0.0)
+        share = s.distance / t->span * sqrt(fmax(0.0, 0.5 * (1.0 - dot3(s.e, t->u)))) / law->rcm_lambda;
     for (int i = 0; i < 3; i++)
-        F[i] = law->K_N * (N_d[i] - t->wrist[i]) + law->D_N * (dN_d[i] - dN[i]);
+        F[i] = law->K_N * share * (t->tip[i] + t->span * s.e[i] - t->wrist[i]) +
+               law->D_N * (dX[i] + t->span * s.turn[i] - dN[i]);
     add_force(n, J_W, 1.0, F, tau_W);
 
-    desired_wrist_acceleration(t, dX, ref->ddX, trocar, ddN_d);
+    desired_wrist_acceleration(&s, t->span, ref->ddX, ddN_d);
     if (law->feedforward || law->projector == MOC_DYNAMIC)
         add_dynamic(law, n, t, ref->ddX, ddN_d, tau_W, tau);
     if (law->projector != MOC_DYNAMIC)

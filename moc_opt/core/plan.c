@@ -150,12 +150,10 @@ double plan_place(const plan_task *task, int points, int rounds, const double *s
 static double look_across(const plan_task *task, const double *q, const double *tangent, double error[ROWS],
                           double A[ROWS][MOC_MAX_JOINTS])
 {
-    double mu = look(task, q, error, A, NULL), full[6][MOC_MAX_JOINTS];
-    memcpy(full, A, sizeof full);
-    memset(A, 0, 6 * sizeof *A);
-    for (int k = 0; k < task->count; k++)
-        for (int i = 0; i < 6; i++)
-            A[i][task->active[k]] = full[i][task->active[k]];
+    double mu = look(task, q, error, A, NULL);
+    for (int j = 0; j < task->arm->n; j++)
+        for (int i = 0; i < 6 && !task->active[j]; i++)
+            A[i][j] = 0.0;
     memcpy(A[6], tangent, (unsigned)task->arm->n * sizeof *tangent);
     error[6] = 0.0;
     return mu;

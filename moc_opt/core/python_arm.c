@@ -103,13 +103,12 @@ static plan_task take_task(const Arm *self, const call *c)
 static int take_curve(const Arm *self, const call *c, plan_task *task)
 {
     *task = take_task(self, c);
-    task->count = rows_of(c, 3);
-    for (int i = 0; i < task->count; i++) {
-        if (task->count > c->n || !(c->array[3][i] >= 0.0 && c->array[3][i] < c->n)) {
+    for (int i = 0; i < rows_of(c, 3); i++) {
+        if (!(c->array[3][i] >= 0.0 && c->array[3][i] < c->n)) {
             PyErr_Format(PyExc_ValueError, "active: give numbers of joints from 0 to %d", c->n - 1);
             return 0;
         }
-        task->active[i] = (int)c->array[3][i];
+        task->active[(int)c->array[3][i]] = 1;
     }
     return 1;
 }

@@ -31,7 +31,8 @@ void moc_levels(const moc_controller *c, const moc_input *in, moc_state *s)
     int n = c->arm->n;
 
     for (int i = 0; i < n && law->observer_gain > 0.0; i++) /* friction and model error, from the last torque */
-        moc_observe(n, t, i, memory->tau[i], law->observer_gain, law->period, memory->integral + i, memory->external + i);
+        moc_observe(n, t, i, memory->tau[i], law->observer_gain, law->period, &memory->integral[i],
+                    &memory->external[i]);
     moc_tracking_torque(law, n, t, &in->ref, &in->trocar, s->tau);
     for (int i = 0; i < n; i++)
         s->tau[i] -= memory->external[i];

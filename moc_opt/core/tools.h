@@ -36,8 +36,7 @@ typedef struct {
     const moc_arm *arm;
     const double *low, *high;   /* (n,) */
     double target[2][3];        /* tip and wrist [m] */
-    int active[MOC_MAX_JOINTS]; /* the joints that may move along a curve, one more than tip and wrist fix */
-    int count;
+    int active[MOC_MAX_JOINTS]; /* 1: may move along a curve, as one joint more than tip and wrist fix may */
 } plan_task;
 
 /* Newton's method for a pose with the tip (points = 1), or tip and wrist (points = 2), at the target; q (n,) is where
