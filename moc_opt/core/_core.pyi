@@ -101,7 +101,7 @@ def load(
 # One step of a value function; see tools.h.
 def advance(
     branches: int, q: Array, slack: Array, gain: Array, q_next: Array, slack_next: Array, value_next: Array,
-    step: Array, crossing: Array, price: float, worst: bool, value: Array, room: Array, /,
+    step: Array, crossing: Array, price: float, value: Array, room: Array, /,
 ) -> None: ...
 # The simulated plant; see plant.c.
 def shaft_force(

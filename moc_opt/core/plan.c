@@ -313,82 +313,67 @@ double plan_ascend(const plan_task *task, double *q)
 
 /* --- one step of a value function --- */
 
-/* Bounds of a block of poses at the next time: low and high (n,), and the most that one of them is worth. */
-static void bound_blocks(const plan_stage *t, int blocks, double *low, double *high, double *most)
+static void bound(const plan_stage *t, int branch, int k, plan_block *block)
 {
-    int n = t->n;
-    for (int b = 0; b < t->branches * blocks; b++) {
-        most[b] = -HUGE_VAL;
+    int n = t->n, last = (k + 1) * PLAN_BLOCK < t->next ? (k + 1) * PLAN_BLOCK : t->next;
+
+    *block = (plan_block){.most = -HUGE_VAL, .first = branch * t->next + k * PLAN_BLOCK, .end = branch * t->next + last};
+    for (int a = 0; a < n; a++) {
+        block->low[a] = HUGE_VAL;
+        block->high[a] = -HUGE_VAL;
+    }
+    for (int pose = block->first; pose < block->end; pose++) {
+        if (!(t->value_next[pose] > -HUGE_VAL))
+            continue;
+        block->most = fmax(block->most, t->value_next[pose]);
         for (int a = 0; a < n; a++) {
-            low[b * n + a] = HUGE_VAL;
-            high[b * n + a] = -HUGE_VAL;
+            double q = t->q_next[pose * n + a], slack = t->slack_next[pose * n + a];
+            block->low[a] = fmin(block->low[a], q - slack);
+            block->high[a] = fmax(block->high[a], q + slack);
         }
     }
-    for (int b = 0; b < t->branches; b++)
-        for (int i = 0; i < t->next; i++) {
-            int pose = b * t->next + i, block = b * blocks + i / PLAN_BLOCK;
-            if (!(t->value_next[pose] > -HUGE_VAL))
-                continue;
-            most[block] = fmax(most[block], t->value_next[pose]);
-            for (int a = 0; a < n; a++) {
-                double q = t->q_next[pose * n + a], slack = t->slack_next[pose * n + a];
-                low[block * n + a] = fmin(low[block * n + a], q - slack);
-                high[block * n + a] = fmax(high[block * n + a], q + slack);
-            }
-        }
 }
 
-/* The best that pose (b, j) reaches in one branch of the next time, if more than `best`. */
-static double best_in(const plan_stage *t, int pose, int to, int blocks, const double *low, const double *high,
-                      const double *most, double best)
+/* The best that a pose reaches in a block, if more than `best`. */
+static double best_in(const plan_stage *t, int pose, const plan_block *block, double best)
 {
     const double *q = t->q + pose * t->n, *slack = t->slack + pose * t->n;
     int n = t->n;
 
-    for (int k = 0; k < blocks; k++) {
-        int block = to * blocks + k, far = 0, last = (k + 1) * PLAN_BLOCK < t->next ? (k + 1) * PLAN_BLOCK : t->next;
-        if (!(most[block] > best))
-            continue;
-        for (int a = 0; a < n && !far; a++) {
-            double way = (t->step[a] + slack[a]) * (1.0 + 1e-9) + 1e-12;
-            far = !(low[block * n + a] <= q[a] + way && q[a] - way <= high[block * n + a]);
+    for (int a = 0; a < n; a++) {
+        double way = (t->step[a] + slack[a]) * (1.0 + 1e-9) + 1e-12;
+        if (!(block->low[a] <= q[a] + way && q[a] - way <= block->high[a]))
+            return best;
+    }
+    for (int other = block->first; other < block->end; other++) {
+        double total = t->value_next[other];
+        int near = total > best;
+        for (int a = 0; a < n && near; a++) {
+            double away = fabs(q[a] - t->q_next[other * n + a]);
+            near = away <= t->step[a] + slack[a] + t->slack_next[other * n + a];
+            total -= t->price * away * away;
         }
-        for (int i = k * PLAN_BLOCK; i < last && !far; i++) {
-            int other = to * t->next + i, near;
-            double total = t->value_next[other];
-            near = total > best;
-            for (int a = 0; a < n && near; a++) {
-                double away = fabs(q[a] - t->q_next[other * n + a]);
-                near = away <= t->step[a] + slack[a] + t->slack_next[other * n + a];
-                total -= t->price * away * away;
-            }
-            if (near && total > best)
-                best = total;
-        }
+        if (near && total > best)
+            best = total;
     }
     return best;
 }
 
-void plan_advance(const plan_stage *t, double *room, double *value)
+void plan_advance(const plan_stage *t, plan_block *block, double *value)
 {
-    int blocks = (t->next + PLAN_BLOCK - 1) / PLAN_BLOCK, total = t->branches * blocks;
-    double *low = room, *high = room + total * t->n, *most = room + 2 * total * t->n;
+    int blocks = (t->next + PLAN_BLOCK - 1) / PLAN_BLOCK;
 
-    bound_blocks(t, blocks, low, high, most);
-    for (int b = 0; b < t->branches; b++)
-        for (int j = 0; j < t->m; j++) {
-            int pose = b * t->m + j;
-            double best = -HUGE_VAL;
-            value[pose] = -HUGE_VAL;
-            if (!(t->gain[pose] > -HUGE_VAL))
-                continue;
-            int bits = (int)t->crossing[j];
-            for (int flips = bits;; flips = (flips - 1) & bits) { /* all subsets of the bits */
-                best = best_in(t, pose, b ^ flips, blocks, low, high, most, best);
-                if (flips == 0)
-                    break;
-            }
-            if (best > -HUGE_VAL)
-                value[pose] = t->worst ? fmin(best, t->gain[pose]) : best + t->gain[pose];
+    for (int k = 0; k < t->branches * blocks; k++)
+        bound(t, k / blocks, k % blocks, &block[k]);
+    for (int pose = 0; pose < t->branches * t->m; pose++) {
+        double best = -HUGE_VAL;
+        int bits = (int)t->crossing[pose % t->m], flips = bits + 1;
+        while (flips > 0 && t->gain[pose] > -HUGE_VAL) { /* all subsets of the bits */
+            flips = (flips - 1) & bits;
+            const plan_block *first = block + (pose / t->m ^ flips) * blocks;
+            for (const plan_block *each = first; each < first + blocks; each++)
+                best = each->most > best ? best_in(t, pose, each, best) : best;
         }
+        value[pose] = best > -HUGE_VAL ? best + t->gain[pose] : -HUGE_VAL;
+    }
 }

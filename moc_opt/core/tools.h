@@ -60,8 +60,7 @@ double plan_ascend(const plan_task *task, double *q);
  *
  * Poses q (branches, m, n) with slack, NaN where there is none; gain (branches, m): what a pose adds, -inf: forbidden.
  * A pose is next to another where no joint turns by more than its step (n,) and both slacks; in its own branch, or in
- * one whose number differs in bits of crossing[m]. price: of a step's square [1/rad^2]; worst: the value is the least
- * gain on the way in place of their sum. `room`: branches * (blocks of next) * (2 n + 1) numbers of scratch. */
+ * one whose number differs in bits of crossing[m]. price: of a step's square [1/rad^2]. */
 typedef struct {
     int branches, m, next, n;
     const double *q, *slack, *gain;
@@ -69,11 +68,17 @@ typedef struct {
     const double *step;
     const double *crossing; /* whole numbers */
     double price;
-    int worst;
 } plan_stage;
+
+/* Bounds of PLAN_BLOCK poses beside each other at the next time, slack included, and the most that one is worth. */
+typedef struct {
+    double low[MOC_MAX_JOINTS], high[MOC_MAX_JOINTS], most;
+    int first, end;
+} plan_block;
 
 enum { PLAN_BLOCK = 16 };
 
-void plan_advance(const plan_stage *stage, double *room, double *value);
+/* block: scratch for all blocks of all branches. */
+void plan_advance(const plan_stage *stage, plan_block *block, double *value);
 
 #endif

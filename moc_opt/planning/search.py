@@ -204,7 +204,7 @@ def advance(
     at, room, then, later = (np.ascontiguousarray(each).reshape(-1, n) for each in (q, slack, q_next, slack_next))
     core.advance(
         branches, at, room, np.ascontiguousarray(gain).ravel(), then, later, np.ascontiguousarray(value_next).ravel(),
-        np.ascontiguousarray(step), crossing.astype(np.float64), price, False, worth,
-        np.empty(branches * blocks * (2 * n + 1)),
+        np.ascontiguousarray(step), crossing.astype(np.float64), price, worth,
+        np.empty(branches * blocks * (2 * core.MAX_JOINTS + 2)),
     )  # fmt: skip
     value[:] = worth.reshape(gain.shape)
