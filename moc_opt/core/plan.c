@@ -317,7 +317,9 @@ static void bound(const plan_stage *t, int branch, int k, plan_block *block)
 {
     int n = t->n, last = (k + 1) * PLAN_BLOCK < t->next ? (k + 1) * PLAN_BLOCK : t->next;
 
-    *block = (plan_block){.most = -HUGE_VAL, .first = branch * t->next + k * PLAN_BLOCK, .end = branch * t->next + last};
+    block->first = branch * t->next + k * PLAN_BLOCK;
+    block->end = branch * t->next + last;
+    block->most = -HUGE_VAL;
     for (int a = 0; a < n; a++) {
         block->low[a] = HUGE_VAL;
         block->high[a] = -HUGE_VAL;
