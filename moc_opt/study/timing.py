@@ -89,10 +89,10 @@ def used() -> Disturbance:
     return Disturbance(0, found.ru_nivcsw, found.ru_nvcsw, process_time(), perf_counter())
 
 
-def clock_cost_us(samples: int = 2000) -> float:
+def clock_cost_us() -> float:
     """Return what reading the clock twice costs [us]; it is left inside every figure and reported beside them."""
-    gaps = np.empty(samples)
-    for i in range(samples):
+    gaps = np.empty(2000)
+    for i in range(len(gaps)):
         begin = perf_counter_ns()
         gaps[i] = perf_counter_ns() - begin
     return float(np.median(gaps) * 1e-3)
