@@ -67,6 +67,13 @@ def test_what_is_fresh_is_newer_than_all_before_it_and_never_too_old(stamps, pat
             assert one == OLD
 
 
+@pytest.mark.parametrize("missed", [1, PATIENCE, PATIENCE + 1])
+def test_ticks_that_the_controller_missed_make_no_measurement_bad(missed):
+    """The arm counted on: its clock holds, up to the patience."""
+    found = ages([0, 1, 2, 3 + missed, 4 + missed])
+    assert found == [FRESH] * 5 if missed <= PATIENCE else found[3] == REPEAT
+
+
 def looked(q, v, tau=None, reference=None, wrench=None, **levels):
     """The first thing that is wrong with readings (k, n), and at which of them."""
     guard = SafetyFilter(ARM, SafetyFilterSettings(**levels), PERIOD, carries=False, incision=False, momentum=False)
