@@ -10,7 +10,7 @@ import qpsolvers
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from moc_opt.errors import MocOptError, SolverError
+from moc_opt.errors import MocOptError
 from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.solvers import Status
 from moc_opt.solvers.library import Loader
@@ -89,14 +89,6 @@ def test_every_number_is_where_it_belongs(seed, n, rows, tied, scale, signs):
     y, five = np.arange(1.0, m + 1.0), qp.assembled(rows)
     np.testing.assert_allclose(load.lifted(y, 0.5), 0.5 * y @ five.lift, atol=1e-14)
     np.testing.assert_allclose(qp.A.T @ load.lifted(y, 2.0), 2.0 * five.A.T @ y, atol=1e-12)
-
-
-def test_another_shape_is_refused():
-    for m, good, bad in ((5, problem(1), untied(3)), (6, untied(3), problem(1))):
-        load = Loader(5, 1.0, **buffers(m, 7)[0])
-        assert load(good)
-        assert not load(bad)
-        assert not load(problem(2, n=8))
 
 
 # --- OSQP ---
@@ -185,15 +177,6 @@ def test_only_a_status_certifies_infeasibility():
     proofs = {"clarabel", "osqp", "piqp", "proxqp", "quadprog", "scs"}
     assert {library for library, status in said.items() if status is Status.INFEASIBLE} == proofs & set(HERE)
     assert said["daqp"] is said["highs"] is Status.NUMERICAL
-
-
-def test_quadprog_without_damping_is_unsupported():
-    qp, chosen = problem(5, regularization=0.0), QPSolver("quadprog")
-    with pytest.raises(SolverError, match=r"quadprog: .*regularization > 0"):
-        chosen.start(qp)
-    assert chosen.supports(problem(5)) is None
-    assert chosen.start(problem(5)).solve(qp).status is Status.UNSUPPORTED
-    assert QPSolver("daqp").supports(qp) is None
 
 
 @pytest.mark.parametrize("library", HERE)
