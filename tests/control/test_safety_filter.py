@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from hypothesis.extra.numpy import arrays
 
 from moc_opt.control.safety_filter import SafetyFilter, SafetyFilterSettings
 from moc_opt.errors import ControlError
@@ -26,31 +25,13 @@ def guard_of(robot, q=None, v=REST, carries=True, **changes):
     return mine
 
 
-def numbers(low, high):
-    return arrays(np.float64, N, elements=st.floats(low, high))
-
-
 # --- the torque ---
 
 
-@settings(max_examples=200)
-@given(tau=numbers(-1e4, 1e4), before=numbers(-1.0, 1.0), place=numbers(-0.2, 1.2), v=numbers(-20.0, 20.0))
-def test_torque_and_rate_stay_within_their_limits(robot, tau, before, place, v):
-    """Whatever is asked for, in any state, also beyond the joint limits."""
-    q = robot.q_min + place * (robot.q_max - robot.q_min)
-    before = before * robot.tau_max
-    mine = guard_of(robot)
-    sent = mine.limit_torque(tau, before, q, v)
-    assert (np.abs(sent) <= robot.tau_max).all()
-    step = SafetyFilterSettings().torque_rate_Nm_per_s * PERIOD
-    assert (np.abs(sent - before) <= step * (1 + 1e-12)).all()
-    assert mine.limited == np.count_nonzero(sent != tau)
-
-
-def by_the_law(s, robot, tau, before, q, v):
+def by_the_law(s, robot, tau, before, q, v, carries):
     """Walls, brakes, torque rate and torque limit, with numpy."""
     margins = s.position_margin_rad
-    low, high, hold = robot.q_min + margins, robot.q_max - margins, robot.gravity(q)
+    low, high, hold = robot.q_min + margins, robot.q_max - margins, carries * robot.gravity(q)
     ends, step = [], s.torque_rate_Nm_per_s * PERIOD
     for side, distance in ((1.0, high - q), (-1.0, q - low)):
         depth, speed = np.maximum(-distance, 0.0), side * v
@@ -65,22 +46,28 @@ def by_the_law(s, robot, tau, before, q, v):
     return np.clip(sent, -robot.tau_max, robot.tau_max)
 
 
-@settings(max_examples=150)
-@given(seed=st.integers(0, 10**6), rate=st.sampled_from([500.0, 2e4, 1e9]), fast=st.sampled_from([0.3, 1.0, 3.0]))
-def test_the_torque_follows_the_law(robot, seed, rate, fast):
+@settings(max_examples=300)
+@given(
+    seed=st.integers(0, 10**6), rate=st.sampled_from([500.0, 2e4, 1e9]), fast=st.sampled_from([0.3, 1.0, 3.0, 20.0]),
+    asked=st.sampled_from([1.2, 1e3]), carries=st.booleans(),
+)  # fmt: skip
+def test_the_torque_follows_the_law_and_stays_within_its_limits(robot, seed, rate, fast, asked, carries):
+    """Whatever is asked for, in any state, also beyond the joint limits."""
     rng = np.random.default_rng(seed)
     guard = guard_of(
-        robot, torque_rate_Nm_per_s=rate, position_margin_rad=0.05 * rng.uniform(0.5, 2.0),
+        robot, carries=carries, torque_rate_Nm_per_s=rate, position_margin_rad=0.05 * rng.uniform(0.5, 2.0),
         wall_stiffness_Nm_per_rad=2000.0 * rng.uniform(0.5, 2.0), wall_brake_rad_per_s2=rng.uniform(1.0, 4.0),
     )  # fmt: skip
     near = rng.choice([0.02, 0.3, 0.7], N) * rng.choice([-1.0, 1.0], N)  # of half the range
     q = np.where(rng.random(N) < 0.5, robot.q_min, robot.q_max) + near * (robot.q_max - robot.q_min) / 2.0
     v = fast * robot.v_max * rng.uniform(-1.0, 1.0, N)
-    before, tau = rng.uniform(-1.0, 1.0, (2, N)) * robot.tau_max * [[1.0], [1.2]]
-    expected = by_the_law(guard.settings, robot, tau, before, q, v)
+    before, tau = rng.uniform(-1.0, 1.0, (2, N)) * robot.tau_max * [[1.0], [asked]]
+    expected = by_the_law(guard.settings, robot, tau, before, q, v, carries)
     sent = guard.limit_torque(tau, before, q, v)
     np.testing.assert_allclose(sent, expected, rtol=1e-12, atol=1e-9)
     assert guard.limited == np.count_nonzero(sent != tau)
+    assert (np.abs(sent) <= robot.tau_max).all()
+    assert (np.abs(sent - before) <= rate * PERIOD * (1 + 1e-12)).all()
 
 
 @pytest.mark.parametrize(("j", "bad"), [(0, np.nan), (3, np.inf), (6, -np.inf)])
@@ -91,18 +78,6 @@ def test_one_torque_that_is_no_number_is_enough(robot, j, bad):
     assert guard.limit_torque(tau, before, robot.data.q_home, REST) is before
     assert guard.limited == 0
     assert guard.reason == "the controller's torque is not finite"
-
-
-@pytest.mark.parametrize("carries", [True, False])
-def test_a_brake_starts_from_the_arms_weight(robot, carries):
-    guard = guard_of(robot, carries=carries, torque_rate_Nm_per_s=1e9)
-    q, tau, v = robot.data.q_home, np.full(N, 30.0), np.zeros(N)
-    np.testing.assert_array_equal(guard.limit_torque(tau, tau, q, v), tau)
-    v[2] = 1.5 * robot.v_max[2]
-    sent = guard.limit_torque(tau, tau, q, v)
-    assert sent[2] == pytest.approx(carries * robot.gravity(q)[2] - 20.0 * 0.5 * robot.v_max[2])
-    np.testing.assert_array_equal(np.delete(sent, 2), np.delete(tau, 2))
-    assert guard.limited == 1
 
 
 def test_the_wall_of_a_joint_that_slides_has_a_margin_of_its_own():
@@ -264,25 +239,6 @@ def test_the_brakes_hold_their_share_of_each_drive_and_what_the_drive_cannot_car
 
 
 # --- settings ---
-
-POSITIVE = (
-    "torque_rate_Nm_per_s", "wall_brake_rad_per_s2", "jump_rad", "tip_error_m", "tip_error_s", "rcm_error_m",
-    "rcm_warning_m", "trocar_force_N", "trocar_force_warning_N", "incision_s", "stop_damping_Nm_s_per_rad", "stop_s",
-)  # fmt: skip
-NOT_NEGATIVE = ("position_margin_rad", "wall_stiffness_Nm_per_rad", "wall_damping_Nm_s_per_rad")
-LEVELS = ("rcm_error_m", "rcm_warning_m", "trocar_force_N", "trocar_force_warning_N")
-
-
-@pytest.mark.parametrize(
-    ("field", "value"),
-    [(field, 0.0) for field in POSITIVE] + [(field, -1e-9) for field in NOT_NEGATIVE]
-    + [("patience_ticks", -1), ("speed_factor", 1.0), ("tip_error_m", float("nan")), ("rcm_error_m", -1.0),
-       ("trocar_force_N", float("nan"))],
-)  # fmt: skip
-def test_wrong_settings_name_the_field(field, value):
-    off = dict.fromkeys(LEVELS) if field in LEVELS else {}
-    with pytest.raises(ControlError, match=field):
-        SafetyFilterSettings(**{**off, field: value})
 
 
 @pytest.mark.parametrize("wrong", [{"rcm_warning_m": 0.02}, {"trocar_force_warning_N": 16.0}])

@@ -10,7 +10,6 @@ from scipy.optimize import minimize_scalar
 from moc_opt import core
 from moc_opt.control import Controller
 from moc_opt.control.supervisor import MOST_ITERATIONS, Fault, SupervisorSettings
-from moc_opt.errors import ControlError
 from moc_opt.qp.problem import NullSpaceQP, compute_residuals, fields
 from moc_opt.scenario import Scenario, Setup, run
 from moc_opt.solvers import available
@@ -106,7 +105,7 @@ def wrong_answers(qp):
     x = solved(qp).x
     return {
         Fault.FAILED: no_answer(7, Status.NUMERICAL),
-        Fault.RAISED: RuntimeError("from inside a solver"),
+        Fault.RAISED: RuntimeError("from inside\na solver"),
         Fault.NOT_FINITE: Solution(np.where(np.arange(7) == 3, np.nan, x), None, Status.SOLVED),
         Fault.MALFORMED: Solution(x, np.zeros(6, complex), Status.SOLVED),
         Fault.OUTSIDE: Solution(x + 0.5, None, Status.SOLVED),
@@ -123,6 +122,7 @@ def test_each_fault_has_its_name_and_is_counted(fault, qp, Z):
     _, x = mine.solve(Scripted(wrong_answers(qp)[fault]), qp, Z)
     assert mine.fault is fault
     assert mine.counts == {fault.label: 1}
+    assert fault is not Fault.RAISED or mine.firsts == {"raised": (1, "RuntimeError: from inside a solver")}
     # the last good answer is held, but an infeasible subproblem is answered by the fallback
     np.testing.assert_array_equal(x, np.zeros(7) if fault is Fault.INFEASIBLE else solved(qp).x)
 
@@ -371,10 +371,12 @@ def still(qp, name):
     return row
 
 
+@pytest.mark.parametrize("status", [Status.SOLVED, Status.MAX_ITER, Status.TIME_LIMIT])
 @pytest.mark.parametrize("part", ["references", "box"])
-def test_a_claim_must_meet_references_and_box(part, qp, Z):
-    """Each on its own, just within its limit and just beyond; a claim is held to the same limit in both."""
-    good, limit = solved(qp), SupervisorSettings().primal_limit
+def test_an_answer_must_meet_references_and_box(part, status, qp, Z):
+    """Each on its own, just within its limit and just beyond; what claims nothing has a limit of its own."""
+    good = solved(qp)._replace(status=status)
+    limit = SupervisorSettings().primal_limit if status is Status.SOLVED else SupervisorSettings().box_limit
     for share, fault in ((0.9, Fault.NONE), (1.1, Fault.OUTSIDE)):
         row = np.array(qp.row)
         if part == "references":
@@ -396,35 +398,11 @@ def test_the_clock_counts_the_solve_in_microseconds(qp, Z, monkeypatch):
     assert mine.fault is Fault.LATE
 
 
-@pytest.mark.parametrize(
-    ("field", "value"),
-    [(f, 0.0) for f in ("primal_limit", "box_limit", "relative_limit", "opposite_limit", "budget_us")]
-    + [("hold_ticks", -1), ("late", "never"), ("relative_limit", -1.0)],
-)
-def test_wrong_settings_name_the_field(field, value):
-    with pytest.raises(ControlError, match=field):
-        SupervisorSettings(**{field: value})
-
-
 def test_settings_that_are_not_given_are_the_documented_ones():
     assert SupervisorSettings().model_dump() == {
         "check": True, "primal_limit": 1e-2, "box_limit": 0.1, "relative_limit": 0.05, "opposite_limit": 1e-3,
         "hold_ticks": 10, "keep_off_limits": True, "budget_us": None, "late": "hold",
     }  # fmt: skip
-
-
-@pytest.mark.parametrize("status", [Status.MAX_ITER, Status.TIME_LIMIT])
-def test_who_claims_nothing_is_held_to_the_references_too(status, qp, Z):
-    """Inside the box, and yet tip and wrist would go elsewhere."""
-    best = solved(qp).x
-    for gap, fault in ((0.05, Fault.NONE), (0.2, Fault.OUTSIDE)):
-        way = np.linalg.svd(qp.A)[2][0]
-        x = best + gap * way / np.abs(qp.A @ way).max()
-        row = np.array(qp.row)
-        part = fields(row)
-        part.lower[:], part.upper[:] = np.minimum(part.lower, x), np.maximum(part.upper, x)
-        mine, *_ = asked(NullSpaceQP.from_row(row), Z, Solution(x, None, status))
-        assert mine.fault is fault
 
 
 @pytest.mark.parametrize("rho", [0.0, 0.3])
@@ -599,21 +577,6 @@ def test_honest_solvers_are_not_refused(name):
     trace = run(Scenario(solver={"name": name}, judge=False, **QUICK))
     refused = np.isin(trace.fault, ("lied", "outside", "late", "not_finite", "malformed", "raised"))
     assert refused.mean() <= 0.01, dict(zip(*np.unique(trace.fault, return_counts=True), strict=True))
-
-
-def test_what_a_solver_raised_first_is_kept_in_its_own_words(qp, Z):
-    mine = supervisor()
-    mine.solve(Scripted(solved(qp)), qp, Z)
-    assert mine.firsts == {}
-    session = Scripted(*[RuntimeError(f"boom\n{k}") for k in (1, 2, 3)])
-    for _ in range(3):
-        mine.solve(session, qp, Z)
-    assert mine.firsts == {"raised": (1, "RuntimeError: boom 1")}
-    assert mine.counts["raised"] == 3
-    mine.solve(Scripted(no_answer(7, Status.NUMERICAL)), qp, Z)
-    assert mine.firsts["failed"] == (4, f"{Fault.FAILED.value} ({Status.NUMERICAL.value})")
-    mine.forget()
-    assert mine.firsts == {}
 
 
 def test_a_trace_says_which_answers_were_refused_and_why():

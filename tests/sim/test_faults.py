@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from moc_opt.errors import PlantError, ScenarioError, UnknownNameError
+from moc_opt.errors import PlantError, UnknownNameError
 from moc_opt.scenario import Scenario, Setup, run
 from moc_opt.sim import Measurement
 from moc_opt.sim.faults import GRAVITY, Faults, FaultSettings
@@ -101,16 +101,6 @@ def test_the_trocar_slips_smoothly():
     ways = np.array([faults(seed, slip_m=0.01, slip_at_s=0.0).slip(still, t)[-1, 0] for seed in range(40)])
     assert (ways[:, :2].min(axis=0) < -0.008).all()  # to every side
     assert (ways[:, :2].max(axis=0) > 0.008).all()
-
-
-@pytest.mark.parametrize("settings", [
-    {"drop_share": 1.5}, {"solver": "lei"}, {"bump_N": float("inf")}, {"bumps_N": 1.0}, {"solver_share": -0.1},
-    {"lag_growth": 0.0}, {"frozen_ticks": 0}, {"frozen_joint": -1}, {"frozen_velocity": "none"}, {"replay_ticks": 0},
-])  # fmt: skip
-def test_wrong_settings_name_the_field(settings):
-    (name,) = settings
-    with pytest.raises((ScenarioError, UnknownNameError), match=name.replace("bumps", "bump")):
-        Scenario(faults=settings)
 
 
 def test_an_unknown_link_is_found_before_anything_moves():
