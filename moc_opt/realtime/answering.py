@@ -33,25 +33,18 @@ class Ending:
     faults: dict[str, Any]  #: of the third level
 
 
+@dataclass(eq=False)
 class Answering:
-    """Answers measurements until the plant ends the run.
+    """Answers measurements until the plant ends the run."""
 
-    Args:
-        link: knows the plant's address.
-        settings: time-outs.
-        controller, safety_filter: as in the simulator's loop.
-        tip_refs: (N, 3, 3) rows X_d [m], dX_d [m/s], ddX_d [m/s^2] of every tick.
-        registered: (N, 2, 3) place [m] and velocity [m/s] of the registered trocar.
-        scenario: fingerprint of the settings that both ends must share.
-        ready: called once when the plant has been found and the controller has started.
-    """
-
-    def __init__(
-        self, link: Link, settings: WireSettings, controller: LoggedController, safety_filter: SafetyFilter | None,
-        tip_refs: Array, registered: Array, scenario: int, ready: Callable[[], None] = lambda: None,
-    ) -> None:  # fmt: skip
-        self._link, self._settings, self._controller, self._filter = link, settings, controller, safety_filter
-        self._tip_refs, self._registered, self._scenario, self._ready = tip_refs, registered, scenario, ready
+    link: Link
+    settings: WireSettings
+    controller: LoggedController
+    safety_filter: SafetyFilter | None
+    tip_refs: Array  #: (N, 3, 3) rows X_d [m], dX_d [m/s], ddX_d [m/s^2] of every tick.
+    registered: Array  #: (N, 2, 3) place [m] and velocity [m/s] of the registered trocar.
+    scenario: int  #: Fingerprint of the settings that both ends must share.
+    ready: Callable[[], None] = lambda: None  #: Called once when plant and controller are there.
 
     def run(self) -> Ending:
         """Find the plant, start at its first measurement, and answer.
@@ -59,45 +52,44 @@ class Answering:
         Raises:
             WireError: no plant answers, or it runs another scenario.
         """
-        link = self._link
+        link = self.link
         first = self._ask(Kind.HELLO, lambda flags: flags == WAITING)
         link.session = int(first["session"])
-        if int(first["scenario"]) != self._scenario:
+        if int(first["scenario"]) != self.scenario:
             raise WireError(
                 f"the plant at {written(link.peer)} runs another scenario: give both ends the same robot, start, "
                 "trocar, task, seed, period and duration"
             )
         self._command = self._packet(Kind.COMMAND)
         self._command["tau"] = first["commanded"]
-        self._filtered = FilteredController(self._controller, self._filter, np.array(first["commanded"]))
-        self._filtered.start(_measurement(first), self._tip_refs[0], self._registered[0])
-        self._ready()
+        self._filtered = FilteredController(self.controller, self.safety_filter, np.array(first["commanded"]))
+        self._filtered.start(_measurement(first), self.tip_refs[0], self.registered[0])
+        self.ready()
         with no_collector():
             ended = self._answer_all(self._ask(Kind.START, lambda flags: flags != WAITING))
         if self._filtered.stop_reason:
             ended = f"stopped: {self._filtered.stop_reason}"
-        faults = getattr(self._controller, "faults", {})
+        faults = getattr(self.controller, "faults", {})
         return Ending(ended, link.quality["received"], link.quality, self._filtered.warnings, faults)
 
     def _packet(self, kind: Kind) -> Packet:
-        return Packet(kind, self._link.n, self._link.session, self._scenario)
+        return Packet(kind, self.link.n, self.link.session, self.scenario)
 
     def _ask(self, kind: Kind, wanted: Callable[[int], bool]) -> Packet:
         """Send a packet over and over until a measurement comes that has such flags."""
-        link, request, until = self._link, self._packet(kind), monotonic() + self._settings.wait_s
+        link, request, until = self.link, self._packet(kind), monotonic() + self.settings.wait_s
         while monotonic() < until:
             link.send(request)
-            again = min(until, monotonic() + _REPEAT_S)
-            while monotonic() < again and (found := link.receive(again)) is not None:
-                if wanted(int(found["flags"])):
-                    return found
+            found = link.receive(min(until, monotonic() + _REPEAT_S), lambda packet: wanted(int(packet["flags"])))
+            if found is not None:
+                return found
         raise WireError(
-            f"no plant answers at {written(link.peer)} within {self._settings.wait_s:g} s ({link.heard}): start "
+            f"no plant answers at {written(link.peer)} within {self.settings.wait_s:g} s ({link.heard}): start "
             "`moc-opt plant` there, with the same robot and the same key"
         )
 
     def _answer_all(self, found: Packet | None) -> str:
-        link, quality, newest, whole = self._link, self._link.quality, -1, len(self._tip_refs)
+        link, quality, newest, whole = self.link, self.link.quality, -1, len(self.tip_refs)
         while found is not None:
             number, flags = int(found["sequence"]), int(found["flags"])
             if flags == ENDED:
@@ -115,37 +107,37 @@ class Answering:
                 quality["late"] += 1
                 if number == newest:  # the plant has not received the answer
                     link.send(self._command)
-            found = link.receive(monotonic() + self._settings.silence_s)
-        return f"the plant has been silent for {self._settings.silence_s:g} s"
+            found = link.receive(monotonic() + self.settings.silence_s)
+        return f"the plant has been silent for {self.settings.silence_s:g} s"
 
     def _answer(self, found: Packet) -> None:
         begin, number, command, filtered = perf_counter_ns(), int(found["sequence"]), self._command, self._filtered
         seen = _measurement(found)
         if not np.array_equal(found["commanded"], command["tau"]):  # the plant did not hear, and held another torque
             filtered.set_applied_torque(np.array(found["commanded"]))
-        command["tau"] = filtered.tick(seen, self._tip_refs[number], self._registered[number])
+        command["tau"] = filtered.tick(seen, self.tip_refs[number], self.registered[number])
         command["sequence"], command["limited"], command["flags"] = number, filtered.limited, REPORTED
         if filtered.stop_reason:
             command["flags"] = REPORTED | STOP
             command["reason"] = filtered.stop_reason.encode()
             command["friction"] = filtered.brake_friction(seen)
         command["control_us"] = (perf_counter_ns() - begin) * 1e-3
-        report = self._controller.columns(1)
-        self._controller.note(0, report)
+        report = self.controller.columns(1)
+        self.controller.note(0, report)
         for name, column in report.items():
             command[name] = column[0]
-        self._link.send(command)
+        self.link.send(command)
 
     def _say_bye(self) -> None:
         bye, until = self._packet(Kind.BYE), monotonic() + _LINGER_S
         words = {
-            name: getattr(self._controller, name) for name in ("faults", "restarts") if hasattr(self._controller, name)
+            name: getattr(self.controller, name) for name in ("faults", "restarts") if hasattr(self.controller, name)
         }
         bye["words"] = to_json(words | {"warnings": self._filtered.warnings}, indent=None).encode()
-        self._link.send(bye)
-        while monotonic() < until and (again := self._link.receive(until)) is not None:
+        self.link.send(bye)
+        while monotonic() < until and (again := self.link.receive(until)) is not None:
             if again["flags"] == ENDED:
-                self._link.send(bye)
+                self.link.send(bye)
 
 
 def _measurement(packet: Packet) -> Measurement:

@@ -9,9 +9,10 @@ from __future__ import annotations
 import os
 import select
 import socket
+from collections.abc import Callable
 from ipaddress import ip_address
 from pathlib import Path
-from time import monotonic, monotonic_ns
+from time import monotonic
 from typing import ClassVar
 
 from pydantic import Field
@@ -134,7 +135,6 @@ class Link:
 
     def send(self, packet: Packet, to: Address | None = None) -> None:
         """Seal a packet and send it; one that the system does not take is lost, as any packet may be."""
-        packet["sent_ns"] = monotonic_ns()
         try:
             self._socket.sendto(packet.seal(self._key), to or self.peer)  # type: ignore[arg-type]
         except (BlockingIOError, ConnectionError):
@@ -142,13 +142,13 @@ class Link:
         except OSError as error:
             raise WireError(f"nothing can be sent to {written(to or self.peer)}: {describe(error)}") from error
 
-    def receive(self, until: float) -> Packet | None:
-        """Return the next sound packet, valid until the next call, or None at ``until`` (of ``time.monotonic``) [s].
+    def receive(self, until: float, wanted: Callable[[Packet], bool] = lambda packet: True) -> Packet | None:
+        """Return the next sound packet that is wanted, or None at ``until`` (of ``time.monotonic``) [s].
 
-        What has arrived already is returned even where ``until`` has passed.
+        It is valid until the next call. What has arrived already is looked at even where ``until`` has passed.
         """
-        unsound = 0
-        while unsound < BACKLOG or monotonic() < until:
+        looked_at = 0
+        while looked_at < BACKLOG or monotonic() < until:
             try:
                 size, sender = self._socket.recvfrom_into(self._scratch)
             except BlockingIOError:
@@ -159,23 +159,23 @@ class Link:
                 continue
             except ConnectionError:
                 continue  # nobody listened where this end sent to: that packet is lost
-            packet, wrong = self._sound(memoryview(self._scratch)[:size])
-            if packet is not None and (not self.session or (packet["session"] == self.session and sender == self.peer)):
+            looked_at += 1
+            if (packet := self._sound(memoryview(self._scratch)[:size], sender)) is not None:
                 self.sender = sender
-                return packet
-            self.quality[wrong] += 1
-            unsound += 1
+                if wanted(packet):
+                    return packet
         return None
 
-    def _sound(self, data: memoryview) -> tuple[Packet | None, str]:
-        """Return a packet, or None and the counter of what is wrong with it."""
+    def _sound(self, data: memoryview, sender: Address) -> Packet | None:
+        """Return a packet of this run, or count what is wrong with it."""
         packet = self._incoming.get(data[5]) if len(data) > 5 else None
-        if packet is None or len(data) != len(packet.buffer):
-            return None, "foreign"
-        if not sealed(data, self._key):
-            return None, "forged"
-        mine = bytes(packet.buffer[:7])  # magic, version, kind, joints
-        if data[:7] != mine:
-            return None, "foreign"
-        packet.buffer[:] = data
-        return packet, "foreign"
+        if packet is not None and len(data) == len(packet.buffer):
+            if not sealed(data, self._key):
+                self.quality["forged"] += 1
+                return None
+            if data[:7] == packet.buffer[:7]:  # magic, version, kind, joints
+                packet.buffer[:] = data
+                if not self.session or (packet["session"] == self.session and sender == self.peer):
+                    return packet
+        self.quality["foreign"] += 1
+        return None

@@ -39,7 +39,7 @@ STOP, REPORTED = 1, 2  #: Bits in ``flags`` of a command: brake the arm; it hold
 
 HEADER: list[tuple[Any, ...]] = [
     ("magic", "S4"), ("version", "u1"), ("kind", "u1"), ("joints", "u1"), ("flags", "u1"), ("session", "<u8"),
-    ("scenario", "<u8"), ("sequence", "<i8"), ("sent_ns", "<i8"),
+    ("scenario", "<u8"), ("sequence", "<i8"),
 ]  # fmt: skip
 
 

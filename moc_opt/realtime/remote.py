@@ -15,7 +15,7 @@ from moc_opt.control.safety_filter import SafetyFilter
 from moc_opt.errors import MocOptError, printable
 from moc_opt.inputs.files import parse_json
 from moc_opt.realtime.clock import WallClock
-from moc_opt.realtime.link import BACKLOG, Link, WireError, WireSettings, written
+from moc_opt.realtime.link import Link, WireError, WireSettings, written
 from moc_opt.realtime.packets import ENDED, REPORTED, RUNNING, STOP, WAITING, Kind, Packet
 from moc_opt.sim.protocols import Filtered
 from moc_opt.sim.sensors import Measurement
@@ -28,19 +28,15 @@ _BYE_S, _BYE_TIMES = 0.1, 10
 class RemoteController(Filtered):
     """Sends each measurement, and hands on the torque that comes back; without one, the watchdog's.
 
-    The watchdog holds the last torque for ``hold_ticks``. For ``damp_ticks`` more the drives carry the arm's weight and
-    damp its motion; a command in that time is followed again. Then the brakes close, and nothing opens them.
-    Run it by ``sim.loop.simulate`` with ``pace`` as its ``watch``, and ``close`` it afterwards.
+    Run it by ``sim.loop.simulate`` with ``pace`` as its ``watch``, and ``close`` it afterwards. docs/realtime.md has
+    the watchdog's stages.
 
     Args:
-        link: listens at the plant's address.
         safety_filter: the plant's own, which knows the arm's weight and its brakes.
         columns: number of ticks -> the columns of the controller that is at the other end.
         applied: (n,) torque before the first tick [Nm].
         tau_max: (n,) largest torques [Nm]; a command beyond them counts as none.
-        scenario: fingerprint of the settings that both ends must share.
-        clock: keeps the time; None is lock-step: the plant waits for each command, and sends the measurement again
-            where none comes.
+        clock: None is lock-step: the plant waits for each command, and sends the measurement again where none comes.
 
     Attributes:
         told: after ``close``, what the controller had to say at the end: its warnings and refused answers.
@@ -72,22 +68,21 @@ class RemoteController(Filtered):
         """
         link, packet = self.link, self._packet
         self._sound = seen
-        until = monotonic() + self._settings.wait_s
         self._fill(seen, WAITING)
-        while True:
-            found = link.receive(until) if monotonic() < until else None  # a flood of packets ends, too
-            if found is None:
-                raise WireError(
-                    f"no controller came to {written(link.address)} within {self._settings.wait_s:g} s "
-                    f"({link.heard}): start `moc-opt control` on the same scenario with the same key, or raise "
-                    "[wire] wait_s"
-                )
-            if found.kind is Kind.START and found["session"] == packet["session"]:
-                break
+
+        def starts(found: Packet) -> bool:
             if found.kind is Kind.HELLO:
                 link.send(packet, link.sender)
-            else:
-                link.quality["foreign"] += 1
+                return False
+            begins = found.kind is Kind.START and found["session"] == packet["session"]
+            link.quality["foreign"] += not begins
+            return bool(begins)
+
+        if link.receive(monotonic() + self._settings.wait_s, starts) is None:
+            raise WireError(
+                f"no controller came to {written(link.address)} within {self._settings.wait_s:g} s ({link.heard}): "
+                "start `moc-opt control` on the same scenario with the same key, or raise [wire] wait_s"
+            )
         link.peer, link.session = link.sender, int(packet["session"])
         if self.clock is not None:
             self.clock.start()
@@ -158,9 +153,14 @@ class RemoteController(Filtered):
         if self._counts:
             return self._counts
         self._packet["flags"] = ENDED
+
+        def acknowledges(found: Packet) -> bool:
+            self._is_due(found)  # counts commands that come now
+            return found.kind is Kind.BYE
+
         for _ in range(_BYE_TIMES if self.link.session else 0):
             self.link.send(self._packet)
-            if (found := self._receive(Kind.BYE, monotonic() + _BYE_S)) is not None:
+            if (found := self.link.receive(monotonic() + _BYE_S, acknowledges)) is not None:
                 self.told = _told(_text(found["words"]))
                 break
         self.link.close()
@@ -177,30 +177,21 @@ class RemoteController(Filtered):
         for _ in range(1 if self.clock is not None else 1 + self._settings.resends):
             self.link.send(self._packet)
             until = monotonic() + self._settings.resend_s if self.clock is None else self._until
-            if (command := self._receive(Kind.COMMAND, until)) is not None:
+            if (command := self.link.receive(until, self._is_due)) is not None:
                 return command
         return None
 
-    def _receive(self, wanted: Kind, until: float) -> Packet | None:
-        """Return this tick's command, or the acknowledgement of the end."""
-        for _ in range(BACKLOG):
-            found = self.link.receive(until)
-            if found is None:
-                return None
-            if found.kind is Kind.COMMAND:
-                number = int(found["sequence"])
-                usable = number == self._tick and self._is_usable(found)
-                self.link.quality["received" if usable else "late" if number < self._tick else "foreign"] += 1
-                if not usable:
-                    continue
-            if found.kind is wanted:
-                return found
-        return None
-
-    def _is_usable(self, command: Packet) -> bool:
-        friction = command["friction"]
-        inside = (np.abs(command["tau"]) <= self._tau_max).all() and command["limited"] <= self.link.n
-        return bool(inside and ((friction >= 0.0) & (friction < np.inf)).all())
+    def _is_due(self, found: Packet) -> bool:
+        """Say whether a packet is this tick's command and can be followed; count each command."""
+        if found.kind is not Kind.COMMAND:
+            return False
+        number, friction = int(found["sequence"]), found["friction"]
+        usable = bool(
+            number == self._tick and (np.abs(found["tau"]) <= self._tau_max).all()
+            and found["limited"] <= self.link.n and ((friction >= 0.0) & (friction < np.inf)).all()
+        )  # fmt: skip
+        self.link.quality["received" if usable else "late" if number < self._tick else "foreign"] += 1
+        return usable
 
 
 def _text(field: NDArray[Any]) -> str:

@@ -25,8 +25,11 @@ class Plant:
         if packet.kind is Kind.COMMAND:
             self.sent[-1][1]["tau"] = np.array(packet["tau"])
 
-    def receive(self, until):
-        return self.said.pop(0) if self.said else None
+    def receive(self, until, wanted=lambda packet: True):
+        while self.said:
+            if wanted(packet := self.said.pop(0)):
+                return packet
+        return None
 
 
 def measurement(flags, k=0, commanded=0.0, scenario=9):
@@ -65,48 +68,28 @@ def answered(said):
     return end.run(), plant, controller
 
 
-def commands(plant):
-    return [(int(said["sequence"]), said["tau"].tolist()) for kind, said in plant.sent if kind is Kind.COMMAND]
-
-
-def running(torques):
-    """Measurements of the ticks 0, 1, ...: the torque that acted before each."""
-    return [measurement(RUNNING, k, tau) for k, tau in enumerate(torques)]
-
-
-def test_every_tick_is_answered_and_the_end_acknowledged():
+@pytest.mark.parametrize(("ticks", "commands", "corrected", "counts", "ended"), [
+    ([(0, 0), (1, 1), (2, 2), (3, 3)], [(0, 1), (1, 2), (2, 3), (3, 4)], [], (4, 0, 0), "completed"),
+    # The plant did not hear the second command, and held the first torque.
+    ([(0, 0), (1, 1), (2, 1), (3, 3)], [(0, 1), (1, 2), (2, 3), (3, 4)], [(2, 1)], (4, 0, 0), "completed"),
+    # A measurement that is repeated is answered by the same command once more.
+    ([(0, 0), (1, 1), (1, 1)], [(0, 1), (1, 2), (1, 2)], [], (2, 0, 1), "the plant ended the run at tick 2 of 4"),
+    # Measurements that never came are counted.
+    ([(0, 0), (3, 1), (1, 1)], [(0, 1), (3, 2)], [], (2, 2, 1), "completed"),
+])  # fmt: skip
+def test_every_tick_is_answered_and_the_end_acknowledged(ticks, commands, corrected, counts, ended):
+    """``ticks`` has the number of each measurement, and the torque that acted before it."""
+    last = measurement(ENDED, max(ticks)[0])
     ending, plant, controller = answered(
-        [measurement(WAITING), *running([0.0, 1.0, 2.0, 3.0]), measurement(ENDED, TICKS - 1)]
+        [measurement(WAITING), *(measurement(RUNNING, k, tau) for k, tau in ticks), last]
     )
-    assert commands(plant) == [(k, [k + 1.0] * N) for k in range(TICKS)]
-    assert (ending.ended, ending.ticks, ending.quality["received"]) == ("completed", TICKS, TICKS)
-    assert controller.corrected == []
+    sent = [said for kind, said in plant.sent if kind is Kind.COMMAND]
+    assert [(int(said["sequence"]), said["tau"].tolist()) for said in sent] == [(k, [tau] * N) for k, tau in commands]
+    assert controller.corrected == [(k, [tau] * N) for k, tau in corrected]
+    assert tuple(ending.quality[name] for name in ("received", "missed", "late")) == counts
+    assert (ending.ended, ending.ticks) == (ended, counts[0])
     assert plant.sent[-1][0] is Kind.BYE
-    assert {int(said["flags"]) for kind, said in plant.sent if kind is Kind.COMMAND} == {REPORTED}
-
-
-def test_the_controller_is_told_of_a_torque_that_acted_in_place_of_its_own():
-    """The plant did not hear the second command, and held the first torque."""
-    _, _, controller = answered([measurement(WAITING), *running([0.0, 1.0, 1.0, 3.0]), measurement(ENDED, TICKS - 1)])
-    assert controller.corrected == [(2, [1.0] * N)]
-
-
-def test_a_measurement_that_is_repeated_is_answered_by_the_same_command_once_more():
-    twice = running([0.0, 1.0])
-    ending, plant, _ = answered([measurement(WAITING), twice[0], twice[1], twice[1], measurement(ENDED, 1)])
-    assert commands(plant) == [(0, [1.0] * N), (1, [2.0] * N), (1, [2.0] * N)]
-    assert (ending.ticks, ending.quality["late"]) == (2, 1)
-
-
-def test_measurements_that_never_came_are_counted():
-    all_of = running([0.0, 1.0, 2.0, 3.0])
-    ending, _, _ = answered([measurement(WAITING), all_of[0], all_of[3], all_of[1], measurement(ENDED, TICKS - 1)])
-    assert (ending.ticks, ending.quality["missed"], ending.quality["late"]) == (2, 2, 1)
-
-
-def test_an_end_before_the_last_tick_is_not_called_complete():
-    ending, _, _ = answered([measurement(WAITING), *running([0.0, 1.0]), measurement(ENDED, 1)])
-    assert ending.ended == "the plant ended the run at tick 2 of 4"
+    assert {int(said["flags"]) for said in sent} == {REPORTED}
 
 
 @pytest.mark.parametrize("said", [[measurement(WAITING, scenario=8)], [], [measurement(RUNNING)] * 100])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import socket
-from time import monotonic
 
 import numpy as np
 import pytest
@@ -88,22 +87,6 @@ def test_start_of_another_session_begins_nothing(peer):
     with pytest.raises(WireError, match="no controller came"):
         peer.plant.start(peer.seen, *NOTHING)
     assert peer.link.quality["foreign"] == 2
-
-
-@pytest.mark.parametrize("kind", [Kind.HELLO, Kind.START])
-def test_a_flood_does_not_hold_the_plant_beyond_its_limit(peer, kind, monkeypatch):
-    """There is always another packet that has arrived already."""
-    packet, begin = Packet(kind, peer.n), monotonic()
-
-    def receive(until):
-        assert monotonic() < begin + 10.0
-        return packet
-
-    monkeypatch.setattr(peer.link, "receive", receive)
-    monkeypatch.setattr(peer.link, "send", lambda *_: None)
-    with pytest.raises(WireError, match="no controller came"):
-        peer.plant.start(peer.seen, *NOTHING)
-    assert monotonic() - begin >= SETTINGS.wait_s
 
 
 def test_commands_are_followed_and_every_fault_has_its_count(peer):

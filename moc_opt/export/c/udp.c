@@ -141,7 +141,6 @@ static void send_packet(wire_header *packet, size_t size, int kind, int64_t numb
     packet->session = wire.session;
     packet->scenario = WIRE_SCENARIO;
     packet->sequence = number;
-    packet->sent_ns = now_ns();
     sign(bytes, size - TAG, wire.key, wire.key_length, bytes + size - TAG);
     (void)!sendto(wire.socket, packet, size, 0, (const struct sockaddr *)&wire.plant, sizeof wire.plant);
 }
