@@ -56,16 +56,6 @@ def test_processes_that_die_at_once_or_leave_without_an_error_are_rows(workers):
     assert [getattr(result, "kind", result) for result in found] == ["crashed", "crashed", 4.0] * 6
 
 
-def test_what_hung_once_is_not_begun_again():
-    jobs = [Job(time.sleep, (60.0,), limit_s=0.3, group="slow") for _ in range(6)] + [Job(work.square, (2.0,))]
-    found = run(jobs, workers=1)
-    kinds = [result.kind for result in found[:-1]]
-    assert kinds[0] == "hung"
-    assert kinds.count("not run") >= 4
-    assert found[-1] == 4.0
-    assert "slow hung or crashed before" in str(found[5])
-
-
 def test_a_job_may_limit_its_own_steps():
     found = run([Job(work.steps, ([0.01] * 5, 1.0)), Job(work.steps, ([0.01, 9.0], 0.3))], workers=2)
     assert found[0] == 5
