@@ -122,8 +122,7 @@ static moc_status check_dropped(const moc_plane *plane, const moc_problem *p, co
     return status;
 }
 
-/* Eliminate, and number the other joints behind those of the pivots; 0 where the rank is in doubt. */
-static int reduce(moc_plane *plane, const moc_problem *p)
+int moc_eliminate(moc_plane *plane, const moc_problem *p)
 {
     int found = p->n <= 8 ? eliminate(plane, p, 8) : eliminate(plane, p, 16), taken[MOC_MAX_JOINTS] = {0}, next;
 
@@ -144,18 +143,6 @@ void moc_direction(const moc_plane *plane, int n, int k, double *z)
     for (int i = 0; i < plane->rank; i++)
         z[plane->joint[i]] = -plane->row[plane->pivot[i]][free];
     z[free] = 1.0;
-}
-
-int moc_kernel(int n, double A[][MOC_MAX_JOINTS], double rows[][MOC_MAX_JOINTS])
-{
-    moc_problem problem = {.n = n};
-    moc_plane plane;
-
-    memcpy(problem.A, A, sizeof problem.A);
-    reduce(&plane, &problem);
-    for (int k = 0; k < n - plane.rank; k++)
-        moc_direction(&plane, n, k, rows[k]);
-    return n - plane.rank;
 }
 
 /* Where the cost alone takes a joint that moves neither tip nor wrist. */
@@ -239,7 +226,7 @@ static moc_status solve(const moc_problem *p, double tolerance, double *x, doubl
     double point[MOC_MAX_JOINTS] = {0.0}, force[MOC_MAX_JOINTS] = {0.0};
     moc_status status = MOC_OK;
 
-    if (!reduce(&plane, p))
+    if (!moc_eliminate(&plane, p))
         return MOC_DOUBTFUL;
     for (int k = 0; k < plane.rank; k++) /* a particular solution */
         point[plane.joint[k]] = plane.right[plane.pivot[k]];

@@ -40,10 +40,16 @@ void moc_onto(int n, int rows, double Z[][MOC_MAX_JOINTS], const double *x, doub
 int moc_null_space(int n, double A[][MOC_MAX_JOINTS], int rows, double Z[][MOC_MAX_JOINTS])
 {
     double fresh[MOC_MAX_JOINTS][MOC_MAX_JOINTS], turned[MOC_MAX_JOINTS][MOC_MAX_JOINTS];
-    int found = moc_kernel(n, A, fresh), alike = found == rows;
+    moc_problem problem = {.n = n};
+    moc_plane plane;
 
-    for (int i = 0; i < found; i++)
+    memcpy(problem.A, A, sizeof problem.A);
+    moc_eliminate(&plane, &problem); /* in doubt the rank is the lower one */
+    int found = n - plane.rank, alike = found == rows;
+    for (int i = 0; i < found; i++) {
+        moc_direction(&plane, n, i, fresh[i]);
         moc_orthonormalise(n, fresh, i, 0.0);
+    }
     for (int i = 0; i < found && alike; i++) {
         moc_onto(n, found, fresh, Z[i], turned[i]);
         alike = moc_orthonormalise(n, turned, i, 0.5);

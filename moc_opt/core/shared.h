@@ -91,6 +91,9 @@ typedef struct {
     int rank, freedoms;
 } moc_plane;
 
+/* Eliminate A x = b, and number the other joints behind those of the pivots; 0 where the rank is in doubt. */
+int moc_eliminate(moc_plane *plane, const moc_problem *problem);
+
 /* How all joints move along A x = b when free joint number k moves by one. */
 void moc_direction(const moc_plane *plane, int n, int k, double *z);
 
@@ -98,9 +101,6 @@ void moc_direction(const moc_plane *plane, int n, int k, double *z);
  * multipliers of the active bounds are added to force. */
 moc_status moc_solve_several(const moc_plane *plane, const moc_problem *problem, double tolerance, double *x,
                              double *force);
-
-/* Rows (returned) of any basis of ker A; a row of A that is neither repeated nor independent counts as repeated. */
-int moc_kernel(int n, double A[][MOC_MAX_JOINTS], double rows[][MOC_MAX_JOINTS]);
 
 /* --- answer.c --- */
 
