@@ -20,15 +20,6 @@ typedef struct {
  * longer finite; *made is the number of steps. */
 moc_status moc_step_network(const moc_problem *problem, const moc_network *network, double *x, double y[6], int *made);
 
-/* --- a QP library's view of the subproblem (rows.c) --- */
-
-/* P (n,n) and p (n,) of the cost 1/2 x^T P x + p^T x. */
-void moc_cost(const moc_problem *problem, double P[][MOC_MAX_JOINTS], double *linear);
-
-/* The equality rows that a library takes: five independent ones where there are such and `five` asks for them, else the
- * six. y6 = lift^T y. Returns how many. */
-int moc_equalities(const moc_problem *problem, int five, double A[6][MOC_MAX_JOINTS], double b[6], double lift[6][6]);
-
 /* --- planning (plan.c) --- */
 
 /* An arm inside its limits, with a tip and a wrist that it has to keep. */

@@ -215,7 +215,7 @@ class NullSpaceQP:
         return float(0.5 * x @ self.P @ x + self.p @ x)
 
     def assembled(self, rows: int = 5) -> Assembled:
-        """Compute cost and equality rows: the paper's six, or five (`moc_opt/core/rows.c`).
+        """Compute cost and equality rows: the paper's six, or five (`moc_opt/core/python_subproblem.c`).
 
         rows = 5 still gives six where tip and wrist are not rigidly tied.
         """
