@@ -112,6 +112,12 @@ WRONG = {
         "bump_N": (float("inf"),), "bumps_N": (1.0,), "solver_share": (-0.1,), "lag_growth": (0.0,),
         "frozen_joint": (-1,), "frozen_velocity": ("none",),
     },
+    "plant": {
+        **dict.fromkeys(("delay_ticks", "friction", "calibration_error_m"), (-1,)), "mass_error": (1.5,),
+        "force_noise_N": (float("nan"),), "encoder_bias_rad": (float("inf"),), "torque_ripple": (0.6,),
+        "substeps": (0, 1), "calibration_tilt_rad": (1.0,), "joint_stiffness_Nm_per_rad": ((1e4, -1.0),),
+        "encoder_side": ("gear",), "torque_ripple_per_turn": (0.0,), "mass_eror": (0.1,),
+    },
 }  # fmt: skip
 OFF = dict.fromkeys(("rcm_error_m", "rcm_warning_m", "trocar_force_N", "trocar_force_warning_N"))
 
@@ -121,7 +127,7 @@ OFF = dict.fromkeys(("rcm_error_m", "rcm_warning_m", "trocar_force_N", "trocar_f
 ])  # fmt: skip
 def test_a_wrong_value_names_its_field(table, field, value):
     given = {**OFF, field: value} if field in OFF else {field: value}
-    with pytest.raises(MocOptError, match=rf"{field} = |'{field}'"):
+    with pytest.raises(MocOptError, match=rf"\b{field}\b"):
         Scenario(**{"control": {table: given}} if table == "supervisor" else {table: given})
 
 

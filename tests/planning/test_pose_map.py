@@ -12,7 +12,7 @@ from moc_opt.planning.pose_map import SCANNED, closed_form, largest_mu, map_of
 from moc_opt.planning.self_motion import self_motion
 from moc_opt.robots.inverse_kinematics import solve_pose
 from moc_opt.robots.model import load_robot
-from tests.planning.arms import IIWA14, H, at_poses, build, line_from
+from tests.planning.arms import IIWA14, H, at_poses, build, line_from, sixteen_joints
 
 
 @pytest.fixture(scope="module", params=["lwr4", "iiwa14"])
@@ -74,15 +74,6 @@ def test_too_few_and_too_many_swivels_are_refused(name, swivels):
 
 
 # --- the normal form ---
-
-
-@pytest.mark.parametrize(
-    ("name", "shoulder", "lengths"), [("lwr4", 0.3105, [0.40, 0.39, 0.378]), ("iiwa14", 0.360, [0.42, 0.40, 0.426])]
-)
-def test_shipped_arms_have_their_published_lengths(name, shoulder, lengths):
-    arm = closed_form(load_robot(name))
-    np.testing.assert_allclose(arm.shoulder, [0.0, 0.0, shoulder], atol=1e-12)
-    np.testing.assert_allclose([abs(arm.upper), abs(arm.fore), abs(arm.tool)], lengths, atol=1e-12)
 
 
 @pytest.mark.parametrize("changes", [
@@ -214,11 +205,7 @@ def test_with_two_freedoms_one_curve_is_not_all(name, odd_robot):
 
 
 def test_sixteen_joints(tmp_path):
-    turns = [((0, 0, 0.1), (0, 0, 0)), *[((0, 0, 0.08), (sign * np.pi / 2, 0, 0)) for sign in 7 * (1, -1) + (1,)]]
-    robot = build(tmp_path, {
-        "joints": turns, "q_max": np.full(16, 1.8), "v_max": np.full(16, 2.0), "wrist": (0, 0, 0),
-        "mount": (0, 0, 0.05), "home": np.full(16, 0.2),
-    })  # fmt: skip
+    robot = sixteen_joints(tmp_path, np.full(16, 0.2))
     q = np.random.default_rng(1).uniform(-0.8, 0.8, 16)
     found = largest_mu(robot, q[None])
     assert found.mu[0] > 1.05 * self_motion(robot, q).mu_best

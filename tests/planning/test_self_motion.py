@@ -1,7 +1,6 @@
 """The self-motion keeps tip, wrist and limits; the freedoms it leaves are counted as on arms with a known count."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,9 +15,9 @@ from moc_opt.planning.self_motion import (
     require_freedom,
     self_motion,
 )
-from moc_opt.robots import loader
 from moc_opt.robots.model import RobotModel, load_robot
 from moc_opt.scenario import Scenario, run
+from tests.planning.arms import IIWA14, build
 
 
 def check(robot, start, motion, poses):
@@ -113,38 +112,11 @@ def test_the_peak_of_a_parabola_is_found_from_any_three_samples():
 
 # --- how many freedoms there are ---
 
-FOLDER = Path(loader.__file__).parent
-
-
-def tilted(name, folder):
-    """The arm with its tool off the last axis: no joint is idle."""
-    text = (FOLDER / f"{name}.toml").read_text(encoding="utf-8")
-    lines = [line for line in text.splitlines() if not line.startswith(("wrist_xyz_m", "tool_mount_"))]
-    at = lines.index("[frames]") + 1
-    lines[at:at] = ["wrist_xyz_m = [0.05, 0.0, 0.0]", "tool_mount_xyz_m = [0.05, 0.0, 0.0]"]
-    (folder / f"{name}.toml").write_text("\n".join(lines), encoding="utf-8")
-    (folder / f"{name}.urdf").write_bytes((FOLDER / f"{name}.urdf").read_bytes())
-    return load_robot(folder / f"{name}.toml")
-
-
-def six_joints(folder):
-    """The LWR4+ without its third joint: an arm as most arms are."""
-    urdf = (FOLDER / "lwr4.urdf").read_text(encoding="utf-8")
-    urdf = urdf.replace('name="joint_3" type="revolute"', 'name="joint_3" type="fixed"')
-    toml = (FOLDER / "lwr4.toml").read_text(encoding="utf-8")
-    head = [line for line in toml[: toml.index("[gains.")].splitlines() if not line.startswith(("q_", "v_", "tau_"))]
-    lines = [line for line in head if "friction" not in line.split("=")[0]]
-    (folder / "six.urdf").write_text(urdf, encoding="utf-8")
-    path = folder / "six.toml"
-    home = "q_rad = [0.595, -0.89, 1.45, 0.77, -1.22, 0.0]"
-    path.write_text("\n".join(lines).replace('"lwr4.urdf"', '"six.urdf"') + f"\n{home}\n", encoding="utf-8")
-    return path
-
-
 def test_counts_of_known_arms(robot, odd_robot, tmp_path):
     assert best_freedoms(robot)[:3] == (5, 1, (6,))
     assert best_freedoms(load_robot("lwr4_rail"))[:3] == (5, 2, (7,))
-    assert best_freedoms(tilted("lwr4", tmp_path))[:3] == (5, 2, ())
+    off_the_axis = build(tmp_path, IIWA14, wrist=(0.05, 0.0, 0.0), mount=(0.05, 0.0, 0.0))
+    assert best_freedoms(off_the_axis)[:3] == (5, 2, ())
     assert best_freedoms(odd_robot).rank == 5
     straight = freedoms(robot, np.zeros(7))
     assert straight.rank < 5
@@ -152,11 +124,13 @@ def test_counts_of_known_arms(robot, odd_robot, tmp_path):
 
 
 def test_an_arm_without_freedom_is_refused_where_the_third_level_is_asked_for(tmp_path):
-    path = six_joints(tmp_path)
-    told = r"of 6 joints the tool's tip and shaft take 5, 1 turn nothing but the tool \(joint_7\)"
+    joints, rest = IIWA14["joints"], [k for k in range(7) if k != 2]
+    six = {name: IIWA14[name][rest] for name in ("q_max", "v_max")}
+    six |= {"joints": [*joints[:2], ((0, 0.42, 0), (0, 0, 0)), *joints[4:]], "home": np.take(IIWA14["home"], rest)}
+    told = r"of 6 joints the tool's tip and shaft take 5, 1 turn nothing but the tool \(joint_6\)"
     with pytest.raises(RobotError, match=told):
-        require_freedom(load_robot(path))
-    asked = Scenario(robot={"name": str(path)}, duration_s=0.1, bound_samples=0)
+        require_freedom(build(tmp_path, {**IIWA14, **six}))
+    asked = Scenario(robot={"name": str(tmp_path / "arm.toml")}, duration_s=0.1, bound_samples=0)
     with pytest.raises(RobotError, match=told):
         run(asked)
     assert run(asked.change(control={"law": "dcac"})).meta["ended"] == "completed"

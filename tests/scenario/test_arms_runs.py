@@ -10,7 +10,7 @@ from moc_opt.qp.problem import compute_residuals
 from moc_opt.robots import available_robots
 from moc_opt.scenario import Scenario, run
 from moc_opt.trace.metrics import summarize
-from tests.planning.arms import build
+from tests.planning.arms import sixteen_joints
 
 BARE = {"bound_samples": 0, "judge": False}
 
@@ -57,12 +57,7 @@ def test_idle_joints_come_to_rest_without_friction(name):
 
 def test_sixteen_joints_run_and_are_judged(tmp_path):
     """Ten real freedoms: every answer of `exact` verifies, and one moved along the self-motion does not."""
-    turns = [((0, 0, 0.1), (0, 0, 0)), *[((0, 0, 0.08), (sign * np.pi / 2, 0, 0)) for sign in 7 * (1, -1) + (1,)]]
-    home = np.random.default_rng(2).uniform(-0.7, 0.7, 16)
-    robot = build(tmp_path, {
-        "joints": turns, "q_max": np.full(16, 1.8), "v_max": np.full(16, 2.0), "wrist": (0, 0, 0),
-        "mount": (0, 0, 0.05), "home": home,
-    })  # fmt: skip
+    robot = sixteen_joints(tmp_path, np.random.default_rng(2).uniform(-0.7, 0.7, 16))
     trace = run(Scenario(robot={"name": str(tmp_path / "arm.toml")}, duration_s=0.3, bound_samples=1))
     assert trace.meta["ended"] == "completed"
     assert trace.verified.all()

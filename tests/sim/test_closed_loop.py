@@ -73,13 +73,6 @@ def test_a_reason_of_the_safety_filter_stops_every_loop(loop, reason, request):
     assert np.abs(speed).max() < 0.02  # the brakes hold
 
 
-@pytest.mark.parametrize("loop", [simulation, live])
-def test_without_a_reason_none_of_them_stops(loop):
-    ended, _, speed = loop(Scenario(control={"preset": "tuned"}, **QUICK))
-    assert ended in ("completed", "")
-    assert np.abs(speed).max() > 0.02
-
-
 def test_the_stop_is_simulated_for_as_long_as_it_says(robot):
     """One more step than fits into the time, the one that ordered it; the arm is braked from that step on."""
     setup = Setup(Scenario(**QUICK))

@@ -59,17 +59,6 @@ def test_kernel_is_its_formula(seed):
 
 @given(seeds)
 @settings(max_examples=50)
-def test_tool_slides_and_spins_freely(seed):
-    rng, tip, wrist, _, _, trocar = scene(seed)
-    u = (tip - wrist) / np.linalg.norm(tip - wrist)
-    on_shaft, twist = np.vstack([tip - rng.uniform(0, 0.4) * u, np.zeros(3)]), np.repeat(rng.normal(size=2), 3)
-    twist *= np.tile(u, 2)
-    assert np.abs(kernel(tip, wrist, twist, tip, on_shaft, 0.0, 800.0, 10.0)[0]).max() < 1e-10
-    assert abs(kernel(tip, wrist, twist, tip, trocar, 0.0, 800.0, 10.0)[0] @ u) < 1e-9
-
-
-@given(seeds)
-@settings(max_examples=50)
 def test_a_resting_trocar_only_takes_energy(seed):
     """Power on the tool = -d/dt (k/2 distance^2) - damping |w across|^2, by differences along the motion."""
     _, tip, wrist, twist, _, trocar = scene(seed)
@@ -89,16 +78,6 @@ def test_a_resting_trocar_only_takes_energy(seed):
     lost = d * np.sum((w - u * (u @ w)) ** 2)
     rate = (stored(dt) - stored(-dt)) / (2 * dt)
     np.testing.assert_allclose(power, -rate - lost, rtol=1e-5, atol=1e-3)
-
-
-@given(seeds)
-@settings(max_examples=30)
-def test_wrench_about_the_com_does_the_same_work(seed):
-    force, point, com, omega, linear = np.random.default_rng(seed).normal(size=(5, 3))
-    wrench = np.ones(6)
-    core.add_force(wrench, force, point, com)
-    work = (wrench - 1) @ np.concatenate([linear, omega])
-    np.testing.assert_allclose(work, force @ (linear + np.cross(omega, point - com)), atol=1e-12)
 
 
 def test_loads_add_up_and_old_ones_go():
@@ -144,6 +123,9 @@ def test_pushes_name_what_is_wrong_and_replace_each_other():
     np.testing.assert_array_equal(plant.mj_data.body("link_1").xfrc_applied, [0, 2, 0, 0, 0, 0])
     plant.clear_pushes("link_1")
     assert not plant._pushes
+    plant.push("link_1", [1, 0, 0])
+    plant.reset(DATA.q_home)
+    assert not plant._pushes
 
 
 # One plant step from rest, gravity held: v = step * M^-1 J^T F, with J from the controller's model.
@@ -165,25 +147,6 @@ def test_trocar_and_push_accelerate_the_arm_through_their_points():
             plant.push(link, pushed, np.zeros(3))
         plant.step(state.h, where)
         np.testing.assert_allclose(plant.v, 1e-3 * np.linalg.solve(state.M, jacobian.T @ pushed), atol=1e-12)
-
-
-def test_push_is_held_until_cleared_or_reset():
-    plant = Plant(DATA, PlantSettings.nominal())
-    hold = plant.applied_torque
-
-    def speed_after(periods):
-        for _ in range(periods):
-            plant.step(hold)
-        return np.linalg.norm(plant.v)
-
-    plant.push("link_3", [0.0, 20.0, 0.0])
-    speeds = [speed_after(1) for _ in range(3)]
-    np.testing.assert_allclose(speeds, speeds[0] * np.array([1, 2, 3]), rtol=0.01)
-    plant.clear_pushes("link_3")
-    assert speed_after(1) == pytest.approx(speeds[-1], rel=0.01)
-    plant.push("link_3", [0.0, 20.0, 0.0])
-    plant.reset(DATA.q_home)
-    assert speed_after(20) < 1e-9
 
 
 @pytest.mark.parametrize(("stiffness", "damping"), [(800.0, 10.0), (800.0, 0.0), (0.0, 10.0)])

@@ -128,24 +128,15 @@ def test_a_payload_pulls_the_tip_down(robot):
 def test_every_injected_solver_fault_is_named_in_the_trace(kind, solver):
     wrong = {"solver": kind, "solver_share": 0.2}
     scenario = Scenario(control=TUNED, solver={"name": solver}, faults=wrong, seed=3, **SHORT)
-    trace, again = run(scenario), run(scenario)
-    setup = Setup(scenario)
+    trace, setup = run(scenario), Setup(scenario)
     np.testing.assert_array_equal(trace.injected, setup.fault_mask())
     assert 10 < trace.injected.sum() < 50
     label = {"fail": "failed", "nan": "not_finite", "lie": "lied", "raise": "raised", "hang": "late", "rig": "outside"}
     assert set(trace.fault[trace.injected]) == {label.get(kind, kind)}
     assert set(trace.fault[~trace.injected]) == {"none"}
-    np.testing.assert_array_equal(trace.tau_Nm, again.tau_Nm)  # hanging, too, repeats itself
+    if kind == "hang":
+        np.testing.assert_array_equal(trace.tau_Nm, run(scenario).tau_Nm)  # it, too, repeats itself
     assert trace.meta["ended"] == "completed"
-
-
-def test_a_faulty_solver_costs_the_trocar_nothing():
-    clean, corrupted = (
-        run(Scenario(control=TUNED, bound_samples=0, judge=False, duration_s=1.5, faults=f))
-        for f in ({}, {"solver": "lie", "solver_share": 0.2})
-    )
-    assert corrupted.rcm_error_m.max() < 1.05 * clean.rcm_error_m.max()
-    assert corrupted.rcm_error_m.mean() < 1.05 * clean.rcm_error_m.mean()
 
 
 def test_dcac_has_no_solver_to_corrupt():
@@ -181,51 +172,36 @@ def test_numbers_travel_with_their_readings():
     np.testing.assert_array_equal(arrived()[0], np.arange(60))
 
 
-def test_frozen_for_so_many_ticks():
-    stamps, _, _ = arrived(frozen_at_s=0.04, frozen_ticks=10)
-    expected = np.arange(60)
-    expected[20:30] = 19
-    np.testing.assert_array_equal(stamps, expected)
-    forged, q, v = arrived(frozen_at_s=0.04, frozen_ticks=10, forged_stamps=True, frozen_velocity="zero")
-    np.testing.assert_array_equal(forged, np.arange(60))
-    np.testing.assert_array_equal(q[:, 0], expected)
-    assert not v[20:30].any()
-    assert v[30:].all()
+K = np.arange(60)
+STUCK = np.where(K < 20, K, 19)
 
 
-@pytest.mark.parametrize("joint", [0, 6])
-def test_one_encoder_is_stuck_and_the_others_are_not(joint):
-    stamps, q, v = arrived(frozen_at_s=0.04, frozen_joint=joint, frozen_velocity="zero")
-    np.testing.assert_array_equal(stamps, np.arange(60))
-    np.testing.assert_array_equal(np.delete(q, joint, axis=1), np.tile(np.arange(60.0)[:, None], N - 1))
-    assert (q[20:, joint] == 19.0).all()
-    assert not v[20:, joint].any()
+# changes; the stamps, then the first joint's positions and joint 3's
+@pytest.mark.parametrize(("changes", "stamps", "first", "third"), [
+    ({"frozen_ticks": 10}, *[np.where((K < 20) | (K >= 30), K, 19)] * 3),
+    ({"frozen_ticks": 10, "forged_stamps": True}, K, *[np.where((K < 20) | (K >= 30), K, 19)] * 2),
+    ({"frozen_joint": 0}, K, STUCK, K), ({"frozen_joint": 2}, K, K, STUCK),
+    *(({"lag_growth": growth, "late_ticks": 2},
+       *[np.maximum(K - 2 - np.floor(growth * np.maximum(K - 19, 0) + 1e-9), 0)] * 3) for growth in (0.1, 1.0)),
+    ({"lag_joint": 2, "lag_growth": 1.0, "lag_ticks": 4, "late_ticks": 3}, *[np.maximum(K - 3, 0)] * 2,
+     np.maximum(np.where(K < 20, K - 3, 12), 0)),
+    ({"replay_ticks": 8}, *[np.r_[:20, np.resize(np.arange(13, 21), 40)]] * 3),
+], ids=str)  # fmt: skip
+def test_old_measurements_come_when_they_are_said_to(changes, stamps, first, third):
+    kind = next(iter(changes)).partition("_")[0]
+    frozen = {"frozen_velocity": "zero"} if kind == "frozen" else {}
+    found, q, v = arrived(**{f"{kind}_at_s": 0.04}, **frozen, **changes)
+    np.testing.assert_array_equal(found, stamps)
+    np.testing.assert_array_equal(q[:, 0], first)
+    np.testing.assert_array_equal(q[:, 2], third)
+    for j, old in ((0, first), (2, third)):
+        rests = (old == 19) & (K != 19) if frozen else np.zeros(60, dtype=bool)
+        np.testing.assert_allclose(v[:, j], np.where(rests, 0.0, 0.1 * old))
+
+
+def test_a_joint_that_is_not_there_cannot_be_stuck():
     with pytest.raises(PlantError, match="frozen_joint = 7"):
         faults(frozen_at_s=0.0, frozen_joint=7)
-
-
-@pytest.mark.parametrize("growth", [0.1, 1.0])
-def test_the_lag_grows_from_its_delay(growth):
-    stamps, _, _ = arrived(lag_at_s=0.04, lag_growth=growth, late_ticks=2)
-    k = np.arange(60)
-    late = 2 + np.floor(growth * np.maximum(k - 19, 0) + 1e-9)
-    np.testing.assert_array_equal(stamps, np.maximum(k - late, 0))
-    assert (np.diff(stamps) >= 0).all()
-
-
-def test_one_encoder_lags_behind_the_others_that_are_late_too():
-    stamps, q, _ = arrived(lag_at_s=0.04, lag_joint=2, lag_growth=1.0, lag_ticks=4, late_ticks=3)
-    k = np.arange(60)
-    np.testing.assert_array_equal(stamps, np.maximum(k - 3, 0))
-    np.testing.assert_array_equal(q[:, 0], stamps)
-    behind = np.where(k < 20, 3, 3 + 4 + (k - 19))
-    np.testing.assert_array_equal(q[:, 2], np.maximum(k - behind, 0))
-
-
-def test_the_past_comes_once_more():
-    stamps, _, _ = arrived(replay_at_s=0.04, replay_ticks=8)
-    np.testing.assert_array_equal(stamps[:20], np.arange(20))
-    np.testing.assert_array_equal(stamps[20:], np.resize(np.arange(13, 21), 40))
 
 
 def test_a_drift_is_in_position_and_velocity_alike():
