@@ -5,10 +5,13 @@ primal tolerance. Each attempt slides an optimum that way and makes it optimal a
 the cost is right. Best and worst cost come from an enumeration of active sets, without solver and judge.
 """
 
+from fractions import Fraction
+
 import numpy as np
 import pytest
 
 import moc_opt as mo
+from benchmarks.certify import optimum
 from moc_opt.qp.problem import NullSpaceQP
 from tests.wrong_answers import candidates, cost
 
@@ -106,6 +109,37 @@ def test_the_optimum_of_a_nearly_singular_problem_is_verified():
             qp, base, Z, _ = random_case(rng, freedoms, size)
             best = extremes(Z, base, qp)
             assert qp.residuals(best[0]).verified(), (freedoms, size, qp.residuals(best[0]))
+
+
+def far_ends(A, b, pull, lower, upper):
+    """Best and worst point (2, n) of pull^T x over A x = b in the box, without rounding; None where there is none."""
+    gains = [Fraction(value) for value in pull]
+    found = [optimum(A, b, [sign * gain for gain in gains], 0.0, lower, upper) for sign in (1, -1)]
+    return None if None in found else np.array([[float(value) for value in point] for point in found])
+
+
+@pytest.mark.parametrize("size", 10.0 ** np.arange(-11, -1, 2))
+def test_of_two_ends_the_better_one_is_verified_where_the_gradient_is_nearly_across_the_self_motion(size):
+    """Rounding in A x - b is divided by the smallest singular value, and decides unless it is kept small."""
+    rng, seen = np.random.default_rng(int(-np.log10(size))), 0
+    for slope, width in [(1e-2, 1e-4), (1e-4, 1e-2), (1e-6, 1e-4), (1e-8, 1e-2), (1e-8, 3e-6)] * 3:
+        U, V = (np.linalg.qr(rng.normal(size=(k, k)))[0] for k in (5, 6))
+        A, x = U * [1.0, 0.8, 0.6, 0.4, size] @ V[:, :5].T, rng.uniform(-0.4, 0.4, 6)
+        b, lower, upper = A @ x, x - rng.uniform(0.5, 1.0, 6), x + rng.uniform(0.5, 1.0, 6)
+        ends = far_ends(A, b, V[:, 5], lower, upper)
+        z = (ends[0] - ends[1]) / np.linalg.norm(ends[0] - ends[1])
+        joint, across = int(np.argmax(np.abs(z))), rng.normal(size=6)
+        across -= z * (z @ across)
+        lower[joint], upper[joint] = x[joint] - width / 2, x[joint] + width / 2
+        pull = across / np.linalg.norm(across) + slope * rng.choice([-1.0, 1.0]) * z
+        ends = far_ends(A, b, pull, lower, upper)
+        if ends is not None and np.abs(ends[0] - ends[1]).max() > 2e-6:
+            six = np.vstack([A, np.zeros(6)])
+            qp = NullSpaceQP(six[:3], six[3:], b[:3], [*b[3:], 0.0], pull, lower, upper, regularization=0.0)
+            verified = [qp.residuals(np.clip(point, lower, upper)).verified() for point in ends]
+            assert verified == [True, False], (slope, width)
+            seen += 1
+    assert seen > 9
 
 
 def test_an_elbow_bent_by_a_microradian_lets_no_answer_slide():
