@@ -40,9 +40,7 @@ def __getattr__(name: str) -> Any:
     if name == "solvers":
         return importlib.import_module("moc_opt.solvers")
     if name not in _HOMES:
-        raise AttributeError(
-            f"module 'moc_opt' has no attribute {name!r}; public names: {', '.join(__all__)}"
-        )
+        raise AttributeError(f"module 'moc_opt' has no attribute {name!r}; public names: {', '.join(__all__)}")
     return getattr(importlib.import_module(f"moc_opt.{_HOMES[name]}"), name)
 
 

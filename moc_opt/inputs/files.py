@@ -42,10 +42,7 @@ def as_path(path: object, what: str, error: Wrong) -> Path:
 def read_bytes(path: Path_, what: str, error: Wrong, most: int = MOST_TEXT) -> bytes:
     """Read a regular file of at most ``most`` bytes; links are followed.
 
-    Args:
-        path: the file.
-        what: the kind of file, for the message.
-        error: raised where it cannot be read.
+    Where it cannot be read ``error`` is raised; ``what`` is the kind of file, for its message.
     """
     where = f"{what} {os.fspath(path)!r}"
     try:
@@ -115,10 +112,7 @@ def decimal(text: str) -> float:
 
 
 def check_replaceable(path: Path_, what: str, error: Wrong) -> None:
-    """Check before any work that a file can be written: its folder can, and no folder, pipe or device is there.
-
-    Arguments as `read_bytes`.
-    """
+    """Check before any work that a file can be written: its folder can, and no folder, pipe or device is there."""
     target, is_taken = as_path(path, what, error), False
     try:
         with contextlib.suppress(FileNotFoundError):
@@ -133,15 +127,9 @@ def check_replaceable(path: Path_, what: str, error: Wrong) -> None:
 
 
 def write_whole(path: Path_, data: bytes | str, what: str = "file", error: Wrong = MocOptError) -> Path:
-    """Write a file, all or nothing: an older one of that name stays until the new one is on the disk.
+    """Write bytes, or a text in UTF-8, all or nothing: an older file stays until the new one is on the disk.
 
-    The folder is made. A link of that name is replaced, not followed.
-
-    Args:
-        path: the file.
-        data: its content; a text is written in UTF-8.
-        what: the kind of file, for the message.
-        error: raised where it cannot be written.
+    The folder is made. A link of that name is replaced, not followed. ``what`` and ``error`` as of `read_bytes`.
     """
     target = as_path(path, what, error)
     check_replaceable(target, what, error)

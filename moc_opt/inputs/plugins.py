@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterable
 from functools import lru_cache
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any
@@ -11,17 +10,15 @@ from typing import Any
 from moc_opt.errors import MocOptError, describe
 
 
-def plugins(group: str, look: Callable[..., Iterable[EntryPoint]] = entry_points) -> dict[str, list[EntryPoint]]:
+def plugins(group: str) -> dict[str, list[EntryPoint]]:
     """Map each name of a group to the different entry points that claim it; one that is announced twice counts once."""
-    return _scan(group, tuple(sys.path), look)
+    return _scan(group, tuple(sys.path))
 
 
 @lru_cache(maxsize=24)  # a scan of a hundred packages takes 10 ms, and a sweep makes thousands of solvers
-def _scan(
-    group: str, path: tuple[str, ...], look: Callable[..., Iterable[EntryPoint]]
-) -> dict[str, list[EntryPoint]]:
+def _scan(group: str, path: tuple[str, ...]) -> dict[str, list[EntryPoint]]:
     found: dict[str, dict[str, EntryPoint]] = {}
-    for point in look(group=group):
+    for point in entry_points(group=group):
         found.setdefault(point.name, {}).setdefault(point.value, point)
     return {name: list(points.values()) for name, points in found.items()}
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from typing import Annotated, Any, ClassVar, Self
 
 import numpy as np
@@ -131,11 +131,6 @@ def _fault(written: Any, read: Any, most: int) -> str:
     return ""
 
 
-def field_name(keys: Iterable[object]) -> str:
-    """Write the keys that lead to a field with dots between, control characters escaped: a file's key may hold any."""
-    return repr(".".join(f"{key!s:.80}" for key in keys))[1:-1]
-
-
 def _in_metres(field: str, item: Mapping[str, Any]) -> str:
     """Return what a length or a speed that is too large would be if it was given in mm, mm/s; empty for others."""
     value, per = item["input"], "/s" if field.endswith("_m_per_s") else ""
@@ -148,7 +143,7 @@ def explain(error: ValidationError, kind: str) -> list[str]:
     """Return one line per wrong field: kind of table, name, value, cure; errors of a table inside are not repeated."""
     lines = []
     for item in error.errors():
-        field = field_name(item["loc"])
+        field = repr(".".join(f"{key!s:.80}" for key in item["loc"]))[1:-1]  # a file's key may hold any character
         message = item["msg"].removeprefix("Value error, ")
         if isinstance(item.get("ctx", {}).get("error"), MocOptError):  # of a table inside: it names its own field
             lines.append(message if not field or message.startswith(f"[{field}]") else f"{kind} {field}: {message}")

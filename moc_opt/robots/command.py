@@ -57,10 +57,12 @@ def run_command(given: argparse.Namespace) -> int:
             base_rpy=tuple(given.base_rpy), seed=given.seed,
         )  # fmt: skip
         print(made.toml, made.urdf, sep="\n")
-        out.print("Assumed or changed, and noted in both files:" if made.notes else "Nothing had to be assumed.")
+        out.print("Assumed or changed, and noted in both files:")
         for note in made.notes:
             out.print(Text(f"- {note}"))
-    robot = load_robot(str(given.out) if given.robot_command == "new" else given.robot)
+        robot = made.robot
+    else:
+        robot = load_robot(given.robot)
     findings = check_robot(robot)
     columns = [Column("what", "what"), Column("found", "found"), Column("verdict", "verdict")]
     out.print(Table(f"robot {robot.data.name}", columns, [row._asdict() for row in findings]).to_rich())

@@ -173,8 +173,7 @@ def load_data(
     for kind, parts in (("link", arm.links), ("joint", arm.joints)):
         if taken := sorted({part.name for part in parts} & urdf.TOOL_NAMES[kind]):
             raise RobotError(f"urdf already has {kind}s named {taken}: rename them, the tool needs these names")
-    urdf.normalize(arm)
-    chain = urdf.moving_joints(arm, description.frames.last_link)
+    chain = _chain(arm, description.frames.last_link)
     bounds = _limits(description.limits, chain)
     for joint, *values in zip(chain, *bounds.values(), strict=True):
         joint.limit(*values)
@@ -223,6 +222,18 @@ def _find(name_or_path: str | os.PathLike[str]) -> Path:
             f"`moc-opt robot new {path.name} --out my.toml` writes one from a vendor's URDF"
         )
     return beside
+
+
+def _chain(arm: urdf.Urdf, last_link: str) -> list[urdf.Joint]:
+    tree = urdf.normalize(arm)
+    chain = tree.chain(last_link, "frames.last_link")
+    heavy = {last_link, *(link.name for link in arm.links if not link.is_frame)}  # the last link, with the tool
+    for joint in filter(lambda joint: joint.moves, arm.joints):
+        if joint not in chain:
+            raise RobotError(f"urdf joint {joint.name!r} moves but is not between base and last link: make it fixed")
+        if not heavy.intersection(tree.reach(joint.child, fixed=True)):
+            raise RobotError(f"urdf joint {joint.name!r} moves no mass: give link {joint.child!r} an <inertial>")
+    return chain
 
 
 def _limits(given: Limits, chain: list[urdf.Joint]) -> dict[str, Array]:

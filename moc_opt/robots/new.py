@@ -41,14 +41,13 @@ SHARE = (0.7, 0.9)
 """mu over the largest mu of the pose's own self-motion: below 1, so that there is something to gain."""
 
 
-@dataclass(frozen=True, eq=False)
-class NewRobot:
+class NewRobot(NamedTuple):
     """The files that were written, and their robot."""
 
     toml: Path
     urdf: Path
     robot: RobotModel
-    notes: tuple[str, ...]  #: Assumptions and changes, one sentence each.
+    notes: list[str]  #: Assumptions and changes, one sentence each.
 
 
 def new_robot(
@@ -116,7 +115,7 @@ def new_robot(
     told = "".join(f"\n  - {line}" for line in arm.notes).replace("--", "- -")
     note = f"  <!-- Made from {source_name}. What was assumed:{told}\n  -->\n"
     robot = write(out, home.q, note, home=home, gains=gains)
-    return NewRobot(out, beside, robot, tuple(arm.notes))
+    return NewRobot(out, beside, robot, arm.notes)
 
 
 def _drives(arm: VendorArm) -> dict[str, list[float]]:

@@ -198,7 +198,7 @@ def _one(parent: ET.Element, tag: str, where: str) -> ET.Element | None:
 # --- checking ---
 
 
-def normalize(arm: Urdf) -> None:
+def normalize(arm: Urdf) -> Tree:
     """Check everything but the moving joints' limits; axes get length one, and flat bodies a thickness, in place.
 
     Raises:
@@ -208,15 +208,15 @@ def normalize(arm: Urdf) -> None:
     count = max(len(arm.links), len(arm.joints))
     if count > MOST_LINKS:
         raise RobotError(f"urdf has {count} links or joints: an arm has {MOST_LINKS} at most; leave others out")
-    for kind, parts in (("link", arm.links), ("joint", arm.joints)):
-        for part in parts:
-            if not names.is_name(part.name):
-                raise RobotError(f"urdf: the name of a {kind}, {part.name!r:.80} is no name: {names.RULE}")
+    for part in (*arm.links, *arm.joints):
+        if not names.is_name(part.name):
+            kind = type(part).__name__.lower()
+            raise RobotError(f"urdf: the name of a {kind}, {part.name!r:.80} is no name: {names.RULE}")
     for link in arm.links:
         _check_body(link)
     for joint in arm.joints:
         _check_joint(joint)
-    Tree(arm)
+    return Tree(arm)
 
 
 def _check_body(link: Link) -> None:
@@ -248,10 +248,10 @@ def _check_joint(joint: Joint) -> None:
         raise RobotError(f"urdf {where} has type {joint.kind!r}: use revolute, prismatic, continuous or fixed")
     if joint.mimics:
         raise RobotError(f"urdf {where} mimics another: make it fixed (`robot new --lock`) or free")
-    length = math.hypot(*joint.axis)
-    if joint.moves and length < 1e-3:
-        raise RobotError(f"urdf: <axis> of {where} has no length: give a direction, such as '0 0 1'")
     if joint.moves:
+        length = math.hypot(*joint.axis)
+        if length < 1e-3:
+            raise RobotError(f"urdf: <axis> of {where} has no length: give a direction, such as '0 0 1'")
         x, y, z = (value / length for value in joint.axis)
         joint.axis = (x, y, z)
     for key, value in joint.limits.items():
@@ -311,6 +311,15 @@ class Tree:
             raise RobotError(f"urdf joints form a loop at links {lost[:5]}: they hang on each other and not on a base")
         self.base = bases[0]
 
+    def chain(self, last_link: str, named: str) -> list[Joint]:
+        """Return the moving joints from base to the link that carries the tool; ``named`` is its field or option."""
+        if last_link not in self.links:
+            raise UnknownNameError(f"link ({named})", last_link, self.links)
+        chain = [joint for joint in self.path(last_link) if joint.moves]
+        if not chain:
+            raise RobotError(f"{named} = {last_link!r}: no joint that moves lies between the base and this link")
+        return chain
+
     def path(self, link: str) -> list[Joint]:
         """Return the joints from base to link."""
         found: list[Joint] = []
@@ -325,24 +334,3 @@ class Tree:
         for one in found:  # grows while it is walked
             found += [joint.child for joint in self.carried[one] if not fixed or joint.kind == "fixed"]
         return found
-
-
-def moving_joints(arm: Urdf, last_link: str) -> list[Joint]:
-    """Return the movable joints from base to `last_link`, which will carry the tool.
-
-    Raises:
-        UnknownNameError: there is no such link.
-        RobotError: no joint moves, another one may move, or one moves no mass.
-    """
-    tree, heavy = Tree(arm), {last_link, *(link.name for link in arm.links if not link.is_frame)}
-    if last_link not in tree.links:
-        raise UnknownNameError("link (frames.last_link)", last_link, tree.links)
-    chain = [joint for joint in tree.path(last_link) if joint.moves]
-    if not chain:
-        raise RobotError(f"frames.last_link = {last_link!r}: no movable joint lies between the base and it")
-    for joint in arm.joints:
-        if joint.moves and joint not in chain:
-            raise RobotError(f"urdf joint {joint.name!r} moves but is not between base and last link: make it fixed")
-        if joint.moves and not heavy.intersection(tree.reach(joint.child, fixed=True)):
-            raise RobotError(f"urdf joint {joint.name!r} moves no mass: give link {joint.child!r} an <inertial>")
-    return chain

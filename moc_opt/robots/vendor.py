@@ -64,13 +64,9 @@ def read_vendor(
             raise UnknownNameError("joint (--lock)", name, [name for name, joint in joints.items() if joint.moves])
         _fix([joints[name]], arm.notes, at=value)
     tree = urdf.Tree(arm.urdf)
-    if tip is not None and tip not in tree.links:
-        raise UnknownNameError("link (--tip)", tip, tree.links)
-    arm.last_link = tip or _last_link(tree)
+    arm.last_link = _last_link(tree) if tip is None else tip
+    arm.chain = tree.chain(arm.last_link, "--tip")
     arm.notes.append(f"the tool sits on {arm.last_link!r}, the link {'asked for' if tip else 'of the last joint'}")
-    arm.chain = [joint for joint in tree.path(arm.last_link) if joint.moves]
-    if not arm.chain:
-        raise RobotError(f"urdf: no moving joint lies between the base and {arm.last_link!r}: choose another --tip")
     carried = tree.reach(arm.chain[-1].child)
     if max(link.mass or 0.0 for link in arm.urdf.links if link.name in carried) < urdf.SMALLEST_MASS:
         arm.notes.append(
@@ -139,12 +135,12 @@ def _fix(joints: Iterable[Joint], notes: list[str], at: float | None = None) -> 
     """Fix joints at this position, or at the one of their range that is nearest to 0."""
     fixed = []
     for joint in joints:
-        told, unit = joint.kind, "m" if joint.kind == "prismatic" else "rad"
+        told = joint.kind
         if joint.moves:
             reach = {} if joint.kind == "continuous" else joint.limits
             value = min(max(0.0, reach.get("lower", -math.inf)), reach.get("upper", math.inf)) if at is None else at
             _shift(joint, value)
-            told = f"at {value:.3g} {unit}"
+            told = f"at {value:.3g} {'m' if joint.kind == 'prismatic' else 'rad'}"
         fixed.append(f"{joint.name} ({told})")
         joint.kind, joint.mimics, joint.limits = "fixed", False, {}
     if fixed:

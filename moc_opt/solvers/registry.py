@@ -12,7 +12,7 @@ import warnings
 from collections.abc import Callable
 from dataclasses import MISSING, fields, is_dataclass
 from functools import partial
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import EntryPoint
 from importlib.util import find_spec
 from typing import Any, NamedTuple
 
@@ -175,7 +175,7 @@ def _ours(name: str) -> bool:
 
 
 def _plugins() -> dict[str, list[EntryPoint]]:
-    return plugins.plugins(GROUP, entry_points)
+    return plugins.plugins(GROUP)
 
 
 def _clash(name: str, points: list[EntryPoint]) -> str:

@@ -10,7 +10,7 @@ import inspect
 import math
 from bisect import bisect_right
 from collections.abc import Callable, Iterable
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import EntryPoint
 from typing import Any
 
 import numpy as np
@@ -229,7 +229,7 @@ def make_path(
 
 
 def _plugins() -> dict[str, list[EntryPoint]]:
-    return plugins.plugins(GROUP, entry_points)
+    return plugins.plugins(GROUP)
 
 
 def _maker(kind: str) -> Callable[..., Any]:

@@ -11,7 +11,7 @@ import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import EntryPoint
 from typing import Any
 
 import numpy as np
@@ -86,7 +86,7 @@ def _add(name: str, unit: str, about: str, function: Callable[..., float]) -> Me
 
 def load_plugins() -> dict[str, str]:
     """Register the metrics of other packages; return name -> reason for those that cannot be loaded."""
-    for name, points in plugins.plugins(GROUP, entry_points).items():
+    for name, points in plugins.plugins(GROUP).items():
         if points[0] in _LOADED:
             continue
         _LOADED[points[0]] = ""

@@ -160,8 +160,6 @@ class BoardTask:
         return make_path(self.kind, start, normal=(0.0, 0.0, 1.0), heading=(1.0, 0.0, 0.0), **self.sizes)
 
 
-
-
 def _rectangle(left: float, top: float, right: float, bottom: float) -> Array:
     return np.array([[left, top, 0.0], [right, top, 0.0], [right, bottom, 0.0], [left, bottom, 0.0]])
 

@@ -137,8 +137,8 @@ def added(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "own_paths", own)
     values = {"helix": "own_paths:helix", "ring": "own_paths:Ring", "number": "own_paths:number",
               "crash": "own_paths:crash", "gone": "no_such_module:f", "circle": "own_paths:helix"}  # fmt: skip
-    found = [EntryPoint(name, value, module.GROUP) for name, value in values.items()]
-    monkeypatch.setattr(module, "entry_points", lambda group: found if group == module.GROUP else [])
+    found = {name: [EntryPoint(name, value, module.GROUP)] for name, value in values.items()}
+    monkeypatch.setattr(module.plugins, "plugins", lambda group: found if group == module.GROUP else {})
 
 
 @pytest.mark.parametrize("own", [True, False])

@@ -202,8 +202,8 @@ def test_metrics_of_other_packages_are_in_the_summary_and_a_broken_one_hides_non
     own.ticks_of_a_run, own.number = ticks_of_a_run, 3
     monkeypatch.setitem(sys.modules, "own_metrics", own)
     values = {"ticks_of_a_run": "own_metrics:ticks_of_a_run", "number": "own_metrics:number", "gone": "no_such:f"}
-    found = [EntryPoint(name, value, metrics.GROUP) for name, value in values.items()]
-    monkeypatch.setattr(metrics, "entry_points", lambda group: found)
+    found = {name: [EntryPoint(name, value, metrics.GROUP)] for name, value in values.items()}
+    monkeypatch.setattr(metrics.plugins, "plugins", lambda group: found)
     monkeypatch.setattr(metrics, "_LOADED", {})
     trace = Trace({"t_s": [0.0, 0.1], "mu": [0.1, 0.2]})
     with pytest.warns(UserWarning, match="metric 'gone': .* does not load") as said:
