@@ -20,7 +20,7 @@ import pinocchio as pin
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from moc_opt.arrays import Array
-from moc_opt.errors import MocOptError, RobotError
+from moc_opt.errors import MocOptError, RobotError, printable
 from moc_opt.inputs.files import check_replaceable, write_whole
 from moc_opt.planning.self_motion import freedoms, limit_shares, require_freedom, self_motion
 from moc_opt.robots.gains import derived_gains
@@ -139,9 +139,7 @@ def _numbers(values: float | Iterable[float]) -> str:
 
 
 def _comment(note: str) -> str:
-    # Control characters of a vendor's names stay out.
-    clean = "".join(c if c.isprintable() else " " for c in note)
-    return textwrap.fill(clean, 112, initial_indent="# - ", subsequent_indent="#   ")
+    return textwrap.fill(printable(note), 112, initial_indent="# - ", subsequent_indent="#   ")
 
 
 _FORM = Environment(

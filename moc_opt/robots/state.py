@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import cache
 from itertools import accumulate
 from typing import Any
@@ -29,22 +30,26 @@ def layout(n: int) -> dict[str, slice]:
     return {name: slice(end - size, end) for (name, size), end in zip(parts.items(), ends, strict=True)}
 
 
-def _part(name: str, doc: str, *, rows: slice | None = None, shape: tuple[int, ...] | None = None) -> Any:
+def _part(name: str, doc: str, *, rows: slice | None = None, shape: tuple[int, ...] | None = None) -> Array:
     def view(state: RobotState) -> Array:
         part = state.record[layout(state.n)[name]]
         if shape is not None:
             part = part.reshape([size or state.n for size in shape])
         return part if rows is None else part[rows]
 
-    return property(view, doc=doc)
+    return property(view, doc=doc)  # type: ignore[return-value]
 
 
-def _scalar(index: int, doc: str) -> Any:
-    return property(lambda state: float(state.record[layout(state.n)["scalars"].start + index]), doc=doc)
+def _scalar(index: int, doc: str) -> float:
+    def number(state: RobotState) -> float:
+        return float(state.record[layout(state.n)["scalars"].start + index])
+
+    return property(number, doc=doc)  # type: ignore[return-value]
 
 
+@dataclass(frozen=True, eq=False, repr=False)
 class RobotState:
-    """The model's terms of an arm at one (q, v), immutable: views of one flat array, `record`, in order of `layout`.
+    """The model's terms of an arm at one (q, v): read-only views of one flat array, `record`, in order of `layout`.
 
     Example:
         >>> robot = mo.load_robot("lwr4")
@@ -57,18 +62,11 @@ class RobotState:
         True
     """
 
-    __slots__ = ("n", "record")
     record: Array
     n: int
 
-    def __init__(self, record: Array, n: int) -> None:
-        """Wrap a complete record (record_size(n),), which becomes read-only; RobotModel.state makes them."""
-        record.setflags(write=False)
-        object.__setattr__(self, "record", record)
-        object.__setattr__(self, "n", n)
-
-    def __setattr__(self, name: str, value: object) -> None:
-        raise AttributeError(f"RobotState is immutable: ask the model for a new state instead of setting {name!r}")
+    def __post_init__(self) -> None:
+        self.record.setflags(write=False)
 
     def __reduce__(self) -> tuple[Any, ...]:
         return RobotState, (self.record.copy(), self.n)
@@ -76,30 +74,24 @@ class RobotState:
     def __repr__(self) -> str:
         return f"RobotState(n={self.n}, q={np.round(self.q, 4).tolist()}, mu={self.mu:.4g})"
 
-    q: Array = _part("q", "Joint positions (n,) [rad].")
-    v: Array = _part("v", "Joint velocities (n,) [rad/s].")
-    tip: Array = _part("tip", "Tool tip X (3,) [m].")
-    wrist: Array = _part("wrist", "Wrist centre N (3,) [m].")
-    tool_direction: Array = _part("u", "u = (X - N)/L (3,), the unit vector along the shaft.")
-    tool_span: float = _scalar(1, "L = |X - N| [m], constant.")
-    A: Array = _part("A", "[J_tip; J_wrist] (6,n), of rank 5: tip and wrist are rigidly tied.", shape=(6, 0))
-    J_tip: Array = _part("A", "Translational Jacobian of the tip (3,n), world axes [m/rad].", rows=_TIP, shape=(6, 0))
-    J_wrist: Array = _part(
-        "A", "Translational Jacobian of the wrist (3,n), world axes [m/rad].", rows=_WRIST, shape=(6, 0)
-    )
-    drift_tip: Array = _part("drift", "dJ_tip/dt v (3,) [m/s^2].", rows=_TIP)
-    drift_wrist: Array = _part("drift", "dJ_wrist/dt v (3,) [m/s^2].", rows=_WRIST)
-    mu: float = _scalar(0, "Manipulability sqrt(det(J_tip J_tip^T)) [m^3].")
-    grad_mu: Array = _part("grad_mu", "dmu/dq (n,) [m^3/rad]; zero at a singularity, where mu has a kink.")
-    mu_shaft: float = _scalar(
+    q = _part("q", "Joint positions (n,) [rad].")
+    v = _part("v", "Joint velocities (n,) [rad/s].")
+    tip = _part("tip", "Tool tip X (3,) [m].")
+    wrist = _part("wrist", "Wrist centre N (3,) [m].")
+    tool_direction = _part("u", "u = (X - N)/L (3,), the unit vector along the shaft.")
+    tool_span = _scalar(1, "L = |X - N| [m], constant.")
+    A = _part("A", "[J_tip; J_wrist] (6,n), of rank 5: tip and wrist are rigidly tied.", shape=(6, 0))
+    J_tip = _part("A", "Translational Jacobian of the tip (3,n), world axes [m/rad].", rows=_TIP, shape=(6, 0))
+    J_wrist = _part("A", "Translational Jacobian of the wrist (3,n), world axes [m/rad].", rows=_WRIST, shape=(6, 0))
+    drift_tip = _part("drift", "dJ_tip/dt v (3,) [m/s^2].", rows=_TIP)
+    drift_wrist = _part("drift", "dJ_wrist/dt v (3,) [m/s^2].", rows=_WRIST)
+    mu = _scalar(0, "Manipulability sqrt(det(J_tip J_tip^T)) [m^3].")
+    grad_mu = _part("grad_mu", "dmu/dq (n,) [m^3/rad]; zero at a singularity, where mu has a kink.")
+    mu_shaft = _scalar(
         2, "Manipulability of the shaft once the tip is held [m^2]; see `moc_opt/core/manipulability.c`."
     )
-    grad_mu_shaft: Array = _part(
-        "grad_mu_shaft", "dmu_shaft/dq (n,) [m^2/rad]; zero at a singularity, where it has a kink."
-    )
-    M: Array = _part("M", "Joint-space inertia (n,n), rotor inertia included [kg m^2].", shape=(0, 0))
-    h: Array = _part("h", "C v + g (n,) [Nm].")
-    energy_slope: Array = _part(
-        "energy_slope", "dT/dq = C^T v (n,) [Nm], T the kinetic energy and C Christoffel's Coriolis matrix."
-    )
-    gravity: Array = _part("gravity", "g (n,) [Nm], the torque that carries the arm's weight.")
+    grad_mu_shaft = _part("grad_mu_shaft", "dmu_shaft/dq (n,) [m^2/rad]; zero at a singularity, where it has a kink.")
+    M = _part("M", "Joint-space inertia (n,n), rotor inertia included [kg m^2].", shape=(0, 0))
+    h = _part("h", "C v + g (n,) [Nm].")
+    energy_slope = _part("energy_slope", "dT/dq = C^T v (n,) [Nm]: T the kinetic energy, C Christoffel's matrix.")
+    gravity = _part("gravity", "g (n,) [Nm], the torque that carries the arm's weight.")

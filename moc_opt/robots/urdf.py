@@ -208,10 +208,9 @@ def normalize(arm: Urdf) -> Tree:
     count = max(len(arm.links), len(arm.joints))
     if count > MOST_LINKS:
         raise RobotError(f"urdf has {count} links or joints: an arm has {MOST_LINKS} at most; leave others out")
-    for part in (*arm.links, *arm.joints):
-        if not names.is_name(part.name):
-            kind = type(part).__name__.lower()
-            raise RobotError(f"urdf: the name of a {kind}, {part.name!r:.80} is no name: {names.RULE}")
+    for name in [link.name for link in arm.links] + [joint.name for joint in arm.joints]:
+        if not names.is_name(name):
+            raise RobotError(f"urdf: the name of a link or joint, {name!r:.80}, is no name: {names.RULE}")
     for link in arm.links:
         _check_body(link)
     for joint in arm.joints:
