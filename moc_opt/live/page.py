@@ -17,6 +17,7 @@ import numpy as np
 
 from moc_opt import solvers
 from moc_opt.arrays import Array
+from moc_opt.control import ControlSettings
 from moc_opt.errors import MocOptError
 from moc_opt.inputs.names import in_markdown
 from moc_opt.live.run import DCAC, QUANTITIES, LiveError, LiveRun, Moment
@@ -38,14 +39,10 @@ PLOTS: dict[str, list[tuple[str, str, float, str]]] = {
 }
 """Title -> (quantity, name, factor to the unit shown, colour)."""
 FIELDS = {
-    "regularization": ("ρ", "weight of |x|² in the subproblem; 0 is the paper's linear problem"),
-    "K_X": ("K_X [N/m]", "tip stiffness"),
-    "K_N": ("K_N [N/m]", "wrist stiffness"),
-    "K_N2": ("K_N2 [N m s/rad]", "third level, on x* - v; one number, or one per joint"),
-    "D_N2": ("D_N2 [N m s/rad]", "third level, on v; one number, or one per joint"),
-    "k0_per_s": ("k0 [1/s]", "velocity damper at the joint limits"),
-}
-"""Setting of the control law -> its label and its meaning."""
+    "regularization": "ρ", "K_X": "K_X [N/m]", "K_N": "K_N [N/m]", "K_N2": "K_N2 [N m s/rad]",
+    "D_N2": "D_N2 [N m s/rad]", "k0_per_s": "k0 [1/s]",
+}  # fmt: skip
+"""Setting of the control law -> its label."""
 
 
 class LivePage:
@@ -135,7 +132,7 @@ def _refuse_without(token: str, server: Any) -> None:
 
 
 class Panel:
-    """The side panel of a viser.ViserServer: hands orders to the run and shows how it goes."""
+    """The side panel: hands orders to the run and shows how it goes."""
 
     def __init__(self, server: Any, run: LiveRun) -> None:
         self._server, self._run, gui = server, run, server.gui
@@ -151,7 +148,8 @@ class Panel:
                 slider.on_update(lambda _: self._do(lambda: run.place_trocar(*(1e-3 * s.value for s in place))))
         with gui.add_folder("Weights and gains"):
             self._fields = {
-                name: gui.add_text(label, self._written(name), hint=hint) for name, (label, hint) in FIELDS.items()
+                name: gui.add_text(label, self._written(name), hint=ControlSettings.model_fields[name].description)
+                for name, label in FIELDS.items()
             }
             gui.add_button("Apply").on_click(lambda _: self._do(self._apply))
         self._pause = gui.add_checkbox("Pause", initial_value=False)
@@ -179,7 +177,7 @@ class Panel:
             try:
                 first, *others = map(float, field.value.replace(",", ".").split())
             except ValueError as error:
-                raise LiveError(f"{FIELDS[name][0]} = {field.value!r}: give a number, or one per joint") from error
+                raise LiveError(f"{FIELDS[name]} = {field.value!r}: give a number, or one per joint") from error
             values[name] = (first, *others) if others else first
         if values:
             self._run.tune(**values)
@@ -232,7 +230,7 @@ def _empty(title: str, lines: list[tuple[str, str, float, str]]) -> dict[str, An
 
 
 class Scene:
-    """The arm in three dimensions, in a viser.ViserServer: what is drawn once, and what moves."""
+    """The arm in three dimensions: what is drawn once, and what moves."""
 
     def __init__(self, server: Any, run: LiveRun) -> None:
         from trimesh.creation import revolve  # it comes with viser, which is of the extra `live`
@@ -287,14 +285,11 @@ def serve(scenario: Scenario, *, port: int = PORT, title: str = "") -> int:
     with LivePage(scenario, port=port, title=title) as page:
         # The first Ctrl-C raises nothing, which might leave a lock of the page's threads behind; a second one does.
         def stop(number: int, frame: object) -> None:
-            signal.signal(signal.SIGINT, before)
+            signal.signal(signal.SIGINT, signal.default_int_handler)
             page.stop()
 
-        before = signal.signal(signal.SIGINT, stop)
+        signal.signal(signal.SIGINT, stop)
         print(f"live at {page.url} - Ctrl-C ends it", file=sys.stderr, flush=True)
-        try:
-            page.wait()
-        finally:
-            signal.signal(signal.SIGINT, before)
+        page.wait()
     print("ended", file=sys.stderr)
     return 0

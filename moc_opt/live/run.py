@@ -131,7 +131,7 @@ class LiveRun:
         self._lock, self._building = Lock(), Lock()  # of the history, and of whoever builds a controller
         # Solvers may be built, with CasADi functions of the arm, while the loop uses its own model.
         self._workshop = RobotModel(self.robot.data)
-        self._rows: deque[list[float]] = deque(maxlen=round(HISTORY_S / self.period_s))
+        self._rows: deque[tuple[Any, ...]] = deque(maxlen=round(HISTORY_S / self.period_s))
         self._truth = np.empty(2 * self.robot.n + 9)
         solver = scenario.solver.name if scenario.control.law == "moc" else DCAC
         first = Choice(self._build(scenario.control, solver), solver)
@@ -141,13 +141,10 @@ class LiveRun:
 
     # --- what may be called from anywhere ---
 
-    @property
-    def chosen(self) -> Choice:
-        """What was asked for last: the choice that waits, or else the one in use."""
-        return self._in_use.next or self._in_use.used
-
-    control = property(lambda self: self.chosen.controller.settings, doc="The settings that were asked for last.")
-    solver = property(lambda self: self.chosen.solver, doc="The solver, or `DCAC`, that was asked for last.")
+    # What was asked for last: of the choice that waits, or else of the one in use.
+    _chosen = property(lambda self: self._in_use.next or self._in_use.used)
+    control = property(lambda self: self._chosen.controller.settings, doc="The settings of the control law.")
+    solver = property(lambda self: self._chosen.solver, doc="The solver, or `DCAC`.")
 
     @property
     def gains(self) -> Gains:
@@ -221,11 +218,13 @@ class LiveRun:
         state, controller = self._in_use.state, self._in_use.used.controller
         tip, wrist, force = self._truth[2 * self.robot.n :].reshape(3, 3)
         if self._loop.ticks % _BOUND_EVERY_TICKS == 1:
-            self._bound = self._largest_mu(state.q)
+            try:
+                self._bound = self_motion(self.robot, np.clip(state.q, self.robot.q_min, self.robot.q_max), 0.1).mu_best
+            except RobotError:
+                self._bound = float("nan")  # a singular pose: no single curve leads through it
         errors = np.linalg.norm(tip - tip_ref[0]), shaft_distance(tip, wrist, trocar[0]), np.linalg.norm(force)
-        row = (t, state.mu, self._bound, *errors, controller.solve_us, self._loop.tick_us)
         with self._lock:
-            self._rows.append([float(value) for value in row])
+            self._rows.append((t, state.mu, self._bound, *errors, controller.solve_us, self._loop.tick_us))
         self._show(t, state, trocar[0])
         self._move_trocars()
         if self._loop.finished:
@@ -242,12 +241,6 @@ class LiveRun:
         moved = np.array([self._offset, shift / self.period_s])
         self._now = tuple(trocar.rows(self._t) + moved for trocar in (self._setup.trocar, self._setup.registered))
         self._offset = self._offset + shift
-
-    def _largest_mu(self, q: Array) -> float:
-        try:
-            return self_motion(self.robot, np.clip(q, self.robot.q_min, self.robot.q_max), 0.1).mu_best
-        except RobotError:
-            return float("nan")  # a singular pose: no single curve leads through it
 
     def _show(self, t: float, state: RobotState, trocar: Array) -> None:
         used = self._in_use.used
