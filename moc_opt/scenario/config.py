@@ -223,10 +223,6 @@ class Scenario(Settings):
 
         Raises:
             ScenarioError, UnknownNameError: as for the constructor.
-
-        Example:
-            >>> mo.Scenario(seed=3).change(duration_s=1.0, plant={"friction": 0.0})
-            Scenario(seed=3, plant={'friction': 0.0}, duration_s=1.0)
         """
         for name, new in tables.items():
             old = getattr(self, name, None)

@@ -44,11 +44,6 @@ def plan(
 
     Raises:
         MocOptError: the scenario's start, path or trocar is not usable, or an argument is out of range.
-
-    Example:
-        >>> plan = mo.plan(mo.Scenario(duration_s=1.0), times=20, refined=False)
-        >>> plan.blocked is None, abs(plan.best_swivel_rad) < 0.2
-        (True, True)
     """
     scenario = Scenario.given(scenario)
     if times is not None and (not isinstance(times, numbers.Integral) or not 2 <= times <= 100_000):

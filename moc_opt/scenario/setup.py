@@ -45,7 +45,7 @@ from moc_opt.trace.trace import Trace
 
 
 def check_solver(given: object) -> None:
-    """Refuse what is no solver: a name, a class that has not been called, any other object; a SolverError says so."""
+    """Refuse what is no solver by a SolverError: a name, a class that has not been called, any other object."""
     if isinstance(given, type):
         raise SolverError(f"{shown(given)} is a class, no solver: call it, as in {given.__name__}()")
     if not isinstance(given, Solver):
@@ -100,9 +100,7 @@ def recorded_times(scenario: Scenario) -> list[float] | None:
 
 
 class Setup:
-    """Objects built from a validated scenario: robot, plant, references; ``trace()`` runs it.
-
-    Everything is built and checked before anything moves.
+    """Objects built from a validated scenario, checked before anything moves; ``trace()`` runs it.
 
     Args:
         solver: asked in place of the one that the scenario names, which stays in the trace's `meta`.
@@ -310,10 +308,5 @@ def run(
 
     Raises:
         MocOptError: the scenario is not usable (raised before the run), or the arm ran away.
-
-    Example:
-        >>> trace = mo.run(mo.Scenario(duration_s=0.1, bound_samples=0), solver=mo.solvers.create("exact"))
-        >>> trace.x_rad_per_s.shape, bool((trace.status == "solved").all())
-        ((50, 7), True)
     """
     return Setup(Scenario.given(scenario), solver).trace(watch, to)

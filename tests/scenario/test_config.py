@@ -9,7 +9,6 @@ import pytest
 
 from moc_opt.control import ControlSettings
 from moc_opt.errors import MocOptError, ScenarioError, UnknownNameError
-from moc_opt.planning.self_motion import self_motion
 from moc_opt.robots import loader
 from moc_opt.scenario import Scenario, Setup, run
 from moc_opt.scenario.derived import largest_mu
@@ -92,18 +91,6 @@ def test_the_trace_remembers_its_scenario():
     assert (trace.meta["deadline_us"], trace.meta["robot"]) == (1500.0, "lwr4")
     bias = Setup(scenario).plant.mismatch.encoder_bias
     np.testing.assert_array_equal(trace.meta["start_q_rad"] - bias, trace.q_rad[0])
-
-
-@pytest.mark.parametrize(
-    ("text", "wanted"),
-    [
-        ("", Scenario()), ('[plant]\npreset = "realistic"\n', Scenario()),
-        ('[plant]\npreset = "nominal"\ndelay_ticks = 3\n', Scenario(plant=PlantSettings.nominal(delay_ticks=3))),
-        ('[control]\npreset = "paper"\nlaw = "dcac"\n', Scenario(control=ControlSettings.paper(law="dcac"))),
-    ],
-)  # fmt: skip
-def test_presets_in_a_file(tmp_path, text, wanted):
-    assert Scenario.load(written(tmp_path, text)) == wanted
 
 
 @pytest.mark.parametrize(
@@ -259,26 +246,6 @@ def test_same_seed_same_trace_to_the_bit(law):
         assert set(again.columns) == set(first.columns)
         for name in set(first.columns) - CLOCK:
             np.testing.assert_array_equal(again.columns[name], first.columns[name], err_msg=name)
-
-
-# --- end to end ---
-
-
-def test_moc_raises_the_manipulability_and_the_tip_follows(robot):
-    """Both laws from the same poor swivel, in the plant that equals the model, with matched gains."""
-    base = Scenario(duration_s=3.0, start={"swivel": 0.15}, plant={"preset": "nominal"}, bound_samples=9)
-    moc, dcac = (run(base.change(control={"law": law})) for law in ("moc", "dcac"))
-    best = self_motion(robot, moc.q_rad[0]).mu_best
-    assert moc.mu[0] == dcac.mu[0] < 0.7 * best
-    assert moc.mu[-1] > 0.95 * best
-    assert abs(dcac.mu[-1] / dcac.mu[0] - 1.0) < 0.03
-    numbers = summarize(moc, dcac)
-    assert numbers["mu_gain_percent"] > 20.0
-    assert numbers["verified_solved"] == numbers["claimed_solved"] == len(moc)
-    assert numbers["silently_wrong"] == 0.0
-    settled = moc.t_s > 2.2  # before, the elbow swings over at half its joints' speed
-    assert moc.tip_error_m[settled].max() < 2e-4
-    assert moc.rcm_error_m[settled].max() < 2e-3
 
 
 def test_a_robots_file_is_found_from_the_scenarios_folder(tmp_path, monkeypatch):

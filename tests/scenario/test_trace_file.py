@@ -26,16 +26,27 @@ def whole():
     return Setup(Scenario(**SHORT)).trace()
 
 
+@pytest.mark.parametrize("place", ["watch", "controller"])
 @pytest.mark.parametrize("error", [KeyboardInterrupt(), ValueError("a defect")])
-def test_whatever_ends_a_run_leaves_its_rows(whole, error, tmp_path):
-    ticks = 57
+def test_whatever_ends_a_run_leaves_its_rows(whole, error, place, tmp_path, monkeypatch):
+    """A defect of the controller, too: only what its own solver raises is caught."""
+    ticks, calls, setup = 57, iter(range(10**6)), Setup(Scenario(**SHORT))
+    controller = setup.controller()
 
-    def watch(tick):
-        if tick == ticks:
-            raise error
+    def failing(sound):
+        def call(*given):
+            if next(calls) == ticks:
+                raise error
+            return sound(*given)
 
+        return call
+
+    if place == "controller":
+        monkeypatch.setattr(controller, "tick", failing(controller.tick))
+        monkeypatch.setattr(setup, "controller", lambda: controller)
     with pytest.raises(type(error)) as caught:
-        Setup(Scenario(**SHORT)).trace(watch, tmp_path / "t.parquet")
+        setup.trace(failing(lambda tick: None) if place == "watch" else None, tmp_path / "t.parquet")
+    assert caught.value is error
     assert any("first 0.114 s" in note and "t.parquet" in note for note in caught.value.__notes__)
     found = Trace.load(tmp_path / "t.parquet")
     assert type(error).__name__ in found.meta["ended"]
@@ -154,22 +165,3 @@ def test_the_control_end_of_a_wire_builds_no_plant(monkeypatch):
     refs = alone.reference.rows(0.0), alone.registered.rows(0.0)
     controller.start(alone.q_start, rest, *refs)
     assert np.isfinite(controller.tick(alone.q_start, rest, *refs)).all()
-
-
-@pytest.mark.parametrize("error", [RuntimeError("lost"), KeyboardInterrupt()])
-def test_an_error_of_a_tick_that_is_not_the_controllers_own_ends_the_run(error, monkeypatch):
-    setup, ticks = Setup(RUN), []
-    controller = setup.controller()
-    sound = controller.tick
-
-    def failing(*given):
-        if len(ticks) == 7:
-            raise error
-        return sound(*given)
-
-    monkeypatch.setattr(controller, "tick", failing)
-    monkeypatch.setattr(setup, "controller", lambda: controller)
-    with pytest.raises(type(error)) as caught:
-        setup.trace(ticks.append)
-    assert caught.value is error
-    assert ticks == list(range(7))
