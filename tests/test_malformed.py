@@ -305,9 +305,6 @@ class NoTime:
 
     late_us, overruns = 0.0, 0
 
-    def start(self):
-        pass
-
     def wait_for(self, tick):
         return 0.0
 

@@ -24,12 +24,13 @@ class WallClock:
         self._period, self._begin = period_s, 0.0
         self.late_us, self.overruns = 0.0, 0
 
-    def start(self) -> None:
-        """Let tick 0 begin one period from now."""
-        self._begin = monotonic() + self._period
-
     def wait_for(self, tick: int) -> float:
-        """Sleep until a tick begins; return the time at which its command must be there (of ``time.monotonic``) [s]."""
+        """Sleep until a tick begins; return the time at which its command must be there (of ``time.monotonic``) [s].
+
+        Tick 0 begins one period after it has been asked for.
+        """
+        if tick == 0:
+            self._begin = monotonic() + self._period
         due = self._begin + tick * self._period
         left = due - monotonic()
         if left > 0.0:

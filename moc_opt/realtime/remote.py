@@ -84,8 +84,6 @@ class RemoteController(Filtered):
                 "start `moc-opt control` on the same scenario with the same key, or raise [wire] wait_s"
             )
         link.peer, link.session = link.sender, int(packet["session"])
-        if self.clock is not None:
-            self.clock.start()
 
     def pace(self, tick: int) -> None:
         """Wait until a tick begins."""

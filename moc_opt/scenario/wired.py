@@ -21,7 +21,6 @@ from moc_opt.robots.model import RobotModel, carried
 from moc_opt.scenario.config import Scenario
 from moc_opt.scenario.setup import Setup, make_safety_filter
 from moc_opt.sim.protocols import LoggedController
-from moc_opt.sim.record import RunAway
 from moc_opt.trace.trace import Trace
 
 SLOWEST_S, FASTEST_S = 0.004, 0.001
@@ -85,20 +84,12 @@ class PlantServer(Setup):
         """Return the controller at the other end."""
         return self._remote  # type: ignore[return-value]
 
-    def _simulate(self, *given: Any, **named: Any) -> Trace:
-        try:
-            return self._with_counts(super()._simulate(*given, **named))
-        except RunAway as error:
-            error.trace = self._with_counts(error.trace)
-            raise
-        finally:  # judging may take longer than a controller waits
-            self._remote.close()
-            if self.system:
-                give_back_realtime()
-
-    def _with_counts(self, found: Trace) -> Trace:
-        counts = self._remote.close()
-        return found.with_meta(**self._remote.told, wire=counts | ({"system": self.system} if self.system else {}))
+    def _judged(self, found: Trace) -> Trace:
+        counts: dict[str, Any] = self._remote.close()  # judging may take longer than a controller waits
+        if self.system:
+            give_back_realtime()
+            counts = counts | {"system": self.system}
+        return super()._judged(found.with_meta(**self._remote.told, wire=counts))
 
     def trace(self, watch: Callable[[int], None] | None = None, to: str | os.PathLike[str] | None = None) -> Trace:
         """Wait for the controller, run, and return the trace; ``meta["wire"]`` has the counts of this end.
@@ -120,7 +111,7 @@ def answer(
         scenario: the plant's; control, solver and guard are this end's own.
         connect: "HOST:PORT" of the plant.
         key_file: has the key; see `read_key`.
-        ready: called once when the plant has been found and the controller has started.
+        ready: called once, when the plant has been found and the controller has started.
 
     Raises:
         MocOptError: as for `Setup`; or no plant answers there, or it runs another scenario.

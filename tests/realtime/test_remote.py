@@ -24,9 +24,6 @@ class NoTime:
 
     late_us, overruns = 0.0, 0
 
-    def start(self) -> None:
-        pass
-
     def wait_for(self, tick: int) -> float:
         return 0.0
 
