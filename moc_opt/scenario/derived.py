@@ -77,8 +77,7 @@ def residual_columns(columns: Columns) -> dict[str, NDArray[Any]]:
 def largest_mu(poses: Array, robot: RobotModel, samples: int) -> tuple[Array, dict[str, str]]:
     """Compute the largest mu at so many evenly spaced ticks over every feasible pose with the same tip and wrist.
 
-    Returns it (N,), NaN between those ticks and where the pose (N, n) is no number, and the entry of a trace's meta
-    that says how it was found, none where nothing was.
+    Returns it (N,), NaN elsewhere and where the pose (N, n) is no number, and meta's entry that says how it was found.
     """
     bound = np.full(len(poses), np.nan)
     ticks = np.linspace(0, len(poses) - 1, min(samples, len(poses))).astype(int)
@@ -124,8 +123,8 @@ def _planned(path: str) -> BestCourses:
 def against_best(scenario: Scenario, trace: Trace) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
     """Return the columns of the best courses, and meta's entry ``best_courses``.
 
-    Its ``absent`` says why there is none; its ``end`` has the maximum of mu [m^3] that a climb reaches from the run's
-    last pose, the course's last mu, and the swivels of both [deg].
+    Its ``absent`` says why there is none; its ``end`` has the largest mu [m^3] that a climb reaches from the run's last
+    pose, the course's last mu, and the swivels of both [deg].
     """
     try:
         known = best_courses(scenario)

@@ -46,7 +46,6 @@ def lay_out(scenario: Scenario, robot: RobotModel) -> Layout:
         ScenarioError: the start is outside the limits or singular, no random start can do the task, the trocar is not
             on the tool, or the run would be too long.
         UnreachableError: the arm cannot do the task from there.
-        TaskError: there is no such path.
     """
     start = scenario.start
     rng = np.random.default_rng(seeds_of(scenario)[0])
@@ -101,9 +100,6 @@ def _task(scenario: Scenario, robot: RobotModel, q: Array) -> Layout:
 
 
 def described(scenario: Scenario, robot: RobotModel) -> dict[str, Any]:
-    """Describe scenario and arm for the `meta` of a trace; an arm that is not of the package goes with it whole.
-
-    Its files may not be where the trace is looked at.
-    """
+    """Describe scenario and arm for a trace's `meta`, an arm that is not of the package with all of its data."""
     found = {"scenario": scenario.model_dump(mode="json"), "robot": robot.data.name}
     return found if scenario.robot.name in available_robots() else {**found, "robot_data": carried(robot)}

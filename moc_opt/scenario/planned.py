@@ -56,11 +56,7 @@ def plan(
 
 
 def layout_of(scenario: Scenario, robot: RobotModel) -> Layout:
-    """Lay a scenario's task out as its run does, whether or not the arm can follow the path from there.
-
-    Raises:
-        MocOptError: the scenario's start, path or trocar is not usable.
-    """
+    """Lay a scenario's task out as its run does, whether or not the arm can follow the path; a MocOptError as there."""
     unchecked = scenario if scenario.start.pose == "random" else scenario.change(start={"check_path": False})
     return lay_out(unchecked, robot)
 
@@ -68,12 +64,9 @@ def layout_of(scenario: Scenario, robot: RobotModel) -> Layout:
 def targets_of(
     robot: RobotModel, layout: Layout, times: int | None = None, *, period_s: float = PERIOD_S, finer: int = 1
 ) -> Targets:
-    """Return the targets of tip and wrist on the path, from the first tick to the last.
+    """Return so many evenly spaced targets of tip and wrist on the path, from the first tick to the last.
 
-    Args:
-        times: so many evenly spaced ones; None: one each ``period_s`` at most, as long as there are no more than
-            `MOST_TIMES` of them.
-        finer: so many times as many.
+    Without ``times`` there is one each ``period_s`` at most, `MOST_TIMES` in all, and ``finer`` times as many.
     """
     spaces = int(np.clip(np.ceil(layout.duration_s / period_s), 1, MOST_TIMES - 1))
     span, length = robot.state(layout.q).tool_span, robot.data.tool_length
@@ -90,15 +83,11 @@ def followable_plan(
 ) -> tuple[Plan, dict[str, float]]:
     """Plan within what a third level keeps to that follows a course, or within the arm's own limits.
 
-    Where the path cannot be executed with that third level's margins, it is planned without.
+    Where the path cannot be executed with that third level's margins, it is planned without. Returns the limits too.
 
     Args:
-        scenario: of the run.
         margin_rad, margin_m, speed_share: in place of these, where given; a margin alone leaves the other at zero.
         followed: whether the course is to be followed; None: if the scenario's third level follows one.
-
-    Raises:
-        MocOptError: as of `plan`.
     """
     settings = scenario.control
     follows = settings.follows if followed is None else followed
@@ -139,10 +128,7 @@ def save_course(
 
     Columns: t_s (k,) [s], q_rad (k,n), mu (k,) [m^3], swivel_rad (k,), tip_m, tip_ref_m and wrist_m (k,3).
 
-    Args:
-        found: the plan of the scenario.
-        to: the file.
-        within: limits that it was planned for, by the names of `plan`'s arguments, where there are any.
+    ``within`` has limits that it was planned for, by the names of `plan`'s arguments.
 
     Raises:
         ScenarioError: there is none, neither from the start nor from elsewhere.

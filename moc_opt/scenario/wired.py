@@ -30,7 +30,7 @@ SLOWEST_S, FASTEST_S = 0.004, 0.001
 def fingerprint(scenario: Scenario, robot: RobotModel) -> int:
     """Return a number of 63 bits that differs where plant and controller would not mean the same run.
 
-    Of the arm (``scenario``'s, as loaded) everything counts but its gains, which are the controller's own.
+    Of the arm everything counts but its gains, which are the controller's own.
     """
     whole = scenario.model_dump(mode="json", include={"robot", "start", "trocar", "task", "seed", "duration_s"})
     del whole["robot"]["name"]  # its file may lie in another folder there
@@ -43,13 +43,13 @@ class PlantServer(Setup):
     """The plant of a scenario, for a controller at the other end of a wire.
 
     Args:
-        listen: "HOST:PORT"; port 0 is any free one, see ``address``.
+        listen: "HOST:PORT"; port 0 is any free one.
         key_file: has the key; see `read_key`.
         lock_step: wait for each command instead of keeping the time.
 
     Attributes:
         address: where the plant listens.
-        system: goes into the trace's ``meta["wire"]``, if not empty: what this process was granted.
+        system: what this process was granted; goes into the trace's ``meta["wire"]``.
 
     Raises:
         MocOptError: as for `Setup`; an address that cannot be taken, or one that needs a key.
