@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import socket
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,15 +19,8 @@ from moc_opt.sim.sensors import Measurement
 KEY = b"k" * 16
 SETTINGS = WireSettings(hold_ticks=2, damp_ticks=3, wait_s=0.1)
 NOTHING = np.zeros((3, 3)), np.zeros((2, 3))
-
-
-class NoTime:
-    """A clock whose ticks are over as soon as they begin: only what has arrived already counts."""
-
-    late_us, overruns = 0.0, 0
-
-    def wait_for(self, tick: int) -> float:
-        return 0.0
+NO_TIME: Any = SimpleNamespace(late_us=0.0, overruns=0, wait_for=lambda tick: 0.0)
+"""A clock whose ticks are over as soon as they begin: only what has arrived already counts."""
 
 
 class Peer:
@@ -39,7 +34,7 @@ class Peer:
         self.hold = robot.gravity(robot.data.q_home)
         self.plant = RemoteController(
             self.link, SETTINGS, guard, lambda ticks: {"solve_us": np.full(ticks, np.nan)}, self.hold, robot.tau_max, 9,
-            NoTime(),
+            NO_TIME,
         )  # fmt: skip
         self.columns = self.plant.columns(50)
         self.session = int(self.plant._packet["session"])

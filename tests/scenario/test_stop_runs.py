@@ -91,9 +91,8 @@ def test_the_arm_gives_way_to_a_trocar_that_presses(seed, slip_m):
     assert after(held)[2] > 1.5 * last  # brakes that stay closed keep the force up
 
 
-@pytest.fixture
-def is_open(robot):
-    """Whether the brakes of an arm at rest are open, in each of so many ticks in which its trocar presses so hard."""
+def test_brakes_are_open_while_the_trocar_presses_and_then_only_when_it_presses_harder(robot):
+    """A load that does not go away is held after stop_yield_s; tissue that moves on opens them once more."""
     guard = SafetyFilter(robot, SafetyFilterSettings(), 0.002, momentum=False)
     q = np.array(robot.data.q_home)
     guard.start(q, np.zeros(7))
@@ -104,32 +103,21 @@ def is_open(robot):
     free = np.concatenate([weight, [-0.5 * length * weight[1], 0.5 * length * weight[0], 0.0]])
     guard.check_measurement(q, np.zeros(7), trocar=trocar, wrench=free)
 
-    def during(force, ticks):
+    def is_open(force, ticks):
         reading = free + np.array([force, 0.0, 0.0, 0.0, force * (length - 0.15), 0.0])
         frictions = [guard.brake_friction(reading) for _ in range(ticks)]
         for friction in frictions:
             np.testing.assert_allclose(friction, 0.25 * robot.tau_max if friction.any() else 0.0)
         return [not friction.any() for friction in frictions]
 
-    return during
-
-
-def test_brakes_are_open_only_while_the_trocar_presses(is_open):
-    """And never where the sensor says nothing."""
-    for force, closed in ((0.0, True), (7.0, True), (20.0, False), (6.0, False), (3.0, True), (np.nan, True)):
-        assert is_open(force, 100)[-1] != closed, force
-
-
-def test_brakes_that_have_been_open_for_long_enough_close_until_the_force_rises_again(is_open):
-    """A load that does not go away is held after stop_yield_s; tissue that moves on finds the brakes open once more."""
+    # Never where the sensor says nothing.
+    for force, last in ((0.0, False), (7.0, False), (20.0, True), (6.0, True), (3.0, False), (np.nan, False)):
+        assert is_open(force, 100)[-1] == last, force
     most = round(SafetyFilterSettings().stop_yield_s / 0.002)
-    first = is_open(20.0, 1000)
-    assert sum(first) == most
-    assert not any(first[-500:])
-    assert not any(is_open(26.0, 1000))  # 6 N more: held as well
-    assert sum(is_open(40.0, 1000)) == most
-    assert not any(is_open(0.0, 1000))
-    assert sum(is_open(20.0, 1000)) == most  # what it was once closed on is forgotten where it has fallen
+    # 6 N more than what they were closed on are held, too; where the force has fallen, that is forgotten.
+    for force, ticks in ((0.0, 0), (20.0, most), (26.0, 0), (40.0, most), (0.0, 0), (20.0, most)):
+        found = is_open(force, 1000)
+        assert (sum(found), any(found[-500:])) == (ticks, False), force
 
 
 @pytest.mark.parametrize(("robot_name", "seed"), [("gen3", 70), ("gen3", 71), ("panda", 72), ("lwr4_rail", 70)])
