@@ -33,26 +33,22 @@ class Arm:
         """Number of joints."""
         return len(self.axes)
 
-    def jacobians(self, q: Array) -> tuple[Array, Array]:
-        """Return J_tip and J_wrist, (3, n) each [m/rad]."""
+    def terms(self, q: Array) -> tuple[Array, Array, Array]:
+        """Return J_tip and J_wrist, (3, n) each [m/rad], and the gradient (n,) of mu = sqrt(det(J_tip J_tip^T)).
+
+        It is mu tr(J^+ dJ/dq_i), where joint i turns the columns of the joints after it.
+        """
         R, t = np.eye(3), np.zeros(3)
         axes, points = np.empty_like(self.axes), np.empty_like(self.points)
         for i, (axis, point) in enumerate(zip(self.axes, self.points, strict=True)):
             axes[i], points[i] = R @ axis, R @ point + t
             turn = rotation(axis, float(q[i]))
             R, t = R @ turn, R @ (point - turn @ point) + t
-        tip, wrist = R @ self.tip + t, R @ self.wrist + t
-        return np.cross(axes, tip - points).T, np.cross(axes, wrist - points).T
-
-    def mu(self, q: Array) -> float:
-        """Return the manipulability sqrt(det(J_T J_T^T))."""
-        J = self.jacobians(q)[0]
-        return float(np.sqrt(max(np.linalg.det(J @ J.T), 0.0)))
-
-    def grad_mu(self, q: Array, step: float = 1e-5) -> Array:
-        """Return the gradient of mu, (n,), by central differences."""
-        steps = step * np.eye(self.n)
-        return np.array([self.mu(q + d) - self.mu(q - d) for d in steps]) / (2.0 * step)
+        J_tip, J_wrist = (np.cross(axes, R @ place + t - points).T for place in (self.tip, self.wrist))
+        i, j = np.indices((self.n, self.n))
+        turned = np.cross(axes[np.minimum(i, j)], J_tip.T[np.maximum(i, j)])  # dJ_j/dq_i
+        mu = np.sqrt(max(np.linalg.det(J_tip @ J_tip.T), 0.0))
+        return J_tip, J_wrist, mu * np.einsum("jk,ijk->i", np.linalg.pinv(J_tip), turned)
 
     def kinematics(self) -> Kinematics:
         """Return the same arm as CasADi functions, for NLP solvers: every frame parallel to the world's at q = 0."""
@@ -91,9 +87,9 @@ def random_arm(rng: np.random.Generator, n: int = 7, structured: bool = True) ->
 
 def problem_of(arm: Arm, q: Array, x_inside: Array, lower: Array, upper: Array, **weights: float) -> NullSpaceQP:
     """Return the subproblem of ``arm`` at q whose references are met by ``x_inside``."""
-    J_tip, J_wrist = arm.jacobians(q)
+    J_tip, J_wrist, grad_mu = arm.terms(q)
     return NullSpaceQP(
-        J_tip, J_wrist, J_tip @ x_inside, J_wrist @ x_inside, arm.grad_mu(q), lower=lower, upper=upper, q=q, **weights
+        J_tip, J_wrist, J_tip @ x_inside, J_wrist @ x_inside, grad_mu, lower=lower, upper=upper, q=q, **weights
     )
 
 
@@ -103,15 +99,15 @@ def random_box(rng: np.random.Generator, n: int) -> tuple[Array, Array]:
 
 
 def smooth_sequence(
-    rng: np.random.Generator, count: int, *, period: float = 0.002, arm: Arm | None = None, **weights: float
+    rng: np.random.Generator, count: int, *, arm: Arm | None = None, **weights: float
 ) -> list[NullSpaceQP]:
-    """Make ``count`` subproblems of one arm along a smooth motion, ``period`` [s] apart."""
+    """Make ``count`` subproblems of one arm along a smooth motion, 2 ms apart."""
     arm = random_arm(rng) if arm is None else arm
     lower, upper = random_box(rng, arm.n)
     start, phase = rng.uniform(-1.5, 1.5, arm.n), rng.uniform(0.0, 2.0 * np.pi, arm.n)
     swing = 0.4 * np.minimum(-lower, upper)
     problems = []
-    for t in period * np.arange(count):
+    for t in 0.002 * np.arange(count):
         angle = phase + 2.0 * np.pi * 0.5 * t
         q = start + swing / np.pi * np.sin(angle)
         problems.append(problem_of(arm, q, swing * np.cos(angle), lower, upper, **weights))
@@ -129,16 +125,14 @@ def changed(qp: NullSpaceQP, **parts: Any) -> NullSpaceQP:
 
 
 def random_problem(
-    rng: np.random.Generator, n: int = 7, *, arm: Arm | None = None, structured: bool = True, feasible: bool = True,
-    **weights: float,
-) -> NullSpaceQP:  # fmt: skip
+    rng: np.random.Generator, n: int = 7, *, arm: Arm | None = None, structured: bool = True, **weights: float
+) -> NullSpaceQP:
     """One subproblem of a random arm (or of ``arm``) at a random pose; weights: c0, c1, c2, regularization."""
     arm = random_arm(rng, n, structured) if arm is None else arm
     q = rng.uniform(-1.5, 1.5, arm.n)
     lower, upper = random_box(rng, arm.n)
     middle, half = 0.5 * (lower + upper), 0.5 * (upper - lower)
-    qp = problem_of(arm, q, middle + 0.6 * half * rng.uniform(-1.0, 1.0, arm.n), lower, upper, **weights)
-    return qp if feasible else out_of_reach(rng, qp)
+    return problem_of(arm, q, middle + 0.6 * half * rng.uniform(-1.0, 1.0, arm.n), lower, upper, **weights)
 
 
 def unstructured_problems(n: int, count: int, rng: np.random.Generator) -> list[NullSpaceQP]:
@@ -174,4 +168,4 @@ def on_rows(qp: NullSpaceQP, x: Array) -> Array:
 
 def infeasible_problem(rng: np.random.Generator, n: int = 7, **options: Any) -> NullSpaceQP:
     """One subproblem that has no feasible velocity."""
-    return random_problem(rng, n, feasible=False, **options)
+    return out_of_reach(rng, random_problem(rng, n, **options))

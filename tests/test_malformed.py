@@ -35,6 +35,7 @@ from moc_opt.solvers.base import Status
 from moc_opt.tasks import Waypoints
 from moc_opt.trace.metrics import summarize
 from tests.odd_inputs import edited, ends_well, junk, many, names, numbers, texts
+from tests.problems import PARTS
 
 FOLDER = Path(loader.__file__).parent
 ARM_URDF = (FOLDER / "lwr4.urdf").read_bytes()
@@ -237,9 +238,6 @@ def test_a_name_is_no_place_to_write(name, code, tmp_path, monkeypatch, capsys):
 
 # --- subproblems ---
 
-QP_FIELDS = (
-    "J_tip", "J_wrist", "v_tip", "v_wrist", "grad_mu", "lower", "upper", "c0", "c1", "c2", "regularization", "q",
-)  # fmt: skip
 odd_arrays = arrays(np.float64, array_shapes(max_dims=3, max_side=8), elements=st.floats())
 HOW = {
     "scale": lambda value, number: value * number, "zero": lambda value, number: np.zeros_like(value),
@@ -251,7 +249,7 @@ HOW = {
 @many()
 @given(
     st.sampled_from([7, 7, 6, 3, 1]), st.integers(0, 2**32 - 1),
-    st.dictionaries(st.sampled_from(QP_FIELDS), st.sampled_from(sorted(HOW)) | numbers | junk | odd_arrays, max_size=3),
+    st.dictionaries(st.sampled_from(PARTS), st.sampled_from(sorted(HOW)) | numbers | junk | odd_arrays, max_size=3),
     numbers | st.sampled_from([1e-12, 1e12, 1e200]),
 )  # fmt: skip
 @example(7, 0, {}, 0)

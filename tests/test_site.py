@@ -14,11 +14,12 @@ DOCS = ROOT / "docs"
 EXAMPLES = sorted((ROOT / "examples" / "gallery").glob("*.py"))
 
 
-def test_every_page_is_reached():
+def test_every_page_is_reached_and_there_are_examples():
     listed = set()
     for page in DOCS.glob("*.md"):
         for tree in re.findall(r"```\{toctree\}\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL):
             listed |= {line.strip() for line in tree.splitlines() if line.strip() and not line.startswith(":")}
+    assert len(EXAMPLES) >= 10
     assert {page.stem for page in DOCS.glob("*.md")} - {"index"} == listed - {"gallery/index"}
 
 
@@ -41,10 +42,6 @@ def test_a_link_that_leads_nowhere_is_found(tmp_path, monkeypatch):
     (tmp_path / "a.html").write_text(text, encoding="utf-8")
     (tmp_path / "b.html").write_text('<p id="there"></p><img src="a.html">', encoding="utf-8")
     assert links.broken(tmp_path) == [("a.html", link) for link in sorted(wrong)]
-
-
-def test_there_are_examples():
-    assert len(EXAMPLES) >= 10
 
 
 def test_a_figure_of_the_gallery_is_drawn(chromium, tmp_path, monkeypatch):

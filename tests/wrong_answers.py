@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from moc_opt.qp.problem import NullSpaceQP
-from tests.problems import random_problem
+from tests import problems
 
 Array = NDArray[np.float64]
 
@@ -79,11 +79,8 @@ def changed(qp: NullSpaceQP, x: Array, tilt: float, size: float, regularization:
     if tilt < 1.0:
         g = across / np.linalg.norm(across) + tilt * along / np.linalg.norm(along)
     pull = qp.c2 * np.linalg.norm(Z.T @ g)
-    made = NullSpaceQP(
-        qp.J_tip, qp.J_wrist, size * qp.v_tip, size * qp.v_wrist, g, size * qp.lower, size * qp.upper,
-        regularization=regularization * pull / size,
-    )  # fmt: skip
-    return made, size * x
+    parts = {name: size * getattr(qp, name) for name in ("v_tip", "v_wrist", "lower", "upper")}
+    return problems.changed(qp, **parts, grad_mu=g, regularization=regularization * pull / size), size * x
 
 
 def wrong_corners(
@@ -94,7 +91,7 @@ def wrong_corners(
     rng = np.random.default_rng(seed)
     found = []
     for _ in range(count):
-        qp = random_problem(rng, n, structured=False)
+        qp = problems.random_problem(rng, n, structured=False)
         x = np.linalg.lstsq(qp.A, qp.b, rcond=1e-9)[0]
         qp, x = changed(qp, x, tilt, size, regularization)
         points = corners(qp, x)

@@ -1,7 +1,5 @@
 """The safety filter in whole runs: what it stops, how soon and at which cost; what it must leave alone."""
 
-import json
-
 import numpy as np
 import pytest
 
@@ -89,6 +87,11 @@ STOPPED = {
         {"faults": {"frozen_at_s": 1.4, "frozen_joint": 3, **COARSE}, "seed": 11, "plant": QUANTIZED},
         1.4, 0.3, 0.1, 25.0, "",
     ),
+    "one-frozen-without-noise": (  # by its momentum, or by the trocar's force after tens of millimetres
+        {"faults": {"frozen_at_s": 1.2, "frozen_joint": 1, "frozen_velocity": "zero"}, "duration_s": 4.0,
+         "plant": {"encoder_noise_rad": 0.0}},
+        1.2, 1.5, 0.1, 32.0, "",
+    ),
 }  # fmt: skip
 
 
@@ -160,12 +163,6 @@ def test_one_stuck_encoder_is_found_by_its_noise_at_the_latest(joint, seed):
     }  # fmt: skip
     ticks = Scenario(**scenario).told_guard.repeat_joint_ticks
     stopped(at, PERIOD * (ticks + 2) + 1e-9, 0.045, 25.0, **scenario)
-
-
-def test_a_stuck_encoder_without_noise_is_found_by_its_momentum_or_felt():
-    """At the latest the trocar's force stops it: not before tens of millimetres."""
-    faults = {"frozen_at_s": 1.2, "frozen_joint": 1, "frozen_velocity": "zero"}
-    stopped(1.2, 1.5, 0.1, 32.0, faults=faults, plant={"encoder_noise_rad": 0.0}, duration_s=4.0)
 
 
 @pytest.mark.parametrize(("robot", "joint"), [("lwr4", 1), ("gen3", 2)])
@@ -437,23 +434,10 @@ def test_a_controller_that_breaks_down_stops_the_arm(robot, how):
     assert np.abs(trace.v_rad_per_s[-1]).max() < 0.02
 
 
-@pytest.mark.parametrize(
-    ("ended", "rest"),
-    [
-        ("stopped: measurements not believed", 'control.law = "dcac"\nfaults = {nan_at_s = 0.1, nan_ticks = 9999}\n'),
-        ("ran away", "plant = {trocar_stiffness_N_per_m = 1e6, trocar_damping_Ns_per_m = 1e4}\n"),
-    ],
-)
-def test_the_command_line_says_how_a_run_ended_and_keeps_its_trace(tmp_path, capsys, ended, rest):
+def test_the_command_line_says_that_an_arm_ran_away_and_keeps_its_trace(tmp_path, capsys):
     file, out = tmp_path / "s.toml", tmp_path / "t.parquet"
-    file.write_text(f"duration_s = 1.2\nbound_samples = 0\njudge = false\n{rest}", encoding="utf-8")
+    stiff = "plant = {trocar_stiffness_N_per_m = 1e6, trocar_damping_Ns_per_m = 1e4}\n"
+    file.write_text(f"duration_s = 1.2\nbound_samples = 0\njudge = false\n{stiff}", encoding="utf-8")
     assert main(["run", str(file), "--trace", str(out)]) == 3  # the input is as it should be: the arm is not
-    assert f"s: {ended}" in capsys.readouterr().err, "a run without a name has its file's"
-    assert Trace.load(out).meta["ended"].startswith(ended)
-    assert main(["run", str(file), "--json"]) == 3
-    said = capsys.readouterr().out
-    if ended.startswith("stopped"):
-        found = json.loads(said)
-        assert found["ended"].startswith(ended)
-        assert found["completed"] == 0.0
-        assert found["share_of_run"] == pytest.approx(len(Trace.load(out)) / 600)
+    assert "s: ran away" in capsys.readouterr().err, "a run without a name has its file's"
+    assert Trace.load(out).meta["ended"].startswith("ran away")

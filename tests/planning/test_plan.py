@@ -110,7 +110,7 @@ def test_bad_arguments_are_named(robot, change, name):
 def test_a_way_that_only_the_grid_lacks_is_found_and_without_looking_the_grid_is_named():
     """The joints' speeds leave room for a swivel that lies between two of a coarse map's."""
     scenario = Scenario(seed=1).change(start={"pose": "random"})
-    coarse = {"swivels": 90, "speed_share": 0.15, "times": 400}
+    coarse = {"swivels": 90, "speed_share": 0.15, "times": 100}
     found, grid = planned.plan(scenario, **coarse), planned.plan(scenario, **coarse, refined=False)
     assert found.from_start.violation < MOST_VIOLATION
     assert grid.from_start is None
