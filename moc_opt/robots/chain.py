@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from moc_opt.arrays import Array, read_only
+from moc_opt.arrays import Array
 
 if TYPE_CHECKING:
     import casadi
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Chain:
-    """Joint placements and axes of a serial arm; read-only arrays.
+    """Joint placements and axes of a serial arm.
 
     Joint j sits at (rotations[j], origins[j]) in the frame of joint j - 1 (the world for j = 0) and turns
     about, or slides along, the unit vector axes[j] of its own frame.
@@ -29,10 +29,6 @@ class Chain:
     axes: Array  #: (n,3)
     prismatic: NDArray[np.bool_]  #: (n,)
     offsets: Array  #: (2,3) tip and wrist in the last joint's frame [m]
-
-    def __post_init__(self) -> None:
-        for name in ("rotations", "origins", "axes", "prismatic", "offsets"):
-            object.__setattr__(self, name, read_only(np.ascontiguousarray(getattr(self, name)).copy()))
 
     @property
     def n(self) -> int:

@@ -1,13 +1,12 @@
 """Gains for an arm that nobody has tuned.
 
 A gain on a joint's velocity over the inertia behind it is a rate [1/s]; the rate times the period decides whether a
-sampled loop is stable (`largest_rate`). The LWR4+ is tuned: other arms get its rates, each joint in its own unit
-(N m s/rad, or N s/m for a prismatic joint), and so the same distance from that limit.
+sampled loop is stable (`moc_opt.robots.check.largest_rate`). The LWR4+ is tuned: other arms get its rates, each joint
+in its own unit (N m s/rad, or N s/m for a prismatic joint), and so the same distance from that limit.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING
 
@@ -92,19 +91,6 @@ def surveyed(robot: RobotModel) -> Iterator[RobotState]:
     rng = np.random.default_rng(0)
     for q in [robot.data.q_home, *rng.uniform(robot.q_min, robot.q_max, (_POSES, robot.n))]:
         yield robot.state(q)
-
-
-def largest_rate(period_s: float, delay_ticks: int) -> float:
-    """Return the largest rate [1/s] of a velocity gain over an inertia at which a sampled loop is stable.
-
-    A velocity v[k+1] = v[k] - T rate v[k-d] decays while T rate < 2 sin(pi / (2 (2 d + 1))): 2, 1, 0.62, 0.45 for no,
-    one, two and three ticks d of delay (Levin and May, 1976).
-
-    Args:
-        period_s: T [s].
-        delay_ticks: d, from measurement to torque; a filter of the velocity counts as its own delay in ticks.
-    """
-    return 2.0 * math.sin(math.pi / (2.0 * (2.0 * delay_ticks + 1.0))) / period_s
 
 
 def _rounded(value: float) -> float:

@@ -31,7 +31,7 @@ _STRUCTURAL_ZERO = 1e-12  # a column this small at several random poses is zero 
 
 
 class RobotModel:
-    """The arm with its tool. `coriolis` and `gravity` share pinocchio's workspace: one thread at a time calls them.
+    """The arm with its tool.
 
     Attributes:
         data: what its files say, a `moc_opt.robots.RobotData`.
@@ -45,8 +45,8 @@ class RobotModel:
         >>> robot = mo.load_robot("lwr4")
         >>> q = np.array(robot.data.q_home)
         >>> state = robot.state(q)
-        >>> robot.n, state.J_tip.shape, robot.coriolis(q, np.zeros(7)).shape, robot.gravity(q).shape
-        (7, (3, 7), (7, 7), (7,))
+        >>> robot.n, state.J_tip.shape, robot.gravity(q).shape
+        (7, (3, 7), (7,))
         >>> poses = np.stack([q, robot.random_regular_pose(np.random.default_rng(0))])
         >>> bool(robot.mu_along(poses)[0] == state.mu)
         True
@@ -69,7 +69,6 @@ class RobotModel:
         if n > core.MAX_JOINTS:
             raise RobotError(f"{data.name!r} has {n} joints: at most {core.MAX_JOINTS} can be controlled")
         self._pin = _build(data)
-        self._side_data = self._pin.createData()
         tip, wrist = (self._pin.getFrameId(name, pin.FrameType.BODY) for name in (data.tip_frame, data.wrist_frame))
         frames = [self._pin.frames[tip], self._pin.frames[wrist]]
         self._offsets = read_only(np.array([frame.placement.translation for frame in frames]))
@@ -130,14 +129,9 @@ class RobotModel:
         self.arm.points_along(along, self._offsets, points.reshape(-1, 3))
         return points[0], points[1]
 
-    def coriolis(self, q: ArrayLike, v: ArrayLike) -> Array:
-        """Compute the Coriolis matrix C (n,n) with h = C v + g and dM/dt - 2 C skew-symmetric."""
-        position, velocity = self._numbers("q", q), self._numbers("v", v)
-        return np.array(pin.computeCoriolisMatrix(self._pin, self._side_data, position, velocity))
-
     def gravity(self, q: ArrayLike) -> Array:
-        """Compute the gravity torque g (n,) [Nm]."""
-        return np.array(pin.computeGeneralizedGravity(self._pin, self._side_data, self._numbers("q", q)))
+        """Compute the gravity torque g (n,) [Nm], that of `state`."""
+        return self.state(q).gravity.copy()
 
     def tool_pose(self, q: ArrayLike) -> Array:
         """Compute the tool's pose (4,3): x, y and z axis, in which the wrench sensor measures, and tip [m]; world axes.

@@ -130,7 +130,7 @@ def test_the_observer(robot):
             made.set_applied(tau)
             later = robot.state(s.q, s.v + 0.1 * rng.normal(size=robot.n))
             made.begin(later.record, tip_ref, trocar, None, row)
-            integral, wanted = reference.observe(robot, later, tau, 25.0, 0.002, integral, wanted)
+            integral, wanted = reference.observe(later, tau, 25.0, 0.002, integral, wanted)
             made.external(found := np.empty(robot.n))
             np.testing.assert_allclose(found, wanted, rtol=1e-8, atol=1e-8)
 

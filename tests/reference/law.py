@@ -139,8 +139,7 @@ def third_level(s, x, K_N2, D_N2):
     return s.M @ Z.T @ np.linalg.inv(Z @ s.M @ Z.T) @ Z @ (K_N2 * (x - s.v) - D_N2 * s.v)
 
 
-def observe(robot, s, tau, gain, period, integral, r):
+def observe(s, tau, gain, period, integral, r):
     """One period of r = K_o (p - integral(tau + C^T v - g + r)), p = M v: the new integral and r."""
-    C = robot.coriolis(s.q, s.v)
-    integral = integral + (tau + C.T @ s.v - robot.gravity(s.q) + r) * period
+    integral = integral + (tau + s.energy_slope - s.gravity + r) * period  # energy_slope is C^T v
     return integral, gain * (s.M @ s.v - integral)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from moc_opt.robots import available_robots
-from moc_opt.robots.check import Finding, allowed_rate, check_robot, verdict
+from moc_opt.robots.check import Finding, check_robot, largest_rate, verdict
 from moc_opt.robots.model import RobotModel, load_robot
 from moc_opt.scenario import Scenario, run
 from moc_opt.sim.settings import PlantSettings
@@ -88,7 +88,7 @@ def test_gains_beyond_the_limit_swing_and_are_refused(robot: RobotModel, factor:
 
 def test_delay_and_filter_lower_the_limit() -> None:
     plain = PlantSettings(velocity_cutoff_Hz=0.0, delay_ticks=0)
-    assert allowed_rate(plain) == pytest.approx(2.0 / plain.period_s)
-    later = [allowed_rate(plain.model_copy(update={"delay_ticks": d})) for d in range(4)]
+    assert largest_rate(plain) == pytest.approx(2.0 / plain.period_s)
+    later = [largest_rate(plain.model_copy(update={"delay_ticks": d})) for d in range(4)]
     assert later == sorted(later, reverse=True)
-    assert allowed_rate(PlantSettings()) < later[1]
+    assert largest_rate(PlantSettings()) < later[1]

@@ -21,15 +21,16 @@ from moc_opt.control.settings import ControlSettings
 from moc_opt.errors import RobotError
 from moc_opt.robots import available_robots, loader
 from moc_opt.robots.chain import desired_wrist
+from moc_opt.robots.check import largest_rate
 from moc_opt.robots.gains import (
     CARTESIAN_RATE,
     JOINT_RATE,
     derived_gains,
     largest_inverse_masses,
-    largest_rate,
 )
 from moc_opt.robots.model import RobotModel, RobotState, carried, load_robot, restored
 from moc_opt.robots.state import layout, record_size
+from moc_opt.sim.settings import PlantSettings
 from moc_opt.tasks import Trocar
 from tests.conftest import Draw
 
@@ -130,10 +131,10 @@ def test_inertia_and_bias(arm: RobotModel) -> None:
         np.testing.assert_array_equal(s.M, s.M.T)
         assert np.linalg.eigvalsh(s.M)[0] > 0.9 * arm.data.rotor_inertia.min()
         np.testing.assert_allclose(s.h, pin.rnea(model, data, q, v, np.zeros(arm.n)), atol=1e-11)
-        C, g = arm.coriolis(q, v), arm.gravity(q)
+        C, g = pin.computeCoriolisMatrix(model, data, q, v), pin.computeGeneralizedGravity(model, data, q)
         np.testing.assert_allclose(C @ v + g, s.h, atol=1e-11)
         np.testing.assert_allclose(s.energy_slope, C.T @ v, atol=1e-12)
-        np.testing.assert_allclose([s.gravity, arm.state(q).h], [g, g], atol=1e-12)
+        np.testing.assert_allclose([s.gravity, arm.gravity(q), arm.state(q).h], [g, g, g], atol=1e-12)
         dM = (arm.state(q + STEP * v).M - arm.state(q - STEP * v).M) / (2 * STEP)
         np.testing.assert_allclose(dM, C + C.T, atol=1e-7)
 
@@ -320,8 +321,8 @@ def test_a_light_arm_gets_smaller_gains_at_the_tip() -> None:
 @given(delay=st.integers(0, 6), side=st.sampled_from([0.98, 1.02]))
 def test_the_largest_rate_is_where_a_delayed_loop_stops_decaying(delay: int, side: float) -> None:
     """The roots of z^(d+1) - z^d + T rate: inside the circle just below it, outside just above."""
-    period = 0.002
-    gain = side * largest_rate(period, delay) * period
+    plant = PlantSettings(delay_ticks=delay, velocity_cutoff_Hz=0.0)
+    gain = side * largest_rate(plant) * plant.period_s
     roots = np.roots([1.0, -1.0, *[0.0] * (delay - 1), gain] if delay else [1.0, gain - 1.0])
     assert (np.abs(roots).max() < 1.0) == (side < 1.0)
 
