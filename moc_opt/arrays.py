@@ -15,8 +15,3 @@ def read_only(array: Given) -> Given:
     """Make an array read-only, and return it; other names of its memory stay writable."""
     array.setflags(write=False)
     return array
-
-
-def read_only_copy(array: Array) -> Array:
-    """Copy an array, read-only."""
-    return read_only(array.copy())

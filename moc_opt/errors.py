@@ -9,15 +9,7 @@ from typing import ClassVar
 
 
 class MocOptError(Exception):
-    """Base of every error that moc_opt raises on purpose; its text is cut at ``MOST`` characters.
-
-    Example:
-        >>> try:
-        ...     mo.Scenario(duration_s=-1.0)
-        ... except mo.MocOptError as error:
-        ...     print(type(error).__name__)
-        ScenarioError
-    """
+    """Base of every error that moc_opt raises on purpose; its text is cut at ``MOST`` characters."""
 
     MOST: ClassVar[int] = 2000
 

@@ -41,11 +41,6 @@ class Chain:
         parts = (self.rotations.reshape(-1, 9), self.origins, self.axes, self.prismatic[:, None])
         return np.hstack(parts).astype(np.float64)
 
-    @property
-    def fingerprint(self) -> str:
-        """Twelve hex digits that change with any number of the chain."""
-        return hashlib.sha256(self.joints.tobytes() + self.offsets.tobytes()).hexdigest()[:12]
-
 
 def link_frames(chain: Chain, q: Array) -> tuple[Array, Array]:
     """Compute every joint's frame at the poses q (k, n) [rad, m].
@@ -101,7 +96,7 @@ class Kinematics:
     mu and its gradient have no value at a singularity (J J^T not invertible): keep away from it.
     """
 
-    id: str  #: Robot name and fingerprint of its geometry.
+    id: str  #: Robot name and twelve hex digits that change with any number of the chain.
     n: int
     tip: casadi.Function = field(compare=False, repr=False)  #: q -> (3,) [m]
     wrist: casadi.Function = field(compare=False, repr=False)  #: q -> (3,) [m]
@@ -144,7 +139,8 @@ def build_kinematics(name: str, chain: Chain) -> Kinematics:
     shaft = minors / float(np.linalg.norm(chain.offsets[0] - chain.offsets[1])) ** 4
     outputs = {"tip": tip, "wrist": wrist, "mu": mu, "grad_mu": ca.gradient(mu, q), "shaft": shaft}
     functions = {key: ca.Function(key, [q], [value], ["q"], [key]) for key, value in outputs.items()}
-    return Kinematics(id=f"{name}-{chain.fingerprint}", n=chain.n, **functions)
+    geometry = hashlib.sha256(chain.joints.tobytes() + chain.offsets.tobytes()).hexdigest()[:12]
+    return Kinematics(id=f"{name}-{geometry}", n=chain.n, **functions)
 
 
 def _rotation_about(ca: Any, axis: Any, angle: Any) -> Any:

@@ -194,10 +194,6 @@ def load_robot(
     Raises:
         RobotError: a file is missing, incomplete or inconsistent.
         UnknownNameError: no arm of that name.
-
-    Example:
-        >>> mo.load_robot("lwr4", tool_length=0.25)
-        RobotModel('lwr4', n=7, tool 0.25 m)
     """
     robot = RobotModel(load_data(name_or_path, tool_length=tool_length, tool_mass=tool_mass))
     if not CARTESIAN.keys() <= robot.data.gains.keys():

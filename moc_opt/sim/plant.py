@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from moc_opt import core
-from moc_opt.arrays import Array, read_only_copy
+from moc_opt.arrays import Array, read_only
 from moc_opt.errors import PlantError, UnknownNameError
 from moc_opt.robots import RobotData
 from moc_opt.sim.joints import Joints, add_springs, check_substeps
@@ -263,32 +263,32 @@ class Plant:
     @property
     def q(self) -> Array:
         """(n,) true joint positions [rad]; a read-only copy, as all that follow."""
-        return read_only_copy(self._joints.q)
+        return read_only(self._joints.q.copy())
 
     @property
     def v(self) -> Array:
         """(n,) true joint velocities [rad/s]."""
-        return read_only_copy(self._joints.v)
+        return read_only(self._joints.v.copy())
 
     @property
     def applied_torque(self) -> Array:
         """(n,) torque of the drives in the last period, delayed and saturated, without ripple [Nm]."""
-        return read_only_copy(self._joints.torque)
+        return read_only(self._joints.torque.copy())
 
     @property
     def tip(self) -> Array:
         """(3,) true tip [m]."""
-        return read_only_copy(self._tip)
+        return read_only(self._tip.copy())
 
     @property
     def wrist(self) -> Array:
         """(3,) true wrist centre [m]."""
-        return read_only_copy(self._wrist)
+        return read_only(self._wrist.copy())
 
     @property
     def trocar_force(self) -> Array:
         """(3,) force of the trocar on the shaft now, world axes [N]; 0 without one in the last period."""
-        return read_only_copy(self._feel())
+        return read_only(self._feel().copy())
 
 
 def _is_sound(q: Array, v: Array) -> bool:

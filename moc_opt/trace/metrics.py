@@ -58,15 +58,6 @@ def metric(unit: str | Callable[..., float]) -> Any:
 
     Raises:
         TraceError: it has no docstring, or another function has its name already.
-
-    Example:
-        >>> from moc_opt.trace.metrics import metric
-        >>> @metric("rad/s")
-        ... def fastest_joint_rad_per_s(trace):
-        ...     "Largest speed of any joint."
-        ...     return abs(trace.v_rad_per_s).max()
-        >>> fastest_joint_rad_per_s.unit
-        'rad/s'
     """
     if not callable(unit):
         return lambda function: _add(function.__name__, unit, inspect.getdoc(function) or "", function)
@@ -116,13 +107,6 @@ def summarize(trace: Trace, baseline: Trace | None = None) -> dict[str, float]:
     Raises:
         TraceError: the trace or the baseline is none or empty, they are not of the same time, or a column holds
             numbers that no run has.
-
-    Example:
-        >>> short = mo.Scenario(duration_s=0.1, bound_samples=0)
-        >>> trace, baseline = mo.run(short), mo.run(short.change(control={"law": "dcac"}))
-        >>> numbers = mo.summarize(trace, baseline)
-        >>> numbers["verified_solved"], "mu_gain_percent" in numbers
-        (50.0, True)
     """
     load_plugins()
     for role, run in (("trace", trace), ("baseline", baseline)):

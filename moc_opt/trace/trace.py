@@ -172,11 +172,6 @@ class Trace:
 
         Raises:
             ReportError: as of `moc_opt.figures.time_series`.
-
-        Example:
-            >>> trace = mo.Trace({"t_s": [0.0, 0.002, 0.004], "mu": [0.30, 0.31, 0.29]})
-            >>> trace.plot(["mu"], name="MOC").layout.xaxis.title.text
-            'time [s]'
         """
         from moc_opt.figures import time_series
 
@@ -191,10 +186,6 @@ class Trace:
 
         A vector is spread over columns: `tip_m_x`, `tip_m_y`, `tip_m_z`; joints are numbered from 0 (`q_rad_0`).
         A TraceError where pandas is not installed.
-
-        Example:
-            >>> mo.Trace({"t_s": [0.0, 0.002], "tip_m": [[0.1, 0.2, 0.3]] * 2}).to_pandas().columns.tolist()
-            ['tip_m_x', 'tip_m_y', 'tip_m_z']
         """
         pandas = _package("pandas")
         columns: dict[str, NDArray[Any]] = {}
@@ -289,13 +280,7 @@ def _name(name: str) -> str:
 
 
 def load_trace(path: str | os.PathLike[str]) -> Trace:
-    """Read a file that `Trace.save`, or a command's ``--trace``, wrote; see `Trace.load`.
-
-    Example:
-        >>> mo.Trace({"t_s": [0.0, 0.002]}, {"operator": "A. B."}).save("run.parquet")
-        >>> mo.load_trace("run.parquet").meta["operator"]
-        'A. B.'
-    """
+    """Read a file that `Trace.save`, or a command's ``--trace``, wrote; see `Trace.load`."""
     return Trace.load(path)
 
 

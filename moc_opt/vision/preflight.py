@@ -198,14 +198,13 @@ def _places(reference: Reference, trocar: Trocar, until_s: float) -> _Places:
 def _check_depth(robot: RobotModel, places: _Places) -> None:
     depth, longest = np.linalg.norm(places.trocar - places.tip, axis=1), robot.data.tool_length
     k = int(np.argmax((depth > longest) | (depth < _SHALLOWEST_M)))
+    apart = f"tip and trocar are {1e3 * depth[k]:.1f} mm apart"
     if depth[k] > longest:
-        problem = f"the trocar is {1e3 * depth[k]:.0f} mm from the tip, more than the tool's {1e3 * longest:.0f} mm"
         cure = "make the path smaller, bring it nearer to the trocar, or lengthen the tool"
-        raise UnreachableError("trocar", places.arc[k], problem, cure)
+        raise UnreachableError("trocar", places.arc[k], f"{apart}, more than the tool's {1e3 * longest:.0f} mm", cure)
     if depth[k] < _SHALLOWEST_M:
-        problem = f"the tip is {1e3 * depth[k]:.1f} mm from the trocar, where the shaft has no direction"
         cure = f"keep the path {1e3 * _SHALLOWEST_M:.0f} mm or more away from it"
-        raise UnreachableError("path", places.arc[k], problem, cure)
+        raise UnreachableError("path", places.arc[k], f"{apart}, where the shaft has no direction", cure)
 
 
 def _follow(robot: RobotModel, q: Array, places: _Places, reference: Reference) -> Array:
