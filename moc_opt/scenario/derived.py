@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from moc_opt.arrays import Array
-from moc_opt.errors import MocOptError
+from moc_opt.errors import MocOptError, ScenarioError
 from moc_opt.planning import pose_map
 from moc_opt.planning.course import Course, Limits, make_course
 from moc_opt.planning.elbow import Elbow
@@ -90,13 +90,12 @@ def largest_mu(poses: Array, robot: RobotModel, samples: int) -> tuple[Array, di
 
 
 class BestCourses(NamedTuple):
-    """The best courses of one path."""
+    """The best courses of one path, None where the grid has none."""
 
     robot: RobotModel
     from_start: Course | None
     best: Course | None
-    absent: str  #: Why a course is missing; empty where none is.
-    last: pose_map.PoseMap | None  #: Of the end of the path alone.
+    last: pose_map.PoseMap  #: Of the end of the path alone.
 
 
 def best_courses(scenario: Scenario) -> BestCourses:
@@ -110,14 +109,13 @@ def _planned(path: str) -> BestCourses:
     robot = scenario.robot.arm()
     real = best_freedoms(robot).real
     if real != 1:
-        return BestCourses(robot, None, None, f"tip and shaft leave {real} freedoms, a map has one", None)
+        raise ScenarioError(f"tip and shaft leave {real} freedoms, a map has one")
     layout = layout_of(scenario, robot)
     targets = targets_of(robot, layout, period_s=PERIOD_S)
     value = Value(pose_map.map_of(robot, layout.q, targets), Limits())
     grid = [best_course(value, start) for start in (layout.q, None)]
     mine, best = (None if q is None else make_course(robot, targets, q) for q in grid)
-    absent = "" if mine is not None else "no course was found from this start on the grid of the map"
-    return BestCourses(robot, mine, best, absent, pose_map.map_of(robot, layout.q, targets[-2:]))
+    return BestCourses(robot, mine, best, pose_map.map_of(robot, layout.q, targets[-2:]))
 
 
 def against_best(scenario: Scenario, trace: Trace) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
@@ -135,8 +133,8 @@ def against_best(scenario: Scenario, trace: Trace) -> tuple[dict[str, NDArray[An
     for name, course in (("mu_best_from_start", mine), ("mu_best", known.best)):
         if course is not None:
             columns[name] = np.interp(t, course.t_s, course.mu)
-    told: dict[str, Any] = {"absent": known.absent}
-    if mine is not None and last is not None:
+    told: dict[str, Any] = {"absent": "" if mine else "no course was found from this start on the grid of the map"}
+    if mine is not None:
         columns["q_best_from_start_rad"] = np.stack([np.interp(t, mine.t_s, q) for q in mine.q_rad.T], axis=1)
         top, elbow = top_of(last, trace.q_rad[-1]), Elbow(known.robot, last.targets.wrist)
         if top is not None and abs(t[-1] - mine.t_s[-1]) < PERIOD_S:  # a run that was stopped ends elsewhere
