@@ -37,9 +37,6 @@ class RemoteController(Filtered):
         applied: (n,) torque before the first tick [Nm].
         tau_max: (n,) largest torques [Nm]; a command beyond them counts as none.
         clock: None is lock-step: the plant waits for each command, and sends the measurement again where none comes.
-
-    Attributes:
-        told: after ``close``, what the controller had to say at the end: its warnings and refused answers.
     """
 
     stop_reason = ""
@@ -54,11 +51,10 @@ class RemoteController(Filtered):
         self._packet = Packet(Kind.MEASUREMENT, link.n, randbits(63) | 1, scenario)
         self._friction, self._tick, self._until, self._silent = np.zeros(link.n), 0, 0.0, 0
         self._command: Packet | None = None
-        self.told: dict[str, Any] = {}
-        self._counts: dict[str, Any] = {}
+        self._meta: dict[str, Any] = {}
 
     limited = property(lambda self: 0 if self._command is None else int(self._command["limited"]))
-    warnings = property(lambda self: [])  # of the safety filter at the other end: see `told`
+    warnings = property(lambda self: [])  # of the safety filter at the other end: see `close`
 
     def start(self, seen: Measurement, tip_ref: Array, trocar: Array) -> None:
         """Wait for a controller, show it the first measurement, and wait until it has started there.
@@ -147,10 +143,10 @@ class RemoteController(Filtered):
                 column[row] = _text(value) if value.dtype.kind == "S" else value
 
     def close(self) -> dict[str, Any]:
-        """Tell the controller, once, that the run is over; return the counts."""
-        if self._counts:
-            return self._counts
-        self._packet["flags"] = ENDED
+        """Tell the controller, once, that the run is over; return what the trace's meta gets: its words, and counts."""
+        if self._meta:
+            return self._meta
+        self._packet["flags"], words = ENDED, ""
 
         def acknowledges(found: Packet) -> bool:
             self._is_due(found)  # counts commands that come now
@@ -159,11 +155,12 @@ class RemoteController(Filtered):
         for _ in range(_BYE_TIMES if self.link.session else 0):
             self.link.send(self._packet)
             if (found := self.link.receive(monotonic() + _BYE_S, acknowledges)) is not None:
-                self.told = _told(_text(found["words"]))
+                words = _text(found["words"])
                 break
         self.link.close()
-        self._counts = self.link.quality | ({} if self.clock is None else {"overruns": self.clock.overruns})
-        return self._counts
+        counts = self.link.quality | ({} if self.clock is None else {"overruns": self.clock.overruns})
+        self._meta = {**_told(words), "wire": counts}
+        return self._meta
 
     def _fill(self, seen: Measurement, state: int) -> None:
         packet = self._packet

@@ -7,7 +7,6 @@ import os
 from collections.abc import Callable
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -85,11 +84,11 @@ class PlantServer(Setup):
         return self._remote  # type: ignore[return-value]
 
     def _judged(self, found: Trace) -> Trace:
-        counts: dict[str, Any] = self._remote.close()  # judging may take longer than a controller waits
+        added = self._remote.close()  # judging may take longer than a controller waits
         if self.system:
             give_back_realtime()
-            counts = counts | {"system": self.system}
-        return super()._judged(found.with_meta(**self._remote.told, wire=counts))
+            added["wire"]["system"] = self.system
+        return super()._judged(found.with_meta(**added))
 
     def trace(self, watch: Callable[[int], None] | None = None, to: str | os.PathLike[str] | None = None) -> Trace:
         """Wait for the controller, run, and return the trace; ``meta["wire"]`` has the counts of this end.

@@ -170,5 +170,4 @@ LATE = {"late": {"count": 2, "first_at_s": 1.5, "first": "so"}}
 def test_the_last_words_go_into_the_meta_or_nowhere(peer, words, told):
     peer.start()
     peer.say(Kind.BYE, words=words)
-    peer.plant.close()
-    assert peer.plant.told == told
+    assert peer.plant.close() == told | {"wire": peer.link.quality | {"overruns": 0}}
