@@ -149,7 +149,7 @@ def make_parser() -> argparse.ArgumentParser:
         description="moc-opt, or python -m moc_opt: scenarios, robots and solvers from the command line.",
     )
     parser.add_argument("--version", action="version", version=f"moc-opt {__version__}")
-    commands = parser.add_subparsers(dest="command")
+    commands = parser.add_subparsers(dest="command", metavar="COMMAND")
     for name, command in COMMANDS.items():
         # The study prints its own help, with all its options.
         one = commands.add_parser(name, help=command.about, epilog=command.ends or None, add_help=name != "solvers")

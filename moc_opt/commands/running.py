@@ -272,7 +272,8 @@ def _plan(given: argparse.Namespace) -> int:
     scenario, title = read_scenario(given.scenario)
     if given.out is not None:
         new_file(given.out)  # before the search, which may take a minute
-        check_out(given.out, "course", force=given.force)
+        if not given.force:
+            check_trace(given.out)  # a course is one, too
     follows = scenario.control.follows or given.out is not None  # a course is written to be followed
     plan, within = followable_plan(
         scenario, given.margin, given.speed_share, given.margin_m, followed=follows,

@@ -61,8 +61,8 @@ class Bar(Progress):
         self.console.print(f"{line}  {task.fields['now']}".rstrip(), markup=False, soft_wrap=True)
 
     def of(self, total: float) -> None:
-        """Say how many steps there are, once that is known."""
-        self.update(self.task_ids[0], total=total)
+        """Say how many steps there are, once that is known: the time that is left counts from now."""
+        self.reset(self.task_ids[0], total=total)
 
     def at(self, text: str) -> None:
         """Name what is being done now."""

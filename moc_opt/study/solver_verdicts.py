@@ -70,9 +70,8 @@ EQUAL = (
 HOW = "How the verdicts are made"
 CERTIFIED, RECORDED, CLOSED = "Certified test sets", "Recorded sequence", "Closed loop"
 INCONSISTENT = (
-    "In the inconsistent sets the six rows as given contradict each other along the shaft, by 1e-12 to 1e-4 m/s, while "
-    "five of them have a certified optimum. 'Infeasible' is true of the six rows but no answer for the robot, so it "
-    "counts neither as right nor as wrong."
+    "Inconsistent: the six rows contradict each other along the shaft, by 1e-12 to 1e-4 m/s, while five of them have a "
+    "certified optimum. 'Infeasible' is true of six rows but no answer for the robot: neither right nor wrong."
 )
 
 
@@ -304,13 +303,12 @@ def first_table(summary: Summary, rows: Sequence[Row]) -> Table:
     ]  # fmt: skip
     caption = (
         f"★ take, ✔ sound, ◐ gaps: less than {100 * RIGHTLY:g} % right, and reports it, ≈ near: claims no optimum, or "
-        "is surely worse in closed loop, ✘ avoid. Right: verified, or rightly called infeasible. Wrong: silently "
-        "wrong, claimed as solved and not optimal."
+        "is surely worse in closed loop, ✘ avoid. Right: verified, or rightly called infeasible. Wrong: claimed as "
+        "solved and not optimal."
     )
     if any(row["verdict"] is OTHER for row in rows):
         caption += (
-            " ≠ other: it answers the nonlinear problem of the tick, about 1e-3 m/s off the linear one that the judge "
-            "knows."
+            " ≠ other: it answers the nonlinear problem of the tick, some 1e-3 m/s off the linear one that is judged."
         )
     if any(row["trials"] for row in rows):
         columns += [
@@ -320,10 +318,10 @@ def first_table(summary: Summary, rows: Sequence[Row]) -> Table:
                    help="change of the mean tip error against DCAC, in both frames"),
         ]  # fmt: skip
         caption += (
-            " Tip: change against DCAC on the same trials, by the robot's own kinematics, which a controller can "
-            "answer for / in the frame registered at the start, which is what the patient gets; ? undecided, as the "
-            "two means disagree. Worst damage: against the solver to take, not DCAC; none means within what counts as "
-            f"equal. {_trials_told(rows)} A run that broke off or oscillated counts on the trials that all ran."
+            " Tip: change of the error against DCAC on the same trials, by the robot's own kinematics / in the frame "
+            "registered at the start, the patient's; ?: undecided. Worst damage: largest loss in closed loop against "
+            f"the solver to take; none: within tolerance. {_trials_told(rows)} Endings are compared on the trials that "
+            "every solver ran."
         )
     if any(row["counted"].get("refused_inconsistent") for row in rows):
         caption += f" {INCONSISTENT}"

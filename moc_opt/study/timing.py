@@ -208,7 +208,8 @@ def load(rows: Sequence[Mapping[str, Any]]) -> str:
     if not counted:
         return said + "all are trusted."
     return said + (
-        f"{', '.join(counted)} are not to be trusted. They are marked ? and rank nothing; run again on a quiet machine."
+        f"{', '.join(counted)} are not to be trusted. They are marked ? and decide no verdict; run again on a quiet "
+        "machine."
     )
 
 

@@ -162,13 +162,15 @@ class Trace:
             raise TraceError(f"between({start_s!r}, {stop_s!r}): no tick lies there; the trace has its ticks {there}")
         return self.select(inside)
 
-    def plot(self, columns: Sequence[str] | None = None, *, name: str = "run", beside: Trace | None = None) -> Figure:
+    def plot(
+        self, columns: Sequence[str] | None = None, *, name: str | None = None, beside: Trace | None = None
+    ) -> Figure:
         """Draw the run over time, as the reports do: a plotly figure that a notebook shows.
 
         Args:
             columns: one panel each, from top to bottom; None: mu, tip error, RCM error and force.
-            name: of this run in the legend.
-            beside: a second run, drawn as "baseline".
+            name: of this run in the legend; None: its solver's, or the law's where it has none.
+            beside: a second run, named likewise; "baseline" where that is the same name.
 
         Raises:
             ReportError: as of `moc_opt.figures.time_series`.
@@ -177,9 +179,19 @@ class Trace:
 
         if beside is not None and not isinstance(beside, Trace):
             raise TraceError(f"plot: beside = {shown(beside)}: give a Trace, such as load_trace(path)")
-        if not isinstance(name, str):
+        if not isinstance(name, str | None):
             raise TraceError(f"plot: name = {shown(name)}: give a text")
-        return time_series({name: self} if beside is None else {"baseline": beside, name: self}, columns)
+        own = name or self._solver or "run"
+        if beside is None:
+            return time_series({own: self}, columns)
+        other = beside._solver if beside._solver not in ("", own) else "baseline"
+        return time_series({other: beside, own: self}, columns)
+
+    @property
+    def _solver(self) -> str:
+        asked = table(self.meta, "scenario")
+        law = table(asked, "control").get("law")
+        return str(law if law == "dcac" else table(asked, "solver").get("name", ""))
 
     def to_pandas(self) -> DataFrame:
         """Return a pandas.DataFrame, one row a tick, indexed by `t_s`; `attrs` holds `meta`.
