@@ -314,7 +314,7 @@ def test_plot_draws_the_columns_asked_for_and_a_baseline(trace):
     assert set(lines) == {"baseline", "osqp"}
     assert np.allclose(lines["osqp"].y, trace.mu)
     assert len(lines["baseline"].x) == 10
-    assert {line.name for line in trace.plot().data} == {"run"}
+    assert {line.name for line in trace.plot().data} == {"osqp"}
 
 
 def test_repr_says_what_run_it_is(trace):
