@@ -323,8 +323,8 @@ def test_no_packet_moves_the_arm_beyond_its_limits_or_steers_a_terminal(robot, s
     columns, session = plant.columns(TICKS), int(plant._packet["session"])
     with ends_well(), contextlib.closing(link), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as peer:
         for kind in (packets.Kind.HELLO, packets.Kind.START):
-            hand = packets.Packet(kind, 7, session if kind is packets.Kind.START else 0, SCENARIO)
-            peer.sendto(hand.seal(KEY), link.address)
+            hand = packets.make_packet(kind, 7, session if kind is packets.Kind.START else 0, SCENARIO)
+            peer.sendto(packets.seal(hand, KEY), link.address)
         plant.start(seen, *nothing)
         for tick in range(TICKS):
             for one in arriving:
@@ -336,9 +336,9 @@ def test_no_packet_moves_the_arm_beyond_its_limits_or_steers_a_terminal(robot, s
 
 
 def packet(what, session, tick):
-    made = packets.Packet(packets.Kind(what[0]), 7, session, SCENARIO)
+    made = packets.make_packet(packets.Kind(what[0]), 7, session, SCENARIO)
     made["sequence"] = tick
     for name, value in what[1].items():
         with contextlib.suppress(ValueError, OverflowError, TypeError):  # nothing that the field's bytes can hold
             made[name] = value
-    return bytes(made.seal(KEY))
+    return packets.seal(made, KEY)

@@ -13,7 +13,7 @@ from moc_opt.arrays import Array
 from moc_opt.control.safety_filter import SafetyFilter
 from moc_opt.inputs.files import to_json
 from moc_opt.realtime.link import Link, WireError, WireSettings, written
-from moc_opt.realtime.packets import ENDED, REPORTED, RUNNING, STOP, WAITING, Kind, Packet
+from moc_opt.realtime.packets import ENDED, REPORTED, RUNNING, STOP, WAITING, Kind, Packet, make_packet
 from moc_opt.sim.loop import FilteredController, no_collector
 from moc_opt.sim.protocols import LoggedController
 from moc_opt.sim.sensors import Measurement
@@ -73,7 +73,7 @@ class Answering:
         return Ending(ended, link.quality["received"], link.quality, self._filtered.warnings, faults)
 
     def _packet(self, kind: Kind) -> Packet:
-        return Packet(kind, self.link.n, self.link.session, self.scenario)
+        return make_packet(kind, self.link.n, self.link.session, self.scenario)
 
     def _ask(self, kind: Kind, wanted: Callable[[int], bool]) -> Packet:
         """Send a packet over and over until a measurement comes that has such flags."""

@@ -15,12 +15,13 @@ from pathlib import Path
 from time import monotonic
 from typing import ClassVar
 
+import numpy as np
 from pydantic import Field
 
 from moc_opt.errors import MocOptError, describe
 from moc_opt.inputs.files import read_text
 from moc_opt.inputs.settings import Settings
-from moc_opt.realtime.packets import COUNTERS, LOOPBACK_KEY, Kind, Packet, sealed
+from moc_opt.realtime.packets import COUNTERS, LOOPBACK_KEY, Kind, Packet, make_packet, seal, sealed
 
 VARIABLE = "MOC_OPT_WIRE_KEY"
 SHORTEST, LONGEST = 16, 32  #: Bytes of a key; BLAKE2s takes no longer ones.
@@ -107,8 +108,7 @@ class Link:
     ) -> None:
         self.n, self.peer, self.session = n, peer, 0
         self.quality, self.sender = dict.fromkeys(COUNTERS, 0), peer
-        self._key, self._scratch = key, bytearray(16384)
-        self._incoming = {int(kind): Packet(kind, n) for kind in expected}
+        self._key, self._incoming = key, {int(kind): make_packet(kind, n) for kind in expected}
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
             if listen is not None:
@@ -136,7 +136,7 @@ class Link:
     def send(self, packet: Packet, to: Address | None = None) -> None:
         """Seal a packet and send it; one that the system does not take is lost, as any packet may be."""
         try:
-            self._socket.sendto(packet.seal(self._key), to or self.peer)  # type: ignore[arg-type]
+            self._socket.sendto(seal(packet, self._key), to or self.peer)  # type: ignore[arg-type]
         except (BlockingIOError, ConnectionError):
             pass
         except OSError as error:
@@ -145,12 +145,12 @@ class Link:
     def receive(self, until: float, wanted: Callable[[Packet], bool] = lambda packet: True) -> Packet | None:
         """Return the next sound packet that is wanted, or None at ``until`` (of ``time.monotonic``) [s].
 
-        It is valid until the next call. What has arrived already is looked at even where ``until`` has passed.
+        What has arrived already is looked at even where ``until`` has passed.
         """
         looked_at = 0
         while looked_at < BACKLOG or monotonic() < until:
             try:
-                size, sender = self._socket.recvfrom_into(self._scratch)
+                data, sender = self._socket.recvfrom(16384)
             except BlockingIOError:
                 left = until - monotonic()
                 if left <= 0.0:
@@ -160,21 +160,21 @@ class Link:
             except ConnectionError:
                 continue  # nobody listened where this end sent to: that packet is lost
             looked_at += 1
-            if (packet := self._sound(memoryview(self._scratch)[:size], sender)) is not None:
+            if (packet := self._sound(data, sender)) is not None:
                 self.sender = sender
                 if wanted(packet):
                     return packet
         return None
 
-    def _sound(self, data: memoryview, sender: Address) -> Packet | None:
+    def _sound(self, data: bytes, sender: Address) -> Packet | None:
         """Return a packet of this run, or count what is wrong with it."""
-        packet = self._incoming.get(data[5]) if len(data) > 5 else None
-        if packet is not None and len(data) == len(packet.buffer):
+        form = self._incoming.get(data[5]) if len(data) > 5 else None
+        if form is not None and len(data) == form.nbytes:
             if not sealed(data, self._key):
                 self.quality["forged"] += 1
                 return None
-            if data[:7] == packet.buffer[:7]:  # magic, version, kind, joints
-                packet.buffer[:] = data
+            if data[:7] == form.tobytes()[:7]:  # magic, version, kind, joints
+                packet: Packet = np.frombuffer(data, form.dtype).reshape(())
                 if not self.session or (packet["session"] == self.session and sender == self.peer):
                     return packet
         self.quality["foreign"] += 1

@@ -20,6 +20,7 @@ from moc_opt.qp.layout import offsets
 MAGIC, VERSION = b"MOCW", 2
 LOOPBACK_KEY = b"moc_opt: loopback, no secret"
 TAG_BYTES = 16
+Packet = NDArray[np.void]  #: Of shape (); ``packet["q"]`` is a view of its bytes.
 COUNTERS = ("received", "missed", "late", "forged", "foreign")
 """What an end counts; docs/realtime.md says what each is."""
 
@@ -62,47 +63,33 @@ def layout(kind: Kind, n: int) -> np.dtype[Any]:
     return np.dtype([*HEADER, *bodies.get(kind, []), ("tag", f"V{TAG_BYTES}")])
 
 
-def tag(data: bytes | bytearray | memoryview, key: bytes) -> bytes:
+def tag(data: bytes, key: bytes) -> bytes:
     """Return the keyed check of a packet less its last 16 bytes: BLAKE2s (RFC 7693) with a key."""
     return hashlib.blake2s(data, key=key, digest_size=TAG_BYTES).digest()
 
 
-def sealed(data: bytearray | memoryview, key: bytes) -> bool:
+def sealed(data: bytes, key: bytes) -> bool:
     """Say whether a packet ends with its check."""
-    return hmac.compare_digest(tag(data[:-TAG_BYTES], key), bytes(data[-TAG_BYTES:]))
+    return hmac.compare_digest(tag(data[:-TAG_BYTES], key), data[-TAG_BYTES:])
 
 
-class Packet:
-    """One packet of a kind; ``packet["q"]`` is a view of its bytes, a scalar being an array of shape ().
+def make_packet(kind: Kind, n: int, session: int = 0, scenario: int = 0) -> Packet:
+    """Make a packet of zeros but for its header.
 
     Args:
         session: drawn by the plant when it is started; 0: not known yet.
         scenario: fingerprint of the settings that both ends must share.
     """
+    packet = np.zeros((), layout(kind, n))
+    packet["magic"], packet["version"], packet["kind"], packet["joints"] = MAGIC, VERSION, kind, n
+    packet["session"], packet["scenario"] = session, scenario
+    return packet
 
-    def __init__(self, kind: Kind, n: int, session: int = 0, scenario: int = 0) -> None:
-        dtype = layout(kind, n)
-        self.kind, self.buffer = kind, bytearray(dtype.itemsize)
-        whole = np.frombuffer(self.buffer, dtype).reshape(())
-        self._fields: dict[str, NDArray[Any]] = {name: whole[name] for name in dtype.names or ()}
-        for name, value in {
-            "magic": MAGIC, "version": VERSION, "kind": kind, "joints": n, "session": session, "scenario": scenario,
-        }.items():  # fmt: skip
-            self[name] = value
 
-    def __getitem__(self, name: str) -> NDArray[Any]:
-        return self._fields[name]
-
-    def __setitem__(self, name: str, value: Any) -> None:
-        self._fields[name][...] = value
-
-    def __contains__(self, name: str) -> bool:
-        return name in self._fields
-
-    def seal(self, key: bytes) -> bytearray:
-        """Write the check, and return the bytes."""
-        self.buffer[-TAG_BYTES:] = tag(memoryview(self.buffer)[:-TAG_BYTES], key)
-        return self.buffer
+def seal(packet: Packet, key: bytes) -> bytes:
+    """Return the bytes of a packet with their check."""
+    data = packet.tobytes()[:-TAG_BYTES]
+    return data + tag(data, key)
 
 
 _C_TYPES = {

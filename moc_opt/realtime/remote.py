@@ -16,7 +16,7 @@ from moc_opt.errors import MocOptError, printable
 from moc_opt.inputs.files import parse_json
 from moc_opt.realtime.clock import WallClock
 from moc_opt.realtime.link import Link, WireError, WireSettings, written
-from moc_opt.realtime.packets import ENDED, REPORTED, RUNNING, STOP, WAITING, Kind, Packet
+from moc_opt.realtime.packets import ENDED, REPORTED, RUNNING, STOP, WAITING, Kind, Packet, make_packet
 from moc_opt.sim.protocols import Filtered
 from moc_opt.sim.sensors import Measurement
 from moc_opt.trace.meta import check_entry
@@ -48,7 +48,7 @@ class RemoteController(Filtered):
     ) -> None:  # fmt: skip
         self.link, self.clock, self._settings, self._filter = link, clock, settings, safety_filter
         self._make_columns, self._applied, self._tau_max = columns, applied, np.array(tau_max)
-        self._packet = Packet(Kind.MEASUREMENT, link.n, randbits(63) | 1, scenario)
+        self._packet = make_packet(Kind.MEASUREMENT, link.n, randbits(63) | 1, scenario)
         self._friction, self._tick, self._until, self._silent = np.zeros(link.n), 0, 0.0, 0
         self._command: Packet | None = None
         self._meta: dict[str, Any] = {}
@@ -67,10 +67,10 @@ class RemoteController(Filtered):
         self._fill(seen, WAITING)
 
         def starts(found: Packet) -> bool:
-            if found.kind is Kind.HELLO:
+            if found["kind"] == Kind.HELLO:
                 link.send(packet, link.sender)
                 return False
-            begins = found.kind is Kind.START and found["session"] == packet["session"]
+            begins = found["kind"] == Kind.START and found["session"] == packet["session"]
             link.quality["foreign"] += not begins
             return bool(begins)
 
@@ -138,7 +138,7 @@ class RemoteController(Filtered):
             return
         reported = int(command["flags"]) & REPORTED
         for name, column in columns.items():
-            if name in command and (reported or name == "control_us"):
+            if name in (command.dtype.names or ()) and (reported or name == "control_us"):
                 value = command[name]
                 column[row] = _text(value) if value.dtype.kind == "S" else value
 
@@ -150,7 +150,7 @@ class RemoteController(Filtered):
 
         def acknowledges(found: Packet) -> bool:
             self._is_due(found)  # counts commands that come now
-            return found.kind is Kind.BYE
+            return bool(found["kind"] == Kind.BYE)
 
         for _ in range(_BYE_TIMES if self.link.session else 0):
             self.link.send(self._packet)
@@ -178,7 +178,7 @@ class RemoteController(Filtered):
 
     def _is_due(self, found: Packet) -> bool:
         """Say whether a packet is this tick's command and can be followed; count each command."""
-        if found.kind is not Kind.COMMAND:
+        if found["kind"] != Kind.COMMAND:
             return False
         number, friction = int(found["sequence"]), found["friction"]
         usable = bool(

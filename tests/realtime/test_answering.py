@@ -7,7 +7,7 @@ import pytest
 
 from moc_opt.realtime.answering import Answering
 from moc_opt.realtime.link import WireError, WireSettings
-from moc_opt.realtime.packets import COUNTERS, ENDED, REPORTED, RUNNING, WAITING, Kind, Packet
+from moc_opt.realtime.packets import COUNTERS, ENDED, REPORTED, RUNNING, WAITING, Kind, make_packet
 
 N, TICKS = 3, 4
 WAIT = WireSettings(wait_s=0.05, silence_s=0.5)
@@ -21,9 +21,7 @@ class Plant:
         self.said, self.sent, self.heard = list(said), [], "nothing"
 
     def send(self, packet):
-        self.sent.append((packet.kind, {name: np.array(packet[name]) for name in ("sequence", "flags")}))
-        if packet.kind is Kind.COMMAND:
-            self.sent[-1][1]["tau"] = np.array(packet["tau"])
+        self.sent.append((Kind(packet["kind"]), packet.copy()))
 
     def receive(self, until, wanted=lambda packet: True):
         while self.said:
@@ -33,7 +31,7 @@ class Plant:
 
 
 def measurement(flags, k=0, commanded=0.0, scenario=9):
-    packet = Packet(Kind.MEASUREMENT, N, 5, scenario)
+    packet = make_packet(Kind.MEASUREMENT, N, 5, scenario)
     packet["flags"], packet["sequence"], packet["stamp"] = flags, k, k
     packet["commanded"] = commanded
     return packet

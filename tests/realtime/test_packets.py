@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from moc_opt.realtime.link import BACKLOG, VARIABLE, Link, WireError, parse_address, read_key
-from moc_opt.realtime.packets import HEADER, LOOPBACK_KEY, Kind, Packet, layout, sealed
+from moc_opt.realtime.packets import HEADER, LOOPBACK_KEY, Kind, layout, make_packet, seal, sealed
 
 PAGE = (Path(__file__).parents[2] / "docs" / "realtime.md").read_text(encoding="utf-8")
 KINDS = (Kind.MEASUREMENT, Kind.COMMAND, Kind.BYE)
@@ -54,8 +54,8 @@ def test_a_c_struct_of_the_same_fields_has_the_same_bytes(kind, n):
 
 @given(st.sampled_from(KINDS), st.data())
 def test_one_changed_bit_breaks_the_check(kind, data):
-    packet = Packet(kind, 7, session=5, scenario=9)
-    sent = packet.seal(KEY)
+    packet = make_packet(kind, 7, session=5, scenario=9)
+    sent = seal(packet, KEY)
     assert sealed(sent, KEY)
     bit = data.draw(st.integers(0, 8 * len(sent) - 1))
     changed = bytearray(sent)
@@ -78,7 +78,7 @@ def ends():
 
 
 def command(**changes):
-    packet = Packet(changes.pop("kind", Kind.COMMAND), changes.pop("n", 7), changes.pop("session", 4))
+    packet = make_packet(changes.pop("kind", Kind.COMMAND), changes.pop("n", 7), changes.pop("session", 4))
     for name, value in changes.items():
         packet[name] = value
     return packet
@@ -88,19 +88,19 @@ def test_sound_packets_pass_and_all_others_are_counted(ends):
     plant, controller = ends
     plant.session, plant.peer = 4, controller.getsockname()
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
-        stranger.sendto(command(sequence=1).seal(KEY), plant.address)  # foreign: not the one that began the session
+        stranger.sendto(seal(command(sequence=1), KEY), plant.address)  # foreign: not the one that began the session
         for data in (
-            command(sequence=2).seal(b"l" * 16),  # forged
-            command(sequence=3).seal(KEY)[:-1],  # truncated, as the next three
-            command(sequence=3).seal(KEY) + b"\0",
+            seal(command(sequence=2), b"l" * 16),  # forged
+            seal(command(sequence=3), KEY)[:-1],  # truncated, as the next three
+            seal(command(sequence=3), KEY) + b"\0",
             b"",
-            command(n=6).seal(KEY),
-            command(session=5).seal(KEY),  # foreign, as the next four
-            command(magic=b"XXXX").seal(KEY),
-            command(version=9).seal(KEY),
-            command(joints=6).seal(KEY),
-            command(kind=Kind.MEASUREMENT).seal(KEY),  # the plant's own, come back
-            command(sequence=8).seal(KEY),  # sound
+            seal(command(n=6), KEY),
+            seal(command(session=5), KEY),  # foreign, as the next four
+            seal(command(magic=b"XXXX"), KEY),
+            seal(command(version=9), KEY),
+            seal(command(joints=6), KEY),
+            seal(command(kind=Kind.MEASUREMENT), KEY),  # the plant's own, come back
+            seal(command(sequence=8), KEY),  # sound
         ):
             controller.sendto(data, plant.address)
         found = plant.receive(monotonic() + 5.0)
@@ -115,12 +115,12 @@ def test_sound_packets_pass_and_all_others_are_counted(ends):
 
 def test_what_has_arrived_is_taken_after_the_time_too_but_a_flood_ends(ends):
     plant, controller = ends
-    controller.sendto(command(sequence=1).seal(KEY), plant.address)
+    controller.sendto(seal(command(sequence=1), KEY), plant.address)
     assert plant.receive(monotonic() - 1.0) is not None
-    for flood in (b"x", command(sequence=2).seal(KEY)):  # unsound packets, and sound ones that nobody wants
+    for flood in (b"x", seal(command(sequence=2), KEY)):  # unsound packets, and sound ones that nobody wants
         for _ in range(BACKLOG):  # the system's buffer may hold fewer
             controller.sendto(flood, plant.address)
-        controller.sendto(command(sequence=3).seal(KEY), plant.address)
+        controller.sendto(seal(command(sequence=3), KEY), plant.address)
         assert plant.receive(monotonic() - 1.0, lambda packet: packet["sequence"] == 3) is None
         while plant.receive(monotonic()) is not None:
             pass

@@ -11,7 +11,7 @@ import pytest
 
 from moc_opt.control.safety_settings import SafetyFilterSettings
 from moc_opt.realtime.link import Link, WireError, WireSettings
-from moc_opt.realtime.packets import REPORTED, RUNNING, STOP, Kind, Packet
+from moc_opt.realtime.packets import REPORTED, RUNNING, STOP, Kind, Packet, layout, make_packet, seal
 from moc_opt.realtime.remote import INCOMING, RemoteController
 from moc_opt.scenario import Scenario, make_safety_filter
 from moc_opt.sim.sensors import Measurement
@@ -41,10 +41,10 @@ class Peer:
         self.seen = Measurement(np.array(robot.data.q_home), np.zeros(self.n), np.zeros(6))
 
     def say(self, kind: Kind, number: int = 0, **values) -> None:
-        packet = Packet(kind, self.n, 0 if kind is Kind.HELLO else self.session, 9)
+        packet = make_packet(kind, self.n, 0 if kind is Kind.HELLO else self.session, 9)
         for name, value in ({"sequence": number} | values).items():
             packet[name] = value
-        self.socket.sendto(packet.seal(KEY), self.link.address)
+        self.socket.sendto(seal(packet, KEY), self.link.address)
 
     def start(self) -> None:
         self.say(Kind.HELLO)
@@ -59,9 +59,7 @@ class Peer:
         return tau
 
     def heard(self) -> Packet:
-        packet = Packet(Kind.MEASUREMENT, self.n)
-        packet.buffer[:] = self.socket.recv(4096)
-        return packet
+        return np.frombuffer(self.socket.recv(4096), layout(Kind.MEASUREMENT, self.n)).reshape(())
 
 
 @pytest.fixture
