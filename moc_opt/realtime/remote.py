@@ -104,7 +104,7 @@ class RemoteController(Filtered):
         return self._applied
 
     def _without_command(self) -> Array:
-        """Return the watchdog's torque (n,) [Nm]; see the class."""
+        """Return the watchdog's torque (n,) [Nm]: the one before, then weight and damping, then with closed brakes."""
         self._silent += 1
         safety, past, sound = self._filter, self._silent - self._settings.hold_ticks, self._sound
         if past <= 0:
