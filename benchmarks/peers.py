@@ -270,7 +270,7 @@ INSTALL = {"tsid": "build it from source against the installed pinocchio; its wh
 def missing(name: str) -> str | None:
     """Say that a peer's package is not installed; None when it is."""
     package = name.partition("-")[0]
-    install = INSTALL.get(package, "pip install 'moc-opt[peers]'")
+    install = INSTALL.get(package, "pip install '.[peers]' in the clone")
     return None if find_spec(package) else f"package {package!r} is not installed: {install}"
 
 

@@ -74,7 +74,7 @@ def work(study: Study, config: Config) -> Found:
             no_peer[name] = str(failure)
     able = [name for name in tried if name not in no_peer]
 
-    # The loop alone: what judges its answers comes after it.
+    # Time the loop without judging.
     scenario, rounds = config.scenario.change(seed=config.seed, judge=False, bound_samples=0), config.rounds
     long = scenario.change(duration_s=config.ticks * scenario.plant.period_s)
     asked: dict[str, tuple[Callable[..., timed.Part], tuple[Any, ...]]] = {
@@ -123,7 +123,7 @@ def summed_up(whole: timed.Part, failed: Mapping[str, str]) -> dict[str, Any]:
 
 def _batch(s: Any) -> float | None:
     found = s["batch"]["exact"]
-    # Of fewer the start of the threads is a large part.
+    # In smaller batches starting the threads dominates.
     return found["batch_two_threads_per_s"] / 1e6 if found["batch"] >= 1_000_000 else None
 
 
@@ -173,7 +173,7 @@ COLUMNS = {
     "tick": ("One tick, state to torque", [
         Column("name", "tick with"), *_times("tick", "p50", "p99", "p99_9"),
         Column("tick_cold_p50_us", "cold", unit="us", format=".1f", better="low",
-               help="median of the five calls after another entry's turn; the percentiles count them too"),
+               help="median of the first five calls after a switch; the percentiles count them too"),
         Column("tick_max_us", "longest", unit="us", format=".1f", better="low"),
     ]),
     "tick_parts": ("Parts of a tick with exact", [
@@ -205,7 +205,7 @@ SECTIONS = {
     ),
     PEERS: (
         ("peers",),
-        "Each on the states of a second on an ideal arm in which it did our job: tip, shaft, joint speeds, and the "
+        "Each library on one second of its own states on an ideal arm, with our job: tip, shaft, joint speeds, and the "
         "freedom left up the gradient of mu. Our tick is timed on its own run with the realistic plant.",
     ),
     SOLVERS: (

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 from moc_opt.commands.running import print_tables
 from moc_opt.errors import MocOptError
+from moc_opt.figures.notation import pretty_unit
 from moc_opt.inputs.files import plain, to_json
 from moc_opt.planning.self_motion import best_freedoms
 from moc_opt.report.console import console, print_json
@@ -34,15 +35,17 @@ def print_list(given: argparse.Namespace) -> int:
     if given.json:
         print_json(found.rows)
         return 0
-    shown = [{found.columns[0].key: name, **{key: _shown(value) for key, value in row.items()}}
+    shown = [{found.columns[0].key: name, **{key: _shown(key, value) for key, value in row.items()}}
              for name, row in found.rows.items() if row.get("here", "yes") == "yes"]  # fmt: skip
     print_tables([Table(found.title, found.columns, shown)])
     console().print(found.note, markup=False)  # below a narrow table it would be a narrow column
     return 0
 
 
-def _shown(value: Any) -> Any:
-    """Write sizes or settings with their defaults in one line."""
+def _shown(key: str, value: Any) -> Any:
+    """Write sizes or settings with their defaults in one line, and a unit as in all tables."""
+    if key == "unit":
+        return pretty_unit(value)
     if not isinstance(value, dict):
         return value
     words = {key: f"{of:g}" if isinstance(of, float) else f"{of}" for key, of in value.items()}

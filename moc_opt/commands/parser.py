@@ -47,7 +47,7 @@ def pages(name: str) -> tuple[Option, ...]:
 SCENARIO = option("scenario", nargs="?", type=Path, help="TOML; without it the default scenario")
 FORCE = flag("--force", "write over a file that moc_opt has not written")
 JSON = flag("--json", "print JSON")
-ALL = flag("--all", "print every metric, not those alone to look at first")
+ALL = flag("--all", "print every metric, not the short selection")
 KEY = option("--key-file", type=Path, help="one line of 16 to 32 bytes; else MOC_OPT_WIRE_KEY")
 WIRE = "127.0.0.1:30200"
 

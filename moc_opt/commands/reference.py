@@ -25,6 +25,9 @@ left out has its default. The levels of RCM error and forces in `[guard]` may be
 """
 
 
+_ABSENT = "left out"
+
+
 class Key(NamedTuple):
     """One key of a table."""
 
@@ -51,8 +54,9 @@ def print_keys(given: argparse.Namespace) -> int:
 
 
 def _on_a_screen(key: Key) -> dict[str, str]:
-    unit = "" if key.unit in ("", "1") or f"[{key.unit}]" in key.meaning else f" [{key.unit}]"
-    return {"key": f"{key.name} = {key.default}", "meaning": f"{key.meaning}{unit} ({key.kind})".strip()}
+    unit = "" if not key.unit or f"[{key.unit}]" in key.meaning else f" [{key.unit}]"
+    default = f": {_ABSENT}" if key.default == _ABSENT else f" = {key.default}"
+    return {"key": f"{key.name}{default}", "meaning": f"{key.meaning}{unit} ({key.kind})".strip()}
 
 
 def tables(kind: type[Settings] = Scenario, path: str = "") -> Iterator[tuple[str, str, list[Key]]]:
@@ -61,7 +65,7 @@ def tables(kind: type[Settings] = Scenario, path: str = "") -> Iterator[tuple[st
     keys = []
     if path in PRESETS:
         meaning = "a named set of values of this table; the other keys override it"
-        keys.append(Key("preset", " | ".join(map(repr, PRESETS[path])), "", "none", meaning))
+        keys.append(Key("preset", " | ".join(map(repr, PRESETS[path])), "", _ABSENT, meaning))
     for name, field in kind.model_fields.items():
         hint = field.annotation
         if isinstance(hint, type) and issubclass(hint, Settings):
@@ -78,10 +82,10 @@ def tables(kind: type[Settings] = Scenario, path: str = "") -> Iterator[tuple[st
 
 
 def unit(name: str, meaning: str = "") -> str:
-    """Read the unit off the [brackets] of a key's meaning, or off its name ("_m_per_s": m/s); "1" where it has none."""
+    """Read the unit off the [brackets] of a key's meaning, or off its name ("_m_per_s": m/s); "" where it has none."""
     written, found = re.search(r"\[([^\]]+)\]", meaning), _SUFFIX.search(name)
     if written is not None or found is None:
-        return "1" if written is None else written[1]
+        return "" if written is None else written[1]
     top, *below = re.split(r"(?:^|_)per_", found[1])
     over = [re.sub(r"2$", "^2", part.replace("_", " ")) for part in below]
     # Ns is written as one word in some names.
@@ -97,7 +101,8 @@ def markdown(only: str | None = None) -> str:
         parts.append(f"\n## {f'`[{name}]`' if name else 'At the top of the file'}\n\n{about}\n")
         parts.append("\n| key | type | unit | default | meaning |\n|---|---|---|---|---|\n")
         for key in keys:
-            cells = (f"`{key.name}`", key.kind, key.unit, f"`{key.default}`", key.meaning)
+            default = key.default if key.default == _ABSENT else f"`{key.default}`"
+            cells = (f"`{key.name}`", key.kind, key.unit, default, key.meaning)
             parts.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |\n")
     return "".join(parts).lstrip("\n")
 
@@ -125,5 +130,5 @@ def _type(hint: Any) -> str:
 
 
 def _value(value: Any) -> str:
-    """Write a default as a TOML file would."""
-    return "none" if value is None else json.dumps(value).replace("Infinity", "inf")
+    """Write a default as in a TOML file, which has no None."""
+    return _ABSENT if value is None else json.dumps(value).replace("Infinity", "inf")

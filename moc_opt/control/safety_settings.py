@@ -53,8 +53,8 @@ class MotionSettings(Settings):
     repeat_whole_ticks: int = Field(
         25, ge=1,
         description="ticks in a row for which a wrench sensor with noise may repeat its reading to the last bit, alone "
-        "or with all encoders; also how many readings, all of one age, may equal earlier ones before they are a "
-        "recording",
+        "or with all encoders; also how many readings in a row may repeat readings equally far back before "
+        "they count as a replay",
     )  # fmt: skip
     stuck_torque: float = Field(
         0.06, ge=0.0,
@@ -79,8 +79,8 @@ class MotionSettings(Settings):
     )  # fmt: skip
     stuck_rad_per_s: float = Field(
         0.2, gt=0.0,
-        description="while an encoder repeats one reading: largest speed that its joint may have gathered by torque "
-        "beyond stuck_torque",
+        description="while an encoder repeats one reading: largest speed that its joint may have been given by "
+        "torque above stuck_torque",
     )  # fmt: skip
     residual_torque: float = Field(
         0.2, gt=0.0,
@@ -96,7 +96,7 @@ class MotionSettings(Settings):
     residual_s: float = Field(0.25, gt=0.0, description="time constant of the residual's mean")
 
     def replayed_ticks(self, n: int) -> float:
-        """Return how many readings of n encoders may have come before, where the wrench sensor has no noise.
+        """Return how many readings of n encoders may repeat earlier ones, where the wrench sensor has no noise.
 
         The chance that one encoder with noise shows an earlier reading once more is at most that of repeating itself;
         that all of them do is its n-th power.

@@ -39,7 +39,7 @@ class ControlSettings(Settings):
     )
     gains: str | None = Field(
         default="default",
-        description="table of the robot's file from which gains are taken; '' or None: the table named like the law",
+        description="table of the robot's file from which gains are taken; '': the table named like the law",
     )
     K_X: Positive | None = Field(default=None, description="tip stiffness [N/m]")
     D_X: NotNegative | None = Field(default=None, description="tip damping [N s/m]")
@@ -53,7 +53,7 @@ class ControlSettings(Settings):
 
     rcm_lambda: Annotated[float, Field(gt=0.0, le=1.0)] | None = Field(
         default=None,
-        description="constant lambda of the paper's |e_N1| = d / lambda, 0.5 in the paper; None: |N_d - N| itself",
+        description="constant lambda of the paper's |e_N1| = d / lambda, 0.5 in the paper; left out: |N_d - N| itself",
     )
     projector: Projector = Field(
         default="dynamic", description="null-space projector of level 2: docs/method.md explains all three"

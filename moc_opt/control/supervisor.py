@@ -44,7 +44,7 @@ class Fault(Enum):
     label: str  #: Name in traces and reports.
 
     def __init__(self, meaning: str) -> None:
-        # Traces keep the label that readers of older ones know.
+        # The label stays "lied", as in older traces.
         self.label = "lied" if self.name == "FALSE_OPTIMUM" else self.name.lower()
 
 
@@ -59,7 +59,7 @@ def _raise_interrupt(error: BaseException) -> None:
 
 
 class First(NamedTuple):
-    """The first fault of a kind: the number of answers requested before, and the message."""
+    """The first fault of a kind: how many answers came before it, and the message."""
 
     tick: int
     text: str
@@ -76,24 +76,24 @@ class SupervisorSettings(Settings):
         1e-2, gt=0.0, description="largest |A x - b| or box violation of an answer claimed optimal [m/s, rad/s]"
     )
     box_limit: float = Field(
-        0.1, gt=0.0, description="largest |A x - b| or box violation of an answer without that claim [m/s, rad/s]"
+        0.1, gt=0.0, description="the same limit for an answer without that claim: of |A x - b|, too [m/s, rad/s]"
     )
     relative_limit: float = Field(
         0.05, gt=0.0,
-        description="largest natural residual along the self-motion, with the cost scaled to slope one [rad/s]",
+        description="largest natural residual along the self-motion, with the gradient scaled to length 1 [rad/s]",
     )  # fmt: skip
     opposite_limit: float = Field(
         1e-3, gt=0.0,
-        description="a claim is false if its x is farther than this from the optimum, and nearer to the optimum of the "
-        "opposite gradient [rad/s]",
+        description="a claim is false if x is more than this from the optimum and nearer to the one for the negated "
+        "gradient [rad/s]",
     )  # fmt: skip
     hold_ticks: int = Field(
         10, ge=0, description="ticks for which the last good answer is held, before the self-motion is damped"
     )
     keep_off_limits: bool = Field(
-        True, description="after these ticks, move the elbow as far as the box asks for; False: damping only"
+        True, description="after hold_ticks, move the elbow only as the box demands; False: damping only"
     )
-    budget_us: float | None = Field(None, gt=0.0, description="time that a solve may take; None: no limit")
+    budget_us: float | None = Field(None, gt=0.0, description="time that a solve may take; left out: no limit")
     late: Literal["hold", "zero", "iterate"] = Field(
         "hold",
         description="what replaces a late answer: the last good one, zero, or ('iterate') what the solver has when the "

@@ -62,7 +62,7 @@ class LivePage:
         try:
             import viser
         except ImportError as error:
-            raise LiveError("the live page needs viser: pip install 'moc-opt[live]'") from error
+            raise LiveError("the live page needs viser: pip install '.[live]' in the clone") from error
         self.run = LiveRun(scenario)
         self._over, token = Event(), secrets.token_urlsafe(24)
         with redirect_stdout(io.StringIO()):  # its greeting

@@ -66,7 +66,7 @@ def browser() -> Iterator[Browser]:
     try:
         from playwright.sync_api import Error, sync_playwright
     except ImportError as error:
-        raise BrowserMissingError(f"playwright is missing: pip install 'moc-opt[figures]', and {CURE}") from error
+        raise BrowserMissingError(f"no playwright: pip install '.[figures]' in the clone, and {CURE}") from error
     chosen = os.environ.get("MOC_OPT_BROWSER")
     program = shutil.which(chosen) if chosen else next(filter(None, map(shutil.which, NAMES)), None)
     if chosen and program is None:

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from moc_opt.figures.notation import Missing, Notation, missing, pretty_units
+from moc_opt.figures.notation import Missing, Notation, missing, pretty_unit, pretty_units
 from moc_opt.report.tables import Column, Table
 from moc_opt.trace.meta import Ending
-from moc_opt.trace.metrics import METRICS
+from moc_opt.trace.metrics import METRICS, Metric
 from moc_opt.trace.trace import Trace, about, table
 
 WHOLE_RUN = ("completed", "share_of_run")
@@ -92,8 +92,8 @@ def below_best(trace: Trace) -> str:
         return f"{said}; at its end it is still {100.0 * left:.1f} % below the local maximum that it climbs to"
     if end["top_mu"] >= (1.0 - NEAR) * end["best_mu"]:
         return f"{said}; it ends at the best pose, which the elbow took time to reach"
-    top = f"at swivel {end['top_swivel_deg']:.0f} deg ({end['top_mu']:.3f} m^3)"
-    best = f"at {end['best_swivel_deg']:.0f} deg ({end['best_mu']:.3f} m^3)"
+    top = f"at swivel {end['top_swivel_deg']:.0f} deg ({end['top_mu']:.3f} m³)"
+    best = f"at {end['best_swivel_deg']:.0f} deg ({end['best_mu']:.3f} m³)"
     where = "before a joint limit" if end["at_limit"] else "at a local maximum"
     return f"{said}; the local law ends {where} {top}, the course {best}"
 
@@ -147,8 +147,8 @@ def run_table(
         # From millimetres to rounding errors: no single notation reads well for all.
         shown = missing(value) or Notation.of([value], digits=4)(value)
         shown = Missing(ANOTHER_PROBLEM) if other and metric in VERDICTS else shown
-        says = METRICS[metric].about if metric in METRICS else ""
-        rows.append({"metric": marked, "value": shown, "says": pretty_units(says)})
+        says = "" if metric not in METRICS else _with_unit(METRICS[metric])
+        rows.append({"metric": marked, "value": shown, "says": says})
         if metric == "mu_fraction_of_bound" and METHOD in trace.meta:
             rows.append({"metric": METHOD, "value": str(trace.meta[METHOD]), "says": "How the largest mu was found."})
     columns = [Column("metric", "metric"), Column("value", "value")]
@@ -156,6 +156,12 @@ def run_table(
     said = [ANOTHER_PROBLEM] if other and set(VERDICTS) & set(metrics) else []
     title = ": ".join(filter(None, [f"{name}{of}", description(trace) if first else ""]))
     return Table(title, columns, rows, caption="\n".join([*said, *warnings(trace)]))
+
+
+def _with_unit(metric: Metric) -> str:
+    if metric.unit in ("1", "percent") or f"[{metric.unit}]" in metric.about:
+        return pretty_units(metric.about)
+    return f"{metric.about.removesuffix('.')} [{pretty_unit(metric.unit)}]."
 
 
 def description(trace: Trace) -> str:

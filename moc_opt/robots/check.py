@@ -90,14 +90,14 @@ def _climb(robot: RobotModel) -> Iterator[Finding]:
     try:
         curve = self_motion(robot, robot.data.q_home)
     except RobotError as error:
-        yield Finding(what, f"{mu:.3g} m^3", "care", f"its self-motion cannot be scanned: {error}")
+        yield Finding(what, f"{mu:.3g} m³", "care", f"its self-motion cannot be scanned: {error}")
     else:
         several = freedoms(robot, robot.data.q_home).real > 1
-        text = f"{mu:.3g} m^3, {curve.mu.min():.3g} to {curve.mu_best:.3g} on {'one' if several else 'its'} self-motion"
+        text = f"{mu:.3g} m³, {curve.mu.min():.3g} to {curve.mu_best:.3g} on {'one' if several else 'its'} self-motion"
         little = max(curve.mu_best, largest if several else 0.0) < (1.0 + LITTLE_TO_GAIN) * mu
         yield _judge(what, text, (little, "care", "little to gain from there: choose another home.q_rad"))
     # With one freedom a local law stays on its curve, and may not get there.
-    yield Finding("largest mu there", f"{largest:.3g} m^3, {how['mu_bound_method']}", "ok")
+    yield Finding("largest mu there", f"{largest:.3g} m³, {how['mu_bound_method']}", "ok")
 
 
 def _task(robot: RobotModel, asked: Scenario) -> Finding:

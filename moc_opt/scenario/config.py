@@ -70,7 +70,7 @@ class Scenario(Settings):
     plant: PlantSettings = PlantSettings.realistic()
     duration_s: float | None = Field(
         None, gt=0.0, le=MOST_S,
-        description="time after which the run stops early; None: it runs to the end of the path",
+        description="time after which the run stops early; left out: it runs to the end of the path",
     )  # fmt: skip
     deadline_us: float = Field(
         2000.0, gt=0.0, le=1e9, description="a tick that takes longer counts as a missed deadline"

@@ -25,9 +25,11 @@ class RobotTable(Settings):
     MEANT_KEY: ClassVar[str] = "name"
     name: str = Field("lwr4", description="a robot of the package, or a path to a URDF or TOML")
     tool_length_m: float | None = Field(
-        None, gt=0.0, le=10.0, description="length from mount to tip; None: the length in the robot's file"
+        None, gt=0.0, le=10.0, description="length from mount to tip; left out: the length in the robot's file"
     )
-    tool_mass_kg: float | None = Field(None, gt=0.0, le=1000.0, description="None: the mass in the robot's file")
+    tool_mass_kg: float | None = Field(
+        None, gt=0.0, le=1000.0, description="mass of the tool; left out: the mass in the robot's file"
+    )
 
     def arm(self) -> RobotModel:
         """Load the robot, and build its model.

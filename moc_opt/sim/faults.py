@@ -34,14 +34,14 @@ class FaultSettings(Settings):
     frozen_ticks: int = Field(1_000_000, ge=1, description="ticks for which they do")
     frozen_joint: int | None = Field(
         None, ge=0,
-        description="freeze one encoder only, counted from 0, while its packets go on; None: whole packets",
+        description="freeze one encoder only, counted from 0, while its packets go on; left out: whole packets",
     )  # fmt: skip
     frozen_wrench: bool = Field(False, description="freeze the wrench sensor only, while the encoders' packets go on")
     frozen_velocity: Literal["repeated", "zero"] = Field("repeated", description="velocity in a frozen reading")
     lag_at_s: float | None = Field(None, ge=0.0, description="time from which measurements lag more and more")
     lag_joint: int | None = Field(
         None, ge=0,
-        description="let one encoder only lag, counted from 0, under up-to-date packet numbers; None: all lag",
+        description="let one encoder only lag, counted from 0, under up-to-date packet numbers; left out: all lag",
     )  # fmt: skip
     lag_ticks: int = Field(0, ge=0, le=1000, description="ticks of delay added at once at lag_at_s")
     lag_growth: float = Field(0.1, gt=0.0, le=1.0, description="ticks of delay added in each tick")
@@ -92,7 +92,7 @@ class FaultSettings(Settings):
 
     @property
     def around_the_arm(self) -> bool:
-        """Whether anything but the solver is disturbed: if not, the loop need not ask at every tick."""
+        """Whether anything but the solver is disturbed: if not, the loop can skip ``sense`` and ``act``."""
         solver = {"solver", "solver_share"}
         return any(getattr(self, k) != f.default for k, f in type(self).model_fields.items() if k not in solver)
 
@@ -182,7 +182,7 @@ class Faults:
         return seen._replace(q=q, v=v)
 
     def _after(self, at_s: float | None, tick: int) -> int:
-        """Ticks since the one at that time, it included; 0 before."""
+        """1 at the tick of that time, 2 at the next; 0 before it."""
         return 0 if at_s is None else max(0, tick - round(at_s / self._period) + 1)
 
     def _ago(self, ticks: int) -> Measurement:

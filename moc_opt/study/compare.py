@@ -183,7 +183,7 @@ class Comparison:
         try:
             import pandas
         except ImportError as error:
-            raise ScenarioError("pandas is not installed: pip install 'moc-opt[dataframes]'") from error
+            raise ScenarioError("pandas is not installed: pip install '.[dataframes]' in the clone") from error
         return pandas.DataFrame([dict(row) for row in self.rows])
 
     def save_rows(self, path: str | os.PathLike[str]) -> None:

@@ -328,7 +328,7 @@ def _cluster(address: str) -> Iterator[tuple[Submit, int]]:
     try:
         client_of: Any = importlib.import_module("distributed").Client
     except ImportError as error:
-        raise StudyError("a Dask scheduler needs a package that is missing: pip install 'moc-opt[cluster]'") from error
+        raise StudyError("Dask needs a missing package: pip install '.[cluster]' in the clone") from error
     try:
         client = client_of(address, timeout=CONNECT_S, set_as_default=False)
     except (OSError, ValueError) as error:

@@ -38,7 +38,7 @@ class Metric:
 
     name: str  #: key in every summary, with the unit in it
     unit: str  #: "mm", "us"; "1" for counts and shares
-    about: str  #: one line on what it measures
+    about: str  #: one line on what it measures, without the unit
     function: Callable[..., float] = field(repr=False)  #: `(trace) -> number` or `(trace, baseline) -> number`
 
     def __call__(self, trace: Trace, baseline: Trace | None = None) -> float:
@@ -174,7 +174,7 @@ def _figure(
 ) -> None:  # fmt: skip
     factor = 1e3 if unit == "mm" else 1.0
     meaning, _, _ = COLUMNS[column].meaning.partition(";")
-    _add(name, unit, f"{said} {meaning} [{unit}].", lambda trace: factor * of(read(trace, column)))
+    _add(name, unit, f"{said} {meaning}.", lambda trace: factor * of(read(trace, column)))
 
 
 # --- how a run ended ---
@@ -209,7 +209,7 @@ _figure("mu_final", "m^3", "Last", "mu", lambda values: values[-1])
 
 @metric("percent")
 def mu_gain_percent(trace: Trace, baseline: Trace | None) -> float:
-    """Mean manipulability above the baseline's [percent of it]; compare two third levels by mu_mean.
+    """Mean manipulability above the baseline's, in percent of it; compare two third levels by mu_mean.
 
     Their baselines differ: each has the observer gain of its third level.
     """
@@ -258,7 +258,7 @@ for _column, _unit in (
 
 @metric("Nm/s")
 def torque_rate_rms_Nm_per_s(trace: Trace) -> float:
-    """Chatter: root mean square over the ticks of |tau_k - tau_(k-1)| / (t_k - t_(k-1)) [Nm/s]."""
+    """Chatter: root mean square over the ticks of |tau_k - tau_(k-1)| / (t_k - t_(k-1))."""
     change, step = _lengths(np.diff(trace.tau_Nm, axis=0)), np.diff(_floats(trace, "t_s"))
     if "tick" in trace.columns:
         # Selected ticks may lie apart; a difference across such a gap is no rate.
@@ -273,13 +273,13 @@ def torque_rate_rms_Nm_per_s(trace: Trace) -> float:
 
 @metric("rad/s")
 def oscillation_rad_per_s(trace: Trace) -> float:
-    """Largest joint's root mean square of velocity above 8 Hz over a second [rad/s]; see moc_opt.trace.oscillation."""
+    """Largest joint's root mean square of velocity above 8 Hz over a second; see moc_opt.trace.oscillation."""
     return shaking(trace, "v_rad_per_s").rms
 
 
 @metric("Nm")
 def oscillation_Nm(trace: Trace) -> float:
-    """Largest joint's root mean square of torque above 8 Hz over a second [Nm]; see moc_opt.trace.oscillation."""
+    """Largest joint's root mean square of torque above 8 Hz over a second; see moc_opt.trace.oscillation."""
     return shaking(trace, "tau_Nm").rms
 
 
@@ -293,7 +293,7 @@ for _column in ("solve_us", "tick_us"):
 
 @metric
 def deadline_misses(trace: Trace) -> float:
-    """Ticks that took longer than meta["deadline_us"]."""
+    """Ticks that took longer than the deadline."""
     deadline = trace.meta.get("deadline_us")
     if deadline is None:
         raise MissingDataError("meta has no 'deadline_us': give the time a tick may take [us]")

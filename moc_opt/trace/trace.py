@@ -322,4 +322,4 @@ def _package(name: str) -> Any:
     try:
         return importlib.import_module(name)
     except ImportError as error:
-        raise TraceError(f"{name} is not installed: pip install 'moc-opt[dataframes]'") from error
+        raise TraceError(f"{name} is not installed: pip install '.[dataframes]' in the clone") from error

@@ -13,7 +13,7 @@ from benchmarks.export import problems
 from moc_opt.solvers import create
 
 
-@pytest.mark.skipif(find_spec("qpbenchmark") is None, reason="pip install 'moc-opt[qpbenchmark]'")
+@pytest.mark.skipif(find_spec("qpbenchmark") is None, reason="pip install '.[qpbenchmark]'")
 def test_the_published_tool_reads_and_runs_it_unchanged(tmp_path):
     """By its own command line, in a process of its own."""
     from qpbenchmark.benchmark import load_test_set

@@ -27,7 +27,7 @@ from moc_opt.live.run import DCAC, QUANTITIES
 from moc_opt.scenario import Scenario
 from tests.conftest import opened
 
-viser = pytest.importorskip("viser", reason="the live page needs viser: pip install 'moc-opt[live]'")
+viser = pytest.importorskip("viser", reason="the live page needs viser: pip install '.[live]'")
 
 import msgspec  # noqa: E402
 from viser._messages import GuiUpdateMessage  # noqa: E402

@@ -292,7 +292,7 @@ def test_pandas_has_every_number_of_every_column(trace):
 
 
 def test_xarray_names_the_dimensions_and_units(trace):
-    pytest.importorskip("xarray", reason="xarray is not installed: pip install 'moc-opt[dataframes]'")
+    pytest.importorskip("xarray", reason="xarray is not installed: pip install '.[dataframes]'")
     found = trace.to_xarray()
     assert (found.q_rad.dims, found.tip_m.dims) == (("t_s", "joint"), ("t_s", "axis"))
     assert found.q_rad.attrs["units"] == "rad"
@@ -305,7 +305,7 @@ def test_xarray_names_the_dimensions_and_units(trace):
 @pytest.mark.parametrize(("package", "method"), [("pandas", "to_pandas"), ("xarray", "to_xarray")])
 def test_without_the_package_the_extra_is_named(trace, monkeypatch, package, method):
     monkeypatch.setitem(sys.modules, package, None)
-    with pytest.raises(TraceError, match=rf"{package} is not installed: pip install 'moc-opt\[dataframes\]'"):
+    with pytest.raises(TraceError, match=rf"{package} is not installed: pip install '.\[dataframes\]'"):
         getattr(trace, method)()
 
 
