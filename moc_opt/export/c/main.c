@@ -62,9 +62,8 @@ int main(void)
     }
     printf("%d ticks, %d limited, %s", TICKS, limited, moc_reason(state.reason));
     if (stopped_at >= 0)
-        printf(" (tick %d)", stopped_at);
-    if (stopped_at >= SOUND && stopped_at == STOPPED_AT)
-        printf(" (as it should: the last %d ticks have faults)", TICKS - SOUND);
+        printf(" (tick %d%s)", stopped_at,
+               stopped_at == STOPPED_AT ? ", as it should: the last ticks have faults" : "");
     printf("; largest difference from the recorded torque %.1e Nm\n", worst);
 
     for (int round = 0; round < ROUNDS; round++) {
