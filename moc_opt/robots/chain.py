@@ -71,16 +71,10 @@ def _turns(axis: Array, angles: Array) -> Array:
 def desired_wrist(
     tip: ArrayLike, tip_velocity: ArrayLike, trocar: ArrayLike, trocar_velocity: ArrayLike, span: float
 ) -> tuple[Array, Array]:
-    """Compute N_d = X + L e, e = (P_t - X)/|P_t - X|, and dN_d = dX + L de/dt; vectors, or rows of them.
+    """Compute N_d = X + L e [m], e = (P_t - X)/|P_t - X|, and dN_d = dX + L de/dt [m/s], (..., 3) each.
 
-    With N_d as wrist the shaft passes through the trocar; de/dt = (I - e e^T)(dP_t - dX)/|P_t - X|.
-
-    Args:
-        tip, tip_velocity, trocar, trocar_velocity: (..., 3) [m], [m/s]; 0.0 for a point at rest.
-        span: L, from wrist centre to tip [m].
-
-    Returns:
-        (..., 3) [m], [m/s].
+    With N_d as wrist the shaft passes through the trocar; de/dt = (I - e e^T)(dP_t - dX)/|P_t - X|. Points and velocities
+    are (..., 3), a velocity of 0.0 is rest; ``span`` is L, from wrist centre to tip [m].
     """
     line, turn = np.subtract(trocar, tip), np.subtract(trocar_velocity, tip_velocity)
     distance = np.linalg.norm(line, axis=-1, keepdims=True)

@@ -48,7 +48,7 @@ class Tool(_Table):
 
     KIND: ClassVar[str] = "[tool]"
     length_m: float = Field(0.30, gt=0, le=10)
-    mass_kg: float = Field(0.3, gt=0, le=1000)
+    mass_kg: float = Field(0.3, ge=urdf.SMALLEST_MASS, le=1000)
     radius_m: float = Field(0.004, gt=0, le=1)
 
 
@@ -156,14 +156,7 @@ def load_data(
 ) -> RobotData:
     """Load a robot by name, from a TOML file (which names its URDF), or from a URDF with a TOML beside it.
 
-    Args:
-        name_or_path: one of `available_robots()`, or a path ending in .toml or .urdf.
-        tool_length: mount to tip [m]; overrides the TOML.
-        tool_mass: [kg]; overrides the TOML.
-
-    Raises:
-        UnknownNameError: no robot of that name.
-        RobotError: a file is missing, or an entry is missing, unknown or inconsistent.
+    Arguments and errors as of `moc_opt.load_robot`.
     """
     path = _find(name_or_path)
     description = _described(path)
@@ -175,8 +168,6 @@ def load_data(
             raise RobotError(f"urdf already has {kind}s named {taken}: rename them, the tool needs these names")
     chain = _chain(arm, description.frames.last_link)
     bounds = _limits(description.limits, chain)
-    for joint, *values in zip(chain, *bounds.values(), strict=True):
-        joint.limit(*values)
     _append_tool(arm, description.frames, tool)
     n, drives = len(chain), description.joints
     q_home = _vector("home.q_rad", description.home.q_rad, n)
@@ -237,6 +228,7 @@ def _chain(arm: urdf.Urdf, last_link: str) -> list[urdf.Joint]:
 
 
 def _limits(given: Limits, chain: list[urdf.Joint]) -> dict[str, Array]:
+    """Return the limits, which the joints then have too."""
     found: dict[str, Array] = {}
     for field, key, entry in (
         ("q_min", "lower", "q_min_deg"), ("q_max", "upper", "q_max_deg"), ("v_max", "velocity", "v_max_deg_per_s"),
@@ -259,6 +251,7 @@ def _limits(given: Limits, chain: list[urdf.Joint]) -> dict[str, Array]:
         for field, value in (("v_max", speed), ("tau_max", torque)):
             if value <= 0.0:
                 raise RobotError(f"{field} {where} = {value:.6g}: give a positive number, in [limits] or the <limit>")
+        joint.limit(low, high, speed, torque)
     return found
 
 
@@ -284,13 +277,10 @@ def _append_tool(arm: urdf.Urdf, frames: Frames, tool: Tool) -> None:
             "put it on the line of the shaft, behind the tip (the tool mount itself will do)"
         )
     across, about = m * (3 * r * r + length * length) / 12, m * r * r / 2
-    rod = urdf.Link(urdf.TOOL_LINK, m, (across, across, about, 0.0, 0.0, 0.0), (0.0, 0.0, length / 2))
-    fault = urdf.inertia_fault(rod.moments or ())
-    if m < urdf.SMALLEST_MASS or fault is not None:
-        why = fault or f"{urdf.SMALLEST_MASS:g} kg is the least"
-        raise RobotError(
-            f"tool of {m:g} kg, {length:g} m, radius {r:g} m: {why}; raise tool.mass_kg (tool_mass) or tool.radius_m"
-        )
+    moments = (across, across, about, 0.0, 0.0, 0.0)
+    if fault := urdf.inertia_fault(moments):
+        raise RobotError(f"tool of {m:g} kg, {length:g} m, radius {r:g} m: {fault}; raise tool.mass_kg or radius_m")
+    rod = urdf.Link(urdf.TOOL_LINK, m, moments, (0.0, 0.0, length / 2))
     for link, kind, point in (
         (rod, "mount", mount), (urdf.Link(urdf.TIP_LINK), "frame", mount + length * axis),
         (urdf.Link(urdf.WRIST_LINK), "frame", wrist),

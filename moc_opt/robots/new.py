@@ -59,7 +59,7 @@ def new_robot(
     Args:
         source: the vendor's URDF; it is only read.
         out: where the TOML goes; both files must not exist yet.
-        tip: the link that carries the tool; None: that of the last joint.
+        tip: the link that carries the tool; None: that of the last moving joint of the one chain there is.
         tool_m: mount to tip [m].
         wrist_m: wrist point to mount along the shaft [m]; None: found.
         lock: joint -> position [rad, m] at which it is fixed.

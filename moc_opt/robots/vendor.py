@@ -44,13 +44,7 @@ def read_vendor(
     """Read a URDF and make it a serial arm.
 
     Side joints (fingers, a second arm, a head) and those named in ``lock`` are fixed; masses and limits that no arm has
-    are replaced; meshes are not looked at.
-
-    Args:
-        path: the vendor's file.
-        tip: the link that carries the tool; None: that of the last moving joint of the one chain there is.
-        lock: joint -> the position [rad, m] at which it is fixed.
-        base_rpy: how the base stands [rad].
+    are replaced; meshes are not looked at. Arguments as of `moc_opt.robots.new.new_robot`.
 
     Raises:
         RobotError: no URDF, xacro that is not expanded, no single chain, a mimic joint in the chain.

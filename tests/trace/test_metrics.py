@@ -180,18 +180,6 @@ def test_registration_refuses_taken_names_and_silence() -> None:
     assert metric(METRICS["completed"].function) is METRICS["completed"]
 
 
-def test_every_metric_has_the_unit_of_its_name() -> None:
-    named = {"mm": "mm", "us": "us", "N": "N", "Nm": "Nm", "percent": "percent", "rad_per_s": "rad/s",
-             "Nm_per_s": "Nm/s"}  # fmt: skip
-    for name, function in METRICS.items():
-        units = [unit for ending, unit in named.items() if name.endswith(f"_{ending}")]
-        if units:
-            assert function.unit == units[-1], name
-        assert function.about
-    bare = {name: of.unit for name, of in METRICS.items() if not any(name.endswith(f"_{e}") for e in named)}
-    assert {name for name, unit in bare.items() if unit != "1"} == {"mu_mean", "mu_final", "primal_max", "natural_max"}
-
-
 def test_metrics_of_other_packages_are_in_the_summary_and_a_broken_one_hides_none(monkeypatch):
     own = types.ModuleType("own_metrics")
 
