@@ -73,8 +73,8 @@ def desired_wrist(
 ) -> tuple[Array, Array]:
     """Compute N_d = X + L e [m], e = (P_t - X)/|P_t - X|, and dN_d = dX + L de/dt [m/s], (..., 3) each.
 
-    With N_d as wrist the shaft passes through the trocar; de/dt = (I - e e^T)(dP_t - dX)/|P_t - X|. Points and velocities
-    are (..., 3), a velocity of 0.0 is rest; ``span`` is L, from wrist centre to tip [m].
+    With N_d as wrist the shaft passes through the trocar; de/dt = (I - e e^T)(dP_t - dX)/|P_t - X|. The arguments are
+    (..., 3), 0.0 for a point at rest, and ``span``, which is L, from wrist centre to tip [m].
     """
     line, turn = np.subtract(trocar, tip), np.subtract(trocar_velocity, tip_velocity)
     distance = np.linalg.norm(line, axis=-1, keepdims=True)

@@ -142,11 +142,7 @@ class Trace:
         return self._of(MappingProxyType(found), self.meta)._as_part_of(self)
 
     def between(self, start_s: float, stop_s: float) -> Trace:
-        """Return the trace of the ticks with start_s <= t_s < stop_s; see `select`.
-
-        Raises:
-            TraceError: a time is no number, or no tick lies there.
-            MissingDataError: the trace has no `t_s`.
+        """Return the trace of the ticks with start_s <= t_s < stop_s, as `select`; a TraceError where none lies there.
 
         Example:
             >>> mo.Trace({"t_s": [0.0, 0.002, 0.004]}).between(0.001, 0.003).t_s.tolist()
@@ -167,13 +163,9 @@ class Trace:
     ) -> Figure:
         """Draw the run over time, as the reports do: a plotly figure that a notebook shows.
 
-        Args:
-            columns: one panel each, from top to bottom; None: mu, tip error, RCM error and force.
-            name: of this run in the legend; None: its solver's, or the law's where it has none.
-            beside: a second run, named likewise; "baseline" where that is the same name.
-
-        Raises:
-            ReportError: as of `moc_opt.figures.time_series`.
+        Each of ``columns`` has a panel; None: mu, tip error, RCM error and force. ``name`` is that of this run in the
+        legend, None: its solver's, or the law's where it has none; ``beside`` is a second run, named likewise, or
+        "baseline" where that is the same name. Errors as of `moc_opt.figures.time_series`.
         """
         from moc_opt.figures import time_series
 

@@ -86,15 +86,11 @@ def random_start(
 ) -> Found:  # fmt: skip
     """Draw poses until one can do the task, and return what was laid out from it.
 
-    A pose is drawn evenly from the joints' ranges, less `DRAWN_MARGIN` at both ends. It is rejected where the task
-    cannot be done from it within joint limits and speeds, and where, at the start after its swivel is chosen or along
-    the path, it is nearly singular (`REGULAR`), a joint is within its margin of its limit, or tip or wrist is below the
-    plane that the arm stands on.
-
-    Args:
-        swivelled: a pose -> the one that is begun with, of the same tip and wrist.
-        lay_out: a pose -> the task from there, and the poses (k, n) that follow it.
-        margins: (n,) that the joints keep from their limits [rad], [m] where they slide.
+    A pose is drawn evenly from the joints' ranges, less `DRAWN_MARGIN` at both ends. ``swivelled`` chooses the pose of
+    the same tip and wrist that is begun with, ``lay_out`` gives the task from there and the poses (k, n) that follow
+    it. Rejected is a pose from which the task cannot be done within joint limits and speeds, and where one of these is
+    nearly singular (`REGULAR`), has a joint within its ``margins`` (n,) of a limit [rad], [m] where it slides, or tip
+    or wrist below the plane that the arm stands on.
 
     Raises:
         ScenarioError: none of `DRAWS` poses passes; says what rejected how many.
@@ -147,17 +143,11 @@ def check_reachable(
 
     There is one each `SPACING_M`, solved from the pose before it; the elbow may have to travel to the first. If that
     fails, the path is tried again from the middle of the starting self-motion. A refused path may still be possible
-    another way; an accepted path is possible.
-
-    Args:
-        q_start: (n,) the pose it begins with, its tip at the start of the reference [rad].
-        trocar: where the shaft has to pass.
-        until_s: time at which the run ends [s]; the reference after it is ignored.
+    another way; an accepted path is possible. The tip at ``q_start`` (n,) is at the start of the reference, which is
+    ignored after ``until_s`` [s].
 
     Raises:
-        UnreachableError: a point, a joint speed or the trocar is out of reach; names the field, the arc length
-            and the cure.
-        RobotError: q_start is not usable.
+        UnreachableError: a point, a joint speed or the trocar is out of reach; names field, arc length and cure.
     """
     state = robot.state(q_start)
     places = _places(reference, trocar, until_s)
