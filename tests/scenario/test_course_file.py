@@ -128,27 +128,13 @@ def test_the_commands_write_and_follow_it(tmp_path, capsys):
     assert main(["run", str(own), "--third-level", "local", "--json"]) == 0
 
 
-# --- what keeps a third level from following ---
-
-WARNED = mo.Scenario(duration_s=2.0, start={"swivel": 0.2})
-
-
-@pytest.fixture(scope="module")
-def fast():
-    return plan(WARNED, refined=False)
-
-
-def test_a_course_that_is_too_fast_is_named_with_joint_and_cure(fast):
-    (said,) = following_warnings(WARNED, fast)
-    robot = WARNED.robot.arm()
+def test_what_keeps_a_third_level_from_following_is_named_with_its_cure():
+    scenario = mo.Scenario(duration_s=2.0, start={"swivel": 0.2})
+    fast, robot = plan(scenario, refined=False), scenario.robot.arm()
+    (said,) = following_warnings(scenario, fast)
     shares = np.abs(np.diff(fast.from_start.q_rad, axis=0)).max(axis=0) / fast.targets.period_s / robot.v_max
     assert robot.data.joint_names[int(np.argmax(shares))] in said
     assert f"{shares.max():.3f} of its speed limit" in said
     assert "--speed-share 0.85" in said
-
-
-@pytest.mark.parametrize(
-    ("change", "said"), [({"preset": "paper"}, "regularization = 0"), ({"law": "dcac"}, "no third level")]
-)
-def test_what_else_is_in_the_way_is_said(fast, change, said):
-    assert any(said in line for line in following_warnings(WARNED.change(control=change), fast))
+    for change, words in (({"preset": "paper"}, "regularization = 0"), ({"law": "dcac"}, "no third level")):
+        assert any(words in line for line in following_warnings(scenario.change(control=change), fast))
