@@ -99,23 +99,6 @@ def test_settings_reach_the_core(setting, core_s, robot):
     np.testing.assert_array_equal(controller.tick(state.q, state.v, tip_ref, trocar), wanted)
 
 
-@pytest.mark.parametrize("margin", [0.0, 0.045, 0.3])
-def test_the_box_closes_before_the_limit(robot, margin):
-    """At the margin no joint may move on, between margin and limit it is asked back, and further in it is free."""
-    q = robot.data.q_home.copy()
-    for joint in range(6):
-        for end, side in ((robot.q_min, -1.0), (robot.q_max, 1.0)):
-            for inside in (-0.01, 0.0, 0.01):
-                pose = q.copy()
-                pose[joint] = end[joint] - side * (margin + inside)
-                state = robot.state(pose)
-                controller, _, tip_ref, trocar = started(robot, state=state, limit_margin_rad=margin, k0_per_s=2.0)
-                controller.tick(state.q, state.v, tip_ref, trocar)
-                qp = controller.subproblem
-                outwards = qp.upper[joint] if side > 0.0 else -qp.lower[joint]
-                assert outwards == pytest.approx(2.0 * inside, abs=1e-12)
-
-
 # --- when the subproblem has no answer ---
 
 
