@@ -91,6 +91,8 @@ WRONG = {
         **dict.fromkeys(("ramp_s", "limit_margin_rad", "regularization", "c0"), (-0.1,)),
         **dict.fromkeys(("K_X", "k0_per_s", "K_N"), (0.0,)),
         **dict.fromkeys(("rcm_lambda", "speed_fraction"), (0.0, 1.1)),
+        "horizon_s": (0.1, 3.0), "replan_per_s": (10.0, 60.0), "course_speed_fraction": (0.0, 1.0),
+        "shaft_margin": (-0.1, 1.1),
         "c1": (float("nan"),), "D_N2": (-0.1, "soft", [1.0, -1.0]), "law": ("both",), "projector": ("kinetic",),
         "fallback": ("stop",), "limit_torque": ("perhaps",), "feedforward": (3,),
     },

@@ -125,6 +125,8 @@ def test_each_fault_has_its_name_and_is_counted(fault, qp, Z):
     assert fault is not Fault.RAISED or mine.firsts == {"raised": (1, "RuntimeError: from inside a solver")}
     # the last good answer is held, but an infeasible subproblem is answered by the fallback
     np.testing.assert_array_equal(x, np.zeros(7) if fault is Fault.INFEASIBLE else solved(qp).x)
+    mine.forget()
+    assert (mine.counts, mine.firsts) == ({}, {})
 
 
 @pytest.mark.parametrize("late", ["hold", "zero", "iterate"])

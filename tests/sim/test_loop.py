@@ -17,15 +17,16 @@ class Holding:
 
     def __init__(self, robot, push=3.0):
         self.robot, self.push = robot, push
-        self.seen, self.order = [], []
+        self.started, self.seen, self.order = [], [], []
 
-    def start(self, *_):
-        """Nothing to prepare."""
+    def start(self, *given):
+        """Remember what the run begins with."""
+        self.started.append([np.array(each) for each in given])
 
     def tick(self, q, v, tip_ref, trocar):
         """Gravity, damping and a push on joint 1."""
         self.order.append("tick")
-        self.seen.append(q.copy())
+        self.seen.append([np.array(each) for each in (q, v, tip_ref, trocar)])
         return self.robot.gravity(q) - 5.0 * v + self.push * np.eye(7)[0]
 
     def columns(self, ticks):
@@ -62,9 +63,13 @@ def test_one_row_a_tick_the_state_at_its_start(robot, references):
     """
     tip_refs, trocars, registered = references
     realistic = PlantSettings.realistic()
-    trace = simulate(ready(robot, realistic), Holding(robot), *references)
-    plant, brain = ready(robot, realistic), Holding(robot)
+    brain = Holding(robot)
+    trace = simulate(ready(robot, realistic), brain, *references)
+    plant = ready(robot, realistic)
     assert len(trace) == TICKS
+    (started,) = brain.started
+    for given, first in zip(started, brain.seen[0], strict=True):
+        np.testing.assert_array_equal(given, first)
     for k in range(TICKS):
         assert trace.t_s[k] == pytest.approx(plant.time, abs=1e-12)
         for column, truth in (
@@ -74,8 +79,9 @@ def test_one_row_a_tick_the_state_at_its_start(robot, references):
             np.testing.assert_array_equal(column[k], truth)
         seen = plant.measure()
         np.testing.assert_array_equal(np.r_[trace.force_N[k], trace.torque_Nm[k]], seen.force)
-        tau = brain.tick(seen.q, seen.v, tip_refs[k], registered[k])
-        np.testing.assert_array_equal(trace.tau_Nm[k], tau)
+        for given, shown in zip(brain.seen[k], (seen.q, seen.v, tip_refs[k], registered[k]), strict=True):
+            np.testing.assert_array_equal(given, shown)
+        np.testing.assert_array_equal(trace.tau_Nm[k], tau := Holding(robot).tick(*brain.seen[k]))
         plant.step(tau, trocars[k])
     assert np.linalg.norm(trace.q_rad[-1] - trace.q_rad[0]) > 1e-4  # it does move
     np.testing.assert_allclose(trace.tip_error_m, np.linalg.norm(tip_refs[:, 0] - trace.tip_m, axis=1), atol=1e-15)
