@@ -95,11 +95,7 @@ class Settings(BaseModel):
 
     @classmethod
     def keys(cls, values: Mapping[str, Any]) -> list[str]:
-        """List the keys that a table may have; a subclass adds those of its free tables, with a dot.
-
-        Args:
-            values: of the table that has another one.
-        """
+        """List the keys that a table of such values may have; a subclass adds those of its free tables, dotted."""
         return list(dict.fromkeys([*cls.model_fields, *filter(None, [cls.MEANT_KEY])]))
 
 

@@ -165,12 +165,8 @@ def find_shaft(text: str, last_link: str, *, wrist_m: float | None = None) -> Sh
     """Lay the tool along the last turning axis, away from the arm, from the last link's origin.
 
     The wrist point is the point of the shaft nearest to the axis before it: where they cross on a spherical wrist.
-    Where the last joint slides, the tool runs along z of the last link and the wrist point is its origin.
-
-    Args:
-        text: a clean URDF.
-        last_link: the link that carries the tool.
-        wrist_m: distance from wrist point to mount along the shaft [m], in place of the one found.
+    Where the last joint slides, the tool runs along z of the last link and the wrist point is its origin. ``text`` is a
+    URDF that is sound; ``wrist_m`` is the distance from wrist point to mount [m], in place of the one found.
     """
     model = pin.buildModelFromXML(text)
     data = model.createData()
