@@ -114,7 +114,7 @@ static moc_twist momentum(const body *b, const moc_twist *twist)
     return H;
 }
 
-/* Rate at which a twist fixed to a body changes that moves with V: [w x lin + v x ang, w x ang]. */
+/* Rate of change of a twist fixed to a body that moves with V: [w x lin + v x ang, w x ang]. */
 static moc_twist carried(const moc_twist *V, const moc_twist *S)
 {
     moc_twist rate = {{0.0, 0.0, 0.0}, {0.0, 0.0, 0.0}};
@@ -177,7 +177,7 @@ static void dynamics(const moc_arm *arm, const moc_frame *frame, const moc_twist
         t->M[k][k] += arm->joint[k].rotor;
         t->gravity[k] = power(&S[k], &weight);
         t->h[k] = power(&S[k], &force[k]) + t->gravity[k];
-        /* Turning joint k takes the links beyond it along, but not the velocity of those before it. */
+        /* Joint k carries the links beyond it; the velocity of those before it does not turn. */
         t->energy_slope[k] = power(&rate[k], &H[k]);
     }
 }
@@ -223,7 +223,7 @@ void moc_tool_pose(const moc_arm *arm, const double *q, double pose[4][3])
     pose_of(arm, &frame[arm->n - 1], pose);
 }
 
-/* tip to A; the frames and twists are the caller's. */
+/* Fills the fields from `tip` to `A` of moc_terms, mu and its gradients, and the caller's frames and twists. */
 static void place_tool(const moc_arm *arm, const double *q, moc_frame *frame, moc_twist *twist, moc_terms *t)
 {
     int n = arm->n;

@@ -5,13 +5,13 @@
 
 #include "vec.h"
 
-/* Mobility of the wrist in its harder direction over that in its easier one, below which the feed-forward leaves the
- * harder one out; about the elbow's angle [rad]. */
+/* Ratio of smaller to larger wrist mobility, about the elbow's angle [rad]; below it the feed-forward skips the stiff
+ * direction. */
 #define STRAIGHT 1e-3
 
 #define SHAFT_PULL 0.1 /* weight of log mu_shaft beside mu [m^3]; it fades out towards shaft_margin */
 #define SHAFT_LOST 0.1 /* share of shaft_margin below which the push fades out again: at 0 it has no direction */
-#define BOX_OPENS 3.0  /* inverse of the share of shaft_margin over which the box opens to the joints' whole speed */
+#define BOX_OPENS 3.0  /* 1/(share of shaft_margin) over which the box widens to full speed */
 
 /* How the line from the tip to the trocar lies and turns. */
 typedef struct {
@@ -58,8 +58,8 @@ static void times(int n, double J[][MOC_MAX_JOINTS], const double *v, double out
         out[i] = dot(n, J[i], v);
 }
 
-/* ddN_d of N_d = X + L e, without the trocar's own acceleration. With r = P_t - X = |r| e:
- * e'' = (I - e e^T)(r'' - 2 |r|' e') / |r| - |e'|^2 e. */
+/* ddN_d of N_d = X + L e, L the span from wrist to tip, without the trocar's own acceleration. With
+ * r = P_t - X = |r| e: e'' = (I - e e^T)(r'' - 2 |r|' e') / |r| - |e'|^2 e. */
 static void desired_wrist_acceleration(const line *s, double span, const double ddX_d[3], double out[3])
 {
     double pull[3], square = dot3(s->turn, s->turn);
@@ -76,22 +76,22 @@ static void desired_wrist_acceleration(const line *s, double span, const double 
  *   tau += (I - J_T^T Jbar_T^T) tau_W + A5^T (A5 M^-1 A5^T)^-1 a,  Jbar_T = M^-1 J_T^T (J_T M^-1 J_T^T)^-1,
  *   a = [ddX_d - dJ_T v; b^T (ddN_d - dJ_W v)], or 0 without a feed-forward.
  *
- * With M = L L^T the rows of A5 L^-T, and L^-1 tau_W as a sixth one, are made orthogonal to the tip's: nothing is
- * squared, and the torque of a nearly straight elbow keeps twice the digits. Such an elbow can hardly move the wrist in
- * one direction, which the feed-forward leaves out (STRAIGHT): at the straight elbow itself it would need an infinite
- * torque, whose sign rounding would decide. */
+ * A5: J_T over b^T J_W, b the two directions across the shaft. With M = H H^T (Cholesky) the rows of A5 H^-T, and
+ * H^-1 tau_W as a sixth one, are made orthogonal to the tip's: nothing is squared, and the torque of a nearly straight
+ * elbow keeps twice the digits. Such an elbow can hardly move the wrist in one direction, which the feed-forward leaves
+ * out (STRAIGHT): at the straight elbow itself it would need an infinite torque, whose sign rounding would decide. */
 static void add_dynamic(const moc_law *law, int n, moc_terms *t, const double *ddX_d, const double *ddN_d,
                         const double *tau_W, double *tau)
 {
     enum { TAU_W = 5 };
-    double L[MOC_MAX_JOINTS][MOC_MAX_JOINTS], inverse[MOC_MAX_JOINTS], rows[6][MOC_MAX_JOINTS], b[2][3];
+    double H[MOC_MAX_JOINTS][MOC_MAX_JOINTS], inverse[MOC_MAX_JOINTS], rows[6][MOC_MAX_JOINTS], b[2][3];
     double a[6] = {0.0}, c[6];
 
-    cholesky(n, t->M, L, inverse);
+    cholesky(n, t->M, H, inverse);
     across(t->u, b);
     five_rows(n, t->A, b, rows);
     memcpy(rows[TAU_W], tau_W, (unsigned)n * sizeof *tau_W);
-    solve_lower(n, L, inverse, 6, rows);
+    solve_lower(n, H, inverse, 6, rows);
     for (int i = 0; i < 3 && law->feedforward; i++) {
         double gap = ddN_d[i] - t->drift[3 + i];
         a[i] = ddX_d[i] - t->drift[i];
@@ -128,16 +128,16 @@ static void add_dynamic(const moc_law *law, int n, moc_terms *t, const double *d
     c[3] = one > least ? a[3] / one : 0.0;
     c[4] = other > least ? a[4] / other : 0.0;
     c[TAU_W] = law->projector == MOC_DYNAMIC;
-    for (int k = 0; k < n; k++) { /* L times the sum of the rows */
+    for (int k = 0; k < n; k++) { /* H times the sum of the rows */
         double sum = 0.0;
         for (int i = 0; i < 6; i++)
             sum += c[i] * rows[i][k];
         for (int i = k; i < n; i++)
-            tau[i] += L[i][k] * sum;
+            tau[i] += H[i][k] * sum;
     }
 }
 
-/* tau += (I - J^T G) tau_W. Static, G = pinv(J)^T: no force at the tip in rest. As published, G = J: it is not
+/* tau += (I - J^T G) tau_W. Static, G = pinv(J)^T: no force at the tip at rest. As published, G = J: it is not
  * idempotent, and its units do not fit. */
 static void add_at_rest(moc_projector projector, int n, double J[][MOC_MAX_JOINTS], const double *tau_W, double *tau)
 {
@@ -172,9 +172,9 @@ void moc_tracking_torque(const moc_law *law, int n, const moc_terms *terms, cons
     memcpy(tau, t->h, (unsigned)n * sizeof *tau);
     add_force(n, J_T, 1.0, F, tau);
 
-    /* RCM: F_W = K_N (N_d - N) + D_N (dN_d - dN), N_d = X + L e. |N_d - N| is 2 L sin(theta/2) and the RCM error
-     * d = |P_t - X| sin(theta): the true lambda of |N_d - N| = d / lambda is |P_t - X| / L cos(theta/2); the paper
-     * takes a constant. */
+    /* RCM: F_W = K_N (N_d - N) + D_N (dN_d - dN), N_d = X + L e. With theta between e and the shaft, |N_d - N| is
+     * 2 L sin(theta/2) and the RCM error d = |P_t - X| sin(theta): the true lambda of |N_d - N| = d / lambda is
+     * |P_t - X| / L cos(theta/2); the paper takes a constant. */
     line s = shaft_line(t->tip, dX, trocar);
     if (law->rcm_lambda > 0.0)
         share = s.distance / t->span * sqrt(fmax(0.0, 0.5 * (1.0 - dot3(s.e, t->u)))) / law->rcm_lambda;
@@ -213,7 +213,7 @@ void moc_fill_problem(const moc_law *law, int n, const moc_terms *t, const moc_r
     }
     for (int i = 0; i < 3; i++) /* u^T (v_T - v_W) = 0: a rigid tool cannot change its length */
         p->b[3 + i] += gap * t->u[i];
-    /* Near a pose in which tip and shaft lose a direction the joints have to turn fast. */
+    /* Near a pose in which tip and shaft lose a direction, the joints have to turn fast. */
     if (t->mu_shaft < law->shaft_margin)
         wider += law->spare_speed * fmin(1.0, BOX_OPENS * (1.0 - t->mu_shaft / law->shaft_margin));
     for (int j = 0; j < n; j++) {
@@ -235,7 +235,7 @@ void moc_add_third_level(const moc_law *law, int n, const moc_terms *terms, cons
 {
     moc_terms *t = (moc_terms *)terms;
     double push[MOC_MAX_JOINTS], MZ[MOC_MAX_JOINTS][MOC_MAX_JOINTS], along[MOC_MAX_JOINTS];
-    double S[MOC_MAX_JOINTS][MOC_MAX_JOINTS], L[MOC_MAX_JOINTS][MOC_MAX_JOINTS], inverse[MOC_MAX_JOINTS];
+    double S[MOC_MAX_JOINTS][MOC_MAX_JOINTS], H[MOC_MAX_JOINTS][MOC_MAX_JOINTS], inverse[MOC_MAX_JOINTS];
     int r = memory->rows;
 
     for (int j = 0; j < n; j++)
@@ -248,8 +248,8 @@ void moc_add_third_level(const moc_law *law, int n, const moc_terms *terms, cons
     for (int i = 0; i < r; i++)
         for (int k = 0; k < r; k++)
             S[i][k] = dot(n, memory->Z[i], MZ[k]);
-    cholesky(r, S, L, inverse);
-    solve_factored(r, L, inverse, along);
+    cholesky(r, S, H, inverse);
+    solve_factored(r, H, inverse, along);
     for (int j = 0; j < n; j++) {
         for (int i = 0; i < r; i++)
             tau[j] += MZ[i][j] * along[i];

@@ -36,7 +36,7 @@ void moc_onto(int n, int rows, double Z[][MOC_MAX_JOINTS], const double *x, doub
     memcpy(part, sum, (unsigned)n * sizeof *part);
 }
 
-/* The rows of the last pose are projected on the new kernel: Z turns no further than the kernel does. */
+/* The rows of the last pose are projected on the new kernel: so Z does not spin inside the kernel. */
 int moc_null_space(int n, double A[][MOC_MAX_JOINTS], int rows, double Z[][MOC_MAX_JOINTS])
 {
     double fresh[MOC_MAX_JOINTS][MOC_MAX_JOINTS], turned[MOC_MAX_JOINTS][MOC_MAX_JOINTS];
@@ -67,9 +67,9 @@ static void slope_of(int n, const moc_law *law, const moc_terms *t, int rows, do
     moc_onto(n, rows, Z, slope, slope);
 }
 
-/* x_d = RATE t |d| / max(-h, |d| / LONGEST) with d = (I - A^+ A)(grad mu + p grad mu_shaft), t = d / |d|, h = dd/ds
- * along t. With a pull of grad mu alone the speed is c2/rho |d|: where mu is small or flat the climb is slow, and at a
- * sharp top it is stiff. */
+/* x_d = RATE z |d| / max(-h, |d| / LONGEST) with d = (I - A^+ A)(grad mu + p grad mu_shaft), z = d / |d|, h the
+ * slope of |d| along z. With a pull of grad mu alone the speed is c2/rho |d|: where mu is small or flat the climb is
+ * slow, and at a sharp top it is stiff. */
 void moc_climb(const moc_arm *arm, const moc_law *law, const moc_terms *t, moc_memory *memory, double *x_d)
 {
     double slope[MOC_MAX_JOINTS], q[MOC_MAX_JOINTS], there[MOC_MAX_JOINTS], Z[MOC_MAX_JOINTS][MOC_MAX_JOINTS];

@@ -1,5 +1,5 @@
-/* What the simulated plant needs between two of MuJoCo's steps, as functions of the module; sim/contact.py and
- * sim/sensors.py say what it models. No part of the exported controller. */
+/* What the simulated plant needs between two of MuJoCo's steps, as functions of the module; sim/plant.py calls
+ * shaft_force, sim/sensors.py read_encoders. No part of the exported controller. */
 #include "python.h"
 #include "vec.h"
 
@@ -49,7 +49,8 @@ FUNCTION(add_force, {"wrench", WRITE, 6}, {"force", READ, 3}, {"point", READ, 3}
 }
 
 /* Positions, then velocities, as encoders give them. memory (3, n): bias, last position, estimate of the velocity;
- * resolution [rad]; gain: the share of the difference quotient that the estimate takes up; exact: but for the bias. */
+ * resolution [rad]; gain: the share of the difference quotient that the estimate takes up; exact: no noise,
+ * step or filter, only the bias. */
 FUNCTION(read_encoders, {"q", READ, N}, {"v", READ, N}, {"noise", READ, N}, {"memory", WRITE, 3, N},
          {"resolution", NUMBER}, {"period", NUMBER}, {"gain", NUMBER}, {"exact", WHOLE}, {"reading", WRITE, TWICE})
 {

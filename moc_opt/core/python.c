@@ -8,7 +8,7 @@
 
 static PyTypeObject *arm_type; /* set once, when the module is made, and kept for ever */
 
-/* An object with the arm that is the only positional argument, filled by keywords; NULL with an exception. */
+/* New object: the arm is the only positional argument, keywords fill the fields; NULL with an exception. */
 static PyObject *with_arm(PyTypeObject *type, PyObject *given, PyObject *keywords, const field *fields, int count)
 {
     PyObject *arm;
@@ -295,7 +295,7 @@ static int fill(PyObject *module)
     PyType_Spec *specs[] = {&law_spec, &guard_spec, &moc_arm_spec};
 
     for (int k = 0; k < COUNT(specs); k++) {
-        arm_type = (PyTypeObject *)PyType_FromSpec(specs[k]); /* the last one stays in it */
+        arm_type = (PyTypeObject *)PyType_FromSpec(specs[k]); /* moc_arm_spec must stay last */
         if (arm_type == NULL || PyModule_AddType(module, arm_type) < 0)
             return -1;
     }

@@ -107,7 +107,7 @@ moc_status moc_solve_several(const moc_plane *plane, const moc_problem *problem,
 typedef struct {
     double primal;   /* |A x - b|_inf; NaN where x is not finite [m/s] */
     double outside;  /* violation of the box [rad/s] */
-    double natural;  /* natural residual along the self-motion, the cost scaled to slope one [rad/s] */
+    double natural;  /* natural residual along the self-motion, the gradient scaled to length 1 [rad/s] */
     double off;      /* distance from the optimum [rad/s] */
     double opposite; /* and from that of the opposite gradient [rad/s] */
 } moc_residuals;
