@@ -24,6 +24,7 @@ STEPS = 20  # uphill, times the number of joints
 ROUNDING = 1e-14  # of numbers of order one
 SETTLED = 1e-11  # proximal steps shorter than this are the rounding of where they come from, FAR away
 FLAT = 1e-9  # a slope or pull below this fraction of the largest is none
+STILL = 1e-9  # a joint that moves less than this along every unit vector of self-motion does not bound it
 LEVEL = 1e-12  # a range of the cost below this fraction of slope times box width is rounding
 
 
@@ -96,8 +97,11 @@ def nearest(Z: Array, low: Array, high: Array, start: Array) -> tuple[Array, Arr
 
     f is above zero at lower bounds, below at upper ones, zero elsewhere. None where no w is allowed.
     """
-    away = Z @ start
-    G, short = np.vstack([Z, -Z]), np.concatenate([low - away, away - high])
+    # Distances from the bounds: a joint that hardly moves along Z counts as much as any other.
+    moves = np.linalg.norm(Z, axis=1)
+    moves = np.where(moves > STILL, moves, np.inf)
+    G, away = Z / moves[:, None], Z @ start
+    G, short = np.vstack([G, -G]), np.concatenate([low - away, away - high]) / np.tile(moves, 2)
     size = float(short.max())
     if size <= 0.0:
         return start, np.zeros(len(low))
@@ -113,7 +117,7 @@ def nearest(Z: Array, low: Array, high: Array, start: Array) -> tuple[Array, Arr
     step, *_ = np.linalg.lstsq(G[active], short[active], rcond=None)
     if (short - G @ step).max() > max((short - G @ (G.T @ u)).max(), 0.0) + ROUNDING * max(size, 1.0):
         step = G.T @ u
-    return start + step, u[: len(low)] - u[len(low) :]
+    return start + step, (u[: len(low)] - u[len(low) :]) / moves
 
 
 def _lower_bound(low: Array, high: Array, pull: Array, rho: float) -> float:

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from moc_opt.arrays import Array
-from moc_opt.qp.extremes import extremes
+from moc_opt.qp.extremes import STILL, extremes
 
 # One rule for the rank of A, here and wherever else one is decided: its sixth singular value counts as zero below
 # TIED |A|_F, the others below RANK_TOLERANCE |A|_F. A rigid tool makes one of the six rows repeat the others, and
@@ -34,7 +34,6 @@ RANK_TOLERANCE = 1e-12
 GRADIENT_ROUNDING = 1e-9  # a reduced gradient below this fraction of |pull|_inf is zero
 A_POINT = 1e-9  # a feasible interval no longer than this [rad/s] has no ends: rounding decides where on it x is
 FEASIBLE = 1e-6  # box violation up to which a feasible set that x only touches is that point [rad/s]
-STILL = 1e-9  # a joint that moves less than this along a unit vector of self-motion does not bound it
 MOST_FACETS = 300  # 10 joints with 5 freedoms have 210
 NEARLY_SINGULAR = 1e-3  # singular values below this share of |A|_F divide rounding into something that counts
 REFINEMENTS = 3  # of what is divided by such values: each leaves a ten-thousandth of its error, or less

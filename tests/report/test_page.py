@@ -149,7 +149,7 @@ def test_figures_that_cannot_be_saved_are_refused(full: Page, tmp_path: Path, mo
     with pytest.raises(BrowserError, match="is no program"):
         browser().__enter__()
     monkeypatch.setitem(sys.modules, "playwright.sync_api", None)
-    with pytest.raises(BrowserError, match=r"pip install 'moc-opt\[figures\]'"):
+    with pytest.raises(BrowserError, match=r"pip install '.\[figures\]'"):
         browser().__enter__()
 
 
