@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from moc_opt.arrays import Array
-from moc_opt.control.safety_filter import SafetyFilter
+from moc_opt.control.safety_filter import MOST_TICKS, SafetyFilter
 from moc_opt.inputs.files import to_json
 from moc_opt.realtime.link import Link, WireError, WireSettings, written
 from moc_opt.realtime.packets import ENDED, REPORTED, RUNNING, STOP, WAITING, Kind, Packet, make_packet
@@ -96,7 +96,7 @@ class Answering:
                 self._say_bye()
                 done = number + 1
                 return "completed" if done >= whole else f"the plant ended the run at tick {done} of {whole}"
-            if flags != RUNNING or number >= whole:
+            if flags != RUNNING or number >= whole or not 0 <= found["stamp"] <= MOST_TICKS:
                 quality["foreign"] += 1
             elif number > newest:
                 quality["received"] += 1

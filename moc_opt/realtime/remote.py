@@ -169,7 +169,8 @@ class RemoteController(Filtered):
 
     def _exchange(self, seen: Measurement) -> Packet | None:
         self._fill(seen, RUNNING)
-        for _ in range(1 if self.clock is not None else 1 + self._settings.resends):
+        # A controller that missed a whole tick is asked once a tick: one that has died ends the run in seconds.
+        for _ in range(1 if self.clock is not None or self._silent else 1 + self._settings.resends):
             self.link.send(self._packet)
             until = monotonic() + self._settings.resend_s if self.clock is None else self._until
             if (command := self.link.receive(until, self._is_due)) is not None:

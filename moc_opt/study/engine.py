@@ -116,7 +116,11 @@ def run(
                 same = digest_of(answer.sources) == answer.digest
                 if dask and not alone and not same:
                     raise StudyError("a worker has other sources than this machine: install the same there")
-                result = pickle.loads(answer.packed)
+                try:
+                    result = pickle.loads(answer.packed)
+                except Exception as error:  # noqa: BLE001 - as its class pleases
+                    finish(k, Failed("raised", f"its result cannot be unpickled: {describe(error)}"))
+                    continue
                 if kept is not None and same and keep(result):
                     kept.put(keys[k], result, answer.sources)
                 finish(k, result)
@@ -208,7 +212,7 @@ def _do(work: Callable[..., Any], arguments: tuple[Any, ...], parts: str | None 
         _parts = open(parts, "wb", buffering=0)  # noqa: SIM115 - it is open for as long as the job runs
     try:
         result = pickle.dumps(work(*arguments))
-    except (Exception, KeyboardInterrupt, SystemExit) as error:  # noqa: BLE001 - foreign code may raise anything
+    except BaseException as error:  # noqa: BLE001 - foreign code may raise anything
         own = isinstance(error, MocOptError)
         return Failed("raised", f"{type(error).__name__}: {error}" if own else describe(error))
     finally:
@@ -299,7 +303,7 @@ def report(part: Any) -> None:
 def _reported(file: str | None) -> tuple[Any, ...]:
     parts = list[Any]()
     if file is not None and os.path.exists(file):
-        with open(file, "rb") as packed, suppress(EOFError, pickle.UnpicklingError):  # the last one may be cut
+        with open(file, "rb") as packed, suppress(Exception):  # the last one may be cut, and any may refuse
             while True:
                 parts.append(pickle.load(packed))
     return tuple(parts)

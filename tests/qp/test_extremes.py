@@ -193,3 +193,14 @@ def test_a_long_way_to_the_set_ends_on_it_to_rounding(small):
         low, high = np.append(0.7, -far), np.append(1.0, far)
         w, _ = nearest(Z, low, high, np.zeros(1))
         assert Z[0] @ w == pytest.approx(0.7, rel=1e-14)
+
+
+def test_a_joint_that_hardly_moves_does_not_empty_the_box():
+    rng = np.random.default_rng(2)
+    Z = np.linalg.qr(rng.normal(size=(7, 2)) * np.where(np.arange(7), 1.0, 1e-7)[:, None])[0]
+    low, high = -np.ones(7), np.ones(7)
+    low[0] = 0.3 * np.linalg.norm(Z[0])  # 0.3 rad/s along the self-motion, and 3e-8 of this joint
+    w, force = nearest(Z, low, high, np.zeros(2))
+    assert (Z @ w >= low - 1e-14).all()
+    assert np.linalg.norm(w) == pytest.approx(0.3)
+    np.testing.assert_allclose(Z.T @ force, w, atol=1e-9)

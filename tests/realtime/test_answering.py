@@ -94,3 +94,10 @@ def test_every_tick_is_answered_and_the_end_acknowledged(ticks, commands, correc
 def test_a_plant_of_another_scenario_or_none_is_refused(said):
     with pytest.raises(WireError):
         answered(said)
+
+
+def test_a_measurement_from_no_possible_period_is_not_answered():
+    odd = measurement(RUNNING, 1)
+    odd["stamp"] = -(2**63)
+    ending, _, _ = answered([measurement(WAITING), measurement(RUNNING), odd, measurement(ENDED, 1)])
+    assert (ending.quality["foreign"], ending.quality["received"]) == (1, 1)

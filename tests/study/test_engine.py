@@ -28,14 +28,15 @@ def test_whatever_a_job_does_is_its_own_row(tmp_path):
         Job(work.square, (3.0,)), Job(time.sleep, (60.0,), limit_s=0.5), Job(work.die), Job(work.leave),
         Job(work.refuse),
         Job(work.press_ctrl_c), Job(work.fork_and_hang, (str(tmp_path / "child"),), limit_s=3.0),
-        Job(work.eat_memory), Job(lambda: None), Job(work.refuse_name), Job(work.odd_result), Job(work.square, (4.0,)),
+        Job(work.eat_memory), Job(lambda: None), Job(work.refuse_name), Job(work.odd_result),
+        Job(work.panic), Job(work.no_way_back), Job(work.square, (4.0,)),
     ]  # fmt: skip
     done: list[int] = []
     found = run(jobs, workers=2, done=lambda job, result: done.append(jobs.index(job)))
     assert (found[0], found[-1]) == (9.0, 16.0)
     assert sorted(done) == list(range(len(jobs)))
     kinds = [result.kind if isinstance(result, Failed) else None for result in found]
-    assert kinds == [None, "hung", "crashed", "crashed", "raised", "raised", "hung", *["raised"] * 4, None]
+    assert kinds == [None, "hung", "crashed", "crashed", "raised", "raised", "hung", *["raised"] * 6, None]
     assert "SIGSEGV" in str(found[2])
     assert "exit code 3" in str(found[3])
     assert "'knot'" in str(found[4])
