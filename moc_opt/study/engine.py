@@ -87,7 +87,7 @@ def run(
         dask: address of a Dask scheduler, as "tcp://host:8786", whose workers do the jobs that need not run alone.
         done: called here with each job and its result.
         keep: whether a result may be kept.
-        give_up: so many jobs of a group may hang or crash, after which its others are not begun.
+        give_up: so many jobs of a group may hang or crash; its later ones are not begun, or do not count.
 
     Raises:
         StudyError: no worker stays alive, no scheduler answers, or results cannot be kept.
@@ -124,7 +124,20 @@ def run(
                 if kept is not None and same and keep(result):
                     kept.put(keys[k], result, answer.sources)
                 finish(k, result)
+    gone = Counter[str]()
+    for k, job in enumerate(jobs):  # in their order: which were under way meanwhile is chance, and differs after a kill
+        if job.group and gone[job.group] >= give_up:
+            results[k] = _not_begun(job.group)
+        gone[job.group] += _broke(results[k])
     return [results[k] for k in range(len(jobs))]
+
+
+def _broke(answer: Any) -> bool:
+    return isinstance(answer, Failed) and answer.kind in ("hung", "crashed")
+
+
+def _not_begun(group: str) -> Failed:
+    return Failed("not run", f"not run: {group} hung or crashed before")
 
 
 Answer = Future[_Done | Failed]
@@ -142,7 +155,7 @@ def _answers(
             k = left.pop()
             group = jobs[k].group
             if group and broken[group] >= give_up:
-                yield k, Failed("not run", f"not run: {group} hung or crashed before")
+                yield k, _not_begun(group)
             else:
                 flying[submit(jobs[k])] = k
         done, pending = wait(flying, timeout=LOOK_S, return_when=FIRST_COMPLETED)
@@ -165,7 +178,7 @@ def _answers(
                     ) from error
             if isinstance(answer, Failed):
                 answer = replace(answer, parts=_reported(getattr(future, "parts", None)))
-            broken[jobs[k].group] += isinstance(answer, Failed) and answer.kind in ("hung", "crashed")
+            broken[jobs[k].group] += _broke(answer)
             yield k, answer
 
 

@@ -57,6 +57,14 @@ def test_processes_that_die_at_once_or_leave_without_an_error_are_rows(workers):
     assert [getattr(result, "kind", result) for result in found] == ["crashed", "crashed", 4.0] * 6
 
 
+def test_what_a_group_answered_before_it_was_given_up_does_not_count_either(tmp_path):
+    """After a kill the jobs that are left are other ones than in a run that nobody disturbed."""
+    good = Job(work.square, (3.0,), group="slow")
+    assert run([good], kept=Kept(tmp_path)) == [9.0]
+    found = run([Job(time.sleep, (60.0,), limit_s=0.3, group="slow"), good], kept=Kept(tmp_path))
+    assert [result.kind for result in found] == ["hung", "not run"]
+
+
 def test_a_job_may_limit_its_own_steps():
     found = run([Job(work.steps, ([0.01] * 5, 1.0)), Job(work.steps, ([0.01, 9.0], 0.3))], workers=2)
     assert found[0] == 5
