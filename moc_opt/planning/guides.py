@@ -244,7 +244,8 @@ def load_course(
         raise refused(f"it goes from {t[0]:.4g} to {t[-1]:.4g} s, the run from 0 to {end_s:.4g}")
     if off.max() <= MOST_OFF_RAD and not away[k] <= MOST_OFF_M:
         raise refused(f"tip or wrist is {1e3 * away[k]:.3g} mm off path and shaft at t = {targets.t_s[k]:.3g} s")
-    if (fast := too_fast_to_follow(settings, robot, poses, targets.period_s)) is not None:
+    shares = speed_shares(robot, poses, targets.period_s)
+    if (fast := too_fast_to_follow(settings, robot, shares)) is not None:
         raise refused(*fast)
     idle = np.where(robot.moves.any(axis=0), 0.0, np.abs(poses - q_start).max(axis=0))
     beyond = np.maximum(poses - robot.q_max, robot.q_min - poses).max(axis=0)
@@ -264,7 +265,7 @@ def load_course(
     margin = margin_of(
         robot, max(settings.course_margin_rad, told["margin_rad"]), max(settings.limit_margin_m, told["margin_m"])
     )
-    allowed, fastest = settings.course_speed_fraction, float(speed_shares(robot, poses, targets.period_s).max())
+    allowed, fastest = settings.course_speed_fraction, float(shares.max())
     limits = Limits(
         # A smoother course begins at this one: it is asked for no margin that this one has not.
         margin_at(robot, poses, margin), max(fastest, min(allowed, told["speed_share"])),
@@ -291,12 +292,10 @@ def speed_shares(robot: RobotModel, poses: Array, period_s: float) -> Array:
     return fastest
 
 
-def too_fast_to_follow(
-    settings: ControlSettings, robot: RobotModel, poses: Array, period_s: float
-) -> tuple[str, str] | None:
-    """Say which joint is faster along poses (k,n) than a third level follows, and the cure; None where none is."""
+def too_fast_to_follow(settings: ControlSettings, robot: RobotModel, shares: Array) -> tuple[str, str] | None:
+    """Say which joint has a speed share (n,) above what a third level follows, and the cure; None where none has."""
     allowed = settings.course_speed_fraction
-    shares = np.where(robot.moves.any(axis=0), speed_shares(robot, poses, period_s), 0.0)
+    shares = np.where(robot.moves.any(axis=0), shares, 0.0)
     j = int(np.argmax(shares))
     if shares[j] <= allowed + ROUNDING:
         return None

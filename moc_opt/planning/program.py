@@ -194,6 +194,8 @@ def _above(robot: RobotModel, course: Course, limits: Limits) -> bool:
 
 def worth(robot: RobotModel, course: Course, limits: Limits, top: float) -> float:
     """Return a course's mean mu [m^3], mu lowered where the shaft is nearly lost, as on the map."""
+    if limits.shaft <= 0.0:
+        return course.mu_mean
     return time_mean(lowered(course.mu, shaft_shares(robot, course.q_rad), limits, top))
 
 

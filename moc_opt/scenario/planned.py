@@ -10,7 +10,7 @@ import numpy as np
 
 from moc_opt.errors import ControlError, ScenarioError, shown
 from moc_opt.planning.course import Limits, Targets, lay_targets
-from moc_opt.planning.guides import COURSE_SHARE, margin_of, too_fast_to_follow
+from moc_opt.planning.guides import COURSE_SHARE, margin_of, speed_shares, too_fast_to_follow
 from moc_opt.planning.plan import Plan, make_plan
 from moc_opt.planning.pose_map import SWIVELS
 from moc_opt.robots.model import RobotModel
@@ -117,7 +117,8 @@ def following_warnings(scenario: Scenario, found: Plan) -> list[str]:
         said.append(f"the course cannot be followed: {error}")
     if course is None or len(course.t_s) < 2:
         return said
-    fast = too_fast_to_follow(settings, scenario.robot.arm(), course.q_rad, found.targets.period_s)
+    robot = scenario.robot.arm()
+    fast = too_fast_to_follow(settings, robot, speed_shares(robot, course.q_rad, found.targets.period_s))
     return said if fast is None else [*said, "; ".join(fast)]
 
 

@@ -112,6 +112,10 @@ def test_the_commands_write_and_follow_it(tmp_path, capsys):
     assert main(["plan", str(mine), "--out", str(to)]) == 0  # to be followed, though this third level follows none
     assert "warning" not in capsys.readouterr().err
     assert mo.Trace.load(to).meta["within"]["speed_share"] == 0.85
+    assert main(["plan", str(mine), "--out", str(to)]) == 0  # a course replaces a course, and nothing else
+    assert main(["plan", str(mine), "--out", str(mine)]) == 2
+    assert mine.read_text(encoding="utf-8") == text
+    capsys.readouterr()
     assert main(["run", str(mine), "--course", str(to), "--trace", str(ran)]) == 0
     assert mo.Trace.load(ran).meta["scenario"]["control"]["course"] == str(to)
     before, own = to.read_bytes(), tmp_path / "own.toml"
