@@ -19,23 +19,18 @@ class Arm:
         gravity: Array, /,
     ) -> Arm: ...
     # A serial chain of 1 to 16 joints as data. Methods fill their last argument.
-    # terms -> status: all terms of one state; mu_along: manipulability of the tip; points_along: points of the last
-    # joint's axes [m]; tool_pose: the tool's axes x, y, z and its tip [m]; nearest_pose -> miss [m]; follow_curve ->
-    # (count, end), onto_curve and ascend (in place): see tools.h.
+    # terms -> status: all terms of one state; along: tip, wrist [m] and mu of many poses; tool_pose: the tool's axes
+    # x, y, z and its tip [m]; nearest_pose -> miss [m], follow_curve -> (count, end), ascend (in place): see tools.h.
     def terms(self, q: Array, v: Array, record: Array, /) -> int: ...
-    def mu_along(self, poses: Array, mu: Array, /) -> None: ...
-    def points_along(self, poses: Array, points: Array, out: Array, /) -> None: ...
+    def along(self, poses: Array, tips: Array, wrists: Array, mu: Array, /) -> None: ...
     def tool_pose(self, q: Array, pose: Array, /) -> None: ...
     def nearest_pose(
         self, low: Array, high: Array, target: Array, q: Array, iterations: int, best: Array, /
     ) -> float: ...
     def follow_curve(
-        self, low: Array, high: Array, target: Array, active: Array, q: Array, tangent: Array, step: float, s: Array,
-        poses: Array, mus: Array, /,
+        self, low: Array, high: Array, target: Array, q: Array, tangent: Array, step: float, s: Array, poses: Array,
+        mus: Array, /,
     ) -> tuple[int, int]: ...
-    def onto_curve(
-        self, low: Array, high: Array, target: Array, active: Array, q: Array, along: Array, pose: Array, /
-    ) -> bool: ...
     def ascend(self, low: Array, high: Array, target: Array, starts: Array, mus: Array, /) -> None: ...
 
 # solve_exact -> status; solve_exact_rows: without the lock, NaN where there is no answer; step_network -> (status,
@@ -101,7 +96,7 @@ def load(
 # One step of a value function; see tools.h.
 def advance(
     branches: int, q: Array, slack: Array, gain: Array, q_next: Array, slack_next: Array, value_next: Array,
-    step: Array, crossing: Array, price: float, value: Array, room: Array, /,
+    step: Array, crossing: Array, price: float, value: Array, /,
 ) -> None: ...
 # The simulated plant; see plant.c.
 def shaft_force(

@@ -146,13 +146,13 @@ double plan_place(const plan_task *task, int points, int rounds, const double *s
 
 /* --- along a curve --- */
 
-/* A below the tangent's row: joints that are not active stay, for Newton's method and for the tangent. */
+/* A above the tangent's row; without the columns of joints that stand still. */
 static double look_across(const plan_task *task, const double *q, const double *tangent, double error[ROWS],
                           double A[ROWS][MOC_MAX_JOINTS])
 {
     double mu = look(task, q, error, A, NULL);
     for (int j = 0; j < task->arm->n; j++)
-        for (int i = 0; i < 6 && !task->active[j]; i++)
+        for (int i = 0; i < 6 && !(task->low[j] < task->high[j]); i++)
             A[i][j] = 0.0;
     memcpy(A[6], tangent, (unsigned)task->arm->n * sizeof *tangent);
     error[6] = 0.0;
@@ -178,12 +178,6 @@ static int correct(const plan_task *task, const double *q, double h, const doubl
             pose[i] += step[i];
     }
     return 0;
-}
-
-int plan_correct(const plan_task *task, const double *q, const double *along, double *pose)
-{
-    double A[ROWS][MOC_MAX_JOINTS], mu;
-    return correct(task, q, 0.0, along, pose, A, &mu) && !outside(task, pose);
 }
 
 /* The unit tangent (n,) that points the same way as the last one, the last row of A: A t = 0, t_old . t > 0. */

@@ -48,34 +48,21 @@ METHOD(Arm, terms, {"q", READ, N}, {"v", READ, N}, {"record", WRITE, TERMS})
     return PyLong_FromLong(status);
 }
 
-METHOD(Arm, mu_along, {"poses", READ, K, N}, {"mu", WRITE, K})
+METHOD(Arm, along, {"poses", READ, K, N}, {"tips", WRITE, K, 3}, {"wrists", WRITE, K, 3}, {"mu", WRITE, K})
 {
     const moc_arm *arm = &self->arm;
     moc_frame frame[MOC_MAX_JOINTS];
     moc_twist twist[MOC_MAX_JOINTS];
-    double J[3][MOC_MAX_JOINTS], tip[3];
+    double J[3][MOC_MAX_JOINTS];
 
     for (Py_ssize_t i = 0; i < c->k; i++) {
+        double *tip = c->array[1] + 3 * i;
         moc_place(arm, c->array[0] + i * c->n, frame);
         moc_twists(arm, frame, twist);
         moc_point(&frame[c->n - 1], arm->point[MOC_TIP], tip);
+        moc_point(&frame[c->n - 1], arm->point[MOC_WRIST], c->array[2] + 3 * i);
         moc_jacobian(c->n, twist, tip, arm->moves[MOC_TIP], J);
-        c->array[1][i] = moc_manipulability(c->n, twist, J, NULL);
-    }
-    Py_RETURN_NONE;
-}
-
-METHOD(Arm, points_along, {"poses", READ, K, N}, {"points", READ, ANY, 3}, {"out", WRITE, ANY, 3})
-{
-    moc_frame frame[MOC_MAX_JOINTS];
-    int points = rows_of(c, 1);
-
-    if (rows_of(c, 2) != c->k * points)
-        return PyErr_Format(PyExc_ValueError, "out: give (m k, 3) for m points at k poses");
-    for (Py_ssize_t i = 0; i < c->k; i++) {
-        moc_place(&self->arm, c->array[0] + i * c->n, frame);
-        for (int j = 0; j < points; j++)
-            moc_point(&frame[c->n - 1], c->array[1] + 3 * j, c->array[2] + 3 * (j * c->k + i));
+        c->array[3][i] = moc_manipulability(c->n, twist, J, NULL);
     }
     Py_RETURN_NONE;
 }
@@ -89,7 +76,6 @@ METHOD(Arm, tool_pose, {"q", READ, N}, {"pose", WRITE, 4, 3})
 /* --- planning --- */
 
 #define TASK(points) {"low", READ, N}, {"high", READ, N}, {"target", READ, points, 3}
-#define CURVE TASK(2), {"active", READ, ANY}
 
 /* Arguments 0 to 2 of the methods below. */
 static plan_task take_task(const Arm *self, const call *c)
@@ -97,20 +83,6 @@ static plan_task take_task(const Arm *self, const call *c)
     plan_task task = {.arm = &self->arm, .low = c->array[0], .high = c->array[1]};
     memcpy(task.target, c->array[2], (rows_of(c, 2) == 1 ? 1 : 2) * sizeof *task.target);
     return task;
-}
-
-/* Argument 3 too; 0 with an exception. */
-static int take_curve(const Arm *self, const call *c, plan_task *task)
-{
-    *task = take_task(self, c);
-    for (int i = 0; i < rows_of(c, 3); i++) {
-        if (!(c->array[3][i] >= 0.0 && c->array[3][i] < c->n)) {
-            PyErr_Format(PyExc_ValueError, "active: give numbers of joints from 0 to %d", c->n - 1);
-            return 0;
-        }
-        task->active[(int)c->array[3][i]] = 1;
-    }
-    return 1;
 }
 
 METHOD(Arm, nearest_pose, TASK(ANY), {"q", READ, N}, {"iterations", WHOLE}, {"best", WRITE, N})
@@ -122,30 +94,14 @@ METHOD(Arm, nearest_pose, TASK(ANY), {"q", READ, N}, {"iterations", WHOLE}, {"be
     return PyFloat_FromDouble(plan_place(&task, points, (int)c->whole[4], c->array[3], c->array[5]));
 }
 
-#define LONGEST_STEP 10.0 /* along a curve [rad] */
-
-METHOD(Arm, follow_curve, CURVE, {"q", READ, N}, {"tangent", READ, N}, {"step", NUMBER}, {"s", WRITE, K},
+METHOD(Arm, follow_curve, TASK(2), {"q", READ, N}, {"tangent", READ, N}, {"step", NUMBER}, {"s", WRITE, K},
        {"poses", WRITE, K, N}, {"mus", WRITE, K})
 {
-    plan_task task;
+    const plan_task task = take_task(self, c);
     plan_end end;
-    if (!take_curve(self, c, &task))
-        return NULL;
-    if (c->k < 2 || c->k > INT_MAX / c->n)
-        return PyErr_Format(PyExc_ValueError, "s has %zd entries: give 2 or more", c->k);
-    if (!(c->number[6] > 0.0 && c->number[6] <= LONGEST_STEP))
-        return PyErr_Format(PyExc_ValueError, "step: give a length above 0 and of at most %d rad", (int)LONGEST_STEP);
-    int found = plan_follow(&task, c->array[4], c->array[5], c->number[6], (int)c->k, c->array[7], c->array[8],
-                            c->array[9], &end);
+    int found = plan_follow(&task, c->array[3], c->array[4], c->number[5], (int)c->k, c->array[6], c->array[7],
+                            c->array[8], &end);
     return Py_BuildValue("ii", found, (int)end);
-}
-
-METHOD(Arm, onto_curve, CURVE, {"q", READ, N}, {"along", READ, N}, {"pose", WRITE, N})
-{
-    plan_task task;
-    if (!take_curve(self, c, &task))
-        return NULL;
-    return PyBool_FromLong(plan_correct(&task, c->array[4], c->array[5], c->array[6]));
 }
 
 METHOD(Arm, ascend, TASK(2), {"starts", WRITE, K, N}, {"mus", WRITE, K})
@@ -159,8 +115,8 @@ METHOD(Arm, ascend, TASK(2), {"starts", WRITE, K, N}, {"mus", WRITE, K})
 }
 
 static PyMethodDef methods[] = {
-    ENTRY(Arm, terms), ENTRY(Arm, mu_along), ENTRY(Arm, points_along), ENTRY(Arm, tool_pose), ENTRY(Arm, nearest_pose),
-    ENTRY(Arm, follow_curve), ENTRY(Arm, onto_curve), ENTRY(Arm, ascend), {NULL, NULL, 0, NULL},
+    ENTRY(Arm, terms), ENTRY(Arm, along), ENTRY(Arm, tool_pose), ENTRY(Arm, nearest_pose), ENTRY(Arm, follow_curve),
+    ENTRY(Arm, ascend), {NULL, NULL, 0, NULL},
 };
 
 static PyType_Slot slots[] = {

@@ -196,26 +196,23 @@ FUNCTION(desired_wrist, {"X", READ, 3}, {"dX", READ, 3}, {"trocar", READ, 2, 3},
 
 FUNCTION(advance, {"branches", WHOLE}, {"q", READ, K, N}, {"slack", READ, K, N}, {"gain", READ, K},
          {"q_next", READ, ANY, N}, {"slack_next", READ, ANY, N}, {"value_next", READ, ANY}, {"step", READ, N},
-         {"crossing", READ, ANY}, {"price", NUMBER}, {"value", WRITE, K}, {"room", WRITE, ANY})
+         {"crossing", READ, ANY}, {"price", NUMBER}, {"value", WRITE, K})
 {
-    Py_ssize_t branches = c->whole[0], m = rows_of(c, 8), after = rows_of(c, 4), next = 0, blocks = 0;
-    int fits = branches >= 1 && m >= 1 && c->k == branches * m && after % branches == 0 && rows_of(c, 5) == after &&
-               rows_of(c, 6) == after && c->k * c->n <= INT_MAX && after * c->n <= INT_MAX;
-    if (fits) {
-        next = after / branches;
-        blocks = (next + PLAN_BLOCK - 1) / PLAN_BLOCK;
-        fits = rows_of(c, 11) * sizeof(double) == (size_t)(branches * blocks) * sizeof(plan_block);
-    }
-    for (Py_ssize_t j = 0; j < m; j++)
-        fits &= c->array[8][j] >= 0.0 && c->array[8][j] < (double)branches;
+    int branches = (int)c->whole[0], m = rows_of(c, 8), after = rows_of(c, 4);
+    int fits = branches >= 1 && c->k == (Py_ssize_t)branches * m && after % branches == 0 && rows_of(c, 5) == after &&
+               rows_of(c, 6) == after && c->k <= INT_MAX / c->n && after <= INT_MAX / c->n;
+    for (int j = 0; j < m; j++)
+        fits &= c->array[8][j] >= 0.0 && c->array[8][j] < branches;
     if (!fits)
         return PyErr_Format(PyExc_ValueError, "advance: the rows are not those of so many branches and crossings");
-    const plan_stage stage = {(int)branches, (int)m,      (int)next,   c->n,        c->array[1], c->array[2],
-                              c->array[3],   c->array[4], c->array[5], c->array[6], c->array[7], c->array[8],
+    const plan_stage stage = {branches,    m,           after / branches, c->n,        c->array[1], c->array[2],
+                              c->array[3], c->array[4], c->array[5],      c->array[6], c->array[7], c->array[8],
                               c->number[9]};
-    Py_BEGIN_ALLOW_THREADS;
-    plan_advance(&stage, (plan_block *)c->array[11], c->array[10]);
-    Py_END_ALLOW_THREADS;
+    plan_block *blocks = PyMem_Malloc((size_t)(after / PLAN_BLOCK + branches) * sizeof *blocks);
+    if (blocks == NULL)
+        return PyErr_NoMemory();
+    plan_advance(&stage, blocks, c->array[10]);
+    PyMem_Free(blocks);
     Py_RETURN_NONE;
 }
 

@@ -22,12 +22,11 @@ moc_status moc_step_network(const moc_problem *problem, const moc_network *netwo
 
 /* --- planning (plan.c) --- */
 
-/* An arm inside its limits, with a tip and a wrist that it has to keep. */
+/* An arm inside its limits, with a tip and a wrist that it has to keep. A joint whose limits are equal stands still. */
 typedef struct {
     const moc_arm *arm;
-    const double *low, *high;   /* (n,) */
-    double target[2][3];        /* tip and wrist [m] */
-    int active[MOC_MAX_JOINTS]; /* 1: may move along a curve, as one joint more than tip and wrist fix may */
+    const double *low, *high; /* (n,) */
+    double target[2][3];      /* tip and wrist [m] */
 } plan_task;
 
 /* Newton's method for a pose with the tip (points = 1), or tip and wrist (points = 2), at the target; q (n,) is where
@@ -36,13 +35,11 @@ double plan_place(const plan_task *task, int points, int iterations, const doubl
 
 typedef enum { PLAN_LIMIT = 0, PLAN_CLOSED, PLAN_SINGULAR, PLAN_LENGTH } plan_end;
 
-/* Samples s, poses (most, n) and mu of the curve from q on along the unit tangent (n,); returns how many. At a joint
- * limit the last step is bisected; a curve that returns to its start, up to whole turns, is closed with that pose. */
+/* Samples s, poses (most, n) and mu of the curve from q on along the unit tangent (n,); returns how many. One joint more
+ * than tip and wrist fix may move. At a joint limit the last step is bisected; a curve that returns to its start, up to
+ * whole turns, is closed with that pose. */
 int plan_follow(const plan_task *task, const double *q, const double *tangent, double step, int most, double *s,
                 double *poses, double *mus, plan_end *end);
-
-/* The pose (n,) on the curve across the unit vector `along` from q; 0 where Newton's method does not find it. */
-int plan_correct(const plan_task *task, const double *q, const double *along, double *pose);
 
 /* Place q (n,) and climb to a local maximum of mu inside the limits, in place; returns mu, -1 where it has no pose. */
 double plan_ascend(const plan_task *task, double *q);

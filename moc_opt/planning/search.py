@@ -25,7 +25,6 @@ from moc_opt.planning.elbow import wrapped
 from moc_opt.planning.pose_map import PoseMap
 
 WHOLE_CELL = 1.1  #: Of half a cell, for the bound: the way of a joint is curved between the samples.
-BLOCK = 16  #: Poses beside each other that are passed over together where their box is out of reach.
 NEARBY_RAD = 0.2  #: Poses within this way of each other are one neighbourhood, in which V is a parabola.
 
 
@@ -200,11 +199,10 @@ def advance(
         price: of a step's square [1/rad^2].
     """  # fmt: skip
     branches, _, n = q.shape
-    blocks, worth = -(-q_next.shape[1] // BLOCK), np.empty(gain.size)
+    worth = np.empty(gain.size)
     at, room, then, later = (np.ascontiguousarray(each).reshape(-1, n) for each in (q, slack, q_next, slack_next))
     core.advance(
         branches, at, room, np.ascontiguousarray(gain).ravel(), then, later, np.ascontiguousarray(value_next).ravel(),
         np.ascontiguousarray(step), crossing.astype(np.float64), price, worth,
-        np.empty(branches * blocks * (2 * core.MAX_JOINTS + 2)),
     )  # fmt: skip
     value[:] = worth.reshape(gain.shape)

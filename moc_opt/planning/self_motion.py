@@ -14,12 +14,13 @@ from numpy.typing import ArrayLike
 
 from moc_opt.arrays import Array, read_only
 from moc_opt.errors import RobotError
-from moc_opt.robots.model import RobotModel
+from moc_opt.robots.model import RobotModel, RobotState
 
 HELD = 1e-6
 """A singular value below this share of the largest holds nothing. Coarser than the rule of ``qp.residuals``, which
 decides for one tick: here random poses are asked how many freedoms an arm is built with."""
 RANK = 1e-9  #: A singular value of A below this counts as zero on the curve.
+SHORTEST_STEP, LONGEST_STEP = 1e-5, 10.0  #: Of a curve's samples [rad].
 _REASONS = ("limit", "closed", "singular", "length")
 
 
@@ -119,7 +120,7 @@ class SelfMotion:
         pose = None
         if 0.0 < weight < 1.0:
             chord = self.q[i + 1] - self.q[i]
-            pose = self._curve.correct(self.q[i] + weight * chord, chord)
+            pose = self._curve.correct(self.q[i] + weight * chord)
         # There is no pose between two samples only where the curve grazes a limit or a singularity.
         return np.array(self.q[i + round(max(weight, 0.0))]) if pose is None else pose
 
@@ -151,16 +152,16 @@ def self_motion(robot: RobotModel, q: ArrayLike, step: float = 0.02) -> SelfMoti
         step: spacing of the samples in joint space [rad].
 
     Raises:
-        RobotError: q is outside the limits or singular, or the step is not positive.
+        RobotError: q is outside the limits or singular, or the step is too short or too long.
     """
-    if not (np.isfinite(step) and step > 0):
-        raise RobotError(f"step = {step!r}: it must be a positive number of radians")
+    if not SHORTEST_STEP <= step <= LONGEST_STEP:
+        raise RobotError(f"step = {step!r}: give {SHORTEST_STEP:g} to {LONGEST_STEP:g} rad")
     state = robot.state(q)
     outside = np.flatnonzero((state.q < robot.q_min) | (state.q > robot.q_max))
     if outside.size:
         raise RobotError(f"q = {state.q.tolist()}: joints {(outside + 1).tolist()} are outside their limits")
     active = _active_joints(robot, state.A)
-    curve = _Curve(robot, active, np.array([state.tip, state.wrist]), step)
+    curve = _Curve(robot, active, state, step)
     if len(active) <= np.linalg.matrix_rank(state.A[:, active], tol=RANK):
         s, poses, mu, ends = np.zeros(1), state.q[None], np.array([state.mu]), ("point", "point")
     else:
@@ -189,10 +190,11 @@ def curve_through(robot: RobotModel, q: ArrayLike, step: float) -> SelfMotion | 
 class _Curve:
     """The constraint that defines one curve, as the core takes it."""
 
-    def __init__(self, robot: RobotModel, active: list[int], target: Array, step: float) -> None:
+    def __init__(self, robot: RobotModel, active: list[int], state: RobotState, step: float) -> None:
         self._robot, self._step = robot, step
-        limits = np.array(robot.q_min), np.array(robot.q_max)
-        self._task = (*limits, target, np.array(active, dtype=np.float64))
+        low, high = np.array(state.q), np.array(state.q)  # joints with equal limits stand still
+        low[active], high[active] = robot.q_min[active], robot.q_max[active]
+        self._task = low, high, np.array([state.tip, state.wrist])
         # Far longer than any real curve; it only bounds the memory of one that never ends.
         self._most = int(np.ceil(4 * np.sum(robot.q_max - robot.q_min) / step)) + 2
 
@@ -202,11 +204,10 @@ class _Curve:
         count, end = self._robot.arm.follow_curve(*self._task, np.array(q), tangent, self._step, s, poses, mu)
         return s[:count].copy(), poses[:count].copy(), mu[:count].copy(), _REASONS[end]
 
-    def correct(self, q: Array, along: Array) -> Array | None:
-        """Return the pose on the curve across ``along`` from q; None if none is inside the limits."""
-        pose = np.empty(len(q))
-        found = self._robot.arm.onto_curve(*self._task, np.array(q), along / np.linalg.norm(along), pose)
-        return pose if found else None
+    def correct(self, q: Array) -> Array | None:
+        """Return the pose of the curve near q; None if none is found inside the limits."""
+        miss = self._robot.arm.nearest_pose(*self._task, q, 10, pose := np.empty(len(q)))
+        return pose if miss < 1e-10 else None
 
     def mu(self, q: Array) -> float:
         return float(self._robot.mu_along(q[None])[0])

@@ -118,16 +118,17 @@ class RobotModel:
 
     def mu_along(self, poses: Array) -> Array:
         """Compute manipulability (k,) [m^3] at the poses (k,n) [rad], equal to that of `state` to the last bit."""
-        along = self._numbers("poses", poses, 2)
-        self.arm.mu_along(along, mu := np.empty(len(along)))
-        return mu
+        return self._along(poses)[2]
 
     def tool_along(self, poses: Array) -> tuple[Array, Array]:
         """Compute tip and wrist, (k,3) each [m], at the poses (k,n) [rad]."""
+        return self._along(poses)[:2]
+
+    def _along(self, poses: Array) -> tuple[Array, Array, Array]:
         along = self._numbers("poses", poses, 2)
-        points = np.empty((2, len(along), 3))
-        self.arm.points_along(along, self._offsets, points.reshape(-1, 3))
-        return points[0], points[1]
+        found = np.empty((len(along), 3)), np.empty((len(along), 3)), np.empty(len(along))
+        self.arm.along(along, *found)
+        return found
 
     def gravity(self, q: ArrayLike) -> Array:
         """Compute the gravity torque g (n,) [Nm], that of `state`."""

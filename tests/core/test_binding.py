@@ -26,14 +26,6 @@ def test_a_wrong_array_is_an_exception_that_names_it(name, wrong):
         core.solve_exact(*given.values())
 
 
-@pytest.mark.parametrize("step", [0.0, -0.1, np.inf, np.nan, 1e300])
-def test_a_curve_is_followed_in_steps_of_a_length(step):
-    q, room = np.array(ROBOT.data.q_home), 8
-    task = np.array(ROBOT.q_min), np.array(ROBOT.q_max), np.zeros((2, 3)), np.arange(7.0)
-    with pytest.raises(ValueError, match="step: give a length"):
-        ROBOT.arm.follow_curve(*task, q, q, step, np.empty(room), np.empty((room, 7)), np.empty(room))
-
-
 @pytest.mark.parametrize("count", [0, 3, 5])
 def test_another_number_of_arguments_is_refused(count):
     with pytest.raises(TypeError, match="takes 4 arguments"):

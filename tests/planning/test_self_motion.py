@@ -82,8 +82,8 @@ def test_a_full_turn_closes(robot):
 def test_bad_input_is_named(robot):
     q = robot.data.q_home
     for pose, step, told in (
-        (q, 0.0, "step = "), (q, -0.1, "step = "), (q, np.nan, "step = "), (np.zeros(7), 0.02, "singular"),
-        (q + 3.0 * np.eye(7)[1], 0.02, r"joints \[2\] are outside"),
+        *((q, step, "step = ") for step in (0.0, -0.1, 1e-300, 1e300, np.inf, np.nan)),
+        (np.zeros(7), 0.02, "singular"), (q + 3.0 * np.eye(7)[1], 0.02, r"joints \[2\] are outside"),
     ):  # fmt: skip
         with pytest.raises(RobotError, match=told):
             self_motion(robot, pose, step=step)
