@@ -20,9 +20,18 @@ from moc_opt.robots.state import RobotState
 
 PRESS_PER_S = 50.0  # rate of the mean of the trocar's force in a stop
 MOST_TICKS = 2**31 - 1  # of C
+_SETTLED = 6.0  # time constants of the residual after which it is what it will be
 _NO_WRENCH = np.full(6, np.nan)
 _LATE, _TIP = core.REASONS.index("measurements are too late"), core.REASONS.index("the tip has been off its reference")
-_WATCHED = (("the RCM error", "mm", 1e3), ("the trocar's force", "N", 1.0))
+_WATCHED = (
+    ("the RCM error", "rcm_warning_m", "rcm_error_m", "mm", 1e3),
+    ("the trocar's force", "trocar_force_warning_N", "trocar_force_N", "N", 1.0),
+)  # figure, its warning level and its limit in the settings, unit in messages and the factor to it
+_AS_SET = (
+    "speed_factor", "stop_holding", "motion", "motion_s", "motion_rad", "motion_lag_s", "repeat_m", "repeat_torque",
+    "repeat_whole_m", "repeat_whole_torque", "repeat_whole_ticks", "repeat_joint_ticks", "repeat_reading_ticks",
+    "residual_torque",
+)  # fmt: skip
 
 
 class SafetyFilter:
@@ -51,11 +60,10 @@ class SafetyFilter:
         self._words = list(core.REASONS)
         self._words[_LATE] = f"measurements are more than {settings.patience_ticks} ticks late"
         self._words[_TIP] = f"the tip has been {1e3 * settings.tip_error_m:g} mm off its reference"
-        for (name, unit, scale), (_, limit) in zip(_WATCHED, settings.incision_levels, strict=True):
-            if limit is not None:
-                self._words[core.REASONS.index(f"{name} has been above its limit")] = (
-                    f"{name} has been above {scale * limit:g} {unit}"
-                )
+        for name, _, limit, unit, scale in _WATCHED:
+            if (level := getattr(settings, limit)) is not None:
+                reason = core.REASONS.index(f"{name} has been above its limit")
+                self._words[reason] = f"{name} has been above {scale * level:g} {unit}"
         self._rest = np.zeros(robot.n)
         self.start(np.clip(robot.data.q_home, robot.q_min, robot.q_max), self._rest)
 
@@ -97,24 +105,15 @@ class SafetyFilter:
     def warnings(self) -> list[dict[str, Any]]:
         """Figures above their warning level since the start: ``of``, ``first_s``, ``largest``, ``unit``, ``level``."""
         self._guard.watched(figures := np.empty((3, 2)))
-        _, largests, firsts = figures.tolist()
-        return [
-            {"of": name, "first_s": first * self._period, "largest": scale * largest, "unit": unit,
-             "level": scale * warning}
-            for (largest, first), (warning, _), (name, unit, scale)
-            in zip(zip(largests, firsts, strict=True), self.settings.incision_levels, _WATCHED, strict=True)
-            if warning is not None and first >= 0
-        ]  # fmt: skip
-
-    @property
-    def bad_ticks(self) -> int:
-        """Number of measurements in a row that were not accepted."""
-        return self._guard.watched(np.empty((3, 2)))
-
-    @property
-    def stopped(self) -> bool:
-        """Whether a stop was requested; only ``start`` ends it."""
-        return bool(self.reason)
+        found = []
+        for (name, warning, _, unit, scale), largest, first in zip(_WATCHED, *figures[1:].tolist(), strict=True):
+            level = getattr(self.settings, warning)
+            if level is not None and first >= 0:
+                found.append({
+                    "of": name, "first_s": first * self._period, "largest": scale * largest, "unit": unit,
+                    "level": scale * level,
+                })  # fmt: skip
+        return found
 
     def request_stop(self, reason: str) -> None:
         """Request the stop; the first reason stays, and an empty one is none."""
@@ -179,36 +178,31 @@ def numbers_of(
         period: of control [s]; the others are those of `SafetyFilter`.
     """
     data, s = robot.data, settings
-    margins = s.position_margins(robot.chain.prismatic)
-    warning, limit = zip(*s.incision_levels, strict=True)
+    margins = np.where(robot.chain.prismatic, s.position_margin_m, s.position_margin_rad)
+    coulomb = np.where(data.coulomb_friction > 0.0, s.stuck_friction * data.coulomb_friction, np.inf)  # 0: not known
     return {
+        **{name: _or_infinite(getattr(s, name)) for name in _AS_SET},
         "period": period, "patience": s.patience_ticks, "carries": carries,
         "low": data.q_min + margins, "high": data.q_max - margins,
         "v_max": np.array(data.v_max), "tau_max": np.array(data.tau_max),
         "wall_stiffness": s.wall_stiffness_Nm_per_rad, "wall_damping": s.wall_damping_Nm_s_per_rad,
-        "wall_brake": s.wall_brake_rad_per_s2, "torque_step": s.torque_rate_Nm_per_s * period,
-        "jump": s.jump_rad, "speed_factor": s.speed_factor,
-        "tip_error": s.tip_error_m, "tip_share": min(1.0, period / s.tip_error_s),
-        "in_incision": incision, "warning": _off_is_infinite(warning), "limit": _off_is_infinite(limit),
+        "wall_brake": s.wall_brake_rad_per_s2, "torque_step": s.torque_rate_Nm_per_s * period, "jump": s.jump_rad,
+        "tip_error": s.tip_error_m, "tip_share": min(1.0, period / s.tip_error_s), "in_incision": incision,
+        "warning": np.array([_or_infinite(getattr(s, warning)) for _, warning, *_ in _WATCHED]),
+        "limit": np.array([_or_infinite(getattr(s, limit)) for _, _, limit, *_ in _WATCHED]),
         "incision_share": min(1.0, period / s.incision_s),
         "tool_mass": data.tool_mass, "tool_length": data.tool_length, "tip_force": _or_infinite(s.tip_force_N),
-        "stop_holding": s.stop_holding, "stop_yield": _or_infinite(s.stop_yield_N),
-        "stop_yield_ticks": round(s.stop_yield_s / period), "press_share": min(1.0, PRESS_PER_S * period),
-        "motion": s.motion, "motion_s": s.motion_s, "motion_rad": s.motion_rad, "motion_lag_s": s.motion_lag_s,
-        "repeat_m": s.repeat_m, "repeat_torque": s.repeat_torque, "repeat_whole_m": s.repeat_whole_m,
-        "repeat_whole_torque": s.repeat_whole_torque, "repeat_whole_ticks": float(s.repeat_whole_ticks),
-        "repeat_joint_ticks": _or_infinite(s.repeat_joint_ticks),
-        "repeat_reading_ticks": _or_infinite(s.repeat_reading_ticks), "replayed_ticks": s.replayed_ticks(robot.n),
-        "stuck_speed": s.stuck_rad_per_s, "held": s.held(data.tau_max, data.coulomb_friction),
-        "residual_torque": s.residual_torque, "residual_whole": s.residual_whole_torque,
-        "residual_rate": s.residual_rate_per_s, "residual_share": min(1.0, period / s.residual_s),
-        "settling_ticks": s.settling_ticks(period),
+        "stop_yield": _or_infinite(s.stop_yield_N), "stop_yield_ticks": round(s.stop_yield_s / period),
+        "press_share": min(1.0, PRESS_PER_S * period),
+        # One encoder with noise shows an earlier reading again at most as often as it repeats itself; all n of them
+        # together, with the n-th power of that chance.
+        "replayed_ticks": max(float(s.repeat_whole_ticks), _or_infinite(s.repeat_joint_ticks) / robot.n),
+        "stuck_speed": s.stuck_rad_per_s, "held": np.minimum(s.stuck_torque * data.tau_max, coulomb),
+        "residual_whole": s.residual_whole_torque, "residual_rate": s.residual_rate_per_s,
+        "residual_share": min(1.0, period / s.residual_s),
+        "settling_ticks": round(min(_SETTLED / (s.residual_rate_per_s * period), 1e9)),
     }  # fmt: skip
 
 
 def _or_infinite(level: float | None) -> float:
-    return math.inf if level is None else float(level)
-
-
-def _off_is_infinite(levels: tuple[float | None, ...]) -> Array:
-    return np.array([_or_infinite(level) for level in levels])
+    return math.inf if level is None else level

@@ -4,24 +4,20 @@ from __future__ import annotations
 
 from typing import ClassVar, Self
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from moc_opt.arrays import Array
 from moc_opt.errors import ControlError, MocOptError
 from moc_opt.inputs.settings import Level, Settings
 
-_SETTLED = 6.0  #: Time constants of the residual after which it is what it will be.
-_MOST_TICKS = 1e9  #: As good as never, and still an int of C.
 
+class SafetyFilterSettings(Settings):
+    """Safety limits.
 
-def _or_never(ticks: int | None) -> float:
-    return np.inf if ticks is None else float(ticks)
+    The first ones, up to ``residual_s``, decide whether a measurement is believed to show the arm.
+    """
 
-
-class MotionSettings(Settings):
-    """When a measurement is not believed to show the arm: part of ``[guard]``."""
+    KIND: ClassVar[str] = "[guard]"
+    ERROR: ClassVar[type[MocOptError]] = ControlError
 
     motion: bool = Field(
         True, description="whether the safety filter checks the age of the measurements and the motion that they show"
@@ -94,31 +90,6 @@ class MotionSettings(Settings):
     )  # fmt: skip
     residual_rate_per_s: float = Field(40.0, gt=0.0, lt=500.0, description="rate K_o of the momentum residual")
     residual_s: float = Field(0.25, gt=0.0, description="time constant of the residual's mean")
-
-    def replayed_ticks(self, n: int) -> float:
-        """Return how many readings of n encoders may repeat earlier ones, where the wrench sensor has no noise.
-
-        The chance that one encoder with noise shows an earlier reading once more is at most that of repeating itself;
-        that all of them do is its n-th power.
-        """
-        return max(float(self.repeat_whole_ticks), _or_never(self.repeat_joint_ticks) / n)
-
-    def settling_ticks(self, period: float) -> int:
-        """Return for how many ticks of ``period`` [s] the residual is on its way to what it will be."""
-        return round(min(_SETTLED / (self.residual_rate_per_s * period), _MOST_TICKS))
-
-    def held(self, tau_max: Array, coulomb: Array) -> Array:
-        """Return the change of torque (n,) [Nm] that static friction holds; coulomb (n,), 0 where it is not known."""
-        known = np.where(coulomb > 0.0, self.stuck_friction * coulomb, np.inf)
-        return np.minimum(self.stuck_torque * tau_max, known)
-
-
-class SafetyFilterSettings(MotionSettings):
-    """Safety limits."""
-
-    KIND: ClassVar[str] = "[guard]"
-    ERROR: ClassVar[type[MocOptError]] = ControlError
-
     torque_rate_Nm_per_s: float = Field(20000.0, gt=0.0, description="largest change of a joint's torque")
     position_margin_rad: float = Field(
         0.045, ge=0.0, description="distance from a joint limit at which the wall begins"
@@ -183,15 +154,6 @@ class SafetyFilterSettings(MotionSettings):
         0.5, gt=0.0,
         description="least time for which a stop is simulated; it goes on until the arm rests, at most 4 times as long",
     )  # fmt: skip
-
-    def position_margins(self, slides: NDArray[np.bool_]) -> Array:
-        """Return how far inside the limit of each joint the wall begins, (n,) [rad], [m] where ``slides``."""
-        return np.where(slides, self.position_margin_m, self.position_margin_rad)
-
-    @property
-    def incision_levels(self) -> tuple[tuple[float | None, float | None], tuple[float | None, float | None]]:
-        """Warning level and limit of RCM error [m] and of the trocar's force [N]; None: off."""
-        return (self.rcm_warning_m, self.rcm_error_m), (self.trocar_force_warning_N, self.trocar_force_N)
 
     @model_validator(mode="after")
     def _warned_before_it_stops(self) -> Self:

@@ -3,23 +3,45 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, Any, ClassVar, Literal, Self, get_args
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Self
 
 import numpy as np
-from numpy.typing import NDArray
-from pydantic import Field, field_validator, model_validator
+from pydantic import BeforeValidator, Field, field_validator, model_validator
 
-from moc_opt.control.gains import GAINS, Gains, PerJoint, resolve
+from moc_opt.arrays import Array
 from moc_opt.control.presets import PRESETS as PRESETS
 from moc_opt.control.supervisor import SupervisorSettings
 from moc_opt.errors import ControlError, MocOptError, UnknownNameError
-from moc_opt.inputs.settings import Settings
+from moc_opt.inputs.settings import LARGEST, Settings
 
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
-Projector = Literal["dynamic", "static", "as_published"]
-PROJECTORS: tuple[Projector, ...] = get_args(Projector)
-COURSE_K0_PER_S = 10.0  #: Least k0 of the box under a course.
+
+
+def _number_or_numbers(value: Any) -> float | tuple[float, ...]:
+    numbers = value if isinstance(value, list | tuple) else (value,)
+    for number in numbers:
+        if isinstance(number, bool) or not isinstance(number, int | float) or not 0.0 <= number <= LARGEST:
+            raise ValueError("input should be a number of 0 or more, or a list with one for each joint")
+    return float(value) if numbers is not value else tuple(float(number) for number in numbers)
+
+
+PerJoint = Annotated[float | tuple[float, ...], BeforeValidator(_number_or_numbers)]
+"""One number for all joints, or one per joint."""
+
+
+class Gains(NamedTuple):
+    """The gains of the three levels as a controller uses them."""
+
+    K_X: float
+    D_X: float
+    K_N: float
+    D_N: float
+    K_N2: Array  #: (n,) [N m s/rad]; zero under law ``dcac``, as D_N2.
+    D_N2: Array  #: (n,) [N m s/rad]
+
+
+GAINS = Gains._fields
 
 
 class ControlSettings(Settings):
@@ -55,7 +77,7 @@ class ControlSettings(Settings):
         default=None,
         description="constant lambda of the paper's |e_N1| = d / lambda, 0.5 in the paper; left out: |N_d - N| itself",
     )
-    projector: Projector = Field(
+    projector: Literal["dynamic", "static", "as_published"] = Field(
         default="dynamic", description="null-space projector of level 2: docs/method.md explains all three"
     )
     feedforward: bool = Field(
@@ -167,21 +189,6 @@ class ControlSettings(Settings):
         return self
 
     @classmethod
-    def paper(cls, **changes: Any) -> ControlSettings:
-        """Make the paper's parameters where it prints them, and nothing that it does not have."""
-        return cls.preset("paper", **changes)
-
-    @classmethod
-    def tuned(cls, **changes: Any) -> ControlSettings:
-        """Make what ``python -m benchmarks.tune`` found for the LWR4+, with the arm's own gains."""
-        return cls.preset("tuned", **changes)
-
-    @classmethod
-    def robust(cls, **changes: Any) -> ControlSettings:
-        """Make softer gains than ``tuned``, for loops with more delay."""
-        return cls.preset("robust", **changes)
-
-    @classmethod
     def preset(cls, name: str, **changes: Any) -> ControlSettings:
         """Make a named set of settings (`moc_opt.control.presets`); ``changes`` override fields.
 
@@ -200,11 +207,6 @@ class ControlSettings(Settings):
                 f"{self.regularization:g}: set both above 0, so that the subproblem has one answer"
             )
 
-    @property
-    def damps_dcac(self) -> bool:
-        """Whether ``dcac_damping`` acts on any joint."""
-        return bool(np.any(np.asarray(self.dcac_damping) > 0.0))
-
     def matched_dcac(self) -> dict[str, Any]:
         """Return the changes that make these settings DCAC with the same gains: the baseline of a fair comparison."""
         return {
@@ -218,32 +220,40 @@ class ControlSettings(Settings):
         return self.third_level != "local"
 
     @property
-    def box_margin_rad(self) -> float:
-        """How far inside the limit of a joint that turns the box closes [rad]."""
-        return self.course_margin_rad if self.follows else self.limit_margin_rad
-
-    @property
-    def box_speed_fraction(self) -> float:
-        """Share of v_max in the box: under a course all of it, since the course keeps its own share."""
-        return 1.0 if self.follows else self.speed_fraction
-
-    @property
-    def box_k0_per_s(self) -> float:
-        """k0 of the box: a course brakes off before a limit by itself, and the box is not to do it earlier."""
-        return max(self.k0_per_s, COURSE_K0_PER_S) if self.follows else self.k0_per_s
-
-    @property
     def observer_rate_per_s(self) -> float:
         """Gain of the momentum observer; 0 where it is off."""
         if self.follows and self.observer_gain_per_s > 0.0:
             return self.course_observer_gain_per_s
         return self.observer_gain_per_s
 
-    def limit_margins(self, slides: NDArray[np.bool_]) -> NDArray[np.float64]:
-        """Return how far inside the limit of each joint the box closes, (n,) [rad], [m] where ``slides``."""
-        return np.where(slides, self.limit_margin_m, self.box_margin_rad)
-
     def resolve_gains(self, tables: Mapping[str, Mapping[str, Any]], joints: int) -> Gains:
-        """Return K_X .. D_N2 as numbers: settings first, then the robot's table (`moc_opt.control.gains.resolve`)."""
-        given = {gain: getattr(self, gain) for gain in GAINS}
-        return resolve(self.law, given, tables, self.gains or self.law, joints)
+        """Return K_X .. D_N2 as numbers: those that are set, else those of the robot's ``tables`` [gains.*].
+
+        Raises:
+            UnknownNameError: ``gains`` is no table of this robot.
+            ControlError: a gain that this law needs stands nowhere, or does not fit the number of joints.
+        """
+        name = self.gains or self.law
+        if name not in tables:
+            raise UnknownNameError("table of gains", name, tables)
+        found: dict[str, Any] = {"K_N2": np.zeros(joints), "D_N2": np.zeros(joints)}
+        for gain in GAINS if self.law == "moc" else GAINS[:4]:
+            own = getattr(self, gain)
+            value, where = (tables[name].get(gain), f" in [gains.{name}] of the robot") if own is None else (own, "")
+            if value is None:
+                raise ControlError(f"{gain}: not set, and [gains.{name}] of the robot has none; give a number")
+            if gain in found:
+                found[gain] = per_joint(gain + where, value, joints)
+            elif isinstance(value, int | float):
+                found[gain] = float(value)
+            else:
+                raise ControlError(f"{gain}{where} = {value!r}: give one number")
+        return Gains(**found)
+
+
+def per_joint(name: str, value: Any, joints: int) -> Array:
+    """Return one number for all joints, or one per joint, as (n,); a ControlError where their number is another."""
+    if not isinstance(value, int | float) and len(value) != joints:
+        count = f"{len(value)} entries for {joints} joints"
+        raise ControlError(f"{name} = {value!r} has {count}: give one number, or one per joint")
+    return np.broadcast_to(np.asarray(value, dtype=np.float64), joints).copy()

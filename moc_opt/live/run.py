@@ -10,7 +10,7 @@ import numpy as np
 
 from moc_opt.arrays import Array
 from moc_opt.control import Controller, ControlSettings
-from moc_opt.control.gains import Gains
+from moc_opt.control.settings import Gains
 from moc_opt.errors import MocOptError, RobotError, ScenarioError, is_number
 from moc_opt.planning.self_motion import self_motion
 from moc_opt.robots.model import RobotModel, RobotState

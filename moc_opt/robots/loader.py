@@ -90,7 +90,7 @@ class RobotDescription(_Table):
     limits: Limits = Limits()
     joints: Joints = Joints()
     home: Home
-    gains: dict[Name, dict[Name, Number | Vector]] = Field({})
+    gains: dict[Name, dict[Name, PerJoint]] = Field({})
 
 
 @dataclass(frozen=True, eq=False)

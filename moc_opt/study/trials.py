@@ -13,7 +13,7 @@ import numpy as np
 
 from moc_opt import scenario
 from moc_opt.arrays import Array
-from moc_opt.control.gains import GAINS
+from moc_opt.control.settings import GAINS
 from moc_opt.control.supervisor import Fault
 from moc_opt.errors import MocOptError, describe
 from moc_opt.planning.elbow import in_transient

@@ -12,7 +12,6 @@ from numpy.typing import ArrayLike
 from pydantic import Field
 
 from moc_opt.arrays import Array, read_only
-from moc_opt.control.hand_guiding import HandGuiding
 from moc_opt.control.safety_filter import SafetyFilter
 from moc_opt.control.safety_settings import SafetyFilterSettings
 from moc_opt.errors import PlantError, TaskError
@@ -124,21 +123,23 @@ def _cut(vector: Array, most: float) -> Array:
 
 
 class _Guiding:
-    """Hand guiding with the interface of a filtered controller; it has no reference and no memory.
+    """Hand guiding with the interface of a controller: tau = g(q) - D v, without reference and memory.
 
-    ``seen`` is the state at the last measurement that was believed. The safety filter is not shown it: it would take
-    the hand's force for a motion that no torque explains.
+    The arm has no position to return to: errors of the model's masses push it slowly, unless friction or a hand holds
+    it. ``seen`` is the state at the last measurement that was believed. The safety filter is not shown it: it would
+    take the hand's force for a motion that no torque explains.
     """
 
     def __init__(self, robot: RobotModel, damping_Nm_s_per_rad: float) -> None:
-        self._law, self._robot = HandGuiding(robot, damping_Nm_s_per_rad), robot
+        self._robot, self._damping = robot, damping_Nm_s_per_rad
 
     def start(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> None:
         self.seen: RobotState = self._robot.state(q, v)
 
     def tick(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> Array:
         self.seen = self._robot.state(q, v)
-        return self._law.tick(self.seen)
+        tau = self._robot.gravity(q) - self._damping * v
+        return np.clip(tau, -self._robot.tau_max, self._robot.tau_max)
 
     def set_applied_torque(self, tau: Array) -> None:
         """Do nothing: the law has no memory."""

@@ -125,7 +125,7 @@ def test_the_configuration_that_ships_is_the_papers_experiment():
     cases = {group: SHIPPED.cases(SHIPPED.base(group)) for group in SHIPPED.groups}
     tasks = Counter(case.name.partition("/")[0] for case in cases["paper"])
     assert tasks == {"circle": 15, "sinusoid": 15, "spiral": 15}
-    assert SHIPPED.base(SHIPPED.ablation.group).control == ControlSettings.paper()
+    assert SHIPPED.base(SHIPPED.ablation.group).control == ControlSettings.preset("paper")
     one_number = SHIPPED.cases(SHIPPED.changed(SHIPPED.ablation.cases["one-number"]))
     for mine in (*cases.values(), one_number):
         assert [case.seed for case in mine] == [case.seed for case in cases["paper"]]

@@ -111,7 +111,7 @@ def test_the_preset_is_a_point_of_the_space():
     for name, span in CONFIG.space.items():
         value = TUNED["regularization"] / 1e-3 if name == "rho_over_c2" else {**gains, **TUNED}[name]
         assert value in span.choice if span.choice else span.low * 0.99 <= value <= span.high * 1.01
-    assert ControlSettings.tuned() == ControlSettings(**TUNED)
+    assert ControlSettings.preset("tuned") == ControlSettings(**TUNED)
 
 
 def test_the_command_repeats_itself(tiny):

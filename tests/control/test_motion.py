@@ -84,7 +84,7 @@ def looked(q, v, tau=None, reference=None, wrench=None, **levels):
             guard.limit_torque(rest, rest, q[k], v[k], reference[k], tip=reference[k, 0])
         given_tau, given_wrench = rest if tau is None else tau[k], None if wrench is None else wrench[k]
         guard.check_measurement(q[k], v[k], None, given_tau, given_wrench)
-        if guard.stopped:
+        if guard.reason:
             return guard.reason, k
     return "", len(q)
 
@@ -177,7 +177,7 @@ def test_the_watch_can_be_switched_off(robot):
     guard.start(robot.data.q_home, np.zeros(N), 0)
     for _ in range(50):
         guard.check_measurement(robot.data.q_home, np.zeros(N), 0, np.zeros(N))
-    assert not guard.stopped
+    assert not guard.reason
 
 
 def watched(robot, settings_, torque, ticks):
@@ -190,7 +190,7 @@ def watched(robot, settings_, torque, ticks):
         shown, tau = q + 1e-5 * rng.normal(size=N), robot.gravity(q) + torque(k)
         guard.check_measurement(shown, v, k, tau)
         guard.limit_torque(np.zeros(N), tau, shown, v)
-        if guard.stopped:
+        if guard.reason:
             return guard.reason, k
     return "", ticks
 

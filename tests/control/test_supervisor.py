@@ -388,13 +388,6 @@ def test_the_clock_counts_the_solve_in_microseconds(qp, Z, monkeypatch):
     assert mine.fault is Fault.LATE
 
 
-def test_settings_that_are_not_given_are_the_documented_ones():
-    assert SupervisorSettings().model_dump() == {
-        "check": True, "primal_limit": 1e-2, "box_limit": 0.1, "relative_limit": 0.05, "opposite_limit": 1e-3,
-        "hold_ticks": 10, "keep_off_limits": True, "budget_us": None, "late": "hold",
-    }  # fmt: skip
-
-
 @pytest.mark.parametrize("rho", [0.0, 0.3])
 @pytest.mark.parametrize("tilt", [1.0, 1e-3])
 @pytest.mark.parametrize("n", [7, 8, 9])

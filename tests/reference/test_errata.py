@@ -13,7 +13,7 @@ from moc_opt.vision.board import BOARD_TASKS
 from tests.control.torques import third, tracking
 from tests.reference.law import null_space, projector, third_level, velocity_damper
 
-PAPER = ControlSettings.paper()
+PAPER = ControlSettings.preset("paper")
 K = 0.1  # gain of the network, as printed
 K_N2 = np.array([80.0, 120.0, 60.0, 30.0, 20.0, 10.0, 10.0])  # Table I [N m s/rad]
 
