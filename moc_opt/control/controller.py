@@ -19,8 +19,6 @@ from moc_opt.solvers.base import ObservingSession, Session, Solution, Solver, St
 from moc_opt.solvers.exact import Exact
 from moc_opt.solvers.isolated import IsolatedSession
 
-_DOUBLE, _ROWS = np.dtype(np.float64), (24, 8)
-
 
 class Guide(Protocol):
     """Gives the desired self-motion of every tick, in place of the climb of mu.
@@ -161,7 +159,7 @@ class Controller:
 
     def _begin(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> None:
         self._forget()
-        tip_ref, trocar = (np.ascontiguousarray(given, dtype=np.float64) for given in (tip_ref, trocar))
+        tip_ref, trocar = _rows("tip_ref", tip_ref, 3), _rows("trocar", trocar, 2)
         row = np.empty(self._row_length)
         self.state: RobotState = self.robot.state(q, v)
         self._law.start(self.state.record, tip_ref, trocar, row)
@@ -185,16 +183,17 @@ class Controller:
         """
         if not self._started:
             raise ControlError("tick before start: call start once before the first tick")
-        if tip_ref.shape != (3, 3) or trocar.shape != (2, 3):
-            raise ControlError(
-                f"tip_ref has shape {tip_ref.shape}, trocar {trocar.shape}: give (3, 3) and (2, 3), a row a derivative"
-            )
-        if tip_ref.strides != _ROWS or tip_ref.dtype is not _DOUBLE:
-            tip_ref = np.ascontiguousarray(tip_ref, dtype=np.float64)
-        if trocar.strides != _ROWS or trocar.dtype is not _DOUBLE:
-            trocar = np.ascontiguousarray(trocar, dtype=np.float64)
         self.state = state = self.robot.state(q, v)
         pull = None if self._guide is None else self._guide.desired_velocity(state)
+        try:
+            return self._torque(state, tip_ref, trocar, pull)
+        except ValueError:  # the core takes contiguous arrays of floats alone, and checks them before all else
+            rows = _rows("tip_ref", tip_ref, 3), _rows("trocar", trocar, 2)
+            if rows[0] is tip_ref and rows[1] is trocar:
+                raise
+            return self._torque(state, *rows, pull)
+
+    def _torque(self, state: RobotState, tip_ref: Array, trocar: Array, pull: Array | None) -> Array:
         if self._exact is not None:
             self._ticked = _, out = self._supervisor.step(state.record, tip_ref, trocar, pull, self._exact.tolerance)
             return read_only(out)[-self._n :]
@@ -248,6 +247,12 @@ class Controller:
         columns["solve_us"][row], columns["status"][row] = self.solve_us, status.label
         if self.fault is not Fault.NONE:
             columns["fault"][row] = self.fault.label
+
+
+def _rows(name: str, given: Array, count: int) -> Array:
+    if np.shape(given) != (count, 3):
+        raise ControlError(f"{name} has shape {np.shape(given)}: give ({count}, 3), a row a derivative")
+    return np.ascontiguousarray(given, dtype=np.float64)
 
 
 def _start_session(solver: Solver, qp: NullSpaceQP) -> Session:

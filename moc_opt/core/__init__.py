@@ -19,13 +19,12 @@ try:
         Arm,
         Guard,
         Law,
-        add_force,
         advance,
         desired_wrist,
         judge,
         load,
         read_encoders,
-        shaft_force,
+        shaft_wrench,
         solve_exact,
         solve_exact_rows,
         step_network,
@@ -38,6 +37,6 @@ except ImportError as error:
 
 __all__ = [
     "BAD_Q", "BAD_V", "DOUBTFUL", "INFEASIBLE", "MAX_JOINTS", "OK", "REASONS", "UNFINISHED", "Arm", "Guard", "Law",
-    "add_force", "advance", "desired_wrist", "judge", "load", "onto_curve",
-    "read_encoders", "shaft_force", "solve_exact", "solve_exact_rows", "step_network",
+    "advance", "desired_wrist", "judge", "load", "onto_curve",
+    "read_encoders", "shaft_wrench", "solve_exact", "solve_exact_rows", "step_network",
 ]  # fmt: skip

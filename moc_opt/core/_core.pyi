@@ -99,11 +99,10 @@ def advance(
     step: Array, crossing: Array, price: float, value: Array, /,
 ) -> None: ...
 # The simulated plant; see plant.c.
-def shaft_force(
-    tip: Array, wrist: Array, twist: Array, origin: Array, trocar: Array, elapsed: float, stiffness: float,
-    damping: float, force: Array, point: Array, /,
+def shaft_wrench(
+    tip: Array, wrist: Array, twist: Array, origin: Array, com: Array, trocar: Array, elapsed: float,
+    stiffness: float, damping: float, wrench: Array, /,
 ) -> None: ...
-def add_force(wrench: Array, force: Array, point: Array, com: Array, /) -> None: ...
 def read_encoders(
     q: Array, v: Array, noise: Array, memory: Array, resolution: float, period: float, gain: float, exact: bool,
     reading: Array, /,

@@ -1,24 +1,23 @@
 /* What the simulated plant needs between two of MuJoCo's steps, as functions of the module; sim/plant.py calls
- * shaft_force, sim/sensors.py read_encoders. No part of the exported controller. */
+ * shaft_wrench, sim/sensors.py read_encoders. No part of the exported controller. */
 #include "python.h"
 #include "vec.h"
 
-/* Force of the trocar on the shaft and where it acts, world axes: with the shaft's point c nearest to the trocar P and
- * the velocity w of the tool's material there, force = (I - u u^T)(stiffness (P - c) + damping (dP - w)).
+/* Wrench of the trocar on the tool, world axes: force, then moment about com. With the shaft's point c nearest to the
+ * trocar P and the velocity w of the tool's material there, force = (I - u u^T)(stiffness (P - c) + damping (dP - w)).
  * tip, wrist: two points of the shaft's line; twist: angular velocity, then the velocity at origin; trocar: P and dP at
  * the start of the period, `elapsed` seconds ago. */
-FUNCTION(shaft_force, {"tip", READ, 3}, {"wrist", READ, 3}, {"twist", READ, 6}, {"origin", READ, 3},
-         {"trocar", READ, 2, 3}, {"elapsed", NUMBER}, {"stiffness", NUMBER}, {"damping", NUMBER}, {"force", WRITE, 3},
-         {"point", WRITE, 3})
+FUNCTION(shaft_wrench, {"tip", READ, 3}, {"wrist", READ, 3}, {"twist", READ, 6}, {"origin", READ, 3}, {"com", READ, 3},
+         {"trocar", READ, 2, 3}, {"elapsed", NUMBER}, {"stiffness", NUMBER}, {"damping", NUMBER}, {"wrench", WRITE, 6})
 {
     const double *tip = c->array[0], *wrist = c->array[1], *twist = c->array[2], *origin = c->array[3];
-    const double *P_start = c->array[4], *dP = c->array[4] + 3;
-    double *force = c->array[8], *point = c->array[9];
-    double u[3], P[3], lever[3], w[3];
+    const double *com = c->array[4], *P_start = c->array[5], *dP = c->array[5] + 3;
+    double *force = c->array[9], *moment = c->array[9] + 3;
+    double u[3], P[3], point[3], lever[3], w[3];
 
     for (int i = 0; i < 3; i++) {
         u[i] = tip[i] - wrist[i];
-        P[i] = P_start[i] + c->number[5] * dP[i];
+        P[i] = P_start[i] + c->number[6] * dP[i];
     }
     normalise3(u);
     double along = dot3(P, u) - dot3(tip, u);
@@ -29,22 +28,14 @@ FUNCTION(shaft_force, {"tip", READ, 3}, {"wrist", READ, 3}, {"twist", READ, 6}, 
     }
     add_cross(1.0, twist, lever, w);
     for (int i = 0; i < 3; i++)
-        force[i] = c->number[6] * (P[i] - point[i]) + c->number[7] * (dP[i] - w[i]);
+        force[i] = c->number[7] * (P[i] - point[i]) + c->number[8] * (dP[i] - w[i]);
     double axial = dot3(force, u);
-    for (int i = 0; i < 3; i++)
-        force[i] -= axial * u[i];
-    Py_RETURN_NONE;
-}
-
-/* A force at a point, added to a body's wrench (force, then moment about com), world axes. */
-FUNCTION(add_force, {"wrench", WRITE, 6}, {"force", READ, 3}, {"point", READ, 3}, {"com", READ, 3})
-{
-    double lever[3];
     for (int i = 0; i < 3; i++) {
-        lever[i] = c->array[2][i] - c->array[3][i];
-        c->array[0][i] += c->array[1][i];
+        force[i] -= axial * u[i];
+        lever[i] = point[i] - com[i];
+        moment[i] = 0.0;
     }
-    add_cross(1.0, lever, c->array[1], c->array[0] + 3);
+    add_cross(1.0, lever, force, moment);
     Py_RETURN_NONE;
 }
 
@@ -73,5 +64,5 @@ FUNCTION(read_encoders, {"q", READ, N}, {"v", READ, N}, {"noise", READ, N}, {"me
 }
 
 PyMethodDef moc_plant_functions[] = {
-    ENTRY(core, shaft_force), ENTRY(core, add_force), ENTRY(core, read_encoders), {NULL, NULL, 0, NULL},
+    ENTRY(core, shaft_wrench), ENTRY(core, read_encoders), {NULL, NULL, 0, NULL},
 };

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cache
 from itertools import accumulate
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 
@@ -47,7 +46,6 @@ def _scalar(index: int, doc: str) -> float:
     return property(number, doc=doc)  # type: ignore[return-value]
 
 
-@dataclass(frozen=True, eq=False, repr=False)
 class RobotState:
     """The model's terms of an arm at one (q, v): read-only views of one flat array, `record`, in order of `layout`.
 
@@ -65,8 +63,13 @@ class RobotState:
     record: Array
     n: int
 
-    def __post_init__(self) -> None:
-        self.record.setflags(write=False)
+    def __init__(self, record: Array, n: int) -> None:
+        record.setflags(write=False)
+        own = self.__dict__  # around our own __setattr__: a state is made at every tick
+        own["record"], own["n"] = record, n
+
+    def __setattr__(self, name: str, value: object) -> NoReturn:
+        raise AttributeError(f"RobotState is frozen: {name} cannot be set")
 
     def __reduce__(self) -> tuple[Any, ...]:
         return RobotState, (self.record.copy(), self.n)

@@ -41,7 +41,7 @@ class Joints:
     def __init__(
         self, data: RobotData, settings: PlantSettings, mismatch: Mismatch, model: mujoco.MjModel, state: mujoco.MjData
     ) -> None:
-        self._model, self._state, self._limit = model, state, data.tau_max.copy()
+        self._model, self._state, self._high, self._low = model, state, data.tau_max.copy(), -data.tau_max
         self._elastic, self._on_links = settings.elastic, settings.encoder_side == "link"
         self._stiffness = _stiffnesses(data, settings)
         self.motors = slice(None, None, 2 if settings.elastic else 1)  # an elastic joint: motor, then spring
@@ -69,7 +69,7 @@ class Joints:
             state.qpos[1::2] = sag
             state.qpos[::2] = shown - sag if self._on_links else shown
             mujoco.mj_forward(model, state)
-        np.clip(weight, -self._limit, self._limit, out=self.torque)
+        np.clip(weight, self._low, self._high, out=self.torque)
         self._queue[:], self._due = self.torque, 0
         state.qvel[self.motors] = speed
         self.drive()
@@ -79,14 +79,14 @@ class Joints:
     def command(self, tau: ArrayLike) -> None:
         """Take the command of a period (n,) [Nm], and let the one that is due act; raises as `Plant.step`."""
         wanted = np.asarray(tau, dtype=np.float64)
-        if wanted.shape != self._limit.shape:
-            raise PlantError(f"tau has shape {wanted.shape}: give {self._limit.shape}, one torque a joint [Nm]")
+        if wanted.shape != self._high.shape:
+            raise PlantError(f"tau has shape {wanted.shape}: give {self._high.shape}, one torque a joint [Nm]")
         if not math.isfinite(wanted.dot(wanted)):
             raise PlantError(
                 f"tau = {wanted.tolist()} Nm is not finite: the arm has not moved; mend the controller, "
                 "or stop it when its solver fails"
             )
-        wanted = np.minimum(np.maximum(wanted, -self._limit), self._limit)
+        wanted = np.minimum(np.maximum(wanted, self._low), self._high)
         if len(self._queue) == 0:
             self.torque[:] = wanted
             return

@@ -100,14 +100,14 @@ class Plant:
         tool, tip, wrist = (bodies[name] for name in frames)
         origin = state.subtree_com[model.body_rootid[tool]]
         self._tip, self._wrist = state.xpos[tip], state.xpos[wrist]
-        self._shaft = self._tip, self._wrist, state.cvel[tip], origin
-        self._tool_wrench, self._tool_com = state.xfrc_applied[tool], state.xipos[tool]
+        self._shaft = self._tip, self._wrist, state.cvel[tip], origin, state.xipos[tool]
+        self._tool_wrench, self._felt = state.xfrc_applied[tool], np.zeros(6)
         # MuJoCo's sensor shows what the mount exerts on the tool; ours, as real ones do, the reaction.
         first = model.sensor(FORCE_SENSOR).adr[0]
         self._held = state.sensordata[first : first + 6]
         self._bodies, self._pushes = bodies, dict[int, tuple[Array, Array]]()  # number -> force, point in its frame
         self._tissue = settings.trocar_stiffness_N_per_m, settings.trocar_damping_Ns_per_m
-        self._trocar, self._force, self._point = np.zeros((2, 3)), np.zeros(3), np.zeros(3)
+        self._trocar = np.zeros((2, 3))
 
     def reset(self, q: ArrayLike, v: ArrayLike | None = None) -> None:
         """Start anew at time 0: no pushes, and the delay full of the torque that holds the arm still at q.
@@ -143,7 +143,7 @@ class Plant:
         self._feel()
         q, v = self._encoders.start(*self._joints.shown)
         self._measurement = Measurement(q, v, self._sensor.read(self._held), self._ticks)
-        self._ran_away = not _is_sound(self._joints.q, self._joints.v)
+        self._ran_away = not self._joints.v.dot(self._joints.v) < _RUNAWAY_RAD_PER_S**2
 
     def step(self, tau: ArrayLike, trocar: ArrayLike | None = None) -> None:
         """Advance one control period.
@@ -174,7 +174,7 @@ class Plant:
             mujoco.mj_step1(model, state)
         joints.gather()
         self._ticks += 1
-        if not _is_sound(joints.q, joints.v):
+        if not joints.v.dot(joints.v) < _RUNAWAY_RAD_PER_S**2:  # also where it is no number
             self._ran_away = True
             raise PlantError(
                 f"the arm ran away before t = {self.time:.4g} s (v = {joints.v.tolist()} rad/s): lower the "
@@ -186,25 +186,20 @@ class Plant:
 
     def _load(self, elapsed_s: float) -> None:
         state = self.mj_data
-        state.xfrc_applied[:] = 0.0
-        if self._touch[0] > 0.0 or self._touch[1] > 0.0:
-            core.shaft_force(*self._shaft, self._trocar, elapsed_s, *self._touch, self._force, self._point)
-            core.add_force(self._tool_wrench, self._force, self._point, self._tool_com)
-        else:
-            self._force[:] = 0.0
+        for body in self._pushes:
+            state.xfrc_applied[body] = 0.0
+        core.shaft_wrench(*self._shaft, self._trocar, elapsed_s, *self._touch, self._tool_wrench)
         for body, (force, point) in self._pushes.items():
-            where = state.xpos[body] + state.xmat[body].reshape(3, 3) @ point
-            core.add_force(state.xfrc_applied[body], force, where, state.xipos[body])
+            lever = state.xpos[body] + state.xmat[body].reshape(3, 3) @ point - state.xipos[body]
+            state.xfrc_applied[body] += np.concatenate([force, np.cross(lever, force)])
 
     def _feel(self) -> Array:
-        core.shaft_force(*self._shaft, self._trocar, self.settings.period_s, *self._touch, self._force, self._point)
-        return self._force
+        core.shaft_wrench(*self._shaft, self._trocar, self.settings.period_s, *self._touch, self._felt)
+        return self._felt[:3]
 
     def write_truth(self, row: Array) -> None:
         """Write q, v, tip, wrist and the trocar's force of now into row (2 n + 9,): all truths in one call."""
-        n = self.data.n
-        row[:n], row[n : 2 * n] = self._joints.q, self._joints.v
-        row[-9:-6], row[-6:-3], row[-3:] = self._tip, self._wrist, self._feel()
+        np.concatenate((self._joints.q, self._joints.v, self._tip, self._wrist, self._feel()), out=row)
 
     def measure(self) -> Measurement:
         """Return what the sensors showed at the end of the last period; asking twice gives the same."""
@@ -245,10 +240,9 @@ class Plant:
 
     def clear_pushes(self, body: str | None = None) -> None:
         """Remove the force on one link, or on all."""
-        if body is None:
-            self._pushes.clear()
-        else:
-            self._pushes.pop(self._number(body), None)
+        for number in list(self._pushes) if body is None else [self._number(body)]:
+            self._pushes.pop(number, None)
+            self.mj_data.xfrc_applied[number] = 0.0
 
     def _number(self, link: str) -> int:
         if link not in self._bodies:
@@ -289,7 +283,3 @@ class Plant:
     def trocar_force(self) -> Array:
         """(3,) force of the trocar on the shaft now, world axes [N]; 0 without one in the last period."""
         return read_only(self._feel().copy())
-
-
-def _is_sound(q: Array, v: Array) -> bool:
-    return math.isfinite(q.dot(q)) and bool(v.dot(v) < _RUNAWAY_RAD_PER_S**2)

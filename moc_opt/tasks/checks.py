@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -54,8 +54,8 @@ def direction3(name: str, value: ArrayLike) -> Array:
     return read_only(np.asarray(scaled / math.sqrt(float(scaled @ scaled))))
 
 
-def sampled(name: str, value: TimeLike, rows: Callable[[float], Array]) -> Array:
-    """Evaluate `rows`, number -> (m, 3), at one number or at each of a vector (k,): (m, 3) or (m, k, 3).
+def sampled(name: str, value: TimeLike, rows: Callable[[float], Sequence[float]]) -> Array:
+    """Evaluate `rows`, number -> 3 m numbers, at one number or at each of a vector (k,): (m, 3) or (m, k, 3).
 
     One by one, so that a controller at a tick and a report afterwards get the same bits, which numpy's vector sine
     does not promise. A TaskError where `value` is neither a number nor a vector.
@@ -67,6 +67,6 @@ def sampled(name: str, value: TimeLike, rows: Callable[[float], Array]) -> Array
     if array.ndim > 1:
         raise TaskError(f"{name} has shape {array.shape}: give a number or a vector (k,)")
     if array.ndim == 0:
-        return rows(float(array))
-    found = [rows(entry) for entry in array.tolist()] or np.empty((0, len(rows(0.0)), 3))
-    return np.ascontiguousarray(np.swapaxes(found, 0, 1))
+        return np.array(rows(float(array))).reshape(-1, 3)
+    found = np.array([rows(entry) for entry in array.tolist()] or np.empty((0, len(rows(0.0)))))
+    return np.ascontiguousarray(np.swapaxes(found.reshape(len(array), found.shape[1] // 3, 3), 0, 1))

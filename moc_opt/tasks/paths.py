@@ -65,7 +65,7 @@ class Path:
 
         A TaskError where s is outside the path, or no number or vector.
         """
-        p, dp, ddp = sampled("s", s, self._rows)
+        p, dp, ddp = sampled("s", s, self._checked)
         return p, dp, ddp
 
     def point(self, s: float) -> tuple[float, ...]:
@@ -75,11 +75,11 @@ class Path:
         p = [o + a * x + b * y for o, a, b in self._axes]
         return (*p, *(a * tx + b * ty for _, a, b in self._axes), *(a * u + b * v for _, a, b in self._axes))
 
-    def _rows(self, s: float) -> Array:
+    def _checked(self, s: float) -> tuple[float, ...]:
         slack = 1e-9 * self.length
         if not -slack <= s <= self.length + slack:
             raise TaskError(f"s = {s!r} is outside the path: give an arc length in [0, {self.length!r}] m")
-        return np.array(self.point(min(max(s, 0.0), self.length))).reshape(3, 3)
+        return self.point(min(max(s, 0.0), self.length))
 
 
 class Waypoints(Path):

@@ -93,11 +93,14 @@ class Reference:
         Before t_start it rests at the start of the path, after t_start + duration at its end. A TaskError where t is no
         number or vector, or NaN.
         """
-        x, dx, ddx = sampled("t", t, self.rows)
+        x, dx, ddx = sampled("t", t, self._numbers)
         return x, dx, ddx
 
     def rows(self, t: float) -> Array:
         """Return X_d, dX_d, ddX_d as the rows of one (3, 3) array, for one time [s]; a TaskError where t is NaN."""
+        return np.array(self._numbers(t)).reshape(3, 3)
+
+    def _numbers(self, t: float) -> tuple[float, ...]:
         u = (t - self.t_start) / self.duration
         if math.isnan(u):
             raise TaskError(f"t = {t!r} is not a time: give seconds")
@@ -106,7 +109,7 @@ class Reference:
         v, a = ds * length / self.duration, dds * length / (self.duration * self.duration)
         x, y, z, tx, ty, tz, cx, cy, cz = self.path.point(min(progress * length, length))
         c = v * v
-        return np.array([(x, y, z), (v * tx, v * ty, v * tz), (a * tx + c * cx, a * ty + c * cy, a * tz + c * cz)])
+        return x, y, z, v * tx, v * ty, v * tz, a * tx + c * cx, a * ty + c * cy, a * tz + c * cz
 
 
 class WaitingReference:

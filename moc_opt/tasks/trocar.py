@@ -44,18 +44,21 @@ class Trocar:
 
         A TaskError where t is no number or vector, or not finite.
         """
-        p, dp = sampled("t", t, self.rows)
+        p, dp = sampled("t", t, self._numbers)
         return p, dp
 
     def rows(self, t: float) -> Array:
         """Return P_t and dP_t as the rows of one (2, 3) array, for one time [s]; a TaskError where t is not finite."""
+        return np.array(self._numbers(t)).reshape(2, 3)
+
+    def _numbers(self, t: float) -> tuple[float, ...]:
         if not math.isfinite(t):
             raise TaskError(f"t = {t!r} is not a time: give seconds")
         amplitude, rate = self.breathing_amplitude_m, 2.0 * math.pi / self.breathing_period_s
         away = amplitude * 0.5 * (1.0 - math.cos(rate * t))
         speed = amplitude * 0.5 * rate * math.sin(rate * t)
         (x, a), (y, b), (z, c) = self._axes
-        return np.array(((x + away * a, y + away * b, z + away * c), (speed * a, speed * b, speed * c)))
+        return x + away * a, y + away * b, z + away * c, speed * a, speed * b, speed * c
 
 
 def shaft_distance(tip: ArrayLike, wrist: ArrayLike, p: ArrayLike) -> Array:

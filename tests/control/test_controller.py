@@ -188,7 +188,7 @@ def test_what_cannot_be_is_refused(robot):
             controller.tick(state.q, state.v, *reference(state))
     controller, *_ = started(robot)
     for shapes in (((3,), (2, 3)), ((2, 3), (2, 3)), ((3, 3), (3,)), ((3, 3), (3, 3))):
-        with pytest.raises(ControlError, match="tip_ref has shape"):
+        with pytest.raises(ControlError, match="has shape"):
             controller.tick(state.q, state.v, *map(np.zeros, shapes))
     with pytest.raises(ControlError, match="observer_gain_per_s = 101"):
         Controller(robot, ControlSettings(observer_gain_per_s=101.0), EXACT, period=0.01)

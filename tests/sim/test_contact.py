@@ -34,9 +34,8 @@ def scene(seed):
 
 
 def kernel(*args):
-    force, point = np.empty(3), np.empty(3)
-    core.shaft_force(*args, force, point)
-    return force, point
+    core.shaft_wrench(*args, wrench := np.empty(6))
+    return wrench[:3], wrench[3:]
 
 
 def shaft_of(plant, depth=0.15, off=1e-3):
@@ -51,10 +50,11 @@ def shaft_of(plant, depth=0.15, off=1e-3):
 def test_kernel_is_its_formula(seed):
     rng, tip, wrist, twist, origin, trocar = scene(seed)
     elapsed, k, d = rng.uniform(0, 0.01), rng.uniform(0, 2e4), rng.uniform(0, 100)
-    force, point = kernel(tip, wrist, twist, origin, trocar, elapsed, k, d)
-    want_force, want_point = numpy_shaft_force(tip, wrist, twist, origin, trocar, elapsed, k, d)
-    np.testing.assert_allclose(force, want_force, rtol=1e-11, atol=1e-11 * k)
-    np.testing.assert_allclose(point, want_point, atol=1e-12)
+    com = rng.uniform(-1, 1, 3)
+    force, moment = kernel(tip, wrist, twist, origin, com, trocar, elapsed, k, d)
+    want, point = numpy_shaft_force(tip, wrist, twist, origin, trocar, elapsed, k, d)
+    np.testing.assert_allclose(force, want, rtol=1e-11, atol=1e-11 * k)
+    np.testing.assert_allclose(moment, np.cross(point - com, want), rtol=1e-11, atol=1e-10 * k)
 
 
 @given(seeds)
@@ -64,7 +64,8 @@ def test_a_resting_trocar_only_takes_energy(seed):
     _, tip, wrist, twist, _, trocar = scene(seed)
     trocar[1] = 0.0
     k, d, dt = 800.0, 10.0, 1e-6
-    force, point = kernel(tip, wrist, twist, tip, trocar, 0.0, k, d)
+    force, _ = kernel(tip, wrist, twist, tip, tip, trocar, 0.0, k, d)
+    _, point = numpy_shaft_force(tip, wrist, twist, tip, trocar, 0.0, k, d)
     power = force @ (twist[3:] + np.cross(twist[:3], point - tip))
 
     def stored(t):
