@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict
 from functools import partial
 from typing import Annotated, Any, Literal, Self
 
@@ -99,8 +100,8 @@ def work(study: Study, config: Config) -> Found:
         failed |= {f"{kind} {name}": reason for name, reason in reasons.items()}
     summary = summed_up(whole, failed)
     rows = Results([*whole.rows, *({"controller": name, "error": reason} for name, reason in failed.items())])
-    seen = Disturbance.total(timed_rows(summary))
-    return Found(report(summary, whole.times, about(scenario)), summary, rows, {"load": seen.told()})
+    seen = asdict(Disturbance.total(timed_rows(summary)))
+    return Found(report(summary, whole.times, about(scenario)), summary, rows, {"load": seen})
 
 
 def _measured(study: Study, jobs: Sequence[Job], what: str) -> list[Any]:
@@ -112,7 +113,7 @@ def summed_up(whole: timed.Part, failed: Mapping[str, str]) -> dict[str, Any]:
     if loop := summary["loop"]:
         rounds = [row for row in whole.rows if row["part"] == "loop"]
         c_tick = summary["tick"].get("c", {}).get("tick_p50_us")
-        loop["limit"] = timed.limit(rounds, c_tick, Disturbance.of(loop["python"]))
+        loop["limit"] = timed.limit(rounds, c_tick)
     summary["clock"] = {"cost": {"p50_us": clock_cost_us()}}
     summary["not_run"] = {name: {"reason": reason} for name, reason in failed.items()}
     return summary | {"goals": judge(summary, GOALS)}

@@ -12,12 +12,12 @@ import re
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from time import perf_counter
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -30,9 +30,17 @@ from moc_opt.qp.problem import NullSpaceQP, row_length
 from moc_opt.robots.model import load_robot
 from moc_opt.scenario import Scenario, Setup, make_solver
 from moc_opt.solvers.exact import Exact
-from moc_opt.study.timing import Disturbance, Timed, figures, interleaved, percentiles, ratios, used
+from moc_opt.study.timing import Disturbance, each_us, percentiles, used
 
 ROOT, CHUNK = Path(__file__).resolve().parents[1], 100
+COLD = 5  # calls after another entry's turn that find its data in the caches
+
+
+class Timed(NamedTuple):
+    """What is timed: the call, and its items."""
+
+    call: Callable[[Any], Any]
+    items: Sequence[Any]
 
 
 @dataclass
@@ -54,21 +62,40 @@ class Part:
     seen: dict[str, Disturbance] = field(default_factory=dict)
 
     def time(self, part: str, entries: Mapping[str, Timed], rounds: int) -> None:
-        self.times |= interleaved(entries, rounds, CHUNK, self.seen)
-        for name, chunks in self.times.items():
-            late = np.percentile(chunks, [50, 99, 100], axis=1).T.tolist()
+        """Time calls side by side: each goes through its own items, a chunk of them at a time, in turn.
+
+        Whatever the machine does meanwhile hits all alike, so ratios of what is found chunk by chunk are steadier than
+        the times. All entries have as many items as the shortest. One round comes before ``rounds`` and is not timed.
+        """
+        names, starts = list(entries), range(0, min(len(entry.items) for entry in entries.values()) - CHUNK + 1, CHUNK)
+        chunks: dict[str, list[Array]] = {name: [] for name in names}
+        seen: dict[str, list[Disturbance]] = {name: [] for name in names}
+        for turn in range((1 + rounds) * len(starts)):
+            begin, first, timed = starts[turn % len(starts)], turn % len(names), turn >= len(starts)
+            for name in names[first:] + names[:first]:
+                call, items = entries[name]
+                times = each_us(call, items[begin : begin + CHUNK], seen=seen[name] if timed else None)
+                if timed:
+                    chunks[name].append(times)
+        for name in names:
+            self.times[name], self.seen[name] = np.array(chunks[name]), sum(seen[name], Disturbance())
+            late = np.percentile(self.times[name], [50, 99, 100], axis=1).T.tolist()
             self.rows += [
                 {"part": part, "name": name, "round": i, "p50_us": p50, "p99_us": p99, "max_us": longest}
                 for i, (p50, p99, longest) in enumerate(late)
             ]
 
     def figures(self, name: str, prefix: str) -> dict[str, float]:
-        return figures(self.times[name], prefix, self.seen[name])
+        """Return percentiles and maximum, the median of the first calls of each chunk, and the machine's load."""
+        times = self.times[name]
+        return {
+            **percentiles(times.ravel(), prefix), f"{prefix}_max_us": float(times.max()),
+            f"{prefix}_cold_p50_us": float(np.median(times[:, :COLD])), **self.seen[name].entries(),
+        }  # fmt: skip
 
     def over(self, name: str, other: str) -> float:
-        """Return the ratio of two entries, the median over the chunks."""
-        value = float(np.median(ratios(self.times[name], self.times[other])))
-        return (self.seen[name] + self.seen[other]).judged(value, 50.0)
+        """Return the ratio of the medians of two entries, chunk by chunk, and of these the median."""
+        return float(np.median(np.median(self.times[name], axis=1) / np.median(self.times[other], axis=1)))
 
 
 def record(scenario: Scenario) -> tuple[list[peers.Inputs], list[NullSpaceQP]]:
@@ -307,21 +334,21 @@ def loop(scenario: Scenario, runs: int) -> Part:
             part.rows.append({"part": "loop", "name": "python", "round": turn, **walls})
     us = float(np.median([row["us_per_tick"] for row in part.rows]))
     python = {
-        "factor": seen.judged(1e6 * scenario.plant.period_s / us, 50.0), "us_per_tick": us,
-        **percentiles(np.concatenate(times), "tick", seen), **seen.entries(),
+        "factor": 1e6 * scenario.plant.period_s / us, "us_per_tick": us,
+        **percentiles(np.concatenate(times), "tick"), **seen.entries(),
     }  # fmt: skip
     part.found["loop"] = {"python": python}
     return part
 
 
-def limit(rows: Iterable[Mapping[str, Any]], c_tick_us: float | None, seen: Disturbance) -> dict[str, float]:
+def limit(rows: Iterable[Mapping[str, Any]], c_tick_us: float | None) -> dict[str, float]:
     """Return the medians over the loop's rounds: MuJoCo's steps, the limit with the tick in C, and the loop over it."""
     us, steps = np.array([(row["us_per_tick"], row["steps_us"]) for row in rows]).T
     found = {"steps_us": float(np.median(steps))}
     if c_tick_us is not None:
         least = steps + c_tick_us
         found |= {"limit_us": float(np.median(least)), "python_over_limit": float(np.median(us / least))}
-    return {name: seen.judged(value, 50.0) for name, value in found.items()}
+    return found
 
 
 # --- new processes ---

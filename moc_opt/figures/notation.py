@@ -22,28 +22,6 @@ class Missing:
     reason: str = "no value"
 
 
-class Doubtful(float):
-    """A number that is not to be trusted, such as a time taken on a busy machine: written with a "?" before it.
-
-    Quotients and differences of it are doubtful, too.
-    """
-
-    def __format__(self, spec: str) -> str:
-        return "?" + super().__format__(spec)
-
-    def __sub__(self, other: float) -> Doubtful:
-        return Doubtful(float(self) - other)
-
-    def __rsub__(self, other: float) -> Doubtful:
-        return Doubtful(other - float(self))
-
-    def __truediv__(self, other: float) -> Doubtful:
-        return Doubtful(float(self) / other)
-
-    def __rtruediv__(self, other: float) -> Doubtful:
-        return Doubtful(other / float(self))
-
-
 @dataclass(frozen=True)
 class Mark:
     """A verdict: a symbol and a word, so that it is not the colour alone that tells.

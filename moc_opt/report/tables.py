@@ -19,7 +19,7 @@ from rich.text import Text
 
 from moc_opt.errors import is_number
 from moc_opt.figures import notation
-from moc_opt.figures.notation import Doubtful, Mark, Missing, Notation, printable
+from moc_opt.figures.notation import Mark, Missing, Notation, printable
 from moc_opt.inputs.names import grid_html
 
 SHORT_TEXT, HEADING = 14, 10  # characters from where on a text in a terminal, and a heading anywhere, may be broken
@@ -62,7 +62,7 @@ class Cell:
 class Table:
     """Rows of results under typed columns, the first of which names the row.
 
-    A row is key -> text, flag, number, `Doubtful` (never emphasised), None, `Missing(reason)` or `Mark`; absent keys
+    A row is key -> text, flag, number, None, `Missing(reason)` or `Mark`; absent keys
     are missing, others ignored.
     """
 
@@ -77,8 +77,8 @@ class Table:
         written = Notation.of(values, column.digits, column.format)
         cells = [_cell(value, written) for value in values]
         competing = [
-            cell for cell, row, value in zip(cells, self.rows, values, strict=True)
-            if cell.numeric and not isinstance(value, Doubtful) and (not column.among or row.get(column.among))
+            cell for cell, row in zip(cells, self.rows, strict=True)
+            if cell.numeric and (not column.among or row.get(column.among))
         ]  # fmt: skip
         finite = [cell for cell in competing if math.isfinite(float(cell.sort or 0.0))]
         if column.better is None or len(finite) < 2:
@@ -170,7 +170,7 @@ def _cell(value: Any, written: Notation) -> Cell:
     if isinstance(value, Mark):
         return Cell(printable(f"{value.symbol} {value.word}"), float(value.rank), tone=value.tone)
     if is_number(value):
-        return Cell("?" * isinstance(value, Doubtful) + written(value), float(value), numeric=True)
+        return Cell(written(value), float(value), numeric=True)
     if type(value).__name__ in ("bool", "bool_"):
         return Cell("yes" if value else "no", "yes" if value else "no")
     return Cell(printable(str(value)), str(value))

@@ -37,7 +37,6 @@ from moc_opt.study.engine import Failed, Job, run
 from moc_opt.study.kept import Kept, versions
 from moc_opt.study.results import Results
 from moc_opt.study.show import Report
-from moc_opt.study.timing import with_doubts
 from moc_opt.study.trials import Run, Trial, outcome, placed
 
 WRONG, INTERRUPTED = 2, 130  # exit status after an error that is the user's or the machine's, and after Ctrl-C
@@ -199,7 +198,7 @@ def leave(found: Found, study: Study, config: StudyConfig, argv: Sequence[str], 
     out.mkdir(parents=True, exist_ok=True)
     surroundings = environment(config.model_dump(mode="json"), config.seed, argv)
     surroundings |= {"study": study.name, "jobs_of_an_earlier_run": study.kept.reused, **found.environment}
-    for name, value in (("environment", surroundings), ("summary", with_doubts(found.summary))):
+    for name, value in (("environment", surroundings), ("summary", found.summary)):
         write_whole(out / f"{name}.json", to_json(value, sort_keys=True) + "\n", "file of results", StudyError)
     found.rows.write(out / "rows.parquet")
     found.report.page(surroundings, found.rows.failed()).save(out / "report.html")

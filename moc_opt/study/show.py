@@ -12,7 +12,7 @@ import plotly.graph_objects as go
 
 from moc_opt.control import ControlSettings
 from moc_opt.control.presets import PRESETS
-from moc_opt.figures.notation import Doubtful, Mark, Notation, pretty_units
+from moc_opt.figures.notation import Mark, Notation, pretty_units
 from moc_opt.figures.style import Styles, figure, label, log_axis, rule
 from moc_opt.report.page import Page
 from moc_opt.report.tables import Column, Table
@@ -212,8 +212,8 @@ class Goal(NamedTuple):
 def judge(summary: Mapping[str, Any], goals: Mapping[str, Goal]) -> dict[str, dict[str, Any]]:
     """Return goal -> what, unit, goal, kind, value (None: not measured), made_of, reached, section.
 
-    ``reached`` is "yes", "no", "not measured", or "open": the value's interval holds the limit, the trials are too few,
-    or a time is not to be trusted (one that was lengthened by other work and is short enough all the same is trusted).
+    ``reached`` is "yes", "no", "not measured", or "open": the value's interval holds the limit, or the trials are too
+    few.
     """
     found: dict[str, dict[str, Any]] = {}
     for key, goal in goals.items():
@@ -229,8 +229,6 @@ def judge(summary: Mapping[str, Any], goals: Mapping[str, Goal]) -> dict[str, di
 
 
 def _reached(goal: Goal, measured: Any) -> dict[str, Any]:
-    if isinstance(measured, Doubtful):
-        return {"value": measured, "reached": "yes" if goal.most and goal.unit and measured <= goal.limit else "open"}
     if not isinstance(measured, Interval | Change):
         measured = Interval(float(measured), float(measured), float(measured), 1)
     both = measured if isinstance(measured, Change) else [measured]
@@ -261,12 +259,11 @@ def goals_table(found: Mapping[str, Mapping[str, Any]], title: str = "Goals") ->
 
 
 def value_text(row: Mapping[str, Any]) -> str | None:
-    """Write a goal's value with its interval or doubt, and its unit; None where it was not measured."""
+    """Write a goal's value with its interval and its unit; None where it was not measured."""
     value = row["value"]
     if value is None:
         return None
-    doubt = "?" * isinstance(value, Doubtful)
-    text = spread(row, "value") if "value_low" in row else doubt + Notation.of([value])(value)
+    text = spread(row, "value") if "value_low" in row else Notation.of([value])(value)
     return f"{text} {row['unit']}".strip()
 
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from functools import cache, cached_property
 from typing import Any, ClassVar, NamedTuple
 
@@ -101,12 +100,11 @@ class Answers:
         return not np.isin(self.status, (HUNG, CRASHED, NOT_ASKED, REFUSED)).any()
 
     def counts(self) -> dict[str, int]:
-        """Count the answers by outcome: right, wrong and refused ones add up to the number of problems.
+        """Count the answers by outcome, as docs/solvers.md explains it.
 
-        Two kinds of question have a right answer: of `optima_asked` (what is feasible and was not refused)
-        `verified_solved` are right, of `infeasible_asked` `infeasible_right`. Of `inconsistent_asked` problems
-        `refused_inconsistent` were called infeasible: true of the six rows, no answer for the robot, and counted
-        neither as right nor as wrong. The others are among the optima asked.
+        Of `optima_asked` (what is feasible and was not refused) `verified_solved` are right, of `infeasible_asked`
+        `infeasible_right`. Of `inconsistent_asked` problems `refused_inconsistent` were called infeasible, which is
+        neither right nor wrong.
         """
         status, feasible = self.status, self.problems.feasible
         claimed, infeasible = status == "solved", status == "infeasible"
@@ -272,30 +270,27 @@ def _asked(session: Session, qp: NullSpaceQP) -> tuple[Solution, str]:
 # --- times ---
 
 
-@dataclass(frozen=True)
-class Times:
+class Times(NamedTuple):
     """Times of one solver on one set [us], and what the machine did meanwhile."""
 
     solve: Array  #: (rounds, k) of one session that goes through all problems
     setup: Array  #: of starting a fresh session
     cold: Array  #: of its first solve
     update: Array  #: of the library's problem; empty where a session cannot take one without solving it
-    warm_load: Disturbance
-    cold_load: Disturbance
+    load: Disturbance
 
     def figures(self) -> dict[str, Any]:
         """Return percentiles of the times, the number of timed solves, and what the machine did while they ran."""
-        found: dict[str, Any] = {"timed_solves": int(self.solve.size), **self.warm_load.entries()}
-        found |= percentiles(self.solve.ravel(), "solve", self.warm_load)
-        for name in ("cold", "setup", "update"):
-            found |= percentiles(getattr(self, name), name, self.cold_load)
+        found: dict[str, Any] = {"timed_solves": int(self.solve.size), **self.load.entries()}
+        for name in ("solve", "cold", "setup", "update"):
+            found |= percentiles(getattr(self, name).ravel(), name)
         return found
 
 
 def time(run: Runner, answers: Sequence[Answers], limits: Limits) -> list[Times | None]:
     """Time the solvers of these answers on their sets, one after the other with nothing beside.
 
-    None where a problem was not answered, or the timing broke off. Times whose p99 is not to be trusted are not kept.
+    None where a problem was not answered, or the timing broke off. Times that other work spoilt are not kept.
     """
     limit = 20.0 * limits.seconds + limits.patience_s + limits.setup_s
     whole = [one for one in answers if one.complete]
@@ -304,7 +299,7 @@ def time(run: Runner, answers: Sequence[Answers], limits: Limits) -> list[Times 
                       limits.seconds), limit, alone=True, group=one.setting.label)
         for one in whole
     ]  # fmt: skip
-    found = dict(zip(map(id, whole), run(jobs, keep=lambda times: times.warm_load.trusts(99.0)), strict=True))
+    found = dict(zip(map(id, whole), run(jobs, keep=lambda times: times.load.quiet), strict=True))
     return [None if isinstance(times := found.get(id(one)), Failed) else times for one in answers]
 
 
@@ -316,12 +311,11 @@ def measure(setting: SolverSetting, rows: Array, every: int, rounds: int, second
     warm, seen = list[Array](), list[Disturbance]()
     while len(warm) < rounds and 1e-6 * sum(one.sum() for one in warm) <= seconds:
         warm.append(each_us(session.solve, problems, seen=seen))
-    few, then = problems[::every], list[Disturbance]()
+    few, sessions = problems[::every], list[Any]()
     solver.start(few[0]).solve(few[0])
-    sessions: list[Any] = []
-    setup = each_us(solver.start, few, sessions, seen=then)
+    setup = each_us(solver.start, few, sessions, seen)
     pairs = list(zip(sessions, few, strict=True))
-    cold = each_us(lambda pair: pair[0].solve(pair[1]), pairs, seen=then)
+    cold = each_us(lambda pair: pair[0].solve(pair[1]), pairs, seen=seen)
     update = getattr(sessions[0], "update", None)
-    updates = np.empty(0) if update is None else each_us(update, few, seen=then)
-    return Times(np.array(warm), setup, cold, updates, sum(seen, Disturbance()), sum(then, Disturbance()))
+    updates = np.empty(0) if update is None else each_us(update, few, seen=seen)
+    return Times(np.array(warm), setup, cold, updates, sum(seen, Disturbance()))

@@ -1,23 +1,26 @@
-"""Which solver to take and which to avoid: one verdict for each by stated rules, and the first screen that says it.
+"""Which solver to take and which to avoid: one verdict for each, and the first screen that says it.
 
-The numbers come from summary.json and, for the damage in closed loop, from the runs' rows.
+The numbers come from summary.json and, for the damage in closed loop, from the runs' rows. docs/solvers.md has the
+rules and the reasons for them.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 from moc_opt import figures
-from moc_opt.figures.notation import Doubtful, Mark, Missing
+from moc_opt.figures.notation import Mark, Missing
 from moc_opt.figures.style import BAD, GOOD, MUTED, SERIES, WORST
+from moc_opt.report.run_table import listed
 from moc_opt.report.tables import Column, Table
 from moc_opt.study.results import Results, change_name
-from moc_opt.study.show import Picture, Section, ends, intervals_picture
+from moc_opt.study.show import Picture, ends, intervals_picture
 from moc_opt.study.solver_answers import RIGHTLY, share_right
 from moc_opt.study.solver_settings import DEFAULT, NONLINEAR, QPSOLVERS, RECOMMENDED, of
 from moc_opt.study.statistics import LEAST_TRIALS, Change, spread, too_few
+from moc_opt.study.timing import Disturbance
 from moc_opt.study.trials import BASELINE
 
 Summary = Mapping[str, Any]
@@ -29,45 +32,14 @@ OTHER, OPEN = Mark("≠", "other", "other", 4), Mark("–", "open", "other", 5)
 AVOID = Mark("✘", "avoid", "bad", 6)
 TONES = {TAKE: GOOD, SOUND: GOOD, GAPS: list(SERIES)[4], NEAR: list(SERIES)[4], OTHER: MUTED, OPEN: BAD, AVOID: WORST}
 TOO_MUCH = 5.0  # times what counts as equal: from there on a solver is to be avoided
-
-
-class Cost(NamedTuple):
-    """A closed-loop figure by which solvers are compared: its word, and the share of it that counts as equal."""
-
-    word: str
-    equal: float
-    more_is_better: bool = False
-
-
 COSTS = {
-    "mu_mean": Cost("mu", 0.01, True),
-    "tip_error_model_mean_mm": Cost("tip", 0.05), "tip_error_registered_mean_mm": Cost("patient tip", 0.05),
-    "rcm_error_model_mean_mm": Cost("RCM", 0.05), "rcm_error_registered_mean_mm": Cost("patient RCM", 0.05),
-    "torque_rate_rms_Nm_per_s": Cost("chatter", 0.1),
+    "mu_mean": ("mu", 0.01),
+    "tip_error_model_mean_mm": ("tip", 0.05), "tip_error_registered_mean_mm": ("registered tip", 0.05),
+    "rcm_error_model_mean_mm": ("RCM", 0.05), "rcm_error_registered_mean_mm": ("registered RCM", 0.05),
+    "torque_rate_rms_Nm_per_s": ("chatter", 0.1),
 }  # fmt: skip
+"""Closed-loop figures by which solvers are compared: the word for each, and the share of it that counts as equal."""
 FRAMED = tuple(name for name in COSTS if "_error_" in name)
-RULES: Mapping[Mark, str] = {
-    OTHER: "it answers another problem, the nonlinear one of the same tick, which the judge of the linear problem "
-    "cannot verify; no count of the judge is held against it",
-    OPEN: "neither the certified sets nor the recorded sequence were asked",
-    AVOID: "it claimed success for a wrong answer, hung or crashed; broke off a trial that every solver ran, or made "
-    f"it oscillate; or a closed-loop mean is surely worse by more than {TOO_MUCH:g} times what counts as equal",
-    NEAR: "it never claims an optimum, or a closed-loop mean is surely worse by more than what counts as equal",
-    GAPS: f"it answered less than {100 * RIGHTLY:g} % of the problems rightly, and said so each time; inconsistent "
-    "rows that it refused are not counted",
-    TAKE: "of all others, the one with the lowest 99th percentile of its time on the recorded sequence; where the "
-    "machine was too busy to tell, the one with the lowest median; where that cannot be told either, none",
-    SOUND: "none of these",
-}
-EQUAL = (
-    "The first line that fits decides. Equal in closed loop are mean manipulability within 1 %, mean errors of tip and "
-    "RCM (by the robot's own kinematics, and in the frame registered at the start, the patient's) within 5 % "
-    "and chatter within 10 % of the solver that is taken, over the trials that both ran. A mean is surely worse where "
-    "the 95 % intervals of the ratio of the means and of the mean of the ratios both lie beyond that. Where one of "
-    "them reaches beyond it, the damage is undecided, and no verdict follows from it. Nor does any follow from fewer "
-    f"than {LEAST_TRIALS} trials."
-)
-HOW = "How the verdicts are made"
 CERTIFIED, RECORDED, CLOSED = "Certified test sets", "Recorded sequence", "Closed loop"
 INCONSISTENT = (
     "Inconsistent: the six rows contradict each other along the shaft, by 1e-12 to 1e-4 m/s, while five of them have a "
@@ -78,8 +50,7 @@ INCONSISTENT = (
 def assess(summary: Summary, runs: Results) -> list[Row]:
     """Return one row for each solver under its recommended setting, the best first; parts may be missing yet.
 
-    ``ranked_by`` is the key of the time that decided among sound solvers, see `_ranking`. A library that qpsolvers
-    calls as well is judged where its own adapter calls it.
+    A library that qpsolvers calls as well is judged where its own adapter calls it.
     """
     sets, warm, closed = (summary.get(part, {}) for part in ("testsets", "open_loop_warm", "closed_loop"))
     certified = {n.removesuffix(f"@{RECOMMENDED}"): m for n, m in sets.items() if n.endswith(f"@{RECOMMENDED}")}
@@ -87,19 +58,31 @@ def assess(summary: Summary, runs: Results) -> list[Row]:
     names = [n for n in every if n.removeprefix(QPSOLVERS) == n or n.removeprefix(QPSOLVERS) not in every]
     rows = [_figures(n, certified.get(n, {}), warm.get(n, {}), closed.get(n, {})) for n in names]
     for row in rows:
-        row["verdict"] = _alone(row)
+        row["verdict"] = verdict(row)
     ran = [row for row in rows if row["closed"].get("whole") and row["verdict"] is not OTHER]
-    by = _ranking(rows)
-    reference = min(ran, key=lambda row: _order(row, by), default=None)
+    reference = min(ran, key=_order, default={"solver": None})["solver"]
     for row in rows:
-        row["damage"], size = _damage(row, None if reference is None else reference["solver"], runs)
-        if row["verdict"] not in (OTHER, OPEN, AVOID) and size > 1.0:
-            row["verdict"] = AVOID if size > TOO_MUCH else NEAR
-    sound, by = [row for row in rows if row["verdict"] is SOUND], _ranking(rows)
+        row["damage"], size = _damage(row, reference, runs)
+        row["verdict"] = verdict(row, size)
+    sound = [row for row in rows if row["verdict"] is SOUND]
     timed = [row for row in sound if row["p99_us"] is not None]
-    if len(sound) == 1 or (timed and by):
-        min(timed or sound, key=lambda row: _time(row, by))["verdict"] = TAKE
-    return [{**row, "ranked_by": by} for row in sorted(rows, key=lambda row: _order(row, by))]
+    if timed or len(sound) == 1:
+        min(timed or sound, key=_order)["verdict"] = TAKE
+    return sorted(rows, key=_order)
+
+
+def verdict(row: Row, damage: float = 0.0) -> Mark:
+    """Return the first verdict whose rule holds; ``damage`` is in units of what counts as equal."""
+    counted = row["counted"]
+    broken = counted.get("hung", 0) + counted.get("crashed", 0) + sum(_ended(row["closed"]).values())
+    rules = {
+        OTHER: row["solver"].startswith(NONLINEAR),
+        AVOID: row["silently_wrong"] or broken or damage > TOO_MUCH,
+        OPEN: not counted.get("solves"),
+        NEAR: not counted.get("claimed_solved") or damage > 1.0,
+        GAPS: share_right(counted) < RIGHTLY,
+    }
+    return next((mark for mark, holds in rules.items() if holds), SOUND)
 
 
 def _figures(name: str, certified: Row, warm: Row, closed: Row) -> Row:
@@ -108,30 +91,14 @@ def _figures(name: str, certified: Row, warm: Row, closed: Row) -> Row:
     other = name.startswith(NONLINEAR)
     hidden = Missing("it answers the nonlinear problem of the tick: not comparable")
     wrong = sum(int(part.get("silently_wrong") or 0) for part in (certified, warm, closed))
-    timed = warm if warm.get("solve_p50_us") is not None else {
-        key: certified.get(f"{key}_worst_set") for key in ("solve_p50_us", "solve_p99_us")
-    }  # fmt: skip
+    timed, suffix = (warm, "") if warm.get("solve_p50_us") is not None else (certified, "_worst_set")
     share = math.floor(1e4 * share_right(counted)) / 100.0 if counted.get("solves") else None  # 100 is all of them
     return {
         "solver": name, "counted": counted, "closed": closed, "relative_max": counted.get("relative_max"),
         "right_percent": hidden if other else share, "silently_wrong": hidden if other else wrong,
-        "p50_us": timed.get("solve_p50_us"), "p99_us": timed.get("solve_p99_us"), "trials": closed.get("compared", 0),
+        "p50_us": timed.get(f"solve_p50_us{suffix}"), "p99_us": timed.get(f"solve_p99_us{suffix}"),
+        "quiet": Disturbance.of(timed).quiet, "trials": closed.get("compared", 0),
     }  # fmt: skip
-
-
-def _alone(row: Row) -> Mark:
-    """Return the verdict without what the answers do to mean figures in closed loop."""
-    counted = row["counted"]
-    if row["solver"].startswith(NONLINEAR):
-        return OTHER
-    broken = counted.get("hung", 0) + counted.get("crashed", 0) + sum(_ended(row["closed"]).values())
-    if row["silently_wrong"] or broken:
-        return AVOID
-    if not counted.get("solves"):
-        return OPEN
-    if not counted["claimed_solved"]:
-        return NEAR
-    return SOUND if share_right(counted) >= RIGHTLY else GAPS
 
 
 def _ended(closed: Row) -> dict[str, int]:
@@ -139,30 +106,9 @@ def _ended(closed: Row) -> dict[str, int]:
     return {word: closed.get(f"{word.replace(' ', '_')}_in_common", 0) for word in ("broke off", "oscillated")}
 
 
-def _ranking(rows: Sequence[Row]) -> str:
-    """Return the time by which the fastest sound solver can be told: p99, else the median; "" where there is none.
-
-    A p99 that is not to be trusted is at least its median, which may be more than the least p99 already.
-    """
-    sound = [row for row in rows if row["verdict"] is SOUND and row["p99_us"] is not None]
-    for by in ("p99_us", "p50_us"):
-        least = min((_time(row, by) for row in sound), default=0.0)
-        if all(_time(row, "p50_us", unknown=0.0) >= least for row in sound if _doubted(row, by)):
-            return by
-    return ""
-
-
-def _doubted(row: Row, by: str) -> bool:
-    return row[by] is None or isinstance(row[by], Doubtful)
-
-
-def _time(row: Row, by: str, unknown: float = math.inf) -> float:
-    return unknown if not by or _doubted(row, by) else float(row[by])
-
-
-def _order(row: Row, by: str) -> tuple[float, float, float]:
+def _order(row: Row) -> tuple[float, float, float]:
     gaps = -row["right_percent"] if row["verdict"] is GAPS else 0.0
-    return row["verdict"].rank, gaps, _time(row, by)
+    return row["verdict"].rank, gaps, math.inf if row["p99_us"] is None else row["p99_us"]
 
 
 def _damage(row: Row, reference: str | None, runs: Results) -> tuple[Any, float]:
@@ -178,20 +124,18 @@ def _damage(row: Row, reference: str | None, runs: Results) -> tuple[Any, float]
         return Missing("no trial that both ran"), 0.0
     if few := too_few(min(change.ratio.samples for change in known.values())):
         return Missing(few), 0.0
-    sizes = {metric: _size(COSTS[metric], change) for metric, change in known.items()}
-    surely = max(sizes, key=lambda metric: sizes[metric][0])
-    perhaps = max(sizes, key=lambda metric: sizes[metric][1])
+    sizes = {metric: _size(metric, change) for metric, change in known.items()}
+    surely, perhaps = (max(sizes, key=lambda metric: sizes[metric][end]) for end in (0, 1))
     if sizes[surely][0] > 1.0:
-        return f"{known[surely].ratio.value:+.0f}% {COSTS[surely].word}", sizes[surely][0]
-    if sizes[perhaps][1] > 1.0:
-        return f"undecided: {COSTS[perhaps].word}", 0.0
-    return "none", 0.0
+        return f"{known[surely].ratio.value:+.0f}% {COSTS[surely][0]}", sizes[surely][0]
+    return (f"undecided: {COSTS[perhaps][0]}" if sizes[perhaps][1] > 1.0 else "none"), 0.0
 
 
-def _size(cost: Cost, change: Change) -> tuple[float, float]:
+def _size(metric: str, change: Change) -> tuple[float, float]:
     """Return the least and the largest cost that both intervals hold, over what counts as equal."""
-    sides = [(-one.high, -one.low) if cost.more_is_better else (one.low, one.high) for one in change]
-    return min(low for low, _ in sides) / (100.0 * cost.equal), max(high for _, high in sides) / (100.0 * cost.equal)
+    sides = [(-one.high, -one.low) if metric == "mu_mean" else (one.low, one.high) for one in change]
+    equal = 100.0 * COSTS[metric][1]
+    return min(low for low, _ in sides) / equal, max(high for _, high in sides) / equal
 
 
 # --- in words ---
@@ -203,31 +147,29 @@ def sentences(summary: Summary, rows: Sequence[Row]) -> list[str]:
         return ["Nothing was run."]
     best, sound = rows[0], [row for row in rows if row["verdict"] is SOUND]
     if best["verdict"] is SOUND:
-        why = "they were not timed" if best["p99_us"] is None else (
-            "the machine was busy while times were taken; run again on a quiet machine"
-        )  # fmt: skip
         names = ", ".join(f"`{row['solver']}`" for row in sound)
-        said = [f"Sound: {names}. Which of them is fastest cannot be told: {why}."]
+        said = [f"Sound: {names}. Which of them is fastest cannot be told: they were not timed."]
     elif best["verdict"] is TAKE:
         known = summary.get("settings", {}).get(f"{best['solver']}@{RECOMMENDED}", {})
         reason = known.get("reason") or "its recommended setting"
-        said = [f"Take `{best['solver']}` ({reason}){_why(summary, best, len(sound), len(rows))}."]
+        said = [f"Take `{best['solver']}` ({reason}){_why(summary, best, sound, len(rows))}."]
     elif "testsets" not in summary and "open_loop_warm" not in summary:
         said = ["Which solver is sound was not asked: the certified sets were not run."]
     else:
         said = ["No solver is sound on what was run; see the table."]
-    ran = [row for row in rows if row["verdict"] in (TAKE, SOUND) and row["trials"]]
-    clauses = [_in_closed_loop(max(ran, key=lambda row: row["trials"]))] if ran else []
+    clauses = []
     if best["verdict"] is TAKE and sound:
         medians = ["" if row["p50_us"] is None else f" ({row['p50_us']:.0f} us)" for row in sound[:3]]
         names = ", ".join(f"`{row['solver']}`{median}" for row, median in zip(sound[:3], medians, strict=True))
-        clauses.insert(0, f"sound as well: {names}")
+        clauses.append(f"sound as well: {names}")
+    if ran := [row for row in rows if row["verdict"] in (TAKE, SOUND) and row["trials"]]:
+        clauses.append(_in_closed_loop(max(ran, key=lambda row: row["trials"])))
     text = "; ".join(clauses)
     return [*said, *([f"{text[0].upper()}{text[1:]}."] if text else []), *_avoid(summary, rows)]
 
 
-def _why(summary: Summary, row: Row, others: int, asked: int) -> str:
-    """Say what the solver to take was asked for and answered, and how its time was ranked."""
+def _why(summary: Summary, row: Row, others: Sequence[Row], asked: int) -> str:
+    """Say what the solver to take was asked for and answered, its time, and whether that is to be trusted."""
     counted = row["counted"]
     kind = "certified" if "testsets" in summary else "recorded"
     parts = [f"{counted['verified_solved']} of {counted['optima_asked']} {kind} optima verified"]
@@ -241,8 +183,8 @@ def _why(summary: Summary, row: Row, others: int, asked: int) -> str:
         text += f", median {row['p50_us']:.1f} and p99 {row['p99_us']:.1f} us"
     if not others:
         return f", the only sound one of the {asked} solvers asked{text}" if asked > 1 else text
-    busy = row["ranked_by"] == "p50_us"
-    return text + ("; the median decided, as the machine was too busy to rank by p99" if busy else "")
+    spoilt = [f"`{one['solver']}`" for one in (row, *others) if not one["quiet"]]
+    return text + (f"; others used the machine while {listed(spoilt)} was timed, so run again" if spoilt else "")
 
 
 def _in_closed_loop(row: Row) -> str:
@@ -251,13 +193,13 @@ def _in_closed_loop(row: Row) -> str:
     if few := too_few(trials):
         return f"what sound answers do in closed loop: {few}"
     changes = (spread(closed, change_name(name), 2, "+", " %") for name in ("mu_mean", *FRAMED))
-    mu, tip, patient_tip, rcm, patient_rcm = changes
+    mu, tip, registered_tip, rcm, registered_rcm = changes
     shaken = f", {count} of which oscillated" if (count := closed.get("oscillated", 0)) else ""
     return (
         f"in closed loop ({trials} independent trials of `{row['solver']}`{shaken}, ratio of the means) sound "
         f"answers change mean mu by {mu} over `{BASELINE}`, the tip error by {tip} by the robot's own kinematics "
-        f"and by {patient_tip} in the frame registered at the start, which is the patient's, and the RCM error by "
-        f"{rcm} and {patient_rcm}"
+        f"and by {registered_tip} in the frame registered at the start, which is the patient's, and the RCM error by "
+        f"{rcm} and {registered_rcm}"
     )
 
 
@@ -294,7 +236,7 @@ def first_table(summary: Summary, rows: Sequence[Row]) -> Table:
     kind = CERTIFIED if "testsets" in summary else RECORDED
     recorded = RECORDED if "open_loop_warm" in summary else CERTIFIED
     columns = [
-        Column("solver", "solver"), Column("verdict", "verdict", section=HOW),
+        Column("solver", "solver"), Column("verdict", "verdict"),
         Column("right_percent", "right", unit="%", format=".2f", section=kind,
                help=f"of {counted} problems without refused ones: verified, or rightly called infeasible"),
         Column("silently_wrong", "wrong", format=".0f", section=kind, help="claimed solved, not optimal"),
@@ -302,9 +244,9 @@ def first_table(summary: Summary, rows: Sequence[Row]) -> Table:
         Column("p99_us", "p99", unit="us", section=recorded, help="one solve in a hundred is slower"),
     ]  # fmt: skip
     caption = (
-        f"★ take, ✔ sound, ◐ gaps: less than {100 * RIGHTLY:g} % right, and reports it, ≈ near: claims no optimum, or "
-        "is surely worse in closed loop, ✘ avoid. Right: verified, or rightly called infeasible. Wrong: claimed as "
-        "solved and not optimal."
+        f"★ take: the fastest of the sound ones by p99, ✔ sound, ◐ gaps: less than {100 * RIGHTLY:g} % right, and "
+        "reports it, ≈ near: claims no optimum, or is surely worse in closed loop, ✘ avoid (docs/solvers.md has the "
+        "rules). Right: verified, or rightly called infeasible. Wrong: claimed as solved and not optimal."
     )
     if any(row["verdict"] is OTHER for row in rows):
         caption += (
@@ -314,7 +256,7 @@ def first_table(summary: Summary, rows: Sequence[Row]) -> Table:
         columns += [
             Column("damage", "worst damage", section=CLOSED,
                    help="the closed-loop figure that is worst beyond what counts as equal to the solver to take"),
-            Column("tip_change", "tip own/ patient", unit="%", align="right", section=CLOSED,
+            Column("tip_change", "tip own/ registered", unit="%", align="right", section=CLOSED,
                    help="change of the mean tip error against DCAC, in both frames"),
         ]  # fmt: skip
         caption += (
@@ -336,7 +278,7 @@ def _trials_told(rows: Sequence[Row]) -> str:
     fewer = {row["closed"]["trials"] for row in rows if 0 < row["closed"].get("trials", 0) < most}
     if not fewer:
         return f"Every solver ran {most} trials."
-    return f"{_and(all_of)} ran {most} trials, the others the first {min(fewer)} of these."
+    return f"{listed(all_of)} ran {most} trials, the others the first {min(fewer)} of these."
 
 
 def _tip_in_both_frames(closed: Row) -> str | None:
@@ -351,17 +293,16 @@ def pictures(summary: Summary, rows: Sequence[Row], deadline_us: float) -> list[
     """Draw accuracy against time, the effect in closed loop, and the time of a tick against its deadline."""
     found = list[Picture]()
     points = {
-        row["solver"]: (float(row["p50_us"]), row["relative_max"]) for row in rows
-        if row["verdict"] is not OTHER and not _doubted(row, "p50_us") and row["relative_max"] is not None
+        row["solver"]: (row["p50_us"], max(row["relative_max"], 1e-12)) for row in rows
+        if row["verdict"] is not OTHER and row["p50_us"] is not None and row["relative_max"] is not None
     }
     if points:
         where = "certified problem" if "testsets" in summary else "recorded problem"
         drawn = figures.accuracy_against_time(
             points, x_label="median time of a warm solve [us]", y_label=f"worst relative residual, any {where}",
-            floor=1e-12,
         )  # fmt: skip
-        front = figures.pareto({name: (time, max(error, 1e-12)) for name, (time, error) in points.items()})
-        says = f"To the lower left is better: no other solver is both faster and more accurate than {_and(front)}."
+        best = listed(figures.pareto(points))
+        says = f"To the lower left is better: no other solver is both faster and more accurate than {best}."
         found.append(Picture(drawn, says, "accuracy-against-time"))
     tones = {row["solver"]: TONES[row["verdict"]] for row in rows}
     gains = {row["solver"]: gain for row in rows if (gain := ends(row["closed"], "mu_gain_percent")) is not None}
@@ -369,37 +310,20 @@ def pictures(summary: Summary, rows: Sequence[Row], deadline_us: float) -> list[
         poor = [row["solver"] for row in rows if row["solver"] in gains and str(row["damage"]).endswith("% mu")]
         few = too_few(max(row["trials"] for row in rows))
         says = f"Gain of mean manipulability over `{BASELINE}` with its 95 % interval over a solver's trials: " + (
-            few or (f"{_and(poor)} surely lost some." if poor else "none surely lost some.")
+            few or f"{listed(poor) if poor else 'none'} surely lost some."
         )
         drawn = intervals_picture(gains, "gain of mean mu [%]", {"no gain": 0.0}, tones)
         found.append(Picture(drawn, says, "closed-loop-effect"))
-    return found + _deadlines(rows, tones, deadline_us)
-
-
-def _deadlines(rows: Sequence[Row], tones: Mapping[str, str], deadline_us: float) -> list[Picture]:
-    tails = {row["solver"]: row["closed"] for row in rows if row["closed"].get("tick_p99_9_us")}
-    if not tails:
-        return []
-    late = [name for name, row in tails.items() if row["tick_p99_9_us"] > deadline_us]
-    unknown = [name for name in late if isinstance(tails[name]["tick_p99_9_us"], Doubtful)]
-    late = [name for name in late if name not in unknown]
-    says = "Median to 99.9th percentile of a whole tick in closed loop, the dot at p99: " + (
-        f"{_and(late)} {'misses' if len(late) == 1 else 'miss'} the deadline of {deadline_us:g} us now and then."
-        if late else f"all {'others ' if unknown else ''}meet the deadline of {deadline_us:g} us."
-    ) + (f" Of {_and(unknown)} it cannot be told: the machine was busy." if unknown else "")  # fmt: skip
     ticks = {
-        name: (float(row["tick_p50_us"]), float(row["tick_p99_us"]), float(row["tick_p99_9_us"]))
-        for name, row in tails.items()
-    }
-    drawn = intervals_picture(ticks, "time of a tick [us]", {"deadline": deadline_us}, tones, log=True)
-    return [Picture(drawn, says, "deadlines")]
-
-
-def _and(names: Sequence[str]) -> str:
-    return " and ".join(filter(None, [", ".join(names[:-1]), names[-1]]))
-
-
-def rules() -> Section:
-    """Return the section that says how verdicts are made."""
-    shown = [{"verdict": mark, "when": when} for mark, when in RULES.items()]
-    return Section(HOW, EQUAL, [Table("Verdicts", [Column("verdict", "verdict"), Column("when", "where")], shown)])
+        row["solver"]: (at["tick_p50_us"], at["tick_p99_us"], at["tick_p99_9_us"])
+        for row in rows if (at := row["closed"]).get("tick_p99_9_us")
+    }  # fmt: skip
+    if ticks:
+        late = [name for name, (*_, slowest) in ticks.items() if slowest > deadline_us]
+        says = "Median to 99.9th percentile of a whole tick in closed loop, the dot at p99: " + (
+            f"now and then later than the deadline of {deadline_us:g} us: {listed(late)}."
+            if late else f"all meet the deadline of {deadline_us:g} us."
+        )  # fmt: skip
+        drawn = intervals_picture(ticks, "time of a tick [us]", {"deadline": deadline_us}, tones, log=True)
+        found.append(Picture(drawn, says, "deadlines"))
+    return found

@@ -14,7 +14,7 @@ import os
 import sys
 from argparse import ArgumentParser
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, ClassVar, Literal, Self
@@ -37,7 +37,7 @@ from moc_opt.study.show import Report, Section
 from moc_opt.study.solver_answers import Limits
 from moc_opt.study.solver_parts import SOLVER, certified_sets, closed_loop, record, recorded_sequence
 from moc_opt.study.solver_settings import QPSOLVERS, SolverSetting, solver_settings
-from moc_opt.study.solver_verdicts import assess, first_table, pictures, rules, sentences
+from moc_opt.study.solver_verdicts import assess, first_table, pictures, sentences
 from moc_opt.study.timing import Disturbance, clock_cost_us, each_us, load
 from moc_opt.study.trials import BASELINE, seeds, trials
 
@@ -222,7 +222,7 @@ def work(study: Study, config: Config) -> Found:
     told = [f"Not in the closed loop, as they take about a millisecond a tick: {', '.join(slow)}; --full runs them."]
     return Found(
         report(found), found.summary, Results([*found.answers, *found.runs]),
-        {"load": Disturbance.total(found.timed).told()}, sentences=told if slow else (),
+        {"load": asdict(Disturbance.total(found.timed))}, sentences=told if slow else (),
     )  # fmt: skip
 
 
@@ -240,19 +240,15 @@ def report(found: Work) -> Report:
     summary, scenario = found.summary, found.config.scenario
     rows = assess(summary, found.runs)
     troubles = [
-        {"solver": name, "part": part, "trouble": row["trouble"]}
-        for part, entries in summary.items() for name, row in entries.items()
-        if isinstance(row, Mapping) and row.get("trouble")
+        {"solver": name, "part": part, "trouble": words}
+        for part, entries in summary.items() for name, row in entries.items() if isinstance(row, Mapping)
+        if (words := row.get("reason") if part == "not_run" else row.get("trouble"))
     ]  # fmt: skip
-    sections = [*found.sections, rules()]
+    sections = found.sections
     if troubles:
-        shown = [SOLVER, Column("part", "part"), Column("trouble", "first time")]
-        first = Table("First time that it happened", shown, troubles)
-        sections.append(Section("Exceptions, hangs and crashes", "", [first]))
-    if summary["not_run"]:
-        left = [{"solver": name, **row} for name, row in summary["not_run"].items()]
-        shown = [SOLVER, Column("reason", "why")]
-        sections.append(Section("Not run", "", [Table("Solvers that did not run", shown, left)]))
+        shown = [SOLVER, Column("part", "part"), Column("trouble", "first time, or why")]
+        went_wrong = Table("What went wrong, and what did not run", shown, troubles)
+        sections = [*sections, Section("Exceptions, hangs and crashes", "", [went_wrong])]
     title = f"Solvers of the null-space subproblem on the {scenario.robot.name}"
     about = f"{', '.join(found.config.closed_loop.tasks)}; gains {scenario.control.gains}; judged by one measure"
     return Report(

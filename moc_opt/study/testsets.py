@@ -60,7 +60,9 @@ class TestSet:
 
     def thinned(self, every: int) -> TestSet:
         """Keep every ``every``-th problem."""
-        return TestSet(self.name, self.rows[::every], self.x[::every], self.feasible[::every])
+        found = TestSet(self.name, self.rows[::every], self.x[::every], self.feasible[::every])
+        vars(found)["judged"] = self.judged[::every]  # it is cached: the same rows are not straightened again
+        return found
 
     def to_bytes(self) -> bytes:
         """Return the .npz file."""

@@ -21,7 +21,7 @@ from moc_opt.robots import load_data
 from moc_opt.scenario import Scenario, Setup
 from moc_opt.solvers.base import Solver
 from moc_opt.study.engine import Failed, Job
-from moc_opt.study.timing import UNDISTURBED, Disturbance, used
+from moc_opt.study.timing import Disturbance, used
 from moc_opt.trace.meta import Ending
 from moc_opt.trace.metrics import summarize
 from moc_opt.trace.trace import Trace
@@ -142,7 +142,7 @@ class Run:
 
     row: Mapping[str, Any]
     columns: Mapping[str, Array] = field(default_factory=dict)  #: name -> a row a tick; empty where it broke off
-    load: Disturbance = UNDISTURBED  #: what the machine did from the first tick to the last
+    load: Disturbance = field(default_factory=Disturbance)  #: what the machine did from the first tick to the last
 
 
 def run_trial(asked: Trial) -> Run:
@@ -181,7 +181,7 @@ def run_and_trace(asked: Trial, baseline: Trace | None = None) -> tuple[Run, Tra
         "raised": raised and f"{raised['count']} ticks, first at {raised['first_at_s']:.3f} s: {raised['first']}",
         "ticks": len(trace), **_counts(trace), **metrics,
     }  # fmt: skip
-    load = marks[-1] - marks[0] + Disturbance(len(trace)) if marks else UNDISTURBED
+    load = marks[-1] - marks[0] + Disturbance(len(trace)) if marks else Disturbance()
     return Run(row, _columns(asked, trace) if whole else {}, load), trace
 
 

@@ -6,11 +6,9 @@ import numpy as np
 import pytest
 
 from benchmarks import speed, timed
-from moc_opt.figures.notation import Doubtful
 from moc_opt.scenario import Scenario, Setup
 from moc_opt.solvers import available, create
 from moc_opt.study import Failed
-from moc_opt.study.timing import UNDISTURBED, Disturbance
 from tests.problems import unstructured_problems
 
 SHORT = Scenario(judge=False, bound_samples=0, duration_s=0.2)
@@ -30,6 +28,35 @@ def test_by_hand_the_answer_is_the_adapter_s_and_optimal():
     assert "differ by" in timed.disagreement(solver, lambda qp: (np.zeros(7), np.zeros(5)), sequence)
 
 
+def test_entries_take_turns_chunk_by_chunk(monkeypatch):
+    monkeypatch.setattr(timed, "CHUNK", 5)
+    log, part = [], timed.Part()
+    entries = {
+        "a": timed.Timed(lambda item: log.append(("a", item)), range(10)),
+        "b": timed.Timed(lambda item: log.append(("b", item)), range(100, 112)),
+    }
+    part.time("tick", entries, rounds=2)
+    assert {name: found.shape for name, found in part.times.items()} == {"a": (4, 5), "b": (4, 5)}, "every call"
+    assert {name: found.calls for name, found in part.seen.items()} == {"a": 20, "b": 20}
+    chunks = [log[i : i + 5] for i in range(0, len(log), 5)]
+    assert all(len({name for name, _ in chunk}) == 1 for chunk in chunks)
+    # A round without a clock, then two with it; who begins changes from chunk to chunk.
+    assert [chunk[0][0] for chunk in chunks] == ["a", "b", "b", "a"] * 3
+    assert [item for name, item in log if name == "a"] == [*range(10)] * 3
+    assert [item for name, item in log if name == "b"] == [*range(100, 110)] * 3
+
+
+def test_no_call_is_left_out_of_the_figures():
+    times = np.full((10, 100), 2.0)
+    times[:, :5] = 9.0  # cold, one in twenty
+    times[3, 50] = 70.0
+    part = timed.Part(times={"a": times, "b": np.full((10, 100), 4.0)}, seen={"a": timed.Disturbance()})
+    found = part.figures("a", "tick")
+    assert (found["tick_p50_us"], found["tick_cold_p50_us"], found["tick_max_us"]) == (2.0, 9.0, 70.0)
+    assert found["tick_p99_us"] == 9.0, "without the cold ones it would be 2"
+    assert part.over("b", "a") == 2.0
+
+
 def test_what_was_recorded_is_what_the_run_asked():
     inputs, problems = timed.record(SHORT)
     trace = Setup(SHORT).trace()
@@ -41,11 +68,9 @@ def test_what_was_recorded_is_what_the_run_asked():
 def test_ratios_are_those_of_the_same_round():
     """One slow round in three changes no ratio: it slows both sides of it."""
     rows = [{"us_per_tick": 40.0 * slow, "steps_us": 10.0 * slow - 1.0} for slow in (1.0, 10.0, 1.0)]
-    found = timed.limit(rows, 1.0, UNDISTURBED)
+    found = timed.limit(rows, 1.0)
     assert found == {"steps_us": 9.0, "limit_us": 10.0, "python_over_limit": 4.0}
-    assert set(timed.limit(rows, None, UNDISTURBED)) == {"steps_us"}
-    spoilt = timed.limit(rows, 1.0, Disturbance(calls=10, switches=9, cpu_s=1.0, wall_s=1.0))
-    assert all(isinstance(value, Doubtful) for value in spoilt.values())
+    assert set(timed.limit(rows, None)) == {"steps_us"}
 
 
 def test_the_limit_steps_through_the_states_of_the_run():
@@ -85,7 +110,7 @@ def test_goals_are_reached_by_a_summary_that_reaches_them():
     assert "pink-trimmed, takes 300.0 us" in speed.report(made_up(), {}).answer[1]
 
 
-def test_goals_that_are_missed_not_measured_or_in_doubt_say_so():
+def test_goals_that_are_missed_or_not_measured_say_so():
     fewer = {"batch": 250_000, "batch_one_thread_per_s": 2e6, "batch_two_threads_per_s": 4e6}
     by_hand = {"exact": {"adapter_p50_us": 1.0}, timed.BY_HAND: {"adapter_p50_us": 5.0, "ratio_of_exact": 0.2}}
     setup = {"first_tick_s": 0.6, "libraries_s": 0.5, "model_s": 0.1, "start_and_tick_s": 0.0}
@@ -94,13 +119,6 @@ def test_goals_that_are_missed_not_measured_or_in_doubt_say_so():
         **dict.fromkeys(speed.GOALS, ("not measured", True)), "first_torque": ("no", False), "exact": ("no", False),
         "c_tick": ("yes", False),
     }  # fmt: skip
-    times = {"tick_p50_us": Doubtful(3.0), "tick_p99_us": Doubtful(30.0), "tick_p99_9_us": Doubtful(4000.0)}
-    peer = {"tick_p50_us": 300.0, "times_ours": Doubtful(15.0)}
-    spoilt = made_up(tick={"exact": times, "c": times}, peers={"pink-trimmed": peer})
-    assert spoilt["goals"]["c_tick"]["reached"] == "yes", "undisturbed it is shorter still"
-    assert spoilt["goals"]["tick"]["reached"] == "open"
-    shown = {row["what"]: row["measured"] for row in speed.report(spoilt, {}).table.rows}
-    assert shown[speed.GOALS["tick"].what].startswith("?")
 
 
 SMALL = """

@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
 
-from moc_opt.figures.notation import Doubtful, Missing, Notation
+from moc_opt.figures.notation import Missing, Notation
 from moc_opt.report.console import console, print_json, progress
 from moc_opt.report.tables import Column, Table
 
@@ -67,8 +67,6 @@ def test_the_best_value_is_what_reads_best() -> None:
     assert best([1.0, 1.0, 3.0, 2.0], better="low") == [True, True, False, False]
     assert best([2.0, 1.0]) == [False, False]
     assert best([2.0, None], better="low") == [False, False]
-    assert texts([Doubtful(3.0), 12.0], format=".1f") == ["?3.0", "12.0"]
-    assert best([Doubtful(3.0), 12.0, 50.0, 60.0], better="low") == [False, True, False, False]
     made = Table("t", [Column("us", "time", better="low", among="ok")],
                  [{"us": 0.1, "ok": False}, {"us": 9.0, "ok": True}, {"us": 2.0, "ok": True}])  # fmt: skip
     assert [cell.best for cell in made.cells(made.columns[0])] == [False, False, True]

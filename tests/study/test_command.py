@@ -14,7 +14,6 @@ import polars as pl
 import pytest
 
 from moc_opt.errors import ScenarioError, SolverError, UnknownNameError
-from moc_opt.figures.notation import Doubtful
 from moc_opt.figures.style import figure
 from moc_opt.report.tables import Column, Table
 from moc_opt.scenario import Scenario
@@ -41,7 +40,7 @@ def squares(study: Study, config: Config) -> Found:
     rows = Results({"trial": k, "x": x} for k, x in enumerate(found))
     rows.add({"trial": "last", "error": str(study.run([Job(refuse)])[0])})
     table = Table("Squares", [Column("trial", "k"), Column("x", "square")], list(rows)[:-1])
-    summary = {"all": {"sum": sum(found), "p99": Doubtful(2.0), "none": float("nan")}}
+    summary = {"all": {"sum": sum(found), "none": float("nan")}}
     report = Report("Sums", [f"The sum is [{sum(found):.0f}]."], table, [Picture(figure(), "See.", "seen")])
     return Found(report, summary, rows, {"note": 1}, ["more.txt"], ["One more sentence."], 3)
 
@@ -63,7 +62,7 @@ def test_a_study_leaves_its_files_and_prints_its_answer(asked, capsys):
     said = capsys.readouterr().out
     assert all(words in said for words in ("The sum is [14].", "Squares", "One more sentence.", "more.txt"))
     summary = json.loads((out / "summary.json").read_text())
-    assert summary == {"all": {"sum": 14.0, "p99": 2.0, "none": None, "doubtful": ["p99"]}}
+    assert summary == {"all": {"sum": 14.0, "none": None}}
     rows = pl.read_parquet(out / "rows.parquet").to_dicts()
     assert [row["x"] for row in rows] == [0.0, 1.0, 4.0, 9.0, None]
     made = json.loads((out / "environment.json").read_text())
