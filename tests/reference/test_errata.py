@@ -1,4 +1,4 @@
-"""What the paper prints and what we compute: each row of docs/method.md's table, with its number."""
+"""What the paper prints and what we compute: each entry of the last section of docs/method.md, with its number."""
 
 import numpy as np
 import pytest
