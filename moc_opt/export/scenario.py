@@ -80,8 +80,7 @@ def check(scenario: Scenario) -> None:
 
 def references(setup: Setup) -> bytes:
     """Return tip_ref (3, 3) and registered trocar (2, 3) of every tick, row by row, as little-endian doubles."""
-    rows = [np.stack(of.at(setup.times()), axis=1) for of in (setup.reference, setup.registered)]
-    return np.hstack([part.reshape(setup.ticks, -1) for part in rows]).astype("<f8").tobytes()
+    return np.hstack([part.reshape(setup.ticks, -1) for part in setup.inputs()]).astype("<f8").tobytes()
 
 
 def record(setup: Setup) -> Recording:

@@ -1,6 +1,7 @@
 """Read files (TOML, JSON, numpy's arrays) within limits of size, and write them whole.
 
-`write_whole` is the only function of the package that writes a file for the user.
+`write_whole` is the only function of the package that writes a file for the user. ``what`` is the kind of file for the
+message of the error, and ``error`` its type: it is raised where a file cannot be read or written.
 """
 
 from __future__ import annotations
@@ -15,9 +16,9 @@ import secrets
 import stat
 import tempfile
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 from moc_opt.errors import MocOptError, shown
 
@@ -29,78 +30,69 @@ Path_ = str | os.PathLike[str]
 Wrong = type[MocOptError]
 
 
-# --- reading ---
-
-
 def as_path(path: object, what: str, error: Wrong) -> Path:
-    """Return ``path`` as a Path; raise ``error`` where it is no path. ``what`` is the kind of file, for the message."""
+    """Return ``path`` as a Path; raise ``error`` where it is no path."""
     if isinstance(path, str) or (isinstance(path, os.PathLike) and isinstance(os.fspath(path), str)):
         return Path(path)
     raise error(f"{what} {shown(path)} is no path: give the name of a file as text, or a pathlib.Path")
 
 
 def read_bytes(path: Path_, what: str, error: Wrong, most: int = MOST_TEXT) -> bytes:
-    """Read a regular file of at most ``most`` bytes; links are followed.
-
-    Where it cannot be read ``error`` is raised; ``what`` is the kind of file, for its message.
-    """
-    where = f"{what} {os.fspath(path)!r}"
+    """Read a regular file of at most ``most`` bytes; links are followed."""
     try:
         found = os.stat(path)
-        can_be_read = stat.S_ISREG(found.st_mode) and found.st_size <= most
-        data = Path(path).read_bytes() if can_be_read else b""
-    except FileNotFoundError as reason:
-        raise error(f"{where}: no such file; check the path") from reason
+        if not stat.S_ISREG(found.st_mode):
+            why = " is no regular file (a folder, pipe or device): give a file"
+        elif found.st_size > most:
+            why = f" has {found.st_size} bytes: {most} at most are read"
+        else:
+            return Path(path).read_bytes()
+    except FileNotFoundError:
+        why = ": no such file; check the path"
     except (OSError, ValueError) as reason:  # a ValueError: a NUL in the name
-        raise error(f"{where} cannot be read ({reason}); check the path") from reason
-    if not stat.S_ISREG(found.st_mode):
-        raise error(f"{where} is no regular file (a folder, pipe or device): give a file")
-    if found.st_size > most:
-        raise error(f"{where} has {found.st_size} bytes: {most} at most are read")
-    return data
+        why = f" cannot be read ({reason}); check the path"
+    raise error(f"{what} {os.fspath(path)!r}{why}")
 
 
 def read_text(path: Path_, what: str, error: Wrong) -> str:
-    """Read a text file in UTF-8; arguments as `read_bytes`."""
+    """Read a text file in UTF-8."""
     data, where = read_bytes(path, what, error), f"{what} {os.fspath(path)!r}"
-    try:
-        return data.decode("utf-8-sig").replace("\r\n", "\n")
-    except UnicodeDecodeError as reason:
-        raise error(f"{where} cannot be read: it is not in UTF-8 (byte {reason.start}); save it as such") from reason
+    return str(_parsed(lambda: data.decode("utf-8-sig"), where, "a text in UTF-8", error)).replace("\r\n", "\n")
 
 
 def read_toml(path: Path_, what: str, error: Wrong) -> dict[str, Any]:
-    """Read a TOML file; arguments as `read_bytes`."""
-    text, where = read_text(path, what, error), f"{what} {os.fspath(path)!r}"
-    try:
-        return tomllib.loads(text)
-    except (ValueError, RecursionError) as reason:  # also an integer of thousands of digits
-        raise error(f"{where} is not TOML: {reason}") from reason
+    """Read a TOML file."""
+    text = read_text(path, what, error)
+    return dict(_parsed(lambda: tomllib.loads(text), f"{what} {os.fspath(path)!r}", "TOML", error))
 
 
 def parse_json(text: str | bytes, where: str, error: Wrong) -> Any:
     """Return the value of a JSON text; NaN and infinity are refused."""
 
-    def refuse(name: str) -> float:
+    def refuse(name: str) -> NoReturn:
         raise ValueError(f"{name} is no JSON")
 
+    return _parsed(lambda: json.loads(text, parse_constant=refuse), where, "JSON", error)
+
+
+def _parsed(parse: Callable[[], Any], where: str, kind: str, error: Wrong) -> Any:
     try:
-        return json.loads(text, parse_constant=refuse)
-    except (ValueError, RecursionError) as reason:
-        raise error(f"{where} is not JSON: {reason}") from reason
+        return parse()
+    except (ValueError, RecursionError) as reason:  # also an integer of thousands of digits
+        raise error(f"{where} is not {kind}: {reason}") from reason
 
 
 def read_arrays(path: Path_, what: str, error: Wrong) -> dict[str, Any]:
-    """Read the arrays of a .npz file, or that of a .npy file under the name "", as numpy arrays; as `read_bytes`."""
+    """Read the arrays of a .npz file, or that of a .npy file under the name "", as numpy arrays."""
     import numpy as np
 
-    data, where = read_bytes(path, what, error, MOST_ARRAYS), f"{what} {os.fspath(path)!r}"
+    data = read_bytes(path, what, error, MOST_ARRAYS)
     try:
         found = np.load(io.BytesIO(data), allow_pickle=False)
         return {"": found} if isinstance(found, np.ndarray) else dict(found)
     except Exception as reason:  # a damaged archive raises anything, and its text may quote the file
-        why = type(reason).__name__
-        raise error(f"{where} is damaged or no file of arrays ({why}): write it with numpy.save") from reason
+        why = f"{what} {os.fspath(path)!r} is damaged or no file of arrays ({type(reason).__name__})"
+        raise error(f"{why}: write it with numpy.save") from reason
 
 
 def decimal(text: str) -> float:
@@ -108,55 +100,52 @@ def decimal(text: str) -> float:
     return float(text) if re.fullmatch(r"[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?", text, re.ASCII | re.I) else math.nan
 
 
-# --- writing ---
-
-
-def check_replaceable(path: Path_, what: str, error: Wrong) -> None:
+def check_replaceable(path: Path_, what: str, error: Wrong) -> Path:
     """Check before any work that a file can be written: its folder can, and no folder, pipe or device is there."""
     target, is_taken = as_path(path, what, error), False
-    try:
+    with _writing(target, what, error):
         with contextlib.suppress(FileNotFoundError):
             is_taken = not stat.S_ISREG(os.stat(target).st_mode)
         folder = next(folder for folder in (*target.absolute().parents, target) if folder.exists())
         with tempfile.TemporaryFile(dir=folder):  # root may write to /proc by its rights, and yet cannot
             pass
-    except (OSError, ValueError) as reason:  # a ValueError: a NUL in the name
-        raise _unwritable(target, what, error, reason) from reason
     if is_taken:
         raise error(f"{what} {str(target)!r} cannot be written: a folder, pipe or device is there: name a file")
+    return target
 
 
 def write_whole(path: Path_, data: bytes | str, what: str = "file", error: Wrong = MocOptError) -> Path:
     """Write bytes, or a text in UTF-8, all or nothing: an older file stays until the new one is on the disk.
 
-    The folder is made. A link of that name is replaced, not followed. ``what`` and ``error`` as of `read_bytes`.
+    The folder is made. A link of that name is replaced, not followed.
     """
-    target = as_path(path, what, error)
-    check_replaceable(target, what, error)
+    target = check_replaceable(path, what, error)
     # In the same folder, because only there is a rename atomic.
     unfinished = target.with_name(f".{target.name[:40]}.{secrets.token_hex(8)}.tmp")
-    try:
-        target.parent.mkdir(parents=True, exist_ok=True)
-        with open(unfinished, "xb") as file:  # "x" follows no link
-            file.write(data.encode() if isinstance(data, str) else data)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(unfinished, target)
-    except BaseException as reason:
-        with contextlib.suppress(OSError, ValueError):
-            unfinished.unlink()
-        if isinstance(reason, OSError | ValueError):
-            raise _unwritable(target, what, error, reason) from reason
-        raise
+    with _writing(target, what, error):
+        try:
+            target.parent.mkdir(parents=True, exist_ok=True)
+            with open(unfinished, "xb") as file:  # "x" follows no link
+                file.write(data.encode() if isinstance(data, str) else data)
+                file.flush()
+                os.fsync(file.fileno())
+            os.replace(unfinished, target)
+        finally:
+            with contextlib.suppress(OSError, ValueError):
+                unfinished.unlink()
     return target
 
 
-def _unwritable(target: Path, what: str, error: Wrong, reason: Exception) -> MocOptError:
-    why = getattr(reason, "strerror", None) or str(reason)
-    return error(
-        f"{what} {str(target)!r} cannot be written in the folder {str(target.absolute().parent)!r} ({why}): make room "
-        "on its disk, or give a folder that you may write to"
-    )
+@contextlib.contextmanager
+def _writing(target: Path, what: str, error: Wrong) -> Iterator[None]:
+    try:
+        yield
+    except (OSError, ValueError) as reason:  # a ValueError: a NUL in the name
+        why = getattr(reason, "strerror", None) or str(reason)
+        raise error(
+            f"{what} {str(target)!r} cannot be written in the folder {str(target.absolute().parent)!r} ({why}): make "
+            "room on its disk, or give a folder that you may write to"
+        ) from reason
 
 
 def plain(value: Any) -> Any:
@@ -183,24 +172,22 @@ def to_toml(table: Mapping[str, Any]) -> str:
     Raises:
         TypeError: a value that TOML cannot hold, None among them; the message names its key.
     """
-    return "\n".join(_toml_lines(table, ())).lstrip("\n") + "\n"
-
-
-def _toml_lines(table: Mapping[str, Any], above: tuple[str, ...]) -> list[str]:
     tables = {key: value for key, value in table.items() if isinstance(value, Mapping)}
-    lines = [f"{_toml_key(key)} = {_toml_value(table[key], (*above, key))}" for key in table if key not in tables]
-    if above and (lines or not tables):
-        lines.insert(0, f"\n[{'.'.join(map(_toml_key, above))}]")
-    for key, value in tables.items():
-        lines += _toml_lines(value, (*above, key))
-    return lines
+    lines = _toml_entries({key: value for key, value in table.items() if key not in tables}, "")
+    for name, inner in tables.items():
+        lines += [f"\n[{_toml_key(name)}]", *_toml_entries(inner, f"{name}.")]
+    return "\n".join(lines).lstrip("\n") + "\n"
+
+
+def _toml_entries(table: Mapping[str, Any], above: str) -> list[str]:
+    return [f"{_toml_key(key)} = {_toml_value(value, f'{above}{key}')}" for key, value in table.items()]
 
 
 def _toml_key(key: str) -> str:
-    return key if re.fullmatch(r"[A-Za-z0-9_-]+", key) else _toml_value(key, ())
+    return key if re.fullmatch(r"[A-Za-z0-9_-]+", key) else _toml_value(key, key)
 
 
-def _toml_value(value: Any, keys: tuple[str, ...]) -> str:
+def _toml_value(value: Any, where: str) -> str:
     if hasattr(value, "tolist"):  # numpy's numbers and arrays
         value = value.tolist()
     if isinstance(value, float):
@@ -208,7 +195,7 @@ def _toml_value(value: Any, keys: tuple[str, ...]) -> str:
     if isinstance(value, str | int):  # flags among them; JSON's escapes are TOML's, but for DEL
         return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
     if isinstance(value, list | tuple):
-        return f"[{', '.join(_toml_value(entry, keys) for entry in value)}]"
-    if isinstance(value, Mapping):  # in a list
-        return f"{{{', '.join(f'{_toml_key(key)} = {_toml_value(entry, keys)}' for key, entry in value.items())}}}"
-    raise TypeError(f"{'.'.join(keys)} = {value!r:.200} has no form in TOML: give a text, number, flag, list or table")
+        return f"[{', '.join(_toml_value(entry, where) for entry in value)}]"
+    if isinstance(value, Mapping):
+        return f"{{{', '.join(_toml_entries(value, f'{where}.'))}}}"
+    raise TypeError(f"{where} = {value!r:.200} has no form in TOML: give a text, number, flag, list or table")

@@ -32,11 +32,9 @@ def in_words(point: EntryPoint) -> str:
 def load(kind: str, name: str, points: list[EntryPoint], error: type[MocOptError]) -> Any:
     """Import what the one entry point of this name names; ``error`` where it does not load, or several claim it."""
     if len(points) > 1:
-        claims = " and ".join(map(in_words, points))
-        raise error(f"{kind} {name!r}: {claims} claim this name: rename one, or uninstall its package")
+        raise error(f"{kind} {name!r}: {' and '.join(map(in_words, points))} claim this name: rename one")
     try:
         return points[0].load()
     except (Exception, SystemExit, KeyboardInterrupt) as reason:  # foreign code may raise anything
-        raise error(
-            f"{kind} {name!r}: {in_words(points[0])} does not load: {describe(reason)}; mend or uninstall its package"
-        ) from reason
+        why = f"{in_words(points[0])} does not load: {describe(reason)}"
+        raise error(f"{kind} {name!r}: {why}; mend or uninstall its package") from reason

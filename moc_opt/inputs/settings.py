@@ -7,18 +7,7 @@ from collections.abc import Iterator, Mapping
 from typing import Annotated, Any, ClassVar, Self
 
 import numpy as np
-from pydantic import (
-    AfterValidator,
-    BaseModel,
-    BeforeValidator,
-    ConfigDict,
-    Field,
-    ValidationError,
-    ValidationInfo,
-    ValidatorFunctionWrapHandler,
-    field_validator,
-    model_validator,
-)  # fmt: skip
+import pydantic
 
 from moc_opt.errors import MocOptError, ScenarioError, UnknownNameError, is_number, shown
 from moc_opt.inputs import names
@@ -30,15 +19,16 @@ SMALLEST, LARGEST = 1e-30, 1e30
 LONGEST_S = 1e6
 """Of any time that is run, waited for or averaged over [s]: a week and a half."""
 
-Name = Annotated[str, AfterValidator(names.checked)]
+Name = Annotated[str, pydantic.AfterValidator(names.checked)]
 """A name that comes from a file: `moc_opt.inputs.names.RULE`."""
 Level = Annotated[
-    Annotated[float, Field(gt=0.0)] | None, BeforeValidator(lambda value: None if value == math.inf else value)
+    Annotated[float, pydantic.Field(gt=0.0)] | None,
+    pydantic.BeforeValidator(lambda value: None if value == math.inf else value),
 ]
 """A limit above zero; None, or in TOML ``inf``, is no limit."""
 
 
-class Settings(BaseModel):
+class Settings(pydantic.BaseModel):
     """Base of every table of settings.
 
     Subclasses say what they are (``KIND``, for messages) and which error they raise (``ERROR``).
@@ -48,7 +38,7 @@ class Settings(BaseModel):
         MocOptError: the subclass's own, naming the field, its value and the range.
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+    model_config = pydantic.ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     KIND: ClassVar[str] = "setting"
     ERROR: ClassVar[type[MocOptError]] = ScenarioError
@@ -57,7 +47,7 @@ class Settings(BaseModel):
     MEANT_KEY: ClassVar[str] = ""
     """Key that a bare text in place of this table was meant for: an error shows how to write it."""
 
-    @model_validator(mode="before")
+    @pydantic.model_validator(mode="before")
     @classmethod
     def _is_a_table(cls, values: Any) -> Any:
         if isinstance(values, Mapping | Settings):
@@ -66,9 +56,11 @@ class Settings(BaseModel):
         written = to_toml({cls.MEANT_KEY: values[:100]}).strip() if as_meant else "and its keys below it"
         raise ValueError(f"this is a table: write {cls.KIND.rstrip(':')} {written}")
 
-    @field_validator("*", mode="wrap")
+    @pydantic.field_validator("*", mode="wrap")
     @classmethod
-    def _as_written(cls, given: Any, validate: ValidatorFunctionWrapHandler, info: ValidationInfo) -> Any:
+    def _as_written(
+        cls, given: Any, validate: pydantic.ValidatorFunctionWrapHandler, info: pydantic.ValidationInfo
+    ) -> Any:
         value, name = validate(given), info.field_name or ""
         most = LARGEST_INTEGER if name in ("seed", "seeds") else cls.MOST
         for where, written, read in _leaves(given, value):
@@ -85,7 +77,7 @@ class Settings(BaseModel):
                 raise UnknownNameError(f"{self.KIND.rstrip(':')} key", name, self.keys(values))
         try:
             super().__init__(**values)
-        except ValidationError as error:
+        except pydantic.ValidationError as error:
             raise self.ERROR("; ".join(explain(error, self.KIND))) from error
 
     def replace(self, changes: Mapping[str, Any]) -> Self:
@@ -101,16 +93,15 @@ class Settings(BaseModel):
 
 def _leaves(given: Any, value: Any, where: str = "") -> Iterator[tuple[str, Any, Any]]:
     """Yield place, what was written there and what was read, for every entry of nested tables and lists."""
-    if isinstance(value, Mapping):
-        for key, one in value.items():
-            written = given.get(key, one) if isinstance(given, Mapping) else one
-            yield from _leaves(written, one, f"{where}.{key!s:.80}".lstrip("."))
-    elif isinstance(value, list | tuple):
-        written = given if isinstance(given, list | tuple) and len(given) == len(value) else value
-        for i, (one, other) in enumerate(zip(written, value, strict=True)):
-            yield from _leaves(one, other, f"{where}[{i}]")
-    else:
+    if not isinstance(value, Mapping | list | tuple):
         yield where, given, value
+        return
+    for key, one in value.items() if isinstance(value, Mapping) else enumerate(value):
+        try:
+            written = given[key]
+        except (LookupError, TypeError):  # a validator has made something else of it
+            written = one
+        yield from _leaves(written, one, f"{where}[{key!s:.80}]")
 
 
 def _fault(written: Any, read: Any, most: int) -> str:
@@ -127,15 +118,7 @@ def _fault(written: Any, read: Any, most: int) -> str:
     return ""
 
 
-def _in_metres(field: str, item: Mapping[str, Any]) -> str:
-    """Return what a length or a speed that is too large would be if it was given in mm, mm/s; empty for others."""
-    value, per = item["input"], "/s" if field.endswith("_m_per_s") else ""
-    if not field.endswith(("_m", "_m_per_s")) or not item["type"].startswith("less_than") or not is_number(value):
-        return ""
-    return f" m{per}; {value:g} mm{per} is {1e-3 * value:g}"
-
-
-def explain(error: ValidationError, kind: str) -> list[str]:
+def explain(error: pydantic.ValidationError, kind: str) -> list[str]:
     """Return one line per wrong field: kind of table, name, value, cure; errors of a table inside are not repeated."""
     lines = []
     for item in error.errors():
@@ -146,9 +129,7 @@ def explain(error: ValidationError, kind: str) -> list[str]:
         elif item["type"] == "missing":
             lines.append(f"{kind} {field} is missing: add it")
         elif field:
-            lines.append(
-                f"{kind} {field} = {shown(item['input'])}: {message[0].lower()}{message[1:]}{_in_metres(field, item)}"
-            )
+            lines.append(f"{kind} {field} = {shown(item['input'])}: {message[0].lower()}{message[1:]}")
         else:
             lines.append(f"{kind} {message}")
     return lines

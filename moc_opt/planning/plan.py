@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from moc_opt.arrays import Array
 from moc_opt.errors import TaskError, is_number
-from moc_opt.inputs.names import grid_html
 from moc_opt.planning.course import Course, Limits, Targets, make_course, margin_at
 from moc_opt.planning.elbow import Elbow
 from moc_opt.planning.pose_map import SWIVELS, PoseMap, map_of
@@ -70,9 +69,6 @@ class Plan:
 
     def __repr__(self) -> str:
         return f"Plan({', '.join(f'{name}: {value}' for name, value in self._shown().items())})"
-
-    def _repr_html_(self) -> str:
-        return grid_html("Plan", self._shown().items())
 
     def _shown(self) -> dict[str, str]:
         found = {"executable": "yes"}

@@ -15,7 +15,6 @@ from plotly.offline import get_plotlyjs
 
 from moc_opt.errors import BrowserError, BrowserMissingError, ReportError
 from moc_opt.inputs.files import write_whole
-from moc_opt.inputs.names import file_stem
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
@@ -45,8 +44,8 @@ def save_figures(
         ReportError: a name is no file name, or a file cannot be written.
     """
     for name in figures:
-        if name != file_stem(name):
-            raise ReportError(f"figure {name!r}: give a name without a folder in it; {file_stem(name)!r} would do")
+        if name != Path(name).name:
+            raise ReportError(f"figure {name!r}: give a name without a folder in it")
     with browser() as chromium:
         drawn = _draw(chromium, figures)
     return [

@@ -20,7 +20,6 @@ from rich.text import Text
 from moc_opt.errors import is_number
 from moc_opt.figures import notation
 from moc_opt.figures.notation import Mark, Missing, Notation, printable
-from moc_opt.inputs.names import grid_html
 
 SHORT_TEXT, HEADING = 14, 10  # characters from where on a text in a terminal, and a heading anywhere, may be broken
 _WIDE = Console(file=io.StringIO(), width=10_000)
@@ -135,11 +134,6 @@ class Table:
         """Return the headings with their units, and the texts of the rows."""
         headings = [f"{column.title} [{column.unit}]" if column.unit else column.title for column in self.columns]
         return headings, list(zip(*([cell.text for cell in self.cells(of)] for of in self.columns), strict=True))
-
-    def _repr_html_(self) -> str:
-        """Show itself in a notebook."""
-        headings, rows = self.texts()
-        return grid_html(self.title, rows, headings, self.caption)
 
     def to_text(self, width: int = 10_000) -> str:
         """Write the table as plain text of at most this width [characters]."""

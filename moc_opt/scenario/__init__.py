@@ -8,18 +8,9 @@ controller.
 
 from moc_opt.errors import MocOptError
 from moc_opt.scenario.config import Scenario
-from moc_opt.scenario.setup import (
-    Setup,
-    check_solver,
-    isolated,
-    make_safety_filter,
-    make_solver,
-    make_stop,
-    run,
-)
+from moc_opt.scenario.setup import Setup, isolated, make_safety_filter, make_solver, make_stop, run
 from moc_opt.sim.record import RunAway
 
 __all__ = [
-    "MocOptError", "RunAway", "Scenario", "Setup", "check_solver", "isolated", "make_safety_filter", "make_solver",
-    "make_stop", "run",
+    "MocOptError", "RunAway", "Scenario", "Setup", "isolated", "make_safety_filter", "make_solver", "make_stop", "run",
 ]  # fmt: skip

@@ -14,16 +14,14 @@ from pydantic import Field, ValidationInfo, field_validator, model_validator
 from moc_opt.control import ControlSettings
 from moc_opt.control.safety_settings import SafetyFilterSettings
 from moc_opt.control.settings import PRESETS as CONTROL_PRESETS
-from moc_opt.errors import MocOptError, ScenarioError, UnknownNameError, shown
+from moc_opt.errors import MocOptError, ScenarioError, UnknownNameError
 from moc_opt.inputs.files import as_path, read_toml, to_toml, write_whole
-from moc_opt.inputs.names import grid_html
 from moc_opt.inputs.settings import LARGEST_INTEGER, Name, Settings
 from moc_opt.realtime.link import WireSettings
 from moc_opt.scenario.tables import MOST_S, RobotTable, SolverTable, StartTable, TaskTable, TrocarTable
 from moc_opt.sim.faults import FaultSettings
 from moc_opt.sim.sensors import longest_repetition, repeats_no_reading
 from moc_opt.sim.settings import PlantSettings
-from moc_opt.solvers.registry import defaults
 
 PRESETS: Mapping[str, Mapping[str, Callable[..., Settings]]] = {
     "control": {name: partial(ControlSettings.preset, name) for name in CONTROL_PRESETS},
@@ -34,25 +32,17 @@ _LAGS = 3.0
 """Time constants of the encoders' velocity filter that the safety filter takes for its lag, at least."""
 _TORQUE, _SPEED = 500.0, 600.0
 """For each rad of the encoders' step: change of a torque [of tau_max], and speed [rad/s] by the momentum residual, that
-may come before a sound joint shows a step. Chosen on 85 runs without encoder noise."""
+may come before a sound joint shows a step."""
 
 
 class Scenario(Settings):
     """One run. ``Scenario()`` is the default: MOC with ``exact`` on a circle, in the realistic plant.
 
-    Every key of the TOML is a field, a table a nested one; each is checked, and a frozen one at that.
+    Every key of the TOML is a field, a table a nested one; each is checked, and frozen.
 
     Raises:
         ScenarioError: a value out of range, or fields that contradict each other; names the field.
         UnknownNameError: a key, preset, solver or path that does not exist.
-
-    Example:
-        >>> scenario = mo.Scenario(seed=3, task={"path": "spiral"}, solver={"name": "rnn"})
-        >>> scenario.task.path, scenario.control.law
-        ('spiral', 'moc')
-        >>> mo.Scenario(seed=-1)
-        Traceback (most recent call last):
-        moc_opt.errors.ScenarioError: ...
     """
 
     KIND: ClassVar[str] = "scenario:"
@@ -142,14 +132,18 @@ class Scenario(Settings):
         return self
 
     @classmethod
-    def load(cls, path: str | os.PathLike[str]) -> Self:
+    def load(cls, path: Self | str | os.PathLike[str]) -> Self:
         """Read a TOML file; paths of a robot's file and of a course in it are relative to its folder.
+
+        A scenario in place of a path is returned as it is.
 
         Raises:
             ScenarioError: no such file, no TOML, or a value out of range; names file and field.
             UnknownNameError: a key or preset that does not exist.
         """
-        file = as_path(path, "scenario", ScenarioError)
+        if isinstance(path, cls):
+            return path
+        file = as_path(path, "scenario", ScenarioError)  # type: ignore[arg-type]
         if file.suffix == ".parquet":
             raise ScenarioError(f"{file} is a trace, no scenario: moc-opt report, replay or map shows it")
         table = read_toml(file, "scenario", ScenarioError)
@@ -159,19 +153,6 @@ class Scenario(Settings):
             error.args = (f"{file}: {error}",)  # of whichever kind it is
             raise
 
-    @classmethod
-    def given(cls, scenario: object) -> Self:
-        """Return what a caller gave as a scenario: one as it is, of a path that of the file.
-
-        Raises:
-            ScenarioError: it is neither; or as `load`.
-        """
-        if isinstance(scenario, cls):
-            return scenario
-        if isinstance(scenario, str | os.PathLike):
-            return cls.load(scenario)
-        raise ScenarioError(f"scenario = {shown(scenario)}: give a Scenario, or the path of a scenario's file")
-
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the TOML that `load` reads as this scenario: only values that differ from the defaults.
 
@@ -179,29 +160,15 @@ class Scenario(Settings):
 
         Raises:
             ScenarioError: a solver's setting has no form in TOML, or the file cannot be written.
-
-        Example:
-            >>> mo.Scenario(duration_s=2.0).save("scenario.toml")
-            >>> mo.Scenario.load("scenario.toml") == mo.Scenario(duration_s=2.0)
-            True
         """
-        file, table = as_path(path, "scenario", ScenarioError), _with_files_in(Path.cwd(), self.changes())
-        if None in self.solver.settings.values():
-            usual = defaults(self.solver.name)
-            given = self.solver.settings.items()  # a file has no None, and needs none where that is the default
-            kept = {key: value for key, value in given if value is not None or usual.get(key, ...) is not None}
-            table["solver"] = {**table["solver"], "settings": kept}
         try:
-            text = to_toml(_without_none(table))
+            text = to_toml(_without_none(_with_files_in(Path.cwd(), self.changes())))
         except TypeError as error:
             raise ScenarioError(f"the scenario cannot be written as TOML: {error}") from error
-        write_whole(file, text, "scenario", ScenarioError)
+        write_whole(path, text, "scenario", ScenarioError)
 
     def changes(self) -> dict[str, Any]:
-        """Return what differs from the default scenario, as the keyword arguments that make it.
-
-        A table is written against its defaults or against that preset which leaves fewest keys.
-        """
+        """Return what differs from the default scenario, as arguments; of a table by the preset that leaves fewest."""
         found: dict[str, Any] = {}
         for name, field in type(self).model_fields.items():
             value = getattr(self, name)
@@ -213,10 +180,6 @@ class Scenario(Settings):
         return f"Scenario({', '.join(f'{name}={value!r}' for name, value in self.changes().items())})"
 
     __str__ = __repr__
-
-    def _repr_html_(self) -> str:
-        """Return HTML for a notebook."""
-        return grid_html("Scenario, where it differs from the default", (self.changes() or {"nowhere": ""}).items())
 
     def change(self, **tables: Any) -> Self:
         """Copy the scenario with some fields changed; a mapping changes fields inside a table.
@@ -272,10 +235,12 @@ def _tables(value: Settings, name: str) -> Iterator[dict[str, Any]]:
 
 
 def _without_none(table: Mapping[str, Any]) -> dict[str, Any]:
-    """Write None as a file does: no limit is `inf`, no table of gains an empty text."""
+    """Write None as a file does: no limit is `inf`, no table of gains an empty text, a solver's setting is left out."""
     plain: dict[str, Any] = {}
     for key, value in table.items():
-        if isinstance(value, Mapping) and key != "settings":
+        if key == "settings":
+            plain[key] = {name: setting for name, setting in value.items() if setting is not None}
+        elif isinstance(value, Mapping):
             plain[key] = _without_none(value)
         else:
             plain[key] = ("" if key == "gains" else float("inf")) if value is None else value

@@ -1,8 +1,7 @@
 """Columns that are computed after a run: the arm's own errors, residuals of the answers, and mu beside the best mu.
 
 The best courses, from the run's start and over all starts, are those of dynamic programming within the arm's own joint
-limits and speeds, on a grid of 50 ms and 0.5 degree; refined as `moc_opt.scenario.planned.plan` does they are a little
-better (docs/planning.md). They are planned once for all runs of one path and start, whatever the controller.
+limits and speeds, on a grid of 50 ms and 0.5 degree; `moc_opt.scenario.planned.plan` refines them (docs/planning.md).
 """
 
 from __future__ import annotations
@@ -27,7 +26,8 @@ from moc_opt.qp.problem import compute_residuals
 from moc_opt.qp.residuals import Residuals
 from moc_opt.robots.model import RobotModel
 from moc_opt.scenario.config import Scenario
-from moc_opt.scenario.planned import layout_of, targets_of
+from moc_opt.scenario.layout import lay_out
+from moc_opt.scenario.planned import targets_of
 from moc_opt.sim.plant import Plant
 from moc_opt.sim.record import TaskOffset
 from moc_opt.solvers.base import Status
@@ -37,23 +37,15 @@ from moc_opt.trace.trace import Trace
 Columns = Mapping[str, NDArray[Any]]
 
 AT_ONCE = 5000  # answers whose residuals are computed together
-PERIOD_S = 0.05
-"""Of the best courses' grid: a joint's way in one period is then several swivels of the map, so that little of its
-speed is lost."""
+PERIOD_S = 0.05  # of the best courses' grid: a joint's way in it is several swivels, so that little speed is lost
 PATH = {"robot", "start", "trocar", "task", "duration_s", "seed"}  # of a scenario: path and start follow from them
 
 
 def model_errors(columns: Columns, robot: RobotModel, plant: Plant, offset: TaskOffset) -> dict[str, NDArray[Any]]:
     """Compute tip and RCM error by the robot's own kinematics; none if the encoders are not on the links."""
-    settings, mismatch = plant.settings, plant.mismatch
-    if settings.elastic and settings.encoder_side == "motor":
+    if plant.settings.elastic and plant.settings.encoder_side == "motor":
         return {}
-    if not mismatch.displaces:
-        return {
-            "tip_error_model_m": columns["tip_error_m"],
-            "rcm_error_model_m": columns["rcm_error_registered_m"],
-        }
-    tips, wrists = robot.tool_along(columns["q_rad"] + mismatch.encoder_bias)
+    tips, wrists = robot.tool_along(columns["q_rad"] + plant.mismatch.encoder_bias)
     told = columns["trocar_registered_m"] - offset.trocar
     return {
         "tip_error_model_m": np.linalg.norm(columns["tip_ref_m"] - tips, axis=1),
@@ -110,7 +102,7 @@ def _planned(path: str) -> BestCourses:
     real = best_freedoms(robot).real
     if real != 1:
         raise ScenarioError(f"tip and shaft leave {real} freedoms, a map has one")
-    layout = layout_of(scenario, robot)
+    layout = lay_out(scenario, robot, checked=False)
     targets = targets_of(robot, layout, period_s=PERIOD_S)
     value = Value(pose_map.map_of(robot, layout.q, targets), Limits())
     grid = [best_course(value, start) for start in (layout.q, None)]
@@ -119,10 +111,9 @@ def _planned(path: str) -> BestCourses:
 
 
 def against_best(scenario: Scenario, trace: Trace) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
-    """Return the columns of the best courses, and meta's entry ``best_courses``.
+    """Return the columns of the best courses, and meta's entry ``best_courses``: why there is none, or the ends.
 
-    Its ``absent`` says why there is none; its ``end`` has the largest mu [m^3] that a climb reaches from the run's last
-    pose, the course's last mu, and the swivels of both [deg].
+    These are the largest mu [m^3] of a climb from the run's last pose, the course's last mu, and both swivels [deg].
     """
     try:
         known = best_courses(scenario)

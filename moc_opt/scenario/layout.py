@@ -39,8 +39,8 @@ def seeds_of(scenario: Scenario) -> tuple[int, int, int]:
     return start, plant, faults
 
 
-def lay_out(scenario: Scenario, robot: RobotModel) -> Layout:
-    """Choose the start, lay the task out from it, and check that the arm can do it.
+def lay_out(scenario: Scenario, robot: RobotModel, *, checked: bool = True) -> Layout:
+    """Choose the start, lay the task out from it, and check that the arm can do it; of a random start always.
 
     Raises:
         ScenarioError: the start is outside the limits or singular, no random start can do the task, the trocar is not
@@ -62,7 +62,7 @@ def lay_out(scenario: Scenario, robot: RobotModel) -> Layout:
     q = np.array(robot.data.q_home if start.q_rad is None else start.q_rad, dtype=np.float64)
     preflight.check_start(robot, q)  # of a singular pose there is no swivel
     q = swivelled(q)
-    if not start.check_path:
+    if not (checked and start.check_path):
         return _task(scenario, robot, q)
     return _checked(scenario, robot, q, scenario.duration_s or np.inf)[0]
 

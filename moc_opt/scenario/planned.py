@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numbers
 import os
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -30,8 +31,7 @@ def plan(
 ) -> Plan:  # fmt: skip
     """Plan a scenario's run: whether it can be executed, from which swivel, how well, and along which course.
 
-    The plan uses the controller's data: the robot model, the registered trocar, the reference from the first
-    tick to the last. A random start is drawn as the run draws it.
+    The plan uses the controller's data: the robot model, the registered trocar, the whole reference.
 
     Args:
         scenario: of the run, or the path of its file.
@@ -45,20 +45,14 @@ def plan(
     Raises:
         MocOptError: the scenario's start, path or trocar is not usable, or an argument is out of range.
     """
-    scenario = Scenario.given(scenario)
+    scenario = Scenario.load(scenario)
     if times is not None and (not isinstance(times, numbers.Integral) or not 2 <= times <= 100_000):
         raise ScenarioError(f"times = {shown(times)}: give 2 to 100000 points of the path")
     robot = scenario.robot.arm()
-    layout = layout_of(scenario, robot)
+    layout = lay_out(scenario, robot, checked=False)
     limits = Limits(margin_of(robot, margin_rad, margin_m), speed_share, shaft_margin)
     targets = targets_of(robot, layout, times)
     return make_plan(robot, layout.q, targets, limits, swivels=swivels, refined=refined)
-
-
-def layout_of(scenario: Scenario, robot: RobotModel) -> Layout:
-    """Lay a scenario's task out as its run does, whether or not the arm can follow the path; a MocOptError as there."""
-    unchecked = scenario if scenario.start.pose == "random" else scenario.change(start={"check_path": False})
-    return lay_out(unchecked, robot)
 
 
 def targets_of(
@@ -74,20 +68,14 @@ def targets_of(
     return lay_targets(layout.reference, layout.registered, span, layout.duration_s, count, length)
 
 
-# --- a course to be followed ---
-
-
 def followable_plan(
     scenario: Scenario, margin_rad: float | None = None, speed_share: float | None = None,
     margin_m: float | None = None, followed: bool | None = None,
 ) -> tuple[Plan, dict[str, float]]:
-    """Plan within what a third level keeps to that follows a course, or within the arm's own limits.
+    """Plan within what a third level keeps to that follows a course, or within the arm's own limits; returns them too.
 
-    Where the path cannot be executed with that third level's margins, it is planned without. Returns the limits too.
-
-    Args:
-        margin_rad, margin_m, speed_share: in place of these, where given; a margin alone leaves the other at zero.
-        followed: whether the course is to be followed; None: if the scenario's third level follows one.
+    Where the path cannot be executed with that third level's margins, it is planned without. Limits that are given
+    replace these; a margin alone leaves the other at zero. ``followed``: None: if the scenario's third level follows.
     """
     settings = scenario.control
     follows = settings.follows if followed is None else followed
@@ -122,14 +110,12 @@ def following_warnings(scenario: Scenario, found: Plan) -> list[str]:
     return said if fast is None else [*said, "; ".join(fast)]
 
 
-def save_course(
-    found: Plan, scenario: Scenario, to: str | os.PathLike[str], within: dict[str, float] | None = None
-) -> Path:
+def save_course(found: Plan, scenario: Scenario, to: str | os.PathLike[str], within: Mapping[str, float]) -> Path:
     """Write the plan's course as a Parquet file that `Trace.load` and ``[control] course`` read.
 
     Columns: t_s (k,) [s], q_rad (k,n), mu (k,) [m^3], swivel_rad (k,), tip_m, tip_ref_m and wrist_m (k,3).
 
-    ``within`` has limits that it was planned for, by the names of `plan`'s arguments.
+    ``within`` has the limits that it was planned for, by the names of `plan`'s arguments.
 
     Raises:
         ScenarioError: there is none, neither from the start nor from elsewhere.
@@ -146,7 +132,7 @@ def save_course(
     }  # fmt: skip
     meta = {
         "kind": "course", "from_start": found.executable, "violation": course.violation,
-        "certified": course.certified, **described(scenario, robot), "within": dict(within or {}),
+        "certified": course.certified, **described(scenario, robot), "within": dict(within),
     }  # fmt: skip
     Trace(columns, meta).save(to)
     return Path(to)

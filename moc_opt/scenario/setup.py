@@ -17,9 +17,8 @@ from moc_opt.arrays import Array
 from moc_opt.control import Controller
 from moc_opt.control.controller import Guide
 from moc_opt.control.safety_filter import SafetyFilter
-from moc_opt.errors import ScenarioError, SolverError, describe, shown
+from moc_opt.errors import ScenarioError, describe
 from moc_opt.inputs.files import read_arrays
-from moc_opt.inputs.names import RULE, is_name
 from moc_opt.planning.follow import Follower
 from moc_opt.planning.guides import Following, guides
 from moc_opt.planning.self_motion import require_freedom
@@ -37,22 +36,11 @@ from moc_opt.sim.record import Columns, RunAway, TaskOffset
 from moc_opt.solvers.base import Solver
 from moc_opt.solvers.faulty import Faulty, draw
 from moc_opt.solvers.isolated import Isolated
-from moc_opt.solvers.registry import find
+from moc_opt.solvers.registry import check_solver, find
 from moc_opt.tasks import Trocar
 from moc_opt.trace.file import new_file
 from moc_opt.trace.oscillation import judged_for_oscillation
 from moc_opt.trace.trace import Trace
-
-
-def check_solver(given: object) -> None:
-    """Refuse what is no solver by a SolverError: a name, a class that has not been called, any other object."""
-    if isinstance(given, type):
-        raise SolverError(f"{shown(given)} is a class, no solver: call it, as in {given.__name__}()")
-    if not isinstance(given, Solver):
-        cure = "it needs a name, supports(qp) and start(qp); solvers.create(name) makes one"
-        raise SolverError(f"{shown(given, 80)} is no solver: {cure}")
-    if not is_name(given.name):
-        raise SolverError(f"{shown(given, 80)}: name = {shown(given.name, 80)}: {RULE}")
 
 
 def make_solver(name: str, robot: RobotModel, **settings: Any) -> Solver:
@@ -64,14 +52,10 @@ def make_solver(name: str, robot: RobotModel, **settings: Any) -> Solver:
 
 
 def isolated(solver: Solver, scenario: Scenario, budget_us: float = math.inf, realtime: bool = False) -> Solver:
-    """Wrap a solver in its own process if ``[solver]`` requires it; else return the solver itself.
-
-    A tick waits ``budget_us`` for its answer, at most until the process counts as hung; under ``realtime`` it does not
-    wait while a process is replaced. A SolverError where pickle cannot copy the solver.
-    """
+    """Wrap a solver in its own process if ``[solver]`` requires it; a SolverError where pickle cannot copy it."""
     if scenario.solver.isolation == "none":
         return solver
-    return Isolated(solver, budget_us=budget_us, waits=not realtime, **scenario.solver.process.model_dump())
+    return Isolated(solver, scenario.solver.process, budget_us, waits=not realtime)
 
 
 def make_safety_filter(robot: RobotModel, scenario: Scenario) -> SafetyFilter:
@@ -85,17 +69,15 @@ def make_stop(scenario: Scenario) -> Stop:
 
 
 def recorded_times(scenario: Scenario) -> list[float] | None:
-    """Read the times [us] of ``[solver] replay_us``; None: the clock decides. A ScenarioError refuses a wrong file."""
+    """Read the times [us] of ``[solver] replay_us``; None: the clock decides."""
     given = scenario.solver.replay_us
     if given is None:
         return None
-    if isinstance(given, str):
-        times = read_arrays(given, "[solver] replay_us", ScenarioError).get("", np.empty(0))
-    else:
-        times = np.asarray(given)
+    what = "[solver] replay_us"
+    read = read_arrays(given, what, ScenarioError) if isinstance(given, str) else {"": np.asarray(given)}
+    times = read.get("", np.empty(0))
     if times.dtype.kind not in "fiu" or times.ndim != 1 or not len(times) or not (times >= 0.0).all():
-        cure = "give one time of 0 us or more a tick, at least one"
-        raise ScenarioError(f"[solver] replay_us: {times.dtype} of shape {times.shape}: {cure}")
+        raise ScenarioError(f"{what}: {times.dtype} of shape {times.shape}: give one time of 0 us or more a tick")
     return [float(time) for time in times]
 
 
@@ -109,8 +91,7 @@ class Setup:
             replaced.
 
     Raises:
-        MocOptError: the first thing that is wrong, in its own words; see `moc_opt.scenario.layout.lay_out` for the
-            start and the path.
+        MocOptError: the first thing that is wrong; see `moc_opt.scenario.layout.lay_out` for start and path.
     """
 
     def __init__(self, scenario: Scenario, solver: Solver | None = None, *, realtime: bool = False) -> None:
@@ -125,8 +106,7 @@ class Setup:
         self.layout = layout = lay_out(scenario, self.robot)
         self.q_start, self.registered, self.reference = layout.q, layout.registered, layout.reference
         self.duration_s = layout.duration_s
-        self.guide: Guide | None = None
-        """The guide of the last controller's third level; None without one."""
+        self.guide: Guide | None = None  #: Of the last controller's third level.
         self._replayed_us = recorded_times(scenario)
         if not realtime:
             self._build_plant(plant_seed)
@@ -194,15 +174,14 @@ class Setup:
 
     def fault_mask(self) -> NDArray[np.bool_]:
         """Return at which ticks the solver's answer is replaced by a fault, (N,)."""
-        faults, ticks = self.scenario.faults, self.ticks
-        if faults.solver == "none" or self.scenario.control.law != "moc":
-            return np.zeros(ticks, dtype=np.bool_)
-        return draw(self._fault_seed, faults.solver_share, ticks)
+        faults = self.scenario.faults
+        never = faults.solver == "none" or self.scenario.control.law != "moc"
+        return draw(self._fault_seed, 0.0 if never else faults.solver_share, self.ticks)
 
     def closed_loop(self, controller: TorqueController) -> ClosedLoop:
         """Make the loop of the plant and a controller behind the scenario's safety filter, without faults and trace."""
-        safety_filter = make_safety_filter(self.robot, self.scenario)
-        return ClosedLoop(self.plant, controller, safety_filter, make_stop(self.scenario))
+        scenario = self.scenario
+        return ClosedLoop(self.plant, controller, make_safety_filter(self.robot, scenario), make_stop(scenario))
 
     @property
     def ticks(self) -> int:
@@ -212,6 +191,11 @@ class Setup:
     def times(self) -> Array:
         """Return the start of every tick [s]."""
         return self.scenario.plant.period_s * np.arange(self.ticks, dtype=np.float64)
+
+    def inputs(self) -> tuple[Array, Array]:
+        """Return the controller's inputs of every tick: X_d, dX_d, ddX_d (N, 3, 3); registered P_t, dP_t (N, 2, 3)."""
+        tip_refs, registered = (np.stack(of.at(self.times()), axis=1) for of in (self.reference, self.registered))
+        return tip_refs, registered
 
     def trace(self, watch: Callable[[int], None] | None = None, to: str | os.PathLike[str] | None = None) -> Trace:
         """Run, check the answers, and return the trace.
@@ -252,11 +236,11 @@ class Setup:
     def _simulate(
         self, watch: Callable[[int], None] | None, meta: Mapping[str, Any], rescue: Callable[[Columns], None]
     ) -> Trace:
-        wrong, times = self.scenario.faults, self.times()
+        wrong, times, (tip_refs, registered) = self.scenario.faults, self.times(), self.inputs()
         faults = Faults(wrong, self.robot.n, self.scenario.plant.period_s, self._fault_seed)
+        trocars = faults.slip(np.stack(self.trocar.at(times), axis=1), times)
         found = simulate(
-            self.plant, self.controller(), np.stack(self.reference.at(times), axis=1),
-            faults.slip(np.stack(self.trocar.at(times), axis=1), times), np.stack(self.registered.at(times), axis=1),
+            self.plant, self.controller(), tip_refs, trocars, registered,
             safety_filter=make_safety_filter(self.robot, self.scenario),
             faults=faults if wrong.around_the_arm else None, stop=make_stop(self.scenario), offset=self.offset,
             watch=watch, meta=meta, rescue=rescue,
@@ -295,7 +279,7 @@ def run(
     scenario: Scenario | str | os.PathLike[str], watch: Callable[[int], None] | None = None,
     to: str | os.PathLike[str] | None = None, *, solver: Solver | None = None,
 ) -> Trace:  # fmt: skip
-    """Run one scenario, or that of a file.
+    """Run one scenario.
 
     Args:
         scenario: what to run, or the path of its file.
@@ -309,4 +293,4 @@ def run(
     Raises:
         MocOptError: the scenario is not usable (raised before the run), or the arm ran away.
     """
-    return Setup(Scenario.given(scenario), solver).trace(watch, to)
+    return Setup(Scenario.load(scenario), solver).trace(watch, to)

@@ -9,6 +9,7 @@ from pydantic import Field, model_validator
 
 from moc_opt.inputs.settings import Name, Settings
 from moc_opt.robots.model import RobotModel, load_robot
+from moc_opt.solvers.isolated import ProcessSettings
 from moc_opt.solvers.registry import check_name, defaults
 from moc_opt.tasks.curves import CURVES
 from moc_opt.tasks.paths import sizes
@@ -32,11 +33,7 @@ class RobotTable(Settings):
     )
 
     def arm(self) -> RobotModel:
-        """Load the robot, and build its model.
-
-        Raises:
-            MocOptError: no such robot, or something is wrong with its files.
-        """
+        """Load the robot, and build its model; a MocOptError where something is wrong with its files."""
         return load_robot(self.name, tool_length=self.tool_length_m, tool_mass=self.tool_mass_kg)
 
 
@@ -140,25 +137,6 @@ class TaskTable(Settings):
         return [*super().keys(values), *sorted({f"sizes.{name}" for path in CURVES for name in sizes(path)})]
 
 
-class ProcessTable(Settings):
-    """When a solver's process is replaced, and how old its answers may be."""
-
-    KIND: ClassVar[str] = "[solver.process]"
-    answer_age_ticks: int = Field(
-        0, ge=0, description="largest age of an earlier answer that may replace a late one; 0: none may"
-    )
-    hang_s: float = Field(
-        1.0, gt=0.0, description="a process that gives no answer for this time is killed and replaced"
-    )
-    memory_MB: float = Field(
-        4096.0, gt=0.0, description="a process that uses more memory than this is killed and replaced"
-    )
-    most_restarts: int = Field(
-        20, ge=0, description="largest number of replacements in a run; after them the third level falls back"
-    )
-    start_s: float = Field(120.0, gt=0.0, description="time in which a process must start, compilation included")
-
-
 class SolverTable(Settings):
     """The solver of the third level."""
 
@@ -175,7 +153,7 @@ class SolverTable(Settings):
         "none",
         description="'process': each session of the solver runs in its own process, which is killed when it hangs",
     )
-    process: ProcessTable = ProcessTable()
+    process: ProcessSettings = ProcessSettings()
 
     @model_validator(mode="after")
     def _known(self) -> Self:

@@ -8,8 +8,6 @@ from collections.abc import Callable
 from functools import cached_property
 from pathlib import Path
 
-import numpy as np
-
 from moc_opt.inputs.files import to_json
 from moc_opt.realtime.answering import Answering, Ending
 from moc_opt.realtime.clock import WallClock, give_back_realtime
@@ -41,14 +39,8 @@ def fingerprint(scenario: Scenario, robot: RobotModel) -> int:
 class PlantServer(Setup):
     """The plant of a scenario, for a controller at the other end of a wire.
 
-    Args:
-        listen: "HOST:PORT"; port 0 is any free one.
-        key_file: has the key; see `read_key`.
-        lock_step: wait for each command instead of keeping the time.
-
-    Attributes:
-        address: where the plant listens.
-        system: what this process was granted; goes into the trace's ``meta["wire"]``.
+    It listens at ``listen``, "HOST:PORT"; port 0 is any free one, and ``address`` has it. In lock-step it waits for
+    each command instead of keeping the time. ``system`` has what this process was granted, for ``meta["wire"]``.
 
     Raises:
         MocOptError: as for `Setup`; an address that cannot be taken, or one that needs a key.
@@ -91,10 +83,7 @@ class PlantServer(Setup):
         return super()._judged(found.with_meta(**added))
 
     def trace(self, watch: Callable[[int], None] | None = None, to: str | os.PathLike[str] | None = None) -> Trace:
-        """Wait for the controller, run, and return the trace; ``meta["wire"]`` has the counts of this end.
-
-        ``watch`` is not called: the wire keeps the time. Errors as for `Setup.trace`, or no controller came.
-        """
+        """Wait for the controller, run, and return the trace; ``watch`` is not called: the wire keeps the time."""
         try:
             return super().trace(self._remote.pace, to)
         finally:
@@ -104,13 +93,10 @@ class PlantServer(Setup):
 def answer(
     scenario: Scenario, connect: str, key_file: Path | None = None, ready: Callable[[], None] = lambda: None
 ) -> Ending:
-    """Be the controller of a plant at the other end of a wire, until its run ends.
+    """Be the controller of a plant at the other end of a wire ("HOST:PORT"), until its run ends.
 
-    Args:
-        scenario: the plant's; control, solver and guard are this end's own.
-        connect: "HOST:PORT" of the plant.
-        key_file: has the key; see `read_key`.
-        ready: called once, when the plant has been found and the controller has started.
+    Control, solver and guard of the scenario are this end's own, the rest must be the plant's. ``ready`` is called
+    once, when the plant has been found and the controller has started.
 
     Raises:
         MocOptError: as for `Setup`; or no plant answers there, or it runs another scenario.
@@ -118,12 +104,11 @@ def answer(
     where = parse_address(connect, "--connect")
     key = read_key(key_file, where[0], "--connect")
     setup = Setup(scenario, realtime=True)
-    tip_refs, registered = (np.stack(of.at(setup.times()), axis=1) for of in (setup.reference, setup.registered))
     controller = setup.controller()  # plans where the third level follows a course: before it looks for the plant
     link = Link(setup.robot.n, key, (Kind.MEASUREMENT,), peer=where)
     try:
         return Answering(
-            link, scenario.wire, controller, make_safety_filter(setup.robot, scenario), tip_refs, registered,
+            link, scenario.wire, controller, make_safety_filter(setup.robot, scenario), *setup.inputs(),
             fingerprint(scenario, setup.robot), ready,
         ).run()  # fmt: skip
     finally:

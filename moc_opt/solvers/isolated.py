@@ -20,10 +20,13 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection, Pipe
 from time import monotonic
-from typing import Any, Literal, NamedTuple
+from typing import Any, ClassVar, Literal, NamedTuple
+
+from pydantic import Field
 
 from moc_opt.arrays import Array
 from moc_opt.errors import MocOptError, SolverError, describe
+from moc_opt.inputs.settings import Settings
 from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.solvers.base import ObservingSession, Session, Solution, Solver
 
@@ -45,18 +48,33 @@ class Restart(NamedTuple):
     reason: str
 
 
+class ProcessSettings(Settings):
+    """When a solver's process is replaced, and how old its answers may be."""
+
+    KIND: ClassVar[str] = "[solver.process]"
+    answer_age_ticks: int = Field(
+        0, ge=0, description="largest age of an earlier answer that may replace a late one; 0: none may"
+    )
+    hang_s: float = Field(
+        1.0, gt=0.0, description="a process that gives no answer for this time is killed and replaced"
+    )
+    memory_MB: float = Field(
+        4096.0, gt=0.0, description="a process that uses more memory than this is killed and replaced"
+    )
+    most_restarts: int = Field(
+        20, ge=0, description="largest number of replacements in a run; after them the third level falls back"
+    )
+    start_s: float = Field(120.0, gt=0.0, description="time in which a process must start, compilation included")
+
+
 @dataclass(frozen=True)
 class Isolated:
     """A solver whose sessions run each in a process of its own; a SolverError where pickle cannot copy it there."""
 
     inner: Solver
+    process: ProcessSettings
     budget_us: float = math.inf  #: How long a tick waits for its answer [us].
     waits: bool = True  #: Whether a tick waits while a process is replaced, as in simulated time.
-    answer_age_ticks: int = 0  #: Largest age of an earlier answer that may replace a late one; 0: none may.
-    hang_s: float = 1.0  #: A process that gives no answer for this time is killed and replaced [s].
-    memory_MB: float = 4096.0  #: That a process may have; on Linux.
-    most_restarts: int = 20  #: After so many replacements a session gives no answers any more.
-    start_s: float = 120.0  #: In which a process must start [s].
     _pickled: bytes = field(default=b"", init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -106,7 +124,7 @@ class IsolatedSession:
         self._tick += 1
         solver = self._solver
         if self._process is None:
-            if len(self.restarts) > solver.most_restarts:
+            if len(self.restarts) > solver.process.most_restarts:
                 raise Unanswered("lost", f"given up: the solver's process was lost {len(self.restarts)} times")
             self._process = _Process(solver, qp)
         try:
@@ -116,7 +134,7 @@ class IsolatedSession:
             self._process = self._newest = None
             self.restarts.append(Restart(self._tick - 1, str(ended)))
             raise Unanswered("lost", f"the solver's process was lost: {ended}") from None
-        if newest is None or self._tick - newest.tick > solver.answer_age_ticks:
+        if newest is None or self._tick - newest.tick > solver.process.answer_age_ticks:
             raise Unanswered("late", f"no answer after {solver.budget_us:g} us")
         if newest.raised:
             raise Unanswered("raised", newest.value)
@@ -131,7 +149,7 @@ class IsolatedSession:
         if process.busy:  # with the subproblem of an earlier tick
             self._newest = process.answer(until) or self._newest
         if not process.busy:
-            process.ask(self._tick, qp, self._v, solver.hang_s)
+            process.ask(self._tick, qp, self._v, solver.process.hang_s)
             self._newest = process.answer(until) or self._newest
         return self._newest
 
@@ -158,13 +176,13 @@ class _Process:
         program = "import sys; from moc_opt.solvers.isolated import serve; serve(int(sys.argv[1]), float(sys.argv[2]))"
         with theirs:
             self._process = subprocess.Popen(
-                [sys.executable, "-c", program, str(theirs.fileno()), str(solver.memory_MB)],
+                [sys.executable, "-c", program, str(theirs.fileno()), str(solver.process.memory_MB)],
                 pass_fds=[theirs.fileno()], env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
                 start_new_session=True,
             )  # fmt: skip
         self.kill = weakref.finalize(self, _kill, self._process, self._pipe, os.getpid())
         self._started = False
-        self.ask(0, qp, None, solver.start_s, solver._pickled)
+        self.ask(0, qp, None, solver.process.start_s, solver._pickled)
 
     def ask(self, tick: int, qp: NullSpaceQP, v: Array | None, most_s: float, solver: bytes | None = None) -> None:
         """Send a subproblem to solve, or a pickled solver of which to start a session; it hangs after ``most_s``."""

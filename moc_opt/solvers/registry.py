@@ -68,18 +68,22 @@ class Entry(NamedTuple):
             if isinstance(error, TypeError) and unknown:
                 raise UnknownNameError(f"setting of solver {self.name!r}", unknown[0], self.parameters) from error
             raise SolverError(f"solver {self.name!r}: {made_by} cannot be made: {describe(error)}") from error
-        if self.plugin is None:
-            return solver
-        lacking = [part for part in ("supports", "start") if not callable(getattr(solver, part, None))]
-        if lacking:
-            raise SolverError(
-                f"solver {self.name!r}: {made_by} has no method {' and no '.join(lacking)}: add it; "
-                "docs/extending.md shows a whole solver"
-            )
-        own = getattr(solver, "name", None)
-        if not is_name(own):
-            raise SolverError(f"solver {self.name!r}: {made_by} has the name {shown(own, 80)}: {RULE}")
-        return solver
+        return solver if self.plugin is None else check_solver(solver, f"solver {self.name!r}: {made_by}")
+
+
+def check_solver(given: object, what: str = "") -> Solver:
+    """Return what was given, or refuse what is no solver by a SolverError: a name, a class, any other object."""
+    what = what or shown(given, 80)
+    if isinstance(given, type):
+        raise SolverError(f"{what} is a class, no solver: call it, as in {given.__name__}()")
+    lacking = [part for part in ("supports", "start") if not callable(getattr(given, part, None))]
+    if lacking:
+        cure = "add it, as docs/extending.md shows; solvers.create(name) makes a solver of the package"
+        raise SolverError(f"{what} is no solver: it has no method {' and no '.join(lacking)}: {cure}")
+    name = getattr(given, "name", None)
+    if not is_name(name):
+        raise SolverError(f"{what} has the name {shown(name, 80)}: {RULE}")
+    return given  # type: ignore[return-value]
 
 
 def available() -> dict[str, str | None]:

@@ -17,8 +17,9 @@ from moc_opt.inputs.settings import LARGEST_INTEGER
 from moc_opt.report.console import busy
 from moc_opt.report.run_table import ANOTHER_PROBLEM, VERDICTS, answers_another_problem
 from moc_opt.report.tables import Column, Table
-from moc_opt.scenario import Scenario, check_solver, make_solver
+from moc_opt.scenario import Scenario, make_solver
 from moc_opt.solvers.base import Solver
+from moc_opt.solvers.registry import check_solver
 from moc_opt.study.results import Results
 from moc_opt.study.show import intervals_picture
 from moc_opt.study.statistics import LEAST_TRIALS, Change, Interval, too_few
@@ -197,10 +198,6 @@ class Comparison:
     def __repr__(self) -> str:
         return repr(self.table)
 
-    def _repr_html_(self) -> str:
-        """Show the table in a notebook."""
-        return self.table._repr_html_()
-
 
 def compare(
     solvers: Solvers, scenario: Scenario | str | os.PathLike[str] | None = None, trials: int = 15, *, seed: int = 0,
@@ -222,7 +219,7 @@ def compare(
         UnknownNameError, SolverError: no such solver, no solver, or two of one name; before anything runs.
         ScenarioError: an argument is not usable, the scenario has no third level, or DCAC cannot run it.
     """
-    base = Scenario() if scenario is None else Scenario.given(scenario)
+    base = Scenario() if scenario is None else Scenario.load(scenario)
     for argument, value, least in (("trials", trials, 1), ("seed", seed, 0)):
         if isinstance(value, bool) or not isinstance(value, int) or not least <= value <= LARGEST_INTEGER:
             raise ScenarioError(f"{argument} = {shown(value)}: give an integer of {least} or more")

@@ -18,7 +18,6 @@ from numpy.typing import ArrayLike, NDArray
 from moc_opt.arrays import read_only
 from moc_opt.errors import TraceError, is_number, shown
 from moc_opt.inputs.files import to_json
-from moc_opt.inputs.names import grid_html
 from moc_opt.trace import file
 from moc_opt.trace.columns import COLUMNS, Column, column
 from moc_opt.trace.meta import Ending, plain
@@ -105,10 +104,6 @@ class Trace:
         known = about(self)
         facts = [f"{known.pop('ticks')} ticks", *known.values()]
         return f"Trace({', '.join(facts)}: {', '.join(self.columns)})"
-
-    def _repr_html_(self) -> str:
-        units = [f"{name} [{COLUMNS[name].unit}]" if name in COLUMNS else name for name in self.columns]
-        return grid_html("Trace", {**about(self), "columns": ", ".join(units)}.items())
 
     def __dir__(self) -> Iterable[str]:
         """List methods and columns."""

@@ -13,24 +13,11 @@ from hypothesis import strategies as st
 
 import moc_opt as mo
 from moc_opt.errors import MocOptError, RobotError, ScenarioError, TraceError
-from moc_opt.inputs.files import (
-    check_replaceable,
-    decimal,
-    parse_json,
-    read_arrays,
-    read_bytes,
-    read_toml,
-    to_json,
-    to_toml,
-    write_whole,
-)
-from moc_opt.report.document import save_document
+from moc_opt.inputs import files
+from moc_opt.inputs.files import decimal, parse_json, read_bytes, read_toml, to_json, to_toml, write_whole
 from moc_opt.scenario import Scenario
 from moc_opt.scenario.setup import recorded_times
-from moc_opt.study.compare import Comparison
 from moc_opt.trace.trace import Trace
-
-# --- reading ---
 
 
 @pytest.mark.parametrize(
@@ -88,12 +75,6 @@ def test_recorded_times_that_are_none_are_refused_without_a_byte_of_the_file(dat
     assert "secret" not in str(found.value)
 
 
-def test_arrays_come_back(tmp_path):
-    np.savez_compressed(tmp_path / "b.npz", x=np.zeros(10_000), t=np.array(["a"]))
-    found = read_arrays(tmp_path / "b.npz", "set", MocOptError)
-    assert (found["x"].shape, found["t"].tolist()) == ((10_000,), ["a"])
-
-
 @pytest.mark.parametrize("text", ["0_1", "1_000.0", "\u0661", "\uff11", "inf", "nan", "0x1p2", "", "1.2.3", "- 1"])
 def test_what_is_no_decimal_number_is_none(text):
     assert np.isnan(decimal(text))
@@ -104,50 +85,25 @@ def test_every_decimal_number_is_read(value):
     assert decimal(repr(value)) == float(value)
 
 
-# --- writing ---
-
-
-@pytest.fixture
-def full_disk(monkeypatch):
+def test_an_older_file_stays_where_the_disk_is_full(tmp_path, monkeypatch):
     def full(handle):
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr(os, "fsync", full)
-
-
-def writers():
-    """Everything of the package that writes a file for the user."""
-    table = Comparison.__new__(Comparison)
-    object.__setattr__(table, "rows", [{"solver": "exact", "seed": 0}])
-    return {
-        "bytes": lambda path: write_whole(path, b"new"),
-        "trace": mo.Trace({"t_s": [0.0, 0.1]}, {"ended": "completed"}).save, "scenario": Scenario().save,
-        "table of runs": table.save_rows, "page": lambda path: save_document(path, "text", "page", force=True),
-    }  # fmt: skip
-
-
-WRITERS = writers()
-
-
-@pytest.mark.parametrize("name", WRITERS)
-def test_an_older_file_stays_where_the_disk_is_full(name, tmp_path, full_disk):
     path = tmp_path / "file.parquet"
     path.write_bytes(b"old")
     with pytest.raises(MocOptError, match=r"file\.parquet.*No space left on device.*make room"):
-        WRITERS[name](path)
+        write_whole(path, "new")
     assert path.read_bytes() == b"old"
     assert os.listdir(tmp_path) == ["file.parquet"]
 
 
-@pytest.mark.parametrize("name", WRITERS)
-def test_a_writer_replaces_links_and_refuses_pipes_devices_and_folders(name, tmp_path):
+def test_links_are_replaced_and_pipes_devices_and_folders_refused(tmp_path):
     other, link = tmp_path / "other", tmp_path / "link.parquet"
     other.write_bytes(b"mine")
     link.symlink_to(other)
-    WRITERS[name](link)
-    assert other.read_bytes() == b"mine"
-    assert link.is_file()
-    assert not link.is_symlink()
+    write_whole(link, b"new")
+    assert (other.read_bytes(), link.read_bytes(), link.is_symlink()) == (b"mine", b"new", False)
     os.mkfifo(tmp_path / "fifo")
     (tmp_path / "folder").mkdir()
     os.symlink("/dev/null", tmp_path / "null")
@@ -155,7 +111,7 @@ def test_a_writer_replaces_links_and_refuses_pipes_devices_and_folders(name, tmp
     for taken in ("fifo", "folder", "null"):
         mode = os.lstat(tmp_path / taken).st_mode
         with pytest.raises(MocOptError, match=f"{taken}.*a folder, pipe or device is there"):
-            WRITERS[name](tmp_path / taken)
+            write_whole(tmp_path / taken, b"new")
         assert os.lstat(tmp_path / taken).st_mode == mode
     assert sorted(os.listdir(tmp_path)) == before
 
@@ -173,13 +129,11 @@ def test_a_link_at_the_name_of_the_unfinished_file_is_not_followed(tmp_path, mon
 @pytest.mark.parametrize("path", ["/proc/x", "/proc/no/such/x", "/dev/null/x", "a\0b", "x" * 300])
 def test_a_folder_that_takes_no_file_is_named_before_any_work(path, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    for work in (lambda: write_whole(path, b"new"), lambda: check_replaceable(path, "file", MocOptError)):
+    for work in (lambda: write_whole(path, b"new"), lambda: files.check_replaceable(path, "file", MocOptError)):
         with pytest.raises(MocOptError, match=r"cannot be written in the folder '/.*: make room") as found:
             work()
         assert "Errno" not in str(found.value)
 
-
-# --- texts that are written are read again ---
 
 leaves = st.integers(1 - 2**63, 2**63 - 1) | st.floats() | st.text(max_size=3)
 

@@ -2,7 +2,6 @@
 
 import html
 from dataclasses import replace
-from pathlib import Path
 
 import hypothesis.strategies as st
 import pytest
@@ -50,18 +49,6 @@ def test_every_place_where_a_name_is_read_checks_it(bad):
             replace(DATA, **change)
     with pytest.raises(SolverError, match="rename it"):
         registry._of_plugin(bad, [registry.EntryPoint(bad, "math:sqrt", registry.GROUP)])
-
-
-@given(st.one_of(hostile_names, st.text()))
-@settings(max_examples=100)
-def test_any_text_becomes_a_file_of_its_own_folder(text):
-    stem = names.file_stem(text)
-    assert Path("folder", stem).parent == Path("folder")
-    assert stem.isascii()
-    assert stem.isprintable()
-    assert 0 < len(stem) <= names.MAX_LENGTH
-    assert not stem.startswith(".")
-    assert names.file_stem(stem) == stem
 
 
 @given(st.one_of(hostile_names, st.text(st.characters(codec="utf-8", exclude_categories=["Cc"]))))

@@ -45,7 +45,7 @@ class Outer(Settings):
         ("limit", "2", r"limit = '2': a number has no quotes: drop them"),
         ("limit", True, r"limit = True: give a number"),
         ("point", [0.0, "1e-3"], r"\[1\] = '1e-3': a number has no quotes"),
-        ("sizes", {"radius": "0.03"}, r"radius = '0.03': a number has no quotes"),
+        ("sizes", {"radius": "0.03"}, r"\[radius\] = '0.03': a number has no quotes"),
         ("flag", "yes", r"flag = 'yes': give true or false, without quotes"),
         ("flag", 1, r"flag = 1: give true or false"),
     ],

@@ -44,7 +44,7 @@ WRONG = [  # tables; what the message of the constructor says
     ({"deadline_us": float("inf")}, "deadline_us = inf"), ({"control": 5}, "this is a table: write [control]"),
     ({"control": {"c2": -1.0}}, "[control] c2 = -1.0"), ({"control": {"law": "mok"}}, "law = 'mok'"),
     ({"start": {"swivel": 1.5}}, "swivel"), ({"start": {"swivel": "0.3"}}, "no quotes"),
-    ({"trocar": {"depth_m": 150.0}}, "150 mm is 0.15"), ({"task": {"v_max_m_per_s": 50.0}}, "50 mm/s is 0.05"),
+    ({"trocar": {"depth_m": 150.0}}, "depth_m = 150.0"), ({"task": {"v_max_m_per_s": 50.0}}, "v_max_m_per_s = 50.0"),
     ({"trocar": {"breathing_direction": [1, 0]}}, "breathing_direction"),
     ({"task": {"sizes": {"radius": "big"}}}, "sizes.radius = 'big'"),
     ({"plant": {"preset": "nominal", "delay_ticks": -1}}, "[plant] delay_ticks = -1"),
@@ -94,7 +94,7 @@ def test_the_trace_remembers_its_scenario():
     ("text", "message"),
     [
         (b"seed = ", "is not TOML"), (b"seed = 1\nseed = 2", "is not TOML"), (b"law: moc", "is not TOML: .*line 1"),
-        (b'name = "caf\xe9"', "cannot be read"),
+        (b'name = "caf\xe9"', "is not a text in UTF-8"),
         (b"[control]\nK_X = -5.0\n", r"scenario.toml: .*\[control\] K_X = -5.0"),
     ],
 )

@@ -65,9 +65,6 @@ def test_only_what_differs_is_written(tmp_path):
     Scenario().save(tmp_path / "a.toml")
     assert (tmp_path / "a.toml").read_text(encoding="utf-8").strip() == ""
     assert repr(Scenario()) == "Scenario()"
-    assert "tuned" in scenario._repr_html_()
-    assert "nowhere" in Scenario()._repr_html_()
-    assert "nowhere" not in scenario._repr_html_()
 
 
 def optional_fields(kind=Scenario, path=""):
@@ -100,9 +97,6 @@ def test_a_solver_setting_of_none_is_left_out_where_that_means_the_same(tmp_path
     assert mo.solvers.create(again.solver.name, **again.solver.settings) == mo.solvers.create(
         scenario.solver.name, **settings
     )
-    for setting in ("eps", "nothing"):
-        with pytest.raises(ScenarioError, match=rf"{setting} = None has no form in TOML: give"):
-            Scenario(solver={"name": "osqp", "settings": {setting: None}}).save(tmp_path / "b.toml")
 
 
 def test_what_has_no_form_in_toml_is_named(tmp_path):

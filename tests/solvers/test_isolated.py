@@ -12,7 +12,7 @@ import pytest
 from moc_opt.errors import MocOptError, SolverError
 from moc_opt.qp.problem import NullSpaceQP, fields
 from moc_opt.scenario import Scenario, Setup, run
-from moc_opt.solvers.isolated import Isolated, Unanswered
+from moc_opt.solvers.isolated import Isolated, ProcessSettings, Unanswered
 from tests.isolated_solvers import Misbehaving
 from tests.problems import random_problem
 
@@ -26,7 +26,11 @@ def qp():
 
 def started(qp, act="", at=2, folder="", **settings):
     """A session; nothing on a busy machine counts as hung unless the test says so."""
-    return Isolated(Misbehaving(act, at, str(folder)), **{"hang_s": 60.0, **settings}).start(qp)
+    return isolated(Misbehaving(act, at, str(folder)), **{"hang_s": 60.0, **settings}).start(qp)
+
+
+def isolated(solver, budget_us=np.inf, waits=True, **settings):
+    return Isolated(solver, ProcessSettings(**settings), budget_us, waits)
 
 
 def fault_of(session, qp):
@@ -151,9 +155,9 @@ def test_what_the_solver_started_ends_with_it(qp, tmp_path):
 def test_a_process_that_hangs_outlives_a_loop_that_was_killed_by_little():
     """Nobody is there to kill it: it ends by itself, a second after twice the time that counts as hung."""
     code = (
-        "import numpy as np; from tests.problems import random_problem; from moc_opt.solvers.isolated import Isolated; "
+        "import numpy as np; from tests.problems import random_problem; from moc_opt.solvers.isolated import *; "
         "from tests.isolated_solvers import Misbehaving; qp = random_problem(np.random.default_rng(0)); "
-        "s = Isolated(Misbehaving('hang', 1), hang_s=0.2).start(qp); w = s._process; "
+        "s = Isolated(Misbehaving('hang', 1), ProcessSettings(hang_s=0.2)).start(qp); w = s._process; "
         "print(w._process.pid, flush=True); w.ask(1, qp, None, 0.2); import os; os.kill(os.getpid(), 9)"
     )
     said = subprocess.run([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True, check=False)
@@ -169,7 +173,7 @@ def test_a_process_that_hangs_outlives_a_loop_that_was_killed_by_little():
 ])  # fmt: skip
 def test_a_solver_that_cannot_run_there_is_refused_before_anything_moves(qp, act, settings, text):
     with pytest.raises(SolverError, match=text):
-        Isolated(Misbehaving(act), **settings).start(qp)
+        isolated(Misbehaving(act), **settings).start(qp)
 
 
 def test_ctrl_c_ends_a_run_while_a_tick_waits():
