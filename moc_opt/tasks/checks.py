@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -54,11 +54,10 @@ def direction3(name: str, value: ArrayLike) -> Array:
     return read_only(np.asarray(scaled / math.sqrt(float(scaled @ scaled))))
 
 
-def sampled(name: str, value: TimeLike, rows: Callable[[float], Sequence[float]]) -> Array:
-    """Evaluate `rows`, number -> 3 m numbers, at one number or at each of a vector (k,): (m, 3) or (m, k, 3).
+def sampled(name: str, value: TimeLike, rows: Callable[[Array], Array]) -> Array:
+    """Evaluate `rows`, (k,) -> (k, m, 3), at one number or at each of a vector (k,): (m, 3) or (m, k, 3).
 
-    One by one, so that a controller at a tick and a report afterwards get the same bits, which numpy's vector sine
-    does not promise. A TaskError where `value` is neither a number nor a vector.
+    A TaskError where `value` is neither a number nor a vector.
     """
     try:
         array = np.asarray(value, dtype=np.float64)
@@ -66,7 +65,5 @@ def sampled(name: str, value: TimeLike, rows: Callable[[float], Sequence[float]]
         raise TaskError(f"{name} = {value!r} is not usable: give a number or a vector of numbers") from error
     if array.ndim > 1:
         raise TaskError(f"{name} has shape {array.shape}: give a number or a vector (k,)")
-    if array.ndim == 0:
-        return np.array(rows(float(array))).reshape(-1, 3)
-    found = np.array([rows(entry) for entry in array.tolist()] or np.empty((0, len(rows(0.0)))))
-    return np.ascontiguousarray(np.swapaxes(found.reshape(len(array), found.shape[1] // 3, 3), 0, 1))
+    found = np.swapaxes(rows(array.reshape(-1)), 0, 1)
+    return np.ascontiguousarray(found if array.ndim else found[:, 0])

@@ -54,7 +54,6 @@ class Path:
             raise TaskError(f"heading = {heading!r} is parallel to the normal {normal!r}: choose another")
         self.heading = direction3("heading", inside)
         self.left = direction3("left", np.cross(self.normal, self.heading))
-        self._axes = [*zip(self.start.tolist(), self.heading.tolist(), self.left.tolist(), strict=True)]
 
     def curvature(self, s: float) -> float:
         """Return the curvature [1/m] at s [m] in [0, length]; of a planar path with its sign, left being positive."""
@@ -68,18 +67,21 @@ class Path:
         p, dp, ddp = sampled("s", s, self._checked)
         return p, dp, ddp
 
-    def point(self, s: float) -> tuple[float, ...]:
-        """Return the nine numbers p, dp, ddp at s [m] in [0, length], unchecked: for use at every tick."""
-        x, y, tx, ty, k = self.curve.at(s)
-        u, v = -k * ty, k * tx
-        p = [o + a * x + b * y for o, a, b in self._axes]
-        return (*p, *(a * tx + b * ty for _, a, b in self._axes), *(a * u + b * v for _, a, b in self._axes))
-
-    def _checked(self, s: float) -> tuple[float, ...]:
+    def _checked(self, s: Array) -> Array:
         slack = 1e-9 * self.length
-        if not -slack <= s <= self.length + slack:
-            raise TaskError(f"s = {s!r} is outside the path: give an arc length in [0, {self.length!r}] m")
-        return self.point(min(max(s, 0.0), self.length))
+        for one in s[~((s >= -slack) & (s <= self.length + slack))].tolist():
+            raise TaskError(f"s = {one!r} is outside the path: give an arc length in [0, {self.length!r}] m")
+        return self.points(np.clip(s, 0.0, self.length))
+
+    def points(self, s: Array) -> Array:
+        """Return p [m], dp/ds and d2p/ds2 [1/m] as (k, 3, 3) at s (k,) [m] in [0, length], unchecked.
+
+        The curve is evaluated at one number after the other: the same bits in a vector and alone, which numpy's vector
+        sine does not promise.
+        """
+        x, y, tx, ty, k = np.array([self.curve.at(one) for one in s.tolist()]).reshape(-1, 5).T[:, :, None]
+        a, b = self.heading, self.left
+        return np.stack([self.start + a * x + b * y, a * tx + b * ty, a * (-k * ty) + b * (k * tx)], axis=1)
 
 
 class Waypoints(Path):
@@ -115,10 +117,13 @@ class Waypoints(Path):
 
     def curvature(self, s: float) -> float:
         """See `Path.curvature`."""
-        return math.hypot(*self.point(s)[6:])
+        return math.hypot(*self._point(s)[6:])
 
-    def point(self, s: float) -> tuple[float, ...]:
-        """See `Path.point`."""
+    def points(self, s: Array) -> Array:
+        """See `Path.points`."""
+        return np.array([self._point(one) for one in s.tolist()]).reshape(-1, 3, 3)
+
+    def _point(self, s: float) -> tuple[float, ...]:
         w = self._arc.parameter(s)
         k = bisect_right(self._begin, w) - 1
         h, rows = w - self._begin[k], self._rows_of[k]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,10 +15,11 @@ from moc_opt.errors import TaskError
 from moc_opt.tasks.checks import TimeLike, number, positive, sampled
 from moc_opt.tasks.paths import Path
 
+Number = TypeVar("Number", float, Array)
 _PEAK_ACCELERATION = 10.0 / math.sqrt(3.0)
 
 
-def quintic(u: float) -> tuple[float, float, float]:
+def quintic(u: Number) -> tuple[Number, Number, Number]:
     """Return s(u) = 10 u^3 - 15 u^4 + 6 u^5, ds/du and d2s/du2 at u in [0, 1]."""
     w = 1.0 - u
     return (u * u * u * (10.0 + u * (-15.0 + 6.0 * u)), 30.0 * u * u * w * w, 60.0 * u * w * (1.0 - 2.0 * u))
@@ -93,23 +95,23 @@ class Reference:
         Before t_start it rests at the start of the path, after t_start + duration at its end. A TaskError where t is no
         number or vector, or NaN.
         """
-        x, dx, ddx = sampled("t", t, self._numbers)
+        x, dx, ddx = sampled("t", t, self._rows)
         return x, dx, ddx
 
     def rows(self, t: float) -> Array:
         """Return X_d, dX_d, ddX_d as the rows of one (3, 3) array, for one time [s]; a TaskError where t is NaN."""
-        return np.array(self._numbers(t)).reshape(3, 3)
+        return np.asarray(self._rows(np.array([t]))[0])
 
-    def _numbers(self, t: float) -> tuple[float, ...]:
+    def _rows(self, t: Array) -> Array:
         u = (t - self.t_start) / self.duration
-        if math.isnan(u):
-            raise TaskError(f"t = {t!r} is not a time: give seconds")
+        if np.isnan(u).any():
+            raise TaskError(f"t = {t[np.isnan(u)][0]!r} is not a time: give seconds")
         length = self.path.length
-        progress, ds, dds = quintic(min(max(u, 0.0), 1.0))
+        progress, ds, dds = quintic(np.clip(u, 0.0, 1.0))
         v, a = ds * length / self.duration, dds * length / (self.duration * self.duration)
-        x, y, z, tx, ty, tz, cx, cy, cz = self.path.point(min(progress * length, length))
-        c = v * v
-        return x, y, z, v * tx, v * ty, v * tz, a * tx + c * cx, a * ty + c * cy, a * tz + c * cz
+        x, tangent, bend = np.swapaxes(self.path.points(np.minimum(progress * length, length)), 0, 1)
+        v, a = v[:, None], a[:, None]
+        return np.stack([x, v * tangent, a * tangent + v * v * bend], axis=1)
 
 
 class WaitingReference:

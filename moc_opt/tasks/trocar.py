@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -25,7 +25,6 @@ class Trocar:
     breathing_amplitude_m: float = 0.0  #: Largest distance from `point`, zero or above.
     breathing_period_s: float = 4.0  #: Time of one breath.
     direction: ArrayLike = (0.0, 0.0, 1.0)  #: Of the motion, (3,), any length above zero.
-    _axes: list[tuple[float, float]] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         amplitude = number("breathing_amplitude_m", self.breathing_amplitude_m)
@@ -35,7 +34,7 @@ class Trocar:
         period = positive("breathing_period_s", self.breathing_period_s)
         for name, value in (
             ("point", point), ("direction", direction), ("breathing_amplitude_m", amplitude),
-            ("breathing_period_s", period), ("_axes", [*zip(point.tolist(), direction.tolist(), strict=True)]),
+            ("breathing_period_s", period),
         ):  # fmt: skip
             object.__setattr__(self, name, value)
 
@@ -44,21 +43,22 @@ class Trocar:
 
         A TaskError where t is no number or vector, or not finite.
         """
-        p, dp = sampled("t", t, self._numbers)
+        p, dp = sampled("t", t, self._rows)
         return p, dp
 
     def rows(self, t: float) -> Array:
         """Return P_t and dP_t as the rows of one (2, 3) array, for one time [s]; a TaskError where t is not finite."""
-        return np.array(self._numbers(t)).reshape(2, 3)
+        return np.asarray(self._rows(np.array([t]))[0])
 
-    def _numbers(self, t: float) -> tuple[float, ...]:
-        if not math.isfinite(t):
-            raise TaskError(f"t = {t!r} is not a time: give seconds")
-        amplitude, rate = self.breathing_amplitude_m, 2.0 * math.pi / self.breathing_period_s
-        away = amplitude * 0.5 * (1.0 - math.cos(rate * t))
-        speed = amplitude * 0.5 * rate * math.sin(rate * t)
-        (x, a), (y, b), (z, c) = self._axes
-        return x + away * a, y + away * b, z + away * c, speed * a, speed * b, speed * c
+    def _rows(self, t: Array) -> Array:
+        if not np.isfinite(t).all():
+            raise TaskError(f"t = {t[~np.isfinite(t)][0]!r} is not a time: give seconds")
+        rate = 2.0 * math.pi / self.breathing_period_s
+        turns = (rate * t).tolist()  # one by one: numpy's vector sine may round otherwise in a vector than alone
+        away = self.breathing_amplitude_m * 0.5 * (1.0 - np.array([math.cos(turn) for turn in turns]))
+        speed = self.breathing_amplitude_m * 0.5 * rate * np.array([math.sin(turn) for turn in turns])
+        point, direction = np.asarray(self.point), np.asarray(self.direction)
+        return np.stack([point + away[:, None] * direction, speed[:, None] * direction], axis=1)
 
 
 def shaft_distance(tip: ArrayLike, wrist: ArrayLike, p: ArrayLike) -> Array:
