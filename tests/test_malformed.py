@@ -21,9 +21,9 @@ from hypothesis.extra.numpy import array_shapes, arrays
 import moc_opt as mo
 from moc_opt.commands.running import read_waypoints
 from moc_opt.errors import ScenarioError
-from moc_opt.realtime import packets
-from moc_opt.realtime.link import Link, WireSettings
-from moc_opt.realtime.remote import INCOMING, RemoteController
+from moc_opt.realtime import wire
+from moc_opt.realtime.ends import INCOMING, RemoteController
+from moc_opt.realtime.wire import Link, WireSettings
 from moc_opt.robots import loader
 from moc_opt.scenario import Scenario, Setup, make_safety_filter, run
 from moc_opt.sim import Plant
@@ -273,8 +273,8 @@ def ordinary(qp):
 
 KEY, TICKS, SCENARIO = b"k" * 16, 3, 9
 PACKETS = {
-    int(kind): [name for name in packets.layout(kind, 7).names if name not in ("magic", "tag", "kind")]
-    for kind in (packets.Kind.COMMAND, packets.Kind.BYE)
+    int(kind): [name for name in wire.layout(kind, 7).names if name not in ("magic", "tag", "kind")]
+    for kind in (wire.Kind.COMMAND, wire.Kind.BYE)
 }
 odd_fields = numbers | st.sampled_from([200.0, -36.0, 127, 300, 2**32 - 1]) | st.binary(max_size=20)
 sealed = st.sampled_from(sorted(PACKETS)).flatmap(
@@ -293,9 +293,9 @@ def setup():
 
 @many(0.5)
 @given(arriving=st.lists(sealed | st.binary(max_size=400), min_size=1, max_size=8))
-@example(arriving=[(int(packets.Kind.COMMAND), {})])
-@example(arriving=[(int(packets.Kind.COMMAND), {"tau": float("nan")})])
-@example(arriving=[(int(packets.Kind.BYE), {"words": b"\x1b[2J"})])
+@example(arriving=[(int(wire.Kind.COMMAND), {})])
+@example(arriving=[(int(wire.Kind.COMMAND), {"tau": float("nan")})])
+@example(arriving=[(int(wire.Kind.COMMAND), {"flags": 1, "reason": b"\x1b[2J"})])
 def test_no_packet_moves_the_arm_beyond_its_limits_or_steers_a_terminal(robot, setup, arriving):
     hold, seen = robot.gravity(robot.data.q_home), Measurement(np.array(robot.data.q_home), np.zeros(7), np.zeros(6))
     nothing, link = (np.zeros((3, 3)), np.zeros((2, 3))), Link(7, KEY, INCOMING, listen=("127.0.0.1", 0))
@@ -305,9 +305,9 @@ def test_no_packet_moves_the_arm_beyond_its_limits_or_steers_a_terminal(robot, s
     )  # fmt: skip
     columns, session = plant.columns(TICKS), int(plant._packet["session"])
     with ends_well(), contextlib.closing(link), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as peer:
-        for kind in (packets.Kind.HELLO, packets.Kind.START):
-            hand = packets.make_packet(kind, 7, session if kind is packets.Kind.START else 0, SCENARIO)
-            peer.sendto(packets.seal(hand, KEY), link.address)
+        for kind in (wire.Kind.HELLO, wire.Kind.START):
+            hand = wire.make_packet(kind, 7, session if kind is wire.Kind.START else 0, SCENARIO)
+            peer.sendto(wire.seal(hand, KEY), link.address)
         plant.start(seen, *nothing)
         for tick in range(TICKS):
             for one in arriving:
@@ -319,9 +319,9 @@ def test_no_packet_moves_the_arm_beyond_its_limits_or_steers_a_terminal(robot, s
 
 
 def packet(what, session, tick):
-    made = packets.make_packet(packets.Kind(what[0]), 7, session, SCENARIO)
+    made = wire.make_packet(wire.Kind(what[0]), 7, session, SCENARIO)
     made["sequence"] = tick
     for name, value in what[1].items():
         with contextlib.suppress(ValueError, OverflowError, TypeError):  # nothing that the field's bytes can hold
             made[name] = value
-    return packets.seal(made, KEY)
+    return wire.seal(made, KEY)

@@ -194,7 +194,7 @@ def _matched_dcac(scenario: Scenario, title: str, ticks: int) -> Trace | None:
 def run_plant(given: argparse.Namespace) -> int:
     """Wait for a controller, run against the clock, print as `run` does."""
     from moc_opt.realtime.clock import ask_for_realtime
-    from moc_opt.realtime.link import written
+    from moc_opt.realtime.wire import written
     from moc_opt.scenario.wired import PlantServer
 
     scenario, title = read_scenario(given.scenario)

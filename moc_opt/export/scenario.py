@@ -11,7 +11,7 @@ from moc_opt.arrays import Array
 from moc_opt.control import law, safety_filter
 from moc_opt.errors import ScenarioError
 from moc_opt.export.folder import OWN, UDP, Recording, shipped, write
-from moc_opt.realtime.packets import c_packets
+from moc_opt.realtime.wire import c_packets
 from moc_opt.scenario import Scenario, Setup, make_safety_filter
 from moc_opt.scenario.wired import fingerprint
 from moc_opt.sim.loop import FilteredController
@@ -44,8 +44,7 @@ def export_scenario(
     limits = safety_filter.numbers_of(scenario.told_guard, robot, period)
     extra: dict[str, str | bytes] = {}
     if udp:
-        said = fingerprint(scenario, robot), scenario.wire.wait_s, scenario.wire.silence_s
-        packets = c_packets(robot.n, setup.ticks, *said)
+        packets = c_packets(robot.n, setup.ticks, fingerprint(scenario, robot), scenario.wire)
         extra |= {**shipped(OWN, UDP), "wire_packets.h": packets, "reference.bin": references(setup)}
     stop = scenario.guard.stop_damping_Nm_s_per_rad, scenario.guard.stop_s
     return write(

@@ -15,9 +15,7 @@ PRIORITY = 50  #: Of SCHED_FIFO: above ordinary processes, below the threads in 
 class WallClock:
     """Periods that begin at fixed times; a tick that begins more than a period late moves all that follow.
 
-    Attributes:
-        late_us: how late the last tick began [us].
-        overruns: how often the times were moved: this process was not run for more than a period.
+    ``late_us`` is how late the last tick began [us], ``overruns`` how often the times were moved.
     """
 
     def __init__(self, period_s: float) -> None:
@@ -25,10 +23,7 @@ class WallClock:
         self.late_us, self.overruns = 0.0, 0
 
     def wait_for(self, tick: int) -> float:
-        """Sleep until a tick begins; return the time at which its command must be there (of ``time.monotonic``) [s].
-
-        Tick 0 begins one period after it has been asked for.
-        """
+        """Sleep until a tick begins (tick 0 a period from now); return by when its command is due (monotonic) [s]."""
         if tick == 0:
             self._begin = monotonic() + self._period
         due = self._begin + tick * self._period

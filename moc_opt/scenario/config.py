@@ -17,7 +17,7 @@ from moc_opt.control.settings import PRESETS as CONTROL_PRESETS
 from moc_opt.errors import MocOptError, ScenarioError, UnknownNameError
 from moc_opt.inputs.files import as_path, read_toml, to_toml, write_whole
 from moc_opt.inputs.settings import LARGEST_INTEGER, Name, Settings
-from moc_opt.realtime.link import WireSettings
+from moc_opt.realtime.wire import WireSettings
 from moc_opt.scenario.tables import MOST_S, RobotTable, SolverTable, StartTable, TaskTable, TrocarTable
 from moc_opt.sim.faults import FaultSettings
 from moc_opt.sim.sensors import longest_repetition, repeats_no_reading

@@ -7,13 +7,12 @@ import os
 from collections.abc import Callable
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 from moc_opt.inputs.files import to_json
-from moc_opt.realtime.answering import Answering, Ending
 from moc_opt.realtime.clock import WallClock, give_back_realtime
-from moc_opt.realtime.link import Address, Link, WireError, parse_address, read_key
-from moc_opt.realtime.packets import Kind
-from moc_opt.realtime.remote import INCOMING, RemoteController
+from moc_opt.realtime.ends import INCOMING, Answering, Ending, RemoteController
+from moc_opt.realtime.wire import Address, Kind, Link, WireError, parse_address, read_key
 from moc_opt.robots.model import RobotModel, carried
 from moc_opt.scenario.config import Scenario
 from moc_opt.scenario.setup import Setup, make_safety_filter
@@ -76,11 +75,11 @@ class PlantServer(Setup):
         return self._remote  # type: ignore[return-value]
 
     def _judged(self, found: Trace) -> Trace:
-        added = self._remote.close()  # judging may take longer than a controller waits
+        counts: dict[str, Any] = self._remote.close()  # judging may take longer than a controller waits
         if self.system:
             give_back_realtime()
-            added["wire"]["system"] = self.system
-        return super()._judged(found.with_meta(**added))
+            counts["system"] = self.system
+        return super()._judged(found.with_meta(wire=counts))
 
     def trace(self, watch: Callable[[int], None] | None = None, to: str | os.PathLike[str] | None = None) -> Trace:
         """Wait for the controller, run, and return the trace; ``watch`` is not called: the wire keeps the time."""

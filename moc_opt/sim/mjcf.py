@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
-from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
 
-from moc_opt.arrays import Array
 from moc_opt.errors import PlantError, RobotError
 from moc_opt.robots import RobotData
 from moc_opt.sim.settings import GRAVITY, Mismatch
@@ -69,7 +67,6 @@ def build_spec(data: RobotData, *, substep_s: float, gravity: bool = True) -> mu
         joint.solref_friction = (2.0 * substep_s, 1.0)
         joint.solimp_friction = (0.99, 0.99, 0.001, 0.5, 2.0)
 
-
     tool = spec.body(TOOL_BODY)
     if tool is None:
         raise PlantError(f"robot {data.name!r}: its URDF has no link {TOOL_BODY!r}: `load_data` adds it")
@@ -114,8 +111,7 @@ def compile_model(name: str, spec: mujoco.MjSpec) -> mujoco.MjModel:
     try:
         return spec.compile()
     except ValueError as error:
-        said = str(error).strip()
-        raise PlantError(f"robot {name!r}: MuJoCo refuses the model ({said}): correct the link's <inertial>") from error
+        raise PlantError(f"robot {name!r}: MuJoCo refuses it ({error}): correct the link's <inertial>") from error
 
 
 def heavy_links(spec: mujoco.MjSpec) -> list[str]:
@@ -135,26 +131,6 @@ def _bare(urdf: str) -> str:
     return ET.tostring(root, encoding="unicode")
 
 
-def reference_terms(data: RobotData, q: Array, v: Array) -> Iterator[dict[str, Array]]:
-    """Compute M (n,n), h (n,), tip and wrist (3,) by MuJoCo, of a plant without defects, sensors or contact.
-
-    Args:
-        q, v: (k,n) positions [rad] and velocities [rad/s].
-
-    Raises:
-        PlantError: MuJoCo cannot take the robot.
-    """
-    model = compile_model(data.name, build_spec(data, substep_s=0.001))
-    state, M = mujoco.MjData(model), np.zeros((data.n, data.n))
-    tip, wrist = (state.xpos[model.body(name).id] for name in (data.tip_frame, data.wrist_frame))
-    for position, velocity in zip(q, v, strict=True):
-        state.qpos[:], state.qvel[:] = position, velocity
-        mujoco.mj_fwdPosition(model, state)
-        mujoco.mj_fwdVelocity(model, state)
-        mujoco.mj_fullM(model, state, M)
-        yield {"M": M, "h": state.qfrc_bias, "tip": tip, "wrist": wrist}
-
-
 def check_engines(robot: RobotModel) -> None:
     """Compare inertia M, bias h, tip and wrist of pinocchio and MuJoCo, at home and at seeded poses in motion.
 
@@ -165,21 +141,28 @@ def check_engines(robot: RobotModel) -> None:
         PlantError: MuJoCo cannot take the robot.
     """
     data, rng = robot.data, np.random.default_rng(0)
-    q = np.vstack([data.q_home, rng.uniform(data.q_min, data.q_max, (POSES - 1, data.n))])
-    v = rng.uniform(-1.0, 1.0, q.shape) * np.minimum(data.v_max, 1.0)
-    # Rotor inertia is added to both and would hide small links: only its rounding is left in the scale.
+    model = compile_model(data.name, build_spec(data, substep_s=0.001))
+    state, M = mujoco.MjData(model), np.zeros((data.n, data.n))
+    theirs = {
+        "M": M, "h": state.qfrc_bias, "tip": state.xpos[model.body(data.tip_frame).id],
+        "wrist": state.xpos[model.body(data.wrist_frame).id],
+    }  # fmt: skip
     rotor = np.diag(data.rotor_inertia)
-    for position, speed, theirs in zip(q, v, reference_terms(data, q, v), strict=True):
-        ours = robot.state(position, speed)
-        heavy = max(np.abs(theirs["M"] - rotor).max(), 1e-8 * rotor.max())
+    for q in (data.q_home, *rng.uniform(data.q_min, data.q_max, (POSES - 1, data.n))):
+        state.qpos[:], state.qvel[:] = q, rng.uniform(-1.0, 1.0, data.n) * np.minimum(data.v_max, 1.0)
+        mujoco.mj_fwdPosition(model, state)
+        mujoco.mj_fwdVelocity(model, state)
+        mujoco.mj_fullM(model, state, M)
+        ours = robot.state(q, state.qvel)
+        # Rotor inertia is added to both and would hide small links: only its rounding is left in the scale.
+        heavy = max(np.abs(M - rotor).max(), 1e-8 * rotor.max())
         bias, reach = np.abs(theirs["h"]).max() - GRAVITY[2] * heavy, max(1e-3, np.linalg.norm(theirs["tip"]))
         sizes = {"M": (heavy, "kg m^2"), "h": (bias, "Nm"), "tip": (reach, "m"), "wrist": (reach, "m")}
         for name, (size, unit) in sizes.items():
             off = float(np.abs(getattr(ours, name) - theirs[name]).max())
             if not off <= TOLERANCE * size:
                 raise RobotError(
-                    f"robot {data.name!r}: pinocchio and MuJoCo differ in {name} by {off:.3g} {unit}, "
-                    f"{off / size:.2g} of its size ({TOLERANCE:g} is allowed), at q = {np.round(position, 3)}: "
-                    "they read its URDF differently; load it with moc_opt.load_robot, which writes it anew, and if it "
-                    "was, report the file"
+                    f"robot {data.name!r}: pinocchio and MuJoCo differ in {name} by {off:.3g} {unit}, {off / size:.2g} "
+                    f"of its size ({TOLERANCE:g} is allowed), at q = {np.round(q, 3)}: they read its URDF differently; "
+                    "load it with moc_opt.load_robot, which writes it anew, and if it was, report the file"
                 )

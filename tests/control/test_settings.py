@@ -11,7 +11,7 @@ from moc_opt.control.law import numbers_of
 from moc_opt.control.safety_settings import SafetyFilterSettings
 from moc_opt.control.supervisor import SupervisorSettings
 from moc_opt.errors import ControlError, MocOptError, ScenarioError, UnknownNameError
-from moc_opt.realtime.link import WireSettings
+from moc_opt.realtime.wire import WireSettings
 from moc_opt.robots.model import load_robot
 from moc_opt.scenario import Scenario
 from moc_opt.sim import PlantSettings

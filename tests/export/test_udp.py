@@ -18,7 +18,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from moc_opt.realtime.packets import RUNNING, Kind
+from moc_opt.realtime.wire import RUNNING, Kind
 from moc_opt.scenario import Scenario, run
 from moc_opt.scenario.wired import PlantServer
 from moc_opt.trace.trace import Trace

@@ -10,8 +10,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from moc_opt.realtime.link import written
-from moc_opt.realtime.packets import ENDED, Kind
+from moc_opt.realtime.wire import ENDED, Kind, written
 
 Rule = Callable[[Kind, int], bool]
 TO_PLANT, TO_CONTROLLER = 0, 1
@@ -22,14 +21,8 @@ FAULTS = ("drop", "double", "cut", "forge")
 class Relay:
     """Listens for a controller and passes everything on to the plant, and back; a context manager.
 
-    Nothing happens to packets to an end that has got the last one it waits for (the end of the run, its
-    acknowledgement): it no longer counts.
-
-    Args:
-        plant: address of the plant.
-        share: of the packets, for each of FAULTS.
-        lost: (kind, sequence number) -> whether such a packet is lost for good.
-        seed: of what happens to which packet.
+    Each of FAULTS happens to a ``share`` of the packets, by the seed; ``lost`` says of which kind and number a packet
+    is lost for good. Nothing happens to packets to an end that has the last one it waits for: it no longer counts.
     """
 
     def __init__(

@@ -391,7 +391,7 @@ def test_models_that_cannot_be_are_refused():
     for data, words in (
         (replace(DATA, urdf="<robot"), "MuJoCo cannot read"),
         (replace(DATA, joint_names=(*DATA.joint_names[:6], "joint_9")), r"lists .*'joint_9'"),
-        (replace(DATA, urdf=bad), "MuJoCo refuses the model"), (replace(DATA, tip_frame="nib"), r"no links .*'nib'"),
+        (replace(DATA, urdf=bad), "MuJoCo refuses it"), (replace(DATA, tip_frame="nib"), r"no links .*'nib'"),
     ):  # fmt: skip
         with pytest.raises(PlantError, match=words):
             Plant(data, NOMINAL)

@@ -1,32 +1,44 @@
-"""One end of the wire: its settings, its address and key, and a UDP socket that lets only sound packets through.
+"""The wire: its packets for Python and for C, its settings, address and key, and a socket for sound packets alone.
 
-Without a key only processes of this machine can take part, and any of them may. With one, only who has it; nothing is
-encrypted.
+A packet has a fixed size, little-endian numbers and, at its end, BLAKE2s (RFC 7693) with a key over all bytes before.
+Every layout is a numpy dtype; docs/realtime.md has them as tables. Without a key only processes of this machine can
+take part, and any of them may; nothing is encrypted.
 """
 
 from __future__ import annotations
 
+import hashlib
+import hmac
 import os
 import select
 import socket
 from collections.abc import Callable
+from enum import IntEnum
+from functools import cache
 from ipaddress import ip_address
 from pathlib import Path
 from time import monotonic
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
 from moc_opt.errors import MocOptError, describe
 from moc_opt.inputs.files import read_text
 from moc_opt.inputs.settings import Settings
-from moc_opt.realtime.packets import COUNTERS, LOOPBACK_KEY, Kind, Packet, make_packet, seal, sealed
+from moc_opt.qp.layout import offsets
 
+MAGIC, VERSION = b"MOCW", 3
+LOOPBACK_KEY = b"moc_opt: loopback, no secret"
 VARIABLE = "MOC_OPT_WIRE_KEY"
 SHORTEST, LONGEST = 16, 32  #: Bytes of a key; BLAKE2s takes no longer ones.
+TAG_BYTES = 16
 BACKLOG = 256  #: Packets that are looked through at once: a flood of them does not stop the clock.
+COUNTERS = ("received", "missed", "late", "forged", "foreign")
+"""What an end counts; docs/realtime.md says what each is."""
 
+Packet = NDArray[np.void]  #: Of shape (); ``packet["q"]`` is a view of its bytes.
 Address = tuple[str, int]  #: Host and port.
 
 
@@ -51,6 +63,103 @@ class WireSettings(Settings):
     resends: int = Field(
         20, ge=0, description="lock-step: number of times a measurement is sent again; then the tick counts as missed"
     )
+
+
+# --- packets ---
+
+
+class Kind(IntEnum):
+    """The kinds of packet; all but MEASUREMENT go to the plant."""
+
+    HELLO = 1  #: Answered by one measurement.
+    START = 2  #: The controller has started at that measurement: begin.
+    MEASUREMENT = 3
+    COMMAND = 4
+    BYE = 5  #: The end of the run is acknowledged.
+
+
+WAITING, RUNNING, ENDED = 0, 1, 2  #: ``flags`` of a measurement: nothing moves yet; a command is expected; the end.
+STOP, REPORTED = 1, 2  #: Bits in ``flags`` of a command: brake the arm; it holds the third level's results.
+
+# Every field lies at a multiple of its size, so that a C struct of the same fields has the same bytes.
+HEADER: list[tuple[Any, ...]] = [
+    ("magic", "S4"), ("version", "u1"), ("kind", "u1"), ("joints", "u1"), ("flags", "u1"), ("session", "<u8"),
+    ("scenario", "<u8"), ("sequence", "<i8"),
+]  # fmt: skip
+
+
+@cache
+def layout(kind: Kind, n: int) -> np.dtype[Any]:
+    """Return the bytes of a packet for n joints."""
+    bodies: dict[Kind, list[tuple[Any, ...]]] = {
+        Kind.MEASUREMENT: [
+            ("stamp", "<i8"), ("q", "<f8", (n,)), ("v", "<f8", (n,)), ("wrench", "<f8", (6,)),
+            ("commanded", "<f8", (n,)),
+        ],
+        Kind.COMMAND: [
+            ("tau", "<f8", (n,)), ("friction", "<f8", (n,)), ("control_us", "<f8"), ("limited", "<u4"),
+            ("iterations", "<i4"), ("reason", "S96"), ("status", "S16"), ("fault", "S16"), ("solve_us", "<f8"),
+            ("x_rad_per_s", "<f8", (n,)), ("applied_x_rad_per_s", "<f8", (n,)), ("dual", "<f8", (6,)),
+            ("subproblem", "<f8", (offsets(n).end,)),
+        ],
+    }  # fmt: skip
+    return np.dtype([*HEADER, *bodies.get(kind, []), ("tag", f"V{TAG_BYTES}")])
+
+
+def make_packet(kind: Kind, n: int, session: int = 0, scenario: int = 0) -> Packet:
+    """Make a packet of zeros but for its header: the plant's session, and the fingerprint of the scenario."""
+    packet = np.zeros((), layout(kind, n))
+    packet["magic"], packet["version"], packet["kind"], packet["joints"] = MAGIC, VERSION, kind, n
+    packet["session"], packet["scenario"] = session, scenario
+    return packet
+
+
+def seal(packet: Packet, key: bytes) -> bytes:
+    """Return the bytes of a packet with their checksum."""
+    data = packet.tobytes()[:-TAG_BYTES]
+    return data + hashlib.blake2s(data, key=key, digest_size=TAG_BYTES).digest()
+
+
+def sealed(data: bytes, key: bytes) -> bool:
+    """Say whether a packet ends with its checksum."""
+    wanted = hashlib.blake2s(data[:-TAG_BYTES], key=key, digest_size=TAG_BYTES).digest()
+    return hmac.compare_digest(wanted, data[-TAG_BYTES:])
+
+
+def _c_struct(name: str, whole: np.dtype[Any], head: str) -> str:
+    fields = [f"    {head} head;"] if head else []
+    for field in (whole.names or ())[len(HEADER) if head else 0 :]:
+        kind, bits, total = whole[field].base.kind, 8 * whole[field].base.itemsize, 8 * whole[field].itemsize
+        text, sign = kind in "SV", "u" if kind == "u" else ""
+        c_type = {"f": "double", "S": "char", "V": "uint8_t"}.get(kind, f"{sign}int{bits}_t")
+        count = total // (8 if text else bits)
+        fields.append(f"    {c_type} {field}{f'[{count}]' if count > 1 else ''};")
+    check = f'_Static_assert(sizeof({name}) == {whole.itemsize}, "{name}");'
+    return "\n".join(["typedef struct {", *fields, f"}} {name};", check])
+
+
+def c_packets(n: int, ticks: int, scenario: int, settings: WireSettings) -> str:
+    """Write ``wire_packets.h`` of an exported controller: a struct for every kind of packet, and the wire's numbers."""
+    defines = {
+        "JOINTS": n, "TICKS": ticks, "SCENARIO": f"UINT64_C({scenario})", "VERSION": VERSION,
+        "MAGIC": f'"{MAGIC.decode()}"', "LOOPBACK_KEY": f'"{LOOPBACK_KEY.decode()}"', "WAIT_S": settings.wait_s,
+        "SILENCE_S": settings.silence_s, "WAITING": WAITING, "RUNNING": RUNNING, "ENDED": ENDED, "STOP": STOP,
+        "REPORTED": REPORTED, **{f"KIND_{kind.name}": int(kind) for kind in Kind},
+    }  # fmt: skip
+    return "\n".join([
+        "/* The packets of the wire and its numbers, written by moc_opt/realtime/wire.py; see docs/realtime.md. */",
+        "#include <stdint.h>",
+        "#if defined(__BYTE_ORDER__) && __BYTE_ORDER__ != __ORDER_LITTLE_ENDIAN__",
+        '#error "the packets are little-endian"',
+        "#endif",
+        *(f"#define WIRE_{name} {value}" for name, value in defines.items()),
+        f"enum {{ {', '.join(f'WIRE_{name.upper()}' for name in COUNTERS)}, WIRE_COUNTERS }};",
+        _c_struct("wire_header", np.dtype(HEADER), ""),
+        *(_c_struct(f"wire_{kind.name.lower()}", layout(kind, n), "wire_header") for kind in Kind), "",
+    ])  # fmt: skip
+
+
+# --- address and key ---
 
 
 def written(address: Address | None) -> str:
@@ -96,11 +205,8 @@ def read_key(file: Path | None, host: str, option: str) -> bytes:
 class Link:
     """A socket, a key, and the kinds of packet that this end receives; a WireError where the address cannot be taken.
 
-    Attributes:
-        peer: whom to send to; None: not known yet.
-        session: 0 until it is known.
-        quality: a count for each of ``packets.COUNTERS``.
-        sender: of the last packet.
+    It listens at ``address`` and sends to ``peer``. Until they are known, ``peer`` is None and ``session`` is 0.
+    ``quality`` has a count for each of ``COUNTERS``; ``sender`` is that of the last packet.
     """
 
     def __init__(
@@ -110,28 +216,20 @@ class Link:
         self.quality, self.sender = dict.fromkeys(COUNTERS, 0), peer
         self._key, self._incoming = key, {int(kind): make_packet(kind, n) for kind in expected}
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self.close = self._socket.close
         try:
             if listen is not None:
                 self._socket.bind(listen)
             self._socket.setblocking(False)
         except OSError as error:
-            self._socket.close()
+            self.close()
             raise WireError(f"the address {written(listen)} cannot be taken: {error.strerror}; give another") from error
-
-    @property
-    def address(self) -> Address:
-        """Where this end listens."""
-        host, port = self._socket.getsockname()[:2]
-        return str(host), int(port)
+        self.address: Address = self._socket.getsockname()
 
     @property
     def heard(self) -> str:
         """What has come so far, in words."""
         return ", ".join(f"{name} {count}" for name, count in self.quality.items() if count) or "nothing came"
-
-    def close(self) -> None:
-        """Give the socket back."""
-        self._socket.close()
 
     def send(self, packet: Packet, to: Address | None = None) -> None:
         """Seal a packet and send it; one that the system does not take is lost, as any packet may be."""

@@ -1,0 +1,299 @@
+"""The two ends of the wire: a controller that is somewhere else, and the one that answers there.
+
+The plant keeps the time, sends a measurement in every period and expects a command for it; docs/realtime.md has the
+order of the packets and the stages of the watchdog.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from secrets import randbits
+from time import monotonic, perf_counter_ns
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from moc_opt.arrays import Array
+from moc_opt.control.safety_filter import MOST_TICKS, SafetyFilter
+from moc_opt.errors import printable
+from moc_opt.realtime import wire
+from moc_opt.realtime.clock import WallClock
+from moc_opt.realtime.wire import Kind, Link, Packet, WireError, WireSettings, make_packet, written
+from moc_opt.sim.loop import FilteredController, no_collector
+from moc_opt.sim.protocols import Filtered, LoggedController
+from moc_opt.sim.sensors import Measurement
+
+INCOMING = (Kind.HELLO, Kind.START, Kind.COMMAND, Kind.BYE)
+_BYE_S, _BYE_TIMES = 0.1, 10
+_REPEAT_S = 0.1  # after which HELLO and START are sent again
+_LINGER_S = 0.3  # for which the end is acknowledged again
+
+
+class RemoteController(Filtered):
+    """The plant's end: sends each measurement, and returns the torque that comes back, or else the watchdog's.
+
+    `sim.loop.simulate` runs it, with ``pace`` as its ``watch``; ``close`` it afterwards.
+
+    Args:
+        safety_filter: the plant's own, which knows the arm's weight and its brakes.
+        columns: number of ticks -> the columns of the controller at the other end.
+        applied, tau_max: (n,) torque before the first tick, and the largest of a command [Nm].
+        clock: None is lock-step: the plant waits for each command, and sends the measurement again where none comes.
+    """
+
+    stop_reason = ""
+
+    def __init__(
+        self, link: Link, settings: WireSettings, safety_filter: SafetyFilter,
+        columns: Callable[[int], dict[str, NDArray[Any]]], applied: Array, tau_max: Array, scenario: int,
+        clock: WallClock | None,
+    ) -> None:  # fmt: skip
+        self.link, self.clock, self._settings, self._filter = link, clock, settings, safety_filter
+        self._make_columns, self._applied, self._tau_max = columns, applied, np.array(tau_max)
+        self._packet = make_packet(Kind.MEASUREMENT, link.n, randbits(63) | 1, scenario)
+        self._friction, self._tick, self._until, self._silent = np.zeros(link.n), 0, 0.0, 0
+        self._command: Packet | None = None
+
+    limited = property(lambda self: 0 if self._command is None else int(self._command["limited"]))
+    warnings = property(lambda self: [])  # the safety filter is at the other end
+
+    def start(self, seen: Measurement, tip_ref: Array, trocar: Array) -> None:
+        """Show a controller the first measurement, and wait until it has started; a WireError where none comes."""
+        link, packet, self._sound = self.link, self._packet, seen
+        self._fill(seen, wire.WAITING)
+
+        def starts(found: Packet) -> bool:
+            if found["kind"] == Kind.HELLO:
+                link.send(packet, link.sender)
+                return False
+            begins = found["kind"] == Kind.START and found["session"] == packet["session"]
+            link.quality["foreign"] += not begins
+            return bool(begins)
+
+        if link.receive(monotonic() + self._settings.wait_s, starts) is None:
+            raise WireError(
+                f"no controller came to {written(link.address)} within {self._settings.wait_s:g} s ({link.heard}): "
+                "start `moc-opt control` on the same scenario with the same key, or raise [wire] wait_s"
+            )
+        link.peer, link.session = link.sender, int(packet["session"])
+
+    def pace(self, tick: int) -> None:
+        """Wait until a tick begins."""
+        if self.clock is not None:
+            self._until = self.clock.wait_for(tick)
+
+    def tick(self, seen: Measurement, tip_ref: Array, trocar: Array) -> Array:
+        """Send a measurement, and return the torque (n,) [Nm] that came for it, or the watchdog's."""
+        if np.isfinite(seen.q).all() and np.isfinite(seen.v).all():
+            self._sound = seen
+        braked = bool(self._filter.reason)
+        self._command = command = None if braked else self._exchange(seen)
+        self._missed = command is None and not braked
+        self.link.quality["missed"] += self._missed
+        if command is None:
+            self._applied = self._without_command()
+        else:
+            self._silent, self._applied, self._friction = 0, np.array(command["tau"]), np.array(command["friction"])
+            if int(command["flags"]) & wire.STOP and not self.stop_reason:
+                self.stop_reason = _text(command["reason"]) or "the controller asked for it"
+        self._tick += 1
+        return self._applied
+
+    def _without_command(self) -> Array:
+        """Return the watchdog's torque (n,) [Nm]: the one before, then weight and damping, then with closed brakes."""
+        self._silent += 1
+        safety, past, sound = self._filter, self._silent - self._settings.hold_ticks, self._sound
+        if past <= 0:
+            return self._applied
+        if not safety.reason:
+            safety.start(sound.q, sound.v, sound.stamp)  # the weight is that of this pose
+            if past <= self._settings.damp_ticks:
+                return safety.stop_torque(self._applied) - self._settings.damping_Nm_s_per_rad * sound.v
+            safety.request_stop(f"no command from the controller for {self._silent} ticks")
+            self.stop_reason = self.stop_reason or safety.reason
+        self._friction = safety.brake_friction(sound.force)
+        return safety.stop_torque(self._applied)
+
+    def brake_friction(self, seen: Measurement) -> Array:
+        """Return the dry friction (n,) [Nm] that came with the last command, or the watchdog's."""
+        return self._friction
+
+    def columns(self, ticks: int) -> dict[str, NDArray[Any]]:
+        """Create the controller's columns, and those of the wire: lateness of the tick, the controller's own time."""
+        return {
+            **self._make_columns(ticks), "wake_us": np.full(ticks, np.nan), "control_us": np.full(ticks, np.nan),
+            "missed": np.zeros(ticks, dtype=np.bool_),
+        }  # fmt: skip
+
+    def note(self, row: int, columns: Mapping[str, NDArray[Any]]) -> None:
+        """Write the last tick's values into a row, the third level's where the command holds them."""
+        command, columns["missed"][row] = self._command, self._missed
+        if self.clock is not None:
+            columns["wake_us"][row] = self.clock.late_us
+        if command is not None:
+            reported = int(command["flags"]) & wire.REPORTED
+            for name in columns.keys() & set(command.dtype.names or ()) if reported else ("control_us",):
+                value = command[name]
+                columns[name][row] = _text(value) if value.dtype.kind == "S" else value
+
+    def close(self) -> dict[str, int]:
+        """Tell the controller, once, that the run is over; return the counts of this end."""
+
+        def acknowledges(found: Packet) -> bool:
+            self._is_due(found)  # counts commands that come now
+            return bool(found["kind"] == Kind.BYE)
+
+        self._packet["flags"], link = wire.ENDED, self.link
+        for _ in range(_BYE_TIMES if link.session else 0):
+            link.send(self._packet)
+            if link.receive(monotonic() + _BYE_S, acknowledges) is not None:
+                break
+        link.session = 0
+        link.close()
+        return link.quality | ({} if self.clock is None else {"overruns": self.clock.overruns})
+
+    def _fill(self, seen: Measurement, state: int) -> None:
+        packet = self._packet
+        packet["flags"], packet["sequence"], packet["stamp"] = state, self._tick, seen.stamp
+        packet["q"], packet["v"], packet["wrench"], packet["commanded"] = seen.q, seen.v, seen.force, self._applied
+
+    def _exchange(self, seen: Measurement) -> Packet | None:
+        self._fill(seen, wire.RUNNING)
+        # A controller that missed a whole tick is asked once a tick: one that has died ends the run in seconds.
+        for _ in range(1 if self.clock is not None or self._silent else 1 + self._settings.resends):
+            self.link.send(self._packet)
+            until = monotonic() + self._settings.resend_s if self.clock is None else self._until
+            if (command := self.link.receive(until, self._is_due)) is not None:
+                return command
+        return None
+
+    def _is_due(self, found: Packet) -> bool:
+        """Say whether a packet is this tick's command and can be followed; count each command."""
+        if found["kind"] != Kind.COMMAND:
+            return False
+        number, friction = int(found["sequence"]), found["friction"]
+        usable = bool(
+            number == self._tick and (np.abs(found["tau"]) <= self._tau_max).all()
+            and found["limited"] <= self.link.n and ((friction >= 0.0) & (friction < np.inf)).all()
+        )  # fmt: skip
+        self.link.quality["received" if usable else "late" if number < self._tick else "foreign"] += 1
+        return usable
+
+
+def _text(field: NDArray[Any]) -> str:
+    return printable(bytes(field[()]).decode(errors="replace"))
+
+
+@dataclass(frozen=True)
+class Ending:
+    """How a run looked from the controller's end."""
+
+    ended: str  #: "completed", "stopped: ...", "the plant ended the run at tick ...", "the plant has been silent ...".
+    ticks: int  #: measurements that were answered
+    quality: dict[str, int]  #: counts of the plant's packets
+    warnings: list[dict[str, Any]]  #: of the safety filter
+    faults: dict[str, Any]  #: of the third level
+
+
+@dataclass(eq=False)
+class Answering:
+    """The controller's end: answers measurements until the plant ends the run."""
+
+    link: Link
+    settings: WireSettings
+    controller: LoggedController
+    safety_filter: SafetyFilter | None
+    tip_refs: Array  #: (N, 3, 3) rows X_d [m], dX_d [m/s], ddX_d [m/s^2] of every tick.
+    registered: Array  #: (N, 2, 3) place [m] and velocity [m/s] of the registered trocar.
+    scenario: int  #: Fingerprint of the settings that both ends must share.
+    ready: Callable[[], None] = lambda: None  #: Called once when plant and controller are there.
+
+    def run(self) -> Ending:
+        """Find the plant, start at its first measurement, and answer; a WireError where none has this scenario."""
+        link = self.link
+        first = self._ask(Kind.HELLO, waits=True)
+        link.session = int(first["session"])
+        if int(first["scenario"]) != self.scenario:
+            raise WireError(
+                f"the plant at {written(link.peer)} runs another scenario: give both ends the same robot, start, "
+                "trocar, task, seed, period and duration"
+            )
+        self._command = self._packet(Kind.COMMAND)
+        self._command["tau"] = first["commanded"]
+        filtered = FilteredController(self.controller, self.safety_filter, np.array(first["commanded"]))
+        filtered.start(_measurement(first), self.tip_refs[0], self.registered[0])
+        self.ready()
+        with no_collector():
+            ended = self._answer_all(self._ask(Kind.START, waits=False), filtered)
+        if filtered.stop_reason:
+            ended = f"stopped: {filtered.stop_reason}"
+        faults = getattr(self.controller, "faults", {})
+        return Ending(ended, link.quality["received"], link.quality, filtered.warnings, faults)
+
+    def _packet(self, kind: Kind) -> Packet:
+        return make_packet(kind, self.link.n, self.link.session, self.scenario)
+
+    def _ask(self, kind: Kind, *, waits: bool) -> Packet:
+        """Send a packet over and over until a measurement comes, of a plant that waits or of one that does not."""
+        link, request, until = self.link, self._packet(kind), monotonic() + self.settings.wait_s
+        while (now := monotonic()) < until:
+            link.send(request)
+            found = link.receive(min(until, now + _REPEAT_S), lambda packet: (packet["flags"] == wire.WAITING) == waits)
+            if found is not None:
+                return found
+        raise WireError(
+            f"no plant answers at {written(link.peer)} within {self.settings.wait_s:g} s ({link.heard}): start "
+            "`moc-opt plant` there, with the same robot and the same key"
+        )
+
+    def _answer_all(self, found: Packet | None, filtered: FilteredController) -> str:
+        link, quality, newest, whole = self.link, self.link.quality, -1, len(self.tip_refs)
+        while found is not None:
+            number, flags = int(found["sequence"]), int(found["flags"])
+            if flags == wire.ENDED:
+                self._say_bye()
+                done = number + 1
+                return "completed" if done >= whole else f"the plant ended the run at tick {done} of {whole}"
+            if flags != wire.RUNNING or number >= whole or not 0 <= found["stamp"] <= MOST_TICKS:
+                quality["foreign"] += 1
+            elif number > newest:
+                quality["received"] += 1
+                quality["missed"] += number - newest - 1
+                newest = number
+                self._answer(found, filtered)
+            else:
+                quality["late"] += 1
+                if number == newest:  # the plant has not received the answer
+                    link.send(self._command)
+            found = link.receive(monotonic() + self.settings.silence_s)
+        return f"the plant has been silent for {self.settings.silence_s:g} s"
+
+    def _answer(self, found: Packet, filtered: FilteredController) -> None:
+        begin, number, command, seen = perf_counter_ns(), int(found["sequence"]), self._command, _measurement(found)
+        if not np.array_equal(found["commanded"], command["tau"]):  # the plant did not hear, and held another torque
+            filtered.set_applied_torque(np.array(found["commanded"]))
+        command["tau"] = filtered.tick(seen, self.tip_refs[number], self.registered[number])
+        command["sequence"], command["limited"], command["flags"] = number, filtered.limited, wire.REPORTED
+        if filtered.stop_reason:
+            command["flags"] = wire.REPORTED | wire.STOP
+            command["reason"] = filtered.stop_reason.encode()
+            command["friction"] = filtered.brake_friction(seen)
+        command["control_us"] = (perf_counter_ns() - begin) * 1e-3
+        report = self.controller.columns(1)
+        self.controller.note(0, report)
+        for name, column in report.items():
+            command[name] = column[0]
+        self.link.send(command)
+
+    def _say_bye(self) -> None:
+        bye, until = self._packet(Kind.BYE), monotonic() + _LINGER_S
+        self.link.send(bye)
+        while monotonic() < until and (again := self.link.receive(until)) is not None:
+            if again["flags"] == wire.ENDED:
+                self.link.send(bye)
+
+
+def _measurement(packet: Packet) -> Measurement:
+    return Measurement(np.array(packet["q"]), np.array(packet["v"]), np.array(packet["wrench"]), int(packet["stamp"]))
