@@ -77,8 +77,8 @@ def courses(case: Scenario, loops: Mapping[str, Mapping[str, Any]]) -> list[dict
     found = plan(trial)
     row = about(case, "courses") | {
         "executable": found.executable, "blocked": "" if found.blocked is None else found.blocked.reason,
-        "climbed_whole": found.climbed_whole, "map_s": found.map_s, "search_s": found.search_s,
-        "refine_s": found.refine_s, "scratch_s": found.map_s + found.search_s,
+        "climbed_whole": found.climbed_whole, **{f"{part}_s": seconds for part, seconds in found.took_s.items()},
+        "scratch_s": found.took_s["map"] + found.took_s["search"],
     }  # fmt: skip
     mine, best = found.from_start, found.best
     if mine is None or best is None:

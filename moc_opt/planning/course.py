@@ -20,13 +20,7 @@ MOST_VIOLATION = 1e-8  #: Of a course that is taken for one [m], [rad].
 
 @dataclass(frozen=True, eq=False)
 class Targets:
-    """k times; read-only arrays.
-
-    Example:
-        >>> targets = mo.plan(mo.Scenario(duration_s=1.0), times=21, refined=False).targets
-        >>> len(targets), targets.tip.shape, round(targets.period_s, 3)
-        (21, (21, 3), 0.05)
-    """
+    """k times; read-only arrays."""
 
     t_s: Array  #: (k,) evenly spaced [s]
     tip: Array  #: (k,3) [m]
@@ -59,11 +53,8 @@ def lay_targets(
 
     ``span_m`` is from wrist to tip, ``tool_m`` from mount to tip: only so much of the shaft can lie in the trocar [m].
 
-    Raises:
-        TaskError: fewer than two times, or the trocar is not on the shaft at one of them.
+    A TaskError where the trocar is not on the shaft at one of them.
     """
-    if count < 2 or not duration_s > 0.0:
-        raise TaskError(f"count = {count}, duration_s = {duration_s:g}: give two times or more and a positive duration")
     t = np.linspace(0.0, duration_s, count)
     tip = np.ascontiguousarray(reference.at(t)[0])
     trocars = trocar.at(t)[0]
@@ -82,13 +73,7 @@ def lay_targets(
 
 @dataclass(frozen=True, eq=False)
 class Course:
-    """k times, n joints; read-only arrays. ``k`` is less than the path's where the course ends early.
-
-    Example:
-        >>> course = mo.plan(mo.Scenario(duration_s=1.0), times=20, refined=False).best
-        >>> course.q_rad.shape, course.kept, bool(course.mu.min() <= course.mu_mean)
-        ((20, 7), True, True)
-    """
+    """k times, n joints; read-only arrays. ``k`` is less than the path's where the course ends early."""
 
     t_s: Array  #: (k,) [s]
     q_rad: Array  #: (k,n)

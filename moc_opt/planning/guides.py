@@ -1,24 +1,22 @@
 """What the third level follows under ``[control] third_level``, in place of the climb of mu: a course, as a guide.
 
-A course is made before the run, planned or read from the file of ``[control] course`` ("planned"), or made again and
-again in it ("receding"). Both come of one map and the ways read off V (`Ways`), keep to the same limits, and are
-followed by `moc_opt.planning.follow.Follower`.
+"planned" is a course made before the run or read from the file of ``[control] course``, "receding" one made again and
+again in the run. Both come of one map and the ways read off V (`Ways`), and keep the same limits.
 """
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from copy import copy
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
 from moc_opt.arrays import Array
 from moc_opt.control.controller import Guide
 from moc_opt.control.settings import ControlSettings
-from moc_opt.errors import ScenarioError, TaskError, TraceError, is_number, shown
+from moc_opt.errors import ScenarioError, TaskError, TraceError, shown
 from moc_opt.planning.course import Course, Limits, Margin, Targets, between, make_course, margin_at
 from moc_opt.planning.follow import CATCH_UP, NO_COURSE, NODES, Follower, Planner
 from moc_opt.planning.plan import make_plan
@@ -51,8 +49,7 @@ SMOOTHNESS = {"planned": 1e-4, "receding": 5e-4}
 """Weight of a course's acceleration [s^4/rad^2], see `moc_opt.planning.program`; it lowers tip and RCM errors."""
 MOST_OFF_M = 1e-3
 """Largest distance of tip or wrist of a file's course from the run's targets; smoothing moves them off these."""
-MOST_OFF_RAD = 1e-6
-"""Largest difference of a file's first pose from the start, of a joint beyond a limit, of an idle joint's motion."""
+MOST_OFF_RAD = 1e-6  #: Largest difference of a file's first pose from the start, of a joint beyond a limit.
 ROUNDING = 1e-6
 """Of the first time [s]; of the last one, as a share of the run's, and of a speed, as a share of its limit."""
 PLAN_IT = "plan it for this scenario: moc-opt plan SCENARIO --out FILE"
@@ -128,11 +125,7 @@ class Ways:
 def guides(run: Following) -> Callable[[], Guide] | None:
     """Compute once what ``[control] third_level`` needs, and return what makes a guide of it for each controller.
 
-    Both keep to `course_speed_fraction` of the joint speeds, to `course_margin_rad` from the joint limits, or to no
-    margin where the path cannot be executed with it, and to `COURSE_SHARE` of `shaft_margin` where there is a way.
-
-    Returns:
-        None: the third level climbs where it is.
+    None: the third level climbs where it is.
 
     Raises:
         ControlError: the third level cannot follow under these settings.
@@ -210,12 +203,7 @@ def followed_course(run: Following, ways: Ways | None = None) -> Course:
 def load_course(
     settings: ControlSettings, robot: RobotModel, q_start: Array, targets: Targets
 ) -> tuple[Course, Limits]:
-    """Read the file of ``[control] course``: a course at the times of the targets, and its limits.
-
-    Args:
-        settings: names the file, and what a course may do.
-        q_start: (n,) start of the run [rad].
-        targets: of the run; poses between the file's times are interpolated.
+    """Read the file of ``[control] course``: a course from q_start (n,), interpolated at the targets, and its limits.
 
     Raises:
         ScenarioError: the file cannot be read, is no course of this run, or one that its third level cannot follow;
@@ -232,44 +220,36 @@ def load_course(
     t, q = (trace.columns.get(name, np.empty(0)) for name in ("t_s", "q_rad"))
     if why := _no_course(trace, t, q, robot):
         raise refused(why)
-    off = np.abs(q[0] - q_start)
-    if off.max() > MOST_OFF_RAD and trace.meta.get("from_start") is False:
-        cure = f"begin there: [start] q_rad = {[round(angle, 9) for angle in q[0].tolist()]}"
-        raise refused(f"no course begins at this start, the file's is {off.max():.3g} rad from it", cure)
+    off, cure = float(np.abs(q[0] - q_start).max()), PLAN_IT
+    if off > MOST_OFF_RAD:
+        if trace.meta.get("from_start") is False:
+            cure = f"begin there: [start] q_rad = {[round(angle, 9) for angle in q[0].tolist()]}"
+        raise refused(f"it begins {off:.3g} rad from the start of the run", cure)
     poses, end_s = between(targets.t_s, t, q), float(targets.t_s[-1])
+    if abs(t[0]) > ROUNDING or abs(t[-1] - end_s) > ROUNDING * end_s:
+        raise refused(f"it goes from {t[0]:.4g} to {t[-1]:.4g} s, the run from 0 to {end_s:.4g}")
     tips, wrists = robot.tool_along(poses)
     away = np.maximum(np.linalg.norm(tips - targets.tip, axis=1), np.linalg.norm(wrists - targets.wrist, axis=1))
     k = int(np.argmax(away))
-    if abs(t[0]) > ROUNDING or abs(t[-1] - end_s) > ROUNDING * end_s:
-        raise refused(f"it goes from {t[0]:.4g} to {t[-1]:.4g} s, the run from 0 to {end_s:.4g}")
-    if off.max() <= MOST_OFF_RAD and not away[k] <= MOST_OFF_M:
+    if away[k] > MOST_OFF_M:
         raise refused(f"tip or wrist is {1e3 * away[k]:.3g} mm off path and shaft at t = {targets.t_s[k]:.3g} s")
     shares = speed_shares(robot, poses, targets.period_s)
     if (fast := too_fast_to_follow(settings, robot, shares)) is not None:
         raise refused(*fast)
-    idle = np.where(robot.moves.any(axis=0), 0.0, np.abs(poses - q_start).max(axis=0))
     beyond = np.maximum(poses - robot.q_max, robot.q_min - poses).max(axis=0)
-    for each, what in (
-        (off, "begins {:.3g} rad from the start of the run"), (beyond, "goes {:.3g} rad beyond its limit"),
-        (idle, "moves neither tip nor wrist and turns by {:.3g} rad"),
-    ):  # fmt: skip
-        j = int(np.argmax(each))
-        if not each[j] <= MOST_OFF_RAD:
-            raise refused(f"{robot.data.joint_names[j]} {what.format(each[j])}")
-    within = trace.meta.get("within", {})
-    told: dict[str, Any] = {"margin_rad": 0.0, "margin_m": 0.0, "speed_share": 1.0, "shaft_margin": 0.0}
-    for name, usual in told.items():
-        told[name] = value = within.get(name, usual) if isinstance(within, Mapping) else None
-        if not isinstance(value, int | float) or not value >= 0.0:
-            raise refused(f"meta['within'] has no usable {name}: {shown(value)}")
+    j = int(np.argmax(beyond))
+    if beyond[j] > MOST_OFF_RAD:
+        raise refused(f"{robot.data.joint_names[j]} goes {beyond[j]:.3g} rad beyond its limit")
+    within = {"margin_rad": 0.0, "margin_m": 0.0, "speed_share": 1.0, "shaft_margin": 0.0}
+    within |= trace.meta.get("within", {})
     margin = margin_of(
-        robot, max(settings.course_margin_rad, told["margin_rad"]), max(settings.limit_margin_m, told["margin_m"])
+        robot, max(settings.course_margin_rad, within["margin_rad"]), max(settings.limit_margin_m, within["margin_m"])
     )
     allowed, fastest = settings.course_speed_fraction, float(shares.max())
     limits = Limits(
         # A smoother course begins at this one: it is asked for no margin that this one has not.
-        margin_at(robot, poses, margin), max(fastest, min(allowed, told["speed_share"])),
-        max(COURSE_SHARE * settings.shaft_margin, told["shaft_margin"]),
+        margin_at(robot, poses, margin), max(fastest, min(allowed, within["speed_share"])),
+        max(COURSE_SHARE * settings.shaft_margin, within["shaft_margin"]),
     )  # fmt: skip
     return make_course(robot, targets, poses, Limits(speed_share=allowed)), limits
 
@@ -304,13 +284,6 @@ def too_fast_to_follow(settings: ControlSettings, robot: RobotModel, shares: Arr
 
 
 def margin_of(robot: RobotModel, margin_rad: float, margin_m: float) -> Margin:
-    """Return one number where no joint slides, else one per joint (n,).
-
-    Raises:
-        TaskError: a margin is no number of zero or more.
-    """
-    for name, value in (("margin_rad", margin_rad), ("margin_m", margin_m)):
-        if not is_number(value) or not 0.0 <= value < np.inf:
-            raise TaskError(f"{name} = {value!r}: give zero or more, and less than half of every joint's range")
+    """Return one number where no joint slides, else one per joint (n,)."""
     slides = robot.chain.prismatic
     return np.where(slides, margin_m, margin_rad) if slides.any() else margin_rad

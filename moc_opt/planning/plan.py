@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -24,13 +25,7 @@ ROOM = 0.01
 
 @dataclass(frozen=True, eq=False)
 class Blocked:
-    """The first point of the path that no course reaches from the start.
-
-    Example:
-        >>> blocked = mo.plan(mo.Scenario(duration_s=4.0), times=20, speed_share=0.01, refined=False).blocked
-        >>> blocked.t_s > 0.0, "times its speed limit" in blocked.reason
-        (True, True)
-    """
+    """The first point of the path that no course reaches from the start."""
 
     t_s: float  #: When the run would be there [s].
     arc_length_m: float  #: Way of the tip up to it [m].
@@ -40,15 +35,7 @@ class Blocked:
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """A path planned from one start; k times, n joints.
-
-    Example:
-        >>> plan = mo.plan(mo.Scenario(duration_s=1.0), times=20, refined=False)
-        >>> plan.executable, plan.course.q_rad.shape, plan.climbed_whole
-        (True, (20, 7), True)
-        >>> bool(plan.from_start.mu_mean <= plan.best.mu_mean <= plan.bound)
-        True
-    """
+    """A path planned from one start; k times, n joints."""
 
     targets: Targets  #: Targets of tip and wrist on the path, (k,3) each [m], at (k,) times [s].
     from_start: Course | None  #: The best course from the start; None: the path cannot be executed from there.
@@ -62,10 +49,8 @@ class Plan:
     start_swivel_rad: float  #: Of the elbow at the start [rad]; see `moc_opt.planning.elbow`.
     best_swivel_rad: float  #: The start swivel proposed: that of ``best``; NaN: there is none.
     swivel_rad: Array  #: (k,) of ``course`` [rad]; empty where there is none
-    map_s: float  #: Time for the map [s].
-    search_s: float  #: Time for the courses by dynamic programming, without their bounds [s].
-    bound_s: float  #: Time for their bounds [s].
-    refine_s: float  #: Time for refining them [s].
+    took_s: Mapping[str, float]
+    """Time for the "map", the "search" (courses by dynamic programming), their "bound" and "refine" [s]."""
 
     def __repr__(self) -> str:
         return f"Plan({', '.join(f'{name}: {value}' for name, value in self._shown().items())})"
@@ -122,21 +107,21 @@ def make_plan(
     off = max(np.abs(tips[0] - targets.tip[0]).max(), np.abs(wrists[0] - targets.wrist[0]).max())
     if off > 1e-6:
         raise TaskError(f"q_start: tip or wrist is {1e3 * off:.3g} mm from the path's first point: begin it there")
-    limits, clock = replace(limits, margin=margin_at(robot, start, limits.margin)), [time.perf_counter()]
+    limits = replace(limits, margin=margin_at(robot, start, limits.margin))
+    took, began = dict[str, float](), time.perf_counter()
 
-    def took() -> float:
-        clock.append(time.perf_counter())
-        return clock[-1] - clock[-2]
+    def done(part: str) -> None:
+        took[part] = time.perf_counter() - began - sum(took.values())
 
     whole = map_of(robot, start, targets, swivels)
     found, top = keeping_shaft(whole, limits), float(np.nanmax(whole.mu, initial=0.0))
-    map_s = took()
+    done("map")
     value = Value(found, limits)
     grid = [best_course(value, begin) for begin in (start, None)]
-    search_s = took()
+    done("search")
     relaxed = Value(found, limits, cell=WHOLE_CELL)
     bounds = [relaxed.of(start, float(robot.state(start).mu)), relaxed.best()[0]]
-    bound_s = took()
+    done("bound")
 
     def better(one: Course | None, other: Course | None) -> Course | None:
         both = [course for course in (one, other) if course is not None]
@@ -154,7 +139,7 @@ def make_plan(
                 course = better(course, other if other.kept else None)
         courses.append(course)
     mine, best = courses[0], better(courses[1], courses[0])  # the given start is one of all starts
-    refine_s = took()
+    done("refine")
     elbow, shown = Elbow(robot, targets.wrist), mine if mine is not None else best
     # None without a course, and where the course shows that it is none.
     mine_most, most = (
@@ -168,23 +153,24 @@ def make_plan(
         start_swivel_rad=float(elbow.swivel(start[None])[0]),
         best_swivel_rad=np.nan if best is None else float(elbow.swivel(best.q_rad[:1])[0]),
         swivel_rad=np.empty(0) if shown is None else np.unwrap(elbow.swivel(shown.q_rad)),
-        map_s=map_s, search_s=search_s, bound_s=bound_s, refine_s=refine_s,
+        took_s=took,
     )  # fmt: skip
 
 
 def check_limits(robot: RobotModel, limits: Limits) -> None:
     """Check what a plan is asked for; a TaskError where something is out of range."""
-    margin = limits.margin
     for name, value, least, most, words in (
         ("speed_share", limits.speed_share, 1e-300, 1.0, "a share above 0 up to 1"),
         ("shaft_margin", limits.shaft, 0.0, 1.0, "a share of the squared lever from 0 to 1"),
     ):
         if not is_number(value) or not least <= value <= most:
             raise TaskError(f"{name} = {value!r}: give {words}")
-    one = is_number(margin) or (isinstance(margin, np.ndarray) and margin.shape == (robot.n,))
-    if not one or not ((np.asarray(margin) >= 0.0) & (2.0 * np.asarray(margin) < robot.q_max - robot.q_min)).all():
-        name = "margin_rad" if is_number(margin) else "margin_rad and margin_m, joint by joint,"
-        raise TaskError(f"{name} = {margin!r}: give zero or more, and less than half of every joint's range")
+    sizes = np.asarray(limits.margin)
+    known = is_number(limits.margin) or (sizes.dtype == np.float64 and sizes.shape == (robot.n,))
+    if not known or not ((sizes >= 0.0) & (2.0 * sizes < robot.q_max - robot.q_min)).all():
+        raise TaskError(
+            f"margin_rad or margin_m = {limits.margin!r}: give zero or more, and less than half of every joint's range"
+        )
 
 
 def best_course(value: Value, start: Array | None) -> Array | None:

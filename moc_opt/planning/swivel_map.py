@@ -1,14 +1,10 @@
 """The manipulability map: mu over time along the path and elbow swivel, with the trajectories that runs took on it.
 
-At every time the path asks for one tip and, through the trocar, one wrist centre; what is left to the arm is one
-number, the swivel of the elbow. The map shows every swivel there is, and where a joint limit forbids it: the poses
-are found without limits, and each joint is then taken whole turns nearer to the middle of its range.
-
-`read_trajectory` says how long a run is at the optimum, and what keeps it from there. Where it ends off the optimum,
-the map is climbed from there at the time of the end: upwards in mu, swivel by swivel, up to the first pose beyond a
-joint limit. A climb that stops close by, at a local maximum or at the edge of the feasible poses, is what holds the
-run. Where the way up is open, only the run itself can tell why it is not there: a controller without third level, or
-the box of the third level, which closes before the joint limits that the map shows.
+The map shows every swivel of the elbow, and where a joint limit forbids it. `read_trajectory` says how long a run is at
+the optimum. Where it ends off the optimum, the map is climbed from there at the time of the end, up to the first pose
+beyond a joint limit: a climb that stops close by, at a local maximum or at the edge of the feasible poses, is what
+holds the run. Where the way up is open, only the run itself can tell why it is not there: a controller without third
+level, or the box of the third level, which closes before the joint limits that the map shows.
 """
 
 from __future__ import annotations
@@ -40,7 +36,6 @@ NEAR = 0.02  #: A trajectory is at the optimum where its mu is at most this frac
 END = 0.2  #: The last part of a trajectory, as a fraction of its time, which gives its end.
 CLOSE_RAD = np.radians(12.0)  #: Nearer to a local maximum or the edge of the feasible poses, a run is held by it.
 STILL_RAD_PER_S = np.radians(1.0)
-ALIKE_RAD = np.radians(3.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -240,7 +235,6 @@ class Reading:
     end: End
     joint: int  #: The joint (from 1) whose limit it stands before; 0 where that is the arm's reach, or nothing.
     at_edge: float  #: Share of the time in which its pose is infeasible, or a row of the map from such a pose.
-    limits: tuple[int, ...]  #: Whose limits these are, joints from 1.
 
 
 def read_trajectory(found: SwivelMap, name: str) -> Reading:
@@ -249,7 +243,7 @@ def read_trajectory(found: SwivelMap, name: str) -> Reading:
     travel, nan = float(np.unwrap(run.swivel_rad)[-1] - run.swivel_rad[0]), np.nan
     if not known.any() or run.gap_rad > OTHER_BRANCH_RAD:
         end = End.OTHER_BRANCH if known.any() else End.UNKNOWN
-        return Reading(name, nan, nan, travel, nan, end, 0, nan, ())
+        return Reading(name, nan, nan, travel, nan, end, 0, nan)
     best = np.interp(run.t_s, found.t_s[known], found.best_mu[known])
     near = run.mu >= (1.0 - NEAR) * best
     late = run.t_s >= run.t_s[-1] - END * (run.t_s[-1] - run.t_s[0])
@@ -259,34 +253,11 @@ def read_trajectory(found: SwivelMap, name: str) -> Reading:
         since = float(run.t_s[min(off + 1, len(near) - 1)])
     else:
         end, joint = _what_holds(found, run, late)
-    share = float(run.mu.mean() / best.mean())
-    return Reading(name, float(near.mean()), share, travel, since, end, joint, *_at_edge(found, run))
-
-
-def alike(found: SwivelMap, within_rad: float = ALIKE_RAD) -> dict[str, list[str]]:
-    """Group the trajectories whose swivels never lie farther apart at the same time: first of a kind -> the others."""
-    kinds: dict[str, list[str]] = {}
-    for name, trajectory in found.trajectories.items():
-        alike = (first for first in kinds if _apart(found.trajectories[first], trajectory) <= within_rad)
-        kinds.setdefault(next(alike, name), []).append(name)
-    return {first: names[1:] for first, names in kinds.items()}
-
-
-def _apart(one: Trajectory, two: Trajectory) -> float:
-    longer = abs(one.t_s[-1] - two.t_s[-1]) > 0.02 * (one.t_s[-1] - one.t_s[0])
-    folded = (one.gap_rad > OTHER_BRANCH_RAD) != (two.gap_rad > OTHER_BRANCH_RAD)
-    if longer or folded:
-        return float("inf")
-    there = np.interp(one.t_s, two.t_s, np.unwrap(two.swivel_rad))
-    return float(np.abs(wrapped(there - one.swivel_rad)).max())
-
-
-def _at_edge(found: SwivelMap, run: Trajectory) -> tuple[float, tuple[int, ...]]:
     columns = np.abs(found.t_s[None] - run.t_s[:, None]).argmin(axis=1)
     rows = np.abs(wrapped(found.swivel_rad[None] - run.swivel_rad[:, None])).argmin(axis=1)
     beside = found.limit[columns[:, None], (rows[:, None] + [-1, 0, 1]) % len(found.swivel_rad)]
-    joints = np.unique(beside[beside > FEASIBLE])
-    return float((beside != FEASIBLE).any(axis=1).mean()), tuple(int(joint) for joint in joints)
+    edge = float((beside != FEASIBLE).any(axis=1).mean())
+    return Reading(name, float(near.mean()), float(run.mu.mean() / best.mean()), travel, since, end, joint, edge)
 
 
 def _what_holds(found: SwivelMap, run: Trajectory, late: NDArray[np.bool_]) -> tuple[End, int]:

@@ -25,7 +25,6 @@ from moc_opt.planning.swivel_map import (
     End,
     Reading,
     SwivelMap,
-    alike,
     manipulability_map,
     read_trajectory,
 )
@@ -82,8 +81,8 @@ def add_map(page: Page, found: SwivelMap, *, styles: Styles | None = None) -> li
     page.figure(
         drawn, f"Every pose that keeps tip and trocar, over time ({times} by {swivels} poses): upwards the swivel of "
         "the elbow, as colour the manipulability mu; grey where a joint would be beyond its limit or the arm does not "
-        "reach. A line is the trajectory of one run, or of several that never differ visibly, from the marker at its "
-        "start; the dotted one joins the best poses, and may leap where no arm can follow.", name="map",
+        "reach. A line is the trajectory of one run, from the marker at its start; the dotted one joins the best "
+        "poses, and may leap where no arm can follow.", name="map",
     )  # fmt: skip
     page.table(Table("Trajectories on the map", COLUMNS, [_row(one) for one in readings]))
     return readings
@@ -126,8 +125,7 @@ def load_map(files: Sequence[str | os.PathLike[str]]) -> Page:
 def map_figure(found: SwivelMap, styles: Styles | None = None) -> go.Figure:
     """Draw mu as colour over time and swivel, grey where no pose is allowed, and a line for every run.
 
-    Runs that never differ by more than 3 deg share a line. A run that folds the arm another way than the map is
-    dotted: the colours under it are not its own.
+    A run that folds the arm another way than the map is dotted: the colours under it are not its own.
 
     Raises:
         ReportError: no pose of the map is allowed.
@@ -135,21 +133,17 @@ def map_figure(found: SwivelMap, styles: Styles | None = None) -> go.Figure:
     styles, allowed = styles or Styles(found.trajectories), found.limit == FEASIBLE
     if not allowed.any():
         raise ReportError("no pose on the map is within the joint limits: check trocar and path")
-    lines = {
-        first: listed([first, *others]) if len(others) < 3 else f"{first} and {len(others)} more"
-        for first, others in alike(found).items()
-    }
-    drawn = figure(height=HEIGHT_PX + legend_height([*lines.values(), "best", "not allowed"]), margin_t=24)
+    runs = found.trajectories
+    drawn = figure(height=HEIGHT_PX + legend_height([*runs, "best", "not allowed"]), margin_t=24)
     _colors(drawn, found, allowed)
     best = _broken(found.t_s, np.degrees(found.best_swivel_rad), found.best_mu)
     _edge(drawn, best, "best")
-    for name, title in lines.items():
-        run = found.trajectories[name]
+    for name, run in runs.items():
         dash = "dot" if run.gap_rad > OTHER_BRANCH_RAD else styles[name].dash
         trail = _broken(run.t_s, np.degrees(run.swivel_rad), run.mu)
         _edge(drawn, trail, name)
         drawn.add_scatter(
-            **trail, legendgroup=name, name=label(title), hovertemplate=HOVER,
+            **trail, legendgroup=name, name=label(name), hovertemplate=HOVER,
             line={"color": styles[name].color, "width": 2.4, "dash": dash},
         )  # fmt: skip
     # Above the others: a run that has arrived lies on it. The map is light on dark pages too, the legend is not: its
@@ -158,7 +152,7 @@ def map_figure(found: SwivelMap, styles: Styles | None = None) -> go.Figure:
     line = {"width": 2.0, "dash": "dot"}
     drawn.add_scatter(**best, **dotted, showlegend=False, hovertemplate=HOVER, line={"color": BEST, **line})
     drawn.add_scatter(x=[None], y=[None], mode="lines", **dotted, line={"color": INK, **line})
-    starts = [found.trajectories[name] for name in lines]
+    starts = list(runs.values())
     drawn.add_scatter(
         x=[run.t_s[0] for run in starts], y=[math.degrees(run.swivel_rad[0]) for run in starts], mode="markers",
         showlegend=False, hoverinfo="skip", cliponaxis=False,

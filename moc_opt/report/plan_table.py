@@ -37,9 +37,9 @@ COURSES_TERMS = (
 def plan_json(plan: Plan) -> dict[str, Any]:
     """Return the figures of a plan, nested as the tables are."""
     stuck = plan.blocked
-    same = ("executable", "bound_from_start", "bound", "map_s", "search_s", "bound_s", "refine_s")
     return {
-        **{name: getattr(plan, name) for name in same},
+        "executable": plan.executable, "bound_from_start": plan.bound_from_start, "bound": plan.bound,
+        **{f"{part}_s": seconds for part, seconds in plan.took_s.items()},
         "blocked": None if stuck is None else {
             "t_s": stuck.t_s, "arc_length_mm": 1e3 * stuck.arc_length_m, "tip_m": list(stuck.tip_m),
             "reason": stuck.reason,
@@ -73,8 +73,7 @@ def plan_tables(name: str, plan: Plan, **within: float) -> list[Table]:
     for what, bound in (("bound from this start", plan.bound_from_start), ("bound over all starts", plan.bound)):
         if math.isfinite(bound):
             said[f"{what} (mean mu)"] = f"{bound:.5f}"
-    parts = (("map", plan.map_s), ("search", plan.search_s), ("bounds", plan.bound_s), ("refinement", plan.refine_s))
-    said["computed in"] = ", ".join(f"{what} {seconds:.2f} s" for what, seconds in parts)
+    said["computed in"] = ", ".join(f"{part} {seconds:.2f} s" for part, seconds in plan.took_s.items())
     rows = [{"what": what, "value": value} for what, value in said.items()]
     courses = Table("Courses, best in mean mu", COURSES, _courses(plan), COURSES_TERMS)
     return [Table(f"Plan of {name}", VERDICT, rows, VERDICT_TERMS), courses]
