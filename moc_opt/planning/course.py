@@ -162,3 +162,10 @@ def make_course(robot: RobotModel, targets: Targets, q: Array, limits: Limits | 
     violation = float(max(off, beyond, fast.max(initial=-np.inf), 0.0))
     t, poses, mu = np.array(targets.t_s[:count]), np.array(q), robot.mu_along(q)
     return Course(read_only(t), read_only(poses), read_only(mu), violation)
+
+
+def worth(robot: RobotModel, course: Course, limits: Limits, top: float) -> float:
+    """Return a course's mean mu [m^3], mu lowered where the shaft is nearly lost, as on the map."""
+    if limits.shaft <= 0.0:
+        return course.mu_mean
+    return time_mean(lowered(course.mu, shaft_shares(robot, course.q_rad), limits, top))

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from moc_opt.arrays import Array
-from moc_opt.errors import RobotError
 from moc_opt.planning.self_motion import SelfMotion, curve_through, parabola_peak
 from moc_opt.robots.chain import link_frames
 from moc_opt.robots.model import RobotModel
@@ -21,6 +20,7 @@ NEAR_RAD = 0.1
 STILL_RAD_PER_S = 0.05
 """An elbow that is slower relative to its optimum is stuck or held; in a transient it does 0.3 to 0.8 rad/s."""
 SAMPLES_PER_S = 25.0  #: How often the self-motion is scanned along a run.
+STEP_RAD = 0.1  #: Of the samples of a self-motion.
 WINDOW_S = 0.1  #: The speed is the change of the distance to go over this time.
 
 
@@ -60,31 +60,25 @@ def wrapped(angles: Array) -> Array:
     return np.asarray(angles - 2.0 * np.pi * np.floor(angles / (2.0 * np.pi) + 0.5))
 
 
-def uphill(curve: SelfMotion) -> tuple[float, float]:
-    """Return the arc length [rad] from the scan's pose (s = 0) to the local maximum of mu uphill of it, and mu there.
+def distance_to_go(robot: RobotModel, q: ArrayLike) -> Array:
+    """Return the distance to go (k,) [rad] at poses q (k, n) [rad].
 
-    The maximum is refined by a parabola between the samples; at a joint limit it is the last sample.
+    It is the arc length in joint space, idle joints left out, to the maximum of mu to which a gradient leads, refined
+    by a parabola between the samples. NaN where a pose is singular: no single curve leads through it. A pose beyond a
+    limit is taken at the limit.
     """
+    poses = np.clip(np.asarray(q, dtype=np.float64), robot.q_min, robot.q_max)
+    curves = (curve_through(robot, pose, STEP_RAD) for pose in poses)
+    return np.array([np.nan if curve is None else _uphill(curve) for curve in curves])
+
+
+def _uphill(curve: SelfMotion) -> float:
     s, mu, i = curve.s, np.pad(curve.mu, 1, constant_values=-np.inf), 1 + int(np.argmin(np.abs(curve.s)))
     side = 1 if mu[i + 1] >= mu[i - 1] else -1
     while mu[i + side] > mu[i]:
         i += side
-    if not 1 < i < len(s):
-        return abs(float(s[i - 1])), float(mu[i])
-    step, height = parabola_peak(s[i - 2 : i + 1], mu[i - 1 : i + 2])
-    return abs(float(s[i - 1]) + step), float(mu[i] + height)
-
-
-def distance_to_go(robot: RobotModel, q: ArrayLike, step: float = 0.1) -> tuple[Array, Array]:
-    """Return the distance to go (k,) [rad] and the mu that waits there (k,) [m^3], for poses q (k, n) [rad].
-
-    It is the arc length in joint space, idle joints left out, to the maximum of mu to which a gradient leads. NaN where
-    a pose is singular: no single curve leads through it. A pose beyond a limit is taken at the limit.
-    """
-    poses = np.clip(np.asarray(q, dtype=np.float64), robot.q_min, robot.q_max)
-    curves = [curve_through(robot, pose, step) for pose in poses]
-    found = np.array([(np.nan, np.nan) if curve is None else uphill(curve) for curve in curves]).reshape(-1, 2)
-    return found[:, 0], found[:, 1]
+    inside = 1 < i < len(s)  # at a joint limit the maximum is the last sample
+    return abs(float(s[i - 1]) + (parabola_peak(s[i - 2 : i + 1], mu[i - 1 : i + 2])[0] if inside else 0.0))
 
 
 def in_transient(robot: RobotModel, t_s: ArrayLike, q_rad: ArrayLike) -> NDArray[np.bool_]:
@@ -95,16 +89,11 @@ def in_transient(robot: RobotModel, t_s: ArrayLike, q_rad: ArrayLike) -> NDArray
 
     Args:
         t_s, q_rad: (N,) time of each tick [s], (N, n) true joint positions [rad].
-
-    Raises:
-        RobotError: no ticks, or poses of another arm.
     """
     t, q = np.asarray(t_s, dtype=np.float64), np.asarray(q_rad, dtype=np.float64)
-    if len(t) == 0 or q.shape != (len(t), robot.n):
-        raise RobotError(f"t_s has {len(t)} ticks, q_rad shape {q.shape}: give (N,) and (N, {robot.n}), N > 0")
     count = max(2, int(np.ceil((t[-1] - t[0]) * SAMPLES_PER_S)) + 1)
     ticks = np.unique(np.linspace(0, len(t) - 1, min(count, len(t))).round().astype(int))
-    distance, _ = distance_to_go(robot, q[ticks])
+    distance = distance_to_go(robot, q[ticks])
     known = np.isfinite(distance)
     if known.sum() < 2:
         return np.zeros(len(t), dtype=np.bool_)

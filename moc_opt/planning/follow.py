@@ -62,10 +62,9 @@ class Planner:
     def __init__(
         self, value: Value, program: Program, targets: Targets, *, horizon_s: float, rate_per_s: float
     ) -> None:
-        """Take V over the path, a program of `NODES` times, and targets that are interpolated between.
+        """Take V, a program of `NODES` times, and targets that are interpolated between.
 
-        ``horizon_s`` is the least time from the measured pose to where V takes over [s], ``rate_per_s`` the number of
-        solves in a second.
+        ``horizon_s`` is the least time from the measured pose to where V takes over [s], ``rate_per_s`` counts solves.
         """
         self._value, self._program, self._targets = value, program, targets
         self._horizon_s, self.rate_per_s = horizon_s, rate_per_s
@@ -130,19 +129,16 @@ class Follower:
     ) -> None:  # fmt: skip
         """Follow a course from t = 0 on, and hold its last pose; or what the planner makes from ``q_start`` (n,) on.
 
-        With both, the planner takes over from the present pose if the arm has left the course.
-
-        Raises:
-            TaskError: the planner has no course from the start.
+        With both, the planner takes over if the arm has left the course. A TaskError where it has none from the start.
         """
         self._period, self._planner, self._q_start = period_s, planner, q_start
         self._given: Piece | None = None
-        self.course_mu_mean: float | None = None
+        self.course_mu_mean = None if course is None else course.mu_mean
         """Mean manipulability of the given course [m^3]: what the run has where nothing takes the arm from it."""
         if course is not None:
             velocity = np.gradient(course.q_rad, course.t_s, axis=0)
             velocity[-1] = 0.0
-            self._given, self.course_mu_mean = Piece(course.t_s, course.q_rad, velocity), course.mu_mean
+            self._given = Piece(course.t_s, course.q_rad, velocity)
         self._every = 0 if planner is None else max(1, round(1.0 / (planner.rate_per_s * period_s)))
         self.start()
         if self._now is None:

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from moc_opt.arrays import Array
 from moc_opt.errors import TaskError, is_number
-from moc_opt.planning.course import Course, Limits, Targets, make_course, margin_at
+from moc_opt.planning.course import Course, Limits, Targets, make_course, margin_at, worth
 from moc_opt.planning.elbow import Elbow
 from moc_opt.planning.pose_map import SWIVELS, PoseMap, map_of
-from moc_opt.planning.program import refine, worth
+from moc_opt.planning.program import refine
 from moc_opt.planning.search import WHOLE_CELL, Value, keeping_shaft, reached
 from moc_opt.robots.model import RobotModel
 
@@ -230,33 +230,30 @@ def _uphill(mu: Array, within: NDArray[np.bool_], j: int) -> tuple[int, int]:
 def _blocked(found: PoseMap, start: Array, limits: Limits, bound: float) -> Blocked:
     robot, targets, names = found.robot, found.targets, found.robot.data.joint_names
 
-    def at(k: int, reason: str) -> Blocked:
-        x, y, z = targets.tip[k].tolist()
-        return Blocked(float(targets.t_s[k]), float(targets.arc_length_m[k]), (x, y, z), reason)
-
-    def nearest_limit(k: int, among: NDArray[np.bool_]) -> str:
+    def nearest_limit(among: NDArray[np.bool_]) -> str:
         q = found.q_rad[k][among][int(np.argmax(found.room_rad[k][among]))]
         beyond = np.where(robot.moves.any(axis=0), np.maximum(q - robot.q_max, robot.q_min - q), -np.inf)
-        return str(names[int(np.argmax(beyond))])
+        return names[int(np.argmax(beyond))]
 
     each = reached(found, start, limits)
     k = min(len(each) + 1, len(targets) - 1)
     known, feasible = np.isfinite(found.mu[k]), found.feasible(limits.margin)[k]
     if not known.any():
-        return at(k, "out of reach: no pose has tip and wrist there, whatever the joint limits")
-    if not feasible.any():
-        return at(k, f"no pose there is within the joint limits: {nearest_limit(k, known)} is beyond its own")
-    step = limits.speed_share * robot.v_max * targets.period_s
-    near, least, fast = np.zeros(known.shape, dtype=np.bool_), np.inf, 0
-    for pose in found.q_rad[k - 1][each[-1]] if each else start[None]:
-        shares = np.abs(found.q_rad[k] - pose) / step
-        largest = shares.max(axis=-1)
-        near |= known & (largest <= 1.0)
-        wanted = float(largest[feasible].min())
-        if wanted < least:
-            least, fast = wanted, int(np.argmax(shares[feasible][int(np.argmin(largest[feasible]))]))
-    if near.any() and least > 1.0:  # the poses next to those reached exist, and are beyond a limit
-        name = nearest_limit(k, near)
-        return at(k, f"{name} runs into its limit; only other swivels or branches have poses within the limits")
-    doubt = " between the poses of the map; the bound excludes no other way" if np.isfinite(bound) else ""
-    return at(k, f"{names[fast]} would have to turn at {least:.3g} times its speed limit{doubt}")
+        reason = "out of reach: no pose has tip and wrist there, whatever the joint limits"
+    elif not feasible.any():
+        reason = f"no pose there is within the joint limits: {nearest_limit(known)} is beyond its own"
+    else:
+        step = limits.speed_share * robot.v_max * targets.period_s
+        near, least = np.zeros(known.shape, dtype=np.bool_), np.full(robot.n, np.inf)
+        for pose in found.q_rad[k - 1][each[-1]] if each else start[None]:
+            shares = np.abs(found.q_rad[k] - pose) / step
+            near |= known & (shares.max(axis=-1) <= 1.0)
+            least = min(least, shares[feasible][int(np.argmin(shares[feasible].max(axis=1)))], key=np.max)
+        doubt = " between the poses of the map; the bound excludes no other way" if np.isfinite(bound) else ""
+        fast = names[int(np.argmax(least))]
+        reason = f"{fast} would have to turn at {least.max():.3g} times its speed limit{doubt}"
+        if near.any() and least.max() > 1.0:  # the poses next to those reached exist, and are beyond a limit
+            name = nearest_limit(near)
+            reason = f"{name} runs into its limit; only other swivels or branches have poses within the limits"
+    x, y, z = targets.tip[k].tolist()
+    return Blocked(float(targets.t_s[k]), float(targets.arc_length_m[k]), (x, y, z), reason)

@@ -48,8 +48,9 @@ SAME_CURVE = 0.7  #: A pose this share of a step from a sample lies on its curve
 NO_LIMIT_RAD = 20.0
 REACHED_M = 1e-9
 SCANNED = "scanned, all branches"
-STARTS = 96  #: Random starts of `largest_mu` at the first point, where nothing is in closed form.
-LATER = 8  #: At each later point one of so many starts is tried: maxima are followed along the path.
+STARTS, LATER = 96, 12
+"""Random starts of `largest_mu` at the first point, where nothing is in closed form, and at each later one: maxima are
+followed along the path."""
 KEPT = 6  #: Different maxima that are followed from a point to its neighbours.
 SAME = 1e-5  #: Maxima of mu nearer than this share are one.
 
@@ -241,18 +242,28 @@ def nearest_turns(robot: RobotModel, q: Array) -> Array:
 def _traced(robot: RobotModel, targets: Targets, q_start: Array, step_rad: float) -> PoseMap:
     free, moving, rng = without_limits(robot), np.asarray(robot.moves.any(axis=0)), np.random.default_rng(0)
     columns: list[list[Array]] = []
+
+    def near(curve: Array, pose: Array) -> bool:
+        apart = np.where(robot.chain.prismatic, curve - pose, wrapped(curve - pose))[:, moving]
+        return bool(np.linalg.norm(apart, axis=1).min() < SAME_CURVE * step_rad)
+
     for k in range(len(targets)):
         tip, wrist = targets.tip[k], targets.wrist[k]
         if k and max(np.abs(tip - targets.tip[k - 1]).max(), np.abs(wrist - targets.wrist[k - 1]).max()) < 1e-12:
             columns.append(columns[-1])
             continue
-        found: list[Array] = []
         guesses = [curve[i * len(curve) // 3] for curve in columns[-1] for i in range(3)] if k else [q_start]
-        for guess in guesses:
-            _add(free, reach(free, guess, tip, wrist), found, step_rad, moving)
+        poses = [reach(free, guess, tip, wrist) for guess in guesses]
         for _ in range(SEEDS // 16 if k else SEEDS):
             placed = solve_pose(robot, np.where(moving, rng.uniform(robot.q_min, robot.q_max), q_start), tip, wrist)
-            _add(free, placed.q if placed.found else None, found, step_rad, moving)
+            poses.append(placed.q if placed.found else None)
+        found: list[Array] = []
+        for pose in poses:
+            if pose is None or len(found) >= MOST_CURVES or any(near(curve, pose) for curve in found):
+                continue
+            traced = curve_through(free, pose, step_rad)
+            if traced is not None:
+                found.append(traced.q)
         columns.append(found)
     longest = max(1, *(sum(len(curve) + 1 for curve in column) for column in columns))
     q = np.full((len(columns), 1, longest, robot.n), np.nan)  # curve after curve, a NaN between two
@@ -264,18 +275,6 @@ def _traced(robot: RobotModel, targets: Targets, q_start: Array, step_rad: float
     return PoseMap(robot, targets, q, _mu(robot, q), _room(robot, q))
 
 
-def _add(free: RobotModel, pose: Array | None, found: list[Array], step: float, moving: Flags) -> None:
-    if pose is None or len(found) >= MOST_CURVES:
-        return
-    for curve in found:
-        apart = np.where(free.chain.prismatic, curve - pose, wrapped(curve - pose))[:, moving]
-        if np.linalg.norm(apart, axis=1).min() < SAME_CURVE * step:
-            return
-    traced = curve_through(free, pose, step)
-    if traced is not None:
-        found.append(traced.q)
-
-
 class Largest(NamedTuple):
     """The largest mu at k points, and how it was found."""
 
@@ -283,14 +282,11 @@ class Largest(NamedTuple):
     method: str  #: `SCANNED`, or "best found of N starts" with the number of starts at all points together.
 
 
-def largest_mu(robot: RobotModel, poses: Array, *, starts: int = STARTS, seed: int = 0) -> Largest:
-    """Find the largest mu over every feasible pose with the same tip and wrist as each of the given ones.
+def largest_mu(robot: RobotModel, poses: Array) -> Largest:
+    """Find the largest mu over every feasible pose with the same tip and wrist as each of the given ones (k, n).
 
-    Never below mu of the poses themselves.
-
-    Args:
-        poses: (k, n), in the order of a path, as neighbours hand on their maxima [rad, m]; put inside the limits first.
-        starts: random starts at the first point, for arms without closed form; an eighth of them at each later one.
+    They are in the order of a path, as neighbours hand on their maxima, and put inside the limits first. The largest mu
+    is never below their own.
     """
     inside = np.clip(poses, robot.q_min, robot.q_max)
     count, tips, wrists = len(inside), *robot.tool_along(inside)
@@ -302,14 +298,14 @@ def largest_mu(robot: RobotModel, poses: Array, *, starts: int = STARTS, seed: i
         for k in range(count):
             _, best[k] = _climbed(robot, targets[k], found.peaks(k))
     else:
-        rng, later = np.random.default_rng(seed), -(-starts // LATER)
+        rng = np.random.default_rng(0)
         kept: list[Array] = [np.empty((0, robot.n))] * count
         for k, q in enumerate(inside):
-            drawn = rng.uniform(robot.q_min, robot.q_max, (later if k else starts, robot.n))
+            drawn = rng.uniform(robot.q_min, robot.q_max, (LATER if k else STARTS, robot.n))
             kept[k], best[k] = _climbed(robot, targets[k], np.vstack([q[None], kept[k - 1], drawn]))
         for k in range(count - 2, -1, -1):
             kept[k], best[k] = _climbed(robot, targets[k], np.vstack([kept[k], kept[k + 1]]))
-        method = f"best found of {starts + (count - 1) * later} starts"
+        method = f"best found of {STARTS + (count - 1) * LATER} starts"
     return Largest(np.fmax(best, robot.mu_along(inside)), method)
 
 

@@ -20,16 +20,7 @@ from typing import Any
 import numpy as np
 
 from moc_opt.arrays import Array
-from moc_opt.planning.course import (
-    WORTH,
-    Course,
-    Limits,
-    Targets,
-    lowered,
-    make_course,
-    shaft_shares,
-    time_mean,
-)
+from moc_opt.planning.course import WORTH, Course, Limits, Targets, make_course, shaft_shares, worth
 from moc_opt.planning.search import End
 from moc_opt.robots.model import RobotModel
 
@@ -163,9 +154,8 @@ def refine(
         smoothness, brake: as of `Program`; the answer is taken if mean mu falls by no more than `SMOOTH_LOSS` of the
             given course's.
 
-    Returns:
-        The better course by the robot model's own mu; the given one where the other breaks a constraint by more than
-        `MOST_VIOLATION`. ``certified`` where ipopt met its tolerances.
+    The given course is returned where the other is worth less by the robot model's own mu, or breaks a constraint by
+    more than `MOST_VIOLATION`. A course is ``certified`` where ipopt met its tolerances.
     """
     if limits.shaft > 0.0 and _above(robot, course, limits):  # without the margin a program takes half of the time
         bare = replace(limits, shaft=0.0)
@@ -190,13 +180,6 @@ def refine(
 
 def _above(robot: RobotModel, course: Course, limits: Limits) -> bool:
     return bool((shaft_shares(robot, course.q_rad) >= limits.shaft).all())
-
-
-def worth(robot: RobotModel, course: Course, limits: Limits, top: float) -> float:
-    """Return a course's mean mu [m^3], mu lowered where the shaft is nearly lost, as on the map."""
-    if limits.shaft <= 0.0:
-        return course.mu_mean
-    return time_mean(lowered(course.mu, shaft_shares(robot, course.q_rad), limits, top))
 
 
 def too_fast(speed: Any, pose: Any, low: Any, high: Any, brake: float) -> Any:

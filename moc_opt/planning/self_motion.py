@@ -14,14 +14,13 @@ from numpy.typing import ArrayLike
 
 from moc_opt.arrays import Array, read_only
 from moc_opt.errors import RobotError
-from moc_opt.robots.model import RobotModel, RobotState
+from moc_opt.robots.model import RobotModel
 
 HELD = 1e-6
 """A singular value below this share of the largest holds nothing. Coarser than the rule of ``qp.residuals``, which
 decides for one tick: here random poses are asked how many freedoms an arm is built with."""
 RANK = 1e-9  #: A singular value of A below this counts as zero on the curve.
-SHORTEST_STEP, LONGEST_STEP = 1e-5, 10.0  #: Of a curve's samples [rad].
-_REASONS = ("limit", "closed", "singular", "length")
+_CLOSED = 1  # of the reasons why the core ends a curve
 
 
 class Freedoms(NamedTuple):
@@ -99,30 +98,22 @@ class SelfMotion:
     s: Array  #: (k,) arc length in joint space [rad], 0 at the pose the scan began with, negative behind it
     q: Array  #: (k,n) [rad]
     mu: Array  #: (k,) [m^3]
-    ends: tuple[str, str]
-    """Why the curve ends: at a "limit", "singular", "length" (gave up), "point"; "closed": its last pose is its first,
-    up to whole turns of a joint."""
     held: tuple[int, ...]
     """Joints (from 0) that stand still: they move neither tip nor wrist, or would make it a surface."""
-    _curve: _Curve = field(repr=False)
+    _robot: RobotModel = field(repr=False)
+    _task: tuple[Array, Array, Array] = field(repr=False)
+    """Limits, of which equal ones hold a joint, and tip and wrist."""
 
     def at(self, fraction: float) -> Array:
-        """Return the pose (n,) at a fraction in [0, 1] of the arc length, corrected to 1e-10 m.
-
-        Raises:
-            RobotError: the fraction is outside [0, 1].
-        """
-        if not 0.0 <= fraction <= 1.0:
-            raise RobotError(f"fraction = {fraction!r}: give a number from 0 (first pose) to 1 (last pose)")
-        s = self.s[0] + fraction * (self.s[-1] - self.s[0])
-        i = int(np.clip(np.searchsorted(self.s, s) - 1, 0, max(len(self.s) - 2, 0)))
-        weight = 0.0 if len(self.s) == 1 else float((s - self.s[i]) / (self.s[i + 1] - self.s[i]))
-        pose = None
-        if 0.0 < weight < 1.0:
-            chord = self.q[i + 1] - self.q[i]
-            pose = self._curve.correct(self.q[i] + weight * chord)
+        """Return the pose (n,) at a fraction in [0, 1] of the arc length, corrected to 1e-10 m."""
+        place = float(np.interp(self.s[0] + fraction * np.ptp(self.s), self.s, np.arange(len(self.s))))
+        i, weight = int(place), place % 1.0
+        if weight > 0.0:
+            pose, between = np.empty(self.q.shape[1]), self.q[i] + weight * (self.q[i + 1] - self.q[i])
+            if self._robot.arm.nearest_pose(*self._task, between, 10, pose) < 1e-10:
+                return pose
         # There is no pose between two samples only where the curve grazes a limit or a singularity.
-        return np.array(self.q[i + round(max(weight, 0.0))]) if pose is None else pose
+        return np.array(self.q[round(place)])
 
     @property
     def best(self) -> Array:
@@ -132,12 +123,12 @@ class SelfMotion:
             return np.array(self.q[i])
         peak = self.s[i] + parabola_peak(self.s[i - 1 : i + 2], self.mu[i - 1 : i + 2])[0]
         pose = self.at(float(np.clip((peak - self.s[0]) / (self.s[-1] - self.s[0]), 0.0, 1.0)))
-        return pose if self._curve.mu(pose) > self.mu[i] else np.array(self.q[i])
+        return pose if self._robot.mu_along(pose[None])[0] > self.mu[i] else np.array(self.q[i])
 
     @property
     def mu_best(self) -> float:
         """mu of `best` [m^3]."""
-        return self._curve.mu(self.best)
+        return float(self._robot.mu_along(self.best[None])[0])
 
 
 def self_motion(robot: RobotModel, q: ArrayLike, step: float = 0.02) -> SelfMotion:
@@ -148,35 +139,37 @@ def self_motion(robot: RobotModel, q: ArrayLike, step: float = 0.02) -> SelfMoti
     curve is then no bound (see `pose_map.largest_mu`). If none is left, the curve is one pose.
 
     Args:
-        q: (n,) a pose inside the joint limits [rad].
+        q: (n,) a pose inside the joint limits [rad]; a RobotError where it is outside, or singular.
         step: spacing of the samples in joint space [rad].
-
-    Raises:
-        RobotError: q is outside the limits or singular, or the step is too short or too long.
     """
-    if not SHORTEST_STEP <= step <= LONGEST_STEP:
-        raise RobotError(f"step = {step!r}: give {SHORTEST_STEP:g} to {LONGEST_STEP:g} rad")
     state = robot.state(q)
     outside = np.flatnonzero((state.q < robot.q_min) | (state.q > robot.q_max))
     if outside.size:
         raise RobotError(f"q = {state.q.tolist()}: joints {(outside + 1).tolist()} are outside their limits")
     active = _active_joints(robot, state.A)
-    curve = _Curve(robot, active, state, step)
-    if len(active) <= np.linalg.matrix_rank(state.A[:, active], tol=RANK):
-        s, poses, mu, ends = np.zeros(1), state.q[None], np.array([state.mu]), ("point", "point")
-    else:
+    low, high = np.array(state.q), np.array(state.q)
+    low[active], high[active] = robot.q_min[active], robot.q_max[active]
+    task = low, high, np.array([state.tip, state.wrist])
+    s, poses, mu = np.zeros(1), state.q[None], np.array([state.mu])
+    if len(active) > np.linalg.matrix_rank(state.A[:, active], tol=RANK):
+        # Far longer than any real curve; it only bounds the memory of one that never ends.
+        most = int(np.ceil(4 * np.sum(robot.q_max - robot.q_min) / step)) + 2
+
+        def follow(tangent: Array) -> tuple[Array, Array, Array, bool]:
+            s, poses, mu = np.empty(most), np.empty((most, robot.n)), np.empty(most)
+            count, end = robot.arm.follow_curve(*task, np.array(state.q), tangent, step, s, poses, mu)
+            return s[:count].copy(), poses[:count].copy(), mu[:count].copy(), end == _CLOSED
+
         tangent = np.zeros(robot.n)
         tangent[active] = np.linalg.svd(state.A[:, active])[2][-1]
         tangent *= np.sign(tangent[np.argmax(np.abs(tangent))])
-        s, poses, mu, why = curve.follow(state.q, tangent)
-        ends = (why, why)
-        if why != "closed":
-            s_down, q_down, mu_down, why_down = curve.follow(state.q, -tangent)
+        s, poses, mu, closed = follow(tangent)
+        if not closed:
+            s_down, q_down, mu_down, _ = follow(-tangent)
             pairs = ((s, -s_down), (poses, q_down), (mu, mu_down))
             s, poses, mu = (np.concatenate([down[:0:-1], up]) for up, down in pairs)
-            ends = (why_down, why)
     held = tuple(j for j in range(robot.n) if j not in active)
-    return SelfMotion(read_only(s), read_only(poses), read_only(mu), ends, held, curve)
+    return SelfMotion(read_only(s), read_only(poses), read_only(mu), held, robot, task)
 
 
 def curve_through(robot: RobotModel, q: ArrayLike, step: float) -> SelfMotion | None:
@@ -185,32 +178,6 @@ def curve_through(robot: RobotModel, q: ArrayLike, step: float) -> SelfMotion | 
         return self_motion(robot, q, step)
     except RobotError:
         return None
-
-
-class _Curve:
-    """The constraint that defines one curve, as the core takes it."""
-
-    def __init__(self, robot: RobotModel, active: list[int], state: RobotState, step: float) -> None:
-        self._robot, self._step = robot, step
-        low, high = np.array(state.q), np.array(state.q)  # joints with equal limits stand still
-        low[active], high[active] = robot.q_min[active], robot.q_max[active]
-        self._task = low, high, np.array([state.tip, state.wrist])
-        # Far longer than any real curve; it only bounds the memory of one that never ends.
-        self._most = int(np.ceil(4 * np.sum(robot.q_max - robot.q_min) / step)) + 2
-
-    def follow(self, q: Array, tangent: Array) -> tuple[Array, Array, Array, str]:
-        """Return arc lengths, poses and mu from q on along the tangent, q first, and why they end."""
-        s, poses, mu = np.empty(self._most), np.empty((self._most, len(q))), np.empty(self._most)
-        count, end = self._robot.arm.follow_curve(*self._task, np.array(q), tangent, self._step, s, poses, mu)
-        return s[:count].copy(), poses[:count].copy(), mu[:count].copy(), _REASONS[end]
-
-    def correct(self, q: Array) -> Array | None:
-        """Return the pose of the curve near q; None if none is found inside the limits."""
-        miss = self._robot.arm.nearest_pose(*self._task, q, 10, pose := np.empty(len(q)))
-        return pose if miss < 1e-10 else None
-
-    def mu(self, q: Array) -> float:
-        return float(self._robot.mu_along(q[None])[0])
 
 
 def _active_joints(robot: RobotModel, a: Array) -> list[int]:

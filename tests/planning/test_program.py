@@ -8,11 +8,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from moc_opt.planning.course import Limits, Targets, make_course
+from moc_opt.planning.course import Limits, Targets, make_course, shaft_shares, worth
 from moc_opt.planning.plan import best_course
 from moc_opt.planning.pose_map import map_of
-from moc_opt.planning.program import WHOLE, Program, across, refine, too_fast, worth
-from moc_opt.planning.search import WHOLE_CELL, End, Value, keeping_shaft, shaft_shares
+from moc_opt.planning.program import WHOLE, Program, across, refine, too_fast
+from moc_opt.planning.search import WHOLE_CELL, End, Value, keeping_shaft
 from moc_opt.robots.model import RobotModel, load_robot
 from moc_opt.scenario import Scenario
 from moc_opt.scenario.planned import plan

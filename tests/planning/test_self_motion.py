@@ -44,9 +44,8 @@ def test_a_curve_keeps_tip_wrist_and_limits_and_has_the_models_mu(robot, regular
         gaps = np.linalg.norm(np.diff(motion.q, axis=0), axis=1)
         np.testing.assert_allclose(gaps, np.diff(motion.s), atol=1e-12)
         assert 0 < gaps.min() <= gaps.max() < 0.021
-        for end, why in zip((motion.q[0], motion.q[-1]), motion.ends, strict=True):
-            if why == "limit":
-                assert np.min(np.minimum(end - robot.q_min, robot.q_max - end)) < 1e-8
+        for end in (motion.q[0], motion.q[-1]):
+            assert np.min(np.minimum(end - robot.q_min, robot.q_max - end)) < 1e-8
         np.testing.assert_allclose(motion.mu, [robot.state(q).mu for q in motion.q], atol=1e-12)
         assert motion.mu_best == pytest.approx(robot.state(motion.best).mu, abs=1e-12)
         assert motion.mu_best >= motion.mu.max() >= robot.state(start).mu - 1e-12
@@ -70,7 +69,6 @@ def test_a_full_turn_closes(robot):
     free = RobotModel(replace(robot.data, q_min=np.full(7, -17.0), q_max=np.full(7, 17.0)))
     q = np.array([0.2, -1.0, 0.3, 1.5, -0.4, -0.6, 0.1])
     motion = self_motion(free, q)
-    assert motion.ends == ("closed", "closed")
     turns = (motion.q[-1] - motion.q[0]) / (2 * np.pi)
     np.testing.assert_allclose(turns, np.round(turns), atol=1e-12)
     check(free, q, motion, motion.q[::9])
@@ -81,16 +79,10 @@ def test_a_full_turn_closes(robot):
 
 def test_bad_input_is_named(robot):
     q = robot.data.q_home
-    for pose, step, told in (
-        *((q, step, "step = ") for step in (0.0, -0.1, 1e-300, 1e300, np.inf, np.nan)),
-        (np.zeros(7), 0.02, "singular"), (q + 3.0 * np.eye(7)[1], 0.02, r"joints \[2\] are outside"),
-    ):  # fmt: skip
+    for pose, told in ((np.zeros(7), "singular"), (q + 3.0 * np.eye(7)[1], r"joints \[2\] are outside")):
         with pytest.raises(RobotError, match=told):
-            self_motion(robot, pose, step=step)
+            self_motion(robot, pose)
     motion = self_motion(robot, q)
-    for fraction in (-0.1, 1.1, float("nan")):
-        with pytest.raises(RobotError, match="fraction"):
-            motion.at(fraction)
     with pytest.raises(ValueError, match="read-only"):
         motion.q[0, 0] = 0.0
 
