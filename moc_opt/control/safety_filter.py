@@ -142,8 +142,9 @@ class SafetyFilter:
         reason, self.limited = self._guard.follow(
             q, v, None if state is None else state.record, tip, tip_ref if shown else None, before, tau
         )
-        if reason:
-            self.request_stop(self._words[reason])
+        if not reason:
+            return tau
+        self.request_stop(self._words[reason])
         return tau if math.isfinite(tau.dot(tau)) else before
 
     def stop_torque(self, before: Array) -> Array:

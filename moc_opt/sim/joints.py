@@ -12,6 +12,7 @@ has reduced (Ott et al. 2008): tau is the input of that loop, so no second loop 
 from __future__ import annotations
 
 import math
+from collections import deque
 
 import mujoco
 import numpy as np
@@ -53,7 +54,7 @@ class Joints:
         self.torque = state.qfrc_applied if self._direct else np.zeros(data.n)
         self._ripple = settings.torque_ripple * data.tau_max
         self._waves, self._phase = settings.torque_ripple_per_turn, mismatch.ripple_phase
-        self._queue, self._due = np.zeros((settings.delay_ticks, data.n)), 0
+        self._delay_ticks, self._due = settings.delay_ticks, deque[Array]()
 
     def start(self, shown: Array, speed: Array) -> None:
         """Put the arm where encoders without bias show (n,) [rad], moving at (n,) [rad/s].
@@ -70,7 +71,7 @@ class Joints:
             state.qpos[::2] = shown - sag if self._on_links else shown
             mujoco.mj_forward(model, state)
         np.clip(weight, self._low, self._high, out=self.torque)
-        self._queue[:], self._due = self.torque, 0
+        self._due = deque([self.torque.copy()] * self._delay_ticks)
         state.qvel[self.motors] = speed
         self.drive()
         mujoco.mj_forward(model, state)
@@ -86,13 +87,8 @@ class Joints:
                 f"tau = {wanted.tolist()} Nm is not finite: the arm has not moved; mend the controller, "
                 "or stop it when its solver fails"
             )
-        wanted = np.minimum(np.maximum(wanted, self._low), self._high)
-        if len(self._queue) == 0:
-            self.torque[:] = wanted
-            return
-        self.torque[:] = self._queue[self._due]
-        self._queue[self._due] = wanted
-        self._due = (self._due + 1) % len(self._queue)
+        self._due.append(np.minimum(np.maximum(wanted, self._low), self._high))
+        self.torque[:] = self._due.popleft()
 
     def drive(self) -> None:
         """Put the drives' torque, with its ripple at the motors' present angles, on the motors."""
