@@ -20,8 +20,8 @@ from moc_opt.report.tables import Column, Table
 from moc_opt.scenario import Scenario, make_solver
 from moc_opt.solvers.base import Solver
 from moc_opt.solvers.registry import check_solver
-from moc_opt.study.results import Results
-from moc_opt.study.show import intervals_picture
+from moc_opt.study.results import FRAMES, TITLES, Results
+from moc_opt.study.show import columns, intervals_picture
 from moc_opt.study.statistics import LEAST_TRIALS, Change, Interval, too_few
 from moc_opt.study.trials import BASELINE, Trial, placed, run_and_trace
 from moc_opt.trace.meta import Ending
@@ -32,24 +32,24 @@ if TYPE_CHECKING:
     from plotly.graph_objects import Figure
 
 Solvers = Sequence[str | Solver] | Mapping[str, str | Solver]
-Row = dict[str, Any]
 
 CHANGES = {
-    "mu_mean": "gain", "tip_error_model_mean_mm": "tip_change", "tip_error_registered_mean_mm": "tip_patient_change",
-    "rcm_error_model_mean_mm": "rcm_change", "rcm_error_registered_mean_mm": "rcm_patient_change",
+    "mu_mean": "gain", "tip_error_model_mean_mm": "tip_change", "tip_error_registered_mean_mm": "tip_registered_change",
+    "rcm_error_model_mean_mm": "rcm_change", "rcm_error_registered_mean_mm": "rcm_registered_change",
 }  # fmt: skip
-"""Metric -> name of its change against DCAC in `Comparison.summary` [percent]; errors in both frames."""
-FAILED = Ending.FAILED.value
+"""Metric -> name of its change against DCAC in `Comparison.summary` [percent]."""
 COLUMNS = [
     Column("solver", "solver"), Column("trials", "trials"), Column("verified", "verified", "%", digits=4),
-    Column("silently_wrong", "silently wrong"), Column("solve_p50_us", "p50", "us"), Column("gain", "mu change", "%"),
-    Column("tip_change", "tip change", "%"), Column("tip_patient_change", "patient tip change", "%"),
-    Column("rcm_change", "RCM change", "%"), Column("rcm_patient_change", "patient RCM change", "%"),
-    Column("mu_mean", "mu", "m^3"), Column("tip_error_model_mean_mm", "tip", "mm"),
-    Column("tip_error_registered_mean_mm", "patient tip", "mm"), Column("rcm_error_model_mean_mm", "RCM", "mm"),
-    Column("rcm_error_registered_mean_mm", "patient RCM", "mm"), Column("oscillated", "oscillated"),
-    Column("solve_p99_us", "p99", "us"),
+    Column("silently_wrong", "silently wrong"), Column("solve_p50_us", "p50", "us"),
+    *(Column(change, f"{TITLES.get(metric, 'mu')}: change", "%") for metric, change in CHANGES.items()),
+    *columns(*CHANGES), Column("oscillated", "oscillated"), Column("solve_p99_us", "p99", "us"),
 ]  # fmt: skip
+CAPTION = (
+    f"Means over the trials that came to their end, from {LEAST_TRIALS} trials on with 95 % intervals. Changes: of the "
+    "mean over that of DCAC with the same gains on the same trials; ?: undecided, as the mean of the trials' ratios "
+    f"says otherwise; none of fewer than {LEAST_TRIALS} trials. Times: of the middle trial; exact's are within C, "
+    f"without the call. {FRAMES}"
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,15 +63,6 @@ class Comparison:
         scenario: from which the trials were made.
         note: where the trials start, and a remark if the machine was busy.
         complete: False where Ctrl-C ended it after some of the trials.
-
-    Example:
-        >>> found = mo.compare(["exact"], mo.Scenario(duration_s=0.05, bound_samples=0), trials=2)
-        >>> found.solvers, found.summary()["exact"]["verified"], sorted(found.values("exact", "mu_mean"))
-        (['dcac', 'exact'], 100.0, [0, 1])
-        >>> gain = found.change("exact", "mu_mean")  # [percent], by both means, with 95 % intervals
-        >>> gain.ratio.low <= gain.ratio.value <= gain.ratio.high, found.mean("dcac", "mu_mean").samples
-        (True, 2)
-        >>> found.save_rows("rows.csv")
     """
 
     rows: Sequence[Mapping[str, Any]]
@@ -112,19 +103,19 @@ class Comparison:
         return {name: self._of(name) for name in self.solvers}
 
     def _of(self, name: str) -> dict[str, Any]:
-        rows = [row for row in self.rows if row["solver"] == name]
-        endings = [Ending.of(row["ended"]) for row in rows]
+        rows = list(self._results.where(solver=name))
         found: dict[str, Any] = {
-            "trials": sum(ending.whole for ending in endings), "of": len(rows),
-            "oscillated": endings.count(Ending.OSCILLATED),
+            "trials": sum(row["whole"] for row in rows), "of": len(rows),
+            "oscillated": sum(Ending.of(row["ended"]) is Ending.OSCILLATED for row in rows),
         }  # fmt: skip
-        answered = [row for row in rows if row.get("asked")]
-        if answered and all("verified_solved" in row for row in answered):
-            verified, asked = (sum(row[key] for row in answered) for key in ("verified_solved", "asked"))
-            found["verified"] = 100.0 * verified / asked
-            found["silently_wrong"] = sum(row["silently_wrong"] for row in answered)
-        if answered:
-            found |= {key: float(np.median([row[key] for row in answered])) for key in ("solve_p50_us", "solve_p99_us")}
+        asked = [row for row in rows if row.get("asked")]
+        if asked and all("verified_solved" in row for row in asked):
+            ticks, verified, wrong = (
+                sum(row[key] for row in asked) for key in ("asked", "verified_solved", "silently_wrong")
+            )
+            found |= {"verified": 100.0 * verified / ticks, "silently_wrong": wrong}
+        if asked:
+            found |= {key: float(np.median([row[key] for row in asked])) for key in ("solve_p50_us", "solve_p99_us")}
         for metric, change in CHANGES.items():
             found[metric] = self.mean(name, metric)
             if name != BASELINE:
@@ -134,39 +125,20 @@ class Comparison:
     @property
     def table(self) -> Table:
         """One row per solver: trials, claims and verified answers, times, and the effect on the arm."""
-        rows, remarks, failures, few = [], list[str](), list[str](), dict[str, list[str]]()
+        rows, failures = [], []
         for name, found in self.summary().items():
-            row = {**found, "solver": name, "trials": f"{found['trials']}"}
-            if found["trials"] < found["of"]:
-                row["trials"] += f" of {found['of']}"
-            for key, value in found.items():
-                if isinstance(value, Interval):
-                    row[key] = f"{value.value:.3g}" if too_few(value.samples) else f"{value:.3g}"
-                elif isinstance(value, Change):
-                    words = too_few(value.ratio.samples)
-                    row[key] = None if words else f"{value.ratio:+.3g}"
-                    if words and name not in few.setdefault(words, []):
-                        few[words].append(name)
-                    elif not words and value.undecided:
-                        remarks.append(f"{name}, {key.replace('_', ' ')} [%]: {value}.")
-            rows.append(row)
-            failed = [one["error"] for one in self.rows if one["solver"] == name and one["ended"] == FAILED]
-            failures += [f"{name} failed in {len(failed)}: {failed[0]}."] if failed else []
+            trials = f"{found['trials']}" + f" of {found['of']}" * (found["trials"] < found["of"])
+            rows.append({**{key: _cell(value) for key, value in found.items()}, "solver": name, "trials": trials})
+            errors = [row["error"] for row in self.rows if (row["solver"], row["ended"]) == (name, Ending.FAILED.value)]
+            failures += [f"{name} failed in {len(errors)}: {errors[0]}."] if errors else []
         optional = {"oscillated", *CHANGES.values()}
-        shown = [c for c in COLUMNS if c.key not in optional or any(row.get(c.key) for row in rows)]
-        remarks += [f"{', '.join(names)} against DCAC: {words}." for words, names in few.items()]
+        known = [column for column in COLUMNS if column.key not in optional or any(row.get(column.key) for row in rows)]
         unjudged = any(row.get("asked") and "verified_solved" not in row for row in self.rows)
-        caption = [
-            f"Means over the trials that came to their end, from {LEAST_TRIALS} trials on with 95 % intervals. "
-            "Changes: of the mean over that of DCAC with the same gains on the same trials. Times: of the middle "
-            "trial; exact's are within C, without the call. Tip and RCM error by the robot's own kinematics, which a "
-            "controller can answer for; patient: in the frame registered at the start, which is what the patient "
-            "gets.", *remarks,
-            ANOTHER_PROBLEM if unjudged and self.scenario.judge else "", self.note, *failures,
-        ]  # fmt: skip
+        other = ANOTHER_PROBLEM if unjudged and self.scenario.judge else ""
         named = "name" in self.scenario.model_fields_set
         title = self.scenario.name if named else self.scenario.task.path
-        return Table(f"{title}: solvers on the same trials", shown, rows, " ".join(filter(None, caption)))
+        caption = " ".join(filter(None, [CAPTION, other, self.note, *failures]))
+        return Table(f"{title}: solvers on the same trials", known, rows, caption)
 
     def plot(self, metric: str = "mu_mean") -> Figure:
         """Draw each solver's mean of a metric with its 95 % interval: a plotly figure."""
@@ -199,6 +171,15 @@ class Comparison:
         return repr(self.table)
 
 
+def _cell(value: Any) -> Any:
+    """Write a mean or a change with its interval; of too few trials the mean alone, and no change."""
+    if isinstance(value, Interval):
+        return f"{value.value:.3g}" if too_few(value.samples) else f"{value:.3g}"
+    if isinstance(value, Change):
+        return None if too_few(value.ratio.samples) else f"{value.ratio:+.3g}" + "?" * value.undecided
+    return value
+
+
 def compare(
     solvers: Solvers, scenario: Scenario | str | os.PathLike[str] | None = None, trials: int = 15, *, seed: int = 0,
     watch: Callable[[str], object] = lambda words: None,
@@ -225,10 +206,10 @@ def compare(
             raise ScenarioError(f"{argument} = {shown(value)}: give an integer of {least} or more")
     if base.control.law != "moc":
         raise ScenarioError("[control] law = 'dcac' asks no solver: take law = 'moc', DCAC is compared anyhow")
-    chosen, rows, done = _named(solvers, base), list[Row](), 0
+    chosen, rows, done = _named(solvers, base), list[Mapping[str, Any]](), 0
     drawn = {"pose": "random", "q_rad": None, "swivel": "random"}
     unused = "Starts are drawn at random: [start] is not used." if base.start.model_fields_set & {*drawn} else ""
-    note = f"{unused} {busy()}".strip()
+    note, complete = f"{unused} {busy()}".strip(), True
     try:
         for done in range(trials):
             case = base.change(seed=seed + done, start=drawn)
@@ -237,21 +218,21 @@ def compare(
             except MocOptError as error:
                 if not rows:
                     raise  # it is the scenario's
-                rows += [{"solver": name, **Trial(case, name).failed(describe(error)).row} for name in chosen]
+                tagged = [Trial(case, name, tags={"solver": name}) for name in chosen]
+                rows += [trial.failed(describe(error)).row for trial in tagged]
                 continue
             rows += _trial(case, chosen, f"trial {done + 1} of {trials}", watch)
     except KeyboardInterrupt:
         if not done:
             raise
-        note = f"Interrupted: {done} of {trials} trials. {note}".strip()
-        return Comparison(rows, list(chosen), base, note, complete=False)
-    return Comparison(rows, list(chosen), base, note)
+        note, complete = f"Interrupted: {done} of {trials} trials. {note}".strip(), False
+    return Comparison(rows, list(chosen), base, note, complete)
 
 
 def _trial(
     case: Scenario, chosen: Mapping[str, str | Solver], which: str, watch: Callable[[str], object]
-) -> list[Row]:
-    baseline, rows = None, list[Row]()
+) -> list[Mapping[str, Any]]:
+    baseline, rows = None, list[Mapping[str, Any]]()
     for name, solver in chosen.items():
         watch(f"{which}, {name}")
         asked = Trial(case, name, _settings(case, solver), {"solver": name}, timed=True, solver=solver)
@@ -262,11 +243,11 @@ def _trial(
             if name == BASELINE or isinstance(error, MemoryError):
                 raise  # no solver is at fault
             run = asked.failed(describe(error))
-        row = dict(run.row)
-        if trace is not None and answers_another_problem(trace, solver if isinstance(solver, str) else solver.name):
-            row = {key: value for key, value in row.items() if key not in VERDICTS}
-        rows.append(row)
-        if name == BASELINE and row["whole"]:
+        unjudged = trace is not None and answers_another_problem(
+            trace, solver if isinstance(solver, str) else solver.name
+        )
+        rows.append({key: value for key, value in run.row.items() if not unjudged or key not in VERDICTS})
+        if name == BASELINE and run.row["whole"]:
             baseline = trace
     return rows
 
@@ -279,12 +260,11 @@ def _named(solvers: Solvers, base: Scenario) -> dict[str, str | Solver]:
     """Return name -> solver, the baseline first; every name is made once, so that a wrong one is found now."""
     if isinstance(solvers, str) or not isinstance(solvers, Mapping | Sequence):
         raise SolverError(f"solvers = {shown(solvers)}: give a list of names or solvers, such as ['exact', 'osqp']")
-    if isinstance(solvers, Mapping):
-        pairs = list(solvers.items())
-    else:
-        pairs = [(one if isinstance(one, str) else getattr(one, "name", ""), one) for one in solvers]
+    named = solvers.items() if isinstance(solvers, Mapping) else [
+        (one if isinstance(one, str) else getattr(one, "name", ""), one) for one in solvers
+    ]
     robot, chosen = base.robot.arm(), dict[str, str | Solver]({BASELINE: BASELINE})
-    for name, solver in pairs:
+    for name, solver in named:
         if not isinstance(solver, str):
             check_solver(solver)
         if not is_name(name):
