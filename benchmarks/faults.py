@@ -20,6 +20,7 @@ import polars as pl
 from numpy.typing import NDArray
 from pydantic import Field, field_validator, model_validator
 
+from benchmarks.goals import Goal, goals_sentence, goals_table, judge
 from moc_opt import figures
 from moc_opt.arrays import Array
 from moc_opt.errors import MocOptError
@@ -30,7 +31,7 @@ from moc_opt.sim.record import RunAway
 from moc_opt.study import Failed, Job
 from moc_opt.study.command import Found, Study, StudyConfig, command, runnable
 from moc_opt.study.results import Results
-from moc_opt.study.show import Goal, Picture, Report, Section, about, goals_sentence, goals_table, judge
+from moc_opt.study.show import Picture, Report, Section, about
 from moc_opt.study.trials import BASELINE, variant
 from moc_opt.tasks import Reference
 from moc_opt.tasks.timelaw import WaitingReference

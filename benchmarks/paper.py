@@ -20,6 +20,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from pydantic import Field
 
+from benchmarks.goals import Goal, goals_sentence, goals_table, judge
 from benchmarks.procedure import ProcedureSettings, perform
 from moc_opt.control import ControlSettings
 from moc_opt.errors import UnknownNameError
@@ -32,7 +33,7 @@ from moc_opt.scenario import Scenario
 from moc_opt.study import Failed, Job, show
 from moc_opt.study.command import Found, Study, StudyConfig, command, runnable
 from moc_opt.study.results import ERRORS, FRAMES, TITLES, Results, change_name
-from moc_opt.study.show import Goal, Picture, Report, Section, columns, ends, goals_sentence, judge
+from moc_opt.study.show import Picture, Report, Section, columns, ends
 from moc_opt.study.statistics import Change, Interval, difference_of_changes, spread, too_few
 from moc_opt.study.trials import BASELINE, BASELINES, DAMPED, OWN, PHASES, Trial, seeds, trials, with_phases
 from moc_opt.vision.board import board_task
@@ -443,7 +444,7 @@ def _sections(summary: Mapping[str, Any], config: Config) -> Iterable[Section]:
         for group in config.groups])  # fmt: skip
     for key, group in (("goals", config.best), ("goals_elsewhere", config.elsewhere)):
         if summary[key]:
-            table = show.goals_table(summary[key], f"Goals of MOC with {config.best_solver}, group {group}")
+            table = goals_table(summary[key], f"Goals of MOC with {config.best_solver}, group {group}")
             yield Section(f"Goals, group {group}", FRAMES, [table])
     for group in config.groups:
         by = summary["groups"][group]

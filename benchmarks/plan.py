@@ -15,6 +15,7 @@ from typing import Any, Self, get_args
 import numpy as np
 from pydantic import Field
 
+from benchmarks.goals import Goal, goals_sentence, goals_table, judge
 from moc_opt.control import ControlSettings
 from moc_opt.figures import box_plots
 from moc_opt.figures.notation import Mark
@@ -24,7 +25,7 @@ from moc_opt.scenario.planned import plan
 from moc_opt.study import Failed, Job, show
 from moc_opt.study.command import Found, Study, StudyConfig, command
 from moc_opt.study.results import Results, change_name
-from moc_opt.study.show import Goal, Picture, Report, Section, columns, goals_sentence, judge
+from moc_opt.study.show import Picture, Report, Section, columns
 from moc_opt.study.statistics import Interval, mean, spread, too_few
 from moc_opt.study.trials import Trial, on_each_arm, placed, run_and_trace, seeds
 
@@ -229,7 +230,7 @@ def report(summary: Mapping[str, Any], rows: Results, config: Config) -> Report:
     changes = [change_name(error) for error in ERRORS.values()]
     by_robot = [{"robot": robot, **figures} for robot, figures in summary["courses"].items()]
     arm = Column("robot", "arm")
-    by_arm = [show.goals_table(judged, f"Goals, {robot}") for robot, judged in summary["goals"].items()]
+    by_arm = [goals_table(judged, f"Goals, {robot}") for robot, judged in summary["goals"].items()]
     sections = [
         Section("Goals", "", by_arm),
         Section(IN_THE_LOOP, "Means over the whole runs, with 95 % intervals.", [Table("Closed loops", [

@@ -24,6 +24,7 @@ from typing import Any, Literal, NamedTuple, Self
 import numpy as np
 from pydantic import Field
 
+from benchmarks.goals import Goal, goals_sentence, goals_table, judge
 from moc_opt.arrays import Array
 from moc_opt.errors import StudyError
 from moc_opt.export import export_scenario
@@ -32,7 +33,7 @@ from moc_opt.scenario import Scenario
 from moc_opt.study import Failed, Job
 from moc_opt.study.command import Found, Study, StudyConfig, command, environment
 from moc_opt.study.results import Results
-from moc_opt.study.show import Goal, Report, Section, about, goals_sentence, goals_table, judge
+from moc_opt.study.show import Report, Section, about
 from moc_opt.study.statistics import Interval, share
 from moc_opt.trace.trace import Trace
 

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 from pydantic import Field, field_validator
 
 from benchmarks import peers, timed
+from benchmarks.goals import Goal, goals_sentence, goals_table, judge
 from moc_opt.errors import UnknownNameError
 from moc_opt.figures import latency_ecdf
 from moc_opt.report.tables import Column, Table
@@ -24,7 +25,7 @@ from moc_opt.scenario import Scenario
 from moc_opt.study import Failed, Job
 from moc_opt.study.command import Found, Study, StudyConfig, choose, command
 from moc_opt.study.results import Results
-from moc_opt.study.show import Goal, Picture, Report, Section, about, goals_sentence, goals_table, judge
+from moc_opt.study.show import Picture, Report, Section, about
 from moc_opt.study.timing import Disturbance, clock_cost_us, load
 
 Count = Annotated[int, Field(ge=1)]

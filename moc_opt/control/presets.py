@@ -14,7 +14,7 @@ PAPER: dict[str, Any] = {
     "shaft_margin": 0.0, "fallback": "damping", "ramp_s": 0.0,
 }  # fmt: skip
 
-# Found by: python -m benchmarks.tune --seed 0, for the LWR4+ in the realistic plant. Its gains stand in the arm's file;
+# Found by a search over random settings for the LWR4+ in the realistic plant. Its gains stand in the arm's file;
 # another arm's table of that name is its own, or derived from its inertia (`moc_opt.robots.model`).
 TUNED: dict[str, Any] = {
     "gains": "tuned", "fallback": "damping", "observer_gain_per_s": 33.3, "feedforward": True, "k0_per_s": 1.58,

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain
 from typing import Any, NamedTuple
@@ -12,14 +11,13 @@ import plotly.graph_objects as go
 
 from moc_opt.control import ControlSettings
 from moc_opt.control.presets import PRESETS
-from moc_opt.figures.notation import Mark, Notation, pretty_units
+from moc_opt.figures.notation import Mark, pretty_units
 from moc_opt.figures.style import Styles, figure, label, log_axis, rule
 from moc_opt.report.page import Page
 from moc_opt.report.tables import Column, Table
 from moc_opt.robots import load_data
 from moc_opt.scenario import Scenario
 from moc_opt.study.results import TITLES, change_name
-from moc_opt.study.statistics import Change, Interval, spread, too_few
 from moc_opt.trace.metrics import METRICS
 
 YES, NO, OPEN = Mark("✔", "yes", "good", 0), Mark("✘", "no", "bad", 2), Mark("–", "open", "other", 1)
@@ -188,89 +186,3 @@ def ends(figures: Mapping[str, Any], name: str) -> tuple[float, float, float] | 
     if value is None:
         return None
     return (low, value, high) if low is not None and high is not None and low == low else (value, value, value)
-
-
-# --- goals: a figure that is wanted, and whether it is reached ---
-
-
-class Goal(NamedTuple):
-    """Reached when the value, or the worse end of its interval, is at most, or at least, the limit.
-
-    ``measured`` takes the value from a summary: a number, an `Interval` or a `Change`, both of whose means are asked
-    then; None, or a LookupError, means that it was not measured.
-    """
-
-    what: str
-    unit: str  #: of value and limit
-    limit: float
-    measured: Callable[[Any], Any]
-    most: bool = True  #: the limit is the largest value that will do; else the smallest
-    made_of: Callable[[Any], str] = lambda summary: ""  #: what the value was made of, in words, from a summary
-    section: str = ""  #: of the page, with the figures around it
-
-
-def judge(summary: Mapping[str, Any], goals: Mapping[str, Goal]) -> dict[str, dict[str, Any]]:
-    """Return goal -> what, unit, goal, kind, value (None: not measured), made_of, reached, section.
-
-    ``reached`` is "yes", "no", "not measured", or "open": the value's interval holds the limit, or the trials are too
-    few.
-    """
-    found: dict[str, dict[str, Any]] = {}
-    for key, goal in goals.items():
-        row: dict[str, Any] = {
-            "what": goal.what, "unit": goal.unit, "goal": goal.limit, "kind": "at most" if goal.most else "at least",
-            "value": None, "reached": "not measured", "made_of": "", "section": goal.section,
-        }  # fmt: skip
-        with suppress(LookupError, ValueError):  # a part that did not run has no entries, and no largest of them
-            if (measured := goal.measured(summary)) is not None:
-                row |= _reached(goal, measured) | {"made_of": goal.made_of(summary)}
-        found[key] = row
-    return found
-
-
-def _reached(goal: Goal, measured: Any) -> dict[str, Any]:
-    if not isinstance(measured, Interval | Change):
-        measured = Interval(float(measured), float(measured), float(measured), 1)
-    both = measured if isinstance(measured, Change) else [measured]
-    one = both[0]
-    within = [end <= goal.limit if goal.most else end >= goal.limit for by in both for end in (by.low, by.high)]
-    reached = "yes" if all(within) else "open" if any(within) else "no"
-    if (one.samples > 1 or one.low != one.high) and too_few(one.samples):  # one trial has no interval: NaN
-        reached = "open"
-    found = {"value": one.value, "reached": reached}
-    return found if one.low == one.high else found | measured.entries("value")
-
-
-def goals_table(found: Mapping[str, Mapping[str, Any]], title: str = "Goals") -> Table:
-    """Make the table of what `judge` found, missed goals first."""
-    rows = [
-        {
-            "what": row["what"], "wanted": f"{row['kind']} {row['goal']:.3g} {row['unit']}".strip(),
-            "measured": value_text(row), "reached": MARKS.get(row["reached"], OPEN), "made_of": row["made_of"] or None,
-            "section": row["section"],
-        } for row in found.values()
-    ]  # fmt: skip
-    rows.sort(key=lambda row: -row["reached"].rank)  # type: ignore[attr-defined]
-    shown = [
-        Column("reached", ""), Column("what", "goal"), Column("wanted", "wanted"),
-        Column("measured", "measured", sections="section"), Column("made_of", "of"),
-    ]  # fmt: skip
-    return Table(title, shown if any(row["made_of"] for row in rows) else shown[:-1], rows)
-
-
-def value_text(row: Mapping[str, Any]) -> str | None:
-    """Write a goal's value with its interval and its unit; None where it was not measured."""
-    value = row["value"]
-    if value is None:
-        return None
-    text = spread(row, "value") if "value_low" in row else Notation.of([value])(value)
-    return f"{text} {row['unit']}".strip()
-
-
-def goals_sentence(found: Mapping[str, Mapping[str, Any]]) -> str:
-    """Say how many goals are reached, and which are not."""
-    words = [row["reached"] for row in found.values()]
-    text = f"{words.count('yes')} of {len(words)} goals are reached"
-    text += "".join(f", {words.count(word)} {word}" for word in ("open", "not measured") if word in words)
-    missed = [f"{row['what']} ({value_text(row)})" for row in found.values() if row["reached"] == "no"]
-    return text + (f"; missed: {'; '.join(missed)}." if missed else ".")

@@ -67,9 +67,6 @@ FAULT, GROUPS = '[cases.a]\ngroup = "plant"\n', "[groups.tuned]\n[groups.paper]\
         ("speed", 'adapters = ["exakt"]', "did you mean 'exact'"),
         ("speed", 'peers = ["minc"]', "did you mean 'mink'"),
         ("sweep", '[grid]\n"control.k0_per_sec" = [1.0]', "did you mean 'k0_per_s'"),
-        ("tune", 'tasks = ["circel"]\n[space.K_N2]\nhigh = 1.0', "'circel'"),
-        ("tune", "[space.K_N2]\nlow = 0.3\nhigh = 0.05", "low < high"),
-        ("tune", "[space.K_N2]\nhigh = 1.0\nscale = 'log'", "begins above 0"),
     ],
 )  # fmt: skip
 def test_a_wrong_configuration_is_refused_before_anything_runs(

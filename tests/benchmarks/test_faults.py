@@ -5,10 +5,10 @@ import pytest
 
 from benchmarks import faults
 from benchmarks.faults import FREE, Case, Config, Waited, measure, recovery, run_case, worst
+from benchmarks.goals import judge
 from moc_opt.scenario import Scenario, Setup
 from moc_opt.study.command import CONFIGS
 from moc_opt.study.results import Results
-from moc_opt.study.show import judge
 from moc_opt.trace.trace import Trace
 
 SHIPPED = Config.load(CONFIGS / "faults.toml")

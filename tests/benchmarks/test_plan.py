@@ -7,9 +7,9 @@ from typing import Any
 import pytest
 
 from benchmarks import plan
+from benchmarks.goals import judge
 from moc_opt.study.command import CONFIGS
 from moc_opt.study.results import Results
-from moc_opt.study.show import judge
 
 TINY = """
 robots = ["lwr4"]

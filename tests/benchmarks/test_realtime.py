@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from benchmarks import realtime
+from benchmarks.goals import judge
 from benchmarks.realtime import Case, Config, Run
 from moc_opt.errors import StudyError
 from moc_opt.scenario import Scenario
 from moc_opt.study.command import CONFIGS
-from moc_opt.study.show import judge
 from moc_opt.trace.trace import Trace
 from tests import first_screens
 

@@ -9,20 +9,13 @@ from typing import Any
 
 import pytest
 
-from benchmarks import coverage, faults, paper, plan, plant, robots, sweep, tune
+from benchmarks import coverage, faults, paper, plan, plant, robots, sweep
 from moc_opt.scenario import Scenario, Setup
 from moc_opt.study import solvers
 from moc_opt.study.command import CONFIGS
-from moc_opt.study.trials import seeds, trials
 
 SET_UP = 7
 """Trials of a study whose starts and errors are looked at, spread over all of them: a start takes a while to find."""
-
-
-def of_tune(config: Any) -> list[Scenario]:
-    streams = (tune.SEARCH_STREAM, config.trials), (tune.FINAL_STREAM, config.final_trials)
-    own = [seed for stream, each in streams for seed in seeds(config.seed, stream, each * len(config.tasks))]
-    return trials(config.scenario, config.tasks, own, virtual=True)
 
 
 def of_plant(config: Any) -> list[Scenario]:
@@ -41,7 +34,7 @@ STUDIES: dict[str, tuple[ModuleType, Callable[[Any], list[Scenario]]]] = {
     "solvers": (solvers, of_any), "solvers-full": (solvers, of_any), "plan": (plan, of_any),
     "plan-limits": (plan, of_any), "robots": (robots, of_any), "plant": (plant, of_plant), "paper": (paper, of_any),
     "faults": (faults, lambda config: config.scenarios()), "sweep": (sweep, of_sweep), "margins": (sweep, of_sweep),
-    "accuracy": (sweep, of_sweep), "tune": (tune, of_tune),
+    "accuracy": (sweep, of_sweep),
 }  # fmt: skip
 
 

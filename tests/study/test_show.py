@@ -2,16 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
-
-import pytest
-
 from moc_opt.figures.style import figure
 from moc_opt.report.tables import Column, Table
 from moc_opt.study import show
 from moc_opt.study.results import change_name
-from moc_opt.study.show import Goal, Picture, Report, Section, columns
-from moc_opt.study.statistics import Change, Interval
+from moc_opt.study.show import Picture, Report, Section, columns
 from moc_opt.trace.metrics import METRICS
 from tests import first_screens
 
@@ -69,42 +64,3 @@ def test_intervals_stand_in_order_around_their_values() -> None:
     assert [*found] == ["two", "one"], "the first name is drawn last, at the top"
     summary = {"a": 2.0, "a_low": 1.0, "a_high": 4.0, "b": 3.0, "b_low": float("nan"), "b_high": float("nan")}
     assert [show.ends(summary, name) for name in "abc"] == [given["one"], given["two"], None]
-
-
-def change(one: tuple[float, float], two: tuple[float, float], trials: int = 9) -> Change:
-    return Change(*(Interval(sum(ends) / 2, *ends, trials) for ends in (one, two)))
-
-
-@pytest.mark.parametrize(
-    ("measured", "most", "least"),
-    [
-        (4.0, "yes", "no"), (5.0, "yes", "yes"), (6.0, "no", "yes"), (Interval(4.0, 3.0, 4.9, 9), "yes", "no"),
-        (Interval(4.0, 3.0, 5.1, 9), "open", "open"), (Interval(7.0, 6.0, 8.0, 9), "no", "yes"),
-        (Interval(4.0, 3.0, 4.9, 7), "open", "open"), (Interval(4.0, 4.0, 4.0, 2), "open", "open"),
-        (Interval(4.0, float("nan"), float("nan"), 1), "open", "open"),
-        (change((3, 4), (2, 4)), "yes", "no"), (change((3, 4), (2, 6)), "open", "open"),
-        (change((3, 4), (6, 7)), "open", "open"), (change((3, 4), (2, 4), 7), "open", "open"),
-        (None, "not measured", "not measured"),
-    ],
-)  # fmt: skip
-def test_a_goal_is_judged_by_the_worse_end_of_every_interval(measured: Any, most: str, least: str) -> None:
-    summary = {} if measured is None else {"x": measured}
-    goals = {str(m): Goal("x", "us", 5.0, lambda s: s["x"], most=m, made_of=lambda s: "all") for m in (True, False)}
-    found = show.judge(summary, goals)
-    assert [found[str(m)]["reached"] for m in (True, False)] == [most, least]
-    assert found["True"]["kind"] == "at most"
-    assert found["True"]["made_of"] == ("" if measured is None else "all")
-
-
-def test_goals_are_shown_missed_ones_first() -> None:
-    values = {"a": 1.0, "b": Interval(7.0, 6.0, 8.0, 9), "c": Interval(5.0, 4.0, 6.0, 9)}
-    goals = {key: Goal(f"goal {key}", "us", 5.0, lambda s, key=key: s[key], section="All") for key in "acbd"}
-    found = show.judge(values, goals)
-    table = show.goals_table(found)
-    assert [show.MARKS[said].symbol for said in (True, False, None)] == ["✔", "✘", "–"]
-    rows = [(row["what"][-1], row["reached"].symbol, row["measured"]) for row in table.rows]
-    assert rows == [("b", "✘", "7 [6, 8] us"), ("c", "–", "5 [4, 6] us"), ("d", "–", None), ("a", "✔", "1 us")]
-    assert [column.title for column in table.columns] == ["", "goal", "wanted", "measured"]
-    assert show.goals_sentence(found) == (
-        "1 of 4 goals are reached, 1 open, 1 not measured; missed: goal b (7 [6, 8] us)."
-    )
