@@ -21,6 +21,7 @@ import numpy as np
 from pydantic import Field
 
 from benchmarks.goals import Goal, goals_sentence, goals_table, judge
+from benchmarks.phases import with_phases
 from benchmarks.procedure import ProcedureSettings, perform
 from moc_opt.control import ControlSettings
 from moc_opt.errors import UnknownNameError
@@ -32,10 +33,10 @@ from moc_opt.report.tables import Column, Table
 from moc_opt.scenario import Scenario
 from moc_opt.study import Failed, Job, show
 from moc_opt.study.command import Found, Study, StudyConfig, command, runnable
-from moc_opt.study.results import ERRORS, FRAMES, TITLES, Results, change_name
+from moc_opt.study.results import ERRORS, FRAMES, PHASES, TITLES, Results, change_name
 from moc_opt.study.show import Picture, Report, Section, columns, ends
 from moc_opt.study.statistics import Change, Interval, difference_of_changes, spread, too_few
-from moc_opt.study.trials import BASELINE, BASELINES, DAMPED, OWN, PHASES, Trial, seeds, trials, with_phases
+from moc_opt.study.trials import BASELINE, BASELINES, DAMPED, OWN, Trial, seeds, trials
 from moc_opt.vision.board import board_task
 
 STREAM = 0

@@ -16,6 +16,7 @@ import numpy as np
 from pydantic import Field
 
 from benchmarks.goals import Goal, goals_sentence, goals_table, judge
+from benchmarks.robots import on_each_arm
 from moc_opt.control import ControlSettings
 from moc_opt.figures import box_plots
 from moc_opt.figures.notation import Mark
@@ -27,7 +28,7 @@ from moc_opt.study.command import Found, Study, StudyConfig, command
 from moc_opt.study.results import Results, change_name
 from moc_opt.study.show import Picture, Report, Section, columns
 from moc_opt.study.statistics import Interval, mean, spread, too_few
-from moc_opt.study.trials import Trial, on_each_arm, placed, run_and_trace, seeds
+from moc_opt.study.trials import Trial, placed, run_and_trace, seeds
 
 STREAM, LOCAL = 7, "local"
 CONTROL = ControlSettings.model_fields

@@ -17,6 +17,7 @@ import numpy as np
 from pydantic import Field
 from scipy import stats
 
+from benchmarks.phases import with_phases
 from moc_opt.figures.style import BAD, GOOD, WORST
 from moc_opt.report.tables import Column, Table
 from moc_opt.scenario import Scenario
@@ -24,7 +25,7 @@ from moc_opt.study.command import Found, Study, StudyConfig, command
 from moc_opt.study.results import ERRORS, FRAMES, TITLES, Results, change_name
 from moc_opt.study.show import MARKS, Picture, Report, Section, columns, ends, intervals_picture, mark
 from moc_opt.study.statistics import spread, too_few
-from moc_opt.study.trials import BASELINE, Trial, on_each_arm, seeds, with_phases
+from moc_opt.study.trials import BASELINE, Trial, seeds, trials
 
 STREAM = 8
 MEANS = (
@@ -56,6 +57,18 @@ class Config(StudyConfig):
     def cases(self) -> list[Scenario]:
         drawn = seeds(self.seed, STREAM, self.starts * len(self.tasks) * len(self.robots))
         return on_each_arm(self.scenario, self.robots, self.tasks, drawn)
+
+
+def on_each_arm(
+    base: Scenario, robots: Sequence[str], tasks: Sequence[str], own_seeds: Sequence[int]
+) -> list[Scenario]:
+    """Make as many trials on each arm, arm by arm, as `trials` makes them of the paper's virtual tasks."""
+    share = len(own_seeds) // len(robots)
+    arms = [base.change(robot={"name": name}) for name in robots]
+    return [
+        case for k, arm in enumerate(arms)
+        for case in trials(arm, tasks, own_seeds[k * share : (k + 1) * share], virtual=True)
+    ]  # fmt: skip
 
 
 def work(study: Study, config: Config) -> Found:

@@ -16,7 +16,7 @@ import polars as pl
 from moc_opt.errors import StudyError
 from moc_opt.inputs.files import plain, write_whole
 from moc_opt.study.statistics import Change, Interval, StatisticsError, mean, relative_changes
-from moc_opt.study.trials import BASELINE, PHASES
+from moc_opt.study.trials import BASELINE
 
 ERRORS = (
     "tip_error_model_mean_mm", "tip_error_registered_mean_mm", "tip_error_mean_mm",
@@ -24,6 +24,8 @@ ERRORS = (
 )  # fmt: skip
 """Tip and RCM errors, each by the robot's own kinematics, in the frame registered at the start, and in the base frame:
 what the controller can answer for, what the patient gets, and absolute accuracy."""
+PHASES = ("settled", "travelling")
+"""Beginnings of metrics that are means over a part of the ticks; `PHASE_ticks` counts them."""
 TITLES = {
     name: f"{part}, {frame}"
     for name, (part, frame) in zip(ERRORS, product(("tip", "RCM"), ("own", "registered", "base")), strict=True)

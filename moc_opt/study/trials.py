@@ -5,8 +5,8 @@ Each seed draws start, mismatch and noise, so that trials are independent. All c
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import numpy as np
@@ -37,7 +37,6 @@ CURVES = (
     "t_s", "mu", "tip_error_model_m", "tip_error_registered_m", "tip_error_m", "rcm_error_model_m",
     "rcm_error_registered_m", "rcm_error_m", "trocar_force_N", "solve_us", "tick_us",
 )  # fmt: skip
-PHASES = ("settled", "travelling")
 CLOCKS = ("solve_", "tick_", "deadline_")
 LOOK_TICKS = 100  # between two looks at what the machine does beside a timed run
 PATIENCE_S, PER_S, LONGEST_S = 30.0, 30.0, 60.0
@@ -65,18 +64,6 @@ def trials(base: Scenario, tasks: Sequence[str], own_seeds: Sequence[int], *, vi
             task, tables = {"path": board.kind, "sizes": dict(board.sizes)}, {"trocar": {"depth_m": board.depth_m}}
         found.append(base.change(name=f"{name}/{seed}", seed=seed, task=task, start={"swivel": "random"}, **tables))
     return found
-
-
-def on_each_arm(
-    base: Scenario, robots: Sequence[str], tasks: Sequence[str], own_seeds: Sequence[int]
-) -> list[Scenario]:
-    """Make as many trials on each arm, arm by arm, as `trials` makes them of the paper's virtual tasks."""
-    share = len(own_seeds) // len(robots)
-    arms = [base.change(robot={"name": name}) for name in robots]
-    return [
-        case for k, arm in enumerate(arms)
-        for case in trials(arm, tasks, own_seeds[k * share : (k + 1) * share], virtual=True)
-    ]  # fmt: skip
 
 
 def placed(trial: Scenario) -> Scenario:
@@ -208,46 +195,3 @@ def _columns(asked: Trial, trace: Trace) -> dict[str, Array]:
 def outcome(asked: Trial, result: Run | Failed) -> Run:
     """Return the run, or the row of one whose process hung or died."""
     return asked.failed(str(result)) if isinstance(result, Failed) else result
-
-
-def with_phases(runs: Iterable[Run]) -> list[Run]:
-    """Add to each row the means of its errors while the elbow moves to its optimum, and after that.
-
-    ``travelling_NAME`` is the mean of a metric NAME over the ticks at which the elbow of at least one controller of
-    the trial still moves to its optimum, ``settled_NAME`` that over the rest: the same ticks for all controllers.
-    ``travelling_ticks`` and ``settled_ticks`` count them.
-    """
-    runs = list(runs)
-    groups: dict[tuple[Any, ...], list[Run]] = {}
-    for run in runs:
-        groups.setdefault(_of_trial(run), []).append(run)
-    phases = {}
-    for name, mine in groups.items():
-        flags = [run.columns["travelling"].astype(bool) for run in mine if "travelling" in run.columns]
-        if flags and len({len(flag) for flag in flags}) == 1:
-            phases[name] = np.any(flags, axis=0)
-    found = []
-    for run in runs:
-        moving = phases.get(_of_trial(run))
-        if moving is None or not run.columns or len(run.columns["t_s"]) != len(moving):
-            found.append(run)
-            continue
-        row = dict(run.row)
-        for phase, ticks in zip(PHASES, (~moving, moving), strict=True):
-            row[f"{phase}_ticks"] = int(ticks.sum())
-            if ticks.any():
-                row |= {f"{phase}_{name}": value for name, value in _means(run.columns, ticks).items()}
-        found.append(replace(run, row=row))
-    return found
-
-
-def _of_trial(run: Run) -> tuple[Any, ...]:
-    return tuple(run.row.get(key) for key in ("trial", "group", "robot"))
-
-
-def _means(columns: Mapping[str, Array], ticks: Array) -> dict[str, float]:
-    found = {"mu_mean": float(columns["mu"][ticks].mean())}
-    for name, column in columns.items():
-        if "_error_" in name:
-            found[f"{name.removesuffix('_m')}_mean_mm"] = 1e3 * float(column[ticks].mean())
-    return found | {"trocar_force_mean_N": float(np.linalg.norm(columns["trocar_force_N"][ticks], axis=-1).mean())}
