@@ -8,7 +8,7 @@ Starts are drawn from the whole workspace of each arm. Errors are compared once 
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import partial
 from itertools import combinations
 from typing import Any, Self
