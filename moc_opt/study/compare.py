@@ -54,7 +54,7 @@ CAPTION = (
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """What `compare` found; a notebook shows its table.
+    """What `compare` found.
 
     Attributes:
         rows: one mapping a run: solver, seed, ended, error, asked (ticks with a subproblem) and every metric; of a run
