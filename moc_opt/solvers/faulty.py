@@ -32,10 +32,9 @@ class Faulty:
 
     Args:
         inner: the solver that answers otherwise; at a faulty tick it is asked for "malformed" alone.
-        kind: "fail" gives no answer and says so, "nan" claims success for NaN, "lie" claims success for
-            the best answer to the opposite gradient (feasible: only an optimality check finds it),
-            "outside" for an answer beyond the box, "raise" raises, "rig" answers 50 rad/s and rewrites the subproblem
-            so that this fits, "malformed" gives duals of another kind.
+        kind: "fail" gives no answer and says so; "nan", "lie" and "outside" claim success for NaN, for the best answer
+            to the opposite gradient and for one beyond the box; "raise" raises, "rig" answers 50 rad/s and rewrites the
+            subproblem so that this fits, "malformed" gives duals of another kind.
         rate: share of faulty ticks, 0 to 1.
         seed: of the draw; the same seed corrupts the same ticks.
     """

@@ -1,9 +1,8 @@
 """A solver in a process of its own: whatever happens there, the control loop waits only for a bounded time.
 
-A session sends each subproblem to its process, waits for the answer at most ``budget_us``, and kills and replaces a
-process that hung, ended or ran out of memory. In simulated time a tick waits for its own answer, and simulated time
-stands still while a process is replaced: a solver that keeps its budget gives the same run as without isolation.
-Against a wall clock (``waits=False``) the ticks until the new process is ready, about a second, have no answer.
+A session kills and replaces a process that hung, ended or ran out of memory. Simulated time stands still meanwhile: a
+solver that keeps its budget gives the same run as without isolation. Against a wall clock (``waits=False``) the ticks
+until the new process is ready, about a second, have no answer.
 """
 
 from __future__ import annotations

@@ -5,11 +5,12 @@ An adapter is one file with a frozen dataclass of its library's settings, derive
 docs/extending.md; ``piqp`` is a short one.
 
 Every library wants the same numbers in another place: stacked rows, columns, a packed triangle, a negated side. One
-call of the core puts them there in a microsecond; the same steps in numpy cost as much as the fastest of the libraries.
+call of the core puts them there in a microsecond; in numpy that costs as much as the fastest of the libraries.
 """
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from typing import Any, ClassVar
 
 import numpy as np
@@ -50,7 +51,7 @@ def refuse_semidefinite(qp: NullSpaceQP, needs: str) -> str | None:
     return f"{needs}, and regularization is {qp.regularization:g}: set regularization > 0"
 
 
-class LibrarySession:
+class LibrarySession(ABC):
     """One workspace of a library and the buffers that it reads."""
 
     dual_sign: ClassVar[float] = 1.0  #: Of the library's multipliers of A x = b.
@@ -61,27 +62,40 @@ class LibrarySession:
         self._build(qp)
 
     def _build(self, qp: NullSpaceQP) -> None:
-        self._m, self._n = qp.assembled(self._settings.rows).A.shape
-        self._load = Loader(self._settings.rows, self._settings.cost_scale, **self._allocate(self._m, self._n))
+        rows, scale = self._settings.rows, self._settings.cost_scale
+        self._m, self._n = m, n = qp.assembled(rows).A.shape
+        into = {"packed": np.empty(0), "signs": (1.0, 1.0, 1.0), **self._allocate(m, n)}
+        buffers = [into[name] for name in ("P", "p", "A", "low", "high", "lower", "upper", "packed")]
+        self._lift = np.empty((m, 6))
+        self._to = rows == 5, scale, np.array(into["signs"]), *buffers, self._lift
         self._load(qp)
-        self._set_up(self._m, self._n)
+        self._set_up(m, n)
 
+    @abstractmethod
     def _allocate(self, m: int, n: int) -> dict[str, Any]:
-        """Make the arrays that the library reads; returns the arguments of `Loader` that write into them."""
-        raise NotImplementedError
+        """Make the buffers; each is an array of the library's, or a view into one.
 
-    def _set_up(self, m: int, n: int) -> None:
+        P (n, n) and p (n,) are of the cost, times ``cost_scale``; A (m, n), low and high (m,) the equality rows and
+        their sides; lower and upper (n,) the box. A library may want packed (n (n + 1) / 2,), the upper triangle of P
+        by columns, and other ``signs`` of p, lower and upper.
+        """
+
+    def _load(self, qp: NullSpaceQP) -> bool:
+        """Write ``qp`` into the buffers; False, and nothing is written, where it has another shape."""
+        return qp.n == self._n and core.load(qp.row, *self._to)
+
+    def _set_up(self, m: int, n: int) -> None:  # noqa: B027
         """Make the library's workspace from the loaded arrays, its options set."""
 
-    def _hand_over(self) -> None:
+    def _hand_over(self) -> None:  # noqa: B027
         """Hand the loaded arrays to the library."""
 
+    @abstractmethod
     def _run(self) -> Outcome:
         """Run the library: status, iterations, x (n,) in memory of its own, multipliers (m,) of A x = b.
 
         x and multipliers count only where the status is one with an answer.
         """
-        raise NotImplementedError
 
     def update(self, qp: NullSpaceQP) -> None:
         """Hand the subproblem to the library; another shape than the last one's starts a new workspace."""
@@ -97,15 +111,15 @@ class LibrarySession:
         status, iterations, x, y = self._run()
         if status not in _HAS_X:
             return no_answer(qp.n, status, iterations)
-        return Solution(x, self._load.lifted(y, self._factor), status, iterations)
+        return Solution(x, self._factor * (y @ self._lift), status, iterations)
 
 
 class TruncatedSession(LibrarySession):
     """A library whose iterations can be limited from call to call."""
 
+    @abstractmethod
     def _limit(self, iterations: int) -> None:
         """Let the library make so many iterations at most."""
-        raise NotImplementedError
 
     def truncated(self, qp: NullSpaceQP, iterations: int) -> Solution:
         """Answer with the iterate after so many iterations (at least 1), from where the last solve began."""
@@ -114,9 +128,6 @@ class TruncatedSession(LibrarySession):
             return self.solve(qp)
         finally:
             self._limit(self._settings.max_iter)
-
-
-# --- the buffers ---
 
 
 def upper_triangle(values: Array, n: int) -> sparse.csc_matrix:
@@ -130,28 +141,3 @@ def stacked(values: Array, boxes: int) -> sparse.csc_matrix:
     n, m = len(values), values.shape[1] - boxes
     rows = np.concatenate([np.append(np.arange(m), m + n * np.arange(boxes) + j) for j in range(n)])
     return sparse.csc_matrix((values.ravel(), rows, (m + boxes) * np.arange(n + 1)), shape=(m + boxes * n, n))
-
-
-class Loader:
-    """Writes subproblems of one shape into given buffers; each is an array of the library's, or a view into one.
-
-    P (n, n) and p (n,) are of the cost, times ``scale``; A (m, n), low and high (m,) the equality rows, 5 or 6 as
-    ``rows`` asks for, and their sides; lower and upper (n,) the box; packed (n (n + 1) / 2,) the upper triangle of P by
-    columns; ``signs`` are those of p, lower and upper.
-    """
-
-    def __init__(
-        self, rows: int, scale: float, *, P: Array, p: Array, A: Array, low: Array, high: Array, lower: Array,
-        upper: Array, packed: Array | None = None, signs: tuple[float, float, float] = (1.0, 1.0, 1.0),
-    ) -> None:  # fmt: skip
-        self._lift, self._p = np.empty((len(A), 6)), p
-        packed = np.empty(0) if packed is None else packed
-        self._to = rows == 5, scale, np.array(signs), P, p, A, low, high, lower, upper, packed, self._lift
-
-    def __call__(self, qp: NullSpaceQP) -> bool:
-        """Load ``qp``; False, and nothing is written, where it has another shape."""
-        return qp.n == len(self._p) and core.load(qp.row, *self._to)
-
-    def lifted(self, y: Array, factor: float) -> Array:
-        """Return the multipliers of the six rows (6,) from the library's (m,), times ``factor``."""
-        return factor * (y @ self._lift)

@@ -7,15 +7,15 @@ g is the gradient that the subproblem has: it may stand for more than mu, or for
 mu, d is zero. E (2, 3) spans the plane across the tool: the wrist's third row repeats the tip's, and with six rows
 nothing converges.
 
-This is the null-space subproblem only in the limit T -> 0. At T = 2 ms and joint speeds near 1 rad/s the
-curvature of the kinematics puts an optimal answer 8e-4 m/s (median of random problems, at most 6e-3) off
-A x = b, at a self-motion loss of 7e-4 (at most 0.1, near singularities); all of it shrinks in proportion
-to T. ``residuals().verified()`` with its default of 1e-6 is therefore False for a correct answer here:
-check with looser tolerances.
+This is the null-space subproblem only in the limit T -> 0. At T = 2 ms and joint speeds near 1 rad/s the curvature of
+the kinematics puts an optimal answer 8e-4 m/s (median of random problems, at most 6e-3) off A x = b, at a self-motion
+loss of 7e-4 (at most 0.1, near singularities). A correct answer is therefore not ``residuals().verified()`` with the
+default tolerances.
 """
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
@@ -38,8 +38,6 @@ class Kinematics(Protocol):
     wrist: Any
     mu: Any
 
-
-# --- the sessions ---
 
 # The rest (sqpmethod's "Search_Direction_Becomes_Too_Small", which is also its answer to an infeasible
 # problem) proves nothing.
@@ -119,7 +117,8 @@ class NLPSession:
             for start, end in zip(self._start.values(), self._end.values(), strict=True):
                 start[:] = end
         else:
-            self._forget()
+            for start in self._start.values():
+                start[:] = 0.0
         if status not in (Status.SOLVED, Status.MAX_ITER):
             return no_answer(qp.n, status, iterations)
         return Solution(x.copy(), np.dot(multipliers, lift) / self._settings.cost_scale, status, iterations)
@@ -136,16 +135,9 @@ class NLPSession:
         self._lower[:], self._upper[:] = part.lower, part.upper
         np.dot(lift, part.b, out=self._target)
 
-    def _forget(self) -> None:
-        for start in self._start.values():
-            start[:] = 0.0
-
-
-# --- the settings ---
-
 
 @dataclass(frozen=True)
-class NLP(SolverSettings):
+class NLP(SolverSettings, ABC):
     """Settings that both share; use ``SQP`` or ``Ipopt``.
 
     Args:
@@ -185,9 +177,9 @@ class NLP(SolverSettings):
             return "tip and wrist are not rigidly tied: the five rows of this program do not apply"
         return None
 
+    @abstractmethod
     def _options(self) -> dict[str, Any]:
         """Return the options of the CasADi plug-in: silent, and with our tolerance and limit of iterations."""
-        raise NotImplementedError
 
 
 @dataclass(frozen=True)

@@ -81,10 +81,9 @@ class OSQPSession(TruncatedSession):
 class OSQP(Adapter):
     """OSQP through its native interface.
 
-    The library's own tolerance of 1e-3 is ten times the whole gradient of this problem
-    (c2 |grad_mu| is about 1e-4): it then claims success, and nineteen answers in twenty are not optimal.
-    eps = 1e-8 with costs times 100 left no wrong claim on some thousand random problems, for twice the
-    iterations; one in two hundred is left unsolved at max_iter.
+    The library's own tolerance of 1e-3 is ten times the whole gradient of this problem: it then claims success, and
+    nineteen answers in twenty are not optimal. eps = 1e-8 with costs times 100 left no wrong claim on some thousand
+    random problems, for twice the iterations; one in two hundred is left unsolved at max_iter.
 
     Args:
         eps: absolute tolerance on the scaled problem; eps_rel: the relative one.

@@ -71,9 +71,8 @@ class ProxQPSession(LibrarySession):
 class ProxQP(Adapter):
     """ProxQP's dense back-end.
 
-    With the library's eps_primal_inf = 1e-4 a third of these feasible problems are called infeasible
-    (three quarters where regularization = 0: their cost is smaller than that); with 1e-12 many infeasible ones run
-    into max_iter. With costs times 10 everything from 1e-10 to 1e-7 told 4800 feasible from 4800
+    With the library's eps_primal_inf = 1e-4 a third of these feasible problems are called infeasible; with 1e-12 many
+    infeasible ones run into max_iter. With costs times 10 everything from 1e-10 to 1e-7 told 4800 feasible from 4800
     infeasible ones without an error; with costs times 1e3 a rare feasible one is called infeasible.
 
     Args:

@@ -1,7 +1,6 @@
 """Any solver that qpsolvers finds here, as ``qpsolvers:NAME``.
 
-qpsolvers rebuilds its problem at every call and converts it to the library's form; that costs up to
-half a millisecond, so these adapters compare answers rather than speed.
+qpsolvers converts its problem at every call, up to half a millisecond: these adapters compare answers, not speed.
 """
 
 from __future__ import annotations
@@ -44,8 +43,7 @@ ADVICE: dict[str, Advice] = {
     "scs": Advice(1e3, {"eps_abs": 1e-8, "eps_rel": 0.0}),  # with 1e-4 half of the answers are wrong
 }
 
-MOST = 2**31 - 1
-"""The largest size of an option's value; the libraries count in 32 bits."""
+MOST = 2**31 - 1  # size of an option's value: the libraries count in 32 bits
 
 # A list of allowed options, not of forbidden ones: libraries add options with every version.
 ALLOWED = {
@@ -185,8 +183,7 @@ class QPSolver(SolverSettings):
         advised: False leaves ``ADVICE`` out: the library as it comes.
 
     Raises:
-        SolverError: a setting is out of range; from ``start`` where the problem is not supported or
-            the library refuses an option.
+        SolverError: a setting is out of range; from ``start``, the library refuses an option.
     """
 
     library: str

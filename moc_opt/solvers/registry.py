@@ -1,7 +1,6 @@
 """Solvers by name: those of this package, those that qpsolvers finds, and those of other packages by entry points.
 
-A new one of ours is a file in this folder and a line in ``BUILT_IN``. A plug-in that is broken is listed with the
-reason and does not affect the others.
+A new one of ours is a file in this folder and a line in ``BUILT_IN``.
 """
 
 from __future__ import annotations
@@ -92,7 +91,7 @@ def available() -> dict[str, str | None]:
     absent = _absent("qpsolvers")
     libraries = {"NAME": absent} if absent else importlib.import_module("moc_opt.solvers.qpsolvers").reasons()
     found.update({QPSOLVERS + name: reason for name, reason in libraries.items()})
-    for name, points in _plugins().items():
+    for name, points in plugins.plugins(GROUP).items():
         if _ours(name):
             found[f"{name} ({in_words(points[0])})"] = _clash(name, points)
             continue
@@ -109,7 +108,7 @@ def available() -> dict[str, str | None]:
 
 def check_name(name: str) -> None:
     """Raise an UnknownNameError where there is no solver of that name; `create` finds whether it can run here."""
-    if not (_ours(name) or name in _plugins()):
+    if not (_ours(name) or name in plugins.plugins(GROUP)):
         raise UnknownNameError("solver", name, available(), "moc-opt solvers --list")
 
 
@@ -127,15 +126,8 @@ def create(name: str, **settings: Any) -> Solver:
     """Build a solver's frozen settings.
 
     Raises:
-        UnknownNameError: with the nearest names.
-        SolverError: a package is missing, a plug-in is no solver, or a setting is unknown or out of range.
-
-    Example:
-        >>> mo.solvers.create("exact").name
-        'exact'
-        >>> mo.solvers.create("exacct")
-        Traceback (most recent call last):
-        moc_opt.errors.UnknownNameError: unknown solver 'exacct': did you mean 'exact'? ...
+        UnknownNameError: no such solver or setting; with the nearest names.
+        SolverError: a package is missing, a plug-in is no solver, or a setting is out of range.
     """
     return find(name).create(**settings)
 
@@ -144,7 +136,7 @@ def find(name: str) -> Entry:
     """Import what makes the named solver; raises what ``create`` raises."""
     if not isinstance(name, str):
         raise SolverError(f"solver = {shown(name)}: give the name of one, such as 'exact'")
-    claimed = _plugins().get(name, [])
+    claimed = plugins.plugins(GROUP).get(name, [])
     if claimed and _ours(name):
         warnings.warn(_clash(name, claimed), UserWarning, stacklevel=3)
     if name in BUILT_IN:
@@ -176,10 +168,6 @@ def _absent(package: str) -> str | None:
 
 def _ours(name: str) -> bool:
     return name in BUILT_IN or name.startswith(QPSOLVERS)
-
-
-def _plugins() -> dict[str, list[EntryPoint]]:
-    return plugins.plugins(GROUP)
 
 
 def _clash(name: str, points: list[EntryPoint]) -> str:

@@ -29,11 +29,9 @@ def unstable(
 ) -> str | None:
     """Return why Euler steps of this size diverge on ``qp``, or None. x steps by h_x, by h where that is None.
 
-    On a singular value s of A, away from the bounds, one step has the characteristic polynomial
-    of an oscillator with damping k c s^2 and stiffness k^2 s^2, c = scale c0 = scale c1. Explicit
-    steps keep both roots inside the unit circle only where h k < c and (2 h k c - h^2 k^2) s^2 < 4;
-    with the multipliers on the new x only (2 h k c + h^2 k^2) s^2 < 4 remains. Where x steps by h_x and the
-    multipliers by h, h k < c stays and h h_x takes the place of h^2, h_x that of h before k c.
+    On a singular value s of A, away from the bounds, a step is that of an oscillator with damping k c s^2 and stiffness
+    k^2 s^2, c = scale c0 = scale c1. Explicit steps are stable only where h k < c and (2 h_x k c - h h_x k^2) s^2 < 4;
+    with the multipliers on the new x only (2 h_x k c + h h_x k^2) s^2 < 4 remains.
     """
     c0, c1 = scale * qp.c0, scale * qp.c1
     weak, strong, hk = min(c0, c1), max(c0, c1), h * k
@@ -108,9 +106,8 @@ class RNNPrintedSession(RNNSession):
 class RNN(Network):
     """The network with a state of its own: at most ``steps`` inner steps a tick, warm from tick to tick.
 
-    The paper's weights c0 = 0.01 and k = 0.1 need about 3e7 steps to 1e-3, because the explicit step must
-    keep h k < c0. Multiplying all of c0, c1, c2 and regularization by ``scale`` leaves the solution as it is
-    and lets the step grow with it: scale = 100, k = 0.5, h = 1 need about 1.4e3.
+    The paper's weights c0 = 0.01 and k = 0.1 need about 3e7 steps to 1e-3, because the explicit step must keep
+    h k < c0. ``scale`` leaves the solution as it is and lets the step grow: 100, with k = 0.5, h = 1, needs 1.4e3.
 
     Args:
         steps: inner steps a tick; it ends earlier where the state has come to rest.
@@ -143,11 +140,10 @@ class RNN(Network):
 class RNNPrinted(Network):
     """Equation (2) of the paper to the letter, with the measured joint velocity v as its qd.
 
-    The paper's qdd_d = -v + P(v - k dL/dqd) goes to the controller as it is: the answer is x = P(v - k dL/dqd),
-    of which the third level takes x - v. The multipliers, 0 at first, integrate dlambda/dt = k (J v - v_ref) / eps
-    over the tick. With the subproblem's own weights (the paper's are c0 = c1 = 0.01, c2 = 0.001, regularization 0) its
-    modes are slower than 50 s, so in a controller it acts as damping. ``session.observe(v)`` hands the measured
-    joint velocity over before a tick; without it the network goes on from its own last x.
+    The answer is x = P(v - k dL/dqd), of which the third level takes x - v, the paper's qdd_d. The multipliers, 0 at
+    first, integrate dlambda/dt = k (J v - v_ref) / eps over the tick. With the paper's weights its modes are slower
+    than 50 s, so in a controller it acts as damping. ``session.observe(v)`` hands v over before a tick; without it the
+    network goes on from its own last x.
 
     Args:
         k: the paper's gain.

@@ -19,7 +19,6 @@ from moc_opt.robots import available_robots
 from moc_opt.robots.model import load_robot
 from moc_opt.scenario import Scenario, run
 from moc_opt.solvers import Solver, Status, create, registry
-from moc_opt.solvers.base import TruncatingSession
 from moc_opt.solvers.registry import available
 from tests.hard_problems import hard_problems
 from tests.problems import changed, infeasible_problem, on_rows, random_arm, random_problem, smooth_sequence
@@ -239,15 +238,6 @@ def test_another_shape_starts_another_workspace(name):
 
 UPDATING = ("osqp", "proxqp", "daqp", "piqp", "quadprog", "clarabel")
 TRUNCATING = ("osqp", "piqp", "clarabel")
-
-
-def test_who_updates_and_who_can_be_stopped():
-    qp = sequence("exact", seed=8)[0]
-    for name in ("exact", "rnn", *UPDATING):
-        if name in NAMES:
-            session = solver(name).start(qp)
-            assert hasattr(session, "update") == (name in UPDATING)
-            assert isinstance(session, TruncatingSession) == (name in TRUNCATING)
 
 
 @pytest.mark.parametrize("name", [name for name in UPDATING if name in NAMES])

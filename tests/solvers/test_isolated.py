@@ -94,15 +94,6 @@ def test_a_failure_costs_one_answer_and_only_a_lost_process_is_replaced(qp, act,
     assert [(tick, why in text) for tick, why in session.restarts] == ([(1, True)] if kind == "lost" else [])
 
 
-def test_an_answer_that_is_none_is_the_same_fault_as_without_isolation():
-    for way in ("none", "process"):
-        scenario = Scenario(solver={"isolation": way}, **{**QUICK, "duration_s": 0.02})
-        trace = run(scenario, solver=Misbehaving("in turn", at=3))
-        assert trace.meta["ended"] == "completed"
-        assert trace.fault[2:8].tolist() == ["malformed", "not_finite", "raised"] * 2
-        assert trace.status[2:8].tolist() == ["solved", "solved", "numerical"] * 2
-
-
 def test_a_solver_that_is_always_lost_is_given_up(qp):
     session = started(qp, "exit", at=1, most_restarts=1)
     texts = [fault_of(session, qp)[1] for _ in range(4)]
@@ -174,22 +165,6 @@ def test_a_process_that_hangs_outlives_a_loop_that_was_killed_by_little():
 def test_a_solver_that_cannot_run_there_is_refused_before_anything_moves(qp, act, settings, text):
     with pytest.raises(SolverError, match=text):
         isolated(Misbehaving(act), **settings).start(qp)
-
-
-def test_ctrl_c_ends_a_run_while_a_tick_waits():
-    def alarm(tick):
-        if tick == 2:  # the third subproblem, at which the solver hangs
-            signal.setitimer(signal.ITIMER_REAL, 0.3)
-
-    scenario = Scenario(solver={"isolation": "process", "process": {"hang_s": 60.0}}, **QUICK)
-    before, begin = signal.signal(signal.SIGALRM, signal.default_int_handler), time.monotonic()
-    try:
-        with pytest.raises(KeyboardInterrupt):
-            run(scenario, alarm, solver=Misbehaving("hang", at=3))
-    finally:
-        signal.setitimer(signal.ITIMER_REAL, 0.0)
-        signal.signal(signal.SIGALRM, before)
-    assert time.monotonic() - begin < 50.0
 
 
 def test_a_budget_is_kept_by_process_or_supervisor():

@@ -2,24 +2,19 @@
 
 from __future__ import annotations
 
-import json
 import os
 import re
 import subprocess
 import sys
 from types import SimpleNamespace
 
-import hypothesis.strategies as st
 import numpy as np
 import pytest
-from hypothesis import given, settings
 
 import moc_opt as mo
-from moc_opt.__main__ import main
-from moc_opt.errors import MocOptError, SolverError, UnknownNameError
-from moc_opt.scenario import Scenario, run
+from moc_opt.errors import SolverError, UnknownNameError
 from moc_opt.solvers import Status, available, create, registry
-from moc_opt.solvers.qpsolvers import ALLOWED, MOST, checked
+from moc_opt.solvers.qpsolvers import ALLOWED, checked
 from tests.problems import random_problem
 
 HERE = [name for name, reason in available().items() if reason is None]
@@ -162,27 +157,13 @@ def test_two_plug_ins_of_one_name_are_both_named(install):
         assert f"'{package}:Good' of package '{package}'" in str(refused.value)
 
 
-def test_the_command_line_says_what_a_solver_raised(install, tmp_path, capsys):
-    install("boom_plugin", WHOLE + "class C(Good):\n def solve(self, qp): raise RuntimeError('boom')", boom="C")
-    (tmp_path / "boom.toml").write_text('duration_s = 0.02\nbound_samples = 0\n[solver]\nname = "boom"\n')
-    assert main(["run", str(tmp_path / "boom.toml"), "--json"]) == 0
-    said = capsys.readouterr()
-    assert "answer refused, raised: 10 of 10 ticks, first at 0.000 s: RuntimeError: boom" in said.err
-    json.loads(said.out)
-
-
 # --- options of foreign libraries: nothing that writes, loads or compiles is passed on ---
 
-
-WITH_OPTIONS = [name for name in HERE if ALLOWED.get(name)]
 
 # Options of a library here that make, read or name a file, load, compile, or replace the problem.
 HOSTILE = {
     "qpsolvers:scs": ["log_csv_filename", "write_data_filename", "linear_solver"],
-    "qpsolvers:highs": [
-        "log_file", "solution_file", "write_model_file", "write_model_to_file", "write_solution_to_file",
-        "write_basis_file", "write_presolved_model_file", "read_solution_file", "read_basis_file", "log_to_console",
-    ],
+    "qpsolvers:highs": ["log_file", "solution_file", "write_model_to_file", "read_basis_file", "log_to_console"],
     "qpsolvers:osqp": ["verbose", "linsys_solver", "solver_type", "device"],
     "qpsolvers:clarabel": ["verbose", "direct_solve_method", "pardiso_verbose"],
     "qpsolvers:daqp": ["verbose", "initvals", "is_avi", "break_points"],
@@ -197,9 +178,6 @@ def test_what_writes_loads_or_compiles_is_refused_by_name(solver):
     for option in HOSTILE[solver]:
         with pytest.raises(UnknownNameError, match=f"option of {solver} '{option}'"):
             checked(solver, {option: 1})
-    if solver in HERE:
-        with pytest.raises(MocOptError, match=f"'{option}'"):
-            run(Scenario(solver={"name": solver, "settings": {"options": {option: 1}}}, duration_s=0.01))
 
 
 @pytest.mark.parametrize("value", ["1e-6", "/tmp/x", [1.0], {"a": 1}, None, float("nan"), float("inf"), 2**70, 1e300])
@@ -208,45 +186,21 @@ def test_a_value_is_a_flag_or_a_number(value):
         checked("qpsolvers:osqp", {"eps_abs": value})
 
 
-def refusal(solver, options, qp):
-    """Why these options are refused; None where a session starts."""
+def starts(solver, options, qp):
     try:
-        create(solver, options=options).start(qp)
-    except MocOptError as error:
-        return str(error)
-    return None
+        return create(solver, options=options).start(qp)
+    except SolverError:
+        return None
 
 
-@pytest.mark.parametrize("solver", WITH_OPTIONS)
+@pytest.mark.parametrize("solver", [name for name in HERE if ALLOWED.get(name)])
 def test_every_allowed_option_exists(solver):
     """A list that names what a library does not know would promise what cannot be had."""
     qp = random_problem(np.random.default_rng(0))
     brief = {name: 20 for name in ("max_iter", "max_iters", "iter_limit") if name in ALLOWED[solver]}
     for option in sorted(ALLOWED[solver]):
         values = (1e-6, 10, 0.5, 1, True, 0)
-        assert any(refusal(solver, {**brief, option: value}, qp) is None for value in values), option
-
-
-values = st.one_of(st.booleans(), st.integers(-MOST, MOST), st.floats(-MOST, MOST), st.floats(0.0, 1.0))
-
-
-@given(st.data())
-@settings(max_examples=40)
-def test_any_option_and_value_ends_in_a_refusal_or_a_session(data):
-    """With values of any size: a refusal, or a session that answers; and the folder stays as it was."""
-    solver = data.draw(st.sampled_from([name for name in WITH_OPTIONS if "highs" not in name]))
-    known = st.sampled_from(sorted(ALLOWED[solver]))
-    table = data.draw(st.dictionaries(st.one_of(known, st.text(max_size=20)), values, max_size=3))
-    table = {name: value for name, value in table.items() if "iter" not in name and "time" not in name}
-    table |= {name: 20 for name in ("max_iter", "max_iters", "iter_limit") if name in ALLOWED[solver]}
-    qp, before = random_problem(np.random.default_rng(1)), os.listdir()
-    said = refusal(solver, table, qp)
-    if said is None:
-        assert set(table) <= ALLOWED[solver]
-        assert create(solver, options=table).start(qp).solve(qp).x.shape == (qp.n,)
-    else:
-        assert any(repr(name)[1:-1] in said for name in table)
-    assert os.listdir() == before
+        assert any(starts(solver, {**brief, option: value}, qp) for value in values), option
 
 
 def test_ipopt_reads_no_options_from_the_current_folder(tmp_path):
