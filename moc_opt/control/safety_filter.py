@@ -15,8 +15,7 @@ from moc_opt import core
 from moc_opt.arrays import Array
 from moc_opt.control.safety_settings import SafetyFilterSettings
 from moc_opt.errors import ControlError
-from moc_opt.robots.model import RobotModel
-from moc_opt.robots.state import RobotState
+from moc_opt.robots.model import RobotModel, RobotState
 
 PRESS_PER_S = 50.0  # rate of the mean of the trocar's force in a stop
 MOST_TICKS = 2**31 - 1  # of C

@@ -22,7 +22,7 @@ from moc_opt.errors import MocOptError
 from moc_opt.inputs.names import in_markdown
 from moc_opt.live.run import DCAC, QUANTITIES, LiveError, LiveRun, Moment
 from moc_opt.report.replay import BASE, arm_parts
-from moc_opt.robots.chain import link_frames
+from moc_opt.robots.model import link_frames
 from moc_opt.scenario import Scenario
 
 HOST, PORT = "127.0.0.1", 8642
@@ -264,7 +264,7 @@ class Scene:
     def update(self, moment: Moment) -> None:
         """Move everything to a moment."""
         state = moment.state
-        origins, rotations = link_frames(self._run.robot.chain, state.q[None])
+        origins, rotations = link_frames(self._run.robot, state.q[None])
         for frame, origin, rotation in zip(self._links[1:], origins[0], rotations[0], strict=True):
             frame.position, frame.wxyz = origin, _quaternion(rotation)
         self._trocar.position = moment.trocar

@@ -12,8 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from moc_opt.arrays import Array
 from moc_opt.planning.self_motion import SelfMotion, curve_through, parabola_peak
-from moc_opt.robots.chain import link_frames
-from moc_opt.robots.model import RobotModel
+from moc_opt.robots.model import RobotModel, link_frames
 
 NEAR_RAD = 0.1
 """Nearer to its optimum than this the elbow has arrived: it costs less than half a percent of mu on the LWR4+."""
@@ -29,8 +28,8 @@ class Elbow:
 
     def __init__(self, robot: RobotModel, wrists: Array) -> None:
         """Choose elbow and reference direction for the wrist centres (k, 3) [m] that will occur."""
-        self._chain = robot.chain
-        origins, _ = link_frames(robot.chain, robot.data.q_home[None])
+        self._robot = robot
+        origins, _ = link_frames(robot, robot.data.q_home[None])
         # Second of the joints that turn: a rail carries the shoulder.
         self._shoulder = min(int(np.argmin(robot.chain.prismatic)) + 1, robot.n - 1)
         shoulder, wrist = origins[0, self._shoulder], robot.state(robot.data.q_home).wrist
@@ -43,9 +42,9 @@ class Elbow:
 
     def swivel(self, q: Array) -> Array:
         """Return the swivels (k,) [rad] in (-pi, pi], of poses (k, n)."""
-        origins, rotations = link_frames(self._chain, q)
+        origins, rotations = link_frames(self._robot, q)
         shoulder, elbow = origins[:, self._shoulder], origins[:, self.joint]
-        wrist = origins[:, -1] + rotations[:, -1] @ self._chain.offsets[1]
+        wrist = origins[:, -1] + rotations[:, -1] @ self._robot.chain.offsets[1]
         line, out = _unit(wrist - shoulder), elbow - shoulder
         side = np.cross(line, self.reference)
         return np.asarray(np.arctan2((out * side).sum(axis=1), (out * np.cross(side, line)).sum(axis=1)))

@@ -19,7 +19,7 @@ from moc_opt.errors import TaskError
 from moc_opt.planning.course import Course, Targets, between, make_course
 from moc_opt.planning.program import Program
 from moc_opt.planning.search import NEARBY_RAD, Value
-from moc_opt.robots.state import RobotState
+from moc_opt.robots.model import RobotState
 
 GAIN_PER_S = 5.0  #: k
 NODES = 10  #: Times of the nonlinear program after the measured pose.

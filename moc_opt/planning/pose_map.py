@@ -29,9 +29,8 @@ from moc_opt.errors import RobotError, shown
 from moc_opt.planning.course import Margin, Targets
 from moc_opt.planning.elbow import Elbow, wrapped
 from moc_opt.planning.self_motion import curve_through
-from moc_opt.robots.chain import link_frames
 from moc_opt.robots.inverse_kinematics import solve_pose
-from moc_opt.robots.model import RobotModel
+from moc_opt.robots.model import RobotModel, link_frames
 
 Flags = NDArray[np.bool_]
 
@@ -132,7 +131,7 @@ def closed_form(robot: RobotModel) -> ClosedForm | None:
     chain = robot.chain
     if robot.n != 7 or chain.prismatic.any():
         return None
-    origins, rotations = (frames[0] for frames in link_frames(chain, np.zeros((1, 7))))
+    origins, rotations = (frames[0] for frames in link_frames(robot, np.zeros((1, 7))))
     axes = np.einsum("jab,jb->ja", rotations, chain.axes)
     if np.abs((axes[:-1] * axes[1:]).sum(axis=1)).max() > EXACT_M:
         return None

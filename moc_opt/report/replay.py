@@ -25,8 +25,7 @@ from moc_opt.inputs.files import to_json
 from moc_opt.planning.swivel_map import check_showable
 from moc_opt.report.document import render, save_document
 from moc_opt.report.run_table import listed, title_of
-from moc_opt.robots.chain import link_frames
-from moc_opt.robots.model import RobotModel, load_robot, restored
+from moc_opt.robots.model import RobotModel, link_frames, load_robot, restored
 from moc_opt.trace.trace import Trace, table
 
 MOST_RUNS = 4
@@ -139,7 +138,7 @@ def _run_data(trace: Trace, robot: RobotModel, times: Array, color: str) -> dict
     """Return what one run shows at these times; one that ends early stands still afterwards."""
     t = trace.t_s
     ticks = np.clip(np.searchsorted(t, times, side="right") - 1, 0, len(t) - 1)
-    origins, rotations = link_frames(robot.chain, trace.q_rad[ticks])
+    origins, rotations = link_frames(robot, trace.q_rad[ticks])
     course = np.unique(np.linspace(0, len(t) - 1, min(len(t), PATH_POINTS)).round().astype(int))
     return {
         "color": {"light": color, "dark": DARK.get(color, color)},

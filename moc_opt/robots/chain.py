@@ -42,32 +42,6 @@ class Chain:
         return np.hstack(parts).astype(np.float64)
 
 
-def link_frames(chain: Chain, q: Array) -> tuple[Array, Array]:
-    """Compute every joint's frame at the poses q (k, n) [rad, m].
-
-    Returns:
-        Origins (k, n, 3) [m] and rotations (k, n, 3, 3), world from joint frame, after each joint's motion.
-    """
-    count, n = q.shape
-    origins, rotations = np.empty((count, n, 3)), np.empty((count, n, 3, 3))
-    place, turn = np.zeros((count, 3)), np.tile(np.eye(3), (count, 1, 1))
-    for j in range(n):
-        place = place + turn @ chain.origins[j]
-        turn = turn @ chain.rotations[j]
-        if chain.prismatic[j]:
-            place = place + (turn @ chain.axes[j]) * q[:, j, None]
-        else:
-            turn = turn @ _turns(chain.axes[j], q[:, j])
-        origins[:, j], rotations[:, j] = place, turn
-    return origins, rotations
-
-
-def _turns(axis: Array, angles: Array) -> Array:
-    cross = np.cross(np.eye(3), axis)  # Rodrigues' formula
-    sine, cosine = np.sin(angles)[:, None, None], np.cos(angles)[:, None, None]
-    return np.asarray(np.eye(3) + sine * cross + (1.0 - cosine) * (cross @ cross))
-
-
 def desired_wrist(
     tip: ArrayLike, tip_velocity: ArrayLike, trocar: ArrayLike, trocar_velocity: ArrayLike, span: float
 ) -> tuple[Array, Array]:
@@ -115,7 +89,8 @@ def build_kinematics(name: str, chain: Chain) -> Kinematics:
         if chain.prismatic[j]:
             origin = origin + ca.mtimes(rotation, axis) * q[j]
         else:
-            rotation = ca.mtimes(rotation, _rotation_about(ca, axis, q[j]))
+            k = ca.skew(axis)  # Rodrigues' formula
+            rotation = ca.mtimes(rotation, ca.SX.eye(3) + ca.sin(q[j]) * k + (1 - ca.cos(q[j])) * ca.mtimes(k, k))
         joints.append((ca.mtimes(rotation, axis), origin))
     tip, wrist = (origin + ca.mtimes(rotation, ca.DM(offset)) for offset in chain.offsets)
     jacobian, lever = (
@@ -135,8 +110,3 @@ def build_kinematics(name: str, chain: Chain) -> Kinematics:
     functions = {key: ca.Function(key, [q], [value], ["q"], [key]) for key, value in outputs.items()}
     geometry = hashlib.sha256(chain.joints.tobytes() + chain.offsets.tobytes()).hexdigest()[:12]
     return Kinematics(id=f"{name}-{geometry}", n=chain.n, **functions)
-
-
-def _rotation_about(ca: Any, axis: Any, angle: Any) -> Any:
-    k = ca.skew(axis)
-    return ca.DM.eye(3) + ca.sin(angle) * k + (1 - ca.cos(angle)) * ca.mtimes(k, k)

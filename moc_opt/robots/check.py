@@ -8,7 +8,6 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from moc_opt.control import ControlSettings
 from moc_opt.errors import RobotError
 from moc_opt.planning.self_motion import best_freedoms, freedoms, self_motion
 from moc_opt.robots import urdf
@@ -24,7 +23,7 @@ Verdict = Literal["ok", "care", "cannot"]
 REGULAR, SINGULAR = (0.1, 0.05), 1e-4
 """Singular values over the largest, of the tip's Jacobian and of A, below which to take care, and to refuse."""
 LITTLE_TO_GAIN = 0.05
-RADII_MM = (30, 20, 15, 10, 5)
+LEAST_M = 0.005  #: Radius of a circle that an arm must be able to follow from home.
 MARGIN_DEG, MARGIN_MM = 15.0, 80.0
 CARE = 0.8  #: Share of the stability limit from which on to take care.
 GYRATION_M = 0.6
@@ -51,7 +50,7 @@ def check_robot(robot: RobotModel, scenario: Scenario | None = None) -> list[Fin
     found = [Finding("arm", f"{kinds}, tool {1e3 * robot.data.tool_length:.0f} mm", "ok"), *_freedom(robot)]
     if verdict(found) != "cannot":
         found += [*_climb(robot), _task(robot, asked)]
-    return [*found, _limits(robot), _speeds(robot), _weight(robot), _bodies(robot), *_gains(robot, asked)]
+    return [*found, _limits(robot), _speeds(robot), _weight(robot), _bodies(robot), _gains(robot, asked)]
 
 
 def verdict(findings: list[Finding]) -> Verdict:
@@ -104,12 +103,9 @@ def _task(robot: RobotModel, asked: Scenario) -> Finding:
     fault, what = task_fault(robot, robot.data.q_home, asked), "task from home"
     if not fault:
         return Finding(what, f"{asked.task.path} can be done", "ok")
-    for radius in RADII_MM:
-        smaller = asked.change(task={"path": "circle", "sizes": {"radius": 1e-3 * radius}})
-        if not task_fault(robot, robot.data.q_home, smaller):
-            cure = f"take [task] sizes = {{ radius = {1e-3 * radius:g} }}, or another home.q_rad: {fault}"
-            return Finding(what, f"a circle of {radius} mm radius, not the {asked.task.path}", "care", cure)
-    return Finding(what, f"not even a circle of {RADII_MM[-1]} mm", "cannot", fault)
+    if task_fault(robot, robot.data.q_home, asked.change(task={"path": "circle", "sizes": {"radius": LEAST_M}})):
+        return Finding(what, f"not even a circle of {1e3 * LEAST_M:g} mm", "cannot", fault)
+    return Finding(what, f"{asked.task.path} cannot be done", "care", f"make it smaller, or move home.q_rad: {fault}")
 
 
 def _limits(robot: RobotModel) -> Finding:
@@ -150,13 +146,10 @@ def _weight(robot: RobotModel) -> Finding:
 
 def _bodies(robot: RobotModel) -> Finding:
     # The loader refuses inertias that no body has; here are those that no arm has.
-    far, total = [], 0.0
-    for link in urdf.read(robot.data.urdf).links:
-        if link.mass and link.moments:
-            total += link.mass
-            gyration = math.sqrt(max(link.moments[:3]) / link.mass)
-            if gyration > GYRATION_M:
-                far.append(f"{link.name} ({gyration:.2g} m from its middle)")
+    bodies = [link for link in urdf.read(robot.data.urdf).links if not link.is_frame]
+    gyrations = {body.name: math.sqrt(max(body.moments[:3]) / body.mass) for body in bodies}
+    total = sum(body.mass for body in bodies)
+    far = [f"{name} ({size:.2g} m from its middle)" for name, size in gyrations.items() if size > GYRATION_M]
     return _judge(
         "masses", f"{total:.3g} kg, base and tool included",
         (not 0.5 < total < 2000.0, "care", "an arm weighs more, or less: are the masses in kg?"),
@@ -164,24 +157,20 @@ def _bodies(robot: RobotModel) -> Finding:
     )  # fmt: skip
 
 
-def _gains(robot: RobotModel, asked: Scenario) -> Iterator[Finding]:
+def _gains(robot: RobotModel, asked: Scenario) -> Finding:
     limit, period = largest_rate(asked.plant), asked.plant.period_s
-    swings = f"beyond {limit:.0f}/s a loop of {1e3 * period:g} ms with its delay swings"
-    cases: tuple[tuple[str, ControlSettings, Verdict, str], ...] = (
-        ("gains", asked.control, "cannot", f"{swings}: multiply {{}} by {{:.2g}} in the robot file's [gains]"),
-        ("preset tuned", type(asked.control).preset("tuned"), "care",
-         "leave the preset out, or multiply {} in the robot file's [gains.tuned] by {:.2g}"),
-    )  # fmt: skip
-    for what, control, worst, cure in cases:
-        gains = control.resolve_gains(robot.data.gains, robot.n)
-        tip, wrist = largest_inverse_masses(robot)
-        # Each gain on a velocity over the lightest inertia behind it, over home and seeded poses [1/s].
-        null_space = largest_null_rate(robot, gains.K_N2 + gains.D_N2)
-        rates = {"D_X": gains.D_X * tip, "D_N": gains.D_N * wrist, "K_N2": null_space}
-        name, rate = max(rates.items(), key=lambda item: item[1])
-        told = cure.format(name, 0.5 * limit / rate)
-        text = f"{name} at {100 * rate / limit:.0f} % of the stability limit"
-        yield _judge(what, text, (rate >= limit, worst, told), (rate >= CARE * limit, "care", told))
+    gains = asked.control.resolve_gains(robot.data.gains, robot.n)
+    tip, wrist = largest_inverse_masses(robot)
+    # Each gain on a velocity over the lightest inertia behind it, over home and seeded poses [1/s].
+    null_space = largest_null_rate(robot, gains.K_N2 + gains.D_N2)
+    rates = {"D_X": gains.D_X * tip, "D_N": gains.D_N * wrist, "K_N2": null_space}
+    name, rate = max(rates.items(), key=lambda item: item[1])
+    cure = (
+        f"beyond {limit:.0f}/s a loop of {1e3 * period:g} ms with its delay swings: multiply {name} by "
+        f"{0.5 * limit / rate:.2g} in the robot file's [gains]"
+    )
+    text = f"{name} at {100 * rate / limit:.0f} % of the stability limit"
+    return _judge("gains", text, (rate >= limit, "cannot", cure), (rate >= CARE * limit, "care", cure))
 
 
 def largest_rate(plant: PlantSettings) -> float:

@@ -22,9 +22,6 @@ def add_commands(commands: Any) -> None:
     new.add_argument("--tip", metavar="LINK", help="the link that carries the tool; else that of the last joint")
     new.add_argument("--tool", type=float, default=0.30, metavar="M", help="length of the tool [m]")
     new.add_argument(
-        "--wrist", type=float, metavar="M", help="from wrist point to mount along the shaft [m]; else found"
-    )
-    new.add_argument(
         "--lock", action="append", default=[], metavar="JOINT[=VALUE]", help="fix this joint [rad, m]; may be repeated"
     )
     new.add_argument(
@@ -53,7 +50,7 @@ def run_command(given: argparse.Namespace) -> int:
     out = console()
     if given.robot_command == "new":
         made = new_robot(
-            given.source, given.out, tip=given.tip, tool_m=given.tool, wrist_m=given.wrist, lock=_locks(given.lock),
+            given.source, given.out, tip=given.tip, tool_m=given.tool, lock=_locks(given.lock),
             base_rpy=tuple(given.base_rpy), seed=given.seed,
         )  # fmt: skip
         print(made.toml, made.urdf, sep="\n")

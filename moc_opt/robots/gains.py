@@ -13,10 +13,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from moc_opt.arrays import Array
-from moc_opt.robots.state import RobotState
 
 if TYPE_CHECKING:
-    from moc_opt.robots.model import RobotModel
+    from moc_opt.robots.model import RobotModel, RobotState
 
 Table = dict[str, float | tuple[float, ...]]
 

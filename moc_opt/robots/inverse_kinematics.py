@@ -36,10 +36,7 @@ def solve_pose(
 
     Damped Gauss-Newton from q (n,), which is put inside the limits first. A joint that reaches its limit stays there
     while the others take over. The search is local: that it fails proves nothing by itself. Without ``limited`` the
-    joints have no limits.
-
-    Raises:
-        RobotError: a pose or a point of another shape, or not finite.
+    joints have no limits. A RobotError where a pose or a point has another shape, or is not finite.
     """
     points = np.array([tip] if wrist is None else [tip, wrist], dtype=np.float64)
     low, high = (robot.q_min, robot.q_max) if limited else (np.full(robot.n, -np.inf), np.full(robot.n, np.inf))
@@ -67,13 +64,10 @@ def pose_with_tip(robot: RobotModel, q: ArrayLike, tip: ArrayLike) -> Array:
 
 
 def pose_through(robot: RobotModel, tip: ArrayLike, trocar: ArrayLike) -> Array:
-    """Find a pose (n,) with the tip at a point and the shaft through the trocar, both (3,) [m].
+    """Find a pose (n,) with the tip at a point and the shaft through the trocar, both (3,) [m]; a TaskError if none.
 
     The search begins at the home pose, then at seeded random poses; of their solutions the one farthest from the
     joint limits is taken.
-
-    Raises:
-        TaskError: the trocar is not on the shaft's length, or no pose is found.
     """
     x, p = np.asarray(tip, dtype=np.float64), np.asarray(trocar, dtype=np.float64)
     length = robot.data.tool_length

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
 from pydantic import Field
 
-from moc_opt.arrays import Array
+from moc_opt.arrays import Array, read_only
 from moc_opt.errors import MocOptError, RobotError, UnknownNameError
 from moc_opt.inputs import names
 from moc_opt.inputs.files import as_path, read_text, read_toml
@@ -47,9 +46,9 @@ class Tool(_Table):
     """A straight round rod from the mount to the tip, along z of the mount."""
 
     KIND: ClassVar[str] = "[tool]"
-    length_m: float = Field(0.30, gt=0, le=10)
-    mass_kg: float = Field(0.3, ge=urdf.SMALLEST_MASS, le=1000)
-    radius_m: float = Field(0.004, gt=0, le=1)
+    length_m: float = Field(0.30, ge=0.01, le=10)
+    mass_kg: float = Field(0.3, ge=0.001, le=1000)
+    radius_m: float = Field(0.004, ge=0.0005, le=1)
 
 
 class Limits(_Table):
@@ -118,19 +117,15 @@ class RobotData:
     gains: Mapping[str, Gains]  #: The raw [gains.*] tables, one for each controller.
 
     def __post_init__(self) -> None:
-        for name in (self.name, *self.joint_names, self.wrist_frame, self.tip_frame):
-            if not names.is_name(name):  # they are written into sources and pages
+        for name in (self.name, *self.joint_names):  # they are written into sources and pages
+            if not names.is_name(name):
                 raise RobotError(f"robot {self.name!r:.80}: {name!r:.80} is no name: {names.RULE}")
         for name in _ARRAYS:
             value = np.array(getattr(self, name), dtype=np.float64)
             if value.shape != (self.n,) or not np.isfinite(value).all():
                 raise RobotError(f"robot {self.name!r}: {name} has shape {value.shape}, or is not finite")
-            value.flags.writeable = False
-            object.__setattr__(self, name, value)
+            object.__setattr__(self, name, read_only(value))
         object.__setattr__(self, "gains", {name: dict(table) for name, table in self.gains.items()})
-
-    def __reduce__(self) -> tuple[Any, ...]:  # what is read is read-only again
-        return RobotData, tuple(getattr(self, field.name) for field in fields(self))
 
     @property
     def n(self) -> int:
@@ -266,7 +261,7 @@ def _vector(name: str, values: float | tuple[float, ...], n: int) -> Array:
 def _append_tool(arm: urdf.Urdf, frames: Frames, tool: Tool) -> None:
     # The wrist must lie on the rod's axis, behind the tip: the control laws take the line between them for the shaft.
     mount, wrist, rpy = np.array(frames.tool_mount_xyz_m), np.array(frames.wrist_xyz_m), frames.tool_mount_rpy_rad
-    (sr, sp, sy), (cr, cp, cy) = (map(f, rpy) for f in (math.sin, math.cos))
+    (sr, sp, sy), (cr, cp, cy) = np.sin(rpy), np.cos(rpy)
     axis = np.array([cy * sp * cr + sy * sr, sy * sp * cr - cy * sr, cp * cr])  # z of Rz(yaw) Ry(pitch) Rx(roll)
     along = float(axis @ (mount - wrist))
     off = float(np.linalg.norm(mount - wrist - along * axis))
@@ -278,8 +273,6 @@ def _append_tool(arm: urdf.Urdf, frames: Frames, tool: Tool) -> None:
         )
     across, about = m * (3 * r * r + length * length) / 12, m * r * r / 2
     moments = (across, across, about, 0.0, 0.0, 0.0)
-    if fault := urdf.inertia_fault(moments):
-        raise RobotError(f"tool of {m:g} kg, {length:g} m, radius {r:g} m: {fault}; raise tool.mass_kg or radius_m")
     rod = urdf.Link(urdf.TOOL_LINK, m, moments, (0.0, 0.0, length / 2))
     for link, kind, point in (
         (rod, "mount", mount), (urdf.Link(urdf.TIP_LINK), "frame", mount + length * axis),

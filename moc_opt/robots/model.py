@@ -1,4 +1,4 @@
-"""RobotModel: all terms of the control laws at one (q, v) of an arm.
+"""RobotModel: all terms of the control laws at one (q, v) of an arm, in one flat read-only array (`RobotState`).
 
 Pinocchio reads the URDF; `moc_opt.core` computes the terms.
 """
@@ -8,8 +8,9 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from dataclasses import replace
-from functools import cached_property
-from typing import Any
+from functools import cache, cached_property
+from itertools import accumulate
+from typing import Any, NoReturn
 
 import numpy as np
 import pinocchio as pin
@@ -23,11 +24,93 @@ from moc_opt.robots import urdf
 from moc_opt.robots.chain import Chain, Kinematics, build_kinematics
 from moc_opt.robots.gains import CARTESIAN, derived_gains
 from moc_opt.robots.loader import RobotData, load_data
-from moc_opt.robots.state import RobotState, record_size
-
-__all__ = ["RobotModel", "RobotState", "load_robot"]
 
 _STRUCTURAL_ZERO = 1e-12  # a column this small at several random poses is zero at all of them
+
+
+_TIP, _WRIST = slice(0, 3), slice(3, 6)
+
+
+@cache
+def layout(n: int) -> dict[str, slice]:
+    """Return where the parts of a record lie, in its order: that in which the core writes them."""
+    parts = {
+        "q": n, "v": n, "tip": 3, "wrist": 3, "u": 3, "A": 6 * n, "drift": 6, "grad_mu": n, "grad_mu_shaft": n,
+        "M": n * n, "h": n, "energy_slope": n, "gravity": n, "scalars": 3,
+    }  # fmt: skip
+    ends = list(accumulate(parts.values()))
+    return {name: slice(end - size, end) for (name, size), end in zip(parts.items(), ends, strict=True)}
+
+
+def _part(name: str, doc: str, *, rows: slice | None = None, shape: tuple[int, ...] | None = None) -> Array:
+    def view(state: RobotState) -> Array:
+        part = state.record[layout(state.n)[name]]
+        if shape is not None:
+            part = part.reshape([size or state.n for size in shape])
+        return part if rows is None else part[rows]
+
+    return property(view, doc=doc)  # type: ignore[return-value]
+
+
+def _scalar(index: int, doc: str) -> float:
+    def number(state: RobotState) -> float:
+        return float(state.record[layout(state.n)["scalars"].start + index])
+
+    return property(number, doc=doc)  # type: ignore[return-value]
+
+
+class RobotState:
+    """The model's terms of an arm at one (q, v): read-only views of one flat array, `record`, in order of `layout`.
+
+    Example:
+        >>> robot = mo.load_robot("lwr4")
+        >>> state = robot.state(robot.data.q_home, np.full(7, 0.1))
+        >>> state.tip.shape, state.A.shape, state.M.shape, round(state.mu, 3)
+        ((3,), (6, 7), (7, 7), 0.268)
+        >>> np.allclose(state.tip - state.wrist, state.tool_span * state.tool_direction)
+        True
+        >>> np.allclose(state.A, np.vstack([state.J_tip, state.J_wrist]))
+        True
+    """
+
+    record: Array
+    n: int
+
+    def __init__(self, record: Array, n: int) -> None:
+        record.setflags(write=False)
+        own = self.__dict__  # around our own __setattr__: a state is made at every tick
+        own["record"], own["n"] = record, n
+
+    def __setattr__(self, name: str, value: object) -> NoReturn:
+        raise AttributeError(f"RobotState is frozen: {name} cannot be set")
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return RobotState, (self.record.copy(), self.n)
+
+    def __repr__(self) -> str:
+        return f"RobotState(n={self.n}, q={np.round(self.q, 4).tolist()}, mu={self.mu:.4g})"
+
+    q = _part("q", "Joint positions (n,) [rad].")
+    v = _part("v", "Joint velocities (n,) [rad/s].")
+    tip = _part("tip", "Tool tip X (3,) [m].")
+    wrist = _part("wrist", "Wrist centre N (3,) [m].")
+    tool_direction = _part("u", "u = (X - N)/L (3,), the unit vector along the shaft.")
+    tool_span = _scalar(1, "L = |X - N| [m], constant.")
+    A = _part("A", "[J_tip; J_wrist] (6,n), of rank 5: tip and wrist are rigidly tied.", shape=(6, 0))
+    J_tip = _part("A", "Translational Jacobian of the tip (3,n), world axes [m/rad].", rows=_TIP, shape=(6, 0))
+    J_wrist = _part("A", "Translational Jacobian of the wrist (3,n), world axes [m/rad].", rows=_WRIST, shape=(6, 0))
+    drift_tip = _part("drift", "dJ_tip/dt v (3,) [m/s^2].", rows=_TIP)
+    drift_wrist = _part("drift", "dJ_wrist/dt v (3,) [m/s^2].", rows=_WRIST)
+    mu = _scalar(0, "Manipulability sqrt(det(J_tip J_tip^T)) [m^3].")
+    grad_mu = _part("grad_mu", "dmu/dq (n,) [m^3/rad]; zero at a singularity, where mu has a kink.")
+    mu_shaft = _scalar(
+        2, "Manipulability of the shaft once the tip is held [m^2]; see `moc_opt/core/manipulability.c`."
+    )
+    grad_mu_shaft = _part("grad_mu_shaft", "dmu_shaft/dq (n,) [m^2/rad]; zero at a singularity, where it has a kink.")
+    M = _part("M", "Joint-space inertia (n,n), rotor inertia included [kg m^2].", shape=(0, 0))
+    h = _part("h", "C v + g (n,) [Nm].")
+    energy_slope = _part("energy_slope", "dT/dq = C^T v (n,) [Nm]: T the kinetic energy, C Christoffel's matrix.")
+    gravity = _part("gravity", "g (n,) [Nm], the torque that carries the arm's weight.")
 
 
 class RobotModel:
@@ -45,16 +128,11 @@ class RobotModel:
         >>> robot = mo.load_robot("lwr4")
         >>> q = np.array(robot.data.q_home)
         >>> state = robot.state(q)
-        >>> robot.n, state.J_tip.shape, robot.gravity(q).shape
-        (7, (3, 7), (7,))
         >>> poses = np.stack([q, robot.random_regular_pose(np.random.default_rng(0))])
-        >>> bool(robot.mu_along(poses)[0] == state.mu)
-        True
-        >>> tip, wrist = robot.tool_along(poses)
-        >>> np.linalg.norm(tip - wrist, axis=1).round(6).tolist()
-        [0.378, 0.378]
-        >>> np.allclose(robot.tool_pose(q)[3], state.tip)
-        True
+        >>> bool(robot.mu_along(poses)[0] == state.mu), robot.tool_along(poses)[0].shape
+        (True, (2, 3))
+        >>> robot.n, robot.gravity(q).shape, np.allclose(robot.tool_pose(q)[3], state.tip)
+        (7, (7,), True)
         >>> robot.moves[:, -1].tolist()  # the last joint turns the tool about its own axis
         [False, False]
         >>> float(robot.kinematics().mu(q)) - state.mu < 1e-12, robot.chain.axes.shape
@@ -73,7 +151,7 @@ class RobotModel:
         frames = [self._pin.frames[tip], self._pin.frames[wrist]]
         self._offsets = read_only(np.array([frame.placement.translation for frame in frames]))
         self._mount = np.ascontiguousarray(frames[0].placement.rotation.T)
-        self._size, self._rest = record_size(n), np.zeros(n)
+        self._size, self._rest = layout(n)["scalars"].stop, np.zeros(n)
         self.moves = read_only(np.ones((2, n), dtype=np.bool_))
         self.arm = core.Arm(*self.arm_arrays)
         # Which joints ever move tip and wrist: the last joint, for one, moves no tool on its own axis.
@@ -181,6 +259,16 @@ class RobotModel:
         if array.ndim != dimensions or array.shape[-1] != self.n:
             raise RobotError(f"{name} has shape {array.shape}: the arm has {self.n} joints, give {shape}")
         return array
+
+
+def link_frames(robot: RobotModel, poses: Array) -> tuple[Array, Array]:
+    """Compute every joint's frame, after its motion, at poses (k,n): origins (k,n,3) [m], rotations (k,n,3,3)."""
+    model, data = robot._pin, robot._pin.createData()
+    frames = np.empty((len(poses), robot.n, 4, 4))
+    for k, pose in enumerate(np.asarray(poses, dtype=np.float64)):
+        pin.forwardKinematics(model, data, pose)
+        frames[k] = [frame.homogeneous for frame in list(data.oMi)[1:]]
+    return frames[..., :3, 3], frames[..., :3, :3]
 
 
 def load_robot(

@@ -1,8 +1,4 @@
-"""From a vendor's URDF to a robot of ours: a commented TOML and a small URDF beside it.
-
-`find_shaft` lays the tool on the last link, `search_home` looks for a home pose: regular, the tool down, with
-manipulability to gain.
-"""
+"""From a vendor's URDF to a robot of ours: a commented TOML and a small URDF beside it."""
 
 from __future__ import annotations
 
@@ -11,7 +7,6 @@ import re
 import tempfile
 import textwrap
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -42,53 +37,46 @@ SHARE = (0.7, 0.9)
 
 
 class NewRobot(NamedTuple):
-    """The files that were written, and their robot."""
+    """The files that were written, their robot, and assumptions and changes, one sentence each."""
 
     toml: Path
     urdf: Path
     robot: RobotModel
-    notes: list[str]  #: Assumptions and changes, one sentence each.
+    notes: list[str]
 
 
 def new_robot(
-    source: Path, out: Path, *, tip: str | None = None, tool_m: float = 0.30, wrist_m: float | None = None,
+    source: Path, out: Path, *, tip: str | None = None, tool_m: float = 0.30,
     lock: Mapping[str, float] | None = None, base_rpy: tuple[float, float, float] = (0.0, 0.0, 0.0), seed: int = 0,
 ) -> NewRobot:  # fmt: skip
-    """Write ``out`` (a TOML) and a URDF of the same name beside it.
+    """Write ``out`` (a TOML) and a URDF of the same name beside it; neither must exist yet.
 
     Args:
-        source: the vendor's URDF; it is only read.
-        out: where the TOML goes; both files must not exist yet.
+        source: the vendor's URDF.
         tip: the link that carries the tool; None: that of the last moving joint of the one chain there is.
         tool_m: mount to tip [m].
-        wrist_m: wrist point to mount along the shaft [m]; None: found.
         lock: joint -> position [rad, m] at which it is fixed.
         base_rpy: how the base stands: (pi, 0, 0) hangs from the ceiling [rad].
 
     Raises:
         RobotError: a file that cannot be such an arm; no freedom is left; or a file is there already.
+        UnknownNameError: ``tip`` or a joint of ``lock`` is not in the file.
     """
     if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]{0,99}\.toml", out.name):
         raise RobotError(f"--out {out.name!r}: the robot is called like it: give letters, digits, _ and -, then .toml")
-    for option, value, least, most in (
-        ("tool", tool_m, 1e-3, 10.0), ("wrist", wrist_m or 0.0, 0.0, 10.0), ("seed", seed, 0, 2**63),
-        *(("base-rpy", angle, -10.0, 10.0) for angle in base_rpy),
-        *((f"lock {joint}", value, -1e3, 1e3) for joint, value in (lock or {}).items()),
-    ):  # fmt: skip
-        if not least <= value <= most:
-            raise RobotError(f"--{option} {value:g}: give a number from {least:g} to {most:g}")
+    if seed < 0 or not np.isfinite([*base_rpy, *(lock or {}).values()]).all():
+        raise RobotError(f"--seed {seed}, --base-rpy {base_rpy}, --lock {lock}: give finite numbers, no negative seed")
     beside = out.with_suffix(".urdf")
     for file in (out, beside):
         if file.exists():
             raise RobotError(f"{str(file)!r} exists: choose another --out, or move it away")
         check_replaceable(file, "robot file", RobotError)
     arm, name = read_vendor(source, tip=tip, lock=lock, base_rpy=base_rpy), out.stem
-    shaft = find_shaft(arm.urdf.to_text(name), arm.last_link, wrist_m=wrist_m)
+    shaft = find_shaft(arm.urdf.to_text(name), arm.last_link)
     arm.notes.append(shaft.note)
 
-    def write(path: Path, q: Array, note: str = "", **more: Any) -> RobotModel:
-        text = arm.urdf.to_text(name).replace(">\n", f">\n{note}", 1)
-        write_whole(path.with_suffix(".urdf"), text, "robot file", RobotError)
+    def write(path: Path, q: Array, **more: Any) -> RobotModel:
+        write_whole(path.with_suffix(".urdf"), arm.urdf.to_text(name), "robot file", RobotError)
         toml = _FORM.get_template("new.toml.jinja").render(
             {"home": None, "gains": None, **more}, name=name, notes=arm.notes, last_link=arm.last_link, shaft=shaft,
             tool_m=tool_m, q=q, drives=_drives(arm), slides="prismatic" in {joint.kind for joint in arm.chain},
@@ -111,10 +99,7 @@ def new_robot(
         gains = derived_gains(write(draft, home.q))
     if home.task:
         arm.notes.append(f"home pose: the default task cannot be done from it: {home.task}")
-    source_name = re.sub(r"[^A-Za-z0-9_. ]+", "-", source.name)
-    told = "".join(f"\n  - {line}" for line in arm.notes).replace("--", "- -")
-    note = f"  <!-- Made from {source_name}. What was assumed:{told}\n  -->\n"
-    robot = write(out, home.q, note, home=home, gains=gains)
+    robot = write(out, home.q, home=home, gains=gains)
     return NewRobot(out, beside, robot, arm.notes)
 
 
@@ -161,12 +146,12 @@ class Shaft(NamedTuple):
     note: str
 
 
-def find_shaft(text: str, last_link: str, *, wrist_m: float | None = None) -> Shaft:
+def find_shaft(text: str, last_link: str) -> Shaft:
     """Lay the tool along the last turning axis, away from the arm, from the last link's origin.
 
     The wrist point is the point of the shaft nearest to the axis before it: where they cross on a spherical wrist.
     Where the last joint slides, the tool runs along z of the last link and the wrist point is its origin. ``text`` is a
-    URDF that is sound; ``wrist_m`` is the distance from wrist point to mount [m], in place of the one found.
+    URDF that is sound.
     """
     model = pin.buildModelFromXML(text)
     data = model.createData()
@@ -193,10 +178,10 @@ def find_shaft(text: str, last_link: str, *, wrist_m: float | None = None) -> Sh
             origin = on_axis
         else:
             note = "the last link is off the last axis: the tool runs parallel to it, and no joint is idle"
-    behind = float((origin - foot) @ direction) if wrist_m is None else wrist_m
-    if wrist_m is None and behind < 1e-6:
+    behind = float((origin - foot) @ direction)
+    if behind < 1e-6:
         behind, note = 0.0, f"{note}; the wrist point is the mount"
-    elif wrist_m is None:
+    else:
         note = f"{note}; the wrist point, {behind:.4g} m behind the mount, is the nearest to the axis before it"
     down = place.rotation.T @ direction
     mount = place.rotation.T @ (origin - place.translation)
@@ -208,8 +193,7 @@ def find_shaft(text: str, last_link: str, *, wrist_m: float | None = None) -> Sh
 # --- the home pose ---
 
 
-@dataclass(frozen=True, eq=False)
-class Home:
+class Home(NamedTuple):
     """A pose and why it was taken."""
 
     q: Array  #: (n,) [rad, m]
@@ -230,10 +214,7 @@ def search_home(robot: RobotModel, *, seed: int = 0) -> Home:
     Poses with tip and wrist on the arm's side of the plane that it stands on or hangs from are ranked by their
     distance from limits and singularities and by mu. The first one is taken whose mu is between `SHARE` of the best on
     its self-motion and from which the default scenario's path can be followed. Where there is none, the direction of
-    the tool is given up first, then the share.
-
-    Raises:
-        RobotError: every pose drawn is singular or near a limit.
+    the tool is given up first, then the share. A RobotError where every pose drawn is singular or near a limit.
     """
     rng, idle = np.random.default_rng(seed), ~robot.moves.any(axis=0)
     middle, half = 0.5 * (robot.q_min + robot.q_max), 0.5 * (robot.q_max - robot.q_min)

@@ -21,18 +21,13 @@ MOVING = frozenset({"revolute", "continuous", "prismatic"})
 TOOL_LINK, TIP_LINK, WRIST_LINK = "tool", "tip", "wrist"
 TOOL_NAMES = {"link": {TOOL_LINK, TIP_LINK, WRIST_LINK}, "joint": {"tool_mount", "tip_frame", "wrist_frame"}}
 """Names that the tool brings, and that a URDF must not have."""
-MOST_LINKS = 500
-"""Engines walk a tree by recursion: MuJoCo stops at a depth of 1000, and some thousands end the process."""
 MOMENTS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 SMALLEST_MASS, SMALLEST_MOMENT = 1e-6, 1e-12
 _TRIANGLE, _FLAT, _THIN = 1e-6, 1e-9, 1e-12  # of the largest moment: files round their numbers
-SMALLEST = 1e-30  #: A smaller number is read as 0: some readers refuse those below 1e-308.
-LARGEST = {"m": 100.0, "rad": 100.0, "kg": 1e5, "kg m^2": 1e6, "1": 1e3, "a limit": math.inf}
-"""Unit -> the largest number of it that an arm can have; a vendor's limit may be endless until `normalize`."""
-LARGEST_LIMIT = 1e6
+LARGEST = 1e6  #: No number of an arm is larger, in whichever unit, but for a vendor's limits.
 
-Triple = tuple[float, float, float]
-_ZEROS: Triple = (0.0, 0.0, 0.0)
+Numbers = tuple[float, ...]
+_ZEROS: Numbers = (0.0, 0.0, 0.0)
 
 
 @dataclass
@@ -40,15 +35,19 @@ class Link:
     """A link and its body; without mass and moments it is a frame."""
 
     name: str
-    mass: float | None = None  #: [kg]
-    moments: tuple[float, ...] | None = None  #: `MOMENTS` about the centre of mass [kg m^2]
-    xyz: Triple = _ZEROS  #: centre of mass [m]
-    rpy: Triple = _ZEROS  #: axes of the moments [rad]
+    mass: float = 0.0  #: [kg]
+    moments: Numbers = 2 * _ZEROS  #: `MOMENTS` about the centre of mass [kg m^2]
+    xyz: Numbers = _ZEROS  #: centre of mass [m]
+    rpy: Numbers = _ZEROS  #: axes of the moments [rad]
 
     @property
     def is_frame(self) -> bool:
         """Whether it has no body."""
-        return self.mass is None and self.moments is None
+        return self.mass == 0.0 and not any(self.moments)
+
+    def thicken(self, added: float) -> None:
+        """Add to the moments about all axes [kg m^2]."""
+        self.moments = (*(moment + added for moment in self.moments[:3]), *self.moments[3:])
 
 
 @dataclass
@@ -59,9 +58,9 @@ class Joint:
     kind: str
     parent: str
     child: str
-    xyz: Triple = _ZEROS  #: [m]
-    rpy: Triple = _ZEROS  #: [rad]
-    axis: Triple = (1.0, 0.0, 0.0)
+    xyz: Numbers = _ZEROS  #: [m]
+    rpy: Numbers = _ZEROS  #: [rad]
+    axis: Numbers = (1.0, 0.0, 0.0)
     limits: dict[str, float] = field(default_factory=dict)
     """Those of lower, upper, velocity and effort that are given [rad, rad/s, Nm, or m, m/s, N]."""
     mimics: bool = False
@@ -86,10 +85,14 @@ class Urdf:
 
     def to_text(self, name: str) -> str:
         """Write the URDF as text, indented; every reader gets its numbers back to the bit."""
+
+        def as_text(*values: float) -> str:
+            return " ".join(repr(float(value)) for value in values)
+
         root = ET.Element("robot", name=name)
         for link in self.links:
             made = ET.SubElement(root, "link", name=link.name)
-            if link.mass is not None and link.moments is not None:
+            if not link.is_frame:
                 inertial = ET.SubElement(made, "inertial")
                 ET.SubElement(inertial, "origin", xyz=as_text(*link.xyz), rpy=as_text(*link.rpy))
                 ET.SubElement(inertial, "mass", value=as_text(link.mass))
@@ -110,11 +113,7 @@ class Urdf:
 
 
 def read(text: str) -> Urdf:
-    """Read links and joints, unchecked but for their numbers.
-
-    Raises:
-        RobotError: no XML, no <robot>, or a number or an element that is wrong or missing; the message names it.
-    """
+    """Read links and joints, unchecked but for their numbers; a RobotError names what is wrong."""
     try:
         root = ET.fromstring(text)
     except ET.ParseError as error:
@@ -126,73 +125,46 @@ def read(text: str) -> Urdf:
     return Urdf([_link(each) for each in root.findall("link")], [_joint(each) for each in root.findall("joint")])
 
 
-def numbers(element: ET.Element | None, key: str, what: str, unit: str, count: int = 3) -> tuple[float, ...]:
-    """Read the numbers of an attribute, in a unit of `LARGEST`; zeros where element or attribute is missing.
-
-    Raises:
-        RobotError: another count of numbers, what is no number, or one that is too large; the message names ``what``.
-    """
-    text = None if element is None else element.get(key)
-    if text is None:
-        return (0.0,) * count
-    endless = ("inf", "infinity")
-    found = [float(part) if part.lower().lstrip("+-") in endless else decimal(part) for part in text.split()]
-    if len(found) != count or not all(abs(value) <= LARGEST[unit] for value in found):
-        wanted = "three decimal numbers, such as '0 0 0.1'," if count == 3 else "a decimal number"
-        size = f" of at most {LARGEST[unit]:g} {unit}" if unit != "a limit" else ", such as 2.9"
-        raise RobotError(f"urdf: {what} is {text!r:.80}: give {wanted}{size}")
-    return tuple(0.0 if abs(value) < SMALLEST else value for value in found)
-
-
-def as_text(*values: float) -> str:
-    """Write numbers so that every reader gets them back to the bit."""
-    return " ".join(repr(float(value)) for value in values)
-
-
 def _link(element: ET.Element) -> Link:
-    name = element.get("name", "")
-    where = f"link {name!r:.80}"
-    inertial, link = _one(element, "inertial", where), Link(name)
-    if inertial is None:
-        return link
-    origin, mass, inertia = (_one(inertial, tag, where) for tag in ("origin", "mass", "inertia"))
-    link.xyz, link.rpy = _place(origin, f"<inertial> of {where}")
-    if mass is not None:
-        (link.mass,) = numbers(mass, "value", f"mass of {where}", "kg", 1)
-    if inertia is not None:
-        link.moments = sum((numbers(inertia, key, f"{key} of {where}", "kg m^2", 1) for key in MOMENTS), ())
+    link = Link(element.get("name", ""))
+    where, body = f"link {link.name!r:.80}", element.find("inertial")
+    if body is not None:
+        link.xyz, link.rpy = _place(body, f"<inertial> of {where}")
+        (link.mass,) = _numbers(body.find("mass"), "value", f"mass of {where}", 1)
+        link.moments = sum((_numbers(body.find("inertia"), key, f"{key} of {where}", 1) for key in MOMENTS), ())
     return link
 
 
 def _joint(element: ET.Element) -> Joint:
-    name = element.get("name", "")
-    where = f"joint {name!r:.80}"
-    ends = {which: getattr(element.find(which), "attrib", {}).get("link", "") for which in ("parent", "child")}
-    origin, axis, limit = (_one(element, tag, where) for tag in ("origin", "axis", "limit"))
-    joint = Joint(name, element.get("type", ""), **ends, mimics=element.find("mimic") is not None)
-    joint.xyz, joint.rpy = _place(origin, where)
+    parent, child = (getattr(element.find(which), "attrib", {}).get("link", "") for which in ("parent", "child"))
+    joint = Joint(element.get("name", ""), element.get("type", ""), parent, child)
+    joint.mimics = element.find("mimic") is not None
+    where, axis, limit = f"joint {joint.name!r:.80}", element.find("axis"), element.find("limit")
+    joint.xyz, joint.rpy = _place(element, where)
     if axis is not None:
-        joint.axis = _triple(axis, "xyz", f"<axis> of {where}", "1")
+        joint.axis = _numbers(axis, "xyz", f"<axis> of {where}")
     for key in ("lower", "upper", "velocity", "effort"):
         if limit is not None and key in limit.attrib:
-            (joint.limits[key],) = numbers(limit, key, f"<limit> of {where}, {key}", "a limit", 1)
+            (joint.limits[key],) = _numbers(limit, key, f"<limit> of {where}, {key}", 1, most=math.inf)
     return joint
 
 
-def _place(origin: ET.Element | None, where: str) -> tuple[Triple, Triple]:
-    return _triple(origin, "xyz", f"<origin> of {where}", "m"), _triple(origin, "rpy", f"<origin> of {where}", "rad")
+def _place(element: ET.Element, where: str) -> tuple[Numbers, Numbers]:
+    origin, what = element.find("origin"), f"<origin> of {where}"
+    return _numbers(origin, "xyz", f"{what}, xyz"), _numbers(origin, "rpy", f"{what}, rpy")
 
 
-def _triple(element: ET.Element | None, key: str, where: str, unit: str) -> Triple:
-    x, y, z = numbers(element, key, f"{where}, {key}", unit)
-    return x, y, z
-
-
-def _one(parent: ET.Element, tag: str, where: str) -> ET.Element | None:
-    found = parent.findall(tag)
-    if len(found) > 1:
-        raise RobotError(f"urdf {where} has {len(found)} <{tag}>: leave one, readers differ in which they take")
-    return found[0] if found else None
+def _numbers(element: ET.Element | None, key: str, what: str, count: int = 3, most: float = LARGEST) -> Numbers:
+    """Read the numbers of an attribute; zeros where element or attribute is missing."""
+    text = None if element is None else element.get(key)
+    if text is None:
+        return (0.0,) * count
+    endless = ("inf", "infinity")
+    found = tuple(float(part) if part.lower().lstrip("+-") in endless else decimal(part) for part in text.split())
+    if len(found) != count or not all(abs(value) <= most for value in found):
+        wanted = "three decimal numbers, such as '0 0 0.1'" if count == 3 else "a decimal number"
+        raise RobotError(f"urdf: {what} is {text!r:.80}: give {wanted}, of at most {LARGEST:g}")
+    return found
 
 
 # --- checking ---
@@ -201,13 +173,8 @@ def _one(parent: ET.Element, tag: str, where: str) -> ET.Element | None:
 def normalize(arm: Urdf) -> Tree:
     """Check everything but the moving joints' limits; axes get length one, and flat bodies a thickness, in place.
 
-    Raises:
-        RobotError: a wrong name or number, a mass or inertia that is missing or that no body has, or links and joints
-            that are no tree.
+    A RobotError names a wrong name or number, a mass or inertia that no body has, or links and joints that are no tree.
     """
-    count = max(len(arm.links), len(arm.joints))
-    if count > MOST_LINKS:
-        raise RobotError(f"urdf has {count} links or joints: an arm has {MOST_LINKS} at most; leave others out")
     for name in [link.name for link in arm.links] + [joint.name for joint in arm.joints]:
         if not names.is_name(name):
             raise RobotError(f"urdf: the name of a link or joint, {name!r:.80}, is no name: {names.RULE}")
@@ -219,26 +186,17 @@ def normalize(arm: Urdf) -> Tree:
 
 
 def _check_body(link: Link) -> None:
-    where = f"urdf link {link.name!r}"
-    if link.mass == 0.0 and not any(link.moments or ()):
-        link.mass = link.moments = None  # how many vendors write a frame
     if link.is_frame:
         return
-    if link.mass is None or link.moments is None:
-        raise RobotError(f"{where} has an <inertial> without <mass> or <inertia>: add it or drop <inertial>")
+    fault = inertia_fault(link.moments)
     if link.mass < SMALLEST_MASS:
-        raise RobotError(
-            f"{where} has mass {link.mass:g}: give {SMALLEST_MASS:g} kg or more, or drop <inertial> for a frame"
-        )
-    if fault := inertia_fault(link.moments):
-        raise RobotError(
-            f"{where} has an inertia that no body has: {fault}; correct ixx ... izz, about the centre of mass and in "
-            "kg m^2"
-        )
+        fault = f"its mass is {link.mass:g} kg and must be {SMALLEST_MASS:g} or more"
+    if fault:
+        cure = "correct its <inertial> (about the centre of mass, in kg and kg m^2), or drop it for a frame"
+        raise RobotError(f"urdf link {link.name!r} has mass and inertia that no body has: {fault}; {cure}")
     # A flat body gets a thickness of 1e-9: as it is, rounding decides whether MuJoCo takes it.
     least, middle, most = principal(link.moments)
-    lacking = max(_FLAT * most - (least + middle - most), 0.0)
-    link.moments = (*(moment + lacking for moment in link.moments[:3]), *link.moments[3:])
+    link.thicken(max(_FLAT * most - (least + middle - most), 0.0))
 
 
 def _check_joint(joint: Joint) -> None:
@@ -251,11 +209,7 @@ def _check_joint(joint: Joint) -> None:
         length = math.hypot(*joint.axis)
         if length < 1e-3:
             raise RobotError(f"urdf: <axis> of {where} has no length: give a direction, such as '0 0 1'")
-        x, y, z = (value / length for value in joint.axis)
-        joint.axis = (x, y, z)
-    for key, value in joint.limits.items():
-        if abs(value) > LARGEST_LIMIT:
-            raise RobotError(f"urdf: <limit> of {where}, {key} is {value:g}: give a number up to {LARGEST_LIMIT:g}")
+        joint.axis = tuple(value / length for value in joint.axis)
 
 
 def inertia_fault(moments: Iterable[float]) -> str | None:

@@ -23,7 +23,6 @@ CHOSEN = {"turning": 2.0, "sliding": 0.5}  #: The speed that is taken in place o
 TRAVEL_M = 0.5  #: Range of a sliding joint without limits, to both sides [m].
 _STRONGEST = {"turning": 2000.0, "sliding": 20000.0}  # Nm, N
 _UNITS = {"turning": ("rad", "rad/s"), "sliding": ("m", "m/s")}
-_DEGREES = 40.0  # a range [rad] beyond it is one of degrees: six turns are the most that an arm's joint has
 
 
 @dataclass
@@ -31,26 +30,22 @@ class VendorArm:
     """One serial arm, its side joints fixed, and a limit of every kind for each joint of the chain."""
 
     urdf: Urdf
+    notes: list[str]  #: Assumptions and changes, one sentence each.
     last_link: str = ""
     chain: list[Joint] = field(default_factory=list)  #: The moving joints from base to last link.
     weak: list[str] = field(default_factory=list)  #: Joints without a usable effort; see `enough_efforts`.
-    notes: list[str] = field(default_factory=list)  #: Assumptions and changes, one sentence each.
 
 
 def read_vendor(
     path: Path, *, tip: str | None = None, lock: Mapping[str, float] | None = None,
-    base_rpy: urdf.Triple = (0.0, 0.0, 0.0),
+    base_rpy: urdf.Numbers = (0.0, 0.0, 0.0),
 ) -> VendorArm:  # fmt: skip
-    """Read a URDF and make it a serial arm.
+    """Read a URDF and make it a serial arm; arguments and errors as of `moc_opt.robots.new.new_robot`.
 
     Side joints (fingers, a second arm, a head) and those named in ``lock`` are fixed; masses and limits that no arm has
-    are replaced; meshes are not looked at. Arguments as of `moc_opt.robots.new.new_robot`.
-
-    Raises:
-        RobotError: no URDF, xacro that is not expanded, no single chain, a mimic joint in the chain.
-        UnknownNameError: ``tip`` or a joint of ``lock`` is not in the file.
+    are replaced; meshes are not looked at.
     """
-    arm = VendorArm(urdf.read(read_text(path, "urdf", RobotError)))
+    arm = VendorArm(urdf.read(read_text(path, "urdf", RobotError)), [])
     joints = {joint.name: joint for joint in arm.urdf.joints}
     _rename(arm)
     for name, value in (lock or {}).items():
@@ -61,13 +56,6 @@ def read_vendor(
     arm.last_link = _last_link(tree) if tip is None else tip
     arm.chain = tree.chain(arm.last_link, "--tip")
     arm.notes.append(f"the tool sits on {arm.last_link!r}, the link {'asked for' if tip else 'of the last joint'}")
-    carried = tree.reach(arm.chain[-1].child)
-    if max(link.mass or 0.0 for link in arm.urdf.links if link.name in carried) < urdf.SMALLEST_MASS:
-        arm.notes.append(
-            f"{', '.join(carried)}: what {arm.chain[-1].name} carries has no mass, so it moves the tool alone; see the "
-            "data sheet for the mass of the flange"
-        )
-    _prune(arm, tree)
     mend_bodies(arm.urdf.links, arm.notes)
     between = tree.path(arm.last_link)[len(tree.path(arm.chain[0].parent)) :]  # `normalize` judges these
     _fix([joint for joint in arm.urdf.joints if joint not in between and joint.kind != "fixed"], arm.notes)
@@ -116,15 +104,6 @@ def _depth(tree: urdf.Tree, joint: Joint) -> int:
     return joint.moves + max((_depth(tree, other) for other in tree.carried[joint.child]), default=0)
 
 
-def _prune(arm: VendorArm, tree: urdf.Tree) -> None:
-    first = arm.chain[0]
-    kept = {tree.base, *(joint.child for joint in tree.path(first.parent)), *tree.reach(first.child)}
-    if left_out := len(arm.urdf.links) - len(kept):
-        arm.notes.append(f"{left_out} links that hang on the base beside the arm are left out")
-    arm.urdf.links = [link for link in arm.urdf.links if link.name in kept]
-    arm.urdf.joints = [joint for joint in arm.urdf.joints if joint.child in kept]
-
-
 def _fix(joints: Iterable[Joint], notes: list[str], at: float | None = None) -> None:
     """Fix joints at this position, or at the one of their range that is nearest to 0."""
     fixed = []
@@ -157,31 +136,22 @@ def _shift(joint: Joint, value: float) -> None:
 def mend_bodies(links: Iterable[Link], notes: list[str]) -> None:
     """Make every body one that can be, in place; each change is noted.
 
-    A link without mass is a frame, and merged into the link it is fixed to. One without inertia gets that of a ball of
-    its mass, as dense as water. To an inertia that no body has, the smallest ball's is added that makes it possible.
+    A link without mass is a frame, and merged into the link it is fixed to. To an inertia that no body has, that of the
+    smallest ball is added that makes it possible.
     """
     frames = []
     for link in links:
         if link.is_frame:
             continue
-        kilograms, moments = link.mass or 0.0, link.moments or (0.0,) * 6
-        if 0.0 <= kilograms < urdf.SMALLEST_MASS:
-            link.mass = link.moments = None
+        if 0.0 <= link.mass < urdf.SMALLEST_MASS:
+            link.mass, link.moments = 0.0, (0.0,) * 6
             frames.append(link.name)
-            continue
-        fault = urdf.inertia_fault(moments)
-        if fault is None:
-            continue
-        if max(map(abs, moments)) < urdf.SMALLEST_MOMENT:
-            radius = (3.0 * kilograms / (4.0 * math.pi * 1000.0)) ** (1.0 / 3.0)
-            added = max(0.4 * kilograms * radius**2, 10.0 * urdf.SMALLEST_MOMENT)
-            notes.append(f"link {link.name!r} ({kilograms:.3g} kg) has no inertia: that of a ball of water is taken")
-        else:
-            least, middle, most = urdf.principal(moments)
+        elif fault := urdf.inertia_fault(link.moments):
+            least, middle, most = urdf.principal(link.moments)
             lacking = max(most - least - middle, 1e-3 * most - least, 10.0 * urdf.SMALLEST_MOMENT - least)
             added = lacking * (1.0 + 1e-6) + 1e-12
             notes.append(f"link {link.name!r} has an inertia that no body has, {fault}: {added:.3g} kg m^2 is added")
-        link.moments = (*(moment + added for moment in moments[:3]), *moments[3:])
+            link.thicken(added)
     if frames:
         notes.append(f"frames without mass, merged into what they are fixed to: {', '.join(frames)}")
 
@@ -218,16 +188,12 @@ def _range(joint: Joint, kind: str) -> tuple[float, float, str]:
     if kind == "sliding":
         good = -100.0 <= lower < upper <= 100.0
         return (lower, upper, "") if good else (-TRAVEL_M, TRAVEL_M, f"has no range: +-{TRAVEL_M} m is taken")
-    if lower == upper:
-        return -math.pi, math.pi, "has no range: +-180 deg is taken"
-    if upper - lower > _DEGREES:
-        told = f"{lower:g} to {upper:g} rad is no range of a joint (are they degrees? see the data sheet)"
-        return -math.pi, math.pi, f"has {told}: +-180 deg is taken"
-    if upper - lower > 2.0 * math.pi + 1e-6:
-        middle = 0.0 if lower <= -math.pi and upper >= math.pi else 0.5 * (lower + upper)
-        told = f"has {math.degrees(upper - lower):.0f} deg of range: they are cut to one turn"
-        return middle - math.pi, middle + math.pi, told
-    return lower, upper, ""
+    if 0.0 < upper - lower <= 2.0 * math.pi + 1e-6:
+        return lower, upper, ""
+    middle = 0.5 * (lower + upper)
+    middle = middle if abs(middle) < 2.0 * math.pi else 0.0
+    told = f"goes from {lower:g} to {upper:g} rad, no range of a joint (are they degrees? see the data sheet)"
+    return middle - math.pi, middle + math.pi, f"{told}: one turn is taken"
 
 
 def enough_efforts(robot: RobotModel) -> list[float]:

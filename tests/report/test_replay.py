@@ -15,8 +15,7 @@ import pytest
 
 from moc_opt.errors import MocOptError
 from moc_opt.report.replay import BASE, FRAMES_PER_S, Replay, arm_parts, velocity_ellipsoids
-from moc_opt.robots.chain import link_frames
-from moc_opt.robots.model import RobotModel
+from moc_opt.robots.model import RobotModel, link_frames
 from moc_opt.trace.trace import Trace
 from tests.conftest import opened
 
@@ -41,7 +40,7 @@ def wave(robot: RobotModel, ticks: int, *, phase: float = 0.0) -> Trace:
 def test_frames_and_parts_agree_with_the_model(arm: str, request: pytest.FixtureRequest) -> None:
     model: RobotModel = request.getfixturevalue(arm)
     q = np.random.default_rng(1).uniform(model.q_min, model.q_max, (5, model.n))
-    origins, rotations = link_frames(model.chain, q)
+    origins, rotations = link_frames(model, q)
     parts = arm_parts(model)
     (tool,) = (part for part in parts if part.role == "tool")
     end = tool.origin + tool.heights[-1] * tool.axis
@@ -72,7 +71,7 @@ def test_numbers_are_those_of_the_traces(robot: RobotModel, monkeypatch: pytest.
     for run, trace in zip(data["runs"], runs.values(), strict=True):
         for k in (0, 7, len(times) - 1):
             tick = min(int(np.floor(times[k] / 0.002 + 1e-6)), len(trace) - 1)
-            origins, _ = link_frames(robot.chain, trace.q_rad[[tick]])
+            origins, _ = link_frames(robot, trace.q_rad[[tick]])
             np.testing.assert_allclose(run["poses"][k, :, :, 3], origins[0], atol=2e-3)
             np.testing.assert_allclose(run["tip"][k], trace.tip_m[tick], atol=1e-3)
             assert run["panels"][0]["at"][k] == pytest.approx(trace.mu[tick], abs=1e-4)

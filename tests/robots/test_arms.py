@@ -98,7 +98,7 @@ def test_the_tip_is_where_the_makers_table_puts_it(name: str) -> None:
 def test_the_iiwa14_weighs_what_its_data_sheet_says() -> None:
     """29.9 kg; the public link masses are rounded."""
     robot = load_robot("iiwa14")
-    masses = [link.mass or 0.0 for link in urdf.read(robot.data.urdf).links]
+    masses = [link.mass for link in urdf.read(robot.data.urdf).links]
     assert sum(masses) - robot.data.tool_mass == pytest.approx(29.9, rel=0.03)
 
 

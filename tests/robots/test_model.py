@@ -28,8 +28,7 @@ from moc_opt.robots.gains import (
     derived_gains,
     largest_inverse_masses,
 )
-from moc_opt.robots.model import RobotModel, RobotState, carried, load_robot, restored
-from moc_opt.robots.state import layout, record_size
+from moc_opt.robots.model import RobotModel, RobotState, carried, layout, load_robot, restored
 from moc_opt.sim.settings import PlantSettings
 from moc_opt.tasks import Trocar
 from tests.conftest import Draw
@@ -108,7 +107,7 @@ def test_a_shaft_that_cannot_turn_while_the_tip_is_held_gives_no_gradient() -> N
     points = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, -0.3]])
     bodies = np.tile(np.r_[1.0, np.zeros(3), np.eye(3)[np.tril_indices(3)]], (n, 1))
     arm = core.Arm(joints, bodies, np.zeros(n), points, np.eye(3), np.ones((2, n)), np.zeros(3))
-    record = np.empty(record_size(n))
+    record = np.empty(layout(n)["scalars"].stop)
     assert arm.terms(np.array([0.1, -0.2, 0.3, 0.4, 0.5]), np.zeros(n), record) == core.OK
     state = RobotState(record, n)
     assert 0.0 <= state.mu_shaft < 1e-7
@@ -163,7 +162,7 @@ def test_states_share_no_memory_and_cannot_be_changed(robot: RobotModel) -> None
     q[:] = 0.0
     np.testing.assert_array_equal(first.record, kept)
     assert not np.shares_memory(first.record, second.record)
-    assert sum(part.stop - part.start for part in layout(7).values()) == record_size(7) == kept.size
+    assert sum(part.stop - part.start for part in layout(7).values()) == kept.size
     copy = pickle.loads(pickle.dumps(first))
     np.testing.assert_array_equal(copy.record, kept)
     for state in (first, copy):
