@@ -31,6 +31,15 @@ def test_every_command_has_a_function_and_help(command, capsys):
         assert f"usage: moc-opt {command}" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize(("line", "goes_on"), [("ex", "export-c "), ("run --third-level pl", "planned ")])
+def test_a_shell_is_told_how_a_line_may_go_on(line, goes_on, tmp_path):
+    asked = f"moc-opt {line}"
+    shell = {"_ARGCOMPLETE": "1", "COMP_LINE": asked, "COMP_POINT": str(len(asked)),
+             "_ARGCOMPLETE_STDOUT_FILENAME": str(tmp_path / "told")}  # fmt: skip
+    subprocess.run([sys.executable, "-m", "moc_opt"], env=os.environ | shell, check=True)
+    assert (tmp_path / "told").read_text() == goes_on
+
+
 @pytest.mark.parametrize("arguments", [
     ("run", "a.toml", "--trace", "a.toml"), ("run", "a.toml", "--trace", "b", "--report", "./b"),
     ("report", "a.toml", "--out", "a.toml"), ("compare", "exact", "--scenario", "a.toml", "--out", "a.toml"),
