@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import inspect
-from typing import Any, NamedTuple
+from typing import Any
 
 from moc_opt.commands.running import print_tables
 from moc_opt.errors import MocOptError
@@ -19,26 +19,21 @@ from moc_opt.solvers.registry import available, defaults
 from moc_opt.tasks.paths import kinds, sizes
 from moc_opt.trace.metrics import METRICS, load_plugins
 
-
-class Listing(NamedTuple):
-    """What a command lists: name -> its entries, as JSON has them, and how a table shows them."""
-
-    title: str
-    rows: dict[str, dict[str, Any]]
-    columns: list[Column]  #: the first is of the names
-    note: str = ""
+Rows = dict[str, dict[str, Any]]
+TITLES = {"real": "freedoms", "tool": "tool [m]", "about": "what it is"}
 
 
 def print_list(given: argparse.Namespace) -> int:
     """Print the list that the command names; returns 0."""
-    found = {"robots": robots, "tasks": tasks, "metrics": metrics, "solvers": solvers}[given.command]()
+    title, rows, note = {"robots": robots, "tasks": tasks, "metrics": metrics, "solvers": solvers}[given.command]()
     if given.json:
-        print_json(found.rows)
+        print_json(rows)
         return 0
-    shown = [{found.columns[0].key: name, **{key: _shown(key, value) for key, value in row.items()}}
-             for name, row in found.rows.items() if row.get("here", "yes") == "yes"]  # fmt: skip
-    print_tables([Table(found.title, found.columns, shown)])
-    console().print(found.note, markup=False)  # below a narrow table it would be a narrow column
+    shown = [{"name": name, **{key: _shown(key, value) for key, value in row.items()}}
+             for name, row in rows.items() if row.get("here", "yes") == "yes"]  # fmt: skip
+    keys = dict.fromkeys(key for row in rows.values() for key in row if key != "here")
+    print_tables([Table(title, [Column("name", "name"), *(Column(key, TITLES.get(key, key)) for key in keys)], shown)])
+    console().print(note, markup=False)  # below a narrow table it would be a narrow column
     return 0
 
 
@@ -52,7 +47,7 @@ def _shown(key: str, value: Any) -> Any:
     return ", ".join(key if words[key] == "None" else f"{key} = {words[key]}" for key in value) or None
 
 
-def solvers() -> Listing:
+def solvers() -> tuple[str, Rows, str]:
     """Return every registered solver, whether it can run here, and its settings."""
     rows = {}
     for name, reason in available().items():
@@ -61,8 +56,7 @@ def solvers() -> Listing:
         rows[name] = {"here": reason or "yes", "settings": known}
     absent = ", ".join(name for name, row in rows.items() if row["here"] != "yes")
     note = f"Not installed: {absent}; --json says what is missing." if absent else ""
-    columns = [Column("solver", "solver"), Column("settings", "settings")]
-    return Listing("Solvers: [solver] name, [solver.settings]", rows, columns, note)
+    return "Solvers: [solver] name, [solver.settings]", rows, note
 
 
 def _plain(value: Any) -> Any:
@@ -74,7 +68,7 @@ def _plain(value: Any) -> Any:
     return plain(value)
 
 
-def robots() -> Listing:
+def robots() -> tuple[str, Rows, str]:
     """Return every arm of the package: its joints, its freedoms beside tip and shaft, and its description."""
     rows = {}
     for name in available_robots():
@@ -82,15 +76,11 @@ def robots() -> Listing:
         left = best_freedoms(arm)
         rows[name] = {"joints": arm.n, "real": left.real, "idle": len(left.idle), "tool": arm.data.tool_length,
                       "about": about(name)}  # fmt: skip
-    columns = [
-        Column("robot", "robot"), Column("joints", "joints"), Column("real", "freedoms"), Column("idle", "idle"),
-        Column("tool", "tool", "m"), Column("about", "what it is"),
-    ]  # fmt: skip
     more = "A path to a robot file of your own may stand in the place of a name; `moc-opt robot check NAME` says more."
-    return Listing("Robots: [robot] name", rows, columns, more)
+    return "Robots: [robot] name", rows, more
 
 
-def tasks() -> Listing:
+def tasks() -> tuple[str, Rows, str]:
     """Return every path, its sizes with their defaults, and its description."""
     rows = {}
     for name, words in kinds().items():
@@ -98,15 +88,13 @@ def tasks() -> Listing:
             known = sizes(name)
         except MocOptError:
             known = {}  # it does not load: its description is the reason
-        defaults = {key: None if value is inspect.Parameter.empty else value for key, value in known.items()}
-        rows[name] = {"sizes": defaults, "about": words}
-    columns = [Column("path", "path"), Column("sizes", "sizes"), Column("about", "what it is")]
-    return Listing("Tasks: [task] path, [task.sizes]", rows, columns, "Lengths in m.")
+        given = {key: None if value is inspect.Parameter.empty else value for key, value in known.items()}
+        rows[name] = {"sizes": given, "about": words}
+    return "Tasks: [task] path, [task.sizes]", rows, "Lengths in m."
 
 
-def metrics() -> Listing:
+def metrics() -> tuple[str, Rows, str]:
     """Return every metric with its unit."""
     load_plugins()
     rows = {name: {"unit": one.unit, "about": one.about} for name, one in METRICS.items()}
-    columns = [Column("metric", "metric"), Column("unit", "unit"), Column("about", "what it is")]
-    return Listing("Metrics: metrics = [...] of a scenario, run --metric", rows, columns)
+    return "Metrics: metrics = [...] of a scenario, run --metric", rows, ""

@@ -82,17 +82,17 @@ COMMANDS = {
         FORCE,
         JSON,
     ), "Exit status: 0 the whole path can be executed from this start; 2 the input is wrong; 3 it cannot."),
-    "replay": Command("commands.pages:save_page", "one to four saved traces in 3-D, as one HTML file",
+    "replay": Command("commands.making:save_page", "one to four saved traces in 3-D, as one HTML file",
                       pages("replay")),
-    "map": Command("commands.pages:save_page", "saved traces of one path on the manipulability map, as one HTML file",
+    "map": Command("commands.making:save_page", "saved traces of one path on the manipulability map, as one HTML file",
                    (*pages("map"), flag("--figures", "also as SVG and PDF, in a folder beside it"))),
-    "report": Command("commands.pages:save_page",
+    "report": Command("commands.making:save_page",
                       "saved traces as one HTML file: metrics, curves, manipulability map", pages("report")),
-    "live": Command("commands.pages:serve_page", "a scenario in real time, on a page of this machine", (
+    "live": Command("commands.making:serve_page", "a scenario in real time, on a page of this machine", (
         SCENARIO,
         option("--port", type=int, default=8642, help="0 to 65535, 0: any that is free; default 8642"),
     )),
-    "export-c": Command("commands.pages:export_c",
+    "export-c": Command("commands.making:export_c",
                         "write the scenario's controller and safety filter as dependency-free C", (
         SCENARIO,
         option("--out", type=Path, required=True, help="folder, made if need be"),
@@ -118,7 +118,7 @@ COMMANDS = {
         JSON,
     ), "Exit status: 0 the plant ended the run; 2 the input is wrong; 3 the controller asked for a stop, or the plant "
        "fell silent."),
-    "compare": Command("commands.studies:compare_solvers",
+    "compare": Command("commands.making:compare_solvers",
                        "solvers, and DCAC with the same gains, on the same random trials", (
         option("solvers", nargs="+", metavar="SOLVER", help="of `moc-opt solvers --list`"),
         option("--scenario", type=Path, metavar="FILE.toml", help="without it the default scenario"),
@@ -128,7 +128,7 @@ COMMANDS = {
         FORCE,
         JSON,
     )),
-    "solvers": Command("commands.studies:list_or_study",
+    "solvers": Command("commands.making:list_or_study",
                        "--list: which solvers there are; else the whole study of them, with the options of "
                        "benchmarks.solvers", (flag("--list", "which solvers there are"), JSON)),
     "robots": Command("commands.listing:print_list", "the arms of the package", (JSON,)),
@@ -172,17 +172,14 @@ def check_paths(given: argparse.Namespace) -> None:
     read = [getattr(given, name, None) for name in ("scenario", "task", "key_file", "source", "course")]
     taken = {_place(path): "is read" for path in (*read, *getattr(given, "traces", ())) if path is not None}
     for name in ("trace", "report", "out"):
-        path = getattr(given, name, None)
-        if path is None:
-            continue
-        place = _place(path)
-        if place in taken:
-            raise TraceError(f"--{name} {path}: that file {taken[place]}; give another name")
-        taken[place] = f"is written by --{name}"
+        if (path := getattr(given, name, None)) is not None:
+            if (place := _place(path)) in taken:
+                raise TraceError(f"--{name} {path}: that file {taken[place]}; give another name")
+            taken[place] = f"is written by --{name}"
 
 
 def _place(path: Path | str) -> str:
     try:
         return os.path.realpath(path)
     except (OSError, ValueError):
-        return str(path)  # a loop of links, a NUL: the error that follows from reading it says so
+        return str(path)  # a NUL: the error that follows from reading it says so

@@ -1,4 +1,4 @@
-"""moc-opt keys: every key of a scenario with its type, unit, default and meaning, read off the schema."""
+"""moc-opt keys: every key of a scenario with its type, default and meaning, read off the schema."""
 
 from __future__ import annotations
 
@@ -10,22 +10,21 @@ import typing
 from collections.abc import Iterator
 from typing import Any, Literal, NamedTuple, get_args, get_origin
 
-from moc_opt.commands.running import print_tables
+from rich.markdown import Markdown
+
 from moc_opt.errors import UnknownNameError
 from moc_opt.inputs.settings import Settings
-from moc_opt.report.tables import Column, Table
+from moc_opt.report.console import console
 from moc_opt.scenario.config import PRESETS, Scenario
 
-_UNIT = r"(?:N?m|Ns?|rad|s|us|Hz|kg|deg|MB)"
-_SUFFIX = re.compile(rf"_((?:{_UNIT}_)*{_UNIT}[2]?(?:_per_{_UNIT}2?)*|per_{_UNIT}2?)$")
-_HEAD = """# The keys of a scenario
+TOP, ABSENT = "scenario", "left out"
+HEAD = """# The keys of a scenario
 
 Made by `moc-opt keys --markdown` from the schema that checks every file: edit the schema, not this page. A key that is
-left out has its default. The levels of RCM error and forces in `[guard]` may be `inf`: no limit.
+left out has its default. The unit of a number ends its name (`_m_per_s`: m/s) or stands in brackets. The levels of RCM
+error and forces in `[guard]` may be `inf`: no limit.
 """
-
-
-_ABSENT = "left out"
+WORDS = {int: "integer", float: "number", str: "text", bool: "flag", type(None): "", Any: "value"}
 
 
 class Key(NamedTuple):
@@ -33,30 +32,21 @@ class Key(NamedTuple):
 
     name: str
     kind: str
-    unit: str
     default: str
     meaning: str
 
 
 def print_keys(given: argparse.Namespace) -> int:
     """Print the keys of every table, or of one; returns 0."""
-    found = {name or "scenario": (about, keys) for name, about, keys in tables()}
-    if given.table is not None and given.table not in found:
-        raise UnknownNameError("table of a scenario", given.table, found)
+    names = [name or TOP for name, _, _ in tables()]
+    if given.table is not None and given.table not in names:
+        raise UnknownNameError("table of a scenario", given.table, names)
+    text = markdown(given.table)
     if given.markdown:
-        print(markdown(given.table), end="")
-        return 0
-    columns = [Column("key", "key"), Column("meaning", "meaning")]
-    for name in found if given.table is None else [given.table]:
-        title = "At the top of the file" if name == "scenario" else f"[{name}]"
-        print_tables([Table(title, columns, [_on_a_screen(key) for key in found[name][1]])])
+        print(text, end="")
+    else:
+        console().print(Markdown(text))
     return 0
-
-
-def _on_a_screen(key: Key) -> dict[str, str]:
-    unit = "" if not key.unit or f"[{key.unit}]" in key.meaning else f" [{key.unit}]"
-    default = f": {_ABSENT}" if key.default == _ABSENT else f" = {key.default}"
-    return {"key": f"{key.name}{default}", "meaning": f"{key.meaning}{unit} ({key.kind})".strip()}
 
 
 def tables(kind: type[Settings] = Scenario, path: str = "") -> Iterator[tuple[str, str, list[Key]]]:
@@ -65,55 +55,39 @@ def tables(kind: type[Settings] = Scenario, path: str = "") -> Iterator[tuple[st
     keys = []
     if path in PRESETS:
         meaning = "a named set of values of this table; the other keys override it"
-        keys.append(Key("preset", " | ".join(map(repr, PRESETS[path])), "", _ABSENT, meaning))
+        keys.append(Key("preset", " | ".join(map(repr, PRESETS[path])), ABSENT, meaning))
     for name, field in kind.model_fields.items():
         hint = field.annotation
         if isinstance(hint, type) and issubclass(hint, Settings):
             inner.append((f"{path}.{name}".lstrip("."), hint))
             continue
-        default = field.get_default(call_default_factory=True)
-        meaning = " ".join((field.description or "").split())
-        kind_of = _type(hint)
-        in_unit = unit(name, meaning) if "number" in kind_of or "integer" in kind_of else ""
-        keys.append(Key(name, kind_of, in_unit, _value(default), meaning))
+        value = field.get_default(call_default_factory=True)
+        default = ABSENT if value is None else json.dumps(value).replace("Infinity", "inf")
+        keys.append(Key(name, _type(hint), default, " ".join((field.description or "").split())))
     yield path, (kind.__doc__ or "").strip().partition("\n")[0], keys
     for below, hint in inner:
         yield from tables(hint, below)
 
 
-def unit(name: str, meaning: str = "") -> str:
-    """Read the unit off the [brackets] of a key's meaning, or off its name ("_m_per_s": m/s); "" where it has none."""
-    written, found = re.search(r"\[([^\]]+)\]", meaning), _SUFFIX.search(name)
-    if written is not None or found is None:
-        return "" if written is None else written[1]
-    top, *below = re.split(r"(?:^|_)per_", found[1])
-    over = [re.sub(r"2$", "^2", part.replace("_", " ")) for part in below]
-    # Ns is written as one word in some names.
-    return "/".join([(top or "1").replace("_", " ").replace("Ns", "N s"), *over])
-
-
 def markdown(only: str | None = None) -> str:
     """Write docs/scenario.md, or its part on one table."""
-    parts = [_HEAD] if only is None else []
+    parts = [HEAD] if only is None else []
     for name, about, keys in tables():
-        if only not in (None, name or "scenario"):
+        if only not in (None, name or TOP):
             continue
         parts.append(f"\n## {f'`[{name}]`' if name else 'At the top of the file'}\n\n{about}\n")
-        parts.append("\n| key | type | unit | default | meaning |\n|---|---|---|---|---|\n")
+        parts.append("\n| key | type | default | meaning |\n|---|---|---|---|\n")
         for key in keys:
-            default = key.default if key.default == _ABSENT else f"`{key.default}`"
-            cells = (f"`{key.name}`", key.kind, key.unit, default, key.meaning)
+            default = key.default if key.default == ABSENT else f"`{key.default}`"
+            cells = (f"`{key.name}`", key.kind, default, key.meaning)
             parts.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |\n")
     return "".join(parts).lstrip("\n")
 
 
-_WORDS = {int: "integer", float: "number", str: "text", bool: "flag", type(None): "", Any: "value"}
-
-
 def _type(hint: Any) -> str:
     """Write a type in the words of a TOML file."""
-    if hint in _WORDS:
-        return _WORDS[hint]
+    if hint in WORDS:
+        return WORDS[hint]
     origin, inside = get_origin(hint), get_args(hint)
     if origin is typing.Annotated:
         return _type(inside[0])
@@ -127,8 +101,3 @@ def _type(hint: Any) -> str:
     if origin is dict:
         return f"table of {_type(inside[1])}s"
     return str(getattr(hint, "__name__", hint))
-
-
-def _value(value: Any) -> str:
-    """Write a default as in a TOML file, which has no None."""
-    return _ABSENT if value is None else json.dumps(value).replace("Infinity", "inf")

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import argparse
 import math
+import re
 import sys
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from moc_opt.commands.parser import check_paths
-from moc_opt.errors import MocOptError, ScenarioError, UnknownNameError, shown
+from moc_opt.errors import ScenarioError, UnknownNameError, shown
 from moc_opt.inputs.files import decimal, read_text, to_json
 from moc_opt.report.console import busy, console, print_json, progress
 from moc_opt.report.document import check_out
@@ -22,11 +23,7 @@ from moc_opt.trace.file import check_trace, new_file
 from moc_opt.trace.metrics import METRICS, load_plugins, summarize
 from moc_opt.trace.trace import Trace
 
-HEADINGS = (["x_m", "y_m", "z_m"], ["x", "y", "z"])
-"""Names of the columns of a file of waypoints that are read as such, in this order and in metres."""
-SPLIT = str.maketrans(",\"'", "   ")
-PLAN_OPTIONS = {"margin_rad": "--margin", "margin_m": "--margin-m", "speed_share": "--speed-share"}
-"""An argument as errors begin with it -> the option that gave it."""
+POINTS = "give x, y, z [m], one point a line; the first line may name the columns, x_m,y_m,z_m, and # begins a comment"
 
 
 def read_scenario(path: Path | None) -> tuple[Scenario, str]:
@@ -66,10 +63,7 @@ def run_scenario(given: argparse.Namespace) -> int:
                 bar.at("")
                 bar.advance(100)
 
-        try:
-            trace = setup.trace(watch, given.trace)
-        except RunAway as error:
-            trace = error.trace
+        trace = _as_far_as_it_goes(lambda: setup.trace(watch, given.trace))
     return show(scenario, title, trace, given)
 
 
@@ -77,6 +71,13 @@ def _keep_others(given: argparse.Namespace) -> None:
     """Refuse, before the run, to write its trace over a file that is none."""
     if given.trace is not None and not given.force:
         check_trace(given.trace)
+
+
+def _as_far_as_it_goes(make: Callable[[], Trace]) -> Trace:
+    try:
+        return make()
+    except RunAway as error:
+        return error.trace
 
 
 def show(scenario: Scenario, title: str, trace: Trace, given: argparse.Namespace) -> int:
@@ -122,18 +123,15 @@ def changed(scenario: Scenario, given: argparse.Namespace) -> Scenario:
         raise ScenarioError("--course '': give the file that `moc-opt plan --out` wrote")
     if given.course and given.third_level not in (None, "planned"):
         raise ScenarioError(f"--course {given.course}: only --third-level planned follows a file; leave one out")
-    changes: dict[str, Any] = {}
-    if given.seed is not None:
-        changes["seed"] = given.seed
+    changes: dict[str, Any] = {} if given.seed is None else {"seed": given.seed}
     if given.robot is not None:
         changes["robot"] = {"name": given.robot}
-    if given.course is not None:
-        changes["control"] = {"third_level": "planned", "course": given.course}
-    elif given.third_level is not None:
-        course = scenario.control.course if given.third_level == "planned" else ""
-        changes["control"] = {"third_level": given.third_level, "course": course}
     if given.solver is not None:
         changes["solver"] = {"name": given.solver, "settings": {}}
+    level = "planned" if given.course is not None else given.third_level
+    if level is not None:
+        course = given.course or (scenario.control.course if level == "planned" else "")
+        changes["control"] = {"third_level": level, "course": course}
     if given.task is not None:
         points = read_waypoints(given.task) if Path(given.task).suffix.lower() in (".csv", ".txt") else None
         path = given.task if points is None else "waypoints"
@@ -148,40 +146,25 @@ def changed(scenario: Scenario, given: argparse.Namespace) -> Scenario:
     return scenario
 
 
-def read_waypoints(path: str) -> list[tuple[float, ...]]:
-    """Read points x, y, z [m], one a line, split by commas or spaces.
-
-    Lines that begin with # are left out, and the first other line may name the columns: x_m,y_m,z_m or x,y,z.
-
-    Raises:
-        ScenarioError: a line is no point, named with file and number, or there is none.
-    """
-    text = read_text(path, "waypoints", ScenarioError)
-    lines = [(number, line.strip()) for number, line in enumerate(text.splitlines(), start=1)]
-    lines = [(number, line) for number, line in lines if line and not line.startswith("#")]
-    if lines and lines[0][1].lower().translate(SPLIT).split() in HEADINGS:
-        del lines[0]
-    points: list[tuple[float, ...]] = []
-    for number, line in lines:
-        point = tuple(map(decimal, line.replace(",", " ").split()))
-        if len(point) != 3 or not all(map(math.isfinite, point)):
-            cure = "give x, y, z [m]; the first line may name the columns, x_m,y_m,z_m, and any other begins with #"
-            if len(point) == 4 and point[0] == len(points):
-                cure = "four columns, the first one counts: give x, y, z [m] alone (in pandas: to_csv(index=False))"
-            raise ScenarioError(f"waypoints {path!r}, line {number}: {shown(line, 60)}: {cure}")
-        points.append(point)
+def read_waypoints(path: str) -> list[list[float]]:
+    """Read points x, y, z [m], one a line, split by commas or spaces; a ScenarioError names a line that is none."""
+    points: list[list[float]] = []
+    for number, line in enumerate(read_text(path, "waypoints", ScenarioError).splitlines(), start=1):
+        words = re.sub("[,\"']", " ", line.partition("#")[0]).split()
+        if not words or (not points and [word.lower().removesuffix("_m") for word in words] == ["x", "y", "z"]):
+            continue
+        points.append([decimal(word) for word in words])
+        if len(words) != 3 or not all(map(math.isfinite, points[-1])):
+            raise ScenarioError(f"waypoints {path!r}, line {number}: {shown(line, 60)}: {POINTS}")
     if not points:
-        raise ScenarioError(f"waypoints {path!r}: there is no point in it: give x, y, z [m], one point a line")
+        raise ScenarioError(f"waypoints {path!r}: there is no point in it: {POINTS}")
     return points
 
 
 def _matched_dcac(scenario: Scenario, title: str, ticks: int) -> Trace | None:
     """Return the first ticks of DCAC with the same gains; None, and a word on it, where it was stopped before."""
-    try:
-        matched = scenario.control.matched_dcac()
-        trace = run(scenario.change(control=matched, bound_samples=0, best_courses=False))
-    except RunAway as error:
-        trace = error.trace
+    matched = scenario.change(control=scenario.control.matched_dcac(), bound_samples=0, best_courses=False)
+    trace = _as_far_as_it_goes(lambda: run(matched))
     if len(trace) < ticks or "mu" not in trace.columns:
         print(f"{title}: not compared with DCAC, which {trace.meta['ended']}", file=sys.stderr)
         return None
@@ -202,10 +185,7 @@ def run_plant(given: argparse.Namespace) -> int:
     server = PlantServer(scenario, given.listen, given.key_file, lock_step=given.lock_step)
     print(f"listening on {written(server.address)}", file=sys.stderr, flush=True)
     server.system = {} if given.lock_step else ask_for_realtime()
-    try:
-        trace = server.trace(to=given.trace)
-    except RunAway as error:
-        trace = error.trace
+    trace = _as_far_as_it_goes(lambda: server.trace(to=given.trace))
     for name, value in trace.meta["wire"].items():
         if value:
             print(f"plant: {name}: {_words(value)}", file=sys.stderr)
@@ -227,22 +207,15 @@ def run_control(given: argparse.Namespace) -> int:
     where = f"{given.connect}, for {scenario.wire.wait_s:g} s"
     print(f"control: {first}looks for a plant at {where}", file=sys.stderr, flush=True)
     found = answer(scenario, given.connect, given.key_file, ready=lambda: granted.update(ask_for_realtime()))
+    told = asdict(found) | {"system": granted}
     if given.json:
-        print_json(asdict(found) | {"system": granted})
+        print_json(told)
     else:
-        print_tables([_ending_table(title, asdict(found) | {"system": granted})])
+        flat = {name: value for name, value in told.items() if not isinstance(value, dict)}
+        flat |= {f"{name}: {key}": v for name, of in told.items() if isinstance(of, dict) for key, v in of.items()}
+        rows = [{"what": name, "value": _words(value)} for name, value in flat.items() if value]  # not counts of zero
+        print_tables([Table(f"Controller of {title}", [Column("what", "what"), Column("value", "value")], rows)])
     return 0 if found.ended == "completed" else 3
-
-
-def _ending_table(title: str, found: dict[str, Any]) -> Table:
-    """Return how the run looked from the controller's end, a row a figure; counts of zero are left out."""
-    rows = []
-    for name, value in found.items():
-        if isinstance(value, dict):
-            rows += [{"what": f"{name}: {key}", "value": _words(entry)} for key, entry in value.items() if entry]
-        elif value:
-            rows.append({"what": name, "value": _words(value)})
-    return Table(f"Controller of {title}", [Column("what", "what"), Column("value", "value")], rows)
 
 
 def _words(value: Any) -> str:
@@ -256,16 +229,6 @@ def _words(value: Any) -> str:
 
 def plan_scenario(given: argparse.Namespace) -> int:
     """Plan, print, and write the course; returns 3 where no course goes all the way."""
-    try:
-        return _plan(given)
-    except MocOptError as error:
-        argument, _, rest = str(error).partition(" ")
-        if argument in PLAN_OPTIONS:
-            error.args = (f"{PLAN_OPTIONS[argument]} {rest.removeprefix('= ')}",)
-        raise
-
-
-def _plan(given: argparse.Namespace) -> int:
     from moc_opt.report.plan_table import plan_json, plan_tables, start_toml
     from moc_opt.scenario.planned import followable_plan, following_warnings, save_course
 

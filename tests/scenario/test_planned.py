@@ -52,7 +52,7 @@ def test_a_path_that_cannot_be_executed_exits_with_three(tmp_path, capsys):
 
 def test_a_wrong_option_is_named_as_it_was_typed(tmp_path, capsys):
     assert main(["plan", scenario_file(tmp_path, "duration_s = 0.1\n"), "--margin", "-1"]) == 2
-    assert "--margin -1.0: give zero or more" in capsys.readouterr().err
+    assert "margin_m = -1.0: give zero or more" in capsys.readouterr().err
 
 
 def test_what_it_proposes_can_be_pasted_into_the_scenario(tmp_path, capsys):

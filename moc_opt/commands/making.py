@@ -1,0 +1,100 @@
+"""Commands that make something: pages of saved runs, the live page, a folder of C, a comparison, the solver study."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from moc_opt.commands.listing import print_list
+from moc_opt.commands.running import read_scenario
+from moc_opt.report.console import console, print_json, progress
+from moc_opt.report.document import check_out
+
+
+def save_page(given: argparse.Namespace) -> int:
+    """Write saved runs as the page that the command is called after, then its figures if asked for; returns 0.
+
+    The page is there even where no browser can draw the figures.
+    """
+    from moc_opt.report.export import save_figures
+    from moc_opt.report.map_page import load_map
+    from moc_opt.report.page import Page
+    from moc_opt.report.replay import Replay
+    from moc_opt.report.run_page import load_report
+
+    check_out(given.out, given.command, force=given.force)
+    makers: dict[str, Callable[..., Page | Replay]] = {"replay": Replay.load, "map": load_map, "report": load_report}
+    page = makers[given.command](given.traces)
+    print(page.save(given.out, force=given.force))
+    if isinstance(page, Page) and getattr(given, "figures", False):  # an option of `map`
+        print(*save_figures(page.figures, given.out.parent / "figures"), sep="\n")
+    return 0
+
+
+def serve_page(given: argparse.Namespace) -> int:
+    """Run a scenario in real time until the page is left; returns the exit status."""
+    from moc_opt.live.page import serve
+
+    scenario, title = read_scenario(given.scenario)
+    return serve(scenario, port=given.port, title=title)
+
+
+def export_c(given: argparse.Namespace) -> int:
+    """Write the whole controller as C, with recorded ticks for its self-test; returns 0."""
+    from moc_opt.export import export_scenario
+
+    out, udp = given.out, given.main == "udp"
+    for file in export_scenario(read_scenario(given.scenario)[0], out, udp=udp, force=given.force):
+        print(file)
+    print(f"next: make -C {out} test")
+    if udp:
+        print(f"then: make -C {out} moc_udp, {out}/moc_udp 127.0.0.1 30200 {out}/reference.bin")
+    return 0
+
+
+def compare_solvers(given: argparse.Namespace) -> int:
+    """Compare, print, and write the rows; returns 0, 3 where a solver drove no trial to its end, 130 after Ctrl-C."""
+    from moc_opt.study.compare import compare
+
+    if given.out is not None:
+        check_out(given.out, "table of runs", force=given.force)
+    scenario, _ = read_scenario(given.scenario)
+    with progress("compare", given.trials * (len(given.solvers) + 1)) as bar:
+
+        def watch(words: str) -> None:
+            bar.at(words)
+            bar.advance()
+
+        found = compare(given.solvers, scenario, given.trials, seed=given.seed, watch=watch)
+    if given.json:
+        print_json({name: _flat(of) for name, of in found.summary().items()})
+    else:
+        console().print(found.table)
+    if given.out is not None:
+        found.save_rows(given.out)
+    lost = [name for name in found.solvers if not found.values(name, "mu_mean")]
+    for name in lost:
+        reason = next(row["error"] for row in found.rows if row["solver"] == name)
+        print(f"{name}: no trial came to its end; the first: {reason}", file=sys.stderr)
+    if not found.complete:
+        return 130  # as after any Ctrl-C
+    return 3 if lost else 0
+
+
+def _flat(found: Mapping[str, Any]) -> dict[str, Any]:
+    """Return means and changes with their ends beside them, as the studies' summary.json has them."""
+    flat = dict[str, Any]()
+    for name, value in found.items():
+        flat |= value.entries(name) if hasattr(value, "entries") else {name: value}
+    return flat
+
+
+def list_or_study(given: argparse.Namespace) -> int:
+    """List the solvers, or run the whole study of them with its own arguments; returns its exit status."""
+    if given.list:
+        return print_list(given)
+    from moc_opt.study import solvers
+
+    return solvers.main([*given.rest, *(["--json"] if given.json else [])])
