@@ -152,54 +152,52 @@ def sentences(summary: Summary, rows: Sequence[Row]) -> list[str]:
     elif best["verdict"] is TAKE:
         known = summary.get("settings", {}).get(f"{best['solver']}@{RECOMMENDED}", {})
         reason = known.get("reason") or "its recommended setting"
-        said = [f"Take `{best['solver']}` ({reason}){_why(summary, best, sound, len(rows))}."]
+        said = [f"Take `{best['solver']}` ({reason}){_why(summary, best, sound, len(rows))}"]
     elif "testsets" not in summary and "open_loop_warm" not in summary:
         said = ["Which solver is sound was not asked: the certified sets were not run."]
     else:
         said = ["No solver is sound on what was run; see the table."]
-    clauses = []
     if best["verdict"] is TAKE and sound:
         medians = ["" if row["p50_us"] is None else f" ({row['p50_us']:.0f} us)" for row in sound[:3]]
         names = ", ".join(f"`{row['solver']}`{median}" for row, median in zip(sound[:3], medians, strict=True))
-        clauses.append(f"sound as well: {names}")
+        said[0] += f" Also sound: {names}."
     if ran := [row for row in rows if row["verdict"] in (TAKE, SOUND) and row["trials"]]:
-        clauses.append(_in_closed_loop(max(ran, key=lambda row: row["trials"])))
-    text = "; ".join(clauses)
-    return [*said, *([f"{text[0].upper()}{text[1:]}."] if text else []), *_avoid(summary, rows)]
+        said.append(_in_closed_loop(max(ran, key=lambda row: row["trials"])))
+    return said + _avoid(summary, rows)
 
 
 def _why(summary: Summary, row: Row, others: Sequence[Row], asked: int) -> str:
     """Say what the solver to take was asked for and answered, its time, and whether that is to be trusted."""
     counted = row["counted"]
     kind = "certified" if "testsets" in summary else "recorded"
-    parts = [f"{counted['verified_solved']} of {counted['optima_asked']} {kind} optima verified"]
+    parts = [f"verified {counted['verified_solved']} of {counted['optima_asked']} {kind} optima"]
     if counted["infeasible_asked"]:
-        parts.append(f"{counted['infeasible_right']} of {counted['infeasible_asked']} infeasible problems recognised")
+        parts.append(f"recognised {counted['infeasible_right']} of {counted['infeasible_asked']} infeasible problems")
     if counted["refused_inconsistent"]:
-        inconsistent = f"{counted['refused_inconsistent']} of {counted['inconsistent_asked']}"
-        parts.append(f"{inconsistent} with inconsistent rows refused")
-    text = f": {', '.join(parts)}, none silently wrong"
+        refused = f"{counted['refused_inconsistent']} of {counted['inconsistent_asked']}"
+        parts.append(f"refused {refused} problems whose rows contradict each other")
+    text = "" if others or asked == 1 else f", the only sound one of {asked} solvers"
+    text += f". It {listed(parts)}; none of its answers was silently wrong."
     if row["p50_us"] is not None:
-        text += f", median {row['p50_us']:.1f} and p99 {row['p99_us']:.1f} us"
-    if not others:
-        return f", the only sound one of the {asked} solvers asked{text}" if asked > 1 else text
-    spoilt = [f"`{one['solver']}`" for one in (row, *others) if not one["quiet"]]
-    return text + (f"; others used the machine while {listed(spoilt)} was timed, so run again" if spoilt else "")
+        text += f" Its median time is {row['p50_us']:.1f} us, p99 {row['p99_us']:.1f} us."
+        if spoilt := [f"`{one['solver']}`" for one in (row, *others) if not one["quiet"]]:
+            text += f" But others used the machine while {listed(spoilt)} was timed: run again."
+    return text
 
 
 def _in_closed_loop(row: Row) -> str:
     """Say what a sound solver's answers do to the robot, with the errors in both frames."""
     closed, trials = row["closed"], row["trials"]
     if few := too_few(trials):
-        return f"what sound answers do in closed loop: {few}"
+        return f"What sound answers do in closed loop: {few}."
     changes = (spread(closed, change_name(name), 2, "+", " %") for name in ("mu_mean", *FRAMED))
     mu, tip, registered_tip, rcm, registered_rcm = changes
     shaken = f", {count} of which oscillated" if (count := closed.get("oscillated", 0)) else ""
     return (
-        f"in closed loop ({trials} independent trials of `{row['solver']}`{shaken}, ratio of the means) sound "
-        f"answers change mean mu by {mu} over `{BASELINE}`, the tip error by {tip} by the robot's own kinematics "
-        f"and by {registered_tip} in the frame registered at the start, which is the patient's, and the RCM error by "
-        f"{rcm} and {registered_rcm}"
+        f"In closed loop ({trials} independent trials of `{row['solver']}`{shaken}) sound answers change mean mu by "
+        f"{mu} over `{BASELINE}`. By the robot's own kinematics the tip error changes by {tip} and the RCM error by "
+        f"{rcm}; in the frame registered at the start, which is the patient's, by {registered_tip} and "
+        f"{registered_rcm}."
     )
 
 
@@ -221,7 +219,7 @@ def _avoid(summary: Summary, rows: Sequence[Row]) -> list[str]:
     if wrong:
         listed = ", ".join(f"`{name}` {plain[name]}" for name in wrong)
         parts.append(
-            "the libraries' own defaults on the paper's six dependent rows with the cost unscaled: "
+            "the libraries' own default settings: on the paper's six dependent rows, with the cost unscaled, "
             f"{len(wrong)} of {len(plain)} claimed success for wrong answers ({listed})"
         )
     return [f"Avoid {'; '.join(parts)}."] if parts else []
