@@ -66,8 +66,10 @@ def test_record_round_trip(qp):
     assert plain.q is None
     assert changed(qp, q=np.arange(7.0)).q.tolist() == list(range(7))
     for one in (qp, plain):
-        assert NullSpaceQP.from_row(np.array(one.row)) == one
-        assert pickle.loads(pickle.dumps(one)) == one
+        assert NullSpaceQP.from_row(np.array(one.row)) == pickle.loads(pickle.dumps(one)) == one.copy() == one
+    assert plain not in (qp, "another kind")
+    weights = qp.row[offsets(7).weights :][[C0, C1, C2, RHO]]
+    assert [qp.c0, qp.c1, qp.c2, qp.regularization] == weights.tolist() == [0.02, 0.03, 0.004, 1e-4]
     with pytest.raises(SubproblemError, match="11 n"):
         fields(np.zeros(83))
 
@@ -89,12 +91,6 @@ def test_offsets_are_those_of_the_fields(n):
     assert joints_of(at.end) == n
     for name in named._fields:
         assert getattr(named, name).ravel()[0] == getattr(at, name)
-
-
-def test_weights_by_name(qp):
-    weights = qp.row[offsets(7).weights :]
-    assert (weights[C0], weights[C1], weights[C2], weights[RHO]) == (0.02, 0.03, 0.004, 1e-4)
-    assert (qp.c0, qp.c1, qp.c2, qp.regularization) == (0.02, 0.03, 0.004, 1e-4)
 
 
 # --- as solvers take it ---
