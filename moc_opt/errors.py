@@ -73,10 +73,7 @@ class UnknownNameError(MocOptError, LookupError):
     FEW: ClassVar[int] = 12  #: So many names are all shown, even where a command lists them.
 
     def __init__(self, kind: str, name: str, valid: Iterable[str], listed_by: str = "") -> None:
-        """Build the message of the kind ("solver", "robot"), the name as it was written, and those that are valid.
-
-        ``listed_by`` is the command that lists them: of a long list the message then names the nearest three alone.
-        """
+        """Name the nearest of the ``valid`` names, and all of them; of a long list the command that lists it."""
         names = sorted(valid)
         short = bool(listed_by) and len(names) > self.FEW
         # a key without its table is looked for among the last parts of dotted ones
@@ -90,8 +87,9 @@ class UnknownNameError(MocOptError, LookupError):
 
 
 def is_number(value: object) -> bool:
-    """Return whether a value is a real number, numpy's included, and no truth value."""
-    return isinstance(value, Real) and not isinstance(value, bool)
+    """Return whether a value is a real number, numpy's included, that a float can hold, and no truth value."""
+    fits = not isinstance(value, int) or abs(value) < 2**1023
+    return isinstance(value, Real) and not isinstance(value, bool) and fits
 
 
 def shown(value: object, most: int = 200) -> str:

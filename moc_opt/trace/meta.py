@@ -74,6 +74,7 @@ FORMS: Mapping[str, TypeAdapter[Any]] = {
     }.items()
 }  # fmt: skip
 """Entry -> what it must be; a table may have further keys."""
+ANYTHING = TypeAdapter(Any)
 
 
 def plain(meta: Mapping[str, Any]) -> dict[str, Any]:
@@ -93,16 +94,10 @@ def plain(meta: Mapping[str, Any]) -> dict[str, Any]:
                 f"meta[{name!r}] cannot be written as JSON ({error}): "
                 f"give texts, finite numbers, flags, None, and lists and dicts of them"
             ) from error
-        check_entry(name, found[name])
-    return found
-
-
-def check_entry(name: str, value: Any) -> None:
-    """Raise a TraceError where an entry is not of its type; one that the package does not know may hold anything."""
-    if name in FORMS:
         try:
-            FORMS[name].validate_python(value, strict=True)
+            FORMS.get(name, ANYTHING).validate_python(found[name], strict=True)
         except ValidationError as error:
             wrong = error.errors()[0]
             where = "".join(f"[{key!r:.80}]" for key in (name, *wrong["loc"]))
             raise TraceError(f"meta{where} = {shown(wrong['input'])}: {wrong['msg'].lower()}") from error
+    return found

@@ -43,11 +43,12 @@ class Trace:
         >>> trace = mo.run(mo.Scenario(duration_s=0.1, bound_samples=0))
         >>> len(trace), trace.q_rad.shape, trace.meta["ended"]
         (50, (50, 7), 'completed')
-        >>> bool(trace.tip_error_m.max() < 0.002)
-        True
         >>> trace.head(2).with_meta(operator="A. B.").save("run.parquet")
         >>> mo.Trace.load("run.parquet").meta["operator"]
         'A. B.'
+        >>> faster = trace.with_columns(speed_rad_per_s=abs(trace.v_rad_per_s).max(axis=1)).between(0.01, 0.03)
+        >>> faster.select(faster.speed_rad_per_s > 0.0).tick[0], faster.to_xarray().tip_m.dims
+        (5, ('t_s', 'axis'))
     """
 
     COLUMNS: ClassVar[Mapping[str, Column]] = COLUMNS
@@ -110,12 +111,7 @@ class Trace:
         return [*super().__dir__(), *self.columns]
 
     def with_columns(self, **arrays: ArrayLike) -> Trace:
-        """Return a new trace with columns added or replaced; raises as the constructor.
-
-        Example:
-            >>> mo.Trace({"t_s": [0.0, 0.002]}).with_columns(power_W=[3.0, 3.5]).power_W.tolist()
-            [3.0, 3.5]
-        """
+        """Return a new trace with columns added or replaced; raises as the constructor."""
         return Trace({**self.columns, **arrays}, self.meta)
 
     def select(self, ticks: ArrayLike) -> Trace:
@@ -123,11 +119,6 @@ class Trace:
 
         Its column `tick` keeps their numbers; ``meta["ended"]`` says that it is a part, ``meta["run_ended"]`` how the
         run ended.
-
-        Example:
-            >>> trace = mo.Trace({"t_s": [0.0, 0.002, 0.004], "mu": [0.30, 0.31, 0.29]})
-            >>> trace.select(trace.mu > 0.295).tick.tolist()
-            [0, 1]
         """
         mask = np.asarray(ticks)
         if mask.dtype != np.bool_ or mask.shape != (len(self),):
@@ -137,12 +128,7 @@ class Trace:
         return self._of(MappingProxyType(found), self.meta)._as_part_of(self)
 
     def between(self, start_s: float, stop_s: float) -> Trace:
-        """Return the trace of the ticks with start_s <= t_s < stop_s, as `select`; a TraceError where none lies there.
-
-        Example:
-            >>> mo.Trace({"t_s": [0.0, 0.002, 0.004]}).between(0.001, 0.003).t_s.tolist()
-            [0.002]
-        """
+        """Return the trace of the ticks with start_s <= t_s < stop_s, as `select`; a TraceError where there is none."""
         if not (is_number(start_s) and is_number(stop_s)):
             given = f"start_s = {shown(start_s)}, stop_s = {shown(stop_s)}"
             raise TraceError(f"between({given}): give times in seconds, inf for no limit")
@@ -168,17 +154,11 @@ class Trace:
             raise TraceError(f"plot: beside = {shown(beside)}: give a Trace, such as load_trace(path)")
         if not isinstance(name, str | None):
             raise TraceError(f"plot: name = {shown(name)}: give a text")
-        own = name or self._solver or "run"
+        own = name or about(self).get("solver", "run")
         if beside is None:
             return time_series({own: self}, columns)
-        other = beside._solver if beside._solver not in ("", own) else "baseline"
-        return time_series({other: beside, own: self}, columns)
-
-    @property
-    def _solver(self) -> str:
-        asked = table(self.meta, "scenario")
-        law = table(asked, "control").get("law")
-        return str(law if law == "dcac" else table(asked, "solver").get("name", ""))
+        other = about(beside).get("solver", own)
+        return time_series({"baseline" if other == own else other: beside, own: self}, columns)
 
     def to_pandas(self) -> DataFrame:
         """Return a pandas.DataFrame, one row a tick, indexed by `t_s`; `attrs` holds `meta`.
@@ -203,10 +183,6 @@ class Trace:
         """Return an xarray.Dataset over `t_s`, `joint` and `axis`; each variable has its unit and meaning.
 
         A TraceError where xarray is not installed.
-
-        Example:
-            >>> mo.Trace({"t_s": [0.0, 0.002], "tip_m": [[0.1, 0.2, 0.3]] * 2}).to_xarray().tip_m.dims
-            ('t_s', 'axis')
         """
         xarray = _package("xarray")
         variables: dict[str, Any] = {}
@@ -290,7 +266,10 @@ def table(of: Mapping[str, Any], name: str) -> dict[str, Any]:
 
 
 def about(trace: Trace) -> dict[str, str]:
-    """Return the main facts of a run, name -> text; entries that `meta` lacks are left out."""
+    """Return the main facts of a run, name -> text; entries that `meta` lacks are left out.
+
+    ``solver`` is the law where that asks none.
+    """
     meta, scenario = trace.meta, table(trace.meta, "scenario")
     law = "dcac" if table(scenario, "control").get("law") == "dcac" else table(scenario, "solver").get("name")
     known = {"scenario": scenario.get("name"), "robot": meta.get("robot"), "solver": law, "ended": meta.get("ended")}

@@ -83,14 +83,6 @@ def test_a_jerk_hides_no_oscillation(joint):
     assert describe(both, NAMES, TURNING).startswith(f"joint_{joint + 1} at 40 Hz")
 
 
-def test_the_frequency_is_one_that_counts():
-    """What lies below is stronger in the spectrum, where the centred mean lets a part of it through."""
-    trace = made(2, 1.2, 20.0)
-    values = np.array(trace.v_rad_per_s)
-    values[:, 2] += 6.0 * np.sin(2.0 * np.pi * 5.0 * trace.t_s)
-    assert shaking(trace.with_columns(v_rad_per_s=values), "v_rad_per_s").frequency_Hz >= ABOVE_HZ
-
-
 @pytest.mark.parametrize(("amplitude", "hertz", "where", "says"), [
     # What a task does, however large: up to a quarter of the band's edge.
     (1.0, 0.2, None, False), (1.0, 1.0, None, False), (1.0, ABOVE_HZ / 4.0, None, False),
@@ -139,12 +131,6 @@ def test_what_cannot_be_judged_says_why():
 # --- runs ---
 
 
-def test_a_loop_that_its_delay_makes_unstable_is_stopped_and_says_that_it_shook():
-    trace = run(Scenario(seed=300, **{**QUICK, "start": {"pose": "random"}}, plant={"delay_ticks": 4}))
-    assert trace.meta["ended"].startswith("stopped: the measured motion is not what the torque makes")
-    assert "; oscillated before: joint_" in trace.meta["ended"]
-
-
 @pytest.mark.parametrize(("changes", "joint"), [
     ({"plant": {"delay_ticks": 2}, "control": STIFF}, "joint_5"),
     ({"plant": {"friction": 0.0}, "control": STIFF}, "joint_7"),
@@ -162,9 +148,8 @@ def test_an_unsound_loop_says_so(changes, joint):
 
 
 @pytest.mark.parametrize("changes", [
-    {}, {"control": {"preset": "tuned"}}, {"control": {"preset": "robust"}}, {"control": {"law": "dcac"}},
-    {"control": {"preset": "paper", "law": "dcac"}}, {"solver": {"name": "rnn"}}, {"faults": {"bump_N": 60.0}},
-    {"faults": {"encoder_noise_rad": 1e-4}}, {"plant": {"preset": "nominal"}},
+    {"control": {"preset": "robust"}}, {"control": {"law": "dcac"}}, {"solver": {"name": "rnn"}},
+    {"faults": {"bump_N": 60.0}}, {"faults": {"encoder_noise_rad": 1e-4}}, {"plant": {"preset": "nominal"}},
     {"control": {"preset": "tuned"}, "plant": {"delay_ticks": 3}},
 ], ids=str)  # fmt: skip
 def test_sound_runs_keep_their_distance_from_the_limits(changes):
