@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
@@ -12,7 +10,7 @@ import pytest
 
 from moc_opt.errors import ControlError, UnknownNameError
 from moc_opt.live import LiveError, LiveRun
-from moc_opt.live.run import DCAC, QUANTITIES, SLOWLY_M_PER_S, Choice, ToAndFro
+from moc_opt.live.run import DCAC, QUANTITIES, SLOWLY_M_PER_S, ToAndFro, solver_of
 from moc_opt.scenario import Scenario, Setup
 
 COLUMN = {name: k for k, name in enumerate(QUANTITIES)}
@@ -43,20 +41,19 @@ def test_it_does_what_the_scenario_does() -> None:
 
 def test_a_solver_is_exchanged_at_the_next_tick(run: LiveRun) -> None:
     run.advance(5)
-    assert run.moment().solver == "exact"
+    assert solver_of(run.used) == "exact"
     run.choose("rnn")
-    assert run.moment().solver == "exact", "not before the next tick"
+    assert solver_of(run.used) == "exact", "not before the next tick"
     run.advance(1)
-    assert run.moment().solver == run.solver != "exact"
+    assert solver_of(run.used) == run.solver != "exact"
     run.choose(DCAC)
     run.advance(1)
-    assert run.moment().solver != DCAC, "not while the torques of the exchange before blend"
+    assert solver_of(run.used) != DCAC, "not while the torques of the exchange before blend"
     run.advance(79)
-    assert run.moment().status == "none"
+    assert run.used.solution is None
     assert np.isnan(column(run, "solve_us", 30)).all()
     run.choose("exact")
     run.advance(80)
-    assert run.moment().status == "solved"
     assert (column(run, "solve_us", 30) > 0.0).all()
     assert not run.messages
 
@@ -98,8 +95,8 @@ def test_wrong_orders_are_refused_and_the_run_goes_on(run: LiveRun) -> None:
                 order()
     assert run.control == before
     run.advance(20)
-    assert run.moment().t_s == pytest.approx(0.08, abs=0.003)
-    assert run.moment().solver == run.solver == "exact"
+    assert run.t_s == pytest.approx(0.08, abs=0.003)
+    assert solver_of(run.used) == run.solver == "exact"
 
 
 def test_what_only_the_loop_can_tell_becomes_a_message(run: LiveRun) -> None:
@@ -114,68 +111,46 @@ def test_what_only_the_loop_can_tell_becomes_a_message(run: LiveRun) -> None:
 
     controller = run._build(run.control, "exact")
     controller.solver = Refuses()  # type: ignore[assignment]
-    run._in_use.next = Choice(controller, "refuses")
+    run._in_use.next = controller
     run.advance(10)
     assert "not in the mood; exact goes on" in run.messages.popleft()
-    assert run.moment().solver == run.solver == "exact"
-    assert run.moment().t_s == pytest.approx(0.038)
+    assert solver_of(run.used) == run.solver == "exact"
+    assert run.t_s == pytest.approx(0.038)
 
 
 def test_a_run_away_stops_and_can_be_reset(run: LiveRun) -> None:
     run.advance(50)
     run._setup.plant.mj_data.qvel[:] = 1e6
     run.advance(100)
-    stopped = run.moment()
-    assert "stopped at" in stopped.stopped
+    at = run.t_s
+    assert "stopped at" in run.stopped
     assert "reset" in run.messages[-1]
     run.advance(100)
-    assert run.moment().t_s == stopped.t_s, "nothing moves"
+    assert run.t_s == at, "nothing moves"
     run.tune(K_X=2000.0)
     run.reset()
     run.advance(500)
-    assert run._in_use.used.controller.settings.K_X == run.control.K_X == 2000.0
-    assert not run.moment().stopped
-    assert run.moment().t_s == pytest.approx(0.998)
+    assert run.used.settings.K_X == run.control.K_X == 2000.0
+    assert not run.stopped
+    assert run.t_s == pytest.approx(0.998)
     assert column(run, "tip_error_m", 50).max() < 1e-3
 
 
 def test_the_trocar_moves_slowly_and_stays_there_after_a_reset(run: LiveRun) -> None:
     run.advance(10)
-    start, asked = run.moment().trocar, np.array([0.005, -0.0025, 0.001])
+    start, asked = run.trocar, np.array([0.005, -0.0025, 0.001])
     run.place_trocar(*asked)
     places = []
     for _ in range(400):
         run.advance(1)
-        places.append(run.moment().trocar)
+        places.append(run.trocar)
     speeds = np.diff(places, axis=0) / run.period_s
     np.testing.assert_allclose(speeds[1:100], np.tile(SLOWLY_M_PER_S * asked / np.linalg.norm(asked), (99, 1)))
     np.testing.assert_allclose(places[-1] - start, asked, atol=1e-9)
     assert column(run, "rcm_error_m", 100).max() < 3e-3, "the controller knows where it went"
     run.reset()
     run.advance(300)
-    np.testing.assert_allclose(run.moment().trocar - start, asked, atol=1e-9)
-
-
-def test_orders_come_from_many_threads(run: LiveRun) -> None:
-    done = threading.Event()
-
-    def nag(seed: int) -> None:
-        rng = np.random.default_rng(seed)
-        while not done.wait(0.005):
-            run.choose(str(rng.choice([DCAC, "exact", "rnn"])))
-            run.tune(regularization=float(10 ** rng.uniform(-6, -3)))
-            run.place_trocar(*rng.uniform(-0.005, 0.005, 2))
-            run.moment(), run.history(50)
-
-    with ThreadPoolExecutor(3) as threads:
-        nagging = threads.map(nag, range(3))
-        run.advance(400)
-        done.set()
-        list(nagging)
-    run.advance(400)  # the torques of so many exchanges blend away
-    assert not run.messages
-    assert run.moment().solver == run.solver
-    assert column(run, "tip_error_m", 20).max() < 5e-3
+    np.testing.assert_allclose(run.trocar - start, asked, atol=1e-9)
 
 
 def test_a_controller_asked_for_at_every_tick_leaves_the_arm_controlled(run: LiveRun) -> None:

@@ -28,10 +28,10 @@ def live(scenario):
     """The same of the live page's run."""
     run = LiveRun(scenario.change(duration_s=None))
     run.advance(round(QUICK["duration_s"] / run.period_s))
-    stopped = run.moment()
+    at = run.t_s
     run.advance(10)
-    assert not stopped.stopped or run.moment().t_s == stopped.t_s  # nothing goes on
-    return stopped.stopped, stopped.t_s - scenario.guard.stop_s, run._setup.plant.v
+    assert not run.stopped or run.t_s == at  # nothing goes on
+    return run.stopped, at - scenario.guard.stop_s, run._setup.plant.v
 
 
 def procedure(scenario):
