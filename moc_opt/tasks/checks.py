@@ -16,13 +16,9 @@ TimeLike = float | ArrayLike
 
 def number(name: str, value: object, above: float = -math.inf) -> float:
     """Return a finite float; a TaskError where it is no number, not finite, or not above this."""
-    try:
-        result = float(value) if is_number(value) else math.nan  # type: ignore[arg-type]
-    except OverflowError:
-        result = math.inf
-    if not math.isfinite(result) or not result > above:
+    if not (is_number(value) and max(above, -1e300) < value < 1e300):  # type: ignore[operator]
         raise TaskError(f"{name} = {value!r}: give one finite number" + (" above zero" if above == 0.0 else ""))
-    return result
+    return float(value)  # type: ignore[arg-type]
 
 
 def positive(name: str, value: object) -> float:

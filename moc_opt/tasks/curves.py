@@ -1,14 +1,11 @@
-"""Shapes of paths; a new one is one entry in `CURVES`.
-
-The shapes here are planar curves by arc length: a curve starts at its own origin, and its first axis is the heading.
-"""
+"""Shapes of paths, planar: a curve starts at its own origin, its first axis is the heading. `CURVES` has them all."""
 
 from __future__ import annotations
 
 import math
 from bisect import bisect_right
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -91,99 +88,79 @@ def _worst(speed: Speed, w: Array, lengths: Array, coefficients: Array) -> float
     return worst if math.isfinite(worst) else math.inf  # a comparison with NaN would pass as "no worse"
 
 
-class PlanarCurve(Protocol):
+class PlanarCurve(NamedTuple):
     """A smooth curve in the plane, from its own origin, by arc length."""
 
-    length: float
-    """Length [m]."""
-    knots: Array
-    """Arc lengths (k,) [m], from 0 to `length`, close enough together to see every bend."""
-
-    def at(self, s: float) -> PlanePoint:
-        """Return x, y [m], unit tangent tx, ty and curvature [1/m] (left is positive) at s in [0, length]."""
+    length: float  #: [m]
+    knots: Array  #: Arc lengths (k,) [m], from 0 to `length`, close enough together to see every bend.
+    at: Callable[[float], PlanePoint]
+    """Gives x, y [m], unit tangent tx, ty and curvature [1/m] (left is positive) at s in [0, length]."""
 
 
-class Line:
+def line(length: float = 0.04) -> PlanarCurve:
     """A straight line of the given length [m] along the heading."""
-
-    def __init__(self, length: float = 0.04) -> None:
-        self.length = positive("length", length)
-        self.knots = read_only(np.array([0.0, self.length]))
-
-    def at(self, s: float) -> PlanePoint:
-        """See `PlanarCurve.at`."""
-        return s, 0.0, 1.0, 0.0, 0.0
+    length = positive("length", length)
+    return PlanarCurve(length, np.array([0.0, length]), lambda s: (s, 0.0, 1.0, 0.0, 0.0))
 
 
-class Circle:
+def circle(radius: float = 0.03) -> PlanarCurve:
     """One full turn of the given radius [m], to the left, the heading being its first tangent."""
+    r = positive("radius", radius)
 
-    def __init__(self, radius: float = 0.03) -> None:
-        self.radius = positive("radius", radius)
-        self.length = 2.0 * math.pi * self.radius
-        self.knots = read_only(np.linspace(0.0, self.length, 17))
-
-    def at(self, s: float) -> PlanePoint:
-        """See `PlanarCurve.at`."""
-        r = self.radius
+    def at(s: float) -> PlanePoint:
         c, d = math.cos(s / r), math.sin(s / r)
         return r * d, r * (1.0 - c), c, d, 1.0 / r
 
+    length = 2.0 * math.pi * r
+    return PlanarCurve(length, np.linspace(0.0, length, 17), at)
 
-class Sinusoid:
+
+def sinusoid(amplitude: float = 0.01, wavelength: float = 0.02, periods: float = 2.0) -> PlanarCurve:
     """y = amplitude sin(2 pi x / wavelength), x along the heading, for a number of periods (whole or not).
 
     Amplitude and wavelength in m. It starts on its axis, at its steepest.
     """
+    a, periods = positive("amplitude", amplitude), positive("periods", periods)
+    k = 2.0 * math.pi / positive("wavelength", wavelength)
 
-    def __init__(self, amplitude: float = 0.01, wavelength: float = 0.02, periods: float = 2.0) -> None:
-        self.amplitude, periods = positive("amplitude", amplitude), positive("periods", periods)
-        self._k = 2.0 * math.pi / positive("wavelength", wavelength)
-        steepness = self.amplitude * self._k
+    def speed(phase: Array) -> tuple[Array, Array]:
+        slope = a * k * np.cos(phase)
+        ds = np.sqrt(1.0 + slope**2)
+        return ds / k, -slope * a * np.sin(phase) / ds
 
-        def speed(phase: Array) -> tuple[Array, Array]:
-            slope = steepness * np.cos(phase)
-            ds = np.sqrt(1.0 + slope**2)
-            return ds / self._k, -slope * steepness * np.sin(phase) / (self._k * ds)
-
-        self._arc = ArcLength(speed, np.array([0.0, 2.0 * math.pi * periods]), 16 * math.ceil(periods))
-        self.length, self.knots = self._arc.length, self._arc.knots
-
-    def at(self, s: float) -> PlanePoint:
-        """See `PlanarCurve.at`."""
+    def at(s: float) -> PlanePoint:
         # tangent (1, y')/sqrt(1 + y'^2), curvature y''/(1 + y'^2)^(3/2)
-        phase, a, k = self._arc.parameter(s), self.amplitude, self._k
-        sine = math.sin(phase)
-        slope = a * k * math.cos(phase)
+        phase = arc.parameter(s)
+        sine, slope = math.sin(phase), a * k * math.cos(phase)
         ds = math.sqrt(1.0 + slope * slope)
         return phase / k, a * sine, 1.0 / ds, slope / ds, -a * k * k * sine / (ds * ds * ds)
 
+    arc = ArcLength(speed, np.array([0.0, 2.0 * math.pi * periods]), 16 * math.ceil(periods))
+    return PlanarCurve(arc.length, arc.knots, at)
 
-class Spiral:
+
+def spiral(turns: float = 2.0, radius: float = 0.03) -> PlanarCurve:
     """Archimedean spiral from its centre to the left: r = radius angle / (2 pi turns), heading at angle 0.
 
     `turns` whole or not, `radius` [m] the final one. At the centre the curvature is 4 pi turns / radius.
     """
+    turns = positive("turns", turns)
+    b = positive("radius", radius) / (2.0 * math.pi * turns)
 
-    def __init__(self, turns: float = 2.0, radius: float = 0.03) -> None:
-        turns = positive("turns", turns)
-        self._pitch = pitch = positive("radius", radius) / (2.0 * math.pi * turns)
+    def speed(angle: Array) -> tuple[Array, Array]:
+        ds = np.sqrt(1.0 + angle**2)
+        return b * ds, b * angle / ds
 
-        def speed(angle: Array) -> tuple[Array, Array]:
-            ds = np.sqrt(1.0 + angle**2)
-            return pitch * ds, pitch * angle / ds
-
-        self._arc = ArcLength(speed, np.array([0.0, 2.0 * math.pi * turns]), 16 * math.ceil(turns))
-        self.length, self.knots = self._arc.length, self._arc.knots
-
-    def at(self, s: float) -> PlanePoint:
-        """See `PlanarCurve.at`."""
-        # curvature (2 + angle^2) / (pitch (1 + angle^2)^(3/2))
-        w, b = self._arc.parameter(s), self._pitch
+    def at(s: float) -> PlanePoint:
+        # curvature (2 + angle^2) / (b (1 + angle^2)^(3/2))
+        w = arc.parameter(s)
         c, d, ds = math.cos(w), math.sin(w), math.sqrt(1.0 + w * w)
         return b * w * c, b * w * d, (c - w * d) / ds, (d + w * c) / ds, (2.0 + w * w) / (b * ds * ds * ds)
 
+    arc = ArcLength(speed, np.array([0.0, 2.0 * math.pi * turns]), 16 * math.ceil(turns))
+    return PlanarCurve(arc.length, arc.knots, at)
 
-CURVES: dict[str, Callable[..., Any]] = {"line": Line, "circle": Circle, "sinusoid": Sinusoid, "spiral": Spiral}
+
+CURVES: dict[str, Callable[..., Any]] = {"line": line, "circle": circle, "sinusoid": sinusoid, "spiral": spiral}
 """Kind of path -> a function of its sizes that returns waypoints (k, 3) [m] from the start: along the heading, to the
-left, along the normal; or a class like the above, which needs no interpolation. Add yours here."""
+left, along the normal; or a `PlanarCurve`, which needs no interpolation. Add yours here."""

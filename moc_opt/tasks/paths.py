@@ -1,7 +1,6 @@
 """Paths of the tool tip in space by arc length: planar curves, curves through waypoints, and all of them by name.
 
-An entry point of the group `moc_opt.tasks` names what an entry of `CURVES` is: a function of sizes that returns
-waypoints, or a class of a planar curve.
+An entry point of the group `moc_opt.tasks` names what an entry of `CURVES` is.
 """
 
 from __future__ import annotations
@@ -36,12 +35,10 @@ class Path:
     knots: Array  #: Arc lengths (k,) [m], from 0 to `length`, close enough together to see every bend.
 
     def __init__(self, curve: PlanarCurve, start: ArrayLike, *, normal: ArrayLike, heading: ArrayLike) -> None:
-        """Place the curve; a TaskError where a vector is not usable, or heading and normal are parallel.
+        """Place the curve at start (3,) [m]; a TaskError where a vector is not usable.
 
-        Args:
-            start: where it begins, (3,) [m].
-            normal: of its plane, (3,), any length above zero. "To the left" is seen from its tip.
-            heading: the curve's first axis, (3,); its part along the normal is taken out.
+        "To the left" is seen from the tip of the plane's normal (3,). Of the heading (3,), the curve's first axis, the
+        part along the normal is taken out; they must not be parallel.
         """
         self._place(start, normal, heading)
         self.curve, self.length, self.knots = curve, float(curve.length), curve.knots
@@ -91,14 +88,10 @@ class Waypoints(Path):
     """
 
     def __init__(self, points: ArrayLike, start: ArrayLike, *, normal: ArrayLike, heading: ArrayLike) -> None:
-        """Lay the path; start, normal and heading are those of `Path`.
+        """Lay the path through points (k, 3) [m] from the start: along the heading, to the left, along the normal.
 
-        Args:
-            points: (k, 3) [m] from the start: along the heading, to the left, along the normal. The start itself may
-                stand first.
-
-        Raises:
-            TaskError: no such points, two alike beside each other, or a path that turns back on the spot.
+        The start itself may stand first. A TaskError where there are no such points, two alike beside each other, or
+        the path turns back on the spot.
         """
         self._place(start, normal, heading)
         given = _checked(points)

@@ -54,22 +54,17 @@ class Pose:
 
     def distance(self, other: Pose) -> tuple[float, float]:
         """Return how far apart two poses are: between the origins [m], and the angle of the turn between [rad]."""
-        return float(np.linalg.norm(self.t - other.t)), float(np.linalg.norm(rotation_vector(self.R.T @ other.R)))
+        return float(np.linalg.norm(self.t - other.t)), float(np.linalg.norm(pin.log3(self.R.T @ other.R)))
 
     def towards(self, other: Pose, share: float) -> Pose:
         """Return the pose at a share in [0, 1] of the way to another: straight, at a constant rate of turn."""
-        turn = rotation_from(share * rotation_vector(self.R.T @ other.R))
+        turn = rotation_from(share * pin.log3(self.R.T @ other.R))
         return Pose(self.R @ turn, self.t + share * (other.t - self.t))
 
 
 def rotation_from(vector: ArrayLike) -> Array:
     """Return the rotation (3, 3) about `vector` (3,) by its length [rad]."""
     return np.asarray(pin.exp3(np.array(vector, dtype=np.float64)))
-
-
-def rotation_vector(rotation: ArrayLike) -> Array:
-    """Return axis times angle (3,) [rad] of a rotation (3, 3), the angle in [0, pi]."""
-    return np.asarray(pin.log3(np.array(rotation, dtype=np.float64)))
 
 
 class VisionSettings(Settings):

@@ -55,14 +55,9 @@ class Camera:
     @property
     def matrix(self) -> Array:
         """K (3, 3). A pixel's number is its middle, so the view's axis is at (W - 1)/2, (H - 1)/2, not W/2, H/2."""
-        width, height = self.size_px
+        width, height = self.settings.width_px, self.settings.height_px
         f = 0.5 * height / math.tan(0.5 * math.radians(self.settings.fov_deg))
         return np.array([[f, 0.0, 0.5 * width - 0.5], [0.0, f, 0.5 * height - 0.5], [0.0, 0.0, 1.0]])
-
-    @property
-    def size_px(self) -> tuple[int, int]:
-        """Width and height."""
-        return self.settings.width_px, self.settings.height_px
 
     def project(self, points_in_base: ArrayLike) -> Array:
         """Project points to pixels (k, 2) of points (k, 3) [m] of the base frame; NaN for points behind the camera."""
@@ -118,7 +113,7 @@ class View:
         self, board_in_base: Pose | None, hidden: frozenset[int] = frozenset(), q: Array | None = None
     ) -> Picture:
         """Take the picture (H, W, 3) of a board (None: out of sight) with covered markers, and the tool at q (n,)."""
-        width, height = self.camera.size_px
+        width, height = self.camera.settings.width_px, self.camera.settings.height_px
         page = np.full((_FINER * height, _FINER * width, 3), TISSUE, dtype=np.uint8)
         if board_in_base is not None:
             self._draw_board(page, self.camera.camera_in_base.inverse() @ board_in_base, hidden)

@@ -151,11 +151,8 @@ def guide_to(
     """Let a hand pull the tip to the incision (3,) [m] while the arm only carries its own weight.
 
     The hand sees where the tip truly is; the robot registers where its own kinematics put it, off by a seeded error.
-    The plant goes on from where it is, and is left at the end as it then is.
-
-    Raises:
-        TaskError: the incision is too far away, or out of the arm's reach; nothing has moved then.
-        PlantError: the arm ran away.
+    The plant goes on from where it is, and is left at the end as it then is. A TaskError where the incision is too far
+    away or out of the arm's reach: nothing has moved then; a PlantError where the arm ran away.
     """
     settings = settings or HandsOnSettings()
     goal = vector3("incision", incision)

@@ -41,11 +41,7 @@ class UnreachableError(TaskError):
 
 
 def check_start(robot: RobotModel, q: ArrayLike) -> RobotState:
-    """Return the state at q (n,) [rad], where a run can begin there.
-
-    Raises:
-        ScenarioError: wrong shape, not finite, outside the joint limits, or singular.
-    """
+    """Return the state at q (n,) [rad]; a ScenarioError where no run can begin there."""
     pose = np.asarray(q, dtype=np.float64)
     if pose.shape != (robot.n,) or not np.isfinite(pose).all():
         raise ScenarioError(f"[start] q_rad = {pose.tolist()}: give {robot.n} finite numbers [rad]")
@@ -89,12 +85,8 @@ def random_start(
     A pose is drawn evenly from the joints' ranges, less `DRAWN_MARGIN` at both ends. ``swivelled`` chooses the pose of
     the same tip and wrist that is begun with, ``lay_out`` gives the task from there and the poses (k, n) that follow
     it. Rejected is a pose from which the task cannot be done within joint limits and speeds, and where one of these is
-    nearly singular (`REGULAR`), has a joint within its ``margins`` (n,) of a limit [rad], [m] where it slides, or tip
-    or wrist below the plane that the arm stands on.
-
-    Raises:
-        ScenarioError: none of `DRAWS` poses passes; says what rejected how many.
-        MocOptError: the task is wrong from every pose.
+    nearly singular (`REGULAR`), has a joint within its ``margins`` (n,) of a limit [rad, m], or tip or wrist below the
+    plane that the arm stands on. A ScenarioError where none of `DRAWS` poses passes; says what rejected how many.
     """
     room = DRAWN_MARGIN * (robot.q_max - robot.q_min)
     rejected: Counter[str] = Counter()
@@ -144,10 +136,7 @@ def check_reachable(
     There is one each `SPACING_M`, solved from the pose before it; the elbow may have to travel to the first. If that
     fails, the path is tried again from the middle of the starting self-motion. A refused path may still be possible
     another way; an accepted path is possible. The tip at ``q_start`` (n,) is at the start of the reference, which is
-    ignored after ``until_s`` [s].
-
-    Raises:
-        UnreachableError: a point, a joint speed or the trocar is out of reach; names field, arc length and cure.
+    ignored after ``until_s`` [s]. An UnreachableError names field, arc length and cure.
     """
     state = robot.state(q_start)
     places = _places(reference, trocar, until_s)
@@ -159,10 +148,9 @@ def check_reachable(
     try:
         return _follow(robot, state.q, places, reference)
     except UnreachableError:
-        other = _middle(robot, state.q)
-        if other is not None:
-            with suppress(UnreachableError):
-                return _follow(robot, other, places, reference)
+        # A RobotError: a singular start, or one outside the limits, has no self-motion to choose from.
+        with suppress(UnreachableError, RobotError):
+            return _follow(robot, _middle(robot, state.q), places, reference)
         raise  # what stopped the given pose is what the user should hear
 
 
@@ -253,11 +241,8 @@ def _least_rates(robot: RobotModel, a: Array, velocity: Array) -> Array:
     return shortest if found.x is None else shortest + right[rank:].T @ found.x[:-1]
 
 
-def _middle(robot: RobotModel, q: Array) -> Array | None:
-    try:
-        poses = self_motion(robot, q).q
-    except RobotError:
-        return None  # a singular start, or one outside the limits: there is nothing to choose from
+def _middle(robot: RobotModel, q: Array) -> Array:
+    poses = self_motion(robot, q).q
     moved = np.ptp(poses, axis=0) > 1e-6
     room = np.minimum(poses - robot.q_min, robot.q_max - poses)[:, moved].min(axis=1, initial=np.inf)
     return np.array(poses[int(np.argmax(room))])

@@ -8,10 +8,11 @@ from typing import Any, ClassVar
 
 import cv2
 import numpy as np
+import pinocchio as pin
 from pydantic import Field
 
 from moc_opt.arrays import Array
-from moc_opt.vision.board import Board, Pose, VisionSettings, rotation_from, rotation_vector
+from moc_opt.vision.board import Board, Pose, VisionSettings, rotation_from
 from moc_opt.vision.camera import Camera, Picture, dictionary
 
 _OUTLIER, _CLEAN_PX = 4.0, 0.6  # a corner this many medians off is left out, unless it is this near anyway
@@ -41,10 +42,7 @@ class Sighting:
 
 
 class BoardFinder:
-    """Finds one board in pictures of one camera: markers, sub-pixel corners, pose by PnP and refinement.
-
-    Of the camera only its intrinsics are used.
-    """
+    """Finds one board in pictures of one camera: markers, sub-pixel corners, pose by PnP and refinement."""
 
     def __init__(self, board: Board, camera: Camera) -> None:
         parameters = cv2.aruco.DetectorParameters()
@@ -81,7 +79,7 @@ class BoardFinder:
         pose, misses = min(fits, key=lambda fit: float(np.median(fit[1])))
         good = misses <= max(_OUTLIER * float(np.median(misses)), _CLEAN_PX)
         if not good.all() and good.sum() >= 4:
-            again = self._refine(rotation_vector(pose.R), pose.t, points[good], pixels[good])
+            again = self._refine(pin.log3(pose.R), pose.t, points[good], pixels[good])
             if again is not None:
                 pose, misses = again, self._misses(again, points[good], pixels[good])
         markers = int((good.reshape(-1, 4).sum(axis=1) >= 2).sum())
@@ -110,11 +108,10 @@ class Tracked:
 
 
 class BoardTracker:
-    """Follows a board from picture to picture.
+    """Follows a board from picture to picture, and averages one that rests over `smoothing_s`.
 
-    A board that rests is averaged over `smoothing_s`. One sighting far from the estimate is an outlier and
-    changes nothing; several in a row that agree with each other are a board that was moved, and the estimate
-    goes there at once. Its user must not jump with it (see `WaitingReference`).
+    One sighting far from the estimate is an outlier and changes nothing; several in a row that agree are a board that
+    was moved, and the estimate goes there at once. Its user must not jump with it (see `WaitingReference`).
     """
 
     def __init__(self, limits: TrackerSettings | None = None) -> None:

@@ -7,52 +7,40 @@ from typing import Any
 
 import numpy as np
 
+from moc_opt.inputs.files import to_toml
 from moc_opt.planning.course import Targets, lay_targets
 from moc_opt.robots.model import RobotModel, load_robot
+from moc_opt.robots.urdf import Joint, Link, Urdf, read
 from moc_opt.tasks import Reference, Trocar, make_path
 from tests.conftest import Array
+from tests.robots.arms import FOLDER
 
 H = np.pi / 2
 
+_JOINTS = [joint for joint in read((FOLDER / "iiwa14.urdf").read_text("utf-8")).joints if joint.moves]
 IIWA14: dict[str, Any] = {
-    "joints": [
-        ((0, 0, 0.1575), (0, 0, 0)), ((0, 0, 0.2025), (H, 0, np.pi)), ((0, 0.2045, 0), (H, 0, np.pi)),
-        ((0, 0, 0.2155), (H, 0, 0)), ((0, 0.1845, 0), (-H, np.pi, 0)), ((0, 0, 0.2155), (H, 0, 0)),
-        ((0, 0.081, 0), (-H, np.pi, 0)),
-    ],
-    "q_max": np.radians([170, 120, 170, 120, 170, 120, 175]),
-    "v_max": np.radians([85, 85, 100, 75, 130, 135, 135]),
+    "joints": [(joint.xyz, joint.rpy) for joint in _JOINTS],
+    "q_max": np.radians([170, 120, 170, 120, 170, 120, 175]), "v_max": np.radians([85, 85, 100, 75, 130, 135, 135]),
     "wrist": (0, 0, -0.081), "mount": (0, 0, 0.045), "home": (0.4, 0.8, 0.5, -1.4, 0.6, 1.1, 0.0),
 }  # fmt: skip
-
-def _numbers(values: object) -> str:
-    return " ".join(f"{value:.17g}" for value in np.asarray(values, dtype=float))
 
 
 def build(folder: Path, numbers: dict[str, Any], **changes: Any) -> RobotModel:
     """The arm as the loader makes it from two files in the folder."""
-    arm = {**numbers, **changes}
-    q_max = np.asarray(arm["q_max"])
-    q_min = np.asarray(arm.get("q_min", -q_max))
-    body = '<inertial><origin xyz="0 0 0.05"/><mass value="2"/><inertia ixx="0.02" ixy="0" ixz="0" iyy="0.02" '
-    body += 'iyz="0" izz="0.02"/></inertial>'
-    text = f'<robot name="arm"><link name="link_0">{body}</link>'
+    arm = {"rpy": (0.0, 0.0, 0.0), "q_min": -np.asarray(numbers["q_max"]), **numbers, **changes}
+    count = len(arm["joints"])
+    links = [Link(f"link_{j}", 2.0, (0.02, 0.02, 0.02, 0.0, 0.0, 0.0), (0.0, 0.0, 0.05)) for j in range(count + 1)]
+    joints = []
     for j, (xyz, rpy) in enumerate(arm["joints"]):
-        text += (
-            f'<joint name="joint_{j + 1}" type="revolute"><parent link="link_{j}"/><child link="link_{j + 1}"/>'
-            f'<origin xyz="{_numbers(xyz)}" rpy="{_numbers(rpy)}"/><axis xyz="0 0 1"/><limit lower="{q_min[j]:.17g}" '
-            f'upper="{q_max[j]:.17g}" velocity="{np.asarray(arm["v_max"])[j]:.17g}" effort="100"/></joint>'
-            f'<link name="link_{j + 1}">{body}</link>'
-        )
-    (folder / "arm.urdf").write_text(text + "</robot>", encoding="utf-8")
-    (folder / "arm.toml").write_text(
-        f'name = "arm"\nurdf = "arm.urdf"\n[frames]\nlast_link = "link_{len(arm["joints"])}"\n'
-        f"wrist_xyz_m = {list(map(float, arm['wrist']))}\n"
-        f"tool_mount_xyz_m = {list(map(float, arm['mount']))}\n"
-        f"tool_mount_rpy_rad = {list(map(float, arm.get('rpy', (0, 0, 0))))}\n"
-        f"[home]\nq_rad = {list(map(float, arm['home']))}\n",
-        encoding="utf-8",
-    )
+        limits = {"lower": arm["q_min"][j], "upper": arm["q_max"][j], "velocity": arm["v_max"][j], "effort": 100.0}
+        ends = f"link_{j}", f"link_{j + 1}"
+        joints.append(Joint(f"joint_{j + 1}", "revolute", *ends, xyz, rpy, (0.0, 0.0, 1.0), limits))
+    (folder / "arm.urdf").write_text(Urdf(links, joints).to_text("arm"), encoding="utf-8")
+    frames = {"wrist_xyz_m": arm["wrist"], "tool_mount_xyz_m": arm["mount"], "tool_mount_rpy_rad": arm["rpy"]}
+    (folder / "arm.toml").write_text(to_toml({
+        "name": "arm", "urdf": "arm.urdf", "frames": {"last_link": f"link_{count}", **frames},
+        "home": {"q_rad": np.asarray(arm["home"], dtype=float)},
+    }), encoding="utf-8")  # fmt: skip
     return load_robot(folder / "arm.toml")
 
 

@@ -150,10 +150,6 @@ def test_what_cannot_follow_a_course_is_refused_before_the_run(change, message):
         Setup(FOLLOWED.change(**change)).controller()
 
 
-def test_a_run_of_one_tick_is_planned_too():
-    assert len(mo.run(FOLLOWED.change(duration_s=0.002))) == 1
-
-
 # --- a course made again and again ---
 
 
@@ -175,14 +171,6 @@ def test_it_leaves_the_hump_in_which_the_local_law_is_trapped():
     assert 0.0 < told["solve_ms_median"] <= told["solve_ms_p99"]
     assert trace.mu.mean() > 1.15 * climbed.mu.mean()
     assert trace.columns["tip_error_model_m"].mean() < 2.0 * climbed.columns["tip_error_model_m"].mean()
-
-
-def test_a_horizon_that_sees_no_further_stays_in_the_hump(monkeypatch):
-    """V is what sees the other maximum: without it the same program ends where the local law does."""
-    blind = follower(Setup(TRAPPED.change(control={"horizon_s": 0.2})))
-    value = blind._planner._value
-    monkeypatch.setattr(value, "value", np.where(np.isfinite(value.value), 0.1 * value.map.mu, -np.inf))
-    assert setup().robot.mu_along(followed(blind)).mean() < 1.05 * ran("local").mu.mean()
 
 
 def test_what_it_follows_is_on_the_path_and_within_the_speeds():

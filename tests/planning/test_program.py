@@ -31,8 +31,10 @@ def on_grid(robot, targets, limits=None, swivels=180):
     return make_course(robot, targets, poses, limits), bound
 
 
-def test_a_course_is_refined_between_its_grid_and_its_bound(robot):
-    targets = task(robot, robot.data.q_home, 60)
+@pytest.mark.parametrize("name", ["lwr4", "panda"])
+def test_a_course_is_refined_between_its_grid_and_its_bound(name):
+    robot = load_robot(name)
+    targets = task(robot, robot.data.q_home, 60) if name == "lwr4" else line_from(robot, robot.data.q_home, 20)
     course, bound = on_grid(robot, targets, swivels=90)
     better = refine(robot, targets, course, Limits())
     assert better.certified
@@ -55,16 +57,6 @@ def test_a_course_at_its_limits_stays_at_its_maximum_of_mu_when_it_is_made_smoot
     gentle = refine(robot, found.targets, found.from_start, limits, smoothness=1e-3)
     turns = [np.abs(np.diff(each.q_rad, 2, axis=0)).max() for each in (gentle, smooth, found.from_start)]
     assert turns[0] < turns[1] < turns[2]
-
-
-def test_an_arm_without_closed_form_is_refined():
-    panda = load_robot("panda")
-    targets = line_from(panda, panda.data.q_home, 20)
-    course, _ = on_grid(panda, targets)
-    better = refine(panda, targets, course, Limits())
-    assert better.certified
-    assert better.kept
-    assert better.mu_mean >= course.mu_mean
 
 
 SHAFT = st.tuples(*[st.floats(-1.0, 1.0)] * 3).filter(lambda shaft: np.linalg.norm(shaft) > 1e-3)

@@ -11,15 +11,7 @@ from moc_opt.sim import Plant, PlantSettings
 from moc_opt.sim.loop import simulate
 from moc_opt.tasks import Reference
 from moc_opt.tasks.timelaw import WaitingReference, flags_at
-from moc_opt.vision.augmented_reality import (
-    DONE,
-    TASK,
-    TIP,
-    TROCAR,
-    Augmented,
-    draw,
-    save_film,
-)
+from moc_opt.vision.augmented_reality import DONE, TASK, TIP, TROCAR, Augmented, draw, save_film
 from moc_opt.vision.board import BOARD_TASKS, Board, Pose, board_below
 from moc_opt.vision.camera import Camera, CameraSettings
 
@@ -97,8 +89,9 @@ def test_the_film_shows_the_run(run, tmp_path, trocar):
     scene, path, trace, _, _ = run
     short = trace.select(np.arange(len(trace)) < 500)
     assert scene.film(tmp_path / "run.webm", short, path, trocar) == 20
-    pictures = read(tmp_path / "run.webm")
-    assert len(pictures) == 20
+    film = cv2.VideoCapture(str(tmp_path / "run.webm"))
+    pictures = [film.read()[1] for _ in range(20)]
+    assert not film.read()[0]
     assert pictures[0].shape == (480, 640, 3)
     assert (pictures[0] != pictures[-1]).any()
 
@@ -110,15 +103,6 @@ CAMERA = Camera.above(CameraSettings(), FLAT)
 BLANK = np.zeros((480, 640, 3), dtype=np.uint8)
 LINE = FLAT.apply(np.stack([np.linspace(-0.03, 0.03, 50), np.zeros(50), np.zeros(50)], axis=1))
 TIP_PLACE = FLAT.apply([0.0, 0.01, 0.0])
-
-
-def read(file):
-    film = cv2.VideoCapture(str(file))
-    frames = []
-    while (answer := film.read())[0]:
-        frames.append(answer[1])
-    film.release()
-    return frames
 
 
 def near(picture, colour, point, reach=3):
@@ -139,17 +123,6 @@ def test_task_tip_and_trocar_are_where_they_project_to(trocar):
     assert not BLANK.any()
 
 
-def test_what_is_behind_the_camera_is_not_drawn():
-    behind = CAMERA.camera_in_base.apply([0.0, 0.0, -0.1])
-    page = draw(BLANK, CAMERA, task=[behind, behind], progress=0.0, tip=behind, trocar=FLAT.t, text="lost")
-    assert not page[:440].any()
-    assert page[440:].any()
-
-
-def test_films_can_be_read_back_and_are_refused_where_they_cannot_be_written(tmp_path):
-    pictures = [np.full((120, 160, 3), 20 * k, dtype=np.uint8) for k in range(6)]
-    assert save_film(tmp_path / "film.webm", iter(pictures), 30.0) == 6
-    means = [frame.mean() for frame in read(tmp_path / "film.webm")]
-    np.testing.assert_allclose(means, [20 * k for k in range(6)], atol=6)
+def test_a_film_that_cannot_be_written_is_refused(tmp_path):
     with pytest.raises(PlantError):
-        save_film(tmp_path / "nowhere" / "film.webm", pictures, 30.0)
+        save_film(tmp_path / "nowhere" / "film.webm", [BLANK], 30.0)

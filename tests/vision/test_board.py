@@ -6,15 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from moc_opt.errors import TaskError, UnknownNameError
-from moc_opt.vision.board import (
-    BOARD_TASKS,
-    Board,
-    BoardTask,
-    Pose,
-    board_below,
-    board_task,
-    rotation_from,
-)
+from moc_opt.vision.board import BOARD_TASKS, Board, BoardTask, Pose, board_below, board_task, rotation_from
 
 BOARD = Board()
 VECTOR = st.tuples(*[st.floats(-2.0, 2.0)] * 3).map(np.array)
@@ -45,17 +37,15 @@ def test_blending_goes_straight_from_one_to_the_other(a, b, share):
 def test_markers_are_squares_in_rows_from_the_top_left():
     assert len(BOARD.ids) == 20
     assert BOARD.size_m == pytest.approx((0.130, 0.105))
-    for marker in BOARD.ids:
-        corners = BOARD.corners(marker)
-        sides = np.linalg.norm(np.diff(corners, axis=0, append=corners[:1]), axis=1)
-        np.testing.assert_allclose(sides, 0.020, atol=1e-15)
-        # Clockwise as seen from the printed side.
-        assert np.cross(corners[1] - corners[0], corners[2] - corners[1])[2] < 0.0
-    first, second, below = (BOARD.corners(marker)[0] for marker in (0, 1, 5))
+    corners = np.array([BOARD.corners(marker) for marker in BOARD.ids])
+    sides = np.linalg.norm(np.diff(corners, axis=1, append=corners[:, :1]), axis=2)
+    np.testing.assert_allclose(sides, 0.020, atol=1e-15)
+    # Clockwise as seen from the printed side.
+    assert (np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 1])[:, 2] < 0.0).all()
+    first, second, below = corners[[0, 1, 5], 0]
     np.testing.assert_allclose(second - first, [0.025, 0, 0], atol=1e-15)
     np.testing.assert_allclose(below - first, [0, -0.025, 0], atol=1e-15)
-    everything = np.concatenate([BOARD.corners(marker) for marker in BOARD.ids])
-    np.testing.assert_allclose(everything.mean(axis=0), 0.0, atol=1e-15)
+    np.testing.assert_allclose(corners.mean(axis=(0, 1)), 0.0, atol=1e-15)
     np.testing.assert_allclose(BOARD.outline()[0] + [0.005, -0.005, 0], first, atol=1e-15)
 
 

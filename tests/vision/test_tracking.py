@@ -1,13 +1,12 @@
 """The board is found in its own picture; the tracker averages it, refuses outliers, tells losses and follows a move."""
 
-import cv2
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from moc_opt.vision.board import Board, Pose, rotation_from
-from moc_opt.vision.camera import Camera, CameraSettings, View, board_picture, hide, texture_matrix
+from moc_opt.vision.camera import Camera, CameraSettings, View, hide
 from moc_opt.vision.tracking import BoardFinder, BoardTracker, Sighting, TrackerSettings
 
 BOARD = Board()
@@ -16,17 +15,6 @@ EYE = Camera(CLEAN, Pose(np.diag([1.0, -1.0, -1.0]), (0.6, 0.0, 0.4)))
 TILTED = Pose(rotation_from((0.4, 0.2, 0.0)) @ np.diag([1.0, -1.0, -1.0]), (0.005, -0.005, 0.15))
 FINDER = BoardFinder(BOARD, EYE)
 SHOT = View(EYE, BOARD).picture(EYE.camera_in_base @ TILTED)
-
-
-@pytest.mark.parametrize("gap_m", [0.005, 0.00437])
-def test_the_printed_markers_are_where_the_geometry_says(gap_m):
-    board = Board(gap_m=gap_m)
-    page = np.pad(board_picture(board), 20, constant_values=255)
-    found = BoardFinder(board, EYE).corners(cv2.cvtColor(page, cv2.COLOR_GRAY2BGR))
-    assert sorted(found) == list(board.ids)
-    for marker, pixels in found.items():
-        there = np.column_stack([board.corners(marker)[:, :2], np.ones(4)]) @ texture_matrix(board).T
-        np.testing.assert_allclose(pixels, there[:, :2] + 20, atol=0.3)
 
 
 def test_the_pose_and_the_corners_are_found():
@@ -42,8 +30,7 @@ def test_the_pose_and_the_corners_are_found():
     np.testing.assert_allclose(np.mean(off, axis=(0, 1)), 0.0, atol=0.03)
 
 
-@pytest.mark.parametrize("hidden", [0.0, 0.6])
-def test_single_pictures_are_accurate(hidden):
+def test_single_pictures_are_accurate_with_six_of_ten_markers_hidden():
     """0.07 mm and 0.03 degrees are what such a board is good for, tilted, turned, and 12 to 20 cm away."""
     rng, eye = np.random.default_rng(1), Camera(CameraSettings(), EYE.camera_in_base)
     view, finder, found = View(eye, BOARD, seed=1), BoardFinder(BOARD, eye), []
@@ -51,8 +38,8 @@ def test_single_pictures_are_accurate(hidden):
         turn = rotation_from((*rng.uniform(-0.4, 0.4, 2), 0.0)) @ np.diag([1.0, -1.0, -1.0])
         spin = rotation_from((0.0, 0.0, rng.uniform(-0.8, 0.8)))
         truth = Pose(turn @ spin, (*rng.uniform(-0.01, 0.01, 2), rng.uniform(0.12, 0.20)))
-        sighting = finder.find(view.picture(eye.camera_in_base @ truth, hide(BOARD.ids, hidden, k)))
-        assert sighting.markers <= 20 * (1 - hidden)
+        sighting = finder.find(view.picture(eye.camera_in_base @ truth, hide(BOARD.ids, 0.6, k)))
+        assert sighting.markers <= 8
         found.append(sighting.pose.distance(truth))
     way, angle = np.array(found).T
     assert np.median(way) < 1e-4
@@ -66,20 +53,6 @@ def test_without_a_marker_there_is_no_sighting_and_one_is_enough_for_a_poorer_po
     one = FINDER.find(View(EYE, BOARD).picture(EYE.camera_in_base @ TILTED, frozenset(BOARD.ids) - {7}))
     assert one.markers == 1
     assert one.pose.distance(TILTED)[0] < 3e-3
-
-
-def test_a_tool_across_a_marker_does_not_pull_the_pose():
-    """A white stripe over half the corners of two markers: they are left out."""
-    picture, corners = SHOT.copy(), FINDER.corners(SHOT)
-    for marker in (6, 13):
-        a, b = corners[marker][0], corners[marker][3]
-        start, end = (np.rint(16 * (point + np.array([-1.5, 0.0]))).astype(int).tolist() for point in (a, b))
-        cv2.line(picture, start, end, (0, 0, 0), 4, cv2.LINE_AA, 4)
-    sighting = FINDER.find(picture)
-    way, turn = sighting.pose.distance(TILTED)
-    assert way < 1.5e-4
-    assert turn < 1.5e-3
-    assert sighting.error_px < 0.4
 
 
 # --- from picture to picture ---
@@ -101,13 +74,10 @@ def noisy(rng, pose=HERE, way=1e-4, turn=1e-3):
     return sight(pose @ Pose(rotation_from(turn * rng.standard_normal(3)), way * rng.standard_normal(3)))
 
 
-@pytest.mark.parametrize(("sightings", "seen"), [
-    ([None, sight(), sight(), sight(), sight()], [False, False, False, True, True]),
-    ([sight(THERE), sight(), sight(), sight()], [False, False, False, True]),
-])  # fmt: skip
-def test_it_takes_several_sightings_that_agree_to_find_a_board(sightings, seen):
+def test_it_takes_several_sightings_that_agree_to_find_a_board():
     tracker = BoardTracker()
-    assert [tracked.seen for tracked in feed(tracker, sightings)] == seen
+    found = feed(tracker, [None, sight(THERE), sight(), sight(), sight(), sight()])
+    assert [tracked.seen for tracked in found] == [False] * 4 + [True] * 2
     assert tracker.pose.distance(HERE)[0] < 1e-12
 
 
