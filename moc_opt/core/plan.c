@@ -1,5 +1,5 @@
-/* Poses of a tip and a wrist by Newton's method, self-motion by pseudo-arclength continuation, climbs of mu, and a
- * value function. */
+/* Poses of a tip and a wrist by Newton's method, their self-motion by steps along ker A, climbs of mu, and a value
+ * function. */
 #include <string.h>
 
 #include "tools.h"
@@ -55,25 +55,23 @@ static int outside(const plan_task *task, const double *q)
 /* --- one pose --- */
 
 #define LONGEST 0.25    /* of a step, in joint space [rad]: beyond it the linearization is worth little */
+#define AT_REST 1e-9    /* of a tangent: a joint with less of it does not move along the curve */
 #define DAMPING 1e-12   /* of the trace of A A^T: tip and wrist are rigidly tied, A has a row too many */
-#define ANYWHERE (-HUGE_VAL) /* `near` of a step that may lead out of the limits */
-
-enum { ROWS = 7 }; /* tip and wrist, and the tangent of a curve */
 
 /* The step (n,) nearest to the desired one that changes A q (rows) by the error and leads to no limit.
  *
  * No joint within `near` of a limit goes towards it. An active-set method: joints that would leave are held, and one
  * that its multiplier draws inwards is let go. */
-static void allowed_step(const plan_task *task, int rows, const double *q, double A[ROWS][MOC_MAX_JOINTS],
+static void allowed_step(const plan_task *task, int rows, const double *q, double A[6][MOC_MAX_JOINTS],
                          const double *error, const double *desired, double damping, double near, double *step)
 {
-    double part[ROWS][MOC_MAX_JOINTS], still[MOC_MAX_JOINTS];
+    double part[6][MOC_MAX_JOINTS], still[MOC_MAX_JOINTS];
     int n = task->arm->n, held[MOC_MAX_JOINTS] = {0};
 
     memcpy(part, A, (unsigned)rows * sizeof *part);
     memcpy(still, desired, (unsigned)n * sizeof *still);
     for (int round = 0; round < 4 * n; round++) {
-        double S[ROWS][MOC_MAX_JOINTS], L[ROWS][MOC_MAX_JOINTS], inverse[ROWS], force[ROWS], trace = 0.0, most = 0.0;
+        double S[6][MOC_MAX_JOINTS], L[6][MOC_MAX_JOINTS], inverse[6], force[6], trace = 0.0, most = 0.0;
         int left = 0, drawn = -1;
 
         for (int i = 0; i < rows; i++) {
@@ -117,7 +115,7 @@ static void allowed_step(const plan_task *task, int rows, const double *q, doubl
 double plan_place(const plan_task *task, int points, int rounds, const double *start, double *best)
 {
     static const double nowhere[MOC_MAX_JOINTS];
-    double q[MOC_MAX_JOINTS], A[ROWS][MOC_MAX_JOINTS], error[6], step[MOC_MAX_JOINTS];
+    double q[MOC_MAX_JOINTS], A[6][MOC_MAX_JOINTS], error[6], step[MOC_MAX_JOINTS];
     double damping = 0.0, last = HUGE_VAL, miss = HUGE_VAL;
     int n = task->arm->n;
 
@@ -146,48 +144,36 @@ double plan_place(const plan_task *task, int points, int rounds, const double *s
 
 /* --- along a curve --- */
 
-/* A above the tangent's row; without the columns of joints that stand still. */
-static double look_across(const plan_task *task, const double *q, const double *tangent, double error[ROWS],
-                          double A[ROWS][MOC_MAX_JOINTS])
+/* How far along the tangent no joint gets beyond a limit, at most h; *hit: the joint that is at one there, or -1. */
+static double room_ahead(const plan_task *task, const double *q, const double *tangent, double h, int *hit)
 {
-    double mu = look(task, q, error, A, NULL);
-    for (int j = 0; j < task->arm->n; j++)
-        for (int i = 0; i < 6 && !(task->low[j] < task->high[j]); i++)
-            A[i][j] = 0.0;
-    memcpy(A[6], tangent, (unsigned)task->arm->n * sizeof *tangent);
-    error[6] = 0.0;
-    return mu;
+    *hit = -1;
+    for (int j = 0; j < task->arm->n; j++) {
+        double limit = tangent[j] > 0.0 ? task->high[j] : task->low[j], room = (limit - q[j]) / tangent[j];
+        if (fabs(tangent[j]) > AT_REST && room < h) {
+            h = room;
+            *hit = j;
+        }
+    }
+    return h;
 }
 
-/* The pose of the curve across the tangent, h ahead of q; A and mu there. Returns 0 where Newton's method fails. */
-static int correct(const plan_task *task, const double *q, double h, const double *tangent, double *pose,
-                   double A[ROWS][MOC_MAX_JOINTS], double *mu)
+/* The unit tangent (n,) at q that points the same way as the last one: its part on ker A. Joints that stand still have
+ * no column in A. Returns mu. */
+static double turn_tangent(const plan_task *task, const double *q, double *tangent)
 {
-    static const double nowhere[MOC_MAX_JOINTS];
-    double error[ROWS], step[MOC_MAX_JOINTS];
+    double error[6], A[6][MOC_MAX_JOINTS], Z[MOC_MAX_JOINTS][MOC_MAX_JOINTS];
+    double mu = look(task, q, error, A, NULL);
     int n = task->arm->n;
 
-    for (int i = 0; i < n; i++)
-        pose[i] = q[i] + h * tangent[i];
-    for (int round = 0; round < 10; round++) {
-        *mu = look_across(task, pose, tangent, error, A);
-        if (largest(6, error) < TOLERANCE)
-            return 1;
-        allowed_step(task, ROWS, pose, A, error, nowhere, 0.0, ANYWHERE, step);
-        for (int i = 0; i < n; i++)
-            pose[i] += step[i];
-    }
-    return 0;
-}
-
-/* The unit tangent (n,) that points the same way as the last one, the last row of A: A t = 0, t_old . t > 0. */
-static void turn_tangent(const plan_task *task, double A[ROWS][MOC_MAX_JOINTS], double *tangent)
-{
-    static const double ahead[ROWS] = {[6] = 1.0}, nowhere[MOC_MAX_JOINTS];
-    allowed_step(task, ROWS, tangent, A, ahead, nowhere, 0.0, ANYWHERE, tangent);
-    double length = sqrt(dot(task->arm->n, tangent, tangent));
-    for (int i = 0; i < task->arm->n; i++)
-        tangent[i] /= length;
+    for (int j = 0; j < n; j++)
+        for (int i = 0; i < 6 && !(task->low[j] < task->high[j]); i++)
+            A[i][j] = 0.0;
+    moc_onto(n, moc_null_space(n, A, 0, Z), Z, tangent, tangent);
+    double length = sqrt(dot(n, tangent, tangent));
+    for (int j = 0; j < n; j++)
+        tangent[j] /= length;
+    return mu;
 }
 
 /* Whether the start (n,), up to whole turns, is ahead of q within a step, and how far; `pose` is the start then. */
@@ -209,56 +195,51 @@ int plan_follow(const plan_task *task, const double *start, const double *tangen
 {
     int n = task->arm->n, count = 1;
     unsigned bytes = (unsigned)n * sizeof *poses;
-    double tangent[MOC_MAX_JOINTS], trial[MOC_MAX_JOINTS], A[ROWS][MOC_MAX_JOINTS], mu, gap, h = step;
+    double tangent[MOC_MAX_JOINTS], closing[MOC_MAX_JOINTS], low[MOC_MAX_JOINTS], high[MOC_MAX_JOINTS], gap, h = step;
+    plan_task here = *task;
 
+    here.low = low;
+    here.high = high;
     memcpy(tangent, tangent_start, bytes);
     memcpy(poses, start, bytes);
-    correct(task, start, 0.0, tangent, trial, A, &mu);
+    mus[0] = turn_tangent(task, start, tangent);
     s[0] = 0.0;
-    mus[0] = mu;
-    *end = PLAN_LENGTH;
     while (count < most) {
         double *q = poses + (count - 1) * n, *next = q + n;
-        if (!correct(task, q, h, tangent, trial, A, &mu) || distance(n, trial, q) > 2.0 * h) {
+        int hit;
+        double ahead = room_ahead(task, q, tangent, h, &hit);
+        memcpy(low, task->low, bytes);
+        memcpy(high, task->high, bytes);
+        if (hit >= 0) /* the curve ends where this joint is at its limit */
+            low[hit] = high[hit] = tangent[hit] > 0.0 ? high[hit] : low[hit];
+        for (int j = 0; j < n; j++)
+            next[j] = clip(q[j] + ahead * tangent[j], low[j], high[j]);
+        double miss = plan_place(&here, 2, 10, next, next), way = distance(n, next, q);
+        if (!(miss < TOLERANCE) || way > 2.0 * h) {
             h *= 0.5;
             if (h >= 1e-3 * step)
                 continue;
             *end = PLAN_SINGULAR;
             return count;
         }
-        if (outside(task, trial)) { /* bisect the last step at the limit */
-            double low = 0.0, high = h;
-            while (high - low > 1e-10) {
-                h = 0.5 * (low + high);
-                if (correct(task, q, h, tangent, trial, A, &mu) && !outside(task, trial)) {
-                    low = h;
-                    memcpy(next, trial, bytes);
-                    mus[count] = mu;
-                } else {
-                    high = h;
-                }
-            }
+        s[count] = s[count - 1] + way;
+        mus[count] = turn_tangent(task, next, tangent);
+        if (hit >= 0) {
             *end = PLAN_LIMIT;
-            if (low < 1e-9) /* it stood on the limit already */
-                return count;
-            s[count] = s[count - 1] + distance(n, next, q);
-            return count + 1;
+            return way < 1e-9 ? count : count + 1; /* it stood on the limit already */
         }
-        s[count] = s[count - 1] + distance(n, trial, q);
-        mus[count] = mu;
-        memcpy(next, trial, bytes);
         count++;
-        turn_tangent(task, A, tangent);
-        if (closes(task, start, next, tangent, step, trial, &gap) && count > 3 && count < most) {
+        if (closes(task, start, next, tangent, step, closing, &gap) && count > 3 && count < most) {
             int last = gap > 0.1 * step ? count : count - 1; /* no two samples on top of each other */
             s[last] = s[count - 1] + gap;
             mus[last] = mus[0];
-            memcpy(poses + last * n, trial, bytes);
+            memcpy(poses + last * n, closing, bytes);
             *end = PLAN_CLOSED;
             return last + 1;
         }
         h = fmin(step, 2.0 * h);
     }
+    *end = PLAN_LENGTH;
     return count;
 }
 
@@ -272,7 +253,7 @@ int plan_follow(const plan_task *task, const double *start, const double *tangen
 double plan_ascend(const plan_task *task, double *q)
 {
     static const double nothing[6];
-    double error[6], A[ROWS][MOC_MAX_JOINTS], grad[MOC_MAX_JOINTS], way[MOC_MAX_JOINTS], trial[MOC_MAX_JOINTS], h = 0.1;
+    double error[6], A[6][MOC_MAX_JOINTS], grad[MOC_MAX_JOINTS], way[MOC_MAX_JOINTS], trial[MOC_MAX_JOINTS], h = 0.1;
     int n = task->arm->n;
 
     if (!(plan_place(task, 2, NEWTON, q, q) < TOLERANCE))
