@@ -135,13 +135,13 @@ class Controller:
     @property
     def null_space(self) -> Array:
         """Z (r, n) of the last tick, a copy."""
-        rows = self._law.basis(Z := np.empty((self._n, self._n)))
+        rows = self._law.memory(Z := np.empty((self._n, self._n)), np.empty(self._n))
         return Z[:rows]
 
     @property
     def external_torque(self) -> Array:
         """The observer's estimate of the external torque (n,) [Nm], a copy; zero without an observer."""
-        self._law.external(torque := np.empty(self._n))
+        self._law.memory(np.empty((self._n, self._n)), torque := np.empty(self._n))
         return torque
 
     def start(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> None:
@@ -207,7 +207,7 @@ class Controller:
             seen = state.v if self._observes else None
             self._solution, self._answer = self._supervisor.solve(self._session, qp, tau, seen)
         else:
-            self._law.finish(0, 0, None, 0.0, np.empty(self._n), tau)
+            self._law.finish(0, 0, state.v, 0.0, np.empty(self._n), tau)  # no answer is looked at
         return read_only(tau)
 
     def set_applied_torque(self, tau: Array) -> None:

@@ -95,7 +95,8 @@ class SafetyFilter:
                 believed; None: the arm is in no incision.
         """
         believed = np.empty((2, self._robot.n))
-        reason = self._guard.believe(q, v, stamp, applied, _NO_WRENCH if wrench is None else wrench, trocar, believed)
+        number = math.nan if stamp is None else stamp
+        reason = self._guard.believe(q, v, number, applied, _NO_WRENCH if wrench is None else wrench, trocar, believed)
         if reason:
             self.request_stop(self._words[reason])
         return believed[0], believed[1]

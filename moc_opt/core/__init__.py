@@ -21,7 +21,6 @@ try:
         Law,
         advance,
         desired_wrist,
-        judge,
         load,
         read_encoders,
         shaft_wrench,
@@ -37,6 +36,6 @@ except ImportError as error:
 
 __all__ = [
     "BAD_Q", "BAD_V", "DOUBTFUL", "INFEASIBLE", "MAX_JOINTS", "OK", "REASONS", "UNFINISHED", "Arm", "Guard", "Law",
-    "advance", "desired_wrist", "judge", "load", "onto_curve",
-    "read_encoders", "shaft_wrench", "solve_exact", "solve_exact_rows", "step_network",
+    "advance", "desired_wrist", "load", "read_encoders", "shaft_wrench", "solve_exact", "solve_exact_rows",
+    "step_network",
 ]  # fmt: skip

@@ -12,8 +12,8 @@ PyObject *moc_done(call *c, PyObject *result)
 static const struct {
     int nn, n, one;
     const char *words;
-} lengths[] = {{0, 1, 0, "n"}, {0, 11, 10, "11 n + 10"}, {1, 13, 18, "n n + 13 n + 18"}, {0, 2, 0, "2 n"},
-               {0, 14, 16, "14 n + 16"}, {0, 0, 0, "k"}, {0, 0, 0, "any"}};
+} lengths[] = {{0, 1, 0, "n"},          {0, 11, 10, "11 n + 10"}, {1, 13, 18, "n n + 13 n + 18"},
+               {0, 14, 16, "14 n + 16"}, {0, 0, 0, "k"},           {0, 0, 0, "any"}};
 
 /* Whether a length is the one that is asked for; n and k are bound by the first array that has them. */
 static int fits(call *c, int wanted, Py_ssize_t length)
@@ -67,38 +67,14 @@ static int take_array(call *c, int i, PyObject *given, const parameter *p)
     return 1;
 }
 
-static int take_whole(PyObject *given, const char *name, long long most, long long *to)
-{
-    *to = PyLong_AsLongLong(given);
-    if (*to == -1 && PyErr_Occurred())
-        return 0;
-    if (*to >= -most && *to <= most)
-        return 1;
-    PyErr_Format(PyExc_ValueError, "%s = %lld does not fit an int", name, *to);
-    return 0;
-}
-
-static int take_double(PyObject *given, double *to)
-{
-    *to = PyFloat_AsDouble(given);
-    return !(*to == -1.0 && PyErr_Occurred());
-}
-
 static int take_one(call *c, int i, PyObject *given, const parameter *p)
 {
     c->array[i] = NULL;
     c->view[i].obj = NULL;
-    switch (p->kind) {
-    case NUMBER:
-        return take_double(given, &c->number[i]);
-    case WHOLE:
-        return take_whole(given, p->name, INT_MAX, &c->whole[i]);
-    case STAMP:
-        c->whole[i] = NO_STAMP;
-        return given == Py_None || take_whole(given, p->name, LLONG_MAX, &c->whole[i]);
-    default:
+    if (p->kind != NUMBER && p->kind != WHOLE)
         return (p->kind == MAYBE && given == Py_None) || take_array(c, i, given, p);
-    }
+    c->number[i] = PyFloat_AsDouble(given);
+    return !(c->number[i] == -1.0 && PyErr_Occurred());
 }
 
 int moc_take(call *c, int n, const char *name, PyObject *const *args, Py_ssize_t count, const parameter *table,
@@ -123,35 +99,28 @@ int moc_take(call *c, int n, const char *name, PyObject *const *args, Py_ssize_t
 
 /* --- fields of an object --- */
 
-static int fill_one(const field *f, PyObject *given, int n, void *to)
-{
-    call c;
-    if (!moc_take(&c, n, f->is.name, &given, 1, &f->is, 1))
-        return 0;
-    if (f->is.kind == NUMBER)
-        *(double *)to = c.number[0];
-    else if (f->is.kind == WHOLE)
-        *(int *)to = (int)c.whole[0];
-    else
-        memcpy(to, c.array[0], (size_t)rows_of(&c, 0) * sizeof(double));
-    moc_done(&c, NULL);
-    return 1;
-}
-
 int moc_fill(PyObject *keywords, const field *fields, int count, Arm *self)
 {
-    if (keywords != NULL && PyDict_Size(keywords) > count) {
-        PyErr_Format(PyExc_TypeError, "%d keywords are taken, %zd were given", count, PyDict_Size(keywords));
+    Py_ssize_t size = keywords ? PyDict_Size(keywords) : 0;
+    if (size != count) {
+        PyErr_Format(PyExc_TypeError, "%d keywords are taken, %zd were given", count, size);
         return 0;
     }
-    for (int k = 0; k < count; k++) {
-        PyObject *given = keywords ? PyDict_GetItemString(keywords, fields[k].is.name) : NULL;
-        if (given == NULL) {
-            PyErr_Format(PyExc_TypeError, "%s is missing", fields[k].is.name);
+    for (const field *f = fields; f < fields + count; f++) {
+        PyObject *given = PyDict_GetItemString(keywords, f->is.name);
+        void *to = (char *)self + f->offset;
+        call c;
+        if (given == NULL)
+            PyErr_Format(PyExc_TypeError, "%s is missing", f->is.name);
+        if (given == NULL || !moc_take(&c, self->arm.n, f->is.name, &given, 1, &f->is, 1))
             return 0;
-        }
-        if (!fill_one(&fields[k], given, self->arm.n, (char *)self + fields[k].offset))
-            return 0;
+        if (f->is.kind == NUMBER)
+            *(double *)to = c.number[0];
+        else if (f->is.kind == WHOLE)
+            *(int *)to = whole(&c, 0);
+        else
+            memcpy(to, c.array[0], (size_t)rows_of(&c, 0) * sizeof(double));
+        moc_done(&c, NULL);
     }
     return 1;
 }
@@ -203,12 +172,4 @@ void moc_copy_problem(moc_problem *p, int n, double *record, direction way)
 void moc_copy_terms(moc_terms *t, int n, double *record, direction way)
 {
     copy_parts(terms_parts, COUNT(terms_parts), n, t, record, way);
-}
-
-int moc_unpack_basis(const call *c, int i, double Z[][MOC_MAX_JOINTS])
-{
-    int rows = rows_of(c, i) < c->n ? rows_of(c, i) : c->n;
-    for (int k = 0; k < rows; k++)
-        memcpy(Z[k], c->array[i] + k * c->n, (size_t)c->n * sizeof(double));
-    return rows;
 }

@@ -43,7 +43,7 @@ FUNCTION(shaft_wrench, {"tip", READ, 3}, {"wrist", READ, 3}, {"twist", READ, 6},
  * resolution [rad]; gain: the share of the difference quotient that the estimate takes up; exact: no noise,
  * step or filter, only the bias. */
 FUNCTION(read_encoders, {"q", READ, N}, {"v", READ, N}, {"noise", READ, N}, {"memory", WRITE, 3, N},
-         {"resolution", NUMBER}, {"period", NUMBER}, {"gain", NUMBER}, {"exact", WHOLE}, {"reading", WRITE, TWICE})
+         {"resolution", NUMBER}, {"period", NUMBER}, {"gain", NUMBER}, {"exact", WHOLE}, {"reading", WRITE, 2, N})
 {
     const double *bias = c->array[3], resolution = c->number[4];
     double *last = c->array[3] + c->n, *speed = last + c->n, *reading = c->array[8];
@@ -51,7 +51,7 @@ FUNCTION(read_encoders, {"q", READ, N}, {"v", READ, N}, {"noise", READ, N}, {"me
     for (int i = 0; i < c->n; i++) {
         reading[i] = c->array[0][i] + bias[i];
         reading[c->n + i] = c->array[1][i];
-        if (c->whole[7])
+        if (whole(c, 7))
             continue;
         double position = reading[i] + c->array[2][i];
         if (resolution > 0.0)

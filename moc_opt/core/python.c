@@ -53,15 +53,9 @@ static const field law_fields[] = {
 static PyObject *law_new(PyTypeObject *type, PyObject *given, PyObject *keywords)
 {
     Law *self = (Law *)with_arm(type, given, keywords, law_fields, COUNT(law_fields));
-    if (self == NULL)
-        return NULL;
-    self->controller = (moc_controller){&self->arm, &self->law, &self->supervision, NULL, 0.0};
-    if ((unsigned)self->law.projector <= MOC_AS_PUBLISHED &&
-        (unsigned)self->supervision.fallback <= MOC_LEAST_VIOLATION &&
-        (unsigned)self->supervision.late <= MOC_LATE_ITERATE)
-        return (PyObject *)self;
-    Py_DECREF(self);
-    return PyErr_Format(PyExc_ValueError, "projector, fallback and late: give 0, 1 or 2");
+    if (self != NULL)
+        self->controller = (moc_controller){&self->arm, &self->law, &self->supervision, NULL, 0.0};
+    return (PyObject *)self;
 }
 
 /* Arguments 0 to 2 of start, begin and step: a state's record, X_d, dX_d, ddX_d and the trocar P_t, dP_t. */
@@ -97,9 +91,18 @@ METHOD(Law, start, TICK, {"row", WRITE, ROW})
 METHOD(Law, load, {"record", READ, ROW}, {"Z", READ, K, N})
 {
     moc_copy_problem(&self->state.problem, c->n, c->array[0], UNPACK);
-    self->state.memory.rows = moc_unpack_basis(c, 1, self->state.memory.Z);
+    self->state.memory.rows = rows_of(c, 1) < c->n ? rows_of(c, 1) : c->n;
+    for (int k = 0; k < self->state.memory.rows; k++)
+        memcpy(self->state.memory.Z[k], c->array[1] + k * c->n, (size_t)c->n * sizeof(double));
     self->state.begun = MOC_BEGUN;
     Py_RETURN_NONE;
+}
+
+METHOD(Law, judge, {"x", READ, N})
+{
+    moc_state *s = &self->state;
+    moc_residuals r = moc_judge(&s->problem, s->memory.rows, s->memory.Z, c->array[0]);
+    return Py_BuildValue("ddddd", r.primal, r.outside, r.natural, r.off, r.opposite);
 }
 
 METHOD(Law, begin, TICK, {"pull", MAYBE, N}, {"row", WRITE, ROW})
@@ -111,13 +114,10 @@ METHOD(Law, begin, TICK, {"pull", MAYBE, N}, {"row", WRITE, ROW})
     Py_RETURN_NONE;
 }
 
-METHOD(Law, finish, {"known", WHOLE}, {"claim", WHOLE}, {"answer", MAYBE, N}, {"solve_us", NUMBER},
+METHOD(Law, finish, {"known", WHOLE}, {"claim", WHOLE}, {"answer", READ, N}, {"solve_us", NUMBER},
        {"x", WRITE, N}, {"tau", WRITE, N})
 {
-    if (c->whole[0] < MOC_TAKEN || c->whole[0] >= MOC_FAULTS || c->whole[1] < MOC_CLAIMS_OPTIMUM ||
-        c->whole[1] > MOC_GIVES_NONE || (c->array[2] == NULL && self->law.third_level))
-        return PyErr_Format(PyExc_ValueError, "known: give a fault's number; claim: 0 to 3; answer: an array");
-    const moc_answer answer = {c->array[2], (moc_claim)c->whole[1], (moc_fault)c->whole[0], c->number[3]};
+    const moc_answer answer = {c->array[2], (moc_claim)whole(c, 1), (moc_fault)whole(c, 0), c->number[3]};
     moc_finish(&self->controller, &answer, &self->state, c->array[5]);
     memcpy(c->array[4], self->state.x, (size_t)c->n * sizeof(double));
     return PyLong_FromLong(self->state.fault);
@@ -157,23 +157,18 @@ METHOD(Law, set_applied, {"tau", READ, N})
     Py_RETURN_NONE;
 }
 
-METHOD(Law, external, {"torque", WRITE, N})
-{
-    memcpy(c->array[0], self->state.memory.external, (size_t)c->n * sizeof(double));
-    Py_RETURN_NONE;
-}
-
-METHOD(Law, basis, {"Z", WRITE, N, N})
+METHOD(Law, memory, {"Z", WRITE, N, N}, {"external", WRITE, N})
 {
     const moc_memory *memory = &self->state.memory;
     for (int k = 0; k < memory->rows; k++)
         memcpy(c->array[0] + k * c->n, memory->Z[k], (size_t)c->n * sizeof(double));
+    memcpy(c->array[1], memory->external, (size_t)c->n * sizeof(double));
     return PyLong_FromLong(memory->rows);
 }
 
 static PyMethodDef law_methods[] = {
-    ENTRY(Law, start), ENTRY(Law, load), ENTRY(Law, begin), ENTRY(Law, finish), ENTRY(Law, step),
-    ENTRY(Law, set_applied), ENTRY(Law, external), ENTRY(Law, basis), {NULL, NULL, 0, NULL},
+    ENTRY(Law, start), ENTRY(Law, load), ENTRY(Law, judge), ENTRY(Law, begin), ENTRY(Law, finish), ENTRY(Law, step),
+    ENTRY(Law, set_applied), ENTRY(Law, memory), {NULL, NULL, 0, NULL},
 };
 
 static PyType_Slot law_slots[] = {
@@ -212,17 +207,23 @@ static PyObject *guard_new(PyTypeObject *type, PyObject *given, PyObject *keywor
     return with_arm(type, given, keywords, guard_fields, COUNT(guard_fields));
 }
 
-METHOD(Guard, start, {"q", READ, N}, {"v", READ, N}, {"stamp", STAMP})
+/* A number of control periods; beyond 4e18 either way it is none to the filter. */
+static long long stamp_of(double number)
 {
-    moc_guard_start(&self->guard, c->n, c->array[0], c->array[1], c->whole[2], &self->watch);
+    return (long long)fmin(fmax(number, -4e18), 4e18);
+}
+
+METHOD(Guard, start, {"q", READ, N}, {"v", READ, N}, {"stamp", NUMBER})
+{
+    moc_guard_start(&self->guard, c->n, c->array[0], c->array[1], stamp_of(c->number[2]), &self->watch);
     Py_RETURN_NONE;
 }
 
-METHOD(Guard, believe, {"q", READ, N}, {"v", READ, N}, {"stamp", STAMP}, {"applied", MAYBE, N},
+METHOD(Guard, believe, {"q", READ, N}, {"v", READ, N}, {"stamp", NUMBER}, {"applied", MAYBE, N},
        {"wrench", READ, 6}, {"trocar", MAYBE, 2, 3}, {"believed", WRITE, 2, N})
 {
-    const moc_measurement m = {c->array[0], c->array[1], c->whole[2], c->whole[2] != NO_STAMP, c->array[3],
-                               c->array[4]};
+    const moc_measurement m = {c->array[0], c->array[1], stamp_of(c->number[2]), !isnan(c->number[2]),
+                               c->array[3], c->array[4]};
     moc_stop reason = moc_guard_believe(&self->guard, c->n, &m, &self->watch), found = MOC_RUNNING;
     if (c->array[5] && self->guard.in_incision) {
         moc_trocar trocar;

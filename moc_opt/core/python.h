@@ -15,16 +15,13 @@
 
 #include "tools.h"
 
-/* An array that is read, written, written with any strides, or read and perhaps None; a number: double, int, or long
- * long and perhaps None, which is NO_STAMP. */
-typedef enum { READ, WRITE, STRIDED, MAYBE, NUMBER, WHOLE, STAMP } kind;
+/* An array that is read, written, written with any strides, or read and perhaps None; a number; a whole one. */
+typedef enum { READ, WRITE, STRIDED, MAYBE, NUMBER, WHOLE } kind;
 
-#define NO_STAMP (-LLONG_MAX)
-
-/* Lengths that are no plain number: n joints, a packed subproblem (11 n + 10), a packed state (n n + 13 n + 18), 2 n, a
+/* Lengths that are no plain number: n joints, a packed subproblem (11 n + 10), a packed state (n n + 13 n + 18), a
  * tick's results (14 n + 16), k rows (the first such array says how many), any number.
  * Columns 0: an array of one axis. */
-enum { N = -1, ROW = -2, TERMS = -3, TWICE = -4, TICKED = -5, K = -6, ANY = -7 };
+enum { N = -1, ROW = -2, TERMS = -3, TICKED = -4, K = -5, ANY = -6 };
 
 typedef struct {
     const char *name;
@@ -41,7 +38,6 @@ typedef struct {
     int count;                     /* views that have to be released */
     double *array[MOST_ARGUMENTS]; /* NULL for None */
     double number[MOST_ARGUMENTS];
-    long long whole[MOST_ARGUMENTS];
     Py_buffer view[MOST_ARGUMENTS];
 } call;
 
@@ -52,10 +48,15 @@ int moc_take(call *c, int n, const char *name, PyObject *const *args, Py_ssize_t
 /* Release the arrays of a call; returns the result. */
 PyObject *moc_done(call *c, PyObject *result);
 
-/* Rows of argument i. */
+/* Rows of array i, and number i as an int; beyond the range of an int its end. */
 static inline int rows_of(const call *c, int i)
 {
     return (int)c->view[i].shape[0];
+}
+
+static inline int whole(const call *c, int i)
+{
+    return (int)fmin(fmax(c->number[i], INT_MIN), INT_MAX);
 }
 
 #define COUNT(table) ((int)(sizeof(table) / sizeof(table)[0]))
@@ -103,8 +104,5 @@ int moc_fill(PyObject *keywords, const field *fields, int count, Arm *self);
 typedef enum { UNPACK, PACK } direction;
 void moc_copy_problem(moc_problem *problem, int n, double *record, direction way);
 void moc_copy_terms(moc_terms *terms, int n, double *record, direction way);
-
-/* Argument i, a basis (k,n), of which as many rows are taken as there are joints; returns how many. */
-int moc_unpack_basis(const call *c, int i, double Z[][MOC_MAX_JOINTS]);
 
 #endif

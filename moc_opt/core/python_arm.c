@@ -91,7 +91,7 @@ METHOD(Arm, nearest_pose, TASK(ANY), {"q", READ, N}, {"iterations", WHOLE}, {"be
     if (points < 1 || points > 2)
         return PyErr_Format(PyExc_ValueError, "target has %d rows: give one (tip) or two (tip and wrist)", points);
     const plan_task task = take_task(self, c);
-    return PyFloat_FromDouble(plan_place(&task, points, (int)c->whole[4], c->array[3], c->array[5]));
+    return PyFloat_FromDouble(plan_place(&task, points, whole(c, 4), c->array[3], c->array[5]));
 }
 
 METHOD(Arm, follow_curve, TASK(2), {"q", READ, N}, {"tangent", READ, N}, {"step", NUMBER}, {"s", WRITE, K},

@@ -36,21 +36,11 @@ FUNCTION(step_network, {"record", READ, ROW}, {"x", WRITE, N}, {"y", WRITE, 6}, 
 {
     moc_problem problem;
     int made = 0;
-    const moc_network net = {(int)c->whole[3], c->number[4], c->number[5], c->number[6], c->number[7], c->whole[8] != 0,
+    const moc_network net = {whole(c, 3), c->number[4], c->number[5], c->number[6], c->number[7], whole(c, 8),
                              c->number[9]};
     moc_copy_problem(&problem, c->n, c->array[0], UNPACK);
     moc_status status = moc_step_network(&problem, &net, c->array[1], c->array[2], &made);
     return Py_BuildValue("ii", (int)status, made);
-}
-
-FUNCTION(judge, {"record", READ, ROW}, {"Z", READ, K, N}, {"x", READ, N})
-{
-    moc_problem problem;
-    double Z[MOC_MAX_JOINTS][MOC_MAX_JOINTS];
-    int rows = moc_unpack_basis(c, 1, Z);
-    moc_copy_problem(&problem, c->n, c->array[0], UNPACK);
-    moc_residuals r = moc_judge(&problem, rows, Z, c->array[2]);
-    return Py_BuildValue("ddddd", r.primal, r.outside, r.natural, r.off, r.opposite);
 }
 
 /* --- a QP library's buffers: 1/2 x^T P x + p^T x, and five independent equality rows ---
@@ -163,7 +153,7 @@ FUNCTION(load, {"record", READ, ROW}, {"five", WHOLE}, {"scale", NUMBER}, {"sign
     int n = c->n, size = 0;
 
     moc_copy_problem(&problem, n, c->array[0], UNPACK);
-    if (equalities(&problem, c->whole[FIVE] != 0, A, b, lift) != c->k)
+    if (equalities(&problem, whole(c, FIVE), A, b, lift) != c->k)
         return PyBool_FromLong(0);
     cost(&problem, P, linear);
     for (int i = 0; i < n; i++)
@@ -198,7 +188,7 @@ FUNCTION(advance, {"branches", WHOLE}, {"q", READ, K, N}, {"slack", READ, K, N},
          {"q_next", READ, ANY, N}, {"slack_next", READ, ANY, N}, {"value_next", READ, ANY}, {"step", READ, N},
          {"crossing", READ, ANY}, {"price", NUMBER}, {"value", WRITE, K})
 {
-    int branches = (int)c->whole[0], m = rows_of(c, 8), after = rows_of(c, 4);
+    int branches = whole(c, 0), m = rows_of(c, 8), after = rows_of(c, 4);
     int fits = branches >= 1 && c->k == (Py_ssize_t)branches * m && after % branches == 0 && rows_of(c, 5) == after &&
                rows_of(c, 6) == after && c->k <= INT_MAX / c->n && after <= INT_MAX / c->n;
     for (int j = 0; j < m; j++)
@@ -217,6 +207,6 @@ FUNCTION(advance, {"branches", WHOLE}, {"q", READ, K, N}, {"slack", READ, K, N},
 }
 
 PyMethodDef moc_subproblem_functions[] = {
-    ENTRY(core, solve_exact), ENTRY(core, solve_exact_rows), ENTRY(core, step_network), ENTRY(core, judge),
-    ENTRY(core, load), ENTRY(core, desired_wrist), ENTRY(core, advance), {NULL, NULL, 0, NULL},
+    ENTRY(core, solve_exact), ENTRY(core, solve_exact_rows), ENTRY(core, step_network), ENTRY(core, load),
+    ENTRY(core, desired_wrist), ENTRY(core, advance), {NULL, NULL, 0, NULL},
 };

@@ -1,7 +1,7 @@
 """The poses an arm can take while tip and wrist stay where they are: the number of freedoms, and one curve of poses.
 
-The curve is followed between the joint limits by pseudo-arclength continuation: a step along the null vector of A, and
-Newton corrections across it. With one freedom no controller that stays on the curve exceeds the largest mu on it.
+The curve is followed between the joint limits: a step along the null vector of A, and Newton's method back to tip and
+wrist. With one freedom no controller that stays on the curve exceeds the largest mu on it.
 """
 
 from __future__ import annotations

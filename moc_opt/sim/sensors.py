@@ -77,10 +77,10 @@ class Encoders:
         return self._sample(q, v, self._conversion)
 
     def _sample(self, q: Array, v: Array, conversion: tuple[float, float, float, bool]) -> tuple[Array, Array]:
-        reading = np.empty(2 * q.size)
+        reading = np.empty((2, q.size))
         core.read_encoders(q, v, self._noise.take(), self._memory, *conversion, reading)
         read_only(reading)
-        return reading[: q.size], reading[q.size :]
+        return reading[0], reading[1]
 
 
 class WrenchSensor:

@@ -21,7 +21,7 @@ def seen(robot, q, point, wrench=None, tip_force=None):
     guard = core.Guard(robot.arm, **numbers_of(s, robot, PERIOD))
     guard.start(q, np.zeros(7), 0)
     reading = np.full(6, np.nan) if wrench is None else wrench
-    guard.believe(q, np.zeros(7), None, None, reading, np.array([point, np.zeros(3)]), np.empty((2, 7)))
+    guard.believe(q, np.zeros(7), np.nan, None, reading, np.array([point, np.zeros(3)]), np.empty((2, 7)))
     guard.watched(figures := np.empty((3, 2)))
     rcm, force = np.sqrt(figures[0])
     return rcm, force

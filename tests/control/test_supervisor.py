@@ -17,7 +17,7 @@ from moc_opt.solvers.base import Solution, Status, no_answer
 from moc_opt.solvers.exact import Exact
 from moc_opt.solvers.faulty import KINDS, Faulty
 from moc_opt.solvers.isolated import Unanswered
-from tests.control.torques import Supervisor
+from tests.control.torques import Supervisor, law
 from tests.problems import random_problem
 from tests.reference.law import null_space
 from tests.wrong_answers import wrong_corners
@@ -81,7 +81,9 @@ def asked(qp, Z, answer, n=7, v=None, **changes):
 
 def judged(row, Z, x):
     """Primal, outside, natural, off and opposite of an answer."""
-    return core.judge(row, np.ascontiguousarray(Z), np.ascontiguousarray(x))
+    made = law(len(x))
+    made.load(row, np.ascontiguousarray(Z))
+    return made.judge(np.ascontiguousarray(x))
 
 
 def test_a_good_answer_is_followed_and_copied_from_any_layout_of_memory(qp, Z):
