@@ -7,7 +7,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import minimize_scalar
 
-from moc_opt import core
 from moc_opt.control import Controller
 from moc_opt.control.supervisor import MOST_ITERATIONS, Fault, SupervisorSettings
 from moc_opt.qp.problem import NullSpaceQP, compute_residuals, fields
