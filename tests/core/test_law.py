@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.optimize import lsq_linear
 
 from moc_opt import load_robot
-from moc_opt.control.settings import PROJECTORS
+from moc_opt.control.law import PROJECTORS
 from moc_opt.qp.problem import fields
 from moc_opt.robots import available_robots
 from tests.control.torques import law, stand_in, subproblem, third, ticked, tracking
