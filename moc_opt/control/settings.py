@@ -53,7 +53,7 @@ class ControlSettings(Settings):
     """
 
     KIND: ClassVar[str] = "[control]"
-    MEANT_KEY: ClassVar[str] = "preset"
+    MORE_KEYS: ClassVar[tuple[str, ...]] = ("preset",)
     ERROR: ClassVar[type[MocOptError]] = ControlError
 
     law: Literal["dcac", "moc"] = Field(

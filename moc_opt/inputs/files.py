@@ -16,9 +16,9 @@ import secrets
 import stat
 import tempfile
 import tomllib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 from moc_opt.errors import MocOptError, shown
 
@@ -56,30 +56,19 @@ def read_bytes(path: Path_, what: str, error: Wrong, most: int = MOST_TEXT) -> b
 
 def read_text(path: Path_, what: str, error: Wrong) -> str:
     """Read a text file in UTF-8."""
-    data, where = read_bytes(path, what, error), f"{what} {os.fspath(path)!r}"
-    return str(_parsed(lambda: data.decode("utf-8-sig"), where, "a text in UTF-8", error)).replace("\r\n", "\n")
+    try:
+        return read_bytes(path, what, error).decode("utf-8-sig").replace("\r\n", "\n")
+    except UnicodeDecodeError as reason:
+        raise error(f"{what} {os.fspath(path)!r} is not a text in UTF-8 ({reason}); save it as such") from reason
 
 
 def read_toml(path: Path_, what: str, error: Wrong) -> dict[str, Any]:
     """Read a TOML file."""
     text = read_text(path, what, error)
-    return dict(_parsed(lambda: tomllib.loads(text), f"{what} {os.fspath(path)!r}", "TOML", error))
-
-
-def parse_json(text: str | bytes, where: str, error: Wrong) -> Any:
-    """Return the value of a JSON text; NaN and infinity are refused."""
-
-    def refuse(name: str) -> NoReturn:
-        raise ValueError(f"{name} is no JSON")
-
-    return _parsed(lambda: json.loads(text, parse_constant=refuse), where, "JSON", error)
-
-
-def _parsed(parse: Callable[[], Any], where: str, kind: str, error: Wrong) -> Any:
     try:
-        return parse()
+        return tomllib.loads(text)
     except (ValueError, RecursionError) as reason:  # also an integer of thousands of digits
-        raise error(f"{where} is not {kind}: {reason}") from reason
+        raise error(f"{what} {os.fspath(path)!r} is not TOML: {reason}") from reason
 
 
 def read_arrays(path: Path_, what: str, error: Wrong) -> dict[str, Any]:
@@ -102,15 +91,14 @@ def decimal(text: str) -> float:
 
 def check_replaceable(path: Path_, what: str, error: Wrong) -> Path:
     """Check before any work that a file can be written: its folder can, and no folder, pipe or device is there."""
-    target, is_taken = as_path(path, what, error), False
+    target = as_path(path, what, error)
     with _writing(target, what, error):
         with contextlib.suppress(FileNotFoundError):
-            is_taken = not stat.S_ISREG(os.stat(target).st_mode)
+            if not stat.S_ISREG(os.stat(target).st_mode):
+                raise OSError("a folder, pipe or device is there")
         folder = next(folder for folder in (*target.absolute().parents, target) if folder.exists())
         with tempfile.TemporaryFile(dir=folder):  # root may write to /proc by its rights, and yet cannot
             pass
-    if is_taken:
-        raise error(f"{what} {str(target)!r} cannot be written: a folder, pipe or device is there: name a file")
     return target
 
 
@@ -144,7 +132,7 @@ def _writing(target: Path, what: str, error: Wrong) -> Iterator[None]:
         why = getattr(reason, "strerror", None) or str(reason)
         raise error(
             f"{what} {str(target)!r} cannot be written in the folder {str(target.absolute().parent)!r} ({why}): make "
-            "room on its disk, or give a folder that you may write to"
+            "room on its disk, or name a file in a folder that you may write to"
         ) from reason
 
 

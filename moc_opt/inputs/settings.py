@@ -11,13 +11,10 @@ import pydantic
 
 from moc_opt.errors import MocOptError, ScenarioError, UnknownNameError, is_number, shown
 from moc_opt.inputs import names
-from moc_opt.inputs.files import to_toml
 
 LARGEST_INTEGER = 2**63 - 1
-SMALLEST, LARGEST = 1e-30, 1e30
-"""A setting's number is 0, or its size lies between these: beyond them products of a few overflow or vanish."""
-LONGEST_S = 1e6
-"""Of any time that is run, waited for or averaged over [s]: a week and a half."""
+SMALLEST, LARGEST = 1e-30, 1e30  # of a number that is not 0: beyond them products of a few overflow or vanish
+LONGEST_S = 1e6  # of any time that is run, waited for or averaged over [s]
 
 Name = Annotated[str, pydantic.AfterValidator(names.checked)]
 """A name that comes from a file: `moc_opt.inputs.names.RULE`."""
@@ -29,13 +26,11 @@ Level = Annotated[
 
 
 class Settings(pydantic.BaseModel):
-    """Base of every table of settings.
-
-    Subclasses say what they are (``KIND``, for messages) and which error they raise (``ERROR``).
+    """Base of every table of settings: ``KIND`` says what it is, for messages.
 
     Raises:
         UnknownNameError: a field does not exist; the message lists the nearest ones.
-        MocOptError: the subclass's own, naming the field, its value and the range.
+        MocOptError: ``ERROR``, naming the field, its value and the range.
     """
 
     model_config = pydantic.ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
@@ -44,17 +39,7 @@ class Settings(pydantic.BaseModel):
     ERROR: ClassVar[type[MocOptError]] = ScenarioError
     MOST: ClassVar[int] = 10_000_000
     """Largest integer of a field that is no seed: a count of things that are listed, tried or waited for."""
-    MEANT_KEY: ClassVar[str] = ""
-    """Key that a bare text in place of this table was meant for: an error shows how to write it."""
-
-    @pydantic.model_validator(mode="before")
-    @classmethod
-    def _is_a_table(cls, values: Any) -> Any:
-        if isinstance(values, Mapping | Settings):
-            return values
-        as_meant = isinstance(values, str) and cls.MEANT_KEY
-        written = to_toml({cls.MEANT_KEY: values[:100]}).strip() if as_meant else "and its keys below it"
-        raise ValueError(f"this is a table: write {cls.KIND.rstrip(':')} {written}")
+    MORE_KEYS: ClassVar[tuple[str, ...]] = ()  #: That a file may have beside the fields.
 
     @pydantic.field_validator("*", mode="wrap")
     @classmethod
@@ -88,7 +73,7 @@ class Settings(pydantic.BaseModel):
     @classmethod
     def keys(cls, values: Mapping[str, Any]) -> list[str]:
         """List the keys that a table of such values may have; a subclass adds those of its free tables, dotted."""
-        return list(dict.fromkeys([*cls.model_fields, *filter(None, [cls.MEANT_KEY])]))
+        return [*cls.model_fields, *cls.MORE_KEYS]
 
 
 def _leaves(given: Any, value: Any, where: str = "") -> Iterator[tuple[str, Any, Any]]:
@@ -128,6 +113,8 @@ def explain(error: pydantic.ValidationError, kind: str) -> list[str]:
             lines.append(message if not field or message.startswith(f"[{field}]") else f"{kind} {field}: {message}")
         elif item["type"] == "missing":
             lines.append(f"{kind} {field} is missing: add it")
+        elif item["type"] == "model_type":
+            lines.append(f"{kind} {field} = {shown(item['input'])}: a table: write [{field}] and its keys below it")
         elif field:
             lines.append(f"{kind} {field} = {shown(item['input'])}: {message[0].lower()}{message[1:]}")
         else:

@@ -28,8 +28,7 @@ PRESETS: Mapping[str, Mapping[str, Callable[..., Settings]]] = {
     "plant": {"realistic": PlantSettings.realistic, "nominal": PlantSettings.nominal},
 }
 """Table -> name of its ``preset`` -> what makes the table from the other keys."""
-_LAGS = 3.0
-"""Time constants of the encoders' velocity filter that the safety filter takes for its lag, at least."""
+_LAGS = 3.0  # time constants of the encoders' velocity filter that the safety filter takes for its lag, at least
 _TORQUE, _SPEED = 500.0, 600.0
 """For each rad of the encoders' step: change of a torque [of tau_max], and speed [rad/s] by the momentum residual, that
 may come before a sound joint shows a step."""
@@ -133,9 +132,7 @@ class Scenario(Settings):
 
     @classmethod
     def load(cls, path: Self | str | os.PathLike[str]) -> Self:
-        """Read a TOML file; paths of a robot's file and of a course in it are relative to its folder.
-
-        A scenario in place of a path is returned as it is.
+        """Read a TOML file, in which paths are relative to its folder; a scenario is returned as it is.
 
         Raises:
             ScenarioError: no such file, no TOML, or a value out of range; names file and field.
@@ -154,9 +151,7 @@ class Scenario(Settings):
             raise
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the TOML that `load` reads as this scenario: only values that differ from the defaults.
-
-        Files of a robot and of a course are named by their absolute paths.
+        """Write the TOML that `load` reads as this scenario: what differs from the defaults, paths as absolute ones.
 
         Raises:
             ScenarioError: a solver's setting has no form in TOML, or the file cannot be written.

@@ -43,8 +43,7 @@ def lay_out(scenario: Scenario, robot: RobotModel, *, checked: bool = True) -> L
     """Choose the start, lay the task out from it, and check that the arm can do it; of a random start always.
 
     Raises:
-        ScenarioError: the start is outside the limits or singular, no random start can do the task, the trocar is not
-            on the tool, or the run would be too long.
+        ScenarioError: start, trocar or duration are not usable, or no random start can do the task.
         UnreachableError: the arm cannot do the task from there.
     """
     start = scenario.start
@@ -92,9 +91,8 @@ def _task(scenario: Scenario, robot: RobotModel, q: Array) -> Layout:
     duration_s = scenario.duration_s or task.wait_s + reference.duration + task.hold_s
     if not duration_s / scenario.plant.period_s <= MOST_TICKS:
         raise ScenarioError(
-            f"{duration_s:.3g} s (duration_s, or the [task] with its v_max_m_per_s, a_max_m_per_s2, wait_s, "
-            f"hold_s) in [plant] period_s = {scenario.plant.period_s:.3g} s: more than {MOST_TICKS} ticks; "
-            "give a shorter duration_s"
+            f"{duration_s:.3g} s (duration_s, or the [task] with its v_max_m_per_s, a_max_m_per_s2, wait_s, hold_s) in "
+            f"[plant] period_s = {scenario.plant.period_s:.3g} s: more than {MOST_TICKS} ticks; give a duration_s"
         )
     return Layout(q, point, registered, reference, duration_s)
 

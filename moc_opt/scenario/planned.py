@@ -19,9 +19,7 @@ from moc_opt.scenario.config import Scenario
 from moc_opt.scenario.layout import Layout, described, lay_out
 from moc_opt.trace.trace import Trace
 
-PERIOD_S = 0.025
-"""Between the times of a plan at most, if a path has no more than `MOST_TIMES` of them."""
-MOST_TIMES = 1000
+PERIOD_S, MOST_TIMES = 0.025, 1000  # between the times of a plan at most, if a path has no more times than that
 
 
 def plan(

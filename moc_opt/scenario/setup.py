@@ -198,15 +198,7 @@ class Setup:
         return tip_refs, registered
 
     def trace(self, watch: Callable[[int], None] | None = None, to: str | os.PathLike[str] | None = None) -> Trace:
-        """Run, check the answers, and return the trace.
-
-        Args:
-            watch: called with the number of every tick before it.
-            to: a Parquet file that the trace is saved in at the end; if the run ends by an exception, the rows so far.
-
-        Raises:
-            MocOptError: the arm ran away, and the error holds the trace; or the trace cannot be saved there.
-        """
+        """Run, check the answers, and return the trace; arguments and errors as of `run`."""
         # Absolute: a solver may leave the process in another working directory.
         file = None if to is None else new_file(to).absolute()
         if self.plant.time > 0.0:
@@ -291,6 +283,7 @@ def run(
         one row a tick; ``meta["ended"]`` says how it ended.
 
     Raises:
-        MocOptError: the scenario is not usable (raised before the run), or the arm ran away.
+        MocOptError: the scenario is not usable, or the trace cannot be saved there (raised before the run).
+        RunAway: the plant cannot go on; the error holds the trace.
     """
     return Setup(Scenario.load(scenario), solver).trace(watch, to)

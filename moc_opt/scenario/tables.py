@@ -23,7 +23,6 @@ class RobotTable(Settings):
     """The arm and its tool."""
 
     KIND: ClassVar[str] = "[robot]"
-    MEANT_KEY: ClassVar[str] = "name"
     name: str = Field("lwr4", description="a robot of the package, or a path to a URDF or TOML")
     tool_length_m: float | None = Field(
         None, gt=0.0, le=10.0, description="length from mount to tip; left out: the length in the robot's file"
@@ -94,7 +93,6 @@ class TaskTable(Settings):
     """The path of the tip."""
 
     KIND: ClassVar[str] = "[task]"
-    MEANT_KEY: ClassVar[str] = "path"
     path: Name = Field(
         "circle",
         description="name of the path; `moc-opt tasks` lists them; 'waypoints': a smooth curve through waypoints_m",
@@ -141,7 +139,6 @@ class SolverTable(Settings):
     """The solver of the third level."""
 
     KIND: ClassVar[str] = "[solver]"
-    MEANT_KEY: ClassVar[str] = "name"
     name: Name = Field("exact", description="name of the solver; `moc-opt solvers --list` lists them")
     settings: dict[Name, Any] = Field(default_factory=dict, description="settings of that solver: docs/solvers.md")
     replay_us: str | tuple[Annotated[float, Field(ge=0.0, le=1e9)], ...] | None = Field(

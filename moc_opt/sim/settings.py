@@ -32,7 +32,7 @@ class PlantSettings(Settings):
     """
 
     KIND: ClassVar[str] = "[plant]"
-    MEANT_KEY: ClassVar[str] = "preset"
+    MORE_KEYS: ClassVar[tuple[str, ...]] = ("preset",)
     ERROR: ClassVar[type[MocOptError]] = PlantError
 
     period_s: float = Field(0.002, gt=0, le=0.1, description="control period")

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from moc_opt.errors import TraceError, describe
-from moc_opt.inputs.files import MOST_DATA, as_path, check_replaceable, parse_json, read_bytes, write_whole
+from moc_opt.inputs.files import MOST_DATA, as_path, check_replaceable, read_bytes, write_whole
 
 if TYPE_CHECKING:
     import polars as pl
@@ -91,17 +91,17 @@ def read(path: str | os.PathLike[str]) -> tuple[dict[str, NDArray[Any]], dict[st
         if version != VERSION:
             found = f"a trace of format {version!r}" if version else "a Parquet file, but no trace"
             raise TraceError(f"{where} is {found}: give a file written by Trace.save of this version")
-        types = {name: np.dtype(of) for name, of in parse_json(metadata[TYPES_KEY], where, TraceError).items()}
+        types = {name: np.dtype(of) for name, of in json.loads(metadata[TYPES_KEY]).items()}
         rows = pl.scan_parquet(data).select(pl.len()).collect().item()
         if rows * sum(of.itemsize for of in types.values()) > MOST_BYTES:
             raise ValueError(f"{rows} rows of {len(types)} columns are no trace")
         columns = {column.name: _array(column, types[column.name]) for column in pl.read_parquet(io.BytesIO(data))}
         if metadata[SUM_KEY] != checksum(columns, metadata[META_KEY], metadata[TYPES_KEY]):
             raise ValueError("its checksum is another")
-        return columns, dict(parse_json(metadata[META_KEY], where, TraceError))
+        return columns, dict(json.loads(metadata[META_KEY]))
     except (
         pl.exceptions.PolarsError, pl.exceptions.PanicException, OSError, LookupError, TypeError, ValueError,
-        AttributeError, SyntaxError,
+        AttributeError, SyntaxError, RecursionError,
     ) as error:  # fmt: skip
         raise TraceError(
             f"{where} is damaged or no trace ({describe(error)}): run the scenario again and save its trace"

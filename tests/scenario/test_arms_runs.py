@@ -45,16 +45,6 @@ def test_every_preset_is_for_every_arm(name, preset, more):
     assert summarize(trace)["tip_error_max_mm"] < 1.5
 
 
-@pytest.mark.parametrize("name", available_robots())
-def test_idle_joints_come_to_rest_without_friction(name):
-    """What moves neither tip nor wrist is damped: nothing keeps it swinging."""
-    task = {"path": "line", "sizes": {"length": 0.005}, "hold_s": 1.5}
-    trace = run(Scenario(robot={"name": name}, plant={"friction": 0.0}, task=task, **BARE))
-    assert trace.meta["ended"] == "completed"
-    late = trace.t_s > trace.t_s[-1] - 1.0
-    assert np.abs(trace.v_rad_per_s[late, -1]).max() < 0.02  # the last joint turns about the tool
-
-
 def test_sixteen_joints_run_and_are_judged(tmp_path):
     """Ten real freedoms: every answer of `exact` verifies, and one moved along the self-motion does not."""
     robot = sixteen_joints(tmp_path, np.random.default_rng(2).uniform(-0.7, 0.7, 16))

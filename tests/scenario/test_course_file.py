@@ -7,7 +7,7 @@ import pytest
 
 import moc_opt as mo
 from moc_opt.__main__ import main
-from moc_opt.errors import ControlError, ScenarioError
+from moc_opt.errors import ScenarioError
 from moc_opt.planning.guides import followed_course, load_course, speed_shares
 from moc_opt.scenario import Setup
 from moc_opt.scenario.planned import followable_plan, following_warnings, plan, save_course, targets_of
@@ -95,30 +95,21 @@ def test_a_course_is_made_smooth_within_what_it_was_planned_for(tmp_path):
     assert np.minimum(slow.q_rad - robot.q_min, robot.q_max - slow.q_rad)[:, :6].min() > 0.6 - 1e-6
 
 
-def test_a_course_that_nobody_follows_is_refused(file):
-    with pytest.raises(ControlError, match="only third_level = 'planned' follows a file"):
-        SCENARIO.change(control={"course": str(file), "third_level": "receding"})
-    assert mo.Scenario().control.replace(SCENARIO.control.matched_dcac()).course == ""
-
-
 def test_the_commands_write_and_follow_it(tmp_path, capsys):
     mine, to, ran = tmp_path / "mine.toml", tmp_path / "course.parquet", tmp_path / "run.parquet"
     text = 'duration_s = 0.3\nbound_samples = 0\nbest_courses = false\n[control]\nthird_level = "local"\n'
     mine.write_text(text, encoding="utf-8")
-    assert main(["plan", str(mine), "--out", str(to)]) == 0  # to be followed, though this third level follows none
-    assert "warning" not in capsys.readouterr().err
-    assert mo.Trace.load(to).meta["within"]["speed_share"] == 0.85
-    assert main(["plan", str(mine), "--out", str(to)]) == 0  # a course replaces a course, and nothing else
-    assert main(["plan", str(mine), "--out", str(mine)]) == 2
+    for out, status in ((to, 0), (to, 0), (mine, 2)):  # a course replaces a course, and nothing else
+        assert main(["plan", str(mine), "--out", str(out)]) == status
+        assert "warning" not in capsys.readouterr().err
+    assert mo.Trace.load(to).meta["within"]["speed_share"] == 0.85  # as if this third level followed it
     assert mine.read_text(encoding="utf-8") == text
-    capsys.readouterr()
     assert main(["run", str(mine), "--course", str(to), "--trace", str(ran)]) == 0
     assert mo.Trace.load(ran).meta["scenario"]["control"]["course"] == str(to)
     before, own = to.read_bytes(), tmp_path / "own.toml"
     own.write_text(text.replace("local", "planned") + 'course = "course.parquet"\n', encoding="utf-8")
     for command, message in (
-        ([str(mine), "--course", str(to), "--third-level", "local"], "only --third-level planned follows a file"),
-        ([str(mine), "--course", ""], "give the file"),
+        ([str(mine), "--course", str(to), "--third-level", "receding"], "only --third-level planned follows a file"),
         ([str(mine), "--course", str(to), "--trace", str(to)], "that file is read; give another name"),
         ([str(own), "--trace", str(to)], "that file is read; give another name"),
     ):

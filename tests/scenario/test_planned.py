@@ -7,7 +7,6 @@ import pytest
 
 import moc_opt as mo
 from moc_opt.__main__ import main
-from moc_opt.planning.plan import top_of
 from moc_opt.scenario import Setup
 from moc_opt.scenario.derived import best_courses
 from moc_opt.scenario.planned import plan
@@ -48,11 +47,6 @@ def test_a_path_that_cannot_be_executed_exits_with_three(tmp_path, capsys):
     assert told["executable"] is False
     assert told["blocked"]["reason"]
     assert told["blocked"]["t_s"] > 0.0
-
-
-def test_a_wrong_option_is_named_as_it_was_typed(tmp_path, capsys):
-    assert main(["plan", scenario_file(tmp_path, "duration_s = 0.1\n"), "--margin", "-1"]) == 2
-    assert "margin_m = -1.0: give zero or more" in capsys.readouterr().err
 
 
 def test_what_it_proposes_can_be_pasted_into_the_scenario(tmp_path, capsys):
@@ -121,14 +115,3 @@ def test_of_an_arm_with_two_freedoms_the_reason_is_given():
     run = mo.run(COMPARED.change(robot={"name": "lwr4_rail"}, start={"swivel": "given"}, duration_s=0.1))
     assert "mu_best" not in run.columns
     assert "freedoms" in run.meta["best_courses"]["absent"]
-
-
-def test_the_top_above_a_pose_is_one_and_told_from_a_limit():
-    found = best_courses(COMPARED).last
-    top = top_of(found, found.q_rad[-1][0, 100])
-    column, may = found.mu[-1, 0], found.feasible()[-1]
-    b, j = np.argwhere((found.q_rad[-1] == top.q_rad).all(axis=2))[0]
-    assert may[b, j]
-    beside = [column[(j + side) % len(column)] for side in (-1, 1) if may[b, (j + side) % len(column)]]
-    assert max(beside) <= top.mu == column[j]
-    assert top.at_limit == bool(max(column[j - 1], column[(j + 1) % len(column)]) > top.mu)

@@ -7,11 +7,10 @@ import sys
 import time
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from moc_opt.__main__ import main
-from moc_opt.errors import PlantError, ScenarioError, TraceError
+from moc_opt.errors import PlantError, TraceError
 from moc_opt.scenario import RunAway, Scenario, Setup
 from moc_opt.sim import Plant
 from moc_opt.trace.metrics import summarize
@@ -106,18 +105,6 @@ def test_ctrl_c_says_one_line(tmp_path):
     assert sorted(os.listdir(tmp_path)) == ["s.toml", "t.parquet"]
 
 
-def test_ctrl_c_after_the_run_says_where_it_is(tmp_path, capsys, monkeypatch):
-    def interrupted(*given):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr("moc_opt.commands.running._matched_dcac", interrupted)
-    file, target = tmp_path / "s.toml", tmp_path / "t.parquet"
-    file.write_text("duration_s = 0.1\nbest_courses = false\n")
-    assert main(["run", str(file), "--trace", str(target)]) == 130
-    assert capsys.readouterr().err == f"interrupted; the whole run is in {target}\n"
-    assert len(Trace.load(target)) == 50
-
-
 def test_a_defect_says_one_line_and_where_the_rows_are(tmp_path, capsys, monkeypatch):
     ticks, real = iter(range(10**6)), Plant.measure
 
@@ -134,11 +121,6 @@ def test_a_defect_says_one_line_and_where_the_rows_are(tmp_path, capsys, monkeyp
     assert len(Trace.load(target)) == 148  # two measurements come before the loop
 
 
-def test_more_ticks_than_the_memory_takes_are_refused():
-    with pytest.raises(ScenarioError, match=r"v_max_m_per_s.*more than 1000000 ticks.*give a shorter duration_s"):
-        Setup(Scenario(task={"v_max_m_per_s": 1e-9, "sizes": {"radius": 0.03}}, start={"check_path": False})).times()
-
-
 @pytest.mark.parametrize("target", ["nowhere/t.parquet", "file/t.parquet", "t.csv", "."])
 def test_a_file_that_cannot_be_written_is_refused_before_the_run(target, tmp_path, capsys, monkeypatch):
     (tmp_path / "file").write_text("")
@@ -152,16 +134,3 @@ def test_a_file_that_cannot_be_written_is_refused_before_the_run(target, tmp_pat
         Trace.load(target)
 
 
-# --- what else ends a run, and what a controller alone is built of ---
-
-
-RUN = Scenario(duration_s=0.1, judge=False, bound_samples=0)
-
-
-def test_the_control_end_of_a_wire_builds_no_plant(monkeypatch):
-    monkeypatch.setattr("moc_opt.scenario.setup.Plant", lambda *given, **named: pytest.fail("a plant was built"))
-    alone = Setup(RUN, realtime=True)
-    controller, rest = alone.controller(), np.zeros(alone.robot.n)
-    refs = alone.reference.rows(0.0), alone.registered.rows(0.0)
-    controller.start(alone.q_start, rest, *refs)
-    assert np.isfinite(controller.tick(alone.q_start, rest, *refs)).all()

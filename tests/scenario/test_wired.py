@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from moc_opt.__main__ import main
 from moc_opt.realtime.wire import COUNTERS, RUNNING, Kind, WireError, written
 from moc_opt.scenario import Scenario, run
 from moc_opt.scenario.wired import PlantServer, answer, fingerprint
@@ -200,17 +199,6 @@ def test_another_key_is_not_heard(tmp_path):
             answer(base, written(plant.address), keys[1])
         with pytest.raises(WireError, match=r"no controller came .*forged [1-9]"):
             run_there.result()
-
-
-def test_what_cannot_be_is_refused_in_words(capsys):
-    for command, words in {
-        ("plant", "--listen", "0.0.0.0:30200"): "other machines reach that address",
-        ("control", "--connect", "192.0.2.1:30200"): "--key-file",
-    }.items():
-        assert main(command) == 2
-        assert words in capsys.readouterr().err
-    with pytest.raises(WireError, match=r"period_s = 0\.005"):
-        PlantServer(Scenario(plant={"period_s": 0.005, "substeps": 5}), "127.0.0.1:0")
 
 
 def test_the_controller_that_the_page_shows_answers_every_tick():
