@@ -3,7 +3,7 @@
 python -m benchmarks.sweep [CONFIG.toml] [--out DIR] [--seed N] [--quick] [--dask ADDRESS]
 
 The runs follow from the configuration alone, and every path, name and scenario is checked before anything runs. It can
-be stopped at any moment, and the same command goes on. docs/scaling.md describes the configuration.
+be stopped at any moment, and the same command goes on. docs/results.md describes the configuration.
 """
 
 from __future__ import annotations
