@@ -16,6 +16,7 @@ Margin = float | Array
 """From the joint limits: one number for all, or one per joint (n,) [rad], [m] of a joint that slides."""
 SHALLOWEST_M = 0.002  #: Nearer to the trocar the shaft has no direction.
 MOST_VIOLATION = 1e-8  #: Of a course that is taken for one [m], [rad].
+WORTH = 10.0  #: A pose at which the shaft is lost is worth less by so many times the map's largest mu.
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,9 +115,6 @@ def lowered(mu: Array, share: Array, limits: Limits, top: float) -> Array:
     with np.errstate(invalid="ignore"):
         less: Array = mu - WORTH * top * np.maximum(1.0 - share / limits.shaft, 0.0) ** 2
     return less
-
-
-WORTH = 10.0  #: A pose at which the shaft is lost is worth less by so many times the map's largest mu.
 
 
 def shaft_shares(robot: RobotModel, poses: Array) -> Array:

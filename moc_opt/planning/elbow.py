@@ -1,8 +1,7 @@
 """The elbow's swivel: its angle, its distance to the maximum of mu uphill, and the ticks at which it moves there.
 
 The swivel is the angle of the elbow about the line from the shoulder to the wrist centre, counted from the plane
-through that line and a fixed direction (Kreutz-Delgado, Long and Seraji 1992). It depends on the pose alone, and
-continuously, so that poses of different times and runs can be compared.
+through that line and a fixed direction (Kreutz-Delgado, Long and Seraji 1992).
 """
 
 from __future__ import annotations
@@ -14,10 +13,8 @@ from moc_opt.arrays import Array
 from moc_opt.planning.self_motion import SelfMotion, curve_through, parabola_peak
 from moc_opt.robots.model import RobotModel, link_frames
 
-NEAR_RAD = 0.1
-"""Nearer to its optimum than this the elbow has arrived: it costs less than half a percent of mu on the LWR4+."""
-STILL_RAD_PER_S = 0.05
-"""An elbow that is slower relative to its optimum is stuck or held; in a transient it does 0.3 to 0.8 rad/s."""
+NEAR_RAD = 0.1  #: Nearer to its optimum the elbow has arrived: less than half a percent of mu on the LWR4+.
+STILL_RAD_PER_S = 0.05  #: A slower elbow, relative to its optimum, is stuck or held; a transient has 0.3 to 0.8.
 SAMPLES_PER_S = 25.0  #: How often the self-motion is scanned along a run.
 STEP_RAD = 0.1  #: Of the samples of a self-motion.
 WINDOW_S = 0.1  #: The speed is the change of the distance to go over this time.

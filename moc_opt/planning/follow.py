@@ -25,8 +25,8 @@ GAIN_PER_S = 5.0  #: k
 NODES = 10  #: Times of the nonlinear program after the measured pose.
 CATCH_UP = 1.03  #: Factor on the speed that V assumes, allowed on the horizon, so that a late arm can catch up.
 ON_COURSE_RAD = 0.05
-"""An arm this near to its course in every joint is on it: a new course begins on the old one, not at the measured pose.
-Else the delay of a solve would close a second loop, which oscillates near singular poses."""
+"""An arm this near to its course in every joint is on it: a new course begins on the old one. Else the delay of a solve
+would close a second loop, which oscillates near singular poses."""
 MOST_OFF = 1e-3  #: Of an answer that is followed: tip or wrist off its target [m], a joint beyond a limit [rad].
 LOST_RAD = 0.3  #: Farther from its course in one joint, an arm has left it: ten times the usual error.
 NO_COURSE = "q_start: no course goes to the end of the path from there within joint speeds and limits"

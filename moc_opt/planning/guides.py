@@ -29,13 +29,9 @@ from moc_opt.trace.trace import Trace
 COURSE_SHARE = 0.25
 """Of ``[control] shaft_margin``: there the push of the local climb begins; a course, which looks ahead, goes down to a
 quarter of it."""
-V_PERIOD_S = 0.1
-"""Between the times of the map: so long that the way from pose to pose of the map is small beside what a joint turns
-in it."""
-TARGETS_PER_TIME = 20
-"""Targets between two times of that map: the horizon interpolates between them."""
-QUARTER = 0.5
-"""Of half a cell, what a pose of that map stands for: near singular poses the steps of the map are too coarse."""
+V_PERIOD_S = 0.1  #: Between the times of the map: beside what a joint turns in it the map's own steps are small.
+TARGETS_PER_TIME = 20  #: Targets between two times of that map: the horizon interpolates between them.
+QUARTER = 0.5  #: Of half a cell, what a pose of that map stands for: near singular poses its steps are too coarse.
 SPEEDS = (1.0, 0.7, 0.4)
 """Of a course's speed, one after the other where no faster one is smooth and brakes off in time; the last one need not
 brake where no course does."""
@@ -43,12 +39,10 @@ HURRY, WORTH_IT = 1.12, 0.01
 """A course may be faster by this factor, up to `FASTEST` of the joint speeds, where that gains so large a share of mean
 mu by V: the errors of tip and RCM may then be larger, and most starts gain a tenth of that."""
 FASTEST = 0.97
-BRAKE_SHARE = 0.9
-"""Of the deceleration that the safety filter's wall allows, a course that is made before the run uses this much."""
+BRAKE_SHARE = 0.9  #: A course that is made before the run brakes with so much of what the safety filter's wall allows.
 SMOOTHNESS = {"planned": 1e-4, "receding": 5e-4}
 """Weight of a course's acceleration [s^4/rad^2], see `moc_opt.planning.program`; it lowers tip and RCM errors."""
-MOST_OFF_M = 1e-3
-"""Largest distance of tip or wrist of a file's course from the run's targets; smoothing moves them off these."""
+MOST_OFF_M = 1e-3  #: Largest distance of tip or wrist of a file's course from the run's targets.
 MOST_OFF_RAD = 1e-6  #: Largest difference of a file's first pose from the start, of a joint beyond a limit.
 ROUNDING = 1e-6
 """Of the first time [s]; of the last one, as a share of the run's, and of a speed, as a share of its limit."""

@@ -42,8 +42,7 @@ class Plan:
     best: Course | None  #: The best over all swivels and branches at the start of the path; None: from nowhere.
     climbed: Course  #: The course of a local climb; shorter than the path if the climb ends at a limit.
     bound_from_start: float
-    """No course from the start that the map resolves has more mean mu [m^3]. NaN where one was found that has, near a
-    singular pose: mu changes there within a step of the map."""
+    """No course from the start that the map resolves has more mean mu [m^3]. NaN where one was found that has."""
     bound: float  #: The same of every course, from any start.
     blocked: Blocked | None  #: Where and why the path cannot be executed from the start; None: it can.
     start_swivel_rad: float  #: Of the elbow at the start [rad]; see `moc_opt.planning.elbow`.
@@ -183,9 +182,8 @@ def best_course(value: Value, start: Array | None) -> Array | None:
 def climb(found: PoseMap, start: Array, limits: Limits) -> Array:
     """Follow the gradient of mu from the start (n,) on the samples of the map, as an ideal local law does.
 
-    From the pose that asks the least of the joints it goes uphill over neighbouring samples of its branch, in each
-    period, until mu falls, or a limit or the speed ends it. Its poses (k,n) begin at the start; they are fewer than the
-    path has times where no pose is within reach.
+    In each period it goes uphill from the pose that asks the least of the joints, until mu falls, or a limit or the
+    speed ends it. Its poses (k,n) are fewer than the path has times where none is within reach.
     """
     step, feasible = limits.speed_share * found.robot.v_max * found.targets.period_s, found.feasible(limits.margin)
     poses = [np.array(start)]

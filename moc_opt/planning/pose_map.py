@@ -2,16 +2,15 @@
 
 **In closed form** where joints 1 to 3 meet in the shoulder S, 3 to 5 in the elbow E, 5 to 7 in the wrist N, axes beside
 each other are at right angles, and the tool lies on axis 7. The elbow turns on a circle about S N by the swivel
-(Kreutz-Delgado, Long and Seraji 1992), and the signs of joints 2, 4 and 6 give eight branches for each place of it. A
-change of sign turns a joint axis round and leaves its line: all eight have the same manipulability. Joint 7 is idle.
+(Kreutz-Delgado, Long and Seraji 1992), and the signs of joints 2, 4 and 6 give eight branches for each place of it, all
+of the same manipulability. Joint 7 is idle.
 
 **Traced** for any other arm: at each time the self-motion curves of the time before are reached again by Newton's
 method and scanned, and random inverse kinematics looks for others. All samples stand in one branch. Where tip and
 wrist leave more than one freedom, a curve is a part of the poses only, and the map no bound.
 
-`largest_mu` is the largest mu of all these poses, point by point: climbed to (`moc_opt/core/plan.c`) from the maxima of
-a map in closed form, on every branch; of any other arm, and of several freedoms, from many seeded starts. Some pose
-reaches the value that is found there, but nothing proves that it is the largest.
+`largest_mu` is the largest mu of all these poses, point by point, climbed to from the maxima of a map in closed form or
+from many seeded starts. Some pose reaches the value that is found there, but nothing proves that it is the largest.
 """
 
 from __future__ import annotations
@@ -94,10 +93,7 @@ def map_of(robot: RobotModel, q_start: Array, targets: Targets, swivels: int = S
 
     Args:
         q_start: (n,) [rad] a pose for the first target; its swivel is one of the map's.
-        swivels: samples of one turn; more than `SWIVELS` make those along a traced curve denser, too.
-
-    Raises:
-        RobotError: no whole number of swivels from 8 to `MOST_SWIVELS`.
+        swivels: samples of one turn, 8 to `MOST_SWIVELS`; more than `SWIVELS` make a traced curve denser, too.
     """
     if not isinstance(swivels, numbers.Integral) or not 8 <= int(swivels) <= MOST_SWIVELS:
         raise RobotError(f"swivels = {shown(swivels)}: give a whole number from 8 to {MOST_SWIVELS}")

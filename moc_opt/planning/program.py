@@ -120,8 +120,8 @@ class Program:
     ) -> tuple[Array, bool]:  # fmt: skip
         """Return poses (N,n) [rad], not judged, NaN where nothing was found, and if the solver met its tolerances.
 
-        It begins at the ``guess`` (N,n) and leaves the pose ``start`` (n,) at ``speed`` (n,) [rad/s], at rest without
-        one. ``end`` is what the last pose is worth; ``period_s`` stands in place of the program's own.
+        It begins at the ``guess`` (N,n) and leaves ``start`` (n,) at ``speed`` (n,) [rad/s]. ``end`` is what the last
+        pose is worth; ``period_s`` stands in place of the program's own.
         """
         dt, n = self.period_s if period_s is None else period_s, len(start)
         speed = np.zeros(n) if speed is None else speed
@@ -148,14 +148,9 @@ def refine(
 ) -> Course:  # fmt: skip
     """Improve a course of all times from its first pose, within limits, to a local optimum.
 
-    Args:
-        course: that is to be improved; it may break constraints.
-        limits: of the answer.
-        smoothness, brake: as of `Program`; the answer is taken if mean mu falls by no more than `SMOOTH_LOSS` of the
-            given course's.
-
-    The given course is returned where the other is worth less by the robot model's own mu, or breaks a constraint by
-    more than `MOST_VIOLATION`. A course is ``certified`` where ipopt met its tolerances.
+    It may break constraints; the answer keeps the limits. With ``smoothness`` or ``brake``, see `Program`, it may lose
+    `SMOOTH_LOSS` of mean mu. The given course is returned where the other is worth less by the robot model's own mu, or
+    breaks a constraint by more than `MOST_VIOLATION`. A course is ``certified`` where ipopt met its tolerances.
     """
     if limits.shaft > 0.0 and _above(robot, course, limits):  # without the margin a program takes half of the time
         bare = replace(limits, shaft=0.0)

@@ -2,12 +2,10 @@
 
     V_k(p) = g_k(p) + max { V_{k+1}(p') - c |q - q'|^2 / dt : |q - q'| <= v_max dt for every joint }
 
-g is mu dt. A course is read off V forwards, from any pose at any time: at each time the pose within reach that is worth
-most. From a singular pose it may go on in another branch.
-
-A pose of the map may stand for a part of the cell around it: a quarter of a cell for a receding horizon, so that a
-coarse map is passable; half a cell for the bound. There a pose is also allowed where a neighbour is, and as good as
-the best nearby: any course whose poses lie on the curves that the map samples stays within that.
+g is mu dt. A course is read off V forwards, from any pose at any time: each time the pose within reach that is worth
+most. From a singular pose it may go on in another branch. A pose of the map may stand for a part of the cell around it:
+a quarter of a cell for a receding horizon, so that a coarse map is passable; half a cell for the bound. There a pose is
+also allowed where a neighbour is, and as good as the best nearby: any course on the map's curves stays within that.
 """
 
 from __future__ import annotations

@@ -16,9 +16,7 @@ from moc_opt.arrays import Array, read_only
 from moc_opt.errors import RobotError
 from moc_opt.robots.model import RobotModel
 
-HELD = 1e-6
-"""A singular value below this share of the largest holds nothing. Coarser than the rule of ``qp.residuals``, which
-decides for one tick: here random poses are asked how many freedoms an arm is built with."""
+HELD = 1e-6  #: A singular value below this share of the largest holds nothing.
 RANK = 1e-9  #: A singular value of A below this counts as zero on the curve.
 _CLOSED = 1  # of the reasons why the core ends a curve
 

@@ -64,18 +64,13 @@ class SwivelMap:
     best_mu: Array  #: (k,)
     trajectories: Mapping[str, Trajectory]
     held: tuple[str, ...] = ()
-    """Joints that could move while tip and wrist stay, and here stand as in the longest run: the map is a slice of all
-    poses, and its best no bound. Empty where one freedom is all there is."""
+    """Joints that could move while tip and wrist stay, and here stand as in the longest run: the map is a slice."""
 
 
 def manipulability_map(
     robot: RobotModel, traces: Mapping[str, Trace], *, times: int = 100, swivels: int = 180
 ) -> SwivelMap:
-    """Scan the self-motion along the path that the runs were given.
-
-    Args:
-        traces: name -> run; all on the same path.
-        times, swivels: columns and rows of the map.
+    """Scan the self-motion along the path that the runs (name -> trace) were given, at so many times and swivels.
 
     Raises:
         ReportError: no runs, too few columns or rows, runs of different paths, or a trace without a trocar.

@@ -18,10 +18,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Chain:
-    """Joint placements and axes of a serial arm.
+    """Joint j sits at (rotations[j], origins[j]) in the frame of joint j - 1, the world for j = 0.
 
-    Joint j sits at (rotations[j], origins[j]) in the frame of joint j - 1 (the world for j = 0) and turns
-    about, or slides along, the unit vector axes[j] of its own frame.
+    It turns about, or slides along, the unit vector axes[j] of its own frame.
     """
 
     rotations: Array  #: (n,3,3)
@@ -29,11 +28,6 @@ class Chain:
     axes: Array  #: (n,3)
     prismatic: NDArray[np.bool_]  #: (n,)
     offsets: Array  #: (2,3) tip and wrist in the last joint's frame [m]
-
-    @property
-    def n(self) -> int:
-        """Number of joints."""
-        return len(self.axes)
 
     @property
     def joints(self) -> Array:
@@ -47,8 +41,7 @@ def desired_wrist(
 ) -> tuple[Array, Array]:
     """Compute N_d = X + L e [m], e = (P_t - X)/|P_t - X|, and dN_d = dX + L de/dt [m/s], (..., 3) each.
 
-    With N_d as wrist the shaft passes through the trocar; de/dt = (I - e e^T)(dP_t - dX)/|P_t - X|. The arguments are
-    (..., 3), 0.0 for a point at rest, and ``span``, which is L, from wrist centre to tip [m].
+    The arguments are (..., 3), 0.0 for a point at rest, and ``span``, which is L, from wrist centre to tip [m].
     """
     line, turn = np.subtract(trocar, tip), np.subtract(trocar_velocity, tip_velocity)
     distance = np.linalg.norm(line, axis=-1, keepdims=True)
@@ -59,10 +52,7 @@ def desired_wrist(
 
 @dataclass(frozen=True)
 class Kinematics:
-    """CasADi functions of q (n,) alone; two are equal when their ids are.
-
-    mu and its gradient have no value at a singularity (J J^T not invertible): keep away from it.
-    """
+    """CasADi functions of q (n,) alone; two are equal when their ids are. mu has no gradient at a singularity."""
 
     id: str  #: Robot name and twelve hex digits that change with any number of the chain.
     n: int
@@ -79,10 +69,10 @@ def build_kinematics(name: str, chain: Chain) -> Kinematics:
     """Write the chain's forward kinematics in CasADi SX; mu from the geometric Jacobian, grad mu by AD."""
     import casadi as ca  # late: half a second that only the NLP back-ends need
 
-    q = ca.SX.sym("q", chain.n)
+    q = ca.SX.sym("q", len(chain.axes))
     rotation, origin = ca.SX.eye(3), ca.SX.zeros(3)
     joints: list[tuple[Any, Any]] = []  # world axis, world origin
-    for j in range(chain.n):
+    for j in range(len(chain.axes)):
         origin = origin + ca.mtimes(rotation, ca.DM(chain.origins[j]))
         rotation = ca.mtimes(rotation, ca.DM(chain.rotations[j]))
         axis = ca.DM(chain.axes[j])
@@ -109,4 +99,4 @@ def build_kinematics(name: str, chain: Chain) -> Kinematics:
     outputs = {"tip": tip, "wrist": wrist, "mu": mu, "grad_mu": ca.gradient(mu, q), "shaft": shaft}
     functions = {key: ca.Function(key, [q], [value], ["q"], [key]) for key, value in outputs.items()}
     geometry = hashlib.sha256(chain.joints.tobytes() + chain.offsets.tobytes()).hexdigest()[:12]
-    return Kinematics(id=f"{name}-{geometry}", n=chain.n, **functions)
+    return Kinematics(id=f"{name}-{geometry}", n=len(chain.axes), **functions)

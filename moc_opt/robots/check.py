@@ -40,11 +40,7 @@ class Finding(NamedTuple):
 
 
 def check_robot(robot: RobotModel, scenario: Scenario | None = None) -> list[Finding]:
-    """Check an arm for a scenario's task, period and control (None: the default scenario).
-
-    Returns:
-        One finding a row, in the order of the table; the arm's own verdict is the worst of them.
-    """
+    """Check an arm for a scenario's task, period and control (None: the default scenario); one finding a row."""
     asked, sliding = scenario or Scenario(robot={"name": robot.data.name}), int(robot.chain.prismatic.sum())
     kinds = f"{robot.n} joints" + (f", {sliding} of them sliding" if sliding else "")
     found = [Finding("arm", f"{kinds}, tool {1e3 * robot.data.tool_length:.0f} mm", "ok"), *_freedom(robot)]

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import argparse
-import math
 from pathlib import Path
 from typing import Any
 
-from moc_opt.errors import RobotError
 from moc_opt.inputs.files import decimal
 
 VERDICTS = {"ok": "can be used", "care": "can be used with care", "cannot": "cannot be used"}
@@ -22,7 +20,8 @@ def add_commands(commands: Any) -> None:
     new.add_argument("--tip", metavar="LINK", help="the link that carries the tool; else that of the last joint")
     new.add_argument("--tool", type=float, default=0.30, metavar="M", help="length of the tool [m]")
     new.add_argument(
-        "--lock", action="append", default=[], metavar="JOINT[=VALUE]", help="fix this joint [rad, m]; may be repeated"
+        "--lock", action="append", default=[], type=_lock, metavar="JOINT[=VALUE]",
+        help="fix this joint [rad, m]; may be repeated",
     )
     new.add_argument(
         "--base-rpy", nargs=3, type=float, default=(0.0, 0.0, 0.0), metavar=("R", "P", "Y"),
@@ -50,7 +49,7 @@ def run_command(given: argparse.Namespace) -> int:
     out = console()
     if given.robot_command == "new":
         made = new_robot(
-            given.source, given.out, tip=given.tip, tool_m=given.tool, lock=_locks(given.lock),
+            given.source, given.out, tip=given.tip, tool_m=given.tool, lock=dict(given.lock),
             base_rpy=tuple(given.base_rpy), seed=given.seed,
         )  # fmt: skip
         print(made.toml, made.urdf, sep="\n")
@@ -71,11 +70,6 @@ def run_command(given: argparse.Namespace) -> int:
     return 3 if worst == "cannot" else 0
 
 
-def _locks(given: list[str]) -> dict[str, float]:
-    found = {}
-    for text in given:
-        name, _, value = text.partition("=")
-        found[name] = decimal(value or "0")
-        if math.isnan(found[name]):
-            raise RobotError(f"--lock {text!r}: write JOINT or JOINT=VALUE, a number in rad or m")
-    return found
+def _lock(text: str) -> tuple[str, float]:
+    name, _, value = text.partition("=")
+    return name, decimal(value or "0")

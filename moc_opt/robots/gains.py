@@ -20,15 +20,12 @@ if TYPE_CHECKING:
 Table = dict[str, float | tuple[float, ...]]
 
 JOINT_RATE = 12.0
-"""K_N2 over the joint's inertia [1/s]: the LWR4+'s table has 10 to 22 over its joints, 12.5 on the last one."""
-DAMPING_SHARE = 1.0 / 7.0  #: D_N2 over K_N2: the same table has 0.13 to 0.2.
 JOINTS: Mapping[str, tuple[float, float, float]] = {
-    "moc": (JOINT_RATE, DAMPING_SHARE, 125.0), "default": (JOINT_RATE, DAMPING_SHARE, 125.0),
+    "moc": (JOINT_RATE, 1.0 / 7.0, 125.0), "default": (JOINT_RATE, 1.0 / 7.0, 125.0),
     "tuned": (26.0, 0.087, 125.0), "robust": (17.0, 0.133, 85.0),
 }  # fmt: skip
-"""K_N2 over the joint's inertia [1/s], D_N2 over K_N2, and the most that both may be over the inertia of any motion
-that keeps tip and wrist [1/s]. On the LWR4+ the self-motion's rate under "tuned" and "robust" is 2.16 and 1.41 times
-that of "default" (median over random poses), and the largest are 94, 124 and 85/s."""
+"""K_N2 over the joint's inertia [1/s] (10 to 22 in the LWR4+'s table), D_N2 over K_N2 (there 0.13 to 0.2), and the most
+that both may be over the inertia of any motion that keeps tip and wrist [1/s]."""
 CARTESIAN_RATE = 160.0
 """Most that D_X or D_N may be over the lightest mass behind it [1/s]: a third of what three ticks of delay bear at
 500 Hz. The LWR4+'s D_X has 90 over its lightest direction, its D_N 16."""

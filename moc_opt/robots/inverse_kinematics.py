@@ -58,7 +58,7 @@ def pose_with_tip(robot: RobotModel, q: ArrayLike, tip: ArrayLike) -> Array:
     if not placed.found:
         raise TaskError(
             f"incision = {np.round(np.asarray(tip), 4).tolist()} m is out of reach: the tip gets to "
-            f"{1e3 * placed.miss_m:.0f} mm from it{_limits(robot, placed)}; move the patient or the robot's base"
+            f"{1e3 * placed.miss_m:.0f} mm from it; move the patient or the robot's base"
         )
     return placed.q
 
@@ -88,12 +88,7 @@ def pose_through(robot: RobotModel, tip: ArrayLike, trocar: ArrayLike) -> Array:
         nearest = min(tried, key=lambda each: each.miss_m)
         raise TaskError(
             f"trocar = {np.round(p, 4).tolist()} m is out of reach with the tip at {np.round(x, 4).tolist()} m: "
-            f"tip or wrist stays {1e3 * nearest.miss_m:.0f} mm away{_limits(robot, nearest)}; move the trocar or the "
-            "task towards the arm, or turn the line between them"
+            f"tip or wrist stays {1e3 * nearest.miss_m:.0f} mm away; move the trocar or the task towards the arm, or "
+            "turn the line between them"
         )
     return max(good, key=lambda q: np.minimum(robot.q_max - q, q - robot.q_min).min())
-
-
-def _limits(robot: RobotModel, placed: Placed) -> str:
-    names = [robot.data.joint_names[i] for i in placed.at_limit]
-    return f" ({', '.join(names)} at the limit)" if names else ""

@@ -198,9 +198,7 @@ def _find(name_or_path: str | os.PathLike[str]) -> Path:
     if kind == ".toml":
         return path
     if kind != ".urdf":
-        error = UnknownNameError("robot", str(path), known)
-        error.args = (f"{error}; or give the path of a robot's TOML or URDF file",)
-        raise error
+        raise UnknownNameError("robot (or TOML or URDF file)", str(path), known)
     beside = path.with_suffix(".toml")
     if not beside.is_file():
         raise RobotError(

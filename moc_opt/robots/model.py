@@ -26,8 +26,6 @@ from moc_opt.robots.gains import CARTESIAN, derived_gains
 from moc_opt.robots.loader import RobotData, load_data
 
 _STRUCTURAL_ZERO = 1e-12  # a column this small at several random poses is zero at all of them
-
-
 _TIP, _WRIST = slice(0, 3), slice(3, 6)
 
 
@@ -163,9 +161,10 @@ class RobotModel:
     @property
     def arm_arrays(self) -> tuple[Array, ...]:
         """The arm as numbers, in the order of `core.Arm`."""
-        inertias = list(self._pin.inertias)[1:]
+        lower = np.tril_indices(3)
+        bodies = [[body.mass, *(body.mass * body.lever), *body.inertia[lower]] for body in list(self._pin.inertias)[1:]]
         return (
-            self.chain.joints, np.array([_inertia(body) for body in inertias]),
+            self.chain.joints, np.array(bodies),
             np.array(self.data.rotor_inertia, dtype=np.float64), self._offsets, self._mount,
             self.moves.astype(np.float64), np.array(self._pin.gravity.linear),
         )  # fmt: skip
@@ -177,11 +176,7 @@ class RobotModel:
         return RobotModel, (self.data,)  # the views into pinocchio's memory do not survive copying
 
     def state(self, q: ArrayLike, v: ArrayLike | None = None) -> RobotState:
-        """Compute everything at q (n,) [rad] and v (n,) [rad/s] (at rest when None).
-
-        Raises:
-            RobotError: q or v has the wrong shape or is not finite.
-        """
+        """Compute everything at q (n,) [rad] and v (n,) [rad/s] (None: at rest); a RobotError where one is unusable."""
         record, v = np.empty(self._size), self._rest if v is None else v
         try:  # the core checks arrays by itself
             code = self.arm.terms(q, v, record)  # type: ignore[arg-type]
@@ -238,11 +233,7 @@ class RobotModel:
         return build_kinematics(self.data.name, self.chain)
 
     def random_regular_pose(self, rng: np.random.Generator, *, margin: float = 0.1, mu_min: float = 0.05) -> Array:
-        """Draw a pose (n,) that keeps `margin` of each joint's range from both limits, with mu > `mu_min`.
-
-        Raises:
-            RobotError: none found in 1000 draws.
-        """
+        """Draw a pose (n,) that keeps `margin` of each joint's range from both limits, with mu > `mu_min`."""
         room = margin * (self.q_max - self.q_min)
         for _ in range(1000):
             q = rng.uniform(self.q_min + room, self.q_max - room)
@@ -277,22 +268,14 @@ def load_robot(
     """Load a robot by name or path; tables of gains that its TOML does not have are derived from its inertia.
 
     Args:
-        name_or_path: of an arm of the package (`moc-opt robots` lists them), or a TOML or URDF file.
+        name_or_path: of an arm of the package (`moc-opt robots` lists them), or a TOML or URDF file; a RobotError names
+            what is missing or wrong.
         tool_length: from the last flange to the tip [m]; tool_mass: [kg]; None: as its file says.
-
-    Raises:
-        RobotError: a file is missing, incomplete or inconsistent.
-        UnknownNameError: no arm of that name.
     """
     robot = RobotModel(load_data(name_or_path, tool_length=tool_length, tool_mass=tool_mass))
     if not CARTESIAN.keys() <= robot.data.gains.keys():
         robot.data = replace(robot.data, gains={**derived_gains(robot), **robot.data.gains})
     return robot
-
-
-def _inertia(body: Any) -> list[float]:
-    inertia = body.inertia
-    return [body.mass, *(body.mass * body.lever), *(inertia[i, j] for i in range(3) for j in range(i + 1))]
 
 
 def _build(data: RobotData) -> Any:

@@ -26,10 +26,8 @@ from moc_opt.scenario.layout import lay_out
 
 DRAWS = 6000  #: Poses that are drawn; forward kinematics of one takes microseconds.
 SHORTLIST = 60  #: Poses whose self-motion is scanned.
-DOWN = (0.94, 0.8, -1.0)
-"""Least cosine between tool and vertical that is asked for, first to last: 20 deg, 37 deg, any direction."""
-CLEARANCE_M = 0.05
-"""Least height of tip and wrist over the plane that the arm stands on, or depth under that it hangs from [m]."""
+DOWN = (0.94, 0.8, -1.0)  #: Least cosine between tool and vertical, one after the other: 20, 37 deg, any direction.
+CLEARANCE_M = 0.05  #: Least height of tip and wrist over the plane that the arm stands on, or depth under it.
 MARGIN = 0.2  #: Least distance from a limit, as a share of half of the joint's range.
 REGULAR = (0.15, 0.08)  #: Least singular values over the largest, of the tip's Jacobian and of A; see `freedoms`.
 SHARE = (0.7, 0.9)
@@ -119,7 +117,7 @@ def _drives(arm: VendorArm) -> dict[str, list[float]]:
 def _numbers(values: float | Iterable[float]) -> str:
     if isinstance(values, float):
         return repr(values)
-    # Twelve decimals: smaller parts are rounding, and a number below 1e-30 is refused when the file is read.
+    # Twelve decimals: smaller parts are rounding.
     return f"[{', '.join(repr(round(float(value), 12) + 0.0) for value in values)}]"
 
 
@@ -138,11 +136,11 @@ _FORM.filters.update(numbers=_numbers, comment=_comment)
 
 
 class Shaft(NamedTuple):
-    """Where the tool sits, in the frame of the last link."""
+    """Where the tool sits, in the frame of the last link; rpy turns its z into the tool's direction."""
 
     wrist: Array  #: (3,) [m]
     mount: Array  #: (3,) [m]; the link's own origin, put onto the last axis where it is on it but for rounding
-    rpy: tuple[float, float, float]  #: turns z of the link into the tool's direction [rad]
+    rpy: tuple[float, float, float]  #: [rad]
     note: str
 
 

@@ -109,9 +109,6 @@ class Urdf:
         return ET.tostring(root, encoding="unicode") + "\n"
 
 
-# --- reading ---
-
-
 def read(text: str) -> Urdf:
     """Read links and joints, unchecked but for their numbers; a RobotError names what is wrong."""
     try:
@@ -192,8 +189,8 @@ def _check_body(link: Link) -> None:
     if link.mass < SMALLEST_MASS:
         fault = f"its mass is {link.mass:g} kg and must be {SMALLEST_MASS:g} or more"
     if fault:
-        cure = "correct its <inertial> (about the centre of mass, in kg and kg m^2), or drop it for a frame"
-        raise RobotError(f"urdf link {link.name!r} has mass and inertia that no body has: {fault}; {cure}")
+        cure = "correct it (about the centre of mass, in kg and kg m^2), or drop it for a frame"
+        raise RobotError(f"urdf link {link.name!r} has an <inertial> that no body has: {fault}; {cure}")
     # A flat body gets a thickness of 1e-9: as it is, rounding decides whether MuJoCo takes it.
     least, middle, most = principal(link.moments)
     link.thicken(max(_FLAT * most - (least + middle - most), 0.0))

@@ -16,7 +16,7 @@ from moc_opt.robots import urdf
 from moc_opt.robots.model import RobotModel
 from moc_opt.robots.urdf import Joint, Link, Urdf
 
-FINGERS = 2  #: Moving joints in a row that a branch may have to be left out as a finger or a head.
+FINGERS = 2  #: Moving joints in a row that a branch may have to be fixed as a finger or a head.
 FASTEST = {"turning": 2.0 * math.pi, "sliding": 2.0}
 """Joint speeds above it are no arm's [rad/s, m/s]: a public file of the iiwa says 10 rad/s, its maker 1.5 to 2.4."""
 CHOSEN = {"turning": 2.0, "sliding": 0.5}  #: The speed that is taken in place of a missing or absurd one.

@@ -19,15 +19,10 @@ from numpy.typing import NDArray
 from moc_opt import core
 from moc_opt.control.settings import ControlSettings
 from moc_opt.errors import RobotError
-from moc_opt.robots import available_robots, loader
+from moc_opt.robots import loader
 from moc_opt.robots.chain import desired_wrist
 from moc_opt.robots.check import largest_rate
-from moc_opt.robots.gains import (
-    CARTESIAN_RATE,
-    JOINT_RATE,
-    derived_gains,
-    largest_inverse_masses,
-)
+from moc_opt.robots.gains import CARTESIAN_RATE, JOINT_RATE, derived_gains, largest_inverse_masses
 from moc_opt.robots.model import RobotModel, RobotState, carried, layout, load_robot, restored
 from moc_opt.sim.settings import PlantSettings
 from moc_opt.tasks import Trocar
@@ -282,15 +277,6 @@ def test_a_robot_file_without_gains_gets_them_and_keeps_its_own(name: str, tmp_p
     assert set(gains) == {"dcac", "moc", "default", "tuned", "robust"}
 
 
-def test_the_lwr4_gets_what_it_was_tuned_to(robot: RobotModel) -> None:
-    tables = derived_gains(robot)
-    for table in ("default", "tuned", "robust"):
-        for gain in ("K_X", "D_X", "K_N", "D_N"):
-            assert tables[table][gain] == robot.data.gains[table][gain]
-    ratio = np.divide(tables["default"]["K_N2"], robot.data.gains["default"]["K_N2"])
-    assert 0.5 < ratio.min() <= ratio.max() < 1.3
-
-
 @pytest.mark.parametrize("name", ["iiwa14", "panda", "gen3", "xarm7", "lwr4_rail"])
 def test_the_tables_of_a_file_are_those_of_its_masses(name: str) -> None:
     robot = load_robot(name)
@@ -329,9 +315,8 @@ def test_the_largest_rate_is_where_a_delayed_loop_stops_decaying(delay: int, sid
 # --- in a trace ---
 
 
-@pytest.mark.parametrize("name", available_robots())
-def test_a_carried_robot_is_the_same_arm(name: str) -> None:
-    robot = load_robot(name, tool_length=0.25)
+def test_a_carried_robot_is_the_same_arm() -> None:
+    robot = load_robot("lwr4_rail", tool_length=0.25)
     again = restored(json.loads(json.dumps(carried(robot))))
     q, v = robot.data.q_home, np.linspace(-1.0, 1.0, robot.n)
     ours, theirs = robot.state(q, v), again.state(q, v)

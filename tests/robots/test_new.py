@@ -26,7 +26,6 @@ from moc_opt.robots.new import (
     find_shaft,
     new_robot,
     search_home,
-    task_fault,
 )
 from moc_opt.scenario import Scenario, run
 from moc_opt.trace.metrics import summarize
@@ -84,28 +83,13 @@ def test_a_base_on_the_ceiling_hangs(tmp_path: Path) -> None:
     assert hanging.state(hanging.data.q_home).tip[2] < 0.0
 
 
-NAN, MASSLESS = float("nan"), re.sub(r"<inertial>.*?</inertial>", "", text_of(), flags=re.DOTALL)
-FEW = {"joint_1": 0.0, "joint_3": 0.0, "joint_5": 0.0}
-
-
-@pytest.mark.parametrize(("text", "options", "told"), [
-    (text_of(), {"tool_m": NAN}, "length_m"), (text_of(), {"base_rpy": (NAN, 0.0, 0.0)}, "--base-rpy"),
-    (text_of(), {"seed": -1}, "--seed"), (MASSLESS, {}, "joint 'joint_1' moves no mass"),
-    (text_of(), {"lock": {"joint_3": 0.0}}, "of 6 joints the tool's tip and shaft take 5"),
-    (text_of(), {"lock": FEW}, "of 4 joints the tool's tip and shaft take 3"),
-])  # fmt: skip
-def test_what_makes_no_arm_is_refused_and_leaves_no_file(text: str, options: dict, told: str, tmp_path: Path) -> None:
-    with pytest.raises(RobotError, match=told):
-        made(tmp_path, text, **options)
+def test_what_makes_no_arm_is_refused_and_leaves_no_file(tmp_path: Path) -> None:
+    massless = re.sub(r"<inertial>.*?</inertial>", "", text_of(), flags=re.DOTALL)
+    with pytest.raises(RobotError, match="joint 'joint_1' moves no mass"):
+        made(tmp_path, massless)
+    with pytest.raises(RobotError, match="of 4 joints the tool's tip and shaft take 3"):
+        made(tmp_path, text_of(), lock={"joint_1": 0.0, "joint_3": 0.0, "joint_5": 0.0})
     assert not (tmp_path / "out").exists()
-
-
-def test_a_name_that_no_robot_has_or_a_file_that_is_there_is_refused(panda, tmp_path: Path) -> None:
-    for name in ('a "b" c.toml', "-x.toml", "x.txt"):
-        with pytest.raises(RobotError, match="--out"):
-            new_robot(tmp_path / "a.urdf", tmp_path / name)
-    with pytest.raises(RobotError, match="exists"):
-        new_robot(panda.urdf, panda.toml)
 
 
 def test_numbers_of_rounding_do_not_stand_in_the_file(tmp_path: Path) -> None:
@@ -193,7 +177,7 @@ def test_a_found_pose_is_what_was_asked_for(name: str) -> None:
     assert SHARE[0] <= home.mu / home.mu_best <= SHARE[1]
     assert state.mu == pytest.approx(home.mu)
     assert min(state.tip[2], state.wrist[2]) > CLEARANCE_M - 0.01
-    assert home.task == "" == task_fault(robot, home.q)
+    assert home.task == ""
     if name == "lwr4":
         np.testing.assert_array_equal(search_home(robot, seed=3).q, home.q)
         assert np.abs(search_home(robot, seed=2).q - home.q).max() > 0.1
@@ -240,12 +224,13 @@ def test_from_a_vendors_file_to_a_check_a_run_and_a_replay(tmp_path: Path, monke
 
 @pytest.mark.parametrize(("arguments", "told"), [
     (["--lock", "joint_3=x"], "--lock"), (["--lock", "joint_3"], "of 6 joints"), (["--tip", "gone"], "unknown link"),
-    (["--tool", "-1"], "length_m"),
+    (["--tool", "-1"], "length_m"), (["--base-rpy", "nan", "0", "0"], "--base-rpy"), (["--seed", "-1"], "--seed"),
+    (["--out", "x.txt"], "--out"), (["--out", "my robot.toml"], "--out"),
 ])  # fmt: skip
 def test_what_is_wrong_is_said_in_one_line(arguments: list[str], told: str, tmp_path: Path, capsys) -> None:
     source = tmp_path / "vendor.urdf"
     source.write_text(text_of("iiwa14"), encoding="utf-8")
-    assert main(["robot", "new", str(source), *arguments, "--out", str(tmp_path / "my.toml")]) == 2
+    assert main(["robot", "new", str(source), "--out", str(tmp_path / "my.toml"), *arguments]) == 2
     said = capsys.readouterr().err
     assert told in said
     assert len(said.strip().splitlines()) == 1

@@ -110,9 +110,7 @@ def test_a_joint_that_no_drive_moves_so_is_refused_inside_the_arm_alone(kind: st
 
 def test_names_that_the_tool_needs_are_moved_out_of_the_way(vendors) -> None:
     arm = vendors(added(text_of(), link("world") + joint("tip_frame", "fixed", "world", "link_0")))
-    names = {part.name for part in (*arm.urdf.links, *arm.urdf.joints)}
-    assert {"world_link", "tip_frame_joint"} <= names
-    assert chain(arm) == CHAIN
+    assert {"world_link", "tip_frame_joint"} <= {part.name for part in (*arm.urdf.links, *arm.urdf.joints)}
 
 
 def test_what_is_no_urdf_of_an_arm_is_refused(vendors) -> None:
