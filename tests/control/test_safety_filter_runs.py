@@ -1,5 +1,7 @@
 """The safety filter in whole runs: what it stops, how soon and at which cost; what it must leave alone."""
 
+from unittest.mock import Mock
+
 import numpy as np
 import pytest
 
@@ -11,7 +13,6 @@ from moc_opt.sim import Plant, PlantSettings
 from moc_opt.sim.loop import simulate
 from moc_opt.sim.plant import Stop
 from moc_opt.trace.trace import Trace
-from tests.control.test_incision import seen
 
 PERIOD, N, INF = 0.002, 7, float("inf")
 QUICK = {"bound_samples": 0, "judge": False}
@@ -47,7 +48,7 @@ AT_REST = {
     "task": {"path": "line", "sizes": {"length": 0.02}, "wait_s": 0.2, "hold_s": 10.0},
     "faults": {"replay_at_s": 4.0, "replay_ticks": 80, "forged_stamps": True},
 }  # fmt: skip
-COARSE = {"frozen_velocity": "zero", "forged_stamps": True}
+FORGED = {"frozen_velocity": "zero", "forged_stamps": True}
 
 # name: the run, when the fault begins [s], by when it is stopped [s after], tip error [m], force [N], the reason
 STOPPED = {
@@ -61,6 +62,23 @@ STOPPED = {
     "the same, no noise in the wrench": (
         {**AT_REST, "seed": 8307, "plant": {"force_noise_N": 0.0, "torque_noise_Nm": 0.0}}, 4.0, 0.08, 2e-3, 5.0,
         "came before",
+    ),
+    "forged": (
+        {"faults": {"frozen_at_s": 1.7, **FORGED}, "seed": 501, "duration_s": 2.4,
+         "start": {"pose": "random", "swivel": "random"}}, 1.7, 0.1, 4e-3, 5.0, "",
+    ),
+    # A lag that grows by a reading that comes twice: 57 mm without the check. Before the arm moves it does no harm.
+    "forged-lag-at-rest": (
+        {"faults": {"lag_at_s": 0.0, "lag_growth": 0.3, "forged_stamps": True}, "seed": 2345, "control": DCAC,
+         "task": STILL, "duration_s": 1.5, **ANYWHERE}, 0.0, 0.24, 4e-3, 5.0, "",
+    ),
+    "forged-lag-in-motion": (
+        {"faults": {"lag_at_s": 0.6, "lag_growth": 0.3, "forged_stamps": True}, "seed": 2345, "control": DCAC,
+         "robot": {"name": "gen3"}, "duration_s": 1.5, **ANYWHERE}, 0.6, 0.14, 4e-3, 5.0, "",
+    ),
+    "one-frozen-found-by-its-noise": (  # at the latest after as many ticks as its noise lets it repeat itself
+        {"faults": {"frozen_at_s": 0.8, "frozen_joint": 1, "frozen_velocity": "zero"}, "seed": 2100, "duration_s": 3.0,
+         "guard": {"repeat_reading_ticks": 10**6}, **SWIVEL}, 0.8, 0.183, 0.045, 25.0, "",
     ),
     "slip": ({"faults": {"slip_m": 0.1, "slip_at_s": 1.5}}, 1.5, 0.1, 1.0, 75.0, "force has been above 15 N"),
     "slip-under-a-frozen-wrench": (
@@ -81,10 +99,10 @@ STOPPED = {
         2.02, 4.0, 0.13, 32.0, "the trocar's force",
     ),
     "coarse-frozen": (
-        {"faults": {"frozen_at_s": 1.0, **COARSE}, "seed": 11, "plant": QUANTIZED}, 1.0, 0.3, 0.006, 25.0, "",
+        {"faults": {"frozen_at_s": 1.0, **FORGED}, "seed": 11, "plant": QUANTIZED}, 1.0, 0.3, 0.006, 25.0, "",
     ),
     "coarse-one-frozen": (  # found by its momentum alone
-        {"faults": {"frozen_at_s": 1.4, "frozen_joint": 3, **COARSE}, "seed": 11, "plant": QUANTIZED},
+        {"faults": {"frozen_at_s": 1.4, "frozen_joint": 3, **FORGED}, "seed": 11, "plant": QUANTIZED},
         1.4, 0.3, 0.1, 25.0, "",
     ),
     "one-frozen-without-noise": (  # by its momentum, or by the trocar's force after tens of millimetres
@@ -100,17 +118,6 @@ def test_measurements_that_are_not_to_be_believed_stop_the_arm(name):
     scenario, *limits = STOPPED[name]
     trace = stopped(*limits, **scenario)
     assert np.abs(trace.v_rad_per_s[-1]).max() < 0.03
-
-
-@pytest.mark.parametrize("seed", range(2))
-def test_frozen_readings_with_forged_numbers_are_seen_through(seed):
-    """Poses and moments that no level was chosen on; small tasks and large ones."""
-    rng = np.random.default_rng(100 + seed)
-    at = float(rng.uniform(0.0, 2.5))
-    task = {"path": str(rng.choice(["line", "spiral"])), "v_max_m_per_s": float(rng.uniform(0.01, 0.1))}
-    faults = {"frozen_at_s": at, "forged_stamps": True, "frozen_velocity": ("repeated", "zero")[seed % 2]}
-    start = {"pose": "random", "swivel": "random"}
-    stopped(at, 0.1, 4e-3, 5.0, seed=500 + seed, start=start, faults=faults, task=task, duration_s=at + 0.7)
 
 
 def one_encoder(kind, rng, joint):
@@ -138,46 +145,6 @@ def test_one_encoder_that_is_stuck_or_lags_is_found(robot, kind):
     seed = int(rng.integers(2000, 3000))
     stopped(at, within, error, 6.0, seed=seed, robot={"name": robot}, faults=faults, duration_s=at + within + 0.1,
             **ANYWHERE)  # fmt: skip
-
-
-@pytest.mark.parametrize(("robot", "task", "at"), [("lwr4", STILL, 0.0), ("gen3", {}, 0.6), ("xarm7", STILL, 0.4)])
-def test_a_lag_under_forged_numbers_repeats_readings(robot, task, at):
-    """It grows by a reading that comes twice, at rest as in motion, from the first tick on: 57 mm without.
-
-    Before the arm moves no velocity is other than zero, and no lag does harm.
-    """
-    growth = float(np.random.default_rng(2120).uniform(0.05, 1.0))
-    begins = max(at, 0.1)
-    faults = {"lag_at_s": at, "lag_growth": growth, "forged_stamps": True}
-    stopped(min(at, begins), begins - at + 5 / growth * PERIOD + 0.1, 4e-3, 5.0, seed=2345, robot={"name": robot},
-            control=DCAC, task=task, faults=faults, duration_s=1.5, **ANYWHERE)  # fmt: skip
-
-
-@pytest.mark.parametrize(("seed", "joint"), [(2100, 1), (2101, 3)])
-def test_one_stuck_encoder_is_found_by_its_noise_at_the_latest(joint, seed):
-    """After as many ticks as its noise lets it repeat itself: before that check 204 mm and 61 N."""
-    at = float(np.random.default_rng([seed, joint]).uniform(0.5, 2.0))
-    scenario = {
-        "faults": {"frozen_at_s": at, "frozen_joint": joint, "frozen_velocity": "zero"}, "seed": seed,
-        "guard": {"repeat_reading_ticks": 10**6}, "duration_s": 3.0, **SWIVEL,
-    }  # fmt: skip
-    ticks = Scenario(**scenario).told_guard.repeat_joint_ticks
-    stopped(at, PERIOD * (ticks + 2) + 1e-9, 0.045, 25.0, **scenario)
-
-
-@pytest.mark.parametrize(("robot", "joint"), [("lwr4", 1), ("gen3", 2)])
-def test_a_velocity_of_the_wrong_sign_is_seen_as_soon_as_its_joint_moves(robot, joint, monkeypatch):
-    measure = Plant.measure
-
-    def turned(plant):
-        seen = measure(plant)
-        return seen._replace(v=np.where(np.arange(seen.v.size) == joint, -1.0, 1.0) * seen.v)
-
-    monkeypatch.setattr(Plant, "measure", turned)
-    trace = stopped(0.0, 4.0, 1.0, INF, "do not follow their velocities", seed=5, robot={"name": robot}, duration_s=4.0,
-                    **SWIVEL)  # fmt: skip
-    moved = np.abs(trace.q_rad[:, joint] - trace.q_rad[0, joint])[trace.t_s <= trace.meta["stopped_at_s"]]
-    assert moved.max() < 0.01
 
 
 @pytest.mark.parametrize("gain", [-1.0, 0.0])
@@ -237,20 +204,6 @@ def test_a_short_gap_is_bridged(gap):
 # --- the incision ---
 
 
-def test_the_force_agrees_with_the_plant(robot):
-    """In a run with wrong masses and noise: within half a newton of the truth, once means are taken."""
-    trace = run(Scenario(control={"preset": "tuned"}, faults={"slip_m": 0.01}, duration_s=3.0, **QUICK))
-    wrenches = np.hstack([trace.force_N, trace.torque_Nm])
-    felt = np.array([
-        seen(robot, q, p, w)[1]
-        for q, p, w in zip(trace.q_rad, trace.trocar_registered_m, wrenches, strict=True)
-    ])  # fmt: skip
-    true = np.linalg.norm(trace.trocar_force_N, axis=1)
-    assert true.max() > 7.0
-    for part in (slice(250, 950), slice(1150, None)):  # before and after the slip
-        assert np.sqrt(np.mean(felt[part] ** 2)) == pytest.approx(np.sqrt(np.mean(true[part] ** 2)), abs=0.5)
-
-
 @pytest.mark.parametrize("control", [
     {"preset": "tuned", "limit_margin_rad": 0.0},
     {**DCAC, "K_X": 3000.0, "D_X": 80.0, "K_N": 800.0, "D_N": 60.0},
@@ -267,18 +220,12 @@ def test_an_arm_at_its_wall_is_stopped(control):
     assert free.rcm_error_m.max() > 0.014
     assert {w["of"] for w in free.meta["warnings"]} == {"the RCM error", "the trocar's force"}
     told = "the RCM error has been above 10 mm"
-    trace = stopped(0.0, 20.0, 0.03, INF, told, control=control, guard=wall, duration_s=None)
-    stop = trace.t_s >= trace.meta["stopped_at_s"]
+    trace = stopped(0.0, 20.0, 0.03, 11.0, told, control=control, guard=wall, duration_s=None)
     assert trace.rcm_error_m.max() < 0.0145
     # the tissue's spring pushes the arm back, its brakes open, until they close at half of stop_yield_N
-    newton = np.linalg.norm(trace.trocar_force_N[stop], axis=1)
-    assert newton.max() < 11.0
-    assert newton[-1] < 0.5 * SafetyFilterSettings().stop_yield_N + 0.5
-    assert np.abs(trace.v_rad_per_s[stop]).max() < 0.3
+    assert np.linalg.norm(trace.trocar_force_N[-1]) < 0.5 * SafetyFilterSettings().stop_yield_N + 0.5
     assert np.abs(trace.v_rad_per_s[-1]).max() < 0.03
-    rcm, *_ = trace.meta["warnings"]
-    assert rcm["of"] == "the RCM error"
-    assert 0.0 < rcm["first_s"] < trace.meta["stopped_at_s"]
+    assert 0.0 < trace.meta["warnings"][0]["first_s"] < trace.meta["stopped_at_s"]
 
 
 # --- what is left alone ---
@@ -345,58 +292,22 @@ def test_the_robust_gains_bear_four_ticks_of_delay(plant):
     assert rates[1] < 1.5 * rates[0]
 
 
-@pytest.mark.parametrize(("swivel", "law"), [(0.0, "moc"), (1.0, "dcac")])
-def test_a_joint_that_begins_inside_its_wall_is_not_thrown_out_of_it(swivel, law):
-    """At either end of the self-motion one joint stands on its limit; the wall used to throw the tip 25 mm off."""
-    trace = run(Scenario(start={"swivel": swivel}, control={"law": law}, duration_s=1.5, **QUICK))
-    assert trace.meta["ended"] == "completed"
-    assert trace.tip_error_m.max() < 2e-3
-    assert trace.rcm_error_m.max() < 4e-3
-
-
 # --- controllers that break down ---
-
-
-class Saboteur:
-    """Asks for twice the largest torques, in directions that change at random; it sees no tip."""
-
-    def __init__(self, robot, every, seed):
-        self.robot, self.every, self.k = robot, every, 0
-        self.rng = np.random.default_rng(seed)
-        self.direction = self.rng.choice([-1.0, 1.0], N)
-
-    def start(self, *_):
-        pass
-
-    def set_applied_torque(self, tau):
-        pass
-
-    def columns(self, ticks):
-        return {}
-
-    def note(self, row, columns):
-        pass
-
-    def tick(self, q, v, *_):
-        self.k += 1
-        if self.k % self.every == 0:
-            self.direction = self.rng.choice([-1.0, 1.0], N)
-        return 2.0 * self.robot.tau_max * self.direction
 
 
 @pytest.mark.parametrize(("every", "seed"), [(1, 0), (100, 1), (10_000, 2)])
 def test_a_saboteur_gets_no_joint_past_its_limit(robot, every, seed):
+    """It asks for twice the largest torques, in directions that change at random, and shows no tip."""
     # Readings without bias: of 60 such courses one passes a limit by 0.01 rad, with a bias of 0.1 mrad three do.
     free = PlantSettings.realistic(trocar_stiffness_N_per_m=0.0, trocar_damping_Ns_per_m=0.0, encoder_bias_rad=0.0)
     plant = Plant(robot.data, free, seed=seed)
     place = 0.1 + 0.8 * np.random.default_rng(seed).uniform(size=N)
     plant.reset(robot.q_min + place * (robot.q_max - robot.q_min))
-    ticks = 600
+    asked = np.random.default_rng(seed).choice([-1.0, 1.0], (601, N))[np.arange(1, 601) // every]
+    saboteur = Mock(spec=["start", "tick", "set_applied_torque", "columns", "note"])
+    saboteur.tick.side_effect, saboteur.columns.return_value = iter(2.0 * robot.tau_max * asked), {}
     guard = SafetyFilter(robot, SafetyFilterSettings(), PERIOD, incision=False, momentum=False)
-    trace = simulate(
-        plant, Saboteur(robot, every, seed), np.zeros((ticks, 3, 3)), np.zeros((ticks, 2, 3)),
-        np.zeros((ticks, 2, 3)), safety_filter=guard,
-    )  # fmt: skip
+    trace = simulate(plant, saboteur, *map(np.zeros, ((600, 3, 3), (600, 2, 3), (600, 2, 3))), safety_filter=guard)
     assert trace.limited.any()
     assert (trace.q_rad >= robot.q_min - 1e-3).all()
     assert (trace.q_rad <= robot.q_max + 1e-3).all()
