@@ -1,5 +1,7 @@
 """Faults as settings: what they do, when, and that the seed alone decides."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -62,27 +64,18 @@ def test_bias_noise_and_jump_of_the_seed():
     assert (one != other).any()
 
 
-class Pushed:
-    """Remembers what is held on each link."""
-
-    def __init__(self):
-        self.held = {}
-
-    def push(self, link, force):
-        self.held[link] = np.array(force)
-
-
 @pytest.mark.parametrize(("at", "long"), [(0.02, 0.01), (0.021, 0.01), (0.0199, 0.0003), (0.0, 0.01)])
 @pytest.mark.parametrize("link", ["link_4", "tool"])
 def test_a_bump_begins_and_ends(link, at, long):
     """Also where its times lie between the ticks; the shortest one lasts a tick. A payload on the tool stays there."""
-    plant, mine = Pushed(), faults(bump_N=30.0, bump_at_s=at, bump_s=long, bump_link=link, payload_kg=2.0)
+    held, mine = {}, faults(bump_N=30.0, bump_at_s=at, bump_s=long, bump_link=link, payload_kg=2.0)
+    plant = SimpleNamespace(push=held.__setitem__)
     weight = np.array([0.0, 0.0, -2.0 * GRAVITY])
     begin, ticks, pushed = round(at / PERIOD), max(1, round(long / PERIOD)), []
     for k in range(30):
         mine.act(plant, k)
-        pushed.append(plant.held.get(link, np.zeros(3)) - (weight if link == "tool" else 0.0))
-        assert link == "tool" or (plant.held["tool"] == weight).all()
+        pushed.append(held.get(link, np.zeros(3)) - (weight if link == "tool" else 0.0))
+        assert link == "tool" or (held["tool"] == weight).all()
     on = (np.arange(30) >= begin) & (np.arange(30) < begin + ticks)
     np.testing.assert_allclose(np.linalg.norm(pushed, axis=1), 30.0 * on, atol=1e-9)
     np.testing.assert_allclose(np.array(pushed)[:, 2], 0.0, atol=1e-9)
