@@ -45,17 +45,13 @@ def _command(arguments: Sequence[str] | None) -> int:
     try:
         check_paths(given)
         return work_of(given.command)(given)
-    except (MocOptError, MemoryError) as error:
+    except (Exception, KeyboardInterrupt) as error:
+        refused = isinstance(error, MocOptError | MemoryError)
+        status = 130 if isinstance(error, KeyboardInterrupt) else 2 if refused else 1
+        if isinstance(error, BrokenPipeError) or (status == 1 and not hasattr(error, "__notes__")):
+            raise  # a defect has notes where the rows of its run are safe
         print(_one_line(error), file=sys.stderr)
-        return 2
-    except KeyboardInterrupt as error:
-        print(_one_line(error), file=sys.stderr)
-        return 130
-    except Exception as error:
-        if isinstance(error, BrokenPipeError) or not hasattr(error, "__notes__"):
-            raise
-        print(_one_line(error), file=sys.stderr)  # a defect, in a run whose rows are safe
-        return 1
+        return status
 
 
 def _one_line(error: BaseException) -> str:

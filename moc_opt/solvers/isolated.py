@@ -41,9 +41,9 @@ class Unanswered(Exception):
 
 
 class Restart(NamedTuple):
-    """The replacement of a process: the number of answers requested before, and the reason."""
+    """The replacement of a process."""
 
-    tick: int
+    tick: int  #: how many answers were requested before
     reason: str
 
 
@@ -164,11 +164,9 @@ class _Ended(Exception):
 
 
 class _Process:
-    """A process that starts a session and answers one request after another; it is killed when this object goes.
+    """A process that starts a session and answers one request after another; it is killed when this object goes."""
 
-    A Popen: multiprocessing's Process would run the caller's script once more, and daemonic workers of a process pool
-    may not have one.
-    """
+    # A Popen: a Process of multiprocessing runs the caller's script once more, and a daemonic worker may not have one.
 
     def __init__(self, solver: Isolated, qp: NullSpaceQP) -> None:
         self._pipe, theirs = Pipe()
@@ -234,9 +232,6 @@ def _kill(process: subprocess.Popen[bytes], pipe: Connection, owner: int) -> Non
         os.killpg(process.pid, signal.SIGKILL)
     process.wait()
     pipe.close()
-
-
-# --- in the process ---
 
 
 def serve(fd: int, memory_MB: float) -> None:

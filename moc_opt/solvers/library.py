@@ -1,8 +1,7 @@
 """What the adapters of QP libraries share: settings, buffers, five or six rows, cost scale, duals.
 
 An adapter is one file with a frozen dataclass of its library's settings, derived from `Adapter`, and a
-`LibrarySession` that says where the library's arrays lie, sets it up, hands a subproblem over and runs it. See
-docs/extending.md; ``piqp`` is a short one.
+`LibrarySession`: see docs/extending.md; ``piqp`` is a short one.
 
 Every library wants the same numbers in another place: stacked rows, columns, a packed triangle, a negated side. One
 call of the core puts them there in a microsecond; in numpy that costs as much as the fastest of the libraries.
@@ -46,9 +45,8 @@ class Adapter(SolverSettings):
 
 def refuse_semidefinite(qp: NullSpaceQP, needs: str) -> str | None:
     """Return why a library that ``needs`` a positive definite cost cannot take ``qp``, or None."""
-    if qp.regularization > 1e-10 * (qp.c0 + qp.c1):
-        return None
-    return f"{needs}, and regularization is {qp.regularization:g}: set regularization > 0"
+    why = f"{needs}, and regularization is {qp.regularization:g}: set regularization > 0"
+    return None if qp.regularization > 1e-10 * (qp.c0 + qp.c1) else why
 
 
 class LibrarySession(ABC):

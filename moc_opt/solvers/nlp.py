@@ -3,14 +3,12 @@
     max_x  c2 (mu(q + x T)/T + d^T x) - regularization/2 |x|^2,   d = g - grad mu(q)
     s.t.   tip(q + x T) = tip(q) + v_T T,   E (wrist(q + x T) - wrist(q)) = E v_W T,   lower <= x <= upper
 
-g is the gradient that the subproblem has: it may stand for more than mu, or for a course to follow. Where it is that of
-mu, d is zero. E (2, 3) spans the plane across the tool: the wrist's third row repeats the tip's, and with six rows
-nothing converges.
+g is the subproblem's gradient, which may be that of a course to follow. E (2, 3) spans the plane across the tool: the
+wrist's third row repeats the tip's, and with six rows nothing converges.
 
 This is the null-space subproblem only in the limit T -> 0. At T = 2 ms and joint speeds near 1 rad/s the curvature of
-the kinematics puts an optimal answer 8e-4 m/s (median of random problems, at most 6e-3) off A x = b, at a self-motion
-loss of 7e-4 (at most 0.1, near singularities). A correct answer is therefore not ``residuals().verified()`` with the
-default tolerances.
+the kinematics puts an optimal answer 8e-4 m/s (median of random problems, at most 6e-3) off A x = b: it is not
+``residuals().verified()`` with the default tolerances.
 """
 
 from __future__ import annotations

@@ -37,8 +37,7 @@ ADVICE: dict[str, Advice] = {
     "highs": Advice(1e3, {"time_limit": 0.1}),  # unscaled its QP solver cycles for ever
     "osqp": Advice(1e2, {"eps_abs": 1e-8, "eps_rel": 0.0}),  # with 1e-3 nine answers in ten are wrong
     "piqp": Advice(1e3, {"eps_abs": 1e-9, "eps_rel": 0.0}),
-    # Its eps_primal_inf = 1e-4 cannot be set through qpsolvers: 4 % of feasible problems are called
-    # infeasible (16 % when regularization = 0). The native adapter "proxqp" has the cure.
+    # Its eps_primal_inf = 1e-4 cannot be set through qpsolvers: 4 % of feasible problems are called infeasible.
     "proxqp": Advice(1e3, {"eps_abs": 1e-9, "eps_rel": 0.0}),
     "scs": Advice(1e3, {"eps_abs": 1e-8, "eps_rel": 0.0}),  # with 1e-4 half of the answers are wrong
 }
@@ -189,7 +188,7 @@ class QPSolver(SolverSettings):
     library: str
     rows: int = 5
     cost_scale: float | None = None
-    options: Mapping[str, Any] = field(default_factory=dict, hash=False)
+    options: Mapping[str, Any] | None = field(default=None, hash=False)
     advised: bool = True
     session = QPSolverSession
     choices: ClassVar[Choices] = {"rows": ROWS}
@@ -197,14 +196,14 @@ class QPSolver(SolverSettings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        object.__setattr__(self, "options", checked(self.name, self.options))
+        object.__setattr__(self, "options", checked(self.name, {} if self.options is None else self.options))
 
     @property
     def advice(self) -> Advice:
         """The scale of the cost and the library's keyword arguments, as they are passed on."""
         base = ADVICE.get(self.library, Advice()) if self.advised else Advice()
         scale = base.cost_scale if self.cost_scale is None else self.cost_scale
-        return Advice(scale, {**base.options, **self.options})
+        return Advice(scale, {**base.options, **(self.options or {})})
 
     def supports(self, qp: NullSpaceQP) -> str | None:
         """Return the reason why quadprog, which factorises P, cannot take a problem; the others take all."""

@@ -9,7 +9,6 @@ import importlib
 import inspect
 import warnings
 from collections.abc import Callable
-from dataclasses import MISSING, fields, is_dataclass
 from functools import partial
 from importlib.metadata import EntryPoint
 from importlib.util import find_spec
@@ -114,12 +113,7 @@ def check_name(name: str) -> None:
 
 def defaults(name: str) -> dict[str, Any]:
     """Return setting -> default of the named solver, where there is one; raises what ``create`` raises."""
-    entry = find(name)
-    found = {p.name: p.default for p in entry.parameters.values() if p.default is not p.empty}
-    made = entry.make.func if isinstance(entry.make, partial) else entry.make
-    if is_dataclass(made):  # a signature has no more than a mark where a default is made anew each time
-        found |= {f.name: f.default_factory() for f in fields(made) if f.default_factory is not MISSING}
-    return found
+    return {p.name: p.default for p in find(name).parameters.values() if p.default is not p.empty}
 
 
 def create(name: str, **settings: Any) -> Solver:

@@ -2,8 +2,7 @@
 
 A simulated run has
 
-- ``ended``: "completed", "oscillated: ...", "stopped: ...", "ran away ..."; ``stopped_at_s`` [s] where it was stopped;
-- ``ticks`` of ``ticks_planned``, and ``period_s``;
+- ``ended``: the ending, and its reason; ``stopped_at_s`` [s]; ``ticks`` of ``ticks_planned``, and ``period_s``;
 - ``warnings``: what exceeded a warning level of the safety filter, and ``faults``: the refused answers of the third
   level, label -> count, first_at_s, first (in words);
 - ``restarts``: when (at_s) the process of an isolated solver was replaced, and why (reason);

