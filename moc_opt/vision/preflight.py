@@ -21,10 +21,8 @@ from moc_opt.tasks import Reference, Trocar
 Found = TypeVar("Found")
 
 SINGULAR = (1e-4, 1e-4)  #: Least `Freedoms.tip` and `Freedoms.both`.
-REGULAR = (0.1, 0.05)
-"""The same at a random start and along the path from it. The home pose of the LWR4+ has 0.41 and 0.14."""
-DRAWN_MARGIN = 0.1
-"""Share of each joint's range that a random start keeps from both limits before its swivel is chosen."""
+REGULAR = (0.1, 0.05)  #: The same at a random start and along the path from it. The LWR4+'s home has 0.41 and 0.14.
+DRAWN_MARGIN = 0.1  #: Of each joint's range, that a random start keeps from both limits before its swivel is chosen.
 DRAWS = 200  #: Poses that are tried for a random start.
 SPACING_M = 0.005  #: Distance between the points at which the path is checked [m].
 _TIMES = 1500

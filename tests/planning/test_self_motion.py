@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from moc_opt.errors import RobotError
-from moc_opt.planning.elbow import Elbow
+from moc_opt.planning.elbow import Elbow, distance_to_go, in_transient
 from moc_opt.planning.self_motion import (
     best_freedoms,
     freedoms,
@@ -131,3 +131,46 @@ def test_an_arm_without_freedom_is_refused_where_the_third_level_is_asked_for(tm
 def test_limit_shares_are_one_in_the_middle_and_zero_at_a_limit(robot):
     np.testing.assert_allclose(limit_shares(robot, 0.5 * (robot.q_min + robot.q_max)), 1.0)
     np.testing.assert_allclose(limit_shares(robot, robot.q_max), 0.0, atol=1e-12)
+
+
+T = np.arange(0.0, 4.0, 0.02)
+
+
+@pytest.fixture(scope="module")
+def curve(robot):
+    return self_motion(robot, robot.data.q_home)
+
+
+@pytest.fixture(scope="module")
+def place(curve):
+    """Poses at arc lengths from the top of the curve."""
+    top = curve.s[np.argmax(curve.mu)] - curve.s[0]
+    return lambda s: np.array([curve.at((top + each) / (curve.s[-1] - curve.s[0])) for each in np.atleast_1d(s)])
+
+
+def test_distance_is_the_arc_length_along_the_self_motion(robot, curve, place):
+    offsets = np.array([-0.6, -0.3, -0.1, 0.1, 0.3, 0.6])
+    distance = distance_to_go(robot, [*place(offsets), curve.best, np.zeros(7)])
+    np.testing.assert_allclose(distance[:6], np.abs(offsets), atol=0.02)
+    assert distance[6] < 1e-3
+    assert np.isnan(distance[7]), "a straight arm is singular"
+
+
+@pytest.mark.parametrize(("way", "speed", "before", "after"), [(1.0, 0.5, 1.7, 1.9), (0.4, 0.1, 2.8, 3.2)])
+def test_an_elbow_at_speed_travels_until_it_is_within_a_tenth_of_a_radian(robot, place, way, speed, before, after):
+    flags = in_transient(robot, T, place(np.minimum(speed * T - way, 0.0)))
+    assert flags[before > T].all()
+    assert not flags[after < T].any()
+
+
+def test_an_elbow_that_rests_or_is_slow_or_follows_its_moving_optimum_is_in_no_transient(robot, curve, place):
+    """Turning the base carries arm and optimum along at any speed; turning the last joint turns the tool alone."""
+    far, turns = np.tile(place(-0.5), (100, 1)), np.linspace(0.0, 1.0, 100)
+    base, last = (np.outer(turns, axis) for axis in np.eye(7)[[0, 6]])
+    for q in (far, curve.best + base, far + last):
+        assert not in_transient(robot, 0.01 * np.arange(100), q).any()
+    assert not in_transient(robot, T, place(0.03 * T - 0.4)).any()
+
+
+def test_one_tick_is_no_journey(robot):
+    assert not in_transient(robot, [0.0], [robot.data.q_home]).any()

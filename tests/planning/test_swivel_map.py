@@ -119,19 +119,11 @@ def test_what_is_out_of_reach_is_said_to_be(robot, runs):
     assert np.isfinite(some.best_mu[:2]).all()
 
 
-def test_the_least_map_has_two_times_and_eight_swivels(robot, runs):
-    moc = {"MOC": runs["MOC"]}
-    for times, swivels in ((1, 8), (2, 7)):
-        with pytest.raises(ReportError, match=f"1 runs, {times} times, {swivels} swivels"):
-            manipulability_map(robot, moc, times=times, swivels=swivels)
-    assert manipulability_map(robot, moc, times=2, swivels=8).mu.shape == (2, 8)
-
-
 def test_wrong_input_is_refused(robot, odd_robot, runs):
     moc = runs["MOC"]
     moved = moc.with_columns(tip_ref_m=moc.tip_ref_m + 1e-3)
-    bare = Trace({name: moc.columns[name] for name in ("t_s", "q_rad", "tip_m", "tip_ref_m")})
     wild = moc.with_columns(tip_m=np.where(np.arange(len(moc))[:, None] > 9, np.nan, moc.tip_m))
+    bare = Trace({name: moc.columns[name] for name in ("t_s", "q_rad", "tip_m", "tip_ref_m")})
     for traces, words in (
         ({}, "0 runs"), ({"a": moc, "b": moved}, "'b' was given another path"), ({"x": bare}, "no column 'trocar_m'"),
         ({"x": Trace({"t_s": moc.t_s, "q_rad": moc.q_rad})}, "lacks the columns tip_m, tip_ref_m"),
@@ -141,6 +133,9 @@ def test_wrong_input_is_refused(robot, odd_robot, runs):
     ):  # fmt: skip
         with pytest.raises(ReportError, match=words):
             manipulability_map(robot, traces)
+    for times, swivels in ((1, 8), (2, 7)):
+        with pytest.raises(ReportError, match=f"1 runs, {times} times, {swivels} swivels"):
+            manipulability_map(robot, {"MOC": moc}, times=times, swivels=swivels)
     state = odd_robot.state(odd_robot.data.q_home)
     ticks = np.ones((4, 1))
     odd = Trace({

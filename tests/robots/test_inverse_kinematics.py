@@ -60,14 +60,6 @@ def test_what_is_no_pose_and_no_point_is_refused(robot, q, tip, message):
         solve_pose(robot, q, tip)
 
 
-def test_without_limits_the_search_leaves_them(robot):
-    state, q = robot.state(robot.data.q_home), [9, 0, 0, 0, 0, 0, 0]
-    free, bound = (solve_pose(robot, q, state.tip, state.wrist, limited=limited) for limited in (False, True))
-    assert free.miss_m < 1e-6
-    assert not inside(robot, free.q)
-    assert inside(robot, bound.q)
-
-
 @given(st.integers(0, 10_000))
 @settings(max_examples=25)
 def test_tip_and_trocar_of_a_pose_can_be_had_again(robot, seed):

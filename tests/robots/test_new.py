@@ -14,19 +14,10 @@ import pytest
 from moc_opt.__main__ import main
 from moc_opt.errors import RobotError
 from moc_opt.planning.self_motion import freedoms, limit_shares
-from moc_opt.robots import available_robots
-from moc_opt.robots.check import check_robot, verdict
+from moc_opt.robots import available_robots, new
+from moc_opt.robots.check import Finding, check_robot, verdict
 from moc_opt.robots.model import RobotModel, load_robot
-from moc_opt.robots.new import (
-    CLEARANCE_M,
-    MARGIN,
-    REGULAR,
-    SHARE,
-    NewRobot,
-    find_shaft,
-    new_robot,
-    search_home,
-)
+from moc_opt.robots.new import NewRobot, find_shaft, new_robot, search_home
 from moc_opt.scenario import Scenario, run
 from moc_opt.trace.metrics import summarize
 from tests.robots.arms import added, changed, joint, link, text_of, with_hand
@@ -64,7 +55,7 @@ def test_the_new_robot_is_the_vendors_with_a_home_pose_from_which_it_gains_manip
         np.testing.assert_allclose(ours.state(q).tip, theirs.state(q).tip, rtol=0, atol=1e-9)
     left = freedoms(ours, ours.data.q_home)
     assert (left.rank, left.real, left.idle) == (5, 1, (6,))
-    assert limit_shares(ours, ours.data.q_home)[:6].min() > MARGIN - 0.02
+    assert limit_shares(ours, ours.data.q_home)[:6].min() > new.MARGIN - 0.02
     assert verdict(check_robot(ours)) == "ok"
     trace = run(Scenario(robot={"name": str(panda.toml)}, bound_samples=0, judge=False))
     assert trace.meta["ended"] == "completed"
@@ -90,13 +81,6 @@ def test_what_makes_no_arm_is_refused_and_leaves_no_file(tmp_path: Path) -> None
     with pytest.raises(RobotError, match="of 4 joints the tool's tip and shaft take 3"):
         made(tmp_path, text_of(), lock={"joint_1": 0.0, "joint_3": 0.0, "joint_5": 0.0})
     assert not (tmp_path / "out").exists()
-
-
-def test_numbers_of_rounding_do_not_stand_in_the_file(tmp_path: Path) -> None:
-    """A joint without an axis turns about x: the mount's angles come out as 1e-31."""
-    bare = re.sub(r'(<joint name="joint_7".*?)<axis [^>]*/>', r"\1", text_of("iiwa14"), flags=re.DOTALL)
-    assert bare != text_of("iiwa14")
-    assert "e-" not in made(tmp_path, bare).toml.read_text(encoding="utf-8").split("[joints]")[0]
 
 
 # --- files of packages, where they are installed ---
@@ -171,12 +155,12 @@ def test_a_found_pose_is_what_was_asked_for(name: str) -> None:
     robot = load_robot(name)
     home = search_home(robot, seed=3)
     left, state = freedoms(robot, home.q), robot.state(home.q)
-    assert left.tip > REGULAR[0]
-    assert left.both > REGULAR[1]
-    assert home.margin > MARGIN - 0.01  # poses are rounded to two digits
-    assert SHARE[0] <= home.mu / home.mu_best <= SHARE[1]
+    assert left.tip > new.REGULAR[0]
+    assert left.both > new.REGULAR[1]
+    assert home.margin > new.MARGIN - 0.01  # poses are rounded to two digits
+    assert new.SHARE[0] <= home.mu / home.mu_best <= new.SHARE[1]
     assert state.mu == pytest.approx(home.mu)
-    assert min(state.tip[2], state.wrist[2]) > CLEARANCE_M - 0.01
+    assert min(state.tip[2], state.wrist[2]) > new.CLEARANCE_M - 0.01
     assert home.task == ""
     if name == "lwr4":
         np.testing.assert_array_equal(search_home(robot, seed=3).q, home.q)
@@ -235,3 +219,74 @@ def test_what_is_wrong_is_said_in_one_line(arguments: list[str], told: str, tmp_
     assert told in said
     assert len(said.strip().splitlines()) == 1
     assert not (tmp_path / "my.toml").exists()
+
+
+def rows(robot: RobotModel, scenario: Scenario | None = None) -> dict[str, Finding]:
+    return {row.what: row for row in check_robot(robot, scenario)}
+
+
+def altered(robot: RobotModel, **fields: object) -> RobotModel:
+    return RobotModel(dataclasses.replace(robot.data, **fields))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("name", available_robots())
+def test_the_arms_of_the_package_can_be_used(name: str) -> None:
+    found = check_robot(load_robot(name))
+    assert verdict(found) == "ok"
+    assert len(found) == 11
+    assert not any(row.cure for row in found)
+    assert max(len(row.found) for row in found) <= 54  # 80 columns with the others
+
+
+@pytest.mark.parametrize(("what", "fields", "judged", "told"), [
+    ("joint speeds", {"v_max": [1.9, 1.9, 10.0, 2, 2, 2, 2]}, "care", "joint_3 10 rad/s"),
+    ("gravity at home", {"tau_max": [5.0] * 7}, "cannot", "check masses"),
+    ("masses", {"urdf": ('ixx="0.01845" iyy="0.01602"', 'ixx="5.0" iyy="5.0"')}, "care", "link_1"),
+])  # fmt: skip
+def test_each_fault_turns_its_own_row(robot: RobotModel, what: str, fields: dict, judged: str, told: str) -> None:
+    if "urdf" in fields:
+        assert fields["urdf"][0] in robot.data.urdf
+        fields = {"urdf": robot.data.urdf.replace(*fields["urdf"], 1)}
+    row = rows(altered(robot, **fields))[what]
+    assert row.verdict == judged
+    assert told in row.cure
+
+
+def test_a_joint_that_slides_has_its_room_in_mm() -> None:
+    rail = load_robot("lwr4_rail")
+    row = rows(rail)["nearest limit"]
+    room = min(rail.data.q_home[0] - rail.q_min[0], rail.q_max[0] - rail.data.q_home[0])
+    assert f"joint_1 is {1e3 * room:.0f} mm away" in row.found
+    assert " deg away" in row.found
+    near = rail.data.q_home.copy()
+    near[0] = rail.q_max[0] - 0.04
+    row = rows(altered(rail, q_home=near))["nearest limit"]
+    assert row.verdict == "care"
+    assert "keeps 50 mm free: move home.q_rad 80 mm" in row.cure
+    assert "deg or more" not in row.cure
+
+
+def test_a_singular_home_is_refused_and_every_row_that_is_not_ok_has_a_cure(robot: RobotModel) -> None:
+    found = rows(altered(robot, q_home=np.zeros(7), v_max=np.full(7, 10.0), tau_max=np.full(7, 1.0)))
+    assert verdict(list(found.values())) == "cannot"
+    assert "singular" in found["freedoms left"].cure + found["singular values"].cure
+    assert "task from home" not in found
+    assert sum(row.verdict != "ok" for row in found.values()) >= 3
+    assert all(bool(row.cure) == (row.verdict != "ok") for row in found.values())
+
+
+def test_a_task_out_of_reach_is_told(robot: RobotModel) -> None:
+    asked = Scenario(task={"path": "circle", "sizes": {"radius": 0.5}})
+    row = rows(robot, asked)["task from home"]
+    assert row.verdict == "care"
+    assert row.cure.startswith("make it smaller, or move home.q_rad: ")
+
+
+@pytest.mark.parametrize("factor", [0.9, 8.0])
+def test_gains_beyond_the_limit_swing_and_are_refused(robot: RobotModel, factor: float) -> None:
+    """The verdict is what the plant does: the idle joint without friction, at the LWR4+'s table times a factor."""
+    gains = [factor * gain for gain in robot.data.gains["default"]["K_N2"]]  # type: ignore[union-attr]
+    asked = Scenario(control={"K_N2": gains}, plant={"friction": 0.0}, bound_samples=0, judge=False)
+    asked = asked.change(task={"path": "line", "sizes": {"length": 0.005}})
+    found = next(row for row in check_robot(robot, asked) if row.what == "gains")
+    assert (found.verdict == "cannot") == (run(asked).meta["ended"] != "completed") == (factor > 1.0)

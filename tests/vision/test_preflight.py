@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from moc_opt.errors import ScenarioError, TaskError
-from moc_opt.planning.self_motion import self_motion
+from moc_opt.planning.self_motion import freedoms, self_motion
 from moc_opt.robots.inverse_kinematics import pose_through
 from moc_opt.robots.model import RobotModel
 from moc_opt.scenario import Scenario, Setup, run
@@ -176,19 +176,16 @@ def test_a_circle_out_of_reach_is_found_before_anything_moves():
 # --- random starts ---
 
 
-@pytest.mark.parametrize(("seed", "swivel"), [(0, "given"), (1, "random"), (2, 0.5), (3, "random")])
+@pytest.mark.parametrize(("seed", "swivel"), [(0, "given"), (1, "random"), (2, 0.5)])
 def test_a_random_start_keeps_the_stated_rules(robot, seed, swivel):
     made = setup(seed, PATHS[seed % 3], start={"pose": "random", "swivel": swivel})
-    state = robot.state(made.q_start)
-    tip, both = (np.linalg.svd(matrix, compute_uv=False) for matrix in (state.J_tip, state.A))
-    assert tip[2] / tip[0] >= 0.1
-    assert both[4] / both[0] >= 0.05
+    state, left = robot.state(made.q_start), freedoms(robot, made.q_start)
+    assert left.tip >= 0.1
+    assert left.both >= 0.05
     assert np.minimum(made.q_start - robot.q_min, robot.q_max - made.q_start).min() >= 0.05
     assert min(state.tip[2], state.wrist[2]) >= 0.0
     np.testing.assert_allclose(made.reference.at(0.0)[0], state.tip, atol=1e-9)
-    trocar = made.registered.at(0.0)[0]
-    assert np.linalg.norm(trocar - state.tip) == pytest.approx(0.15)
-    assert np.linalg.norm(np.cross(trocar - state.tip, state.tool_direction)) < 1e-9
+    np.testing.assert_allclose(made.registered.at(0.0)[0], state.tip - 0.15 * state.tool_direction, atol=1e-9)
 
 
 @pytest.mark.parametrize(("name", "margins"), [("lwr4", (0.15, 0.0)), ("lwr4_rail", (0.05, 0.2))])
