@@ -17,7 +17,6 @@ import re
 import signal
 import subprocess
 import sys
-import threading
 from argparse import ArgumentParser, Namespace
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -30,7 +29,7 @@ from pydantic import Field
 from moc_opt.errors import MocOptError, ScenarioError, SolverError, StudyError, UnknownNameError
 from moc_opt.inputs.files import read_toml, to_json, write_whole
 from moc_opt.inputs.settings import Settings
-from moc_opt.report.console import busy, console, progress
+from moc_opt.report.console import console, progress
 from moc_opt.scenario import Scenario
 from moc_opt.solvers import available
 from moc_opt.study.engine import Failed, Job, run
@@ -40,6 +39,8 @@ from moc_opt.study.show import Report
 from moc_opt.study.trials import Run, Trial, outcome, placed
 
 WRONG, INTERRUPTED = 2, 130  # exit status after an error that is the user's or the machine's, and after Ctrl-C
+FILES = ("environment.json", "summary.json", "rows.parquet", "report.html", "report.md")
+CONFIGS = Path(__file__).parents[2] / "benchmarks" / "configs"
 
 
 class StudyConfig(Settings):
@@ -135,17 +136,9 @@ def command(
 ) -> int:  # fmt: skip
     """Parse the command line, work, write and print what was found; SIGTERM ends it as Ctrl-C does.
 
-    Args:
-        name: of the study: its configuration is NAME.toml, its results lie in results/NAME.
-        about: first line of ``--help``.
-        config, work: what the configuration is read into, and the function that makes the findings of it.
-        arguments: of the command; None: those of this process.
-        options: adds options of its own to the parser; `Study.given` has them.
-        folder: of the configurations; None: benchmarks/configs.
-        program: how the command is called; "": python -m benchmarks.NAME.
-
-    Returns:
-        the exit status: that of the findings, 2 after an error (one line on stderr), 130 after Ctrl-C.
+    ``config`` is read from NAME.toml in ``folder`` (None: benchmarks/configs), ``work`` makes the findings of it, and
+    the results lie in results/NAME. ``options`` adds options of its own to the parser; `Study.given` has them.
+    Returns the exit status: that of the findings, 2 after an error (one line on stderr), 130 after Ctrl-C.
     """
     parser = ArgumentParser(prog=program or f"python -m benchmarks.{name}", description=about)
     parser.add_argument("config", nargs="?", type=Path, help=f"TOML; default: {name}.toml of the package")
@@ -156,16 +149,14 @@ def command(
     parser.add_argument("--dask", metavar="ADDRESS", help="let the workers of this Dask scheduler do what is not timed")
     options(parser)
     given = parser.parse_args(arguments)
-    if threading.current_thread() is threading.main_thread():  # no other thread may set a handler
-        signal.signal(signal.SIGTERM, signal.default_int_handler)
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         asked = config.load(given.config or (folder or CONFIGS) / f"{name}.toml", given.seed)
         asked = asked.quick() if given.quick else asked
         study = Study(name, given.out, given, asked.processes)
         check_folder(given.out)
-        begun = busy()  # by others: this study has not begun
         found = work(study, asked)
-        leave(found, study, asked, sys.argv[1:] if arguments is None else arguments, begun)
+        leave(found, study, asked, sys.argv[1:] if arguments is None else arguments)
         return found.status
     except (MocOptError, OSError) as error:
         print(f"{type(error).__name__}: {error}", file=sys.stderr)
@@ -175,24 +166,14 @@ def command(
         return INTERRUPTED
 
 
-FILES = ("environment.json", "summary.json", "rows.parquet", "report.html", "report.md")
-
-
 def check_folder(out: Path) -> None:
     """Refuse a folder whose files of these names no study has written; a StudyError names them, before any work."""
     there = [name for name in FILES if (out / name).exists()]
-    try:
-        ours = not there or '"study":' in (out / FILES[0]).read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError):
-        ours = False
-    if not ours:
+    if there and not (there[0] == FILES[0] and b'"study":' in (out / FILES[0]).read_bytes()):
         raise StudyError(f"{out} has {', '.join(there)} that no study has written: give another folder as --out")
 
 
-CONFIGS = Path(__file__).parents[2] / "benchmarks" / "configs"
-
-
-def leave(found: Found, study: Study, config: StudyConfig, argv: Sequence[str], begun: str = "") -> None:
+def leave(found: Found, study: Study, config: StudyConfig, argv: Sequence[str]) -> None:
     """Write the files of a study and print its answer, or its summary with ``--json``."""
     out = study.out
     out.mkdir(parents=True, exist_ok=True)
@@ -211,17 +192,20 @@ def leave(found: Found, study: Study, config: StudyConfig, argv: Sequence[str], 
         screen.print(part, markup=False)
     if study.kept.reused:
         screen.print(f"{study.kept.reused} jobs are those of an earlier run in {out}/jobs.", soft_wrap=True)
-    for sentence in (*found.sentences, *([begun] if begun and not found.report.load else [])):
+    for sentence in found.sentences:
         screen.print(sentence, markup=False, soft_wrap=True)
     screen.print(f"written: {out}/{' '.join([*reversed(FILES), *found.files])}", markup=False, soft_wrap=True)
 
 
 def environment(config: Mapping[str, Any], seed: int, argv: Sequence[str] = ()) -> dict[str, Any]:
     """Return the machine, versions, commit, seed and the whole configuration."""
+    cpu = Path("/proc/cpuinfo")
+    model = re.search(r"model name\s*: (.*)", cpu.read_text()) if cpu.exists() else None
     return {
         "when": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
         "machine": {
-            "system": platform.platform(), "processor": _processor(), "cores": os.cpu_count(),
+            "system": platform.platform(), "cores": os.cpu_count(),
+            "processor": model[1] if model else platform.processor(),
             "python": platform.python_version(), "load_1min": os.getloadavg()[0],
         },
         "threads": os.environ.get("OMP_NUM_THREADS"),
@@ -251,12 +235,6 @@ def runnable(wanted: Sequence[str], *beside: str) -> list[str]:
         name, reason = next(iter(reasons.items()))
         raise SolverError(f"solver {name!r} cannot run here: {reason}")
     return names
-
-
-def _processor() -> str:
-    cpu = Path("/proc/cpuinfo")
-    found = re.search(r"model name\s*: (.*)", cpu.read_text()) if cpu.exists() else None
-    return found[1] if found else platform.processor()
 
 
 def _commit() -> str | None:

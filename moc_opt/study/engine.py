@@ -90,8 +90,10 @@ def run(
         give_up: so many jobs of a group may hang or crash; its later ones are not begun, or do not count.
 
     Raises:
-        StudyError: no worker stays alive, no scheduler answers, or results cannot be kept.
+        StudyError: ``workers`` is below 1, none stays alive, no scheduler answers, or results cannot be kept.
     """
+    if workers is not None and workers < 1:
+        raise StudyError(f"workers = {workers}: give 1 or more, or None for one a core")
     results: dict[int, Any] = {}
     keys = {k: key_of(job.work, job.arguments) for k, job in enumerate(jobs)} if kept is not None else {}
 
@@ -124,12 +126,11 @@ def run(
                 if kept is not None and same and keep(result):
                     kept.put(keys[k], result, answer.sources)
                 finish(k, result)
-    gone = Counter[str]()
+    gone, answers = Counter[str](), list[Any]()
     for k, job in enumerate(jobs):  # in their order: which were under way meanwhile is chance, and differs after a kill
-        if job.group and gone[job.group] >= give_up:
-            results[k] = _not_begun(job.group)
-        gone[job.group] += _broke(results[k])
-    return [results[k] for k in range(len(jobs))]
+        answers.append(_not_begun(job.group) if job.group and gone[job.group] >= give_up else results[k])
+        gone[job.group] += _broke(answers[-1])
+    return answers
 
 
 def _broke(answer: Any) -> bool:
@@ -173,9 +174,7 @@ def _answers(
                     left.append(k)
                     continue
                 else:
-                    raise StudyError(
-                        f"no worker stays alive ({error}): see what was written above, and the memory left"
-                    ) from error
+                    raise StudyError(f"no worker stays alive ({error}); see what was written above") from error
             if isinstance(answer, Failed):
                 answer = replace(answer, parts=_reported(getattr(future, "parts", None)))
             broken[jobs[k].group] += _broke(answer)
@@ -245,7 +244,7 @@ def _processes(count: int) -> Iterator[tuple[Submit, int]]:
     """Start so many workers; leaving it ends them, and whatever they have started."""
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload([*PRELOAD, "__main__"])
-    total = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") // (count + 1)  # of each, and of this process
     with tempfile.TemporaryDirectory(prefix="moc-opt-") as folder:
         for name in ("groups", "parts"):
             Path(folder, name).mkdir()
@@ -255,9 +254,7 @@ def _processes(count: int) -> Iterator[tuple[Submit, int]]:
             # The workers inherit this mask: Ctrl-C while one still imports would end it with a traceback.
             masked = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
             try:
-                made = ProcessPool(
-                    count, initializer=_begin, initargs=(folder, total // (count + 1)), context=context
-                )
+                made = ProcessPool(count, initializer=_begin, initargs=(folder, memory), context=context)
                 made.schedule(os.getpid).result()  # the workers are started now
                 return made
             except BrokenProcessPool as error:
@@ -305,10 +302,7 @@ def _begin(folder: str, memory: int) -> None:
 
 
 def report(part: Any) -> None:
-    """Hand over a part of this job's result: should the job hang or its process die, `Failed.parts` has it.
-
-    Workers of a cluster hand nothing over.
-    """
+    """Hand over a part of this job's result, which `Failed.parts` has should it hang or die; not from a cluster."""
     if _parts is not None:
         _parts.write(pickle.dumps(part))
 
@@ -356,9 +350,7 @@ def _cluster(address: str) -> Iterator[tuple[Submit, int]]:
         executor = client.get_executor(pure=False)
         yield lambda job: executor.submit(_do_within, job.work, job.arguments, job.limit_s), max(1, slots)
     except TimeoutError as error:
-        raise StudyError(
-            f"no worker came to {address}: start one with: dask worker {address} --nthreads 1"
-        ) from error
+        raise StudyError(f"no worker came to {address}: dask worker {address} --nthreads 1 starts one") from error
     finally:
         client.close(timeout=CONNECT_S)
 

@@ -56,7 +56,7 @@ class Kept:
         """Return (result,), or None where there is none or the code has changed since."""
         try:
             entry = self._cache.get(key)
-        except (sqlite3.Error, pickle.UnpicklingError, EOFError, AttributeError, ImportError, ValueError) as error:
+        except Exception as error:  # noqa: BLE001 - damaged, or pickled by other code
             print(f"{self.folder}: a finished job cannot be read ({error}) and is done again", file=sys.stderr)
             return None
         if not isinstance(entry, _Entry) or digest_of(entry.sources) != entry.digest:
@@ -69,10 +69,7 @@ class Kept:
         try:
             self._cache[key] = _Entry(result, sources, digest_of(sources))
         except (OSError, sqlite3.Error) as error:
-            raise StudyError(
-                f"{self.folder}: a finished job cannot be kept ({error}); see to the space and the permissions and "
-                "start the same command again: what was finished before is safe there"
-            ) from error
+            raise StudyError(f"{self.folder}: a finished job cannot be kept ({error}); those before it are") from error
 
 
 def key_of(work: Callable[..., Any], arguments: Iterable[Any]) -> str:
@@ -84,13 +81,15 @@ def key_of(work: Callable[..., Any], arguments: Iterable[Any]) -> str:
 
 
 def loaded_sources() -> tuple[str, ...]:
-    """Return the files that this process has imported from the project, and from wherever else nothing is installed."""
+    """Return the files that this process has imported from the project, and from wherever else nothing is installed.
+
+    It looks again only where a module was imported since: a look takes 50 ms, and a study has a thousand jobs.
+    """
     return _sources(tuple(sys.modules))
 
 
 @lru_cache(maxsize=1)
 def _sources(modules: tuple[str, ...]) -> tuple[str, ...]:
-    """Look again only where a module was imported: the look takes 50 ms, and a study has a thousand jobs."""
     found = [sys.modules.get(name) for name in modules]
     files = {Path(file) for module in found if (file := getattr(module, "__file__", None))}
     installed = {Path(sysconfig.get_path(kind)) for kind in ("stdlib", "platstdlib", "purelib", "platlib")}
@@ -120,11 +119,11 @@ def robot_files() -> tuple[str, ...]:
 @cache
 def versions() -> dict[str, str | None]:
     """Return package -> version, None where it is not installed."""
-    installed: dict[str, str | None] = dict.fromkeys(PACKAGES)
+    found: dict[str, str | None] = dict.fromkeys(PACKAGES)
     for name in PACKAGES:
         with suppress(importlib.metadata.PackageNotFoundError):
-            installed[name] = importlib.metadata.version(name)
-    return installed
+            found[name] = importlib.metadata.version(name)
+    return found
 
 
 @cache

@@ -111,11 +111,7 @@ def spread(entries: Mapping[str, Any], name: str, digits: int = 3, sign: str = "
 
 
 def share(found: int, trials: int) -> Interval:
-    """Return found/trials with the exact binomial interval of independent trials (Clopper and Pearson 1934).
-
-    Raises:
-        StatisticsError: not 0 <= found <= trials, or no trials.
-    """
+    """Return found/trials with the exact binomial interval of independent trials (Clopper and Pearson 1934)."""
     if not 0 <= found <= trials or trials < 1:
         raise StatisticsError(f"found = {found}, trials = {trials}: give at least one trial, and 0 to so many found")
     low, high = stats.binomtest(found, trials).proportion_ci(CONFIDENCE)
@@ -123,12 +119,8 @@ def share(found: int, trials: int) -> Interval:
 
 
 def mean(samples: ArrayLike) -> Interval:
-    """Return the mean of one number a trial, (k,), with its interval.
-
-    Raises:
-        StatisticsError: no sample, or one that is not finite.
-    """
-    return _interval(_mean, samples=samples)
+    """Return the mean of one number a trial, (k,); a StatisticsError where there is none, or one is not finite."""
+    return _interval(np.mean, samples=samples)
 
 
 def relative_change(treated: ArrayLike, control: ArrayLike) -> Interval:
@@ -156,12 +148,8 @@ def difference_of_changes(
     return _interval(_difference, treated=treated, control=control, **before)
 
 
-def _mean(samples: Array, axis: int = -1) -> Array:
-    return np.asarray(np.mean(samples, axis=axis))
-
-
 def _change(treated: Array, control: Array, axis: int = -1) -> Array:
-    return 100.0 * (_mean(treated, axis) / _mean(control, axis) - 1.0)
+    return np.asarray(100.0 * (np.mean(treated, axis=axis) / np.mean(control, axis=axis) - 1.0))
 
 
 def _difference(a: Array, b: Array, c: Array, d: Array, axis: int = -1) -> Array:
@@ -172,14 +160,11 @@ def _checked(given: Mapping[str, ArrayLike]) -> list[Array]:
     found = {name: np.asarray(samples, dtype=np.float64) for name, samples in given.items()}
     for name, array in found.items():
         if array.ndim != 1 or array.size == 0 or not np.isfinite(array).all():
-            raise StatisticsError(
-                f"{name} = {array.tolist()!r:.200}: give one finite number a trial, one trial or more"
-            )
+            raise StatisticsError(f"{name} = {array.tolist()!r:.200}: give one finite number a trial, one or more")
         if name.startswith("control") and array.mean() == 0.0:
             raise StatisticsError(f"{name} has mean 0: a change relative to it has no value")
     if len({len(array) for array in found.values()}) > 1:
-        lengths = ", ".join(f"{name} {len(array)}" for name, array in found.items())
-        raise StatisticsError(f"different numbers of samples, {lengths}: give the same trials")
+        raise StatisticsError(f"{' and '.join(found)} are of different lengths: give the same trials")
     return list(found.values())
 
 
@@ -210,5 +195,5 @@ def _standard_error(statistic: Callable[..., Any], samples: Sequence[Array]) -> 
     count = len(samples[0])
     left = [np.array([np.delete(sample, k) for k in range(count)]) for sample in samples]
     with np.errstate(divide="ignore", invalid="ignore"):
-        found = np.asarray(statistic(*left))
+        found = np.asarray(statistic(*left, axis=-1))
     return float(np.sqrt(count - 1) * found.std()) if np.isfinite(found).all() else 0.0

@@ -177,6 +177,11 @@ def test_the_same_jobs_on_a_cluster(monkeypatch, tmp_path):
         run(jobs, dask="tcp://127.0.0.1:1")
 
 
+def test_no_worker_at_all_is_refused():
+    with pytest.raises(StudyError, match="workers = -3: give 1 or more"):
+        run([Job(work.square, (2.0,))], workers=-3)
+
+
 def test_without_dask_its_package_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(StudyError, match=r".\[cluster\]"):

@@ -79,7 +79,7 @@ def test_no_statistic_of_nothing(bad):
 
 
 def test_pairs_must_be_pairs():
-    with pytest.raises(StatisticsError, match="treated 2, control 3"):
+    with pytest.raises(StatisticsError, match="treated and control are of different lengths"):
         relative_change([1.0, 2.0], [1.0, 2.0, 3.0])
     with pytest.raises(StatisticsError, match="mean 0"):
         relative_change([1.0, 2.0], [-1.0, 1.0])
