@@ -6,9 +6,8 @@ Solvers run in other processes, and each answer has a time limit of its own. All
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from functools import cache, cached_property
+from functools import cache
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -124,27 +123,20 @@ class Answers:
         }  # fmt: skip
         return {"solves": len(status), **{name: int(flags.sum()) for name, flags in found.items()}, **broken}
 
-    @cached_property
-    def figures(self) -> dict[str, float | None]:
-        """Median, 99th percentile and maximum of the residuals over the feasible problems that were answered."""
+    def summary(self, times: Times | None = None) -> dict[str, Any]:
+        """Return counts, largest residuals and times for summary.json, and the first trouble in words.
+
+        Residuals are those of the feasible problems that were answered.
+        """
+        found: dict[str, Any] = dict(self.counts())
         answered = self.problems.feasible & np.isfinite(self.x).all(axis=1)
-        found: dict[str, float | None] = {}
         for name in RESIDUALS:
             values = np.asarray(getattr(self.residuals, name))[answered]
-            with np.errstate(invalid="ignore"):  # a residual may be infinite
-                three = np.percentile(values, (50.0, 99.0, 100.0)).tolist() if values.size else [None] * 3
-            found |= {f"{name}_{word}": value for word, value in zip(("p50", "p99", "max"), three, strict=True)}
-        return found
-
-    @property
-    def trouble(self) -> str:
-        """The first event in words; "": none."""
-        return f"{self.problems.name}, {self.events[0]}" if self.events else ""
-
-    def summary(self, times: Times | None = None) -> dict[str, Any]:
-        """Return counts, residuals and times for summary.json, and the first trouble in words."""
-        said = {"reason": self.refused, "trouble": self.trouble}
-        found = self.counts() | self.figures | {key: words for key, words in said.items() if words}
+            found[f"{name}_max"] = float(values.max()) if values.size else None
+        if self.refused:
+            found["reason"] = self.refused
+        if self.events:
+            found["trouble"] = f"{self.problems.name}, {self.events[0]}"
         return found | (times.figures() if times is not None else {})
 
     def rows(self, part: str) -> list[dict[str, Any]]:
@@ -170,17 +162,15 @@ def totals(answers: Sequence[Answers], times: Sequence[Times]) -> dict[str, Any]
 
     A mean of times over sets would hide the slowest one.
     """
-    found: dict[str, Any] = dict(sum((Counter(one.counts()) for one in answers), Counter[str]()))
-    found = {name: found.get(name, 0) for name in answers[0].counts()}
-    for name in RESIDUALS:
-        values = [value for one in answers if (value := one.figures[f"{name}_max"]) is not None]
-        found[f"{name}_max"] = max(values) if values else None
-    trouble = [one.trouble for one in answers if one.trouble]
-    figures = [one.figures() for one in times]
+    rows, figures = [one.summary() for one in answers], [one.figures() for one in times]
+    found: dict[str, Any] = {name: sum(row[name] for row in rows) for name in answers[0].counts()}
+    for name in (f"{residual}_max" for residual in RESIDUALS):
+        found[name] = max((row[name] for row in rows if row[name] is not None), default=None)
     for name in dict.fromkeys(name for entry in figures for name in entry if name.endswith("_us")):
         found[f"{name}_worst_set"] = max(entry[name] for entry in figures if name in entry)
-    loads = Disturbance.total(figures).entries() if figures else {}
-    return {**found, **loads, **({"trouble": trouble[0]} if trouble else {})}
+    if figures:
+        found |= Disturbance.total(figures).entries()
+    return found | next(({"trouble": row["trouble"]} for row in rows if "trouble" in row), {})
 
 
 # --- asking ---
