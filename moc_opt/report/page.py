@@ -11,7 +11,6 @@ from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 from string import ascii_lowercase
-from types import MappingProxyType
 from typing import Any
 
 import plotly.graph_objects as go
@@ -46,14 +45,9 @@ class Page:
 
     def __init__(self, title: str, subtitle: str = "") -> None:
         self.title, self.subtitle = title, subtitle
+        self.figures: dict[str, go.Figure] = {}  #: by name, in the order of the page: what `save_figures` takes
         self._sections = [_Section()]
-        self._figures: dict[str, go.Figure] = {}
         self._about, self._tables, self._folding = "", 0, False
-
-    @property
-    def figures(self) -> Mapping[str, go.Figure]:
-        """Name -> figure, in the order of the page: what `save_figures` takes."""
-        return MappingProxyType(self._figures)
 
     def headline(self, text: str) -> None:
         """Append a finding in words, set apart; the first one describes the page to an index."""
@@ -86,10 +80,10 @@ class Page:
 
         ``name`` is that of its file, where the figures are saved too; from the caption's first words if empty.
         """
-        name = _unlike(name or " ".join(caption.split()[:5]), self._figures)
-        self._figures[name] = figure
+        name = _unlike(name or " ".join(caption.split()[:5]), self.figures)
+        self.figures[name] = figure
         height = int(figure.layout.height or figure.layout.template.layout.height or 450)
-        self._add(_PARTS.figure(name, len(self._figures), caption, height))
+        self._add(_PARTS.figure(name, len(self.figures), caption, height))
 
     def environment(self, values: Mapping[str, Any]) -> None:
         """Append a section on how the numbers came about: nested plain values; each mapping at the top is folded."""
@@ -106,8 +100,8 @@ class Page:
 
     def html(self) -> str:
         """Return the whole file as text."""
-        data = {f"{name}-data": str(figure.to_json()) for name, figure in self._figures.items()}
-        if self._figures:
+        data = {f"{name}-data": str(figure.to_json()) for name, figure in self.figures.items()}
+        if self.figures:
             data |= {"dark-colors": to_json(DARK, indent=None), "plotly-packed": _packed_plotly()}
         contents = [] if self._folding else [section for section in self._sections if section.title]
         return render(
@@ -132,7 +126,7 @@ def _unlike(text: str, taken: Iterable[str]) -> str:
 
 @cache
 def _packed_plotly() -> str:
-    """Return plotly.js, compressed: a third of its size even in base64; `figures.js` unpacks it."""
+    """Return plotly.js, compressed to a third of its size even in base64; `figures.js` unpacks it."""
     return base64.b64encode(gzip.compress(get_plotlyjs().encode(), mtime=0)).decode()
 
 
@@ -148,7 +142,7 @@ def draw(table: Table, number: int | None = None) -> Markup:
     )  # fmt: skip
     notes = dict(zip(reasons, ascii_lowercase, strict=False))
     headings = [
-        {"column": column, "align": column.align or alignment(of), "lines": heading_lines(column.title)}
+        {"column": column, "align": alignment(of), "lines": heading_lines(column.title)}
         for column, of in cells.items()
     ]
     rows = list(zip(*(_column(column, of, table.rows, notes) for column, of in cells.items()), strict=True))
@@ -159,7 +153,7 @@ def draw(table: Table, number: int | None = None) -> Markup:
 def _column(
     column: Column, cells: list[Cell], rows: Sequence[Mapping[str, Any]], notes: Mapping[str, str]
 ) -> Iterator[dict[str, Any]]:
-    align = column.align or alignment(cells)
+    align = alignment(cells)
     numbers = [cell.text for cell in cells if cell.numeric]
     fraction = max(map(fraction_length, numbers), default=0)
     power = max((len(text.partition("e")[2]) for text in numbers), default=0)

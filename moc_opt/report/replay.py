@@ -11,7 +11,6 @@ import gzip
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, NamedTuple, Self
 
 import numpy as np
@@ -54,7 +53,7 @@ class Replay:
             raise ReportError(f"{len(traces)} runs: give 1 to {MOST_RUNS}, more are too small to see")
         for name, trace in traces.items():
             check_showable(name, trace, robot)
-        self.traces, self.robot = MappingProxyType(dict(traces)), robot
+        self.traces, self.robot = dict(traces), robot
 
     @classmethod
     def load(cls, files: Sequence[str | os.PathLike[str]]) -> Self:

@@ -35,9 +35,7 @@ class Column:
     key: str  #: where a row holds the value
     title: str
     unit: str = ""  #: "us", "mm"; it stands below the title
-    digits: int = 3  #: significant digits of its numbers
-    format: str = ""  #: a format specification (".2f", "+.1f", "d") in place of significant digits
-    align: Literal["left", "right", "center"] | None = None  #: None: numbers to the right, texts to the left
+    format: str = ""  #: a format specification (".2f", "+.1f", "d") in place of three significant digits
     better: Literal["low", "high"] | None = None  #: the good end: emphasised unless most rows have it, sorted first
     help: str = ""  #: one sentence on its meaning, folded below the table
     among: str = ""  #: key of a flag: only rows that have it set compete for the emphasis; "" lets all compete
@@ -73,7 +71,7 @@ class Table:
     def cells(self, column: Column) -> list[Cell]:
         """Return the column, one cell per row, written in one notation."""
         values = [row.get(column.key) for row in self.rows]
-        written = Notation.of(values, column.digits, column.format)
+        written = Notation.of(values, spec=column.format)
         cells = [_cell(value, written) for value in values]
         competing = [
             cell for cell, row in zip(cells, self.rows, strict=True)
@@ -121,7 +119,7 @@ class Table:
             numbers = bool(cells) and all(cell.numeric or cell.why for cell in cells)
             widest = max((cell_len(cell.text) for cell in cells), default=0)
             least = max(widest if numbers else min(widest, SHORT_TEXT), *map(cell_len, heading.plain.splitlines()), 0)
-            justify = column.align or alignment(cells)
+            justify = alignment(cells)
             drawn.add_column(heading, justify=justify, overflow="fold", no_wrap=numbers, min_width=least)
         for row in zip(*columns, strict=True):
             drawn.add_row(*row)

@@ -39,7 +39,7 @@ CHANGES = {
 }  # fmt: skip
 """Metric -> name of its change against DCAC in `Comparison.summary` [percent]."""
 COLUMNS = [
-    Column("solver", "solver"), Column("trials", "trials"), Column("verified", "verified", "%", digits=4),
+    Column("solver", "solver"), Column("trials", "trials"), Column("verified", "verified", "%", ".4g"),
     Column("silently_wrong", "silently wrong"), Column("solve_p50_us", "p50", "us"),
     *(Column(change, f"{TITLES.get(metric, 'mu')}: change", "%") for metric, change in CHANGES.items()),
     *columns(*CHANGES), Column("oscillated", "oscillated"), Column("solve_p99_us", "p99", "us"),

@@ -254,7 +254,7 @@ def first_table(summary: Summary, rows: Sequence[Row]) -> Table:
         columns += [
             Column("damage", "worst damage", section=CLOSED,
                    help="the closed-loop figure that is worst beyond what counts as equal to the solver to take"),
-            Column("tip_change", "tip own/ registered", unit="%", align="right", section=CLOSED,
+            Column("tip_change", "tip own/ registered", unit="%", section=CLOSED,
                    help="change of the mean tip error against DCAC, in both frames"),
         ]  # fmt: skip
         caption += (
