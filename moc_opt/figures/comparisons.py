@@ -10,7 +10,7 @@ import plotly.graph_objects as go
 from moc_opt.errors import ReportError
 from moc_opt.figures.style import HEIGHT_PX, INK, MUTED, PAPER, Styles, figure, label, legend_height, log_axis
 
-MARGIN = 0.12
+MARGIN, FLOOR = 0.12, 1e-12
 Box = tuple[float, float, float, float]
 """Left, top, right, bottom [px], y downwards."""
 CHARACTER_PX, LINE_PX, MARKER_PX = 6.3, 14.0, 7.0
@@ -18,15 +18,13 @@ TOLERATED_PX2 = 25.0
 
 
 def accuracy_against_time(
-    points: Mapping[str, tuple[float, float]], *, x_label: str = "median time [µs]", y_label: str = "largest residual",
-    floor: float = 1e-18,
-) -> go.Figure:  # fmt: skip
+    points: Mapping[str, tuple[float, float]], *, x_label: str = "median time [µs]", y_label: str = "largest residual"
+) -> go.Figure:
     """Draw error over time, both on log axes; the Pareto front (nobody is both faster and more accurate) is marked.
 
     Args:
-        points: name -> (time, error); entries that are not finite are left out.
+        points: name -> (time, error); entries that are not finite are left out, errors below `FLOOR` are drawn there.
         x_label, y_label: of the axes, with units.
-        floor: smaller errors are drawn there.
 
     Raises:
         ReportError: no entry is finite, a time is not positive, or an error is negative.
@@ -36,7 +34,7 @@ def accuracy_against_time(
     for name, (time, error) in known.items():
         if time <= 0.0 or error < 0.0:
             raise ReportError(f"{name!r}: time {time}, error {error}: a log axis needs time > 0 and error >= 0")
-    known = {name: (time, max(error, floor)) for name, (time, error) in known.items()}
+    known = {name: (time, max(error, FLOOR)) for name, (time, error) in known.items()}
     log_axis(drawn, "x", x_label, [time for time, _ in known.values()], margin=MARGIN)
     log_axis(drawn, "y", y_label, [error for _, error in known.values()], powers=True, margin=MARGIN)
     front = pareto(known)

@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from moc_opt import figures
+from moc_opt.figures.comparisons import FLOOR
 from moc_opt.figures.notation import Mark, Missing
 from moc_opt.figures.style import BAD, GOOD, MUTED, SERIES, WORST
 from moc_opt.report.run_table import listed
@@ -180,8 +181,8 @@ def _why(summary: Summary, row: Row, others: Sequence[Row], asked: int) -> str:
     text += f". It {listed(parts)}; none of its answers was silently wrong."
     if row["p50_us"] is not None:
         text += f" Its median time is {row['p50_us']:.1f} us, p99 {row['p99_us']:.1f} us."
-        if spoilt := [f"`{one['solver']}`" for one in (row, *others) if not one["quiet"]]:
-            text += f" But others used the machine while {listed(spoilt)} was timed: run again."
+        if spoilt := sum(not one["quiet"] for one in (row, *others)):
+            text += f" But others used the machine while {spoilt} of {1 + len(others)} sound solvers were timed: run again."
     return text
 
 
@@ -291,7 +292,7 @@ def pictures(summary: Summary, rows: Sequence[Row], deadline_us: float) -> list[
     """Draw accuracy against time, the effect in closed loop, and the time of a tick against its deadline."""
     found = list[Picture]()
     points = {
-        row["solver"]: (row["p50_us"], max(row["relative_max"], 1e-12)) for row in rows
+        row["solver"]: (row["p50_us"], max(row["relative_max"], FLOOR)) for row in rows
         if row["verdict"] is not OTHER and row["p50_us"] is not None and row["relative_max"] is not None
     }
     if points:
