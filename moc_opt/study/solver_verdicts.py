@@ -182,7 +182,7 @@ def _why(summary: Summary, row: Row, others: Sequence[Row], asked: int) -> str:
     if row["p50_us"] is not None:
         text += f" Its median time is {row['p50_us']:.1f} us, p99 {row['p99_us']:.1f} us."
         if spoilt := sum(not one["quiet"] for one in (row, *others)):
-            text += f" But others used the machine while {spoilt} of {1 + len(others)} sound ones were timed: run again."
+            text += f" But others used the machine while {spoilt} of {1 + len(others)} sound solvers ran: run again."
     return text
 
 
