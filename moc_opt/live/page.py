@@ -240,8 +240,7 @@ class Scene:
                 side="double", position=part.origin, wxyz=_quaternion(upright),
             )  # fmt: skip
         self._trocar = scene.add_icosphere("/trocar", radius=0.006, color=TROCAR)
-        path = np.array([run.reference.rows(float(t))[0] for t in np.linspace(0.0, run.reference.one_way_s, 300)])
-        pieces = np.stack([path[:-1], path[1:]], axis=1).astype(np.float32)
+        pieces = np.stack([run.path[:-1], run.path[1:]], axis=1).astype(np.float32)
         scene.add_line_segments("/path", pieces, PATH, thickness=1.5, thickness_units="screen")
         x, y, _ = tip / max(float(np.linalg.norm(tip[:2])), 1e-6)
         server.initial_camera.position = (0.5 * tip[0] + 1.15 * y + 0.7 * x, 0.5 * tip[1] - 1.15 * x + 0.7 * y, 0.95)

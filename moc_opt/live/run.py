@@ -11,7 +11,6 @@ from moc_opt.arrays import Array
 from moc_opt.control import Controller, ControlSettings
 from moc_opt.errors import MocOptError, ScenarioError, is_number
 from moc_opt.scenario import Scenario, Setup, isolated, make_solver
-from moc_opt.tasks import Reference
 from moc_opt.tasks.trocar import shaft_distance
 
 DCAC = "none (DCAC)"
@@ -80,20 +79,6 @@ def solver_of(controller: Controller) -> str:
     return DCAC if controller.solver is None else controller.solver.name
 
 
-class ToAndFro:
-    """A reference that goes along its path, rests, comes back the same way, rests, and so on for ever."""
-
-    def __init__(self, reference: Reference, one_way_s: float) -> None:
-        self._reference, self.one_way_s = reference, one_way_s
-
-    def rows(self, t: float) -> Array:
-        """Return X_d, dX_d, ddX_d as the rows of one (3, 3) array, at a time [s]."""
-        lap, within = divmod(t, self.one_way_s)
-        if int(lap) % 2 == 0:
-            return self._reference.rows(within)
-        return self._reference.rows(self.one_way_s - within) * [[1.0], [-1.0], [1.0]]  # backwards in time
-
-
 class LiveRun:
     """The closed loop of a scenario, its path to and fro for ever; a MocOptError where the scenario is not usable.
 
@@ -105,7 +90,7 @@ class LiveRun:
     def __init__(self, scenario: Scenario) -> None:
         self.scenario, self._setup = scenario, Setup(scenario)
         self.robot, self.period_s = self._setup.robot, scenario.plant.period_s
-        self.reference = ToAndFro(self._setup.reference, self._setup.duration_s)
+        self.path = np.array([self.rows(float(t))[0] for t in np.linspace(0.0, self._setup.duration_s, 300)])
         self.messages: deque[str] = deque(maxlen=100)
         self._rows: deque[tuple[Any, ...]] = deque(maxlen=round(HISTORY_S / self.period_s))
         self._truth, self._asked = np.empty(2 * self.robot.n + 9), np.zeros(3)
@@ -153,6 +138,13 @@ class LiveRun:
                 raise LiveError(f"trocar offset = {value!r} m: give a number from {-MOST_OFFSET_M} to {MOST_OFFSET_M}")
         self._asked = np.array([x_m, y_m, z_m])
 
+    def rows(self, t: float) -> Array:
+        """Return X_d, dX_d, ddX_d (3, 3) at a time [s]: along the path, back the same way, and so on for ever."""
+        lap, within = divmod(t, self._setup.duration_s)
+        if int(lap) % 2 == 0:
+            return self._setup.reference.rows(within)
+        return self._setup.reference.rows(self._setup.duration_s - within) * [[1.0], [-1.0], [1.0]]  # back in time
+
     def history(self, points: int = 400) -> Array:
         """Return the last `HISTORY_S` seconds (k, 7), columns as `QUANTITIES`, in some `points` rows: peaks stay."""
         rows = np.array(self._rows).reshape(-1, len(QUANTITIES))
@@ -166,7 +158,7 @@ class LiveRun:
         self._setup.plant.reset(self._setup.q_start)
         self._loop = self._setup.closed_loop(self._in_use)
         self._move_trocars()
-        self._loop.start(self.reference.rows(0.0), self._now[1])
+        self._loop.start(self.rows(0.0), self._now[1])
         self._rows.clear()
 
     def advance(self, ticks: int) -> None:
@@ -180,7 +172,7 @@ class LiveRun:
 
     def _tick(self) -> None:
         self.t_s, (trocar, registered) = self._loop.ticks * self.period_s, self._now
-        tip_ref = self.reference.rows(self.t_s)
+        tip_ref = self.rows(self.t_s)
         self._setup.plant.write_truth(self._truth)
         self._loop.step(tip_ref, registered, trocar)
         tip, wrist, force = self._truth[2 * self.robot.n :].reshape(3, 3)

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
 
 from moc_opt.errors import ControlError, UnknownNameError
 from moc_opt.live import LiveError, LiveRun
-from moc_opt.live.run import DCAC, QUANTITIES, SLOWLY_M_PER_S, ToAndFro, solver_of
+from moc_opt.live.run import DCAC, QUANTITIES, SLOWLY_M_PER_S, solver_of
 from moc_opt.scenario import Scenario, Setup
 
 COLUMN = {name: k for k, name in enumerate(QUANTITIES)}
@@ -100,17 +101,10 @@ def test_wrong_orders_are_refused_and_the_run_goes_on(run: LiveRun) -> None:
 
 
 def test_what_only_the_loop_can_tell_becomes_a_message(run: LiveRun) -> None:
-    """rnn-printed takes six rows; a solver that refuses the subproblem leaves the old one at work."""
+    """A solver that refuses the subproblem leaves the old one at work."""
     run.advance(10)
-
-    class Refuses:
-        name = "refuses"
-
-        def supports(self, qp: object) -> str:
-            return "it is not in the mood"
-
     controller = run._build(run.control, "exact")
-    controller.solver = Refuses()  # type: ignore[assignment]
+    controller.solver = Mock(supports=lambda qp: "it is not in the mood")
     run._in_use.next = controller
     run.advance(10)
     assert "not in the mood; exact goes on" in run.messages.popleft()
@@ -165,9 +159,9 @@ def test_a_controller_asked_for_at_every_tick_leaves_the_arm_controlled(run: Liv
 
 
 def test_the_path_is_followed_to_and_fro() -> None:
-    setup = Setup(Scenario(task={"path": "spiral"}))
-    sway, one_way = ToAndFro(setup.reference, setup.duration_s), setup.duration_s
+    run = LiveRun(Scenario(task={"path": "spiral"}))
+    one_way = run._setup.duration_s
     times = np.linspace(0.0, 2.5 * one_way, 4001)
-    rows = np.array([sway.rows(float(t)) for t in times])
-    np.testing.assert_allclose(rows[:, 0], [sway.rows(abs(2.0 * one_way - t))[0] for t in times], atol=1e-9)
+    rows = np.array([run.rows(float(t)) for t in times])
+    np.testing.assert_allclose(rows[:, 0], [run.rows(abs(2.0 * one_way - t))[0] for t in times], atol=1e-9)
     np.testing.assert_allclose(np.gradient(rows[:, 0], times, axis=0)[2:-2], rows[2:-2, 1], atol=1e-3)
