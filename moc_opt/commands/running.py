@@ -203,9 +203,9 @@ def run_control(given: argparse.Namespace) -> int:
             "control: third_level = 'receding' solves within a tick, for some 10 ms: against the clock those ticks are "
             "missed; give the plant --lock-step, or take third_level = 'planned'", file=sys.stderr,
         )  # fmt: skip
-    first = "plans its course, then " if scenario.control.follows else ""
+    first = "planning its course, then " if scenario.control.follows else ""
     where = f"{given.connect}, for {scenario.wire.wait_s:g} s"
-    print(f"control: {first}looks for a plant at {where}", file=sys.stderr, flush=True)
+    print(f"control: {first}waiting for a plant at {where}", file=sys.stderr, flush=True)
     found = answer(scenario, given.connect, given.key_file, ready=lambda: granted.update(ask_for_realtime()))
     told = asdict(found) | {"system": granted}
     if given.json:

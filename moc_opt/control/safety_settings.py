@@ -11,7 +11,7 @@ from moc_opt.inputs.settings import Level, Settings
 
 
 class SafetyFilterSettings(Settings):
-    """Safety limits.
+    """Limits of the safety filter, and what it does in a stop.
 
     The first ones, up to ``residual_s``, decide whether a measurement is believed to show the arm.
     """
@@ -31,7 +31,7 @@ class SafetyFilterSettings(Settings):
     )  # fmt: skip
     repeat_m: float = Field(
         0.003, gt=0.0,
-        description="largest way of the reference while all encoders repeat one reading to the last bit: soft gains "
+        description="largest travel of the reference while all encoders repeat one reading to the last bit: soft gains "
         "need about this much to overcome static friction",
     )  # fmt: skip
     repeat_torque: float = Field(

@@ -45,7 +45,7 @@ GAINS = Gains._fields
 
 
 class ControlSettings(Settings):
-    """The stack of three levels.
+    """The control law: its three levels, their gains, and the box on x.
 
     ``law``: ``dcac`` is tip and RCM alone, ``moc`` adds the third level. ``gains`` names the table of the robot's
     TOML to start from: ``default`` serves both laws, ``dcac`` and ``moc`` are Table I of Su et al. (2019), None is

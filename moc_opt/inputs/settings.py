@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator, Mapping
 from typing import Annotated, Any, ClassVar, Self
 
@@ -12,6 +13,7 @@ import pydantic
 from moc_opt.errors import MocOptError, ScenarioError, UnknownNameError, is_number, shown
 from moc_opt.inputs import names
 
+_ALTERNATIVE = re.compile(r"constrained-|literal\[|tuple\[|(float|str)$")  # of several types, as pydantic names it
 LARGEST_INTEGER = 2**63 - 1
 SMALLEST, LARGEST = 1e-30, 1e30  # of a number that is not 0: beyond them products of a few overflow or vanish
 LONGEST_S = 1e6  # of any time that is run, waited for or averaged over [s]
@@ -107,8 +109,9 @@ def explain(error: pydantic.ValidationError, kind: str) -> list[str]:
     """Return one line per wrong field: kind of table, name, value, cure; errors of a table inside are not repeated."""
     lines = []
     for item in error.errors():
-        field = repr(".".join(f"{key!s:.80}" for key in item["loc"]))[1:-1]  # a file's key may hold any character
-        message = item["msg"].removeprefix("Value error, ")
+        keys = [f"{key!s:.80}" for key in item["loc"] if not _ALTERNATIVE.match(str(key))]
+        field = repr(".".join(keys))[1:-1]  # a file's key may hold any character
+        message = item["msg"].removeprefix("Value error, ").replace("a valid tuple", "a list")
         if isinstance(item.get("ctx", {}).get("error"), MocOptError):  # of a table inside: it names its own field
             lines.append(message if not field or message.startswith(f"[{field}]") else f"{kind} {field}: {message}")
         elif item["type"] == "missing":

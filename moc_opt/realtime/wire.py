@@ -190,7 +190,7 @@ def read_key(file: Path | None, host: str, option: str) -> bytes:
         if ip_address(host).is_loopback:
             return LOOPBACK_KEY
         raise WireError(
-            f"{option} {host}: other machines reach that address, and whoever speaks on it moves the arm: give both "
+            f"{option} {host}: other machines reach that address, and whoever can send to it moves the arm: give both "
             f"ends the same key by --key-file or {VARIABLE}, or take 127.0.0.1"
         )
     key = text.strip().encode(errors="surrogateescape")

@@ -13,7 +13,7 @@ VERDICTS = {"ok": "can be used", "care": "can be used with care", "cannot": "can
 
 def add_commands(commands: Any) -> None:
     """Add ``robot new`` and ``robot check`` to argparse's subparsers."""
-    robot = commands.add_parser("robot", help="a robot file from a URDF, or what holds for a robot")
+    robot = commands.add_parser("robot", help="make a robot file from a URDF, or check a robot")
     kinds = robot.add_subparsers(dest="robot_command", required=True)
     new = kinds.add_parser("new", help="write a robot file (TOML, and a URDF beside it) from any vendor's URDF")
     new.add_argument("source", type=Path, metavar="ARM.urdf")

@@ -31,7 +31,7 @@ class FaultSettings(Settings):
     drop_share: float = Field(0.0, ge=0.0, le=1.0, description="share of the measurements that never arrive")
     late_ticks: int = Field(0, ge=0, le=50, description="ticks by which every measurement arrives late")
     frozen_at_s: float | None = Field(None, ge=0.0, description="time from which readings repeat themselves")
-    frozen_ticks: int = Field(1_000_000, ge=1, description="ticks for which they do")
+    frozen_ticks: int = Field(1_000_000, ge=1, description="number of ticks for which they do so")
     frozen_joint: int | None = Field(
         None, ge=0,
         description="freeze one encoder only, counted from 0, while its packets go on; left out: whole packets",
@@ -68,7 +68,7 @@ class FaultSettings(Settings):
     )
     encoder_noise_rad: float = Field(0.0, ge=0.0, le=0.01, description="standard deviation of additional noise")
     nan_at_s: float | None = Field(None, ge=0.0, description="time from which the encoders give NaN")
-    nan_ticks: int = Field(1, ge=1, description="ticks for which they do")
+    nan_ticks: int = Field(1, ge=1, description="number of ticks for which they give NaN")
     jump_at_s: float | None = Field(
         None, ge=0.0, description="time at which the encoders jump; they do not jump back"
     )
