@@ -135,20 +135,6 @@ def random_problem(
     return problem_of(arm, q, middle + 0.6 * half * rng.uniform(-1.0, 1.0, arm.n), lower, upper, **weights)
 
 
-def unstructured_problems(n: int, count: int, rng: np.random.Generator) -> list[NullSpaceQP]:
-    """Feasible subproblems with a rigid tool and otherwise random Jacobians: no structure that a solver could use."""
-    found = []
-    for _ in range(count):
-        spin, wrist = rng.normal(size=(3, n)), rng.normal(scale=0.4, size=(3, n))
-        u = rng.normal(size=3)
-        tip = wrist + np.cross(spin.T, 0.38 * u / np.linalg.norm(u)).T
-        lower, upper = -rng.uniform(0.3, 3.0, n), rng.uniform(0.3, 3.0, n)
-        x = 0.5 * (lower + upper) + 0.3 * (upper - lower) * rng.uniform(-1.0, 1.0, n)
-        gradient = rng.normal(scale=0.1, size=n)
-        found.append(NullSpaceQP(tip, wrist, tip @ x, wrist @ x, gradient, lower=lower, upper=upper))
-    return found
-
-
 def out_of_reach(rng: np.random.Generator, qp: NullSpaceQP) -> NullSpaceQP:
     """The same subproblem with references that no velocity in the box meets, by Farkas' lemma.
 

@@ -9,14 +9,15 @@ from benchmarks import speed, timed
 from moc_opt.scenario import Scenario, Setup
 from moc_opt.solvers import available, create
 from moc_opt.study import Failed
-from tests.problems import unstructured_problems
+from tests.problems import random_problem
 
 SHORT = Scenario(judge=False, bound_samples=0, duration_s=0.2)
 
 
 @pytest.mark.skipif(available().get("daqp", "") is not None, reason="daqp is not installed")
 def test_by_hand_the_answer_is_the_adapter_s_and_optimal():
-    sequence = unstructured_problems(7, 60, np.random.default_rng(4))
+    rng = np.random.default_rng(4)
+    sequence = [random_problem(rng, structured=False) for _ in range(60)]
     solver = create("daqp")
     by_hand = timed.daqp_by_hand(solver, sequence[0])
     assert timed.disagreement(solver, by_hand, sequence) is None

@@ -28,8 +28,7 @@ def written(folder, text):
 # --- errors at every depth ---
 
 WRONG = [  # tables; what the message of the constructor says
-    ({"task": {"radius": 0.01}}, "did you mean 'sizes.radius'"), ({"solver": {"eps": 1e-9}}, "[solver] key 'eps'"),
-    ({"solver": {"name": "osqp", "eps": 1e-9}}, "did you mean 'settings.eps'"),
+    ({"task": {"radius": 0.01}}, "mean 'sizes.radius'"), ({"solver": {"name": "osqp", "eps": 1}}, "'settings.eps'"),
     ({"sede": 1}, "did you mean 'seed'"), ({"robot": {"tool_length": 0.3}}, "did you mean 'tool_length_m'"),
     ({"control": {"preste": "tuned"}}, "did you mean 'preset'"), ({"plant": {"prest": "x"}}, "did you mean 'preset'"),
     ({"control": {"preset": "papre"}}, "did you mean 'paper'"), ({"plant": {"preset": "nominla"}}, "'nominal'"),
@@ -38,12 +37,9 @@ WRONG = [  # tables; what the message of the constructor says
     ({"task": {"path": "cirle"}}, "did you mean 'circle'"), ({"task": {"sizes": {"radus": 0.01}}}, "mean 'radius'"),
     ({"solver": {"name": "exakt"}}, "'exact'"), ({"swivel": 0.3}, "belongs in [start]"),
     ({"task": {"duration_s": 3.0}}, "belongs at the top of the file"),
-    ({"seed": -1}, "seed = -1"), ({"seed": 1.5}, "seed = 1.5"), ({"duration_s": 0.0}, "duration_s = 0.0"),
-    ({"deadline_us": float("inf")}, "deadline_us = inf"), ({"control": 5}, "a table: write [control]"),
+    ({"seed": -1}, "seed = -1"), ({"duration_s": 0.0}, "duration_s = 0.0"), ({"control": 5}, "table: write [control]"),
     ({"control": {"c2": -1.0}}, "[control] c2 = -1.0"), ({"control": {"law": "mok"}}, "law = 'mok'"),
-    ({"start": {"swivel": 1.5}}, "swivel"), ({"start": {"swivel": "0.3"}}, "no quotes"),
-    ({"trocar": {"depth_m": 150.0}}, "depth_m = 150.0"), ({"task": {"v_max_m_per_s": 50.0}}, "v_max_m_per_s = 50.0"),
-    ({"trocar": {"breathing_direction": [1, 0]}}, "breathing_direction"),
+    ({"start": {"swivel": "0.3"}}, "no quotes"), ({"trocar": {"breathing_direction": [1, 0]}}, "breathing_direction"),
     ({"task": {"sizes": {"radius": "big"}}}, "sizes.radius = 'big'"),
     ({"plant": {"preset": "nominal", "delay_ticks": -1}}, "[plant] delay_ticks = -1"),
 ]  # fmt: skip
@@ -88,22 +84,6 @@ def test_the_trace_remembers_its_scenario():
     np.testing.assert_array_equal(trace.meta["start_q_rad"] - bias, trace.q_rad[0])
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        (b"seed = ", "is not TOML"), (b"seed = 1\nseed = 2", "is not TOML"), (b"law: moc", "is not TOML: .*line 1"),
-        (b'name = "caf\xe9"', "is not a text in UTF-8"),
-        (b"[control]\nK_X = -5.0\n", r"scenario.toml: .*\[control\] K_X = -5.0"),
-    ],
-)
-def test_a_file_that_cannot_be_used_is_named(tmp_path, text, message):
-    (tmp_path / "scenario.toml").write_bytes(text)
-    with pytest.raises(ScenarioError, match=message):
-        Scenario.load(tmp_path / "scenario.toml")
-    with pytest.raises(ScenarioError, match=r"gone.toml': no such file"):
-        Scenario.load(tmp_path / "gone.toml")
-
-
 # --- change ---
 
 
@@ -145,17 +125,6 @@ def test_change_of_the_plant_keeps_what_it_is_and_is_validated():
 # --- how a run is put together ---
 
 
-@pytest.mark.parametrize("fraction", [0.0, 0.9])
-def test_swivel_keeps_tip_and_wrist(robot, fraction):
-    home = robot.state(robot.data.q_home)
-    q = Setup(Scenario(start={"swivel": fraction})).q_start
-    state = robot.state(q)
-    np.testing.assert_allclose(state.tip, home.tip, atol=1e-9)
-    np.testing.assert_allclose(state.wrist, home.wrist, atol=1e-9)
-    assert ((q >= robot.q_min) & (q <= robot.q_max)).all()
-    assert np.abs(q - robot.data.q_home).max() > 0.01
-
-
 def test_what_the_arm_touched_lies_where_it_truly_is():
     """Kinematics that are off by a millimetre and more: the shaft stands in the incision all the same."""
     bad = PlantSettings.nominal(calibration_error_m=5e-4, calibration_tilt_rad=5e-4, encoder_bias_rad=5e-4)
@@ -184,13 +153,6 @@ def test_breathing(known):
     assert trace.t_s[moved[:, 2].argmax()] == pytest.approx(0.2, abs=0.003)
     told = trace.trocar_registered_m - trace.trocar_registered_m[0]
     np.testing.assert_array_equal(told, moved if known else np.zeros_like(moved))
-
-
-def test_without_a_third_level_there_is_no_subproblem():
-    trace = run(Scenario(duration_s=0.02, control={"law": "dcac"}, **BARE))
-    assert set(np.unique(trace.status)) == {"none"}
-    assert "subproblem" not in trace.columns
-    assert np.isnan(trace.solve_us).all()
 
 
 def test_a_singular_pose_has_a_bound_and_a_lost_one_has_none(robot):
