@@ -11,12 +11,10 @@ import pytest
 from hypothesis import given
 
 from moc_opt.control.safety_filter import SafetyFilter, SafetyFilterSettings
-from moc_opt.errors import PlantError
 from moc_opt.robots import available_robots
 from moc_opt.robots.model import RobotModel
 from moc_opt.scenario import Scenario, Setup, run
 from moc_opt.scenario.tables import RobotTable
-from moc_opt.sim import Plant, PlantSettings
 from moc_opt.trace.meta import Ending
 from tests.odd_inputs import many
 
@@ -118,42 +116,6 @@ def test_brakes_are_open_while_the_trocar_presses_and_then_only_when_it_presses_
     for force, ticks in ((0.0, 0), (20.0, most), (26.0, 0), (40.0, most), (0.0, 0), (20.0, most)):
         found = is_open(force, 1000)
         assert (sum(found), any(found[-500:])) == (ticks, False), force
-
-
-@pytest.mark.parametrize(("robot_name", "seed"), [("gen3", 70), ("gen3", 71), ("panda", 72), ("lwr4_rail", 70)])
-def test_a_trocar_that_slips_during_the_stop_leaves_the_arm_at_rest(weak, robot_name, seed):
-    """The stop is watched until then: 0.26 rad/s after half a second. Weak brakes may slip to the very end, slowly."""
-    weak[0] = 0.15
-    rng = np.random.default_rng(seed)
-    at = float(rng.uniform(0.2, 0.6))
-    faults = {"slip_m": float(rng.uniform(0.05, 0.1)), "slip_at_s": at, "nan_at_s": at - 0.15, "nan_ticks": 10**6}
-    trace = run(Scenario(
-        seed=seed, robot={"name": robot_name}, start={"swivel": 1.0, "check_path": False}, faults=faults,
-        duration_s=3.0, **QUICK,
-    ))  # fmt: skip
-    assert trace.meta["ended"].startswith("stopped: ")
-    assert trace.t_s[-1] - trace.meta["stopped_at_s"] <= 2.0 + 0.01
-    assert np.abs(trace.v_rad_per_s[-1]).max() < 0.05
-
-
-def test_brakes_hold_what_they_are_told_to(robot):
-    plant = Plant(robot.data, PlantSettings.nominal(trocar_stiffness_N_per_m=0.0, trocar_damping_Ns_per_m=0.0))
-    ways, weight = [], np.abs(robot.gravity(robot.data.q_home))
-    for friction in (0.0, 0.5 * weight, 1.1 * weight):
-        plant.reset(robot.data.q_home)
-        plant.brake(40.0, friction)
-        for _ in range(250):
-            plant.step(np.zeros(7))
-        ways.append(np.abs(plant.q - robot.data.q_home).max())
-    assert ways[0] > 0.1
-    assert ways[0] > ways[1] > 100 * ways[2]
-    assert ways[2] < 1e-3
-    plant.reset(robot.data.q_home)
-    plant.step(np.zeros(7))
-    assert np.abs(plant.v).max() > 1e-3  # open again
-    for bad in (-1.0, np.nan, np.inf):
-        with pytest.raises(PlantError, match="friction_Nm"):
-            plant.brake(40.0, bad)
 
 
 PRESSED_N = 35.0

@@ -13,7 +13,7 @@ import pytest
 
 import moc_opt as mo
 from moc_opt.errors import SolverError, UnknownNameError
-from moc_opt.solvers import Status, available, create, registry
+from moc_opt.solvers import available, create, registry
 from moc_opt.solvers.qpsolvers import ALLOWED, checked
 from tests.problems import random_problem
 
@@ -92,18 +92,6 @@ def test_missing_packages_are_reasons_not_crashes(monkeypatch):
         create("proxqp")
     with pytest.raises(UnknownNameError):
         create("qpsolvers:daqp")
-
-
-def test_third_parties_add_solvers_without_a_change_here(install):
-    still = "@dataclass(frozen=True)\nclass C(Good):\n eps: float = 1e-6"
-    install("still", "from dataclasses import dataclass\n" + WHOLE + still, still="C")
-    assert available()["still"] is None
-    solver = create("still", eps=0.1)
-    assert solver.eps == 0.1
-    qp = random_problem(np.random.default_rng(0))
-    assert solver.start(qp).solve(qp).status is Status.MAX_ITER
-    with pytest.raises(UnknownNameError, match=r"valid names: .*eps"):
-        create("still", epss=0.1)
 
 
 BROKEN = {
