@@ -99,10 +99,4 @@ typedef struct {
 /* Fill an object with the keywords of its fields' names, each of which has to be there. Returns 0 with an exception. */
 int moc_fill(PyObject *keywords, const field *fields, int count, Arm *self);
 
-/* Between a struct and its packed record; moc_opt/qp/layout.py and moc_opt/robots/state.py read the same ones. The
- * record of a subproblem has its pose q (n,) at the end, which is no part of the struct. */
-typedef enum { UNPACK, PACK } direction;
-void moc_copy_problem(moc_problem *problem, int n, double *record, direction way);
-void moc_copy_terms(moc_terms *terms, int n, double *record, direction way);
-
 #endif

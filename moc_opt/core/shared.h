@@ -42,6 +42,14 @@ double moc_manipulability(int n, const moc_twist *twist, double J[][MOC_MAX_JOIN
 double moc_shaft_manipulability(int n, const moc_twist *twist, double A[][MOC_MAX_JOINTS], const double u[3],
                                 double *gradient);
 
+/* --- record.c --- */
+
+/* Between a struct and its packed record; moc_opt/qp/layout.py and moc_opt/robots/model.py read the same ones. The
+ * record of a subproblem has its pose q (n,) at the end, which is no part of the struct. */
+typedef enum { UNPACK, PACK } direction;
+void moc_copy_problem(moc_problem *problem, int n, double *record, direction way);
+void moc_copy_terms(moc_terms *terms, int n, double *record, direction way);
+
 /* --- levels.c, null_space.c --- */
 
 /* Levels 1 and 2, tau_tip + tau_rcm [Nm]. */

@@ -22,7 +22,7 @@ from moc_opt.robots.model import RobotModel
 
 CORE = (
     "moc.h", "vec.h", "shared.h", "arm.c", "manipulability.c", "levels.c", "null_space.c", "exact.c", "polytope.c",
-    "answer.c", "guard.c", "step.c",
+    "answer.c", "guard.c", "step.c", "record.c",
 )  # fmt: skip
 """The files of `moc_opt/core` that `moc_step` needs."""
 TESTS = ("main.c", "Makefile", "README.md")

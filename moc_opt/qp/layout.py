@@ -1,6 +1,6 @@
 """Where the parts of a packed subproblem lie: one flat record of 11 n + 10 numbers for n joints.
 
-`moc_opt/core/arguments.c` reads the same record.
+`moc_opt/core/record.c` reads the same record.
 """
 
 from __future__ import annotations

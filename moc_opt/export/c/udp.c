@@ -15,6 +15,7 @@
 #include <time.h>
 
 #include "constants.h"
+#include "shared.h"
 #include "wire_packets.h"
 
 enum { TAG = 16, KEY = 32, SHORTEST_KEY = 16, BLOCK = 64, TURN_US = 50000, REPEAT_NS = 100000000, PRIORITY = 50 };
@@ -31,15 +32,18 @@ static const uint8_t order[10][16] = {
     {6, 15, 14, 9, 11, 3, 0, 8, 12, 2, 13, 7, 1, 4, 10, 5}, {10, 2, 8, 4, 7, 6, 1, 5, 15, 11, 9, 14, 3, 12, 13, 0},
 };
 
+static uint32_t turned(uint32_t x, int bits)
+{
+    return x >> bits | x << (32 - bits);
+}
+
 /* Half of a mix of four numbers: x comes in, and b and d turn. */
 static void mix(uint32_t *a, uint32_t *b, uint32_t *c, uint32_t *d, uint32_t x, int turn_d, int turn_b)
 {
     *a += *b + x;
-    *d ^= *a;
-    *d = *d >> turn_d | *d << (32 - turn_d);
+    *d = turned(*d ^ *a, turn_d);
     *c += *d;
-    *b ^= *c;
-    *b = *b >> turn_b | *b << (32 - turn_b);
+    *b = turned(*b ^ *c, turn_b);
 }
 
 /* One block into the state, after `count` bytes with it; the last one is marked. */
@@ -106,19 +110,15 @@ static int64_t now_ns(void)
 static const char *open_link(const char *host, const char *port)
 {
     struct timeval turn = {.tv_usec = TURN_US}; /* a call that waits comes back so often, to look at the clock */
-    char *end;
-    long number = strtol(port, &end, 10);
     const char *key = getenv("MOC_OPT_WIRE_KEY");
+    int number = atoi(port);
 
-    wire.plant.sin_family = AF_INET;
-    if (*end || number < 1 || number > 65535 || inet_pton(AF_INET, host, &wire.plant.sin_addr) != 1)
+    wire.plant = (struct sockaddr_in){.sin_family = AF_INET, .sin_port = htons((uint16_t)number)};
+    if (number < 1 || number > 65535 || inet_pton(AF_INET, host, &wire.plant.sin_addr) != 1)
         return "give HOST PORT as numbers: 127.0.0.1 30200";
-    wire.plant.sin_port = htons((uint16_t)number);
-    if (!key || !*key) {
-        if (strncmp(host, "127.", 4) != 0)
-            return "other machines reach that address: put the key into MOC_OPT_WIRE_KEY";
-        key = WIRE_LOOPBACK_KEY;
-    }
+    if ((!key || !*key) && strncmp(host, "127.", 4) != 0)
+        return "other machines reach that address: put the key into MOC_OPT_WIRE_KEY";
+    key = key && *key ? key : WIRE_LOOPBACK_KEY;
     wire.key_length = strlen(key);
     if (wire.key_length < SHORTEST_KEY || wire.key_length > KEY)
         return "the key in MOC_OPT_WIRE_KEY has 16 to 32 bytes";
@@ -129,18 +129,12 @@ static const char *open_link(const char *host, const char *port)
     return NULL;
 }
 
-/* Fill the header of a packet, seal it and send it; one that the system does not take is lost. */
-static void send_packet(wire_header *packet, size_t size, int kind, int64_t number)
+/* Fill the header of a packet but for its flags, seal it and send it; one that the system does not take is lost. */
+static void send_packet(wire_header *packet, size_t size, uint8_t kind, int64_t number)
 {
     uint8_t *bytes = (uint8_t *)packet;
 
-    memcpy(packet->magic, WIRE_MAGIC, sizeof packet->magic);
-    packet->version = WIRE_VERSION;
-    packet->kind = (uint8_t)kind;
-    packet->joints = WIRE_JOINTS;
-    packet->session = wire.session;
-    packet->scenario = WIRE_SCENARIO;
-    packet->sequence = number;
+    *packet = (wire_header){WIRE_MAGIC, WIRE_VERSION, kind, WIRE_JOINTS, packet->flags, wire.session, WIRE_SCENARIO, number};
     sign(bytes, size - TAG, wire.key, wire.key_length, bytes + size - TAG);
     (void)!sendto(wire.socket, packet, size, 0, (const struct sockaddr *)&wire.plant, sizeof wire.plant);
 }
@@ -189,7 +183,7 @@ static int receive(int64_t until, wire_measurement *found)
 }
 
 /* Send a packet over and over until a measurement comes that waits, or one that does not. */
-static int ask(int kind, int waiting, wire_measurement *found)
+static int ask(uint8_t kind, int waiting, wire_measurement *found)
 {
     int64_t until = now_ns() + (int64_t)(1e9 * WIRE_WAIT_S);
 
@@ -213,22 +207,13 @@ static struct {
 static moc_state state;
 static wire_command command;
 
-/* The third level's answer and its subproblem, in the order of moc_opt/qp/layout.py, where the law has that level. */
+/* The third level's answer and its subproblem, where the law has that level. */
 static void report(void)
 {
     static const char *const statuses[] = {"solved", "infeasible", "numerical"};
     static const char *const faults[MOC_FAULTS] = {"none",       "infeasible", "failed", "raised", "malformed",
                                                    "not_finite", "outside",    "lied",   "late",   "lost"};
-    const moc_problem *p = &state.problem;
     int asked = state.reason == MOC_RUNNING && moc_constants.law->third_level, solved = asked && state.status == MOC_OK;
-    const double weights[] = {p->c0, p->c1, p->c2, p->rho};
-    const struct {
-        const double *from;
-        size_t count;
-    } parts[] = {{p->A[0], JOINTS}, {p->A[1], JOINTS}, {p->A[2], JOINTS},    {p->A[3], JOINTS}, {p->A[4], JOINTS},
-                 {p->A[5], JOINTS}, {p->b, 6},         {p->grad_mu, JOINTS}, {p->pull, JOINTS}, {p->lower, JOINTS},
-                 {p->upper, JOINTS}, {weights, 4},     {state.terms.q, JOINTS}};
-    double *row = command.subproblem;
 
     for (int i = 0; i < JOINTS; i++) {
         command.x_rad_per_s[i] = solved ? state.answer[i] : (double)NAN;
@@ -236,9 +221,9 @@ static void report(void)
     }
     for (int i = 0; i < 6; i++)
         command.dual[i] = solved ? state.y[i] : (double)NAN;
-    for (size_t i = 0; asked && i < sizeof parts / sizeof *parts; i++) { /* else it stays the one before */
-        memcpy(row, parts[i].from, parts[i].count * sizeof *row);
-        row += parts[i].count;
+    if (asked) { /* else it stays the one before */
+        moc_copy_problem(&state.problem, JOINTS, command.subproblem, PACK);
+        memcpy(command.subproblem + 10 * JOINTS + 10, state.terms.q, JOINTS * sizeof(double));
     }
     strncpy(command.status, asked ? statuses[state.status] : "none", sizeof command.status - 1);
     strncpy(command.fault, asked ? faults[state.fault] : state.reason ? "stopped" : "none", sizeof command.fault - 1);
