@@ -8,22 +8,16 @@
 #define NO_GRADIENT 1e-12      /* share of the gradient along the self-motion below which there is none */
 #define IMMOBILE 1e-12         /* squared length of a joint's column below which it does not move */
 #define GRADIENT_ROUNDING 1e-9 /* a reduced gradient below this share of the cost's is zero (qp/residuals.py) */
-#define RANK_TOLERANCE 1e-12   /* (qp/residuals.py) */
 #define DESCENTS 50            /* of the least violation, over the joints */
 #define OUTSIDE 1e-6           /* what a retreat may leave the box by [rad/s] */
 
-/* The dimensions of ker A that turn joints which move tip or wrist; the rest are idle joints. */
-static int freedoms(const moc_problem *p, int rows)
+/* Whether joint j moves neither tip nor wrist: e_j itself lies in ker A. */
+static int is_idle(int rows, double Z[][MOC_MAX_JOINTS], int j)
 {
-    double column[MOC_MAX_JOINTS] = {0.0}, total = 0.0; /* squares */
-    for (int i = 0; i < 6; i++)
-        for (int j = 0; j < p->n; j++)
-            column[j] += p->A[i][j] * p->A[i][j];
-    for (int j = 0; j < p->n; j++)
-        total += column[j];
-    for (int j = 0; j < p->n; j++)
-        rows -= column[j] <= RANK_TOLERANCE * RANK_TOLERANCE * total;
-    return rows;
+    double own = 0.0;
+    for (int i = 0; i < rows; i++)
+        own += Z[i][j] * Z[i][j];
+    return own > 1.0 - 1e-12;
 }
 
 /* The steepest descent d (n,) from x that stays in ker A and in the box; returns the scale of the cost.
@@ -43,10 +37,7 @@ static double way_down(const moc_problem *p, int rows, double Z[][MOC_MAX_JOINTS
     double length = sqrt(dot(n, cone.pull, cone.pull));
     cone.c2 = length > 0.0 ? 1.0 / length : 0.0; /* d is no longer than one */
     for (int j = 0; j < n; j++) {
-        double own = 0.0;
-        for (int i = 0; i < rows; i++)
-            own += Z[i][j] * Z[i][j];
-        int idle = own > 1.0 - 1e-12; /* e_j itself lies in ker A */
+        int idle = is_idle(rows, Z, j);
         cone.lower[j] = idle || x[j] - p->lower[j] <= AT_BOUND ? 0.0 : -2.0;
         cone.upper[j] = idle || p->upper[j] - x[j] <= AT_BOUND ? 0.0 : 2.0;
         largest = larger(idle ? 0.0 : p->c2 * fabs(pull[j]), largest);
@@ -69,7 +60,7 @@ moc_residuals moc_judge(const moc_problem *p, int rows, double Z[][MOC_MAX_JOINT
 {
     moc_residuals found = {0.0, 0.0, 0.0, 0.0, 0.0};
     double line[MOC_MAX_JOINTS] = {0.0}, steepest = 0.0, still = 1e-9;
-    int n = p->n;
+    int n = p->n, freedoms = rows;
 
     if (!all_finite(n, x)) {
         found.primal = found.outside = found.natural = found.off = found.opposite = (double)NAN;
@@ -80,13 +71,14 @@ moc_residuals moc_judge(const moc_problem *p, int rows, double Z[][MOC_MAX_JOINT
     for (int j = 0; j < n; j++) {
         found.outside = larger(larger(p->lower[j] - x[j], x[j] - p->upper[j]), found.outside);
         steepest = larger(fabs(p->pull[j]), steepest);
+        freedoms -= is_idle(rows, Z, j);
     }
     moc_onto(n, rows, Z, p->pull, line);
     if (sqrt(dot(n, line, line)) <= NO_GRADIENT * steepest || !(p->c2 > 0.0))
         return found;
     /* The floor rho: a course that rests asks for x_d = 0, and its gradient (rho/c2) x_d is no scale then. */
     double scale = fmax(p->c2 * steepest, p->rho);
-    int several = freedoms(p, rows) > 1, faint = p->rho >= p->c2 * steepest;
+    int several = freedoms > 1, faint = p->rho >= p->c2 * steepest;
     if (several) {
         scale = way_down(p, rows, Z, x, line);
         still = 1e-6;
