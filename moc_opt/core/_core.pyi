@@ -14,11 +14,8 @@ BAD_V: int
 MAX_JOINTS: int
 
 class Arm:
-    def __new__(
-        cls, joints: Array, bodies: Array, rotors: Array, points: Array, tool: Array, moves: Array,
-        gravity: Array, /,
-    ) -> Arm: ...
-    # A serial chain of 1 to 16 joints as data. Methods fill their last argument.
+    def __new__(cls, joints: Array, points: Array, tool: Array, moves: Array, gravity: Array, /) -> Arm: ...
+    # A serial chain of 1 to 16 joints as data; rows of joints are moc_joint. Methods fill their last argument.
     # terms -> status: all terms of one state; along: tip, wrist [m] and mu of many poses; tool_pose: the tool's axes
     # x, y, z and its tip [m]; nearest_pose -> miss [m], follow_curve -> (count, end), ascend (in place): see tools.h.
     def terms(self, q: Array, v: Array, record: Array, /) -> int: ...

@@ -24,7 +24,7 @@ void moc_place(const moc_arm *arm, const double *q, moc_frame *frame)
             here->p[i] = before->p[i] + dot3(row, joint->origin);
             axis[i] = dot3(here->R[i], joint->axis);
         }
-        if (joint->slides) {
+        if (joint->slides > 0.0) {
             for (int i = 0; i < 3; i++)
                 here->p[i] += axis[i] * q[j];
             continue;
@@ -50,10 +50,10 @@ void moc_twists(const moc_arm *arm, const moc_frame *frame, moc_twist *twist)
         for (int i = 0; i < 3; i++)
             axis[i] = dot3(frame[j].R[i], joint->axis);
         for (int i = 0; i < 3; i++) {
-            twist[j].ang[i] = joint->slides ? 0.0 : axis[i];
-            twist[j].lin[i] = joint->slides ? axis[i] : 0.0;
+            twist[j].ang[i] = joint->slides > 0.0 ? 0.0 : axis[i];
+            twist[j].lin[i] = joint->slides > 0.0 ? axis[i] : 0.0;
         }
-        if (!joint->slides)
+        if (!(joint->slides > 0.0))
             add_cross(1.0, frame[j].p, axis, twist[j].lin);
     }
 }

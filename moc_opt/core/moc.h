@@ -19,12 +19,12 @@ typedef enum {
 
 /* --- the arm --- */
 
-/* A joint, and the link that it carries, in the joint's own axes. */
+/* A joint, and the link that it carries, in the joint's own axes; the binding relies on the order. */
 typedef struct {
     double rotation[3][3]; /* of these axes in the frame of the joint before, at q = 0 */
     double origin[3];      /* in the same frame [m] */
     double axis[3];        /* unit vector */
-    int slides;            /* 1: along the axis, 0: it turns about it */
+    double slides;         /* 1: along the axis, 0: it turns about it */
     double mass;           /* [kg] */
     double moment[3];      /* mass times centre of mass [kg m] */
     double inertia[6];     /* about the centre of mass: xx, xy, yy, xz, yz, zz [kg m^2] */

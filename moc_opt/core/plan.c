@@ -182,7 +182,7 @@ static int closes(const plan_task *task, const double *start, const double *q, c
 {
     double ahead = 0.0;
     for (int i = 0; i < task->arm->n; i++) {
-        double turns = task->arm->joint[i].slides ? 0.0 : nearbyint((q[i] - start[i]) / (2.0 * PI));
+        double turns = task->arm->joint[i].slides > 0.0 ? 0.0 : nearbyint((q[i] - start[i]) / (2.0 * PI));
         pose[i] = start[i] + 2.0 * PI * turns;
         ahead += (pose[i] - q[i]) * tangent[i];
     }

@@ -4,38 +4,29 @@
 static PyObject *arm_new(PyTypeObject *type, PyObject *given, PyObject *keywords)
 {
     static const parameter table[] = {
-        {"joints", READ, N, 16}, {"bodies", READ, N, 10}, {"rotors", READ, N}, {"points", READ, 2, 3},
-        {"tool", READ, 3, 3}, {"moves", READ, 2, N}, {"gravity", READ, 3},
+        {"joints", READ, N, sizeof(moc_joint) / sizeof(double)}, {"points", READ, 2, 3}, {"tool", READ, 3, 3},
+        {"moves", READ, 2, N}, {"gravity", READ, 3},
     };
-    PyObject *args[7];
+    PyObject *args[5];
     call c;
     (void)keywords;
 
-    if (!PyArg_UnpackTuple(given, "Arm", 7, 7, &args[0], &args[1], &args[2], &args[3], &args[4], &args[5], &args[6]) ||
-        !moc_take(&c, 0, "Arm", args, 7, table, 7))
+    if (!PyArg_UnpackTuple(given, "Arm", 5, 5, &args[0], &args[1], &args[2], &args[3], &args[4]) ||
+        !moc_take(&c, 0, "Arm", args, 5, table, 5))
         return NULL;
     Arm *self = (Arm *)PyType_GenericAlloc(type, 0); /* zeros */
     if (self == NULL)
         return moc_done(&c, NULL);
     moc_arm *arm = &self->arm;
     arm->n = c.n;
+    memcpy(arm->joint, c.array[0], (size_t)c.n * sizeof *arm->joint);
     for (int j = 0; j < c.n; j++) {
-        moc_joint *joint = &arm->joint[j];
-        const double *row = c.array[0] + 16 * j, *body = c.array[1] + 10 * j;
-        memcpy(joint->rotation, row, sizeof joint->rotation);
-        memcpy(joint->origin, row + 9, sizeof joint->origin);
-        memcpy(joint->axis, row + 12, sizeof joint->axis);
-        joint->slides = row[15] > 0.0;
-        joint->mass = body[0];
-        memcpy(joint->moment, body + 1, sizeof joint->moment);
-        memcpy(joint->inertia, body + 4, sizeof joint->inertia);
-        joint->rotor = c.array[2][j];
-        arm->moves[MOC_TIP][j] = c.array[5][j] != 0.0;
-        arm->moves[MOC_WRIST][j] = c.array[5][c.n + j] != 0.0;
+        arm->moves[MOC_TIP][j] = c.array[3][j] > 0.0;
+        arm->moves[MOC_WRIST][j] = c.array[3][c.n + j] > 0.0;
     }
-    memcpy(arm->point, c.array[3], sizeof arm->point);
-    memcpy(arm->tool, c.array[4], sizeof arm->tool);
-    memcpy(arm->gravity, c.array[6], sizeof arm->gravity);
+    memcpy(arm->point, c.array[1], sizeof arm->point);
+    memcpy(arm->tool, c.array[2], sizeof arm->tool);
+    memcpy(arm->gravity, c.array[4], sizeof arm->gravity);
     return moc_done(&c, (PyObject *)self);
 }
 

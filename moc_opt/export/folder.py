@@ -82,15 +82,16 @@ def defined(declaration: str, value: Any) -> str:
 
 def arm_in_c(robot: RobotModel) -> dict[str, Any]:
     """Return the arm by the names of moc_arm."""
-    joints, bodies, rotors, points, tool, moves, gravity = robot.arm_arrays
+    joints, points, tool, moves, gravity = robot.arm_arrays
     return {
         "n": robot.n,
         "joint": [
             {
                 "rotation": joint[:9].reshape(3, 3), "origin": joint[9:12], "axis": joint[12:15],
-                "slides": int(joint[15]), "mass": body[0], "moment": body[1:4], "inertia": body[4:], "rotor": rotor,
+                "slides": joint[15], "mass": joint[16], "moment": joint[17:20], "inertia": joint[20:26],
+                "rotor": joint[26],
             }
-            for joint, body, rotor in zip(joints, bodies, rotors, strict=True)
+            for joint in joints
         ],
         "point": points, "tool": tool, "moves": moves.astype(int), "gravity": gravity,
     }  # fmt: skip

@@ -163,11 +163,8 @@ class RobotModel:
         """The arm as numbers, in the order of `core.Arm`."""
         lower = np.tril_indices(3)
         bodies = [[body.mass, *(body.mass * body.lever), *body.inertia[lower]] for body in list(self._pin.inertias)[1:]]
-        return (
-            self.chain.joints, np.array(bodies),
-            np.array(self.data.rotor_inertia, dtype=np.float64), self._offsets, self._mount,
-            self.moves.astype(np.float64), np.array(self._pin.gravity.linear),
-        )  # fmt: skip
+        joints = np.column_stack([self.chain.joints, bodies, self.data.rotor_inertia])
+        return joints, self._offsets, self._mount, self.moves.astype(np.float64), np.array(self._pin.gravity.linear)
 
     def __repr__(self) -> str:
         return f"RobotModel({self.data.name!r}, n={self.n}, tool {self.data.tool_length} m)"

@@ -11,9 +11,7 @@ def law(n, arm=None, supervision=None, fallback="damping", **changes):
     """A core.Law for n joints; what is not given is zero, wide open or off."""
     s = supervisor.SupervisorSettings() if supervision is None else supervision
     wide = np.full(n, 1e3)
-    blank = core.Arm(
-        np.zeros((n, 16)), np.zeros((n, 10)), np.zeros(n), np.zeros((2, 3)), np.eye(3), np.ones((2, n)), np.zeros(3)
-    )
+    blank = core.Arm(np.zeros((n, 27)), np.zeros((2, 3)), np.eye(3), np.ones((2, n)), np.zeros(3))
     given = {
         "K_X": 0.0, "D_X": 0.0, "K_N": 0.0, "D_N": 0.0, "rcm_lambda": 0.0, "projector": 0, "feedforward": False,
         "K_N2": 0.0, "D_N2": 0.0, "tau_max": np.inf, "k0": 1.0, "c0": 0.01, "c1": 0.01, "c2": 1e-3, "rho": 1e-5,

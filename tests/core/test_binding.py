@@ -41,8 +41,7 @@ def test_rows_of_another_length_are_refused():
 @pytest.mark.parametrize("n", [0, 17])
 def test_an_arm_of_no_joints_or_too_many_is_refused(n):
     with pytest.raises(ValueError, match="1 to 16 joints"):
-        core.Arm(np.zeros((n, 16)), np.zeros((n, 10)), np.zeros(n), np.zeros((2, 3)), np.eye(3), np.ones((2, n)),
-                 np.zeros(3))  # fmt: skip
+        core.Arm(np.zeros((n, 27)), np.zeros((2, 3)), np.eye(3), np.ones((2, n)), np.zeros(3))
 
 
 def test_a_pose_that_is_no_number_writes_nothing():

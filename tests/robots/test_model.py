@@ -103,7 +103,7 @@ def test_a_shaft_that_cannot_turn_while_the_tip_is_held_gives_no_gradient() -> N
     joints[:3, 12:15], joints[:3, 15], joints[3:, 12:15] = np.eye(3), 1.0, [0.0, 1.0, 0.0]
     points = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, -0.3]])
     bodies = np.tile(np.r_[1.0, np.zeros(3), np.eye(3)[np.tril_indices(3)]], (n, 1))
-    arm = core.Arm(joints, bodies, np.zeros(n), points, np.eye(3), np.ones((2, n)), np.zeros(3))
+    arm = core.Arm(np.column_stack([joints, bodies, np.zeros(n)]), points, np.eye(3), np.ones((2, n)), np.zeros(3))
     record = np.empty(layout(n)["scalars"].stop)
     assert arm.terms(np.array([0.1, -0.2, 0.3, 0.4, 0.5]), np.zeros(n), record) == core.OK
     state = RobotState(record, n)
