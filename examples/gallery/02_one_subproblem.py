@@ -23,7 +23,7 @@ print(f"|A x - b| {residuals.primal:.1e}, natural residual {residuals.natural:.1
 print("verified:", residuals.verified())
 
 # %%
-# A wrong answer that satisfies every constraint is refused all the same: another point of the self-motion moves tip and
+# A wrong answer that satisfies every constraint is refused too: another point of the self-motion moves tip and
 # wrist as asked, and gives manipulability away.
 kernel = np.linalg.svd(qp.A)[2][5:]
 uphill = kernel.T @ (kernel @ state.grad_mu)

@@ -3,7 +3,7 @@ Follow a plan instead of climbing
 =================================
 
 A local law climbs mu from where the arm stands, and may stay at a lower local maximum. With `third_level = "planned"`
-it follows the best course over the whole path, behind the same solver, supervisor and guard.
+it follows the best course over the whole path, behind the same solver, supervisor and safety filter.
 """
 
 import moc_opt as mo

@@ -1,6 +1,6 @@
 """
-What a bad answer does: nothing
-===============================
+A bad answer does no harm
+=========================
 
 A supervisor checks every answer before the arm follows it. Here a solver claims success for the opposite of the
 optimum at one tick in five: the answers are refused, a safe one takes their place, and the trace keeps the count.
