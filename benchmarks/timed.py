@@ -22,9 +22,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from benchmarks import peers
+from moc_opt import core
 from moc_opt.arrays import Array
 from moc_opt.control import Controller
-from moc_opt.control.law import law_of
+from moc_opt.control.law import numbers_of
 from moc_opt.export import export_scenario
 from moc_opt.qp.problem import NullSpaceQP, row_length
 from moc_opt.robots.model import load_robot
@@ -154,7 +155,7 @@ def _spread(call: Callable[..., Any]) -> Callable[[tuple[Any, ...]], Any]:
 def tick_parts(scenario: Scenario, rounds: int) -> Part:
     """Time the parts of our tick, each on the same states: what the controller calls, called by itself."""
     part, (inputs, _), robot = Part(), record(scenario), load_robot(scenario.robot.name)
-    law = law_of(scenario.control, robot, scenario.plant.period_s)
+    law = core.Law(robot.arm, **numbers_of(scenario.control, robot, scenario.plant.period_s))
     given = [(robot.state(q, v), tip_ref, trocar) for q, v, tip_ref, trocar in inputs]
     tau, x, row = np.empty(robot.n), np.zeros(robot.n), np.empty(row_length(robot.n))
     law.start(given[0][0].record, given[0][1], given[0][2], row)

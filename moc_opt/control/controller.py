@@ -8,8 +8,9 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from moc_opt import core
 from moc_opt.arrays import Array, read_only
-from moc_opt.control.law import law_of
+from moc_opt.control.law import numbers_of
 from moc_opt.control.settings import ControlSettings
 from moc_opt.control.supervisor import Fault, Supervisor
 from moc_opt.errors import ControlError, MocOptError, describe
@@ -60,13 +61,13 @@ class Controller:
             name = getattr(solver, "name", None)
             raise ControlError(f"law: {settings.law!r} with solver {name!r}; 'moc' needs one, 'dcac' takes none")
         self.robot, self.settings, self.solver, self._period = robot, settings, solver, period
-        self._law = law_of(settings, robot, period)
+        self._law = core.Law(robot.arm, **numbers_of(settings, robot, period))
         if guide is not None or (settings.climb == "scaled" and settings.law == "moc"):
             settings.check_guided()
         self._guide, self._n, self._row_length = guide, robot.n, row_length(robot.n)
         self._exact = solver if type(solver) is Exact else None  # the core's own: no session, and no copies for it
         self._started = False
-        self._supervisor = Supervisor(settings.supervisor, self._law, robot.n, times_us)
+        self._supervisor = Supervisor(settings.supervisor, self._law, robot.n, period, times_us)
         self._forget()
 
     def _forget(self) -> None:
@@ -115,11 +116,7 @@ class Controller:
     @property
     def faults(self) -> dict[str, dict[str, Any]]:
         """Label of a Fault -> its ``count`` since the start, ``first_at_s`` from there, and ``first`` in words."""
-        counts, firsts = self._supervisor.counts, self._supervisor.firsts
-        return {
-            label: {"count": counts[label], "first_at_s": self._period * first.tick, "first": first.text}
-            for label, first in firsts.items()
-        }
+        return self._supervisor.faults
 
     @property
     def restarts(self) -> list[dict[str, Any]]:

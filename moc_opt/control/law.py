@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from moc_opt import core
 from moc_opt.control.settings import ControlSettings, per_joint
 from moc_opt.errors import ControlError
 from moc_opt.robots.model import RobotModel
@@ -17,11 +16,6 @@ FALLBACKS = ("damping", "hold", "least-violation")
 LATE = ("hold", "zero", "iterate")
 COURSE_K0_PER_S = 10.0  #: Least k0 of the box under a course, which brakes off before a limit by itself.
 _CHECKS = ("check", "box_limit", "primal_limit", "relative_limit", "opposite_limit", "keep_off_limits")
-
-
-def law_of(settings: ControlSettings, robot: RobotModel, period: float) -> core.Law:
-    """Make the law that the settings ask for on this arm; arguments and errors of `numbers_of`."""
-    return core.Law(robot.arm, **numbers_of(settings, robot, period))
 
 
 def numbers_of(settings: ControlSettings, robot: RobotModel, period: float) -> dict[str, Any]:

@@ -14,8 +14,8 @@ from moc_opt.control.supervisor import SupervisorSettings
 from moc_opt.errors import ControlError, MocOptError, UnknownNameError
 from moc_opt.inputs.settings import LARGEST, Settings
 
-Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
-NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
+Positive = Annotated[float, Field(gt=0.0)]
+NotNegative = Annotated[float, Field(ge=0.0)]
 
 
 def _number_or_numbers(value: Any) -> float | tuple[float, ...]:
@@ -154,7 +154,7 @@ class ControlSettings(Settings):
     )
     limit_margin_m: NotNegative = Field(default=0.05, description="limit_margin_rad for a sliding joint")
     shaft_margin: float = Field(
-        default=0.175, ge=0.0, le=1.0, allow_inf_nan=False,
+        default=0.175, ge=0.0, le=1.0,
         description="mu_shaft is the manipulability of the shaft while the tip is held. Where it is below this value "
         "times the squared distance of wrist point and tip, the climb of third_level 'local' leads away from poses "
         "that cannot hold the shaft, and the box opens to all of v_max. A course of 'planned' or 'receding' goes "

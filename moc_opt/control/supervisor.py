@@ -8,11 +8,10 @@ afterwards reaches neither the check nor the torque.
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterator
 from enum import Enum
 from time import perf_counter_ns
-from typing import ClassVar, Literal, NamedTuple
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
@@ -56,13 +55,6 @@ def _raise_interrupt(error: BaseException) -> None:
         found = found.__cause__ or found.__context__
     if isinstance(found, KeyboardInterrupt):
         raise found
-
-
-class First(NamedTuple):
-    """The first fault of a kind: how many answers came before it, and the message."""
-
-    tick: int
-    text: str
 
 
 class SupervisorSettings(Settings):
@@ -109,8 +101,6 @@ _NAN = float("nan")
 
 
 MOST_ITERATIONS = 2**31 - 1  #: The largest number that a trace can hold.
-_DOUBLE = np.dtype(np.float64)
-_INTEGERS = frozenset({int, *(np.dtype(code).type for code in np.typecodes["AllInteger"])})  # no types made from them
 
 
 def received(given: object, n: int) -> tuple[Solution, str]:
@@ -122,25 +112,22 @@ def received(given: object, n: int) -> tuple[Solution, str]:
     """
     if not isinstance(given, Solution):
         return no_answer(n, Status.NUMERICAL), f"solve returned a {type(given).__name__}: return a Solution"
-    x, y, status, iterations = Solution._make(tuple.__iter__(given)) if type(given) is not Solution else given
-    if type(status) is not Status:
-        wrong, status = f"the status is a {type(status).__name__}: give a Status", Status.NUMERICAL
-    else:
-        wrong = _unlike("x", x, (n,)) or ("" if y is None else _unlike("y", y, (6,)))
-        if not wrong and type(iterations) not in _INTEGERS:
-            wrong = f"iterations is a {type(iterations).__name__}: give an int"
-        elif not wrong and not 0 <= iterations <= MOST_ITERATIONS:
-            wrong = f"iterations is out of range: give 0 to {MOST_ITERATIONS}"
+    x, y, status, iterations = given
+    if not isinstance(status, Status):
+        return no_answer(n, Status.NUMERICAL), f"the status is a {type(status).__name__}: give a Status"
+    wrong = _unlike("x", x, (n,)) or ("" if y is None else _unlike("y", y, (6,)))
+    whole = isinstance(iterations, int | np.integer) and not isinstance(iterations, bool)
+    if not wrong and not (whole and 0 <= iterations <= MOST_ITERATIONS):
+        wrong = f"iterations = {iterations!r:.50}: give an int from 0 to {MOST_ITERATIONS}"
     if wrong:
         return no_answer(n, status), wrong
     return Solution(x.copy(), None if y is None else y.copy(), status, int(iterations)), ""
 
 
 def _unlike(name: str, value: object, shape: tuple[int, ...]) -> str:
-    if type(value) is not np.ndarray:
-        return f"{name} is a {type(value).__name__}: give an array of float64"
-    if value.dtype != _DOUBLE:
-        return f"{name} is an array of {value.dtype}: give an array of float64"
+    if not isinstance(value, np.ndarray) or value.dtype != np.float64:
+        kind = f"an array of {value.dtype}" if isinstance(value, np.ndarray) else f"a {type(value).__name__}"
+        return f"{name} is {kind}: give an array of float64"
     return "" if value.shape == shape else f"{name} has shape {value.shape}: give {shape}"
 
 
@@ -151,17 +138,19 @@ class Supervisor:
         settings: limits of the check, and the replacement.
         law: the core's, which holds the subproblem of this tick and the last good answer.
         n: joints.
+        period: of control [s].
         times_us: recorded solve times that replace the clock, so that a run with deadlines can be
             repeated exactly; None: the clock decides. After the last recorded time the clock decides too.
 
-    Since the start, by a fault's label: ``counts`` holds the number of occurrences, ``firsts`` the first one and
-    its message (that of the exception, if the solver raised one).
+    ``faults`` has, by a fault's label, its ``count`` since the start, ``first_at_s`` from there, and ``first``: the
+    message of the first one (that of the exception, if the solver raised one).
     """
 
     def __init__(
-        self, settings: SupervisorSettings, law: core.Law, n: int, times_us: Iterator[float] | None = None
-    ) -> None:
-        self.settings, self._law, self._n, self._times = settings, law, n, times_us
+        self, settings: SupervisorSettings, law: core.Law, n: int, period: float,
+        times_us: Iterator[float] | None = None,
+    ) -> None:  # fmt: skip
+        self.settings, self._law, self._n, self._period, self._times = settings, law, n, period, times_us
         # Read once: access to a setting costs as much as a comparison, and every tick needs it.
         self._stop_late = settings.late == "iterate"
         self._budget_us = float("inf") if settings.budget_us is None else settings.budget_us
@@ -169,10 +158,8 @@ class Supervisor:
 
     def forget(self) -> None:
         """Forget all counts."""
-        self.fault, self.solve_us = Fault.NONE, float("nan")
-        self.counts: Counter[str] = Counter()
-        self.firsts: dict[str, First] = {}
-        self._asked = 0
+        self.fault, self.solve_us, self._asked = Fault.NONE, float("nan"), 0
+        self.faults: dict[str, dict[str, Any]] = {}
 
     def solve(
         self, session: Session, qp: NullSpaceQP, tau: Array, v: Array | None = None
@@ -218,13 +205,11 @@ class Supervisor:
 
     def _note(self, number: int, status: Status, text: str) -> None:
         self.fault = fault = _FAULTS[number]
-        self._asked += 1
-        if not number:
-            return
-        self.counts[fault.label] += 1
-        if fault.label not in self.firsts:
+        if number:
             cure = f" ({status.value})" if fault is Fault.FAILED else ""
-            self.firsts[fault.label] = First(self._asked - 1, text or fault.value + cure)
+            first = {"count": 0, "first_at_s": self._period * self._asked, "first": text or fault.value + cure}
+            self.faults.setdefault(fault.label, first)["count"] += 1
+        self._asked += 1
 
     def _ask(self, session: Session, qp: NullSpaceQP, v: Array | None) -> tuple[Solution, Fault | None, str]:
         shown, given, text = qp.copy(), None, ""

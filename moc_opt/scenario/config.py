@@ -25,7 +25,7 @@ from moc_opt.sim.settings import PlantSettings
 
 PRESETS: Mapping[str, Mapping[str, Callable[..., Settings]]] = {
     "control": {name: partial(ControlSettings.preset, name) for name in CONTROL_PRESETS},
-    "plant": {"realistic": PlantSettings.realistic, "nominal": PlantSettings.nominal},
+    "plant": {"realistic": PlantSettings, "nominal": PlantSettings.nominal},
 }
 """Table -> name of its ``preset`` -> what makes the table from the other keys."""
 _LAGS = 3.0  # time constants of the encoders' velocity filter that the safety filter takes for its lag, at least
@@ -56,7 +56,7 @@ class Scenario(Settings):
     task: TaskTable = TaskTable()
     control: ControlSettings = ControlSettings()
     solver: SolverTable = SolverTable()
-    plant: PlantSettings = PlantSettings.realistic()
+    plant: PlantSettings = PlantSettings()
     duration_s: float | None = Field(
         None, gt=0.0, le=MOST_S,
         description="time after which the run stops early; left out: it runs to the end of the path",

@@ -114,11 +114,6 @@ def compile_model(name: str, spec: mujoco.MjSpec) -> mujoco.MjModel:
         raise PlantError(f"robot {name!r}: MuJoCo refuses it ({error}): correct the link's <inertial>") from error
 
 
-def heavy_links(spec: mujoco.MjSpec) -> list[str]:
-    """Return the names of the links with a mass, from the base outwards."""
-    return [body.name for body in spec.bodies if body.mass > 0.0]
-
-
 def _bare(urdf: str) -> str:
     root = ET.fromstring(urdf)
     for link in root.iter("link"):

@@ -11,7 +11,9 @@ the arm. The shaft's line has no ends: the tool is assumed to be inserted.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -22,8 +24,8 @@ from moc_opt.arrays import Array, read_only
 from moc_opt.errors import PlantError, UnknownNameError
 from moc_opt.robots import RobotData
 from moc_opt.sim.joints import Joints, add_springs, check_substeps
-from moc_opt.sim.mjcf import FORCE_SENSOR, TOOL_BODY, add_mismatch, build_spec, compile_model, heavy_links
-from moc_opt.sim.sensors import Encoders, Measurement, WrenchSensor
+from moc_opt.sim.mjcf import FORCE_SENSOR, TOOL_BODY, add_mismatch, build_spec, compile_model
+from moc_opt.sim.sensors import Encoders, Measurement, Noise
 from moc_opt.sim.settings import Mismatch, PlantSettings
 
 if mujoco.get_mju_user_warning() is None:
@@ -53,6 +55,10 @@ def _finite(name: str, value: ArrayLike, shape: tuple[int, ...], note: str = "")
     return array
 
 
+def _truth(of: Callable[[Any], Array], about: str) -> Any:
+    return property(lambda plant: read_only(of(plant).copy()), doc=about)
+
+
 class Plant:
     """An arm in MuJoCo with its trocar, its sensors and its delay, advanced one control period at a time.
 
@@ -61,7 +67,7 @@ class Plant:
 
     Args:
         data: the robot, as in the controller's model.
-        settings: how the plant differs from it; None is `PlantSettings.realistic()`.
+        settings: how the plant differs from it; None: `PlantSettings()`.
         seed: of the mismatch and of the noise, 0 or more.
 
     Attributes: `data`, `settings`, `mismatch`, and MuJoCo's `mj_model` and `mj_data`, to draw the scene and
@@ -73,11 +79,12 @@ class Plant:
 
     def __init__(self, data: RobotData, settings: PlantSettings | None = None, seed: int = 0) -> None:
         self.data = data
-        self.settings = settings = PlantSettings.realistic() if settings is None else settings
+        self.settings = settings = PlantSettings() if settings is None else settings
         # One stream for each purpose: switching one thing off leaves the others' numbers as they are.
         mismatch, *self._noise_seeds = np.random.SeedSequence(seed).spawn(3)
         spec = build_spec(data, substep_s=settings.substep_s, gravity=settings.gravity)
-        self.mismatch = Mismatch.draw(data, settings, heavy_links(spec), mismatch)
+        heavy = [body.name for body in spec.bodies if body.mass > 0.0]
+        self.mismatch = Mismatch.draw(data, settings, heavy, mismatch)
         add_mismatch(data, spec, self.mismatch)
         if settings.elastic:
             add_springs(data, spec, settings)
@@ -102,7 +109,6 @@ class Plant:
         self._tip, self._wrist = state.xpos[tip], state.xpos[wrist]
         self._shaft = self._tip, self._wrist, state.cvel[tip], origin, state.xipos[tool]
         self._tool_wrench, self._felt = state.xfrc_applied[tool], np.zeros(6)
-        # MuJoCo's sensor shows what the mount exerts on the tool; ours, as real ones do, the reaction.
         first = model.sensor(FORCE_SENSOR).adr[0]
         self._held = state.sensordata[first : first + 6]
         self._bodies, self._pushes = bodies, dict[int, tuple[Array, Array]]()  # number -> force, point in its frame
@@ -133,7 +139,8 @@ class Plant:
             )
         shown, felt = (np.random.default_rng(seed) for seed in self._noise_seeds)
         self._encoders = Encoders(self.settings, self.mismatch.encoder_bias, shown)
-        self._sensor = WrenchSensor(self.settings, felt)
+        levels = np.repeat([self.settings.force_noise_N, self.settings.torque_noise_Nm], 3)
+        self._wrench_noise = Noise(felt, levels)
         self._pushes.clear()
         self.mj_model.dof_damping[:] = self._drive_damping
         self.mj_model.dof_frictionloss[:] = self._drive_friction
@@ -142,8 +149,7 @@ class Plant:
         self._joints.start(start - self.mismatch.encoder_bias, speed)
         self._load(0.0)
         self._feel()
-        q, v = self._encoders.start(*self._joints.shown)
-        self._measurement = Measurement(q, v, self._sensor.read(self._held), self._ticks)
+        self._sense(*self._encoders.start(*self._joints.shown))
         self._ran_away = not self._joints.v.dot(self._joints.v) < _RUNAWAY_RAD_PER_S**2
 
     def step(self, tau: ArrayLike, trocar: ArrayLike | None = None) -> None:
@@ -182,8 +188,11 @@ class Plant:
                 "controller's gains or the trocar's stiffness and damping, raise substeps, or give the robot "
                 "rotor inertia"
             )
-        q, v = self._encoders.read(*joints.shown)
-        self._measurement = Measurement(q, v, self._sensor.read(self._held), self._ticks)
+        self._sense(*self._encoders.read(*joints.shown))
+
+    def _sense(self, q: Array, v: Array) -> None:
+        # MuJoCo's sensor shows what the mount exerts on the tool; ours, as real ones do, the reaction.
+        self._measurement = Measurement(q, v, read_only(self._wrench_noise.take() - self._held), self._ticks)
 
     def _load(self, elapsed_s: float) -> None:
         state = self.mj_data
@@ -255,32 +264,12 @@ class Plant:
         """Time since the reset [s]."""
         return self._ticks * self.settings.period_s
 
-    @property
-    def q(self) -> Array:
-        """(n,) true joint positions [rad]; a read-only copy, as all that follow."""
-        return read_only(self._joints.q.copy())
-
-    @property
-    def v(self) -> Array:
-        """(n,) true joint velocities [rad/s]."""
-        return read_only(self._joints.v.copy())
-
-    @property
-    def applied_torque(self) -> Array:
-        """(n,) torque of the drives in the last period, delayed and saturated, without ripple [Nm]."""
-        return read_only(self._joints.torque.copy())
-
-    @property
-    def tip(self) -> Array:
-        """(3,) true tip [m]."""
-        return read_only(self._tip.copy())
-
-    @property
-    def wrist(self) -> Array:
-        """(3,) true wrist centre [m]."""
-        return read_only(self._wrist.copy())
-
-    @property
-    def trocar_force(self) -> Array:
-        """(3,) force of the trocar on the shaft now, world axes [N]; 0 without one in the last period."""
-        return read_only(self._feel().copy())
+    # Read-only copies of what is true now.
+    q = _truth(lambda plant: plant._joints.q, "(n,) joint positions [rad].")
+    v = _truth(lambda plant: plant._joints.v, "(n,) joint velocities [rad/s].")
+    applied_torque = _truth(
+        lambda plant: plant._joints.torque, "(n,) torque of the drives in the last period, cut, without ripple [Nm]."
+    )
+    tip = _truth(lambda plant: plant._tip, "(3,) tip [m].")
+    wrist = _truth(lambda plant: plant._wrist, "(3,) wrist centre [m].")
+    trocar_force = _truth(lambda plant: plant._feel(), "(3,) force of the trocar on the shaft, world axes [N].")

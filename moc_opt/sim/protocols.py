@@ -48,20 +48,9 @@ class LoggedController(TorqueController, Protocol):
 class Filtered(ABC):
     """From a measurement to a torque that may be applied: here, or at the other end of a wire (``realtime``)."""
 
-    @property
-    @abstractmethod
-    def stop_reason(self) -> str:
-        """Why the arm has to be stopped; empty while it has not."""
-
-    @property
-    @abstractmethod
-    def limited(self) -> int:
-        """Number of joints at which the last torque was changed on its way."""
-
-    @property
-    @abstractmethod
-    def warnings(self) -> list[dict[str, Any]]:
-        """What exceeded a warning level since the start, as JSON values."""
+    stop_reason: Any  #: Why the arm has to be stopped; empty while it has not.
+    limited: Any  #: Number of joints at which the last torque was changed on its way.
+    warnings: Any  #: What exceeded a warning level since the start, as JSON values.
 
     @abstractmethod
     def start(self, seen: Measurement, tip_ref: Array, trocar: Array) -> None:

@@ -44,12 +44,9 @@ class TaskOffset(NamedTuple):
 
 
 class Record:
-    """The rows of a run; ``done`` of them are filled.
+    """The rows of a run; ``done`` of them are filled. Arguments as for `moc_opt.sim.loop.simulate`.
 
-    Args:
-        plant: gives the true state, and the time of the first tick.
-        controller: makes columns of its own; ``faults`` and ``restarts``, where it has them, go into the meta.
-        tip_refs, trocars, registered, offset: see `moc_opt.sim.loop.simulate`.
+    ``faults`` and ``restarts`` of the controller, where it has them, go into the meta.
     """
 
     def __init__(
@@ -102,11 +99,12 @@ class Record:
     def trace(self, warnings: list[dict[str, Any]], meta: Mapping[str, Any], *, ran_away: bool) -> Trace:
         """Return the trace of the rows that are done; ``warnings`` of the safety filter count from the first tick."""
         t = self._columns["t_s"]
-        ended = {"ended": f"ran away at t = {t[self.done - 1]:.3f} s"} if ran_away else {}
-        counts = {"period_s": self._plant.settings.period_s, "ticks": self.done, "ticks_planned": len(t)}
-        found: dict[str, Any] = {"faults": getattr(self._controller, "faults", None)}
-        found["restarts"] = getattr(self._controller, "restarts", None) or None
-        if warnings:
-            found["warnings"] = [{**one, "first_s": float(t[0]) + one["first_s"]} for one in warnings]
-        found = {name: value for name, value in found.items() if value is not None}
-        return Trace(self.columns(), {**counts, **self._ending, **ended, **found, **meta})
+        found: dict[str, Any] = {
+            "period_s": self._plant.settings.period_s, "ticks": self.done, "ticks_planned": len(t), **self._ending,
+            "faults": getattr(self._controller, "faults", None),
+            "restarts": getattr(self._controller, "restarts", None) or None,
+            "warnings": [{**one, "first_s": float(t[0]) + one["first_s"]} for one in warnings] or None,
+        }  # fmt: skip
+        if ran_away:
+            found["ended"] = f"ran away at t = {t[self.done - 1]:.3f} s"
+        return Trace(self.columns(), {**{name: value for name, value in found.items() if value is not None}, **meta})

@@ -1,4 +1,4 @@
-"""The controller's sensors: joint encoders, and the six-axis force/torque sensor at the tool mount."""
+"""What the controller is shown: a measurement, its noise, and the joints' encoders."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Measurement(NamedTuple):
 _NOISE_ROWS = 256
 
 
-class _Noise:
+class Noise:
     """Gaussian noise of given standard deviations (m,), drawn in blocks: a fraction of the calls."""
 
     def __init__(self, rng: np.random.Generator, deviation: Array) -> None:
@@ -62,7 +62,7 @@ class Encoders:
         noise, step, cutoff = settings.encoder_noise_rad, settings.encoder_resolution_rad, settings.velocity_cutoff_Hz
         gain = -math.expm1(-2.0 * math.pi * cutoff * settings.period_s) if cutoff > 0.0 else 1.0
         # memory: bias [rad]; position shown last [rad]; velocity estimate [rad/s]
-        self._noise, self._memory = _Noise(rng, np.full(bias.size, noise)), np.zeros((3, bias.size))
+        self._noise, self._memory = Noise(rng, np.full(bias.size, noise)), np.zeros((3, bias.size))
         self._memory[0] = bias
         self._conversion = step, settings.period_s, gain, noise == step == cutoff == 0.0
 
@@ -81,17 +81,6 @@ class Encoders:
         core.read_encoders(q, v, self._noise.take(), self._memory, *conversion, reading)
         read_only(reading)
         return reading[0], reading[1]
-
-
-class WrenchSensor:
-    """Shows the wrench that the tool exerts on the mount, with noise."""
-
-    def __init__(self, settings: PlantSettings, rng: np.random.Generator) -> None:
-        self._noise = _Noise(rng, np.repeat([settings.force_noise_N, settings.torque_noise_Nm], 3))
-
-    def read(self, held: Array) -> Array:
-        """Return force [N] and torque [Nm] as measured, (6,) read-only: the reaction to ``held``, the mount's own."""
-        return read_only(self._noise.take() - held)
 
 
 _CHANCE = 1e-10  #: Probability of a longer repetition at a reading of a joint that stands in the middle of a step.

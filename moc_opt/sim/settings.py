@@ -24,7 +24,9 @@ _Stiffness = Annotated[float, Field(gt=0, le=1e9)]
 class PlantSettings(Settings):
     """Settings of the simulated arm, its trocar and its sensors; units are in the names, 0 switches off.
 
-    The defaults are `realistic()`: a plant that equals the controller's model proves little.
+    The defaults are realistic: wrong masses, friction, noise, a tick of delay, a calibrated arm's kinematics, a trocar
+    0.5 mm off. A plant that equals the controller's model proves little. Joints are rigid and torques smooth;
+    docs/plant.md says why.
 
     Raises:
         PlantError: a value is out of range; the message names the field, the value and the range.
@@ -113,14 +115,6 @@ class PlantSettings(Settings):
     def substep_s(self) -> float:
         """Plant step [s]."""
         return self.period_s / self.substeps
-
-    @classmethod
-    def realistic(cls, **changes: Any) -> PlantSettings:
-        """Make wrong masses, friction, noise, a tick of delay, a calibrated arm's kinematics, a trocar 0.5 mm off.
-
-        Joints are rigid and torques smooth; docs/plant.md says why. `changes` override fields.
-        """
-        return cls(**changes)
 
     @classmethod
     def nominal(cls, **changes: Any) -> PlantSettings:

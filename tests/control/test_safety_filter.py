@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from moc_opt.control.safety_filter import SafetyFilter, SafetyFilterSettings
+from moc_opt.control.safety_filter import SafetyFilter, SafetyFilterSettings, numbers_of
 from moc_opt.errors import ControlError
 from moc_opt.robots.model import RobotModel, load_robot
 from moc_opt.scenario import Scenario, make_safety_filter
@@ -230,6 +230,12 @@ def test_brakes_open_by_the_mean_of_the_trocars_force_and_not_by_a_blow(robot, n
     assert opened.index(True) + 1 == first
     assert (first == 1) == (newton > 80.0)
     assert np.flatnonzero(opened).tolist() == list(range(first - 1, first - 1 + 200))  # stop_yield_s, and not again
+
+
+def test_over_a_period_longer_than_its_time_a_mean_is_the_last_figure(robot):
+    short = SafetyFilterSettings(tip_error_s=0.05, incision_s=0.05, residual_s=0.05)
+    found = numbers_of(short, robot, 0.1)
+    assert {found[f"{name}_share"] for name in ("tip", "incision", "residual", "press")} == {1.0}
 
 
 @pytest.mark.parametrize("share", [1.0, 0.05])

@@ -299,7 +299,7 @@ def test_the_robust_gains_bear_four_ticks_of_delay(plant):
 def test_a_saboteur_gets_no_joint_past_its_limit(robot, every, seed):
     """It asks for twice the largest torques, in directions that change at random, and shows no tip."""
     # Readings without bias: of 60 such courses one passes a limit by 0.01 rad, with a bias of 0.1 mrad three do.
-    free = PlantSettings.realistic(trocar_stiffness_N_per_m=0.0, trocar_damping_Ns_per_m=0.0, encoder_bias_rad=0.0)
+    free = PlantSettings(trocar_stiffness_N_per_m=0.0, trocar_damping_Ns_per_m=0.0, encoder_bias_rad=0.0)
     plant = Plant(robot.data, free, seed=seed)
     place = 0.1 + 0.8 * np.random.default_rng(seed).uniform(size=N)
     plant.reset(robot.q_min + place * (robot.q_max - robot.q_min))

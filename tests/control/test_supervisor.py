@@ -86,7 +86,7 @@ def test_a_good_answer_is_followed_and_copied_from_any_layout_of_memory(qp, Z):
         given = Solution(x, good.y, Status.SOLVED, np.int64(3))
         mine, solution, followed = asked(qp, Z, given)
         assert mine.fault is Fault.NONE
-        assert mine.counts == {}
+        assert mine.faults == {}
         np.testing.assert_array_equal(solution.x, good.x)
         np.testing.assert_array_equal(solution.y, good.y)
         np.testing.assert_array_equal(followed, good.x)
@@ -115,12 +115,13 @@ def test_each_fault_has_its_name_and_is_counted(fault, qp, Z):
     mine.solve(scripted(solved(qp)), qp, Z)
     _, x = mine.solve(scripted(wrong_answers(qp)[fault]), qp, Z)
     assert mine.fault is fault
-    assert mine.counts == {fault.label: 1}
-    assert fault is not Fault.RAISED or mine.firsts == {"raised": (1, "RuntimeError: from inside a solver")}
+    ((label, found),) = mine.faults.items()
+    assert (label, found["count"], found["first_at_s"]) == (fault.label, 1, 0.002)
+    assert fault is not Fault.RAISED or found["first"] == "RuntimeError: from inside a solver"
     # the last good answer is held, but an infeasible subproblem is answered by the fallback
     np.testing.assert_array_equal(x, np.zeros(7) if fault is Fault.INFEASIBLE else solved(qp).x)
     mine.forget()
-    assert (mine.counts, mine.firsts) == ({}, {})
+    assert mine.faults == {}
 
 
 @pytest.mark.parametrize("hold", [0, 1, 4])
@@ -169,7 +170,7 @@ ZERO, OK = np.zeros(7), Status.SOLVED
 def test_an_answer_of_a_wrong_form_is_a_fault_that_says_what_is_wrong(answer, told, qp, Z):
     mine, solution, x = asked(qp, Z, answer)
     assert mine.fault is Fault.MALFORMED
-    assert mine.firsts["malformed"].text.startswith(told)
+    assert mine.faults["malformed"]["first"].startswith(told)
     assert solution.x.shape == (7,)
     assert not x.any()
 
@@ -209,7 +210,7 @@ def test_whatever_a_session_raises_is_counted_and_a_users_interrupt_passes(error
         return
     mine, _, x = asked(qp, Z, session, v=np.zeros(7))
     assert mine.fault is Fault.RAISED
-    assert mine.firsts["raised"].text.startswith("SystemError" if "under" in where else type(error).__name__)
+    assert mine.faults["raised"]["first"].startswith("SystemError" if "under" in where else type(error).__name__)
     assert np.isfinite(x).all()
 
 
@@ -444,7 +445,7 @@ def test_late_answers(late, qp, Z):
     mine.solve(scripted(good), qp, Z)
     solution, x = mine.solve(scripted(Unanswered("late", "nothing after 700 us")), qp, Z)  # it is not there
     assert (mine.fault, solution.status) == (Fault.LATE, Status.TIME_LIMIT)
-    assert mine.firsts["late"].text == "nothing after 700 us"
+    assert mine.faults["late"]["first"] == "nothing after 700 us"
     np.testing.assert_array_equal(x, np.zeros(7) if late == "zero" else good.x)
 
 

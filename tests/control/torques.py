@@ -66,7 +66,7 @@ class Supervisor(supervisor.Supervisor):
     """A supervisor whose law has the subproblem and the null space that the test gives it."""
 
     def __init__(self, settings, fallback, n, times_us=None):
-        super().__init__(settings, law(n, supervision=settings, fallback=fallback), n, times_us)
+        super().__init__(settings, law(n, supervision=settings, fallback=fallback), n, 0.002, times_us)
 
     def solve(self, session, qp, Z, v=None):
         self._law.load(qp.row, np.ascontiguousarray(Z))

@@ -114,7 +114,7 @@ def test_the_safety_filter_is_told_of_the_encoders(tables, told):
 def test_change_of_the_plant_keeps_what_it_is_and_is_validated():
     base = Scenario(plant=PlantSettings.nominal())
     assert base.change(plant={"delay_ticks": 2}).plant == PlantSettings.nominal(delay_ticks=2)
-    assert base.change(plant={"preset": "realistic"}).plant == PlantSettings.realistic()
+    assert base.change(plant={"preset": "realistic"}).plant == PlantSettings()
     assert base.change(control={"preset": "paper"}).control == ControlSettings.preset("paper")
     with pytest.raises(MocOptError, match="c2"):
         base.change(control={"c2": -1.0})

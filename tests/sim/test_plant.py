@@ -259,6 +259,7 @@ def test_a_measurement_is_the_truth_or_near_it_and_steady():
     for plant in (exact, near):
         run(plant, 50)
     np.testing.assert_array_equal(exact.measure()[:2], [exact.q, exact.v])
+    np.testing.assert_array_equal(exact.measure().force, -exact.mj_data.sensordata[:6])  # the tool's on the mount
     first = near.measure()
     assert first is near.measure()
     assert 0 < np.abs(first.q - near.q - near.mismatch.encoder_bias).max() < 1e-4

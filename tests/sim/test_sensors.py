@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from moc_opt.sim import PlantSettings
-from moc_opt.sim.sensors import Encoders, WrenchSensor, longest_repetition, repeats_no_reading
+from moc_opt.sim.sensors import Encoders, longest_repetition, repeats_no_reading
 
 PERIOD = 0.002
 
@@ -63,11 +63,6 @@ def test_velocity_starts_at_the_true_one_and_is_bare_without_cutoff():
     np.testing.assert_array_equal(velocity, 0.3)
     second, velocity = sensor.read(np.zeros(7), np.zeros(7))
     np.testing.assert_allclose(velocity, (second - first) / PERIOD, rtol=1e-12, atol=1e-15)
-
-
-def test_the_wrench_sensor_shows_what_the_tool_exerts_on_the_mount():
-    held = np.arange(6.0)  # the mount's own
-    np.testing.assert_array_equal(WrenchSensor(PlantSettings.nominal(), np.random.default_rng(5)).read(held), -held)
 
 
 @given(st.floats(2e-6, 1e-4), st.just(0.0) | st.floats(1e-9, 3.0), st.floats(-0.5, 0.5), st.integers(0, 2**32 - 1))

@@ -67,7 +67,7 @@ def run(robot, phantom, trocar):
     times = period * np.arange(round(seconds / period))
     waiting = WaitingReference(Reference(path, 0.05, 0.2), period)
     rows, played = waiting.play(flags_at(times, looked_at, seen))
-    plant = Plant(robot.data, PlantSettings.realistic(trocar_registration_error_m=0.0), seed=1)
+    plant = Plant(robot.data, PlantSettings(trocar_registration_error_m=0.0), seed=1)
     plant.reset(q)
     points = np.tile(np.stack([trocar, np.zeros(3)]), (len(times), 1, 1))
     driver = Controller(robot, ControlSettings(law="dcac"), None, period)

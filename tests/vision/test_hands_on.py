@@ -16,7 +16,7 @@ def incision(robot, seed):
 
 
 def guided(robot, seed=0, plant_settings=None, **settings):
-    plant = Plant(robot.data, plant_settings or PlantSettings.realistic(), seed=seed)
+    plant = Plant(robot.data, plant_settings or PlantSettings(), seed=seed)
     return guide_to(incision(robot, seed), plant, robot, HandsOnSettings(**settings), seed=seed), plant
 
 
@@ -56,7 +56,7 @@ def test_a_tip_that_does_not_reach_the_incision_or_never_rests_there_registers_n
 
 @pytest.mark.parametrize("point", [(1.5, 0.0, 0.3), (1.16, 0.05, 0.0), (0.6, 0.0, np.nan)])
 def test_an_impossible_incision_is_refused_before_anything_moves(robot, point):
-    plant = Plant(robot.data, PlantSettings.realistic())
+    plant = Plant(robot.data, PlantSettings())
     before = plant.q
     with pytest.raises(TaskError):
         guide_to(point, plant, robot)
@@ -66,7 +66,7 @@ def test_an_impossible_incision_is_refused_before_anything_moves(robot, point):
 
 def test_a_reason_of_the_safety_filter_stops_the_guiding(robot, monkeypatch):
     """A joint whose encoder fails: the brakes close, nothing is registered, and the trace says why."""
-    plant = Plant(robot.data, PlantSettings.realistic(), seed=4)
+    plant = Plant(robot.data, PlantSettings(), seed=4)
     measure = plant.measure
 
     def broken():
