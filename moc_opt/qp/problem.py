@@ -252,7 +252,7 @@ def _array(
 ) -> Array:
     try:
         array = np.asarray(value, dtype=float)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise SubproblemError(f"{name}: {shown(value)} is not an array of numbers") from error
     if shape is not None and array.shape != shape:
         raise SubproblemError(f"{name}: shape {array.shape} is not {shape}{cure}")

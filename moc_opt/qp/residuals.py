@@ -239,11 +239,10 @@ def _moving_joints(problem: Problem, x: Array, factors: _Factors, size: Array) -
         slope = np.einsum("kni,kn->ki", Z, rho[:, None] * exact - c2[:, None] * along)
         if r == 1:
             moved, loss, gap = _along_a_line(Z[:, :, 0], slope[:, 0], rho, low, high, above)
-            pull = slope * Z[:, :, 0]
         else:
             moved, loss, gap, pull = _in_a_polytope(Z, slope, rho, low, high, above)
         both = np.array([np.ones(len(x)), 1.0 / _or_one(scale)])[:, :, None]
-        if comb(n, r - 1) <= MOST_FACETS:
+        if r == 1 or comb(n, r - 1) <= MOST_FACETS:
             natural = _best_natural(problem, x, Z, both * slope)
         else:
             natural = np.abs(x - np.clip(x - both * pull, problem.lower, problem.upper)).max(-1)

@@ -13,8 +13,8 @@ from moc_opt.arrays import Array
 from moc_opt.errors import SolverError, is_number, shown
 from moc_opt.qp.problem import NullSpaceQP
 
-Choices = Mapping[str, tuple[object, ...]]
-"""Field of some settings -> the values that it may have."""
+Choices = Mapping[str, tuple[object, ...]]  # field of some settings -> the values that it may have
+MOST = 2**31 - 1  # of a whole number: the libraries count in 32 bits
 
 
 class Status(Enum):
@@ -98,17 +98,11 @@ class SolverSettings:
 
     A subclass is a frozen dataclass. Each field with a plain default is checked by it: a flag's default asks for a
     flag, that of a whole number for one of 1 or larger, of a number for a positive one (or None, if that is the
-    default), 0.0 for one not negative. A field in ``choices`` must have one of the values there.
-
-    Attributes:
-        session: makes a session of settings and a first problem.
-
-    Raises:
-        SolverError: a field is out of range; names the field, its value and the cure.
+    default), 0.0 for one not negative. A SolverError names a field that is out of range, its value and the cure.
     """
 
     name: ClassVar[str]
-    session: ClassVar[type[Any]]
+    session: ClassVar[type[Any]]  #: Makes a session of settings and a first problem.
     choices: ClassVar[Choices] = {}
 
     def __post_init__(self) -> None:
@@ -128,7 +122,8 @@ class SolverSettings:
         if isinstance(usual, bool):
             return flag, "True or False"
         if isinstance(usual, int):
-            return number and isinstance(value, int) and value >= 1, f"a whole number of 1 or larger; {usual} is usual"
+            right = isinstance(value, int) and not flag and 1 <= value <= MOST
+            return right, f"a whole number from 1 to {MOST}; {usual} is usual"
         if usual == 0.0:
             return number and value >= 0.0, "a number of 0 or larger; 0 is usual"
         if isinstance(usual, float) or field.type == "float | None":

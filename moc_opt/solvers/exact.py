@@ -43,13 +43,10 @@ class ExactSession:
 
 @dataclass(frozen=True)
 class Exact(SolverSettings):
-    """Null-space elimination.
+    """Null-space elimination; repeated rows may contradict each other by 1e-6 m/s, the judge's tolerance on A x = b.
 
     Args:
         tolerance: box violation that still counts as feasible [rad/s]; more where rounding alone explains more.
-
-    Repeated rows may contradict each other by 1e-6 m/s, the tolerance on A x = b of the residual check: data that are
-    rounded to eight decimals contradict themselves by 1e-8.
     """
 
     tolerance: float = 1e-9
@@ -61,15 +58,9 @@ class Exact(SolverSettings):
         return None if qp.n <= core.MAX_JOINTS else f"{qp.n} joints: `exact` takes at most {core.MAX_JOINTS}"
 
     def solve_batch(self, rows: Array, threads: int | None = None) -> tuple[Array, Array, list[Status]]:
-        """Solve flat records (k, 11 n + 10): x (k, n), y (k, 6), statuses.
+        """Solve flat records (k, 11 n + 10) by so many threads (None: one a core): x (k, n), y (k, 6), statuses.
 
-        x and y are NaN where the status is not SOLVED.
-
-        Args:
-            threads: how many share the work; None: one a core.
-
-        Raises:
-            SolverError: fewer than one thread, or rows of another shape.
+        x and y are NaN where the status is not SOLVED. A SolverError refuses rows of another shape.
         """
         if threads is not None and threads < 1:
             raise SolverError(f"exact: threads = {threads}: give 1 or more, or None for one a core")

@@ -19,7 +19,7 @@ from qpsolvers.exceptions import QPError
 
 from moc_opt.errors import SolverError, UnknownNameError, describe
 from moc_opt.qp.problem import ROWS, NullSpaceQP
-from moc_opt.solvers.base import Choices, Session, Solution, SolverSettings, Status, no_answer
+from moc_opt.solvers.base import MOST, Choices, Session, Solution, SolverSettings, Status, no_answer
 from moc_opt.solvers.library import refuse_semidefinite
 
 
@@ -41,8 +41,6 @@ ADVICE: dict[str, Advice] = {
     "proxqp": Advice(1e3, {"eps_abs": 1e-9, "eps_rel": 0.0}),
     "scs": Advice(1e3, {"eps_abs": 1e-8, "eps_rel": 0.0}),  # with 1e-4 half of the answers are wrong
 }
-
-MOST = 2**31 - 1  # size of an option's value: the libraries count in 32 bits
 
 # A list of allowed options, not of forbidden ones: libraries add options with every version.
 ALLOWED = {

@@ -27,8 +27,7 @@ Columns = Mapping[str, NDArray[Any]]
 
 VERSION = "2"
 VERSION_KEY, META_KEY, TYPES_KEY, SUM_KEY = "moc_opt.trace.trace", "moc_opt.meta", "moc_opt.types", "moc_opt.crc32"
-MOST_BYTES = 2**32
-"""Of all columns together, unpacked: a column of one value repeated shrinks without bound in a file."""
+MOST_BYTES = 2**32  # of all columns, unpacked: a column of one value repeated shrinks without bound in a file
 _OTHER_FORMATS = frozenset({".csv", ".tsv", ".txt", ".json", ".npy", ".npz", ".mat", ".h5", ".xlsx", ".html", ".toml"})
 
 

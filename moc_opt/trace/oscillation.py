@@ -7,9 +7,8 @@ realistic plant 94 sound runs (all presets, noise, bumps, breathing, DCAC at a j
 3.6 Nm; a limit cycle of the idle joint had 0.49 rad/s and 28 Nm, chatter by delay or by rho = 0 up to 2.7 and 119.
 
 Both limits lie near the geometric middle of sound and unsound. Those of a joint that slides are the same motion at
-0.4 m from an axis, of a mass that goes with such an axis: 0.08 m/s, and 100 N (the rail's sound runs have 11 N). A
-single jerk is no oscillation: without its loudest quarter, the second has to hold half of a limit still. (DCAC's
-elbow, which nothing holds, slipped by a radian within 0.1 s: 0.40 rad/s with that quarter, 0.03 without.)
+0.4 m from an axis: 0.08 m/s, and 100 N (the rail's sound runs have 11 N). A single jerk is no oscillation: without its
+loudest quarter, the second has to hold half of a limit still.
 """
 
 from __future__ import annotations
@@ -130,8 +129,7 @@ def describe(trace: Trace, joint_names: Sequence[str], slides: Flags) -> str:
 def judged_for_oscillation(trace: Trace, joint_names: Sequence[str], slides: Flags) -> Trace:
     """Return the trace, with ``meta["ended"]`` "oscillated: ..." where it was "completed" and a joint oscillates.
 
-    Where the safety filter stopped it and a joint had oscillated before, "stopped: ..." says so too. A run that ends
-    within half a window after its start is not judged: an oscillation cannot be told from a jerk there.
+    Where the safety filter stopped it later, "stopped: ..." says so too. A run of half a window or less is not judged.
     """
     ended, stopped_s = trace.meta.get("ended"), trace.meta.get("stopped_at_s")
     # A stop begins with a jerk of its own.

@@ -45,7 +45,8 @@ def test_everything_is_read_only(qp):
 @pytest.mark.parametrize(("field", "value"), [
     ("J_tip", np.ones((2, 7))), ("J_wrist", np.ones((3, 6))), ("v_tip", np.ones(2)), ("v_wrist", "fast"),
     ("grad_mu", np.r_[np.nan, np.ones(6)]), ("lower", np.full(7, 9.0)), ("upper", np.full(7, np.inf)), ("c0", -1.0),
-    ("c2", np.nan), ("regularization", -1e-9), ("q", np.ones(3)), ("c1", [1.0, 2.0]), ("c2", 2e12),
+    ("c2", np.nan), ("regularization", -1e-9), ("q", np.ones(3)), ("c1", [1.0, 2.0]),
+    ("c2", 2e12), ("c2", 10**400), ("v_tip", [10**400, 0, 0]),
 ])  # fmt: skip
 def test_bad_input_names_the_field(qp, field, value):
     with pytest.raises(SubproblemError, match=f"^{field}: "):

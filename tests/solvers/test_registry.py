@@ -63,6 +63,7 @@ def test_every_built_in_solver_is_here_and_its_settings_are_known():
     ("osqp", {"max_itr": 10}, UnknownNameError, "setting of solver 'osqp' 'max_itr': did you mean 'max_iter'"),
     ("qpsolvers:daqp", {"eps": 1e-9}, UnknownNameError, "setting of solver 'qpsolvers:daqp' 'eps'"),
     (ABSENT, {}, SolverError, "cannot run: .*pip install qpsolvers"), (3, {}, SolverError, "give the name of one"),
+    ("osqp", {"eps": 10**400}, SolverError, "osqp: eps = 1000"),
 ])  # fmt: skip
 def test_wrong_names_and_settings_come_with_the_cure(name, given, error, cure):
     with pytest.raises(error, match=cure):
@@ -71,8 +72,8 @@ def test_wrong_names_and_settings_come_with_the_cure(name, given, error, cure):
 
 @pytest.mark.parametrize(("name", "field", "value"), [
     ("exact", "tolerance", 0.0), ("osqp", "rows", 7), ("osqp", "rows", True), ("osqp", "eps_rel", -1.0),
-    ("osqp", "max_iter", 1e4), ("osqp", "max_iter", True), ("osqp", "check_termination", 0), ("osqp", "polishing", 1),
-    ("osqp", "eps", "1e-9"), ("qpsolvers:daqp", "cost_scale", 0.0), ("qpsolvers:daqp", "options", 3),
+    ("osqp", "max_iter", 1e4), ("osqp", "max_iter", 2**31), ("osqp", "check_termination", 0), ("osqp", "polishing", 1),
+    ("osqp", "max_iter", True), ("osqp", "eps", "1e-9"), ("qpsolvers:daqp", "options", 3),
     ("rnn", "h", 1.5), ("rnn", "scale", float("nan")), ("rnn", "scale", float("inf")), ("rnn", "method", "implicit"),
     ("rnn-printed", "h", 1.5), ("nlp-sqp", "kinematics", None), ("nlp-sqp", "hessian", "bfgs"),
 ])  # fmt: skip
