@@ -16,6 +16,7 @@ from moc_opt.inputs import names
 _ALTERNATIVE = re.compile(r"constrained-|literal\[|tuple\[|(float|str)$")  # of several types, as pydantic names it
 LARGEST_INTEGER = 2**63 - 1
 SMALLEST, LARGEST = 1e-30, 1e30  # of a number that is not 0: beyond them products of a few overflow or vanish
+MOST = 10_000_000  # of an integer that is no seed: a count of things that are listed, tried or waited for
 LONGEST_S = 1e6  # of any time that is run, waited for or averaged over [s]
 
 Name = Annotated[str, pydantic.AfterValidator(names.checked)]
@@ -39,8 +40,6 @@ class Settings(pydantic.BaseModel):
 
     KIND: ClassVar[str] = "setting"
     ERROR: ClassVar[type[MocOptError]] = ScenarioError
-    MOST: ClassVar[int] = 10_000_000
-    """Largest integer of a field that is no seed: a count of things that are listed, tried or waited for."""
     MORE_KEYS: ClassVar[tuple[str, ...]] = ()  #: That a file may have beside the fields.
 
     @pydantic.field_validator("*", mode="wrap")
@@ -49,7 +48,7 @@ class Settings(pydantic.BaseModel):
         cls, given: Any, validate: pydantic.ValidatorFunctionWrapHandler, info: pydantic.ValidationInfo
     ) -> Any:
         value, name = validate(given), info.field_name or ""
-        most = LARGEST_INTEGER if name in ("seed", "seeds") else cls.MOST
+        most = LARGEST_INTEGER if name in ("seed", "seeds") else MOST
         for where, written, read in _leaves(given, value):
             if cure := _fault(written, read, most):
                 raise ValueError(f"{where} = {shown(written)}: {cure}" if where else cure)
@@ -65,7 +64,7 @@ class Settings(pydantic.BaseModel):
         try:
             super().__init__(**values)
         except pydantic.ValidationError as error:
-            raise self.ERROR("; ".join(explain(error, self.KIND))) from error
+            raise self.ERROR("; ".join(_explained(item, self.KIND) for item in error.errors())) from error
 
     def replace(self, changes: Mapping[str, Any]) -> Self:
         """Copy with some fields changed and everything checked again, which ``model_copy`` leaves out."""
@@ -105,21 +104,15 @@ def _fault(written: Any, read: Any, most: int) -> str:
     return ""
 
 
-def explain(error: pydantic.ValidationError, kind: str) -> list[str]:
-    """Return one line per wrong field: kind of table, name, value, cure; errors of a table inside are not repeated."""
-    lines = []
-    for item in error.errors():
-        keys = [f"{key!s:.80}" for key in item["loc"] if not _ALTERNATIVE.match(str(key))]
-        field = repr(".".join(keys))[1:-1]  # a file's key may hold any character
-        message = item["msg"].removeprefix("Value error, ").replace("a valid tuple", "a list")
-        if isinstance(item.get("ctx", {}).get("error"), MocOptError):  # of a table inside: it names its own field
-            lines.append(message if not field or message.startswith(f"[{field}]") else f"{kind} {field}: {message}")
-        elif item["type"] == "missing":
-            lines.append(f"{kind} {field} is missing: add it")
-        elif item["type"] == "model_type":
-            lines.append(f"{kind} {field} = {shown(item['input'])}: a table: write [{field}] and its keys below it")
-        elif field:
-            lines.append(f"{kind} {field} = {shown(item['input'])}: {message[0].lower()}{message[1:]}")
-        else:
-            lines.append(f"{kind} {message}")
-    return lines
+def _explained(item: Mapping[str, Any], kind: str) -> str:
+    """Say what is wrong with a field: kind of table, name, value, cure."""
+    field = repr(".".join(f"{key!s:.80}" for key in item["loc"]))[1:-1]  # a file's key may hold any character
+    message = item["msg"].removeprefix("Value error, ")
+    if isinstance(item.get("ctx", {}).get("error"), MocOptError):  # of a table inside: it names its own field
+        return message if not field or message.startswith(f"[{field}]") else f"{kind} {field}: {message}"
+    if item["type"] == "missing":
+        return f"{kind} {field} is missing: add it"
+    if item["type"] == "model_type":
+        message = f"a table: write [{field}] and its keys below it"
+    shown_field = f"{field} = {shown(item['input'])}: {message[0].lower()}" if field else message[0]
+    return f"{kind} {shown_field}{message[1:]}"

@@ -46,7 +46,6 @@ CONFIGS = Path(__file__).parents[2] / "benchmarks" / "configs"
 class StudyConfig(Settings):
     """Base of a study's question, which is read from TOML."""
 
-    MOST: ClassVar[int] = 1_000_000
     KIND: ClassVar[str] = "configuration:"
     seed: int = Field(0, ge=0, le=2**62)
     processes: int | None = Field(None, ge=1, description="jobs at a time where no times are taken; none: every core")
