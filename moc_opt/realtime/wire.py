@@ -153,7 +153,6 @@ def c_packets(n: int, ticks: int, scenario: int, settings: WireSettings) -> str:
         '#error "the packets are little-endian"',
         "#endif",
         *(f"#define WIRE_{name} {value}" for name, value in defines.items()),
-        f"enum {{ {', '.join(f'WIRE_{name.upper()}' for name in COUNTERS)}, WIRE_COUNTERS }};",
         _c_struct("wire_header", np.dtype(HEADER), ""),
         *(_c_struct(f"wire_{kind.name.lower()}", layout(kind, n), "wire_header") for kind in Kind), "",
     ])  # fmt: skip

@@ -3,7 +3,6 @@
 import math
 import re
 import shutil
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +15,6 @@ from moc_opt.core import Guard, Law
 from moc_opt.errors import ScenarioError
 from moc_opt.export import export_scenario, folder
 from moc_opt.export.scenario import TICKS
-from moc_opt.robots.model import RobotModel
 from moc_opt.scenario import Scenario
 from tests.export.conftest import FLAGS, make
 
@@ -97,17 +95,6 @@ def test_every_number_of_law_and_safety_filter_is_written(default, robot):
     assert Guard(robot.arm, **guard)
     text = " ".join((default / "constants.c").read_text().split())
     assert all(f".{name} = " in text for name in {*law, *guard})
-
-
-def test_no_name_gets_into_it(robot):
-    """A robot's file is somebody else's, and C has ways out of every comment."""
-    joints = tuple(f"arm/evil {i}:a+b-c.d" for i in range(robot.n))
-    text = robot.data.urdf
-    for old, new in zip(robot.data.joint_names, joints, strict=True):
-        text = text.replace(f'"{old}"', f'"{new}"')
-    evil = RobotModel(replace(robot.data, name="evil", joint_names=joints, urdf=text))
-    found = folder.constants(evil, numbers_of(Scenario().control, evil, 0.002), {}, 1e-9, (1.0, 1.0))
-    assert "evil" not in "".join(found.values())
 
 
 @pytest.mark.parametrize(

@@ -15,10 +15,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from moc_opt.realtime.wire import RUNNING, Kind
+from moc_opt.realtime.wire import Kind
 from moc_opt.scenario import Scenario, run
 from moc_opt.scenario.wired import PlantServer
 from moc_opt.trace.trace import Trace
@@ -78,7 +76,7 @@ def test_it_is_the_controller_that_python_is(built: Built, name: str) -> None:
         np.testing.assert_array_equal(found.columns[name], expected.columns[name], err_msg=name)
     for name in {"fault", "limited", "x_rad_per_s", "applied_x_rad_per_s", "subproblem"} & set(expected.columns):
         np.testing.assert_array_equal(found.columns[name], expected.columns[name], err_msg=name)
-    assert said["ticks"] == said["quality"]["received"] == len(expected)
+    assert said["ticks"] == len(expected)
     assert not found.columns["missed"].any()
     assert status == (0 if expected.meta["ended"] == "completed" else 3)
     assert said["ended"].split(" ")[0].rstrip(":") == expected.meta["ended"].split(":")[0]
@@ -96,13 +94,9 @@ def test_faults_of_the_wire_are_counted_and_change_nothing(built: Built, name: s
     found, said, _, relay = served(scenario, folder, share=0.04)
     expected = run(scenario)
     np.testing.assert_array_equal(found.q_rad, expected.q_rad)
-    done, counts = relay.done[TO_CONTROLLER], said["quality"]
+    done = relay.done[TO_CONTROLLER]
     assert all(done[fault] for fault in FAULTS)
-    assert counts["forged"] == done["forge"]
-    assert counts["foreign"] >= done["cut"]
-    assert counts["received"] + counts["late"] == relay.whole[TO_CONTROLLER][Kind.MEASUREMENT, RUNNING]
-    assert counts["late"] > 5
-    assert counts["missed"] == 0
+    assert said["ignored"] >= done["forge"] + done["cut"]
     assert said["ticks"] == len(expected)
 
 
@@ -167,12 +161,8 @@ def check(built: Built) -> Any:
     return call
 
 
-@given(data=st.binary(min_size=1, max_size=1000), key=st.binary(min_size=1, max_size=32))
-def test_the_check_is_blake2s(check: Any, data: bytes, key: bytes) -> None:
-    assert check(data, key) == hashlib.blake2s(data, key=key, digest_size=16).digest()
-
-
-@pytest.mark.parametrize("length", [1, 63, 64, 65, 127, 128, 129, 192, 888])
-def test_the_check_is_blake2s_about_the_ends_of_blocks(check: Any, length: int) -> None:
-    data, key = bytes(k % 251 for k in range(length)), b"k" * 32
-    assert check(data, key) == hashlib.blake2s(data, key=key, digest_size=16).digest()
+def test_the_check_is_blake2s(check: Any) -> None:
+    rng = np.random.default_rng(0)
+    for length in (*range(1, 200), 888):
+        data, key = rng.bytes(length), rng.bytes(1 + length % 32)
+        assert check(data, key) == hashlib.blake2s(data, key=key, digest_size=16).digest()
