@@ -18,7 +18,7 @@ import pytest
 
 from moc_opt.realtime.wire import Kind
 from moc_opt.scenario import Scenario, run
-from moc_opt.scenario.wired import PlantServer
+from moc_opt.scenario.wired import PlantServer, answer
 from moc_opt.trace.trace import Trace
 from tests.export.conftest import FLAGS, Export, make
 from tests.realtime.relay import FAULTS, TO_CONTROLLER, Relay
@@ -100,13 +100,24 @@ def test_faults_of_the_wire_are_counted_and_change_nothing(built: Built, name: s
     assert said["ticks"] == len(expected)
 
 
-def test_a_run_that_the_plant_ends_early_is_not_called_complete(built: Built) -> None:
-    """No command from tick 100 on: the plant's watchdog brakes, which the program has not asked for."""
+def test_torques_of_the_plant_are_taken_as_in_python_and_a_run_that_it_ends_is_not_called_complete(
+    built: Built,
+) -> None:
+    """It holds the last torque where a command is lost; from tick 100 on none comes, and its watchdog brakes."""
     scenario, folder = built("default")
-    blind = scenario.change(wire={"resend_s": 0.5, "resends": 0, "hold_ticks": 0, "damp_ticks": 0})
-    found, said, status, _ = served(blind, folder, lost=lambda kind, number: kind is Kind.COMMAND and number >= 100)
+    blind = scenario.change(wire={"resend_s": 0.33, "resends": 0, "hold_ticks": 2, "damp_ticks": 0})
+
+    def lost(kind: Kind, number: int) -> bool:
+        return kind is Kind.COMMAND and (number in (50, 51) or number >= 100)
+
+    found, said, status, _ = served(blind, folder, lost=lost)
+    plant = PlantServer(blind, "127.0.0.1:0", lock_step=True)
+    with ThreadPoolExecutor(1) as pool, Relay(plant.address, seed=2, lost=lost) as relay:
+        pool.submit(answer, blind, relay.address)
+        expected = plant.trace()
+    np.testing.assert_array_equal(found.q_rad, expected.q_rad)
     assert found.meta["ended"].startswith("stopped: no command from the controller")
-    assert (said["ended"], status, said["ticks"]) == ("the plant ended the run early", 3, 101)
+    assert (said["ended"], status, said["ticks"]) == ("the plant ended the run early", 3, 103)
 
 
 def test_it_takes_no_memory_from_the_heap(built: Built) -> None:

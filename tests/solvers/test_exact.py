@@ -184,6 +184,16 @@ def badly_scaled(rng):
     return NullSpaceQP(J_tip, J_wrist, J_tip @ x, J_wrist @ x, rng.normal(size=n), lower, upper)
 
 
+def test_a_violation_of_the_box_is_rounding_up_to_what_the_smallest_column_explains():
+    """Here 4e-12 (roundings) 10 (largest |A| |x|) / 1e-3 (that column) rad/s, and a hundred times that at most."""
+    scales = np.array([1.0, 1.0, 1.0, 1.0, 1.0, 1e-3, 0.0])
+    A, wide = np.diag(scales)[:6], np.full(7, 10.0)
+    for beyond, status in ((2e-6, Status.SOLVED), (8e-6, Status.INFEASIBLE)):
+        b = A[:, 5] * (10.0 + beyond)
+        qp = NullSpaceQP(A[:3], A[3:], b[:3], b[3:], np.ones(7), lower=-wide, upper=wide, regularization=1e-5)
+        assert solve(qp).status is status
+
+
 def test_rounding_seldom_makes_a_corner_of_the_box_infeasible():
     """A few roundings of b, carried over to the joint that moves the tip least, are more than the tolerance.
 
