@@ -32,6 +32,11 @@ def moving(robot, rng):
     return state, tip_ref, trocar
 
 
+def at_rest(s):
+    """References of a state whose tip and shaft are where they should be."""
+    return np.array([s.tip, np.zeros(3), np.zeros(3)]), np.array([s.tip - 0.15 * s.tool_direction, np.zeros(3)])
+
+
 def trials(robot, count=10, seed=0):
     rng = np.random.default_rng(seed)
     return [(moving(robot, rng), rng) for _ in range(count)]
@@ -148,9 +153,7 @@ def test_the_scaled_climb(robot):
 @pytest.mark.parametrize("bend", [0.0, 1e-12])
 def test_where_there_is_no_slope_there_is_no_climb(bend):
     s = LWR4.state(np.array([0.2, 0.0, 0.0, bend, 0.0, 0.0, 0.0]))
-    rest = np.array([s.tip, np.zeros(3), np.zeros(3)])
-    trocar = np.array([s.tip - 0.15 * s.tool_direction, np.zeros(3)])
-    found = fields(subproblem(s, rest, trocar, arm=LWR4.arm, climbs=True, c2=1.0, rho=1.0)).pull
+    found = fields(subproblem(s, *at_rest(s), arm=LWR4.arm, climbs=True, c2=1.0, rho=1.0)).pull
     np.testing.assert_array_equal(found, np.zeros(7))
 
 
@@ -163,11 +166,9 @@ def test_the_basis_turns_no_further_than_the_kernel_and_survives_the_straight_el
     for angle in np.linspace(0.1, -0.1, 201):
         q[3] = angle
         s = LWR4.state(q)
-        rest = np.array([s.tip, np.zeros(3), np.zeros(3)])
-        trocar = np.array([s.tip - 0.15 * s.tool_direction, np.zeros(3)])
         if before is None:
-            made.start(s.record, rest, trocar, row)
-        made.begin(s.record, rest, trocar, None, row)
+            made.start(s.record, *at_rest(s), row)
+        made.begin(s.record, *at_rest(s), None, row)
         Z = np.empty((7, 7))
         Z = Z[: made.memory(Z, np.empty(7))]
         np.testing.assert_allclose(s.A @ Z.T, 0.0, atol=1e-9)

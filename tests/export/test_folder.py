@@ -9,9 +9,6 @@ import numpy as np
 import pytest
 
 from moc_opt.__main__ import main
-from moc_opt.control import safety_filter
-from moc_opt.control.law import numbers_of
-from moc_opt.core import Guard, Law
 from moc_opt.errors import ScenarioError
 from moc_opt.export import export_scenario, folder
 from moc_opt.export.scenario import TICKS
@@ -84,17 +81,6 @@ def test_numbers_are_written_to_the_last_bit():
     assert folder.in_c([0.1, -math.inf, math.inf, math.nan, True, 3, np.float64(1e-300)]) == (
         "{0.1, -INFINITY, INFINITY, NAN, 1, 3, 1e-300}"
     )
-
-
-def test_every_number_of_law_and_safety_filter_is_written(default, robot):
-    """`Law` and `Guard` refuse a number that is missing or one too many; the file has the same ones."""
-    scenario = Scenario()
-    law = numbers_of(scenario.control, robot, 0.002)
-    guard = safety_filter.numbers_of(scenario.told_guard, robot, 0.002)
-    assert Law(robot.arm, **law)
-    assert Guard(robot.arm, **guard)
-    text = " ".join((default / "constants.c").read_text().split())
-    assert all(f".{name} = " in text for name in {*law, *guard})
 
 
 @pytest.mark.parametrize(
