@@ -108,26 +108,17 @@ class Controller:
         self._take_apart()
         return self._answer
 
-    @property
-    def fault(self) -> Fault:
-        """The fault of the last tick's answer."""
-        return self._supervisor.fault
-
-    @property
-    def faults(self) -> dict[str, dict[str, Any]]:
-        """Label of a Fault -> its ``count`` since the start, ``first_at_s`` from there, and ``first`` in words."""
-        return self._supervisor.faults
+    # Of the last tick: the fault of its answer, and the time of its solve [us] (of `exact` that in the core alone; NaN
+    # where there was none). Since the start: a Fault's label -> its ``count``, ``first_at_s`` and ``first`` in words.
+    fault = property(lambda self: self._supervisor.fault)
+    solve_us = property(lambda self: self._supervisor.solve_us)
+    faults = property(lambda self: self._supervisor.faults)
 
     @property
     def restarts(self) -> list[dict[str, Any]]:
         """When the process of an isolated solver was replaced since the start [s], and why."""
         found = self._session.restarts if isinstance(self._session, IsolatedSession) else []
         return [{"at_s": self._period * restart.tick, "reason": restart.reason} for restart in found]
-
-    @property
-    def solve_us(self) -> float:
-        """Time of the last solve [us], of `exact` that in the core alone; NaN where there was none."""
-        return self._supervisor.solve_us
 
     @property
     def null_space(self) -> Array:

@@ -166,13 +166,9 @@ class Supervisor:
     ) -> tuple[Solution, Array]:
         """Ask the session, check its answer, and finish the law's tick with one in any case.
 
-        Args:
-            qp: the subproblem that the law has begun; the session gets a copy.
-            tau: (n,) is filled with the law's torque [Nm].
-            v: (n,) measured velocity [rad/s] for a session that observes it, which gets a copy; None: it does not.
-
-        Returns:
-            the solver's answer, and the x (n,) that the arm follows.
+        Copies of the subproblem ``qp`` that the law has begun, and of the measured velocity ``v`` (n,) [rad/s] where
+        the session observes it, go to the session. ``tau`` (n,) [Nm] is filled with the law's torque. It returns the
+        solver's answer, and the x (n,) that the arm follows.
         """
         solution, known, text = self._ask(session, qp, v)
         x = np.empty(self._n)
@@ -186,15 +182,10 @@ class Supervisor:
     def step(
         self, record: Array, tip_ref: Array, trocar: Array, pull: Array | None, tolerance: float
     ) -> tuple[Status, Array]:
-        """Do the whole tick in the core, with its own solver `exact`: nothing is copied between the two.
+        """Do the whole tick in the core, with its own solver `exact`; arguments as for `core.Law.begin`.
 
-        Args:
-            record, tip_ref, trocar, pull: as `core.Law.begin` takes them.
-            tolerance: of `exact`.
-
-        Returns:
-            the solver's status, and (14 n + 16,): the subproblem's record, the solver's x (n,) and y (6,), the x (n,)
-            that the arm follows, and the law's torque (n,) [Nm].
+        It returns the solver's status, and (14 n + 16,): the subproblem's record, the solver's x (n,) and y (6,), the
+        x (n,) that the arm follows, and the law's torque (n,) [Nm].
         """
         out = np.empty(14 * self._n + 16)
         given_us = _NAN if self._times is None else next(self._times, _NAN)
@@ -231,16 +222,12 @@ class Supervisor:
             return no_answer(qp.n, Status.TIME_LIMIT if fault is Fault.LATE else Status.NUMERICAL), fault, text
         try:
             solution, wrong = received(given, qp.n)
-            if self._stop_late and self._late and not wrong:
+            if self._stop_late and self.solve_us > self._budget_us and not wrong:
                 solution, wrong = received(self._stopped(session, shown, solution), qp.n)
         except BaseException as error:  # noqa: BLE001 - as above
             _raise_interrupt(error)
             return no_answer(qp.n, Status.NUMERICAL), Fault.RAISED, describe(error)
         return solution, Fault.MALFORMED if wrong else None, wrong
-
-    @property
-    def _late(self) -> bool:
-        return self.solve_us > self._budget_us
 
     def _stopped(self, session: Session, qp: NullSpaceQP, solution: Solution) -> Solution:
         if not isinstance(session, TruncatingSession) or solution.iterations < 1:

@@ -133,7 +133,7 @@ class Panel:
         choices = [DCAC, *(name for name, reason in solvers.available().items() if reason is None)]
         self._solver = gui.add_dropdown("Solver", choices, initial_value=run.solver)
         self._solver.on_update(lambda _: self.orders.put(self._choose))
-        self._plots = [gui.add_uplot(**_empty(title, lines)) for title, lines in PLOTS.items()]
+        self._plots = [_plot(gui, title, lines) for title, lines in PLOTS.items()]
         with gui.add_folder("Trocar"):
             self._place = [
                 gui.add_slider(f"{axis} [mm]", min=-40.0, max=40.0, step=1.0, initial_value=0.0) for axis in "xyz"
@@ -208,16 +208,15 @@ class Panel:
         )
 
 
-def _empty(title: str, lines: list[tuple[str, str, float, str]]) -> dict[str, Any]:
-    """Return the arguments of a plot without data; times are on a log axis, so that one long tick flattens none."""
+def _plot(gui: Any, title: str, lines: list[tuple[str, str, float, str]]) -> Any:
+    """Add a plot without data; times are on a log axis, so that one long tick flattens none."""
     times, quiet = "µs" in title, {"ticks": {"show": False}}
     named = [{"label": name, "stroke": color, "width": 1.5} for _, name, _, color in lines]
-    return {
-        "data": (np.array([0.0, 1.0]), *(np.full(2, np.nan) for _ in lines)), "title": title, "height": 140,
-        "series": ({"label": "t [s]"}, *named), "legend": {"show": len(lines) > 1},
-        "scales": {"x": {"time": False}, **({"y": {"distr": 3, "log": 10}} if times else {})},
-        "axes": (quiet, {**quiet, "grid": {"show": times}, "size": 56}),
-    }  # fmt: skip
+    return gui.add_uplot(
+        (np.array([0.0, 1.0]), *(np.full(2, np.nan) for _ in lines)), ({"label": "t [s]"}, *named), title=title,
+        scales={"x": {"time": False}, **({"y": {"distr": 3, "log": 10}} if times else {})}, height=140,
+        axes=(quiet, {**quiet, "grid": {"show": times}, "size": 56}), legend={"show": len(lines) > 1},
+    )  # fmt: skip
 
 
 class Scene:

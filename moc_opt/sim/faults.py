@@ -156,9 +156,9 @@ class Faults:
         self._past.append(taken)
         lagging = self._after(s.lag_at_s, tick)
         late = s.late_ticks + int(s.lag_growth * lagging + 1e-9) + (s.lag_ticks if lagging else 0)
-        arrived = self._ago(late)
+        arrived, newest = (self._past[max(0, len(self._past) - 1 - ticks)] for ticks in (late, s.late_ticks))
         if late > s.late_ticks and s.lag_joint is not None:
-            arrived = _spliced(self._ago(s.late_ticks), arrived, s.lag_joint)
+            arrived = _spliced(newest, arrived, s.lag_joint)
         elif late > s.late_ticks:
             arrived = self._forged(arrived, taken)
         arrived = self._replayed(self._stuck(arrived, taken, tick), taken, tick)
@@ -184,9 +184,6 @@ class Faults:
     def _after(self, at_s: float | None, tick: int) -> int:
         """1 at the tick of that time, 2 at the next; 0 before it."""
         return 0 if at_s is None else max(0, tick - round(at_s / self._period) + 1)
-
-    def _ago(self, ticks: int) -> Measurement:
-        return self._past[max(0, len(self._past) - 1 - ticks)]
 
     def _forged(self, arrived: Measurement, taken: Measurement) -> Measurement:
         return arrived._replace(stamp=taken.stamp) if self.settings.forged_stamps else arrived

@@ -103,11 +103,7 @@ def add_mismatch(data: RobotData, spec: mujoco.MjSpec, mismatch: Mismatch) -> No
 
 
 def compile_model(name: str, spec: mujoco.MjSpec) -> mujoco.MjModel:
-    """Compile a spec; `name` is the robot's, for the message.
-
-    Raises:
-        PlantError: MuJoCo refuses it, mostly for an inertia that no real body can have.
-    """
+    """Compile a robot's spec; a PlantError where MuJoCo refuses it, mostly for an inertia that no body can have."""
     try:
         return spec.compile()
     except ValueError as error:

@@ -119,19 +119,22 @@ def test_a_position_that_stands_while_its_velocity_goes_on_is_noticed(speed, joi
     assert 0 < (k - 100) * PERIOD * speed < 2.0 * (0.001 + 0.012 * speed)  # what went unseen till then [rad]
 
 
-@pytest.mark.parametrize(("whole", "way"), [(False, 3e-3), (True, 5e-4)])
-def test_one_reading_repeated_is_noticed_once_the_tip_is_told_to_move(whole, way):
-    still = np.tile(np.linspace(-1.0, 1.0, N), (600, 1))
-    slow = np.zeros((600, 3, 3))
-    slow[:, 0, 0] = 0.01 * PERIOD * np.arange(600)
+@pytest.mark.parametrize(("by", "whole", "level"), [
+    ("way", False, 3e-3), ("way", True, 5e-4), ("torque", False, 6.0), ("torque", True, 0.05),
+])  # fmt: skip
+def test_one_reading_repeated_is_noticed_once_the_tip_is_told_to_move_or_the_torque_changes(by, whole, level):
+    """By what static friction cannot hold; by next to nothing where the wrench sensor repeats itself too."""
+    still, reference, tau = np.tile(np.linspace(-1.0, 1.0, N), (600, 1)), np.zeros((600, 3, 3)), np.zeros((600, N))
+    grown = reference[:, 0, 0] if by == "way" else tau[:, 2]
+    grown[:] = (0.01 * PERIOD if by == "way" else -0.02) * np.arange(600)
     assert looked(still, 0.0 * still)[0] == ""  # at rest, and told to be: nothing can be said
     wrench = np.zeros((600, 6)) if whole else np.random.default_rng(0).normal(size=(600, 6))
-    wrong, k = looked(still, 0.0 * still, reference=slow, wrench=wrench)
+    wrong, k = looked(still, 0.0 * still, tau, reference, wrench)
     assert "all encoders repeat" in wrong
-    assert slow[k, 0, 0] == pytest.approx(way, abs=1e-4)  # and the patience
+    assert abs(grown[k]) == pytest.approx(level, abs=1e-4 if by == "way" else 0.1)  # and the patience
     one = still.copy()
     one[:, 6] += 1e-5 * np.arange(600)
-    assert looked(one, np.gradient(one, PERIOD, axis=0), reference=slow)[0] == ""  # one of them lives
+    assert looked(one, np.gradient(one, PERIOD, axis=0), reference=reference)[0] == ""  # one of them lives
 
 
 @pytest.mark.parametrize("alone", [True, False])
@@ -157,19 +160,6 @@ def test_one_encoder_may_repeat_itself_for_as_long_as_its_noise_lets_it(longest)
     wrong, k = looked(q, 0.0 * q, repeat_joint_ticks=longest)
     told = "one encoder repeats its reading, as its noise does not let it"
     assert (wrong, k) == ((told, 140) if longest else ("", 600))
-
-
-@pytest.mark.parametrize(("whole", "needed"), [(False, 6.0), (True, 0.05)])
-def test_one_reading_repeated_is_noticed_once_the_torque_changes(whole, needed):
-    """By what static friction cannot hold; by next to nothing where the wrench sensor repeats itself too."""
-    still = np.zeros((600, N))
-    tau = np.zeros((600, N))
-    tau[:, 2] = -0.02 * np.arange(600)
-    rng = np.random.default_rng(0)
-    wrench = np.zeros((600, 6)) if whole else rng.normal(size=(600, 6))
-    wrong, k = looked(still, still, tau=tau, wrench=wrench)
-    assert "all encoders repeat" in wrong
-    assert abs(tau[k, 2]) == pytest.approx(needed, abs=0.1)
 
 
 def watched(robot, settings_, torque, ticks):
