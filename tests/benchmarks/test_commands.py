@@ -52,21 +52,16 @@ FAULT, GROUPS = '[cases.a]\ngroup = "plant"\n', "[groups.tuned]\n[groups.paper]\
     [
         ("faults", "", "cases"),
         ("faults", FAULT.replace("cases.a", "cases.none"), "run without a fault"),
-        ("faults", f"{FAULT}plant = {{ delay = 2 }}", "delay_ticks"),
         ("faults", f"{FAULT}from_s = 2.0\nuntil_s = 1.0", "until_s"),
         ("faults", f'solvers = ["oskp"]\n{FAULT}', "osqp"),
         ("paper", f'tasks = ["circel"]\n{GROUPS}', "did you mean 'circle'"),
-        ("paper", f'solvers = ["exact", "rnn-print"]\n{GROUPS}', "did you mean 'rnn-printed'"),
-        ("paper", '[groups.tuned]\ncontrol = { preset = "tunde" }', "did you mean 'tuned'"),
         ("paper", "[groups.other]", "unknown group 'tuned'"),
         ("paper", f'{GROUPS}without = ["rcm_lamda"]', "did you mean 'rcm_lambda'"),
         ("paper", f"{GROUPS}control = {{ K_n2 = 1.0 }}", "did you mean 'K_N2'"),
         ("plant", "[effects.bias]\nencoder_bais_rad = 0.001", "did you mean 'encoder_bias_rad'"),
         ("speed", 'solvers = ["daqp"]', "'exact' must be among them"),
         ("speed", 'solvers = ["exact", "dapq"]', "did you mean 'daqp'"),
-        ("speed", 'adapters = ["exakt"]', "did you mean 'exact'"),
         ("speed", 'peers = ["minc"]', "did you mean 'mink'"),
-        ("sweep", '[grid]\n"control.k0_per_sec" = [1.0]', "did you mean 'k0_per_s'"),
     ],
 )  # fmt: skip
 def test_a_wrong_configuration_is_refused_before_anything_runs(

@@ -1,17 +1,11 @@
 """The simulation of coverage: shares and widths that are known beforehand."""
 
 import numpy as np
-import pytest
 
 from benchmarks import coverage
 from moc_opt.study.command import CONFIGS
 
 POOL = np.random.default_rng(0).lognormal(0.0, 0.3, (2, 240))
-
-
-def test_a_change_that_all_trials_share_is_held_by_every_interval():
-    treated, control = 1.2 * POOL[0], POOL[0]
-    assert coverage.covered(treated, control, 15, 5) == (100.0, pytest.approx(0.0, abs=1e-9))
 
 
 def test_intervals_of_more_trials_are_shorter_and_hold_the_truth_about_as_often():

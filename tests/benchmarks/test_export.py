@@ -41,8 +41,3 @@ def test_only_feasible_problems_are_handed_over():
     assert 0 < len(chosen) < 128
     assert all(session.solve(qp).status.label == "solved" for qp in chosen.values())
     assert all(name.isidentifier() for name in chosen)
-
-
-def test_an_unknown_set_is_refused(tmp_path, capsys):
-    assert export.main(["qpbenchmark", "--out", str(tmp_path), "--sets", "circel"]) == 2
-    assert "'circle'" in capsys.readouterr().err

@@ -11,12 +11,10 @@ import pytest
 
 from benchmarks import realtime
 from benchmarks.goals import judge
-from benchmarks.realtime import Case, Config, Run
+from benchmarks.realtime import Case, Run
 from moc_opt.errors import StudyError
 from moc_opt.scenario import Scenario
-from moc_opt.study.command import CONFIGS
 from moc_opt.trace.trace import Trace
-from tests import first_screens
 
 
 def made(cycles: int, missed: int = 0, ended: str = "completed", clean: bool = True, rcm: float = 0.5) -> Run:
@@ -43,30 +41,6 @@ def test_the_goal_of_c_needs_enough_cycles_and_few_misses(missed, cycles, reache
     found = judge({"cases": {"C, 500 Hz, quiet": case, "C, 1000 Hz, quiet": other}}, realtime.GOALS)
     assert found["c"]["reached"] == reached
     assert found["python"]["reached"] == found["rcm"]["reached"] == "not measured"
-
-
-def test_report_shows_the_cases_with_their_goals():
-    runs = {
-        Case("c", 500, "quiet"): [made(100_000, missed=1)], Case("c", 500, "loaded"): [made(1000, missed=3, rcm=2.5)],
-        Case("python", 1000, "loaded"): [made(1000, ended="stopped: late", clean=False)],
-    }  # fmt: skip
-    summary = {"cases": {str(case): realtime.summarise(mine) for case, mine in runs.items()}}
-    summary["goals"] = judge(summary, realtime.GOALS)
-    report = realtime.report(summary)
-    assert "C, 500 Hz 1 of 100,000" in report.answer[0]
-    assert "3 of 2,000 were missed, the largest RCM error was 2.50 mm" in report.answer[1]
-    assert [row["reached"].word for row in report.table.rows] == ["no", "no", "open", "open", "yes"]
-    assert "| C, 500 Hz, quiet | 100 000 | 1 | 1 [0.025, 5.6] | 0 |" in report.markdown().replace("\u202f", " ")
-    first_screens.check(report.page({}).html(), pictures=0)
-
-
-def test_a_run_is_the_scenario_at_that_rate():
-    config = Config.load(CONFIGS / "realtime.toml")
-    for rate in (250, 500, 1000):
-        found = config.run_at(rate)
-        assert (found.plant.period_s, found.duration_s) == (1.0 / rate, pytest.approx(config.run_cycles / rate))
-        assert found.plant.substep_s <= 0.001
-        assert found.task == config.scenario.task
 
 
 def test_the_load_is_there_and_then_is_not(monkeypatch):

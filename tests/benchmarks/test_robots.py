@@ -7,8 +7,6 @@ from typing import Any
 import pytest
 
 from benchmarks import robots
-from moc_opt.robots import available_robots
-from moc_opt.study.command import CONFIGS
 from moc_opt.study.results import Results
 
 TINY = """
@@ -35,12 +33,6 @@ def test_every_run_is_a_row_and_the_summary_follows(tiny: Any) -> None:
         gain = 100.0 * (mine["mu_mean"] / base["mu_mean"] - 1.0)
         assert summary["robots"][robot]["exact"]["mu_gain_percent"] == pytest.approx(gain)
         assert set(summary["findings"][robot].values()) == {None}, "one trial decides nothing"
-
-
-def test_the_default_configuration_has_every_arm() -> None:
-    config = robots.Config.load(CONFIGS / "robots.toml")
-    assert sorted(config.robots) == available_robots()
-    assert len(config.cases()) == 6 * 15
 
 
 def row(trial: int, controller: str, mu: float = 1.0, tip: float = 1.0, **more: Any) -> dict[str, Any]:

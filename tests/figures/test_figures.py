@@ -24,15 +24,6 @@ def run(ticks: int, **columns: object) -> dict[str, object]:
     }  # fmt: skip
 
 
-def test_styles_differ_and_stay() -> None:
-    names = [f"solver {k}" for k in range(20)]
-    styles = figures.Styles(names)
-    assert len({(style.color, style.dash) for style in styles.values()}) == 20
-    assert figures.Styles(names[:3])["solver 2"] == styles["solver 2"]
-    with pytest.raises(ReportError, match="solver 99"):
-        styles["solver 99"]
-
-
 def test_names_are_never_markup() -> None:
     name = '<a href="x">bad</a>'
     made = [
@@ -62,11 +53,6 @@ def test_an_ecdf_of_many_samples_stays_small_and_true() -> None:
     assert len(line.x) < 900
     assert np.max(np.abs(line.y - [np.mean(times <= x) for x in line.x])) < 1e-12
     assert set(np.sort(times)[-20:]) <= set(line.x), "the slowest are all there"
-
-
-def test_a_name_without_samples_says_so() -> None:
-    made = figures.latency_ecdf({"dead": [math.nan], "alive": [1.0, 2.0]})
-    assert [line.name for line in made.data] == ["dead (no sample)", "alive"]
 
 
 def test_boxes_are_tukeys_and_one_without_samples_leaves_its_place_empty() -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import json
 import math
 import re
 from datetime import timedelta
@@ -15,7 +14,7 @@ from hypothesis import strategies as st
 from rich.console import Console
 
 from moc_opt.figures.notation import Missing, Notation
-from moc_opt.report.console import console, print_json, progress
+from moc_opt.report.console import console, progress
 from moc_opt.report.tables import Column, Table
 
 
@@ -117,10 +116,3 @@ def test_without_a_terminal_progress_writes_a_line_now_and_then(step_s: float, t
     assert file.getvalue().splitlines() == [
         f"trials: {25 * k} % after {spent}, about {left} left  step {k}" for k, (spent, left) in after.items()
     ]
-
-
-def test_json_has_no_nan(capsys: pytest.CaptureFixture[str]) -> None:
-    values = {"a": np.float64(1.5), "b": [np.nan, math.inf], "c": {"d": np.arange(2)}, "e": True, "f": None, "g": "x"}
-    print_json(values)
-    read = json.loads(capsys.readouterr().out, parse_constant=lambda name: pytest.fail(name))
-    assert read == {"a": 1.5, "b": [None, None], "c": {"d": [0, 1]}, "e": True, "f": None, "g": "x"}

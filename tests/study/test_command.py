@@ -9,7 +9,6 @@ import signal
 from pathlib import Path
 from typing import Any, Self
 
-import numpy as np
 import polars as pl
 import pytest
 
@@ -69,7 +68,6 @@ def test_a_study_leaves_its_files_and_prints_its_answer(asked, capsys):
     assert (made["seed"], made["note"], made["config"]["count"], made["jobs_of_an_earlier_run"]) == (5, 1, 4, 0)
     assert made["arguments"] == [str(config), "--out", str(out)]
     assert made["machine"]["cores"] == os.cpu_count()
-    assert made["versions"]["numpy"] == np.__version__
     html = (out / "report.html").read_text()
     assert "The sum is [14]." in html
     assert rows[-1]["error"].partition("'")[0] in html
@@ -109,7 +107,7 @@ def test_files_of_others_are_kept(asked, capsys):
     ("content", "said"),
     [
         ("cuont = 3", r"tiny\.toml: .*did you mean 'count'"), ("seed = -1", r"tiny\.toml: .*seed = -1"),
-        ("seed = ", r"tiny\.toml.* is not TOML"), (None, r"tiny\.toml.*no such file"), ("", r"new"),
+        (None, r"tiny\.toml.*no such file"), ("", r"new"),
     ],
 )  # fmt: skip
 def test_wrong_input_is_one_line_and_status_2(asked, capsys, content, said):
