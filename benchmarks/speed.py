@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict
 from functools import partial
 from typing import Annotated, Any, Literal, Self
 
@@ -26,7 +25,7 @@ from moc_opt.study import Failed, Job
 from moc_opt.study.command import Found, Study, StudyConfig, choose, command
 from moc_opt.study.results import Results
 from moc_opt.study.show import Picture, Report, Section, about
-from moc_opt.study.timing import Disturbance, clock_cost_us, load
+from moc_opt.study.timing import clock_cost_us, load, total
 
 Count = Annotated[int, Field(ge=1)]
 Names = Literal["all"] | list[str]
@@ -101,8 +100,8 @@ def work(study: Study, config: Config) -> Found:
         failed |= {f"{kind} {name}": reason for name, reason in reasons.items()}
     summary = summed_up(whole, failed)
     rows = Results([*whole.rows, *({"controller": name, "error": reason} for name, reason in failed.items())])
-    seen = asdict(Disturbance.total(timed_rows(summary)))
-    return Found(report(summary, whole.times, about(scenario)), summary, rows, {"load": seen})
+    seen = {"load": total(timed_rows(summary))}
+    return Found(report(summary, whole.times, about(scenario)), summary, rows, seen)
 
 
 def _measured(study: Study, jobs: Sequence[Job], what: str) -> list[Any]:

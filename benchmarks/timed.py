@@ -31,7 +31,7 @@ from moc_opt.qp.problem import NullSpaceQP, row_length
 from moc_opt.robots.model import load_robot
 from moc_opt.scenario import Scenario, Setup, make_solver
 from moc_opt.solvers.exact import Exact
-from moc_opt.study.timing import Disturbance, each_us, percentiles, used
+from moc_opt.study.timing import each_us, percentiles, since, total, used
 
 ROOT, CHUNK = Path(__file__).resolve().parents[1], 100
 COLD = 5  # calls after another entry's turn that find its data in the caches
@@ -60,7 +60,7 @@ class Part:
     rows: list[dict[str, Any]] = field(default_factory=list)
     missing: dict[str, str] = field(default_factory=dict)
     times: dict[str, Array] = field(default_factory=dict)
-    seen: dict[str, Disturbance] = field(default_factory=dict)
+    seen: dict[str, dict[str, float]] = field(default_factory=dict)
 
     def time(self, part: str, entries: Mapping[str, Timed], rounds: int) -> None:
         """Time calls side by side: each goes through its own items, a chunk of them at a time, in turn.
@@ -70,7 +70,7 @@ class Part:
         """
         names, starts = list(entries), range(0, min(len(entry.items) for entry in entries.values()) - CHUNK + 1, CHUNK)
         chunks: dict[str, list[Array]] = {name: [] for name in names}
-        seen: dict[str, list[Disturbance]] = {name: [] for name in names}
+        seen: dict[str, list[dict[str, float]]] = {name: [] for name in names}
         for turn in range((1 + rounds) * len(starts)):
             begin, first, timed = starts[turn % len(starts)], turn % len(names), turn >= len(starts)
             for name in names[first:] + names[:first]:
@@ -79,7 +79,7 @@ class Part:
                 if timed:
                     chunks[name].append(times)
         for name in names:
-            self.times[name], self.seen[name] = np.array(chunks[name]), sum(seen[name], Disturbance())
+            self.times[name], self.seen[name] = np.array(chunks[name]), total(seen[name])
             late = np.percentile(self.times[name], [50, 99, 100], axis=1).T.tolist()
             self.rows += [
                 {"part": part, "name": name, "round": i, "p50_us": p50, "p99_us": p99, "max_us": longest}
@@ -91,7 +91,7 @@ class Part:
         times = self.times[name]
         return {
             **percentiles(times.ravel(), prefix), f"{prefix}_max_us": float(times.max()),
-            f"{prefix}_cold_p50_us": float(np.median(times[:, :COLD])), **self.seen[name].entries(),
+            f"{prefix}_cold_p50_us": float(np.median(times[:, :COLD])), **self.seen[name],
         }  # fmt: skip
 
     def over(self, name: str, other: str) -> float:
@@ -323,20 +323,21 @@ def loop(scenario: Scenario, runs: int) -> Part:
     References and trace are in it. One run more comes first, for caches. A row holds ``us_per_tick``, ``steps_us``.
     """
     part, (states, stepped), times = Part(), own_steps(scenario), list[Array]()
-    seen, bar = Disturbance(), list[int]()
+    seen, bar = list[dict[str, float]](), list[int]()
     for turn in range(1 + runs):
         setup, before = Setup(scenario), used()
         trace = setup.trace(lambda tick: bar.append(tick) if tick % 100 == 0 else None)
-        spent = used() - before + Disturbance(len(trace))
+        spent = since(before, len(trace))
         if turn:
-            seen += spent
+            seen.append(spent)
             times.append(trace.tick_us)
-            walls = {"us_per_tick": 1e6 * spent.wall_s / len(trace), "steps_us": 1e6 * _seconds(stepped) / len(states)}
-            part.rows.append({"part": "loop", "name": "python", "round": turn, **walls})
+            us, steps = 1e6 * spent["times_wall_s"] / len(trace), 1e6 * _seconds(stepped) / len(states)
+            row = {"part": "loop", "name": "python", "round": turn, "us_per_tick": us, "steps_us": steps}
+            part.rows.append(row)
     us = float(np.median([row["us_per_tick"] for row in part.rows]))
     python = {
         "factor": 1e6 * scenario.plant.period_s / us, "us_per_tick": us,
-        **percentiles(np.concatenate(times), "tick"), **seen.entries(),
+        **percentiles(np.concatenate(times), "tick"), **total(seen),
     }  # fmt: skip
     part.found["loop"] = {"python": python}
     return part

@@ -22,10 +22,11 @@ from moc_opt.qp.problem import NullSpaceQP, compute_residuals, fields
 from moc_opt.robots.model import load_robot
 from moc_opt.scenario import make_solver
 from moc_opt.solvers.base import Session, Solution, Solver, Status, no_answer
+from moc_opt.study import timing
 from moc_opt.study.engine import Failed, Job, alarm, report
 from moc_opt.study.solver_settings import SolverSetting
 from moc_opt.study.testsets import TestSet
-from moc_opt.study.timing import Disturbance, each_us, percentiles
+from moc_opt.study.timing import each_us, percentiles, total
 
 Runner = Callable[..., list[Any]]  # `moc_opt.study.run`, with the study's folder, workers and progress
 
@@ -169,7 +170,7 @@ def totals(answers: Sequence[Answers], times: Sequence[Times]) -> dict[str, Any]
     for name in dict.fromkeys(name for entry in figures for name in entry if name.endswith("_us")):
         found[f"{name}_worst_set"] = max(entry[name] for entry in figures if name in entry)
     if figures:
-        found |= Disturbance.total(figures).entries()
+        found |= total(figures)
     return found | next(({"trouble": row["trouble"]} for row in rows if "trouble" in row), {})
 
 
@@ -261,17 +262,17 @@ def _asked(session: Session, qp: NullSpaceQP) -> tuple[Solution, str]:
 
 
 class Times(NamedTuple):
-    """Times of one solver on one set [us], and what the machine did meanwhile."""
+    """Times of one solver on one set [us]."""
 
     solve: Array  #: (rounds, k) of one session that goes through all problems
     setup: Array  #: of starting a fresh session
     cold: Array  #: of its first solve
     update: Array  #: of the library's problem; empty where a session cannot take one without solving it
-    load: Disturbance
+    load: Mapping[str, float]  #: what the machine did meanwhile, see `timing.COUNTED`
 
     def figures(self) -> dict[str, Any]:
         """Return percentiles of the times, the number of timed solves, and what the machine did while they ran."""
-        found: dict[str, Any] = {"timed_solves": int(self.solve.size), **self.load.entries()}
+        found: dict[str, Any] = {"timed_solves": int(self.solve.size), **self.load}
         for name in ("solve", "cold", "setup", "update"):
             found |= percentiles(getattr(self, name).ravel(), name)
         return found
@@ -289,7 +290,7 @@ def time(run: Runner, answers: Sequence[Answers], limits: Limits) -> list[Times 
                       limits.seconds), limit, alone=True, group=one.setting.label)
         for one in whole
     ]  # fmt: skip
-    found = dict(zip(map(id, whole), run(jobs, keep=lambda times: times.load.quiet), strict=True))
+    found = dict(zip(map(id, whole), run(jobs, keep=lambda times: timing.quiet(times.load)), strict=True))
     return [None if isinstance(times := found.get(id(one)), Failed) else times for one in answers]
 
 
@@ -298,7 +299,7 @@ def measure(setting: SolverSetting, rows: Array, every: int, rounds: int, second
     solver, problems = _made(setting), _problems(rows)
     session = solver.start(problems[0])
     each_us(session.solve, problems[:WARM_UP])
-    warm, seen = list[Array](), list[Disturbance]()
+    warm, seen = list[Array](), list[dict[str, float]]()
     while len(warm) < rounds and 1e-6 * sum(one.sum() for one in warm) <= seconds:
         warm.append(each_us(session.solve, problems, seen=seen))
     few, sessions = problems[::every], list[Any]()
@@ -308,4 +309,4 @@ def measure(setting: SolverSetting, rows: Array, every: int, rounds: int, second
     cold = each_us(lambda pair: pair[0].solve(pair[1]), pairs, seen=seen)
     update = getattr(sessions[0], "update", None)
     updates = np.empty(0) if update is None else each_us(update, few, seen=seen)
-    return Times(np.array(warm), setup, cold, updates, sum(seen, Disturbance()))
+    return Times(np.array(warm), setup, cold, updates, total(seen))

@@ -13,6 +13,7 @@ from moc_opt.report.tables import Column, Table
 from moc_opt.scenario import Scenario, run
 from moc_opt.solvers.base import Status
 from moc_opt.solvers.exact import Exact
+from moc_opt.study import timing
 from moc_opt.study.results import ERRORS, FRAMES, Results, change_name
 from moc_opt.study.show import Section, columns
 from moc_opt.study.solver_answers import RIGHTLY, Limits, ask, share_right, time, totals
@@ -20,7 +21,7 @@ from moc_opt.study.solver_settings import SolverSetting, effective, in_words
 from moc_opt.study.solver_verdicts import CERTIFIED, CLOSED, COSTS, INCONSISTENT, RECORDED
 from moc_opt.study.statistics import spread, too_few
 from moc_opt.study.testsets import TestSet
-from moc_opt.study.timing import Disturbance, percentiles
+from moc_opt.study.timing import percentiles
 from moc_opt.study.trials import BASELINE, Run, Trial, placed
 from moc_opt.trace.meta import Ending
 
@@ -113,7 +114,7 @@ def recorded_sequence(work: Work) -> None:
         if times is not None:
             for name, prefix in (("cold", "solve"), ("setup", "setup")):
                 cold[solver] |= percentiles(getattr(times, name), prefix)
-            cold[solver] |= times.load.entries()
+            cold[solver] |= times.load
         work.answers.add(*one.rows("open_loop_warm"), *alone.rows("open_loop_cold"))
     right = {name: f"{row['right']} of {row['solves']}" for name, row in cold.items()}
     both = {name: row | {"right_cold": right[name]} for name, row in warm.items()}
@@ -197,7 +198,7 @@ def closed_loop(work: Work) -> None:
             Trial(case, name, work.config.settings.get(name, {}), timed=timed, keep="curves" if timed else "row")
             for name in names if k < part.of(name)
         ]  # fmt: skip
-    runs = work.study.trials(asked, "closed loop", keep=lambda run: run.load.quiet)
+    runs = work.study.trials(asked, "closed loop", keep=lambda run: timing.quiet(run.load))
     work.runs.add(*(run.row for run in runs))
     common = [case.name for case in cases[: part.others]]
     work.summary["closed_loop"] = {
@@ -233,8 +234,7 @@ def figures(
                 found[name] = total(values)
     timed = [run for run in runs if run.row["timed"] and run.columns]
     if timed:
-        load = sum((run.load for run in timed), Disturbance())
-        found |= {**load.entries(), "timed_runs": len(timed)}
+        found |= {**timing.total(run.load for run in timed), "timed_runs": len(timed)}
         found["deadline_misses"] = sum(run.row["deadline_misses"] for run in timed)
         for name in ("solve", "tick"):
             times = [run.columns[f"{name}_us"] for run in timed if f"{name}_us" in run.columns]

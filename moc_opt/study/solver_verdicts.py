@@ -21,7 +21,7 @@ from moc_opt.study.show import Picture, ends, intervals_picture
 from moc_opt.study.solver_answers import RIGHTLY, share_right
 from moc_opt.study.solver_settings import DEFAULT, NONLINEAR, QPSOLVERS, RECOMMENDED, of
 from moc_opt.study.statistics import LEAST_TRIALS, Change, spread, too_few
-from moc_opt.study.timing import Disturbance
+from moc_opt.study.timing import quiet
 from moc_opt.study.trials import BASELINE
 
 Summary = Mapping[str, Any]
@@ -98,7 +98,7 @@ def _figures(name: str, certified: Row, warm: Row, closed: Row) -> Row:
         "solver": name, "counted": counted, "closed": closed, "relative_max": counted.get("relative_max"),
         "right_percent": hidden if other else share, "silently_wrong": hidden if other else wrong,
         "p50_us": timed.get(f"solve_p50_us{suffix}"), "p99_us": timed.get(f"solve_p99_us{suffix}"),
-        "quiet": Disturbance.of(timed).quiet, "trials": closed.get("compared", 0),
+        "quiet": quiet(timed), "trials": closed.get("compared", 0),
     }  # fmt: skip
 
 

@@ -14,7 +14,7 @@ import os
 import sys
 from argparse import ArgumentParser
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, ClassVar, Literal, Self
@@ -38,7 +38,7 @@ from moc_opt.study.solver_answers import Limits
 from moc_opt.study.solver_parts import SOLVER, certified_sets, closed_loop, record, recorded_sequence
 from moc_opt.study.solver_settings import QPSOLVERS, SolverSetting, solver_settings
 from moc_opt.study.solver_verdicts import assess, first_table, pictures, sentences
-from moc_opt.study.timing import Disturbance, clock_cost_us, each_us, load
+from moc_opt.study.timing import clock_cost_us, each_us, load, total
 from moc_opt.study.trials import BASELINE, seeds, trials
 
 STREAM = 3
@@ -130,11 +130,9 @@ class Config(StudyConfig):
         return trials(base, part.tasks, seeds(self.seed, STREAM, part.trials))
 
     def but(self, **changes: Any) -> Self:
-        """Return the same with other entries; a mapping changes entries of a table."""
-        return self.model_copy(update={
-            name: getattr(self, name).model_copy(update=value) if isinstance(value, dict) else value
-            for name, value in changes.items()
-        })  # fmt: skip
+        """Return the same with other entries, checked; a mapping changes entries of a table."""
+        tables = {name: getattr(self, name).replace(of) for name, of in changes.items() if isinstance(of, dict)}
+        return self.replace(changes | tables)
 
 
 @dataclass
@@ -202,8 +200,6 @@ def work(study: Study, config: Config) -> Found:
     if given.parts:
         config = config.but(parts=given.parts)
     if given.sets:
-        for name in given.sets:
-            testsets.check_name(name)
         config = config.but(testsets={"names": given.sets, "timed_too": given.sets})
     names, missing = choose(given.only or config.solvers)
     if not (config.twice or given.only):
@@ -222,7 +218,7 @@ def work(study: Study, config: Config) -> Found:
     told = [f"Not in the closed loop, as they take about a millisecond a tick: {', '.join(slow)}; --full runs them."]
     return Found(
         report(found), found.summary, Results([*found.answers, *found.runs]),
-        {"load": asdict(Disturbance.total(found.timed))}, sentences=told if slow else (),
+        {"load": total(found.timed)}, sentences=told if slow else (),
     )  # fmt: skip
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import resource
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import asdict, astuple, dataclass
 from time import perf_counter, perf_counter_ns, process_time
 from typing import Any
 
@@ -18,66 +17,56 @@ MOST_SWITCHES = 0.0025  # of the calls: a quarter of those beyond the 99th perce
 LEAST_CPU_SHARE = 0.9
 
 
-@dataclass(frozen=True)
-class Disturbance:
-    """What the machine did to this process while calls were timed; those of several stretches add up.
+Row = Mapping[str, Any]
+COUNTED = ("times_calls", "times_switches", "times_cpu_s", "times_wall_s")
+"""What the machine did to a process while calls were timed, in a row of a summary: the calls, how often the core was
+taken from it (ru_nivcsw), for how long its threads had a core [s], and how long that was by the clock on the wall [s].
 
-    It does not show what lengthens every call alike: caches, memory or half a core shared with others, a lower clock.
+What lengthens every call alike does not show: caches, memory or half a core shared with others, a lower clock."""
+
+
+def used() -> dict[str, float]:
+    """Return what this process has used since it began."""
+    switches = resource.getrusage(resource.RUSAGE_SELF).ru_nivcsw
+    return dict(zip(COUNTED, (0, switches, process_time(), perf_counter()), strict=True))
+
+
+def since(before: Row, calls: int) -> dict[str, float]:
+    """Return what happened since then, while so many calls were timed."""
+    return {name: value - before[name] for name, value in used().items()} | {"times_calls": calls}
+
+
+def total(rows: Iterable[Row]) -> dict[str, float]:
+    """Return the sum over rows, some of which may have no times."""
+    found = dict.fromkeys(COUNTED, 0.0)
+    for row in rows:
+        found = {name: value + row.get(name, 0) for name, value in found.items()}
+    return found
+
+
+def cpu_share(row: Row) -> float:
+    """Return processor time over time by the clock; above 1 with threads of its own."""
+    return float(row["times_cpu_s"] / row["times_wall_s"]) if row.get("times_wall_s") else 1.0
+
+
+def quiet(row: Row) -> bool:
+    """Tell whether the 99th percentile of the times is to be trusted (docs/solvers.md has what that was measured on).
+
+    A switch lengthens one call. Where a hypervisor takes the core, the process has less of it without a switch.
     """
-
-    calls: int = 0  #: that were timed
-    switches: int = 0  #: how often the core was taken from the process (ru_nivcsw)
-    cpu_s: float = 0.0  #: that all its threads had a core [s]
-    wall_s: float = 0.0  #: by the clock on the wall [s]
-
-    @classmethod
-    def of(cls, row: Mapping[str, Any]) -> Disturbance:
-        """Read off a row what `entries` wrote there; zeros where it wrote nothing."""
-        return cls(**{name: row[f"times_{name}"] for name in cls.__dataclass_fields__ if f"times_{name}" in row})
-
-    @classmethod
-    def total(cls, rows: Iterable[Mapping[str, Any]]) -> Disturbance:
-        """Return the sum over rows."""
-        return sum(map(cls.of, rows), cls())
-
-    def entries(self) -> dict[str, float]:
-        """Return {times_calls, times_switches, times_cpu_s, times_wall_s}."""
-        return {f"times_{name}": value for name, value in asdict(self).items()}
-
-    def __add__(self, other: Disturbance) -> Disturbance:
-        return Disturbance(*(a + b for a, b in zip(astuple(self), astuple(other), strict=True)))
-
-    def __sub__(self, other: Disturbance) -> Disturbance:
-        return Disturbance(*(a - b for a, b in zip(astuple(self), astuple(other), strict=True)))
-
-    @property
-    def cpu_share(self) -> float:
-        """Processor time over time by the clock; above 1 with threads of its own."""
-        return self.cpu_s / self.wall_s if self.wall_s else 1.0
-
-    @property
-    def quiet(self) -> bool:
-        """Whether the 99th percentile of the times is to be trusted (docs/solvers.md has what that was measured on).
-
-        A switch lengthens one call. Where a hypervisor takes the core, the process has less of it without a switch.
-        """
-        return self.switches <= MOST_SWITCHES * self.calls and self.cpu_share >= LEAST_CPU_SHARE
+    few = row.get("times_switches", 0) <= MOST_SWITCHES * row.get("times_calls", 0)
+    return bool(few and cpu_share(row) >= LEAST_CPU_SHARE)
 
 
-def used() -> Disturbance:
-    """Return what this process has used since it began; the difference of two is what happened between them."""
-    return Disturbance(0, resource.getrusage(resource.RUSAGE_SELF).ru_nivcsw, process_time(), perf_counter())
-
-
-def load(rows: Iterable[Mapping[str, Any]]) -> str:
+def load(rows: Iterable[Row]) -> str:
     """Say what the machine did while the times in these rows were taken; "" where there are none."""
-    timed = [seen for seen in map(Disturbance.of, rows) if seen.calls]
+    timed = [row for row in rows if row.get("times_calls")]
     if not timed:
         return ""
-    total, spoilt = sum(timed, Disturbance()), sum(not seen.quiet for seen in timed)
+    whole, spoilt = total(timed), sum(not quiet(row) for row in timed)
     said = (
-        f"Times were taken with {100.0 * total.cpu_share:.1f} % of a core and {total.switches:,} involuntary context "
-        f"switches in {total.wall_s:.1f} s: "
+        f"Times were taken with {100.0 * cpu_share(whole):.1f} % of a core and {whole['times_switches']:,.0f} "
+        f"involuntary context switches in {whole['times_wall_s']:.1f} s: "
     )
     if not spoilt:
         return said + "the machine was quiet."
@@ -98,7 +87,7 @@ def clock_cost_us() -> float:
 
 def each_us(
     call: Callable[[Any], Any], items: Iterable[Any], results: list[Any] | None = None,
-    seen: list[Disturbance] | None = None,
+    seen: list[dict[str, float]] | None = None,
 ) -> Array:  # fmt: skip
     """Time ``call(item)`` one by one [us], without garbage-collection pauses.
 
@@ -113,7 +102,7 @@ def each_us(
             times.append(perf_counter_ns() - begin)
             found.append(result)
         if seen is not None:
-            seen.append(used() - before + Disturbance(len(times)))
+            seen.append(since(before, len(times)))
     return np.array(times) * 1e-3
 
 

@@ -21,7 +21,7 @@ from moc_opt.robots import load_data
 from moc_opt.scenario import Scenario, Setup
 from moc_opt.solvers.base import Solver
 from moc_opt.study.engine import Failed, Job
-from moc_opt.study.timing import Disturbance, used
+from moc_opt.study.timing import since, used
 from moc_opt.trace.meta import Ending
 from moc_opt.trace.metrics import summarize
 from moc_opt.trace.trace import Trace
@@ -129,7 +129,7 @@ class Run:
 
     row: Mapping[str, Any]
     columns: Mapping[str, Array] = field(default_factory=dict)  #: name -> a row a tick; empty where it broke off
-    load: Disturbance = field(default_factory=Disturbance)  #: what the machine did from the first tick to the last
+    load: Mapping[str, float] = field(default_factory=dict)  #: what the machine did meanwhile, where it was timed
 
 
 def run_trial(asked: Trial) -> Run:
@@ -139,14 +139,15 @@ def run_trial(asked: Trial) -> Run:
 
 def run_and_trace(asked: Trial, baseline: Trace | None = None) -> tuple[Run, Trace | None]:
     """Return what `run_trial` does, with the gain over a baseline's run, and the whole trace where there is one."""
-    marks, solver = list[Disturbance](), asked.solver
+    begun, seen, solver = dict[str, float](), dict[str, float](), asked.solver
 
-    def mark(tick: int) -> None:
-        if tick % LOOK_TICKS == 0:  # a system call: it may take longer than the tick
-            now = used()
-            marks[:] = [marks[0] if marks else now, now]
+    def look(tick: int) -> None:
+        if tick == 0:
+            begun.update(used())
+        elif tick % LOOK_TICKS == 0:
+            seen.update(since(begun, tick))
 
-    watch = mark if asked.timed else None
+    watch = look if asked.timed else None
 
     try:
         if solver is None or isinstance(solver, str):
@@ -168,7 +169,7 @@ def run_and_trace(asked: Trial, baseline: Trace | None = None) -> tuple[Run, Tra
         "raised": raised and f"{raised['count']} ticks, first at {raised['first_at_s']:.3f} s: {raised['first']}",
         "ticks": len(trace), **_counts(trace), **metrics,
     }  # fmt: skip
-    load = marks[-1] - marks[0] + Disturbance(len(trace)) if marks else Disturbance()
+    load = {**seen, "times_calls": len(trace)} if asked.timed else {}
     return Run(row, _columns(asked, trace) if whole else {}, load), trace
 
 

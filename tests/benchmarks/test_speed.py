@@ -38,7 +38,7 @@ def test_entries_take_turns_chunk_by_chunk(monkeypatch):
     }
     part.time("tick", entries, rounds=2)
     assert {name: found.shape for name, found in part.times.items()} == {"a": (4, 5), "b": (4, 5)}, "every call"
-    assert {name: found.calls for name, found in part.seen.items()} == {"a": 20, "b": 20}
+    assert {name: found["times_calls"] for name, found in part.seen.items()} == {"a": 20, "b": 20}
     chunks = [log[i : i + 5] for i in range(0, len(log), 5)]
     assert all(len({name for name, _ in chunk}) == 1 for chunk in chunks)
     # A round without a clock, then two with it; who begins changes from chunk to chunk.
@@ -51,7 +51,7 @@ def test_no_call_is_left_out_of_the_figures():
     times = np.full((10, 100), 2.0)
     times[:, :5] = 9.0  # cold, one in twenty
     times[3, 50] = 70.0
-    part = timed.Part(times={"a": times, "b": np.full((10, 100), 4.0)}, seen={"a": timed.Disturbance()})
+    part = timed.Part(times={"a": times, "b": np.full((10, 100), 4.0)}, seen={"a": {}})
     found = part.figures("a", "tick")
     assert (found["tick_p50_us"], found["tick_cold_p50_us"], found["tick_max_us"]) == (2.0, 9.0, 70.0)
     assert found["tick_p99_us"] == 9.0, "without the cold ones it would be 2"
@@ -139,7 +139,7 @@ def test_command_leaves_its_files(tiny, capsys, monkeypatch):
     assert min(summary["tick"][name]["tick_p50_us"] for name in ("exact", "proxqp")) > 0.0
     assert summary["goals"]["exact"]["value"] == summary["adapters"][timed.BY_HAND]["ratio_of_exact"] > 0.0
     assert summary["goals"]["tick"]["reached"] == summary["goals"]["batch"]["reached"] == "not measured"
-    assert json.loads((left.out / "environment.json").read_text())["load"]["calls"] > 0
+    assert json.loads((left.out / "environment.json").read_text())["load"]["times_calls"] > 0
     assert summary["batch"]["exact"]["batch_two_threads_per_s"] > 0.0
     assert {row["part"] for row in rows} == {"tick", "tick_parts", "adapters", "loop", "setup", None}
     assert [row["controller"] for row in rows if row["error"] == "it is missing"] == ["peer tsid"]

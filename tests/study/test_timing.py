@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from moc_opt.study import Job, run, timing
-from moc_opt.study.timing import Disturbance, each_us, percentiles
+from moc_opt.study.timing import COUNTED, each_us, percentiles
 
 
 def test_every_call_is_timed_without_the_collector(monkeypatch):
@@ -24,7 +24,7 @@ def test_every_call_is_timed_without_the_collector(monkeypatch):
     monkeypatch.setattr(timing, "perf_counter_ns", lambda: now[0])
     assert each_us(work, [50, 500, 70], results, seen).tolist() == [50.0, 500.0, 70.0]
     assert (results, during, gc.isenabled()) == ([50, 500, 70], [False] * 3, True)
-    assert [found.calls for found in seen] == [3]
+    assert [found["times_calls"] for found in seen] == [3]
     assert each_us(work, []).shape == (0,)
 
 
@@ -37,15 +37,13 @@ def test_figures_are_of_the_finite_times():
 
 @pytest.mark.parametrize(
     ("seen", "quiet"),
-    [
-        (Disturbance(), True), (Disturbance(4000, 10, 1.0, 1.0), True), (Disturbance(4000, 11, 1.0, 1.0), False),
-        (Disturbance(4000, 0, 0.9, 1.0), True), (Disturbance(4000, 0, 0.89, 1.0), False),
-    ],
+    [((), True), ((4000, 10, 1.0, 1.0), True), ((4000, 11, 1.0, 1.0), False), ((4000, 0, 0.9, 1.0), True),
+     ((4000, 0, 0.89, 1.0), False)],
 )  # fmt: skip
 def test_a_machine_is_quiet_where_few_calls_lost_the_core(seen, quiet):
-    assert seen.quiet is quiet
-    assert Disturbance.of(seen.entries()) == seen
-    said = timing.load([{"solves": 3}, seen.entries(), Disturbance(1000, 2, 0.998, 1.0).entries()])
+    row = dict(zip(COUNTED, seen, strict=False))
+    assert timing.quiet(row) is quiet
+    said = timing.load([{"solves": 3}, row, dict(zip(COUNTED, (1000, 2, 0.998, 1.0), strict=True))])
     assert said.startswith("Times were taken with ")
     assert ("the machine was quiet." if quiet else " 1 of ") in said
     assert timing.load([{"solves": 3}]) == ""
@@ -73,6 +71,6 @@ def beside_a_competitor(calls):
 @pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="this system holds no process to a core")
 def test_times_beside_a_busy_process_on_the_same_core_are_not_trusted():
     (seen,) = run([Job(beside_a_competitor, (300,))], workers=1)
-    assert (seen.calls, seen.quiet) == (300, False)
-    assert seen.cpu_share < 0.8
-    assert seen.switches > 10
+    assert (seen["times_calls"], timing.quiet(seen)) == (300, False)
+    assert timing.cpu_share(seen) < 0.8
+    assert seen["times_switches"] > 10
