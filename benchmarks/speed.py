@@ -112,7 +112,7 @@ def summed_up(whole: timed.Part, failed: Mapping[str, str]) -> dict[str, Any]:
     summary: dict[str, Any] = {name: {} for name in (*TIMED, "batch", "setup")} | whole.found
     if loop := summary["loop"]:
         rounds = [row for row in whole.rows if row["part"] == "loop"]
-        c_tick = summary["tick"].get("c", {}).get("tick_p50_us")
+        c_tick = summary["tick"].get("c", {}).get("tick_mean_us")
         loop["limit"] = timed.limit(rounds, c_tick)
     summary["clock"] = {"cost": {"p50_us": clock_cost_us()}}
     summary["not_run"] = {name: {"reason": reason} for name, reason in failed.items()}
@@ -150,15 +150,15 @@ GOALS = {
         f"{s['tick']['exact']['tick_p50_us']:.1f} us",
     ),
     "c_tick": Goal(
-        "moc_step in C: median", "us", 4.0, lambda s: s["tick"]["c"]["tick_p50_us"], section=TICKS,
-        made_of=lambda s: f"p99.9 {s['tick']['c']['tick_p99_9_us']:.1f} us",
+        "moc_step in C: mean", "us", 4.0, lambda s: s["tick"]["c"]["tick_mean_us"], section=TICKS,
+        made_of=lambda s: f"longest {s['tick']['c']['tick_max_us']:.1f} us",
     ),
     "limit": Goal(
         "default run over its limit, MuJoCo's steps and moc_step", "", 3.0,
         lambda s: s["loop"]["limit"]["python_over_limit"], section=LOOP,
         made_of=lambda s: f"{s['loop']['python']['us_per_tick']:.1f} us a tick, filter and controller "
         f"{s['loop']['python']['tick_p50_us']:.1f} of them; MuJoCo {s['loop']['limit']['steps_us']:.1f}, C "
-        f"{s['tick']['c']['tick_p50_us']:.1f} us",
+        f"{s['tick']['c']['tick_mean_us']:.1f} us",
     ),
 }  # fmt: skip
 
@@ -175,6 +175,7 @@ COLUMNS = {
         Column("name", "tick with"), *_times("tick", "p50", "p99", "p99_9"),
         Column("tick_cold_p50_us", "cold", unit="us", format=".1f", better="low",
                help="median of the first five calls after a switch; the percentiles count them too"),
+        Column("tick_mean_us", "mean", unit="us", format=".1f", help="which is what the exported program says"),
         Column("tick_max_us", "longest", unit="us", format=".1f", better="low"),
     ]),
     "tick_parts": ("Parts of a tick with exact", [
