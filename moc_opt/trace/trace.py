@@ -47,7 +47,7 @@ class Trace:
         >>> mo.Trace.load("run.parquet").meta["operator"]
         'A. B.'
         >>> faster = trace.with_columns(speed_rad_per_s=abs(trace.v_rad_per_s).max(axis=1)).between(0.01, 0.03)
-        >>> faster.select(faster.speed_rad_per_s > 0.0).tick[0], faster.to_xarray().tip_m.dims
+        >>> int(faster.select(faster.speed_rad_per_s > 0.0).tick[0]), faster.to_xarray().tip_m.dims
         (5, ('t_s', 'axis'))
     """
 
