@@ -18,7 +18,6 @@ from pydantic import Field
 from benchmarks.goals import Goal, goals_sentence, goals_table, judge
 from benchmarks.robots import on_each_arm
 from moc_opt.control import ControlSettings
-from moc_opt.figures import box_plots
 from moc_opt.figures.notation import Mark
 from moc_opt.report.tables import Column, Table
 from moc_opt.scenario import Scenario
@@ -26,7 +25,7 @@ from moc_opt.scenario.planned import plan
 from moc_opt.study import Failed, Job, show
 from moc_opt.study.command import Found, Study, StudyConfig, command
 from moc_opt.study.results import Results, change_name
-from moc_opt.study.show import Picture, Report, Section, columns
+from moc_opt.study.show import Report, Section, columns
 from moc_opt.study.statistics import Interval, mean, spread, too_few
 from moc_opt.study.trials import Trial, placed, run_and_trace, seeds
 
@@ -40,7 +39,7 @@ LOOPS: dict[str, dict[str, Any]] = {
 ERRORS = {"tip": "tip_error_model_mean_mm", "RCM": "rcm_error_model_mean_mm"}
 MOST_GAP_PERCENT = {LOCAL: 2.0, "receding": 1.0, "planned": 0.5}
 """Mean mu in the loop below that of the best course from the same start."""
-MOST_PLANNED_PERCENT, MOST_CHANGE_PERCENT, TRAPPED_PERCENT, LEAST_DRAWN_PERCENT = 3.0, 5.0, 5.0, 0.01
+MOST_PLANNED_PERCENT, MOST_CHANGE_PERCENT, TRAPPED_PERCENT = 3.0, 5.0, 5.0
 MOST_SCRATCH_S, MOST_REPLAN_MS, MOST_HALVING_PERCENT = 3.0, 20.0, 0.5
 FIGURES = ("gap_percent", "fraction_of_best", *ERRORS.values(), "course_gap_percent", "replan_ms_p99")
 COURSES = (
@@ -261,7 +260,7 @@ def report(summary: Mapping[str, Any], rows: Results, config: Config) -> Report:
                 Column("refine_s", "refinement", unit="s", format=".2f")], by_robot)]),
     ]  # fmt: skip
     title = f"{', '.join(config.robots)}: manipulability of planned and climbed courses"
-    return Report(title, sentences(summary, rows, config), table, pictures(rows), sections)
+    return Report(title, sentences(summary, rows, config), table, sections=sections)
 
 
 def _mark(goal: Mapping[str, Any] | None, value: float | None, form: str) -> Mark | None:
@@ -284,13 +283,6 @@ def sentences(summary: Mapping[str, Any], rows: Results, config: Config) -> list
         "starts.",
         " ".join(f"{robot}: {goals_sentence(judged)}" for robot, judged in summary["goals"].items()),
     ]
-
-
-def pictures(rows: Results) -> list[Picture]:
-    gaps = {name: list(rows.values("gap_percent", name).values()) for name in rows.where(part="loop").names()}
-    boxes = {name: {"all starts": np.maximum(of, LEAST_DRAWN_PERCENT)} for name, of in gaps.items() if of}
-    says = f"A climb that is trapped ends more than {TRAPPED_PERCENT:g} % below the best course."
-    return [Picture(box_plots(boxes, "below the best course [%]"), says, "gaps")] if boxes else []
 
 
 main = partial(command, "plan", "How much manipulability a path holds.", Config, work)

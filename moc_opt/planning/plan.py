@@ -52,19 +52,13 @@ class Plan:
     """Time for the "map", the "search" (courses by dynamic programming), their "bound" and "refine" [s]."""
 
     def __repr__(self) -> str:
-        return f"Plan({', '.join(f'{name}: {value}' for name, value in self._shown().items())})"
-
-    def _shown(self) -> dict[str, str]:
-        found = {"executable": "yes"}
-        if self.blocked is not None:
-            found = {"executable": "no", "blocked": f"at t = {self.blocked.t_s:.3f} s, {self.blocked.reason}"}
+        stuck = self.blocked
+        shown = ["executable: yes" if stuck is None else f"blocked: at t = {stuck.t_s:.3f} s, {stuck.reason}"]
         for name, course in (("from the start", self.from_start), ("best", self.best), ("local climb", self.climbed)):
-            if course is not None and len(course.mu):
+            if course is not None:
                 part = "" if len(course.mu) == len(self.targets) else f", to t = {course.t_s[-1]:.3f} s only"
-                found[f"mean mu {name}"] = f"{course.mu_mean:.4g} m^3{part}"
-        if np.isfinite(self.best_swivel_rad):
-            found["swivel at the start"] = f"{self.start_swivel_rad:.3f} rad, best {self.best_swivel_rad:.3f} rad"
-        return found
+                shown.append(f"mean mu {name}: {course.mu_mean:.4g} m^3{part}")
+        return f"Plan({', '.join(shown)})"
 
     @property
     def executable(self) -> bool:

@@ -74,6 +74,13 @@ def test_a_base_on_the_ceiling_hangs(tmp_path: Path) -> None:
     assert hanging.state(hanging.data.q_home).tip[2] < 0.0
 
 
+def test_drives_follow_the_torque_limits(tmp_path: Path) -> None:
+    data = made(tmp_path, text_of("lwr4_rail")).robot.data
+    assert data.rotor_inertia.tolist() == [20.0] + [0.2] * 7
+    assert data.coulomb_friction.tolist() == data.viscous_friction.tolist()
+    assert data.coulomb_friction.tolist() == [4.0, 1.0, 1.0, 0.8, 0.8, 0.8, 0.3, 0.3]
+
+
 def test_what_makes_no_arm_is_refused_and_leaves_no_file(tmp_path: Path) -> None:
     massless = re.sub(r"<inertial>.*?</inertial>", "", text_of(), flags=re.DOTALL)
     with pytest.raises(RobotError, match="joint 'joint_1' moves no mass"):
@@ -162,8 +169,8 @@ def test_a_found_pose_is_what_was_asked_for(name: str) -> None:
     assert state.mu == pytest.approx(home.mu)
     assert min(state.tip[2], state.wrist[2]) > new.CLEARANCE_M - 0.01
     assert home.task == ""
-    if name == "lwr4":
-        np.testing.assert_array_equal(search_home(robot, seed=3).q, home.q)
+    if name == "xarm7":  # what counts in the ranking is seen in which pose comes first
+        np.testing.assert_array_equal(home.q, [-0.72, 0.06, -0.89, 1.37, 0.22, 1.37, 0.0])
         assert np.abs(search_home(robot, seed=2).q - home.q).max() > 0.1
 
 
