@@ -21,6 +21,7 @@ def test_the_courses_are_in_order_and_the_proposed_start_keeps_its_promise(robot
     assert plan.executable
     assert plan.blocked is None
     assert plan.climbed_whole
+    assert plan.from_start.certified
     assert plan.climbed.mu_mean <= plan.from_start.mu_mean <= plan.best.mu_mean
     assert plan.from_start.mu_mean <= plan.bound_from_start < 1.005 * plan.from_start.mu_mean
     assert plan.best.mu_mean <= plan.bound < 1.005 * plan.best.mu_mean
