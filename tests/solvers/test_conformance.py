@@ -211,9 +211,14 @@ def test_an_infeasible_tick_leaves_no_trace(name):
 
 
 @every_solver
-def test_warm_equals_cold(name):
-    limits, qps = expect(name), sequence(name, seed=5)
-    warm, chosen = answers(name, qps), solver(name)
+def test_warm_equals_cold_and_sessions_share_nothing(name):
+    limits, qps, others, chosen = expect(name), sequence(name, seed=5), sequence(name, seed=7), solver(name)
+    alone, mine, another = answers(name, qps), chosen.start(qps[0]), chosen.start(others[0])
+    warm = [(mine.solve(qp), another.solve(other))[0] for qp, other in zip(qps, others, strict=True)]
+    for expected, found in zip(alone, warm, strict=True):
+        assert found.status is expected.status
+        # not to the last digit: vectorised sums depend on where the memory lies
+        np.testing.assert_allclose(found.x, expected.x, rtol=0.0, atol=1e-11)
     cold = [chosen.start(qp).solve(qp) for qp in qps]
     both = [(a, b) for a, b in zip(warm, cold, strict=True) if a.status is b.status is Status.SOLVED]
     assert len(both) >= min(limits.solved, 0.8) * len(qps)
@@ -270,20 +275,6 @@ def test_a_truncated_solve_is_the_same_solve_cut_short(name):
     after, expected = cut.solve(qps[0]), whole.solve(qps[0])
     assert after.status is expected.status  # the limit is the old one again
     np.testing.assert_allclose(after.x, expected.x, rtol=0.0, atol=expect(name).x)
-
-
-@every_solver
-def test_sessions_share_nothing(name):
-    first, second = sequence(name, seed=6), sequence(name, seed=7)
-    chosen = solver(name)
-    alone = answers(name, first), answers(name, second)
-    a, b = chosen.start(first[0]), chosen.start(second[0])
-    together = [(a.solve(p), b.solve(q)) for p, q in zip(first, second, strict=True)]
-    for k, found in enumerate(alone):
-        for expected, pair in zip(found, together, strict=True):
-            assert pair[k].status is expected.status
-            # not to the last digit: vectorised sums depend on where the memory lies
-            np.testing.assert_allclose(pair[k].x, expected.x, rtol=0.0, atol=1e-11)
 
 
 @every_solver

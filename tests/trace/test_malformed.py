@@ -116,7 +116,7 @@ def test_a_parquet_file_of_many_rows_is_not_unpacked(tmp_path):
 
 MARK = "\x1b[2J<script>alert(1)</script>\u202e"
 odd_entries = junk | st.sampled_from([MARK, "a" * 100_000, [0] * 10_000, 1e308, 1e-320, 2**62, [[]], {"": {}}])
-odd_columns = st.sampled_from(["gone", "backwards", "text", "one", "nothing", 0.0, np.nan, np.inf, 1e308, 5e-324])
+odd_columns = st.sampled_from(["text", "one", "nothing", 0.0, np.nan, np.inf, 1e308, 5e-324])
 
 
 @pytest.fixture(scope="module")
@@ -140,23 +140,19 @@ def test_a_foreign_trace_is_shown_or_refused(tmp_path, faulty_run, data):
     """Its metrics, its table, its sentences and its JSON; and no text of it steers the terminal."""
     columns, meta = dict(faulty_run[0]), copy.deepcopy(faulty_run[1])
     entries = [place for place in places(meta) if place]
-    for _ in range(data.draw(st.integers(1, 3))):
-        if data.draw(st.booleans()):
-            (*path, last), odd, inner = data.draw(st.sampled_from(entries)), data.draw(odd_entries), meta
-            with contextlib.suppress(KeyError, IndexError, TypeError):  # what it lay in was changed before
-                for key in path:
-                    inner = inner[key]
-                inner[last] = copy.deepcopy(odd)
-            continue
-        name, how = data.draw(st.sampled_from(sorted(columns))), data.draw(odd_columns)
-        if how == "gone" and len(columns) > 1:
-            del columns[name]
-        elif how in ("one", "nothing"):
-            columns = {key: column[: how == "one"] for key, column in columns.items()}
-        elif how in ("backwards", "text"):
-            columns[name] = columns[name][::-1] if how == "backwards" else np.full(len(columns[name]), MARK)
-        elif columns[name].dtype.kind == "f":
-            columns[name] = np.full_like(columns[name], how)
+    for _ in range(data.draw(st.integers(0, 3))):
+        (*path, last), odd, inner = data.draw(st.sampled_from(entries)), data.draw(odd_entries), meta
+        with contextlib.suppress(KeyError, IndexError, TypeError):  # what it lay in was changed before
+            for key in path:
+                inner = inner[key]
+            inner[last] = odd
+    name, how = data.draw(st.sampled_from(sorted(columns))), data.draw(odd_columns)
+    if how in ("one", "nothing"):
+        columns = {key: column[: how == "one"] for key, column in columns.items()}
+    elif how == "text":
+        columns[name] = np.full(len(columns[name]), MARK)
+    elif columns[name].dtype.kind == "f":
+        columns[name] = np.full_like(columns[name], how)
     with ends_well():
         Trace(columns, meta).save(tmp_path / "trace.parquet")
         (trace,) = load_runs([tmp_path / "trace.parquet"])[0].values()
