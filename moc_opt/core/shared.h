@@ -44,7 +44,7 @@ double moc_shaft_manipulability(int n, const moc_twist *twist, double A[][MOC_MA
 
 /* --- record.c --- */
 
-/* Between a struct and its packed record; moc_opt/qp/layout.py and moc_opt/robots/model.py read the same ones. The
+/* Between a struct and its packed record; moc_opt/qp/problem.py and moc_opt/robots/model.py read the same ones. The
  * record of a subproblem has its pose q (n,) at the end, which is no part of the struct. */
 typedef enum { UNPACK, PACK } direction;
 void moc_copy_problem(moc_problem *problem, int n, double *record, direction way);

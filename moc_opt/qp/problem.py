@@ -11,7 +11,7 @@ makes it a strictly convex QP. The six rows have rank five where tip and wrist a
 from __future__ import annotations
 
 from functools import cache, cached_property
-from itertools import pairwise
+from itertools import accumulate, pairwise
 from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
@@ -21,7 +21,6 @@ from moc_opt import core
 from moc_opt.arrays import Array, read_only
 from moc_opt.errors import SubproblemError, shown
 from moc_opt.qp import residuals as optimality
-from moc_opt.qp.layout import joints_of, offsets
 from moc_opt.qp.residuals import Residuals
 
 LARGEST_WEIGHT = 1e12
@@ -33,11 +32,16 @@ _DOUBLE, _CLOSE = np.dtype(np.float64), (8,)
 
 def row_length(n: int) -> int:
     """Compute the length of the flat record of a subproblem with n joints."""
-    return offsets(n).end
+    return 11 * n + 10
+
+
+def joints_of(length: int) -> int:
+    """Return how many joints a flat record of so many numbers is for."""
+    return (length - 10) // 11
 
 
 class Fields(NamedTuple):
-    """Views into flat records ``(..., 11 n + 10)``; the order here is the order in the record."""
+    """Views into flat records ``(..., 11 n + 10)``, in this order; `moc_opt/core/arguments.c` reads the same ones."""
 
     A: Array  # (..., 6, n) = [J_tip; J_wrist]
     b: Array  # (..., 6) = [v_tip; v_wrist]
@@ -61,7 +65,7 @@ def fields(rows: Array) -> Fields:
 
 @cache
 def _places(n: int) -> tuple[slice, ...]:
-    return tuple(slice(*ends) for ends in pairwise(offsets(n)))
+    return tuple(slice(*ends) for ends in pairwise(accumulate((0, 6 * n, 6, n, n, n, n, 4, n))))
 
 
 def compute_residuals(rows: Array, x: Array, y: Array | None = None) -> Residuals:

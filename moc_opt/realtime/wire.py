@@ -27,7 +27,7 @@ from pydantic import Field
 from moc_opt.errors import MocOptError, describe
 from moc_opt.inputs.files import read_text
 from moc_opt.inputs.settings import Settings
-from moc_opt.qp.layout import offsets
+from moc_opt.qp.problem import row_length
 
 MAGIC, VERSION = b"MOCW", 3
 LOOPBACK_KEY = b"moc_opt: loopback, no secret"
@@ -100,7 +100,7 @@ def layout(kind: Kind, n: int) -> np.dtype[Any]:
             ("tau", "<f8", (n,)), ("friction", "<f8", (n,)), ("control_us", "<f8"), ("limited", "<u4"),
             ("iterations", "<i4"), ("reason", "S96"), ("status", "S16"), ("fault", "S16"), ("solve_us", "<f8"),
             ("x_rad_per_s", "<f8", (n,)), ("applied_x_rad_per_s", "<f8", (n,)), ("dual", "<f8", (6,)),
-            ("subproblem", "<f8", (offsets(n).end,)),
+            ("subproblem", "<f8", (row_length(n),)),
         ],
     }  # fmt: skip
     return np.dtype([*HEADER, *bodies.get(kind, []), ("tag", f"V{TAG_BYTES}")])

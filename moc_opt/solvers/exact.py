@@ -16,8 +16,7 @@ import numpy as np
 from moc_opt import core
 from moc_opt.arrays import Array
 from moc_opt.errors import SolverError
-from moc_opt.qp.layout import joints_of
-from moc_opt.qp.problem import NullSpaceQP, row_length
+from moc_opt.qp.problem import NullSpaceQP, joints_of, row_length
 from moc_opt.solvers.base import Solution, SolverSettings, Status, no_answer
 
 STATUS = {core.OK: Status.SOLVED, core.INFEASIBLE: Status.INFEASIBLE, core.DOUBTFUL: Status.NUMERICAL}

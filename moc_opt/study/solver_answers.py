@@ -17,8 +17,7 @@ from moc_opt.arrays import Array
 from moc_opt.control.supervisor import received
 from moc_opt.errors import describe
 from moc_opt.inputs.settings import Settings
-from moc_opt.qp.layout import joints_of
-from moc_opt.qp.problem import NullSpaceQP, compute_residuals, fields
+from moc_opt.qp.problem import NullSpaceQP, compute_residuals, fields, joints_of
 from moc_opt.robots.model import load_robot
 from moc_opt.scenario import make_solver
 from moc_opt.solvers.base import Session, Solution, Solver, Status, no_answer

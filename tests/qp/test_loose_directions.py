@@ -123,8 +123,9 @@ def test_of_two_ends_the_better_one_is_verified_where_the_gradient_is_nearly_acr
     """Rounding in A x - b is divided by the smallest singular value, and decides unless it is kept small."""
     rng, seen = np.random.default_rng(int(-np.log10(size))), 0
     for slope, width in [(1e-2, 1e-4), (1e-4, 1e-2), (1e-6, 1e-4), (1e-8, 1e-2), (1e-8, 3e-6)] * 3:
+        unit = rng.choice([1.0, 1e3])  # of length
         U, V = (np.linalg.qr(rng.normal(size=(k, k)))[0] for k in (5, 6))
-        A, x = U * [1.0, 0.8, 0.6, 0.4, size] @ V[:, :5].T, rng.uniform(-0.4, 0.4, 6)
+        A, x = unit * U * [1.0, 0.8, 0.6, 0.4, size] @ V[:, :5].T, rng.uniform(-0.4, 0.4, 6)
         b, lower, upper = A @ x, x - rng.uniform(0.5, 1.0, 6), x + rng.uniform(0.5, 1.0, 6)
         ends = far_ends(A, b, V[:, 5], lower, upper)
         z = (ends[0] - ends[1]) / np.linalg.norm(ends[0] - ends[1])

@@ -8,8 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from moc_opt.errors import SubproblemError
-from moc_opt.qp.layout import C0, C1, C2, RHO, joints_of, offsets
-from moc_opt.qp.problem import NullSpaceQP, fields, row_length
+from moc_opt.qp.problem import NullSpaceQP, fields, joints_of, row_length
 from tests.problems import PARTS, changed, random_problem
 
 
@@ -69,8 +68,7 @@ def test_record_round_trip(qp):
     for one in (qp, plain):
         assert NullSpaceQP.from_row(np.array(one.row)) == pickle.loads(pickle.dumps(one)) == one.copy() == one
     assert plain not in (qp, "another kind")
-    weights = qp.row[offsets(7).weights :][[C0, C1, C2, RHO]]
-    assert [qp.c0, qp.c1, qp.c2, qp.regularization] == weights.tolist() == [0.02, 0.03, 0.004, 1e-4]
+    assert [qp.c0, qp.c1, qp.c2, qp.regularization] == qp.row[76:80].tolist() == [0.02, 0.03, 0.004, 1e-4]
     with pytest.raises(SubproblemError, match="11 n"):
         fields(np.zeros(83))
 
@@ -85,13 +83,13 @@ def test_a_record_in_other_memory_is_copied(qp):
 
 
 @pytest.mark.parametrize("n", [1, 6, 7, 9])
-def test_offsets_are_those_of_the_fields(n):
+def test_the_fields_are_the_record_in_their_order(n):
     record = np.arange(float(row_length(n)))
-    named, at = fields(record), offsets(n)
-    assert at.end == len(record) == sum(part.size for part in named)
-    assert joints_of(at.end) == n
-    for name in named._fields:
-        assert getattr(named, name).ravel()[0] == getattr(at, name)
+    for rows in (record, record[None]):
+        parts = fields(rows)
+        np.testing.assert_array_equal(np.concatenate([part.ravel() for part in parts]), record)
+        assert [part.size for part in parts] == [6 * n, 6, n, n, n, n, 4, n]
+    assert joints_of(len(record)) == n
 
 
 # --- as solvers take it ---
