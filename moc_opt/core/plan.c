@@ -137,7 +137,7 @@ double plan_place(const plan_task *task, int points, int rounds, const double *s
         if (!(length >= 1e-12))
             break;
         for (int j = 0; j < n; j++)
-            q[j] = fmin(fmax(q[j] + step[j] * fmin(1.0, LONGEST / length), task->low[j]), task->high[j]);
+            q[j] = clip(q[j] + step[j] * fmin(1.0, LONGEST / length), task->low[j], task->high[j]);
     }
     return miss;
 }
@@ -247,7 +247,7 @@ int plan_follow(const plan_task *task, const double *start, const double *tangen
 
 #define SHORTEST 1e-6  /* below it an ascent has arrived: mu is flat there to its square */
 #define FLAT 1e-9      /* of the gradient: less of it along the allowed ways is none */
-#define STEPS 200
+#define STEPS 400
 #define NEWTON 40
 
 double plan_ascend(const plan_task *task, double *q)
@@ -258,32 +258,20 @@ double plan_ascend(const plan_task *task, double *q)
 
     if (!(plan_place(task, 2, NEWTON, q, q) < TOLERANCE))
         return -1.0;
-    double mu = look(task, q, error, A, grad);
-    for (int round = 0; round < STEPS; round++) {
+    for (int round = 0; round < STEPS && h >= SHORTEST; round++) {
+        double mu = look(task, q, error, A, grad);
         /* a step that a limit cuts short leads nowhere */
         allowed_step(task, 6, q, A, nothing, grad, 0.0, 0.01 * h, way);
-        double length = sqrt(dot(n, way, way)), found = -1.0;
-        while (length > FLAT * sqrt(dot(n, grad, grad)) && h >= SHORTEST) {
-            for (int j = 0; j < n; j++)
-                trial[j] = fmin(fmax(q[j] + h / length * way[j], task->low[j]), task->high[j]);
-            if (plan_place(task, 2, 10, trial, trial) < TOLERANCE) {
-                found = look(task, trial, error, A, grad);
-                if (found > mu)
-                    break;
-            }
-            h *= 0.3;
-        }
-        if (found > mu) {
+        double length = sqrt(dot(n, way, way));
+        for (int j = 0; j < n; j++)
+            trial[j] = clip(q[j] + h / length * way[j], task->low[j], task->high[j]);
+        int higher = length > FLAT * sqrt(dot(n, grad, grad)) && plan_place(task, 2, 10, trial, trial) < TOLERANCE &&
+                     look(task, trial, error, A, NULL) > mu;
+        if (higher)
             memcpy(q, trial, (unsigned)n * sizeof *q);
-            mu = found;
-            h = fmin(2.0 * h, LONGEST);
-        } else if (h < SHORTEST) {
-            return mu;
-        } else {
-            h *= 0.3;
-        }
+        h = higher ? fmin(2.0 * h, LONGEST) : 0.3 * h;
     }
-    return mu;
+    return look(task, q, error, A, NULL);
 }
 
 /* --- one step of a value function --- */
