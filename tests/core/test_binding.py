@@ -49,16 +49,3 @@ def test_a_pose_that_is_no_number_writes_nothing():
     assert ROBOT.arm.terms(q * np.nan, q, record) == core.BAD_Q
     assert ROBOT.arm.terms(q, np.full(7, np.inf), record) == core.BAD_V
     assert (record == 7.0).all()
-
-
-def test_the_network_makes_the_steps_of_its_equation():
-    qp, x, y, h, k, scale = QP, np.zeros(7), np.zeros(6), 0.5, 0.3, 50.0
-    core_x, core_y = np.zeros(7), np.zeros(6)
-    weights = np.repeat([qp.c0, qp.c1], 3)
-    for _ in range(20):
-        gap = qp.A @ x - qp.b
-        force = qp.A.T @ (scale * weights * gap + y) + scale * (qp.regularization * x - qp.c2 * qp.grad_mu)
-        x, y = x + h * (np.clip(x - k * force, qp.lower, qp.upper) - x), y + h * k * gap
-    assert core.step_network(qp.row, core_x, core_y, 20, h, h, k, scale, False, 0.0) == (core.UNFINISHED, 20)
-    np.testing.assert_allclose(core_x, x, atol=1e-13)
-    np.testing.assert_allclose(core_y, y, atol=1e-12)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
-import hashlib
 import json
 import shutil
 import subprocess
@@ -67,8 +65,9 @@ def served(scenario: Scenario, folder: Path, **relayed: Any) -> tuple[Trace, dic
 
 
 @pytest.mark.parametrize("name", RUNS)
-def test_it_is_the_controller_that_python_is(built: Built, name: str) -> None:
+def test_it_is_the_controller_that_python_is(built: Built, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     scenario, folder = built(name)
+    monkeypatch.setenv("MOC_OPT_WIRE_KEY", {"dcac": "k" * 16, "stopped": "k" * 32}.get(name, ""))
     found, said, status, _ = served(scenario, folder)
     expected = run(scenario)
     assert len(found) == len(expected)
@@ -147,33 +146,3 @@ def test_what_cannot_be_is_refused_in_words(built: Built, tmp_path: Path) -> Non
         )  # fmt: skip
         assert done.returncode == 2
         assert words in done.stderr
-
-
-@pytest.fixture(scope="module")
-def check(built: Built) -> Any:
-    """The tag that udp.c signs its packets with, from Python."""
-    folder = built("default")[1]
-    library, source = folder / "check.so", folder / "check.c"
-    source.write_text(
-        '#define main unused\n#include "udp.c"\n'
-        "void tag(const uint8_t *data, size_t size, const uint8_t *key, size_t length, uint8_t *to)\n"
-        "{\n    sign(data, size, key, length, to);\n}\n"
-    )
-    parts = [file for file in folder.glob("*.o") if file.stem not in ("udp", "main")]
-    subprocess.run(["cc", *FLAGS.removeprefix("CFLAGS=").split(), "-shared", f"-I{folder}", source, *parts, "-lm", "-o",
-                    library], check=True)  # fmt: skip
-    library = ctypes.CDLL(str(library))
-
-    def call(data: bytes, key: bytes) -> bytes:
-        out = ctypes.create_string_buffer(16)
-        library.tag(data, ctypes.c_size_t(len(data)), key, ctypes.c_size_t(len(key)), out)
-        return out.raw
-
-    return call
-
-
-def test_the_check_is_blake2s(check: Any) -> None:
-    rng = np.random.default_rng(0)
-    for length in (*range(1, 200), 888):
-        data, key = rng.bytes(length), rng.bytes(1 + length % 32)
-        assert check(data, key) == hashlib.blake2s(data, key=key, digest_size=16).digest()
