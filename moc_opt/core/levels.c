@@ -143,16 +143,15 @@ static void add_at_rest(moc_projector projector, int n, double J[][MOC_MAX_JOINT
 {
     double at_tip[3], gram[3][MOC_MAX_JOINTS], factor[3][MOC_MAX_JOINTS], diagonal[3];
 
-    for (int j = 0; j < n; j++)
-        tau[j] += tau_W[j];
     times(n, J, tau_W, at_tip);
     if (projector == MOC_STATIC) {
         for (int i = 0; i < 3; i++)
-            for (int k = 0; k < 3; k++)
-                gram[i][k] = dot(n, J[i], J[k]);
+            times(n, J, J[i], gram[i]);
         cholesky(3, gram, factor, diagonal);
         solve_factored(3, factor, diagonal, at_tip);
     }
+    for (int j = 0; j < n; j++)
+        tau[j] += tau_W[j];
     add_force(n, J, -1.0, at_tip, tau);
 }
 

@@ -256,9 +256,8 @@ typedef struct {
     int bad;                                     /* measurements in a row that were not believed */
     double tip_square;                           /* mean square of the tip's error [m^2] */
     double point[3];                             /* the trocar, as registered last [m] */
-    double mean_square[2], largest[2];           /* of RCM error and force; the largest root above its warning */
-    double whole_square;                         /* the same of the whole force on the tool, a contact's included */
-    double first_tick[2], ticks;                 /* of a warning, -1: none; ticks in the incision */
+    double mean_square[2], largest[2], first_tick[2]; /* of RCM error and force; root and tick of a warning, -1: none */
+    double whole_square, ticks;                  /* of the whole force on the tool, a contact's too; in the incision */
     int unread;                                  /* readings of the wrench in a row that were no numbers */
     double press, borne;                         /* mean of the trocar's force in a stop; what closed brakes bear [N] */
     int yields, open;                            /* whether the brakes are open because of it; for how many ticks */

@@ -44,14 +44,6 @@ static double distance(int n, const double *p, const double *q)
     return sqrt(total);
 }
 
-static int outside(const plan_task *task, const double *q)
-{
-    for (int i = 0; i < task->arm->n; i++)
-        if (q[i] < task->low[i] || q[i] > task->high[i])
-            return 1;
-    return 0;
-}
-
 /* --- one pose --- */
 
 #define LONGEST 0.25    /* of a step, in joint space [rad]: beyond it the linearization is worth little */
@@ -111,7 +103,7 @@ static void allowed_step(const plan_task *task, int rows, const double *q, doubl
     }
 }
 
-/* Damped Gauss-Newton for the tip alone (points = 1), or tip and wrist, from `start`; the best pose may be `start`. */
+/* Damped Gauss-Newton. */
 double plan_place(const plan_task *task, int points, int rounds, const double *start, double *best)
 {
     static const double nowhere[MOC_MAX_JOINTS];
@@ -181,13 +173,15 @@ static int closes(const plan_task *task, const double *start, const double *q, c
                   double *pose, double *gap)
 {
     double ahead = 0.0;
+    int inside = 1;
     for (int i = 0; i < task->arm->n; i++) {
         double turns = task->arm->joint[i].slides > 0.0 ? 0.0 : nearbyint((q[i] - start[i]) / (2.0 * PI));
         pose[i] = start[i] + 2.0 * PI * turns;
         ahead += (pose[i] - q[i]) * tangent[i];
+        inside &= pose[i] >= task->low[i] && pose[i] <= task->high[i];
     }
     *gap = distance(task->arm->n, pose, q);
-    return *gap <= 1.01 * step && ahead > 0.0 && !outside(task, pose);
+    return inside && *gap <= 1.01 * step && ahead > 0.0;
 }
 
 int plan_follow(const plan_task *task, const double *start, const double *tangent_start, double step, int most,
