@@ -52,8 +52,13 @@ def test_every_term_is_compared(robot, change):
         return SimpleNamespace(data=robot.data, state=state)
 
     check_engines(shifted(0.1))
-    with pytest.raises(RobotError, match=rf"differ in {change} by"):
+    with pytest.raises(RobotError, match=rf"differ in {change} by") as said:
         check_engines(shifted(30.0))
+    home = robot.state(robot.data.q_home)
+    heavy, reach = np.abs(home.M - np.diag(robot.data.rotor_inertia)).max(), np.linalg.norm(home.tip)
+    size = {"M": heavy, "h": np.abs(home.h).max() + 9.81 * heavy, "tip": reach, "wrist": reach}[change]
+    share = float(re.search(r"([\d.e-]+) of its size", str(said.value))[1])
+    assert share == pytest.approx(30.0 * TOLERANCE * np.abs(getattr(home, change)).max() / size, rel=0.05)
 
 
 @given(

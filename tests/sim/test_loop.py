@@ -8,6 +8,7 @@ import pytest
 from moc_opt.errors import PlantError
 from moc_opt.sim import Plant, PlantSettings
 from moc_opt.sim.loop import no_collector, simulate
+from moc_opt.sim.record import RunAway
 
 TICKS = 25
 
@@ -130,3 +131,13 @@ def test_the_collector_comes_back_after_an_error_and_stays_off_where_it_was(robo
         assert not gc.isenabled()
     finally:
         gc.enable()
+
+
+def test_an_arm_that_runs_away_ends_the_run_and_the_error_has_the_trace(robot, references):
+    plant = ready(robot)
+    with pytest.raises(RunAway, match=r"ran away at t = 0\.010 s") as said:
+        simulate(
+            plant, Holding(robot), *references,
+            watch=lambda k: np.copyto(plant.mj_data.qvel, 1e6) if k == 5 else None,
+        )  # fmt: skip
+    assert len(said.value.trace) == 6

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from moc_opt.errors import PlantError
 from moc_opt.robots import load_data
 from moc_opt.robots.model import RobotModel
-from moc_opt.sim import Plant, PlantSettings
+from moc_opt.sim import Mismatch, Plant, PlantSettings
 from moc_opt.sim.mjcf import build_spec, compile_model
 from moc_opt.vision.board import rotation_from
 
@@ -149,6 +149,19 @@ def test_mismatch_comes_from_the_seed_and_grows_with_the_error():
         np.testing.assert_allclose(twice, 2 * own, atol=1e-12)
         assert 0 < np.abs(own).max() <= 0.1
     assert np.linalg.norm(small.registration_error) == pytest.approx(5e-4)
+
+
+def test_factors_fill_the_range_of_their_error():
+    settings = PlantSettings(mass_error=0.1, friction_error=0.2, friction=2.0)
+    drawn = [Mismatch.draw(DATA, settings, DATA.joint_names, np.random.SeedSequence(seed)) for seed in range(60)]
+    for error, factors in (
+        (0.1, [list(one.mass_scale.values()) for one in drawn]),
+        (0.2, [one.viscous_friction / DATA.viscous_friction / 2.0 for one in drawn]),
+        (0.2, [one.coulomb_friction / DATA.coulomb_friction / 2.0 for one in drawn]),
+    ):
+        off = np.array(factors) - 1.0
+        assert -error <= off.min() < -0.97 * error
+        assert 0.97 * error < off.max() <= error
 
 
 def test_torque_is_cut_at_the_limit():
@@ -330,6 +343,8 @@ def test_bad_starts_are_named(q, v, words):
         plant.reset(q, v)
     np.testing.assert_array_equal(plant.q, before)
     assert plant.time > 0
+    plant.reset(DATA.q_min)
+    plant.reset(DATA.q_max)  # the limits themselves are in
 
 
 @pytest.mark.parametrize("force", [1e5, 1e15])
