@@ -7,7 +7,6 @@ import math
 import re
 import sys
 from collections.abc import Callable, Iterable
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -207,7 +206,7 @@ def run_control(given: argparse.Namespace) -> int:
     where = f"{given.connect}, for {scenario.wire.wait_s:g} s"
     print(f"control: {first}waiting for a plant at {where}", file=sys.stderr, flush=True)
     found = answer(scenario, given.connect, given.key_file, ready=lambda: granted.update(ask_for_realtime()))
-    told = asdict(found) | {"system": granted}
+    told = found | {"system": granted}
     if given.json:
         print_json(told)
     else:
@@ -215,7 +214,7 @@ def run_control(given: argparse.Namespace) -> int:
         flat |= {f"{name}: {key}": v for name, of in told.items() if isinstance(of, dict) for key, v in of.items()}
         rows = [{"what": name, "value": _words(value)} for name, value in flat.items() if value]  # not counts of zero
         print_tables([Table(f"Controller of {title}", [Column("what", "what"), Column("value", "value")], rows)])
-    return 0 if found.ended == "completed" else 3
+    return 0 if found["ended"] == "completed" else 3
 
 
 def _words(value: Any) -> str:

@@ -186,17 +186,6 @@ def _text(field: NDArray[Any]) -> str:
     return printable(bytes(field[()]).decode(errors="replace"))
 
 
-@dataclass(frozen=True)
-class Ending:
-    """How a run looked from the controller's end."""
-
-    ended: str  #: "completed", "stopped: ...", "the plant ended the run at tick ...", "the plant has been silent ...".
-    ticks: int  #: measurements that were answered
-    quality: dict[str, int]  #: counts of the plant's packets
-    warnings: list[dict[str, Any]]  #: of the safety filter
-    faults: dict[str, Any]  #: of the third level
-
-
 @dataclass(eq=False)
 class Answering:
     """The controller's end: answers measurements until the plant ends the run."""
@@ -210,8 +199,12 @@ class Answering:
     scenario: int  #: Fingerprint of the settings that both ends must share.
     ready: Callable[[], None] = lambda: None  #: Called once when plant and controller are there.
 
-    def run(self) -> Ending:
-        """Find the plant, start at its first measurement, and answer; a WireError where none has this scenario."""
+    def run(self) -> dict[str, Any]:
+        """Find the plant, start at its first measurement, and answer; a WireError where none has this scenario.
+
+        It returns how the run ``ended``, the number of ``ticks`` answered, the counts of the plant's packets
+        (``quality``), the ``warnings`` of the safety filter and the third level's ``faults``.
+        """
         link = self.link
         first = self._ask(Kind.HELLO, waits=True)
         link.session = int(first["session"])
@@ -229,8 +222,10 @@ class Answering:
             ended = self._answer_all(self._ask(Kind.START, waits=False), filtered)
         if filtered.stop_reason:
             ended = f"stopped: {filtered.stop_reason}"
-        faults = getattr(self.controller, "faults", {})
-        return Ending(ended, link.quality["received"], link.quality, filtered.warnings, faults)
+        return {
+            "ended": ended, "ticks": link.quality["received"], "quality": link.quality, "warnings": filtered.warnings,
+            "faults": getattr(self.controller, "faults", {}),
+        }  # fmt: skip
 
     def _packet(self, kind: Kind) -> Packet:
         return make_packet(kind, self.link.n, self.link.session, self.scenario)

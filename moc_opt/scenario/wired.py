@@ -11,7 +11,7 @@ from typing import Any
 
 from moc_opt.inputs.files import to_json
 from moc_opt.realtime.clock import WallClock, give_back_realtime
-from moc_opt.realtime.ends import INCOMING, Answering, Ending, RemoteController
+from moc_opt.realtime.ends import INCOMING, Answering, RemoteController
 from moc_opt.realtime.wire import Address, Kind, Link, WireError, parse_address, read_key
 from moc_opt.robots.model import RobotModel, carried
 from moc_opt.scenario.config import Scenario
@@ -91,7 +91,7 @@ class PlantServer(Setup):
 
 def answer(
     scenario: Scenario, connect: str, key_file: Path | None = None, ready: Callable[[], None] = lambda: None
-) -> Ending:
+) -> dict[str, Any]:
     """Be the controller of a plant at the other end of a wire ("HOST:PORT"), until its run ends.
 
     Control, solver and guard of the scenario are this end's own, the rest must be the plant's. ``ready`` is called

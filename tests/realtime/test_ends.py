@@ -232,8 +232,8 @@ def test_every_tick_is_answered_and_the_end_acknowledged(ticks, commands, correc
     sent = [said for kind, said in plant.sent if kind is Kind.COMMAND]
     assert [(int(said["sequence"]), said["tau"].tolist()) for said in sent] == [(k, [tau] * N) for k, tau in commands]
     assert controller.corrected == [(k, [tau] * N) for k, tau in corrected]
-    assert tuple(ending.quality[name] for name in ("received", "missed", "late")) == counts
-    assert (ending.ended, ending.ticks) == (ended, counts[0])
+    assert tuple(ending["quality"][name] for name in ("received", "missed", "late")) == counts
+    assert (ending["ended"], ending["ticks"]) == (ended, counts[0])
     assert plant.sent[-1][0] is Kind.BYE
     assert {int(said["flags"]) for said in sent} == {wire.REPORTED}
 
@@ -248,7 +248,7 @@ def test_a_measurement_from_no_possible_period_is_not_answered():
     odd = measurement(wire.RUNNING, 1)
     odd["stamp"] = -(2**63)
     ending, _, _ = answered([measurement(wire.WAITING), measurement(wire.RUNNING), odd, measurement(wire.ENDED, 1)])
-    assert (ending.quality["foreign"], ending.quality["received"]) == (1, 1)
+    assert (ending["quality"]["foreign"], ending["quality"]["received"]) == (1, 1)
 
 
 # --- the clock ---

@@ -64,12 +64,13 @@ def test_without_loss_the_wire_changes_nothing(name):
     expected = run(scenario)
     assert_same(found, expected)
     assert not found.columns["missed"].any()
-    assert expected.meta["ended"].startswith(ending.ended)
-    assert ending.ticks == len(expected) == ending.quality["received"]
-    assert (ending.faults, ending.warnings) == (expected.meta.get("faults", {}), expected.meta.get("warnings", []))
+    assert expected.meta["ended"].startswith(ending["ended"])
+    assert ending["ticks"] == len(expected) == ending["quality"]["received"]
+    for entry, without in (("faults", {}), ("warnings", [])):
+        assert ending[entry] == expected.meta.get(entry, without)
     assert found.meta.get("stopped_at_s") == expected.meta.get("stopped_at_s")
     assert expected.meta.get({"warned": "warnings", "spoilt answers": "faults"}.get(name, "ended"))
-    assert sum(ending.quality.values()) == ending.ticks  # and nothing else came
+    assert sum(ending["quality"].values()) == ending["ticks"]  # and nothing else came
     assert found.meta["wire"] == dict.fromkeys(COUNTERS, 0) | {"received": len(expected)}
 
 
@@ -80,7 +81,7 @@ def test_where_the_plant_waits_no_fault_of_the_wire_changes_the_run():
     expected = run(scenario)
     assert_same(found, expected)
     counts = found.meta["wire"]
-    for end, way in ((counts, TO_PLANT), (ending.quality, TO_CONTROLLER)):
+    for end, way in ((counts, TO_PLANT), (ending["quality"], TO_CONTROLLER)):
         done, whole = relay.done[way], relay.whole[way]
         assert all(done[fault] for fault in FAULTS)
         assert end["forged"] == done["forge"]
@@ -88,9 +89,9 @@ def test_where_the_plant_waits_no_fault_of_the_wire_changes_the_run():
         of_ticks = sum(count for (kind, flags), count in whole.items() if kind is Kind.COMMAND or flags == RUNNING)
         assert end["received"] + end["late"] == of_ticks
         assert end["late"] > 5
-    assert ending.quality["received"] == ending.ticks == len(expected)
-    assert counts["missed"] == ending.quality["missed"] == 0
-    assert ending.ended == found.meta["ended"] == "completed"
+    assert ending["quality"]["received"] == ending["ticks"] == len(expected)
+    assert counts["missed"] == ending["quality"]["missed"] == 0
+    assert ending["ended"] == found.meta["ended"] == "completed"
 
 
 # A tick counts as missed after a third of a second: long enough for a busy machine.
@@ -101,7 +102,7 @@ def test_commands_that_never_come_are_bridged_and_then_the_brakes_close():
     gaps = [range(50, 52), range(100, 106), range(220, 10_000)]
     scenario = Scenario(**SHORT, wire=BLIND)
     found, ending, _ = wired(scenario, {"lost": lambda kind, k: kind is Kind.COMMAND and any(k in gap for gap in gaps)})
-    assert ending.ended == "the plant ended the run at tick 229 of 300"
+    assert ending["ended"] == "the plant ended the run at tick 229 of 300"
     missed, tau = found.columns["missed"], found.tau_Nm
     assert np.flatnonzero(missed).tolist() == [*gaps[0], *gaps[1], *range(220, 229)]
     assert (tau[50:52] == tau[49]).all()  # held
@@ -121,9 +122,9 @@ def test_a_controller_that_does_not_see_the_arm_stops_it():
     reason, _, _ = found.meta["ended"].partition(" (t =")
     assert reason.startswith("stopped: ")
     assert "ticks late" in reason
-    assert ending.ended == reason
+    assert ending["ended"] == reason
     assert 0.002 * 156 <= found.meta["stopped_at_s"] <= 0.002 * 166
-    assert ending.quality["missed"] >= len(few) + len(many)
+    assert ending["quality"]["missed"] >= len(few) + len(many)
     assert found.rcm_error_registered_m.max() < 2e-3
     assert np.abs(found.v_rad_per_s[-1]).max() < 1e-3
 
