@@ -2,7 +2,7 @@
 
 Read first: ``loop`` (the one closed loop: plant, sensors, safety filter, controller), with ``protocols`` (what can
 stand in it) and ``record`` (its rows); then ``plant`` (MuJoCo), built by ``mjcf``. ``joints`` and ``sensors`` are the
-plant's parts, ``faults`` disturb it, ``mjcf`` also compares it with the controller's arm; docs/plant.md lists
+plant's parts, ``faults`` disturb it, ``mjcf`` also compares it with the controller's arm; docs/plant.md explains
 ``settings``.
 """
 
