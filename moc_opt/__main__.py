@@ -9,7 +9,7 @@ import traceback
 from collections.abc import Sequence
 from pathlib import Path
 
-from moc_opt.commands.parser import check_paths, make_parser, work_of
+from moc_opt.commands.parser import make_parser, work_of
 from moc_opt.errors import MocOptError, describe
 
 
@@ -43,7 +43,6 @@ def _command(arguments: Sequence[str] | None) -> int:
     if rest and (given.command != "solvers" or given.list):
         parser.error(f"unrecognized arguments: {' '.join(rest)}")
     try:
-        check_paths(given)
         return work_of(given.command)(given)
     except (Exception, KeyboardInterrupt) as error:
         refused = isinstance(error, MocOptError | MemoryError)

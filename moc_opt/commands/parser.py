@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import os
 from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from moc_opt import __version__
-from moc_opt.errors import TraceError
 from moc_opt.robots.command import add_commands as add_robot_commands
 
 Option = tuple[tuple[str, ...], dict[str, Any]]
@@ -165,21 +163,3 @@ def work_of(command: str) -> Callable[[argparse.Namespace], int]:
     module, _, function = work.partition(":")
     found: Callable[[argparse.Namespace], int] = getattr(import_module(f"moc_opt.{module}"), function)
     return found
-
-
-def check_paths(given: argparse.Namespace) -> None:
-    """Refuse to overwrite an input, and to write two results into one file; a TraceError names option and file."""
-    read = [getattr(given, name, None) for name in ("scenario", "task", "key_file", "source", "course")]
-    taken = {_place(path): "is read" for path in (*read, *getattr(given, "traces", ())) if path is not None}
-    for name in ("trace", "report", "out"):
-        if (path := getattr(given, name, None)) is not None:
-            if (place := _place(path)) in taken:
-                raise TraceError(f"--{name} {path}: that file {taken[place]}; give another name")
-            taken[place] = f"is written by --{name}"
-
-
-def _place(path: Path | str) -> str:
-    try:
-        return os.path.realpath(path)
-    except (OSError, ValueError):
-        return str(path)  # a NUL: the error that follows from reading it says so

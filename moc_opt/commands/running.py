@@ -10,8 +10,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
-from moc_opt.commands.parser import check_paths
-from moc_opt.errors import ScenarioError, UnknownNameError, shown
+from moc_opt.errors import ScenarioError, TraceError, UnknownNameError, shown
 from moc_opt.inputs.files import decimal, read_text, to_json
 from moc_opt.report.console import busy, console, print_json, progress
 from moc_opt.report.document import check_out
@@ -47,8 +46,8 @@ def run_scenario(given: argparse.Namespace) -> int:
     if "best_courses" not in scenario.model_fields_set:
         scenario = scenario.change(best_courses=True)
     scenario = changed(scenario, given)
-    given.course = scenario.control.course or None  # the scenario's own file is not to be overwritten, either
-    check_paths(given)
+    if given.trace and scenario.control.course and given.trace.resolve() == Path(scenario.control.course).resolve():
+        raise TraceError(f"--trace {given.trace}: the run follows the course in that file; give another name")
     if given.report is not None:
         check_out(given.report, "report", force=given.force)
     _keep_others(given)

@@ -41,7 +41,7 @@ def test_a_shell_is_told_how_a_line_may_go_on(line, goes_on, tmp_path):
 
 
 @pytest.mark.parametrize("arguments", [
-    ("run", "a.toml", "--trace", "a.toml"), ("run", "a.toml", "--trace", "b", "--report", "./b"),
+    ("run", "a.toml", "--trace", "a.toml"), ("run", "a.toml", "--report", "a.toml"),
     ("report", "a.toml", "--out", "a.toml"), ("compare", "exact", "--scenario", "a.toml", "--out", "a.toml"),
     ("plan", "a.toml", "--out", "a.toml"), ("map", "x", "a.toml", "--out", "x/../a.toml"),
 ])  # fmt: skip
@@ -49,7 +49,7 @@ def test_what_is_read_is_not_written_over(arguments, tmp_path, monkeypatch, caps
     monkeypatch.chdir(tmp_path)
     (tmp_path / "a.toml").write_text("duration_s = 0.02\n", encoding="utf-8")
     assert main(list(arguments)) == 2
-    assert "give another name" in capsys.readouterr().err
+    assert capsys.readouterr().err.count("\n") == 1
     assert (tmp_path / "a.toml").read_text(encoding="utf-8") == "duration_s = 0.02\n"
     assert [file.name for file in tmp_path.iterdir()] == ["a.toml"]
 

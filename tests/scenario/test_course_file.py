@@ -110,8 +110,8 @@ def test_the_commands_write_and_follow_it(tmp_path, capsys):
     own.write_text(text.replace("local", "planned") + 'course = "course.parquet"\n', encoding="utf-8")
     for command, message in (
         ([str(mine), "--course", str(to), "--third-level", "receding"], "only --third-level planned follows a file"),
-        ([str(mine), "--course", str(to), "--trace", str(to)], "that file is read; give another name"),
-        ([str(own), "--trace", str(to)], "that file is read; give another name"),
+        ([str(mine), "--course", str(to), "--trace", str(to)], "the course in that file; give another name"),
+        ([str(own), "--trace", str(to)], "the course in that file; give another name"),
     ):
         assert main(["run", *command]) == 2
         assert message in capsys.readouterr().err
