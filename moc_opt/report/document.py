@@ -15,7 +15,6 @@ from moc_opt.errors import ReportError
 from moc_opt.figures.notation import DASH, pretty_unit, printable
 from moc_opt.inputs.files import check_replaceable, write_whole
 
-MAX_BYTES = 8_000_000
 GENERATOR = b'<meta name="generator" content="moc_opt">'  # marks a page as ours, in its first lines
 
 
@@ -86,13 +85,5 @@ def check_out(path: str | os.PathLike[str], what: str, *, force: bool = False) -
 
 
 def save_document(path: str | os.PathLike[str], text: str, what: str, *, force: bool = False) -> Path:
-    """Write a page, all or nothing: an older one of that name stays until the new one is there.
-
-    Raises:
-        ReportError: it would be larger than MAX_BYTES, would replace another's file, or cannot be written.
-    """
-    file, content = check_out(path, what, force=force), text.encode()
-    if len(content) > MAX_BYTES:
-        sizes = f"{len(content) / 1e6:.1f} MB, more than {MAX_BYTES / 1e6:.0f}"
-        raise ReportError(f"{file}: the {what} has {sizes}: show fewer runs, or parts of them (`trace.between`)")
-    return write_whole(file, content, what, ReportError)
+    """Write a page, all or nothing: an older one of that name stays until the new one is there."""
+    return write_whole(check_out(path, what, force=force), text.encode(), what, ReportError)
