@@ -150,7 +150,7 @@ class Follower:
         self._now: Piece | None = self._given
         if self._planner is not None:
             self._planner.forget()  # not where it takes over: within a tick that would stall the loop
-            if self._given is None and self._q_start is not None:
+            if self._q_start is not None:
                 self._begin(self._planner, self._q_start)
 
     def _begin(self, planner: Planner, q: Array) -> None:

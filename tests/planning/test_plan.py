@@ -65,11 +65,13 @@ def test_the_first_point_out_of_reach_has_no_pose_and_the_one_before_has(robot):
     assert "out of reach" in plan.blocked.reason or "no pose there" in plan.blocked.reason
 
 
-@pytest.mark.parametrize(("limits", "told"), [(Limits(speed_share=0.03), "its speed limit"), (Limits(0.6), "limit")])
+@pytest.mark.parametrize(("limits", "told"), [
+    (Limits(speed_share=0.03), "joint_4 would have to turn at 1.03 times its speed limit"),
+    (Limits(0.6), "within the joint limits: joint_4 is beyond its own"),
+])  # fmt: skip
 def test_a_joint_that_is_too_slow_or_at_its_limit_is_named(robot, limits, told):
     q = robot.data.q_home
     plan = make_plan(robot, q, task(robot, q, 60), limits, swivels=180, refined=False)
-    assert "joint_" in plan.blocked.reason
     assert told in plan.blocked.reason
     assert plan.blocked.t_s > 0.2, "while the path rests, no speed is needed"
 
@@ -96,7 +98,7 @@ def test_what_kinematics_can_follow_is_executable(robot):
 
 
 @pytest.mark.parametrize(("change", "name"), [
-    ({"limits": Limits(3.0)}, "margin_rad"),
+    ({"limits": Limits(3.0)}, "margin_rad"), ({"limits": Limits(np.full(6, 0.1))}, "margin_m"),
     ({"limits": Limits(speed_share=0.0)}, "speed_share"), ({"limits": Limits(speed_share=1.1)}, "speed_share"),
     ({"limits": Limits(shaft=1.5)}, "shaft_margin"), ({"limits": Limits(-0.1)}, "margin_rad"), ({}, "q_start"),
 ])  # fmt: skip

@@ -32,11 +32,12 @@ def on_grid(robot, targets, limits=None, swivels=180):
 
 
 @pytest.mark.parametrize("name", ["lwr4", "panda"])
-def test_a_course_is_refined_between_its_grid_and_its_bound(name):
+def test_a_course_is_refined_between_its_grid_and_its_bound(name, capfd):
     robot = load_robot(name)
     targets = task(robot, robot.data.q_home, 60) if name == "lwr4" else line_from(robot, robot.data.q_home, 20)
     course, bound = on_grid(robot, targets, swivels=90)
     better = refine(robot, targets, course, Limits())
+    assert capfd.readouterr().out == "", "a solver talks"
     assert better.certified
     assert better.kept
     assert course.mu_mean < better.mu_mean <= bound + 1e-12
@@ -159,7 +160,7 @@ def horizon(robot, smoothness=0.001, margin=0.0):
     return Program(robot, NODES, 0.05, Limits(margin), mu=0.1, smoothness=smoothness, horizon=True)
 
 
-def test_tip_shaft_limits_and_speeds_are_kept_and_a_higher_price_makes_it_smoother(middle):
+def test_tip_shaft_limits_and_speeds_are_kept_and_a_higher_price_makes_it_smoother(middle, capfd):
     robot, start, guess, there, usual = middle
     rough = []
     for made in (horizon(robot, 1e-4), usual, horizon(robot, 1e-1)):
@@ -167,6 +168,7 @@ def test_tip_shaft_limits_and_speeds_are_kept_and_a_higher_price_makes_it_smooth
         assert make_course(robot, there, answer).violation < 1e-4
         assert (np.abs(answer[0] - start) / there.period_s <= robot.v_max + 1e-3).all()
         rough.append(float((np.diff(np.concatenate([start[None], answer]), axis=0) ** 2).sum()))
+    assert capfd.readouterr().out == "", "a solver talks"
     assert rough[2] < rough[1] <= rough[0] * (1.0 + 1e-6)
 
 

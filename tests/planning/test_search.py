@@ -1,6 +1,7 @@
 """V is what the best course from a pose is worth, by enumeration; what is read off it keeps limits; its bound holds."""
 
 import itertools
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -8,7 +9,7 @@ import numpy as np
 import pytest
 
 from moc_opt.planning.course import Limits, Targets, make_course
-from moc_opt.planning.plan import best_course, climb
+from moc_opt.planning.plan import best_course, climb, top_of
 from moc_opt.planning.pose_map import PoseMap, map_of
 from moc_opt.planning.search import WHOLE_CELL, Value, advance, half_cells, keeping_shaft, shaft_shares
 from tests.planning.arms import at_poses, task
@@ -98,6 +99,12 @@ def test_every_pose_is_compared_with_every_other_one_next_to_it():
         value = np.empty((8, m))
         advance(q, slack, gain, after, slack_after, rest, step, crossing, price, value)
         np.testing.assert_allclose(value, ways + gain, atol=1e-12)
+
+
+def test_the_way_up_goes_to_the_higher_neighbour():
+    found = replace(small(np.random.default_rng(0), k=1, m=5), mu=np.array([[[0.2, 0.5, 0.6, 0.1, 0.3]]]))
+    found = replace(found, q_rad=0.1 * np.arange(5.0).reshape(1, 1, 5, 1), room_rad=np.ones((1, 1, 5)))
+    assert [top_of(found, np.array([at])).mu for at in (0.1, 0.2, 0.3)] == [0.6, 0.6, 0.6]
 
 
 # --- on the arm ---

@@ -106,6 +106,8 @@ def test_the_peak_of_a_parabola_is_found_from_any_three_samples():
 
 def test_counts_of_known_arms(robot, odd_robot, tmp_path):
     assert best_freedoms(robot)[:3] == (5, 1, (6,))
+    drawn = np.random.default_rng(0).uniform(robot.q_min, robot.q_max, (8, 7))
+    assert best_freedoms(robot).both == max(freedoms(robot, q).both for q in drawn)
     assert best_freedoms(load_robot("lwr4_rail"))[:3] == (5, 2, (7,))
     off_the_axis = build(tmp_path, IIWA14, wrist=(0.05, 0.0, 0.0), mount=(0.05, 0.0, 0.0))
     assert best_freedoms(off_the_axis)[:3] == (5, 2, ())

@@ -23,7 +23,7 @@ from moc_opt.planning.swivel_map import (
     read_trajectory,
 )
 from moc_opt.report.map_page import map_figure
-from moc_opt.robots.model import load_robot
+from moc_opt.robots.model import RobotModel, load_robot
 from moc_opt.scenario import Scenario
 from moc_opt.trace.trace import Trace
 
@@ -107,6 +107,15 @@ def test_a_run_that_is_folded_another_way_is_told_apart(robot, runs):
     both = manipulability_map(robot, {"MOC": runs["MOC"], "flipped": flipped}, times=3, swivels=24)
     assert both.trajectories["MOC"].gap_rad < 0.3
     assert both.trajectories["flipped"].gap_rad > 1.0
+
+
+def test_a_map_of_elbows_that_hang_is_counted_from_minus_to_plus_half_a_turn(robot, runs, found):
+    """Limits that leave the poses about a swivel of -2.3 rad alone: the circle is cut at the other side."""
+    q = found.q_rad[6, np.argmin(np.cos(found.swivel_rad - 0.8))]
+    hanging = RobotModel(replace(robot.data, q_min=q - 0.3, q_max=q + 0.3, q_home=q))
+    made = manipulability_map(hanging, {"MOC": runs["MOC"]}, times=3, swivels=72)
+    assert (made.limit == FEASIBLE).any()
+    assert abs(made.swivel_rad.mean()) <= np.pi
 
 
 def test_what_is_out_of_reach_is_said_to_be(robot, runs):

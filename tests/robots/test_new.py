@@ -13,7 +13,7 @@ import pytest
 
 from moc_opt.__main__ import main
 from moc_opt.errors import RobotError
-from moc_opt.planning.self_motion import freedoms, limit_shares
+from moc_opt.planning.self_motion import freedoms, limit_shares, self_motion
 from moc_opt.robots import available_robots, new
 from moc_opt.robots.check import Finding, check_robot, verdict
 from moc_opt.robots.model import RobotModel, load_robot
@@ -139,6 +139,20 @@ def test_the_wrist_of_a_known_arm_is_found(name: str, height: float, up: int) ->
         np.testing.assert_allclose(point, expected, rtol=0, atol=1e-12)
 
 
+def test_the_wrist_is_the_point_nearest_to_an_oblique_axis() -> None:
+    """The shortest way between the last two axes is at a right angle to both."""
+    text = re.sub(r'(name="joint_6".*?<axis xyz=")0 0 1', r"\g<1>0 0.5 1", text_of("xarm7"), flags=re.DOTALL)
+    model = pin.buildModelFromXML(text)
+    data = model.createData()
+    pin.computeJointJacobians(model, data, pin.neutral(model))
+    before, last = data.J[3:, 5:].T
+    found = find_shaft(text, "link_7")
+    gap = data.oMi[7].act(found.wrist) - data.oMi[6].translation
+    assert abs(before @ last) > 0.1
+    assert (gap - gap @ before * before) @ last == pytest.approx(0.0, abs=1e-12)
+    assert np.abs(found.wrist).max() > 1e-3
+
+
 def test_a_flange_frame_carries_the_same_tool_and_one_off_the_axis_or_that_slides_is_noted() -> None:
     def with_flange(origin: str) -> str:
         return added(text_of(), link("flange") + joint("f", "fixed", "link_7", "flange", f"<origin {origin}/>"))
@@ -257,6 +271,13 @@ def test_each_fault_turns_its_own_row(robot: RobotModel, what: str, fields: dict
     row = rows(altered(robot, **fields))[what]
     assert row.verdict == judged
     assert told in row.cure
+
+
+def test_a_home_from_which_little_is_to_gain_is_told(robot: RobotModel) -> None:
+    curve = self_motion(robot, robot.data.q_home)
+    for share, judged in ((0.98, "care"), (0.91, "ok")):
+        q = curve.q[np.argmin(np.abs(curve.mu / curve.mu_best - share))]
+        assert rows(altered(robot, q_home=q))["mu at home"].verdict == judged
 
 
 def test_a_joint_that_slides_has_its_room_in_mm() -> None:
