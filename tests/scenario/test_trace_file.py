@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from moc_opt.__main__ import main
-from moc_opt.errors import PlantError, TraceError
-from moc_opt.scenario import RunAway, Scenario, Setup
+from moc_opt.errors import TraceError
+from moc_opt.scenario import Scenario, Setup
 from moc_opt.sim import Plant
 from moc_opt.trace.metrics import summarize
 from moc_opt.trace.trace import Trace
@@ -54,23 +54,6 @@ def test_whatever_ends_a_run_leaves_its_rows(whole, error, place, tmp_path, monk
     assert found.verified.tobytes() == whole.verified[:ticks].tobytes()
     assert os.listdir(tmp_path) == ["t.parquet"]
     assert 0.0 < summarize(found)["share_of_run"] < 1.0
-
-
-def test_an_arm_that_runs_away_leaves_its_trace(tmp_path, monkeypatch):
-    step, calls = Plant.step, iter(range(10**6))
-
-    def breaking(self, *args):
-        if next(calls) == 60:
-            raise PlantError("the plant broke")
-        return step(self, *args)
-
-    monkeypatch.setattr(Plant, "step", breaking)
-    with pytest.raises(RunAway, match="the plant broke") as caught:
-        Setup(Scenario(**SHORT)).trace(to=tmp_path / "t.parquet")
-    found = Trace.load(tmp_path / "t.parquet")
-    assert found.meta["ended"].startswith("ran away")
-    assert len(found) == len(caught.value.trace) == 61
-    assert "mu_bound" in found.columns
 
 
 TELLS_THE_FIRST_TICK = """
@@ -132,5 +115,3 @@ def test_a_file_that_cannot_be_written_is_refused_before_the_run(target, tmp_pat
     assert sorted(os.listdir(tmp_path)) == ["file", "s.toml"]
     with pytest.raises(TraceError):
         Trace.load(target)
-
-
