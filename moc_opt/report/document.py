@@ -68,10 +68,9 @@ _TEMPLATES.filters.update(inline=inline, inert=inert, in_words=in_words, anchor=
 
 
 def check_out(path: str | os.PathLike[str], what: str, *, force: bool = False) -> Path:
-    """Check before any work that a file can be written there, and return its path.
+    """Check before any work that a file can be written there, and return its path; else a ReportError.
 
-    Raises:
-        ReportError: it cannot, or a file that is no page of moc_opt is there, which only ``force`` replaces.
+    Only ``force`` replaces a file that is no page of moc_opt.
     """
     file = Path(path)
     check_replaceable(file, what, ReportError)

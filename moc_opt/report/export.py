@@ -39,9 +39,7 @@ def save_figures(
 ) -> list[Path]:  # fmt: skip
     """Write each figure as DIRECTORY/NAME.FORMAT, as vectors in the colours of a light page; return the files.
 
-    Raises:
-        BrowserError: playwright or a browser is missing, or the browser failed; the message holds the cure.
-        ReportError: a name is no file name, or a file cannot be written.
+    A ReportError says that a name is no file name or a file cannot be written, a BrowserError what `browser` lacks.
     """
     for name in figures:
         if name != Path(name).name:
@@ -58,9 +56,7 @@ def save_figures(
 def browser() -> Iterator[Browser]:
     """Start a headless Chromium, the one that MOC_OPT_BROWSER names or one of the system, and close it in the end.
 
-    Raises:
-        BrowserMissingError: playwright or a browser is missing.
-        BrowserError: MOC_OPT_BROWSER names no program; the browser does not start, or breaks down.
+    A BrowserMissingError says what is missing, a BrowserError that MOC_OPT_BROWSER is no program or the browser fails.
     """
     try:
         from playwright.sync_api import Error, sync_playwright

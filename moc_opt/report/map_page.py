@@ -64,11 +64,7 @@ COLUMNS = (
 
 
 def add_map(page: Page, found: SwivelMap, *, styles: Styles | None = None) -> list[Reading]:
-    """Append figure and table of one map; return the reading of each trajectory.
-
-    Raises:
-        ReportError: no pose of the map is allowed.
-    """
+    """Append figure and table of one map; return the reading of each trajectory. Raises as `map_figure`."""
     readings = [read_trajectory(found, trajectory) for trajectory in found.trajectories]
     drawn = map_figure(found, styles)
     if found.held:
@@ -99,13 +95,7 @@ def _row(reading: Reading) -> dict[str, Any]:
 
 
 def load_map(files: Sequence[str | os.PathLike[str]]) -> Page:
-    """Return a page with the map of saved traces, named as their files are, and of the best courses in them.
-
-    Raises:
-        ReportError: they are not of one robot, tool and path, or cannot be shown.
-        RobotError: the arm has no elbow whose angle tells its poses apart.
-        TraceError: a file is missing, damaged, or no trace.
-    """
+    """Return a page with the map of saved traces, named as their files are, and of the best courses in them."""
     traces, robot = load_runs(files)
     page = Page(f"Manipulability map of {title_of(traces)}", f"runs: {'; '.join(traces)}")
     courses: dict[str, Trace] = {}
@@ -125,10 +115,8 @@ def load_map(files: Sequence[str | os.PathLike[str]]) -> Page:
 def map_figure(found: SwivelMap, styles: Styles | None = None) -> go.Figure:
     """Draw mu as colour over time and swivel, grey where no pose is allowed, and a line for every run.
 
-    A run that folds the arm another way than the map is dotted: the colours under it are not its own.
-
-    Raises:
-        ReportError: no pose of the map is allowed.
+    A run that folds the arm another way than the map is dotted: the colours under it are not its own. A ReportError
+    says that no pose of the map is allowed.
     """
     styles, allowed = styles or Styles(found.trajectories), found.limit == FEASIBLE
     if not allowed.any():

@@ -44,11 +44,7 @@ class Replay:
     """One to four runs of one arm, side by side at the same time; ``#t=3.2`` in the address opens that second."""
 
     def __init__(self, traces: Mapping[str, Trace], robot: RobotModel) -> None:
-        """Check the runs.
-
-        Raises:
-            ReportError: no runs, too many, or one that cannot be shown with this arm.
-        """
+        """Check the runs; a ReportError where there are none, too many, or one that this arm cannot show."""
         if not 1 <= len(traces) <= MOST_RUNS:
             raise ReportError(f"{len(traces)} runs: give 1 to {MOST_RUNS}, more are too small to see")
         for name, trace in traces.items():
@@ -95,12 +91,7 @@ class Replay:
 
 
 def load_runs(files: Sequence[str | os.PathLike[str]]) -> tuple[dict[str, Trace], RobotModel]:
-    """Load saved traces under the names of their files, and the arm that they share.
-
-    Raises:
-        ReportError: there are none, or they are not of one robot and tool.
-        TraceError: a file is missing, damaged, or no trace.
-    """
+    """Load saved traces under the names of their files, and the arm; a ReportError where they do not share one."""
     traces: dict[str, Trace] = {}
     for file in map(Path, files):
         traces[file.stem if file.stem not in traces else str(file)] = Trace.load(file)
@@ -111,12 +102,7 @@ def load_runs(files: Sequence[str | os.PathLike[str]]) -> tuple[dict[str, Trace]
 
 
 def robot_of(trace: Trace) -> RobotModel:
-    """Load the arm that a trace was run with: the one that its `meta` carries, or the one of the package it names.
-
-    Raises:
-        ReportError: the trace does not say.
-        RobotError, UnknownNameError: that robot cannot be loaded here.
-    """
+    """Load the arm that a trace was run with: the one that its `meta` carries, or the one of the package it names."""
     if "robot_data" in trace.meta:
         return restored(trace.meta["robot_data"])
     arm = _robot_table(trace)

@@ -30,11 +30,7 @@ def load_report(files: Sequence[str | os.PathLike[str]]) -> Page:
 def run_page(
     traces: Mapping[str, Trace], metrics: Mapping[str, Mapping[str, float]], robot: RobotModel
 ) -> Page:
-    """Make the page of runs of one arm, a baseline first, with a table of the metrics of those that have some.
-
-    Raises:
-        ReportError: no run has a column that can be drawn.
-    """
+    """Make the page of runs of one arm, a baseline first, with a table of the metrics of those that have some."""
     judged = {name: traces[name] for name in metrics}
     styles, page = Styles(traces), Page(title_of(judged), f"runs: {'; '.join(traces)}")
     page.section("How it ended")

@@ -79,11 +79,7 @@ class Comparison:
         )
 
     def values(self, solver: str, metric: str) -> dict[int, float]:
-        """Return seed -> value of a metric, over the trials that the solver completed.
-
-        Raises:
-            UnknownNameError: no such solver, or no run has such a metric.
-        """
+        """Return seed -> value of a metric, over the trials that the solver completed; unknown names are refused."""
         if solver not in self.solvers:
             raise UnknownNameError("solver of this comparison", solver, self.solvers)
         if metric not in METRICS and not any(metric in row for row in self.rows):
@@ -148,11 +144,7 @@ class Comparison:
         return intervals_picture({name: (one.low, one.value, one.high) for name, one in means.items()}, said, {})
 
     def to_pandas(self) -> DataFrame:
-        """Return a pandas.DataFrame with one row a run: solver, seed, ended, then every metric.
-
-        Raises:
-            ScenarioError: pandas is not installed.
-        """
+        """Return a pandas.DataFrame with one row a run; a ScenarioError where pandas is not installed."""
         try:
             import pandas
         except ImportError as error:
@@ -160,11 +152,7 @@ class Comparison:
         return pandas.DataFrame([dict(row) for row in self.rows])
 
     def save_rows(self, path: str | os.PathLike[str]) -> None:
-        """Write one row a run as CSV: solver, seed, ended, then every metric.
-
-        Raises:
-            ScenarioError: the file cannot be written.
-        """
+        """Write one row a run as CSV; a ScenarioError where the file cannot be written."""
         write_whole(path, Results(self.rows).frame.write_csv(), "table of runs", ScenarioError)
 
     def __repr__(self) -> str:

@@ -128,14 +128,7 @@ class Results:
         return pl.DataFrame([pl.Series(name, [row.get(name) for row in rows], strict=False) for name in names])
 
     def write(self, path: str | os.PathLike[str]) -> None:
-        """Write the rows as Parquet or, if the name ends with .csv, as CSV, all or nothing.
-
-        Raises:
-            StudyError: the file cannot be written; what was there before stays.
-        """
+        """Write the rows as Parquet, all or nothing; a StudyError where that cannot be."""
         packed = io.BytesIO()
-        if str(path).endswith(".csv"):
-            self.frame.write_csv(packed)
-        else:
-            self.frame.write_parquet(packed, compression="zstd")
+        self.frame.write_parquet(packed, compression="zstd")
         write_whole(path, packed.getvalue(), "rows", StudyError)

@@ -66,12 +66,8 @@ class Answer(NamedTuple):
 class Answers:
     """The answers of one solver under one setting to one set of k problems, judged.
 
-    Attributes:
-        refused: why the solver does not take these problems; "": it does.
-        events: what it raised, and how its process ended, each with the number of the problem.
-        every: one answer a problem, those that were not asked among them; status (k,), x (k, n) are theirs.
-        residuals: of each answer, in the linear problem.
-        verified: (k,) which answers are optimal, whatever was claimed.
+    ``refused`` says why the solver does not take them, ``events`` what it raised and how its process ended. ``every``
+    has one answer a problem, those not asked among them; ``status``, ``x``, ``residuals`` and ``verified`` are theirs.
     """
 
     def __init__(self, setting: SolverSetting, problems: TestSet, result: list[Any] | Failed) -> None:

@@ -215,12 +215,8 @@ def figures(
 ) -> dict[str, Any]:
     """Return what the summary holds of a controller: means and changes over its whole runs, sums and largest values.
 
-    Args:
-        rows: of the controller and the baseline.
-        controller: whose.
-        runs: its runs; the times of those that ran alone are pooled.
-        common: the trials that every solver runs, None for all: only there are its endings held against a solver, as
-            others may end alike on a trial that they do not run.
+    The times of those of its ``runs`` that ran alone are pooled. Only on the trials in ``common`` (None: all), which
+    every solver runs, are its endings held against it, as others may end alike on a trial that they do not run.
     """
     found = rows.figures(controller, MEANS, CHANGES)
     mine = [row for row in rows if row["controller"] == controller]

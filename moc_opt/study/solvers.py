@@ -1,8 +1,5 @@
 """The main job: every solver on certified and recorded subproblems, and in the same torque controller.
 
-moc-opt solvers [CONFIG.toml] [--out DIR] [--seed N] [--quick | --full] [--only SOLVER ...] [--sets NAME ...]
-                [--parts PART ...]
-
 In the order of reading: `Config` (the question), the parts in ``solver_parts``, `work`, `report`. ``solver_answers``
 asks, counts and times, ``solver_settings`` has every solver's settings and why, ``solver_verdicts`` the rules from
 numbers to a verdict.

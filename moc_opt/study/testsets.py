@@ -72,11 +72,7 @@ class TestSet:
 
     @classmethod
     def load(cls, name: str, folder: Path = FOLDER) -> TestSet:
-        """Read a set by name.
-
-        Raises:
-            CertificateError: there is no such file, or it lacks an array.
-        """
+        """Read a set by name; a CertificateError where there is no such file, or it lacks an array."""
         path = folder / f"{name}.npz"
         if not path.exists():
             raise CertificateError(f"test set {name!r}: no file {path}; make it with: python -m benchmarks.testsets")

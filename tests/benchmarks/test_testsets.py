@@ -121,6 +121,8 @@ def test_certified_answers_are_optimal_and_the_others_infeasible(name):
     assert compute_residuals(kept.judged, kept.x).verified(primal=1e-9)[kept.feasible].all()
     assert not compute_residuals(kept.judged, kept.x + 0.05).verified()[kept.feasible].any()
     assert np.isnan(kept.x[~kept.feasible]).all()
+    few = kept.thinned(16)
+    np.testing.assert_array_equal(few.judged, TestSet(name, few.rows, few.x, few.feasible).judged)
 
 
 @pytest.mark.parametrize("name", ["random", "joint-limits", "jumps", "inconsistent-1e-6"])
