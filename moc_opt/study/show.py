@@ -66,12 +66,13 @@ class Report:
         for sentence in self.answer:
             page.headline(sentence)
         page.table(self.table)
-        if self.load:
-            page.text(self.load)
+        page.text(self.load)
         for picture in self.pictures:
             page.figure(picture.figure, picture.says, name=picture.name)
         page.fold()
-        for section in self.sections:
+        keys = [key for key in ("group", "robot", "trial", "controller", "error") if any(key in row for row in failed)]
+        errors = Section("Runs that failed", "", [Table("Errors", [Column(key, key) for key in keys], failed)])
+        for section in [*self.sections, errors] if failed else self.sections:
             page.section(section.title)
             page.text(section.text)
             for part in section.parts:
@@ -79,11 +80,6 @@ class Report:
                     page.table(part)
                 else:
                     page.figure(part.figure, part.says, name=part.name)
-        if failed:
-            page.section("Runs that failed")
-            keys = ("group", "robot", "trial", "controller", "error")
-            shown = [Column(key, key) for key in keys if any(key in row for row in failed)]
-            page.table(Table("Errors", shown, failed))
         page.environment(environment)
         return page
 
