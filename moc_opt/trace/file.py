@@ -64,8 +64,8 @@ def write(path: str | os.PathLike[str], columns: Columns, meta: Mapping[str, Any
     import polars as pl  # only where a file is touched: it takes longer than all other imports of this room
 
     target, packed = new_file(path), io.BytesIO()
-    entries = json.dumps(dict(meta), allow_nan=False)
-    types = json.dumps({name: array.dtype.str for name, array in columns.items()}, allow_nan=False)
+    entries = json.dumps(dict(meta))
+    types = json.dumps({name: array.dtype.str for name, array in columns.items()})
     metadata = {VERSION_KEY: VERSION, META_KEY: entries, TYPES_KEY: types, SUM_KEY: checksum(columns, entries, types)}
     frame = pl.DataFrame([
         pl.Series(name, array.tolist(), dtype=pl.String) if array.dtype.kind == "U" else pl.Series(name, array)

@@ -53,6 +53,7 @@ def test_bad_input_names_the_field(qp, field, value):
 
 
 def test_answers_of_another_shape_are_named(qp):
+    assert np.isnan(qp.objective(np.full(7, np.nan)))  # a bad answer, not an error
     for given_x, given_y, said in ((np.zeros(6), None, "x: shape"), (np.zeros(7), np.zeros(5), "y: .*five duals")):
         with pytest.raises(SubproblemError, match=said):
             qp.residuals(given_x, given_y)
