@@ -89,6 +89,7 @@ def test_pushes_name_what_is_wrong_and_replace_each_other():
     plant.clear_pushes("link_1")
     assert not plant._pushes
     plant.push("link_1", [1, 0, 0])
+    plant.push(plant.mj_model.body(1).name, [1, 0, 0])  # the fixed base: every link but the world can be pushed
     plant.reset(DATA.q_home)
     assert not plant._pushes
 

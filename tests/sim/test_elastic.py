@@ -101,7 +101,7 @@ def test_brakes_act_on_the_motors_until_reset():
 
 
 def test_a_step_too_coarse_for_the_springs_is_refused_with_the_cure():
-    with pytest.raises(PlantError, match=r"substeps = 2 .* rad/s: raise substeps to (\d+)") as said:
+    with pytest.raises(PlantError, match=r"substeps = 2 makes plant steps of 1 ms.* rad/s: raise substeps to (\d+)") as said:
         Plant(DATA, elastic(substeps=2))
     need = int(str(said.value).split("raise substeps to ")[1].split(",")[0])
     Plant(DATA, elastic(substeps=need))
