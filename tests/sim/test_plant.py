@@ -243,6 +243,8 @@ def test_each_error_has_a_stream_of_its_own(name):
     fields = {"viscous_friction", "coulomb_friction", "ripple_phase", *STREAMS.values()} - {"", "mass_scale"}
     changed = {field for field in fields if not np.array_equal(getattr(full, field), getattr(none, field))}
     changed |= {"mass_scale"} if full.mass_scale != none.mass_scale else set()
+    alone = nominal(**{name: 0.01}).mismatch
+    assert alone.displaces == (STREAMS[name] in ("origin_shift", "origin_turn", "encoder_bias"))
     assert changed == ({STREAMS[name]} - {""})
 
 

@@ -35,6 +35,7 @@ def test_noise_has_its_deviation_and_its_seed():
         sensor = encoders(seed, noise_rad=1e-4)
         sensor.start(np.zeros(7), np.zeros(7))
         runs.append(np.array([sensor.read(np.zeros(7), np.zeros(7))[0] for _ in range(3000)]))
+    np.testing.assert_allclose(runs[0][:200], 1e-4 * np.random.default_rng(3).standard_normal((256, 7))[1:201])
     assert runs[0].std() == pytest.approx(1e-4, rel=0.03)
     assert abs(runs[0].mean()) < 3e-6
     assert np.array_equal(runs[0], runs[1])
