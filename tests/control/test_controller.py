@@ -41,10 +41,11 @@ def test_references_in_any_kind_of_memory(robot):
     state = robot.state(robot.data.q_home, np.linspace(-0.2, 0.2, 7))
     expected = None
     for kind in (np.array, np.asfortranarray, lambda a: np.repeat(a, 2, axis=1)[:, ::2], lambda a: a.astype(">f8")):
-        controller, _, tip_ref, trocar = started(robot, state=state, **QUIET)
-        tau = controller.tick(state.q, state.v, kind(tip_ref), kind(trocar))
-        expected = tau if expected is None else expected
-        np.testing.assert_array_equal(tau, expected)
+        for other in (np.array, kind):
+            controller, _, tip_ref, trocar = started(robot, state=state, **QUIET)
+            tau = controller.tick(state.q, state.v, kind(tip_ref), other(trocar))
+            expected = tau if expected is None else expected
+            np.testing.assert_array_equal(tau, expected)
 
 
 # --- the sum of the levels ---
