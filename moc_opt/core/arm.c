@@ -223,18 +223,11 @@ void moc_tool_pose(const moc_arm *arm, const double *q, double pose[4][3])
     pose_of(arm, &frame[arm->n - 1], pose);
 }
 
-moc_status moc_compute_terms(const moc_arm *arm, const double *q, const double *v, moc_terms *t)
+/* Fills the fields from `tip` to `A` of moc_terms, mu and its gradients, and the caller's frames and twists. */
+static void place_tool(const moc_arm *arm, const double *q, moc_frame *frame, moc_twist *twist, moc_terms *t)
 {
-    moc_frame frame[MOC_MAX_JOINTS];
-    moc_twist twist[MOC_MAX_JOINTS], V, acceleration;
     int n = arm->n;
-
-    if (!all_finite(n, q))
-        return MOC_BAD_Q;
-    if (!all_finite(n, v))
-        return MOC_BAD_V;
     memcpy(t->q, q, (unsigned)n * sizeof *q);
-    memcpy(t->v, v, (unsigned)n * sizeof *v);
     moc_place(arm, q, frame);
     moc_twists(arm, frame, twist);
     pose_of(arm, &frame[n - 1], t->pose);
@@ -247,6 +240,26 @@ moc_status moc_compute_terms(const moc_arm *arm, const double *q, const double *
     moc_jacobian(n, twist, t->wrist, arm->moves[MOC_WRIST], t->A + 3);
     t->mu = moc_manipulability(n, twist, t->A, t->grad_mu);
     t->mu_shaft = moc_shaft_manipulability(n, twist, t->A, t->u, t->grad_mu_shaft);
+}
+
+void moc_compute_kinematics(const moc_arm *arm, const double *q, moc_terms *t)
+{
+    moc_frame frame[MOC_MAX_JOINTS];
+    moc_twist twist[MOC_MAX_JOINTS];
+    place_tool(arm, q, frame, twist, t);
+}
+
+moc_status moc_compute_terms(const moc_arm *arm, const double *q, const double *v, moc_terms *t)
+{
+    moc_frame frame[MOC_MAX_JOINTS];
+    moc_twist twist[MOC_MAX_JOINTS], V, acceleration;
+
+    if (!all_finite(arm->n, q))
+        return MOC_BAD_Q;
+    if (!all_finite(arm->n, v))
+        return MOC_BAD_V;
+    memcpy(t->v, v, (unsigned)arm->n * sizeof *v);
+    place_tool(arm, q, frame, twist, t);
     dynamics(arm, frame, twist, t, &V, &acceleration);
     point_drift(&V, &acceleration, t->tip, t->drift);
     point_drift(&V, &acceleration, t->wrist, t->drift + 3);

@@ -83,8 +83,7 @@ void moc_climb(const moc_arm *arm, const moc_law *law, const moc_terms *t, moc_m
         return;
     for (int j = 0; j < n; j++)
         q[j] = t->q[j] + PROBE * (slope[j] / steepness);
-    if (moc_compute_terms(arm, q, t->v, &ahead) != MOC_OK)
-        return;
+    moc_compute_kinematics(arm, q, &ahead);
     slope_of(n, law, &ahead, moc_null_space(n, ahead.A, 0, Z), Z, there);
     double bend = (dot(n, there, slope) / steepness - steepness) / PROBE;
     double step = steepness / fmax(-bend, steepness / LONGEST);

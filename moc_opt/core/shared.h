@@ -17,6 +17,9 @@ typedef struct {
     double lin[3], ang[3];
 } moc_twist;
 
+/* What needs no velocity, at a finite q: tip, wrist, u, span, A, mu and mu_shaft with their gradients. */
+void moc_compute_kinematics(const moc_arm *arm, const double *q, moc_terms *terms);
+
 /* All terms. Returns MOC_OK, MOC_BAD_Q or MOC_BAD_V. */
 moc_status moc_compute_terms(const moc_arm *arm, const double *q, const double *v, moc_terms *terms);
 
