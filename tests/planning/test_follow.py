@@ -150,7 +150,7 @@ def followed(one):
 def test_it_leaves_the_hump_in_which_the_local_law_is_trapped():
     trace, climbed, told = ran("receding"), ran("local"), ran("receding").meta["replans"]
     assert trace.meta["ended"] == "completed"
-    assert told["solves"] > 20.0 * (setup().duration_s - 0.3)
+    assert 20.0 * (setup().duration_s - 0.3) < told["solves"] < 30.0 * setup().duration_s
     assert told["refused"] <= 0.05 * told["solves"]
     assert 0.0 < told["solve_ms_median"] <= told["solve_ms_p99"]
     assert trace.mu.mean() > 1.15 * climbed.mu.mean()

@@ -38,6 +38,15 @@ def test_every_pose_has_tip_wrist_mu_and_room_of_the_model(arm):
     np.testing.assert_allclose(np.minimum(q - arm.q_min, arm.q_max - q)[:, :6].min(axis=1), found.room_rad.ravel())
 
 
+def test_the_peaks_are_the_local_maxima_of_the_best_branch(arm):
+    found = map_of(arm, arm.data.q_home, at_poses(arm, np.array([arm.data.q_home] * 2)), 180)
+    score = np.where(found.room_rad[0] >= 0.0, found.mu[0], -np.inf).max(axis=0)
+    tops = [j for j in range(180) if score[j - 1] <= score[j] >= score[(j + 1) % 180] and np.isfinite(score[j])]
+    poses = found.q_rad[0].reshape(-1, 7)
+    at = {int(np.argmin(np.abs(poses - peak).sum(axis=1))) % 180 for peak in found.peaks(0)}
+    assert at == set(sorted(tops, key=lambda j: -score[j])[:4])
+
+
 def test_every_pose_of_the_arm_is_in_the_map_in_one_of_eight_branches(arm):
     rng, branches = np.random.default_rng(1), set()
     for _ in range(40):
@@ -86,6 +95,8 @@ def test_too_few_and_too_many_swivels_are_refused(name, swivels):
 ])  # fmt: skip
 def test_an_arm_without_normal_form_is_told(tmp_path, changes):
     assert closed_form(build(tmp_path, IIWA14)) is not None, "the name of an arm does not count"
+    whole_turn = np.radians([180, 120, 170, 120, 170, 120, 175])
+    assert closed_form(build(tmp_path, IIWA14, q_max=whole_turn)) is not None
     assert closed_form(build(tmp_path, IIWA14, **changes)) is None
     assert closed_form(load_robot("panda")) is None
 

@@ -172,6 +172,9 @@ def test_an_elbow_that_rests_or_is_slow_or_follows_its_moving_optimum_is_in_no_t
     for q in (far, curve.best + base, far + last):
         assert not in_transient(robot, 0.01 * np.arange(100), q).any()
     assert not in_transient(robot, T, place(0.03 * T - 0.4)).any()
+    late = in_transient(robot, T, place(np.clip(0.5 * (T - 2.0) - 1.0, -1.0, 0.0)))  # it begins to move after 2 s
+    assert not late[T < 1.9].any()
+    assert late[(T > 2.1) & (T < 3.6)].all()
 
 
 def test_one_tick_is_no_journey(robot):

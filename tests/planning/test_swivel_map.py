@@ -84,6 +84,7 @@ def test_trajectories_lie_on_the_map_and_below_its_best(robot, runs, found):
     assert np.all(found.best_mu >= np.where(found.limit == FEASIBLE, found.mu, -np.inf).max(axis=1))
     for name, trajectory in found.trajectories.items():
         assert trajectory.gap_rad < 0.15, "half a row, as joints move"
+        assert trajectory.t_s[-1] == runs[name].t_s[-1]
         np.testing.assert_array_equal(
             trajectory.mu, robot.mu_along(runs[name].q_rad)[np.searchsorted(runs[name].t_s, trajectory.t_s)]
         )
