@@ -78,6 +78,8 @@ def test_metrics_without_baseline_deadline_or_subproblem_are_left_out() -> None:
     without = set(METRICS) - set(summarize(run(tau_Nm=None, status=None), run()))
     assert without == {"torque_rate_rms_Nm_per_s", "oscillation_Nm", "claimed_solved", "silently_wrong"}
     assert summarize(run(meta={"ended": "oscillated: joint_7"}))["completed"] == 0.0
+    for planned, share in ((1, 1.0), (0, None)):
+        assert summarize(run(meta={"ticks": 1, "ticks_planned": planned})).get("share_of_run") == share
     singular = run(mu=[0.0] * 4)
     assert "mu_gain_percent" not in summarize(trace, baseline=singular)
 
