@@ -96,7 +96,7 @@ def test_too_few_and_too_many_swivels_are_refused(name, swivels):
 def test_an_arm_without_normal_form_is_told(tmp_path, changes):
     assert closed_form(build(tmp_path, IIWA14)) is not None, "the name of an arm does not count"
     whole_turn = np.radians([180, 120, 170, 120, 170, 120, 175])
-    assert closed_form(build(tmp_path, IIWA14, q_max=whole_turn)) is not None
+    assert closed_form(build(tmp_path, IIWA14, q_max=whole_turn, q_min=-whole_turn)) is not None
     assert closed_form(build(tmp_path, IIWA14, **changes)) is None
     assert closed_form(load_robot("panda")) is None
 
