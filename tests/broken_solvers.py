@@ -55,11 +55,6 @@ class Quits(Base):
     def supports(self, qp):
         raise SystemExit("no more")
 
-class Empty(Base):
-    name = "empty"
-    def start(self, qp):
-        return None
-
 class Once(Raises):
     name = "once"
     started = []
@@ -78,7 +73,7 @@ class Untidy:
     def solve(self, qp):
         return None
 """
-NAMES = ("hangs", "stuck", "crashes", "raises", "quits", "empty", "once", "untyped")
+NAMES = ("hangs", "stuck", "crashes", "raises", "quits", "once", "untyped")
 
 
 def install(folder: Path) -> Path:

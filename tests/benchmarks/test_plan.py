@@ -7,9 +7,7 @@ from typing import Any
 import pytest
 
 from benchmarks import plan
-from benchmarks.goals import judge
 from moc_opt.study.command import CONFIGS
-from moc_opt.study.results import Results
 
 TINY = """
 robots = ["lwr4"]
@@ -49,26 +47,3 @@ def test_the_configuration_that_ships_is_the_default() -> None:
     shipped = plan.Config.load(CONFIGS / "plan.toml")
     assert shipped == plan.Config()
     assert len(shipped.cases()) == 180
-
-
-def runs(gaps: dict[str, list[float]], tip: float = 0.11) -> list[dict[str, Any]]:
-    about = {"part": "loop", "robot": "arm", "whole": True, "error": None, "mu_mean": 0.2, "fraction_of_best": 0.9,
-             "rcm_error_model_mean_mm": 0.2}  # fmt: skip
-    return [
-        {**about, "controller": name, "trial": f"t{k}", "gap_percent": gap,
-         "tip_error_model_mean_mm": 0.1 if name == "local" else tip}
-        for name, values in gaps.items() for k, gap in enumerate(values)
-    ]  # fmt: skip
-
-
-@pytest.mark.parametrize(
-    ("spread", "count", "reached"),
-    [((0.2, 0.3), 8, "yes"), ((0.3, 0.7), 8, "open"), ((0.9, 1.0), 8, "no"), ((0.2, 0.3), 3, "open")],
-)
-def test_a_goal_is_judged_by_the_end_of_its_interval(spread: tuple[float, float], count: int, reached: str) -> None:
-    rows = Results(runs({"local": [1.0] * count, "planned": [spread[k % 2] for k in range(count)]}))
-    loops = {name: plan.loop_figures(rows, name) for name in ("local", "planned")}
-    found = judge({"loops": loops, "courses": {}}, plan.goals(loops))
-    assert found["gap planned"]["reached"] == reached
-    assert {found[key]["reached"] for key in ("scratch", "halving")} == {"not measured"}
-    assert found["planned tip"]["reached"] == ("no" if count == 8 else "open"), "10 % above local's"

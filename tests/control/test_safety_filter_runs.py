@@ -53,6 +53,14 @@ FORGED = {"frozen_velocity": "zero", "forged_stamps": True}
 # name: the run, when the fault begins [s], by when it is stopped [s after], tip error [m], force [N], the reason
 STOPPED = {
     "all-dropped": ({"faults": {"drop_share": 1.0}}, 0.0, 0.0101, 2.5e-3, 3.0, "3 ticks late"),
+    "lost": (
+        {"faults": {"nan_at_s": 0.4, "nan_ticks": 9999}, "control": {"preset": "tuned"}},
+        0.4, 0.0061, 5e-3, INF, "measurements not believed",
+    ),
+    "jumped": (
+        {"faults": {"jump_at_s": 0.4, "jump_rad": 0.2}, "control": DCAC},
+        0.4, 0.0061, 5e-3, INF, "measurements not believed",
+    ),
     "frozen": ({"faults": {"frozen_at_s": 0.9}, "control": DCAC}, 0.9, 0.0101, 2.5e-3, 3.0, "3 ticks late"),
     "growing-lag": ({"faults": {"lag_at_s": 1.0, "lag_growth": 0.05}}, 1.0, 0.2, 1.0, 3.0, ""),
     "fast-growing-lag": ({"faults": {"lag_at_s": 1.0, "lag_growth": 0.3}}, 1.0, 0.034, 1.0, 3.0, ""),
@@ -118,6 +126,12 @@ def test_measurements_that_are_not_to_be_believed_stop_the_arm(name):
     scenario, *limits = STOPPED[name]
     trace = stopped(*limits, **scenario)
     assert np.abs(trace.v_rad_per_s[-1]).max() < 0.03
+    after = trace.t_s >= trace.meta["stopped_at_s"]
+    if scenario.get("control") is not DCAC:
+        assert set(trace.fault[after]) == {"stopped"}
+        assert set(trace.status[after]) == {"none"}
+        assert np.isnan(trace.x_rad_per_s[after]).all()
+        assert not (trace.fault[~after] == "stopped").any()
 
 
 def one_encoder(kind, rng, joint):
@@ -167,25 +181,6 @@ def test_a_broken_drive_is_stopped_and_the_brakes_hold_the_arm(arm, joint, seed,
     assert trace.meta["ended"].startswith("stopped")
     after = trace.tip_m[trace.t_s >= 0.5]
     assert np.linalg.norm(after - after[0], axis=1).max() < 0.05
-
-
-@pytest.mark.parametrize("control", [{"preset": "tuned"}, DCAC], ids=["moc", "dcac"])
-@pytest.mark.parametrize(
-    "faults", [{"nan_at_s": 0.4, "nan_ticks": 9999}, {"jump_at_s": 0.4, "jump_rad": 0.2}], ids=["nan", "jump"]
-)
-def test_sensors_that_are_lost_stop_the_arm(control, faults):
-    scenario = Scenario()
-    patience = PERIOD * scenario.guard.patience_ticks
-    trace = stopped(0.4, 1e-6 + patience, 0.005, INF, "measurements not believed", control=control, faults=faults)
-    assert trace.meta["stopped_at_s"] == pytest.approx(0.4 + patience)
-    assert trace.t_s[-1] == pytest.approx(0.4 + patience + scenario.guard.stop_s)
-    assert np.abs(trace.v_rad_per_s[-1]).max() < 0.02
-    if control is not DCAC:
-        after = trace.t_s >= trace.meta["stopped_at_s"]
-        assert set(trace.fault[after]) == {"stopped"}
-        assert set(trace.status[after]) == {"none"}
-        assert np.isnan(trace.x_rad_per_s[after]).all()
-        assert not (trace.fault[~after] == "stopped").any()
 
 
 @pytest.mark.parametrize("gap", [

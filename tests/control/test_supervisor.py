@@ -513,16 +513,3 @@ def test_honest_solvers_are_not_refused(name):
     trace = run(Scenario(solver={"name": name}, judge=False, **QUICK))
     refused = np.isin(trace.fault, ("lied", "outside", "late", "not_finite", "malformed", "raised"))
     assert refused.mean() <= 0.01, dict(zip(*np.unique(trace.fault, return_counts=True), strict=True))
-
-
-def test_a_trace_says_which_answers_were_refused_and_why():
-    scenario = Scenario(duration_s=0.2, bound_samples=0, faults={"solver": "raise", "solver_share": 0.1})
-    trace = run(scenario)
-    first = int(np.flatnonzero(trace.fault == "raised")[0])
-    assert trace.meta["faults"] == {
-        "raised": {
-            "count": int((trace.fault == "raised").sum()), "first_at_s": pytest.approx(0.002 * first),
-            "first": "InjectedFault: faulty: raised on purpose",
-        }
-    }  # fmt: skip
-    assert run(Scenario(duration_s=0.02, bound_samples=0)).meta["faults"] == {}

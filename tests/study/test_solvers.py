@@ -1,25 +1,19 @@
-"""The study of solvers: its files and parts, that it goes on after it was stopped, that broken solvers end nothing."""
+"""The study of solvers: its files and parts, and that broken solvers end nothing."""
 
 from __future__ import annotations
 
 import json
-import os
-import signal
-import subprocess
-import sys
-import time
 from pathlib import Path
 from typing import Any
 
 import polars as pl
 import pytest
 
-from moc_opt.study import Kept, solvers, testsets
+from moc_opt.study import solvers, testsets
 from moc_opt.study.solvers import PARTS, Config
 from moc_opt.study.trials import BASELINE
 from tests import broken_solvers, first_screens
 
-ROOT = Path(__file__).parents[2]
 SMALL = """
 seed = 3
 processes = 2
@@ -108,7 +102,10 @@ def test_a_second_run_takes_everything_from_the_first(folder, summary, capsys):
     assert {part: again[part] for part in again if part != "clock"} == {
         part: summary[part] for part in summary if part != "clock"
     }
-    said = capsys.readouterr().out
+    said, told = capsys.readouterr()
+    so_far = [line for line in told.splitlines() if line.startswith("so far: ")]
+    assert so_far[0].startswith("so far: Take `exact`")
+    assert len(set(so_far)) == len(so_far), "no sentence is said twice"
     assert "jobs are those of an earlier run" in said
     assert max(len(line) for line in said.splitlines() if str(folder) not in line) <= 80, "but for paths"
 
@@ -133,60 +130,6 @@ def test_broken_solvers_are_rows_and_the_others_are_unharmed(tmp_path, monkeypat
     page = (tmp_path / "out" / "report.html").read_text()
     assert "Exceptions, hangs and crashes" in page
     assert "hung or crashed" in page
-
-
-# --- stopped and started again ---
-
-
-def started(folder: Path, out: str) -> subprocess.Popen[str]:
-    (folder / "small.toml").write_text(SMALL)
-    words = f"-m moc_opt solvers small.toml --out {out} --only exact rnn --parts testsets closed_loop"
-    command = [sys.executable, *words.split()]
-    return subprocess.Popen(
-        command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-    )  # fmt: skip
-
-
-def jobs(folder: Path) -> int:
-    return len(Kept(folder)._cache) if (folder / "cache.db").exists() else 0
-
-
-def figures(folder: Path) -> dict[str, Any]:
-    """What the clock does not decide."""
-    found = json.loads((folder / "summary.json").read_text())
-
-    def timeless(value: Any) -> Any:
-        if not isinstance(value, dict):
-            return value
-        clocks = ("_us", "times_", "timed_", "deadline_")
-        return {k: timeless(v) for k, v in value.items() if not any(word in k for word in clocks)}
-
-    return {part: timeless(rows) for part, rows in found.items() if part != "clock"}
-
-
-def test_a_run_that_is_killed_twice_goes_on_and_ends_with_the_same_figures(tmp_path):
-    whole = started(tmp_path, "whole")
-    _, told = whole.communicate(timeout=200)
-    assert whole.returncode == 0, told
-    said = [line for line in told.splitlines() if line.startswith("so far: ")]
-    assert said[0].startswith("so far: Take `exact`"), "the first sentence comes before the closed loop"
-    assert len(set(said)) == len(said), "no sentence is said twice"
-    for more, how, status in ((3, signal.SIGKILL, -9), (8, signal.SIGTERM, 130)):
-        before = jobs(tmp_path / "stopped" / "jobs")  # one more must be done: by then it takes signals
-        process = started(tmp_path, "stopped")
-        end = time.monotonic() + 100.0
-        wanted = max(more, before + 1)
-        while jobs(tmp_path / "stopped" / "jobs") < wanted and process.poll() is None and time.monotonic() < end:
-            time.sleep(0.1)
-        process.send_signal(how)
-        assert process.wait(timeout=60) == status
-        assert jobs(tmp_path / "stopped" / "jobs") >= more, "what was finished is kept"
-    assert "the same command goes on from there" in process.stderr.read()
-    last = started(tmp_path, "stopped")
-    assert last.wait(timeout=200) == 0
-    assert "jobs are those of an earlier run" in last.stdout.read()
-    assert figures(tmp_path / "stopped") == figures(tmp_path / "whole")
 
 
 # --- what is asked for ---
