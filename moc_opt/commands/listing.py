@@ -11,7 +11,7 @@ from moc_opt.errors import MocOptError
 from moc_opt.figures.notation import pretty_unit
 from moc_opt.inputs.files import plain, to_json
 from moc_opt.planning.self_motion import best_freedoms
-from moc_opt.report.console import console, print_json
+from moc_opt.report.console import console
 from moc_opt.report.tables import Column, Table
 from moc_opt.robots import about, available_robots
 from moc_opt.robots.model import load_robot
@@ -27,7 +27,7 @@ def print_list(given: argparse.Namespace) -> int:
     """Print the list that the command names; returns 0."""
     title, rows, note = {"robots": robots, "tasks": tasks, "metrics": metrics, "solvers": solvers}[given.command]()
     if given.json:
-        print_json(rows)
+        print(to_json(rows))
         return 0
     shown = [{"name": name, **{key: _shown(key, value) for key, value in row.items()}}
              for name, row in rows.items() if row.get("here", "yes") == "yes"]  # fmt: skip

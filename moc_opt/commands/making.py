@@ -9,7 +9,8 @@ from typing import Any
 
 from moc_opt.commands.listing import print_list
 from moc_opt.commands.running import read_scenario
-from moc_opt.report.console import console, print_json, progress
+from moc_opt.inputs.files import to_json
+from moc_opt.report.console import console, progress
 from moc_opt.report.document import check_out
 
 
@@ -63,13 +64,9 @@ def compare_solvers(given: argparse.Namespace) -> int:
     scenario, _ = read_scenario(given.scenario)
     with progress("compare", given.trials * (len(given.solvers) + 1)) as bar:
 
-        def watch(words: str) -> None:
-            bar.at(words)
-            bar.advance()
-
-        found = compare(given.solvers, scenario, given.trials, seed=given.seed, watch=watch)
+        found = compare(given.solvers, scenario, given.trials, seed=given.seed, watch=bar.step)
     if given.json:
-        print_json({name: _flat(of) for name, of in found.summary().items()})
+        print(to_json({name: _flat(of) for name, of in found.summary().items()}))
     else:
         console().print(found.table)
     if given.out is not None:

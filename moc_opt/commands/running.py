@@ -12,7 +12,7 @@ from typing import Any
 
 from moc_opt.errors import ScenarioError, TraceError, UnknownNameError, shown
 from moc_opt.inputs.files import decimal, read_text, to_json
-from moc_opt.report.console import busy, console, print_json, progress
+from moc_opt.report.console import busy, console, progress
 from moc_opt.report.document import check_out
 from moc_opt.report.run_table import MATTER, below_best, part, refusals, run_json, run_table, warnings
 from moc_opt.report.tables import Column, Table
@@ -51,15 +51,13 @@ def run_scenario(given: argparse.Namespace) -> int:
     if given.report is not None:
         check_out(given.report, "report", force=given.force)
     _keep_others(given)
-    with progress(title) as bar:
-        bar.at("sets up")
+    with progress(title, now="sets up") as bar:
         setup = Setup(scenario)
         bar.of(len(setup.times()))
 
         def watch(tick: int) -> None:
             if tick and tick % 100 == 0:
-                bar.at("")
-                bar.advance(100)
+                bar.step(steps=100)
 
         trace = _as_far_as_it_goes(lambda: setup.trace(watch, given.trace))
     return show(scenario, title, trace, given)
@@ -103,7 +101,7 @@ def show(scenario: Scenario, title: str, trace: Trace, given: argparse.Namespace
             print(f"{title}: metric {name}: not known of this run", file=sys.stderr)
     wanted = {name: metrics[name] for name in scenario.metrics if name in metrics} if scenario.metrics else metrics
     if given.json:
-        print_json(run_json(trace, wanted))
+        print(to_json(run_json(trace, wanted)))
     else:
         short = not scenario.metrics and not given.all
         print_tables([run_table(title, trace, wanted, first=short)])
@@ -207,7 +205,7 @@ def run_control(given: argparse.Namespace) -> int:
     found = answer(scenario, given.connect, given.key_file, ready=lambda: granted.update(ask_for_realtime()))
     told = found | {"system": granted}
     if given.json:
-        print_json(told)
+        print(to_json(told))
     else:
         flat = {name: value for name, value in told.items() if not isinstance(value, dict)}
         flat |= {f"{name}: {key}": v for name, of in told.items() if isinstance(of, dict) for key, v in of.items()}
@@ -241,7 +239,7 @@ def plan_scenario(given: argparse.Namespace) -> int:
     )
     warned = following_warnings(scenario, plan) if follows else []
     if given.json:
-        print_json(plan_json(plan) | {"within": within, "warnings": warned})
+        print(to_json(plan_json(plan) | {"within": within, "warnings": warned}))
     else:
         print_tables(plan_tables(title, plan, **within))
         print(start_toml(scenario.robot.arm(), plan))

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import timedelta
-from typing import IO, Any
+from typing import IO
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from moc_opt.figures.notation import printable
-from moc_opt.inputs.files import to_json
 
 LINE_EVERY_S = 10.0
 PIPED_WIDTH = 80
@@ -44,12 +43,12 @@ def console(*, stderr: bool = False, file: IO[str] | None = None) -> Console:
 
 
 class Bar(Progress):
-    """A bar with one task: `advance` it, say what it is `at`; without a terminal it writes a line now and then."""
+    """A bar with one task: `step` on; without a terminal it writes a line now and then."""
 
-    def advance(self, steps: float = 1.0) -> None:  # type: ignore[override]
-        """Count so many more steps as done."""
+    def step(self, now: str = "", steps: float = 1.0) -> None:
+        """Count so many more steps as done, and name what is being done now."""
         (task,) = self.tasks
-        self.update(task.id, advance=steps)
+        self.update(task.id, advance=steps, now=printable(now))
         if self.console.is_terminal or self.get_time() - task.fields["written"] < LINE_EVERY_S:
             return
         self.update(task.id, written=self.get_time())
@@ -64,18 +63,14 @@ class Bar(Progress):
         """Say how many steps there are, once that is known: the time that is left counts from now."""
         self.reset(self.task_ids[0], total=total)
 
-    def at(self, text: str) -> None:
-        """Name what is being done now."""
-        self.update(self.task_ids[0], now=printable(text))
-
 
 @contextmanager
-def progress(description: str, total: float | None = None, *, on: Console | None = None) -> Iterator[Bar]:
+def progress(
+    description: str, total: float | None = None, *, now: str = "", on: Console | None = None
+) -> Iterator[Bar]:
     """Show a bar with the time left on stderr until the work is done; without a terminal, a line every ten seconds.
 
-    Args:
-        total: steps in all; None where that is not known yet.
-        on: another console.
+    ``total`` is None where the number of steps is not known yet, ``now`` what is done first, ``on`` another console.
     """
     where = on or console(stderr=True)
     bar = Bar(
@@ -83,14 +78,9 @@ def progress(description: str, total: float | None = None, *, on: Console | None
         TextColumn("{task.fields[now]}", style="dim", markup=False), console=where, transient=True,
         refresh_per_second=4.0, disable=not where.is_terminal,
     )  # fmt: skip
-    bar.add_task(printable(description), total=total, now="", written=bar.get_time())
+    bar.add_task(printable(description), total=total, now=now, written=bar.get_time())
     with bar:
         yield bar
-
-
-def print_json(values: Mapping[str, Any]) -> None:
-    """Write one JSON document; numpy's numbers as numbers, NaN and infinity as null."""
-    print(to_json(values))
 
 
 def busy() -> str:

@@ -12,7 +12,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
 
 from moc_opt.errors import ReportError
-from moc_opt.figures.notation import DASH, pretty_unit, printable
+from moc_opt.figures.notation import pretty_unit, printable
 from moc_opt.inputs.files import check_replaceable, write_whole
 
 GENERATOR = b'<meta name="generator" content="moc_opt">'  # marks a page as ours, in its first lines
@@ -28,26 +28,9 @@ def macros(template: str) -> Any:
     return _TEMPLATES.get_template(template).module
 
 
-def asset(name: str) -> Markup:
-    """Return the text of a style sheet or script in ``report/assets``, as it is."""
-    return Markup(_LOADER.get_source(_TEMPLATES, name)[0].strip())
-
-
 def inline(text: str) -> Markup:
     """Return a text for an element, with `backticks` as code."""
     return Markup(re.sub(r"`([^`]+)`", r"<code>\1</code>", str(escape(printable(text)))))
-
-
-def inert(json: str) -> Markup:
-    """Make JSON safe inside a script element: no text in it can end the element."""
-    return Markup(json.replace("<", "\\u003c"))
-
-
-def in_words(value: Any) -> str:
-    """Return a plain value or a list of them as text, a dash where there is none."""
-    if isinstance(value, (list, tuple)):
-        return ", ".join(map(in_words, value)) or DASH
-    return DASH if value is None or value in ("", {}) else str(value)
 
 
 def anchor(title: str) -> str:
@@ -59,12 +42,11 @@ def _shown(value: Any) -> Any:
     return printable(value) if isinstance(value, str) and not isinstance(value, Markup) else value
 
 
-_LOADER = PackageLoader("moc_opt.report", "assets")
 _TEMPLATES = Environment(
-    loader=_LOADER, autoescape=True, undefined=StrictUndefined, finalize=_shown, trim_blocks=True, lstrip_blocks=True
-)
-_TEMPLATES.globals["asset"] = asset
-_TEMPLATES.filters.update(inline=inline, inert=inert, in_words=in_words, anchor=anchor, pretty_unit=pretty_unit)
+    loader=PackageLoader("moc_opt.report", "assets"), autoescape=True, undefined=StrictUndefined, finalize=_shown,
+    trim_blocks=True, lstrip_blocks=True,
+)  # fmt: skip
+_TEMPLATES.filters.update(inline=inline, anchor=anchor, pretty_unit=pretty_unit)
 
 
 def check_out(path: str | os.PathLike[str], what: str, *, force: bool = False) -> Path:

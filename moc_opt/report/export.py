@@ -22,10 +22,6 @@ if TYPE_CHECKING:
 WIDTH_PX = 680
 """Of a figure that has no width of its own: 180 mm, two columns of a journal; 12 px of type are then 9 pt."""
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome", "microsoft-edge")
-FLAGS = (
-    "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking",
-    "--disable-component-update", "--disable-sync",
-)  # fmt: skip
 CURE = (
     "install a browser (Debian, Ubuntu: apt-get install chromium; anywhere: python -m playwright install chromium), "
     "or name one in the environment variable MOC_OPT_BROWSER"
@@ -71,7 +67,7 @@ def browser() -> Iterator[Browser]:
             program = program or playwright.chromium.executable_path
             if not Path(program).exists():
                 raise BrowserMissingError(f"no Chromium or Chrome was found: {CURE}")
-            chromium = playwright.chromium.launch(executable_path=program, args=list(FLAGS))
+            chromium = playwright.chromium.launch(executable_path=program, args=["--no-sandbox", "--disable-gpu"])
             try:
                 yield chromium
             finally:

@@ -168,7 +168,7 @@ def _colors(drawn: go.Figure, found: SwivelMap, allowed: NDArray[np.bool_]) -> N
         hovertemplate="%{x:.2f} s, %{y:.0f}°: µ = %{z:.3f} m³<extra></extra>",
         colorbar={
             "title": {"text": "µ [m³]", "side": "top"}, "thickness": 12, "outlinewidth": 0, "len": 0.9, "y": 0.45,
-            "tickformat": f".{bar_digits(high - low)}f", "nticks": 8,
+            "nticks": 8,
         },
     )  # fmt: skip
     words = [f"joint {j} beyond its limit" for j in range(1, found.q_rad.shape[2] + 1)]
@@ -178,11 +178,6 @@ def _colors(drawn: go.Figure, found: SwivelMap, allowed: NDArray[np.bool_]) -> N
         colorscale=[[0.0, BAD], [1.0, BAD]], hoverongaps=False,
         hovertemplate="%{x:.2f} s, %{y:.0f}°: %{customdata}<extra></extra>",
     )  # fmt: skip
-
-
-def bar_digits(span: float) -> int:
-    """Return the digits after the point at which neighbouring labels of a bar differ: ten at most over its span."""
-    return max(2, math.ceil(-math.log10(max(span, 1e-9) / 10.0)))
 
 
 def _broken(t: Array, degrees: Array, mu: Array) -> dict[str, Any]:

@@ -9,6 +9,7 @@ import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
+from itertools import count
 from pathlib import Path
 from string import ascii_lowercase
 from typing import Any
@@ -26,7 +27,7 @@ from moc_opt.report.tables import Cell, Column, Table, alignment, heading_lines
 # As wide as a digit and as a point, where figures are tabular: they align numbers on their points.
 FIGURE_SPACE, POINT_SPACE = "\u2007", "\u2008"
 LONG_TEXT = 40
-_PARTS = macros("parts.html")
+_PARTS, _TABLE = macros("parts.html"), macros("table.html")
 
 
 @dataclass
@@ -73,7 +74,7 @@ class Page:
     def table(self, table: Table) -> None:
         """Append a numbered table."""
         self._tables += 1
-        self._add(draw(table, self._tables))
+        self._add(_drawn(table, self._tables))
 
     def figure(self, figure: go.Figure, caption: str, *, name: str = "") -> None:
         """Append a numbered figure, whose caption names the point to notice.
@@ -88,12 +89,7 @@ class Page:
     def environment(self, values: Mapping[str, Any]) -> None:
         """Append a section on how the numbers came about: nested plain values; each mapping at the top is folded."""
         self.section("Environment")
-        plain = {key: value for key, value in values.items() if not isinstance(value, Mapping)}
-        if plain:
-            self._add(_PARTS.definitions(plain))
-        for key, value in values.items():
-            if isinstance(value, Mapping):
-                self._add(_PARTS.folded(key, value))
+        self._add(_PARTS.environment(values))
 
     def _add(self, part: Markup) -> None:
         self._sections[-1].parts.append(part)
@@ -117,11 +113,7 @@ class Page:
 def _unlike(text: str, taken: Iterable[str]) -> str:
     """Return a name for addresses and files, unlike those that are taken."""
     words = anchor(text)
-    name, count = words, 1
-    while name in taken:
-        count += 1
-        name = f"{words}-{count}"
-    return name
+    return next(name for k in count(1) if (name := f"{words}-{k}" if k > 1 else words) not in taken)
 
 
 @cache
@@ -133,8 +125,7 @@ def _packed_plotly() -> str:
 # --- a table: headings that sort, numbers aligned on their points, missing values with a footnote ---
 
 
-def draw(table: Table, number: int | None = None) -> Markup:
-    """Draw the table, of this number on its page, as a fragment of HTML that can be sorted; every text is escaped."""
+def _drawn(table: Table, number: int) -> Markup:
     cells = {column: table.cells(column) for column in table.columns}
     reasons = dict.fromkeys(
         cell.why.reason for row in zip(*cells.values(), strict=True) for cell in row
@@ -146,8 +137,7 @@ def draw(table: Table, number: int | None = None) -> Markup:
         for column, of in cells.items()
     ]
     rows = list(zip(*(_column(column, of, table.rows, notes) for column, of in cells.items()), strict=True))
-    made: Markup = macros("table.html").draw(number, table, headings, rows, notes)
-    return made
+    return Markup(_TABLE.draw(number, table, headings, rows, notes))
 
 
 def _column(

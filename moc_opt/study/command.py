@@ -103,8 +103,7 @@ class Study:
         with progress(f"{self.name}: {what}", len(jobs)) as bar:
 
             def note(job: Job, result: Any) -> None:
-                bar.at(job.group)
-                bar.advance()
+                bar.step(job.group)
                 done(job, result)
 
             dask = getattr(self.given, "dask", None)

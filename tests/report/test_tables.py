@@ -110,8 +110,7 @@ def test_without_a_terminal_progress_writes_a_line_now_and_then(step_s: float, t
         bar.of(4)
         for k in range(1, 5):
             now[0] += step_s
-            bar.at(f"step {k}")
-            bar.advance()
+            bar.step(f"step {k}")
     after = {k: (timedelta(seconds=k * step_s), timedelta(seconds=(4 - k) * step_s)) for k in told}
     assert file.getvalue().splitlines() == [
         f"trials: {25 * k} % after {spent}, about {left} left  step {k}" for k, (spent, left) in after.items()
