@@ -6,31 +6,26 @@ input that once ended badly stands as an example.
 
 import contextlib
 import io
-import socket
 from pathlib import Path
-from types import SimpleNamespace
 
 import hypothesis.strategies as st
 import numpy as np
-import pytest
 from hypothesis import example, given
 from hypothesis.extra.numpy import array_shapes, arrays
 
 import moc_opt as mo
 from moc_opt.commands.running import read_waypoints
 from moc_opt.realtime import wire
-from moc_opt.realtime.ends import INCOMING, RemoteController
-from moc_opt.realtime.wire import Link, WireSettings
 from moc_opt.robots import loader
-from moc_opt.scenario import Scenario, Setup, make_safety_filter, run
+from moc_opt.scenario import Scenario, Setup, run
 from moc_opt.sim import Plant
 from moc_opt.sim.mjcf import check_engines
-from moc_opt.sim.sensors import Measurement
 from moc_opt.solvers.base import Status
 from moc_opt.tasks import Waypoints
 from moc_opt.trace.metrics import summarize
 from tests.odd_inputs import edited, ends_well, junk, many, numbers, texts
 from tests.problems import PARTS
+from tests.realtime.relay import KEY, SCENARIO, SETTINGS, Peer
 
 FOLDER = Path(loader.__file__).parent
 ARM_URDF = (FOLDER / "lwr4.urdf").read_bytes()
@@ -233,7 +228,6 @@ def ordinary(qp):
 
 # --- packets ---
 
-KEY, TICKS, SCENARIO = b"k" * 16, 3, 9
 PACKETS = {
     int(kind): [name for name in wire.layout(kind, 7).names if name not in ("magic", "tag", "kind")]
     for kind in (wire.Kind.COMMAND, wire.Kind.BYE)
@@ -244,45 +238,26 @@ sealed = st.sampled_from(sorted(PACKETS)).flatmap(
 )
 
 
-NO_TIME = SimpleNamespace(late_us=0.0, overruns=0, wait_for=lambda tick: 0.0)
-"""A clock whose ticks are over as soon as they begin: only what has arrived already counts."""
-
-
-@pytest.fixture(scope="module")
-def setup():
-    return Setup(Scenario())
-
-
 @many(0.5)
 @given(arriving=st.lists(sealed | st.binary(max_size=400), min_size=1, max_size=8))
 @example(arriving=[(int(wire.Kind.COMMAND), {})])
 @example(arriving=[(int(wire.Kind.COMMAND), {"tau": float("nan")})])
 @example(arriving=[(int(wire.Kind.COMMAND), {"flags": 1, "reason": b"\x1b[2J"})])
-def test_no_packet_moves_the_arm_beyond_its_limits_or_steers_a_terminal(robot, setup, arriving):
-    hold, seen = robot.gravity(robot.data.q_home), Measurement(np.array(robot.data.q_home), np.zeros(7), np.zeros(6))
-    nothing, link = (np.zeros((3, 3)), np.zeros((2, 3))), Link(7, KEY, INCOMING, listen=("127.0.0.1", 0))
-    plant = RemoteController(
-        link, WireSettings(hold_ticks=1, damp_ticks=1, wait_s=1.0), make_safety_filter(robot, setup.scenario),
-        setup.controller().columns, hold, robot.tau_max, scenario=SCENARIO, clock=NO_TIME,
-    )  # fmt: skip
-    columns, session = plant.columns(TICKS), int(plant._packet["session"])
-    with ends_well(), contextlib.closing(link), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as peer:
-        for kind in (wire.Kind.HELLO, wire.Kind.START):
-            hand = wire.make_packet(kind, 7, session if kind is wire.Kind.START else 0, SCENARIO)
-            peer.sendto(wire.seal(hand, KEY), link.address)
-        plant.start(seen, *nothing)
-        for tick in range(TICKS):
+def test_no_packet_moves_the_arm_beyond_its_limits_or_steers_a_terminal(robot, arriving):
+    with contextlib.closing(Peer(robot)) as peer, ends_well():
+        peer.start()
+        for _ in range(SETTINGS.hold_ticks + SETTINGS.damp_ticks + 2):
             for one in arriving:
-                peer.sendto(one if isinstance(one, bytes) else packet(one, session, tick), link.address)
-            tau = plant.tick(seen._replace(stamp=tick), *nothing)
-            plant.note(tick, columns)
+                data = one if isinstance(one, bytes) else packet(one, peer)
+                peer.socket.sendto(data, peer.link.address)
+            tau = peer.tick()
             assert (np.abs(tau) <= robot.tau_max).all()
-            assert plant.stop_reason.isprintable()
+            assert peer.plant.stop_reason.isprintable()
 
 
-def packet(what, session, tick):
-    made = wire.make_packet(wire.Kind(what[0]), 7, session, SCENARIO)
-    made["sequence"] = tick
+def packet(what, peer):
+    made = wire.make_packet(wire.Kind(what[0]), peer.n, peer.session, SCENARIO)
+    made["sequence"] = peer.k
     for name, value in what[1].items():
         with contextlib.suppress(ValueError, OverflowError, TypeError):  # nothing that the field's bytes can hold
             made[name] = value

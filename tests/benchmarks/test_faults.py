@@ -152,5 +152,3 @@ def test_a_case_that_cannot_start_is_a_row():
     trace, ended = run_case(Scenario(robot={"name": "no such"}, duration_s=0.1), None)
     assert trace is None
     assert ended.startswith("refused: UnknownNameError")
-
-

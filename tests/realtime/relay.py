@@ -1,4 +1,4 @@
-"""A relay between the two ends of a wire that loses, repeats, cuts and falsifies packets, by a seed."""
+"""What tests put on a wire: a relay that loses, repeats, cuts and falsifies packets, and a controller they play."""
 
 from __future__ import annotations
 
@@ -7,10 +7,15 @@ import socket
 import threading
 from collections import Counter
 from collections.abc import Callable
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 
-from moc_opt.realtime.wire import ENDED, Kind, written
+from moc_opt.realtime.ends import INCOMING, RemoteController
+from moc_opt.realtime.wire import ENDED, Kind, Link, WireSettings, make_packet, seal, written
+from moc_opt.scenario import Scenario, make_safety_filter
+from moc_opt.sim.sensors import Measurement
 
 Rule = Callable[[Kind, int], bool]
 TO_PLANT, TO_CONTROLLER = 0, 1
@@ -89,3 +94,49 @@ class Relay:
         target = self._plant if way == TO_PLANT else self._controller
         if target is not None:
             self._ends[1 - way].sendto(data, target)
+
+
+KEY, SCENARIO = b"k" * 16, 9
+SETTINGS = WireSettings(hold_ticks=2, damp_ticks=3, wait_s=0.1)
+NOTHING = np.zeros((3, 3)), np.zeros((2, 3))
+NO_TIME: Any = SimpleNamespace(late_us=0.0, overruns=0, wait_for=lambda tick: 0.0)
+"""A clock whose ticks are over as soon as they begin: only what has arrived already counts."""
+
+
+class Peer:
+    """The controller, played by the test."""
+
+    def __init__(self, robot) -> None:
+        self.n, self.k = robot.n, 0
+        self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self.link = Link(self.n, KEY, INCOMING, listen=("127.0.0.1", 0))
+        self.hold = robot.gravity(robot.data.q_home)
+        self.plant = RemoteController(
+            self.link, SETTINGS, make_safety_filter(robot, Scenario()),
+            lambda ticks: {"solve_us": np.full(ticks, np.nan)}, self.hold, robot.tau_max, SCENARIO, NO_TIME,
+        )  # fmt: skip
+        self.columns = self.plant.columns(50)
+        self.session = int(self.plant._packet["session"])
+        self.seen = Measurement(np.array(robot.data.q_home), np.zeros(self.n), np.zeros(6))
+
+    def say(self, kind: Kind, number: int = 0, **values) -> None:
+        packet = make_packet(kind, self.n, 0 if kind is Kind.HELLO else self.session, SCENARIO)
+        for name, value in ({"sequence": number} | values).items():
+            packet[name] = value
+        self.socket.sendto(seal(packet, KEY), self.link.address)
+
+    def start(self) -> None:
+        self.say(Kind.HELLO)
+        self.say(Kind.START)
+        self.plant.start(self.seen, *NOTHING)
+
+    def tick(self, v=0.0):
+        self.plant.pace(self.k)
+        tau = self.plant.tick(self.seen._replace(v=np.full(self.n, v), stamp=self.k), *NOTHING)
+        self.plant.note(self.k, self.columns)
+        self.k += 1
+        return tau
+
+    def close(self) -> None:
+        self.socket.close()
+        self.link.close()

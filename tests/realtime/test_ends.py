@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import os
-import socket
-from types import SimpleNamespace
-from typing import Any
 from unittest.mock import Mock
 
 import numpy as np
@@ -13,61 +10,18 @@ import pytest
 
 from moc_opt.control.safety_settings import SafetyFilterSettings
 from moc_opt.realtime import clock, wire
-from moc_opt.realtime.ends import INCOMING, Answering, RemoteController
-from moc_opt.realtime.wire import COUNTERS, Kind, Link, WireError, WireSettings, layout, make_packet, seal
-from moc_opt.scenario import Scenario, make_safety_filter
-from moc_opt.sim.sensors import Measurement
+from moc_opt.realtime.ends import Answering
+from moc_opt.realtime.wire import COUNTERS, Kind, WireError, WireSettings, layout, make_packet
+from tests.realtime.relay import NOTHING, SETTINGS, Peer
 
 # --- the plant's end, with packets that are there before it looks ---
-
-KEY = b"k" * 16
-SETTINGS = WireSettings(hold_ticks=2, damp_ticks=3, wait_s=0.1)
-NOTHING = np.zeros((3, 3)), np.zeros((2, 3))
-NO_TIME: Any = SimpleNamespace(late_us=0.0, overruns=0, wait_for=lambda tick: 0.0)
-"""A clock whose ticks are over as soon as they begin: only what has arrived already counts."""
-
-
-class Peer:
-    """The controller, played by the test."""
-
-    def __init__(self, robot) -> None:
-        self.n, self.k = robot.n, 0
-        self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self.link = Link(self.n, KEY, INCOMING, listen=("127.0.0.1", 0))
-        self.hold = robot.gravity(robot.data.q_home)
-        self.plant = RemoteController(
-            self.link, SETTINGS, make_safety_filter(robot, Scenario()),
-            lambda ticks: {"solve_us": np.full(ticks, np.nan)}, self.hold, robot.tau_max, 9, NO_TIME,
-        )  # fmt: skip
-        self.columns = self.plant.columns(50)
-        self.session = int(self.plant._packet["session"])
-        self.seen = Measurement(np.array(robot.data.q_home), np.zeros(self.n), np.zeros(6))
-
-    def say(self, kind: Kind, number: int = 0, **values) -> None:
-        packet = make_packet(kind, self.n, 0 if kind is Kind.HELLO else self.session, 9)
-        for name, value in ({"sequence": number} | values).items():
-            packet[name] = value
-        self.socket.sendto(seal(packet, KEY), self.link.address)
-
-    def start(self) -> None:
-        self.say(Kind.HELLO)
-        self.say(Kind.START)
-        self.plant.start(self.seen, *NOTHING)
-
-    def tick(self, v=0.0):
-        self.plant.pace(self.k)
-        tau = self.plant.tick(self.seen._replace(v=np.full(self.n, v), stamp=self.k), *NOTHING)
-        self.plant.note(self.k, self.columns)
-        self.k += 1
-        return tau
 
 
 @pytest.fixture
 def peer(robot):
     made = Peer(robot)
     yield made
-    made.socket.close()
-    made.link.close()
+    made.close()
 
 
 def test_start_of_another_session_begins_nothing(peer):

@@ -1,5 +1,6 @@
 """The trocar's force on the shaft, held forces, and what both do to the arm."""
 
+import mujoco
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -45,32 +46,6 @@ def test_kernel_is_its_formula(seed):
     np.testing.assert_allclose(wrench[3:], np.cross(point - com, want), rtol=1e-11, atol=1e-10 * k)
 
 
-def test_loads_add_up_and_old_ones_go():
-    """The trocar's force and two held ones on MuJoCo's bodies, and none of them once they are over."""
-    plant, rng = Plant(DATA, PlantSettings.nominal(), seed=0), np.random.default_rng(4)
-    plant.reset(DATA.q_home, rng.normal(scale=0.1, size=7))
-    state, trocar = plant.mj_data, shaft_of(plant, off=2e-3)
-    links = {"tool": rng.normal(size=3), "link_3": rng.normal(size=3)}
-    for link, push in links.items():
-        plant.push(link, push, np.array([0.01, 0.02, 0.03]))
-    plant._touch, plant._trocar[:] = plant._tissue, trocar
-    plant._load(1e-3)
-    tool = state.body("tool").id
-    origin = state.subtree_com[plant.mj_model.body_rootid[tool]]
-    want = np.zeros_like(state.xfrc_applied)
-    force, c = numpy_shaft_force(plant.tip, plant.wrist, state.cvel[tool], origin, trocar, 1e-3, *plant._tissue)
-    want[tool] += np.concatenate([force, np.cross(c - state.xipos[tool], force)])
-    for link, push in links.items():
-        body = state.body(link).id
-        lever = state.xpos[body] + state.xmat[body].reshape(3, 3) @ [0.01, 0.02, 0.03] - state.xipos[body]
-        want[body] += np.concatenate([push, np.cross(lever, push)])
-    np.testing.assert_allclose(state.xfrc_applied, want, atol=1e-9)
-    plant.clear_pushes()
-    plant._touch = (0.0, 0.0)
-    plant._load(0.0)
-    assert not state.xfrc_applied.any()
-
-
 def test_pushes_name_what_is_wrong_and_replace_each_other():
     plant = Plant(DATA, PlantSettings.nominal())
     for push, message in (
@@ -98,21 +73,24 @@ def test_pushes_name_what_is_wrong_and_replace_each_other():
 ONE_STEP = PlantSettings.nominal(period_s=1e-3, substeps=1)
 
 
-def test_trocar_and_push_accelerate_the_arm_through_their_points():
-    state = MODEL.state(DATA.q_home)
-    trocar = shaft_of(Plant(DATA, ONE_STEP), depth=0.15, off=2e-3)
+def test_trocar_and_pushes_accelerate_the_arm_through_their_points_until_they_are_over():
+    plant, state = Plant(DATA, ONE_STEP), MODEL.state(DATA.q_home)
+    trocar, lever = shaft_of(plant, depth=0.15, off=2e-3), np.array([0.01, 0.02, 0.03])
     force, _ = numpy_shaft_force(state.tip, state.wrist, np.zeros(6), np.zeros(3), trocar, 0.0, 800.0, 10.0)
     assert np.linalg.norm(force) == pytest.approx(1.6, rel=1e-9)
-    share, push = 0.15 / np.linalg.norm(state.tip - state.wrist), np.array([3.0, -2.0, 1.0])
-    for link, pushed, where, jacobian in (
-        ("tip", force, trocar, (1 - share) * state.J_tip + share * state.J_wrist),
-        ("tip", push, None, state.J_tip), ("wrist", push, None, state.J_wrist),
-    ):  # fmt: skip
-        plant = Plant(DATA, ONE_STEP)
-        if where is None:
-            plant.push(link, pushed, np.zeros(3))
-        plant.step(state.h, where)
-        np.testing.assert_allclose(plant.v, 1e-3 * np.linalg.solve(state.M, jacobian.T @ pushed), atol=1e-12)
+    share = 0.15 / np.linalg.norm(state.tip - state.wrist)
+    pushed = ((1 - share) * state.J_tip + share * state.J_wrist).T @ force
+    for link, push in (("tool", np.array([3.0, -2.0, 1.0])), ("link_3", np.array([-1.0, 4.0, 2.0]))):
+        plant.push(link, push, lever)
+        body, J = plant.mj_data.body(link), np.empty((3, 7))
+        point = body.xpos + body.xmat.reshape(3, 3) @ lever
+        mujoco.mj_jac(plant.mj_model, plant.mj_data, J, None, point, body.id)
+        pushed += J.T @ push
+    plant.step(state.h, trocar)
+    np.testing.assert_allclose(plant.v, 1e-3 * np.linalg.solve(state.M, pushed), atol=1e-12)
+    plant.clear_pushes()
+    plant.step(state.h)
+    assert not plant.mj_data.xfrc_applied.any()
 
 
 @pytest.mark.parametrize(("stiffness", "damping"), [(800.0, 10.0), (800.0, 0.0), (0.0, 10.0)])

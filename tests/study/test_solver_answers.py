@@ -12,21 +12,8 @@ from moc_opt.scenario import make_solver
 from moc_opt.solvers import available
 from moc_opt.solvers.registry import find
 from moc_opt.study import Kept, run
-from moc_opt.study.solver_answers import (
-    Answer,
-    Answers,
-    Limits,
-    ask,
-    share_right,
-    time,
-    totals,
-)
-from moc_opt.study.solver_settings import (
-    SETTINGS,
-    SolverSetting,
-    effective,
-    solver_settings,
-)
+from moc_opt.study.solver_answers import Answer, Answers, Limits, ask, share_right, time, totals
+from moc_opt.study.solver_settings import SETTINGS, SolverSetting, effective, solver_settings
 from moc_opt.study.testsets import TestSet
 from tests import broken_solvers
 
