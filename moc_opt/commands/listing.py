@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import argparse
 import inspect
+import json
 from typing import Any
 
 from moc_opt.commands.running import print_tables
 from moc_opt.errors import MocOptError
 from moc_opt.figures.notation import pretty_unit
-from moc_opt.inputs.files import plain, to_json
+from moc_opt.inputs.files import to_json
 from moc_opt.planning.self_motion import best_freedoms
 from moc_opt.report.console import console
 from moc_opt.report.tables import Column, Table
@@ -51,21 +52,12 @@ def solvers() -> tuple[str, Rows, str]:
     """Return every registered solver, whether it can run here, and its settings."""
     rows = {}
     for name, reason in available().items():
-        settings = defaults(name) if reason is None else {}
-        known = {key: _plain(value) for key, value in settings.items() if key != "kinematics"}
-        rows[name] = {"here": reason or "yes", "settings": known}
+        settings = {key: value for key, value in defaults(name).items() if key != "kinematics"} if not reason else {}
+        # A default of a plug-in may be any object.
+        rows[name] = {"here": reason or "yes", "settings": json.loads(json.dumps(settings, default=repr))}
     absent = ", ".join(name for name, row in rows.items() if row["here"] != "yes")
     note = f"Not installed: {absent}; --json says what is missing." if absent else ""
     return "Solvers: [solver] name, [solver.settings]", rows, note
-
-
-def _plain(value: Any) -> Any:
-    """Return a default as JSON can hold it, or its text: that of a plug-in may be any object."""
-    try:
-        to_json(value)
-    except (TypeError, ValueError):
-        return repr(value)
-    return plain(value)
 
 
 def robots() -> tuple[str, Rows, str]:

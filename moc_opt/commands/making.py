@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable, Mapping
-from typing import Any
+from collections.abc import Callable
 
 from moc_opt.commands.listing import print_list
 from moc_opt.commands.running import read_scenario
@@ -66,7 +65,7 @@ def compare_solvers(given: argparse.Namespace) -> int:
 
         found = compare(given.solvers, scenario, given.trials, seed=given.seed, watch=bar.step)
     if given.json:
-        print(to_json({name: _flat(of) for name, of in found.summary().items()}))
+        print(to_json(found.summary()))
     else:
         console().print(found.table)
     if given.out is not None:
@@ -78,14 +77,6 @@ def compare_solvers(given: argparse.Namespace) -> int:
     if not found.complete:
         return 130  # as after any Ctrl-C
     return 3 if lost else 0
-
-
-def _flat(found: Mapping[str, Any]) -> dict[str, Any]:
-    """Return means and changes with their ends beside them, as the studies' summary.json has them."""
-    flat = dict[str, Any]()
-    for name, value in found.items():
-        flat |= value.entries(name) if hasattr(value, "entries") else {name: value}
-    return flat
 
 
 def list_or_study(given: argparse.Namespace) -> int:

@@ -50,7 +50,7 @@ def run_scenario(given: argparse.Namespace) -> int:
         raise TraceError(f"--trace {given.trace}: the run follows the course in that file; give another name")
     if given.report is not None:
         check_out(given.report, "report", force=given.force)
-    _keep_others(given)
+    _check_trace_out(given.trace, given.force)
     with progress(title, now="sets up") as bar:
         setup = Setup(scenario)
         bar.of(len(setup.times()))
@@ -63,10 +63,12 @@ def run_scenario(given: argparse.Namespace) -> int:
     return show(scenario, title, trace, given)
 
 
-def _keep_others(given: argparse.Namespace) -> None:
-    """Refuse, before the run, to write its trace over a file that is none."""
-    if given.trace is not None and not given.force:
-        check_trace(given.trace)
+def _check_trace_out(file: Path | None, force: bool) -> None:
+    """Refuse, before any work, a trace or course that cannot be written there, or would replace another file."""
+    if file is not None:
+        new_file(file)
+        if not force:
+            check_trace(file)
 
 
 def _as_far_as_it_goes(make: Callable[[], Trace]) -> Trace:
@@ -79,10 +81,9 @@ def _as_far_as_it_goes(make: Callable[[], Trace]) -> Trace:
 def show(scenario: Scenario, title: str, trace: Trace, given: argparse.Namespace) -> int:
     """Print how a run ended, and its metrics; return the exit status."""
     ended = str(trace.meta["ended"])
-    for line in ([] if ended == "completed" else [f"{ended}{part(trace)}"]) + refusals(trace) + warnings(trace):
+    broken = [] if ended == "completed" else [f"{ended}{part(trace)}"]
+    for line in filter(None, [*broken, *refusals(trace), *warnings(trace), below_best(trace)]):
         print(f"{title}: {line}", file=sys.stderr)
-    if below_best(trace):
-        print(f"{title}: {below_best(trace)}", file=sys.stderr)
     try:
         baseline = _matched_dcac(scenario, title, len(trace)) if scenario.control.law == "moc" else None
     except KeyboardInterrupt as stop:
@@ -177,7 +178,7 @@ def run_plant(given: argparse.Namespace) -> int:
     from moc_opt.scenario.wired import PlantServer
 
     scenario, title = read_scenario(given.scenario)
-    _keep_others(given)
+    _check_trace_out(given.trace, given.force)
     server = PlantServer(scenario, given.listen, given.key_file, lock_step=given.lock_step)
     print(f"listening on {written(server.address)}", file=sys.stderr, flush=True)
     server.system = {} if given.lock_step else ask_for_realtime()
@@ -229,14 +230,9 @@ def plan_scenario(given: argparse.Namespace) -> int:
     from moc_opt.scenario.planned import followable_plan, following_warnings, save_course
 
     scenario, title = read_scenario(given.scenario)
-    if given.out is not None:
-        new_file(given.out)  # before the search, which may take a minute
-        if not given.force:
-            check_trace(given.out)  # a course is one, too
+    _check_trace_out(given.out, given.force)
     follows = scenario.control.follows or given.out is not None  # a course is written to be followed
-    plan, within = followable_plan(
-        scenario, given.margin, given.speed_share, given.margin_m, followed=follows,
-    )
+    plan, within = followable_plan(scenario, given.margin, given.speed_share, given.margin_m, followed=follows)
     warned = following_warnings(scenario, plan) if follows else []
     if given.json:
         print(to_json(plan_json(plan) | {"within": within, "warnings": warned}))

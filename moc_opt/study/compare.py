@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -20,7 +20,7 @@ from moc_opt.report.tables import Column, Table
 from moc_opt.scenario import Scenario, make_solver
 from moc_opt.solvers.base import Solver
 from moc_opt.solvers.registry import check_solver
-from moc_opt.study.results import FRAMES, TITLES, Results
+from moc_opt.study.results import ERRORS, FRAMES, TITLES, Results, change_name
 from moc_opt.study.show import columns, intervals_picture
 from moc_opt.study.statistics import LEAST_TRIALS, Change, Interval, too_few
 from moc_opt.study.trials import BASELINE, Trial, placed, run_and_trace
@@ -33,16 +33,14 @@ if TYPE_CHECKING:
 
 Solvers = Sequence[str | Solver] | Mapping[str, str | Solver]
 
-CHANGES = {
-    "mu_mean": "gain", "tip_error_model_mean_mm": "tip_change", "tip_error_registered_mean_mm": "tip_registered_change",
-    "rcm_error_model_mean_mm": "rcm_change", "rcm_error_registered_mean_mm": "rcm_registered_change",
-}  # fmt: skip
-"""Metric -> name of its change against DCAC in `Comparison.summary` [percent]."""
+METRICS_SHOWN = ("mu_mean", *(name for name in ERRORS if "model" in name or "registered" in name))
+CHANGES = {change_name(metric): f"{TITLES.get(metric, 'mu')}: change" for metric in METRICS_SHOWN}
+"""Name of a metric's change against DCAC [percent] -> its heading."""
 COLUMNS = [
     Column("solver", "solver"), Column("trials", "trials"), Column("verified", "verified", "%", ".4g"),
     Column("silently_wrong", "silently wrong"), Column("solve_p50_us", "p50", "us"),
-    *(Column(change, f"{TITLES.get(metric, 'mu')}: change", "%") for metric, change in CHANGES.items()),
-    *columns(*CHANGES), Column("oscillated", "oscillated"), Column("solve_p99_us", "p99", "us"),
+    *(Column(name, heading, "%") for name, heading in CHANGES.items()),
+    *columns(*METRICS_SHOWN), Column("oscillated", "oscillated"), Column("solve_p99_us", "p99", "us"),
 ]  # fmt: skip
 CAPTION = (
     f"Means over the trials that came to their end, from {LEAST_TRIALS} trials on with 95 % intervals. Changes: of the "
@@ -95,15 +93,15 @@ class Comparison:
         return self._results.change(metric, solver) if self.values(solver, metric) else None
 
     def summary(self) -> dict[str, dict[str, Any]]:
-        """Return solver -> counts, shares, medians of times, means as `Interval` and changes as `Change`."""
-        return {name: self._of(name) for name in self.solvers}
+        """Return solver -> what a study's summary.json says of it, and the claims and times of its answers."""
+        return {
+            name: self._results.figures(name, METRICS_SHOWN, METRICS_SHOWN) | self._answers(name)
+            for name in self.solvers
+        }
 
-    def _of(self, name: str) -> dict[str, Any]:
+    def _answers(self, name: str) -> dict[str, Any]:
         rows = list(self._results.where(solver=name))
-        found: dict[str, Any] = {
-            "trials": sum(row["whole"] for row in rows), "of": len(rows),
-            "oscillated": sum(Ending.of(row["ended"]) is Ending.OSCILLATED for row in rows),
-        }  # fmt: skip
+        found: dict[str, Any] = {"oscillated": sum(Ending.of(row["ended"]) is Ending.OSCILLATED for row in rows)}
         asked = [row for row in rows if row.get("asked")]
         if asked and all("verified_solved" in row for row in asked):
             ticks, verified, wrong = (
@@ -112,10 +110,6 @@ class Comparison:
             found |= {"verified": 100.0 * verified / ticks, "silently_wrong": wrong}
         if asked:
             found |= {key: float(np.median([row[key] for row in asked])) for key in ("solve_p50_us", "solve_p99_us")}
-        for metric, change in CHANGES.items():
-            found[metric] = self.mean(name, metric)
-            if name != BASELINE:
-                found[change] = self.change(name, metric)
         return found
 
     @property
@@ -123,11 +117,11 @@ class Comparison:
         """One row per solver: trials, claims and verified answers, times, and the effect on the arm."""
         rows, failures = [], []
         for name, found in self.summary().items():
-            trials = f"{found['trials']}" + f" of {found['of']}" * (found["trials"] < found["of"])
-            rows.append({**{key: _cell(value) for key, value in found.items()}, "solver": name, "trials": trials})
+            trials = f"{found['whole']}" + f" of {found['trials']}" * (found["whole"] < found["trials"])
+            rows.append({**found, **_cells(found), "solver": name, "trials": trials})
             errors = [row["error"] for row in self.rows if (row["solver"], row["ended"]) == (name, Ending.FAILED.value)]
             failures += [f"{name} failed in {len(errors)}: {errors[0]}."] if errors else []
-        optional = {"oscillated", *CHANGES.values()}
+        optional = {"oscillated", *CHANGES}
         known = [column for column in COLUMNS if column.key not in optional or any(row.get(column.key) for row in rows)]
         unjudged = any(row.get("asked") and "verified_solved" not in row for row in self.rows)
         other = ANOTHER_PROBLEM if unjudged and self.scenario.judge else ""
@@ -159,13 +153,15 @@ class Comparison:
         return repr(self.table)
 
 
-def _cell(value: Any) -> Any:
-    """Write a mean or a change with its interval; of too few trials the mean alone, and no change."""
-    if isinstance(value, Interval):
-        return f"{value.value:.3g}" if too_few(value.samples) else f"{value:.3g}"
-    if isinstance(value, Change):
-        return None if too_few(value.ratio.samples) else f"{value.ratio:+.3g}" + "?" * value.undecided
-    return value
+def _cells(found: Mapping[str, Any]) -> dict[str, str | None]:
+    """Write means and changes with their intervals; of too few trials the mean alone, and no change."""
+    cells = dict[str, str | None]()
+    for name in (name for name in (*METRICS_SHOWN, *CHANGES) if name in found):
+        few, sign = too_few(found["compared" if name in CHANGES else "whole"]), "+" * (name in CHANGES)
+        value, low, high = (f"{found[name + end]:{sign}.3g}" for end in ("", "_low", "_high"))
+        whole = f"{value} [{low}, {high}]" + "?" * bool(found.get(f"{name}_undecided"))
+        cells[name] = whole if not few else None if name in CHANGES else value
+    return cells
 
 
 def compare(
@@ -206,8 +202,7 @@ def compare(
             except MocOptError as error:
                 if not rows:
                     raise  # it is the scenario's
-                tagged = [Trial(case, name, tags={"solver": name}) for name in chosen]
-                rows += [trial.failed(describe(error)).row for trial in tagged]
+                rows += [Trial(case, name, tags={"solver": name}).failed(describe(error)).row for name in chosen]
                 continue
             rows += _trial(case, chosen, f"trial {done + 1} of {trials}", watch)
     except KeyboardInterrupt:
@@ -248,9 +243,9 @@ def _named(solvers: Solvers, base: Scenario) -> dict[str, str | Solver]:
     """Return name -> solver, the baseline first; every name is made once, so that a wrong one is found now."""
     if isinstance(solvers, str) or not isinstance(solvers, Mapping | Sequence):
         raise SolverError(f"solvers = {shown(solvers)}: give a list of names or solvers, such as ['exact', 'osqp']")
-    named = solvers.items() if isinstance(solvers, Mapping) else [
-        (one if isinstance(one, str) else getattr(one, "name", ""), one) for one in solvers
-    ]
+    named: Iterable[tuple[Any, str | Solver]] = (
+        solvers.items() if isinstance(solvers, Mapping) else [(getattr(one, "name", one), one) for one in solvers]
+    )
     robot, chosen = base.robot.arm(), dict[str, str | Solver]({BASELINE: BASELINE})
     for name, solver in named:
         if not isinstance(solver, str):

@@ -173,14 +173,14 @@ def test_where_the_means_disagree_the_change_is_marked(wide):
     change = wide.change("exact", "tip_error_model_mean_mm")
     assert change.ratio.value < 0.0 < change.ratios.value
     row = wide.table.rows[1]
-    assert row["tip_change"] == f"{change.ratio:+.3g}?"
-    assert row["gain"].endswith("]")
+    assert row["tip_error_model_change_percent"] == f"{change.ratio:+.3g}?"
+    assert row["mu_gain_percent"].endswith("]")
 
 
 @pytest.mark.parametrize(("trials", "decided"), [(7, False), (8, True)])
 def test_few_trials_show_no_change(trials, decided):
     table = compared(trials).table
-    assert ("gain" in {column.key for column in table.columns}) is decided
+    assert ("mu_gain_percent" in {column.key for column in table.columns}) is decided
     assert ("[" in table.rows[1]["mu_mean"]) is decided
     assert max(map(len, repr(compared(trials)).splitlines())) <= 200
 
