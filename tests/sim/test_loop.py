@@ -21,21 +21,17 @@ class Holding:
         self.started, self.seen, self.order = [], [], []
 
     def start(self, *given):
-        """Remember what the run begins with."""
         self.started.append([np.array(each) for each in given])
 
     def tick(self, q, v, tip_ref, trocar):
-        """Gravity, damping and a push on joint 1."""
         self.order.append("tick")
         self.seen.append([np.array(each) for each in (q, v, tip_ref, trocar)])
         return self.robot.gravity(q) - 5.0 * v + self.push * np.eye(7)[0]
 
     def columns(self, ticks):
-        """One column of its own."""
         return {"extra": np.zeros(ticks)}
 
     def note(self, row, columns):
-        """The number of ticks so far."""
         self.order.append("note")
         columns["extra"][row] = len(self.seen)
 
