@@ -1,7 +1,5 @@
 """Solvers that misbehave, as a plug-in on disk: workers find them as they find any third party's."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 MODULE = """

@@ -1,7 +1,5 @@
 """Arms and poses that several test files share."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import signal

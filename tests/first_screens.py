@@ -1,7 +1,5 @@
 """What every report has to begin with, read off its HTML."""
 
-from __future__ import annotations
-
 import re
 
 FOLDS = '<details class="section"'

@@ -1,7 +1,5 @@
 """Subproblems at the edge of what can be computed: rounded or nearly singular Jacobians, huge and tiny numbers."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from moc_opt.qp.problem import NullSpaceQP

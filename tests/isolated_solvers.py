@@ -1,7 +1,5 @@
 """Solvers that misbehave; their processes import this module, so that it is a light one."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

@@ -4,8 +4,6 @@ An arm is given by its joint axes at q = 0 (product of exponentials), so that ti
 real arm, and the gradient of the manipulability belongs to the same arm.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -1,6 +1,5 @@
-"""Your solver in fifteen lines: installed into a fresh environment, it is compared with the rest."""
+"""Your solver in fifteen lines: installed into a fresh environment, it is found and conforms."""
 
-import json
 import os
 import shutil
 import subprocess
@@ -60,25 +59,3 @@ def test_it_passes_the_conformance_suite(python):
     code, output, _ = call(python, "-m", "pytest", suite, "-k", "slsqp", "-p", "no:cacheprovider", cwd=ROOT)
     assert code == 0, output
     assert int(output.split(" passed")[0].split()[-1]) >= 8
-
-
-def test_it_is_compared_with_the_rest(python, tmp_path):
-    """The main job's own command, in the fresh environment."""
-    (tmp_path / "small.toml").write_text(
-        "[open_loop]\nticks = 20\ncold = 3\n[testsets]\nnames = ['circle']\nevery = 16\nrounds = 2\nseconds = 0.1\n"
-        "[closed_loop]\ntasks = ['circle']\ntrials = 1\nothers = 1\nduration_s = 0.2\n[scenario]\nbound_samples = 2\n"
-    )
-    code, output, _ = call(
-        python, "-m", "benchmarks.solvers", tmp_path / "small.toml", "--only", "exact", "slsqp",
-        "--out", tmp_path / "out", "--parts", "testsets", "closed_loop", cwd=ROOT,
-    )  # fmt: skip
-    assert code == 0, output
-    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
-    mine, exact = (summary["testset circle"][f"{name}@recommended"] for name in ("slsqp", "exact"))
-    assert mine["claimed_solved"] == mine["solves"] == exact["solves"]
-    assert mine["verified_solved"] >= 0.9 * mine["solves"]
-    assert mine["solve_p50_us"] > exact["solve_p50_us"]
-    loop = summary["closed_loop"]
-    assert loop["slsqp"]["whole"] == loop["slsqp"]["trials"] == 1
-    assert loop["slsqp"]["mu_mean"] == pytest.approx(loop["exact"]["mu_mean"], rel=1e-3)
-    assert "slsqp" in output

@@ -4,8 +4,6 @@ The figures lie in frozen.json beside this file; the tolerances are of a size th
 is meant to move them writes them anew, with ``python -m tests.test_frozen --write``, and says why in its commit.
 """
 
-from __future__ import annotations
-
 import json
 import sys
 from collections import Counter

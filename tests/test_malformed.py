@@ -15,6 +15,7 @@ from hypothesis.extra.numpy import array_shapes, arrays
 
 import moc_opt as mo
 from moc_opt.commands.running import read_waypoints
+from moc_opt.inputs.files import to_toml
 from moc_opt.realtime import wire
 from moc_opt.robots import loader
 from moc_opt.scenario import Scenario, Setup, run
@@ -78,33 +79,17 @@ def test_a_scenario_runs_or_names_the_field(changes):
 
 # --- files ---
 
-SCENARIO_TOML = """
-name = "a run"
-seed = 3
-duration_s = 0.1
-[robot]
-name = "lwr4"
-tool_length_m = 0.3
-[start]
-swivel = 0.5
-[trocar]
-breathing_amplitude_m = 0.01
-breathing_direction = [1.0, 0.0, 0.0]
-[task]
-path = "circle"
-sizes = { radius = 0.03 }
-[control]
-preset = "tuned"
-[control.supervisor]
-hold_ticks = 5
-[solver]
-name = "osqp"
-settings = { eps = 1e-8 }
-[plant]
-delay_ticks = 2
-[faults]
-bump_N = 5.0
-"""
+SCENARIO_TOML = to_toml({
+    "name": "a run", "seed": 3, "duration_s": 0.1,
+    "robot": {"name": "lwr4", "tool_length_m": 0.3},
+    "start": {"swivel": 0.5},
+    "trocar": {"breathing_amplitude_m": 0.01, "breathing_direction": [1.0, 0.0, 0.0]},
+    "task": {"path": "circle", "sizes": {"radius": 0.03}},
+    "control": {"preset": "tuned", "supervisor": {"hold_ticks": 5}},
+    "solver": {"name": "osqp", "settings": {"eps": 1e-8}},
+    "plant": {"delay_ticks": 2},
+    "faults": {"bump_N": 5.0},
+})  # fmt: skip
 
 
 def drive(robot):

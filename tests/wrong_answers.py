@@ -4,8 +4,6 @@ The feasible set is a box cut by A x = b: at a corner r joints are at their boun
 corner is, is found by going through all active sets, without the solvers and without the judge.
 """
 
-from __future__ import annotations
-
 from itertools import combinations, product
 from typing import NamedTuple
 

@@ -3,8 +3,6 @@
 That jobs run in other processes, and are kept there, is tested once: in tests/study and in test_sweep.py.
 """
 
-from __future__ import annotations
-
 import json
 import pickle
 from collections.abc import Callable, Sequence

@@ -1,7 +1,5 @@
 """The commands of a checkout: those that the documents name exist, and the figures of studies get into the pages."""
 
-from __future__ import annotations
-
 import importlib
 import json
 import re

@@ -1,7 +1,5 @@
 """Goals: what reaches them, and what is said of them."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

@@ -1,7 +1,5 @@
 """Phases of a run: the same ticks for all controllers of a trial."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

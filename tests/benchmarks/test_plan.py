@@ -1,7 +1,5 @@
 """The study of planning: figures that follow from its rows, and an order among courses, map and bounds."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

@@ -1,7 +1,5 @@
 """The benchmark against the clock: what it counts, and that a run of it is a run over the wire."""
 
-from __future__ import annotations
-
 import json
 import os
 import sys

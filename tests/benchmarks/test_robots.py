@@ -1,7 +1,5 @@
 """The study of the arms: its figures follow from its rows, and what broke off or found no start is counted."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

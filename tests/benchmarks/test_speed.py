@@ -84,30 +84,6 @@ def test_the_limit_steps_through_the_states_of_the_run():
     assert np.abs(after[:-1, 1 : 1 + n] - states[1:, 1 : 1 + n]).max() < 0.01 * moved.max()
 
 
-def made_up():
-    """A summary with a number for everything that the report and the goals ask for."""
-    times = {"tick_p50_us": 20.0, "tick_p99_us": 30.0, "tick_p99_9_us": 90.0}
-    parts = {
-        "tick": {"exact": times, "c": {"tick_mean_us": 3.0, "tick_max_us": 9.0}},
-        "tick_parts": {"solver": times},
-        "peers": {"pink-trimmed": {**times, "level": "velocity", "tip_error_max_mm": 0.1, "tick_p50_us": 300.0,
-                                   "times_ours": 15.0}},
-        "batch": {"exact": {"batch": 1e6, "batch_one_thread_per_s": 2.1e6, "batch_two_threads_per_s": 4.2e6}},
-        "adapters": {"exact": {"adapter_p50_us": 1.0},
-                     timed.BY_HAND: {"adapter_p50_us": 10.0, "ratio_of_exact": 0.1}},
-        "loop": {"python": {"factor": 40.0, "us_per_tick": 29.0, **times}},
-        "setup": {"first_tick_s": 0.4, "first_run_s": 8.0, "libraries_s": 0.3, "model_s": 0.1, "start_and_tick_s": 0.0},
-    }  # fmt: skip
-    rows = [{"part": "loop", "us_per_tick": 29.0, "steps_us": 7.0}]
-    return speed.summed_up(timed.Part(parts, rows), {"peer tsid": "it is missing"})
-
-
-def test_goals_are_read_off_the_summary():
-    found = made_up()["goals"]
-    assert {key: goal["reached"] for key, goal in found.items()} == dict.fromkeys(speed.GOALS, "yes")
-    assert (found["batch"]["value"], found["limit"]["value"]) == (4.2, 2.9)
-
-
 SMALL = """
 solvers = ["exact", "proxqp"]
 ticks = 100

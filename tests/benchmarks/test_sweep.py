@@ -1,7 +1,5 @@
 """Sweeps: which runs a configuration makes, and what the command leaves."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

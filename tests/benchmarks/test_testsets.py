@@ -1,7 +1,5 @@
 """Certificate and shipped sets: optima by enumeration without rounding, which HiGHS and the judge bear out."""
 
-from __future__ import annotations
-
 from fractions import Fraction
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The trials of every study are independent: no two of them share a seed, a start or an error of registration."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType

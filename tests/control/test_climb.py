@@ -1,7 +1,5 @@
 """What pulls the elbow, and what keeps it off its limits: the scaled climb, the box and the shaft's margin in runs."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,20 +1,13 @@
-"""The live page: where it listens, how it ends, and, in a real browser, that its controls reach the run.
+"""The live page: where it listens, who commands it, and, in a real browser, that its controls reach the run.
 
 Skipped where viser, playwright or a Chromium is missing.
 """
 
-from __future__ import annotations
-
 import asyncio
-import os
-import signal
 import socket
-import subprocess
-import sys
 import threading
 from collections.abc import Iterator
 from contextlib import suppress
-from pathlib import Path
 from time import monotonic, sleep
 from typing import Any
 
@@ -35,7 +28,6 @@ from websockets.sync.client import connect  # noqa: E402
 
 SCENARIO = Scenario(start={"swivel": 0.2})
 PATIENCE_S = 30.0
-ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.fixture(scope="module")
@@ -84,26 +76,6 @@ def test_it_keeps_step_with_the_clock(live: LivePage) -> None:
         return abs(live.run.t_s - monotonic() - lead) < 0.25
 
     until(in_step, "too fast, or too slow, whenever one looks")
-
-
-def test_ctrl_c_ends_it_cleanly() -> None:
-    code = (
-        "from moc_opt.live.page import serve; from moc_opt.scenario import Scenario; "
-        "raise SystemExit(serve(Scenario(), port=0))"
-    )
-    program = subprocess.Popen(
-        [sys.executable, "-c", code], cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-    )  # fmt: skip
-    assert program.stderr is not None
-    try:
-        assert "live at http://127.0.0.1:" in program.stderr.readline()
-        sleep(0.5)
-        program.send_signal(signal.SIGINT)
-        out, err = program.communicate(timeout=PATIENCE_S)
-    finally:
-        program.kill()
-    assert (program.returncode, out, err) == (0, "", "ended\n")
 
 
 def test_of_rapid_choices_the_last_one_runs(live: LivePage) -> None:

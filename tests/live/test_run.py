@@ -1,7 +1,5 @@
 """The run behind the live page, without a page: what it computes, how controllers are exchanged, what is refused."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 from unittest.mock import Mock

@@ -1,14 +1,12 @@
 """What tests put on a wire: a relay that loses, repeats, cuts and falsifies packets, and a controller they play."""
 
-from __future__ import annotations
-
 import select
 import socket
 import threading
 from collections import Counter
 from collections.abc import Callable
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -49,7 +47,7 @@ class Relay:
         """Where the controller is to connect to."""
         return written(self._ends[0].getsockname())
 
-    def __enter__(self) -> Relay:
+    def __enter__(self) -> Self:
         self._thread.start()
         return self
 

@@ -1,7 +1,5 @@
 """Both ends, each with the other one played by the test, and the clock against a clock of the test: nothing waits."""
 
-from __future__ import annotations
-
 import os
 from unittest.mock import Mock
 

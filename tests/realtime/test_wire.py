@@ -1,7 +1,5 @@
 """Packets: their bytes are what docs/realtime.md says, any change breaks the check, and only sound ones pass."""
 
-from __future__ import annotations
-
 import re
 import socket
 from pathlib import Path

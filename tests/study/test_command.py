@@ -1,7 +1,5 @@
 """The command of a study: options, files, what is printed, exit status, and what stays of a study that is ended."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

@@ -1,7 +1,5 @@
 """Jobs come back whole or with the reason; what was finished is not done again."""
 
-from __future__ import annotations
-
 import importlib
 import os
 import signal

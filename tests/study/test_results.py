@@ -1,7 +1,5 @@
 """The table of rows: means and changes by hand, what enters them, and its files."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

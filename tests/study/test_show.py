@@ -1,7 +1,5 @@
 """What a reader sees of a study: its page, its Markdown, columns of metrics, and goals."""
 
-from __future__ import annotations
-
 from moc_opt.figures.style import figure
 from moc_opt.report.tables import Column, Table
 from moc_opt.study import show
@@ -31,14 +29,6 @@ def test_a_page_begins_with_the_answer_and_folds_the_rest() -> None:
     places = [text.index(part) for part in order]
     assert places == sorted(places)
     assert "Runs that failed" not in REPORT.page({}).html()
-
-
-def test_markdown_has_every_sentence_and_table_and_a_terminal_the_first_screen() -> None:
-    assert list(REPORT.screens()) == [*REPORT.answer, TABLE, REPORT.load]
-    assert REPORT.markdown() == (
-        "# A title\n\nIt holds.\n\nIt is `exact`.\n\n| arm | mean [m^3] |\n| --- | --- |\n| a\\|b | 0.13 |\n| c | – |"
-        "\n\nOver ten trials.\n\nTimes were taken.\n\n## All figures\n\nRead these.\n\n| arm |\n| --- |\n| panda |\n"
-    )
 
 
 def test_columns_take_unit_format_and_help_from_the_metrics() -> None:

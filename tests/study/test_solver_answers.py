@@ -1,7 +1,5 @@
 """Answers to sets: what is counted as what, and that a solver which hangs or crashes is recorded and no more."""
 
-from __future__ import annotations
-
 from functools import partial
 from typing import Any
 

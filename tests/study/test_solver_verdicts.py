@@ -1,7 +1,5 @@
 """Verdicts follow their stated rules, and the first screen says what they rest on."""
 
-from __future__ import annotations
-
 import io
 import re
 from typing import Any

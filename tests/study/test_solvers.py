@@ -1,7 +1,5 @@
 """The study of solvers: its files and parts, and that broken solvers end nothing."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

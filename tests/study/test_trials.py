@@ -1,7 +1,5 @@
 """A trial becomes a row: its seed, the same start for all controllers, and whatever way the run ends."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -25,8 +23,7 @@ def case() -> Scenario:
 
 
 def test_each_seed_has_a_scenario_of_its_own() -> None:
-    own, other = study.seeds(0, 0, 6), study.seeds(0, 1, 60)
-    assert not {*own} & {*other}
+    own = study.seeds(0, 0, 6)
     drawn = study.trials(SHORT, list(BOARD_TASKS), own, virtual=True)
     assert [scene.seed for scene in drawn] == own
     assert [scene.name for scene in drawn] == [f"{task}/{s}" for task, s in zip([*BOARD_TASKS] * 2, own, strict=True)]

@@ -1,7 +1,5 @@
 """Jobs for the tests of the engine: what a trial, or a solver inside it, may do."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess
