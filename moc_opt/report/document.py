@@ -54,8 +54,7 @@ def check_out(path: str | os.PathLike[str], what: str, *, force: bool = False) -
 
     Only ``force`` replaces a file that is no page of moc_opt.
     """
-    file = Path(path)
-    check_replaceable(file, what, ReportError)
+    file = check_replaceable(path, what, ReportError)
     if os.path.isfile(file) and not force:
         with suppress(OSError), file.open("rb") as content:
             if GENERATOR in content.read(2000):

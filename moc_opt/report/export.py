@@ -18,6 +18,7 @@ from moc_opt.inputs.files import write_whole
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
+    from playwright.sync_api import Page as BrowserPage
 
 WIDTH_PX = 680
 """Of a figure that has no width of its own: 180 mm, two columns of a journal; 12 px of type are then 9 pt."""
@@ -41,7 +42,11 @@ def save_figures(
         if name != Path(name).name:
             raise ReportError(f"figure {name!r}: give a name without a folder in it")
     with browser() as chromium:
-        drawn = _draw(chromium, figures)
+        page = chromium.new_page()
+        page.route("**/*", lambda route: route.abort())  # nothing that a figure refers to is fetched
+        page.set_content(SHEET)
+        page.add_script_tag(content=get_plotlyjs())
+        drawn = {name: _drawn(page, figure) for name, figure in figures.items()}
     return [
         write_whole(Path(directory) / f"{name}.{kind}", contents[kind], "figure", ReportError)
         for name, contents in drawn.items() for kind in formats
@@ -76,23 +81,14 @@ def browser() -> Iterator[Browser]:
         raise BrowserError(f"the browser failed: {str(error).splitlines()[0]}; {CURE}") from error
 
 
-def _draw(chromium: Browser, figures: Mapping[str, go.Figure]) -> dict[str, dict[str, bytes]]:
-    page = chromium.new_page()
-    page.route("**/*", lambda route: route.abort())  # nothing that a figure refers to is fetched
-    page.set_content(SHEET)
-    page.add_script_tag(content=get_plotlyjs())
-    drawn = {}
-    for name, figure in figures.items():
-        height = figure.layout.height or figure.layout.template.layout.height or 450
-        size = {"width": figure.layout.width or WIDTH_PX, "height": height}
-        url = page.evaluate(
-            "([figure, size]) => Plotly.toImage(JSON.parse(figure), {format: 'svg', ...size})",
-            [figure.to_json(), size],
-        )
-        svg = unquote(url.partition(",")[2])
-        page.evaluate("svg => { document.body.innerHTML = svg }", svg)
-        width, height = (f"{side}px" for side in size.values())
-        pdf = page.pdf(width=width, height=height, print_background=True, page_ranges="1")
-        drawn[name] = {"svg": svg.encode(), "pdf": pdf}
-    page.close()
-    return drawn
+def _drawn(page: BrowserPage, figure: go.Figure) -> dict[str, bytes]:
+    width = figure.layout.width or WIDTH_PX
+    height = figure.layout.height or figure.layout.template.layout.height or 450
+    url = page.evaluate(
+        "([figure, size]) => Plotly.toImage(JSON.parse(figure), {format: 'svg', ...size})",
+        [figure.to_json(), {"width": width, "height": height}],
+    )
+    svg = unquote(url.partition(",")[2])
+    page.evaluate("svg => { document.body.innerHTML = svg }", svg)
+    pdf = page.pdf(width=f"{width}px", height=f"{height}px", print_background=True, page_ranges="1")
+    return {"svg": svg.encode(), "pdf": pdf}

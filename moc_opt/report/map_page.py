@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -63,9 +63,8 @@ COLUMNS = (
 )  # fmt: skip
 
 
-def add_map(page: Page, found: SwivelMap, *, styles: Styles | None = None) -> list[Reading]:
-    """Append figure and table of one map; return the reading of each trajectory. Raises as `map_figure`."""
-    readings = [read_trajectory(found, trajectory) for trajectory in found.trajectories]
+def add_map(page: Page, found: SwivelMap, *, styles: Styles | None = None) -> None:
+    """Append figure and table of one map; raises as `map_figure`."""
     drawn = map_figure(found, styles)
     if found.held:
         page.text(
@@ -80,8 +79,8 @@ def add_map(page: Page, found: SwivelMap, *, styles: Styles | None = None) -> li
         "reach. A line is the trajectory of one run, from the marker at its start; the dotted one joins the best "
         "poses, and may leap where no arm can follow.", name="map",
     )  # fmt: skip
-    page.table(Table("Trajectories on the map", COLUMNS, [_row(one) for one in readings]))
-    return readings
+    rows = [_row(read_trajectory(found, trajectory)) for trajectory in found.trajectories]
+    page.table(Table("Trajectories on the map", COLUMNS, rows))
 
 
 def _row(reading: Reading) -> dict[str, Any]:
@@ -124,27 +123,20 @@ def map_figure(found: SwivelMap, styles: Styles | None = None) -> go.Figure:
     runs = found.trajectories
     drawn = figure(height=HEIGHT_PX + legend_height([*runs, "best", "not allowed"]), margin_t=24)
     _colors(drawn, found, allowed)
-    best = _broken(found.t_s, np.degrees(found.best_swivel_rad), found.best_mu)
-    _edge(drawn, best, "best")
+    best = _edged(drawn, "best", found.t_s, found.best_swivel_rad, found.best_mu)
     for name, run in runs.items():
         dash = "dot" if run.gap_rad > OTHER_BRANCH_RAD else styles[name].dash
-        trail = _broken(run.t_s, np.degrees(run.swivel_rad), run.mu)
-        _edge(drawn, trail, name)
-        drawn.add_scatter(
-            **trail, legendgroup=name, name=label(name), hovertemplate=HOVER,
-            line={"color": styles[name].color, "width": 2.4, "dash": dash},
-        )  # fmt: skip
+        line = {"color": styles[name].color, "width": 2.4, "dash": dash}
+        drawn.add_scatter(**_edged(drawn, name, run.t_s, run.swivel_rad, run.mu), name=label(name), line=line)
     # Above the others: a run that has arrived lies on it. The map is light on dark pages too, the legend is not: its
     # sample has the colour of the text.
-    dotted = {"legendgroup": "best", "name": "best"}
-    line = {"width": 2.0, "dash": "dot"}
-    drawn.add_scatter(**best, **dotted, showlegend=False, hovertemplate=HOVER, line={"color": BEST, **line})
-    drawn.add_scatter(x=[None], y=[None], mode="lines", **dotted, line={"color": INK, **line})
-    starts = list(runs.values())
+    dotted = {"width": 2.0, "dash": "dot"}
+    drawn.add_scatter(**best, name="best", showlegend=False, line={"color": BEST, **dotted})
+    drawn.add_scatter(x=[None], y=[None], mode="lines", legendgroup="best", name="best", line={"color": INK, **dotted})
+    starts = [(run.t_s[0], math.degrees(run.swivel_rad[0])) for run in runs.values()]
     drawn.add_scatter(
-        x=[run.t_s[0] for run in starts], y=[math.degrees(run.swivel_rad[0]) for run in starts], mode="markers",
-        showlegend=False, hoverinfo="skip", cliponaxis=False,
-        marker={"color": BEST, "size": 10, "line": {"color": EDGE, "width": 1.8}},
+        x=[t for t, _ in starts], y=[swivel for _, swivel in starts], mode="markers", showlegend=False,
+        hoverinfo="skip", cliponaxis=False, marker={"color": BEST, "size": 10, "line": {"color": EDGE, "width": 1.8}},
     )  # fmt: skip
     drawn.add_scatter(
         x=[None], y=[None], mode="markers", name="not allowed",
@@ -180,14 +172,10 @@ def _colors(drawn: go.Figure, found: SwivelMap, allowed: NDArray[np.bool_]) -> N
     )  # fmt: skip
 
 
-def _broken(t: Array, degrees: Array, mu: Array) -> dict[str, Any]:
-    """Return a line for plotly, with a gap wherever it leaps."""
-    leaps = np.flatnonzero(np.abs(np.diff(degrees)) > LEAP_DEG) + 1
-    t, degrees, mu = (np.insert(values, leaps, np.nan) for values in (t, degrees, mu))
-    return {"x": t, "y": degrees, "customdata": mu, "mode": "lines", "connectgaps": False}
-
-
-def _edge(drawn: go.Figure, trail: Mapping[str, Any], group: str) -> None:
-    drawn.add_scatter(
-        **trail, legendgroup=group, line={"color": EDGE, "width": 4.6}, showlegend=False, hoverinfo="skip"
-    )
+def _edged(drawn: go.Figure, group: str, t: Array, swivel_rad: Array, mu: Array) -> dict[str, Any]:
+    """Draw the white edge of a line, and return the line for plotly, with a gap wherever it leaps."""
+    leaps = np.flatnonzero(np.abs(np.diff(swivel_rad)) > np.radians(LEAP_DEG)) + 1
+    x, y, values = (np.insert(of, leaps, np.nan) for of in (t, np.degrees(swivel_rad), mu))
+    line = {"x": x, "y": y, "mode": "lines", "connectgaps": False, "legendgroup": group}
+    drawn.add_scatter(**line, line={"color": EDGE, "width": 4.6}, showlegend=False, hoverinfo="skip")
+    return {**line, "customdata": values, "hovertemplate": HOVER}

@@ -5,7 +5,6 @@ from __future__ import annotations
 import base64
 import gzip
 import os
-import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
@@ -67,9 +66,8 @@ class Page:
 
     def text(self, text: str) -> None:
         """Append paragraphs."""
-        for paragraph in re.split(r"\n\s*\n", text.strip()):
-            if paragraph:
-                self._add(_PARTS.paragraph(paragraph))
+        for paragraph in filter(None, text.split("\n\n")):
+            self._add(_PARTS.paragraph(paragraph))
 
     def table(self, table: Table) -> None:
         """Append a numbered table."""

@@ -14,11 +14,9 @@ if TYPE_CHECKING:
     from moc_opt.planning.plan import Plan
     from moc_opt.robots.model import RobotModel
 
-MU_MEAN = Column("mu_mean", "mean mu", unit="m^3", format=".4f", better="high")
-MU_WORST = Column("mu_worst", "worst mu", unit="m^3", format=".4f", better="high")
-VERDICT = [Column("what", "plan"), Column("value", "value")]
 COURSES = [
-    Column("course", "course"), MU_MEAN, MU_WORST,
+    Column("course", "course"), Column("mu_mean", "mean mu", unit="m^3", format=".4f", better="high"),
+    Column("mu_worst", "worst mu", unit="m^3", format=".4f", better="high"),
     Column("share_percent", "of best", unit="%", format=".1f", help="mean mu over that of the best over all starts"),
     Column("certified", "optimum", help="'local' to the tolerance of the solver, or 'grid'"),
     Column("violation", "violation", unit="m, rad", format=".0e"),
@@ -75,8 +73,10 @@ def plan_tables(name: str, plan: Plan, **within: float) -> list[Table]:
             said[f"{what} (mean mu)"] = f"{bound:.5f}"
     said["computed in"] = ", ".join(f"{part} {seconds:.2f} s" for part, seconds in plan.took_s.items())
     rows = [{"what": what, "value": value} for what, value in said.items()]
-    courses = Table("Courses, best in mean mu", COURSES, _courses(plan), COURSES_TERMS)
-    return [Table(f"Plan of {name}", VERDICT, rows, VERDICT_TERMS), courses]
+    return [
+        Table(f"Plan of {name}", [Column("what", "plan"), Column("value", "value")], rows, VERDICT_TERMS),
+        Table("Courses, best in mean mu", COURSES, _courses(plan), COURSES_TERMS),
+    ]
 
 
 def _courses(plan: Plan) -> list[dict[str, Any]]:

@@ -196,20 +196,18 @@ def arm_parts(robot: RobotModel) -> list[Part]:
     plate = np.array([0.0, 1.9, 1.9, 1.25, 0.0]) * radius[0], np.array([0.0, 0.0, 0.012, 0.03, 0.03]) * reach
     parts = [Part(BASE, here, np.array([0.0, 0.0, 1.0]), *plate, "shell")]
     seen = np.flatnonzero(lengths > SHORTEST_M)
-    for k in seen:
-        link, below, above = k - 1, radius[max(k - 1, 0)], radius[min(k, n - 1)]
-        radii, heights = _capsule(below, above, lengths[k], flat=k == seen[-1])
-        heights = np.maximum(heights, 0.0) if link == BASE else heights  # it stands on the ground
-        parts.append(Part(int(link), here, ends[k] / lengths[k], radii, heights, "shell"))
+    bend = np.linspace(-0.5 * np.pi, 0.5 * np.pi, 16)
+    for k in seen:  # a cone from one ball to the next; flat on the ground, and at the flange, where the tool begins
+        ball = np.where(bend < 0.0, radius[max(k - 1, 0)], radius[min(k, n - 1)])
+        heights = np.where(bend < 0.0, 0.0, lengths[k]) + ball * np.sin(bend)
+        heights = heights.clip(0.0 if k == 0 else -np.inf, lengths[k] if k == seen[-1] else np.inf)
+        parts.append(Part(int(k) - 1, here, ends[k] / lengths[k], ball * np.cos(bend), heights, "shell"))
     for j, axis in enumerate(chain.axes):
         # The longer of the two links at a joint tells its kind: wrists have links of no length.
         beside = max(ends[j + 1], chain.rotations[j].T @ ends[j], key=np.linalg.norm)
-        r, distance = radius[j], np.linalg.norm(beside)
-        if distance > SHORTEST_M and abs(axis @ beside) < ACROSS * distance:
-            parts.append(Part(j, here, axis, *_drum(1.06 * r, 1.12 * r), "shell"))
-            parts.append(Part(j, here, axis, *_drum(0.78 * r, 1.22 * r), "joint"))
-        else:
-            parts.append(Part(j, here, axis, *_drum(1.04 * r, 0.10 * r), "joint"))
+        across = abs(axis @ beside) < ACROSS * np.linalg.norm(beside)
+        drums = [(1.06, 1.12, "shell"), (0.78, 1.22, "joint")] if across else [(1.04, 0.10, "joint")]
+        parts += [Part(j, here, axis, *_drum(wide * radius[j], half * radius[j]), role) for wide, half, role in drums]
     thin, length = 0.004, robot.data.tool_length
     foot = np.minimum([0.0, 0.0, 0.012, 0.03, 0.032], 0.5 * length)
     radii = thin * np.array([0.0, 5.0, 5.0, 2.0, 1.0, 1.0, 0.75, 0.0])
@@ -217,17 +215,8 @@ def arm_parts(robot: RobotModel) -> list[Part]:
     return [*parts, Part(n - 1, mount, along, radii, heights, "tool")]
 
 
-def _capsule(below: float, above: float, length: float, *, flat: bool) -> tuple[Array, Array]:
-    """Return a cone from one ball to the next; flat at the flange, where the tool begins."""
-    bend = np.linspace(0.0, 0.5 * np.pi, 8)
-    top = (np.array([1.0, 0.0]), np.zeros(2)) if flat else (np.cos(bend), np.sin(bend))
-    radii = np.concatenate([below * np.cos(bend[::-1]), above * top[0]])
-    return radii, np.concatenate([-below * np.sin(bend[::-1]), length + above * top[1]])
-
-
 def _drum(radius: float, half: float) -> tuple[Array, Array]:
     """Return a cylinder about its middle, its edges broken."""
     edge = 0.15 * min(radius, half)
-    side = np.array([0.0, radius - edge, radius])
-    rise = np.array([half, half, half - edge])
-    return np.concatenate([side, side[::-1]]), np.concatenate([-rise, rise[::-1]])
+    heights = np.array([-half, -half, edge - half, half - edge, half, half])
+    return np.array([0.0, radius - edge, radius, radius, radius - edge, 0.0]), heights
