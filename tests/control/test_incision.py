@@ -8,10 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from moc_opt import core
-from moc_opt.control.safety_filter import SafetyFilter, SafetyFilterSettings, numbers_of
+from moc_opt.control.safety_filter import SafetyFilterSettings, numbers_of
 from moc_opt.tasks import shaft_distance
+from tests.control.torques import PERIOD, guard_of
 
-PERIOD = 0.002
 SHORTEST_DEPTH_M = 0.05
 
 
@@ -64,12 +64,6 @@ def test_the_trocars_force_is_told_from_weight_and_from_what_the_tip_touches(rob
         assert found == pytest.approx(max(expected, across - allowed), abs=1e-6)
 
 
-def guard_of(robot, **changes):
-    mine = SafetyFilter(robot, SafetyFilterSettings(**changes), PERIOD, momentum=False)
-    mine.start(robot.data.q_home, np.zeros(7))
-    return mine
-
-
 def look(guard, q, trocar, wrench):
     """One tick at rest, as the sensor at the mount and the registered trocar have it."""
     guard.check_measurement(q, np.zeros(7), None, None, wrench, trocar)
@@ -98,7 +92,7 @@ def test_each_level_can_be_switched_off(robot, of, warning, limit, off):
     q = robot.data.q_home
     high = 5.0 * getattr(SafetyFilterSettings(), limit)
     for changes, told in (({limit: off, warning: off}, 0), ({limit: off}, 1)):
-        mine, wrong = guard_of(robot, **changes), (high, 0.0) if of == "the RCM error" else (0.0, high)
+        mine, wrong = guard_of(robot, incision=True, **changes), (high, 0.0) if of == "the RCM error" else (0.0, high)
         for _ in range(400):
             look(mine, q, off_by(robot, q, wrong[0]), weight(robot, q, wrong[1]))
         assert not mine.reason
@@ -118,7 +112,7 @@ def test_the_means_warn_and_stop_at_the_tick_that_their_law_says(robot, time_s):
     q, share = robot.data.q_home, min(1.0, PERIOD / time_s)
     seen = off_by(robot, q, 0.005), weight(robot, q, 6.0)
     both = {"RCM": means(5.0, 400, share), "force": means(6.0, 400, share)}
-    quiet = {"rcm_error_m": None, "trocar_force_N": None, "incision_s": time_s}
+    quiet = {"incision": True, "rcm_error_m": None, "trocar_force_N": None, "incision_s": time_s}
     for levels in ((2.0, 5.5), (4.0, 3.0)):
         guard = guard_of(robot, rcm_warning_m=1e-3 * levels[0], trocar_force_warning_N=levels[1], **quiet)
         for k in range(400):
@@ -146,20 +140,19 @@ def test_the_means_warn_and_stop_at_the_tick_that_their_law_says(robot, time_s):
 
 def test_a_deaf_sensor_stops_the_arm_and_a_short_gap_does_not(robot):
     q, bad = robot.data.q_home, np.full(6, np.nan)
-    guard, sound = guard_of(robot), (off_by(robot, q, 0.0), weight(robot, q))
+    guard, sound = guard_of(robot, incision=True), (off_by(robot, q, 0.0), weight(robot, q))
     for wrench in (bad, bad, bad, sound[1], bad, bad, bad):
         look(guard, q, sound[0], wrench)
     assert not guard.reason
     look(guard, q, sound[0], bad)
     assert "wrench sensor" in guard.reason
-    off = guard_of(robot, trocar_force_N=None, trocar_force_warning_N=None)
+    off = guard_of(robot, incision=True, trocar_force_N=None, trocar_force_warning_N=None)
     for _ in range(10):
         look(off, q, sound[0], bad)
     assert not off.reason
-    rcm = guard_of(robot, incision_s=PERIOD)
+    rcm = guard_of(robot, incision=True, incision_s=PERIOD)
     look(rcm, q, off_by(robot, q, 0.05), bad)
     assert rcm.reason.startswith("the RCM error")
-    bare = SafetyFilter(robot, SafetyFilterSettings(), PERIOD, incision=False, momentum=False)  # without a tool
-    bare.start(q, np.zeros(7))
+    bare = guard_of(robot)  # without a tool
     look(bare, q, off_by(robot, q, 1.0), bad)
     assert (bare.reason, bare.warnings) == ("", [])

@@ -7,22 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from moc_opt.control.safety_filter import SafetyFilter, SafetyFilterSettings, numbers_of
+from moc_opt.control.safety_filter import SafetyFilterSettings, numbers_of
 from moc_opt.errors import ControlError
 from moc_opt.robots.model import RobotModel, load_robot
 from moc_opt.scenario import Scenario, make_safety_filter
-
-PERIOD, N = 0.002, 7
-REST = np.zeros(N)
-
-
-def guard_of(robot, q=None, v=REST, carries=True, **changes):
-    """A guard without knowledge of incision and momentum, begun at a pose."""
-    mine = SafetyFilter(
-        robot, SafetyFilterSettings(**changes), PERIOD, carries=carries, incision=False, momentum=False
-    )
-    mine.start(robot.data.q_home if q is None else q, v)
-    return mine
+from tests.control.torques import PERIOD, REST, N, guard_of
 
 
 def bad_ticks(guard):
@@ -217,8 +206,7 @@ def test_at_rest_the_weight_is_carried_within_the_limits(robot, rate):
 def test_brakes_open_by_the_mean_of_the_trocars_force_and_not_by_a_blow(robot, newton):
     """m = 1 - (1 - 50 /s T)^k of a force that acts for k ticks; in one tick the tool's own inertia may show as much."""
     q, data = np.array(robot.data.q_home), robot.data
-    guard = SafetyFilter(robot, SafetyFilterSettings(), 0.002, momentum=False)
-    guard.start(q, REST)
+    guard = guard_of(robot, incision=True)
     pose = robot.tool_pose(q)
     calm = np.zeros(6)
     calm[:2] = -9.81 * data.tool_mass * pose[:2, 2]  # the tool's weight alone

@@ -1,10 +1,11 @@
-"""The core's law with the parts of it that a test names, on the terms of any state; and its supervisor by itself."""
+"""The core's law with the parts of it that a test names, on the terms of any state; supervisor and guard alone."""
 
 import numpy as np
 
 from moc_opt import core
 from moc_opt.control import supervisor
 from moc_opt.control.law import FALLBACKS, LATE
+from moc_opt.control.safety_filter import SafetyFilter, SafetyFilterSettings
 
 
 def law(n, arm=None, supervision=None, fallback="damping", **changes):
@@ -71,3 +72,15 @@ class Supervisor(supervisor.Supervisor):
     def solve(self, session, qp, Z, v=None):
         self._law.load(qp.row, np.ascontiguousarray(Z))
         return super().solve(session, qp, np.empty(qp.n), v)
+
+
+PERIOD, N = 0.002, 7
+REST = np.zeros(N)
+
+
+def guard_of(robot, q=None, v=REST, carries=True, incision=False, **changes):
+    """A guard without knowledge of the momentum, begun at a pose."""
+    settings = SafetyFilterSettings(**changes)
+    mine = SafetyFilter(robot, settings, PERIOD, carries=carries, incision=incision, momentum=False)
+    mine.start(robot.data.q_home if q is None else q, v)
+    return mine
