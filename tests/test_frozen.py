@@ -1,4 +1,4 @@
-"""Figures of the whole package, frozen while its insides are rebuilt: closed-loop runs and the certified problems.
+"""Figures of the whole package, frozen while its insides are rebuilt: closed-loop runs.
 
 The figures lie in frozen.json beside this file; the tolerances are of a size that matters on the robot. A change that
 is meant to move them writes them anew, with ``python -m tests.test_frozen --write``, and says why in its commit.
@@ -6,17 +6,14 @@ is meant to move them writes them anew, with ``python -m tests.test_frozen --wri
 
 import json
 import sys
-from collections import Counter
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 import moc_opt as mo
 
 FIGURES = Path(__file__).with_name("frozen.json")
-PROBLEMS = Path(__file__).parents[1] / "moc_opt" / "study" / "subproblems"
 
 SHAPES: dict[Any, dict[str, Any]] = {
     "waypoints": {"waypoints_m": ((0.0, 0.0, 0.0), (0.02, 0.01, 0.005), (0.03, -0.01, 0.0), (0.05, 0.0, -0.005))},
@@ -130,25 +127,6 @@ def tolerance(metric: str, figure: float, ticks: int) -> float:
     return max(0.15 * figure, floor)
 
 
-def answers(problems: Path) -> dict[str, int]:
-    """Count what `exact` answers to a set of problems; right is verified and of the certified cost."""
-    solver, counts = mo.solvers.create("exact"), Counter[str]()
-    stored = np.load(problems)
-    for row, certified, feasible in zip(stored["rows"], stored["x"], stored["feasible"], strict=True):
-        qp = mo.NullSpaceQP.from_row(row)
-        x, y, status, _ = solver.start(qp).solve(qp)
-        said = status.label
-        if status is mo.solvers.Status.SOLVED:
-            excess = 0.5 * (x @ qp.P @ x - certified @ qp.P @ certified) + qp.p @ (x - certified)
-            right = feasible and qp.residuals(x, y).verified() and abs(excess) <= 1e-5 * np.abs(qp.p).max()
-            said = "right" if right else "silently wrong"
-        counts[f"{'feasible' if feasible else 'infeasible'}: {said}"] += 1
-    return dict(sorted(counts.items()))
-
-
-SETS = {path.stem: path for path in sorted(PROBLEMS.glob("*.npz"))}
-
-
 @pytest.fixture(scope="module")
 def frozen() -> dict[str, Any]:
     return json.loads(FIGURES.read_text(encoding="utf-8"))
@@ -156,8 +134,6 @@ def frozen() -> dict[str, Any]:
 
 def test_every_frozen_figure_is_compared(frozen: dict[str, Any]) -> None:
     assert set(frozen["runs"]) == set(SCENARIOS)
-    assert set(frozen["answers"]) == set(SETS)
-    assert sum(sum(counts.values()) for counts in frozen["answers"].values()) == 2048
 
 
 @pytest.mark.parametrize("name", SCENARIOS)
@@ -174,22 +150,11 @@ def test_a_run_keeps_its_figures(name: str, frozen: dict[str, Any]) -> None:
     assert not moved, f"{name}: " + "; ".join(moved)
 
 
-@pytest.mark.parametrize("name", SETS)
-def test_exact_answers_the_certified_problems_as_before(name: str, frozen: dict[str, Any]) -> None:
-    was, now = frozen["answers"][name], answers(SETS[name])
-    spared = 2 if name == "near-singular" else 0  # where the judge's own rounding decides
-    for outcome in was | now:
-        assert abs(now.get(outcome, 0) - was.get(outcome, 0)) <= spared, f"{name}: frozen {was}, found {now}"
-    assert "feasible: silently wrong" not in now
-    assert "infeasible: silently wrong" not in now
-
-
 def write() -> None:
     runs = {name: run(scenario) for name, scenario in SCENARIOS.items()}
     for figures in runs.values():
         figures.update({name: float(f"{figure:.6g}") for name, figure in figures.items() if isinstance(figure, float)})
-    figures = {"answers": {name: answers(path) for name, path in SETS.items()}, "runs": runs}
-    FIGURES.write_text(json.dumps(figures, indent=1) + "\n", encoding="utf-8")
+    FIGURES.write_text(json.dumps({"runs": runs}, indent=1) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -164,12 +164,8 @@ def compared(trials):
     return Comparison(rows, names, SHORT)
 
 
-@pytest.fixture(scope="module")
-def wide():
-    return compared(9)
-
-
-def test_where_the_means_disagree_the_change_is_marked(wide):
+def test_where_the_means_disagree_the_change_is_marked():
+    wide = compared(9)
     change = wide.change("exact", "tip_error_model_mean_mm")
     assert change.ratio.value < 0.0 < change.ratios.value
     row = wide.table.rows[1]

@@ -12,7 +12,7 @@ from moc_opt.solvers.registry import find
 from moc_opt.study import Kept, run
 from moc_opt.study.solver_answers import Answer, Answers, Limits, ask, share_right, time, totals
 from moc_opt.study.solver_settings import SETTINGS, SolverSetting, effective, solver_settings
-from moc_opt.study.testsets import TestSet
+from moc_opt.study.testsets import NAMES, TestSet
 from tests import broken_solvers
 
 LIMITS = Limits(patience_s=1.0, rounds=2, seconds=0.2, cold=4)
@@ -38,13 +38,17 @@ def breaking(name: str, **options: Any) -> SolverSetting:
     return SolverSetting(name, "recommended", options, "")
 
 
-@pytest.mark.parametrize(("name", "every"), [("circle", 16), ("infeasible", 8), ("inconsistent-1e-4", 8), ("jumps", 8)])
-def test_exact_is_right_on_every_set(name, every):
-    counts = answers(EXACT, TestSet.load(name).thinned(every)).counts()
-    assert counts["verified_solved"] == counts["optima_asked"]
-    assert (counts["refused_inconsistent"] > 0) == name.startswith("inconsistent")
-    assert counts["infeasible_right"] == counts["infeasible_asked"]
-    assert counts["silently_wrong"] == counts["failed"] == counts["infeasible_wrong"] == 0
+def test_exact_is_right_on_every_set():
+    for found in ask(ONE, [(EXACT, TestSet.load(name)) for name in NAMES], LIMITS):
+        counts, name = found.counts(), found.problems.name
+        spared = 2 if name == "near-singular" else 0  # where the judge's own rounding decides
+        assert counts["solves"] == 128
+        assert counts["verified_solved"] + counts["failed"] == counts["optima_asked"]
+        assert counts["failed"] <= spared
+        contradicts = name in ("inconsistent-1e-6", "inconsistent-1e-4")
+        assert counts["refused_inconsistent"] == contradicts * counts["feasible"]
+        assert counts["infeasible_right"] == counts["infeasible_asked"] == 128 - counts["feasible"]
+        assert counts["silently_wrong"] == counts["infeasible_wrong"] == 0
 
 
 @pytest.mark.parametrize(

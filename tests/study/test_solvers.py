@@ -38,10 +38,12 @@ bound_samples = 2
 NAMES = ("exact", "osqp", "rnn", "quadprog")
 
 
-@pytest.fixture(autouse=True)
-def quiet_machine(monkeypatch):
+@pytest.fixture(scope="module", autouse=True)
+def quiet_machine():
     """What else runs beside these tests decides nothing in them."""
-    monkeypatch.setattr("moc_opt.study.timing.quiet", lambda row: True)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("moc_opt.study.timing.quiet", lambda row: True)
+        yield
 
 
 def run(folder: Path, *more: str, names: tuple[str, ...] = NAMES) -> int:
@@ -53,9 +55,7 @@ def run(folder: Path, *more: str, names: tuple[str, ...] = NAMES) -> int:
 def folder(tmp_path_factory):
     """A whole small study, with every part."""
     found: Path = tmp_path_factory.mktemp("study")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("moc_opt.study.timing.quiet", lambda row: True)
-        assert run(found, "--parts", *PARTS) == 0
+    assert run(found, "--parts", *PARTS) == 0
     return found
 
 
