@@ -9,7 +9,7 @@ from collections.abc import Callable
 from moc_opt.commands.listing import print_list
 from moc_opt.commands.running import read_scenario
 from moc_opt.inputs.files import to_json
-from moc_opt.report.console import console, progress
+from moc_opt.report.console import Bar, console
 from moc_opt.report.document import check_out
 
 
@@ -61,7 +61,7 @@ def compare_solvers(given: argparse.Namespace) -> int:
     if given.out is not None:
         check_out(given.out, "table of runs", force=given.force)
     scenario, _ = read_scenario(given.scenario)
-    with progress("compare", given.trials * (len(given.solvers) + 1)) as bar:
+    with Bar("compare", given.trials * (len(given.solvers) + 1)) as bar:
 
         found = compare(given.solvers, scenario, given.trials, seed=given.seed, watch=bar.step)
     if given.json:

@@ -12,9 +12,9 @@ from typing import Any
 
 from moc_opt.errors import ScenarioError, TraceError, UnknownNameError, shown
 from moc_opt.inputs.files import decimal, read_text, to_json
-from moc_opt.report.console import busy, console, progress
+from moc_opt.report.console import Bar, busy, console
 from moc_opt.report.document import check_out
-from moc_opt.report.run_table import MATTER, below_best, part, refusals, run_json, run_table, warnings
+from moc_opt.report.run_table import MATTER, part, remarks, run_json, run_table
 from moc_opt.report.tables import Column, Table
 from moc_opt.scenario import RunAway, Scenario, Setup, run
 from moc_opt.trace.file import check_trace, new_file
@@ -51,7 +51,7 @@ def run_scenario(given: argparse.Namespace) -> int:
     if given.report is not None:
         check_out(given.report, "report", force=given.force)
     _check_trace_out(given.trace, given.force)
-    with progress(title, now="sets up") as bar:
+    with Bar(title, now="sets up") as bar:
         setup = Setup(scenario)
         bar.of(len(setup.times()))
 
@@ -81,8 +81,7 @@ def _as_far_as_it_goes(make: Callable[[], Trace]) -> Trace:
 def show(scenario: Scenario, title: str, trace: Trace, given: argparse.Namespace) -> int:
     """Print how a run ended, and its metrics; return the exit status."""
     ended = str(trace.meta["ended"])
-    broken = [] if ended == "completed" else [f"{ended}{part(trace)}"]
-    for line in filter(None, [*broken, *refusals(trace), *warnings(trace), below_best(trace)]):
+    for line in [*([] if ended == "completed" else [f"{ended}{part(trace)}"]), *remarks(trace)]:
         print(f"{title}: {line}", file=sys.stderr)
     try:
         baseline = _matched_dcac(scenario, title, len(trace)) if scenario.control.law == "moc" else None

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from datetime import timedelta
 from typing import IO
 
@@ -43,7 +41,19 @@ def console(*, stderr: bool = False, file: IO[str] | None = None) -> Console:
 
 
 class Bar(Progress):
-    """A bar with one task: `step` on; without a terminal it writes a line now and then."""
+    """A bar with the time left on stderr, until the work is done; without a terminal, a line every ten seconds."""
+
+    def __init__(
+        self, description: str, total: float | None = None, *, now: str = "", on: Console | None = None
+    ) -> None:
+        """Begin; ``total`` is None where the number of steps is not known yet, ``on`` another console."""
+        where = on or console(stderr=True)
+        super().__init__(
+            TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(),
+            TextColumn("{task.fields[now]}", style="dim", markup=False), console=where, transient=True,
+            refresh_per_second=4.0, disable=not where.is_terminal,
+        )  # fmt: skip
+        self.add_task(printable(description), total=total, now=now, written=self.get_time())
 
     def step(self, now: str = "", steps: float = 1.0) -> None:
         """Count so many more steps as done, and name what is being done now."""
@@ -62,25 +72,6 @@ class Bar(Progress):
     def of(self, total: float) -> None:
         """Say how many steps there are, once that is known: the time that is left counts from now."""
         self.reset(self.task_ids[0], total=total)
-
-
-@contextmanager
-def progress(
-    description: str, total: float | None = None, *, now: str = "", on: Console | None = None
-) -> Iterator[Bar]:
-    """Show a bar with the time left on stderr until the work is done; without a terminal, a line every ten seconds.
-
-    ``total`` is None where the number of steps is not known yet, ``now`` what is done first, ``on`` another console.
-    """
-    where = on or console(stderr=True)
-    bar = Bar(
-        TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(),
-        TextColumn("{task.fields[now]}", style="dim", markup=False), console=where, transient=True,
-        refresh_per_second=4.0, disable=not where.is_terminal,
-    )  # fmt: skip
-    bar.add_task(printable(description), total=total, now=now, written=bar.get_time())
-    with bar:
-        yield bar
 
 
 def busy() -> str:

@@ -65,18 +65,16 @@ def plan_tables(name: str, plan: Plan, **within: float) -> list[Table]:
     said["planned within"] = f"{limits}, {100.0 * within.get('speed_share', 1.0):.3g} % of their speed limits"
     if within.get("shaft_margin"):
         said["margin from losing the shaft"] = f"{within['shaft_margin']:.3g}, where there is a way"
-    swivels = (("swivel at the start", plan.start_swivel_rad), ("swivel of the best start", plan.best_swivel_rad))
-    for what, angle in swivels:
-        said[what] = f"{math.degrees(angle):.1f} deg" if math.isfinite(angle) else "none: no course goes all the way"
-    for what, bound in (("bound from this start", plan.bound_from_start), ("bound over all starts", plan.bound)):
-        if math.isfinite(bound):
-            said[f"{what} (mean mu)"] = f"{bound:.5f}"
+    for what, angle in {"at the start": plan.start_swivel_rad, "of the best start": plan.best_swivel_rad}.items():
+        known = math.isfinite(angle)
+        said[f"swivel {what}"] = f"{math.degrees(angle):.1f} deg" if known else "none: no course goes all the way"
+    bounds = {"from this start": plan.bound_from_start, "over all starts": plan.bound}
+    said |= {f"bound {of} (mean mu)": f"{bound:.5f}" for of, bound in bounds.items() if math.isfinite(bound)}
     said["computed in"] = ", ".join(f"{part} {seconds:.2f} s" for part, seconds in plan.took_s.items())
     rows = [{"what": what, "value": value} for what, value in said.items()]
-    return [
-        Table(f"Plan of {name}", [Column("what", "plan"), Column("value", "value")], rows, VERDICT_TERMS),
-        Table("Courses, best in mean mu", COURSES, _courses(plan), COURSES_TERMS),
-    ]
+    columns = [Column("what", "plan"), Column("value", "value")]
+    courses = Table("Courses, best in mean mu", COURSES, _courses(plan), COURSES_TERMS)
+    return [Table(f"Plan of {name}", columns, rows, VERDICT_TERMS), courses]
 
 
 def _courses(plan: Plan) -> list[dict[str, Any]]:

@@ -98,17 +98,13 @@ def load_runs(files: Sequence[str | os.PathLike[str]]) -> tuple[dict[str, Trace]
     arms = {name: _robot_table(trace) for name, trace in traces.items()}
     if not traces or len(set(map(str, arms.values()))) > 1:
         raise ReportError(f"traces of {arms or 'nothing'}: give traces of one robot with one tool")
-    return traces, robot_of(next(iter(traces.values())))
-
-
-def robot_of(trace: Trace) -> RobotModel:
-    """Load the arm that a trace was run with: the one that its `meta` carries, or the one of the package it names."""
-    if "robot_data" in trace.meta:
-        return restored(trace.meta["robot_data"])
-    arm = _robot_table(trace)
+    arm, meta = next(iter(arms.values())), next(iter(traces.values())).meta
+    if "robot_data" in meta:  # of an arm that is not of the package
+        return traces, restored(meta["robot_data"])
     if not arm["name"]:
         raise ReportError("the trace does not say which robot it is of: load it yourself with load_robot")
-    return load_robot(arm["name"], tool_length=arm.get("tool_length_m"), tool_mass=arm.get("tool_mass_kg"))
+    tool = {"tool_length": arm.get("tool_length_m"), "tool_mass": arm.get("tool_mass_kg")}
+    return traces, load_robot(arm["name"], **tool)
 
 
 def _robot_table(trace: Trace) -> dict[str, Any]:

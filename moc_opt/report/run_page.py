@@ -12,13 +12,11 @@ from moc_opt.planning.swivel_map import manipulability_map
 from moc_opt.report.map_page import add_map
 from moc_opt.report.page import Page
 from moc_opt.report.replay import load_runs
-from moc_opt.report.run_table import below_best, ending, listed, part, run_table, title_of
+from moc_opt.report.run_table import description, listed, part, remarks, run_table, title_of
 from moc_opt.report.tables import Column, Table
 from moc_opt.robots.model import RobotModel
 from moc_opt.trace.metrics import summarize
 from moc_opt.trace.trace import Trace
-
-COLUMNS_PER_S, COLUMNS = 12.0, (10, 96)  # of the map
 
 
 def load_report(files: Sequence[str | os.PathLike[str]]) -> Page:
@@ -35,8 +33,8 @@ def run_page(
     styles, page = Styles(traces), Page(title_of(judged), f"runs: {'; '.join(traces)}")
     page.section("How it ended")
     for name in sorted(traces, key=lambda name: name not in metrics):  # what was asked for before its baseline
-        below = below_best(traces[name]) if name in metrics else ""
-        page.text("; ".join(filter(None, [*ending(name, traces[name]), below])) + ".")
+        ended = f"{name}{part(traces[name])} {traces[name].meta.get('ended', 'unknown')}"
+        page.text("; ".join(filter(None, [ended, description(traces[name]), *remarks(traces[name])])) + ".")
     page.section("What to look at first")
     for table in run_tables(traces, metrics, first=True):
         page.table(table)
@@ -49,9 +47,9 @@ def run_page(
     )  # fmt: skip
     page.section("Where the elbow went")
     longest = max(float(trace.t_s[-1] - trace.t_s[0]) for trace in traces.values())
-    times = min(max(round(COLUMNS_PER_S * longest), COLUMNS[0]), COLUMNS[1])
+    columns = min(max(round(12.0 * longest), 10), 96)
     try:
-        add_map(page, manipulability_map(robot, traces, times=times, swivels=120), styles=styles)
+        add_map(page, manipulability_map(robot, traces, times=columns, swivels=120), styles=styles)
     except MocOptError as error:
         page.text(f"There is no map: {error}")
     page.section("All metrics")

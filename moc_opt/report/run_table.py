@@ -169,10 +169,9 @@ def description(trace: Trace) -> str:
     return ", ".join(f"{word} {value}" for word, value in facts(trace).items())
 
 
-def ending(name: str, trace: Trace) -> list[str]:
-    """Return how a run ended, what was run, and what the supervisor and the safety filter noted, as phrases."""
-    ended = f"{name}{part(trace)} {trace.meta.get('ended', 'unknown')}"
-    return [ended, description(trace), *refusals(trace), *warnings(trace)]
+def remarks(trace: Trace) -> list[str]:
+    """Return what supervisor and safety filter noted, and by how much mu stays below the best course, as sentences."""
+    return list(filter(None, [*refusals(trace), *warnings(trace), below_best(trace)]))
 
 
 def run_json(trace: Trace, metrics: Mapping[str, float]) -> dict[str, Any]:

@@ -22,7 +22,6 @@ from moc_opt.figures import notation
 from moc_opt.figures.notation import Mark, Missing, Notation, printable
 
 SHORT_TEXT, HEADING = 14, 10  # characters from where on a text in a terminal, and a heading anywhere, may be broken
-_WIDE = Console(file=io.StringIO(), width=10_000)
 
 TONES = {"best": "bold green", "good": "green", "fair": "yellow", "bad": "red", "other": "cyan"}
 """Tone of a `Mark` -> its colour in a terminal."""
@@ -87,18 +86,12 @@ class Table:
             return cells
         return [replace(cell, best=any(cell is one for one in ahead)) for cell in cells]
 
-    def to_rich(self, width: int = 10_000) -> RichTable:
-        """Draw the table for a terminal of this width [characters]; rich sizes the columns and breaks texts.
-
-        Numbers are never broken: a table that is too wide loses its last columns, and its caption names them.
-        """
-        shown = list(self.columns)
-        while len(shown) > 1 and Measurement.get(_WIDE, _WIDE.options, self._drawn(shown)).minimum > width:
-            shown.pop()
-        return self._drawn(shown)
-
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> Iterator[RichTable]:
-        yield self.to_rich(options.max_width)
+        shown, wide = list(self.columns), options.update(width=10_000)
+        # Texts are broken, numbers never: a table that is too wide loses its last columns.
+        while len(shown) > 1 and Measurement.get(console, wide, self._drawn(shown)).minimum > options.max_width:
+            shown.pop()
+        yield self._drawn(shown)
 
     def _drawn(self, shown: Sequence[Column]) -> RichTable:
         drawn = RichTable(
@@ -116,10 +109,9 @@ class Table:
             heading = Text("\n".join(heading_lines(column.title)))
             if column.unit:
                 heading.append(f"\n{notation.pretty_unit(column.unit)}", style="dim")
-            numbers = bool(cells) and all(cell.numeric or cell.why for cell in cells)
-            widest = max((cell_len(cell.text) for cell in cells), default=0)
+            justify, widest = alignment(cells), max((cell_len(cell.text) for cell in cells), default=0)
+            numbers = justify == "right"
             least = max(widest if numbers else min(widest, SHORT_TEXT), *map(cell_len, heading.plain.splitlines()), 0)
-            justify = alignment(cells)
             drawn.add_column(heading, justify=justify, overflow="fold", no_wrap=numbers, min_width=least)
         for row in zip(*columns, strict=True):
             drawn.add_row(*row)

@@ -61,7 +61,7 @@ def run_command(given: argparse.Namespace) -> int:
         robot = load_robot(given.robot)
     findings = check_robot(robot)
     columns = [Column("what", "what"), Column("found", "found"), Column("verdict", "verdict")]
-    out.print(Table(f"robot {robot.data.name}", columns, [row._asdict() for row in findings]).to_rich())
+    out.print(Table(f"robot {robot.data.name}", columns, [row._asdict() for row in findings]))
     for row in findings:
         if row.cure:
             out.print(Text(f"{row.what}: {row.cure}"))

@@ -29,7 +29,7 @@ from pydantic import Field
 from moc_opt.errors import MocOptError, ScenarioError, SolverError, StudyError, UnknownNameError
 from moc_opt.inputs.files import read_toml, to_json, write_whole
 from moc_opt.inputs.settings import Settings
-from moc_opt.report.console import console, progress
+from moc_opt.report.console import Bar, console
 from moc_opt.scenario import Scenario
 from moc_opt.solvers import available
 from moc_opt.study.engine import Failed, Job, run
@@ -100,7 +100,7 @@ class Study:
         **options: Any,
     ) -> list[Any]:  # fmt: skip
         """Do jobs as `moc_opt.study.run` does, with a progress line; finished ones are kept."""
-        with progress(f"{self.name}: {what}", len(jobs)) as bar:
+        with Bar(f"{self.name}: {what}", len(jobs)) as bar:
 
             def note(job: Job, result: Any) -> None:
                 bar.step(job.group)

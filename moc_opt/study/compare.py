@@ -22,7 +22,7 @@ from moc_opt.solvers.base import Solver
 from moc_opt.solvers.registry import check_solver
 from moc_opt.study.results import ERRORS, FRAMES, TITLES, Results, change_name
 from moc_opt.study.show import columns, intervals_picture
-from moc_opt.study.statistics import LEAST_TRIALS, Change, Interval, too_few
+from moc_opt.study.statistics import LEAST_TRIALS, too_few
 from moc_opt.study.trials import BASELINE, Trial, placed, run_and_trace
 from moc_opt.trace.meta import Ending
 from moc_opt.trace.metrics import METRICS
@@ -84,14 +84,6 @@ class Comparison:
             raise UnknownNameError("metric", metric, METRICS, "moc-opt metrics")
         return self._results.values(metric, solver)
 
-    def mean(self, solver: str, metric: str) -> Interval | None:
-        """Return the mean of a metric over the solver's whole trials, with its 95 % interval; None without any."""
-        return self._results.mean(metric, solver) if self.values(solver, metric) else None
-
-    def change(self, solver: str, metric: str) -> Change | None:
-        """Return the change against DCAC [percent] by both means, on the trials that both completed; or None."""
-        return self._results.change(metric, solver) if self.values(solver, metric) else None
-
     def summary(self) -> dict[str, dict[str, Any]]:
         """Return solver -> what a study's summary.json says of it, and the claims and times of its answers."""
         return {
@@ -132,7 +124,8 @@ class Comparison:
 
     def plot(self, metric: str = "mu_mean") -> Figure:
         """Draw each solver's mean of a metric with its 95 % interval: a plotly figure."""
-        means = {name: mean for name in self.solvers if (mean := self.mean(name, metric)) is not None}
+        completed = [name for name in self.solvers if self.values(name, metric)]
+        means = {name: mean for name in completed if (mean := self._results.mean(metric, name))}
         unit = METRICS[metric].unit if metric in METRICS else "1"
         said = metric if unit == "1" or metric.endswith(f"_{unit}") else f"{metric} [{unit}]"
         return intervals_picture({name: (one.low, one.value, one.high) for name, one in means.items()}, said, {})

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from rich.console import Console
 
 from moc_opt.figures.notation import Missing, Notation
-from moc_opt.report.console import console, progress
+from moc_opt.report.console import Bar, console
 from moc_opt.report.tables import Column, Table
 
 
@@ -105,7 +105,7 @@ def test_without_a_terminal_progress_writes_a_line_now_and_then(step_s: float, t
     file, now = io.StringIO(), [0.0]
     screen = console(file=file)
     screen.get_time = lambda: now[0]
-    with progress("trials", on=screen) as bar:
+    with Bar("trials", on=screen) as bar:
         now[0] = 60.0 - step_s
         bar.of(4)
         for k in range(1, 5):
