@@ -458,7 +458,7 @@ def stoppable(whole, truncated):
 
 @pytest.mark.parametrize(
     ("us", "iterations", "allowed"),
-    [(400.0, 40, 10), (1e6, 40, 1), (99.0, 40, None), (400.0, 1, 1), (400.0, 0, None)],
+    [(400.0, 40, 10), (1e6, 40, 1), (100.0, 40, None), (400.0, 1, 1), (400.0, 0, None)],
 )
 def test_a_late_solver_is_stopped_where_it_can_be(us, iterations, allowed, qp, Z):
     whole = solved(qp)._replace(iterations=iterations)
@@ -466,7 +466,7 @@ def test_a_late_solver_is_stopped_where_it_can_be(us, iterations, allowed, qp, Z
     mine = supervisor(times=[us], budget_us=100.0, late="iterate")
     solution, x = mine.solve(session, qp, Z)
     assert [one.args[1] for one in session.truncated.call_args_list] == ([] if allowed is None else [allowed])
-    assert mine.fault is (Fault.NONE if us < 100.0 else Fault.LATE)
+    assert mine.fault is (Fault.NONE if us <= 100.0 else Fault.LATE)
     np.testing.assert_array_equal(x, whole.x if allowed is None else 0.5 * whole.x)
     assert solution.status is (Status.SOLVED if allowed is None else Status.MAX_ITER)
 
