@@ -11,6 +11,7 @@ from moc_opt.commands.running import read_scenario
 from moc_opt.inputs.files import to_json
 from moc_opt.report.console import Bar, console
 from moc_opt.report.document import check_out
+from moc_opt.trace.meta import Ending
 
 
 def save_page(given: argparse.Namespace) -> int:
@@ -70,7 +71,8 @@ def compare_solvers(given: argparse.Namespace) -> int:
         console().print(found.table)
     if given.out is not None:
         found.save_rows(given.out)
-    lost = [name for name in found.solvers if not found.values(name, "mu_mean")]
+    completed = {row["solver"] for row in found.rows if Ending.of(row["ended"]).whole}
+    lost = [name for name in found.solvers if name not in completed]
     for name in lost:
         reason = next(row["error"] for row in found.rows if row["solver"] == name)
         print(f"{name}: no trial came to its end; the first: {reason}", file=sys.stderr)

@@ -14,7 +14,7 @@ from moc_opt.errors import ScenarioError, TraceError, UnknownNameError, shown
 from moc_opt.inputs.files import decimal, read_text, to_json
 from moc_opt.report.console import Bar, busy, console
 from moc_opt.report.document import check_out
-from moc_opt.report.run_table import MATTER, part, remarks, run_json, run_table
+from moc_opt.report.run_table import MATTER, part, remarks, run_json, run_tables
 from moc_opt.report.tables import Column, Table
 from moc_opt.scenario import RunAway, Scenario, Setup, run
 from moc_opt.trace.file import check_trace, new_file
@@ -104,7 +104,7 @@ def show(scenario: Scenario, title: str, trace: Trace, given: argparse.Namespace
         print(to_json(run_json(trace, wanted)))
     else:
         short = not scenario.metrics and not given.all
-        print_tables([run_table(title, trace, wanted, first=short)])
+        print_tables(run_tables({title: trace}, {title: wanted}, first=short))
         if short:
             hidden = len(set(metrics) - set(MATTER))
             console().print(f"{hidden} more with `--all`; `moc-opt metrics` says what each is.", markup=False)

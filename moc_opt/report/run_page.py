@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 from moc_opt.errors import MocOptError
 from moc_opt.figures import Styles, time_series
@@ -12,8 +11,7 @@ from moc_opt.planning.swivel_map import manipulability_map
 from moc_opt.report.map_page import add_map
 from moc_opt.report.page import Page
 from moc_opt.report.replay import load_runs
-from moc_opt.report.run_table import description, listed, part, remarks, run_table, title_of
-from moc_opt.report.tables import Column, Table
+from moc_opt.report.run_table import description, part, remarks, run_tables, title_of
 from moc_opt.robots.model import RobotModel
 from moc_opt.trace.metrics import summarize
 from moc_opt.trace.trace import Trace
@@ -25,9 +23,7 @@ def load_report(files: Sequence[str | os.PathLike[str]]) -> Page:
     return run_page(traces, {name: summarize(trace) for name, trace in traces.items()}, robot)
 
 
-def run_page(
-    traces: Mapping[str, Trace], metrics: Mapping[str, Mapping[str, float]], robot: RobotModel
-) -> Page:
+def run_page(traces: Mapping[str, Trace], metrics: Mapping[str, Mapping[str, float]], robot: RobotModel) -> Page:
     """Make the page of runs of one arm, a baseline first, with a table of the metrics of those that have some."""
     judged = {name: traces[name] for name in metrics}
     styles, page = Styles(traces), Page(title_of(judged), f"runs: {'; '.join(traces)}")
@@ -56,24 +52,3 @@ def run_page(
     for table in run_tables(traces, metrics, explained=True):
         page.table(table)
     return page
-
-
-def run_tables(
-    traces: Mapping[str, Trace], metrics: Mapping[str, Mapping[str, float]], **which: bool
-) -> list[Table]:
-    """Make one table of several runs, a column for each; tables of their own where a run was broken off.
-
-    Figures of a part cannot be compared with those of a whole run. ``which`` is `first` or `explained` of `run_table`.
-    """
-    tables = {name: run_table(name, traces[name], values, **which) for name, values in metrics.items()}
-    if len(tables) < 2 or any(part(traces[name]) for name in tables):
-        return list(tables.values())
-    rows: dict[str, dict[str, Any]] = {}
-    for name, table in tables.items():
-        for row in table.rows:
-            joint = rows.setdefault(row["metric"], dict(row))
-            joint[f"run {name}"] = row["value"]
-            joint["says"] = row["says"] if row["says"] == joint["says"] else ""
-    columns = [Column("metric", "metric"), *(Column(f"run {name}", name) for name in tables), Column("says", "meaning")]
-    captions = dict.fromkeys(table.caption for table in tables.values() if table.caption)
-    return [Table(listed(tables), columns, list(rows.values()), "\n".join(captions))]

@@ -126,20 +126,39 @@ def listed(names: Iterable[str]) -> str:
     return f"{', '.join(first)} and {last}" if first else last
 
 
-def run_table(
-    name: str, trace: Trace, metrics: Mapping[str, float], *, first: bool = False, explained: bool = False
-) -> Table:
-    """Lay out the metrics of one run, the ending in the first row, and in the second how often the solver was replaced.
+def run_tables(
+    traces: Mapping[str, Trace], metrics: Mapping[str, Mapping[str, float]], *, first: bool = False,
+    explained: bool = False,
+) -> list[Table]:  # fmt: skip
+    """Lay out the metrics of runs side by side: the ending in the first row, then how often the solver was replaced.
 
-    Of a run that was broken off the title says which part there is, and every figure is marked as one of that part.
-    ``first``: those of `MATTER` alone, and what was run in the title. Both ``first`` and ``explained`` add meanings.
+    Where a run was broken off, each has a table of its own: figures of a part cannot be compared with those of a whole
+    run. The title of such a run says which part there is, and every figure is marked. ``first``: the metrics of
+    `MATTER` alone, and what was run in the title. Both ``first`` and ``explained`` add meanings.
     """
+    if len(metrics) > 1 and any(part(traces[name]) for name in metrics):
+        alone = ({name: values} for name, values in metrics.items())
+        return [table for one in alone for table in run_tables(traces, one, first=first, explained=explained)]
+    rows, said, many = dict[str, dict[str, Any]](), list[str](), len(metrics) > 1
+    columns = [Column("metric", "metric"), *(Column(f"run {name}", name if many else "value") for name in metrics)]
+    for name, values in metrics.items():
+        for metric, (value, meaning) in _entries(traces[name], values, first).items():
+            row = rows.setdefault(metric, {"metric": metric, "says": meaning})
+            row |= {f"run {name}": value, "says": meaning if row["says"] == meaning else ""}
+        other = answers_another_problem(traces[name]) and set(VERDICTS) & set(values)
+        said += [*([ANOTHER_PROBLEM] if other else []), *warnings(traces[name])]
+        title = ": ".join(filter(None, [f"{name}{part(traces[name])}", description(traces[name]) if first else ""]))
+    columns += [Column("says", "meaning")] if first or explained else []
+    return [Table(listed(metrics) if many else title, columns, list(rows.values()), "\n".join(dict.fromkeys(said)))]
+
+
+def _entries(trace: Trace, metrics: Mapping[str, float], first: bool) -> dict[str, tuple[Any, str]]:
+    """Return the rows of one run: metric -> value, meaning."""
     of, other, count = part(trace), answers_another_problem(trace), replaced(trace)
     ended = str(trace.meta.get("ended", "unknown"))
     word, _, reason = ended.partition(": ") if first else (ended, "", "")
-    rows: list[dict[str, Any]] = [{"metric": "ended", "value": word, "says": reason or f"after {len(trace)} ticks"}]
-    if count:
-        rows.append({"metric": "solver replaced", "value": count, "says": ""})
+    entries: dict[str, tuple[Any, str]] = {"ended": (word, reason or f"after {len(trace)} ticks")}
+    entries |= {"solver replaced": (count, "")} if count else {}
     for metric, value in metrics.items():
         if first and metric not in MATTER:
             continue
@@ -147,15 +166,10 @@ def run_table(
         # From millimetres to rounding errors: no single notation reads well for all.
         shown = missing(value) or Notation.of([value], digits=4)(value)
         shown = Missing(ANOTHER_PROBLEM) if other and metric in VERDICTS else shown
-        says = "" if metric not in METRICS else _with_unit(METRICS[metric])
-        rows.append({"metric": marked, "value": shown, "says": says})
+        entries[marked] = shown, "" if metric not in METRICS else _with_unit(METRICS[metric])
         if metric == "mu_fraction_of_bound" and METHOD in trace.meta:
-            rows.append({"metric": METHOD, "value": str(trace.meta[METHOD]), "says": "How the largest mu was found."})
-    columns = [Column("metric", "metric"), Column("value", "value")]
-    columns += [Column("says", "meaning")] if first or explained else []
-    said = [ANOTHER_PROBLEM] if other and set(VERDICTS) & set(metrics) else []
-    title = ": ".join(filter(None, [f"{name}{of}", description(trace) if first else ""]))
-    return Table(title, columns, rows, caption="\n".join([*said, *warnings(trace)]))
+            entries[METHOD] = str(trace.meta[METHOD]), "How the largest mu was found."
+    return entries
 
 
 def _with_unit(metric: Metric) -> str:

@@ -76,14 +76,6 @@ class Comparison:
             for row in self.rows
         )
 
-    def values(self, solver: str, metric: str) -> dict[int, float]:
-        """Return seed -> value of a metric, over the trials that the solver completed; unknown names are refused."""
-        if solver not in self.solvers:
-            raise UnknownNameError("solver of this comparison", solver, self.solvers)
-        if metric not in METRICS and not any(metric in row for row in self.rows):
-            raise UnknownNameError("metric", metric, METRICS, "moc-opt metrics")
-        return self._results.values(metric, solver)
-
     def summary(self) -> dict[str, dict[str, Any]]:
         """Return solver -> what a study's summary.json says of it, and the claims and times of its answers."""
         return {
@@ -123,9 +115,10 @@ class Comparison:
         return Table(f"{title}: solvers on the same trials", known, rows, caption)
 
     def plot(self, metric: str = "mu_mean") -> Figure:
-        """Draw each solver's mean of a metric with its 95 % interval: a plotly figure."""
-        completed = [name for name in self.solvers if self.values(name, metric)]
-        means = {name: mean for name in completed if (mean := self._results.mean(metric, name))}
+        """Draw each solver's mean of a metric with its 95 % interval: a plotly figure; unknown metrics are refused."""
+        if metric not in METRICS and not any(metric in row for row in self.rows):
+            raise UnknownNameError("metric", metric, METRICS, "moc-opt metrics")
+        means = {name: mean for name in self.solvers if (mean := self._results.mean(metric, name))}
         unit = METRICS[metric].unit if metric in METRICS else "1"
         said = metric if unit == "1" or metric.endswith(f"_{unit}") else f"{metric} [{unit}]"
         return intervals_picture({name: (one.low, one.value, one.high) for name, one in means.items()}, said, {})

@@ -12,8 +12,8 @@ from moc_opt.__main__ import main
 from moc_opt.errors import ReportError
 from moc_opt.report.document import save_document
 from moc_opt.report.map_page import load_map
-from moc_opt.report.run_page import run_page, run_tables
-from moc_opt.report.run_table import run_json, run_table, title_of
+from moc_opt.report.run_page import run_page
+from moc_opt.report.run_table import run_json, run_tables, title_of
 from moc_opt.trace.trace import Trace
 
 WARNING = {"of": "the RCM error", "first_s": 1.25, "largest": 11.04, "unit": "mm", "level": 6.0}
@@ -22,6 +22,11 @@ WARNING = {"of": "the RCM error", "first_s": 1.25, "largest": 11.04, "unit": "mm
 def trace(ended="completed", ticks=4, **meta):
     counts = {"period_s": 0.1, "ticks": ticks, "ticks_planned": 4}
     return Trace({"t_s": 0.1 * np.arange(ticks)}, {"ended": ended, **counts, **meta})
+
+
+def run_table(name, trace, metrics, **which):
+    (table,) = run_tables({name: trace}, {name: metrics}, **which)
+    return table
 
 
 @pytest.fixture(scope="module")
@@ -43,7 +48,7 @@ def test_the_ending_is_the_first_row_and_a_parts_figures_say_so():
     table = run_table("slip", trace("stopped: x", 3, warnings=[WARNING]), metrics)
     assert [row["metric"] for row in table.rows] == ["ended", "completed", "share_of_run", "mu_mean (part)"]
     assert table.title == "slip (first 0.3 s of 0.4 s)"
-    assert table.rows[0]["value"] == "stopped: x"
+    assert table.rows[0]["run slip"] == "stopped: x"
     assert "the RCM error was above 6 mm from t = 1.250 s on, 11 mm at most" in table.caption
     found = run_json(trace("stopped: x", 3, warnings=[WARNING]), {"mu_mean": 0.2})
     assert list(found.items()) == [
@@ -60,7 +65,7 @@ def test_a_solver_that_was_replaced_is_named_before_any_figure(raised, most):
     faults = {"raised": {"count": raised, "first_at_s": 0.0, "first": "ZeroDivisionError"}}
     table = run_table("slip", trace(faults=faults), {"mu_mean": 0.25}, first=True)
     assert [row["metric"] for row in table.rows] == ["ended", "solver replaced", "mu_mean"]
-    said = table.rows[1]["value"]
+    said = table.rows[1]["run slip"]
     assert said.startswith(f"at {raised} of 4 ticks")
     assert ("not this solver's" in said) == most
     found = run_json(trace(faults=faults), {"mu_mean": 0.25})
@@ -76,7 +81,7 @@ def test_verdicts_of_the_linear_problem_are_not_passed_on_answers_to_another(sol
     run = trace(scenario={"solver": {"name": solver}, "control": {"law": law}})
     metrics = {"mu_mean": 0.2, "verified_solved": 4.0, "silently_wrong": 4.0}
     table = run_table("x", run, metrics, first=True)
-    (value,) = (table.cells(column) for column in table.columns if column.key == "value")
+    (value,) = (table.cells(column) for column in table.columns if column.title == "value")
     assert [cell.text for cell in value] == ["completed", "0.2000", shown, shown]
     assert ("nonlinear" in table.caption) == (shown == "–")
     assert run_json(run, metrics)["silently_wrong"] == (None if shown == "–" else 4.0)

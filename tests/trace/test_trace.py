@@ -14,7 +14,7 @@ from hypothesis.extra.numpy import arrays, from_dtype
 
 import moc_opt as mo
 from moc_opt.errors import MocOptError, TraceError
-from moc_opt.report.run_table import run_table
+from moc_opt.report.run_table import run_tables
 from moc_opt.trace.meta import FORMS
 from moc_opt.trace.trace import MissingDataError, Trace
 
@@ -133,7 +133,7 @@ def test_a_part_of_a_run_says_so(trace):
         assert part.meta["run_ended"] == "completed"
     part = whole.between(1.0, 2.0).head(3)
     assert part.meta["ended"] == "part: 1.000 to 1.200 s of a run, which ended: completed"
-    assert run_table("x", part, mo.summarize(part)).title == "x (a part)"
+    assert run_tables({"x": part}, {"x": mo.summarize(part)})[0].title == "x (a part)"
     assert whole.head(N).meta["ended"] == whole.head(N + 5).meta["ended"] == "completed"
     untimed = trace.with_columns(t_s=np.full(N, np.nan)).head(10)
     assert untimed.meta["ended"] == "part: 10 ticks of a run, which ended: completed"
