@@ -1,7 +1,5 @@
 """The exported program at the end of a wire: the same run as in Python, whatever happens to packets on the way."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import subprocess

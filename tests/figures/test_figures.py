@@ -1,7 +1,5 @@
 """Figures: what is drawn is what was given, limits are where they belong, names stay names."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Arms of given joint frames and limits, with invented masses; and short tasks for any arm."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The replay: its geometry against the model, its numbers against the trace, and the page in a real browser."""
 
-from __future__ import annotations
-
 import base64
 import gzip
 import json

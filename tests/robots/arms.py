@@ -1,7 +1,5 @@
 """URDFs as vendors write them, made from the package's own arms: what is added here is what vendors add."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from moc_opt.robots import loader

@@ -1,7 +1,5 @@
 """Robot files: the LWR4+ says what its data sheet says, and bad files are told what is wrong with them."""
 
-from __future__ import annotations
-
 import pickle
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The model against finite differences, plain numpy and pinocchio's own answers, at random regular poses."""
 
-from __future__ import annotations
-
 import json
 import pickle
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Vendors' URDFs: side joints locked, frames merged, one chain found or asked for, numbers that no arm has replaced."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

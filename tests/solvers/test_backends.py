@@ -1,7 +1,5 @@
 """What the adapters do beyond the conformance suite: why their settings are what they are, and what is no proof."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import numpy as np

@@ -4,8 +4,6 @@ What each solver may get wrong stands in ``EXPECT``, with the reason; what is no
 plug-in, another library of qpsolvers) has to meet ``Expect()``.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from dataclasses import dataclass, field
 from functools import cache

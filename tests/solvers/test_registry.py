@@ -1,7 +1,5 @@
 """Solvers by name: what is there, what is not and why, how others add their own, and which options may be set."""
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess

@@ -1,7 +1,5 @@
 """The network does what its equation says, is stable where it says so, and claims no more than it knows."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import assume, given, settings

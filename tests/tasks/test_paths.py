@@ -1,7 +1,5 @@
 """Paths: arc length, derivatives, place in space, those of other packages, and what make_path refuses."""
 
-from __future__ import annotations
-
 import math
 import sys
 import types

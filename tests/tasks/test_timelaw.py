@@ -1,7 +1,5 @@
 """The quintic law and the shortest duration within the limits."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
