@@ -8,7 +8,7 @@ import re
 import types
 import typing
 from collections.abc import Iterator
-from typing import Any, Literal, NamedTuple, get_args, get_origin
+from typing import Any, Literal, get_args, get_origin
 
 from rich.markdown import Markdown
 
@@ -27,13 +27,7 @@ error and forces in `[guard]` may be `inf`: no limit.
 WORDS = {int: "integer", float: "number", str: "text", bool: "flag", type(None): "", Any: "value"}
 
 
-class Key(NamedTuple):
-    """One key of a table."""
-
-    name: str
-    kind: str
-    default: str
-    meaning: str
+Key = tuple[str, str, str, str]  # its name, type, default and meaning
 
 
 def print_keys(given: argparse.Namespace) -> int:
@@ -52,10 +46,10 @@ def print_keys(given: argparse.Namespace) -> int:
 def tables(kind: type[Settings] = Scenario, path: str = "") -> Iterator[tuple[str, str, list[Key]]]:
     """Yield every table: its name (empty: the top of the file), its first line of documentation, its keys."""
     inner: list[tuple[str, type[Settings]]] = []
-    keys = []
+    keys: list[Key] = []
     if path in PRESETS:
         meaning = "a named set of values of this table; the other keys override it"
-        keys.append(Key("preset", " | ".join(map(repr, PRESETS[path])), ABSENT, meaning))
+        keys.append(("preset", " | ".join(map(repr, PRESETS[path])), ABSENT, meaning))
     for name, field in kind.model_fields.items():
         hint = field.annotation
         if isinstance(hint, type) and issubclass(hint, Settings):
@@ -63,7 +57,7 @@ def tables(kind: type[Settings] = Scenario, path: str = "") -> Iterator[tuple[st
             continue
         value = field.get_default(call_default_factory=True)
         default = ABSENT if value is None else json.dumps(value).replace("Infinity", "inf")
-        keys.append(Key(name, _type(hint), default, " ".join((field.description or "").split())))
+        keys.append((name, _type(hint), default, " ".join((field.description or "").split())))
     yield path, (kind.__doc__ or "").strip().partition("\n")[0], keys
     for below, hint in inner:
         yield from tables(hint, below)
@@ -77,9 +71,8 @@ def markdown(only: str | None = None) -> str:
             continue
         parts.append(f"\n## {f'`[{name}]`' if name else 'At the top of the file'}\n\n{about}\n")
         parts.append("\n| key | type | default | meaning |\n|---|---|---|---|\n")
-        for key in keys:
-            default = key.default if key.default == ABSENT else f"`{key.default}`"
-            cells = (f"`{key.name}`", key.kind, default, key.meaning)
+        for key, kind_of, default, meaning in keys:
+            cells = (f"`{key}`", kind_of, default if default == ABSENT else f"`{default}`", meaning)
             parts.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |\n")
     return "".join(parts).lstrip("\n")
 

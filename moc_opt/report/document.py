@@ -14,6 +14,7 @@ from markupsafe import Markup, escape
 from moc_opt.errors import ReportError
 from moc_opt.figures.notation import pretty_unit, printable
 from moc_opt.inputs.files import check_replaceable, write_whole
+from moc_opt.report.tables import heading_lines
 
 GENERATOR = b'<meta name="generator" content="moc_opt">'  # marks a page as ours, in its first lines
 
@@ -46,7 +47,7 @@ _TEMPLATES = Environment(
     loader=PackageLoader("moc_opt.report", "assets"), autoescape=True, undefined=StrictUndefined, finalize=_shown,
     trim_blocks=True, lstrip_blocks=True,
 )  # fmt: skip
-_TEMPLATES.filters.update(inline=inline, anchor=anchor, pretty_unit=pretty_unit)
+_TEMPLATES.filters.update(inline=inline, anchor=anchor, pretty_unit=pretty_unit, heading_lines=heading_lines)
 
 
 def check_out(path: str | os.PathLike[str], what: str, *, force: bool = False) -> Path:

@@ -21,7 +21,7 @@ from moc_opt.figures.notation import Missing, fraction_length
 from moc_opt.figures.style import DARK
 from moc_opt.inputs.files import to_json
 from moc_opt.report.document import anchor, macros, render, save_document
-from moc_opt.report.tables import Cell, Column, Table, alignment, heading_lines
+from moc_opt.report.tables import Cell, Column, Table, alignment
 
 # As wide as a digit and as a point, where figures are tabular: they align numbers on their points.
 FIGURE_SPACE, POINT_SPACE = "\u2007", "\u2008"
@@ -130,12 +130,9 @@ def _drawn(table: Table, number: int) -> Markup:
         if cell.why is not None and cell.why != Missing()
     )  # fmt: skip
     notes = dict(zip(reasons, ascii_lowercase, strict=False))
-    headings = [
-        {"column": column, "align": alignment(of), "lines": heading_lines(column.title)}
-        for column, of in cells.items()
-    ]
+    alignments = {column: alignment(of) for column, of in cells.items()}
     rows = list(zip(*(_column(column, of, table.rows, notes) for column, of in cells.items()), strict=True))
-    return Markup(_TABLE.draw(number, table, headings, rows, notes))
+    return Markup(_TABLE.draw(number, table, alignments, rows, notes))
 
 
 def _column(
