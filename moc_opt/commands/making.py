@@ -22,12 +22,12 @@ def save_page(given: argparse.Namespace) -> int:
     from moc_opt.report.export import save_figures
     from moc_opt.report.map_page import load_map
     from moc_opt.report.page import Page
-    from moc_opt.report.replay import Replay
+    from moc_opt.report.replay import Replay, load_runs
     from moc_opt.report.run_page import load_report
 
     check_out(given.out, given.command, force=given.force)
-    makers: dict[str, Callable[..., Page | Replay]] = {"replay": Replay.load, "map": load_map, "report": load_report}
-    page = makers[given.command](given.traces)
+    makers: dict[str, Callable[..., Page]] = {"map": load_map, "report": load_report}
+    page = Replay(*load_runs(given.traces)) if given.command == "replay" else makers[given.command](given.traces)
     print(page.save(given.out, force=given.force))
     if isinstance(page, Page) and getattr(given, "figures", False):  # an option of `map`
         print(*save_figures(page.figures, given.out.parent / "figures"), sep="\n")

@@ -11,7 +11,7 @@ import gzip
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,11 +50,6 @@ class Replay:
         for name, trace in traces.items():
             check_showable(name, trace, robot)
         self.traces, self.robot = dict(traces), robot
-
-    @classmethod
-    def load(cls, files: Sequence[str | os.PathLike[str]]) -> Self:
-        """Load a replay of saved traces, named as their files are; raises as `load_runs`."""
-        return cls(*load_runs(files))
 
     def data(self) -> dict[str, Any]:
         """Return what the page shows: names, texts, and arrays, the rows of one after another."""
@@ -95,7 +90,10 @@ def load_runs(files: Sequence[str | os.PathLike[str]]) -> tuple[dict[str, Trace]
     traces: dict[str, Trace] = {}
     for file in map(Path, files):
         traces[file.stem if file.stem not in traces else str(file)] = Trace.load(file)
-    arms = {name: _robot_table(trace) for name, trace in traces.items()}
+    arms = {}
+    for name, trace in traces.items():
+        asked = table(table(trace.meta, "scenario"), "robot")
+        arms[name] = {**asked, "name": asked.get("name") or trace.meta.get("robot")}
     if not traces or len(set(map(str, arms.values()))) > 1:
         raise ReportError(f"traces of {arms or 'nothing'}: give traces of one robot with one tool")
     arm, meta = next(iter(arms.values())), next(iter(traces.values())).meta
@@ -105,11 +103,6 @@ def load_runs(files: Sequence[str | os.PathLike[str]]) -> tuple[dict[str, Trace]
         raise ReportError("the trace does not say which robot it is of: load it yourself with load_robot")
     tool = {"tool_length": arm.get("tool_length_m"), "tool_mass": arm.get("tool_mass_kg")}
     return traces, load_robot(arm["name"], **tool)
-
-
-def _robot_table(trace: Trace) -> dict[str, Any]:
-    arm = table(table(trace.meta, "scenario"), "robot")
-    return {**arm, "name": arm.get("name") or trace.meta.get("robot")}
 
 
 # --- what moves: poses, points and curves of every run, thinned ---

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from moc_opt.errors import MocOptError
-from moc_opt.report.replay import BASE, FRAMES_PER_S, Replay, arm_parts, velocity_ellipsoids
+from moc_opt.report.replay import BASE, FRAMES_PER_S, Replay, arm_parts, load_runs, velocity_ellipsoids
 from moc_opt.robots.model import RobotModel, link_frames
 from moc_opt.trace.trace import Trace
 from tests.conftest import opened
@@ -103,11 +103,11 @@ def test_what_cannot_be_shown_is_refused(robot: RobotModel, tmp_path: Path) -> N
     files = [tmp_path / "exact.parquet", tmp_path / "dcac.parquet", tmp_path / "again" / "exact.parquet"]
     for file in files:
         good.save(file)
-    assert list(Replay.load(files).traces) == ["exact", "dcac", str(files[2])]
+    assert list(load_runs(files)[0]) == ["exact", "dcac", str(files[2])]
     other = tmp_path / "other.parquet"
     Trace(good.columns, {"scenario": {"robot": {"name": "lwr4", "tool_length_m": 0.4}}}).save(other)
     with pytest.raises(MocOptError, match="one robot with one tool"):
-        Replay.load([files[0], other])
+        load_runs([files[0], other])
 
 
 # --- in a browser ---
