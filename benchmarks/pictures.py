@@ -24,7 +24,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "moc, rnn-printed": trial.change(solver={"name": "rnn-printed", "settings": {}}),
     }
     found = {name: run(scenario) for name, scenario in runs.items()}
-    for path in save_figures({"trial": figures.time_series(found)}, given.out, formats=("svg",)):
+    drawn = figures.time_series(found)
+    drawn.update_layout(legend_entrywidth=150)  # in a font that is wider than ours the names fit, too
+    for path in save_figures({"trial": drawn}, given.out, formats=("svg",)):
         print(path)
     return 0
 

@@ -34,7 +34,7 @@ def print_list(given: argparse.Namespace) -> int:
              for name, row in rows.items() if row.get("here", "yes") == "yes"]  # fmt: skip
     keys = dict.fromkeys(key for row in rows.values() for key in row if key != "here")
     print_tables([Table(title, [Column("name", "name"), *(Column(key, TITLES.get(key, key)) for key in keys)], shown)])
-    console().print(note, markup=False)  # below a narrow table it would be a narrow column
+    console().print(note, markup=False)  # as a caption it would be as narrow as the table
     return 0
 
 

@@ -57,10 +57,12 @@ double moc_manipulability(int n, const moc_twist *twist, double J[][MOC_MAX_JOIN
 
 /* mu_s = sqrt(pdet(C)), C = J_W (I - pinv(J_T) J_T) J_W^T: how motion that leaves the tip alone moves the wrist.
  *
- * C has no part along the shaft u, so that pdet(C) is the product of its other two eigenvalues. mu mu_s is the volume
- * of the five rows of tip and shaft together: where mu_s is zero a joint speed without bound is needed to turn the
- * shaft. In the axes of the tool, which turn with ang_k, dJ_j/dq_k is zero for k <= j and ang_j x J_k - ang_k x J_j
- * else; with P_j = C^+ (J_W N)_j on the wrist's columns and -K^T P_j on the tip's, K = J_W pinv(J_T),
+ * C has no part along the shaft u: pdet(C) is the product of its other two eigenvalues. mu mu_s is the volume of the
+ * five rows of tip and shaft together. Where mu_s is zero, turning the shaft needs infinite joint speed.
+ *
+ * The gradient, in the axes of the tool, which turn with ang_k: dJ_j/dq_k is zero for k <= j, else
+ * ang_j x J_k - ang_k x J_j. With N = I - pinv(J_T) J_T and K = J_W pinv(J_T), let P_j be C^+ (J_W N)_j for the wrist's
+ * columns and -K^T C^+ (J_W N)_j for the tip's. Then
  * dmu_s/dq_k = mu_s sum_{wrist, tip} (J_k . sum_{j<k} P_j x ang_j - ang_k . sum_{j<k} J_j x P_j).
  * Zero where mu or mu_s has a kink. */
 double moc_shaft_manipulability(int n, const moc_twist *twist, double A[][MOC_MAX_JOINTS], const double u[3],
@@ -89,7 +91,7 @@ double moc_shaft_manipulability(int n, const moc_twist *twist, double A[][MOC_MA
     double mu = sqrt(fmax(minors, 0.0));
     if (!(minors > SINGULAR * trace * trace))
         return mu;
-    for (int a = 0; a < 3; a++) /* fills the direction of u, which (J_W N) does not have: any number above zero */
+    for (int a = 0; a < 3; a++) /* an eigenvalue along u, where C has none, of any size: invertible */
         for (int b = 0; b < 3; b++)
             C[a][b] += 0.5 * trace * u[a] * u[b];
     double shrink = mu / adjugate3(C, adj);

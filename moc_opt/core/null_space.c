@@ -68,11 +68,12 @@ static void slope_of(int n, const moc_law *law, const moc_terms *t, int rows, do
 }
 
 /* x_d = RATE z |d| / max(-h, |d| / LONGEST) with d = (I - A^+ A)(grad mu + p grad mu_shaft), z = d / |d|, h the
- * slope of |d| along z. With a pull of grad mu alone the speed is c2/rho |d|: where mu is small or flat the climb is
- * slow, and at a sharp top it is stiff. */
+ * slope of |d| along z. The unscaled climb has the speed c2/rho |d|: slow where mu is small or flat, stiff
+ * at a sharp top. */
 void moc_climb(const moc_arm *arm, const moc_law *law, const moc_terms *t, moc_memory *memory, double *x_d)
 {
-    double slope[MOC_MAX_JOINTS], q[MOC_MAX_JOINTS], there[MOC_MAX_JOINTS], Z[MOC_MAX_JOINTS][MOC_MAX_JOINTS];
+    double slope[MOC_MAX_JOINTS] = {0.0}, there[MOC_MAX_JOINTS] = {0.0};
+    double q[MOC_MAX_JOINTS], Z[MOC_MAX_JOINTS][MOC_MAX_JOINTS];
     moc_terms ahead;
     int n = arm->n;
 

@@ -20,7 +20,7 @@ from moc_opt.solvers.exact import Exact
 
 TICKS = 150
 """of the recording, from the middle of the run; a third of them with faults"""
-INFEASIBLE, VIOLENT = 0.5, 10.0  # beyond the reference's velocity [m/s]: no x meets it; the torque is limited
+INFEASIBLE, VIOLENT = 0.5, 10.0  # added to the reference's velocity [m/s]: no x meets it; the torque is limited
 
 
 def export_scenario(

@@ -14,7 +14,7 @@ from moc_opt.figures.style import Styles, figure, label, legend_height, log_axis
 Floats = NDArray[np.float64]
 Samples = Mapping[str, ArrayLike]
 CLOCK_US = 1e-3
-"""Times below a clock's nanosecond are drawn there: zero has no place on a log axis."""
+"""Shorter times are drawn as 1 ns, the clock's step: a log axis has no zero."""
 ECDF_POINTS = 400
 
 
@@ -65,7 +65,7 @@ def box_plots(groups: Mapping[str, Samples], value_label: str) -> go.Figure:
         lower, q1, median, q3, upper, beyond = zip(*boxes.values(), strict=True) if boxes else [()] * 6
         drawn.add_box(
             x=[label(task) for task in boxes], lowerfence=lower, q1=q1, median=median, q3=q3, upperfence=upper,
-            # plotly draws nothing of a name whose first list of points is empty; a point in the box it hides.
+            # plotly draws no box of a name whose first list of outliers is empty; the median as the only one is hidden.
             y=[points or [middle] for points, middle in zip(beyond, median, strict=True)],
             boxpoints="outliers", name=label(name), offsetgroup=name,
             fillcolor=f"{styles[name].color}48",  # an opacity of 0.28; a dark page exchanges the first seven characters

@@ -75,6 +75,7 @@ TEMPLATE = go.layout.Template(
         "font": {"family": FONT, "size": 12, "color": INK},
         "colorway": list(SERIES), "paper_bgcolor": "rgba(0,0,0,0)", "plot_bgcolor": "rgba(0,0,0,0)",
         "xaxis": _axis(), "yaxis": _axis(),
+        "modebar": {"bgcolor": "rgba(0,0,0,0)", "color": MUTED, "activecolor": INK},
         "margin": {"l": 56, "r": 16, "t": 16, "b": 48}, "height": HEIGHT_PX,
         "legend": {
             "orientation": "h", "x": 0.0, "xanchor": "left", "y": 1.02, "yanchor": "bottom",

@@ -1,4 +1,4 @@
-"""Planning over the redundancy: what an arm may do while tip and wrist stay, and which of it, when, along a path.
+"""Planning over the redundancy: the poses that leave tip and wrist in place, and which to take when along a path.
 
 ``self_motion`` has the curve of poses with one tip and wrist, and the freedoms, ``elbow`` the angle of the elbow on it.
 For a path there are ``course`` (targets, and a course along them), ``pose_map`` (every pose at every time), ``search``

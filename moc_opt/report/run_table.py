@@ -89,9 +89,9 @@ def below_best(trace: Trace) -> str:
         return said
     left = 1.0 - float(trace.mu[-1]) / end["top_mu"]
     if left > NEAR:
-        return f"{said}; at its end it is still {100.0 * left:.1f} % below the local maximum that it climbs to"
+        return f"{said}; at the end mu is still {100.0 * left:.1f} % below the nearest local maximum"
     if end["top_mu"] >= (1.0 - NEAR) * end["best_mu"]:
-        return f"{said}; it ends at the best pose, which the elbow took time to reach"
+        return f"{said}; the run ends at the best pose, and the loss is the time that the elbow took"
     top = f"at swivel {end['top_swivel_deg']:.0f} deg ({end['top_mu']:.3f} m³)"
     best = f"at {end['best_swivel_deg']:.0f} deg ({end['best_mu']:.3f} m³)"
     where = "before a joint limit" if end["at_limit"] else "at a local maximum"

@@ -23,6 +23,7 @@ TOOL_NAMES = {"link": {TOOL_LINK, TIP_LINK, WRIST_LINK}, "joint": {"tool_mount",
 """Names that the tool brings, and that a URDF must not have."""
 MOMENTS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 SMALLEST_MASS, SMALLEST_MOMENT = 1e-6, 1e-12
+MOST_LINKS = 500
 _TRIANGLE, _FLAT, _THIN = 1e-6, 1e-9, 1e-12  # of the largest moment: files round their numbers
 LARGEST = 1e6  #: No number of an arm is larger, in whichever unit, but for a vendor's limits.
 
@@ -172,6 +173,8 @@ def normalize(arm: Urdf) -> Tree:
 
     A RobotError names a wrong name or number, a mass or inertia that no body has, or links and joints that are no tree.
     """
+    if len(arm.links) > MOST_LINKS:  # MuJoCo and pinocchio follow a chain by calling themselves
+        raise RobotError(f"urdf has {len(arm.links)} links: an arm has {MOST_LINKS} at most")
     for name in [link.name for link in arm.links] + [joint.name for joint in arm.joints]:
         if not names.is_name(name):
             raise RobotError(f"urdf: the name of a link or joint, {name!r:.80}, is no name: {names.RULE}")

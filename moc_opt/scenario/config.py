@@ -78,7 +78,8 @@ class Scenario(Settings):
     )
     best_courses: bool = Field(
         False,
-        description="plan the best courses of the path after the run and compare mu with them; takes a second or more",
+        description="plan the best courses of the path after the run and compare mu with them, for a second or more; "
+        "`moc-opt run` does so unless this is set",
     )
 
     def __init__(self, **values: Any) -> None:

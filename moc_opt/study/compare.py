@@ -43,10 +43,10 @@ COLUMNS = [
     *columns(*METRICS_SHOWN), Column("oscillated", "oscillated"), Column("solve_p99_us", "p99", "us"),
 ]  # fmt: skip
 CAPTION = (
-    f"Means over the trials that came to their end, from {LEAST_TRIALS} trials on with 95 % intervals. Changes: of the "
-    "mean over that of DCAC with the same gains on the same trials; ?: undecided, as the mean of the trials' ratios "
-    f"says otherwise; none of fewer than {LEAST_TRIALS} trials. Times: of the middle trial; exact's are within C, "
-    f"without the call. {FRAMES}"
+    f"Means are over completed trials, with 95 % intervals from {LEAST_TRIALS} trials on. Changes (from {LEAST_TRIALS} "
+    "trials on) compare the mean with that of DCAC with the same gains on the same trials; ? marks a change that the "
+    "mean of the trials' ratios does not confirm. Times are those of the median trial; exact's leave out the call from "
+    f"Python. {FRAMES}"
 )
 
 

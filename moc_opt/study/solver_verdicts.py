@@ -171,12 +171,12 @@ def _why(summary: Summary, row: Row, others: Sequence[Row], asked: int) -> str:
     """Say what the solver to take was asked for and answered, its time, and whether that is to be trusted."""
     counted = row["counted"]
     kind = "certified" if "testsets" in summary else "recorded"
-    parts = [f"verified {counted['verified_solved']} of {counted['optima_asked']} {kind} optima"]
+    refused = counted["refused_inconsistent"]
+    parts = [f"verified {counted['verified_solved']} of {counted['optima_asked'] + refused} {kind} optima"]
     if counted["infeasible_asked"]:
         parts.append(f"recognised {counted['infeasible_right']} of {counted['infeasible_asked']} infeasible problems")
-    if counted["refused_inconsistent"]:
-        refused = f"{counted['refused_inconsistent']} of {counted['inconsistent_asked']}"
-        parts.append(f"refused {refused} problems whose rows contradict each other")
+    if refused:
+        parts.append(f"refused {refused} of {counted['inconsistent_asked']} problems whose rows contradict each other")
     text = "" if others or asked == 1 else f", the only sound one of {asked} solvers"
     text += f". It {listed(parts)}; none of its answers was silently wrong."
     if row["p50_us"] is not None:
@@ -244,8 +244,9 @@ def first_table(summary: Summary, rows: Sequence[Row]) -> Table:
     ]  # fmt: skip
     caption = (
         f"★ take: the fastest of the sound ones by p99, ✔ sound, ◐ gaps: less than {100 * RIGHTLY:g} % right, and "
-        "reports it, ≈ near: claims no optimum, or is surely worse in closed loop, ✘ avoid (docs/solvers.md has the "
-        "rules). Right: verified, or rightly called infeasible. Wrong: claimed as solved and not optimal."
+        "reports it, ≈ near: close to the optimum without claiming it, or worse in closed loop, ✘ avoid "
+        "(docs/solvers.md has the rules). Right: verified, or rightly called infeasible. Wrong: claimed as solved and "
+        "not optimal."
     )
     if any(row["verdict"] is OTHER for row in rows):
         caption += (
@@ -261,8 +262,8 @@ def first_table(summary: Summary, rows: Sequence[Row]) -> Table:
         caption += (
             " Tip: change of the error against DCAC on the same trials, by the robot's own kinematics / in the frame "
             "registered at the start, the patient's; ?: undecided. Worst damage: largest loss in closed loop against "
-            f"the solver to take; none: within tolerance. {_trials_told(rows)} Endings are compared on the trials that "
-            "every solver ran."
+            f"the solver to take; none: within tolerance. {_trials_told(rows)} How runs ended is compared on the trials "
+            "that every solver ran."
         )
     if any(row["counted"].get("refused_inconsistent") for row in rows):
         caption += f" {INCONSISTENT}"

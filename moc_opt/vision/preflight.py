@@ -80,18 +80,21 @@ def random_start(
 ) -> Found:  # fmt: skip
     """Draw poses until one can do the task, and return what was laid out from it.
 
-    A pose is drawn evenly from the joints' ranges, less `DRAWN_MARGIN` at both ends. ``swivelled`` chooses the pose of
-    the same tip and wrist that is begun with, ``lay_out`` gives the task from there and the poses (k, n) that follow
-    it. Rejected is a pose from which the task cannot be done within joint limits and speeds, and where one of these is
-    nearly singular (`REGULAR`), has a joint within its ``margins`` (n,) of a limit [rad, m], or tip or wrist below the
-    plane that the arm stands on. A ScenarioError where none of `DRAWS` poses passes; says what rejected how many.
+    A pose is drawn evenly from the joints' ranges, less `DRAWN_MARGIN` at both ends. ``swivelled(q)`` returns the pose
+    to start from: tip and wrist of q, with the swivel that the scenario asks for. ``lay_out(start)`` returns the task
+    from there and the poses (k, n) along it. A draw is rejected if the task cannot be done within joint limits and
+    speeds, or if one of these poses is nearly singular (`REGULAR`), has a joint within ``margins`` (n,) of a limit
+    [rad, m], or has tip or wrist below the plane of the base.
+
+    Raises:
+        ScenarioError: all `DRAWS` draws are rejected; the message counts the reasons.
     """
     room = DRAWN_MARGIN * (robot.q_max - robot.q_min)
     rejected: Counter[str] = Counter()
     for _ in range(DRAWS):
         drawn = rng.uniform(robot.q_min + room, robot.q_max - room)
         try:
-            # The swivel is a scan of milliseconds, and neither tip nor wrist depends on it: looked at before it.
+            # Checked before the swivel is chosen, which takes milliseconds and would often be in vain.
             _require_fit(robot, drawn, margins)
             q = swivelled(drawn)
             _require_fit(robot, q, margins)

@@ -13,7 +13,7 @@ from moc_opt.export import export_scenario
 from moc_opt.export.folder import CORE
 from moc_opt.scenario import Scenario
 
-FLAGS = "CFLAGS=-std=c11 -ffp-contract=off -fno-math-errno -Werror -fPIC -O1"
+FLAGS = "CFLAGS=-std=c11 -ffp-contract=off -fno-math-errno -Werror -fPIC -O3"
 Export = Callable[..., Path]
 
 

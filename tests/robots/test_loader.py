@@ -135,6 +135,7 @@ BAD_URDF = {
     "no direction": ('<axis xyz="0 0 1"/>', '<axis xyz="0 0 0"/>', "joint_1.*give a direction"),
     "degrees for metres": ('"joint_1" type="revolute"', '"joint_1" type="prismatic"', r"limits\.q_min_deg is in deg"),
     "a name that ends a comment": ('"joint_3" type', '"*/x();/*" type', "is no name"),
+    "too long": ("</robot>", "".join(f'<link name="l{k}"/>' for k in range(500)) + "</robot>", "500 at most"),
     "name taken": ('<link name="link_0">', '<link name="tip"/><link name="link_0">', "has links.*tip"),
 }
 

@@ -109,7 +109,7 @@ static int64_t now_ns(void)
 /* Begin to speak with host:port. Returns NULL, or what is wrong. */
 static const char *open_link(const char *host, const char *port)
 {
-    struct timeval turn = {.tv_usec = TURN_US}; /* a call that waits comes back so often, to look at the clock */
+    struct timeval turn = {.tv_usec = TURN_US}; /* recvfrom returns after it, to look at the clock */
     const char *key = getenv("MOC_OPT_WIRE_KEY");
     int number = atoi(port);
 
@@ -134,7 +134,8 @@ static void send_packet(wire_header *packet, size_t size, uint8_t kind, int64_t 
 {
     uint8_t *bytes = (uint8_t *)packet;
 
-    *packet = (wire_header){WIRE_MAGIC, WIRE_VERSION, kind, WIRE_JOINTS, packet->flags, wire.session, WIRE_SCENARIO, number};
+    *packet = (wire_header){WIRE_MAGIC,   WIRE_VERSION, kind, WIRE_JOINTS, packet->flags, wire.session,
+                            WIRE_SCENARIO, number};
     sign(bytes, size - TAG, wire.key, wire.key_length, bytes + size - TAG);
     (void)!sendto(wire.socket, packet, size, 0, (const struct sockaddr *)&wire.plant, sizeof wire.plant);
 }
@@ -177,7 +178,7 @@ static int receive(int64_t until, wire_measurement *found)
     return 0;
 }
 
-/* Send a packet over and over until a measurement comes that waits, or one that does not. */
+/* Send a packet every 100 ms until a measurement comes whose flag is "waiting" (waiting = 1), or is not (0). */
 static int ask(uint8_t kind, int waiting, wire_measurement *found)
 {
     int64_t until = now_ns() + (int64_t)(1e9 * WIRE_WAIT_S);
@@ -299,7 +300,7 @@ int main(int argc, char **argv)
     if ((wrong = open_link(argv[1], argv[2])))
         return fail(argv[1], wrong);
     if (!ask(WIRE_KIND_HELLO, 1, &m))
-        return fail("no plant answers there", "start `python -m moc_opt plant` with the same robot and key");
+        return fail("no plant answers there", "start `moc-opt plant` with the same robot and key");
     if (m.head.scenario != WIRE_SCENARIO)
         return fail("the plant runs another scenario", "export this program from that one");
     wire.session = m.head.session;
