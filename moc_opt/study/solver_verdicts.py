@@ -262,8 +262,8 @@ def first_table(summary: Summary, rows: Sequence[Row]) -> Table:
         caption += (
             " Tip: change of the error against DCAC on the same trials, by the robot's own kinematics / in the frame "
             "registered at the start, the patient's; ?: undecided. Worst damage: largest loss in closed loop against "
-            f"the solver to take; none: within tolerance. {_trials_told(rows)} How runs ended is compared on the trials "
-            "that every solver ran."
+            f"the solver to take; none: within tolerance. {_trials_told(rows)} How runs ended is compared on the "
+            "trials that every solver ran."
         )
     if any(row["counted"].get("refused_inconsistent") for row in rows):
         caption += f" {INCONSISTENT}"
