@@ -25,7 +25,9 @@ MOMENTS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 SMALLEST_MASS, SMALLEST_MOMENT = 1e-6, 1e-12
 MOST_LINKS = 500
 _TRIANGLE, _FLAT, _THIN = 1e-6, 1e-9, 1e-12  # of the largest moment: files round their numbers
-LARGEST = 1e6  #: No number of an arm is larger, in whichever unit, but for a vendor's limits.
+SMALLEST = 1e-30  #: A smaller number is read as 0: some readers refuse those below 1e-308.
+LARGEST, LARGEST_MASS, FARTHEST = 1e6, 1e5, 100.0
+"""No number of an arm is larger, no mass [kg], and no length or angle of an origin [m], [rad]."""
 
 Numbers = tuple[float, ...]
 _ZEROS: Numbers = (0.0, 0.0, 0.0)
@@ -125,11 +127,13 @@ def read(text: str) -> Urdf:
 
 def _link(element: ET.Element) -> Link:
     link = Link(element.get("name", ""))
-    where, body = f"link {link.name!r:.80}", element.find("inertial")
+    where = f"link {link.name!r:.80}"
+    body = _one(element, "inertial", where)
     if body is not None:
         link.xyz, link.rpy = _place(body, f"<inertial> of {where}")
-        (link.mass,) = _numbers(body.find("mass"), "value", f"mass of {where}", 1)
-        link.moments = sum((_numbers(body.find("inertia"), key, f"{key} of {where}", 1) for key in MOMENTS), ())
+        (link.mass,) = _numbers(_one(body, "mass", where), "value", f"mass of {where}", 1, LARGEST_MASS)
+        inertia = _one(body, "inertia", where)
+        link.moments = sum((_numbers(inertia, key, f"{key} of {where}", 1) for key in MOMENTS), ())
     return link
 
 
@@ -137,7 +141,8 @@ def _joint(element: ET.Element) -> Joint:
     parent, child = (getattr(element.find(which), "attrib", {}).get("link", "") for which in ("parent", "child"))
     joint = Joint(element.get("name", ""), element.get("type", ""), parent, child)
     joint.mimics = element.find("mimic") is not None
-    where, axis, limit = f"joint {joint.name!r:.80}", element.find("axis"), element.find("limit")
+    where = f"joint {joint.name!r:.80}"
+    axis, limit = (_one(element, tag, where) for tag in ("axis", "limit"))
     joint.xyz, joint.rpy = _place(element, where)
     if axis is not None:
         joint.axis = _numbers(axis, "xyz", f"<axis> of {where}")
@@ -148,8 +153,16 @@ def _joint(element: ET.Element) -> Joint:
 
 
 def _place(element: ET.Element, where: str) -> tuple[Numbers, Numbers]:
-    origin, what = element.find("origin"), f"<origin> of {where}"
-    return _numbers(origin, "xyz", f"{what}, xyz"), _numbers(origin, "rpy", f"{what}, rpy")
+    origin, what = _one(element, "origin", where), f"<origin> of {where}"
+    xyz, rpy = (_numbers(origin, key, f"{what}, {key}", most=FARTHEST) for key in ("xyz", "rpy"))
+    return xyz, rpy
+
+
+def _one(parent: ET.Element, tag: str, where: str) -> ET.Element | None:
+    found = parent.findall(tag)
+    if len(found) > 1:
+        raise RobotError(f"urdf: {where} has {len(found)} <{tag}>: leave one, readers differ in which they take")
+    return found[0] if found else None
 
 
 def _numbers(element: ET.Element | None, key: str, what: str, count: int = 3, most: float = LARGEST) -> Numbers:
@@ -161,8 +174,8 @@ def _numbers(element: ET.Element | None, key: str, what: str, count: int = 3, mo
     found = tuple(float(part) if part.lower().lstrip("+-") in endless else decimal(part) for part in text.split())
     if len(found) != count or not all(abs(value) <= most for value in found):
         wanted = "three decimal numbers, such as '0 0 0.1'" if count == 3 else "a decimal number"
-        raise RobotError(f"urdf: {what} is {text!r:.80}: give {wanted}, of at most {LARGEST:g}")
-    return found
+        raise RobotError(f"urdf: {what} is {text!r:.80}: give {wanted}, of at most {min(most, LARGEST):g}")
+    return tuple(0.0 if abs(value) < SMALLEST else value for value in found)
 
 
 # --- checking ---
@@ -210,6 +223,9 @@ def _check_joint(joint: Joint) -> None:
         if length < 1e-3:
             raise RobotError(f"urdf: <axis> of {where} has no length: give a direction, such as '0 0 1'")
         joint.axis = tuple(value / length for value in joint.axis)
+    for key, value in joint.limits.items():
+        if abs(value) > LARGEST:
+            raise RobotError(f"urdf: <limit> of {where}, {key} is {value:g}: give a number up to {LARGEST:g}")
 
 
 def inertia_fault(moments: Iterable[float]) -> str | None:

@@ -10,7 +10,7 @@ from hypothesis import assume, given, settings
 
 from moc_opt.errors import MocOptError, RobotError
 from moc_opt.robots import load_data, loader
-from moc_opt.robots.urdf import LARGEST, Joint, Link, Urdf, inertia_fault, normalize, read
+from moc_opt.robots.urdf import FARTHEST, SMALLEST, Joint, Link, Urdf, inertia_fault, normalize, read
 
 FOLDER = Path(loader.__file__).parent
 URDF = (FOLDER / "lwr4.urdf").read_text(encoding="utf-8")
@@ -135,6 +135,9 @@ BAD_URDF = {
     "no direction": ('<axis xyz="0 0 1"/>', '<axis xyz="0 0 0"/>', "joint_1.*give a direction"),
     "degrees for metres": ('"joint_1" type="revolute"', '"joint_1" type="prismatic"', r"limits\.q_min_deg is in deg"),
     "a name that ends a comment": ('"joint_3" type', '"*/x();/*" type', "is no name"),
+    "endless": ('lower="-', 'lower="-inf" x="-', r"<limit> of joint 'joint_1', lower is -inf"),
+    "millimetres": ('<mass value="1.7"/>', '<origin xyz="0 0 200"/><mass value="1.7"/>', "link_5"),
+    "two limits": ('<axis xyz="0 0 1"/>', '<axis xyz="0 0 1"/><limit effort="1"/>', "joint_1.*2 <limit>"),
     "too long": ("</robot>", "".join(f'<link name="l{k}"/>' for k in range(500)) + "</robot>", "500 at most"),
     "name taken": ('<link name="link_0">', '<link name="tip"/><link name="link_0">', "has links.*tip"),
 }
@@ -164,16 +167,16 @@ def test_bad_tool_arguments(bad: float) -> None:
 
 @pytest.mark.parametrize("text", [
     "", "0 0", "0 0 0 0", "0,0,0",
-    *(f"0 0 {bad}" for bad in ("0x10", "nan", "inf", "1,5", "1e", "-1000001", "1e999", "1_0", "\u0663.0")),
+    *(f"0 0 {bad}" for bad in ("0x10", "nan", "inf", "1,5", "1e", "-101", "1e999", "1_0", "\u0663.0")),
 ])  # fmt: skip
 def test_what_is_no_number_of_an_arm_is_refused(text):
     origin = '<joint name="j"><parent link="a"/><child link="b"/><origin xyz="{}"/></joint>'
-    assert read(f'<robot name="x">{origin.format(f"{LARGEST} 0 -1e-31")}</robot>').joints[0].xyz == (1e6, 0.0, -1e-31)
+    assert read(f'<robot name="x">{origin.format(f"{FARTHEST} 0 -1e-31")}</robot>').joints[0].xyz == (100.0, 0.0, 0.0)
     with pytest.raises(RobotError, match=r"<origin> of joint 'j', xyz is '.*give three decimal numbers"):
         read(f'<robot name="x">{origin.format(text)}</robot>')
 
 
-numbers = st.floats(-100.0, 100.0)
+numbers = st.floats(-100.0, 100.0).filter(lambda x: x == 0.0 or abs(x) >= SMALLEST)
 triples = st.tuples(numbers, numbers, numbers)
 limits = st.dictionaries(st.sampled_from(["lower", "upper", "velocity", "effort"]), numbers)
 moments = st.tuples(*[numbers] * 6)
