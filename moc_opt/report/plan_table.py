@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import math
 import textwrap
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from moc_opt.planning.plan import Plan
 from moc_opt.report.tables import Column, Table
-
-if TYPE_CHECKING:
-    from moc_opt.planning.plan import Plan
-    from moc_opt.robots.model import RobotModel
+from moc_opt.robots.model import RobotModel
 
 COURSES = [
     Column("course", "course"), Column("mu_mean", "mean mu", unit="m^3", format=".4f", better="high"),

@@ -54,15 +54,6 @@ def warnings(trace: Trace) -> list[str]:
     ]
 
 
-def refusals(trace: Trace) -> list[str]:
-    """Return a sentence on each kind of answer that the supervisor refused."""
-    return [
-        f"answer refused, {fault}: {of['count']} of {len(trace)} ticks, first at {of['first_at_s']:.3f} s: "
-        f"{of['first']}"
-        for fault, of in trace.meta.get("faults", {}).items()
-    ]
-
-
 def replaced(trace: Trace) -> str:
     """Return "at 412 of 4034 ticks: raised 400, late 12" where answers were replaced; empty where none was."""
     counts = {fault: of["count"] for fault, of in trace.meta.get("faults", {}).items()}
@@ -185,7 +176,12 @@ def description(trace: Trace) -> str:
 
 def remarks(trace: Trace) -> list[str]:
     """Return what supervisor and safety filter noted, and by how much mu stays below the best course, as sentences."""
-    return list(filter(None, [*refusals(trace), *warnings(trace), below_best(trace)]))
+    refused = [
+        f"answer refused, {fault}: {of['count']} of {len(trace)} ticks, first at {of['first_at_s']:.3f} s: "
+        f"{of['first']}"
+        for fault, of in trace.meta.get("faults", {}).items()
+    ]
+    return list(filter(None, [*refused, *warnings(trace), below_best(trace)]))
 
 
 def run_json(trace: Trace, metrics: Mapping[str, float]) -> dict[str, Any]:

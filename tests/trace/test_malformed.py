@@ -15,7 +15,7 @@ from hypothesis import given
 import moc_opt as mo
 from moc_opt.errors import TraceError
 from moc_opt.report.replay import load_runs
-from moc_opt.report.run_table import part, refusals, run_json, run_tables, warnings
+from moc_opt.report.run_table import part, remarks, run_json, run_tables
 from moc_opt.scenario import Scenario, run
 from moc_opt.trace import file
 from moc_opt.trace.metrics import summarize
@@ -157,6 +157,6 @@ def test_a_foreign_trace_is_shown_or_refused(tmp_path, faulty_run, data):
         Trace(columns, meta).save(tmp_path / "trace.parquet")
         (trace,) = load_runs([tmp_path / "trace.parquet"])[0].values()
         metrics = summarize(trace)
-        assert all(isinstance(line, str) for line in (part(trace), *refusals(trace), *warnings(trace)))
+        assert all(isinstance(line, str) for line in (part(trace), *remarks(trace)))
         json.dumps(run_json(trace, metrics))
         assert not {"\x1b", "\u202e"} & set(run_tables({"run": trace}, {"run": metrics})[0].to_text())
