@@ -31,9 +31,11 @@ def read_scenario(path: Path | None) -> tuple[Scenario, str]:
 
 
 def print_tables(tables: Iterable[Table]) -> None:
-    """Print tables as the screen has room for them."""
+    """Print tables as the screen has room for them, with a blank line between two."""
     screen = console()
-    for table in tables:
+    for place, table in enumerate(tables):
+        if place:
+            screen.print()
         screen.print(table)
 
 
@@ -237,7 +239,8 @@ def plan_scenario(given: argparse.Namespace) -> int:
         print(to_json(plan_json(plan) | {"within": within, "warnings": warned}))
     else:
         print_tables(plan_tables(title, plan, **within))
-        print(start_toml(scenario.robot.arm(), plan))
+        if start := start_toml(scenario.robot.arm(), plan):
+            print(f"\n{start}")
     for line in warned:  # last, below the tables
         print(f"{title}: warning: {line}", file=sys.stderr)
     if given.out is not None and plan.course is None:
