@@ -16,7 +16,7 @@ import numpy as np
 from moc_opt.arrays import Array
 from moc_opt.control.controller import Guide
 from moc_opt.control.settings import ControlSettings
-from moc_opt.errors import ScenarioError, TaskError, TraceError, shown
+from moc_opt.errors import ScenarioError, TaskError, TraceError, is_number, shown
 from moc_opt.planning.course import Course, Limits, Margin, Targets, between, make_course, margin_at
 from moc_opt.planning.follow import CATCH_UP, NO_COURSE, NODES, Follower, Planner
 from moc_opt.planning.plan import make_plan
@@ -278,6 +278,9 @@ def too_fast_to_follow(settings: ControlSettings, robot: RobotModel, shares: Arr
 
 
 def margin_of(robot: RobotModel, margin_rad: float, margin_m: float) -> Margin:
-    """Return one number where no joint slides, else one per joint (n,)."""
+    """Return one number where no joint slides, else one per joint (n,); a TaskError where a margin is below zero."""
+    for name, value in (("margin_rad", margin_rad), ("margin_m", margin_m)):
+        if not (is_number(value) and 0.0 <= value < np.inf):
+            raise TaskError(f"{name} = {value!r}: give zero or more, and less than half of every joint's range")
     slides = robot.chain.prismatic
     return np.where(slides, margin_m, margin_rad) if slides.any() else margin_rad

@@ -18,6 +18,7 @@ from moc_opt.robots.model import RobotModel
 
 HELD = 1e-6  #: A singular value below this share of the largest holds nothing.
 RANK = 1e-9  #: A singular value of A below this counts as zero on the curve.
+LEAST_STEP, MOST_STEP = 1e-5, 10.0  #: Of the samples on a curve [rad].
 _CLOSED = 1  # of the reasons why the core ends a curve
 
 
@@ -138,8 +139,10 @@ def self_motion(robot: RobotModel, q: ArrayLike, step: float = 0.02) -> SelfMoti
 
     Args:
         q: (n,) a pose inside the joint limits [rad]; a RobotError where it is outside, or singular.
-        step: spacing of the samples in joint space [rad].
+        step: spacing of the samples in joint space [rad]; a RobotError where it is not from 1e-5 to 10.
     """
+    if not LEAST_STEP <= step <= MOST_STEP:
+        raise RobotError(f"step = {step!r}: give {LEAST_STEP:g} to {MOST_STEP:g} rad")
     state = robot.state(q)
     outside = np.flatnonzero((state.q < robot.q_min) | (state.q > robot.q_max))
     if outside.size:

@@ -242,7 +242,7 @@ class RobotModel:
         shape = f"({'k, ' if dimensions > 1 else ''}{self.n},)"
         try:
             array = np.array(value, dtype=np.float64, order="C")  # compiled code takes that for granted
-        except (TypeError, ValueError) as error:
+        except (TypeError, ValueError, OverflowError) as error:
             raise RobotError(f"{name} = {shown(value)} is not numeric: give numbers {shape}") from error
         if array.ndim != dimensions or array.shape[-1] != self.n:
             raise RobotError(f"{name} has shape {array.shape}: the arm has {self.n} joints, give {shape}")

@@ -49,3 +49,11 @@ def test_a_pose_that_is_no_number_writes_nothing():
     assert ROBOT.arm.terms(q * np.nan, q, record) == core.BAD_Q
     assert ROBOT.arm.terms(q, np.full(7, np.inf), record) == core.BAD_V
     assert (record == 7.0).all()
+
+
+@pytest.mark.parametrize(("count", "step"), [(0, 0.02), (1, 0.02), (9, 0.0), (9, np.inf), (9, np.nan)])
+def test_a_curve_without_room_or_step_is_refused(count, step):
+    state = ROBOT.state(ROBOT.data.q_home)
+    task = ROBOT.q_min, ROBOT.q_max, np.array([state.tip, state.wrist]), np.array(state.q), np.ones(7)
+    with pytest.raises(ValueError, match="2 samples or more"):
+        ROBOT.arm.follow_curve(*task, step, np.zeros(count), np.zeros((count, 7)), np.zeros(count))

@@ -134,6 +134,7 @@ def test_what_cannot_be_is_refused_in_words(built: Built, tmp_path: Path) -> Non
         ("usage", (), ""),
         ("not the file", ("127.0.0.1", "1", str(short)), ""),
         ("numbers", ("localhost", "1", reference), ""),
+        ("numbers", ("127.0.0.1", "1x", reference), ""),
         ("numbers", ("192.0.2.1", "70000", reference), "0123456789abcdef"),
         ("other machines", ("192.0.2.1", "1", reference), ""),
         ("16 to 32", ("192.0.2.1", "1", reference), "x" * 33),

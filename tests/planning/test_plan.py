@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from moc_opt.errors import TaskError
+from moc_opt.errors import MocOptError, TaskError
 from moc_opt.planning import plan
 from moc_opt.planning.course import MOST_VIOLATION, Limits, Targets, lay_targets
 from moc_opt.planning.plan import climb, make_plan
@@ -131,6 +131,13 @@ def test_where_the_bound_leaves_room_the_program_begins_at_its_course_too(monkey
     found = planned.plan(trapped, times=60, swivels=180)
     assert found.climbed_whole
     assert 1.15 * found.climbed.mu_mean < found.from_start.mu_mean <= found.bound_from_start
+
+
+@pytest.mark.parametrize("margin", [-1.0, float("nan"), float("inf"), "wide"])
+@pytest.mark.parametrize("name", ["margin_rad", "margin_m"])
+def test_a_margin_below_zero_is_refused_by_its_name(name, margin):
+    with pytest.raises(MocOptError, match=f"{name} = .*give zero or more"):
+        planned.plan(Scenario(duration_s=0.1), times=5, **{name: margin})
 
 
 def test_a_start_inside_the_margin_lowers_it():

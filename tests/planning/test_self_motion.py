@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from moc_opt.errors import RobotError
+from moc_opt.errors import MocOptError, RobotError
 from moc_opt.planning.elbow import Elbow, distance_to_go, in_transient
 from moc_opt.planning.self_motion import (
     best_freedoms,
@@ -50,6 +50,12 @@ def test_a_curve_keeps_tip_wrist_and_limits_and_has_the_models_mu(robot, regular
         assert motion.mu_best == pytest.approx(robot.state(motion.best).mu, abs=1e-12)
         assert motion.mu_best >= motion.mu.max() >= robot.state(start).mu - 1e-12
         assert motion.mu_best == pytest.approx(self_motion(robot, start, step=0.005).mu_best, abs=1e-6)
+
+
+@pytest.mark.parametrize("step", [0.0, -1.0, 1e-9, 1e9, float("inf"), float("nan")])
+def test_a_step_that_leads_nowhere_is_refused(robot, step):
+    with pytest.raises(MocOptError, match="step = "):
+        self_motion(robot, robot.data.q_home, step=step)
 
 
 def test_the_same_curve_from_any_of_its_poses_and_one_of_a_tool_off_the_last_axis(robot, odd_robot):

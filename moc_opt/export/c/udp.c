@@ -111,10 +111,11 @@ static const char *open_link(const char *host, const char *port)
 {
     struct timeval turn = {.tv_usec = TURN_US}; /* recvfrom returns after it, to look at the clock */
     const char *key = getenv("MOC_OPT_WIRE_KEY");
-    int number = atoi(port);
+    char *end;
+    long number = strtol(port, &end, 10);
 
     wire.plant = (struct sockaddr_in){.sin_family = AF_INET, .sin_port = htons((uint16_t)number)};
-    if (number < 1 || number > 65535 || inet_pton(AF_INET, host, &wire.plant.sin_addr) != 1)
+    if (*end || number < 1 || number > 65535 || inet_pton(AF_INET, host, &wire.plant.sin_addr) != 1)
         return "give HOST PORT as numbers: 127.0.0.1 30200";
     if ((!key || !*key) && strncmp(host, "127.", 4) != 0)
         return "other machines reach that address: put the key into MOC_OPT_WIRE_KEY";
