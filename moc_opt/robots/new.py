@@ -62,8 +62,12 @@ def new_robot(
     """
     if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]{0,99}\.toml", out.name):
         raise RobotError(f"--out {out.name!r}: the robot is called like it: give letters, digits, _ and -, then .toml")
-    if seed < 0 or not np.isfinite([*base_rpy, *(lock or {}).values()]).all():
-        raise RobotError(f"--seed {seed}, --base-rpy {base_rpy}, --lock {lock}: give finite numbers, no negative seed")
+    for option, value, least, most in (
+        ("tool", tool_m, 1e-3, 10.0), ("seed", seed, 0, 2**63), *(("base-rpy", angle, -10, 10) for angle in base_rpy),
+        *((f"lock {joint}", place, -1e3, 1e3) for joint, place in (lock or {}).items()),
+    ):  # fmt: skip
+        if not least <= value <= most:
+            raise RobotError(f"--{option} {value:g}: give a number from {least:g} to {most:g}")
     beside = out.with_suffix(".urdf")
     for file in (out, beside):
         if file.exists():

@@ -23,7 +23,7 @@ TOOL_NAMES = {"link": {TOOL_LINK, TIP_LINK, WRIST_LINK}, "joint": {"tool_mount",
 """Names that the tool brings, and that a URDF must not have."""
 MOMENTS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 SMALLEST_MASS, SMALLEST_MOMENT = 1e-6, 1e-12
-MOST_LINKS = 500
+MOST_LINKS = 250  #: Engines follow a chain by recursion, and some thousands of links end the process.
 _TRIANGLE, _FLAT, _THIN = 1e-6, 1e-9, 1e-12  # of the largest moment: files round their numbers
 SMALLEST = 1e-30  #: A smaller number is read as 0: some readers refuse those below 1e-308.
 LARGEST, LARGEST_MASS, FARTHEST = 1e6, 1e5, 100.0
@@ -122,6 +122,8 @@ def read(text: str) -> Urdf:
         raise RobotError(f"urdf root is <{root.tag}>: a URDF begins with <robot>")
     if any("xacro" in element.tag for element in root):
         raise RobotError("urdf is a xacro file: expand it first (xacro FILE > arm.urdf)")
+    if (count := len(root.findall("link"))) > MOST_LINKS:
+        raise RobotError(f"urdf has {count} links: an arm has {MOST_LINKS} at most")
     return Urdf([_link(each) for each in root.findall("link")], [_joint(each) for each in root.findall("joint")])
 
 
@@ -186,8 +188,6 @@ def normalize(arm: Urdf) -> Tree:
 
     A RobotError names a wrong name or number, a mass or inertia that no body has, or links and joints that are no tree.
     """
-    if len(arm.links) > MOST_LINKS:  # MuJoCo and pinocchio follow a chain by calling themselves
-        raise RobotError(f"urdf has {len(arm.links)} links: an arm has {MOST_LINKS} at most")
     for name in [link.name for link in arm.links] + [joint.name for joint in arm.joints]:
         if not names.is_name(name):
             raise RobotError(f"urdf: the name of a link or joint, {name!r:.80}, is no name: {names.RULE}")

@@ -229,8 +229,9 @@ def test_from_a_vendors_file_to_a_check_a_run_and_a_replay(tmp_path: Path, monke
 
 @pytest.mark.parametrize(("arguments", "told"), [
     (["--lock", "joint_3=x"], "--lock"), (["--lock", "joint_3"], "of 6 joints"), (["--tip", "gone"], "unknown link"),
-    (["--tool", "-1"], "length_m"), (["--base-rpy", "nan", "0", "0"], "--base-rpy"), (["--seed", "-1"], "--seed"),
-    (["--out", "x.txt"], "--out"), (["--out", "my robot.toml"], "--out"),
+    (["--tool", "-1"], "--tool"), (["--lock", "joint_3=1e308"], "--lock joint_3"), (["--seed", "-1"], "--seed"),
+    (["--base-rpy", "nan", "0", "0"], "--base-rpy"), (["--out", "x.txt"], "--out"),
+    (["--out", "my robot.toml"], "--out"),
 ])  # fmt: skip
 def test_what_is_wrong_is_said_in_one_line(arguments: list[str], told: str, tmp_path: Path, capsys) -> None:
     source = tmp_path / "vendor.urdf"
