@@ -34,7 +34,7 @@ class Joints:
 
     Attributes:
         q, v: (n,) true positions and velocities of the links [rad], [rad/s].
-        theta, omega: the same of the motors.
+        theta, omega: the same of the motors; shown: the two of the side that the encoders are on.
         torque: (n,) of the drives, before ripple [Nm].
         motors: the motors' entries among MuJoCo's degrees of freedom.
     """
@@ -49,6 +49,7 @@ class Joints:
         self.q, self.v = self.theta, self.omega = state.qpos, state.qvel
         if settings.elastic:
             self.q, self.v, self.theta, self.omega = np.zeros((4, data.n))
+        self.shown = (self.q, self.v) if self._on_links else (self.theta, self.omega)
         # With neither springs nor ripple the drives' torque is MuJoCo's own array; if not, `drive` fills that in.
         self._direct = not settings.elastic and settings.torque_ripple == 0.0
         self.torque = state.qfrc_applied if self._direct else np.zeros(data.n)
@@ -102,11 +103,6 @@ class Joints:
             place, speed = self._state.qpos, self._state.qvel
             self.theta[:], self.omega[:] = place[::2], speed[::2]
             self.q[:], self.v[:] = place[::2] + place[1::2], speed[::2] + speed[1::2]
-
-    @property
-    def shown(self) -> tuple[Array, Array]:
-        """Positions and velocities (n,) of the side that the encoders are on [rad], [rad/s]."""
-        return (self.q, self.v) if self._on_links else (self.theta, self.omega)
 
 
 def add_springs(data: RobotData, spec: mujoco.MjSpec, settings: PlantSettings) -> None:

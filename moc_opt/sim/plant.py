@@ -49,7 +49,7 @@ DEFAULT_STOP = Stop()
 
 
 def _finite(name: str, value: ArrayLike, shape: tuple[int, ...], note: str = "") -> Array:
-    array = np.array(value, dtype=np.float64)
+    array = np.asarray(value, np.float64)
     if array.shape != shape or not math.isfinite((flat := array.ravel()).dot(flat)):  # a quarter of isfinite().all()
         raise PlantError(f"{name} = {array.tolist()!r:.200}: give finite numbers of shape {shape}{note}")
     return array
@@ -245,8 +245,8 @@ class Plant:
             PlantError: wrong shape or not finite.
         """
         number = self._number(body)
-        where = self.mj_model.body_ipos[number].copy() if point is None else _finite("push point", point, (3,))
-        self._pushes[number] = _finite("push force", force, (3,)), where
+        where = self.mj_model.body_ipos[number].copy() if point is None else _finite("push point", point, (3,)).copy()
+        self._pushes[number] = _finite("push force", force, (3,)).copy(), where
 
     def clear_pushes(self, body: str | None = None) -> None:
         """Remove the force on one link, or on all."""

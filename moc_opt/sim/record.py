@@ -74,7 +74,8 @@ class Record:
         row, columns = self.done, self._columns
         self._controller.note(row, columns)
         self._wrench[row], columns["tau_Nm"][row], columns["tick_us"][row] = seen.force, tau, tick_us
-        columns["limited"][row] = filtered.limited
+        if limited := filtered.limited:
+            columns["limited"][row] = limited
         self.done = row + 1
         if filtered.stop_reason:
             for name in columns.keys() & _STOPPED.keys():
