@@ -295,7 +295,8 @@ def _begin(folder: str, memory: int) -> None:
     for number in (signal.SIGALRM, signal.SIGPROF):
         signal.signal(number, signal.SIG_DFL)
     os.setpgrp()
-    Path(folder, "groups", str(os.getpid())).touch()
+    with suppress(FileNotFoundError):  # the study has ended meanwhile
+        Path(folder, "groups", str(os.getpid())).touch()
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
         resource.setrlimit(resource.RLIMIT_DATA, (memory, memory))
