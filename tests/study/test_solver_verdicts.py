@@ -155,11 +155,12 @@ def test_a_library_is_judged_once_and_parts_may_be_missing():
 
 def test_the_fastest_is_not_named_without_a_word_on_a_machine_that_was_busy():
     busy = {"times_calls": 1000, "times_switches": 9, "times_cpu_s": 1.0, "times_wall_s": 1.0}
-    for more, said in (({}, False), (busy, True), ({**busy, "times_switches": 2}, False)):
+    rivals = (({}, False), (busy, True), ({**busy, "times_switches": 2}, False), ({**busy, "p50": 59.0}, False))
+    for more, said in rivals:
         summary, results = study({"fast": certified(), "slow": certified(p99=60.0, **more)})
         text = sentences(summary, assess(summary, results))[0]
         assert text.startswith("Take `fast`")
-        assert ("others used the machine while 1 of 2 sound" in text) is said
+        assert ("others used the machine" in text) is said
 
 
 # --- in words ---
