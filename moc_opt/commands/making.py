@@ -63,7 +63,6 @@ def compare_solvers(given: argparse.Namespace) -> int:
         check_out(given.out, "table of runs", force=given.force)
     scenario, _ = read_scenario(given.scenario)
     with Bar("compare", given.trials * (len(given.solvers) + 1)) as bar:
-
         found = compare(given.solvers, scenario, given.trials, seed=given.seed, watch=bar.step)
     if given.json:
         print(to_json(found.summary()))

@@ -108,11 +108,15 @@ class Controller:
         self._take_apart()
         return self._answer
 
-    # Of the last tick: the fault of its answer, and the time of its solve [us] (of `exact` that in the core alone; NaN
-    # where there was none). Since the start: a Fault's label -> its ``count``, ``first_at_s`` and ``first`` in words.
-    fault = property(lambda self: self._supervisor.fault)
-    solve_us = property(lambda self: self._supervisor.solve_us)
-    faults = property(lambda self: self._supervisor.faults)
+    fault = property(lambda self: self._supervisor.fault, doc="The fault of the last tick's answer.")
+    solve_us = property(
+        lambda self: self._supervisor.solve_us,
+        doc="The time of the last tick's solve [us], of `exact` that in the core alone; NaN where there was none.",
+    )
+    faults = property(
+        lambda self: self._supervisor.faults,
+        doc="Since the start: a Fault's label -> its ``count``, ``first_at_s`` and ``first`` in words.",
+    )
 
     @property
     def restarts(self) -> list[dict[str, Any]]:

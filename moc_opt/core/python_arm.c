@@ -93,7 +93,8 @@ METHOD(Arm, follow_curve, TASK(2), {"q", READ, N}, {"tangent", READ, N}, {"step"
     const plan_task task = take_task(self, c);
     plan_end end;
     if (c->k < 2 || !(c->number[5] > 0.0 && c->number[5] <= MOST_STEP))
-        return PyErr_Format(PyExc_ValueError, "follow_curve: give 2 samples or more, and a step above 0 and up to 10 rad");
+        return PyErr_Format(PyExc_ValueError,
+                            "follow_curve: give 2 samples or more, and a step above 0 and up to 10 rad");
     int found = plan_follow(&task, c->array[3], c->array[4], c->number[5], (int)c->k, c->array[6], c->array[7],
                             c->array[8], &end);
     return Py_BuildValue("ii", found, (int)end);

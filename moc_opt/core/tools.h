@@ -35,9 +35,9 @@ double plan_place(const plan_task *task, int points, int iterations, const doubl
 
 typedef enum { PLAN_LIMIT = 0, PLAN_CLOSED, PLAN_SINGULAR, PLAN_LENGTH } plan_end;
 
-/* Samples s, poses (most, n) and mu of the curve from q on along the unit tangent (n,); returns how many. One joint more
- * than tip and wrist fix may move. At a joint limit the last step is bisected; a curve that returns to its start, up to
- * whole turns, is closed with that pose. */
+/* Samples s, poses (most, n) and mu of the curve from q on along the unit tangent (n,); returns how many. One joint
+ * more than tip and wrist fix may move. At a joint limit the curve ends with that joint set to it; a curve that returns
+ * to its start, up to whole turns, is closed with that pose. */
 int plan_follow(const plan_task *task, const double *q, const double *tangent, double step, int most, double *s,
                 double *poses, double *mus, plan_end *end);
 

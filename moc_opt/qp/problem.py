@@ -41,7 +41,7 @@ def joints_of(length: int) -> int:
 
 
 class Fields(NamedTuple):
-    """Views into flat records ``(..., 11 n + 10)``, in this order; `moc_opt/core/arguments.c` reads the same ones."""
+    """Views into flat records ``(..., 11 n + 10)``, in this order; `moc_opt/core/record.c` reads the same ones."""
 
     A: Array  # (..., 6, n) = [J_tip; J_wrist]
     b: Array  # (..., 6) = [v_tip; v_wrist]

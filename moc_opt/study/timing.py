@@ -16,7 +16,6 @@ PERCENTILES = {"p50": 50.0, "p99": 99.0, "p99.9": 99.9}
 MOST_SWITCHES = 0.0025  # of the calls: a quarter of those beyond the 99th percentile
 LEAST_CPU_SHARE = 0.9
 
-
 Row = Mapping[str, Any]
 COUNTED = ("times_calls", "times_switches", "times_cpu_s", "times_wall_s")
 """What the machine did to a process while calls were timed, in a row of a summary: the calls, how often the core was
@@ -38,10 +37,8 @@ def since(before: Row, calls: int) -> dict[str, float]:
 
 def total(rows: Iterable[Row]) -> dict[str, float]:
     """Return the sum over rows, some of which may have no times."""
-    found = dict.fromkeys(COUNTED, 0.0)
-    for row in rows:
-        found = {name: value + row.get(name, 0) for name, value in found.items()}
-    return found
+    rows = list(rows)
+    return {name: sum((row.get(name, 0) for row in rows), 0.0) for name in COUNTED}
 
 
 def cpu_share(row: Row) -> float:

@@ -81,7 +81,7 @@ def test_sound_packets_pass_and_all_others_are_counted(ends):
     plant.session, plant.peer = 4, controller.getsockname()
     foreign = (
         seal(command(sequence=3), KEY)[:-1], seal(command(sequence=3), KEY) + b"\0", b"", seal(command(n=6), KEY),
-        seal(command(session=5), KEY), seal(command(magic=b"XXXX"), KEY), seal(command(version=9), KEY),
+        seal(command(session=5), KEY), seal(command(magic=b"OTHR"), KEY), seal(command(version=9), KEY),
         seal(command(joints=6), KEY), seal(command(kind=Kind.MEASUREMENT), KEY),  # the plant's own, come back
     )  # fmt: skip
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
