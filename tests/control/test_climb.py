@@ -9,7 +9,7 @@ from moc_opt.planning.self_motion import self_motion
 from moc_opt.qp.problem import fields
 from moc_opt.robots.model import RobotModel
 from moc_opt.trace.oscillation import LIMIT_RAD_PER_S, shaking
-from tests.control.torques import subproblem
+from tests.control.torques import in_place, subproblem
 from tests.reference.law import CLIMB_PER_S
 
 SCALED = mo.Scenario(
@@ -21,9 +21,7 @@ SCALED = mo.Scenario(
 def wish(robot, q, margin=0.0):
     """x_d (n,) of the climb at a pose."""
     s = robot.state(q)
-    rest = np.array([s.tip, np.zeros(3), np.zeros(3)])
-    trocar = np.array([s.tip - 0.15 * s.tool_direction, np.zeros(3)])
-    row = subproblem(s, rest, trocar, arm=robot.arm, climbs=True, c2=1.0, rho=1.0, shaft_margin=margin)
+    row = subproblem(s, *in_place(s), arm=robot.arm, climbs=True, c2=1.0, rho=1.0, shaft_margin=margin)
     return np.array(fields(row).pull)
 
 

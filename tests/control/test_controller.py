@@ -12,7 +12,7 @@ from moc_opt.control.supervisor import Fault, SupervisorSettings
 from moc_opt.errors import ControlError
 from moc_opt.solvers import Status
 from moc_opt.solvers.exact import Exact
-from tests.control.torques import tracking
+from tests.control.torques import in_place, tracking
 from tests.reference.law import third_level
 
 EXACT = solvers.create("exact")
@@ -21,18 +21,12 @@ QUIET = {
 }  # fmt: skip
 
 
-def reference(state, speed=0.01):
-    """The tip where it is, moving sideways, and a trocar 0.15 m up the shaft."""
-    tip_ref = np.array([state.tip, [speed, 0.0, 0.0], np.zeros(3)])
-    return tip_ref, np.array([state.tip - 0.15 * state.tool_direction, np.zeros(3)])
-
-
 def started(robot, solver=EXACT, state=None, **settings):
     """A controller after its start, with the references it was started at."""
     state = robot.state(robot.data.q_home) if state is None else state
     law = "dcac" if solver is None else "moc"
     controller = Controller(robot, ControlSettings(law=law, **settings), solver)
-    tip_ref, trocar = reference(state)
+    tip_ref, trocar = in_place(state, 0.01)
     controller.start(state.q, state.v, tip_ref, trocar)
     return controller, state, tip_ref, trocar
 
@@ -46,9 +40,6 @@ def test_references_in_any_kind_of_memory(robot):
             tau = controller.tick(state.q, state.v, kind(tip_ref), other(trocar))
             expected = tau if expected is None else expected
             np.testing.assert_array_equal(tau, expected)
-
-
-# --- the sum of the levels ---
 
 
 @pytest.mark.parametrize("law", ["moc", "dcac"])
@@ -102,13 +93,10 @@ def test_settings_reach_the_core(setting, core_s, robot):
     np.testing.assert_array_equal(controller.tick(state.q, state.v, tip_ref, trocar), wanted)
 
 
-# --- when the subproblem has no answer ---
-
-
 def test_what_is_followed_without_an_answer_is_the_fallbacks(robot):
     """The box (k0 = 1e-3 /s) is far too narrow for the reference (0.3 m/s), and not for one at rest."""
     state = robot.state(robot.data.q_home, np.linspace(-0.2, 0.2, 7))
-    (fast, trocar), (slow, _) = reference(state, 0.3), reference(state, 0.0)
+    (fast, trocar), (slow, _) = in_place(state, 0.3), in_place(state)
     followed = {}
     for fallback in ("damping", "hold", "least-violation"):
         controller = Controller(robot, ControlSettings(fallback=fallback, k0_per_s=1e-3, **QUIET), EXACT)
@@ -162,9 +150,6 @@ def test_a_solver_that_refuses_or_cannot_start_is_named_before_the_first_tick(ro
         started(robot, watching(**wrong)[0])
 
 
-# --- what cannot be ---
-
-
 def test_what_cannot_be_is_refused(robot):
     state = robot.state(robot.data.q_home)
     for law, solver, words in (("moc", None, "'moc' with solver None"), ("dcac", EXACT, "'dcac' with solver 'exact'")):
@@ -172,14 +157,11 @@ def test_what_cannot_be_is_refused(robot):
             Controller(robot, ControlSettings(law=law), solver)
         controller = Controller(robot, ControlSettings(law=law), EXACT if law == "moc" else None)
         with pytest.raises(ControlError, match="call start"):
-            controller.tick(state.q, state.v, *reference(state))
+            controller.tick(state.q, state.v, *in_place(state))
     controller, *_ = started(robot)
     for shapes in (((3,), (2, 3)), ((2, 3), (2, 3)), ((3, 3), (3,)), ((3, 3), (3, 3))):
         with pytest.raises(ControlError, match="has shape"):
             controller.tick(state.q, state.v, *map(np.zeros, shapes))
-
-
-# --- limits, memory, repetition ---
 
 
 def test_observer_sees_the_limited_torque(robot):
@@ -191,6 +173,7 @@ def test_observer_sees_the_limited_torque(robot):
         torques.append(controller.tick(state.q, state.v, tip_ref, trocar))
         controller.tick(state.q, state.v, tip_ref, trocar)
         estimates.append(controller.external_torque)
+    np.testing.assert_array_equal(torques[0], np.clip(torques[1], -robot.tau_max, robot.tau_max))
     cut = torques[1] - torques[0]
     assert np.abs(cut).max() > 10.0
     np.testing.assert_allclose(estimates[1] - estimates[0], -20.0 * 0.002 * cut, atol=1e-9)
@@ -199,7 +182,7 @@ def test_observer_sees_the_limited_torque(robot):
 def test_a_start_forgets_and_two_controllers_share_nothing(robot):
     controller, other = (Controller(robot, ControlSettings(), EXACT) for _ in range(2))
     home, taus = robot.data.q_home, [[], [], []]
-    tip_ref, trocar = reference(robot.state(home))
+    tip_ref, trocar = in_place(robot.state(home), 0.01)
     for run in range(3):  # the last one with ticks of another controller in between
         controller.start(home, np.zeros(7), tip_ref, trocar)
         other.start(home, np.zeros(7), tip_ref, trocar)
@@ -228,8 +211,7 @@ def test_the_cores_own_solver_gives_what_its_session_gives(robot, speed, fallbac
     q = np.array(robot.data.q_home)
     for k in range(20):
         state = robot.state(q + 1e-3 * k, 0.1 * rng.normal(size=7))
-        tip_ref, trocar = reference(state)
-        tip_ref[1] = [speed, 0.0, 0.0]
+        tip_ref, trocar = in_place(state, speed)
         if k == 0:
             for controller in pair:
                 controller.start(state.q, state.v, tip_ref, trocar)
@@ -247,7 +229,7 @@ def test_a_start_uses_up_no_recorded_time(robot):
     settings = ControlSettings(supervisor=SupervisorSettings(budget_us=20.0))
     controller = Controller(robot, settings, EXACT, times_us=iter([30.0, 10.0, 30.0, 10.0]))
     state = robot.state(robot.data.q_home)
-    tip_ref, trocar = reference(state)
+    tip_ref, trocar = in_place(state)
     controller.start(state.q, state.v, tip_ref, trocar)
     faults = []
     for _ in range(4):

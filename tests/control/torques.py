@@ -43,11 +43,15 @@ def tracking(state, tip_ref, trocar, gains=(0.0, 0.0, 0.0, 0.0), **parts):
     return ticked(state, tip_ref, trocar, **names, **parts, third_level=False)[0]
 
 
+def in_place(state, speed=0.0):
+    """Tip reference and trocar of a state whose tip and shaft are where they should be; the tip moves along x [m/s]."""
+    tip_ref = np.array([state.tip, [speed, 0.0, 0.0], np.zeros(3)])
+    return tip_ref, np.array([state.tip - 0.15 * state.tool_direction, np.zeros(3)])
+
+
 def third(state, x, K_N2, D_N2, share=1.0):
     """tau_mu (n,) [Nm]."""
-    rest = np.array([state.tip, np.zeros(3), np.zeros(3)])
-    trocar = np.array([state.tip - 0.15 * state.tool_direction, np.zeros(3)])
-    return ticked(state, rest, trocar, x, K_N2=K_N2, D_N2=D_N2, fade=share)[0] - state.h
+    return ticked(state, *in_place(state), x, K_N2=K_N2, D_N2=D_N2, fade=share)[0] - state.h
 
 
 def subproblem(state, tip_ref, trocar, **parts):

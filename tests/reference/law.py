@@ -11,9 +11,6 @@ STRAIGHT, SHAFT_PULL, SHAFT_LOST, BOX_OPENS = 1e-3, 0.1, 0.1, 3.0
 CLIMB_PER_S, LONGEST_RAD, PROBE_RAD = 5.0, 1.0, 1e-3
 
 
-# --- geometry ---
-
-
 def towards_trocar(X, dX, P, dP):
     """|P - X|, e, its closing speed and de/dt."""
     r, dr = P - X, dP - dX
@@ -37,9 +34,6 @@ def desired_wrist_acceleration(X, dX, ddX, P, dP, L):
 def null_space(A):
     """Orthonormal rows (r, n) of ker A."""
     return scipy_null_space(A, rcond=1e-7).T
-
-
-# --- levels 1 and 2 ---
 
 
 def projector(name, s):
@@ -90,9 +84,6 @@ def feedforward(s, tip_ref, trocar):
     return J.T @ Lambda @ (a_T - coupling.T @ F_W) + B.T @ F_W
 
 
-# --- the subproblem ---
-
-
 def velocity_damper(q, q_min, q_max, v_max, k0):
     """lower = max(-v_max, -k0 (q - q_min)), upper likewise; beyond a limit only the way back is left."""
     lower = np.clip(-k0 * (q - q_min), -v_max, v_max)
@@ -128,9 +119,6 @@ def scaled_climb(robot, s, margin=0.0):
     t = d / steep
     bend = (slope(robot.state(s.q + PROBE_RAD * t), margin) @ t - steep) / PROBE_RAD
     return CLIMB_PER_S * steep / max(-bend, steep / LONGEST_RAD) * t
-
-
-# --- level 3, and the observer ---
 
 
 def third_level(s, x, K_N2, D_N2):

@@ -22,13 +22,12 @@ def states(robot, regular_poses):
     return [robot.state(q) for q in regular_poses(50)]
 
 
-def subproblem(robot, state, c2=PAPER.c2, rho=PAPER.regularization, weight=1.0, speed=0.0):
-    """The paper's subproblem; ``weight`` scales c0, c1, c2 and rho; tip speed [m/s] along x."""
-    v = np.array([speed, 0.0, 0.0])  # the tool is rigid: u^T (v_T - v_W) = 0
+def subproblem(robot, state, c2=PAPER.c2):
+    """The paper's subproblem of an arm at rest."""
     lower, upper = velocity_damper(state.q, robot.q_min, robot.q_max, robot.v_max, PAPER.k0_per_s)
     return NullSpaceQP(
-        state.J_tip, state.J_wrist, v, v, state.grad_mu, lower=lower, upper=upper, c0=PAPER.c0 * weight,
-        c1=PAPER.c1 * weight, c2=c2 * weight, regularization=rho * weight,
+        state.J_tip, state.J_wrist, np.zeros(3), np.zeros(3), state.grad_mu, lower=lower, upper=upper, c0=PAPER.c0,
+        c1=PAPER.c1, c2=c2, regularization=PAPER.regularization,
     )  # fmt: skip
 
 
@@ -43,48 +42,21 @@ def leak(state, N):
     return np.linalg.norm(J @ np.linalg.solve(M, N), 2) / np.linalg.norm(J @ np.linalg.inv(M), 2)
 
 
-def saddle(qp, sign=1.0):
-    """The Jacobian of F(Y) = [dL/dx, -dL/dlambda], (n + 6, n + 6); sign = -1 is F as printed."""
-    return sign * np.block([[qp.P, qp.A.T], [-qp.A, np.zeros((6, 6))]])
-
-
-def torque_of_mu(robot, states):
-    """The largest share of mu in the torque of ``rnn-printed`` [Nm], at rest and slow: with c2 less without."""
-    rng, printed, share = np.random.default_rng(0), solvers.create("rnn-printed"), 0.0
-    for rest in states:
-        for v in (np.zeros(robot.n), rng.uniform(-0.01, 0.01, robot.n)):
-            s, torques = robot.state(rest.q, v), []
-            for c2 in (PAPER.c2, 0.0):
-                qp = subproblem(robot, s, c2=c2)
-                session = printed.start(qp)
-                session.observe(v)
-                torques.append(third_level(s, session.solve(qp).x, K_N2, np.zeros(robot.n)))
-            share = max(share, np.abs(torques[0] - torques[1]).max())
-    return share
-
-
-def test_the_subproblem_is_the_papers(robot, states):
-    for s in states:
-        qp = subproblem(robot, s, speed=0.005)
-        assert (qp.c0, qp.c1, qp.c2, qp.regularization) == (0.01, 0.01, 0.001, 0.0)
-        assert s.tool_direction @ (qp.v_tip - qp.v_wrist) == pytest.approx(0.0, abs=1e-15)
+def saddle(qp):
+    """The Jacobian of F(Y) = [dL/dx, -dL/dlambda], (n + 6, n + 6); F as printed has the other sign."""
+    return np.block([[qp.P, qp.A.T], [-qp.A, np.zeros((6, 6))]])
 
 
 # (I - J_T^T J_T) J_W^T F  ->  I - J_T^T Jbar_T^T, or I - J_T^T pinv(J_T)^T
-
-
 def test_printed_projector_is_not_idempotent_and_lets_the_tip_move(states):
     for s in states:
         printed, dynamic, static = (projector(name, s) for name in ("as_published", "dynamic", "static"))
         assert idempotence(printed) > 0.05
-        assert np.linalg.norm(printed @ printed - printed, 2) > 0.1
         assert max(idempotence(dynamic), idempotence(static)) < 1e-12
         assert leak(s, dynamic) < 1e-10 < 0.3 < leak(s, printed)
 
 
 # J_W is 3x5  ->  3x7, zero where a joint does not move the wrist
-
-
 def test_wrist_jacobian_has_seven_columns_three_of_them_zero(states):
     for s in states:
         assert s.J_wrist.shape == (3, 7)
@@ -93,8 +65,6 @@ def test_wrist_jacobian_has_seven_columns_three_of_them_zero(states):
 
 
 # [(Z M Z^T) Z M]^T  ->  M Z^T (Z M Z^T)^-1 Z
-
-
 def test_printed_third_level_lacks_an_inverse(states):
     for s in states:
         Z = null_space(s.A)
@@ -108,33 +78,24 @@ def test_printed_third_level_lacks_an_inverse(states):
 
 
 # F(Y) = [-dL/dqd, dL/dl]  ->  [dL/dqd, -dL/dl]
-
-
 def test_printed_sign_has_unstable_modes(robot, states):
     for s in states[:10]:
-        consistent, printed = (
-            np.linalg.eigvals(-K * saddle(subproblem(robot, s), sign)).real for sign in (1.0, -1.0)
-        )
-        assert consistent.max() < 1e-10
-        assert printed.max() > 1e-4
+        growth = np.linalg.eigvals(-K * saddle(subproblem(robot, s))).real
+        assert growth.max() < 1e-10
+        assert growth.min() < -1e-4  # as printed, it grows
 
 
 # grad F + grad F^T <= 0 with blocks J J^T (3x3)  ->  2 diag(c0 J_T^T J_T + c1 J_W^T J_W, 0, 0) >= 0 (7x7)
-
-
 def test_gradient_of_f_is_positive_semidefinite_and_seven_by_seven(robot, states):
     for s in states:
         G, wanted = saddle(subproblem(robot, s)), np.zeros((13, 13))
         wanted[:7, :7] = 2.0 * (PAPER.c0 * s.J_tip.T @ s.J_tip + PAPER.c1 * s.J_wrist.T @ s.J_wrist)
         np.testing.assert_allclose(G + G.T, wanted, atol=1e-15)
-        values = np.linalg.eigvalsh(G + G.T)
-        assert values[0] > -1e-15
-        assert values[-1] > 1e-3  # with the printed sign F, on whose monotony convergence rests, has none
+        # with the printed sign F, on whose monotony convergence rests, has none
+        assert np.linalg.eigvalsh(G + G.T)[-1] > 1e-3
 
 
 # no time constant  ->  eps, or m steps per tick
-
-
 def test_modes_are_slower_than_fifty_seconds_without_a_time_constant(robot, states):
     """dY/dt = -k F(Y) at the paper's gains: the real parts are k c0 s^2 / 2 for a singular value s of A."""
     for s in states:
@@ -148,8 +109,6 @@ def test_modes_are_slower_than_fifty_seconds_without_a_time_constant(robot, stat
 
 
 # e_N1 = d / lambda, lambda = 0.5  ->  |N_d - N|, or rcm_lambda
-
-
 def test_the_true_lambda_is_not_constant(states):
     """d / |N - N_d| is |P_t - X|/L for a shaft 2 mm off the trocar: it varies with the depth and misses 0.5."""
     depths, found = np.array([task.depth_m for task in BOARD_TASKS.values()]), []
@@ -165,11 +124,19 @@ def test_the_true_lambda_is_not_constant(states):
 
 
 # K_N2 = [80, ...] on qdd_d at c2 = 0.001, k = 0.1  ->  kept as rnn-printed
-
-
 def test_torque_of_the_printed_network_cannot_act(robot, states):
-    """The share of mu in the torque with the table's K_N2 is that where no bound is in the way, and far too small."""
-    free = [third_level(s, K_N2 * K * PAPER.c2 * s.grad_mu, np.ones(7), np.zeros(7)) for s in states]
-    share = torque_of_mu(robot, states)
-    assert share == pytest.approx(np.abs(free).max(), rel=1e-6)
+    """The share of mu in it (with c2 less without) is that where no bound is in the way, and far too small."""
+    rng, printed, share, free = np.random.default_rng(0), solvers.create("rnn-printed"), 0.0, 0.0
+    for rest in states:
+        for v in (np.zeros(7), rng.uniform(-0.01, 0.01, 7)):
+            s, torques = robot.state(rest.q, v), []
+            for c2 in (PAPER.c2, 0.0):
+                qp = subproblem(robot, s, c2=c2)
+                session = printed.start(qp)
+                session.observe(v)
+                torques.append(third_level(s, session.solve(qp).x, K_N2, np.zeros(7)))
+            share = max(share, np.abs(torques[0] - torques[1]).max())
+        wish = K_N2 * K * PAPER.c2 * rest.grad_mu
+        free = max(free, np.abs(third_level(rest, wish, np.ones(7), np.zeros(7))).max())
+    assert share == pytest.approx(free, rel=1e-6)
     assert 0.0 < share < 2e-3
