@@ -40,24 +40,20 @@ def test_it_compiles_without_a_warning_and_repeats_python_to_the_last_bit(name, 
     done = make(exported(Scenario(**{"duration_s": 1.0, **RUNS[name]})), "test", FLAGS)
     assert done.returncode == 0, done.stdout + done.stderr
     right = r"(\d+) ticks, (\d+) limited, .* \(tick (\d+), as it should.*\); largest difference .* (\S+) Nm"
-    said = re.search(right, done.stdout)
-    assert said, done.stdout
-    ticks, limited, stopped_at = map(int, said.groups()[:3])
-    assert (ticks, said[4]) == (TICKS, "0.0e+00")
+    *counts, difference = re.search(right, done.stdout).groups()
+    ticks, limited, stopped_at = map(int, counts)
+    assert (ticks, difference) == (TICKS, "0.0e+00")
     assert 2 * TICKS // 3 + 30 < stopped_at < ticks
     assert limited > 0 or name in ("panda", "dcac-damped")  # these are stopped before
     assert re.search(r"one tick: mean [\d.]+ us, longest [\d.]+ us", done.stdout)
 
 
-@pytest.mark.parametrize(
-    ("file", "old", "new"),
-    [
-        ("guard.c", "w->bad += w->bad < INT_MAX;", ""),
-        ("guard.c", "return newer ? FRESH : REPEAT;", "return FRESH;"),
-        ("constants.c", ".torque_step = ", ".torque_step = 0.01 * "),
-        ("answer.c", "        least_violation(p, x);", "        ;"),
-    ],
-)
+@pytest.mark.parametrize(("file", "old", "new"), [
+    ("guard.c", "w->bad += w->bad < INT_MAX;", ""),
+    ("guard.c", "return newer ? FRESH : REPEAT;", "return FRESH;"),
+    ("constants.c", ".torque_step = ", ".torque_step = 0.01 * "),
+    ("answer.c", "        least_violation(p, x);", "        ;"),
+])  # fmt: skip
 def test_its_self_test_can_fail(default, tmp_path, file, old, new):
     wrong = Path(shutil.copytree(default, tmp_path / "wrong"))
     text = (wrong / file).read_text()
@@ -83,16 +79,13 @@ def test_numbers_are_written_to_the_last_bit():
     )
 
 
-@pytest.mark.parametrize(
-    ("tables", "words"),
-    [
-        ({"solver": {"name": "rnn"}}, r"\[solver\] name = 'rnn'.*take that one"),
-        ({"solver": {"replay_us": [10.0]}}, r"\[solver\] replay_us = \(10.0,\).*leave it out"),
-        ({"solver": {"isolation": "process"}}, r"\[solver\] isolation = 'process'.*leave it out"),
-        ({"control": {"third_level": "receding"}}, r"\[control\] third_level = 'receding'.*take 'local'"),
-        ({"control": {"supervisor": {"budget_us": 100.0}}}, r"budget_us = 100.0.*leave it out"),
-    ],
-)
+@pytest.mark.parametrize(("tables", "words"), [
+    ({"solver": {"name": "rnn"}}, r"\[solver\] name = 'rnn'.*take that one"),
+    ({"solver": {"replay_us": [10.0]}}, r"\[solver\] replay_us = \(10.0,\).*leave it out"),
+    ({"solver": {"isolation": "process"}}, r"\[solver\] isolation = 'process'.*leave it out"),
+    ({"control": {"third_level": "receding"}}, r"\[control\] third_level = 'receding'.*take 'local'"),
+    ({"control": {"supervisor": {"budget_us": 100.0}}}, r"budget_us = 100.0.*leave it out"),
+])  # fmt: skip
 def test_what_c_cannot_do_is_refused_by_name(tmp_path, tables, words):
     with pytest.raises(ScenarioError, match=words):
         export_scenario(Scenario(**tables), tmp_path / "out")
