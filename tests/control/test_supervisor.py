@@ -8,21 +8,22 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import minimize_scalar
 
-from moc_opt.control import Controller
+from moc_opt.control import Controller, ControlSettings
 from moc_opt.control.supervisor import MOST_ITERATIONS, Fault, SupervisorSettings
-from moc_opt.qp.problem import NullSpaceQP, compute_residuals, fields
-from moc_opt.scenario import Scenario, Setup, run
+from moc_opt.qp.problem import NullSpaceQP, fields
+from moc_opt.scenario import Scenario, run
 from moc_opt.solvers import available
 from moc_opt.solvers.base import Solution, Status, no_answer
 from moc_opt.solvers.exact import Exact
 from moc_opt.solvers.faulty import KINDS, Faulty
 from moc_opt.solvers.isolated import Unanswered
-from tests.control.torques import Supervisor, law
+from tests.control.torques import Supervisor, in_place, law
 from tests.problems import random_problem
 from tests.reference.law import null_space
 from tests.wrong_answers import wrong_corners
 
-QUICK = {"bound_samples": 0, "duration_s": 0.4}
+QUICK = {"bound_samples": 0, "judge": False, "duration_s": 0.4}
+ZERO, OK, LATE = np.zeros(7), Status.SOLVED, ["hold", "zero", "iterate"]
 
 
 def scripted(*answers):
@@ -33,11 +34,9 @@ def scripted(*answers):
 @pytest.fixture(scope="module")
 def recorded():
     """Subproblems of closed-loop runs, with and without regularization, far from and near the optimum."""
-    rows = []
-    for control in ({"preset": "tuned"}, {}, {"preset": "paper"}):
-        trace = run(Scenario(control=control, **{**QUICK, "duration_s": 1.5}, judge=False))
-        rows.append(trace.subproblem[::12])
-    return np.concatenate(rows)
+    traces = (run(Scenario(control=control, **{**QUICK, "duration_s": 1.5}))
+              for control in ({"preset": "tuned"}, {}, {"preset": "paper"}))  # fmt: skip
+    return np.concatenate([trace.subproblem[::12] for trace in traces])
 
 
 @pytest.fixture(scope="module")
@@ -80,18 +79,11 @@ def judged(row, Z, x):
 
 def test_a_good_answer_is_followed_and_copied_from_any_layout_of_memory(qp, Z):
     good = solved(qp)
-    wide = np.full((7, 3), 5.0)
-    wide[:, 1] = good.x
-    for x in (good.x, wide[:, 1], good.x[::-1].copy()[::-1]):
-        given = Solution(x, good.y, Status.SOLVED, np.int64(3))
-        mine, solution, followed = asked(qp, Z, given)
-        assert mine.fault is Fault.NONE
-        assert mine.faults == {}
-        np.testing.assert_array_equal(solution.x, good.x)
-        np.testing.assert_array_equal(solution.y, good.y)
-        np.testing.assert_array_equal(followed, good.x)
-        assert solution.x.strides == (8,)
+    for x in (good.x, np.repeat(good.x, 3)[1::3], good.x[::-1].copy()[::-1]):
+        mine, solution, followed = asked(qp, Z, Solution(x, good.y, Status.SOLVED, np.int64(3)))
+        assert (mine.fault, mine.faults, solution.x.strides) == (Fault.NONE, {}, (8,))
         for copied, of in ((solution.x, x), (solution.y, good.y), (followed, x)):
+            np.testing.assert_array_equal(copied, of)
             assert not np.shares_memory(copied, of)
 
 
@@ -137,10 +129,8 @@ def test_held_for_some_ticks_and_damped_from_then_on(hold, qp, Z):
 
 def test_a_solver_that_never_answers_costs_no_joint_its_room(robot):
     """This start leads joint 6 to its limit where nothing but damping is left."""
-    faults = {"solver": "nan", "solver_share": 1.0}
-    base = Scenario(
-        control={"preset": "tuned"}, start={"swivel": "random"}, faults=faults, bound_samples=0, judge=False
-    )
+    base = Scenario(control={"preset": "tuned"}, start={"swivel": "random"}, judge=False, bound_samples=0,
+                    faults={"solver": "nan", "solver_share": 1.0})  # fmt: skip
     kept = run(base)
     assert not kept.limited.any()
     room = np.minimum(robot.q_max - kept.q_rad, kept.q_rad - robot.q_min).min()
@@ -151,22 +141,15 @@ def test_a_solver_that_never_answers_costs_no_joint_its_room(robot):
     assert kept.tip_error_m.max() < 0.2 * bare.tip_error_m.max()
 
 
-ZERO, OK = np.zeros(7), Status.SOLVED
-
-
-@pytest.mark.parametrize(
-    ("answer", "told"),
-    [
-        (None, "solve returned"), (3.0, "solve returned"), ((1, 2), "solve returned"), (ZERO, "solve returned"),
-        (Solution(ZERO, None, "great"), "the status"), (Solution([0.0] * 7, None, OK), "x "),
-        (Solution(None, None, OK), "x "), (Solution(ZERO.astype(np.float32), None, OK), "x "),
-        (Solution(ZERO.astype(complex), None, OK), "x "), (Solution(ZERO[:3], None, OK), "x "),
-        (Solution(ZERO[:, None], None, OK), "x "), (Solution(ZERO, ZERO[:5], OK), "y "),
-        (Solution(ZERO, [0.0] * 6, OK), "y "), (Solution(ZERO, np.zeros(6, complex), OK), "y "),
-        (Solution(ZERO, 3, OK), "y "), (Solution(ZERO, np.array(["a"] * 6), OK), "y "),
-        *((Solution(ZERO, None, OK, n), "iterations ") for n in ("many", 2.5, None, -1, MOST_ITERATIONS + 1, True)),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("answer", "told"), [
+    (None, "solve returned a NoneType"), ((ZERO, None, OK, 0), "solve returned a tuple"),
+    (Solution(ZERO, None, "great"), "the status is a str"), (Solution([0.0] * 7, None, OK), "x is a list"),
+    (Solution(ZERO.astype(np.float32), None, OK), "x is an array of float32"),
+    (Solution(ZERO[:, None], None, OK), "x has shape (7, 1)"), (Solution(ZERO, [0.0] * 6, OK), "y is a list"),
+    (Solution(ZERO, np.zeros(6, complex), OK), "y is an array of complex128"),
+    (Solution(ZERO, ZERO[:5], OK), "y has shape (5,)"),
+    *((Solution(ZERO, None, OK, n), "iterations ") for n in ("many", None, -1, MOST_ITERATIONS + 1, True)),
+])  # fmt: skip
 def test_an_answer_of_a_wrong_form_is_a_fault_that_says_what_is_wrong(answer, told, qp, Z):
     mine, solution, x = asked(qp, Z, answer)
     assert mine.fault is Fault.MALFORMED
@@ -176,20 +159,16 @@ def test_an_answer_of_a_wrong_form_is_a_fault_that_says_what_is_wrong(answer, to
 
 
 def test_a_solver_may_write_into_what_it_is_shown(qp, Z):
-    class Scribbler:
-        def observe(self, v):
-            v.setflags(write=True)
-            v[:] = 1e3
+    def solve(shown):
+        for array in (shown.row, shown.row if shown.row.base is None else shown.row.base):
+            array.setflags(write=True)
+            part = fields(array)
+            part.A[:], part.b[:], part.lower[:], part.upper[:] = 0.0, 0.0, -1e3, 1e3
+        return Solution(np.full(7, 50.0), None, Status.SOLVED)
 
-        def solve(self, qp):
-            for array in (qp.row, qp.row if qp.row.base is None else qp.row.base):
-                array.setflags(write=True)
-                part = fields(array)
-                part.A[:], part.b[:], part.lower[:], part.upper[:] = 0.0, 0.0, -1e3, 1e3
-            return Solution(np.full(7, 50.0), None, Status.SOLVED)
-
-    before, v = np.array(qp.row), np.zeros(7)
-    mine, _, x = asked(qp, Z, Scribbler(), v=v)
+    before, v, session = np.array(qp.row), np.zeros(7), Mock(spec=["solve", "observe"])
+    session.solve, session.observe.side_effect = solve, lambda v: v.fill(1e3)
+    mine, _, x = asked(qp, Z, session, v=v)
     assert mine.fault is Fault.OUTSIDE
     assert not x.any()
     np.testing.assert_array_equal(qp.row, before)
@@ -214,40 +193,30 @@ def test_whatever_a_session_raises_is_counted_and_a_users_interrupt_passes(error
     assert np.isfinite(x).all()
 
 
-@given(
-    st.sampled_from(list(Status)), st.integers(0, 2**32 - 1), st.floats(1e-4, 1e3),
-    st.sampled_from(["hold", "zero", "iterate"]),
-)
+@given(st.sampled_from(Status), st.integers(0, 2**32 - 1), st.floats(1e-4, 1e3), st.sampled_from(LATE))
 @settings(max_examples=60, deadline=None)
 def test_no_claim_gets_an_answer_past_the_equalities(status, seed, size, late):
     """Whatever status stands on it, and late or not: what is followed keeps A x = b and the box within the limits."""
     rng = np.random.default_rng(seed)
     problem = random_problem(rng, 7, regularization=1e-5)
     x = rng.normal(size=7) * size
-    limits = SupervisorSettings()
     mine = supervisor(times=[rng.choice([1.0, 1e6])], budget_us=1e3, late=late)
     _, followed = mine.solve(scripted(Solution(x, None, status)), problem, null_space(problem.A))
     if np.array_equal(followed, x):
-        most = limits.primal_limit if status is Status.SOLVED else limits.box_limit
+        most = mine.settings.primal_limit if status is Status.SOLVED else mine.settings.box_limit
         assert np.abs(problem.A @ x - problem.b).max() <= most
         assert max((problem.lower - x).max(), (x - problem.upper).max()) <= most
 
 
 def test_a_lie_is_seen_at_every_tick_where_it_is_one(recorded):
-    """The optimum of the opposite gradient, claimed: refused, or verified as the optimum by the judge.
-
-    The two overlap: near a maximum of mu the supervisor is the stricter one of them.
-    """
+    """The optimum of the opposite gradient, claimed: refused, or verified as the optimum by the judge."""
     lies = 0
-    for row in recorded:
-        qp = NullSpaceQP.from_row(np.array(row))
+    for qp in map(NullSpaceQP.from_row, recorded):
         lie = opposite(qp)
-        if lie.status is not Status.SOLVED:
-            continue
-        seen = asked(qp, null_space(qp.A), lie)[0].fault is Fault.FALSE_OPTIMUM
-        right = bool(compute_residuals(row[None], lie.x[None]).verified()[0])
-        assert seen or right, judged(qp.row, null_space(qp.A), lie.x)
-        lies += seen
+        if lie.status is Status.SOLVED:
+            seen = asked(qp, null_space(qp.A), lie)[0].fault is Fault.FALSE_OPTIMUM
+            assert seen or qp.residuals(lie.x).verified(), judged(qp.row, null_space(qp.A), lie.x)
+            lies += seen
     assert lies > 100
 
 
@@ -286,12 +255,8 @@ def along_the_line(qp, Z, x):
 
 @pytest.mark.parametrize("c2", [1e-3, 0.5])
 def test_the_residuals_along_the_line_against_a_search(c2):
-    """The elbow swivel alone, inside the box, at its sides and beyond: where rho decides, and where the box does.
-
-    With several freedoms the way down is another one; see the wrong corners above.
-    """
-    rng = np.random.default_rng(12)
-    seen = []
+    """The elbow swivel alone, inside the box, at its sides and beyond: where rho decides, and where the box does."""
+    rng, seen = np.random.default_rng(12), []
     for number in range(60):
         qp = random_problem(rng, c2=c2, regularization=c2 * 10.0 ** rng.uniform(-2.0, 1.0))
         Zs = null_space(qp.A)
@@ -327,7 +292,7 @@ def test_no_line_no_residual_along_it(qp, Z):
 def test_an_answer_must_meet_references_and_box(part, status, qp, Z):
     """Each on its own, just within its limit and just beyond; what claims nothing has a limit of its own."""
     good = solved(qp)._replace(status=status)
-    limit = SupervisorSettings().primal_limit if status is Status.SOLVED else SupervisorSettings().box_limit
+    limit = 1e-2 if status is Status.SOLVED else 0.1
     for share, fault in ((0.9, Fault.NONE), (1.1, Fault.OUTSIDE)):
         row = np.array(qp.row)
         if part == "references":
@@ -336,9 +301,8 @@ def test_an_answer_must_meet_references_and_box(part, status, qp, Z):
             fields(row).upper[:] = np.maximum(fields(row).upper, good.x)
             fields(row).upper[6] = good.x[6] - share * limit
             fields(row).lower[6] = good.x[6] - 1.0
-        moved = NullSpaceQP.from_row(row)
-        mine, *_ = asked(moved, Z, good, relative_limit=1e9, opposite_limit=1e9)
-        assert mine.fault is fault, (part, share)
+        mine, *_ = asked(NullSpaceQP.from_row(row), Z, good, relative_limit=1e9, opposite_limit=1e9)
+        assert mine.fault is fault
 
 
 def test_the_clock_counts_the_solve_in_microseconds(qp, Z, monkeypatch):
@@ -429,11 +393,11 @@ def test_an_idle_joint_that_is_the_only_freedom_is_judged_as_one(seed):
         assert one.residuals(x).verified() != wrong
 
 
-@pytest.mark.parametrize("late", ["hold", "zero", "iterate"])
+@pytest.mark.parametrize("late", LATE)
 def test_late_answers(late, qp, Z):
     good = solved(qp)
     other = Solution(good.x + 1e-6, None, Status.SOLVED)
-    mine = supervisor(times=[10.0, 3000.0, 2000.0, 10.0, 10.0], budget_us=2000.0, late=late)
+    mine = supervisor(times=[10.0, 3000.0, 2000.0, 10.0], budget_us=2000.0, late=late)
     mine.solve(scripted(good), qp, Z)
     assert (mine.fault, mine.solve_us) == (Fault.NONE, 10.0)
     _, x = mine.solve(scripted(other), qp, Z)
@@ -442,7 +406,6 @@ def test_late_answers(late, qp, Z):
     mine.solve(scripted(good), qp, Z)
     assert mine.fault is Fault.NONE
     mine.forget()
-    mine.solve(scripted(good), qp, Z)
     solution, x = mine.solve(scripted(Unanswered("late", "nothing after 700 us")), qp, Z)  # it is not there
     assert (mine.fault, solution.status) == (Fault.LATE, Status.TIME_LIMIT)
     assert mine.faults["late"]["first"] == "nothing after 700 us"
@@ -451,15 +414,13 @@ def test_late_answers(late, qp, Z):
 
 def stoppable(whole, truncated):
     """A session whose truncated answer is known, or raised."""
-    session = Mock(spec=["solve", "truncated"])
-    session.solve.return_value, session.truncated.side_effect = whole, [truncated]
-    return session
+    answers = {"solve.return_value": whole, "truncated.side_effect": [truncated]}
+    return Mock(spec=["solve", "truncated"], **answers)
 
 
-@pytest.mark.parametrize(
-    ("us", "iterations", "allowed"),
-    [(400.0, 40, 10), (1e6, 40, 1), (100.0, 40, None), (400.0, 1, 1), (400.0, 0, None)],
-)
+@pytest.mark.parametrize(("us", "iterations", "allowed"), [
+    (400.0, 40, 10), (1e6, 40, 1), (100.0, 40, None), (400.0, 1, 1), (400.0, 0, None),
+])  # fmt: skip
 def test_a_late_solver_is_stopped_where_it_can_be(us, iterations, allowed, qp, Z):
     whole = solved(qp)._replace(iterations=iterations)
     session = stoppable(whole, whole._replace(x=0.5 * whole.x, status=Status.MAX_ITER))
@@ -471,11 +432,10 @@ def test_a_late_solver_is_stopped_where_it_can_be(us, iterations, allowed, qp, Z
     assert solution.status is (Status.SOLVED if allowed is None else Status.MAX_ITER)
 
 
-@pytest.mark.parametrize(
-    ("cut", "fault"),
-    [(ValueError("cannot stop"), Fault.RAISED), (Solution(np.full(7, 9e3), None, Status.MAX_ITER), Fault.OUTSIDE),
-     (Solution(np.full(7, np.nan), None, Status.MAX_ITER), Fault.NOT_FINITE)],
-)  # fmt: skip
+@pytest.mark.parametrize(("cut", "fault"), [
+    (ValueError("cannot stop"), Fault.RAISED), (Solution(np.full(7, 9e3), None, Status.MAX_ITER), Fault.OUTSIDE),
+    (Solution(np.full(7, np.nan), None, Status.MAX_ITER), Fault.NOT_FINITE),
+])  # fmt: skip
 def test_a_truncated_answer_is_checked_like_any_other(cut, fault, qp, Z):
     mine = supervisor(times=[10.0, 400.0], budget_us=100.0, late="iterate")
     good = solved(qp)
@@ -488,15 +448,14 @@ def test_a_truncated_answer_is_checked_like_any_other(cut, fault, qp, Z):
 @pytest.mark.parametrize("kind", KINDS)
 def test_tip_and_rcm_do_not_depend_on_the_third_level(kind, robot):
     """One state, two controllers: one is told the truth, one is not. Tip and wrist accelerate alike."""
-    setup = Setup(Scenario(control={"preset": "tuned"}, **QUICK))
-    good, bad = (Controller(robot, setup.scenario.control, one) for one in (Exact(), Faulty(Exact(), kind, rate=1.0)))
-    rng, q = np.random.default_rng(5), setup.q_start
+    rng, q, settings = np.random.default_rng(5), robot.data.q_home, ControlSettings.preset("tuned")
+    good, bad = (Controller(robot, settings, one) for one in (Exact(), Faulty(Exact(), kind, rate=1.0)))
+    references = in_place(robot.state(q), 0.02)
     for mine in (good, bad):
-        mine.start(q, np.zeros(7), setup.reference.rows(0.0), setup.registered.rows(0.0))
-    for k in range(30):
+        mine.start(q, np.zeros(7), *references)
+    for _ in range(30):
         state = robot.state(q + 1e-4 * rng.normal(size=7), 1e-2 * rng.normal(size=7))
-        given = state.q, state.v, setup.reference.rows(0.6 + 0.002 * k), setup.registered.rows(0.6 + 0.002 * k)
-        torques = [mine.tick(*given) for mine in (good, bad)]
+        torques = [mine.tick(state.q, state.v, *references) for mine in (good, bad)]
         assert good.fault is Fault.NONE
         assert bad.fault is not Fault.NONE
         change = state.A @ np.linalg.solve(state.M, torques[1] - torques[0])
@@ -510,6 +469,6 @@ def test_tip_and_rcm_do_not_depend_on_the_third_level(kind, robot):
 @pytest.mark.parametrize("name", [name for name, reason in available().items() if reason is None])
 def test_honest_solvers_are_not_refused(name):
     """No registered solver, as it comes, loses more than one percent of its ticks to the check."""
-    trace = run(Scenario(solver={"name": name}, judge=False, **QUICK))
-    refused = np.isin(trace.fault, ("lied", "outside", "late", "not_finite", "malformed", "raised"))
-    assert refused.mean() <= 0.01, dict(zip(*np.unique(trace.fault, return_counts=True), strict=True))
+    trace = run(Scenario(solver={"name": name}, **QUICK))
+    refused = ("lied", "outside", "late", "not_finite", "malformed", "raised")
+    assert np.isin(trace.fault, refused).mean() <= 0.01, trace.meta["faults"]
