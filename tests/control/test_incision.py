@@ -7,24 +7,23 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from moc_opt import core
-from moc_opt.control.safety_filter import SafetyFilterSettings, numbers_of
 from moc_opt.tasks import shaft_distance
-from tests.control.torques import PERIOD, guard_of
+from tests.control.torques import PERIOD, REST, guard_of, off_by, weight
 
 SHORTEST_DEPTH_M = 0.05
 
 
+def look(guard, q, trocar, wrench):
+    """One tick at rest, as the sensor at the mount and the registered trocar have it."""
+    guard.check_measurement(q, REST, wrench=wrench, trocar=trocar)
+
+
 def seen(robot, q, point, wrench=None, tip_force=None):
     """RCM error [m] and trocar force [N] of one reading: means over one period are the figures themselves."""
-    s = SafetyFilterSettings(incision_s=PERIOD, tip_force_N=tip_force)
-    guard = core.Guard(robot.arm, **numbers_of(s, robot, PERIOD))
-    guard.start(q, np.zeros(7), 0)
-    reading = np.full(6, np.nan) if wrench is None else wrench
-    guard.believe(q, np.zeros(7), np.nan, None, reading, np.array([point, np.zeros(3)]), np.empty((2, 7)))
-    guard.watched(figures := np.empty((3, 2)))
-    rcm, force = np.sqrt(figures[0])
-    return rcm, force
+    guard = guard_of(robot, q, incision=True, incision_s=PERIOD, tip_force_N=tip_force)
+    look(guard, q, np.array([point, np.zeros(3)]), wrench)
+    guard._guard.watched(figures := np.empty((3, 2)))
+    return np.sqrt(figures[0])
 
 
 @settings(max_examples=100)
@@ -49,10 +48,9 @@ def test_the_trocars_force_is_told_from_weight_and_from_what_the_tip_touches(rob
     q = np.random.default_rng(seed).uniform(robot.q_min, robot.q_max)
     pose = robot.tool_pose(q)
     length, mass = robot.data.tool_length, robot.data.tool_mass
-    loads = [(np.array(force), length - depth), (np.array(touch), length), (np.array([0, 0, -9.81 * mass]), length / 2)]
-    total = sum(load for load, _ in loads)
-    moment = sum(np.cross(arm * pose[2], load) for load, arm in loads)
-    wrench = np.concatenate([pose[:3] @ total, pose[:3] @ moment])
+    loads = np.array([force, touch, [0.0, 0.0, -9.81 * mass]])
+    moments = np.cross(np.outer([length - depth, length, length / 2], pose[2]), loads)
+    wrench = np.concatenate([pose[:3] @ loads.sum(axis=0), pose[:3] @ moments.sum(axis=0)])
     expected = np.linalg.norm(pose[:2] @ np.array(force))
     point = pose[3] - depth * pose[2]
     assert seen(robot, q, point, wrench)[1] == pytest.approx(expected, abs=1e-6)
@@ -64,35 +62,15 @@ def test_the_trocars_force_is_told_from_weight_and_from_what_the_tip_touches(rob
         assert found == pytest.approx(max(expected, across - allowed), abs=1e-6)
 
 
-def look(guard, q, trocar, wrench):
-    """One tick at rest, as the sensor at the mount and the registered trocar have it."""
-    guard.check_measurement(q, np.zeros(7), None, None, wrench, trocar)
-
-
-def off_by(robot, q, distance):
-    """A registered trocar (2, 3) that the shaft misses by so much [m]."""
-    pose = robot.tool_pose(q)
-    return np.stack([pose[3] - 0.15 * pose[2] + distance * pose[0], np.zeros(3)])
-
-
-def weight(robot, q, force=0.0):
-    """What the sensor shows at rest, with a force across the shaft at 0.15 m [N]."""
-    pose, length = robot.tool_pose(q), robot.data.tool_length
-    load, pull = np.array([0.0, 0.0, -9.81 * robot.data.tool_mass]), force * pose[1]
-    moment = np.cross(0.5 * length * pose[2], load) + np.cross((length - 0.15) * pose[2], pull)
-    return np.concatenate([pose[:3] @ (load + pull), pose[:3] @ moment])
-
-
-@pytest.mark.parametrize(("of", "warning", "limit"), [
-    ("the RCM error", "rcm_warning_m", "rcm_error_m"),
-    ("the trocar's force", "trocar_force_warning_N", "trocar_force_N"),
+@pytest.mark.parametrize(("of", "warning", "limit", "wrong"), [
+    ("the RCM error", "rcm_warning_m", "rcm_error_m", (0.05, 0.0)),
+    ("the trocar's force", "trocar_force_warning_N", "trocar_force_N", (0.0, 75.0)),
 ])  # fmt: skip
 @pytest.mark.parametrize("off", [None, math.inf])
-def test_each_level_can_be_switched_off(robot, of, warning, limit, off):
+def test_each_level_can_be_switched_off(robot, of, warning, limit, wrong, off):
     q = robot.data.q_home
-    high = 5.0 * getattr(SafetyFilterSettings(), limit)
     for changes, told in (({limit: off, warning: off}, 0), ({limit: off}, 1)):
-        mine, wrong = guard_of(robot, incision=True, **changes), (high, 0.0) if of == "the RCM error" else (0.0, high)
+        mine = guard_of(robot, incision=True, **changes)
         for _ in range(400):
             look(mine, q, off_by(robot, q, wrong[0]), weight(robot, q, wrong[1]))
         assert not mine.reason

@@ -88,3 +88,17 @@ def guard_of(robot, q=None, v=REST, carries=True, incision=False, **changes):
     mine = SafetyFilter(robot, settings, PERIOD, carries=carries, incision=incision, momentum=False)
     mine.start(robot.data.q_home if q is None else q, v)
     return mine
+
+
+def off_by(robot, q, distance):
+    """A registered trocar (2, 3) that the shaft misses by so much [m]."""
+    pose = robot.tool_pose(q)
+    return np.stack([pose[3] - 0.15 * pose[2] + distance * pose[0], np.zeros(3)])
+
+
+def weight(robot, q, force=0.0):
+    """What the sensor shows at rest, with a force across the shaft at 0.15 m [N]."""
+    pose, length = robot.tool_pose(q), robot.data.tool_length
+    load, pull = np.array([0.0, 0.0, -9.81 * robot.data.tool_mass]), force * pose[1]
+    moment = np.cross(0.5 * length * pose[2], load) + np.cross((length - 0.15) * pose[2], pull)
+    return np.concatenate([pose[:3] @ (load + pull), pose[:3] @ moment])
