@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from moc_opt.__main__ import main
+from moc_opt.control import Controller
 from moc_opt.control.safety_filter import SafetyFilter, SafetyFilterSettings
 from moc_opt.errors import ControlError
-from moc_opt.scenario import Scenario, Setup, run
+from moc_opt.scenario import Scenario, run
 from moc_opt.sim import Plant, PlantSettings
 from moc_opt.sim.loop import simulate
-from moc_opt.sim.plant import Stop
 from moc_opt.trace.trace import Trace
 
 PERIOD, N, INF = 0.002, 7, float("inf")
@@ -21,10 +21,6 @@ ANYWHERE = {"start": {"pose": "random"}}
 SWIVEL = {"start": {"swivel": "random"}}
 STILL = {"path": "line", "sizes": {"length": 0.0005}, "wait_s": 0.2, "hold_s": 10.0}
 QUANTIZED = {"encoder_noise_rad": 0.0, "encoder_resolution_rad": 5e-4}
-
-
-def force(trace):
-    return np.linalg.norm(trace.trocar_force_N, axis=1).max()
 
 
 def stopped(at, within, error, newton, reason="", **scenario):
@@ -37,11 +33,9 @@ def stopped(at, within, error, newton, reason="", **scenario):
     after = trace.t_s >= ordered
     coast = np.linalg.norm(trace.tip_m[after] - trace.tip_m[after][0], axis=1).max()
     assert max(trace.tip_error_registered_m[~after].max(initial=0.0), coast) < error
-    assert force(trace) < newton
+    assert np.linalg.norm(trace.trocar_force_N, axis=1).max() < newton
     return trace
 
-
-# --- measurements that are late, frozen, repeated, replayed or adrift ---
 
 AT_REST = {
     "control": {"preset": "tuned"}, "duration_s": 4.7, **ANYWHERE,
@@ -53,17 +47,9 @@ FORGED = {"frozen_velocity": "zero", "forged_stamps": True}
 # name: the run, when the fault begins [s], by when it is stopped [s after], tip error [m], force [N], the reason
 STOPPED = {
     "all-dropped": ({"faults": {"drop_share": 1.0}}, 0.0, 0.0101, 2.5e-3, 3.0, "3 ticks late"),
-    "lost": (
-        {"faults": {"nan_at_s": 0.4, "nan_ticks": 9999}, "control": {"preset": "tuned"}},
-        0.4, 0.0061, 5e-3, INF, "measurements not believed",
-    ),
-    "jumped": (
-        {"faults": {"jump_at_s": 0.4, "jump_rad": 0.2}, "control": DCAC},
-        0.4, 0.0061, 5e-3, INF, "measurements not believed",
-    ),
+    "lost": ({"faults": {"nan_at_s": 0.4, "nan_ticks": 9999}}, 0.4, 0.0061, 5e-3, INF, "measurements not believed"),
     "frozen": ({"faults": {"frozen_at_s": 0.9}, "control": DCAC}, 0.9, 0.0101, 2.5e-3, 3.0, "3 ticks late"),
-    "growing-lag": ({"faults": {"lag_at_s": 1.0, "lag_growth": 0.05}}, 1.0, 0.2, 1.0, 3.0, ""),
-    "fast-growing-lag": ({"faults": {"lag_at_s": 1.0, "lag_growth": 0.3}}, 1.0, 0.034, 1.0, 3.0, ""),
+    "growing-lag": ({"faults": {"lag_at_s": 1.0, "lag_growth": 0.3}}, 1.0, 0.034, 1.0, 3.0, ""),
     "replayed": ({"faults": {"replay_at_s": 1.0, "replay_ticks": 200}}, 1.0, 0.0101, 1.0, 3.0, ""),
     # It agrees with its own velocities and with the model: that its noise came before is the only sign.
     "a recording of the resting arm": ({**AT_REST, "seed": 8316}, 4.0, 0.08, 2e-3, 5.0, "came before"),
@@ -121,9 +107,8 @@ STOPPED = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", STOPPED)
-def test_measurements_that_are_not_to_be_believed_stop_the_arm(name):
-    scenario, *limits = STOPPED[name]
+@pytest.mark.parametrize(("scenario", "limits"), [(case[0], case[1:]) for case in STOPPED.values()], ids=STOPPED)
+def test_measurements_that_are_not_to_be_believed_stop_the_arm(scenario, limits):
     trace = stopped(*limits, **scenario)
     assert np.abs(trace.v_rad_per_s[-1]).max() < 0.03
     after = trace.t_s >= trace.meta["stopped_at_s"]
@@ -162,10 +147,9 @@ def test_one_encoder_that_is_stuck_or_lags_is_found(robot, kind):
 
 
 @pytest.mark.parametrize("gain", [-1.0, 0.0])
-@pytest.mark.parametrize(
-    ("arm", "joint", "seed"),
-    [("lwr4", 4, 3), ("iiwa14", 4, 4), ("panda", 4, 3), ("gen3", 2, 0), ("xarm7", 2, 0), ("lwr4_rail", 3, 4)],
-)
+@pytest.mark.parametrize(("arm", "joint", "seed"), [
+    ("lwr4", 4, 3), ("iiwa14", 4, 4), ("panda", 4, 3), ("gen3", 2, 0), ("xarm7", 2, 0), ("lwr4_rail", 3, 4),
+])  # fmt: skip
 def test_a_broken_drive_is_stopped_and_the_brakes_hold_the_arm(arm, joint, seed, gain, monkeypatch):
     """It loses its torque, or turns it round. Of all joints and five seeds of each arm these went farthest."""
     sound = Plant.step
@@ -196,9 +180,6 @@ def test_a_short_gap_is_bridged(gap):
     stopped(0.4, 0.01 + 1e-9, 1.0, INF, control=robust, faults={**gap, kind: 4}, duration_s=0.8)
 
 
-# --- the incision ---
-
-
 @pytest.mark.parametrize("control", [
     {"preset": "tuned", "limit_margin_rad": 0.0},
     {**DCAC, "K_X": 3000.0, "D_X": 80.0, "K_N": 800.0, "D_N": 60.0},
@@ -221,9 +202,6 @@ def test_an_arm_at_its_wall_is_stopped(control):
     assert np.linalg.norm(trace.trocar_force_N[-1]) < 0.5 * SafetyFilterSettings().stop_yield_N + 0.5
     assert np.abs(trace.v_rad_per_s[-1]).max() < 0.03
     assert 0.0 < trace.meta["warnings"][0]["first_s"] < trace.meta["stopped_at_s"]
-
-
-# --- what is left alone ---
 
 
 def unknown_plant(seed):
@@ -287,9 +265,6 @@ def test_the_robust_gains_bear_four_ticks_of_delay(plant):
     assert rates[1] < 1.5 * rates[0]
 
 
-# --- controllers that break down ---
-
-
 @pytest.mark.parametrize(("every", "seed"), [(1, 0), (100, 1), (10_000, 2)])
 def test_a_saboteur_gets_no_joint_past_its_limit(robot, every, seed):
     """It asks for twice the largest torques, in directions that change at random, and shows no tip."""
@@ -315,27 +290,22 @@ def test_a_saboteur_gets_no_joint_past_its_limit(robot, every, seed):
     assert np.median(speed.max(axis=1)) < 2.0
 
 
-@pytest.mark.parametrize("how", [ControlError("no idea"), ZeroDivisionError("no idea"), float("nan"), INF])
-def test_a_controller_that_breaks_down_stops_the_arm(robot, how):
-    setup = Setup(Scenario(control={"preset": "tuned"}, **QUICK))
-    t = PERIOD * np.arange(400)
-    paths = [np.stack(r.at(t), axis=1) for r in (setup.reference, setup.trocar, setup.registered)]
-    controller, ticks = setup.controller(), iter(range(len(t)))
-    sound = controller.tick
+@pytest.mark.parametrize(("how", "told"), [
+    (ControlError("no idea"), "no idea"), (ZeroDivisionError("no idea"), "no idea"),
+    (float("nan"), "torque is not finite"), (INF, "torque is not finite"),
+])  # fmt: skip
+def test_a_controller_that_breaks_down_stops_the_arm(how, told, monkeypatch):
+    sound, calls = Controller.tick, iter(range(1000))
 
-    def tick(*given):
-        if next(ticks) < 100:
-            return sound(*given)
+    def tick(controller, *given):
+        if next(calls) <= 100:  # the first one is a copy's, which warms up
+            return sound(controller, *given)
         if isinstance(how, Exception):
             raise how
         return np.full(N, how)
 
-    controller.tick = tick
-    guard = SafetyFilter(robot, SafetyFilterSettings(), PERIOD, incision=False, momentum=False)
-    trace = simulate(setup.plant, controller, *paths, safety_filter=guard, stop=Stop(40.0, 0.3))
-    assert trace.meta["ended"].startswith("stopped: ")
-    assert ("no idea" if isinstance(how, Exception) else "torque is not finite") in trace.meta["ended"]
-    assert len(trace) == 100 + 150 + 1
+    monkeypatch.setattr(Controller, "tick", tick)
+    trace = stopped(0.2, 1e-9, 2e-3, 3.0, told)
     assert np.isfinite(trace.tau_Nm).all()
     assert np.abs(trace.v_rad_per_s[-1]).max() < 0.02
 
