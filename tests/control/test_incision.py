@@ -11,6 +11,7 @@ from moc_opt.tasks import shaft_distance
 from tests.control.torques import PERIOD, REST, guard_of, off_by, weight
 
 SHORTEST_DEPTH_M = 0.05
+WARNINGS, LIMITS = ("rcm_warning_m", "trocar_force_warning_N"), ("rcm_error_m", "trocar_force_N")
 
 
 def look(guard, q, trocar, wrench):
@@ -62,58 +63,44 @@ def test_the_trocars_force_is_told_from_weight_and_from_what_the_tip_touches(rob
         assert found == pytest.approx(max(expected, across - allowed), abs=1e-6)
 
 
-@pytest.mark.parametrize(("of", "warning", "limit", "wrong"), [
-    ("the RCM error", "rcm_warning_m", "rcm_error_m", (0.05, 0.0)),
-    ("the trocar's force", "trocar_force_warning_N", "trocar_force_N", (0.0, 75.0)),
+@pytest.mark.parametrize(("j", "of", "off_m", "newton"), [
+    (0, "the RCM error", 0.05, 0.0), (1, "the trocar's force", 0.0, 75.0)
 ])  # fmt: skip
 @pytest.mark.parametrize("off", [None, math.inf])
-def test_each_level_can_be_switched_off(robot, of, warning, limit, wrong, off):
+def test_each_level_can_be_switched_off(robot, j, of, off_m, newton, off):
     q = robot.data.q_home
-    for changes, told in (({limit: off, warning: off}, 0), ({limit: off}, 1)):
+    for changes, told in (({LIMITS[j]: off, WARNINGS[j]: off}, 0), ({LIMITS[j]: off}, 1)):
         mine = guard_of(robot, incision=True, **changes)
         for _ in range(400):
-            look(mine, q, off_by(robot, q, wrong[0]), weight(robot, q, wrong[1]))
+            look(mine, q, off_by(robot, q, off_m), weight(robot, q, newton))
         assert not mine.reason
         assert [each["of"] for each in mine.warnings] == [of] * told
         mine.start(q, np.zeros(7))
         assert mine.warnings == []
 
 
-def means(value, ticks, share):
-    """A root mean square after 1, 2, ... ticks of a steady value."""
-    return value * np.sqrt(1.0 - (1.0 - share) ** np.arange(1, ticks + 1))
-
-
 @pytest.mark.parametrize("time_s", [0.05, 0.002, 0.0005])
 def test_the_means_warn_and_stop_at_the_tick_that_their_law_says(robot, time_s):
     """5 mm and 6 N at once, levels apart: each at its own tick, with its own largest value."""
-    q, share = robot.data.q_home, min(1.0, PERIOD / time_s)
+    q, left = robot.data.q_home, 1.0 - min(1.0, PERIOD / time_s)
+    means = [5.0, 6.0] * np.sqrt(1.0 - left ** np.arange(1, 401))[:, None]
     seen = off_by(robot, q, 0.005), weight(robot, q, 6.0)
-    both = {"RCM": means(5.0, 400, share), "force": means(6.0, 400, share)}
-    quiet = {"incision": True, "rcm_error_m": None, "trocar_force_N": None, "incision_s": time_s}
+    quiet = {"incision": True, "incision_s": time_s, **dict.fromkeys([*WARNINGS, *LIMITS])}
     for levels in ((2.0, 5.5), (4.0, 3.0)):
-        guard = guard_of(robot, rcm_warning_m=1e-3 * levels[0], trocar_force_warning_N=levels[1], **quiet)
-        for k in range(400):
+        guard = guard_of(robot, **quiet | dict(zip(WARNINGS, (1e-3 * levels[0], levels[1]), strict=True)))
+        first = (means > levels).argmax(axis=0)
+        for k, now in enumerate(means):
             look(guard, q, *seen)
-            due = [(np.flatnonzero(m > level)[0], m[k], level)
-                   for m, level in zip(both.values(), levels, strict=True) if m[k] > level]  # fmt: skip
-            assert len(guard.warnings) == len(due)
-            for found, (first, largest, level) in zip(guard.warnings, due, strict=True):
-                assert found["first_s"] == pytest.approx(first * PERIOD)
-                assert found["largest"] == pytest.approx(largest, rel=1e-9)
-                assert found["level"] == pytest.approx(level)
-        assert [w["unit"] for w in guard.warnings] == ["mm", "N"]
-        look(guard, q, off_by(robot, q, 0.0), weight(robot, q))
-        again = [w["largest"] for w in guard.warnings]
-        assert again == pytest.approx([5.0, 6.0], rel=1e-3)  # the largest stays, whatever comes
-    for name, change, level in (("RCM", "rcm_error_m", 4e-3), ("force", "trocar_force_N", 4.0)):
-        low = {"rcm_warning_m": None, "trocar_force_warning_N": None}
-        guard = guard_of(robot, **{**quiet, **low, change: level})
-        due = int(np.flatnonzero(both[name] > 4.0)[0])
-        for _ in range(due + 1):
-            assert not guard.reason
+            due = np.transpose([first * PERIOD, now, levels])[first <= k]
+            found = [[warning[name] for name in ("first_s", "largest", "level")] for warning in guard.warnings]
+            np.testing.assert_allclose(np.reshape(found, (-1, 3)), due, rtol=1e-9)
+        look(guard, q, off_by(robot, q, 0.0), weight(robot, q))  # the largest stays, whatever comes
+        assert [(w["unit"], round(w["largest"], 2)) for w in guard.warnings] == [("mm", 5.0), ("N", 6.0)]
+    for j, (limit, level, told) in enumerate(zip(LIMITS, (4e-3, 4.0), ("4 mm", "4 N"), strict=True)):
+        guard = guard_of(robot, **quiet | {limit: level})
+        for mean in means[:, j]:
             look(guard, q, *seen)
-        assert guard.reason.endswith(f"has been above 4 {'mm' if name == 'RCM' else 'N'}")
+            assert guard.reason.endswith(f"has been above {told}") == (mean > 4.0)
 
 
 def test_a_deaf_sensor_stops_the_arm_and_a_short_gap_does_not(robot):

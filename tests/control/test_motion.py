@@ -8,13 +8,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from moc_opt import core
-from moc_opt.control.safety_filter import SafetyFilter, SafetyFilterSettings, numbers_of
+from moc_opt.control.safety_filter import SafetyFilterSettings, numbers_of
 from moc_opt.robots import load_data
 from moc_opt.robots.model import RobotModel
+from tests.control.torques import PERIOD, REST, N, guard_of
 
-PERIOD, PATIENCE, N = 0.002, 3, 7
-
-
+PATIENCE = 3
 ARM = RobotModel(dataclasses.replace(load_data("lwr4"), tau_max=np.full(N, 100.0), v_max=np.full(N, 1e3)))
 """Of which everything is believed that is a number."""
 FRESH, REPEAT, OLD = range(3)
@@ -23,13 +22,12 @@ FRESH, REPEAT, OLD = range(3)
 def ages(stamps, patience=PATIENCE):
     """What becomes of packets numbered so, one a tick, of a run that began with number 0 at tick 0."""
     guard = core.Guard(ARM.arm, **numbers_of(SafetyFilterSettings(patience_ticks=patience), ARM, PERIOD))
-    rest, deaf, found = np.zeros(N), np.full(6, np.nan), []
-    guard.start(rest, rest, 0)
+    deaf, late, found = np.full(6, np.nan), core.REASONS.index("measurements are too late"), []
+    guard.start(REST, REST, 0)
     for stamp in stamps:
-        reason = core.REASONS[guard.believe(rest, rest, int(stamp), None, deaf, None, np.empty((2, N)))]
-        late = reason == "measurements are too late"
+        reason = guard.believe(REST, REST, int(stamp), None, deaf, None, np.empty((2, N)))
         bad = guard.watched(np.empty((3, 2)))
-        found.append(OLD if late else REPEAT if bad else FRESH)
+        found.append(OLD if reason == late else REPEAT if bad else FRESH)
     return found
 
 
@@ -76,14 +74,12 @@ def test_ticks_that_the_controller_missed_make_no_measurement_bad(missed):
 
 def looked(q, v, tau=None, reference=None, wrench=None, **levels):
     """The first thing that is wrong with readings (k, n), and at which of them."""
-    guard = SafetyFilter(ARM, SafetyFilterSettings(**levels), PERIOD, carries=False, incision=False, momentum=False)
-    guard.start(q[0], v[0], 0)
-    rest = np.zeros(N)
+    guard = guard_of(ARM, q[0], v[0], carries=False, **levels)
     for k in range(len(q)):
         if reference is not None:
-            guard.limit_torque(rest, rest, q[k], v[k], reference[k], tip=reference[k, 0])
-        given_tau, given_wrench = rest if tau is None else tau[k], None if wrench is None else wrench[k]
-        guard.check_measurement(q[k], v[k], None, given_tau, given_wrench)
+            guard.limit_torque(REST, REST, q[k], v[k], reference[k], tip=reference[k, 0])
+        given = REST if tau is None else tau[k], None if wrench is None else wrench[k]
+        guard.check_measurement(q[k], v[k], None, *given)
         if guard.reason:
             return guard.reason, k
     return "", len(q)
@@ -162,16 +158,13 @@ def test_one_encoder_may_repeat_itself_for_as_long_as_its_noise_lets_it(longest)
     assert (wrong, k) == ((told, 140) if longest else ("", 600))
 
 
-def watched(robot, settings_, torque, ticks):
+def watched(robot, torque, ticks, **levels):
     """The reason for a stop of an arm whose readings stand but for noise while ``torque`` (k) [Nm] acts; and when."""
-    rng = np.random.default_rng(0)
-    guard = SafetyFilter(robot, settings_, PERIOD, incision=False)
-    q, v = np.array(robot.data.q_home), np.zeros(N)
-    guard.start(q, v, 0)
+    rng, q, guard = np.random.default_rng(0), robot.data.q_home, guard_of(robot, momentum=True, **levels)
     for k in range(ticks):
         shown, tau = q + 1e-5 * rng.normal(size=N), robot.gravity(q) + torque(k)
-        guard.check_measurement(shown, v, k, tau)
-        guard.limit_torque(np.zeros(N), tau, shown, v)
+        guard.check_measurement(shown, REST, k, tau)
+        guard.limit_torque(REST, tau, shown, REST)
         if guard.reason:
             return guard.reason, k
     return "", ticks
@@ -180,9 +173,9 @@ def watched(robot, settings_, torque, ticks):
 @pytest.mark.parametrize(("begins", "told"), [(1, False), (120, True)])
 def test_what_the_model_does_not_know_from_the_beginning_on_is_no_motion(robot, begins, told):
     """A payload, say: until the residual has had SETTLED of its time constants, its mean follows it."""
+    load = 0.4 * robot.tau_max
     for on in (True, False):
-        level = SafetyFilterSettings(residual_s=1e6, motion=on)
-        reason, _ = watched(robot, level, lambda k: (k >= begins) * 0.4 * robot.tau_max, 200)
+        reason, _ = watched(robot, lambda k: (k >= begins) * load, 200, residual_s=1e6, motion=on)
         assert ("the measured motion is not what the torque makes" in reason) == bool(reason) == (told and on)
 
 
@@ -190,8 +183,7 @@ def test_what_the_model_does_not_know_from_the_beginning_on_is_no_motion(robot, 
 def test_a_torque_that_grows_slowly_at_a_pose_that_does_not_change_is_told_by_its_size(whole, stops, robot):
     """Frozen readings under fresh noise, a controller that integrates: the residual's mean follows it all the way."""
     rate = 0.25 * robot.tau_max[1] * PERIOD * np.eye(N)[1]  # to 1.25 times the largest in 5 s
-    reason, k = watched(robot, SafetyFilterSettings(residual_whole_torque=whole), lambda k: rate * k, 2500)
-    assert ("not what the torque makes" in reason) == stops
-    assert bool(reason) == stops
+    reason, k = watched(robot, lambda k: rate * k, 2500, residual_whole_torque=whole)
+    assert ("not what the torque makes" in reason) == bool(reason) == stops
     if stops:
         assert 0.5 < 0.25 * PERIOD * k < 0.55

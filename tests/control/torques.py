@@ -44,7 +44,7 @@ def tracking(state, tip_ref, trocar, gains=(0.0, 0.0, 0.0, 0.0), **parts):
 
 
 def in_place(state, speed=0.0):
-    """Tip reference and trocar of a state whose tip and shaft are where they should be; the tip moves along x [m/s]."""
+    """Tip reference and trocar of a tip and shaft that are where they should be; the tip moves along x [m/s]."""
     tip_ref = np.array([state.tip, [speed, 0.0, 0.0], np.zeros(3)])
     return tip_ref, np.array([state.tip - 0.15 * state.tool_direction, np.zeros(3)])
 
@@ -82,10 +82,10 @@ PERIOD, N = 0.002, 7
 REST = np.zeros(N)
 
 
-def guard_of(robot, q=None, v=REST, carries=True, incision=False, **changes):
-    """A guard without knowledge of the momentum, begun at a pose."""
+def guard_of(robot, q=None, v=REST, carries=True, incision=False, momentum=False, **changes):
+    """A guard begun at a pose."""
     settings = SafetyFilterSettings(**changes)
-    mine = SafetyFilter(robot, settings, PERIOD, carries=carries, incision=incision, momentum=False)
+    mine = SafetyFilter(robot, settings, PERIOD, carries=carries, incision=incision, momentum=momentum)
     mine.start(robot.data.q_home if q is None else q, v)
     return mine
 
