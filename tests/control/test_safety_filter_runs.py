@@ -83,11 +83,7 @@ STOPPED = {
         {"faults": {"drift_rad_per_s": 0.05, "drift_at_s": 0.5, "drift_velocity": "apart"}, "seed": 2210, **SWIVEL},
         0.5, 0.1, 5e-3, 5.0, "do not follow their velocities",
     ),
-    "drift-with-the-velocity": (  # the model agrees with drifting encoders: the force is the only sign
-        {"faults": {"drift_rad_per_s": 0.05, "drift_at_s": 0.5}, "seed": 2200, "duration_s": 6.0, **SWIVEL},
-        0.5, 5.5, 0.13, 32.0, "the trocar's force",
-    ),
-    "drift-out-of-the-incision": (  # at the believed depth its force passes for a touch of the tip
+    "drift-with-the-velocity": (  # the force is the only sign, and at the believed depth it passes for the tip's
         {"faults": {"drift_at_s": 2.02, "drift_rad_per_s": 0.05}, "seed": 7033, "control": {"preset": "robust"},
          "task": {"v_max_m_per_s": 0.07730648346067734}, "duration_s": 6.0, **SWIVEL},
         2.02, 4.0, 0.13, 32.0, "the trocar's force",
@@ -119,31 +115,21 @@ def test_measurements_that_are_not_to_be_believed_stop_the_arm(scenario, limits)
         assert not (trace.fault[~after] == "stopped").any()
 
 
-def one_encoder(kind, rng, joint):
-    """A fault of one joint's encoder, when it begins [s], by when it is found [s after], and the error until then [m].
-
-    What happens without the check, in order: 31 mm and 24 N; 53 mm; 48 mm and 17 N.
-    """
-    if kind == "stuck":  # a filtered velocity dies out while the position stays
-        at = float(rng.uniform(0.3, 1.5))
-        velocity = ("repeated", "zero")[joint % 2]
-        return {"frozen_at_s": at, "frozen_velocity": velocity, "frozen_joint": joint}, at, 0.0121, 0.012
-    at = float(rng.uniform(0.3, 1.0))
-    if kind == "lag":  # a reading comes twice now and then
-        growth = float(rng.uniform(0.05, 0.5))
-        return {"lag_at_s": at, "lag_growth": growth, "lag_joint": joint}, at, 0.01 / growth + 0.01, 0.012
-    ticks = int(rng.integers(8, 41))  # from one tick to the next
-    return {"lag_at_s": at, "lag_ticks": ticks, "lag_growth": 1e-6, "lag_joint": joint}, at, 0.03, 0.004
-
-
-@pytest.mark.parametrize("kind", ["stuck", "lag", "old"])
+# what is wrong with it; by when it is found [s after], and the tip error until then [m]
+@pytest.mark.parametrize(("wrong", "within", "error"), [
+    # A filtered velocity dies out while the position stays: without the check 31 mm and 24 N.
+    ({"frozen_velocity": "repeated"}, 0.0121, 0.012), ({"frozen_velocity": "zero"}, 0.0121, 0.012),
+    # A reading comes twice now and then: 53 mm.
+    ({"lag_growth": 0.05}, 0.21, 0.012), ({"lag_growth": 0.5}, 0.03, 0.012),
+    # From one tick to the next readings are old: 48 mm and 17 N.
+    ({"lag_ticks": 8, "lag_growth": 1e-6}, 0.03, 0.006), ({"lag_ticks": 40, "lag_growth": 1e-6}, 0.03, 0.006),
+], ids=str)  # fmt: skip
 @pytest.mark.parametrize("robot", ["lwr4", "panda", "xarm7", "lwr4_rail"])
-def test_one_encoder_that_is_stuck_or_lags_is_found(robot, kind):
-    rng = np.random.default_rng([2110, len(robot), len(kind)])
-    faults, at, within, error = one_encoder(kind, rng, int(rng.permutation(7)[0]))
-    seed = int(rng.integers(2000, 3000))
-    stopped(at, within, error, 6.0, seed=seed, robot={"name": robot}, faults=faults, duration_s=at + within + 0.1,
-            **ANYWHERE)  # fmt: skip
+def test_one_encoder_that_is_stuck_or_lags_is_found(robot, wrong, within, error):
+    rng, kind = np.random.default_rng([2110, len(robot), round(1e4 * within)]), next(iter(wrong)).partition("_")[0]
+    at, joint, seed = float(rng.uniform(0.3, 1.0)), int(rng.integers(7)), int(rng.integers(2000, 3000))
+    stopped(at, within, error, 6.0, seed=seed, robot={"name": robot}, duration_s=at + within + 0.1, **ANYWHERE,
+            faults={f"{kind}_at_s": at, f"{kind}_joint": joint, **wrong})  # fmt: skip
 
 
 @pytest.mark.parametrize("gain", [-1.0, 0.0])
