@@ -162,7 +162,7 @@ def test_presets_by_name():
 
 def test_under_a_course_the_box_leaves_the_course_its_speed_and_what_differs_from_it_is_damped():
     """On the rail: a sliding joint has its margin in metres, under either."""
-    arm, own = load_robot("lwr4_rail"), {"limit_margin_m": 0.03}
+    arm, own = load_robot("lwr4_rail"), {"limit_margin_m": 0.03, "climb": "scaled"}
     given = (ControlSettings(third_level=level, **own) for level in ("local", "planned"))
     local, planned = (numbers_of(settings, arm, 0.002) for settings in given)
     for given, share, margin, k0 in ((local, 0.5, 0.15, 2.0), (planned, 1.0, 0.05, 10.0)):
@@ -171,6 +171,7 @@ def test_under_a_course_the_box_leaves_the_course_its_speed_and_what_differs_fro
         np.testing.assert_allclose(given["q_min"] - arm.q_min, margins)
         np.testing.assert_allclose(arm.q_max - given["q_max"], margins)
         assert given["k0"] == k0
+    assert (local["climbs"], planned["climbs"]) == (True, False)
     # At x = v no torque: a speed that is wanted is not damped, a speed that is not wanted as much as ever.
     np.testing.assert_array_equal(planned["D_N2"], 0.0)
     np.testing.assert_allclose(planned["K_N2"], local["K_N2"] + local["D_N2"])
