@@ -11,6 +11,7 @@ import signal
 import subprocess
 import sys
 import time
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -102,10 +103,8 @@ def test_what_is_said_of_a_checkout_is_there():
     targets = re.findall(r"^(\w+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)
     lines = [line for _, text in blocks("README.md") if text.startswith(CHECKOUT) for line in text.splitlines()[1:]]
     assert len(lines) >= 2
-    for line in lines:
-        program, target = line.split()[:2]
-        assert program == "make"
-        assert target in targets
+    assert {line.split()[0] for line in lines} == {"make"}
+    assert {line.split()[1] for line in lines} <= set(targets)
 
 
 def test_every_file_that_the_documents_link_to_exists():
@@ -115,3 +114,16 @@ def test_every_file_that_the_documents_link_to_exists():
         assert [link for link in links if not (document.parent / link).exists()] == [], document.name
         named = re.findall(r"`((?:moc_opt|benchmarks|tests|examples|docs)/[\w./-]+\.\w+)`", text)
         assert [path for path in named if "NAME" not in path and not (ROOT / path).exists()] == [], document.name
+
+
+def test_package_project_citation_changelog_and_badge_name_one_version_one_day_and_the_same_pythons():
+    said = {name: (ROOT / name).read_text(encoding="utf-8") for name in ("CITATION.cff", "CHANGELOG.md", "README.md")}
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    cited = dict(re.findall(r"^(version|date-released): (.*)$", said["CITATION.cff"], re.MULTILINE))
+    headings = re.findall(r"^## (.*)$", said["CHANGELOG.md"], re.MULTILINE)
+    assert project["version"] == cited["version"] == mo.__version__
+    assert headings[:2] == ["[Unreleased]", f"[{mo.__version__}] - {cited['date-released']}"]
+    pythons = [word.rpartition(" ")[2] for word in project["classifiers"] if re.search(r"Python :: 3\.\d+$", word)]
+    (badge,) = re.findall(r"^!\[Python (.*?)\]", said["README.md"], re.MULTILINE)
+    assert badge.split(", ") == pythons
+    assert project["requires-python"] == f">={pythons[0]}"

@@ -1,7 +1,10 @@
 """Messages stay short, whatever a file holds, and name the nearest of what would have worked."""
 
+import inspect
+
 import pytest
 
+from moc_opt import errors
 from moc_opt.errors import MocOptError, RobotError, TraceError, UnknownNameError
 
 
@@ -28,3 +31,9 @@ def test_the_nearest_names_stand_and_of_a_long_list_only_these(name, valid, told
     assert told in text
     assert text.endswith("`moc-opt metrics` lists all 503") == (valid is MANY)
     assert text.count("name_") <= 4  # what was written, and three
+
+
+def test_every_error_of_the_package_is_one_kind():
+    classes = [c for _, c in inspect.getmembers(errors, inspect.isclass) if issubclass(c, Exception)]
+    assert len(classes) > 5
+    assert all(issubclass(c, MocOptError) for c in classes)

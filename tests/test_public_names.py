@@ -5,24 +5,11 @@ import inspect
 import numpy as np
 
 import moc_opt as mo
-from moc_opt import errors
-from moc_opt.trace.metrics import METRICS
 
-NAMES = "MocOptError NullSpaceQP RobotModel RobotState Scenario Trace compare load_robot load_trace plan run solvers"
 STATE = "tip wrist J_tip J_wrist mu grad_mu M h"
-METRIC_NAMES = """
-    mu_mean mu_final mu_gain_percent mu_fraction_of_bound mu_fraction_of_best_from_start mu_fraction_of_best
-    tip_error_mean_mm tip_error_max_mm rcm_error_mean_mm rcm_error_max_mm rcm_error_registered_mean_mm
-    trocar_force_mean_N trocar_force_max_N torque_rate_rms_Nm_per_s solve_p50_us solve_p99_us tick_p50_us tick_p99_us
-    deadline_misses claimed_solved verified_solved silently_wrong primal_max natural_max loss_max"""
 COLUMNS = """
     t_s q_rad v_rad_per_s tau_Nm tip_m tip_ref_m wrist_m trocar_m mu tip_error_m rcm_error_m trocar_force_N
     x_rad_per_s status solve_us tick_us"""
-SOLVERS = "exact rnn rnn-printed osqp proxqp nlp-sqp nlp-ipopt"
-
-
-def test_each_name_is_there():
-    assert {*NAMES.split(), "summarize"} <= set(mo.__all__) <= set(dir(mo))
 
 
 def test_subproblem_signature():
@@ -34,6 +21,7 @@ def test_subproblem_signature():
 
 
 def test_from_robot_to_summary(tmp_path):
+    assert set(mo.__all__) <= set(dir(mo))
     robot = mo.load_robot("lwr4", tool_length=0.30)
     q = np.array(robot.data.q_home)
     state = robot.state(q, np.zeros(robot.n))
@@ -52,19 +40,6 @@ def test_from_robot_to_summary(tmp_path):
     file.write_text("duration_s = 0.02\nbound_samples = 2\n", encoding="utf-8")
     trace = mo.run(mo.Scenario.load(file))
     assert set(trace.columns) >= set(COLUMNS.split())
-    assert set(mo.summarize(trace)) <= set(METRICS)
+    assert mo.summarize(trace)["mu_mean"] == trace.mu.mean()
     trace.save(tmp_path / "trace.parquet")
     assert len(mo.load_trace(tmp_path / "trace.parquet")) == 10
-
-
-def test_names_of_metrics_and_solvers():
-    assert set(METRICS) >= set(METRIC_NAMES.split())
-    available = mo.solvers.available()
-    assert set(available) >= set(SOLVERS.split())
-    assert any(name.startswith("qpsolvers:") for name in available)
-
-
-def test_every_error_of_the_package_is_one_kind():
-    classes = [c for _, c in inspect.getmembers(errors, inspect.isclass) if issubclass(c, Exception)]
-    assert len(classes) > 5
-    assert all(issubclass(c, mo.MocOptError) for c in classes)
