@@ -5,10 +5,8 @@ import os
 import signal
 import subprocess
 import sys
-import textwrap
 import time
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import psutil
@@ -86,45 +84,43 @@ def test_finished_jobs_are_kept_and_failures_are_not(tmp_path):
     assert len((tmp_path / "log").read_text().split()) == 5
 
 
-def test_a_changed_source_does_its_jobs_again(tmp_path, monkeypatch):
-    module = tmp_path / "own_trial.py"
-    monkeypatch.syspath_prepend(tmp_path)
+CHANGED = """
+from pathlib import Path
+import own_trial
+from moc_opt.study import Job, Kept, run
+if __name__ == "__main__":
+    kept = Kept(Path("jobs"))
+    print(*run([Job(own_trial.trial)], kept=kept, workers=1), kept.reused)
+"""
+
+
+def test_a_changed_source_does_its_jobs_again(tmp_path):
+    (tmp_path / "own_trial.py").write_text("import own_part\ndef trial(): return own_part.value()\n")
     answers = []
     for text in ("1", "1", "2"):
-        module.write_text("import own_part\ndef trial(): return own_part.value()\n")
         (tmp_path / "own_part.py").write_text(f"def value(): return {text}\n")
-        script = f"""
-            import sys; sys.path.insert(0, {str(tmp_path)!r})
-            from pathlib import Path
-            import own_trial
-            from moc_opt.study import Job, run
-            from moc_opt.study.kept import Kept
-            if __name__ == "__main__":
-                kept = Kept(Path({str(tmp_path / "jobs")!r}))
-                print(*run([Job(own_trial.trial)], kept=kept, workers=1), kept.reused)
-        """
-        (tmp_path / "script.py").write_text(textwrap.dedent(script))
-        answers.append(_python(tmp_path / "script.py").stdout.split())
-    assert answers == [["1", "0"], ["1", "1"], ["2", "0"]]
+        answers.append(_python(tmp_path, CHANGED))
+    assert answers == ["1 0", "1 1", "2 0"]
 
 
-def _python(script: Path, *arguments: Any) -> subprocess.CompletedProcess[str]:
+def _python(folder: Path, script: str) -> str:
+    (folder / "script.py").write_text(script)
     env = os.environ | {"PYTHONPATH": str(HOME), "PYTHONDONTWRITEBYTECODE": "1"}
-    command = [sys.executable, str(script), *map(str, arguments)]
-    return subprocess.run(command, env=env, cwd=script.parent, capture_output=True, text=True, check=True)
+    command = [sys.executable, "script.py"]
+    return subprocess.run(command, env=env, cwd=folder, capture_output=True, text=True, check=True).stdout.strip()
 
 
 KILLED = """
-    from pathlib import Path
-    from moc_opt.study import Job, Kept, run
-    from tests.study.work import slow_square
-    if __name__ == "__main__":
-        print(run([Job(slow_square, (k,)) for k in range(8)], kept=Kept(Path("jobs")), workers=2), flush=True)
+from pathlib import Path
+from moc_opt.study import Job, Kept, run
+from tests.study.work import slow_square
+if __name__ == "__main__":
+    print(run([Job(slow_square, (k,)) for k in range(8)], kept=Kept(Path("jobs")), workers=2), flush=True)
 """
 
 
 def test_a_study_that_is_killed_loses_nothing_and_leaves_no_process(tmp_path):
-    (tmp_path / "script.py").write_text(textwrap.dedent(KILLED))
+    (tmp_path / "script.py").write_text(KILLED)
     env = os.environ | {"PYTHONPATH": str(HOME)}
     done = 0
     for number in (signal.SIGKILL, signal.SIGINT):
@@ -140,7 +136,7 @@ def test_a_study_that_is_killed_loses_nothing_and_leaves_no_process(tmp_path):
         assert _finished(tmp_path) >= done
         done = _finished(tmp_path)
     assert 2 <= done < 8
-    assert _python(tmp_path / "script.py").stdout.strip() == str([float(k * k) for k in range(8)])
+    assert _python(tmp_path, KILLED) == str([float(k * k) for k in range(8)])
 
 
 def _finished(folder: Path) -> int:
@@ -175,12 +171,8 @@ def test_the_same_jobs_on_a_cluster(monkeypatch, tmp_path):
         run(jobs, dask="tcp://127.0.0.1:1")
 
 
-def test_no_worker_at_all_is_refused():
-    with pytest.raises(StudyError, match="workers = -3: give 1 or more"):
-        run([Job(work.square, (2.0,))], workers=-3)
-
-
-def test_without_dask_its_package_is_named(monkeypatch):
+def test_no_worker_and_a_cluster_without_dask_are_refused(monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
-    with pytest.raises(StudyError, match=r".\[cluster\]"):
-        run([Job(work.square, (2.0,))], dask="tcp://127.0.0.1:8786")
+    for more, said in (({"workers": -3}, "workers = -3: give 1 or more"), ({"dask": "tcp://x:1"}, r".\[cluster\]")):
+        with pytest.raises(StudyError, match=said):
+            run([Job(work.square, (2.0,))], **more)

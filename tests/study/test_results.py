@@ -25,6 +25,8 @@ ROWS = [
 
 def test_means_are_over_whole_runs_and_changes_over_trials_that_both_completed() -> None:
     rows = Results(ROWS)
+    assert (rows.names(), rows.names("raised")) == (["dcac", "exact", "rnn"], ["2 ticks"])
+    assert [one["controller"] for one in rows.where(trial="a", whole=True)] == ["dcac", "exact"]
     assert rows.mean("mu_mean", "exact") == mean([3.0, 2.0, 4.0, 5.0])
     assert rows.pairs("mu_mean", "exact") == ([3.0, 2.0], [2.0, 1.0])
     change = rows.change("mu_mean", "exact")
@@ -57,15 +59,6 @@ def test_figures_of_a_controller() -> None:
     assert not [name for name in found if name.startswith("unknown")]
     base = Results(ROWS).figures("dcac", ["mu_mean"], ["mu_mean"])
     assert (base["mu_mean"], base["reason"], "mu_gain_percent" in base) == (1.5, "stopped: far off", False)
-
-
-def test_rows_are_found_by_their_values() -> None:
-    rows = Results(ROWS)
-    assert [one["controller"] for one in rows.where(trial="a", whole=True)] == ["dcac", "exact"]
-    assert rows.names() == ["dcac", "exact", "rnn"]
-    assert rows.names("raised") == ["2 ticks"]
-    assert [one["trial"] for one in rows.failed()] == ["c", "d", "f"]
-    assert len(rows) == 9
 
 
 def test_rows_are_a_file_of_any_columns(tmp_path: Path) -> None:

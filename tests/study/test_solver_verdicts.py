@@ -8,22 +8,11 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from moc_opt.study import solver_verdicts
 from moc_opt.study.results import Results, change_name
 from moc_opt.study.show import Report
 from moc_opt.study.solver_parts import figures
-from moc_opt.study.solver_verdicts import (
-    AVOID,
-    GAPS,
-    INCONSISTENT,
-    NEAR,
-    OPEN,
-    OTHER,
-    SOUND,
-    TAKE,
-    assess,
-    first_table,
-    sentences,
-)
+from moc_opt.study.solver_verdicts import AVOID, NEAR, SOUND, TAKE, assess, first_table, sentences
 from moc_opt.study.statistics import spread
 
 NOISE = np.random.default_rng(3).lognormal(0.0, 0.5, 60)
@@ -71,7 +60,7 @@ def assessed(sets: dict[str, Any], rows: list[Any] = ()) -> dict[str, Any]:  # t
     [
         (certified(), {}, SOUND, "none"),
         (certified(990), {}, SOUND, "none"),
-        (certified(989), {}, GAPS, "none"),
+        (certified(989), {}, solver_verdicts.GAPS, "none"),
         (certified(silently_wrong=1), {}, AVOID, "none"),
         (certified(hung=1), {}, AVOID, "none"),
         (certified(0), {}, NEAR, "none"),
@@ -83,7 +72,7 @@ def assessed(sets: dict[str, Any], rows: list[Any] = ()) -> dict[str, Any]:  # t
         (certified(), {"torque_rate_rms_Nm_per_s": 1.15}, NEAR, "+15% chatter"),
         (certified(), {"first_ends": ENDED["broke off"]}, AVOID, "1 broke off"),
         (certified(), {"first_ends": ENDED["oscillated"]}, AVOID, "1 oscillated"),
-        (None, {}, OPEN, "none"),
+        (None, {}, solver_verdicts.OPEN, "none"),
     ],
 )
 def test_each_rule(asked, times, verdict, damage):
@@ -111,7 +100,7 @@ def test_wrong_answers_in_closed_loop_count_and_the_nonlinear_ones_are_no_liars(
     lying = [{**row, "silently_wrong": 1} for row in runs("asked")]
     assert assessed({"best": certified(), "asked": certified()}, [*runs("best"), *lying])["asked"]["verdict"] is AVOID
     row = assessed({"best": certified(), "nlp-sqp": certified(50, silently_wrong=900)}, runs("best"))["nlp-sqp"]
-    assert row["verdict"] is OTHER
+    assert row["verdict"] is solver_verdicts.OTHER
     assert "nonlinear" in row["silently_wrong"].reason
 
 
@@ -216,4 +205,4 @@ def test_the_first_screen_fits_a_terminal(whole):
     row = whole[0]["closed_loop"]["clarabel"]
     change = [row[f"tip_error_{frame}_change_percent"] for frame in ("model", "registered")]
     assert f"{change[0]:+.0f}/{change[1]:+.0f}" in re.sub(r"\s", "", text), "both frames"
-    assert INCONSISTENT in " ".join(text.split())
+    assert solver_verdicts.INCONSISTENT in " ".join(text.split())
