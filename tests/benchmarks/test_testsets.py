@@ -18,31 +18,31 @@ def found(A: Array, b: Array, pull: Array, rho: float, lower: Array, upper: Arra
     return None if exact is None else [float(value) for value in exact]
 
 
+LINE, BOX = [[1.0, 1.0]], ([0.0, 0.0], [0.75, 0.75])
+TWICE, UNIT = [[1.0, 1.0], [2.0, 2.0]], ([0.0, 0.0], [1.0, 1.0])
+ALONE, LONG = [[1.0, 0.0]], ([0.0, -1.0], [1.0, 2.0])
+
+
 @pytest.mark.parametrize(
-    ("b", "pull", "rho", "expected"),
+    ("A", "b", "pull", "rho", "box", "expected"),
     [
-        (1.0, [1.0, 0.0], 0.0, [0.75, 0.25]),  # a line: to the end of the box
-        (1.0, [0.0, 1.0], 0.0, [0.25, 0.75]),
-        (1.0, [0.25, 0.0], 1.0, [0.625, 0.375]),  # inside: x0 - x1 = pull
-        (1.0, [9.0, 0.0], 1.0, [0.75, 0.25]),  # pulled out of the box
-        (1.5, [1.0, 0.0], 0.0, [0.75, 0.75]),  # a corner, and no other point
-        (1.75, [1.0, 0.0], 0.0, None),
+        (LINE, [1.0], [1.0, 0.0], 0.0, BOX, [0.75, 0.25]),  # to the end of the box
+        (LINE, [1.0], [0.0, 1.0], 0.0, BOX, [0.25, 0.75]),
+        (LINE, [1.0], [0.25, 0.0], 1.0, BOX, [0.625, 0.375]),  # inside: x0 - x1 = pull
+        (LINE, [1.0], [9.0, 0.0], 1.0, BOX, [0.75, 0.25]),  # pulled out of the box
+        (LINE, [1.5], [1.0, 0.0], 0.0, BOX, [0.75, 0.75]),  # a corner, and no other point
+        (LINE, [1.75], [1.0, 0.0], 0.0, BOX, None),
+        (TWICE, [1.0, 2.0], [1.0, 0.0], 0.0, UNIT, [1.0, 0.0]),  # rows that repeat each other
+        (TWICE, [1.0, 2.0 + 1e-15], [1.0, 0.0], 0.0, UNIT, None),  # and rows that contradict
+        (ALONE, [0.5], [0.0, 0.0], 0.0, LONG, [0.5, 0.0]),  # a joint that moves nothing is solved alone
+        (ALONE, [0.5], [0.0, 1.0], 0.0, LONG, [0.5, 2.0]),
+        (ALONE, [0.5], [0.0, -1.0], 0.0, LONG, [0.5, -1.0]),
+        (ALONE, [0.5], [0.0, 3.0], 2.0, LONG, [0.5, 1.5]),
+        (ALONE, [0.5], [0.0, -3.0], 2.0, LONG, [0.5, -1.0]),
     ],
 )
-def test_two_joints_on_a_line(b, pull, rho, expected):
-    assert found([[1.0, 1.0]], [b], pull, rho, [0.0, 0.0], [0.75, 0.75]) == expected
-
-
-@pytest.mark.parametrize(("pull", "rho", "x"), [(0.0, 0.0, 0.0), (1.0, 0.0, 2.0), (-1.0, 0.0, -1.0), (3.0, 2.0, 1.5),
-                                                 (-3.0, 2.0, -1.0)])  # fmt: skip
-def test_a_joint_that_moves_nothing_is_solved_alone(pull, rho, x):
-    assert found([[1.0, 0.0]], [0.5], [0.0, pull], rho, [0.0, -1.0], [1.0, 2.0]) == [0.5, x]
-
-
-def test_rows_that_repeat_each_other_and_rows_that_contradict():
-    A, box = [[1.0, 1.0], [2.0, 2.0]], ([0.0, 0.0], [1.0, 1.0])
-    assert found(A, [1.0, 2.0], [1.0, 0.0], 0.0, *box) == [1.0, 0.0]
-    assert found(A, [1.0, 2.0 + 1e-15], [1.0, 0.0], 0.0, *box) is None
+def test_two_joints(A, b, pull, rho, box, expected):
+    assert found(A, b, pull, rho, *box) == expected
 
 
 @pytest.mark.parametrize("rho", [0.0, 0.3])
@@ -99,13 +99,8 @@ def test_what_highs_does_not_bear_out_is_refused(monkeypatch):
         monkeypatch.setattr(certify, "certified", lambda _, answer=answer: answer)
         with pytest.raises(CertificateError):
             certify.certify("wrong", [qp])
-
-
-def test_tip_and_wrist_must_be_tied():
-    qp = TestSet.load("circle").problems()[0]
-    assert certified(qp) is not None
-    with pytest.raises(CertificateError):
-        certified(changed(qp, J_wrist=2.0 * qp.J_wrist))
+    with pytest.raises(CertificateError):  # tip and wrist must be tied
+        certified(changed(unsolved, J_wrist=2.0 * unsolved.J_wrist))
 
 
 # --- the shipped sets ---
