@@ -1,15 +1,20 @@
-"""Certificate and shipped sets: optima by enumeration without rounding, which HiGHS and the judge bear out."""
+"""Certificate, shipped and exported sets: optima by enumeration, which HiGHS and the judge bear out."""
 
+import subprocess
+import sys
 from fractions import Fraction
+from importlib.util import find_spec
 
 import numpy as np
+import polars as pl
 import pytest
 from scipy.optimize import linprog
 
-from benchmarks import certify, testsets
+from benchmarks import certify, export, testsets
 from benchmarks.certify import certified, five_rows, optimum
 from moc_opt.arrays import Array
 from moc_opt.qp.problem import NullSpaceQP, compute_residuals
+from moc_opt.solvers import create
 from moc_opt.study.testsets import NAMES, CertificateError, TestSet, changed, five_row_gap, straightened
 
 
@@ -132,3 +137,35 @@ def test_inconsistent_references_differ_along_the_shaft():
             straight = straightened(qp)
             assert np.linalg.norm(five_row_gap(straight, straight.b)) < 1e-15
             np.testing.assert_allclose(straight.reduced().b, qp.reduced().b, atol=1e-15)
+
+
+# --- for qpbenchmark ---
+
+
+@pytest.mark.skipif(find_spec("qpbenchmark") is None, reason="pip install '.[qpbenchmark]'")
+def test_the_published_tool_reads_and_runs_it_unchanged(tmp_path):
+    from qpbenchmark.benchmark import load_test_set
+
+    assert export.main(["qpbenchmark", "--out", str(tmp_path), "--sets", "circle", "random", "--every", "64"]) == 0
+    module, written = tmp_path / "null_space.py", export.problems(["circle", "random"], 64)
+    sys.modules.pop("null_space", None)
+    read = {problem.name: problem for problem in load_test_set(str(module))}
+    for name, qp in written.items():
+        np.testing.assert_array_equal(read[name].P, qp.P)
+        np.testing.assert_array_equal(read[name].A, qp.reduced().A)
+        np.testing.assert_array_equal(read[name].lb, qp.lower)
+        assert read[name].G is None
+    results = tmp_path / "results.csv"
+    command = [sys.executable, "-m", "qpbenchmark.benchmark", str(module), "--results-path", str(results)]
+    subprocess.run([*command, "run", "--author", "me", "--solver", "daqp"], check=True, capture_output=True)
+    rows = pl.read_csv(results)
+    assert len(rows) == 4 * len(written)  # each under four settings
+    assert rows.filter(pl.col("settings") == "high_accuracy")["found"].all()
+
+
+def test_only_feasible_problems_are_handed_over():
+    chosen = export.problems(["infeasible"], 1)
+    session = create("exact").start(next(iter(chosen.values())))
+    assert 0 < len(chosen) < 128
+    assert all(session.solve(qp).status.label == "solved" for qp in chosen.values())
+    assert all(name.isidentifier() for name in chosen)
