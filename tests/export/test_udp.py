@@ -43,6 +43,8 @@ def built(exported: Export) -> Built:
         scenario = Scenario(**BASE, **RUNS[name])
         folder = exported(scenario, udp=True)
         done = make(folder, "moc_udp", FLAGS)
+        if "openssl/core_names.h" in done.stderr:
+            pytest.skip("no headers of OpenSSL")
         assert done.returncode == 0, done.stdout + done.stderr
         return scenario, folder
 

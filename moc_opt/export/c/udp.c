@@ -1,10 +1,14 @@
 /* The controller at the end of a wire: receives measurements, ticks, sends torques; see docs/realtime.md.
  *
- * moc_udp HOST PORT reference.bin, with the key in MOC_OPT_WIRE_KEY. No heap but what stdio takes before and after the
- * loop. In order: the check of a packet, the link, the tick, the program. */
+ * moc_udp HOST PORT reference.bin, with the key in MOC_OPT_WIRE_KEY. No heap but what stdio and OpenSSL take before
+ * and after the loop. In order: the check of a packet, the link, the tick, the program. */
 #define _POSIX_C_SOURCE 200809L
 #include <arpa/inet.h>
 #include <math.h>
+#include <openssl/core_names.h>
+#include <openssl/crypto.h>
+#include <openssl/evp.h>
+#include <openssl/params.h>
 #include <sched.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -18,73 +22,25 @@
 #include "shared.h"
 #include "wire_packets.h"
 
-enum { TAG = 16, KEY = 32, SHORTEST_KEY = 16, BLOCK = 64, TURN_US = 50000, REPEAT_NS = 100000000, PRIORITY = 50 };
+enum { TAG = 16, KEY = 32, SHORTEST_KEY = 16, TURN_US = 50000, REPEAT_NS = 100000000, PRIORITY = 50 };
 
-/* --- the check at the end of every packet: BLAKE2s (RFC 7693) with a key --- */
+/* --- the check at the end of every packet: BLAKE2s (RFC 7693) with a key, by OpenSSL --- */
 
-static const uint32_t initial[8] = {0x6A09E667u, 0xBB67AE85u, 0x3C6EF372u, 0xA54FF53Au,
-                                    0x510E527Fu, 0x9B05688Cu, 0x1F83D9ABu, 0x5BE0CD19u};
-static const uint8_t order[10][16] = {
-    {0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15}, {14, 10, 4, 8, 9, 15, 13, 6, 1, 12, 0, 2, 11, 7, 5, 3},
-    {11, 8, 12, 0, 5, 2, 15, 13, 10, 14, 3, 6, 7, 1, 9, 4}, {7, 9, 3, 1, 13, 12, 11, 14, 2, 6, 5, 10, 4, 0, 15, 8},
-    {9, 0, 5, 7, 2, 4, 10, 15, 14, 1, 11, 12, 6, 8, 3, 13}, {2, 12, 6, 10, 0, 11, 8, 3, 4, 13, 7, 5, 15, 14, 1, 9},
-    {12, 5, 1, 15, 14, 13, 4, 10, 0, 7, 6, 3, 9, 2, 8, 11}, {13, 11, 7, 14, 12, 1, 3, 9, 5, 0, 15, 4, 8, 6, 2, 10},
-    {6, 15, 14, 9, 11, 3, 0, 8, 12, 2, 13, 7, 1, 4, 10, 5}, {10, 2, 8, 4, 7, 6, 1, 5, 15, 11, 9, 14, 3, 12, 13, 0},
-};
+static EVP_MAC_CTX *check; /* has the key */
 
-static uint32_t turned(uint32_t x, int bits)
+static int take_key(const char *key, size_t length)
 {
-    return x >> bits | x << (32 - bits);
+    size_t size = TAG;
+    const OSSL_PARAM sizes[] = {OSSL_PARAM_construct_size_t(OSSL_MAC_PARAM_SIZE, &size), OSSL_PARAM_construct_end()};
+
+    check = EVP_MAC_CTX_new(EVP_MAC_fetch(NULL, "BLAKE2SMAC", NULL));
+    return check && EVP_MAC_init(check, (const uint8_t *)key, length, sizes);
 }
 
-/* Half of a mix of four numbers: x comes in, and b and d turn. */
-static void mix(uint32_t *a, uint32_t *b, uint32_t *c, uint32_t *d, uint32_t x, int turn_d, int turn_b)
+static int sign(const uint8_t *data, size_t length, uint8_t tag[TAG])
 {
-    *a += *b + x;
-    *d = turned(*d ^ *a, turn_d);
-    *c += *d;
-    *b = turned(*b ^ *c, turn_b);
-}
-
-/* One block into the state, after `count` bytes with it; the last one is marked. */
-static void compress(uint32_t h[8], const uint8_t block[BLOCK], size_t count, int last)
-{
-    uint32_t v[16], m[16];
-
-    memcpy(m, block, sizeof m); /* little-endian, as the packets are */
-    memcpy(v, h, 8 * sizeof *v);
-    memcpy(v + 8, initial, sizeof initial);
-    v[12] ^= (uint32_t)count; /* packets have fewer than 2^32 bytes */
-    v[14] ^= last ? ~0u : 0u;
-    for (int round = 0; round < 10; round++)
-        for (int i = 0; i < 8; i++) { /* four columns, then four diagonals */
-            int shift = i / 4, k = i % 4;
-            uint32_t *a = v + k, *b = v + 4 + (k + shift) % 4, *c = v + 8 + (k + 2 * shift) % 4,
-                     *d = v + 12 + (k + 3 * shift) % 4;
-            mix(a, b, c, d, m[order[round][2 * i]], 16, 12);
-            mix(a, b, c, d, m[order[round][2 * i + 1]], 8, 7);
-        }
-    for (int i = 0; i < 8; i++)
-        h[i] ^= v[i] ^ v[i + 8];
-}
-
-/* Write the 16 bytes for data of 1 byte or more, with a key of 1 to 32 bytes. */
-static void sign(const uint8_t *data, size_t length, const uint8_t *key, size_t key_length, uint8_t tag[TAG])
-{
-    uint32_t h[8];
-    uint8_t block[BLOCK] = {0};
-    size_t done = 0;
-
-    memcpy(h, initial, sizeof h);
-    h[0] ^= 0x01010000u ^ (uint32_t)key_length << 8 ^ (uint32_t)TAG;
-    memcpy(block, key, key_length);
-    compress(h, block, BLOCK, 0);
-    for (; length - done > BLOCK; done += BLOCK)
-        compress(h, data + done, BLOCK + done + BLOCK, 0);
-    memset(block, 0, BLOCK);
-    memcpy(block, data + done, length - done);
-    compress(h, block, BLOCK + length, 1);
-    memcpy(tag, h, TAG);
+    return EVP_MAC_init(check, NULL, 0, NULL) && EVP_MAC_update(check, data, length) &&
+           EVP_MAC_final(check, tag, &length, TAG);
 }
 
 /* --- the link: a UDP socket that lets only sound measurements through --- */
@@ -92,8 +48,6 @@ static void sign(const uint8_t *data, size_t length, const uint8_t *key, size_t 
 static struct {
     int socket;
     struct sockaddr_in plant;
-    uint8_t key[KEY];
-    size_t key_length;
     uint64_t session; /* 0 until the plant has told it */
     unsigned ignored; /* packets */
 } wire;
@@ -120,10 +74,10 @@ static const char *open_link(const char *host, const char *port)
     if ((!key || !*key) && strncmp(host, "127.", 4) != 0)
         return "other machines reach that address: put the key into MOC_OPT_WIRE_KEY";
     key = key && *key ? key : WIRE_LOOPBACK_KEY;
-    wire.key_length = strlen(key);
-    if (wire.key_length < SHORTEST_KEY || wire.key_length > KEY)
+    if (strlen(key) < SHORTEST_KEY || strlen(key) > KEY)
         return "the key in MOC_OPT_WIRE_KEY has 16 to 32 bytes";
-    memcpy(wire.key, key, wire.key_length);
+    if (!take_key(key, strlen(key)))
+        return "OpenSSL gives no BLAKE2s";
     wire.socket = socket(AF_INET, SOCK_DGRAM, 0);
     if (wire.socket < 0 || setsockopt(wire.socket, SOL_SOCKET, SO_RCVTIMEO, &turn, sizeof turn) != 0)
         return "the system gives no socket";
@@ -137,22 +91,19 @@ static void send_packet(wire_header *packet, size_t size, uint8_t kind, int64_t 
 
     *packet = (wire_header){WIRE_MAGIC,   WIRE_VERSION, kind, WIRE_JOINTS, packet->flags, wire.session,
                             WIRE_SCENARIO, number};
-    sign(bytes, size - TAG, wire.key, wire.key_length, bytes + size - TAG);
-    (void)!sendto(wire.socket, packet, size, 0, (const struct sockaddr *)&wire.plant, sizeof wire.plant);
+    if (sign(bytes, size - TAG, bytes + size - TAG))
+        (void)!sendto(wire.socket, packet, size, 0, (const struct sockaddr *)&wire.plant, sizeof wire.plant);
 }
 
 /* Whether a datagram is a measurement of this run. */
 static int is_sound(const uint8_t *bytes, size_t size, const struct sockaddr_in *sender)
 {
     const wire_header *head = (const wire_header *)bytes;
-    uint8_t tag[TAG], differ = 0;
+    uint8_t tag[TAG];
 
-    if (size != sizeof(wire_measurement) || head->kind != WIRE_KIND_MEASUREMENT)
+    if (size != sizeof(wire_measurement) || head->kind != WIRE_KIND_MEASUREMENT || !sign(bytes, size - TAG, tag))
         return 0;
-    sign(bytes, size - TAG, wire.key, wire.key_length, tag);
-    for (int i = 0; i < TAG; i++) /* takes the same time wherever they differ */
-        differ = (uint8_t)(differ | (tag[i] ^ bytes[size - TAG + (size_t)i]));
-    return !differ && memcmp(head->magic, WIRE_MAGIC, sizeof head->magic) == 0 && head->version == WIRE_VERSION &&
+    return CRYPTO_memcmp(tag, bytes + size - TAG, TAG) == 0 && memcmp(head->magic, WIRE_MAGIC, sizeof head->magic) == 0 && head->version == WIRE_VERSION &&
            head->joints == WIRE_JOINTS && (!wire.session || head->session == wire.session) &&
            sender->sin_addr.s_addr == wire.plant.sin_addr.s_addr && sender->sin_port == wire.plant.sin_port;
 }
