@@ -205,11 +205,6 @@ def unknown_plant(seed):
     }  # fmt: skip
 
 
-def late(ticks, law):
-    control = {"preset": "robust", "law": law}
-    return {"control": control, "faults": {"late_ticks": ticks}, "plant": {"delay_ticks": 0}}
-
-
 def coarse(robot, seed, control, delay):
     """While friction and a step of 0.5 mrad hold the joints, torque and momentum change: once a reason to stop."""
     plant = {**QUANTIZED, "friction": 2.0, "delay_ticks": delay}
@@ -217,7 +212,9 @@ def coarse(robot, seed, control, delay):
 
 
 @pytest.mark.parametrize("scenario", [
-    *map(unknown_plant, range(4)), late(1, "moc"), late(2, "dcac"), late(3, "moc"),
+    *map(unknown_plant, range(4)),
+    *({"control": {"preset": "robust", "law": law}, "faults": {"late_ticks": ticks}, "plant": {"delay_ticks": 0}}
+      for ticks, law in ((1, "moc"), (2, "dcac"), (3, "moc"))),
     coarse("xarm7", 363081978, {"preset": "tuned"}, 0), coarse("xarm7", 1359370278, {"preset": "robust"}, 0),
     coarse("panda", 656269444, {}, 2),
 ], ids=lambda s: "-".join(map(str, (s.get("seed", "late"), s["control"].get("law", "")))))  # fmt: skip
