@@ -13,20 +13,14 @@ from tests.control.torques import in_place, subproblem
 from tests.reference.law import CLIMB_PER_S
 
 
-def wish(robot, q):
-    """x_d (n,) of the climb at a pose."""
-    s = robot.state(q)
-    row = subproblem(s, *in_place(s), arm=robot.arm, climbs=True, c2=1.0, rho=1.0)
-    return np.array(fields(row).pull)
-
-
 def test_near_a_top_the_wish_is_the_way_to_it(robot: RobotModel) -> None:
     """Poses of one self-motion curve: the distance to its top along the curve is known without any derivative."""
     q = np.asarray(self_motion(robot, robot.data.q_home, 0.01).q)
     top = int(np.argmax(robot.mu_along(q)))
     assert 40 < top < len(q) - 40, "the top is inside the joint limits"
     for off in (-12, -5, 5, 12):
-        desired = wish(robot, q[top + off])
+        s = robot.state(q[top + off])
+        desired = fields(subproblem(s, *in_place(s), arm=robot.arm, climbs=True, c2=1.0, rho=1.0)).pull
         way = np.linalg.norm(np.diff(q[min(top, top + off) : max(top, top + off) + 1], axis=0), axis=1).sum()
         assert np.linalg.norm(desired) / CLIMB_PER_S == pytest.approx(way, rel=0.2, abs=0.01)
         assert desired @ (q[top] - q[top + off]) > 0.0

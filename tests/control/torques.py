@@ -49,11 +49,6 @@ def in_place(state, speed=0.0):
     return tip_ref, np.array([state.tip - 0.15 * state.tool_direction, np.zeros(3)])
 
 
-def third(state, x, K_N2, D_N2, share=1.0):
-    """tau_mu (n,) [Nm]."""
-    return ticked(state, *in_place(state), x, K_N2=K_N2, D_N2=D_N2, fade=share)[0] - state.h
-
-
 def subproblem(state, tip_ref, trocar, **parts):
     """The record of the tick's subproblem."""
     return ticked(state, tip_ref, trocar, **parts)[1]

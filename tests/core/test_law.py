@@ -8,7 +8,7 @@ from moc_opt import load_robot
 from moc_opt.control.law import PROJECTORS
 from moc_opt.qp.problem import fields
 from moc_opt.robots import available_robots
-from tests.control.torques import in_place, law, stand_in, subproblem, third, tracking
+from tests.control.torques import in_place, law, stand_in, subproblem, ticked, tracking
 from tests.reference import law as reference
 
 GAINS = (3000.0, 80.0, 800.0, 60.0)
@@ -21,17 +21,14 @@ def robot(request, odd_robot):
     return odd_robot if request.param == "odd" else load_robot(request.param)
 
 
-def moving(robot, rng):
-    """A state in motion, with a tip and a trocar that are nearly where they should be and move."""
-    state = robot.state(robot.random_regular_pose(rng), rng.uniform(-0.3, 0.3, robot.n))
-    tip_ref, trocar = in_place(state)
-    tip_ref += rng.normal(scale=[[1e-3], [0.03], [0.2]], size=(3, 3))
-    return state, tip_ref, trocar + 1e-3 * rng.normal(size=(2, 3))
-
-
-def trials(robot, count=10, seed=0):
-    rng = np.random.default_rng(seed)
-    return [(moving(robot, rng), rng) for _ in range(count)]
+def trials(robot, count=10):
+    """States in motion, tips and trocars that move and are nearly where they should be; and a generator."""
+    rng = np.random.default_rng(0)
+    for _ in range(count):
+        state = robot.state(robot.random_regular_pose(rng), rng.uniform(-0.3, 0.3, robot.n))
+        tip_ref, trocar = in_place(state)
+        tip_ref += rng.normal(scale=[[1e-3], [0.03], [0.2]], size=(3, 3))
+        yield (state, tip_ref, trocar + 1e-3 * rng.normal(size=(2, 3))), rng
 
 
 @pytest.mark.parametrize("rcm_lambda", [0.0, 0.5])
@@ -88,7 +85,7 @@ def test_the_subproblem(robot):
 def test_the_third_level_and_what_it_leaves_alone(robot):
     for (s, *_), rng in trials(robot):
         x, K, D = rng.normal(size=robot.n), rng.uniform(10, 120, robot.n), rng.uniform(0, 5, robot.n)
-        found = third(s, x, K, D, 0.6)
+        found = ticked(s, *in_place(s), x, K_N2=K, D_N2=D, fade=0.6)[0] - s.h
         np.testing.assert_allclose(found, 0.6 * reference.third_level(s, x, K, D), rtol=1e-7, atol=1e-8)
         np.testing.assert_allclose(s.A @ np.linalg.solve(s.M, found), 0.0, atol=1e-8)
         assert np.abs(found).max() > 1e-3
