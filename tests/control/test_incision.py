@@ -92,7 +92,7 @@ def test_the_means_warn_and_stop_at_the_tick_that_their_law_says(robot, time_s):
         for k, now in enumerate(means):
             look(guard, q, *seen)
             due = np.transpose([first * PERIOD, now, levels])[first <= k]
-            found = [[warning[name] for name in ("first_s", "largest", "level")] for warning in guard.warnings]
+            found = [[w["first_s"], w["largest"], w["level"]] for w in guard.warnings]
             np.testing.assert_allclose(np.reshape(found, (-1, 3)), due, rtol=1e-9)
         look(guard, q, off_by(robot, q, 0.0), weight(robot, q))  # the largest stays, whatever comes
         assert [(w["unit"], round(w["largest"], 2)) for w in guard.warnings] == [("mm", 5.0), ("N", 6.0)]

@@ -189,7 +189,7 @@ def test_the_observer_under_a_course_has_its_own_gain_and_stays_off_where_it_is_
 
 def test_a_wall_inside_the_box_is_refused():
     for unit, box in (("rad", 0.15), ("m", 0.05)):
-        with pytest.raises(ScenarioError, match=rf"position_margin_{unit} = 0.2: .*limit_margin_{unit} = {box}"):
+        with pytest.raises(ScenarioError, match=f"position_margin_{unit} = 0.2: .*_{unit} = {box}"):
             Scenario(guard={f"position_margin_{unit}": 0.2})
     for control in ({"limit_margin_rad": 0.2}, {"law": "dcac"}, {"preset": "paper"}):  # no box, or the paper's
         Scenario(guard={"position_margin_rad": 0.2}, control=control)

@@ -240,7 +240,7 @@ def along_the_line(qp, Z, x):
 
 @pytest.mark.parametrize("c2", [1e-3, 0.5])
 def test_the_residuals_along_the_line_against_a_search(c2):
-    """The elbow swivel alone, inside the box, at its sides and beyond: where rho decides, and where the box does."""
+    """The elbow swivel alone, inside the box, at its sides and beyond: where rho decides, where the box."""
     rng, seen = np.random.default_rng(12), []
     for number in range(60):
         qp = random_problem(rng, c2=c2, regularization=c2 * 10.0 ** rng.uniform(-2.0, 1.0))

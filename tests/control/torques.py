@@ -44,7 +44,7 @@ def tracking(state, tip_ref, trocar, gains=(0.0, 0.0, 0.0, 0.0), **parts):
 
 
 def in_place(state, speed=0.0):
-    """Tip reference and trocar of a tip and shaft that are where they should be; the tip moves along x [m/s]."""
+    """References of a tip and a shaft that are where they should be; the tip moves along x [m/s]."""
     tip_ref = np.array([state.tip, [speed, 0.0, 0.0], np.zeros(3)])
     return tip_ref, np.array([state.tip - 0.15 * state.tool_direction, np.zeros(3)])
 

@@ -26,8 +26,8 @@ def subproblem(robot, state, c2=PAPER.c2):
     """The paper's subproblem of an arm at rest."""
     lower, upper = velocity_damper(state.q, robot.q_min, robot.q_max, robot.v_max, PAPER.k0_per_s)
     return NullSpaceQP(
-        state.J_tip, state.J_wrist, np.zeros(3), np.zeros(3), state.grad_mu, lower=lower, upper=upper, c0=PAPER.c0,
-        c1=PAPER.c1, c2=c2, regularization=PAPER.regularization,
+        state.J_tip, state.J_wrist, np.zeros(3), np.zeros(3), state.grad_mu, lower=lower, upper=upper,
+        c0=PAPER.c0, c1=PAPER.c1, c2=c2, regularization=PAPER.regularization,
     )  # fmt: skip
 
 
@@ -88,7 +88,7 @@ def test_gradient_of_f_is_positive_semidefinite_and_seven_by_seven(robot, states
 
 
 # F(Y) = [-dL/dqd, dL/dl]  ->  [dL/dqd, -dL/dl]; no time constant  ->  eps, or m steps per tick
-def test_modes_grow_with_the_printed_sign_and_are_slower_than_fifty_seconds_without_a_time_constant(robot, states):
+def test_modes_decay_but_with_the_printed_sign_and_are_slower_than_fifty_seconds(robot, states):
     """dY/dt = -k F(Y) at the paper's gains: the real parts are k c0 s^2 / 2 for a singular value s of A."""
     for s in states:
         qp = subproblem(robot, s)
@@ -117,7 +117,7 @@ def test_the_true_lambda_is_not_constant(states):
 
 # K_N2 = [80, ...] on qdd_d at c2 = 0.001, k = 0.1  ->  kept as rnn-printed
 def test_torque_of_the_printed_network_cannot_act(robot, states):
-    """The share of mu in it (with c2 less without) is that where no bound is in the way, and far too small."""
+    """The share of mu in it (with c2 less without) is as where no bound is in the way, and too small."""
     rng, printed, share, free = np.random.default_rng(0), solvers.create("rnn-printed"), 0.0, 0.0
     for rest in states:
         for v in (np.zeros(7), rng.uniform(-0.01, 0.01, 7)):
