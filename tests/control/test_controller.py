@@ -1,6 +1,5 @@
 """The stack of three levels: what it asks for, what it does when a subproblem has no answer, what it keeps."""
 
-
 from unittest.mock import Mock
 
 import numpy as np
@@ -170,17 +169,16 @@ def test_observer_sees_the_limited_torque(robot):
 
 def test_a_start_forgets_and_two_controllers_share_nothing(robot):
     controller, other = (Controller(robot, ControlSettings(), EXACT) for _ in range(2))
-    home, taus = robot.data.q_home, [[], [], []]
+    home, taus = robot.data.q_home, [[], []]
     tip_ref, trocar = in_place(robot.state(home), 0.01)
-    for run in range(3):  # the last one with ticks of another controller in between
+    for run in range(2):  # the second one with ticks of another controller in between
         controller.start(home, np.zeros(7), tip_ref, trocar)
         other.start(home, np.zeros(7), tip_ref, trocar)
         for k in range(40):
             taus[run].append(controller.tick(home + 0.001 * k, np.full(7, 0.5 - 0.01 * k), tip_ref, trocar).copy())
-            if run == 2:
+            if run == 1:
                 other.tick(home - 0.002 * k, np.full(7, -0.3), tip_ref + 0.001, trocar)
     np.testing.assert_array_equal(taus[0], taus[1])
-    np.testing.assert_array_equal(taus[0], taus[2])
     controller.start(home, np.zeros(7), tip_ref, trocar)
     assert controller.solution is controller.subproblem is None
     assert np.isnan(controller.answer).all()

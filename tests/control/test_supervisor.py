@@ -87,31 +87,28 @@ def test_a_good_answer_is_followed_and_copied_from_any_layout_of_memory(qp, Z):
             assert not np.shares_memory(copied, of)
 
 
-def wrong_answers(qp):
-    x = solved(qp).x
-    return {
+@pytest.mark.parametrize("fault", [f for f in Fault if f not in (Fault.NONE, Fault.LATE)])
+def test_each_fault_has_its_name_and_is_counted(fault, qp, Z):
+    good = solved(qp)
+    wrong = {
         Fault.FAILED: no_answer(7, Status.NUMERICAL),
         Fault.RAISED: RuntimeError("from inside\na solver"),
-        Fault.NOT_FINITE: Solution(np.where(np.arange(7) == 3, np.nan, x), None, Status.SOLVED),
-        Fault.MALFORMED: Solution(x, np.zeros(6, complex), Status.SOLVED),
-        Fault.OUTSIDE: Solution(x + 0.5, None, Status.SOLVED),
+        Fault.NOT_FINITE: Solution(np.where(np.arange(7) == 3, np.nan, good.x), None, Status.SOLVED),
+        Fault.MALFORMED: Solution(good.x, np.zeros(6, complex), Status.SOLVED),
+        Fault.OUTSIDE: Solution(good.x + 0.5, None, Status.SOLVED),
         Fault.FALSE_OPTIMUM: opposite(qp),
         Fault.INFEASIBLE: no_answer(7, Status.INFEASIBLE),
         Fault.LOST: Unanswered("lost", "its process ended"),
     }
-
-
-@pytest.mark.parametrize("fault", [f for f in Fault if f not in (Fault.NONE, Fault.LATE)])
-def test_each_fault_has_its_name_and_is_counted(fault, qp, Z):
     mine = supervisor()
-    mine.solve(scripted(solved(qp)), qp, Z)
-    _, x = mine.solve(scripted(wrong_answers(qp)[fault]), qp, Z)
+    mine.solve(scripted(good), qp, Z)
+    _, x = mine.solve(scripted(wrong[fault]), qp, Z)
     assert mine.fault is fault
     ((label, found),) = mine.faults.items()
     assert (label, found["count"], found["first_at_s"]) == (fault.label, 1, 0.002)
     assert fault is not Fault.RAISED or found["first"] == "RuntimeError: from inside a solver"
     # the last good answer is held, but an infeasible subproblem is answered by the fallback
-    np.testing.assert_array_equal(x, np.zeros(7) if fault is Fault.INFEASIBLE else solved(qp).x)
+    np.testing.assert_array_equal(x, np.zeros(7) if fault is Fault.INFEASIBLE else good.x)
     mine.forget()
     assert mine.faults == {}
 
