@@ -6,6 +6,7 @@ is meant to move them writes them anew, with ``python -m tests.test_frozen --wri
 
 import json
 import sys
+import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -25,59 +26,50 @@ ARMS = ("lwr4", "iiwa14", "panda", "gen3", "xarm7", "lwr4_rail")
 PATHS = ("circle", "sinusoid", "spiral", "line", "waypoints")
 SOLVERS = ("exact", "rnn", "osqp", "nlp-sqp")
 
-FAST: dict[str, Any] = {  # many of its subproblems are infeasible
-    "seed": 4, "task": {"v_max_m_per_s": 0.43, "a_max_m_per_s2": 8.0}, "start": {"check_path": False},
-    "guard": {"rcm_error_m": 0.012},
-}  # fmt: skip
 # Each is changed in one thing, or in a few that belong together.
-VARIANTS: dict[str, dict[str, Any]] = {
-    "whole-circle": {"duration_s": None, "task": {"path": "circle", "sizes": {"radius": 0.015}}},
-    "whole-line-rnn": {"duration_s": None, "task": {"path": "line"}, "solver": {"name": "rnn"}},
-    "tuned": {"control": {"preset": "tuned"}},
-    "tuned-gen3-osqp": {"control": {"preset": "tuned"}, "robot": {"name": "gen3"}, "solver": {"name": "osqp"}},
-    "robust": {"control": {"preset": "robust"}, "plant": {"delay_ticks": 3}},
-    "robust-panda-nlp-sqp": {
-        "control": {"preset": "robust"}, "robot": {"name": "panda"}, "solver": {"name": "nlp-sqp"},
-    },
-    "paper-rnn": {"control": {"preset": "paper"}, "solver": {"name": "rnn"}},
-    "paper-rnn-printed": {"control": {"preset": "paper"}, "solver": {"name": "rnn-printed"}},
-    "paper-exact": {"control": {"preset": "paper"}},
-    "paper-dcac": {"control": {"preset": "paper", "law": "dcac"}},
-    "dcac": {"control": {"law": "dcac"}, "task": {"path": "spiral"}},
-    "static-projector": {"control": {"projector": "static"}},
-    "scaled-climb": {"control": {"climb": "scaled"}},
-    "receding": {"control": {"third_level": "receding"}},
-    "receding-rail": {"control": {"third_level": "receding"}, "robot": {"name": "lwr4_rail"}},
-    "planned": {"control": {"third_level": "planned"}},
-    "planned-iiwa14-osqp": {
-        "control": {"third_level": "planned"}, "robot": {"name": "iiwa14"}, "solver": {"name": "osqp"},
-    },
-    "nominal": {"plant": {"preset": "nominal"}},
-    "nominal-panda-osqp": {
-        "plant": {"preset": "nominal"}, "robot": {"name": "panda"}, "solver": {"name": "osqp"},
-        "task": {"path": "sinusoid"},
-    },
-    "nominal-xarm7-rnn": {"plant": {"preset": "nominal"}, "robot": {"name": "xarm7"}, "solver": {"name": "rnn"}},
-    "nominal-uncompensated": {
-        "plant": {"preset": "nominal"}, "control": {"observer_gain_per_s": 0.0, "feedforward": False},
-    },
-    "uncompensated": {"control": {"observer_gain_per_s": 0.0, "feedforward": False}},
-    "elastic-joints": {"plant": {"joint_stiffness_Nm_per_rad": 8000.0, "substeps": 9}},
-    "too-late": {"plant": {"delay_ticks": 6}},
-    "unregularized": {"control": {"regularization": 0.0}},
-    "one-gain-for-all-joints": {"control": {"K_N2": 80.0, "D_N2": 1.0}, "plant": {"delay_ticks": 2}},
-    "random-start": {"start": {"pose": "random", "swivel": "random"}, "seed": 4},
-    "breathing": {"trocar": {"breathing_amplitude_m": 0.005, "breathing_period_s": 2.0}},
-    "fast-hold": FAST | {"control": {"fallback": "hold"}},
-    "fast-damping": FAST | {"control": {"fallback": "damping"}},
-    "fast-least-violation": FAST | {"control": {"fallback": "least-violation"}},
-    "lying-solver": {"faults": {"solver": "lie", "solver_share": 0.2}},
-    "failing-solver": {"faults": {"solver": "fail", "solver_share": 0.2}},
-    "pushed-and-loaded": {"faults": {"bump_N": 20.0, "bump_at_s": 0.6, "payload_kg": 0.3}},
-    "trocar-slips": {"faults": {"slip_m": 0.004, "slip_at_s": 0.8}},
-    "encoders-lost": {"faults": {"nan_at_s": 0.8, "nan_ticks": 1000}},
-    "encoders-jump": {"faults": {"jump_at_s": 0.5, "jump_rad": 0.2}},
-}  # fmt: skip
+VARIANTS: dict[str, dict[str, Any]] = tomllib.loads("""
+whole-circle = { task = { path = "circle", sizes.radius = 0.015 } }
+whole-line-rnn = { task.path = "line", solver.name = "rnn" }
+tuned = { control.preset = "tuned" }
+tuned-gen3-osqp = { control.preset = "tuned", robot.name = "gen3", solver.name = "osqp" }
+robust = { control.preset = "robust", plant.delay_ticks = 3 }
+robust-panda-nlp-sqp = { control.preset = "robust", robot.name = "panda", solver.name = "nlp-sqp" }
+paper-rnn = { control.preset = "paper", solver.name = "rnn" }
+paper-rnn-printed = { control.preset = "paper", solver.name = "rnn-printed" }
+paper-exact = { control.preset = "paper" }
+paper-dcac = { control = { preset = "paper", law = "dcac" } }
+dcac = { control.law = "dcac", task.path = "spiral" }
+static-projector = { control.projector = "static" }
+scaled-climb = { control.climb = "scaled" }
+receding = { control.third_level = "receding" }
+receding-rail = { control.third_level = "receding", robot.name = "lwr4_rail" }
+planned = { control.third_level = "planned" }
+planned-iiwa14-osqp = { control.third_level = "planned", robot.name = "iiwa14", solver.name = "osqp" }
+nominal = { plant.preset = "nominal" }
+nominal-panda-osqp = { plant.preset = "nominal", robot.name = "panda", solver.name = "osqp", task.path = "sinusoid" }
+nominal-xarm7-rnn = { plant.preset = "nominal", robot.name = "xarm7", solver.name = "rnn" }
+nominal-uncompensated = { plant.preset = "nominal", control = { observer_gain_per_s = 0.0, feedforward = false } }
+uncompensated = { control = { observer_gain_per_s = 0.0, feedforward = false } }
+elastic-joints = { plant = { joint_stiffness_Nm_per_rad = 8000.0, substeps = 9 } }
+too-late = { plant.delay_ticks = 6 }
+unregularized = { control.regularization = 0.0 }
+one-gain-for-all-joints = { control = { K_N2 = 80.0, D_N2 = 1.0 }, plant.delay_ticks = 2 }
+random-start = { start = { pose = "random", swivel = "random" }, seed = 4 }
+breathing = { trocar = { breathing_amplitude_m = 0.005, breathing_period_s = 2.0 } }
+lying-solver = { faults = { solver = "lie", solver_share = 0.2 } }
+failing-solver = { faults = { solver = "fail", solver_share = 0.2 } }
+pushed-and-loaded = { faults = { bump_N = 20.0, bump_at_s = 0.6, payload_kg = 0.3 } }
+trocar-slips = { faults = { slip_m = 0.004, slip_at_s = 0.8 } }
+encoders-lost = { faults = { nan_at_s = 0.8, nan_ticks = 1000 } }
+encoders-jump = { faults = { jump_at_s = 0.5, jump_rad = 0.2 } }
+""")
+for name in ("whole-circle", "whole-line-rnn"):
+    VARIANTS[name]["duration_s"] = None
+for fallback in ("hold", "damping", "least-violation"):
+    VARIANTS[f"fast-{fallback}"] = {  # many of its subproblems are infeasible
+        "seed": 4, "task": {"v_max_m_per_s": 0.43, "a_max_m_per_s2": 8.0}, "start": {"check_path": False},
+        "guard": {"rcm_error_m": 0.012}, "control": {"fallback": fallback},
+    }  # fmt: skip
 
 
 def scenarios() -> dict[str, mo.Scenario]:
@@ -98,8 +90,6 @@ def scenarios() -> dict[str, mo.Scenario]:
 
 
 SCENARIOS = scenarios()
-
-
 METRICS = (
     "mu_mean", "mu_final", "tip_error_model_mean_mm", "tip_error_registered_mean_mm", "rcm_error_model_mean_mm",
     "rcm_error_mean_mm", "trocar_force_mean_N", "torque_rate_rms_Nm_per_s", "claimed_solved", "verified_solved",
@@ -127,18 +117,16 @@ def tolerance(metric: str, figure: float, ticks: int) -> float:
     return max(0.15 * figure, floor)
 
 
-@pytest.fixture(scope="module")
-def frozen() -> dict[str, Any]:
-    return json.loads(FIGURES.read_text(encoding="utf-8"))
+FROZEN: dict[str, Any] = json.loads(FIGURES.read_text(encoding="utf-8"))["runs"]
 
 
-def test_every_frozen_figure_is_compared(frozen: dict[str, Any]) -> None:
-    assert set(frozen["runs"]) == set(SCENARIOS)
+def test_every_frozen_figure_is_compared() -> None:
+    assert set(FROZEN) == set(SCENARIOS)
 
 
 @pytest.mark.parametrize("name", SCENARIOS)
-def test_a_run_keeps_its_figures(name: str, frozen: dict[str, Any]) -> None:
-    was, now = frozen["runs"][name], run(SCENARIOS[name])
+def test_a_run_keeps_its_figures(name: str) -> None:
+    was, now = FROZEN[name], run(SCENARIOS[name])
     assert set(now) == set(was)
     ended = now.pop("ended")
     assert ended == was["ended"], f"{name}: ended: frozen {was['ended']}, found {ended}"

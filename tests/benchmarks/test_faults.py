@@ -122,21 +122,18 @@ def test_goals_follow_from_the_rows():
     ]
     assert lost(*fine) == []
     assert "recover_s" not in worst(Results(fine))[-1]
-    for bad in (  # each of them breaks one goal
-        row("delay-5", "rnn", "diverged"), row("delay-5", "rnn", "ran away"), row("delay-5", "rnn", "refused"),
-        row("solver-lies", "rnn", **{**good, "missed": 1}),
-        row("solver-lies", "rnn", **{**good, "rcm_mean_percent": 6.0}),
-        row("solver-lies", "rnn", **{**good, "rcm_max_percent": 6.0}),
-        row("solver-nan-always", "rnn", **{**good, "rcm_mean_percent": 6.0}),
-        row("solver-lies", "rnn", **{**good, "false_alarms": 30}),
-        row("nan-lasting", "rnn", "stopped", last_speed_rad_per_s=0.2),
-    ):  # fmt: skip
-        assert len(lost(*fine, bad)) == 1, bad
+    bad = [row("delay-5", "rnn", kind) for kind in ("diverged", "ran away", "refused")]
+    bad += [row("solver-lies", "rnn", **{**good, name: value}) for name, value in (
+        ("missed", 1), ("rcm_mean_percent", 6.0), ("rcm_max_percent", 6.0), ("false_alarms", 30),
+    )]  # fmt: skip
+    bad.append(row("solver-nan-always", "rnn", **{**good, "rcm_mean_percent": 6.0}))
+    bad.append(row("nan-lasting", "rnn", "stopped", last_speed_rad_per_s=0.2))
+    assert [len(lost(*fine, one)) for one in bad] == [1] * 9, "each of them breaks one goal"
     [mixed] = worst(Results([row("a", "exact"), row("a", "exact", "stopped")]))
     assert mixed["outcome"] == "1 survived, 1 stopped"
 
 
-def test_a_lost_camera_makes_the_path_wait():
+def test_a_lost_camera_makes_the_path_wait_and_a_case_that_cannot_start_is_a_row():
     setup = Setup(Scenario(control={"preset": "tuned"}, duration_s=2.0, bound_samples=0, judge=False))
     t = setup.times()
     x, dx, _ = Waited(setup.reference, t, (0.8, 1.4)).at(t)
@@ -146,9 +143,6 @@ def test_a_lost_camera_makes_the_path_wait():
     trace, ended = run_case(setup.scenario, (0.8, 1.4))
     assert ended == "completed"
     assert np.linalg.norm(np.diff(trace.tip_ref_m[(t > 1.2) & (t < 1.4)], axis=0)) == 0.0
-
-
-def test_a_case_that_cannot_start_is_a_row():
     trace, ended = run_case(Scenario(robot={"name": "no such"}, duration_s=0.1), None)
     assert trace is None
     assert ended.startswith("refused: UnknownNameError")

@@ -124,31 +124,21 @@ def test_the_configuration_that_ships_is_the_papers_experiment():
         assert [case.seed for case in mine] == [case.seed for case in cases["paper"]]
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
+def test_a_procedure_that_cannot_go_on_says_why_and_is_guarded_as_every_loop_is():
+    for changes, message in (
         ({"board": Board(hidden_fraction=1.0)}, "board: never seen"),
         ({"hands_on": HandsOnSettings(time_limit_s=0.2)}, "did not reach the incision"),
-    ],
-)
-def test_a_procedure_that_cannot_go_on_says_why(changes, message):
-    with pytest.raises(MocOptError, match=message):
-        procedure.perform(ProcedureSettings(camera=SMALL, **changes), QUICK, "circle")
-
-
-def test_the_procedure_is_guarded_as_every_loop_is():
+    ):
+        with pytest.raises(MocOptError, match=message):
+            procedure.perform(ProcedureSettings(camera=SMALL, **changes), QUICK, "circle")
     base = QUICK.change(guard={"rcm_error_m": 2e-4, "rcm_warning_m": 1e-4})
     row = procedure.perform(ProcedureSettings(camera=SMALL), base, "circle")
     assert row["ended"].startswith("stopped: the RCM error has been above 0.2 mm")
     assert row["share_of_run"] < 1.0
 
 
-@pytest.fixture(scope="module")
-def left(tiny):
-    return tiny(paper, TINY, pictures=1)
-
-
-def test_the_command_leaves_every_part(left):
+def test_the_command_leaves_every_part_and_leads_from_the_hand_to_the_task(tiny):
+    left = tiny(paper, TINY, pictures=1)
     summary = left.summary
     found = summary["groups"]["tuned"]
     assert set(found) == {*BASELINES, "exact", "rnn-printed"}
@@ -159,10 +149,7 @@ def test_the_command_leaves_every_part(left):
     assert summary["swivel"]["gain_at_maximum_percent"] <= summary["swivel"]["gain_max_percent"]
     assert {row["part"] for row in left.rows} == {"trials", "ablation", "swivel", "procedure"}
     assert not [name for name in left.rows[0] if name.endswith("_us")], "several runs share the machine"
-
-
-def test_the_procedure_leads_from_the_hand_to_the_task(left):
-    row = left.summary["procedure"]["circle"]
+    row = summary["procedure"]["circle"]
     assert (row["ended"], row["share_of_run"], row["registered"]) == ("completed", 1.0, True)
     assert 0.0 < row["registration_error_mm"] < 5.0
     assert row["hand_force_max_N"] <= left.config.procedure.hands_on.hand.force_max_N + 1e-9

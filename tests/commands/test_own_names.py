@@ -29,23 +29,6 @@ def own_travel_rad(trace):
 POINTS = [[0.01, 0.0, 0.0], [0.02, 0.01, -0.005], [0.03, 0.0, 0.0]]
 
 
-@pytest.fixture
-def package(tmp_path, monkeypatch):
-    """An installed package with a path and a metric."""
-    site = tmp_path / "site"
-    info = site / "own_things-1.0.dist-info"
-    info.mkdir(parents=True)
-    (site / "own_things.py").write_text(PACKAGE, encoding="utf-8")
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: own-things\nVersion: 1.0\n", encoding="utf-8")
-    (info / "entry_points.txt").write_text(
-        "[moc_opt.tasks]\nhelix = own_things:helix\n[moc_opt.metrics]\nown_travel_rad = own_things:own_travel_rad\n",
-        encoding="utf-8",
-    )
-    monkeypatch.syspath_prepend(str(site))
-    monkeypatch.setattr(metrics, "_LOADED", {})
-    monkeypatch.delitem(sys.modules, "own_things", raising=False)
-
-
 def printed(capsys, *arguments):
     status = main(["run", *map(str, arguments), "--json"])
     found = capsys.readouterr()
@@ -53,23 +36,27 @@ def printed(capsys, *arguments):
     return json.loads(found.out)
 
 
-def test_own_path_and_metric_in_a_file(package, tmp_path, capsys):
-    file, trace = tmp_path / "own.toml", tmp_path / "own.parquet"
+def test_an_installed_package_has_its_own_path_and_metric(tmp_path, monkeypatch, capsys):
+    info = tmp_path / "own_things-1.0.dist-info"
+    info.mkdir()
+    (tmp_path / "own_things.py").write_text(PACKAGE, encoding="utf-8")
+    (info / "entry_points.txt").write_text(
+        "[moc_opt.tasks]\nhelix = own_things:helix\n[moc_opt.metrics]\nown_travel_rad = own_things:own_travel_rad\n"
+    )
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.setattr(metrics, "_LOADED", {})
+    monkeypatch.delitem(sys.modules, "own_things", raising=False)
+    file, short, trace = tmp_path / "own.toml", tmp_path / "short.toml", tmp_path / "own.parquet"
     file.write_text(
         'bound_samples = 0\njudge = false\nbest_courses = false\nmetrics = ["own_travel_rad", "mu_mean"]\n'
-        '[task]\npath = "helix"\nwait_s = 0.0\nhold_s = 0.0\n[task.sizes]\nradius = 0.004\n',
-        encoding="utf-8",
+        '[task]\npath = "helix"\nwait_s = 0.0\nhold_s = 0.0\n[task.sizes]\nradius = 0.004\n'
     )
     found = printed(capsys, file, "--trace", trace)
     assert {"own_travel_rad", "mu_mean"} <= set(found) <= {"own_travel_rad", "mu_mean", "ended", "warnings", "faults"}
     assert found["own_travel_rad"] > 0.0
     ends = mo.load_trace(trace).tip_ref_m[[0, -1]]
     np.testing.assert_allclose(ends[1] - ends[0], [0.0, 0.0, 0.01], atol=1e-4)
-
-
-def test_own_path_and_metric_on_the_command_line(package, tmp_path, capsys):
-    short = tmp_path / "short.toml"
-    short.write_text("duration_s = 0.02\nbound_samples = 0\n[task.sizes]\nradius = 0.01\n", encoding="utf-8")
+    short.write_text("duration_s = 0.02\nbound_samples = 0\n[task.sizes]\nradius = 0.01\n")
     assert "own_travel_rad" in printed(capsys, short, "--metric", "own_travel_rad")
     for arguments, said in (
         (["run", str(short), "--task", "helix"], "[task] a helix needs its radius"),  # sizes of another are not kept

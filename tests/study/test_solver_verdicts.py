@@ -104,7 +104,7 @@ def test_wrong_answers_in_closed_loop_count_and_the_nonlinear_ones_are_no_liars(
     assert "nonlinear" in row["silently_wrong"].reason
 
 
-def test_the_best_come_first_and_one_is_taken():
+def test_the_best_come_first_one_is_taken_and_parts_may_be_missing():
     found = assessed({
         "best": certified(p99=1.0), "slow": certified(p99=50.0), "liar": certified(p99=0.1, silently_wrong=1),
         "half": certified(500), "most": certified(900, p99=90.0),
@@ -112,6 +112,9 @@ def test_the_best_come_first_and_one_is_taken():
     assert list(found) == ["best", "slow", "most", "half", "liar"]
     assert [row["verdict"] for row in found.values()].count(TAKE) == 1
     assert assess({}, Results()) == []
+    rows = assess(*study({name: certified() for name in ("daqp", "qpsolvers:daqp", "qpsolvers:scs")}))
+    assert [row["solver"] for row in rows] == ["daqp", "qpsolvers:scs"], "a library is judged once"
+    assert "not run" in rows[0]["damage"].reason
 
 
 @pytest.mark.parametrize(
@@ -136,12 +139,6 @@ def test_only_what_an_interval_excludes_decides(cost, unlike, trials, verdict, d
     assert damage in getattr(row["damage"], "reason", row["damage"])
 
 
-def test_a_library_is_judged_once_and_parts_may_be_missing():
-    rows = assess(*study({name: certified() for name in ("daqp", "qpsolvers:daqp", "qpsolvers:scs")}))
-    assert [row["solver"] for row in rows] == ["daqp", "qpsolvers:scs"]
-    assert "not run" in rows[0]["damage"].reason
-
-
 def test_the_fastest_is_not_named_without_a_word_on_a_machine_that_was_busy():
     busy = {"times_calls": 1000, "times_switches": 9, "times_cpu_s": 1.0, "times_wall_s": 1.0}
     rivals = (({}, False), (busy, True), ({**busy, "times_switches": 2}, False), ({**busy, "p50": 59.0}, False))
@@ -155,8 +152,7 @@ def test_the_fastest_is_not_named_without_a_word_on_a_machine_that_was_busy():
 # --- in words ---
 
 
-@pytest.fixture(scope="module")
-def whole() -> tuple[dict[str, Any], Results]:
+def test_the_first_screen_answers_in_three_sentences_and_fits_a_terminal():
     sets = {
         "exact": certified(1799, 1.2, 1.5, solves=2048, optima_asked=1621, verified_solved=1620, infeasible_asked=179,
                            infeasible_right=179, refused_inconsistent=248, inconsistent_asked=621),
@@ -173,27 +169,21 @@ def whole() -> tuple[dict[str, Any], Results]:
     summary["settings"] = {"exact@recommended": {"reason": "nothing to set"}}
     for row in summary["closed_loop"].values():
         row |= {"tick_p50_us": 37.0, "tick_p99_us": 105.0, "tick_p99_9_us": 2100.0}
-    return summary, results
-
-
-def test_the_answer_comes_in_three_sentences(whole):
-    take, sound, avoid = sentences(whole[0], assess(*whole))
+    rows = assess(summary, results)
+    take, sound, avoid = sentences(summary, rows)
     assert take.startswith("Take `exact` (nothing to set). ")
     for counted in ("1620 of 1869 certified optima", "179 of 179 infeasible", "248 of 621 problems", "1.2 us, p99 1.5",
                     "Also sound: `clarabel` (48 us)"):  # fmt: skip
         assert counted in take
     assert "60 independent trials of `exact`" in sound
     for name in ("mu_mean", "tip_error_model_mean_mm", "tip_error_registered_mean_mm", "rcm_error_model_mean_mm"):
-        assert spread(whole[0]["closed_loop"]["exact"], change_name(name), 2, "+", " %") in sound
+        assert spread(summary["closed_loop"]["exact"], change_name(name), 2, "+", " %") in sound
     assert "`qpsolvers:highs` (1 silently wrong)" in avoid
     assert "2 of 3 claimed success for wrong answers (`osqp` 1301, `qpsolvers:scs` 432)" in avoid
     assert "nlp" not in avoid
     assert "rnn" not in avoid, "the network has no library and no six rows"
 
-
-def test_the_first_screen_fits_a_terminal(whole):
-    rows = assess(*whole)
-    shown = Report("t", sentences(whole[0], rows), first_table(whole[0], rows))
+    shown = Report("t", [take, sound, avoid], first_table(summary, rows))
     screen = Console(file=io.StringIO(), width=80, color_system=None, highlight=False)
     for part in shown.screens():
         screen.print(part, markup=False)
@@ -202,7 +192,7 @@ def test_the_first_screen_fits_a_terminal(whole):
     assert "…" not in text
     assert "99.95" in text, "2047 of 2048 is not 100 %"
     assert "99.94" in text
-    row = whole[0]["closed_loop"]["clarabel"]
+    row = summary["closed_loop"]["clarabel"]
     change = [row[f"tip_error_{frame}_change_percent"] for frame in ("model", "registered")]
     assert f"{change[0]:+.0f}/{change[1]:+.0f}" in re.sub(r"\s", "", text), "both frames"
     assert solver_verdicts.INCONSISTENT in " ".join(text.split())
