@@ -45,7 +45,6 @@ def pytest_xdist_auto_num_workers() -> int:
 
 @pytest.hookimpl(tryfirst=True)  # before pytest selects by `-m slow`
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Mark the slow tests, and put them last."""
     place = {file: k for k, file in enumerate(SLOW, start=1)}
     assert all((config.rootpath / file).is_file() for file in place), "SLOW names a file that is gone"
     order = {item: place.get(item.nodeid.partition("::")[0], 0) for item in items}

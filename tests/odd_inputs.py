@@ -80,6 +80,12 @@ names = st.one_of(
 """What leaves a comment, a tag or a folder, and names as they should be."""
 
 
+LINES = ["", "<", "]", "[[robot]]", "</link>", '<link name="tip"/>', "\x00"]
+ODD = st.one_of(
+    numbers.map(repr), texts, texts.map(repr), st.sampled_from(["0 0 nan", "1e999 0 0", "0x1p-2", "[]", "{}"])
+)
+
+
 @st.composite
 def edited(draw: st.DrawFn, text: str) -> bytes:
     """A text file with a few lines, words or values changed, doubled or taken out; or something else entirely."""
@@ -91,23 +97,12 @@ def edited(draw: st.DrawFn, text: str) -> bytes:
     lines = text.splitlines()
     for _ in range(draw(st.integers(1, 3))):
         place = draw(st.integers(0, len(lines) - 1))
-        line, how = lines[place], draw(st.integers(0, 5))
-        if how == 0:
-            lines = lines[:place] + lines[place + 1 :] or [""]
-        elif how == 1:
-            lines.insert(place, line)
-        elif how == 2:
-            cut = draw(st.integers(0, len(line)))
-            lines[place] = line[:cut] + draw(st.text(max_size=5)) + line[cut:]
-        elif how in (3, 4) and "=" in line:
-            quoted = line.split('"')
-            if len(quoted) >= 3 and "<" in line:  # an attribute of XML
-                odd = st.one_of(numbers.map(repr), texts, st.sampled_from(["0 0 nan", "1e999 0 0", "0x1p-2"]))
-                quoted[2 * draw(st.integers(0, (len(quoted) - 3) // 2)) + 1] = draw(odd)
-                lines[place] = '"'.join(quoted)
-            else:
-                odd = st.one_of(numbers.map(repr), texts.map(repr), st.sampled_from(["[]", "{}"]))
-                lines[place] = f"{line.split('=', 1)[0]}= {draw(odd)}"
-        else:
-            lines[place] = draw(st.sampled_from(["", "<", "]", "[[robot]]", "</link>", '<link name="tip"/>', "\x00"]))
+        line, other, odd = lines[place], draw(st.sampled_from(LINES)), draw(ODD)
+        cut, quoted, valued = draw(st.integers(0, len(line))), line.split('"'), f"{line.split('=', 1)[0]}= {odd}"
+        if len(quoted) >= 3 and "<" in line:  # an attribute of XML
+            quoted[2 * draw(st.integers(0, (len(quoted) - 3) // 2)) + 1] = odd
+            valued = '"'.join(quoted)
+        new = [], [line, line], [line[:cut] + draw(st.text(max_size=5)) + line[cut:]], [valued], [valued], [other]
+        lines[place : place + 1] = draw(st.sampled_from(new))
+        lines = lines or [""]
     return "\n".join(lines).encode("utf-8", "surrogatepass")

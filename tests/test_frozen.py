@@ -98,7 +98,6 @@ METRICS = (
 
 
 def run(scenario: mo.Scenario) -> dict[str, Any]:
-    """Return how a run ended, its ticks and its metrics."""
     trace = mo.run(scenario)
     metrics = mo.summarize(trace)
     ended = str(trace.meta["ended"]).partition(":")[0]
@@ -106,7 +105,6 @@ def run(scenario: mo.Scenario) -> dict[str, Any]:
 
 
 def tolerance(metric: str, figure: float, ticks: int) -> float:
-    """Return by how much a metric may differ from its frozen figure."""
     if metric in ("silently_wrong", "ticks"):
         return 2.0
     if metric.startswith("mu_"):

@@ -32,8 +32,6 @@ FOLDER = Path(loader.__file__).parent
 ARM_URDF = (FOLDER / "lwr4.urdf").read_bytes()
 ARM_TOML = (FOLDER / "lwr4.toml").read_bytes().replace(b'"lwr4.urdf"', b'"arm.urdf"')
 
-# --- scenarios ---
-
 
 def fields(table=Scenario):
     """Path of every field, tables before what is in them."""
@@ -76,8 +74,6 @@ def test_a_scenario_runs_or_names_the_field(changes):
         with ends_well():
             run_two_ticks(made)
 
-
-# --- files ---
 
 SCENARIO_TOML = to_toml({
     "name": "a run", "seed": 3, "duration_s": 0.1,
@@ -161,8 +157,6 @@ def test_a_file_makes_something_that_works_or_is_refused(tmp_path, file):
         use(read(tmp_path / name))
 
 
-# --- subproblems ---
-
 odd_arrays = arrays(np.float64, array_shapes(max_dims=3, max_side=8), elements=st.floats())
 HOW = {
     "scale": lambda value, number: value * number, "zero": lambda value, number: np.zeros_like(value),
@@ -210,8 +204,6 @@ def ordinary(qp):
     sizes = np.linalg.svd(qp.A, compute_uv=False)
     return largest <= 1e3 and sizes[0] > 0.0 and sizes[sizes > 1e-9 * sizes[0]].min() > 1e-3 * sizes[0]
 
-
-# --- packets ---
 
 PACKETS = {
     int(kind): [name for name in wire.layout(kind, 7).names if name not in ("magic", "tag", "kind")]

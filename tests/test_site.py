@@ -21,15 +21,7 @@ from tests.conftest import opened
 ROOT = Path(__file__).resolve().parent.parent
 DOCS = ROOT / "docs"
 EXAMPLES = sorted((ROOT / "examples" / "gallery").glob("*.py"))
-
-
-def test_every_page_is_reached_and_there_are_examples():
-    listed = set()
-    for page in DOCS.glob("*.md"):
-        for tree in re.findall(r"```\{toctree\}\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL):
-            listed |= {line.strip() for line in tree.splitlines() if line.strip() and not line.startswith(":")}
-    assert len(EXAMPLES) >= 10
-    assert {page.stem for page in DOCS.glob("*.md")} - {"index"} == listed - {"gallery/index"}
+assert len(EXAMPLES) >= 10
 
 
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.stem)
@@ -67,8 +59,6 @@ def test_a_figure_of_the_gallery_is_drawn(chromium, tmp_path, monkeypatch):
         assert page.locator(".main-svg .scatterlayer path.js-line").count() == 1
 
 
-# --- the reference ---
-
 DIRECTIVE = re.compile(r"^\.\. auto(function|class|exception):: ([\w.]+)$\n((?:   :.*\n)*)", re.MULTILINE)
 PAGES = "".join(
     path.read_text("utf-8")
@@ -81,7 +71,6 @@ ENTRIES = {
 
 
 def found(name):
-    """Return what a dotted name of the reference stands for."""
     module, _, attribute = name.rpartition(".")
     return getattr(__import__(module, fromlist=[attribute]), attribute)
 

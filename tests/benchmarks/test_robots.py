@@ -5,7 +5,6 @@ from typing import Any
 import pytest
 
 from benchmarks import plan, robots
-from moc_opt.study.command import CONFIGS
 from moc_opt.study.results import Results
 
 TINY = """
@@ -105,9 +104,3 @@ def test_courses_are_in_order_and_nothing_beats_map_plan_or_bound(tiny: Any) -> 
     assert abs(halved["halving_percent"]) < 0.5
     planned = [row["gap_percent"] for row in rows if row["controller"] == "planned" and row["whole"]]
     assert left.summary["loops"]["lwr4"]["planned"]["gap_percent"] == pytest.approx(sum(planned) / len(planned))
-
-
-def test_the_configuration_that_ships_is_the_default() -> None:
-    shipped = plan.Config.load(CONFIGS / "plan.toml")
-    assert shipped == plan.Config()
-    assert len(shipped.cases()) == 180

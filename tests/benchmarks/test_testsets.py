@@ -108,9 +108,6 @@ def test_what_highs_does_not_bear_out_is_refused(monkeypatch):
         certified(changed(unsolved, J_wrist=2.0 * unsolved.J_wrist))
 
 
-# --- the shipped sets ---
-
-
 @pytest.mark.parametrize("name", NAMES)
 def test_certified_answers_are_optimal_and_the_others_infeasible(name):
     """And every joint 0.05 rad/s faster would be seen to be wrong."""
@@ -137,9 +134,6 @@ def test_inconsistent_references_differ_along_the_shaft():
             straight = straightened(qp)
             assert np.linalg.norm(five_row_gap(straight, straight.b)) < 1e-15
             np.testing.assert_allclose(straight.reduced().b, qp.reduced().b, atol=1e-15)
-
-
-# --- for qpbenchmark ---
 
 
 @pytest.mark.skipif(find_spec("qpbenchmark") is None, reason="pip install '.[qpbenchmark]'")

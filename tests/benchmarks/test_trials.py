@@ -73,7 +73,6 @@ def test_intervals_of_more_trials_are_shorter_and_hold_the_truth_about_as_often(
 
 
 def test_a_tiny_pool(tiny: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert coverage.Config.load(CONFIGS / "coverage.toml") == coverage.Config()
     cases = coverage.Config.cases
     monkeypatch.setattr(coverage.Config, "cases", lambda config: cases(config)[:3])
     monkeypatch.setattr(coverage, "SOLVERS", ("rnn-printed",))

@@ -85,9 +85,6 @@ def test_a_reader_that_closes_the_output_ends_the_command_quietly():
     assert (ended.returncode, ended.stderr) == (141, b"")
 
 
-# --- lists and keys ---
-
-
 @pytest.mark.parametrize(("command", "expected"), [
     (["robots"], available_robots), (["tasks"], lambda: [*CURVES, "waypoints"]), (["metrics"], lambda: METRICS),
     (["solvers", "--list"], mo.solvers.available),
@@ -128,9 +125,6 @@ def test_the_command_prints_a_table_of_keys_and_names_those_there_are(capsys):
     assert part.count("## ") == 1
     assert main(["keys", "contrl"]) == 2
     assert "did you mean 'control'" in capsys.readouterr().err
-
-
-# --- solvers on the same trials ---
 
 
 def test_compare_prints_every_solver_and_writes_every_run(capsys, tmp_path, monkeypatch):

@@ -90,9 +90,6 @@ def test_a_terminal_shows_units_and_keeps_numbers_to_the_right_whatever_is_missi
     assert len({len(line) for line in lines[4:7]}) == 1
 
 
-# --- progress and JSON ---
-
-
 @pytest.mark.parametrize(("step_s", "told"), [(10.0, [1, 2, 3, 4]), (6.0, [1, 3]), (1.0, [1])])
 def test_without_a_terminal_progress_writes_a_line_now_and_then(step_s: float, told: list[int]) -> None:
     """The time left counts from when the number of steps is known: a minute of setting up is in no forecast."""

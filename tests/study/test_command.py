@@ -48,7 +48,6 @@ def call(work: Any, *arguments: Any, **more: Any) -> int:
 
 @pytest.fixture
 def asked(tmp_path: Path) -> tuple[Path, Path]:
-    """A configuration, and a folder for results."""
     (tmp_path / "tiny.toml").write_text("seed = 5\nprocesses = 2\n")
     return tmp_path / "tiny.toml", tmp_path / "new" / "out"
 

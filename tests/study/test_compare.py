@@ -117,8 +117,6 @@ def test_an_interrupt_leaves_the_trials_that_are_done():
         mo.compare(["exact"], BRIEF, 4, watch=lambda words: (_ for _ in ()).throw(KeyboardInterrupt()))
 
 
-# --- what a comparison shows ---
-
 TIP = {"dcac": (0.02, 0.3), "exact": (0.1, 0.15), "qpsolvers:quadprog": (0.05, 0.05), "nlp-sqp": (0.05, 0.05)}
 
 

@@ -22,7 +22,6 @@ ONE = partial(run, workers=1)
 
 @pytest.fixture(scope="module", autouse=True)
 def broken(tmp_path_factory):
-    """Workers that find the broken solvers."""
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(str(broken_solvers.install(tmp_path_factory.mktemp("plugin"))))
         assert {name: available().get(name, "") for name in broken_solvers.NAMES} == dict.fromkeys(broken_solvers.NAMES)
@@ -142,9 +141,6 @@ def test_times_are_kept_where_the_machine_was_quiet(quiet, tmp_path, monkeypatch
     found = totals([asked, asked], [first, slow])
     assert (found["solves"], found["solve_p50_us_worst_set"]) == (16, slow.figures()["solve_p50_us"])
     assert np.array_equal(again.solve, first.solve) is quiet
-
-
-# --- settings ---
 
 
 @pytest.mark.parametrize(

@@ -149,9 +149,6 @@ def test_the_fastest_is_not_named_without_a_word_on_a_machine_that_was_busy():
         assert ("others used the machine" in text) is said
 
 
-# --- in words ---
-
-
 def test_the_first_screen_answers_in_three_sentences_and_fits_a_terminal():
     sets = {
         "exact": certified(1799, 1.2, 1.5, solves=2048, optima_asked=1621, verified_solved=1620, infeasible_asked=179,

@@ -102,9 +102,6 @@ def test_broken_solvers_are_rows_and_the_others_are_unharmed(tmp_path, monkeypat
     assert "problem 3: ZeroDivisionError: division by zero" in table["raises@recommended"]["trouble"]
 
 
-# --- what is asked for ---
-
-
 def test_wrong_input_is_refused_with_the_nearest(tmp_path, capsys):
     for arguments, text, cure in (
         (["--only", "osqq"], "", "'osqp'"), (["--sets", "circel"], "", "'circle'"),
