@@ -42,23 +42,20 @@ def test_a_command_says_how_it_is_called(name: str, capsys: pytest.CaptureFixtur
 FAULT, GROUPS = '[cases.a]\ngroup = "plant"\n', "[groups.tuned]\n[groups.paper]\n[ablation.cases.a]\n"
 
 
-@pytest.mark.parametrize(
-    ("study", "text", "said"),
-    [
-        ("faults", "", "cases"),
-        ("faults", FAULT.replace("cases.a", "cases.none"), "run without a fault"),
-        ("faults", f"{FAULT}from_s = 2.0\nuntil_s = 1.0", "until_s"),
-        ("faults", f'solvers = ["oskp"]\n{FAULT}', "osqp"),
-        ("paper", f'tasks = ["circel"]\n{GROUPS}', "did you mean 'circle'"),
-        ("paper", "[groups.other]", "unknown group 'tuned'"),
-        ("paper", f'{GROUPS}without = ["rcm_lamda"]', "did you mean 'rcm_lambda'"),
-        ("paper", f"{GROUPS}control = {{ K_n2 = 1.0 }}", "did you mean 'K_N2'"),
-        ("plant", "[effects.bias]\nencoder_bais_rad = 0.001", "did you mean 'encoder_bias_rad'"),
-        ("speed", 'solvers = ["daqp"]', "'exact' must be among them"),
-        ("speed", 'solvers = ["exact", "dapq"]', "did you mean 'daqp'"),
-        ("speed", 'peers = ["minc"]', "did you mean 'mink'"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("study", "text", "said"), [
+    ("faults", "", "cases"),
+    ("faults", FAULT.replace("cases.a", "cases.none"), "run without a fault"),
+    ("faults", f"{FAULT}from_s = 2.0\nuntil_s = 1.0", "until_s"),
+    ("faults", f'solvers = ["oskp"]\n{FAULT}', "osqp"),
+    ("paper", f'tasks = ["circel"]\n{GROUPS}', "did you mean 'circle'"),
+    ("paper", "[groups.other]", "unknown group 'tuned'"),
+    ("paper", f'{GROUPS}without = ["rcm_lamda"]', "did you mean 'rcm_lambda'"),
+    ("paper", f"{GROUPS}control = {{ K_n2 = 1.0 }}", "did you mean 'K_N2'"),
+    ("plant", "[effects.bias]\nencoder_bais_rad = 0.001", "did you mean 'encoder_bias_rad'"),
+    ("speed", 'solvers = ["daqp"]', "'exact' must be among them"),
+    ("speed", 'solvers = ["exact", "dapq"]', "did you mean 'daqp'"),
+    ("speed", 'peers = ["minc"]', "did you mean 'mink'"),
+])  # fmt: skip
 def test_a_wrong_configuration_is_refused_before_anything_runs(
     study: str, text: str, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -78,14 +78,11 @@ def test_recovery_is_the_last_time_above_the_level():
     assert recovery(free, free, FREE["none"], "completed") == 0.0
 
 
-@pytest.mark.parametrize(
-    ("error", "ended", "expected"),
-    [
-        (1e-3, "completed", "survived"), (0.05, "completed", "diverged"), (np.nan, "completed", "diverged"),
-        (1e-3, "stopped: x", "stopped"), (1e-3, "ran away at t = 1 s", "ran away"),
-        (1e-3, "oscillated: joint_7", "oscillated"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("error", "ended", "expected"), [
+    (1e-3, "completed", "survived"), (0.05, "completed", "diverged"), (np.nan, "completed", "diverged"),
+    (1e-3, "stopped: x", "stopped"), (1e-3, "ran away at t = 1 s", "ran away"),
+    (1e-3, "oscillated: joint_7", "oscillated"),
+])  # fmt: skip
 def test_outcomes(error, ended, expected):
     free = run_of(np.full(10, 1e-3))
     found = measure(run_of(np.full(10, error), ended=ended), free, ended, FREE["none"], (20.0, 20.0))

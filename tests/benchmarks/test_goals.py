@@ -16,18 +16,15 @@ def change(one: tuple[float, float], two: tuple[float, float], trials: int = 9) 
     return Change(*(Interval(sum(ends) / 2, *ends, trials) for ends in (one, two)))
 
 
-@pytest.mark.parametrize(
-    ("measured", "most", "least"),
-    [
-        (4.0, "yes", "no"), (5.0, "yes", "yes"), (6.0, "no", "yes"), (Interval(4.0, 3.0, 4.9, 9), "yes", "no"),
-        (Interval(4.0, 3.0, 5.1, 9), "open", "open"), (Interval(7.0, 6.0, 8.0, 9), "no", "yes"),
-        (Interval(4.0, 3.0, 4.9, 7), "open", "open"), (Interval(4.0, 4.0, 4.0, 2), "open", "open"),
-        (Interval(4.0, float("nan"), float("nan"), 1), "open", "open"),
-        (change((3, 4), (2, 4)), "yes", "no"), (change((3, 4), (2, 6)), "open", "open"),
-        (change((3, 4), (6, 7)), "open", "open"), (change((3, 4), (2, 4), 7), "open", "open"),
-        (None, "not measured", "not measured"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("measured", "most", "least"), [
+    (4.0, "yes", "no"), (5.0, "yes", "yes"), (6.0, "no", "yes"), (Interval(4.0, 3.0, 4.9, 9), "yes", "no"),
+    (Interval(4.0, 3.0, 5.1, 9), "open", "open"), (Interval(7.0, 6.0, 8.0, 9), "no", "yes"),
+    (Interval(4.0, 3.0, 4.9, 7), "open", "open"), (Interval(4.0, 4.0, 4.0, 2), "open", "open"),
+    (Interval(4.0, float("nan"), float("nan"), 1), "open", "open"),
+    (change((3, 4), (2, 4)), "yes", "no"), (change((3, 4), (2, 6)), "open", "open"),
+    (change((3, 4), (6, 7)), "open", "open"), (change((3, 4), (2, 4), 7), "open", "open"),
+    (None, "not measured", "not measured"),
+])  # fmt: skip
 def test_a_goal_is_judged_by_the_worse_end_of_every_interval(measured: Any, most: str, least: str) -> None:
     summary = {} if measured is None else {"x": measured}
     asked = {str(m): Goal("x", "us", 5.0, lambda s: s["x"], most=m, made_of=lambda s: "all") for m in (True, False)}

@@ -59,14 +59,11 @@ def change(low, high, ratios=None, samples=15):
 BETTER, WORSE, OPEN, ODD = change(-9, -3), change(3, 9), change(-3, 9), change(-9, -3, (-2, 5))
 
 
-@pytest.mark.parametrize(
-    ("own", "matched", "wanted"),
-    [
-        (BETTER, BETTER, HOLDS), (WORSE, BETTER, HOLDS), (BETTER, OPEN, GAINS_ONLY), (BETTER, WORSE, GAINS_ONLY),
-        (OPEN, OPEN, FAILS), (WORSE, WORSE, FAILS), (None, WORSE, FAILS), (BETTER, ODD, UNDECIDED),
-        (BETTER, change(-9, -3, samples=7), too_few(7)), (BETTER, None, too_few(0)),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("own", "matched", "wanted"), [
+    (BETTER, BETTER, HOLDS), (WORSE, BETTER, HOLDS), (BETTER, OPEN, GAINS_ONLY), (BETTER, WORSE, GAINS_ONLY),
+    (OPEN, OPEN, FAILS), (WORSE, WORSE, FAILS), (None, WORSE, FAILS), (BETTER, ODD, UNDECIDED),
+    (BETTER, change(-9, -3, samples=7), too_few(7)), (BETTER, None, too_few(0)),
+])  # fmt: skip
 def test_verdicts(own, matched, wanted):
     assert CLAIMS[1].verdict(own, matched) == wanted
     found = [CLAIMS[0].verdict(None, change(*ends)) for ends in ((7.5, 20), (6.5, 20), (-20, -8))]

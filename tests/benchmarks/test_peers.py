@@ -40,13 +40,10 @@ class Puppet:
         return pinv @ wanted + (np.eye(7) - pinv @ state.A) @ (self.climb * state.grad_mu)
 
 
-@pytest.mark.parametrize(
-    ("wrong", "words"),
-    [
-        ({}, None), ({"tip": -1.0}, "tip is"), ({"tip": 0.1}, "tip is"), ({"shaft": 0.02}, "shaft is|tip is"),
-        ({"climb": 0.0}, "manipulability rose"), ({"climb": -30.0}, "manipulability rose"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("wrong", "words"), [
+    ({}, None), ({"tip": -1.0}, "tip is"), ({"tip": 0.1}, "tip is"), ({"shaft": 0.02}, "shaft is|tip is"),
+    ({"climb": 0.0}, "manipulability rose"), ({"climb": -30.0}, "manipulability rose"),
+])  # fmt: skip
 def test_who_does_not_do_the_job_is_found_out(wrong, words, robot, task, monkeypatch):
     monkeypatch.setitem(peers.PEERS, "puppet", lambda robot: Puppet(robot, **wrong))
     failure = peers.check("puppet")

@@ -1,12 +1,12 @@
 """Commands: what they read and write, how they end, what they list, and the reference of a scenario's keys."""
 
-import csv
 import json
 import os
 import subprocess
 import sys
 from pathlib import Path
 
+import polars as pl
 import pytest
 
 import moc_opt as mo
@@ -135,15 +135,13 @@ def test_compare_prints_every_solver_and_writes_every_run(capsys, tmp_path, monk
     assert main([*given, "--out", str(rows)]) == 0
     shown = capsys.readouterr().out
     assert all(name in shown for name in ("dcac", "exact", "rnn"))
-    with rows.open(encoding="utf-8") as file:
-        found = list(csv.DictReader(file))
-    assert [(row["solver"], row["seed"]) for row in found] == [
-        (name, seed) for seed in "01" for name in ("dcac", "exact", "rnn")
-    ]
-    assert all(float(row["mu_mean"]) > 0.0 for row in found)
+    found = pl.read_csv(rows)
+    assert found["seed"].to_list() == [0] * 3 + [1] * 3
+    assert found["solver"].to_list() == ["dcac", "exact", "rnn"] * 2
+    assert found["mu_mean"].min() > 0.0
     assert main([*given, "--seed", "3", "--json"]) == 0
     exact = json.loads(capsys.readouterr().out)["exact"]
-    assert (exact["whole"], exact["mu_gain_percent_undecided"] in (0.0, 1.0)) == (2, True)
+    assert exact["whole"] == 2
     assert exact["mu_mean_low"] <= exact["mu_mean"] <= exact["mu_mean_high"]
 
 

@@ -3,14 +3,13 @@
 The last part is skipped where playwright or a Chromium is missing.
 """
 
-from __future__ import annotations
-
 import base64
 import gzip
 import json
 import re
 import sys
 from collections.abc import Iterator
+from functools import cache
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -113,16 +112,16 @@ def tags(text: str) -> list[tuple[str, ...]]:
     return Resources(made.html()).tags
 
 
-@pytest.fixture(scope="module")
+@cache
 def plain() -> list[list[tuple[str, ...]]]:
     return [tags(each) for each in ("a", "", "a `b`\n\nc", "long " * 20, "1.5")]
 
 
 @given(text=names)
-def test_no_name_makes_a_tag_an_attribute_or_a_script(text: str, plain: list[list[tuple[str, ...]]]) -> None:
+def test_no_name_makes_a_tag_an_attribute_or_a_script(text: str) -> None:
     found = tags(text)
-    assert set(found) <= {tag for page in plain for tag in page}
-    assert sum(tag == "script" for tag, *_ in found) == sum(tag == "script" for tag, *_ in plain[0])
+    assert set(found) <= {tag for page in plain() for tag in page}
+    assert sum(tag == "script" for tag, *_ in found) == sum(tag == "script" for tag, *_ in plain()[0])
 
 
 def test_save_is_reproducible_and_small(full: Page, tmp_path: Path) -> None:
@@ -153,13 +152,9 @@ DRAWN = "html[data-drawn=yes]"
 
 
 @pytest.fixture(scope="module")
-def report(full: Page, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return full.save(tmp_path_factory.mktemp("report") / "report.html")
-
-
-@pytest.fixture(scope="module")
-def page(chromium: Any, report: Path) -> Iterator[Any]:
+def page(chromium: Any, full: Page, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     """Opened once: a browser that shares its processor takes seconds to draw it."""
+    report = full.save(tmp_path_factory.mktemp("report") / "report.html")
     size = {"width": 1000, "height": 800}
     with opened(chromium, report.as_uri(), DRAWN, viewport=size, color_scheme="light") as found:
         yield found

@@ -100,13 +100,10 @@ def test_files_of_others_are_kept(asked, capsys):
     assert (out / "summary.json").read_text() == "mine"
 
 
-@pytest.mark.parametrize(
-    ("content", "said"),
-    [
-        ("cuont = 3", r"tiny\.toml: .*did you mean 'count'"), ("seed = -1", r"tiny\.toml: .*seed = -1"),
-        (None, r"tiny\.toml.*no such file"), ("", r"new"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("content", "said"), [
+    ("cuont = 3", r"tiny\.toml: .*did you mean 'count'"), ("seed = -1", r"tiny\.toml: .*seed = -1"),
+    (None, r"tiny\.toml.*no such file"), ("", r"new"),
+])  # fmt: skip
 def test_wrong_input_is_one_line_and_status_2(asked, capsys, content, said):
     config, out = asked
     config.unlink() if content is None else config.write_text(content)

@@ -61,19 +61,16 @@ def test_every_solver_and_dcac_run_the_same_trials_and_claims_are_judged():
         found.plot("mu_maen")
 
 
-@pytest.mark.parametrize(
-    ("solvers", "more", "error", "message"),
-    [
-        (["exakt"], {}, UnknownNameError, "did you mean 'exact'"),
-        ([], {}, SolverError, "no solver to compare"),
-        ([Standing(), Standing()], {}, SolverError, "called 'standing': name each once, or give a mapping"),
-        ([object()], {}, SolverError, "is no solver: it has no method supports and no start"),
-        ({1: "exact"}, {}, SolverError, "1 cannot name a solver"),
-        (7, {}, SolverError, r"solvers = 7: give a list of names or solvers"),
-        (["exact"], {"trials": 0}, ScenarioError, "trials = 0: give an integer of 1 or more"),
-        (["exact"], {"scenario": mo.Scenario(control={"law": "dcac"})}, ScenarioError, "law = 'dcac' asks no solver"),
-    ],
-)
+@pytest.mark.parametrize(("solvers", "more", "error", "message"), [
+    (["exakt"], {}, UnknownNameError, "did you mean 'exact'"),
+    ([], {}, SolverError, "no solver to compare"),
+    ([Standing(), Standing()], {}, SolverError, "called 'standing': name each once, or give a mapping"),
+    ([object()], {}, SolverError, "is no solver: it has no method supports and no start"),
+    ({1: "exact"}, {}, SolverError, "1 cannot name a solver"),
+    (7, {}, SolverError, r"solvers = 7: give a list of names or solvers"),
+    (["exact"], {"trials": 0}, ScenarioError, "trials = 0: give an integer of 1 or more"),
+    (["exact"], {"scenario": mo.Scenario(control={"law": "dcac"})}, ScenarioError, "law = 'dcac' asks no solver"),
+])  # fmt: skip
 def test_what_cannot_be_compared_is_said_before_anything_runs(solvers, more, error, message):
     with pytest.raises(error, match=message):
         mo.compare(solvers, **more)

@@ -50,19 +50,15 @@ def test_exact_is_right_on_every_set():
         assert counts["silently_wrong"] == counts["infeasible_wrong"] == 0
 
 
-@pytest.mark.parametrize(
-    ("setting", "every", "status", "said"),
-    [
-        (breaking("hangs", at=1), 32, ["solved", "hung"] + ["not asked"] * 2, "no answer within"),
-        (breaking("stuck"), 32, ["hung"] + ["not asked"] * 3, "problem 0, while setting up"),
-        (breaking("crashes", at=1), 32, ["solved", "crashed"] + ["not asked"] * 2, "SIGSEGV"),
-        (breaking("once", at=1), 32, ["solved", "raised", "raised", "raised"], "problem 1: ZeroDivisionError"),
-        (breaking("untyped"), 64, ["raised", "raised"], "solve returned a NoneType"),
-        (breaking("quits"), 64, ["refused", "refused"], "SystemExit: no more"),
-        (breaking("no-such"), 64, ["refused", "refused"], "UnknownName"),
-    ],
-    ids=lambda value: value.solver if isinstance(value, SolverSetting) else "",
-)
+@pytest.mark.parametrize(("setting", "every", "status", "said"), [
+    (breaking("hangs", at=1), 32, ["solved", "hung"] + ["not asked"] * 2, "no answer within"),
+    (breaking("stuck"), 32, ["hung"] + ["not asked"] * 3, "problem 0, while setting up"),
+    (breaking("crashes", at=1), 32, ["solved", "crashed"] + ["not asked"] * 2, "SIGSEGV"),
+    (breaking("once", at=1), 32, ["solved", "raised", "raised", "raised"], "problem 1: ZeroDivisionError"),
+    (breaking("untyped"), 64, ["raised", "raised"], "solve returned a NoneType"),
+    (breaking("quits"), 64, ["refused", "refused"], "SystemExit: no more"),
+    (breaking("no-such"), 64, ["refused", "refused"], "UnknownName"),
+], ids=lambda value: value.solver if isinstance(value, SolverSetting) else "")  # fmt: skip
 def test_what_a_solver_does_costs_its_own_answers_alone(setting, every, status, said):
     limits = Limits(patience_s=1.0, setup_s=4.0)
     (found,) = ask(ONE, [(setting, TestSet.load("circle").thinned(every))], limits)
@@ -90,15 +86,12 @@ def made(setting: SolverSetting, problems: TestSet, status: list[str], x: Any) -
     return Answers(setting, problems, ["", *given])
 
 
-@pytest.mark.parametrize(
-    ("feasible", "status", "expected"),
-    [
-        (True, ["solved", "solved", "infeasible", "max_iter"],
-         {"claimed_solved": 2, "verified_solved": 1, "silently_wrong": 1, "infeasible_wrong": 1, "failed": 2}),
-        (False, ["infeasible", "solved", "max_iter", "solved"],
-         {"infeasible_right": 1, "infeasible_wrong": 0, "silently_wrong": 2, "failed": 1, "right": 1}),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("feasible", "status", "expected"), [
+    (True, ["solved", "solved", "infeasible", "max_iter"],
+     {"claimed_solved": 2, "verified_solved": 1, "silently_wrong": 1, "infeasible_wrong": 1, "failed": 2}),
+    (False, ["infeasible", "solved", "max_iter", "solved"],
+     {"infeasible_right": 1, "infeasible_wrong": 0, "silently_wrong": 2, "failed": 1, "right": 1}),
+])  # fmt: skip
 def test_claims_are_counted_by_the_certificate_and_the_judge(feasible, status, expected):
     rows, x = (array[::32].copy() for array in (TestSet.load("circle").rows, TestSet.load("circle").x))
     x[1] = 0.0  # claimed, and wrong

@@ -55,26 +55,23 @@ def assessed(sets: dict[str, Any], rows: list[Any] = ()) -> dict[str, Any]:  # t
     return {row["solver"]: row for row in assess(*study(sets, rows))}
 
 
-@pytest.mark.parametrize(
-    ("asked", "times", "verdict", "damage"),
-    [
-        (certified(), {}, SOUND, "none"),
-        (certified(990), {}, SOUND, "none"),
-        (certified(989), {}, solver_verdicts.GAPS, "none"),
-        (certified(silently_wrong=1), {}, AVOID, "none"),
-        (certified(hung=1), {}, AVOID, "none"),
-        (certified(0), {}, NEAR, "none"),
-        (certified(), {"mu_mean": 0.995}, SOUND, "none"),
-        (certified(), {"mu_mean": 0.97}, NEAR, "-3% mu"),
-        (certified(), {"mu_mean": 0.90}, AVOID, "-10% mu"),
-        (certified(), {"rcm_error_model_mean_mm": 2.0}, AVOID, "+100% RCM"),
-        (certified(), {"tip_error_registered_mean_mm": 1.1}, NEAR, "+10% registered tip"),
-        (certified(), {"torque_rate_rms_Nm_per_s": 1.15}, NEAR, "+15% chatter"),
-        (certified(), {"first_ends": ENDED["broke off"]}, AVOID, "1 broke off"),
-        (certified(), {"first_ends": ENDED["oscillated"]}, AVOID, "1 oscillated"),
-        (None, {}, solver_verdicts.OPEN, "none"),
-    ],
-)
+@pytest.mark.parametrize(("asked", "times", "verdict", "damage"), [
+    (certified(), {}, SOUND, "none"),
+    (certified(990), {}, SOUND, "none"),
+    (certified(989), {}, solver_verdicts.GAPS, "none"),
+    (certified(silently_wrong=1), {}, AVOID, "none"),
+    (certified(hung=1), {}, AVOID, "none"),
+    (certified(0), {}, NEAR, "none"),
+    (certified(), {"mu_mean": 0.995}, SOUND, "none"),
+    (certified(), {"mu_mean": 0.97}, NEAR, "-3% mu"),
+    (certified(), {"mu_mean": 0.90}, AVOID, "-10% mu"),
+    (certified(), {"rcm_error_model_mean_mm": 2.0}, AVOID, "+100% RCM"),
+    (certified(), {"tip_error_registered_mean_mm": 1.1}, NEAR, "+10% registered tip"),
+    (certified(), {"torque_rate_rms_Nm_per_s": 1.15}, NEAR, "+15% chatter"),
+    (certified(), {"first_ends": ENDED["broke off"]}, AVOID, "1 broke off"),
+    (certified(), {"first_ends": ENDED["oscillated"]}, AVOID, "1 oscillated"),
+    (None, {}, solver_verdicts.OPEN, "none"),
+])  # fmt: skip
 def test_each_rule(asked, times, verdict, damage):
     sets = {"best": certified(p99=1.0), **({} if asked is None else {"asked": asked})}
     found = assessed(sets, [*runs("dcac"), *runs("best"), *runs("asked", **times)])
@@ -117,17 +114,14 @@ def test_the_best_come_first_one_is_taken_and_parts_may_be_missing():
     assert "not run" in rows[0]["damage"].reason
 
 
-@pytest.mark.parametrize(
-    ("cost", "unlike", "trials", "verdict", "damage"),
-    [
-        (1.07, 0.0, 15, NEAR, "+7% tip"),
-        (1.07, 0.3, 15, SOUND, "undecided: "),  # as large in the mean, but not surely so
-        (1.01, 0.02, 15, SOUND, "none"),
-        (2.5, 0.3, 15, AVOID, "% tip"),
-        (1.6, 0.0, 7, SOUND, "too few trials to decide (7 of at least 8)"),
-        (1.6, 0.0, 8, AVOID, "+60% tip"),
-    ],
-)
+@pytest.mark.parametrize(("cost", "unlike", "trials", "verdict", "damage"), [
+    (1.07, 0.0, 15, NEAR, "+7% tip"),
+    (1.07, 0.3, 15, SOUND, "undecided: "),  # as large in the mean, but not surely so
+    (1.01, 0.02, 15, SOUND, "none"),
+    (2.5, 0.3, 15, AVOID, "% tip"),
+    (1.6, 0.0, 7, SOUND, "too few trials to decide (7 of at least 8)"),
+    (1.6, 0.0, 8, AVOID, "+60% tip"),
+])  # fmt: skip
 def test_only_what_an_interval_excludes_decides(cost, unlike, trials, verdict, damage):
     """The reference ran more trials: those that only one of them ran decide nothing."""
     rows = [*runs("best", 60), *runs("asked", trials, unlike, tip_error_model_mean_mm=cost)]

@@ -107,15 +107,12 @@ def test_times_count_only_where_the_run_is_alone(case: Scenario, ran: dict[str, 
     assert Trial(case.change(duration_s=None), "exact").job.limit_s > asked.job.limit_s
 
 
-@pytest.mark.parametrize(
-    ("change", "solver", "ended", "error"),
-    [
-        ({"guard": {"rcm_error_m": 1e-6, "rcm_warning_m": 1e-6}}, "exact", "stopped: the RCM error", None),
-        ({"plant": {"trocar_stiffness_N_per_m": 1e6, "trocar_damping_Ns_per_m": 1e4}}, "exact", "ran away", None),
-        ({"start": {"q_rad": (0.0,) * 7}}, "exact", "failed", "ScenarioError: [start] q_rad"),
-        ({}, "no-such-solver", "failed", "UnknownNameError: unknown solver"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("change", "solver", "ended", "error"), [
+    ({"guard": {"rcm_error_m": 1e-6, "rcm_warning_m": 1e-6}}, "exact", "stopped: the RCM error", None),
+    ({"plant": {"trocar_stiffness_N_per_m": 1e6, "trocar_damping_Ns_per_m": 1e4}}, "exact", "ran away", None),
+    ({"start": {"q_rad": (0.0,) * 7}}, "exact", "failed", "ScenarioError: [start] q_rad"),
+    ({}, "no-such-solver", "failed", "UnknownNameError: unknown solver"),
+])  # fmt: skip
 def test_a_run_that_breaks_off_is_a_row_with_its_reason(
     case: Scenario, change: dict[str, Any], solver: str, ended: str, error: str | None
 ) -> None:
