@@ -57,9 +57,6 @@ def until(true: Any, what: str) -> None:
         sleep(0.05)
 
 
-# --- without a browser ---
-
-
 def test_it_listens_on_loopback_alone(live: LivePage) -> None:
     with socket.create_connection(("127.0.0.1", live.server.get_port())):
         pass
@@ -83,9 +80,6 @@ def test_of_rapid_choices_the_last_one_runs(live: LivePage) -> None:
         live._panel._solver.value = name
     until(lambda: solver_of(live.run.used) == "osqp", "another one runs")
     assert live._panel._solver.value == live.run.solver == "osqp"
-
-
-# --- who may see and command it ---
 
 
 def knock(live: LivePage, path: str, say: bytes = b"") -> Any:
@@ -124,9 +118,6 @@ def test_an_order_without_the_token_is_not_obeyed_even_if_it_came_before_the_ref
     assert knock(live, f"/{token(live)}", order)
     until(lambda: box.value == "rnn", "it is no order")
     box.value = live.run.solver
-
-
-# --- in a browser ---
 
 
 @pytest.fixture(scope="module")

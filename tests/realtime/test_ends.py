@@ -12,8 +12,6 @@ from moc_opt.realtime.ends import Answering
 from moc_opt.realtime.wire import COUNTERS, Kind, WireError, WireSettings, layout, make_packet
 from tests.realtime.relay import NOTHING, SETTINGS, Peer
 
-# --- the plant's end, with packets that are there before it looks ---
-
 
 @pytest.fixture
 def peer(robot):
@@ -109,8 +107,6 @@ def test_what_the_controller_stops_stays_stopped(peer):
     np.testing.assert_array_equal(peer.plant.brake_friction(peer.seen), 3 * ones)
 
 
-# --- the controller's end ---
-
 N, TICKS = 3, 4
 
 
@@ -202,8 +198,6 @@ def test_a_measurement_from_no_possible_period_is_not_answered():
     ending, _, _ = answered([measurement(wire.WAITING), measurement(wire.RUNNING), odd, measurement(wire.ENDED, 1)])
     assert (ending["quality"]["foreign"], ending["quality"]["received"]) == (1, 1)
 
-
-# --- the clock ---
 
 T = 0.002
 

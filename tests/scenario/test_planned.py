@@ -32,9 +32,6 @@ def test_no_run_beats_the_bound_of_its_plan():
     assert 0.9 * bound < float(mo.run(scenario).mu.mean()) < bound * 1.001
 
 
-# --- the command ---
-
-
 def scenario_file(folder, text):
     (folder / "mine.toml").write_text(text, encoding="utf-8")
     return str(folder / "mine.toml")
@@ -71,9 +68,6 @@ def test_it_plans_within_what_a_third_level_that_follows_keeps_to(tmp_path, caps
         within = {"margin_rad": margin, "margin_m": 0.0, "shaft_margin": 0.04375, "speed_share": share}
         assert told["within"] == within
         assert bool(told["warnings"]) == bool(options)  # such a course is too fast to be followed
-
-
-# --- the best courses that a run is compared with ---
 
 
 COMPARED = mo.Scenario(duration_s=1.5, judge=False, bound_samples=0, best_courses=True, start={"swivel": 0.2})

@@ -2,9 +2,6 @@
 
 import os
 import signal
-import subprocess
-import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -16,7 +13,6 @@ from moc_opt.sim import Plant
 from moc_opt.trace.metrics import summarize
 from moc_opt.trace.trace import Trace
 
-ROOT = Path(__file__).resolve().parents[2]
 SHORT = {"duration_s": 0.2, "bound_samples": 3}
 
 
@@ -56,52 +52,27 @@ def test_whatever_ends_a_run_leaves_its_rows(whole, error, place, tmp_path, monk
     assert 0.0 < summarize(found)["share_of_run"] < 1.0
 
 
-TELLS_THE_FIRST_TICK = """
-import runpy, sys
-from moc_opt.sim import Plant
-step = Plant.step
-def first(self, *given):
-    Plant.step = step
-    print("began", file=sys.stderr, flush=True)
-    return step(self, *given)
-Plant.step = first
-runpy.run_module("moc_opt", run_name="__main__")
-"""
-
-
-def test_ctrl_c_says_one_line(tmp_path):
-    file, target = tmp_path / "s.toml", tmp_path / "t.parquet"
-    file.write_text("[task]\nhold_s = 60.0\n")
-    process = subprocess.Popen(
-        [sys.executable, "-c", TELLS_THE_FIRST_TICK, "run", str(file), "--trace", str(target)], cwd=ROOT,
-        stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
-    )  # fmt: skip
-    while (line := process.stderr.readline()) != "began\n":  # a slow machine shows its progress before
-        assert line
-    time.sleep(0.2)
-    process.send_signal(signal.SIGINT)
-    out, said = process.communicate()
-    assert process.returncode == 130
-    assert said.splitlines()[-1].startswith("interrupted; the first ")
-    assert out == ""
-    assert 0 < len(Trace.load(target)) < 30_000
-    assert sorted(os.listdir(tmp_path)) == ["s.toml", "t.parquet"]
-
-
-def test_a_defect_says_one_line_and_where_the_rows_are(tmp_path, capsys, monkeypatch):
+@pytest.mark.parametrize(("status", "told"), [
+    (130, "interrupted; the first 0.296 s "), (1, f"ZeroDivisionError: a defect of two lines ({Path(__file__).name}:"),
+])  # fmt: skip
+def test_ctrl_c_and_a_defect_say_one_line_and_where_the_rows_are(tmp_path, capsys, monkeypatch, status, told):
     ticks, real = iter(range(10**6)), Plant.measure
 
     def breaking(self):
         if next(ticks) == 150:
-            raise ZeroDivisionError("a defect\nof two lines")
+            if status == 1:
+                raise ZeroDivisionError("a defect\nof two lines")
+            signal.raise_signal(signal.SIGINT)
         return real(self)
 
     monkeypatch.setattr(Plant, "measure", breaking)
     file, target = tmp_path / "s.toml", tmp_path / "t.parquet"
     file.write_text("duration_s = 1.0\n")
-    assert main(["run", str(file), "--trace", str(target)]) == 1
-    assert capsys.readouterr().err.startswith(f"ZeroDivisionError: a defect of two lines ({Path(__file__).name}:")
+    assert main(["run", str(file), "--trace", str(target)]) == status
+    said = capsys.readouterr()
+    assert (said.out, said.err[: len(told)]) == ("", told)
     assert len(Trace.load(target)) == 148  # two measurements come before the loop
+    assert sorted(os.listdir(tmp_path)) == ["s.toml", "t.parquet"]
 
 
 @pytest.mark.parametrize("target", ["nowhere/t.parquet", "file/t.parquet", "t.csv", "."])

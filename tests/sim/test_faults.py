@@ -142,9 +142,6 @@ def test_hanging_keeps_a_budget_that_was_given():
     assert not trace.applied_x_rad_per_s[trace.fault == "late"].any()
 
 
-# --- measurements in time ---
-
-
 def arrived(ticks=60, seed=0, **changes):
     """Numbers (ticks,), first positions and velocities of what arrives of readings q = number, v = 0.1 number."""
     mine = faults(seed, **changes)

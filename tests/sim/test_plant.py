@@ -60,9 +60,6 @@ def run(plant, periods, seed=0, trocar=TROCAR):
     return np.array(rows)
 
 
-# --- the same arm as the controller's model ---
-
-
 @pytest.mark.parametrize("tool", [{}, {"tool_length": 0.42, "tool_mass": 0.7}])
 def test_mujoco_and_pinocchio_agree(tool):
     data = load_data("lwr4", **tool)
@@ -94,9 +91,6 @@ def test_free_fall_is_pinocchios_forward_dynamics():
         q = q + 5e-4 * v
     np.testing.assert_allclose(plant.v, v, atol=1e-10)
     np.testing.assert_allclose(plant.q, q, atol=1e-12)
-
-
-# --- as different from it as it was told ---
 
 
 @given(st.integers(0, 1000), st.just(0.0) | st.floats(0.1, 5.0), st.sampled_from([2, 5, 20]))
@@ -242,9 +236,6 @@ def test_ripple_turns_with_the_joint():
     assert spectrum[2] > 1e6 * np.delete(spectrum, 2).max()
 
 
-# --- it measures, repeats itself, and shares nothing ---
-
-
 def test_a_measurement_is_the_truth_or_near_it_and_steady():
     exact, near = Plant(DATA, NOMINAL), Plant(DATA, seed=2)
     for plant in (exact, near):
@@ -287,9 +278,6 @@ def test_the_noise_of_the_wrench_sensor_reaches_the_measurement():
     ]
     np.testing.assert_array_equal(noisy.q, quiet.q)
     np.testing.assert_allclose(np.std(np.subtract(*seen), axis=0), np.repeat([0.1, 0.002], 3), rtol=0.1)
-
-
-# --- it refuses nonsense ---
 
 
 def test_a_refused_period_leaves_the_noise_and_the_arm_as_they_were():

@@ -96,8 +96,6 @@ def test_the_film_shows_the_run(run, tmp_path, trocar):
     assert (pictures[0] != pictures[-1]).any()
 
 
-# --- what is drawn ---
-
 FLAT = Pose(np.eye(3), (0.6, 0.0, 0.05))
 CAMERA = Camera.above(CameraSettings(), FLAT)
 BLANK = np.zeros((480, 640, 3), dtype=np.uint8)

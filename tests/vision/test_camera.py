@@ -51,8 +51,6 @@ def test_the_sensor_blurs_and_adds_noise():
     assert np.sqrt((slope * (np.arange(len(slope)) - 99) ** 2).sum()) == pytest.approx(2.0, rel=0.05)
 
 
-# --- its pictures ---
-
 BOARD = Board()
 FLAT = Pose(np.eye(3), (0.6, 0.0, 0.05))
 CLEAN = Camera.above(CameraSettings(noise=0.0, blur_px=0.0), FLAT)

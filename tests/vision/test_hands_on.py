@@ -83,8 +83,6 @@ def test_a_reason_of_the_safety_filter_stops_the_guiding(robot, monkeypatch):
     assert np.abs(found.trace.v_rad_per_s[-1]).max() < 0.05
 
 
-# --- the hand ---
-
 PERIOD = 0.002
 VECTOR = st.tuples(*[st.floats(-1.0, 1.0)] * 3).map(np.array)
 

@@ -6,11 +6,11 @@ import re
 import numpy as np
 import pytest
 
-from moc_opt.errors import ScenarioError, TaskError
+from moc_opt.errors import ScenarioError
 from moc_opt.planning.self_motion import freedoms, self_motion
 from moc_opt.robots.inverse_kinematics import pose_through
 from moc_opt.robots.model import RobotModel
-from moc_opt.scenario import Scenario, Setup, run
+from moc_opt.scenario import Scenario, Setup
 from moc_opt.tasks import Reference, Trocar, make_path, shaft_distance
 from moc_opt.vision import preflight
 from moc_opt.vision.board import BOARD_TASKS, Board, board_below
@@ -27,9 +27,6 @@ def straight(start, end):
 
 def setup(seed=0, path="circle", **tables):
     return Setup(Scenario(seed=seed, **{"start": {"pose": "random"}, "task": {"path": path}, **tables}))
-
-
-# --- the start ---
 
 
 @pytest.mark.parametrize(("q", "told"), [
@@ -50,9 +47,6 @@ def test_a_joint_outside_its_limits_is_named(robot):
         check_start(robot, q)
     q[joint] = robot.q_max[joint]
     check_start(robot, q)  # at the limit is inside
-
-
-# --- the path by itself ---
 
 
 @pytest.fixture(scope="module")
@@ -163,19 +157,6 @@ def test_breathing_trocars_are_followed(robot, home, trocar):
     check_followed(robot, check_reachable(robot, home.q, circle, breathing), circle, breathing)
 
 
-# --- the path of a scenario ---
-
-
-def test_a_circle_out_of_reach_is_found_before_anything_moves():
-    moved = []
-    with pytest.raises(UnreachableError, match="check_path = false"):
-        run(Scenario(task={"sizes": {"radius": 3.0}}), watch=moved.append)
-    assert moved == []
-
-
-# --- random starts ---
-
-
 @pytest.mark.parametrize(("seed", "swivel"), [(0, "given"), (1, "random"), (2, 0.5)])
 def test_a_random_start_keeps_the_stated_rules(robot, seed, swivel):
     made = setup(seed, PATHS[seed % 3], start={"pose": "random", "swivel": swivel})
@@ -200,10 +181,3 @@ def test_a_random_start_keeps_the_margins_that_were_asked_for(name, margins):
         asked = np.where(arm.chain.prismatic, margins[1], margins[0])
         kept.append(bool((np.minimum(poses - arm.q_min, arm.q_max - poses) >= asked).all()))
     assert kept == [True, False]
-
-
-def test_what_is_wrong_from_every_pose_is_said_at_once():
-    with pytest.raises(ScenarioError):
-        setup(trocar={"depth_m": 0.5})
-    with pytest.raises(TaskError, match="radius"):
-        setup(task={"sizes": {"radius": -1.0}})

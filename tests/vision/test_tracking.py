@@ -54,8 +54,6 @@ def test_without_a_marker_there_is_no_sighting_and_one_is_enough_for_a_poorer_po
     assert one.pose.distance(TILTED)[0] < 3e-3
 
 
-# --- from picture to picture ---
-
 DT = 1 / 30
 HERE = Pose(rotation_from((0.3, -0.2, 0.1)), (0.0, 0.0, 0.15))
 THERE = Pose(HERE.R, HERE.t + np.array([0.02, 0.0, 0.0]))
