@@ -7,7 +7,7 @@ from moc_opt.control.safety_filter import SafetyFilterSettings
 from moc_opt.live import LiveRun
 from moc_opt.scenario import Scenario, Setup
 from moc_opt.sim import Plant
-from moc_opt.vision.hands_on import HandsOnSettings, guide_to
+from moc_opt.vision.hands_on import HandsOnSettings, HandsOnStatus, guide_to
 
 QUICK = {"bound_samples": 0, "judge": False, "duration_s": 1.2}
 
@@ -27,35 +27,30 @@ def procedure(scenario):
     setup = Setup(scenario)
     incision = setup.plant.tip + np.array([0.05, 0.1, 0.1])
     found = guide_to(incision, setup.plant, setup.robot, HandsOnSettings(guard=scenario.guard, time_limit_s=1.2))
-    assert found.registered is None
+    assert (found.status, found.registered) == (HandsOnStatus.STOPPED, None)
+    assert np.isfinite(found.trace.tau_Nm).all()
     return found.trace.meta["ended"], found.trace.t_s[-1] - scenario.guard.stop_s, setup.plant.v
 
 
-REASONS = {
-    "measurements not believed": {},
-    "the tip has been": {"guard": {"tip_error_m": 1e-5}},
-    "the trocar's force has been above": {"guard": {"trocar_force_N": 0.1, "trocar_force_warning_N": 0.1}},
-}
-LIVE = [(live, reason) for reason in REASONS]
+NOT_BELIEVED = "measurements not believed"
+FORCED = {"trocar_force_N": 0.1, "trocar_force_warning_N": 0.1}
 
 
-@pytest.fixture
-def failing_encoders(monkeypatch):
-    """Every plant's encoders show NaN from 0.2 s on."""
+@pytest.mark.parametrize(("loop", "reason", "guard"), [
+    (live, NOT_BELIEVED, {}), (procedure, NOT_BELIEVED, {}), (live, "the tip has been", {"tip_error_m": 1e-5}),
+    (live, "the trocar's force has been above", FORCED),
+])  # fmt: skip
+def test_a_reason_of_the_safety_filter_stops_every_loop(loop, reason, guard, monkeypatch):
     measure = Plant.measure
 
     def broken(plant):
+        """Encoders that show NaN from 0.2 s on."""
         seen = measure(plant)
         return seen._replace(q=seen.q + np.nan) if plant.time > 0.2 else seen
 
-    monkeypatch.setattr(Plant, "measure", broken)
-
-
-@pytest.mark.parametrize(("loop", "reason"), [*LIVE, (procedure, "measurements not believed")])
-def test_a_reason_of_the_safety_filter_stops_every_loop(loop, reason, request):
-    if reason == "measurements not believed":
-        request.getfixturevalue("failing_encoders")
-    ended, at, speed = loop(Scenario(control={"preset": "tuned"}, **REASONS[reason], **QUICK))
+    if reason == NOT_BELIEVED:
+        monkeypatch.setattr(Plant, "measure", broken)
+    ended, at, speed = loop(Scenario(control={"preset": "tuned"}, guard=guard, **QUICK))
     assert reason in ended
     assert at == pytest.approx(0.208, abs=0.003) if "believed" in reason else 0.0 < at < 0.9
     assert np.abs(speed).max() < 0.02  # the brakes hold

@@ -96,17 +96,10 @@ def test_an_encoder_with_noise_and_a_filter_repeats_no_reading(steps, cutoff, se
         assert not twice.any()
 
 
-@pytest.mark.parametrize(
-    ("noise", "step", "longest"), [(0.0, 2.4e-5, None), (3e-6, 2.4e-5, None), (1e-5, 2.4e-5, 89), (1e-5, 0.0, 10)]
-)
-def test_an_encoder_with_next_to_no_noise_may_rest(noise, step, longest):
-    assert longest_repetition(noise, step) == longest
-
-
-@pytest.mark.parametrize(
-    ("noise", "cutoff", "promised"),
+def test_an_encoder_with_next_to_no_noise_or_no_filter_may_repeat_itself():
+    given = [(0.0, 2.4e-5), (3e-6, 2.4e-5), (1e-5, 2.4e-5), (1e-5, 0.0)]
+    assert [longest_repetition(noise, step) for noise, step in given] == [None, None, 89, 10]
     # No filter: the same position twice is no velocity twice; one of 10 kHz is next to none.
-    [(1e-5, 50.0, True), (1e-5, 0.0, False), (1e-5, 1e4, False), (0.0, 50.0, False)],
-)
-def test_what_may_repeat_a_reading(noise, cutoff, promised):
-    assert repeats_no_reading(noise, 2.4e-5, cutoff, PERIOD) == promised
+    filters = [(1e-5, 50.0), (1e-5, 0.0), (1e-5, 1e4), (0.0, 50.0)]
+    promised = [repeats_no_reading(noise, 2.4e-5, cutoff, PERIOD) for noise, cutoff in filters]
+    assert promised == [True, False, False, False]

@@ -64,25 +64,6 @@ def test_an_impossible_incision_is_refused_before_anything_moves(robot, point):
     np.testing.assert_array_equal(plant.q, before)
 
 
-def test_a_reason_of_the_safety_filter_stops_the_guiding(robot, monkeypatch):
-    """A joint whose encoder fails: the brakes close, nothing is registered, and the trace says why."""
-    plant = Plant(robot.data, PlantSettings(), seed=4)
-    measure = plant.measure
-
-    def broken():
-        seen = measure()
-        return seen._replace(q=seen.q + np.nan) if plant.time > 0.6 else seen
-
-    monkeypatch.setattr(plant, "measure", broken)
-    found = guide_to(incision(robot, 4), plant, robot, HandsOnSettings(), seed=4)
-    assert found.status is HandsOnStatus.STOPPED
-    assert found.registered is None
-    assert found.trace.meta["ended"] == "stopped: measurements not believed"
-    assert found.trace.t_s[-1] < 0.6 + 0.6  # half a second of stop after it
-    assert np.isfinite(found.trace.tau_Nm).all()
-    assert np.abs(found.trace.v_rad_per_s[-1]).max() < 0.05
-
-
 PERIOD = 0.002
 VECTOR = st.tuples(*[st.floats(-1.0, 1.0)] * 3).map(np.array)
 
