@@ -16,14 +16,12 @@ STIFF = np.array([1e4, 1e4, 1e4, 1e4, 7e3, 3e3, 3e3])
 
 
 def elastic(**changes):
-    given = {
-        "joint_stiffness_Nm_per_rad": 1e4, "substeps": 12, "joint_spring_damping_Nm_s_per_rad": 30.0, **changes
-    }  # fmt: skip
-    return PlantSettings.nominal(**given)
+    given = {"joint_stiffness_Nm_per_rad": 1e4, "substeps": 12, "joint_spring_damping_Nm_s_per_rad": 30.0}
+    return PlantSettings.nominal(**given | changes)
 
 
-def hold(plant, periods, torque=None):
-    torque = plant.applied_torque if torque is None else torque
+def hold(plant, periods, more=0.0):
+    torque = plant.applied_torque + more
     for _ in range(periods):
         plant.step(torque)
 
@@ -41,15 +39,13 @@ def test_a_joint_swings_at_the_frequency_of_its_two_inertias(stiffness):
     rotor = DATA.rotor_inertia[0]
     link = MODEL.state(bent).M[0, 0] - rotor
     plant.mj_data.qpos[1] = 1e-4  # the first spring; nothing moves but for it
-    spring = []
-    for _ in range(300):
+    spring = np.zeros(300)
+    for k in range(300):
         plant.step(np.zeros(7))
-        spring.append(plant.mj_data.qpos[1])
-    spring = np.array(spring)
+        spring[k] = plant.mj_data.qpos[1]
     up = np.flatnonzero((spring[:-1] < 0.0) & (spring[1:] >= 0.0))
-    share = spring[up] / (spring[up] - spring[up + 1])
-    crossings = (up + share) * 1e-3
-    measured = 2.0 * np.pi / np.diff(crossings).mean()
+    crossings = up + spring[up] / (spring[up] - spring[up + 1])
+    measured = 2.0 * np.pi / (1e-3 * np.diff(crossings).mean())
     assert measured == pytest.approx(np.sqrt(stiffness * (1.0 / rotor + 1.0 / link)), rel=0.02)
 
 
@@ -72,9 +68,8 @@ def test_very_stiff_joints_are_rigid_ones():
     rigid = Plant(DATA, PlantSettings.nominal(period_s=1e-3, substeps=400))
     stiff = Plant(DATA, elastic(joint_stiffness_Nm_per_rad=1.5e6, period_s=1e-3, substeps=400,
                                 joint_spring_damping_Nm_s_per_rad=300.0))  # fmt: skip
-    push = rigid.applied_torque + np.array([2.0, -2.0, 1.0, 1.0, 0.5, -0.5, 0.2])
-    hold(rigid, 30, push)
-    hold(stiff, 30, push)
+    for plant in (rigid, stiff):
+        hold(plant, 30, np.array([2.0, -2.0, 1.0, 1.0, 0.5, -0.5, 0.2]))
     assert np.abs(rigid.q - DATA.q_home).max() > 1e-4
     np.testing.assert_allclose(stiff.q, rigid.q, atol=2e-6)
     np.testing.assert_allclose(stiff.tip, rigid.tip, atol=2e-6)
@@ -82,7 +77,7 @@ def test_very_stiff_joints_are_rigid_ones():
 
 def test_truth_is_the_link_and_the_trace_row_says_so():
     plant = Plant(DATA, elastic(encoder_side="motor"))
-    hold(plant, 20, plant.applied_torque + 5.0)
+    hold(plant, 20, 5.0)
     motors, links = plant.measure().q, plant.q
     np.testing.assert_array_equal(links, plant.mj_data.qpos[::2] + plant.mj_data.qpos[1::2])
     np.testing.assert_array_equal(motors, plant.mj_data.qpos[::2])

@@ -98,12 +98,13 @@ def test_free_fall_is_pinocchios_forward_dynamics():
 def test_friction_only_takes_energy_and_without_it_energy_is_kept(seed, scale, substeps):
     plant = nominal(friction=scale, friction_error=0.2, gravity=False, substeps=substeps if scale else 20)
     plant.reset(DATA.q_home, np.random.default_rng(seed).uniform(-0.5, 0.5, 7))
-    before = first = energy(plant)
-    for _ in range(100):
-        now = energy(drive(plant, np.zeros(7), 1))
-        assert now < before or now < 1e-12 or not scale
-        before = now
-    assert now == pytest.approx(first, rel=1e-3) if not scale else now < 0.95 * first
+    first = energy(plant)
+    course = np.array([first, *(energy(drive(plant, np.zeros(7), 1)) for _ in range(100))])
+    if scale:
+        assert ((np.diff(course) < 0.0) | (course[1:] < 1e-12)).all()
+        assert course[-1] < 0.95 * first
+    else:
+        assert course[-1] == pytest.approx(first, rel=1e-3)
 
 
 def test_friction_is_what_the_robot_says():
@@ -142,25 +143,20 @@ def test_factors_come_from_the_seed_and_fill_the_range_of_their_error():
     assert np.linalg.norm(Plant(DATA, seed=5).mismatch.registration_error) == pytest.approx(5e-4)
 
 
-def test_torque_is_cut_at_the_limit():
-    tau = 3.0 * DATA.tau_max * np.array([1, -1, 1, -1, 1, -1, 0.1])
-    found = drive(Plant(DATA, NOMINAL), tau, 1).applied_torque
-    np.testing.assert_array_equal(found, np.clip(tau, -DATA.tau_max, DATA.tau_max))
-
-
 def test_joints_stop_near_their_limits():
     plant = drive(nominal(friction=1.0, gravity=False), 10.0 * np.eye(7)[0], 2000)
     assert DATA.q_max[0] - 0.01 < plant.q[0] < DATA.q_max[0] + 0.05
 
 
 @pytest.mark.parametrize("delay", [0, 1, 3])
-def test_torque_acts_after_the_delay(delay):
+def test_torque_is_cut_at_the_limit_and_acts_after_the_delay(delay):
     plant = nominal(delay_ticks=delay)
     plant.reset(DATA.q_home + 0.2)  # the delay begins with what holds the arm there
     hold = plant.applied_torque
-    commands = hold + np.random.default_rng(7).normal(size=(8, 7))
+    commands = hold + DATA.tau_max * np.random.default_rng(7).normal(size=(8, 7))
     acted = [drive(plant, tau, 1).applied_torque for tau in commands]
-    np.testing.assert_array_equal(acted, np.concatenate([np.tile(hold, (delay, 1)), commands])[:8])
+    cut = np.clip(commands, -DATA.tau_max, DATA.tau_max)
+    np.testing.assert_array_equal(acted, np.concatenate([np.tile(hold, (delay, 1)), cut])[:8])
 
 
 def chain_tip(model, mismatch, q):
@@ -173,10 +169,9 @@ def chain_tip(model, mismatch, q):
     return place + turn @ (chain.offsets[0] + mismatch.origin_shift[-1])
 
 
-@pytest.mark.parametrize("seed", [0, 1, 2])
-def test_calibration_error_is_in_the_plant_s_kinematics_alone(seed):
-    plant = nominal(seed, calibration_error_m=4e-4, calibration_tilt_rad=3e-4)
-    mismatch, rng = plant.mismatch, np.random.default_rng(seed)
+def test_calibration_error_is_in_the_plant_s_kinematics_alone():
+    plant, rng = nominal(2, calibration_error_m=4e-4, calibration_tilt_rad=3e-4), np.random.default_rng(2)
+    mismatch = plant.mismatch
     np.testing.assert_allclose(np.linalg.norm(mismatch.origin_shift, axis=1), 4e-4)
     np.testing.assert_allclose(np.linalg.norm(mismatch.origin_turn, axis=1), 3e-4)
     for _ in range(5):
@@ -189,9 +184,8 @@ def test_calibration_error_is_in_the_plant_s_kinematics_alone(seed):
     np.testing.assert_allclose(plant.tip - plant.wrist, _HOME.tool_span * mount[:, 2], atol=1e-12)
 
 
-@pytest.mark.parametrize("seed", [0, 1])
-def test_encoder_bias_moves_the_tip_by_its_jacobian(seed):
-    plant = nominal(seed, encoder_bias_rad=5e-4)
+def test_encoder_bias_moves_the_tip_by_its_jacobian():
+    plant = nominal(1, encoder_bias_rad=5e-4)
     bias = plant.mismatch.encoder_bias
     np.testing.assert_array_equal(plant.measure().q, DATA.q_home - bias + bias)
     np.testing.assert_allclose(plant.q, DATA.q_home - bias, atol=1e-15)
@@ -250,7 +244,7 @@ def test_a_measurement_is_the_truth_or_near_it_and_steady():
         assert not array.flags.writeable
 
 
-def test_same_seed_same_numbers():
+def test_same_seed_same_numbers_and_plants_share_nothing_even_in_threads():
     one, two = Plant(DATA, seed=9), Plant(DATA, seed=9)
     first = run(one, 100)
     np.testing.assert_array_equal(first, run(two, 100))
@@ -260,9 +254,6 @@ def test_same_seed_same_numbers():
     assert not np.array_equal(first, run(Plant(DATA, seed=10), 100))
     without = Plant(DATA, PlantSettings(encoder_noise_rad=0), seed=9)  # other noise is as it was
     np.testing.assert_array_equal(Plant(DATA, seed=9).measure().force, without.measure().force)
-
-
-def test_plants_share_nothing_even_in_threads():
     alone = [run(Plant(DATA, seed=seed), 300, seed) for seed in (1, 2)]
     with ThreadPoolExecutor(2) as threads:
         together = list(threads.map(run, [Plant(DATA, seed=seed) for seed in (1, 2)], [300, 300], [1, 2]))
@@ -273,9 +264,7 @@ def test_the_noise_of_the_wrench_sensor_reaches_the_measurement():
     """Two plants that differ in it alone move alike: what their readings differ by is the noise."""
     levels = {"force_noise_N": 0.1, "torque_noise_Nm": 0.002}
     noisy, quiet = (Plant(DATA, PlantSettings(**given), seed=5) for given in (levels, dict.fromkeys(levels, 0.0)))
-    seen = [
-        [drive(plant, plant.applied_torque, 1).measure().force for _ in range(1000)] for plant in (noisy, quiet)
-    ]
+    seen = [[drive(one, one.applied_torque, 1).measure().force for _ in range(1000)] for one in (noisy, quiet)]
     np.testing.assert_array_equal(noisy.q, quiet.q)
     np.testing.assert_allclose(np.std(np.subtract(*seen), axis=0), np.repeat([0.1, 0.002], 3), rtol=0.1)
 
@@ -295,18 +284,15 @@ def test_a_refused_period_leaves_the_noise_and_the_arm_as_they_were():
         np.testing.assert_array_equal(found, wanted)
 
 
-@pytest.mark.parametrize(
-    ("q", "v", "words"),
-    [
-        (np.zeros(6), None, "q ="), (np.full(7, np.nan), None, "q ="), (DATA.q_home, np.zeros(3), "v ="),
-        (DATA.q_home + np.eye(7)[0] * 9, None, r"q\[0\] = 9.*'joint_1'"),
-    ],
-)  # fmt: skip
-def test_bad_starts_are_named(q, v, words):
+def test_bad_starts_are_named():
     plant = drive(Plant(DATA, NOMINAL), np.zeros(7), 3)
-    before = plant.q
-    with pytest.raises(PlantError, match=words):
-        plant.reset(q, v)
+    before, far = plant.q, DATA.q_home + 9.0 * np.eye(7)[0]
+    for start, words in (
+        ([np.zeros(6)], "q ="), ([np.full(7, np.nan)], "q ="), ([DATA.q_home, np.zeros(3)], "v ="),
+        ([far], r"q\[0\] = 9.*'joint_1'"),
+    ):  # fmt: skip
+        with pytest.raises(PlantError, match=words):
+            plant.reset(*start)
     np.testing.assert_array_equal(plant.q, before)
     assert plant.time > 0
     plant.reset(DATA.q_min)
@@ -336,8 +322,7 @@ def test_the_nominal_preset_switches_every_difference_off():
 
 
 def test_models_that_cannot_be_are_refused():
-    bad = DATA.urdf.replace('ixx="0.01845"', 'ixx="0.9"')
-    assert bad != DATA.urdf
+    bad = re.sub('ixx="0.01845"', 'ixx="0.9"', DATA.urdf)
     for data, words in (
         (replace(DATA, urdf="<robot"), "MuJoCo cannot read"),
         (replace(DATA, joint_names=(*DATA.joint_names[:6], "joint_9")), r"lists .*'joint_9'"),
