@@ -1,13 +1,17 @@
-"""What a run is: validated tables, errors that help, and one composer whose runs repeat to the bit."""
+"""What a run is: validated tables that a file keeps, errors that help, and runs that repeat to the bit."""
 
 import re
 import shutil
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from moc_opt.control import ControlSettings
+from moc_opt.control.safety_settings import SafetyFilterSettings
 from moc_opt.errors import MocOptError, ScenarioError, UnknownNameError
 from moc_opt.robots import loader
 from moc_opt.scenario import Scenario, Setup, run
@@ -15,14 +19,7 @@ from moc_opt.scenario.derived import largest_mu
 from moc_opt.sim import PlantSettings
 from moc_opt.tasks import shaft_distance
 
-CLOCK = {"tick_us", "solve_us"}
 BARE = {"judge": False, "bound_samples": 0}
-
-
-def written(folder, text):
-    file = folder / "scenario.toml"
-    file.write_text(text, encoding="utf-8")
-    return file
 
 
 WRONG = [  # tables; what the message of the constructor says
@@ -113,7 +110,7 @@ def test_change_of_the_plant_keeps_what_it_is_and_is_validated():
 
 def test_what_the_arm_touched_lies_where_it_truly_is():
     """Kinematics that are off by a millimetre and more: the shaft stands in the incision all the same."""
-    bad = PlantSettings.nominal(calibration_error_m=5e-4, calibration_tilt_rad=5e-4, encoder_bias_rad=5e-4)
+    bad = {"calibration_error_m": 5e-4, "calibration_tilt_rad": 5e-4, "encoder_bias_rad": 5e-4, "preset": "nominal"}
     setup = Setup(Scenario(plant=bad, seed=4, control={"law": "dcac"}, **BARE, duration_s=0.2))
     plant, state = setup.plant, setup.robot.state(setup.q_start)
     point = setup.trocar.at(0.0)[0]
@@ -124,8 +121,7 @@ def test_what_the_arm_touched_lies_where_it_truly_is():
     plant.reset(setup.q_start)
     assert trace.tip_error_m[0] == pytest.approx(np.linalg.norm(plant.tip - state.tip), abs=1e-12)
     assert trace.tip_error_m.min() > 4e-4
-    assert trace.tip_error_registered_m.max() < 5e-5
-    assert trace.tip_error_model_m.max() < 5e-5
+    assert max(trace.tip_error_registered_m.max(), trace.tip_error_model_m.max()) < 5e-5
     np.testing.assert_allclose(trace.trocar_registered_m, trace.trocar_m, atol=1e-12)
 
 
@@ -156,11 +152,11 @@ def test_a_singular_pose_has_a_bound_and_a_lost_one_has_none(robot):
 def test_same_seed_same_trace_to_the_bit(law):
     scenario = Scenario(duration_s=0.2, bound_samples=3, seed=5, start={"swivel": "random"}, control={"law": law})
     setup = Setup(scenario)
-    first = setup.trace()
-    for again in (setup.trace(), run(scenario)):
-        assert set(again.columns) == set(first.columns)
-        for name in set(first.columns) - CLOCK:
-            np.testing.assert_array_equal(again.columns[name], first.columns[name], err_msg=name)
+    first, *others = (
+        {name: column.tobytes() for name, column in trace.columns.items() if name not in ("tick_us", "solve_us")}
+        for trace in (setup.trace(), setup.trace(), run(scenario))
+    )
+    assert others == [first, first]
 
 
 def test_a_robots_file_is_found_from_the_scenarios_folder(tmp_path, monkeypatch):
@@ -170,10 +166,82 @@ def test_a_robots_file_is_found_from_the_scenarios_folder(tmp_path, monkeypatch)
     for kind in ("toml", "urdf"):
         shutil.copy(Path(loader.__file__).parent / f"panda.{kind}", folder)
     monkeypatch.chdir("/")
-    for given, expected in (
+    for name, expected in (
         ("arms/panda.toml", str(folder / "panda.toml")), (f"{folder}/panda.urdf", f"{folder}/panda.urdf"),
         ("panda", "panda"),
     ):  # fmt: skip
-        loaded = Scenario.load(written(tmp_path, f'[robot]\nname = "{given}"\n'))
+        (tmp_path / "scenario.toml").write_text(f'[robot]\nname = "{name}"\n', encoding="utf-8")
+        loaded = Scenario.load(tmp_path / "scenario.toml")
         assert loaded.robot.name == expected
         assert loaded.robot.arm().data.name == "panda"
+
+
+NOT_NEGATIVE = st.just(0.0) | st.floats(1e-6, 90.0)
+NAMES = st.from_regex(r"[A-Za-z0-9_][A-Za-z0-9_.+-]{0,8}[A-Za-z0-9_]", fullmatch=True).filter(lambda s: ".." not in s)
+TEXT = st.text(st.characters(exclude_categories=["Cs"]), max_size=8)
+FINITE = st.floats(1e-20, 1e6) | st.integers(-9, 9) | st.booleans() | TEXT
+
+
+def table(**fields):
+    return st.fixed_dictionaries({}, optional=fields)
+
+
+SCENARIOS = table(
+    name=NAMES, seed=st.integers(0, 2**63 - 1), duration_s=st.none() | st.floats(0.01, 100.0),
+    control=table(
+        preset=st.sampled_from(["paper", "tuned", "robust"]),
+        K_N2=st.floats(0.1, 200.0) | st.lists(NOT_NEGATIVE, min_size=7, max_size=7),
+        gains=st.sampled_from([None, "moc", "default"]), rcm_lambda=st.none() | st.floats(0.1, 1.0),
+        regularization=st.floats(1e-9, 1.0), fallback=st.sampled_from(["damping", "hold"]),
+        supervisor=table(budget_us=st.floats(1.0, 1e4)),
+    ),
+    plant=table(
+        preset=st.sampled_from(["nominal", "realistic"]), friction=st.floats(1e-6, 3.0),
+        delay_ticks=st.integers(0, 4), gravity=st.booleans(),
+    ),
+    task=table(
+        path=st.sampled_from(["circle", "spiral"]), sizes=st.dictionaries(st.just("radius"), st.floats(0.01, 0.1)),
+        heading=st.tuples(*[st.floats(0.1, 1.0)] * 3),
+    ),
+    solver=table(
+        name=st.sampled_from(["exact", "rnn", "osqp"]),
+        settings=st.dictionaries(NAMES, FINITE | st.lists(FINITE, max_size=3), max_size=3),
+        replay_us=st.none() | st.lists(NOT_NEGATIVE, max_size=3),
+    ),
+    guard=table(position_margin_rad=st.floats(0.001, 0.1)),
+)  # fmt: skip
+
+
+@settings(max_examples=100)
+@given(SCENARIOS)
+def test_what_is_saved_loads_as_the_same(tmp_path_factory, values):
+    scenario, file = Scenario(**values), tmp_path_factory.mktemp("saved") / "scenario.toml"
+    scenario.save(file)
+    assert Scenario.load(file) == scenario
+    assert eval(repr(scenario), {"Scenario": Scenario}) == scenario
+
+
+def test_only_what_differs_is_written(tmp_path):
+    tables = {"seed": 3, "control": {"preset": "tuned", "K_N2": 20.0}, "plant": {"preset": "nominal"}}
+    assert Scenario(**tables).changes() == tables
+    Scenario().save(tmp_path / "a.toml")
+    assert (tmp_path / "a.toml").read_text(encoding="utf-8").strip() == ""
+    assert repr(Scenario()) == "Scenario()"
+
+
+def test_every_limit_that_can_be_lifted_can_be_saved_lifted(tmp_path):
+    optional = {key: type(None) in get_args(kind.annotation) for key, kind in SafetyFilterSettings.model_fields.items()}
+    lifted = [key for key, value in Scenario().guard if optional[key] and value is not None]
+    assert "stop_yield_N" in lifted
+    scenario = Scenario(guard=dict.fromkeys(lifted), control={"gains": None})
+    scenario.save(tmp_path / "lifted.toml")
+    assert Scenario.load(tmp_path / "lifted.toml") == scenario
+
+
+def test_a_solver_setting_of_none_is_left_out_where_that_means_the_same(tmp_path):
+    to = tmp_path / "new" / "folder" / "a.toml"
+    Scenario(solver={"name": "qpsolvers:quadprog", "settings": {"cost_scale": None, "rows": 6}}).save(to)
+    assert Scenario.load(to).solver.settings == {"rows": 6}
+    with pytest.raises(ScenarioError, match=r"solver.settings.kinematics = <object .* has no form in TOML"):
+        Scenario(solver={"name": "osqp", "settings": {"kinematics": object()}}).save(to)
+    assert Scenario.load(to).solver.settings == {"rows": 6}
