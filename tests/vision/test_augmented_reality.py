@@ -7,6 +7,7 @@ import pytest
 from moc_opt.control import Controller, ControlSettings
 from moc_opt.errors import PlantError, TaskError
 from moc_opt.robots.inverse_kinematics import pose_through
+from moc_opt.robots.model import load_robot
 from moc_opt.sim import Plant, PlantSettings
 from moc_opt.sim.loop import simulate
 from moc_opt.tasks import Reference
@@ -17,22 +18,15 @@ from moc_opt.vision.camera import Camera, CameraSettings
 
 EXACT = CameraSettings(rate_Hz=20.0, calibration_error_m=0.0, calibration_error_deg=0.0)
 CIRCLE = BOARD_TASKS["circle"]
+ROBOT = load_robot()
+HOME = ROBOT.state(ROBOT.data.q_home)
+INCISION = HOME.tip - 0.15 * HOME.tool_direction
+PHANTOM = board_below(INCISION, HOME.tool_direction, CIRCLE.depth_m)
 
 
-@pytest.fixture(scope="module")
-def trocar(robot):
-    home = robot.state(robot.data.q_home)
-    return home.tip - 0.15 * home.tool_direction
-
-
-@pytest.fixture(scope="module")
-def phantom(robot, trocar):
-    return board_below(trocar, robot.state(robot.data.q_home).tool_direction, CIRCLE.depth_m)
-
-
-def test_the_board_is_located_and_the_task_carried_over_again_with_the_same_seed(robot, phantom):
-    scenes = [Augmented(robot, phantom, camera=EXACT, board=Board(hidden_fraction=0.3), seed=5) for _ in range(2)]
-    one, other = (scene.locate(robot.data.q_home) for scene in scenes)
+def test_the_board_is_located_and_the_task_carried_over_again_with_the_same_seed():
+    scenes = [Augmented(ROBOT, PHANTOM, camera=EXACT, board=Board(hidden_fraction=0.3), seed=5) for _ in range(2)]
+    one, other = (scene.locate(ROBOT.data.q_home) for scene in scenes)
     np.testing.assert_array_equal([*one.R, one.t], [*other.R, other.t])
     found = scenes[0].accuracy(one, CIRCLE)
     assert found["board_position_mm"] < 0.15
@@ -40,25 +34,25 @@ def test_the_board_is_located_and_the_task_carried_over_again_with_the_same_seed
     assert found["task_error_max_mm"] < 0.15
 
 
-def test_a_wrong_calibration_carries_over_to_the_task(robot, phantom):
+def test_a_wrong_calibration_carries_over_to_the_task():
     camera = CameraSettings(calibration_error_m=0.002, calibration_error_deg=0.0)
-    scene = Augmented(robot, phantom, camera=camera)
+    scene = Augmented(ROBOT, PHANTOM, camera=camera)
     assert scene.accuracy(scene.locate(), CIRCLE)["task_error_max_mm"] == pytest.approx(2.0, abs=0.15)
 
 
 @pytest.mark.parametrize(("hidden", "reason"), [(1.0, "no marker seen"), (0.9, "2 markers seen")])
-def test_a_board_that_is_never_seen_is_told_before_anything_moves(robot, phantom, hidden, reason):
-    scene = Augmented(robot, phantom, camera=CameraSettings(rate_Hz=5.0), board=Board(hidden_fraction=hidden))
+def test_a_board_that_is_never_seen_is_told_before_anything_moves(hidden, reason):
+    scene = Augmented(ROBOT, PHANTOM, camera=CameraSettings(rate_Hz=5.0), board=Board(hidden_fraction=hidden))
     with pytest.raises(TaskError, match=reason):
         scene.locate()
 
 
 @pytest.fixture(scope="module")
-def run(robot, phantom, trocar):
+def run():
     """The whole loop, the board lost for a second in the middle of the circle."""
-    scene = Augmented(robot, phantom, camera=EXACT, board=Board(hidden_fraction=0.2, lost_s=((2.0, 3.0),)))
+    scene = Augmented(ROBOT, PHANTOM, camera=EXACT, board=Board(hidden_fraction=0.2, lost_s=((2.0, 3.0),)))
     path = scene.board.task_in_base(CIRCLE, scene.locate())
-    q = pose_through(robot, path.start, trocar)
+    q = pose_through(ROBOT, path.start, INCISION)
     seconds, period = 6.5, 0.002
     looked_at, seen = scene.watch(seconds, q)
     lost = looked_at[~seen]
@@ -67,10 +61,10 @@ def run(robot, phantom, trocar):
     times = period * np.arange(round(seconds / period))
     waiting = WaitingReference(Reference(path, 0.05, 0.2), period)
     rows, played = waiting.play(flags_at(times, looked_at, seen))
-    plant = Plant(robot.data, PlantSettings(trocar_registration_error_m=0.0), seed=1)
+    plant = Plant(ROBOT.data, PlantSettings(trocar_registration_error_m=0.0), seed=1)
     plant.reset(q)
-    points = np.tile(np.stack([trocar, np.zeros(3)]), (len(times), 1, 1))
-    driver = Controller(robot, ControlSettings(law="dcac"), None, period)
+    points = np.tile(np.stack([INCISION, np.zeros(3)]), (len(times), 1, 1))
+    driver = Controller(ROBOT, ControlSettings(law="dcac"), None, period)
     return scene, path, simulate(plant, driver, rows, points, points), played, waiting
 
 
@@ -85,10 +79,10 @@ def test_the_task_waits_the_tip_holds_and_nothing_jumps(run):
     assert played[-1] > played[holding][0] + 1.0
 
 
-def test_the_film_shows_the_run(run, tmp_path, trocar):
+def test_the_film_shows_the_run(run, tmp_path):
     scene, path, trace, _, _ = run
     short = trace.select(np.arange(len(trace)) < 500)
-    assert scene.film(tmp_path / "run.webm", short, path, trocar) == 20
+    assert scene.film(tmp_path / "run.webm", short, path, INCISION) == 20
     film = cv2.VideoCapture(str(tmp_path / "run.webm"))
     pictures = [film.read()[1] for _ in range(20)]
     assert not film.read()[0]
