@@ -1,16 +1,32 @@
-"""Packets: their bytes are what docs/realtime.md says, any change breaks the check, and only sound ones pass."""
+"""Packets are as docs/realtime.md says, and only sound ones pass; both ends and the clock, played against the test."""
 
+import os
 import re
 import socket
 from pathlib import Path
 from time import monotonic
+from unittest.mock import Mock
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from moc_opt.realtime import wire
-from moc_opt.realtime.wire import Kind, Link, WireError, layout, make_packet, read_key, seal, sealed
+from moc_opt.control.safety_settings import SafetyFilterSettings
+from moc_opt.realtime import clock, wire
+from moc_opt.realtime.ends import Answering
+from moc_opt.realtime.wire import (
+    COUNTERS,
+    Kind,
+    Link,
+    WireError,
+    WireSettings,
+    layout,
+    make_packet,
+    seal,
+    sealed,
+)
+from tests.realtime.relay import NOTHING, SETTINGS, Peer
 
 PAGE = (Path(__file__).parents[2] / "docs" / "realtime.md").read_text(encoding="utf-8")
 KINDS = (Kind.MEASUREMENT, Kind.COMMAND)
@@ -104,16 +120,238 @@ def test_an_address_is_read_or_refused():
 
 def test_a_key_comes_from_the_file_or_else_from_the_environment_and_other_machines_need_one(tmp_path, monkeypatch):
     monkeypatch.delenv(wire.VARIABLE, raising=False)
-    assert read_key(None, "127.0.0.1", "--listen") == wire.LOOPBACK_KEY
+    assert wire.read_key(None, "127.0.0.1", "--listen") == wire.LOOPBACK_KEY
     for host in ("192.0.2.1", "0.0.0.0"):
         with pytest.raises(WireError):
-            read_key(None, host, "--listen")
+            wire.read_key(None, host, "--listen")
     monkeypatch.setenv(wire.VARIABLE, "of the environment")
     file = tmp_path / "key"
     file.write_text("of the file, longer\n")
-    assert read_key(None, "0.0.0.0", "--listen") == b"of the environment"
-    assert read_key(file, "0.0.0.0", "--listen") == b"of the file, longer"
+    assert wire.read_key(None, "0.0.0.0", "--listen") == b"of the environment"
+    assert wire.read_key(file, "0.0.0.0", "--listen") == b"of the file, longer"
     for wrong in (b"short", b"x" * 33, b"", b"\xff" * 20):
         file.write_bytes(wrong)
         with pytest.raises(WireError):
-            read_key(file, "127.0.0.1", "--listen")
+            wire.read_key(file, "127.0.0.1", "--listen")
+
+
+@pytest.fixture
+def peer(robot):
+    made = Peer(robot)
+    yield made
+    made.close()
+
+
+def test_start_of_another_session_begins_nothing(peer):
+    peer.say(Kind.HELLO)
+    peer.say(Kind.START, session=peer.session ^ 1)
+    peer.say(Kind.COMMAND)
+    with pytest.raises(WireError, match="no controller came"):
+        peer.plant.start(peer.seen, *NOTHING)
+    assert peer.link.quality["foreign"] == 2
+
+
+def test_commands_are_followed_and_every_fault_has_its_count(peer):
+    peer.start()
+    ones, quality = np.ones(peer.n), peer.link.quality
+    peer.say(Kind.COMMAND, 0, tau=ones, limited=3, control_us=12.0, flags=wire.REPORTED, solve_us=2.0)
+    np.testing.assert_array_equal(peer.tick(), ones)
+    assert peer.plant.limited == 3
+    assert (peer.columns["control_us"][0], peer.columns["solve_us"][0]) == (12.0, 2.0)
+    assert (quality["received"], quality["missed"]) == (1, 0)
+    np.testing.assert_array_equal(peer.tick(), ones)  # no command for tick 1: held
+    assert (quality["missed"], peer.plant.limited) == (1, 0)
+    assert peer.columns["missed"][:2].tolist() == [False, True]
+    peer.say(Kind.COMMAND, 1, tau=7 * ones)  # late: not followed
+    peer.say(Kind.COMMAND, 4, tau=7 * ones)  # of a tick to come
+    peer.say(Kind.COMMAND, 2, tau=np.nan * ones)
+    np.testing.assert_array_equal(peer.tick(), ones)
+    assert (quality["late"], quality["foreign"], quality["missed"]) == (1, 2, 2)
+    peer.say(Kind.COMMAND, 3, tau=2 * ones, control_us=8.0, solve_us=5.0)  # and no report
+    peer.say(Kind.COMMAND, 3, tau=3 * ones)  # again, and otherwise
+    np.testing.assert_array_equal(peer.tick(), 2 * ones)
+    assert (peer.columns["control_us"][3], np.isnan(peer.columns["solve_us"][3])) == (8.0, True)
+    np.testing.assert_array_equal(peer.tick(), 2 * ones)
+    assert (quality["received"], quality["missed"], quality["late"]) == (2, 3, 2)
+    for _ in range(6):
+        shown = np.frombuffer(peer.socket.recv(4096), layout(Kind.MEASUREMENT, peer.n)).reshape(())
+    assert (shown["flags"], shown["sequence"]) == (wire.RUNNING, 4)
+    np.testing.assert_array_equal(shown["commanded"], 2 * ones)
+    peer.say(Kind.BYE)
+    assert peer.plant.close() == quality | {"overruns": 0}
+
+
+@pytest.mark.parametrize("wrong", [
+    {"tau": 1e300}, {"tau": -500.0}, {"friction": -1.0}, {"limited": 8}, {"flags": wire.STOP, "friction": np.inf},
+])  # fmt: skip
+def test_a_command_that_no_safety_filter_gives_is_not_followed(peer, wrong):
+    peer.start()
+    held = peer.tick()
+    peer.say(Kind.COMMAND, 1, **({"tau": 1.0} | wrong))
+    np.testing.assert_array_equal(peer.tick(), held)
+    assert (peer.link.quality["foreign"], peer.link.quality["missed"]) == (1, 2)
+    assert not peer.plant.stop_reason
+
+
+def test_the_watchdog_holds_then_damps_then_brakes(peer):
+    peer.start()
+    ones = np.ones(peer.n)
+    peer.say(Kind.COMMAND, 0, tau=ones)
+    peer.tick()
+    for _ in range(SETTINGS.hold_ticks):
+        np.testing.assert_array_equal(peer.tick(v=0.1), ones)
+    for k in range(SETTINGS.damp_ticks):
+        tau = peer.tick(v=0.1)
+        assert peer.plant.stop_reason == ""
+        step = 0.002 * SafetyFilterSettings().torque_rate_Nm_per_s
+        if (np.abs(peer.hold - 1.0) < step).all() and k == 0:
+            np.testing.assert_allclose(tau, peer.hold - 0.5, atol=1e-9)  # weight less 5 Nm s/rad times 0.1 rad/s
+    np.testing.assert_allclose(tau, peer.hold - 0.5, atol=1e-9)
+    peer.say(Kind.COMMAND, peer.k, tau=3 * ones)
+    np.testing.assert_array_equal(peer.tick(), 3 * ones)  # a command in time: followed again
+    for _ in range(SETTINGS.hold_ticks + SETTINGS.damp_ticks + 1):
+        tau = peer.tick()
+    assert peer.plant.stop_reason == "no command from the controller for 6 ticks"
+    assert (peer.plant.brake_friction(peer.seen) > 0.0).all()
+    peer.say(Kind.COMMAND, peer.k, tau=3 * ones)
+    np.testing.assert_allclose(peer.tick(), peer.hold, atol=1e-9)  # brakes stay closed
+    assert peer.plant.stop_reason == "no command from the controller for 6 ticks"
+
+
+def test_what_the_controller_stops_stays_stopped(peer):
+    peer.start()
+    ones = np.ones(peer.n)
+    peer.say(Kind.COMMAND, 0, tau=ones, flags=wire.STOP, reason=b"because\x1b", friction=2 * ones)
+    peer.tick()
+    peer.say(Kind.COMMAND, 1, tau=ones, friction=3 * ones)
+    peer.tick()
+    assert peer.plant.stop_reason == "because\ufffd"
+    np.testing.assert_array_equal(peer.plant.brake_friction(peer.seen), 3 * ones)
+
+
+N, TICKS = 3, 4
+
+
+class Plant:
+    """A link whose other end says what the test lists, and hears what is sent."""
+
+    def __init__(self, said):
+        self.n, self.peer, self.session, self.quality = N, ("plant", 1), 0, dict.fromkeys(COUNTERS, 0)
+        self.said, self.sent, self.heard = list(said), [], "nothing"
+
+    def send(self, packet):
+        self.sent.append((Kind(packet["kind"]), packet.copy()))
+
+    def receive(self, until, wanted=lambda packet: True):
+        while self.said:
+            if wanted(packet := self.said.pop(0)):
+                return packet
+        return None
+
+
+def measurement(flags, k=0, commanded=0.0, scenario=9):
+    packet = make_packet(Kind.MEASUREMENT, N, 5, scenario)
+    packet["flags"], packet["sequence"], packet["stamp"], packet["commanded"] = flags, k, k, commanded
+    return packet
+
+
+class Controller:
+    """Asks for the torque k in the k-th tick after its start; remembers what it was told of the torque that acted."""
+
+    def __init__(self):
+        self.corrected, self.k, self.faults = [], 0, {}
+
+    def start(self, q, v, tip_ref, trocar):
+        self.k, self.corrected = 0, []
+
+    def tick(self, q, v, tip_ref, trocar):
+        self.k += 1
+        return np.full(N, float(self.k))
+
+    def set_applied_torque(self, tau):
+        self.corrected.append((self.k, tau.tolist()))
+
+    def columns(self, ticks):
+        return {"solve_us": np.full(ticks, np.nan)}
+
+    def note(self, row, columns):
+        columns["solve_us"][row] = self.k
+
+
+def answered(said):
+    plant, controller, wait = Plant(said), Controller(), WireSettings(wait_s=0.05, silence_s=0.5)
+    end = Answering(plant, wait, controller, None, np.zeros((TICKS, 3, 3)), np.zeros((TICKS, 2, 3)), scenario=9)
+    return end.run(), plant, controller
+
+
+@pytest.mark.parametrize(("ticks", "commands", "corrected", "counts", "ended"), [
+    ([(0, 0), (1, 1), (2, 2), (3, 3)], [(0, 1), (1, 2), (2, 3), (3, 4)], [], (4, 0, 0), "completed"),
+    # The plant did not hear the second command, and held the first torque.
+    ([(0, 0), (1, 1), (2, 1), (3, 3)], [(0, 1), (1, 2), (2, 3), (3, 4)], [(2, 1)], (4, 0, 0), "completed"),
+    # A measurement that is repeated is answered by the same command once more.
+    ([(0, 0), (1, 1), (1, 1)], [(0, 1), (1, 2), (1, 2)], [], (2, 0, 1), "the plant ended the run at tick 2 of 4"),
+    # Measurements that never came are counted.
+    ([(0, 0), (3, 1), (1, 1)], [(0, 1), (3, 2)], [], (2, 2, 1), "completed"),
+])  # fmt: skip
+def test_every_tick_is_answered_and_the_end_acknowledged(ticks, commands, corrected, counts, ended):
+    """``ticks`` has the number of each measurement, and the torque that acted before it."""
+    last = measurement(wire.ENDED, max(ticks)[0])
+    ending, plant, controller = answered(
+        [measurement(wire.WAITING), *(measurement(wire.RUNNING, k, tau) for k, tau in ticks), last]
+    )
+    sent = [said for kind, said in plant.sent if kind is Kind.COMMAND]
+    assert [(int(said["sequence"]), said["tau"].tolist()) for said in sent] == [(k, [tau] * N) for k, tau in commands]
+    assert controller.corrected == [(k, [tau] * N) for k, tau in corrected]
+    assert tuple(ending["quality"][name] for name in ("received", "missed", "late")) == counts
+    assert (ending["ended"], ending["ticks"]) == (ended, counts[0])
+    assert plant.sent[-1][0] is Kind.BYE
+    assert {int(said["flags"]) for said in sent} == {wire.REPORTED}
+
+
+@pytest.mark.parametrize("said", [[measurement(wire.WAITING, scenario=8)], [], [measurement(wire.RUNNING)] * 100])
+def test_a_plant_of_another_scenario_or_none_is_refused(said):
+    with pytest.raises(WireError):
+        answered(said)
+
+
+def test_a_measurement_from_no_possible_period_is_not_answered():
+    odd = measurement(wire.RUNNING, 1)
+    odd["stamp"] = -(2**63)
+    ending, _, _ = answered([measurement(wire.WAITING), measurement(wire.RUNNING), odd, measurement(wire.ENDED, 1)])
+    assert (ending["quality"]["foreign"], ending["quality"]["received"]) == (1, 1)
+
+
+T = 0.002
+
+
+def test_a_late_tick_moves_no_other_and_a_stall_all_that_follow(monkeypatch):
+    now = {"s": 100.0, "oversleep": 0.5 * T}
+    monkeypatch.setattr(clock, "monotonic", lambda: now["s"])
+    monkeypatch.setattr(clock, "sleep", lambda seconds: now.update(s=now["s"] + seconds + now["oversleep"]))
+    time = clock.WallClock(T)
+    assert time.wait_for(0) == pytest.approx(100.0 + 2.5 * T)  # the controller has its whole period
+    assert time.late_us == pytest.approx(1e6 * 0.5 * T)
+    now["oversleep"] = 0.0
+    for tick in range(1, 20):
+        until = time.wait_for(tick)
+        assert now["s"] == pytest.approx(100.0 + (1 + tick) * T)
+        assert until == pytest.approx(now["s"] + T)
+        now["s"] += T * (0.1 + 0.8 * (tick % 2))
+    assert time.overruns == 0
+    now["s"] = 100.0 + 30.0 * T
+    time.wait_for(20)
+    assert (time.overruns, time.late_us) == (1, pytest.approx(1e6 * 9 * T))
+    time.wait_for(21)
+    assert now["s"] == pytest.approx(100.0 + 31.0 * T)
+    assert time.overruns == 1
+
+
+def test_what_this_process_starts_later_has_no_priority(monkeypatch):
+    """As the process of a solver that is replaced in a run: it starts at leisure."""
+    asked = []
+    monkeypatch.setattr(clock.os, "sched_setscheduler", lambda pid, policy, parameter: asked.append(policy))
+    monkeypatch.setattr(clock.os, "sched_getscheduler", lambda pid: asked[-1])
+    monkeypatch.setattr(clock.ctypes, "CDLL", lambda *a, **k: Mock())
+    clock.ask_for_realtime()
+    clock.give_back_realtime()
+    assert asked == [os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.SCHED_OTHER]
