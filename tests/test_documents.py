@@ -117,13 +117,13 @@ def test_every_file_that_the_documents_link_to_exists():
 
 
 def test_package_project_citation_changelog_and_badge_name_one_version_one_day_and_the_same_pythons():
-    said = {name: (ROOT / name).read_text(encoding="utf-8") for name in ("CITATION.cff", "CHANGELOG.md", "README.md")}
+    said = {name: (ROOT / name).read_text("utf-8") for name in ("CITATION.cff", "CHANGELOG.md", "README.md")}
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     cited = dict(re.findall(r"^(version|date-released): (.*)$", said["CITATION.cff"], re.MULTILINE))
     headings = re.findall(r"^## (.*)$", said["CHANGELOG.md"], re.MULTILINE)
     assert project["version"] == cited["version"] == mo.__version__
     assert headings[:2] == ["[Unreleased]", f"[{mo.__version__}] - {cited['date-released']}"]
-    pythons = [word.rpartition(" ")[2] for word in project["classifiers"] if re.search(r"Python :: 3\.\d+$", word)]
+    pythons = re.findall(r"Python :: (3\.\d+)$", "\n".join(project["classifiers"]), re.MULTILINE)
     (badge,) = re.findall(r"^!\[Python (.*?)\]", said["README.md"], re.MULTILINE)
     assert badge.split(", ") == pythons
     assert project["requires-python"] == f">={pythons[0]}"

@@ -19,7 +19,7 @@ def python(*words, **options):
 
 def test_an_installed_solver_is_found_by_its_entry_point_and_passes_the_conformance_suite(tmp_path):
     site, bare = tmp_path / "site", ("--quiet", "--no-deps", "--no-build-isolation", "--no-index")
-    source = shutil.copytree(ROOT / "examples" / "your_solver", tmp_path / "source")  # building leaves files in it
+    source = shutil.copytree(ROOT / "examples/your_solver", tmp_path / "source")  # building leaves files in it
     installed = python("-m", "pip", "install", *bare, "--target", site, source)
     if installed.returncode:
         pytest.skip(f"pip cannot install here: {installed.stderr[-300:]}")

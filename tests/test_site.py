@@ -1,6 +1,6 @@
 """The documentation site: what it is made of hangs together, without building it. `make docs` builds it.
 
-The reference: every public name, and every method of one, stands in an example: its own, which runs, or a page's.
+Every public name of the reference, and every method, stands in an example: its own, which runs, or a page's.
 """
 
 import doctest

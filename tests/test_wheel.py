@@ -76,11 +76,11 @@ def wheel(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def run(wheel, tmp_path_factory):
-    """A function that calls `moc-opt` in an empty folder and an empty home, from an environment with the wheel."""
+    """A function that calls `moc-opt` of an environment with the wheel, in an empty folder and home."""
     home = tmp_path_factory.mktemp("home")
     call(sys.executable, "-m", "venv", "--without-pip", home / "env")
-    programs = home / "env" / "bin"
-    call(sys.executable, "-m", "pip", "--python", programs / "python", "install", "--no-deps", "--no-index", wheel)
+    tools = home / "env" / "bin"
+    call(sys.executable, "-m", "pip", "--python", tools / "python", "install", "--no-deps", "--no-index", wheel)
     site = Path(sysconfig.get_path("purelib", vars={"base": str(home / "env")}))
     (info,) = site.glob("moc_opt-*.dist-info")
     for one in closure(Distribution.at(info).requires):
@@ -89,10 +89,10 @@ def run(wheel, tmp_path_factory):
                 (site / top).symlink_to(one.locate_file(top))
     bare = {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}
     bare["HOME"] = str(home / "home")
-    return lambda *words, cwd: call(programs / "moc-opt", *words, cwd=cwd, env=bare)
+    return lambda *words, cwd: call(tools / "moc-opt", *words, cwd=cwd, env=bare)
 
 
-def test_one_wheel_for_all_pythons_runs_from_an_empty_folder_with_its_requirements_alone(wheel, run, tmp_path):
+def test_one_wheel_for_all_pythons_runs_in_an_empty_folder_with_its_requirements_alone(wheel, run, tmp_path):
     assert "-cp311-abi3-" in wheel.name
     tops = {name.partition("/")[0] for name in ZipFile(wheel).namelist()}
     assert {name for name in tops if not name.endswith(".dist-info")} == {"moc_opt"}
