@@ -79,7 +79,6 @@ def install(folder: Path) -> Path:
     info = folder / "broken_solvers_plugin-1.0.dist-info"
     info.mkdir(parents=True)
     (folder / "broken_solvers_plugin.py").write_text(MODULE)
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: broken-solvers-plugin\nVersion: 1.0\n")
     lines = "\n".join(f"{name} = broken_solvers_plugin:{name.capitalize()}" for name in NAMES)
     (info / "entry_points.txt").write_text(f"[moc_opt.solvers]\n{lines}\n")
     return folder

@@ -28,10 +28,11 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 SLOW = (
-    "tests/test_documents.py", "tests/benchmarks/test_robots.py", "tests/study/test_engine.py", "tests/test_site.py",
-    "tests/benchmarks/test_speed.py", "tests/study/test_solvers.py", "tests/live/test_page.py",
-    "tests/benchmarks/test_paper.py", "tests/study/test_command.py", "tests/test_wheel.py",
-    "tests/solvers/test_isolated.py", "tests/planning/test_follow.py", "tests/export/test_folder.py",
+    "tests/test_documents.py", "tests/benchmarks/test_robots.py", "tests/study/test_engine.py",
+    "tests/test_site.py", "tests/benchmarks/test_speed.py", "tests/study/test_solvers.py",
+    "tests/live/test_page.py", "tests/benchmarks/test_paper.py", "tests/study/test_command.py",
+    "tests/test_wheel.py", "tests/solvers/test_isolated.py", "tests/planning/test_follow.py",
+    "tests/export/test_folder.py",
 )  # fmt: skip
 """The longest files, the longest first: they are marked `slow` and run after the rest."""
 

@@ -80,7 +80,7 @@ names = st.one_of(
 """What leaves a comment, a tag or a folder, and names as they should be."""
 
 
-LINES = ["", "<", "]", "[[robot]]", "</link>", '<link name="tip"/>', "\x00"]
+LINES = st.sampled_from(["", "<", "]", "[[robot]]", "</link>", '<link name="tip"/>', "\x00"])
 ODD = st.one_of(
     numbers.map(repr), texts, texts.map(repr), st.sampled_from(["0 0 nan", "1e999 0 0", "0x1p-2", "[]", "{}"])
 )
@@ -97,12 +97,12 @@ def edited(draw: st.DrawFn, text: str) -> bytes:
     lines = text.splitlines()
     for _ in range(draw(st.integers(1, 3))):
         place = draw(st.integers(0, len(lines) - 1))
-        line, other, odd = lines[place], draw(st.sampled_from(LINES)), draw(ODD)
-        cut, quoted, valued = draw(st.integers(0, len(line))), line.split('"'), f"{line.split('=', 1)[0]}= {odd}"
+        line, other, more, odd = lines[place], draw(LINES), draw(st.text(max_size=5)), draw(ODD)
+        cut, quoted, valued = draw(st.integers(0, len(line))), line.split('"'), f"{line.partition('=')[0]}= {odd}"
         if len(quoted) >= 3 and "<" in line:  # an attribute of XML
             quoted[2 * draw(st.integers(0, (len(quoted) - 3) // 2)) + 1] = odd
             valued = '"'.join(quoted)
-        new = [], [line, line], [line[:cut] + draw(st.text(max_size=5)) + line[cut:]], [valued], [valued], [other]
+        new = [], [line, line], [line[:cut] + more + line[cut:]], [valued], [valued], [other]
         lines[place : place + 1] = draw(st.sampled_from(new))
         lines = lines or [""]
     return "\n".join(lines).encode("utf-8", "surrogatepass")

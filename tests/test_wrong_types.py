@@ -1,7 +1,6 @@
 """Whatever is handed to a public name, the answer is a result or an error of the package, never a traceback."""
 
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -48,9 +47,7 @@ TAKES_SECONDS = {
 
 
 @pytest.mark.parametrize("name", CALLS)
-def test_a_wrong_argument_is_an_error_of_the_package(
-    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_wrong_argument_is_an_error_of_the_package(name, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)  # where "x" can be written
     said = []
     for value in WRONG:

@@ -17,8 +17,6 @@ PAGES = {
     page.name: page.read_text(encoding="utf-8")
     for page in (ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md")))
 }
-
-
 COMMANDS = {
     file.stem for file in (ROOT / "benchmarks").glob("*.py")
     if re.search(r"^(def )?main\b", file.read_text(encoding="utf-8"), re.MULTILINE)
@@ -56,9 +54,7 @@ FAULT, GROUPS = '[cases.a]\ngroup = "plant"\n', "[groups.tuned]\n[groups.paper]\
     ("speed", 'solvers = ["exact", "dapq"]', "did you mean 'daqp'"),
     ("speed", 'peers = ["minc"]', "did you mean 'mink'"),
 ])  # fmt: skip
-def test_a_wrong_configuration_is_refused_before_anything_runs(
-    study: str, text: str, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_wrong_configuration_is_refused_before_anything_runs(study, text, said, tmp_path, capsys):
     (tmp_path / "wrong.toml").write_text(text)
     command = importlib.import_module(f"benchmarks.{study}").main
     assert command([str(tmp_path / "wrong.toml"), "--out", str(tmp_path / "out")]) == 2
@@ -90,9 +86,7 @@ old
 """
 
 
-def test_figures_of_a_study_are_put_into_the_pages(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_figures_of_a_study_are_put_into_the_pages(tmp_path, monkeypatch, capsys):
     table = Table("Sums", [Column("k", "k"), Column("us", "time", unit="us")], [{"k": "a", "us": 2.0}])
     more = Section("More \\1", "Read this.", [table])
     report = Report("A title", ["It holds."], table, sections=[Section("Before"), more, Section("Behind", "No.")])

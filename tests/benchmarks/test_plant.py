@@ -28,7 +28,7 @@ duration_s = 0.3
 
 
 def test_every_defect_under_both_controllers_and_what_registering_again_gives_back(tiny):
-    """On one trial MOC's registered tip error is far above DCAC's, and comes down to it; no verdict is given."""
+    """On one trial MOC's registered tip error is far above DCAC's, and comes down to it."""
     results = tiny(plant, TINY, pictures=1)
     summary = results.summary
     found = summary["effects"]["tuned"]

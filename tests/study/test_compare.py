@@ -118,14 +118,14 @@ TIP = {"dcac": (0.02, 0.3), "exact": (0.1, 0.15), "qpsolvers:quadprog": (0.05, 0
 
 
 def compared(trials):
-    """Four controllers; `exact` costs the tip more in the trials where it is small, and less where it is large."""
+    """`exact` costs the tip more in the trials where its error is small, and less where it is large."""
     rows = [
         {
-            "solver": name, "seed": seed, "ended": "completed", "asked": 4 * (name != "dcac"), "solve_p50_us": 12.34,
-            "solve_p99_us": 345.6, "verified_solved": 4, "silently_wrong": 0, "tip_error_model_mean_mm": tip[seed % 2],
+            "solver": name, "seed": seed, "ended": "completed", "asked": 4 * (name != "dcac"),
+            "solve_p50_us": 12.34, "solve_p99_us": 345.6, "verified_solved": 4, "silently_wrong": 0,
             "mu_mean": (0.2123 + 0.01 * seed) * (1.0 if name == "dcac" else 1.1 + 0.001 * seed),
-            "rcm_error_model_mean_mm": 0.246 - 0.02 * seed, "tip_error_registered_mean_mm": 0.05 + 0.01 * seed,
-            "rcm_error_registered_mean_mm": 0.3 + 0.01 * seed,
+            "tip_error_model_mean_mm": tip[seed % 2], "tip_error_registered_mean_mm": 0.05 + 0.01 * seed,
+            "rcm_error_model_mean_mm": 0.3 - 0.02 * seed, "rcm_error_registered_mean_mm": 0.3 + 0.01 * seed,
         }
         for seed, (name, tip) in product(range(trials), TIP.items())
     ]  # fmt: skip

@@ -113,9 +113,7 @@ def test_times_count_only_where_the_run_is_alone(case: Scenario, ran: dict[str, 
     ({"start": {"q_rad": (0.0,) * 7}}, "exact", "failed", "ScenarioError: [start] q_rad"),
     ({}, "no-such-solver", "failed", "UnknownNameError: unknown solver"),
 ])  # fmt: skip
-def test_a_run_that_breaks_off_is_a_row_with_its_reason(
-    case: Scenario, change: dict[str, Any], solver: str, ended: str, error: str | None
-) -> None:
+def test_a_run_that_breaks_off_is_a_row_with_its_reason(case, change, solver, ended, error):
     run = run_trial(Trial(case.change(**change), solver, tags={"group": "g"}, keep="curves"))
     assert run.row["whole"] is False
     assert run.row["ended"].startswith(ended)
