@@ -1,10 +1,13 @@
-"""The names others call, as docs and README spell them: they change with a major version only."""
+"""The names others call, as docs and README spell them; errors, whose messages stay short and name the nearest."""
 
 import inspect
 
 import numpy as np
+import pytest
 
 import moc_opt as mo
+from moc_opt import errors
+from moc_opt.errors import MocOptError, RobotError, TraceError, UnknownNameError
 
 STATE = "tip wrist J_tip J_wrist mu grad_mu M h"
 COLUMNS = """
@@ -43,3 +46,34 @@ def test_from_robot_to_summary(tmp_path):
     assert mo.summarize(trace)["mu_mean"] == trace.mu.mean()
     trace.save(tmp_path / "trace.parquet")
     assert len(mo.load_trace(tmp_path / "trace.parquet")) == 10
+
+
+@pytest.mark.parametrize("kind", [MocOptError, RobotError, TraceError])
+def test_a_text_of_a_megabyte_is_cut(kind):
+    assert str(kind("a field, its value and the cure")) == "a field, its value and the cure"
+    assert str(kind("x" * 2000)) == "x" * 2000
+    cut = str(kind("begins so " + "x" * 10**6))
+    assert (len(cut), cut[:13], cut[-3:]) == (2000, "begins so xxx", "...")
+
+
+KEYS = ["replay_us", "name", "settings.eps", "settings.eps_rel", "settings.name"]
+MANY = [*(f"name_{i}" for i in range(500)), "osqp", "proxqp", "nlp-ipopt"]
+
+
+@pytest.mark.parametrize(("name", "valid", "told"), [
+    ("eps", KEYS, "did you mean 'settings.eps' or 'settings.eps_rel'"),  # a key without its table
+    ("nam", KEYS, "did you mean 'name' or 'settings.name'?"), ("setings.eps", KEYS, "did you mean 'settings.eps'"),
+    ("name_7x", MANY, "did you mean 'name_7'"), ("proxpq", MANY, "did you mean 'proxqp'? `"),
+    ("a", MANY[:3], "valid names: name_0, name_1, name_2"),
+])  # fmt: skip
+def test_the_nearest_names_stand_and_of_a_long_list_only_these(name, valid, told):
+    text = str(UnknownNameError("metric", name, valid, "moc-opt metrics"))
+    assert told in text
+    assert text.endswith("`moc-opt metrics` lists all 503") == (valid is MANY)
+    assert text.count("name_") <= 4  # what was written, and three
+
+
+def test_every_error_of_the_package_is_one_kind():
+    classes = [c for _, c in inspect.getmembers(errors, inspect.isclass) if issubclass(c, Exception)]
+    assert len(classes) > 5
+    assert all(issubclass(c, MocOptError) for c in classes)

@@ -28,7 +28,6 @@ def config(**changes: Any) -> Config:
     ({"grid": {"control.regularization": 1e-5}}, "give a list of values"),
     ({"grid": {"control.k0_per_sec": [1.0]}}, "did you mean 'k0_per_s'"),
     ({"grid": {"plant.mass_error": [0.1, 2.0]}}, "mass_error = 2.0: not a scenario"),
-    ({"grid": {"task.path": ["circle", "circel"]}}, "did you mean 'circle'"),
     ({"grid": {"solver.settings.epss": [1e-6]}, "solvers": ["osqp"]}, "did you mean 'eps'"),
     ({"grid": {p: [i / 1e4 for i in range(4000)] for p in ("control.c0", "control.c1")}}, "into several"),
     ({"random": {"fields": {"plant.mass_error": {"low": 0.2, "high": 0.1}}}}, "give low < high"),

@@ -1,6 +1,7 @@
 """The trials of every study are independent: no two of them share a seed, a start or an error of registration."""
 
 from collections.abc import Callable
+from operator import methodcaller
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -25,14 +26,11 @@ def of_sweep(config: Any) -> list[Scenario]:
     return [config.scenario.change(seed=seed) for seed in config.chosen_seeds()]
 
 
-def of_any(config: Any) -> list[Scenario]:
-    return list(config.cases())
-
-
+of_any = methodcaller("cases")
 STUDIES: dict[str, tuple[ModuleType, Callable[[Any], list[Scenario]]]] = {
     "solvers": (solvers, of_any), "solvers-full": (solvers, of_any), "plan": (plan, of_any),
     "plan-limits": (plan, of_any), "robots": (robots, of_any), "plant": (plant, of_plant), "paper": (paper, of_any),
-    "faults": (faults, lambda config: config.scenarios()), "sweep": (sweep, of_sweep), "margins": (sweep, of_sweep),
+    "faults": (faults, methodcaller("scenarios")), "sweep": (sweep, of_sweep), "margins": (sweep, of_sweep),
     "accuracy": (sweep, of_sweep),
 }  # fmt: skip
 

@@ -52,7 +52,7 @@ def asked(tmp_path: Path) -> tuple[Path, Path]:
     return tmp_path / "tiny.toml", tmp_path / "new" / "out"
 
 
-def test_a_study_leaves_its_files_and_prints_its_answer(asked, capsys):
+def test_a_study_leaves_its_files_prints_its_answer_and_keeps_files_of_others(asked, capsys):
     config, out = asked
     assert call(squares, config, "--out", out) == 3, "the status of the findings"
     said = capsys.readouterr().out
@@ -72,6 +72,11 @@ def test_a_study_leaves_its_files_and_prints_its_answer(asked, capsys):
     assert call(squares, config, "--out", out, "--json") == 3
     assert capsys.readouterr().out == (out / "summary.json").read_text()
     assert json.loads((out / "environment.json").read_text())["jobs_of_an_earlier_run"] == 4, "all but the failed one"
+    capsys.readouterr()
+    for spoil in (lambda file: file.write_text("mine"), Path.unlink):
+        spoil(out / "environment.json")
+        assert call(lambda *_: pytest.fail("no work before that"), config, "--out", out) == 2
+        assert "that no study has written" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -89,15 +94,6 @@ def test_options_change_the_question(asked, monkeypatch, options, seed, count):
     own = {"options": lambda parser: parser.add_argument("--many", type=int, default=8), "folder": asked[0].parent}
     assert call(work, *options, **own) == 2
     assert seen == [(seed, count, 2, Path("results/tiny"), 8)]
-
-
-def test_files_of_others_are_kept(asked, capsys):
-    config, out = asked
-    out.mkdir(parents=True)
-    (out / "summary.json").write_text("mine")
-    assert call(lambda *_: pytest.fail("no work before that"), config, "--out", out) == 2
-    assert "summary.json" in capsys.readouterr().err
-    assert (out / "summary.json").read_text() == "mine"
 
 
 @pytest.mark.parametrize(("content", "said"), [

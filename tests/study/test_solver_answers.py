@@ -28,11 +28,6 @@ def broken(tmp_path_factory):
         yield
 
 
-def answers(setting: SolverSetting, problems: TestSet, warm: bool = True) -> Answers:
-    (found,) = ask(ONE, [(setting, problems)], LIMITS, warm=warm)
-    return found
-
-
 def breaking(name: str, **options: Any) -> SolverSetting:
     return SolverSetting(name, "recommended", options, "")
 
@@ -119,7 +114,7 @@ def test_refused_inconsistent_rows_are_neither_right_nor_wrong(rows, refused):
 def test_cold_sessions_know_nothing_of_each_other():
     """The network forgets: cold, every answer starts from rest."""
     data, setting = TestSet.load("circle").thinned(16), SolverSetting("rnn", "x", {"steps": 5}, "")
-    warm, cold = answers(setting, data), answers(setting, data, warm=False)
+    (warm,), (cold,) = (ask(ONE, [(setting, data)], LIMITS, warm=warm) for warm in (True, False))
     assert np.abs(warm.x[-1] - cold.x[-1]).max() > 1e-3
     np.testing.assert_array_equal(warm.x[0], cold.x[0])
 
@@ -127,7 +122,7 @@ def test_cold_sessions_know_nothing_of_each_other():
 @pytest.mark.parametrize("quiet", [True, False])
 def test_times_are_kept_where_the_machine_was_quiet(quiet, tmp_path, monkeypatch):
     monkeypatch.setattr("moc_opt.study.timing.quiet", lambda row: quiet)
-    asked = answers(EXACT, TestSet.load("circle").thinned(16))
+    (asked,) = ask(ONE, [(EXACT, TestSet.load("circle").thinned(16))], LIMITS)
     (first,), (again,) = (time(partial(ONE, kept=Kept(tmp_path / "jobs")), [asked], LIMITS) for _ in range(2))
     assert first.load["times_calls"] > first.solve.size == first.figures()["timed_solves"] > 0
     slow = first._replace(solve=first.solve + 9.0)
