@@ -279,7 +279,9 @@ def test_a_truncated_solve_is_the_same_solve_cut_short(name):
 def test_inputs_and_earlier_answers_stay_untouched(name):
     qps = [NullSpaceQP.from_row(np.array(qp.row)) for qp in sequence(name, seed=8, count=4)]
     before = [[part.tobytes() for part in (qp.row, qp.P, qp.p, qp.reduced().A)] for qp in qps]
-    session = solver(name).start(qps[0])
+    chosen = solver(name)
+    assert chosen.name == name
+    session = chosen.start(qps[0])
     found = [session.solve(qp) for qp in qps]
     copies = [np.array(s.x) for s in found]
     found[-1].x[:] = 1e9  # the caller's array, not the session's
@@ -295,27 +297,18 @@ def odd_problems() -> list[NullSpaceQP]:
     qp = random_problem(rng, arm=ARM)
     x = create("exact").start(qp).solve(qp).x
     still = {name: np.zeros_like(getattr(qp, name)) for name in ("J_tip", "J_wrist", "v_tip", "v_wrist")}
-    return [
-        changed(qp, grad_mu=np.zeros(7)),
-        changed(qp, lower=x, upper=x),
-        changed(qp, **still),
-        changed(qp, grad_mu=1e6 * qp.grad_mu),
-        changed(qp, lower=-1e6 * np.ones(7), upper=1e6 * np.ones(7)),
-        changed(qp, c0=0.0, c1=0.0),
-        changed(qp, q=None),
-        random_problem(rng, 5, structured=False),
-        random_problem(rng, 9, structured=False),
-    ]
+    odd = (
+        {"grad_mu": np.zeros(7)}, {"lower": x, "upper": x}, still, {"grad_mu": 1e6 * qp.grad_mu},
+        {"lower": -1e6 * np.ones(7), "upper": 1e6 * np.ones(7)}, {"c0": 0.0, "c1": 0.0}, {"q": None},
+    )  # fmt: skip
+    return [*(changed(qp, **parts) for parts in odd), *(random_problem(rng, n, structured=False) for n in (5, 9))]
 
 
 # One bad problem may take these minutes by their own limits.
 CATCH_UP: dict[str, dict[str, Any]] = {
-    "rnn": {"steps": 1000},
-    "qpsolvers:highs": {},
-    "qpsolvers:proxqp": {"options": {"max_iter": 20}},
-    "qpsolvers:osqp": {"options": {"max_iter": 500}},
-    "qpsolvers:scs": {"options": {"max_iters": 500}},
-}
+    "rnn": {"steps": 1000}, "qpsolvers:highs": {}, "qpsolvers:proxqp": {"options": {"max_iter": 20}},
+    "qpsolvers:osqp": {"options": {"max_iter": 500}}, "qpsolvers:scs": {"options": {"max_iters": 500}},
+}  # fmt: skip
 
 
 @every_solver
@@ -341,11 +334,3 @@ def test_nothing_is_raised_at_the_edge_of_what_can_be_computed(name):
     assert taken > 20
     if limits.solved == 1.0 and limits.recovers:
         assert stream.solve(of(name)[0]).status is Status.SOLVED  # and goes on from there
-
-
-@every_solver
-def test_settings_are_frozen_values(name):
-    one, two = solver(name), solver(name)
-    assert isinstance(one, Solver)
-    assert one == two
-    assert one.name == name

@@ -12,13 +12,7 @@ from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.solvers import Status
 from moc_opt.solvers.exact import Exact
 from tests.hard_problems import nearly_singular, rounded
-from tests.problems import (
-    changed,
-    infeasible_problem,
-    out_of_reach,
-    random_problem,
-    unit,
-)
+from tests.problems import changed, infeasible_problem, out_of_reach, random_problem, unit
 
 
 def solve(qp):
