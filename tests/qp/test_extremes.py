@@ -45,17 +45,19 @@ def test_linear_costs_agree_with_highs(seed, shape, size):
     assert beyond < 1e-11 * size * shape[1]  # rounding, which grows with the freedoms
 
 
-@settings(max_examples=60)
-@given(seed=st.integers(0, 10**6), shape=SHAPES, weight=st.floats(-9.0, 2.0))
-def test_damped_optimum_is_certified_and_the_worst_is_a_corner(seed, shape, weight):
-    """Weak duality certifies the optimum; no random feasible point is better than it, or worse than the worst."""
-    Z, low, high, slope = cut_box(seed, shape)
-    regularization = float(np.linalg.norm(slope) * 10.0**weight)
+@settings(max_examples=100)
+@given(
+    seed=st.integers(0, 10**6), shape=SHAPES, weight=st.floats(-9.0, 2.0), size=st.sampled_from([1e-6, 1e-4, 1.0, 1e3])
+)
+def test_damped_optimum_is_certified_and_the_worst_is_a_corner(seed, shape, weight, size):
+    """In any unit of speed and cost, by weak duality; no random feasible point is better, or worse than the worst."""
+    Z, low, high, slope = cut_box(seed, shape, size)
+    regularization = float(np.linalg.norm(slope) * 10.0**weight / size)
     found = extremes(Z, low, high, slope, regularization)
     cost = lambda w: slope @ w + 0.5 * regularization * (w * w).sum(0)  # noqa: E731
     spread = found.most - found.least
     assert cost(found.w) == pytest.approx(found.least, abs=1e-8 * spread)
-    assert np.maximum(low - Z @ found.w, Z @ found.w - high).max() < 1e-10
+    assert np.maximum(low - Z @ found.w, Z @ found.w - high).max() < 1e-10 * size
     rng = np.random.default_rng(seed)
     directions = rng.normal(size=(shape[1], 200))
     moved = Z @ directions
@@ -66,25 +68,6 @@ def test_damped_optimum_is_certified_and_the_worst_is_a_corner(seed, shape, weig
     if module.comb(*shape) << shape[1] <= module.MOST_CORNERS:
         assert cost(w).max() <= found.most + 1e-9 * spread
     np.testing.assert_allclose(Z.T @ found.pull, slope, atol=1e-9 * np.abs(slope).max())
-
-
-@settings(max_examples=40)
-@given(
-    seed=st.integers(0, 10**6), shape=st.sampled_from([(5, 2), (7, 2), (8, 3)]),
-    weight=st.sampled_from([0.0, 1e-3, 1.0]), size=st.sampled_from([1e-6, 1e-4, 1e3]),
-    steep=st.sampled_from([1e-6, 1e3]),
-)  # fmt: skip
-def test_the_units_of_speed_and_cost_do_not_matter(seed, shape, weight, size, steep):
-    Z, low, high, slope = cut_box(seed, shape)
-    slope = slope / np.linalg.norm(slope)
-    one = extremes(Z, low, high, slope, weight)
-    other = extremes(Z, size * low, size * high, steep * slope, steep / size * weight)
-    np.testing.assert_allclose(other.w / size, one.w, atol=1e-7)
-    np.testing.assert_allclose(other.pull / steep, one.pull, atol=1e-7)
-    spread = one.most - one.least
-    assert (other.least, other.most) == pytest.approx(
-        (size * steep * one.least, size * steep * one.most), abs=1e-9 * size * steep * spread
-    )
 
 
 @pytest.mark.parametrize("shape", [(7, 2), (8, 3), (9, 4)])

@@ -108,21 +108,9 @@ def check_assembled(qp, rows):
     assert not any(part.flags.writeable for part in found)
 
 
-@settings(max_examples=60)
-@given(seed=st.integers(0, 10_000), n=st.sampled_from([6, 7, 9]), structured=st.booleans())
-def test_five_rows_say_the_same_as_six(seed, n, structured):
-    rng = np.random.default_rng(seed)
-    qp = random_problem(rng, n, structured=structured)
-    check_assembled(qp, 5)
-    five, y = qp.reduced(), rng.normal(size=5)
-    x = np.linalg.lstsq(five.A, five.b, rcond=None)[0]
-    np.testing.assert_allclose(qp.A @ x, qp.b, atol=1e-10)
-    np.testing.assert_allclose(five.A.T @ y, qp.A.T @ (five.lift.T @ y), atol=1e-12)
-
-
 @settings(max_examples=100)
 @given(
-    seed=st.integers(0, 10_000), n=st.sampled_from([1, 2, 3, 7]), rank=st.integers(0, 3),
+    seed=st.integers(0, 10_000), n=st.sampled_from([1, 2, 3, 7, 9]), rank=st.integers(0, 3),
     apart=st.sampled_from([0.0, 1e-9, 0.9e-7, 1.1e-7, 1e-5]), size=st.sampled_from([1e-3, 1.0, 1e3]),
 )  # fmt: skip
 def test_a_row_is_left_out_only_where_the_tool_is_rigid(seed, n, rank, apart, size):
@@ -138,15 +126,14 @@ def test_a_row_is_left_out_only_where_the_tool_is_rigid(seed, n, rank, apart, si
         assert len(left.b) == 6
     elif rank == 2 and smallest < 0.999 * tied:
         assert len(left.b) == 5
+    check_assembled(qp, len(left.b))
     if len(left.b) == 5:
-        check_assembled(qp, 5)
         lost = np.cross(left.lift[3, 3:], left.lift[4, 3:]) @ (qp.J_tip - qp.J_wrist)
         assert np.linalg.norm(lost) <= 1.001 * tied
 
 
-def test_six_rows_where_nothing_is_tied_and_where_they_are_asked_for(qp):
-    J = np.random.default_rng(3).normal(size=(2, 3, 7))
-    check_assembled(changed(qp, J_tip=J[0], J_wrist=J[1]), 6)
+def test_six_rows_where_they_are_asked_for(qp):
+    check_assembled(qp, 5)
     found = qp.assembled(6)
     np.testing.assert_array_equal(found.lift, np.eye(6))
     np.testing.assert_array_equal(found.A, qp.A)

@@ -2,13 +2,12 @@
 
 import numpy as np
 import pytest
-from scipy.optimize import linprog
+from scipy.optimize import Bounds, LinearConstraint, milp
 
 from moc_opt.qp import residuals as optimality
 from moc_opt.qp.problem import NullSpaceQP, compute_residuals
 from moc_opt.qp.residuals import Residuals
 from moc_opt.solvers.exact import Exact
-from tests.hard_problems import rounded
 from tests.problems import changed, random_problem
 from tests.wrong_answers import corners, cost, kernel, wrong_corners
 
@@ -44,16 +43,10 @@ def test_best_natural_is_the_smallest_over_all_duals(n, structured):
     rng = np.random.default_rng(7)
 
     def reachable(qp, x, t):
-        g0 = qp.P @ x + qp.p
-        high = np.where(x - qp.lower <= t, np.inf, t)
-        low = np.where(qp.upper - x <= t, -np.inf, -t)
-        A = np.vstack([qp.A.T, -qp.A.T])
-        b = np.concatenate([high - g0, g0 - low])
-        keep = np.isfinite(b)
-        if not keep.any():
-            return True
-        scale = 1e4  # the numbers are small against the program's own tolerance
-        return linprog(np.zeros(6), A_ub=A[keep], b_ub=b[keep] * scale, bounds=(None, None)).status == 0
+        low, high = np.where(qp.upper - x <= t, -np.inf, -t), np.where(x - qp.lower <= t, np.inf, t)
+        scale, slope = 1e4, qp.P @ x + qp.p  # the numbers are small against the program's own tolerance
+        rows = LinearConstraint(qp.A.T, scale * (low - slope), scale * (high - slope))
+        return milp(np.zeros(6), constraints=rows, bounds=Bounds()).status == 0
 
     for _ in range(3):
         qp = random_problem(rng, n, structured=structured)
@@ -262,18 +255,6 @@ def test_a_batch_may_mix_ranks_and_idle_joints():
             np.testing.assert_allclose([f.ravel()[k] for f in together], alone, rtol=1e-9, atol=1e-12)
 
 
-@pytest.mark.parametrize("decimals", [7, 8, 10, 12])
-def test_rounded_jacobians_keep_their_freedoms(decimals):
-    rng = np.random.default_rng(decimals)
-    for k in range(4):
-        qp = rounded(random_problem(rng, 7 + k % 2, structured=k % 2 == 0, regularization=0.0), decimals)
-        five, (x, _) = qp.reduced(), optimum(qp)
-        assert len(five.b) == 5
-        assert qp.residuals(x).verified()
-        worst = linprog(qp.grad_mu, A_eq=five.A, b_eq=five.b, bounds=list(zip(qp.lower, qp.upper, strict=True)))
-        assert qp.residuals(worst.x).loss == pytest.approx(1.0, abs=1e-5)
-
-
 @pytest.mark.parametrize("regularization", [0.0, 0.2])
 def test_natural_is_the_residual_of_the_whole_cost(regularization):
     """By its definition with the P and p of the problem, anywhere, feasible or not."""
@@ -357,21 +338,6 @@ def test_nan_is_infinitely_wrong_and_relative_does_not_depend_on_c2():
     middle = optimum(changed(qp, regularization=1.0))[0]
     big, small = (changed(qp, c2=c).residuals(middle).relative for c in (1.0, 1e-6))
     assert big == pytest.approx(small, rel=1e-9)
-
-
-@pytest.mark.parametrize("regularization", [0.0, 1e-5])
-@pytest.mark.parametrize("n", [12, 16])
-def test_arms_of_many_freedoms_are_judged_too(n, regularization):
-    qp = random_problem(np.random.default_rng(9), n, regularization=regularization)
-    x, y = optimum(qp)
-    found = qp.residuals(x, y)
-    assert found.verified()
-    assert max(found.natural_best, found.relative, found.loss) < 1e-9
-    opposite, _ = optimum(changed(qp, grad_mu=-qp.grad_mu, regularization=0.0))
-    for wrong, least in ((opposite, 0.5), (0.5 * (x + opposite), 0.05)):
-        found = qp.residuals(wrong)
-        assert found.loss > least
-        assert not found.verified()
 
 
 def test_ranks_are_decided_one_by_one_in_batches_of_any_shape():
