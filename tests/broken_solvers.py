@@ -1,5 +1,6 @@
 """Solvers that misbehave, as a plug-in on disk: workers find them as they find any third party's."""
 
+from collections.abc import Mapping
 from pathlib import Path
 
 MODULE = """
@@ -72,13 +73,17 @@ class Untidy:
         return None
 """
 NAMES = ("hangs", "stuck", "crashes", "raises", "quits", "once", "untyped")
+POINTS = {name: name.capitalize() for name in NAMES}
 
 
-def install(folder: Path) -> Path:
-    """Write the plug-in; the folder must then be on sys.path."""
-    info = folder / "broken_solvers_plugin-1.0.dist-info"
+def install(
+    folder: Path, package: str = "broken_solvers_plugin", source: str = MODULE, points: Mapping[str, str] = POINTS
+) -> Path:
+    """Write a plug-in as pip leaves it: name of a solver -> its class; the folder must then be on sys.path."""
+    info = folder / f"{package}-1.0.dist-info"
     info.mkdir(parents=True)
-    (folder / "broken_solvers_plugin.py").write_text(MODULE)
-    lines = "\n".join(f"{name} = broken_solvers_plugin:{name.capitalize()}" for name in NAMES)
-    (info / "entry_points.txt").write_text(f"[moc_opt.solvers]\n{lines}\n")
+    (folder / f"{package}.py").write_text(source)
+    (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {package}\nVersion: 1.0\n")
+    lines = [f"{name} = {package}:{made}" for name, made in points.items()]
+    (info / "entry_points.txt").write_text("\n".join(["[moc_opt.solvers]", *lines, ""]))
     return folder

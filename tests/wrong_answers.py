@@ -34,11 +34,6 @@ def cost(qp: NullSpaceQP, x: Array) -> Array:
     return 0.5 * qp.regularization * (x**2).sum(-1) - qp.c2 * x @ qp.grad_mu
 
 
-def corners(qp: NullSpaceQP, x: Array) -> Array:
-    """All corners (k, n) of the feasible set, which passes through x: r joints at their bounds."""
-    return candidates(qp, kernel(qp), x, damped=False)
-
-
 def candidates(qp: NullSpaceQP, Z: Array, base: Array, *, damped: bool) -> Array:
     """All points (k, n) of base + span Z in the box where r bounds are met.
 
@@ -92,9 +87,8 @@ def wrong_corners(
         qp = problems.random_problem(rng, n, structured=False)
         x = np.linalg.lstsq(qp.A, qp.b, rcond=1e-9)[0]
         qp, x = changed(qp, x, tilt, size, regularization)
-        points = corners(qp, x)
-        costs = cost(qp, points)
-        best = cost(qp, candidates(qp, kernel(qp), x, damped=True)).min()
+        points, others = (candidates(qp, kernel(qp), x, damped=damped) for damped in (False, True))
+        costs, best = cost(qp, points), cost(qp, others).min()
         share = (costs - best) / (costs.max() - best)
         bad = np.flatnonzero(share > least)
         found += [Wrong(qp, points[i], float(share[i])) for i in rng.permutation(bad)[:4]]

@@ -1,5 +1,7 @@
 """Settings that speak plainly: frozen, closed, and every error names field, value and range."""
 
+import importlib
+import pkgutil
 import re
 from typing import Any, ClassVar, Literal
 
@@ -7,6 +9,8 @@ import numpy as np
 import pytest
 from pydantic import Field
 
+import benchmarks
+import moc_opt
 from moc_opt.errors import ControlError, MocOptError, ScenarioError
 from moc_opt.inputs.settings import Settings
 
@@ -84,22 +88,14 @@ def test_errors_name_table_field_value_and_range():
 
 def every_table():
     """All classes of settings of the package and of its benchmarks."""
-    import importlib
-    import pkgutil
-
-    import benchmarks
-    import moc_opt
-
     for package in (moc_opt, benchmarks):
         for module in pkgutil.walk_packages(package.__path__, package.__name__ + "."):
             if "__main__" not in module.name:
                 importlib.import_module(module.name)
-    found, left = [], [Settings]
-    while left:
-        children = left.pop().__subclasses__()
-        found += children
-        left += children
-    return [table for table in found if table.__module__.startswith(("moc_opt.", "benchmarks."))]
+    found = [Settings]
+    for table in found:  # grows while it is walked
+        found += table.__subclasses__()
+    return [table for table in found[1:] if table.__module__.startswith(("moc_opt.", "benchmarks."))]
 
 
 NEEDED = {"last_link": "link_7", "group": "solver", "low": 0.0, "high": 1.0}

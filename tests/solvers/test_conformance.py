@@ -91,9 +91,9 @@ def kinematics() -> Any:
     return ARM.kinematics()
 
 
-def solver(name: str) -> Solver:
-    extra = {"kinematics": kinematics()} if expect(name).arm else {}
-    return create(name, **expect(name).settings, **extra)
+def solver(name: str, arm: Any = None, settings: dict[str, Any] | None = None) -> Solver:
+    extra = {"kinematics": arm or kinematics()} if expect(name).arm else {}
+    return create(name, **(expect(name).settings if settings is None else settings), **extra)
 
 
 @cache
@@ -147,10 +147,9 @@ def recorded(arm: str) -> tuple[list[NullSpaceQP], Any]:
 @pytest.mark.parametrize("arm", available_robots())
 @every_solver
 def test_claimed_answers_to_recorded_subproblems_of_every_arm_are_optimal(name, arm):
-    limits, (qps, kinematics) = expect(name), recorded(arm)
-    extra = {"kinematics": kinematics} if limits.arm else {}
-    session = create(name, **limits.settings, **extra).start(qps[0])
-    check_claims(limits, qps, [session.solve(qp) for qp in qps])
+    qps, moving = recorded(arm)
+    session = solver(name, moving).start(qps[0])
+    check_claims(expect(name), qps, [session.solve(qp) for qp in qps])
 
 
 @every_solver
@@ -315,8 +314,7 @@ CATCH_UP: dict[str, dict[str, Any]] = {
 def test_nothing_is_raised_at_the_edge_of_what_can_be_computed(name):
     """Odd, rounded, nearly singular, huge and tiny: cold and in a stream, after an update too, there is a status."""
     limits = expect(name)
-    extra = {"kinematics": kinematics()} if limits.arm else {}
-    chosen = create(name, **CATCH_UP.get(name, limits.settings), **extra)
+    chosen = solver(name, settings=CATCH_UP.get(name))
     stream, taken = chosen.start(of(name)[0]), 0
     for qp in [*odd_problems(), *hard_problems(ARM if limits.arm else None)[::2]]:
         found = [stream.solve(qp)]

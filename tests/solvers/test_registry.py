@@ -13,6 +13,7 @@ import pytest
 from moc_opt.errors import SolverError, UnknownNameError
 from moc_opt.solvers import available, create, registry
 from moc_opt.solvers.qpsolvers import ALLOWED, checked
+from tests import broken_solvers
 from tests.problems import random_problem
 
 HERE = [name for name, reason in available().items() if reason is None]
@@ -21,16 +22,9 @@ ABSENT = next(name for name, reason in available().items() if reason is not None
 
 @pytest.fixture
 def install(tmp_path, monkeypatch):
-    """A function `install(package, source, **entry points)`: a distribution on disk, as pip leaves it."""
-
     def made(package, source, **points):
-        info = tmp_path / package / f"{package}-1.0.dist-info"
-        info.mkdir(parents=True)
-        (tmp_path / package / f"{package}.py").write_text(source)
-        (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {package}\nVersion: 1.0\n")
-        lines = [f"{name.replace('__', ':')} = {package}:{what}" for name, what in points.items()]
-        (info / "entry_points.txt").write_text("\n".join([f"[{registry.GROUP}]", *lines, ""]))
-        monkeypatch.syspath_prepend(tmp_path / package)
+        named = {name.replace("__", ":"): what for name, what in points.items()}
+        monkeypatch.syspath_prepend(broken_solvers.install(tmp_path / package, package, source, named))
         monkeypatch.delitem(sys.modules, package, raising=False)
 
     return made
