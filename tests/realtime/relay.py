@@ -44,7 +44,6 @@ class Relay:
 
     @property
     def address(self) -> str:
-        """Where the controller is to connect to."""
         return written(self._ends[0].getsockname())
 
     def __enter__(self) -> Self:
@@ -102,8 +101,6 @@ NO_TIME: Any = SimpleNamespace(late_us=0.0, overruns=0, wait_for=lambda tick: 0.
 
 
 class Peer:
-    """The controller, played by the test."""
-
     def __init__(self, robot) -> None:
         self.n, self.k = robot.n, 0
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)

@@ -17,7 +17,6 @@ BARE = {"bound_samples": 0, "judge": False}
 
 @pytest.mark.parametrize("name", available_robots())
 def test_every_arm_does_the_default_task(name):
-    """A whole circle under both laws: it completes, stays precise, and the third level finds what there is."""
     asked = Scenario(robot={"name": name}, bound_samples=0, task={"sizes": {"radius": 0.02}, "hold_s": 0.1})
     moc, dcac = run(asked), run(asked.change(control=asked.control.matched_dcac(), judge=False))
     assert (moc.meta["ended"], dcac.meta["ended"]) == ("completed", "completed")

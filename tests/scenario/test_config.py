@@ -160,7 +160,6 @@ def test_same_seed_same_trace_to_the_bit(law):
 
 
 def test_a_robots_file_is_found_from_the_scenarios_folder(tmp_path, monkeypatch):
-    """Wherever the command is started; names of the package and absolute paths stay as they are."""
     folder = tmp_path / "arms"
     folder.mkdir()
     for kind in ("toml", "urdf"):

@@ -175,7 +175,6 @@ def test_a_file_that_is_no_course_is_refused(course, tmp_path):
 
 
 def test_a_course_is_made_smooth_within_what_it_was_planned_for(tmp_path):
-    """Slower and further from limits than the third level's own."""
     within = {"margin_rad": 0.6, "speed_share": 0.1}
     to = save_course(plan(SCENARIO, **within), SCENARIO, tmp_path / "slow.parquet", within)
     scenario = SCENARIO.change(control={"course": str(to)})

@@ -72,7 +72,6 @@ def test_without_loss_the_wire_changes_nothing(name):
 
 
 def test_where_the_plant_waits_no_fault_of_the_wire_changes_the_run():
-    """It sends a measurement again until the command comes: each kind of fault is counted, none is felt."""
     scenario = Scenario(**SHORT, wire={"resend_s": 0.02, "resends": 1000})
     found, ending, relay = wired(scenario, {"share": 0.04, "seed": 1})
     expected = run(scenario)

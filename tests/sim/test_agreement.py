@@ -20,7 +20,6 @@ URDF, TOML = ((FOLDER / f"lwr4.{kind}").read_text(encoding="utf-8") for kind in 
 
 
 def edited(text, link, attribute, value):
-    """The text with the first such attribute after the link's opening replaced."""
     place = text.index(f'<link name="{link}">')
     return text[:place] + re.sub(rf'{attribute}="[^"]*"', f'{attribute}="{value}"', text[place:], count=1)
 
@@ -35,7 +34,6 @@ def test_an_inertia_that_one_engine_drops_is_seen(robot, attribute, value):
 
 @pytest.mark.parametrize("change", ["M", "h", "tip", "wrist"])
 def test_every_term_is_compared(robot, change):
-    """Thirty times the tolerance in one term is found, a tenth of it is let go."""
 
     def shifted(scale):
         def state(q, v):

@@ -19,7 +19,6 @@ MODEL = RobotModel(DATA)
 
 
 def numpy_shaft_force(tip, wrist, twist, origin, trocar, elapsed, stiffness, damping):
-    """The formula, term by term."""
     u = (tip - wrist) / np.linalg.norm(tip - wrist)
     p = trocar[0] + elapsed * trocar[1]
     c = tip + u * (u @ (p - tip))

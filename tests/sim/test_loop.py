@@ -18,8 +18,6 @@ TICKS = 25
 
 
 class Holding:
-    """Holds the arm by the model's gravity and some damping, and remembers what it was shown."""
-
     def __init__(self, robot, push=3.0):
         self.robot, self.push = robot, push
         self.started, self.seen, self.order = [], [], []

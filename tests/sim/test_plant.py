@@ -51,7 +51,6 @@ def drive(plant, tau, periods):
 
 
 def run(plant, periods, seed=0, trocar=TROCAR):
-    """Drive the arm with some seeded torques; the record of everything it shows."""
     rng = np.random.default_rng(seed)
     hold, rows = plant.applied_torque, []
     for _ in range(periods):

@@ -49,7 +49,6 @@ def test_a_board_that_is_never_seen_is_told_before_anything_moves(hidden, reason
 
 @pytest.fixture(scope="module")
 def run():
-    """The whole loop, the board lost for a second in the middle of the circle."""
     scene = Augmented(ROBOT, PHANTOM, camera=EXACT, board=Board(hidden_fraction=0.2, lost_s=((2.0, 3.0),)))
     path = scene.board.task_in_base(CIRCLE, scene.locate())
     q = pose_through(ROBOT, path.start, INCISION)
@@ -79,7 +78,7 @@ def test_the_task_waits_the_tip_holds_and_nothing_jumps(run):
     assert played[-1] > played[holding][0] + 1.0
 
 
-def test_the_film_shows_the_run(run, tmp_path):
+def test_the_film_shows_the_run_or_is_refused_where_it_cannot_be_written(run, tmp_path):
     scene, path, trace, _, _ = run
     short = trace.select(np.arange(len(trace)) < 500)
     assert scene.film(tmp_path / "run.webm", short, path, INCISION) == 20
@@ -88,6 +87,8 @@ def test_the_film_shows_the_run(run, tmp_path):
     assert not film.read()[0]
     assert pictures[0].shape == (480, 640, 3)
     assert (pictures[0] != pictures[-1]).any()
+    with pytest.raises(PlantError):
+        save_film(tmp_path / "nowhere" / "film.webm", [BLANK], 30.0)
 
 
 FLAT = Pose(np.eye(3), (0.6, 0.0, 0.05))
@@ -113,8 +114,3 @@ def test_task_tip_and_trocar_are_where_they_project_to(trocar):
     assert near(page, TIP, TIP_PLACE)
     assert near(page, TROCAR, TIP_PLACE + 0.03 * (trocar - TIP_PLACE) / np.linalg.norm(trocar - TIP_PLACE))
     assert not BLANK.any()
-
-
-def test_a_film_that_cannot_be_written_is_refused(tmp_path):
-    with pytest.raises(PlantError):
-        save_film(tmp_path / "nowhere" / "film.webm", [BLANK], 30.0)

@@ -59,7 +59,6 @@ def reference(kind="circle", v_max=0.05, a_max=0.2, **sizes):
 
 
 def check_followed(found, task, trocar):
-    """Tip and shaft are where they should be at every point of a way through the task."""
     tips, wrists = ROBOT.tool_along(found)
     t = preflight._places(task, trocar, np.inf).t
     np.testing.assert_allclose(tips, task.at(t)[0], atol=2e-6)
