@@ -4,7 +4,6 @@ import select
 import socket
 import threading
 from collections import Counter
-from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any, Self
 
@@ -15,7 +14,6 @@ from moc_opt.realtime.wire import ENDED, Kind, Link, WireSettings, make_packet, 
 from moc_opt.scenario import Scenario, make_safety_filter
 from moc_opt.sim.sensors import Measurement
 
-Rule = Callable[[Kind, int], bool]
 TO_PLANT, TO_CONTROLLER = 0, 1
 END, BYE = (Kind.MEASUREMENT, ENDED), (Kind.BYE, 0)
 FAULTS = ("drop", "double", "cut", "forge")
@@ -28,9 +26,7 @@ class Relay:
     is lost for good. Nothing happens to packets to an end that has the last one it waits for: it no longer counts.
     """
 
-    def __init__(
-        self, plant: tuple[str, int], share: float = 0.0, lost: Rule = lambda kind, number: False, seed: int = 0
-    ) -> None:
+    def __init__(self, plant, share=0.0, lost=lambda kind, number: False, seed=0) -> None:
         self._plant, self._share, self._lost = plant, share, lost
         self._rng = np.random.default_rng(seed)
         self._ends = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(2)]

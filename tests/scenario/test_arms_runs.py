@@ -32,9 +32,7 @@ def test_every_arm_does_the_default_task(name):
 @pytest.mark.parametrize(("preset", "more"), [(None, 2), ("tuned", 1), ("robust", 1)])
 @pytest.mark.parametrize("name", available_robots())
 def test_every_preset_is_for_every_arm(name, preset, more):
-    """Also where the loop has more ticks of delay, three in all under the default gains from a random
-    pose, and no friction that would hide a joint that swings: idle joints come to rest.
-    """
+    """With more ticks of delay (three under the default gains), and no friction that hides idle joints that swing."""
     asked = Scenario(
         seed=1, robot={"name": name}, control={"preset": preset} if preset else {}, duration_s=2.5, **BARE,
         start={"pose": "home" if preset else "random"},
