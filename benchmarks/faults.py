@@ -81,9 +81,8 @@ class Case(Settings):
     faults: dict[str, Any] = Field(default_factory=dict)
     plant: dict[str, Any] = Field(default_factory=dict)
     trocar: dict[str, Any] = Field(default_factory=dict)
-    camera_lost_s: tuple[float, float] | None = Field(
-        None, description="the board is out of sight from .. until; the tip waits meanwhile"
-    )
+    camera_lost_s: tuple[float, float] | None = None
+    """the board is out of sight from .. until; the tip waits meanwhile"""
     from_s: float = Field(0.0, ge=0.0)
     until_s: float | None = Field(None, ge=0.0, description="None: it lasts")
 

@@ -64,33 +64,23 @@ class SupervisorSettings(Settings):
     ERROR: ClassVar[type[MocOptError]] = ControlError
 
     check: bool = Field(True, description="whether the residuals of answers that are claimed optimal are checked")
-    primal_limit: float = Field(
-        1e-2, gt=0.0, description="largest |A x - b| or box violation of an answer claimed optimal [m/s, rad/s]"
-    )
-    box_limit: float = Field(
-        0.1, gt=0.0, description="the same limit for an answer without that claim: of |A x - b|, too [m/s, rad/s]"
-    )
-    relative_limit: float = Field(
-        0.05, gt=0.0,
-        description="largest natural residual along the self-motion, with the gradient scaled to length 1 [rad/s]",
-    )  # fmt: skip
-    opposite_limit: float = Field(
-        1e-3, gt=0.0,
-        description="a claim is false if x is more than this from the optimum and nearer to the one for the negated "
-        "gradient [rad/s]",
-    )  # fmt: skip
-    hold_ticks: int = Field(
-        10, ge=0, description="ticks for which the last good answer is held, before the self-motion is damped"
-    )
-    keep_off_limits: bool = Field(
-        True, description="after hold_ticks, move the elbow only as the box demands; False: damping only"
-    )
+    primal_limit: float = Field(1e-2, gt=0.0)
+    """largest |A x - b| or box violation of an answer claimed optimal [m/s, rad/s]"""
+    box_limit: float = Field(0.1, gt=0.0)
+    """the same limit for an answer without that claim: of |A x - b|, too [m/s, rad/s]"""
+    relative_limit: float = Field(0.05, gt=0.0)
+    """largest natural residual along the self-motion, with the gradient scaled to length 1 [rad/s]"""
+    opposite_limit: float = Field(1e-3, gt=0.0)
+    """a claim is false if x is more than this from the optimum and nearer to the one for the negated gradient
+    [rad/s]"""
+    hold_ticks: int = Field(10, ge=0)
+    """ticks for which the last good answer is held, before the self-motion is damped"""
+    keep_off_limits: bool = True
+    """after hold_ticks, move the elbow only as the box demands; False: damping only"""
     budget_us: float | None = Field(None, gt=0.0, description="time that a solve may take; left out: no limit")
-    late: Literal["hold", "zero", "iterate"] = Field(
-        "hold",
-        description="what replaces a late answer: the last good one, zero, or ('iterate') what the solver has when the "
-        "budget ends, which is its whole answer where it cannot be interrupted",
-    )
+    late: Literal["hold", "zero", "iterate"] = "hold"
+    """what replaces a late answer: the last good one, zero, or ('iterate') what the solver has when the budget
+    ends, which is its whole answer where it cannot be interrupted"""
 
 
 _FAULTS = tuple(Fault)  #: In the order of the core's enum.

@@ -46,10 +46,8 @@ class Scenario(Settings):
 
     KIND: ClassVar[str] = "scenario:"
     name: Name = Field("circle", description="title of the run")
-    seed: int = Field(
-        0, ge=0, le=LARGEST_INTEGER,
-        description="seed of the random starting pose and swivel, of the plant's mismatch and of its noise",
-    )  # fmt: skip
+    seed: int = Field(0, ge=0, le=LARGEST_INTEGER)
+    """seed of the random starting pose and swivel, of the plant's mismatch and of its noise"""
     robot: RobotTable = RobotTable()
     start: StartTable = StartTable()
     trocar: TrocarTable = TrocarTable()
@@ -57,30 +55,21 @@ class Scenario(Settings):
     control: ControlSettings = ControlSettings()
     solver: SolverTable = SolverTable()
     plant: PlantSettings = PlantSettings()
-    duration_s: float | None = Field(
-        None, gt=0.0, le=MOST_S,
-        description="time after which the run stops early; left out: it runs to the end of the path",
-    )  # fmt: skip
-    deadline_us: float = Field(
-        2000.0, gt=0.0, le=1e9, description="a tick that takes longer counts as a missed deadline"
-    )
+    duration_s: float | None = Field(None, gt=0.0, le=MOST_S)
+    """time after which the run stops early; left out: it runs to the end of the path"""
+    deadline_us: float = Field(2000.0, gt=0.0, le=1e9)
+    """a tick that takes longer counts as a missed deadline"""
     guard: SafetyFilterSettings = SafetyFilterSettings()
     faults: FaultSettings = FaultSettings()
     wire: WireSettings = WireSettings()
     judge: bool = Field(True, description="whether every answer is judged after the run")
-    metrics: tuple[Name, ...] = Field(
-        (),
-        description="names of the metrics that `moc-opt run` prints; `moc-opt metrics` lists them; empty: a short "
-        "selection",
-    )
-    bound_samples: int = Field(
-        25, ge=0, le=100_000, description="number of points of the path at which the largest mu is searched for"
-    )
-    best_courses: bool = Field(
-        False,
-        description="plan the best courses of the path after the run and compare mu with them, for a second or more; "
-        "`moc-opt run` does so unless this is set",
-    )
+    metrics: tuple[Name, ...] = ()
+    """names of the metrics that `moc-opt run` prints; `moc-opt metrics` lists them; empty: a short selection"""
+    bound_samples: int = Field(25, ge=0, le=100_000)
+    """number of points of the path at which the largest mu is searched for"""
+    best_courses: bool = False
+    """plan the best courses of the path after the run and compare mu with them, for a second or more; `moc-opt
+    run` does so unless this is set"""
 
     def __init__(self, **values: Any) -> None:
         try:

@@ -24,12 +24,10 @@ class RobotTable(Settings):
 
     KIND: ClassVar[str] = "[robot]"
     name: str = Field("lwr4", description="a robot of the package, or a path to a URDF or TOML")
-    tool_length_m: float | None = Field(
-        None, gt=0.0, le=10.0, description="length from mount to tip; left out: the length in the robot's file"
-    )
-    tool_mass_kg: float | None = Field(
-        None, gt=0.0, le=1000.0, description="mass of the tool; left out: the mass in the robot's file"
-    )
+    tool_length_m: float | None = Field(None, gt=0.0, le=10.0)
+    """length from mount to tip; left out: the length in the robot's file"""
+    tool_mass_kg: float | None = Field(None, gt=0.0, le=1000.0)
+    """mass of the tool; left out: the mass in the robot's file"""
 
     def arm(self) -> RobotModel:
         """Load the robot, and build its model; a MocOptError where something is wrong with its files."""
@@ -40,25 +38,19 @@ class StartTable(Settings):
     """The pose of the arm at t = 0. The swivel moves the elbow, and neither tip nor wrist."""
 
     KIND: ClassVar[str] = "[start]"
-    pose: Literal["home", "random"] = Field(
-        "home", description="'random': a pose drawn by the seed, from which the whole task can be done"
-    )
+    pose: Literal["home", "random"] = "home"
+    """'random': a pose drawn by the seed, from which the whole task can be done"""
     q_rad: tuple[float, ...] | None = Field(None, description="joint positions that replace the robot's home pose")
-    swivel: Annotated[float, Field(ge=0.0, le=1.0)] | Literal["given", "random"] = Field(
-        "given",
-        description="place of the elbow, as a share from 0 to 1 of the range that the joint limits leave; 'given': "
-        "that of q; 'random': drawn by the seed",
-    )
-    limit_margin_rad: float = Field(
-        0.05, ge=0.0, le=3.0,
-        description="under pose 'random': least distance of a joint from its limits, at the start and along the path. "
-        "A smaller one than control.limit_margin_rad lets the run begin with a joint outside the third level's box, "
-        "which then moves back from the limit",
-    )  # fmt: skip
+    swivel: Annotated[float, Field(ge=0.0, le=1.0)] | Literal["given", "random"] = "given"
+    """place of the elbow, as a share from 0 to 1 of the range that the joint limits leave; 'given': that of q;
+    'random': drawn by the seed"""
+    limit_margin_rad: float = Field(0.05, ge=0.0, le=3.0)
+    """under pose 'random': least distance of a joint from its limits, at the start and along the path. A
+    smaller one than control.limit_margin_rad lets the run begin with a joint outside the third level's box,
+    which then moves back from the limit"""
     limit_margin_m: float = Field(0.05, ge=0.0, le=3.0, description="limit_margin_rad for a sliding joint")
-    check_path: bool = Field(
-        True, description="refuse a path that the kinematics cannot follow; the search can miss a way that exists"
-    )
+    check_path: bool = True
+    """refuse a path that the kinematics cannot follow; the search can miss a way that exists"""
 
     @model_validator(mode="after")
     def _one_pose(self) -> Self:
@@ -72,16 +64,13 @@ class TrocarTable(Settings):
 
     KIND: ClassVar[str] = "[trocar]"
     depth_m: float = Field(0.15, gt=0.0, le=10.0, description="depth of the tip below the trocar at t = 0")
-    breathing_amplitude_m: float = Field(
-        0.0, ge=0.0, le=0.5, description="amplitude of the trocar's motion; 0: it rests"
-    )
+    breathing_amplitude_m: float = Field(0.0, ge=0.0, le=0.5)
+    """amplitude of the trocar's motion; 0: it rests"""
     breathing_period_s: float = Field(4.0, gt=0.0, le=MOST_S, description="period of one breath")
-    breathing_direction: Vector = Field(
-        (0.0, 0.0, 1.0), description="direction of the breathing in base axes, of any length"
-    )
-    breathing_known: bool = Field(
-        True, description="whether the registered trocar, which the controller is given, moves with the breathing"
-    )
+    breathing_direction: Vector = (0.0, 0.0, 1.0)
+    """direction of the breathing in base axes, of any length"""
+    breathing_known: bool = True
+    """whether the registered trocar, which the controller is given, moves with the breathing"""
 
     @property
     def breathing(self) -> tuple[float, float, Vector]:
@@ -93,21 +82,15 @@ class TaskTable(Settings):
     """The path of the tip."""
 
     KIND: ClassVar[str] = "[task]"
-    path: Name = Field(
-        "circle",
-        description="name of the path; `moc-opt tasks` lists them; 'waypoints': a smooth curve through waypoints_m",
-    )
-    sizes: dict[Name, Annotated[float, Field(ge=-1e3, le=1e3)]] = Field(
-        default_factory=dict, description="sizes of the path [m]; `moc-opt tasks` lists those of each path"
-    )
-    waypoints_m: tuple[Vector, ...] | None = Field(
-        None, description="points of the tip relative to its start: along the heading, to the left, along the normal"
-    )
+    path: Name = "circle"
+    """name of the path; `moc-opt tasks` lists them; 'waypoints': a smooth curve through waypoints_m"""
+    sizes: dict[Name, Annotated[float, Field(ge=-1e3, le=1e3)]] = Field(default_factory=dict)
+    """sizes of the path [m]; `moc-opt tasks` lists those of each path"""
+    waypoints_m: tuple[Vector, ...] | None = None
+    """points of the tip relative to its start: along the heading, to the left, along the normal"""
     normal: Vector = Field((0.0, 0.0, 1.0), description="normal of the path's plane in base axes, of any length")
-    heading: Vector = Field(
-        (1.0, 0.0, 0.0),
-        description="direction in which the path begins, in base axes; only its part in the path's plane counts",
-    )  # fmt: skip
+    heading: Vector = (1.0, 0.0, 0.0)
+    """direction in which the path begins, in base axes; only its part in the path's plane counts"""
     v_max_m_per_s: float = Field(0.05, gt=0.0, le=10.0, description="largest speed of the tip")
     a_max_m_per_s2: float = Field(0.2, gt=0.0, le=1e6, description="largest acceleration of the tip, in curves too")
     wait_s: float = Field(0.5, ge=0.0, le=MOST_S, description="rest before the path begins")
@@ -141,15 +124,11 @@ class SolverTable(Settings):
     KIND: ClassVar[str] = "[solver]"
     name: Name = Field("exact", description="name of the solver; `moc-opt solvers --list` lists them")
     settings: dict[Name, Any] = Field(default_factory=dict, description="settings of that solver: docs/solvers.md")
-    replay_us: str | tuple[Annotated[float, Field(ge=0.0, le=1e9)], ...] | None = Field(
-        None,
-        description="solve times [us], or a .npy file of them, used over and over in place of measured times where a "
-        "solve has a time budget: a run with deadlines can then be repeated exactly",
-    )
-    isolation: Literal["none", "process"] = Field(
-        "none",
-        description="'process': each session of the solver runs in its own process, which is killed when it hangs",
-    )
+    replay_us: str | tuple[Annotated[float, Field(ge=0.0, le=1e9)], ...] | None = None
+    """solve times [us], or a .npy file of them, used over and over in place of measured times where a solve has
+    a time budget: a run with deadlines can then be repeated exactly"""
+    isolation: Literal["none", "process"] = "none"
+    """'process': each session of the solver runs in its own process, which is killed when it hangs"""
     process: ProcessSettings = ProcessSettings()
 
     @model_validator(mode="after")

@@ -32,46 +32,34 @@ class FaultSettings(Settings):
     late_ticks: int = Field(0, ge=0, le=50, description="ticks by which every measurement arrives late")
     frozen_at_s: float | None = Field(None, ge=0.0, description="time from which readings repeat themselves")
     frozen_ticks: int = Field(1_000_000, ge=1, description="number of ticks for which they do so")
-    frozen_joint: int | None = Field(
-        None, ge=0,
-        description="freeze one encoder only, counted from 0, while its packets go on; left out: whole packets",
-    )  # fmt: skip
+    frozen_joint: int | None = Field(None, ge=0)
+    """freeze one encoder only, counted from 0, while its packets go on; left out: whole packets"""
     frozen_wrench: bool = Field(False, description="freeze the wrench sensor only, while the encoders' packets go on")
     frozen_velocity: Literal["repeated", "zero"] = Field("repeated", description="velocity in a frozen reading")
     lag_at_s: float | None = Field(None, ge=0.0, description="time from which measurements lag more and more")
-    lag_joint: int | None = Field(
-        None, ge=0,
-        description="let one encoder only lag, counted from 0, under up-to-date packet numbers; left out: all lag",
-    )  # fmt: skip
+    lag_joint: int | None = Field(None, ge=0)
+    """let one encoder only lag, counted from 0, under up-to-date packet numbers; left out: all lag"""
     lag_ticks: int = Field(0, ge=0, le=1000, description="ticks of delay added at once at lag_at_s")
     lag_growth: float = Field(0.1, gt=0.0, le=1.0, description="ticks of delay added in each tick")
-    replay_at_s: float | None = Field(
-        None, ge=0.0, description="time from which old packets arrive again, in their order, over and over"
-    )
-    replay_ticks: int = Field(
-        100, ge=1, le=5000, description="number of packets that are replayed: the last ones before replay_at_s"
-    )
+    replay_at_s: float | None = Field(None, ge=0.0)
+    """time from which old packets arrive again, in their order, over and over"""
+    replay_ticks: int = Field(100, ge=1, le=5000)
+    """number of packets that are replayed: the last ones before replay_at_s"""
     drift_at_s: float = Field(0.0, ge=0.0, description="time at which the drift begins")
-    drift_rad_per_s: float = Field(
-        0.0, ge=-1.0, le=1.0, description="speed of the encoders' drift, in seeded directions"
-    )
-    drift_velocity: Literal["included", "apart"] = Field(
-        "included",
-        description="'included': the velocity drifts as well; 'apart': it is measured separately and does not",
-    )
-    forged_stamps: bool = Field(
-        False, description="whether frozen, replayed and lagging packets carry the number of the present period"
-    )
+    drift_rad_per_s: float = Field(0.0, ge=-1.0, le=1.0)
+    """speed of the encoders' drift, in seeded directions"""
+    drift_velocity: Literal["included", "apart"] = "included"
+    """'included': the velocity drifts as well; 'apart': it is measured separately and does not"""
+    forged_stamps: bool = False
+    """whether frozen, replayed and lagging packets carry the number of the present period"""
 
-    encoder_bias_rad: float = Field(
-        0.0, ge=-0.1, le=0.1, description="constant error of every encoder, with seeded signs"
-    )
+    encoder_bias_rad: float = Field(0.0, ge=-0.1, le=0.1)
+    """constant error of every encoder, with seeded signs"""
     encoder_noise_rad: float = Field(0.0, ge=0.0, le=0.01, description="standard deviation of additional noise")
     nan_at_s: float | None = Field(None, ge=0.0, description="time from which the encoders give NaN")
     nan_ticks: int = Field(1, ge=1, description="number of ticks for which they give NaN")
-    jump_at_s: float | None = Field(
-        None, ge=0.0, description="time at which the encoders jump; they do not jump back"
-    )
+    jump_at_s: float | None = Field(None, ge=0.0)
+    """time at which the encoders jump; they do not jump back"""
     jump_rad: float = Field(0.2, description="size of the jump, on every joint")
 
     bump_N: float = Field(0.0, ge=0.0, le=200.0, description="force of a sideways push on the elbow")
@@ -83,11 +71,8 @@ class FaultSettings(Settings):
     slip_m: float = Field(0.0, ge=0.0, le=0.1, description="distance by which the trocar slips sideways")
     slip_at_s: float = Field(2.0, ge=0.0, description="time at which the trocar slips")
 
-    solver: Literal["none", "fail", "nan", "lie", "raise", "outside", "rig", "malformed", "hang"] = Field(
-        "none",
-        description="how the solver's answers are corrupted (moc_opt.solvers.faulty); 'hang' takes ten times the "
-        "budget",
-    )
+    solver: Literal["none", "fail", "nan", "lie", "raise", "outside", "rig", "malformed", "hang"] = "none"
+    """how the solver's answers are corrupted (moc_opt.solvers.faulty); 'hang' takes ten times the budget"""
     solver_share: float = Field(0.05, ge=0.0, le=1.0, description="share of the answers that are corrupted")
 
     @property

@@ -51,18 +51,14 @@ class ProcessSettings(Settings):
     """When a solver's process is replaced, and how old its answers may be."""
 
     KIND: ClassVar[str] = "[solver.process]"
-    answer_age_ticks: int = Field(
-        0, ge=0, description="largest age of an earlier answer that may replace a late one; 0: none may"
-    )
-    hang_s: float = Field(
-        1.0, gt=0.0, description="a process that gives no answer for this time is killed and replaced"
-    )
-    memory_MB: float = Field(
-        4096.0, gt=0.0, description="a process that uses more memory than this is killed and replaced"
-    )
-    most_restarts: int = Field(
-        20, ge=0, description="largest number of replacements in a run; after them the third level falls back"
-    )
+    answer_age_ticks: int = Field(0, ge=0)
+    """largest age of an earlier answer that may replace a late one; 0: none may"""
+    hang_s: float = Field(1.0, gt=0.0)
+    """a process that gives no answer for this time is killed and replaced"""
+    memory_MB: float = Field(4096.0, gt=0.0)
+    """a process that uses more memory than this is killed and replaced"""
+    most_restarts: int = Field(20, ge=0)
+    """largest number of replacements in a run; after them the third level falls back"""
     start_s: float = Field(120.0, gt=0.0, description="time in which a process must start, compilation included")
 
 

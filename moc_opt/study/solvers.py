@@ -60,10 +60,8 @@ class TestSets(Limits):
 
     names: Literal["all"] | list[str] = "all"
     timed: list[str] = Field(["circle", "circle-rho0", "random"], description="under every setting")
-    timed_too: list[str] = Field(
-        ["infeasible", "joint-limits", "jumps", "near-singular", "inconsistent-1e-6"],
-        description="under the recommended settings",
-    )
+    timed_too: list[str] = Field(["infeasible", "joint-limits", "jumps", "near-singular", "inconsistent-1e-6"])
+    """under the recommended settings"""
     every: int = Field(1, ge=1, description="take each every-th problem")
     every_other: int = Field(4, ge=1, description="under default and tight settings, and of nlp-*, each so many-th")
 
@@ -89,9 +87,8 @@ class ClosedLoop(Settings):
     others: int = Field(15, ge=1, description="trials of every other solver, the first ones")
     timed: int = Field(1, ge=1, description="trials that run alone, the only ones whose times are used")
     duration_s: Level = Field(4.0, description="of a trial; inf: the whole task")
-    slow: list[str] = Field(
-        ["nlp-ipopt", "qpsolvers:highs", "qpsolvers:scs"], description="left out: they take a millisecond a tick"
-    )
+    slow: list[str] = Field(["nlp-ipopt", "qpsolvers:highs", "qpsolvers:scs"])
+    """left out: they take a millisecond a tick"""
 
     def of(self, solver: str) -> int:
         """Return the number of trials that a solver, or the baseline, runs: the first so many."""

@@ -83,9 +83,8 @@ class Board(VisionSettings):
     marker_m: float = Field(0.020, gt=0.0, le=0.5, description="side of a marker")
     gap_m: float = Field(0.005, gt=0.0, le=0.5, description="white space between markers, and around them")
     hidden_fraction: float = Field(0.0, ge=0.0, le=1.0, description="of the markers, covered by something")
-    lost_s: tuple[tuple[float, float], ...] = Field(
-        (), description="[from, until] in seconds: nothing of the board can be seen"
-    )
+    lost_s: tuple[tuple[float, float], ...] = ()
+    """[from, until] in seconds: nothing of the board can be seen"""
 
     @model_validator(mode="after")
     def _in_order(self) -> Self:

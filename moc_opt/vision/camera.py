@@ -39,9 +39,8 @@ class CameraSettings(VisionSettings):
     azimuth_deg: float = Field(-90.0, description="where it stands around the normal, from the board's x")
     blur_px: float = Field(0.7, ge=0.0, le=10.0, description="standard deviation of the lens's blur")
     noise: float = Field(3.0, ge=0.0, le=100.0, description="standard deviation, in grey levels of 255")
-    calibration_error_m: float = Field(
-        0.0005, ge=0.0, le=0.05, description="the camera is this far from where the robot takes it to be"
-    )
+    calibration_error_m: float = Field(0.0005, ge=0.0, le=0.05)
+    """the camera is this far from where the robot takes it to be"""
     calibration_error_deg: float = Field(0.1, ge=0.0, le=10.0, description="and turned by this")
 
 

@@ -36,9 +36,8 @@ class HandSettings(VisionSettings):
     damping_Ns_per_m: float = Field(60.0, gt=0.0, le=1e3)
     force_max_N: float = Field(15.0, gt=0.0, le=200.0, description="it never pulls harder")
     speed_max_m_per_s: float = Field(0.15, gt=0.0, le=1.0, description="it does not want to go faster")
-    correction_per_s: float = Field(
-        2.0, ge=0.0, le=20.0, description="how fast it pulls harder where that was too little"
-    )
+    correction_per_s: float = Field(2.0, ge=0.0, le=20.0)
+    """how fast it pulls harder where that was too little"""
     content_m: float = Field(0.0005, ge=0.0, le=0.05, description="nearer than this it corrects no more")
 
 
@@ -48,9 +47,8 @@ class HandsOnSettings(VisionSettings):
     KIND: ClassVar[str] = "[hands_on]"
 
     joint_damping_Nm_s_per_rad: float = Field(3.0, ge=0.0, le=100.0)
-    registration_error_m: float = Field(
-        0.001, ge=0.0, le=0.005, description="added to what the kinematics say, in a seeded direction"
-    )
+    registration_error_m: float = Field(0.001, ge=0.0, le=0.005)
+    """added to what the kinematics say, in a seeded direction"""
     tolerance_m: float = Field(0.002, gt=0.0, le=0.05, description="the tip is at the incision when this near")
     rest_speed_m_per_s: float = Field(0.003, gt=0.0, le=0.1, description="a slower tip rests")
     rest_s: float = Field(0.4, gt=0.0, le=10.0, description="it has to rest this long")
