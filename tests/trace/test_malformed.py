@@ -3,7 +3,6 @@
 import contextlib
 import copy
 import json
-from functools import cache
 
 import hypothesis.strategies as st
 import numpy as np
@@ -21,23 +20,15 @@ from moc_opt.trace import file
 from moc_opt.trace.metrics import summarize
 from moc_opt.trace.trace import Trace
 from tests.odd_inputs import ends_well, junk, many
+from tests.trace.test_trace import WARNING, assert_same, example
 
-
-@cache
-def good_trace():
-    rng = np.random.default_rng(0)
-    columns = {
-        "t_s": 0.002 * np.arange(20), "q_rad": rng.normal(size=(20, 7)), "mu": rng.uniform(size=20),
-        "status": np.array(["solved", "infeasible"] * 10), "verified": rng.uniform(size=20) < 0.5,
-        "iterations": np.arange(20, dtype=np.int32),
-    }  # fmt: skip
-    return Trace(columns, {"deadline_us": 2000.0, "scenario": {"name": "x"}, "ended": "completed"})
+GOOD = example(20)
 
 
 @pytest.fixture(scope="module")
 def good_file(tmp_path_factory):
     path = tmp_path_factory.mktemp("good") / "trace.parquet"
-    good_trace().save(path)
+    GOOD.save(path)
     return path.read_bytes()
 
 
@@ -68,11 +59,7 @@ def test_a_damaged_trace_is_read_or_refused(tmp_path, good_file, footer_only, ch
     else:
         path.write_bytes(changed(good_file, changes))
     with ends_well(path.name):
-        found, good = mo.load_trace(path), good_trace()
-        assert {name: array.tobytes() for name, array in found.columns.items()} == {
-            name: array.tobytes() for name, array in good.columns.items()
-        }
-        assert found.meta == good.meta
+        assert_same(mo.load_trace(path), GOOD)
 
 
 VALUES = {
@@ -122,8 +109,7 @@ odd_columns = st.sampled_from(["text", "one", "nothing", 0.0, np.nan, np.inf, 1e
 @pytest.fixture(scope="module")
 def faulty_run():
     trace = run(Scenario(duration_s=0.04, bound_samples=2, faults={"solver": "raise", "solver_share": 0.5}))
-    seen = {"of": "the RCM error", "unit": "m", "level": 6e-3, "first_s": 0.1, "largest": 8e-3}
-    more = {"warnings": [seen], "restarts": [{"at_s": 0.1, "reason": "it hung"}]}
+    more = {"warnings": [WARNING], "restarts": [{"at_s": 0.1, "reason": "it hung"}]}
     return dict(trace.columns), {**json.loads(json.dumps(dict(trace.meta))), **more}
 
 

@@ -7,17 +7,8 @@ from hypothesis import strategies as st
 
 from moc_opt.errors import TraceError
 from moc_opt.scenario import Scenario, run
-from moc_opt.trace.oscillation import (
-    ABOVE_HZ,
-    LIMIT_M_PER_S,
-    LIMIT_N,
-    LIMIT_NM,
-    LIMIT_RAD_PER_S,
-    START_S,
-    describe,
-    judged_for_oscillation,
-    shaking,
-)
+from moc_opt.trace import oscillation as limits
+from moc_opt.trace.oscillation import describe, judged_for_oscillation, shaking
 from moc_opt.trace.trace import MissingDataError, Trace
 
 PERIOD = 0.002
@@ -54,14 +45,14 @@ def test_joint_size_and_frequency_are_found(joint, amplitude, hertz, period):
 
 @pytest.mark.parametrize("factor", [0.9, 1.1])
 @pytest.mark.parametrize(("column", "limit", "unit", "slides"), [
-    ("v_rad_per_s", LIMIT_RAD_PER_S, "rad/s", False), ("tau_Nm", LIMIT_NM, "Nm", False),
-    ("v_rad_per_s", LIMIT_M_PER_S, "m/s", True), ("tau_Nm", LIMIT_N, "N", True),
+    ("v_rad_per_s", limits.LIMIT_RAD_PER_S, "rad/s", False), ("tau_Nm", limits.LIMIT_NM, "Nm", False),
+    ("v_rad_per_s", limits.LIMIT_M_PER_S, "m/s", True), ("tau_Nm", limits.LIMIT_N, "N", True),
 ])  # fmt: skip
 def test_the_limits_hold_on_both_sides_in_the_unit_of_the_joint(factor, column, limit, unit, slides):
     """Whatever a turning joint does that is nearer to its own limit in figures, but not in shares of it."""
     trace = made(0, factor * np.sqrt(2.0) * limit, 71.0, column)
     values = np.array(getattr(trace, column))
-    values[:, 4] += 0.5 * LIMIT_RAD_PER_S * np.sin(2.0 * np.pi * 31.0 * trace.t_s)
+    values[:, 4] += 0.5 * limits.LIMIT_RAD_PER_S * np.sin(2.0 * np.pi * 31.0 * trace.t_s)
     found = judged_for_oscillation(trace.with_columns(**{column: values}), NAMES, (slides, *TURNING[1:])).meta
     assert found["period_s"] == PERIOD
     if factor < 1.0:
@@ -85,9 +76,9 @@ def test_a_jerk_hides_no_oscillation(joint):
 
 @pytest.mark.parametrize(("amplitude", "hertz", "where", "says"), [
     # What a task does, however large: up to a quarter of the band's edge.
-    (1.0, 0.2, None, False), (1.0, 1.0, None, False), (1.0, ABOVE_HZ / 4.0, None, False),
+    (1.0, 0.2, None, False), (1.0, 1.0, None, False), (1.0, limits.ABOVE_HZ / 4.0, None, False),
     # A start that jerks.
-    (3.0, 40.0, (0.0, 0.9 * START_S), False), (3.0, 40.0, (START_S, 2.0 * START_S), True),
+    (3.0, 40.0, (0.0, 0.9 * limits.START_S), False), (3.0, 40.0, (limits.START_S, 2.0 * limits.START_S), True),
     # A second anywhere.
     (1.0, 47.0, (0.5, 1.5), True), (1.0, 47.0, (2.0, 3.0), True), (1.0, 47.0, (7.0, 8.0), True),
     # A jerk, however hard and wherever it falls, and what lasts.
@@ -144,7 +135,7 @@ def test_an_unsound_loop_says_so(changes, joint):
     free = {"rcm_error_m": None, "trocar_force_N": None, "motion": False}
     trace = run(Scenario(seed=1, duration_s=4.0, guard=free, **changes, **QUICK))
     assert trace.meta["ended"].startswith(f"oscillated: {joint} at "), trace.meta["ended"]
-    assert shaking(trace, "v_rad_per_s").rms > 2.0 * LIMIT_RAD_PER_S
+    assert shaking(trace, "v_rad_per_s").rms > 2.0 * limits.LIMIT_RAD_PER_S
 
 
 @pytest.mark.parametrize("changes", [
@@ -155,5 +146,5 @@ def test_an_unsound_loop_says_so(changes, joint):
 def test_sound_runs_keep_their_distance_from_the_limits(changes):
     trace = run(Scenario(seed=2, duration_s=5.0, **changes, **QUICK))
     assert trace.meta["ended"] == "completed"
-    assert shaking(trace, "v_rad_per_s").rms < 0.5 * LIMIT_RAD_PER_S
-    assert shaking(trace, "tau_Nm").rms < 0.5 * LIMIT_NM
+    assert shaking(trace, "v_rad_per_s").rms < 0.5 * limits.LIMIT_RAD_PER_S
+    assert shaking(trace, "tau_Nm").rms < 0.5 * limits.LIMIT_NM
