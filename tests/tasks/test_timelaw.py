@@ -8,7 +8,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from moc_opt.tasks import CURVES, Path, Reference, Trocar, duration, make_path, quintic, shaft_distance
+from moc_opt.tasks import CURVES, Path, Reference, Trocar, duration, quintic, shaft_distance
 from moc_opt.tasks.timelaw import WaitingReference, flags_at
 from tests.tasks.test_paths import START, build, size
 
@@ -87,14 +87,8 @@ def test_velocity_and_acceleration_are_the_derivatives_and_it_rests_before_and_a
 # --- a reference that waits ---
 
 PERIOD = 0.01
-REFERENCES = {
-    kind: Reference(make_path(kind, START, normal=(0, 0, 1), heading=(1, 0, 0), **sizes), 0.05, 0.2)
-    for kind, sizes in {
-        "line": {"length": 0.04}, "circle": {"radius": 0.02}, "spiral": {"turns": 1.0, "radius": 0.015},
-        "sinusoid": {"amplitude": 0.01, "wavelength": 0.02, "periods": 1.0},
-    }.items()
-}  # fmt: skip
-CIRCLE = REFERENCES["circle"]
+REFERENCES = {kind: Reference(build(kind), 0.05, 0.2) for kind in CURVES}
+CIRCLE = Reference(build("circle", radius=0.02), 0.05, 0.2)
 BRAKE_S = 0.05 / 0.2  # one over the steepest slope of the rate
 
 
@@ -183,7 +177,9 @@ points = arrays(np.float64, 3, elements=st.floats(-1.0, 1.0))
 
 
 def test_breathing_goes_there_and_back() -> None:
-    trocar = Trocar(POINT, breathing_amplitude_m=0.01, breathing_period_s=5.0, direction=(0.0, 3.0, 4.0))
+    given = np.array(POINT)
+    trocar = Trocar(given, breathing_amplitude_m=0.01, breathing_period_s=5.0, direction=(0.0, 3.0, 4.0))
+    given[:] = 0.0  # it has its own
     away = 0.01 * np.array([0.0, 0.6, 0.8])
     for t, part in ((0.0, 0.0), (1.25, 0.5), (2.5, 1.0), (5.0, 0.0), (7.5, 1.0)):
         np.testing.assert_allclose(trocar.at(t)[0], POINT + part * away, atol=1e-15)
@@ -215,14 +211,7 @@ def test_distance_is_geometry(
     assert d == pytest.approx(np.linalg.norm(np.cross(p - tip, u)), abs=1e-12)
     # The distance knows neither where the world's origin is nor where on the shaft the wrist sits.
     assert shaft_distance(tip + shift, tip - stretch * tool + shift, p + shift) == pytest.approx(d, abs=1e-11)
+    rows = shaft_distance([tip, tip + shift], [wrist, wrist + shift], p)
+    np.testing.assert_allclose(rows, [d, shaft_distance(tip + shift, wrist + shift, p)], rtol=1e-14)
     # A point on the shaft has none.
     assert shaft_distance(tip, wrist, tip - 0.3 * tool) == pytest.approx(0.0, abs=1e-13)
-
-
-def test_rows_are_single_points() -> None:
-    rng = np.random.default_rng(11)
-    tip, wrist, p = rng.normal(size=(3, 20, 3))
-    rows = shaft_distance(tip, wrist, p)
-    singly = [shaft_distance(*each) for each in zip(tip, wrist, p, strict=True)]
-    np.testing.assert_allclose(rows, singly, rtol=1e-14)
-    np.testing.assert_array_equal(shaft_distance(tip, wrist, p[0]), shaft_distance(tip, wrist, np.tile(p[0], (20, 1))))
