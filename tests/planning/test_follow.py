@@ -67,8 +67,7 @@ def test_an_arm_that_has_left_its_course_is_led_to_its_maximum_of_mu_from_where_
             assert not guide.told
         q = q if tick < held else q + 0.002 * desired
         if tick % 25 == 0:
-            reached = reach(robot, q, targets.tip[tick + 1], targets.wrist[tick + 1])
-            q = reached
+            q = reach(robot, q, targets.tip[tick + 1], targets.wrist[tick + 1])
     assert guide.told["left_course_s"] < 1.0
     assert robot.mu_along(q[None])[0] > 0.99 * robot.mu_along(guide._given.q_rad[-1:])[0]
     guide.start()
@@ -137,16 +136,6 @@ def test_what_cannot_follow_a_course_is_refused_before_the_run(change, message):
 # --- a course made again and again ---
 
 
-def followed(one):
-    """Poses of an arm that goes where it is asked to at once."""
-    one.start()
-    q, poses = np.array(setup().q_start), []
-    for _ in range(setup().ticks):
-        q = q + one.desired_velocity(setup().robot.state(q)) * 0.002
-        poses.append(q)
-    return np.array(poses)
-
-
 def test_it_leaves_the_hump_in_which_the_local_law_is_trapped():
     trace, climbed, told = ran("receding"), ran("local"), ran("receding").meta["replans"]
     assert trace.meta["ended"] == "completed"
@@ -158,11 +147,12 @@ def test_it_leaves_the_hump_in_which_the_local_law_is_trapped():
 
 
 def test_what_it_follows_is_on_the_path_and_within_the_speeds():
-    one = follower(setup())
-    q = followed(one)
+    one, q = follower(setup()), [setup().q_start]
+    for _ in range(setup().ticks):
+        q.append(q[-1] + 0.002 * one.desired_velocity(setup().robot.state(q[-1])))
     assert one.told["refused"] <= 0.05 * one.told["solves"]
-    t = 0.002 * (1.0 + np.arange(len(q)))
-    tips, wrists = setup().robot.tool_along(q)
+    t = 0.002 * np.arange(len(q))
+    tips, wrists = setup().robot.tool_along(np.array(q))
     # Between the times of the program it is a cubic, and a joint turns by up to 0.2 rad from one to the next.
     assert np.linalg.norm(tips - setup().reference.at(t)[0], axis=1).max() < 2e-3
     assert shaft_distance(tips, wrists, setup().registered.at(t)[0]).max() < 2e-3

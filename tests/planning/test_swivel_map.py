@@ -8,20 +8,11 @@ import pytest
 
 import moc_opt as mo
 from moc_opt.errors import ReportError, RobotError
+from moc_opt.planning import swivel_map
 from moc_opt.planning.elbow import Elbow
 from moc_opt.planning.pose_map import largest_mu
 from moc_opt.planning.self_motion import self_motion
-from moc_opt.planning.swivel_map import (
-    CLOSE_RAD,
-    FEASIBLE,
-    NEAR,
-    UNREACHABLE,
-    End,
-    SwivelMap,
-    Trajectory,
-    manipulability_map,
-    read_trajectory,
-)
+from moc_opt.planning.swivel_map import FEASIBLE, UNREACHABLE, End, manipulability_map
 from moc_opt.report.map_page import map_figure
 from moc_opt.robots.model import RobotModel, load_robot
 from moc_opt.scenario import Scenario
@@ -208,10 +199,11 @@ def read(mu, swivel, forbidden=None, gap_rad=0.01):
     grid[limit == UNREACHABLE] = np.nan
     t = np.linspace(0.0, 10.0, 101)
     degrees = np.broadcast_to(np.asarray(swivel, dtype=float), t.shape)
-    lines = MappingProxyType({"run": Trajectory(t, np.radians(degrees), mu(degrees), gap_rad)})
+    lines = MappingProxyType({"run": swivel_map.Trajectory(t, np.radians(degrees), mu(degrees), gap_rad)})
     peak = np.radians(ROWS[np.argmax(feasible, axis=1)])
     poses = np.zeros((len(T), len(ROWS), 7))
-    return read_trajectory(SwivelMap(T, np.radians(ROWS), grid, poses, limit, peak, best, lines), "run")
+    made = swivel_map.SwivelMap(T, np.radians(ROWS), grid, poses, limit, peak, best, lines)
+    return swivel_map.read_trajectory(made, "run")
 
 
 def ramp(start, end, until=10.0):
@@ -223,7 +215,7 @@ def test_a_trajectory_that_climbs_to_the_optimum():
     top = hill(60.0, 0.3)
     found = read(top, ramp(-30.0, 60.0, until=5.0))
     assert found.end is End.OPTIMUM
-    on_from = 60.0 - 60.0 * np.sqrt(-np.log(1.0 - NEAR))  # where mu is 2 % below the top
+    on_from = 60.0 - 60.0 * np.sqrt(-np.log(1.0 - swivel_map.NEAR))  # where mu is 2 % below the top
     arrives = 5.0 * (on_from + 30.0) / 90.0
     assert found.from_s == pytest.approx(arrives, abs=0.11)
     assert found.near == pytest.approx(1.0 - arrives / 10.0, abs=0.02)
@@ -238,8 +230,8 @@ def test_a_local_maximum_holds_a_course():
         return hill(60.0, 0.3, 30.0)(swivel) + hill(-60.0, 0.25, 30.0)(swivel)
 
     assert read(two, ramp(-100.0, -60.0, 6.0)).end is End.LOCAL_MAXIMUM
-    assert read(two, -60.0 - 0.7 * np.degrees(CLOSE_RAD)).end is End.LOCAL_MAXIMUM
-    assert read(two, -60.0 - 2.0 * np.degrees(CLOSE_RAD)).end is End.STILL, "the way up is open"
+    assert read(two, -60.0 - 0.7 * np.degrees(swivel_map.CLOSE_RAD)).end is End.LOCAL_MAXIMUM
+    assert read(two, -60.0 - 2.0 * np.degrees(swivel_map.CLOSE_RAD)).end is End.STILL, "the way up is open"
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])

@@ -38,28 +38,19 @@ any_path = st.one_of(
 )
 
 
-@pytest.mark.parametrize("kind", CURVES)
-def test_begins_at_start_and_stays_in_its_plane(kind: str) -> None:
-    path = build(kind)
-    p, dp, ddp = path.at(np.linspace(0.0, path.length, 301))
-    assert p.shape == dp.shape == ddp.shape == (301, 3)
-    np.testing.assert_allclose(p[0], START, atol=1e-15)
-    for rows in (p - START, dp, ddp):
-        np.testing.assert_allclose(rows @ path.normal, 0.0, atol=1e-13 * max(1.0, float(np.abs(rows).max())))
-    if kind != "sinusoid":
-        assert dp[0] @ path.heading == pytest.approx(1.0)
-
-
 @settings(max_examples=30)
 @given(any_path, st.floats(0.0, 1.0))
-def test_tangent_is_unit_and_derivatives_match_finite_differences(path: Path, place: float) -> None:
+def test_a_curve_lies_in_its_plane_and_its_derivatives_are_finite_differences(path: Path, place: float) -> None:
     bends = max(1.0 / path.length, *(abs(path.curve.at(s)[4]) for s in path.curve.knots.tolist()))
     # The step is small against the tightest bend of the path, and large against rounding.
     h = 1e-3 / bends
     s = h + place * (path.length - 2.0 * h)
+    np.testing.assert_allclose(path.at(0.0)[0], START, atol=1e-15)
     p, dp, ddp = path.at(np.array([s - h, s, s + h]))
     np.testing.assert_allclose(np.linalg.norm(dp, axis=1), 1.0, atol=1e-13)
     np.testing.assert_allclose(dp[1] @ ddp[1], 0.0, atol=1e-12 * bends)
+    for rows in (p - START, dp, ddp / bends):
+        np.testing.assert_allclose(rows @ path.normal, 0.0, atol=1e-13)
     np.testing.assert_allclose((p[2] - p[0]) / (2.0 * h), dp[1], atol=3e-5)
     np.testing.assert_allclose((dp[2] - dp[0]) / (2.0 * h), ddp[1], atol=3e-5 * bends)
 
@@ -74,6 +65,7 @@ def test_spiral_arc_length_is_the_closed_form(turns: float, radius: float, place
     exact = 0.5 * pitch * (angle * math.sqrt(1.0 + angle * angle) + math.asinh(angle))
     assert exact == pytest.approx(s, abs=1e-9)
     assert np.linalg.norm(path.at(path.length)[0] - START) == pytest.approx(radius, abs=1e-12)
+    assert path.at(0.0)[1] @ path.heading == pytest.approx(1.0)
 
 
 def test_a_circle_closes_smoothly_and_a_line_is_straight() -> None:
@@ -153,15 +145,10 @@ def test_every_path_is_listed_and_a_broken_one_hides_no_other(added: None) -> No
 STEPS = st.lists(st.tuples(*[st.floats(-0.01, 0.01)] * 3), min_size=1, max_size=8)
 
 
-def walk(steps: list) -> np.ndarray:
-    """Points that go ahead by 1 to 3 cm a step: no cusp."""
-    return np.cumsum(np.add(steps, (0.02, 0.0, 0.0)), axis=0)
-
-
 @settings(max_examples=20)
 @given(STEPS)
 def test_it_goes_through_every_point_at_unit_speed_and_bends_smoothly(steps: list) -> None:
-    points = walk(steps)
+    points = np.cumsum(np.add(steps, (0.02, 0.0, 0.0)), axis=0)  # ahead by 1 to 3 cm a step: no cusp
     path = Waypoints(points, START, **AXES)
     s = np.linspace(0.0, path.length, 1001)
     p, tangent, bend = path.at(s)

@@ -107,8 +107,6 @@ def test_trace_is_frozen_and_owns_its_arrays():
         made.mu[0] = 2.0
     with pytest.raises(AttributeError):
         made.mu = np.zeros(4)
-    with pytest.raises(TypeError):
-        made.columns["mu"] = np.zeros(4)
 
 
 def test_select_keeps_the_numbers_of_the_ticks(trace):
