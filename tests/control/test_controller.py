@@ -218,6 +218,18 @@ def test_a_start_uses_up_no_recorded_time(robot):
         assert controller.fault is fault
 
 
+def test_the_basis_of_the_self_motion_follows_the_arm(robot):
+    controller, state, *task = started(robot)
+    end, before = robot.random_regular_pose(np.random.default_rng(4)), None
+    for q in np.linspace(state.q, end, 300):
+        controller.tick(q, state.v, *task)
+        Z = controller.null_space
+        np.testing.assert_allclose(Z @ Z.T, np.eye(len(Z)), atol=1e-12)
+        np.testing.assert_allclose(controller.state.A @ Z.T, 0.0, atol=1e-12)
+        assert before is None or np.abs(Z @ before.T - np.eye(len(Z))).max() < 0.1
+        before = Z
+
+
 def test_what_is_handed_out_cannot_be_written_back(robot):
     controller, state, tip_ref, trocar = started(robot)
     tau = controller.tick(state.q, state.v, tip_ref, trocar)
