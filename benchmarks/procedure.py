@@ -22,6 +22,7 @@ from moc_opt.inputs.settings import Settings
 from moc_opt.planning.self_motion import self_motion
 from moc_opt.robots.inverse_kinematics import pose_through
 from moc_opt.scenario import Scenario, isolated, make_safety_filter, make_solver, make_stop
+from moc_opt.scenario.preflight import check_reachable
 from moc_opt.sim.loop import simulate
 from moc_opt.sim.plant import Plant
 from moc_opt.tasks import Path as TipPath
@@ -34,7 +35,6 @@ from moc_opt.vision.augmented_reality import Augmented
 from moc_opt.vision.board import Board, board_below, board_task
 from moc_opt.vision.camera import CameraSettings
 from moc_opt.vision.hands_on import HandsOnSettings, HandsOnStatus, guide_to
-from moc_opt.vision.preflight import check_reachable
 from moc_opt.vision.tracking import TrackerSettings
 
 METRICS = ("mu_mean", "tip_error_mean_mm", "rcm_error_mean_mm", "trocar_force_mean_N")

@@ -2,8 +2,8 @@
 
 Read first: ``config`` (``Scenario``: every key of the TOML; ``tables`` has some of its tables), then ``setup``
 (``Setup`` builds the objects; ``Setup.trace`` and ``run`` make a trace). ``layout`` lays the task out from a start,
-``derived`` has columns computed after a run, ``planned`` plans before a run. ``wired`` puts a wire between plant and
-controller.
+``preflight`` says whether the arm can do it and draws random starts. ``derived`` has columns computed after a run,
+``planned`` plans before a run. ``wired`` puts a wire between plant and controller.
 """
 
 from moc_opt.errors import MocOptError

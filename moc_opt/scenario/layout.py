@@ -12,9 +12,9 @@ from moc_opt.errors import MocOptError, ScenarioError
 from moc_opt.planning.self_motion import self_motion
 from moc_opt.robots import available_robots
 from moc_opt.robots.model import RobotModel, carried
+from moc_opt.scenario import preflight
 from moc_opt.scenario.config import Scenario
 from moc_opt.tasks import Reference, Trocar, make_path
-from moc_opt.vision import preflight
 
 MOST_TICKS = 1_000_000
 """Of a run: half an hour at 500 Hz, and some 4 GB of memory while it is judged."""
@@ -68,7 +68,11 @@ def lay_out(scenario: Scenario, robot: RobotModel, *, checked: bool = True) -> L
 
 def _checked(scenario: Scenario, robot: RobotModel, q: Array, until_s: float) -> tuple[Layout, Array]:
     found = _task(scenario, robot, q)
-    return found, preflight.check_path(robot, q, found.reference, found.registered, until_s)
+    try:
+        return found, preflight.check_reachable(robot, q, found.reference, found.registered, until_s)
+    except preflight.UnreachableError as error:
+        error.args = (f"[task] {error}; [start] check_path = false leaves this check out",)
+        raise
 
 
 def _task(scenario: Scenario, robot: RobotModel, q: Array) -> Layout:

@@ -9,8 +9,8 @@ from moc_opt.planning.course import MOST_VIOLATION, Limits, Targets, lay_targets
 from moc_opt.planning.plan import climb, make_plan
 from moc_opt.robots.inverse_kinematics import solve_pose
 from moc_opt.scenario import Scenario, planned
+from moc_opt.scenario.preflight import UnreachableError, check_reachable
 from moc_opt.tasks import Reference, Trocar, make_path
-from moc_opt.vision.preflight import UnreachableError, check_reachable
 from tests.planning.arms import task
 
 

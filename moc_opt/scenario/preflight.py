@@ -63,17 +63,6 @@ def check_start(robot: RobotModel, q: ArrayLike) -> RobotState:
     return state
 
 
-def check_path(
-    robot: RobotModel, q: ArrayLike, reference: Reference, registered: Trocar, until_s: float = np.inf
-) -> Array:
-    """Check the path of a scenario's task; see `check_reachable`."""
-    try:
-        return check_reachable(robot, q, reference, registered, until_s)
-    except UnreachableError as error:
-        error.args = (f"[task] {error}; [start] check_path = false leaves this check out",)
-        raise
-
-
 def random_start(
     robot: RobotModel, rng: np.random.Generator, swivelled: Callable[[Array], Array],
     lay_out: Callable[[Array], tuple[Found, Array]], margins: Array,

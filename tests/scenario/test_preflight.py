@@ -10,11 +10,10 @@ from moc_opt.errors import ScenarioError
 from moc_opt.planning.self_motion import freedoms, self_motion
 from moc_opt.robots.inverse_kinematics import pose_through
 from moc_opt.robots.model import RobotModel, load_robot
-from moc_opt.scenario import Scenario, Setup
+from moc_opt.scenario import Scenario, Setup, preflight
+from moc_opt.scenario.preflight import UnreachableError, check_reachable, check_start
 from moc_opt.tasks import Reference, Trocar, make_path, shaft_distance
-from moc_opt.vision import preflight
 from moc_opt.vision.board import BOARD_TASKS, Board, board_below
-from moc_opt.vision.preflight import UnreachableError, check_reachable, check_start
 
 PLACE_M = 0.006  #: The points that are looked at are 5 mm apart.
 PATHS = ("circle", "sinusoid", "spiral")
@@ -166,6 +165,6 @@ def test_a_random_start_keeps_the_margins_that_were_asked_for(name, margins):
     for keys, kept in ((asking, True), ({}, False)):
         made = setup(0, robot={"name": name}, start={"pose": "random", "swivel": "random", **keys})
         arm = made.robot
-        followed = preflight.check_path(arm, made.q_start, made.reference, made.registered)
+        followed = preflight.check_reachable(arm, made.q_start, made.reference, made.registered)
         poses, asked = np.vstack([made.q_start, followed]), np.where(arm.chain.prismatic, margins[1], margins[0])
         assert (np.minimum(poses - arm.q_min, arm.q_max - poses) >= asked).all() == kept
