@@ -26,11 +26,6 @@ class Arm:
     tip: Array
     wrist: Array
 
-    @property
-    def n(self) -> int:
-        """Number of joints."""
-        return len(self.axes)
-
     def terms(self, q: Array) -> tuple[Array, Array, Array]:
         """Return J_tip and J_wrist, (3, n) each [m/rad], and the gradient (n,) of mu = sqrt(det(J_tip J_tip^T)).
 
@@ -43,7 +38,7 @@ class Arm:
             turn = rotation(axis, float(q[i]))
             R, t = R @ turn, R @ (point - turn @ point) + t
         J_tip, J_wrist = (np.cross(axes, R @ place + t - points).T for place in (self.tip, self.wrist))
-        i, j = np.indices((self.n, self.n))
+        i, j = np.indices((len(self.axes), len(self.axes)))
         turned = np.cross(axes[np.minimum(i, j)], J_tip.T[np.maximum(i, j)])  # dJ_j/dq_i
         mu = np.sqrt(max(np.linalg.det(J_tip @ J_tip.T), 0.0))
         return J_tip, J_wrist, mu * np.einsum("jk,ijk->i", np.linalg.pinv(J_tip), turned)
@@ -52,18 +47,16 @@ class Arm:
         """Return the same arm as CasADi functions, for NLP solvers: every frame parallel to the world's at q = 0."""
         ends = np.array([self.tip, self.wrist]) - self.points[-1]
         placed = np.diff(self.points, axis=0, prepend=np.zeros((1, 3)))
-        turned, slides = np.tile(np.eye(3), (self.n, 1, 1)), np.zeros(self.n, dtype=np.bool_)
+        turned, slides = np.tile(np.eye(3), (len(self.axes), 1, 1)), np.zeros(len(self.axes), dtype=np.bool_)
         return build_kinematics("arm", Chain(turned, placed, self.axes, slides, ends))
 
 
 def rotation(axis: Array, angle: float) -> Array:
-    """Return Rodrigues' rotation, (3, 3)."""
     K = np.array([[0.0, -axis[2], axis[1]], [axis[2], 0.0, -axis[0]], [-axis[1], axis[0], 0.0]])
     return np.eye(3) + np.sin(angle) * K + (1.0 - np.cos(angle)) * (K @ K)
 
 
 def unit(rng: np.random.Generator) -> Array:
-    """Return a random direction."""
     v = rng.normal(size=3)
     return v / np.linalg.norm(v)
 
@@ -101,8 +94,8 @@ def smooth_sequence(
 ) -> list[NullSpaceQP]:
     """Make ``count`` subproblems of one arm along a smooth motion, 2 ms apart."""
     arm = random_arm(rng) if arm is None else arm
-    lower, upper = random_box(rng, arm.n)
-    start, phase = rng.uniform(-1.5, 1.5, arm.n), rng.uniform(0.0, 2.0 * np.pi, arm.n)
+    lower, upper = random_box(rng, len(arm.axes))
+    start, phase = rng.uniform(-1.5, 1.5, len(arm.axes)), rng.uniform(0.0, 2.0 * np.pi, len(arm.axes))
     swing = 0.4 * np.minimum(-lower, upper)
     problems = []
     for t in 0.002 * np.arange(count):
@@ -127,10 +120,10 @@ def random_problem(
 ) -> NullSpaceQP:
     """One subproblem of a random arm (or of ``arm``) at a random pose; weights: c0, c1, c2, regularization."""
     arm = random_arm(rng, n, structured) if arm is None else arm
-    q = rng.uniform(-1.5, 1.5, arm.n)
-    lower, upper = random_box(rng, arm.n)
+    q = rng.uniform(-1.5, 1.5, len(arm.axes))
+    lower, upper = random_box(rng, len(arm.axes))
     middle, half = 0.5 * (lower + upper), 0.5 * (upper - lower)
-    return problem_of(arm, q, middle + 0.6 * half * rng.uniform(-1.0, 1.0, arm.n), lower, upper, **weights)
+    return problem_of(arm, q, middle + 0.6 * half * rng.uniform(-1.0, 1.0, len(arm.axes)), lower, upper, **weights)
 
 
 def out_of_reach(rng: np.random.Generator, qp: NullSpaceQP) -> NullSpaceQP:
@@ -151,5 +144,4 @@ def on_rows(qp: NullSpaceQP, x: Array) -> Array:
 
 
 def infeasible_problem(rng: np.random.Generator, n: int = 7, **options: Any) -> NullSpaceQP:
-    """One subproblem that has no feasible velocity."""
     return out_of_reach(rng, random_problem(rng, n, **options))

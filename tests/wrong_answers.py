@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from moc_opt.qp.problem import NullSpaceQP
-from tests import problems
+from tests.problems import changed, random_problem
 
 Array = NDArray[np.float64]
 
@@ -61,33 +61,28 @@ def candidates(qp: NullSpaceQP, Z: Array, base: Array, *, damped: bool) -> Array
     return points[((points >= qp.lower - slack) & (points <= qp.upper + slack)).all(1)]
 
 
-def changed(qp: NullSpaceQP, x: Array, tilt: float, size: float, regularization: float) -> tuple[NullSpaceQP, Array]:
-    """The problem with its reduced gradient ``tilt`` of |grad_mu|, and with velocities and box ``size`` times as large.
-
-    The regularization is in proportion to the reduced gradient: 0.3 of what would stop the elbow at one rad/s.
-    """
-    Z, g = kernel(qp), np.array(qp.grad_mu)
-    along = Z @ (Z.T @ g)
-    across = g - along
-    if tilt < 1.0:
-        g = across / np.linalg.norm(across) + tilt * along / np.linalg.norm(along)
-    pull = qp.c2 * np.linalg.norm(Z.T @ g)
-    parts = {name: size * getattr(qp, name) for name in ("v_tip", "v_wrist", "lower", "upper")}
-    return problems.changed(qp, **parts, grad_mu=g, regularization=regularization * pull / size), size * x
-
-
 def wrong_corners(
     seed: int, n: int, count: int, *, tilt: float = 1.0, size: float = 1.0, regularization: float = 0.0,
     least: float = 0.05
 ) -> list[Wrong]:
-    """Corners that give away more than ``least`` of the range, of ``count`` random arms of n joints."""
+    """Corners that give away more than ``least`` of the range, of ``count`` random arms of n joints.
+
+    The reduced gradient is ``tilt`` of |grad_mu|, velocities and box are ``size`` times as large, and the
+    regularization is in proportion to the reduced gradient: 0.3 of what would stop the elbow at one rad/s.
+    """
     rng = np.random.default_rng(seed)
     found = []
     for _ in range(count):
-        qp = problems.random_problem(rng, n, structured=False)
-        x = np.linalg.lstsq(qp.A, qp.b, rcond=1e-9)[0]
-        qp, x = changed(qp, x, tilt, size, regularization)
-        points, others = (candidates(qp, kernel(qp), x, damped=damped) for damped in (False, True))
+        qp = random_problem(rng, n, structured=False)
+        x, Z, g = size * np.linalg.lstsq(qp.A, qp.b, rcond=1e-9)[0], kernel(qp), qp.grad_mu
+        along = Z @ (Z.T @ g)
+        across = g - along
+        if tilt < 1.0:
+            g = across / np.linalg.norm(across) + tilt * along / np.linalg.norm(along)
+        rho = regularization * qp.c2 * np.linalg.norm(Z.T @ g) / size
+        parts = {name: size * getattr(qp, name) for name in ("v_tip", "v_wrist", "lower", "upper")}
+        qp = changed(qp, **parts, grad_mu=g, regularization=rho)
+        points, others = (candidates(qp, Z, x, damped=damped) for damped in (False, True))
         costs, best = cost(qp, points), cost(qp, others).min()
         share = (costs - best) / (costs.max() - best)
         bad = np.flatnonzero(share > least)

@@ -16,8 +16,6 @@ from moc_opt.inputs.settings import Settings
 
 
 class Inner(Settings):
-    """A table inside a table."""
-
     KIND: ClassVar[str] = "[inner]"
     gain: float = Field(default=1.0, gt=0.0, le=10.0)
     steps: int = 3
@@ -34,25 +32,18 @@ class Kinds(Settings):
 
 
 class Outer(Settings):
-    """A table of tables."""
-
     KIND: ClassVar[str] = "outer:"
     ERROR: ClassVar[type[ControlError]] = ControlError
     inner: Inner = Inner()
     name: str = "x"
 
 
-@pytest.mark.parametrize(
-    ("field", "value", "cure"),
-    [
-        ("limit", "2", r"limit = '2': a number has no quotes: drop them"),
-        ("limit", True, r"limit = True: give a number"),
-        ("point", [0.0, "1e-3"], r"\[1\] = '1e-3': a number has no quotes"),
-        ("sizes", {"radius": "0.03"}, r"\[radius\] = '0.03': a number has no quotes"),
-        ("flag", "yes", r"flag = 'yes': give true or false, without quotes"),
-        ("flag", 1, r"flag = 1: give true or false"),
-    ],
-)
+@pytest.mark.parametrize(("field", "value", "cure"), [
+    ("limit", "2", r"limit = '2': a number has no quotes: drop them"), ("limit", True, r"limit = True: give a number"),
+    ("point", [0.0, "1e-3"], r"\[1\] = '1e-3': a number has no quotes"),
+    ("sizes", {"radius": "0.03"}, r"\[radius\] = '0.03': a number has no quotes"),
+    ("flag", "yes", r"flag = 'yes': give true or false, without quotes"), ("flag", 1, r"flag = 1: give true or false"),
+])  # fmt: skip
 def test_a_number_or_flag_that_is_written_as_something_else_is_refused(field, value, cure):
     with pytest.raises(ScenarioError, match=cure):
         Kinds(**{field: value})
@@ -83,11 +74,7 @@ def test_errors_name_table_field_value_and_range():
             Outer(**wrong)
 
 
-# --- numbers of a usable size, in every table ---
-
-
 def every_table():
-    """All classes of settings of the package and of its benchmarks."""
     for package in (moc_opt, benchmarks):
         for module in pkgutil.walk_packages(package.__path__, package.__name__ + "."):
             if "__main__" not in module.name:

@@ -23,7 +23,6 @@ def cut_box(seed, shape, size=1.0):
 
 
 def program(Z, low, high, slope):
-    """The least linear cost, by HiGHS."""
     found = linprog(
         slope / np.abs(slope).max(), A_ub=np.vstack([Z, -Z]), b_ub=np.concatenate([high, -low]), bounds=(None, None)
     )

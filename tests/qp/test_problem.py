@@ -59,9 +59,6 @@ def test_answers_of_another_shape_are_named(qp):
             qp.residuals(given_x, given_y)
 
 
-# --- its record ---
-
-
 def test_record_round_trip(qp):
     plain = changed(qp, q=None)
     assert plain.q is None
@@ -91,9 +88,6 @@ def test_the_fields_are_the_record_in_their_order(n):
         np.testing.assert_array_equal(np.concatenate([part.ravel() for part in parts]), record)
         assert [part.size for part in parts] == [6 * n, 6, n, n, n, n, 4, n]
     assert joints_of(len(record)) == n
-
-
-# --- as solvers take it ---
 
 
 def check_assembled(qp, rows):

@@ -178,7 +178,6 @@ def test_an_idle_joint_is_judged_by_its_own_interval(pull, regularization):
 
 
 def test_the_worst_idle_joint_counts():
-    """Two joints that move nothing: each can be the wrong one."""
     qp = random_problem(np.random.default_rng(14), regularization=1e-5)
     A = np.array(qp.A)
     A[:, 3] = 0.0

@@ -19,7 +19,6 @@ def changed(text: str, *pairs: tuple[str, str]) -> str:
 
 
 def added(text: str, more: str) -> str:
-    """The text with elements before its end."""
     return changed(text, ("</robot>", f"{more}</robot>"))
 
 

@@ -15,7 +15,6 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from moc_opt import core
-from moc_opt.control.settings import ControlSettings
 from moc_opt.errors import RobotError
 from moc_opt.robots import loader, urdf
 from moc_opt.robots.chain import desired_wrist
@@ -53,7 +52,6 @@ def reference(arm: RobotModel) -> tuple[Any, Any]:
 
 
 def differences(function: Any, q: Array) -> Array:
-    """Central differences, last axis over the joints."""
     columns = [(function(q + d) - function(q - d)) / (2 * STEP) for d in STEP * np.eye(len(q))]
     return np.stack(columns, axis=-1)
 
@@ -164,9 +162,7 @@ def test_states_share_no_memory_and_cannot_be_changed(robot: RobotModel) -> None
     ([0, 0, 0, np.nan, 0, 0, 0], None, "q = "), (np.zeros(7), [0, 0, 0, 0, 0, 0, -np.inf], "v = "),
     (["a"] * 7, None, "q = "),
 ])  # fmt: skip
-def test_bad_vectors_are_named_and_good_ones_of_any_kind_taken(
-    robot: RobotModel, q: Any, v: Any, message: str
-) -> None:
+def test_bad_vectors_are_named_and_good_ones_of_any_kind_taken(robot: RobotModel, q: Any, v: Any, message: str):
     with pytest.raises(RobotError, match=message):
         robot.state(q, v)
     good = np.linspace(-0.5, 0.7, 7)
@@ -186,9 +182,6 @@ def test_kinematics_and_a_pickled_copy_are_the_models(arm: RobotModel) -> None:
         np.testing.assert_allclose(np.array(k.wrist(q)).ravel(), s.wrist, atol=1e-12)
         assert float(k.mu(q)) == pytest.approx(s.mu, abs=1e-12)
         np.testing.assert_allclose(np.array(k.grad_mu(q)).ravel(), s.grad_mu, atol=1e-12)
-
-
-# --- the shaft through the trocar ---
 
 
 def by_the_core(tip, tip_velocity, trocar, trocar_velocity, span):
@@ -218,21 +211,15 @@ def test_desired_wrist_velocity_is_the_derivative(kernel, seed):
     np.testing.assert_allclose(desired(t)[1], slope, atol=1e-6 * (1.0 + np.abs(slope).max()))
 
 
-# --- gains of an arm that nobody has tuned ---
-
-
 @pytest.mark.parametrize("name", ["lwr4", "lwr4_rail"])
 def test_a_robot_file_without_gains_gets_them_and_keeps_its_own(name: str, tmp_path: Path) -> None:
     path = tmp_path / f"{name}.toml"
     path.write_text((FOLDER / path.name).read_text(encoding="utf-8").partition("[gains.")[0], encoding="utf-8")
     shutil.copy(FOLDER / f"{name}.urdf", tmp_path)
     robot = load_robot(path)
-    for preset in ("paper", "tuned", "robust"):
-        for law in ("dcac", "moc"):
-            ControlSettings.preset(preset, law=law).resolve_gains(robot.data.gains, robot.n)
-    found = ControlSettings().resolve_gains(robot.data.gains, robot.n)
+    assert robot.data.gains == derived_gains(robot)
     inertia = np.diag(robot.state(robot.data.q_home).M)
-    np.testing.assert_allclose(found.K_N2, JOINT_RATE * inertia, rtol=0.005)
+    np.testing.assert_allclose(robot.data.gains["default"]["K_N2"], JOINT_RATE * inertia, rtol=0.005)
     path.write_text(path.read_text(encoding="utf-8") + "\n[gains.moc]\nK_X = 1.0\n", encoding="utf-8")
     gains = load_robot(path).data.gains
     assert dict(gains["moc"]) == {"K_X": 1.0}
@@ -261,9 +248,6 @@ def test_the_largest_rate_is_where_a_delayed_loop_stops_decaying(delay: int, sid
     gain = side * largest_rate(plant) * plant.period_s
     roots = np.roots([1.0, -1.0, *[0.0] * (delay - 1), gain] if delay else [1.0, gain - 1.0])
     assert (np.abs(roots).max() < 1.0) == (side < 1.0)
-
-
-# --- in a trace ---
 
 
 def test_a_carried_robot_is_the_same_arm() -> None:

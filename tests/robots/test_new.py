@@ -90,8 +90,6 @@ def test_what_makes_no_arm_is_refused_and_leaves_no_file(tmp_path: Path) -> None
     assert not (tmp_path / "out").exists()
 
 
-# --- files of packages, where they are installed ---
-
 ROBOTS = "cmeel.prefix/share/example-robot-data/robots"
 FILES = [
     ("panda_description/urdf/panda.urdf", None, 7), ("xarm_description/urdf/xarm7.urdf", None, 7),
@@ -112,9 +110,6 @@ def test_a_vendors_file_works_as_it_comes(path: str, tip: str | None, joints: in
     assert verdict(check_robot(found.robot)) != "cannot"
     trace = run(Scenario(robot={"name": str(found.toml)}, duration_s=1.0, bound_samples=0, judge=False))
     assert trace.meta["ended"] == "completed"
-
-
-# --- tool and wrist point: found on every arm of the package as its makers and we chose them ---
 
 
 def direction(rpy: tuple[float, float, float]) -> np.ndarray:
@@ -163,9 +158,6 @@ def test_a_flange_frame_carries_the_same_tool_and_one_off_the_axis_or_that_slide
     np.testing.assert_allclose(found.wrist, 0.0)
 
 
-# --- the home pose ---
-
-
 @pytest.mark.parametrize("name", available_robots())
 def test_a_found_pose_is_what_was_asked_for(name: str) -> None:
     robot = load_robot(name)
@@ -190,9 +182,6 @@ def test_an_arm_that_is_singular_everywhere_has_no_home(robot: RobotModel) -> No
     stiff = RobotModel(dataclasses.replace(robot.data, q_min=q_min, q_max=q_max, q_home=np.zeros(7)))
     with pytest.raises(RobotError, match="home pose: 6000 poses drawn"):
         search_home(stiff)
-
-
-# --- as a user types it ---
 
 
 def test_from_a_vendors_file_to_a_check_a_run_and_a_replay(tmp_path: Path, monkeypatch, capsys) -> None:

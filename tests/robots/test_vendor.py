@@ -115,9 +115,6 @@ def test_what_is_no_urdf_of_an_arm_is_refused(vendors) -> None:
         vendors(f'<robot name="a">{link("a", 1.0)}{link("b", 1.0)}{joint("j", "fixed", "a", "b")}</robot>')
 
 
-# --- bodies ---
-
-
 def mended(*links: Link) -> list[str]:
     notes: list[str] = []
     mend_bodies(links, notes)
@@ -141,8 +138,6 @@ def test_any_inertia_becomes_one_that_a_body_may_have(given: tuple[float, ...]) 
     assert (mended(body) == []) == (inertia_fault(given) is None)
     assert inertia_fault(body.moments) is None
 
-
-# --- limits ---
 
 RAIL_1 = '<limit lower="-0.5" upper="0.5" velocity="0.5" effort="500"/>'
 PANDA_1 = '<limit lower="-2.8973" upper="2.8973" velocity="2.175" effort="87"/>'

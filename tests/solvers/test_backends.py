@@ -63,19 +63,14 @@ class Buffers(LibrarySession):
         return Status.SOLVED, 0, np.zeros(self._n), np.arange(1.0, self._m + 1.0)
 
 
-def untied(seed, n=7):
-    """A subproblem whose six rows are independent."""
-    J = np.random.default_rng(seed).normal(size=(2, 3, n))
-    return NullSpaceQP(J[0], J[1], np.ones(3), np.zeros(3), np.ones(n), -np.ones(n), np.ones(n))
-
-
 @settings(max_examples=40)
 @given(
     seed=st.integers(0, 10_000), n=st.sampled_from([6, 7, 9]), rows=st.sampled_from([5, 6]), tied=st.booleans(),
     scale=st.sampled_from([1.0, 1e3]), signs=st.tuples(*[st.sampled_from([1.0, -1.0])] * 3),
 )  # fmt: skip
 def test_every_number_is_where_it_belongs(seed, n, rows, tied, scale, signs):
-    qp = problem(seed, n=n) if tied else untied(seed, n)
+    J, ones = np.random.default_rng(seed).normal(size=(2, 3, n)), np.ones(n)
+    qp = problem(seed, n=n) if tied else NullSpaceQP(J[0], J[1], ones[:3], np.zeros(3), ones, -ones, ones)
     m = rows if tied else 6  # what is not tied stays six rows
     session = Buffers(SimpleNamespace(rows=rows, cost_scale=scale, signs=signs, needs=""), problem(1, n=6))
     found, arrays = session.solve(qp), session.arrays
@@ -96,7 +91,6 @@ def test_every_number_is_where_it_belongs(seed, n, rows, tied, scale, signs):
 @pytest.mark.parametrize("regularization", [1e-5, 0.0])
 @pytest.mark.parametrize("rows", [5, 6])
 def test_jumps_neither_fool_nor_stop_a_warm_session(rows, regularization):
-    """Feasible and infeasible problems in turn, each a jump away from the last."""
     rng, session = np.random.default_rng(1), ProxQP(rows=rows).start(problem())
     for k in range(80):
         qp = (infeasible_problem if k % 2 else random_problem)(rng, regularization=regularization)
@@ -129,9 +123,6 @@ def test_a_time_limit_is_told_from_a_failure():
     """Unscaled, HiGHS never ends on this problem; without the limit this test would not either."""
     assert solve(QPSolver("highs", advised=False, options={"time_limit": 0.02}), problem(3)).status is Status.TIME_LIMIT
     assert "time_limit" in ADVICE["highs"].options
-
-
-# --- the nonlinear programs: what they converge to, and that they see the manipulability, not its gradient ---
 
 
 @pytest.mark.parametrize("kind", [SQP, Ipopt])

@@ -34,7 +34,6 @@ def isolated(solver, budget_us=np.inf, waits=True, **settings):
 
 
 def fault_of(session, qp):
-    """Kind and text of the missing answer."""
     try:
         session.solve(qp)
     except Unanswered as missing:
@@ -47,7 +46,6 @@ def pid(session):
 
 
 def until(said):
-    """Wait for something that another process does."""
     end = time.monotonic() + 60.0
     while not said():
         assert time.monotonic() < end
