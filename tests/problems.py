@@ -85,7 +85,6 @@ def problem_of(arm: Arm, q: Array, x_inside: Array, lower: Array, upper: Array, 
 
 
 def random_box(rng: np.random.Generator, n: int) -> tuple[Array, Array]:
-    """Return bounds of 0.3 to 3 rad/s on either side of zero."""
     return -rng.uniform(0.3, 3.0, n), rng.uniform(0.3, 3.0, n)
 
 

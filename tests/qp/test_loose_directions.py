@@ -66,6 +66,7 @@ def attack(rng, qp, base, Z, direction):
     if best is None:
         return []
     x, least, most = best
+    assert qp.residuals(x).verified()
     scale = qp.c2 * np.abs(qp.grad_mu).max() * (qp.upper - qp.lower).max()
     if most - least < 1e-6 * scale:
         return []  # one point to rounding: there is no range to give away
@@ -81,7 +82,7 @@ def attack(rng, qp, base, Z, direction):
 
 
 def attempts(rng, count):
-    """Yield (subproblem, wrong answer) where more than 1 % of the range is given away, and the exact optimum once."""
+    """Yield (subproblem, wrong answer) where more than 1 % of the range is given away."""
     while count > 0:
         size = rng.choice(SIZES) * rng.uniform(0.5, 2.0)
         kind = rng.integers(9)
@@ -100,15 +101,6 @@ def test_no_answer_that_slid_to_a_worse_cost_is_verified(seed):
     fooled = [(qp, x, found) for qp, x, found in tried if found.verified()]
     assert not fooled, fooled[0]
     assert all(found.loss > 0.0 or found.relative > 1e-3 for _, _, found in tried)
-
-
-def test_the_optimum_of_a_nearly_singular_problem_is_verified():
-    rng = np.random.default_rng(7)
-    for freedoms in (1, 2, 3):
-        for size in SIZES:
-            qp, base, Z, _ = random_case(rng, freedoms, size)
-            best = extremes(Z, base, qp)
-            assert qp.residuals(best[0]).verified(), (freedoms, size, qp.residuals(best[0]))
 
 
 def far_ends(A, b, pull, lower, upper):

@@ -94,7 +94,6 @@ def test_loss_is_the_share_of_the_cost_s_range(regularization):
 @pytest.mark.parametrize("size", [1.0, 3e-4])
 @pytest.mark.parametrize("n", [7, 8, 9])
 def test_no_wrong_corner_is_verified(n, size, tilt, regularization):
-    """Corners of the feasible set: A x = b and the box hold, whatever freedom there is left is used the wrong way."""
     wrong = wrong_corners(n, n, 4, tilt=tilt, size=size, regularization=regularization)
     assert len(wrong) > 10
     found = compute_residuals(np.array([w.qp.row for w in wrong]), np.array([w.x for w in wrong]))

@@ -223,11 +223,9 @@ def test_warm_equals_cold_and_sessions_share_nothing(name):
         np.testing.assert_allclose(a.x, b.x, rtol=0.0, atol=limits.x)
 
 
-@every_solver
+@pytest.mark.parametrize("name", [name for name in NAMES if not expect(name).arm])  # it has one number of joints
 def test_another_shape_starts_another_workspace(name):
     """A stream whose number of joints changes: each answer is that of a session that never saw another one."""
-    if expect(name).arm:
-        pytest.skip("its kinematics have one number of joints")
     rng, limits, chosen = np.random.default_rng(6), expect(name), solver(name)
     session = chosen.start(random_problem(rng))
     for n in (9, 6, 7):
