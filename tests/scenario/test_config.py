@@ -40,7 +40,9 @@ WRONG_AT_THE_RUN = [
     ({"trocar": {"depth_m": 0.4}}, "0.378 m apart"), ({"task": {"normal": [0, 0, 0]}}, "[task] normal"),
     ({"start": {"pose": "random"}, "trocar": {"depth_m": 0.5}}, "0.378 m apart"),
     ({"start": {"pose": "random"}, "task": {"sizes": {"radius": -1.0}}}, "radius"),
-    ({"start": {"q_rad": [0.0] * 7, "swivel": 0.5}}, "singular"), ({"control": {"gains": "dcac"}}, "K_N2: not set"),
+    ({"start": {"q_rad": [0.0] * 7, "swivel": 0.5}}, "singular"), ({"start": {"q_rad": [0.0] * 7}}, "singular"),
+    ({"start": {"q_rad": [0.0, 3.0, *[0.0] * 5]}}, "joint 2 = 3 rad"),
+    ({"control": {"gains": "dcac"}}, "K_N2: not set"),
     ({"control": {"observer_gain_per_s": 600.0}}, "observer_gain_per_s = 600"),
     ({"duration_s": None, "task": {"sizes": {"radius": 3.0}}}, "check_path = false"),
 ]  # fmt: skip
