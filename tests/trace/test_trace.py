@@ -10,7 +10,7 @@ import polars as pl
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from hypothesis.extra.numpy import arrays, from_dtype
+from hypothesis.extra.numpy import arrays
 
 import moc_opt as mo
 from moc_opt.errors import MocOptError, TraceError
@@ -57,14 +57,8 @@ def traces(draw):
     for i in range(draw(st.integers(0, 4))):
         dtype = np.dtype(draw(st.sampled_from(["f8", "f4", "i8", "i1", "u2", "?", "U5"])))
         width = 0 if dtype.kind == "U" else draw(st.integers(0, 3))
-        shape = (rows, width) if width else (rows,)
-        if dtype.kind == "f":
-            columns[f"c{i}"] = draw(arrays(np.dtype(f"u{dtype.itemsize}"), shape)).view(dtype)
-        elif dtype.kind == "U":
-            text = st.text(st.characters(exclude_categories=["Cs"]), max_size=5)
-            columns[f"c{i}"] = np.array(draw(st.lists(text, min_size=rows, max_size=rows)), dtype=dtype)
-        else:
-            columns[f"c{i}"] = draw(arrays(dtype, shape, elements=from_dtype(dtype)))
+        bits = np.dtype(f"u{dtype.itemsize}") if dtype.kind == "f" else dtype
+        columns[f"c{i}"] = draw(arrays(bits, (rows, width) if width else rows)).view(dtype)
     finite = st.floats(allow_nan=False, allow_infinity=False)
     json = st.recursive(
         st.none() | st.booleans() | st.integers() | finite | st.text(),
@@ -229,7 +223,7 @@ def test_meta_is_kept_as_json_gives_it_back():
 # --- as others have it ---
 
 
-def test_pandas_has_every_number_of_every_column(trace):
+def test_pandas_has_every_number_of_every_column_and_where_it_is_not_installed_says_so(trace, monkeypatch):
     frame = trace.to_pandas()
     assert (frame.index.name, frame.shape) == ("t_s", (N, 7 + 3 + 3 + 5))
     assert np.array_equal(frame.index, trace.t_s)
@@ -238,6 +232,9 @@ def test_pandas_has_every_number_of_every_column(trace):
     assert np.array_equal(frame["own_2"], trace.own[:, 2])
     assert list(frame["status"]) == list(trace.status)
     assert frame.attrs["ended"] == "completed"
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(TraceError, match=r"pandas is not installed: pip install '.\[dataframes\]'"):
+        trace.to_pandas()
 
 
 def test_xarray_names_the_dimensions_and_units(trace):
@@ -249,13 +246,6 @@ def test_xarray_names_the_dimensions_and_units(trace):
     assert np.array_equal(found.tip_m.sel(axis="y"), trace.tip_m[:, 1])
     assert np.array_equal(found.own, trace.own)
     assert found.attrs["robot"] == "lwr4"
-
-
-@pytest.mark.parametrize(("package", "method"), [("pandas", "to_pandas"), ("xarray", "to_xarray")])
-def test_without_the_package_the_extra_is_named(trace, monkeypatch, package, method):
-    monkeypatch.setitem(sys.modules, package, None)
-    with pytest.raises(TraceError, match=rf"{package} is not installed: pip install '.\[dataframes\]'"):
-        getattr(trace, method)()
 
 
 def test_plot_draws_the_columns_asked_for_and_a_baseline(trace):
