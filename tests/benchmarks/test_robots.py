@@ -40,28 +40,25 @@ def row(trial: int, controller: str, mu: float = 1.0, tip: float = 1.0, **more: 
     return {**about, **errors, **own, **more}
 
 
-def judged(rows: list[dict[str, Any]]) -> tuple[dict[str, Any], dict[str, bool | None]]:
-    results = Results(rows)
-    figures = {name: results.figures(name, robots.MEANS, robots.CHANGES) for name in results.names()}
-    return figures, robots.verdicts(results, figures, "exact")
+def test_findings_follow_from_the_rows_by_the_end_of_the_interval() -> None:
+    base = [row(k, "dcac") for k in range(40)]
+    mine = [row(k, "exact", mu=1.2, tip=1.2 if k == 0 else 1.0) for k in range(40)]
 
+    def found(count: int = 40) -> dict[str, bool | None]:
+        return robots.verdicts(Results(base[:count] + mine[:count]), "exact")
 
-def test_findings_follow_from_the_rows() -> None:
-    base = [row(k, "dcac") for k in range(10)]
-    mine = [row(k, "exact", mu=1.2, tip=1.2 if k == 0 else 1.0) for k in range(10)]
-    figures, findings = judged(base + mine)
-    assert figures["exact"]["mu_gain_percent"] == pytest.approx(20.0)
-    assert figures["exact"]["settled_tip_error_change_percent"] == pytest.approx(2.0)
-    assert findings == dict.fromkeys(robots.FINDINGS, True)
-    mine[-1] = row(9, "exact", mu=1.2, tip=1.6)
-    _, findings = judged(base + mine)
-    assert [key for key, holds in findings.items() if holds is False] == ["settled_tip_error_change_percent", "tails"]
-    mine[-1] = row(9, "exact") | {"whole": False, "ended": "stopped", "error": "stopped: far off", "mu_mean": 9.0}
-    figures, findings = judged(base + mine)
-    assert (figures["exact"]["whole"], findings["all_end"]) == (9, False)
-    assert figures["exact"]["mu_gain_percent"] == pytest.approx(20.0), "a part of a run enters no mean"
-    _, findings = judged(base[:7] + mine[:7])
-    assert set(findings.values()) == {None}, "seven trials decide nothing"
+    assert found() == dict.fromkeys(robots.FINDINGS, True) | {"tails": None}, "40 trials do not tell 1 in 10 from less"
+    mine[:20] = [row(k, "exact", mu=1.2, tip=1.0 + 0.012 * k) for k in range(20)]
+    undecided, wrong = "settled_tip_error_change_percent", "tails"
+    assert [key for key, holds in found().items() if holds is not True] == [undecided, wrong]
+    assert (found()[undecided], found()[wrong]) == (None, False)
+    mine[:20] = [row(k, "exact", mu=0.9 + 0.04 * k, tip=2.0) for k in range(20)]
+    assert (found()[undecided], found()["mu_gain_percent"]) == (False, True)
+    mine[20:] = [row(k, "exact", mu=0.9) for k in range(20, 40)]
+    assert found()["mu_gain_percent"] is None
+    assert set(found(7).values()) == {None}, "seven trials decide nothing"
+    mine[-1] = row(39, "exact") | {"whole": False, "ended": "stopped", "error": "stopped: far off", "mu_mean": 9.0}
+    assert found()["all_end"] is False
 
 
 def test_arms_that_rank_solvers_alike_correlate() -> None:
