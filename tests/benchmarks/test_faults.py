@@ -52,7 +52,7 @@ def test_every_fault_of_the_configuration_fits_a_scenario():
 
 
 def test_every_run_is_a_row_and_the_summary_follows(tiny):
-    left = tiny(faults, TINY, pictures=1)
+    left = tiny(faults, TINY)
     assert [(row["controller"], row["case"]) for row in left.rows] == [
         ("dcac", "none"), ("dcac", "gone"), ("dcac", "camera"),
         ("exact", "none"), ("exact", "lies"), ("exact", "gone"), ("exact", "camera"),

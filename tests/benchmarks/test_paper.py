@@ -135,7 +135,7 @@ def test_a_procedure_that_cannot_go_on_says_why_and_is_guarded_as_every_loop_is(
 
 
 def test_the_command_leaves_every_part_and_leads_from_the_hand_to_the_task(tiny):
-    left = tiny(paper, TINY, pictures=1)
+    left = tiny(paper, TINY)
     summary = left.summary
     found = summary["groups"]["tuned"]
     assert set(found) == {*BASELINES, "exact", "rnn-printed"}

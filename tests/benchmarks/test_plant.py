@@ -29,7 +29,7 @@ duration_s = 0.3
 
 def test_every_defect_under_both_controllers_and_what_registering_again_gives_back(tiny):
     """On one trial MOC's registered tip error is far above DCAC's, and comes down to it."""
-    results = tiny(plant, TINY, pictures=1)
+    results = tiny(plant, TINY)
     summary = results.summary
     found = summary["effects"]["tuned"]
     assert set(found) == {"none, dcac", "none, exact", "bias, dcac", "bias, exact"}

@@ -55,7 +55,7 @@ def test_the_load_is_there_and_then_is_not(monkeypatch):
 def test_a_run_by_both_commands_and_one_of_the_c_controller(tiny):
     """How many cycles are missed is the machine's affair; that they are counted is not."""
     text = "run_cycles = 100\nrates_Hz = [250]\nloads = ['quiet']\n"
-    left = tiny(realtime, text, "--cycles", "100", pictures=0)
+    left = tiny(realtime, text, "--cycles", "100")
     assert {row["case"] for row in left.rows} == {"Python, 250 Hz, quiet", "C, 250 Hz, quiet"}
     for row in left.rows:
         assert row["clean"]

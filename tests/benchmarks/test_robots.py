@@ -84,7 +84,7 @@ duration_s = 1.0
 
 
 def test_courses_are_in_order_and_nothing_beats_map_plan_or_bound(tiny: Any) -> None:
-    left = tiny(plan, PLANNED, pictures=0)
+    left = tiny(plan, PLANNED)
     rows = left.rows
     parts = [row["part"] for row in rows]
     assert {part: parts.count(part) for part in parts} == {"courses": 1, "loop": 2, "halving": 1}

@@ -100,7 +100,7 @@ duration_s = 0.2
 
 def test_command_leaves_its_files(tiny, capsys, monkeypatch):
     monkeypatch.setattr(speed.peers, "missing", lambda name: "it is missing")
-    left = tiny(speed, SMALL, pictures=1)
+    left = tiny(speed, SMALL)
     summary, rows = left.summary, left.rows
     assert summary["not_run"]["peer tsid"]["reason"] == "it is missing"
     assert min(summary["tick"][name]["tick_p50_us"] for name in ("exact", "proxqp")) > 0.0

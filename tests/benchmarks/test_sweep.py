@@ -127,7 +127,7 @@ def test_the_command_leaves_its_files_and_goes_on_from_them(tmp_path: Path, caps
     assert sweep.main(command) == 0
     assert rows.equals(pl.read_parquet(tmp_path / "out" / "rows.parquet")), "times too: nothing was done again"
     assert "4 jobs are those of an earlier run" in capsys.readouterr().out
-    shared = tiny(sweep, SMALL.replace("timed = true", ""), pictures=2)
+    shared = tiny(sweep, SMALL.replace("timed = true", ""))
     assert [row["mu_mean"] for row in shared.rows] == rows["mu_mean"].to_list()
     assert not [name for name in shared.rows[0] if name.endswith("_us")]
     assert (shared.summary["all"]["exact"]["runs"], shared.summary["all"]["exact"]["failed"]) == (2, 0)

@@ -75,6 +75,6 @@ def test_a_tiny_pool(tiny: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(coverage.Config, "cases", lambda config: cases(config)[:3])
     monkeypatch.setattr(coverage, "SOLVERS", ("rnn-printed",))
     scenario = '[scenario]\nduration_s = 0.02\nbound_samples = 0\nstart = { pose = "home" }\n'
-    found = tiny(coverage, f"trials = 120\ndraws = 3\n{scenario}", pictures=0).summary["coverage"]
+    found = tiny(coverage, f"trials = 120\ndraws = 3\n{scenario}").summary["coverage"]
     assert {row["trials"] for row in found.values()} == {3}
     assert len(found) == len(coverage.METRICS)

@@ -65,14 +65,6 @@ def test_boxes_are_tukeys_and_one_without_samples_leaves_its_place_empty() -> No
     assert [list(box.x) for box in made.data] == [["circle"], ["line"]]
 
 
-def test_the_pareto_front_is_filled() -> None:
-    points = {"slow": (9.0, 1e-9), "both": (1.0, 1e-6), "worse": (2.0, 1e-6), "fast": (0.5, 1e-2)}
-    made = figures.accuracy_against_time({**points, "unknown": (math.nan, 1.0)})
-    filled = {trace.name for trace in made.data if trace.name and trace.marker.color != "#ffffff"}
-    assert filled == {"fast", "both", "slow"}
-    assert "unknown" not in {trace.name for trace in made.data}
-
-
 @settings(max_examples=50)
 @given(st.dictionaries(
     st.text("ab", min_size=1), st.tuples(st.floats(0.1, 1e3), st.floats(1e-9, 1.0)), min_size=1, max_size=9
@@ -84,25 +76,6 @@ def test_nobody_beats_the_front(points: dict[str, tuple[float, float]]) -> None:
         if not any(t <= p[0] and e <= p[1] and (t, e) != p for t, e in points.values())
     }  # fmt: skip
     assert len({points[name] for name in front}) == len(front)
-
-
-def test_panels_share_one_legend() -> None:
-    made = figures.time_series({"DCAC": run(50), "MOC": run(60)})
-    assert len(made.data) == 8
-    for name in ("DCAC", "MOC"):
-        lines = [trace for trace in made.data if trace.legendgroup == name]
-        assert [line.showlegend for line in lines] == [True, False, False, False]
-    tip = made.data[2]
-    assert max(tip.y) <= 0.1001, "millimetres"
-
-
-def test_the_largest_mu_stands_beside_mu() -> None:
-    bound = np.full(50, np.nan)
-    bound[[0, 25, 49]] = 0.34
-    made = figures.time_series({"MOC": run(50, mu_bound=bound), "DCAC": run(50, mu_bound=bound)}, ["mu"])
-    dotted = [line for line in made.data if line.line.dash == "dot"]
-    assert [list(line.y) for line in dotted] == [[0.34] * 3] * 2
-    assert [line.name for line in made.data if line.showlegend] == ["MOC", "largest µ of all poses", "DCAC"]
 
 
 @settings(max_examples=50)

@@ -20,7 +20,6 @@ from hypothesis import given
 
 from moc_opt import figures
 from moc_opt.errors import BrowserError, ReportError
-from moc_opt.figures.style import DARK, INK
 from moc_opt.report.export import browser, save_figures
 from moc_opt.report.page import Page
 from moc_opt.report.tables import Column, Missing, Table
@@ -178,22 +177,6 @@ def test_a_heading_sorts_by_mouse_and_keyboard(page: Any) -> None:
     page.locator("th[scope=col] button").first.press("Space")
     assert heading.get_attribute("aria-sort") == "none"
     assert column(page, 1) == before
-
-
-def test_the_legend_hides_a_run_in_every_panel_and_in_every_light(page: Any) -> None:
-    drawn = ".chart", "charts => charts.map(chart => chart.querySelectorAll('.main-svg').length > 0)"
-    assert page.eval_on_selector_all(*drawn) == [True] * 4
-    shown = "() => document.querySelector('#runs').data.map(trace => trace.visible ?? true)"
-    lines = "document.querySelectorAll('#runs .scatterlayer .js-line').length === "
-    assert page.evaluate(shown) == [True] * 8
-    page.locator("#runs .legendtoggle").first.click()
-    page.wait_for_function(f"{lines}4", polling=POLLING_MS)
-    page.emulate_media(color_scheme="dark")
-    color = f"document.querySelector('#ecdf').layout.template.layout.font.color === '{DARK[INK]}'"
-    page.wait_for_function(color, polling=POLLING_MS)
-    assert page.evaluate(shown).count("legendonly") == 4
-    page.locator("#runs .legendtoggle").first.click()
-    page.wait_for_function(f"{lines}8", polling=POLLING_MS)
 
 
 def test_nothing_is_wider_than_the_screen(page: Any) -> None:

@@ -80,16 +80,6 @@ def test_a_narrow_terminal_shows_every_number_whole(width: int, count: int, size
     assert sorted(set(re.findall(r"\bc\d+\b", text))) == sorted(c.key for c in columns[1:]), "shown or named"
 
 
-def test_a_terminal_shows_units_and_keeps_numbers_to_the_right_whatever_is_missing() -> None:
-    columns = [Column("name", "solver"), Column("value", "self-motion loss", "us", format=".1f")]
-    rows = [{"name": "a", "value": 12.0}, {"name": "b"}, {"name": "c", "value": 3.0}]
-    lines = [line for line in Table("Times", columns, rows, "Caption.").to_text().splitlines() if line.strip("─ ")]
-    assert [line.split() for line in lines] == [
-        ["Times"], ["self-motion"], ["loss"], ["solver", "µs"], ["a", "12.0"], ["b", "–"], ["c", "3.0"], ["Caption."],
-    ]  # fmt: skip
-    assert len({len(line) for line in lines[4:7]}) == 1
-
-
 @pytest.mark.parametrize(("step_s", "told"), [(10.0, [1, 2, 3, 4]), (6.0, [1, 3]), (1.0, [1])])
 def test_without_a_terminal_progress_writes_a_line_now_and_then(step_s: float, told: list[int]) -> None:
     """The time left counts from when the number of steps is known: a minute of setting up is in no forecast."""

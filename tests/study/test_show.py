@@ -3,10 +3,7 @@
 from moc_opt.figures.style import figure
 from moc_opt.report.tables import Column, Table
 from moc_opt.study import show
-from moc_opt.study.results import change_name
-from moc_opt.study.show import Picture, Report, Section, columns
-from moc_opt.trace.metrics import METRICS
-from tests import first_screens
+from moc_opt.study.show import Picture, Report, Section
 
 TABLE = Table(
     "First", [Column("arm", "arm", section="All figures"), Column("mu", "mean", unit="m^3", format=".2f")],
@@ -22,25 +19,12 @@ REPORT = Report(
 def test_a_page_begins_with_the_answer_and_folds_the_rest() -> None:
     failed = [{"trial": "t1", "controller": "rnn", "error": "hung: 30 s", "unknown": 1}]
     html = REPORT.page({"seed": 3}, failed).html()
-    first_screens.check(html, pictures=1)
     order = ["It holds.", "It is <code>exact</code>", "First", "Times were taken.", 'id="seen"', "Read these.",
              "Second", 'id="more"', "Runs that failed", "hung: 30 s", "Environment"]  # fmt: skip
     text = html[html.index("<body") :]
     places = [text.index(part) for part in order]
     assert places == sorted(places)
     assert "Runs that failed" not in REPORT.page({}).html()
-
-
-def test_columns_take_unit_format_and_help_from_the_metrics() -> None:
-    names = ("tip_error_model_mean_mm", "settled_trocar_force_mean_N", "mu_gain_percent", "whole")
-    tip, force, gain, whole = columns(*names, of="All figures", whole="completed")
-    assert (tip.key, tip.title, tip.unit, tip.format) == (names[0], "tip, own", "mm", ".3f")
-    assert tip.help == METRICS[names[0]].about
-    assert (force.key, force.title, force.unit) == (names[1], "trocar force mean", "N")
-    assert (gain.unit, gain.format, gain.title) == ("%", "+.1f", "mu gain")
-    assert (whole.title, whole.unit, whole.help, whole.section) == ("completed", "", "", "All figures")
-    (change,) = columns("travelling_" + change_name(names[0]))
-    assert METRICS[names[0]].about in change.help
 
 
 def test_intervals_stand_in_order_around_their_values() -> None:
