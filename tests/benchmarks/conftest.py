@@ -1,7 +1,4 @@
-"""A tiny run of a study, from its TOML to its files, with its jobs in this process.
-
-That jobs run in other processes, and are kept there, is tested once: in tests/study and in test_sweep.py.
-"""
+"""A tiny run of a study, from its TOML to its files, with its jobs in this process; tests/study has the engine."""
 
 import json
 import pickle

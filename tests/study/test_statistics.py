@@ -72,11 +72,6 @@ def test_the_interval_of_a_share_covers_the_truth_at_least_as_often_as_it_says()
     assert 0.95 <= covered < 0.995
 
 
-def test_a_share_of_none_is_not_known_to_be_none():
-    assert share(0, 100) == (0.0, 0.0, pytest.approx(1.0 - 0.025 ** (1 / 100)), 100)
-    assert share(100, 100).low == pytest.approx(0.025 ** (1 / 100))
-
-
 @pytest.mark.parametrize(("call", "given", "said"), [
     (mean, [[]], "samples"), (mean, [[1.0, np.nan]], "samples"), (mean, [[[1.0, 2.0]]], "samples"),
     (relative_change, [[1.0, 2.0], [1.0, 2.0, 3.0]], "give the same trials"),
