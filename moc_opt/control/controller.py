@@ -32,14 +32,14 @@ class Guide(Protocol):
         """Begin at t = 0."""
 
     def desired_velocity(self, state: RobotState) -> Array:
-        """Return x_d (n,) [rad/s] of this tick; its part outside ker A has no effect. Called once a tick."""
+        """Return x_d (n,) [rad/s] of this tick; only its part in ker A counts. Called once a tick."""
 
 
 class Controller:
     """One arm, one law, one solver, as the closed loop calls it: ``start`` once, then ``tick`` every period.
 
     After a tick, ``state`` is the model's, and ``subproblem``, ``solution``, ``answer``, ``fault`` and ``solve_us`` say
-    what the third level did (None and NaN under DCAC).
+    what the third level did (under DCAC None, None, NaN, ``Fault.NONE`` and NaN).
 
     Args:
         robot: the model that the control law uses.
@@ -179,7 +179,7 @@ class Controller:
         pull = None if self._guide is None else self._guide.desired_velocity(state)
         try:
             return self._torque(state, tip_ref, trocar, pull)
-        except ValueError:  # the core takes contiguous arrays of floats alone, and checks them before all else
+        except ValueError:  # the core takes contiguous arrays of floats alone: convert, and try once more
             rows = _rows("tip_ref", tip_ref, 3), _rows("trocar", trocar, 2)
             if rows[0] is tip_ref and rows[1] is trocar:
                 raise
@@ -243,7 +243,7 @@ class Controller:
 
 def _rows(name: str, given: Array, count: int) -> Array:
     if np.shape(given) != (count, 3):
-        raise ControlError(f"{name} has shape {np.shape(given)}: give ({count}, 3), a row a derivative")
+        raise ControlError(f"{name} has shape {np.shape(given)}: give ({count}, 3), one row per derivative")
     return np.ascontiguousarray(given, dtype=np.float64)
 
 

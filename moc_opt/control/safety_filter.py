@@ -19,7 +19,7 @@ from moc_opt.robots.model import RobotModel, RobotState
 
 PRESS_PER_S = 50.0  # rate of the mean of the trocar's force in a stop
 MOST_TICKS = 2**31 - 1  # of C
-_SETTLED = 6.0  # time constants of the residual after which it is what it will be
+_SETTLED = 6.0  # time constants of the residual, after which it has settled
 _NO_WRENCH = np.full(6, np.nan)
 _LATE, _TIP = core.REASONS.index("measurements are too late"), core.REASONS.index("the tip has been off its reference")
 _WATCHED = (
@@ -125,8 +125,8 @@ class SafetyFilter:
     ) -> Array:  # fmt: skip
         """Return the torque (n,) [Nm] within the limits; ``limited`` counts the joints at which they acted.
 
-        A torque that is not finite requests the stop, and ``before`` is returned. With it, the tip's distance from its
-        reference is checked, and the motion at (q, v) compared with the torque that was applied before it.
+        A torque that is not finite requests the stop, and ``before`` is returned. The tip's distance from its reference
+        is checked too, and the motion at (q, v) is compared with the torque that was applied before it.
 
         Args:
             tau, before: (n,) as asked for, and as applied last [Nm].
@@ -150,7 +150,7 @@ class SafetyFilter:
     def stop_torque(self, before: Array) -> Array:
         """Return the torque (n,) [Nm] of a damped stop: the weight of the arm in the last pose that was accepted.
 
-        The last torque would continue the push of the levels at that moment.
+        The last torque, held, would go on pushing.
         """
         self.limited, tau = 0, np.empty_like(self._rest)
         self._guard.rest(np.ascontiguousarray(before, dtype=np.float64), tau)
@@ -160,7 +160,7 @@ class SafetyFilter:
         """Return the dry friction (n,) [Nm] of the brakes in a stop; zero while the trocar presses the shaft hard.
 
         They open at ``stop_yield_N``, close again at half of it or after ``stop_yield_s``, and open once more if the
-        force has risen by as much again since; `moc_guard_hold` in guard.c says why.
+        force has risen by another ``stop_yield_N``; `moc_guard_hold` in guard.c says why.
 
         Args:
             wrench: (6,) force [N] and torque [Nm] of the tool on its mount, tool axes.
@@ -195,8 +195,7 @@ def numbers_of(
         "tool_mass": data.tool_mass, "tool_length": data.tool_length, "tip_force": _or_infinite(s.tip_force_N),
         "stop_yield": _or_infinite(s.stop_yield_N), "stop_yield_ticks": round(s.stop_yield_s / period),
         "press_share": min(1.0, PRESS_PER_S * period),
-        # One encoder with noise shows an earlier reading again at most as often as it repeats itself; all n of them
-        # together, with the n-th power of that chance.
+        # An encoder with noise repeats itself, or shows any earlier reading again, with a chance p; all n, with p^n.
         "replayed_ticks": max(float(s.repeat_whole_ticks), _or_infinite(s.repeat_joint_ticks) / robot.n),
         "stuck_speed": s.stuck_rad_per_s, "held": np.minimum(s.stuck_torque * data.tau_max, coulomb),
         "residual_whole": s.residual_whole_torque, "residual_rate": s.residual_rate_per_s,

@@ -8,7 +8,7 @@
 #define TOLERANCE 1e-10 /* on tip and wrist [m] */
 #define PI 3.14159265358979323846
 
-/* Error (6,) of tip and wrist, A (6,n) and mu with its gradient (n,), NULL: without. */
+/* Error (6,) of tip and wrist, A (6,n) and mu; its gradient (n,) unless grad is NULL. */
 static double look(const plan_task *task, const double *q, double error[6], double A[6][MOC_MAX_JOINTS], double *grad)
 {
     moc_frame frame[MOC_MAX_JOINTS];
@@ -27,7 +27,7 @@ static double look(const plan_task *task, const double *q, double error[6], doub
     return moc_manipulability(n, twist, A, grad);
 }
 
-/* NaN for one. */
+/* The largest |x|; NaN where one is. */
 static double largest(int count, const double *x)
 {
     double most = 0.0;
@@ -48,9 +48,9 @@ static double distance(int n, const double *p, const double *q)
 
 #define LONGEST 0.25    /* of a step, in joint space [rad]: beyond it the linearization is worth little */
 #define AT_REST 1e-9    /* of a tangent: a joint with less of it does not move along the curve */
-#define DAMPING 1e-12   /* of the trace of A A^T: tip and wrist are rigidly tied, A has a row too many */
+#define DAMPING 1e-12   /* of the trace of A A^T: A has rank 5, since tip and wrist are rigidly tied */
 
-/* The step (n,) nearest to the desired one that changes A q (rows) by the error and leads to no limit.
+/* The step (n,) nearest to the desired one with A step = error (rows) that pushes no joint into a limit.
  *
  * No joint within `near` of a limit goes towards it. An active-set method: joints that would leave are held, and one
  * that its multiplier draws inwards is let go. */
@@ -168,7 +168,7 @@ static double turn_tangent(const plan_task *task, const double *q, double *tange
     return mu;
 }
 
-/* Whether the start (n,), up to whole turns, is ahead of q within a step, and how far; `pose` is the start then. */
+/* Whether the start (n,), up to whole turns, is ahead of q within a step, and how far; `pose` is that start. */
 static int closes(const plan_task *task, const double *start, const double *q, const double *tangent, double step,
                   double *pose, double *gap)
 {
@@ -239,8 +239,8 @@ int plan_follow(const plan_task *task, const double *start, const double *tangen
 
 /* --- climbs --- */
 
-#define SHORTEST 1e-6  /* below it an ascent has arrived: mu is flat there to its square */
-#define FLAT 1e-9      /* of the gradient: less of it along the allowed ways is none */
+#define SHORTEST 1e-6  /* a shorter step changes mu by its square alone: the ascent has arrived */
+#define FLAT 1e-9      /* of the gradient: a smaller part along the allowed ways counts as zero */
 #define STEPS 400
 #define NEWTON 40
 

@@ -85,7 +85,7 @@ METHOD(Arm, nearest_pose, TASK(ANY), {"q", READ, N}, {"iterations", WHOLE}, {"be
     return PyFloat_FromDouble(plan_place(&task, points, whole(c, 4), c->array[3], c->array[5]));
 }
 
-#define MOST_STEP 10.0 /* [rad]: a longer one never gets short enough */
+#define MOST_STEP 10.0 /* [rad]: a longer one, halved, never gets short enough */
 
 METHOD(Arm, follow_curve, TASK(2), {"q", READ, N}, {"tangent", READ, N}, {"step", NUMBER}, {"s", WRITE, K},
        {"poses", WRITE, K, N}, {"mus", WRITE, K})

@@ -74,7 +74,7 @@ moc_stop moc_start(const moc_controller *c, const moc_measurement *m, moc_state 
     return s->reason;
 }
 
-/* The torque that acted, in the memory. A state that no tick has left is a reason to stop. */
+/* The torque that acted, in the memory. A state that no tick can have left is a reason to stop. */
 static void take_applied(const moc_controller *c, const double *applied, moc_state *s)
 {
     int n = c->arm->n;
@@ -90,7 +90,7 @@ static void take_applied(const moc_controller *c, const double *applied, moc_sta
         s->sent[i] = isnan(s->sent[i]) ? 0.0 : clip(s->sent[i], -c->guard->tau_max[i], c->guard->tau_max[i]);
 }
 
-/* What the arm is believed to do, and the terms of that. */
+/* Accept or replace the measurement, then compute the terms at it. */
 static moc_stop believe(const moc_controller *c, const moc_input *in, moc_state *s)
 {
     moc_measurement seen = in->measured;
@@ -138,7 +138,7 @@ static moc_stop complete(const moc_controller *c, const moc_answer *answer, moc_
     if (!c->guard)
         return MOC_RUNNING;
     moc_stop reason = moc_guard_follow(c->guard, c->arm, &s->terms, s->terms.tip, s->told, s->sent, s->tau, &s->watch);
-    if (s->watch.limited) /* the observer takes what went out */
+    if (s->watch.limited) /* the observer must see the limited torque */
         memcpy(memory->tau, s->tau, bytes);
     return reason;
 }

@@ -39,7 +39,7 @@ SUPERVISION = (
 class Recording(NamedTuple):
     """k consecutive ticks: measurements, references, and the torques that left the safety filter.
 
-    Before the first tick ``sent`` (n,) acted. The first ``sound`` ticks have no faults; these are timed. At tick
+    Before the first tick ``sent`` (n,) acted. The first ``sound`` ticks have no faults and are timed. At tick
     ``stopped_at`` the safety filter stopped the arm; -1: it did not.
     """
 
@@ -154,7 +154,7 @@ static const struct {{
 
 def write(
     robot: RobotModel, law: Mapping[str, Any], guard: Mapping[str, Any], recording: Recording,
-    out: str | os.PathLike[str], *, tolerance: float = 1e-9, stop: tuple[float, float] = (15.0, 0.5),
+    out: str | os.PathLike[str], *, tolerance: float = 1e-9, stop: tuple[float, float] = (20.0, 0.5),
     extra: Mapping[str, str | bytes] = MappingProxyType({}), force: bool = False,
 ) -> list[Path]:  # fmt: skip
     """Write the folder, and return its files.

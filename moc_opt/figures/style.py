@@ -1,7 +1,7 @@
 """The house style: one plotly template, colours that colour-blind readers tell apart, light and dark.
 
-A figure is built for a light page. A page turns it dark by exchanging the colours of `DARK`, text for text,
-in the figure's JSON: so every colour used in a figure comes from here.
+A figure is built for a light page. A page turns it dark by replacing each colour of `DARK` in the figure's
+JSON: so every colour used in a figure comes from here.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from moc_opt.figures.notation import pretty_power, pretty_units, printable
 
 INK, MUTED, GRID, PAPER = "#1f2328", "#5f6871", "#e3e6e9", "#ffffff"
 GOOD, BAD, WORST = "#3b7fb8", "#c9ccd1", "#c4421a"
-"""Of answers: solved and optimal; failed and reported as such; wrong under a claim of success."""
+"""Of answers: GOOD is optimal, BAD failed and says so, WORST is wrong and claims success."""
 
 # Okabe and Ito's palette, yellow and black replaced (they vanish on one of the two backgrounds), light -> dark.
 SERIES = {

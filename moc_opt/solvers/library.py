@@ -1,4 +1,4 @@
-"""What the adapters of QP libraries share: settings, buffers, five or six rows, cost scale, duals.
+"""What the adapters of QP libraries share: settings, buffers, the choice of rows, the scaling of cost and duals.
 
 An adapter is one file with a frozen dataclass of its library's settings, derived from `Adapter`, and a
 `LibrarySession`: see docs/extending.md; ``piqp`` is a short one.
@@ -30,7 +30,7 @@ class Adapter(SolverSettings):
     Attributes:
         rows: 5 or 6 equality rows; a field where the library takes six.
         cost_scale: multiplies P and p; the duals are scaled back.
-        needs: what the library does with a cost that is not positive definite; empty where it copes.
+        needs: why the library cannot take a cost that is not positive definite; empty where it can.
     """
 
     rows: int = 5
@@ -120,7 +120,7 @@ class TruncatedSession(LibrarySession):
         """Let the library make so many iterations at most."""
 
     def truncated(self, qp: NullSpaceQP, iterations: int) -> Solution:
-        """Answer with the iterate after so many iterations (at least 1), from where the last solve began."""
+        """Answer with the iterate after so many iterations (at least 1), starting where the last solve started."""
         self._limit(iterations)
         try:
             return self.solve(qp)

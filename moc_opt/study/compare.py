@@ -45,8 +45,8 @@ COLUMNS = [
 CAPTION = (
     f"Means are over completed trials, with 95 % intervals from {LEAST_TRIALS} trials on. Changes (from {LEAST_TRIALS} "
     "trials on) compare the mean with that of DCAC with the same gains on the same trials; ? marks a change that the "
-    "mean of the trials' ratios does not confirm. Times are those of the median trial; exact's leave out the call from "
-    f"Python. {FRAMES}"
+    "mean of the trials' ratios does not confirm. Times are those of the median trial; those of exact exclude the "
+    f"call from Python. {FRAMES}"
 )
 
 
