@@ -33,7 +33,8 @@ static int take_key(const char *key, size_t length)
     size_t size = TAG;
     const OSSL_PARAM sizes[] = {OSSL_PARAM_construct_size_t(OSSL_MAC_PARAM_SIZE, &size), OSSL_PARAM_construct_end()};
 
-    check = EVP_MAC_CTX_new(EVP_MAC_fetch(NULL, "BLAKE2SMAC", NULL));
+    EVP_MAC *blake = EVP_MAC_fetch(NULL, "BLAKE2SMAC", NULL);
+    check = blake ? EVP_MAC_CTX_new(blake) : NULL;
     return check && EVP_MAC_init(check, (const uint8_t *)key, length, sizes);
 }
 
