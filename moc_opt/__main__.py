@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import select
 import sys
@@ -19,7 +20,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         try:
             return _command(arguments)
         finally:
-            sys.stdout.flush()
+            if sys.stdout is not None:
+                sys.stdout.flush()
     except BrokenPipeError:
         watched = select.poll()
         watched.register(sys.stdout.fileno(), 0)
@@ -28,6 +30,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         from moc_opt.report.console import end_output
 
         return end_output()
+    except OSError as error:
+        if error.errno != errno.ENOSPC:
+            raise
+        from moc_opt.report.console import end_output
+
+        print(_one_line(error), file=sys.stderr)
+        end_output()
+        return 2
 
 
 def _command(arguments: Sequence[str] | None) -> int:

@@ -77,12 +77,14 @@ def test_an_unknown_option_is_refused_everywhere_but_in_the_study(arguments, cap
     assert (arguments or ["no command"])[-1] in capsys.readouterr().err
 
 
-def test_a_reader_that_closes_the_output_ends_the_command_quietly():
+def test_an_output_that_is_closed_or_full_ends_the_command_without_a_traceback():
     reader, writer = os.pipe()
     os.close(reader)  # as `| head` is gone once it has what it wants
-    with os.fdopen(writer, "wb") as closed:
-        ended = subprocess.run([sys.executable, "-m", "moc_opt", "keys"], stdout=closed, stderr=subprocess.PIPE)
-    assert (ended.returncode, ended.stderr) == (141, b"")
+    with os.fdopen(writer, "wb") as closed, open("/dev/full", "wb") as full:
+        ended = [subprocess.run([sys.executable, "-m", "moc_opt", "keys"], stdout=out, stderr=subprocess.PIPE)
+                 for out in (closed, full)]  # fmt: skip
+    assert (ended[0].returncode, ended[0].stderr) == (141, b"")
+    assert (ended[1].returncode, ended[1].stderr.count(b"\n"), b"No space" in ended[1].stderr) == (2, 1, True)
 
 
 @pytest.mark.parametrize(("command", "expected"), [

@@ -1,6 +1,5 @@
 """The program keeps every constraint by the model's own kinematics, over a path and over a horizon."""
 
-
 import casadi
 import numpy as np
 import pytest
