@@ -17,6 +17,7 @@ import numpy as np
 from pydantic import Field
 from scipy import stats
 
+from benchmarks.goals import Goal, judge
 from benchmarks.phases import with_phases
 from moc_opt.figures.style import BAD, GOOD, WORST
 from moc_opt.report.tables import Column, Table
@@ -24,7 +25,7 @@ from moc_opt.scenario import Scenario
 from moc_opt.study.command import Found, Study, StudyConfig, command
 from moc_opt.study.results import ERRORS, FRAMES, TITLES, Results, change_name
 from moc_opt.study.show import MARKS, Picture, Report, Section, columns, ends, intervals_picture, mark
-from moc_opt.study.statistics import share, spread, too_few
+from moc_opt.study.statistics import Change, Interval, share, spread, too_few
 from moc_opt.study.trials import BASELINE, Trial, seeds, trials
 
 STREAM = 8
@@ -89,24 +90,23 @@ def work(study: Study, config: Config) -> Found:
 def verdicts(rows: Results, judged: str) -> dict[str, bool | None]:
     """Return finding -> whether it holds on an arm, by the interval's end; None where it is undecided."""
     own, base = rows.pairs("tip_error_mean_mm", judged)
+
+    def change(metric: str, _: Any) -> Change | None:
+        return rows.change(metric, judged)
+
+    def tails(_: Any) -> Interval:
+        return share(sum(a > MUCH_WORSE * b for a, b in zip(own, base, strict=True)), len(own))
+
+    goals = {
+        "mu_gain_percent": Goal("", "%", LEAST_GAIN_PERCENT, partial(change, "mu_mean"), most=False),
+        **{change_name(name): Goal("", "%", MOST_CHANGE_PERCENT, partial(change, name)) for name in SETTLED},
+        "tails": Goal("", "", MOST_TAILS, tails),
+    }
     broken = any(not row["whole"] for row in rows)
-    few = too_few(len(own)) is not None
-
-    def above(metric: str, limit: float) -> bool | None:
-        change = rows.change(metric, judged)
-        return None if change is None else {1: True, 0: None, -1: False}[change.side(limit)]
-
-    def at_most(metric: str, limit: float) -> bool | None:
-        more = above(metric, limit)
-        return None if more is None else not more
-
-    worse = None if few else share(sum(a > MUCH_WORSE * b for a, b in zip(own, base, strict=True)), len(own))
     return {
-        "all_end": False if broken else None if few else True,
-        "mu_gain_percent": above("mu_mean", LEAST_GAIN_PERCENT),
-        **{change_name(name): at_most(name, MOST_CHANGE_PERCENT) for name in SETTLED},
-        "tails": None if worse is None or worse.low <= MOST_TAILS < worse.high else worse.high <= MOST_TAILS,
-    }  # fmt: skip
+        "all_end": False if broken else None if too_few(len(own)) else True,
+        **{key: {"yes": True, "no": False}.get(row["reached"]) for key, row in judge({}, goals).items()},
+    }
 
 
 def ranking(robots: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:

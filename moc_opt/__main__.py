@@ -22,22 +22,24 @@ def main(arguments: Sequence[str] | None = None) -> int:
         finally:
             if sys.stdout is not None:
                 sys.stdout.flush()
-    except BrokenPipeError:
-        watched = select.poll()
-        watched.register(sys.stdout.fileno(), 0)
-        if not watched.poll(0):
-            raise  # another pipe than that of the output
-        from moc_opt.report.console import end_output
-
-        return end_output()
     except OSError as error:
-        if error.errno != errno.ENOSPC:
+        full = error.errno == errno.ENOSPC
+        if not full and not (isinstance(error, BrokenPipeError) and _nobody_reads()):
             raise
         from moc_opt.report.console import end_output
 
+        closed = end_output()
+        if not full:
+            return closed
         print(_one_line(error), file=sys.stderr)
-        end_output()
         return 2
+
+
+def _nobody_reads() -> bool:
+    """Tell whether the broken pipe is that of the output."""
+    watched = select.poll()
+    watched.register(sys.stdout.fileno(), 0)
+    return bool(watched.poll(0))
 
 
 def _command(arguments: Sequence[str] | None) -> int:

@@ -57,7 +57,7 @@ def tables(kind: type[Settings] = Scenario, path: str = "") -> Iterator[tuple[st
             continue
         value = field.get_default(call_default_factory=True)
         default = ABSENT if value is None else json.dumps(value).replace("Infinity", "inf")
-        keys.append((name, _type(hint), default, " ".join((field.description or "").split())))
+        keys.append((name, _type(hint), default, kind.meaning(name)))
     yield path, (kind.__doc__ or "").strip().partition("\n")[0], keys
     for below, hint in inner:
         yield from tables(hint, below)

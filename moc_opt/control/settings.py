@@ -58,7 +58,7 @@ class ControlSettings(Settings):
 
     law: Literal["dcac", "moc"] = "moc"
     """'dcac': tip and RCM levels only; 'moc': the third level too"""
-    gains: str | None = Field(default="default")
+    gains: str | None = "default"
     """table of the robot's file from which gains are taken; '': the table named like the law"""
     K_X: Positive | None = Field(default=None, description="tip stiffness [N/m]")
     D_X: NotNegative | None = Field(default=None, description="tip damping [N s/m]")
@@ -66,54 +66,54 @@ class ControlSettings(Settings):
     D_N: NotNegative | None = Field(default=None, description="wrist damping [N s/m]")
     K_N2: PerJoint | None = Field(default=None, description="gain of the third level on x* - v [N m s/rad]")
     D_N2: PerJoint | None = Field(default=None, description="gain of the third level on v [N m s/rad]")
-    dcac_damping: PerJoint = Field(default=0.0)
+    dcac_damping: PerJoint = 0.0
     """damping of the self-motion under dcac [N m s/rad]; 0 as in the paper"""
 
-    rcm_lambda: Annotated[float, Field(gt=0.0, le=1.0)] | None = Field(default=None)
+    rcm_lambda: Annotated[float, Field(gt=0.0, le=1.0)] | None = None
     """constant lambda of the paper's |e_N1| = d / lambda, 0.5 in the paper; left out: |N_d - N| itself"""
-    projector: Literal["dynamic", "static", "as_published"] = Field(default="dynamic")
+    projector: Literal["dynamic", "static", "as_published"] = "dynamic"
     """null-space projector of level 2: docs/method.md explains all three"""
-    feedforward: bool = Field(default=True)
+    feedforward: bool = True
     """whether the accelerations of tip and wrist are fed forward; the paper does not"""
-    observer_gain_per_s: NotNegative = Field(default=20.0)
+    observer_gain_per_s: NotNegative = 20.0
     """gain of the momentum observer; 0: none; under third_level 'planned' and 'receding' any value above 0 is
     replaced by course_observer_gain_per_s"""
-    limit_torque: bool = Field(default=True)
+    limit_torque: bool = True
     """whether the controller limits each torque to the joint's largest"""
 
-    k0_per_s: Positive = Field(default=2.0)
+    k0_per_s: Positive = 2.0
     """gain of the velocity damper, 0.1 in the paper; under third_level 'planned' and 'receding' at least 10"""
-    third_level: Literal["local", "planned", "receding"] = Field(default="local")
+    third_level: Literal["local", "planned", "receding"] = "local"
     """under law 'moc': 'local' climbs mu from where the arm is, 'planned' follows a course that is planned
     before the run, 'receding' follows one that is planned again and again during the run"""
-    course: str = Field(default="")
+    course: str = ""
     """third_level 'planned': file of the course to follow, as `moc-opt plan --out` writes it, taken from the
     scenario's folder; empty: a course is planned before the run"""
-    horizon_s: Annotated[float, Field(ge=0.2, le=2.0)] = Field(default=1.0)
+    horizon_s: Annotated[float, Field(ge=0.2, le=2.0)] = 1.0
     """third_level 'receding': time over which the smooth course is computed; a value function stands for the
     rest of the path"""
-    replan_per_s: Annotated[float, Field(ge=20.0, le=50.0)] = Field(default=20.0)
+    replan_per_s: Annotated[float, Field(ge=20.0, le=50.0)] = 20.0
     """third_level 'receding': number of courses computed in a second"""
-    course_speed_fraction: Annotated[float, Field(gt=0.0, lt=1.0)] = Field(default=0.85)
+    course_speed_fraction: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.85
     """share of v_max that a course of 'planned' or 'receding' uses; the rest is for the arm to catch up before
     the safety filter brakes it"""
-    course_margin_rad: NotNegative = Field(default=0.05)
+    course_margin_rad: NotNegative = 0.05
     """third_level 'planned' and 'receding': distance of course and box on x from a joint limit"""
-    course_observer_gain_per_s: NotNegative = Field(default=40.0)
+    course_observer_gain_per_s: NotNegative = 40.0
     """gain of the momentum observer under third_level 'planned' and 'receding', where the elbow moves faster"""
-    climb: Literal["gradient", "scaled"] = Field(default="gradient")
+    climb: Literal["gradient", "scaled"] = "gradient"
     """third_level 'local': 'gradient' climbs at a speed proportional to the gradient of mu; 'scaled' at a speed
     that does not depend on the pose"""
     c0: NotNegative = Field(default=0.01, description="weight of the tip velocity in the subproblem's cost")
     c1: NotNegative = Field(default=0.01, description="weight of the wrist velocity in the subproblem's cost")
     c2: NotNegative = Field(default=0.001, description="weight of the gradient of mu in the subproblem's cost")
-    regularization: NotNegative = Field(default=1e-5)
+    regularization: NotNegative = 1e-5
     """weight rho of |x|^2 / 2 in the subproblem's cost; 0: the paper's linear problem"""
-    fallback: Literal["damping", "hold", "least-violation"] = Field(default="least-violation")
+    fallback: Literal["damping", "hold", "least-violation"] = "least-violation"
     """what replaces the answer to an infeasible subproblem"""
-    speed_fraction: Annotated[float, Field(gt=0.0, le=1.0)] = Field(default=0.5)
+    speed_fraction: Annotated[float, Field(gt=0.0, le=1.0)] = 0.5
     """third_level 'local': share of v_max in the box on x, which limits the elbow's speed; 1 in the paper"""
-    limit_margin_rad: NotNegative = Field(default=0.15)
+    limit_margin_rad: NotNegative = 0.15
     """third_level 'local': distance from a joint limit at which the box on x closes; 0 in the paper"""
     limit_margin_m: NotNegative = Field(default=0.05, description="limit_margin_rad for a sliding joint")
     shaft_margin: float = Field(default=0.175, ge=0.0, le=1.0)
@@ -121,7 +121,7 @@ class ControlSettings(Settings):
     squared distance of wrist point and tip, the climb of third_level 'local' leads away from poses that cannot
     hold the shaft, and the box opens to all of v_max. A course of 'planned' or 'receding' goes no more than a
     little below a quarter of it where there is another way; 0 in the paper"""
-    ramp_s: NotNegative = Field(default=0.3)
+    ramp_s: NotNegative = 0.3
     """time over which the third level fades in at the start [s]; 0 in the paper"""
     supervisor: SupervisorSettings = SupervisorSettings()
 

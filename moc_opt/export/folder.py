@@ -154,7 +154,7 @@ static const struct {{
 
 def write(
     robot: RobotModel, law: Mapping[str, Any], guard: Mapping[str, Any], recording: Recording,
-    out: str | os.PathLike[str], *, tolerance: float = 1e-9, stop: tuple[float, float] = (20.0, 0.5),
+    out: str | os.PathLike[str], *, tolerance: float, stop: tuple[float, float],
     extra: Mapping[str, str | bytes] = MappingProxyType({}), force: bool = False,
 ) -> list[Path]:  # fmt: skip
     """Write the folder, and return its files.

@@ -78,6 +78,11 @@ class Settings(pydantic.BaseModel):
         """List the keys that a table of such values may have; a subclass adds those of its free tables, dotted."""
         return [*cls.model_fields, *cls.MORE_KEYS]
 
+    @classmethod
+    def meaning(cls, key: str) -> str:
+        """Return what a key means, on one line."""
+        return " ".join((cls.model_fields[key].description or "").split())
+
 
 def _leaves(given: Any, value: Any, where: str = "") -> Iterator[tuple[str, Any, Any]]:
     """Yield place, what was written there and what was read, for every entry of nested tables and lists."""

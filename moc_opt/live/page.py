@@ -142,7 +142,7 @@ class Panel:
                 slider.on_update(lambda _: self.orders.put(self._move_trocar))
         with gui.add_folder("Weights and gains"):
             self._fields = {
-                name: gui.add_text(name, self._written(name), hint=ControlSettings.model_fields[name].description)
+                name: gui.add_text(name, self._written(name), hint=ControlSettings.meaning(name))
                 for name in FIELDS
             }
             gui.add_button("Apply").on_click(lambda _: self.orders.put(self._apply))

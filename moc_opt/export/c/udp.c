@@ -32,8 +32,8 @@ static int take_key(const char *key, size_t length)
 {
     size_t size = TAG;
     const OSSL_PARAM sizes[] = {OSSL_PARAM_construct_size_t(OSSL_MAC_PARAM_SIZE, &size), OSSL_PARAM_construct_end()};
-
     EVP_MAC *blake = EVP_MAC_fetch(NULL, "BLAKE2SMAC", NULL);
+
     check = blake ? EVP_MAC_CTX_new(blake) : NULL;
     return check && EVP_MAC_init(check, (const uint8_t *)key, length, sizes);
 }
@@ -104,7 +104,8 @@ static int is_sound(const uint8_t *bytes, size_t size, const struct sockaddr_in 
 
     if (size != sizeof(wire_measurement) || head->kind != WIRE_KIND_MEASUREMENT || !sign(bytes, size - TAG, tag))
         return 0;
-    return CRYPTO_memcmp(tag, bytes + size - TAG, TAG) == 0 && memcmp(head->magic, WIRE_MAGIC, sizeof head->magic) == 0 && head->version == WIRE_VERSION &&
+    return CRYPTO_memcmp(tag, bytes + size - TAG, TAG) == 0 &&
+           memcmp(head->magic, WIRE_MAGIC, sizeof head->magic) == 0 && head->version == WIRE_VERSION &&
            head->joints == WIRE_JOINTS && (!wire.session || head->session == wire.session) &&
            sender->sin_addr.s_addr == wire.plant.sin_addr.s_addr && sender->sin_port == wire.plant.sin_port;
 }
