@@ -59,9 +59,7 @@ def ahead(point: Array, rate: Array) -> Array:
 
 def wrist_reference(tip_ref: Array, trocar: Array, span: float) -> Array:
     """Return wrist [m] and velocity [m/s], (2, 3), that put the shaft of a tip on its reference through the trocar."""
-    found = np.empty((2, 3))
-    core.desired_wrist(tip_ref[0], tip_ref[1], trocar, span, found)
-    return found
+    return core.desired_wrist(tip_ref[0], tip_ref[1], trocar, span)
 
 
 class TSID:

@@ -27,7 +27,7 @@ from moc_opt.arrays import Array
 from moc_opt.control import Controller
 from moc_opt.control.law import numbers_of
 from moc_opt.export import export_scenario
-from moc_opt.qp.problem import NullSpaceQP, row_length
+from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.robots.model import load_robot
 from moc_opt.scenario import Scenario, Setup, make_solver
 from moc_opt.solvers.exact import Exact
@@ -156,25 +156,20 @@ def tick_parts(scenario: Scenario, rounds: int) -> Part:
     """Time the parts of our tick, each on the same states: what the controller calls, called by itself."""
     part, (inputs, _), robot = Part(), record(scenario), load_robot(scenario.robot.name)
     law = core.Law(robot.arm, **numbers_of(scenario.control, robot, scenario.plant.period_s))
-    given = [(robot.state(q, v), tip_ref, trocar) for q, v, tip_ref, trocar in inputs]
-    tau, x, row = np.empty(robot.n), np.zeros(robot.n), np.empty(row_length(robot.n))
-    law.start(given[0][0].record, given[0][1], given[0][2], row)
+    law.start(*inputs[0])
 
-    def begin(item: Any) -> None:
-        state, tip_ref, trocar = item
-        law.begin(state.record, tip_ref, trocar, None, row)
+    def begin(item: peers.Inputs) -> Array:
+        q, v, tip_ref, trocar = item
+        return law.begin(q, v, tip_ref, trocar, None)[1]
 
-    problems = []
-    for item in given:
-        begin(item)
-        problems.append(NullSpaceQP.from_row(row.copy()))
+    problems = [NullSpaceQP.from_row(begin(item)) for item in inputs]
     session = Exact().start(problems[0])
     answers = [np.array(session.solve(qp).x) for qp in problems]
-    entries = {  # kinematics, dynamics and manipulability; levels 1 and 2 and the subproblem; the check and level 3
-        "model state": Timed(lambda item: robot.state(item[0], item[1]), inputs),
-        "before the solver": Timed(begin, given),
+    entries = {  # the arm's terms, levels 1 and 2, and the subproblem; the solver; the check and level 3
+        "before the solver": Timed(begin, inputs),
+        "of which the arm's terms": Timed(lambda item: robot.state(item[0], item[1]), inputs),
         "solver": Timed(session.solve, problems),
-        "after the solver": Timed(lambda answer: law.finish(0, 0, answer, 1.0, x, tau), answers),
+        "after the solver": Timed(lambda answer: law.finish(0, 0, answer, 1.0), answers),
     }
     part.time("tick_parts", entries, rounds)
     part.found["tick_parts"] = {name: part.figures(name, "tick") for name in entries}

@@ -59,7 +59,7 @@ def wheel(tmp_path_factory):
     hooks = os.environ | {"PYTHONPATH": str(source / "packaging")}
     for name in ("moc_opt", "benchmarks", "packaging"):
         shutil.copytree(ROOT / name, source / name, ignore=shutil.ignore_patterns("__pycache__", "*.so"))
-    for name in ("pyproject.toml", "MANIFEST.in", "README.md", "LICENSE"):
+    for name in ("pyproject.toml", "setup.py", "MANIFEST.in", "README.md", "LICENSE"):
         shutil.copy(ROOT / name, source)
     call(sys.executable, "-c", "import backend, sys; backend.build_sdist(sys.argv[1])", built, cwd=source, env=hooks)
     (tools / "ziglang").mkdir()

@@ -65,6 +65,7 @@ class Controller:
         if guide is not None or (settings.climb == "scaled" and settings.law == "moc"):
             settings.check_guided()
         self._guide, self._n, self._row_length = guide, robot.n, row_length(robot.n)
+        self._torques = slice(-robot.n, None)  # of what the core returns
         self._exact = solver if type(solver) is Exact else None  # the core's own: no session, and no copies for it
         self._started = False
         self._supervisor = Supervisor(settings.supervisor, self._law, robot.n, period, times_us)
@@ -77,18 +78,23 @@ class Controller:
         self._subproblem: NullSpaceQP | None = None
         self._solution: Solution | None = None
         self._answer = np.full(self._n, np.nan)
-        self._ticked: tuple[Status, Array] | None = None
+        self._ticked: tuple[Status, Array, Array] | None = None
 
     def _take_apart(self) -> None:
         """Read the last tick of the core's own solver, once somebody asks for it."""
         if self._ticked is None:
             return
-        status, out = self._ticked
+        status, self._record, out = self._ticked
         end, n, self._ticked = self._row_length, self._n, None
         self._subproblem = NullSpaceQP.from_row(out[:end])
         x, y = out[end : end + n], out[end + n : end + n + 6]
         self._solution = Solution(x, y, status) if status is Status.SOLVED else no_answer(n, status)
         self._answer = out[end + n + 6 : end + 2 * n + 6]
+
+    @property
+    def state(self) -> RobotState:
+        """The model's terms at the last tick's q and v."""
+        return RobotState(self._record if self._ticked is None else self._ticked[1], self._n)
 
     @property
     def subproblem(self) -> NullSpaceQP | None:
@@ -127,14 +133,13 @@ class Controller:
     @property
     def null_space(self) -> Array:
         """Z (r, n) of the last tick, a copy."""
-        rows = self._law.memory(Z := np.empty((self._n, self._n)), np.empty(self._n))
+        rows, Z, _ = self._law.memory()
         return Z[:rows]
 
     @property
     def external_torque(self) -> Array:
         """The observer's estimate of the external torque (n,) [Nm], a copy; zero without an observer."""
-        self._law.memory(np.empty((self._n, self._n)), torque := np.empty(self._n))
-        return torque
+        return self._law.memory()[2]
 
     def start(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> None:
         """Reset the state and set up the solver for problems like the one at this measurement; arguments as for `tick`.
@@ -152,9 +157,8 @@ class Controller:
     def _begin(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> None:
         self._forget()
         tip_ref, trocar = _rows("tip_ref", tip_ref, 3), _rows("trocar", trocar, 2)
-        row = np.empty(self._row_length)
-        self.state: RobotState = self.robot.state(q, v)
-        self._law.start(self.state.record, tip_ref, trocar, row)
+        state = self.robot.state(q, v)
+        self._record, row = self._law.start(state.q, state.v, tip_ref, trocar)
         if self._guide is not None:
             self._guide.start()
         if self.solver is not None:
@@ -175,31 +179,27 @@ class Controller:
         """
         if not self._started:
             raise ControlError("tick before start: call start once before the first tick")
-        self.state = state = self.robot.state(q, v)
-        pull = None if self._guide is None else self._guide.desired_velocity(state)
+        pull = None if self._guide is None else self._guide.desired_velocity(self.robot.state(q, v))
         try:
-            return self._torque(state, tip_ref, trocar, pull)
-        except ValueError:  # the core takes contiguous arrays of floats alone: convert, and try once more
-            rows = _rows("tip_ref", tip_ref, 3), _rows("trocar", trocar, 2)
-            if rows[0] is tip_ref and rows[1] is trocar:
-                raise
-            return self._torque(state, *rows, pull)
+            return self._torque(q, v, tip_ref, trocar, pull)
+        except ValueError:  # the core takes contiguous arrays of finite floats alone: convert, and try once more
+            state, tip_ref, trocar = self.robot.state(q, v), _rows("tip_ref", tip_ref, 3), _rows("trocar", trocar, 2)
+            return self._torque(state.q, state.v, tip_ref, trocar, pull)
 
-    def _torque(self, state: RobotState, tip_ref: Array, trocar: Array, pull: Array | None) -> Array:
+    def _torque(self, q: Array, v: Array, tip_ref: Array, trocar: Array, pull: Array | None) -> Array:
         if self._exact is not None:
-            self._ticked = _, out = self._supervisor.step(state.record, tip_ref, trocar, pull, self._exact.tolerance)
-            return read_only(out)[-self._n :]
-        tau, row = np.empty(self._n), np.empty(self._row_length)
-        # tau = tau_tip + tau_rcm - r, and the subproblem
-        self._law.begin(state.record, tip_ref, trocar, pull, row)
+            self._ticked = self._supervisor.step(q, v, tip_ref, trocar, pull, self._exact.tolerance)
+            return self._ticked[2][self._torques]
+        # tau_tip + tau_rcm - r, and the subproblem
+        self._record, row = self._law.begin(q, v, tip_ref, trocar, pull)
         if self._session is not None:
             self._subproblem = qp = NullSpaceQP.from_row(row)
             # x*: the subproblem's answer, or the supervisor's substitute;
             # tau += M Z^T (Z M Z^T)^-1 Z (K_N2 (x* - v) - D_N2 v), cut at tau_max
-            seen = state.v if self._observes else None
-            self._solution, self._answer = self._supervisor.solve(self._session, qp, tau, seen)
+            seen = v if self._observes else None
+            self._solution, self._answer, tau = self._supervisor.solve(self._session, qp, seen)
         else:
-            self._law.finish(0, 0, state.v, 0.0, np.empty(self._n), tau)  # no answer is looked at
+            tau = self._law.finish(0, 0, v, 0.0)[2]  # no answer is looked at
         return read_only(tau)
 
     def set_applied_torque(self, tau: Array) -> None:
@@ -226,7 +226,7 @@ class Controller:
     def note(self, row: int, columns: Mapping[str, NDArray[Any]]) -> None:
         """Write the last tick's values into a row of them."""
         if self._ticked is not None and self._ticked[0] is Status.SOLVED:
-            status, out = self._ticked
+            status, _, out = self._ticked
             self._block[row] = out[: -self._n]
         elif (solution := self.solution) is not None and (qp := self.subproblem) is not None:
             status, columns["subproblem"][row], columns["x_rad_per_s"][row] = solution.status, qp.row, solution.x

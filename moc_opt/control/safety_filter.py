@@ -94,17 +94,16 @@ class SafetyFilter:
             trocar: (2, 3) rows P_t, dP_t, as registered: RCM error and trocar force are checked at the pose that is
                 believed; None: the arm is in no incision.
         """
-        believed = np.empty((2, self._robot.n))
-        number = math.nan if stamp is None else stamp
-        reason = self._guard.believe(q, v, number, applied, _NO_WRENCH if wrench is None else wrench, trocar, believed)
+        number, seen = math.nan if stamp is None else stamp, _NO_WRENCH if wrench is None else wrench
+        reason, q, v = self._guard.believe(q, v, number, applied, seen, trocar)
         if reason:
             self.request_stop(self._words[reason])
-        return believed[0], believed[1]
+        return q, v
 
     @property
     def warnings(self) -> list[dict[str, Any]]:
         """Figures above their warning level since the start: ``of``, ``first_s``, ``largest``, ``unit``, ``level``."""
-        self._guard.watched(figures := np.empty((3, 2)))
+        _, figures = self._guard.watched()
         found = []
         for (name, warning, _, unit, scale), largest, first in zip(_WATCHED, *figures[1:].tolist(), strict=True):
             level = getattr(self.settings, warning)
@@ -152,9 +151,8 @@ class SafetyFilter:
 
         The last torque, held, would go on pushing.
         """
-        self.limited, tau = 0, np.empty_like(self._rest)
-        self._guard.rest(np.ascontiguousarray(before, dtype=np.float64), tau)
-        return tau
+        self.limited = 0
+        return self._guard.rest(np.ascontiguousarray(before, dtype=np.float64))
 
     def brake_friction(self, wrench: Array) -> Array:
         """Return the dry friction (n,) [Nm] of the brakes in a stop; zero while the trocar presses the shaft hard.
@@ -165,9 +163,7 @@ class SafetyFilter:
         Args:
             wrench: (6,) force [N] and torque [Nm] of the tool on its mount, tool axes.
         """
-        friction = np.empty_like(self._rest)
-        self._guard.hold(np.ascontiguousarray(wrench, dtype=np.float64), friction)
-        return friction
+        return self._guard.hold(np.ascontiguousarray(wrench, dtype=np.float64))
 
 
 def numbers_of(

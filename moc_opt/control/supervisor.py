@@ -152,37 +152,35 @@ class Supervisor:
         self.faults: dict[str, dict[str, Any]] = {}
 
     def solve(
-        self, session: Session, qp: NullSpaceQP, tau: Array, v: Array | None = None
-    ) -> tuple[Solution, Array]:
+        self, session: Session, qp: NullSpaceQP, v: Array | None = None
+    ) -> tuple[Solution, Array, Array]:
         """Ask the session, check its answer, and finish the law's tick with one in any case.
 
         Copies of the subproblem ``qp`` that the law has begun, and of the measured velocity ``v`` (n,) [rad/s] where
-        the session observes it, go to the session. ``tau`` (n,) [Nm] is filled with the law's torque. It returns the
-        solver's answer, and the x (n,) that the arm follows.
+        the session observes it, go to the session. It returns the solver's answer, the x (n,) that the arm follows,
+        and the law's torque (n,) [Nm].
         """
         solution, known, text = self._ask(session, qp, v)
-        x = np.empty(self._n)
-        number = self._law.finish(
+        number, x, tau = self._law.finish(
             0 if known is None else _FAULTS.index(known), _CLAIMS.get(solution.status, _NO_ANSWER), solution.x,
-            self.solve_us, x, tau,
+            self.solve_us,
         )  # fmt: skip
         self._note(number, solution.status, text)
-        return solution, x
+        return solution, x, tau
 
     def step(
-        self, record: Array, tip_ref: Array, trocar: Array, pull: Array | None, tolerance: float
-    ) -> tuple[Status, Array]:
+        self, q: Array, v: Array, tip_ref: Array, trocar: Array, pull: Array | None, tolerance: float
+    ) -> tuple[Status, Array, Array]:
         """Do the whole tick in the core, with its own solver `exact`; arguments as for `core.Law.begin`.
 
-        It returns the solver's status, and (14 n + 16,): the subproblem's record, the solver's x (n,) and y (6,), the
-        x (n,) that the arm follows, and the law's torque (n,) [Nm].
+        It returns the solver's status, the arm's record, and (14 n + 16,): the subproblem's record, the solver's x (n,)
+        and y (6,), the x (n,) that the arm follows, and the law's torque (n,) [Nm].
         """
-        out = np.empty(14 * self._n + 16)
         given_us = _NAN if self._times is None else next(self._times, _NAN)
-        code, number, self.solve_us = self._law.step(record, tip_ref, trocar, pull, tolerance, given_us, out)
+        code, number, self.solve_us, record, out = self._law.step(q, v, tip_ref, trocar, pull, tolerance, given_us)
         status = EXACT_STATUS[code]
         self._note(number, status, "")
-        return status, out
+        return status, record, out
 
     def _note(self, number: int, status: Status, text: str) -> None:
         self.fault = fault = _FAULTS[number]

@@ -1,15 +1,13 @@
 """The tick in C: arm, law, subproblem, `exact`, the network, the safety filter. `moc.h` is where to begin.
 
 `tools.h` has what Python needs beside the controller. The binding (`arguments.c`, `python*.c`, `plant.c`) checks every
-array (float64, C-contiguous, its shape) and raises ValueError or TypeError; it keeps none.
+array (float64, C-contiguous, its shape) and raises ValueError or TypeError; it keeps none of them.
 """
 
 from __future__ import annotations
 
 try:
     from moc_opt.core._core import (
-        BAD_Q,
-        BAD_V,
         DOUBTFUL,
         INFEASIBLE,
         MAX_JOINTS,
@@ -35,7 +33,7 @@ except ImportError as error:
     ) from error
 
 __all__ = [
-    "BAD_Q", "BAD_V", "DOUBTFUL", "INFEASIBLE", "MAX_JOINTS", "OK", "REASONS", "UNFINISHED", "Arm", "Guard", "Law",
+    "DOUBTFUL", "INFEASIBLE", "MAX_JOINTS", "OK", "REASONS", "UNFINISHED", "Arm", "Guard", "Law",
     "advance", "desired_wrist", "load", "read_encoders", "shaft_wrench", "solve_exact", "solve_exact_rows",
     "step_network",
 ]  # fmt: skip

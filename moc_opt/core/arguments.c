@@ -1,12 +1,5 @@
-/* Arguments of the binding: arrays, numbers, keywords that fill a struct, and packed records. */
+/* Arguments of the binding: arrays, numbers, and keywords that fill a struct. */
 #include "python.h"
-
-PyObject *moc_done(call *c, PyObject *result)
-{
-    while (c->count > 0)
-        PyBuffer_Release(&c->view[--c->count]); /* of a number: nothing */
-    return result;
-}
 
 /* nn n n + n n + one of each length, in the order of the enum. */
 static const struct {
@@ -15,19 +8,26 @@ static const struct {
 } lengths[] = {{0, 1, 0, "n"},          {0, 11, 10, "11 n + 10"}, {1, 13, 18, "n n + 13 n + 18"},
                {0, 14, 16, "14 n + 16"}, {0, 0, 0, "k"},           {0, 0, 0, "any"}};
 
-/* Whether a length is the one that is asked for; n and k are bound by the first array that has them. */
-static int fits(call *c, int wanted, Py_ssize_t length)
+/* A length as a number; not of ANY. */
+static npy_intp length_of(const call *c, int wanted)
 {
-    if (wanted >= 0 || wanted == ANY)
-        return wanted == ANY || length == wanted;
-    if (wanted == K) {
-        c->k = c->k < 0 ? length : c->k;
-        return length == c->k;
+    if (wanted >= 0 || wanted == K)
+        return wanted == K ? c->k : wanted;
+    return (lengths[-1 - wanted].nn * c->n + lengths[-1 - wanted].n) * c->n + lengths[-1 - wanted].one;
+}
+
+/* Whether a length is the one that is asked for; n and k are bound by the first array that has them. */
+static int fits(call *c, int wanted, npy_intp length)
+{
+    if (wanted == K && c->k < 0)
+        c->k = length;
+    if (wanted < 0 && wanted > K && c->n == 0) {
+        int n = lengths[-1 - wanted].n, one = lengths[-1 - wanted].one;
+        c->n = length >= n + one && length <= MOC_MAX_JOINTS * n + one ? (int)(length - one) / n : 0;
+        if (c->n == 0)
+            return 0;
     }
-    int nn = lengths[-1 - wanted].nn, n = lengths[-1 - wanted].n, one = lengths[-1 - wanted].one;
-    if (c->n == 0 && length >= n + one && length <= MOC_MAX_JOINTS * n + one)
-        c->n = (int)(length - one) / n;
-    return c->n > 0 && length == (nn * c->n + n) * c->n + one;
+    return wanted == ANY || length == length_of(c, wanted);
 }
 
 static void say(const call *c, int wanted, char text[32])
@@ -53,48 +53,66 @@ static int refuse(const call *c, const parameter *p)
 
 static int take_array(call *c, int i, PyObject *given, const parameter *p)
 {
-    Py_buffer *view = &c->view[i];
-    int flags = PyBUF_FORMAT | (p->kind == STRIDED ? PyBUF_STRIDES : PyBUF_C_CONTIGUOUS);
+    PyArrayObject *array = (PyArrayObject *)given;
+    int flags = p->kind == WRITE     ? NPY_ARRAY_CARRAY
+                : p->kind == STRIDED ? NPY_ARRAY_BEHAVED
+                                     : NPY_ARRAY_CARRAY_RO;
 
-    if (PyObject_GetBuffer(given, view, p->kind == WRITE || p->kind == STRIDED ? flags | PyBUF_WRITABLE : flags) < 0) {
-        PyErr_Clear();
+    if (!PyArray_Check(given) || PyArray_TYPE(array) != NPY_DOUBLE || !PyArray_ISNOTSWAPPED(array) ||
+        !PyArray_CHKFLAGS(array, flags) || PyArray_NDIM(array) != (p->columns ? 2 : 1) ||
+        (p->columns && !fits(c, p->columns, PyArray_DIM(array, 1))) || !fits(c, p->rows, PyArray_DIM(array, 0)))
         return refuse(c, p);
-    }
-    if (view->format == NULL || strcmp(view->format, "d") != 0 || view->ndim != (p->columns ? 2 : 1) ||
-        (p->columns && !fits(c, p->columns, view->shape[1])) || !fits(c, p->rows, view->shape[0]))
-        return refuse(c, p);
-    c->array[i] = view->buf;
+    c->as[i] = array;
+    c->array[i] = PyArray_DATA(array);
     return 1;
 }
 
 static int take_one(call *c, int i, PyObject *given, const parameter *p)
 {
     c->array[i] = NULL;
-    c->view[i].obj = NULL;
     if (p->kind != NUMBER && p->kind != WHOLE)
         return (p->kind == MAYBE && given == Py_None) || take_array(c, i, given, p);
     c->number[i] = PyFloat_AsDouble(given);
     return !(c->number[i] == -1.0 && PyErr_Occurred());
 }
 
-int moc_take(call *c, int n, const char *name, PyObject *const *args, Py_ssize_t count, const parameter *table,
-             int wanted)
+static int make(call *c, int i, const parameter *p)
 {
+    npy_intp shape[2] = {length_of(c, p->rows), length_of(c, p->columns)};
+    PyObject *array = PyArray_SimpleNew(p->columns ? 2 : 1, shape, NPY_DOUBLE);
+    if (array == NULL)
+        return moc_done(c, NULL) != NULL;
+    c->as[i] = (PyArrayObject *)array;
+    c->array[i] = PyArray_DATA(c->as[i]);
+    c->end = i + 1;
+    return 1;
+}
+
+int moc_take(call *c, int n, const char *name, PyObject *const *args, Py_ssize_t count, const parameter *table,
+             int size)
+{
+    int wanted = size;
+
+    while (wanted > 0 && table[wanted - 1].kind == MADE)
+        wanted--;
     c->n = n;
     c->k = -1;
-    c->count = 0;
+    c->made = c->end = wanted;
     if (count != wanted) {
         PyErr_Format(PyExc_TypeError, "%s takes %d arguments, %zd were given", name, wanted, count);
         return 0;
     }
-    for (int i = 0; i < wanted; i++) {
-        c->count = i + 1;
-        if (!take_one(c, i, args[i], &table[i])) {
-            moc_done(c, NULL);
+    for (int i = 0; i < size; i++)
+        if (!(i < wanted ? take_one(c, i, args[i], &table[i]) : make(c, i, &table[i])))
             return 0;
-        }
-    }
     return 1;
+}
+
+PyObject *moc_done(call *c, PyObject *result)
+{
+    while (c->end > c->made)
+        Py_DECREF(c->as[--c->end]);
+    return result;
 }
 
 /* --- fields of an object --- */
@@ -120,7 +138,6 @@ int moc_fill(PyObject *keywords, const field *fields, int count, Arm *self)
             *(int *)to = whole(&c, 0);
         else
             memcpy(to, c.array[0], (size_t)rows_of(&c, 0) * sizeof(double));
-        moc_done(&c, NULL);
     }
     return 1;
 }

@@ -254,10 +254,8 @@ moc_status moc_compute_terms(const moc_arm *arm, const double *q, const double *
     moc_frame frame[MOC_MAX_JOINTS];
     moc_twist twist[MOC_MAX_JOINTS], V, acceleration;
 
-    if (!all_finite(arm->n, q))
-        return MOC_BAD_Q;
-    if (!all_finite(arm->n, v))
-        return MOC_BAD_V;
+    if (!all_finite(arm->n, q) || !all_finite(arm->n, v))
+        return MOC_NOT_FINITE;
     memcpy(t->v, v, (unsigned)arm->n * sizeof *v);
     place_tool(arm, q, frame, twist, t);
     dynamics(arm, frame, twist, t, &V, &acceleration);

@@ -28,24 +28,24 @@
 /* Weights g (6,) of the eliminated rows become those of the rows of A: the transposed steps, backwards. */
 static void weigh_back(const moc_plane *plane, int steps, double g[6])
 {
-    for (int k = steps - 1; k >= 0; k--)
-        g[plane->pivot[k]] = dot(6, plane->step[k], g);
+    for (int k = steps - 1; k >= 0; k--) {
+        double own = dot(6, plane->step[k], g);
+        g[k] = g[plane->from[k]];
+        g[plane->from[k]] = own;
+    }
 }
 
-/* How much the sixth row, the only open one, has of its own, in units of the tolerance on the sixth singular value.
+/* How much the sixth row, the only one left, has of its own, in units of the tolerance on the sixth singular value.
  *
  * A pivot alone overstates that value, up to a hundredfold: the row is e^T A with a long e.
  * |e^T A| / |e| is what a singular value is the smallest of. */
 static double own_part(const moc_plane *plane, const moc_problem *p)
 {
-    double e[6], size = 0.0, own = 0.0;
-    memcpy(e, plane->open, sizeof e);
+    double e[6] = {[5] = 1.0}, size = 0.0;
     weigh_back(plane, 5, e);
-    for (int i = 0; i < 6; i++) {
+    for (int i = 0; i < 6; i++)
         size += dot(p->n, p->A[i], p->A[i]);
-        own += plane->open[i] * dot(p->n, plane->row[i], plane->row[i]);
-    }
-    return sqrt(own / (size * dot(6, e, e))) / TIED;
+    return sqrt(dot(p->n, plane->row[5], plane->row[5]) / (size * dot(6, e, e))) / TIED;
 }
 
 /* The rank of A; -1 - rank of the rest where a row is neither repeated nor independent. */
@@ -57,19 +57,16 @@ INLINE int eliminate(moc_plane *plane, const moc_problem *p, int m)
         for (int c = 0; c < m; c++)
             plane->row[i][c] = c < p->n ? p->A[i][c] : 0.0;
         plane->right[i] = p->b[i];
-        plane->open[i] = 1.0;
     }
     for (int k = 0; k < 6; k++) {
         double largest[MOC_MAX_JOINTS], pivot_row[MOC_MAX_JOINTS], size = 0.0;
-        int column = 0, pivot = 0;
+        int column = 0, pivot = k;
 
         for (int c = 0; c < m; c++)
-            largest[c] = 0.0;
-        for (int i = 0; i < 6; i++)
-            for (int c = 0; c < m; c++) {
-                double entry = fabs(plane->row[i][c]) * plane->open[i];
-                largest[c] = larger(entry, largest[c]);
-            }
+            largest[c] = fabs(plane->row[k][c]);
+        for (int i = k + 1; i < 6; i++)
+            for (int c = 0; c < m; c++)
+                largest[c] = larger(fabs(plane->row[i][c]), largest[c]);
         for (int c = 0; c < m; c++) {
             column = largest[c] > size ? c : column;
             size = largest[c] > size ? largest[c] : size;
@@ -82,24 +79,26 @@ INLINE int eliminate(moc_plane *plane, const moc_problem *p, int m)
             if (own <= 10.0)
                 return own <= 1.0 ? k : -1 - k;
         }
-        for (int i = 0; i < 6; i++)
-            pivot = fabs(plane->row[i][column]) * plane->open[i] == size ? i : pivot;
+        for (int i = k; i < 6; i++)
+            pivot = fabs(plane->row[i][column]) == size ? i : pivot;
         plane->joint[k] = column;
-        plane->pivot[k] = pivot;
-        plane->open[pivot] = 0.0;
-        double inverse = 1.0 / plane->row[pivot][column], pivot_right = plane->right[pivot];
-        memcpy(pivot_row, plane->row[pivot], (unsigned)m * sizeof *pivot_row);
+        plane->from[k] = pivot;
+        double inverse = 1.0 / plane->row[pivot][column], pivot_right = plane->right[pivot] * inverse;
+        for (int c = 0; c < m; c++) {
+            pivot_row[c] = plane->row[pivot][c] * inverse;
+            plane->row[pivot][c] = plane->row[k][c];
+        }
+        plane->right[pivot] = plane->right[k];
         for (int i = 0; i < 6; i++) {
-            double scale = plane->row[i][column] * inverse;
-            plane->step[k][i] = -scale;
+            double scale = plane->row[i][column];
+            plane->step[k][i] = -scale * inverse;
             plane->right[i] -= scale * pivot_right;
             for (int c = 0; c < m; c++)
                 plane->row[i][c] -= scale * pivot_row[c];
         }
-        plane->step[k][pivot] = inverse;
-        plane->right[pivot] = pivot_right * inverse;
-        for (int c = 0; c < m; c++)
-            plane->row[pivot][c] = pivot_row[c] * inverse;
+        plane->step[k][k] = inverse;
+        plane->right[k] = pivot_right;
+        memcpy(plane->row[k], pivot_row, (unsigned)m * sizeof *pivot_row);
     }
     return 6;
 }
@@ -109,9 +108,9 @@ INLINE int eliminate(moc_plane *plane, const moc_problem *p, int m)
 static moc_status check_dropped(const moc_plane *plane, const moc_problem *p, const double *x)
 {
     moc_status status = MOC_OK;
-    for (int i = 0; i < 6; i++) {
+    for (int i = plane->rank; i < 6; i++) {
         double reach = LEFT, right = plane->right[i];
-        if (!(plane->open[i] > 0.0) || fabs(dot(p->n, plane->row[i], x) - right) <= LEFT)
+        if (fabs(dot(p->n, plane->row[i], x) - right) <= LEFT)
             continue;
         for (int j = 0; j < p->n; j++)
             reach += fabs(plane->row[i][j]) * larger(fabs(p->lower[j]), fabs(p->upper[j]));
@@ -141,7 +140,7 @@ void moc_direction(const moc_plane *plane, int n, int k, double *z)
     for (int j = 0; j < n; j++)
         z[j] = 0.0;
     for (int i = 0; i < plane->rank; i++)
-        z[plane->joint[i]] = -plane->row[plane->pivot[i]][free];
+        z[plane->joint[i]] = -plane->row[i][free];
     z[free] = 1.0;
 }
 
@@ -214,7 +213,7 @@ static double finish(const moc_plane *plane, const moc_problem *p, const double 
     for (int i = 0; i < 6; i++)
         y[i] = 0.0;
     for (int k = 0; k < plane->rank; k++)
-        y[plane->pivot[k]] = force[plane->joint[k]];
+        y[k] = force[plane->joint[k]];
     weigh_back(plane, plane->rank, y);
     return beyond;
 }
@@ -223,19 +222,21 @@ static double finish(const moc_plane *plane, const moc_problem *p, const double 
 static moc_status solve(const moc_problem *p, double tolerance, double *x, double y[6])
 {
     moc_plane plane;
-    double point[MOC_MAX_JOINTS] = {0.0}, force[MOC_MAX_JOINTS] = {0.0};
+    double point[MOC_MAX_JOINTS], force[MOC_MAX_JOINTS];
     moc_status status = MOC_OK;
 
     if (!moc_eliminate(&plane, p))
         return MOC_DOUBTFUL;
-    for (int k = 0; k < plane.rank; k++) /* a particular solution */
-        point[plane.joint[k]] = plane.right[plane.pivot[k]];
+    for (int k = 0; k < p->n; k++) { /* a particular solution */
+        point[plane.joint[k]] = k < plane.rank ? plane.right[k] : 0.0;
+        force[k] = 0.0;
+    }
     plane.freedoms = 0;
     for (int k = plane.rank; k < p->n; k++) {
         int j = plane.joint[k];
         double reach = 0.0;
         for (int i = 0; i < plane.rank; i++)
-            reach = larger(fabs(plane.row[plane.pivot[i]][j]), reach);
+            reach = larger(fabs(plane.row[i][j]), reach);
         if (reach > IDLE)
             plane.joint[plane.rank + plane.freedoms++] = j;
         else

@@ -13,8 +13,7 @@ typedef enum {
     MOC_INFEASIBLE, /* no x of the box meets A x = b */
     MOC_DOUBTFUL,   /* rounding decides the rank of A: no answer */
     MOC_UNFINISHED, /* the network (rnn.c) is still moving */
-    MOC_BAD_Q,      /* q is not finite */
-    MOC_BAD_V       /* v is not finite */
+    MOC_NOT_FINITE  /* q or v */
 } moc_status;
 
 /* --- the arm --- */

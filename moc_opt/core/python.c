@@ -2,6 +2,7 @@
  *
  * Here are the law with its memory and the safety filter; python_arm.c has the arm, python_subproblem.c and plant.c
  * have functions. */
+#define MOC_MODULE
 #include "python.h"
 
 #include <time.h>
@@ -58,15 +59,14 @@ static PyObject *law_new(PyTypeObject *type, PyObject *given, PyObject *keywords
     return (PyObject *)self;
 }
 
-/* Arguments 0 to 2 of start, begin and step: a state's record, X_d, dX_d, ddX_d and the trocar P_t, dP_t. */
-#define TICK {"record", READ, TERMS}, {"tip_ref", READ, 3, 3}, {"trocar", READ, 2, 3}
+/* Arguments 0 to 3 of start, begin and step: q, v as measured; X_d, dX_d, ddX_d; the trocar P_t, dP_t. */
+#define TICK {"q", READ, N}, {"v", READ, N}, {"tip_ref", READ, 3, 3}, {"trocar", READ, 2, 3}
 
-static moc_input take_tick(Law *self, const call *c, const double *pull)
+static moc_input references(const call *c, const double *pull)
 {
     moc_input in = {.pull = pull};
-    moc_copy_terms(&self->state.terms, c->n, c->array[0], UNPACK);
-    memcpy(&in.ref, c->array[1], sizeof in.ref);
-    memcpy(&in.trocar, c->array[2], sizeof in.trocar);
+    memcpy(&in.ref, c->array[2], sizeof in.ref);
+    memcpy(&in.trocar, c->array[3], sizeof in.trocar);
     return in;
 }
 
@@ -78,14 +78,16 @@ static void put_row(Law *self, double *row)
     memcpy(row + 10 * n + 10, self->state.terms.q, (size_t)n * sizeof *row);
 }
 
-METHOD(Law, start, TICK, {"row", WRITE, ROW})
+METHOD(Law, start, TICK, {"record", MADE, TERMS}, {"row", MADE, ROW})
 {
     moc_state *s = &self->state;
-    const moc_input in = take_tick(self, c, NULL);
+    const moc_input in = references(c, NULL);
+    if (!moc_take_state(&self->arm, c, &s->terms, 4))
+        return NULL;
     moc_start_law(&self->controller, s);
     moc_fill_problem(&self->law, c->n, &s->terms, &in.ref, &in.trocar, NULL, &s->problem);
-    put_row(self, c->array[3]);
-    Py_RETURN_NONE;
+    put_row(self, c->array[5]);
+    return Py_BuildValue("OO", c->as[4], c->as[5]);
 }
 
 METHOD(Law, load, {"record", READ, ROW}, {"Z", READ, K, N})
@@ -105,22 +107,23 @@ METHOD(Law, judge, {"x", READ, N})
     return Py_BuildValue("ddddd", r.primal, r.outside, r.natural, r.off, r.opposite);
 }
 
-METHOD(Law, begin, TICK, {"pull", MAYBE, N}, {"row", WRITE, ROW})
+METHOD(Law, begin, TICK, {"pull", MAYBE, N}, {"record", MADE, TERMS}, {"row", MADE, ROW})
 {
-    const moc_input in = take_tick(self, c, c->array[3]);
+    const moc_input in = references(c, c->array[4]);
+    if (!moc_take_state(&self->arm, c, &self->state.terms, 5))
+        return NULL;
     moc_levels(&self->controller, &in, &self->state);
-    if (self->law.third_level)
-        put_row(self, c->array[4]);
-    Py_RETURN_NONE;
+    put_row(self, c->array[6]);
+    return Py_BuildValue("OO", c->as[5], c->as[6]);
 }
 
 METHOD(Law, finish, {"known", WHOLE}, {"claim", WHOLE}, {"answer", READ, N}, {"solve_us", NUMBER},
-       {"x", WRITE, N}, {"tau", WRITE, N})
+       {"x", MADE, N}, {"tau", MADE, N})
 {
     const moc_answer answer = {c->array[2], (moc_claim)whole(c, 1), (moc_fault)whole(c, 0), c->number[3]};
     moc_finish(&self->controller, &answer, &self->state, c->array[5]);
     memcpy(c->array[4], self->state.x, (size_t)c->n * sizeof(double));
-    return PyLong_FromLong(self->state.fault);
+    return Py_BuildValue("iOO", (int)self->state.fault, c->as[4], c->as[5]);
 }
 
 static double now_us(void)
@@ -130,25 +133,28 @@ static double now_us(void)
     return 1e6 * (double)now.tv_sec + 1e-3 * (double)now.tv_nsec;
 }
 
-METHOD(Law, step, TICK, {"pull", MAYBE, N}, {"tolerance", NUMBER}, {"solve_us", NUMBER},
-       {"out", WRITE, TICKED})
+METHOD(Law, step, TICK, {"pull", MAYBE, N}, {"tolerance", NUMBER}, {"solve_us", NUMBER}, {"record", MADE, TERMS},
+       {"out", MADE, TICKED})
 {
     moc_state *s = &self->state;
     size_t bytes = (size_t)c->n * sizeof(double);
-    double *row = c->array[6], *found = row + 11 * c->n + 10;
-    const moc_input in = take_tick(self, c, c->array[3]);
+    double *row = c->array[8], *found = row + 11 * c->n + 10;
+    const moc_input in = references(c, c->array[4]);
 
-    self->controller.tolerance = c->number[4];
+    if (!moc_take_state(&self->arm, c, &s->terms, 7))
+        return NULL;
+    self->controller.tolerance = c->number[5];
     moc_levels(&self->controller, &in, s);
     double from = now_us();
     moc_answer answer = moc_ask_exact(&self->controller, s);
-    answer.us = isnan(c->number[5]) ? now_us() - from : c->number[5];
+    answer.us = isnan(c->number[6]) ? now_us() - from : c->number[6];
     moc_finish(&self->controller, &answer, s, found + 2 * c->n + 6);
     put_row(self, row);
     memcpy(found, s->answer, bytes);
     memcpy(found + c->n, s->y, sizeof s->y);
     memcpy(found + c->n + 6, s->x, bytes);
-    return Py_BuildValue("iid", (int)s->status, (int)s->fault, answer.us);
+    PyArray_CLEARFLAGS(c->as[8], NPY_ARRAY_WRITEABLE);
+    return Py_BuildValue("iidOO", (int)s->status, (int)s->fault, answer.us, c->as[7], c->as[8]);
 }
 
 METHOD(Law, set_applied, {"tau", READ, N})
@@ -157,13 +163,13 @@ METHOD(Law, set_applied, {"tau", READ, N})
     Py_RETURN_NONE;
 }
 
-METHOD(Law, memory, {"Z", WRITE, N, N}, {"external", WRITE, N})
+METHOD(Law, memory, {"Z", MADE, N, N}, {"external", MADE, N})
 {
     const moc_memory *memory = &self->state.memory;
     for (int k = 0; k < memory->rows; k++)
         memcpy(c->array[0] + k * c->n, memory->Z[k], (size_t)c->n * sizeof(double));
     memcpy(c->array[1], memory->external, (size_t)c->n * sizeof(double));
-    return PyLong_FromLong(memory->rows);
+    return Py_BuildValue("iOO", memory->rows, c->as[0], c->as[1]);
 }
 
 static PyMethodDef law_methods[] = {
@@ -220,7 +226,7 @@ METHOD(Guard, start, {"q", READ, N}, {"v", READ, N}, {"stamp", NUMBER})
 }
 
 METHOD(Guard, believe, {"q", READ, N}, {"v", READ, N}, {"stamp", NUMBER}, {"applied", MAYBE, N},
-       {"wrench", READ, 6}, {"trocar", MAYBE, 2, 3}, {"believed", WRITE, 2, N})
+       {"wrench", READ, 6}, {"trocar", MAYBE, 2, 3}, {"q", MADE, N}, {"v", MADE, N})
 {
     const moc_measurement m = {c->array[0], c->array[1], stamp_of(c->number[2]), !isnan(c->number[2]),
                                c->array[3], c->array[4]};
@@ -233,8 +239,8 @@ METHOD(Guard, believe, {"q", READ, N}, {"v", READ, N}, {"stamp", NUMBER}, {"appl
         found = moc_guard_incision(&self->guard, pose, &trocar, m.wrench, &self->watch);
     }
     memcpy(c->array[6], self->watch.q, (size_t)c->n * sizeof(double));
-    memcpy(c->array[6] + c->n, self->watch.v, (size_t)c->n * sizeof(double));
-    return PyLong_FromLong(reason == MOC_RUNNING ? found : reason);
+    memcpy(c->array[7], self->watch.v, (size_t)c->n * sizeof(double));
+    return Py_BuildValue("iOO", (int)(reason == MOC_RUNNING ? found : reason), c->as[6], c->as[7]);
 }
 
 METHOD(Guard, follow, {"q", READ, N}, {"v", READ, N}, {"record", MAYBE, TERMS}, {"tip", MAYBE, 3},
@@ -253,25 +259,25 @@ METHOD(Guard, follow, {"q", READ, N}, {"v", READ, N}, {"record", MAYBE, TERMS}, 
     return Py_BuildValue("ii", (int)reason, self->watch.limited);
 }
 
-METHOD(Guard, rest, {"before", READ, N}, {"tau", WRITE, N})
+METHOD(Guard, rest, {"before", READ, N}, {"tau", MADE, N})
 {
     moc_guard_rest(&self->guard, &self->arm, c->array[0], &self->watch, c->array[1]);
-    Py_RETURN_NONE;
+    return Py_BuildValue("O", c->as[1]);
 }
 
-METHOD(Guard, hold, {"wrench", READ, 6}, {"friction", WRITE, N})
+METHOD(Guard, hold, {"wrench", READ, 6}, {"friction", MADE, N})
 {
     moc_guard_hold(&self->guard, &self->arm, c->array[0], &self->watch, c->array[1]);
-    Py_RETURN_NONE;
+    return Py_BuildValue("O", c->as[1]);
 }
 
-METHOD(Guard, watched, {"figures", WRITE, 3, 2})
+METHOD(Guard, watched, {"figures", MADE, 3, 2})
 {
     const moc_watch *w = &self->watch;
     memcpy(c->array[0], w->mean_square, sizeof w->mean_square);
     memcpy(c->array[0] + 2, w->largest, sizeof w->largest);
     memcpy(c->array[0] + 4, w->first_tick, sizeof w->first_tick);
-    return PyLong_FromLong(w->bad);
+    return Py_BuildValue("iO", w->bad, c->as[0]);
 }
 
 static PyMethodDef guard_methods[] = {
@@ -292,9 +298,11 @@ static PyType_Spec guard_spec = {"moc_opt.core._core.Guard", sizeof(Guard), 0, P
 static int fill(PyObject *module)
 {
     /* of moc_status */
-    static const char *const names[] = {"OK", "INFEASIBLE", "DOUBTFUL", "UNFINISHED", "BAD_Q", "BAD_V"};
+    static const char *const names[] = {"OK", "INFEASIBLE", "DOUBTFUL", "UNFINISHED"};
     PyType_Spec *specs[] = {&law_spec, &guard_spec, &moc_arm_spec};
 
+    if (PyArray_ImportNumPyAPI() < 0)
+        return -1;
     for (int k = 0; k < COUNT(specs); k++) {
         arm_type = (PyTypeObject *)PyType_FromSpec(specs[k]); /* moc_arm_spec must stay last */
         if (arm_type == NULL || PyModule_AddType(module, arm_type) < 0)

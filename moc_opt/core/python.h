@@ -1,22 +1,29 @@
 /* The binding's one way to take arguments: a table says what each of them has to be.
  *
- * Arrays come by the buffer protocol. All arguments are checked before anything is written: float64, C-contiguous, the
- * shape; a wrong one is a ValueError or TypeError that names the argument and the shape that it should have. */
+ * Arrays are NumPy's. All arguments are checked before anything is written: float64, C-contiguous, the shape; a wrong
+ * one is a ValueError or TypeError that names the argument and the shape that it should have. */
 #ifndef MOC_PYTHON_H
 #define MOC_PYTHON_H
 
 #define PY_SSIZE_T_CLEAN
 #define Py_LIMITED_API 0x030B0000
+#define NPY_NO_DEPRECATED_API NPY_2_0_API_VERSION
+#define PY_ARRAY_UNIQUE_SYMBOL moc_numpy
+#ifndef MOC_MODULE /* python.c takes NumPy's functions for all files */
+#define NO_IMPORT_ARRAY
+#endif
 #include <Python.h>
 #include <limits.h>
 #include <math.h>
+#include <numpy/arrayobject.h>
 #include <stddef.h>
 #include <string.h>
 
 #include "tools.h"
 
-/* An array that is read, written, written with any strides, or read and perhaps None; a number; a whole one. */
-typedef enum { READ, WRITE, STRIDED, MAYBE, NUMBER, WHOLE } kind;
+/* An array that is read, written, written with any strides, or read and perhaps None; a number; a whole one; and an
+ * array that the call makes: these come last in a table. */
+typedef enum { READ, WRITE, STRIDED, MAYBE, NUMBER, WHOLE, MADE } kind;
 
 /* Lengths that are no plain number: n joints, a packed subproblem (11 n + 10), a packed state (n n + 13 n + 18), a
  * tick's results (14 n + 16), k rows (the first such array says how many), any number.
@@ -33,25 +40,25 @@ enum { MOST_ARGUMENTS = 14 };
 
 /* The arguments of one call, by their places in its table. */
 typedef struct {
-    int n;                         /* joints; 0 until an array tells */
-    Py_ssize_t k;                  /* rows; -1 until an array tells */
-    int count;                     /* views that have to be released */
-    double *array[MOST_ARGUMENTS]; /* NULL for None */
+    int n;                                /* joints; 0 until an array tells */
+    npy_intp k;                           /* rows; -1 until an array tells */
+    int made, end;                        /* where the arrays that the call has made begin and end */
+    double *array[MOST_ARGUMENTS];        /* NULL for None */
     double number[MOST_ARGUMENTS];
-    Py_buffer view[MOST_ARGUMENTS];
+    PyArrayObject *as[MOST_ARGUMENTS];    /* the array as an object */
 } call;
 
-/* Take the arguments of a call on n joints (0: an array tells). Returns 0 with an exception, and holds nothing then. */
+/* Take the arguments of a call on n joints (0: an array tells). Returns 0 with an exception. */
 int moc_take(call *c, int n, const char *name, PyObject *const *args, Py_ssize_t count, const parameter *table,
-             int wanted);
+             int size);
 
-/* Release the arrays of a call; returns the result. */
+/* Let go of the arrays that the call has made: its result has those that it returns. Returns the result. */
 PyObject *moc_done(call *c, PyObject *result);
 
 /* Rows of array i, and number i as an int; beyond the range of an int its end. */
 static inline int rows_of(const call *c, int i)
 {
-    return (int)c->view[i].shape[0];
+    return (int)PyArray_DIM(c->as[i], 0);
 }
 
 static inline int whole(const call *c, int i)
@@ -89,6 +96,9 @@ typedef struct {
 
 extern PyType_Spec moc_arm_spec;                                      /* python_arm.c */
 extern PyMethodDef moc_subproblem_functions[], moc_plant_functions[]; /* python_subproblem.c, plant.c */
+
+/* All terms at a call's q and v, its arguments 0 and 1, and their record, array i. Returns 0 with an exception. */
+int moc_take_state(const moc_arm *arm, const call *c, moc_terms *terms, int i); /* python_arm.c */
 
 /* A number in an object, or an array of them, where it lies there. */
 typedef struct {

@@ -16,7 +16,7 @@ static PyObject *arm_new(PyTypeObject *type, PyObject *given, PyObject *keywords
         return NULL;
     Arm *self = (Arm *)PyType_GenericAlloc(type, 0); /* zeros */
     if (self == NULL)
-        return moc_done(&c, NULL);
+        return NULL;
     moc_arm *arm = &self->arm;
     arm->n = c.n;
     memcpy(arm->joint, c.array[0], (size_t)c.n * sizeof *arm->joint);
@@ -27,19 +27,26 @@ static PyObject *arm_new(PyTypeObject *type, PyObject *given, PyObject *keywords
     memcpy(arm->point, c.array[1], sizeof arm->point);
     memcpy(arm->tool, c.array[2], sizeof arm->tool);
     memcpy(arm->gravity, c.array[4], sizeof arm->gravity);
-    return moc_done(&c, (PyObject *)self);
+    return (PyObject *)self;
 }
 
-METHOD(Arm, terms, {"q", READ, N}, {"v", READ, N}, {"record", WRITE, TERMS})
+int moc_take_state(const moc_arm *arm, const call *c, moc_terms *terms, int i)
+{
+    if (moc_compute_terms(arm, c->array[0], c->array[1], terms) != MOC_OK) {
+        PyErr_SetString(PyExc_ValueError, "q, v: give finite numbers");
+        return 0;
+    }
+    moc_copy_terms(terms, c->n, c->array[i], PACK);
+    return 1;
+}
+
+METHOD(Arm, terms, {"q", READ, N}, {"v", READ, N}, {"record", MADE, TERMS})
 {
     moc_terms terms;
-    moc_status status = moc_compute_terms(&self->arm, c->array[0], c->array[1], &terms);
-    if (status == MOC_OK)
-        moc_copy_terms(&terms, c->n, c->array[2], PACK);
-    return PyLong_FromLong(status);
+    return moc_take_state(&self->arm, c, &terms, 2) ? Py_BuildValue("O", c->as[2]) : NULL;
 }
 
-METHOD(Arm, along, {"poses", READ, K, N}, {"tips", WRITE, K, 3}, {"wrists", WRITE, K, 3}, {"mu", WRITE, K})
+METHOD(Arm, along, {"poses", READ, K, N}, {"tips", MADE, K, 3}, {"wrists", MADE, K, 3}, {"mu", MADE, K})
 {
     const moc_arm *arm = &self->arm;
     moc_frame frame[MOC_MAX_JOINTS];
@@ -55,13 +62,13 @@ METHOD(Arm, along, {"poses", READ, K, N}, {"tips", WRITE, K, 3}, {"wrists", WRIT
         moc_jacobian(c->n, twist, tip, arm->moves[MOC_TIP], J);
         c->array[3][i] = moc_manipulability(c->n, twist, J, NULL);
     }
-    Py_RETURN_NONE;
+    return Py_BuildValue("OOO", c->as[1], c->as[2], c->as[3]);
 }
 
-METHOD(Arm, tool_pose, {"q", READ, N}, {"pose", WRITE, 4, 3})
+METHOD(Arm, tool_pose, {"q", READ, N}, {"pose", MADE, 4, 3})
 {
     moc_tool_pose(&self->arm, c->array[0], (double(*)[3])c->array[1]);
-    Py_RETURN_NONE;
+    return Py_BuildValue("O", c->as[1]);
 }
 
 /* --- planning --- */
@@ -76,13 +83,13 @@ static plan_task take_task(const Arm *self, const call *c)
     return task;
 }
 
-METHOD(Arm, nearest_pose, TASK(ANY), {"q", READ, N}, {"iterations", WHOLE}, {"best", WRITE, N})
+METHOD(Arm, nearest_pose, TASK(ANY), {"q", READ, N}, {"iterations", WHOLE}, {"best", MADE, N})
 {
     int points = rows_of(c, 2);
     if (points < 1 || points > 2)
         return PyErr_Format(PyExc_ValueError, "target has %d rows: give one (tip) or two (tip and wrist)", points);
     const plan_task task = take_task(self, c);
-    return PyFloat_FromDouble(plan_place(&task, points, whole(c, 4), c->array[3], c->array[5]));
+    return Py_BuildValue("dO", plan_place(&task, points, whole(c, 4), c->array[3], c->array[5]), c->as[5]);
 }
 
 #define MOST_STEP 10.0 /* [rad]: a longer one, halved, never gets short enough */

@@ -4,11 +4,12 @@
 
 /* --- the subproblem --- */
 
-FUNCTION(solve_exact, {"record", READ, ROW}, {"tolerance", NUMBER}, {"x", WRITE, N}, {"y", WRITE, 6})
+FUNCTION(solve_exact, {"record", READ, ROW}, {"tolerance", NUMBER}, {"x", MADE, N}, {"y", MADE, 6})
 {
     moc_problem problem;
     moc_copy_problem(&problem, c->n, c->array[0], UNPACK);
-    return PyLong_FromLong(moc_solve_exact(&problem, c->number[1], c->array[2], c->array[3]));
+    moc_status status = moc_solve_exact(&problem, c->number[1], c->array[2], c->array[3]);
+    return Py_BuildValue("iOO", (int)status, c->as[2], c->as[3]);
 }
 
 FUNCTION(solve_exact_rows, {"records", READ, K, ROW}, {"tolerance", NUMBER}, {"X", WRITE, K, N},
@@ -131,14 +132,12 @@ static int equalities(moc_problem *p, int five, double A[6][MOC_MAX_JOINTS], dou
 /* Fill an array of any strides with a vector, or a matrix with rows of MOC_MAX_JOINTS. */
 static void put(const call *c, int argument, double scale, const double *from)
 {
-    const Py_buffer *view = &c->view[argument];
-    int matrix = view->ndim > 1;
-    for (Py_ssize_t i = 0; i < view->shape[0]; i++)
-        for (Py_ssize_t j = 0; j < (matrix ? view->shape[1] : 1); j++) {
-            double value = scale * from[matrix ? i * MOC_MAX_JOINTS + j : i];
-            char *to = (char *)view->buf + i * view->strides[0] + (matrix ? j * view->strides[1] : 0);
-            memcpy(to, &value, sizeof value);
-        }
+    PyArrayObject *to = c->as[argument];
+    int matrix = PyArray_NDIM(to) > 1;
+    for (npy_intp i = 0; i < PyArray_DIM(to, 0); i++)
+        for (npy_intp j = 0; j < (matrix ? PyArray_DIM(to, 1) : 1); j++)
+            *(double *)(matrix ? PyArray_GETPTR2(to, i, j) : PyArray_GETPTR1(to, i)) =
+                scale * from[matrix ? i * MOC_MAX_JOINTS + j : i];
 }
 
 /* p, lower and upper are multiplied by the signs; packed: the upper triangle of P by columns, or empty. */
@@ -176,17 +175,17 @@ FUNCTION(load, {"record", READ, ROW}, {"five", WHOLE}, {"scale", NUMBER}, {"sign
 /* --- the wrist that is wanted, and one step of a value function --- */
 
 FUNCTION(desired_wrist, {"X", READ, 3}, {"dX", READ, 3}, {"trocar", READ, 2, 3}, {"span", NUMBER},
-         {"out", WRITE, 2, 3})
+         {"wanted", MADE, 2, 3})
 {
     moc_trocar trocar;
     memcpy(&trocar, c->array[2], sizeof trocar);
     moc_desired_wrist(c->array[0], c->array[1], &trocar, c->number[3], c->array[4], c->array[4] + 3);
-    Py_RETURN_NONE;
+    return Py_BuildValue("O", c->as[4]);
 }
 
 FUNCTION(advance, {"branches", WHOLE}, {"q", READ, K, N}, {"slack", READ, K, N}, {"gain", READ, K},
          {"q_next", READ, ANY, N}, {"slack_next", READ, ANY, N}, {"value_next", READ, ANY}, {"step", READ, N},
-         {"crossing", READ, ANY}, {"price", NUMBER}, {"value", WRITE, K})
+         {"crossing", READ, ANY}, {"price", NUMBER}, {"value", MADE, K})
 {
     int branches = whole(c, 0), m = rows_of(c, 8), after = rows_of(c, 4);
     int fits = branches >= 1 && c->k == (Py_ssize_t)branches * m && after % branches == 0 && rows_of(c, 5) == after &&
@@ -203,7 +202,7 @@ FUNCTION(advance, {"branches", WHOLE}, {"q", READ, K, N}, {"slack", READ, K, N},
         return PyErr_NoMemory();
     plan_advance(&stage, blocks, c->array[10]);
     PyMem_Free(blocks);
-    Py_RETURN_NONE;
+    return Py_BuildValue("O", c->as[10]);
 }
 
 PyMethodDef moc_subproblem_functions[] = {

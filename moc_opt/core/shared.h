@@ -20,7 +20,7 @@ typedef struct {
 /* What needs no velocity, at a finite q: tip, wrist, u, span, A, mu and mu_shaft with their gradients. */
 void moc_compute_kinematics(const moc_arm *arm, const double *q, moc_terms *terms);
 
-/* All terms. Returns MOC_OK, MOC_BAD_Q or MOC_BAD_V. */
+/* All terms. Returns MOC_OK or MOC_NOT_FINITE. */
 moc_status moc_compute_terms(const moc_arm *arm, const double *q, const double *v, moc_terms *terms);
 
 /* Every joint's axes in the world, frame[n], and its twist[n]. */
@@ -89,12 +89,11 @@ void moc_onto(int n, int rows, double Z[][MOC_MAX_JOINTS], const double *x, doub
 
 /* --- exact.c, polytope.c --- */
 
-/* A x = b, eliminated: row pivot[k] reads x[joint[k]] + sum over free joints of row[.][j] x[j] = right[.]. */
+/* A x = b, eliminated: row k < rank reads x[joint[k]] + sum over free joints of row[k][j] x[j] = right[k]. */
 typedef struct {
     double row[6][MOC_MAX_JOINTS], right[6];
-    double open[6];            /* 1 for a row that is no pivot */
-    double step[6][6];         /* how much of row pivot[k] went into each row */
-    int pivot[6];
+    double step[6][6];         /* how much of row k went into each row, at step k */
+    int from[6];               /* with which row k changed its place before */
     int joint[MOC_MAX_JOINTS]; /* those of the pivots, then the free ones that move tip or wrist */
     int rank, freedoms;
 } moc_plane;

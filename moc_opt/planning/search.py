@@ -70,9 +70,9 @@ class Value:
         self.value = np.array(gain)
         """(k,b,m) [m^3 s], its own share included; -inf: the end cannot be reached from there"""
         for k in range(count - 2, -1, -1):
-            advance(
+            self.value[k] = advance(
                 found.q_rad[k], self._slack[k], gain[k], found.q_rad[k + 1], self._slack[k + 1],
-                self.value[k + 1], self._step, found.crossing(k, self._step), self._price, self.value[k],
+                self.value[k + 1], self._step, found.crossing(k, self._step), self._price,
             )  # fmt: skip
 
     def of(self, q: Array, mu: float) -> float:
@@ -158,9 +158,8 @@ def reached(found: PoseMap, q_start: Array, limits: Limits) -> list[NDArray[np.b
     before, value = np.tile(q_start, (found.mu.shape[1], 1, 1)), np.zeros((found.mu.shape[1], 1))
     each: list[NDArray[np.bool_]] = []
     for k in range(1, len(found.targets)):
-        q, gain, now = found.q_rad[k], np.where(feasible[k], 0.0, -np.inf), np.empty(feasible[k].shape)
-        crossing = found.crossing(k, step)
-        advance(q, np.zeros_like(q), gain, before, np.zeros_like(before), value, step, crossing, 0.0, now)
+        q, gain, crossing = found.q_rad[k], np.where(feasible[k], 0.0, -np.inf), found.crossing(k, step)
+        now = advance(q, np.zeros_like(q), gain, before, np.zeros_like(before), value, step, crossing, 0.0)
         if not np.isfinite(now).any():
             break
         each.append(np.isfinite(now))
@@ -184,9 +183,9 @@ def _highest_nearby(mu: Array) -> Array:
 
 def advance(
     q: Array, slack: Array, gain: Array, q_next: Array, slack_next: Array, value_next: Array, step: Array,
-    crossing: NDArray[np.int64], price: float, value: Array,
-) -> None:
-    """Fill value (b,m): what the poses of one time are worth by those of the time next to it.
+    crossing: NDArray[np.int64], price: float,
+) -> Array:
+    """Return value (b,m): what the poses of one time are worth by those of the time next to it.
 
     A pose is next to another one if no joint turns by more than its step (n,) [rad] between them, the slack of both
     added; in its own branch, or in one whose number differs in the bits of ``crossing`` (m,), near a singular pose.
@@ -197,10 +196,9 @@ def advance(
         price: of a step's square [1/rad^2].
     """  # fmt: skip
     branches, _, n = q.shape
-    worth = np.empty(gain.size)
     at, room, then, later = (np.ascontiguousarray(each).reshape(-1, n) for each in (q, slack, q_next, slack_next))
-    core.advance(
+    worth = core.advance(
         branches, at, room, np.ascontiguousarray(gain).ravel(), then, later, np.ascontiguousarray(value_next).ravel(),
-        np.ascontiguousarray(step), crossing.astype(np.float64), price, worth,
+        np.ascontiguousarray(step), crossing.astype(np.float64), price,
     )  # fmt: skip
-    value[:] = worth.reshape(gain.shape)
+    return worth.reshape(gain.shape)

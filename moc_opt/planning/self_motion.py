@@ -108,8 +108,9 @@ class SelfMotion:
         place = float(np.interp(self.s[0] + fraction * np.ptp(self.s), self.s, np.arange(len(self.s))))
         i, weight = int(place), place % 1.0
         if weight > 0.0:
-            pose, between = np.empty(self.q.shape[1]), self.q[i] + weight * (self.q[i + 1] - self.q[i])
-            if self._robot.arm.nearest_pose(*self._task, between, 10, pose) < 1e-10:
+            between = self.q[i] + weight * (self.q[i + 1] - self.q[i])
+            miss, pose = self._robot.arm.nearest_pose(*self._task, between, 10)
+            if miss < 1e-10:
                 return pose
         # There is no pose between two samples only where the curve grazes a limit or a singularity.
         return np.array(self.q[round(place)])

@@ -46,8 +46,7 @@ def solve_pose(
             raise RobotError(f"{name} has shape {value.shape}: give {' or '.join(map(str, shapes))}")
         if not np.isfinite(value).all():
             raise RobotError(f"{name} = {value.tolist()} is not finite: check the sensor or step that gave it")
-    best = np.empty(robot.n)
-    miss = robot.arm.nearest_pose(low, high, points, begin, iterations, best)
+    miss, best = robot.arm.nearest_pose(low, high, points, begin, iterations)
     stuck = np.flatnonzero((best <= low) | (best >= high))
     return Placed(best, miss, tuple(stuck.tolist()))
 

@@ -149,7 +149,7 @@ class RobotModel:
         frames = [self._pin.frames[tip], self._pin.frames[wrist]]
         self._offsets = read_only(np.array([frame.placement.translation for frame in frames]))
         self._mount = np.ascontiguousarray(frames[0].placement.rotation.T)
-        self._size, self._rest = layout(n)["scalars"].stop, np.zeros(n)
+        self._rest = np.zeros(n)
         self.moves = read_only(np.ones((2, n), dtype=np.bool_))
         self.arm = core.Arm(*self.arm_arrays)
         # Which joints ever move tip and wrist: the last joint, for one, moves no tool on its own axis.
@@ -174,31 +174,24 @@ class RobotModel:
 
     def state(self, q: ArrayLike, v: ArrayLike | None = None) -> RobotState:
         """Compute everything at q (n,) [rad] and v (n,) [rad/s] (None: at rest); a RobotError where one is unusable."""
-        record, v = np.empty(self._size), self._rest if v is None else v
+        v = self._rest if v is None else v
         try:  # the core checks arrays by itself
-            code = self.arm.terms(q, v, record)  # type: ignore[arg-type]
+            return RobotState(self.arm.terms(q, v), self.n)  # type: ignore[arg-type]
         except ValueError:
             q, v = self._numbers("q", q), self._numbers("v", v)
-            code = self.arm.terms(q, v, record)
-        if code != core.OK:
-            name, value = ("q", q) if code == core.BAD_Q else ("v", v)
-            numbers = np.asarray(value).tolist()
-            raise RobotError(f"{name} = {numbers} is not finite: check the sensor or step that gave it")
-        return RobotState(record, self.n)
+        for name, value in (("q", q), ("v", v)):
+            if not np.isfinite(value).all():
+                numbers = value.tolist()
+                raise RobotError(f"{name} = {numbers} is not finite: check the sensor or step that gave it")
+        return RobotState(self.arm.terms(q, v), self.n)
 
     def mu_along(self, poses: Array) -> Array:
         """Compute manipulability (k,) [m^3] at the poses (k,n) [rad], equal to that of `state` to the last bit."""
-        return self._along(poses)[2]
+        return self.arm.along(self._numbers("poses", poses, 2))[2]
 
     def tool_along(self, poses: Array) -> tuple[Array, Array]:
         """Compute tip and wrist, (k,3) each [m], at the poses (k,n) [rad]."""
-        return self._along(poses)[:2]
-
-    def _along(self, poses: Array) -> tuple[Array, Array, Array]:
-        along = self._numbers("poses", poses, 2)
-        found = np.empty((len(along), 3)), np.empty((len(along), 3)), np.empty(len(along))
-        self.arm.along(along, *found)
-        return found
+        return self.arm.along(self._numbers("poses", poses, 2))[:2]
 
     def gravity(self, q: ArrayLike) -> Array:
         """Compute the gravity torque g (n,) [Nm], that of `state`."""
@@ -209,9 +202,7 @@ class RobotModel:
 
         z runs along the shaft from wrist to tip.
         """
-        pose = np.empty((4, 3))
-        self.arm.tool_pose(self._numbers("q", q), pose)
-        return pose
+        return self.arm.tool_pose(self._numbers("q", q))
 
     @cached_property
     def chain(self) -> Chain:

@@ -22,7 +22,7 @@ from moc_opt.solvers.base import Solution, SolverSettings, Status, no_answer
 STATUS = {core.OK: Status.SOLVED, core.INFEASIBLE: Status.INFEASIBLE, core.DOUBTFUL: Status.NUMERICAL}
 _STATUSES = np.array([STATUS.get(code) for code in range(max(STATUS) + 1)], dtype=object)
 # Looked up once: the loop needs them at every tick.
-_solve, _empty, _new, _SOLVED, _OK = core.solve_exact, np.empty, tuple.__new__, Status.SOLVED, core.OK
+_solve, _new, _SOLVED, _OK = core.solve_exact, tuple.__new__, Status.SOLVED, core.OK
 
 
 class ExactSession:
@@ -35,8 +35,7 @@ class ExactSession:
 
     def solve(self, qp: NullSpaceQP) -> Solution:
         """Answer one subproblem; the answer's arrays are the caller's."""
-        x, y = _empty(qp.n), _empty(6)
-        code = _solve(qp.row, self.tolerance, x, y)
+        code, x, y = _solve(qp.row, self.tolerance)
         return _new(Solution, (x, y, _SOLVED, 0)) if code == _OK else no_answer(qp.n, STATUS[code])
 
 

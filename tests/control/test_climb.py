@@ -20,7 +20,7 @@ def test_near_a_top_the_wish_is_the_way_to_it(robot: RobotModel) -> None:
     assert 40 < top < len(q) - 40, "the top is inside the joint limits"
     for off in (-12, -5, 5, 12):
         s = robot.state(q[top + off])
-        desired = fields(subproblem(s, *in_place(s), arm=robot.arm, climbs=True, c2=1.0, rho=1.0)).pull
+        desired = fields(subproblem(robot, s, *in_place(s), climbs=True, c2=1.0, rho=1.0)).pull
         way = np.linalg.norm(np.diff(q[min(top, top + off) : max(top, top + off) + 1], axis=0), axis=1).sum()
         assert np.linalg.norm(desired) / CLIMB_PER_S == pytest.approx(way, rel=0.2, abs=0.01)
         assert desired @ (q[top] - q[top + off]) > 0.0

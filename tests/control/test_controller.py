@@ -48,7 +48,7 @@ def test_torque_is_the_sum_of_the_levels(law, robot, regular_poses):
         state = robot.state(q, rng.uniform(-0.3, 0.3, 7))
         controller, _, tip_ref, trocar = started(robot, solver, state, **{**QUIET, **own})
         tau = controller.tick(state.q, state.v, tip_ref, trocar)
-        low = tracking(state, tip_ref, trocar, gains=np.array([3000.0, 80.0, 800.0, 60.0]))
+        low = tracking(robot, state, tip_ref, trocar, gains=np.array([3000.0, 80.0, 800.0, 60.0]))
         x = np.zeros(7)
         if solver is not None:
             x = EXACT.start(controller.subproblem).solve(controller.subproblem).x
@@ -83,7 +83,7 @@ def test_settings_reach_the_core(setting, core_s, robot):
     assert controller.solution is controller.subproblem is None
     tip_ref, trocar = tip_ref + 0.3, trocar + np.array([[0.01, 0.0, 0.0], np.zeros(3)])  # far: the limits cut
     given = {name: robot.tau_max if value is None else value for name, value in core_s.items()}
-    wanted = tracking(state, tip_ref, trocar, gains=(3000.0, 80.0, 800.0, 60.0), **given)
+    wanted = tracking(robot, state, tip_ref, trocar, gains=(3000.0, 80.0, 800.0, 60.0), **given)
     np.testing.assert_array_equal(controller.tick(state.q, state.v, tip_ref, trocar), wanted)
 
 

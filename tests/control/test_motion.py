@@ -26,8 +26,8 @@ def ages(stamps, patience=PATIENCE):
     deaf, late, found = np.full(6, np.nan), core.REASONS.index("measurements are too late"), []
     guard.start(REST, REST, 0)
     for stamp in stamps:
-        reason = guard.believe(REST, REST, int(stamp), None, deaf, None, np.empty((2, N)))
-        bad = guard.watched(np.empty((3, 2)))
+        reason = guard.believe(REST, REST, int(stamp), None, deaf, None)[0]
+        bad = guard.watched()[0]
         found.append(OLD if reason == late else REPEAT if bad else FRESH)
     return found
 

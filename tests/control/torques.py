@@ -28,19 +28,18 @@ def law(n, arm=None, supervision=None, fallback="damping", **changes):
     return core.Law(blank if arm is None else arm, **given)
 
 
-def ticked(state, tip_ref, trocar, x=None, pull=None, **parts):
+def ticked(robot, state, tip_ref, trocar, x=None, pull=None, **parts):
     """One tick from the start: tau (n,) and the subproblem's record."""
-    made, tau, row = law(state.n, check=False, **parts), np.empty(state.n), np.empty(11 * state.n + 10)
-    made.start(state.record, tip_ref, trocar, row)
-    made.begin(state.record, tip_ref, trocar, pull, row)
-    made.finish(0, 0, np.zeros(state.n) if x is None else x, 0.0, np.empty(state.n), tau)
-    return tau, row
+    made = law(robot.n, robot.arm, check=False, **parts)
+    made.start(state.q, state.v, tip_ref, trocar)
+    row = made.begin(state.q, state.v, tip_ref, trocar, pull)[1]
+    return made.finish(0, 0, np.zeros(robot.n) if x is None else x, 0.0)[2], row
 
 
-def tracking(state, tip_ref, trocar, gains=(0.0, 0.0, 0.0, 0.0), **parts):
+def tracking(robot, state, tip_ref, trocar, gains=(0.0, 0.0, 0.0, 0.0), **parts):
     """tau_tip + tau_rcm (n,) [Nm]."""
     names = dict(zip(("K_X", "D_X", "K_N", "D_N"), gains, strict=True))
-    return ticked(state, tip_ref, trocar, **names, **parts, third_level=False)[0]
+    return ticked(robot, state, tip_ref, trocar, **names, **parts, third_level=False)[0]
 
 
 def in_place(state, speed=0.0):
@@ -49,16 +48,17 @@ def in_place(state, speed=0.0):
     return tip_ref, np.array([state.tip - 0.15 * state.tool_direction, np.zeros(3)])
 
 
-def subproblem(state, tip_ref, trocar, **parts):
+def subproblem(robot, state, tip_ref, trocar, **parts):
     """The record of the tick's subproblem."""
-    return ticked(state, tip_ref, trocar, **parts)[1]
+    return ticked(robot, state, tip_ref, trocar, **parts)[1]
 
 
 def stand_in(row, Z, fault, fallback="damping"):
     """The x (n,) that the arm follows in place of an answer with a fault, from the first one on."""
-    made, x = law(Z.shape[1], fallback=fallback, hold_ticks=0), np.empty(Z.shape[1])
+    made = law(Z.shape[1], fallback=fallback, hold_ticks=0)
     made.load(row, Z)
-    assert made.finish(fault, 0, np.zeros_like(x), 0.0, x, np.empty_like(x)) == fault
+    found, x, _ = made.finish(fault, 0, np.zeros(Z.shape[1]), 0.0)
+    assert found == fault
     return x
 
 
@@ -70,7 +70,7 @@ class Supervisor(supervisor.Supervisor):
 
     def solve(self, session, qp, Z, v=None):
         self._law.load(qp.row, np.ascontiguousarray(Z))
-        return super().solve(session, qp, np.empty(qp.n), v)
+        return super().solve(session, qp, v)[:2]
 
 
 PERIOD, N = 0.002, 7

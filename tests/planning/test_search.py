@@ -83,8 +83,7 @@ def test_every_pose_is_compared_with_every_other_one_next_to_it():
         allowed = (bits[:, None] & ~crossing[None, :, None]) == 0
         near = (away <= step + slack[:, :, None, None] + slack_after[None, None]).all(axis=-1) & allowed[..., None]
         ways = np.where(near, rest - price * (away**2).sum(axis=-1), -np.inf).reshape(8, m, -1).max(axis=2)
-        value = np.empty((8, m))
-        advance(q, slack, gain, after, slack_after, rest, step, crossing, price, value)
+        value = advance(q, slack, gain, after, slack_after, rest, step, crossing, price)
         np.testing.assert_allclose(value, ways + gain, atol=1e-12)
 
 
