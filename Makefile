@@ -8,7 +8,7 @@ READY := $(VENV)/.ready
 
 setup: $(READY)
 
-$(READY): pyproject.toml constraints.txt packaging/backend.py $(wildcard moc_opt/core/*.[ch])
+$(READY): pyproject.toml setup.py constraints.txt packaging/backend.py $(wildcard moc_opt/core/*.[ch])
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "moc_opt needs Python 3.11 or later: make PYTHON=python3.12 ...")'
 	@echo 'installing the pinned packages into $(VENV): two to ten minutes, without output'
 	$(PYTHON) -m venv $(VENV)

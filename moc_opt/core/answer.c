@@ -7,7 +7,7 @@
 #define PASSES 2e-3            /* an answer with a smaller natural residual may be verified: the line is not searched */
 #define NO_GRADIENT 1e-12      /* share of the gradient along the self-motion below which there is none */
 #define IMMOBILE 1e-12         /* squared length of a joint's column below which it does not move */
-#define GRADIENT_ROUNDING 1e-9 /* a reduced gradient below this share of the cost's is zero (qp/residuals.py) */
+#define GRADIENT_ROUNDING 1e-9 /* a way down shorter than this share of the cost's gradient is none (qp/residuals.py) */
 #define DESCENTS 50            /* of the least violation, over the joints */
 #define OUTSIDE 1e-6           /* what a retreat may leave the box by [rad/s] */
 
@@ -27,29 +27,22 @@ static int is_idle(int rows, double Z[][MOC_MAX_JOINTS], int j)
 static double way_down(const moc_problem *p, int rows, double Z[][MOC_MAX_JOINTS], const double *x, double *d)
 {
     moc_problem cone = {.n = p->n, .rho = 1.0};
-    double pull[MOC_MAX_JOINTS], y[6], largest = 0.0, left = 0.0, whole = 0.0;
-    int n = p->n;
+    double pull[MOC_MAX_JOINTS], y[6], scale = p->rho;
 
     memcpy(cone.A, p->A, sizeof cone.A);
-    moc_onto(n, rows, Z, p->pull, pull);
-    for (int j = 0; j < n; j++)
-        cone.pull[j] = p->c2 * p->pull[j] - p->rho * x[j];
-    double length = sqrt(dot(n, cone.pull, cone.pull));
-    cone.c2 = length > 0.0 ? 1.0 / length : 0.0; /* d is no longer than one */
-    for (int j = 0; j < n; j++) {
+    moc_onto(p->n, rows, Z, p->pull, pull);
+    for (int j = 0; j < p->n; j++) {
         int idle = is_idle(rows, Z, j);
+        cone.pull[j] = p->c2 * p->pull[j] - p->rho * x[j];
         cone.lower[j] = idle || x[j] - p->lower[j] <= AT_BOUND ? 0.0 : -2.0;
         cone.upper[j] = idle || p->upper[j] - x[j] <= AT_BOUND ? 0.0 : 2.0;
-        largest = larger(idle ? 0.0 : p->c2 * fabs(pull[j]), largest);
+        scale = larger(idle ? 0.0 : p->c2 * fabs(pull[j]), scale);
     }
-    moc_status status = moc_solve_exact(&cone, 1e-9, d, y);
-    for (int j = 0; j < n; j++) {
-        left = larger(fabs(d[j]), left);
-        whole = larger(cone.c2 * fabs(cone.pull[j]), whole);
-    }
-    if (status != MOC_OK || left <= GRADIENT_ROUNDING * whole)
-        memset(d, 0, (unsigned)n * sizeof *d);
-    return larger(largest, p->rho);
+    double length = sqrt(dot(p->n, cone.pull, cone.pull));
+    cone.c2 = length > 0.0 ? 1.0 / length : 0.0; /* d is no longer than one */
+    if (moc_solve_exact(&cone, 1e-9, d, y) != MOC_OK)
+        memset(d, 0, (unsigned)p->n * sizeof *d);
+    return scale;
 }
 
 /* Let s be the coordinate of x along a line of self-motion. On it the cost -c2 g s + rho s^2 / 2 has its optimum at
@@ -66,8 +59,7 @@ moc_residuals moc_judge(const moc_problem *p, int rows, double Z[][MOC_MAX_JOINT
         found.primal = found.outside = found.natural = found.off = found.opposite = (double)NAN;
         return found;
     }
-    for (int i = 0; i < 6; i++)
-        found.primal = larger(fabs(dot(n, p->A[i], x) - p->b[i]), found.primal);
+    found.primal = off_plane(p, x);
     for (int j = 0; j < n; j++) {
         found.outside = larger(larger(p->lower[j] - x[j], x[j] - p->upper[j]), found.outside);
         steepest = larger(fabs(p->pull[j]), steepest);
@@ -84,7 +76,7 @@ moc_residuals moc_judge(const moc_problem *p, int rows, double Z[][MOC_MAX_JOINT
         still = 1e-6;
     }
     double length = sqrt(dot(n, line, line));
-    if (!(length > 0.0))
+    if (!(length > (several ? GRADIENT_ROUNDING : 0.0)))
         return found;
     double slope = 0.0, total = 0.0, place = 0.0, pull = 0.0, low = -HUGE_VAL, high = HUGE_VAL, room = HUGE_VAL;
     for (int j = 0; j < n; j++) {
@@ -131,11 +123,8 @@ static void retreat(const moc_problem *problem, int rows, double Z[][MOC_MAX_JOI
     memset(motion, 0, (unsigned)p.n * sizeof *motion);
     p.rho = 1.0;
     p.c2 = 0.0;
-    if (moc_solve_exact(&p, OUTSIDE, x, y) != MOC_OK)
+    if (moc_solve_exact(&p, OUTSIDE, x, y) != MOC_OK || off_plane(&p, x) > OUTSIDE)
         return; /* the box is empty, or A has lost more than a rank */
-    for (int i = 0; i < 6; i++)
-        if (!(fabs(dot(p.n, p.A[i], x) - p.b[i]) <= OUTSIDE)) /* not for a NaN */
-            return;
     moc_onto(p.n, rows, Z, x, motion);
 }
 

@@ -6,7 +6,7 @@
 
 #include "vec.h"
 
-void moc_place(const moc_arm *arm, const double *q, moc_frame *frame)
+void moc_place(const moc_arm *arm, const double *q, moc_frame *frame, moc_twist *twist)
 {
     static const moc_frame world = {{{1.0, 0.0, 0.0}, {0.0, 1.0, 0.0}, {0.0, 0.0, 1.0}}, {0.0, 0.0, 0.0}};
 
@@ -14,22 +14,17 @@ void moc_place(const moc_arm *arm, const double *q, moc_frame *frame)
         const moc_joint *joint = &arm->joint[j];
         const moc_frame *before = j ? &frame[j - 1] : &world;
         moc_frame *here = &frame[j];
-        double axis[3];
+        double slides = joint->slides > 0.0 ? 1.0 : 0.0, angle = (1.0 - slides) * q[j];
+        double cosine = cos(angle), sine = sin(angle), axis[3];
 
         for (int i = 0; i < 3; i++) { /* as it stands at q_j = 0 */
             const double *row = before->R[i];
             for (int c = 0; c < 3; c++)
                 here->R[i][c] = row[0] * joint->rotation[0][c] + row[1] * joint->rotation[1][c] +
                                 row[2] * joint->rotation[2][c];
-            here->p[i] = before->p[i] + dot3(row, joint->origin);
             axis[i] = dot3(here->R[i], joint->axis);
+            here->p[i] = before->p[i] + dot3(row, joint->origin) + slides * q[j] * axis[i];
         }
-        if (joint->slides > 0.0) {
-            for (int i = 0; i < 3; i++)
-                here->p[i] += axis[i] * q[j];
-            continue;
-        }
-        double cosine = cos(q[j]), sine = sin(q[j]);
         for (int c = 0; c < 3; c++) { /* Rodrigues' formula on each column */
             double x[3] = {here->R[0][c], here->R[1][c], here->R[2][c]}, turned[3];
             double along = (1.0 - cosine) * dot3(axis, x);
@@ -39,36 +34,23 @@ void moc_place(const moc_arm *arm, const double *q, moc_frame *frame)
             for (int i = 0; i < 3; i++)
                 here->R[i][c] = turned[i];
         }
-    }
-}
-
-void moc_twists(const moc_arm *arm, const moc_frame *frame, moc_twist *twist)
-{
-    for (int j = 0; j < arm->n; j++) {
-        const moc_joint *joint = &arm->joint[j];
-        double axis[3];
-        for (int i = 0; i < 3; i++)
-            axis[i] = dot3(frame[j].R[i], joint->axis);
         for (int i = 0; i < 3; i++) {
-            twist[j].ang[i] = joint->slides > 0.0 ? 0.0 : axis[i];
-            twist[j].lin[i] = joint->slides > 0.0 ? axis[i] : 0.0;
+            twist[j].ang[i] = (1.0 - slides) * axis[i];
+            twist[j].lin[i] = slides * axis[i];
         }
-        if (!(joint->slides > 0.0))
-            add_cross(1.0, frame[j].p, axis, twist[j].lin);
+        add_cross(1.0, here->p, twist[j].ang, twist[j].lin);
     }
 }
 
-void moc_point(const moc_frame *last, const double local[3], double out[3])
+void moc_point(const moc_arm *arm, const moc_frame *frame, const moc_twist *twist, int which, double point[3],
+               double J[][MOC_MAX_JOINTS])
 {
+    const moc_frame *last = &frame[arm->n - 1];
     for (int i = 0; i < 3; i++)
-        out[i] = last->p[i] + dot3(last->R[i], local);
-}
-
-void moc_jacobian(int n, const moc_twist *twist, const double point[3], const int *moves, double J[][MOC_MAX_JOINTS])
-{
-    for (int j = 0; j < n; j++) {
+        point[i] = last->p[i] + dot3(last->R[i], arm->point[which]);
+    for (int j = 0; j < arm->n; j++) {
         double column[3] = {0.0, 0.0, 0.0};
-        if (moves[j]) {
+        if (arm->moves[which][j]) {
             memcpy(column, twist[j].lin, sizeof column);
             add_cross(1.0, twist[j].ang, point, column);
         }
@@ -202,51 +184,41 @@ void moc_gravity(const moc_arm *arm, const double *q, double *torque)
     moc_terms t;
 
     memset(t.v, 0, sizeof t.v);
-    moc_place(arm, q, frame);
-    moc_twists(arm, frame, twist);
+    moc_place(arm, q, frame, twist);
     dynamics(arm, frame, twist, &t, &V, &acceleration);
     memcpy(torque, t.gravity, (unsigned)arm->n * sizeof *torque);
 }
 
 static void pose_of(const moc_arm *arm, const moc_frame *last, double pose[4][3])
 {
-    for (int k = 0; k < 3; k++)
-        for (int i = 0; i < 3; i++)
+    for (int i = 0; i < 3; i++) {
+        for (int k = 0; k < 3; k++)
             pose[k][i] = dot3(last->R[i], arm->tool[k]);
-    moc_point(last, arm->point[MOC_TIP], pose[3]);
+        pose[3][i] = last->p[i] + dot3(last->R[i], arm->point[MOC_TIP]);
+    }
 }
 
 void moc_tool_pose(const moc_arm *arm, const double *q, double pose[4][3])
 {
     moc_frame frame[MOC_MAX_JOINTS];
-    moc_place(arm, q, frame);
+    moc_twist twist[MOC_MAX_JOINTS];
+    moc_place(arm, q, frame, twist);
     pose_of(arm, &frame[arm->n - 1], pose);
 }
 
-/* Fills the fields from `tip` to `A` of moc_terms, mu and its gradients, and the caller's frames and twists. */
-static void place_tool(const moc_arm *arm, const double *q, moc_frame *frame, moc_twist *twist, moc_terms *t)
+void moc_kinematics(const moc_arm *arm, const double *q, moc_frame *frame, moc_twist *twist, moc_terms *t)
 {
     int n = arm->n;
     memcpy(t->q, q, (unsigned)n * sizeof *q);
-    moc_place(arm, q, frame);
-    moc_twists(arm, frame, twist);
+    moc_place(arm, q, frame, twist);
     pose_of(arm, &frame[n - 1], t->pose);
-    memcpy(t->tip, t->pose[3], sizeof t->tip);
-    moc_point(&frame[n - 1], arm->point[MOC_WRIST], t->wrist);
+    moc_point(arm, frame, twist, MOC_TIP, t->tip, t->A);
+    moc_point(arm, frame, twist, MOC_WRIST, t->wrist, t->A + 3);
     for (int i = 0; i < 3; i++)
         t->u[i] = t->tip[i] - t->wrist[i];
     t->span = normalise3(t->u);
-    moc_jacobian(n, twist, t->tip, arm->moves[MOC_TIP], t->A);
-    moc_jacobian(n, twist, t->wrist, arm->moves[MOC_WRIST], t->A + 3);
     t->mu = moc_manipulability(n, twist, t->A, t->grad_mu);
     t->mu_shaft = moc_shaft_manipulability(n, twist, t->A, t->u, t->grad_mu_shaft);
-}
-
-void moc_compute_kinematics(const moc_arm *arm, const double *q, moc_terms *t)
-{
-    moc_frame frame[MOC_MAX_JOINTS];
-    moc_twist twist[MOC_MAX_JOINTS];
-    place_tool(arm, q, frame, twist, t);
 }
 
 moc_status moc_compute_terms(const moc_arm *arm, const double *q, const double *v, moc_terms *t)
@@ -257,7 +229,7 @@ moc_status moc_compute_terms(const moc_arm *arm, const double *q, const double *
     if (!all_finite(arm->n, q) || !all_finite(arm->n, v))
         return MOC_NOT_FINITE;
     memcpy(t->v, v, (unsigned)arm->n * sizeof *v);
-    place_tool(arm, q, frame, twist, t);
+    moc_kinematics(arm, q, frame, twist, t);
     dynamics(arm, frame, twist, t, &V, &acceleration);
     point_drift(&V, &acceleration, t->tip, t->drift);
     point_drift(&V, &acceleration, t->wrist, t->drift + 3);

@@ -5,16 +5,10 @@
  * whose column is zero (joint 7 under a tool on its axis) move nothing and are solved alone. One freedom that is left,
  * the elbow swivel, is a ratio test in closed form; several are a projection onto a polytope, see polytope.c.
  *
- * The elimination is inlined for rows of 8 and of 16 numbers, padded with zeros: no loop over a row is left then. */
+ * The elimination is compiled for rows of 8 and of 16 numbers, padded with zeros: no loop over a row is left then. */
 #include <string.h>
 
 #include "vec.h"
-
-#if defined(__GNUC__)
-#define INLINE static inline __attribute__((always_inline))
-#else
-#define INLINE static inline
-#endif
 
 #define RANK_TOLERANCE 1e-12 /* singular values below it, relative to the largest, are rounding (qp/residuals.py) */
 #define TIED 1e-7            /* the same of the sixth one: a rigid tool ties tip and wrist (qp/residuals.py) */
@@ -49,7 +43,7 @@ static double own_part(const moc_plane *plane, const moc_problem *p)
 }
 
 /* The rank of A; -1 - rank of the rest where a row is neither repeated nor independent. */
-INLINE int eliminate(moc_plane *plane, const moc_problem *p, int m)
+static inline int eliminate(moc_plane *plane, const moc_problem *p, int m)
 {
     double first = 0.0;
 
@@ -272,14 +266,6 @@ static double explained_by_rounding(const moc_problem *p)
     return GROWTH * largest / least;
 }
 
-static double off_the_plane(const moc_problem *p, const double *x)
-{
-    double most = 0.0;
-    for (int i = 0; i < 6; i++)
-        most = larger(fabs(dot(p->n, p->A[i], x) - p->b[i]), most);
-    return most;
-}
-
 moc_status moc_solve_exact(const moc_problem *p, double tolerance, double *x, double y[6])
 {
     moc_status status = solve(p, tolerance, x, y);
@@ -290,7 +276,7 @@ moc_status moc_solve_exact(const moc_problem *p, double tolerance, double *x, do
         return MOC_OK;
     double explained = explained_by_rounding(p), wider[] = {explained, 100.0 * explained};
     for (int k = 0; k < 2 && tolerance < explained; k++)
-        if (solve(p, fmin(wider[k], WIDEST), x, y) == MOC_OK && off_the_plane(p, x) <= LEFT)
+        if (solve(p, fmin(wider[k], WIDEST), x, y) == MOC_OK && off_plane(p, x) <= LEFT)
             return MOC_OK;
     return status;
 }

@@ -115,9 +115,8 @@ static void compare_wrench(const double *wrench, moc_watch *w)
     }
 }
 
-/* Position against velocity, and whether a joint repeats itself, *whole: with its velocity. Returns whether it runs
- * away from its velocity. */
-static int compare_joint(const moc_guard *g, double q, double v, double elapsed, int *whole, moc_joint_watch *j)
+/* Position against velocity, and whether a joint repeats itself. Returns whether it runs away from its velocity. */
+static int compare_joint(const moc_guard *g, double q, double v, double elapsed, moc_joint_watch *j)
 {
     double keep = 1.0 - fmin(1.0, elapsed / g->motion_s);
     int first = j->repeats < 0.0;
@@ -128,8 +127,7 @@ static int compare_joint(const moc_guard *g, double q, double v, double elapsed,
     j->peak = fmax(keep * j->peak, fabs(v));
     int repeats = same(q, j->shown);
     /* A velocity that was never other than zero is no sign: the joint has rested since the start. */
-    *whole = !first && repeats && same(v, j->speed) && j->peak > 0.0;
-    j->whole += *whole;
+    j->whole += !first && repeats && same(v, j->speed) && j->peak > 0.0;
     j->speed = v;
     if (first || repeats) {
         j->repeats += 1.0;
@@ -159,19 +157,18 @@ static int told_to_move(const moc_guard *g, int n, const double *tau, const moc_
 static moc_stop compare_readings(const moc_guard *g, int n, const moc_measurement *m, moc_watch *w)
 {
     double elapsed = g->period * (w->elapsed > 1 ? (double)w->elapsed : 1.0);
-    double fewest = 1e18, most = 0.0, most_whole = 0.0;
-    int ran_away = 0, all_whole = 1, whole;
+    double fewest = 1e18, most = 0.0, fewest_whole = 1e18, most_whole = 0.0;
+    int ran_away = 0;
 
     w->elapsed = 0;
     compare_wrench(m->wrench, w);
     for (int i = 0; i < n; i++) {
-        ran_away |= compare_joint(g, m->q[i], m->v[i], elapsed, &whole, &w->joint[i]);
-        all_whole &= whole;
+        ran_away |= compare_joint(g, m->q[i], m->v[i], elapsed, &w->joint[i]);
         fewest = fmin(fewest, w->joint[i].repeats);
         most = fmax(most, w->joint[i].repeats);
+        fewest_whole = fmin(fewest_whole, w->joint[i].whole);
         most_whole = fmax(most_whole, w->joint[i].whole);
     }
-    w->readings_twice += all_whole;
     if (fewest <= g->patience) { /* from here on a repeated reading counts, and so does what changes */
         for (int i = 0; i < n; i++)
             w->joint[i].torque = m->applied[i];
@@ -179,11 +176,11 @@ static moc_stop compare_readings(const moc_guard *g, int n, const moc_measuremen
     }
     int deaf = wrench_has_noise(w) && w->wrench_repeats > g->repeat_whole_ticks;
     int repeated = fewest > g->patience && (deaf || told_to_move(g, n, m->applied, w));
-    return repeated || w->readings_twice > g->repeat_reading_ticks               ? MOC_STOP_REPEATED
-           : ran_away                                                            ? MOC_STOP_RAN_AWAY
+    return repeated || fewest_whole > g->repeat_reading_ticks                     ? MOC_STOP_REPEATED
+           : ran_away                                                             ? MOC_STOP_RAN_AWAY
            : most > g->repeat_joint_ticks || most_whole > g->repeat_reading_ticks ? MOC_STOP_ONE_REPEATED
-           : deaf                                                                ? MOC_STOP_WRENCH_REPEATED
-                                                                                 : MOC_RUNNING;
+           : deaf                                                                 ? MOC_STOP_WRENCH_REPEATED
+                                                                                  : MOC_RUNNING;
 }
 
 /* Remember a reading by its number; return how many came before, all of them by the same number of readings. */
@@ -381,11 +378,13 @@ static double left_by_wall(const moc_guard *g, int i, double distance, double sp
     return -g->wall_stiffness * fmax(-distance, 0.0) - g->wall_damping * fmax(speed - allowed, 0.0);
 }
 
-static void weight_of(const moc_guard *g, const moc_arm *arm, const double *q, double *weight)
+/* Returns 0 where a pose gives no weight. */
+static int weight_of(const moc_guard *g, const moc_arm *arm, const double *q, double *weight)
 {
     memset(weight, 0, (unsigned)arm->n * sizeof *weight);
     if (g->carries)
         moc_gravity(arm, q, weight);
+    return all_finite(arm->n, weight);
 }
 
 /* Returns at how many joints tau was changed. */
@@ -440,9 +439,8 @@ moc_stop moc_guard_follow(const moc_guard *g, const moc_arm *arm, const moc_term
 void moc_guard_rest(const moc_guard *g, const moc_arm *arm, const double *before, const moc_watch *w, double *tau)
 {
     double weight[MOC_MAX_JOINTS];
+    int known = weight_of(g, arm, w->q, weight); /* else the brakes alone */
 
-    weight_of(g, arm, w->q, weight);
-    int known = all_finite(arm->n, weight); /* a pose that gives no weight: the brakes alone */
     for (int i = 0; i < arm->n; i++) {
         double wanted = w->cut ? 0.0 : clip(weight[i], -g->tau_max[i], g->tau_max[i]);
         tau[i] = known ? before[i] + clip(wanted - before[i], -g->torque_step, g->torque_step) : 0.0;
@@ -456,10 +454,8 @@ void moc_guard_rest(const moc_guard *g, const moc_arm *arm, const double *before
 void moc_guard_hold(const moc_guard *g, const moc_arm *arm, const double *wrench, moc_watch *w, double *friction)
 {
     double weight[MOC_MAX_JOINTS], pose[4][3];
-    int carried = 1;
+    int carried = 1, known = weight_of(g, arm, w->q, weight);
 
-    weight_of(g, arm, w->q, weight);
-    int known = all_finite(arm->n, weight);
     for (int i = 0; i < arm->n; i++) {
         weight[i] = known ? fabs(weight[i]) : 0.0;
         carried &= weight[i] <= g->tau_max[i];

@@ -91,7 +91,9 @@ static void add_dynamic(const moc_law *law, int n, moc_terms *t, const double *d
     across(t->u, b);
     five_rows(n, t->A, b, rows);
     memcpy(rows[TAU_W], tau_W, (unsigned)n * sizeof *tau_W);
-    solve_lower(n, H, inverse, 6, rows);
+    for (int i = 0; i < n; i++) /* H^-1 of all rows, side by side */
+        for (int k = 0; k < 6; k++)
+            rows[k][i] = (rows[k][i] - dot(i, H[i], rows[k])) * inverse[i];
     for (int i = 0; i < 3 && law->feedforward; i++) {
         double gap = ddN_d[i] - t->drift[3 + i];
         a[i] = ddX_d[i] - t->drift[i];
@@ -205,6 +207,7 @@ void moc_fill_problem(const moc_law *law, int n, const moc_terms *t, const moc_r
 
     p->n = n;
     memcpy(p->A, t->A, sizeof p->A);
+    memcpy(p->q, t->q, sizeof p->q);
     moc_desired_wrist(t->tip, ref->dX, trocar, t->span, N_d, p->b + 3);
     for (int i = 0; i < 3; i++) {
         p->b[i] = ref->dX[i];

@@ -68,6 +68,7 @@ typedef struct {
     double pull[MOC_MAX_JOINTS];           /* grad_mu, with the shaft's share; or (rho/c2) x_d of a course or a climb */
     double lower[MOC_MAX_JOINTS], upper[MOC_MAX_JOINTS]; /* [rad/s] */
     double c0, c1, c2, rho;
+    double q[MOC_MAX_JOINTS];              /* where it was linearized; no solver here needs it */
 } moc_problem;
 
 /* The optimum x (n,) and multipliers y (6,) of the rows of A, by elimination; `tolerance` is the violation of the box
@@ -264,7 +265,6 @@ typedef struct {
     int limited;                                 /* joints at which the last torque was changed */
     long long now, newest, delay, elapsed;       /* numbers of control periods: see `age` in guard.c */
     moc_joint_watch joint[MOC_MAX_JOINTS];
-    double readings_twice;                       /* readings in which all joints repeated q and v */
     double told[3], still[3];                    /* the tip's reference; where all had repeated themselves [m] */
     double wrench[6], wrench_repeats;
     int looked, wrench_is_still;                 /* the first readings; whether the wrench repeated itself in them */

@@ -74,6 +74,8 @@ void moc_climb(const moc_arm *arm, const moc_law *law, const moc_terms *t, moc_m
 {
     double slope[MOC_MAX_JOINTS] = {0.0}, there[MOC_MAX_JOINTS] = {0.0};
     double q[MOC_MAX_JOINTS], Z[MOC_MAX_JOINTS][MOC_MAX_JOINTS];
+    moc_frame frame[MOC_MAX_JOINTS];
+    moc_twist twist[MOC_MAX_JOINTS];
     moc_terms ahead;
     int n = arm->n;
 
@@ -84,7 +86,7 @@ void moc_climb(const moc_arm *arm, const moc_law *law, const moc_terms *t, moc_m
         return;
     for (int j = 0; j < n; j++)
         q[j] = t->q[j] + PROBE * (slope[j] / steepness);
-    moc_compute_kinematics(arm, q, &ahead);
+    moc_kinematics(arm, q, frame, twist, &ahead);
     slope_of(n, law, &ahead, moc_null_space(n, ahead.A, 0, Z), Z, there);
     double bend = (dot(n, there, slope) / steepness - steepness) / PROBE;
     double step = steepness / fmax(-bend, steepness / LONGEST);

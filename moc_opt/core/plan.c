@@ -15,12 +15,10 @@ static double look(const plan_task *task, const double *q, double error[6], doub
     moc_twist twist[MOC_MAX_JOINTS];
     int n = task->arm->n;
 
-    moc_place(task->arm, q, frame);
-    moc_twists(task->arm, frame, twist);
+    moc_place(task->arm, q, frame, twist);
     for (int p = 0; p < 2; p++) {
         double point[3];
-        moc_point(&frame[n - 1], task->arm->point[p], point);
-        moc_jacobian(n, twist, point, task->arm->moves[p], A + 3 * p);
+        moc_point(task->arm, frame, twist, p, point, A + 3 * p);
         for (int i = 0; i < 3; i++)
             error[3 * p + i] = task->target[p][i] - point[i];
     }
@@ -185,7 +183,7 @@ static int closes(const plan_task *task, const double *start, const double *q, c
 }
 
 int plan_follow(const plan_task *task, const double *start, const double *tangent_start, double step, int most,
-                double *s, double *poses, double *mus, plan_end *end)
+                double *s, double *poses, double *mus, int *closed)
 {
     int n = task->arm->n, count = 1;
     unsigned bytes = (unsigned)n * sizeof *poses;
@@ -197,7 +195,7 @@ int plan_follow(const plan_task *task, const double *start, const double *tangen
     memcpy(tangent, tangent_start, bytes);
     memcpy(poses, start, bytes);
     mus[0] = turn_tangent(task, start, tangent);
-    s[0] = 0.0;
+    s[0] = *closed = 0;
     while (count < most) {
         double *q = poses + (count - 1) * n, *next = q + n;
         int hit;
@@ -213,27 +211,23 @@ int plan_follow(const plan_task *task, const double *start, const double *tangen
             h *= 0.5;
             if (h >= 1e-3 * step)
                 continue;
-            *end = PLAN_SINGULAR;
-            return count;
+            return count; /* singular */
         }
         s[count] = s[count - 1] + way;
         mus[count] = turn_tangent(task, next, tangent);
-        if (hit >= 0) {
-            *end = PLAN_LIMIT;
+        if (hit >= 0)
             return way < 1e-9 ? count : count + 1; /* it stood on the limit already */
-        }
         count++;
         if (closes(task, start, next, tangent, step, closing, &gap) && count > 3 && count < most) {
             int last = gap > 0.1 * step ? count : count - 1; /* no two samples on top of each other */
             s[last] = s[count - 1] + gap;
             mus[last] = mus[0];
             memcpy(poses + last * n, closing, bytes);
-            *end = PLAN_CLOSED;
+            *closed = 1;
             return last + 1;
         }
         h = fmin(step, 2.0 * h);
     }
-    *end = PLAN_LENGTH;
     return count;
 }
 
@@ -270,41 +264,21 @@ double plan_ascend(const plan_task *task, double *q)
 
 /* --- one step of a value function --- */
 
-static void bound(const plan_stage *t, int branch, int k, plan_block *block)
-{
-    int n = t->n, last = (k + 1) * PLAN_BLOCK < t->next ? (k + 1) * PLAN_BLOCK : t->next;
-
-    block->first = branch * t->next + k * PLAN_BLOCK;
-    block->end = branch * t->next + last;
-    block->most = -HUGE_VAL;
-    for (int a = 0; a < n; a++) {
-        block->low[a] = HUGE_VAL;
-        block->high[a] = -HUGE_VAL;
-    }
-    for (int pose = block->first; pose < block->end; pose++) {
-        if (!(t->value_next[pose] > -HUGE_VAL))
-            continue;
-        block->most = fmax(block->most, t->value_next[pose]);
-        for (int a = 0; a < n; a++) {
-            double q = t->q_next[pose * n + a], slack = t->slack_next[pose * n + a];
-            block->low[a] = fmin(block->low[a], q - slack);
-            block->high[a] = fmax(block->high[a], q + slack);
-        }
-    }
-}
-
-/* The best that a pose reaches in a block, if more than `best`. */
-static double best_in(const plan_stage *t, int pose, const plan_block *block, double best)
+/* The best that a pose reaches in a branch of the next time, if more than `best`. */
+static double best_in(const plan_stage *t, int pose, int branch, double best)
 {
     const double *q = t->q + pose * t->n, *slack = t->slack + pose * t->n;
-    int n = t->n;
+    int n = t->n, by = t->sorted, first = branch * t->next, end = first + t->next, beyond = end;
+    double way = (t->reach + slack[by]) * (1.0 + 1e-9);
 
-    for (int a = 0; a < n; a++) {
-        double way = (t->step[a] + slack[a]) * (1.0 + 1e-9) + 1e-12;
-        if (!(block->low[a] <= q[a] + way && q[a] - way <= block->high[a]))
-            return best;
+    while (first < beyond) { /* the first pose that is not too far below, by bisection */
+        int middle = first + (beyond - first) / 2;
+        if (t->q_next[middle * n + by] < q[by] - way)
+            first = middle + 1;
+        else
+            beyond = middle;
     }
-    for (int other = block->first; other < block->end; other++) {
+    for (int other = first; other < end && t->q_next[other * n + by] <= q[by] + way; other++) {
         double total = t->value_next[other];
         int near = total > best;
         for (int a = 0; a < n && near; a++) {
@@ -312,26 +286,19 @@ static double best_in(const plan_stage *t, int pose, const plan_block *block, do
             near = away <= t->step[a] + slack[a] + t->slack_next[other * n + a];
             total -= t->price * away * away;
         }
-        if (near && total > best)
-            best = total;
+        best = near && total > best ? total : best;
     }
     return best;
 }
 
-void plan_advance(const plan_stage *t, plan_block *block, double *value)
+void plan_advance(const plan_stage *t, double *value)
 {
-    int blocks = (t->next + PLAN_BLOCK - 1) / PLAN_BLOCK;
-
-    for (int k = 0; k < t->branches * blocks; k++)
-        bound(t, k / blocks, k % blocks, &block[k]);
     for (int pose = 0; pose < t->branches * t->m; pose++) {
         double best = -HUGE_VAL;
         int bits = (int)t->crossing[pose % t->m], flips = bits + 1;
         while (flips > 0 && t->gain[pose] > -HUGE_VAL) { /* all subsets of the bits */
             flips = (flips - 1) & bits;
-            const plan_block *first = block + (pose / t->m ^ flips) * blocks;
-            for (const plan_block *each = first; each < first + blocks; each++)
-                best = each->most > best ? best_in(t, pose, each, best) : best;
+            best = best_in(t, pose, pose / t->m ^ flips, best);
         }
         value[pose] = best > -HUGE_VAL ? best + t->gain[pose] : -HUGE_VAL;
     }

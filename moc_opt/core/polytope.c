@@ -11,10 +11,8 @@
 
 #include "vec.h"
 
-#define NEAR 10.0        /* box widths: a step shorter than this leaves rounding that needs no second pass */
 #define FAR 1e3          /* box widths beyond which the unconstrained optimum is approached in proximal steps */
 #define UNMOVED 1e-26    /* Pi_jj, the square of how far joint j goes on a step of one: below it, it does not move */
-#define DELICATE 1e-6    /* of Pi_jj: with less than that left by the active joints, rounding shows in a push */
 #define DEPENDENT 1e-12  /* of Pi_jj: with no more than that left by them, joint j cannot be pushed */
 
 typedef struct {
@@ -103,7 +101,7 @@ static int first_to_let_go(const polytope *t, int p, double side, double *step)
 }
 
 /* Push joint p onto the bound it violates; active bounds let go on the way. Returns 0 where it cannot be pushed. */
-static int push(polytope *t, int p, int *active, int *far)
+static int push(polytope *t, int p, int *active)
 {
     double side = t->s[p] < t->low[p] ? 1.0 : -1.0, bound = side > 0.0 ? t->low[p] : t->high[p];
     for (;;) {
@@ -121,7 +119,6 @@ static int push(polytope *t, int p, int *active, int *far)
         }
         t->force[p] += length;
         if (full <= step) {
-            *far |= gives < DELICATE * t->room[p];
             sweep(t, p, 1.0);
             t->s[p] = bound;
             t->side[p] = side;
@@ -134,10 +131,10 @@ static int push(polytope *t, int p, int *active, int *far)
     }
 }
 
-/* Move s to the nearest point within its bounds, along the freedoms of Pi, which is not swept yet.
- *
- * Afterwards s - s_start = Pi force. Where the start is `far`, the rounding of the way is taken out at the end. */
-static moc_status project(polytope *t, double slack, int far)
+/* Move s to the nearest point within its bounds, along the freedoms of Pi, which is not swept yet: afterwards
+ * s - s_start = Pi force. Bounds may be left by the slack, and by `most` where rounding decides if there is such a
+ * point: the plane may touch the box in one point only. */
+static moc_status project(polytope *t, double slack, double most)
 {
     int active = 0;
     for (int j = 0; j < t->n; j++)
@@ -145,37 +142,23 @@ static moc_status project(polytope *t, double slack, int far)
     for (int round = 0; round < 20 * t->n; round++) {
         int p = furthest_out(t, slack);
         if (p < 0) {
-            if (far)
-                settle(t);
+            settle(t);
             return MOC_OK;
         }
-        if (!push(t, p, &active, &far))
-            return MOC_INFEASIBLE;
+        if (!push(t, p, &active)) {
+            if (slack >= most)
+                return MOC_INFEASIBLE;
+            slack = most;
+        }
     }
     return MOC_DOUBTFUL;
 }
 
-/* As `project`, to within the slack; where rounding decides if there is such a point, to a tenth of the tolerance: the
- * plane may touch the box in one point only. */
-static moc_status nearest(polytope *t, double slack, double tolerance, int far)
-{
-    double start[MOC_MAX_JOINTS];
-    memcpy(start, t->s, sizeof start);
-    for (;;) {
-        moc_status status = project(t, slack, far);
-        if (status != MOC_INFEASIBLE || slack >= 0.1 * tolerance)
-            return status;
-        slack = 0.1 * tolerance;
-        fill_projector(t);
-        memcpy(t->s, start, sizeof start);
-    }
-}
-
-/* The proximal point iteration from a point of the box; *weight is that of the multipliers.
+/* The proximal point iteration from a point of the box; the multipliers then have the weight rho + 1 / base.
  *
  * Long steps first: they also travel where the cost is almost flat. The short one at the end stays at the vertex and
  * takes the rounding of the long ones out. */
-static moc_status approach(polytope *t, double rho, double slack, double tolerance, double base, double *weight)
+static moc_status approach(polytope *t, double rho, double slack, double most, double base)
 {
     static const double scales[] = {1e8, 1e4, 1.0};
     moc_status status = MOC_OK;
@@ -187,8 +170,7 @@ static moc_status approach(polytope *t, double rho, double slack, double toleran
             for (int j = 0; j < t->n; j++)
                 t->s[j] = (t->s[j] + step * t->pull[j]) / (1.0 + rho * step);
             fill_projector(t);
-            status = nearest(t, slack * fmax(1.0, 1e-3 * scales[i]), tolerance, 1);
-            *weight = rho + 1.0 / step;
+            status = project(t, slack * fmax(1.0, 1e-3 * scales[i]), most);
             moved = 0.0;
             for (int j = 0; j < t->n; j++) {
                 if (status != MOC_OK) /* there is a point in the box, but its rounding is too large from here */
@@ -228,11 +210,11 @@ moc_status moc_solve_several(const moc_plane *plane, const moc_problem *p, doubl
     int direct = p->rho > 0.0 && pull <= FAR * room * p->rho;
     for (int j = 0; j < t.n; j++)
         t.s[j] = direct ? t.pull[j] / p->rho : 0.0;
-    moc_status status = nearest(&t, slack, tolerance, !direct || pull > NEAR * room * p->rho);
-    if (!direct) {
-        weight = 0.0;
-        if (status == MOC_OK && pull > 0.0)
-            status = approach(&t, p->rho, slack, tolerance, 10.0 * fmax(room, 1e-6) / pull, &weight);
+    moc_status status = project(&t, slack, 0.1 * tolerance);
+    if (!direct && status == MOC_OK) {
+        double base = 10.0 * fmax(room, 1e-6) / pull;
+        weight = pull > 0.0 ? p->rho + 1.0 / base : 0.0;
+        status = pull > 0.0 ? approach(&t, p->rho, slack, 0.1 * tolerance, base) : status;
     }
     for (int j = 0; j < t.n; j++) {
         x[j] += t.s[j];

@@ -4,6 +4,7 @@
  * have functions. */
 #define MOC_MODULE
 #include "python.h"
+#include "vec.h"
 
 #include <time.h>
 
@@ -62,31 +63,31 @@ static PyObject *law_new(PyTypeObject *type, PyObject *given, PyObject *keywords
 /* Arguments 0 to 3 of start, begin and step: q, v as measured; X_d, dX_d, ddX_d; the trocar P_t, dP_t. */
 #define TICK {"q", READ, N}, {"v", READ, N}, {"tip_ref", READ, 3, 3}, {"trocar", READ, 2, 3}
 
-static moc_input references(const call *c, const double *pull)
+/* Start (begins = 0) or begin a tick; the arm's record goes into array i. Returns 0 with an exception. */
+static int take_tick(Law *self, const call *c, int begins, const double *pull, int i)
 {
-    moc_input in = {.pull = pull};
+    static const double none[MOC_MAX_JOINTS];
+    moc_input in = {.measured = {c->array[0], c->array[1], 0, 0, begins ? NULL : none, NULL}, .pull = pull};
+
+    if (!all_finite(c->n, c->array[0]) || !all_finite(c->n, c->array[1])) {
+        PyErr_SetString(PyExc_ValueError, "q, v: give finite numbers");
+        return 0;
+    }
     memcpy(&in.ref, c->array[2], sizeof in.ref);
     memcpy(&in.trocar, c->array[3], sizeof in.trocar);
-    return in;
-}
-
-/* The tick's subproblem, with its pose. */
-static void put_row(Law *self, double *row)
-{
-    int n = self->arm.n;
-    moc_copy_problem(&self->state.problem, n, row, PACK);
-    memcpy(row + 10 * n + 10, self->state.terms.q, (size_t)n * sizeof *row);
+    if (begins)
+        moc_begin(&self->controller, &in, &self->state);
+    else if (moc_start(&self->controller, &in.measured, &self->state) == MOC_RUNNING)
+        moc_fill_problem(&self->law, c->n, &self->state.terms, &in.ref, &in.trocar, NULL, &self->state.problem);
+    moc_copy_terms(&self->state.terms, c->n, c->array[i], PACK);
+    return 1;
 }
 
 METHOD(Law, start, TICK, {"record", MADE, TERMS}, {"row", MADE, ROW})
 {
-    moc_state *s = &self->state;
-    const moc_input in = references(c, NULL);
-    if (!moc_take_state(&self->arm, c, &s->terms, 4))
+    if (!take_tick(self, c, 0, NULL, 4))
         return NULL;
-    moc_start_law(&self->controller, s);
-    moc_fill_problem(&self->law, c->n, &s->terms, &in.ref, &in.trocar, NULL, &s->problem);
-    put_row(self, c->array[5]);
+    moc_copy_problem(&self->state.problem, c->n, c->array[5], PACK);
     return Py_BuildValue("OO", c->as[4], c->as[5]);
 }
 
@@ -109,11 +110,9 @@ METHOD(Law, judge, {"x", READ, N})
 
 METHOD(Law, begin, TICK, {"pull", MAYBE, N}, {"record", MADE, TERMS}, {"row", MADE, ROW})
 {
-    const moc_input in = references(c, c->array[4]);
-    if (!moc_take_state(&self->arm, c, &self->state.terms, 5))
+    if (!take_tick(self, c, 1, c->array[4], 5))
         return NULL;
-    moc_levels(&self->controller, &in, &self->state);
-    put_row(self, c->array[6]);
+    moc_copy_problem(&self->state.problem, c->n, c->array[6], PACK);
     return Py_BuildValue("OO", c->as[5], c->as[6]);
 }
 
@@ -139,17 +138,15 @@ METHOD(Law, step, TICK, {"pull", MAYBE, N}, {"tolerance", NUMBER}, {"solve_us", 
     moc_state *s = &self->state;
     size_t bytes = (size_t)c->n * sizeof(double);
     double *row = c->array[8], *found = row + 11 * c->n + 10;
-    const moc_input in = references(c, c->array[4]);
 
-    if (!moc_take_state(&self->arm, c, &s->terms, 7))
+    if (!take_tick(self, c, 1, c->array[4], 7))
         return NULL;
     self->controller.tolerance = c->number[5];
-    moc_levels(&self->controller, &in, s);
     double from = now_us();
     moc_answer answer = moc_ask_exact(&self->controller, s);
     answer.us = isnan(c->number[6]) ? now_us() - from : c->number[6];
     moc_finish(&self->controller, &answer, s, found + 2 * c->n + 6);
-    put_row(self, row);
+    moc_copy_problem(&self->state.problem, c->n, row, PACK);
     memcpy(found, s->answer, bytes);
     memcpy(found + c->n, s->y, sizeof s->y);
     memcpy(found + c->n + 6, s->x, bytes);
@@ -172,15 +169,8 @@ METHOD(Law, memory, {"Z", MADE, N, N}, {"external", MADE, N})
     return Py_BuildValue("iOO", memory->rows, c->as[0], c->as[1]);
 }
 
-static PyMethodDef law_methods[] = {
-    ENTRY(Law, start), ENTRY(Law, load), ENTRY(Law, judge), ENTRY(Law, begin), ENTRY(Law, finish), ENTRY(Law, step),
-    ENTRY(Law, set_applied), ENTRY(Law, memory), {NULL, NULL, 0, NULL},
-};
-
-static PyType_Slot law_slots[] = {
-    {Py_tp_doc, "Law(arm, **numbers)\n\nThe law with its memory; numbers: the fields of moc_law and moc_supervision."},
-    {Py_tp_new, law_new}, {Py_tp_methods, law_methods}, {0, NULL},
-};
+TYPE(Law, law_new, ENTRY(Law, start), ENTRY(Law, load), ENTRY(Law, judge), ENTRY(Law, begin), ENTRY(Law, finish),
+     ENTRY(Law, step), ENTRY(Law, set_applied), ENTRY(Law, memory));
 
 /* --- the safety filter --- */
 
@@ -232,11 +222,10 @@ METHOD(Guard, believe, {"q", READ, N}, {"v", READ, N}, {"stamp", NUMBER}, {"appl
                                c->array[3], c->array[4]};
     moc_stop reason = moc_guard_believe(&self->guard, c->n, &m, &self->watch), found = MOC_RUNNING;
     if (c->array[5] && self->guard.in_incision) {
-        moc_trocar trocar;
+        const moc_trocar *trocar = (const moc_trocar *)c->array[5];
         double pose[4][3];
-        memcpy(&trocar, c->array[5], sizeof trocar);
         moc_tool_pose(&self->arm, self->watch.q, pose);
-        found = moc_guard_incision(&self->guard, pose, &trocar, m.wrench, &self->watch);
+        found = moc_guard_incision(&self->guard, pose, trocar, m.wrench, &self->watch);
     }
     memcpy(c->array[6], self->watch.q, (size_t)c->n * sizeof(double));
     memcpy(c->array[7], self->watch.v, (size_t)c->n * sizeof(double));
@@ -280,31 +269,21 @@ METHOD(Guard, watched, {"figures", MADE, 3, 2})
     return Py_BuildValue("iO", w->bad, c->as[0]);
 }
 
-static PyMethodDef guard_methods[] = {
-    ENTRY(Guard, start), ENTRY(Guard, believe), ENTRY(Guard, follow), ENTRY(Guard, rest), ENTRY(Guard, hold),
-    ENTRY(Guard, watched), {NULL, NULL, 0, NULL},
-};
-
-static PyType_Slot guard_slots[] = {
-    {Py_tp_doc, "Guard(arm, **numbers)\n\nThe safety filter with its memory; numbers: the fields of moc_guard."},
-    {Py_tp_new, guard_new}, {Py_tp_methods, guard_methods}, {0, NULL},
-};
+TYPE(Guard, guard_new, ENTRY(Guard, start), ENTRY(Guard, believe), ENTRY(Guard, follow), ENTRY(Guard, rest),
+     ENTRY(Guard, hold), ENTRY(Guard, watched));
 
 /* --- the module --- */
-
-static PyType_Spec law_spec = {"moc_opt.core._core.Law", sizeof(Law), 0, Py_TPFLAGS_DEFAULT, law_slots};
-static PyType_Spec guard_spec = {"moc_opt.core._core.Guard", sizeof(Guard), 0, Py_TPFLAGS_DEFAULT, guard_slots};
 
 static int fill(PyObject *module)
 {
     /* of moc_status */
     static const char *const names[] = {"OK", "INFEASIBLE", "DOUBTFUL", "UNFINISHED"};
-    PyType_Spec *specs[] = {&law_spec, &guard_spec, &moc_arm_spec};
+    PyType_Spec *specs[] = {&moc_Law, &moc_Guard, &moc_Arm};
 
     if (PyArray_ImportNumPyAPI() < 0)
         return -1;
     for (int k = 0; k < COUNT(specs); k++) {
-        arm_type = (PyTypeObject *)PyType_FromSpec(specs[k]); /* moc_arm_spec must stay last */
+        arm_type = (PyTypeObject *)PyType_FromSpec(specs[k]); /* moc_Arm must stay last */
         if (arm_type == NULL || PyModule_AddType(module, arm_type) < 0)
             return -1;
     }

@@ -94,11 +94,14 @@ typedef struct {
     moc_arm arm;
 } Arm;
 
-extern PyType_Spec moc_arm_spec;                                      /* python_arm.c */
-extern PyMethodDef moc_subproblem_functions[], moc_plant_functions[]; /* python_subproblem.c, plant.c */
+/* The type of an object, moc_Type, with the entries of its methods. */
+#define TYPE(Type, new, ...)                                                                                           \
+    static PyMethodDef Type##_methods[] = {__VA_ARGS__, {NULL, NULL, 0, NULL}};                                        \
+    static PyType_Slot Type##_slots[] = {{Py_tp_new, new}, {Py_tp_methods, Type##_methods}, {0, NULL}};                \
+    PyType_Spec moc_##Type = {"moc_opt.core._core." #Type, sizeof(Type), 0, Py_TPFLAGS_DEFAULT, Type##_slots}
 
-/* All terms at a call's q and v, its arguments 0 and 1, and their record, array i. Returns 0 with an exception. */
-int moc_take_state(const moc_arm *arm, const call *c, moc_terms *terms, int i); /* python_arm.c */
+extern PyType_Spec moc_Arm, moc_Law, moc_Guard;                       /* python_arm.c, python.c */
+extern PyMethodDef moc_subproblem_functions[], moc_plant_functions[]; /* python_subproblem.c, plant.c */
 
 /* A number in an object, or an array of them, where it lies there. */
 typedef struct {

@@ -30,20 +30,13 @@ static PyObject *arm_new(PyTypeObject *type, PyObject *given, PyObject *keywords
     return (PyObject *)self;
 }
 
-int moc_take_state(const moc_arm *arm, const call *c, moc_terms *terms, int i)
-{
-    if (moc_compute_terms(arm, c->array[0], c->array[1], terms) != MOC_OK) {
-        PyErr_SetString(PyExc_ValueError, "q, v: give finite numbers");
-        return 0;
-    }
-    moc_copy_terms(terms, c->n, c->array[i], PACK);
-    return 1;
-}
-
 METHOD(Arm, terms, {"q", READ, N}, {"v", READ, N}, {"record", MADE, TERMS})
 {
     moc_terms terms;
-    return moc_take_state(&self->arm, c, &terms, 2) ? Py_BuildValue("O", c->as[2]) : NULL;
+    if (moc_compute_terms(&self->arm, c->array[0], c->array[1], &terms) != MOC_OK)
+        return PyErr_Format(PyExc_ValueError, "q, v: give finite numbers");
+    moc_copy_terms(&terms, c->n, c->array[2], PACK);
+    return Py_BuildValue("O", c->as[2]);
 }
 
 METHOD(Arm, along, {"poses", READ, K, N}, {"tips", MADE, K, 3}, {"wrists", MADE, K, 3}, {"mu", MADE, K})
@@ -54,12 +47,9 @@ METHOD(Arm, along, {"poses", READ, K, N}, {"tips", MADE, K, 3}, {"wrists", MADE,
     double J[3][MOC_MAX_JOINTS];
 
     for (Py_ssize_t i = 0; i < c->k; i++) {
-        double *tip = c->array[1] + 3 * i;
-        moc_place(arm, c->array[0] + i * c->n, frame);
-        moc_twists(arm, frame, twist);
-        moc_point(&frame[c->n - 1], arm->point[MOC_TIP], tip);
-        moc_point(&frame[c->n - 1], arm->point[MOC_WRIST], c->array[2] + 3 * i);
-        moc_jacobian(c->n, twist, tip, arm->moves[MOC_TIP], J);
+        moc_place(arm, c->array[0] + i * c->n, frame, twist);
+        moc_point(arm, frame, twist, MOC_WRIST, c->array[2] + 3 * i, J);
+        moc_point(arm, frame, twist, MOC_TIP, c->array[1] + 3 * i, J);
         c->array[3][i] = moc_manipulability(c->n, twist, J, NULL);
     }
     return Py_BuildValue("OOO", c->as[1], c->as[2], c->as[3]);
@@ -98,13 +88,13 @@ METHOD(Arm, follow_curve, TASK(2), {"q", READ, N}, {"tangent", READ, N}, {"step"
        {"poses", WRITE, K, N}, {"mus", WRITE, K})
 {
     const plan_task task = take_task(self, c);
-    plan_end end;
+    int closed;
     if (c->k < 2 || !(c->number[5] > 0.0 && c->number[5] <= MOST_STEP))
         return PyErr_Format(PyExc_ValueError,
                             "follow_curve: give 2 samples or more, and a step above 0 and up to 10 rad");
     int found = plan_follow(&task, c->array[3], c->array[4], c->number[5], (int)c->k, c->array[6], c->array[7],
-                            c->array[8], &end);
-    return Py_BuildValue("ii", found, (int)end);
+                            c->array[8], &closed);
+    return Py_BuildValue("ii", found, closed);
 }
 
 METHOD(Arm, ascend, TASK(2), {"starts", WRITE, K, N}, {"mus", WRITE, K})
@@ -117,13 +107,5 @@ METHOD(Arm, ascend, TASK(2), {"starts", WRITE, K, N}, {"mus", WRITE, K})
     Py_RETURN_NONE;
 }
 
-static PyMethodDef methods[] = {
-    ENTRY(Arm, terms), ENTRY(Arm, along), ENTRY(Arm, tool_pose), ENTRY(Arm, nearest_pose), ENTRY(Arm, follow_curve),
-    ENTRY(Arm, ascend), {NULL, NULL, 0, NULL},
-};
-
-static PyType_Slot slots[] = {
-    {Py_tp_doc, "A serial chain of 1 to 16 joints as data."}, {Py_tp_new, arm_new}, {Py_tp_methods, methods}, {0, NULL},
-};
-
-PyType_Spec moc_arm_spec = {"moc_opt.core._core.Arm", sizeof(Arm), 0, Py_TPFLAGS_DEFAULT, slots};
+TYPE(Arm, arm_new, ENTRY(Arm, terms), ENTRY(Arm, along), ENTRY(Arm, tool_pose), ENTRY(Arm, nearest_pose),
+     ENTRY(Arm, follow_curve), ENTRY(Arm, ascend));

@@ -18,14 +18,8 @@ FUNCTION(solve_exact_rows, {"records", READ, K, ROW}, {"tolerance", NUMBER}, {"X
     Py_BEGIN_ALLOW_THREADS;
     for (Py_ssize_t i = 0; i < c->k; i++) {
         moc_problem problem;
-        double *x = c->array[2] + i * c->n, *y = c->array[3] + i * 6;
         moc_copy_problem(&problem, c->n, c->array[0] + i * (11 * c->n + 10), UNPACK);
-        moc_status status = moc_solve_exact(&problem, c->number[1], x, y);
-        for (int j = 0; j < c->n && status != MOC_OK; j++)
-            x[j] = (double)NAN;
-        for (int j = 0; j < 6 && status != MOC_OK; j++)
-            y[j] = (double)NAN;
-        c->array[4][i] = status;
+        c->array[4][i] = moc_solve_exact(&problem, c->number[1], c->array[2] + i * c->n, c->array[3] + i * 6);
     }
     Py_END_ALLOW_THREADS;
     Py_RETURN_NONE;
@@ -177,32 +171,28 @@ FUNCTION(load, {"record", READ, ROW}, {"five", WHOLE}, {"scale", NUMBER}, {"sign
 FUNCTION(desired_wrist, {"X", READ, 3}, {"dX", READ, 3}, {"trocar", READ, 2, 3}, {"span", NUMBER},
          {"wanted", MADE, 2, 3})
 {
-    moc_trocar trocar;
-    memcpy(&trocar, c->array[2], sizeof trocar);
-    moc_desired_wrist(c->array[0], c->array[1], &trocar, c->number[3], c->array[4], c->array[4] + 3);
+    const moc_trocar *trocar = (const moc_trocar *)c->array[2];
+    moc_desired_wrist(c->array[0], c->array[1], trocar, c->number[3], c->array[4], c->array[4] + 3);
     return Py_BuildValue("O", c->as[4]);
 }
 
 FUNCTION(advance, {"branches", WHOLE}, {"q", READ, K, N}, {"slack", READ, K, N}, {"gain", READ, K},
          {"q_next", READ, ANY, N}, {"slack_next", READ, ANY, N}, {"value_next", READ, ANY}, {"step", READ, N},
-         {"crossing", READ, ANY}, {"price", NUMBER}, {"value", MADE, K})
+         {"crossing", READ, ANY}, {"price", NUMBER}, {"sorted", WHOLE}, {"reach", NUMBER}, {"value", MADE, K})
 {
-    int branches = whole(c, 0), m = rows_of(c, 8), after = rows_of(c, 4);
-    int fits = branches >= 1 && c->k == (Py_ssize_t)branches * m && after % branches == 0 && rows_of(c, 5) == after &&
-               rows_of(c, 6) == after && c->k <= INT_MAX / c->n && after <= INT_MAX / c->n;
+    int branches = whole(c, 0), m = rows_of(c, 8), after = rows_of(c, 4), sorted = whole(c, 10);
+    int fits = branches >= 1 && c->k == (npy_intp)branches * m && after % branches == 0 && rows_of(c, 5) == after &&
+               rows_of(c, 6) == after && c->k <= INT_MAX / c->n && after <= INT_MAX / c->n && sorted >= 0 &&
+               sorted < c->n;
     for (int j = 0; j < m; j++)
         fits &= c->array[8][j] >= 0.0 && c->array[8][j] < branches;
     if (!fits)
         return PyErr_Format(PyExc_ValueError, "advance: the rows are not those of so many branches and crossings");
-    const plan_stage stage = {branches,    m,           after / branches, c->n,        c->array[1], c->array[2],
-                              c->array[3], c->array[4], c->array[5],      c->array[6], c->array[7], c->array[8],
-                              c->number[9]};
-    plan_block *blocks = PyMem_Malloc((size_t)(after / PLAN_BLOCK + branches) * sizeof *blocks);
-    if (blocks == NULL)
-        return PyErr_NoMemory();
-    plan_advance(&stage, blocks, c->array[10]);
-    PyMem_Free(blocks);
-    return Py_BuildValue("O", c->as[10]);
+    const plan_stage stage = {branches,    m,           after / branches, c->n,        sorted,
+                              c->array[1], c->array[2], c->array[3],      c->array[4], c->array[5],
+                              c->array[6], c->array[7], c->array[8],      c->number[9], c->number[11]};
+    plan_advance(&stage, c->array[12]);
+    return Py_BuildValue("O", c->as[12]);
 }
 
 PyMethodDef moc_subproblem_functions[] = {

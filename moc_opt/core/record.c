@@ -21,7 +21,7 @@ static const part terms_parts[] = {
 
 static const part problem_parts[] = {
     PART(moc_problem, A, 6, N), PART(moc_problem, b, 1, 6), PART(moc_problem, grad_mu, 4, N),
-    PART(moc_problem, c0, 1, 4),
+    PART(moc_problem, c0, 1, 4),      PART(moc_problem, q, 1, N),
 };
 
 static void copy_parts(const part *parts, size_t count, int n, void *of, double *record, direction way)
@@ -32,10 +32,8 @@ static void copy_parts(const part *parts, size_t count, int n, void *of, double 
         for (int i = 0; i < rows; i++, row += MOC_MAX_JOINTS, record += columns) {
             double *to = way == PACK ? record : row;
             const double *from = way == PACK ? row : record;
-            if (columns == 7) /* as most rows are: without a call */
-                memcpy(to, from, 7 * sizeof *to);
-            else
-                memcpy(to, from, (size_t)columns * sizeof *to);
+            for (int j = 0; j < columns; j++)
+                to[j] = from[j];
         }
     }
 }

@@ -17,15 +17,12 @@ typedef struct {
     double lin[3], ang[3];
 } moc_twist;
 
-/* What needs no velocity, at a finite q: tip, wrist, u, span, A, mu and mu_shaft with their gradients. */
-void moc_compute_kinematics(const moc_arm *arm, const double *q, moc_terms *terms);
-
 /* All terms. Returns MOC_OK or MOC_NOT_FINITE. */
 moc_status moc_compute_terms(const moc_arm *arm, const double *q, const double *v, moc_terms *terms);
 
-/* Every joint's axes in the world, frame[n], and its twist[n]. */
-void moc_place(const moc_arm *arm, const double *q, moc_frame *frame);
-void moc_twists(const moc_arm *arm, const moc_frame *frame, moc_twist *twist);
+/* Every joint's axes in the world, frame[n], and its twist[n]; of the terms what needs no velocity, at a finite q. */
+void moc_place(const moc_arm *arm, const double *q, moc_frame *frame, moc_twist *twist);
+void moc_kinematics(const moc_arm *arm, const double *q, moc_frame *frame, moc_twist *twist, moc_terms *terms);
 
 /* The tool's axes x, y, z and its tip in the world. */
 void moc_tool_pose(const moc_arm *arm, const double *q, double pose[4][3]);
@@ -33,9 +30,9 @@ void moc_tool_pose(const moc_arm *arm, const double *q, double pose[4][3]);
 /* Torque that carries the arm's weight [Nm]. */
 void moc_gravity(const moc_arm *arm, const double *q, double *torque);
 
-/* A point of the last joint's axes in the world, and its Jacobian (3,n): zeros for joints that do not move it. */
-void moc_point(const moc_frame *last, const double local[3], double out[3]);
-void moc_jacobian(int n, const moc_twist *twist, const double point[3], const int *moves, double J[][MOC_MAX_JOINTS]);
+/* Tip or wrist in the world [m], and its Jacobian (3,n): zeros for joints that never move it. */
+void moc_point(const moc_arm *arm, const moc_frame *frame, const moc_twist *twist, int which, double point[3],
+               double J[][MOC_MAX_JOINTS]);
 
 /* mu = sqrt(det(J J^T)) of J (3,n) and its gradient (NULL: without); the same of the shaft, of A (6,n). */
 double moc_manipulability(int n, const moc_twist *twist, double J[][MOC_MAX_JOINTS], double *gradient);
@@ -44,8 +41,7 @@ double moc_shaft_manipulability(int n, const moc_twist *twist, double A[][MOC_MA
 
 /* --- record.c --- */
 
-/* Between a struct and its packed record; moc_opt/qp/problem.py and moc_opt/robots/model.py read the same ones. The
- * record of a subproblem has its pose q (n,) at the end, which is no part of the struct. */
+/* Between a struct and its packed record; moc_opt/qp/problem.py and moc_opt/robots/model.py read the same ones. */
 typedef enum { UNPACK, PACK } direction;
 void moc_copy_problem(moc_problem *problem, int n, double *record, direction way);
 void moc_copy_terms(moc_terms *terms, int n, double *record, direction way);
@@ -147,10 +143,6 @@ moc_stop moc_guard_follow(const moc_guard *g, const moc_arm *arm, const moc_term
 void moc_guard_rest(const moc_guard *g, const moc_arm *arm, const double *before, const moc_watch *w, double *tau);
 
 /* --- step.c --- */
-
-/* moc_start and moc_begin behind the measurement: at the terms in the state. */
-void moc_start_law(const moc_controller *c, moc_state *state);
-void moc_levels(const moc_controller *c, const moc_input *in, moc_state *state);
 
 /* The answer of moc_solve_exact to the subproblem in the state, where its x, multipliers and status are kept. */
 moc_answer moc_ask_exact(const moc_controller *c, moc_state *state);

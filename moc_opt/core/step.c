@@ -5,7 +5,7 @@
 
 /* --- the law at the terms in the state --- */
 
-void moc_start_law(const moc_controller *c, moc_state *s)
+static void start_law(const moc_controller *c, moc_state *s)
 {
     moc_memory *memory = &s->memory;
     moc_terms *t = &s->terms;
@@ -21,7 +21,7 @@ void moc_start_law(const moc_controller *c, moc_state *s)
     s->begun = MOC_BEGUN;
 }
 
-void moc_levels(const moc_controller *c, const moc_input *in, moc_state *s)
+static void levels(const moc_controller *c, const moc_input *in, moc_state *s)
 {
     const moc_law *law = c->law;
     moc_memory *memory = &s->memory;
@@ -67,7 +67,7 @@ moc_stop moc_start(const moc_controller *c, const moc_measurement *m, moc_state 
     if ((c->guard && !within(n, m->applied, c->guard->tau_max)) ||
         moc_compute_terms(c->arm, m->q, m->v, &s->terms) != MOC_OK)
         return s->reason;
-    moc_start_law(c, s);
+    start_law(c, s);
     if (c->guard)
         moc_guard_start(c->guard, n, m->q, m->v, m->stamp, &s->watch);
     memcpy(s->sent, m->applied, (unsigned)n * sizeof *s->sent);
@@ -118,7 +118,7 @@ moc_stop moc_begin(const moc_controller *c, const moc_input *in, moc_state *s)
     if (s->reason == MOC_RUNNING)
         s->reason = believe(c, in, s);
     if (s->reason == MOC_RUNNING)
-        moc_levels(c, in, s);
+        levels(c, in, s);
     return s->reason;
 }
 

@@ -33,13 +33,11 @@ typedef struct {
  * it begins, and may be the best pose. Returns what the best pose misses by [m]. */
 double plan_place(const plan_task *task, int points, int iterations, const double *q, double *best);
 
-typedef enum { PLAN_LIMIT = 0, PLAN_CLOSED, PLAN_SINGULAR, PLAN_LENGTH } plan_end;
-
 /* Samples s, poses (most, n) and mu of the curve from q on along the unit tangent (n,); returns how many. One joint
  * more than tip and wrist fix may move. At a joint limit the curve ends with that joint set to it; a curve that returns
  * to its start, up to whole turns, is closed with that pose. */
 int plan_follow(const plan_task *task, const double *q, const double *tangent, double step, int most, double *s,
-                double *poses, double *mus, plan_end *end);
+                double *poses, double *mus, int *closed);
 
 /* Place q (n,) and climb to a local maximum of mu inside the limits, in place; returns mu, -1 where it has no pose. */
 double plan_ascend(const plan_task *task, double *q);
@@ -47,26 +45,18 @@ double plan_ascend(const plan_task *task, double *q);
 /* What the poses of one time are worth by those of the time next to it, value[branches][m].
  *
  * Poses q (branches, m, n) with slack, NaN where there is none; gain (branches, m): what a pose adds, -inf: forbidden.
- * A pose is next to another where no joint turns by more than its step (n,) and both slacks; in its own branch, or in
- * one whose number differs in bits of crossing[m]. price: of a step's square [1/rad^2]. */
+ * Those of the next time stand in the order of their joint `sorted`, branch by branch, those of NaN at the end. A pose
+ * is next to another where no joint turns by more than its step (n,) and both slacks; in its own branch, or in one whose
+ * number differs in bits of crossing[m]. price: of a step's square [1/rad^2]. */
 typedef struct {
-    int branches, m, next, n;
+    int branches, m, next, n, sorted;
     const double *q, *slack, *gain;
     const double *q_next, *slack_next, *value_next;
     const double *step;
     const double *crossing; /* whole numbers */
-    double price;
+    double price, reach;    /* reach: step and largest slack_next of joint `sorted` */
 } plan_stage;
 
-/* Bounds of PLAN_BLOCK poses beside each other at the next time, slack included, and the most that one is worth. */
-typedef struct {
-    double low[MOC_MAX_JOINTS], high[MOC_MAX_JOINTS], most;
-    int first, end;
-} plan_block;
-
-enum { PLAN_BLOCK = 16 };
-
-/* block: scratch for all blocks of all branches. */
-void plan_advance(const plan_stage *stage, plan_block *block, double *value);
+void plan_advance(const plan_stage *stage, double *value);
 
 #endif

@@ -45,20 +45,14 @@ static inline double adjugate3(double S[3][3], double adj[3][3])
 }
 
 /* Two sums, which the processor adds up side by side. */
-static inline double dot_of(int n, const double *a, const double *b)
+static inline double dot(int n, const double *a, const double *b)
 {
-    double even = 0.0, odd = 0.0;
+    double even = n % 2 ? a[n - 1] * b[n - 1] : 0.0, odd = 0.0;
     for (int i = 0; i + 1 < n; i += 2) {
         even += a[i] * b[i];
         odd += a[i + 1] * b[i + 1];
     }
-    return n % 2 ? even + odd + a[n - 1] * b[n - 1] : even + odd;
-}
-
-/* Arms of seven joints are the usual ones: their sums are unrolled. */
-static inline double dot(int n, const double *a, const double *b)
-{
-    return n == 7 ? dot_of(7, a, b) : dot_of(n, a, b);
+    return even + odd;
 }
 
 static inline int all_finite(int n, const double *x)
@@ -104,15 +98,6 @@ static inline moc_stop first_of(moc_stop reason, moc_stop other)
     return reason == MOC_RUNNING ? other : reason;
 }
 
-/* Each of the rows x (m,) becomes L^-1 x; row by row of L, so that the processor works on all of them side by side. */
-static inline void solve_lower(int m, double L[][MOC_MAX_JOINTS], const double *inverse, int count,
-                               double rows[][MOC_MAX_JOINTS])
-{
-    for (int i = 0; i < m; i++)
-        for (int k = 0; k < count; k++)
-            rows[k][i] = (rows[k][i] - dot(i, L[i], rows[k])) * inverse[i];
-}
-
 /* x (m,) becomes S^-1 x, given the factor of S. */
 static inline void solve_factored(int m, double L[][MOC_MAX_JOINTS], const double *inverse, double *x)
 {
@@ -137,6 +122,15 @@ static inline void across(const double u[3], double b[2][3])
     add_cross(1.0, u, e, b[0]);
     normalise3(b[0]);
     add_cross(1.0, u, b[0], b[1]);
+}
+
+/* |A x - b|_inf; rows that are no number are left out. */
+static inline double off_plane(const moc_problem *p, const double *x)
+{
+    double most = 0.0;
+    for (int i = 0; i < 6; i++)
+        most = larger(fabs(dot(p->n, p->A[i], x) - p->b[i]), most);
+    return most;
 }
 
 /* The five independent rows of A: those of the tip, and the wrist's across the shaft u; b: see `across`. */

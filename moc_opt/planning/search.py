@@ -196,9 +196,15 @@ def advance(
         price: of a step's square [1/rad^2].
     """  # fmt: skip
     branches, _, n = q.shape
+    # Those next to a pose are a short piece of their order by the joint that moves through the most steps.
+    spread = np.nan_to_num(np.fmax.reduce(q_next, 1) - np.fmin.reduce(q_next, 1)).sum(axis=0)
+    by = int(np.argmax(spread / step))
+    order = np.argsort(q_next[:, :, by])
+    value_next = np.take_along_axis(value_next, order, 1)
+    q_next, slack_next = (np.take_along_axis(each, order[:, :, None], 1) for each in (q_next, slack_next))
     at, room, then, later = (np.ascontiguousarray(each).reshape(-1, n) for each in (q, slack, q_next, slack_next))
     worth = core.advance(
         branches, at, room, np.ascontiguousarray(gain).ravel(), then, later, np.ascontiguousarray(value_next).ravel(),
-        np.ascontiguousarray(step), crossing.astype(np.float64), price,
+        np.ascontiguousarray(step), crossing.astype(np.float64), price, by, step[by] + slack_next[:, :, by].max(),
     )  # fmt: skip
     return worth.reshape(gain.shape)

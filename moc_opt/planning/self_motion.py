@@ -19,7 +19,6 @@ from moc_opt.robots.model import RobotModel
 HELD = 1e-6  #: A singular value below this share of the largest holds nothing.
 RANK = 1e-9  #: A singular value of A below this counts as zero on the curve.
 LEAST_STEP, MOST_STEP = 1e-5, 10.0  #: Of the samples on a curve [rad].
-_CLOSED = 1  # of the reasons why the core ends a curve
 
 
 class Freedoms(NamedTuple):
@@ -159,8 +158,8 @@ def self_motion(robot: RobotModel, q: ArrayLike, step: float = 0.02) -> SelfMoti
 
         def follow(tangent: Array) -> tuple[Array, Array, Array, bool]:
             s, poses, mu = np.empty(most), np.empty((most, robot.n)), np.empty(most)
-            count, end = robot.arm.follow_curve(*task, np.array(state.q), tangent, step, s, poses, mu)
-            return s[:count].copy(), poses[:count].copy(), mu[:count].copy(), end == _CLOSED
+            count, closed = robot.arm.follow_curve(*task, np.array(state.q), tangent, step, s, poses, mu)
+            return s[:count].copy(), poses[:count].copy(), mu[:count].copy(), bool(closed)
 
         tangent = np.zeros(robot.n)
         tangent[active] = np.linalg.svd(state.A[:, active])[2][-1]

@@ -71,4 +71,5 @@ class Exact(SolverSettings):
         parts = [np.array_split(array, shares) for array in (rows, X, Y, codes)]
         with ThreadPoolExecutor(shares) as pool:  # the core holds no lock
             list(pool.map(core.solve_exact_rows, parts[0], repeat(self.tolerance), *parts[1:]))
+        X[codes != _OK] = Y[codes != _OK] = np.nan
         return X, Y, _STATUSES[codes.astype(np.intp)].tolist()

@@ -172,10 +172,8 @@ static void report(void)
     }
     for (int i = 0; i < 6; i++)
         command.dual[i] = solved ? state.y[i] : (double)NAN;
-    if (asked) { /* else it stays the one before */
+    if (asked) /* else it stays the one before */
         moc_copy_problem(&state.problem, JOINTS, command.subproblem, PACK);
-        memcpy(command.subproblem + 10 * JOINTS + 10, state.terms.q, JOINTS * sizeof(double));
-    }
     strncpy(command.status, asked ? statuses[state.status] : "none", sizeof command.status - 1);
     strncpy(command.fault, asked ? faults[state.fault] : state.reason ? "stopped" : "none", sizeof command.fault - 1);
     command.solve_us = (double)NAN;
