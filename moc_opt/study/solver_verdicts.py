@@ -42,9 +42,10 @@ COSTS = {
 """Closed-loop figures by which solvers are compared: the word for each, and the share of it that counts as equal."""
 FRAMED = tuple(name for name in COSTS if "_error_" in name)
 CERTIFIED, RECORDED, CLOSED = "Certified test sets", "Recorded sequence", "Closed loop"
+NEITHER = "neither right nor wrong"
 INCONSISTENT = (
     "Inconsistent: the six rows contradict each other along the shaft, by 1e-12 to 1e-4 m/s, while five of them have a "
-    "certified optimum. 'Infeasible' is true of six rows but no answer for the robot: neither right nor wrong."
+    f"certified optimum. 'Infeasible' is true of six rows but no answer for the robot: {NEITHER}."
 )
 
 
@@ -173,10 +174,10 @@ def _why(summary: Summary, row: Row, others: Sequence[Row], asked: int) -> str:
     kind = "certified" if "testsets" in summary else "recorded"
     refused = counted["refused_inconsistent"]
     parts = [f"verified {counted['verified_solved']} of {counted['optima_asked'] + refused} {kind} optima"]
+    if refused:
+        parts[0] += f" (it called {refused} others, whose six rows contradict each other, infeasible: {NEITHER})"
     if counted["infeasible_asked"]:
         parts.append(f"recognised {counted['infeasible_right']} of {counted['infeasible_asked']} infeasible problems")
-    if refused:
-        parts.append(f"refused {refused} of {counted['inconsistent_asked']} problems whose rows contradict each other")
     text = "" if others or asked == 1 else f", the only sound one of {asked} solvers"
     text += f". It {listed(parts)}; none of its answers was silently wrong."
     if row["p50_us"] is not None:
