@@ -248,13 +248,11 @@ def first_table(summary: Summary, rows: Sequence[Row]) -> Table:
     caption = (
         f"★ take: the fastest of the sound ones by p99, ✔ sound, ◐ gaps: less than {100 * RIGHTLY:g} % right, and "
         "reports it, ≈ near: close to the optimum without claiming it, or worse in closed loop, ✘ avoid "
-        "(docs/solvers.md has the rules). Right: verified, or rightly called infeasible. Wrong: claimed as solved and "
-        "not optimal."
+        "(docs/solvers.md has the rules). Right: verified, or rightly called infeasible; of problems whose rows "
+        "contradict each other the refused ones do not count. Wrong: claimed as solved and not optimal."
     )
     if any(row["verdict"] is OTHER for row in rows):
-        caption += (
-            " ≠ other: it answers the nonlinear problem of the tick, some 1e-3 m/s off the linear one that is judged."
-        )
+        caption += " ≠ other: it answers the nonlinear problem of the tick, not the linear one that is judged."
     if any(row["trials"] for row in rows):
         columns += [
             Column("damage", "worst damage", section=CLOSED,
@@ -263,13 +261,10 @@ def first_table(summary: Summary, rows: Sequence[Row]) -> Table:
                    help="change of the mean tip error against DCAC, in both frames"),
         ]  # fmt: skip
         caption += (
-            " Tip: change of the error against DCAC on the same trials, by the robot's own kinematics / in the frame "
-            "registered at the start, the patient's; ?: undecided. Worst damage: largest loss in closed loop against "
-            f"the solver to take; none: within tolerance. {_trials_told(rows)} How runs ended is compared on the "
-            "trials that every solver ran."
+            " Worst damage: largest loss in closed loop against the solver to take; none: within tolerance. Tip: "
+            "change of the error against DCAC on the same trials, by the robot's own kinematics / in the frame "
+            f"registered at the start; ?: undecided. {_trials_told(rows)}"
         )
-    if any(row["counted"].get("refused_inconsistent") for row in rows):
-        caption += f" {INCONSISTENT}"
     shown = [{**row, "tip_change": _tip_in_both_frames(row["closed"])} for row in rows]
     return Table("Solvers under the settings we recommend, best first", columns, shown, caption)
 
