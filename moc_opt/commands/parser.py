@@ -28,6 +28,13 @@ def option(*names: str, **settings: Any) -> Option:
     return names, settings
 
 
+def path(text: str) -> Path:
+    """Return a path; an empty text would be the folder that one is in."""
+    if not text:
+        raise argparse.ArgumentTypeError("give a name")
+    return Path(text)
+
+
 def flag(name: str, about: str) -> Option:
     """Declare an option without a value."""
     return option(name, action="store_true", help=about)
@@ -36,17 +43,17 @@ def flag(name: str, about: str) -> Option:
 def pages(name: str) -> tuple[Option, ...]:
     """Declare the options of a command that makes a page NAME.html of saved traces."""
     return (
-        option("traces", nargs="+", type=Path, help="Parquet, as `run --trace` writes; a baseline first"),
-        option("--out", type=Path, default=Path(f"{name}.html"), help=f"default {name}.html"),
+        option("traces", nargs="+", type=path, help="Parquet, as `run --trace` writes; a baseline first"),
+        option("--out", type=path, default=Path(f"{name}.html"), help=f"default {name}.html"),
         FORCE,
     )
 
 
-SCENARIO = option("scenario", nargs="?", type=Path, help="TOML; without it the default scenario")
+SCENARIO = option("scenario", nargs="?", type=path, help="TOML; without it the default scenario")
 FORCE = flag("--force", "write over a file that moc_opt has not written")
 JSON = flag("--json", "print JSON")
 ALL = flag("--all", "print every metric, not the short selection")
-KEY = option("--key-file", type=Path, help="one line of 16 to 32 bytes; else MOC_OPT_WIRE_KEY")
+KEY = option("--key-file", type=path, help="one line of 16 to 32 bytes; else MOC_OPT_WIRE_KEY")
 WIRE = "127.0.0.1:30200"
 
 COMMANDS = {
@@ -58,12 +65,12 @@ COMMANDS = {
         option("--task", metavar="NAME|POINTS.csv", help="replaces the path; in a file one x,y,z [m] a line"),
         option("--metric", action="append", metavar="NAME", help="print this metric alone; may be repeated"),
         ALL,
-        option("--report", type=Path, metavar="FILE.html", help="write metrics, curves and map to this page"),
+        option("--report", type=path, metavar="FILE.html", help="write metrics, curves and map to this page"),
         FORCE,
         option("--third-level", choices=("local", "planned", "receding"),
                help="replaces the scenario's [control] third_level"),
         option("--course", metavar="FILE.parquet", help="follow this course, written by `plan --out`"),
-        option("--trace", type=Path, help="write the trace to this file (Parquet), after Ctrl-C the rows so far"),
+        option("--trace", type=path, help="write the trace to this file (Parquet), after Ctrl-C the rows so far"),
         JSON,
     ), "Exit status: 0 the run completed; 2 the input is wrong; 3 it was stopped, ran away or oscillated, and what is "
        "printed says so first; 130 interrupted, 1 an internal error: --trace then has the rows so far."),
@@ -76,7 +83,7 @@ COMMANDS = {
         option("--speed-share", type=float, metavar="S",
                help="share of the joints' speed limits that a course may use, above 0 to 1; default 1, or that of "
                     "such a third level"),
-        option("--out", type=Path, metavar="FILE.parquet", help="write the course to this file"),
+        option("--out", type=path, metavar="FILE.parquet", help="write the course to this file"),
         FORCE,
         JSON,
     ), "Exit status: 0 the whole path can be executed from this start; 2 the input is wrong; 3 it cannot."),
@@ -93,7 +100,7 @@ COMMANDS = {
     "export-c": Command("commands.making:export_c",
                         "write the scenario's controller and safety filter as dependency-free C", (
         SCENARIO,
-        option("--out", type=Path, required=True, help="folder, made if need be"),
+        option("--out", type=path, required=True, help="folder, made if need be"),
         flag("--force", "write over files that export-c has not written"),
         option("--main", choices=("test", "udp"), default="test", help="udp: also a controller for `moc-opt plant`"),
     )),
@@ -102,7 +109,7 @@ COMMANDS = {
         SCENARIO,
         option("--listen", metavar="HOST:PORT", default=WIRE, help=f"default {WIRE}"),
         flag("--lock-step", "wait for each command instead of keeping the time"),
-        option("--trace", type=Path, help="write the trace to this file (Parquet)"),
+        option("--trace", type=path, help="write the trace to this file (Parquet)"),
         FORCE,
         ALL,
         KEY,
@@ -119,10 +126,10 @@ COMMANDS = {
     "compare": Command("commands.making:compare_solvers",
                        "solvers, and DCAC with the same gains, on the same random trials", (
         option("solvers", nargs="+", metavar="SOLVER", help="of `moc-opt solvers --list`"),
-        option("--scenario", type=Path, metavar="FILE.toml", help="without it the default scenario"),
+        option("--scenario", type=path, metavar="FILE.toml", help="without it the default scenario"),
         option("--trials", type=int, default=15, help="trials, each from a random pose and swivel; default 15"),
         option("--seed", type=int, default=0, help="of the first trial; default 0"),
-        option("--out", type=Path, metavar="FILE.csv", help="write one row a run to this file"),
+        option("--out", type=path, metavar="FILE.csv", help="write one row a run to this file"),
         FORCE,
         JSON,
     )),

@@ -50,6 +50,8 @@ def run_scenario(given: argparse.Namespace) -> int:
     scenario = changed(scenario, given)
     if given.trace and scenario.control.course and given.trace.resolve() == Path(scenario.control.course).resolve():
         raise TraceError(f"--trace {given.trace}: the run follows the course in that file; give another name")
+    if given.trace and given.report and given.trace.resolve() == given.report.resolve():
+        raise TraceError(f"--trace {given.trace}: --report has the same name; give another one")
     if given.report is not None:
         check_out(given.report, "report", force=given.force)
     _check_trace_out(given.trace, given.force)
