@@ -167,11 +167,11 @@ def sentences(summary: Mapping[str, Any], judged: str) -> list[str]:
     hold = [text for key, text in FINDINGS.items() if known and all(by[key] for by in known)]
     fail = [text for key, text in FINDINGS.items() if known and any(by[key] is False for by in known)]
     counts = sorted({row["compared"] for row in mine.values()})
+    each = " to ".join(map(str, dict.fromkeys([counts[0], counts[-1]])))
     gains = ", ".join(f"{arm} {spread(row, 'mu_gain_percent', sign='+')} %" for arm, row in mine.items())
     rho = summary["ranking"]["mean"]
     return [
-        f"Change of mean mu with {judged} over DCAC with the same gains, {counts[0]} to {counts[-1]} random poses an "
-        f"arm: {gains}.",
+        f"Change of mean mu with {judged} over DCAC with the same gains, {each} random poses an arm: {gains}.",
         f"Hold on every arm: {'; '.join(hold) or 'none of the findings'}. Fail on at least one: "
         f"{'; '.join(fail) or 'none'}." + (f" {', '.join(few)}: {too_few(counts[0])}." if few else ""),
         "The solvers are too equal to rank." if rho is None else

@@ -77,8 +77,8 @@ class UnknownNameError(MocOptError, LookupError):
         names = sorted(valid)
         short = bool(listed_by) and len(names) > self.FEW
         # a key without its table is looked for among the last parts of dotted ones
-        ends = {one: one if "." in name else one.rpartition(".")[2] for one in names}
-        close = difflib.get_close_matches(name[:100], set(ends.values()), n=3, cutoff=0.55)
+        ends = {one: (one if "." in name else one.rpartition(".")[2]).lower() for one in names}
+        close = difflib.get_close_matches(name[:100].lower(), set(ends.values()), n=3, cutoff=0.55)
         near = [one for end in close for one in names if ends[one] == end][:3]
         hint = f"did you mean {' or '.join(map(repr, near))}? " if near else ""
         every = f"`{listed_by}` lists all {len(names)}" if short else f"valid names: {', '.join(names)}"

@@ -1,4 +1,4 @@
-"""SciPy's SLSQP as a solver of moc_opt, in fifteen lines."""
+"""SciPy's SLSQP as a solver of moc_opt, in twenty lines."""
 
 from dataclasses import dataclass
 

@@ -17,7 +17,7 @@ from moc_opt.control.safety_settings import SafetyFilterSettings
 from moc_opt.errors import ControlError
 from moc_opt.robots.model import RobotModel, RobotState
 
-PRESS_PER_S = 50.0  # rate of the mean of the trocar's force in a stop
+PRESS_PER_S = 50.0  # rate of the low-pass of the trocar's force in a stop [1/s]
 MOST_TICKS = 2**31 - 1  # of C
 _SETTLED = 6.0  # time constants of the residual, after which it has settled
 _NO_WRENCH = np.full(6, np.nan)
@@ -26,7 +26,7 @@ _WATCHED = (
     ("the RCM error", "rcm_warning_m", "rcm_error_m", "mm", 1e3),
     ("the trocar's force", "trocar_force_warning_N", "trocar_force_N", "N", 1.0),
 )  # figure, its warning level and its limit in the settings, unit in messages and the factor to it
-_AS_SET = (
+_AS_SET = (  # settings that go to the core under their own names
     "speed_factor", "stop_holding", "motion", "motion_s", "motion_rad", "motion_lag_s", "repeat_m", "repeat_torque",
     "repeat_whole_m", "repeat_whole_torque", "repeat_whole_ticks", "repeat_joint_ticks", "repeat_reading_ticks",
     "residual_torque",
@@ -191,7 +191,7 @@ def numbers_of(
         "tool_mass": data.tool_mass, "tool_length": data.tool_length, "tip_force": _or_infinite(s.tip_force_N),
         "stop_yield": _or_infinite(s.stop_yield_N), "stop_yield_ticks": round(s.stop_yield_s / period),
         "press_share": min(1.0, PRESS_PER_S * period),
-        # An encoder with noise repeats itself, or shows any earlier reading again, with a chance p; all n, with p^n.
+        # One encoder with noise repeats itself, or an earlier reading, with a chance p; all n of them with p^n.
         "replayed_ticks": max(float(s.repeat_whole_ticks), _or_infinite(s.repeat_joint_ticks) / robot.n),
         "stuck_speed": s.stuck_rad_per_s, "held": np.minimum(s.stuck_torque * data.tau_max, coulomb),
         "residual_whole": s.residual_whole_torque, "residual_rate": s.residual_rate_per_s,

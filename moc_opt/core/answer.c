@@ -1,5 +1,4 @@
 /* What an answer of the third level is worth, and what may stand in for it. */
-#include <string.h>
 
 #include "vec.h"
 

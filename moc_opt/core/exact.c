@@ -6,12 +6,11 @@
  * the elbow swivel, is a ratio test in closed form; several are a projection onto a polytope, see polytope.c.
  *
  * The elimination is compiled for rows of 8 and of 16 numbers, padded with zeros: no loop over a row is left then. */
-#include <string.h>
 
 #include "vec.h"
 
-#define RANK_TOLERANCE 1e-12 /* singular values below it, relative to the largest, are rounding (qp/residuals.py) */
-#define TIED 1e-7            /* the same of the sixth one: a rigid tool ties tip and wrist (qp/residuals.py) */
+#define RANK_TOLERANCE 1e-12 /* pivots below it, relative to the first, are rounding */
+#define TIED 1e-7            /* of |A|_F: below it the sixth row repeats the others, as a rigid tool makes it do */
 #define LOOK_CLOSER 1e3      /* a sixth pivot below this multiple of its tolerance is looked at more closely */
 #define LEFT 1e-6            /* |A x - b| that a dropped row may be left with: the judge's primal tolerance [m/s] */
 #define IDLE 1e-14           /* a free column smaller than this moves neither tip nor wrist */

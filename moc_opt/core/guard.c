@@ -21,7 +21,6 @@
  *
  * r is the momentum residual. What is left of a torque: wall and brake of a joint (wall), torque_step, tau_max. */
 #include <limits.h>
-#include <string.h>
 
 #include "vec.h"
 

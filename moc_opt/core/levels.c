@@ -1,7 +1,6 @@
 /* The three levels of the law (Su et al. 2019, in the consistent form of docs/method.md), and the subproblem.
  *
  *   tau = h + J_T^T F_T + (I - J_T^T Jbar_T^T) J_W^T F_W + M Z^T (Z M Z^T)^-1 Z (K_N2 (x - v) - D_N2 v) */
-#include <string.h>
 
 #include "vec.h"
 

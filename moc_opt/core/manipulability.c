@@ -1,5 +1,4 @@
 /* Manipulability of the tip (Yoshikawa 1985), and of the shaft once the tip is held, each with its gradient. */
-#include <string.h>
 
 #include "vec.h"
 

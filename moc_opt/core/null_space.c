@@ -1,5 +1,4 @@
 /* A basis Z of ker A that follows the arm, and the climb of mu in it. */
-#include <string.h>
 
 #include "vec.h"
 

@@ -1,6 +1,5 @@
 /* Poses of a tip and a wrist by Newton's method, their self-motion by steps along ker A, climbs of mu, and a value
  * function. */
-#include <string.h>
 
 #include "tools.h"
 #include "vec.h"

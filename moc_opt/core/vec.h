@@ -3,6 +3,7 @@
 #define MOC_VEC_H
 
 #include <math.h>
+#include <string.h>
 
 #include "shared.h"
 
@@ -136,12 +137,10 @@ static inline double off_plane(const moc_problem *p, const double *x)
 /* The five independent rows of A: those of the tip, and the wrist's across the shaft u; b: see `across`. */
 static inline void five_rows(int n, double A[][MOC_MAX_JOINTS], double b[2][3], double A5[5][MOC_MAX_JOINTS])
 {
-    for (int j = 0; j < n; j++) {
-        for (int i = 0; i < 3; i++)
-            A5[i][j] = A[i][j];
+    memcpy(A5, A, 3 * sizeof *A5);
+    for (int j = 0; j < n; j++)
         for (int i = 0; i < 2; i++)
             A5[3 + i][j] = b[i][0] * A[3][j] + b[i][1] * A[4][j] + b[i][2] * A[5][j];
-    }
 }
 
 #endif

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Annotated, Any, ClassVar, Self
 
 import numpy as np
@@ -66,7 +66,11 @@ class Settings(pydantic.BaseModel):
         try:
             super().__init__(**values)
         except pydantic.ValidationError as error:
-            raise self.ERROR("; ".join(_explained(item, self.KIND) for item in error.errors())) from error
+            faults: dict[tuple[Any, ...], list[Any]] = {}
+            for item in error.errors():
+                where = tuple(key for key in item["loc"] if not _ALTERNATIVE.match(str(key)))
+                faults.setdefault(where, []).append({**item, "loc": where})
+            raise self.ERROR("; ".join(_explained(items, self.KIND) for items in faults.values())) from error
 
     def replace(self, changes: Mapping[str, Any]) -> Self:
         """Copy with some fields changed and everything checked again, which ``model_copy`` leaves out."""
@@ -111,10 +115,12 @@ def _fault(written: Any, read: Any, most: int) -> str:
     return ""
 
 
-def _explained(item: Mapping[str, Any], kind: str) -> str:
-    """Say what is wrong with a field: kind of table, name, value, cure."""
+def _explained(items: Sequence[Mapping[str, Any]], kind: str) -> str:
+    """Say what is wrong with a field, one item for each type that it may have: kind of table, name, value, cure."""
+    item = items[0]
     field = repr(".".join(f"{key!s:.80}" for key in item["loc"]))[1:-1]  # a file's key may hold any character
-    message = item["msg"].removeprefix("Value error, ")
+    message = ", or ".join(one["msg"].removeprefix("Value error, ") for one in items)
+    message = message.replace(", or Input should be", ", or")
     if isinstance(item.get("ctx", {}).get("error"), MocOptError):  # of a table inside: it names its own field
         return message if not field or message.startswith(f"[{field}]") else f"{kind} {field}: {message}"
     if item["type"] == "missing":

@@ -20,7 +20,7 @@ from moc_opt.planning.search import WHOLE_CELL, Value, keeping_shaft, reached
 from moc_opt.robots.model import RobotModel
 
 ROOM = 0.01
-"""Share of the bound that may lie above a course; where more does, the program also begins at the bound's course."""
+"""A course that is further below the bound than this share is refined a second time, from the bound's course."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +42,7 @@ class Plan:
     best: Course | None  #: The best over all swivels and branches at the start of the path; None: from nowhere.
     climbed: Course  #: The course of a local climb; shorter than the path if the climb ends at a limit.
     bound_from_start: float
-    """No course from the start that the map resolves has more mean mu [m^3]. NaN where one was found that has."""
+    """Upper bound of mean mu from the start [m^3], of courses that the map resolves; NaN where one was better."""
     bound: float  #: The same of every course, from any start.
     blocked: Blocked | None  #: Where and why the path cannot be executed from the start; None: it can.
     start_swivel_rad: float  #: Of the elbow at the start [rad]; see `moc_opt.planning.elbow`.

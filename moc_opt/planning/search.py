@@ -1,11 +1,11 @@
-"""The value of a pose: the most that can still be had from it to the end of the path. One dynamic program, backwards.
+"""The value V of a pose: the largest integral of mu still possible from it to the path's end, computed backwards.
 
     V_k(p) = g_k(p) + max { V_{k+1}(p') - c |q - q'|^2 / dt : |q - q'| <= v_max dt for every joint }
 
 g is mu dt. A course is read off V forwards, from any pose at any time: each time the pose within reach that is worth
 most. From a singular pose it may go on in another branch. A pose of the map may stand for a part of the cell around it:
-a quarter of a cell for a receding horizon, so that a coarse map is passable; half a cell for the bound. There a pose is
-also allowed where a neighbour is, and as good as the best nearby: any course on the map's curves stays within that.
+a quarter of a cell for a receding horizon, so that a coarse map is passable; half a cell for the bound. For the bound a
+pose next to a feasible one counts as feasible, and as good as the best nearby: no course on the map's curves has more.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ NEARBY_RAD = 0.2  #: Poses within this way of each other are one neighbourhood, 
 
 
 class End(NamedTuple):
-    """V near a pose: value + slope z + bend z^2 / 2, low <= z = along . (q - q_rad) <= high."""
+    """V near a pose, but for a constant: slope z + bend z^2 / 2, low <= z = along . (q - q_rad) <= high."""
 
     q_rad: Array  #: (n,) [rad]
     along: Array  #: (n,) unit vector of the self-motion
     slope: float = 0.0  #: [m^3 s / rad]
     bend: float = 0.0  #: [m^3 s / rad^2], never above 0
-    low: float = 0.0  #: Beyond it no pose is known to reach the end of the path [rad].
+    low: float = 0.0  #: Beyond it no pose nearby is known to reach the end of the path [rad].
     high: float = 0.0
 
 
@@ -51,7 +51,7 @@ class Value:
     def __init__(
         self, found: PoseMap, limits: Limits, *, cell: float = 0.0, price: float = 0.0
     ) -> None:
-        """Go through the map, lowered by `keeping_shaft` where a margin from losing the shaft is kept, to its start.
+        """Compute V backwards over the map; to keep a margin from losing the shaft, give one from `keeping_shaft`.
 
         ``cell`` is the part of half a cell that a pose stands for; with 1 and more V is the bound. ``price`` is c, of
         speed [m^3 s^2/rad^2].
@@ -193,7 +193,7 @@ def advance(
     Args:
         q, slack: (b,m,n) [rad], NaN where there is none; gain: (b,m) what a pose adds; -inf: forbidden.
         q_next, slack_next: (b,m1,n); value_next: (b,m1).
-        price: of a step's square [1/rad^2].
+        price: of a step's square, in the unit of the values [1/rad^2].
     """  # fmt: skip
     branches, _, n = q.shape
     # Those next to a pose are a short piece of their order by the joint that moves through the most steps.

@@ -18,7 +18,7 @@ MOST = 2**31 - 1  # of a whole number: the libraries count in 32 bits
 
 
 class Status(Enum):
-    """A solver's claim about its own answer. The text is the cure."""
+    """A solver's claim about its own answer. The text says what it means or, where it is no optimum, the cure."""
 
     SOLVED = "the solver claims an optimum"
     INFEASIBLE = "no velocity inside the box meets the references: slow the path down or raise k0"

@@ -139,7 +139,7 @@ def command(
     Returns the exit status: that of the findings, 2 after an error (one line on stderr), 130 after Ctrl-C.
     """
     parser = ArgumentParser(prog=program or f"python -m benchmarks.{name}", description=about)
-    parser.add_argument("config", nargs="?", type=Path, help=f"TOML; default: {name}.toml of the package")
+    parser.add_argument("config", nargs="?", type=Path, help=f"TOML; default: {name}.toml of this study")
     parser.add_argument("--out", type=Path, default=Path("results") / name, help="folder for the results")
     parser.add_argument("--seed", type=int, help="replaces the configuration's seed")
     parser.add_argument("--quick", action="store_true", help="the same on less data")

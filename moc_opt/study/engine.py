@@ -33,7 +33,7 @@ from moc_opt.errors import MocOptError, StudyError, describe
 from moc_opt.study.kept import Kept, digest_of, key_of, loaded_sources
 
 CONNECT_S = 30.0
-LOOK_S, ATTEMPTS = 1.0, 3  # how often processes are looked after [s], and pools that a job may see break
+LOOK_S, ATTEMPTS = 1.0, 3  # how often processes are checked [s]; pools that may break under one job
 BEGUN = ".pid"
 WAITS = 5.0
 PR_SET_PDEATHSIG = 1
@@ -50,7 +50,7 @@ class Job:
     arguments: tuple[Any, ...] = ()
     limit_s: float = 600.0  #: a call that takes longer is ended with its process [s]
     alone: bool = False  #: its times are measured: no other job runs meanwhile
-    group: str = ""  #: after several of this name hung or crashed, the others of that name are not begun
+    group: str = ""  #: after `give_up` of this name hung or crashed, the others of it are not begun
 
 
 @dataclass(frozen=True)
@@ -87,7 +87,7 @@ def run(
         dask: address of a Dask scheduler, as "tcp://host:8786", whose workers do the jobs that need not run alone.
         done: called here with each job and its result.
         keep: whether a result may be kept.
-        give_up: so many jobs of a group may hang or crash; its later ones are not begun, or do not count.
+        give_up: after so many jobs of a group hung or crashed its later ones are not begun, or do not count.
 
     Raises:
         StudyError: ``workers`` is below 1, none stays alive, no scheduler answers, or results cannot be kept.

@@ -31,7 +31,7 @@ PACKAGES = (
     "moc-opt", "numpy", "scipy", "pin", "mujoco", "casadi", "osqp", "proxsuite", "qpsolvers", "daqp", "piqp",
     "quadprog", "clarabel", "scs", "highspy", "polars", "pydantic", "tsid", "pin-pink", "mink",
 )  # fmt: skip
-SHOWS = ("report", "figures", "commands", "live")  # rooms of the package that decide nothing of a result
+SHOWS = ("report", "figures", "commands", "live")  # subpackages that cannot change a result
 HOME = Path(core.__file__).parents[1]
 
 
@@ -81,7 +81,7 @@ def key_of(work: Callable[..., Any], arguments: Iterable[Any]) -> str:
 
 
 def loaded_sources() -> tuple[str, ...]:
-    """Return the files that this process has imported from the project, and from wherever else nothing is installed.
+    """Return the files that this process has imported from the project, or from outside the installed packages.
 
     It looks again only where a module was imported since: a look takes 50 ms, and a study has a thousand jobs.
     """

@@ -263,7 +263,8 @@ def first_table(summary: Summary, rows: Sequence[Row]) -> Table:
         caption += (
             " Worst damage: largest loss in closed loop against the solver to take; none: within tolerance. Tip: "
             "change of the error against DCAC on the same trials, by the robot's own kinematics / in the frame "
-            f"registered at the start; ?: undecided. {_trials_told(rows)}"
+            f"registered at the start; ?: undecided. {_trials_told(rows)} Runs that "
+            "oscillated or were stopped count only among the trials that every solver ran."
         )
     shown = [{**row, "tip_change": _tip_in_both_frames(row["closed"])} for row in rows]
     return Table("Solvers under the settings we recommend, best first", columns, shown, caption)

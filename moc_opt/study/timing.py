@@ -63,7 +63,7 @@ def load(rows: Iterable[Row]) -> str:
     whole, spoilt = total(timed), sum(not quiet(row) for row in timed)
     said = (
         f"Times were taken with {100.0 * cpu_share(whole):.1f} % of a core and {whole['times_switches']:,.0f} "
-        f"involuntary context switches in {whole['times_wall_s']:.1f} s: "
+        f"involuntary context switches in {whole['times_wall_s']:.2g} s: "
     )
     if not spoilt:
         return said + "the machine was quiet."

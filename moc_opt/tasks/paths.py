@@ -1,6 +1,7 @@
 """Paths of the tool tip in space by arc length: planar curves, curves through waypoints, and all of them by name.
 
-An entry point of the group `moc_opt.tasks` names what an entry of `CURVES` is.
+To add one here: a function and a line of `CURVES` in curves.py. In a package of your own: an entry point of the group
+`moc_opt.tasks`, which names what would be an entry of `CURVES`.
 """
 
 from __future__ import annotations

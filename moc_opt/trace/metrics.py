@@ -209,7 +209,7 @@ _figure("mu_final", "m^3", "Last", "mu", lambda values: values[-1])
 
 @metric("percent")
 def mu_gain_percent(trace: Trace, baseline: Trace | None) -> float:
-    """Mean manipulability above the baseline's, in percent of it; compare two third levels by mu_mean.
+    """Mean manipulability above the baseline's, in percent of it; to compare two settings of third_level, use mu_mean.
 
     Their baselines differ: each has the observer gain of its third level.
     """

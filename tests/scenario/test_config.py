@@ -31,6 +31,7 @@ WRONG = [  # tables; what the message of the constructor says
     ({"solver": {"name": "exakt"}}, "'exact'"), ({"swivel": 0.3}, "belongs in [start]"),
     ({"task": {"duration_s": 3.0}}, "belongs at the top of the file"), ({"control": 5}, "table: write [control]"),
     ({"seed": -1}, "seed = -1"), ({"start": {"swivel": "0.3"}}, "no quotes"),
+    ({"start": {"swivel": 2}}, "[start] swivel = 2: input should be less than or equal to 1, or 'given' or"),
     ({"plant": {"preset": "nominal", "delay_ticks": -1}}, "[plant] delay_ticks = -1"),
     ({"task": {"sizes": {"radius": "big"}}}, "sizes.radius = 'big'"),
 ]  # fmt: skip
