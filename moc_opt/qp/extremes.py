@@ -34,8 +34,8 @@ class Extremes(NamedTuple):
     Attributes:
         w: (r,) the optimum; where it is not unique, the one that proximal steps from w = 0 lead to.
         least: a lower bound on the cost, by weak duality: that of w, where w is the optimum.
-        most: the largest cost; with rho and more than ``MOST_CORNERS`` candidates that of a corner from
-            which no edge rises, which may be below it.
+        most: the largest cost, equal to ``least`` where all points have the same to rounding; with rho and more than
+            ``MOST_CORNERS`` candidates that of a corner from which no edge rises, which may be below it.
         pull: (n,) gradient of the cost at w = 0 with the optimum's multipliers of A x = b.
     """
 
@@ -66,7 +66,7 @@ def extremes(Z: Array, low: Array, high: Array, slope: Array, rho: float) -> Ext
     least = _lower_bound(low, high, pull, rho)
     most = _largest(Z, low, high, slope, rho, w)
     if most - least <= LEVEL:  # every point is optimal to rounding
-        least, most = 0.0, 1.0
+        most = least
     return Extremes(width * w, steep * width * least, steep * width * most, steep * pull)
 
 

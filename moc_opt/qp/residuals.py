@@ -51,8 +51,8 @@ class Residuals(NamedTuple):
         relative: ``natural_best`` of the same problem with its cost divided by the size of its reduced
             gradient: max(c2 |Z Z^T pull|_inf, rho times 1 rad/s), Z a basis of ker A; idle joints
             have one of their own. So errors show even if the gradient has almost no component on ker A. Where
-            the feasible set is a point, so that there is no loss, it is at least the cost of x above that of the
-            point, over that size [rad/s].
+            all of the feasible set has one cost, so that there is no loss, as where it is a point, it is at least
+            the cost of x above that one, over that size [rad/s].
         loss: share of the cost's range over the feasible set that x gives away, in [0, 1]: 0 is the optimum,
             1 the worst point. The independent part with the largest loss counts. Never too small; where the
             worst is not known (see ``moc_opt.qp.extremes``) it may be too large. The cost is that at x, the
@@ -263,7 +263,7 @@ def _on_an_interval(
     least, *ends = (s * (slope + 0.5 * rho * s) for s in (best, low, high))
     spread = np.where(high - low > A_POINT, np.maximum(*ends) - least, 0.0)
     loss = np.where(spread > 0.0, np.clip((above - least) / _or_one(spread), 0.0, 1.0), 0.0)
-    return best, loss, np.where(spread > 0.0, 0.0, above)
+    return best, loss, np.where(spread > 0.0, 0.0, above - least)
 
 
 def _along_a_line(
@@ -300,8 +300,8 @@ def _in_a_polytope(
             moved[i], loss[i], gap[i] = np.inf, 1.0, np.inf
             continue
         moved[i], pull[i] = Z[i] @ found.w, found.pull
-        if point:
-            gap[i] = above[i]
+        if point or not found.most > found.least:
+            gap[i] = above[i] - found.least
         else:
             loss[i] = np.clip((above[i] - found.least) / (found.most - found.least), 0.0, 1.0)
     return moved, loss, gap, pull

@@ -12,7 +12,7 @@ import pytest
 
 import moc_opt as mo
 from benchmarks.certify import optimum
-from moc_opt.qp.problem import NullSpaceQP
+from moc_opt.qp.problem import NullSpaceQP, fields
 from tests.wrong_answers import candidates, cost
 
 ROBOTS = [mo.load_robot(name) for name in ("lwr4", "iiwa14", "panda", "gen3", "xarm7", "lwr4_rail")]
@@ -101,6 +101,17 @@ def test_no_answer_that_slid_to_a_worse_cost_is_verified(seed):
     fooled = [(qp, x, found) for qp, x, found in tried if found.verified()]
     assert not fooled, fooled[0]
     assert all(found.loss > 0.0 or found.relative > 1e-3 for _, _, found in tried)
+
+
+@pytest.mark.parametrize("freedoms", [1, 2])
+def test_where_one_point_is_feasible_a_slide_shows_as_its_gap_in_cost(freedoms):
+    qp, base, Z, direction = random_case(np.random.default_rng(0), freedoms, 1e-9)
+    row, pinned = np.array(qp.row), [3, 6][:freedoms]
+    fields(row).lower[pinned] = fields(row).upper[pinned] = base[pinned]
+    one, way = NullSpaceQP.from_row(row), direction - Z @ np.linalg.solve(Z[pinned], direction[pinned])
+    slid = max((base + step * way for step in (-0.3, 0.3)), key=lambda x: cost(one, x))
+    scale = max(one.c2 * np.abs(Z @ (one.pull @ Z)).max(), one.regularization)
+    assert one.residuals(slid).relative == pytest.approx((cost(one, slid) - cost(one, base)) / scale, rel=1e-6)
 
 
 def far_ends(A, b, pull, lower, upper):
