@@ -135,7 +135,10 @@ static int push(polytope *t, int p, int *active)
  * point: the plane may touch the box in one point only. */
 static moc_status project(polytope *t, double slack, double most)
 {
+    double start[MOC_MAX_JOINTS];
     int active = 0;
+
+    memcpy(start, t->s, sizeof start);
     for (int j = 0; j < t->n; j++)
         t->force[j] = t->side[j] = 0.0;
     for (int round = 0; round < 20 * t->n; round++) {
@@ -145,9 +148,9 @@ static moc_status project(polytope *t, double slack, double most)
             return MOC_OK;
         }
         if (!push(t, p, &active)) {
-            if (slack >= most)
-                return MOC_INFEASIBLE;
-            slack = most;
+            fill_projector(t);
+            memcpy(t->s, start, sizeof start);
+            return slack < most ? project(t, most, most) : MOC_INFEASIBLE;
         }
     }
     return MOC_DOUBTFUL;
