@@ -175,7 +175,7 @@ class Controller:
             trocar: (2, 3) rows P_t [m], dP_t [m/s], as registered.
 
         Raises:
-            ControlError: not started, or a reference of the wrong shape.
+            ControlError: not started, or a reference of the wrong shape or not finite.
         """
         if not self._started:
             raise ControlError("tick before start: call start once before the first tick")
@@ -204,6 +204,8 @@ class Controller:
 
     def set_applied_torque(self, tau: Array) -> None:
         """Replace the last torque by the one (n,) [Nm] that was applied: the observer uses it."""
+        if not np.isfinite(tau).all():
+            raise ControlError(f"applied torque = {np.asarray(tau).tolist()} is not finite: the observer cannot use it")
         self._law.set_applied(np.ascontiguousarray(tau, dtype=np.float64))
 
     def columns(self, ticks: int) -> dict[str, NDArray[Any]]:
@@ -244,7 +246,10 @@ class Controller:
 def _rows(name: str, given: Array, count: int) -> Array:
     if np.shape(given) != (count, 3):
         raise ControlError(f"{name} has shape {np.shape(given)}: give ({count}, 3), one row per derivative")
-    return np.ascontiguousarray(given, dtype=np.float64)
+    rows = np.ascontiguousarray(given, dtype=np.float64)
+    if not np.isfinite(rows).all():
+        raise ControlError(f"{name} = {rows.tolist()} is not finite: check where it comes from")
+    return rows
 
 
 def _start_session(solver: Solver, qp: NullSpaceQP) -> Session:

@@ -45,9 +45,10 @@ def numbers_of(settings: ControlSettings, robot: RobotModel, period: float) -> d
     half = 0.5 * (robot.q_max - robot.q_min)
     if not (half > margin).all():
         j = int(np.argmin(half - margin))
+        kind = "limit_margin_m" if robot.chain.prismatic[j] else f"{'course' if follows else 'limit'}_margin_rad"
         raise ControlError(
-            f"[control] limit_margin_rad = {margin[j]}: nothing is left of joint {j + 1} between its limits; give less "
-            f"than {half[j]:.3g} (limit_margin_m, if it slides)"
+            f"[control] {kind} = {margin[j]}: nothing is left of joint {j + 1} between its limits; give less than "
+            f"{half[j]:.3g}"
         )
     fraction = 1.0 if follows else settings.speed_fraction  # a course keeps a share of the speed by itself
     return {

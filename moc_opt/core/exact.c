@@ -14,6 +14,7 @@
 #define LOOK_CLOSER 1e3      /* a sixth pivot below this multiple of its tolerance is looked at more closely */
 #define LEFT 1e-6            /* |A x - b| that a dropped row may be left with: the judge's primal tolerance [m/s] */
 #define IDLE 1e-14           /* a free column smaller than this moves neither tip nor wrist */
+#define STILL 1e-11          /* of a step of one freedom: a joint that moves less is not stopped by its bounds */
 #define ROUNDING 1e-9        /* of the largest entry of pull */
 #define GROWTH 4e-12         /* 2^14 roundings: what six steps cancel between columns that differ a thousandfold */
 #define WIDEST 1e-5          /* of the tolerances that rounding may explain [rad/s] */
@@ -160,7 +161,7 @@ static moc_status solve_one(const moc_plane *plane, const moc_problem *p, double
         zz += z[j] * z[j];
         zx += z[j] * x[j];
         zg += z[j] * p->pull[j];
-        if (fabs(z[j]) > IDLE) {
+        if (fabs(z[j]) > STILL) {
             double inverse = 1.0 / z[j], one = (p->lower[j] - x[j]) * inverse, other = (p->upper[j] - x[j]) * inverse;
             double start = z[j] > 0.0 ? one : other, end = z[j] > 0.0 ? other : one;
             low_joint = start > low ? j : low_joint;
@@ -271,11 +272,11 @@ moc_status moc_solve_exact(const moc_problem *p, double tolerance, double *x, do
 
     /* Where columns of A differ so much that rounding may have decided it, the tolerance on the way is raised to what
      * rounding explains; the answer lies in its box all the same, and has to meet A x = b to within LEFT. */
-    if (status == MOC_OK)
+    if (status == MOC_OK && off_plane(p, x) <= LEFT)
         return MOC_OK;
     double explained = explained_by_rounding(p), wider[] = {explained, 100.0 * explained};
     for (int k = 0; k < 2 && tolerance < explained; k++)
         if (solve(p, fmin(wider[k], WIDEST), x, y) == MOC_OK && off_plane(p, x) <= LEFT)
             return MOC_OK;
-    return status;
+    return status == MOC_OK ? MOC_DOUBTFUL : status;
 }

@@ -109,6 +109,7 @@ double plan_place(const plan_task *task, int points, int rounds, const double *s
     int n = task->arm->n;
 
     memcpy(q, start, (unsigned)n * sizeof *q);
+    memcpy(best, start, (unsigned)n * sizeof *best);
     for (int round = 0; round < rounds; round++) {
         look(task, q, error, A, NULL);
         double worst = largest(3 * points, error);

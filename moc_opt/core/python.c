@@ -69,8 +69,9 @@ static int take_tick(Law *self, const call *c, int begins, const double *pull, i
     static const double none[MOC_MAX_JOINTS];
     moc_input in = {.measured = {c->array[0], c->array[1], 0, 0, begins ? NULL : none, NULL}, .pull = pull};
 
-    if (!all_finite(c->n, c->array[0]) || !all_finite(c->n, c->array[1])) {
-        PyErr_SetString(PyExc_ValueError, "q, v: give finite numbers");
+    if (!all_finite(c->n, c->array[0]) || !all_finite(c->n, c->array[1]) || !all_finite(9, c->array[2]) ||
+        !all_finite(6, c->array[3])) {
+        PyErr_SetString(PyExc_ValueError, "q, v, tip_ref, trocar: give finite numbers");
         return 0;
     }
     memcpy(&in.ref, c->array[2], sizeof in.ref);

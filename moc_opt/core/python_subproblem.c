@@ -181,9 +181,9 @@ FUNCTION(advance, {"branches", WHOLE}, {"q", READ, K, N}, {"slack", READ, K, N},
          {"crossing", READ, ANY}, {"price", NUMBER}, {"sorted", WHOLE}, {"reach", NUMBER}, {"value", MADE, K})
 {
     int branches = whole(c, 0), m = rows_of(c, 8), after = rows_of(c, 4), sorted = whole(c, 10);
-    int fits = branches >= 1 && c->k == (npy_intp)branches * m && after % branches == 0 && rows_of(c, 5) == after &&
-               rows_of(c, 6) == after && c->k <= INT_MAX / c->n && after <= INT_MAX / c->n && sorted >= 0 &&
-               sorted < c->n;
+    int fits = branches >= 1 && (branches & (branches - 1)) == 0 && c->k == (npy_intp)branches * m &&
+               after % branches == 0 && rows_of(c, 5) == after && rows_of(c, 6) == after &&
+               c->k <= INT_MAX / c->n && after <= INT_MAX / c->n && sorted >= 0 && sorted < c->n;
     for (int j = 0; j < m; j++)
         fits &= c->array[8][j] >= 0.0 && c->array[8][j] < branches;
     if (!fits)
