@@ -1,8 +1,5 @@
-"""Seeded subproblems for the tests: of random serial arms that hold a rigid tool, and without any structure.
-
-An arm is given by its joint axes at q = 0 (product of exponentials), so that tip and wrist Jacobians are tied as on a
-real arm, and the gradient of the manipulability belongs to the same arm.
-"""
+"""Seeded subproblems for the tests: of random serial arms with a rigid tool (product of exponentials), and without
+any structure."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -128,8 +125,7 @@ def random_problem(
 def out_of_reach(rng: np.random.Generator, qp: NullSpaceQP) -> NullSpaceQP:
     """The same subproblem with references that no velocity in the box meets, by Farkas' lemma.
 
-    With w = A^T y, no x in the box has y^T A x above the sum of max(w_i lower_i, w_i upper_i);
-    b = s A w exceeds that by 10 to 100 %, and stays consistent with the rigid tool.
+    With w = A^T y the most that y^T A x reaches is the sum of max(w_i lower_i, w_i upper_i); b = s A w exceeds it.
     """
     w = qp.A.T @ rng.normal(size=6)
     reach = np.maximum(w * qp.lower, w * qp.upper).sum()

@@ -1,7 +1,6 @@
-"""Figures of the whole package, frozen while its insides are rebuilt: closed-loop runs.
+"""Figures of closed-loop runs of the whole package, frozen in frozen.json to what matters on the robot.
 
-The figures lie in frozen.json beside this file; the tolerances are of a size that matters on the robot. A change that
-is meant to move them writes them anew, with ``python -m tests.test_frozen --write``, and says why in its commit.
+A change that is meant to move them writes them anew (``python -m tests.test_frozen --write``) and says why.
 """
 
 import json

@@ -1,7 +1,6 @@
 """Malformed input: it is taken and what comes of it is right, or it is refused with a MocOptError that says why.
 
-Never another exception, a hang, or a file where none belongs. `HYPOTHESIS_PROFILE=long` draws thousands of inputs. An
-input that once ended badly stands as an example.
+`HYPOTHESIS_PROFILE=long` draws thousands of inputs. An input that once ended badly stands as an example.
 """
 
 import contextlib

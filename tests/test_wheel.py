@@ -1,8 +1,7 @@
 """The source archive and the wheel are whole, also where the only compiler is the one of the `ziglang` wheel.
 
-Nothing is fetched. The archive is made from the checkout, the wheel from the archive, by a stand-in for ziglang that
-calls the system's compiler. It is installed where there are its own requirements and no other package, linked in from
-this environment.
+The archive is made from the checkout, the wheel from the archive, by a stand-in for ziglang that calls the system's
+compiler. It is installed beside its own requirements alone, linked in from this environment. Nothing is fetched.
 """
 
 import contextlib

@@ -1,7 +1,6 @@
-"""Wrong answers that satisfy everything but the one thing that is checked: each is feasible, none is optimal.
+"""Wrong answers, feasible and not optimal: corners of the box cut by A x = b, where r joints are at their bounds.
 
-The feasible set is a box cut by A x = b: at a corner r joints are at their bounds and the others follow. How wrong a
-corner is, is found by going through all active sets, without the solvers and without the judge.
+How wrong a corner is, is found by going through all active sets, without the solvers and without the judge.
 """
 
 from itertools import combinations, product
@@ -35,11 +34,7 @@ def cost(qp: NullSpaceQP, x: Array) -> Array:
 
 
 def candidates(qp: NullSpaceQP, Z: Array, base: Array, *, damped: bool) -> Array:
-    """All points (k, n) of base + span Z in the box where r bounds are met.
-
-    Where it is damped, also those with fewer bounds met at which the cost is stationary in what is left: the optimum is
-    among them.
-    """
+    """All points (k, n) of base + span Z in the box where r bounds are met; damped: also stationary ones with fewer."""
     n, r = Z.shape
     found, width = [], float((qp.upper - qp.lower).max())
     for k in range(r + 1) if damped and qp.regularization > 0.0 else (r,):

@@ -151,7 +151,7 @@ static double idle_speed(const moc_problem *p, int j)
 }
 
 /* One freedom, x + s z: the ratio test gives the interval of s, then its best point. */
-static moc_status solve_one(const moc_plane *plane, const moc_problem *p, double tolerance, double *x, double *force)
+static void solve_one(const moc_plane *plane, const moc_problem *p, double *x, double *force)
 {
     double z[MOC_MAX_JOINTS], low = -HUGE_VAL, high = HUGE_VAL, zz = 0.0, zx = 0.0, zg = 0.0, best, slope = 0.0;
     int low_joint = 0, high_joint = 0, at_bound = -1, n = p->n;
@@ -170,8 +170,10 @@ static moc_status solve_one(const moc_plane *plane, const moc_problem *p, double
             high = smaller(end, high);
         }
     }
-    if (low > high + tolerance)
-        return MOC_INFEASIBLE;
+    if (low > high) { /* where both joints are beyond their bounds by as much: `finish` says if that is rounding */
+        double one = fabs(z[low_joint]), other = fabs(z[high_joint]);
+        low = high = (low * one + high * other) / (one + other);
+    }
     if (p->rho > 0.0)
         best = (p->c2 * zg - p->rho * zx) / (p->rho * zz);
     else if (p->c2 * zg > 0.0 || p->c2 * zg < 0.0)
@@ -191,7 +193,6 @@ static moc_status solve_one(const moc_plane *plane, const moc_problem *p, double
     }
     if (at_bound >= 0)
         force[at_bound] = slope / z[at_bound];
-    return MOC_OK;
 }
 
 /* Put x into its box, and write y: A^T y = force - (rho x - c2 pull). Returns by how much x was outside [rad/s]. */
@@ -237,7 +238,7 @@ static moc_status solve(const moc_problem *p, double tolerance, double *x, doubl
             point[j] = idle_speed(p, j);
     }
     if (plane.freedoms == 1)
-        status = solve_one(&plane, p, tolerance, point, force);
+        solve_one(&plane, p, point, force);
     else if (plane.freedoms > 1)
         status = moc_solve_several(&plane, p, tolerance, point, force);
     double beyond = finish(&plane, p, point, force, x, y);

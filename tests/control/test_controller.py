@@ -36,6 +36,10 @@ def test_references_in_any_kind_of_memory(robot):
     for kind in (np.asfortranarray, lambda a: np.repeat(a, 2, axis=1)[:, ::2], lambda a: a.astype(">f8")):
         for given in ((kind(tip_ref), trocar), (tip_ref, kind(trocar))):
             np.testing.assert_array_equal(controller.tick(state.q, state.v, *given), expected)
+    for wrong in ((tip_ref * np.nan, trocar), (tip_ref, trocar * np.inf)):
+        with pytest.raises(ControlError, match="is not finite"):
+            controller.tick(state.q, state.v, *wrong)
+    np.testing.assert_array_equal(controller.tick(state.q, state.v, tip_ref, trocar), expected)
 
 
 @pytest.mark.parametrize("law", ["moc", "dcac"])

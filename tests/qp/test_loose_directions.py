@@ -1,8 +1,7 @@
-"""No answer is verified that slides along a nearly singular direction of A to a worse cost.
+"""No answer is verified that slides along a nearly singular direction of A, as near a straight elbow, to a worse cost.
 
-Near a straight elbow the fifth singular value of A is small, and x can move along its direction by a rad/s within the
-primal tolerance. Each attempt slides an optimum that way and makes it optimal again along ker A, so that everything but
-the cost is right. Best and worst cost come from an enumeration of active sets, without solver and judge.
+Each attempt slides an optimum within the primal tolerance and makes it optimal again along ker A. Best and worst cost
+come from an enumeration of active sets, without solver and judge.
 """
 
 from fractions import Fraction

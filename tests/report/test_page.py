@@ -1,7 +1,4 @@
-"""Pages: one file that asks for nothing, holds what was given, is written all or nothing, and works in a browser.
-
-The last part is skipped where playwright or a Chromium is missing.
-"""
+"""Pages: one file that asks for nothing, holds what was given, is written all or nothing, and works in a browser."""
 
 import base64
 import gzip

@@ -1,8 +1,4 @@
-"""One suite for every solver that is registered and can run here.
-
-What each solver may get wrong stands in ``EXPECT``, with the reason; what is not in the table (a
-plug-in, another library of qpsolvers) has to meet ``Expect()``.
-"""
+"""One suite for every solver that can run here. `EXPECT` has what each may get wrong, and why; others: ``Expect()``."""
 
 import dataclasses
 from dataclasses import dataclass, field

@@ -163,6 +163,19 @@ def test_a_violation_of_the_box_is_rounding_up_to_what_the_smallest_column_expla
         assert solve(qp).status is status
 
 
+def test_parallel_columns_and_a_nearly_straight_elbow_with_joints_at_their_bounds(robot):
+    rng, one = np.random.default_rng(10248), np.ones(16)
+    A = rng.integers(-1, 2, (6, int(rng.integers(9, 17)))).astype(float)
+    A[:, 8:] = A[:, :8]
+    b = A @ (np.where(rng.random(16) < 0.5, -1.0, 1.0) + rng.normal(size=16) * 10 ** rng.uniform(-4, 1))
+    assert solve(NullSpaceQP(A[:3], A[3:], b[:3], b[3:], rng.normal(size=16), -one, one)).status is not Status.SOLVED
+    for _ in range(100):
+        q, v = rng.uniform(robot.q_min, robot.q_max), robot.v_max
+        q[3] = rng.uniform(-0.01, 0.01)
+        s, x = robot.state(q), np.where(rng.random(7) < 0.5, rng.choice([-1.0, 1.0], 7) * v, rng.uniform(-v, v))
+        check(NullSpaceQP(s.J_tip, s.J_wrist, s.J_tip @ x, s.J_wrist @ x, s.grad_mu, -v, v))
+
+
 def test_rounding_seldom_makes_a_corner_of_the_box_infeasible():
     """Columns from 1e-3 to 1e3: a few roundings of b, carried over to the smallest one, exceed a fixed tolerance."""
     rng, refused = np.random.default_rng(1), 0
