@@ -242,6 +242,8 @@ static moc_status solve(const moc_problem *p, double tolerance, double *x, doubl
     else if (plane.freedoms > 1)
         status = moc_solve_several(&plane, p, tolerance, point, force);
     double beyond = finish(&plane, p, point, force, x, y);
+    if (status == MOC_OK && plane.freedoms > 1 && off_plane(p, x) > LEFT)
+        status = MOC_DOUBTFUL; /* as with parallel columns, of which rounding alone makes a freedom */
     if (status != MOC_OK)
         return status;
     return beyond > tolerance ? MOC_INFEASIBLE : check_dropped(&plane, p, x);
@@ -273,11 +275,11 @@ moc_status moc_solve_exact(const moc_problem *p, double tolerance, double *x, do
 
     /* Where columns of A differ so much that rounding may have decided it, the tolerance on the way is raised to what
      * rounding explains; the answer lies in its box all the same, and has to meet A x = b to within LEFT. */
-    if (status == MOC_OK && off_plane(p, x) <= LEFT)
+    if (status == MOC_OK)
         return MOC_OK;
     double explained = explained_by_rounding(p), wider[] = {explained, 100.0 * explained};
     for (int k = 0; k < 2 && tolerance < explained; k++)
         if (solve(p, fmin(wider[k], WIDEST), x, y) == MOC_OK && off_plane(p, x) <= LEFT)
             return MOC_OK;
-    return status == MOC_OK ? MOC_DOUBTFUL : status;
+    return status;
 }
