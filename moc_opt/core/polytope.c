@@ -11,7 +11,7 @@
 #include "vec.h"
 
 #define FAR 1e3          /* box widths beyond which the unconstrained optimum is approached in proximal steps */
-#define UNMOVED 1e-22    /* Pi_jj, the square of how far joint j goes on a step of one: below it, it does not move */
+#define UNMOVED 1e-20    /* Pi_jj, the square of how far joint j goes on a step of one: below it, it does not move */
 #define DEPENDENT 1e-12  /* of Pi_jj: with no more than that left by them, joint j cannot be pushed */
 
 typedef struct {
