@@ -41,7 +41,7 @@ SPARE_S = 300.0
 """Beyond the run itself: starting both processes, judging and saving the trace."""
 SAFE_RCM_M, AT_REST_RAD_PER_S = 2e-3, 1e-2
 """A stop is clean where the RCM error stayed below the one and the arm stands at its end."""
-BURN = "while True:\n    sum(i * i for i in range(100000))"
+BURN = "import os\nstudy = os.getppid()\nwhile os.getppid() == study:\n    sum(i * i for i in range(100000))"
 PERCENTILES = {"p50": 50.0, "p99": 99.0, "p99_99": 99.99, "worst": 100.0}
 TIMES = {"wake": "wake-up latency", "round": "round trip", "control": "controller"}
 LANGUAGES = {"python": "Python", "c": "C"}
