@@ -78,13 +78,13 @@ class Controller:
         self._subproblem: NullSpaceQP | None = None
         self._solution: Solution | None = None
         self._answer = np.full(self._n, np.nan)
-        self._ticked: tuple[Status, Array, Array] | None = None
+        self._ticked: tuple[Status, Array] | None = None
 
     def _take_apart(self) -> None:
         """Read the last tick of the core's own solver, once somebody asks for it."""
         if self._ticked is None:
             return
-        status, self._record, out = self._ticked
+        status, out = self._ticked
         end, n, self._ticked = self._row_length, self._n, None
         self._subproblem = NullSpaceQP.from_row(out[:end])
         x, y = out[end : end + n], out[end + n : end + n + 6]
@@ -94,7 +94,7 @@ class Controller:
     @property
     def state(self) -> RobotState:
         """The model's terms at the last tick's q and v."""
-        return RobotState(self._record if self._ticked is None else self._ticked[1], self._n)
+        return RobotState(self._record, self._n)
 
     @property
     def subproblem(self) -> NullSpaceQP | None:
@@ -188,8 +188,9 @@ class Controller:
 
     def _torque(self, q: Array, v: Array, tip_ref: Array, trocar: Array, pull: Array | None) -> Array:
         if self._exact is not None:
-            self._ticked = self._supervisor.step(q, v, tip_ref, trocar, pull, self._exact.tolerance)
-            return self._ticked[2][self._torques]
+            status, self._record, out = self._supervisor.step(q, v, tip_ref, trocar, pull, self._exact.tolerance)
+            self._ticked = status, out
+            return out[self._torques]
         # tau_tip + tau_rcm - r, and the subproblem
         self._record, row = self._law.begin(q, v, tip_ref, trocar, pull)
         if self._session is not None:
@@ -228,7 +229,7 @@ class Controller:
     def note(self, row: int, columns: Mapping[str, NDArray[Any]]) -> None:
         """Write the last tick's values into a row of them."""
         if self._ticked is not None and self._ticked[0] is Status.SOLVED:
-            status, _, out = self._ticked
+            status, out = self._ticked
             self._block[row] = out[: -self._n]
         elif (solution := self.solution) is not None and (qp := self.subproblem) is not None:
             status, columns["subproblem"][row], columns["x_rad_per_s"][row] = solution.status, qp.row, solution.x

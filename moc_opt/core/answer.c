@@ -1,5 +1,4 @@
 /* What an answer of the third level is worth, and what may stand in for it. */
-
 #include "vec.h"
 
 #define AT_BOUND 1e-4          /* a joint this near to a bound is at it [rad/s] */
@@ -122,7 +121,7 @@ static void retreat(const moc_problem *problem, int rows, double Z[][MOC_MAX_JOI
     memset(motion, 0, (unsigned)p.n * sizeof *motion);
     p.rho = 1.0;
     p.c2 = 0.0;
-    if (moc_solve_exact(&p, OUTSIDE, x, y) != MOC_OK || off_plane(&p, x) > OUTSIDE)
+    if (moc_solve_exact(&p, OUTSIDE, x, y) != MOC_OK || !(off_plane(&p, x) <= OUTSIDE))
         return; /* the box is empty, or A has lost more than a rank */
     moc_onto(p.n, rows, Z, x, motion);
 }

@@ -2,7 +2,6 @@
  *
  * A twist is [lin, ang]: the velocity of the point of the body that is at the origin, and the angular velocity. All
  * joints' twists are expressed at the same place, so that velocities, accelerations and momenta simply add up. */
-
 #include "vec.h"
 
 void moc_place(const moc_arm *arm, const double *q, moc_frame *frame, moc_twist *twist)

@@ -6,7 +6,6 @@
  * the elbow swivel, is a ratio test in closed form; several are a projection onto a polytope, see polytope.c.
  *
  * The elimination is compiled for rows of 8 and of 16 numbers, padded with zeros: no loop over a row is left then. */
-
 #include "vec.h"
 
 #define RANK_TOLERANCE 1e-12 /* pivots below it, relative to the first, are rounding */
@@ -242,7 +241,7 @@ static moc_status solve(const moc_problem *p, double tolerance, double *x, doubl
     else if (plane.freedoms > 1)
         status = moc_solve_several(&plane, p, tolerance, point, force);
     double beyond = finish(&plane, p, point, force, x, y);
-    if (status == MOC_OK && plane.freedoms > 1 && off_plane(p, x) > LEFT)
+    if (status == MOC_OK && plane.freedoms > 1 && !(off_plane(p, x) <= LEFT))
         status = MOC_DOUBTFUL; /* as with parallel columns, of which rounding alone makes a freedom */
     if (status != MOC_OK)
         return status;

@@ -1,7 +1,6 @@
 /* The three levels of the law (Su et al. 2019, in the consistent form of docs/method.md), and the subproblem.
  *
  *   tau = h + J_T^T F_T + (I - J_T^T Jbar_T^T) J_W^T F_W + M Z^T (Z M Z^T)^-1 Z (K_N2 (x - v) - D_N2 v) */
-
 #include "vec.h"
 
 /* Ratio of smaller to larger wrist mobility, about the elbow's angle [rad]; below it the feed-forward skips the stiff

@@ -1,5 +1,4 @@
 /* Manipulability of the tip (Yoshikawa 1985), and of the shaft once the tip is held, each with its gradient. */
-
 #include "vec.h"
 
 /* Below this det(J J^T), relative to the cube of the mean of its diagonal, mu is rounding. */

@@ -1,5 +1,4 @@
 /* A basis Z of ker A that follows the arm, and the climb of mu in it. */
-
 #include "vec.h"
 
 /* Scaled climb: Newton's step to the local top of mu, at most LONGEST, in 1 / RATE seconds. */

@@ -1,6 +1,5 @@
 /* Poses of a tip and a wrist by Newton's method, their self-motion by steps along ker A, climbs of mu, and a value
  * function. */
-
 #include "tools.h"
 #include "vec.h"
 
@@ -22,15 +21,6 @@ static double look(const plan_task *task, const double *q, double error[6], doub
             error[3 * p + i] = task->target[p][i] - point[i];
     }
     return moc_manipulability(n, twist, A, grad);
-}
-
-/* The largest |x|; NaN where one is. */
-static double largest(int count, const double *x)
-{
-    double most = 0.0;
-    for (int i = 0; i < count; i++)
-        most = fabs(x[i]) <= most ? most : fabs(x[i]);
-    return most;
 }
 
 static double distance(int n, const double *p, const double *q)
@@ -112,7 +102,7 @@ double plan_place(const plan_task *task, int points, int rounds, const double *s
     memcpy(best, start, (unsigned)n * sizeof *best);
     for (int round = 0; round < rounds; round++) {
         look(task, q, error, A, NULL);
-        double worst = largest(3 * points, error);
+        double worst = largest_of(3 * points, error);
         if (worst < miss || round == 0) {
             memcpy(best, q, (unsigned)n * sizeof *best);
             miss = worst;
@@ -123,7 +113,7 @@ double plan_place(const plan_task *task, int points, int rounds, const double *s
         damping = worst < 0.5 * last ? 0.0 : fmin(fmax(10.0 * damping, 1e-8), 1e-2);
         last = worst;
         allowed_step(task, 3 * points, q, A, error, nowhere, damping, 0.0, step);
-        double length = largest(n, step);
+        double length = largest_of(n, step);
         if (!(length >= 1e-12))
             break;
         for (int j = 0; j < n; j++)

@@ -7,7 +7,6 @@
  * joints (Goodnight, The American Statistician 33, 1979): row p then says how the other joints yield when joint p is
  * pushed, and how the multipliers of the active bounds change. For rho = 0 the proximal point iteration (finite for
  * linear programs: Ferris 1991) repeats the projection. */
-
 #include "vec.h"
 
 #define FAR 1e3          /* box widths beyond which the unconstrained optimum is approached in proximal steps */

@@ -1,6 +1,5 @@
 /* Between a struct and its packed record, in which rows have n numbers. */
 #include <stddef.h>
-#include <string.h>
 
 #include "shared.h"
 

@@ -1,5 +1,4 @@
 /* One tick: measurement, terms, levels 1 and 2 and the subproblem; then any solver; then its answer and the torque. */
-
 #include "vec.h"
 
 /* --- the law at the terms in the state --- */

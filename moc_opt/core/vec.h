@@ -125,13 +125,22 @@ static inline void across(const double u[3], double b[2][3])
     add_cross(1.0, u, b[0], b[1]);
 }
 
-/* |A x - b|_inf; rows that are no number are left out. */
-static inline double off_plane(const moc_problem *p, const double *x)
+/* The largest |x|; NaN where one is. */
+static inline double largest_of(int count, const double *x)
 {
     double most = 0.0;
-    for (int i = 0; i < 6; i++)
-        most = larger(fabs(dot(p->n, p->A[i], x) - p->b[i]), most);
+    for (int i = 0; i < count; i++)
+        most = fabs(x[i]) > most || isnan(x[i]) ? fabs(x[i]) : most;
     return most;
+}
+
+/* |A x - b|_inf; NaN where a row is no number. */
+static inline double off_plane(const moc_problem *p, const double *x)
+{
+    double gap[6];
+    for (int i = 0; i < 6; i++)
+        gap[i] = dot(p->n, p->A[i], x) - p->b[i];
+    return largest_of(6, gap);
 }
 
 /* The five independent rows of A: those of the tip, and the wrist's across the shaft u; b: see `across`. */

@@ -205,6 +205,7 @@ def advance(
     at, room, then, later = (np.ascontiguousarray(each).reshape(-1, n) for each in (q, slack, q_next, slack_next))
     worth = core.advance(
         branches, at, room, np.ascontiguousarray(gain).ravel(), then, later, np.ascontiguousarray(value_next).ravel(),
-        np.ascontiguousarray(step), crossing.astype(np.float64), price, by, step[by] + slack_next[:, :, by].max(),
+        np.ascontiguousarray(step), crossing.astype(np.float64), price, by,
+        step[by] + np.fmax.reduce(slack_next[:, :, by], None),  # NaN where there is no pose
     )  # fmt: skip
     return worth.reshape(gain.shape)

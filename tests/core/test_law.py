@@ -193,5 +193,6 @@ def test_no_self_motion_where_none_is_needed_or_none_helps():
     for lower, upper in ((-wide, wide), (wide - 1.0, wide), (-wide, 1.0 - wide)):
         part.lower[:], part.upper[:] = lower, upper
         np.testing.assert_allclose(stand_in(row, Z, FAILED), np.zeros(7), atol=1e-14)
-    part.A[:] = np.nan
-    np.testing.assert_array_equal(stand_in(row, Z, FAILED), np.zeros(7))
+    for damaged in ((4, 2), ...):
+        part.A[damaged] = np.nan
+        np.testing.assert_array_equal(stand_in(row, Z, FAILED), np.zeros(7))
