@@ -24,16 +24,14 @@ def load_report(files: Sequence[str | os.PathLike[str]]) -> Page:
 
 
 def run_page(traces: Mapping[str, Trace], metrics: Mapping[str, Mapping[str, float]], robot: RobotModel) -> Page:
-    """Make the page of runs of one arm, a baseline first, with a table of the metrics of those that have some."""
+    """Make the page of runs of one arm, a baseline first; ``metrics`` of the runs that were asked for."""
     judged = {name: traces[name] for name in metrics}
     styles, page = Styles(traces), Page(title_of(judged), f"runs: {'; '.join(traces)}")
+    every = {**metrics, **{name: summarize(trace) for name, trace in traces.items() if name not in metrics}}
     page.section("How it ended")
-    for name in sorted(traces, key=lambda name: name not in metrics):  # what was asked for before its baseline
+    for name in every:
         ended = f"{name}{part(traces[name])} {traces[name].meta.get('ended', 'unknown')}"
         page.text("; ".join(filter(None, [ended, description(traces[name]), *remarks(traces[name])])) + ".")
-    page.section("What to look at first")
-    for table in run_tables(traces, metrics, first=True):
-        page.table(table)
     page.section("Over time")
     page.figure(
         time_series(traces, styles=styles),
@@ -41,6 +39,9 @@ def run_page(traces: Mapping[str, Trace], metrics: Mapping[str, Mapping[str, flo
         "robot's own kinematics where that is known, distance of the shaft from the trocar, force on it. A later run "
         "covers an earlier one that coincides with it: a click in the legend hides it.", name="curves",
     )  # fmt: skip
+    page.section("Main metrics")
+    for table in run_tables(traces, every, first=True):
+        page.table(table)
     page.section("Where the elbow went")
     longest = max(float(trace.t_s[-1] - trace.t_s[0]) for trace in traces.values())
     columns = min(max(round(12.0 * longest), 10), 96)
@@ -49,6 +50,6 @@ def run_page(traces: Mapping[str, Trace], metrics: Mapping[str, Mapping[str, flo
     except MocOptError as error:
         page.text(f"There is no map: {error}")
     page.section("All metrics")
-    for table in run_tables(traces, metrics, explained=True):
+    for table in run_tables(traces, every, explained=True):
         page.table(table)
     return page

@@ -66,6 +66,11 @@ class Results:
         """Return the rows with these values."""
         return Results(row for row in self._rows if all(row.get(name) == value for name, value in keys.items()))
 
+    def shared(self) -> Results:
+        """Return the rows of the trials that every controller ran."""
+        ran = [{row["trial"] for row in self.where(controller=name)} for name in self.names()]
+        return Results(row for row in self._rows if all(row["trial"] in trials for trials in ran))
+
     def names(self, column: str = "controller") -> list[Any]:
         """Return the distinct values of a column, in order, without None."""
         return [name for name in dict.fromkeys(row.get(column) for row in self._rows) if name is not None]

@@ -63,9 +63,11 @@ def assess(summary: Summary, runs: Results) -> list[Row]:
         row["verdict"] = verdict(row)
     ran = [row for row in rows if row["closed"].get("whole") and row["verdict"] is not OTHER]
     reference = min(ran, key=_order, default={"solver": None})["solver"]
+    shared = runs.shared()
     for row in rows:
         row["damage"], size = _damage(row, reference, runs)
         row["verdict"] = verdict(row, size)
+        row["tip_change"] = _tip_in_both_frames(shared, row["solver"])
     sound = [row for row in rows if row["verdict"] is SOUND]
     timed = [row for row in sound if row["p99_us"] is not None]
     if timed or len(sound) == 1:
@@ -261,13 +263,12 @@ def first_table(summary: Summary, rows: Sequence[Row]) -> Table:
                    help="change of the mean tip error against DCAC, in both frames"),
         ]  # fmt: skip
         caption += (
-            " Worst damage: largest loss in closed loop against the solver to take; none: within tolerance. Tip: "
-            "change of the error against DCAC on the same trials, by the robot's own kinematics / in the frame "
-            f"registered at the start; ?: undecided. {_trials_told(rows)} Runs that "
-            "oscillated or were stopped count only among the trials that every solver ran."
+            f" {_trials_told(rows)} Worst damage: largest loss in closed loop against the solver to take; none: within "
+            "tolerance. Tip: change of the error against DCAC, by the robot's own kinematics / in the frame registered "
+            "at the start; ?: undecided. It, and the runs that oscillated or were stopped, are of the trials that every "
+            "solver ran."
         )
-    shown = [{**row, "tip_change": _tip_in_both_frames(row["closed"])} for row in rows]
-    return Table("Solvers under the settings we recommend, best first", columns, shown, caption)
+    return Table("Solvers under the settings we recommend, best first", columns, rows, caption)
 
 
 def _trials_told(rows: Sequence[Row]) -> str:
@@ -280,12 +281,12 @@ def _trials_told(rows: Sequence[Row]) -> str:
     return f"{listed(all_of)} ran {most} trials, the others the first {min(fewer)} of these."
 
 
-def _tip_in_both_frames(closed: Row) -> str | None:
+def _tip_in_both_frames(runs: Results, solver: str) -> str | None:
     """Write the changes of the tip's error in both frames as one text; None of too few trials."""
-    keys = [change_name(name) for name in FRAMED if name.startswith("tip")]
-    if closed.get("compared", 0) < LEAST_TRIALS or not all(key in closed for key in keys):
+    changes = [runs.change(name, solver) for name in FRAMED if name.startswith("tip")]
+    if any(change is None or change.ratio.samples < LEAST_TRIALS for change in changes):
         return None
-    return "/".join(f"{closed[key]:+.0f}" + "?" * bool(closed[f"{key}_undecided"]) for key in keys)
+    return "/".join(f"{change.ratio.value:+.0f}" + "?" * change.undecided for change in changes if change)
 
 
 def pictures(summary: Summary, rows: Sequence[Row], deadline_us: float) -> list[Picture]:
