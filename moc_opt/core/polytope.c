@@ -171,7 +171,7 @@ static moc_status approach(polytope *t, double rho, double slack, double most, d
             for (int j = 0; j < t->n; j++)
                 t->s[j] = (t->s[j] + step * t->pull[j]) / (1.0 + rho * step);
             fill_projector(t);
-            status = project(t, slack * fmax(1.0, 1e-3 * scales[i]), most);
+            status = project(t, slack, most);
             moved = 0.0;
             for (int j = 0; j < t->n; j++) {
                 if (status != MOC_OK) /* there is a point in the box, but its rounding is too large from here */

@@ -11,7 +11,7 @@ import pytest
 from moc_opt.planning.course import Limits, Targets, make_course
 from moc_opt.planning.plan import best_course, climb, top_of
 from moc_opt.planning.pose_map import PoseMap, map_of
-from moc_opt.planning.search import WHOLE_CELL, Value, advance, half_cells, keeping_shaft, shaft_shares
+from moc_opt.planning.search import WHOLE_CELL, Value, advance, keeping_shaft, shaft_shares
 from tests.planning.arms import at_poses, task
 
 
@@ -33,7 +33,7 @@ def every_course(found, step, start, cell=0.0):
     """Poses and mu of each course that keeps limits and speed, without any dynamic programming."""
     k, _, m = found.mu.shape
     courses, may = [], found.room_rad >= 0.0
-    cells = cell * half_cells(found.q_rad)[..., 0]
+    cells = 0.5 * cell * np.maximum(*(np.abs(np.roll(found.q_rad, to, axis=2) - found.q_rad) for to in (1, -1)))[..., 0]
     for way in itertools.product(range(m), repeat=k if start is None else k - 1):
         at = [(i + k - len(way), 0, j) for i, j in enumerate(way)]
         if not all(may[place] for place in at):
