@@ -61,18 +61,14 @@ def perform(parts: ProcedureSettings, scenario: Scenario, name: str, film: Path 
     home = robot.state(robot.data.q_home)
     hand_seed, plant_seed, swivel_seed, eye_seed = np.random.SeedSequence(scenario.seed).generate_state(4).tolist()
     # The registration error is the hand's and the kinematics' here, not the plant's.
-    plant = Plant(
-        robot.data, scenario.plant.model_copy(update={"trocar_registration_error_m": 0.0}), seed=plant_seed
-    )
+    plant = Plant(robot.data, scenario.plant.model_copy(update={"trocar_registration_error_m": 0.0}), seed=plant_seed)
     incision = home.tip - task.depth_m * home.tool_direction
     guided = guide_to(incision, plant, robot, parts.hands_on, seed=hand_seed)
     if guided.registered is None:
         raise TaskError(f"hands-on: {guided.status.value}")
 
     phantom = board_below(incision, home.tool_direction, task.depth_m)
-    scene = Augmented(
-        robot, phantom, camera=parts.camera, board=parts.board, tracker=parts.tracker, seed=eye_seed
-    )
+    scene = Augmented(robot, phantom, camera=parts.camera, board=parts.board, tracker=parts.tracker, seed=eye_seed)
     estimate = scene.locate(guided.q)
     path = scene.board.task_in_base(task, estimate)
     q = pose_through(robot, path.start, guided.registered)

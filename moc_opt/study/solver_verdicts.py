@@ -265,8 +265,8 @@ def first_table(summary: Summary, rows: Sequence[Row]) -> Table:
         caption += (
             f" {_trials_told(rows)} Worst damage: largest loss in closed loop against the solver to take; none: within "
             "tolerance. Tip: change of the error against DCAC, by the robot's own kinematics / in the frame registered "
-            "at the start; ?: undecided. It, and the runs that oscillated or were stopped, are of the trials that every "
-            "solver ran."
+            "at the start, on the trials that every solver ran; ?: undecided. Runs that oscillated or were stopped "
+            "count only among these trials."
         )
     return Table("Solvers under the settings we recommend, best first", columns, rows, caption)
 

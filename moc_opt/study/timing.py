@@ -109,6 +109,4 @@ def percentiles(times: Array, prefix: str) -> dict[str, float]:
     times = times[np.isfinite(times)]
     if times.size == 0:
         return {}
-    return {
-        f"{prefix}_{name.replace('.', '_')}_us": float(np.percentile(times, q)) for name, q in PERCENTILES.items()
-    }
+    return {f"{prefix}_{name.replace('.', '_')}_us": float(np.percentile(times, q)) for name, q in PERCENTILES.items()}

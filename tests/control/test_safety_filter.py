@@ -124,6 +124,15 @@ def test_limits_of_belief_grow_with_the_gap(robot):
             assert bad_ticks(guard) == (0 if sound else bad + 1)
 
 
+@pytest.mark.parametrize(("speed", "told"), [(0.5, ""), (1.0, "do not follow their velocities")])
+def test_of_a_reading_in_three_ticks_the_way_is_compared_with_three_ticks_of_its_velocity(robot, speed, told):
+    guard, v = guard_of(robot), np.full(N, 0.5)
+    for stamp in np.arange(60) // 3 * 3:
+        guard.check_measurement(robot.data.q_home + stamp * PERIOD * speed, v, int(stamp), REST)
+    assert told in guard.reason
+    assert bool(guard.reason) == bool(told)
+
+
 @pytest.mark.parametrize("time_s", [0.1, 0.002, 0.0005])
 @pytest.mark.parametrize("factor", [0.999, 1.1, 3.0])
 def test_a_tip_off_its_reference_is_noted_when_its_mean_says_so(robot, time_s, factor):

@@ -19,10 +19,11 @@ READ_ONLY.setflags(write=False)
     ("x", np.zeros(64, np.uint8)[1:57].view(float)), ("y", np.zeros(5)), ("scale", "1e-9"),
 ])  # fmt: skip
 def test_a_wrong_array_is_an_exception_that_names_it(name, wrong):
-    given = {"record": QP.row, "x": np.zeros(7), "y": np.zeros(6), "steps": 1, "h_x": 1.0, "h_y": 1.0, "k": 1.0,
-             "scale": 1.0, "implicit": 0, "rest": 0.0, name: wrong}  # fmt: skip
+    sound = {"record": QP.row, "x": np.zeros(7), "y": np.zeros(6), "steps": 1, "h_x": 1.0, "h_y": 1.0, "k": 1.0,
+             "scale": -1.0, "implicit": 0, "rest": 0.0}  # fmt: skip
+    core.step_network(*sound.values())  # -1 is a number, and what Python's conversion returns of an error
     with pytest.raises((TypeError, ValueError), match="real number" if name == "scale" else f"{name}: give"):
-        core.step_network(*given.values())
+        core.step_network(*{**sound, name: wrong}.values())
 
 
 def test_another_number_of_arguments_and_rows_of_another_length_are_refused():

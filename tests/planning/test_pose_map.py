@@ -82,9 +82,6 @@ def test_too_few_and_too_many_swivels_are_refused(name, swivels):
         map_of(robot, robot.data.q_home, line_from(robot, robot.data.q_home), swivels)
 
 
-# --- the normal form ---
-
-
 @pytest.mark.parametrize("changes", [
     {"mount": (0.0, 0.0, -0.081), "rpy": (0.3, 0.0, 0.0)},  # a tool at an angle to axis 7
     {"wrist": (0.01, 0.0, -0.081), "mount": (0.01, 0.0, 0.045)},  # beside it
@@ -99,9 +96,6 @@ def test_an_arm_without_normal_form_is_told(tmp_path, changes):
     assert closed_form(build(tmp_path, IIWA14, q_max=whole_turn, q_min=-whole_turn)) is not None
     assert closed_form(build(tmp_path, IIWA14, **changes)) is None
     assert closed_form(load_robot("panda")) is None
-
-
-# --- traced ---
 
 
 def test_tracing_agrees_with_the_closed_form(robot, monkeypatch):
@@ -147,9 +141,6 @@ def test_more_swivels_than_the_default_are_denser_samples(panda):
     one, two, four = (np.isfinite(each.mu[0]).sum() for each in (fewer, found, twice))
     assert one == two
     assert four == pytest.approx(2 * two, rel=0.05)
-
-
-# --- the largest mu ---
 
 
 def polished(robot, q, tip, wrist):

@@ -185,6 +185,6 @@ def test_the_first_screen_answers_in_three_sentences_and_fits_a_terminal():
     assert "99.94" in text
     few = Results(row for row in results if row["trial"] in results.values("mu_mean", "clarabel"))
     for row in rows[:2]:
-        change = [few.change(f"tip_error_{frame}_mean_mm", row["solver"]).ratio.value for frame in ("model", "registered")]
-        assert row["tip_change"].replace("?", "") == f"{change[0]:+.0f}/{change[1]:+.0f}", "on the trials of all"
+        own, registered = (few.change(f"tip_error_{by}_mean_mm", row["solver"]).ratio for by in ("model", "registered"))
+        assert row["tip_change"].replace("?", "") == f"{own.value:+.0f}/{registered.value:+.0f}", "on the trials of all"
         assert row["tip_change"] in re.sub(r"\s", "", text)

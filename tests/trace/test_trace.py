@@ -130,9 +130,6 @@ def test_a_part_of_a_run_says_so(trace):
     assert untimed.meta["ended"] == "part: 10 ticks of a run, which ended: completed"
 
 
-# --- what is refused ---
-
-
 @pytest.mark.parametrize(("name", "value"), [
     ("mu", np.zeros((N, 2))), ("tip_m", np.zeros((N, 2))), ("q_rad", np.zeros(N)), ("verified", np.zeros(N)),
     ("status", np.zeros(N, dtype=np.int8)), ("mu", np.full(N, "0.3")), ("other", np.zeros((N, 2, 2))),
@@ -160,9 +157,6 @@ def test_unusable_columns_are_named(name, value):
 def test_a_wrong_argument_is_named(trace, call, named):
     with pytest.raises(MocOptError, match=named):
         call(trace)
-
-
-# --- the file ---
 
 
 def test_the_file_is_read_by_others_and_replaced_never_written_over(tmp_path):
@@ -218,9 +212,6 @@ def test_meta_is_kept_as_json_gives_it_back():
             Trace({}, {"seed": value})
     with pytest.raises(TraceError, match="not a text"):
         Trace({}, {1: "a"})
-
-
-# --- as others have it ---
 
 
 def test_pandas_has_every_number_of_every_column_and_where_it_is_not_installed_says_so(trace, monkeypatch):

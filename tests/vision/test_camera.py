@@ -95,9 +95,7 @@ def test_a_board_is_lost_at_its_times_and_a_dark_or_turned_one_is_not_there():
 
 
 VECTOR = st.tuples(*[st.floats(-2.0, 2.0)] * 3).map(np.array)
-TURN = st.tuples(VECTOR, st.floats(0.0, np.pi)).map(
-    lambda pair: pair[1] * pair[0] / max(np.linalg.norm(pair[0]), 1e-3)
-)
+TURN = st.tuples(VECTOR, st.floats(0.0, np.pi)).map(lambda pair: pair[1] * pair[0] / max(np.linalg.norm(pair[0]), 1e-3))
 POSE = st.builds(lambda turn, place: Pose(rotation_from(turn), place), TURN, VECTOR)
 
 
