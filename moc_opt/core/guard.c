@@ -155,7 +155,7 @@ static int told_to_move(const moc_guard *g, int n, const double *tau, const moc_
 /* Compare a new reading with its own velocity and with the last one. */
 static moc_stop compare_readings(const moc_guard *g, int n, const moc_measurement *m, moc_watch *w)
 {
-    double elapsed = g->period * (w->elapsed > 1 ? (double)w->elapsed : 1.0);
+    double elapsed = g->period * fmax(1.0, (double)w->elapsed);
     double fewest = 1e18, most = 0.0, fewest_whole = 1e18, most_whole = 0.0;
     int ran_away = 0;
 

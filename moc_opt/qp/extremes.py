@@ -115,7 +115,7 @@ def nearest(Z: Array, low: Array, high: Array, start: Array) -> tuple[Array, Arr
     u *= size / left
     # Once more with the active bounds alone: the shortest step onto them, to rounding.
     step, *_ = np.linalg.lstsq(G[active], short[active], rcond=None)
-    if (short - G @ step).max() > max((short - G @ (G.T @ u)).max(), 0.0) + ROUNDING * max(size, 1.0):
+    if (short - G @ step).max() > max((short - G @ (G.T @ u)).max(), 0.0) + ROUNDING:
         step = G.T @ u
     return start + step, (u[: len(low)] - u[len(low) :]) / moves
 

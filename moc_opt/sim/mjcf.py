@@ -140,7 +140,7 @@ def check_engines(robot: RobotModel) -> None:
     }  # fmt: skip
     rotor = np.diag(data.rotor_inertia)
     for q in (data.q_home, *rng.uniform(data.q_min, data.q_max, (POSES - 1, data.n))):
-        state.qpos[:], state.qvel[:] = q, rng.uniform(-1.0, 1.0, data.n) * np.minimum(data.v_max, 1.0)
+        state.qpos[:], state.qvel[:] = q, rng.uniform(-1.0, 1.0, data.n)
         mujoco.mj_fwdPosition(model, state)
         mujoco.mj_fwdVelocity(model, state)
         mujoco.mj_fullM(model, state, M)

@@ -75,15 +75,15 @@ def test_gains_that_are_missing_or_do_not_fit(settings, joints, words):
 
 
 @pytest.mark.parametrize(("settings", "words"), [
-    ({"law": "dcac", "dcac_damping": [1.0, 2.0]}, "dcac_damping = .* has 2 entries for 7 joints"),
-    ({"limit_margin_rad": 3.0}, "limit_margin_rad = 3.0: nothing is left of joint 2 .* less than 2.09"),
+    ({"law": "dcac", "dcac_damping": [1.0, 2.0]}, "dcac_damping = .* has 2 entries for 8 joints"),
+    ({"limit_margin_rad": 3.0}, "limit_margin_rad = 3.0: nothing is left of joint 3 .* less than 2.09"),
     ({"observer_gain_per_s": 500.0}, "observer_gain_per_s = 500.0 .* below 500"),
     ({"third_level": "planned", "course_observer_gain_per_s": 600.0}, "course_observer_gain_per_s = 600.0"),
 ])  # fmt: skip
-def test_what_does_not_fit_the_arm_or_the_period_is_refused(settings, words, robot):
+def test_what_does_not_fit_the_arm_or_the_period_is_refused(settings, words):
     solver = None if settings.get("law") == "dcac" else create("exact")
     with pytest.raises(ControlError, match=words):
-        Controller(robot, ControlSettings(**settings), solver, period=0.002)
+        Controller(load_robot("lwr4_rail"), ControlSettings(**settings), solver, period=0.002)
 
 
 # The range of each number; of those that are not named it is [0, inf).

@@ -45,11 +45,11 @@ def test_a_curve_keeps_tip_wrist_and_limits_and_has_the_models_mu(robot, regular
 
 def test_the_same_curve_from_any_of_its_poses_and_one_of_a_tool_off_the_last_axis(robot, odd_robot):
     motion = self_motion(robot, robot.data.q_home)
-    again, from_end = (self_motion(robot, q) for q in (motion.at(0.8), motion.q[-1]))
-    for other in (again, from_end):
+    again, *from_ends = (self_motion(robot, q) for q in (motion.at(0.8), motion.q[0], motion.q[-1]))
+    for other in (again, *from_ends):
         assert np.ptp(other.s) == pytest.approx(np.ptp(motion.s), abs=1e-3)
         assert other.mu_best == pytest.approx(motion.mu_best, abs=1e-6)
-    assert 0.0 in (from_end.s[0], from_end.s[-1])
+    assert all(0.0 in (other.s[0], other.s[-1]) for other in from_ends)
     odd = self_motion(odd_robot, odd_robot.data.q_home)
     assert odd.held == (6,)
     assert len(odd.s) > 10
