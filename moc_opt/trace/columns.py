@@ -12,8 +12,6 @@ from numpy.typing import ArrayLike, NDArray
 from moc_opt.arrays import read_only
 from moc_opt.errors import TraceError
 
-_SIZES = {"f": (4, 8), "i": (1, 2, 4, 8), "u": (1, 2, 4, 8), "b": (1,)}
-
 
 class Column(NamedTuple):
     """The documentation of one column."""
@@ -86,7 +84,7 @@ def column(name: str, value: ArrayLike) -> NDArray[Any]:
     if array.dtype == object and all(isinstance(entry, str) for entry in array.flat):
         array = array.astype(np.str_)
     dtype, shape, kind = array.dtype, array.shape, array.dtype.kind
-    if kind != "U" and dtype.itemsize not in _SIZES.get(kind, ()):
+    if not (kind in "Ubiu" or (kind == "f" and dtype.itemsize in (4, 8))):
         raise TraceError(f"column {name!r} has type {dtype}: give floats, integers, flags or texts")
     if len(shape) not in ((1,) if kind == "U" else (1, 2)) or shape[1:] == (0,):
         raise TraceError(f"column {name!r} has shape {shape}: give (N,) or, for numbers, (N, k)")
