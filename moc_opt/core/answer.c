@@ -50,7 +50,7 @@ static double way_down(const moc_problem *p, int rows, double Z[][MOC_MAX_JOINTS
 moc_residuals moc_judge(const moc_problem *p, int rows, double Z[][MOC_MAX_JOINTS], const double *x)
 {
     moc_residuals found = {0.0, 0.0, 0.0, 0.0, 0.0};
-    double line[MOC_MAX_JOINTS] = {0.0}, steepest = 0.0, still = 1e-9;
+    double line[MOC_MAX_JOINTS] = {0.0}, steepest = 0.0, still = STILL;
     int n = p->n, freedoms = rows;
 
     if (!all_finite(n, x)) {

@@ -13,7 +13,6 @@
 #define LOOK_CLOSER 1e3      /* a sixth pivot below this multiple of its tolerance is looked at more closely */
 #define LEFT 1e-6            /* |A x - b| that a dropped row may be left with: the judge's primal tolerance [m/s] */
 #define IDLE 1e-14           /* a free column smaller than this moves neither tip nor wrist */
-#define STILL 1e-10          /* of a step of one freedom: a joint that moves less is not stopped by its bounds */
 #define ROUNDING 1e-9        /* of the largest entry of pull */
 #define GROWTH 4e-12         /* 2^14 roundings: what six steps cancel between columns that differ a thousandfold */
 #define WIDEST 1e-5          /* of the tolerances that rounding may explain [rad/s] */

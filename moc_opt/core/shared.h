@@ -85,6 +85,8 @@ void moc_onto(int n, int rows, double Z[][MOC_MAX_JOINTS], const double *x, doub
 
 /* --- exact.c, polytope.c --- */
 
+#define STILL 1e-10 /* a joint that moves less on a step of one freedom is not stopped by its bounds (qp/extremes.py) */
+
 /* A x = b, eliminated: row k < rank reads x[joint[k]] + sum over free joints of row[k][j] x[j] = right[k]. */
 typedef struct {
     double row[6][MOC_MAX_JOINTS], right[6];

@@ -24,7 +24,7 @@ STEPS = 20  # uphill, times the number of joints
 ROUNDING = 1e-14  # of numbers of order one
 SETTLED = 1e-11  # proximal steps shorter than this are the rounding of where they come from, FAR away
 FLAT = 1e-9  # a slope or pull below this fraction of the largest is none
-STILL = 1e-9  # a joint that moves less than this along every unit vector of self-motion does not bound it
+STILL = 1e-10  # a joint that moves less than this along every unit vector of self-motion does not bound it
 LEVEL = 1e-12  # a range of the cost below this fraction of slope times box width is rounding
 
 

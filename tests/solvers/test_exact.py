@@ -176,6 +176,15 @@ def test_parallel_columns_and_a_nearly_straight_elbow_with_joints_at_their_bound
         check(NullSpaceQP(s.J_tip, s.J_wrist, s.J_tip @ x, s.J_wrist @ x, s.grad_mu, -v, v))
 
 
+@pytest.mark.parametrize(("moves", "stops"), [(3e-10, True), (3e-11, False)])
+def test_the_judge_lets_the_same_joints_stop_the_elbow(moves, stops):
+    """One that moves little of a step, and stands at its bound; the others leave room for a step of one."""
+    z, x, wide = np.array([1.0, -0.5, 0.3, 0.2, -0.4, 0.6, moves]), np.zeros(7), np.ones(7)
+    A, x[6] = null_space(z[None]).T, 1.0
+    found = check(NullSpaceQP(A[:3], A[3:], A[:3] @ x, A[3:] @ x, z, -wide, wide, regularization=1e-5)).x
+    assert found[0] == pytest.approx(0.0 if stops else 1.0, abs=1e-5)
+
+
 def test_rounding_seldom_makes_a_corner_of_the_box_infeasible():
     """Columns from 1e-3 to 1e3: a few roundings of b, carried over to the smallest one, exceed a fixed tolerance."""
     rng, refused = np.random.default_rng(1), 0
