@@ -1,5 +1,6 @@
 """The stack of three levels: what it asks for, what it does when a subproblem has no answer, what it keeps."""
 
+from types import SimpleNamespace
 from unittest.mock import Mock
 
 import numpy as np
@@ -118,9 +119,9 @@ def test_what_is_followed_without_an_answer_is_the_fallbacks(fallback, robot):
 
 def watching(supports=None, error=None):
     """`exact` with a session that notes the measured velocity; it may refuse a problem, or fail to start."""
-    solver, session = Mock(spec=["name", "supports", "start"]), Mock(spec=["solve", "observe"])
+    solver, session = Mock(spec=["name", "supports", "start"]), SimpleNamespace(observe=Mock())
     solver.name, solver.supports.return_value, solver.start.side_effect = "watching", supports, error or [session] * 2
-    session.solve.side_effect = lambda qp: EXACT.start(qp).solve(qp)
+    session.solve = lambda qp: EXACT.start(qp).solve(qp)
     return solver, session
 
 

@@ -1,5 +1,6 @@
 """The supervisor of the third level: what is refused, what stands in, and what never changes because of it."""
 
+from types import SimpleNamespace
 from unittest.mock import Mock
 
 import numpy as np
@@ -396,8 +397,7 @@ def test_late_answers(late, qp, Z):
 
 def stoppable(whole, truncated):
     """A session whose truncated answer is known, or raised."""
-    answers = {"solve.return_value": whole, "truncated.side_effect": [truncated]}
-    return Mock(spec=["solve", "truncated"], **answers)
+    return SimpleNamespace(solve=Mock(return_value=whole), truncated=Mock(side_effect=[truncated]))
 
 
 @pytest.mark.parametrize(("us", "iterations", "allowed"), [

@@ -90,8 +90,8 @@ static void send_packet(wire_header *packet, size_t size, uint8_t kind, int64_t 
 {
     uint8_t *bytes = (uint8_t *)packet;
 
-    *packet = (wire_header){WIRE_MAGIC,   WIRE_VERSION, kind, WIRE_JOINTS, packet->flags, wire.session,
-                            WIRE_SCENARIO, number};
+    *packet = (wire_header){"", WIRE_VERSION, kind, WIRE_JOINTS, packet->flags, wire.session, WIRE_SCENARIO, number};
+    memcpy(packet->magic, WIRE_MAGIC, sizeof packet->magic); /* without the text's end */
     if (sign(bytes, size - TAG, bytes + size - TAG))
         (void)!sendto(wire.socket, packet, size, 0, (const struct sockaddr *)&wire.plant, sizeof wire.plant);
 }
