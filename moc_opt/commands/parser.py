@@ -60,7 +60,7 @@ COMMANDS = {
     "run": Command("commands.running:run_scenario", "run one scenario and print its metrics", (
         SCENARIO,
         option("--seed", type=int, help="replaces the scenario's seed"),
-        option("--solver", help="replaces the scenario's solver"),
+        option("--solver", help="replaces the scenario's solver, its settings by defaults"),
         option("--robot", metavar="NAME|MY.toml", help="replaces the scenario's robot"),
         option("--task", metavar="NAME|POINTS.csv", help="replaces the path; in a file one x,y,z [m] a line"),
         option("--metric", action="append", metavar="NAME", help="print this metric alone; may be repeated"),

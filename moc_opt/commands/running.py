@@ -19,7 +19,7 @@ from moc_opt.report.tables import Column, Table
 from moc_opt.scenario import RunAway, Scenario, Setup, run
 from moc_opt.trace.file import check_trace, new_file
 from moc_opt.trace.metrics import METRICS, load_plugins, summarize
-from moc_opt.trace.trace import Trace
+from moc_opt.trace.trace import Trace, about
 
 POINTS = "give x, y, z [m], one point a line; the first line may name the columns, x_m,y_m,z_m, and # begins a comment"
 
@@ -97,8 +97,9 @@ def show(scenario: Scenario, title: str, trace: Trace, given: argparse.Namespace
     if getattr(given, "report", None) is not None:  # `plant` has none
         from moc_opt.report.run_page import run_page  # plotly loads slowly
 
-        runs = {title: trace} if baseline is None else {"DCAC, same gains": baseline, title: trace}
-        page = run_page(runs, {title: metrics}, scenario.robot.arm())
+        own = about(trace)["solver"]
+        runs = {own: trace} if baseline is None else {"DCAC, same gains": baseline, own: trace}
+        page = run_page(runs, {own: metrics}, scenario.robot.arm())
         print(page.save(given.report, force=given.force), file=sys.stderr)
     for name in scenario.metrics:
         if name not in metrics:

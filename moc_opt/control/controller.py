@@ -179,20 +179,20 @@ class Controller:
         """
         if not self._started:
             raise ControlError("tick before start: call start once before the first tick")
-        pull = None if self._guide is None else self._guide.desired_velocity(self.robot.state(q, v))
+        x_d = None if self._guide is None else self._guide.desired_velocity(self.robot.state(q, v))
         try:
-            return self._torque(q, v, tip_ref, trocar, pull)
+            return self._torque(q, v, tip_ref, trocar, x_d)
         except ValueError:  # the core takes contiguous arrays of finite floats alone: convert, and try once more
             state, tip_ref, trocar = self.robot.state(q, v), _rows("tip_ref", tip_ref, 3), _rows("trocar", trocar, 2)
-            return self._torque(state.q, state.v, tip_ref, trocar, pull)
+            return self._torque(state.q, state.v, tip_ref, trocar, x_d)
 
-    def _torque(self, q: Array, v: Array, tip_ref: Array, trocar: Array, pull: Array | None) -> Array:
+    def _torque(self, q: Array, v: Array, tip_ref: Array, trocar: Array, x_d: Array | None) -> Array:
         if self._exact is not None:
-            status, self._record, out = self._supervisor.step(q, v, tip_ref, trocar, pull, self._exact.tolerance)
+            status, self._record, out = self._supervisor.step(q, v, tip_ref, trocar, x_d, self._exact.tolerance)
             self._ticked = status, out
             return out[self._torques]
         # tau_tip + tau_rcm - r, and the subproblem
-        self._record, row = self._law.begin(q, v, tip_ref, trocar, pull)
+        self._record, row = self._law.begin(q, v, tip_ref, trocar, x_d)
         if self._session is not None:
             self._subproblem = qp = NullSpaceQP.from_row(row)
             # x*: the subproblem's answer, or the supervisor's substitute;

@@ -15,7 +15,7 @@ PAPER: dict[str, Any] = {
 }  # fmt: skip
 
 # Found by a search over random settings for the LWR4+ in the realistic plant. Its gains stand in the arm's file;
-# another arm's table of that name is its own, or derived from its inertia (`moc_opt.robots.model`).
+# another arm's table of that name is its own, or derived from its inertia (`moc_opt.robots.gains`).
 TUNED: dict[str, Any] = {
     "gains": "tuned", "fallback": "damping", "observer_gain_per_s": 33.3, "feedforward": True, "k0_per_s": 1.58,
     "regularization": 3.24e-5, "speed_fraction": 0.49, "ramp_s": 0.653,

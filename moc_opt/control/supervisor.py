@@ -169,7 +169,7 @@ class Supervisor:
         return solution, x, tau
 
     def step(
-        self, q: Array, v: Array, tip_ref: Array, trocar: Array, pull: Array | None, tolerance: float
+        self, q: Array, v: Array, tip_ref: Array, trocar: Array, x_d: Array | None, tolerance: float
     ) -> tuple[Status, Array, Array]:
         """Do the whole tick in the core, with its own solver `exact`; arguments as for `core.Law.begin`.
 
@@ -177,7 +177,7 @@ class Supervisor:
         and y (6,), the x (n,) that the arm follows, and the law's torque (n,) [Nm].
         """
         given_us = _NAN if self._times is None else next(self._times, _NAN)
-        code, number, self.solve_us, record, out = self._law.step(q, v, tip_ref, trocar, pull, tolerance, given_us)
+        code, number, self.solve_us, record, out = self._law.step(q, v, tip_ref, trocar, x_d, tolerance, given_us)
         status = EXACT_STATUS[code]
         self._note(number, status, "")
         return status, record, out

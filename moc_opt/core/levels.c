@@ -1,10 +1,11 @@
 /* The three levels of the law (Su et al. 2019, in the consistent form of docs/method.md), and the subproblem.
  *
- *   tau = h + J_T^T F_T + (I - J_T^T Jbar_T^T) J_W^T F_W + M Z^T (Z M Z^T)^-1 Z (K_N2 (x - v) - D_N2 v) */
+ *   tau = h + J_T^T F_T + (I - J_T^T Jbar_T^T) J_W^T F_W + tau_ff - r + share M Z^T (Z M Z^T)^-1 Z tau_0,
+ *   tau_0 = K_N2 (x - v) - D_N2 v, and share while the third level fades in; step.c has the order of a tick. */
 #include "vec.h"
 
-/* Ratio of smaller to larger wrist mobility, about the elbow's angle [rad]; below it the feed-forward skips the stiff
- * direction. */
+/* Where the wrist's smaller mobility is below this share of its larger one, the feed-forward leaves out the stiff
+ * direction. The share is about the elbow's bend [rad]. */
 #define STRAIGHT 1e-3
 
 #define SHAFT_PULL 0.1 /* weight of log mu_shaft beside mu [m^3]; it fades out towards shaft_margin */
@@ -60,12 +61,12 @@ static void times(int n, double J[][MOC_MAX_JOINTS], const double *v, double out
  * r = P_t - X = |r| e: e'' = (I - e e^T)(r'' - 2 |r|' e') / |r| - |e'|^2 e. */
 static void desired_wrist_acceleration(const line *s, double span, const double ddX_d[3], double out[3])
 {
-    double pull[3], square = dot3(s->turn, s->turn);
+    double bend[3], square = dot3(s->turn, s->turn); /* r'' - 2 |r|' e' */
     for (int i = 0; i < 3; i++)
-        pull[i] = -ddX_d[i] - 2.0 * s->closing * s->turn[i];
-    double along = dot3(s->e, pull);
+        bend[i] = -ddX_d[i] - 2.0 * s->closing * s->turn[i];
+    double along = dot3(s->e, bend);
     for (int i = 0; i < 3; i++)
-        out[i] = ddX_d[i] + span * ((pull[i] - along * s->e[i]) / s->distance - square * s->e[i]);
+        out[i] = ddX_d[i] + span * ((bend[i] - along * s->e[i]) / s->distance - square * s->e[i]);
 }
 
 /* Level 2 in its dynamic form, and the feed-forward of the accelerations that tip and wrist are to have beyond gravity
@@ -74,16 +75,16 @@ static void desired_wrist_acceleration(const line *s, double span, const double 
  *   tau += (I - J_T^T Jbar_T^T) tau_W + A5^T (A5 M^-1 A5^T)^-1 a,  Jbar_T = M^-1 J_T^T (J_T M^-1 J_T^T)^-1,
  *   a = [ddX_d - dJ_T v; b^T (ddN_d - dJ_W v)], or 0 without a feed-forward.
  *
- * A5: J_T over b^T J_W, b the two directions across the shaft. With M = H H^T (Cholesky) the rows of A5 H^-T, and
- * H^-1 tau_W as a sixth one, are made orthogonal to the tip's: nothing is squared, and the torque of a nearly straight
- * elbow keeps twice the digits. Such an elbow can hardly move the wrist in one direction, which the feed-forward leaves
- * out (STRAIGHT): at the straight elbow itself it would need an infinite torque, whose sign rounding would decide. */
+ * A5: J_T over b^T J_W, b (3, 2) the two directions across the shaft, here its columns. With M = H H^T (Cholesky) six
+ * rows are made: A5 H^-T and H^-1 tau_W. The wrist's and tau_W are made orthogonal to the tip's. Nothing is squared, so
+ * that a nearly straight elbow keeps twice the digits. Such an elbow can hardly move the wrist in one direction. The
+ * feed-forward leaves that one out (STRAIGHT): at the straight elbow it would need an infinite torque. */
 static void add_dynamic(const moc_law *law, int n, moc_terms *t, const double *ddX_d, const double *ddN_d,
                         const double *tau_W, double *tau)
 {
     enum { TAU_W = 5 };
     double H[MOC_MAX_JOINTS][MOC_MAX_JOINTS], inverse[MOC_MAX_JOINTS], rows[6][MOC_MAX_JOINTS], b[2][3];
-    double a[6] = {0.0}, c[6];
+    double a[6] = {0.0}, c[6]; /* wanted accelerations, and the weight of each row */
 
     cholesky(n, t->M, H, inverse);
     across(t->u, b);
@@ -171,9 +172,9 @@ void moc_tracking_torque(const moc_law *law, int n, const moc_terms *terms, cons
     memcpy(tau, t->h, (unsigned)n * sizeof *tau);
     add_force(n, J_T, 1.0, F, tau);
 
-    /* RCM: F_W = K_N (N_d - N) + D_N (dN_d - dN), N_d = X + L e. With theta between e and the shaft, |N_d - N| is
+    /* RCM: F_W = K_N (N_d - N) + D_N (dN_d - dN), N_d = X + L e. With theta between e and -u, |N_d - N| is
      * 2 L sin(theta/2) and the RCM error d = |P_t - X| sin(theta): the true lambda of |N_d - N| = d / lambda is
-     * |P_t - X| / L cos(theta/2); the paper takes a constant. */
+     * |P_t - X| / L cos(theta/2); the paper takes a constant. It scales the spring alone. */
     line s = shaft_line(t->tip, dX, trocar);
     if (law->rcm_lambda > 0.0)
         share = s.distance / t->span * sqrt(fmax(0.0, 0.5 * (1.0 - dot3(s.e, t->u)))) / law->rcm_lambda;
@@ -199,7 +200,7 @@ double moc_shaft_push(double mu_shaft, double margin)
 }
 
 void moc_fill_problem(const moc_law *law, int n, const moc_terms *t, const moc_reference *ref,
-                      const moc_trocar *trocar, const double *pull, moc_problem *p)
+                      const moc_trocar *trocar, const double *x_d, moc_problem *p)
 {
     double N_d[3], gap = 0.0, push = moc_shaft_push(t->mu_shaft, law->shaft_margin), wider = 1.0;
 
@@ -219,7 +220,7 @@ void moc_fill_problem(const moc_law *law, int n, const moc_terms *t, const moc_r
     for (int j = 0; j < n; j++) {
         double v_max = law->v_max[j] * wider;
         p->grad_mu[j] = t->grad_mu[j];
-        p->pull[j] = pull ? law->rho / law->c2 * pull[j] : t->grad_mu[j] + push * t->grad_mu_shaft[j];
+        p->pull[j] = x_d ? law->rho / law->c2 * x_d[j] : t->grad_mu[j] + push * t->grad_mu_shaft[j];
         /* the velocity damper closes at k0 and never crosses: beyond a limit only velocities back inside are left */
         p->lower[j] = fmin(fmax(-v_max, -law->k0 * (t->q[j] - law->q_min[j])), v_max);
         p->upper[j] = fmax(fmin(v_max, -law->k0 * (t->q[j] - law->q_max[j])), -v_max);
@@ -234,16 +235,16 @@ void moc_add_third_level(const moc_law *law, int n, const moc_terms *terms, cons
                          double *tau)
 {
     moc_terms *t = (moc_terms *)terms;
-    double push[MOC_MAX_JOINTS], MZ[MOC_MAX_JOINTS][MOC_MAX_JOINTS], along[MOC_MAX_JOINTS];
+    double asked[MOC_MAX_JOINTS], MZ[MOC_MAX_JOINTS][MOC_MAX_JOINTS], along[MOC_MAX_JOINTS];
     double S[MOC_MAX_JOINTS][MOC_MAX_JOINTS], H[MOC_MAX_JOINTS][MOC_MAX_JOINTS], inverse[MOC_MAX_JOINTS];
     int r = memory->rows;
 
     for (int j = 0; j < n; j++)
-        push[j] = memory->share * (law->K_N2[j] * (x[j] - t->v[j]) - law->D_N2[j] * t->v[j]);
+        asked[j] = memory->share * (law->K_N2[j] * (x[j] - t->v[j]) - law->D_N2[j] * t->v[j]);
     for (int i = 0; i < r; i++) {
         for (int j = 0; j < n; j++)
             MZ[i][j] = dot(n, t->M[j], memory->Z[i]);
-        along[i] = dot(n, memory->Z[i], push);
+        along[i] = dot(n, memory->Z[i], asked);
     }
     for (int i = 0; i < r; i++)
         for (int k = 0; k < r; k++)

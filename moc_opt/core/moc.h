@@ -115,7 +115,7 @@ typedef struct {
     double share;                                /* of the third level, while it fades in */
     double integral[MOC_MAX_JOINTS];             /* of the observer [Nm s] */
     double external[MOC_MAX_JOINTS];             /* its estimate r of the torque beside the model's [Nm] */
-    double tau[MOC_MAX_JOINTS];                  /* torque that acted last [Nm] */
+    double tau[MOC_MAX_JOINTS];                  /* that the observer takes to act [Nm] */
     double good[MOC_MAX_JOINTS];                 /* the last answer that was taken [rad/s] */
     int age;                                     /* ticks since then */
 } moc_memory;
@@ -196,7 +196,7 @@ typedef struct {
 #define MOC_NAME(name, words) name,
 typedef enum { MOC_REASONS(MOC_NAME) MOC_STOPS } moc_stop;
 
-/* Levels; one that is infinite is off. The fields of [guard] in a scenario, where docs/keys explains each. */
+/* Levels; one that is infinite is off. The fields of [guard] in a scenario, where docs/scenario.md explains each. */
 typedef struct {
     double period;                                      /* of control [s] */
     int patience;                                       /* ticks with a bad measurement that are bridged */
@@ -304,7 +304,7 @@ typedef struct {
     moc_measurement measured;
     moc_reference ref;
     moc_trocar trocar;
-    const double *pull; /* velocity (n,) that the third level is to follow [rad/s]; NULL: it climbs mu */
+    const double *x_d; /* velocity (n,) that the third level is to follow [rad/s]; NULL: it climbs mu */
 } moc_input;
 
 /* What one arm's controller remembers. */
@@ -314,13 +314,13 @@ typedef struct {
     moc_terms terms;                /* of the last tick, as are the next ones */
     moc_problem problem;            /* where the law has a third level */
     double told[3];                 /* the tip's reference [m] */
-    double tau[MOC_MAX_JOINTS];     /* of levels 1 and 2; after moc_finish, of all three [Nm] */
+    double tau[MOC_MAX_JOINTS];     /* of levels 1 and 2, less r; after moc_finish what it returned [Nm] */
     moc_fault fault;                /* of the answer */
     double x[MOC_MAX_JOINTS];       /* what the third level followed [rad/s] */
     double answer[MOC_MAX_JOINTS];  /* of moc_step: x of moc_solve_exact, its multipliers and status */
     double y[6];
     moc_status status;
-    double sent[MOC_MAX_JOINTS];    /* torque of the last tick [Nm] */
+    double sent[MOC_MAX_JOINTS];    /* what the last moc_finish returned [Nm] */
     moc_stop reason;                /* the first one stays */
     unsigned begun;                 /* MOC_BEGUN once moc_start has been called */
 } moc_state;

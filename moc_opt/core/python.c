@@ -64,10 +64,10 @@ static PyObject *law_new(PyTypeObject *type, PyObject *given, PyObject *keywords
 #define TICK {"q", READ, N}, {"v", READ, N}, {"tip_ref", READ, 3, 3}, {"trocar", READ, 2, 3}
 
 /* Start (begins = 0) or begin a tick; the arm's record goes into array i. Returns 0 with an exception. */
-static int take_tick(Law *self, const call *c, int begins, const double *pull, int i)
+static int take_tick(Law *self, const call *c, int begins, const double *x_d, int i)
 {
     static const double none[MOC_MAX_JOINTS];
-    moc_input in = {.measured = {c->array[0], c->array[1], 0, 0, begins ? NULL : none, NULL}, .pull = pull};
+    moc_input in = {.measured = {c->array[0], c->array[1], 0, 0, begins ? NULL : none, NULL}, .x_d = x_d};
 
     if (!all_finite(c->n, c->array[0]) || !all_finite(c->n, c->array[1]) || !all_finite(9, c->array[2]) ||
         !all_finite(6, c->array[3])) {
@@ -109,7 +109,7 @@ METHOD(Law, judge, {"x", READ, N})
     return Py_BuildValue("ddddd", r.primal, r.outside, r.natural, r.off, r.opposite);
 }
 
-METHOD(Law, begin, TICK, {"pull", MAYBE, N}, {"record", MADE, TERMS}, {"row", MADE, ROW})
+METHOD(Law, begin, TICK, {"x_d", MAYBE, N}, {"record", MADE, TERMS}, {"row", MADE, ROW})
 {
     if (!take_tick(self, c, 1, c->array[4], 5))
         return NULL;
@@ -133,7 +133,7 @@ static double now_us(void)
     return 1e6 * (double)now.tv_sec + 1e-3 * (double)now.tv_nsec;
 }
 
-METHOD(Law, step, TICK, {"pull", MAYBE, N}, {"tolerance", NUMBER}, {"solve_us", NUMBER}, {"record", MADE, TERMS},
+METHOD(Law, step, TICK, {"x_d", MAYBE, N}, {"tolerance", NUMBER}, {"solve_us", NUMBER}, {"record", MADE, TERMS},
        {"out", MADE, TICKED})
 {
     moc_state *s = &self->state;

@@ -52,9 +52,9 @@ void moc_copy_terms(moc_terms *terms, int n, double *record, direction way);
 void moc_tracking_torque(const moc_law *law, int n, const moc_terms *t, const moc_reference *ref,
                          const moc_trocar *trocar, double *tau);
 
-/* This tick's subproblem; pull: a velocity [rad/s] that replaces the climb of mu, or NULL. */
+/* This tick's subproblem; x_d: a velocity [rad/s] that replaces the climb of mu, or NULL. */
 void moc_fill_problem(const moc_law *law, int n, const moc_terms *t, const moc_reference *ref,
-                      const moc_trocar *trocar, const double *pull, moc_problem *problem);
+                      const moc_trocar *trocar, const double *x_d, moc_problem *problem);
 
 /* tau += share M Z^T (Z M Z^T)^-1 Z (K_N2 (x - v) - D_N2 v), cut at tau_max. */
 void moc_add_third_level(const moc_law *law, int n, const moc_terms *t, const moc_memory *memory, const double *x,

@@ -1,4 +1,7 @@
-/* One tick: measurement, terms, levels 1 and 2 and the subproblem; then any solver; then its answer and the torque. */
+/* One tick: measurement, terms, levels 1 and 2 and the subproblem; then any solver; then its answer and the torque.
+ *
+ * In Python c->guard is NULL: FilteredController of moc_opt/sim/loop.py calls the same functions of guard.c in the same
+ * order, around any controller. Whoever changes the order here changes it there. */
 #include "vec.h"
 
 /* --- the law at the terms in the state --- */
@@ -24,7 +27,7 @@ static void levels(const moc_controller *c, const moc_input *in, moc_state *s)
     const moc_law *law = c->law;
     moc_memory *memory = &s->memory;
     moc_terms *t = &s->terms;
-    const double *pull = in->pull;
+    const double *x_d = in->x_d;
     double climb[MOC_MAX_JOINTS];
     int n = c->arm->n;
 
@@ -39,11 +42,11 @@ static void levels(const moc_controller *c, const moc_input *in, moc_state *s)
     memory->rows = moc_null_space(n, t->A, memory->rows, memory->Z);
     if (!law->third_level)
         return;
-    if (pull == NULL && law->climbs) {
+    if (x_d == NULL && law->climbs) {
         moc_climb(c->arm, law, t, memory, climb);
-        pull = climb;
+        x_d = climb;
     }
-    moc_fill_problem(law, n, t, &in->ref, &in->trocar, pull, &s->problem);
+    moc_fill_problem(law, n, t, &in->ref, &in->trocar, x_d, &s->problem);
 }
 
 /* --- the whole controller --- */

@@ -23,8 +23,11 @@ PANELS = {
     "trocar_force_N": ("|force| [N]", 1.0),
 }
 """Column of a trace -> label of its panel, and the factor to the unit there."""
-MODEL_TIP = "tip_error_model_m"
-LABELS = {**PANELS, MODEL_TIP: ("tip error, own kinematics [mm]", 1e3)}
+TIPS = {
+    "tip_error_model_m": ("tip error, own kinematics [mm]", 1e3),
+    "tip_error_registered_m": ("tip error, frame registered at the start [mm]", 1e3),
+}
+LABELS = {**PANELS, **TIPS}
 LARGEST = "largest µ of all poses"
 HOVER = "%{y:.4g}<extra>%{fullData.name}</extra>"
 
@@ -40,8 +43,8 @@ def time_series(
     Args:
         runs: name -> columns of a run, (N,) or (N, k), `t_s` among them, or a `Trace`; a run that lacks a column is
             absent from its panel; of vectors the length is drawn.
-        panels: columns, from top to bottom; None: those of ``PANELS``, with the tip's error by the robot's own
-            kinematics where every run has it. The absolute one is mostly the error of the arm's calibration.
+        panels: columns, from top to bottom; None: those of ``PANELS``, with the tip's errors of ``TIPS`` that every
+            run has in place of the absolute one, which is mostly the error of the arm's calibration.
         styles: of each run; None assigns colours anew.
 
     Raises:
@@ -54,8 +57,8 @@ def time_series(
         if "t_s" not in columns:
             raise ReportError(f"run {name!r} has no column t_s: give the time of each row [s]")
     if panels is None:
-        known = all(MODEL_TIP in columns for columns in data.values())
-        panels = [MODEL_TIP if known and column == "tip_error_m" else column for column in PANELS]
+        tips = [name for name in TIPS if all(name in columns for columns in data.values())] or ["tip_error_m"]
+        panels = ["mu", *tips, "rcm_error_m", "trocar_force_N"]
     else:
         _check(panels, data)
     drawn = make_subplots(rows=len(panels), cols=1, shared_xaxes=True, vertical_spacing=0.22 / len(panels))

@@ -178,6 +178,8 @@ def _why(summary: Summary, row: Row, others: Sequence[Row], asked: int) -> str:
     parts = [f"verified {counted['verified_solved']} of {counted['optima_asked'] + refused} {kind} optima"]
     if refused:
         parts[0] += f" (it called {refused} others, whose six rows contradict each other, infeasible: {NEITHER})"
+    if left := counted["optima_asked"] - counted["verified_solved"]:
+        parts.append(f"did not solve {left}")
     if counted["infeasible_asked"]:
         parts.append(f"recognised {counted['infeasible_right']} of {counted['infeasible_asked']} infeasible problems")
     text = "" if others or asked == 1 else f", the only sound one of {asked} solvers"
@@ -199,6 +201,7 @@ def _in_closed_loop(row: Row) -> str:
     changes = (spread(closed, change_name(name), 2, "+", " %") for name in ("mu_mean", *FRAMED))
     mu, tip, registered_tip, rcm, registered_rcm = changes
     shaken = f", {count} of which oscillated" if (count := closed.get("oscillated", 0)) else ""
+    shaken += f", {closed['oscillated_in_common']} among the trials that every solver ran" if shaken else ""
     return (
         f"In closed loop ({trials} independent trials of `{row['solver']}`{shaken}) sound answers change mean mu by "
         f"{mu} over `{BASELINE}`. By the robot's own kinematics the tip error changes by {tip} and the RCM error by "
@@ -251,7 +254,8 @@ def first_table(summary: Summary, rows: Sequence[Row]) -> Table:
         f"★ take: the fastest of the sound ones by p99, ✔ sound, ◐ gaps: less than {100 * RIGHTLY:g} % right, and "
         "reports it, ≈ near: close to the optimum without claiming it, or worse in closed loop, ✘ avoid "
         "(docs/solvers.md has the rules). Right: verified, or rightly called infeasible; of problems whose rows "
-        "contradict each other the refused ones do not count. Wrong: claimed as solved and not optimal."
+        "contradict each other the refused ones do not count. Wrong: claimed as solved and not optimal. –: not run, or "
+        "not comparable."
     )
     if any(row["verdict"] is OTHER for row in rows):
         caption += " ≠ other: it answers the nonlinear problem of the tick, not the linear one that is judged."

@@ -28,11 +28,11 @@ def law(n, arm=None, supervision=None, fallback="damping", **changes):
     return core.Law(blank if arm is None else arm, **given)
 
 
-def ticked(robot, state, tip_ref, trocar, x=None, pull=None, **parts):
+def ticked(robot, state, tip_ref, trocar, x=None, x_d=None, **parts):
     """One tick from the start: tau (n,) and the subproblem's record."""
     made = law(robot.n, robot.arm, check=False, **parts)
     made.start(state.q, state.v, tip_ref, trocar)
-    row = made.begin(state.q, state.v, tip_ref, trocar, pull)[1]
+    row = made.begin(state.q, state.v, tip_ref, trocar, x_d)[1]
     return made.finish(0, 0, np.zeros(robot.n) if x is None else x, 0.0)[2], row
 
 

@@ -190,7 +190,7 @@ static int course(void)
     moc_arm arm;
     moc_law law;
     moc_guard guard;
-    moc_input in = {.pull = NULL};
+    moc_input in = {.x_d = NULL};
     double q[MOC_MAX_JOINTS], v[MOC_MAX_JOINTS], sent[MOC_MAX_JOINTS] = {0.0}, pose[4][3];
     const moc_supervision supervision = {1, 0.1, 0.01, 0.05, 1e-3, 3, 1, (moc_fallback)(bits() % 3),
                                          (moc_late)(bits() % 3), chance(2) ? HUGE_VAL : 50.0};
@@ -233,7 +233,7 @@ static int course(void)
             spoil(in.trocar.P, 6, 4);
         in.measured = (moc_measurement){seen_q, seen_v, chance(40) ? (long long)bits() : k, !chance(4),
                                         chance(3) ? sent : NULL, wrench};
-        in.pull = chance(4) ? v : NULL;
+        in.x_d = chance(4) ? v : NULL;
         for (int own = 0; own < 2; own++) {
             double tau[MOC_MAX_JOINTS], friction[MOC_MAX_JOINTS];
             moc_state *state = &states[own];

@@ -77,7 +77,7 @@ def test_the_subproblem(robot):
         np.testing.assert_allclose(found.lower, lower, rtol=1e-12)
         np.testing.assert_allclose(found.upper, upper, rtol=1e-12)
         wanted = np.arange(1.0, n + 1.0)
-        followed = fields(subproblem(robot, s, tip_ref, trocar, pull=wanted, c2=1e-3, rho=1e-5))
+        followed = fields(subproblem(robot, s, tip_ref, trocar, x_d=wanted, c2=1e-3, rho=1e-5))
         np.testing.assert_allclose(followed.pull, 1e-2 * wanted)
         np.testing.assert_array_equal(followed.grad_mu, s.grad_mu)
 
