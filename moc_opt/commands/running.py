@@ -89,18 +89,18 @@ def show(scenario: Scenario, title: str, trace: Trace, given: argparse.Namespace
         print(f"{title}: {line}", file=sys.stderr)
     try:
         baseline = _matched_dcac(scenario, title, len(trace)) if scenario.control.law == "moc" else None
+        metrics = summarize(trace, baseline)
+        if getattr(given, "report", None) is not None:  # `plant` has none
+            from moc_opt.report.run_page import run_page  # plotly loads slowly
+
+            own = about(trace)["solver"]
+            runs = {own: trace} if baseline is None else {"DCAC, same gains": baseline, own: trace}
+            page = run_page(runs, {own: metrics}, scenario.robot.arm())
+            print(page.save(given.report, force=given.force), file=sys.stderr)
     except KeyboardInterrupt as stop:
         if given.trace is not None:
             stop.add_note(f"the whole run is in {given.trace}")
         raise
-    metrics = summarize(trace, baseline)
-    if getattr(given, "report", None) is not None:  # `plant` has none
-        from moc_opt.report.run_page import run_page  # plotly loads slowly
-
-        own = about(trace)["solver"]
-        runs = {own: trace} if baseline is None else {"DCAC, same gains": baseline, own: trace}
-        page = run_page(runs, {own: metrics}, scenario.robot.arm())
-        print(page.save(given.report, force=given.force), file=sys.stderr)
     for name in scenario.metrics:
         if name not in metrics:
             print(f"{title}: metric {name}: not known of this run", file=sys.stderr)

@@ -19,12 +19,12 @@ from moc_opt.arrays import Array
 
 MOST_CORNERS = 10_000  # candidates of one problem that are tried: 10 joints with 5 freedoms have 8064
 FAR = 1e3  # box widths: how long a proximal step is
-ROUNDS = 200
-STEPS = 20  # uphill, times the number of joints
+ROUNDS, STEPS = 200, 20  # of proximal steps; uphill, times the number of joints
 ROUNDING = 1e-14  # of numbers of order one
 SETTLED = 1e-11  # proximal steps shorter than this are the rounding of where they come from, FAR away
 FLAT = 1e-9  # a slope or pull below this fraction of the largest is none
 STILL = 1e-10  # a joint that moves less than this along every unit vector of self-motion does not bound it
+TOUCHING = 1e-8  # box widths: a set that is narrower gives forces that are rounding
 LEVEL = 1e-12  # a range of the cost below this fraction of slope times box width is rounding
 
 
@@ -107,8 +107,11 @@ def nearest(Z: Array, low: Array, high: Array, start: Array) -> tuple[Array, Arr
         return start, np.zeros(len(low))
     from scipy.optimize import nnls  # late: half a second, for several freedoms alone
 
-    u, _ = nnls(np.vstack([G.T, short / size]), np.append(np.zeros(len(start)), 1.0))
-    left = 1.0 - float(short @ u) / size
+    for loose in (0.0, TOUCHING):  # where the set is a point to rounding, the forces of one that is a little wider
+        u, _ = nnls(np.vstack([G.T, (short - loose) / size]), np.append(np.zeros(len(start)), 1.0))
+        left = 1.0 - float((short - loose) @ u) / size
+        if u.max() * size <= left / TOUCHING:
+            break
     if left <= 1e-12:
         return None
     active = u > 0.0

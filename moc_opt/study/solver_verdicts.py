@@ -254,8 +254,7 @@ def first_table(summary: Summary, rows: Sequence[Row]) -> Table:
         f"★ take: the fastest of the sound ones by p99, ✔ sound, ◐ gaps: less than {100 * RIGHTLY:g} % right, and "
         "reports it, ≈ near: close to the optimum without claiming it, or worse in closed loop, ✘ avoid "
         "(docs/solvers.md has the rules). Right: verified, or rightly called infeasible; of problems whose rows "
-        "contradict each other the refused ones do not count. Wrong: claimed as solved and not optimal. –: not run, or "
-        "not comparable."
+        "contradict each other the refused ones do not count. Wrong: claimed as solved, not optimal. –: not run."
     )
     if any(row["verdict"] is OTHER for row in rows):
         caption += " ≠ other: it answers the nonlinear problem of the tick, not the linear one that is judged."

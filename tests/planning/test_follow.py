@@ -52,9 +52,6 @@ def test_on_its_course_an_arm_is_asked_for_the_courses_speed_and_an_error_is_pul
     np.testing.assert_allclose(last, 5.0 * (0.1 - 0.2), atol=1e-9)
 
 
-# --- a course made before the run ---
-
-
 def test_an_arm_that_has_left_its_course_is_led_to_its_maximum_of_mu_from_where_it_is():
     """Its elbow is held for a second, in which the course leaves its first maximum; then it goes as asked."""
     made = Setup(TRAPPED.change(control={"third_level": "planned"}))
@@ -131,9 +128,6 @@ FAST = {"task": {"v_max_m_per_s": 2.0, "a_max_m_per_s2": 20.0}, "start": {"check
 def test_what_cannot_follow_a_course_is_refused_before_the_run(change, message):
     with pytest.raises(MocOptError, match=message):
         Setup(FOLLOWED.change(**change)).controller()
-
-
-# --- a course made again and again ---
 
 
 def test_it_leaves_the_hump_in_which_the_local_law_is_trapped():

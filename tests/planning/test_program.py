@@ -130,9 +130,6 @@ def test_a_margin_from_losing_the_shaft_is_kept_where_mu_rises_below_it(robot):
     assert refined.mu_mean < free.mu_mean
 
 
-# --- on a horizon ---
-
-
 @pytest.fixture(scope="module")
 def middle(robot):
     """A start in the middle of a course, the course as a guess, and a program."""

@@ -93,9 +93,6 @@ def test_the_way_up_goes_to_the_higher_neighbour():
     assert [top_of(found, np.array([at])).mu for at in (0.1, 0.2, 0.3)] == [0.6, 0.6, 0.6]
 
 
-# --- on the arm ---
-
-
 @pytest.fixture(scope="module")
 def coarse(robot):
     return map_of(robot, robot.data.q_home, task(robot, robot.data.q_home, 60), 180)

@@ -93,8 +93,6 @@ def test_the_peak_of_a_parabola_is_found_from_any_three_samples():
         assert parabola_peak(np.arange(3.0), np.array(y)) == (0.0, 0.0)
 
 
-# --- how many freedoms there are ---
-
 def test_counts_of_known_arms(robot, odd_robot, tmp_path):
     assert best_freedoms(robot)[:3] == (5, 1, (6,))
     drawn = np.random.default_rng(0).uniform(robot.q_min, robot.q_max, (8, 7))

@@ -8,6 +8,8 @@ from scipy.optimize import linprog
 
 from moc_opt.qp import extremes as module
 from moc_opt.qp.extremes import extremes, nearest
+from moc_opt.qp.problem import NullSpaceQP
+from moc_opt.solvers.exact import Exact
 
 SHAPES = st.sampled_from([(2, 1), (5, 2), (7, 2), (8, 3), (9, 4), (10, 5), (16, 11)])
 
@@ -174,3 +176,21 @@ def test_a_joint_that_hardly_moves_does_not_empty_the_box():
     assert (Z @ w >= low - 1e-14).all()
     assert np.linalg.norm(w) == pytest.approx(0.3)
     np.testing.assert_allclose(Z.T @ force, w, atol=1e-9)
+
+
+@pytest.mark.parametrize("seed", [285, 568, 649, 1706, 1724, 4198, 4585])
+def test_a_plane_that_touches_the_box_and_leaves_joints_on_one_axis_their_freedom(seed):
+    """The forces at such a set are as large as rounding allows. The answer's own multipliers prove it (natural)."""
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(8, 13))
+    A = rng.normal(size=(6, n))
+    A[3:] = A[:3] + np.cross(rng.normal(size=(n, 3)), [0.0, 0.0, 0.3]).T
+    A[:, 1:6:2] = A[:, 0:6:2]
+    lower, upper = -rng.uniform(0.1, 1, n), rng.uniform(0.1, 1, n)
+    side = A.T @ np.linalg.svd(A[:, rng.choice(n, 3, replace=False)].T)[2][-1]
+    b = A @ np.where(side > 1e-9, lower, np.where(side < -1e-9, upper, 0.0))
+    qp = NullSpaceQP(A[:3], A[3:], b[:3], b[3:], rng.normal(size=n), lower, upper, regularization=1e-3)
+    answer = Exact().start(qp).solve(qp)
+    found = qp.residuals(answer.x, answer.y)
+    assert found.natural < 1e-10
+    assert found.verified(), found

@@ -110,9 +110,6 @@ def test_what_cannot_be_shown_is_refused(robot: RobotModel, tmp_path: Path) -> N
         load_runs([files[0], other])
 
 
-# --- in a browser ---
-
-
 def arm_of(page: Any) -> bytes:
     """The picture of the arm once it has come to rest."""
     page.evaluate("() => new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")

@@ -84,9 +84,6 @@ def test_a_circle_closes_smoothly_and_a_line_is_straight() -> None:
     np.testing.assert_array_equal(line.at(0.1)[2], np.zeros(3))
 
 
-# --- by name, those of other packages among them ---
-
-
 def helix(radius: float, pitch: float = 0.01):
     """Go round once while it climbs."""
     angle = np.linspace(0.0, 2 * np.pi, 25)

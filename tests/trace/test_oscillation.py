@@ -119,9 +119,6 @@ def test_what_cannot_be_judged_says_why():
             shaking(part, "v_rad_per_s")
 
 
-# --- runs ---
-
-
 @pytest.mark.parametrize(("changes", "joint"), [
     ({"plant": {"delay_ticks": 2}, "control": STIFF}, "joint_5"),
     ({"plant": {"friction": 0.0}, "control": STIFF}, "joint_7"),

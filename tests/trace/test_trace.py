@@ -189,8 +189,6 @@ def test_what_is_no_trace_is_refused(tmp_path):
             Trace.load(tmp_path / name)
 
 
-# --- meta ---
-
 WARNING = {"of": "the RCM error", "unit": "m", "level": 6e-3, "first_s": 0.1, "largest": 8e-3}
 
 
