@@ -1,12 +1,12 @@
-"""Find the answers of a test set, and prove them by nothing that is ours.
+"""Find the answers of a test set, and prove them without the solvers and residuals of moc_opt.
 
 What is certified is the optimum over five rows: the tip's three and the wrist's two across the shaft, rounded to
-doubles. The sixth row, along the shaft, repeats the tip's because the tool is rigid; in doubles it repeats it to
-1e-16, so that exact arithmetic would see a sixth independent row that is rounding. On the five rows both tracking
+doubles. The sixth row, along the shaft, repeats the tip's because the tool is rigid. In doubles the two agree to 1e-16
+only, and exact arithmetic would take that rounding error for a sixth independent row. On the five rows both tracking
 terms of the cost are constant, and what is left to minimise is rho/2 |x|^2 - c2 grad_mu^T x.
 
-`optimum` enumerates the sets of bounds that may be active, in rational numbers without rounding. It shares no code
-with the solvers and residuals of moc_opt. What it calls infeasible, HiGHS must call infeasible as well.
+`optimum` enumerates the sets of bounds that may be active, in rational numbers without rounding. What it calls
+infeasible, HiGHS must call infeasible as well.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from moc_opt.study.testsets import CertificateError, TestSet
 
 TIED = 1e-12  # of |A|: largest movement of tip against wrist along the shaft that is taken for rounding
 RANK_TOLERANCE = 1e-12
-"""A singular value below this share of |A| counts as zero: the judge's rule, of which no certificate may depend."""
+"""A singular value below this share of |A| counts as zero: the judge's rule. What depends on it is not certified."""
 FEASIBLE, INFEASIBLE = 0, 2  # HiGHS's status, as scipy passes it on
 NONE = Fraction(0)
 Vector = list[Fraction]
@@ -50,8 +50,8 @@ def optimum(A: Array, b: Array, pull: Vector, rho: float, lower: Array, upper: A
     """Minimise rho/2 |x|^2 - pull^T x over A x = b, lower <= x <= upper, without rounding.
 
     Joints whose column of A is zero are solved one by one. The others are x = start + basis w with r freedoms w. If
-    the problem is feasible, some set of at most r active bounds, independent along the basis, determines its optimum
-    (r of them where rho = 0). Each such set is tried, and the first point is returned that lies in the box and whose
+    the problem is feasible, its optimum is fixed by at most r active bounds (r where rho = 0) whose rows of the basis
+    are independent. Each such set is tried, and the first point is returned that lies in the box and whose
     multipliers have the right signs. The problem is convex, so these two properties prove the optimum. If no set has
     such a point, no point of the box meets A x = b.
 
@@ -63,7 +63,7 @@ def optimum(A: Array, b: Array, pull: Vector, rho: float, lower: Array, upper: A
         lower, upper: (n,) bounds.
 
     Returns:
-        (n,) exact numbers; one of them where several points are equally good; None: infeasible.
+        (n,) an optimum in exact numbers, any of them where there are several; None: infeasible.
     """
     weight, ends = Fraction(rho), [(Fraction(low), Fraction(high)) for low, high in zip(lower, upper, strict=True)]
     moving = [j for j in range(len(ends)) if A[:, j].any()]
@@ -93,7 +93,7 @@ def optimum(A: Array, b: Array, pull: Vector, rho: float, lower: Array, upper: A
 
 
 def _alone(gain: Fraction, weight: Fraction, low: Fraction, high: Fraction) -> Fraction:
-    """Minimise weight/2 x^2 - gain x on [low, high]; without both, take the x nearest to zero."""
+    """Minimise weight/2 x^2 - gain x on [low, high]; the x nearest to zero where both are 0."""
     if weight or not gain:
         return min(max(gain / weight if weight else NONE, low), high)
     return high if gain > 0 else low

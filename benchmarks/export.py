@@ -26,7 +26,7 @@ from moc_opt.study.testsets import TestSet, check_name
 
 NAME = "null_space"
 SETS = ("circle", "circle-rho0", "random", "joint-limits", "near-singular", "jumps")
-SECONDS = 0.1  # a solve may take this long there: a thousand times what most solvers need
+SECONDS = 0.1  # time limit of a solve in qpbenchmark: a thousand times what most solvers need
 
 MODULE = '''"""{title}: {count} subproblems of a manipulability controller, each of them feasible.
 
@@ -54,7 +54,7 @@ class NullSpace(ParquetTestSet):
 
 
 def problems(names: Sequence[str], every: int = 1) -> dict[str, NullSpaceQP]:
-    """Map name to each every-th problem of those sets that has an answer."""
+    """Map name to problem: of the sets every `every`-th one that has an answer."""
     found = {}
     for name in names:
         check_name(name)

@@ -2,7 +2,8 @@
 
 python -m benchmarks.plan [CONFIG.toml] [--out DIR] [--seed N] [--quick] [--json]
 
-Starts are drawn from the whole workspace. Courses are planned from each start and over all, and the grid is halved.
+Starts are drawn from the whole workspace. Courses are planned from each start and over all starts,
+and some once more on a grid of half the spacing.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ STREAM, LOCAL = 7, "local"
 CONTROL = ControlSettings.model_fields
 LOOPS: dict[str, dict[str, Any]] = {
     **{level: {"third_level": level} for level in get_args(CONTROL["third_level"].annotation)},
-    # What the observer's gain under a course is worth to the climb: tip and RCM error come of its lag.
+    # The climb with the faster observer of the courses, as the observer's lag makes errors of tip and RCM.
     "local, observer of the courses": {"observer_gain_per_s": CONTROL["course_observer_gain_per_s"].default},
 }
 ERRORS = {"tip": "tip_error_model_mean_mm", "RCM": "rcm_error_model_mean_mm"}
@@ -52,7 +53,7 @@ IN_THE_LOOP, ALONG = "In the loop", "Courses and checks"
 class Config(StudyConfig):
     robots: list[str] = Field(["lwr4", "iiwa14", "panda"], min_length=1)
     tasks: list[str] = Field(["circle", "sinusoid", "spiral"], min_length=1)
-    seed: int = Field(4000, ge=0, description="not one of those that the limits of courses were chosen on")
+    seed: int = Field(4000, ge=0, description="not one of the seeds on which the limits of courses were chosen")
     poses: int = Field(20, ge=1, description="random starts per task and robot")
     loops: dict[str, dict[str, Any]] = Field(LOOPS, description="closed loops: name -> [control]")
     halvings: int = Field(3, ge=0, description="starts at which the grid is halved")
@@ -115,7 +116,7 @@ def loop(trial: Scenario, name: str, change: Mapping[str, Any], mine: float, bes
 
 
 def halving(case: Scenario) -> list[dict[str, Any]]:
-    """Return what refinement adds to the grid's course, and what a grid twice as fine in both directions does."""
+    """Return the gain in mean mu by refining the grid's course, and by a grid of half the spacing."""
     found, coarse = plan(case), plan(case, refined=False)
     finer = plan(case, refined=False, times=2 * len(found.targets) - 1, swivels=1440).from_start
     row = about(case, "halving")

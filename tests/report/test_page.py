@@ -1,4 +1,4 @@
-"""Pages: one file that asks for nothing, holds what was given, is written all or nothing, and works in a browser."""
+"""Pages: one file that loads nothing, contains its data, is never left half-written, and works in a browser."""
 
 import base64
 import gzip
@@ -56,7 +56,7 @@ class Resources(HTMLParser):
 
 @pytest.fixture(scope="module")
 def full() -> Page:
-    """A page with one of everything, a wide table, every kind of figure, and a text that would like to be markup."""
+    """A page with one of everything, a wide table, every kind of figure, and text that looks like markup."""
     rng = np.random.default_rng(2)
     solvers = [f"solver-{k}" for k in range(9)]
     times = {name: rng.lognormal(k, 0.2, 400) for k, name in enumerate(solvers)}
@@ -98,7 +98,7 @@ def test_nothing_is_fetched_and_the_data_come_back(full: Page) -> None:
 
 
 def tags(text: str) -> list[tuple[str, ...]]:
-    """Of a page on which everything is called that."""
+    """The tags of a page on which every name is this text."""
     made = Page(text, text)
     made.headline(text)
     made.section(text)
