@@ -2,8 +2,7 @@
 
 python -m benchmarks.plan [CONFIG.toml] [--out DIR] [--seed N] [--quick] [--json]
 
-Starts are drawn from the whole workspace. Courses are planned from each start and over all starts,
-and some once more on a grid of half the spacing.
+Starts are drawn from the whole workspace. Courses lead from each start and over all, some on a grid twice as fine.
 """
 
 from __future__ import annotations
