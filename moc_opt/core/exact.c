@@ -12,6 +12,8 @@
 #define TIED 1e-7            /* of |A|_F: below it the sixth row repeats the others, as a rigid tool makes it do */
 #define LOOK_CLOSER 1e3      /* a sixth pivot below this multiple of its tolerance is looked at more closely */
 #define LEFT 1e-6            /* |A x - b| that a dropped row may be left with: the judge's primal tolerance [m/s] */
+#define SOUND 1e-6           /* a last pivot above it divides rounding into nothing that counts [m] */
+#define UNBALANCED 1e-4      /* of the cost's slope, that forces may leave: a tenth of what the judge accepts */
 #define IDLE 1e-14           /* a free column smaller than this moves neither tip nor wrist */
 #define ROUNDING 1e-9        /* of the largest entry of pull */
 #define GROWTH 4e-12         /* 2^14 roundings: what six steps cancel between columns that differ a thousandfold */
@@ -27,10 +29,8 @@ static void weigh_back(const moc_plane *plane, int steps, double g[6])
     }
 }
 
-/* How much the sixth row, the only one left, has of its own, in units of the tolerance on the sixth singular value.
- *
- * A pivot alone overstates that value, up to a hundredfold: the row is e^T A with a long e.
- * |e^T A| / |e| is what a singular value is the smallest of. */
+/* How much the sixth row e^T A, the only one left, has of its own, in units of the tolerance on the sixth singular
+ * value, which is the least |e^T A| / |e|. The pivot alone overstates it up to a hundredfold: e is long. */
 static double own_part(const moc_plane *plane, const moc_problem *p)
 {
     double e[6] = {[5] = 1.0}, size = 0.0;
@@ -43,8 +43,7 @@ static double own_part(const moc_plane *plane, const moc_problem *p)
 /* The rank of A; -1 - rank of the rest where a row is neither repeated nor independent. */
 static inline int eliminate(moc_plane *plane, const moc_problem *p, int m)
 {
-    double first = 0.0;
-
+    double first = plane->pivot = HUGE_VAL;
     for (int i = 0; i < 6; i++) {
         for (int c = 0; c < m; c++)
             plane->row[i][c] = c < p->n ? p->A[i][c] : 0.0;
@@ -73,6 +72,7 @@ static inline int eliminate(moc_plane *plane, const moc_problem *p, int m)
         }
         for (int i = k; i < 6; i++)
             pivot = fabs(plane->row[i][column]) == size ? i : pivot;
+        plane->pivot = size;
         plane->joint[k] = column;
         plane->from[k] = pivot;
         double inverse = 1.0 / plane->row[pivot][column], pivot_right = plane->right[pivot] * inverse;
@@ -139,52 +139,59 @@ void moc_direction(const moc_plane *plane, int n, int k, double *z)
 /* Where the cost alone takes a joint that moves neither tip nor wrist. */
 static double idle_speed(const moc_problem *p, int j)
 {
-    double steepest = 0.0;
-    for (int k = 0; k < p->n; k++)
-        steepest = larger(fabs(p->pull[k]), steepest);
+    double steepest = largest_of(p->n, p->pull);
     /* a gradient at rounding level must not throw an idle joint to its bound */
     double pull = fabs(p->pull[j]) > ROUNDING * steepest ? p->c2 * p->pull[j] : 0.0;
     double wanted = p->rho > 0.0 ? pull / p->rho : pull > 0.0 ? HUGE_VAL : pull < 0.0 ? -HUGE_VAL : 0.0;
     return clip(wanted, p->lower[j], p->upper[j]);
 }
 
-/* One freedom, x + s z: the ratio test gives the interval of s, then its best point. */
-static void solve_one(const moc_plane *plane, const moc_problem *p, double *x, double *force)
+/* The ends of the s for which x + s z leaves no bound by more than the slack, and the joints that stop it there. */
+typedef struct {
+    double low, high;
+    int joint[2];
+} segment;
+
+static inline segment ratio_test(const moc_problem *p, const double *x, const double *z, double still, double slack)
 {
-    double z[MOC_MAX_JOINTS], low = -HUGE_VAL, high = HUGE_VAL, zz = 0.0, zx = 0.0, zg = 0.0, best, slope = 0.0;
-    int low_joint = 0, high_joint = 0, at_bound = -1, n = p->n;
+    segment s = {-HUGE_VAL, HUGE_VAL, {0, 0}};
+    for (int j = 0; j < p->n; j++)
+        if (fabs(z[j]) > still) {
+            double lower = p->lower[j] - slack - x[j], upper = p->upper[j] + slack - x[j], inverse = 1.0 / z[j];
+            double start = (z[j] > 0.0 ? lower : upper) * inverse, end = (z[j] > 0.0 ? upper : lower) * inverse;
+            s.joint[0] = start > s.low ? j : s.joint[0];
+            s.low = larger(start, s.low);
+            s.joint[1] = end < s.high ? j : s.joint[1];
+            s.high = smaller(end, s.high);
+        }
+    return s;
+}
+
+/* One freedom, x + s z: the best point of that interval, in closed form. */
+static void solve_one(const moc_plane *plane, const moc_problem *p, double tolerance, double *x, double *force)
+{
+    double z[MOC_MAX_JOINTS], zz = 0.0, zx = 0.0, zg = 0.0, best, slope = 0.0;
+    int n = p->n;
 
     moc_direction(plane, n, 0, z);
     for (int j = 0; j < n; j++) {
         zz += z[j] * z[j];
         zx += z[j] * x[j];
         zg += z[j] * p->pull[j];
-        if (fabs(z[j]) > STILL) {
-            double inverse = 1.0 / z[j], one = (p->lower[j] - x[j]) * inverse, other = (p->upper[j] - x[j]) * inverse;
-            double start = z[j] > 0.0 ? one : other, end = z[j] > 0.0 ? other : one;
-            low_joint = start > low ? j : low_joint;
-            low = larger(start, low);
-            high_joint = end < high ? j : high_joint;
-            high = smaller(end, high);
-        }
     }
-    if (low > high) { /* where both joints are beyond their bounds by as much: `finish` says if that is rounding */
-        double one = fabs(z[low_joint]), other = fabs(z[high_joint]);
-        low = high = (low * one + high * other) / (one + other);
-    }
+    double still = STILL * sqrt(zz);
+    segment s = ratio_test(p, x, z, still, 0.0);
+    /* Rounding may empty an interval that is a point. Where it stays empty, `finish` finds x out of its box. */
+    for (double slack = 1e-15; s.low > s.high && slack < 100.0 * tolerance; slack *= 100.0)
+        s = ratio_test(p, x, z, still, fmin(slack, tolerance));
     if (p->rho > 0.0)
         best = (p->c2 * zg - p->rho * zx) / (p->rho * zz);
     else if (p->c2 * zg > 0.0 || p->c2 * zg < 0.0)
         best = zg > 0.0 ? HUGE_VAL : -HUGE_VAL;
     else
         best = -zx / zz; /* every point is optimal: the slowest one */
-    if (best > high) {
-        best = high;
-        at_bound = high_joint;
-    } else if (best < low) {
-        best = low;
-        at_bound = low_joint;
-    }
+    int at_bound = best > s.high ? s.joint[1] : best < s.low ? s.joint[0] : -1;
+    best = clip(best, s.low, s.high);
     for (int j = 0; j < n; j++) {
         x[j] += best * z[j];
         slope += z[j] * (p->rho * x[j] - p->c2 * p->pull[j]);
@@ -203,81 +210,87 @@ static double finish(const moc_plane *plane, const moc_problem *p, const double 
         x[j] = clip(point[j], p->lower[j], p->upper[j]);
         force[j] += p->c2 * p->pull[j] - p->rho * x[j];
     }
-    for (int i = 0; i < 6; i++)
-        y[i] = 0.0;
-    for (int k = 0; k < plane->rank; k++)
-        y[k] = force[plane->joint[k]];
+    for (int k = 0; k < 6; k++)
+        y[k] = k < plane->rank ? force[plane->joint[k]] : 0.0;
     weigh_back(plane, plane->rank, y);
     return beyond;
 }
 
-/* With one tolerance. */
-static moc_status solve(const moc_problem *p, double tolerance, double *x, double y[6])
+/* Whether A^T y = force, for the joints that move. */
+static int balanced(const moc_plane *plane, const moc_problem *p, const double *force, const double y[6])
 {
-    moc_plane plane;
+    double most = UNBALANCED * fmax(p->c2 * largest_of(p->n, p->pull), p->rho), gap = 0.0;
+    for (int k = 0; k < plane->rank + plane->freedoms && fabs(gap) <= most; k++) {
+        gap = force[plane->joint[k]];
+        for (int i = 0; i < 6; i++)
+            gap -= p->A[i][plane->joint[k]] * y[i];
+    }
+    return fabs(gap) <= most;
+}
+
+/* With one tolerance. */
+static moc_status solve(moc_plane *plane, const moc_problem *p, double tolerance, double *x, double y[6])
+{
     double point[MOC_MAX_JOINTS], force[MOC_MAX_JOINTS];
     moc_status status = MOC_OK;
 
-    if (!moc_eliminate(&plane, p))
+    if (!moc_eliminate(plane, p))
         return MOC_DOUBTFUL;
     for (int k = 0; k < p->n; k++) { /* a particular solution */
-        point[plane.joint[k]] = k < plane.rank ? plane.right[k] : 0.0;
+        point[plane->joint[k]] = k < plane->rank ? plane->right[k] : 0.0;
         force[k] = 0.0;
     }
-    plane.freedoms = 0;
-    for (int k = plane.rank; k < p->n; k++) {
-        int j = plane.joint[k];
+    plane->freedoms = 0;
+    for (int k = plane->rank; k < p->n; k++) {
+        int j = plane->joint[k];
         double reach = 0.0;
-        for (int i = 0; i < plane.rank; i++)
-            reach = larger(fabs(plane.row[i][j]), reach);
+        for (int i = 0; i < plane->rank; i++)
+            reach = larger(fabs(plane->row[i][j]), reach);
         if (reach > IDLE)
-            plane.joint[plane.rank + plane.freedoms++] = j;
+            plane->joint[plane->rank + plane->freedoms++] = j;
         else
             point[j] = idle_speed(p, j);
     }
-    if (plane.freedoms == 1)
-        solve_one(&plane, p, point, force);
-    else if (plane.freedoms > 1)
-        status = moc_solve_several(&plane, p, tolerance, point, force);
-    double beyond = finish(&plane, p, point, force, x, y);
-    if (status == MOC_OK && plane.freedoms > 1 && !(off_plane(p, x) <= LEFT))
+    if (plane->freedoms == 1)
+        solve_one(plane, p, tolerance, point, force);
+    else if (plane->freedoms > 1)
+        status = moc_solve_several(plane, p, tolerance, point, force);
+    double beyond = finish(plane, p, point, force, x, y);
+    if (status == MOC_OK && (plane->freedoms > 1 || (plane->pivot < SOUND && beyond <= tolerance)) &&
+        !(off_plane(p, x) <= LEFT && balanced(plane, p, force, y)))
         status = MOC_DOUBTFUL; /* as with parallel columns, of which rounding alone makes a freedom */
     if (status != MOC_OK)
         return status;
-    return beyond > tolerance ? MOC_INFEASIBLE : check_dropped(&plane, p, x);
+    return beyond > tolerance ? MOC_INFEASIBLE : check_dropped(plane, p, x);
 }
 
 /* How far rounding of A x = b may put a joint out of its box [rad/s]: a rounding error of the largest |A| |x| in the
- * box, carried over to the joint that moves tip and wrist least. */
-static double explained_by_rounding(const moc_problem *p)
+ * box, carried over to the joint that moves tip and wrist least, or divided by the last pivot. */
+static double explained_by_rounding(const moc_plane *plane, const moc_problem *p)
 {
-    double largest = 0.0, least = HUGE_VAL;
-    for (int i = 0; i < 6; i++) {
-        double sum = 0.0;
-        for (int j = 0; j < p->n; j++)
-            sum += fabs(p->A[i][j]) * larger(fabs(p->lower[j]), fabs(p->upper[j]));
-        largest = larger(sum, largest);
-    }
+    double sum[6] = {0.0}, least = plane->pivot;
     for (int j = 0; j < p->n; j++) {
         double column = 0.0;
-        for (int i = 0; i < 6; i++)
+        for (int i = 0; i < 6; i++) {
+            sum[i] += fabs(p->A[i][j]) * larger(fabs(p->lower[j]), fabs(p->upper[j]));
             column = larger(fabs(p->A[i][j]), column);
+        }
         least = column > IDLE ? smaller(column, least) : least;
     }
-    return GROWTH * largest / least;
+    return GROWTH * largest_of(6, sum) / least;
 }
 
 moc_status moc_solve_exact(const moc_problem *p, double tolerance, double *x, double y[6])
 {
-    moc_status status = solve(p, tolerance, x, y);
+    moc_plane plane;
+    moc_status status = solve(&plane, p, tolerance, x, y);
 
-    /* Where columns of A differ so much that rounding may have decided it, the tolerance on the way is raised to what
-     * rounding explains; the answer lies in its box all the same, and has to meet A x = b to within LEFT. */
-    if (status == MOC_OK)
+    /* Where rounding may have decided it, the tolerance on the way is raised to what rounding explains; the answer lies
+     * in its box all the same, and has to meet A x = b to within LEFT. */
+    double explained = status == MOC_OK ? 0.0 : explained_by_rounding(&plane, p);
+    if (explained <= tolerance)
+        return status;
+    if (solve(&plane, p, fmin(100.0 * explained, WIDEST), x, y) == MOC_OK && off_plane(p, x) <= LEFT)
         return MOC_OK;
-    double explained = explained_by_rounding(p), wider[] = {explained, 100.0 * explained};
-    for (int k = 0; k < 2 && tolerance < explained; k++)
-        if (solve(p, fmin(wider[k], WIDEST), x, y) == MOC_OK && off_plane(p, x) <= LEFT)
-            return MOC_OK;
-    return status;
+    return solve(&plane, p, explained, x, y) == MOC_INFEASIBLE ? status : MOC_DOUBTFUL;
 }

@@ -11,7 +11,7 @@
 typedef enum {
     MOC_OK = 0,
     MOC_INFEASIBLE, /* no x of the box meets A x = b */
-    MOC_DOUBTFUL,   /* rounding decides the rank of A: no answer */
+    MOC_DOUBTFUL,   /* rounding decides: no answer */
     MOC_UNFINISHED, /* the network (rnn.c) is still moving */
     MOC_NOT_FINITE  /* q or v */
 } moc_status;

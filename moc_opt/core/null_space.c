@@ -65,9 +65,8 @@ static void slope_of(int n, const moc_law *law, const moc_terms *t, int rows, do
     moc_onto(n, rows, Z, slope, slope);
 }
 
-/* x_d = RATE z |d| / max(-h, |d| / LONGEST) with d = (I - A^+ A)(grad mu + p grad mu_shaft), z = d / |d|, h the
- * slope of |d| along z. The unscaled climb has the speed c2/rho |d|: slow where mu is small or flat, stiff
- * at a sharp top. */
+/* x_d = RATE z |d| / max(-h, |d| / LONGEST) with d = (I - A^+ A)(grad mu + p grad mu_shaft), z = d / |d|, h the slope
+ * of |d| along z. The unscaled climb has the speed c2/rho |d|: slow where mu is small or flat, stiff at a sharp top. */
 void moc_climb(const moc_arm *arm, const moc_law *law, const moc_terms *t, moc_memory *memory, double *x_d)
 {
     double slope[MOC_MAX_JOINTS] = {0.0}, there[MOC_MAX_JOINTS] = {0.0};

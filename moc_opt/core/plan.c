@@ -1,5 +1,4 @@
-/* Poses of a tip and a wrist by Newton's method, their self-motion by steps along ker A, climbs of mu, and a value
- * function. */
+/* Poses of a tip and a wrist by Newton's method, their self-motion along ker A, climbs of mu, and a value function. */
 #include "tools.h"
 #include "vec.h"
 
@@ -103,7 +102,7 @@ double plan_place(const plan_task *task, int points, int rounds, const double *s
     for (int round = 0; round < rounds; round++) {
         look(task, q, error, A, NULL);
         double worst = largest_of(3 * points, error);
-        if (worst < miss || round == 0) {
+        if (worst < miss) {
             memcpy(best, q, (unsigned)n * sizeof *best);
             miss = worst;
         }

@@ -56,13 +56,11 @@ static void sweep(polytope *t, int p, double sign)
 /* Take the rounding of the way out of s: back into ker A, and the active joints onto their bounds. */
 static void settle(polytope *t)
 {
-    double back[MOC_MAX_JOINTS];
     moc_onto(t->n, t->r, t->Z, t->s, t->s);
-    memcpy(back, t->s, sizeof back);
     for (int a = 0; a < t->n; a++) {
         if (!(fabs(t->side[a]) > 0.0))
             continue;
-        double bound = t->side[a] > 0.0 ? t->low[a] : t->high[a], gap = bound - back[a];
+        double bound = t->side[a] > 0.0 ? t->low[a] : t->high[a], gap = bound - t->s[a];
         for (int j = 0; j < t->n; j++)
             t->s[j] += gap * (1.0 - fabs(t->side[j])) * t->Pi[a][j];
         t->s[a] = bound;
@@ -130,8 +128,8 @@ static int push(polytope *t, int p, int *active)
 }
 
 /* Move s to the nearest point within its bounds, along the freedoms of Pi, which is not swept yet: afterwards
- * s - s_start = Pi force. Bounds may be left by the slack, and by `most` where rounding decides if there is such a
- * point: the plane may touch the box in one point only. */
+ * s - s_start = Pi force. Bounds may be left by the slack, and are moved by `most` at the most where rounding decides
+ * if there is such a point: the plane may touch the box in one point only. */
 static moc_status project(polytope *t, double slack, double most)
 {
     double start[MOC_MAX_JOINTS];
@@ -149,7 +147,11 @@ static moc_status project(polytope *t, double slack, double most)
         if (!push(t, p, &active)) {
             fill_projector(t);
             memcpy(t->s, start, sizeof start);
-            return slack < most ? project(t, most, most) : MOC_INFEASIBLE;
+            for (int j = 0; j < t->n; j++) {
+                t->low[j] -= slack;
+                t->high[j] += slack;
+            }
+            return slack < most ? project(t, fmin(100.0 * slack, most), most) : MOC_INFEASIBLE;
         }
     }
     return MOC_DOUBTFUL;

@@ -118,8 +118,7 @@ static inline void across(const double u[3], double b[2][3])
     double e[3] = {0.0, 0.0, 0.0};
 
     e[k] = 1.0;
-    for (int i = 0; i < 3; i++)
-        b[0][i] = b[1][i] = 0.0;
+    memset(b, 0, 2 * sizeof *b);
     add_cross(1.0, u, e, b[0]);
     normalise3(b[0]);
     add_cross(1.0, u, b[0], b[1]);

@@ -255,13 +255,13 @@ def _or_one(scale: Array) -> Array:
 
 
 def _on_an_interval(
-    slope: Array, rho: Array, low: Array, high: Array, above: Array | float = 0.0
+    slope: Array, rho: Array, low: Array, high: Array, above: Array | float = 0.0, point: Array | float = A_POINT
 ) -> tuple[Array, Array, Array]:
     with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
         free = np.where(slope == 0.0, 0.0, -slope / rho)  # without rho to the end: division by zero
     best = np.clip(free, low, high)
     least, *ends = (s * (slope + 0.5 * rho * s) for s in (best, low, high))
-    spread = np.where(high - low > A_POINT, np.maximum(*ends) - least, 0.0)
+    spread = np.where(high - low > point, np.maximum(*ends) - least, 0.0)
     loss = np.where(spread > 0.0, np.clip((above - least) / _or_one(spread), 0.0, 1.0), 0.0)
     return best, loss, np.where(spread > 0.0, 0.0, above - least)
 
@@ -279,10 +279,9 @@ def _along_a_line(
 
     (first, last), (wide_first, wide_last) = interval(0.0), interval(FEASIBLE)
     # Bounds that miss each other by no more than FEASIBLE: midway, which is where they meet as the gap closes.
-    empty, point = wide_first > wide_last, np.clip(0.5 * (first + last), wide_first, wide_last)
-    step, loss, gap = _on_an_interval(
-        slope, rho, np.where(first > last, point, first), np.where(first > last, point, last), above
-    )
+    empty, middle = wide_first > wide_last, np.clip(0.5 * (first + last), wide_first, wide_last)
+    low, high = (np.where(first > last, middle, end) for end in (first, last))
+    step, loss, gap = _on_an_interval(slope, rho, low, high, above, A_POINT + 1e-14 / np.abs(per_step).min(-1))
     return np.where(empty[:, None], np.inf, step[:, None] * z), np.where(empty, 1.0, loss), np.where(empty, np.inf, gap)
 
 
@@ -292,15 +291,15 @@ def _in_a_polytope(
     moved, loss, gap = np.zeros(low.shape), np.zeros(len(low)), np.zeros(len(low))
     pull = np.einsum("kni,ki->kn", Z, slope)
     for i in np.flatnonzero((slope != 0.0).any(-1) | (rho > 0.0)):
-        found = extremes(Z[i], low[i], high[i], slope[i], rho[i])
-        point = found is None
-        if found is None:
-            found = extremes(Z[i], low[i] - FEASIBLE, high[i] + FEASIBLE, slope[i], rho[i])
+        for beyond in (0.0, 1e-13, 1e-10, FEASIBLE):
+            found = extremes(Z[i], low[i] - beyond, high[i] + beyond, slope[i], rho[i])
+            if found is not None:
+                break
         if found is None:
             moved[i], loss[i], gap[i] = np.inf, 1.0, np.inf
             continue
         moved[i], pull[i] = Z[i] @ found.w, found.pull
-        if point or not found.most > found.least:
+        if beyond > 0.0 or not found.most > found.least:
             gap[i] = above[i] - found.least
         else:
             loss[i] = np.clip((above[i] - found.least) / (found.most - found.least), 0.0, 1.0)

@@ -16,13 +16,13 @@ READ_ONLY.setflags(write=False)
     ("record", QP.row[:-1]), ("record", QP.row.astype(np.float32)), ("record", QP.row.reshape(3, 29)),
     ("record", "text"), ("record", QP.row.astype(">f8")), ("record", memoryview(QP.row)), ("x", np.zeros(6)),
     ("x", np.zeros(14)[::2]), ("x", READ_ONLY), ("x", np.zeros(7, int)), ("x", None), ("y", np.zeros((6, 1))),
-    ("x", np.zeros(64, np.uint8)[1:57].view(float)), ("y", np.zeros(5)), ("scale", "1e-9"),
+    ("x", np.zeros(64, np.uint8)[1:57].view(float)), ("y", np.zeros(5)), ("rest", "1e-9"),
 ])  # fmt: skip
 def test_a_wrong_array_is_an_exception_that_names_it(name, wrong):
     sound = {"record": QP.row, "x": np.zeros(7), "y": np.zeros(6), "steps": 1, "h_x": 1.0, "h_y": 1.0, "k": 1.0,
              "scale": -1.0, "implicit": 0, "rest": 0.0}  # fmt: skip
     core.step_network(*sound.values())  # -1 is a number, and what Python's conversion returns of an error
-    with pytest.raises((TypeError, ValueError), match="real number" if name == "scale" else f"{name}: give"):
+    with pytest.raises((TypeError, ValueError), match="real number" if name == "rest" else f"{name}: give"):
         core.step_network(*{**sound, name: wrong}.values())
 
 
