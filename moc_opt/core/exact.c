@@ -3,14 +3,13 @@
  * On A x = b the c0, c1 terms are constant: what is left is rho/2 |x|^2 - c2 pull^T x over the box. Gauss-Jordan
  * with complete pivoting (Golub and Van Loan, Matrix Computations, 3.4.8) writes x = particular + (free joints). Joints
  * whose column is zero (joint 7 under a tool on its axis) move nothing and are solved alone. One freedom that is left,
- * the elbow swivel, is a ratio test in closed form; several are a projection onto a polytope, see polytope.c.
- *
- * The elimination is compiled for rows of 8 and of 16 numbers, padded with zeros: no loop over a row is left then. */
+ * the elbow swivel, is a ratio test in closed form; several are a projection onto a polytope, see polytope.c. The
+ * elimination is compiled for rows of 8 and of 16 numbers, padded with zeros: no loop over a row is left then. */
 #include "vec.h"
 
-#define RANK_TOLERANCE 1e-12 /* pivots below it, relative to the first, are rounding */
-#define TIED 1e-7            /* of |A|_F: below it the sixth row repeats the others, as a rigid tool makes it do */
-#define LOOK_CLOSER 1e3      /* a sixth pivot below this multiple of its tolerance is looked at more closely */
+#define RANK_TOLERANCE 1e-12 /* of |A|_F: a singular value below it is rounding */
+#define TIED 1e-7            /* the same of the sixth one: that row repeats the others, as a rigid tool makes it do */
+#define LOOK_CLOSER 1e3      /* a pivot below this multiple of its tolerance is looked at more closely */
 #define LEFT 1e-6            /* |A x - b| that a dropped row may be left with: the judge's primal tolerance [m/s] */
 #define SOUND 1e-6           /* a last pivot above it divides rounding into nothing that counts [m] */
 #define UNBALANCED 1e-4      /* of the cost's slope, that forces may leave: a tenth of what the judge accepts */
@@ -29,15 +28,20 @@ static void weigh_back(const moc_plane *plane, int steps, double g[6])
     }
 }
 
-/* How much the sixth row e^T A, the only one left, has of its own, in units of the tolerance on the sixth singular
- * value, which is the least |e^T A| / |e|. The pivot alone overstates it up to a hundredfold: e is long. */
-static double own_part(const moc_plane *plane, const moc_problem *p)
+/* How much the rows e^T A that are left at step k have of their own, |e^T A| / |e| as a share of |A|_F: the next
+ * singular value, roughly. A pivot alone overstates it, up to a hundredfold where e is long; it is at least a quarter. */
+static double own_part(const moc_plane *plane, const moc_problem *p, int k)
 {
-    double e[6] = {[5] = 1.0}, size = 0.0;
-    weigh_back(plane, 5, e);
+    double most = 0.0, size = 0.0;
     for (int i = 0; i < 6; i++)
         size += dot(p->n, p->A[i], p->A[i]);
-    return sqrt(dot(p->n, plane->row[5], plane->row[5]) / (size * dot(6, e, e))) / TIED;
+    for (int i = k; i < 6; i++) {
+        double e[6] = {0.0};
+        e[i] = 1.0;
+        weigh_back(plane, k, e);
+        most = larger(dot(p->n, plane->row[i], plane->row[i]) / (size * dot(6, e, e)), most);
+    }
+    return sqrt(most);
 }
 
 /* The rank of A; -1 - rank of the rest where a row is neither repeated nor independent. */
@@ -63,12 +67,11 @@ static inline int eliminate(moc_plane *plane, const moc_problem *p, int m)
             size = largest[c] > size ? largest[c] : size;
         }
         first = k == 0 ? size : first;
-        if (!(size > 30.0 * RANK_TOLERANCE * first))
-            return k == 5 || !(size > 0.1 * RANK_TOLERANCE * first) ? k : -1 - k;
-        if (k == 5 && size < LOOK_CLOSER * TIED * first) {
-            double own = own_part(plane, p);
-            if (own <= 10.0)
-                return own <= 1.0 ? k : -1 - k;
+        double tolerance = k < 5 ? RANK_TOLERANCE : TIED;
+        if (!(size > LOOK_CLOSER * tolerance * first)) {
+            double own = size > 0.25 * tolerance * first ? own_part(plane, p, k) / tolerance : 0.0;
+            if (!(own > 10.0))
+                return !(own > 1.0) ? k : -1 - k;
         }
         for (int i = k; i < 6; i++)
             pivot = fabs(plane->row[i][column]) == size ? i : pivot;
@@ -139,9 +142,9 @@ void moc_direction(const moc_plane *plane, int n, int k, double *z)
 /* Where the cost alone takes a joint that moves neither tip nor wrist. */
 static double idle_speed(const moc_problem *p, int j)
 {
-    double steepest = largest_of(p->n, p->pull);
     /* a gradient at rounding level must not throw an idle joint to its bound */
-    double pull = fabs(p->pull[j]) > ROUNDING * steepest ? p->c2 * p->pull[j] : 0.0;
+    int faint = fabs(p->pull[j]) > 0.0 && fabs(p->pull[j]) <= ROUNDING * largest_of(p->n, p->pull);
+    double pull = faint ? 0.0 : p->c2 * p->pull[j];
     double wanted = p->rho > 0.0 ? pull / p->rho : pull > 0.0 ? HUGE_VAL : pull < 0.0 ? -HUGE_VAL : 0.0;
     return clip(wanted, p->lower[j], p->upper[j]);
 }

@@ -82,14 +82,12 @@ METHOD(Arm, nearest_pose, TASK(ANY), {"q", READ, N}, {"iterations", WHOLE}, {"be
     return Py_BuildValue("dO", plan_place(&task, points, whole(c, 4), c->array[3], c->array[5]), c->as[5]);
 }
 
-#define MOST_STEP 10.0 /* [rad]: a longer one, halved, never gets short enough */
-
 METHOD(Arm, follow_curve, TASK(2), {"q", READ, N}, {"tangent", READ, N}, {"step", NUMBER}, {"s", WRITE, K},
        {"poses", WRITE, K, N}, {"mus", WRITE, K})
 {
     const plan_task task = take_task(self, c);
     int closed;
-    if (c->k < 2 || !(c->number[5] > 0.0 && c->number[5] <= MOST_STEP))
+    if (c->k < 2 || !(c->number[5] > 0.0 && c->number[5] <= 10.0)) /* a longer one, halved, never gets short enough */
         return PyErr_Format(PyExc_ValueError,
                             "follow_curve: give 2 samples or more, and a step above 0 and up to 10 rad");
     int found = plan_follow(&task, c->array[3], c->array[4], c->number[5], (int)c->k, c->array[6], c->array[7],
