@@ -29,7 +29,7 @@ static void weigh_back(const moc_plane *plane, int steps, double g[6])
 }
 
 /* How much the rows e^T A that are left at step k have of their own, |e^T A| / |e| as a share of |A|_F: the next
- * singular value, roughly. A pivot alone overstates it, up to a hundredfold where e is long; it is at least a quarter. */
+ * singular value, roughly. The pivot is at least a quarter of that, and up to a hundred times as much where e is long. */
 static double own_part(const moc_plane *plane, const moc_problem *p, int k)
 {
     double most = 0.0, size = 0.0;

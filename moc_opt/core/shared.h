@@ -89,7 +89,7 @@ void moc_onto(int n, int rows, double Z[][MOC_MAX_JOINTS], const double *x, doub
 
 /* A x = b, eliminated: row k < rank reads x[joint[k]] + sum over free joints of row[k][j] x[j] = right[k]. */
 typedef struct {
-    double row[6][MOC_MAX_JOINTS], right[6], pivot; /* the last of them */
+    double row[6][MOC_MAX_JOINTS], right[6], pivot; /* pivot: of the last step [m] */
     double step[6][6];         /* how much of row k went into each row, at step k */
     int from[6];               /* with which row k changed its place before */
     int joint[MOC_MAX_JOINTS]; /* those of the pivots, then the free ones that move tip or wrist */
