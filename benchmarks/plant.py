@@ -29,7 +29,7 @@ from moc_opt.scenario import Scenario, Setup
 from moc_opt.sim.settings import PlantSettings
 from moc_opt.study import Failed, Job
 from moc_opt.study.command import Found, Study, StudyConfig, command
-from moc_opt.study.results import ERRORS, FRAMES, TITLES, Results, change_name
+from moc_opt.study.results import BASE_FRAME, ERRORS, FRAMES, TITLES, Results, change_name
 from moc_opt.study.show import Picture, Report, Section, columns, ends, lines_picture
 from moc_opt.study.statistics import spread, too_few
 from moc_opt.study.trials import BASELINE, Run, Trial, run_and_trace, seeds, trials
@@ -243,7 +243,7 @@ def report(summary: Mapping[str, Any], config: Config) -> Report:
         for row in summary["break_even"] if not row["undecided"]
     ]  # fmt: skip
     sections = [
-        Section("Calibration errors", f"{DEFINED} {FRAMES}", [
+        Section("Calibration errors", f"{DEFINED} {FRAMES} {BASE_FRAME}", [
             Table("Break-even", [
                 Column("preset", "preset"), Column("kind", "off"), Column("relative", "over 5 % above DCAC from"),
                 Column("absolute", "over 0.1 mm from"), Column("absolute_dcac", "DCAC over 0.1 mm from"),

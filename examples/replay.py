@@ -17,10 +17,10 @@ trial = mo.Scenario(start={"swivel": 0.15}, bound_samples=60)
 runs = {
     "MOC, exact": mo.run(trial),
     "MOC, rnn-printed": mo.run(trial.change(solver={"name": "rnn-printed", "settings": {}})),
-    "DCAC, same gains": mo.run(trial.change(control={"law": "dcac"})),
+    "DCAC (same gains)": mo.run(trial.change(control={"law": "dcac"})),
 }
 robot = mo.load_robot(trial.robot.name)
-pair = {name: runs[name] for name in ("MOC, exact", "DCAC, same gains")}
+pair = {name: runs[name] for name in ("MOC, exact", "DCAC (same gains)")}
 print(Replay(pair, robot).save(folder / "replay.html"))
 
 page = Page("Where there was manipulability to gain", "one circle, three controllers")

@@ -50,7 +50,7 @@ def pages(name: str) -> tuple[Option, ...]:
 
 
 SCENARIO = option("scenario", nargs="?", type=path, help="TOML; without it the default scenario")
-FORCE = flag("--force", "write over a file that moc_opt has not written")
+FORCE = flag("--force", "overwrite a file even if moc_opt did not write it")
 JSON = flag("--json", "print JSON")
 ALL = flag("--all", "print every metric, not the short selection")
 KEY = option("--key-file", type=path, help="one line of 16 to 32 bytes; else MOC_OPT_WIRE_KEY")

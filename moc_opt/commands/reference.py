@@ -10,7 +10,8 @@ import typing
 from collections.abc import Iterator
 from typing import Any, Literal, get_args, get_origin
 
-from rich.markdown import Markdown
+from rich.markup import escape
+from rich.padding import Padding
 
 from moc_opt.errors import UnknownNameError
 from moc_opt.inputs.settings import Settings
@@ -35,11 +36,15 @@ def print_keys(given: argparse.Namespace) -> int:
     names = [name or TOP for name, _, _ in tables()]
     if given.table is not None and given.table not in names:
         raise UnknownNameError("table of a scenario", given.table, names)
-    text = markdown(given.table)
     if given.markdown:
-        print(text, end="")
-    else:
-        console().print(Markdown(text))
+        print(markdown(given.table), end="")
+        return 0
+    screen = console()
+    for name, about, keys in tables():
+        if given.table in (None, name or TOP):
+            screen.print(f"\n[{name}]" if name else "At the top of the file", about, sep="\n", markup=False)
+            for key, kind_of, default, meaning in keys:
+                screen.print(f"  {key} = {default}  ({kind_of})", Padding(escape(meaning), (0, 0, 0, 6)), markup=False)
     return 0
 
 

@@ -94,7 +94,7 @@ def show(scenario: Scenario, title: str, trace: Trace, given: argparse.Namespace
             from moc_opt.report.run_page import run_page  # plotly loads slowly
 
             own = about(trace)["solver"]
-            runs = {own: trace} if baseline is None else {"DCAC, same gains": baseline, own: trace}
+            runs = {own: trace} if baseline is None else {"DCAC (same gains)": baseline, own: trace}
             page = run_page(runs, {own: metrics}, scenario.robot.arm())
             print(page.save(given.report, force=given.force), file=sys.stderr)
     except KeyboardInterrupt as stop:
@@ -238,6 +238,7 @@ def plan_scenario(given: argparse.Namespace) -> int:
     follows = scenario.control.follows or given.out is not None  # a course is written to be followed
     plan, within = followable_plan(scenario, given.margin, given.speed_share, given.margin_m, followed=follows)
     warned = following_warnings(scenario, plan) if follows else []
+    path = save_course(plan, scenario, given.out, within) if given.out is not None and plan.course is not None else None
     if given.json:
         print(to_json(plan_json(plan) | {"within": within, "warnings": warned}))
     else:
@@ -246,9 +247,8 @@ def plan_scenario(given: argparse.Namespace) -> int:
             print(f"\n{start}")
     for line in warned:  # last, below the tables
         print(f"{title}: warning: {line}", file=sys.stderr)
-    if given.out is not None and plan.course is None:
-        print(f"{title}: --out {given.out}: no course goes all the way: nothing is written", file=sys.stderr)
-    elif given.out is not None:
-        path = save_course(plan, scenario, given.out, within)
+    if path is not None:
         print(path, file=sys.stderr if given.json else sys.stdout)
+    elif given.out is not None:
+        print(f"{title}: --out {given.out}: no course goes all the way: nothing is written", file=sys.stderr)
     return 0 if plan.executable else 3

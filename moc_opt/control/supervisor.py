@@ -151,9 +151,7 @@ class Supervisor:
         self.fault, self.solve_us, self._asked = Fault.NONE, float("nan"), 0
         self.faults: dict[str, dict[str, Any]] = {}
 
-    def solve(
-        self, session: Session, qp: NullSpaceQP, v: Array | None = None
-    ) -> tuple[Solution, Array, Array]:
+    def solve(self, session: Session, qp: NullSpaceQP, v: Array | None = None) -> tuple[Solution, Array, Array]:
         """Ask the session, check its answer, and finish the law's tick with one in any case.
 
         Copies of the subproblem ``qp`` that the law has begun, and of the measured velocity ``v`` (n,) [rad/s] where

@@ -13,10 +13,12 @@
 #define LEFT 1e-6            /* |A x - b| that a dropped row may be left with: the judge's primal tolerance [m/s] */
 #define SOUND 1e-6           /* a last pivot above it divides rounding into nothing that counts [m] */
 #define UNBALANCED 1e-4      /* of the cost's slope, that forces may leave: a tenth of what the judge accepts */
-#define IDLE 1e-14           /* a free column smaller than this moves neither tip nor wrist */
+#define IDLE 1e-12           /* a free column smaller than this moves neither tip nor wrist */
 #define ROUNDING 1e-9        /* of the largest entry of pull */
 #define GROWTH 4e-12         /* 2^14 roundings: what six steps cancel between columns that differ a thousandfold */
 #define WIDEST 1e-5          /* of the tolerances that rounding may explain [rad/s] */
+#define UNCLEAR 1e-3         /* up to which rounding may explain that there is no answer [rad/s] */
+#define SLIVER 2e-9          /* the same between self-motions that are all but parallel [rad/s] */
 
 /* Weights g (6,) of the eliminated rows become those of the rows of A: the transposed steps, backwards. */
 static void weigh_back(const moc_plane *plane, int steps, double g[6])
@@ -259,7 +261,7 @@ static moc_status solve(moc_plane *plane, const moc_problem *p, double tolerance
     else if (plane->freedoms > 1)
         status = moc_solve_several(plane, p, tolerance, point, force);
     double beyond = finish(plane, p, point, force, x, y);
-    if (status == MOC_OK && (plane->freedoms > 1 || (plane->pivot < SOUND && beyond <= tolerance)) &&
+    if (status == MOC_OK && beyond <= tolerance && (plane->freedoms > 1 || plane->pivot < SOUND) &&
         !(off_plane(p, x) <= LEFT && balanced(plane, p, force, y)))
         status = MOC_DOUBTFUL; /* as with parallel columns, of which rounding alone makes a freedom */
     if (status != MOC_OK)
@@ -280,7 +282,7 @@ static double explained_by_rounding(const moc_plane *plane, const moc_problem *p
         }
         least = column > IDLE ? smaller(column, least) : least;
     }
-    return GROWTH * largest_of(6, sum) / least;
+    return larger(GROWTH * largest_of(6, sum) / least, plane->freedoms > 1 ? SLIVER : 0.0);
 }
 
 moc_status moc_solve_exact(const moc_problem *p, double tolerance, double *x, double y[6])
@@ -291,9 +293,10 @@ moc_status moc_solve_exact(const moc_problem *p, double tolerance, double *x, do
     /* Where rounding may have decided it, the tolerance on the way is raised to what rounding explains; the answer lies
      * in its box all the same, and has to meet A x = b to within LEFT. */
     double explained = status == MOC_OK ? 0.0 : explained_by_rounding(&plane, p);
+    double unclear = fmin((plane.freedoms > 1 ? 1e5 : 100.0) * explained, UNCLEAR);
     if (explained <= tolerance)
         return status;
     if (solve(&plane, p, fmin(100.0 * explained, WIDEST), x, y) == MOC_OK && off_plane(p, x) <= LEFT)
         return MOC_OK;
-    return solve(&plane, p, explained, x, y) == MOC_INFEASIBLE ? status : MOC_DOUBTFUL;
+    return solve(&plane, p, unclear, x, y) == MOC_INFEASIBLE ? status : MOC_DOUBTFUL;
 }

@@ -343,10 +343,8 @@ static moc_stop weigh(const moc_guard *g, int n, const moc_terms *t, const doubl
     }
     for (int i = 0; i < n && w->weighed > 1; i++) {
         moc_joint_watch *j = &w->joint[i];
-        if (w->weighed <= g->settling_ticks) {
+        if (w->weighed <= g->settling_ticks)
             j->mean = j->at_repeat = j->residual;
-            j->unseen = 0.0;
-        }
         j->mean += g->residual_share * (j->residual - j->mean);
         double beyond = j->residual - j->at_repeat;
         beyond -= clip(beyond, -g->held[i], g->held[i]);
@@ -426,7 +424,6 @@ moc_stop moc_guard_follow(const moc_guard *g, const moc_arm *arm, const moc_term
     }
     if (t && g->motion)
         found = weigh(g, arm->n, t, before, w);
-    w->limited = 0;
     if (!all_finite(arm->n, tau))
         return first_of(first_of(reason, found), MOC_STOP_TORQUE);
     w->limited = limit_torque(g, arm, before, w, tau);

@@ -19,7 +19,7 @@ Columns = Mapping[str, NDArray[Any]]
 PANELS = {
     "mu": ("µ [m³]", 1.0),
     "tip_error_m": ("tip error in space [mm]", 1e3),
-    "rcm_error_m": ("RCM error [mm]", 1e3),
+    "rcm_error_m": ("RCM error in space [mm]", 1e3),
     "trocar_force_N": ("|force| [N]", 1.0),
 }
 """Column of a trace -> label of its panel, and the factor to the unit there."""

@@ -48,9 +48,7 @@ class Way(NamedTuple):
 class Value:
     """V over a map of k times, b branches, m samples."""
 
-    def __init__(
-        self, found: PoseMap, limits: Limits, *, cell: float = 0.0, price: float = 0.0
-    ) -> None:
+    def __init__(self, found: PoseMap, limits: Limits, *, cell: float = 0.0, price: float = 0.0) -> None:
         """Compute V backwards over the map; to keep a margin from losing the shaft, give one from `keeping_shaft`.
 
         ``cell`` is the part of half a cell that a pose stands for; with 1 and more V is the bound. ``price`` is c, of

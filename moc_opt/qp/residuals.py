@@ -272,16 +272,17 @@ def _along_a_line(
     moving = np.abs(z) > STILL
     per_step = np.where(moving, z, 1.0)
 
-    def interval(beyond: float) -> tuple[Array, Array]:
+    def interval(beyond: float) -> tuple[Array, Array, Array]:
         ends = np.stack([(low - beyond) / per_step, (high + beyond) / per_step])
         first, last = np.where(moving, ends.min(0), -np.inf), np.where(moving, ends.max(0), np.inf)
-        return first.max(-1), last.min(-1)
+        stops = np.stack([first.argmax(-1), last.argmin(-1)], axis=-1)
+        return first.max(-1), last.min(-1), np.take_along_axis(np.abs(per_step), stops, axis=-1).min(-1)
 
-    (first, last), (wide_first, wide_last) = interval(0.0), interval(FEASIBLE)
+    (first, last, slowest), (wide_first, wide_last, _) = interval(0.0), interval(FEASIBLE)
     # Bounds that miss each other by no more than FEASIBLE: midway, which is where they meet as the gap closes.
     empty, middle = wide_first > wide_last, np.clip(0.5 * (first + last), wide_first, wide_last)
     low, high = (np.where(first > last, middle, end) for end in (first, last))
-    step, loss, gap = _on_an_interval(slope, rho, low, high, above, A_POINT + 1e-14 / np.abs(per_step).min(-1))
+    step, loss, gap = _on_an_interval(slope, rho, low, high, above, A_POINT + 1e-14 / slowest)
     return np.where(empty[:, None], np.inf, step[:, None] * z), np.where(empty, 1.0, loss), np.where(empty, np.inf, gap)
 
 

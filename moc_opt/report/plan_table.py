@@ -25,7 +25,7 @@ VERDICT_TERMS = (
 )
 COURSES_TERMS = (
     "Local climb: an ideal climb of mu from the start, without dynamics or gains: a run with third_level = 'local' may "
-    "reach another value, by what its controller can follow. Optimum: 'local' where no course nearby is "
+    "give another mu, as its controller has dynamics and limits. Optimum: 'local' where no course nearby is "
     "better, 'grid' the best of the map's samples. Violation: the largest miss of the path or of a limit."
 )
 
@@ -60,7 +60,7 @@ def plan_tables(name: str, plan: Plan, **within: float) -> list[Table]:
         said |= {"first point out of reach": where, "why": stuck.reason}
     margins = [f"{within[f'margin_{side}']:g} {side}" for side in ("rad", "m") if within.get(f"margin_{side}")]
     limits = f"{' and '.join(margins)} from the joint limits" if margins else "the joint limits"
-    said["planned within"] = f"{limits}, {100.0 * within.get('speed_share', 1.0):.3g} % of their speed limits"
+    said["planned within"] = f"{limits}, {100.0 * within.get('speed_share', 1.0):.3g} % of the joints' largest speeds"
     if within.get("shaft_margin"):
         said["margin from losing the shaft"] = f"{within['shaft_margin']:.3g}, where there is a way"
     for what, angle in {"at the start": plan.start_swivel_rad, "of the best start": plan.best_swivel_rad}.items():

@@ -71,7 +71,7 @@ def _checked(scenario: Scenario, robot: RobotModel, q: Array, until_s: float) ->
     try:
         return found, preflight.check_reachable(robot, q, found.reference, found.registered, until_s)
     except preflight.UnreachableError as error:
-        error.args = (f"[task] {error}; [start] check_path = false leaves this check out",)
+        error.args = (f"{error}; [start] check_path = false leaves this check out",)
         raise
 
 

@@ -34,7 +34,7 @@ class UnreachableError(TaskError):
     """The arm cannot do this task: `field` ("path", "trocar", "joint limits", "v_max", "start"), `arc_length_m` [m]."""
 
     def __init__(self, field: str, arc_length_m: float, problem: str, cure: str) -> None:
-        super().__init__(f"{field}: at {1e3 * arc_length_m:.1f} mm along the path {problem}: {cure}")
+        super().__init__(f"[task] at {1e3 * arc_length_m:.1f} mm along the path {problem}: {cure}")
         self.field, self.arc_length_m = field, arc_length_m
 
 
@@ -168,7 +168,7 @@ def _check_depth(robot: RobotModel, places: _Places) -> None:
     k = int(np.argmax((depth > longest) | (depth < _SHALLOWEST_M)))
     apart = f"tip and trocar are {1e3 * depth[k]:.1f} mm apart"
     if depth[k] > longest:
-        cure = "make the path smaller, bring it nearer to the trocar, or lengthen the tool"
+        cure = "make the path smaller, bring it nearer to the trocar ([trocar] depth_m), or lengthen the tool"
         raise UnreachableError("trocar", places.arc[k], f"{apart}, more than the tool's {1e3 * longest:.0f} mm", cure)
     if depth[k] < _SHALLOWEST_M:
         cure = f"keep the path {1e3 * _SHALLOWEST_M:.0f} mm or more away from it"
@@ -195,7 +195,7 @@ def _follow(robot: RobotModel, q: Array, places: _Places, reference: Reference) 
             "v_max", places.arc[k],
             f"{robot.data.joint_names[i]} would have to turn at {abs(rates[k, i]):.2f} rad/s and can do "
             f"{robot.v_max[i]:.2f}",
-            f"lower v_max from {reference.v_max:g} to {slower:.3g} m/s or less, or move the path away from the trocar",
+            f"lower v_max_m_per_s from {reference.v_max:g} to {slower:.3g} m/s or less, or move it off the trocar",
         )  # fmt: skip
     return poses
 

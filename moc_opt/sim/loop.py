@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from moc_opt.control.safety_filter import SafetyFilter
 
 AT_REST = 0.005  #: Largest speed of a joint at rest [rad/s], [m/s] where it slides.
-LONGEST = 4  #: A stop ends after this many times its length at the latest: the tissue may push the arm for a while.
+LONGEST = 4  #: A stop ends after at most this many times `Stop.seconds`, even if the tissue still pushes the arm.
 
 
 class FilteredController(Filtered):
@@ -44,7 +44,7 @@ class FilteredController(Filtered):
             self._filter.start(seen.q, seen.v, seen.stamp)
 
     def tick(self, seen: Measurement, tip_ref: Array, trocar: Array) -> Array:
-        """Return this period's torque (n,) [Nm], within its limits; that of a damped stop once one was requested."""
+        """Return this period's torque (n,) [Nm], within its limits; after a requested stop, that of the damped stop."""
         safety, controller, applied = self._filter, self._controller, self._applied
         if safety is None:
             return controller.tick(seen.q, seen.v, tip_ref, trocar)
@@ -130,7 +130,7 @@ class ClosedLoop:
 
     @property
     def finished(self) -> bool:
-        """Whether the arm has been stopped, and simulated until it rests, at least as long as ``Stop`` says."""
+        """Whether the stop is over: longer than ``Stop.seconds`` and at rest, or ``LONGEST`` times as long."""
         since = self.ticks - self._stopped_at if self._stopped_at >= 0 else 0
         return since > self._watched and bool(since > LONGEST * self._watched or np.abs(self._plant.v).max() < AT_REST)
 
@@ -163,7 +163,7 @@ def simulate(
         tip_refs: (N, 3, 3) rows X_d, dX_d, ddX_d of every tick.
         trocars, registered: (N, 2, 3) rows P_t, dP_t of the true and of the registered trocar.
         safety_filter: checks measurements and limits torques; None: neither.
-        offset: of the robot's frame, where it registered tip and trocar by touch; None: it is the true frame.
+        offset: difference between the robot's frame and the true one at tip and trocar; None: no difference.
         watch: called with the tick's number before each tick; meta: goes into the trace.
         rescue: called with the columns so far where an exception other than RunAway ends the loop.
 

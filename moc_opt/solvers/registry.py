@@ -64,7 +64,7 @@ class Entry(NamedTuple):
         except (Exception, SystemExit) as error:
             unknown = sorted(settings.keys() - self.parameters.keys())
             if isinstance(error, TypeError) and unknown:
-                raise UnknownNameError(f"setting of solver {self.name!r}", unknown[0], self.parameters) from error
+                raise UnknownNameError(f"setting of solver {self.name}:", unknown[0], self.parameters) from error
             raise SolverError(f"solver {self.name!r}: {made_by} cannot be made: {describe(error)}") from error
         return solver if self.plugin is None else check_solver(solver, f"solver {self.name!r}: {made_by}")
 

@@ -24,9 +24,7 @@ from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.solvers.base import Choices, Solution, SolverSettings, Status, no_answer
 
 
-def unstable(
-    qp: NullSpaceQP, h: float, k: float, scale: float, implicit: bool, h_x: float | None = None
-) -> str | None:
+def unstable(qp: NullSpaceQP, h: float, k: float, scale: float, implicit: bool, h_x: float | None = None) -> str | None:
     """Return why Euler steps of this size diverge on ``qp``, or None. x steps by h_x, by h where that is None.
 
     On a singular value s of A, away from the bounds, a step is that of an oscillator with damping k c s^2 and stiffness

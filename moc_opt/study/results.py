@@ -33,8 +33,9 @@ TITLES = {
 """Of a column with one of these errors, or with its change."""
 FRAMES = (
     "Own kinematics: what the controller sees and can answer for. Registered: in the frame touched at the start, which "
-    "is what the patient gets. Base frame: absolute accuracy."
+    "is what the patient gets."
 )
+BASE_FRAME = "Base frame: absolute accuracy."
 
 
 def change_name(metric: str) -> str:

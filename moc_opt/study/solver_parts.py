@@ -14,7 +14,7 @@ from moc_opt.scenario import Scenario, run
 from moc_opt.solvers.base import Status
 from moc_opt.solvers.exact import Exact
 from moc_opt.study import timing
-from moc_opt.study.results import ERRORS, FRAMES, Results, change_name
+from moc_opt.study.results import BASE_FRAME, ERRORS, FRAMES, Results, change_name
 from moc_opt.study.show import Section, columns
 from moc_opt.study.solver_answers import RIGHTLY, Limits, ask, share_right, time, totals
 from moc_opt.study.solver_settings import SolverSetting, effective, in_words
@@ -253,5 +253,5 @@ def _controllers(rows: Mapping[str, Mapping[str, Any]]) -> Table:
          *(Column(key, title, unit="us", format=".1f") for key, title in ticks.items()),
          Column("deadline_misses", "misses", format=".0f")],
         shown, "Changes against DCAC on the trials that both ran: of the mean, with 95 % intervals. Shares of the best "
-        f"courses are of the trials that every controller runs. {FRAMES}",
+        f"courses are of the trials that every controller runs. {FRAMES} {BASE_FRAME}",
     )  # fmt: skip

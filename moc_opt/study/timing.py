@@ -13,7 +13,7 @@ from moc_opt.arrays import Array
 from moc_opt.sim.loop import no_collector
 
 PERCENTILES = {"p50": 50.0, "p99": 99.0, "p99.9": 99.9}
-MOST_SWITCHES = 0.0025  # of the calls: a quarter of those beyond the 99th percentile
+MOST_SWITCHES = 0.0025  # per call: a quarter of the 1 % of the calls above p99
 LEAST_CPU_SHARE = 0.9
 
 Row = Mapping[str, Any]
@@ -31,7 +31,7 @@ def used() -> dict[str, float]:
 
 
 def since(before: Row, calls: int) -> dict[str, float]:
-    """Return what happened since then, while so many calls were timed."""
+    """Return what was used since ``before``, with the number of calls that were timed."""
     return {name: value - before[name] for name, value in used().items()} | {"times_calls": calls}
 
 

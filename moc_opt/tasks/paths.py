@@ -192,7 +192,7 @@ def sizes(kind: str, given: Iterable[str] = ()) -> dict[str, Any]:
     known = {name: parameter.default for name, parameter in parameters.items()}
     for name in given:
         if name not in known:
-            raise UnknownNameError(f"size of a {kind}", name, known)
+            raise UnknownNameError(f"size of a {kind}:", name, known)
     return known
 
 

@@ -37,10 +37,8 @@ def by_the_law(s, robot, tau, before, q, v, carries):
 
 
 @settings(max_examples=300)
-@given(
-    seed=st.integers(0, 10**6), rate=st.sampled_from([500.0, 2e4, 1e9]), fast=st.sampled_from([0.3, 1.0, 3.0, 20.0]),
-    asked=st.sampled_from([1.2, 1e3]), carries=st.booleans(),
-)  # fmt: skip
+@given(seed=st.integers(0, 10**6), rate=st.sampled_from([500.0, 2e4, 1e9]), fast=st.sampled_from([0.3, 1.0, 3.0, 20.0]),
+       asked=st.sampled_from([1.2, 1e3]), carries=st.booleans())  # fmt: skip
 def test_the_torque_follows_the_law_and_stays_within_its_limits(robot, seed, rate, fast, asked, carries):
     """Whatever is asked for, in any state, also beyond the joint limits."""
     rng = np.random.default_rng(seed)

@@ -1,4 +1,4 @@
-"""V is what the best course from a pose is worth, by enumeration; what is read off it keeps limits; its bound holds."""
+"""V equals the best of all courses; courses read off V keep the limits; none exceeds the bound."""
 
 import itertools
 from dataclasses import replace
@@ -48,7 +48,7 @@ def every_course(found, step, start, cell=0.0):
 
 @pytest.mark.parametrize(("start", "cell", "price"), [(None, 0, 0), (0.5, 0, 0), (0.5, 0.5, 0), (0.5, 0, 1)])
 def test_the_best_of_all_courses_is_found(start, cell, price):
-    """With a price on speed, it is what each step costs."""
+    """With a price on speed, each step costs price |dq|^2 / 3."""
     rng, none = np.random.default_rng(0), 0
     for _ in range(15):
         found, step = small(rng), float(rng.uniform(0.1, 0.8))

@@ -22,10 +22,8 @@ from moc_opt.trace.trace import Trace
 @pytest.fixture(scope="module")
 def runs():
     """Both laws on a circle in a plant that equals the model."""
-    moc = Scenario(
-        plant={"preset": "nominal"}, start={"swivel": 0.2}, judge=False, bound_samples=0,
-        task={"wait_s": 0.5, "hold_s": 0.0, "v_max_m_per_s": 0.05, "a_max_m_per_s2": 0.2},
-    )  # fmt: skip
+    moc = Scenario(plant={"preset": "nominal"}, start={"swivel": 0.2}, judge=False, bound_samples=0,
+                   task={"wait_s": 0.5, "hold_s": 0.0, "v_max_m_per_s": 0.05, "a_max_m_per_s2": 0.2})  # fmt: skip
     return {"MOC": mo.run(moc), "DCAC": mo.run(moc.change(control={"law": "dcac"}))}
 
 

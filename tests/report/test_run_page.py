@@ -124,7 +124,7 @@ def test_run_and_report_write_pages_that_name_arm_task_gains_and_solver(tmp_path
     assert str(page) in capsys.readouterr().err
     text = page.read_text(encoding="utf-8")
     assert "<title>lwr4, line, default gains: exact</title>" in text
-    assert all(words in text for words in ("DCAC, same gains", "mu_gain_percent", "verified_solved"))
+    assert all(words in text for words in ("DCAC (same gains)", "mu_gain_percent", "verified_solved"))
     both = tmp_path / "both.html"
     assert main(["report", *map(str, files), "--out", str(both)]) == 0
     assert "<title>lwr4, circle, default gains: exact and dcac</title>" in both.read_text(encoding="utf-8")

@@ -1,4 +1,4 @@
-"""What the adapters do beyond the conformance suite: why their settings are what they are, and what is no proof."""
+"""Adapters beyond the conformance suite: why their settings are what they are, and which answers prove nothing."""
 
 from types import SimpleNamespace
 

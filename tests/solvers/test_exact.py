@@ -35,10 +35,8 @@ def program(qp, cost):
 
 
 @settings(max_examples=60)
-@given(
-    seed=st.integers(0, 100_000), n=st.sampled_from([6, 7, 8, 9, 11]), structured=st.booleans(),
-    regularization=st.sampled_from([0.0, 1e-8, 1e-6, 1e-5, 1e-3, 1.0]),
-)  # fmt: skip
+@given(seed=st.integers(0, 100_000), n=st.sampled_from([6, 7, 8, 9, 11]), structured=st.booleans(),
+       regularization=st.sampled_from([0.0, 1e-8, 1e-6, 1e-5, 1e-3, 1.0]))  # fmt: skip
 def test_kkt_for_any_number_of_joints(seed, n, structured, regularization):
     qp = random_problem(np.random.default_rng(seed), n, structured=structured, regularization=regularization)
     # rounding, amplified by how well the equalities determine the basic joints
@@ -173,9 +171,11 @@ def test_parallel_columns_and_a_nearly_straight_elbow_with_joints_at_their_bound
     assert solve(NullSpaceQP(A[:3], A[3:], b[:3], b[3:], rng.normal(size=16), -one, one)).status is not Status.SOLVED
     for k in range(200):
         q, v = rng.uniform(robot.q_min, robot.q_max), robot.v_max
-        q[3], q[5] = (rng.uniform(-0.01, 0.01), q[5]) if k % 2 else (q[3], 1e-9)  # then a joint hardly moves
+        q[3], q[5] = [(rng.uniform(-0.01, 0.01), q[5]), (q[3], 1e-9), (1e-10, q[5])][k % 3]  # 1e-9: one hardly moves
         s, x = robot.state(q), np.where(rng.random(7) < 0.5, rng.choice([-1.0, 1.0], 7) * v, rng.uniform(-v, v))
-        check(NullSpaceQP(s.J_tip, s.J_wrist, s.J_tip @ x, s.J_wrist @ x, s.grad_mu, -v, v))
+        qp = NullSpaceQP(s.J_tip, s.J_wrist, s.J_tip @ x, s.J_wrist @ x, s.grad_mu, -v, v)
+        if k % 3 < 2 or solve(qp).status is not Status.NUMERICAL:  # rounding may leave no answer; there is one
+            check(qp)
 
 
 @pytest.mark.parametrize(("moves", "stops"), [(3e-10, True), (3e-11, False)])
@@ -185,6 +185,10 @@ def test_the_judge_lets_the_same_joints_stop_the_elbow(moves, stops):
     A, x[6] = null_space(z[None]).T, 1.0
     found = check(NullSpaceQP(A[:3], A[3:], A[:3] @ x, A[3:] @ x, z, -wide, wide, regularization=1e-5)).x
     assert found[0] == pytest.approx(0.0 if stops else 1.0, abs=1e-5)
+    low, high = -wide, np.array(wide)  # and far from its bounds it does not make a point of a short interval
+    low[0], high[0] = 0.0, 1e-5
+    short = NullSpaceQP(A[:3], A[3:], np.zeros(3), np.zeros(3), z, low, high, regularization=1e-5)
+    assert [bool(short.residuals(end * z).verified()) for end in (0.0, 1e-5)] == [False, True]
 
 
 def test_rounding_seldom_makes_a_corner_of_the_box_infeasible():

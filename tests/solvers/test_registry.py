@@ -43,8 +43,8 @@ class Good:
 @pytest.mark.parametrize(("name", "given", "error", "cure"), [
     ("osqpp", {}, UnknownNameError, "did you mean .*'osqp'"), ("rn", {}, UnknownNameError, "did you mean .*'rnn'"),
     ("qpsolvers:dapq", {}, UnknownNameError, "did you mean 'daqp'"),
-    ("osqp", {"max_itr": 10}, UnknownNameError, "setting of solver 'osqp' 'max_itr': did you mean 'max_iter'"),
-    ("qpsolvers:daqp", {"eps": 1e-9}, UnknownNameError, "setting of solver 'qpsolvers:daqp' 'eps'"),
+    ("osqp", {"max_itr": 10}, UnknownNameError, "setting of solver osqp: 'max_itr': did you mean 'max_iter'"),
+    ("qpsolvers:daqp", {"eps": 1e-9}, UnknownNameError, "setting of solver qpsolvers:daqp: 'eps'"),
     (ABSENT, {}, SolverError, "cannot run: .*pip install qpsolvers"), (3, {}, SolverError, "give the name of one"),
     ("osqp", {"eps": 10**400}, SolverError, "osqp: eps = 1000"),
 ])  # fmt: skip
