@@ -53,7 +53,7 @@ def _command(arguments: Sequence[str] | None) -> int:
     if given.command is None:
         parser.error("no command: `moc-opt run` runs the default scenario, `moc-opt -h` says what each command does")
     if rest and (given.command != "solvers" or given.list):
-        parser.error(f"unrecognized arguments: {' '.join(rest)}")
+        parser.error(f"unrecognized arguments: {' '.join(rest)}: `moc-opt {given.command} -h` lists what it takes")
     try:
         return work_of(given.command)(given)
     except (Exception, KeyboardInterrupt) as error:
