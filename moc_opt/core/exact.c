@@ -18,7 +18,7 @@
 #define GROWTH 4e-12         /* 2^14 roundings: what six steps cancel between columns that differ a thousandfold */
 #define WIDEST 1e-5          /* of the tolerances that rounding may explain [rad/s] */
 #define UNCLEAR 1e-3         /* up to which rounding may explain that there is no answer [rad/s] */
-#define SLIVER 2e-9          /* the same between self-motions that are all but parallel [rad/s] */
+#define SLIVER 2e-9          /* what it explains at the least where self-motions may be all but parallel [rad/s] */
 
 /* Weights g (6,) of the eliminated rows become those of the rows of A: the transposed steps, backwards. */
 static void weigh_back(const moc_plane *plane, int steps, double g[6])
@@ -239,13 +239,13 @@ static moc_status solve(moc_plane *plane, const moc_problem *p, double tolerance
     double point[MOC_MAX_JOINTS], force[MOC_MAX_JOINTS];
     moc_status status = MOC_OK;
 
+    plane->freedoms = 0;
     if (!moc_eliminate(plane, p))
         return MOC_DOUBTFUL;
     for (int k = 0; k < p->n; k++) { /* a particular solution */
         point[plane->joint[k]] = k < plane->rank ? plane->right[k] : 0.0;
         force[k] = 0.0;
     }
-    plane->freedoms = 0;
     for (int k = plane->rank; k < p->n; k++) {
         int j = plane->joint[k];
         double reach = 0.0;
@@ -293,9 +293,9 @@ moc_status moc_solve_exact(const moc_problem *p, double tolerance, double *x, do
     /* Where rounding may have decided it, the tolerance on the way is raised to what rounding explains; the answer lies
      * in its box all the same, and has to meet A x = b to within LEFT. */
     double explained = status == MOC_OK ? 0.0 : explained_by_rounding(&plane, p);
-    double unclear = fmin((plane.freedoms > 1 ? 1e5 : 100.0) * explained, UNCLEAR);
     if (explained <= tolerance)
         return status;
+    double unclear = fmin((plane.freedoms > 1 ? 1e5 : 100.0) * explained, UNCLEAR); /* parallel ones multiply it */
     if (solve(&plane, p, fmin(100.0 * explained, WIDEST), x, y) == MOC_OK && off_plane(p, x) <= LEFT)
         return MOC_OK;
     return solve(&plane, p, unclear, x, y) == MOC_INFEASIBLE ? status : MOC_DOUBTFUL;

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from moc_opt.arrays import Array
-from moc_opt.qp.extremes import STILL, extremes
+from moc_opt.qp.extremes import ROUNDING, STILL, extremes
 
 # One rule for the rank of A, here and wherever else one is decided: its sixth singular value counts as zero below
 # TIED |A|_F, the others below RANK_TOLERANCE |A|_F. A rigid tool makes one of the six rows repeat the others, and
@@ -282,7 +282,7 @@ def _along_a_line(
     # Bounds that miss each other by no more than FEASIBLE: midway, which is where they meet as the gap closes.
     empty, middle = wide_first > wide_last, np.clip(0.5 * (first + last), wide_first, wide_last)
     low, high = (np.where(first > last, middle, end) for end in (first, last))
-    step, loss, gap = _on_an_interval(slope, rho, low, high, above, A_POINT + 1e-14 / slowest)
+    step, loss, gap = _on_an_interval(slope, rho, low, high, above, A_POINT + ROUNDING / slowest)
     return np.where(empty[:, None], np.inf, step[:, None] * z), np.where(empty, 1.0, loss), np.where(empty, np.inf, gap)
 
 
@@ -292,7 +292,7 @@ def _in_a_polytope(
     moved, loss, gap = np.zeros(low.shape), np.zeros(len(low)), np.zeros(len(low))
     pull = np.einsum("kni,ki->kn", Z, slope)
     for i in np.flatnonzero((slope != 0.0).any(-1) | (rho > 0.0)):
-        for beyond in (0.0, 1e-13, 1e-10, FEASIBLE):
+        for beyond in (0.0, 1e-13, 1e-10, FEASIBLE):  # as little as leaves a point
             found = extremes(Z[i], low[i] - beyond, high[i] + beyond, slope[i], rho[i])
             if found is not None:
                 break

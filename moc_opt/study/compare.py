@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 Solvers = Sequence[str | Solver] | Mapping[str, str | Solver]
 
-METRICS_SHOWN = ("mu_mean", *sorted((n for n in ERRORS if "_error_mean" not in n), key=lambda n: "model" in n))
+METRICS_SHOWN = ("mu_mean", *(name for frame in ("registered", "model") for name in ERRORS if frame in name))
 CHANGES = {change_name(metric): f"{TITLES.get(metric, 'mu')}: change" for metric in METRICS_SHOWN}
 """Name of a metric's change against DCAC [percent] -> its heading."""
 COLUMNS = [
