@@ -10,7 +10,7 @@
 #define OUTSIDE 1e-6           /* what a retreat may leave the box by [rad/s] */
 
 /* Whether joint j moves neither tip nor wrist: e_j itself lies in ker A. */
-static int is_idle(int rows, double Z[][MOC_MAX_JOINTS], int j)
+static bool is_idle(int rows, double Z[][MOC_MAX_JOINTS], int j)
 {
     double own = 0.0;
     for (int i = 0; i < rows; i++)
@@ -30,14 +30,14 @@ static double way_down(const moc_problem *p, int rows, double Z[][MOC_MAX_JOINTS
     memcpy(cone.A, p->A, sizeof cone.A);
     moc_onto(p->n, rows, Z, p->pull, pull);
     for (int j = 0; j < p->n; j++) {
-        int idle = is_idle(rows, Z, j);
+        bool idle = is_idle(rows, Z, j);
         cone.pull[j] = p->c2 * p->pull[j] - p->rho * x[j];
         cone.lower[j] = idle || x[j] - p->lower[j] <= AT_BOUND ? 0.0 : -2.0;
         cone.upper[j] = idle || p->upper[j] - x[j] <= AT_BOUND ? 0.0 : 2.0;
         scale = larger(idle ? 0.0 : p->c2 * fabs(pull[j]), scale);
     }
     double length = sqrt(dot(p->n, cone.pull, cone.pull));
-    cone.c2 = length > 0.0 ? 1.0 / length : 0.0; /* d is no longer than one */
+    cone.c2 = 1.0 / fmax(length, 1e-300); /* d is no longer than one */
     if (moc_solve_exact(&cone, 1e-9, d, y) != MOC_OK)
         memset(d, 0, (unsigned)p->n * sizeof *d);
     return scale;
@@ -93,12 +93,10 @@ moc_residuals moc_judge(const moc_problem *p, int rows, double Z[][MOC_MAX_JOINT
     high = larger(0.0, high);
     for (int j = 0; j < n; j++) {
         double push = line[j] * slope;
-        if (push > still * fabs(slope))
-            room = smaller(larger(x[j] - p->lower[j], 0.0), room);
-        else if (push < -still * fabs(slope))
-            room = smaller(larger(p->upper[j] - x[j], 0.0), room);
+        if (fabs(push) > still * fabs(slope))
+            room = smaller(larger(signbit(push) ? p->upper[j] - x[j] : x[j] - p->lower[j], 0.0), room);
     }
-    double desired = p->rho > 0.0 ? pull / p->rho : HUGE_VAL;
+    double desired = pull / p->rho;
     found.natural = fmin(fabs(slope) / total, room);
     if ((several || faint) && found.natural <= PASSES)
         return found;
@@ -122,7 +120,7 @@ static void retreat(const moc_problem *problem, int rows, double Z[][MOC_MAX_JOI
     p.rho = 1.0;
     p.c2 = 0.0;
     if (moc_solve_exact(&p, OUTSIDE, x, y) != MOC_OK || !(off_plane(&p, x) <= OUTSIDE))
-        return; /* the box is empty, or A has lost more than a rank */
+        return; /* the box is empty, A has lost more than a rank */
     moc_onto(p.n, rows, Z, x, motion);
 }
 
@@ -188,7 +186,7 @@ moc_fault moc_supervise(const moc_supervision *s, const moc_problem *p, const mo
         memory->age = 0;
         return fault;
     }
-    memory->age += memory->age < 1 << 30;
+    memory->age += memory->age <= s->hold_ticks;
     memset(x, 0, bytes);
     if (fault == MOC_FAULT_INFEASIBLE && s->fallback == MOC_LEAST_VIOLATION)
         least_violation(p, x);

@@ -17,7 +17,7 @@ static npy_intp length_of(const call *c, int wanted)
 }
 
 /* Whether a length is the one that is asked for; n and k are bound by the first array that has them. */
-static int fits(call *c, int wanted, npy_intp length)
+static bool fits(call *c, int wanted, npy_intp length)
 {
     if (wanted == K && c->k < 0)
         c->k = length;
@@ -25,7 +25,7 @@ static int fits(call *c, int wanted, npy_intp length)
         int n = lengths[-1 - wanted].n, one = lengths[-1 - wanted].one;
         c->n = length >= n + one && length <= MOC_MAX_JOINTS * n + one ? (int)(length - one) / n : 0;
         if (c->n == 0)
-            return 0;
+            return false;
     }
     return wanted == ANY || length == length_of(c, wanted);
 }
@@ -40,7 +40,7 @@ static void say(const call *c, int wanted, char text[32])
         PyOS_snprintf(text, 32, "%d", wanted);
 }
 
-static int refuse(const call *c, const parameter *p)
+static bool refuse(const call *c, const parameter *p)
 {
     char rows[32], columns[32];
     say(c, p->rows, rows);
@@ -48,10 +48,10 @@ static int refuse(const call *c, const parameter *p)
     PyErr_Format(PyExc_ValueError, "%s: give a %s array of float64 of shape (%s,%s%s)%s", p->name,
                  p->kind == STRIDED ? "writable" : p->kind == WRITE ? "writable, C-contiguous" : "C-contiguous", rows,
                  p->columns ? " " : "", p->columns ? columns : "", c->n > 0 ? "" : " for 1 to 16 joints");
-    return 0;
+    return false;
 }
 
-static int take_array(call *c, int i, PyObject *given, const parameter *p)
+static bool take_array(call *c, int i, PyObject *given, const parameter *p)
 {
     PyArrayObject *array = (PyArrayObject *)given;
     int flags = p->kind == WRITE     ? NPY_ARRAY_CARRAY
@@ -64,10 +64,10 @@ static int take_array(call *c, int i, PyObject *given, const parameter *p)
         return refuse(c, p);
     c->as[i] = array;
     c->array[i] = PyArray_DATA(array);
-    return 1;
+    return true;
 }
 
-static int take_one(call *c, int i, PyObject *given, const parameter *p)
+static bool take_one(call *c, int i, PyObject *given, const parameter *p)
 {
     c->array[i] = NULL;
     if (p->kind != NUMBER && p->kind != WHOLE)
@@ -76,7 +76,7 @@ static int take_one(call *c, int i, PyObject *given, const parameter *p)
     return !(c->number[i] == -1.0 && PyErr_Occurred());
 }
 
-static int make(call *c, int i, const parameter *p)
+static bool make(call *c, int i, const parameter *p)
 {
     npy_intp shape[2] = {length_of(c, p->rows), length_of(c, p->columns)};
     PyObject *array = PyArray_SimpleNew(p->columns ? 2 : 1, shape, NPY_DOUBLE);
@@ -84,11 +84,11 @@ static int make(call *c, int i, const parameter *p)
         return moc_done(c, NULL) != NULL;
     c->as[i] = (PyArrayObject *)array;
     c->array[i] = PyArray_DATA(c->as[i]);
-    c->end = i + 1;
-    return 1;
+    c->end++;
+    return true;
 }
 
-int moc_take(call *c, int n, const char *name, PyObject *const *args, Py_ssize_t count, const parameter *table,
+bool moc_take(call *c, int n, const char *name, PyObject *const *args, Py_ssize_t count, const parameter *table,
              int size)
 {
     int wanted = size;
@@ -100,12 +100,12 @@ int moc_take(call *c, int n, const char *name, PyObject *const *args, Py_ssize_t
     c->made = c->end = wanted;
     if (count != wanted) {
         PyErr_Format(PyExc_TypeError, "%s takes %d arguments, %zd were given", name, wanted, count);
-        return 0;
+        return false;
     }
     for (int i = 0; i < size; i++)
         if (!(i < wanted ? take_one(c, i, args[i], &table[i]) : make(c, i, &table[i])))
-            return 0;
-    return 1;
+            return false;
+    return true;
 }
 
 PyObject *moc_done(call *c, PyObject *result)
@@ -117,12 +117,12 @@ PyObject *moc_done(call *c, PyObject *result)
 
 /* --- fields of an object --- */
 
-int moc_fill(PyObject *keywords, const field *fields, int count, Arm *self)
+bool moc_fill(PyObject *keywords, const field *fields, int count, Arm *self)
 {
     Py_ssize_t size = keywords ? PyDict_Size(keywords) : 0;
     if (size != count) {
         PyErr_Format(PyExc_TypeError, "%d keywords are taken, %zd were given", count, size);
-        return 0;
+        return false;
     }
     for (const field *f = fields; f < fields + count; f++) {
         PyObject *given = PyDict_GetItemString(keywords, f->is.name);
@@ -131,7 +131,7 @@ int moc_fill(PyObject *keywords, const field *fields, int count, Arm *self)
         if (given == NULL)
             PyErr_Format(PyExc_TypeError, "%s is missing", f->is.name);
         if (given == NULL || !moc_take(&c, self->arm.n, f->is.name, &given, 1, &f->is, 1))
-            return 0;
+            return false;
         if (f->is.kind == NUMBER)
             *(double *)to = c.number[0];
         else if (f->is.kind == WHOLE)
@@ -139,5 +139,5 @@ int moc_fill(PyObject *keywords, const field *fields, int count, Arm *self)
         else
             memcpy(to, c.array[0], (size_t)rows_of(&c, 0) * sizeof(double));
     }
-    return 1;
+    return true;
 }

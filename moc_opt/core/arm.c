@@ -127,13 +127,14 @@ static void dynamics(const moc_arm *arm, const moc_frame *frame, const moc_twist
 
     memset(V, 0, sizeof *V);
     memset(acceleration, 0, sizeof *acceleration);
-    for (int k = 0; k < n; k++) { /* from the base: velocities, and each link's momentum and its rate */
+    for (int k = 0; k < n; k++) { /* from the base: velocities, each link's momentum with its rate */
         link[k] = link_in_world(&arm->joint[k], &frame[k]);
         rate[k] = carried(V, &S[k]);
         add(t->v[k], &S[k], V);
         add(t->v[k], &rate[k], acceleration);
         H[k] = momentum(&link[k], V);
-        force[k] = momentum(&link[k], acceleration); /* dH/dt = I A + V x* H */
+        /* dH/dt = I A + V x* H */
+        force[k] = momentum(&link[k], acceleration);
         add_cross(1.0, V->ang, H[k].lin, force[k].lin);
         add_cross(1.0, V->ang, H[k].ang, force[k].ang);
         add_cross(1.0, V->lin, H[k].lin, force[k].ang);

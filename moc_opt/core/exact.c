@@ -66,7 +66,7 @@ static inline int eliminate(moc_plane *plane, const moc_problem *p, int m)
                 largest[c] = larger(fabs(plane->row[i][c]), largest[c]);
         for (int c = 0; c < m; c++) {
             column = largest[c] > size ? c : column;
-            size = largest[c] > size ? largest[c] : size;
+            size = larger(largest[c], size);
         }
         first = k == 0 ? size : first;
         double tolerance = k < 5 ? RANK_TOLERANCE : TIED;
@@ -118,13 +118,14 @@ static moc_status check_dropped(const moc_plane *plane, const moc_problem *p, co
     return status;
 }
 
-int moc_eliminate(moc_plane *plane, const moc_problem *p)
+bool moc_eliminate(moc_plane *plane, const moc_problem *p)
 {
-    int found = p->n <= 8 ? eliminate(plane, p, 8) : eliminate(plane, p, 16), taken[MOC_MAX_JOINTS] = {0}, next;
+    int found = p->n <= 8 ? eliminate(plane, p, 8) : eliminate(plane, p, 16), next;
+    bool taken[MOC_MAX_JOINTS] = {false};
 
     next = plane->rank = found < 0 ? -1 - found : found;
     for (int k = 0; k < plane->rank; k++)
-        taken[plane->joint[k]] = 1;
+        taken[plane->joint[k]] = true;
     for (int j = 0; j < p->n; j++)
         if (!taken[j])
             plane->joint[next++] = j;
@@ -145,10 +146,9 @@ void moc_direction(const moc_plane *plane, int n, int k, double *z)
 static double idle_speed(const moc_problem *p, int j)
 {
     /* a gradient at rounding level must not throw an idle joint to its bound */
-    int faint = fabs(p->pull[j]) > 0.0 && fabs(p->pull[j]) <= ROUNDING * largest_of(p->n, p->pull);
+    bool faint = fabs(p->pull[j]) <= ROUNDING * largest_of(p->n, p->pull);
     double pull = faint ? 0.0 : p->c2 * p->pull[j];
-    double wanted = p->rho > 0.0 ? pull / p->rho : pull > 0.0 ? HUGE_VAL : pull < 0.0 ? -HUGE_VAL : 0.0;
-    return clip(wanted, p->lower[j], p->upper[j]);
+    return clip(pull == 0.0 ? 0.0 : pull / p->rho, p->lower[j], p->upper[j]); /* without rho at a bound */
 }
 
 /* The ends of the s for which x + s z leaves no bound by more than the slack, and the joints that stop it there. */
@@ -163,7 +163,7 @@ static inline segment ratio_test(const moc_problem *p, const double *x, const do
     for (int j = 0; j < p->n; j++)
         if (fabs(z[j]) > still) {
             double lower = p->lower[j] - slack - x[j], upper = p->upper[j] + slack - x[j], inverse = 1.0 / z[j];
-            double start = (z[j] > 0.0 ? lower : upper) * inverse, end = (z[j] > 0.0 ? upper : lower) * inverse;
+            double start = (signbit(z[j]) ? upper : lower) * inverse, end = (signbit(z[j]) ? lower : upper) * inverse;
             s.joint[0] = start > s.low ? j : s.joint[0];
             s.low = larger(start, s.low);
             s.joint[1] = end < s.high ? j : s.joint[1];
@@ -175,7 +175,7 @@ static inline segment ratio_test(const moc_problem *p, const double *x, const do
 /* One freedom, x + s z: the best point of that interval, in closed form. */
 static void solve_one(const moc_plane *plane, const moc_problem *p, double tolerance, double *x, double *force)
 {
-    double z[MOC_MAX_JOINTS], zz = 0.0, zx = 0.0, zg = 0.0, best, slope = 0.0;
+    double z[MOC_MAX_JOINTS], zz = 0.0, zx = 0.0, zg = 0.0, slope = 0.0;
     int n = p->n;
 
     moc_direction(plane, n, 0, z);
@@ -189,19 +189,16 @@ static void solve_one(const moc_plane *plane, const moc_problem *p, double toler
     /* Rounding may empty an interval that is a point. Where it stays empty, `finish` finds x out of its box. */
     for (double slack = 1e-15; s.low > s.high && slack < 100.0 * tolerance; slack *= 100.0)
         s = ratio_test(p, x, z, still, fmin(slack, tolerance));
-    if (p->rho > 0.0)
-        best = (p->c2 * zg - p->rho * zx) / (p->rho * zz);
-    else if (p->c2 * zg > 0.0 || p->c2 * zg < 0.0)
-        best = zg > 0.0 ? HUGE_VAL : -HUGE_VAL;
-    else
+    double best = (p->c2 * zg - p->rho * zx) / (p->rho * zz); /* without rho beyond one of the ends */
+    if (p->c2 * zg == 0.0 && p->rho == 0.0)
         best = -zx / zz; /* every point is optimal: the slowest one */
-    int at_bound = best > s.high ? s.joint[1] : best < s.low ? s.joint[0] : -1;
+    int at_bound = best > s.high ? s.joint[1] : best < s.low ? s.joint[0] : NONE;
     best = clip(best, s.low, s.high);
     for (int j = 0; j < n; j++) {
         x[j] += best * z[j];
         slope += z[j] * (p->rho * x[j] - p->c2 * p->pull[j]);
     }
-    if (at_bound >= 0)
+    if (at_bound != NONE)
         force[at_bound] = slope / z[at_bound];
 }
 
@@ -222,7 +219,7 @@ static double finish(const moc_plane *plane, const moc_problem *p, const double 
 }
 
 /* Whether A^T y = force, for the joints that move. */
-static int balanced(const moc_plane *plane, const moc_problem *p, const double *force, const double y[6])
+static bool balanced(const moc_plane *plane, const moc_problem *p, const double *force, const double y[6])
 {
     double most = UNBALANCED * fmax(p->c2 * largest_of(p->n, p->pull), p->rho), gap = 0.0;
     for (int k = 0; k < plane->rank + plane->freedoms && fabs(gap) <= most; k++) {
@@ -258,7 +255,7 @@ static moc_status solve(moc_plane *plane, const moc_problem *p, double tolerance
     }
     if (plane->freedoms == 1)
         solve_one(plane, p, tolerance, point, force);
-    else if (plane->freedoms > 1)
+    else if (plane->freedoms)
         status = moc_solve_several(plane, p, tolerance, point, force);
     double beyond = finish(plane, p, point, force, x, y);
     if (status == MOC_OK && beyond <= tolerance && (plane->freedoms > 1 || plane->pivot < SOUND) &&

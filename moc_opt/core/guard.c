@@ -77,25 +77,25 @@ static int age(const moc_guard *g, long long stamp, moc_watch *w)
 }
 
 /* No farther from the last belief than its age explains, and not too fast; NaN never is. */
-static int believable(const moc_guard *g, int n, const double *q, const double *v, const moc_watch *w)
+static bool believable(const moc_guard *g, int n, const double *q, const double *v, const moc_watch *w)
 {
     double ticks = 1.0 + (double)w->bad;
     for (int i = 0; i < n; i++)
         if (!(fabs(q[i] - w->q[i]) <= g->jump + ticks * (g->v_max[i] * g->period) &&
               fabs(v[i]) <= g->speed_factor * g->v_max[i]))
-            return 0;
-    return 1;
+            return false;
+    return true;
 }
 
 /* --- readings that repeat themselves, or came before --- */
 
-static int same(double a, double b)
+static bool same(double a, double b)
 {
     return a <= b && a >= b;
 }
 
-/* The wrench sensor has noise where it never repeated itself in the first readings; 0 until they are in. */
-static int wrench_has_noise(const moc_watch *w)
+/* The wrench sensor has noise where it never repeated itself in the first readings; false until they are in. */
+static bool wrench_has_noise(const moc_watch *w)
 {
     return w->looked >= FIRST_READINGS && !w->wrench_is_still;
 }
@@ -115,7 +115,7 @@ static void compare_wrench(const double *wrench, moc_watch *w)
 }
 
 /* Position against velocity, and whether a joint repeats itself. Returns whether it runs away from its velocity. */
-static int compare_joint(const moc_guard *g, double q, double v, double elapsed, moc_joint_watch *j)
+static bool compare_joint(const moc_guard *g, double q, double v, double elapsed, moc_joint_watch *j)
 {
     double keep = 1.0 - fmin(1.0, elapsed / g->motion_s);
     int first = j->repeats < 0.0;
@@ -140,7 +140,7 @@ static int compare_joint(const moc_guard *g, double q, double v, double elapsed,
 }
 
 /* Whether the arm was told to move, or the torque changed, while all encoders repeated themselves. */
-static int told_to_move(const moc_guard *g, int n, const double *tau, const moc_watch *w)
+static bool told_to_move(const moc_guard *g, int n, const double *tau, const moc_watch *w)
 {
     int whole = w->wrench_repeats > g->patience, moved = 0;
     double share = whole ? g->repeat_whole_torque : g->repeat_torque, way = whole ? g->repeat_whole_m : g->repeat_m;
@@ -168,7 +168,7 @@ static moc_stop compare_readings(const moc_guard *g, int n, const moc_measuremen
         fewest_whole = fmin(fewest_whole, w->joint[i].whole);
         most_whole = fmax(most_whole, w->joint[i].whole);
     }
-    if (fewest <= g->patience) { /* from here on a repeated reading counts, and so does what changes */
+    if (fewest <= g->patience) { /* from here on a repeated reading counts, as does what changes */
         for (int i = 0; i < n; i++)
             w->joint[i].torque = m->applied[i];
         memcpy(w->still, w->told, sizeof w->still);
@@ -190,7 +190,7 @@ static inline double take_in(double number, int slots, double *numbers, double *
     before->readings += 1.0;
     int slot = (int)((long long)(fabs(number) * FINE) % slots);
     double lag = before->readings - at[slot];
-    if (at[slot] > 0.0 && same(number, numbers[slot]) && lag > 1.0) { /* lag 1: a frozen reading, a sign of its own */
+    if (at[slot] > 0.0 && same(number, numbers[slot]) && lag > 1.0) { /* a frozen reading is a sign of its own */
         before->hits = same(lag, before->lag) ? before->hits + 1.0 : 1.0;
         before->lag = lag;
     }
@@ -319,13 +319,13 @@ moc_stop moc_guard_incision(const moc_guard *g, double pose[4][3], const moc_tro
 
 /* Whether the torque of joint i alone is not what it should be: a force on the arm, or a loop that shakes, shows in
  * several joints, a drive that does not do what it is told in its own. */
-static int alone(const moc_guard *g, int n, int i, const moc_watch *w)
+static bool alone(const moc_guard *g, int n, int i, const moc_watch *w)
 {
     double mine = fabs(w->joint[i].residual - w->joint[i].mean) / g->tau_max[i];
     for (int k = 0; k < n; k++)
         if (k != i && fabs(w->joint[k].residual - w->joint[k].mean) > 0.7 * mine * g->tau_max[k])
-            return 0;
-    return 1;
+            return false;
+    return true;
 }
 
 /* The momentum residual (De Luca & Mattone 2003): r = K_o (p - integral of (tau + C^T v - g + r)). */
@@ -375,8 +375,8 @@ static double left_by_wall(const moc_guard *g, int i, double distance, double sp
     return -g->wall_stiffness * fmax(-distance, 0.0) - g->wall_damping * fmax(speed - allowed, 0.0);
 }
 
-/* Returns 0 where a pose gives no weight. */
-static int weight_of(const moc_guard *g, const moc_arm *arm, const double *q, double *weight)
+/* Returns whether the pose gives a weight. */
+static bool weight_of(const moc_guard *g, const moc_arm *arm, const double *q, double *weight)
 {
     memset(weight, 0, (unsigned)arm->n * sizeof *weight);
     if (g->carries)

@@ -14,10 +14,10 @@
 
 /* How the line from the tip to the trocar lies and turns. */
 typedef struct {
-    double distance; /* |P_t - X| [m] */
-    double e[3];     /* (P_t - X) / |P_t - X| */
-    double closing;  /* e^T (dP_t - dX) [m/s] */
-    double turn[3];  /* de/dt = (I - e e^T)(dP_t - dX) / |P_t - X| [1/s] */
+    double distance; /* |P_t-X| [m] */
+    double e[3];     /* (P_t-X)/|P_t-X| */
+    double closing;  /* e^T (dP_t-dX) [m/s] */
+    double turn[3];  /* de/dt = (I - e e^T)(dP_t-dX)/|P_t-X| [1/s] */
 } line;
 
 static line shaft_line(const double X[3], const double dX[3], const moc_trocar *trocar)
@@ -84,13 +84,13 @@ static void add_dynamic(const moc_law *law, int n, moc_terms *t, const double *d
 {
     enum { TAU_W = 5 };
     double H[MOC_MAX_JOINTS][MOC_MAX_JOINTS], inverse[MOC_MAX_JOINTS], rows[6][MOC_MAX_JOINTS], b[2][3];
-    double a[6] = {0.0}, c[6]; /* wanted accelerations, and the weight of each row */
+    double a[6] = {0.0}, c[6]; /* wanted accelerations, the weight of each row */
 
     cholesky(n, t->M, H, inverse);
     across(t->u, b);
     five_rows(n, t->A, b, rows);
     memcpy(rows[TAU_W], tau_W, (unsigned)n * sizeof *tau_W);
-    for (int i = 0; i < n; i++) /* H^-1 of all rows, side by side */
+    for (int i = 0; i < n; i++) /* all rows side by side, times the inverse of H */
         for (int k = 0; k < 6; k++)
             rows[k][i] = (rows[k][i] - dot(i, H[i], rows[k])) * inverse[i];
     for (int i = 0; i < 3 && law->feedforward; i++) {
@@ -107,7 +107,7 @@ static void add_dynamic(const moc_law *law, int n, moc_terms *t, const double *d
                 rows[i][j] -= along * rows[k][j];
         }
         if (i < 3) {
-            double length = sqrt(dot(n, rows[i], rows[i])), shrink = length > 0.0 ? 1.0 / length : (double)NAN;
+            double shrink = 1.0 / sqrt(dot(n, rows[i], rows[i]));
             c[i] = a[i] * shrink;
             for (int j = 0; j < n; j++)
                 rows[i][j] *= shrink;
@@ -116,7 +116,7 @@ static void add_dynamic(const moc_law *law, int n, moc_terms *t, const double *d
     /* Jacobi's rotation (Golub and Van Loan, 8.5.2), without its cosine, makes the wrist's two rows orthogonal. */
     double product = dot(n, rows[3], rows[4]), squares = dot(n, rows[3], rows[3]) - dot(n, rows[4], rows[4]);
     double size = fabs(squares) + sqrt(squares * squares + 4.0 * product * product);
-    double tangent = size > 0.0 ? (squares >= 0.0 ? 2.0 : -2.0) * product / size : 0.0, third = a[3];
+    double tangent = size > 0.0 ? copysign(2.0, squares) * product / size : 0.0, third = a[3];
     a[3] += tangent * a[4];
     a[4] -= tangent * third;
     for (int j = 0; j < n; j++) {
@@ -202,7 +202,10 @@ double moc_shaft_push(double mu_shaft, double margin)
 void moc_fill_problem(const moc_law *law, int n, const moc_terms *t, const moc_reference *ref,
                       const moc_trocar *trocar, const double *x_d, moc_problem *p)
 {
-    double N_d[3], gap = 0.0, push = moc_shaft_push(t->mu_shaft, law->shaft_margin), wider = 1.0;
+    double N_d[3], gap = 0.0, push = moc_shaft_push(t->mu_shaft, law->shaft_margin);
+    /* Near a pose in which tip and shaft lose a direction, the joints have to turn fast. */
+    double nearness = fmax(0.0, BOX_OPENS * (1.0 - t->mu_shaft / law->shaft_margin));
+    double wider = 1.0 + law->spare_speed * fmin(1.0, nearness);
 
     p->n = n;
     memcpy(p->A, t->A, sizeof p->A);
@@ -212,11 +215,8 @@ void moc_fill_problem(const moc_law *law, int n, const moc_terms *t, const moc_r
         p->b[i] = ref->dX[i];
         gap += t->u[i] * (p->b[i] - p->b[3 + i]);
     }
-    for (int i = 0; i < 3; i++) /* u^T (v_T - v_W) = 0: a rigid tool cannot change its length */
+    for (int i = 0; i < 3; i++) /* u^T v_T = u^T v_W: a rigid tool cannot change its length */
         p->b[3 + i] += gap * t->u[i];
-    /* Near a pose in which tip and shaft lose a direction, the joints have to turn fast. */
-    if (t->mu_shaft < law->shaft_margin)
-        wider += law->spare_speed * fmin(1.0, BOX_OPENS * (1.0 - t->mu_shaft / law->shaft_margin));
     for (int j = 0; j < n; j++) {
         double v_max = law->v_max[j] * wider;
         p->grad_mu[j] = t->grad_mu[j];
@@ -254,7 +254,7 @@ void moc_add_third_level(const moc_law *law, int n, const moc_terms *terms, cons
     for (int j = 0; j < n; j++) {
         for (int i = 0; i < r; i++)
             tau[j] += MZ[i][j] * along[i];
-        tau[j] = clip(tau[j], -law->tau_max[j], law->tau_max[j]); /* a NaN passes: guard and plant refuse it by name */
+        tau[j] = clip(tau[j], -law->tau_max[j], law->tau_max[j]); /* a NaN passes: the guard refuses it by name */
     }
 }
 

@@ -6,7 +6,7 @@
 #define LONGEST 1.0  /* [rad] */
 #define PROBE 1e-3   /* way over which the slope's change is taken [rad] */
 
-int moc_orthonormalise(int n, double Z[][MOC_MAX_JOINTS], int k, double least)
+bool moc_orthonormalise(int n, double Z[][MOC_MAX_JOINTS], int k, double least)
 {
     for (int twice = 0; twice < 2; twice++) { /* is always enough */
         for (int i = 0; i < k; i++) {
@@ -16,11 +16,11 @@ int moc_orthonormalise(int n, double Z[][MOC_MAX_JOINTS], int k, double least)
         }
         double length = sqrt(dot(n, Z[k], Z[k]));
         if (!(length > least)) /* also catches NaN */
-            return 0;
+            return false;
         for (int j = 0; j < n; j++)
             Z[k][j] /= length;
     }
-    return 1;
+    return true;
 }
 
 void moc_onto(int n, int rows, double Z[][MOC_MAX_JOINTS], const double *x, double *part)

@@ -44,13 +44,15 @@ static void allowed_step(const plan_task *task, int rows, const double *q, doubl
                          const double *error, const double *desired, double damping, double near, double *step)
 {
     double part[6][MOC_MAX_JOINTS], still[MOC_MAX_JOINTS];
-    int n = task->arm->n, held[MOC_MAX_JOINTS] = {0};
+    int n = task->arm->n;
+    bool held[MOC_MAX_JOINTS] = {false};
 
     memcpy(part, A, (unsigned)rows * sizeof *part);
     memcpy(still, desired, (unsigned)n * sizeof *still);
     for (int round = 0; round < 4 * n; round++) {
         double S[6][MOC_MAX_JOINTS], L[6][MOC_MAX_JOINTS], inverse[6], force[6], trace = 0.0, most = 0.0;
-        int left = 0, drawn = -1;
+        bool left = false;
+        int drawn = NONE;
 
         for (int i = 0; i < rows; i++) {
             for (int k = 0; k < rows; k++)
@@ -67,9 +69,9 @@ static void allowed_step(const plan_task *task, int rows, const double *q, doubl
             for (int i = 0; i < rows; i++)
                 free += A[i][j] * force[i];
             step[j] = held[j] ? 0.0 : free;
-            int outwards = (q[j] >= task->high[j] - near && free > 0.0) || (q[j] <= task->low[j] + near && free < 0.0);
+            bool outwards = signbit(free) ? q[j] <= task->low[j] + near : q[j] >= task->high[j] - near;
             if (outwards && !held[j]) {
-                left = held[j] = 1;
+                left = held[j] = true;
                 still[j] = step[j] = 0.0;
                 for (int i = 0; i < rows; i++)
                     part[i][j] = 0.0;
@@ -80,9 +82,9 @@ static void allowed_step(const plan_task *task, int rows, const double *q, doubl
         }
         if (left)
             continue;
-        if (drawn < 0)
+        if (drawn == NONE)
             return;
-        held[drawn] = 0;
+        held[drawn] = false;
         still[drawn] = desired[drawn];
         for (int i = 0; i < rows; i++)
             part[i][drawn] = A[i][drawn];
@@ -123,12 +125,12 @@ double plan_place(const plan_task *task, int points, int rounds, const double *s
 
 /* --- along a curve --- */
 
-/* How far along the tangent no joint gets beyond a limit, at most h; *hit: the joint that is at one there, or -1. */
+/* How far along the tangent no joint gets beyond a limit, at most h; *hit: the joint that is at one there, or NONE. */
 static double room_ahead(const plan_task *task, const double *q, const double *tangent, double h, int *hit)
 {
-    *hit = -1;
+    *hit = NONE;
     for (int j = 0; j < task->arm->n; j++) {
-        double limit = tangent[j] > 0.0 ? task->high[j] : task->low[j], room = (limit - q[j]) / tangent[j];
+        double limit = signbit(tangent[j]) ? task->low[j] : task->high[j], room = (limit - q[j]) / tangent[j];
         if (fabs(tangent[j]) > AT_REST && room < h) {
             h = room;
             *hit = j;
@@ -156,11 +158,11 @@ static double turn_tangent(const plan_task *task, const double *q, double *tange
 }
 
 /* Whether the start (n,), up to whole turns, is ahead of q within a step, and how far; `pose` is that start. */
-static int closes(const plan_task *task, const double *start, const double *q, const double *tangent, double step,
+static bool closes(const plan_task *task, const double *start, const double *q, const double *tangent, double step,
                   double *pose, double *gap)
 {
     double ahead = 0.0;
-    int inside = 1;
+    bool inside = true;
     for (int i = 0; i < task->arm->n; i++) {
         double turns = task->arm->joint[i].slides > 0.0 ? 0.0 : nearbyint((q[i] - start[i]) / (2.0 * PI));
         pose[i] = start[i] + 2.0 * PI * turns;
@@ -191,8 +193,8 @@ int plan_follow(const plan_task *task, const double *start, const double *tangen
         double ahead = room_ahead(task, q, tangent, h, &hit);
         memcpy(low, task->low, bytes);
         memcpy(high, task->high, bytes);
-        if (hit >= 0) /* the curve ends where this joint is at its limit */
-            low[hit] = high[hit] = tangent[hit] > 0.0 ? high[hit] : low[hit];
+        if (hit != NONE) /* the curve ends where this joint is at its limit */
+            low[hit] = high[hit] = signbit(tangent[hit]) ? low[hit] : high[hit];
         for (int j = 0; j < n; j++)
             next[j] = clip(q[j] + ahead * tangent[j], low[j], high[j]);
         double miss = plan_place(&here, 2, 10, next, next), way = distance(n, next, q);
@@ -204,7 +206,7 @@ int plan_follow(const plan_task *task, const double *start, const double *tangen
         }
         s[count] = s[count - 1] + way;
         mus[count] = turn_tangent(task, next, tangent);
-        if (hit >= 0)
+        if (hit != NONE)
             return way < 1e-9 ? count : count + 1; /* it stood on the limit already */
         count++;
         if (closes(task, start, next, tangent, step, closing, &gap) && count > 3 && count < most) {
@@ -242,7 +244,7 @@ double plan_ascend(const plan_task *task, double *q)
         double length = sqrt(dot(n, way, way));
         for (int j = 0; j < n; j++)
             trial[j] = clip(q[j] + h / length * way[j], task->low[j], task->high[j]);
-        int higher = length > FLAT * sqrt(dot(n, grad, grad)) && plan_place(task, 2, 10, trial, trial) < TOLERANCE &&
+        bool higher = length > FLAT * sqrt(dot(n, grad, grad)) && plan_place(task, 2, 10, trial, trial) < TOLERANCE &&
                      look(task, trial, error, A, NULL) > mu;
         if (higher)
             memcpy(q, trial, (unsigned)n * sizeof *q);
@@ -269,7 +271,7 @@ static double best_in(const plan_stage *t, int pose, int branch, double best)
     }
     for (int other = first; other < end && t->q_next[other * n + by] <= q[by] + way; other++) {
         double total = t->value_next[other];
-        int near = total > best;
+        bool near = total > best;
         for (int a = 0; a < n && near; a++) {
             double away = fabs(q[a] - t->q_next[other * n + a]);
             near = away <= t->step[a] + slack[a] + t->slack_next[other * n + a];

@@ -18,7 +18,7 @@ typedef struct {
     double s[MOC_MAX_JOINTS];                  /* the point, from x_p [rad/s] */
     double low[MOC_MAX_JOINTS], high[MOC_MAX_JOINTS];
     double pull[MOC_MAX_JOINTS];               /* c2 Pi g */
-    double side[MOC_MAX_JOINTS];               /* +1 at an active lower bound, -1 at an upper one, 0 elsewhere */
+    double side[MOC_MAX_JOINTS];               /* of the active bound: positive for a lower one; 0: none */
     double force[MOC_MAX_JOINTS];              /* multiplier of that bound: above zero at a lower one */
     double room[MOC_MAX_JOINTS];               /* Pi_jj before any sweep */
     double Pi[MOC_MAX_JOINTS][MOC_MAX_JOINTS]; /* swept on the active joints */
@@ -58,19 +58,19 @@ static void settle(polytope *t)
 {
     moc_onto(t->n, t->r, t->Z, t->s, t->s);
     for (int a = 0; a < t->n; a++) {
-        if (!(fabs(t->side[a]) > 0.0))
+        if (t->side[a] == 0.0)
             continue;
-        double bound = t->side[a] > 0.0 ? t->low[a] : t->high[a], gap = bound - t->s[a];
+        double bound = signbit(t->side[a]) ? t->high[a] : t->low[a], gap = bound - t->s[a];
         for (int j = 0; j < t->n; j++)
             t->s[j] += gap * (1.0 - fabs(t->side[j])) * t->Pi[a][j];
         t->s[a] = bound;
     }
 }
 
-/* The joint that is furthest beyond its bounds; -1 where none is by more than the slack. */
+/* The joint that is furthest beyond its bounds; NONE where none is by more than the slack. */
 static int furthest_out(const polytope *t, double slack)
 {
-    int joint = -1;
+    int joint = NONE;
     for (int j = 0; j < t->n; j++) {
         double beyond = larger(t->low[j] - t->s[j], t->s[j] - t->high[j]);
         if (beyond > slack) {
@@ -84,7 +84,7 @@ static int furthest_out(const polytope *t, double slack)
 /* The active bound whose multiplier vanishes first when joint p is pushed, and after how much push. */
 static int first_to_let_go(const polytope *t, int p, double side, double *step)
 {
-    int joint = -1;
+    int joint = NONE;
     *step = HUGE_VAL;
     for (int j = 0; j < t->n; j++) {
         double fading = side * t->side[j] * t->Pi[p][j];
@@ -96,17 +96,17 @@ static int first_to_let_go(const polytope *t, int p, double side, double *step)
     return joint;
 }
 
-/* Push joint p onto the bound it violates; active bounds let go on the way. Returns 0 where it cannot be pushed. */
-static int push(polytope *t, int p, int *active)
+/* Push joint p onto the bound it violates; active bounds let go on the way. Returns whether that was possible. */
+static bool push(polytope *t, int p, int *active)
 {
-    double side = t->s[p] < t->low[p] ? 1.0 : -1.0, bound = side > 0.0 ? t->low[p] : t->high[p];
+    double side = t->s[p] < t->low[p] ? 1.0 : -1.0, bound = signbit(side) ? t->high[p] : t->low[p];
     for (;;) {
         double step, full = HUGE_VAL, gives = t->Pi[p][p];
         int drop = first_to_let_go(t, p, side, &step);
         if (*active < t->r && gives > DEPENDENT * t->room[p])
             full = side * (bound - t->s[p]) / gives; /* until it is there */
-        else if (drop < 0)
-            return 0;
+        else if (drop == NONE)
+            return false;
         double length = side * fmin(step, full), move = full < HUGE_VAL ? length : 0.0;
         for (int j = 0; j < t->n; j++) {
             double on = fabs(t->side[j]);
@@ -119,7 +119,7 @@ static int push(polytope *t, int p, int *active)
             t->s[p] = bound;
             t->side[p] = side;
             ++*active;
-            return 1;
+            return true;
         }
         t->force[drop] = t->side[drop] = 0.0;
         --*active;
@@ -140,7 +140,7 @@ static moc_status project(polytope *t, double slack, double most)
         t->force[j] = t->side[j] = 0.0;
     for (int round = 0; round < 20 * t->n; round++) {
         int p = furthest_out(t, slack);
-        if (p < 0) {
+        if (p == NONE) {
             settle(t);
             return MOC_OK;
         }
@@ -210,14 +210,14 @@ moc_status moc_solve_several(const moc_plane *plane, const moc_problem *p, doubl
         }
     }
     double pull = sqrt(dot(t.n, t.pull, t.pull)), slack = 1e-14 * fmax(1.0, room);
-    int direct = p->rho > 0.0 && pull <= FAR * room * p->rho;
+    bool direct = pull < FAR * room * p->rho;
     for (int j = 0; j < t.n; j++)
         t.s[j] = direct ? t.pull[j] / p->rho : 0.0;
     moc_status status = project(&t, slack, 0.1 * tolerance);
-    if (!direct && status == MOC_OK) {
+    if (!direct && pull > 0.0 && status == MOC_OK) {
         double base = 10.0 * fmax(room, 1e-6) / pull;
-        weight = pull > 0.0 ? p->rho + 1.0 / base : 0.0;
-        status = pull > 0.0 ? approach(&t, p->rho, slack, 0.1 * tolerance, base) : status;
+        weight = p->rho + 1.0 / base;
+        status = approach(&t, p->rho, slack, 0.1 * tolerance, base);
     }
     for (int j = 0; j < t.n; j++) {
         x[j] += t.s[j];

@@ -8,7 +8,7 @@
 
 #include <time.h>
 
-static PyTypeObject *arm_type; /* set once, when the module is made, and kept for ever */
+static PyTypeObject *arm_type; /* set once, when the module is made */
 
 /* New object: the arm is the only positional argument, keywords fill the fields; NULL with an exception. */
 static PyObject *with_arm(PyTypeObject *type, PyObject *given, PyObject *keywords, const field *fields, int count)
@@ -63,8 +63,8 @@ static PyObject *law_new(PyTypeObject *type, PyObject *given, PyObject *keywords
 /* Arguments 0 to 3 of start, begin and step: q, v as measured; X_d, dX_d, ddX_d; the trocar P_t, dP_t. */
 #define TICK {"q", READ, N}, {"v", READ, N}, {"tip_ref", READ, 3, 3}, {"trocar", READ, 2, 3}
 
-/* Start (begins = 0) or begin a tick; the arm's record goes into array i. Returns 0 with an exception. */
-static int take_tick(Law *self, const call *c, int begins, const double *x_d, int i)
+/* Start (begins = 0) or begin a tick; the arm's record goes into array i. Returns false with an exception. */
+static bool take_tick(Law *self, const call *c, int begins, const double *x_d, int i)
 {
     static const double none[MOC_MAX_JOINTS];
     moc_input in = {.measured = {c->array[0], c->array[1], 0, 0, begins ? NULL : none, NULL}, .x_d = x_d};
@@ -72,7 +72,7 @@ static int take_tick(Law *self, const call *c, int begins, const double *x_d, in
     if (!all_finite(c->n, c->array[0]) || !all_finite(c->n, c->array[1]) || !all_finite(9, c->array[2]) ||
         !all_finite(6, c->array[3])) {
         PyErr_SetString(PyExc_ValueError, "q, v, tip_ref, trocar: give finite numbers");
-        return 0;
+        return false;
     }
     memcpy(&in.ref, c->array[2], sizeof in.ref);
     memcpy(&in.trocar, c->array[3], sizeof in.trocar);
@@ -81,7 +81,7 @@ static int take_tick(Law *self, const call *c, int begins, const double *x_d, in
     else if (moc_start(&self->controller, &in.measured, &self->state) == MOC_RUNNING)
         moc_fill_problem(&self->law, c->n, &self->state.terms, &in.ref, &in.trocar, NULL, &self->state.problem);
     moc_copy_terms(&self->state.terms, c->n, c->array[i], PACK);
-    return 1;
+    return true;
 }
 
 METHOD(Law, start, TICK, {"record", MADE, TERMS}, {"row", MADE, ROW})
@@ -281,26 +281,22 @@ static int fill(PyObject *module)
     static const char *const names[] = {"OK", "INFEASIBLE", "DOUBTFUL", "UNFINISHED"};
     PyType_Spec *specs[] = {&moc_Law, &moc_Guard, &moc_Arm};
 
-    if (PyArray_ImportNumPyAPI() < 0)
-        return -1;
-    for (int k = 0; k < COUNT(specs); k++) {
+    bool done = PyArray_ImportNumPyAPI() == 0;
+    for (int k = 0; done && k < COUNT(specs); k++) {
         arm_type = (PyTypeObject *)PyType_FromSpec(specs[k]); /* moc_Arm must stay last */
-        if (arm_type == NULL || PyModule_AddType(module, arm_type) < 0)
-            return -1;
+        done = arm_type != NULL && PyModule_AddType(module, arm_type) == 0;
     }
-    if (PyModule_AddFunctions(module, moc_subproblem_functions) < 0 ||
-        PyModule_AddFunctions(module, moc_plant_functions) < 0)
-        return -1;
-    PyObject *reasons = PyTuple_New(MOC_STOPS);
+    PyObject *reasons = done ? PyTuple_New(MOC_STOPS) : NULL;
     for (int k = 0; reasons != NULL && k < MOC_STOPS; k++)
         PyTuple_SetItem(reasons, k, PyUnicode_FromString(moc_reason((moc_stop)k)));
-    if (reasons == NULL || PyModule_AddObjectRef(module, "REASONS", reasons) < 0)
-        return -1;
-    Py_DECREF(reasons);
-    for (int k = 0; k < COUNT(names); k++)
-        if (PyModule_AddIntConstant(module, names[k], k) < 0)
-            return -1;
-    return PyModule_AddIntConstant(module, "MAX_JOINTS", MOC_MAX_JOINTS);
+    done = reasons != NULL && PyModule_AddObjectRef(module, "REASONS", reasons) == 0 &&
+           PyModule_AddFunctions(module, moc_subproblem_functions) == 0 &&
+           PyModule_AddFunctions(module, moc_plant_functions) == 0 &&
+           PyModule_AddIntConstant(module, "MAX_JOINTS", MOC_MAX_JOINTS) == 0;
+    Py_XDECREF(reasons);
+    for (int k = 0; done && k < COUNT(names); k++)
+        done = PyModule_AddIntConstant(module, names[k], k) == 0;
+    return done ? 0 : -1;
 }
 
 static PyModuleDef_Slot module_slots[] = {{Py_mod_exec, fill}, {0, NULL}};

@@ -41,15 +41,15 @@ enum { MOST_ARGUMENTS = 14 };
 /* The arguments of one call, by their places in its table. */
 typedef struct {
     int n;                                /* joints; 0 until an array tells */
-    npy_intp k;                           /* rows; -1 until an array tells */
-    int made, end;                        /* where the arrays that the call has made begin and end */
+    npy_intp k;                           /* rows; negative until an array tells */
+    int made, end;                        /* where the arrays that the call has made begin, end */
     double *array[MOST_ARGUMENTS];        /* NULL for None */
     double number[MOST_ARGUMENTS];
     PyArrayObject *as[MOST_ARGUMENTS];    /* the array as an object */
 } call;
 
-/* Take the arguments of a call on n joints (0: an array tells). Returns 0 with an exception. */
-int moc_take(call *c, int n, const char *name, PyObject *const *args, Py_ssize_t count, const parameter *table,
+/* Take the arguments of a call on n joints (0: an array tells). Returns false with an exception. */
+bool moc_take(call *c, int n, const char *name, PyObject *const *args, Py_ssize_t count, const parameter *table,
              int size);
 
 /* Let go of the arrays that the call has made: its result has those that it returns. Returns the result. */
@@ -109,7 +109,7 @@ typedef struct {
     size_t offset;
 } field;
 
-/* Fill an object with the keywords of its fields' names, each of which has to be there. Returns 0 with an exception. */
-int moc_fill(PyObject *keywords, const field *fields, int count, Arm *self);
+/* Fill an object with the keywords of its fields' names, each of which has to be there. False with an exception. */
+bool moc_fill(PyObject *keywords, const field *fields, int count, Arm *self);
 
 #endif

@@ -45,9 +45,9 @@ FUNCTION(step_network, {"record", READ, ROW}, {"x", WRITE, N}, {"y", WRITE, 6}, 
 
 #define TIED 1e-7 /* sixth singular value of A over its norm, below which tip and wrist are tied (qp/residuals.py) */
 
-/* The unit vector u with u^T (J_T - J_W) = 0, its largest entry positive; 0 where tip and wrist are not tied.
+/* The unit vector u with u^T (J_T - J_W) = 0, its largest entry positive; false where tip and wrist are not tied.
  * The adjugate of (J_T - J_W)(J_T - J_W)^T is a positive multiple of u u^T; its longest column is taken. */
-static int tool_direction(const moc_problem *p, double u[3])
+static bool tool_direction(const moc_problem *p, double u[3])
 {
     double D[3][MOC_MAX_JOINTS], G[3][3], adj[3][3], size = 0.0, apart = 0.0;
     int longest = 0, n = p->n;
@@ -65,7 +65,7 @@ static int tool_direction(const moc_problem *p, double u[3])
         longest = adj[i][i] > adj[longest][longest] ? i : longest;
     memcpy(u, adj[longest], 3 * sizeof *u);
     if (n < 3 || !(normalise3(u) > 0.0))
-        return 0;
+        return false;
     for (int j = 0; j < n; j++) {
         double gap = u[0] * D[0][j] + u[1] * D[1][j] + u[2] * D[2][j];
         apart += gap * gap;

@@ -9,7 +9,7 @@ typedef struct {
     int rows, columns;
 } part;
 
-enum { N = -1 };
+enum { N = 0 };
 
 #define PART(type, name, rows, columns) {offsetof(type, name), rows, columns}
 

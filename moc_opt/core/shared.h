@@ -2,7 +2,11 @@
 #ifndef MOC_SHARED_H
 #define MOC_SHARED_H
 
+#include <stdbool.h>
+
 #include "moc.h"
+
+#define NONE (-1) /* no joint */
 
 /* --- arm.c, manipulability.c --- */
 
@@ -77,8 +81,8 @@ void moc_climb(const moc_arm *arm, const moc_law *law, const moc_terms *t, moc_m
  * many. */
 int moc_null_space(int n, double A[][MOC_MAX_JOINTS], int rows, double Z[][MOC_MAX_JOINTS]);
 
-/* Row k of Z less its part along the rows before it, as a unit vector; 0 where no more than `least` was left. */
-int moc_orthonormalise(int n, double Z[][MOC_MAX_JOINTS], int k, double least);
+/* Row k of Z less its part along the rows before it, as a unit vector; false where no more than `least` was left. */
+bool moc_orthonormalise(int n, double Z[][MOC_MAX_JOINTS], int k, double least);
 
 /* part = Z^T Z x of an orthonormal basis Z (rows, n); part may be x. */
 void moc_onto(int n, int rows, double Z[][MOC_MAX_JOINTS], const double *x, double *part);
@@ -92,12 +96,12 @@ typedef struct {
     double row[6][MOC_MAX_JOINTS], right[6], pivot; /* pivot: of the last step [m] */
     double step[6][6];         /* how much of row k went into each row, at step k */
     int from[6];               /* with which row k changed its place before */
-    int joint[MOC_MAX_JOINTS]; /* those of the pivots, then the free ones that move tip or wrist */
+    int joint[MOC_MAX_JOINTS]; /* those of the pivots, then the free ones that move the tool */
     int rank, freedoms;
 } moc_plane;
 
-/* Eliminate A x = b, and number the other joints behind those of the pivots; 0 where the rank is in doubt. */
-int moc_eliminate(moc_plane *plane, const moc_problem *problem);
+/* Eliminate A x = b, and number the other joints behind those of the pivots; false where the rank is in doubt. */
+bool moc_eliminate(moc_plane *plane, const moc_problem *problem);
 
 /* How all joints move along A x = b when free joint number k moves by one. */
 void moc_direction(const moc_plane *plane, int n, int k, double *z);
@@ -110,11 +114,11 @@ moc_status moc_solve_several(const moc_plane *plane, const moc_problem *problem,
 /* --- answer.c --- */
 
 typedef struct {
-    double primal;   /* |A x - b|_inf; NaN where x is not finite [m/s] */
+    double primal;   /* |A x-b|_inf; NaN where x is not finite [m/s] */
     double outside;  /* violation of the box [rad/s] */
-    double natural;  /* natural residual along the self-motion, the gradient scaled to length 1 [rad/s] */
+    double natural;  /* natural residual along the self-motion, for a gradient of unit length [rad/s] */
     double off;      /* distance from the optimum [rad/s] */
-    double opposite; /* and from that of the opposite gradient [rad/s] */
+    double opposite; /* from that of the opposite gradient [rad/s] */
 } moc_residuals;
 
 /* Judge x on the self-motion that Z leaves. */

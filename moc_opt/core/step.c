@@ -30,7 +30,7 @@ static void levels(const moc_controller *c, const moc_input *in, moc_state *s)
     double climb[MOC_MAX_JOINTS];
     int n = c->arm->n;
 
-    for (int i = 0; i < n && law->observer_gain > 0.0; i++) /* friction and model error, from the last torque */
+    for (int i = 0; i < n && law->observer_gain > 0.0; i++) /* friction, model error, from the last torque */
         moc_observe(n, t, i, memory->tau[i], law->observer_gain, law->period, &memory->integral[i],
                     &memory->external[i]);
     moc_tracking_torque(law, n, t, &in->ref, &in->trocar, s->tau);
@@ -50,12 +50,12 @@ static void levels(const moc_controller *c, const moc_input *in, moc_state *s)
 
 /* --- the whole controller --- */
 
-static int within(int n, const double *tau, const double *most)
+static bool within(int n, const double *tau, const double *most)
 {
     for (int i = 0; i < n; i++)
         if (!(fabs(tau[i]) <= most[i]))
-            return 0;
-    return 1;
+            return false;
+    return true;
 }
 
 moc_stop moc_start(const moc_controller *c, const moc_measurement *m, moc_state *s)

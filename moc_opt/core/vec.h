@@ -56,11 +56,11 @@ static inline double dot(int n, const double *a, const double *b)
     return even + odd;
 }
 
-static inline int all_finite(int n, const double *x)
+static inline bool all_finite(int n, const double *x)
 {
     double sum = 0.0;
     for (int i = 0; i < n; i++)
-        sum += 0.0 * x[i]; /* NaN for NaN and for both infinities */
+        sum += 0.0 * x[i]; /* NaN for NaN, for both infinities */
     return sum == 0.0;
 }
 
@@ -78,16 +78,15 @@ static inline double smaller(double a, double b)
 /* x, or the nearer end of [low, high]; the high end where they are the wrong way round. */
 static inline double clip(double x, double low, double high)
 {
-    x = x < low ? low : x;
-    return x > high ? high : x;
+    return smaller(high, larger(low, x));
 }
 
-/* The lower factor L (m,m) of S = L L^T, with 1 / L_ii in inverse (m,); NaN where S is not positive definite. */
+/* The lower factor L (m,m) of S = L L^T, with 1 / L_ii in inverse (m,); no finite number where S is not positive
+ * definite. */
 static inline void cholesky(int m, double S[][MOC_MAX_JOINTS], double L[][MOC_MAX_JOINTS], double *inverse)
 {
     for (int j = 0; j < m; j++) {
-        double d = S[j][j] - dot(j, L[j], L[j]);
-        L[j][j] = d > 0.0 ? sqrt(d) : (double)NAN;
+        L[j][j] = sqrt(S[j][j] - dot(j, L[j], L[j]));
         inverse[j] = 1.0 / L[j][j];
         for (int i = j + 1; i < m; i++)
             L[i][j] = (S[i][j] - dot(j, L[i], L[j])) * inverse[j];
@@ -129,7 +128,7 @@ static inline double largest_of(int count, const double *x)
 {
     double most = 0.0;
     for (int i = 0; i < count; i++)
-        most = fabs(x[i]) > most || isnan(x[i]) ? fabs(x[i]) : most;
+        most = isnan(x[i]) ? x[i] : larger(fabs(x[i]), most);
     return most;
 }
 
