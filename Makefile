@@ -30,13 +30,14 @@ lint: setup
 # The core's own code, without its binding, under the address and the undefined-behaviour sanitizer.
 CORE := $(filter-out %/python.c %/python_arm.c %/python_subproblem.c %/arguments.c %/plant.c,$(wildcard moc_opt/core/*.c))
 EXTREMES ?= build/extremes
+SANITIZERS ?= -fsanitize=address,undefined -fno-sanitize-recover=undefined
 
 sanitize: $(EXTREMES)
 	$(EXTREMES) 40000
 
 $(EXTREMES): tests/core/extremes.c $(CORE) $(wildcard moc_opt/core/*.h)
 	@mkdir -p $(@D)
-	$(CC) -std=c11 -O1 -g -fsanitize=address,undefined -fno-sanitize-recover=undefined -ffp-contract=off -Wall -Wextra \
+	$(CC) -std=c11 -O1 -g $(SANITIZERS) -ffp-contract=off -Wall -Wextra \
 		-Imoc_opt/core tests/core/extremes.c $(CORE) -lm -o $@
 
 # Pages of sources are written anew: one that is older than a change of the reference links to where its names were.

@@ -47,7 +47,6 @@ void moc_guard_start(const moc_guard *g, int n, const double *q, const double *v
         w->point[i] = (double)NAN;
     w->first_tick[MOC_RCM] = w->first_tick[MOC_FORCE] = w->ticks = -1;
     w->now = w->newest = stamp - 1;
-    w->delay = -2;
 }
 
 /* --- the age of a measurement --- */
@@ -57,21 +56,21 @@ enum { FRESH, REPEAT, OLD };
 /* The delay with which the first new measurement came is ordinary; `patience` ticks more is too old. */
 static int age(const moc_guard *g, long long stamp, moc_watch *w)
 {
-    int possible = stamp > -LARGEST_STAMP && stamp < LARGEST_STAMP;
+    bool possible = stamp > -LARGEST_STAMP && stamp < LARGEST_STAMP;
     w->now++;
     long long late = possible ? w->now - stamp : LLONG_MAX;
     if (late < 0 && late >= -g->patience) { /* the arm counted on while the controller missed ticks: its clock holds */
         w->now = stamp;
         late = 0;
     }
-    int newer = possible && late >= 0 && stamp > w->newest;
+    bool newer = possible && late >= 0 && stamp > w->newest;
     if (newer) {
         w->elapsed += stamp - w->newest;
         w->newest = stamp;
-        if (w->delay < 0) /* the one that the run is started with is as old as it is told to be */
-            w->delay = w->delay == -1 ? late : -1;
+        if (++w->taken == 2) /* the one that the run is started with is as old as it is told to be */
+            w->delay = late;
     }
-    if (w->now - w->newest > (w->delay > 0 ? w->delay : 0) + g->patience)
+    if (w->now - w->newest > w->delay + g->patience)
         return OLD;
     return newer ? FRESH : REPEAT;
 }
@@ -118,13 +117,13 @@ static void compare_wrench(const double *wrench, moc_watch *w)
 static bool compare_joint(const moc_guard *g, double q, double v, double elapsed, moc_joint_watch *j)
 {
     double keep = 1.0 - fmin(1.0, elapsed / g->motion_s);
-    int first = j->repeats < 0.0;
+    bool first = j->repeats < 0.0;
 
     if (first) /* what it is compared with begins here */
         j->shown = q - elapsed * v;
     j->gap = keep * j->gap + (q - j->shown) - elapsed * v;
     j->peak = fmax(keep * j->peak, fabs(v));
-    int repeats = same(q, j->shown);
+    bool repeats = same(q, j->shown);
     /* A velocity that was never other than zero is no sign: the joint has rested since the start. */
     j->whole += !first && repeats && same(v, j->speed) && j->peak > 0.0;
     j->speed = v;
@@ -142,7 +141,7 @@ static bool compare_joint(const moc_guard *g, double q, double v, double elapsed
 /* Whether the arm was told to move, or the torque changed, while all encoders repeated themselves. */
 static bool told_to_move(const moc_guard *g, int n, const double *tau, const moc_watch *w)
 {
-    int whole = w->wrench_repeats > g->patience, moved = 0;
+    bool whole = w->wrench_repeats > g->patience, moved = false;
     double share = whole ? g->repeat_whole_torque : g->repeat_torque, way = whole ? g->repeat_whole_m : g->repeat_m;
 
     for (int i = 0; i < 3; i++)
@@ -157,7 +156,7 @@ static moc_stop compare_readings(const moc_guard *g, int n, const moc_measuremen
 {
     double elapsed = g->period * fmax(1.0, (double)w->elapsed);
     double fewest = 1e18, most = 0.0, fewest_whole = 1e18, most_whole = 0.0;
-    int ran_away = 0;
+    bool ran_away = false;
 
     w->elapsed = 0;
     compare_wrench(m->wrench, w);
@@ -173,8 +172,8 @@ static moc_stop compare_readings(const moc_guard *g, int n, const moc_measuremen
             w->joint[i].torque = m->applied[i];
         memcpy(w->still, w->told, sizeof w->still);
     }
-    int deaf = wrench_has_noise(w) && w->wrench_repeats > g->repeat_whole_ticks;
-    int repeated = fewest > g->patience && (deaf || told_to_move(g, n, m->applied, w));
+    bool deaf = wrench_has_noise(w) && w->wrench_repeats > g->repeat_whole_ticks;
+    bool repeated = fewest > g->patience && (deaf || told_to_move(g, n, m->applied, w));
     return repeated || fewest_whole > g->repeat_reading_ticks                     ? MOC_STOP_REPEATED
            : ran_away                                                             ? MOC_STOP_RAN_AWAY
            : most > g->repeat_joint_ticks || most_whole > g->repeat_reading_ticks ? MOC_STOP_ONE_REPEATED
@@ -278,7 +277,7 @@ static double trocar_force(const moc_guard *g, double pose[4][3], const double P
     double x = (L * force[0] - (wrench[4] - 0.5 * L * weight[0])) / depth;
     double y = (L * force[1] - (-wrench[3] - 0.5 * L * weight[1])) / depth;
     double across = sqrt(x * x + y * y);
-    return whole - g->tip_force > across ? whole - g->tip_force : across;
+    return larger(whole - g->tip_force, across);
 }
 
 moc_stop moc_guard_incision(const moc_guard *g, double pose[4][3], const moc_trocar *trocar, const double *wrench,
@@ -351,7 +350,7 @@ static moc_stop weigh(const moc_guard *g, int n, const moc_terms *t, const doubl
         j->unseen += g->period * beyond / t->M[i][i];
         if (j->repeats > g->patience && fabs(j->unseen) > g->stuck_speed)
             found = MOC_STOP_STUCK;
-        int far = fabs(j->residual - j->mean) > g->residual_torque * g->tau_max[i] ||
+        bool far = fabs(j->residual - j->mean) > g->residual_torque * g->tau_max[i] ||
                   fabs(j->residual) > g->residual_whole * g->tau_max[i];
         j->exceeded = far ? j->exceeded + 1.0 : 0.0;
         if (j->exceeded > g->patience) {
@@ -367,9 +366,8 @@ static moc_stop weigh(const moc_guard *g, int n, const moc_terms *t, const doubl
 /* The most that wall and brake leave of the torque towards a wall, above the weight; infinite where they do not act. */
 static double left_by_wall(const moc_guard *g, int i, double distance, double speed)
 {
-    double allowed = 0.0; /* at that speed it can still be stopped */
-    if (speed > 0.0)
-        allowed = fmin(g->v_max[i], sqrt(2.0 * g->wall_brake * fmax(distance, 0.0)));
+    /* at that speed it can still be stopped */
+    double allowed = fmin(g->v_max[i], sqrt(2.0 * g->wall_brake * fmax(distance, 0.0)));
     if (!(distance < 0.0 || speed > allowed))
         return HUGE_VAL;
     return -g->wall_stiffness * fmax(-distance, 0.0) - g->wall_damping * fmax(speed - allowed, 0.0);
@@ -388,12 +386,13 @@ static bool weight_of(const moc_guard *g, const moc_arm *arm, const double *q, d
 static int limit_torque(const moc_guard *g, const moc_arm *arm, const double *before, const moc_watch *w, double *tau)
 {
     double least[MOC_MAX_JOINTS], most[MOC_MAX_JOINTS], weight[MOC_MAX_JOINTS];
-    int braked = 0, touched = 0;
+    bool braked = false;
+    int touched = 0;
 
     for (int i = 0; i < arm->n; i++) {
         most[i] = left_by_wall(g, i, w->high[i] - w->q[i], w->v[i]);
         least[i] = -left_by_wall(g, i, w->q[i] - w->low[i], -w->v[i]);
-        braked |= most[i] < HUGE_VAL || least[i] > -HUGE_VAL;
+        braked |= isfinite(most[i]) || isfinite(least[i]);
         if (least[i] > most[i]) /* leaving a wall too fast already: neither spring nor brake */
             least[i] = most[i] = 0.0;
     }
@@ -435,7 +434,7 @@ moc_stop moc_guard_follow(const moc_guard *g, const moc_arm *arm, const moc_term
 void moc_guard_rest(const moc_guard *g, const moc_arm *arm, const double *before, const moc_watch *w, double *tau)
 {
     double weight[MOC_MAX_JOINTS];
-    int known = weight_of(g, arm, w->q, weight); /* else the brakes alone */
+    bool known = weight_of(g, arm, w->q, weight); /* else the brakes alone */
 
     for (int i = 0; i < arm->n; i++) {
         double wanted = w->cut ? 0.0 : clip(weight[i], -g->tau_max[i], g->tau_max[i]);
@@ -450,7 +449,7 @@ void moc_guard_rest(const moc_guard *g, const moc_arm *arm, const double *before
 void moc_guard_hold(const moc_guard *g, const moc_arm *arm, const double *wrench, moc_watch *w, double *friction)
 {
     double weight[MOC_MAX_JOINTS], pose[4][3];
-    int carried = 1, known = weight_of(g, arm, w->q, weight);
+    bool carried = true, known = weight_of(g, arm, w->q, weight);
 
     for (int i = 0; i < arm->n; i++) {
         weight[i] = known ? fabs(weight[i]) : 0.0;

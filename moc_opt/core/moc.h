@@ -263,7 +263,7 @@ typedef struct {
     int yields, open;                            /* whether the brakes are open because of it; for how many ticks */
     int cut;                                     /* a drive does not do what it is told: none is used in the stop */
     int limited;                                 /* joints at which the last torque was changed */
-    long long now, newest, delay, elapsed;       /* numbers of control periods: see `age` in guard.c */
+    long long now, newest, delay, elapsed, taken; /* numbers of control periods: see `age` in guard.c */
     moc_joint_watch joint[MOC_MAX_JOINTS];
     double told[3], still[3];                    /* the tip's reference; where all had repeated themselves [m] */
     double wrench[6], wrench_repeats;

@@ -49,6 +49,10 @@ def test_the_torque_follows_the_law_and_stays_within_its_limits(robot, seed, rat
     near = rng.choice([0.02, 0.3, 0.7], N) * rng.choice([-1.0, 1.0], N)  # of half the range
     q = np.where(rng.random(N) < 0.5, robot.q_min, robot.q_max) + near * (robot.q_max - robot.q_min) / 2.0
     v = fast * robot.v_max * rng.uniform(-1.0, 1.0, N)
+    wall, at = robot.q_max - guard.settings.position_margin_rad, rng.random((2, N)) < 0.25
+    q = np.where(at[0], wall, q)  # at the wall itself, and as fast as it can still be stopped there
+    room = np.sqrt(2.0 * guard.settings.wall_brake_rad_per_s2 * np.maximum(wall - q, 0.0))
+    v = np.where(at[1], np.minimum(robot.v_max, room), v)
     before, tau = rng.uniform(-1.0, 1.0, (2, N)) * robot.tau_max * [[1.0], [asked]]
     expected = by_the_law(guard.settings, robot, tau, before, q, v, carries)
     sent = guard.limit_torque(tau, before, q, v)

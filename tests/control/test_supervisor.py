@@ -454,3 +454,21 @@ def test_honest_solvers_are_not_refused(name):
     trace = run(Scenario(solver={"name": name}, **QUICK))
     refused = ("lied", "outside", "late", "not_finite", "malformed", "raised")
     assert np.isin(trace.fault, refused).mean() <= 0.01, trace.meta["faults"]
+
+
+@pytest.mark.parametrize(("claim", "j", "limit"), [
+    (0, 0, "primal_limit"), (0, 1, "primal_limit"), (2, 0, "box_limit"), (2, 1, "box_limit"), (0, 2, "relative_limit"),
+    (0, 3, "opposite_limit"), (0, None, "budget_us"),
+])  # fmt: skip
+def test_an_answer_at_a_limit_is_taken_and_one_beyond_it_is_not(qp, Z, claim, j, limit):
+    """Claims 0, an optimum, and 2, an iterate; figure j of what judge finds."""
+    x = opposite(qp).x if j in (2, 3) else np.clip(solved(qp).x, qp.lower, qp.upper)
+    beside = {0: Z[0], 1: np.ones(7)}
+    x = x + 0.01 * (qp.A[0] if j == 0 else np.where(x == qp.upper, 1.0, 0.0) if j == 1 else 0.0)
+    figure = 50.0 if j is None else judged(qp.row, Z, x)[j]
+    assert figure > 1e-6
+    for share, taken in ((1.0, True), (1.0 - 1e-12, False)):
+        made = law(7, **dict.fromkeys(("primal_limit", "box_limit", "relative_limit", "opposite_limit"), np.inf)
+                   | {limit: figure * share} | ({"relative_limit": np.inf} if j == 3 else {}))  # fmt: skip
+        made.load(qp.row, np.ascontiguousarray(Z))
+        assert (made.finish(0, claim, x, 50.0)[0] == 0) == taken

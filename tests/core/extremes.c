@@ -1,5 +1,7 @@
 /* Random, extreme and damaged states through the core: nothing reads or writes beyond its arrays, every loop ends, and
  * the torque that leaves the safety filter is finite and within its limits. Built with sanitizers by `make sanitize`.
+ * What lies behind the first n numbers of an array is NaN, and the digest of all results is the same whatever the
+ * compiler fills new variables with: neither decides anything.
  *
  * extremes [courses] [seed]: 0 where that held. */
 #include <math.h>
@@ -10,7 +12,7 @@
 
 #include "tools.h"
 
-static uint64_t seed = 1;
+static uint64_t seed = 1, digest = 14695981039346656037u;
 
 static uint64_t bits(void)
 {
@@ -49,6 +51,28 @@ static double extreme(void)
     }
 }
 
+static void note(const double *x, int count)
+{
+    for (int i = 0; i < count; i++) {
+        uint64_t pattern;
+        memcpy(&pattern, &x[i], sizeof pattern);
+        digest = (digest ^ (isnan(x[i]) ? 1 : pattern)) * 1099511628211u;
+    }
+}
+
+static void fill(double *x, int count, double value)
+{
+    for (int i = 0; i < count; i++)
+        x[i] = value;
+}
+
+/* NaN behind the first n numbers of each row. */
+static void behind(double *x, int rows, int n)
+{
+    for (int i = 0; i < rows; i++)
+        fill(x + i * MOC_MAX_JOINTS + n, MOC_MAX_JOINTS - n, (double)NAN);
+}
+
 static void spoil(double *x, int count, unsigned one_in)
 {
     for (int i = 0; i < count; i++)
@@ -59,11 +83,14 @@ static void spoil(double *x, int count, unsigned one_in)
 /* A chain of 1 to 16 joints, turning and sliding, with any axes; now and then of coinciding ones. */
 static void draw_arm(moc_arm *arm)
 {
+    unsigned idle = chance(3) ? 2 : 10; /* with few joints that move the tool it has one freedom of sixteen */
     memset(arm, 0, sizeof *arm);
-    arm->n = 1 + (int)(bits() % MOC_MAX_JOINTS);
+    fill(&arm->joint[0].rotation[0][0], MOC_MAX_JOINTS * (int)(sizeof *arm->joint / sizeof(double)), (double)NAN);
+    arm->n = chance(3) ? MOC_MAX_JOINTS : 1 + (int)(bits() % MOC_MAX_JOINTS);
     for (int j = 0; j < arm->n; j++) {
         moc_joint *joint = &arm->joint[j];
         double angle = uniform(-3.0, 3.0), length = 0.0;
+        memset(joint, 0, sizeof *joint);
         joint->rotation[0][0] = joint->rotation[1][1] = cos(angle);
         joint->rotation[1][0] = sin(angle);
         joint->rotation[0][1] = -sin(angle);
@@ -80,7 +107,7 @@ static void draw_arm(moc_arm *arm)
         joint->mass = uniform(0.0, 3.0);
         joint->inertia[0] = joint->inertia[2] = joint->inertia[5] = uniform(0.01, 0.2);
         joint->rotor = uniform(0.0, 0.3);
-        arm->moves[0][j] = arm->moves[1][j] = !chance(10);
+        arm->moves[0][j] = arm->moves[1][j] = !chance(idle);
     }
     arm->point[0][2] = 0.35;
     arm->tool[0][0] = arm->tool[1][1] = arm->tool[2][2] = 1.0;
@@ -98,6 +125,8 @@ static void draw_law(moc_law *law, int n)
     };
     law->damped = !law->third_level && chance(2);
     law->climbs = law->rho > 0.0 && chance(2);
+    behind(law->K_N2, 3, n); /* with D_N2 and tau_max */
+    behind(law->q_min, 3, n);
     for (int j = 0; j < n; j++) {
         law->K_N2[j] = uniform(0.0, 120.0);
         law->D_N2[j] = uniform(0.0, 6.0);
@@ -126,6 +155,8 @@ static void draw_guard(moc_guard *g, const moc_law *law, int n)
         g->warning[k] = chance(3) ? HUGE_VAL : k ? 8.0 : 0.006;
         g->limit[k] = chance(3) ? HUGE_VAL : k ? 15.0 : 0.012;
     }
+    behind(g->low, 4, n); /* with high, v_max and tau_max */
+    behind(g->held, 1, n);
     for (int j = 0; j < n; j++) {
         g->low[j] = law->q_min[j] + 0.045;
         g->high[j] = law->q_max[j] - 0.045;
@@ -150,12 +181,83 @@ static void damage(moc_memory *memory, moc_watch *watch)
     spoil(&watch->joint[0].gap, (int)(sizeof watch->joint / (sizeof(double))), 20);
 }
 
+/* What no tick has written yet. */
+static void poison(moc_state *s, int n)
+{
+    moc_terms *t = &s->terms;
+    moc_problem *p = &s->problem;
+    behind(t->q, 2, n);
+    behind(t->A[0], 6, n);
+    behind(t->grad_mu, 2, n);
+    behind(t->M[0], MOC_MAX_JOINTS, n);
+    behind(t->h, 3, n);
+    behind(p->A[0], 6, n);
+    behind(p->grad_mu, 4, n);
+    behind(p->q, 1, n);
+    behind(s->memory.Z[0], MOC_MAX_JOINTS, n);
+    behind(s->memory.integral, 4, n);
+    behind(s->watch.q, 4, n);
+    behind(s->tau, 1, n);
+    behind(s->x, 2, n);
+    behind(s->sent, 1, n);
+}
+
 static int bounded(const moc_guard *g, int n, const double *tau)
 {
     for (int i = 0; i < n; i++)
         if (!(tau[i] >= -g->tau_max[i] && tau[i] <= g->tau_max[i]))
             return 0;
     return 1;
+}
+
+/* A copy of its own length on the heap: the sanitizer sees what is beyond it. */
+static double *alone(const double *x, int count)
+{
+    double *own = malloc((unsigned)count * sizeof *own);
+    memcpy(own, x, (unsigned)count * sizeof *own);
+    return own;
+}
+
+/* The arm's poses and curves for the planning, and a value function over them. */
+static void plan(const moc_arm *arm, const moc_law *law, const double *from)
+{
+    enum { MOST = 12 };
+    static const double none[MOST * MOC_MAX_JOINTS];
+    int n = arm->n, closed;
+    double *low = alone(law->q_min, n), *high = alone(law->q_max, n), *q = alone(from, n), *best = alone(none, n);
+    double *s = alone(none, MOST), *poses = alone(none, MOST * n), *mus = alone(none, MOST), *way = alone(from, n);
+    double *slack = alone(none, MOST * n), *step = alone(none, n), *value = alone(none, MOST);
+    static const double crossing[] = {1.0, 0.0, 1.0, 0.0, 0.0, 1.0};
+    moc_frame frame[MOC_MAX_JOINTS];
+    moc_twist twist[MOC_MAX_JOINTS];
+    moc_terms terms;
+    plan_task task = {.arm = arm, .low = low, .high = high};
+
+    for (int j = 0; j < n; j++)
+        low[j] = chance(10) ? high[j] = q[j] : low[j];
+    moc_kinematics(arm, q, frame, twist, &terms);
+    memcpy(task.target[MOC_TIP], terms.tip, sizeof terms.tip);
+    memcpy(task.target[MOC_WRIST], terms.wrist, sizeof terms.wrist);
+    spoil(task.target[MOC_TIP], 6, 100);
+    for (int j = 0; j < n; j++)
+        best[j] = q[j] + uniform(-0.1, 0.1);
+    plan_place(&task, 1 + chance(2), 8, best, best);
+    note(best, n);
+    fill(way, n, 1.0);
+    int count = plan_follow(&task, q, way, 0.05, MOST, s, poses, mus, &closed);
+    note(poses, count * n);
+    note(mus, count);
+    note(s, count);
+    plan_ascend(&task, q);
+    note(q, n);
+    fill(step, n, 0.1);
+    const plan_stage stage = {2, MOST / 2, MOST / 2, n, (int)(bits() % (unsigned)n), poses, slack, none, poses, slack,
+                              mus, step, crossing, 1e-3, 0.1};
+    plan_advance(&stage, value);
+    note(value, MOST);
+    double *own[] = {low, high, q, best, s, poses, mus, way, slack, step, value};
+    for (int k = 0; k < (int)(sizeof own / sizeof *own); k++)
+        free(own[k]);
 }
 
 static long reasons[MOC_STOPS], faults[MOC_FAULTS], statuses[4];
@@ -176,9 +278,11 @@ static moc_stop tick(const moc_controller *c, const moc_input *in, int own, moc_
             const moc_network net = {20, 1.0, 1.0, 0.5, 100.0, chance(2), 1e-7};
             int made;
             moc_step_network(&state->problem, &net, x, y, &made);
+            note(y, 6);
         }
     }
     moc_stop reason = moc_finish(c, &answer, state, tau);
+    note(state->x, c->law->third_level ? c->arm->n : 0);
     faults[state->fault]++;
     return reason;
 }
@@ -191,7 +295,7 @@ static int course(void)
     moc_law law;
     moc_guard guard;
     moc_input in = {.x_d = NULL};
-    double q[MOC_MAX_JOINTS], v[MOC_MAX_JOINTS], sent[MOC_MAX_JOINTS] = {0.0}, pose[4][3];
+    double q[MOC_MAX_JOINTS], v[MOC_MAX_JOINTS], sent[MOC_MAX_JOINTS], pose[4][3];
     const moc_supervision supervision = {1, 0.1, 0.01, 0.05, 1e-3, 3, 1, (moc_fallback)(bits() % 3),
                                          (moc_late)(bits() % 3), chance(2) ? HUGE_VAL : 50.0};
     const moc_controller controller = {&arm, &law, &supervision, &guard, 1e-9};
@@ -200,9 +304,12 @@ static int course(void)
     draw_law(&law, arm.n);
     draw_guard(&guard, &law, arm.n);
     for (int j = 0; j < MOC_MAX_JOINTS; j++) {
-        q[j] = chance(3) ? 0.0 : uniform(-2.0, 2.0);
-        v[j] = uniform(-0.3, 0.3);
+        q[j] = j >= arm.n ? (double)NAN : chance(3) ? 0.0 : uniform(-2.0, 2.0);
+        v[j] = j >= arm.n ? (double)NAN : uniform(-0.3, 0.3);
+        sent[j] = j >= arm.n ? (double)NAN : 0.0;
     }
+    if (chance(4))
+        plan(&arm, &law, q);
     moc_tool_pose(&arm, q, pose);
     for (int i = 0; i < 3; i++) {
         in.ref.X[i] = pose[3][i];
@@ -216,6 +323,7 @@ static int course(void)
         if (!chance(20) &&
             moc_start(&controller, &(moc_measurement){q, v, 0, 1, sent, NULL}, &states[k]) != MOC_RUNNING)
             return 0;
+        poison(&states[k], arm.n);
     }
     for (long long k = 1; k < 30; k++) {
         double seen_q[MOC_MAX_JOINTS], seen_v[MOC_MAX_JOINTS], wrench[6];
@@ -244,16 +352,18 @@ static int course(void)
                 spoil(state->sent, arm.n, 4);
             moc_stop reason = tick(&controller, &in, own, state, tau);
             reasons[reason]++;
+            note(tau, arm.n);
             if (!bounded(&guard, arm.n, tau))
                 return 0;
             if (reason == MOC_RUNNING)
                 continue;
             moc_guard_hold(&guard, &arm, wrench, &state->watch, friction);
+            note(friction, arm.n);
             for (int i = 0; i < arm.n; i++)
                 if (!(friction[i] >= 0.0))
                     return 0;
         }
-        memcpy(sent, states[1].sent, sizeof sent);
+        memcpy(sent, states[1].sent, (unsigned)arm.n * sizeof *sent);
         for (int i = 0; i < arm.n; i++)
             q[i] += 0.002 * v[i];
     }
@@ -272,7 +382,7 @@ int main(int count, char **words)
             return 1;
         }
     }
-    printf("%ld courses of 29 ticks\n", courses);
+    printf("%ld courses of 29 ticks, digest %016llx\n", courses, (unsigned long long)digest);
     for (int k = 0; k < MOC_STOPS; k++)
         printf("  %s: %ld\n", moc_reason((moc_stop)k), reasons[k]);
     for (int k = 0; k < MOC_FAULTS; k++)

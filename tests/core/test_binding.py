@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from moc_opt import core, load_robot
+from moc_opt import NullSpaceQP, core, load_robot
 from tests.problems import random_problem
 
 QP = random_problem(np.random.default_rng(0))
@@ -30,6 +30,11 @@ def test_another_number_of_arguments_and_rows_of_another_length_are_refused():
     for count in (1, 3):
         with pytest.raises(TypeError, match="takes 2 arguments"):
             core.solve_exact(*[QP.row] * count)
+    for X, Y in ((np.zeros((3, 7)), np.zeros((2, 6))), (np.zeros((2, 7)), np.zeros((0, 6)))):
+        with pytest.raises(ValueError, match="give"):  # the first array says how many
+            core.solve_exact_rows(np.zeros((0, 87)) if len(Y) else np.zeros((2, 87)), 1e-9, X, Y, np.zeros(len(X)))
+    with pytest.raises(ValueError, match=r"shape \(n, 27\) for 1 to 16 joints"):
+        core.Arm(np.zeros((7, 26)), np.zeros((2, 3)), np.eye(3), np.ones((2, 7)), np.zeros(3))
     for rows in (np.zeros((2, 88)), np.zeros(87), np.zeros((2, 10)), np.zeros((0, 187 + 10))):
         with pytest.raises(ValueError, match="11 n \\+ 10"):
             core.solve_exact_rows(rows, 1e-9, np.zeros((2, 7)), np.zeros((2, 6)), np.zeros(2))
@@ -47,3 +52,35 @@ def test_a_curve_without_room_or_step_is_refused(count, step):
     task = ROBOT.q_min, ROBOT.q_max, np.array([state.tip, state.wrist]), np.array(state.q), np.ones(7)
     with pytest.raises(ValueError, match="2 samples or more"):
         ROBOT.arm.follow_curve(*task, step, np.zeros(count), np.zeros((count, 7)), np.zeros(count))
+
+
+def test_results_have_the_length_of_their_records():
+    assert ROBOT.state(ROBOT.data.q_home).record.shape == (7 * 7 + 13 * 7 + 18,)
+    status, x, y = core.solve_exact(QP.row, 1e-9)
+    assert (status, x.shape, y.shape) == (core.OK, (7,), (6,))
+
+
+@pytest.mark.parametrize("five", [True, False])
+@pytest.mark.parametrize("axis", range(3))
+def test_a_librarys_buffers_hold_the_subproblem_also_of_a_tool_along_an_axis(axis, five):
+    rng, rows = np.random.default_rng(axis), 5 if five else 6
+    J, apart = rng.normal(size=(2, 3, 7))
+    apart[axis] = 0.0
+    A, x, grad, lower = np.vstack([J, J - apart]), *rng.normal(size=(3, 7))
+    qp = NullSpaceQP(J, J - apart, A[:3] @ x, A[3:] @ x, grad, lower, lower + 2.0, c0=0.5, c1=0.25, regularization=0.1)
+    P, p, low, high = np.zeros((7, 7)), np.zeros(14)[::2], np.zeros(rows), np.zeros(rows)
+    held, bounds, packed, lift = np.zeros((rows, 7)), np.zeros((2, 7)), np.zeros(28), np.zeros((rows, 6))
+    signs = np.array([2.0, -4.0, 0.5])
+    given = [qp.row, five, 3.0, signs, P, p, held, low, high, *bounds, packed, lift]
+    assert core.load(*given)
+    np.testing.assert_allclose(P, 3.0 * qp.P, rtol=1e-12)
+    np.testing.assert_allclose(packed, (3.0 * qp.P)[np.tril_indices(7)], rtol=1e-12)
+    np.testing.assert_allclose(p, 3.0 * signs[0] * qp.p, rtol=1e-12, atol=1e-14)
+    np.testing.assert_allclose(held, lift @ A, atol=1e-14)
+    np.testing.assert_allclose(lift @ lift.T, np.eye(rows), atol=1e-14)
+    np.testing.assert_allclose([low, high], [lift @ qp.b] * 2, atol=1e-14)
+    np.testing.assert_allclose(bounds, [signs[1] * qp.lower, signs[2] * qp.upper], rtol=1e-15)
+    given[6:9], given[12] = (np.zeros((11 - rows, 7)), *np.zeros((2, 11 - rows))), np.zeros((11 - rows, 6))
+    assert not core.load(*given)
+    with pytest.raises(ValueError, match="packed: give 28 numbers"):
+        core.load(*[np.zeros(27) if each is packed else each for each in given[:6] + [held, low, high] + given[9:12]], lift)

@@ -1,0 +1,126 @@
+"""The levels of the safety filter and of the supervisor: a level itself is allowed, what is beyond it is not.
+
+One joint of unit inertia, whose tool points along z from the origin, and numbers that are sums of powers of two: all
+arithmetic is exact, so that a figure can be its level.
+"""
+
+import numpy as np
+import pytest
+
+from moc_opt import core
+
+T, OFF, ZERO, DEAF = 2.0**-9, np.inf, np.zeros(1), np.full(6, np.nan)
+JOINT = np.concatenate([np.eye(3).ravel(), np.zeros(3), [0.0, 0.0, 1.0], np.zeros(11), [1.0]])[None]
+ARM = core.Arm(JOINT, np.array([[0.0] * 3, [0.0, 0.0, -0.25]]), np.eye(3), np.ones((2, 1)), np.zeros(3))
+TROCAR = np.array([[0.0, 0.0, -0.125], [0.0] * 3])
+
+
+def begun(arm=ARM, **levels):
+    """A filter at rest at zero in which every level that is not named is off."""
+    given = {
+        "period": T, "patience": 0, "carries": False, "low": -1e9, "high": 1e9, "v_max": 1.0, "tau_max": 1.0,
+        "wall_stiffness": 0.0, "wall_damping": 0.0, "wall_brake": 1.0, "torque_step": OFF, "jump": OFF,
+        "speed_factor": OFF, "tip_error": OFF, "tip_share": 1.0, "in_incision": True, "warning": [OFF, OFF],
+        "limit": [OFF, OFF], "incision_share": 1.0, "tool_mass": 0.0, "tool_length": 0.25, "tip_force": OFF,
+        "stop_holding": 0.25, "stop_yield": OFF, "stop_yield_ticks": 9, "press_share": 1.0, "motion": True,
+        "motion_s": 1e9, "motion_rad": OFF, "motion_lag_s": 0.0, "repeat_m": OFF, "repeat_torque": OFF,
+        "repeat_whole_m": OFF, "repeat_whole_torque": OFF, "repeat_whole_ticks": OFF, "repeat_joint_ticks": OFF,
+        "repeat_reading_ticks": OFF, "replayed_ticks": OFF, "stuck_speed": OFF, "held": 0.0, "residual_torque": OFF,
+        "residual_whole": OFF, "residual_rate": 16.0, "residual_share": 0.0, "settling_ticks": 0, **levels,
+    }  # fmt: skip
+    for name in ("low", "high", "v_max", "tau_max", "held", "warning", "limit"):
+        given[name] = np.atleast_1d(np.asarray(given[name], float))
+    made = core.Guard(arm, **given)
+    made.start(ZERO, ZERO, 0)
+    return made
+
+
+def read(guard, q=0.0, v=0.0, applied=0.0, wrench=DEAF, trocar=None):
+    """The reason to stop after one reading."""
+    return core.REASONS[guard.believe(np.array([q]), np.array([v]), np.nan, np.array([applied]), wrench, trocar)[0]]
+
+
+def follow(guard, before=0.0, tip=None, tip_ref=None, record=None):
+    tip_ref = None if tip_ref is None else np.array([[tip_ref, 0.0, 0.0], *np.zeros((2, 3))])
+    tip = None if tip is None else np.array([tip, 0.0, 0.0])
+    return core.REASONS[guard.follow(ZERO, ZERO, record, tip, tip_ref, np.array([before]), np.zeros(1))[0]]
+
+
+def pressed(force):
+    """The reading of a trocar that presses the shaft along x."""
+    return np.array([0.0, 0.0, 0.0, 0.0, -0.125 * force, 0.0])
+
+
+def jump(level):
+    guard = begun(jump=level)
+    read(guard, q=0.25 + T)
+    return guard.watched()[0]
+
+
+def speed(level):
+    guard = begun(speed_factor=level)
+    read(guard, v=0.25)
+    return guard.watched()[0]
+
+
+def tip_error(level):
+    return "tip" in follow(begun(tip_error=level), tip=0.25, tip_ref=0.0)
+
+
+def way(level, name="motion_rad", v=0.0):
+    guard = begun(**{name: level}, **{"motion_rad": 0.0} if v else {})
+    read(guard, v=v)
+    return "velocities" in read(guard, q=0.25 + T * v, v=v)
+
+
+def told(level, name, wrench, applied=0.25, tip=0.25):
+    guard = begun(**{name: level})
+    for _ in range(3):  # the torque that was applied when the encoder began to repeat itself is zero
+        assert read(guard, wrench=wrench) == "running"
+        follow(guard, tip=0.0, tip_ref=0.0)
+    follow(guard, tip=tip, tip_ref=tip)
+    return "all encoders" in read(guard, applied=applied, wrench=wrench)
+
+
+def repeated(level, name, count=8, v=0.0, wrench=lambda k: DEAF):
+    """A reading that came `count` times more than once, after 101 that do not."""
+    guard = begun(**{name: level})
+    for k in range(101):
+        read(guard, q=float(k) * T, v=v * k, wrench=wrench(k))
+    reasons = [read(guard, q=101.0 * T, v=v, wrench=wrench(101)) for _ in range(count + 1)]
+    return reasons[-1] != "running"
+
+
+def incision(level, j, name, shown):
+    guard = begun(**{name: [level if i == j else OFF for i in range(2)]})
+    reason = read(guard, wrench=pressed(0.25 * j), trocar=TROCAR + [[0.25 * (1 - j), 0.0, 0.0], [0.0] * 3])
+    return reason != "running" if shown == "stop" else guard.watched()[1][2, j] == 0.0
+
+
+def residual(level, name, repeats=0):
+    """1 Nm that moves nothing: r = -rate T after a tick."""
+    guard, record = begun(**{name: level}), ARM.terms(ZERO, ZERO)
+    for _ in range(2 + repeats):
+        read(guard)
+    return [follow(guard, 1.0, record=record) for _ in range(2)][-1] != "running"
+
+
+def yields(level):
+    guard = begun(stop_yield=level)
+    read(guard, wrench=pressed(0.0), trocar=TROCAR)
+    return guard.hold(pressed(0.25))[0] == 0.0
+
+
+@pytest.mark.parametrize(("noticed", "level", "more"), [
+    (jump, 0.25, ()), (speed, 0.25, ()), (tip_error, 0.25, ()), (way, 0.25, ()), (way, 0.25, ("motion_lag_s", 1.0)),
+    (told, 0.25, ("repeat_m", DEAF, 0.0)), (told, 0.25, ("repeat_torque", DEAF, 0.25, 0.0)),
+    (told, 0.25, ("repeat_whole_m", np.zeros(6), 0.0)), (told, 0.25, ("repeat_whole_torque", np.zeros(6), 0.25, 0.0)),
+    (repeated, 8, ("repeat_joint_ticks",)), (repeated, 8, ("repeat_reading_ticks", 8, 1.0)),
+    (repeated, 8, ("repeat_whole_ticks", 8, 0.0, lambda k: np.full(6, k + 1.0))),
+    *((incision, 0.25, (j, *name)) for j in range(2) for name in (("limit", "stop"), ("warning", "warns"))),
+    (residual, 16.0 * T, ("residual_torque",)), (residual, 16.0 * T, ("residual_whole",)),
+    (residual, 16.0 * T * T, ("stuck_speed", 2)), (yields, 0.25, ()),
+])  # fmt: skip
+def test_a_level_is_passed_only_beyond_it(noticed, level, more):
+    assert not noticed(level, *more)
+    assert noticed(level * (1.0 - 2.0**-40), *more)
