@@ -63,8 +63,8 @@ static PyObject *law_new(PyTypeObject *type, PyObject *given, PyObject *keywords
 /* Arguments 0 to 3 of start, begin and step: q, v as measured; X_d, dX_d, ddX_d; the trocar P_t, dP_t. */
 #define TICK {"q", READ, N}, {"v", READ, N}, {"tip_ref", READ, 3, 3}, {"trocar", READ, 2, 3}
 
-/* Start (begins = 0) or begin a tick; the arm's record goes into array i. Returns false with an exception. */
-static bool take_tick(Law *self, const call *c, int begins, const double *x_d, int i)
+/* Start or begin a tick; the arm's record goes into array i. Returns false with an exception. */
+static bool take_tick(Law *self, const call *c, bool begins, const double *x_d, int i)
 {
     static const double none[MOC_MAX_JOINTS];
     moc_input in = {.measured = {c->array[0], c->array[1], 0, 0, begins ? NULL : none, NULL}, .x_d = x_d};
@@ -86,7 +86,7 @@ static bool take_tick(Law *self, const call *c, int begins, const double *x_d, i
 
 METHOD(Law, start, TICK, {"record", MADE, TERMS}, {"row", MADE, ROW})
 {
-    if (!take_tick(self, c, 0, NULL, 4))
+    if (!take_tick(self, c, false, NULL, 4))
         return NULL;
     moc_copy_problem(&self->state.problem, c->n, c->array[5], PACK);
     return Py_BuildValue("OO", c->as[4], c->as[5]);
@@ -111,7 +111,7 @@ METHOD(Law, judge, {"x", READ, N})
 
 METHOD(Law, begin, TICK, {"x_d", MAYBE, N}, {"record", MADE, TERMS}, {"row", MADE, ROW})
 {
-    if (!take_tick(self, c, 1, c->array[4], 5))
+    if (!take_tick(self, c, true, c->array[4], 5))
         return NULL;
     moc_copy_problem(&self->state.problem, c->n, c->array[6], PACK);
     return Py_BuildValue("OO", c->as[5], c->as[6]);
@@ -140,7 +140,7 @@ METHOD(Law, step, TICK, {"x_d", MAYBE, N}, {"tolerance", NUMBER}, {"solve_us", N
     size_t bytes = (size_t)c->n * sizeof(double);
     double *row = c->array[8], *found = row + 11 * c->n + 10;
 
-    if (!take_tick(self, c, 1, c->array[4], 7))
+    if (!take_tick(self, c, true, c->array[4], 7))
         return NULL;
     self->controller.tolerance = c->number[5];
     double from = now_us();

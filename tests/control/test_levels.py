@@ -1,7 +1,7 @@
 """The levels of the safety filter and of the supervisor: a level itself is allowed, what is beyond it is not.
 
-One joint of unit inertia, whose tool points along z from the origin, and numbers that are sums of powers of two: all
-arithmetic is exact, so that a figure can be its level.
+Two joints of unit inertia that turn about z, the tool's axis, and numbers that are sums of powers of two: all arithmetic
+is exact, so that a figure can be its level.
 """
 
 import numpy as np
@@ -9,9 +9,10 @@ import pytest
 
 from moc_opt import core
 
-T, OFF, ZERO, DEAF = 2.0**-9, np.inf, np.zeros(1), np.full(6, np.nan)
+T, OFF, ZERO, DEAF = 2.0**-9, np.inf, np.zeros(2), np.full(6, np.nan)
 JOINT = np.concatenate([np.eye(3).ravel(), np.zeros(3), [0.0, 0.0, 1.0], np.zeros(11), [1.0]])[None]
-ARM = core.Arm(JOINT, np.array([[0.0] * 3, [0.0, 0.0, -0.25]]), np.eye(3), np.ones((2, 1)), np.zeros(3))
+ARM = core.Arm(np.vstack([JOINT, JOINT]), np.array([[0.0] * 3, [0.0, 0.0, -0.25]]), np.eye(3), np.ones((2, 2)), np.zeros(3))
+LOADED = np.vstack([JOINT, np.concatenate([JOINT[0, :16], [1.0, 0.5, 0.0, 0.0], JOINT[0, 20:]])])
 TROCAR = np.array([[0.0, 0.0, -0.125], [0.0] * 3])
 
 
@@ -29,21 +30,22 @@ def begun(arm=ARM, **levels):
         "residual_whole": OFF, "residual_rate": 16.0, "residual_share": 0.0, "settling_ticks": 0, **levels,
     }  # fmt: skip
     for name in ("low", "high", "v_max", "tau_max", "held", "warning", "limit"):
-        given[name] = np.atleast_1d(np.asarray(given[name], float))
+        given[name] = np.broadcast_to(np.asarray(given[name], float), (2,)).copy()
     made = core.Guard(arm, **given)
     made.start(ZERO, ZERO, 0)
     return made
 
 
-def read(guard, q=0.0, v=0.0, applied=0.0, wrench=DEAF, trocar=None):
-    """The reason to stop after one reading."""
-    return core.REASONS[guard.believe(np.array([q]), np.array([v]), np.nan, np.array([applied]), wrench, trocar)[0]]
+def read(guard, q=0.0, v=0.0, applied=0.0, wrench=DEAF, trocar=None, other=0.0):
+    """The reason to stop after one reading; the second joint shows ``other``."""
+    tau = np.array([applied, 0.0])
+    return core.REASONS[guard.believe(np.array([q, other]), np.array([v, 0.0]), np.nan, tau, wrench, trocar)[0]]
 
 
-def follow(guard, before=0.0, tip=None, tip_ref=None, record=None):
+def follow(guard, before=0.0, tip=None, tip_ref=None, record=None, other=0.0):
     tip_ref = None if tip_ref is None else np.array([[tip_ref, 0.0, 0.0], *np.zeros((2, 3))])
     tip = None if tip is None else np.array([tip, 0.0, 0.0])
-    return core.REASONS[guard.follow(ZERO, ZERO, record, tip, tip_ref, np.array([before]), np.zeros(1))[0]]
+    return core.REASONS[guard.follow(ZERO, ZERO, record, tip, tip_ref, np.array([before, other]), np.zeros(2))[0]]
 
 
 def pressed(force):
@@ -82,13 +84,12 @@ def told(level, name, wrench, applied=0.25, tip=0.25):
     return "all encoders" in read(guard, applied=applied, wrench=wrench)
 
 
-def repeated(level, name, count=8, v=0.0, wrench=lambda k: DEAF):
-    """A reading that came `count` times more than once, after 101 that do not."""
+def repeated(level, name, v=0.0, wrench=lambda k: DEAF, lives=0.0):
+    """A reading that came eight times more than once, after 101 that do not; the second joint may live on."""
     guard = begun(**{name: level})
     for k in range(101):
-        read(guard, q=float(k) * T, v=v * k, wrench=wrench(k))
-    reasons = [read(guard, q=101.0 * T, v=v, wrench=wrench(101)) for _ in range(count + 1)]
-    return reasons[-1] != "running"
+        read(guard, q=k * T, v=v * k, wrench=wrench(k), other=k * T)
+    return [read(guard, q=9.0, v=v, wrench=wrench(101), other=9.0 + lives * k) for k in range(9)][-1] != "running"
 
 
 def incision(level, j, name, shown):
@@ -111,16 +112,36 @@ def yields(level):
     return guard.hold(pressed(0.25))[0] == 0.0
 
 
+def stays_open(level):
+    """At half the force."""
+    guard = begun(stop_yield=level)
+    read(guard, wrench=pressed(0.0), trocar=TROCAR)
+    assert guard.hold(pressed(0.5))[0] == 0.0
+    return guard.hold(pressed(0.125))[0] == 0.0
+
+
 @pytest.mark.parametrize(("noticed", "level", "more"), [
     (jump, 0.25, ()), (speed, 0.25, ()), (tip_error, 0.25, ()), (way, 0.25, ()), (way, 0.25, ("motion_lag_s", 1.0)),
     (told, 0.25, ("repeat_m", DEAF, 0.0)), (told, 0.25, ("repeat_torque", DEAF, 0.25, 0.0)),
     (told, 0.25, ("repeat_whole_m", np.zeros(6), 0.0)), (told, 0.25, ("repeat_whole_torque", np.zeros(6), 0.25, 0.0)),
-    (repeated, 8, ("repeat_joint_ticks",)), (repeated, 8, ("repeat_reading_ticks", 8, 1.0)),
-    (repeated, 8, ("repeat_whole_ticks", 8, 0.0, lambda k: np.full(6, k + 1.0))),
+    *((repeated, 8, (*name, lives)) for lives in (0.0, T) for name in (
+        ("repeat_joint_ticks", 0.0, lambda k: DEAF), ("repeat_reading_ticks", 1.0, lambda k: DEAF),
+        ("repeat_whole_ticks", 0.0, lambda k: np.full(6, k + 1.0)))),
     *((incision, 0.25, (j, *name)) for j in range(2) for name in (("limit", "stop"), ("warning", "warns"))),
     (residual, 16.0 * T, ("residual_torque",)), (residual, 16.0 * T, ("residual_whole",)),
-    (residual, 16.0 * T * T, ("stuck_speed", 2)), (yields, 0.25, ()),
+    (residual, 16.0 * T * T, ("stuck_speed", 2)), (yields, 0.25, ()), (stays_open, 0.25, ()),
 ])  # fmt: skip
 def test_a_level_is_passed_only_beyond_it(noticed, level, more):
     assert not noticed(level, *more)
     assert noticed(level * (1.0 - 2.0**-40), *more)
+
+
+@pytest.mark.parametrize(("torques", "carries"), [((1.5, 1.5), 0.0), ((-0.5, -0.5), 0.0), ((1.5, 0.0), 0.5)])
+def test_a_drive_that_pushes_against_its_torque_is_used_no_more(torques, carries):
+    """Its residual and its torque differ in sign; where it has none nothing can be said of it. The weight is 0.5 Nm."""
+    arm = core.Arm(LOADED, np.zeros((2, 3)), np.eye(3), np.ones((2, 2)), np.array([0.0, -1.0, 0.0]))
+    guard, record = begun(arm, residual_torque=2.0**-8, carries=True, patience=1), arm.terms(ZERO, ZERO)
+    read(guard)
+    reasons = [follow(guard, before, record=record, other=0.5) for before in (0.5, *torques)]
+    assert [reason.startswith("the measured motion is not") for reason in reasons] == [False, False, True]
+    np.testing.assert_array_equal(guard.rest(ZERO), carries)

@@ -11,6 +11,7 @@
 #include <string.h>
 
 #include "tools.h"
+#include "vec.h"
 
 static uint64_t seed = 1, digest = 14695981039346656037u;
 
@@ -370,6 +371,98 @@ static int course(void)
     return 1;
 }
 
+/* The small algebra, on copies of its own length; 0 where a factor or a basis is wrong. */
+static int algebra(void)
+{
+    double S[5][MOC_MAX_JOINTS], L[5][MOC_MAX_JOINTS], start[5], worst = 0.0;
+    int m = 1 + (int)(bits() % 5);
+    double *x = alone(start, m), *inverse = alone(start, m), *u = alone(start, 3), *v = alone(start, 3);
+    double(*basis)[3] = malloc(2 * sizeof *basis);
+
+    behind(S[0], 5, 0);
+    behind(L[0], 5, 0);
+    for (int i = 0; i < m; i++) {
+        for (int k = 0; k <= i; k++)
+            S[i][k] = S[k][i] = uniform(-0.2, 0.2) + (i == k);
+        x[i] = start[i] = uniform(-1.0, 1.0);
+    }
+    cholesky(m, S, L, inverse);
+    solve_factored(m, L, inverse, x);
+    for (int i = 0; i < m; i++)
+        worst = larger(fabs(dot(m, S[i], x) - start[i]), worst);
+    for (int i = 0; i < 3; i++)
+        u[i] = chance(4) ? 0.0 : uniform(-1.0, 1.0);
+    u[0] += 1e-3;
+    double length = sqrt(dot3(u, u));
+    worst = larger(fabs(normalise3(u) - length), worst);
+    across(u, basis);
+    memset(v, 0, 3 * sizeof *v);
+    add_cross(1.0, basis[0], basis[1], v);
+    for (int i = 0; i < 3; i++)
+        worst = larger(fabs(v[i] - u[i]), worst);
+    worst = larger(fabs(largest_of(m, start) - fabs(clip(9.0, -1.0, largest_of(m, start)))), worst);
+    note(x, m);
+    int sound = worst < 1e-12 && all_finite(m, x) && all_finite(3, u);
+    free(x);
+    free(inverse);
+    free(u);
+    free(v);
+    free(basis);
+    return sound;
+}
+
+/* What a state and a torque at the start may be: the limits themselves are; 0 where that did not hold. */
+static int contract(void)
+{
+    static moc_state state;
+    moc_arm arm;
+    moc_law law;
+    moc_guard guard;
+    moc_input in = {.x_d = NULL};
+    const moc_supervision supervision = {.check = 1};
+    const moc_controller controller = {&arm, &law, &supervision, &guard, 1e-9};
+    double q[MOC_MAX_JOINTS] = {0.0}, v[MOC_MAX_JOINTS] = {0.0}, most[MOC_MAX_JOINTS], tau[MOC_MAX_JOINTS], pose[4][3];
+    const double none[6] = {0.0};
+
+    draw_arm(&arm);
+    draw_law(&law, arm.n);
+    draw_guard(&guard, &law, arm.n);
+    fill(most, MOC_MAX_JOINTS, guard.tau_max[0]);
+    in.measured = (moc_measurement){q, v, 0, 0, most, none};
+    moc_tool_pose(&arm, q, pose);
+    memcpy(in.ref.X, pose[3], sizeof in.ref.X);
+    for (int i = 0; i < 3; i++)
+        in.trocar.P[i] = pose[3][i] - 0.15 * pose[2][i];
+    for (int beyond = 0; beyond < 2; beyond++) {
+        int j = (int)(bits() % (unsigned)arm.n);
+        most[j] = (chance(2) ? -1.0 : 1.0) * (beyond ? nextafter(guard.tau_max[j], HUGE_VAL) : guard.tau_max[j]);
+        if ((moc_start(&controller, &in.measured, &state) == MOC_RUNNING) == beyond || (beyond && state.begun))
+            return 0;
+        most[j] = guard.tau_max[j];
+        moc_start(&controller, &in.measured, &state);
+        state.sent[j] = beyond ? nextafter(guard.tau_max[j], HUGE_VAL) : guard.tau_max[j];
+        in.measured.applied = NULL;
+        if ((moc_begin(&controller, &in, &state) == MOC_STOP_STATE) != beyond || state.sent[j] != guard.tau_max[j])
+            return 0;
+        in.measured.applied = most;
+    }
+    for (int rows = -1; rows < arm.n + 2; rows++) {
+        moc_start(&controller, &in.measured, &state);
+        state.memory.rows = rows;
+        if ((moc_begin(&controller, &in, &state) == MOC_STOP_STATE) != (rows < 0 || rows > arm.n))
+            return 0;
+    }
+    state.begun = 0;
+    fill(tau, MOC_MAX_JOINTS, 1.0);
+    if (moc_begin(&controller, &in, &state) != MOC_STOP_NOT_STARTED ||
+        moc_step(&controller, &in, &state, tau) != MOC_STOP_NOT_STARTED)
+        return 0;
+    for (int i = 0; i < MOC_MAX_JOINTS; i++)
+        if (tau[i] != (i < arm.n ? 0.0 : 1.0))
+            return 0;
+    return 1;
+}
+
 int main(int count, char **words)
 {
     long courses = count > 1 ? strtol(words[1], NULL, 10) : 40000;
@@ -377,8 +470,8 @@ int main(int count, char **words)
 
     for (long k = 0; k < courses; k++) {
         uint64_t from = seed;
-        if (!course()) {
-            printf("not finite, or beyond its limits: state of the generator %llu\n", (unsigned long long)from);
+        if (!algebra() || !contract() || !course()) {
+            printf("not as promised: state of the generator %llu\n", (unsigned long long)from);
             return 1;
         }
     }
