@@ -147,8 +147,7 @@ static double idle_speed(const moc_problem *p, int j)
 {
     /* a gradient at rounding level must not throw an idle joint to its bound */
     bool faint = fabs(p->pull[j]) <= ROUNDING * largest_of(p->n, p->pull);
-    double pull = faint ? 0.0 : p->c2 * p->pull[j];
-    return clip(pull == 0.0 ? 0.0 : pull / p->rho, p->lower[j], p->upper[j]); /* without rho at a bound */
+    return clip(faint ? 0.0 : p->c2 * p->pull[j] / p->rho, p->lower[j], p->upper[j]); /* without rho at a bound */
 }
 
 /* The ends of the s for which x + s z leaves no bound by more than the slack, and the joints that stop it there. */
@@ -187,8 +186,10 @@ static void solve_one(const moc_plane *plane, const moc_problem *p, double toler
     double still = STILL * sqrt(zz);
     segment s = ratio_test(p, x, z, still, 0.0);
     /* Rounding may empty an interval that is a point. Where it stays empty, `finish` finds x out of its box. */
-    for (double slack = 1e-15; s.low > s.high && slack < 100.0 * tolerance; slack *= 100.0)
-        s = ratio_test(p, x, z, still, fmin(slack, tolerance));
+    for (double slack = 1e-17; s.low > s.high && slack < tolerance;) {
+        slack = fmin(100.0 * slack, tolerance);
+        s = ratio_test(p, x, z, still, slack);
+    }
     double best = (p->c2 * zg - p->rho * zx) / (p->rho * zz); /* without rho beyond one of the ends */
     if (p->c2 * zg == 0.0 && p->rho == 0.0)
         best = -zx / zz; /* every point is optimal: the slowest one */

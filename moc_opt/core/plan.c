@@ -291,6 +291,6 @@ void plan_advance(const plan_stage *t, double *value)
             flips = (flips - 1) & bits;
             best = best_in(t, pose, pose / t->m ^ flips, best);
         }
-        value[pose] = best > -HUGE_VAL ? best + t->gain[pose] : -HUGE_VAL;
+        value[pose] = best + t->gain[pose];
     }
 }

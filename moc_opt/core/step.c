@@ -12,7 +12,6 @@ static void start_law(const moc_controller *c, moc_state *s)
     int n = c->arm->n;
 
     memset(memory, 0, sizeof *memory);
-    memory->rows = moc_null_space(n, s->terms.A, 0, memory->Z);
     for (int i = 0; i < n; i++) {
         memory->integral[i] = dot(n, s->terms.M[i], s->terms.v); /* the momentum: no external torque so far */
         memory->tau[i] = s->terms.h[i];

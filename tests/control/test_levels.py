@@ -65,8 +65,9 @@ def speed(level):
     return guard.watched()[0]
 
 
-def tip_error(level):
-    return "tip" in follow(begun(tip_error=level), tip=0.25, tip_ref=0.0)
+def tip_error(level, tip):
+    """The tip that is given, else that of the record, which is at the origin."""
+    return "tip" in follow(begun(tip_error=level), tip=tip, tip_ref=0.25, record=ARM.terms(ZERO, ZERO))
 
 
 def way(level, name="motion_rad", v=0.0):
@@ -85,9 +86,9 @@ def told(level, name, wrench, applied=0.25, tip=0.25):
 
 
 def repeated(level, name, v=0.0, wrench=lambda k: DEAF, lives=0.0):
-    """A reading that came eight times more than once, after 101 that do not; the second joint may live on."""
+    """A reading that came eight times more than once, after 99 that do not; the second joint may live on."""
     guard = begun(**{name: level})
-    for k in range(101):
+    for k in range(99):
         read(guard, q=k * T, v=v * k, wrench=wrench(k), other=k * T)
     return [read(guard, q=9.0, v=v, wrench=wrench(101), other=9.0 + lives * k) for k in range(9)][-1] != "running"
 
@@ -121,7 +122,7 @@ def stays_open(level):
 
 
 @pytest.mark.parametrize(("noticed", "level", "more"), [
-    (jump, 0.25, ()), (speed, 0.25, ()), (tip_error, 0.25, ()), (way, 0.25, ()), (way, 0.25, ("motion_lag_s", 1.0)),
+    (jump, 0.25, ()), (speed, 0.25, ()), (tip_error, 0.25, (None,)), (tip_error, 0.125, (0.125,)), (way, 0.25, ()), (way, 0.25, ("motion_lag_s", 1.0)),
     (told, 0.25, ("repeat_m", DEAF, 0.0)), (told, 0.25, ("repeat_torque", DEAF, 0.25, 0.0)),
     (told, 0.25, ("repeat_whole_m", np.zeros(6), 0.0)), (told, 0.25, ("repeat_whole_torque", np.zeros(6), 0.25, 0.0)),
     *((repeated, 8, (*name, lives)) for lives in (0.0, T) for name in (

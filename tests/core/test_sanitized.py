@@ -1,8 +1,10 @@
 """The core under sanitizers: random chains, extreme inputs and damaged memory (`make sanitize` makes more of them)."""
 
+import os
 import re
 import shutil
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -34,3 +36,37 @@ def test_whatever_goes_in_the_torque_is_finite_and_no_array_is_left(tmp_path):
     knows = subprocess.run(["cc", f"{FILL}zero", "-xc", "-fsyntax-only", "-"], input=b"", check=False)
     for filling in () if knows.returncode else ("zero", "pattern"):
         assert extremes(tmp_path / filling, FILL + filling) == shown, "what a new variable holds decides something"
+
+
+UNDER_THE_SANITIZER = """
+import importlib.util, sys, pytest
+spec = importlib.util.spec_from_file_location("moc_opt.core._core", sys.argv[1])
+sys.modules[spec.name] = importlib.util.module_from_spec(spec)
+spec.loader.exec_module(sys.modules[spec.name])
+sys.exit(pytest.main(["-xq", "-p", "no:cacheprovider", *sys.argv[2:]]))
+"""
+TESTS = ("core/test_binding.py", "core/test_law.py", "control/test_levels.py", "sim/test_plant.py",
+         "sim/test_contact.py", "planning/test_pose_map.py", "planning/test_self_motion.py",
+         "solvers/test_rnn.py")  # fmt: skip
+
+
+def test_nor_does_the_binding_leave_an_array(tmp_path):
+    """The extension module built with the sanitizers, in a process of its own."""
+    if shutil.which("gcc") is None:
+        pytest.skip("no GCC on the path")
+    libraries = [subprocess.run(["gcc", f"-print-file-name=lib{name}.so"], capture_output=True, text=True,
+                                check=True).stdout.strip() for name in ("asan", "ubsan")]  # fmt: skip
+    if not all(Path(library).is_absolute() for library in libraries):
+        pytest.skip("GCC has no sanitizers here")
+    flags = f"-O1 -fsanitize=address,undefined -fno-sanitize-recover=undefined {FILL}pattern"
+    built = subprocess.run([sys.executable, "setup.py", "-q", "build_ext", "--build-lib", tmp_path, "--build-temp",
+                            tmp_path], cwd=ROOT, env=os.environ | {"CC": "gcc", "CFLAGS": flags}, capture_output=True,
+                           text=True, check=False)  # fmt: skip
+    assert built.returncode == 0, built.stderr
+    (module,) = (tmp_path / "moc_opt/core").glob("_core*")
+    ran = subprocess.run(
+        [sys.executable, "-c", UNDER_THE_SANITIZER, module, *(f"tests/{name}" for name in TESTS)], cwd=ROOT,
+        env=os.environ | {"LD_PRELOAD": ":".join(libraries), "ASAN_OPTIONS": "detect_leaks=0"}, capture_output=True,
+        text=True, check=False,
+    )  # fmt: skip
+    assert ran.returncode == 0, ran.stdout[-2000:] + ran.stderr[-4000:]

@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 from scipy.linalg import null_space
 from scipy.optimize import linprog
 
+from moc_opt import core
 from moc_opt.errors import SolverError
 from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.solvers import Status
@@ -112,9 +113,27 @@ def test_references_rounded_to_a_few_decimals_have_an_answer_as_long_as_the_judg
             assert solve(kept).status is Status.INFEASIBLE
 
 
+def test_the_tolerances_themselves_are_allowed():
+    """Of the box, and of a row that repeats another one with another right-hand side."""
+    A, wide, tolerance = np.eye(6, 7), np.ones(7), 2.0**-20
+
+    def status(A, b, upper, tolerance=1e-9):
+        qp = NullSpaceQP(A[:3], A[3:], b[:3], b[3:], wide, -wide, upper, regularization=1e-5)
+        return core.solve_exact(qp.row, tolerance)[0]
+
+    b, upper = np.full(6, 0.25), np.where(np.arange(7) == 0, 0.25 - tolerance, wide)
+    assert status(A, b, upper, tolerance) == core.OK
+    assert status(A, b, upper, tolerance * (1.0 - 2.0**-30)) == core.INFEASIBLE
+    A[5] = A[4]
+    assert [status(A, gap * np.eye(6)[5], wide) for gap in (1e-6, 1.1e-6)] == [core.OK, core.INFEASIBLE]
+
+
 def test_idle_joint_stays_still_and_flat_gradient_takes_the_slowest():
     qp = random_problem(np.random.default_rng(14), regularization=0.0)
     assert solve(qp).x[6] == 0.0
+    for size in (1e-3, 1e3):  # a gradient at rounding level, as a share of the largest, moves it nowhere
+        grads = [size * (qp.grad_mu + share * np.eye(7)[6] * np.abs(qp.grad_mu[:6]).max()) for share in (5e-10, 2e-9)]
+        assert [abs(solve(changed(qp, grad_mu=grad)).x[6]) > 0.1 for grad in grads] == [False, True]
     flat = changed(qp, grad_mu=np.zeros(7), lower=-9.0 * np.ones(7), upper=9.0 * np.ones(7))
     np.testing.assert_allclose(check(flat).x, np.linalg.lstsq(qp.A, qp.b, rcond=None)[0], atol=1e-10)
 
