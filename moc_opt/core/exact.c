@@ -147,7 +147,8 @@ static double idle_speed(const moc_problem *p, int j)
 {
     /* a gradient at rounding level must not throw an idle joint to its bound */
     bool faint = fabs(p->pull[j]) <= ROUNDING * largest_of(p->n, p->pull);
-    return clip(faint ? 0.0 : p->c2 * p->pull[j] / p->rho, p->lower[j], p->upper[j]); /* without rho at a bound */
+    double pull = faint ? 0.0 : p->c2 * p->pull[j];
+    return clip(pull == 0.0 ? 0.0 : pull / p->rho, p->lower[j], p->upper[j]); /* without rho at a bound */
 }
 
 /* The ends of the s for which x + s z leaves no bound by more than the slack, and the joints that stop it there. */

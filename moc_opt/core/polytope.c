@@ -28,12 +28,11 @@ typedef struct {
 /* Pi = Z^T Z, not swept. */
 static void fill_projector(polytope *t)
 {
-    for (int i = 0; i < t->n; i++)
-        for (int j = 0; j < t->n; j++) {
-            t->Pi[i][j] = 0.0;
-            for (int k = 0; k < t->r; k++)
-                t->Pi[i][j] += t->Z[k][i] * t->Z[k][j];
-        }
+    for (int i = 0; i < t->n; i++) {
+        double e[MOC_MAX_JOINTS] = {0.0};
+        e[i] = 1.0;
+        moc_onto(t->n, t->r, t->Z, e, t->Pi[i]);
+    }
 }
 
 /* Exchange joint p's s for its multiplier in Pi (sign 1), or back again (sign -1). */

@@ -472,3 +472,16 @@ def test_an_answer_at_a_limit_is_taken_and_one_beyond_it_is_not(qp, Z, claim, j,
                    | {limit: figure * share} | ({"relative_limit": np.inf} if j == 3 else {}))  # fmt: skip
         made.load(qp.row, np.ascontiguousarray(Z))
         assert (made.finish(0, claim, x, 50.0)[0] == 0) == taken
+
+
+def test_where_several_ways_or_hardly_a_gradient_are_left_a_good_answer_is_not_searched_for_a_better_one(qp):
+    """How far it is from the optimum stays zero; with one way and a gradient it is told."""
+    faint = np.array(qp.row)
+    fields(faint).weights[2:] = 1e-7, 1e-2
+    several = random_problem(np.random.default_rng(3), 8)
+    for each, searched in ((qp, True), (NullSpaceQP.from_row(faint), False), (several, False)):
+        Z = null_space(each.A)
+        back = -1e-4 * np.sign(Z[0] @ each.pull) * Z[0]
+        found = judged(each.row, Z, solved(each).x + back)
+        assert 0.0 < found[2] < 2e-3
+        assert (found[3] > 0.0) == searched

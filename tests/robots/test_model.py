@@ -56,6 +56,18 @@ def differences(function: Any, q: Array) -> Array:
     return np.stack(columns, axis=-1)
 
 
+@pytest.mark.parametrize("scale", [1e-4, 1e4])
+def test_the_unit_of_length_decides_nothing(robot: RobotModel, scale: float) -> None:
+    joints, points, *others = robot.arm_arrays
+    joints[:, 9:12] *= scale
+    scaled, parts = core.Arm(joints, points * scale, *others), layout(robot.n)
+    for q, v, s in samples(robot):
+        record = scaled.terms(q, v)
+        found = [record[parts["grad_mu"]] / scale**3, record[parts["grad_mu_shaft"]] / scale**2]
+        np.testing.assert_allclose(found, [s.grad_mu, s.grad_mu_shaft], rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(record[parts["scalars"]] / scale ** np.array([3, 1, 2]), s.record[parts["scalars"]])
+
+
 def test_places_and_their_derivatives_are_pinocchios(arm: RobotModel) -> None:
     model, data = reference(arm)
     world = pin.LOCAL_WORLD_ALIGNED

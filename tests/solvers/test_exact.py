@@ -131,6 +131,7 @@ def test_the_tolerances_themselves_are_allowed():
 def test_idle_joint_stays_still_and_flat_gradient_takes_the_slowest():
     qp = random_problem(np.random.default_rng(14), regularization=0.0)
     assert solve(qp).x[6] == 0.0
+    assert solve(changed(qp, c2=0.0, grad_mu=np.ones(7))).x[6] == 0.0
     for size in (1e-3, 1e3):  # a gradient at rounding level, as a share of the largest, moves it nowhere
         grads = [size * (qp.grad_mu + share * np.eye(7)[6] * np.abs(qp.grad_mu[:6]).max()) for share in (5e-10, 2e-9)]
         assert [abs(solve(changed(qp, grad_mu=grad)).x[6]) > 0.1 for grad in grads] == [False, True]
