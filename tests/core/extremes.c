@@ -446,6 +446,11 @@ static int contract(void)
             return 0;
         in.measured.applied = most;
     }
+    for (int j = 0; j < arm.n; j++)
+        most[j] *= uniform(-1.0, 1.0); /* what acted in place of what was sent */
+    moc_begin(&controller, &in, &state);
+    if (memcmp(state.sent, most, (unsigned)arm.n * sizeof *most) != 0)
+        return 0;
     for (int rows = -1; rows < arm.n + 2; rows++) {
         moc_start(&controller, &in.measured, &state);
         state.memory.rows = rows;

@@ -54,6 +54,12 @@ def test_a_curve_without_room_or_step_is_refused(count, step):
         ROBOT.arm.follow_curve(*task, step, np.zeros(count), np.zeros((count, 7)), np.zeros(count))
 
 
+@pytest.mark.parametrize("points", [0, 3])
+def test_a_target_of_no_point_or_of_three_is_refused(points):
+    with pytest.raises(ValueError, match=f"target has {points} rows"):
+        ROBOT.arm.nearest_pose(ROBOT.q_min, ROBOT.q_max, np.zeros((points, 3)), ROBOT.q_min, 5)
+
+
 def test_results_have_the_length_of_their_records():
     assert ROBOT.state(ROBOT.data.q_home).record.shape == (7 * 7 + 13 * 7 + 18,)
     status, x, y = core.solve_exact(QP.row, 1e-9)
