@@ -4,7 +4,7 @@
 #define AT_BOUND 1e-4          /* a joint this near to a bound is at it [rad/s] */
 #define PASSES 2e-3            /* an answer with a smaller natural residual may be verified: the line is not searched */
 #define NO_GRADIENT 1e-12      /* share of the gradient along the self-motion below which there is none */
-#define IMMOBILE 1e-12         /* squared length of a joint's column below which it does not move */
+#define IMMOBILE 1e-12         /* squared length of a joint's column, at the least */
 #define GRADIENT_ROUNDING 1e-9 /* a way down shorter than this share of the cost's gradient is none (qp/residuals.py) */
 #define DESCENTS 50            /* of the least violation, over the joints */
 #define OUTSIDE 1e-6           /* what a retreat may leave the box by [rad/s] */
@@ -139,12 +139,10 @@ static void least_violation(const moc_problem *p, double *x)
         missing[i] = dot(n, p->A[i], x) - p->b[i];
     for (int sweep = 0; sweep < DESCENTS; sweep++) /* coordinate descent */
         for (int j = 0; j < n; j++) {
-            if (!(size[j] > IMMOBILE))
-                continue;
             double along = 0.0;
             for (int i = 0; i < 6; i++)
                 along += p->A[i][j] * missing[i];
-            double best = clip(x[j] - along / size[j], p->lower[j], p->upper[j]);
+            double best = clip(x[j] - along / fmax(size[j], IMMOBILE), p->lower[j], p->upper[j]);
             for (int i = 0; i < 6; i++)
                 missing[i] += (best - x[j]) * p->A[i][j];
             x[j] = best;

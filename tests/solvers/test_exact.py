@@ -173,11 +173,15 @@ def test_near_the_rank_tolerance_nothing_is_silently_wrong(decimals, singular):
         assert solution.status is not Status.SOLVED or qp.residuals(solution.x, solution.y).verified()
 
 
-def test_a_violation_of_the_box_is_rounding_up_to_what_the_smallest_column_explains():
-    """Here 4e-12 (roundings) 10 (largest |A| |x|) / 1e-3 (that column) rad/s, and a hundred times that at most."""
-    scales = np.array([1.0, 1.0, 1.0, 1.0, 1.0, 1e-3, 0.0])
-    A, wide = np.diag(scales)[:6], np.full(7, 10.0)
-    for beyond, status in ((2e-6, Status.SOLVED), (8e-6, Status.INFEASIBLE)):
+@pytest.mark.parametrize("freedoms", [0, 1])
+def test_a_violation_of_the_box_is_rounding_up_to_what_the_smallest_column_explains(freedoms):
+    """4e-12 (roundings) 10 or 20 (largest |A| |x|) / 1e-3 (that column) rad/s, and a hundred times that at most."""
+    wide = np.full(7, 10.0)
+    for smallest, beyond, status in (
+        (1e-3, 2e-6, Status.SOLVED), (1e-3, 2e-5, Status.INFEASIBLE), (1.0, 1e-7, Status.INFEASIBLE)
+    ):  # fmt: skip
+        A = np.diag([1.0, 1.0, 1.0, 1.0, 1.0, smallest, 0.0])[:6]
+        A[0, 6] = freedoms
         b = A[:, 5] * (10.0 + beyond)
         qp = NullSpaceQP(A[:3], A[3:], b[:3], b[3:], np.ones(7), lower=-wide, upper=wide, regularization=1e-5)
         assert solve(qp).status is status
