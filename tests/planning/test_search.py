@@ -69,13 +69,14 @@ def test_the_best_of_all_courses_is_found(start, cell, price):
 
 
 def test_every_pose_is_compared_with_every_other_one_next_to_it():
-    """Random bits and slacks, so that poses of one block differ in them."""
+    """Random bits and slacks, so that poses of one block differ in them; in eighths steps are used up exactly."""
     rng = np.random.default_rng(3)
     for trial in range(40):
-        m, m1, step = int(rng.integers(1, 50)), int(rng.integers(1, 50)), np.array([0.1, 0.3])
-        q, after = rng.uniform(0.0, 1.0, (8, m, 2)), rng.uniform(0.0, 1.0, (8, m1, 2))
+        rounded = (lambda x: np.rint(8.0 * x) / 8.0) if trial % 4 > 1 else np.array
+        m, m1, step = int(rng.integers(1, 50)), int(rng.integers(1, 50)), rounded(np.array([0.1, 0.3]))
+        q, after = rounded(rng.uniform(0.0, 1.0, (8, m, 2))), rounded(rng.uniform(0.0, 1.0, (8, m1, 2)))
         q[rng.random((8, m)) < 0.2] = np.nan
-        slack, slack_after = (rng.uniform(0.0, 0.05, each.shape) * (trial % 2) for each in (q, after))
+        slack, slack_after = (rounded(rng.uniform(0.0, 0.1, each.shape)) * (trial % 2) for each in (q, after))
         gain, rest = rng.random((8, m)), np.where(rng.random((8, m1)) < 0.3, -np.inf, rng.random((8, m1)))
         crossing, price = rng.integers(0, 8, m) * (rng.random(m) < 0.4), float(rng.choice([0.0, 2.0]))
         away = np.abs(q[:, :, None, None] - after[None, None])
