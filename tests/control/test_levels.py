@@ -76,13 +76,29 @@ def way(level, name="motion_rad", v=0.0):
     return "velocities" in read(guard, q=0.25 + T * v, v=v)
 
 
-def told(level, name, wrench, applied=0.25, tip=0.25):
-    guard = begun(**{name: level})
-    for _ in range(3):  # the torque that was applied when the encoder began to repeat itself is zero
-        assert read(guard, wrench=wrench) == "running"
-        follow(guard, tip=0.0, tip_ref=0.0)
+def told(level, name, wrench, applied, tip, **others):
+    """After three readings of one pose with a torque of 0.25 Nm and the tip told to be at 0.25 m."""
+    guard = begun(**{name: level} | others)
+    for _ in range(3):
+        follow(guard, tip=0.25, tip_ref=0.25)
+        assert read(guard, applied=0.25, wrench=wrench) == "running"
     follow(guard, tip=tip, tip_ref=tip)
     return "all encoders" in read(guard, applied=applied, wrench=wrench)
+
+
+def waits(level):
+    return told(level, "patience", DEAF, 0.5, 0.25, repeat_torque=0.0)
+
+
+def not_believed(level):
+    guard = begun(jump=0.0, patience=level)
+    return [read(guard, q=1.0) for _ in range(3)][-1] == "measurements not believed"
+
+
+def replayed(level, name, lives):
+    """The first eight of twenty readings come again; the second joint may live on."""
+    guard = begun(**{name: level})
+    return [read(guard, q=k % 20, other=k % 20 + lives * k, wrench=np.zeros(6)) for k in range(28)][-1] != "running"
 
 
 def repeated(level, name, v=0.0, wrench=lambda k: DEAF, lives=0.0):
@@ -99,12 +115,23 @@ def incision(level, j, name, shown):
     return reason != "running" if shown == "stop" else guard.watched()[1][2, j] == 0.0
 
 
-def residual(level, name, repeats=0):
+def touched(level):
+    """A contact at the tip: no force of the trocar, and yet a warning."""
+    guard = begun(warning=[OFF, level])
+    read(guard, wrench=np.array([0.25, 0.0, 0.0, 0.0, 0.0625, 0.0]), trocar=TROCAR)
+    return guard.watched()[1][2, 1] == 0.0
+
+
+def residual(level, name, repeats=0, **others):
     """1 Nm that moves nothing: r = -rate T after a tick."""
-    guard, record = begun(**{name: level}), ARM.terms(ZERO, ZERO)
+    guard, record = begun(**{name: level} | others), ARM.terms(ZERO, ZERO)
     for _ in range(2 + repeats):
         read(guard)
     return [follow(guard, 1.0, record=record) for _ in range(2)][-1] != "running"
+
+
+def settles(level, name):
+    return residual(level, name, residual_torque=0.0)
 
 
 def yields(level):
@@ -123,8 +150,11 @@ def stays_open(level):
 
 @pytest.mark.parametrize(("noticed", "level", "more"), [
     (jump, 0.25, ()), (speed, 0.25, ()), (tip_error, 0.25, (None,)), (tip_error, 0.125, (0.125,)), (way, 0.25, ()), (way, 0.25, ("motion_lag_s", 1.0)),
-    (told, 0.25, ("repeat_m", DEAF, 0.0)), (told, 0.25, ("repeat_torque", DEAF, 0.25, 0.0)),
-    (told, 0.25, ("repeat_whole_m", np.zeros(6), 0.0)), (told, 0.25, ("repeat_whole_torque", np.zeros(6), 0.25, 0.0)),
+    (told, 0.25, ("repeat_m", DEAF, 0.25, 0.5)), (told, 0.25, ("repeat_torque", DEAF, 0.5, 0.25)),
+    (told, 0.25, ("repeat_whole_m", np.zeros(6), 0.25, 0.5)), (waits, 3, ()), (not_believed, 3, ()),
+    (told, 0.25, ("repeat_whole_torque", np.zeros(6), 0.5, 0.25)), (touched, 0.25, ()),
+    (replayed, 8, ("replayed_ticks", 0.0)), (replayed, 8, ("repeat_reading_ticks", T)),
+    (settles, 2, ("settling_ticks",)), (settles, 1, ("patience",)),
     *((repeated, 8, (*name, lives)) for lives in (0.0, T) for name in (
         ("repeat_joint_ticks", 0.0, lambda k: DEAF), ("repeat_reading_ticks", 1.0, lambda k: DEAF),
         ("repeat_whole_ticks", 0.0, lambda k: np.full(6, k + 1.0)))),
