@@ -43,12 +43,11 @@ static double distance(int n, const double *p, const double *q)
 static void allowed_step(const plan_task *task, int rows, const double *q, double A[6][MOC_MAX_JOINTS],
                          const double *error, const double *desired, double damping, double near, double *step)
 {
-    double part[6][MOC_MAX_JOINTS], still[MOC_MAX_JOINTS];
+    double part[6][MOC_MAX_JOINTS]; /* of A, without the columns of joints that are held */
     int n = task->arm->n;
     bool held[MOC_MAX_JOINTS] = {false};
 
     memcpy(part, A, (unsigned)rows * sizeof *part);
-    memcpy(still, desired, (unsigned)n * sizeof *still);
     for (int round = 0; round < 4 * n; round++) {
         double S[6][MOC_MAX_JOINTS], L[6][MOC_MAX_JOINTS], inverse[6], force[6], trace = 0.0, most = 0.0;
         bool left = false;
@@ -58,7 +57,7 @@ static void allowed_step(const plan_task *task, int rows, const double *q, doubl
             for (int k = 0; k < rows; k++)
                 S[i][k] = dot(n, part[i], part[k]);
             trace += S[i][i];
-            force[i] = error[i] - dot(n, part[i], still);
+            force[i] = error[i] - dot(n, part[i], desired);
         }
         for (int i = 0; i < rows; i++)
             S[i][i] += fmax(damping, DAMPING * trace) + 1e-14;
@@ -72,7 +71,6 @@ static void allowed_step(const plan_task *task, int rows, const double *q, doubl
             bool outwards = signbit(free) ? q[j] <= task->low[j] + near : q[j] >= task->high[j] - near;
             if (outwards && !held[j]) {
                 left = held[j] = true;
-                still[j] = step[j] = 0.0;
                 for (int i = 0; i < rows; i++)
                     part[i][j] = 0.0;
             } else if (held[j] && !outwards && fabs(free) > most) {
@@ -85,7 +83,6 @@ static void allowed_step(const plan_task *task, int rows, const double *q, doubl
         if (drawn == NONE)
             return;
         held[drawn] = false;
-        still[drawn] = desired[drawn];
         for (int i = 0; i < rows; i++)
             part[i][drawn] = A[i][drawn];
     }
@@ -277,7 +274,7 @@ static double best_in(const plan_stage *t, int pose, int branch, double best)
             near = away <= t->step[a] + slack[a] + t->slack_next[other * n + a];
             total -= t->price * away * away;
         }
-        best = near && total > best ? total : best;
+        best = near ? larger(total, best) : best;
     }
     return best;
 }
