@@ -457,6 +457,18 @@ static int contract(void)
         if ((moc_begin(&controller, &in, &state) == MOC_STOP_STATE) != (rows < 0 || rows > arm.n))
             return 0;
     }
+    fill(tau, MOC_MAX_JOINTS, (double)NAN);
+    guard.patience = 3; /* a reading that is no number is bridged: the arm is where it was */
+    in.measured.q = tau;
+    moc_start(&controller, &(moc_measurement){q, v, 0, 0, most, none}, &state);
+    if (moc_begin(&controller, &in, &state) != MOC_RUNNING ||
+        memcmp(state.terms.q, q, (unsigned)arm.n * sizeof *q) != 0)
+        return 0;
+    in.measured.v = tau;
+    in.measured.q = q;
+    if (moc_begin(&controller, &in, &state) != MOC_RUNNING ||
+        memcmp(state.terms.v, v, (unsigned)arm.n * sizeof *v) != 0)
+        return 0;
     state.begun = 0;
     fill(tau, MOC_MAX_JOINTS, 1.0);
     if (moc_begin(&controller, &in, &state) != MOC_STOP_NOT_STARTED ||
@@ -464,6 +476,9 @@ static int contract(void)
         return 0;
     for (int i = 0; i < MOC_MAX_JOINTS; i++)
         if (tau[i] != (i < arm.n ? 0.0 : 1.0))
+            return 0;
+    for (int reason = -1; reason <= MOC_STOPS; reason++)
+        if ((strcmp(moc_reason((moc_stop)reason), "unknown") == 0) != (reason < 0 || reason == MOC_STOPS))
             return 0;
     return 1;
 }
