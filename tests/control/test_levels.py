@@ -176,3 +176,8 @@ def test_a_drive_that_pushes_against_its_torque_is_used_no_more(torques, carries
     reasons = [follow(guard, before, record=record, other=0.5) for before in (0.5, *torques)]
     assert [reason.startswith("the measured motion is not") for reason in reasons] == [False, False, True]
     np.testing.assert_array_equal(guard.rest(ZERO), carries)
+
+
+def test_a_motion_that_goes_on_by_itself_needs_no_torque():
+    guard, record = begun(residual_torque=2.0**-9), ARM.terms(ZERO, ZERO + 0.5)
+    assert [follow(guard, record=record) for _ in range(4)] == ["running"] * 4
