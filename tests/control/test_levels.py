@@ -1,7 +1,7 @@
 """The levels of the safety filter and of the supervisor: a level itself is allowed, what is beyond it is not.
 
-Two joints of unit inertia that turn about z, the tool's axis, and numbers that are sums of powers of two: all arithmetic
-is exact, so that a figure can be its level.
+Two joints of unit inertia that turn about z, the tool's axis, and numbers that are sums of powers of two: all
+arithmetic is exact, so that a figure can be its level.
 """
 
 import numpy as np
@@ -11,7 +11,8 @@ from moc_opt import core
 
 T, OFF, ZERO, DEAF = 2.0**-9, np.inf, np.zeros(2), np.full(6, np.nan)
 JOINT = np.concatenate([np.eye(3).ravel(), np.zeros(3), [0.0, 0.0, 1.0], np.zeros(11), [1.0]])[None]
-ARM = core.Arm(np.vstack([JOINT, JOINT]), np.array([[0.0] * 3, [0.0, 0.0, -0.25]]), np.eye(3), np.ones((2, 2)), np.zeros(3))
+POINTS = np.array([[0.0] * 3, [0.0, 0.0, -0.25]])
+ARM = core.Arm(np.vstack([JOINT, JOINT]), POINTS, np.eye(3), np.ones((2, 2)), np.zeros(3))
 LOADED = np.vstack([JOINT, np.concatenate([JOINT[0, :16], [1.0, 0.5, 0.0, 0.0], JOINT[0, 20:]])])
 TROCAR = np.array([[0.0, 0.0, -0.125], [0.0] * 3])
 
@@ -111,7 +112,8 @@ def repeated(level, name, v=0.0, wrench=lambda k: DEAF, lives=0.0):
 
 def incision(level, j, name, shown):
     guard = begun(**{name: [level if i == j else OFF for i in range(2)]})
-    reason = read(guard, wrench=pressed(0.25 * j), trocar=TROCAR + [[0.25 * (1 - j), 0.0, 0.0], [0.0] * 3])
+    beside = np.array([[0.25 * (1 - j), 0.0, 0.0], [0.0] * 3])
+    reason = read(guard, wrench=pressed(0.25 * j), trocar=TROCAR + beside)
     return reason != "running" if shown == "stop" else guard.watched()[1][2, j] == 0.0
 
 
@@ -149,7 +151,8 @@ def stays_open(level):
 
 
 @pytest.mark.parametrize(("noticed", "level", "more"), [
-    (jump, 0.25, ()), (speed, 0.25, ()), (tip_error, 0.25, (None,)), (tip_error, 0.125, (0.125,)), (way, 0.25, ()), (way, 0.25, ("motion_lag_s", 1.0)),
+    (jump, 0.25, ()), (speed, 0.25, ()), (tip_error, 0.25, (None,)), (tip_error, 0.125, (0.125,)),
+    (way, 0.25, ()), (way, 0.25, ("motion_lag_s", 1.0)),
     (told, 0.25, ("repeat_m", DEAF, 0.25, 0.5)), (told, 0.25, ("repeat_torque", DEAF, 0.5, 0.25)),
     (told, 0.25, ("repeat_whole_m", np.zeros(6), 0.25, 0.5)), (waits, 3, ()), (not_believed, 3, ()),
     (told, 0.25, ("repeat_whole_torque", np.zeros(6), 0.5, 0.25)), (touched, 0.25, ()),

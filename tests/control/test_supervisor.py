@@ -463,7 +463,6 @@ def test_honest_solvers_are_not_refused(name):
 def test_an_answer_at_a_limit_is_taken_and_one_beyond_it_is_not(qp, Z, claim, j, limit):
     """Claims 0, an optimum, and 2, an iterate; figure j of what judge finds."""
     x = opposite(qp).x if j in (2, 3) else np.clip(solved(qp).x, qp.lower, qp.upper)
-    beside = {0: Z[0], 1: np.ones(7)}
     x = x + 0.01 * (qp.A[0] if j == 0 else np.where(x == qp.upper, 1.0, 0.0) if j == 1 else 0.0)
     figure = 50.0 if j is None else judged(qp.row, Z, x)[j]
     assert figure > 1e-6

@@ -86,7 +86,7 @@ def test_a_librarys_buffers_hold_the_subproblem_also_of_a_tool_along_an_axis(axi
     np.testing.assert_allclose(lift @ lift.T, np.eye(rows), atol=1e-14)
     np.testing.assert_allclose([low, high], [lift @ qp.b] * 2, atol=1e-14)
     np.testing.assert_allclose(bounds, [signs[1] * qp.lower, signs[2] * qp.upper], rtol=1e-15)
+    with pytest.raises(ValueError, match="packed: give 28 numbers"):
+        core.load(*given[:11], np.zeros(27), lift)
     given[6:9], given[12] = (np.zeros((11 - rows, 7)), *np.zeros((2, 11 - rows))), np.zeros((11 - rows, 6))
     assert not core.load(*given)
-    with pytest.raises(ValueError, match="packed: give 28 numbers"):
-        core.load(*[np.zeros(27) if each is packed else each for each in given[:6] + [held, low, high] + given[9:12]], lift)
