@@ -17,7 +17,6 @@ from pathlib import Path
 import pytest
 
 import moc_opt as mo
-from moc_opt.commands.reference import markdown
 
 ROOT = Path(__file__).resolve().parent.parent
 BLOCK = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
@@ -125,7 +124,3 @@ def test_package_project_citation_changelog_and_badge_name_one_version_one_day_a
     (badge,) = re.findall(r"^!\[Python (.*?)\]", said["README.md"], re.MULTILINE)
     assert badge.split(", ") == pythons
     assert project["requires-python"] == f">={pythons[0]}"
-
-
-def test_the_page_of_keys_has_every_key_with_its_default_and_meaning():
-    assert (ROOT / "docs/scenario.md").read_text(encoding="utf-8") == markdown()

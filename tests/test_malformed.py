@@ -4,8 +4,6 @@
 """
 
 import contextlib
-import io
-from pathlib import Path
 
 import hypothesis.strategies as st
 import numpy as np
@@ -16,18 +14,18 @@ import moc_opt as mo
 from moc_opt.commands.running import read_waypoints
 from moc_opt.inputs.files import to_toml
 from moc_opt.realtime import wire
-from moc_opt.robots import loader
 from moc_opt.scenario import Scenario, Setup, run
 from moc_opt.sim import Plant
 from moc_opt.sim.mjcf import check_engines
 from moc_opt.solvers.base import Status
 from moc_opt.tasks import Waypoints
 from moc_opt.trace.metrics import summarize
+from tests.inputs.test_files import header as npy
 from tests.odd_inputs import edited, ends_well, junk, many, numbers, texts
 from tests.problems import PARTS
 from tests.realtime.relay import KEY, SCENARIO, SETTINGS, Peer
+from tests.robots.arms import FOLDER
 
-FOLDER = Path(loader.__file__).parent
 ARM_URDF = (FOLDER / "lwr4.urdf").read_bytes()
 ARM_TOML = (FOLDER / "lwr4.toml").read_bytes().replace(b'"lwr4.urdf"', b'"arm.urdf"')
 
@@ -95,27 +93,19 @@ def drive(robot):
     assert np.linalg.eigvalsh(state.M).min() > 0.0
 
 
-def lay(points):
-    Waypoints(points, (0.0, 0.0, 0.0), normal=(0.0, 0.0, 1.0), heading=(1.0, 0.0, 0.0))
-
-
 # file -> what reads it, and what has to work with what was read
 READERS = {
     "scenario.toml": (Scenario.load, run_two_ticks), "arm.toml": (mo.load_robot, drive),
     "arm.urdf": (lambda path: mo.load_robot(path.with_suffix(".toml")), drive),
-    "trace.parquet": (mo.load_trace, summarize), "points.csv": (lambda path: read_waypoints(str(path)), lay),
+    "trace.parquet": (mo.load_trace, summarize),
+    "points.csv": (lambda path: read_waypoints(str(path)),
+                   lambda points: Waypoints(points, np.zeros(3), normal=(0.0, 0.0, 1.0), heading=(1.0, 0.0, 0.0))),
     "times.npy": (lambda path: Setup(Scenario(solver={"replay_us": str(path)})), lambda setup: setup.trace),
 }  # fmt: skip
 SOUND = {"scenario.toml": SCENARIO_TOML.encode(), "arm.toml": ARM_TOML, "arm.urdf": ARM_URDF}
 REPEATED = (
     b"[", b"]", b"a.", b"[[robot]]\n", b'{"a":', b"<link/>", b"<link>", b"7", b"x", b"\0", b"1,2,3\n", b"0,0,1e308\n",
 )  # fmt: skip
-
-
-def npy(shape, kind):
-    sink = io.BytesIO()
-    np.lib.format.write_array_header_1_0(sink, {"descr": kind, "fortran_order": False, "shape": shape})
-    return sink.getvalue()
 
 
 heaps = st.tuples(

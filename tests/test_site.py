@@ -89,6 +89,7 @@ def methods(name):
 
 
 def test_every_public_name_is_an_entry():
+    assert set(mo.__all__) <= set(dir(mo))
     public = {name: getattr(mo, name) for name in mo.__all__ if name != "solvers"}
     public |= {name: getattr(mo.solvers, name) for name in mo.solvers.__all__}
     described = [found(entry) for entry in ENTRIES]

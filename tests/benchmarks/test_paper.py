@@ -15,7 +15,6 @@ from moc_opt.study.command import CONFIGS
 from moc_opt.study.results import Results
 from moc_opt.study.statistics import Change, Interval, too_few
 from moc_opt.study.trials import BASELINES, OWN
-from moc_opt.vision.board import Board
 from moc_opt.vision.camera import CameraSettings
 from moc_opt.vision.hands_on import HandsOnSettings
 
@@ -122,12 +121,8 @@ def test_the_configuration_that_ships_is_the_papers_experiment():
 
 
 def test_a_procedure_that_cannot_go_on_says_why_and_is_guarded_as_every_loop_is():
-    for changes, message in (
-        ({"board": Board(hidden_fraction=1.0)}, "board: never seen"),
-        ({"hands_on": HandsOnSettings(time_limit_s=0.2)}, "did not reach the incision"),
-    ):
-        with pytest.raises(MocOptError, match=message):
-            procedure.perform(ProcedureSettings(camera=SMALL, **changes), QUICK, "circle")
+    with pytest.raises(MocOptError, match="did not reach the incision"):
+        procedure.perform(ProcedureSettings(camera=SMALL, hands_on=HandsOnSettings(time_limit_s=0.2)), QUICK, "circle")
     base = QUICK.change(guard={"rcm_error_m": 2e-4, "rcm_warning_m": 1e-4})
     row = procedure.perform(ProcedureSettings(camera=SMALL), base, "circle")
     assert row["ended"].startswith("stopped: the RCM error has been above 0.2 mm")
@@ -149,7 +144,6 @@ def test_the_command_leaves_every_part_and_leads_from_the_hand_to_the_task(tiny)
     row = summary["procedure"]["circle"]
     assert (row["ended"], row["share_of_run"], row["registered"]) == ("completed", 1.0, True)
     assert 0.0 < row["registration_error_mm"] < 5.0
-    assert row["hand_force_max_N"] <= left.config.procedure.hands_on.hand.force_max_N + 1e-9
     assert row["board_position_mm"] < 2.0
     assert 0.9 < row["waited_s"] < 2.5  # lost for a second, and brakes before and after
     assert row["tip_error_mean_mm"] < 1.5  # absolute: the arm is half a millimetre off its kinematics

@@ -1,9 +1,7 @@
 """Sweeps: which runs a configuration makes, and what the command leaves."""
 
-from pathlib import Path
 from typing import Any
 
-import polars as pl
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -116,19 +114,10 @@ bound_samples = 0
 """
 
 
-def test_the_command_leaves_its_files_and_goes_on_from_them(tmp_path: Path, capsys: Any, tiny: Any) -> None:
-    """In processes, and again without any; and with runs beside each other, which have no times."""
-    (tmp_path / "sweep.toml").write_text(SMALL)
-    command = [str(tmp_path / "sweep.toml"), "--out", str(tmp_path / "out"), "--seed", "3"]
-    assert sweep.main(command) == 0
-    rows = pl.read_parquet(tmp_path / "out" / "rows.parquet")
-    assert rows["tick_p50_us"].min() > 0.0
-    capsys.readouterr()
-    assert sweep.main(command) == 0
-    assert rows.equals(pl.read_parquet(tmp_path / "out" / "rows.parquet")), "times too: nothing was done again"
-    assert "4 jobs are those of an earlier run" in capsys.readouterr().out
-    shared = tiny(sweep, SMALL.replace("timed = true", ""))
-    assert [row["mu_mean"] for row in shared.rows] == rows["mu_mean"].to_list()
+def test_the_command_leaves_its_files_and_has_no_times_of_runs_beside_each_other(tiny: Any) -> None:
+    timed, shared = (tiny(sweep, SMALL.replace("timed = true", asked)) for asked in ("timed = true", ""))
+    assert min(row["tick_p50_us"] for row in timed.rows) > 0.0
+    assert [row["mu_mean"] for row in shared.rows] == [row["mu_mean"] for row in timed.rows]
     assert not [name for name in shared.rows[0] if name.endswith("_us")]
     assert (shared.summary["all"]["exact"]["runs"], shared.summary["all"]["exact"]["failed"]) == (2, 0)
     assert shared.summary["by control.regularization"]["exact, 0.0001"]["runs"] == 1

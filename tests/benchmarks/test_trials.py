@@ -1,9 +1,6 @@
 """The trials of every study are independent: no two of them share a seed, a start or an error of registration."""
 
-from collections.abc import Callable
-from operator import methodcaller
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -18,27 +15,20 @@ SET_UP = 7
 """Trials of a study whose starts and errors are looked at, spread over all of them: a start takes a while to find."""
 
 
-def of_plant(config: Any) -> list[Scenario]:
-    return [*config.cases(), *config.cases(plant.CALIBRATION_STREAM, config.calibration.trials)]
-
-
-def of_sweep(config: Any) -> list[Scenario]:
-    return [config.scenario.change(seed=seed) for seed in config.chosen_seeds()]
-
-
-of_any = methodcaller("cases")
-STUDIES: dict[str, tuple[ModuleType, Callable[[Any], list[Scenario]]]] = {
-    "solvers": (solvers, of_any), "solvers-full": (solvers, of_any), "plan": (plan, of_any),
-    "plan-limits": (plan, of_any), "robots": (robots, of_any), "plant": (plant, of_plant), "paper": (paper, of_any),
-    "faults": (faults, methodcaller("scenarios")), "sweep": (sweep, of_sweep), "margins": (sweep, of_sweep),
-    "accuracy": (sweep, of_sweep),
+STUDIES = {
+    "solvers": solvers, "solvers-full": solvers, "plan": plan, "plan-limits": plan, "robots": robots, "plant": plant,
+    "paper": paper, "faults": faults, "sweep": sweep, "margins": sweep, "accuracy": sweep,
 }  # fmt: skip
 
 
 def shipped(name: str) -> list[Scenario]:
-    study, cases = STUDIES[name]
-    folder = Path(solvers.__file__).parent if study is solvers else CONFIGS
-    return cases(study.Config.load(folder / f"{name}.toml"))
+    study = STUDIES[name]
+    config = study.Config.load((Path(solvers.__file__).parent if study is solvers else CONFIGS) / f"{name}.toml")
+    if study is sweep:
+        return [config.scenario.change(seed=seed) for seed in config.chosen_seeds()]
+    if study is plant:
+        return [*config.cases(), *config.cases(plant.CALIBRATION_STREAM, config.calibration.trials)]
+    return config.scenarios() if study is faults else config.cases()
 
 
 @pytest.mark.parametrize("name", STUDIES)

@@ -38,10 +38,6 @@ def live() -> Iterator[LivePage]:
         thread.join()
 
 
-def address(live: LivePage) -> str:
-    return f"127.0.0.1:{live.server.get_port()}"
-
-
 def until(true: Any, what: str) -> None:
     end = monotonic() + 30.0
     while not true():
@@ -76,7 +72,7 @@ def test_of_rapid_choices_the_last_one_runs(live: LivePage) -> None:
 
 def knock(live: LivePage, path: str, say: bytes = b"") -> Any:
     """What a WebSocket at a path, from another site's page, is told; None where it is closed without an answer."""
-    uri, protocol = f"ws://{address(live)}{path}", f"viser-v{viser.__version__}"
+    uri, protocol = f"ws://127.0.0.1:{live.server.get_port()}{path}", f"viser-v{viser.__version__}"
     with (
         suppress(ConnectionClosed),
         connect(uri, origin="http://evil.example", subprotocols=[protocol]) as told,  # type: ignore[arg-type, list-item]
@@ -115,7 +111,7 @@ def test_an_order_without_the_token_is_not_obeyed_even_if_it_came_before_the_ref
 @pytest.fixture(scope="module")
 def page(chromium: Any, live: LivePage) -> Iterator[Any]:
     """The open page; in the end there must have been no error, and no request to anyone else."""
-    own, few = f"http://{address(live)}", {"viewport": {"width": 300, "height": 200}, "device_scale_factor": 0.25}
+    own, few = live.url.partition("/?")[0], {"viewport": {"width": 300, "height": 200}, "device_scale_factor": 0.25}
     with opened(chromium, live.url, "text=real time", own, ("error",), **few) as found:
         yield found
 

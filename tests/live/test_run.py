@@ -12,8 +12,6 @@ from moc_opt.live import LiveError, LiveRun
 from moc_opt.live.run import DCAC, QUANTITIES, SLOWLY_M_PER_S, solver_of
 from moc_opt.scenario import Scenario, Setup
 
-COLUMN = {name: k for k, name in enumerate(QUANTITIES)}
-
 
 @pytest.fixture
 def run() -> LiveRun:
@@ -22,7 +20,7 @@ def run() -> LiveRun:
 
 
 def column(run: LiveRun, name: str, ticks: int) -> Any:
-    return run.history(10**6)[-ticks:, COLUMN[name]]
+    return run.history(10**6)[-ticks:, QUANTITIES.index(name)]
 
 
 def test_it_does_what_the_scenario_does() -> None:

@@ -3,6 +3,7 @@
 import os
 import re
 import socket
+from itertools import count
 from pathlib import Path
 from time import monotonic
 from unittest.mock import Mock
@@ -14,17 +15,7 @@ from hypothesis import strategies as st
 
 from moc_opt.realtime import clock, wire
 from moc_opt.realtime.ends import Answering
-from moc_opt.realtime.wire import (
-    COUNTERS,
-    Kind,
-    Link,
-    WireError,
-    WireSettings,
-    layout,
-    make_packet,
-    seal,
-    sealed,
-)
+from moc_opt.realtime.wire import Kind, Link, WireError, WireSettings, layout, make_packet, seal, sealed
 from tests.realtime.relay import NOTHING, SETTINGS, Peer
 
 PAGE = (Path(__file__).parents[2] / "docs" / "realtime.md").read_text(encoding="utf-8")
@@ -227,54 +218,24 @@ def test_what_the_controller_stops_stays_stopped(peer):
 N, TICKS = 3, 4
 
 
-class Plant:
-    def __init__(self, said):
-        self.n, self.peer, self.session, self.quality = N, ("plant", 1), 0, dict.fromkeys(COUNTERS, 0)
-        self.said, self.sent, self.heard = list(said), [], "nothing"
-
-    def send(self, packet):
-        self.sent.append((Kind(packet["kind"]), packet.copy()))
-
-    def receive(self, until, wanted=lambda packet: True):
-        while self.said:
-            if wanted(packet := self.said.pop(0)):
-                return packet
-        return None
-
-
 def measurement(flags, k=0, commanded=0.0, scenario=9):
     packet = make_packet(Kind.MEASUREMENT, N, 5, scenario)
     packet["flags"], packet["sequence"], packet["stamp"], packet["commanded"] = flags, k, k, commanded
     return packet
 
 
-class Controller:
-    """Asks for the torque k in the k-th tick after its start; remembers what it was told of the torque that acted."""
-
-    def __init__(self):
-        self.corrected, self.k, self.faults = [], 0, {}
-
-    def start(self, q, v, tip_ref, trocar):
-        self.k, self.corrected = 0, []
-
-    def tick(self, q, v, tip_ref, trocar):
-        self.k += 1
-        return np.full(N, float(self.k))
-
-    def set_applied_torque(self, tau):
-        self.corrected.append((self.k, tau.tolist()))
-
-    def columns(self, ticks):
-        return {"solve_us": np.full(ticks, np.nan)}
-
-    def note(self, row, columns):
-        columns["solve_us"][row] = self.k
-
-
 def answered(said):
-    plant, controller, wait = Plant(said), Controller(), WireSettings(wait_s=0.05, silence_s=0.5)
+    """What the end says, sent packets, corrected torques with the number of ticks before; tick k asks for k Nm."""
+    said, sent, corrected, wait = iter(said), [], [], WireSettings(wait_s=0.05, silence_s=0.5)
+    plant = Mock(n=N, peer=("plant", 1), session=0, quality=dict.fromkeys(wire.COUNTERS, 0), heard="nothing")
+    plant.send.side_effect = lambda packet: sent.append((Kind(packet["kind"]), packet.copy()))
+    plant.receive.side_effect = lambda until, wanted=lambda packet: True: next(filter(wanted, said), None)
+    controller = Mock(spec=["start", "tick", "set_applied_torque", "columns", "note"])
+    controller.tick.side_effect = (np.full(N, k) for k in count(1.0))
+    controller.set_applied_torque.side_effect = lambda tau: corrected.append((controller.tick.call_count, tau.tolist()))
+    controller.columns.return_value = {"solve_us": np.full(1, np.nan)}
     end = Answering(plant, wait, controller, None, np.zeros((TICKS, 3, 3)), np.zeros((TICKS, 2, 3)), scenario=9)
-    return end.run(), plant, controller
+    return end.run(), sent, corrected
 
 
 @pytest.mark.parametrize(("ticks", "commands", "corrected", "counts", "ended"), [
@@ -289,15 +250,15 @@ def answered(said):
 def test_every_tick_is_answered_and_the_end_acknowledged(ticks, commands, corrected, counts, ended):
     """``ticks`` has the number of each measurement, and the torque that acted before it."""
     last = measurement(wire.ENDED, max(ticks)[0])
-    ending, plant, controller = answered(
+    ending, told, seen = answered(
         [measurement(wire.WAITING), *(measurement(wire.RUNNING, k, tau) for k, tau in ticks), last]
     )
-    sent = [said for kind, said in plant.sent if kind is Kind.COMMAND]
+    sent = [said for kind, said in told if kind is Kind.COMMAND]
     assert [(int(said["sequence"]), said["tau"].tolist()) for said in sent] == [(k, [tau] * N) for k, tau in commands]
-    assert controller.corrected == [(k, [tau] * N) for k, tau in corrected]
+    assert seen == [(k, [tau] * N) for k, tau in corrected]
     assert tuple(ending["quality"][name] for name in ("received", "missed", "late")) == counts
     assert (ending["ended"], ending["ticks"]) == (ended, counts[0])
-    assert plant.sent[-1][0] is Kind.BYE
+    assert told[-1][0] is Kind.BYE
     assert {int(said["flags"]) for said in sent} == {wire.REPORTED}
 
 

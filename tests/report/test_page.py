@@ -143,16 +143,13 @@ def test_figures_that_cannot_be_saved_are_refused(full: Page, tmp_path: Path, mo
 
 # --- in a browser ---
 
-POLLING_MS = 50
-DRAWN = "html[data-drawn=yes]"
-
 
 @pytest.fixture(scope="module")
 def page(chromium: Any, full: Page, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     """Opened once: a browser that shares its processor takes seconds to draw it."""
     report = full.save(tmp_path_factory.mktemp("report") / "report.html")
     size = {"width": 1000, "height": 800}
-    with opened(chromium, report.as_uri(), DRAWN, viewport=size, color_scheme="light") as found:
+    with opened(chromium, report.as_uri(), "html[data-drawn=yes]", viewport=size, color_scheme="light") as found:
         yield found
 
 
@@ -180,7 +177,7 @@ def test_nothing_is_wider_than_the_screen(page: Any) -> None:
     for width in (1000, 360):
         page.set_viewport_size({"width": width, "height": 800})
         widest = "[...document.querySelectorAll('.chart .main-svg')].every(s => s.getBoundingClientRect().right <= "
-        page.wait_for_function(f"{widest}{width})", polling=POLLING_MS)
+        page.wait_for_function(f"{widest}{width})", polling=50)
         page.evaluate("document.querySelectorAll('details').forEach(block => { block.open = true })")
         assert page.evaluate("document.documentElement.scrollWidth") <= width
         inner, outer = page.locator(".scroll").evaluate("box => [box.scrollWidth, box.clientWidth]")

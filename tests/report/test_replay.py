@@ -22,10 +22,7 @@ def wave(robot: RobotModel, ticks: int, *, phase: float = 0.0) -> Trace:
     """An arm that sways about its home pose at 500 Hz."""
     t = 0.002 * np.arange(ticks)
     q = robot.data.q_home + 0.2 * np.sin(2.0 * t[:, None] + phase + np.arange(robot.n))
-    every = np.unique(np.append(np.arange(0, ticks, 50), ticks - 1))
-    known = np.array([robot.state(pose).tip for pose in q[every]])
-    tips = np.stack([np.interp(t, t[every], known[:, i]) for i in range(3)], axis=1)
-    rng = np.random.default_rng(ticks)
+    tips, rng = robot.tool_along(q)[0], np.random.default_rng(ticks)
     columns = {
         "t_s": t, "q_rad": q, "tip_m": tips, "tip_ref_m": tips + 1e-4, "mu": 0.3 + 0.01 * np.sin(t + phase),
         "trocar_m": np.tile(tips[0] + [0.0, 0.0, 0.15], (ticks, 1)), "tip_error_m": 1e-4 * rng.random(ticks),

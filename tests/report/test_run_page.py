@@ -150,16 +150,11 @@ def test_map_writes_the_page_and_the_figures(files, tmp_path, capsys, chromium):
 
 
 def test_runs_that_cannot_be_shown_together_are_refused(files, tmp_path, capsys):
-    first = Trace.load(files[0])
+    first, out = Trace.load(files[0]), tmp_path / "m.html"
     first.with_columns(tip_ref_m=first.tip_ref_m + np.array([0.0, 0.0, 0.01])).save(tmp_path / "moved.parquet")
-    Trace(dict(first.columns), {**first.meta, "kind": "course"}).save(tmp_path / "course.parquet")
-    for name, said in (
-        ("moved", "'moved' was given another path"), ("course", "'course' is a course, not a run"),
-        ("text", "text.parquet"),
-    ):  # fmt: skip
-        assert main(["map", str(files[0]), str(tmp_path / f"{name}.parquet"), "--out", str(tmp_path / "m.html")]) == 2
-        assert said in capsys.readouterr().err
-    assert not (tmp_path / "m.html").exists()
+    assert main(["map", str(files[0]), str(tmp_path / "moved.parquet"), "--out", str(out)]) == 2
+    assert "'moved' was given another path" in capsys.readouterr().err
+    assert not out.exists()
     with pytest.raises(ReportError, match="one robot with one tool"):
         load_map([])
 

@@ -8,12 +8,11 @@ import pytest
 from hypothesis import assume, given, settings
 
 from moc_opt.errors import MocOptError, RobotError
-from moc_opt.robots import load_data, loader
+from moc_opt.robots import load_data
 from moc_opt.robots.urdf import FARTHEST, SMALLEST, Joint, Link, Urdf, inertia_fault, normalize, read
-from tests.robots.arms import changed, joint, link
+from tests.robots.arms import FOLDER, changed, joint, link, text_of
 
-FOLDER = Path(loader.__file__).parent
-URDF = (FOLDER / "lwr4.urdf").read_text(encoding="utf-8")
+URDF = text_of("lwr4")
 TOML = (FOLDER / "lwr4.toml").read_text(encoding="utf-8")
 UNLIMITED = TOML[: TOML.index("[limits]")] + TOML[TOML.index("[joints]") :]
 
@@ -87,7 +86,6 @@ BAD_TOML = {
     "unknown key": ("last_link", "last_lnk = 1\nlast_link", r"\[frames\] key 'last_lnk': did you mean 'last_link'"),
     "no such link": ('"link_7"', '"link_9"', r"\(frames\.last_link\) 'link_9': did you mean.*link_7"),
     "wrist off the shaft": ("[0.0, 0.0, -0.078]", "[0.0, 0.01, -0.078]", r"wrist_xyz_m.*0\.01 m off"),
-    "a name that is code": ('name = "lwr4"', "name = '*/ int x; /*'", r"name = '\*/ int x; /\*'.* is no name"),
     "a link that is code": ('"link_7"', '"a\\\\"', r"\[frames\] last_link = .*is no name"),
     "short vector": ("tau_max_Nm = [176, ", "tau_max_Nm = [", r"limits\.tau_max_Nm has 6 entries.*give 7"),
     "reversed": ("q_min_deg = [-170", "q_min_deg = [171", "joint_1.*is not below"),
@@ -113,7 +111,6 @@ BAD_URDF = {
     "no such parent": ('<parent link="link_3"/>', '<parent link="link_33"/>', "joint_4.*names link 'link_33'"),
     "no direction": ('<axis xyz="0 0 1"/>', '<axis xyz="0 0 0"/>', "joint_1.*give a direction"),
     "degrees for metres": ('"joint_1" type="revolute"', '"joint_1" type="prismatic"', r"limits\.q_min_deg is in deg"),
-    "a name that ends a comment": ('"joint_3" type', '"*/x();/*" type', "is no name"),
     "endless": ('lower="-', 'lower="-inf" x="-', r"<limit> of joint 'joint_1', lower is -inf"),
     "two limits": ('<axis xyz="0 0 1"/>', '<axis xyz="0 0 1"/><limit effort="1"/>', "joint_1.*2 <limit>"),
     "too long": ("</robot>", "".join(f'<link name="l{k}"/>' for k in range(250)) + "</robot>", "250 at most"),
@@ -168,10 +165,6 @@ def test_what_is_written_is_read_back_to_the_bit(xyz, rpy, axis, limit, mass, mo
     assert read(arm.to_text("arm")) == arm
 
 
-def in_order(tensor):
-    return (*np.diag(tensor), tensor[0, 1], tensor[0, 2], tensor[1, 2])
-
-
 @given(st.lists(st.floats(1e-6, 1.0), min_size=3, max_size=3), st.integers(0, 2**32 - 1))
 @settings(max_examples=100)
 def test_the_verdict_is_that_of_the_principal_moments_in_any_axes(moments, seed):
@@ -179,7 +172,8 @@ def test_the_verdict_is_that_of_the_principal_moments_in_any_axes(moments, seed)
     assume(abs(a + b - c) > 1e-4 * c)
     Q, _ = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))
     for sign, wrong in ((1.0, a + b < c), (-1.0, True)):
-        fault = inertia_fault(in_order(Q @ np.diag([a, b, sign * c]) @ Q.T))
+        tensor = Q @ np.diag([a, b, sign * c]) @ Q.T
+        fault = inertia_fault((*np.diag(tensor), *tensor[[0, 0, 1], [1, 2, 2]]))
         assert (fault is not None) == wrong
 
 

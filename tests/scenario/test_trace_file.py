@@ -7,7 +7,6 @@ from pathlib import Path
 import pytest
 
 from moc_opt.__main__ import main
-from moc_opt.errors import TraceError
 from moc_opt.scenario import Scenario, Setup
 from moc_opt.sim import Plant
 from moc_opt.trace.metrics import summarize
@@ -84,5 +83,3 @@ def test_a_file_that_cannot_be_written_is_refused_before_the_run(target, tmp_pat
     assert main(["run", "s.toml", "--trace", target]) == 2
     assert "folder" in capsys.readouterr().err or target == "t.csv"
     assert sorted(os.listdir(tmp_path)) == ["file", "s.toml"]
-    with pytest.raises(TraceError):
-        Trace.load(target)

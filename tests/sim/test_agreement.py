@@ -2,7 +2,6 @@
 
 import re
 from dataclasses import replace
-from pathlib import Path
 from types import SimpleNamespace
 
 import hypothesis.strategies as st
@@ -11,12 +10,11 @@ import pytest
 from hypothesis import given, settings
 
 from moc_opt.errors import RobotError
-from moc_opt.robots import loader
 from moc_opt.robots.model import RobotModel, load_robot
 from moc_opt.sim.mjcf import TOLERANCE, check_engines
+from tests.robots.arms import FOLDER, text_of
 
-FOLDER = Path(loader.__file__).parent
-URDF, TOML = ((FOLDER / f"lwr4.{kind}").read_text(encoding="utf-8") for kind in ("urdf", "toml"))
+URDF, TOML = text_of("lwr4"), (FOLDER / "lwr4.toml").read_text(encoding="utf-8")
 
 
 def edited(text, link, attribute, value):
@@ -44,6 +42,7 @@ def test_every_term_is_compared(robot, change):
         return SimpleNamespace(data=robot.data, state=state)
 
     check_engines(shifted(0.1))
+    check_engines(load_robot("lwr4", tool_length=0.42, tool_mass=0.7))
     with pytest.raises(RobotError, match=rf"differ in {change} by") as said:
         check_engines(shifted(30.0))
     home = robot.state(robot.data.q_home)

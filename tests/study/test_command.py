@@ -21,8 +21,6 @@ from moc_opt.study.show import Picture, Report
 from moc_opt.study.trials import Trial
 from tests.study.work import refuse, slow_square
 
-HOME = Path(__file__).resolve().parents[2]
-
 
 class Config(StudyConfig):
     count: int = 4
@@ -65,9 +63,7 @@ def test_a_study_leaves_its_files_prints_its_answer_and_keeps_files_of_others(as
     assert (made["seed"], made["note"], made["config"]["count"], made["jobs_of_an_earlier_run"]) == (5, 1, 4, 0)
     assert made["arguments"] == [str(config), "--out", str(out)]
     assert made["machine"]["cores"] == os.cpu_count()
-    html = (out / "report.html").read_text()
-    assert "The sum is [14]." in html
-    assert rows[-1]["error"].partition("'")[0] in html
+    assert "The sum is [14]." in (out / "report.html").read_text()
     assert (out / "report.md").read_text().startswith("# Sums\n\nThe sum is [14].\n")
     assert call(squares, config, "--out", out, "--json") == 3
     assert capsys.readouterr().out == (out / "summary.json").read_text()

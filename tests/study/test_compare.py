@@ -1,7 +1,8 @@
 """Solvers on the same trials: who stands in the table, with which trials, means, intervals and verdicts."""
 
-import dataclasses
 from itertools import product
+from types import SimpleNamespace
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -13,22 +14,10 @@ from moc_opt.study.compare import Comparison
 from moc_opt.study.trials import placed
 
 
-@dataclasses.dataclass(frozen=True)
-class Standing:
-    """Claims that standing still is optimal, whatever is asked; a broken one cannot be started."""
-
-    name: str = "standing"
-
-    def supports(self, qp):
-        return None
-
-    def start(self, qp):
-        if self.name == "broken":
-            raise RuntimeError("no licence here")
-        return self
-
-    def solve(self, qp):
-        return Solution(np.zeros(len(qp.lower)), None, Status.SOLVED)
+def standing(name="standing", fails=None):
+    """Claims that standing still is optimal, whatever is asked, or cannot be started."""
+    session = SimpleNamespace(solve=lambda qp: Solution(np.zeros(len(qp.lower)), None, Status.SOLVED))
+    return SimpleNamespace(name=name, supports=lambda qp: None, start=Mock(side_effect=fails, return_value=session))
 
 
 SHORT = mo.Scenario(duration_s=0.3, bound_samples=0)
@@ -37,7 +26,7 @@ BRIEF = mo.Scenario(duration_s=0.02, bound_samples=0)
 
 def test_every_solver_and_dcac_run_the_same_trials_and_claims_are_judged():
     said = []
-    found = mo.compare(["exact", Standing()], SHORT, trials=2, seed=4, watch=said.append)
+    found = mo.compare(["exact", standing()], SHORT, trials=2, seed=4, watch=said.append)
     assert (said[0], len(said)) == ("trial 1 of 2, dcac", 6)
     assert found.solvers == ["dcac", "exact", "standing"]
     assert [(row["seed"], row["solver"]) for row in found.rows] == [*product((4, 5), found.solvers)]
@@ -64,7 +53,7 @@ def test_every_solver_and_dcac_run_the_same_trials_and_claims_are_judged():
 @pytest.mark.parametrize(("solvers", "more", "error", "message"), [
     (["exakt"], {}, UnknownNameError, "did you mean 'exact'"),
     ([], {}, SolverError, "no solver to compare"),
-    ([Standing(), Standing()], {}, SolverError, "called 'standing': name each once, or give a mapping"),
+    ([standing(), standing()], {}, SolverError, "called 'standing': name each once, or give a mapping"),
     ([object()], {}, SolverError, "is no solver: it has no method supports and no start"),
     ({1: "exact"}, {}, SolverError, "1 cannot name a solver"),
     (7, {}, SolverError, r"solvers = 7: give a list of names or solvers"),
@@ -77,7 +66,7 @@ def test_what_cannot_be_compared_is_said_before_anything_runs(solvers, more, err
 
 
 def test_a_solver_that_cannot_start_has_rows_and_the_others_go_on():
-    found = mo.compare([Standing("broken"), "exact"], BRIEF, trials=2)
+    found = mo.compare([standing("broken", RuntimeError("no licence here")), "exact"], BRIEF, trials=2)
     assert {(row["ended"], row["error"]) for row in found.rows if row["solver"] == "broken"} == {
         ("failed", "ControlError: solver 'broken' cannot run in this controller: RuntimeError: no licence here")
     }

@@ -44,7 +44,6 @@ def test_a_machine_is_quiet_where_few_calls_lost_the_core(seen, quiet):
     row = dict(zip(COUNTED, seen, strict=False))
     assert timing.quiet(row) is quiet
     said = timing.load([{"solves": 3}, row, dict(zip(COUNTED, (1000, 2, 0.998, 1.0), strict=True))])
-    assert said.startswith("Times were taken with ")
     assert ("the machine was quiet." if quiet else " 1 of ") in said
     assert timing.load([{"solves": 3}]) == ""
 

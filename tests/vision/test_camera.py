@@ -218,10 +218,6 @@ def feed(tracker, sightings, start=0.0):
     return [tracker.update(start + DT * k, sighting) for k, sighting in enumerate(sightings)]
 
 
-def trembling(rng):
-    return sight(HERE @ Pose(rotation_from(1e-3 * rng.standard_normal(3)), 1e-4 * rng.standard_normal(3)))
-
-
 def test_it_takes_several_sightings_that_agree_to_find_a_board():
     tracker = BoardTracker()
     found = feed(tracker, [None, sight(THERE), sight(), sight(), sight(), sight()])
@@ -231,7 +227,8 @@ def test_it_takes_several_sightings_that_agree_to_find_a_board():
 
 def test_a_resting_board_is_averaged_and_without_smoothing_every_sighting_is_taken():
     rng = np.random.default_rng(0)
-    sightings = [trembling(rng) for _ in range(300)]
+    draws = ((1e-3 * rng.standard_normal(3), 1e-4 * rng.standard_normal(3)) for _ in range(300))
+    sightings = [sight(HERE @ Pose(rotation_from(turn), shift)) for turn, shift in draws]
     raw = np.median([sighting.pose.distance(HERE) for sighting in sightings], axis=0)
     smooth, last = BoardTracker(), BoardTracker(TrackerSettings(smoothing_s=0.0))
     for tracker in (smooth, last):
