@@ -86,7 +86,7 @@ def read_arrays(path: Path_, what: str, error: Wrong) -> dict[str, Any]:
 
 def decimal(text: str) -> float:
     """Read a decimal number; NaN for any other text, such as 0_1 or digits of another script, which float() takes."""
-    return float(text) if re.fullmatch(r"[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?", text, re.ASCII | re.I) else math.nan
+    return float(text) if re.fullmatch(r"[+-]?(\d+(\.\d*)?|\.\d+)(e[+-]?\d+)?", text, re.ASCII | re.I) else math.nan
 
 
 def check_replaceable(path: Path_, what: str, error: Wrong) -> Path:

@@ -54,15 +54,9 @@ def pressed(force):
     return np.array([0.0, 0.0, 0.0, 0.0, -0.125 * force, 0.0])
 
 
-def jump(level):
-    guard = begun(jump=level)
-    read(guard, q=0.25 + T)
-    return guard.watched()[0]
-
-
-def speed(level):
-    guard = begun(speed_factor=level)
-    read(guard, v=0.25)
+def unbelieved(level, name, q, v):
+    guard = begun(**{name: level})
+    read(guard, q=q, v=v)
     return guard.watched()[0]
 
 
@@ -151,7 +145,8 @@ def stays_open(level):
 
 
 @pytest.mark.parametrize(("noticed", "level", "more"), [
-    (jump, 0.25, ()), (speed, 0.25, ()), (tip_error, 0.25, (None,)), (tip_error, 0.125, (0.125,)),
+    (unbelieved, 0.25, ("jump", 0.25 + T, 0.0)), (unbelieved, 0.25, ("speed_factor", 0.0, 0.25)),
+    (tip_error, 0.25, (None,)), (tip_error, 0.125, (0.125,)),
     (way, 0.25, ()), (way, 0.25, ("motion_lag_s", 1.0)),
     (told, 0.25, ("repeat_m", DEAF, 0.25, 0.5)), (told, 0.25, ("repeat_torque", DEAF, 0.5, 0.25)),
     (told, 0.25, ("repeat_whole_m", np.zeros(6), 0.25, 0.5)), (waits, 3, ()), (not_believed, 3, ()),

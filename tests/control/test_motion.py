@@ -147,16 +147,6 @@ def test_a_sensor_that_repeats_itself_at_rest_is_noticed_where_it_has_noise(nois
     assert looked(q[:340], 0.0 * q[:340], wrench=wrench[:340]) == ("", 340)
 
 
-@pytest.mark.parametrize("longest", [None, 40])
-def test_one_encoder_may_repeat_itself_for_as_long_as_its_noise_lets_it(longest):
-    """The others live; without a limit nothing is said of a joint that rests."""
-    q = np.random.default_rng(3).normal(scale=1e-5, size=(600, N))
-    q[100:, 4] = q[99, 4]
-    wrong, k = looked(q, 0.0 * q, repeat_joint_ticks=longest)
-    told = "one encoder repeats its reading, as its noise does not let it"
-    assert (wrong, k) == ((told, 140) if longest else ("", 600))
-
-
 def watched(robot, torque, ticks, **levels):
     """The reason for a stop of an arm whose readings stand but for noise while ``torque`` (k) [Nm] acts; and when."""
     rng, q, guard = np.random.default_rng(0), robot.data.q_home, guard_of(robot, momentum=True, **levels)

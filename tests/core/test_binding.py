@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from moc_opt import NullSpaceQP, core, load_robot
+from moc_opt import core, load_robot
 from tests.problems import random_problem
 
 QP = random_problem(np.random.default_rng(0))
@@ -64,29 +64,3 @@ def test_results_have_the_length_of_their_records():
     assert ROBOT.state(ROBOT.data.q_home).record.shape == (7 * 7 + 13 * 7 + 18,)
     status, x, y = core.solve_exact(QP.row, 1e-9)
     assert (status, x.shape, y.shape) == (core.OK, (7,), (6,))
-
-
-@pytest.mark.parametrize("five", [True, False])
-@pytest.mark.parametrize("axis", range(3))
-def test_a_librarys_buffers_hold_the_subproblem_also_of_a_tool_along_an_axis(axis, five):
-    rng, rows = np.random.default_rng(axis), 5 if five else 6
-    J, apart = rng.normal(size=(2, 3, 7))
-    apart[axis] = 0.0
-    A, x, grad, lower = np.vstack([J, J - apart]), *rng.normal(size=(3, 7))
-    qp = NullSpaceQP(J, J - apart, A[:3] @ x, A[3:] @ x, grad, lower, lower + 2.0, c0=0.5, c1=0.25, regularization=0.1)
-    P, p, low, high = np.zeros((7, 7)), np.zeros(14)[::2], np.zeros(rows), np.zeros(rows)
-    held, bounds, packed, lift = np.zeros((rows, 7)), np.zeros((2, 7)), np.zeros(28), np.zeros((rows, 6))
-    signs = np.array([2.0, -4.0, 0.5])
-    given = [qp.row, five, 3.0, signs, P, p, held, low, high, *bounds, packed, lift]
-    assert core.load(*given)
-    np.testing.assert_allclose(P, 3.0 * qp.P, rtol=1e-12)
-    np.testing.assert_allclose(packed, (3.0 * qp.P)[np.tril_indices(7)], rtol=1e-12)
-    np.testing.assert_allclose(p, 3.0 * signs[0] * qp.p, rtol=1e-12, atol=1e-14)
-    np.testing.assert_allclose(held, lift @ A, atol=1e-14)
-    np.testing.assert_allclose(lift @ lift.T, np.eye(rows), atol=1e-14)
-    np.testing.assert_allclose([low, high], [lift @ qp.b] * 2, atol=1e-14)
-    np.testing.assert_allclose(bounds, [signs[1] * qp.lower, signs[2] * qp.upper], rtol=1e-15)
-    with pytest.raises(ValueError, match="packed: give 28 numbers"):
-        core.load(*given[:11], np.zeros(27), lift)
-    given[6:9], given[12] = (np.zeros((11 - rows, 7)), *np.zeros((2, 11 - rows))), np.zeros((11 - rows, 6))
-    assert not core.load(*given)

@@ -70,7 +70,8 @@ def test_recorded_times_that_are_none_are_refused_without_a_byte_of_the_file(dat
     assert "secret" not in str(found.value)
 
 
-@pytest.mark.parametrize("text", ["0_1", "1_000.0", "\u0661", "\uff11", "inf", "nan", "0x1p2", "", "1.2.3", "- 1"])
+@pytest.mark.parametrize("text", ["0_1", "1_000.0", "\u0661", "\uff11", "inf", "nan", "0x1p2", "", "1.2.3", "- 1",
+                                  "1" * 10**5 + "x"])  # fmt: skip
 def test_what_is_no_decimal_number_is_none(text):
     assert np.isnan(decimal(text))
 

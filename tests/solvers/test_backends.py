@@ -65,13 +65,16 @@ class Buffers(LibrarySession):
 
 @settings(max_examples=40)
 @given(
-    seed=st.integers(0, 10_000), n=st.sampled_from([6, 7, 9]), rows=st.sampled_from([5, 6]), tied=st.booleans(),
-    scale=st.sampled_from([1.0, 1e3]), signs=st.tuples(*[st.sampled_from([1.0, -1.0])] * 3),
+    seed=st.integers(0, 10_000), n=st.sampled_from([6, 7, 9]), rows=st.sampled_from([5, 6]),
+    tool=st.sampled_from(["apart", "any", 0, 1, 2]), scale=st.sampled_from([1.0, 1e3]),
+    signs=st.tuples(*[st.sampled_from([1.0, -1.0, 0.5])] * 3),
 )  # fmt: skip
-def test_every_number_is_where_it_belongs(seed, n, rows, tied, scale, signs):
+def test_every_number_is_where_it_belongs(seed, n, rows, tool, scale, signs):
     J, ones = np.random.default_rng(seed).normal(size=(2, 3, n)), np.ones(n)
-    qp = problem(seed, n=n) if tied else NullSpaceQP(J[0], J[1], ones[:3], np.zeros(3), ones, -ones, ones)
-    m = rows if tied else 6  # what is not tied stays six rows
+    if isinstance(tool, int):  # along an axis
+        J[1, tool] = J[0, tool]
+    qp = problem(seed, n=n) if tool == "any" else NullSpaceQP(*J, *(J @ ones), ones, -ones, ones)
+    m = 6 if tool == "apart" else rows  # what is not tied stays six rows
     session = Buffers(SimpleNamespace(rows=rows, cost_scale=scale, signs=signs, needs=""), problem(1, n=6))
     found, arrays = session.solve(qp), session.arrays
     A, b = (qp.reduced().A, qp.reduced().b) if m == 5 else (qp.A, qp.b)
