@@ -135,23 +135,27 @@ static moc_status project(polytope *t, double slack, double most)
     int active = 0;
 
     memcpy(start, t->s, sizeof start);
-    for (int j = 0; j < t->n; j++)
-        t->force[j] = t->side[j] = 0.0;
+    memset(t->force, 0, sizeof t->force);
+    memset(t->side, 0, sizeof t->side);
     for (int round = 0; round < 20 * t->n; round++) {
         int p = furthest_out(t, slack);
         if (p == NONE) {
             settle(t);
             return MOC_OK;
         }
-        if (!push(t, p, &active)) {
-            fill_projector(t);
-            memcpy(t->s, start, sizeof start);
-            for (int j = 0; j < t->n; j++) {
-                t->low[j] -= slack;
-                t->high[j] += slack;
-            }
-            return slack < most ? project(t, fmin(100.0 * slack, most), most) : MOC_INFEASIBLE;
+        if (push(t, p, &active))
+            continue;
+        for (int j = 0; j < t->n; j++) { /* once more, between wider bounds, now or at the next step of approach */
+            t->low[j] -= slack;
+            t->high[j] += slack;
+            t->s[j] = start[j];
+            t->force[j] = t->side[j] = 0.0;
         }
+        fill_projector(t);
+        if (!(slack < most))
+            return MOC_INFEASIBLE;
+        slack = fmin(100.0 * slack, most);
+        active = round = 0;
     }
     return MOC_DOUBTFUL;
 }
