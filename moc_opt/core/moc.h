@@ -117,7 +117,7 @@ typedef struct {
     double external[MOC_MAX_JOINTS];             /* its estimate r of the torque beside the model's [Nm] */
     double tau[MOC_MAX_JOINTS];                  /* that the observer takes to act [Nm] */
     double good[MOC_MAX_JOINTS];                 /* the last answer that was taken [rad/s] */
-    int age;                                     /* ticks since then */
+    int age;                                     /* ticks since then; no more than it takes to give up holding it */
 } moc_memory;
 
 /* --- an answer, its supervision, and what stands in for it --- */

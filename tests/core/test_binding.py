@@ -30,9 +30,9 @@ def test_another_number_of_arguments_and_rows_of_another_length_are_refused():
     for count in (1, 3):
         with pytest.raises(TypeError, match="takes 2 arguments"):
             core.solve_exact(*[QP.row] * count)
-    for X, Y in ((np.zeros((3, 7)), np.zeros((2, 6))), (np.zeros((2, 7)), np.zeros((0, 6)))):
-        with pytest.raises(ValueError, match="give"):  # the first array says how many
-            core.solve_exact_rows(np.zeros((0, 87)) if len(Y) else np.zeros((2, 87)), 1e-9, X, Y, np.zeros(len(X)))
+    for first, others in ((0, 3), (2, 3), (2, 0)):  # the first array says how many rows there are
+        with pytest.raises(ValueError, match="X: give"):
+            core.solve_exact_rows(np.zeros((first, 87)), 1e-9, *map(np.zeros, ((others, 7), (others, 6), others)))
     with pytest.raises(ValueError, match=r"shape \(n, 27\) for 1 to 16 joints"):
         core.Arm(np.zeros((7, 26)), np.zeros((2, 3)), np.eye(3), np.ones((2, 7)), np.zeros(3))
     for rows in (np.zeros((2, 88)), np.zeros(87), np.zeros((2, 10)), np.zeros((0, 187 + 10))):
