@@ -46,8 +46,7 @@ spec.loader.exec_module(sys.modules[spec.name])
 sys.exit(pytest.main(["-xq", "-p", "no:cacheprovider", *sys.argv[2:]]))
 """
 TESTS = ("core/test_binding.py", "core/test_law.py", "control/test_levels.py", "sim/test_plant.py",
-         "sim/test_contact.py", "planning/test_pose_map.py", "planning/test_self_motion.py",
-         "solvers/test_rnn.py")  # fmt: skip
+         "sim/test_contact.py", "planning/test_self_motion.py", "solvers/test_rnn.py")  # fmt: skip
 
 
 def test_nor_does_the_binding_leave_an_array(tmp_path):
