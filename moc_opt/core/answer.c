@@ -4,7 +4,7 @@
 #define AT_BOUND 1e-4          /* a joint this near to a bound is at it [rad/s] */
 #define PASSES 2e-3            /* an answer with a smaller natural residual may be verified: the line is not searched */
 #define NO_GRADIENT 1e-12      /* share of the gradient along the self-motion below which there is none */
-#define IMMOBILE 1e-12         /* squared length of a joint's column, at the least */
+#define IMMOBILE 1e-12         /* squared length that a joint's column counts as having at the least */
 #define GRADIENT_ROUNDING 1e-9 /* a way down shorter than this share of the cost's gradient is none (qp/residuals.py) */
 #define DESCENTS 50            /* of the least violation, over the joints */
 #define OUTSIDE 1e-6           /* what a retreat may leave the box by [rad/s] */
@@ -120,7 +120,7 @@ static void retreat(const moc_problem *problem, int rows, double Z[][MOC_MAX_JOI
     p.rho = 1.0;
     p.c2 = 0.0;
     if (moc_solve_exact(&p, OUTSIDE, x, y) != MOC_OK || !(off_plane(&p, x) <= OUTSIDE))
-        return; /* the box is empty, A has lost more than a rank */
+        return; /* the box is empty, or A has lost more than a rank */
     moc_onto(p.n, rows, Z, x, motion);
 }
 

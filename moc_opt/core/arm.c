@@ -127,7 +127,7 @@ static void dynamics(const moc_arm *arm, const moc_frame *frame, const moc_twist
 
     memset(V, 0, sizeof *V);
     memset(acceleration, 0, sizeof *acceleration);
-    for (int k = 0; k < n; k++) { /* from the base: velocities, each link's momentum with its rate */
+    for (int k = 0; k < n; k++) { /* from the base: velocities, and each link's momentum and its rate */
         link[k] = link_in_world(&arm->joint[k], &frame[k]);
         rate[k] = carried(V, &S[k]);
         add(t->v[k], &S[k], V);

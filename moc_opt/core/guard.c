@@ -167,7 +167,7 @@ static moc_stop compare_readings(const moc_guard *g, int n, const moc_measuremen
         fewest_whole = fmin(fewest_whole, w->joint[i].whole);
         most_whole = fmax(most_whole, w->joint[i].whole);
     }
-    if (fewest <= g->patience) { /* from here on a repeated reading counts, as does what changes */
+    if (fewest <= g->patience) { /* from here on a repeated reading counts, and so does what changes */
         for (int i = 0; i < n; i++)
             w->joint[i].torque = m->applied[i];
         memcpy(w->still, w->told, sizeof w->still);
@@ -189,7 +189,7 @@ static inline double take_in(double number, int slots, double *numbers, double *
     before->readings += 1.0;
     int slot = (int)((long long)(fabs(number) * FINE) % slots);
     double lag = before->readings - at[slot];
-    if (at[slot] > 0.0 && same(number, numbers[slot]) && lag > 1.0) { /* a frozen reading is a sign of its own */
+    if (at[slot] > 0.0 && same(number, numbers[slot]) && lag > 1.0) { /* lag 1: a frozen reading, a sign of its own */
         before->hits = same(lag, before->lag) ? before->hits + 1.0 : 1.0;
         before->lag = lag;
     }

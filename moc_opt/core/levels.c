@@ -14,10 +14,10 @@
 
 /* How the line from the tip to the trocar lies and turns. */
 typedef struct {
-    double distance; /* |P_t-X| [m] */
-    double e[3];     /* (P_t-X)/|P_t-X| */
-    double closing;  /* e^T (dP_t-dX) [m/s] */
-    double turn[3];  /* de/dt = (I - e e^T)(dP_t-dX)/|P_t-X| [1/s] */
+    double distance; /* |P_t - X| [m] */
+    double e[3];     /* (P_t - X) / |P_t - X| */
+    double closing;  /* e^T (dP_t - dX) [m/s] */
+    double turn[3];  /* de/dt = (I - e e^T)(dP_t - dX) / |P_t - X| [1/s] */
 } line;
 
 static line shaft_line(const double X[3], const double dX[3], const moc_trocar *trocar)
@@ -84,13 +84,13 @@ static void add_dynamic(const moc_law *law, int n, moc_terms *t, const double *d
 {
     enum { TAU_W = 5 };
     double H[MOC_MAX_JOINTS][MOC_MAX_JOINTS], inverse[MOC_MAX_JOINTS], rows[6][MOC_MAX_JOINTS], b[2][3];
-    double a[6] = {0.0}, c[6]; /* wanted accelerations, the weight of each row */
+    double a[6] = {0.0}, c[6]; /* wanted accelerations, and the weight of each row */
 
     cholesky(n, t->M, H, inverse);
     across(t->u, b);
     five_rows(n, t->A, b, rows);
     memcpy(rows[TAU_W], tau_W, (unsigned)n * sizeof *tau_W);
-    for (int i = 0; i < n; i++) /* all rows side by side, times the inverse of H */
+    for (int i = 0; i < n; i++) /* H^-1 of all rows, side by side */
         for (int k = 0; k < 6; k++)
             rows[k][i] = (rows[k][i] - dot(i, H[i], rows[k])) * inverse[i];
     for (int i = 0; i < 3 && law->feedforward; i++) {
@@ -215,7 +215,7 @@ void moc_fill_problem(const moc_law *law, int n, const moc_terms *t, const moc_r
         p->b[i] = ref->dX[i];
         gap += t->u[i] * (p->b[i] - p->b[3 + i]);
     }
-    for (int i = 0; i < 3; i++) /* u^T v_T = u^T v_W: a rigid tool cannot change its length */
+    for (int i = 0; i < 3; i++) /* u^T (v_T - v_W) = 0: a rigid tool cannot change its length */
         p->b[3 + i] += gap * t->u[i];
     for (int j = 0; j < n; j++) {
         double v_max = law->v_max[j] * wider;
@@ -254,7 +254,7 @@ void moc_add_third_level(const moc_law *law, int n, const moc_terms *terms, cons
     for (int j = 0; j < n; j++) {
         for (int i = 0; i < r; i++)
             tau[j] += MZ[i][j] * along[i];
-        tau[j] = clip(tau[j], -law->tau_max[j], law->tau_max[j]); /* a NaN passes: the guard refuses it by name */
+        tau[j] = clip(tau[j], -law->tau_max[j], law->tau_max[j]); /* a NaN passes: guard and plant refuse it by name */
     }
 }
 

@@ -94,7 +94,7 @@ double moc_shaft_manipulability(int n, const moc_twist *twist, double A[][MOC_MA
             C[a][b] += 0.5 * trace * u[a] * u[b];
     double shrink = mu / adjugate3(C, adj);
 
-    double turns[2][3] = {{0.0}}, pulls[2][3] = {{0.0}}; /* sums of J_j x P_j, P_j x ang_j up to k */
+    double turns[2][3] = {{0.0}}, pulls[2][3] = {{0.0}}; /* sums over j < k of J_j x P_j and P_j x ang_j */
     for (int k = 0; k < n; k++) {
         double Jk[2][3], P[2][3], moved[3];
         column(T, k, Jk[MOC_TIP]);

@@ -13,7 +13,7 @@ typedef enum {
     MOC_INFEASIBLE, /* no x of the box meets A x = b */
     MOC_DOUBTFUL,   /* rounding decides: no answer */
     MOC_UNFINISHED, /* the network (rnn.c) is still moving */
-    MOC_NOT_FINITE  /* q, v */
+    MOC_NOT_FINITE  /* q or v */
 } moc_status;
 
 /* --- the arm --- */
@@ -23,7 +23,7 @@ typedef struct {
     double rotation[3][3]; /* of these axes in the frame of the joint before, at q = 0 */
     double origin[3];      /* in the same frame [m] */
     double axis[3];        /* unit vector */
-    double slides;         /* along the axis; 0: it turns about it */
+    double slides;         /* 1: along the axis, 0: it turns about it */
     double mass;           /* [kg] */
     double moment[3];      /* mass times centre of mass [kg m] */
     double inertia[6];     /* about the centre of mass: xx, xy, yy, xz, yz, zz [kg m^2] */
@@ -35,7 +35,7 @@ enum { MOC_TIP = 0, MOC_WRIST = 1 };
 typedef struct {
     int n;
     moc_joint joint[MOC_MAX_JOINTS];
-    double point[2][3];            /* tip, wrist centre in the last joint's axes [m] */
+    double point[2][3];            /* tip and wrist centre in the last joint's axes [m] */
     double tool[3][3];             /* rows: the tool's axes x, y, z (along the shaft) there */
     int moves[2][MOC_MAX_JOINTS];  /* 0: this joint can never move the tip (the wrist); its column is exactly zero */
     double gravity[3];             /* [m/s^2] */
@@ -44,8 +44,8 @@ typedef struct {
 /* What the law needs of the arm at one (q, v); the binding's records rely on the order. */
 typedef struct {
     double q[MOC_MAX_JOINTS], v[MOC_MAX_JOINTS];
-    double tip[3], wrist[3], u[3];           /* u = (X-N)/L */
-    double pose[4][3];                       /* the tool's axes x, y, z (u), its tip again */
+    double tip[3], wrist[3], u[3];           /* u = (X - N) / L */
+    double pose[4][3];                       /* the tool's axes x, y, z (u) and its tip again */
     double A[6][MOC_MAX_JOINTS];             /* J_T over J_W */
     double drift[6];                         /* dJ_T/dt v, dJ_W/dt v [m/s^2] */
     double grad_mu[MOC_MAX_JOINTS], grad_mu_shaft[MOC_MAX_JOINTS];
@@ -65,7 +65,7 @@ typedef struct {
     int n;
     double A[6][MOC_MAX_JOINTS], b[6];     /* [J_T; J_W], [v_T; v_W] */
     double grad_mu[MOC_MAX_JOINTS];        /* of the pose */
-    double pull[MOC_MAX_JOINTS];           /* grad_mu, with the shaft's share; for a course, a climb: (rho/c2) x_d */
+    double pull[MOC_MAX_JOINTS];           /* grad_mu, with the shaft's share; or (rho/c2) x_d of a course or a climb */
     double lower[MOC_MAX_JOINTS], upper[MOC_MAX_JOINTS]; /* [rad/s] */
     double c0, c1, c2, rho;
     double q[MOC_MAX_JOINTS];              /* where it was linearized; no solver here needs it */
@@ -89,10 +89,10 @@ typedef struct {
 typedef enum { MOC_DYNAMIC = 0, MOC_STATIC, MOC_AS_PUBLISHED } moc_projector;
 
 typedef struct {
-    double K_X, D_X, K_N, D_N;                   /* springs, dampers of tip, wrist [N/m], [N s/m] */
-    double rcm_lambda;                           /* of the paper's |e_N1| = d / lambda; 0: |N_d-N| itself */
+    double K_X, D_X, K_N, D_N;                   /* springs and dampers of tip and wrist [N/m], [N s/m] */
+    double rcm_lambda;                           /* of the paper's |e_N1| = d / lambda; 0: |N_d - N| itself */
     moc_projector projector;
-    int feedforward;                             /* of the accelerations of tip, desired wrist; 0: none */
+    int feedforward;                             /* 1: the accelerations of tip and desired wrist are fed forward */
     double K_N2[MOC_MAX_JOINTS], D_N2[MOC_MAX_JOINTS]; /* third level [N m s/rad] */
     double tau_max[MOC_MAX_JOINTS];              /* [Nm]; infinite: no limit */
     double k0;                                   /* of the velocity damper [1/s] */
@@ -103,9 +103,9 @@ typedef struct {
     double observer_gain;                        /* K_o; 0: no observer [1/s] */
     double period;                               /* of control [s] */
     double fade;                                 /* the third level's share grows by this at each tick */
-    int third_level;                             /* it follows the subproblem's x; 0: none, at most its damping */
-    int damped;                                  /* the self-motion is damped by D_N2 without a subproblem */
-    int climbs;                                  /* scaled steps to the top of mu in place of its gradient */
+    int third_level;                             /* 0: none, or only its damping; 1: it follows the subproblem's x */
+    int damped;                                  /* 1: the self-motion is damped by D_N2 without a subproblem */
+    int climbs;                                  /* 1: scaled steps to the top of mu in place of its gradient */
 } moc_law;
 
 /* What the law remembers from tick to tick. */
@@ -126,7 +126,7 @@ typedef struct {
 typedef enum {
     MOC_CLAIMS_OPTIMUM = 0,
     MOC_CLAIMS_INFEASIBLE,
-    MOC_CLAIMS_NOTHING, /* an iterate: it ran out of iterations, of time */
+    MOC_CLAIMS_NOTHING, /* an iterate: it ran out of iterations or time */
     MOC_GIVES_NONE      /* no answer */
 } moc_claim;
 
@@ -135,7 +135,7 @@ typedef enum {
     MOC_TAKEN = 0,
     MOC_FAULT_INFEASIBLE,
     MOC_FAULT_FAILED,
-    MOC_FAULT_RAISED,    /* known to the caller alone, as are the next, the last one */
+    MOC_FAULT_RAISED,    /* known to the caller alone, as are the next one and the last one */
     MOC_FAULT_MALFORMED,
     MOC_FAULT_NOT_FINITE,
     MOC_FAULT_OUTSIDE,
@@ -149,7 +149,7 @@ typedef enum {
 typedef struct {
     const double *x;  /* (n,) [rad/s]; read only where there is an answer, but never NULL */
     moc_claim claim;
-    moc_fault known;  /* a fault that the caller has seen, else MOC_TAKEN */
+    moc_fault known;  /* a fault that the caller has seen, or MOC_TAKEN */
     double us;        /* time that it took */
 } moc_answer;
 
@@ -158,12 +158,12 @@ typedef enum { MOC_LATE_HOLD = 0, MOC_LATE_ZERO, MOC_LATE_ITERATE } moc_late;
 
 typedef struct {
     int check;              /* 0: residuals are not looked at */
-    double box_limit;       /* largest |A x-b|, box violation of an answer without a claim */
+    double box_limit;       /* largest |A x - b| and box violation of an answer without a claim */
     double primal_limit;    /* the same of one that is claimed optimal */
     double relative_limit;  /* largest natural residual of that */
-    double opposite_limit;  /* a claim is false if x is farther off, yet nearer to the opposite optimum [rad/s] */
+    double opposite_limit;  /* a claim is false if x is farther off, and nearer to the opposite optimum [rad/s] */
     int hold_ticks;         /* for which the last good answer is held */
-    int keep_off_limits;    /* afterwards the elbow moves as far as the box asks for; 0: damping only */
+    int keep_off_limits;    /* 1: afterwards the elbow moves as far as the box asks for; 0: damping only */
     moc_fallback fallback;  /* of an infeasible subproblem */
     moc_late late;          /* what replaces a late answer */
     double budget_us;       /* time that a solve may take; infinite: no limit */
@@ -174,7 +174,7 @@ typedef struct {
 /* Why the arm has to be stopped, and the words of moc_reason. */
 #define MOC_REASONS(REASON)                                                                                            \
     REASON(MOC_RUNNING, "running")                                                                                     \
-    REASON(MOC_STOP_NOT_STARTED, "not started") /* also if a start was refused */                                      \
+    REASON(MOC_STOP_NOT_STARTED, "not started") /* or after a start that was refused */                                \
     REASON(MOC_STOP_STATE, "the controller's state is damaged")                                                        \
     REASON(MOC_STOP_MEASUREMENT, "measurements not believed")                                                          \
     REASON(MOC_STOP_WRENCH, "the wrench sensor's readings are no numbers")                                             \
@@ -200,15 +200,15 @@ typedef enum { MOC_REASONS(MOC_NAME) MOC_STOPS } moc_stop;
 typedef struct {
     double period;                                      /* of control [s] */
     int patience;                                       /* ticks with a bad measurement that are bridged */
-    int carries;                                        /* the drives carry the arm's weight by this torque */
+    int carries;                                        /* 1: the drives carry the arm's weight by this torque */
     double low[MOC_MAX_JOINTS], high[MOC_MAX_JOINTS];   /* where the walls begin [rad, m] */
     double v_max[MOC_MAX_JOINTS], tau_max[MOC_MAX_JOINTS];
     double wall_stiffness, wall_damping, wall_brake;    /* [Nm/rad], [Nm s/rad], [rad/s^2] */
     double torque_step;                                 /* largest change of a torque in a tick [Nm] */
-    double jump, speed_factor;                          /* a reading farther off [rad], faster, is not believed */
+    double jump, speed_factor;                          /* a reading farther off [rad], or faster, is not believed */
     double tip_error, tip_share;                        /* root mean square [m]; a tick's share in the mean */
-    int in_incision;                                    /* 0: RCM error, trocar force are not looked at */
-    double warning[2], limit[2];                        /* of RCM error [m], trocar force [N] */
+    int in_incision;                                    /* 0: RCM error and trocar force are not looked at */
+    double warning[2], limit[2];                        /* of RCM error [m] and trocar force [N] */
     double incision_share;                              /* of a tick in their mean squares */
     double tool_mass, tool_length;                      /* of the rod behind the wrench sensor [kg], [m] */
     double tip_force;                                   /* largest force across the shaft taken for the tip's [N] */
@@ -242,8 +242,8 @@ typedef struct {
 
 /* What the safety filter remembers of a joint. */
 typedef struct {
-    double gap, peak, shown, speed;          /* q less the integral of v; largest recent |v|; the last q, v */
-    double repeats, whole;                   /* ticks in a row with the same q; so far with the same q, v */
+    double gap, peak, shown, speed;          /* q - integral of v; largest recent |v|; the last q and v */
+    double repeats, whole;                   /* ticks in a row with the same q; so far with the same q and v */
     double torque;                           /* where all had repeated themselves for the patience [Nm] */
     double integral, residual, mean;         /* of the momentum observer; the mean of the residual */
     double at_repeat, unseen, exceeded;      /* mean where it began to repeat; speed gathered since; ticks far off */
@@ -256,12 +256,12 @@ typedef struct {
     int bad;                                     /* measurements in a row that were not believed */
     double tip_square;                           /* mean square of the tip's error [m^2] */
     double point[3];                             /* the trocar, as registered last [m] */
-    double mean_square[2], largest[2], first_tick[2]; /* of RCM error, force; root, tick of a warning */
+    double mean_square[2], largest[2], first_tick[2]; /* of RCM error and force; root and tick of a warning, -1: none */
     double whole_square, ticks;                  /* of the whole force on the tool, a contact's too; in the incision */
     int unread;                                  /* readings of the wrench in a row that were no numbers */
     double press, borne;                         /* mean of the trocar's force in a stop; what closed brakes bear [N] */
     int yields, open;                            /* whether the brakes are open because of it; for how many ticks */
-    int cut;                                     /* a drive does not do what it is told: none is used in the stop */
+    int cut;                                     /* 1: a drive does not do what it is told: none is used in the stop */
     int limited;                                 /* joints at which the last torque was changed */
     long long now, newest, delay, elapsed, taken; /* numbers of control periods: see `age` in guard.c */
     moc_joint_watch joint[MOC_MAX_JOINTS];
@@ -269,7 +269,7 @@ typedef struct {
     double wrench[6], wrench_repeats;
     int looked, wrench_is_still;                 /* the first readings; whether the wrench repeated itself in them */
     int weighed;                                 /* readings that were compared with the torque */
-    double number[MOC_SLOTS], at[MOC_SLOTS];     /* a reading as one number, its place; 0: none */
+    double number[MOC_SLOTS], at[MOC_SLOTS];     /* a reading as one number, and its place from 1 on; 0: none */
     double joint_number[MOC_MAX_JOINTS][MOC_JOINT_SLOTS], joint_at[MOC_MAX_JOINTS][MOC_JOINT_SLOTS];
     moc_came_before whole, lagging[MOC_MAX_JOINTS];
 } moc_watch;
@@ -280,7 +280,7 @@ typedef struct {
     long long stamp;       /* number of the control period in which it was taken */
     int has_stamp;         /* 0: its age is not looked at */
     const double *applied; /* (n,) torque that went out before it [Nm]; NULL: not known */
-    const double *wrench;  /* (6,) force [N], torque [Nm] of the tool on its mount, tool axes */
+    const double *wrench;  /* (6,) force [N] and torque [Nm] of the tool on its mount, tool axes */
 } moc_measurement;
 
 const char *moc_reason(moc_stop reason);
@@ -295,7 +295,7 @@ typedef struct {
     const moc_arm *arm;
     const moc_law *law;
     const moc_supervision *supervision;
-    const moc_guard *guard; /* NULL: no safety filter; measurements are believed, nothing stops the arm */
+    const moc_guard *guard; /* NULL: no safety filter; measurements are believed, and nothing stops the arm */
     double tolerance;       /* of moc_solve_exact [rad/s] */
 } moc_controller;
 
@@ -314,10 +314,10 @@ typedef struct {
     moc_terms terms;                /* of the last tick, as are the next ones */
     moc_problem problem;            /* where the law has a third level */
     double told[3];                 /* the tip's reference [m] */
-    double tau[MOC_MAX_JOINTS];     /* of the first two levels, less r; after moc_finish what it returned [Nm] */
+    double tau[MOC_MAX_JOINTS];     /* of levels 1 and 2, less r; after moc_finish what it returned [Nm] */
     moc_fault fault;                /* of the answer */
     double x[MOC_MAX_JOINTS];       /* what the third level followed [rad/s] */
-    double answer[MOC_MAX_JOINTS];  /* of moc_step: x of moc_solve_exact, its multipliers, status */
+    double answer[MOC_MAX_JOINTS];  /* of moc_step: x of moc_solve_exact, its multipliers and status */
     double y[6];
     moc_status status;
     double sent[MOC_MAX_JOINTS];    /* what the last moc_finish returned [Nm] */

@@ -18,7 +18,7 @@ typedef struct {
     double s[MOC_MAX_JOINTS];                  /* the point, from x_p [rad/s] */
     double low[MOC_MAX_JOINTS], high[MOC_MAX_JOINTS];
     double pull[MOC_MAX_JOINTS];               /* c2 Pi g */
-    double side[MOC_MAX_JOINTS];               /* of the active bound: positive for a lower one; 0: none */
+    double side[MOC_MAX_JOINTS];               /* +1 at an active lower bound, -1 at an upper one, 0 elsewhere */
     double force[MOC_MAX_JOINTS];              /* multiplier of that bound: above zero at a lower one */
     double room[MOC_MAX_JOINTS];               /* Pi_jj before any sweep */
     double Pi[MOC_MAX_JOINTS][MOC_MAX_JOINTS]; /* swept on the active joints */

@@ -8,7 +8,7 @@
 
 #include <time.h>
 
-static PyTypeObject *arm_type; /* set once, when the module is made */
+static PyTypeObject *arm_type; /* set once, when the module is made, and kept for ever */
 
 /* New object: the arm is the only positional argument, keywords fill the fields; NULL with an exception. */
 static PyObject *with_arm(PyTypeObject *type, PyObject *given, PyObject *keywords, const field *fields, int count)

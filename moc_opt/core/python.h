@@ -41,8 +41,8 @@ enum { MOST_ARGUMENTS = 14 };
 /* The arguments of one call, by their places in its table. */
 typedef struct {
     int n;                                /* joints; 0 until an array tells */
-    npy_intp k;                           /* rows; negative until an array tells */
-    int made, end;                        /* where the arrays that the call has made begin, end */
+    npy_intp k;                           /* rows; -1 until an array tells */
+    int made, end;                        /* where the arrays that the call has made begin and end */
     double *array[MOST_ARGUMENTS];        /* NULL for None */
     double number[MOST_ARGUMENTS];
     PyArrayObject *as[MOST_ARGUMENTS];    /* the array as an object */

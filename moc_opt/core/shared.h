@@ -96,7 +96,7 @@ typedef struct {
     double row[6][MOC_MAX_JOINTS], right[6], pivot; /* pivot: of the last step [m] */
     double step[6][6];         /* how much of row k went into each row, at step k */
     int from[6];               /* with which row k changed its place before */
-    int joint[MOC_MAX_JOINTS]; /* those of the pivots, then the free ones that move the tool */
+    int joint[MOC_MAX_JOINTS]; /* those of the pivots, then the free ones that move tip or wrist */
     int rank, freedoms;
 } moc_plane;
 
@@ -114,11 +114,11 @@ moc_status moc_solve_several(const moc_plane *plane, const moc_problem *problem,
 /* --- answer.c --- */
 
 typedef struct {
-    double primal;   /* |A x-b|_inf; NaN where x is not finite [m/s] */
+    double primal;   /* |A x - b|_inf; NaN where x is not finite [m/s] */
     double outside;  /* violation of the box [rad/s] */
-    double natural;  /* natural residual along the self-motion, for a gradient of unit length [rad/s] */
+    double natural;  /* natural residual along the self-motion, the gradient scaled to length 1 [rad/s] */
     double off;      /* distance from the optimum [rad/s] */
-    double opposite; /* from that of the opposite gradient [rad/s] */
+    double opposite; /* and from that of the opposite gradient [rad/s] */
 } moc_residuals;
 
 /* Judge x on the self-motion that Z leaves. */

@@ -9,10 +9,10 @@
 /* How the network of rnn.c steps. */
 typedef struct {
     int steps;      /* at most so many */
-    double h_x, h_y; /* step sizes of x, of the multipliers, dt/eps */
+    double h_x, h_y; /* step sizes of x and of the multipliers, dt/eps */
     double k;       /* the paper's gain */
-    double scale;   /* multiplies c0, c1, c2, rho */
-    int implicit;   /* the multipliers see the new x */
+    double scale;   /* multiplies c0, c1, c2 and rho */
+    int implicit;   /* 1: the multipliers see the new x */
     double rest;    /* it ends where its right-hand side is at most this [rad/s, m/s] */
 } moc_network;
 
@@ -26,7 +26,7 @@ moc_status moc_step_network(const moc_problem *problem, const moc_network *netwo
 typedef struct {
     const moc_arm *arm;
     const double *low, *high; /* (n,) */
-    double target[2][3];      /* tip, wrist [m] */
+    double target[2][3];      /* tip and wrist [m] */
 } plan_task;
 
 /* Newton's method for a pose with the tip (points = 1), or tip and wrist (points = 2), at the target; q (n,) is where
@@ -54,7 +54,7 @@ typedef struct {
     const double *q_next, *slack_next, *value_next;
     const double *step;
     const double *crossing; /* whole numbers */
-    double price, reach;    /* reach: step, with the largest slack_next, of joint `sorted` */
+    double price, reach;    /* reach: step and largest slack_next of joint `sorted` */
 } plan_stage;
 
 void plan_advance(const plan_stage *stage, double *value);

@@ -60,7 +60,7 @@ static inline bool all_finite(int n, const double *x)
 {
     double sum = 0.0;
     for (int i = 0; i < n; i++)
-        sum += 0.0 * x[i]; /* NaN for NaN, for both infinities */
+        sum += 0.0 * x[i]; /* NaN for NaN and for both infinities */
     return sum == 0.0;
 }
 
