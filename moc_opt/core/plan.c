@@ -34,7 +34,7 @@ static double distance(int n, const double *p, const double *q)
 
 #define LONGEST 0.25    /* of a step, in joint space [rad]: beyond it the linearization is worth little */
 #define AT_REST 1e-9    /* of a tangent: a joint with less of it does not move along the curve */
-#define DAMPING 1e-12   /* of the trace of A A^T: A has rank 5, since tip and wrist are rigidly tied */
+#define DAMPING 4e-12   /* of A A^T [m^2]: A has rank 5, since tip and wrist are rigidly tied */
 
 /* The step (n,) nearest to the desired one with A step = error (rows) that pushes no joint into a limit.
  *
@@ -49,18 +49,16 @@ static void allowed_step(const plan_task *task, int rows, const double *q, doubl
 
     memcpy(part, A, (unsigned)rows * sizeof *part);
     for (int round = 0; round < 4 * n; round++) {
-        double S[6][MOC_MAX_JOINTS], L[6][MOC_MAX_JOINTS], inverse[6], force[6], trace = 0.0, most = 0.0;
+        double S[6][MOC_MAX_JOINTS], L[6][MOC_MAX_JOINTS], inverse[6], force[6], most = 0.0;
         bool left = false;
         int drawn = NONE;
 
         for (int i = 0; i < rows; i++) {
             for (int k = 0; k < rows; k++)
                 S[i][k] = dot(n, part[i], part[k]);
-            trace += S[i][i];
+            S[i][i] += damping + DAMPING;
             force[i] = error[i] - dot(n, part[i], desired);
         }
-        for (int i = 0; i < rows; i++)
-            S[i][i] += fmax(damping, DAMPING * trace) + 1e-14;
         cholesky(rows, S, L, inverse);
         solve_factored(rows, L, inverse, force);
         for (int j = 0; j < n; j++) {
@@ -88,12 +86,13 @@ static void allowed_step(const plan_task *task, int rows, const double *q, doubl
     }
 }
 
-/* Damped Gauss-Newton. */
+/* Gauss-Newton, damped by the error squared (Sugihara, IEEE Trans. Robotics 27, 2011): far from the target and out of
+ * reach the steps stay short, at the target they are Newton's. */
 double plan_place(const plan_task *task, int points, int rounds, const double *start, double *best)
 {
     static const double nowhere[MOC_MAX_JOINTS];
     double q[MOC_MAX_JOINTS], A[6][MOC_MAX_JOINTS], error[6], step[MOC_MAX_JOINTS];
-    double damping = 0.0, last = HUGE_VAL, miss = HUGE_VAL;
+    double miss = HUGE_VAL;
     int n = task->arm->n;
 
     memcpy(q, start, (unsigned)n * sizeof *q);
@@ -107,13 +106,8 @@ double plan_place(const plan_task *task, int points, int rounds, const double *s
         }
         if (worst < TOLERANCE)
             break;
-        /* out of reach, undamped steps swing about without end */
-        damping = worst < 0.5 * last ? 0.0 : fmin(fmax(10.0 * damping, 1e-8), 1e-2);
-        last = worst;
-        allowed_step(task, 3 * points, q, A, error, nowhere, damping, 0.0, step);
+        allowed_step(task, 3 * points, q, A, error, nowhere, 0.1 * dot(3 * points, error, error), 0.0, step);
         double length = largest_of(n, step);
-        if (!(length >= 1e-12))
-            break;
         for (int j = 0; j < n; j++)
             q[j] = clip(q[j] + step[j] * fmin(1.0, LONGEST / length), task->low[j], task->high[j]);
     }
@@ -121,6 +115,8 @@ double plan_place(const plan_task *task, int points, int rounds, const double *s
 }
 
 /* --- along a curve --- */
+
+#define STRAIGHT 0.8 /* cosine of the angle by which the tangent may turn within a step */
 
 /* How far along the tangent no joint gets beyond a limit, at most h; *hit: the joint that is at one there, or NONE. */
 static double room_ahead(const plan_task *task, const double *q, const double *tangent, double h, int *hit)
@@ -136,22 +132,22 @@ static double room_ahead(const plan_task *task, const double *q, const double *t
     return h;
 }
 
-/* The unit tangent (n,) at q that points the same way as the last one: its part on ker A. Joints that stand still have
- * no column in A. Returns mu. */
-static double turn_tangent(const plan_task *task, const double *q, double *tangent)
+/* mu at q and the unit tangent (n,) there that points the same way as the last one: its part on ker A. Joints that stand
+ * still have no column in A. Returns the cosine of the angle between both tangents. */
+static double turn_tangent(const plan_task *task, const double *q, const double *last, double *tangent, double *mu)
 {
     double error[6], A[6][MOC_MAX_JOINTS], Z[MOC_MAX_JOINTS][MOC_MAX_JOINTS];
-    double mu = look(task, q, error, A, NULL);
     int n = task->arm->n;
 
+    *mu = look(task, q, error, A, NULL);
     for (int j = 0; j < n; j++)
         for (int i = 0; i < 6 && !(task->low[j] < task->high[j]); i++)
             A[i][j] = 0.0;
-    moc_onto(n, moc_null_space(n, A, 0, Z), Z, tangent, tangent);
+    moc_onto(n, moc_null_space(n, A, 0, Z), Z, last, tangent);
     double length = sqrt(dot(n, tangent, tangent));
     for (int j = 0; j < n; j++)
         tangent[j] /= length;
-    return mu;
+    return length;
 }
 
 /* Whether the start (n,), up to whole turns, is ahead of q within a step, and how far; `pose` is that start. */
@@ -170,51 +166,63 @@ static bool closes(const plan_task *task, const double *start, const double *q, 
     return inside && *gap <= 1.01 * step && ahead > 0.0;
 }
 
-int plan_follow(const plan_task *task, const double *start, const double *tangent_start, double step, int most,
-                double *s, double *poses, double *mus, int *closed)
+/* The next pose (n,) of the curve after q, its mu, and the tangent there in place of the last one: within a step, or nearer
+ * where the curve turns sharply. *hit: the joint that is at a limit there, or NONE. Returns how far it is, 0 where the
+ * curve is singular. */
+static double next_sample(const plan_task *task, const double *q, double step, double *tangent, double *next, double *mu,
+                          int *hit)
 {
-    int n = task->arm->n, count = 1;
-    unsigned bytes = (unsigned)n * sizeof *poses;
-    double tangent[MOC_MAX_JOINTS], closing[MOC_MAX_JOINTS], low[MOC_MAX_JOINTS], high[MOC_MAX_JOINTS], gap, h = step;
+    double low[MOC_MAX_JOINTS], high[MOC_MAX_JOINTS], turned[MOC_MAX_JOINTS];
+    int n = task->arm->n;
+    unsigned bytes = (unsigned)n * sizeof *low;
     plan_task here = *task;
 
     here.low = low;
     here.high = high;
-    memcpy(tangent, tangent_start, bytes);
-    memcpy(poses, start, bytes);
-    mus[0] = turn_tangent(task, start, tangent);
-    s[0] = *closed = 0;
-    while (count < most) {
-        double *q = poses + (count - 1) * n, *next = q + n;
-        int hit;
-        double ahead = room_ahead(task, q, tangent, h, &hit);
+    for (int halvings = 0; halvings < 10; halvings++) {
+        double ahead = room_ahead(task, q, tangent, step, hit);
         memcpy(low, task->low, bytes);
         memcpy(high, task->high, bytes);
-        if (hit != NONE) /* the curve ends where this joint is at its limit */
-            low[hit] = high[hit] = signbit(tangent[hit]) ? low[hit] : high[hit];
+        if (*hit != NONE) /* the curve ends where this joint is at its limit */
+            low[*hit] = high[*hit] = signbit(tangent[*hit]) ? low[*hit] : high[*hit];
         for (int j = 0; j < n; j++)
             next[j] = clip(q[j] + ahead * tangent[j], low[j], high[j]);
-        double miss = plan_place(&here, 2, 10, next, next), way = distance(n, next, q);
-        if (!(miss < TOLERANCE) || way > 2.0 * h) {
-            h *= 0.5;
-            if (h >= 1e-3 * step)
-                continue;
-            return count; /* singular */
+        if (plan_place(&here, 2, 10, next, next) < TOLERANCE &&
+            turn_tangent(task, next, tangent, turned, mu) > STRAIGHT) {
+            memcpy(tangent, turned, bytes);
+            return distance(n, next, q);
         }
+        step *= 0.5;
+    }
+    return 0.0;
+}
+
+int plan_follow(const plan_task *task, const double *start, const double *tangent_start, double step, int most,
+                double *s, double *poses, double *mus, int *closed)
+{
+    int n = task->arm->n, count = 1, hit = NONE;
+    unsigned bytes = (unsigned)n * sizeof *poses;
+    double tangent[MOC_MAX_JOINTS], closing[MOC_MAX_JOINTS], gap;
+
+    turn_tangent(task, start, tangent_start, tangent, mus);
+    memcpy(poses, start, bytes);
+    s[0] = *closed = 0;
+    while (count < most && hit == NONE) {
+        double *q = poses + (count - 1) * n, *next = q + n;
+        double way = next_sample(task, q, step, tangent, next, mus + count, &hit);
+        if (way < 1e-9) /* singular, or on the limit already */
+            break;
         s[count] = s[count - 1] + way;
-        mus[count] = turn_tangent(task, next, tangent);
-        if (hit != NONE)
-            return way < 1e-9 ? count : count + 1; /* it stood on the limit already */
         count++;
-        if (closes(task, start, next, tangent, step, closing, &gap) && count > 3 && count < most) {
-            int last = gap > 0.1 * step ? count : count - 1; /* no two samples on top of each other */
-            s[last] = s[count - 1] + gap;
-            mus[last] = mus[0];
-            memcpy(poses + last * n, closing, bytes);
+        if (count < most && closes(task, start, next, tangent, step, closing, &gap)) {
+            count += gap > 0.1 * step; /* else in place of the last one: no two samples on top of each other */
+            double *end = poses + (count - 1) * n;
+            memcpy(end, closing, bytes);
+            s[count - 1] = s[count - 2] + distance(n, end, end - n);
+            mus[count - 1] = mus[0];
             *closed = 1;
-            return last + 1;
+            break;
         }
-        h = fmin(step, 2.0 * h);
     }
     return count;
 }
@@ -222,9 +230,6 @@ int plan_follow(const plan_task *task, const double *start, const double *tangen
 /* --- climbs --- */
 
 #define SHORTEST 1e-6  /* a shorter step changes mu by its square alone: the ascent has arrived */
-#define FLAT 1e-9      /* of the gradient: a smaller part along the allowed ways counts as zero */
-#define STEPS 400
-#define NEWTON 40
 
 double plan_ascend(const plan_task *task, double *q)
 {
@@ -232,17 +237,16 @@ double plan_ascend(const plan_task *task, double *q)
     double error[6], A[6][MOC_MAX_JOINTS], grad[MOC_MAX_JOINTS], way[MOC_MAX_JOINTS], trial[MOC_MAX_JOINTS], h = 0.1;
     int n = task->arm->n;
 
-    if (!(plan_place(task, 2, NEWTON, q, q) < TOLERANCE))
+    if (!(plan_place(task, 2, 40, q, q) < TOLERANCE))
         return -1.0;
-    for (int round = 0; round < STEPS && h >= SHORTEST; round++) {
+    while (h >= SHORTEST) { /* each step that is taken raises mu: they come to an end */
         double mu = look(task, q, error, A, grad);
         /* a step that a limit cuts short leads nowhere */
         allowed_step(task, 6, q, A, nothing, grad, 0.0, 0.01 * h, way);
         double length = sqrt(dot(n, way, way));
         for (int j = 0; j < n; j++)
             trial[j] = clip(q[j] + h / length * way[j], task->low[j], task->high[j]);
-        bool higher = length > FLAT * sqrt(dot(n, grad, grad)) && plan_place(task, 2, 10, trial, trial) < TOLERANCE &&
-                     look(task, trial, error, A, NULL) > mu;
+        bool higher = plan_place(task, 2, 10, trial, trial) < TOLERANCE && look(task, trial, error, A, NULL) > mu;
         if (higher)
             memcpy(q, trial, (unsigned)n * sizeof *q);
         h = higher ? fmin(2.0 * h, LONGEST) : 0.3 * h;

@@ -49,7 +49,6 @@ static void sweep(polytope *t, int p, double sign)
     }
     for (int j = 0; j < t->n; j++)
         t->Pi[p][j] = sign * inverse * row[j];
-    t->Pi[p][p] = -inverse;
 }
 
 /* Take the rounding of the way out of s: back into ker A, and the active joints onto their bounds. */
@@ -191,7 +190,7 @@ static moc_status approach(polytope *t, double rho, double slack, double most, d
 moc_status moc_solve_several(const moc_plane *plane, const moc_problem *p, double tolerance, double *x, double *force)
 {
     polytope t = {.n = p->n, .r = plane->freedoms};
-    double back[MOC_MAX_JOINTS], room = 0.0, weight = p->rho;
+    double back[MOC_MAX_JOINTS], room = 1e-6, weight = p->rho;
 
     for (int k = 0; k < t.r; k++) {
         moc_direction(plane, t.n, k, t.Z[k]);
@@ -212,13 +211,13 @@ moc_status moc_solve_several(const moc_plane *plane, const moc_problem *p, doubl
             room = fmax(room, p->upper[j] - p->lower[j]);
         }
     }
-    double pull = sqrt(dot(t.n, t.pull, t.pull)), slack = 1e-14 * fmax(1.0, room);
+    double pull = sqrt(dot(t.n, t.pull, t.pull)), slack = 1e-14 * room;
     bool direct = pull < FAR * room * p->rho;
     for (int j = 0; j < t.n; j++)
         t.s[j] = direct ? t.pull[j] / p->rho : 0.0;
     moc_status status = project(&t, slack, 0.1 * tolerance);
     if (!direct && pull > 0.0 && status == MOC_OK) {
-        double base = 10.0 * fmax(room, 1e-6) / pull;
+        double base = 10.0 * room / pull;
         weight = p->rho + 1.0 / base;
         status = approach(&t, p->rho, slack, 0.1 * tolerance, base);
     }

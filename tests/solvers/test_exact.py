@@ -12,7 +12,7 @@ from moc_opt.errors import SolverError
 from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.solvers import Status
 from moc_opt.solvers.exact import Exact
-from tests.hard_problems import nearly_singular, rounded
+from tests.hard_problems import hard_problems, nearly_singular, remade, rounded
 from tests.problems import changed, infeasible_problem, out_of_reach, random_problem, unit
 
 
@@ -84,21 +84,46 @@ def test_a_plane_that_only_touches_the_box(n, seed, regularization):
         check(changed(qp, v_tip=qp.J_tip @ corner, v_wrist=qp.J_wrist @ corner))
 
 
+def wedge(rng, n, narrow, size=1.0, **settings):
+    """Self-motions that are all but parallel; the box leaves a sliver between them, and both bounds hold at its tip."""
+    Z = rng.normal(size=(n - 6, n))
+    Z[:, 1] = 1.3 * Z[:, 0] + narrow * rng.normal(size=n - 6)
+    Z[:, 3] = -0.8 * Z[:, 2] + narrow * rng.normal(size=n - 6)
+    A = null_space(Z).T
+    lower, upper = -size * rng.uniform(0.3, 3.0, n), size * rng.uniform(0.3, 3.0, n)
+    x = 0.5 * (lower + upper) + 0.45 * (upper - lower) * rng.uniform(-1.0, 1.0, n)
+    lower[0], upper[1] = x[0] - 0.3 * size * narrow, x[1] + 0.2 * size * narrow
+    return NullSpaceQP(A[:3], A[3:], A[:3] @ x, A[3:] @ x, rng.normal(size=n), lower, upper, **settings)
+
+
 @pytest.mark.parametrize(("n", "narrow"), [(8, 1e-4), (9, 1e-4), (10, 1e-4), (15, 1e-6)])
 def test_a_wedge_of_joints_that_move_almost_as_one(n, narrow):
-    # Their self-motions are all but parallel, and the box leaves a sliver between them: both bounds hold at its tip.
     rng = np.random.default_rng(n)
     for _ in range(25):
-        Z = rng.normal(size=(n - 6, n))
-        Z[:, 1] = 1.3 * Z[:, 0] + narrow * rng.normal(size=n - 6)
-        Z[:, 3] = -0.8 * Z[:, 2] + narrow * rng.normal(size=n - 6)
-        A = null_space(Z).T
-        lower, upper = -rng.uniform(0.3, 3.0, n), rng.uniform(0.3, 3.0, n)
-        x = 0.5 * (lower + upper) + 0.45 * (upper - lower) * rng.uniform(-1.0, 1.0, n)
-        lower[0], upper[1] = x[0] - 0.3 * narrow, x[1] + 0.2 * narrow
-        qp = NullSpaceQP(A[:3], A[3:], A[:3] @ x, A[3:] @ x, rng.normal(size=n), lower, upper)
+        qp = wedge(rng, n, narrow)
         if narrow > 1e-5 or solve(qp).status is Status.SOLVED:  # rounding may leave no answer, but no wrong one
             check(qp, primal=1e-17 / narrow)
+
+
+def test_rounding_seldom_leaves_a_wedge_of_any_size_without_an_answer():
+    rng, found = np.random.default_rng(0), []
+    for k in range(1000):
+        n, narrow, size = int(rng.integers(8, 17)), 10.0 ** rng.uniform(-6.0, -2.0), 10.0 ** rng.uniform(-3.0, 3.0)
+        found.append(solve(wedge(rng, n, narrow, size, regularization=[0.0, 1e-8, 1e-5, 1.0][k % 4])).status)
+    assert found.count(Status.SOLVED) > 975
+
+
+def test_a_joint_that_all_but_stands_still_stops_none_of_two_freedoms():
+    rng, ends = np.random.default_rng(3), np.ones(8)
+    for regularization in (0.0, 1e-5, 1.0):
+        for _ in range(20):
+            Z = rng.normal(size=(2, 8))
+            Z[:, 7] = 3e-11 * rng.choice([-1.0, 1.0], 2)
+            A, x = null_space(Z).T, rng.uniform(-0.9, 0.9, 8)
+            x[7] = rng.choice([-1.0, 1.0])
+            qp = NullSpaceQP(A[:3], A[3:], A[:3] @ x, A[3:] @ x, rng.normal(size=8), -ends, ends, regularization=regularization)
+            far = changed(qp, lower=-ends - 9.0 * np.eye(8)[7], upper=ends + 9.0 * np.eye(8)[7])
+            np.testing.assert_allclose(check(qp).x[:7], solve(far).x[:7], atol=1e-8)
 
 
 @pytest.mark.parametrize(("decimals", "answered"), [(12, True), (8, True), (7, True), (4, False)])
@@ -128,6 +153,29 @@ def test_the_tolerances_themselves_are_allowed():
     assert [status(A, gap * np.eye(6)[5], wide) for gap in (1e-6, 1.1e-6)] == [core.OK, core.INFEASIBLE]
 
 
+def test_units_of_length_and_of_the_cost_change_no_answer():
+    """To the last bit, and but for the one absolute tolerance on A x = b no verdict."""
+    rng = np.random.default_rng(0)
+    plain = [random_problem(rng, 7 + k % 3, structured=False, regularization=1e-5 * (k % 2)) for k in range(120)]
+    problems = [nearly_singular(qp, 10.0 ** -rng.uniform(2, 15)) for qp in plain[:60]]
+    problems += [rounded(qp, int(rng.integers(3, 15))) for qp in plain[60:]] + hard_problems()
+    problems += [wedge(rng, 8 + k % 9, 1e-5) for k in range(60)] + [infeasible_problem(rng) for _ in range(30)]
+    same = []
+    for qp in problems:
+        status, x, y = core.solve_exact(qp.row, 1e-9)
+        for f in (2.0**-20, 2.0**20):
+            dear = core.solve_exact(changed(qp, c2=f * qp.c2, regularization=f * qp.regularization).row, 1e-9)
+            assert dear[0] == status
+            if status == core.OK:
+                np.testing.assert_array_equal([*dear[1], *dear[2] / f], [*x, *y])
+        for f in (2.0**-7, 2.0**7):
+            far = core.solve_exact(remade(qp, f * qp.A, f * qp.b).row, 1e-9)
+            same.append(far[0] == status)
+            if far[0] == core.OK == status:
+                np.testing.assert_array_equal([*far[1], *f * far[2]], [*x, *y])
+    assert np.mean(same) > 0.97
+
+
 def test_idle_joint_stays_still_and_flat_gradient_takes_the_slowest():
     qp = random_problem(np.random.default_rng(14), regularization=0.0)
     assert solve(qp).x[6] == 0.0
@@ -135,6 +183,8 @@ def test_idle_joint_stays_still_and_flat_gradient_takes_the_slowest():
     for size in (1e-3, 1e3):  # a gradient at rounding level, as a share of the largest, moves it nowhere
         grads = [size * (qp.grad_mu + share * np.eye(7)[6] * np.abs(qp.grad_mu[:6]).max()) for share in (5e-10, 2e-9)]
         assert [abs(solve(changed(qp, grad_mu=grad)).x[6]) > 0.1 for grad in grads] == [False, True]
+    none = remade(changed(qp, regularization=1.0), np.zeros((6, 7)), np.zeros(6))
+    np.testing.assert_allclose(check(none).x, np.clip(qp.c2 * qp.grad_mu, qp.lower, qp.upper), atol=1e-15)
     flat = changed(qp, grad_mu=np.zeros(7), lower=-9.0 * np.ones(7), upper=9.0 * np.ones(7))
     np.testing.assert_allclose(check(flat).x, np.linalg.lstsq(qp.A, qp.b, rcond=None)[0], atol=1e-10)
 
@@ -202,9 +252,9 @@ def test_parallel_columns_and_a_nearly_straight_elbow_with_joints_at_their_bound
             check(qp)
 
 
-@pytest.mark.parametrize(("moves", "stops"), [(3e-10, True), (3e-11, False)])
+@pytest.mark.parametrize(("moves", "stops"), [(1.6e-10, True), (1.2e-10, False)])
 def test_the_judge_lets_the_same_joints_stop_the_elbow(moves, stops):
-    """One that moves little of a step, and stands at its bound; the others leave room for a step of one."""
+    """One that moves about 1e-10 of a step, and stands at its bound; the others leave room for a step of one."""
     z, x, wide = np.array([1.0, -0.5, 0.3, 0.2, -0.4, 0.6, moves]), np.zeros(7), np.ones(7)
     A, x[6] = null_space(z[None]).T, 1.0
     found = check(NullSpaceQP(A[:3], A[3:], A[:3] @ x, A[3:] @ x, z, -wide, wide, regularization=1e-5)).x
