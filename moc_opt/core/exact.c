@@ -269,19 +269,14 @@ static moc_status solve(moc_plane *plane, const moc_problem *p, double tolerance
 }
 
 /* How far rounding of A x = b may put a joint out of its box [rad/s]: a rounding error of the largest |A| |x| in the
- * box, carried over to the joint that moves tip and wrist least, or divided by the last pivot. */
+ * box, divided by the last pivot. */
 static double explained_by_rounding(const moc_plane *plane, const moc_problem *p)
 {
-    double sum[6] = {0.0}, least = plane->pivot;
-    for (int j = 0; j < p->n; j++) {
-        double column = 0.0;
-        for (int i = 0; i < 6; i++) {
+    double sum[6] = {0.0};
+    for (int i = 0; i < 6; i++)
+        for (int j = 0; j < p->n; j++)
             sum[i] += fabs(p->A[i][j]) * larger(fabs(p->lower[j]), fabs(p->upper[j]));
-            column = larger(fabs(p->A[i][j]), column);
-        }
-        least = column > IDLE ? smaller(column, least) : least;
-    }
-    return larger(GROWTH * largest_of(6, sum) / least, plane->freedoms > 1 ? SLIVER : 0.0);
+    return larger(GROWTH * largest_of(6, sum) / plane->pivot, plane->freedoms > 1 ? SLIVER : 0.0);
 }
 
 moc_status moc_solve_exact(const moc_problem *p, double tolerance, double *x, double y[6])

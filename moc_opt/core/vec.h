@@ -113,7 +113,7 @@ static inline void solve_factored(int m, double L[][MOC_MAX_JOINTS], const doubl
 /* Two unit vectors that complete the unit vector u to a right-handed basis (b[0], b[1], u). */
 static inline void across(const double u[3], double b[2][3])
 {
-    int k = fabs(u[0]) <= fabs(u[1]) && fabs(u[0]) <= fabs(u[2]) ? 0 : fabs(u[1]) <= fabs(u[2]) ? 1 : 2;
+    int k = fabs(u[0]) <= fabs(u[1]) ? 0 : 1; /* an axis at 45 degrees or more from u */
     double e[3] = {0.0, 0.0, 0.0};
 
     e[k] = 1.0;

@@ -179,3 +179,11 @@ def test_a_drive_that_pushes_against_its_torque_is_used_no_more(torques, carries
 def test_a_motion_that_goes_on_by_itself_needs_no_torque():
     guard, record = begun(residual_torque=2.0**-9), ARM.terms(ZERO, ZERO + 0.5)
     assert [follow(guard, record=record) for _ in range(4)] == ["running"] * 4
+
+
+def test_brakes_that_had_to_close_open_once_more_when_the_force_has_risen_by_as_much_again():
+    """After two ticks open at 1 N; what has fallen since counts from where it is."""
+    guard = begun(stop_yield=0.25, stop_yield_ticks=2)
+    read(guard, wrench=pressed(0.0), trocar=TROCAR)
+    opened = {0.25: 0, 1.0: 1, 1.125: 1, 0.9375: 0, 1.1875: 0, 1.25: 1, 0.875: 0, 0.5: 0, 0.75: 0, 0.8125: 1}
+    assert [guard.hold(pressed(force))[0] == 0.0 for force in opened] == list(map(bool, opened.values()))

@@ -1,4 +1,4 @@
-"""Curves and poses on an arm of slides, where they are straight lines, and past places where the curve turns sharply."""
+"""Curves and poses on an arm of slides, where they are straight lines; and past places where a curve turns sharply."""
 
 import numpy as np
 import pytest
@@ -44,6 +44,7 @@ def test_a_straight_curve_has_even_samples_up_to_the_first_limit_that_it_meets()
         assert not closed
         again, *_ = follow(low, high, poses[-1], ALONG, 0.11)
         assert len(again) == 1, "it stands on the limit already"
+        assert len(follow(low, high, start, np.eye(5)[2], 0.11)[0]) == 1, "it goes nowhere"
         shorter, *_ = follow(low, high, start, ALONG, 0.11, most=3)
         np.testing.assert_array_equal(shorter, s[:3])
 
@@ -89,6 +90,8 @@ def test_a_pose_is_placed_by_newton_steps_of_a_quarter_at_most():
             assert miss == pytest.approx(error, abs=1e-9)
             assert q[2] == pytest.approx(reach - error, abs=1e-9)
             error -= min(0.25, points * error / (points + 0.1 * points * error**2))
+    miss, q = arm.nearest_pose(low, high, target, high, 0)
+    assert (miss, q.tolist()) == (np.inf, high.tolist())
     high[2] = 0.5
     miss, q = arm.nearest_pose(low, high, np.array([[0.0, 0.7, 0.35]]), np.zeros(5), 60)
     assert (miss, q[2]) == (pytest.approx(0.2), 0.5)

@@ -108,9 +108,10 @@ def test_a_wedge_of_joints_that_move_almost_as_one(n, narrow):
 def test_rounding_seldom_leaves_a_wedge_of_any_size_without_an_answer():
     rng, found = np.random.default_rng(0), []
     for k in range(1000):
-        n, narrow, size = int(rng.integers(8, 17)), 10.0 ** rng.uniform(-6.0, -2.0), 10.0 ** rng.uniform(-3.0, 3.0)
+        n, narrow, size = rng.choice([8, 8, 9, 12, 16]), 10.0 ** rng.uniform(-7.0, -2.0), 10.0 ** rng.uniform(-3.0, 3.0)
         found.append(solve(wedge(rng, n, narrow, size, regularization=[0.0, 1e-8, 1e-5, 1.0][k % 4])).status)
-    assert found.count(Status.SOLVED) > 975
+    assert found.count(Status.SOLVED) > 940
+    assert Status.INFEASIBLE not in found
 
 
 def test_a_joint_that_all_but_stands_still_stops_none_of_two_freedoms():
@@ -121,7 +122,8 @@ def test_a_joint_that_all_but_stands_still_stops_none_of_two_freedoms():
             Z[:, 7] = 3e-11 * rng.choice([-1.0, 1.0], 2)
             A, x = null_space(Z).T, rng.uniform(-0.9, 0.9, 8)
             x[7] = rng.choice([-1.0, 1.0])
-            qp = NullSpaceQP(A[:3], A[3:], A[:3] @ x, A[3:] @ x, rng.normal(size=8), -ends, ends, regularization=regularization)
+            qp = NullSpaceQP(A[:3], A[3:], A[:3] @ x, A[3:] @ x, rng.normal(size=8), -ends, ends)
+            qp = changed(qp, regularization=regularization)
             far = changed(qp, lower=-ends - 9.0 * np.eye(8)[7], upper=ends + 9.0 * np.eye(8)[7])
             np.testing.assert_allclose(check(qp).x[:7], solve(far).x[:7], atol=1e-8)
 
