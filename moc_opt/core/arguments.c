@@ -23,7 +23,7 @@ static bool fits(call *c, int wanted, npy_intp length)
         c->k = length;
     if (wanted < 0 && wanted > K && c->n == 0) {
         int n = lengths[-1 - wanted].n, one = lengths[-1 - wanted].one;
-        c->n = length >= n + one && length <= MOC_MAX_JOINTS * n + one ? (int)(length - one) / n : 0;
+        c->n = length > one && length <= MOC_MAX_JOINTS * n + one ? (int)(length - one) / n : 0;
         if (c->n == 0)
             return false;
     }

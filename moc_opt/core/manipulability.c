@@ -91,7 +91,7 @@ double moc_shaft_manipulability(int n, const moc_twist *twist, double A[][MOC_MA
         return mu;
     for (int a = 0; a < 3; a++) /* an eigenvalue along u, where C has none, of any size: invertible */
         for (int b = 0; b < 3; b++)
-            C[a][b] += 0.5 * trace * u[a] * u[b];
+            C[a][b] += trace * u[a] * u[b];
     double shrink = mu / adjugate3(C, adj);
 
     double turns[2][3] = {{0.0}}, pulls[2][3] = {{0.0}}; /* sums over j < k of J_j x P_j and P_j x ang_j */

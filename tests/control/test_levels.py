@@ -181,9 +181,24 @@ def test_a_motion_that_goes_on_by_itself_needs_no_torque():
     assert [follow(guard, record=record) for _ in range(4)] == ["running"] * 4
 
 
+def test_a_fast_motion_allows_for_a_lag_only_as_long_as_the_readings_are_compared():
+    for still, reason in ((1, "running"), (12, "velocities")):
+        guard = begun(motion_s=4.0 * T, motion_rad=0.0, motion_lag_s=1.0)
+        assert [read(guard, v=float(k == 0)) for k in range(still + 1)] == ["running"] * (still + 1)
+        assert reason in read(guard, q=0.25)
+
+
 def test_brakes_that_had_to_close_open_once_more_when_the_force_has_risen_by_as_much_again():
     """After two ticks open at 1 N; what has fallen since counts from where it is."""
     guard = begun(stop_yield=0.25, stop_yield_ticks=2)
     read(guard, wrench=pressed(0.0), trocar=TROCAR)
     opened = {0.25: 0, 1.0: 1, 1.125: 1, 0.9375: 0, 1.1875: 0, 1.25: 1, 0.875: 0, 0.5: 0, 0.75: 0, 0.8125: 1}
     assert [guard.hold(pressed(force))[0] == 0.0 for force in opened] == list(map(bool, opened.values()))
+
+
+def test_brakes_stay_closed_where_the_drives_cannot_carry_the_weight():
+    arm = core.Arm(LOADED, POINTS, np.eye(3), np.ones((2, 2)), np.array([0.0, -1.0, 0.0]))
+    for tau_max, opened in ((0.5, True), (0.5 - T, False)):  # the weight is 0.5 Nm
+        guard = begun(arm, carries=True, tau_max=tau_max, stop_yield=0.25)
+        read(guard, wrench=pressed(0.0), trocar=TROCAR)
+        assert (guard.hold(pressed(1.0))[0] == 0.0) == opened

@@ -64,3 +64,18 @@ def test_results_have_the_length_of_their_records():
     assert ROBOT.state(ROBOT.data.q_home).record.shape == (7 * 7 + 13 * 7 + 18,)
     status, x, y = core.solve_exact(QP.row, 1e-9)
     assert (status, x.shape, y.shape) == (core.OK, (7,), (6,))
+
+
+ROWS = (2, np.zeros((4, 3)), np.zeros((4, 3)), np.zeros(4), np.zeros((6, 3)), np.zeros((6, 3)), np.zeros(6), np.ones(3),
+        np.zeros(2), 0.0, 2, 1.0)  # fmt: skip
+
+
+@pytest.mark.parametrize(("k", "wrong"), [
+    (0, 3), (0, 4), (2, np.zeros((2, 3))), (3, np.zeros(3)), (4, np.zeros((4, 3))), (5, np.zeros((4, 3))),
+    (6, np.zeros(4)), (7, np.ones(2)), (8, np.zeros(4)), (8, np.array([0.0, 2.0])), (8, np.array([-1.0, 0.0])),
+    (8, np.array([0.0, np.nan])), (10, 3), (10, -1),
+])  # fmt: skip
+def test_rows_of_a_value_function_that_do_not_fit_are_refused(k, wrong):
+    np.testing.assert_array_equal(core.advance(*ROWS), np.zeros(4))
+    with pytest.raises(ValueError, match="give|branches and crossings"):
+        core.advance(*ROWS[:k], wrong, *ROWS[k + 1 :])

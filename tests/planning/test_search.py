@@ -86,8 +86,6 @@ def test_every_pose_is_compared_with_every_other_one_next_to_it():
         ways = np.where(near, rest - price * (away**2).sum(axis=-1), -np.inf).reshape(8, m, -1).max(axis=2)
         value = advance(q, slack, gain, after, slack_after, rest, step, crossing, price)
         np.testing.assert_allclose(value, ways + gain, atol=1e-12)
-    with pytest.raises(ValueError, match="branches and crossings"):
-        advance(q, slack, gain, after, slack_after, rest, step, -1 - crossing, price)
 
 
 def test_the_way_up_goes_to_the_higher_neighbour():

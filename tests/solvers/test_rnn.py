@@ -125,3 +125,11 @@ def test_printed_is_equation_two_from_the_measured_velocity():
         np.testing.assert_allclose(found.y, np.concatenate([l1, l2]), atol=1e-14)
         assert found.status is Status.MAX_ITER
     assert not isinstance(RNN().start(qps[0]), ObservingSession)
+
+
+def test_a_network_that_rests_stops_and_one_that_is_still_on_its_way_claims_nothing():
+    qp = random_problem(np.random.default_rng(3), regularization=0.01)
+    many, few = (RNN(steps=steps).start(qp).solve(qp) for steps in (100_000, 10))
+    assert (many.status, few.status, few.iterations) == (Status.SOLVED, Status.MAX_ITER, 10)
+    assert many.iterations < 20_000
+    assert qp.residuals(many.x, many.y).natural < 1e-8
