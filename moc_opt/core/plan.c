@@ -91,8 +91,7 @@ static void allowed_step(const plan_task *task, int rows, const double *q, doubl
 double plan_place(const plan_task *task, int points, int rounds, const double *start, double *best)
 {
     static const double nowhere[MOC_MAX_JOINTS];
-    double q[MOC_MAX_JOINTS], A[6][MOC_MAX_JOINTS], error[6], step[MOC_MAX_JOINTS];
-    double miss = HUGE_VAL;
+    double q[MOC_MAX_JOINTS], A[6][MOC_MAX_JOINTS], error[6], step[MOC_MAX_JOINTS], miss = HUGE_VAL;
     int n = task->arm->n;
 
     memcpy(q, start, (unsigned)n * sizeof *q);
@@ -166,11 +165,11 @@ static bool closes(const plan_task *task, const double *start, const double *q, 
     return inside && *gap <= 1.01 * step && ahead > 0.0;
 }
 
-/* The next pose (n,) of the curve after q, its mu, and the tangent there in place of the last one: within a step, or nearer
- * where the curve turns sharply. *hit: the joint that is at a limit there, or NONE. Returns how far it is, 0 where the
+/* The next pose (n,) of the curve after q, its mu, and the tangent there in place of the last one: a step away, or less
+ * where the curve turns sharply. *hit: the joint that is at a limit there, or NONE. Returns how far away, 0 where the
  * curve is singular. */
-static double next_sample(const plan_task *task, const double *q, double step, double *tangent, double *next, double *mu,
-                          int *hit)
+static double next_sample(const plan_task *task, const double *q, double step, double *tangent, double *next,
+                          double *mu, int *hit)
 {
     double low[MOC_MAX_JOINTS], high[MOC_MAX_JOINTS], turned[MOC_MAX_JOINTS];
     int n = task->arm->n;

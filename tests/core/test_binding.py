@@ -77,5 +77,5 @@ ROWS = (2, np.zeros((4, 3)), np.zeros((4, 3)), np.zeros(4), np.zeros((6, 3)), np
 ])  # fmt: skip
 def test_rows_of_a_value_function_that_do_not_fit_are_refused(k, wrong):
     np.testing.assert_array_equal(core.advance(*ROWS), np.zeros(4))
-    with pytest.raises(ValueError, match="give|branches and crossings"):
+    with pytest.raises(ValueError, match=r"give|branches and crossings"):
         core.advance(*ROWS[:k], wrong, *ROWS[k + 1 :])
