@@ -105,12 +105,8 @@ SMALL = """
 seeds = 1
 solvers = ["dcac", "exact"]
 timed = true
-[grid]
-control.regularization = [1e-6, 1e-4]
-[scenario]
-duration_s = 0.05
-judge = false
-bound_samples = 0
+grid.control.regularization = [1e-6, 1e-4]
+scenario = { duration_s = 0.05, judge = false, bound_samples = 0 }
 """
 
 
