@@ -12,11 +12,8 @@ from moc_opt.solvers.exact import Exact
 class Base:
     at: int = 3  # the problem at which it happens, counted by a session
 
-    def supports(self, qp):
-        return None
-
-    def start(self, qp):
-        return Session(self, Exact().start(qp))
+    def supports(self, qp): return None
+    def start(self, qp): return Session(self, Exact().start(qp))
 
 class Session:
     def __init__(self, settings, exact):
@@ -31,28 +28,23 @@ class Session:
 class Hangs(Base):
     name = "hangs"
     def misbehave(self):
-        while True:
-            pass
+        while True: pass
 
 class Stuck(Hangs):
     name = "stuck"
-    def start(self, qp):
-        self.misbehave()
+    def start(self, qp): self.misbehave()
 
 class Crashes(Base):
     name = "crashes"
-    def misbehave(self):
-        os.kill(os.getpid(), signal.SIGSEGV)
+    def misbehave(self): os.kill(os.getpid(), signal.SIGSEGV)
 
 class Raises(Base):
     name = "raises"
-    def misbehave(self):
-        self_count = 1 / 0
+    def misbehave(self): return 1 / 0
 
 class Quits(Base):
     name = "quits"
-    def supports(self, qp):
-        raise SystemExit("no more")
+    def supports(self, qp): raise SystemExit("no more")
 
 class Once(Raises):
     name = "once"
@@ -65,12 +57,10 @@ class Once(Raises):
 
 class Untyped(Base):
     name = "untyped"
-    def start(self, qp):
-        return Untidy()
+    def start(self, qp): return Untidy()
 
 class Untidy:
-    def solve(self, qp):
-        return None
+    def solve(self, qp): return None
 """
 NAMES = ("hangs", "stuck", "crashes", "raises", "quits", "once", "untyped")
 POINTS = {name: name.capitalize() for name in NAMES}

@@ -4,7 +4,6 @@ import contextlib
 import os
 import signal
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,6 +12,7 @@ from hypothesis import settings
 from numpy.typing import NDArray
 
 from moc_opt.robots.model import RobotModel, load_robot
+from moc_opt.robots.urdf import Joint, Link, Urdf
 from moc_opt.trace.metrics import METRICS
 
 Array = NDArray[np.float64]
@@ -121,22 +121,17 @@ def regular_poses(robot: RobotModel) -> Draw:
 @pytest.fixture(scope="session")
 def odd_robot(tmp_path_factory: pytest.TempPathFactory) -> RobotModel:
     """Seven oblique joints, the third one prismatic, and a tool that is not on the last axis."""
-    folder: Path = tmp_path_factory.mktemp("odd")
-    rng = np.random.default_rng(7)
-    parts = ['<robot name="odd"><link name="link_0"/>']
+    folder, rng = tmp_path_factory.mktemp("odd"), np.random.default_rng(7)
+    links, joints = [Link("link_0")], []
     for j in range(1, 8):
         xyz, rpy, com = rng.uniform(-0.3, 0.3, 3), rng.uniform(-2, 2, 3), rng.uniform(-0.1, 0.1, 3)
         axis, mass, moments = rng.normal(size=3), rng.uniform(0.5, 3), rng.uniform(0.010, 0.015, 3)
         kind, reach = ("prismatic", 0.3) if j == 3 else ("revolute", 2.5)
-        parts.append(
-            f'<link name="link_{j}"><inertial><origin xyz="{_join(com)}" rpy="0 0 0"/><mass value="{mass}"/>'
-            f'<inertia ixx="{moments[0]}" ixy="0" ixz="0" iyy="{moments[1]}" iyz="0" izz="{moments[2]}"/>'
-            f'</inertial></link><joint name="joint_{j}" type="{kind}"><parent link="link_{j - 1}"/>'
-            f'<child link="link_{j}"/><origin xyz="{_join(xyz)}" rpy="{_join(rpy)}"/>'
-            f'<axis xyz="{_join(axis / np.linalg.norm(axis))}"/>'
-            f'<limit lower="{-reach}" upper="{reach}" velocity="2" effort="50"/></joint>'
-        )
-    (folder / "odd.urdf").write_text("".join(parts) + "</robot>", encoding="utf-8")
+        limits = {"lower": -reach, "upper": reach, "velocity": 2.0, "effort": 50.0}
+        links.append(Link(f"link_{j}", mass, (*moments, 0.0, 0.0, 0.0), com))
+        axis /= np.linalg.norm(axis)
+        joints.append(Joint(f"joint_{j}", kind, f"link_{j - 1}", f"link_{j}", xyz, rpy, axis, limits))
+    (folder / "odd.urdf").write_text(Urdf(links, joints).to_text("odd"), encoding="utf-8")
     (folder / "odd.toml").write_text(
         'name = "odd"\nurdf = "odd.urdf"\n[frames]\nlast_link = "link_7"\nwrist_xyz_m = [0.02, 0.03, 0.01]\n'
         "tool_mount_xyz_m = [0.02, 0.03, 0.01]\ntool_mount_rpy_rad = [0.5, -0.4, 0.3]\n"
@@ -144,7 +139,3 @@ def odd_robot(tmp_path_factory: pytest.TempPathFactory) -> RobotModel:
         encoding="utf-8",
     )
     return load_robot(folder / "odd.toml")
-
-
-def _join(values: Array) -> str:
-    return " ".join(repr(float(value)) for value in values)

@@ -41,10 +41,8 @@ FAULT, GROUPS = '[cases.a]\ngroup = "plant"\n', "[groups.tuned]\n[groups.paper]\
 
 
 @pytest.mark.parametrize(("study", "text", "said"), [
-    ("faults", "", "cases"),
-    ("faults", FAULT.replace("cases.a", "cases.none"), "run without a fault"),
-    ("faults", f"{FAULT}from_s = 2.0\nuntil_s = 1.0", "until_s"),
-    ("faults", f'solvers = ["oskp"]\n{FAULT}', "osqp"),
+    ("faults", "", "cases"), ("faults", FAULT.replace("cases.a", "cases.none"), "run without a fault"),
+    ("faults", f"{FAULT}from_s = 2.0\nuntil_s = 1.0", "until_s"), ("faults", f'solvers = ["oskp"]\n{FAULT}', "osqp"),
     ("paper", f'tasks = ["circel"]\n{GROUPS}', "did you mean 'circle'"),
     ("paper", "[groups.other]", "unknown group 'tuned'"),
     ("paper", f'{GROUPS}without = ["rcm_lamda"]', "did you mean 'rcm_lambda'"),

@@ -15,20 +15,11 @@ SHIPPED = Config.load(CONFIGS / "faults.toml")
 TINY = """
 trials = 1
 solvers = ["exact"]
-[scenario]
-control = { preset = "tuned" }
-duration_s = 0.4
-bound_samples = 0
-[cases.lies]
-group = "solver"
-faults = { solver = "lie", solver_share = 0.2 }
-[cases.gone]
-group = "sensors"
-faults = { nan_at_s = 0.1, nan_ticks = 100000 }
-from_s = 0.1
-[cases.camera]
-group = "camera"
-camera_lost_s = [0.1, 0.2]
+scenario = { control = { preset = "tuned" }, duration_s = 0.4, bound_samples = 0 }
+[cases]
+lies = { group = "solver", faults = { solver = "lie", solver_share = 0.2 } }
+gone = { group = "sensors", faults = { nan_at_s = 0.1, nan_ticks = 100000 }, from_s = 0.1 }
+camera = { group = "camera", camera_lost_s = [0.1, 0.2] }
 """
 
 

@@ -30,8 +30,7 @@ def test_a_goal_is_judged_by_the_worse_end_of_every_interval(measured: Any, most
     asked = {str(m): Goal("x", "us", 5.0, lambda s: s["x"], most=m, made_of=lambda s: "all") for m in (True, False)}
     found = goals.judge(summary, asked)
     assert [found[str(m)]["reached"] for m in (True, False)] == [most, least]
-    assert found["True"]["kind"] == "at most"
-    assert found["True"]["made_of"] == ("" if measured is None else "all")
+    assert (found["True"]["kind"], found["True"]["made_of"]) == ("at most", "" if measured is None else "all")
 
 
 def test_goals_are_shown_missed_ones_first() -> None:

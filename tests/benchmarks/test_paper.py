@@ -22,25 +22,13 @@ TINY = """
 tasks = ["circle"]
 trials = 1
 solvers = ["exact", "rnn-printed"]
-[groups.tuned]
-about = "few and short trials"
-control = { preset = "tuned" }
-[ablation]
-group = "tuned"
-[ablation.cases.printed]
-about = "as it is"
-[ablation.cases.softer]
-control = { K_N2 = 5.0 }
-[swivel]
-starts = 2
-[procedure]
-camera = { rate_Hz = 10.0, width_px = 400, height_px = 300 }
-board = { lost_s = [[1.0, 2.0]] }
-[scenario]
-task = { v_max_m_per_s = 0.1 }
-duration_s = 0.4
-judge = false
-bound_samples = 0
+groups.tuned = { about = "few and short trials", control = { preset = "tuned" } }
+ablation.group = "tuned"
+ablation.cases = { printed = { about = "as it is" }, softer = { control = { K_N2 = 5.0 } } }
+swivel = { starts = 2 }
+procedure.camera = { rate_Hz = 10.0, width_px = 400, height_px = 300 }
+procedure.board = { lost_s = [[1.0, 2.0]] }
+scenario = { task = { v_max_m_per_s = 0.1 }, duration_s = 0.4, judge = false, bound_samples = 0 }
 """
 
 

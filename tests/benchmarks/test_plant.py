@@ -9,21 +9,10 @@ TINY = """
 tasks = ["circle"]
 trials = 1
 presets = ["tuned"]
-[base]
-calibration_error_m = 0.0
-calibration_tilt_rad = 0.0
-encoder_bias_rad = 0.0
-[effects.none]
-[effects.bias]
-encoder_bias_rad = 0.001
-[calibration]
-trials = 1
-duration_s = 3.0
-sizes = [0.5]
-[scenario]
-judge = false
-bound_samples = 0
-duration_s = 0.3
+base = { calibration_error_m = 0.0, calibration_tilt_rad = 0.0, encoder_bias_rad = 0.0 }
+effects = { none = {}, bias = { encoder_bias_rad = 0.001 } }
+calibration = { trials = 1, duration_s = 3.0, sizes = [0.5] }
+scenario = { judge = false, bound_samples = 0, duration_s = 0.3 }
 """
 
 

@@ -12,10 +12,7 @@ robots = ["xarm7", "lwr4_rail"]
 tasks = ["circle"]
 starts = 1
 solvers = ["exact"]
-[scenario]
-start = { pose = "random" }
-duration_s = 0.4
-bound_samples = 2
+scenario = { start = { pose = "random" }, duration_s = 0.4, bound_samples = 2 }
 """
 
 
@@ -74,12 +71,8 @@ robots = ["lwr4"]
 tasks = ["circle"]
 poses = 1
 halvings = 1
-[loops]
-local = { third_level = "local" }
-planned = { third_level = "planned" }
-[scenario]
-start = { pose = "random" }
-duration_s = 1.0
+loops = { local = { third_level = "local" }, planned = { third_level = "planned" } }
+scenario = { start = { pose = "random" }, duration_s = 1.0 }
 """
 
 

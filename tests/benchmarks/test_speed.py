@@ -93,8 +93,7 @@ adapters = ["daqp"]
 runs = 1
 starts = 1
 peers = ["tsid"]
-[scenario]
-duration_s = 0.2
+scenario.duration_s = 0.2
 """
 
 

@@ -22,8 +22,7 @@ def config(**changes: Any) -> Config:
 
 
 @pytest.mark.parametrize(("changes", "message"), [
-    ({"grid": {"seed": [1]}}, "give 'seeds'"),
-    ({"grid": {"control.regularization": 1e-5}}, "give a list of values"),
+    ({"grid": {"seed": [1]}}, "give 'seeds'"), ({"grid": {"control.regularization": 1e-5}}, "give a list of values"),
     ({"grid": {"control.k0_per_sec": [1.0]}}, "did you mean 'k0_per_s'"),
     ({"grid": {"plant.mass_error": [0.1, 2.0]}}, "mass_error = 2.0: not a scenario"),
     ({"grid": {"solver.settings.epss": [1e-6]}, "solvers": ["osqp"]}, "did you mean 'eps'"),
@@ -31,8 +30,7 @@ def config(**changes: Any) -> Config:
     ({"random": {"fields": {"plant.mass_error": {"low": 0.2, "high": 0.1}}}}, "give low < high"),
     ({"random": {"fields": {"plant.delay_ticks": {"low": 0.2, "high": 0.8, "scale": "integer"}}}}, "whole number"),
     ({"random": {"fields": {"plant.mass_error": {"low": 0.1, "high": 0.2}}}}, r"\[grid\] and in \[random"),
-    ({"seeds": []}, "0 runs"),
-    ({"settings": {"osqp": {}}}, r"\[settings\]"),
+    ({"seeds": []}, "0 runs"), ({"settings": {"osqp": {}}}, r"\[settings\]"),
     ({"scenario": {"solver": {"name": "rnn"}}}, r"\[scenario.solver\]"),
 ])  # fmt: skip
 def test_what_cannot_be_swept_is_said_before_anything_runs(changes: dict[str, Any], message: str) -> None:
@@ -105,12 +103,8 @@ SMALL = """
 seeds = 1
 solvers = ["dcac", "exact"]
 timed = true
-[grid]
-control.regularization = [1e-6, 1e-4]
-[scenario]
-duration_s = 0.05
-judge = false
-bound_samples = 0
+grid.control.regularization = [1e-6, 1e-4]
+scenario = { duration_s = 0.05, judge = false, bound_samples = 0 }
 """
 
 

@@ -16,16 +16,13 @@ from moc_opt.scenario import Scenario
 from tests.export.conftest import FLAGS, make
 
 RUNS = {
-    "default": {},
-    "paper": {"control": {"preset": "paper"}},
-    "dcac": {"control": {"law": "dcac"}},
+    "default": {}, "paper": {"control": {"preset": "paper"}}, "dcac": {"control": {"law": "dcac"}},
     "dcac-damped": {"control": {"law": "dcac", "dcac_damping": 2.0, "limit_torque": False},
                     "guard": {"trocar_force_N": None, "patience_ticks": 1}},
     "scaled": {"control": {"climb": "scaled", "projector": "static", "fallback": "hold",
                            "supervisor": {"hold_ticks": 2}}},
     "damping": {"control": {"fallback": "damping", "regularization": 0.0, "rcm_lambda": 0.5}},
-    "panda": {"robot": {"name": "panda"}},
-    "lwr4_rail": {"robot": {"name": "lwr4_rail"}},
+    "panda": {"robot": {"name": "panda"}}, "lwr4_rail": {"robot": {"name": "lwr4_rail"}},
     "noise": {"plant": {"preset": "realistic"}, "start": {"pose": "random"}, "seed": 5},
 }  # fmt: skip
 
@@ -49,8 +46,7 @@ def test_it_compiles_without_a_warning_and_repeats_python_to_the_last_bit(name, 
 
 
 @pytest.mark.parametrize(("file", "old", "new"), [
-    ("guard.c", "w->bad += w->bad < INT_MAX;", ""),
-    ("guard.c", "return newer ? FRESH : REPEAT;", "return FRESH;"),
+    ("guard.c", "w->bad += w->bad < INT_MAX;", ""), ("guard.c", "return newer ? FRESH : REPEAT;", "return FRESH;"),
     ("constants.c", ".torque_step = ", ".torque_step = 0.01 * "),
     ("answer.c", "        least_violation(p, x);", "        ;"),
 ])  # fmt: skip

@@ -24,11 +24,10 @@ BASE: dict[str, Any] = {
     "wire": {"resend_s": 0.02, "resends": 1000},
 }  # fmt: skip
 RUNS: dict[str, dict[str, Any]] = {
-    "default": {},
-    "dcac": {"control": {"law": "dcac"}},
+    "default": {}, "dcac": {"control": {"law": "dcac"}},
     "bad sensors": {"faults": {"drop_share": 0.1, "late_ticks": 1}},
     "stopped": {"faults": {"nan_at_s": 0.3, "nan_ticks": 100}},
-}
+}  # fmt: skip
 
 
 Built = Callable[[str], tuple[Scenario, Path]]
@@ -132,14 +131,11 @@ def test_what_cannot_be_is_refused_in_words(built: Built, tmp_path: Path) -> Non
     reference = str(folder / "reference.bin")
     short.write_bytes((folder / "reference.bin").read_bytes()[:-8])
     for words, arguments, key in (
-        ("usage", (), ""),
-        ("not the file", ("127.0.0.1", "1", str(short)), ""),
-        ("numbers", ("localhost", "1", reference), ""),
-        ("numbers", ("127.0.0.1", "1x", reference), ""),
+        ("usage", (), ""), ("not the file", ("127.0.0.1", "1", str(short)), ""),
+        ("numbers", ("localhost", "1", reference), ""), ("numbers", ("127.0.0.1", "1x", reference), ""),
         ("numbers", ("192.0.2.1", "70000", reference), "0123456789abcdef"),
-        ("other machines", ("192.0.2.1", "1", reference), ""),
-        ("16 to 32", ("192.0.2.1", "1", reference), "x" * 33),
-    ):
+        ("other machines", ("192.0.2.1", "1", reference), ""), ("16 to 32", ("192.0.2.1", "1", reference), "x" * 33),
+    ):  # fmt: skip
         done = ran(folder, *arguments, env={"MOC_OPT_WIRE_KEY": key})
         assert done.returncode == 2
         assert words in done.stderr

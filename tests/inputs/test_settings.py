@@ -51,8 +51,7 @@ def test_a_number_or_flag_that_is_written_as_something_else_is_refused(field, va
 
 def test_numbers_flags_and_texts_of_the_right_kind_are_taken_as_they_are():
     given = {"flag": True, "limit": "none", "point": [1, 2.5], "sizes": {"a": 1}, "free": {"a": "2", "b": True}}
-    assert Kinds(**given).free == given["free"]
-    assert Kinds(**given).point == (1.0, 2.5)
+    assert (Kinds(**given).free, Kinds(**given).point) == (given["free"], (1.0, 2.5))
     assert Kinds(limit=np.float32(2.0), flag=np.True_) == Kinds(limit=2.0, flag=True)
     assert Kinds(limit=2) == Kinds(limit=2.0)
 

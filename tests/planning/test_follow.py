@@ -108,8 +108,7 @@ def test_a_course_hurries_only_where_that_gains_much():
         task={"path": "spiral", "sizes": {"turns": 2.0, "radius": 0.015}},
     )  # fmt: skip
     here, there = Ways(setup("planned").following), Ways(Setup(far).following)
-    assert here.speeds == SPEEDS
-    assert there.speeds == (HURRY, *SPEEDS)
+    assert (here.speeds, there.speeds) == (SPEEDS, (HURRY, *SPEEDS))
     shares = [there.at(part)[1].speed_share for part in there.speeds]
     assert shares == pytest.approx([0.952, 0.85, 0.595, 0.34])
     near_all = Ways(Setup(far.change(control={"course_speed_fraction": 0.95})).following)

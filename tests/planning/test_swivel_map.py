@@ -64,8 +64,7 @@ def test_the_elbow_angle_turns_with_the_elbow(robot):
     turned = q + np.eye(robot.n)[0]
     mirrored = q * np.array([-1, 1, -1, 1, -1, 1, -1])
     first, same, other = elbow.swivel(np.array([q, turned, mirrored]))
-    assert same == pytest.approx(first, abs=1e-12)
-    assert other == pytest.approx(-first, abs=1e-12)
+    assert (same, other) == (pytest.approx(first, abs=1e-12), pytest.approx(-first, abs=1e-12))
     assert abs(first) > 0.1
 
 

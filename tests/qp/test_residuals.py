@@ -285,8 +285,7 @@ def test_which_joints_are_idle_does_not_depend_on_the_unit_of_length(scale):
     for column, idle in ((1e-13, True), (1e-11, False)):
         A[:, 4] *= column / np.linalg.norm(A[:, 4])
         [(rows, moves)] = optimality._idle_patterns(scale * A[None])
-        assert rows.tolist() == [0]
-        assert moves.tolist() == [j != 4 or not idle for j in range(8)]
+        assert (rows.tolist(), moves.tolist()) == ([0], [j != 4 or not idle for j in range(8)])
 
 
 @pytest.mark.parametrize("regularization", [0.0, 1e-5])

@@ -39,8 +39,7 @@ def test_the_ending_is_the_first_row_and_a_parts_figures_say_so():
     stopped = trace("stopped: x", 3, warnings=[WARNING])
     (table,) = run_tables({"slip": stopped}, {"slip": metrics})
     assert [row["metric"] for row in table.rows] == ["ended", "completed", "share_of_run", "mu_mean (part)"]
-    assert table.title == "slip (first 0.3 s of 0.4 s)"
-    assert table.rows[0]["run slip"] == "stopped: x"
+    assert (table.title, table.rows[0]["run slip"]) == ("slip (first 0.3 s of 0.4 s)", "stopped: x")
     assert "the RCM error was above 6 mm from t = 1.250 s on, 11 mm at most" in table.caption
     assert list(run_json(stopped, {"mu_mean": 0.2}).items()) == [
         ("ended", "stopped: x"), ("part", "first 0.3 s of 0.4 s"), ("mu_mean", 0.2), ("warnings", [WARNING]),

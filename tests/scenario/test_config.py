@@ -171,8 +171,7 @@ def test_a_robots_file_is_found_from_the_scenarios_folder(tmp_path, monkeypatch)
     ):  # fmt: skip
         (tmp_path / "scenario.toml").write_text(f'[robot]\nname = "{name}"\n', encoding="utf-8")
         loaded = Scenario.load(tmp_path / "scenario.toml")
-        assert loaded.robot.name == expected
-        assert loaded.robot.arm().data.name == "panda"
+        assert (loaded.robot.name, loaded.robot.arm().data.name) == (expected, "panda")
 
 
 NOT_NEGATIVE = st.just(0.0) | st.floats(1e-6, 90.0)

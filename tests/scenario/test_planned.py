@@ -126,16 +126,13 @@ def test_a_run_along_the_file_is_the_run_along_the_course_that_it_plans(course):
     assert np.abs(climbed.q_rad - followed.q_rad).max() > 1e-3
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"duration_s": 0.8}, "it goes from 0 to 1 s, the run from 0 to 0.8"),
-        ({"start": {"swivel": 0.3}}, r"begins 0\.\d+ rad from the start of the run"),
-        ({"robot": {"name": "iiwa14"}}, "a course of robot 'lwr4', this run's is 'iiwa14'"),
-        ({"control": {"course_speed_fraction": 0.01}}, "plan it with --speed-share 0.01"),
-        ({"control": {"course": "nowhere.parquet"}}, "nowhere.*no such file.*moc-opt plan"),
-    ],
-)
+@pytest.mark.parametrize(("change", "message"), [
+    ({"duration_s": 0.8}, "it goes from 0 to 1 s, the run from 0 to 0.8"),
+    ({"start": {"swivel": 0.3}}, r"begins 0\.\d+ rad from the start of the run"),
+    ({"robot": {"name": "iiwa14"}}, "a course of robot 'lwr4', this run's is 'iiwa14'"),
+    ({"control": {"course_speed_fraction": 0.01}}, "plan it with --speed-share 0.01"),
+    ({"control": {"course": "nowhere.parquet"}}, "nowhere.*no such file.*moc-opt plan"),
+])  # fmt: skip
 def test_a_course_of_another_run_is_refused_with_the_difference(course, change, message):
     with pytest.raises(ScenarioError, match=message):
         loaded(SCENARIO.change(control={"course": str(course)}).change(**change))
@@ -152,15 +149,13 @@ def test_a_file_that_is_no_course_is_refused(course, tmp_path):
 
     for columns, meta, message in (
         ({"q_rad": q[:, :6]}, {}, r"q_rad \(\d+, 6\), a course of 7 joints"),
-        (moved(3, 2, np.nan), {}, "a pose is not finite"),
-        ({"t_s": t[::-1].copy()}, {}, "times t_s do not rise"),
+        (moved(3, 2, np.nan), {}, "a pose is not finite"), ({"t_s": t[::-1].copy()}, {}, "times t_s do not rise"),
         ({"t_s": np.round(t).astype(np.int64)}, {}, "t_s has shape"),
         (moved(slice(9, None), 6, 1000.0), {}, r"joint_7 goes 9\d\d\.?\d* rad beyond its limit"),
         (moved(5, slice(None), 0.05), {}, "mm off path and shaft at t = 0.125 s"),
-        ({"t_s": t + 0.01}, {}, "it goes from 0.01 to 1.01 s"),
-        ({}, {"kind": "run"}, "the file holds no course"),
+        ({"t_s": t + 0.01}, {}, "it goes from 0.01 to 1.01 s"), ({}, {"kind": "run"}, "the file holds no course"),
         ({"q_rad": q + 0.1}, {"from_start": False}, r"from the start of the run; begin there: \[start\] q_rad = \["),
-    ):
+    ):  # fmt: skip
         mo.Trace({**trace.columns, **columns}, {**trace.meta, **meta}).save(to)
         with pytest.raises(ScenarioError, match=message):
             loaded(mine)

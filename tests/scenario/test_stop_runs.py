@@ -122,16 +122,14 @@ def signed(least, most):
 JOINT = st.none() | st.integers(0, 6)
 FAULTS = [
     table(encoder_bias_rad=some(1e-6, 0.003), encoder_noise_rad=some(1e-6, 1e-4)),
-    table(nan_at_s=at_s, nan_ticks=whole(1, 1000)),
-    table(jump_at_s=at_s, jump_rad=signed(1e-3, 1.0)),
+    table(nan_at_s=at_s, nan_ticks=whole(1, 1000)), table(jump_at_s=at_s, jump_rad=signed(1e-3, 1.0)),
     table(frozen_at_s=at_s, frozen_ticks=whole(1, 1000), frozen_joint=JOINT, forged_stamps=forged,
           frozen_velocity=one_of("repeated", "zero"), frozen_wrench=st.booleans()),
     table(lag_at_s=at_s, lag_growth=some(0.01, 1.0), forged_stamps=forged, lag_joint=JOINT, lag_ticks=whole(0, 60)),
     table(replay_at_s=at_s, replay_ticks=whole(1, 200), forged_stamps=forged),
     table(drift_at_s=at_s, drift_rad_per_s=signed(1e-3, 0.1), drift_velocity=one_of("included", "apart")),
     table(drop_share=some(1e-3, 1.0), late_ticks=whole(0, 3)),
-    table(bump_N=some(1.0, 60.0), bump_at_s=at_s, bump_s=some(0.01, 0.5)),
-    table(payload_kg=some(0.01, 1.0)),
+    table(bump_N=some(1.0, 60.0), bump_at_s=at_s, bump_s=some(0.01, 0.5)), table(payload_kg=some(0.01, 1.0)),
     table(slip_m=some(1e-3, 0.1), slip_at_s=at_s),
     table(solver=one_of("fail", "nan", "lie", "raise", "outside", "rig", "malformed", "hang"),
           solver_share=some(0.01, 1.0)),

@@ -44,14 +44,12 @@ def assert_same(found, expected):
 
 
 RUNS = {
-    "default": {},
-    "dcac": {"control": {"law": "dcac"}},
-    "eight joints": {"robot": {"name": "lwr4_rail"}},
+    "default": {}, "dcac": {"control": {"law": "dcac"}}, "eight joints": {"robot": {"name": "lwr4_rail"}},
     "bad sensors": {"faults": {"drop_share": 0.1, "late_ticks": 1, "bump_N": 20.0, "bump_at_s": 0.2}},
     "spoilt answers": {"faults": {"solver": "nan", "solver_share": 0.3}},
     "stopped": {"faults": {"nan_at_s": 0.3, "nan_ticks": 100}},
     "warned": {"guard": {"trocar_force_warning_N": 0.1, "rcm_warning_m": 1e-4}},
-}
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", RUNS)

@@ -51,8 +51,7 @@ def test_every_solver_and_dcac_run_the_same_trials_and_claims_are_judged():
 
 
 @pytest.mark.parametrize(("solvers", "more", "error", "message"), [
-    (["exakt"], {}, UnknownNameError, "did you mean 'exact'"),
-    ([], {}, SolverError, "no solver to compare"),
+    (["exakt"], {}, UnknownNameError, "did you mean 'exact'"), ([], {}, SolverError, "no solver to compare"),
     ([standing(), standing()], {}, SolverError, "called 'standing': name each once, or give a mapping"),
     ([object()], {}, SolverError, "is no solver: it has no method supports and no start"),
     ({1: "exact"}, {}, SolverError, "1 cannot name a solver"),

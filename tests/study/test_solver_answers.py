@@ -72,8 +72,7 @@ def test_a_solver_that_hangs_in_three_sets_is_asked_about_no_other():
     sets = [TestSet.load(name).thinned(64) for name in ("circle", "spiral", "sinusoid", "random", "jumps")]
     found = ask(ONE, [(breaking("hangs", at=0), data) for data in sets], Limits(patience_s=0.5))
     status = [one.status.tolist() for one in found]
-    assert status[:3] == [["hung", "not asked"]] * 3
-    assert status[4] == ["not asked"] * 2
+    assert (status[:3], status[4]) == ([["hung", "not asked"]] * 3, ["not asked"] * 2)
 
 
 def made(setting: SolverSetting, problems: TestSet, status: list[str], x: Any) -> Answers:
@@ -143,8 +142,7 @@ def test_every_setting_exists_and_has_its_reason(setting, robot):
 def test_settings_are_of_solvers_that_exist_and_overrides_change_the_recommended_one_alone():
     assert set(SETTINGS) <= set(available())
     by_label = {e.label: effective(e) for e in solver_settings(["osqp", "qpsolvers:osqp", "exact"])}
-    assert by_label["osqp@recommended"]["cost_scale"] == 100.0
-    assert by_label["osqp@default"]["rows"] == 6
+    assert (by_label["osqp@recommended"]["cost_scale"], by_label["osqp@default"]["rows"]) == (100.0, 6)
     assert by_label["qpsolvers:osqp@recommended"]["eps_abs"] == 1e-8
     assert "eps_abs" not in by_label["qpsolvers:osqp@default"]
     found = {e.name: e.options for e in solver_settings(["osqp"], {"osqp": {"eps": 0.5}})}

@@ -56,21 +56,16 @@ def assessed(sets: dict[str, Any], rows: list[Any] = ()) -> dict[str, Any]:  # t
 
 
 @pytest.mark.parametrize(("asked", "times", "verdict", "damage"), [
-    (certified(), {}, SOUND, "none"),
-    (certified(990), {}, SOUND, "none"),
-    (certified(989), {}, solver_verdicts.GAPS, "none"),
-    (certified(silently_wrong=1), {}, AVOID, "none"),
-    (certified(hung=1), {}, AVOID, "none"),
-    (certified(0), {}, NEAR, "none"),
-    (certified(), {"mu_mean": 0.995}, SOUND, "none"),
-    (certified(), {"mu_mean": 0.97}, NEAR, "-3% mu"),
+    (certified(), {}, SOUND, "none"), (certified(990), {}, SOUND, "none"),
+    (certified(989), {}, solver_verdicts.GAPS, "none"), (certified(silently_wrong=1), {}, AVOID, "none"),
+    (certified(hung=1), {}, AVOID, "none"), (certified(0), {}, NEAR, "none"),
+    (certified(), {"mu_mean": 0.995}, SOUND, "none"), (certified(), {"mu_mean": 0.97}, NEAR, "-3% mu"),
     (certified(), {"mu_mean": 0.90}, AVOID, "-10% mu"),
     (certified(), {"rcm_error_model_mean_mm": 2.0}, AVOID, "+100% RCM"),
     (certified(), {"tip_error_registered_mean_mm": 1.1}, NEAR, "+10% registered tip"),
     (certified(), {"torque_rate_rms_Nm_per_s": 1.15}, NEAR, "+15% chatter"),
     (certified(), {"first_ends": ENDED["broke off"]}, AVOID, "1 broke off"),
-    (certified(), {"first_ends": ENDED["oscillated"]}, AVOID, "1 oscillated"),
-    (None, {}, solver_verdicts.OPEN, "none"),
+    (certified(), {"first_ends": ENDED["oscillated"]}, AVOID, "1 oscillated"), (None, {}, solver_verdicts.OPEN, "none"),
 ])  # fmt: skip
 def test_each_rule(asked, times, verdict, damage):
     sets = {"best": certified(p99=1.0), **({} if asked is None else {"asked": asked})}

@@ -14,9 +14,9 @@ from tests import broken_solvers
 SMALL = """
 seed = 3
 processes = 2
-[open_loop]
-ticks = 40
-cold = 5
+open_loop = { ticks = 40, cold = 5 }
+closed_loop = { tasks = ["circle"], trials = 3, cited = ["exact"], others = 2, duration_s = 0.2 }
+scenario.bound_samples = 2
 [testsets]
 names = ["circle", "infeasible"]
 timed = ["circle"]
@@ -25,14 +25,6 @@ rounds = 2
 seconds = 0.1
 patience_s = 1.5
 cold = 4
-[closed_loop]
-tasks = ["circle"]
-trials = 3
-cited = ["exact"]
-others = 2
-duration_s = 0.2
-[scenario]
-bound_samples = 2
 """
 NAMES = ("exact", "osqp", "rnn", "quadprog")
 

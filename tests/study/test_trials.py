@@ -60,8 +60,7 @@ def test_baselines_differ_from_moc_in_what_they_say(case: Scenario, preset: str)
     ours = moc.control.resolve_gains(tables, 7)
     for name in BASELINES:
         dcac = variant(given, name).control
-        assert dcac.law == "dcac"
-        assert dcac.observer_rate_per_s == moc.control.observer_rate_per_s
+        assert (dcac.law, dcac.observer_rate_per_s) == ("dcac", moc.control.observer_rate_per_s)
         assert (dcac.feedforward, dcac.projector) == (moc.control.feedforward, moc.control.projector)
         theirs = dcac.resolve_gains(tables, 7)._asdict()
         for key in ("K_X", "D_X", "K_N", "D_N"):
