@@ -73,15 +73,11 @@ def test_a_scenario_runs_or_names_the_field(changes):
 
 
 SCENARIO_TOML = to_toml({
-    "name": "a run", "seed": 3, "duration_s": 0.1,
-    "robot": {"name": "lwr4", "tool_length_m": 0.3},
-    "start": {"swivel": 0.5},
-    "trocar": {"breathing_amplitude_m": 0.01, "breathing_direction": [1.0, 0.0, 0.0]},
-    "task": {"path": "circle", "sizes": {"radius": 0.03}},
+    "name": "a run", "seed": 3, "duration_s": 0.1, "robot": {"name": "lwr4", "tool_length_m": 0.3},
+    "start": {"swivel": 0.5}, "trocar": {"breathing_amplitude_m": 0.01, "breathing_direction": [1.0, 0.0, 0.0]},
+    "task": {"path": "circle", "sizes": {"radius": 0.03}}, "plant": {"delay_ticks": 2}, "faults": {"bump_N": 5.0},
     "control": {"preset": "tuned", "supervisor": {"hold_ticks": 5}},
     "solver": {"name": "osqp", "settings": {"eps": 1e-8}},
-    "plant": {"delay_ticks": 2},
-    "faults": {"bump_N": 5.0},
 })  # fmt: skip
 
 

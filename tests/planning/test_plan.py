@@ -5,12 +5,10 @@ import pytest
 
 from moc_opt.errors import MocOptError, TaskError
 from moc_opt.planning import plan
-from moc_opt.planning.course import MOST_VIOLATION, Limits, Targets, lay_targets
+from moc_opt.planning.course import MOST_VIOLATION, Limits, Targets
 from moc_opt.planning.plan import climb, make_plan
 from moc_opt.robots.inverse_kinematics import solve_pose
 from moc_opt.scenario import Scenario, planned
-from moc_opt.scenario.preflight import UnreachableError, check_reachable
-from moc_opt.tasks import Reference, Trocar, make_path
 from tests.planning.arms import task
 
 
@@ -74,27 +72,6 @@ def test_a_joint_that_is_too_slow_or_at_its_limit_is_named(robot, limits, told):
     plan = make_plan(robot, q, task(robot, q, 60), limits, swivels=180, refined=False)
     assert told in plan.blocked.reason
     assert plan.blocked.t_s > 0.2, "while the path rests, no speed is needed"
-
-
-def test_what_kinematics_can_follow_is_executable(robot):
-    """`check_reachable` finds a way by another method: then the plan has one, too."""
-    rng, both = np.random.default_rng(4), 0
-    for _ in range(4):
-        q = robot.random_regular_pose(rng, margin=0.15)
-        state = robot.state(q)
-        path = make_path("line", state.tip, normal=(0.0, 0.0, 1.0), heading=(1.0, 0.0, 0.0), length=0.06)
-        reference, trocar = Reference(path, 0.05, 0.2, t_start=0.2), Trocar(state.tip - 0.15 * state.tool_direction)
-        try:
-            way = check_reachable(robot, q, reference, trocar)
-        except UnreachableError:
-            continue
-        margin = np.minimum(way - robot.q_min, robot.q_max - way).min()
-        if np.abs(way[0] - q).max() > 1e-3 or margin < 0.02:
-            continue
-        both += 1
-        targets = lay_targets(reference, trocar, state.tool_span, 0.2 + reference.duration, 80)
-        assert make_plan(robot, q, targets, swivels=360, refined=False).executable
-    assert both > 1
 
 
 @pytest.mark.parametrize(("change", "name"), [

@@ -119,19 +119,6 @@ def test_courses_keep_task_limits_and_speeds_and_lie_below_their_bound_as_the_cl
     assert (np.diff(climbed.mu[: int(0.2 / coarse.targets.period_s)]) >= -1e-12).all()
 
 
-def test_courses_of_finer_maps_stay_below_the_coarse_bound(robot, coarse):
-    """The bound is one on every course, also on those whose poses the map does not have."""
-    q, mu = robot.data.q_home, robot.state(robot.data.q_home).mu
-    fine = map_of(robot, q, coarse.targets, 1440)
-    bound, low, high = Value(coarse, Limits(), cell=WHOLE_CELL), Value(coarse, Limits()), Value(fine, Limits())
-    assert low.of(q, mu) - 1e-4 <= high.of(q, mu) <= bound.of(q, mu)
-    assert low.best()[0] - 1e-4 <= high.best()[0] <= bound.best()[0]
-    kept = Value(coarse, Limits(0.4))
-    poses = best_course(kept, None)
-    assert np.minimum(poses - robot.q_min, robot.q_max - poses)[:, :6].min() >= 0.4 - 1e-9
-    assert kept.best()[0] <= low.best()[0]
-
-
 @pytest.mark.parametrize("joint", [1, 5])
 def test_a_course_goes_through_a_singular_pose_into_the_next_branch(robot, joint):
     """The targets are those of a joint turning through zero: that motion itself is a course."""
