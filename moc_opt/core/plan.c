@@ -34,7 +34,7 @@ static double distance(int n, const double *p, const double *q)
 
 #define LONGEST 0.25    /* of a step, in joint space [rad]: beyond it the linearization is worth little */
 #define AT_REST 1e-9    /* of a tangent: a joint with less of it does not move along the curve */
-#define DAMPING 4e-12   /* of A A^T [m^2]: A has rank 5, since tip and wrist are rigidly tied */
+#define DAMPING 4e-12   /* added to A A^T [m^2]: A has rank 5, since tip and wrist are rigidly tied */
 
 /* The step (n,) nearest to the desired one with A step = error (rows) that pushes no joint into a limit.
  *
@@ -131,8 +131,8 @@ static double room_ahead(const plan_task *task, const double *q, const double *t
     return h;
 }
 
-/* mu at q and the unit tangent (n,) there that points the same way as the last one: its part on ker A. Joints that stand
- * still have no column in A. Returns the cosine of the angle between both tangents. */
+/* mu at q, and the unit tangent (n,) there that points the same way as the last one: its part on ker A. Joints that
+ * stand still have no column in A. Returns the cosine of the angle between both tangents. */
 static double turn_tangent(const plan_task *task, const double *q, const double *last, double *tangent, double *mu)
 {
     double error[6], A[6][MOC_MAX_JOINTS], Z[MOC_MAX_JOINTS][MOC_MAX_JOINTS];

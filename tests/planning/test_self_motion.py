@@ -1,13 +1,14 @@
 """The self-motion keeps tip, wrist and limits; the freedoms it leaves are counted as on arms with a known count."""
 
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from moc_opt.errors import MocOptError, RobotError
-from moc_opt.planning.elbow import distance_to_go, in_transient
+from moc_opt.planning.elbow import Elbow, distance_to_go, in_transient
 from moc_opt.planning.self_motion import best_freedoms, freedoms, limit_shares, parabola_peak, self_motion
-from moc_opt.robots.model import load_robot
+from moc_opt.robots.model import RobotModel, load_robot
 from moc_opt.scenario import Scenario, run
 from tests.planning.arms import IIWA14, build
 
@@ -53,6 +54,21 @@ def test_the_same_curve_from_any_of_its_poses_and_one_of_a_tool_off_the_last_axi
     assert odd.held == (6,)
     assert len(odd.s) > 10
     check(odd_robot, odd_robot.data.q_home, odd, odd.q)
+
+
+def test_a_full_turn_closes(robot):
+    free = RobotModel(replace(robot.data, q_min=np.full(7, -17.0), q_max=np.full(7, 17.0)))
+    q = np.array([0.2, -1.0, 0.3, 1.5, -0.4, -0.6, 0.1])
+    motion = self_motion(free, q)
+    gaps = np.linalg.norm(np.diff(motion.q, axis=0), axis=1)
+    np.testing.assert_allclose(gaps, np.diff(motion.s), atol=1e-12)
+    assert 0.001 < gaps.min() <= gaps.max() < 0.021
+    turns = (motion.q[-1] - motion.q[0]) / (2 * np.pi)
+    np.testing.assert_allclose(turns, np.round(turns), atol=1e-12)
+    check(free, q, motion, motion.q[::9])
+    check(free, q, motion, np.array([motion.at(f) for f in np.linspace(0, 1, 11)]))
+    swivel = np.unwrap(Elbow(free, free.state(q).wrist[None]).swivel(motion.q))
+    assert abs(swivel[-1] - swivel[0]) == pytest.approx(2 * np.pi, abs=1e-6)
 
 
 def test_bad_input_is_named(robot):

@@ -227,7 +227,7 @@ def test_near_the_rank_tolerance_nothing_is_silently_wrong(decimals, singular):
 
 @pytest.mark.parametrize("freedoms", [0, 1])
 def test_a_violation_of_the_box_is_rounding_up_to_what_the_smallest_column_explains(freedoms):
-    """4e-12 (roundings) 10 or 20 (largest |A| |x|) / 1e-3 (that column) rad/s, and a hundred times that at most."""
+    """4e-12 (roundings) 10 or 20 (largest |A| |x|) / 1e-3 (the pivot) rad/s, and a hundred times that at most."""
     wide = np.full(7, 10.0)
     for smallest, beyond, status in (
         (1e-3, 2e-6, Status.SOLVED), (1e-3, 2e-5, Status.INFEASIBLE), (1.0, 1e-7, Status.INFEASIBLE)
