@@ -102,15 +102,6 @@ def test_jumps_neither_fool_nor_stop_a_warm_session(rows, regularization):
         assert np.isnan(answer.x).all() if k % 2 else qp.residuals(*answer[:2]).verified(1e-7, 1e-4, 1e-4)
 
 
-def test_jumps_between_feasible_problems_do_not_end_at_the_opposite_bound():
-    """As they do with WARM_START_WITH_PREVIOUS_RESULT."""
-    session = ProxQP(cost_scale=1e3).start(problem())
-    for qp in problems(5, 230, regularization=0.0):
-        answer = session.solve(qp)
-        assert answer.status is Status.SOLVED
-        assert qp.residuals(answer.x).loss < 1e-4
-
-
 def test_options_reach_the_library():
     qp = problem(2)
     loose = solve(QPSolver("osqp", options={"eps_abs": 1e-2, "eps_rel": 1e-2}), qp)
