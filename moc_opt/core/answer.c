@@ -105,7 +105,7 @@ moc_residuals moc_judge(const moc_problem *p, int rows, double Z[][MOC_MAX_JOINT
     return found;
 }
 
-/* The smallest self-motion that brings the arm's other motion into the box; zero where none does.
+/* The smallest self-motion that brings the arm's other motion into the box; where none does, motion stays as it is.
  *
  * With a damped self-motion the arm follows its references with the shortest x of A x = b, which may move a joint to
  * its limit. The shortest x that the box has as well is an optimum of the same kind, without a pull; what it has of
@@ -116,7 +116,6 @@ static void retreat(const moc_problem *problem, int rows, double Z[][MOC_MAX_JOI
     double x[MOC_MAX_JOINTS], y[6];
 
     memset(p.pull, 0, sizeof p.pull);
-    memset(motion, 0, (unsigned)p.n * sizeof *motion);
     p.rho = 1.0;
     p.c2 = 0.0;
     if (moc_solve_exact(&p, OUTSIDE, x, y) != MOC_OK || !(off_plane(&p, x) <= OUTSIDE))

@@ -69,7 +69,7 @@ METHOD(Arm, tool_pose, {"q", READ, N}, {"pose", MADE, 4, 3})
 static plan_task take_task(const Arm *self, const call *c)
 {
     plan_task task = {.arm = &self->arm, .low = c->array[0], .high = c->array[1]};
-    memcpy(task.target, c->array[2], (rows_of(c, 2) == 1 ? 1 : 2) * sizeof *task.target);
+    memcpy(task.target, c->array[2], (size_t)rows_of(c, 2) * sizeof *task.target); /* one row, or two */
     return task;
 }
 
