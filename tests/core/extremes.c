@@ -1,9 +1,11 @@
 /* Random, extreme and damaged states through the core: nothing reads or writes beyond its arrays, every loop ends, and
  * the torque that leaves the safety filter is finite and within its limits. Built with sanitizers by `make sanitize`.
  * What lies behind the first n numbers of an array is NaN, and the digest of all results is the same whatever the
- * compiler fills new variables with: neither decides anything.
+ * compiler fills new variables with: neither decides anything. With a sine and a cosine of its own (all else that the
+ * core takes from the C library is exact) it is the same with every compiler.
  *
  * extremes [courses] [seed]: 0 where that held. */
+#include <limits.h>
 #include <math.h>
 #include <stdint.h>
 #include <stdio.h>
@@ -14,6 +16,28 @@
 #include "vec.h"
 
 static uint64_t seed = 1, digest = 14695981039346656037u;
+static long reasons[MOC_STOPS], faults[MOC_FAULTS], statuses[4];
+static double grain; /* numbers are drawn as multiples of it, so that some are equal; 0: any */
+
+static double series(double x, int k, double term)
+{
+    double sum = term;
+    for (; k < 40; k += 2)
+        sum += term *= -x * x / (k * (k + 1));
+    return sum;
+}
+
+/* In place of the C library's, whose last bit depends on the processor. */
+double sin(double x)
+{
+    double turned = remainder(x, 6.283185307179586);
+    return series(turned, 2, turned);
+}
+
+double cos(double x)
+{
+    return series(remainder(x, 6.283185307179586), 1, 1.0);
+}
 
 static uint64_t bits(void)
 {
@@ -30,7 +54,8 @@ static int chance(unsigned one_in)
 
 static double uniform(double low, double high)
 {
-    return low + (high - low) * ((double)(bits() >> 11) / 9007199254740992.0);
+    double x = low + (high - low) * ((double)(bits() >> 11) / 9007199254740992.0);
+    return grain > 0.0 ? grain * nearbyint(x / grain) : x;
 }
 
 /* NaN, infinite, denormal or huge, and any pattern of bits. */
@@ -56,15 +81,29 @@ static void note(const double *x, int count)
 {
     for (int i = 0; i < count; i++) {
         uint64_t pattern;
-        memcpy(&pattern, &x[i], sizeof pattern);
+        double value = x[i] + 0.0; /* of the signs of zero C promises nothing */
+        memcpy(&pattern, &value, sizeof pattern);
         digest = (digest ^ (isnan(x[i]) ? 1 : pattern)) * 1099511628211u;
     }
+}
+
+static void note_one(double x)
+{
+    note(&x, 1);
 }
 
 static void fill(double *x, int count, double value)
 {
     for (int i = 0; i < count; i++)
         x[i] = value;
+}
+
+/* A copy of its own length on the heap: the sanitizer sees what is beyond it. */
+static double *alone(const double *x, int count)
+{
+    double *own = malloc((unsigned)count * sizeof *own);
+    memcpy(own, x, (unsigned)count * sizeof *own);
+    return own;
 }
 
 /* NaN behind the first n numbers of each row. */
@@ -106,7 +145,7 @@ static void draw_arm(moc_arm *arm)
             joint->axis[i] = length > 0.0 ? joint->axis[i] / sqrt(length) : i == 2 ? 1.0 : 0.0;
         joint->slides = chance(5);
         joint->mass = uniform(0.0, 3.0);
-        joint->inertia[0] = joint->inertia[2] = joint->inertia[5] = uniform(0.01, 0.2);
+        joint->inertia[0] = joint->inertia[2] = joint->inertia[5] = uniform(0.07, 0.2);
         joint->rotor = uniform(0.0, 0.3);
         arm->moves[0][j] = arm->moves[1][j] = !chance(idle);
     }
@@ -118,12 +157,17 @@ static void draw_arm(moc_arm *arm)
 static void draw_law(moc_law *law, int n)
 {
     *law = (moc_law){
-        .K_X = 3000.0, .D_X = 80.0, .K_N = 800.0, .D_N = 60.0, .rcm_lambda = chance(3) ? 0.5 : 0.0,
-        .projector = (moc_projector)(bits() % 3), .feedforward = chance(2), .k0 = uniform(0.1, 10.0), .c0 = 0.01,
-        .c1 = 0.01, .c2 = 1e-3, .rho = chance(3) ? 0.0 : 1e-5, .shaft_margin = chance(2) ? 0.02 : 0.0,
-        .spare_speed = 1.0, .observer_gain = chance(2) ? 20.0 : 0.0, .period = 0.002, .fade = 0.01,
-        .third_level = !chance(4),
+        .K_X = 3000.0, .D_X = 80.0, .K_N = 800.0, .D_N = 60.0, .c0 = 0.01, .c1 = 0.01, .c2 = 1e-3, .spare_speed = 1.0,
+        .period = 0.002, .fade = 0.01,
     };
+    law->rcm_lambda = chance(3) ? 0.5 : 0.0;
+    law->projector = (moc_projector)(bits() % 3);
+    law->feedforward = chance(2);
+    law->k0 = uniform(0.1, 10.0);
+    law->rho = chance(3) ? 0.0 : 1e-5;
+    law->shaft_margin = chance(2) ? 0.02 : 0.0;
+    law->observer_gain = chance(2) ? 20.0 : 0.0;
+    law->third_level = !chance(4);
     law->damped = !law->third_level && chance(2);
     law->climbs = law->rho > 0.0 && chance(2);
     behind(law->K_N2, 3, n); /* with D_N2 and tau_max */
@@ -138,20 +182,42 @@ static void draw_law(moc_law *law, int n)
     }
 }
 
+static moc_supervision draw_supervision(void)
+{
+    moc_supervision s = {1, 0.1, 0.01, 0.25, 0.0625, 0, 0, MOC_DAMPING, MOC_LATE_HOLD, HUGE_VAL};
+    s.check = !chance(5);
+    s.hold_ticks = (int)(bits() % 4);
+    s.keep_off_limits = chance(2);
+    s.fallback = (moc_fallback)(bits() % 3);
+    s.late = (moc_late)(bits() % 3);
+    s.budget_us = chance(2) ? HUGE_VAL : 50.0;
+    return s;
+}
+
+static moc_answer draw_answer(const double *x)
+{
+    moc_answer answer = {x, MOC_CLAIMS_OPTIMUM, MOC_TAKEN, uniform(0.0, 100.0)};
+    answer.claim = (moc_claim)(bits() % 4);
+    return answer;
+}
+
 static void draw_guard(moc_guard *g, const moc_law *law, int n)
 {
     *g = (moc_guard){
-        .period = 0.002, .patience = (int)(bits() % 5), .carries = !chance(4), .wall_stiffness = 2000.0,
-        .wall_damping = 20.0, .wall_brake = 2.0, .torque_step = 40.0, .jump = 0.05, .speed_factor = 5.0,
-        .tip_error = 0.01, .tip_share = 0.02, .in_incision = !chance(4), .incision_share = 0.02, .tool_mass = 0.3,
-        .tool_length = 0.3, .tip_force = 10.0, .stop_holding = 0.25, .stop_yield = 8.0, .stop_yield_ticks = 200,
-        .press_share = 0.1, .motion = !chance(3), .motion_s = 0.1, .motion_rad = 0.001, .motion_lag_s = 0.012,
+        .period = 0.002, .wall_stiffness = 2000.0, .wall_damping = 20.0, .wall_brake = 2.0, .torque_step = 40.0,
+        .jump = 0.05, .speed_factor = 5.0, .tip_error = 0.01, .tip_share = 0.02, .incision_share = 0.02,
+        .tool_mass = 0.3, .tool_length = 0.3, .tip_force = 10.0, .stop_holding = 0.25, .stop_yield = 8.0,
+        .stop_yield_ticks = 200, .press_share = 0.1, .motion_s = 0.1, .motion_rad = 0.001, .motion_lag_s = 0.012,
         .repeat_m = 0.003, .repeat_torque = 0.06, .repeat_whole_m = 0.0005, .repeat_whole_torque = 0.0005,
-        .repeat_whole_ticks = 25.0, .repeat_joint_ticks = chance(2) ? HUGE_VAL : 40.0,
-        .repeat_reading_ticks = chance(2) ? HUGE_VAL : 3.0, .replayed_ticks = 25.0, .stuck_speed = 0.2,
-        .residual_torque = 0.2, .residual_whole = 0.5, .residual_rate = 40.0, .residual_share = 0.008,
-        .settling_ticks = 75,
+        .repeat_whole_ticks = 25.0, .replayed_ticks = 25.0, .stuck_speed = 0.2, .residual_torque = 0.2,
+        .residual_whole = 0.5, .residual_rate = 40.0, .residual_share = 0.008, .settling_ticks = 75,
     };
+    g->patience = (int)(bits() % 5);
+    g->carries = !chance(4);
+    g->in_incision = !chance(4);
+    g->motion = !chance(3);
+    g->repeat_joint_ticks = chance(2) ? HUGE_VAL : 40.0;
+    g->repeat_reading_ticks = chance(2) ? HUGE_VAL : 3.0;
     for (int k = 0; k < 2; k++) {
         g->warning[k] = chance(3) ? HUGE_VAL : k ? 8.0 : 0.006;
         g->limit[k] = chance(3) ? HUGE_VAL : k ? 15.0 : 0.012;
@@ -211,20 +277,12 @@ static int bounded(const moc_guard *g, int n, const double *tau)
     return 1;
 }
 
-/* A copy of its own length on the heap: the sanitizer sees what is beyond it. */
-static double *alone(const double *x, int count)
-{
-    double *own = malloc((unsigned)count * sizeof *own);
-    memcpy(own, x, (unsigned)count * sizeof *own);
-    return own;
-}
-
 /* The arm's poses and curves for the planning, and a value function over them. */
-static void plan(const moc_arm *arm, const moc_law *law, const double *from)
+static void plan(moc_arm *arm, const moc_law *law, const double *from)
 {
     enum { MOST = 12 };
     static const double none[MOST * MOC_MAX_JOINTS];
-    int n = arm->n, closed;
+    int n = arm->n, closed, lone = chance(2) ? n - 1 : NONE;
     double *low = alone(law->q_min, n), *high = alone(law->q_max, n), *q = alone(from, n), *best = alone(none, n);
     double *s = alone(none, MOST), *poses = alone(none, MOST * n), *mus = alone(none, MOST), *way = alone(from, n);
     double *slack = alone(none, MOST * n), *step = alone(none, n), *value = alone(none, MOST);
@@ -234,22 +292,33 @@ static void plan(const moc_arm *arm, const moc_law *law, const double *from)
     moc_terms terms;
     plan_task task = {.arm = arm, .low = low, .high = high};
 
-    for (int j = 0; j < n; j++)
-        low[j] = chance(10) ? high[j] = q[j] : low[j];
+    for (int j = 0; j < n; j++) {
+        low[j] = chance(10) || lone != NONE ? high[j] = q[j] : low[j];
+        if (j == lone) { /* it alone turns, about the tool, and comes to where it began */
+            arm->joint[j].slides = arm->joint[j].axis[0] = arm->joint[j].axis[1] = 0.0;
+            arm->joint[j].axis[2] = 1.0;
+            high[j] += chance(2) ? 7.0 : 6.28;
+            low[j] -= 5.0;
+        }
+    }
     moc_kinematics(arm, q, frame, twist, &terms);
     memcpy(task.target[MOC_TIP], terms.tip, sizeof terms.tip);
     memcpy(task.target[MOC_WRIST], terms.wrist, sizeof terms.wrist);
     spoil(task.target[MOC_TIP], 6, 100);
+    if (chance(5))
+        task.target[MOC_TIP][0] += 2.0; /* mostly out of reach */
     for (int j = 0; j < n; j++)
         best[j] = q[j] + uniform(-0.1, 0.1);
-    plan_place(&task, 1 + chance(2), 8, best, best);
+    note_one(plan_place(&task, 1 + chance(2), 8, best, best));
     note(best, n);
-    fill(way, n, 1.0);
-    int count = plan_follow(&task, q, way, 0.05, MOST, s, poses, mus, &closed);
+    for (int j = 0; j < n; j++)
+        way[j] = lone == NONE || j == lone;
+    int count = plan_follow(&task, q, way, lone == NONE ? 0.05 : uniform(0.5, 1.0), MOST, s, poses, mus, &closed);
+    note_one(closed);
     note(poses, count * n);
     note(mus, count);
     note(s, count);
-    plan_ascend(&task, q);
+    note_one(plan_ascend(&task, q));
     note(q, n);
     fill(step, n, 0.1);
     const plan_stage stage = {2, MOST / 2, MOST / 2, n, (int)(bits() % (unsigned)n), poses, slack, none, poses, slack,
@@ -261,13 +330,11 @@ static void plan(const moc_arm *arm, const moc_law *law, const double *from)
         free(own[k]);
 }
 
-static long reasons[MOC_STOPS], faults[MOC_FAULTS], statuses[4];
-
 /* One tick of either state: `own` solver between the halves, whose answers and claims are spoilt, or moc_step. */
 static moc_stop tick(const moc_controller *c, const moc_input *in, int own, moc_state *state, double *tau)
 {
     double x[MOC_MAX_JOINTS] = {0.0}, y[6];
-    moc_answer answer = {x, (moc_claim)(bits() % 4), MOC_TAKEN, uniform(0.0, 100.0)};
+    moc_answer answer = draw_answer(x);
 
     if (!own)
         return moc_step(c, in, state, tau);
@@ -275,17 +342,201 @@ static moc_stop tick(const moc_controller *c, const moc_input *in, int own, moc_
         spoil(state->problem.A[0], MOC_MAX_JOINTS, 2000);
         statuses[moc_solve_exact(&state->problem, 1e-9, x, y) & 3]++;
         spoil(x, c->arm->n, 300);
-        if (chance(5)) {
-            const moc_network net = {20, 1.0, 1.0, 0.5, 100.0, chance(2), 1e-7};
-            int made;
-            moc_step_network(&state->problem, &net, x, y, &made);
-            note(y, 6);
-        }
     }
     moc_stop reason = moc_finish(c, &answer, state, tau);
     note(state->x, c->law->third_level ? c->arm->n : 0);
+    note_one(state->fault);
     faults[state->fault]++;
     return reason;
+}
+
+/* Mostly one; else a power of two down to the last bit or far below it. */
+static double tiny(void)
+{
+    return chance(2) ? 1.0 : ldexp(1.0, -(int)(bits() % 60));
+}
+
+/* Row i of A x = b nearly repeats two others, on either side of where that is rounding. */
+static void repeat(moc_problem *p, int i, const double *x)
+{
+    double own = chance(4) ? 0.0 : tiny(), beside = chance(4) ? tiny() : 0.0;
+    for (int j = 0; j < p->n; j++)
+        p->A[i][j] = p->A[0][j] - 0.5 * p->A[1][j] + own * p->A[i][j];
+    p->b[i] = dot(p->n, p->A[i], x) + beside * uniform(-1.0, 1.0);
+}
+
+/* A subproblem of any size, and what becomes of good, worse and wrong answers to it; 0 where an answer that `exact`
+ * calls solved is none. Some joints are idle, some move almost as one, rows of A may repeat each other, and the point
+ * that A x = b has in the box may be a corner of it, or not there at all. */
+static int subproblem(void)
+{
+    static const double weights[] = {0x1p-10, 0x1p-17, 0.0, 1e-3};
+    moc_problem p = {.n = 1 + (int)(bits() % MOC_MAX_JOINTS), .c0 = 0.01, .c1 = 0.02};
+    double x[MOC_MAX_JOINTS], near[MOC_MAX_JOINTS], y[6] = {0.0}, rest = chance(2) ? 0.0 : 1e-3;
+    double size = ldexp(1.0, (int)(bits() % 21) - 10), narrow = tiny(), steep = tiny();
+    moc_memory memory = {.age = (int)(bits() % 3)};
+
+    grain = chance(2) ? 0.25 : 0.0;
+    p.c2 = weights[bits() % 4];
+    p.rho = weights[bits() % 3];
+    behind(p.A[0], 6, p.n);
+    behind(p.pull, 3, p.n); /* with lower and upper */
+    for (int j = 0; j < p.n; j++) {
+        double share = uniform(0.0, 1.0), speed = tiny(), alike = uniform(-2.0, 2.0), column = chance(9) ? 0.0 : size;
+        bool twin = j > 0 && chance(3);
+        column *= chance(9) ? tiny() : 1.0;
+        p.pull[j] = steep * uniform(-1.0, 1.0);
+        p.lower[j] = -speed * (0.25 + uniform(0.0, 1.0));
+        p.upper[j] = chance(9) ? p.lower[j] : speed * (0.25 + uniform(0.0, 1.0));
+        x[j] = chance(3) ? p.lower[j] : p.lower[j] + share * (p.upper[j] - p.lower[j]);
+        for (int i = 0; i < 6; i++) {
+            p.A[i][j] = column * uniform(-1.0, 1.0);
+            if (twin)
+                p.A[i][j] = alike * p.A[i][j - 1] + narrow * p.A[i][j];
+        }
+    }
+    for (int i = 0; i < 6; i++)
+        p.b[i] = dot(p.n, p.A[i], x) + (chance(40) ? size * uniform(-1.0, 1.0) : 0.0);
+    for (int i = 5; i > 2 && !chance(i); i--)
+        repeat(&p, i, x);
+    moc_status status = moc_solve_exact(&p, chance(2) ? 1e-9 : 0x1p-30, x, y);
+    note_one(status);
+    note(x, p.n);
+    note(y, 6);
+    statuses[status]++;
+    if (status == MOC_OK && !(off_plane(&p, x) <= 1e-5))
+        return 0;
+    const moc_network net = {(int)(bits() % 20), steep < 1.0 ? 1.0 : 0.5, 0.75, 0.5, 100.0, narrow < 1.0, rest};
+    int made;
+    memcpy(near, x, sizeof near);
+    spoil(near, p.n, 99);
+    note_one(moc_step_network(&p, &net, near, y, &made));
+    note_one(made);
+    note(near, p.n);
+    note(y, 6);
+    fill(&memory.Z[0][0], MOC_MAX_JOINTS * MOC_MAX_JOINTS, (double)NAN);
+    memory.rows = moc_null_space(p.n, p.A, 0, memory.Z);
+    behind(memory.Z[0], memory.rows, p.n);
+    for (int k = 0; k < 4; k++) {
+        const moc_supervision s = draw_supervision();
+        moc_answer answer = draw_answer(x);
+        double followed[MOC_MAX_JOINTS], step[MOC_MAX_JOINTS], far = tiny();
+        moc_residuals found = moc_judge(&p, memory.rows, memory.Z, x);
+
+        if (chance(4))
+            answer.known = (moc_fault)(bits() % MOC_FAULTS);
+        note(&found.primal, 5);
+        note_one(moc_supervise(&s, &p, &answer, &memory, followed));
+        note(followed, p.n);
+        note_one(memory.age);
+        for (int j = 0; j < p.n; j++)
+            step[j] = far * uniform(-1.0, 1.0);
+        if (k)
+            moc_onto(p.n, memory.rows, memory.Z, step, step);
+        for (int j = 0; j < p.n; j++)
+            x[j] = k == 2 ? clip(x[j] + step[j], p.lower[j], p.upper[j]) : x[j] + step[j];
+    }
+    return 1;
+}
+
+static double level(double most)
+{
+    return chance(2) ? HUGE_VAL : uniform(0.0, most);
+}
+
+/* The safety filter alone, among so few and coarse numbers that readings repeat themselves and figures are at their
+ * levels, for longer than it takes to see whether the wrench sensor has noise. It goes on after a reason to stop. */
+static void filter(void)
+{
+    static const double none[MOC_MAX_JOINTS];
+    static moc_watch w;
+    moc_arm arm;
+    moc_law law;
+    moc_guard g;
+    moc_terms t;
+    unsigned still = 1 + (unsigned)(bits() % 3), noise = (unsigned)(bits() % 3), fast = 1 + (unsigned)(bits() % 30);
+    uint64_t kept = seed;
+
+    grain = 0.25;
+    draw_arm(&arm);
+    draw_law(&law, arm.n);
+    draw_guard(&g, &law, arm.n);
+    arm.n = arm.n < 3 ? arm.n : 1 + (int)(bits() % 3);
+    double *levels[] = {
+        &g.torque_step, &g.jump, &g.speed_factor, &g.tip_error, g.warning, g.warning + 1, g.limit, g.limit + 1,
+        &g.tip_force, &g.stop_yield, &g.motion_rad, &g.motion_lag_s, &g.repeat_m, &g.repeat_torque, &g.repeat_whole_m,
+        &g.repeat_whole_torque, &g.stuck_speed, &g.residual_torque, &g.residual_whole, &g.wall_stiffness, &g.wall_brake,
+    };
+    for (int k = 0; k < (int)(sizeof levels / sizeof *levels); k++)
+        *levels[k] = level(2.0);
+    double *counts[] = {&g.repeat_joint_ticks, &g.repeat_reading_ticks, &g.repeat_whole_ticks, &g.replayed_ticks};
+    for (int k = 0; k < 4; k++)
+        *counts[k] = chance(2) ? HUGE_VAL : (double)(bits() % 9);
+    g.period = g.tip_share = g.incision_share = g.press_share = g.residual_share = 0.25;
+    g.residual_rate = g.motion_s = 1.0;
+    g.motion = !chance(9);
+    g.stop_yield_ticks = g.settling_ticks = (int)(bits() % 5);
+    double *q = alone(none, arm.n), *v = alone(none, arm.n), *before = alone(none, arm.n), *wrench = alone(none, 6);
+    for (int j = 0; j < arm.n; j++) {
+        q[j] = uniform(-1.0, 1.0);
+        v[j] = uniform(-1.0, 1.0);
+        g.v_max[j] *= chance(2) ? 8.0 : 1.0;
+        g.tau_max[j] = 0.25 + uniform(0.0, 2.0);
+        g.held[j] = uniform(0.0, 0.5);
+    }
+    moc_guard_start(&g, arm.n, q, v, 0, &w);
+    for (long long k = 1; k < 240; k++) {
+        double tau[MOC_MAX_JOINTS], tip[3], ref[3], pose[4][3];
+        bool again = noise == 0 || (k > 180 && k % 30 > 5); /* the wrench */
+        moc_trocar trocar = {{0.0}, {0.0}};
+        const moc_terms *terms = chance(9) ? NULL : &t;
+        const double *applied = chance(9) ? NULL : before;
+        long long stamp = chance(99) ? LLONG_MIN : k + 1 - (long long)(bits() % (1 + 2 * still));
+        moc_stop reason[3] = {MOC_RUNNING};
+
+        kept = k == 20 ? seed : kept;
+        seed = k == 70 ? kept : seed; /* readings come again */
+        for (int i = 0; i < (int)(sizeof t / sizeof(double)); i++)
+            ((double *)&t)[i] = uniform(-0.5, 0.5);
+        for (int j = 0; j < arm.n; j++) {
+            t.M[j][j] = 0.5 + uniform(0.0, 1.0);
+            v[j] = chance(still) ? v[j] : uniform(-1.0, 1.0);
+            q[j] = chance(fast) ? uniform(-1.0, 1.0) : q[j] + g.period * v[j] * chance(still);
+            before[j] = chance(still) ? before[j] : clip(uniform(-1.0, 1.0), -g.tau_max[j], g.tau_max[j]);
+            tau[j] = 2.0 * uniform(-1.0, 1.0);
+        }
+        for (int i = 0; i < 6; i++)
+            wrench[i] = again ? wrench[i] : uniform(-0.5, 0.5) + (noise == 2 ? 1.0 / (double)(k % 50 + 1) : 0.0);
+        for (int i = 0; i < 3; i++) {
+            tip[i] = uniform(-0.25, 0.25);
+            ref[i] = chance(still) ? 0.0 : uniform(-0.25, 0.25);
+            trocar.P[i] = uniform(-0.5, 0.5);
+        }
+        const moc_measurement m = {q, v, stamp, chance(2), applied, wrench};
+        reason[0] = moc_guard_believe(&g, arm.n, &m, &w);
+        moc_tool_pose(&arm, w.q, pose);
+        if (!chance(9))
+            reason[1] = moc_guard_incision(&g, pose, &trocar, wrench, &w);
+        reason[2] = moc_guard_follow(&g, &arm, terms, chance(9) ? NULL : tip, ref, before, tau, &w);
+        for (int i = 0; i < 3; i++) {
+            note_one(reason[i]);
+            reasons[reason[i]]++;
+        }
+        note(w.q, arm.n);
+        note(tau, arm.n);
+        note(w.mean_square, 6); /* with the largest and the warnings */
+        note_one(w.limited);
+        if (!chance(3))
+            continue;
+        moc_guard_rest(&g, &arm, before, &w, tau);
+        note(tau, arm.n);
+        moc_guard_hold(&g, &arm, wrench, &w, tau);
+        note(tau, arm.n);
+    }
+    free(q);
+    free(v);
+    free(before);
+    free(wrench);
 }
 
 /* A course of both; 0 where a torque or a friction is not finite and within its limits. */
@@ -296,11 +547,11 @@ static int course(void)
     moc_law law;
     moc_guard guard;
     moc_input in = {.x_d = NULL};
-    double q[MOC_MAX_JOINTS], v[MOC_MAX_JOINTS], sent[MOC_MAX_JOINTS], pose[4][3];
-    const moc_supervision supervision = {1, 0.1, 0.01, 0.05, 1e-3, 3, 1, (moc_fallback)(bits() % 3),
-                                         (moc_late)(bits() % 3), chance(2) ? HUGE_VAL : 50.0};
+    double q[MOC_MAX_JOINTS], v[MOC_MAX_JOINTS], sent[MOC_MAX_JOINTS], pose[4][3], record[500];
+    const moc_supervision supervision = draw_supervision();
     const moc_controller controller = {&arm, &law, &supervision, &guard, 1e-9};
 
+    grain = chance(3) ? 0.125 : 0.0;
     draw_arm(&arm);
     draw_law(&law, arm.n);
     draw_guard(&guard, &law, arm.n);
@@ -309,7 +560,7 @@ static int course(void)
         v[j] = j >= arm.n ? (double)NAN : uniform(-0.3, 0.3);
         sent[j] = j >= arm.n ? (double)NAN : 0.0;
     }
-    if (chance(4))
+    if (chance(2))
         plan(&arm, &law, q);
     moc_tool_pose(&arm, q, pose);
     for (int i = 0; i < 3; i++) {
@@ -340,8 +591,10 @@ static int course(void)
             spoil(in.ref.X, 9, 4);
         if (chance(60))
             spoil(in.trocar.P, 6, 4);
-        in.measured = (moc_measurement){seen_q, seen_v, chance(40) ? (long long)bits() : k, !chance(4),
-                                        chance(3) ? sent : NULL, wrench};
+        long long stamp = chance(40) ? (long long)bits() : k;
+        in.measured = (moc_measurement){seen_q, seen_v, stamp, !chance(4), NULL, wrench};
+        if (chance(3))
+            in.measured.applied = sent;
         in.x_d = chance(4) ? v : NULL;
         for (int own = 0; own < 2; own++) {
             double tau[MOC_MAX_JOINTS], friction[MOC_MAX_JOINTS];
@@ -353,7 +606,13 @@ static int course(void)
                 spoil(state->sent, arm.n, 4);
             moc_stop reason = tick(&controller, &in, own, state, tau);
             reasons[reason]++;
+            note_one(reason);
             note(tau, arm.n);
+            moc_copy_terms(&state->terms, arm.n, record, PACK);
+            note(record, arm.n * (arm.n + 13) + 18);
+            moc_copy_problem(&state->problem, arm.n, record, PACK);
+            note(record, law.third_level ? 11 * arm.n + 10 : 0);
+            note(state->watch.mean_square, 6); /* with the largest and the warnings */
             if (!bounded(&guard, arm.n, tau))
                 return 0;
             if (reason == MOC_RUNNING)
@@ -485,12 +744,17 @@ static int contract(void)
 
 int main(int count, char **words)
 {
-    long courses = count > 1 ? strtol(words[1], NULL, 10) : 40000;
+    long courses = count > 1 ? strtol(words[1], NULL, 10) : 10000;
     seed = count > 2 ? 2 * strtoull(words[2], NULL, 10) + 1 : 1;
 
     for (long k = 0; k < courses; k++) {
         uint64_t from = seed;
-        if (!algebra() || !contract() || !course()) {
+        int sound = 1;
+        for (int i = 0; i < 20; i++)
+            sound &= subproblem();
+        filter();
+        grain = 0.0;
+        if (!sound || !algebra() || !contract() || !course()) {
             printf("not as promised: state of the generator %llu\n", (unsigned long long)from);
             return 1;
         }
