@@ -94,8 +94,10 @@ METHOD(Law, start, TICK, {"record", MADE, TERMS}, {"row", MADE, ROW})
 
 METHOD(Law, load, {"record", READ, ROW}, {"Z", READ, K, N})
 {
+    if (rows_of(c, 1) > c->n)
+        return PyErr_Format(PyExc_ValueError, "Z has %d rows: a basis of ker A has %d at most", rows_of(c, 1), c->n);
     moc_copy_problem(&self->state.problem, c->n, c->array[0], UNPACK);
-    self->state.memory.rows = rows_of(c, 1) < c->n ? rows_of(c, 1) : c->n;
+    self->state.memory.rows = rows_of(c, 1);
     for (int k = 0; k < self->state.memory.rows; k++)
         memcpy(self->state.memory.Z[k], c->array[1] + k * c->n, (size_t)c->n * sizeof(double));
     self->state.begun = MOC_BEGUN;

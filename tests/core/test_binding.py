@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from moc_opt import core, load_robot
+from tests.control.torques import law
 from tests.problems import random_problem
 
 QP = random_problem(np.random.default_rng(0))
@@ -64,6 +65,18 @@ def test_results_have_the_length_of_their_records():
     assert ROBOT.state(ROBOT.data.q_home).record.shape == (7 * 7 + 13 * 7 + 18,)
     status, x, y = core.solve_exact(QP.row, 1e-9)
     assert (status, x.shape, y.shape) == (core.OK, (7,), (6,))
+
+
+@pytest.mark.parametrize("k", range(4))
+def test_a_tick_takes_finite_numbers_only_and_a_basis_has_no_more_rows_than_joints(k):
+    made, given = law(7), [np.zeros(7), np.zeros(7), np.zeros((3, 3)), np.ones((2, 3))]
+    made.start(*given)
+    given[k].flat[-1] = np.nan
+    with pytest.raises(ValueError, match="finite numbers"):
+        made.begin(*given, None)
+    made.load(QP.row, np.eye(7))
+    with pytest.raises(ValueError, match="8 rows"):
+        made.load(QP.row, np.eye(8, 7))
 
 
 ROWS = (2, np.zeros((4, 3)), np.zeros((4, 3)), np.zeros(4), np.zeros((6, 3)), np.zeros((6, 3)), np.zeros(6), np.ones(3),
