@@ -4,8 +4,8 @@
     def work(study: Study, config: Config) -> Found: ... # trials, table, verdict
     def main(arguments=None): return command("robots", "What holds on every arm.", Config, work, arguments)
 
-It leaves report.html, report.md, summary.json, rows.parquet and environment.json in ``--out``, and finished jobs in
-jobs/: a run that was stopped, in whatever way, goes on from these when the same command is given again.
+The command leaves report.html, report.md, summary.json, rows.parquet and environment.json in ``--out``, and finished
+jobs in its folder jobs/. However a run was stopped, the same command given again goes on from these jobs.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from moc_opt.study.results import Results
 from moc_opt.study.show import Report
 from moc_opt.study.trials import Run, Trial, outcome, placed
 
-WRONG, INTERRUPTED = 2, 130  # exit status after an error that is the user's or the machine's, and after Ctrl-C
+WRONG, INTERRUPTED = 2, 130  # exit status after an error of the input or of the machine, and after Ctrl-C
 FILES = ("environment.json", "summary.json", "rows.parquet", "report.html", "report.md")
 CONFIGS = Path(__file__).parents[2] / "benchmarks" / "configs"
 
@@ -70,7 +70,7 @@ Config = TypeVar("Config", bound=StudyConfig)
 
 @dataclass(frozen=True)
 class Found:
-    """What a study found: for the reader, and for summary.json (part -> solver or controller -> metric)."""
+    """What a study found. ``summary`` is the content of summary.json: part -> solver or controller -> metric."""
 
     report: Report
     summary: Mapping[str, Any]
@@ -92,7 +92,7 @@ class Study:
 
     @cached_property
     def kept(self) -> Kept:
-        """Finished jobs, those of earlier runs among them."""
+        """The finished jobs, including those of earlier runs."""
         return Kept(self.out / "jobs")
 
     def run(
@@ -112,13 +112,13 @@ class Study:
     def trials(
         self, asked: Sequence[Trial], what: str = "runs", *, limit_s: float | None = None, **options: Any
     ) -> list[Run]:
-        """Run trials: one row each, also of those that hung, died or raised; ``limit_s`` replaces each one's own."""
+        """Run trials; each gives a row, even if it hung or failed. ``limit_s`` replaces each trial's own limit."""
         jobs = [one.job if limit_s is None else replace(one.job, limit_s=limit_s) for one in asked]
         results = self.run(jobs, what, **options)
         return [outcome(one, result) for one, result in zip(asked, results, strict=True)]
 
     def placed(self, cases: Sequence[Scenario]) -> tuple[list[Scenario], list[dict[str, Any]]]:
-        """Search for the starts of trials; returns those with a start, and a row for each without."""
+        """Search a start for each trial; return the trials placed there, and a row for each trial without a start."""
         found = self.run([Job(placed, (case,)) for case in cases], "starts")
         lost = [
             {**Trial(case, "").failed(str(start)).row, "ended": "no start"}
@@ -132,11 +132,11 @@ def command(
     arguments: Sequence[str] | None = None, *, options: Callable[[ArgumentParser], Any] = lambda parser: None,
     folder: Path | None = None, program: str = "",
 ) -> int:  # fmt: skip
-    """Parse the command line, work, write and print what was found; SIGTERM ends it as Ctrl-C does.
+    """Parse the command line, do the study's work, write and print what was found; return the exit status.
 
-    ``config`` is read from NAME.toml in ``folder`` (None: benchmarks/configs), ``work`` makes the findings of it, and
-    the results lie in results/NAME. ``options`` adds options of its own to the parser; `Study.given` has them.
-    Returns the exit status: that of the findings, 2 after an error (one line on stderr), 130 after Ctrl-C.
+    ``config`` is read from NAME.toml in ``folder`` (None: benchmarks/configs), ``work`` turns it into findings, and the
+    results lie in results/NAME. ``options`` adds the study's own options to the parser; `Study.given` has them. The
+    exit status is that of the findings, 2 after an error (one line on stderr), 130 after Ctrl-C or SIGTERM.
     """
     parser = ArgumentParser(prog=program or f"python -m benchmarks.{name}", description=about)
     parser.add_argument("config", nargs="?", type=Path, help=f"TOML; default: {name}.toml of this study")
@@ -165,7 +165,7 @@ def command(
 
 
 def check_folder(out: Path) -> None:
-    """Refuse a folder whose files of these names no study has written; a StudyError names them, before any work."""
+    """Refuse, with a StudyError, a folder that has files with the names in `FILES` that no study has written."""
     there = [name for name in FILES if (out / name).exists()]
     if there and not (there[0] == FILES[0] and b'"study":' in (out / FILES[0]).read_bytes()):
         raise StudyError(f"{out} has {', '.join(there)} that no study has written: give another folder as --out")
@@ -207,7 +207,7 @@ def environment(config: Mapping[str, Any], seed: int, argv: Sequence[str] = ()) 
             "python": platform.python_version(), "load_1min": os.getloadavg()[0],
         },
         "threads": os.environ.get("OMP_NUM_THREADS"),
-        "openblas_coretype": os.environ.get("OPENBLAS_CORETYPE"),  # another kernel rounds otherwise
+        "openblas_coretype": os.environ.get("OPENBLAS_CORETYPE"),  # another kernel rounds differently
         "versions": versions(), "commit": _commit(), "seed": seed, "arguments": list(argv), "config": dict(config),
     }  # fmt: skip
 
@@ -215,7 +215,7 @@ def environment(config: Mapping[str, Any], seed: int, argv: Sequence[str] = ()) 
 def choose(wanted: Literal["all"] | Sequence[str], *beside: str) -> tuple[list[str], dict[str, str]]:
     """Return the names of solvers that can run here, and name -> reason for those that cannot.
 
-    "all" are all there are; names ``beside`` them, such as that of a baseline, are known, too.
+    "all" means every known solver. Names in ``beside``, such as a baseline's, are known too, and can always run.
     """
     found: dict[str, str | None] = {**dict.fromkeys(beside), **available()}
     names = list(found) if wanted == "all" else list(wanted)

@@ -55,10 +55,10 @@ class Comparison:
     """What `compare` found.
 
     Attributes:
-        rows: one mapping a run: solver, seed, ended, error, asked (ticks with a subproblem) and every metric; of a run
-            that could not be made `ended` is "failed", `error` says why, and there is no metric.
+        rows: one mapping per run: solver, seed, ended, error, asked (ticks with a subproblem) and every metric. A run
+            that could not be made has "failed" as `ended`, the reason as `error`, and no metrics.
         solvers: their names in the table, the baseline first.
-        scenario: from which the trials were made.
+        scenario: the one from which the trials were made.
         note: where the trials start, and a remark if the machine was busy.
         complete: False where Ctrl-C ended it after some of the trials.
     """
@@ -77,7 +77,7 @@ class Comparison:
         )
 
     def summary(self) -> dict[str, dict[str, Any]]:
-        """Return solver -> what a study's summary.json says of it, and the claims and times of its answers."""
+        """Return solver -> its figures as in a study's summary.json, and the claims and times of its answers."""
         return {
             name: self._results.figures(name, METRICS_SHOWN, METRICS_SHOWN) | self._answers(name)
             for name in self.solvers
@@ -115,7 +115,7 @@ class Comparison:
         return Table(f"{title}: solvers on the same trials", known, rows, caption)
 
     def plot(self, metric: str = "mu_mean") -> Figure:
-        """Draw each solver's mean of a metric with its 95 % interval: a plotly figure; unknown metrics are refused."""
+        """Return a plotly figure of each solver's mean of a metric with its 95 % interval; refuse an unknown metric."""
         if metric not in METRICS and not any(metric in row for row in self.rows):
             raise UnknownNameError("metric", metric, METRICS, "moc-opt metrics")
         means = {name: mean for name in self.solvers if (mean := self._results.mean(metric, name))}
@@ -124,7 +124,7 @@ class Comparison:
         return intervals_picture({name: (one.low, one.value, one.high) for name, one in means.items()}, said, {})
 
     def to_pandas(self) -> DataFrame:
-        """Return a pandas.DataFrame with one row a run; a ScenarioError where pandas is not installed."""
+        """Return a pandas.DataFrame with one row per run; a ScenarioError where pandas is not installed."""
         try:
             import pandas
         except ImportError as error:
@@ -132,7 +132,7 @@ class Comparison:
         return pandas.DataFrame([dict(row) for row in self.rows])
 
     def save_rows(self, path: str | os.PathLike[str]) -> None:
-        """Write one row a run as CSV; a ScenarioError where the file cannot be written."""
+        """Write one row per run as CSV; a ScenarioError where the file cannot be written."""
         write_whole(path, Results(self.rows).frame.write_csv(), "table of runs", ScenarioError)
 
     def __repr__(self) -> str:
@@ -140,7 +140,7 @@ class Comparison:
 
 
 def _cells(found: Mapping[str, Any]) -> dict[str, str | None]:
-    """Write means and changes with their intervals; of too few trials the mean alone, and no change."""
+    """Write means and changes with their intervals; where trials are too few, only the mean, and no change."""
     cells = dict[str, str | None]()
     for name in (name for name in (*METRICS_SHOWN, *CHANGES) if name in found):
         few, sign = too_few(found["compared" if name in CHANGES else "whole"]), "+" * (name in CHANGES)
@@ -156,18 +156,18 @@ def compare(
 ) -> Comparison:  # fmt: skip
     """Run every solver, and DCAC with the same gains, on the same trials.
 
-    If a solver cannot be started or ends a run with an error, its rows hold the reason, and the others go on.
-    After Ctrl-C the finished trials are returned, if there is one.
+    If a solver cannot be started or ends a run with an error, its rows hold the reason, and the other solvers go on.
+    Ctrl-C ends the comparison; the finished trials are returned, if there are any.
 
     Args:
         solvers: names, or solver objects (of `solvers.create` or your own); a mapping gives them other names.
-        scenario: of every trial, or the path of its file; None: the default one.
+        scenario: the scenario of every trial, or the path of its file; None: the default one.
         trials: how many; trial k has the seed ``seed + k``, which draws pose, swivel, mismatch and noise.
-        seed: of the first trial.
+        seed: the seed of the first trial.
         watch: called with a few words before each run.
 
     Raises:
-        UnknownNameError, SolverError: no such solver, no solver, or two of one name; before anything runs.
+        UnknownNameError, SolverError: a solver is unknown, none is given, or two share a name; before anything runs.
         ScenarioError: an argument is not usable, the scenario has no third level, or DCAC cannot run it.
     """
     base = Scenario() if scenario is None else Scenario.load(scenario)
@@ -187,7 +187,7 @@ def compare(
                 case = placed(case)
             except MocOptError as error:
                 if not rows:
-                    raise  # it is the scenario's
+                    raise  # already in the first trial: the scenario is at fault
                 rows += [Trial(case, name, tags={"solver": name}).failed(describe(error)).row for name in chosen]
                 continue
             rows += _trial(case, chosen, f"trial {done + 1} of {trials}", watch)
@@ -226,7 +226,7 @@ def _settings(base: Scenario, solver: str | Solver) -> Mapping[str, Any]:
 
 
 def _named(solvers: Solvers, base: Scenario) -> dict[str, str | Solver]:
-    """Return name -> solver, the baseline first; every name is made once, so that a wrong one is found now."""
+    """Return name -> solver, the baseline first. Each named solver is made once, so that errors show before any run."""
     if isinstance(solvers, str) or not isinstance(solvers, Mapping | Sequence):
         raise SolverError(f"solvers = {shown(solvers)}: give a list of names or solvers, such as ['exact', 'osqp']")
     named: Iterable[tuple[Any, str | Solver]] = (

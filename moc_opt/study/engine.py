@@ -2,7 +2,7 @@
 
     results = run([Job(trial, (scenario, "osqp", seed)) for seed in range(60)], kept=Kept(out / "jobs"))
 
-A job that takes longer than its limit, raises, dies by a signal or asks for too much memory costs its own result alone.
+A job that takes longer than its limit, raises, dies by a signal or asks for too much memory loses only its own result.
 """
 
 from __future__ import annotations
@@ -33,24 +33,24 @@ from moc_opt.errors import MocOptError, StudyError, describe
 from moc_opt.study.kept import Kept, digest_of, key_of, loaded_sources
 
 CONNECT_S = 30.0
-LOOK_S, ATTEMPTS = 1.0, 3  # how often processes are checked [s]; pools that may break under one job
+LOOK_S, ATTEMPTS = 1.0, 3  # time between two checks of the processes [s]; attempts at a job whose pool breaks
 BEGUN = ".pid"
 WAITS = 5.0
 PR_SET_PDEATHSIG = 1
 PRELOAD = ("moc_opt.scenario", "moc_opt.study.trials", "moc_opt.study.solver_answers")
 
-_parts: IO[bytes] | None = None  # in a worker: the file for what the job hands over
+_parts: IO[bytes] | None = None  # in a worker: the file that `report` writes to
 
 
 @dataclass(frozen=True)
 class Job:
-    """A function of a module with its arguments; both, and the result, must pickle."""
+    """A function of a module, and its arguments. All of them, and the result, must pickle."""
 
     work: Callable[..., Any]
     arguments: tuple[Any, ...] = ()
     limit_s: float = 600.0  #: a call that takes longer is ended with its process [s]
-    alone: bool = False  #: its times are measured: no other job runs meanwhile
-    group: str = ""  #: after `give_up` of this name hung or crashed, the others of it are not begun
+    alone: bool = False  #: its times are measured, so no other job runs meanwhile
+    group: str = ""  #: once `give_up` jobs of a group hung or crashed, its later jobs are not begun
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ class Failed:
 
     kind: Literal["hung", "crashed", "raised", "not run"]
     reason: str
-    parts: tuple[Any, ...] = ()  #: what the job had handed over by `report`
+    parts: tuple[Any, ...] = ()  #: what the job had handed over by calling `report`
 
     def __str__(self) -> str:
         return self.reason if self.kind in ("raised", "not run") else f"{self.kind}: {self.reason}"
@@ -67,7 +67,7 @@ class Failed:
 
 @dataclass(frozen=True)
 class _Done:
-    """A pickled result, and the project's files that were imported to get it, with their digest where it ran."""
+    """A pickled result, the project's files that its process had imported, and their digest on its machine."""
 
     packed: bytes
     sources: tuple[str, ...]
@@ -79,18 +79,18 @@ def run(
     done: Callable[[Job, Any], None] = lambda job, result: None, keep: Callable[[Any], bool] = lambda result: True,
     give_up: int = 1,
 ) -> list[Any]:  # fmt: skip
-    """Do all jobs, those first that run alone; return their results in order, `Failed` where there is none.
+    """Do all jobs, first those that run alone. Return a result for each in the given order, `Failed` if it has none.
 
     Args:
-        kept: where results are kept, and taken from if an earlier run left them there. Failures are not kept.
+        kept: store of results. A job whose result an earlier run left there is not done again. Failures are not kept.
         workers: processes on this machine; None: one for each core.
-        dask: address of a Dask scheduler, as "tcp://host:8786", whose workers do the jobs that need not run alone.
-        done: called here with each job and its result.
-        keep: whether a result may be kept.
-        give_up: after so many jobs of a group hung or crashed its later ones are not begun, or do not count.
+        dask: address of a Dask scheduler, such as "tcp://host:8786", whose workers do the jobs that need not run alone.
+        done: called in this process with each job and its result.
+        keep: tells whether a result may be kept.
+        give_up: after this many jobs of a group hung or crashed, its later jobs are not begun or do not count.
 
     Raises:
-        StudyError: ``workers`` is below 1, none stays alive, no scheduler answers, or results cannot be kept.
+        StudyError: ``workers`` is below 1, no worker stays alive, no scheduler answers, or results cannot be kept.
     """
     if workers is not None and workers < 1:
         raise StudyError(f"workers = {workers}: give 1 or more, or None for one a core")
@@ -120,14 +120,14 @@ def run(
                     raise StudyError("a worker has other sources than this machine: install the same there")
                 try:
                     result = pickle.loads(answer.packed)
-                except Exception as error:  # noqa: BLE001 - as its class pleases
+                except Exception as error:  # noqa: BLE001 - foreign classes may raise anything
                     finish(k, Failed("raised", f"its result cannot be unpickled: {describe(error)}"))
                     continue
                 if kept is not None and same and keep(result):
                     kept.put(keys[k], result, answer.sources)
                 finish(k, result)
     gone, answers = Counter[str](), list[Any]()
-    for k, job in enumerate(jobs):  # in their order: which were under way meanwhile is chance, and differs after a kill
+    for k, job in enumerate(jobs):  # by the order of jobs, not of answers, which is chance and differs when resumed
         answers.append(_not_begun(job.group) if job.group and gone[job.group] >= give_up else results[k])
         gone[job.group] += _broke(answers[-1])
     return answers
@@ -148,7 +148,7 @@ Submit = Callable[[Job], Answer]
 def _answers(
     jobs: Sequence[Job], waiting: Sequence[int], submit: Submit, slots: int, broken: Counter[str], give_up: int
 ) -> Iterator[tuple[int, _Done | Failed]]:
-    """Yield (index, answer) as they come. Two jobs a slot are under way, so that a group can still be given up."""
+    """Yield (index, answer) as they come. Two jobs per slot are submitted at a time, so a group can be given up."""
     left, flying = list(reversed(waiting)), dict[Answer, int]()
     gone, again = set[Answer](), Counter[int]()
     while left or flying:
@@ -160,7 +160,7 @@ def _answers(
             else:
                 flying[submit(jobs[k])] = k
         done, pending = wait(flying, timeout=LOOK_S, return_when=FIRST_COMPLETED)
-        # Pebble misses a process that dies before it has read that the job began, and one that leaves with status 0.
+        # Pebble misses a process that dies before pebble learns that the job began, and one that exits with status 0.
         before, gone = gone, {future for future in pending if _process_is_gone(future)}
         for future in done | (gone & before):
             k = flying.pop(future)
@@ -182,7 +182,7 @@ def _answers(
 
 
 def _process_is_gone(future: Answer) -> bool:
-    """Tell whether the job began in a process that is there no more."""
+    """Tell whether the job began in a process that no longer exists."""
     begun = Path(f"{getattr(future, 'parts', '')}{BEGUN}")
     if not begun.exists() or not (pid := begun.read_text()):
         return False
@@ -210,7 +210,7 @@ def _answer(future: Answer, job: Job) -> _Done | Failed:
         raise StudyError("the scheduler went away with the jobs that were under way; start again") from error
     except OSError as error:
         raise StudyError(f"no worker can be reached: {describe(error)}") from error
-    except Exception as error:  # noqa: BLE001 - a job that cannot be sent, or what a cluster says of a dead worker
+    except Exception as error:  # noqa: BLE001 - a job that cannot be sent, or a cluster's error for a dead worker
         if type(error).__name__ == "KilledWorker":
             return Failed("crashed", f"the worker died, or the job took more than {job.limit_s:g} s")
         return Failed("raised", describe(error))
@@ -241,21 +241,21 @@ def _do(work: Callable[..., Any], arguments: tuple[Any, ...], parts: str | None 
 
 @contextmanager
 def _processes(count: int) -> Iterator[tuple[Submit, int]]:
-    """Start so many workers; leaving it ends them, and whatever they have started."""
+    """Start ``count`` workers. Leaving the context ends them and the processes that they have started."""
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload([*PRELOAD, "__main__"])
-    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") // (count + 1)  # of each, and of this process
+    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") // (count + 1)  # this process has a share
     with tempfile.TemporaryDirectory(prefix="moc-opt-") as folder:
         for name in ("groups", "parts"):
             Path(folder, name).mkdir()
         numbers = count_from_zero()
 
         def started() -> ProcessPool:
-            # The workers inherit this mask: Ctrl-C while one still imports would end it with a traceback.
+            # The workers inherit this mask. Without it, Ctrl-C during a worker's imports would print a traceback.
             masked = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
             try:
                 made = ProcessPool(count, initializer=_begin, initargs=(folder, memory), context=context)
-                made.schedule(os.getpid).result()  # the workers are started now
+                made.schedule(os.getpid).result()  # this starts the workers
                 return made
             except BrokenProcessPool as error:
                 raise StudyError(f"no worker can be started: {error}") from error
@@ -275,7 +275,7 @@ def _processes(count: int) -> Iterator[tuple[Submit, int]]:
         def submit(job: Job) -> Answer:
             nonlocal pool
             parts = str(Path(folder, "parts", str(next(numbers))))
-            if not pool.active:  # pebble gives a pool up where its only worker dies at once
+            if not pool.active:  # pebble gives up a pool whose only worker dies at once
                 ended()
                 pool = started()
             future: Any = pool.schedule(_do, args=[job.work, job.arguments, parts], timeout=job.limit_s)
@@ -290,7 +290,7 @@ def _processes(count: int) -> Iterator[tuple[Submit, int]]:
 
 
 def _begin(folder: str, memory: int) -> None:
-    """Let a worker lead a group, end with its parent, leave Ctrl-C to it, and have its share of the memory."""
+    """Set up a worker: own process group, no reaction to Ctrl-C; on Linux, death with its parent and a memory limit."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     for number in (signal.SIGALRM, signal.SIGPROF):
         signal.signal(number, signal.SIG_DFL)
@@ -303,7 +303,7 @@ def _begin(folder: str, memory: int) -> None:
 
 
 def report(part: Any) -> None:
-    """Hand over a part of this job's result, which `Failed.parts` has should it hang or die; not from a cluster."""
+    """Save a part of this job's result for `Failed.parts`, should the job fail later. On a cluster it does nothing."""
     if _parts is not None:
         _parts.write(pickle.dumps(part))
 
@@ -311,7 +311,7 @@ def report(part: Any) -> None:
 def _reported(file: str | None) -> tuple[Any, ...]:
     parts = list[Any]()
     if file is not None and os.path.exists(file):
-        with open(file, "rb") as packed, suppress(Exception):  # the last one may be cut, and any may refuse
+        with open(file, "rb") as packed, suppress(Exception):  # the last part may be cut off, and any may refuse
             while True:
                 parts.append(pickle.load(packed))
     return tuple(parts)
@@ -320,8 +320,8 @@ def _reported(file: str | None) -> tuple[Any, ...]:
 def alarm(seconds: float) -> None:
     """Let the kernel end this job's process after so many seconds, even where a library hangs; 0: never.
 
-    They are of processor time, so that a busy machine makes no answer late; a process that waits is ended after
-    `WAITS` times as many on the clock. A job that calls it before each of many steps limits each of them.
+    Processor time counts, so that a busy machine makes no answer late. A process that only waits is ended after `WAITS`
+    times as many seconds on the clock. A job that calls this before each of its steps sets a limit to each step.
     """
     signal.setitimer(signal.ITIMER_PROF, seconds)
     signal.setitimer(signal.ITIMER_REAL, WAITS * seconds)
@@ -357,7 +357,7 @@ def _cluster(address: str) -> Iterator[tuple[Submit, int]]:
 
 
 def _do_within(work: Callable[..., Any], arguments: tuple[Any, ...], limit_s: float) -> _Done | Failed:
-    """Do one job on a worker of a cluster, which ends itself when the time is up, even where a library hangs."""
+    """Do one job on a cluster's worker, whose process ends itself after ``limit_s``, even where a library hangs."""
     faulthandler.dump_traceback_later(limit_s, exit=True, file=2)
     try:
         return _do(work, arguments)

@@ -1,7 +1,7 @@
-"""Ask solvers for the answers to a set of problems, judge and count these answers, and take the solvers' times.
+"""Collect solvers' answers to sets of problems, judge and count the answers, and measure the solvers' times.
 
 Solvers run in other processes, and each answer has a time limit of its own. All answers are judged by
-`moc_opt.qp.residuals`, never by the solver. Times are taken afterwards, one solver after the other, nothing beside it.
+`moc_opt.qp.residuals`, never by the solver. Times are taken afterwards, one solver at a time, alone.
 """
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ from moc_opt.study.timing import each_us, percentiles, total
 Runner = Callable[..., list[Any]]  # `moc_opt.study.run`, with the study's folder, workers and progress
 
 HUNG, CRASHED, RAISED, NOT_ASKED, REFUSED = "hung", "crashed", "raised", "not asked", "refused"
-"""What became of an answer, beside the statuses of solvers."""
-BROKEN_SETS = 3  # A set is left at its first hang or crash; after so many such sets no other one is asked
-HOURS = 1e5  # of a whole set [s]: every answer has its own limit
-WARM_UP = 16  # solves that are not counted
-CONTRADICTION = 1e-13  # m/s; above the rounding of consistent references
-RIGHTLY = 0.99  # least share of right answers of a solver whose times are compared: a wrong one may come fast
+"""What became of a question, in addition to the statuses that solvers return."""
+BROKEN_SETS = 3  # a set ends at its solver's first hang or crash; after so many such sets no other set is asked
+HOURS = 1e5  # limit of the job for a whole set [s]; every answer has a limit of its own
+WARM_UP = 16  # solves before the timed ones
+CONTRADICTION = 1e-13  # [m/s] references that differ by less are consistent up to rounding
+RIGHTLY = 0.99  # times are compared among solvers with this share of right answers or more: a wrong answer may be fast
 RESIDUALS = ("primal", "natural", "natural_best", "relative", "loss")
 
 
@@ -43,18 +43,18 @@ class Limits(Settings):
     """How much is measured, and how long a solve and a solver's setting up may take."""
 
     KIND: ClassVar[str] = "[testsets]"
-    rounds: int = Field(8, ge=1, description="through a set, warm; fewer where they take longer than `seconds`")
+    rounds: int = Field(8, ge=1, description="warm passes through a set; fewer if they take more than `seconds`")
     seconds: float = Field(0.05, gt=0.0)
     cold: int = Field(16, ge=1, description="problems of a set that are solved cold")
-    patience_s: float = Field(0.5, gt=0.0, description="of processor time; more without an answer is a hang")
-    setup_s: float = Field(15.0, gt=0.0, description="longer without being set up is one too")
+    patience_s: float = Field(0.5, gt=0.0, description="processor time after which a solve counts as hung")
+    setup_s: float = Field(15.0, gt=0.0, description="processor time after which setting up counts as hung")
 
 
 Question = tuple[SolverSetting, TestSet]
 
 
 class Answer(NamedTuple):
-    """One answer: a status, iterations, x (n,), y (6,), and what was raised or is wrong with its form ("": nothing)."""
+    """One answer: status, iterations, x (n,), y (6,), and what the solver raised or what is malformed ("": nothing)."""
 
     status: str
     iterations: int
@@ -66,18 +66,18 @@ class Answer(NamedTuple):
 class Answers:
     """The answers of one solver under one setting to one set of k problems, judged.
 
-    ``refused`` says why the solver does not take them, ``events`` what it raised and how its process ended. ``every``
-    has one answer a problem, those not asked among them; ``status``, ``x``, ``residuals`` and ``verified`` are theirs.
+    ``refused`` says why the solver does not take the problems, ``events`` what it raised and how its process ended.
+    ``every`` has one answer per problem, asked or not, and so have ``status``, ``x``, ``residuals`` and ``verified``.
     """
 
     def __init__(self, setting: SolverSetting, problems: TestSet, result: list[Any] | Failed) -> None:
-        """Judge what the job returned, or what it had reported when it failed."""
+        """Judge the answers that the job returned, or that it had reported before it failed."""
         self.setting, self.problems, self.refused = setting, problems, ""
         failed = result if isinstance(result, Failed) else None
         reason, *given = (result.parts if isinstance(result, Failed) else result) or [None]
         self.events = [f"problem {k}: {one.trouble}" for k, one in enumerate(given) if one.trouble]
         blank = Answer(NOT_ASKED, 0, np.full(joints_of(problems.rows.shape[1]), np.nan), np.full(6, np.nan))
-        if reason or (failed and failed.kind == "raised"):  # it does not take the problems, or cannot be made
+        if reason or (failed and failed.kind == "raised"):  # the solver does not take the problems, or cannot be made
             self.refused, blank = reason or str(failed), blank._replace(status=REFUSED)
         elif failed and failed.kind != "not run":
             what = ", while setting up" if reason is None else ""
@@ -91,15 +91,15 @@ class Answers:
 
     @property
     def complete(self) -> bool:
-        """Whether every problem was answered, somehow."""
+        """Whether the solver returned or raised something on every problem."""
         return not np.isin(self.status, (HUNG, CRASHED, NOT_ASKED, REFUSED)).any()
 
     def counts(self) -> dict[str, int]:
         """Count the answers by outcome, as docs/solvers.md explains it.
 
-        Of `optima_asked` (what is feasible and was not refused) `verified_solved` are right, of `infeasible_asked`
-        `infeasible_right`. Of `inconsistent_asked` problems `refused_inconsistent` were called infeasible, which is
-        neither right nor wrong.
+        Right are `verified_solved` of the `optima_asked` (feasible and not refused as inconsistent), and
+        `infeasible_right` of the `infeasible_asked`. `refused_inconsistent` of the `inconsistent_asked` were called
+        infeasible, which is neither right nor wrong.
         """
         status, feasible = self.status, self.problems.feasible
         claimed, infeasible = status == "solved", status == "infeasible"
@@ -136,7 +136,7 @@ class Answers:
         return found | (times.figures() if times is not None else {})
 
     def rows(self, part: str) -> list[dict[str, Any]]:
-        """Return one row a problem, for rows.parquet."""
+        """Return one row per problem, for rows.parquet."""
         columns = {name: getattr(self.residuals, name).tolist() for name in RESIDUALS}
         columns |= {"feasible": self.problems.feasible.tolist(), "verified": self.verified.tolist()}
         about = {"part": part, "solver": self.setting.solver, "setting": self.setting.name, "set": self.problems.name}
@@ -173,9 +173,9 @@ def totals(answers: Sequence[Answers], times: Sequence[Times]) -> dict[str, Any]
 
 
 def ask(run: Runner, questions: Sequence[Question], limits: Limits, *, warm: bool = True) -> list[Answers]:
-    """Collect all answers of each solver to its set, from one session in order, or each from a new session.
+    """Collect a solver's answers to a set, for each question: from one session or (not ``warm``) a new one per problem.
 
-    After a hang or a crash the rest of its set is not asked; after `BROKEN_SETS` such sets no other is.
+    After a hang or a crash the rest of the set is not asked; after `BROKEN_SETS` such sets no other set is.
     """
     jobs = [
         Job(answer, (setting, problems.rows, warm, limits.patience_s, limits.setup_s), HOURS, group=setting.label)
@@ -186,9 +186,9 @@ def ask(run: Runner, questions: Sequence[Question], limits: Limits, *, warm: boo
 
 
 def answer(setting: SolverSetting, rows: Array, warm: bool, patience_s: float, setup_s: float) -> list[Any]:
-    """Return the reason why the solver does not take these problems, or "", and then an `Answer` each; in a worker.
+    """Return a list: why the solver does not take these problems or "", then an `Answer` per problem; in a worker.
 
-    Each is reported as it comes, and each may take ``patience_s``; setting up, which may build programs, ``setup_s``.
+    Each item is reported as it comes. An answer may take ``patience_s``; setting up, which may compile, ``setup_s``.
     """
     found: list[Any] = []
     alarm(setup_s)
@@ -210,7 +210,7 @@ def _answers(setting: SolverSetting, rows: Array, warm: bool) -> Iterator[Any]:
         if session is None or not warm:
             session, said = _session(solver, qp)
         solution, said = (no_answer(qp.n, Status.NUMERICAL), said) if session is None else _asked(session, qp)
-        if said:  # the next problem is asked of a new session
+        if said:  # the next problem goes to a new session
             session = None
             yield Answer(RAISED, 0, np.full(qp.n, np.nan), np.full(6, np.nan), said)
             continue
@@ -226,7 +226,7 @@ def _made(setting: SolverSetting) -> Solver:
 
 
 def _problems(rows: Array) -> list[NullSpaceQP]:
-    """Make the problems, with all that adapters read of them: it is computed before the clock starts."""
+    """Make the problems, and compute in advance what adapters read of them, so that this is not timed."""
     found = [NullSpaceQP.from_row(np.array(row)) for row in rows]
     for qp in found:
         _ = qp.q, qp.reduced()
@@ -234,7 +234,7 @@ def _problems(rows: Array) -> list[NullSpaceQP]:
 
 
 def _session(solver: Solver, qp: NullSpaceQP) -> tuple[Session | None, str]:
-    """Return a session, or None and the reason why there is none: the solver's own, or what it raised."""
+    """Return a session, or None and why there is none: the reason that the solver gives, or what it raised."""
     try:
         reason = solver.supports(qp)
         if reason is None:
@@ -246,7 +246,7 @@ def _session(solver: Solver, qp: NullSpaceQP) -> tuple[Session | None, str]:
 
 
 def _asked(session: Session, qp: NullSpaceQP) -> tuple[Solution, str]:
-    """Return the answer, and what was raised or is wrong with its form."""
+    """Return the answer, and what the solver raised or what is malformed ("": nothing)."""
     try:
         return received(session.solve(qp), qp.n)
     except (Exception, SystemExit) as error:  # noqa: BLE001 - as above
@@ -262,7 +262,7 @@ class Times(NamedTuple):
     solve: Array  #: (rounds, k) of one session that goes through all problems
     setup: Array  #: of starting a fresh session
     cold: Array  #: of its first solve
-    update: Array  #: of the library's problem; empty where a session cannot take one without solving it
+    update: Array  #: of handing a problem to the library; empty where the session has no separate call for it
     load: Mapping[str, float]  #: what the machine did meanwhile, see `timing.COUNTED`
 
     def figures(self) -> dict[str, Any]:
@@ -274,9 +274,9 @@ class Times(NamedTuple):
 
 
 def time(run: Runner, answers: Sequence[Answers], limits: Limits) -> list[Times | None]:
-    """Time the solvers of these answers on their sets, one after the other with nothing beside.
+    """Time the solver of each of these answers on its set, one after the other with nothing else running.
 
-    None where a problem was not answered, or the timing broke off. Times that other work spoilt are not kept.
+    None where a problem was not answered, or the timing failed. Times of a busy machine are not kept for later runs.
     """
     limit = 20.0 * limits.seconds + limits.patience_s + limits.setup_s
     whole = [one for one in answers if one.complete]
@@ -290,7 +290,7 @@ def time(run: Runner, answers: Sequence[Answers], limits: Limits) -> list[Times 
 
 
 def measure(setting: SolverSetting, rows: Array, every: int, rounds: int, seconds: float) -> Times:
-    """Time one session over all problems, round by round, and fresh ones for each ``every``-th; in a worker."""
+    """Time one session over all problems, round by round, and a fresh one for each ``every``-th; in a worker."""
     solver, problems = _made(setting), _problems(rows)
     session = solver.start(problems[0])
     each_us(session.solve, problems[:WARM_UP])

@@ -93,11 +93,11 @@ def record(case: Scenario, ticks: int) -> Array:
 
 
 def recorded_sequence(work: Work) -> None:
-    """Ask every solver warm and cold for the recorded sequence, under the recommended settings; times one by one."""
+    """Give the recorded sequence to every solver, recommended settings, warm and cold; then time them one by one."""
     config = work.config.open_loop
     problems = [NullSpaceQP.from_row(np.array(row)) for row in work.sequence]
     session = Exact().start(problems[0])
-    optima = [session.solve(qp) for qp in problems]  # whose claims the certificates of the sets confirm
+    optima = [session.solve(qp) for qp in problems]  # the reference: on the certified sets its claims hold
     feasible = np.array([one.status is Status.SOLVED for one in optima])
     data = TestSet("recorded", work.sequence, np.array([one.x for one in optima]), feasible)
     limits = Limits(patience_s=2.0, setup_s=40.0, rounds=2, seconds=1.0, cold=config.cold)
@@ -128,11 +128,11 @@ def recorded_sequence(work: Work) -> None:
 
 
 def certified_sets(work: Work) -> None:
-    """Ask every solver under every setting for every set; the answers several at a time, the times one by one."""
+    """Give every set to every solver under every setting: answers in parallel jobs, times one by one."""
     config = work.config.testsets
     chosen = [TestSet.load(name).thinned(config.every) for name in config.chosen()]
     thinned = [data.thinned(config.every_other) for data in chosen]
-    questions = [  # set by set: were all questions to a solver that hangs under way at once, each would have to hang
+    questions = [  # set by set, so that a solver that hangs is given up before its other sets are begun
         (setting, data if setting.recommended and not setting.nonlinear else thin)
         for data, thin in zip(chosen, thinned, strict=True) for setting in work.settings
     ]  # fmt: skip
@@ -182,7 +182,7 @@ def _set_by_set(summary: Mapping[str, Any], names: Sequence[str], recommended: S
 
 
 def closed_loop(work: Work) -> None:
-    """Run every solver in the controller, and the baseline, each on its trials."""
+    """Run the baseline and every solver, in the controller, each on its trials."""
     part = work.config.closed_loop
     cases = work.config.cases()
     number = {case.name: k for k, case in enumerate(cases)}
@@ -192,7 +192,7 @@ def closed_loop(work: Work) -> None:
     asked = []
     for case in starts:
         k = number[case.name]
-        case = case.change(best_courses=k < part.others)  # each takes as long as a run, and all solvers share these
+        case = case.change(best_courses=k < part.others)  # slow as a run: only on the trials of all solvers
         timed = k < part.timed
         asked += [
             Trial(case, name, work.config.settings.get(name, {}), timed=timed, keep="curves" if timed else "row")
@@ -215,8 +215,8 @@ def figures(
 ) -> dict[str, Any]:
     """Return what the summary holds of a controller: means and changes over its whole runs, sums and largest values.
 
-    The times of those of its ``runs`` that ran alone are pooled. Only on the trials in ``common`` (None: all), which
-    every solver runs, are its endings held against it, as others may end alike on a trial that they do not run.
+    Times are pooled over the ``runs`` that ran alone. Bad endings count against a controller only on the trials in
+    ``common`` (None: all), which every solver runs: on the other trials, other solvers might have ended alike.
     """
     found = rows.figures(controller, MEANS, CHANGES)
     mine = [row for row in rows if row["controller"] == controller]

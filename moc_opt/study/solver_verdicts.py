@@ -1,7 +1,7 @@
-"""Which solver to take and which to avoid: one verdict for each, and the first screen that says it.
+"""Which solver to take and which to avoid: a verdict on each solver, and the first screen of the report.
 
-The numbers come from summary.json and, for the damage in closed loop, from the runs' rows. docs/solvers.md has the
-rules and the reasons for them.
+The numbers come from summary.json; the damage in closed loop is computed from the rows of the runs. docs/solvers.md has
+the rules and the reasons for them.
 """
 
 from __future__ import annotations
@@ -32,14 +32,14 @@ GAPS, NEAR = Mark("◐", "gaps", "fair", 2), Mark("≈", "near", "fair", 3)
 OTHER, OPEN = Mark("≠", "other", "other", 4), Mark("–", "open", "other", 5)
 AVOID = Mark("✘", "avoid", "bad", 6)
 TONES = {TAKE: GOOD, SOUND: GOOD, GAPS: list(SERIES)[4], NEAR: list(SERIES)[4], OTHER: MUTED, OPEN: BAD, AVOID: WORST}
-TOO_MUCH = 5.0  # times what counts as equal: from there on a solver is to be avoided
+TOO_MUCH = 5.0  # a solver that loses more than this many tolerances (see `COSTS`) is to be avoided
 COSTS = {
     "mu_mean": ("mu", 0.01),
     "tip_error_model_mean_mm": ("tip", 0.05), "tip_error_registered_mean_mm": ("registered tip", 0.05),
     "rcm_error_model_mean_mm": ("RCM", 0.05), "rcm_error_registered_mean_mm": ("registered RCM", 0.05),
     "torque_rate_rms_Nm_per_s": ("chatter", 0.1),
 }  # fmt: skip
-"""Closed-loop figures by which solvers are compared: the word for each, and the share of it that counts as equal."""
+"""Metric in closed loop -> (its short name, the tolerance: the relative change up to which two solvers are equal)."""
 FRAMED = tuple(name for name in COSTS if "_error_" in name)
 CERTIFIED, RECORDED, CLOSED = "Certified test sets", "Recorded sequence", "Closed loop"
 NEITHER = "neither right nor wrong"
@@ -50,9 +50,9 @@ INCONSISTENT = (
 
 
 def assess(summary: Summary, runs: Results) -> list[Row]:
-    """Return one row for each solver under its recommended setting, the best first; parts may be missing yet.
+    """Return one row per solver under its recommended setting, the best first; the summary may lack some parts.
 
-    A library that qpsolvers calls as well is judged where its own adapter calls it.
+    A library that was run both by its own adapter and through qpsolvers is judged by its own adapter's results.
     """
     sets, warm, closed = (summary.get(part, {}) for part in ("testsets", "open_loop_warm", "closed_loop"))
     certified = {n.removesuffix(f"@{RECOMMENDED}"): m for n, m in sets.items() if n.endswith(f"@{RECOMMENDED}")}
@@ -76,7 +76,7 @@ def assess(summary: Summary, runs: Results) -> list[Row]:
 
 
 def verdict(row: Row, damage: float = 0.0) -> Mark:
-    """Return the first verdict whose rule holds; ``damage`` is in units of what counts as equal."""
+    """Return the first verdict whose rule holds; ``damage`` is the loss in closed loop, in tolerances."""
     counted = row["counted"]
     broken = counted.get("hung", 0) + counted.get("crashed", 0) + sum(_ended(row["closed"]).values())
     rules = {
@@ -90,13 +90,13 @@ def verdict(row: Row, damage: float = 0.0) -> Mark:
 
 
 def _figures(name: str, certified: Row, warm: Row, closed: Row) -> Row:
-    """Return the figures of one solver: certified sets first, the recorded sequence where they were not run."""
+    """Return one solver's figures: counts from the certified sets if they ran, times from the recorded sequence."""
     counted = certified or warm
     other = name.startswith(NONLINEAR)
     hidden = Missing("it answers the nonlinear problem of the tick: not comparable")
     wrong = sum(int(part.get("silently_wrong") or 0) for part in (certified, warm, closed))
     timed, suffix = (warm, "") if warm.get("solve_p50_us") is not None else (certified, "_worst_set")
-    share = math.floor(1e4 * share_right(counted)) / 100.0 if counted.get("solves") else None  # 100 is all of them
+    share = math.floor(1e4 * share_right(counted)) / 100.0 if counted.get("solves") else None  # 100 means all
     return {
         "solver": name, "counted": counted, "closed": closed, "relative_max": counted.get("relative_max"),
         "right_percent": hidden if other else share, "silently_wrong": hidden if other else wrong,
@@ -106,7 +106,7 @@ def _figures(name: str, certified: Row, warm: Row, closed: Row) -> Row:
 
 
 def _ended(closed: Row) -> dict[str, int]:
-    """Return the runs that did not end well on the trials that every solver ran."""
+    """Return how many runs broke off and how many oscillated, on the trials that every solver ran."""
     return {word: closed.get(f"{word.replace(' ', '_')}_in_common", 0) for word in ("broke off", "oscillated")}
 
 
@@ -116,7 +116,7 @@ def _order(row: Row) -> tuple[float, float, float]:
 
 
 def _damage(row: Row, reference: str | None, runs: Results) -> tuple[Any, float]:
-    """Return the worst of it in words, and how many times what counts as equal it surely is."""
+    """Return the worst loss in closed loop: in words, and in tolerances as far as it is sure (0: no loss is sure)."""
     for word, count in _ended(row["closed"]).items():
         if count:
             return f"{count} {word}", TOO_MUCH
@@ -136,7 +136,7 @@ def _damage(row: Row, reference: str | None, runs: Results) -> tuple[Any, float]
 
 
 def _size(metric: str, change: Change) -> tuple[float, float]:
-    """Return the least and the largest cost that both intervals hold, over what counts as equal."""
+    """Return the smallest and the largest loss in the two intervals of a change, in tolerances; a gain is negative."""
     sides = [(-one.high, -one.low) if metric == "mu_mean" else (one.low, one.high) for one in change]
     equal = 100.0 * COSTS[metric][1]
     return min(low for low, _ in sides) / equal, max(high for _, high in sides) / equal
@@ -146,7 +146,7 @@ def _size(metric: str, change: Change) -> tuple[float, float]:
 
 
 def sentences(summary: Summary, rows: Sequence[Row]) -> list[str]:
-    """Say which solver to take and why, what else is sound and what it does to the robot, and what to avoid."""
+    """Say which solver to take and why, what else is sound, what sound answers do to the robot, and what to avoid."""
     if not rows:
         return ["Nothing was run."]
     best, sound = rows[0], [row for row in rows if row["verdict"] is SOUND]
@@ -171,7 +171,7 @@ def sentences(summary: Summary, rows: Sequence[Row]) -> list[str]:
 
 
 def _why(summary: Summary, row: Row, others: Sequence[Row], asked: int) -> str:
-    """Say what the solver to take was asked for and answered, its time, and whether that is to be trusted."""
+    """Say how many problems the solver to take solved, how fast it is, and whether that time is to be trusted."""
     counted = row["counted"]
     kind = "certified" if "testsets" in summary else "recorded"
     refused = counted["refused_inconsistent"]
@@ -186,7 +186,7 @@ def _why(summary: Summary, row: Row, others: Sequence[Row], asked: int) -> str:
     text += f". It {listed(parts)}; none of its answers was silently wrong."
     if row["p50_us"] is not None:
         text += f" Its median time is {row['p50_us']:.1f} us, p99 {row['p99_us']:.1f} us."
-        # Noise might rank these otherwise.
+        # Noise may change the order of solvers whose times are so close.
         close = [one for one in (row, *others) if (one["p50_us"] or 0.0) <= row["p99_us"]]
         if not all(one["quiet"] for one in close):
             text += " But others used the machine while it, or one about as fast, was timed: run again."
@@ -211,7 +211,7 @@ def _in_closed_loop(row: Row) -> str:
 
 
 def _avoid(summary: Summary, rows: Sequence[Row]) -> list[str]:
-    """Say what to avoid: solvers with the reason, and the settings that libraries come with."""
+    """Name the solvers to avoid, with the reason, and the libraries whose default settings gave wrong answers."""
     parts = []
     for row in rows:
         if row["verdict"] is AVOID:
@@ -238,7 +238,7 @@ def _avoid(summary: Summary, rows: Sequence[Row]) -> list[str]:
 
 
 def first_table(summary: Summary, rows: Sequence[Row]) -> Table:
-    """Return the one table: every solver under its recommended setting, the best first."""
+    """Return the table of the first screen: every solver under its recommended setting, the best first."""
     counted = max((row["counted"].get("solves", 0) for row in rows), default=0)
     kind = CERTIFIED if "testsets" in summary else RECORDED
     recorded = RECORDED if "open_loop_warm" in summary else CERTIFIED
@@ -261,7 +261,7 @@ def first_table(summary: Summary, rows: Sequence[Row]) -> Table:
     if any(row["trials"] for row in rows):
         columns += [
             Column("damage", "worst damage", section=CLOSED,
-                   help="the closed-loop figure that is worst beyond what counts as equal to the solver to take"),
+                   help="largest loss in closed loop against the solver to take, beyond the tolerance"),
             Column("tip_change", "tip own/ registered", unit="%", section=CLOSED,
                    help="change of the mean tip error against DCAC, in both frames"),
         ]  # fmt: skip
@@ -275,7 +275,7 @@ def first_table(summary: Summary, rows: Sequence[Row]) -> Table:
 
 
 def _trials_told(rows: Sequence[Row]) -> str:
-    """Say how many trials each solver ran: figures over different trials are not to be compared with each other."""
+    """Say how many trials each solver ran, since figures over different trials are not to be compared."""
     most = max(row["closed"].get("trials", 0) for row in rows)
     all_of = [row["solver"] for row in rows if row["closed"].get("trials") == most]
     fewer = {row["closed"]["trials"] for row in rows if 0 < row["closed"].get("trials", 0) < most}
@@ -285,7 +285,7 @@ def _trials_told(rows: Sequence[Row]) -> str:
 
 
 def _tip_in_both_frames(runs: Results, solver: str) -> str | None:
-    """Write the changes of the tip's error in both frames as one text; None of too few trials."""
+    """Write the changes of the tip's error in both frames as one text; None where there are too few trials."""
     changes = [runs.change(name, solver) for name in FRAMED if name.startswith("tip")]
     if any(change is None or change.ratio.samples < LEAST_TRIALS for change in changes):
         return None

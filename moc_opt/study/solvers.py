@@ -1,8 +1,8 @@
-"""The main job: every solver on certified and recorded subproblems, and in the same torque controller.
+"""The main study: every solver on certified and recorded subproblems, and in the same torque controller.
 
-In the order of reading: `Config` (the question), the parts in ``solver_parts``, `work`, `report`. ``solver_answers``
-asks, counts and times, ``solver_settings`` has every solver's settings and why, ``solver_verdicts`` the rules from
-numbers to a verdict.
+Read in this order: `Config` (the question), the parts in ``solver_parts``, `work`, `report`. ``solver_answers``
+collects, counts and times answers, ``solver_settings`` has every solver's settings and the reasons for them, and
+``solver_verdicts`` the rules that turn numbers into a verdict.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ from moc_opt.study.trials import BASELINE, seeds, trials
 STREAM = 3
 FULL = Path(__file__).parent / "solvers-full.toml"
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
-TIMED = ("open_loop_warm", "testsets", "closed_loop")  # parts of the summary with times, each measurement once
+TIMED = ("open_loop_warm", "testsets", "closed_loop")  # the parts of the summary that hold each measured time once
 
 
 class OpenLoop(Settings):
@@ -59,11 +59,11 @@ class TestSets(Limits):
     __test__: ClassVar[bool] = False  # not a class of tests
 
     names: Literal["all"] | list[str] = "all"
-    timed: list[str] = Field(["circle", "circle-rho0", "random"], description="under every setting")
+    timed: list[str] = Field(["circle", "circle-rho0", "random"], description="sets timed under every setting")
     timed_too: list[str] = Field(["infeasible", "joint-limits", "jumps", "near-singular", "inconsistent-1e-6"])
-    """under the recommended settings"""
-    every: int = Field(1, ge=1, description="take each every-th problem")
-    every_other: int = Field(4, ge=1, description="under default and tight settings, and of nlp-*, each so many-th")
+    """sets timed under the recommended settings only"""
+    every: int = Field(1, ge=1, description="take every so many-th problem")
+    every_other: int = Field(4, ge=1, description="like `every`, for nlp-* and settings not recommended")
 
     @field_validator("names", "timed", "timed_too")
     @classmethod
@@ -73,33 +73,33 @@ class TestSets(Limits):
         return value
 
     def chosen(self) -> list[str]:
-        """Return the names of the sets, in the order in which they are always shown."""
+        """Return the names of the sets, in the order of `testsets.NAMES`."""
         return [name for name in testsets.NAMES if self.names == "all" or name in self.names]
 
 
 class ClosedLoop(Settings):
-    """The trials."""
+    """The trials in closed loop."""
 
     KIND: ClassVar[str] = "[closed_loop]"
-    tasks: list[str] = Field(["circle", "sinusoid", "spiral"], min_length=1, description="of the trials, in turn")
-    trials: int = Field(60, ge=1, description="of DCAC and the cited solvers, each with a seed of its own")
-    cited: list[str] = Field(["exact", "rnn", "rnn-printed"], description="solvers that the first sentences speak of")
-    others: int = Field(15, ge=1, description="trials of every other solver, the first ones")
-    timed: int = Field(1, ge=1, description="trials that run alone, the only ones whose times are used")
+    tasks: list[str] = Field(["circle", "sinusoid", "spiral"], min_length=1, description="the trials take them in turn")
+    trials: int = Field(60, ge=1, description="number for DCAC and the cited solvers; each has its own seed")
+    cited: list[str] = Field(["exact", "rnn", "rnn-printed"], description="solvers in the first sentences")
+    others: int = Field(15, ge=1, description="number for every other solver: the first of `trials`")
+    timed: int = Field(1, ge=1, description="number that run alone; only their times are used")
     duration_s: Level = Field(4.0, description="of a trial; inf: the whole task")
     slow: list[str] = Field(["nlp-ipopt", "qpsolvers:highs", "qpsolvers:scs"])
-    """left out: they take a millisecond a tick"""
+    """solvers left out: they take a millisecond per tick"""
 
     def of(self, solver: str) -> int:
-        """Return the number of trials that a solver, or the baseline, runs: the first so many."""
+        """Return how many trials a solver, or the baseline, runs; they are the first of all trials."""
         return self.trials if solver in (BASELINE, *self.cited) else min(self.others, self.trials)
 
 
 class Config(StudyConfig):
-    """moc_opt/study/solvers.toml."""
+    """The question, as in moc_opt/study/solvers.toml."""
 
     solvers: Literal["all"] | list[str] = "all"
-    twice: bool = Field(False, description="qpsolvers:NAME too where NAME has an adapter of its own")
+    twice: bool = Field(False, description="ask qpsolvers:NAME too where NAME has its own adapter")
     parts: list[Literal["open_loop", "testsets", "closed_loop"]] = Field(["open_loop", "testsets", "closed_loop"])
     open_loop: OpenLoop = OpenLoop()
     testsets: TestSets = TestSets()
@@ -124,7 +124,7 @@ class Config(StudyConfig):
         return trials(base, part.tasks, seeds(self.seed, STREAM, part.trials))
 
     def but(self, **changes: Any) -> Self:
-        """Return the same with other entries, checked; a mapping changes entries of a table."""
+        """Return a checked copy with other entries; a mapping changes entries of a table."""
         tables = {name: getattr(self, name).replace(of) for name, of in changes.items() if isinstance(of, dict)}
         return self.replace(changes | tables)
 
@@ -150,12 +150,12 @@ class Work:
 
     @property
     def recommended(self) -> list[SolverSetting]:
-        """Each solver under the setting that we recommend."""
+        """Each solver under its recommended setting."""
         return [setting for setting in self.settings if setting.recommended]
 
     @cached_property
     def sequence(self) -> Array:
-        """The recorded subproblems, one a tick (ticks, 11 n + 10)."""
+        """The recorded subproblems, one row per tick (ticks, 11 n + 10)."""
         config = self.config
         base = config.scenario.change(start={"pose": "random"})
         (case,) = trials(base, [config.open_loop.task], seeds(config.seed, STREAM, 1))
@@ -174,7 +174,7 @@ class Work:
         return partial(self.study.run, what=what)
 
     def say(self) -> None:
-        """Print the first sentence as far as it is known, if it changed."""
+        """Print the report's first sentence as known so far, if it has changed since it was last printed."""
         said = sentences(self.summary, assess(self.summary, self.runs))[0]
         if said != self.said:
             self.said = said
@@ -187,7 +187,7 @@ PARTS = {"open_loop": recorded_sequence, "testsets": certified_sets, "closed_loo
 
 
 def work(study: Study, config: Config) -> Found:
-    """Run the parts that are asked for, in the order in which they need each other."""
+    """Run the requested parts in the order of `PARTS`, and report what they found."""
     given = study.given
     if given.full and not given.quick:
         config = Config.load(FULL, config.seed)
@@ -217,7 +217,7 @@ def work(study: Study, config: Config) -> Found:
 
 
 def once(names: Sequence[str]) -> tuple[list[str], dict[str, str]]:
-    """Return the names without a library that has an adapter of its own, and name -> reason for those."""
+    """Drop `qpsolvers:NAME` where NAME is listed too; return the names that are left, and dropped name -> reason."""
     native = {f"{QPSOLVERS}{name}": name for name in names}
     return [name for name in names if name not in native], {
         name: f"the same library as `{native[name]}`: `twice = true` in the configuration asks both ways"
@@ -248,8 +248,8 @@ def report(found: Work) -> Report:
 
 
 def main(arguments: Sequence[str] | None = None, *, program: str = "moc-opt solvers") -> int:
-    """Run the study as the command that is called so; returns the exit status."""
-    for name in THREADS:  # read by the libraries of the workers, which have not begun
+    """Run the study as the command called ``program``; return the exit status."""
+    for name in THREADS:  # the workers, which start later, inherit these
         os.environ.setdefault(name, "1")
 
     def options(parser: ArgumentParser) -> None:

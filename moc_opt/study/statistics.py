@@ -1,13 +1,13 @@
 """Means and changes over independent trials, with bootstrap intervals, and when they decide nothing.
 
-Resampling is scipy's: bias-corrected and accelerated (Efron 1987), over trials, and over pairs where two controllers
-ran the same trials. A bootstrap of few samples is too narrow, and BCa follows the few outliers of a change that is zero
-in most trials. So its confidence level is raised to what Student's t asks of as many samples (Hesterberg 2015,
-"expanded percentiles"), the interval also holds that of Student's t around the value with the jackknife's standard
-error, and both are made at `NOMINAL`, so that they cover as often as `CONFIDENCE` says (docs/method.md).
+Intervals are scipy's bias-corrected and accelerated bootstrap (BCa, Efron 1987) over trials, or over pairs where two
+controllers ran the same trials. From few samples a bootstrap interval is too narrow, and where a change is zero in most
+trials, BCa depends on the few outliers. So the confidence level is raised to match Student's t for as many samples
+("expanded percentiles", Hesterberg 2015), the interval is extended to contain that of Student's t with the jackknife's
+standard error, and both aim at fewer misses (`NOMINAL`), so as to cover as often as `CONFIDENCE` says (docs/method.md).
 
-A change is the ratio of the means. The mean of the trials' ratios is computed beside it: where the two disagree in sign
-or verdict the change is undecided.
+A change is the ratio of the means. The mean of the trials' ratios is computed as well. Where the two figures disagree
+in sign, or only one of their intervals holds 0, the change is undecided.
 """
 
 from __future__ import annotations
@@ -26,22 +26,22 @@ from moc_opt.errors import MocOptError
 RESAMPLES = 4000
 CONFIDENCE = 0.95
 NOMINAL = 0.7
-"""Part of the share of misses (1 - confidence) at which intervals are made: simulated ones cover less than they say."""
-ROUNDING = 1e-9  # A change smaller than this is none [percent]
-LEAST_TRIALS = 8  # fewer trials decide nothing: no verdict is given on them
+"""Intervals are computed for `NOMINAL` times the allowed misses (1 - confidence): simulated ones missed too often."""
+ROUNDING = 1e-9  # a smaller change counts as zero [percent]
+LEAST_TRIALS = 8  # fewer trials decide nothing: they get no verdict
 
 
 def too_few(trials: int) -> str | None:
-    """Return the words that stand in place of a verdict on so few trials; None where they are enough."""
+    """Return the words that replace a verdict where there are too few trials; None where there are enough."""
     return f"too few trials to decide ({trials} of at least {LEAST_TRIALS})" if trials < LEAST_TRIALS else None
 
 
 class StatisticsError(MocOptError, ValueError):
-    """Samples that no statistic can be made of."""
+    """Samples for which a statistic has no value."""
 
 
 class Interval(NamedTuple):
-    """A statistic and its confidence interval; `low` and `high` are NaN where a single sample gives none."""
+    """A statistic and its confidence interval; `low` and `high` are NaN for a single sample."""
 
     value: float
     low: float
@@ -60,19 +60,19 @@ class Interval(NamedTuple):
 
 
 class Change(NamedTuple):
-    """A change against a baseline [percent], by both means: ``ratio`` of the means, mean of the trials' ``ratios``."""
+    """A change against a baseline [percent]: the ``ratio`` of the means, and the mean of the trials' own ``ratios``."""
 
     ratio: Interval
     ratios: Interval
 
     def side(self, bound: float = 0.0) -> int:
-        """Return +1 or -1 where both intervals lie above or below the bound [percent]; 0 where it is undecided."""
+        """Return +1 (-1) where both intervals lie above (below) the bound [percent]; else, or for too few trials, 0."""
         both = {int(one.low > bound + ROUNDING) - int(one.high < bound - ROUNDING) for one in self}
         return both.pop() if len(both) == 1 and self.ratio.samples >= LEAST_TRIALS else 0
 
     @property
     def undecided(self) -> bool:
-        """Whether the two means disagree in sign, or one interval holds 0 where the other does not."""
+        """Whether the two figures disagree in sign, or only one of the two intervals holds 0."""
         sides = [(one.low > ROUNDING, one.high < -ROUNDING) for one in self]
         values = self.ratio.value, self.ratios.value
         opposed = min(values) < -ROUNDING and max(values) > ROUNDING
@@ -82,7 +82,7 @@ class Change(NamedTuple):
         return f"{self.ratio:.3g}" + (f" (mean of ratios {self.ratios:.3g}: undecided)" if self.undecided else "")
 
     def entries(self, name: str) -> dict[str, float]:
-        """Return both with their ends, for a summary: ``name`` and ``name_of_ratios``; and ``name_undecided``."""
+        """Return both figures with intervals (``name``, ``name_of_ratios``) and ``name_undecided``, for a summary."""
         return {
             **self.ratio.entries(name), **self.ratios.entries(f"{name}_of_ratios"),
             f"{name}_undecided": float(self.undecided),
@@ -90,9 +90,9 @@ class Change(NamedTuple):
 
 
 def spread(entries: Mapping[str, Any], name: str, digits: int = 3, sign: str = "", unit: str = "") -> str | None:
-    """Return a figure of a summary with its interval, as text; None where there is none.
+    """Return a figure of a summary with its interval, as text; None where the summary lacks it.
 
-    Of an undecided `Change` both means are told. ``sign`` "+" shows that of positive figures too.
+    An undecided `Change` is written with both of its figures. ``sign`` "+" writes a plus sign before positive ones.
     """
     value, low, high = (entries.get(key) for key in (name, f"{name}_low", f"{name}_high"))
     if value is None:
@@ -119,7 +119,7 @@ def share(found: int, trials: int) -> Interval:
 
 
 def mean(samples: ArrayLike) -> Interval:
-    """Return the mean of one number a trial, (k,); a StatisticsError where there is none, or one is not finite."""
+    """Return the mean of (k,) numbers, one per trial; a StatisticsError where k = 0 or one of them is not finite."""
     return _interval(np.mean, samples=samples)
 
 
@@ -133,7 +133,7 @@ def relative_change(treated: ArrayLike, control: ArrayLike) -> Interval:
 
 
 def relative_changes(treated: ArrayLike, control: ArrayLike) -> Change:
-    """Compute `relative_change`, and the mean over the trials of 100 (treated/control - 1) [percent]; raises as it."""
+    """Compute `relative_change`, and the mean over trials of 100 (treated/control - 1) [percent]; same errors."""
     ratio = relative_change(treated, control)
     with np.errstate(divide="ignore", invalid="ignore"):
         each = 100.0 * (np.asarray(treated, float) / np.asarray(control, float) - 1.0)
@@ -143,7 +143,7 @@ def relative_changes(treated: ArrayLike, control: ArrayLike) -> Change:
 def difference_of_changes(
     treated: ArrayLike, control: ArrayLike, treated_before: ArrayLike, control_before: ArrayLike
 ) -> Interval:
-    """Subtract one `relative_change` from another, of the same trials [percentage points]; raises as it."""
+    """Return the `relative_change` minus that of the `_before` numbers of the same trials [percentage points]."""
     before = {"treated_before": treated_before, "control_before": control_before}
     return _interval(_difference, treated=treated, control=control, **before)
 
@@ -177,7 +177,7 @@ def _interval(statistic: Callable[..., Any], **given: ArrayLike) -> Interval:
     expanded = float(2.0 * stats.norm.cdf(np.sqrt(count / (count - 1)) * quantile) - 1.0)
     half = quantile * _standard_error(statistic, samples)
     for method in ("BCa", "percentile"):
-        # BCa has no value where all resamples agree or the jackknife does; the percentiles always have.
+        # BCa has no value where all resamples or all jackknife values agree; the percentile interval always has one.
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # degenerate samples
             found = stats.bootstrap(
@@ -191,7 +191,7 @@ def _interval(statistic: Callable[..., Any], **given: ArrayLike) -> Interval:
 
 
 def _standard_error(statistic: Callable[..., Any], samples: Sequence[Array]) -> float:
-    """Return the jackknife's standard error; 0 where a statistic of all trials but one has no value."""
+    """Return the jackknife's standard error; 0 where the statistic without one of the trials has no finite value."""
     count = len(samples[0])
     left = [np.array([np.delete(sample, k) for k in range(count)]) for sample in samples]
     with np.errstate(divide="ignore", invalid="ignore"):
