@@ -1,4 +1,4 @@
-"""moc-opt, or python -m moc_opt: run a command, and turn what goes wrong into one line and an exit status."""
+"""moc-opt, or python -m moc_opt: run a command, and turn an error into one line and an exit status."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from moc_opt.errors import MocOptError, describe
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a command; returns 0, 2 where the input is wrong, 3 where a run did not end "completed"."""
+    """Run a command; return 0, 2 after wrong input, 3 if a run did not end "completed", 130 after Ctrl-C."""
     try:
         try:
             return _command(arguments)
@@ -36,7 +36,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _nobody_reads() -> bool:
-    """Tell whether the broken pipe is that of the output."""
+    """Tell whether the broken pipe is standard output."""
     watched = select.poll()
     watched.register(sys.stdout.fileno(), 0)
     return bool(watched.poll(0))
@@ -44,12 +44,12 @@ def _nobody_reads() -> bool:
 
 def _command(arguments: Sequence[str] | None) -> int:
     parser = make_parser()
-    if "_ARGCOMPLETE" in os.environ:  # a shell asks how the line may go on
+    if "_ARGCOMPLETE" in os.environ:  # a shell asks for completions of the command line
         import argcomplete
 
         argcomplete.autocomplete(parser)
     given, rest = parser.parse_known_args(arguments)
-    given.rest = rest  # of the study
+    given.rest = rest  # options of a study
     if given.command is None:
         parser.error("no command: `moc-opt run` runs the default scenario, `moc-opt -h` says what each command does")
     if rest and (given.command != "solvers" or given.list):
@@ -60,13 +60,13 @@ def _command(arguments: Sequence[str] | None) -> int:
         refused = isinstance(error, MocOptError | MemoryError)
         status = 130 if isinstance(error, KeyboardInterrupt) else 2 if refused else 1
         if isinstance(error, BrokenPipeError) or (status == 1 and not hasattr(error, "__notes__")):
-            raise  # a defect has notes where the rows of its run are safe
+            raise  # a defect gets one line only if notes say where its run was saved
         print(_one_line(error), file=sys.stderr)
         return status
 
 
 def _one_line(error: BaseException) -> str:
-    """Return what went wrong, and where what there is of the run is to be found."""
+    """Return the error in one line, with the notes that say where the rows of the run were saved."""
     said = "interrupted" if isinstance(error, KeyboardInterrupt) else f"{type(error).__name__}: {error}"
     where = ""
     if not isinstance(error, MocOptError | MemoryError | KeyboardInterrupt):

@@ -1,4 +1,4 @@
-"""The one type of all numbers, and arrays that nobody may write into."""
+"""The one type of all numeric arrays, and arrays that are read-only."""
 
 from __future__ import annotations
 
@@ -12,6 +12,6 @@ Given = TypeVar("Given", bound=NDArray[Any])
 
 
 def read_only(array: Given) -> Given:
-    """Make an array read-only, and return it; other names of its memory stay writable."""
+    """Make an array read-only, and return it; other arrays on the same memory stay writable."""
     array.setflags(write=False)
     return array

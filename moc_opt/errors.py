@@ -55,7 +55,7 @@ class StudyError(MocOptError, RuntimeError):
 
 
 class ReportError(MocOptError, ValueError):
-    """A table, figure or page cannot be made from these data, or not be written."""
+    """A table, figure or page cannot be made from these data, or cannot be written."""
 
 
 class BrowserError(ReportError):
@@ -63,20 +63,20 @@ class BrowserError(ReportError):
 
 
 class BrowserMissingError(BrowserError):
-    """There is none, or nothing to drive it with; the message holds what to install."""
+    """No browser is installed, or nothing to drive one with; the message says what to install."""
 
 
 class UnknownNameError(MocOptError, LookupError):
     """A name that is in no list; the message holds the nearest valid ones."""
 
-    MOST = 10_000  # a long list is ours
-    FEW: ClassVar[int] = 12  #: So many names are all shown, even where a command lists them.
+    MOST = 10_000  # a long list of names is the project's own text
+    FEW: ClassVar[int] = 12  #: Up to so many names are all shown, even where a command lists them.
 
     def __init__(self, kind: str, name: str, valid: Iterable[str], listed_by: str = "") -> None:
-        """Name the nearest of the ``valid`` names, and all of them; of a long list the command that lists it."""
+        """Name the nearest of the ``valid`` names, then all of them, or for a long list the command that prints it."""
         names = sorted(valid)
         short = bool(listed_by) and len(names) > self.FEW
-        # a key without its table is looked for among the last parts of dotted ones
+        # a key without its table is compared with the last parts of dotted keys
         ends = {one: (one if "." in name else one.rpartition(".")[2]).lower() for one in names}
         close = difflib.get_close_matches(name[:100].lower(), set(ends.values()), n=3, cutoff=0.55)
         near = [one for end in close for one in names if ends[one] == end][:3]
@@ -87,7 +87,7 @@ class UnknownNameError(MocOptError, LookupError):
 
 
 def is_number(value: object) -> bool:
-    """Return whether a value is a real number, numpy's included, that a float can hold, and no truth value."""
+    """Return whether a value is a real number (also one of numpy's) that fits a float; a bool is not."""
     fits = not isinstance(value, int) or abs(value) < 2**1023
     return isinstance(value, Real) and not isinstance(value, bool) and fits
 
@@ -113,5 +113,5 @@ def describe(error: BaseException, most: int = 300) -> str:
 
 
 def printable(text: str) -> str:
-    """Return a text in which no character steers a terminal: it comes from foreign code, or over a wire."""
+    """Replace what could control a terminal; the text comes from foreign code or over a network."""
     return "".join(c if c.isprintable() else "\ufffd" for c in text)

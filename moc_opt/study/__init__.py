@@ -1,9 +1,9 @@
 """Studies: independent trials, each run by a function in another process, become rows, a table, a page and a verdict.
 
-In the order of reading: ``trials`` (a scenario and a controller become a row), ``engine`` (jobs in other processes:
+Read in this order: ``trials`` (a scenario and a controller become a row), ``engine`` (jobs in other processes:
 time limits, crashes), ``kept`` (finished jobs stay), ``results`` (the table of rows), ``statistics`` (means and
 changes with their intervals), ``show`` (what a reader sees), ``command`` (options and files), ``timing`` (the clock,
-and what the machine did meanwhile). ``compare`` is the study behind ``mo.compare``, ``solvers`` that behind
+and what the machine did meanwhile). ``compare`` is the study behind ``mo.compare``, ``solvers`` the one behind
 ``moc-opt solvers``. docs/extending.md shows a study of 20 lines.
 """
 

@@ -1,7 +1,7 @@
 """Finished jobs in a folder: a study that was stopped, in whatever way, goes on where it was.
 
-A result is taken again if its job has the same function and arguments, the packages have the same versions, and every
-file of this project that the job's process had imported, and every robot's file, is as it was.
+A result is reused if its job has the same function and arguments, the packages have the same versions, and neither the
+robots' files nor the files of this project that the job's process had imported have changed.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class _Entry(NamedTuple):
 
 
 class Kept:
-    """Finished jobs in ``folder``; a StudyError where it cannot be used."""
+    """Finished jobs in ``folder``; a StudyError where the folder cannot be used."""
 
     def __init__(self, folder: Path) -> None:
         self.folder, self.reused = folder, 0
@@ -74,7 +74,7 @@ class Kept:
 
 def key_of(work: Callable[..., Any], arguments: Iterable[Any]) -> str:
     """Return the digest of a job's function and arguments, and of the libraries' versions."""
-    code = getattr(work, "__code__", None)  # a script's own functions reach a cluster without their file
+    code = getattr(work, "__code__", None)  # of a script: a cluster's worker gets its functions without the file
     own = "" if code is None else _file_digest(code.co_filename)
     asked = [work.__module__, work.__qualname__, own, _plain(list(arguments)), versions()]
     return hashlib.sha256(to_json(asked, indent=None, sort_keys=True).encode()).hexdigest()
@@ -83,7 +83,7 @@ def key_of(work: Callable[..., Any], arguments: Iterable[Any]) -> str:
 def loaded_sources() -> tuple[str, ...]:
     """Return the files that this process has imported from the project, or from outside the installed packages.
 
-    It looks again only where a module was imported since: a look takes 50 ms, and a study has a thousand jobs.
+    The files are listed anew only after a further import, since this takes 50 ms and a study has a thousand jobs.
     """
     return _sources(tuple(sys.modules))
 
@@ -103,7 +103,7 @@ def _sources(modules: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def digest_of(sources: tuple[str, ...]) -> str:
-    """Return a digest of these files and of the robots' own; a file that is gone counts as one that has changed."""
+    """Return a digest of these files and of the robots' files; a file that is gone counts as changed."""
     digest = hashlib.sha256()
     for file in (*sources, *robot_files()):
         digest.update(f"{file} {_file_digest(file)}\n".encode())
@@ -135,7 +135,7 @@ def _file_digest(file: str) -> str:
 
 
 def _plain(value: Any) -> Any:
-    """Return a job's argument as JSON has it; an array counts with its bytes, and a record with its fields."""
+    """Return a job's argument as JSON data: an array as the digest of its bytes, a record as its fields."""
     if value is None or isinstance(value, bool | int | float | str | Path):
         return repr(value)
     if isinstance(value, BaseModel):

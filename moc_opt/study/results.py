@@ -1,4 +1,4 @@
-"""The one results table of every study: a row a run, and what controllers' rows say against a baseline's.
+"""The results table of every study: one row per run, and a controller's means and its changes against a baseline.
 
 Means and changes are over whole runs. A change is over the trials that the controller and the baseline both completed.
 """
@@ -25,12 +25,12 @@ ERRORS = (
 """Tip and RCM errors, each by the robot's own kinematics, in the frame registered at the start, and in the base frame:
 what the controller can answer for, what the patient gets, and absolute accuracy."""
 PHASES = ("settled", "travelling")
-"""Beginnings of metrics that are means over a part of the ticks; `PHASE_ticks` counts them."""
+"""Prefixes of metrics that are means over a part of a run's ticks; `PHASE_ticks` is the number of these ticks."""
 TITLES = {
     name: f"{part}, {frame}"
     for name, (part, frame) in zip(ERRORS, product(("tip", "RCM"), ("own", "registered", "base")), strict=True)
 }
-"""Of a column with one of these errors, or with its change."""
+"""Error -> heading of its column, and of the column with its change."""
 FRAMES = (
     "Own kinematics: what the controller sees and can answer for. Registered: in the frame touched at the start, which "
     "is what the patient gets."
@@ -89,7 +89,7 @@ class Results:
             return None
 
     def pairs(self, metric: str, controller: str, baseline: str = BASELINE) -> tuple[list[float], list[float]]:
-        """Return the values of both on the trials that both completed; in a phase a trial counts by its ticks there."""
+        """Return both values on each trial that both completed; for a phase, times the controller's ticks in it."""
         mine, theirs = self.values(metric, controller), self.values(metric, baseline)
         both = [trial for trial in mine if trial in theirs]
         phase = next((phase for phase in PHASES if metric.startswith(f"{phase}_")), None)
@@ -97,7 +97,7 @@ class Results:
         return [mine[trial] * ticks[trial] for trial in both], [theirs[trial] * ticks[trial] for trial in both]
 
     def change(self, metric: str, controller: str, baseline: str = BASELINE) -> Change | None:
-        """Return the change against the baseline [percent], by both means; None where no trial has both."""
+        """Return the change against the baseline [percent]; None without a common trial, or where it is undefined."""
         try:
             return relative_changes(*self.pairs(metric, controller, baseline))
         except StatisticsError:
@@ -106,7 +106,7 @@ class Results:
     def figures(
         self, controller: str, means: Sequence[str] = (), changes: Sequence[str] = (), baseline: str = BASELINE
     ) -> dict[str, Any]:
-        """Return what a summary holds of a controller: counts, means and, against a baseline, changes of metrics."""
+        """Return a controller's figures for a summary: counts, means and, against a baseline, changes of metrics."""
         mine = [row for row in self._rows if row.get("controller") == controller]
         found: dict[str, Any] = {
             "trials": len(mine), "whole": sum(bool(row.get("whole")) for row in mine),
@@ -128,13 +128,13 @@ class Results:
 
     @property
     def frame(self) -> pl.DataFrame:
-        """The rows as a polars table; what is not finite is null."""
+        """The rows as a polars table; numbers that are not finite are null."""
         rows = [plain(row) for row in self._rows]
         names = list(dict.fromkeys(name for row in rows for name in row))
         return pl.DataFrame([pl.Series(name, [row.get(name) for row in rows], strict=False) for name in names])
 
     def write(self, path: str | os.PathLike[str]) -> None:
-        """Write the rows as Parquet, all or nothing; a StudyError where that cannot be."""
+        """Write the rows as Parquet, all or nothing; a StudyError where the file cannot be written."""
         packed = io.BytesIO()
         self.frame.write_parquet(packed, compression="zstd")
         write_whole(path, packed.getvalue(), "rows", StudyError)

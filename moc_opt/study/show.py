@@ -1,4 +1,4 @@
-"""What a study shows, as data: a `Report`, which this file turns into a page and into what a terminal prints."""
+"""What a study shows: a `Report` of data, and its output as a page, as Markdown and on a terminal."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ FORMATS = {"%": "+.1f", "mm": ".3f", "us": ".1f", "m^3": ".4f", "N": ".2f"}
 
 
 def mark(verdict: bool | str | None, text: str) -> Mark:
-    """Return the sign of a verdict, "yes", "no" or open, with a text of its own beside it."""
+    """Return the sign of a verdict ("yes", "no" or open) with ``text`` in place of its word."""
     known = MARKS.get(verdict, OPEN)
     return Mark(known.symbol, text, known.tone, known.rank)
 
@@ -52,16 +52,16 @@ class Section:
 class Report:
     """What a study found, for a reader."""
 
-    title: str  #: names the question, and arm, task, preset and solver where there is one of each
+    title: str  #: names the question; also arm, task, preset and solver, unless it has several of them
     answer: Sequence[str]  #: up to three sentences, the most important one first
-    table: Table  #: of the first screen, of few columns
+    table: Table  #: shown on the first screen, with few columns
     pictures: Sequence[Picture] = ()  #: up to three
     sections: Sequence[Section] = ()  #: in reading order; a column's ``section`` links to one of them
     load: str = ""  #: what the machine did while times were taken; "" where none were
     subtitle: str = ""
 
     def page(self, environment: Mapping[str, Any], failed: Sequence[Mapping[str, Any]] = ()) -> Page:
-        """Lay it out as one page, with the rows that failed and environment.json at the end."""
+        """Lay the report out as one page, with the rows that failed and environment.json at the end."""
         page = Page(self.title, self.subtitle)
         for sentence in self.answer:
             page.headline(sentence)
@@ -92,7 +92,7 @@ class Report:
         return "\n\n".join(filter(None, parts)) + "\n"
 
     def screens(self) -> Iterator[object]:
-        """Yield what a terminal prints; rich breaks the table's texts where the terminal is narrow."""
+        """Yield what a terminal prints; rich wraps the table's texts on a narrow terminal."""
         yield from self.answer
         yield self.table
         if self.load:
@@ -100,7 +100,7 @@ class Report:
 
 
 def about(scenario: Scenario, *, solver: bool = False) -> str:
-    """Return arm, task and preset of a scenario for a title, and its solver."""
+    """Return arm, task and preset of a scenario, for a title; with ``solver`` also the solver's name."""
     control = scenario.control
     preset = next((name for name in PRESETS if control == ControlSettings.preset(name)), None)
     named = "default" if control == ControlSettings() else preset or "own settings"
@@ -116,9 +116,9 @@ def _markdown(table: Table) -> str:
 
 
 def columns(*metrics: str, of: str = "", **titles: str) -> list[Column]:
-    """Describe metrics, or their changes ("mu_gain_percent"), as columns: unit, format and help are the metric's.
+    """Describe metrics, or their changes ("mu_gain_percent"), as columns with the metric's unit, format and help.
 
-    "settled_" and "travelling_" may stand before a name; ``titles`` are headings where the name itself is too long.
+    A name may begin with "settled_" or "travelling_". ``titles`` are shorter headings for long names.
     """
     found = []
     for name in metrics:
@@ -138,7 +138,7 @@ def intervals_picture(
     found: Mapping[str, tuple[float, float, float]], x_label: str, limits: Mapping[str, float],
     tones: Mapping[str, str] | None = None, *, log: bool = False,
 ) -> go.Figure:  # fmt: skip
-    """Draw (low, value, high) of each name, the first one at the top, and a line at each limit, named in words."""
+    """Draw (low, value, high) of each name, the first one at the top, and a labelled line at each limit."""
     drawn = figure(showlegend=False, height=90 + 24 * max(len(found), 4))
     for name, (low, value, high) in reversed(list(found.items())):
         tone = (tones or {}).get(name)
@@ -177,7 +177,7 @@ def lines_picture(
 
 
 def ends(figures: Mapping[str, Any], name: str) -> tuple[float, float, float] | None:
-    """Return (low, value, high) of a summary's figure; without an interval the value three times; None without it."""
+    """Return (low, value, high) of a summary's figure, or None; without an interval, low and high are the value."""
     value, low, high = (figures.get(f"{name}{end}") for end in ("", "_low", "_high"))
     if value is None:
         return None

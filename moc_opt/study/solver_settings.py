@@ -13,7 +13,7 @@ from moc_opt.solvers.registry import defaults
 
 DEFAULT, TIGHT, RECOMMENDED = "default", "tight", "recommended"
 QPSOLVERS, NONLINEAR = "qpsolvers:", "nlp-"
-"""Beginnings of names: libraries that qpsolvers calls; solvers of the nonlinear problem of the tick."""
+"""Prefixes of solvers' names: libraries called through qpsolvers; solvers of the tick's nonlinear problem."""
 SETTINGS = tomllib.loads(Path(__file__).with_name("solver-settings.toml").read_text(encoding="utf-8"))
 AS_QPSOLVERS_CALLS_IT = {"rows": 6, "cost_scale": 1.0, "advised": False}
 
@@ -39,12 +39,12 @@ class SolverSetting:
 
     @property
     def nonlinear(self) -> bool:
-        """Whether the solver answers the nonlinear problem of the tick, which the judge does not verify."""
+        """Whether the solver answers the nonlinear problem of the tick. The judge does not verify such answers."""
         return self.solver.startswith(NONLINEAR)
 
     @property
     def six_rows(self) -> bool:
-        """Whether it is given the paper's six rows, and may say that they contradict each other."""
+        """Whether the solver is given the paper's six rows, and may say that they contradict each other."""
         return self.solver == "exact" or self.options.get("rows") == 6
 
 
@@ -60,7 +60,7 @@ def solver_settings(
 
 
 def of(name: str) -> dict[str, tuple[dict[str, Any], str]]:
-    """Return name of a setting -> (options, reason) of one solver."""
+    """Return the settings of one solver: name of a setting -> (options, reason)."""
     tables = SETTINGS.get(name, {})
     if not name.startswith(QPSOLVERS):
         known = {of: ({key: v for key, v in one.items() if key != "why"}, one["why"]) for of, one in tables.items()}
@@ -74,7 +74,7 @@ def of(name: str) -> dict[str, tuple[dict[str, Any], str]]:
 
 
 def effective(setting: SolverSetting) -> dict[str, Any]:
-    """Return all options the solver gets: our adapter's defaults with its options over them."""
+    """Return all options that the solver gets: the adapter's defaults, overridden by the options of the setting."""
     found = {**defaults(setting.solver), **setting.options}
     for name in ("kinematics", "period"):
         found.pop(name, None)

@@ -51,17 +51,17 @@ class TestSet:
 
     @cached_property
     def judged(self) -> Array:
-        """Return ``rows`` as answers are judged: with references that the rigid tool can follow.
+        """Return the ``rows`` by which answers are judged: with references that the rigid tool can follow.
 
-        Where those of tip and wrist differ along the shaft, the wrist's are moved. What is certified is the answer
-        to the five rows that this leaves alone.
+        Where the references of tip and wrist differ along the shaft, the wrist's is moved. The certificate is for the
+        five rows that the move leaves unchanged.
         """
         return np.array([straightened(qp).row for qp in self.problems()])
 
     def thinned(self, every: int) -> TestSet:
         """Keep every ``every``-th problem."""
         found = TestSet(self.name, self.rows[::every], self.x[::every], self.feasible[::every])
-        vars(found)["judged"] = self.judged[::every]  # it is cached: the same rows are not straightened again
+        vars(found)["judged"] = self.judged[::every]  # fills the cached property: no row is straightened twice
         return found
 
     def to_bytes(self) -> bytes:
@@ -90,7 +90,7 @@ def check_name(name: str) -> None:
 
 
 def straightened(qp: NullSpaceQP) -> NullSpaceQP:
-    """Return the same subproblem with the wrist's reference along the shaft moved to the tip's."""
+    """Return the same subproblem with the wrist's reference moved along the shaft, so that it fits the tip's."""
     five = qp.reduced()
     b = np.linalg.lstsq(five.lift, five.b, rcond=None)[0] if len(five.b) == 5 else np.array(qp.b)
     b[3:] += five_row_gap(qp, b)
@@ -103,6 +103,6 @@ def changed(qp: NullSpaceQP, **values: Any) -> NullSpaceQP:
 
 
 def five_row_gap(qp: NullSpaceQP, b: NDArray[np.floating]) -> Array:
-    """Return what is missing along the shaft for the wrist to follow the tip, (3,) [m/s]."""
+    """Return what the wrist's reference lacks along the shaft to equal the tip's there, (3,) [m/s]."""
     u = np.linalg.svd(qp.J_tip - qp.J_wrist)[0][:, 2]
     return np.asarray(u * (u @ (b[:3] - b[3:])))

@@ -1,4 +1,4 @@
-"""The clock of every benchmark: the timed calls, what the machine did meanwhile, and the figures that are quoted."""
+"""The clock of every benchmark: timed calls, the machine's load meanwhile, and the figures that are quoted."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ LEAST_CPU_SHARE = 0.9
 
 Row = Mapping[str, Any]
 COUNTED = ("times_calls", "times_switches", "times_cpu_s", "times_wall_s")
-"""What the machine did to a process while calls were timed, in a row of a summary: the calls, how often the core was
-taken from it (ru_nivcsw), for how long its threads had a core [s], and how long that was by the clock on the wall [s].
+"""The load while calls were timed, as entries of a summary's row: the number of calls, of involuntary context switches
+(ru_nivcsw), the processor time of all threads [s], and the wall time [s].
 
-What lengthens every call alike does not show: caches, memory or half a core shared with others, a lower clock."""
+They do not show what slows all calls alike: caches, memory or half a core shared with others, a lower clock."""
 
 
 def used() -> dict[str, float]:
@@ -42,14 +42,14 @@ def total(rows: Iterable[Row]) -> dict[str, float]:
 
 
 def cpu_share(row: Row) -> float:
-    """Return processor time over time by the clock; above 1 with threads of its own."""
+    """Return processor time over wall time; it is above 1 where the calls use several threads."""
     return float(row["times_cpu_s"] / row["times_wall_s"]) if row.get("times_wall_s") else 1.0
 
 
 def quiet(row: Row) -> bool:
-    """Tell whether the 99th percentile of the times is to be trusted (docs/solvers.md has what that was measured on).
+    """Tell whether the 99th percentile of the times is to be trusted (docs/solvers.md has the measurements for it).
 
-    A switch lengthens one call. Where a hypervisor takes the core, the process has less of it without a switch.
+    A switch lengthens one call. A core that a hypervisor takes away is not a switch, but lowers the processor time.
     """
     few = row.get("times_switches", 0) <= MOST_SWITCHES * row.get("times_calls", 0)
     return bool(few and cpu_share(row) >= LEAST_CPU_SHARE)
@@ -74,7 +74,7 @@ def load(rows: Iterable[Row]) -> str:
 
 
 def clock_cost_us() -> float:
-    """Return what reading the clock twice costs [us]; it is left inside every figure and reported beside them."""
+    """Return the cost of reading the clock twice [us]. Every time contains it, and reports name it."""
     gaps = np.empty(2000)
     for i in range(len(gaps)):
         begin = perf_counter_ns()
@@ -88,7 +88,7 @@ def each_us(
 ) -> Array:  # fmt: skip
     """Time ``call(item)`` one by one [us], without garbage-collection pauses.
 
-    Results, and in ``seen`` what the machine did meanwhile, are appended to the lists that are given.
+    Where these lists are given, results are appended to ``results``, and the load meanwhile (`COUNTED`) to ``seen``.
     """
     times = []
     with no_collector():

@@ -38,21 +38,21 @@ CURVES = (
     "rcm_error_registered_m", "rcm_error_m", "trocar_force_N", "solve_us", "tick_us",
 )  # fmt: skip
 CLOCKS = ("solve_", "tick_", "deadline_")
-LOOK_TICKS = 100  # between two looks at what the machine does beside a timed run
+LOOK_TICKS = 100  # ticks between two readings of the machine's load during a timed run
 PATIENCE_S, PER_S, LONGEST_S = 30.0, 30.0, 60.0
-"""A run may take 30 s, and 30 s more for each simulated second; a task of unknown length counts as 60 s."""
+"""A run may take 30 s, and 30 s per simulated second. A task longer than 60 s, or of unknown length, counts as 60 s."""
 
 
 def seeds(seed: int, stream: int, count: int) -> list[int]:
-    """Draw the seeds of ``count`` trials; two streams (of two studies) share none."""
+    """Draw the seeds of ``count`` trials. Each study has a ``stream`` of its own, so that no two share seeds."""
     state = np.random.SeedSequence([seed, stream]).generate_state(count, np.uint32)
     return [int(entry) for entry in state]
 
 
 def trials(base: Scenario, tasks: Sequence[str], own_seeds: Sequence[int], *, virtual: bool = False) -> list[Scenario]:
-    """Make one scenario a seed, with the tasks in turn and the starting swivel drawn; its name is "task/seed".
+    """Make one scenario per seed, with the tasks in turn and the starting swivel drawn; its name is "task/seed".
 
-    ``virtual`` takes size and depth of the paper's virtual task of that name.
+    With ``virtual``, sizes and depth are those of the paper's virtual task of the same name.
     """
     found = []
     for k, seed in enumerate(own_seeds):
@@ -67,13 +67,13 @@ def trials(base: Scenario, tasks: Sequence[str], own_seeds: Sequence[int], *, vi
 
 
 def placed(trial: Scenario) -> Scenario:
-    """Return the trial with its drawn pose written out: many controllers start there, and it is searched for once."""
+    """Return the trial with its drawn pose written out. So the pose is searched for once, for all controllers."""
     q = Setup(trial).q_start.tolist()
     return trial.change(start={"pose": "home", "q_rad": q, "swivel": "given", "check_path": False})
 
 
 def variant(trial: Scenario, controller: str, settings: Mapping[str, Any] | None = None) -> Scenario:
-    """Return the trial under one of `BASELINES`, or under MOC with a solver; a scenario of DCAC keeps its gains."""
+    """Return the trial under one of `BASELINES`, or under MOC with a solver. `BASELINE` leaves DCAC as it is."""
     control = trial.control
     if controller == BASELINE and control.law == "dcac":
         return trial
@@ -82,7 +82,7 @@ def variant(trial: Scenario, controller: str, settings: Mapping[str, Any] | None
     if controller == OWN:
         return trial.change(control={"law": "dcac", "gains": "dcac", **dict.fromkeys(GAINS)})
     table = control.matched_dcac()
-    if controller == DAMPED:  # as much as MOC's third level damps where it wants rest
+    if controller == DAMPED:  # the damping of MOC's third level where x* = 0
         data = load_data(trial.robot.name)
         moc = control.resolve_gains(data.gains, data.n)
         table = {**table, "dcac_damping": (moc.K_N2 + moc.D_N2).tolist()}
@@ -91,19 +91,19 @@ def variant(trial: Scenario, controller: str, settings: Mapping[str, Any] | None
 
 @dataclass(frozen=True)
 class Trial:
-    """A run that is asked for, of a scenario that all controllers of this trial share."""
+    """A run to be made: a scenario, which all controllers of this trial share, under one controller."""
 
     case: Scenario
     controller: str  #: one of `BASELINES`, or the name of a solver
     settings: Mapping[str, Any] = field(default_factory=dict)  #: of the solver
     tags: Mapping[str, Any] = field(default_factory=dict)  #: further columns of its row, such as a group's name
     timed: bool = False  #: nothing else runs meanwhile, so that its times count
-    keep: Literal["row", "curves"] = "row"  #: whether the columns in `CURVES` stay beside the row
-    solver: str | Solver | None = None  #: asked in place of the solver of its name: another name, or an object
+    keep: Literal["row", "curves"] = "row"  #: "curves": the columns in `CURVES` are kept, too
+    solver: str | Solver | None = None  #: name or object of a solver to use in place of ``controller``
 
     @property
     def about(self) -> dict[str, Any]:
-        """The columns that name its row."""
+        """The columns that identify its row."""
         case = self.case
         named = {"trial": case.name, "seed": case.seed, "robot": case.robot.name, "task": case.task.path}
         return {**named, "controller": self.controller, "timed": self.timed, **self.tags}
@@ -121,24 +121,24 @@ class Trial:
 
 @dataclass(frozen=True)
 class Run:
-    """What is left of a run.
+    """What is kept of a run.
 
-    Its row has what names it; ``ended``, ``whole`` (the task was driven to its end), ``error`` (None: none), ``raised``
-    (what the solver raised first); then every metric, with times only where it ran alone.
+    Its row has `Trial.about`; ``ended``, ``whole`` (the task was driven to its end), ``error`` (None: none), ``raised``
+    (what the solver raised first); then every metric, those of times only where the run was alone on the machine.
     """
 
     row: Mapping[str, Any]
-    columns: Mapping[str, Array] = field(default_factory=dict)  #: name -> a row a tick; empty where it broke off
-    load: Mapping[str, float] = field(default_factory=dict)  #: what the machine did meanwhile, where it was timed
+    columns: Mapping[str, Array] = field(default_factory=dict)  #: name -> one value a tick; empty if the run broke off
+    load: Mapping[str, float] = field(default_factory=dict)  #: the machine's load meanwhile, where the run was timed
 
 
 def run_trial(asked: Trial) -> Run:
-    """Run and summarise, in a worker; a run that breaks off is a result with its reason."""
+    """Run and summarise, in a worker; a run that breaks off gives a row with the reason."""
     return run_and_trace(asked)[0]
 
 
 def run_and_trace(asked: Trial, baseline: Trace | None = None) -> tuple[Run, Trace | None]:
-    """Return what `run_trial` does, with the gain over a baseline's run, and the whole trace where there is one."""
+    """Return the result of `run_trial`, with the gain over a baseline's trace, and the whole trace if there is one."""
     begun, seen, solver = dict[str, float](), dict[str, float](), asked.solver
 
     def look(tick: int) -> None:
@@ -174,7 +174,7 @@ def run_and_trace(asked: Trial, baseline: Trace | None = None) -> tuple[Run, Tra
 
 
 def _counts(trace: Trace) -> dict[str, Any]:
-    """Return the ticks with a subproblem, the infeasible ones, and those with each fault."""
+    """Count the ticks with a subproblem, with an infeasible one, and with each fault; name the method of mu's bound."""
     found: dict[str, Any] = {"mu_bound_method": trace.meta.get("mu_bound_method")}
     if "status" in trace.columns:
         found |= {"asked": int((trace.status != "none").sum()), "infeasible": int((trace.status == "infeasible").sum())}
