@@ -69,7 +69,7 @@ class BrowserMissingError(BrowserError):
 class UnknownNameError(MocOptError, LookupError):
     """A name that is in no list; the message holds the nearest valid ones."""
 
-    MOST = 10_000  # a long list of names is the project's own text
+    MOST = 10_000  # the message may list many names
     FEW: ClassVar[int] = 12  #: Up to so many names are all shown, even where a command lists them.
 
     def __init__(self, kind: str, name: str, valid: Iterable[str], listed_by: str = "") -> None:

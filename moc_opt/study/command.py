@@ -118,7 +118,7 @@ class Study:
         return [outcome(one, result) for one, result in zip(asked, results, strict=True)]
 
     def placed(self, cases: Sequence[Scenario]) -> tuple[list[Scenario], list[dict[str, Any]]]:
-        """Search a start for each trial; return the trials placed there, and a row for each trial without a start."""
+        """Search for a start of each trial; return the trials placed there, and a row for each trial without one."""
         found = self.run([Job(placed, (case,)) for case in cases], "starts")
         lost = [
             {**Trial(case, "").failed(str(start)).row, "ended": "no start"}
@@ -165,7 +165,7 @@ def command(
 
 
 def check_folder(out: Path) -> None:
-    """Refuse, with a StudyError, a folder that has files with the names in `FILES` that no study has written."""
+    """Raise a StudyError if a file in the folder has a name of `FILES` and was not written by a study."""
     there = [name for name in FILES if (out / name).exists()]
     if there and not (there[0] == FILES[0] and b'"study":' in (out / FILES[0]).read_bytes()):
         raise StudyError(f"{out} has {', '.join(there)} that no study has written: give another folder as --out")

@@ -52,7 +52,7 @@ class Section:
 class Report:
     """What a study found, for a reader."""
 
-    title: str  #: names the question; also arm, task, preset and solver, unless it has several of them
+    title: str  #: names the question, and arm, task, preset and solver unless the study has several
     answer: Sequence[str]  #: up to three sentences, the most important one first
     table: Table  #: shown on the first screen, with few columns
     pictures: Sequence[Picture] = ()  #: up to three

@@ -173,9 +173,9 @@ def totals(answers: Sequence[Answers], times: Sequence[Times]) -> dict[str, Any]
 
 
 def ask(run: Runner, questions: Sequence[Question], limits: Limits, *, warm: bool = True) -> list[Answers]:
-    """Collect a solver's answers to a set, for each question: from one session or (not ``warm``) a new one per problem.
+    """Collect the answers to each question: from one session if ``warm``, else from a new session for each problem.
 
-    After a hang or a crash the rest of the set is not asked; after `BROKEN_SETS` such sets no other set is.
+    After a hang or a crash the rest of the set is not asked; after `BROKEN_SETS` such sets, no further set is.
     """
     jobs = [
         Job(answer, (setting, problems.rows, warm, limits.patience_s, limits.setup_s), HOURS, group=setting.label)

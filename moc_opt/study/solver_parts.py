@@ -32,7 +32,7 @@ MEANING = (
     "Verified: optimal by our own residuals, whatever the solver says. Silently wrong: claimed as solved, and not "
     "verified. Right: verified, or rightly called infeasible, as a share of the problems that were not refused as "
     f"inconsistent. Times are compared among solvers that are right at {100 * RIGHTLY:g} % of the problems or more. "
-    "Update: of a warm solve, the part that hands the new problem to the library. docs/solvers.md says more."
+    "Update: the part of a warm solve that hands the new problem to the library. docs/solvers.md says more."
 )
 SOLVER = Column("solver", "solver")
 RANKED = "answers_rightly"  # flag of the rows whose times are compared
@@ -93,7 +93,7 @@ def record(case: Scenario, ticks: int) -> Array:
 
 
 def recorded_sequence(work: Work) -> None:
-    """Give the recorded sequence to every solver, recommended settings, warm and cold; then time them one by one."""
+    """Give the sequence to every solver under its recommended setting, warm and cold; then time them one by one."""
     config = work.config.open_loop
     problems = [NullSpaceQP.from_row(np.array(row)) for row in work.sequence]
     session = Exact().start(problems[0])
@@ -192,7 +192,7 @@ def closed_loop(work: Work) -> None:
     asked = []
     for case in starts:
         k = number[case.name]
-        case = case.change(best_courses=k < part.others)  # slow as a run: only on the trials of all solvers
+        case = case.change(best_courses=k < part.others)  # as slow as a run: only on trials that all solvers run
         timed = k < part.timed
         asked += [
             Trial(case, name, work.config.settings.get(name, {}), timed=timed, keep="curves" if timed else "row")
@@ -252,6 +252,6 @@ def _controllers(rows: Mapping[str, Mapping[str, Any]]) -> Table:
          *columns(*MEANS), *columns(*COUNTED),
          *(Column(key, title, unit="us", format=".1f") for key, title in ticks.items()),
          Column("deadline_misses", "misses", format=".0f")],
-        shown, "Changes against DCAC on the trials that both ran: of the mean, with 95 % intervals. Shares of the best "
-        f"courses are of the trials that every controller runs. {FRAMES} {BASE_FRAME}",
+        shown, "Changes are of the mean, against DCAC on the trials that both ran, with 95 % intervals. Shares of the "
+        f"best courses are of the trials that every controller runs. {FRAMES} {BASE_FRAME}",
     )  # fmt: skip

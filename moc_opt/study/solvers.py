@@ -83,7 +83,7 @@ class ClosedLoop(Settings):
     KIND: ClassVar[str] = "[closed_loop]"
     tasks: list[str] = Field(["circle", "sinusoid", "spiral"], min_length=1, description="the trials take them in turn")
     trials: int = Field(60, ge=1, description="number for DCAC and the cited solvers; each has its own seed")
-    cited: list[str] = Field(["exact", "rnn", "rnn-printed"], description="solvers in the first sentences")
+    cited: list[str] = Field(["exact", "rnn", "rnn-printed"], description="solvers that the first sentences cite")
     others: int = Field(15, ge=1, description="number for every other solver: the first of `trials`")
     timed: int = Field(1, ge=1, description="number that run alone; only their times are used")
     duration_s: Level = Field(4.0, description="of a trial; inf: the whole task")
@@ -236,7 +236,7 @@ def report(found: Work) -> Report:
     ]  # fmt: skip
     sections = found.sections
     if troubles:
-        shown = [SOLVER, Column("part", "part"), Column("trouble", "first time, or why")]
+        shown = [SOLVER, Column("part", "part"), Column("trouble", "first occurrence, or reason")]
         went_wrong = Table("What went wrong, and what did not run", shown, troubles)
         sections = [*sections, Section("Exceptions, hangs and crashes", "", [went_wrong])]
     title = f"Solvers of the null-space subproblem on the {scenario.robot.name}"

@@ -26,7 +26,7 @@ from moc_opt.errors import MocOptError
 RESAMPLES = 4000
 CONFIDENCE = 0.95
 NOMINAL = 0.7
-"""Intervals are computed for `NOMINAL` times the allowed misses (1 - confidence): simulated ones missed too often."""
+"""Intervals are made for a share of misses of `NOMINAL` (1 - `CONFIDENCE`): simulated ones missed more than nominal."""
 ROUNDING = 1e-9  # a smaller change counts as zero [percent]
 LEAST_TRIALS = 8  # fewer trials decide nothing: they get no verdict
 

@@ -18,8 +18,8 @@ LEAST_CPU_SHARE = 0.9
 
 Row = Mapping[str, Any]
 COUNTED = ("times_calls", "times_switches", "times_cpu_s", "times_wall_s")
-"""The load while calls were timed, as entries of a summary's row: the number of calls, of involuntary context switches
-(ru_nivcsw), the processor time of all threads [s], and the wall time [s].
+"""The load while calls were timed, as entries of a summary's row: the number of calls, that of involuntary context
+switches (ru_nivcsw), the processor time of all threads [s], and the wall time [s].
 
 They do not show what slows all calls alike: caches, memory or half a core shared with others, a lower clock."""
 

@@ -29,9 +29,9 @@ from moc_opt.vision.board import board_task
 
 BASELINE, OWN, DAMPED = "dcac", "dcac-own", "dcac-damped"
 BASELINES = {
-    BASELINE: "tip and RCM alone, with the gains of the others",
+    BASELINE: "tip and RCM alone, with the gains of MOC",
     OWN: "tip and RCM alone, with the gains that the paper gives DCAC",
-    DAMPED: "tip and RCM alone, with the gains of the others and the self-motion damped",
+    DAMPED: "tip and RCM alone, with the gains of MOC and the self-motion damped",
 }
 CURVES = (
     "t_s", "mu", "tip_error_model_m", "tip_error_registered_m", "tip_error_m", "rcm_error_model_m",
@@ -44,7 +44,7 @@ PATIENCE_S, PER_S, LONGEST_S = 30.0, 30.0, 60.0
 
 
 def seeds(seed: int, stream: int, count: int) -> list[int]:
-    """Draw the seeds of ``count`` trials. Each study has a ``stream`` of its own, so that no two share seeds."""
+    """Draw the seeds of ``count`` trials. Each study has its own ``stream``, so that no two studies share seeds."""
     state = np.random.SeedSequence([seed, stream]).generate_state(count, np.uint32)
     return [int(entry) for entry in state]
 
@@ -73,7 +73,7 @@ def placed(trial: Scenario) -> Scenario:
 
 
 def variant(trial: Scenario, controller: str, settings: Mapping[str, Any] | None = None) -> Scenario:
-    """Return the trial under one of `BASELINES`, or under MOC with a solver. `BASELINE` leaves DCAC as it is."""
+    """Return the trial under one of `BASELINES`, or under MOC with a solver. `BASELINE` leaves a DCAC trial alone."""
     control = trial.control
     if controller == BASELINE and control.law == "dcac":
         return trial
