@@ -113,5 +113,5 @@ def describe(error: BaseException, most: int = 300) -> str:
 
 
 def printable(text: str) -> str:
-    """Replace what could control a terminal; the text comes from foreign code or over a network."""
+    """Replace the characters that could control a terminal; the text comes from foreign code or over a network."""
     return "".join(c if c.isprintable() else "\ufffd" for c in text)

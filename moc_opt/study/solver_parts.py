@@ -213,7 +213,7 @@ def closed_loop(work: Work) -> None:
 def figures(
     rows: Results, controller: str, runs: Sequence[Run] = (), common: Container[str] | None = None
 ) -> dict[str, Any]:
-    """Return what the summary holds of a controller: means and changes over its whole runs, sums and largest values.
+    """Return a controller's entries in the summary: means and changes over its whole runs, sums and largest values.
 
     Times are pooled over the ``runs`` that ran alone. Bad endings count against a controller only on the trials in
     ``common`` (None: all), which every solver runs: on the other trials, other solvers might have ended alike.

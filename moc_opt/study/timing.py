@@ -97,7 +97,7 @@ def each_us(
             begin = perf_counter_ns()
             result = call(item)
             times.append(perf_counter_ns() - begin)
-            if results is not None:  # answers that are kept need fresh memory, which lengthens the slowest calls
+            if results is not None:  # keeping answers takes fresh memory, which lengthens the slowest calls
                 results.append(result)
         if seen is not None:
             seen.append(since(before, len(times)))
