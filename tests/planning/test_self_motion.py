@@ -150,7 +150,7 @@ def test_distance_is_the_arc_length_along_the_self_motion(robot, curve, place):
 
 
 @pytest.mark.parametrize(("way", "speed", "before", "after"), [(1.0, 0.5, 1.7, 1.9), (0.4, 0.1, 2.8, 3.2)])
-def test_a_moving_elbow_is_in_transient_until_a_tenth_of_a_radian_from_its_optimum(robot, place, way, speed, before, after):
+def test_a_moving_elbow_is_in_transient_until_within_a_tenth_of_a_radian(robot, place, way, speed, before, after):
     flags = in_transient(robot, T, place(np.minimum(speed * T - way, 0.0)))
     assert flags[before > T].all()
     assert not flags[after < T].any()
