@@ -118,7 +118,7 @@ def test_a_position_that_stops_while_its_velocity_goes_on_stops_the_arm(speed, j
     ("way", False, 3e-3), ("way", True, 5e-4), ("torque", False, 6.0), ("torque", True, 0.05),
 ])  # fmt: skip
 def test_a_repeated_reading_stops_the_arm_once_the_reference_moves_or_the_torque_changes(by, whole, level):
-    """By more than static friction holds, or by very little where the wrench sensor repeats its reading too."""
+    """The level is what static friction holds, or very little where the wrench sensor repeats its reading too."""
     still, reference, tau = np.tile(np.linspace(-1.0, 1.0, N), (600, 1)), np.zeros((600, 3, 3)), np.zeros((600, N))
     grown = reference[:, 0, 0] if by == "way" else tau[:, 2]
     grown[:] = (0.01 * PERIOD if by == "way" else -0.02) * np.arange(600)
@@ -170,7 +170,7 @@ def test_an_unknown_load_stops_the_arm_only_if_it_begins_after_the_residual_has_
 
 @pytest.mark.parametrize(("whole", "stops"), [(0.5, True), (1e6, False)])
 def test_a_torque_that_grows_slowly_while_the_pose_stays_stops_the_arm_by_its_size(whole, stops, robot):
-    """As with frozen readings under fresh noise and a controller that integrates: the mean follows the residual."""
+    """This imitates frozen readings with fresh noise under an integrating controller; the mean follows the residual."""
     rate = 0.25 * robot.tau_max[1] * PERIOD * np.eye(N)[1]  # to 1.25 times the largest in 5 s
     reason, k = watched(robot, lambda k: rate * k, 2500, residual_whole_torque=whole)
     assert ("not what the torque makes" in reason) == bool(reason) == stops

@@ -40,7 +40,7 @@ def by_the_law(s, robot, tau, before, q, v, carries):
 @given(seed=st.integers(0, 10**6), rate=st.sampled_from([500.0, 2e4, 1e9]), fast=st.sampled_from([0.3, 1.0, 3.0, 20.0]),
        asked=st.sampled_from([1.2, 1e3]), carries=st.booleans())  # fmt: skip
 def test_the_torque_follows_the_numpy_law_and_stays_within_its_limits(robot, seed, rate, fast, asked, carries):
-    """For any torque asked for, in any state, also beyond the joint limits."""
+    """For any commanded torque, in any state, also beyond the joint limits."""
     rng = np.random.default_rng(seed)
     guard = guard_of(
         robot, carries=carries, torque_rate_Nm_per_s=rate, position_margin_rad=0.05 * rng.uniform(0.5, 2.0),
@@ -81,7 +81,7 @@ def test_the_wall_of_a_sliding_joint_has_its_own_margin():
 
 @pytest.mark.parametrize("start", [-1.0, 1.0])
 def test_a_start_within_a_wall_moves_this_wall_to_the_start(robot, start):
-    """At the start there is no torque, and deeper the wall's. Other joints keep their walls."""
+    """There is no wall torque at the start, and deeper inside there is. Other joints keep their own walls."""
     q, s = np.array(robot.data.q_home), SafetyFilterSettings()
     q[1] = start * (robot.q_max[1] - 0.5 * s.position_margin_rad)
     guard = guard_of(robot, q, carries=False)

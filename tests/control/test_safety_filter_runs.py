@@ -139,7 +139,7 @@ def test_one_encoder_that_is_stuck_or_lags_is_found(robot, wrong, within, error)
     ("lwr4", 4, 3), ("iiwa14", 4, 4), ("panda", 4, 3), ("gen3", 2, 0), ("xarm7", 2, 0), ("lwr4_rail", 3, 4),
 ])  # fmt: skip
 def test_a_broken_drive_is_stopped_and_the_brakes_hold_the_arm(arm, joint, seed, gain, monkeypatch):
-    """It gives no torque, or the opposite torque. Of all joints and five seeds, these moved each arm's tip farthest."""
+    """It gives no torque, or the opposite one. Of all joints and five seeds, these moved each arm's tip farthest."""
     sound = Plant.step
 
     def step(plant, tau, trocar=None):
@@ -227,7 +227,7 @@ def test_no_sound_plant_is_stopped(scenario):
 @pytest.mark.parametrize("preset", ["default", "tuned", "robust", "paper"])
 @pytest.mark.parametrize("law", ["moc", "dcac"])
 def test_sound_runs_are_not_stopped(preset, law):
-    """Nor do they warn, except with the paper's parameters, whose RCM errors reach 9 mm."""
+    """They do not warn either, except with the paper's parameters, whose RCM errors reach 9 mm."""
     control = {"law": law} if preset == "default" else {"law": law, "preset": preset}
     seed = len(preset + law) % 4
     task = {"path": ("circle", "sinusoid", "spiral", "line")[seed]}

@@ -41,7 +41,7 @@ def test_gains_come_from_the_chosen_table_unless_a_setting_replaces_them():
     ControlSettings(third_level="planned"), ControlSettings(third_level="receding", observer_gain_per_s=0.0),
 ])  # fmt: skip
 def test_the_matched_baseline_has_the_same_gains(settings, robot):
-    """The matched DCAC has the table, the gains set besides, and the observer's gain of the given law."""
+    """The matched DCAC has the given law's gain table, the settings that replace entries of it, and its observer."""
     given = settings.resolve_gains(robot.data.gains, 7)
     changed = ControlSettings(**{**settings.model_dump(), **settings.matched_dcac()})
     matched = changed.resolve_gains(robot.data.gains, 7)
@@ -230,7 +230,7 @@ TABLE_I = {
 
 
 @pytest.mark.parametrize("law", TABLE_I)
-def test_the_paper_s_preset_has_the_numbers_of_its_table(robot, law):
+def test_the_preset_paper_has_the_numbers_of_table_i(robot, law):
     given = numbers_of(ControlSettings.preset("paper", law=law), robot, 0.002)
     for name, number in TABLE_I[law].items():
         np.testing.assert_array_equal(given[name], number, err_msg=name)

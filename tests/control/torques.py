@@ -43,7 +43,7 @@ def tracking(robot, state, tip_ref, trocar, gains=(0.0, 0.0, 0.0, 0.0), **parts)
 
 
 def in_place(state, speed=0.0):
-    """References for which tip and shaft of the state have no position error; the tip's moves along x [m/s]."""
+    """References for which tip and shaft of the state have no position error; the tip reference moves along x [m/s]."""
     tip_ref = np.array([state.tip, [speed, 0.0, 0.0], np.zeros(3)])
     return tip_ref, np.array([state.tip - 0.15 * state.tool_direction, np.zeros(3)])
 
@@ -86,7 +86,7 @@ def guard_of(robot, q=None, v=REST, carries=True, incision=False, momentum=False
 
 
 def off_by(robot, q, distance):
-    """A registered trocar (2, 3) that the shaft misses by so much [m]."""
+    """A registered trocar (2, 3) that the shaft misses by this distance [m]."""
     pose = robot.tool_pose(q)
     return np.stack([pose[3] - 0.15 * pose[2] + distance * pose[0], np.zeros(3)])
 

@@ -22,7 +22,7 @@ def robot(request, odd_robot):
 
 
 def trials(robot, count=10):
-    """States in motion, with references that are a few mm off and move, and the random generator."""
+    """States in motion, with moving references about 1 mm away, and the random generator."""
     rng = np.random.default_rng(0)
     for _ in range(count):
         state = robot.state(robot.random_regular_pose(rng), rng.uniform(-0.3, 0.3, robot.n))

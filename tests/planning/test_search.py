@@ -1,4 +1,4 @@
-"""V equals the mean mu of the best of all courses. Courses read off V keep the limits, and none exceeds the bound."""
+"""V gives the mean mu of the best of all courses. Courses read off V keep the limits, and none exceeds the bound."""
 
 import itertools
 from dataclasses import replace
@@ -69,7 +69,7 @@ def test_dynamic_programming_finds_the_best_of_all_courses(start, cell, price):
 
 
 def test_one_step_backwards_compares_each_pose_with_every_pose_in_reach():
-    """Branch bits and slacks are random, and differ within a block. Rounded to eighths, distances equal the step."""
+    """Bits and slacks are random, also within a block. Rounding to eighths makes some distances equal to the step."""
     rng = np.random.default_rng(3)
     for trial in range(40):
         rounded = (lambda x: np.rint(8.0 * x) / 8.0) if trial % 4 > 1 else np.array

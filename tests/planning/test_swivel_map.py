@@ -181,7 +181,7 @@ def hill(top, height, width=60.0):
 
 
 def read(mu, swivel, forbidden=None, gap_rad=0.01):
-    """Judge a run with these swivels [deg] at 101 times. The map is the same at all times: mu as a function of [deg].
+    """Judge a run with these swivels [deg] at 101 times. At all times the map is ``mu`` of the swivel in degrees.
 
     ``forbidden``: from, to [deg], and the entry of `limit` between them.
     """

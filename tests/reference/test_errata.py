@@ -89,7 +89,7 @@ def test_gradient_of_f_is_positive_semidefinite_and_seven_by_seven(robot, states
 
 # F(Y) = [-dL/dqd, dL/dl]  ->  [dL/dqd, -dL/dl]; no time constant  ->  eps, or m steps per tick
 def test_modes_grow_with_the_printed_sign_else_decay_slower_than_in_fifty_seconds(robot, states):
-    """dY/dt = -k F(Y) at the paper's gains: the real parts are k c0 s^2 / 2 for a singular value s of A."""
+    """dY/dt = -k F(Y) at the paper's gains: the real parts are -k c0 s^2 / 2 for a singular value s of A."""
     for s in states:
         qp = subproblem(robot, s)
         growth = np.linalg.eigvals(-K * saddle(qp)).real  # with the printed sign, minus this

@@ -122,7 +122,7 @@ def check_claims(limits: Expect, qps: list[NullSpaceQP], found: list[Any]) -> No
         if solution.status is not Status.SOLVED:
             continue
         residuals = qp.residuals(solution.x, solution.y)
-        if limits.arm:  # an answer to the nonlinear problem misses the linear rows, which is not its loss
+        if limits.arm:  # the nonlinear problem lacks the linear rows: judge the loss of x projected on them
             residuals = residuals._replace(loss=qp.residuals(on_rows(qp, solution.x)).loss)
         assert residuals.verified(limits.primal, limits.relative, limits.loss), residuals
         assert np.abs(solution.x - exact.x).max() <= limits.x
