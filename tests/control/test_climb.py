@@ -1,4 +1,4 @@
-"""What pulls the elbow, and what keeps it off its limits: the scaled climb, the box and the shaft's margin in runs."""
+"""The scaled climb, and what keeps the elbow off its limits in runs: the box and the shaft's margin."""
 
 import numpy as np
 import pytest
@@ -13,11 +13,11 @@ from tests.control.torques import in_place, subproblem
 from tests.reference.law import CLIMB_PER_S
 
 
-def test_near_a_top_the_wish_is_the_way_to_it(robot: RobotModel) -> None:
-    """Poses of one self-motion curve: the distance to its top along the curve is known without any derivative."""
+def test_near_a_maximum_of_mu_the_scaled_climb_asks_for_the_displacement_to_it(robot: RobotModel) -> None:
+    """On poses of one self-motion curve, whose distance along the curve to its top is known without derivatives."""
     q = np.asarray(self_motion(robot, robot.data.q_home, 0.01).q)
     top = int(np.argmax(robot.mu_along(q)))
-    assert 40 < top < len(q) - 40, "the top is inside the joint limits"
+    assert 40 < top < len(q) - 40, "the top is within the joint limits"
     for off in (-12, -5, 5, 12):
         s = robot.state(q[top + off])
         desired = fields(subproblem(robot, s, *in_place(s), climbs=True, c2=1.0, rho=1.0)).pull
@@ -26,14 +26,14 @@ def test_near_a_top_the_wish_is_the_way_to_it(robot: RobotModel) -> None:
         assert desired @ (q[top] - q[top + off]) > 0.0
 
 
-def test_without_rho_it_is_refused() -> None:
+def test_the_scaled_climb_without_regularization_is_refused() -> None:
     with pytest.raises(ControlError, match=r"climb = 'scaled' with c2 = 0\.001, regularization = 0"):
         mo.run(mo.Scenario(control={"climb": "scaled", "regularization": 0.0}))
 
 
 @pytest.mark.parametrize(("number", "preset"), [(13, "nominal"), (25, "realistic")])
 def test_the_box_stops_the_arm_before_the_wall(number, preset, robot, regular_poses) -> None:
-    """From these two poses mu grows right up to a joint limit: the box must stop the arm before the guard does."""
+    """From these two poses mu grows up to a joint limit. The box has to stop the arm before the safety filter does."""
     q = regular_poses(30)[number].tolist()
     trace = mo.run(mo.Scenario(
         start={"q_rad": q, "swivel": 0.5}, plant={"preset": preset}, duration_s=4.0, task={"wait_s": 5.0},
@@ -48,7 +48,7 @@ def test_the_box_stops_the_arm_before_the_wall(number, preset, robot, regular_po
     assert trace.tip_error_m.max() < 2e-3
 
 
-def test_a_climb_towards_the_loss_of_the_shaft_jerks_the_arm_and_is_kept_from_it() -> None:
+def test_a_climb_towards_a_straight_wrist_jerks_the_arm_and_the_shafts_margin_prevents_it() -> None:
     """From this pose mu grows towards a straight wrist, where joint 5 has to turn ever faster."""
     trial = mo.Scenario(seed=707, start={"pose": "random"}, judge=False, bound_samples=0)
     lost, kept = mo.run(trial.change(control={"shaft_margin": 0.0})), mo.run(trial)
@@ -56,5 +56,5 @@ def test_a_climb_towards_the_loss_of_the_shaft_jerks_the_arm_and_is_kept_from_it
     jerk = shaking(lost, "v_rad_per_s")
     assert jerk.joint == 4
     assert jerk.rms > 2.0 * LIMIT_RAD_PER_S
-    assert shaking(kept, "v_rad_per_s").rms < 0.5 * LIMIT_RAD_PER_S  # it may turn at its whole speed there
+    assert shaking(kept, "v_rad_per_s").rms < 0.5 * LIMIT_RAD_PER_S  # here the box allows the whole joint speed
     assert kept.rcm_error_m.max() < 0.6 * lost.rcm_error_m.max()

@@ -1,4 +1,4 @@
-"""The stack of three levels: what it asks for, what it does when a subproblem has no answer, what it keeps."""
+"""The controller of three levels: its torque, its behaviour where a subproblem has no answer, and its state."""
 
 from types import SimpleNamespace
 from unittest.mock import Mock
@@ -22,7 +22,7 @@ QUIET = {
 
 
 def started(robot, solver=EXACT, state=None, **settings):
-    """A controller after its start, with the references it was started at."""
+    """A controller after its start, with the state and the references of the start."""
     state = robot.state(robot.data.q_home) if state is None else state
     law = "dcac" if solver is None else "moc"
     controller = Controller(robot, ControlSettings(law=law, **settings), solver)
@@ -31,7 +31,7 @@ def started(robot, solver=EXACT, state=None, **settings):
     return controller, state, tip_ref, trocar
 
 
-def test_references_in_any_kind_of_memory(robot):
+def test_references_may_have_any_memory_layout_and_have_to_be_finite(robot):
     controller, state, tip_ref, trocar = started(robot, None, **QUIET)
     expected = controller.tick(state.q, state.v, tip_ref, trocar)
     for kind in (np.asfortranarray, lambda a: np.repeat(a, 2, axis=1)[:, ::2], lambda a: a.astype(">f8")):
@@ -45,7 +45,7 @@ def test_references_in_any_kind_of_memory(robot):
 
 @pytest.mark.parametrize("law", ["moc", "dcac"])
 def test_torque_is_the_sum_of_the_levels(law, robot, regular_poses):
-    """With gains of its own for every joint."""
+    """With different gains for every joint."""
     K, D = [80.0, 120.0, 60.0, 30.0, 20.0, 10.0, 10.0], [6.0, 10.0, 5.0, 3.0, 2.0, 1.0, 1.0]
     solver, own = (EXACT, {"K_N2": K, "D_N2": D}) if law == "moc" else (None, {"dcac_damping": D})
     rng = np.random.default_rng(0)
@@ -64,7 +64,7 @@ def test_torque_is_the_sum_of_the_levels(law, robot, regular_poses):
 
 
 def test_third_level_fades_in(robot):
-    """With a ramp of ten periods the first tick gives a tenth of it; a restart begins anew."""
+    """With a ramp of ten periods, the first tick gives a tenth of its torque. A new start restarts the ramp."""
     state = robot.state(robot.data.q_home)
     whole, _, tip_ref, trocar = started(robot, state=state, **QUIET)
     faded, *_ = started(robot, state=state, **{**QUIET, "ramp_s": 0.02})
@@ -86,19 +86,19 @@ def test_settings_reach_the_core(setting, core_s, robot):
     state = robot.state(robot.data.q_home)
     controller, _, tip_ref, trocar = started(robot, None, state, **{**QUIET, **setting})
     assert controller.solution is controller.subproblem is None
-    tip_ref, trocar = tip_ref + 0.3, trocar + np.array([[0.01, 0.0, 0.0], np.zeros(3)])  # far: the limits cut
+    tip_ref, trocar = tip_ref + 0.3, trocar + np.array([[0.01, 0.0, 0.0], np.zeros(3)])  # far: the limits act
     given = {name: robot.tau_max if value is None else value for name, value in core_s.items()}
     wanted = tracking(robot, state, tip_ref, trocar, gains=(3000.0, 80.0, 800.0, 60.0), **given)
     np.testing.assert_array_equal(controller.tick(state.q, state.v, tip_ref, trocar), wanted)
 
 
 @pytest.mark.parametrize("fallback", ["damping", "hold", "least-violation"])
-def test_what_is_followed_without_an_answer_is_the_fallbacks(fallback, robot):
-    """The box (k0 = 1e-3 /s) is far too narrow for the reference (0.3 m/s), and not for one at rest."""
+def test_without_a_feasible_answer_the_arm_follows_the_fallback(fallback, robot):
+    """The box (k0 = 1e-3 /s) is far too narrow for the fast reference (0.3 m/s), but not for the one at rest."""
     state = robot.state(robot.data.q_home, np.linspace(-0.2, 0.2, 7))
     (fast, trocar), (slow, _) = in_place(state, 0.3), in_place(state)
     controller = Controller(robot, ControlSettings(fallback=fallback, k0_per_s=1e-3, **QUIET), EXACT)
-    for _ in range(2):  # the second time after a start, which forgets
+    for _ in range(2):  # the second start forgets the first run
         controller.start(state.q, state.v, fast, trocar)
         good = np.zeros(7)  # nothing to hold yet
         for tip_ref in (fast, slow, fast, fast, fast):
@@ -125,13 +125,13 @@ def watching(supports=None, error=None):
     return solver, session
 
 
-def test_a_session_may_watch_the_measured_velocity(robot):
+def test_a_session_may_observe_the_measured_velocity(robot):
     solver, session = watching()
     controller, state, tip_ref, trocar = started(robot, solver)
     for speed in (0.1, -0.2):
         controller.tick(state.q, np.full(7, speed), tip_ref, trocar)
     seen = [one.args[0][0] for one in session.observe.call_args_list]
-    assert seen == [0.0, 0.1, -0.2]  # at rest before the loop, by the copy that warms up
+    assert seen == [0.0, 0.1, -0.2]  # the first zero is from the warm-up before the loop, at rest
 
 
 @pytest.mark.parametrize(("wrong", "why"), [
@@ -143,7 +143,7 @@ def test_a_solver_that_refuses_or_cannot_start_is_named_before_the_first_tick(ro
         started(robot, watching(**wrong)[0])
 
 
-def test_what_cannot_be_is_refused(robot):
+def test_a_law_without_its_solver_a_tick_before_the_start_and_wrong_shapes_are_refused(robot):
     state = robot.state(robot.data.q_home)
     for law, solver, words in (("moc", None, "'moc' with solver None"), ("dcac", EXACT, "'dcac' with solver 'exact'")):
         with pytest.raises(ControlError, match=words):
@@ -158,7 +158,7 @@ def test_what_cannot_be_is_refused(robot):
 
 
 def test_observer_sees_the_limited_torque(robot):
-    """The observer is told what is commanded after the cut, or it would wind up against its own limit."""
+    """The observer gets the torque after the limit. With the torque before, it would wind up against the limit."""
     torques, estimates = [], []
     for limit in (True, False):
         controller, state, tip_ref, trocar = started(robot, limit_torque=limit, observer_gain_per_s=20.0)
@@ -172,7 +172,7 @@ def test_observer_sees_the_limited_torque(robot):
     np.testing.assert_allclose(estimates[1] - estimates[0], -20.0 * 0.002 * cut, atol=1e-9)
 
 
-def test_a_start_forgets_and_two_controllers_share_nothing(robot):
+def test_a_start_forgets_the_last_run_and_two_controllers_share_nothing(robot):
     controller, other = (Controller(robot, ControlSettings(), EXACT) for _ in range(2))
     home, taus = robot.data.q_home, [[], []]
     tip_ref, trocar = in_place(robot.state(home), 0.01)
@@ -191,12 +191,12 @@ def test_a_start_forgets_and_two_controllers_share_nothing(robot):
 
 
 class AsAnyOther(Exact):
-    """`exact` in a session of its own, as every other solver: the controller knows its own by its type."""
+    """`exact` run in a session, as every other solver: the controller recognizes the core's own solver by its type."""
 
 
 @pytest.mark.parametrize("fallback", ["damping", "hold", "least-violation"])
 @pytest.mark.parametrize("speed", [0.02, 3.0], ids=["feasible", "infeasible"])
-def test_the_cores_own_solver_gives_what_its_session_gives(robot, speed, fallback):
+def test_exact_within_the_core_and_in_a_session_give_the_same_bits(robot, speed, fallback):
     rng, settings = np.random.default_rng(3), ControlSettings(fallback=fallback)
     pair = [Controller(robot, settings, solver) for solver in (Exact(), AsAnyOther())]
     for k in range(20):
@@ -214,7 +214,7 @@ def test_the_cores_own_solver_gives_what_its_session_gives(robot, speed, fallbac
     assert (pair[0].fault is Fault.NONE) == (speed < 1.0)
 
 
-def test_a_start_uses_up_no_recorded_time(robot):
+def test_a_start_uses_none_of_the_recorded_solve_times(robot):
     settings, state = ControlSettings(supervisor={"budget_us": 20.0}), robot.state(robot.data.q_home)
     controller = Controller(robot, settings, EXACT, times_us=iter([30.0, 10.0, 30.0, 10.0]))
     controller.start(state.q, state.v, *in_place(state))
@@ -223,7 +223,7 @@ def test_a_start_uses_up_no_recorded_time(robot):
         assert controller.fault is fault
 
 
-def test_the_basis_of_the_self_motion_follows_the_arm(robot):
+def test_the_basis_of_the_self_motion_changes_continuously_with_the_pose(robot):
     controller, state, *task = started(robot)
     end, before = robot.random_regular_pose(np.random.default_rng(4)), None
     for q in np.linspace(state.q, end, 300):
@@ -235,7 +235,7 @@ def test_the_basis_of_the_self_motion_follows_the_arm(robot):
         before = Z
 
 
-def test_what_is_handed_out_cannot_be_written_back(robot):
+def test_writing_into_a_controllers_outputs_does_not_change_its_state(robot):
     controller, state, tip_ref, trocar = started(robot)
     tau = controller.tick(state.q, state.v, tip_ref, trocar)
     with pytest.raises(ValueError, match="read-only"):

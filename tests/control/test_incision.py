@@ -1,4 +1,4 @@
-"""What the guard knows of the incision: geometry and statics against the plant, levels, and the stops they order."""
+"""The safety filter at the incision: RCM error and trocar force by geometry and statics, and their levels."""
 
 import math
 
@@ -15,12 +15,12 @@ WARNINGS, LIMITS = ("rcm_warning_m", "trocar_force_warning_N"), ("rcm_error_m", 
 
 
 def look(guard, q, trocar, wrench):
-    """One tick at rest, as the sensor at the mount and the registered trocar have it."""
+    """One tick at rest, with this reading of the wrench sensor and this registered trocar."""
     guard.check_measurement(q, REST, wrench=wrench, trocar=trocar)
 
 
 def seen(robot, q, point, wrench=None, tip_force=None):
-    """RCM error [m] and trocar force [N] of one reading: means over one period are the figures themselves."""
+    """RCM error [m] and trocar force [N] of one reading: a mean over one period is the figure itself."""
     guard = guard_of(robot, q, incision=True, incision_s=PERIOD, tip_force_N=tip_force)
     look(guard, q, np.array([point, np.zeros(3)]), wrench)
     _, figures = guard._guard.watched()
@@ -29,7 +29,7 @@ def seen(robot, q, point, wrench=None, tip_force=None):
 
 @settings(max_examples=100)
 @given(seed=st.integers(0, 10**6), point=st.tuples(*[st.floats(-0.3, 0.3)] * 3))
-def test_the_rcm_error_is_the_shafts_distance(robot, seed, point):
+def test_the_rcm_error_is_the_distance_of_the_shaft_from_the_trocar(robot, seed, point):
     q = np.random.default_rng(seed).uniform(robot.q_min, robot.q_max)
     s, pose = robot.state(q), robot.tool_pose(q)
     np.testing.assert_allclose(pose[3], s.tip, atol=1e-12)
@@ -44,8 +44,8 @@ def test_the_rcm_error_is_the_shafts_distance(robot, seed, point):
     seed=st.integers(0, 10**6), depth=st.floats(1.01 * SHORTEST_DEPTH_M, 0.25),
     force=st.tuples(*[st.floats(-20.0, 20.0)] * 3), touch=st.tuples(*[st.floats(-20.0, 20.0)] * 3),
 )  # fmt: skip
-def test_the_trocars_force_is_told_from_weight_and_from_what_the_tip_touches(robot, seed, depth, force, touch):
-    """By statics alone, whatever the pose: the part across the shaft; forces along it are no trocar's."""
+def test_the_trocars_force_is_separated_from_the_tools_weight_and_the_tips_force(robot, seed, depth, force, touch):
+    """By statics alone, in any pose. Only the force across the shaft counts: a trocar gives none along it."""
     q = np.random.default_rng(seed).uniform(robot.q_min, robot.q_max)
     pose = robot.tool_pose(q)
     length, mass = robot.data.tool_length, robot.data.tool_mass
@@ -55,10 +55,10 @@ def test_the_trocars_force_is_told_from_weight_and_from_what_the_tip_touches(rob
     expected = np.linalg.norm(pose[:2] @ np.array(force))
     point = pose[3] - depth * pose[2]
     assert seen(robot, q, point, wrench)[1] == pytest.approx(expected, abs=1e-6)
-    close = pose[3] - 0.5 * SHORTEST_DEPTH_M * pose[2]  # not to be told apart: all that acts across the shaft
+    close = pose[3] - 0.5 * SHORTEST_DEPTH_M * pose[2]  # too shallow to separate them: the whole force across counts
     across = np.linalg.norm(pose[:2] @ (np.array(force) + np.array(touch)))
     assert seen(robot, q, close, wrench)[1] == pytest.approx(across, abs=1e-6)
-    for allowed in (1e-9, 10.0):  # of what the tip touches, no more than that is believed
+    for allowed in (1e-9, 10.0):  # no more than this force is attributed to the tip
         found = seen(robot, q, point, wrench, allowed)[1]
         assert found == pytest.approx(max(expected, across - allowed), abs=1e-6)
 
@@ -67,7 +67,7 @@ def test_the_trocars_force_is_told_from_weight_and_from_what_the_tip_touches(rob
     (0, "the RCM error", 0.05, 0.0), (1, "the trocar's force", 0.0, 75.0)
 ])  # fmt: skip
 @pytest.mark.parametrize("off", [None, math.inf])
-def test_each_level_can_be_switched_off(robot, j, of, off_m, newton, off):
+def test_each_limit_and_warning_can_be_switched_off(robot, j, of, off_m, newton, off):
     q = robot.data.q_home
     for changes, told in (({LIMITS[j]: off, WARNINGS[j]: off}, 0), ({LIMITS[j]: off}, 1)):
         mine = guard_of(robot, incision=True, **changes)
@@ -80,8 +80,8 @@ def test_each_level_can_be_switched_off(robot, j, of, off_m, newton, off):
 
 
 @pytest.mark.parametrize("time_s", [0.05, 0.002, 0.0005])
-def test_the_means_warn_and_stop_at_the_tick_that_their_law_says(robot, time_s):
-    """5 mm and 6 N at once, levels apart: each at its own tick, with its own largest value."""
+def test_the_mean_squares_warn_and_stop_at_the_tick_that_their_formula_gives(robot, time_s):
+    """5 mm and 6 N act together, with levels of their own: each warns at its own tick and keeps its largest value."""
     q, left = robot.data.q_home, 1.0 - min(1.0, PERIOD / time_s)
     means = [5.0, 6.0] * np.sqrt(1.0 - left ** np.arange(1, 401))[:, None]
     seen = off_by(robot, q, 0.005), weight(robot, q, 6.0)
@@ -94,7 +94,7 @@ def test_the_means_warn_and_stop_at_the_tick_that_their_law_says(robot, time_s):
             due = np.transpose([first * PERIOD, now, levels])[first <= k]
             found = [[w["first_s"], w["largest"], w["level"]] for w in guard.warnings]
             np.testing.assert_allclose(np.reshape(found, (-1, 3)), due, rtol=1e-9)
-        look(guard, q, off_by(robot, q, 0.0), weight(robot, q))  # the largest stays, whatever comes
+        look(guard, q, off_by(robot, q, 0.0), weight(robot, q))  # the largest value stays
         assert [(w["unit"], round(w["largest"], 2)) for w in guard.warnings] == [("mm", 5.0), ("N", 6.0)]
     for j, (limit, level, told) in enumerate(zip(LIMITS, (4e-3, 4.0), ("4 mm", "4 N"), strict=True)):
         guard = guard_of(robot, **quiet | {limit: level})
@@ -103,7 +103,7 @@ def test_the_means_warn_and_stop_at_the_tick_that_their_law_says(robot, time_s):
             assert guard.reason.endswith(f"has been above {told}") == (mean > 4.0)
 
 
-def test_a_deaf_sensor_stops_the_arm_and_a_short_gap_does_not(robot):
+def test_a_wrench_sensor_without_readings_stops_the_arm_and_a_short_gap_does_not(robot):
     q, bad = robot.data.q_home, np.full(6, np.nan)
     guard, sound = guard_of(robot, incision=True), (off_by(robot, q, 0.0), weight(robot, q))
     for wrench in (bad, bad, bad, sound[1], bad, bad, bad):

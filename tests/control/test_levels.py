@@ -1,7 +1,7 @@
-"""The levels of the safety filter and of the supervisor: a level itself is allowed, what is beyond it is not.
+"""The levels of the safety filter: a figure equal to its level is allowed, and a larger one is not.
 
-Two joints of unit inertia that turn about z, the tool's axis, and numbers that are sums of powers of two: all
-arithmetic is exact, so that a figure can be its level.
+The arm has two joints of unit inertia about z, the tool's axis. All numbers are sums of few powers of two, so that the
+arithmetic is exact and a figure can equal its level.
 """
 
 import numpy as np
@@ -18,7 +18,7 @@ TROCAR = np.array([[0.0, 0.0, -0.125], [0.0] * 3])
 
 
 def begun(arm=ARM, **levels):
-    """A filter at rest at zero in which every level that is not named is off."""
+    """A safety filter, started at rest at zero, in which every level that is not given is off."""
     given = {
         "period": T, "patience": 0, "carries": False, "low": -1e9, "high": 1e9, "v_max": 1.0, "tau_max": 1.0,
         "wall_stiffness": 0.0, "wall_damping": 0.0, "wall_brake": 1.0, "torque_step": OFF, "jump": OFF,
@@ -38,7 +38,7 @@ def begun(arm=ARM, **levels):
 
 
 def read(guard, q=0.0, v=0.0, applied=0.0, wrench=DEAF, trocar=None, other=0.0):
-    """The reason to stop after one reading; the second joint shows ``other``."""
+    """The reason to stop after one reading; ``other`` is the position of the second joint."""
     tau = np.array([applied, 0.0])
     return core.REASONS[guard.believe(np.array([q, other]), np.array([v, 0.0]), np.nan, tau, wrench, trocar)[0]]
 
@@ -50,7 +50,7 @@ def follow(guard, before=0.0, tip=None, tip_ref=None, record=None, other=0.0):
 
 
 def pressed(force):
-    """The reading of a trocar that presses the shaft along x."""
+    """The wrench sensor's reading while the trocar presses on the shaft along x."""
     return np.array([0.0, 0.0, 0.0, 0.0, -0.125 * force, 0.0])
 
 
@@ -61,7 +61,7 @@ def unbelieved(level, name, q, v):
 
 
 def tip_error(level, tip):
-    """The tip that is given, else that of the record, which is at the origin."""
+    """Whether the tip error stops the arm; without a given tip it is that of the record, at the origin."""
     return "tip" in follow(begun(tip_error=level), tip=tip, tip_ref=0.25, record=ARM.terms(ZERO, ZERO))
 
 
@@ -72,7 +72,7 @@ def way(level, name="motion_rad", v=0.0):
 
 
 def told(level, name, wrench, applied, tip, **others):
-    """After three readings of one pose with a torque of 0.25 Nm and the tip told to be at 0.25 m."""
+    """Whether a fourth equal reading stops the arm, after three at a torque of 0.25 Nm and a reference at 0.25 m."""
     guard = begun(**{name: level} | others)
     for _ in range(3):
         follow(guard, tip=0.25, tip_ref=0.25)
@@ -91,13 +91,13 @@ def not_believed(level):
 
 
 def replayed(level, name, lives):
-    """The first eight of twenty readings come again; the second joint may live on."""
+    """The first eight of twenty readings come again. With ``lives``, the second joint's go on changing."""
     guard = begun(**{name: level})
     return [read(guard, q=k % 20, other=k % 20 + lives * k, wrench=np.zeros(6)) for k in range(28)][-1] != "running"
 
 
 def repeated(level, name, v=0.0, wrench=lambda k: DEAF, lives=0.0):
-    """A reading that came eight times more than once, after 99 that do not; the second joint may live on."""
+    """After 99 readings that differ, one comes nine times. With ``lives``, the second joint's go on changing."""
     guard = begun(**{name: level})
     for k in range(99):
         read(guard, q=k * T, v=v * k, wrench=wrench(k), other=k * T)
@@ -112,14 +112,14 @@ def incision(level, j, name, shown):
 
 
 def touched(level):
-    """A contact at the tip: no force of the trocar, and yet a warning."""
+    """A force at the tip is not the trocar's, but it counts for the warning."""
     guard = begun(warning=[OFF, level])
     read(guard, wrench=np.array([0.25, 0.0, 0.0, 0.0, 0.0625, 0.0]), trocar=TROCAR)
     return guard.watched()[1][2, 1] == 0.0
 
 
 def residual(level, name, repeats=0, **others):
-    """1 Nm that moves nothing: r = -rate T after a tick."""
+    """A torque of 1 Nm without any motion: the residual is r = -rate T after a tick."""
     guard, record = begun(**{name: level} | others), ARM.terms(ZERO, ZERO)
     for _ in range(2 + repeats):
         read(guard)
@@ -137,7 +137,7 @@ def yields(level):
 
 
 def stays_open(level):
-    """At half the force."""
+    """Whether the brakes are still open at half of the level."""
     guard = begun(stop_yield=level)
     read(guard, wrench=pressed(0.0), trocar=TROCAR)
     assert guard.hold(pressed(0.5))[0] == 0.0
@@ -160,14 +160,14 @@ def stays_open(level):
     (residual, 16.0 * T, ("residual_torque",)), (residual, 16.0 * T, ("residual_whole",)),
     (residual, 16.0 * T * T, ("stuck_speed", 2)), (yields, 0.25, ()), (stays_open, 0.25, ()),
 ])  # fmt: skip
-def test_a_level_is_passed_only_beyond_it(noticed, level, more):
+def test_a_level_acts_only_on_larger_figures(noticed, level, more):
     assert not noticed(level, *more)
     assert noticed(level * (1.0 - 2.0**-40), *more)
 
 
 @pytest.mark.parametrize(("torques", "carries"), [((1.5, 1.5), 0.0), ((-0.5, -0.5), 0.0), ((1.5, 0.0), 0.5)])
-def test_a_drive_that_pushes_against_its_torque_is_used_no_more(torques, carries):
-    """Its residual and its torque differ in sign; where it has none nothing can be said of it. The weight is 0.5 Nm."""
+def test_a_drive_whose_effect_opposes_its_torque_is_not_used_any_more(torques, carries):
+    """Its residual has the opposite sign of its torque. At zero torque no drive is blamed. The weight is 0.5 Nm."""
     arm = core.Arm(LOADED, np.zeros((2, 3)), np.eye(3), np.ones((2, 2)), np.array([0.0, -1.0, 0.0]))
     guard, record = begun(arm, residual_torque=2.0**-8, carries=True, patience=1), arm.terms(ZERO, ZERO)
     read(guard)
@@ -176,20 +176,20 @@ def test_a_drive_that_pushes_against_its_torque_is_used_no_more(torques, carries
     np.testing.assert_array_equal(guard.rest(ZERO), carries)
 
 
-def test_a_motion_that_goes_on_by_itself_needs_no_torque():
+def test_a_motion_at_constant_speed_needs_no_torque():
     guard, record = begun(residual_torque=2.0**-9), ARM.terms(ZERO, ZERO + 0.5)
     assert [follow(guard, record=record) for _ in range(4)] == ["running"] * 4
 
 
-def test_a_fast_motion_allows_for_a_lag_only_as_long_as_the_readings_are_compared():
+def test_the_allowance_for_lag_after_a_fast_motion_ends_with_the_comparison_time():
     for still, reason in ((1, "running"), (12, "velocities")):
         guard = begun(motion_s=4.0 * T, motion_rad=0.0, motion_lag_s=1.0)
         assert [read(guard, v=float(k == 0)) for k in range(still + 1)] == ["running"] * (still + 1)
         assert reason in read(guard, q=0.25)
 
 
-def test_brakes_that_had_to_close_open_once_more_when_the_force_has_risen_by_as_much_again():
-    """After two ticks open at 1 N; what has fallen since counts from where it is."""
+def test_brakes_that_closed_after_their_time_open_again_when_the_force_rises_by_stop_yield():
+    """They close after two ticks, at a force of 1 N. If the force falls, the rise counts from its lowest value."""
     guard = begun(stop_yield=0.25, stop_yield_ticks=2)
     read(guard, wrench=pressed(0.0), trocar=TROCAR)
     opened = {0.25: 0, 1.0: 1, 1.125: 1, 0.9375: 0, 1.1875: 0, 1.25: 1, 0.875: 0, 0.5: 0, 0.75: 0, 0.8125: 1}

@@ -1,4 +1,4 @@
-"""Age and motion of measurements: laws that hold for all inputs, and what is believed."""
+"""The checks of the age of measurements and of the motion that they show."""
 
 import dataclasses
 
@@ -16,12 +16,12 @@ from tests.control.torques import PERIOD, REST, N, guard_of
 
 PATIENCE = 3
 ARM = RobotModel(dataclasses.replace(load_data("lwr4"), tau_max=np.full(N, 100.0), v_max=np.full(N, 1e3)))
-"""Of which everything is believed that is a number."""
+"""An arm with speed limits so high that every finite reading is accepted."""
 FRESH, REPEAT, OLD = range(3)
 
 
 def ages(stamps, patience=PATIENCE):
-    """What becomes of packets numbered so, one a tick, of a run that began with number 0 at tick 0."""
+    """FRESH, REPEAT or OLD for packets with these numbers, one per tick, in a run that began with number 0."""
     guard = core.Guard(ARM.arm, **numbers_of(SafetyFilterSettings(patience_ticks=patience), ARM, PERIOD))
     deaf, late, found = np.full(6, np.nan), core.REASONS.index("measurements are too late"), []
     guard.start(REST, REST, 0)
@@ -34,13 +34,13 @@ def ages(stamps, patience=PATIENCE):
 
 @given(st.integers(0, 6), st.integers(0, 3), st.integers(0, 40))
 @settings(max_examples=80, deadline=None)
-def test_a_constant_delay_is_ordinary_and_packets_that_stop_are_too_old_after_the_patience(patience, late, last):
-    """Up to the patience itself: nothing new can arrive before that many ticks are over."""
+def test_a_constant_delay_is_accepted_and_packets_that_end_are_too_old_after_the_patience(patience, late, last):
+    """The delay is at most the patience, since the run stops after as many ticks without a new packet."""
     late = min(late, patience)
     found = ages([min(last, max(0, k - late)) for k in range(late + last + patience + 2)], patience)
     assert found[: late + 1] == [FRESH] + [REPEAT] * late
     assert found[late + 1 : late + last + 1] == [FRESH] * last
-    ordinary = late if last > 0 else 0  # where nothing new ever came no delay is known
+    ordinary = late if last > 0 else 0  # without any new packet the delay is unknown
     first = last + ordinary + patience + 1
     assert OLD not in found[:first]
     if first < len(found):
@@ -49,10 +49,10 @@ def test_a_constant_delay_is_ordinary_and_packets_that_stop_are_too_old_after_th
 
 @given(st.lists(st.integers(-10, 200), min_size=1, max_size=80), st.integers(0, 6))
 @settings(max_examples=200, deadline=None)
-def test_what_is_fresh_is_newer_than_all_before_it_and_never_too_old(stamps, patience):
-    """Whatever comes, in whatever order: replays, jumps ahead, packets of the past."""
+def test_a_fresh_packet_is_newer_than_all_before_it_and_never_too_old(stamps, patience):
+    """For any numbers in any order: replays, jumps ahead, packets of the past."""
     newest, clock, delay = 0, 0, None
-    found = ages([0, *stamps], patience)[1:]  # as a run does: the first one it takes in is the one it was started with
+    found = ages([0, *stamps], patience)[1:]  # as in a run, the first packet is that of the start
     for stamp, one in zip(stamps, found, strict=True):
         clock += 1
         if 0 < stamp - clock <= patience:
@@ -67,14 +67,14 @@ def test_what_is_fresh_is_newer_than_all_before_it_and_never_too_old(stamps, pat
 
 
 @pytest.mark.parametrize("missed", [1, PATIENCE, PATIENCE + 1])
-def test_ticks_that_the_controller_missed_make_no_measurement_bad(missed):
-    """The arm counted on: its clock holds, up to the patience."""
+def test_ticks_that_the_controller_missed_make_no_measurement_bad_up_to_the_patience(missed):
+    """The arm has counted its ticks meanwhile, and the filter takes over its number, up to the patience."""
     found = ages([0, 1, 2, 3 + missed, 4 + missed])
     assert found == [FRESH] * 5 if missed <= PATIENCE else found[3] == REPEAT
 
 
 def looked(q, v, tau=None, reference=None, wrench=None, **levels):
-    """The first thing that is wrong with readings (k, n), and at which of them."""
+    """The reason for the stop under readings (k, n), and the index of the reading; "" and k without a stop."""
     guard = guard_of(ARM, q[0], v[0], carries=False, **levels)
     for k in range(len(q)):
         if reference is not None:
@@ -88,8 +88,8 @@ def looked(q, v, tau=None, reference=None, wrench=None, **levels):
 
 @given(st.integers(0, 2**32 - 1), st.floats(0.1, 2.0), st.sampled_from([30.0, 50.0, 100.0, 0.0]))
 @settings(max_examples=40, deadline=None)
-def test_readings_with_a_filtered_velocity_are_believed(seed, speed, cutoff):
-    """Smooth motion of any direction, quantized, with noise, its velocity low-passed as the plant's encoders do."""
+def test_readings_of_a_smooth_motion_with_filtered_velocity_are_accepted(seed, speed, cutoff):
+    """Position quantized and with noise, velocity low-passed as by the plant's encoders, any direction and speed."""
     rng = np.random.default_rng(seed)
     t = PERIOD * np.arange(800)[:, None]
     rate = rng.uniform(0.5, 3.0, N)
@@ -103,7 +103,7 @@ def test_readings_with_a_filtered_velocity_are_believed(seed, speed, cutoff):
 
 @pytest.mark.parametrize("speed", [0.02, 0.1, 1.0])
 @pytest.mark.parametrize("joint", [0, 6])
-def test_a_position_that_stands_while_its_velocity_goes_on_is_noticed(speed, joint):
+def test_a_position_that_stops_while_its_velocity_goes_on_stops_the_arm(speed, joint):
     v = np.zeros((400, N))
     v[:, joint] = speed
     q = np.cumsum(v, axis=0) * PERIOD
@@ -111,31 +111,31 @@ def test_a_position_that_stands_while_its_velocity_goes_on_is_noticed(speed, joi
     q[100:, joint] = q[100, joint]
     wrong, k = looked(q, v)
     assert "do not follow their velocities" in wrong
-    assert 0 < (k - 100) * PERIOD * speed < 2.0 * (0.001 + 0.012 * speed)  # what went unseen till then [rad]
+    assert 0 < (k - 100) * PERIOD * speed < 2.0 * (0.001 + 0.012 * speed)  # undetected motion [rad]
 
 
 @pytest.mark.parametrize(("by", "whole", "level"), [
     ("way", False, 3e-3), ("way", True, 5e-4), ("torque", False, 6.0), ("torque", True, 0.05),
 ])  # fmt: skip
-def test_one_reading_repeated_is_noticed_once_the_tip_is_told_to_move_or_the_torque_changes(by, whole, level):
-    """By what static friction cannot hold; by next to nothing where the wrench sensor repeats itself too."""
+def test_a_repeated_reading_stops_the_arm_once_the_reference_moves_or_the_torque_changes(by, whole, level):
+    """The level is what static friction holds, or very little where the wrench sensor repeats its reading too."""
     still, reference, tau = np.tile(np.linspace(-1.0, 1.0, N), (600, 1)), np.zeros((600, 3, 3)), np.zeros((600, N))
     grown = reference[:, 0, 0] if by == "way" else tau[:, 2]
     grown[:] = (0.01 * PERIOD if by == "way" else -0.02) * np.arange(600)
-    assert looked(still, 0.0 * still)[0] == ""  # at rest, and told to be: nothing can be said
+    assert looked(still, 0.0 * still)[0] == ""  # at rest under a reference at rest: no sign
     wrench = np.zeros((600, 6)) if whole else np.random.default_rng(0).normal(size=(600, 6))
     wrong, k = looked(still, 0.0 * still, tau, reference, wrench)
     assert "all encoders repeat" in wrong
-    assert abs(grown[k]) == pytest.approx(level, abs=1e-4 if by == "way" else 0.1)  # and the patience
+    assert abs(grown[k]) == pytest.approx(level, abs=1e-4 if by == "way" else 0.1)  # plus the patience
     one = still.copy()
     one[:, 6] += 1e-5 * np.arange(600)
-    assert looked(one, np.gradient(one, PERIOD, axis=0), reference=reference)[0] == ""  # one of them lives
+    assert looked(one, np.gradient(one, PERIOD, axis=0), reference=reference)[0] == ""  # one joint changes
 
 
 @pytest.mark.parametrize("alone", [True, False])
 @pytest.mark.parametrize("noisy", [True, False])
-def test_a_sensor_that_repeats_itself_at_rest_is_noticed_where_it_has_noise(noisy, alone):
-    """The wrench sensor by itself, or the whole packet."""
+def test_a_noisy_sensor_that_repeats_its_reading_at_rest_stops_the_arm(noisy, alone):
+    """The wrench sensor alone repeats its reading, or the whole packet does."""
     rng = np.random.default_rng(4)
     q = rng.normal(scale=1e-5, size=(600, N)) * alone
     wrench = rng.normal(size=(600, 6)) if noisy else np.ones((600, 6))
@@ -143,12 +143,12 @@ def test_a_sensor_that_repeats_itself_at_rest_is_noticed_where_it_has_noise(nois
     wrong, k = looked(q, 0.0 * q, wrench=wrench)
     assert (("wrench sensor repeats" if alone else "all encoders repeat") in wrong) == noisy
     assert k == (326 if noisy else 600)
-    wrench[325] += 1.0  # it lives
+    wrench[325] += 1.0  # one different reading restarts the count
     assert looked(q[:340], 0.0 * q[:340], wrench=wrench[:340]) == ("", 340)
 
 
 def watched(robot, torque, ticks, **levels):
-    """The reason for a stop of an arm whose readings stand but for noise while ``torque`` (k) [Nm] acts; and when."""
+    """Reason and tick of the stop of an arm whose readings show only noise while ``torque`` (k) [Nm] acts."""
     rng, q, guard = np.random.default_rng(0), robot.data.q_home, guard_of(robot, momentum=True, **levels)
     for k in range(ticks):
         shown, tau = q + 1e-5 * rng.normal(size=N), robot.gravity(q) + torque(k)
@@ -160,8 +160,8 @@ def watched(robot, torque, ticks, **levels):
 
 
 @pytest.mark.parametrize(("begins", "told"), [(1, False), (120, True)])
-def test_what_the_model_does_not_know_from_the_beginning_on_is_no_motion(robot, begins, told):
-    """A payload, say: until the residual has had SETTLED of its time constants, its mean follows it."""
+def test_an_unknown_load_stops_the_arm_only_if_it_begins_after_the_residual_has_settled(robot, begins, told):
+    """A payload, for example: until the residual has settled (`_SETTLED` time constants), its mean follows it."""
     load = 0.4 * robot.tau_max
     for on in (True, False):
         reason, _ = watched(robot, lambda k: (k >= begins) * load, 200, residual_s=1e6, motion=on)
@@ -169,8 +169,8 @@ def test_what_the_model_does_not_know_from_the_beginning_on_is_no_motion(robot, 
 
 
 @pytest.mark.parametrize(("whole", "stops"), [(0.5, True), (1e6, False)])
-def test_a_torque_that_grows_slowly_at_a_pose_that_does_not_change_is_told_by_its_size(whole, stops, robot):
-    """Frozen readings under fresh noise, a controller that integrates: the residual's mean follows it all the way."""
+def test_a_torque_that_grows_slowly_while_the_pose_stays_stops_the_arm_by_its_size(whole, stops, robot):
+    """This imitates frozen readings with fresh noise under an integrating controller; the mean follows the residual."""
     rate = 0.25 * robot.tau_max[1] * PERIOD * np.eye(N)[1]  # to 1.25 times the largest in 5 s
     reason, k = watched(robot, lambda k: rate * k, 2500, residual_whole_torque=whole)
     assert ("not what the torque makes" in reason) == bool(reason) == stops

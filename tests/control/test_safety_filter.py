@@ -1,4 +1,4 @@
-"""The guard's laws: torque by walls and brakes, what is believed, the stop, and its settings."""
+"""The safety filter's laws: torque by walls and brakes, which measurements are accepted, the stop, and its settings."""
 
 import dataclasses
 
@@ -14,7 +14,7 @@ from tests.control.torques import PERIOD, REST, N, guard_of, off_by, weight
 
 
 def bad_ticks(guard):
-    """Measurements in a row that were not accepted."""
+    """The number of the last measurements in a row that were refused."""
     return guard._guard.watched()[0]
 
 
@@ -30,7 +30,7 @@ def by_the_law(s, robot, tau, before, q, v, carries):
         push = s.wall_stiffness_Nm_per_rad * depth + s.wall_damping_Nm_s_per_rad * np.maximum(speed - allowed, 0.0)
         ends.append(np.where(acts, -push, np.inf))
     most, least = ends[0], -ends[1]
-    both = least > most  # leaving a wall too fast already
+    both = least > most  # in one wall, and too fast away from it
     most, least = np.where(both, 0.0, most), np.where(both, 0.0, least)
     sent = np.clip(np.clip(tau, hold + least, hold + most), before - step, before + step)
     return np.clip(sent, -robot.tau_max, robot.tau_max)
@@ -39,8 +39,8 @@ def by_the_law(s, robot, tau, before, q, v, carries):
 @settings(max_examples=300)
 @given(seed=st.integers(0, 10**6), rate=st.sampled_from([500.0, 2e4, 1e9]), fast=st.sampled_from([0.3, 1.0, 3.0, 20.0]),
        asked=st.sampled_from([1.2, 1e3]), carries=st.booleans())  # fmt: skip
-def test_the_torque_follows_the_law_and_stays_within_its_limits(robot, seed, rate, fast, asked, carries):
-    """Whatever is asked for, in any state, also beyond the joint limits."""
+def test_the_torque_follows_the_numpy_law_and_stays_within_its_limits(robot, seed, rate, fast, asked, carries):
+    """For any commanded torque, in any state, also beyond the joint limits."""
     rng = np.random.default_rng(seed)
     guard = guard_of(
         robot, carries=carries, torque_rate_Nm_per_s=rate, position_margin_rad=0.05 * rng.uniform(0.5, 2.0),
@@ -50,7 +50,7 @@ def test_the_torque_follows_the_law_and_stays_within_its_limits(robot, seed, rat
     q = np.where(rng.random(N) < 0.5, robot.q_min, robot.q_max) + near * (robot.q_max - robot.q_min) / 2.0
     v = fast * robot.v_max * rng.uniform(-1.0, 1.0, N)
     wall, at = robot.q_max - guard.settings.position_margin_rad, rng.random((2, N)) < 0.25
-    q = np.where(at[0], wall, q)  # at the wall itself, and as fast as it can still be stopped there
+    q = np.where(at[0], wall, q)  # exactly at the wall, or exactly at the largest allowed speed
     room = np.sqrt(2.0 * guard.settings.wall_brake_rad_per_s2 * np.maximum(wall - q, 0.0))
     v = np.where(at[1], np.minimum(robot.v_max, room), v)
     before, tau = rng.uniform(-1.0, 1.0, (2, N)) * robot.tau_max * [[1.0], [asked]]
@@ -63,7 +63,7 @@ def test_the_torque_follows_the_law_and_stays_within_its_limits(robot, seed, rat
 
 
 @pytest.mark.parametrize(("j", "bad"), [(0, np.nan), (3, np.inf), (6, -np.inf)])
-def test_one_torque_that_is_no_number_is_enough(robot, j, bad):
+def test_one_torque_that_is_not_finite_stops_the_arm(robot, j, bad):
     guard = guard_of(robot)
     tau, before = np.ones(N), np.full(N, 2.0)
     tau[j] = bad
@@ -72,7 +72,7 @@ def test_one_torque_that_is_no_number_is_enough(robot, j, bad):
     assert guard.reason == "the controller's torque is not finite"
 
 
-def test_the_wall_of_a_joint_that_slides_has_a_margin_of_its_own():
+def test_the_wall_of_a_sliding_joint_has_its_own_margin():
     rail, margins = load_robot("lwr4_rail"), [0.02, *[0.3] * 7]
     given = numbers_of(SafetyFilterSettings(position_margin_rad=0.3, position_margin_m=0.02), rail, PERIOD)
     np.testing.assert_allclose(given["low"] - rail.q_min, margins)
@@ -80,8 +80,8 @@ def test_the_wall_of_a_joint_that_slides_has_a_margin_of_its_own():
 
 
 @pytest.mark.parametrize("start", [-1.0, 1.0])
-def test_a_wall_that_begins_at_the_start_is_none_beyond_it(robot, start):
-    """Where the joint began there is no torque; deeper in, the wall's; other joints keep their own."""
+def test_a_start_within_a_wall_moves_this_wall_to_the_start(robot, start):
+    """There is no wall torque at the start, and deeper inside there is. Other joints keep their own walls."""
     q, s = np.array(robot.data.q_home), SafetyFilterSettings()
     q[1] = start * (robot.q_max[1] - 0.5 * s.position_margin_rad)
     guard = guard_of(robot, q, carries=False)
@@ -91,11 +91,11 @@ def test_a_wall_that_begins_at_the_start_is_none_beyond_it(robot, start):
     assert back[1] == pytest.approx(-start * s.wall_stiffness_Nm_per_rad * 1e-3)
     q[5] = robot.q_max[5] - 0.5 * s.position_margin_rad
     assert guard.limit_torque(REST, REST, q, REST)[5] < 0.0
-    guard.start(np.array(robot.data.q_home), REST)  # another run has its whole walls again
+    guard.start(np.array(robot.data.q_home), REST)  # the next run has all its walls again
     assert guard.limit_torque(REST, REST, q, REST)[1] * start < 0.0
 
 
-def test_bad_measurements_are_bridged(robot):
+def test_bad_measurements_are_bridged_by_extrapolation(robot):
     q, v = robot.data.q_home, np.full(N, 0.1)
     guard = guard_of(robot)
     guard.check_measurement(q, v)
@@ -113,8 +113,8 @@ def test_bad_measurements_are_bridged(robot):
     assert "not believed" in guard.reason
 
 
-def test_limits_of_belief_grow_with_the_gap(robot):
-    """After b bad measurements the arm may be (1 + b) ticks of v_max farther, from where it was expected."""
+def test_the_largest_accepted_step_grows_with_the_gap(robot):
+    """After b bad measurements the arm may be (1 + b) ticks of v_max away from the extrapolated pose."""
     q, v = robot.data.q_home, np.full(N, 0.2)
     for bad in range(3):
         for share, sound in ((0.999, True), (1.001, False)):
@@ -127,7 +127,7 @@ def test_limits_of_belief_grow_with_the_gap(robot):
 
 
 @pytest.mark.parametrize(("speed", "told"), [(0.5, ""), (1.0, "do not follow their velocities")])
-def test_of_a_reading_in_three_ticks_the_way_is_compared_with_three_ticks_of_its_velocity(robot, speed, told):
+def test_readings_every_three_ticks_are_compared_with_three_ticks_of_their_velocity(robot, speed, told):
     guard, v = guard_of(robot), np.full(N, 0.5)
     for stamp in np.arange(60) // 3 * 3:
         guard.check_measurement(robot.data.q_home + stamp * PERIOD * speed, v, int(stamp), REST)
@@ -137,10 +137,10 @@ def test_of_a_reading_in_three_ticks_the_way_is_compared_with_three_ticks_of_its
 
 @pytest.mark.parametrize("time_s", [0.1, 0.002, 0.0005])
 @pytest.mark.parametrize("factor", [0.999, 1.1, 3.0])
-def test_a_tip_off_its_reference_is_noted_when_its_mean_says_so(robot, time_s, factor):
+def test_a_tip_error_stops_the_arm_once_its_mean_square_exceeds_the_limit(robot, time_s, factor):
     guard = guard_of(robot, tip_error_m=0.004, tip_error_s=time_s)
     share = min(1.0, PERIOD / time_s)
-    for _ in range(2):  # the second time after a start, which forgets
+    for _ in range(2):  # the second start forgets the first run
         guard.start(robot.data.q_home, REST)
         for k in range(1, 400):
             guard.limit_torque(REST, REST, REST, REST, np.zeros((3, 3)), tip=np.array([0.0, 0.004 * factor, 0.0]))
@@ -170,7 +170,7 @@ def test_a_start_forgets_everything(robot):
 
 
 @pytest.mark.parametrize("rate", [20000.0, 1e9])
-def test_at_rest_the_weight_is_carried_within_the_limits(robot, rate):
+def test_in_a_stop_the_weight_is_carried_within_the_torque_limits(robot, rate):
     q = np.array([0.3, 1.2, 0.1, -0.6, 0.2, 0.4, 0.0])
     before, step = np.array([-100.0, 100.0, 0.0, 0.0, 10.0, 0.0, 0.0]), rate * PERIOD
     for carries in (True, False):
@@ -183,25 +183,25 @@ def test_at_rest_the_weight_is_carried_within_the_limits(robot, rate):
 
 
 @pytest.mark.parametrize("newton", [9.0, 30.0, 100.0])
-def test_brakes_open_by_the_mean_of_the_trocars_force_and_not_by_a_blow(robot, newton):
-    """m = 1 - (1 - 50 /s T)^k of a force that acts for k ticks; in one tick the tool's own inertia may show as much."""
+def test_brakes_open_by_the_mean_of_the_trocars_force_and_not_at_once(robot, newton):
+    """After k ticks the mean is (1 - (1 - 50 /s T)^k) times the force; at first the tool's inertia force adds to it."""
     q, guard = robot.data.q_home, guard_of(robot, incision=True)
     guard.check_measurement(q, REST, wrench=weight(robot, q), trocar=off_by(robot, q, 0.0))
     opened = [not guard.brake_friction(weight(robot, q, newton)).any() for _ in range(400)]
     first = next(k for k in range(1, 60) if newton * (1.0 - 0.9**k) > SafetyFilterSettings().stop_yield_N)
     assert opened.index(True) + 1 == first
     assert (first == 1) == (newton > 80.0)
-    assert np.flatnonzero(opened).tolist() == list(range(first - 1, first - 1 + 200))  # stop_yield_s, and not again
+    assert np.flatnonzero(opened).tolist() == list(range(first - 1, first - 1 + 200))  # stop_yield_s, only once
 
 
-def test_over_a_period_longer_than_its_time_a_mean_is_the_last_figure(robot):
+def test_a_mean_with_a_time_constant_below_the_period_is_the_last_value(robot):
     short = SafetyFilterSettings(tip_error_s=0.05, incision_s=0.05, residual_s=0.05)
     found = numbers_of(short, robot, 0.1)
     assert {found[f"{name}_share"] for name in ("tip", "incision", "residual", "press")} == {1.0}
 
 
 @pytest.mark.parametrize("share", [1.0, 0.05])
-def test_the_brakes_hold_their_share_of_each_drive_and_what_the_drive_cannot_carry(robot, share):
+def test_the_brakes_hold_a_share_of_each_drives_torque_and_weight_beyond_the_drive(robot, share):
     weak = dataclasses.replace(robot.data, tau_max=share * robot.data.tau_max)
     guard = guard_of(RobotModel(weak))
     left = np.maximum(np.abs(robot.gravity(weak.q_home)) - weak.tau_max, 0.0)

@@ -1,4 +1,4 @@
-"""The safety filter in whole runs: what it stops, how soon and at which cost; what it must leave alone."""
+"""The safety filter in whole runs: what it stops, how soon and with which errors, and what it must not stop."""
 
 from unittest.mock import Mock
 
@@ -24,7 +24,7 @@ QUANTIZED = {"encoder_noise_rad": 0.0, "encoder_resolution_rad": 5e-4}
 
 
 def stopped(at, within, error, newton, reason="", **scenario):
-    """A run that is stopped so soon [s] after its cause, with so much tip error, or way after it [m], and force [N]."""
+    """A run, stopped ``within`` [s] of the fault, with tip error, later travel [m] and force [N] below these bounds."""
     trace = run(Scenario(**{"duration_s": 2.0, **scenario, **QUICK}))
     assert trace.meta["ended"].startswith("stopped: ")
     assert reason in trace.meta["ended"]
@@ -44,14 +44,14 @@ AT_REST = {
 }  # fmt: skip
 FORGED = {"frozen_velocity": "zero", "forged_stamps": True}
 
-# name: the run, when the fault begins [s], by when it is stopped [s after], tip error [m], force [N], the reason
+# name: the run, start of the fault [s], bounds of the time to the stop [s], tip error [m] and force [N]; the reason
 STOPPED = {
     "all-dropped": ({"faults": {"drop_share": 1.0}}, 0.0, 0.0101, 2.5e-3, 3.0, "3 ticks late"),
     "lost": ({"faults": {"nan_at_s": 0.4, "nan_ticks": 9999}}, 0.4, 0.0061, 5e-3, INF, "not believed"),
     "frozen": ({"faults": {"frozen_at_s": 0.9}, "control": DCAC}, 0.9, 0.0101, 2.5e-3, 3.0, "3 ticks late"),
     "growing-lag": ({"faults": {"lag_at_s": 1.0, "lag_growth": 0.3}}, 1.0, 0.034, 1.0, 3.0, ""),
     "replayed": ({"faults": {"replay_at_s": 1.0, "replay_ticks": 200}}, 1.0, 0.0101, 1.0, 3.0, ""),
-    # It agrees with its own velocities and with the model: that its noise came before is the only sign.
+    # Such readings agree with their velocities and with the model: the repeated noise is the only sign.
     "a recording of the resting arm": ({**AT_REST, "seed": 8316}, 4.0, 0.08, 2e-3, 5.0, "came before"),
     "the same, no noise in the wrench": (
         {**AT_REST, "seed": 8307, "plant": {"force_noise_N": 0.0, "torque_noise_Nm": 0.0}}, 4.0, 0.08, 2e-3, 5.0,
@@ -61,7 +61,7 @@ STOPPED = {
         {"faults": {"frozen_at_s": 1.7, **FORGED}, "seed": 501, "duration_s": 2.4,
          "start": {"pose": "random", "swivel": "random"}}, 1.7, 0.1, 4e-3, 5.0, "",
     ),
-    # A lag that grows by a reading that comes twice: 57 mm without the check. Before the arm moves it does no harm.
+    # The lag grows whenever a reading comes twice: 57 mm without the check. It does no harm before the arm moves.
     "forged-lag-at-rest": (
         {"faults": {"lag_at_s": 0.0, "lag_growth": 0.3, "forged_stamps": True}, "seed": 2345, "control": DCAC,
          "task": STILL, "duration_s": 1.5, **ANYWHERE}, 0.0, 0.24, 4e-3, 5.0, "",
@@ -70,7 +70,7 @@ STOPPED = {
         {"faults": {"lag_at_s": 0.6, "lag_growth": 0.3, "forged_stamps": True}, "seed": 2345, "control": DCAC,
          "robot": {"name": "gen3"}, "duration_s": 1.5, **ANYWHERE}, 0.6, 0.14, 4e-3, 5.0, "",
     ),
-    "one-frozen-found-by-its-noise": (  # at the latest after as many ticks as its noise lets it repeat itself
+    "one-frozen-found-by-its-noise": (  # at the latest after more repetitions than its noise allows
         {"faults": {"frozen_at_s": 0.8, "frozen_joint": 1, "frozen_velocity": "zero"}, "seed": 2100, "duration_s": 3.0,
          "guard": {"repeat_reading_ticks": 10**6}, **SWIVEL}, 0.8, 0.183, 0.045, 25.0, "",
     ),
@@ -83,7 +83,7 @@ STOPPED = {
         {"faults": {"drift_rad_per_s": 0.05, "drift_at_s": 0.5, "drift_velocity": "apart"}, "seed": 2210, **SWIVEL},
         0.5, 0.1, 5e-3, 5.0, "do not follow their velocities",
     ),
-    "drift-with-the-velocity": (  # at the believed depth its force passes for a touch of the tip
+    "drift-with-the-velocity": (  # at the measured depth, the trocar's force is first attributed to the tip
         {"faults": {"drift_at_s": 2.02, "drift_rad_per_s": 0.05}, "seed": 7033, "control": {"preset": "robust"},
          "task": {"v_max_m_per_s": 0.07730648346067734}, "duration_s": 6.0, **SWIVEL},
         2.02, 4.0, 0.13, 32.0, "the trocar's force",
@@ -91,11 +91,11 @@ STOPPED = {
     "coarse-frozen": (
         {"faults": {"frozen_at_s": 1.0, **FORGED}, "seed": 11, "plant": QUANTIZED}, 1.0, 0.3, 0.006, 25.0, "",
     ),
-    "coarse-one-frozen": (  # found by its momentum alone
+    "coarse-one-frozen": (  # only its momentum shows it
         {"faults": {"frozen_at_s": 1.4, "frozen_joint": 3, **FORGED}, "seed": 11, "plant": QUANTIZED},
         1.4, 0.3, 0.1, 25.0, "",
     ),
-    "one-frozen-without-noise": (  # by its momentum, or by the trocar's force after tens of millimetres
+    "one-frozen-without-noise": (  # found by its momentum, or by the trocar's force after tens of millimetres
         {"faults": {"frozen_at_s": 1.2, "frozen_joint": 1, "frozen_velocity": "zero"}, "duration_s": 4.0,
          "plant": {"encoder_noise_rad": 0.0}},
         1.2, 1.5, 0.1, 32.0, "",
@@ -104,7 +104,7 @@ STOPPED = {
 
 
 @pytest.mark.parametrize("name", STOPPED)
-def test_measurements_that_are_not_to_be_believed_stop_the_arm(name):
+def test_wrong_measurements_stop_the_arm(name):
     scenario, *limits = STOPPED[name]
     trace = stopped(*limits, **scenario)
     assert np.abs(trace.v_rad_per_s[-1]).max() < 0.03
@@ -116,13 +116,13 @@ def test_measurements_that_are_not_to_be_believed_stop_the_arm(name):
         assert not (trace.fault[~after] == "stopped").any()
 
 
-# what is wrong with it; by when it is found [s after], and the tip error until then [m]
+# the encoder's fault, and bounds of the time to the stop [s] and of the tip error [m]
 @pytest.mark.parametrize(("wrong", "within", "error"), [
-    # A filtered velocity dies out while the position stays: without the check 31 mm and 24 N.
+    # The position stays and the velocity does not decay as a filtered one would: 31 mm and 24 N without the check.
     ({"frozen_velocity": "repeated"}, 0.0121, 0.012), ({"frozen_velocity": "zero"}, 0.0121, 0.012),
-    # A reading comes twice now and then: 53 mm.
+    # Now and then a reading comes twice: 53 mm without the check.
     ({"lag_growth": 0.05}, 0.21, 0.012), ({"lag_growth": 0.5}, 0.03, 0.012),
-    # From one tick to the next readings are old: 48 mm and 17 N.
+    # The readings become old from one tick to the next: 48 mm and 17 N without the check.
     ({"lag_ticks": 8, "lag_growth": 1e-6}, 0.03, 0.006), ({"lag_ticks": 40, "lag_growth": 1e-6}, 0.03, 0.006),
 ], ids=str)  # fmt: skip
 @pytest.mark.parametrize("robot", ["lwr4", "panda", "xarm7", "lwr4_rail"])
@@ -139,7 +139,7 @@ def test_one_encoder_that_is_stuck_or_lags_is_found(robot, wrong, within, error)
     ("lwr4", 4, 3), ("iiwa14", 4, 4), ("panda", 4, 3), ("gen3", 2, 0), ("xarm7", 2, 0), ("lwr4_rail", 3, 4),
 ])  # fmt: skip
 def test_a_broken_drive_is_stopped_and_the_brakes_hold_the_arm(arm, joint, seed, gain, monkeypatch):
-    """It loses its torque, or turns it round. Of all joints and five seeds of each arm these went farthest."""
+    """It gives no torque, or the opposite one. Of all joints and five seeds, these moved each arm's tip farthest."""
     sound = Plant.step
 
     def step(plant, tau, trocar=None):
@@ -175,7 +175,7 @@ def test_a_short_gap_is_bridged(gap):
 def test_an_arm_at_its_wall_is_stopped(control):
     """The wall begins so far inside the limits that the circle leads joint 4 into it.
 
-    Without the limit on the RCM error it goes on to the end, 14 mm and 11 N off and more: the tip is fine.
+    The tip error stays small, so that without limits at the incision the run completes with 14 mm of RCM error or more.
     """
     wall = {"position_margin_rad": 0.62}
     blind = {**wall, "rcm_error_m": None, "trocar_force_N": None, "motion": False}
@@ -186,7 +186,7 @@ def test_an_arm_at_its_wall_is_stopped(control):
     told = "the RCM error has been above 10 mm"
     trace = stopped(0.0, 20.0, 0.03, 11.0, told, control=control, guard=wall, duration_s=None)
     assert trace.rcm_error_m.max() < 0.0145
-    # the tissue's spring pushes the arm back, its brakes open, until they close at half of stop_yield_N
+    # with open brakes the tissue pushes the arm back, until the brakes close at half of stop_yield_N
     assert np.linalg.norm(trace.trocar_force_N[-1]) < 0.5 * SafetyFilterSettings().stop_yield_N + 0.5
     assert np.abs(trace.v_rad_per_s[-1]).max() < 0.03
     assert 0.0 < trace.meta["warnings"][0]["first_s"] < trace.meta["stopped_at_s"]
@@ -208,7 +208,7 @@ def unknown_plant(seed):
 
 
 def coarse(robot, seed, control, delay):
-    """While friction and a step of 0.5 mrad hold the joints, torque and momentum change: once a reason to stop."""
+    """Friction and the encoders' step of 0.5 mrad keep readings constant while the torque changes, as a fault would."""
     plant = {**QUANTIZED, "friction": 2.0, "delay_ticks": delay}
     return {"seed": seed, "robot": {"name": robot}, "control": control, "plant": plant, "duration_s": 2.0, **SWIVEL}
 
@@ -227,7 +227,7 @@ def test_no_sound_plant_is_stopped(scenario):
 @pytest.mark.parametrize("preset", ["default", "tuned", "robust", "paper"])
 @pytest.mark.parametrize("law", ["moc", "dcac"])
 def test_sound_runs_are_not_stopped(preset, law):
-    """Nor warned of, but for the paper's parameters, whose runs are up to 9 mm off."""
+    """They do not warn either, except with the paper's parameters, whose RCM errors reach 9 mm."""
     control = {"law": law} if preset == "default" else {"law": law, "preset": preset}
     seed = len(preset + law) % 4
     task = {"path": ("circle", "sinusoid", "spiral", "line")[seed]}
@@ -240,7 +240,7 @@ def test_sound_runs_are_not_stopped(preset, law):
 
 @pytest.mark.parametrize("plant", [{}, {"friction": 0.0}, {"trocar_stiffness_N_per_m": 3000.0}], ids=str)
 def test_the_robust_gains_bear_four_ticks_of_delay(plant):
-    """Also without friction to help, and against a stiff trocar: no joint begins to shake."""
+    """Also without friction, which damps, and against a stiff trocar: no joint begins to oscillate."""
     base = Scenario(control={"preset": "robust"}, seed=3, duration_s=2.0, **SWIVEL, **QUICK)
     one, four = (run(base.change(plant={"delay_ticks": ticks, **plant})) for ticks in (1, 4))
     assert four.meta["ended"] == "completed"
@@ -251,9 +251,9 @@ def test_the_robust_gains_bear_four_ticks_of_delay(plant):
 
 
 @pytest.mark.parametrize(("every", "seed"), [(1, 0), (100, 1), (10_000, 2)])
-def test_a_saboteur_gets_no_joint_past_its_limit(robot, every, seed):
-    """It asks for twice the largest torques, in directions that change at random, and shows no tip."""
-    # Readings without bias: of 60 such courses one passes a limit by 0.01 rad, with a bias of 0.1 mrad three do.
+def test_a_hostile_controller_moves_no_joint_past_its_limit(robot, every, seed):
+    """It asks for twice the largest torques, in directions that change at random, and gives no tip position."""
+    # Readings without bias: of 60 such runs one passes a limit by 0.01 rad, with a bias of 0.1 mrad three do.
     free = PlantSettings(trocar_stiffness_N_per_m=0.0, trocar_damping_Ns_per_m=0.0, encoder_bias_rad=0.0)
     plant = Plant(robot.data, free, seed=seed)
     place = 0.1 + 0.8 * np.random.default_rng(seed).uniform(size=N)
@@ -269,7 +269,7 @@ def test_a_saboteur_gets_no_joint_past_its_limit(robot, every, seed):
     assert (np.abs(trace.tau_Nm) <= robot.tau_max).all()
     rate = np.abs(np.diff(trace.tau_Nm, axis=0)).max() / PERIOD
     assert rate <= SafetyFilterSettings().torque_rate_Nm_per_s * (1 + 1e-9)
-    # speeds are braked, not foreseen: full torque the wrong way exceeds them for some ticks
+    # a joint is braked only once it is too fast: a full torque exceeds its speed limit for some ticks
     speed = np.abs(trace.v_rad_per_s) / robot.v_max
     assert speed.max() < 5.0
     assert np.median(speed.max(axis=1)) < 2.0
@@ -283,7 +283,7 @@ def test_a_controller_that_breaks_down_stops_the_arm(how, told, monkeypatch):
     sound, calls = Controller.tick, iter(range(1000))
 
     def tick(controller, *given):
-        if next(calls) <= 100:  # the first one is a copy's, which warms up
+        if next(calls) <= 100:  # the first call is that of the copy that warms up
             return sound(controller, *given)
         if isinstance(how, Exception):
             raise how
@@ -299,6 +299,6 @@ def test_the_command_line_says_that_an_arm_ran_away_and_keeps_its_trace(tmp_path
     file, out = tmp_path / "s.toml", tmp_path / "t.parquet"
     stiff = "plant = {trocar_stiffness_N_per_m = 1e6, trocar_damping_Ns_per_m = 1e4}\n"
     file.write_text(f"duration_s = 1.2\nbound_samples = 0\njudge = false\n{stiff}", encoding="utf-8")
-    assert main(["run", str(file), "--trace", str(out)]) == 3  # the input is as it should be: the arm is not
-    assert "s: ran away" in capsys.readouterr().err, "a run without a name has its file's"
+    assert main(["run", str(file), "--trace", str(out)]) == 3  # and not 2: the input is valid
+    assert "s: ran away" in capsys.readouterr().err, "the message begins with the file's name"
     assert Trace.load(out).meta["ended"].startswith("ran away")

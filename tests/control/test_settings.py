@@ -1,4 +1,4 @@
-"""What a controller can be told: gains, presets, and the paper's Table I, read from what the core is given."""
+"""A controller's settings: gains, ranges, presets, and the paper's Table I, read from the core's arguments."""
 
 import json
 import re
@@ -26,7 +26,7 @@ TABLES = {
 }
 
 
-def test_which_table_is_taken_and_that_a_setting_beats_it():
+def test_gains_come_from_the_chosen_table_unless_a_setting_replaces_them():
     assert ControlSettings().resolve_gains(TABLES, 3).K_X == 2500.0
     assert ControlSettings(law="dcac").resolve_gains(TABLES, 3).K_X == 2500.0
     assert ControlSettings(gains=None).resolve_gains(TABLES, 3).K_X == 3000.0
@@ -41,7 +41,7 @@ def test_which_table_is_taken_and_that_a_setting_beats_it():
     ControlSettings(third_level="planned"), ControlSettings(third_level="receding", observer_gain_per_s=0.0),
 ])  # fmt: skip
 def test_the_matched_baseline_has_the_same_gains(settings, robot):
-    """DCAC with the table, and the settings on top of it, that the given law uses; the observer's gain too."""
+    """The matched DCAC has the given law's gain table, the settings that replace entries of it, and its observer."""
     given = settings.resolve_gains(robot.data.gains, 7)
     changed = ControlSettings(**{**settings.model_dump(), **settings.matched_dcac()})
     matched = changed.resolve_gains(robot.data.gains, 7)
@@ -51,8 +51,8 @@ def test_the_matched_baseline_has_the_same_gains(settings, robot):
     assert changed.observer_rate_per_s == settings.observer_rate_per_s
 
 
-def test_one_number_or_one_per_joint():
-    """From the settings, also through JSON, and from the robot's table alike."""
+def test_a_gain_is_one_number_or_one_per_joint():
+    """In the settings, also after a round trip through JSON, and in the robot's table."""
     given = ControlSettings(gains="moc", K_N2=[3, 2, 1.5], dcac_damping=(0.0, 1.0, 0.0))
     assert ControlSettings(**json.loads(given.model_dump_json())) == given
     numbers = given.resolve_gains(TABLES, 3)
@@ -68,7 +68,7 @@ def test_one_number_or_one_per_joint():
     ({"gains": "listed"}, 7, r"D_X in \[gains.listed\] of the robot = .*: give one number"),
     ({"gains": {"K_N2": 80.0}}, 7, r"gains = .*keys of \[control\]"),
 ])  # fmt: skip
-def test_gains_that_are_missing_or_do_not_fit(settings, joints, words):
+def test_gains_that_are_missing_or_do_not_fit_the_arm_are_refused(settings, joints, words):
     with pytest.raises((ControlError, UnknownNameError), match=words):
         ControlSettings(**settings).resolve_gains(TABLES, joints)
     assert not ControlSettings(law="dcac", gains="dcac").resolve_gains(TABLES, 7).K_N2.any()  # not needed
@@ -80,13 +80,13 @@ def test_gains_that_are_missing_or_do_not_fit(settings, joints, words):
     ({"observer_gain_per_s": 500.0}, "observer_gain_per_s = 500.0 .* below 500"),
     ({"third_level": "planned", "course_observer_gain_per_s": 600.0}, "course_observer_gain_per_s = 600.0"),
 ])  # fmt: skip
-def test_what_does_not_fit_the_arm_or_the_period_is_refused(settings, words):
+def test_settings_that_do_not_fit_the_arm_or_the_period_are_refused(settings, words):
     solver = None if settings.get("law") == "dcac" else create("exact")
     with pytest.raises(ControlError, match=words):
         Controller(load_robot("lwr4_rail"), ControlSettings(**settings), solver, period=0.002)
 
 
-# The range of each number; of those that are not named it is [0, inf).
+# The range of each number; for the others it is [0, inf).
 RANGES = {
     ControlSettings: {
         "(0, inf)": "K_X K_N k0_per_s", "(0, 1]": "rcm_lambda speed_fraction", "[0.2, 2]": "horizon_s",
@@ -153,15 +153,15 @@ def test_a_wrong_value_names_its_field(table, field, value):
         Scenario(**{table: {field: value}})
 
 
-def test_presets_by_name():
+def test_a_preset_is_found_by_its_name():
     softer = ControlSettings.preset("tuned", gains="robust", observer_gain_per_s=22.0, course_observer_gain_per_s=22.0)
     assert ControlSettings.preset("robust") == softer
     with pytest.raises(UnknownNameError, match="did you mean 'tuned'"):
         ControlSettings.preset("tunned")
 
 
-def test_under_a_course_the_box_leaves_the_course_its_speed_and_what_differs_from_it_is_damped():
-    """On the rail: a sliding joint has its margin in metres, under either."""
+def test_under_a_course_the_box_allows_the_whole_speed_and_only_deviations_are_damped():
+    """On the rail, whose sliding joint has its margin in metres with either third level."""
     arm, own = load_robot("lwr4_rail"), {"limit_margin_m": 0.03, "climb": "scaled"}
     given = (ControlSettings(third_level=level, **own) for level in ("local", "planned"))
     local, planned = (numbers_of(settings, arm, 0.002) for settings in given)
@@ -172,31 +172,31 @@ def test_under_a_course_the_box_leaves_the_course_its_speed_and_what_differs_fro
         np.testing.assert_allclose(arm.q_max - given["q_max"], margins)
         assert given["k0"] == k0
     assert (local["climbs"], planned["climbs"]) == (True, False)
-    # At x = v no torque: a speed that is wanted is not damped, a speed that is not wanted as much as ever.
+    # At v = x there is no torque: the desired speed is not damped, and a deviation as much as under `local`.
     np.testing.assert_array_equal(planned["D_N2"], 0.0)
     np.testing.assert_allclose(planned["K_N2"], local["K_N2"] + local["D_N2"])
     assert local["D_N2"].max() > 0.0
     assert numbers_of(ControlSettings(third_level="planned", k0_per_s=12.0), arm, 0.002)["k0"] == 12.0
 
 
-def test_the_observer_under_a_course_has_its_own_gain_and_stays_off_where_it_is_off():
+def test_under_a_course_the_observer_has_its_own_gain_unless_it_is_off():
     for gain, level, rate in ((20.0, "local", 20.0), (20.0, "receding", 40.0), (0.0, "receding", 0.0)):
         assert ControlSettings(third_level=level, observer_gain_per_s=gain).observer_rate_per_s == rate
-    for name in ("tuned", "robust"):  # found together with the gains: the delay that the loop bears depends on it
+    for name in ("tuned", "robust"):  # tuned with the gains: the largest delay of a stable loop depends on it
         planned = ControlSettings.preset(name, third_level="planned")
         assert planned.observer_rate_per_s <= ControlSettings.preset(name).observer_gain_per_s
 
 
-def test_a_wall_inside_the_box_is_refused():
+def test_a_wall_that_begins_within_the_box_is_refused():
     for unit, box in (("rad", 0.15), ("m", 0.05)):
         with pytest.raises(ScenarioError, match=f"position_margin_{unit} = 0.2: .*_{unit} = {box}"):
             Scenario(guard={f"position_margin_{unit}": 0.2})
-    for control in ({"limit_margin_rad": 0.2}, {"law": "dcac"}, {"preset": "paper"}):  # no box, or the paper's
+    for control in ({"limit_margin_rad": 0.2}, {"law": "dcac"}, {"preset": "paper"}):  # as large, or none
         Scenario(guard={"position_margin_rad": 0.2}, control=control)
 
 
 @pytest.mark.parametrize("wrong", [{"rcm_warning_m": 0.0101}, {"trocar_force_warning_N": 15.1}])
-def test_a_warning_is_not_above_its_limit(wrong):
+def test_a_warning_level_above_its_limit_is_refused(wrong):
     with pytest.raises(ControlError, match=next(iter(wrong))):
         SafetyFilterSettings(**wrong)
     SafetyFilterSettings(rcm_warning_m=0.010, trocar_force_warning_N=15.0)
@@ -205,7 +205,7 @@ def test_a_warning_is_not_above_its_limit(wrong):
 
 @pytest.mark.parametrize("length", [0.15, 0.6])
 def test_the_shafts_margin_grows_with_the_square_of_the_lever(length):
-    """With the tip held the wrist moves by its distance from the tip times the shaft's turn, in two directions."""
+    """While the tip is held, the wrist moves by its distance from the tip times the shaft's turn, in two directions."""
     robot = load_robot("gen3", tool_length=length)
     lever = length + 0.061525 + 0.10593
     law = numbers_of(ControlSettings(shaft_margin=0.2, speed_fraction=0.4), robot, 0.002)
@@ -230,7 +230,7 @@ TABLE_I = {
 
 
 @pytest.mark.parametrize("law", TABLE_I)
-def test_the_paper_s_preset_has_the_numbers_of_its_table(robot, law):
+def test_the_preset_paper_has_the_numbers_of_table_i(robot, law):
     given = numbers_of(ControlSettings.preset("paper", law=law), robot, 0.002)
     for name, number in TABLE_I[law].items():
         np.testing.assert_array_equal(given[name], number, err_msg=name)

@@ -1,4 +1,4 @@
-"""The supervisor of the third level: what is refused, what stands in, and what never changes because of it."""
+"""The supervisor of the third level: what it refuses, what replaces a refused answer, what does not depend on it."""
 
 from types import SimpleNamespace
 from unittest.mock import Mock
@@ -28,7 +28,7 @@ ZERO, OK, LATE = np.zeros(7), Status.SOLVED, ["hold", "zero", "iterate"]
 
 
 def scripted(*answers):
-    """A session that gives these answers; an exception among them is raised."""
+    """A session that gives these answers in turn, or raises them where they are exceptions."""
     return Mock(spec=["solve"], **{"solve.side_effect": list(answers)})
 
 
@@ -65,14 +65,14 @@ def supervisor(fallback="damping", times=None, **changes):
 
 
 def asked(qp, Z, answer, n=7, v=None, **changes):
-    """The supervisor, the solution and the followed x after one answer."""
+    """The supervisor, the solution and the x that the arm follows, after one answer."""
     mine = Supervisor(SupervisorSettings(**changes), "damping", n)
     session = answer if hasattr(answer, "solve") else scripted(answer)
     return mine, *mine.solve(session, qp, Z, v)
 
 
 def judged(row, Z, x):
-    """Primal, outside, natural, off and opposite of an answer."""
+    """The core's figures of an answer: primal, outside, natural, off, opposite (`moc_residuals`)."""
     made = law(len(x))
     made.load(row, np.ascontiguousarray(Z))
     return made.judge(np.ascontiguousarray(x))
@@ -115,18 +115,18 @@ def test_each_fault_has_its_name_and_is_counted(fault, qp, Z):
 
 
 @pytest.mark.parametrize("hold", [0, 1, 4])
-def test_held_for_some_ticks_and_damped_from_then_on(hold, qp, Z):
+def test_the_last_good_answer_is_held_for_hold_ticks_and_then_damping_replaces_it(hold, qp, Z):
     mine = supervisor(hold_ticks=hold)
     wrong = no_answer(7, Status.NUMERICAL)
     mine.solve(scripted(solved(qp)), qp, Z)
     held = [bool(mine.solve(scripted(wrong), qp, Z)[1].any()) for _ in range(hold + 3)]
     assert held == [True] * hold + [False] * 3
     mine.solve(scripted(solved(qp)), qp, Z)
-    assert mine.solve(scripted(wrong), qp, Z)[1].any() == (hold > 0)  # a good answer starts the count anew
+    assert mine.solve(scripted(wrong), qp, Z)[1].any() == (hold > 0)  # a good answer restarts the count
 
 
-def test_a_solver_that_never_answers_costs_no_joint_its_room(robot):
-    """This start leads joint 6 to its limit where nothing but damping is left."""
+def test_without_any_answer_the_elbow_is_kept_off_the_joint_limits(robot):
+    """From this start, damping alone leads joint 6 to its limit."""
     base = Scenario(control={"preset": "tuned"}, start={"swivel": "random"}, judge=False, bound_samples=0,
                     faults={"solver": "nan", "solver_share": 1.0})  # fmt: skip
     kept = run(base)
@@ -148,7 +148,7 @@ def test_a_solver_that_never_answers_costs_no_joint_its_room(robot):
     (Solution(ZERO, ZERO[:5], OK), "y has shape (5,)"),
     *((Solution(ZERO, None, OK, n), "iterations ") for n in ("many", None, -1, MOST_ITERATIONS + 1, True)),
 ])  # fmt: skip
-def test_an_answer_of_a_wrong_form_is_a_fault_that_says_what_is_wrong(answer, told, qp, Z):
+def test_a_malformed_answer_is_a_fault_whose_message_says_what_is_wrong(answer, told, qp, Z):
     mine, solution, x = asked(qp, Z, answer)
     assert mine.fault is Fault.MALFORMED
     assert mine.faults["malformed"]["first"].startswith(told)
@@ -156,7 +156,7 @@ def test_an_answer_of_a_wrong_form_is_a_fault_that_says_what_is_wrong(answer, to
     assert not x.any()
 
 
-def test_a_solver_may_write_into_what_it_is_shown(qp, Z):
+def test_a_solver_that_writes_into_its_arguments_changes_neither_subproblem_nor_check(qp, Z):
     def solve(shown):
         for array in (shown.row, shown.row if shown.row.base is None else shown.row.base):
             array.setflags(write=True)
@@ -175,9 +175,9 @@ def test_a_solver_may_write_into_what_it_is_shown(qp, Z):
 
 @pytest.mark.parametrize("error", [SystemExit("enough"), RuntimeError("no"), MemoryError(), KeyboardInterrupt()])
 @pytest.mark.parametrize("where", ["observe", "solve", "under another error"])
-def test_whatever_a_session_raises_is_counted_and_a_users_interrupt_passes(error, where, qp, Z):
+def test_any_exception_of_a_session_is_counted_except_the_users_interrupt(error, where, qp, Z):
     raised, session = error, Mock(spec=["solve", "observe"])
-    if where == "under another error":  # as CasADi's
+    if where == "under another error":  # as CasADi wraps exceptions
         raised = SystemError("returned a result with an exception set")
         raised.__cause__ = error
     getattr(session, "observe" if where == "observe" else "solve").side_effect = raised
@@ -191,8 +191,8 @@ def test_whatever_a_session_raises_is_counted_and_a_users_interrupt_passes(error
     assert np.isfinite(x).all()
 
 
-def test_a_lie_is_seen_at_every_tick_where_it_is_one(recorded):
-    """The optimum of the opposite gradient, claimed: refused, or verified as the optimum by the judge."""
+def test_a_falsely_claimed_optimum_is_refused_at_every_tick(recorded):
+    """The answer is the optimum for the negated gradient. It is refused, unless the residuals verify it as optimal."""
     lies = 0
     for qp in map(NullSpaceQP.from_row, recorded):
         lie = opposite(qp)
@@ -204,7 +204,7 @@ def test_a_lie_is_seen_at_every_tick_where_it_is_one(recorded):
 
 
 def along_the_line(qp, Z, x):
-    """What `answer_residuals` says of x, by search: a bounded minimizer for the optima, bisection for the residual."""
+    """natural, off and opposite of x by search: a bounded minimizer for the two optima, bisection for the residual."""
     d = Z.T @ (Z @ qp.pull)
     d /= np.linalg.norm(d)
     moving = np.abs(d) > 1e-9
@@ -238,7 +238,7 @@ def along_the_line(qp, Z, x):
 
 @pytest.mark.parametrize("c2", [1e-3, 0.5])
 def test_the_residuals_along_the_line_against_a_search(c2):
-    """The elbow swivel alone, inside the box, at its sides and beyond: where rho decides, where the box."""
+    """One freedom, with x within the box, at its sides and beyond, and optima that rho or the box determines."""
     rng, seen = np.random.default_rng(12), []
     for number in range(60):
         qp = random_problem(rng, c2=c2, regularization=c2 * 10.0 ** rng.uniform(-2.0, 1.0))
@@ -254,23 +254,23 @@ def test_the_residuals_along_the_line_against_a_search(c2):
         assert off == pytest.approx(wanted[1], rel=1e-5, abs=2e-6)
         assert opposite_off == pytest.approx(wanted[2], rel=1e-5, abs=2e-6)
         seen.append((outside, relative, off, opposite_off))
-    assert (np.median(seen, axis=0)[1:] > 1e-3).all()  # not a test of zeros
+    assert (np.median(seen, axis=0)[1:] > 1e-3).all()  # so the figures that were compared are not zeros
 
 
-def test_no_line_no_residual_along_it(qp, Z):
-    """Without a pull along the self-motion, or without a kernel, every feasible answer is an optimum."""
+def test_without_a_gradient_along_the_self_motion_the_residuals_along_it_are_zero(qp, Z):
+    """Without a gradient along the self-motion, or without any self-motion, every feasible answer is an optimum."""
     x = solved(qp).x
     for pull, c2, Zs in ((1.0, 1.0, np.zeros((0, 7))), (0.0, 1.0, Z), (1.0, 0.0, Z), (1e-9, 1.0, Z)):
         row = np.array(qp.row)
         fields(row).pull[:] *= pull
         fields(row).weights[2] *= c2
-        if pull == 1e-9:  # small is not none: what counts is its share along the self-motion
+        if pull == 1e-9:  # a small gradient counts: the threshold is relative to its own length
             assert judged(row, Zs, x + 0.1 * Z[0] + 0.1 * Z[1])[2] > 0.0
         else:
             assert judged(row, Zs, x)[2:] == (0.0, 0.0, 0.0)
 
 
-def test_the_clock_counts_the_solve_in_microseconds(qp, Z, monkeypatch):
+def test_the_solve_time_is_measured_in_microseconds_and_compared_with_the_budget(qp, Z, monkeypatch):
     monkeypatch.setattr("moc_opt.control.supervisor.perf_counter_ns", iter([7_000_000, 7_250_500]).__next__)
     mine = supervisor(budget_us=250.4)
     mine.solve(scripted(solved(qp)), qp, Z)
@@ -281,8 +281,8 @@ def test_the_clock_counts_the_solve_in_microseconds(qp, Z, monkeypatch):
 @pytest.mark.parametrize("rho", [0.0, 0.3])
 @pytest.mark.parametrize("tilt", [1.0, 1e-3])
 @pytest.mark.parametrize("n", [7, 8, 9])
-def test_wrong_corners_of_several_freedoms_are_lies(n, tilt, rho):
-    """Two to four freedoms, and as much gradient along them as across, or a thousandth: claimed, and refused."""
+def test_wrong_corners_with_several_freedoms_are_refused(n, tilt, rho):
+    """Two to four freedoms; the gradient along them is as large as across them, or a thousandth of it."""
     wrong = wrong_corners(n, n, 10, tilt=tilt, regularization=rho)
     faults = [asked(w.qp, null_space(w.qp.A), Solution(w.x, None, Status.SOLVED), n)[0].fault for w in wrong]
     assert np.mean([fault is Fault.FALSE_OPTIMUM for fault in faults]) >= (1.0 if rho == 0.0 else 0.9)
@@ -293,8 +293,8 @@ def test_wrong_corners_of_several_freedoms_are_lies(n, tilt, rho):
     seed=st.integers(0, 10**6), n=st.sampled_from([7, 8, 9, 10]), rho=st.sampled_from([0.0, 1e-5, 1e-3]),
     off=st.just(0.0) | st.floats(-9.0, -1.0).map(lambda k: 10.0**k), rest=st.none() | st.floats(-12.0, 0.0),
 )  # fmt: skip
-def test_what_is_verified_is_taken(seed, n, rho, off, rest):
-    """Also where a followed course rests: it has (rho/c2) x_d in the place of the gradient, and x_d is nearly zero."""
+def test_every_verified_answer_is_accepted(seed, n, rho, off, rest):
+    """Also while a followed course rests: then (rho/c2) x_d replaces the gradient, and x_d is nearly zero."""
     rng = np.random.default_rng(seed)
     problem = random_problem(rng, n, structured=n == 7, regularization=rho)
     if rest is not None and rho > 0.0:
@@ -309,7 +309,7 @@ def test_what_is_verified_is_taken(seed, n, rho, off, rest):
         assert mine.fault is Fault.NONE
     assert off > 0.0 or found.verified()
     relative = judged(problem.row, Z, x)[2]
-    assert relative <= found.relative * (1.0 + 1e-6) + 1e-6  # joints that hardly move do not end the line
+    assert relative <= found.relative * (1.0 + 1e-6) + 1e-6  # joints that hardly move do not limit the line
 
 
 def test_the_check_can_be_switched_off(qp, Z):
@@ -318,8 +318,8 @@ def test_the_check_can_be_switched_off(qp, Z):
 
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("idle_speed", [0.0, 0.5])
-def test_an_idle_joint_says_nothing_about_the_freedoms_that_count(seed, idle_speed):
-    """Of nine joints the last moves neither tip nor wrist: at the optimum of the others nothing is left to gain."""
+def test_the_speed_of_an_idle_joint_does_not_make_an_optimum_false(seed, idle_speed):
+    """The ninth joint moves neither tip nor wrist. The check ignores its speed and judges the other freedoms alone."""
     eight = random_problem(np.random.default_rng(seed), 8, structured=False, regularization=1e-3)
     still = np.zeros((3, 1))
     nine = NullSpaceQP(
@@ -333,8 +333,7 @@ def test_an_idle_joint_says_nothing_about_the_freedoms_that_count(seed, idle_spe
     assert asked(nine, null_space(nine.A), Solution(x, None, Status.SOLVED), 9)[0].fault is Fault.NONE
 
 
-def test_both_ends_of_a_box_that_leaves_no_room_are_right(qp, Z):
-    """The ends of the line lie nearer to each other than ``opposite_limit``: none of them is false."""
+def test_both_ends_of_a_segment_shorter_than_opposite_limit_are_accepted(qp, Z):
     x, along = solved(qp).x, 1e-4 * Z[0]
     low, high = np.minimum(x - along, x + along), np.maximum(x - along, x + along)
     narrow = NullSpaceQP(
@@ -345,7 +344,7 @@ def test_both_ends_of_a_box_that_leaves_no_room_are_right(qp, Z):
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_an_idle_joint_that_is_the_only_freedom_is_judged_as_one(seed):
+def test_an_idle_joint_is_judged_where_it_is_the_only_freedom(seed):
     """Five joints for five independent rows, and one that moves neither tip nor wrist."""
     qp, joints = random_problem(np.random.default_rng(seed)), [0, 1, 2, 3, 4, 6]
     A, x = qp.A[:, joints], 0.5 * (qp.lower + qp.upper)[joints]
@@ -359,7 +358,7 @@ def test_an_idle_joint_that_is_the_only_freedom_is_judged_as_one(seed):
 
 
 @pytest.mark.parametrize("late", LATE)
-def test_late_answers(late, qp, Z):
+def test_a_late_answer_is_replaced_as_the_setting_says(late, qp, Z):
     good = solved(qp)
     other = Solution(good.x + 1e-6, None, Status.SOLVED)
     mine = supervisor(times=[10.0, 3000.0, 2000.0, 10.0], budget_us=2000.0, late=late)
@@ -371,21 +370,21 @@ def test_late_answers(late, qp, Z):
     mine.solve(scripted(good), qp, Z)
     assert mine.fault is Fault.NONE
     mine.forget()
-    solution, x = mine.solve(scripted(Unanswered("late", "nothing after 700 us")), qp, Z)  # it is not there
+    solution, x = mine.solve(scripted(Unanswered("late", "nothing after 700 us")), qp, Z)  # no answer at all
     assert (mine.fault, solution.status) == (Fault.LATE, Status.TIME_LIMIT)
     assert mine.faults["late"]["first"] == "nothing after 700 us"
     np.testing.assert_array_equal(x, np.zeros(7) if late == "zero" else good.x)
 
 
 def stoppable(whole, truncated):
-    """A session whose truncated answer is known, or raised."""
+    """A session whose truncated answer is given, or raised where it is an exception."""
     return SimpleNamespace(solve=Mock(return_value=whole), truncated=Mock(side_effect=[truncated]))
 
 
 @pytest.mark.parametrize(("us", "iterations", "allowed"), [
     (400.0, 40, 10), (1e6, 40, 1), (100.0, 40, None), (400.0, 1, 1), (400.0, 0, None),
 ])  # fmt: skip
-def test_a_late_solver_is_stopped_where_it_can_be(us, iterations, allowed, qp, Z):
+def test_a_late_solver_that_can_be_truncated_gets_its_share_of_the_iterations(us, iterations, allowed, qp, Z):
     whole = solved(qp)._replace(iterations=iterations)
     session = stoppable(whole, whole._replace(x=0.5 * whole.x, status=Status.MAX_ITER))
     mine = supervisor(times=[us], budget_us=100.0, late="iterate")
@@ -411,7 +410,7 @@ def test_a_truncated_answer_is_checked_like_any_other(cut, fault, qp, Z):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_tip_and_rcm_do_not_depend_on_the_third_level(kind, robot):
-    """One state, two controllers: one is told the truth, one is not. Tip and wrist accelerate alike."""
+    """In one state, a controller with right and one with wrong answers accelerate tip and wrist alike."""
     rng, q, settings = np.random.default_rng(5), robot.data.q_home, ControlSettings.preset("tuned")
     good, bad = (Controller(robot, settings, one) for one in (Exact(), Faulty(Exact(), kind, rate=1.0)))
     references = in_place(robot.state(q), 0.02)
@@ -424,15 +423,15 @@ def test_tip_and_rcm_do_not_depend_on_the_third_level(kind, robot):
         assert bad.fault is not Fault.NONE
         change = state.A @ np.linalg.solve(state.M, torques[1] - torques[0])
         assert np.abs(change).max() < 1e-8
-        # both observers are shown the same past, so that they say the same
+        # both observers get the same torque, so that their estimates are equal
         for mine in (good, bad):
             mine.set_applied_torque(torques[0])
-    assert np.abs(torques[1] - torques[0]).max() > 1e-3  # or the test would compare a thing with itself
+    assert np.abs(torques[1] - torques[0]).max() > 1e-3  # so the two torques that were compared differ
 
 
 @pytest.mark.parametrize("name", [name for name, reason in available().items() if reason is None])
-def test_honest_solvers_are_not_refused(name):
-    """No registered solver, as it comes, loses more than one percent of its ticks to the check."""
+def test_answers_of_registered_solvers_are_not_refused(name):
+    """With its default settings, no registered solver has more than one percent of its answers refused."""
     trace = run(Scenario(solver={"name": name}, **QUICK))
     refused = ("lied", "outside", "late", "not_finite", "malformed", "raised")
     assert np.isin(trace.fault, refused).mean() <= 0.01, trace.meta["faults"]
@@ -442,8 +441,8 @@ def test_honest_solvers_are_not_refused(name):
     (0, 0, "primal_limit"), (0, 1, "primal_limit"), (2, 0, "box_limit"), (2, 1, "box_limit"), (0, 2, "relative_limit"),
     (0, 3, "opposite_limit"), (0, None, "budget_us"),
 ])  # fmt: skip
-def test_an_answer_at_a_limit_is_taken_and_one_beyond_it_is_not(qp, Z, claim, j, limit):
-    """Claims 0, an optimum, and 2, an iterate; figure j of what judge finds."""
+def test_an_answer_at_a_limit_of_the_check_is_accepted_and_one_beyond_it_is_not(qp, Z, claim, j, limit):
+    """Claim 0 is an optimum and 2 an iterate; j is the index of the figure among those of `judged`."""
     x = opposite(qp).x if j in (2, 3) else np.clip(solved(qp).x, qp.lower, qp.upper)
     x = x + 0.01 * (qp.A[0] if j == 0 else np.where(x == qp.upper, 1.0, 0.0) if j == 1 else 0.0)
     figure = 50.0 if j is None else judged(qp.row, Z, x)[j]
@@ -455,8 +454,8 @@ def test_an_answer_at_a_limit_is_taken_and_one_beyond_it_is_not(qp, Z, claim, j,
         assert (made.finish(0, claim, x, 50.0)[0] == 0) == taken
 
 
-def test_where_several_ways_or_hardly_a_gradient_are_left_a_good_answer_is_not_searched_for_a_better_one(qp):
-    """How far it is from the optimum stays zero; with one way and a gradient it is told."""
+def test_with_several_freedoms_or_a_faint_gradient_a_good_answers_distance_is_not_computed(qp):
+    """The figure `off`, the distance from the optimum, stays zero then. With one freedom and a gradient it is given."""
     faint, several = changed(qp, c2=1e-7, regularization=1e-2), random_problem(np.random.default_rng(3), 8)
     for each, searched in ((qp, True), (faint, False), (several, False)):
         Z = null_space(each.A)

@@ -1,4 +1,4 @@
-"""The core's law with the parts of it that a test names, on the terms of any state; supervisor and guard alone."""
+"""The core's law with only the parts that a test asks for, in any state; and a supervisor and a safety filter alone."""
 
 import numpy as np
 
@@ -9,7 +9,7 @@ from moc_opt.control.safety_filter import SafetyFilter, SafetyFilterSettings
 
 
 def law(n, arm=None, supervision=None, fallback="damping", **changes):
-    """A core.Law for n joints; what is not given is zero, wide open or off."""
+    """A core.Law for n joints. Gains that are not given are zero, limits wide, and parts off."""
     s = supervisor.SupervisorSettings() if supervision is None else supervision
     wide = np.full(n, 1e3)
     blank = core.Arm(np.zeros((n, 27)), np.zeros((2, 3)), np.eye(3), np.ones((2, n)), np.zeros(3))
@@ -29,7 +29,7 @@ def law(n, arm=None, supervision=None, fallback="damping", **changes):
 
 
 def ticked(robot, state, tip_ref, trocar, x=None, x_d=None, **parts):
-    """One tick from the start: tau (n,) and the subproblem's record."""
+    """The first tick's torque tau (n,), and the record of its subproblem."""
     made = law(robot.n, robot.arm, check=False, **parts)
     made.start(state.q, state.v, tip_ref, trocar)
     row = made.begin(state.q, state.v, tip_ref, trocar, x_d)[1]
@@ -43,7 +43,7 @@ def tracking(robot, state, tip_ref, trocar, gains=(0.0, 0.0, 0.0, 0.0), **parts)
 
 
 def in_place(state, speed=0.0):
-    """References of a tip and a shaft that are where they should be; the tip moves along x [m/s]."""
+    """References for which tip and shaft of the state have no position error; the tip reference moves along x [m/s]."""
     tip_ref = np.array([state.tip, [speed, 0.0, 0.0], np.zeros(3)])
     return tip_ref, np.array([state.tip - 0.15 * state.tool_direction, np.zeros(3)])
 
@@ -54,7 +54,7 @@ def subproblem(robot, state, tip_ref, trocar, **parts):
 
 
 def stand_in(row, Z, fault, fallback="damping"):
-    """The x (n,) that the arm follows in place of an answer with a fault, from the first one on."""
+    """The x (n,) that the arm follows in place of an answer with this fault, with no good answer to hold."""
     made = law(Z.shape[1], fallback=fallback, hold_ticks=0)
     made.load(row, Z)
     found, x, _ = made.finish(fault, 0, np.zeros(Z.shape[1]), 0.0)
@@ -63,7 +63,7 @@ def stand_in(row, Z, fault, fallback="damping"):
 
 
 class Supervisor(supervisor.Supervisor):
-    """A supervisor whose law has the subproblem and the null space that the test gives it."""
+    """A supervisor whose law gets its subproblem and null space from the test."""
 
     def __init__(self, settings, fallback, n, times_us=None):
         super().__init__(settings, law(n, supervision=settings, fallback=fallback), n, 0.002, times_us)
@@ -78,7 +78,7 @@ REST = np.zeros(N)
 
 
 def guard_of(robot, q=None, v=REST, carries=True, incision=False, momentum=False, **changes):
-    """A guard begun at a pose."""
+    """A safety filter that was started at a pose."""
     settings = SafetyFilterSettings(**changes)
     mine = SafetyFilter(robot, settings, PERIOD, carries=carries, incision=incision, momentum=momentum)
     mine.start(robot.data.q_home if q is None else q, v)
@@ -86,13 +86,13 @@ def guard_of(robot, q=None, v=REST, carries=True, incision=False, momentum=False
 
 
 def off_by(robot, q, distance):
-    """A registered trocar (2, 3) that the shaft misses by so much [m]."""
+    """A registered trocar (2, 3) that the shaft misses by this distance [m]."""
     pose = robot.tool_pose(q)
     return np.stack([pose[3] - 0.15 * pose[2] + distance * pose[0], np.zeros(3)])
 
 
 def weight(robot, q, force=0.0):
-    """What the sensor shows at rest, with a force across the shaft at 0.15 m [N]."""
+    """The wrench sensor's reading at rest: the tool's weight and a force [N] across the shaft, 0.15 m above the tip."""
     pose, length = robot.tool_pose(q), robot.data.tool_length
     load, pull = np.array([0.0, 0.0, -9.81 * robot.data.tool_mass]), force * pose[1]
     moment = np.cross(0.5 * length * pose[2], load) + np.cross((length - 0.15) * pose[2], pull)

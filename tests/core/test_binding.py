@@ -1,4 +1,4 @@
-"""The core's binding lets no wrong array through, and its answers are those of the equations."""
+"""The core's binding refuses wrong arrays, counts and shapes by name."""
 
 import numpy as np
 import pytest
@@ -19,19 +19,19 @@ READ_ONLY.setflags(write=False)
     ("x", np.zeros(14)[::2]), ("x", READ_ONLY), ("x", np.zeros(7, int)), ("x", None), ("y", np.zeros((6, 1))),
     ("x", np.zeros(64, np.uint8)[1:57].view(float)), ("y", np.zeros(5)), ("rest", "1e-9"),
 ])  # fmt: skip
-def test_a_wrong_array_is_an_exception_that_names_it(name, wrong):
+def test_a_wrong_array_raises_an_exception_that_names_it(name, wrong):
     sound = {"record": QP.row, "x": np.zeros(7), "y": np.zeros(6), "steps": 1, "h_x": 1.0, "h_y": 1.0, "k": 1.0,
              "scale": -1.0, "implicit": 0, "rest": 0.0}  # fmt: skip
-    core.step_network(*sound.values())  # -1 is a number, and what Python's conversion returns of an error
+    core.step_network(*sound.values())  # a scale of -1 is valid: Python's conversion also returns -1 for an error
     with pytest.raises((TypeError, ValueError), match="real number" if name == "rest" else f"{name}: give"):
         core.step_network(*{**sound, name: wrong}.values())
 
 
-def test_another_number_of_arguments_and_rows_of_another_length_are_refused():
+def test_a_wrong_number_of_arguments_and_wrong_numbers_of_rows_and_columns_are_refused():
     for count in (1, 3):
         with pytest.raises(TypeError, match="takes 2 arguments"):
             core.solve_exact(*[QP.row] * count)
-    for first, others in ((0, 3), (2, 3), (2, 0)):  # the first array says how many rows there are
+    for first, others in ((0, 3), (2, 3), (2, 0)):  # the first array has the number of rows
         with pytest.raises(ValueError, match="X: give"):
             core.solve_exact_rows(np.zeros((first, 87)), 1e-9, *map(np.zeros, ((others, 7), (others, 6), others)))
     with pytest.raises(ValueError, match=r"shape \(n, 27\) for 1 to 16 joints"):
@@ -42,13 +42,13 @@ def test_another_number_of_arguments_and_rows_of_another_length_are_refused():
 
 
 @pytest.mark.parametrize("n", [0, 17])
-def test_an_arm_of_no_joints_or_too_many_is_refused(n):
+def test_an_arm_with_no_joint_or_with_more_than_16_is_refused(n):
     with pytest.raises(ValueError, match="1 to 16 joints"):
         core.Arm(np.zeros((n, 27)), np.zeros((2, 3)), np.eye(3), np.ones((2, n)), np.zeros(3))
 
 
 @pytest.mark.parametrize(("count", "step"), [(0, 0.02), (1, 0.02), (9, 0.0), (9, np.inf), (9, np.nan)])
-def test_a_curve_without_room_or_step_is_refused(count, step):
+def test_a_curve_with_fewer_than_two_samples_or_without_a_finite_step_is_refused(count, step):
     state = ROBOT.state(ROBOT.data.q_home)
     task = ROBOT.q_min, ROBOT.q_max, np.array([state.tip, state.wrist]), np.array(state.q), np.ones(7)
     with pytest.raises(ValueError, match="2 samples or more"):
@@ -56,7 +56,7 @@ def test_a_curve_without_room_or_step_is_refused(count, step):
 
 
 @pytest.mark.parametrize("points", [0, 3])
-def test_a_target_of_no_point_or_of_three_is_refused(points):
+def test_a_target_with_no_or_three_points_is_refused(points):
     with pytest.raises(ValueError, match=f"target has {points} rows"):
         ROBOT.arm.nearest_pose(ROBOT.q_min, ROBOT.q_max, np.zeros((points, 3)), ROBOT.q_min, 5)
 

@@ -22,7 +22,7 @@ def robot(request, odd_robot):
 
 
 def trials(robot, count=10):
-    """States in motion, tips and trocars that move and are nearly where they should be; and a generator."""
+    """States in motion, with moving references about 1 mm away, and the random generator."""
     rng = np.random.default_rng(0)
     for _ in range(count):
         state = robot.state(robot.random_regular_pose(rng), rng.uniform(-0.3, 0.3, robot.n))
@@ -33,7 +33,7 @@ def trials(robot, count=10):
 
 @pytest.mark.parametrize("rcm_lambda", [0.0, 0.5])
 @pytest.mark.parametrize("projector", PROJECTORS)
-def test_tip_and_rcm(robot, projector, rcm_lambda):
+def test_the_tip_and_rcm_torques(robot, projector, rcm_lambda):
     for (s, tip_ref, trocar), _ in trials(robot):
         found = tracking(robot, s, tip_ref, trocar, GAINS, projector=PROJECTORS.index(projector), rcm_lambda=rcm_lambda)
         wanted = reference.tip_torque(s, *GAINS[:2], tip_ref)
@@ -45,12 +45,12 @@ def test_feedforward(robot):
     for (s, tip_ref, trocar), _ in trials(robot):
         found = tracking(robot, s, tip_ref, trocar, feedforward=True) - tracking(robot, s, tip_ref, trocar)
         np.testing.assert_allclose(found, reference.feedforward(s, tip_ref, trocar), rtol=1e-6, atol=1e-6)
-        reached = s.A @ np.linalg.solve(s.M, found)  # tip and wrist get the accelerations that are theirs
+        reached = s.A @ np.linalg.solve(s.M, found)  # the tip's acceleration is the reference's
         np.testing.assert_allclose(reached[:3], tip_ref[2] - s.drift_tip, atol=1e-8)
 
 
 @pytest.mark.parametrize("angle", [0.0, 1e-13, 1e-7, 1e-5, -1e-4])
-def test_a_straight_elbow_leaves_out_of_the_feedforward_what_it_cannot_do(angle):
+def test_at_a_straight_elbow_the_feedforward_leaves_out_the_direction_that_the_wrist_cannot_follow(angle):
     q = np.array(LWR4.data.q_home)
     q[3] = angle
     s = LWR4.state(q)
@@ -82,7 +82,7 @@ def test_the_subproblem(robot):
         np.testing.assert_array_equal(followed.grad_mu, s.grad_mu)
 
 
-def test_the_third_level_and_what_it_leaves_alone(robot):
+def test_the_third_level_accelerates_neither_tip_nor_wrist(robot):
     for (s, *_), rng in trials(robot):
         x, K, D = rng.normal(size=robot.n), rng.uniform(10, 120, robot.n), rng.uniform(0, 5, robot.n)
         found = ticked(robot, s, *in_place(s), x, K_N2=K, D_N2=D, fade=0.6)[0] - s.h
@@ -106,7 +106,7 @@ def test_the_observer(robot):
 
 
 def test_the_scaled_climb(robot):
-    """Its speed, c2/rho times the pull, depends on neither."""
+    """Its velocity, c2/rho times the gradient term in the cost, depends on neither of the two weights."""
     margin, lost = 0.175 * robot.state(robot.data.q_home).tool_span ** 2, 0
     for (s, tip_ref, trocar), rng in trials(robot, 20):
         c2, rho = 10.0 ** rng.uniform(-5.0, 0.0, 2)
@@ -114,17 +114,17 @@ def test_the_scaled_climb(robot):
         found = c2 / rho * fields(subproblem(robot, s, tip_ref, trocar, **parts)).pull
         np.testing.assert_allclose(found, reference.scaled_climb(robot, s, margin), rtol=1e-4, atol=1e-4)
         lost += s.mu_shaft < margin
-    assert lost > 0  # the margin is in it
+    assert lost > 0  # some poses are below the shaft's margin
 
 
 @pytest.mark.parametrize("bend", [0.0, 1e-12])
-def test_where_there_is_no_slope_there_is_no_climb(bend):
+def test_without_a_gradient_along_the_self_motion_the_scaled_climb_is_zero(bend):
     s = LWR4.state(np.array([0.2, 0.0, 0.0, bend, 0.0, 0.0, 0.0]))
     found = fields(subproblem(LWR4, s, *in_place(s), climbs=True, c2=1.0, rho=1.0)).pull
     np.testing.assert_array_equal(found, np.zeros(7))
 
 
-def test_the_basis_turns_no_further_than_the_kernel_and_survives_the_straight_elbow():
+def test_the_null_space_basis_changes_continuously_and_is_valid_at_the_straight_elbow():
     q, sizes, before, made = np.array(LWR4.data.q_home), [], None, law(7, LWR4.arm)
     for angle in (0.1, 3e-12, *np.linspace(0.1, -0.1, 201)):  # at 3e-12 rad the rank is in doubt
         q[3] = angle
@@ -145,7 +145,7 @@ def test_the_basis_turns_no_further_than_the_kernel_and_survives_the_straight_el
 
 
 def problem(rng, robot, tight=None):
-    """A record of a pose, its A, b, lower, upper and basis; tight: a box of that size around a point of A x = b."""
+    """A record of a random pose, its fields, and a basis of ker A. ``tight``: half-width of a box around a solution."""
     s = robot.state(robot.random_regular_pose(rng))
     u, v_T, v_W = s.tool_direction, *(0.05 * rng.normal(size=(2, 3)))
     row, Z = np.full(11 * s.n + 10, np.nan), reference.null_space(s.A)
@@ -163,7 +163,7 @@ def test_least_violation_against_scipy(odd_robot):
     for k in range(30):
         row, part, Z = problem(rng, LWR4 if k % 2 else odd_robot)
         part.b[:] *= 6.0
-        if k % 3:  # beyond a limit: the box asks for a velocity back inside
+        if k % 3:  # as beyond a joint limit, where the box demands a velocity back inside
             part.lower[1] = part.upper[1] / 2.0
         x = stand_in(row, Z, INFEASIBLE, "least-violation")
         assert (x >= part.lower).all()
@@ -178,7 +178,7 @@ def test_the_smallest_self_motion_into_the_box_against_scipy(odd_robot):
         row, part, Z = problem(rng, LWR4 if k % 2 else odd_robot, tight=0.2)
         found = stand_in(row, Z, FAILED)
         x = np.linalg.lstsq(part.A, part.b, rcond=1e-9)[0] + found
-        # min |x|^2 on A x = b in the box: the equations weigh so much that they hold
+        # min |x|^2 on A x = b within the box: the large weight makes the equations hold
         heavy, right = np.vstack([1e4 * part.A, np.eye(7)]), np.concatenate([1e4 * part.b, np.zeros(7)])
         best = lsq_linear(heavy, right, (part.lower, part.upper), tol=1e-14).x
         np.testing.assert_allclose(part.A @ found, 0.0, atol=1e-12)
@@ -187,7 +187,7 @@ def test_the_smallest_self_motion_into_the_box_against_scipy(odd_robot):
     assert moved > 10
 
 
-def test_no_self_motion_where_none_is_needed_or_none_helps():
+def test_there_is_no_self_motion_where_the_box_needs_none_or_none_helps():
     row, part, Z = problem(np.random.default_rng(11), LWR4, tight=0.1)
     wide = np.full(7, 10.0)
     for lower, upper in ((-wide, wide), (wide - 1.0, wide), (-wide, 1.0 - wide)):

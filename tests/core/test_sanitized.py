@@ -13,13 +13,13 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 DIGEST = "53c29b69692d51fd"
-"""Of all results of 300 courses, with any compiler: a change that is meant to move a bit of the core moves it."""
+"""Digest of all results of 300 random runs, equal with every compiler. A change meant to alter bits changes it too."""
 
-FILL = "-ftrivial-auto-var-init="  # what new variables hold, for GCC from 12 on and Clang
+FILL = "-ftrivial-auto-var-init="  # initial value of variables that the code leaves unset (Clang, GCC from 12 on)
 
 
 def extremes(program, sanitizers=None):
-    """What 300 courses print, built with other flags than `make sanitize` has."""
+    """The output of 300 random runs; ``sanitizers``: flags in place of those of `make sanitize`."""
     flags = [] if sanitizers is None else [f"SANITIZERS={sanitizers}"]
     built = subprocess.run(["make", "-C", ROOT, "--no-print-directory", f"EXTREMES={program}", *flags, program],
                            capture_output=True, text=True, check=False)  # fmt: skip
@@ -30,7 +30,7 @@ def extremes(program, sanitizers=None):
 
 
 @pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler on the path")
-def test_whatever_goes_in_the_torque_is_finite_and_no_array_is_left(tmp_path):
+def test_for_any_input_the_torque_is_finite_and_no_access_is_outside_an_array(tmp_path):
     shown = extremes(tmp_path / "extremes")
     counted = {name: int(count) for name, count in re.findall(r"^  (.+): (\d+)$", shown, re.MULTILINE)}
     for reason in ("running", "not started", "the controller's state is damaged", "measurements not believed",
@@ -39,7 +39,7 @@ def test_whatever_goes_in_the_torque_is_finite_and_no_array_is_left(tmp_path):
     assert f"digest {DIGEST}\n" in shown, "the core's results have other bits than before"
     knows = subprocess.run(["cc", f"{FILL}zero", "-xc", "-fsyntax-only", "-"], input=b"", check=False)
     for filling in () if knows.returncode else ("zero", "pattern"):
-        assert extremes(tmp_path / filling, FILL + filling) == shown, "what a new variable holds decides something"
+        assert extremes(tmp_path / filling, FILL + filling) == shown, "an unset variable changes a result"
 
 
 UNDER_THE_SANITIZER = """
@@ -54,8 +54,8 @@ TESTS = ("core/test_binding.py", "core/test_law.py", "control/test_levels.py", "
          "solvers/test_rnn.py")  # fmt: skip
 
 
-def test_nor_does_the_binding_leave_an_array(tmp_path):
-    """The extension module built with the sanitizers, in a process of its own."""
+def test_the_binding_makes_no_access_outside_an_array(tmp_path):
+    """The tests of `TESTS` run in a new process with an extension module that is built with sanitizers."""
     if shutil.which("gcc") is None:
         pytest.skip("no GCC on the path")
     libraries = [subprocess.run(["gcc", f"-print-file-name=lib{name}.so"], capture_output=True, text=True,

@@ -1,4 +1,4 @@
-"""Arms of given joint frames and limits, with invented masses; and short tasks for any arm."""
+"""Arms with given joint frames and limits and invented masses, and short tasks for any arm."""
 
 from pathlib import Path
 from typing import Any
@@ -24,7 +24,7 @@ IIWA14: dict[str, Any] = {
 
 
 def build(folder: Path, numbers: dict[str, Any], **changes: Any) -> RobotModel:
-    """The arm as the loader makes it from two files in the folder."""
+    """Write the arm's URDF and robot file into the folder, and return the arm that the loader makes of them."""
     arm = {"rpy": (0.0, 0.0, 0.0), "q_min": -np.asarray(numbers["q_max"]), **numbers, **changes}
     count = len(arm["joints"])
     links = [Link(f"link_{j}", 2.0, (0.02, 0.02, 0.02, 0.0, 0.0, 0.0), (0.0, 0.0, 0.05)) for j in range(count + 1)]
@@ -54,7 +54,7 @@ def sixteen_joints(folder: Path, home: Array) -> RobotModel:
 def laid(
     robot: RobotModel, q: Array, count: int, duration_s: float, start_s: float, shape: str, **size: float
 ) -> Targets:  # fmt: skip
-    """A path of the tip from a pose on."""
+    """The targets of a path that begins at the tip of a pose."""
     state = robot.state(q)
     path = make_path(shape, state.tip, normal=(0.0, 0.0, 1.0), heading=(1.0, 0.0, 0.0), **size)
     trocar = Trocar(state.tip - 0.15 * state.tool_direction)
@@ -62,16 +62,16 @@ def laid(
 
 
 def task(robot: RobotModel, q: Array, count: int) -> Targets:
-    """A circle of 5 s from a pose on."""
+    """The targets of a circle that begins at a pose, over 5 s."""
     return laid(robot, q, count, 5.0, 0.2, "circle", radius=0.03)
 
 
 def line_from(robot: RobotModel, q: Array, count: int = 4) -> Targets:
-    """A short line from a pose on."""
+    """The targets of a short line that begins at a pose."""
     return laid(robot, q, count, 0.8, 0.0, "line", length=0.02)
 
 
 def at_poses(robot: RobotModel, poses: Array) -> Targets:
-    """Each pose's own tip and wrist as one time."""
+    """The tip and wrist of each pose, as targets at successive times."""
     tips, wrists = robot.tool_along(poses)
     return Targets(0.025 * np.arange(len(poses)), tips, wrists, np.zeros(len(poses)))

@@ -1,4 +1,4 @@
-"""Curves and poses on an arm of slides, where they are straight lines; and past places where a curve turns sharply."""
+"""Self-motion curves of an arm of slides, which are straight lines, and of real arms where a curve bends sharply."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ TURN = np.eye(5)[4]
 
 
 def gantry(slides):
-    """Two slides along x, one along y and z each, and a joint along z, the tool's axis: slide or turn."""
+    """Two slides along x, one along y, one along z, and a joint along z, the tool's axis, that slides or turns."""
     rows = np.zeros((5, 27))
     rows[:, :9], rows[:, 12:15], rows[:, 15] = np.eye(3).ravel(), AXES, [1, 1, 1, 1, slides]
     moves = np.ones((2, 5))
@@ -34,7 +34,7 @@ def follow(low, high, start, tangent, step, most=200, slides=False):
 
 def test_a_straight_curve_has_even_samples_up_to_the_first_limit_that_it_meets():
     start, high = np.array([0.1, 0.2, 0.3, 0.0, 0.0]), np.array([0.5, 3.0, 1.0, 0.0, 0.0])
-    for least, end in ((-0.19, 0.39), (-0.21, 0.4), (-0.3, 0.4)):  # the second slide, then the first
+    for least, end in ((-0.19, 0.39), (-0.21, 0.4), (-0.3, 0.4)):  # the second slide meets its limit, else the first
         low = np.array([-1.0, least, 0.2, 0.0, 0.0])
         s, poses, closed = follow(low, high, start, 0.5 * ALONG + np.eye(5)[2], 0.11)
         whole = np.sqrt(2.0) * end
@@ -43,15 +43,15 @@ def test_a_straight_curve_has_even_samples_up_to_the_first_limit_that_it_meets()
         assert poses[-1, 1 if end < 0.4 else 0] == (least if end < 0.4 else 0.5), "to the last bit"
         assert not closed
         again, *_ = follow(low, high, poses[-1], ALONG, 0.11)
-        assert len(again) == 1, "it stands on the limit already"
-        assert len(follow(low, high, start, np.eye(5)[2], 0.11)[0]) == 1, "it goes nowhere"
+        assert len(again) == 1, "the start is at the limit already"
+        assert len(follow(low, high, start, np.eye(5)[2], 0.11)[0]) == 1, "no self-motion lies along this tangent"
         shorter, *_ = follow(low, high, start, ALONG, 0.11, most=3)
         np.testing.assert_array_equal(shorter, s[:3])
 
 
 @pytest.mark.parametrize("step", [0.1, 0.0995, 0.15, 2.0 * np.pi / 60])
-def test_a_turn_closes_with_the_pose_that_it_began_with_and_slides_never_do(step):
-    """The whole turns are counted; the closing sample replaces one that is nearly there."""
+def test_a_curve_of_a_turning_joint_closes_after_one_turn_and_one_of_slides_never_closes(step):
+    """The last sample is one whole turn from the start, and replaces a sample that would be too close to it."""
     low, high, start = np.full(5, -30.0), np.full(5, 30.0), np.array([1.0, 0.0, 0.0, 0.0, 2.0])
     low[1:4] = high[1:4] = 0.0
     low[0] = high[0] = 1.0
@@ -67,7 +67,7 @@ def test_a_turn_closes_with_the_pose_that_it_began_with_and_slides_never_do(step
         assert len(follow(low, high, start, way * TURN, step, most=most)[0]) == most
         for side, limits in ((1.0, high), (-1.0, low)):
             bounded = limits.copy()
-            bounded[4] = 2.0 + side * (2.0 * np.pi - 0.04)  # the turn ends at a limit, so near its start
+            bounded[4] = 2.0 + side * (2.0 * np.pi - 0.04)  # a limit ends the turn just before it closes
             pair = (low, bounded) if side > 0.0 else (bounded, high)
             s, poses, closed = follow(*pair, start, side * TURN, step)
             assert (closed, poses[-1, 4]) == (0, bounded[4])
@@ -78,8 +78,8 @@ def test_a_turn_closes_with_the_pose_that_it_began_with_and_slides_never_do(step
     assert s[-1] == pytest.approx(min(399 * step, 30.0 * np.sqrt(2.0)), rel=1e-9)
 
 
-def test_a_pose_is_placed_by_newton_steps_of_a_quarter_at_most():
-    """One slide goes to a target along its axis: the error e is damped by its square."""
+def test_inverse_kinematics_takes_damped_newton_steps_of_at_most_a_quarter():
+    """One slide moves to a target along its axis; the damping of each step is proportional to the squared error."""
     arm, low, high = gantry(True), np.zeros(5), np.zeros(5)
     low[2], high[2] = -9.0, 9.0
     for reach, points in ((0.7, 2), (0.2, 1)):
@@ -97,7 +97,7 @@ def test_a_pose_is_placed_by_newton_steps_of_a_quarter_at_most():
     assert (miss, q[2]) == (pytest.approx(0.2), 0.5)
 
 
-def test_out_of_reach_the_tip_gets_as_near_as_the_stretched_arm(robot):
+def test_for_a_target_out_of_reach_the_tip_ends_as_near_as_that_of_the_stretched_arm(robot):
     free, rng, shoulder = without_limits(robot), np.random.default_rng(2), np.array([0.0, 0.0, 0.31])
     length = np.linalg.norm(free.state(np.zeros(7)).tip - shoulder)
     for direction in rng.normal(size=(8, 3)):
@@ -109,7 +109,7 @@ def test_out_of_reach_the_tip_gets_as_near_as_the_stretched_arm(robot):
 
 @pytest.mark.parametrize(("name", "draw"), [("panda", 129), ("panda", 298), ("gen3", 260), ("xarm7", 5)])
 def test_a_curve_that_turns_sharply_is_followed_in_shorter_steps(name, draw):
-    """Poses near which the shaft is all but lost; the oracle is a finer scan."""
+    """Near these poses the arm can hardly turn the shaft. The oracle is a scan with finer steps."""
     robot = load_robot(name)
     q = np.random.default_rng(3).uniform(robot.q_min, robot.q_max, (300, 7))[draw]
     fine, coarse = (self_motion(robot, q, step=step) for step in (0.005, 0.1))

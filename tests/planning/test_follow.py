@@ -1,4 +1,4 @@
-"""A followed course is where it should be at every tick, and in the closed loop the arm goes along it."""
+"""A follower asks for the right velocity at every tick, and in closed loop the arm follows its course."""
 
 from functools import cache
 
@@ -18,7 +18,7 @@ from moc_opt.tasks.trocar import shaft_distance
 
 BARE = Scenario(bound_samples=0, judge=False)
 FOLLOWED = BARE.change(control={"third_level": "planned"}, plant={"preset": "nominal"})
-# From this start the local law ends in a hump of mu that is far from the best.
+# From this start the local law ends at a local maximum of mu that is far below the best.
 TRAPPED = BARE.change(
     seed=9, duration_s=4.0, control={"third_level": "receding"}, start={"pose": "random"}, task={"path": "circle"}
 )
@@ -38,7 +38,7 @@ def follower(of):
     return of.controller()._guide
 
 
-def test_on_its_course_an_arm_is_asked_for_the_courses_speed_and_an_error_is_pulled_back(robot):
+def test_the_desired_velocity_is_the_courses_own_plus_a_share_of_the_error(robot):
     t = np.linspace(0.0, 1.0, 11)
     guide = Follower(0.002, course=Course(t, robot.data.q_home + 0.1 * t[:, None], np.ones(11), 0.0))
     for tick in range(400):
@@ -52,8 +52,8 @@ def test_on_its_course_an_arm_is_asked_for_the_courses_speed_and_an_error_is_pul
     np.testing.assert_allclose(last, 5.0 * (0.1 - 0.2), atol=1e-9)
 
 
-def test_an_arm_that_has_left_its_course_is_led_to_its_maximum_of_mu_from_where_it_is():
-    """Its elbow is held for a second, in which the course leaves its first maximum; then it goes as asked."""
+def test_an_arm_that_has_left_its_course_is_led_from_its_pose_to_the_courses_maximum_of_mu():
+    """The elbow is held for a second, in which the course leaves its first maximum. Then it moves as asked."""
     made = Setup(TRAPPED.change(control={"third_level": "planned"}))
     robot, guide, q, held = made.robot, follower(made), np.array(made.q_start), 500
     targets = targets_of(robot, made.layout, made.ticks + 1)
@@ -71,7 +71,7 @@ def test_an_arm_that_has_left_its_course_is_led_to_its_maximum_of_mu_from_where_
     assert not guide.told
 
 
-def test_the_arm_goes_along_its_course_and_no_worse_than_by_climbing():
+def test_the_arm_follows_its_course_and_has_no_less_mu_than_by_the_local_climb():
     made = setup("planned")
     trace, guide = made.trace(), follower(made)
     assert trace.meta["ended"] == "completed"
@@ -80,13 +80,13 @@ def test_the_arm_goes_along_its_course_and_no_worse_than_by_climbing():
     wanted = np.array([guide._given.at(t)[0] for t in trace.t_s])
     assert np.abs(trace.q_rad - wanted)[trace.t_s > 1.0].max() < 0.05
     climbed = mo.run(FOLLOWED.change(control={"third_level": "local"}))
-    # From a pose without a trap a climb gets as far; the course pays for going gently, the climb does not.
+    # From this pose the climb reaches the same maximum. A course gives up some mu to be smooth, the climb does not.
     assert trace.mu.mean() > 0.995 * climbed.mu.mean()
     assert Setup(FOLLOWED.change(control=FOLLOWED.control.matched_dcac())).controller()._guide is None
 
 
-def test_from_a_start_just_inside_the_margin_the_course_is_as_smooth_and_good_as_from_deeper_in_it():
-    """The margin can be regained within a step of the map, but by no course that the refinement may return."""
+def test_a_start_nearer_to_a_limit_than_the_margin_costs_no_mu_however_near_it_is():
+    """From the second start a step of the map regains the margin, but no course that the refinement may return does."""
     courses = []
     for swivel in (0.01, 0.0142):  # 0.030 and 0.043 rad from a limit
         made = Setup(FOLLOWED.change(start={"swivel": swivel}, control={"course_margin_rad": 0.05}))
@@ -99,8 +99,8 @@ def test_from_a_start_just_inside_the_margin_the_course_is_as_smooth_and_good_as
     assert just_inside.mu_mean > 0.99 * deeper.mu_mean
 
 
-def test_a_course_hurries_only_where_that_gains_much():
-    """From the second start the elbow has far to go: there the speed decides what is lost on the way."""
+def test_a_course_is_faster_than_its_usual_speed_only_where_that_gains_much_mu():
+    """From the second start the elbow has far to go, so that its speed decides how much mu is lost on the way."""
     q = (0.11625160465135753, -0.48236975363387774, 0.6927921516761183, -1.0529279629259627, 2.6042965767787516,
          1.9686742406249267, 1.3759513161472126)  # fmt: skip
     far = FOLLOWED.change(
@@ -124,12 +124,12 @@ FAST = {"task": {"v_max_m_per_s": 2.0, "a_max_m_per_s2": 20.0}, "start": {"check
     (FAST, r"third_level = 'planned'.*mm along the path"),
     (FAST | {"control": {"third_level": "receding"}}, r"third_level = 'receding'.*mm along the path"),
 ])  # fmt: skip
-def test_what_cannot_follow_a_course_is_refused_before_the_run(change, message):
+def test_settings_under_which_no_course_can_be_followed_are_refused_before_the_run(change, message):
     with pytest.raises(MocOptError, match=message):
         Setup(FOLLOWED.change(**change)).controller()
 
 
-def test_it_leaves_the_hump_in_which_the_local_law_is_trapped():
+def test_the_receding_horizon_leaves_the_local_maximum_at_which_the_local_law_ends():
     trace, climbed, told = ran("receding"), ran("local"), ran("receding").meta["replans"]
     assert trace.meta["ended"] == "completed"
     assert 20.0 * (setup().duration_s - 0.3) < told["solves"] < 30.0 * setup().duration_s
@@ -139,23 +139,23 @@ def test_it_leaves_the_hump_in_which_the_local_law_is_trapped():
     assert trace.columns["tip_error_model_m"].mean() < 2.0 * climbed.columns["tip_error_model_m"].mean()
 
 
-def test_what_it_follows_is_on_the_path_and_within_the_speeds():
+def test_the_receding_horizons_motion_is_on_the_path_and_within_the_joint_speeds():
     one, q = follower(setup()), [setup().q_start]
     for _ in range(setup().ticks):
         q.append(q[-1] + 0.002 * one.desired_velocity(setup().robot.state(q[-1])))
     assert one.told["refused"] <= 0.05 * one.told["solves"]
     t = 0.002 * np.arange(len(q))
     tips, wrists = setup().robot.tool_along(np.array(q))
-    # Between the times of the program it is a cubic, and a joint turns by up to 0.2 rad from one to the next.
+    # Between the program's times the motion is a cubic, and a joint turns by up to 0.2 rad from one time to the next.
     assert np.linalg.norm(tips - setup().reference.at(t)[0], axis=1).max() < 2e-3
     assert shaft_distance(tips, wrists, setup().registered.at(t)[0]).max() < 2e-3
-    # On average from time to time as fast as joints can be, so the cubic is here and there faster; the box is not.
+    # The program limits the mean speed between its times, so the cubic is faster in places. The box limits every speed.
     assert (np.abs(np.diff(q, axis=0)) / 0.002 <= 1.2 * setup().robot.v_max).all()
 
 
 @pytest.mark.parametrize("wrong", ["random", "nan", "fast"])
-def test_nonsense_in_place_of_a_course_is_found_out(monkeypatch, wrong):
-    """The last answer goes on to its end, and there the arm is asked to rest."""
+def test_wrong_answers_of_the_program_are_refused(monkeypatch, wrong):
+    """The last good answer is followed to its end, where the arm is asked to rest."""
     one, rng = follower(setup()), np.random.default_rng(0)
     robot, q = setup().robot, setup().q_start
 
@@ -182,7 +182,7 @@ def test_a_run_can_be_repeated_and_a_controller_has_its_own_course(level):
     np.testing.assert_array_equal(first, [one.desired_velocity(state) for _ in first])
 
 
-def test_near_a_pose_v_is_a_parabola_between_what_reaches_the_end():
+def test_near_a_pose_v_is_a_parabola_up_to_the_poses_from_which_the_end_is_out_of_reach():
     value, k = follower(setup())._planner._value, 5
     alive = np.isfinite(value.value[k])
     b, j = (int(i) for i in np.argwhere(alive)[alive.sum() // 2])

@@ -1,4 +1,4 @@
-"""A plan tells whether a path can be executed, and where it ends: checked by inverse kinematics and by its courses."""
+"""A plan says whether a path can be executed, and where it is blocked. Oracles: inverse kinematics, its own courses."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ from moc_opt.scenario import Scenario, planned
 from tests.planning.arms import task
 
 
-def test_the_courses_are_in_order_and_the_proposed_start_keeps_its_promise(robot):
+def test_climb_plan_best_course_and_bound_are_in_order_and_the_proposed_start_attains_the_best(robot):
     q = robot.data.q_home
     targets = task(robot, q, 60)
     plan = make_plan(robot, q, targets, swivels=360)
@@ -31,15 +31,15 @@ def test_the_courses_are_in_order_and_the_proposed_start_keeps_its_promise(robot
     assert again.from_start.mu_mean == pytest.approx(plan.best.mu_mean, rel=1e-4)
 
 
-def test_a_bound_that_a_course_shows_to_be_none_is_not_given(robot, monkeypatch):
-    """A map too coarse for what mu does between its poses, made by counting the mu of its bound as less."""
+def test_no_bound_is_given_where_a_course_exceeds_it(robot, monkeypatch):
+    """Scaling the bound's mu by 0.9 imitates a map that is too coarse for the changes of mu between its poses."""
     monkeypatch.setattr("moc_opt.planning.search._highest_nearby", lambda mu: 0.9 * mu)
     plan = make_plan(robot, robot.data.q_home, task(robot, robot.data.q_home, 20), swivels=180)
     assert np.isnan(plan.bound)
     assert np.isnan(plan.bound_from_start)
 
 
-def test_the_first_point_out_of_reach_has_no_pose_and_the_one_before_has(robot):
+def test_inverse_kinematics_finds_no_pose_at_the_blocked_point_but_one_at_the_point_before(robot):
     q = robot.data.q_home
     state = robot.state(q)
     away = np.linspace(0.0, 0.8, 81)[:, None] * np.array([0.0, 0.6, 0.8])
@@ -81,12 +81,12 @@ def test_a_joint_that_is_too_slow_or_at_its_limit_is_named(robot, limits, told):
 ])  # fmt: skip
 def test_bad_arguments_are_named(robot, change, name):
     q = robot.data.q_home
-    with pytest.raises(TaskError, match=name):  # the last one begins off the path
+    with pytest.raises(TaskError, match=name):  # without a change, the start is off the path
         make_plan(robot, q if change else q + 0.01, task(robot, q, 10), **change)
 
 
-def test_a_way_that_only_the_grid_lacks_is_found_and_without_looking_the_grid_is_named():
-    """The joints' speeds leave room for a swivel that lies between two of a coarse map's."""
+def test_refinement_finds_a_course_that_a_coarse_map_lacks_and_without_it_the_map_is_blamed():
+    """Within the joint speeds, only swivels between two samples of the coarse map can be reached."""
     scenario = Scenario(seed=1).change(start={"pose": "random"})
     coarse = {"swivels": 90, "speed_share": 0.15, "times": 100}
     found, grid = planned.plan(scenario, **coarse), planned.plan(scenario, **coarse, refined=False)
@@ -95,8 +95,8 @@ def test_a_way_that_only_the_grid_lacks_is_found_and_without_looking_the_grid_is
     assert "between the poses of the map" in grid.blocked.reason
 
 
-def test_where_the_bound_leaves_room_the_program_begins_at_its_course_too(monkeypatch):
-    """The grid is made to find the climb alone, from a start from which that ends in a low hump of mu."""
+def test_a_course_far_below_the_bound_is_refined_again_from_the_bounds_course(monkeypatch):
+    """The grid search is replaced by the local climb, which from this start ends at a low local maximum of mu."""
     best_course, asked = plan.best_course, []
 
     def poor(value, start):
@@ -116,8 +116,8 @@ def test_a_margin_below_zero_is_refused_by_its_name(name, margin):
         planned.plan(Scenario(duration_s=0.1), times=5, **{name: margin})
 
 
-def test_a_start_inside_the_margin_lowers_it():
-    """The start is 0.012 rad from a limit: a course that keeps 0.02 rad cannot begin there."""
+def test_a_start_nearer_to_a_limit_than_the_margin_lowers_the_margin():
+    """This start is at a joint limit, so that no course from it can keep the margin of 0.05 rad."""
     scenario = Scenario(start={"swivel": 1.0}, duration_s=2.0)
     robot, margin = scenario.robot.arm(), 0.05
     found = planned.plan(scenario, times=41, margin_rad=margin)

@@ -1,4 +1,4 @@
-"""The map is the arm's own kinematics and misses no pose; nothing that other means find beats the largest mu."""
+"""The pose map agrees with the arm's kinematics and misses no pose, and no other search finds a larger mu."""
 
 import numpy as np
 import pytest
@@ -22,12 +22,12 @@ def arm(request):
 
 @pytest.fixture(scope="module")
 def panda():
-    """An arm without closed form, and its map along a short line."""
+    """An arm without a closed form, and its map along a short line."""
     robot = load_robot("panda")
     return robot, map_of(robot, robot.data.q_home, line_from(robot, robot.data.q_home))
 
 
-def test_every_pose_has_tip_wrist_mu_and_room_of_the_model(arm):
+def test_tip_wrist_mu_and_room_of_every_pose_agree_with_the_model(arm):
     rng = np.random.default_rng(0)
     starts = np.array([arm.random_regular_pose(rng, margin=0.02) for _ in range(10)])
     found = map_of(arm, starts[0], at_poses(arm, starts), 180)
@@ -51,7 +51,7 @@ def test_every_pose_of_the_arm_is_in_the_map_in_one_of_eight_branches(arm):
     rng, branches = np.random.default_rng(1), set()
     for _ in range(40):
         q = arm.random_regular_pose(rng, margin=0.01)
-        found = map_of(arm, q, at_poses(arm, np.array([q, q])), 8)  # its swivel is one of the map's
+        found = map_of(arm, q, at_poses(arm, np.array([q, q])), 8)  # the map samples the swivel of q itself
         gaps = np.abs(found.q_rad[0] - q)[..., :6].max(axis=-1)
         branch, j = (int(i) for i in np.unravel_index(int(gaps.argmin()), gaps.shape))
         assert gaps[branch, j] < 1e-9
@@ -61,7 +61,7 @@ def test_every_pose_of_the_arm_is_in_the_map_in_one_of_eight_branches(arm):
     assert len(branches) == 8
 
 
-def test_out_of_reach_is_no_pose(robot):
+def test_a_target_out_of_reach_has_no_pose(robot):
     q = robot.data.q_home
     targets = at_poses(robot, np.array([q, q]))
     away = np.array([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0]])
@@ -84,13 +84,13 @@ def test_too_few_and_too_many_swivels_are_refused(name, swivels):
 
 @pytest.mark.parametrize("changes", [
     {"mount": (0.0, 0.0, -0.081), "rpy": (0.3, 0.0, 0.0)},  # a tool at an angle to axis 7
-    {"wrist": (0.01, 0.0, -0.081), "mount": (0.01, 0.0, 0.045)},  # beside it
-    {"wrist": (0.0, 0.0, -0.07)},  # not where axes 5 to 7 meet
-    {"q_max": np.radians([170, 120, 170, 120, 200, 120, 175])},  # one angle, two positions
+    {"wrist": (0.01, 0.0, -0.081), "mount": (0.01, 0.0, 0.045)},  # a tool beside axis 7
+    {"wrist": (0.0, 0.0, -0.07)},  # a wrist point that is not the intersection of axes 5 to 7
+    {"q_max": np.radians([170, 120, 170, 120, 200, 120, 175])},  # a joint with more than one turn
     {"joints": [*IIWA14["joints"][:3], ((0.02, 0.0, 0.2155), (H, 0, 0)), *IIWA14["joints"][4:]]},  # elbow offset
-    {"joints": [*IIWA14["joints"][:5], ((0.0, 0.0, 0.2155), (H - 0.1, 0, 0)), IIWA14["joints"][6]]},  # oblique
+    {"joints": [*IIWA14["joints"][:5], ((0.0, 0.0, 0.2155), (H - 0.1, 0, 0)), IIWA14["joints"][6]]},  # oblique axes
 ])  # fmt: skip
-def test_an_arm_without_normal_form_is_told(tmp_path, changes):
+def test_an_arm_whose_geometry_deviates_has_no_closed_form(tmp_path, changes):
     assert closed_form(build(tmp_path, IIWA14)) is not None, "the name of an arm does not count"
     whole_turn = np.radians([180, 120, 170, 120, 170, 120, 175])
     assert closed_form(build(tmp_path, IIWA14, q_max=whole_turn, q_min=-whole_turn)) is not None
@@ -118,7 +118,7 @@ def test_each_joint_keeps_its_own_margin(panda):
     np.testing.assert_array_equal(found.feasible(np.full(7, 0.3)), found.feasible(0.3))
 
 
-def test_a_panda_has_every_pose_that_random_starts_find(panda):
+def test_the_map_of_a_panda_has_every_pose_that_inverse_kinematics_finds_from_random_starts(panda):
     robot, found = panda
     tip, wrist = found.targets.tip[2], found.targets.wrist[2]
     poses = found.q_rad[2, 0][np.isfinite(found.mu[2, 0])]
@@ -131,11 +131,11 @@ def test_a_panda_has_every_pose_that_random_starts_find(panda):
         if placed.found:
             seen += 1
             apart = np.abs(wrapped(poses - placed.q))[:, :6].max(axis=1)
-            assert apart.min() < 0.1, "a pose that the map does not have"
+            assert apart.min() < 0.1, "a pose that the map lacks"
     assert seen > 5
 
 
-def test_more_swivels_than_the_default_are_denser_samples(panda):
+def test_more_swivels_than_the_default_sample_more_densely_and_fewer_change_nothing(panda):
     robot, found = panda
     fewer, twice = (map_of(robot, robot.data.q_home, found.targets[:2], swivels) for swivels in (90, 1440))
     one, two, four = (np.isfinite(each.mu[0]).sum() for each in (fewer, found, twice))
@@ -144,14 +144,14 @@ def test_more_swivels_than_the_default_are_denser_samples(panda):
 
 
 def polished(robot, q, tip, wrist):
-    """Climb mu with a general nonlinear program that knows nothing of self-motions."""
+    """Maximize mu from a pose with a general nonlinear program that does not use self-motions."""
     free, pose = robot.moves.any(axis=0), q.copy()
 
     def state(x):
         pose[free] = x
         return robot.state(pose)
 
-    # Five of the six equations: a rigid tool makes one follow from the others.
+    # Five of the six equations: with a rigid tool the sixth follows from the others.
     rows = np.linalg.svd(robot.state(q).A)[0][:, :5].T
     found = minimize(
         lambda x: (-state(x).mu, -state(x).grad_mu[free]), q[free], jac=True, method="SLSQP",
@@ -165,7 +165,7 @@ def polished(robot, q, tip, wrist):
 
 
 def elsewhere(robot, q, starts, seed):
-    """The best mu of random inverse kinematics at the tip and wrist of q, the best eight polished."""
+    """The best mu of inverse kinematics from random starts, for the tip and wrist of q; the best eight are polished."""
     s, rng = robot.state(q), np.random.default_rng(seed)
     drawn = rng.uniform(robot.q_min, robot.q_max, (starts, robot.n))
     placed = [solve_pose(robot, start, s.tip, s.wrist) for start in drawn]
@@ -181,8 +181,8 @@ def elsewhere(robot, q, starts, seed):
     ("lwr4", SCANNED), ("iiwa14", SCANNED),
     *((name, "best found of 96 starts") for name in ("panda", "gen3", "xarm7", "lwr4_rail")),
 ])  # fmt: skip
-def test_random_inverse_kinematics_find_nothing_better(name, method):
-    """Beyond 1 %, and on the whole nothing at all: a basin of a few percent of the starts can be missed."""
+def test_inverse_kinematics_from_random_starts_finds_no_larger_mu(name, method):
+    """At most 1 % larger, and in the median not at all: a maximum that few of the starts lead to can be missed."""
     robot, rng = load_robot(name), np.random.default_rng(21)
     poses = [robot.data.q_home, *rng.uniform(robot.q_min, robot.q_max, (2, robot.n))]
     found = [largest_mu(robot, q[None]) for q in poses]
@@ -193,7 +193,7 @@ def test_random_inverse_kinematics_find_nothing_better(name, method):
 
 
 @pytest.mark.parametrize("name", ["lwr4_rail", "odd"])
-def test_with_two_freedoms_one_curve_is_not_all(name, odd_robot):
+def test_with_two_freedoms_the_largest_mu_is_not_on_one_self_motion_curve(name, odd_robot):
     robot = odd_robot if name == "odd" else load_robot(name)
     rng = np.random.default_rng(4)
     poses = [robot.data.q_home, *rng.uniform(0.7 * robot.q_min, 0.7 * robot.q_max, (3, robot.n))]
@@ -203,7 +203,7 @@ def test_with_two_freedoms_one_curve_is_not_all(name, odd_robot):
 
 
 def test_points_of_a_path_share_their_maxima(monkeypatch):
-    """Along a path few starts a point do: what one point found, its neighbours before and behind it have too."""
+    """Few starts per point suffice along a path, since each point also starts from the maxima of its two neighbours."""
     robot = load_robot("xarm7")
     curve = np.linspace(0.0, 0.02, 8)[:, None] + robot.data.q_home
     monkeypatch.setattr(pose_map, "STARTS", 200)
@@ -216,8 +216,8 @@ def test_points_of_a_path_share_their_maxima(monkeypatch):
 
 
 @pytest.mark.parametrize("name", ["panda", "lwr4_rail", "odd"])
-def test_an_ascent_ends_at_a_maximum_inside_the_limits_between_which_poses_are_found(name, odd_robot):
-    """Limits so narrow that joints meet them on the way and are let go again; the ways up by HiGHS."""
+def test_an_ascent_ends_at_a_maximum_within_the_limits_and_nearest_poses_are_found_within_them(name, odd_robot):
+    """The limits are so narrow that joints meet and leave them during the ascent. HiGHS finds no direction uphill."""
     robot = odd_robot if name == "odd" else load_robot(name)
     rng, at_limits, found = np.random.default_rng(5), 0, 0
     for width in rng.choice([0.05, 0.3, 1.0, 9.0], 60):
@@ -241,5 +241,5 @@ def test_an_ascent_ends_at_a_maximum_inside_the_limits_between_which_poses_are_f
         found += robot.arm.nearest_pose(low, high, np.array([goal.tip, goal.wrist]), start, 60)[0] < 1e-9
         robot.arm.ascend(low, high, target + 10.0, q, mu)
         assert mu[0] == -1.0, "out of reach"
-    assert at_limits > 20  # where what is held decides
+    assert at_limits > 20  # maxima that a limit determines
     assert found >= 58

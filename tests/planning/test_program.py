@@ -1,4 +1,4 @@
-"""The program keeps every constraint by the model's own kinematics, over a path and over a horizon."""
+"""The nonlinear program's courses keep every constraint by the model's kinematics, over a path and over a horizon."""
 
 import casadi
 import numpy as np
@@ -21,7 +21,7 @@ NODES = 8
 
 
 def on_grid(robot, targets, limits=None, swivels=180):
-    """The best course of a grid from the home pose, and the bound on all."""
+    """The grid's best course from the home pose, and the bound on all courses from there."""
     limits, q = limits or Limits(), robot.data.q_home
     found = keeping_shaft(map_of(robot, q, targets, swivels), limits)
     poses = best_course(Value(found, limits), q)
@@ -30,12 +30,12 @@ def on_grid(robot, targets, limits=None, swivels=180):
 
 
 @pytest.mark.parametrize("name", ["lwr4", "panda"])
-def test_a_course_is_refined_between_grid_and_bound_and_certified_at_an_optimum(name, capfd, monkeypatch):
+def test_a_refined_course_has_more_mu_than_the_grids_and_is_certified_if_it_converged(name, capfd, monkeypatch):
     robot = load_robot(name)
     targets = task(robot, robot.data.q_home, 60) if name == "lwr4" else line_from(robot, robot.data.q_home, 20)
     course, bound = on_grid(robot, targets, swivels=90)
     better = refine(robot, targets, course, Limits())
-    assert capfd.readouterr().out == "", "a solver talks"
+    assert capfd.readouterr().out == "", "the solver prints"
     assert better.certified
     assert better.kept
     assert course.mu_mean < better.mu_mean <= bound + 1e-12
@@ -46,8 +46,8 @@ def test_a_course_is_refined_between_grid_and_bound_and_certified_at_an_optimum(
     assert course.mu_mean <= early.mu_mean < better.mu_mean
 
 
-def test_a_course_at_its_limits_stays_at_its_maximum_of_mu_when_it_is_made_smooth(robot):
-    """From a start where the way to the better maximum is narrow: the program stays on it, and does not turn back."""
+def test_smoothing_a_course_at_its_limits_does_not_move_it_to_another_maximum_of_mu(robot):
+    """From this start the path to the better maximum is narrow. The program stays on it and does not turn back."""
     q = (0.2912492688528833, -0.9312126696305606, -0.2813874639891124, -0.9455987681077571, 0.08576585626315732,
          -1.0843382517252966, 1.987021145390591)  # fmt: skip
     circle = Scenario().change(start={"q_rad": q, "check_path": False}, task={"sizes": {"radius": 0.02}})
@@ -63,18 +63,18 @@ def test_a_course_at_its_limits_stays_at_its_maximum_of_mu_when_it_is_made_smoot
 
 
 @given(arrays(float, 3, elements=st.floats(-1.0, 1.0)).filter(lambda shaft: np.linalg.norm(shaft) > 1e-3))
-def test_two_unit_vectors_lie_across_each_shaft(shaft):
-    """The five equations stand for lengths: with other vectors their tolerances would be other distances."""
+def test_the_two_vectors_across_a_shaft_are_orthonormal(shaft):
+    """With unit vectors, the residuals of the five equations are lengths, and so are their tolerances."""
     for along, two in zip((shaft, np.ones(3)), across(np.array([shaft, np.ones(3)])), strict=True):
         frame = np.vstack([along / np.linalg.norm(along), two])
         np.testing.assert_allclose(frame @ frame.T, np.eye(3), atol=1e-12)
 
 
-def test_a_course_that_breaks_a_limit_is_said_to(robot):
+def test_a_course_that_breaks_a_limit_has_a_violation(robot):
     targets = task(robot, robot.data.q_home, 20)
     course, _ = on_grid(robot, targets)
     jump, off = np.array(course.q_rad), np.array(course.q_rad)
-    jump[10, 6] += 3.5  # the idle joint: tip and wrist stay, its speed does not
+    jump[10, 6] += 3.5  # the idle joint: only its speed is wrong
     off[3, 1] += 1e-3
     beyond = abs(jump[10, 6] - jump[9, 6]) - robot.v_max[6] * targets.period_s
     assert make_course(robot, targets, jump).violation == pytest.approx(beyond)
@@ -82,8 +82,8 @@ def test_a_course_that_breaks_a_limit_is_said_to(robot):
     assert make_course(robot, targets, off).violation > 1e-5
 
 
-def test_a_joint_that_is_just_not_too_fast_stops_before_its_limit_by_braking_alone():
-    """Carried on at the most speed that is allowed: never beyond the limit, never braked harder than told."""
+def test_a_joint_at_the_largest_allowed_speed_stops_before_its_limit_by_braking_alone():
+    """A joint that always has the largest allowed speed passes no limit, and brakes no harder than the given rate."""
     v, q, zero = casadi.MX.sym("v"), casadi.MX.sym("q"), casadi.DM(0.0)
     excess = casadi.Function("excess", [v, q], [too_fast(v, q, casadi.DM(-9.0), zero, 2.0)])
     pose, dt, speeds = -1.5, 1e-3, []
@@ -93,11 +93,11 @@ def test_a_joint_that_is_just_not_too_fast_stops_before_its_limit_by_braking_alo
         assert pose <= 0.0
     assert pose > -1e-3
     assert 1.8 < -np.diff(speeds).min() / dt <= 2.0 + 1e-6
-    assert float(excess(-100.0, -9.0)[1]) == 100.0, "the other way the other limit counts"
+    assert float(excess(-100.0, -9.0)[1]) == 100.0, "in the other direction the other limit counts"
 
 
-def test_a_course_brakes_off_before_the_limits_that_it_keeps(robot):
-    """At margins at which the course without a brake is too fast towards a limit, by the rule itself."""
+def test_with_a_brake_a_course_slows_down_before_its_limits(robot):
+    """With these margins, the course without a brake is too fast towards a limit by the brake's own rule."""
     brake, limits, targets, late = 0.5, Limits(margin=0.3), task(robot, robot.data.q_home, 60), []
     course, _ = on_grid(robot, targets, limits)
     for rule in (np.inf, brake):
@@ -110,15 +110,15 @@ def test_a_course_brakes_off_before_the_limits_that_it_keeps(robot):
     assert late[1] < 1e-6
 
 
-def test_a_course_for_which_the_joints_are_far_too_slow_is_none(robot):
-    """Also where a step is shorter than what limits are kept inside by: no bounds that cross."""
+def test_a_course_for_which_the_joints_are_far_too_slow_is_not_kept(robot):
+    """Here a step is shorter than the reserve that the program keeps from its limits; the bounds must not cross."""
     targets, slow = task(robot, robot.data.q_home, 20), Limits(speed_share=1e-10)
     course, _ = on_grid(robot, targets)
     assert not refine(robot, targets, make_course(robot, targets, course.q_rad, slow), slow).kept
 
 
-def test_a_margin_from_losing_the_shaft_is_kept_where_mu_rises_below_it(robot):
-    """The margin is what the course itself has; what is refined without it goes below."""
+def test_a_course_keeps_the_shafts_margin_where_a_smaller_one_would_give_more_mu(robot):
+    """The margin is 1.2 times the least share of the grid's course; a course refined without it has smaller shares."""
     targets = task(robot, robot.data.q_home, 40)
     course, _ = on_grid(robot, targets)
     margin = 1.2 * float(shaft_shares(robot, course.q_rad).min())
@@ -132,7 +132,7 @@ def test_a_margin_from_losing_the_shaft_is_kept_where_mu_rises_below_it(robot):
 
 @pytest.fixture(scope="module")
 def middle(robot):
-    """A start in the middle of a course, the course as a guess, and a program."""
+    """A robot, a start in the middle of a course, the rest of the course as a guess, its targets, and a program."""
     targets = task(robot, robot.data.q_home, 101)
     q = on_grid(robot, targets)[0].q_rad
     return robot, q[29], q[30 : 30 + NODES], targets[30 : 30 + NODES], horizon(robot)
@@ -142,7 +142,7 @@ def horizon(robot, smoothness=0.001, margin=0.0):
     return Program(robot, NODES, 0.05, Limits(margin), mu=0.1, smoothness=smoothness, horizon=True)
 
 
-def test_tip_shaft_limits_and_speeds_are_kept_and_a_higher_price_makes_it_smoother(middle, capfd):
+def test_over_a_horizon_tip_shaft_limits_and_speeds_are_kept_and_a_higher_weight_makes_it_smoother(middle, capfd):
     robot, start, guess, there, usual = middle
     rough = []
     for made in (horizon(robot, 1e-4), usual, horizon(robot, 1e-1)):
@@ -150,12 +150,12 @@ def test_tip_shaft_limits_and_speeds_are_kept_and_a_higher_price_makes_it_smooth
         assert make_course(robot, there, answer).violation < 1e-4
         assert (np.abs(answer[0] - start) / there.period_s <= robot.v_max + 1e-3).all()
         rough.append(float((np.diff(np.concatenate([start[None], answer]), axis=0) ** 2).sum()))
-    assert capfd.readouterr().out == "", "a solver talks"
+    assert capfd.readouterr().out == "", "the solver prints"
     assert rough[2] < rough[1] <= rough[0] * (1.0 + 1e-6)
 
 
 @pytest.mark.parametrize("side", [-1.0, 1.0])
-def test_its_end_is_pulled_to_where_v_is_higher(middle, side):
+def test_the_end_of_a_horizon_moves_to_where_v_is_higher(middle, side):
     robot, start, guess, there, made = middle
     rest = (guess[-1] - start) / (NODES * there.period_s)
     plain, _ = made.solve(guess, start, there, rest)
@@ -168,7 +168,7 @@ def test_its_end_is_pulled_to_where_v_is_higher(middle, side):
     assert abs(along @ (kept[-1] - plain[-1])) < 1e-3
 
 
-def test_it_begins_at_the_speed_that_the_arm_has(middle):
+def test_a_horizon_begins_at_the_arms_speed(middle):
     robot, start, guess, there, made = middle
     steps = [made.solve(guess, start, there, speed * np.ones(robot.n))[0][0] - start for speed in (-0.5, 0.5)]
     along = np.linalg.svd(robot.state(start).A[:, :6])[2][-1]
@@ -176,8 +176,8 @@ def test_it_begins_at_the_speed_that_the_arm_has(middle):
     assert np.sign(along @ (steps[1] - steps[0])[:6]) == np.sign(along.sum())
 
 
-def test_a_margin_from_losing_the_shaft_leads_the_horizon_away(robot):
-    """Tip and wrist rest; the elbow moves to where the share is larger, against mu."""
+def test_over_a_horizon_the_shafts_margin_moves_the_elbow_to_where_the_shaft_turns_more_easily(robot):
+    """Tip and wrist rest. The elbow moves to a pose with a larger share, although mu is smaller there."""
     q = robot.random_regular_pose(np.random.default_rng(5), margin=0.3)
     there, guess, shares = at_poses(robot, np.tile(q, (NODES, 1))), np.tile(q, (NODES, 1)), []
     share = float(shaft_shares(robot, q[None])[0])

@@ -1,4 +1,4 @@
-"""V equals the best of all courses; courses read off V keep the limits; none exceeds the bound."""
+"""V gives the mean mu of the best of all courses. Courses read off V keep the limits, and none exceeds the bound."""
 
 import itertools
 from dataclasses import replace
@@ -16,7 +16,7 @@ from tests.planning.arms import at_poses, task
 
 
 def small(rng, k=4, m=4):
-    """A map of a one-joint arm of speed 1, small enough to try every course; mu of any other pose is 0.4."""
+    """A map of a one-joint arm of speed 1, small enough to try every course; mu is 0.4 at poses that it lacks."""
     arm: Any = SimpleNamespace(v_max=np.ones(1), state=lambda q: SimpleNamespace(mu=0.4))
     targets = Targets(np.arange(float(k)), np.zeros((k, 3)), np.zeros((k, 3)), np.zeros(k))
     q, mu = rng.uniform(0.0, 1.0, (k, 1, m, 1)), rng.uniform(0.1, 1.0, (k, 1, m))
@@ -30,7 +30,7 @@ def worth(mu):
 
 
 def every_course(found, step, start, cell=0.0):
-    """Poses and mu of each course that keeps limits and speed, without any dynamic programming."""
+    """Poses and mu of each course that keeps limits and speed, by enumeration."""
     k, _, m = found.mu.shape
     courses, may = [], found.room_rad >= 0.0
     cells = 0.5 * cell * np.maximum(*(np.abs(np.roll(found.q_rad, to, axis=2) - found.q_rad) for to in (1, -1)))[..., 0]
@@ -47,8 +47,8 @@ def every_course(found, step, start, cell=0.0):
 
 
 @pytest.mark.parametrize(("start", "cell", "price"), [(None, 0, 0), (0.5, 0, 0), (0.5, 0.5, 0), (0.5, 0, 1)])
-def test_the_best_of_all_courses_is_found(start, cell, price):
-    """With a price on speed, each step costs price |dq|^2 / 3."""
+def test_dynamic_programming_finds_the_best_of_all_courses(start, cell, price):
+    """With a price on speed, each of the three steps costs price |dq|^2 / 3 of mean mu."""
     rng, none = np.random.default_rng(0), 0
     for _ in range(15):
         found, step = small(rng), float(rng.uniform(0.1, 0.8))
@@ -68,8 +68,8 @@ def test_the_best_of_all_courses_is_found(start, cell, price):
     assert none < 15
 
 
-def test_every_pose_is_compared_with_every_other_one_next_to_it():
-    """Random bits and slacks, so that poses of one block differ in them; in eighths steps are used up exactly."""
+def test_one_step_backwards_compares_each_pose_with_every_pose_in_reach():
+    """Bits and slacks are random, also within a block. Rounding to eighths makes some distances equal to the step."""
     rng = np.random.default_rng(3)
     for trial in range(40):
         rounded = (lambda x: np.rint(8.0 * x) / 8.0) if trial % 4 > 1 else np.array
@@ -88,7 +88,7 @@ def test_every_pose_is_compared_with_every_other_one_next_to_it():
         np.testing.assert_allclose(value, ways + gain, atol=1e-12)
 
 
-def test_the_way_up_goes_to_the_higher_neighbour():
+def test_the_climb_to_a_top_goes_to_the_higher_neighbour():
     found = replace(small(np.random.default_rng(0), k=1, m=5), mu=np.array([[[0.2, 0.5, 0.6, 0.1, 0.3]]]))
     found = replace(found, q_rad=0.1 * np.arange(5.0).reshape(1, 1, 5, 1), room_rad=np.ones((1, 1, 5)))
     assert [top_of(found, np.array([at])).mu for at in (0.1, 0.2, 0.3)] == [0.6, 0.6, 0.6]
@@ -99,7 +99,7 @@ def coarse(robot):
     return map_of(robot, robot.data.q_home, task(robot, robot.data.q_home, 60), 180)
 
 
-def test_courses_keep_task_limits_and_speeds_and_lie_below_their_bound_as_the_climb_does(robot, coarse):
+def test_courses_and_the_climb_keep_task_limits_and_speeds_and_stay_below_the_bound(robot, coarse):
     q = robot.data.q_home
     value, bound = (Value(coarse, Limits(), cell=cell) for cell in (0.0, WHOLE_CELL))
     for start in (q, None):
@@ -115,13 +115,13 @@ def test_courses_keep_task_limits_and_speeds_and_lie_below_their_bound_as_the_cl
     assert climbed.violation < 1e-12
     np.testing.assert_array_equal(climbed.q_rad[0], q)
     assert climbed.mu_mean <= value.of(q, robot.state(q).mu) + 1e-12
-    # Where the path rests (0.2 s) it only goes uphill.
+    # While the path rests (0.2 s), the climb only goes uphill.
     assert (np.diff(climbed.mu[: int(0.2 / coarse.targets.period_s)]) >= -1e-12).all()
 
 
 @pytest.mark.parametrize("joint", [1, 5])
 def test_a_course_goes_through_a_singular_pose_into_the_next_branch(robot, joint):
-    """The targets are those of a joint turning through zero: that motion itself is a course."""
+    """The targets are those of a motion in which one joint turns through zero, so that this motion is a course."""
     way = np.tile(np.array([0.3, 0.5, -0.4, 1.2, 0.5, -0.7, 0.0]), (41, 1))
     way[:, joint] = np.linspace(0.45, -0.47, 41) * (1.0 if joint == 1 else -1.0)
     found = map_of(robot, way[0], at_poses(robot, way))
@@ -129,14 +129,14 @@ def test_a_course_goes_through_a_singular_pose_into_the_next_branch(robot, joint
     poses = best_course(Value(found, Limits()), way[0])
     course = make_course(robot, found.targets, poses)
     assert course.violation < 1e-12
-    if joint == 1:  # the other one gains by going round
+    if joint == 1:  # with joint 5, a course around the singular pose is better
         assert np.sign(course.q_rad[0, 1]) != np.sign(course.q_rad[-1, 1])
     assert course.mu_mean > 0.995 * mean
     assert mean <= Value(found, Limits(), cell=WHOLE_CELL).of(way[0], robot.state(way[0]).mu)
 
 
-def test_poses_that_nearly_lose_the_shaft_are_worth_less(robot, coarse):
-    """Their share is that of the model; above the margin nothing changes."""
+def test_poses_below_the_shafts_margin_have_less_mu_in_the_search(robot, coarse):
+    """The share of the squared lever agrees with the model's, and above the margin nothing is subtracted."""
     margin = 0.5
     found = map_of(robot, robot.data.q_home, coarse.targets[:10], 90)
     kept, may = keeping_shaft(found, Limits(shaft=margin)), found.feasible()

@@ -1,4 +1,4 @@
-"""The self-motion keeps tip, wrist and limits; the freedoms it leaves are counted as on arms with a known count."""
+"""Self-motions keep tip, wrist and limits, and arms with a known number of freedoms have that number."""
 
 from dataclasses import replace
 
@@ -14,7 +14,7 @@ from tests.planning.arms import IIWA14, build
 
 
 def check(robot, start, motion, poses):
-    """The promises every pose on a curve must keep."""
+    """Each pose on the curve keeps tip, wrist, joint limits and the held joints."""
     s = robot.state(start)
     for q in poses:
         there = robot.state(q)
@@ -43,7 +43,7 @@ def test_a_curve_keeps_tip_wrist_and_limits_and_has_the_models_mu(robot, regular
         assert motion.mu_best == pytest.approx(self_motion(robot, start, step=0.005).mu_best, abs=1e-6)
 
 
-def test_the_same_curve_from_any_of_its_poses_and_one_of_a_tool_off_the_last_axis(robot, odd_robot):
+def test_a_curve_is_the_same_from_any_of_its_poses_and_exists_for_a_tool_off_the_last_axis(robot, odd_robot):
     motion = self_motion(robot, robot.data.q_home)
     again, *from_ends = (self_motion(robot, q) for q in (motion.at(0.8), motion.q[0], motion.q[-1]))
     for other in (again, *from_ends):
@@ -56,7 +56,7 @@ def test_the_same_curve_from_any_of_its_poses_and_one_of_a_tool_off_the_last_axi
     check(odd_robot, odd_robot.data.q_home, odd, odd.q)
 
 
-def test_a_full_turn_closes(robot):
+def test_without_joint_limits_a_curve_closes_after_a_full_turn_of_the_elbow(robot):
     free = RobotModel(replace(robot.data, q_min=np.full(7, -17.0), q_max=np.full(7, 17.0)))
     q = np.array([0.2, -1.0, 0.3, 1.5, -0.4, -0.6, 0.1])
     motion = self_motion(free, q)
@@ -90,13 +90,13 @@ def test_the_peak_of_a_parabola_is_found_from_any_three_samples():
         step, above = parabola_peak(x, y)
         if x[0] <= top <= x[2]:
             np.testing.assert_allclose([x[1] + step, y[1] + above], [top, height], atol=1e-9)
-        else:  # no farther than to a neighbour
+        else:  # a peak outside of the samples: only to the nearer neighbour
             assert min(abs(x[1] + step - x[0]), abs(x[1] + step - x[2])) < 1e-12
     for y in ([1.0, 0.0, 1.0], [-np.inf, 1.0, 0.5], [0.0, 1.0, 2.0]):
         assert parabola_peak(np.arange(3.0), np.array(y)) == (0.0, 0.0)
 
 
-def test_counts_of_known_arms(robot, odd_robot, tmp_path):
+def test_arms_have_their_known_rank_and_number_of_freedoms(robot, odd_robot, tmp_path):
     assert best_freedoms(robot)[:3] == (5, 1, (6,))
     drawn = np.random.default_rng(0).uniform(robot.q_min, robot.q_max, (8, 7))
     assert best_freedoms(robot).both == max(freedoms(robot, q).both for q in drawn)
@@ -109,7 +109,7 @@ def test_counts_of_known_arms(robot, odd_robot, tmp_path):
     assert straight.both == pytest.approx(0.0, abs=1e-9)
 
 
-def test_an_arm_without_freedom_is_refused_where_the_third_level_is_asked_for(tmp_path):
+def test_an_arm_without_freedom_is_refused_under_moc_and_runs_under_dcac(tmp_path):
     joints, rest = IIWA14["joints"], [k for k in range(7) if k != 2]
     six = {name: IIWA14[name][rest] for name in ("q_max", "v_max")}
     six |= {"joints": [*joints[:2], ((0, 0.42, 0), (0, 0, 0)), *joints[4:]], "home": np.take(IIWA14["home"], rest)}
@@ -136,7 +136,7 @@ def curve(robot):
 
 @pytest.fixture(scope="module")
 def place(curve):
-    """Poses at arc lengths from the top of the curve."""
+    """Poses of the curve by their arc length from its top."""
     top = curve.s[np.argmax(curve.mu)] - curve.s[0]
     return lambda s: np.array([curve.at((top + each) / (curve.s[-1] - curve.s[0])) for each in np.atleast_1d(s)])
 
@@ -150,14 +150,14 @@ def test_distance_is_the_arc_length_along_the_self_motion(robot, curve, place):
 
 
 @pytest.mark.parametrize(("way", "speed", "before", "after"), [(1.0, 0.5, 1.7, 1.9), (0.4, 0.1, 2.8, 3.2)])
-def test_an_elbow_at_speed_travels_until_it_is_within_a_tenth_of_a_radian(robot, place, way, speed, before, after):
+def test_a_moving_elbow_is_in_transient_until_within_a_tenth_of_a_radian(robot, place, way, speed, before, after):
     flags = in_transient(robot, T, place(np.minimum(speed * T - way, 0.0)))
     assert flags[before > T].all()
     assert not flags[after < T].any()
 
 
-def test_an_elbow_that_rests_or_is_slow_or_follows_its_moving_optimum_is_in_no_transient(robot, curve, place):
-    """Turning the base carries arm and optimum along at any speed; turning the last joint turns the tool alone."""
+def test_an_elbow_that_rests_is_slow_or_follows_its_moving_optimum_is_not_in_transient(robot, curve, place):
+    """A turn of the base moves arm and optimum together at any speed; a turn of the last joint moves only the tool."""
     far, turns = np.tile(place(-0.5), (100, 1)), np.linspace(0.0, 1.0, 100)
     base, last = (np.outer(turns, axis) for axis in np.eye(7)[[0, 6]])
     for q in (far, curve.best + base, far + last):
@@ -166,4 +166,4 @@ def test_an_elbow_that_rests_or_is_slow_or_follows_its_moving_optimum_is_in_no_t
     late = in_transient(robot, T, place(np.clip(0.5 * (T - 2.0) - 1.0, -1.0, 0.0)))  # it begins to move after 2 s
     assert not late[T < 1.9].any()
     assert late[(T > 2.1) & (T < 3.6)].all()
-    assert not in_transient(robot, [0.0], [robot.data.q_home]).any(), "one tick is no journey"
+    assert not in_transient(robot, [0.0], [robot.data.q_home]).any(), "one tick is no motion"

@@ -1,4 +1,4 @@
-"""The manipulability map against direct evaluation; what trajectories amount to, on maps that are made by hand."""
+"""The manipulability map against direct evaluation, and the verdicts on trajectories on maps that are made by hand."""
 
 from dataclasses import replace
 from types import MappingProxyType
@@ -32,7 +32,7 @@ def found(robot, runs):
     return manipulability_map(robot, runs, times=13, swivels=72)
 
 
-def test_the_grid_is_what_direct_evaluation_gives(robot, runs, found):
+def test_the_grid_equals_direct_evaluation(robot, runs, found):
     guide = max(runs.values(), key=len)
     ticks = np.searchsorted(guide.t_s, found.t_s)
     known = np.isfinite(found.q_rad).all(axis=2)
@@ -56,8 +56,7 @@ def test_the_grid_is_what_direct_evaluation_gives(robot, runs, found):
     assert abs(found.swivel_rad.mean()) <= np.pi
 
 
-def test_the_elbow_angle_turns_with_the_elbow(robot):
-    """Turned about the vertical through the base, the arm keeps its swivel; mirrored, it changes sign."""
+def test_the_swivel_is_kept_by_a_turn_of_the_base_and_changes_sign_in_a_mirrored_pose(robot):
     q = np.array(robot.data.q_home)
     elbow = Elbow(robot, robot.state(q).wrist[None])
     assert elbow.joint == 3
@@ -88,7 +87,7 @@ def test_trajectories_lie_on_the_map_and_below_its_best(robot, runs, found):
         assert np.cos(found.best_swivel_rad[k] - angle) > np.cos(0.03)
 
 
-def test_a_run_that_is_folded_another_way_is_told_apart(robot, runs):
+def test_a_run_in_another_branch_of_inverse_kinematics_has_a_large_gap(robot, runs):
     flip = np.array(runs["MOC"].q_rad)
     flip[:, 4] -= np.pi * np.sign(flip[:, 4])
     flip[:, 5] *= -1.0
@@ -98,8 +97,8 @@ def test_a_run_that_is_folded_another_way_is_told_apart(robot, runs):
     assert both.trajectories["flipped"].gap_rad > 1.0
 
 
-def test_a_map_of_elbows_that_hang_is_counted_from_minus_to_plus_half_a_turn(robot, runs, found):
-    """Limits that leave the poses about a swivel of -2.3 rad alone: the circle is cut at the other side."""
+def test_the_swivels_of_a_map_of_hanging_elbows_are_centred_within_half_a_turn(robot, runs, found):
+    """These limits leave only poses near a swivel of -2.3 rad; the circle of swivels is cut open opposite to them."""
     q = found.q_rad[6, np.argmin(np.cos(found.swivel_rad - 0.8))]
     hanging = RobotModel(replace(robot.data, q_min=q - 0.3, q_max=q + 0.3, q_home=q))
     made = manipulability_map(hanging, {"MOC": runs["MOC"]}, times=3, swivels=72)
@@ -107,7 +106,7 @@ def test_a_map_of_elbows_that_hang_is_counted_from_minus_to_plus_half_a_turn(rob
     assert abs(made.swivel_rad.mean()) <= np.pi
 
 
-def test_what_is_out_of_reach_is_said_to_be(robot, runs):
+def test_targets_out_of_reach_are_marked_unreachable(robot, runs):
     moc = runs["MOC"]
     away = np.where(np.arange(len(moc)) < len(moc) // 2, 0.0, 1.0)[:, None] * np.eye(3)[0]
     torn = moc.with_columns(tip_ref_m=moc.tip_ref_m + away, trocar_registered_m=moc.trocar_registered_m + away)
@@ -144,7 +143,7 @@ def test_wrong_input_is_refused(robot, odd_robot, runs):
         manipulability_map(odd_robot, {"odd": odd}, times=2, swivels=8)
 
 
-def test_the_figure_shows_it_all(found):
+def test_the_figure_shows_the_map_the_forbidden_poses_and_every_trajectory(found):
     drawn = map_figure(found)
     colored, grey = (trace for trace in drawn.data if trace.type == "heatmap")
     np.testing.assert_array_equal(np.isnan(grey.z.T), found.limit == FEASIBLE)
@@ -155,8 +154,8 @@ def test_the_figure_shows_it_all(found):
         map_figure(replace(found, limit=np.ones_like(found.limit)))
 
 
-def test_a_map_of_two_freedoms_is_a_slice_that_says_so(found):
-    """On a rail the map holds the rail where the run has it; its best is the slice's."""
+def test_the_map_of_an_arm_with_two_freedoms_is_a_slice_that_names_the_held_joint(found):
+    """On a rail, the map keeps the rail's position of the run, and its best mu is that of this slice alone."""
     arm = load_robot("lwr4_rail")
     run_of_it = mo.run(Scenario(robot={"name": "lwr4_rail"}, duration_s=1.0, judge=False, bound_samples=0))
     made = manipulability_map(arm, {"MOC": run_of_it}, times=2, swivels=72)
@@ -165,12 +164,12 @@ def test_a_map_of_two_freedoms_is_a_slice_that_says_so(found):
     for k, tick in enumerate(ticks):
         known = np.isfinite(made.q_rad[k, :, 0])
         np.testing.assert_allclose(made.q_rad[k, known, 0], run_of_it.q_rad[tick, 0], atol=1e-2)
-    assert found.held == (), "one freedom is all"
-    # At the start the rail stands badly; the run then moves it.
+    assert found.held == (), "this arm has one freedom only"
+    # The rail's position at the start is a poor one; the run then moves it.
     assert made.best_mu[0] < 0.9 * largest_mu(arm, run_of_it.q_rad[:1]).mu[0]
 
 
-# --- what trajectories amount to ---
+# --- verdicts on trajectories ---
 
 T = np.linspace(0.0, 10.0, 21)
 ROWS = np.arange(-180.0, 180.0, 3.0)
@@ -182,9 +181,9 @@ def hill(top, height, width=60.0):
 
 
 def read(mu, swivel, forbidden=None, gap_rad=0.01):
-    """Read a run by its swivels at 101 times [deg] on a map that is the same at all times: mu of the swivel [deg].
+    """Judge a run with these swivels [deg] at 101 times. At all times the map is ``mu`` of the swivel in degrees.
 
-    ``forbidden``: from, to [deg], and what stands in `limit` there.
+    ``forbidden``: from, to [deg], and the entry of `limit` between them.
     """
     limit = np.full((len(T), len(ROWS)), FEASIBLE)
     if forbidden:
@@ -204,11 +203,11 @@ def read(mu, swivel, forbidden=None, gap_rad=0.01):
 
 
 def ramp(start, end, until=10.0):
-    """Evenly from start to end, there at the time `until`."""
+    """Swivels at constant speed from start to end, which is reached at the time `until`."""
     return start + (end - start) * np.minimum(np.linspace(0.0, 10.0, 101) / until, 1.0)
 
 
-def test_a_trajectory_that_climbs_to_the_optimum():
+def test_a_trajectory_that_climbs_to_the_optimum_is_said_to_end_there():
     top = hill(60.0, 0.3)
     found = read(top, ramp(-30.0, 60.0, until=5.0))
     assert found.end is End.OPTIMUM
@@ -222,8 +221,8 @@ def test_a_trajectory_that_climbs_to_the_optimum():
     assert (always.near, always.from_s) == (1.0, 0.0)
 
 
-def test_a_local_maximum_holds_a_course():
-    """Also beyond the last row of the map, which is a circle, cut open somewhere."""
+def test_a_trajectory_at_a_lower_maximum_is_said_to_end_at_a_local_maximum():
+    """Also where maximum and run lie on the two sides of the angle at which the map's circle is cut open."""
 
     def two(swivel):
         return hill(60.0, 0.3, 30.0)(swivel) + hill(-60.0, 0.25, 30.0)(swivel)
@@ -231,33 +230,33 @@ def test_a_local_maximum_holds_a_course():
     assert read(two, ramp(-100.0, -60.0, 6.0)).end is End.LOCAL_MAXIMUM
     assert read(two, -60.0 - 0.7 * np.degrees(swivel_map.CLOSE_RAD)).end is End.LOCAL_MAXIMUM
     assert read(two, -60.0 - 2.0 * np.degrees(swivel_map.CLOSE_RAD)).end is End.STILL, "the way up is open"
-    # The same hills, turned so that the lower one's top lies at 178 degrees, the run beyond it at -176.
+    # The same hills, shifted: the lower one's top lies at 178 degrees and the run beyond it, at -176.
     assert read(lambda swivel: two(np.asarray(swivel) - 238.0), -176.0).end is End.LOCAL_MAXIMUM
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
 @pytest.mark.parametrize(("top", "swivel", "end"), [
-    # The best of all poses that are allowed lies at a limit; a run stops before it.
+    # The best allowed pose lies at a limit; the run stops before it.
     (hill(60.0, 0.3), -4.0, End.FEASIBLE_EDGE), (hill(60.0, 0.3), -10.0, End.FEASIBLE_EDGE),
     (hill(60.0, 0.3), -40.0, End.STILL), (hill(60.0, 0.3, 200.0), -4.0, End.OPTIMUM),
     (hill(60.0, 0.3, 90.0), -60.0, End.STILL), (hill(60.0, 0.3, 90.0), ramp(-120.0, -30.0), End.RISING),
     (hill(60.0, 0.3, 90.0), ramp(-20.0, -70.0), End.FALLING),
 ])  # fmt: skip
-def test_a_limit_on_the_way_up_holds_a_run_and_where_the_way_is_open_its_motion_tells(side, top, swivel, end):
-    """Uphill on either side; joint 4 is beyond its limit from 0 to 140 degrees on that side."""
+def test_a_run_ends_at_a_limit_that_blocks_its_climb_and_is_else_judged_by_its_motion(side, top, swivel, end):
+    """The hill is on either side; there joint 4 is beyond its limit from 0 to 140 degrees."""
     forbidden = (0.0, 140.0, 4) if side > 0.0 else (-140.0, 0.0, 4)
     found = read(lambda given: top(side * np.asarray(given)), side * np.asarray(swivel), forbidden)
     assert (found.end, found.joint) == (end, 4 if end is End.FEASIBLE_EDGE else 0)
 
 
-def test_time_at_the_grey_is_counted():
+def test_the_share_of_time_at_or_beside_forbidden_poses_is_counted():
     found = read(hill(60.0, 0.3), ramp(-50.0, 50.0), (-4.0, 20.0, 4))
     assert found.at_edge == pytest.approx((20.0 + 3.0 + 4.0 + 3.0) / 100.0, abs=0.04)
     away = read(hill(60.0, 0.3), -40.0, (-4.0, 20.0, 4))
     assert away.at_edge == 0.0
 
 
-def test_what_cannot_be_judged_is_said():
+def test_a_run_in_another_branch_or_without_an_allowed_pose_is_reported_as_not_judged():
     elsewhere = read(hill(60.0, 0.3), 60.0, gap_rad=2.0)
     assert elsewhere.end is End.OTHER_BRANCH
     assert np.isnan([elsewhere.near, elsewhere.mu_share, elsewhere.from_s]).all()

@@ -1,4 +1,4 @@
-"""Smallest and largest cost over a cut box: against HiGHS, against all corners, and by their own certificate."""
+"""The smallest and the largest cost on A x = b within the box: against HiGHS, all corners, and weak duality."""
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ SHAPES = st.sampled_from([(2, 1), (5, 2), (7, 2), (8, 3), (9, 4), (10, 5), (16, 
 
 
 def cut_box(seed, shape, size=1.0):
-    """Z (n, r), low and high (n,) around a point that is allowed, and a slope (r,)."""
+    """Z (n, r), low and high (n,) around a feasible point, and a slope (r,)."""
     rng = np.random.default_rng(seed)
     n, r = shape
     Z = np.linalg.qr(rng.normal(size=shape))[0]
@@ -34,7 +34,7 @@ def program(Z, low, high, slope):
 
 @settings(max_examples=40)
 @given(seed=st.integers(0, 10**6), shape=SHAPES, size=st.sampled_from([1.0, 1e-4]))
-def test_linear_costs_agree_with_highs(seed, shape, size):
+def test_extremes_of_linear_costs_agree_with_highs(seed, shape, size):
     Z, low, high, slope = cut_box(seed, shape, 1.0)
     least, most = program(Z, low, high, slope), -program(Z, low, high, -slope)
     found = extremes(Z, size * low, size * high, slope, 0.0)
@@ -50,8 +50,8 @@ def test_linear_costs_agree_with_highs(seed, shape, size):
 @given(
     seed=st.integers(0, 10**6), shape=SHAPES, weight=st.floats(-9.0, 2.0), size=st.sampled_from([1e-6, 1e-4, 1.0, 1e3])
 )
-def test_damped_optimum_is_certified_and_the_worst_is_a_corner(seed, shape, weight, size):
-    """In any unit of speed and cost, by weak duality; no random feasible point is better, or worse than the worst."""
+def test_a_regularized_optimum_is_certified_and_the_worst_point_is_a_corner(seed, shape, weight, size):
+    """In any unit of speed and cost, by weak duality; the costs of 200 random points of the surface lie between."""
     Z, low, high, slope = cut_box(seed, shape, size)
     regularization = float(np.linalg.norm(slope) * 10.0**weight / size)
     found = extremes(Z, low, high, slope, regularization)
@@ -64,7 +64,7 @@ def test_damped_optimum_is_certified_and_the_worst_is_a_corner(seed, shape, weig
     moved = Z @ directions
     with np.errstate(divide="ignore"):
         room = np.where(moved > 0.0, (high - Z @ found.w)[:, None], (low - Z @ found.w)[:, None]) / moved
-    w = found.w[:, None] + directions * np.maximum(room.min(0), 0.0)  # points on the surface, the worst among corners
+    w = found.w[:, None] + directions * np.maximum(room.min(0), 0.0)  # points on the surface of the set
     assert cost(w).min() >= found.least - 1e-9 * spread
     if module.comb(*shape) << shape[1] <= module.MOST_CORNERS:
         assert cost(w).max() <= found.most + 1e-9 * spread
@@ -72,8 +72,8 @@ def test_damped_optimum_is_certified_and_the_worst_is_a_corner(seed, shape, weig
 
 
 @pytest.mark.parametrize("shape", [(7, 2), (8, 3), (9, 4)])
-def test_beyond_the_corners_that_can_be_tried_the_worst_is_not_overstated(shape, monkeypatch):
-    """A worst that is too small makes a loss that is too large: the safe side."""
+def test_with_too_many_corners_to_try_the_largest_cost_is_not_overstated(shape, monkeypatch):
+    """This is the safe side: with a largest cost that is too small, the loss is too large."""
     exact = []
     for seed in range(15):
         Z, low, high, slope = cut_box(seed, shape)
@@ -89,8 +89,8 @@ def test_beyond_the_corners_that_can_be_tried_the_worst_is_not_overstated(shape,
 
 
 @pytest.mark.parametrize("shape", [(12, 7), (16, 10), (24, 18)])
-def test_with_almost_no_damping_the_walks_uphill_end_at_the_worst_of_the_linear_cost(shape):
-    """Boxes a thousand times wider on some joints than on others, as near joint limits."""
+def test_with_almost_no_regularization_uphill_walks_find_the_largest_linear_cost(shape):
+    """Boxes are up to a thousand times wider for some joints than for others, as near joint limits."""
     for seed in range(5):
         Z, low, high, slope = cut_box(seed, shape)
         narrow = 10.0 ** np.random.default_rng(seed).uniform(-3.0, 0.0, shape[0])
@@ -101,13 +101,13 @@ def test_with_almost_no_damping_the_walks_uphill_end_at_the_worst_of_the_linear_
         assert found.most == pytest.approx(most, abs=1e-6 * (most - least))
 
 
-def test_an_optimum_that_is_not_unique_is_the_nearest_one():
+def test_of_several_optima_the_one_nearest_to_zero_is_found():
     found = extremes(np.eye(3), -np.ones(3), np.ones(3), np.array([1.0, 0.0, 0.0]), 0.0)
     np.testing.assert_allclose(found.w, [-1.0, 0.0, 0.0], atol=1e-11)
     assert (found.least, found.most) == pytest.approx((-1.0, 1.0))
 
 
-def test_nothing_allowed_is_none():
+def test_an_empty_set_gives_none_and_one_point_is_found():
     Z = np.array([[1.0], [1.0]]) / np.sqrt(2.0)
     apart = np.array([0.0, 1.0]), np.array([0.5, 2.0])
     assert nearest(Z, *apart, np.zeros(1)) is None
@@ -117,18 +117,18 @@ def test_nothing_allowed_is_none():
     assert nearest(Z, *touching, np.zeros(1))[0] == pytest.approx([0.5 * np.sqrt(2.0)])
 
 
-def test_a_range_of_rounding_is_none_at_all():
+def test_a_range_of_cost_below_rounding_counts_as_zero():
     Z = np.eye(2)
     found = extremes(Z, np.array([0.0, 0.0]), np.array([1e-13, 1.0]), np.array([1.0, 0.0]), 0.0)
     assert found.least == found.most == 0.0
-    for short in (1e-8, 1e-11):  # a short way in a wide box has its ends all the same
+    for short in (1e-8, 1e-11):  # a short interval in a wide box still has two ends
         found = extremes(Z, np.array([0.0, 0.0]), np.array([short, 1.0]), np.array([-1.0, 0.0]), 0.0)
         assert found.least == pytest.approx(-short)
 
 
 @settings(max_examples=40)
 @given(seed=st.integers(0, 10**6), shape=SHAPES)
-def test_nearest_point_and_its_forces(seed, shape):
+def test_the_nearest_point_satisfies_its_optimality_conditions(seed, shape):
     Z, low, high, _ = cut_box(seed, shape)
     start = 5.0 * np.random.default_rng(seed + 1).normal(size=shape[1])
     w, force = nearest(Z, low, high, start)
@@ -142,22 +142,22 @@ def test_nearest_point_and_its_forces(seed, shape):
         np.testing.assert_array_equal(part, np.zeros(2))
 
 
-def test_joints_that_move_alike_make_no_corner():
-    """Two equal rows of Z meet in no point: the corners are those of the others."""
+def test_joints_with_equal_rows_define_no_corner_together():
+    """The bounds of two equal rows of Z are parallel, so that corners come from the other pairs."""
     Z = np.linalg.qr(np.array([[1.0, 0.0], [1.0, 0.0], [0.0, 1.0], [0.5, -0.7]]))[0]
     Z[1] = Z[0]  # to the last bit
     low, high, slope, regularization = -np.ones(4), np.ones(4), np.array([0.3, -0.2]), 0.5
     found = extremes(Z, low, high, slope, regularization)
     ring = np.linspace(0.0, 2.0 * np.pi, 20001)
     rays = np.stack([np.cos(ring), np.sin(ring)])
-    edge = rays / np.abs(Z @ rays).max(0)  # the set's border, seen from its middle
+    edge = rays / np.abs(Z @ rays).max(0)  # the border of the set in each direction
     worst = (slope @ edge + 0.5 * regularization * (edge**2).sum(0)).max()
     assert found.most == pytest.approx(worst, rel=1e-3)
 
 
 @pytest.mark.parametrize("small", [1e-2, 1e-4, 1e-5])
-def test_a_long_way_to_the_set_ends_on_it_to_rounding(small):
-    """A bound that hardly depends on w has to be met by going far."""
+def test_a_distant_set_is_reached_to_rounding(small):
+    """A bound on a joint that hardly depends on w is met only at a large w."""
     for seed in range(10):
         z = np.append(small, np.random.default_rng(seed).normal(size=3))
         Z = (z / np.linalg.norm(z))[:, None]
@@ -179,8 +179,8 @@ def test_a_joint_that_hardly_moves_does_not_empty_the_box():
 
 
 @pytest.mark.parametrize("seed", [285, 568, 649, 1706, 1724, 4198, 4585])
-def test_a_plane_that_touches_the_box_and_leaves_joints_on_one_axis_their_freedom(seed):
-    """The forces at such a set are as large as rounding allows. The answer's own multipliers prove it (natural)."""
+def test_the_optimum_is_verified_where_a_x_b_only_touches_the_box_and_coaxial_joints_are_free(seed):
+    """The multipliers of such a set can be very large. The answer's own multipliers prove it optimal (natural)."""
     rng = np.random.default_rng(seed)
     n = int(rng.integers(8, 13))
     A = rng.normal(size=(6, n))

@@ -1,4 +1,4 @@
-"""The subproblem is what its equation says, in its record and as solvers take it, and bad input is named."""
+"""The subproblem equals its equation, in its record and in the form for solvers, and bad input is named."""
 
 import pickle
 
@@ -52,7 +52,7 @@ def test_bad_input_names_the_field(qp, field, value):
         changed(qp, **{field: value})
 
 
-def test_answers_of_another_shape_are_named(qp):
+def test_an_answer_of_another_shape_is_refused_by_name(qp):
     assert np.isnan(qp.objective(np.full(7, np.nan)))  # a bad answer, not an error
     for given_x, given_y, said in ((np.zeros(6), None, "x: shape"), (np.zeros(7), np.zeros(5), "y: .*five duals")):
         with pytest.raises(SubproblemError, match=said):
@@ -71,8 +71,7 @@ def test_record_round_trip(qp):
         fields(np.zeros(83))
 
 
-def test_a_record_in_other_memory_is_copied(qp):
-    """Compiled solvers read it as contiguous doubles."""
+def test_a_record_that_is_not_contiguous_doubles_is_copied(qp):
     row = np.array(qp.row)
     for held in (np.repeat(row, 2)[::2], row.astype(np.float32)):
         np.testing.assert_array_equal(NullSpaceQP.from_row(held).row, held)
@@ -91,7 +90,7 @@ def test_the_fields_are_the_record_in_their_order(n):
 
 
 def check_assembled(qp, rows):
-    """Cost and rows of the core against plain numpy."""
+    """Check the core's cost and rows against plain numpy."""
     found, weight = qp.assembled(), np.repeat([qp.c0, qp.c1], 3)
     np.testing.assert_allclose(qp.P, qp.A.T @ (weight[:, None] * qp.A) + qp.regularization * np.eye(qp.n), atol=1e-14)
     np.testing.assert_allclose(qp.p, -qp.A.T @ (weight * qp.b) - qp.c2 * qp.pull, atol=1e-14)
@@ -107,8 +106,8 @@ def check_assembled(qp, rows):
     seed=st.integers(0, 10_000), n=st.sampled_from([1, 2, 3, 7, 9]), rank=st.integers(0, 3),
     apart=st.sampled_from([0.0, 1e-9, 0.9e-7, 1.1e-7, 1e-5]), size=st.sampled_from([1e-3, 1.0, 1e3]),
 )  # fmt: skip
-def test_a_row_is_left_out_only_where_the_tool_is_rigid(seed, n, rank, apart, size):
-    """Around the tolerance, where J_T - J_W loses more than one direction, and with fewer joints than directions."""
+def test_the_sixth_row_is_left_out_only_where_the_tool_is_rigid(seed, n, rank, apart, size):
+    """Near the tolerance, where J_T - J_W loses more than one direction, and with fewer than three joints."""
     rng = np.random.default_rng(seed)
     J_tip, u = rng.normal(size=(3, n)), np.linalg.qr(rng.normal(size=(3, 3)))[0]
     difference = u[:, :rank] @ rng.normal(size=(rank, n)) + apart * u[:, 2:] @ rng.normal(size=(1, n))
@@ -126,7 +125,7 @@ def test_a_row_is_left_out_only_where_the_tool_is_rigid(seed, n, rank, apart, si
         assert np.linalg.norm(lost) <= 1.001 * tied
 
 
-def test_six_rows_where_they_are_asked_for(qp):
+def test_all_six_rows_are_given_where_they_are_asked_for(qp):
     check_assembled(qp, 5)
     found = qp.assembled(6)
     np.testing.assert_array_equal(found.lift, np.eye(6))

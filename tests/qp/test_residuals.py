@@ -1,4 +1,4 @@
-"""The judge is judged: against a linear program, against perturbed optima, against the definition."""
+"""The residuals that judge answers, against linear programs, perturbed optima and their definitions."""
 
 import numpy as np
 import pytest
@@ -20,8 +20,8 @@ def optimum(qp):
 
 
 @pytest.mark.parametrize("regularization", [0.0, 1e-5])
-@pytest.mark.parametrize(("n", "structured"), [*CASES, (12, False)])  # the last one has more facets than are tried
-def test_optimum_passes_and_its_neighbours_fail(n, structured, regularization):
+@pytest.mark.parametrize(("n", "structured"), [*CASES, (12, False)])  # 12 joints: too many facets to try
+def test_an_optimum_is_verified_and_its_neighbours_are_not(n, structured, regularization):
     rng = np.random.default_rng(5)
     for _ in range(8):
         qp = random_problem(rng, n, structured=structured, regularization=regularization)
@@ -39,13 +39,13 @@ def test_optimum_passes_and_its_neighbours_fail(n, structured, regularization):
 
 
 @pytest.mark.parametrize(("n", "structured"), CASES)
-def test_best_natural_is_the_smallest_over_all_duals(n, structured):
-    """Against the definition: bisection on t, with a linear program in y deciding each t."""
+def test_natural_best_is_the_smallest_natural_residual_over_all_duals(n, structured):
+    """By bisection on t: a linear program in y decides whether the residual can be at most t."""
     rng = np.random.default_rng(7)
 
     def reachable(qp, x, t):
         low, high = np.where(qp.upper - x <= t, -np.inf, -t), np.where(x - qp.lower <= t, np.inf, t)
-        scale, slope = 1e4, qp.P @ x + qp.p  # the numbers are small against the program's own tolerance
+        scale, slope = 1e4, qp.P @ x + qp.p  # unscaled, the numbers are below the program's tolerance
         rows = LinearConstraint(qp.A.T, scale * (low - slope), scale * (high - slope))
         return milp(np.zeros(6), constraints=rows, bounds=Bounds()).status == 0
 
@@ -60,7 +60,7 @@ def test_best_natural_is_the_smallest_over_all_duals(n, structured):
 
 
 def ends_of_the_swivel(qp):
-    """The optimum, the worst point, and the unit vector between them, of an arm with one freedom beside idle joints."""
+    """The optimum and the worst point of a problem that has one freedom besides idle joints."""
     x, _ = optimum(qp)
     moving = np.abs(qp.A).max(0) > 1e-12
     z = np.zeros(qp.n)
@@ -72,7 +72,7 @@ def ends_of_the_swivel(qp):
 
 
 @pytest.mark.parametrize("regularization", [0.0, 1e-5, 1e-3])
-def test_loss_is_the_share_of_the_cost_s_range(regularization):
+def test_loss_is_the_share_of_the_costs_range(regularization):
     rng = np.random.default_rng(8)
     for _ in range(5):
         qp = random_problem(rng, regularization=regularization)
@@ -85,7 +85,7 @@ def test_loss_is_the_share_of_the_cost_s_range(regularization):
             found = qp.residuals(between)
             assert found.loss == pytest.approx(expected, abs=1e-9)
             assert found.distance == pytest.approx(share * np.abs(worst - x).max(), rel=1e-6)
-        assert qp.residuals(worst + 0.1 * (worst - x)).loss == 1.0  # no more, beyond the worst point
+        assert qp.residuals(worst + 0.1 * (worst - x)).loss == 1.0  # beyond the worst point it stays 1
         assert 0.0 <= qp.residuals(x - 0.1 * (worst - x)).loss <= 1.0
 
 
@@ -109,7 +109,7 @@ def test_no_wrong_corner_is_verified(n, size, tilt, regularization):
     ({"relative": 1.0, "loss": 1.0, "distance": 1e-6}, True),
     ({"relative": 1.0, "loss": 1.0, "distance": 1.1e-6}, False), ({"primal": 2e-6, "distance": 0.0}, False),
 ])  # fmt: skip
-def test_each_gate_of_the_rule_decides_alone(gates, verified):
+def test_each_limit_of_the_verification_rule_decides_alone(gates, verified):
     at_the_limit = {
         "primal": 1e-6, "natural": 9.0, "natural_best": 9.0, "relative": 1e-3, "loss": 1e-2, "distance": 1.0,
     }  # fmt: skip
@@ -122,7 +122,7 @@ def test_each_gate_of_the_rule_decides_alone(gates, verified):
 
 
 def sliver(width, regularization=0.0):
-    """An arm whose swivel has ``width`` [rad/s] of room, the optimum, and the opposite end."""
+    """A problem whose feasible interval along the self-motion is ``width`` [rad/s], its optimum, and the direction."""
     qp = random_problem(np.random.default_rng(21), regularization=regularization)
     x, worst = ends_of_the_swivel(qp)
     z = (x - worst) / np.abs(x - worst).max()
@@ -135,14 +135,14 @@ def sliver(width, regularization=0.0):
 
 
 @pytest.mark.parametrize("regularization", [0.0, 1e-5])
-def test_within_the_primal_tolerance_of_an_optimum_is_right(regularization):
+def test_an_answer_within_the_primal_tolerance_of_an_optimum_is_verified(regularization):
     qp, x, z = sliver(1e-5, regularization)
     for off, right in ((0.0, True), (9e-7, True), (1.5e-6, False), (1e-5, False)):
         found = qp.residuals(x - off * z)
         assert found.distance == pytest.approx(off, abs=1e-9)
         assert found.loss == pytest.approx(off / 1e-5, abs=1e-3)
         assert found.verified() == right
-    for width, loss in ((5e-10, 0.0), (5e-9, 1.0)):  # an interval of rounding has no ends
+    for width, loss in ((5e-10, 0.0), (5e-9, 1.0)):  # below 1e-9 rad/s the interval counts as a point
         qp, x, z = sliver(width, regularization)
         assert qp.residuals(x - width * z).loss == pytest.approx(loss, abs=1e-4)
 
@@ -150,7 +150,7 @@ def test_within_the_primal_tolerance_of_an_optimum_is_right(regularization):
 @pytest.mark.parametrize("regularization", [0.0, 1e-5])
 @pytest.mark.parametrize("pull", [-2.0, 0.0, 3.0])
 def test_an_idle_joint_is_judged_by_its_own_interval(pull, regularization):
-    """Joint 7 moves nothing, so its optimum is where its own cost is least; the others' loss is not diluted by it."""
+    """Joint 7 moves neither tip nor wrist: it has an optimum of its own, and does not dilute the loss of the others."""
     qp = random_problem(np.random.default_rng(14), regularization=regularization)
     grad_mu = np.array(qp.grad_mu)
     grad_mu[6] = pull
@@ -176,7 +176,7 @@ def test_an_idle_joint_is_judged_by_its_own_interval(pull, regularization):
     assert qp.residuals(there).loss == pytest.approx(1.0, abs=1e-9)
 
 
-def test_the_worst_idle_joint_counts():
+def test_the_idle_joint_with_the_largest_loss_counts():
     qp = random_problem(np.random.default_rng(14), regularization=1e-5)
     A = np.array(qp.A)
     A[:, 3] = 0.0
@@ -196,7 +196,7 @@ def test_the_worst_idle_joint_counts():
 
 
 @pytest.mark.parametrize("n", [7, 8])
-def test_a_gradient_that_is_rounding_on_the_kernel_asks_for_nothing(n):
+def test_where_the_gradient_along_the_self_motion_is_rounding_every_feasible_answer_is_verified(n):
     qp = random_problem(np.random.default_rng(30), n, structured=False, regularization=0.0)
     Z = kernel(qp)
     x = optimum(qp)[0]
@@ -212,12 +212,12 @@ def test_a_gradient_that_is_rounding_on_the_kernel_asks_for_nothing(n):
         assert problem.residuals(best).verified()
 
 
-def test_relative_is_scaled_by_what_is_left_of_the_gradient():
-    """Almost all of grad_mu lies across the kernel: with it as the scale, a wrong end would leave 1e-3."""
+def test_relative_is_scaled_by_the_gradient_along_the_self_motion():
+    """Almost all of grad_mu lies across ker A. Scaled by its whole length, a wrong end would have 1e-3 only."""
     rooms = []
     for w in wrong_corners(5, 6, 8, tilt=1e-3):
         z = kernel(w.qp)[:, 0]
-        for regularization in (0.0, 1.0):  # with 1.0 the regularization is the larger of the two scales
+        for regularization in (0.0, 1.0):  # 1.0 is larger than the scale by the gradient
             slope = z @ (regularization * w.x - w.qp.c2 * w.qp.grad_mu)
             scale = max(w.qp.c2 * abs(z @ w.qp.grad_mu) * np.abs(z).max(), regularization)
             room = np.where(z * slope > 0.0, w.x - w.qp.lower, w.qp.upper - w.x)[np.abs(z) > 1e-9].min()
@@ -228,7 +228,7 @@ def test_relative_is_scaled_by_what_is_left_of_the_gradient():
     assert any(rooms)
 
 
-def test_where_a_and_b_leave_no_freedom_the_references_decide():
+def test_without_any_freedom_only_the_references_decide():
     rng = np.random.default_rng(4)
     J, x = rng.normal(size=(6, 6)), rng.uniform(-0.5, 0.5, 6)
     b = J @ x
@@ -255,8 +255,8 @@ def test_a_batch_may_mix_ranks_and_idle_joints():
 
 
 @pytest.mark.parametrize("regularization", [0.0, 0.2])
-def test_natural_is_the_residual_of_the_whole_cost(regularization):
-    """By its definition with the P and p of the problem, anywhere, feasible or not."""
+def test_natural_and_primal_equal_their_definitions(regularization):
+    """With the P and p of the whole cost, at any x, feasible or not."""
     rng = np.random.default_rng(50)
     for n in (7, 8):
         qp = random_problem(rng, n, structured=False)
@@ -271,14 +271,14 @@ def test_natural_is_the_residual_of_the_whole_cost(regularization):
             assert found.primal == pytest.approx(max(np.abs(qp.A @ x - qp.b).max(), beyond), rel=1e-12)
             bad = np.array(y)
             bad[3] = np.nan
-            for none in (None, bad):  # no dual: the best one stands for it
+            for none in (None, bad):  # without a valid dual, the best one is taken
                 without = qp.residuals(x, none)
                 assert without.natural == without.natural_best == found.natural_best
 
 
 @pytest.mark.parametrize("scale", [1e-6, 1e-3, 1.0, 1e3, 1e6])
 def test_which_joints_are_idle_does_not_depend_on_the_unit_of_length(scale):
-    """A column of rounding, 1e-13 of A, moves nothing, and one of 1e-11 does, whatever the unit."""
+    """In any unit, a column of 1e-13 |A| counts as zero and one of 1e-11 |A| does not."""
     rng = np.random.default_rng(51)
     A = rng.normal(size=(6, 8))
     A /= np.linalg.norm(A)
@@ -290,11 +290,11 @@ def test_which_joints_are_idle_does_not_depend_on_the_unit_of_length(scale):
 
 @pytest.mark.parametrize("regularization", [0.0, 1e-5])
 @pytest.mark.parametrize(("n", "structured"), [(7, True), (7, False), (8, False)])
-def test_a_box_that_touches_in_a_point_has_its_optimum_there(n, structured, regularization):
-    """Judged from elsewhere on A x = b, the distance is that to the point, and what is there is right."""
+def test_where_one_point_is_feasible_the_distance_is_that_to_it(n, structured, regularization):
+    """The point is verified, others are not. Where the box misses A x = b, the loss is 1 and the distance infinite."""
     qp = random_problem(np.random.default_rng(17), n, structured=structured, regularization=regularization)
     x, z = optimum(qp)[0], kernel(qp)[:, 0]
-    if structured:  # along the self-motion, not along the idle joint
+    if structured:  # the kernel also has the idle joint: take the self-motion's direction
         x, worst = ends_of_the_swivel(qp)
         z = (worst - x) / np.linalg.norm(worst - x)
     lower, upper = np.array(x), np.array(x)
@@ -315,8 +315,8 @@ def test_a_box_that_touches_in_a_point_has_its_optimum_there(n, structured, regu
 
 
 @pytest.mark.parametrize("n", [7, 8])
-def test_rest_is_no_optimum_where_the_box_leaves_it_out(n):
-    """A damped cost without gradient is least at rest; with rest outside the box, it is least at the box."""
+def test_rest_is_not_optimal_where_the_box_excludes_it(n):
+    """A regularized cost without a gradient is smallest at rest, and with rest outside the box, on the box."""
     qp = random_problem(np.random.default_rng(60), n, structured=False, regularization=1.0)
     z = kernel(qp)[:, 0]
     j = int(np.argmax(np.abs(z)))
@@ -329,7 +329,7 @@ def test_rest_is_no_optimum_where_the_box_leaves_it_out(n):
     assert still.residuals(optimum(still)[0]).verified()
 
 
-def test_nan_is_infinitely_wrong_and_relative_does_not_depend_on_c2():
+def test_a_nan_answer_has_the_worst_figures_and_relative_does_not_depend_on_c2():
     qp = random_problem(np.random.default_rng(10), regularization=0.0)
     found = qp.residuals(np.full(7, np.nan))
     assert (found.primal, found.loss, found.verified()) == (np.inf, 1.0, False)
@@ -338,7 +338,7 @@ def test_nan_is_infinitely_wrong_and_relative_does_not_depend_on_c2():
     assert big == pytest.approx(small, rel=1e-9)
 
 
-def test_ranks_are_decided_one_by_one_in_batches_of_any_shape():
+def test_the_rank_of_each_problem_of_a_batch_is_decided_alone():
     s = np.array([[1.0, 1.0, 1.0, 1.0, 1.0, last] for last in (1.0, 1e-6, 1e-8, 0.0)])
     s = np.vstack([s, [1.0, 1.0, 1.0, 1.0, 1e-8, 1e-9], [1.0, 1.0, 1.0, 1.0, 1e-14, 1e-14]])
     expected = [6, 6, 5, 5, 5, 4]

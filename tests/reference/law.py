@@ -1,7 +1,7 @@
-"""The law in plain numpy, as it stands in docs/method.md: what the core is checked against.
+"""The control law of docs/method.md in plain numpy, as the reference for tests of the core.
 
-Written to be read: pseudo-inverses instead of factors, no regard for speed. ``s`` is a RobotState, P and dP the trocar
-and its velocity.
+It is written to be read: pseudo-inverses, not factorizations, whatever the cost. ``s`` is a RobotState, P and dP are
+the trocar and its velocity.
 """
 
 import numpy as np
@@ -12,7 +12,7 @@ CLIMB_PER_S, LONGEST_RAD, PROBE_RAD = 5.0, 1.0, 1e-3
 
 
 def towards_trocar(X, dX, P, dP):
-    """|P - X|, e, its closing speed and de/dt."""
+    """|P - X|, e, d|P - X|/dt and de/dt."""
     r, dr = P - X, dP - dX
     e = r / np.linalg.norm(r)
     return np.linalg.norm(r), e, e @ dr, (dr - (e @ dr) * e) / np.linalg.norm(r)
@@ -37,7 +37,7 @@ def null_space(A):
 
 
 def projector(name, s):
-    """Level 2's projector (n, n): consistent, of rest, or as the paper prints it."""
+    """Level 2's projector (n, n): dynamically consistent, static, or as the paper prints it."""
     J, eye = s.J_tip, np.eye(s.n)
     if name == "as_published":
         return eye - J.T @ J
@@ -66,10 +66,10 @@ def rcm_torque(s, K_N, D_N, trocar, projector_name="dynamic", rcm_lambda=None):
 
 
 def feedforward(s, tip_ref, trocar):
-    """J_T^T F_T + B^T F_W, with B the wrist's two rows across the shaft: the forces of the accelerations a.
+    """J_T^T F_T + B^T F_W, the torque for the accelerations a; B are the wrist's two rows across the shaft.
 
-    With the tip held the wrist yields by S = B M^-1 B^T - B M^-1 J^T Lambda J M^-1 B^T. A direction in which it hardly
-    yields, at the straight elbow, is left out.
+    While the tip is held, the wrist's mobility is S = B M^-1 B^T - B M^-1 J^T Lambda J M^-1 B^T. A direction in which
+    it is almost zero, at a straight elbow, is left out.
     """
     J, B = s.J_tip, scipy_null_space(s.tool_direction[None]).T @ s.J_wrist
     M_inverse = np.linalg.inv(s.M)
@@ -85,20 +85,20 @@ def feedforward(s, tip_ref, trocar):
 
 
 def velocity_damper(q, q_min, q_max, v_max, k0):
-    """lower = max(-v_max, -k0 (q - q_min)), upper likewise; beyond a limit only the way back is left."""
+    """lower = max(-v_max, -k0 (q - q_min)), upper likewise; beyond a limit only velocities back inside are allowed."""
     lower = np.clip(-k0 * (q - q_min), -v_max, v_max)
     return lower, np.clip(-k0 * (q - q_max), -v_max, v_max)
 
 
 def references(s, tip_ref, trocar):
-    """v_T = dX_d and the wrist's velocity that goes with it, with u^T (v_T - v_W) = 0."""
+    """v_T = dX_d and the wrist's reference velocity v_W, corrected so that u^T (v_T - v_W) = 0."""
     v_T, u = tip_ref[1], s.tool_direction
     _, v_W = desired_wrist(s.tip, v_T, *trocar, s.tool_span)
     return v_T, v_W + u * (u @ (v_T - v_W))
 
 
 def shaft_push(mu_shaft, margin):
-    """Weight of grad mu_shaft beside grad mu."""
+    """The factor of grad mu_shaft, which is added to grad mu."""
     if mu_shaft >= margin:
         return 0.0
     return SHAFT_PULL * (1.0 - mu_shaft / margin) * mu_shaft / (mu_shaft**2 + (SHAFT_LOST * margin) ** 2)
@@ -111,7 +111,7 @@ def slope(s, margin=0.0):
 
 
 def scaled_climb(robot, s, margin=0.0):
-    """x_d = k t |d| / max(-h, |d| / r): Newton's step to the top of mu along t = d / |d|, h = dd/ds."""
+    """x_d = k t |d| / max(-h, |d| / r): Newton's step to the maximum of mu along t = d / |d|, with h = d|d|/ds."""
     d = slope(s, margin)
     steep = np.linalg.norm(d)
     if not steep > 1e-12:

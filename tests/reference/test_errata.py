@@ -1,4 +1,4 @@
-"""What the paper prints and what we compute: each entry of the last section of docs/method.md, with its number."""
+"""What the paper prints and what is computed here, with numbers, for each entry of docs/method.md's last section."""
 
 import numpy as np
 import pytest
@@ -37,7 +37,7 @@ def idempotence(N):
 
 
 def leak(state, N):
-    """The tip acceleration left of that of an unprojected torque."""
+    """The share of an unprojected torque's tip acceleration that the projector N lets through."""
     J, M = state.J_tip, state.M
     return np.linalg.norm(J @ np.linalg.solve(M, N), 2) / np.linalg.norm(J @ np.linalg.inv(M), 2)
 
@@ -72,8 +72,8 @@ def test_printed_third_level_lacks_an_inverse(states):
         consistent, printed = s.M @ Z.T @ np.linalg.inv(inner) @ Z, (inner @ Z @ s.M).T
         assert printed.shape == (7, len(Z))  # not (7, 7): it takes no joint vector
         assert idempotence(consistent) < 1e-9
-        assert idempotence(printed @ Z) > 0.5  # with the missing Z its shape fits, the inverse still lacks
-        # printed over consistent torque [kg^2 m^4]
+        assert idempotence(printed @ Z) > 0.5  # with Z its shape fits; the inverse is still missing
+        # ratio of the printed torque to the consistent one [kg^2 m^4]
         assert (np.linalg.eigvalsh(inner) ** 2).max() < 0.5
 
 
@@ -83,18 +83,18 @@ def test_gradient_of_f_is_positive_semidefinite_and_seven_by_seven(robot, states
         G, wanted = saddle(subproblem(robot, s)), np.zeros((13, 13))
         wanted[:7, :7] = 2.0 * (PAPER.c0 * s.J_tip.T @ s.J_tip + PAPER.c1 * s.J_wrist.T @ s.J_wrist)
         np.testing.assert_allclose(G + G.T, wanted, atol=1e-15)
-        # with the printed sign F, on whose monotony convergence rests, has none
+        # so with the printed sign, F is not monotone, as the proof of convergence needs
         assert np.linalg.eigvalsh(G + G.T)[-1] > 1e-3
 
 
 # F(Y) = [-dL/dqd, dL/dl]  ->  [dL/dqd, -dL/dl]; no time constant  ->  eps, or m steps per tick
-def test_modes_decay_but_with_the_printed_sign_and_are_slower_than_fifty_seconds(robot, states):
-    """dY/dt = -k F(Y) at the paper's gains: the real parts are k c0 s^2 / 2 for a singular value s of A."""
+def test_modes_grow_with_the_printed_sign_else_decay_slower_than_in_fifty_seconds(robot, states):
+    """dY/dt = -k F(Y) at the paper's gains: the real parts are -k c0 s^2 / 2 for a singular value s of A."""
     for s in states:
         qp = subproblem(robot, s)
-        growth = np.linalg.eigvals(-K * saddle(qp)).real  # the other way round as printed
+        growth = np.linalg.eigvals(-K * saddle(qp)).real  # with the printed sign, minus this
         assert growth.max() < 1e-10
-        assert (growth < -1e-12).sum() >= 6  # free directions have none
+        assert (growth < -1e-12).sum() >= 6  # zero along the free directions
         largest = np.linalg.svd(qp.A, compute_uv=False)[0]
         assert growth.min() == pytest.approx(-0.5 * K * PAPER.c0 * largest**2, rel=1e-6)
         assert 1e-4 < -growth.min() < 1.0 / 50.0
@@ -102,7 +102,7 @@ def test_modes_decay_but_with_the_printed_sign_and_are_slower_than_fifty_seconds
 
 # e_N1 = d / lambda, lambda = 0.5  ->  |N_d - N|, or rcm_lambda
 def test_the_true_lambda_is_not_constant(states):
-    """d / |N - N_d| is |P_t - X|/L for a shaft 2 mm off the trocar: it varies with the depth and misses 0.5."""
+    """For a shaft 2 mm off the trocar, d / |N - N_d| is |P_t - X|/L. It varies with the depth, 0.5 does not."""
     depths, found = np.array([task.depth_m for task in BOARD_TASKS.values()]), []
     for s in states:
         across = np.cross(s.tool_direction, np.eye(3)[np.argmin(np.abs(s.tool_direction))])
@@ -116,8 +116,8 @@ def test_the_true_lambda_is_not_constant(states):
 
 
 # K_N2 = [80, ...] on qdd_d at c2 = 0.001, k = 0.1  ->  kept as rnn-printed
-def test_torque_of_the_printed_network_cannot_act(robot, states):
-    """The share of mu in it (with c2 less without) is as where no bound is in the way, and too small."""
+def test_the_torque_that_mu_causes_in_the_printed_network_is_too_small_to_act(robot, states):
+    """Its difference with and without c2 equals the torque without any bounds, and is at most 0.002 Nm."""
     rng, printed, share, free = np.random.default_rng(0), solvers.create("rnn-printed"), 0.0, 0.0
     for rest in states:
         for v in (np.zeros(7), rng.uniform(-0.01, 0.01, 7)):

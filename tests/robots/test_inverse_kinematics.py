@@ -1,4 +1,4 @@
-"""Poses that are found really are solutions inside the limits; what is not found is explained."""
+"""Inverse kinematics: poses that are found reach their targets within the limits, and a failure is explained."""
 
 import numpy as np
 import pytest
@@ -14,8 +14,8 @@ def inside(robot, q):
     return bool(((q >= robot.q_min) & (q <= robot.q_max)).all())
 
 
-def test_a_joint_at_its_limit_lets_the_others_take_over(robot):
-    """The start is on a limit, and the shortest way to the goal is through it."""
+def test_with_one_joint_at_its_limit_the_others_reach_the_target(robot):
+    """The start is at a limit, and the shortest displacement to the goal leads beyond it."""
     q = np.array(robot.data.q_home)
     q[2] = robot.q_min[2] + 1e-3
     state = robot.state(q)
@@ -29,7 +29,7 @@ def test_a_joint_at_its_limit_lets_the_others_take_over(robot):
     assert inside(robot, placed.q)
 
 
-def test_out_of_reach_it_goes_as_near_as_it_can(robot):
+def test_for_a_target_out_of_reach_the_pose_is_the_nearest_one_and_not_found(robot):
     placed = solve_pose(robot, robot.data.q_home, np.array([3.0, 0.0, 0.3]), iterations=200)
     assert not placed.found
     reach = 0.4 + 0.39 + 0.378  # shoulder to tip, stretched
@@ -42,15 +42,15 @@ def test_out_of_reach_it_goes_as_near_as_it_can(robot):
     (np.full(7, np.nan), np.zeros(3), "q = .* is not finite"), (np.zeros((7, 1)), np.zeros(3), "q has shape"),
     (np.zeros(7), np.array([0.5, 0.0, np.nan]), "tip or wrist = .* is not finite"),
 ])  # fmt: skip
-def test_what_is_no_pose_and_no_point_is_refused(robot, q, tip, message):
-    """A comparison with NaN is false: unchecked, such a point would count as reached."""
+def test_poses_and_points_that_are_not_finite_or_have_another_shape_are_refused(robot, q, tip, message):
+    """Comparisons with NaN are false, so that without this check such a point would count as reached."""
     with pytest.raises(RobotError, match=message):
         solve_pose(robot, q, tip)
 
 
 @given(st.integers(0, 10_000))
 @settings(max_examples=25)
-def test_tip_and_trocar_of_a_pose_can_be_had_again(robot, seed):
+def test_a_pose_is_found_for_the_tip_and_trocar_of_any_regular_pose(robot, seed):
     rng = np.random.default_rng(seed)
     state = robot.state(robot.random_regular_pose(rng))
     trocar = state.tip - rng.uniform(0.02, 0.28) * state.tool_direction
@@ -68,6 +68,6 @@ def test_tip_and_trocar_of_a_pose_can_be_had_again(robot, seed):
     ((0.58, 0, 0.05), (0.58, 0, 0.45), "400 mm from the tip"), ((0.58, 0, 0.05), (0.58, 0, 0.05), "0 mm from the tip"),
     ((1.2, 0, 0.05), (1.2, 0, 0.2), "out of reach"), ((0.58, 0, np.nan), (0.58, 0, 0.2), "nan mm from the tip"),
 ])  # fmt: skip
-def test_impossible_places_are_explained(robot, tip, trocar, message):
+def test_an_impossible_tip_or_trocar_is_refused_with_the_reason(robot, tip, trocar, message):
     with pytest.raises(TaskError, match=message):
         pose_through(robot, tip, trocar)

@@ -1,4 +1,4 @@
-"""Robot files: the LWR4+ says what its data sheet says, and bad files are told what is wrong with them."""
+"""Robot files: the LWR4+ has the numbers of its data sheet, and a bad file is refused with the reason."""
 
 from pathlib import Path
 
@@ -24,7 +24,7 @@ def write(folder: Path, toml: str = TOML, urdf: str = URDF) -> Path:
     return path
 
 
-def test_lwr4_holds_the_published_numbers() -> None:
+def test_the_lwr4_has_the_published_numbers() -> None:
     data = load_data("lwr4")
     assert data.n == 7
     np.testing.assert_allclose(np.degrees(data.q_max), [170, 120, 170, 120, 170, 120, 170])
@@ -39,13 +39,13 @@ def test_lwr4_holds_the_published_numbers() -> None:
         data.q_home[0] = 1.0
 
 
-def test_limits_of_the_toml_win_and_are_written_into_the_urdf(tmp_path: Path) -> None:
+def test_limits_of_the_toml_replace_those_of_the_urdf(tmp_path: Path) -> None:
     data = load_data(write(tmp_path, changed(TOML, ("q_max_deg = [170, 120", "q_max_deg = [150, 120"))))
     first = read(data.urdf).joints[0]
     assert first.limits["upper"] == data.q_max[0] == pytest.approx(np.radians(150))
     bare, own = load_data(write(tmp_path, UNLIMITED)), load_data()
     for name in ("q_min", "q_max", "v_max", "tau_max"):
-        np.testing.assert_allclose(getattr(bare, name), getattr(own, name), rtol=1e-12)  # of the URDF alone
+        np.testing.assert_allclose(getattr(bare, name), getattr(own, name), rtol=1e-12)  # from the URDF alone
     urdf = URDF.replace(' velocity="1.9198621771937625"', "")
     with pytest.raises(RobotError, match=r"v_max: joints \['joint_1', 'joint_2'\].*limits\.v_max_deg_per_s"):
         load_data(write(tmp_path, UNLIMITED, urdf))
@@ -63,7 +63,7 @@ def test_tool_is_a_slender_rod_on_the_flange(length: float, mass: float) -> None
         assert (joints[name].parent, joints[name].xyz) == ("link_7", (0.0, 0.0, z))
 
 
-def test_files_by_path(tmp_path: Path) -> None:
+def test_a_robot_is_loaded_by_the_path_of_its_toml_or_urdf(tmp_path: Path) -> None:
     path = write(tmp_path)
     (tmp_path / "lwr4.toml").write_text(TOML, encoding="utf-8")
     expected = load_data("lwr4").urdf
@@ -71,7 +71,7 @@ def test_files_by_path(tmp_path: Path) -> None:
         assert load_data(asked).urdf == expected
 
 
-def test_missing_files(tmp_path: Path) -> None:
+def test_a_missing_file_or_robot_is_named(tmp_path: Path) -> None:
     gone = write(tmp_path, changed(TOML, ('"lwr4.urdf"', '"gone.urdf"')))
     for asked, told in (
         ("lwr", "unknown robot .*'lwr': did you mean 'lwr4'"), (tmp_path / "none.toml", r"none\.toml.*no such file"),
@@ -119,21 +119,21 @@ BAD_URDF = {
 
 
 @pytest.mark.parametrize("case", [*BAD_TOML, *BAD_URDF])
-def test_what_is_wrong_in_a_file_is_named(case: str, tmp_path: Path) -> None:
+def test_a_mistake_in_a_robot_file_is_named(case: str, tmp_path: Path) -> None:
     *pair, told = (BAD_TOML | BAD_URDF)[case]
     toml, urdf = (changed(TOML, pair), URDF) if case in BAD_TOML else (TOML, changed(URDF, pair))
     with pytest.raises(MocOptError, match=told):
         load_data(write(tmp_path, toml, urdf))
 
 
-def test_a_link_may_not_have_the_name_that_is_the_base_to_mujoco(tmp_path: Path) -> None:
+def test_no_link_but_the_base_may_be_called_world(tmp_path: Path) -> None:
     assert load_data(write(tmp_path, urdf=URDF.replace('"link_0"', '"world"'))).n == 7
     with pytest.raises(RobotError, match=r"joint_3.*a link 'world'.*rename it"):
         load_data(write(tmp_path, urdf=URDF.replace('"link_3"', '"world"')))
 
 
 @pytest.mark.parametrize("bad", [-0.1, 5e-4, float("nan"), float("inf"), "long"])
-def test_bad_tool_arguments(bad: float) -> None:
+def test_bad_tool_arguments_are_refused_by_name(bad: float) -> None:
     with pytest.raises(RobotError, match="length"):
         load_data(tool_length=bad)
     with pytest.raises(RobotError, match="mass_kg"):
@@ -144,7 +144,7 @@ def test_bad_tool_arguments(bad: float) -> None:
     "", "0 0", "0 0 0 0", "0,0,0",
     *(f"0 0 {bad}" for bad in ("0x10", "nan", "inf", "1,5", "1e", "-101", "1e999", "1_0", "\u0663.0")),
 ])  # fmt: skip
-def test_what_is_no_number_of_an_arm_is_refused(text):
+def test_a_text_that_is_not_three_decimal_numbers_of_an_arms_size_is_refused(text):
     origin = '<joint name="j"><parent link="a"/><child link="b"/><origin xyz="{}"/></joint>'
     assert read(f'<robot name="x">{origin.format(f"{FARTHEST} 0 -1e-31")}</robot>').joints[0].xyz == (100.0, 0.0, 0.0)
     with pytest.raises(RobotError, match=r"<origin> of joint 'j', xyz is '.*give three decimal numbers"):
@@ -159,7 +159,7 @@ moments = st.tuples(*[numbers] * 6)
 
 @given(triples, triples, triples, limits, st.floats(1e-30, 100.0), moments)
 @settings(max_examples=60)
-def test_what_is_written_is_read_back_to_the_bit(xyz, rpy, axis, limit, mass, moments):
+def test_a_urdf_that_was_written_is_read_back_to_the_last_bit(xyz, rpy, axis, limit, mass, moments):
     links = [Link("a"), Link("b", mass, moments, xyz, rpy)]
     arm = Urdf(links, [Joint("j", "revolute", "a", "b", rpy, xyz, axis, limit)])
     assert read(arm.to_text("arm")) == arm
@@ -167,7 +167,7 @@ def test_what_is_written_is_read_back_to_the_bit(xyz, rpy, axis, limit, mass, mo
 
 @given(st.lists(st.floats(1e-6, 1.0), min_size=3, max_size=3), st.integers(0, 2**32 - 1))
 @settings(max_examples=100)
-def test_the_verdict_is_that_of_the_principal_moments_in_any_axes(moments, seed):
+def test_the_verdict_on_an_inertia_does_not_depend_on_its_axes(moments, seed):
     a, b, c = sorted(moments)
     assume(abs(a + b - c) > 1e-4 * c)
     Q, _ = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))
@@ -177,8 +177,8 @@ def test_the_verdict_is_that_of_the_principal_moments_in_any_axes(moments, seed)
         assert (fault is not None) == wrong
 
 
-def test_only_what_was_read_is_written():
-    """Shapes, extensions and unknown elements or attributes reach no engine."""
+def test_parts_of_a_urdf_that_are_not_read_are_not_written():
+    """Shapes, extensions, and unknown elements or attributes reach neither engine."""
     text = load_data().urdf
     more = text.replace("<link", '<gazebo secret="1"/><link', 1).replace(
         "</inertial>", "<density/></inertial><visual><geometry><mesh filename='/etc/passwd'/></geometry></visual>"
@@ -189,7 +189,7 @@ def test_only_what_was_read_is_written():
 
 
 @pytest.mark.parametrize("axis", ["0 0 2", "0.7 0.7 0", "1e-2 0 0"])
-def test_an_axis_has_length_one(axis):
+def test_an_axis_is_scaled_to_length_one(axis):
     arm = read(load_data().urdf.replace('<axis xyz="0.0 0.0 1.0"', f'<axis xyz="{axis}"', 1))
     normalize(arm)
     assert np.linalg.norm(arm.joints[0].axis) == pytest.approx(1.0, rel=1e-15)

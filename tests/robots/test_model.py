@@ -1,4 +1,4 @@
-"""The model against finite differences, plain numpy and pinocchio's own answers, at random regular poses."""
+"""The model against finite differences, plain numpy and pinocchio's results, at random regular poses."""
 
 import json
 import pickle
@@ -32,7 +32,7 @@ STEP = 1e-6
 
 @pytest.fixture(params=["robot", "odd_robot"])
 def arm(request: pytest.FixtureRequest) -> RobotModel:
-    """The LWR4+, and an arm with no structure to hide behind."""
+    """The LWR4+, and an arm without any special geometry."""
     model: RobotModel = request.getfixturevalue(request.param)
     return model
 
@@ -46,7 +46,7 @@ def samples(arm: RobotModel, count: int = 8, seed: int = 1) -> Iterator[tuple[Ar
 
 
 def reference(arm: RobotModel) -> tuple[Any, Any]:
-    """A pinocchio model of our own, built apart from the one under test."""
+    """A pinocchio model that is built separately from the one under test."""
     model = pin.buildModelFromXML(arm.data.urdf)
     return model, model.createData()
 
@@ -57,7 +57,7 @@ def differences(function: Any, q: Array) -> Array:
 
 
 @pytest.mark.parametrize("scale", [1e-4, 1e4])
-def test_the_unit_of_length_decides_nothing(robot: RobotModel, scale: float) -> None:
+def test_the_gradients_scale_with_the_unit_of_length(robot: RobotModel, scale: float) -> None:
     joints, points, *others = robot.arm_arrays
     joints[:, 9:12] *= scale
     scaled, parts = core.Arm(joints, points * scale, *others), layout(robot.n)
@@ -68,7 +68,7 @@ def test_the_unit_of_length_decides_nothing(robot: RobotModel, scale: float) -> 
         np.testing.assert_allclose(record[parts["scalars"]] / scale ** np.array([3, 1, 2]), s.record[parts["scalars"]])
 
 
-def test_places_and_their_derivatives_are_pinocchios(arm: RobotModel) -> None:
+def test_positions_jacobians_and_drifts_equal_pinocchios(arm: RobotModel) -> None:
     model, data = reference(arm)
     world = pin.LOCAL_WORLD_ALIGNED
     for q, v, s in samples(arm):
@@ -105,7 +105,7 @@ def test_both_manipulabilities_and_their_gradients_against_finite_differences(ar
 
 
 def test_a_shaft_that_cannot_turn_while_the_tip_is_held_gives_no_gradient() -> None:
-    """Three slides for the tip alone, and two parallel axes through it, which move the wrist in one direction."""
+    """Three slides move the tip. Two parallel axes through it then move the wrist in one direction only."""
     joints, n = np.tile(np.r_[np.eye(3).ravel(), np.zeros(3), 0.0, 0.0, 1.0, 0.0], (5, 1)), 5
     joints[:3, 12:15], joints[:3, 15], joints[3:, 12:15] = np.eye(3), 1.0, [0.0, 1.0, 0.0]
     points = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, -0.3]])
@@ -124,7 +124,7 @@ def test_a_singular_arm_gives_no_nan(robot: RobotModel, bend: float) -> None:
     assert np.isfinite(s.record).all()
 
 
-def test_inertia_and_bias(arm: RobotModel) -> None:
+def test_inertia_bias_gravity_and_coriolis_terms_equal_pinocchios(arm: RobotModel) -> None:
     model, data = reference(arm)
     for q, v, s in samples(arm):
         bare = pin.crba(model, data, q)
@@ -172,7 +172,7 @@ def test_states_share_no_memory_and_cannot_be_changed(robot: RobotModel) -> None
     ([0, 0, 0, np.nan, 0, 0, 0], None, "q = "), (np.zeros(7), [0, 0, 0, 0, 0, 0, -np.inf], "v = "),
     (["a"] * 7, None, "q = "),
 ])  # fmt: skip
-def test_bad_vectors_are_named_and_good_ones_of_any_kind_taken(robot: RobotModel, q: Any, v: Any, message: str):
+def test_bad_vectors_are_named_and_good_ones_of_any_type_accepted(robot: RobotModel, q: Any, v: Any, message: str):
     with pytest.raises(RobotError, match=message):
         robot.state(q, v)
     good = np.linspace(-0.5, 0.7, 7)
@@ -182,7 +182,7 @@ def test_bad_vectors_are_named_and_good_ones_of_any_kind_taken(robot: RobotModel
         np.testing.assert_array_equal(robot.state(taken, taken).record, expected)
 
 
-def test_kinematics_and_a_pickled_copy_are_the_models(arm: RobotModel) -> None:
+def test_symbolic_kinematics_and_a_pickled_copy_agree_with_the_model(arm: RobotModel) -> None:
     k, again = arm.kinematics(), pickle.loads(pickle.dumps(arm))
     assert k is arm.kinematics()
     assert pickle.loads(pickle.dumps(k)) == k
@@ -201,13 +201,13 @@ def by_the_core(tip, tip_velocity, trocar, trocar_velocity, span):
 @pytest.mark.parametrize("kernel", [desired_wrist, by_the_core], ids=["numpy", "core"])
 @settings(max_examples=30)
 @given(seed=st.integers(0, 2**32 - 1))
-def test_desired_wrist_velocity_is_the_derivative(kernel, seed):
+def test_the_desired_wrists_velocity_is_its_derivative(kernel, seed):
     """Along a motion of tip and trocar, dN_d is the difference quotient of N_d."""
     rng = np.random.default_rng(seed)
     start, rate, distance = rng.normal(size=3), rng.uniform(0.5, 3.0), rng.uniform(0.1, 0.3)
     aside, breath, way = (v / np.linalg.norm(v) for v in rng.normal(size=(3, 3)))
     trocar = Trocar(start + distance * aside, 0.02, 3.0, breath)
-    sway = 0.3 * distance * way  # never as far as the trocar
+    sway = 0.3 * distance * way  # smaller than the distance to the trocar
     span, t, step = 0.378, rng.uniform(0.0, 3.0), 1e-5
 
     def desired(time):
@@ -220,7 +220,7 @@ def test_desired_wrist_velocity_is_the_derivative(kernel, seed):
 
 
 @pytest.mark.parametrize("name", ["lwr4", "lwr4_rail"])
-def test_a_robot_file_without_gains_gets_them_and_keeps_its_own(name: str, tmp_path: Path) -> None:
+def test_missing_gain_tables_are_derived_and_given_ones_are_kept(name: str, tmp_path: Path) -> None:
     path = tmp_path / f"{name}.toml"
     path.write_text((FOLDER / path.name).read_text(encoding="utf-8").partition("[gains.")[0], encoding="utf-8")
     shutil.copy(FOLDER / f"{name}.urdf", tmp_path)
@@ -235,14 +235,14 @@ def test_a_robot_file_without_gains_gets_them_and_keeps_its_own(name: str, tmp_p
 
 
 @pytest.mark.parametrize("name", ["iiwa14", "panda", "gen3", "xarm7", "lwr4_rail"])
-def test_the_tables_of_a_file_are_those_of_its_masses(name: str) -> None:
+def test_the_gain_tables_of_a_robot_file_are_those_derived_from_its_masses(name: str) -> None:
     robot = load_robot(name)
     derived = derived_gains(robot)
     assert set(robot.data.gains) == set(derived)
     for key, table in derived.items():
         for gain, value in table.items():
             if (name, key) == ("gen3", "default") and gain in ("K_X", "D_X", "K_N", "D_N"):
-                # Three ticks of delay are borne with softer ones alone (tests/scenario/test_arms_runs.py).
+                # At three ticks of delay only softer gains are stable here (tests/scenario/test_arms_runs.py).
                 assert robot.data.gains[key][gain] < value
                 continue
             np.testing.assert_array_equal(robot.data.gains[key][gain], value, err_msg=f"{key}, {gain}")
@@ -250,15 +250,15 @@ def test_the_tables_of_a_file_are_those_of_its_masses(name: str) -> None:
 
 @settings(max_examples=30)
 @given(delay=st.integers(0, 6), side=st.sampled_from([0.98, 1.02]))
-def test_the_largest_rate_is_where_a_delayed_loop_stops_decaying(delay: int, side: float) -> None:
-    """The roots of z^(d+1) - z^d + T rate: inside the circle just below it, outside just above."""
+def test_largest_rate_is_the_stability_limit_of_a_delayed_loop(delay: int, side: float) -> None:
+    """The roots of z^(d+1) - z^d + T rate are within the unit circle below the limit, and one is outside above it."""
     plant = PlantSettings(delay_ticks=delay, velocity_cutoff_Hz=0.0)
     gain = side * largest_rate(plant) * plant.period_s
     roots = np.roots([1.0, -1.0, *[0.0] * (delay - 1), gain] if delay else [1.0, gain - 1.0])
     assert (np.abs(roots).max() < 1.0) == (side < 1.0)
 
 
-def test_a_carried_robot_is_the_same_arm() -> None:
+def test_a_robot_restored_from_a_trace_is_the_same_arm() -> None:
     robot = load_robot("lwr4_rail", tool_length=0.25)
     again = restored(json.loads(json.dumps(carried(robot))))
     q, v = robot.data.q_home, np.linspace(-1.0, 1.0, robot.n)
@@ -271,7 +271,7 @@ def test_a_carried_robot_is_the_same_arm() -> None:
     {"q_min": [0.0]}, {"q_min": "x"}, {"q_max": [np.nan] * 7}, {"joint_names": []}, {"more": 1}, {"urdf": "<robot/>"},
     {"gains": 3}, {"tip_frame": "gone"}, {"joint_names": [*"abcdefg"]}, {"urdf": "<robot"}, None,
 ])  # fmt: skip
-def test_what_is_no_robot_is_refused(robot: RobotModel, change: dict[str, Any] | None) -> None:
+def test_a_damaged_stored_robot_is_refused(robot: RobotModel, change: dict[str, Any] | None) -> None:
     with pytest.raises(RobotError):
         restored([] if change is None else {**carried(robot), **change})  # type: ignore[arg-type]
 
@@ -282,12 +282,12 @@ Rows = list[tuple[float, float, float, float]]
 
 
 def upright(signs: tuple[float, ...], lengths: tuple[float, ...]) -> Rows:
-    """Rows of an arm whose axes all cross: alpha is a right angle of this sign, or 0."""
+    """Rows of an arm whose neighbouring axes intersect: alpha is a right angle with this sign, or 0."""
     return [(0, sign * RIGHT, d, 0) for sign, d in zip(signs, lengths, strict=True)]
 
 
-# Denavit-Hartenberg rows as the makers print them, (a, alpha, d, offset of q), then the way from the last frame to the
-# flange. Craig's convention has a and alpha of the joint before, the classical one those behind the joint.
+# Denavit-Hartenberg rows as the makers print them, (a, alpha, d, offset of q), then the distance from the last frame to
+# the flange. In Craig's convention a and alpha come before the joint's own transform, in the classical one after it.
 DH: dict[str, tuple[str, Rows, float]] = {
     "lwr4": ("classical", upright((1, -1, -1, 1, 1, -1, 0), (0.3105, 0, 0.4, 0, 0.39, 0, 0.078)), 0.0),
     "iiwa14": ("classical", upright((-1, 1, 1, -1, -1, 1, 0), (0.36, 0, 0.42, 0, 0.4, 0, 0.126)), 0.0),
@@ -308,7 +308,7 @@ DH: dict[str, tuple[str, Rows, float]] = {
 
 
 def by_dh(name: str, q: Array) -> Array:
-    """Tip of a tool of 0.3 m from the printed table; the Gen3's first axis points down, from its base."""
+    """The tip of a tool of 0.3 m by the printed table. The Gen3's first axis points down from its base."""
     kind, rows, flange = DH[name]
     T = pin.SE3(np.diag([1.0, -1.0, -1.0] if name == "gen3" else np.ones(3)), np.zeros(3))
     for (a, alpha, d, offset), angle in zip(rows, q, strict=True):
@@ -323,14 +323,14 @@ def poses(robot: RobotModel, count: int = 8) -> Array:
 
 
 @pytest.mark.parametrize("name", DH)
-def test_the_tip_is_where_the_makers_table_puts_it(name: str) -> None:
+def test_the_tip_agrees_with_the_makers_denavit_hartenberg_table(name: str) -> None:
     robot = load_robot(name)
-    miss = 5e-4 if name == "gen3" else 1e-9  # its printed table lets axes 6 and 7 cross: 0.175 mm twice
+    miss = 5e-4 if name == "gen3" else 1e-9  # in its printed table axes 6 and 7 intersect: twice 0.175 mm
     for q in poses(robot):
         np.testing.assert_allclose(robot.state(q).tip, by_dh(name, q), rtol=0, atol=miss)
 
 
-def test_the_iiwa14_weighs_what_its_data_sheet_says() -> None:
+def test_the_iiwa14_has_the_mass_of_its_data_sheet() -> None:
     """29.9 kg; the public link masses are rounded."""
     robot = load_robot("iiwa14")
     masses = [link.mass for link in urdf.read(robot.data.urdf).links]

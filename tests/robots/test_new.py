@@ -1,4 +1,4 @@
-"""A URDF of a vendor becomes a robot that runs, and says what was assumed; what cannot be an arm is refused."""
+"""`robot new` makes a robot of a vendor's URDF and notes its assumptions, and `robot check` judges it."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def panda(tmp_path_factory: pytest.TempPathFactory) -> NewRobot:
     return made(tmp_path_factory.mktemp("panda"), text, tip="hand")
 
 
-def test_what_was_assumed_stands_in_the_file(panda) -> None:
+def test_every_assumption_is_noted_in_the_robot_file(panda) -> None:
     text = panda.toml.read_text(encoding="utf-8")
     plain = " ".join(line.lstrip("# -") for line in text.splitlines())
     assert len(panda.notes) >= 6
@@ -48,7 +48,7 @@ def test_what_was_assumed_stands_in_the_file(panda) -> None:
     assert "mesh" not in panda.urdf.read_text(encoding="utf-8")
 
 
-def test_the_new_robot_is_the_vendors_with_a_home_pose_from_which_it_gains_manipulability(panda) -> None:
+def test_the_new_robot_has_the_vendors_kinematics_and_a_home_pose_with_room_to_gain_mu(panda) -> None:
     ours, theirs = panda.robot, load_robot("panda")
     assert ours.data.name == "my"
     for q in np.random.default_rng(1).uniform(-1.0, 1.0, (5, 7)):
@@ -65,7 +65,7 @@ def test_the_new_robot_is_the_vendors_with_a_home_pose_from_which_it_gains_manip
     assert found["rcm_error_max_mm"] < 2.5
 
 
-def test_a_base_on_the_ceiling_hangs(tmp_path: Path) -> None:
+def test_a_base_turned_by_base_rpy_makes_the_arm_hang(tmp_path: Path) -> None:
     hanging = made(tmp_path, text_of("iiwa14"), base_rpy=(np.pi, 0.0, 0.0)).robot
     standing = load_robot("iiwa14")
     for q in np.random.default_rng(1).uniform(-1.0, 1.0, (3, 7)):
@@ -74,14 +74,14 @@ def test_a_base_on_the_ceiling_hangs(tmp_path: Path) -> None:
     assert hanging.state(hanging.data.q_home).tip[2] < 0.0
 
 
-def test_drives_follow_the_torque_limits(tmp_path: Path) -> None:
+def test_rotor_inertia_and_friction_follow_from_the_torque_limits(tmp_path: Path) -> None:
     data = made(tmp_path, text_of("lwr4_rail")).robot.data
     assert data.rotor_inertia.tolist() == [20.0] + [0.2] * 7
     assert data.coulomb_friction.tolist() == data.viscous_friction.tolist()
     assert data.coulomb_friction.tolist() == [4.0, 1.0, 1.0, 0.8, 0.8, 0.8, 0.3, 0.3]
 
 
-def test_what_makes_no_arm_is_refused_and_leaves_no_file(tmp_path: Path) -> None:
+def test_a_urdf_that_is_no_usable_arm_is_refused_and_no_file_is_left(tmp_path: Path) -> None:
     massless = re.sub(r"<inertial>.*?</inertial>", "", text_of(), flags=re.DOTALL)
     with pytest.raises(RobotError, match="joint 'joint_1' moves no mass"):
         made(tmp_path, massless)
@@ -100,7 +100,7 @@ FILES = [
 
 
 @pytest.mark.parametrize(("path", "tip", "joints"), FILES)
-def test_a_vendors_file_works_as_it_comes(path: str, tip: str | None, joints: int, tmp_path: Path) -> None:
+def test_a_vendors_file_works_unchanged(path: str, tip: str | None, joints: int, tmp_path: Path) -> None:
     try:
         source = Path(str(metadata.distribution("example-robot-data").locate_file(f"{ROBOTS}/{path}")))
     except metadata.PackageNotFoundError:
@@ -130,7 +130,7 @@ def test_the_wrist_of_a_known_arm_is_found(name: str, height: float, up: int) ->
 
 
 def test_the_wrist_is_the_point_nearest_to_an_oblique_axis() -> None:
-    """The shortest way between the last two axes is at a right angle to both."""
+    """The shortest connection between the last two axes is perpendicular to both."""
     text = re.sub(r'(name="joint_6".*?<axis xyz=")0 0 1', r"\g<1>0 0.5 1", text_of("xarm7"), flags=re.DOTALL)
     model = pin.buildModelFromXML(text)
     data = model.createData()
@@ -143,7 +143,7 @@ def test_the_wrist_is_the_point_nearest_to_an_oblique_axis() -> None:
     assert np.abs(found.wrist).max() > 1e-3
 
 
-def test_a_flange_frame_carries_the_same_tool_and_one_off_the_axis_or_that_slides_is_noted() -> None:
+def test_a_flange_on_the_last_axis_has_the_same_wrist_and_an_unusual_one_is_noted() -> None:
     def with_flange(origin: str) -> str:
         return added(text_of(), link("flange") + joint("f", "fixed", "link_7", "flange", f"<origin {origin}/>"))
 
@@ -159,7 +159,7 @@ def test_a_flange_frame_carries_the_same_tool_and_one_off_the_axis_or_that_slide
 
 
 @pytest.mark.parametrize("name", available_robots())
-def test_a_found_pose_is_what_was_asked_for(name: str) -> None:
+def test_a_home_pose_that_is_found_meets_its_requirements(name: str) -> None:
     robot = load_robot(name)
     home = search_home(robot, seed=3)
     left, state = freedoms(robot, home.q), robot.state(home.q)
@@ -170,13 +170,13 @@ def test_a_found_pose_is_what_was_asked_for(name: str) -> None:
     assert state.mu == pytest.approx(home.mu)
     assert min(state.tip[2], state.wrist[2]) > new.CLEARANCE_M - 0.01
     assert home.task == ""
-    if name == "xarm7":  # what counts in the ranking is seen in which pose comes first
+    if name == "xarm7":  # the ranking decides which pose comes first
         np.testing.assert_array_equal(home.q, [-0.72, 0.06, -0.89, 1.37, 0.22, 1.37, 0.0])
         assert np.abs(search_home(robot, seed=2).q - home.q).max() > 0.1
 
 
 def test_an_arm_that_is_singular_everywhere_has_no_home(robot: RobotModel) -> None:
-    """Limits that keep elbow and wrist straight."""
+    """These limits keep elbow and wrist straight."""
     q_min, q_max = robot.data.q_min.copy(), robot.data.q_max.copy()
     q_min[[1, 3, 5]], q_max[[1, 3, 5]] = -1e-3, 1e-3
     stiff = RobotModel(dataclasses.replace(robot.data, q_min=q_min, q_max=q_max, q_home=np.zeros(7)))
@@ -184,7 +184,7 @@ def test_an_arm_that_is_singular_everywhere_has_no_home(robot: RobotModel) -> No
         search_home(stiff)
 
 
-def test_from_a_vendors_file_to_a_check_a_run_and_a_replay(tmp_path: Path, monkeypatch, capsys) -> None:
+def test_the_commands_new_check_run_and_replay_work_on_a_vendors_file(tmp_path: Path, monkeypatch, capsys) -> None:
     (tmp_path / "vendor.urdf").write_text(with_hand(text_of("iiwa14")), encoding="utf-8")
     (tmp_path / "short.toml").write_text("duration_s = 0.1\nbound_samples = 2\n", encoding="utf-8")
     monkeypatch.chdir(tmp_path)
@@ -211,7 +211,7 @@ def test_from_a_vendors_file_to_a_check_a_run_and_a_replay(tmp_path: Path, monke
     (["--base-rpy", "nan", "0", "0"], "--base-rpy"), (["--out", "x.txt"], "--out"),
     (["--out", "my robot.toml"], "--out"),
 ])  # fmt: skip
-def test_what_is_wrong_is_said_in_one_line(arguments: list[str], told: str, tmp_path: Path, capsys) -> None:
+def test_a_wrong_argument_gives_one_line_and_no_file(arguments: list[str], told: str, tmp_path: Path, capsys) -> None:
     source = tmp_path / "vendor.urdf"
     source.write_text(text_of("iiwa14"), encoding="utf-8")
     assert main(["robot", "new", str(source), "--out", str(tmp_path / "my.toml"), *arguments]) == 2
@@ -230,7 +230,7 @@ def altered(robot: RobotModel, **fields: object) -> RobotModel:
 
 
 @pytest.mark.parametrize("name", available_robots())
-def test_the_arms_of_the_package_can_be_used(name: str) -> None:
+def test_robot_check_finds_no_fault_in_the_arms_of_the_package(name: str) -> None:
     found = check_robot(load_robot(name))
     assert verdict(found) == "ok"
     assert len(found) == 11
@@ -242,7 +242,7 @@ def test_the_arms_of_the_package_can_be_used(name: str) -> None:
     ("gravity at home", {"tau_max": [5.0] * 7}, "cannot", "check masses"),
     ("masses", {"urdf": ('ixx="0.01845" iyy="0.01602"', 'ixx="5.0" iyy="5.0"')}, "care", "link_1"),
 ])  # fmt: skip
-def test_each_fault_turns_its_own_row(robot: RobotModel, what: str, fields: dict, judged: str, told: str) -> None:
+def test_each_fault_is_judged_in_its_row(robot: RobotModel, what: str, fields: dict, judged: str, told: str) -> None:
     if "urdf" in fields:
         assert fields["urdf"][0] in robot.data.urdf
         fields = {"urdf": robot.data.urdf.replace(*fields["urdf"], 1)}
@@ -251,14 +251,14 @@ def test_each_fault_turns_its_own_row(robot: RobotModel, what: str, fields: dict
     assert told in row.cure
 
 
-def test_a_home_from_which_little_is_to_gain_is_told(robot: RobotModel) -> None:
+def test_a_home_pose_with_little_mu_to_gain_gets_care(robot: RobotModel) -> None:
     curve = self_motion(robot, robot.data.q_home)
     for share, judged in ((0.98, "care"), (0.91, "ok")):
         q = curve.q[np.argmin(np.abs(curve.mu / curve.mu_best - share))]
         assert rows(altered(robot, q_home=q))["mu at home"].verdict == judged
 
 
-def test_a_joint_that_slides_has_its_room_in_mm() -> None:
+def test_the_room_of_a_sliding_joint_is_in_mm() -> None:
     rail = load_robot("lwr4_rail")
     row = rows(rail)["nearest limit"]
     room = min(rail.data.q_home[0] - rail.q_min[0], rail.q_max[0] - rail.data.q_home[0])
@@ -280,7 +280,7 @@ def test_a_singular_home_is_refused_and_every_row_that_is_not_ok_has_a_cure(robo
     assert all(bool(row.cure) == (row.verdict != "ok") for row in found.values())
 
 
-def test_a_task_out_of_reach_is_told(robot: RobotModel) -> None:
+def test_a_task_out_of_reach_gets_care_and_a_cure(robot: RobotModel) -> None:
     asked = Scenario(task={"path": "circle", "sizes": {"radius": 0.5}})
     row = rows(robot, asked)["task from home"]
     assert row.verdict == "care"
@@ -288,8 +288,8 @@ def test_a_task_out_of_reach_is_told(robot: RobotModel) -> None:
 
 
 @pytest.mark.parametrize("factor", [0.9, 8.0])
-def test_gains_beyond_the_limit_swing_and_are_refused(robot: RobotModel, factor: float) -> None:
-    """The verdict is what the plant does: the idle joint without friction, at the LWR4+'s table times a factor."""
+def test_gains_with_which_the_plant_oscillates_are_refused(robot: RobotModel, factor: float) -> None:
+    """The verdict agrees with a run in the plant without friction, with the LWR4+'s K_N2 times a factor."""
     gains = [factor * gain for gain in robot.data.gains["default"]["K_N2"]]  # type: ignore[union-attr]
     asked = Scenario(control={"K_N2": gains}, plant={"friction": 0.0}, bound_samples=0, judge=False)
     asked = asked.change(task={"path": "line", "sizes": {"length": 0.005}})

@@ -1,4 +1,4 @@
-"""Vendors' URDFs: side joints locked, frames merged, one chain found or asked for, numbers that no arm has replaced."""
+"""Vendors' URDFs: joints beside the arm are locked, one chain is found or chosen, impossible numbers are replaced."""
 
 import re
 from pathlib import Path
@@ -56,9 +56,9 @@ def test_fingers_are_locked_and_the_arm_moves_as_before(vendors) -> None:
     assert (arm.last_link, chain(arm)) == ("link_7", CHAIN)
     model, bare = model_of(arm), pin.buildModelFromXML(text_of())
     assert list(model.names)[1:] == CHAIN
-    assert model.inertias[7].mass - bare.inertias[7].mass == pytest.approx(0.7 + 2 * 0.015)  # locked still weighs
+    assert model.inertias[7].mass - bare.inertias[7].mass == pytest.approx(0.7 + 2 * 0.015)  # locked, with mass
     left = model.frames[model.getFrameId("left")].placement.translation
-    turn = np.array([0.01 * np.sin(0.785), 0.01 * np.cos(0.785), 0.107])  # at the end of its range next to 0
+    turn = np.array([0.01 * np.sin(0.785), 0.01 * np.cos(0.785), 0.107])  # at the end of its range nearest to 0
     np.testing.assert_allclose(left, turn, rtol=0, atol=1e-12)
     told = " ".join(arm.notes)
     assert all(word in told for word in ("finger_1 (at 0.01 m)", "finger_2", "'link_7', the link of the last"))
@@ -67,7 +67,7 @@ def test_fingers_are_locked_and_the_arm_moves_as_before(vendors) -> None:
     assert vendors(with_hand(text_of()), tip="hand").last_link == "hand"
 
 
-def test_a_second_arm_needs_a_tip_and_a_head_of_two_joints_none(vendors) -> None:
+def test_with_a_second_arm_the_tip_has_to_be_named_and_with_a_head_of_two_joints_not(vendors) -> None:
     text = added(text_of(), branch("b", 4, "link_0"))
     with pytest.raises(RobotError, match=r"2 chains leave link 'link_0', towards .*'b0'.*--tip"):
         vendors(text)
@@ -80,7 +80,7 @@ def test_a_second_arm_needs_a_tip_and_a_head_of_two_joints_none(vendors) -> None
     assert chain(vendors(added(text_of(), branch("head", 2, "link_0")))) == CHAIN
 
 
-def test_a_joint_locked_by_name_stands_where_it_was_told(vendors) -> None:
+def test_a_joint_locked_by_name_stays_at_its_given_angle(vendors) -> None:
     arm = vendors(text_of(), lock={"joint_3": 0.4})
     assert chain(arm) == [name for name in CHAIN if name != "joint_3"]
     q = np.array([0.1, -0.3, -1.2, 0.5, 1.4, 0.2])
@@ -91,7 +91,7 @@ def test_a_joint_locked_by_name_stands_where_it_was_told(vendors) -> None:
 
 
 @pytest.mark.parametrize("kind", ["floating", "mimic"])
-def test_a_joint_that_no_drive_moves_so_is_refused_inside_the_arm_alone(kind: str, vendors) -> None:
+def test_a_floating_or_mimic_joint_is_refused_within_the_arm_and_locked_outside(kind: str, vendors) -> None:
     if kind == "mimic":
         text = changed(text_of(), ('<child link="link_4"/>', '<child link="link_4"/><mimic joint="joint_3"/>'))
     else:
@@ -103,12 +103,12 @@ def test_a_joint_that_no_drive_moves_so_is_refused_inside_the_arm_alone(kind: st
     assert any("sea (floating)" in note for note in arm.notes)
 
 
-def test_names_that_the_tool_needs_are_moved_out_of_the_way(vendors) -> None:
+def test_parts_with_reserved_names_are_renamed(vendors) -> None:
     arm = vendors(added(text_of(), link("world") + joint("tip_frame", "fixed", "world", "link_0")))
     assert {"world_link", "tip_frame_joint"} <= {part.name for part in (*arm.urdf.links, *arm.urdf.joints)}
 
 
-def test_what_is_no_urdf_of_an_arm_is_refused(vendors) -> None:
+def test_a_file_that_is_no_urdf_of_an_arm_is_refused(vendors) -> None:
     with pytest.raises(RobotError, match="xacro"):
         vendors('<robot xmlns:xacro="http://x/xacro"><xacro:macro name="a"/></robot>')
     with pytest.raises(RobotError, match="no joint moves"):
@@ -132,7 +132,7 @@ def test_a_possible_body_stays_and_one_without_mass_is_a_frame() -> None:
 
 
 @given(st.tuples(*[st.floats(-0.1, 0.1)] * 6).filter(lambda given: max(map(abs, given)) > 1e-9))
-def test_any_inertia_becomes_one_that_a_body_may_have(given: tuple[float, ...]) -> None:
+def test_any_inertia_is_mended_to_one_that_a_body_can_have(given: tuple[float, ...]) -> None:
     body = Link("a", 1.0, given)
     assert (mended(body) == []) == (inertia_fault(given) is None)
     assert inertia_fault(body.moments) is None
@@ -159,7 +159,7 @@ FAST = {"velocity": CHOSEN["turning"]}
     ("lwr4_rail", "", {"lower": -TRAVEL_M, "upper": TRAVEL_M, "velocity": CHOSEN["sliding"]},
      ["has no range: .* m is taken", "no speed limit: .* m/s is taken"]),
 ])  # fmt: skip
-def test_what_no_arm_has_is_replaced_and_told(name: str, limit: str, expected: dict, told: list, vendors) -> None:
+def test_impossible_limits_are_replaced_and_noted(name: str, limit: str, expected: dict, told: list, vendors) -> None:
     arm = vendors(changed(text_of(name), (PANDA_1 if name == "panda" else RAIL_1, f"<limit {limit}/>")))
     first, notes = arm.chain[0].limits, [note for note in arm.notes if "joint_1" in note]
     assert {key: first[key] for key in expected} == pytest.approx(expected)
@@ -173,12 +173,12 @@ def test_exchanged_limits_are_refused_by_name(name: str, reach: str, unit: str, 
     text = changed(text_of(name), (f'lower="-{reach}" upper="{reach}"', f'lower="{reach}" upper="-{reach}"'))
     with pytest.raises(RobotError, match=rf"'joint_1': .* in {unit}, "):
         vendors(text)
-    if name == "panda":  # the limits of a joint without end mean nothing
+    if name == "panda":  # the limits of a continuous joint are ignored
         endless = changed(text, ('name="joint_1" type="revolute"', 'name="joint_1" type="continuous"'))
         assert vendors(endless).chain[0].limits.items() >= ONE_TURN.items()
 
 
-def test_missing_efforts_carry_the_arm(vendors) -> None:
+def test_efforts_chosen_in_place_of_missing_ones_carry_the_arm(vendors) -> None:
     assert vendors(re.sub(r'effort="\d+"', 'effort="0"', text_of())).weak == CHAIN
     robot = load_robot("panda")
     efforts = enough_efforts(robot)

@@ -1,4 +1,4 @@
-"""Two engines, one arm: an arm that pinocchio and MuJoCo read differently is found, and the loader makes none."""
+"""An arm that pinocchio and MuJoCo read differently is refused, and the loader's arms are the same in both engines."""
 
 import re
 from dataclasses import replace
@@ -22,16 +22,16 @@ def edited(text, link, attribute, value):
     return text[:place] + re.sub(rf'{attribute}="[^"]*"', f'{attribute}="{value}"', text[place:], count=1)
 
 
-# What pinocchio drops and MuJoCo keeps, in a text that no loader of ours has seen.
+# Values that pinocchio drops and MuJoCo keeps, in a URDF text that did not go through the loader.
 @pytest.mark.parametrize(("attribute", "value"), [("rpy", ""), ("rpy", "0x0 0 0"), ("xyz", ""), ("xyz", "0 0 0x1p-3")])
-def test_an_inertia_that_one_engine_drops_is_seen(robot, attribute, value):
+def test_an_inertia_that_one_engine_drops_is_refused(robot, attribute, value):
     other = RobotModel(replace(robot.data, urdf=edited(robot.data.urdf, "link_3", attribute, value)))
     with pytest.raises(RobotError, match=r"robot 'lwr4': pinocchio and MuJoCo differ in M by .*1e-06 is allowed"):
         check_engines(other)
 
 
 @pytest.mark.parametrize("change", ["M", "h", "tip", "wrist"])
-def test_every_term_is_compared(robot, change):
+def test_mass_bias_tip_and_wrist_are_compared_between_the_engines(robot, change):
 
     def shifted(scale):
         def state(q, v):
@@ -57,8 +57,8 @@ def test_every_term_is_compared(robot, change):
     seed=st.integers(0, 2**32 - 1),
 )  # fmt: skip
 @settings(max_examples=40)
-def test_a_flat_body_in_any_axes_is_one_for_both_engines(a, b, beyond, seed, tmp_path_factory):
-    """A plate lies on the edge of the triangle inequality, where rounding alone decides; MuJoCo bears no rounding."""
+def test_both_engines_accept_a_flat_body_in_any_axes(a, b, beyond, seed, tmp_path_factory):
+    """A plate just meets the triangle inequality, so that rounding can violate it, which MuJoCo does not accept."""
     Q, _ = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))
     I = Q @ np.diag([a, b, (a + b) * (1.0 + beyond)]) @ Q.T  # noqa: E741
     moments = {"ixx": I[0, 0], "iyy": I[1, 1], "izz": I[2, 2], "ixy": I[0, 1], "ixz": I[0, 2], "iyz": I[1, 2]}

@@ -1,4 +1,4 @@
-"""Forces on the arm: the trocar's on the shaft, held ones, and those of springs in elastic joints."""
+"""Forces on the arm: the trocar's on the shaft, constant pushes, and those of the springs in elastic joints."""
 
 import re
 
@@ -31,7 +31,7 @@ def shaft_of(plant, depth=0.15, off=1e-3):
     return np.vstack([plant.tip + depth * u + off * side / np.linalg.norm(side), np.zeros(3)])
 
 
-def test_pushes_name_what_is_wrong_and_replace_each_other():
+def test_a_wrong_push_is_refused_by_name_and_a_new_push_replaces_the_last_one_on_its_link():
     plant = Plant(DATA, PlantSettings.nominal())
     for push, message in (
         (("lnk_1", [1, 0, 0]), "did you mean 'link_1'"), (("link_1", [1, 0]), "push force"),
@@ -54,8 +54,8 @@ def test_pushes_name_what_is_wrong_and_replace_each_other():
     assert not plant._pushes
 
 
-def test_trocar_and_pushes_accelerate_the_arm_through_their_points_until_they_are_over():
-    """One plant step from rest, gravity held: v = step * M^-1 J^T F, with J from the controller's model."""
+def test_trocar_and_pushes_accelerate_the_arm_through_their_points_of_action_until_removed():
+    """One plant step from rest with gravity compensated: v = step * M^-1 J^T F, with J from the controller's model."""
     plant, state = Plant(DATA, PlantSettings.nominal(period_s=1e-3, substeps=1)), MODEL.state(DATA.q_home)
     trocar, lever = shaft_of(plant, depth=0.1, off=2e-3), np.array([0.01, 0.02, 0.03])
     force, _ = numpy_shaft_force(state.tip, state.wrist, np.zeros(6), np.zeros(3), trocar, 0.0, 800.0, 10.0)
@@ -76,7 +76,7 @@ def test_trocar_and_pushes_accelerate_the_arm_through_their_points_until_they_ar
 
 
 @pytest.mark.parametrize(("stiffness", "damping"), [(800.0, 10.0), (800.0, 0.0), (0.0, 10.0)])
-def test_trocar_force_is_the_force_now(stiffness, damping):
+def test_the_trocar_force_belongs_to_the_present_state(stiffness, damping):
     wall = PlantSettings.nominal(trocar_stiffness_N_per_m=stiffness, trocar_damping_Ns_per_m=damping)
     plant = Plant(DATA, wall)
     state = MODEL.state(DATA.q_home)
@@ -95,7 +95,7 @@ def test_trocar_force_is_the_force_now(stiffness, damping):
 
 
 def test_a_moving_trocar_moves_within_the_period():
-    """One period of 20 plant steps equals ten periods of 2, when each is told where the trocar is."""
+    """One period of 20 plant steps equals ten periods of 2 that get the trocar's position each."""
     coarse = Plant(DATA, PlantSettings.nominal(period_s=0.02, substeps=20))
     fine = Plant(DATA, PlantSettings.nominal())
     state = MODEL.state(DATA.q_home)
@@ -112,7 +112,7 @@ def test_a_moving_trocar_moves_within_the_period():
     ("stiffness", "damping"), [(800.0, 10.0), (800.0, 100.0), (20e3, 10.0), (20e3, 100.0), (20e3, 0.0)]
 )
 def test_an_incision_up_to_a_rigid_one_gives_the_arm_no_energy(stiffness, damping):
-    """1 mm beside the shaft, arm floating; with a little damping in the joints too it comes to rest."""
+    """The trocar is 1 mm beside the shaft and gravity is compensated. With some damping the arm comes to rest."""
     wall = PlantSettings.nominal(trocar_stiffness_N_per_m=stiffness, trocar_damping_Ns_per_m=damping)
     plant = Plant(DATA, wall)
     trocar, springs, energies, joints = shaft_of(plant), [], [], 2.0 if damping else 0.0
@@ -144,7 +144,7 @@ def hold(plant, periods, more=0.0):
 
 @pytest.mark.parametrize("stiffness", [1e3, 1e4])
 def test_a_joint_swings_at_the_frequency_of_its_two_inertias(stiffness):
-    """Joint 1 of an upright arm turns all links about their common axis: sqrt(k (1/B + 1/J))."""
+    """Joint 1 turns all links about its axis: the frequency is sqrt(k (1/B + 1/J)), with rotor B and links J."""
     settings = elastic(
         joint_stiffness_Nm_per_rad=(stiffness, *[1e5] * 6), period_s=1e-3, substeps=100, gravity=False,
         joint_spring_damping_Nm_s_per_rad=0.0,
@@ -154,7 +154,7 @@ def test_a_joint_swings_at_the_frequency_of_its_two_inertias(stiffness):
     plant.reset(bent)
     rotor = DATA.rotor_inertia[0]
     link = MODEL.state(bent).M[0, 0] - rotor
-    plant.mj_data.qpos[1] = 1e-4  # the first spring; nothing moves but for it
+    plant.mj_data.qpos[1] = 1e-4  # deflects the spring of joint 1, the only cause of motion
     spring = np.zeros(300)
     for k in range(300):
         plant.step(np.zeros(7))
@@ -180,7 +180,7 @@ def test_the_weight_bends_the_joints_and_the_arm_rests(side):
     np.testing.assert_allclose(plant.applied_torque, MODEL.state(before).h, atol=1e-9)
 
 
-def test_very_stiff_joints_are_rigid_ones():
+def test_very_stiff_joints_move_as_rigid_ones():
     rigid = Plant(DATA, PlantSettings.nominal(period_s=1e-3, substeps=400))
     stiff = Plant(DATA, elastic(joint_stiffness_Nm_per_rad=1.5e6, period_s=1e-3, substeps=400,
                                 joint_spring_damping_Nm_s_per_rad=300.0))  # fmt: skip
@@ -191,7 +191,7 @@ def test_very_stiff_joints_are_rigid_ones():
     np.testing.assert_allclose(stiff.tip, rigid.tip, atol=2e-6)
 
 
-def test_truth_is_the_link_and_the_trace_row_says_so():
+def test_the_true_position_is_that_of_the_links_also_in_the_trace():
     plant = Plant(DATA, elastic(encoder_side="motor"))
     hold(plant, 20, 5.0)
     motors, links = plant.measure().q, plant.q

@@ -1,4 +1,4 @@
-"""Sensors, and faults as settings: what they do, when, and that the seed alone decides."""
+"""Sensors and injected faults: their effect, their times, and that the seed alone determines them."""
 
 from types import SimpleNamespace
 
@@ -28,13 +28,13 @@ def measured(k):
 
 
 def arrived(ticks=60, seed=0, **changes):
-    """Numbers (ticks,), first positions and velocities of what arrives of readings q = number, v = 0.1 number."""
+    """Packet numbers (ticks,), positions and velocities that arrive when packet k has q = k and v = 0.1 k."""
     mine = faults(seed, **changes)
     seen = [mine.sense(measured(k), k) for k in range(ticks)]
     return np.array([s.stamp for s in seen]), np.array([s.q for s in seen]), np.array([s.v for s in seen])
 
 
-def test_nothing_by_default():
+def test_by_default_no_fault_disturbs_the_arm():
     np.testing.assert_array_equal(arrived(20)[1][:, 0], np.arange(20.0))
     assert not any(FaultSettings(**only).around_the_arm for only in ({}, {"solver": "lie", "solver_share": 0.5}))
     for field in ("encoder_bias_rad", "drop_share", "bump_N", "payload_kg", "slip_m"):
@@ -53,12 +53,12 @@ def test_dropped_measurements_repeat_the_last_one():
 
 
 @pytest.mark.parametrize("at", [0.006, 0.0051, 0.0069])
-def test_nan_for_so_many_ticks(at):
+def test_encoders_give_nan_for_nan_ticks(at):
     found, first = np.isnan(arrived(20, nan_at_s=at, nan_ticks=4)[1][:, 0]), round(at / PERIOD)
     assert np.flatnonzero(found).tolist() == list(range(first, first + 4))
 
 
-def test_bias_noise_and_jump_of_the_seed():
+def test_bias_and_noise_have_their_size_and_seed_and_the_jump_its_time():
     bias = faults(encoder_bias_rad=0.01).sense(measured(0), 0).q
     np.testing.assert_allclose(np.abs(bias), 0.01)
     noisy = np.array([faults(encoder_noise_rad=0.01, seed=s).sense(measured(0), 0).q for s in range(200)])
@@ -73,8 +73,8 @@ def test_bias_noise_and_jump_of_the_seed():
 
 @pytest.mark.parametrize(("at", "long"), [(0.02, 0.01), (0.021, 0.01), (0.0199, 0.0003), (0.0, 0.01)])
 @pytest.mark.parametrize("link", ["link_4", "tool"])
-def test_a_bump_begins_and_ends(link, at, long):
-    """Also where its times lie between the ticks; the shortest one lasts a tick. A payload on the tool stays there."""
+def test_a_push_begins_and_ends_at_its_times(link, at, long):
+    """Also where these lie between ticks. The shortest push lasts one tick. A payload on the tool is kept."""
     held, mine = {}, faults(bump_N=30.0, bump_at_s=at, bump_s=long, bump_link=link, payload_kg=2.0)
     plant = SimpleNamespace(push=held.__setitem__)
     weight = np.array([0.0, 0.0, -2.0 * GRAVITY])
@@ -99,16 +99,16 @@ def test_the_trocar_slips_smoothly():
     np.testing.assert_allclose(moved[1:-1, 1], rate[1:-1], atol=4e-3)  # of 0.15 m/s
     assert faults().slip(still, t) is still
     ways = np.array([faults(seed, slip_m=0.01, slip_at_s=0.0).slip(still, t)[-1, 0] for seed in range(40)])
-    assert (ways[:, :2].min(axis=0) < -0.008).all()  # to every side
+    assert (ways[:, :2].min(axis=0) < -0.008).all()  # the directions go to every side
     assert (ways[:, :2].max(axis=0) > 0.008).all()
 
 
-def test_an_unknown_link_or_joint_is_found_before_anything_moves():
+def test_an_unknown_link_or_joint_is_refused_before_the_run():
     with pytest.raises(PlantError, match="frozen_joint = 7"):
         faults(frozen_at_s=0.0, frozen_joint=7)
     with pytest.raises(UnknownNameError, match="did you mean 'link_4'"):
         Setup(Scenario(faults={"bump_N": 1.0, "bump_link": "link_44"}, **SHORT))
-    Setup(Scenario(faults={"bump_link": "link_44"}, **SHORT))  # nobody pushes: another arm has other links
+    Setup(Scenario(faults={"bump_link": "link_44"}, **SHORT))  # without a push its link is not checked
 
 
 @pytest.mark.parametrize(("kind", "named"), [
@@ -125,12 +125,11 @@ def test_every_injected_solver_fault_is_named_in_the_trace(kind, named):
     np.testing.assert_array_equal(trace.fault, np.where(trace.injected, named, "none"))
     assert {name: found["count"] for name, found in trace.meta["faults"].items()} == {named: trace.injected.sum()}
     if kind == "hang":
-        np.testing.assert_array_equal(trace.tau_Nm, run(scenario).tau_Nm)  # it, too, repeats itself
+        np.testing.assert_array_equal(trace.tau_Nm, run(scenario).tau_Nm)  # repeatable, although late
     assert trace.meta["ended"] == "completed"
 
 
-def test_hanging_keeps_a_budget_that_was_given_and_dcac_has_no_solver_that_hangs():
-    """Replayed times are ten times the budget, whichever it is."""
+def test_a_hanging_solver_takes_ten_times_the_given_budget_and_dcac_has_no_solver_to_hang():
     control = {**TUNED, "supervisor": {"budget_us": 7.0, "late": "zero"}}
     scenario = Scenario(control=control, faults={"solver": "hang", "solver_share": 0.5}, **SHORT)
     trace = run(scenario)
@@ -144,7 +143,7 @@ K = np.arange(60)
 STUCK = np.where(K < 20, K, 19)
 
 
-# changes; the stamps, then the first joint's positions and joint 3's
+# changes; the packet numbers, and the positions of joint 1 and of joint 3
 @pytest.mark.parametrize(("changes", "stamps", "first", "third"), [
     ({"frozen_ticks": 10}, *[np.where((K < 20) | (K >= 30), K, 19)] * 3),
     ({"frozen_ticks": 10, "forged_stamps": True}, K, *[np.where((K < 20) | (K >= 30), K, 19)] * 2),
@@ -155,7 +154,7 @@ STUCK = np.where(K < 20, K, 19)
      np.maximum(np.where(K < 20, K - 3, 12), 0)),
     ({"replay_ticks": 8}, *[np.r_[:20, np.resize(np.arange(13, 21), 40)]] * 3),
 ], ids=str)  # fmt: skip
-def test_old_measurements_come_when_they_are_said_to(changes, stamps, first, third):
+def test_frozen_lagging_and_replayed_measurements_arrive_at_their_times(changes, stamps, first, third):
     kind = next(iter(changes)).partition("_")[0]
     frozen = {"frozen_velocity": "zero"} if kind == "frozen" else {}
     found, q, v = arrived(**{f"{kind}_at_s": 0.04}, **frozen, **changes)
@@ -167,7 +166,7 @@ def test_old_measurements_come_when_they_are_said_to(changes, stamps, first, thi
         np.testing.assert_allclose(v[:, j], np.where(rests, 0.0, 0.1 * old))
 
 
-def test_a_drift_is_in_position_and_velocity_alike():
+def test_a_drift_is_in_position_and_in_velocity():
     clean, drifting = arrived(), arrived(drift_rad_per_s=0.5, drift_at_s=0.02, seed=3)
     moved, faster = drifting[1] - clean[1], drifting[2] - clean[2]
     assert not moved[:11].any()
@@ -186,7 +185,7 @@ def encoders(seed=0, n=7, *, noise_rad=0.0, resolution_rad=0.0, cutoff_Hz=0.0):
 
 @given(st.integers(0, 2**32 - 1), st.floats(1e-6, 1e-2))
 @settings(max_examples=50)
-def test_resolution_rounds_to_its_steps(seed, step):
+def test_readings_are_rounded_to_the_encoders_resolution(seed, step):
     q = np.random.default_rng(seed).uniform(-3, 3, 7)
     position, _ = encoders(resolution_rad=step).start(q, np.zeros(7))
     assert np.abs(position - q).max() <= step / 2 + 1e-12
@@ -194,7 +193,7 @@ def test_resolution_rounds_to_its_steps(seed, step):
     np.testing.assert_allclose(steps, np.round(steps), atol=1e-6)
 
 
-def test_noise_has_its_deviation_and_its_seed():
+def test_encoder_noise_has_its_standard_deviation_and_follows_its_seed():
     sensor = encoders(3, noise_rad=1e-4)
     sensor.start(np.zeros(7), np.zeros(7))
     noise = np.array([sensor.read(np.zeros(7), np.zeros(7))[0] for _ in range(3000)])
@@ -219,7 +218,7 @@ def test_velocity_is_the_low_passed_difference_quotient():
     np.testing.assert_allclose(estimates, rise[:, None] * speed, atol=1e-9)
 
 
-def test_velocity_starts_at_the_true_one_and_is_bare_without_cutoff():
+def test_velocity_starts_at_the_true_one_and_is_unfiltered_without_a_cutoff():
     sensor = encoders(noise_rad=1e-5)
     first, velocity = sensor.start(np.zeros(7), np.full(7, 0.3))
     np.testing.assert_array_equal(velocity, 0.3)
@@ -229,8 +228,8 @@ def test_velocity_starts_at_the_true_one_and_is_bare_without_cutoff():
 
 @given(st.floats(2e-6, 1e-4), st.just(0.0) | st.floats(1e-9, 3.0), st.floats(-0.5, 0.5), st.integers(0, 2**32 - 1))
 @settings(max_examples=25, deadline=None)
-def test_an_encoder_at_rest_never_repeats_itself_for_longer_than_its_noise_lets_it(noise, steps, phase, seed):
-    """Wherever it stands within a step of its reading."""
+def test_an_encoder_at_rest_repeats_a_reading_no_longer_than_its_noise_allows(noise, steps, phase, seed):
+    """For any position of the joint between two steps of the encoder."""
     step = steps * noise
     longest = longest_repetition(noise, step)
     assert longest is not None
@@ -245,8 +244,8 @@ def test_an_encoder_at_rest_never_repeats_itself_for_longer_than_its_noise_lets_
 
 @given(st.floats(0.3, 10.0), st.floats(5.0, 400.0), st.integers(0, 2**32 - 1))
 @settings(max_examples=20, deadline=None)
-def test_an_encoder_with_noise_and_a_filter_repeats_no_reading(steps, cutoff, seed):
-    """Once its velocity has been other than zero; where that is promised."""
+def test_an_encoder_with_noise_and_a_velocity_filter_repeats_no_reading(steps, cutoff, seed):
+    """Once its velocity has been nonzero, and where `repeats_no_reading` promises this."""
     noise, step = 1e-5, steps * 1e-5
     sensor = encoders(seed, N := 16, noise_rad=noise, resolution_rad=step, cutoff_Hz=cutoff)
     q = np.full(N, 1000.0 * step)
@@ -257,10 +256,10 @@ def test_an_encoder_with_noise_and_a_filter_repeats_no_reading(steps, cutoff, se
         assert not twice.any()
 
 
-def test_an_encoder_with_next_to_no_noise_or_no_filter_may_repeat_itself():
+def test_an_encoder_with_too_little_noise_or_filtering_may_repeat_a_reading():
     given = [(0.0, 2.4e-5), (3e-6, 2.4e-5), (1e-5, 2.4e-5), (1e-5, 0.0)]
     assert [longest_repetition(noise, step) for noise, step in given] == [None, None, 89, 10]
-    # No filter: the same position twice is no velocity twice; one of 10 kHz is next to none.
+    # Without a filter, a position that stays gives a velocity of zero each time. One of 10 kHz hardly filters.
     filters = [(1e-5, 50.0), (1e-5, 0.0), (1e-5, 1e4), (0.0, 50.0)]
     promised = [repeats_no_reading(noise, 2.4e-5, cutoff, PERIOD) for noise, cutoff in filters]
     assert promised == [True, False, False, False]

@@ -1,4 +1,4 @@
-"""The closed loop: who gets what, what is written down and when, and what stops every loop that is built on it."""
+"""The closed loop: the inputs of controller and plant, what is recorded and when, and what stops every loop."""
 
 import gc
 
@@ -40,7 +40,7 @@ class Holding:
 
 @pytest.fixture(scope="module")
 def references(robot):
-    """Recognizable tip references, true and registered trocars: every tick its own number."""
+    """Tip references, and true and registered trocars, that differ from tick to tick."""
     s, k = robot.state(robot.data.q_home), np.arange(TICKS, dtype=float)
     tip_refs, trocars = np.zeros((TICKS, 3, 3)), np.zeros((TICKS, 2, 3))
     tip_refs[:, 0] = s.tip + 1e-4 * k[:, None]
@@ -55,8 +55,8 @@ def ready(robot, settings=None):
     return plant
 
 
-def test_one_row_a_tick_the_state_at_its_start(robot, references):
-    """The controller is shown measurements and the registered trocar, the plant the true one."""
+def test_each_tick_records_the_state_at_its_start(robot, references):
+    """The controller gets measurements and the registered trocar, the plant gets the true trocar."""
     tip_refs, trocars, registered = references
     brain, plant = Holding(robot), ready(robot, PlantSettings())
     trace = simulate(ready(robot, PlantSettings()), brain, *references)
@@ -77,7 +77,7 @@ def test_one_row_a_tick_the_state_at_its_start(robot, references):
             np.testing.assert_array_equal(given, shown)
         np.testing.assert_array_equal(trace.tau_Nm[k], tau := Holding(robot).tick(*brain.seen[k]))
         plant.step(tau, trocars[k])
-    assert np.linalg.norm(trace.q_rad[-1] - trace.q_rad[0]) > 1e-4  # it does move
+    assert np.linalg.norm(trace.q_rad[-1] - trace.q_rad[0]) > 1e-4  # the arm moves
     np.testing.assert_allclose(trace.tip_error_m, np.linalg.norm(tip_refs[:, 0] - trace.tip_m, axis=1), atol=1e-15)
     u = (trace.tip_m - trace.wrist_m) / np.linalg.norm(trace.tip_m - trace.wrist_m, axis=1)[:, None]
     for told, which in ((trocars, ""), (registered, "_registered")):
@@ -87,7 +87,7 @@ def test_one_row_a_tick_the_state_at_its_start(robot, references):
     assert np.abs(trace.rcm_error_m - trace.rcm_error_registered_m).max() > 1e-4
 
 
-def test_a_tick_is_timed_before_it_is_written_down_and_no_garbage_is_collected_meanwhile(robot, references):
+def test_the_time_of_a_tick_excludes_recording_and_no_garbage_is_collected_during_the_loop(robot, references):
     brain, watched = Holding(robot), []
 
     def watch(tick):
@@ -101,16 +101,16 @@ def test_a_tick_is_timed_before_it_is_written_down_and_no_garbage_is_collected_m
     np.testing.assert_array_equal(trace.extra, np.arange(1, TICKS + 1))
 
 
-def test_meta_and_time(robot, references):
+def test_meta_has_the_run_and_time_goes_on_from_the_plants_state(robot, references):
     plant = ready(robot, PlantSettings.nominal(period_s=0.004, substeps=4))
     trace, ticks = simulate(plant, Holding(robot), *references, meta={"answer": 42}), ("ticks", "ticks_planned")
     assert trace.meta == {"period_s": 0.004, "ended": "completed", "answer": 42, **dict.fromkeys(ticks, TICKS)}
     np.testing.assert_allclose(np.diff(trace.t_s), 0.004)
     more = simulate(plant, Holding(robot), *references)
-    assert more.t_s[0] == pytest.approx(trace.t_s[-1] + 0.004)  # goes on from the plant's present state
+    assert more.t_s[0] == pytest.approx(trace.t_s[-1] + 0.004)  # continues at the plant's time
 
 
-def test_the_collector_comes_back_after_an_error_and_stays_off_where_it_was(robot, references):
+def test_the_garbage_collector_is_restored_after_an_error_and_stays_off_if_it_was_off(robot, references):
     with pytest.raises(PlantError, match="not finite"):
         simulate(ready(robot), Holding(robot, float("nan")), *references)
     assert gc.isenabled()
@@ -138,17 +138,17 @@ QUICK = {"bound_samples": 0, "judge": False, "duration_s": 1.2}
 
 
 def live(scenario):
-    """Reason, when, and the joints' last speeds (n,), of the live page's run."""
+    """The live page's run: the reason of the stop, its time [s], and the joints' last speeds (n,)."""
     run = LiveRun(scenario.change(duration_s=None))
     run.advance(round(QUICK["duration_s"] / run.period_s))
     at = run.t_s
     run.advance(10)
-    assert not run.stopped or run.t_s == at  # nothing goes on
+    assert not run.stopped or run.t_s == at  # a stopped run does not advance
     return run.stopped, at - scenario.guard.stop_s, run._setup.plant.v
 
 
 def procedure(scenario):
-    """The same of hand guiding: it has neither a reference nor a trocar."""
+    """The same figures of hand guiding, which has neither a reference nor a trocar."""
     setup = Setup(scenario)
     incision = setup.plant.tip + np.array([0.05, 0.1, 0.1])
     found = guide_to(incision, setup.plant, setup.robot, HandsOnSettings(guard=scenario.guard, time_limit_s=1.2))
@@ -181,11 +181,11 @@ def test_a_reason_of_the_safety_filter_stops_every_loop(loop, reason, guard, mon
     assert np.abs(speed).max() < 0.02  # the brakes hold
 
 
-def test_the_stop_is_simulated_for_as_long_as_it_says(robot):
-    """One more step than fits into the time, the one that ordered it; the arm is braked from that step on."""
+def test_a_stop_is_simulated_for_stop_s(robot):
+    """The step that orders the stop is counted besides; from that step on the arm is braked."""
     setup = Setup(Scenario(**QUICK))
     loop = setup.closed_loop(setup.controller())
-    loop.filtered._filter.request_stop("for a test")  # before the start: it forgets this
+    loop.filtered._filter.request_stop("for a test")  # the start forgets this request
     references = setup.reference.rows(0.0), np.stack(setup.registered.at(0.0)), np.stack(setup.trocar.at(0.0))
     loop.start(*references[:2])
     for _ in range(5):

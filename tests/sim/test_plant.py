@@ -1,4 +1,4 @@
-"""The plant equals the controller's model where it should, differs as it was told, and repeats itself."""
+"""The plant equals the controller's model except for the errors that its settings ask for, and runs are repeatable."""
 
 import re
 from concurrent.futures import ThreadPoolExecutor
@@ -50,7 +50,7 @@ def run(plant, periods, seed=0, trocar=TROCAR):
 
 
 def test_free_fall_is_pinocchios_forward_dynamics():
-    """Two plant steps of semi-implicit Euler, computed with the controller's M and h."""
+    """Two plant steps equal two of semi-implicit Euler with the controller's M and h."""
     plant, rng = nominal(period_s=1e-3), np.random.default_rng(1)
     q, v = DATA.q_home.copy(), rng.uniform(-0.5, 0.5, 7)
     tau = rng.uniform(-5, 5, 7)
@@ -66,7 +66,7 @@ def test_free_fall_is_pinocchios_forward_dynamics():
 
 @given(st.integers(0, 1000), st.just(0.0) | st.floats(0.1, 5.0), st.sampled_from([2, 5, 20]))
 @settings(max_examples=15)
-def test_friction_only_takes_energy_and_without_it_energy_is_kept(seed, scale, substeps):
+def test_friction_only_removes_energy_and_without_it_energy_is_kept(seed, scale, substeps):
     plant = nominal(friction=scale, friction_error=0.2, gravity=False, substeps=substeps if scale else 20)
     plant.reset(DATA.q_home, np.random.default_rng(seed).uniform(-0.5, 0.5, 7))
     first = energy(plant)
@@ -78,15 +78,15 @@ def test_friction_only_takes_energy_and_without_it_energy_is_kept(seed, scale, s
         assert course[-1] == pytest.approx(first, rel=1e-3)
 
 
-def test_friction_is_what_the_robot_says():
-    """Turning steadily about the vertical first axis, gravity has no say: the torque needed is d v + c."""
+def test_friction_is_that_of_the_robots_file():
+    """For a steady turn about the vertical first axis, where gravity has no effect, the torque is d v + c."""
     plant, turning = nominal(friction=2.0, substeps=20), np.eye(7)[0]
     plant.reset(np.zeros(7), 0.4 * turning)
     needed = 2.0 * (DATA.viscous_friction[0] * 0.4 + DATA.coulomb_friction[0])
     assert drive(plant, needed * turning, 200).v[0] == pytest.approx(0.4, abs=1e-3)
 
 
-def test_masses_are_off_by_the_error_and_nothing_else_is():
+def test_the_mass_error_changes_masses_and_inertias_alone():
     plant, right = nominal(mass_error=0.1, seed=3), Plant(DATA, NOMINAL)
     wrong, exact = plant.mj_model, right.mj_model
     scale = wrong.body_mass[1:-2] / exact.body_mass[1:-2]
@@ -97,7 +97,7 @@ def test_masses_are_off_by_the_error_and_nothing_else_is():
         np.testing.assert_array_equal(getattr(wrong, name), getattr(exact, name), err_msg=name)
 
 
-def test_factors_come_from_the_seed_and_fill_the_range_of_their_error():
+def test_factors_of_mass_and_friction_come_from_the_seed_and_fill_their_range():
     def drawn(error, seed):
         settings = PlantSettings(mass_error=error, friction_error=2.0 * error, friction=3.0)
         one = Mismatch.draw(DATA, settings, DATA.joint_names, np.random.SeedSequence(seed))
@@ -122,7 +122,7 @@ def test_joints_stop_near_their_limits():
 @pytest.mark.parametrize("delay", [0, 1, 3])
 def test_torque_is_cut_at_the_limit_and_acts_after_the_delay(delay):
     plant = nominal(delay_ticks=delay)
-    plant.reset(DATA.q_home + 0.2)  # the delay begins with what holds the arm there
+    plant.reset(DATA.q_home + 0.2)  # until the delay is over, the torque acts that holds this pose
     hold = plant.applied_torque
     commands = hold + DATA.tau_max * np.random.default_rng(7).normal(size=(8, 7))
     acted = [drive(plant, tau, 1).applied_torque for tau in commands]
@@ -131,7 +131,7 @@ def test_torque_is_cut_at_the_limit_and_acts_after_the_delay(delay):
 
 
 def chain_tip(model, mismatch, q):
-    """Tip by hand: the model's joint placements with the shifts and turns that were drawn."""
+    """The tip by forward kinematics with the model's joint frames and the shifts and turns that were drawn."""
     chain = model.chain
     place, turn = np.zeros(3), np.eye(3)
     for i in range(model.n):
@@ -140,7 +140,7 @@ def chain_tip(model, mismatch, q):
     return place + turn @ (chain.offsets[0] + mismatch.origin_shift[-1])
 
 
-def test_calibration_error_is_in_the_plant_s_kinematics_alone():
+def test_the_calibration_error_is_in_the_plants_kinematics_alone():
     plant, rng = nominal(2, calibration_error_m=4e-4, calibration_tilt_rad=3e-4), np.random.default_rng(2)
     mismatch = plant.mismatch
     np.testing.assert_allclose(np.linalg.norm(mismatch.origin_shift, axis=1), 4e-4)
@@ -150,12 +150,12 @@ def test_calibration_error_is_in_the_plant_s_kinematics_alone():
         mujoco.mj_forward(plant.mj_model, plant.mj_data)
         np.testing.assert_allclose(plant.tip, chain_tip(MODEL, mismatch, q), atol=1e-12)
         assert 1e-5 < np.linalg.norm(plant.tip - MODEL.state(q).tip) < 8 * 4e-4 + 7 * 3e-4 * 1.6
-    # Wrist and tip are points of one straight tool still.
+    # Wrist and tip still lie on one straight tool.
     mount = plant.mj_data.site("tool_mount_sensor").xmat.reshape(3, 3)
     np.testing.assert_allclose(plant.tip - plant.wrist, _HOME.tool_span * mount[:, 2], atol=1e-12)
 
 
-def test_encoder_bias_moves_the_tip_by_its_jacobian():
+def test_encoder_bias_displaces_the_tip_by_jacobian_times_bias():
     plant = nominal(1, encoder_bias_rad=5e-4)
     bias = plant.mismatch.encoder_bias
     np.testing.assert_array_equal(plant.measure().q, DATA.q_home - bias + bias)
@@ -172,8 +172,8 @@ STREAMS = {
 
 
 @pytest.mark.parametrize("name", STREAMS)
-def test_each_error_has_a_stream_of_its_own(name):
-    """Switching one off, or doubling it, leaves all others' numbers as they are."""
+def test_each_error_has_its_own_random_stream(name):
+    """Switching one error off leaves the numbers of all others as they are."""
     full, none = (vars(Plant(DATA, PlantSettings(**off), seed=7).mismatch) for off in ({}, {name: 0.0}))
     changed = {field for field, drawn in full.items() if not np.all(drawn == none[field])}
     alone = nominal(**{name: 0.01}).mismatch
@@ -181,8 +181,8 @@ def test_each_error_has_a_stream_of_its_own(name):
     assert changed == ({STREAMS[name]} - {""})
 
 
-def test_ripple_turns_with_the_joint():
-    """The torque that acts less the one commanded: a sine of the joint's angle, with the stated height and period."""
+def test_torque_ripple_is_a_sine_of_the_joint_angle():
+    """The acting torque minus the commanded one has the amplitude and the period of the settings."""
     plant = nominal(3, torque_ripple=0.01, torque_ripple_per_turn=50.0)
     other = nominal(4, torque_ripple=0.01)
     assert np.abs(plant.mismatch.ripple_phase - other.mismatch.ripple_phase).min() > 1e-3
@@ -199,12 +199,12 @@ def test_ripple_turns_with_the_joint():
     assert spectrum[2] > 1e6 * np.delete(spectrum, 2).max()
 
 
-def test_a_measurement_is_the_truth_or_near_it_and_steady():
+def test_a_measurement_equals_the_nominal_truth_is_near_the_realistic_one_and_is_kept_within_a_tick():
     exact, near = Plant(DATA, NOMINAL), Plant(DATA, seed=2)
     for plant in (exact, near):
         run(plant, 50)
     np.testing.assert_array_equal(exact.measure()[:2], [exact.q, exact.v])
-    np.testing.assert_array_equal(exact.measure().force, -exact.mj_data.sensordata[:6])  # the tool's on the mount
+    np.testing.assert_array_equal(exact.measure().force, -exact.mj_data.sensordata[:6])  # the tool's force on the mount
     first = near.measure()
     assert first is near.measure()
     assert 0 < np.abs(first.q - near.q - near.mismatch.encoder_bias).max() < 1e-4
@@ -213,7 +213,7 @@ def test_a_measurement_is_the_truth_or_near_it_and_steady():
         assert not array.flags.writeable
 
 
-def test_same_seed_same_numbers_and_plants_share_nothing_even_in_threads():
+def test_equal_seeds_give_equal_numbers_and_plants_share_nothing_even_in_threads():
     one, two = Plant(DATA, seed=9), Plant(DATA, seed=9)
     first = run(one, 100)
     np.testing.assert_array_equal(first, run(two, 100))
@@ -221,7 +221,7 @@ def test_same_seed_same_numbers_and_plants_share_nothing_even_in_threads():
     one.reset(DATA.q_home)
     np.testing.assert_array_equal(first, run(one, 100))
     assert not np.array_equal(first, run(Plant(DATA, seed=10), 100))
-    without = Plant(DATA, PlantSettings(encoder_noise_rad=0), seed=9)  # other noise is as it was
+    without = Plant(DATA, PlantSettings(encoder_noise_rad=0), seed=9)  # the other noise stays the same
     np.testing.assert_array_equal(Plant(DATA, seed=9).measure().force, without.measure().force)
     alone = [run(Plant(DATA, seed=seed), 300, seed) for seed in (1, 2)]
     with ThreadPoolExecutor(2) as threads:
@@ -230,7 +230,7 @@ def test_same_seed_same_numbers_and_plants_share_nothing_even_in_threads():
 
 
 def test_the_noise_of_the_wrench_sensor_reaches_the_measurement():
-    """Two plants that differ in it alone move alike: what their readings differ by is the noise."""
+    """Two plants that differ in this noise alone move alike, so that the noise is the difference of their readings."""
     levels = {"force_noise_N": 0.1, "torque_noise_Nm": 0.002}
     noisy, quiet = (Plant(DATA, PlantSettings(**given), seed=5) for given in (levels, dict.fromkeys(levels, 0.0)))
     seen = [[drive(one, one.applied_torque, 1).measure().force for _ in range(1000)] for one in (noisy, quiet)]
@@ -253,7 +253,7 @@ def test_a_refused_period_leaves_the_noise_and_the_arm_as_they_were():
         np.testing.assert_array_equal(found, wanted)
 
 
-def test_bad_starts_are_named():
+def test_a_bad_start_is_refused_by_name_and_leaves_the_plant_as_it_was():
     plant = drive(Plant(DATA, NOMINAL), np.zeros(7), 3)
     before, far = plant.q, DATA.q_home + 9.0 * np.eye(7)[0]
     for start, words in (
@@ -265,19 +265,19 @@ def test_bad_starts_are_named():
     np.testing.assert_array_equal(plant.q, before)
     assert plant.time > 0
     plant.reset(DATA.q_min)
-    plant.reset(DATA.q_max)  # the limits themselves are in
+    plant.reset(DATA.q_max)  # the limits themselves are allowed
 
 
 @pytest.mark.parametrize("force", [1e5, 1e15])
-def test_a_runaway_is_reported_until_reset(force, tmp_path, monkeypatch):
-    """Also one that leaves MuJoCo's own range within the period."""
+def test_an_arm_that_ran_away_raises_an_error_at_every_step_until_reset(force, tmp_path, monkeypatch):
+    """Also where the state leaves MuJoCo's valid range within the period."""
     monkeypatch.chdir(tmp_path)
     plant = Plant(replace(DATA, rotor_inertia=np.zeros(7)), NOMINAL)
     plant.push("tool", [force, 0.0, 0.0])
     for words in ("ran away before t = .* lower the controller's gains", "call reset first"):
         with pytest.raises(PlantError, match=words):
             plant.step(np.zeros(7))
-    assert force > 1e10 or not list(tmp_path.iterdir())  # MuJoCo writes a log file when it is too late
+    assert force > 1e10 or not list(tmp_path.iterdir())  # only the second force makes MuJoCo write its log file
     plant.reset(DATA.q_home)
     assert np.abs(drive(plant, plant.applied_torque, 1).v).max() < 1e-6
 
@@ -290,7 +290,7 @@ def test_the_nominal_preset_switches_every_difference_off():
     assert PlantSettings.nominal(delay_ticks=2).delay_ticks == 2
 
 
-def test_models_that_cannot_be_are_refused():
+def test_invalid_models_are_refused():
     bad = re.sub('ixx="0.01845"', 'ixx="0.9"', DATA.urdf)
     for data, words in (
         (replace(DATA, urdf="<robot"), "MuJoCo cannot read"),
@@ -302,8 +302,8 @@ def test_models_that_cannot_be_are_refused():
     assert compile_model("lwr4", build_spec(DATA, substep_s=1e-3)).nv == 7
 
 
-def test_shapes_in_the_urdf_change_nothing():
-    """A mesh that is not there, and a box that MuJoCo would take a mass from and let collide."""
+def test_visual_and_collision_shapes_in_the_urdf_change_nothing():
+    """A mesh whose file does not exist, and a box that MuJoCo would otherwise use for mass and collisions."""
     shapes = (
         '<link name="tip"><visual><geometry><mesh filename="package://no/where.stl"/></geometry></visual>'
         '<collision><geometry><box size="1 1 1"/></geometry></collision></link>'

@@ -1,4 +1,4 @@
-"""Adapters beyond the conformance suite: why their settings are what they are, and which answers prove nothing."""
+"""Adapters beyond the conformance suite: rows, buffers, warm sessions, options, and the nonlinear problem."""
 
 from types import SimpleNamespace
 
@@ -38,7 +38,7 @@ def problems(seed, count, **options):
     (OSQP(rows=5), OSQP(rows=6), 1e-4), (ProxQP(rows=5), ProxQP(rows=6), 1e-6),
     *((QPSolver(name, rows=5), QPSolver(name, rows=6, cost_scale=3e3), 2e-3) for name in HERE),
 ], ids=repr)  # fmt: skip
-def test_both_forms_of_rows_give_the_same_answer(one, other, within):
+def test_five_and_six_rows_give_the_same_answer(one, other, within):
     for qp in problems(0, 5):
         a, b = solve(one, qp), solve(other, qp)
         assert a.status is b.status is Status.SOLVED
@@ -47,7 +47,7 @@ def test_both_forms_of_rows_give_the_same_answer(one, other, within):
 
 
 class Buffers(LibrarySession):
-    """Views into stacked, padded and transposed arrays, as the libraries have them."""
+    """A session whose arrays are views into stacked, padded and transposed ones, as those of the libraries are."""
 
     def _allocate(self, m, n):
         sides = self.sides = np.full((2, m + n + 1), np.nan)
@@ -69,12 +69,12 @@ class Buffers(LibrarySession):
     tool=st.sampled_from(["apart", "any", 0, 1, 2]), scale=st.sampled_from([1.0, 1e3]),
     signs=st.tuples(*[st.sampled_from([1.0, -1.0, 0.5])] * 3),
 )  # fmt: skip
-def test_every_number_is_where_it_belongs(seed, n, rows, tool, scale, signs):
+def test_each_part_of_the_problem_is_written_to_its_array_with_its_scale_and_sign(seed, n, rows, tool, scale, signs):
     J, ones = np.random.default_rng(seed).normal(size=(2, 3, n)), np.ones(n)
-    if isinstance(tool, int):  # along an axis
+    if isinstance(tool, int):  # a rigid tool along an axis
         J[1, tool] = J[0, tool]
     qp = problem(seed, n=n) if tool == "any" else NullSpaceQP(*J, *(J @ ones), ones, -ones, ones)
-    m = 6 if tool == "apart" else rows  # what is not tied stays six rows
+    m = 6 if tool == "apart" else rows  # without a rigid tool all six rows stay
     session = Buffers(SimpleNamespace(rows=rows, cost_scale=scale, signs=signs, needs=""), problem(1, n=6))
     found, arrays = session.solve(qp), session.arrays
     A, b = (qp.reduced().A, qp.reduced().b) if m == 5 else (qp.A, qp.b)
@@ -93,7 +93,7 @@ def test_every_number_is_where_it_belongs(seed, n, rows, tool, scale, signs):
 
 @pytest.mark.parametrize("regularization", [1e-5, 0.0])
 @pytest.mark.parametrize("rows", [5, 6])
-def test_jumps_neither_fool_nor_stop_a_warm_session(rows, regularization):
+def test_a_warm_session_solves_problems_that_jump_between_feasible_and_infeasible(rows, regularization):
     rng, session = np.random.default_rng(1), ProxQP(rows=rows).start(problem())
     for k in range(80):
         qp = (infeasible_problem if k % 2 else random_problem)(rng, regularization=regularization)
@@ -113,15 +113,15 @@ def test_options_reach_the_library():
         QPSolver("daqp", options={"no_such": 1})
 
 
-def test_a_time_limit_is_told_from_a_failure():
-    """Unscaled, HiGHS never ends on this problem; without the limit this test would not either."""
+def test_an_expired_time_limit_has_its_own_status():
+    """On this problem, unscaled, HiGHS does not terminate without a limit."""
     assert solve(QPSolver("highs", advised=False, options={"time_limit": 0.02}), problem(3)).status is Status.TIME_LIMIT
     assert "time_limit" in ADVICE["highs"].options
 
 
 @pytest.mark.parametrize("kind", [SQP, Ipopt])
-def test_the_step_lands_where_the_references_say(kind):
-    """tip(q + x T) = tip(q) + v_T T, exactly and not to first order; the wrist across the tool likewise."""
+def test_a_step_of_the_nonlinear_solvers_ends_exactly_at_the_references(kind):
+    """tip(q + x T) = tip(q) + v_T T, not only to first order; and likewise for the wrist across the tool."""
     arm = random_arm(np.random.default_rng(3))
     kinematics = arm.kinematics()
     chosen = kind(kinematics)
@@ -136,11 +136,11 @@ def test_the_step_lands_where_the_references_say(kind):
         across = qp.reduced().lift[3:, 3:]
         np.testing.assert_allclose(across @ wrist, across @ qp.v_wrist, atol=1e-6)
         np.testing.assert_allclose(across @ (here[0] - here[1]), 0.0, atol=1e-12)
-        assert np.abs(qp.A @ x - qp.b).max() > 1e-6  # the linear rows are another matter
+        assert np.abs(qp.A @ x - qp.b).max() > 1e-6  # so x misses the linear rows
 
 
-def test_what_the_gradient_has_beside_mu_is_answered_too(robot, regular_poses):
-    """A gradient of something else, such as a course to follow, in the place of that of mu."""
+def test_the_nonlinear_solvers_use_the_given_gradient_and_not_that_of_mu(robot, regular_poses):
+    """The cost may have another gradient than that of mu, for example a course to follow."""
     rng = np.random.default_rng(11)
     chosen = create("nlp-sqp", kinematics=robot.kinematics())
     for q in regular_poses(4):

@@ -1,4 +1,4 @@
-"""One suite for every solver that can run here. `EXPECT` has what each may get wrong, and why; others: ``Expect()``."""
+"""One suite for every solver that can run here. `EXPECT` has the allowances of a solver; without: ``Expect()``."""
 
 import dataclasses
 from dataclasses import dataclass, field
@@ -25,59 +25,59 @@ every_solver = pytest.mark.parametrize("name", NAMES)
 
 @dataclass(frozen=True)
 class Expect:
-    """Tolerances on answers that are claimed as solved, and how many must be.
+    """Tolerances of answers that are claimed as solved, and the least shares of such answers.
 
-    The default is one to two digits tighter than ``Residuals.verified`` asks.
+    The defaults are one to two digits tighter than those of ``Residuals.verified``.
     """
 
     settings: dict[str, Any] = field(default_factory=dict)
     primal: float = 1e-7  # |A x - b|_inf, box [m/s, rad/s]
     relative: float = 1e-4  # natural residual over c2 |grad_mu|_inf, with the best y
-    loss: float = 1e-4  # of the self-motion interval
+    loss: float = 1e-4  # share of the cost's range
     natural: float = 1e-5  # with the solver's own y [rad/s]
     x: float = 2e-4  # distance to the exact answer and between warm and cold answers [rad/s]
     gap: float = 1e-6  # (f(x) - f(exact)) / (c2 |grad_mu|_inf) where regularization = 0 [rad/s]
     solved: float = 1.0  # least share of the feasible problems
     certified: float = 1.0  # least share of the infeasible problems that are called infeasible
     undamped: float | None = 1.0  # the same as ``solved`` for regularization = 0; None: not supported
-    recovers: bool = True  # from an infeasible tick
-    arm: bool = False  # needs problems of ARM, whose kinematics it is given
+    recovers: bool = True  # solves the tick after an infeasible one
+    arm: bool = False  # needs problems of ARM, whose kinematics it gets
 
 
 NLP = Expect(
-    # Another problem: curvature within one period moves the optimum (docstring of moc_opt.solvers.nlp).
-    # The relative residual counts the reduced gradient, a fraction of the whole one where mu is nearly largest.
+    # These solve another problem: curvature within one period moves the optimum (docstring of moc_opt.solvers.nlp).
+    # The relative residual is scaled by the reduced gradient, which is small where mu is nearly largest.
     primal=1e-2, relative=3e-2, loss=0.02, natural=1e-4, x=0.6, gap=0.1, arm=True,
 )
 EXPECT = {
     "exact": Expect(primal=1e-12, relative=1e-8, loss=1e-9, natural=1e-12, x=1e-9, gap=1e-9),
-    # Small k: some of these arms are larger than a real one. It cannot prove anything infeasible, and with
-    # regularization = 0 nothing damps the last oscillation of some problems. An infeasible tick winds its
-    # multipliers up, and it needs as long again to unwind them.
+    # k is small since some of these arms are larger than a real one. The network cannot prove a problem infeasible.
+    # With regularization = 0 it goes on oscillating in some problems. During an infeasible tick its multipliers wind
+    # up, and unwinding them takes as long again.
     "rnn": Expect(
         {"steps": 300_000, "k": 0.2}, primal=1e-6, relative=1e-3, loss=5e-3, x=5e-3, gap=1e-4, certified=0.0,
         undamped=0.75, recovers=False,
     ),
     "rnn-printed": Expect(solved=0.0, certified=0.0, undamped=0.0),  # modes slower than 50 s
-    # Operator splitting: one problem in two hundred needs more than max_iter.
+    # Operator splitting: one problem in two hundred needs more iterations than max_iter.
     "osqp": Expect(solved=0.95, undamped=0.95),
     "qpsolvers:osqp": Expect(solved=0.95, undamped=0.95),
-    "piqp": Expect(certified=0.85),  # the others end as MAX_ITER
+    "piqp": Expect(certified=0.85),  # the other infeasible problems end as MAX_ITER
     "quadprog": Expect(undamped=None),  # needs P > 0
-    "nlp-sqp": dataclasses.replace(NLP, certified=0.0),  # it stops without saying why
+    "nlp-sqp": dataclasses.replace(NLP, certified=0.0),  # it reports no reason when it stops
     "nlp-ipopt": NLP,
-    # Through qpsolvers these two hand out no reason.
+    # Through qpsolvers, daqp and highs report no reason when they fail.
     "qpsolvers:daqp": Expect(certified=0.0),
-    # Our limit of 0.1 s is for a control loop; here a busy machine must not decide.
+    # The default limit of 0.1 s is for a control loop; on a busy machine it would decide this test.
     "qpsolvers:highs": Expect({"options": {"time_limit": 30.0}}, certified=0.0),
-    "qpsolvers:piqp": Expect(certified=0.85),  # the others end as MAX_ITER
+    "qpsolvers:piqp": Expect(certified=0.85),  # the other infeasible problems end as MAX_ITER
     "qpsolvers:proxqp": Expect(solved=0.85, undamped=0.7),  # see moc_opt.solvers.qpsolvers.ADVICE
     "qpsolvers:quadprog": Expect(undamped=None),  # needs P > 0
 }
 
 
 def expect(name: str) -> Expect:
-    """What is asked of a solver; a plug-in need not prove a problem infeasible, only not call it solved."""
+    """The requirements on a solver. A plug-in need not prove a problem infeasible, but must not call it solved."""
     built_in = name in registry.BUILT_IN or name.startswith("qpsolvers:")
     return EXPECT.get(name, Expect() if built_in else Expect(certified=0.0))
 
@@ -122,7 +122,7 @@ def check_claims(limits: Expect, qps: list[NullSpaceQP], found: list[Any]) -> No
         if solution.status is not Status.SOLVED:
             continue
         residuals = qp.residuals(solution.x, solution.y)
-        if limits.arm:  # the cost of being off the linear rows is no loss of an answer to the nonlinear problem
+        if limits.arm:  # the nonlinear problem lacks the linear rows: judge the loss of x projected on them
             residuals = residuals._replace(loss=qp.residuals(on_rows(qp, solution.x)).loss)
         assert residuals.verified(limits.primal, limits.relative, limits.loss), residuals
         assert np.abs(solution.x - exact.x).max() <= limits.x
@@ -135,7 +135,7 @@ def test_claimed_answers_are_optimal(name):
 
 @cache
 def recorded(arm: str) -> tuple[list[NullSpaceQP], Any]:
-    """Twelve subproblems of the first 0.6 s of the default run, while the elbow sets off, and the arm's kinematics."""
+    """Twelve subproblems of the default run's first 0.6 s, when the elbow starts to move, and the arm's kinematics."""
     trace = run(Scenario(robot={"name": arm}, duration_s=0.6, bound_samples=0, judge=False))
     return [NullSpaceQP.from_row(row) for row in trace.columns["subproblem"][::25]], load_robot(arm).kinematics()
 
@@ -165,8 +165,8 @@ def test_duals_follow_the_sign_convention(name):
 
 
 @every_solver
-def test_undamped_objectives_are_optimal(name):
-    """regularization = 0: the optimum is a face, so objectives are compared, never x."""
+def test_costs_without_regularization_are_optimal(name):
+    """With regularization = 0 the optimum need not be unique, so that costs are compared and never x."""
     limits, qps = expect(name), of(name, regularization=0.0)
     if limits.undamped is None:
         assert all(solver(name).supports(qp) for qp in qps)
@@ -182,14 +182,14 @@ def test_undamped_objectives_are_optimal(name):
 
 
 @every_solver
-def test_infeasible_is_never_called_solved(name):
+def test_an_infeasible_problem_is_never_called_solved(name):
     found = answers(name, of(name, feasible=False))
     assert share(found, Status.SOLVED) == 0.0
     assert share(found, Status.INFEASIBLE) >= expect(name).certified
 
 
 @every_solver
-def test_an_infeasible_tick_leaves_no_trace(name):
+def test_an_infeasible_tick_does_not_spoil_the_next_answers(name):
     limits = expect(name)
     good, bad = of(name)[:6], of(name, feasible=False)[:6]
     session = solver(name).start(good[0])
@@ -204,7 +204,7 @@ def test_an_infeasible_tick_leaves_no_trace(name):
 
 
 @every_solver
-def test_warm_equals_cold_and_sessions_share_nothing(name):
+def test_warm_answers_equal_cold_ones_and_sessions_share_nothing(name):
     limits, qps, others, chosen = expect(name), sequence(name, seed=5), sequence(name, seed=7), solver(name)
     alone, mine, another = answers(name, qps), chosen.start(qps[0]), chosen.start(others[0])
     warm = [(mine.solve(qp), another.solve(other))[0] for qp, other in zip(qps, others, strict=True)]
@@ -219,9 +219,9 @@ def test_warm_equals_cold_and_sessions_share_nothing(name):
         np.testing.assert_allclose(a.x, b.x, rtol=0.0, atol=limits.x)
 
 
-@pytest.mark.parametrize("name", [name for name in NAMES if not expect(name).arm])  # it has one number of joints
-def test_another_shape_starts_another_workspace(name):
-    """A stream whose number of joints changes: each answer is that of a session that never saw another one."""
+@pytest.mark.parametrize("name", [name for name in NAMES if not expect(name).arm])  # ARM's number of joints is fixed
+def test_a_new_number_of_joints_starts_a_new_workspace(name):
+    """In a stream whose number of joints changes, each answer is that of a fresh session."""
     rng, limits, chosen = np.random.default_rng(6), expect(name), solver(name)
     session = chosen.start(random_problem(rng))
     for n in (9, 6, 7):
@@ -248,7 +248,7 @@ def test_an_update_alone_changes_no_answer(name):
 
 
 @pytest.mark.parametrize("name", [name for name in TRUNCATING if name in NAMES])
-def test_a_truncated_solve_is_the_same_solve_cut_short(name):
+def test_a_truncated_solve_is_the_last_solve_with_fewer_iterations(name):
     qps = sequence(name, seed=9)
     whole, cut = solver(name).start(qps[0]), solver(name).start(qps[0])
     far = 0
@@ -259,12 +259,12 @@ def test_a_truncated_solve_is_the_same_solve_cut_short(name):
         assert first.iterations == 1
         assert first.status is not Status.SOLVED
         far += not np.allclose(first.x, expected.x, rtol=0.0, atol=1e-3)
-        again = cut.truncated(qp, expected.iterations + 1)  # of the truncated solve: it begins where that one began
+        again = cut.truncated(qp, expected.iterations + 1)  # starts where the last solve started
         assert again.status is expected.status
         np.testing.assert_allclose(again.x, expected.x, rtol=0.0, atol=expect(name).x)
     assert far > 0
     after, expected = cut.solve(qps[0]), whole.solve(qps[0])
-    assert after.status is expected.status  # the limit is the old one again
+    assert after.status is expected.status  # the iteration limit is reset
     np.testing.assert_allclose(after.x, expected.x, rtol=0.0, atol=expect(name).x)
 
 
@@ -285,7 +285,7 @@ def test_inputs_and_earlier_answers_stay_untouched(name):
 
 
 def odd_problems() -> list[NullSpaceQP]:
-    """Legal, and awkward: nothing to gain, no room, no motion, large and small numbers, few joints."""
+    """Valid but awkward problems: no gradient, no room, no motion, large and small numbers, few joints."""
     rng = np.random.default_rng(9)
     qp = random_problem(rng, arm=ARM)
     x = create("exact").start(qp).solve(qp).x
@@ -297,7 +297,7 @@ def odd_problems() -> list[NullSpaceQP]:
     return [*(changed(qp, **parts) for parts in odd), *(random_problem(rng, n, structured=False) for n in (5, 9))]
 
 
-# One bad problem may take these minutes by their own limits.
+# With their own limits, these solvers may take minutes for one bad problem.
 CATCH_UP: dict[str, dict[str, Any]] = {
     "rnn": {"steps": 1000}, "qpsolvers:highs": {}, "qpsolvers:proxqp": {"options": {"max_iter": 20}},
     "qpsolvers:osqp": {"options": {"max_iter": 500}}, "qpsolvers:scs": {"options": {"max_iters": 500}},
@@ -305,8 +305,8 @@ CATCH_UP: dict[str, dict[str, Any]] = {
 
 
 @every_solver
-def test_nothing_is_raised_at_the_edge_of_what_can_be_computed(name):
-    """Odd, rounded, nearly singular, huge and tiny: cold and in a stream, after an update too, there is a status."""
+def test_awkward_and_nearly_singular_problems_get_a_status_and_no_exception(name):
+    """Also rounded, huge and tiny problems; in a cold session, in a stream, and after an update."""
     limits = expect(name)
     chosen = solver(name, settings=CATCH_UP.get(name))
     stream, taken = chosen.start(of(name)[0]), 0
@@ -325,4 +325,4 @@ def test_nothing_is_raised_at_the_edge_of_what_can_be_computed(name):
                 assert solution.y is None or np.isfinite(solution.y).all()
     assert taken > 20
     if limits.solved == 1.0 and limits.recovers:
-        assert stream.solve(of(name)[0]).status is Status.SOLVED  # and goes on from there
+        assert stream.solve(of(name)[0]).status is Status.SOLVED  # the session is still usable

@@ -1,4 +1,4 @@
-"""The yardstick itself: residuals at rounding level, and an independent linear program agrees."""
+"""The solver `exact`, the reference for all others: residuals at rounding level, agreement with a linear program."""
 
 import numpy as np
 import pytest
@@ -38,9 +38,9 @@ def program(qp, cost):
 @settings(max_examples=60)
 @given(seed=st.integers(0, 100_000), n=st.sampled_from([6, 7, 8, 9, 11]), structured=st.booleans(),
        regularization=st.sampled_from([0.0, 1e-8, 1e-6, 1e-5, 1e-3, 1.0]))  # fmt: skip
-def test_kkt_for_any_number_of_joints(seed, n, structured, regularization):
+def test_answers_satisfy_the_kkt_conditions_for_any_number_of_joints(seed, n, structured, regularization):
     qp = random_problem(np.random.default_rng(seed), n, structured=structured, regularization=regularization)
-    # rounding, amplified by how well the equalities determine the basic joints
+    # rounding, amplified by the condition number of A on its row space
     s = np.linalg.svd(qp.A, compute_uv=False)
     solution = check(qp, 1e-14 * s[0] / s[s > 1e-9 * s[0]][-1] * 10 + 1e-13)
     assert qp.residuals(solution.x, solution.y).natural < 1e-11
@@ -62,7 +62,7 @@ def test_cost_and_infeasibility_agree_with_highs(structured):
 
 @pytest.mark.parametrize("decimals", [7, 8, 9, 10, 11, 12, 13, 14])
 def test_rounded_jacobians_agree_with_highs_on_five_rows(decimals):
-    """The sixth row repeats the others up to rounding: it must not decide where the elbow goes."""
+    """Rounding makes the sixth row, which depends on the others, independent. It must not decide the self-motion."""
     rng, refused = np.random.default_rng(decimals), 0
     for k in range(16):
         qp = rounded(random_problem(rng, 6 + k % 4, structured=k % 8 < 4, regularization=0.0), decimals)
@@ -75,8 +75,8 @@ def test_rounded_jacobians_agree_with_highs_on_five_rows(decimals):
 
 @pytest.mark.parametrize("regularization", [0.0, 1e-8, 1e-5, 1.0])
 @pytest.mark.parametrize(("n", "seed"), [(7, 18), (8, 18), (9, 18), (10, 74), (11, 696), (12, 1075)])
-def test_a_plane_that_only_touches_the_box(n, seed, regularization):
-    # Some of these have one feasible point and nothing around it: rounding alone must not call them infeasible.
+def test_a_problem_is_solved_where_a_x_b_only_touches_the_box(n, seed, regularization):
+    # Some of these problems have a single feasible point, and must not be called infeasible because of rounding.
     rng = np.random.default_rng(seed)
     for i in range(16):
         qp = random_problem(rng, n, structured=bool(i % 2), regularization=regularization)
@@ -85,7 +85,7 @@ def test_a_plane_that_only_touches_the_box(n, seed, regularization):
 
 
 def wedge(rng, n, narrow, size=1.0, **settings):
-    """Self-motions that are all but parallel; the box leaves a sliver between them, and both bounds hold at its tip."""
+    """Pairs of joints with nearly parallel bounds: the box leaves a sliver, at whose tip both bounds are active."""
     Z = rng.normal(size=(n - 6, n))
     Z[:, 1] = 1.3 * Z[:, 0] + narrow * rng.normal(size=n - 6)
     Z[:, 3] = -0.8 * Z[:, 2] + narrow * rng.normal(size=n - 6)
@@ -97,11 +97,11 @@ def wedge(rng, n, narrow, size=1.0, **settings):
 
 
 @pytest.mark.parametrize(("n", "narrow"), [(8, 1e-4), (9, 1e-4), (10, 1e-4), (15, 1e-6)])
-def test_a_wedge_of_joints_that_move_almost_as_one(n, narrow):
+def test_a_wedge_between_bounds_of_joints_that_move_almost_alike_is_solved(n, narrow):
     rng = np.random.default_rng(n)
     for _ in range(25):
         qp = wedge(rng, n, narrow)
-        if narrow > 1e-5 or solve(qp).status is Status.SOLVED:  # rounding may leave no answer, but no wrong one
+        if narrow > 1e-5 or solve(qp).status is Status.SOLVED:  # NUMERICAL is allowed, a wrong answer is not
             check(qp, primal=1e-17 / narrow)
 
 
@@ -114,7 +114,7 @@ def test_rounding_seldom_leaves_a_wedge_of_any_size_without_an_answer():
     assert Status.INFEASIBLE not in found
 
 
-def test_a_joint_that_all_but_stands_still_stops_none_of_two_freedoms():
+def test_a_joint_that_hardly_moves_does_not_stop_two_freedoms_at_its_bound():
     rng, ends = np.random.default_rng(3), np.ones(8)
     for regularization in (0.0, 1e-5, 1.0):
         for _ in range(20):
@@ -129,19 +129,19 @@ def test_a_joint_that_all_but_stands_still_stops_none_of_two_freedoms():
 
 
 @pytest.mark.parametrize(("decimals", "answered"), [(12, True), (8, True), (7, True), (4, False)])
-def test_references_rounded_to_a_few_decimals_have_an_answer_as_long_as_the_judge_accepts_one(decimals, answered):
+def test_rounded_references_have_an_answer_while_some_x_meets_them_within_the_primal_tolerance(decimals, answered):
     for seed in range(20):
         qp = random_problem(np.random.default_rng(seed), 7)
         kept = changed(qp, v_tip=qp.v_tip.round(decimals), v_wrist=qp.v_wrist.round(decimals))
         gap = np.abs(kept.A @ np.linalg.lstsq(kept.A, kept.b, rcond=1e-9)[0] - kept.b).max()
         if answered:
             check(kept)
-        elif gap > 1e-6:  # no x comes nearer than that, half of it at the least
+        elif gap > 1e-6:  # the least-squares x misses the references by more than the tolerance
             assert solve(kept).status is Status.INFEASIBLE
 
 
-def test_the_tolerances_themselves_are_allowed():
-    """Of the box, and of a row that repeats another one with another right-hand side."""
+def test_a_violation_equal_to_the_tolerance_is_allowed():
+    """The tolerance on the box, and that on equal rows with different right-hand sides."""
     A, wide, tolerance = np.eye(6, 7), np.ones(7), 2.0**-20
 
     def status(A, b, upper, tolerance=1e-9):
@@ -156,7 +156,7 @@ def test_the_tolerances_themselves_are_allowed():
 
 
 def test_units_of_length_and_of_the_cost_change_no_answer():
-    """To the last bit, and but for the one absolute tolerance on A x = b no verdict."""
+    """Answers are equal to the last bit, and so are verdicts, except by the one absolute tolerance on A x = b."""
     rng = np.random.default_rng(0)
     plain = [random_problem(rng, 7 + k % 3, structured=False, regularization=1e-5 * (k % 2)) for k in range(120)]
     problems = [nearly_singular(qp, 10.0 ** -rng.uniform(2, 15)) for qp in plain[:60]]
@@ -178,11 +178,11 @@ def test_units_of_length_and_of_the_cost_change_no_answer():
     assert np.mean(same) > 0.97
 
 
-def test_idle_joint_stays_still_and_flat_gradient_takes_the_slowest():
+def test_an_idle_joint_without_gradient_stays_still_and_without_any_gradient_x_is_the_shortest():
     qp = random_problem(np.random.default_rng(14), regularization=0.0)
     assert solve(qp).x[6] == 0.0
     assert solve(changed(qp, c2=0.0, grad_mu=np.ones(7))).x[6] == 0.0
-    for size in (1e-3, 1e3):  # a gradient at rounding level, as a share of the largest, moves it nowhere
+    for size in (1e-3, 1e3):  # a gradient below 1e-9 of the largest entry is rounding and does not move it
         grads = [size * (qp.grad_mu + share * np.eye(7)[6] * np.abs(qp.grad_mu[:6]).max()) for share in (5e-10, 2e-9)]
         assert [abs(solve(changed(qp, grad_mu=grad)).x[6]) > 0.1 for grad in grads] == [False, True]
     none = remade(changed(qp, regularization=1.0), np.zeros((6, 7)), np.zeros(6))
@@ -191,7 +191,7 @@ def test_idle_joint_stays_still_and_flat_gradient_takes_the_slowest():
     np.testing.assert_allclose(check(flat).x, np.linalg.lstsq(qp.A, qp.b, rcond=None)[0], atol=1e-10)
 
 
-def test_batch_equals_one_by_one():
+def test_a_batch_gives_the_answers_of_single_solves_with_any_number_of_threads():
     rng = np.random.default_rng(16)
     problems = [infeasible_problem(rng) if i % 5 == 0 else random_problem(rng) for i in range(40)]
     rows = np.array([qp.row for qp in problems])
@@ -226,8 +226,8 @@ def test_near_the_rank_tolerance_nothing_is_silently_wrong(decimals, singular):
 
 
 @pytest.mark.parametrize("freedoms", [0, 1])
-def test_a_violation_of_the_box_is_rounding_up_to_what_the_smallest_column_explains(freedoms):
-    """4e-12 (roundings) 10 or 20 (largest |A| |x|) / 1e-3 (the pivot) rad/s, and a hundred times that at most."""
+def test_a_violation_of_the_box_counts_as_rounding_if_the_smallest_pivot_explains_it(freedoms):
+    """Rounding is 4e-12 times 10 or 20 (largest |A| |x|) over the pivot 1e-3 [rad/s]; a hundred times that passes."""
     wide = np.full(7, 10.0)
     for smallest, beyond, status in (
         (1e-3, 2e-6, Status.SOLVED), (1e-3, 2e-5, Status.INFEASIBLE), (1.0, 1e-7, Status.INFEASIBLE)
@@ -239,7 +239,7 @@ def test_a_violation_of_the_box_is_rounding_up_to_what_the_smallest_column_expla
         assert solve(qp).status is status
 
 
-def test_parallel_columns_and_a_nearly_straight_elbow_with_joints_at_their_bounds(robot):
+def test_no_answer_is_wrong_with_parallel_columns_or_with_joints_at_their_bounds_near_a_straight_elbow(robot):
     rng, one = np.random.default_rng(10248), np.ones(16)
     A = rng.integers(-1, 2, (6, int(rng.integers(9, 17)))).astype(float)
     A[:, 8:] = A[:, :8]
@@ -247,28 +247,28 @@ def test_parallel_columns_and_a_nearly_straight_elbow_with_joints_at_their_bound
     assert solve(NullSpaceQP(A[:3], A[3:], b[:3], b[3:], rng.normal(size=16), -one, one)).status is not Status.SOLVED
     for k in range(200):
         q, v = rng.uniform(robot.q_min, robot.q_max), robot.v_max
-        q[3], q[5] = [(rng.uniform(-0.01, 0.01), q[5]), (q[3], 1e-9), (1e-10, q[5])][k % 3]  # 1e-9: one hardly moves
+        q[3], q[5] = [(rng.uniform(-0.01, 0.01), q[5]), (q[3], 1e-9), (1e-10, q[5])][k % 3]  # 1e-9: hardly moves
         s, x = robot.state(q), np.where(rng.random(7) < 0.5, rng.choice([-1.0, 1.0], 7) * v, rng.uniform(-v, v))
         qp = NullSpaceQP(s.J_tip, s.J_wrist, s.J_tip @ x, s.J_wrist @ x, s.grad_mu, -v, v)
-        if k % 3 < 2 or solve(qp).status is not Status.NUMERICAL:  # rounding may leave no answer; there is one
+        if k % 3 < 2 or solve(qp).status is not Status.NUMERICAL:  # NUMERICAL is allowed there
             check(qp)
 
 
 @pytest.mark.parametrize(("moves", "stops"), [(1.6e-10, True), (1.2e-10, False)])
-def test_the_judge_lets_the_same_joints_stop_the_elbow(moves, stops):
-    """One that moves about 1e-10 of a step, and stands at its bound; the others leave room for a step of one."""
+def test_solver_and_residuals_agree_which_slow_joints_stop_the_self_motion(moves, stops):
+    """A joint at its bound moves by about 1e-10 per unit step; the others leave room for a unit step."""
     z, x, wide = np.array([1.0, -0.5, 0.3, 0.2, -0.4, 0.6, moves]), np.zeros(7), np.ones(7)
     A, x[6] = null_space(z[None]).T, 1.0
     found = check(NullSpaceQP(A[:3], A[3:], A[:3] @ x, A[3:] @ x, z, -wide, wide, regularization=1e-5)).x
     assert found[0] == pytest.approx(0.0 if stops else 1.0, abs=1e-5)
-    low, high = -wide, np.array(wide)  # and far from its bounds it does not make a point of a short interval
+    low, high = -wide, np.array(wide)  # far from its bounds, it does not reduce a short interval to a point
     low[0], high[0] = 0.0, 1e-5
     short = NullSpaceQP(A[:3], A[3:], np.zeros(3), np.zeros(3), z, low, high, regularization=1e-5)
     assert [bool(short.residuals(end * z).verified()) for end in (0.0, 1e-5)] == [False, True]
 
 
 def test_rounding_seldom_makes_a_corner_of_the_box_infeasible():
-    """Columns from 1e-3 to 1e3: a few roundings of b, carried over to the smallest one, exceed a fixed tolerance."""
+    """Columns range from 1e-3 to 1e3: rounding of b, divided by the smallest one, would exceed a fixed tolerance."""
     rng, refused = np.random.default_rng(1), 0
     for _ in range(300):
         n, u = int(rng.integers(6, 10)), unit(rng)

@@ -1,4 +1,4 @@
-"""A solver that fails on purpose: at the ticks that were drawn, and in the way that was asked for."""
+"""The solver that fails on purpose does so at the drawn ticks and in the chosen way."""
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ def is_wrong(kind, qp, answer):
     if kind == "fail":
         return answer.status is Status.NUMERICAL and np.isnan(answer.x).all()
     if kind == "rig":
-        return (answer.x == 50.0).all() and qp.residuals(answer.x).primal < 1e-9  # by its own copy of the problem
+        return (answer.x == 50.0).all() and qp.residuals(answer.x).primal < 1e-9  # by the problem that it rewrote
     if kind == "malformed":
         return answer.y.dtype == complex
     if answer.status is not Status.SOLVED:
@@ -24,12 +24,12 @@ def is_wrong(kind, qp, answer):
         return np.isnan(answer.x).all()
     if kind == "outside":
         return (answer.x > qp.upper).any()
-    return qp.residuals(answer.x).primal < 1e-9 and not qp.residuals(answer.x).verified()  # a lie
+    return qp.residuals(answer.x).primal < 1e-9 and not qp.residuals(answer.x).verified()  # a false claim
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_wrong_at_the_drawn_ticks_and_right_at_the_others(kind):
-    """The network keeps its memory to itself: where it is not asked it goes on from where it was."""
+def test_answers_are_wrong_at_the_drawn_ticks_and_right_at_the_others(kind):
+    """Also with the network, which is not asked at a faulty tick (except "malformed") and keeps its state there."""
     for inner in (Exact(), create("rnn")):
         session, honest = Faulty(inner, kind, rate=0.3, seed=4).start(PROBLEMS[0]), inner.start(PROBLEMS[0])
         corrupted = draw(4, 0.3, len(PROBLEMS))
@@ -48,7 +48,7 @@ def test_wrong_at_the_drawn_ticks_and_right_at_the_others(kind):
         assert session.faults == corrupted.sum()
 
 
-def test_the_draw_belongs_to_the_seed_and_grows():
+def test_the_draw_follows_its_seed_and_a_longer_one_begins_alike():
     long = draw(3, 0.2, 1000)
     np.testing.assert_array_equal(long[:400], draw(3, 0.2, 400))
     assert (draw(4, 0.2, 1000) != long).any()

@@ -1,4 +1,4 @@
-"""Solvers in processes of their own: the same run where they behave, a tick without their answer where they do not."""
+"""Solvers in separate processes: a run is the same where they behave, and loses single answers where they do not."""
 
 import signal
 import subprocess
@@ -25,7 +25,7 @@ def qp():
 
 
 def started(qp, act="", at=2, folder="", **settings):
-    """A session; nothing on a busy machine counts as hung unless the test says so."""
+    """A session that counts as hung only after a minute, in case the machine is busy, unless the test gives a time."""
     return isolated(Misbehaving(act, at, str(folder)), **{"hang_s": 60.0, **settings}).start(qp)
 
 
@@ -53,14 +53,14 @@ def until(said):
 
 
 def is_gone(number):
-    """Whether there is no such process, or one that only waits to be collected."""
+    """Whether the process does not exist, or is a zombie."""
     try:
         return Path(f"/proc/{number}/stat").read_text().rsplit(")", 1)[1].split()[0] == "Z"
     except FileNotFoundError:
         return True
 
 
-@pytest.mark.parametrize("solver", ["exact", "rnn-printed"])  # the second one observes the velocity
+@pytest.mark.parametrize("solver", ["exact", "rnn-printed"])  # rnn-printed observes the velocity
 def test_a_solver_that_behaves_gives_the_same_trace(solver):
     inside, isolated = (
         run(Scenario(solver={"name": solver, "isolation": way, "process": {"hang_s": 60.0}}, **QUICK))
@@ -88,11 +88,11 @@ def test_a_failure_costs_one_answer_and_only_a_lost_process_is_replaced(qp, act,
     assert reason in text
     assert is_gone(first) == (kind == "lost")
     if act == "hang":
-        assert session.solve(qp).iterations == 1  # of a new session
+        assert session.solve(qp).iterations == 1  # the new session's first answer
     assert [(tick, why in text) for tick, why in session.restarts] == ([(1, True)] if kind == "lost" else [])
 
 
-def test_a_solver_that_is_always_lost_is_given_up(qp):
+def test_a_solver_that_is_lost_more_often_than_most_restarts_is_given_up(qp):
     session = started(qp, "exit", at=1, most_restarts=1)
     texts = [fault_of(session, qp)[1] for _ in range(4)]
     assert ["status 3" in text for text in texts] == [True, True, False, False]
@@ -100,7 +100,7 @@ def test_a_solver_that_is_always_lost_is_given_up(qp):
     assert len(session.restarts) == 2
 
 
-def test_an_answer_that_is_late_may_stand_for_the_next_one(qp, tmp_path):
+def test_a_late_answer_may_serve_the_next_tick_up_to_answer_age_ticks(qp, tmp_path):
     def numbered(number):
         row = np.array(qp.row)
         fields(row).weights[0] = number
@@ -116,7 +116,7 @@ def test_an_answer_that_is_late_may_stand_for_the_next_one(qp, tmp_path):
     np.testing.assert_array_equal(answer.x, np.arange(7.0))
     np.testing.assert_array_equal(answer.y, qp.b)
     assert fault_of(own, numbered(2))[0] == "late"
-    assert fault_of(old, numbered(3))[0] == "late"  # two ticks old by now
+    assert fault_of(old, numbered(3))[0] == "late"  # its newest answer is two ticks old
     for number in "234":
         (tmp_path / number).touch()
     assert [session.solve(numbered(4)).iterations for session in (own, old)] == [4, 4]
@@ -132,7 +132,7 @@ def test_against_a_wall_clock_no_tick_waits_for_the_new_process(qp):
     assert session.solve(qp).iterations == 1
 
 
-def test_what_the_solver_started_ends_with_it(qp, tmp_path):
+def test_child_processes_of_a_solver_end_with_its_session(qp, tmp_path):
     session, file = started(qp, "child and hang", at=1, folder=tmp_path, budget_us=1000.0), tmp_path / "pid"
     assert fault_of(session, qp)[0] == "late"
     until(lambda: file.exists() and file.read_text())
@@ -141,8 +141,8 @@ def test_what_the_solver_started_ends_with_it(qp, tmp_path):
     until(lambda: all(map(is_gone, numbers)))
 
 
-def test_a_process_that_hangs_outlives_a_loop_that_was_killed_by_little():
-    """Nobody is there to kill it: it ends by itself, a second after twice the time that counts as hung."""
+def test_a_hanging_process_ends_soon_after_its_loop_was_killed():
+    """As nobody is left to kill it, it ends by itself, one second after twice `hang_s`."""
     code = (
         "import numpy as np; from tests.problems import random_problem; from moc_opt.solvers.isolated import *; "
         "from tests.isolated_solvers import Misbehaving; qp = random_problem(np.random.default_rng(0)); "
@@ -160,12 +160,12 @@ def test_a_process_that_hangs_outlives_a_loop_that_was_killed_by_little():
     ("", {"start_s": 0.01}, "no answer for 0.01 s"),
     (lambda: None, {}, "cannot run in a process of its own: .*isolation = 'none'"),
 ])  # fmt: skip
-def test_a_solver_that_cannot_run_there_is_refused_before_anything_moves(qp, act, settings, text):
+def test_a_solver_that_cannot_run_in_a_process_is_refused_at_the_start(qp, act, settings, text):
     with pytest.raises(SolverError, match=text):
         isolated(Misbehaving(act), **settings).start(qp)
 
 
-def test_a_budget_is_kept_by_process_or_supervisor():
+def test_the_budget_is_kept_by_the_process_or_with_replayed_times_by_the_supervisor():
     scenario = Scenario(solver={"isolation": "process"}, control={"supervisor": {"budget_us": 700.0}}, **QUICK)
     controller = Setup(scenario).controller()
     assert (controller.solver.budget_us, controller.settings.supervisor.budget_us) == (700.0, None)

@@ -1,4 +1,4 @@
-"""Solvers by name: what is there, what is not and why, how others add their own, and which options may be set."""
+"""Solvers by name: which are available, why others are not, plug-ins, and the options that may be set."""
 
 import contextlib
 import os
@@ -48,7 +48,7 @@ class Good:
     (ABSENT, {}, SolverError, "cannot run: .*pip install qpsolvers"), (3, {}, SolverError, "give the name of one"),
     ("osqp", {"eps": 10**400}, SolverError, "osqp: eps = 1000"),
 ])  # fmt: skip
-def test_wrong_names_and_settings_come_with_the_cure(name, given, error, cure):
+def test_the_error_of_a_wrong_name_or_setting_has_the_cure(name, given, error, cure):
     with pytest.raises(error, match=cure):
         create(name, **given)
 
@@ -60,13 +60,13 @@ def test_wrong_names_and_settings_come_with_the_cure(name, given, error, cure):
     ("rnn", "h", 1.5), ("rnn", "scale", float("nan")), ("rnn", "scale", float("inf")), ("rnn", "method", "implicit"),
     ("rnn-printed", "h", 1.5), ("nlp-sqp", "kinematics", None), ("nlp-sqp", "hessian", "bfgs"),
 ])  # fmt: skip
-def test_bad_settings_are_named(name, field, value):
+def test_a_bad_setting_is_refused_by_name(name, field, value):
     arm = {"kinematics": SimpleNamespace(n=7, tip=None, wrist=None, mu=None)} if name.startswith("nlp") else {}
     with pytest.raises(SolverError, match=re.escape(f"{name}: {field} = {value!r} ")):
         create(name, **{**arm, field: value})
 
 
-def test_missing_packages_are_reasons_not_crashes(monkeypatch):
+def test_a_missing_package_is_reported_as_the_reason(monkeypatch):
     assert set(registry.BUILT_IN) <= set(HERE)
     monkeypatch.setattr(registry, "find_spec", lambda package: None)
     reasons = available()
@@ -91,7 +91,7 @@ BROKEN = {
 
 
 @pytest.mark.parametrize("case", BROKEN)
-def test_a_broken_plug_in_is_a_reason_and_hides_nothing(case, install):
+def test_a_broken_plug_in_is_reported_and_hides_no_other_solver(case, install):
     source, message = BROKEN[case]
     install("bad_plugin", source, broken="C")
     install("good_plugin", WHOLE, good="Good")
@@ -106,7 +106,7 @@ def test_a_broken_plug_in_is_a_reason_and_hides_nothing(case, install):
 
 
 @pytest.mark.parametrize("name", ["osqp", "qpsolvers:daqp"])
-def test_a_plug_in_named_like_a_built_in_is_told_to_be_renamed(name, install):
+def test_a_plug_in_with_a_built_in_name_is_not_used_and_the_message_asks_to_rename_it(name, install):
     install("impostor", WHOLE, **{name.replace(":", "__"): "Good"})
     reasons = available()
     assert reasons[name] is None
@@ -128,14 +128,13 @@ def test_an_option_that_writes_loads_compiles_or_replaces_the_problem_is_refused
 
 
 @pytest.mark.parametrize("value", ["1e-6", "/tmp/x", [1.0], {"a": 1}, None, float("nan"), float("inf"), 2**70, 1e300])
-def test_a_value_is_a_flag_or_a_number(value):
+def test_an_option_that_is_neither_a_flag_nor_a_finite_number_is_refused(value):
     with pytest.raises(SolverError, match=r"qpsolvers:osqp: option eps_abs = .*give true, false or a number"):
         checked("qpsolvers:osqp", {"eps_abs": value})
 
 
 @pytest.mark.parametrize("solver", [name for name in HERE if ALLOWED.get(name)])
-def test_every_allowed_option_exists(solver):
-    """A list that names what a library does not know would promise what cannot be had."""
+def test_the_library_accepts_every_option_on_its_list(solver):
     qp = random_problem(np.random.default_rng(0))
     brief = {name: 20 for name in ("max_iter", "max_iters", "iter_limit") if name in ALLOWED[solver]}
     for option in sorted(ALLOWED[solver]):
@@ -147,7 +146,7 @@ def test_every_allowed_option_exists(solver):
 
 
 def test_ipopt_reads_no_options_from_the_current_folder(tmp_path):
-    """A file ipopt.opt beside a scenario could name a file to write, or a library to load."""
+    """An ipopt.opt beside a scenario could name a file to write or a library to load."""
     (tmp_path / "ipopt.opt").write_text("output_file written.txt\nfile_print_level 5\n")
     program = (
         "from moc_opt.scenario import Scenario, run\n"

@@ -1,4 +1,4 @@
-"""The network does what its equation says, is stable where it says so, and claims no more than it knows."""
+"""The networks follow their equations, refuse unstable settings, and claim only true optima."""
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ SEEDS = st.integers(0, 100_000)
 
 
 def right_hand_side(qp, x, l1, l2, k, scale=1.0):
-    """eps dY/dt as DESIGN and the paper write it, term by term."""
+    """eps dY/dt as in docs/method.md, term by term."""
     c0, c1, c2, rho = (scale * w for w in (qp.c0, qp.c1, qp.c2, qp.regularization))
     JT, JW = qp.J_tip, qp.J_wrist
     force = c0 * JT.T @ (JT @ x - qp.v_tip) + c1 * JW.T @ (JW @ x - qp.v_wrist) + rho * x - c2 * qp.grad_mu
@@ -27,7 +27,7 @@ def right_hand_side(qp, x, l1, l2, k, scale=1.0):
 
 @pytest.mark.parametrize("method", ["explicit", "semi-implicit"])
 @pytest.mark.parametrize("h", [1.0, 0.7])
-def test_steps_are_the_printed_network(method, h):
+def test_steps_integrate_the_networks_equation(method, h):
     qp = random_problem(np.random.default_rng(0), c0=0.01, c1=0.02)
     chosen = RNN(steps=25, h=h, k=0.3, method=method)
     found = chosen.start(qp).solve(qp)
@@ -45,14 +45,14 @@ def test_steps_are_the_printed_network(method, h):
 
 
 def spectral_radius(qp, c, h, k, implicit, h_x):
-    """Of one step away from the bounds without regularization, on the modes that A sees."""
+    """Spectral radius of one step away from the bounds, without regularization, on the range of A and A^T."""
     A, hk, hk_x = qp.A, h * k, h_x * k
     m, n = A.shape
     onto_x = np.hstack([np.eye(n) - hk_x * c * A.T @ A, -hk_x * A.T])
     seen = onto_x if implicit else np.eye(n, n + m)
     step = np.vstack([onto_x, np.hstack([np.zeros((m, n)), np.eye(m)]) + hk * A @ seen])
     U, _, Vt = np.linalg.svd(A)
-    basis = block_diag(Vt[:5].T, U[:, :5])  # the rest stands still
+    basis = block_diag(Vt[:5].T, U[:, :5])  # all other modes stay constant
     return np.abs(np.linalg.eigvals(basis.T @ step @ basis)).max()
 
 
@@ -61,7 +61,7 @@ def spectral_radius(qp, c, h, k, implicit, h_x):
     seed=SEEDS, c=st.floats(1e-3, 20.0), k=st.floats(1e-3, 10.0), h=st.floats(0.05, 1.0),
     implicit=st.booleans(), h_x=st.none() | st.floats(0.05, 1.0),
 )
-def test_unstable_is_exactly_where_the_step_diverges(seed, c, k, h, implicit, h_x):
+def test_settings_are_called_unstable_exactly_where_a_step_diverges(seed, c, k, h, implicit, h_x):
     qp = random_problem(np.random.default_rng(seed), c0=c, c1=c, regularization=0.0)
     radius = spectral_radius(qp, c, h, k, implicit, h if h_x is None else h_x)
     if abs(radius - 1.0) > 1e-9:  # slow modes come within rounding of 1
@@ -82,7 +82,7 @@ def test_unstable_settings_are_refused_with_the_cure():
 
 @settings(max_examples=60)
 @given(seed=SEEDS, steps=st.sampled_from([1, 10, 1000, 30_000]), infeasible=st.booleans())
-def test_claims_are_true_and_x_stays_in_the_box(seed, steps, infeasible):
+def test_a_claimed_answer_is_verified_and_x_stays_in_the_box(seed, steps, infeasible):
     make = infeasible_problem if infeasible else random_problem
     qp = make(np.random.default_rng(seed))
     chosen = RNN(steps=steps, k=0.2)
@@ -95,7 +95,7 @@ def test_claims_are_true_and_x_stays_in_the_box(seed, steps, infeasible):
         assert qp.residuals(found.x, found.y).verified()
 
 
-def test_a_state_that_overflows_is_given_up():
+def test_after_an_overflow_the_network_restarts_from_zero():
     good = random_problem(np.random.default_rng(5))
     huge = changed(good, J_tip=1e200 * good.J_tip, J_wrist=1e200 * good.J_wrist)
     session = RNN(k=0.2).start(good)
@@ -104,7 +104,7 @@ def test_a_state_that_overflows_is_given_up():
     np.testing.assert_array_equal(session.solve(good).x, fresh.x)
 
 
-def test_printed_is_equation_two_from_the_measured_velocity():
+def test_rnn_printed_is_the_papers_equation_two_from_the_measured_velocity():
     """x - v is the printed qdd_d = -v + P(v - k dL/dqd), whatever the step of the multipliers."""
     qps = smooth_sequence(np.random.default_rng(6), 40, regularization=0.0)
     chosen = RNNPrinted()
@@ -115,7 +115,7 @@ def test_printed_is_equation_two_from_the_measured_velocity():
     rng = np.random.default_rng(7)
     x, l1, l2 = np.zeros(7), np.zeros(3), np.zeros(3)
     for tick, qp in enumerate(qps):
-        if tick % 3:  # else the network goes on from its own x
+        if tick % 3:  # in the other ticks the network continues from its own x
             x = rng.uniform(-1.0, 1.0, 7)
             session.observe(x)
         dx, d1, d2 = right_hand_side(qp, x, l1, l2, 0.1)
@@ -127,7 +127,7 @@ def test_printed_is_equation_two_from_the_measured_velocity():
     assert not isinstance(RNN().start(qps[0]), ObservingSession)
 
 
-def test_a_network_that_rests_stops_and_one_that_is_still_on_its_way_claims_nothing():
+def test_a_converged_network_stops_early_and_an_unconverged_one_claims_nothing():
     qp = random_problem(np.random.default_rng(3), regularization=0.01)
     many, few = (RNN(steps=steps).start(qp).solve(qp) for steps in (100_000, 10))
     assert (many.status, few.status, few.iterations) == (Status.SOLVED, Status.MAX_ITER, 10)
