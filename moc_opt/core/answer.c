@@ -1,13 +1,13 @@
-/* What an answer of the third level is worth, and what may stand in for it. */
+/* Check of a solver's answer, and its replacements. */
 #include "vec.h"
 
-#define AT_BOUND 1e-4          /* a joint this near to a bound is at it [rad/s] */
-#define PASSES 2e-3            /* an answer with a smaller natural residual may be verified: the line is not searched */
-#define NO_GRADIENT 1e-12      /* share of the gradient along the self-motion below which there is none */
-#define IMMOBILE 1e-12         /* squared length that a joint's column counts as having at the least */
-#define GRADIENT_ROUNDING 1e-9 /* a way down shorter than this share of the cost's gradient is none (qp/residuals.py) */
-#define DESCENTS 50            /* of the least violation, over the joints */
-#define OUTSIDE 1e-6           /* what a retreat may leave the box by [rad/s] */
+#define AT_BOUND 1e-4          /* largest distance from a bound at which a joint counts as at it [rad/s] */
+#define PASSES 2e-3            /* natural residual up to which `off` and `opposite` may stay zero */
+#define NO_GRADIENT 1e-12      /* share of the gradient along the self-motion that counts as zero */
+#define IMMOBILE 1e-12         /* floor of a column's squared length, against division by zero */
+#define GRADIENT_ROUNDING 1e-9 /* length of a descent direction that counts as zero (qp/residuals.py) */
+#define DESCENTS 50            /* sweeps of least_violation */
+#define OUTSIDE 1e-6           /* largest violation of the box by a retreat [rad/s] */
 
 /* Whether joint j moves neither tip nor wrist: e_j itself lies in ker A. */
 static bool is_idle(int rows, double Z[][MOC_MAX_JOINTS], int j)
@@ -18,11 +18,11 @@ static bool is_idle(int rows, double Z[][MOC_MAX_JOINTS], int j)
     return own > 1.0 - 1e-12;
 }
 
-/* The steepest descent d (n,) from x that stays in ker A and in the box; returns the scale of the cost.
+/* The direction d (n,) of steepest descent from x within ker A and the box. Returns the scale of the cost.
  *
- * It is the projection of minus the reduced gradient on the tangent cone of the feasible set, zero at an optimum and
- * nowhere else: a subproblem of its own, in which joints AT_BOUND may only move inwards. Idle joints are left out. */
-static double way_down(const moc_problem *p, int rows, double Z[][MOC_MAX_JOINTS], const double *x, double *d)
+ * d is the projection of the negative reduced gradient on the tangent cone of the feasible set; it is zero only at an
+ * optimum. It solves a subproblem in which joints AT_BOUND may only move inwards, and idle joints not at all. */
+static double steepest_descent(const moc_problem *p, int rows, double Z[][MOC_MAX_JOINTS], const double *x, double *d)
 {
     moc_problem cone = {.n = p->n, .rho = 1.0};
     double pull[MOC_MAX_JOINTS], y[6], scale = p->rho;
@@ -43,10 +43,10 @@ static double way_down(const moc_problem *p, int rows, double Z[][MOC_MAX_JOINTS
     return scale;
 }
 
-/* Let s be the coordinate of x along a line of self-motion. On it the cost -c2 g s + rho s^2 / 2 has its optimum at
- * clip(c2 g / rho) on the segment that the box leaves, and that of the opposite gradient at clip(-c2 g / rho). Where
- * the elbow swivel is the only freedom the line is the whole feasible set. With several freedoms it is the steepest
- * way down that the box leaves open at x, and all is zero where there is none. */
+/* Let s be the coordinate of x along a line of self-motion. The cost on this line is -c2 g s + rho s^2 / 2. On the
+ * segment inside the box, its optimum is clip(c2 g / rho), and that of the opposite gradient is clip(-c2 g / rho). If
+ * the elbow swivel is the only freedom, the line is the whole feasible set. With several freedoms, the line is the
+ * steepest feasible descent at x; the residuals are zero if there is none. */
 moc_residuals moc_judge(const moc_problem *p, int rows, double Z[][MOC_MAX_JOINTS], const double *x)
 {
     moc_residuals found = {0.0, 0.0, 0.0, 0.0, 0.0};
@@ -66,11 +66,11 @@ moc_residuals moc_judge(const moc_problem *p, int rows, double Z[][MOC_MAX_JOINT
     moc_onto(n, rows, Z, p->pull, line);
     if (sqrt(dot(n, line, line)) <= NO_GRADIENT * steepest || !(p->c2 > 0.0))
         return found;
-    /* The floor rho: a course that rests asks for x_d = 0, and its gradient (rho/c2) x_d is no scale then. */
+    /* A course at rest has x_d = 0 and thus a zero gradient (rho/c2) x_d; the scale is rho then. */
     double scale = fmax(p->c2 * steepest, p->rho);
     int several = freedoms > 1, faint = p->rho >= p->c2 * steepest;
     if (several) {
-        scale = way_down(p, rows, Z, x, line);
+        scale = steepest_descent(p, rows, Z, x, line);
         still = 1e-6;
     }
     double length = sqrt(dot(n, line, line));
@@ -89,7 +89,7 @@ moc_residuals moc_judge(const moc_problem *p, int rows, double Z[][MOC_MAX_JOINT
             high = smaller(larger(one, other), high);
         }
     }
-    low = smaller(0.0, low); /* x itself counts as feasible: its violation is judged above */
+    low = smaller(0.0, low); /* x counts as feasible here: its violation is in `outside` */
     high = larger(0.0, high);
     for (int j = 0; j < n; j++) {
         double push = line[j] * slope;
@@ -105,11 +105,11 @@ moc_residuals moc_judge(const moc_problem *p, int rows, double Z[][MOC_MAX_JOINT
     return found;
 }
 
-/* The smallest self-motion that brings the arm's other motion into the box; where none does, motion stays as it is.
+/* The smallest self-motion that keeps the arm's motion in the box. `motion` is not changed if there is none.
  *
- * With a damped self-motion the arm follows its references with the shortest x of A x = b, which may move a joint to
- * its limit. The shortest x that the box has as well is an optimum of the same kind, without a pull; what it has of
- * self-motion is the way there. */
+ * With a damped self-motion, the arm follows its references with the shortest x of A x = b, which may move a joint to
+ * its limit. The shortest x of A x = b within the box is the optimum of the subproblem without pull, and `motion`
+ * becomes its part in ker A. */
 static void retreat(const moc_problem *problem, int rows, double Z[][MOC_MAX_JOINTS], double *motion)
 {
     moc_problem p = *problem;
@@ -119,11 +119,11 @@ static void retreat(const moc_problem *problem, int rows, double Z[][MOC_MAX_JOI
     p.rho = 1.0;
     p.c2 = 0.0;
     if (moc_solve_exact(&p, OUTSIDE, x, y) != MOC_OK || !(off_plane(&p, x) <= OUTSIDE))
-        return; /* the box is empty, or A has lost more than a rank */
+        return; /* no x of the box meets A x = b, or A has lost more than one rank */
     moc_onto(p.n, rows, Z, x, motion);
 }
 
-/* The x of the box with the least |A x - b|. */
+/* The x of the box with the smallest |A x - b|, by coordinate descent. */
 static void least_violation(const moc_problem *p, double *x)
 {
     double missing[6], size[MOC_MAX_JOINTS] = {0.0};
@@ -136,7 +136,7 @@ static void least_violation(const moc_problem *p, double *x)
     }
     for (int i = 0; i < 6; i++)
         missing[i] = dot(n, p->A[i], x) - p->b[i];
-    for (int sweep = 0; sweep < DESCENTS; sweep++) /* coordinate descent */
+    for (int sweep = 0; sweep < DESCENTS; sweep++)
         for (int j = 0; j < n; j++) {
             double along = 0.0;
             for (int i = 0; i < 6; i++)

@@ -1,7 +1,7 @@
 /* Kinematics and dynamics of a serial chain, in world axes at the world's origin (Featherstone 2008, chapter 5).
  *
- * A twist is [lin, ang]: the velocity of the point of the body that is at the origin, and the angular velocity. All
- * joints' twists are expressed at the same place, so that velocities, accelerations and momenta simply add up. */
+ * A twist is [lin, ang]: the velocity of the body's point at the world's origin, and the angular velocity. All twists
+ * refer to the same point, so that velocities, accelerations and momenta add up. */
 #include "vec.h"
 
 void moc_place(const moc_arm *arm, const double *q, moc_frame *frame, moc_twist *twist)
@@ -15,7 +15,7 @@ void moc_place(const moc_arm *arm, const double *q, moc_frame *frame, moc_twist 
         double slides = joint->slides > 0.0 ? 1.0 : 0.0, angle = (1.0 - slides) * q[j];
         double cosine = cos(angle), sine = sin(angle), axis[3];
 
-        for (int i = 0; i < 3; i++) { /* as it stands at q_j = 0 */
+        for (int i = 0; i < 3; i++) { /* the axes at q_j = 0 */
             const double *row = before->R[i];
             for (int c = 0; c < 3; c++)
                 here->R[i][c] = row[0] * joint->rotation[0][c] + row[1] * joint->rotation[1][c] +
@@ -70,7 +70,7 @@ static body link_in_world(const moc_joint *joint, const moc_frame *frame)
 
     for (int i = 0; i < 3; i++)
         link.moment[i] = joint->mass * frame->p[i] + dot3(frame->R[i], joint->moment);
-    /* Steiner: about the origin there is m (|c|^2 - c c^T) more than about the centre of mass c. */
+    /* Parallel axes: the inertia about the origin is larger by m (|c|^2 - c c^T), with c the centre of mass. */
     double square = share * dot3(link.moment, link.moment);
     for (int i = 0; i < 3; i++) {
         double turned[3] = {dot3(frame->R[i], local[0]), dot3(frame->R[i], local[1]), dot3(frame->R[i], local[2])};
@@ -117,7 +117,7 @@ static void add(double s, const moc_twist *what, moc_twist *to)
     }
 }
 
-/* M, h, gravity, dT/dq; returns the last link's velocity and its acceleration at zero joint acceleration. */
+/* Compute M, h, gravity and dT/dq, and the last link's velocity V and its acceleration at zero joint acceleration. */
 static void dynamics(const moc_arm *arm, const moc_frame *frame, const moc_twist *S, moc_terms *t, moc_twist *V,
                      moc_twist *acceleration)
 {
@@ -127,7 +127,7 @@ static void dynamics(const moc_arm *arm, const moc_frame *frame, const moc_twist
 
     memset(V, 0, sizeof *V);
     memset(acceleration, 0, sizeof *acceleration);
-    for (int k = 0; k < n; k++) { /* from the base: velocities, and each link's momentum and its rate */
+    for (int k = 0; k < n; k++) { /* from the base outwards: velocity, momentum and its rate of each link */
         link[k] = link_in_world(&arm->joint[k], &frame[k]);
         rate[k] = carried(V, &S[k]);
         add(t->v[k], &S[k], V);
@@ -141,7 +141,7 @@ static void dynamics(const moc_arm *arm, const moc_frame *frame, const moc_twist
     }
     for (int i = 0; i < 3; i++)
         up.lin[i] = -arm->gravity[i];
-    for (int k = n - 1; k >= 0; k--) { /* from the tip: each joint carries all links beyond it */
+    for (int k = n - 1; k >= 0; k--) { /* from the tip inwards: each joint carries all links beyond it */
         if (k + 1 < n) {
             link[k].mass += link[k + 1].mass;
             for (int i = 0; i < 3; i++) {
@@ -158,12 +158,12 @@ static void dynamics(const moc_arm *arm, const moc_frame *frame, const moc_twist
         t->M[k][k] += arm->joint[k].rotor;
         t->gravity[k] = power(&S[k], &weight);
         t->h[k] = power(&S[k], &force[k]) + t->gravity[k];
-        /* Joint k carries the links beyond it; the velocity of those before it does not turn. */
+        /* only the links beyond joint k turn with it */
         t->energy_slope[k] = power(&rate[k], &H[k]);
     }
 }
 
-/* Acceleration of a world point of the last link at zero joint acceleration: dJ/dt v. */
+/* Acceleration dJ/dt v of a point of the last link at zero joint acceleration. */
 static void point_drift(const moc_twist *V, const moc_twist *acceleration, const double point[3], double out[3])
 {
     double velocity[3];

@@ -1,26 +1,27 @@
-/* The subproblem's optimum by elimination, without iterating towards a tolerance.
+/* The optimum of the subproblem by elimination; nothing iterates towards a tolerance.
  *
- * On A x = b the c0, c1 terms are constant: what is left is rho/2 |x|^2 - c2 pull^T x over the box. Gauss-Jordan
- * with complete pivoting (Golub and Van Loan, Matrix Computations, 3.4.8) writes x = particular + (free joints). Joints
- * whose column is zero (joint 7 under a tool on its axis) move nothing and are solved alone. One freedom that is left,
- * the elbow swivel, is a ratio test in closed form; several are a projection onto a polytope, see polytope.c. The
- * elimination is compiled for rows of 8 and of 16 numbers, padded with zeros: no loop over a row is left then. */
+ * On A x = b the c0 and c1 terms are constant. The cost is then rho/2 |x|^2 - c2 pull^T x over the box. Gauss-Jordan
+ * elimination with complete pivoting (Golub and Van Loan, Matrix Computations, 3.4.8) writes x as a particular solution
+ * plus a combination of free joints. A joint with a zero column (joint 7, if the tool lies on its axis) moves neither
+ * tip nor wrist and is solved alone. One freedom that is left, the elbow swivel, needs a ratio test in closed form;
+ * several need a projection onto a polytope (polytope.c). The elimination is compiled for rows of 8 and of 16 numbers,
+ * padded with zeros, so that the compiler unrolls the loops over a row. */
 #include "vec.h"
 
-#define RANK_TOLERANCE 1e-12 /* of |A|_F: a singular value below it is rounding */
-#define TIED 1e-7            /* the same of the sixth one: that row repeats the others, as a rigid tool makes it do */
-#define LOOK_CLOSER 1e3      /* a pivot below this multiple of its tolerance is looked at more closely */
-#define LEFT 1e-6            /* |A x - b| that a dropped row may be left with: the judge's primal tolerance [m/s] */
-#define SOUND 1e-6           /* a last pivot above it divides rounding into nothing that counts [m] */
-#define UNBALANCED 1e-4      /* of the cost's slope, that forces may leave: a tenth of what the judge accepts */
-#define IDLE 1e-12           /* a free column smaller than this moves neither tip nor wrist */
-#define ROUNDING 1e-9        /* of the largest entry of pull */
-#define GROWTH 4e-12         /* 2^14 roundings: what six steps cancel between columns that differ a thousandfold */
-#define WIDEST 1e-5          /* of the tolerances that rounding may explain [rad/s] */
-#define UNCLEAR 1e-3         /* up to which rounding may explain that there is no answer [rad/s] */
-#define SLIVER 2e-9          /* what it explains at the least where self-motions may be all but parallel [rad/s] */
+#define RANK_TOLERANCE 1e-12 /* share of |A|_F below which a singular value counts as zero */
+#define TIED 1e-7            /* the same for the sixth one, which a rigid tool makes zero */
+#define LOOK_CLOSER 1e3      /* multiple of the tolerance below which a pivot gets a closer check (own_part) */
+#define LEFT 1e-6            /* largest |A x - b| of a dropped row, as in the judge's primal tolerance [m/s] */
+#define SOUND 1e-6           /* last pivot above which rounding cannot spoil the answer [m] */
+#define UNBALANCED 1e-4      /* largest error of A^T y = force, of the cost's slope: a tenth of the judge's tolerance */
+#define IDLE 1e-12           /* largest entry of the free column of a joint that moves neither tip nor wrist */
+#define ROUNDING 1e-9        /* share of the largest entry of pull that counts as zero */
+#define GROWTH 4e-12         /* 2^14 roundings: cancellation in six steps with columns of 1000 times different size */
+#define WIDEST 1e-5          /* largest tolerance of the box that rounding may justify for an answer [rad/s] */
+#define UNCLEAR 1e-3         /* the same for the doubt whether the problem is infeasible [rad/s] */
+#define SLIVER 2e-9          /* least effect of rounding with several freedoms, which may be parallel [rad/s] */
 
-/* Weights g (6,) of the eliminated rows become those of the rows of A: the transposed steps, backwards. */
+/* Turn weights g (6,) of the eliminated rows into weights of the rows of A: apply the transposed steps backwards. */
 static void weigh_back(const moc_plane *plane, int steps, double g[6])
 {
     for (int k = steps - 1; k >= 0; k--) {
@@ -30,8 +31,8 @@ static void weigh_back(const moc_plane *plane, int steps, double g[6])
     }
 }
 
-/* How much the rows e^T A that are left at step k have of their own, |e^T A| / |e| as a share of |A|_F: the next
- * singular value, roughly. The pivot is at least a quarter of that, and up to a hundred times as much where e is long. */
+/* An estimate of the next singular value as a share of |A|_F: the largest |e^T A| / |e| of the rows e^T A that are left
+ * at step k. The pivot is at least a quarter of it, and up to a hundred times as large if e is long. */
 static double own_part(const moc_plane *plane, const moc_problem *p, int k)
 {
     double most = 0.0, size = 0.0;
@@ -46,7 +47,7 @@ static double own_part(const moc_plane *plane, const moc_problem *p, int k)
     return sqrt(most);
 }
 
-/* The rank of A; -1 - rank of the rest where a row is neither repeated nor independent. */
+/* Returns the rank of A, or -1 - k if the rows left at step k are neither dependent nor clearly independent. */
 static inline int eliminate(moc_plane *plane, const moc_problem *p, int m)
 {
     double first = plane->pivot = HUGE_VAL;
@@ -100,8 +101,8 @@ static inline int eliminate(moc_plane *plane, const moc_problem *p, int m)
     return 6;
 }
 
-/* Whether x meets the dropped rows too. One that repeats others with another right-hand side may ask for a velocity
- * that no x of the box has; else it is neither independent nor repeated, and what it allows cannot be told. */
+/* Check x against the dropped rows. A violated one makes the problem infeasible if no x of the box can reach its right
+ * side. Otherwise the row is neither independent nor dependent, and there is no answer. */
 static moc_status check_dropped(const moc_plane *plane, const moc_problem *p, const double *x)
 {
     moc_status status = MOC_OK;
@@ -142,16 +143,16 @@ void moc_direction(const moc_plane *plane, int n, int k, double *z)
     z[free] = 1.0;
 }
 
-/* Where the cost alone takes a joint that moves neither tip nor wrist. */
+/* The optimal speed of a joint that moves neither tip nor wrist. */
 static double idle_speed(const moc_problem *p, int j)
 {
-    /* a gradient at rounding level must not throw an idle joint to its bound */
+    /* a pull at the level of rounding must not send an idle joint to its bound */
     bool faint = fabs(p->pull[j]) <= ROUNDING * largest_of(p->n, p->pull);
     double pull = faint ? 0.0 : p->c2 * p->pull[j];
-    return clip(pull == 0.0 ? 0.0 : pull / p->rho, p->lower[j], p->upper[j]); /* without rho at a bound */
+    return clip(pull == 0.0 ? 0.0 : pull / p->rho, p->lower[j], p->upper[j]); /* rho = 0: at a bound */
 }
 
-/* The ends of the s for which x + s z leaves no bound by more than the slack, and the joints that stop it there. */
+/* The interval of s in which x + s z violates no bound by more than the slack, and the joints that end it. */
 typedef struct {
     double low, high;
     int joint[2];
@@ -172,7 +173,7 @@ static inline segment ratio_test(const moc_problem *p, const double *x, const do
     return s;
 }
 
-/* One freedom, x + s z: the best point of that interval, in closed form. */
+/* One freedom: the best point x + s z of that interval, in closed form. */
 static void solve_one(const moc_plane *plane, const moc_problem *p, double tolerance, double *x, double *force)
 {
     double z[MOC_MAX_JOINTS], zz = 0.0, zx = 0.0, zg = 0.0, slope = 0.0;
@@ -186,14 +187,14 @@ static void solve_one(const moc_plane *plane, const moc_problem *p, double toler
     }
     double still = STILL * sqrt(zz);
     segment s = ratio_test(p, x, z, still, 0.0);
-    /* Rounding may empty an interval that is a point. Where it stays empty, `finish` finds x out of its box. */
+    /* Rounding may make an interval of one point empty. If slack does not help, `finish` finds x outside the box. */
     for (double slack = 1e-17; s.low > s.high && slack < tolerance;) {
         slack = fmin(100.0 * slack, tolerance);
         s = ratio_test(p, x, z, still, slack);
     }
-    double best = (p->c2 * zg - p->rho * zx) / (p->rho * zz); /* without rho beyond one of the ends */
+    double best = (p->c2 * zg - p->rho * zx) / (p->rho * zz); /* rho = 0: infinite, beyond an end */
     if (p->c2 * zg == 0.0 && p->rho == 0.0)
-        best = -zx / zz; /* every point is optimal: the slowest one */
+        best = -zx / zz; /* every point is optimal: take the shortest */
     int at_bound = best > s.high ? s.joint[1] : best < s.low ? s.joint[0] : NONE;
     best = clip(best, s.low, s.high);
     for (int j = 0; j < n; j++) {
@@ -204,7 +205,7 @@ static void solve_one(const moc_plane *plane, const moc_problem *p, double toler
         force[at_bound] = slope / z[at_bound];
 }
 
-/* Put x into its box, and write y: A^T y = force - (rho x - c2 pull). Returns by how much x was outside [rad/s]. */
+/* Clip x to the box and compute y from A^T y = force - (rho x - c2 pull). Returns how far x was outside [rad/s]. */
 static double finish(const moc_plane *plane, const moc_problem *p, const double *point, double *force, double *x,
                      double y[6])
 {
@@ -220,7 +221,7 @@ static double finish(const moc_plane *plane, const moc_problem *p, const double 
     return beyond;
 }
 
-/* Whether A^T y = force, for the joints that move. */
+/* Whether A^T y = force holds for the joints that move tip or wrist. */
 static bool balanced(const moc_plane *plane, const moc_problem *p, const double *force, const double y[6])
 {
     double most = UNBALANCED * fmax(p->c2 * largest_of(p->n, p->pull), p->rho), gap = 0.0;
@@ -232,7 +233,7 @@ static bool balanced(const moc_plane *plane, const moc_problem *p, const double 
     return fabs(gap) <= most;
 }
 
-/* With one tolerance. */
+/* Solve with one tolerance of the box. */
 static moc_status solve(moc_plane *plane, const moc_problem *p, double tolerance, double *x, double y[6])
 {
     double point[MOC_MAX_JOINTS], force[MOC_MAX_JOINTS];
@@ -262,13 +263,13 @@ static moc_status solve(moc_plane *plane, const moc_problem *p, double tolerance
     double beyond = finish(plane, p, point, force, x, y);
     if (status == MOC_OK && beyond <= tolerance && (plane->freedoms > 1 || plane->pivot < SOUND) &&
         !(off_plane(p, x) <= LEFT && balanced(plane, p, force, y)))
-        status = MOC_DOUBTFUL; /* as with parallel columns, of which rounding alone makes a freedom */
+        status = MOC_DOUBTFUL; /* for example parallel columns, where a freedom exists by rounding only */
     if (status != MOC_OK)
         return status;
     return beyond > tolerance ? MOC_INFEASIBLE : check_dropped(plane, p, x);
 }
 
-/* How far rounding of A x = b may put a joint out of its box [rad/s]: a rounding error of the largest |A| |x| in the
+/* How far rounding in A x = b can put a joint outside the box [rad/s]: the rounding error of the largest |A| |x| in the
  * box, divided by the last pivot. */
 static double explained_by_rounding(const moc_plane *plane, const moc_problem *p)
 {
@@ -284,12 +285,12 @@ moc_status moc_solve_exact(const moc_problem *p, double tolerance, double *x, do
     moc_plane plane;
     moc_status status = solve(&plane, p, tolerance, x, y);
 
-    /* Where rounding may have decided it, the tolerance on the way is raised to what rounding explains; the answer lies
-     * in its box all the same, and has to meet A x = b to within LEFT. */
+    /* If rounding may have decided this status, solve again with a tolerance as large as the effect of rounding. The
+     * answer still lies in the box, and has to meet A x = b within LEFT. */
     double explained = status == MOC_OK ? 0.0 : explained_by_rounding(&plane, p);
     if (explained <= tolerance)
         return status;
-    double unclear = fmin((plane.freedoms > 1 ? 1e5 : 100.0) * explained, UNCLEAR); /* parallel ones multiply it */
+    double unclear = fmin((plane.freedoms > 1 ? 1e5 : 100.0) * explained, UNCLEAR); /* nearly parallel directions */
     if (solve(&plane, p, fmin(100.0 * explained, WIDEST), x, y) == MOC_OK && off_plane(p, x) <= LEFT)
         return MOC_OK;
     return solve(&plane, p, unclear, x, y) == MOC_INFEASIBLE ? status : MOC_DOUBTFUL;

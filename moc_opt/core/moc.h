@@ -11,23 +11,23 @@
 typedef enum {
     MOC_OK = 0,
     MOC_INFEASIBLE, /* no x of the box meets A x = b */
-    MOC_DOUBTFUL,   /* rounding decides: no answer */
+    MOC_DOUBTFUL,   /* the result would depend on rounding: no answer */
     MOC_UNFINISHED, /* the network (rnn.c) is still moving */
     MOC_NOT_FINITE  /* q or v */
 } moc_status;
 
 /* --- the arm --- */
 
-/* A joint, and the link that it carries, in the joint's own axes; the binding relies on the order. */
+/* A joint and the link that it moves, in the joint's own axes. The binding relies on the order of the fields. */
 typedef struct {
-    double rotation[3][3]; /* of these axes in the frame of the joint before, at q = 0 */
-    double origin[3];      /* in the same frame [m] */
+    double rotation[3][3]; /* of the joint's axes in those of the previous joint, at q = 0 */
+    double origin[3];      /* of the joint's axes, in those of the previous joint [m] */
     double axis[3];        /* unit vector */
-    double slides;         /* 1: along the axis, 0: it turns about it */
+    double slides;         /* 1: prismatic, 0: revolute */
     double mass;           /* [kg] */
     double moment[3];      /* mass times centre of mass [kg m] */
     double inertia[6];     /* about the centre of mass: xx, xy, yy, xz, yz, zz [kg m^2] */
-    double rotor;          /* of the drive, felt at the joint [kg m^2] */
+    double rotor;          /* inertia of the drive, reflected to the joint [kg m^2] */
 } moc_joint;
 
 enum { MOC_TIP = 0, MOC_WRIST = 1 };
@@ -36,16 +36,16 @@ typedef struct {
     int n;
     moc_joint joint[MOC_MAX_JOINTS];
     double point[2][3];            /* tip and wrist centre in the last joint's axes [m] */
-    double tool[3][3];             /* rows: the tool's axes x, y, z (along the shaft) there */
-    int moves[2][MOC_MAX_JOINTS];  /* 0: this joint can never move the tip (the wrist); its column is exactly zero */
+    double tool[3][3];             /* rows: the tool's axes x, y, z (along the shaft) in the last joint's axes */
+    int moves[2][MOC_MAX_JOINTS];  /* 0: this joint never moves the tip (the wrist); its column in J is exactly zero */
     double gravity[3];             /* [m/s^2] */
 } moc_arm;
 
-/* What the law needs of the arm at one (q, v); the binding's records rely on the order. */
+/* Kinematics and dynamics of the arm at one (q, v). The binding's records rely on the order of the fields. */
 typedef struct {
     double q[MOC_MAX_JOINTS], v[MOC_MAX_JOINTS];
     double tip[3], wrist[3], u[3];           /* u = (X - N) / L */
-    double pose[4][3];                       /* the tool's axes x, y, z (u) and its tip again */
+    double pose[4][3];                       /* the tool's axes x, y, z = u, and the tip */
     double A[6][MOC_MAX_JOINTS];             /* J_T over J_W */
     double drift[6];                         /* dJ_T/dt v, dJ_W/dt v [m/s^2] */
     double grad_mu[MOC_MAX_JOINTS], grad_mu_shaft[MOC_MAX_JOINTS];
@@ -55,7 +55,7 @@ typedef struct {
     double gravity[MOC_MAX_JOINTS];
     double mu;                               /* [m^3] */
     double span;                             /* L [m] */
-    double mu_shaft;                         /* of the shaft once the tip is held [m^2] */
+    double mu_shaft;                         /* manipulability of the shaft while the tip is held [m^2] */
 } moc_terms;
 
 /* --- the subproblem --- */
@@ -64,15 +64,15 @@ typedef struct {
 typedef struct {
     int n;
     double A[6][MOC_MAX_JOINTS], b[6];     /* [J_T; J_W], [v_T; v_W] */
-    double grad_mu[MOC_MAX_JOINTS];        /* of the pose */
-    double pull[MOC_MAX_JOINTS];           /* grad_mu, with the shaft's share; or (rho/c2) x_d of a course or a climb */
+    double grad_mu[MOC_MAX_JOINTS];
+    double pull[MOC_MAX_JOINTS];           /* grad_mu + shaft_push grad_mu_shaft, or (rho/c2) x_d to follow x_d */
     double lower[MOC_MAX_JOINTS], upper[MOC_MAX_JOINTS]; /* [rad/s] */
     double c0, c1, c2, rho;
-    double q[MOC_MAX_JOINTS];              /* where it was linearized; no solver here needs it */
+    double q[MOC_MAX_JOINTS];              /* the pose at which A was taken; for nonlinear solvers only */
 } moc_problem;
 
-/* The optimum x (n,) and multipliers y (6,) of the rows of A, by elimination; `tolerance` is the violation of the box
- * that still counts as feasible [rad/s]. Returns MOC_OK, or MOC_INFEASIBLE or MOC_DOUBTFUL without an answer. */
+/* Compute the optimum x (n,) and the multipliers y (6,) of the rows of A by elimination. `tolerance` is the largest
+ * violation of the box that counts as feasible [rad/s]. x and y are an answer only if the status is MOC_OK. */
 moc_status moc_solve_exact(const moc_problem *problem, double tolerance, double *x, double y[6]);
 
 /* --- the law --- */
@@ -82,60 +82,60 @@ typedef struct {
 } moc_reference;
 
 typedef struct {
-    double P[3], dP[3]; /* as registered [m], [m/s] */
+    double P[3], dP[3]; /* as the robot has registered it [m], [m/s] */
 } moc_trocar;
 
-/* Null-space projector of level 2: the consistent one, the one of rest, and I - J^T J as the paper prints it. */
+/* Null-space projector of level 2: dynamically or statically consistent, or I - J^T J as the paper prints it. */
 typedef enum { MOC_DYNAMIC = 0, MOC_STATIC, MOC_AS_PUBLISHED } moc_projector;
 
 typedef struct {
     double K_X, D_X, K_N, D_N;                   /* springs and dampers of tip and wrist [N/m], [N s/m] */
-    double rcm_lambda;                           /* of the paper's |e_N1| = d / lambda; 0: |N_d - N| itself */
+    double rcm_lambda;                           /* the paper's lambda in |e_N1| = d / lambda; 0: use |N_d - N| */
     moc_projector projector;
-    int feedforward;                             /* 1: the accelerations of tip and desired wrist are fed forward */
-    double K_N2[MOC_MAX_JOINTS], D_N2[MOC_MAX_JOINTS]; /* third level [N m s/rad] */
+    int feedforward;                             /* 1: feed forward the accelerations of tip and desired wrist */
+    double K_N2[MOC_MAX_JOINTS], D_N2[MOC_MAX_JOINTS]; /* gains of the third level [N m s/rad] */
     double tau_max[MOC_MAX_JOINTS];              /* [Nm]; infinite: no limit */
-    double k0;                                   /* of the velocity damper [1/s] */
+    double k0;                                   /* rate of the velocity damper at joint limits [1/s] */
     double c0, c1, c2, rho;                      /* weights of the subproblem */
-    double q_min[MOC_MAX_JOINTS], q_max[MOC_MAX_JOINTS], v_max[MOC_MAX_JOINTS]; /* of the subproblem's box */
-    double shaft_margin;                         /* below this mu_shaft the climb leads away; 0: nowhere [m^2] */
-    double spare_speed;                          /* by how much more than v_max the box opens there, a share */
+    double q_min[MOC_MAX_JOINTS], q_max[MOC_MAX_JOINTS], v_max[MOC_MAX_JOINTS]; /* limits in the subproblem's box */
+    double shaft_margin;                         /* mu_shaft below which the climb avoids its loss; 0: never [m^2] */
+    double spare_speed;                          /* share of v_max by which the box widens below shaft_margin */
     double observer_gain;                        /* K_o; 0: no observer [1/s] */
-    double period;                               /* of control [s] */
-    double fade;                                 /* the third level's share grows by this at each tick */
-    int third_level;                             /* 0: none, or only its damping; 1: it follows the subproblem's x */
-    int damped;                                  /* 1: the self-motion is damped by D_N2 without a subproblem */
-    int climbs;                                  /* 1: scaled steps to the top of mu in place of its gradient */
+    double period;                               /* control period T [s] */
+    double fade;                                 /* increase of the third level's share per tick at the start */
+    int third_level;                             /* 1: the third level follows the subproblem's x; 0: no subproblem */
+    int damped;                                  /* 1: without a subproblem, D_N2 damps the self-motion */
+    int climbs;                                  /* 1: the third level climbs mu by scaled steps (moc_climb) */
 } moc_law;
 
 /* What the law remembers from tick to tick. */
 typedef struct {
-    int rows;                                    /* of Z */
-    double Z[MOC_MAX_JOINTS][MOC_MAX_JOINTS];    /* orthonormal basis of ker A */
-    double share;                                /* of the third level, while it fades in */
-    double integral[MOC_MAX_JOINTS];             /* of the observer [Nm s] */
-    double external[MOC_MAX_JOINTS];             /* its estimate r of the torque beside the model's [Nm] */
-    double tau[MOC_MAX_JOINTS];                  /* that the observer takes to act [Nm] */
-    double good[MOC_MAX_JOINTS];                 /* the last answer that was taken [rad/s] */
-    int age;                                     /* ticks since then; no more than it takes to give up holding it */
+    int rows;                                    /* number of rows of Z */
+    double Z[MOC_MAX_JOINTS][MOC_MAX_JOINTS];    /* rows: orthonormal basis of ker A */
+    double share;                                /* of the third level, from 0 to 1 while it fades in */
+    double integral[MOC_MAX_JOINTS];             /* the observer's integral [Nm s] */
+    double external[MOC_MAX_JOINTS];             /* the observer's estimate r of friction and model error [Nm] */
+    double tau[MOC_MAX_JOINTS];                  /* torque that acts in this period, for the observer [Nm] */
+    double good[MOC_MAX_JOINTS];                 /* the last accepted answer [rad/s] */
+    int age;                                     /* ticks since that answer; counts to hold_ticks + 1 */
 } moc_memory;
 
-/* --- an answer, its supervision, and what stands in for it --- */
+/* --- an answer, its check, and its replacements --- */
 
-/* What a solver says of its answer. */
+/* What a solver claims about its answer. */
 typedef enum {
     MOC_CLAIMS_OPTIMUM = 0,
     MOC_CLAIMS_INFEASIBLE,
-    MOC_CLAIMS_NOTHING, /* an iterate: it ran out of iterations or time */
+    MOC_CLAIMS_NOTHING, /* x is an iterate: the solver ran out of iterations or time */
     MOC_GIVES_NONE      /* no answer */
 } moc_claim;
 
-/* What was wrong with an answer; the order is that of control/supervisor.py. */
+/* Why an answer was refused; in the order of control/supervisor.py. The caller alone finds RAISED, MALFORMED, LOST. */
 typedef enum {
     MOC_TAKEN = 0,
     MOC_FAULT_INFEASIBLE,
     MOC_FAULT_FAILED,
-    MOC_FAULT_RAISED,    /* known to the caller alone, as are the next one and the last one */
+    MOC_FAULT_RAISED,
     MOC_FAULT_MALFORMED,
     MOC_FAULT_NOT_FINITE,
     MOC_FAULT_OUTSIDE,
@@ -147,29 +147,29 @@ typedef enum {
 
 /* What a solver gives back. */
 typedef struct {
-    const double *x;  /* (n,) [rad/s]; read only where there is an answer, but never NULL */
+    const double *x;  /* (n,) [rad/s]; not read without an answer, but never NULL */
     moc_claim claim;
-    moc_fault known;  /* a fault that the caller has seen, or MOC_TAKEN */
-    double us;        /* time that it took */
+    moc_fault known;  /* a fault that the caller has found, or MOC_TAKEN */
+    double us;        /* time of the solve [us] */
 } moc_answer;
 
 typedef enum { MOC_DAMPING = 0, MOC_HOLD, MOC_LEAST_VIOLATION } moc_fallback;
 typedef enum { MOC_LATE_HOLD = 0, MOC_LATE_ZERO, MOC_LATE_ITERATE } moc_late;
 
 typedef struct {
-    int check;              /* 0: residuals are not looked at */
+    int check;              /* 0: the residuals are not checked */
     double box_limit;       /* largest |A x - b| and box violation of an answer without a claim */
-    double primal_limit;    /* the same of one that is claimed optimal */
-    double relative_limit;  /* largest natural residual of that */
-    double opposite_limit;  /* a claim is false if x is farther off, and nearer to the opposite optimum [rad/s] */
-    int hold_ticks;         /* for which the last good answer is held */
-    int keep_off_limits;    /* 1: afterwards the elbow moves as far as the box asks for; 0: damping only */
-    moc_fallback fallback;  /* of an infeasible subproblem */
-    moc_late late;          /* what replaces a late answer */
-    double budget_us;       /* time that a solve may take; infinite: no limit */
+    double primal_limit;    /* the same limit for an answer that is claimed optimal */
+    double relative_limit;  /* largest natural residual of an answer that is claimed optimal */
+    double opposite_limit;  /* an x farther from the optimum, and nearer to the opposite one, is refused [rad/s] */
+    int hold_ticks;         /* ticks for which the last accepted answer is used again */
+    int keep_off_limits;    /* 1: afterwards the elbow moves only to keep the joints in the box; 0: it is damped */
+    moc_fallback fallback;  /* for an infeasible subproblem */
+    moc_late late;          /* for a late answer */
+    double budget_us;       /* longest time of a solve; infinite: no limit */
 } moc_supervision;
 
-/* --- the safety filter (guard.c) --- */
+/* --- the safety filter (safety_filter.c) --- */
 
 /* Why the arm has to be stopped, and the words of moc_reason. */
 #define MOC_REASONS(REASON)                                                                                            \
@@ -196,46 +196,46 @@ typedef struct {
 #define MOC_NAME(name, words) name,
 typedef enum { MOC_REASONS(MOC_NAME) MOC_STOPS } moc_stop;
 
-/* Levels; one that is infinite is off. The fields of [guard] in a scenario, where docs/scenario.md explains each. */
+/* Settings of the safety filter: [guard] of a scenario (docs/scenario.md). An infinite level turns its check off. */
 typedef struct {
-    double period;                                      /* of control [s] */
-    int patience;                                       /* ticks with a bad measurement that are bridged */
-    int carries;                                        /* 1: the drives carry the arm's weight by this torque */
+    double period;                                      /* control period T [s] */
+    int patience;                                       /* ticks in a row that a check has to fail before a stop */
+    int carries;                                        /* 1: the torque has to carry the arm's weight */
     double low[MOC_MAX_JOINTS], high[MOC_MAX_JOINTS];   /* where the walls begin [rad, m] */
     double v_max[MOC_MAX_JOINTS], tau_max[MOC_MAX_JOINTS];
     double wall_stiffness, wall_damping, wall_brake;    /* [Nm/rad], [Nm s/rad], [rad/s^2] */
     double torque_step;                                 /* largest change of a torque in a tick [Nm] */
-    double jump, speed_factor;                          /* a reading farther off [rad], or faster, is not believed */
-    double tip_error, tip_share;                        /* root mean square [m]; a tick's share in the mean */
-    int in_incision;                                    /* 0: RCM error and trocar force are not looked at */
-    double warning[2], limit[2];                        /* of RCM error [m] and trocar force [N] */
-    double incision_share;                              /* of a tick in their mean squares */
+    double jump, speed_factor;                          /* MEASUREMENT: [rad], share of v_max */
+    double tip_error, tip_share;                        /* TIP: rms [m], weight of a tick in the mean square */
+    int in_incision;                                    /* 0: RCM error and trocar force are not checked */
+    double warning[2], limit[2];                        /* of the RCM error [m] and the trocar force [N] */
+    double incision_share;                              /* weight of a tick in the mean squares of both */
     double tool_mass, tool_length;                      /* of the rod behind the wrench sensor [kg], [m] */
-    double tip_force;                                   /* largest force across the shaft taken for the tip's [N] */
+    double tip_force;                                   /* largest force that is taken for a contact of the tip [N] */
     double stop_holding;                                /* dry friction of closed brakes, share of tau_max */
     double stop_yield;                                  /* trocar force above which the brakes open in a stop [N] */
-    int stop_yield_ticks;                               /* for which they do so at most */
-    double press_share;                                 /* of a tick in the mean of that force */
-    int motion;                                         /* 0: the checks below are off */
-    double motion_s, motion_rad, motion_lag_s;          /* position against velocity */
-    double repeat_m, repeat_torque;                     /* while all encoders repeat: way, share of tau_max */
-    double repeat_whole_m, repeat_whole_torque;         /* the same while the wrench repeats itself too */
-    double repeat_whole_ticks;                          /* a wrench sensor with noise may repeat itself for */
-    double repeat_joint_ticks, repeat_reading_ticks;    /* one encoder may, in a row; so may all, in a run */
-    double replayed_ticks;                              /* readings that may have come before */
-    double stuck_speed;                                 /* that a still joint may have gathered [rad/s] */
-    double held[MOC_MAX_JOINTS];                        /* change of torque that static friction holds [Nm] */
-    double residual_torque, residual_whole;             /* of the momentum residual, shares of tau_max */
-    double residual_rate, residual_share;               /* its rate [1/s], a tick's share in its mean */
-    int settling_ticks;                                 /* until it is what it will be */
+    int stop_yield_ticks;                               /* longest time for which they stay open */
+    double press_share;                                 /* weight of a tick in the mean of that force */
+    int motion;                                         /* 0: LATE and the checks with the settings below are off */
+    double motion_s, motion_rad, motion_lag_s;          /* RAN_AWAY */
+    double repeat_m, repeat_torque;                     /* REPEATED: path of the reference, share of tau_max */
+    double repeat_whole_m, repeat_whole_torque;         /* the same if the wrench is unchanged as well */
+    double repeat_whole_ticks;                          /* WRENCH_REPEATED and REPLAYED, of a wrench with noise */
+    double repeat_joint_ticks, repeat_reading_ticks;    /* ONE_REPEATED: in a row, in all */
+    double replayed_ticks;                              /* REPLAYED, of a wrench without noise */
+    double stuck_speed;                                 /* STUCK [rad/s] */
+    double held[MOC_MAX_JOINTS];                        /* change of torque that static friction can hold [Nm] */
+    double residual_torque, residual_whole;             /* UNEXPLAINED, shares of tau_max */
+    double residual_rate, residual_share;               /* K_o of the residual [1/s], weight of a tick in its mean */
+    int settling_ticks;                                 /* until the residual has settled */
 } moc_guard;
 
 enum { MOC_RCM = 0, MOC_FORCE = 1 };
 
-#define MOC_SLOTS 4096      /* readings that are remembered, one a slot */
-#define MOC_JOINT_SLOTS 256 /* the same of each encoder */
+#define MOC_SLOTS 4096      /* size of the table of earlier readings */
+#define MOC_JOINT_SLOTS 256 /* the same for each encoder */
 
-/* How many readings came before, all of them by the same number of readings. */
+/* Readings so far, the lag to the equal earlier reading, and how many had that lag. */
 typedef struct {
     double readings, lag, hits;
 } moc_came_before;
@@ -243,33 +243,33 @@ typedef struct {
 /* What the safety filter remembers of a joint. */
 typedef struct {
     double gap, peak, shown, speed;          /* q - integral of v; largest recent |v|; the last q and v */
-    double repeats, whole;                   /* ticks in a row with the same q; so far with the same q and v */
-    double torque;                           /* where all had repeated themselves for the patience [Nm] */
-    double integral, residual, mean;         /* of the momentum observer; the mean of the residual */
-    double at_repeat, unseen, exceeded;      /* mean where it began to repeat; speed gathered since; ticks far off */
+    double repeats, whole;                   /* ticks in a row with unchanged q; ticks in all with unchanged q and v */
+    double torque;                           /* when all encoders stopped changing [Nm] */
+    double integral, residual, mean;         /* of the momentum observer; mean of the residual */
+    double at_repeat, unseen, exceeded;      /* STUCK: mean, speed since q stopped changing; UNEXPLAINED: ticks */
 } moc_joint_watch;
 
 /* What the safety filter remembers. */
 typedef struct {
-    double q[MOC_MAX_JOINTS], v[MOC_MAX_JOINTS]; /* the last measurement that was believed, moved on since */
-    double low[MOC_MAX_JOINTS], high[MOC_MAX_JOINTS]; /* the walls; of a joint that starts inside one it begins there */
+    double q[MOC_MAX_JOINTS], v[MOC_MAX_JOINTS]; /* the last believed measurement; q is extrapolated by v since then */
+    double low[MOC_MAX_JOINTS], high[MOC_MAX_JOINTS]; /* the walls, moved to the start of a joint that starts beyond */
     int bad;                                     /* measurements in a row that were not believed */
     double tip_square;                           /* mean square of the tip's error [m^2] */
-    double point[3];                             /* the trocar, as registered last [m] */
-    double mean_square[2], largest[2], first_tick[2]; /* of RCM error and force; root and tick of a warning, -1: none */
-    double whole_square, ticks;                  /* of the whole force on the tool, a contact's too; in the incision */
-    int unread;                                  /* readings of the wrench in a row that were no numbers */
-    double press, borne;                         /* mean of the trocar's force in a stop; what closed brakes bear [N] */
-    int yields, open;                            /* whether the brakes are open because of it; for how many ticks */
-    int cut;                                     /* 1: a drive does not do what it is told: none is used in the stop */
-    int limited;                                 /* joints at which the last torque was changed */
-    long long now, newest, delay, elapsed, taken; /* numbers of control periods: see `age` in guard.c */
+    double point[3];                             /* the trocar, as last registered [m] */
+    double mean_square[2], largest[2], first_tick[2]; /* of RCM error and force; worst rms and tick of a warning */
+    double whole_square, ticks;                  /* mean square of the whole force on the tool; ticks in the incision */
+    int unread;                                  /* wrench readings in a row that were not finite */
+    double press, borne;                         /* in a stop: mean trocar force; part that closed brakes hold [N] */
+    int yields, open;                            /* 1: the brakes are open because of it; for how many ticks */
+    int cut;                                     /* 1: a drive is at fault, and no drive is used in the stop */
+    int limited;                                 /* number of joints whose last torque was limited */
+    long long now, newest, delay, elapsed, taken; /* numbers of control periods: see `age` in safety_filter.c */
     moc_joint_watch joint[MOC_MAX_JOINTS];
-    double told[3], still[3];                    /* the tip's reference; where all had repeated themselves [m] */
-    double wrench[6], wrench_repeats;
-    int looked, wrench_is_still;                 /* the first readings; whether the wrench repeated itself in them */
+    double told[3], still[3];                    /* tip's reference, now and when the encoders stopped changing [m] */
+    double wrench[6], wrench_repeats;            /* the last wrench; readings in a row that were equal to it */
+    int looked, wrench_is_still;                 /* first readings so far; 1: the wrench was unchanged in one of them */
     int weighed;                                 /* readings that were compared with the torque */
-    double number[MOC_SLOTS], at[MOC_SLOTS];     /* a reading as one number, and its place from 1 on; 0: none */
+    double number[MOC_SLOTS], at[MOC_SLOTS];     /* take_in's table: number and index (from 1) of a reading; 0: empty */
     double joint_number[MOC_MAX_JOINTS][MOC_JOINT_SLOTS], joint_at[MOC_MAX_JOINTS][MOC_JOINT_SLOTS];
     moc_came_before whole, lagging[MOC_MAX_JOINTS];
 } moc_watch;
@@ -279,13 +279,13 @@ typedef struct {
     const double *q, *v;   /* (n,) */
     long long stamp;       /* number of the control period in which it was taken */
     int has_stamp;         /* 0: its age is not looked at */
-    const double *applied; /* (n,) torque that went out before it [Nm]; NULL: not known */
-    const double *wrench;  /* (6,) force [N] and torque [Nm] of the tool on its mount, tool axes */
+    const double *applied; /* (n,) torque that acted before it [Nm]; NULL: not known */
+    const double *wrench;  /* (6,) force [N] and torque [Nm] of the tool on its mount, in the tool's axes */
 } moc_measurement;
 
 const char *moc_reason(moc_stop reason);
 
-/* Dry friction (n,) [Nm] of the brakes in a stop, once a period; zero while the trocar presses the shaft hard. */
+/* Compute the dry friction (n,) [Nm] of the brakes in a stop, once per period; zero while the arm yields. */
 void moc_guard_hold(const moc_guard *g, const moc_arm *arm, const double *wrench, moc_watch *w, double *friction);
 
 /* --- the whole controller (step.c) --- */
@@ -295,7 +295,7 @@ typedef struct {
     const moc_arm *arm;
     const moc_law *law;
     const moc_supervision *supervision;
-    const moc_guard *guard; /* NULL: no safety filter; measurements are believed, and nothing stops the arm */
+    const moc_guard *guard; /* NULL: no safety filter; every measurement is believed, and nothing stops the arm */
     double tolerance;       /* of moc_solve_exact [rad/s] */
 } moc_controller;
 
@@ -304,49 +304,49 @@ typedef struct {
     moc_measurement measured;
     moc_reference ref;
     moc_trocar trocar;
-    const double *x_d; /* velocity (n,) that the third level is to follow [rad/s]; NULL: it climbs mu */
+    const double *x_d; /* velocity (n,) that the third level has to follow [rad/s]; NULL: it climbs mu */
 } moc_input;
 
 /* What one arm's controller remembers. */
 typedef struct {
     moc_memory memory;
     moc_watch watch;
-    moc_terms terms;                /* of the last tick, as are the next ones */
-    moc_problem problem;            /* where the law has a third level */
+    moc_terms terms;                /* the fields from here to `status` are those of the last tick */
+    moc_problem problem;            /* filled if the law has a third level */
     double told[3];                 /* the tip's reference [m] */
-    double tau[MOC_MAX_JOINTS];     /* of levels 1 and 2, less r; after moc_finish what it returned [Nm] */
+    double tau[MOC_MAX_JOINTS];     /* after moc_begin: levels 1 and 2 minus r; after moc_finish: its result [Nm] */
     moc_fault fault;                /* of the answer */
-    double x[MOC_MAX_JOINTS];       /* what the third level followed [rad/s] */
-    double answer[MOC_MAX_JOINTS];  /* of moc_step: x of moc_solve_exact, its multipliers and status */
+    double x[MOC_MAX_JOINTS];       /* velocity that the third level followed [rad/s] */
+    double answer[MOC_MAX_JOINTS];  /* of moc_step: x, y and status of moc_solve_exact */
     double y[6];
     moc_status status;
-    double sent[MOC_MAX_JOINTS];    /* what the last moc_finish returned [Nm] */
-    moc_stop reason;                /* the first one stays */
-    unsigned begun;                 /* MOC_BEGUN once moc_start has been called */
+    double sent[MOC_MAX_JOINTS];    /* torque that the last moc_finish returned [Nm] */
+    moc_stop reason;                /* the first reason to stop; it stays */
+    unsigned begun;                 /* MOC_BEGUN after moc_start */
 } moc_state;
 
 #define MOC_BEGUN 0x6d6f6331u
 
-/* Forget all, and begin at a measurement; m->applied is the torque that acts now. Returns MOC_RUNNING, or
- * MOC_STOP_NOT_STARTED where a number is not finite or a torque beyond its limit. */
+/* Reset the state and start at a measurement; m->applied is the torque that acts now. Returns MOC_RUNNING, or
+ * MOC_STOP_NOT_STARTED if a number is not finite or a torque is beyond its limit. */
 moc_stop moc_start(const moc_controller *c, const moc_measurement *m, moc_state *state);
 
-/* The first half of a control period: the measurement is checked, then come the arm's terms, levels 1 and 2, and the
+/* First half of a control period: check the measurement, then compute the arm's terms, levels 1 and 2, and the
  * subproblem, state->problem, for any solver in any language.
  *
- * measured.applied: the torque that acted in the last period, where that is not the one that was sent; NULL: it is.
- * Returns MOC_RUNNING, or why the arm is stopped: no solver is needed then. */
+ * measured.applied is the torque that acted in the last period if it differs from the torque that was sent, else NULL.
+ * Returns MOC_RUNNING, or the reason to stop; no solver is needed then. */
 moc_stop moc_begin(const moc_controller *c, const moc_input *in, moc_state *state);
 
-/* The second half: the answer (NULL: the law has no third level, or the arm is stopped) is checked, and replaced where
- * it is refused; then come level 3 and the safety filter. tau (n,) is the torque to send, finite and within the limits
- * of c->guard whatever was measured.
+/* Second half of a control period: check the answer, replace it if it is refused, then add level 3 and apply the safety
+ * filter. The answer is NULL if the law has no third level or the arm is stopped. tau (n,) is the torque to send; it is
+ * finite and within the limits of c->guard whatever was measured.
  *
- * Returns MOC_RUNNING, or why the arm is stopped: tau then carries its weight in the last pose believed, and the drives
- * have to brake, with the dry friction of moc_guard_hold. Only moc_start ends a stop; before it tau is zero. */
+ * Returns MOC_RUNNING, or the reason to stop. In a stop tau carries the arm's weight in the last believed pose, and the
+ * drives have to brake with the friction of moc_guard_hold; only moc_start ends it. Before moc_start tau is zero. */
 moc_stop moc_finish(const moc_controller *c, const moc_answer *answer, moc_state *state, double *tau);
 
-/* Both, with moc_solve_exact between them. What comes in and what goes out must not overlap. */
+/* moc_begin, moc_solve_exact and moc_finish in one call. Input and output must not overlap in memory. */
 moc_stop moc_step(const moc_controller *c, const moc_input *in, moc_state *state, double *tau);
 
 #endif

@@ -1,14 +1,14 @@
-/* A basis Z of ker A that follows the arm, and the climb of mu in it. */
+/* A basis Z of ker A that changes smoothly with the pose, and the climb of mu in ker A. */
 #include "vec.h"
 
-/* Scaled climb: Newton's step to the local top of mu, at most LONGEST, in 1 / RATE seconds. */
+/* The scaled climb aims at the local maximum of mu by Newton's step, at most LONGEST, in 1 / RATE seconds. */
 #define RATE 5.0     /* [1/s] */
 #define LONGEST 1.0  /* [rad] */
-#define PROBE 1e-3   /* way over which the slope's change is taken [rad] */
+#define PROBE 1e-3   /* step of the finite difference of the slope [rad] */
 
 bool moc_orthonormalise(int n, double Z[][MOC_MAX_JOINTS], int k, double least)
 {
-    for (int twice = 0; twice < 2; twice++) { /* is always enough */
+    for (int twice = 0; twice < 2; twice++) { /* two passes are always enough */
         for (int i = 0; i < k; i++) {
             double along = dot(n, Z[i], Z[k]);
             for (int j = 0; j < n; j++)
@@ -34,7 +34,7 @@ void moc_onto(int n, int rows, double Z[][MOC_MAX_JOINTS], const double *x, doub
     memcpy(part, sum, (unsigned)n * sizeof *part);
 }
 
-/* The rows of the last pose are projected on the new kernel: so Z does not spin inside the kernel. */
+/* Z is the last pose's basis projected on the new kernel, so that it does not rotate within the kernel. */
 int moc_null_space(int n, double A[][MOC_MAX_JOINTS], int rows, double Z[][MOC_MAX_JOINTS])
 {
     double fresh[MOC_MAX_JOINTS][MOC_MAX_JOINTS], turned[MOC_MAX_JOINTS][MOC_MAX_JOINTS];
@@ -42,7 +42,7 @@ int moc_null_space(int n, double A[][MOC_MAX_JOINTS], int rows, double Z[][MOC_M
     moc_plane plane;
 
     memcpy(problem.A, A, sizeof problem.A);
-    moc_eliminate(&plane, &problem); /* in doubt the rank is the lower one */
+    moc_eliminate(&plane, &problem); /* plane.rank is the lower one if the rank is in doubt */
     int found = n - plane.rank, alike = found == rows;
     for (int i = 0; i < found; i++) {
         moc_direction(&plane, n, i, fresh[i]);
@@ -56,7 +56,7 @@ int moc_null_space(int n, double A[][MOC_MAX_JOINTS], int rows, double Z[][MOC_M
     return found;
 }
 
-/* The gradient that the climb follows, on ker A: grad mu, and away from where the shaft is lost. */
+/* The gradient that the climb follows: grad mu + push grad mu_shaft, projected on ker A. */
 static void slope_of(int n, const moc_law *law, const moc_terms *t, int rows, double Z[][MOC_MAX_JOINTS], double *slope)
 {
     double push = moc_shaft_push(t->mu_shaft, law->shaft_margin);
@@ -65,8 +65,8 @@ static void slope_of(int n, const moc_law *law, const moc_terms *t, int rows, do
     moc_onto(n, rows, Z, slope, slope);
 }
 
-/* x_d = RATE z |d| / max(-h, |d| / LONGEST) with d = (I - A^+ A)(grad mu + p grad mu_shaft), z = d / |d|, h the slope
- * of |d| along z. The unscaled climb has the speed c2/rho |d|: slow where mu is small or flat, stiff at a sharp top. */
+/* x_d = RATE z |d| / max(-h, |d| / LONGEST) with d = (I - A^+ A)(grad mu + push grad mu_shaft), z = d / |d|, and h the
+ * slope of |d| along z. The unscaled climb, c2/rho d, is slow where mu is flat, and stiff at a sharp maximum. */
 void moc_climb(const moc_arm *arm, const moc_law *law, const moc_terms *t, moc_memory *memory, double *x_d)
 {
     double slope[MOC_MAX_JOINTS] = {0.0}, there[MOC_MAX_JOINTS] = {0.0};

@@ -1,11 +1,11 @@
-/* Poses of a tip and a wrist by Newton's method, their self-motion along ker A, climbs of mu, and a value function. */
+/* For planning: poses with a given tip and wrist, curves of self-motion, climbs of mu, one step of a value function. */
 #include "tools.h"
 #include "vec.h"
 
 #define TOLERANCE 1e-10 /* on tip and wrist [m] */
 #define PI 3.14159265358979323846
 
-/* Error (6,) of tip and wrist, A (6,n) and mu; its gradient (n,) unless grad is NULL. */
+/* Compute error (6,) of tip and wrist and A (6,n), and the gradient of mu (n,) unless grad is NULL. Returns mu. */
 static double look(const plan_task *task, const double *q, double error[6], double A[6][MOC_MAX_JOINTS], double *grad)
 {
     moc_frame frame[MOC_MAX_JOINTS];
@@ -32,18 +32,18 @@ static double distance(int n, const double *p, const double *q)
 
 /* --- one pose --- */
 
-#define LONGEST 0.25    /* of a step, in joint space [rad]: beyond it the linearization is worth little */
-#define AT_REST 1e-9    /* of a tangent: a joint with less of it does not move along the curve */
-#define DAMPING 4e-12   /* added to A A^T [m^2]: A has rank 5, since tip and wrist are rigidly tied */
+#define LONGEST 0.25    /* longest step for which the linearization is good enough [rad] */
+#define AT_REST 1e-9    /* entry of a unit tangent below which that joint counts as not moving */
+#define DAMPING 4e-12   /* added to A A^T [m^2], because A has rank 5: tip and wrist are rigidly tied */
 
-/* The step (n,) nearest to the desired one with A step = error (rows) that pushes no joint into a limit.
+/* The step (n,) with A step = error (rows) that is nearest to the desired one and moves no joint beyond a limit.
  *
- * No joint within `near` of a limit goes towards it. An active-set method: joints that would leave are held, and one
- * that its multiplier draws inwards is let go. */
+ * No joint within `near` of a limit moves towards it. This is an active-set method: it holds joints that would leave
+ * their range, and releases a held joint whose multiplier points inwards. */
 static void allowed_step(const plan_task *task, int rows, const double *q, double A[6][MOC_MAX_JOINTS],
                          const double *error, const double *desired, double damping, double near, double *step)
 {
-    double part[6][MOC_MAX_JOINTS]; /* of A, without the columns of joints that are held */
+    double part[6][MOC_MAX_JOINTS]; /* A with zero columns for held joints */
     int n = task->arm->n;
     bool held[MOC_MAX_JOINTS] = {false};
 
@@ -86,8 +86,8 @@ static void allowed_step(const plan_task *task, int rows, const double *q, doubl
     }
 }
 
-/* Gauss-Newton, damped by the error squared (Sugihara, IEEE Trans. Robotics 27, 2011): far from the target and out of
- * reach the steps stay short, at the target they are Newton's. */
+/* Gauss-Newton with a damping proportional to the squared error (Sugihara, IEEE Trans. Robotics 27, 2011). Steps stay
+ * short far from the target or if it is out of reach; near the target they are Newton steps. */
 double plan_place(const plan_task *task, int points, int rounds, const double *start, double *best)
 {
     static const double nowhere[MOC_MAX_JOINTS];
@@ -117,7 +117,7 @@ double plan_place(const plan_task *task, int points, int rounds, const double *s
 
 #define STRAIGHT 0.8 /* cosine of the angle by which the tangent may turn within a step */
 
-/* How far along the tangent no joint gets beyond a limit, at most h; *hit: the joint that is at one there, or NONE. */
+/* The longest step along the tangent, up to h, within the joint limits; *hit: the joint that limits it, or NONE. */
 static double room_ahead(const plan_task *task, const double *q, const double *tangent, double h, int *hit)
 {
     *hit = NONE;
@@ -131,8 +131,8 @@ static double room_ahead(const plan_task *task, const double *q, const double *t
     return h;
 }
 
-/* mu at q, and the unit tangent (n,) there that points the same way as the last one: its part on ker A. Joints that
- * stand still have no column in A. Returns the cosine of the angle between both tangents. */
+/* Compute mu at q and the unit tangent (n,) there: the last one projected on ker A, in which fixed joints have zero
+ * columns. Returns the cosine of the angle between both tangents. */
 static double turn_tangent(const plan_task *task, const double *q, const double *last, double *tangent, double *mu)
 {
     double error[6], A[6][MOC_MAX_JOINTS], Z[MOC_MAX_JOINTS][MOC_MAX_JOINTS];
@@ -149,7 +149,7 @@ static double turn_tangent(const plan_task *task, const double *q, const double 
     return length;
 }
 
-/* Whether the start (n,), up to whole turns, is ahead of q within a step, and how far; `pose` is that start. */
+/* Whether the start (n,), up to whole turns, lies ahead of q within a step. `pose` is that start, *gap its distance. */
 static bool closes(const plan_task *task, const double *start, const double *q, const double *tangent, double step,
                   double *pose, double *gap)
 {
@@ -165,8 +165,8 @@ static bool closes(const plan_task *task, const double *start, const double *q, 
     return inside && *gap <= 1.01 * step && ahead > 0.0;
 }
 
-/* The next pose (n,) of the curve after q, its mu, and the tangent there in place of the last one: a step away, or less
- * where the curve turns sharply. *hit: the joint that is at a limit there, or NONE. Returns how far away, 0 where the
+/* Compute the next pose (n,) of the curve and its mu, one step after q or less if the curve turns sharply, and replace
+ * the tangent by the one there. *hit is the joint at its limit there, or NONE. Returns the distance from q, 0 if the
  * curve is singular. */
 static double next_sample(const plan_task *task, const double *q, double step, double *tangent, double *next,
                           double *mu, int *hit)
@@ -182,7 +182,7 @@ static double next_sample(const plan_task *task, const double *q, double step, d
         double ahead = room_ahead(task, q, tangent, step, hit);
         memcpy(low, task->low, bytes);
         memcpy(high, task->high, bytes);
-        if (*hit != NONE) /* the curve ends where this joint is at its limit */
+        if (*hit != NONE) /* fix this joint at its limit, where the curve ends */
             low[*hit] = high[*hit] = signbit(tangent[*hit]) ? low[*hit] : high[*hit];
         for (int j = 0; j < n; j++)
             next[j] = clip(q[j] + ahead * tangent[j], low[j], high[j]);
@@ -214,7 +214,7 @@ int plan_follow(const plan_task *task, const double *start, const double *tangen
         s[count] = s[count - 1] + way;
         count++;
         if (count < most && closes(task, start, next, tangent, step, closing, &gap)) {
-            count += gap > 0.1 * step; /* else in place of the last one: no two samples on top of each other */
+            count += gap > 0.1 * step; /* a nearer sample is replaced by the start */
             double *end = poses + (count - 1) * n;
             memcpy(end, closing, bytes);
             s[count - 1] = s[count - 2] + distance(n, end, end - n);
@@ -228,7 +228,7 @@ int plan_follow(const plan_task *task, const double *start, const double *tangen
 
 /* --- climbs --- */
 
-#define SHORTEST 1e-6  /* a shorter step changes mu by its square alone: the ascent has arrived */
+#define SHORTEST 1e-6  /* step below which the climb has converged [rad] */
 
 double plan_ascend(const plan_task *task, double *q)
 {
@@ -238,9 +238,9 @@ double plan_ascend(const plan_task *task, double *q)
 
     if (!(plan_place(task, 2, 40, q, q) < TOLERANCE))
         return -1.0;
-    while (h >= SHORTEST) { /* each step that is taken raises mu: they come to an end */
+    while (h >= SHORTEST) { /* ends, because each accepted step raises mu */
         double mu = look(task, q, error, A, grad);
-        /* a step that a limit cuts short leads nowhere */
+        /* joints within 0.01 h of a limit do not move towards it, because clipping would spoil the step */
         allowed_step(task, 6, q, A, nothing, grad, 0.0, 0.01 * h, way);
         double length = sqrt(dot(n, way, way));
         for (int j = 0; j < n; j++)
@@ -255,14 +255,14 @@ double plan_ascend(const plan_task *task, double *q)
 
 /* --- one step of a value function --- */
 
-/* The best that a pose reaches in a branch of the next time, if more than `best`. */
+/* The largest value that a pose reaches in one branch of the next time, or `best` if that is larger. */
 static double best_in(const plan_stage *t, int pose, int branch, double best)
 {
     const double *q = t->q + pose * t->n, *slack = t->slack + pose * t->n;
     int n = t->n, by = t->sorted, first = branch * t->next, end = first + t->next, beyond = end;
     double way = (t->reach + slack[by]) * (1.0 + 1e-9);
 
-    while (first < beyond) { /* the first pose that is not too far below, by bisection */
+    while (first < beyond) { /* bisection for the first pose within reach */
         int middle = first + (beyond - first) / 2;
         if (t->q_next[middle * n + by] < q[by] - way)
             first = middle + 1;
@@ -287,7 +287,7 @@ void plan_advance(const plan_stage *t, double *value)
     for (int pose = 0; pose < t->branches * t->m; pose++) {
         double best = -HUGE_VAL;
         int bits = (int)t->crossing[pose % t->m], flips = bits + 1;
-        while (flips > 0 && t->gain[pose] > -HUGE_VAL) { /* all subsets of the bits */
+        while (flips > 0 && t->gain[pose] > -HUGE_VAL) { /* over all subsets of the bits */
             flips = (flips - 1) & bits;
             best = best_in(t, pose, pose / t->m ^ flips, best);
         }

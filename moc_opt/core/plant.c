@@ -1,12 +1,12 @@
-/* What the simulated plant needs between two of MuJoCo's steps, as functions of the module; sim/plant.py calls
- * shaft_wrench, sim/sensors.py read_encoders. No part of the exported controller. */
+/* Functions of the simulated plant between two steps of MuJoCo: sim/plant.py calls shaft_wrench, and sim/sensors.py
+ * calls read_encoders. They are not part of the exported controller. */
 #include "python.h"
 #include "vec.h"
 
-/* Wrench of the trocar on the tool, world axes: force, then moment about com. With the shaft's point c nearest to the
- * trocar P and the velocity w of the tool's material there, force = (I - u u^T)(stiffness (P - c) + damping (dP - w)).
- * tip, wrist: two points of the shaft's line; twist: angular velocity, then the velocity at origin; trocar: P and dP at
- * the start of the period, `elapsed` seconds ago. */
+/* Wrench of the trocar on the tool in world axes: force, then moment about com. Let c be the point of the shaft nearest
+ * to the trocar P, and w the velocity of the tool's material there. Then
+ * force = (I - u u^T)(stiffness (P - c) + damping (dP - w)). tip and wrist are two points of the shaft's line; twist is
+ * the angular velocity, then the velocity at origin; trocar is P and dP at the start of the period, `elapsed` s ago. */
 FUNCTION(shaft_wrench, {"tip", READ, 3}, {"wrist", READ, 3}, {"twist", READ, 6}, {"origin", READ, 3}, {"com", READ, 3},
          {"trocar", READ, 2, 3}, {"elapsed", NUMBER}, {"stiffness", NUMBER}, {"damping", NUMBER}, {"wrench", WRITE, 6})
 {
@@ -39,9 +39,9 @@ FUNCTION(shaft_wrench, {"tip", READ, 3}, {"wrist", READ, 3}, {"twist", READ, 6},
     Py_RETURN_NONE;
 }
 
-/* Positions, then velocities, as encoders give them. memory (3, n): bias, last position, estimate of the velocity;
- * resolution [rad]; gain: the share of the difference quotient that the estimate takes up; exact: no noise,
- * step or filter, only the bias. */
+/* Positions, then velocities, as encoders give them. memory (3, n): bias, last position, estimated velocity; resolution
+ * [rad]; gain: of the velocity's low-pass filter on the difference quotient; exact: 1 for the bias alone, without
+ * noise, resolution and filter. */
 FUNCTION(read_encoders, {"q", READ, N}, {"v", READ, N}, {"noise", READ, N}, {"memory", WRITE, 3, N},
          {"resolution", NUMBER}, {"period", NUMBER}, {"gain", NUMBER}, {"exact", WHOLE}, {"reading", WRITE, 2, N})
 {

@@ -1,31 +1,31 @@
-/* Several freedoms: the best point of a box cut by the plane A x = b, as a projection.
+/* Several freedoms: the optimum over the part of the plane A x = b in the box, as a projection.
  *
- * Pi is the orthogonal projector on ker A, x_p the shortest point of the plane, s = x - x_p. Over the box
- * rho/2 |x|^2 - c2 g^T x is smallest at the point nearest to s = c2 Pi g / rho. The dual active-set method of Goldfarb
- * and Idnani (Math. Programming 27, 1983, algorithm 1) goes there from that unconstrained optimum and adds violated
- * bounds one by one; it needs no feasible start and proves infeasibility. All it has to know is Pi swept on the active
- * joints (Goodnight, The American Statistician 33, 1979): row p then says how the other joints yield when joint p is
- * pushed, and how the multipliers of the active bounds change. For rho = 0 the proximal point iteration (finite for
- * linear programs: Ferris 1991) repeats the projection. */
+ * Let Pi be the orthogonal projector on ker A, x_p the shortest point of the plane, and s = x - x_p. In the box,
+ * rho/2 |x|^2 - c2 g^T x is smallest at the point nearest to the unconstrained optimum s = c2 Pi g / rho. The dual
+ * active-set method of Goldfarb and Idnani (Math. Programming 27, 1983, algorithm 1) starts at that optimum and adds
+ * violated bounds one by one. It needs no feasible start and proves infeasibility. It works on Pi swept on the active
+ * joints (Goodnight, The American Statistician 33, 1979): row p then says how the other joints, and the multipliers of
+ * the active bounds, change when joint p is pushed. If rho = 0, the proximal point iteration (finite for linear
+ * programs: Ferris 1991) repeats the projection. */
 #include "vec.h"
 
-#define FAR 1e3          /* box widths beyond which the unconstrained optimum is approached in proximal steps */
-#define UNMOVED 1e-20    /* Pi_jj, the square of how far joint j goes on a step of one: below it, it does not move */
-#define DEPENDENT 1e-12  /* of Pi_jj: with no more than that left by them, joint j cannot be pushed */
+#define FAR 1e3          /* distance of the unconstrained optimum, in box widths, from which proximal steps are used */
+#define UNMOVED 1e-20    /* Pi_jj below which joint j counts as fixed */
+#define DEPENDENT 1e-12  /* share of Pi_jj below which the active bounds leave joint j no motion */
 
 typedef struct {
     int n, r;                                  /* joints, freedoms */
-    double s[MOC_MAX_JOINTS];                  /* the point, from x_p [rad/s] */
+    double s[MOC_MAX_JOINTS];                  /* the point, relative to x_p [rad/s] */
     double low[MOC_MAX_JOINTS], high[MOC_MAX_JOINTS];
     double pull[MOC_MAX_JOINTS];               /* c2 Pi g */
     double side[MOC_MAX_JOINTS];               /* +1 at an active lower bound, -1 at an upper one, 0 elsewhere */
-    double force[MOC_MAX_JOINTS];              /* multiplier of that bound: above zero at a lower one */
+    double force[MOC_MAX_JOINTS];              /* multiplier of that bound, positive at a lower one */
     double room[MOC_MAX_JOINTS];               /* Pi_jj before any sweep */
-    double Pi[MOC_MAX_JOINTS][MOC_MAX_JOINTS]; /* swept on the active joints */
-    double Z[MOC_MAX_JOINTS][MOC_MAX_JOINTS];  /* orthonormal basis of ker A */
+    double Pi[MOC_MAX_JOINTS][MOC_MAX_JOINTS]; /* the projector, swept on the active joints */
+    double Z[MOC_MAX_JOINTS][MOC_MAX_JOINTS];  /* rows: orthonormal basis of ker A */
 } polytope;
 
-/* Pi = Z^T Z, not swept. */
+/* Pi = Z^T Z, before any sweep. */
 static void fill_projector(polytope *t)
 {
     for (int i = 0; i < t->n; i++) {
@@ -35,7 +35,7 @@ static void fill_projector(polytope *t)
     }
 }
 
-/* Exchange joint p's s for its multiplier in Pi (sign 1), or back again (sign -1). */
+/* Sweep Pi on joint p, which exchanges s_p for its multiplier (sign 1), or undo that (sign -1). */
 static void sweep(polytope *t, int p, double sign)
 {
     double inverse = 1.0 / t->Pi[p][p], row[MOC_MAX_JOINTS];
@@ -51,7 +51,7 @@ static void sweep(polytope *t, int p, double sign)
         t->Pi[p][j] = sign * inverse * row[j];
 }
 
-/* Take the rounding of the way out of s: back into ker A, and the active joints onto their bounds. */
+/* Remove the accumulated rounding from s: project it on ker A and set active joints to their bounds. */
 static void settle(polytope *t)
 {
     moc_onto(t->n, t->r, t->Z, t->s, t->s);
@@ -65,7 +65,7 @@ static void settle(polytope *t)
     }
 }
 
-/* The joint that is furthest beyond its bounds; NONE where none is by more than the slack. */
+/* The joint that violates its bounds most, or NONE if no violation exceeds the slack. */
 static int furthest_out(const polytope *t, double slack)
 {
     int joint = NONE;
@@ -79,7 +79,7 @@ static int furthest_out(const polytope *t, double slack)
     return joint;
 }
 
-/* The active bound whose multiplier vanishes first when joint p is pushed, and after how much push. */
+/* The active bound whose multiplier reaches zero first while joint p is pushed, and the length of that push. */
 static int first_to_let_go(const polytope *t, int p, double side, double *step)
 {
     int joint = NONE;
@@ -94,7 +94,7 @@ static int first_to_let_go(const polytope *t, int p, double side, double *step)
     return joint;
 }
 
-/* Push joint p onto the bound it violates; active bounds let go on the way. Returns whether that was possible. */
+/* Push joint p onto the bound it violates, and release active bounds on the way. Returns whether that was possible. */
 static bool push(polytope *t, int p, int *active)
 {
     double side = t->s[p] < t->low[p] ? 1.0 : -1.0, bound = signbit(side) ? t->high[p] : t->low[p];
@@ -102,7 +102,7 @@ static bool push(polytope *t, int p, int *active)
         double step, full = HUGE_VAL, gives = t->Pi[p][p];
         int drop = first_to_let_go(t, p, side, &step);
         if (*active < t->r && gives > DEPENDENT * t->room[p])
-            full = side * (bound - t->s[p]) / gives; /* until it is there */
+            full = side * (bound - t->s[p]) / gives; /* reaches the bound */
         else if (drop == NONE)
             return false;
         double length = side * fmin(step, full), move = full < HUGE_VAL ? length : 0.0;
@@ -125,9 +125,9 @@ static bool push(polytope *t, int p, int *active)
     }
 }
 
-/* Move s to the nearest point within its bounds, along the freedoms of Pi, which is not swept yet: afterwards
- * s - s_start = Pi force. Bounds may be left by the slack, and are moved by `most` at the most where rounding decides
- * if there is such a point: the plane may touch the box in one point only. */
+/* Move s to the nearest point within its bounds, along the freedoms of the unswept Pi; then s - s_start = Pi force.
+ * Violations up to the slack are allowed. If no point is found, the bounds are widened, by `most` at the most, because
+ * rounding decides where the plane touches the box in one point only. */
 static moc_status project(polytope *t, double slack, double most)
 {
     double start[MOC_MAX_JOINTS];
@@ -144,7 +144,7 @@ static moc_status project(polytope *t, double slack, double most)
         }
         if (push(t, p, &active))
             continue;
-        for (int j = 0; j < t->n; j++) { /* once more, between wider bounds, now or at the next step of approach */
+        for (int j = 0; j < t->n; j++) { /* wider bounds for another try, here or in the next step of `approach` */
             t->low[j] -= slack;
             t->high[j] += slack;
             t->s[j] = start[j];
@@ -159,10 +159,10 @@ static moc_status project(polytope *t, double slack, double most)
     return MOC_DOUBTFUL;
 }
 
-/* The proximal point iteration from a point of the box; the multipliers then have the weight rho + 1 / base.
+/* The proximal point iteration from a point of the box. The multipliers then have the weight rho + 1 / base.
  *
- * Long steps first: they also travel where the cost is almost flat. The short one at the end stays at the vertex and
- * takes the rounding of the long ones out. */
+ * Long steps come first, because they make progress even if the cost is almost flat. The short steps at the end stay at
+ * the vertex and remove the rounding of the long ones. */
 static moc_status approach(polytope *t, double rho, double slack, double most, double base)
 {
     static const double scales[] = {1e8, 1e4, 1.0};
@@ -178,7 +178,7 @@ static moc_status approach(polytope *t, double rho, double slack, double most, d
             status = project(t, slack, most);
             moved = 0.0;
             for (int j = 0; j < t->n; j++) {
-                if (status != MOC_OK) /* there is a point in the box, but its rounding is too large from here */
+                if (status != MOC_OK) /* a feasible point exists, but rounding is too large for this long step */
                     t->s[j] = before[j];
                 moved = fmax(moved, fabs(t->s[j] - before[j]));
             }

@@ -1,16 +1,16 @@
 /* The core as a Python module, for CPython's limited API: one wheel serves every version from 3.11 on.
  *
- * Here are the law with its memory and the safety filter; python_arm.c has the arm, python_subproblem.c and plant.c
- * have functions. */
+ * This file has the law with its memory and the safety filter; python_arm.c has the arm, python_subproblem.c and
+ * plant.c have the functions of the module. */
 #define MOC_MODULE
 #include "python.h"
 #include "vec.h"
 
 #include <time.h>
 
-static PyTypeObject *arm_type; /* set once, when the module is made, and kept for ever */
+static PyTypeObject *arm_type; /* set when the module is created, never released */
 
-/* New object: the arm is the only positional argument, keywords fill the fields; NULL with an exception. */
+/* Create an object. The arm is the only positional argument, and keywords fill the fields. NULL with an exception. */
 static PyObject *with_arm(PyTypeObject *type, PyObject *given, PyObject *keywords, const field *fields, int count)
 {
     PyObject *arm;
@@ -33,7 +33,7 @@ typedef struct {
     moc_arm arm;
     moc_law law;
     moc_supervision supervision;
-    moc_controller controller; /* points to these; no safety filter: Python puts its own around any controller */
+    moc_controller controller; /* points to these; without safety filter, which is an object of its own */
     moc_state state;
 } Law;
 
@@ -206,7 +206,7 @@ static PyObject *guard_new(PyTypeObject *type, PyObject *given, PyObject *keywor
     return with_arm(type, given, keywords, guard_fields, COUNT(guard_fields));
 }
 
-/* A number of control periods; beyond 4e18 either way it is none to the filter. */
+/* A number of control periods, clipped to +-4e18, where the filter refuses it. */
 static long long stamp_of(double number)
 {
     return (long long)fmin(fmax(number, -4e18), 4e18);
@@ -279,7 +279,7 @@ TYPE(Guard, guard_new, ENTRY(Guard, start), ENTRY(Guard, believe), ENTRY(Guard, 
 
 static int fill(PyObject *module)
 {
-    /* of moc_status */
+    /* in the order of moc_status */
     static const char *const names[] = {"OK", "INFEASIBLE", "DOUBTFUL", "UNFINISHED"};
     PyType_Spec *specs[] = {&moc_Law, &moc_Guard, &moc_Arm};
 

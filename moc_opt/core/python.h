@@ -1,7 +1,7 @@
-/* The binding's one way to take arguments: a table says what each of them has to be.
+/* Arguments of the binding: a table per function says what each of them has to be.
  *
- * Arrays are NumPy's. All arguments are checked before anything is written: float64, C-contiguous, the shape; a wrong
- * one is a ValueError or TypeError that names the argument and the shape that it should have. */
+ * Arrays are NumPy's. All arguments are checked before anything is written: type float64, C-contiguous, shape. A wrong
+ * one raises a ValueError or TypeError that names the argument and the expected shape. */
 #ifndef MOC_PYTHON_H
 #define MOC_PYTHON_H
 
@@ -21,13 +21,13 @@
 
 #include "tools.h"
 
-/* An array that is read, written, written with any strides, or read and perhaps None; a number; a whole one; and an
- * array that the call makes: these come last in a table. */
+/* READ, WRITE: an array that is read or written; STRIDED: written, with any strides; MAYBE: read, or None. NUMBER and
+ * WHOLE: a number, an integer. MADE: an array that the call creates; these come last in a table. */
 typedef enum { READ, WRITE, STRIDED, MAYBE, NUMBER, WHOLE, MADE } kind;
 
-/* Lengths that are no plain number: n joints, a packed subproblem (11 n + 10), a packed state (n n + 13 n + 18), a
- * tick's results (14 n + 16), k rows (the first such array says how many), any number.
- * Columns 0: an array of one axis. */
+/* Symbolic lengths: N joints, ROW = 11 n + 10 numbers of a packed subproblem, TERMS = n n + 13 n + 18 of packed terms,
+ * TICKED = 14 n + 16 results of a tick, K rows (the first such array sets k), ANY. Columns 0 mean an array with one
+ * axis. */
 enum { N = -1, ROW = -2, TERMS = -3, TICKED = -4, K = -5, ANY = -6 };
 
 typedef struct {
@@ -40,22 +40,22 @@ enum { MOST_ARGUMENTS = 14 };
 
 /* The arguments of one call, by their places in its table. */
 typedef struct {
-    int n;                                /* joints; 0 until an array tells */
-    npy_intp k;                           /* rows; -1 until an array tells */
-    int made, end;                        /* where the arrays that the call has made begin and end */
+    int n;                                /* joints; 0 until an array sets it */
+    npy_intp k;                           /* rows; -1 until an array sets it */
+    int made, end;                        /* range of the arrays that the call has created */
     double *array[MOST_ARGUMENTS];        /* NULL for None */
     double number[MOST_ARGUMENTS];
     PyArrayObject *as[MOST_ARGUMENTS];    /* the array as an object */
 } call;
 
-/* Take the arguments of a call on n joints (0: an array tells). Returns false with an exception. */
+/* Take the arguments of a call on n joints (0: set by an array). Returns false with an exception. */
 bool moc_take(call *c, int n, const char *name, PyObject *const *args, Py_ssize_t count, const parameter *table,
              int size);
 
-/* Let go of the arrays that the call has made: its result has those that it returns. Returns the result. */
+/* Release the call's own references to the arrays that it has created. Returns the result. */
 PyObject *moc_done(call *c, PyObject *result);
 
-/* Rows of array i, and number i as an int; beyond the range of an int its end. */
+/* The number of rows of array i; number i clipped to the range of an int. */
 static inline int rows_of(const call *c, int i)
 {
     return (int)PyArray_DIM(c->as[i], 0);
@@ -68,8 +68,8 @@ static inline int whole(const call *c, int i)
 
 #define COUNT(table) ((int)(sizeof(table) / sizeof(table)[0]))
 
-/* FUNCTION(name, parameters...) { body } is a function of the module, METHOD(Type, name, parameters...) { body } one of
- * an object: the body sees the arguments in `c`, and the object as `self`. _core.pyi says what each of them does. */
+/* FUNCTION(name, parameters...) { body } defines a function of the module, METHOD(Type, name, parameters...) { body } a
+ * method. The body has the arguments in `c` and the object in `self`. _core.pyi says what each of them does. */
 #define CALL(function, name, joints, body, ...)                                                                        \
     static PyObject *function(PyObject *self, PyObject *const *args, Py_ssize_t count)                                 \
     {                                                                                                                  \
@@ -88,13 +88,13 @@ static inline int whole(const call *c, int i)
     static PyObject *Type##_##name##_body(Type *self, const call *c)
 #define ENTRY(Type, name) {#name, (PyCFunction)(void (*)(void))Type##_##name, METH_FASTCALL, NULL}
 
-/* Every object begins with its arm. */
+/* Every object of the module starts with its arm. */
 typedef struct {
     PyObject_HEAD
     moc_arm arm;
 } Arm;
 
-/* The type of an object, moc_Type, with the entries of its methods. */
+/* Define the type moc_Type with its methods. */
 #define TYPE(Type, new, ...)                                                                                           \
     static PyMethodDef Type##_methods[] = {__VA_ARGS__, {NULL, NULL, 0, NULL}};                                        \
     static PyType_Slot Type##_slots[] = {{Py_tp_new, new}, {Py_tp_methods, Type##_methods}, {0, NULL}};                \
@@ -103,13 +103,13 @@ typedef struct {
 extern PyType_Spec moc_Arm, moc_Law, moc_Guard;                       /* python_arm.c, python.c */
 extern PyMethodDef moc_subproblem_functions[], moc_plant_functions[]; /* python_subproblem.c, plant.c */
 
-/* A number in an object, or an array of them, where it lies there. */
+/* A field of an object: a number or an array, and its offset. */
 typedef struct {
     parameter is;
     size_t offset;
 } field;
 
-/* Fill an object with the keywords of its fields' names, each of which has to be there. False with an exception. */
+/* Fill an object's fields from the keywords of the same names; none may be missing. Returns false with an exception. */
 bool moc_fill(PyObject *keywords, const field *fields, int count, Arm *self);
 
 #endif

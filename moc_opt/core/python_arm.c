@@ -1,4 +1,4 @@
-/* The arm as an object of Python, with its poses and curves for the planning. */
+/* The arm as a Python object, with the poses and curves that planning needs. */
 #include "python.h"
 
 static PyObject *arm_new(PyTypeObject *type, PyObject *given, PyObject *keywords)
@@ -69,7 +69,7 @@ METHOD(Arm, tool_pose, {"q", READ, N}, {"pose", MADE, 4, 3})
 static plan_task take_task(const Arm *self, const call *c)
 {
     plan_task task = {.arm = &self->arm, .low = c->array[0], .high = c->array[1]};
-    memcpy(task.target, c->array[2], (size_t)rows_of(c, 2) * sizeof *task.target); /* one row, or two */
+    memcpy(task.target, c->array[2], (size_t)rows_of(c, 2) * sizeof *task.target); /* one row or two */
     return task;
 }
 
@@ -87,7 +87,7 @@ METHOD(Arm, follow_curve, TASK(2), {"q", READ, N}, {"tangent", READ, N}, {"step"
 {
     const plan_task task = take_task(self, c);
     int closed;
-    if (c->k < 2 || !(c->number[5] > 0.0 && c->number[5] <= 10.0)) /* a longer one, halved, never gets short enough */
+    if (c->k < 2 || !(c->number[5] > 0.0 && c->number[5] <= 10.0)) /* plan_follow halves it ten times */
         return PyErr_Format(PyExc_ValueError,
                             "follow_curve: give 2 samples or more, and a step above 0 and up to 10 rad");
     int found = plan_follow(&task, c->array[3], c->array[4], c->number[5], (int)c->k, c->array[6], c->array[7],

@@ -1,4 +1,4 @@
-/* The module's functions: the subproblem solved and judged, a QP library's buffers. */
+/* Functions of the module: solve and judge the subproblem, fill a QP library's buffers. */
 #include "python.h"
 #include "vec.h"
 
@@ -40,8 +40,8 @@ FUNCTION(step_network, {"record", READ, ROW}, {"x", WRITE, N}, {"y", WRITE, 6}, 
 
 /* --- a QP library's buffers: 1/2 x^T P x + p^T x, and five independent equality rows ---
  *
- * Tip and wrist are rigidly tied, u^T (J_T - J_W) = 0 for the direction u of the tool: the wrist's row along u repeats
- * the tip's. Left are the tip's three rows and the wrist's two across u: A5 = lift A, and A5^T y5 = A^T (lift^T y5). */
+ * Tip and wrist are rigidly tied: u^T (J_T - J_W) = 0 for the tool's direction u. The five rows are the tip's three and
+ * the wrist's two perpendicular to u: A5 = lift A, and A5^T y5 = A^T (lift^T y5). */
 
 #define TIED 1e-7 /* sixth singular value of A over its norm, below which tip and wrist are tied (qp/residuals.py) */
 
@@ -92,7 +92,7 @@ static void cost(const moc_problem *p, double P[][MOC_MAX_JOINTS], double *linea
     }
 }
 
-/* The equality rows: five where there are such and `five` asks for them, else the six. Returns how many. */
+/* Write the equality rows: five if `five` is set and tip and wrist are tied, else six. Returns their number. */
 static int equalities(moc_problem *p, int five, double A[6][MOC_MAX_JOINTS], double b[6], double lift[6][6])
 {
     double u[3], two[2][3];
@@ -129,7 +129,7 @@ static void put(const call *c, int argument, double scale, const double *from)
                 scale * from[matrix ? i * MOC_MAX_JOINTS + j : i];
 }
 
-/* p, lower and upper are multiplied by the signs; packed: the upper triangle of P by columns, or empty. */
+/* p, lower and upper are multiplied by the three signs. packed is the upper triangle of P by columns, or empty. */
 FUNCTION(load, {"record", READ, ROW}, {"five", WHOLE}, {"scale", NUMBER}, {"signs", READ, 3}, {"P", STRIDED, N, N},
          {"p", STRIDED, N}, {"A", STRIDED, K, N}, {"low", STRIDED, K}, {"high", STRIDED, K}, {"lower", STRIDED, N},
          {"upper", STRIDED, N}, {"packed", STRIDED, ANY}, {"lift", WRITE, K, 6})
@@ -161,7 +161,7 @@ FUNCTION(load, {"record", READ, ROW}, {"five", WHOLE}, {"scale", NUMBER}, {"sign
     return PyBool_FromLong(1);
 }
 
-/* --- the wrist that is wanted, and one step of a value function --- */
+/* --- the desired wrist, and one step of a value function --- */
 
 FUNCTION(desired_wrist, {"X", READ, 3}, {"dX", READ, 3}, {"trocar", READ, 2, 3}, {"span", NUMBER},
          {"wanted", MADE, 2, 3})

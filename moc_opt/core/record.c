@@ -1,9 +1,9 @@
-/* Between a struct and its packed record, in which rows have n numbers. */
+/* Copies between a struct and its packed record, in which rows of joints have n numbers. */
 #include <stddef.h>
 
 #include "shared.h"
 
-/* Rows of numbers in a struct, MOC_MAX_JOINTS apart; columns: how many of each, or N. */
+/* Rows of numbers in a struct, MOC_MAX_JOINTS apart, and their length; N stands for n. */
 typedef struct {
     size_t offset;
     int rows, columns;

@@ -1,4 +1,4 @@
-/* What the files of the core share; moc.h is the interface. Vectors of joints are (n,), rows have MOC_MAX_JOINTS. */
+/* Functions that the core's files share; moc.h is public. Vectors of joints are (n,); rows are MOC_MAX_JOINTS apart. */
 #ifndef MOC_SHARED_H
 #define MOC_SHARED_H
 
@@ -10,104 +10,103 @@
 
 /* --- arm.c, manipulability.c --- */
 
-/* Where a joint's axes are in the world. */
+/* A joint's axes in the world: rotation and origin. */
 typedef struct {
-    double R[3][3]; /* rows */
+    double R[3][3];
     double p[3];    /* [m] */
 } moc_frame;
 
-/* Velocity that a unit speed of one joint gives, at the world's origin. */
+/* Velocity of a body at the world's origin for a unit speed of one joint. */
 typedef struct {
     double lin[3], ang[3];
 } moc_twist;
 
-/* All terms. Returns MOC_OK or MOC_NOT_FINITE. */
+/* Compute all terms. Returns MOC_OK or MOC_NOT_FINITE. */
 moc_status moc_compute_terms(const moc_arm *arm, const double *q, const double *v, moc_terms *terms);
 
-/* Every joint's axes in the world, frame[n], and its twist[n]; of the terms what needs no velocity, at a finite q. */
+/* Compute frame[n] and twist[n] of the joints at a finite q, and (moc_kinematics) the terms without velocity. */
 void moc_place(const moc_arm *arm, const double *q, moc_frame *frame, moc_twist *twist);
 void moc_kinematics(const moc_arm *arm, const double *q, moc_frame *frame, moc_twist *twist, moc_terms *terms);
 
-/* The tool's axes x, y, z and its tip in the world. */
+/* Compute the tool's axes x, y, z and its tip in the world. */
 void moc_tool_pose(const moc_arm *arm, const double *q, double pose[4][3]);
 
-/* Torque that carries the arm's weight [Nm]. */
+/* Compute the torque that carries the arm's weight [Nm]. */
 void moc_gravity(const moc_arm *arm, const double *q, double *torque);
 
-/* Tip or wrist in the world [m], and its Jacobian (3,n): zeros for joints that never move it. */
+/* Compute tip or wrist in the world [m] and its Jacobian (3,n), with zero columns for joints that never move it. */
 void moc_point(const moc_arm *arm, const moc_frame *frame, const moc_twist *twist, int which, double point[3],
                double J[][MOC_MAX_JOINTS]);
 
-/* mu = sqrt(det(J J^T)) of J (3,n) and its gradient (NULL: without); the same of the shaft, of A (6,n). */
+/* Return mu = sqrt(det(J J^T)) of J (3,n), or mu_shaft of A (6,n), and write its gradient (n,), unless that is NULL. */
 double moc_manipulability(int n, const moc_twist *twist, double J[][MOC_MAX_JOINTS], double *gradient);
 double moc_shaft_manipulability(int n, const moc_twist *twist, double A[][MOC_MAX_JOINTS], const double u[3],
                                 double *gradient);
 
 /* --- record.c --- */
 
-/* Between a struct and its packed record; moc_opt/qp/problem.py and moc_opt/robots/model.py read the same ones. */
+/* Copy a struct to or from its packed record, as moc_opt/qp/problem.py and moc_opt/robots/model.py read it. */
 typedef enum { UNPACK, PACK } direction;
 void moc_copy_problem(moc_problem *problem, int n, double *record, direction way);
 void moc_copy_terms(moc_terms *terms, int n, double *record, direction way);
 
-/* --- levels.c, null_space.c --- */
+/* --- law.c, null_space.c --- */
 
-/* Levels 1 and 2, tau_tip + tau_rcm [Nm]. */
+/* Compute the torque of levels 1 and 2 [Nm]. */
 void moc_tracking_torque(const moc_law *law, int n, const moc_terms *t, const moc_reference *ref,
                          const moc_trocar *trocar, double *tau);
 
-/* This tick's subproblem; x_d: a velocity [rad/s] that replaces the climb of mu, or NULL. */
+/* Fill this tick's subproblem. x_d is a velocity [rad/s] that replaces the climb of mu, or NULL. */
 void moc_fill_problem(const moc_law *law, int n, const moc_terms *t, const moc_reference *ref,
                       const moc_trocar *trocar, const double *x_d, moc_problem *problem);
 
-/* tau += share M Z^T (Z M Z^T)^-1 Z (K_N2 (x - v) - D_N2 v), cut at tau_max. */
+/* tau += share M Z^T (Z M Z^T)^-1 Z (K_N2 (x - v) - D_N2 v), clipped to +-tau_max. */
 void moc_add_third_level(const moc_law *law, int n, const moc_terms *t, const moc_memory *memory, const double *x,
                          double *tau);
 
-/* N_d = X + L e, which puts the shaft through the trocar, and dN_d, for a tip at X that moves with dX. */
+/* Compute the wrist N_d = X + L e that puts the shaft through the trocar, and dN_d, for a tip at X with velocity dX. */
 void moc_desired_wrist(const double X[3], const double dX[3], const moc_trocar *trocar, double span, double N_d[3],
                        double dN_d[3]);
 
-/* r = K_o (p - integral(tau + C^T v - g + r)), p = M v, of joint i, advanced by one period over which tau acted. */
+/* Advance the observer of joint i by a period in which tau acted: r = gain (M v - integral(tau + C^T v - g + r)). */
 void moc_observe(int n, const moc_terms *t, int i, double tau, double gain, double period, double *integral, double *r);
 
-/* Weight of grad mu_shaft beside grad mu [m]. */
+/* Return the weight of grad mu_shaft in the pull, beside grad mu [m]. */
 double moc_shaft_push(double mu_shaft, double margin);
 
-/* x_d of the scaled climb [rad/s], with the basis in the memory; zero at a top of mu, and in a singular pose. */
+/* Compute x_d of the scaled climb [rad/s], with Z of the memory. It is zero at a maximum of mu and at a singularity. */
 void moc_climb(const moc_arm *arm, const moc_law *law, const moc_terms *t, moc_memory *memory, double *x_d);
 
-/* An orthonormal basis Z of ker A, turned towards the one that is in it (rows, n) where that has as many; returns how
- * many. */
+/* Write an orthonormal basis of ker A to Z, near the old one if that has as many rows. Returns its number of rows. */
 int moc_null_space(int n, double A[][MOC_MAX_JOINTS], int rows, double Z[][MOC_MAX_JOINTS]);
 
-/* Row k of Z less its part along the rows before it, as a unit vector; false where no more than `least` was left. */
+/* Make row k of Z orthogonal to the rows before it and of length 1. Returns false if no more than `least` was left. */
 bool moc_orthonormalise(int n, double Z[][MOC_MAX_JOINTS], int k, double least);
 
-/* part = Z^T Z x of an orthonormal basis Z (rows, n); part may be x. */
+/* Project: part = Z^T Z x with an orthonormal basis Z (rows, n). part may be x. */
 void moc_onto(int n, int rows, double Z[][MOC_MAX_JOINTS], const double *x, double *part);
 
 /* --- exact.c, polytope.c --- */
 
-#define STILL 1e-10 /* a joint that moves less on a step of one freedom is not stopped by its bounds (qp/extremes.py) */
+#define STILL 1e-10 /* of a unit step: bounds of joints that move less along it are ignored (qp/extremes.py) */
 
-/* A x = b, eliminated: row k < rank reads x[joint[k]] + sum over free joints of row[k][j] x[j] = right[k]. */
+/* A x = b after elimination: row k < rank means x[joint[k]] + sum over free joints of row[k][j] x[j] = right[k]. */
 typedef struct {
     double row[6][MOC_MAX_JOINTS], right[6], pivot; /* pivot: of the last step [m] */
-    double step[6][6];         /* how much of row k went into each row, at step k */
-    int from[6];               /* with which row k changed its place before */
-    int joint[MOC_MAX_JOINTS]; /* those of the pivots, then the free ones that move tip or wrist */
+    double step[6][6];         /* step[k][i]: multiple of row k that step k added to row i */
+    int from[6];               /* the row that was swapped with row k before step k */
+    int joint[MOC_MAX_JOINTS]; /* pivot joints, then free joints that move tip or wrist, then the others */
     int rank, freedoms;
 } moc_plane;
 
-/* Eliminate A x = b, and number the other joints behind those of the pivots; false where the rank is in doubt. */
+/* Eliminate A x = b and list the free joints behind the pivot joints. Returns false if the rank is in doubt. */
 bool moc_eliminate(moc_plane *plane, const moc_problem *problem);
 
-/* How all joints move along A x = b when free joint number k moves by one. */
+/* Compute the motion z (n,) of all joints in ker A in which free joint number k moves by one. */
 void moc_direction(const moc_plane *plane, int n, int k, double *z);
 
-/* Move x, any point of the plane, along it to the optimum over the box, where the plane has two freedoms or more. The
- * multipliers of the active bounds are added to force. */
+/* Replace x, any point of a plane with two freedoms or more, by the optimum over plane and box. The multipliers of the
+ * active bounds are added to force. */
 moc_status moc_solve_several(const moc_plane *plane, const moc_problem *problem, double tolerance, double *x,
                              double *force);
 
@@ -116,41 +115,41 @@ moc_status moc_solve_several(const moc_plane *plane, const moc_problem *problem,
 typedef struct {
     double primal;   /* |A x - b|_inf; NaN where x is not finite [m/s] */
     double outside;  /* violation of the box [rad/s] */
-    double natural;  /* natural residual along the self-motion, the gradient scaled to length 1 [rad/s] */
+    double natural;  /* natural residual along the self-motion, with the gradient scaled to length 1 [rad/s] */
     double off;      /* distance from the optimum [rad/s] */
-    double opposite; /* and from that of the opposite gradient [rad/s] */
+    double opposite; /* distance from the optimum of the opposite gradient [rad/s] */
 } moc_residuals;
 
-/* Judge x on the self-motion that Z leaves. */
+/* Compute the residuals of x. The rows of Z span the self-motion. */
 moc_residuals moc_judge(const moc_problem *problem, int rows, double Z[][MOC_MAX_JOINTS], const double *x);
 
 /* Check an answer and write the x that the arm follows. */
 moc_fault moc_supervise(const moc_supervision *s, const moc_problem *problem, const moc_answer *answer,
                         moc_memory *memory, double *x);
 
-/* --- guard.c --- */
+/* --- safety_filter.c --- */
 
-/* Begin at a finite q, v, measurement number `stamp`. */
+/* Start at a finite q, v, measured in control period `stamp`. */
 void moc_guard_start(const moc_guard *g, int n, const double *q, const double *v, long long stamp, moc_watch *w);
 
-/* Judge a measurement; watch->q, v are then what to believe. */
+/* Check a measurement. watch->q and v are then the believed ones. */
 moc_stop moc_guard_believe(const moc_guard *g, int n, const moc_measurement *m, moc_watch *w);
 
-/* Judge RCM error and trocar force, with the tool where it is believed to be. */
+/* Check RCM error and trocar force at the believed pose of the tool. */
 moc_stop moc_guard_incision(const moc_guard *g, double pose[4][3], const moc_trocar *trocar, const double *wrench,
                             moc_watch *w);
 
-/* Judge the tip (NULL: not known) and the motion (terms of watch->q, v; NULL: not known), then cut tau in place.
- * before: torque of the last tick. tau stays as it was where it is not finite. */
+/* Check the tip (NULL: not known) and the motion (terms at watch->q, v; NULL: not known), then limit tau in place.
+ * `before` is the torque of the last tick. A tau that is not finite is not changed. */
 moc_stop moc_guard_follow(const moc_guard *g, const moc_arm *arm, const moc_terms *t, const double *tip,
                           const double *tip_ref, const double *before, double *tau, moc_watch *w);
 
-/* The torque of a damped stop: the weight of the arm in the last pose believed, reached at the torque rate. */
+/* Compute the torque of a stop. It approaches the arm's weight in the last believed pose by torque_step per tick. */
 void moc_guard_rest(const moc_guard *g, const moc_arm *arm, const double *before, const moc_watch *w, double *tau);
 
 /* --- step.c --- */
 
-/* The answer of moc_solve_exact to the subproblem in the state, where its x, multipliers and status are kept. */
+/* Solve the state's subproblem with moc_solve_exact; x, y and status are kept in the state. */
 moc_answer moc_ask_exact(const moc_controller *c, moc_state *state);
 
 #endif

@@ -1,10 +1,11 @@
-/* One tick: measurement, terms, levels 1 and 2 and the subproblem; then any solver; then its answer and the torque.
+/* One tick. moc_begin: check of the measurement, terms, levels 1 and 2, subproblem. Then any solver. Then moc_finish:
+ * check of the answer, level 3, limits of the torque.
  *
- * In Python c->guard is NULL: FilteredController of moc_opt/sim/loop.py calls the same functions of guard.c in the same
- * order, around any controller. Whoever changes the order here changes it there. */
+ * In Python c->guard is NULL, and FilteredController of moc_opt/sim/loop.py calls the functions of safety_filter.c in
+ * the same order around any controller. A change of the order here has to be made there as well. */
 #include "vec.h"
 
-/* --- the law at the terms in the state --- */
+/* --- the law, at the terms in the state --- */
 
 static void start_law(const moc_controller *c, moc_state *s)
 {
@@ -13,7 +14,7 @@ static void start_law(const moc_controller *c, moc_state *s)
 
     memset(memory, 0, sizeof *memory);
     for (int i = 0; i < n; i++) {
-        memory->integral[i] = dot(n, s->terms.M[i], s->terms.v); /* the momentum: no external torque so far */
+        memory->integral[i] = dot(n, s->terms.M[i], s->terms.v); /* the momentum, so that r starts at zero */
         memory->tau[i] = s->terms.h[i];
     }
     s->reason = MOC_RUNNING;
@@ -29,7 +30,7 @@ static void levels(const moc_controller *c, const moc_input *in, moc_state *s)
     double climb[MOC_MAX_JOINTS];
     int n = c->arm->n;
 
-    for (int i = 0; i < n && law->observer_gain > 0.0; i++) /* friction and model error, from the last torque */
+    for (int i = 0; i < n && law->observer_gain > 0.0; i++) /* r, from the last torque */
         moc_observe(n, t, i, memory->tau[i], law->observer_gain, law->period, &memory->integral[i],
                     &memory->external[i]);
     moc_tracking_torque(law, n, t, &in->ref, &in->trocar, s->tau);
@@ -73,7 +74,7 @@ moc_stop moc_start(const moc_controller *c, const moc_measurement *m, moc_state 
     return s->reason;
 }
 
-/* The torque that acted, in the memory. A state that no tick can have left is a reason to stop. */
+/* Take the torque that acted into the state. A state that no tick can leave behind is a reason to stop. */
 static void take_applied(const moc_controller *c, const double *applied, moc_state *s)
 {
     int n = c->arm->n;
@@ -89,7 +90,7 @@ static void take_applied(const moc_controller *c, const double *applied, moc_sta
         s->sent[i] = isnan(s->sent[i]) ? 0.0 : clip(s->sent[i], -c->guard->tau_max[i], c->guard->tau_max[i]);
 }
 
-/* Accept or replace the measurement, then compute the terms at it. */
+/* Check the measurement, and compute the terms at what is believed. */
 static moc_stop believe(const moc_controller *c, const moc_input *in, moc_state *s)
 {
     moc_measurement seen = in->measured;
@@ -121,7 +122,7 @@ moc_stop moc_begin(const moc_controller *c, const moc_input *in, moc_state *s)
     return s->reason;
 }
 
-/* The third level, which follows the answer or what replaces it, and what the safety filter leaves of the torque. */
+/* Check the answer, add the third level, and let the safety filter limit the torque. */
 static moc_stop complete(const moc_controller *c, const moc_answer *answer, moc_state *s)
 {
     static const double rest[MOC_MAX_JOINTS];
@@ -137,7 +138,7 @@ static moc_stop complete(const moc_controller *c, const moc_answer *answer, moc_
     if (!c->guard)
         return MOC_RUNNING;
     moc_stop reason = moc_guard_follow(c->guard, c->arm, &s->terms, s->terms.tip, s->told, s->sent, s->tau, &s->watch);
-    if (s->watch.limited) /* the observer must see the limited torque */
+    if (s->watch.limited) /* the observer needs the torque that acts */
         memcpy(memory->tau, s->tau, bytes);
     return reason;
 }
@@ -163,7 +164,7 @@ moc_stop moc_finish(const moc_controller *c, const moc_answer *answer, moc_state
 
 moc_answer moc_ask_exact(const moc_controller *c, moc_state *s)
 {
-    static const moc_claim claims[] = {MOC_CLAIMS_OPTIMUM, MOC_CLAIMS_INFEASIBLE, MOC_GIVES_NONE}; /* of a status */
+    static const moc_claim claims[] = {MOC_CLAIMS_OPTIMUM, MOC_CLAIMS_INFEASIBLE, MOC_GIVES_NONE}; /* by moc_status */
     s->status = moc_solve_exact(&s->problem, c->tolerance, s->answer, s->y);
     return (moc_answer){s->answer, claims[s->status], MOC_TAKEN, 0.0};
 }
@@ -172,7 +173,7 @@ moc_stop moc_step(const moc_controller *c, const moc_input *in, moc_state *s, do
 {
     moc_answer answer = {s->answer, MOC_GIVES_NONE, MOC_TAKEN, 0.0};
 
-    if (moc_begin(c, in, s) == MOC_RUNNING) /* without a third level the subproblem has no joints */
+    if (moc_begin(c, in, s) == MOC_RUNNING) /* without a third level, the subproblem has n = 0 */
         answer = moc_ask_exact(c, s);
     return moc_finish(c, &answer, s, tau);
 }

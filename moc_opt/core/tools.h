@@ -1,4 +1,4 @@
-/* What Python needs of the core beside the controller; no part of the exported folder. */
+/* Functions for Python alone: the network and the planning. They are not part of the exported folder. */
 #ifndef MOC_TOOLS_H
 #define MOC_TOOLS_H
 
@@ -6,55 +6,55 @@
 
 /* --- rnn.c --- */
 
-/* How the network of rnn.c steps. */
+/* Settings of the network in rnn.c. */
 typedef struct {
-    int steps;      /* at most so many */
-    double h_x, h_y; /* step sizes of x and of the multipliers, dt/eps */
+    int steps;      /* largest number of steps */
+    double h_x, h_y; /* step sizes dt/eps of x and of the multipliers */
     double k;       /* the paper's gain */
     double scale;   /* multiplies c0, c1, c2 and rho */
-    int implicit;   /* 1: the multipliers see the new x */
-    double rest;    /* it ends where its right-hand side is at most this [rad/s, m/s] */
+    int implicit;   /* 1: the multipliers are updated with the new x */
+    double rest;    /* stop when no right-hand side is larger [rad/s, m/s] */
 } moc_network;
 
-/* Advance x (n,) and y (6,) in place. Returns MOC_OK at rest, MOC_UNFINISHED, or MOC_DOUBTFUL where a number is no
- * longer finite; *made is the number of steps. */
+/* Advance x (n,) and y (6,) in place; *made is the number of steps. Returns MOC_OK at rest, MOC_UNFINISHED after the
+ * last step, or MOC_DOUBTFUL if a number is not finite. */
 moc_status moc_step_network(const moc_problem *problem, const moc_network *network, double *x, double y[6], int *made);
 
 /* --- planning (plan.c) --- */
 
-/* An arm inside its limits, with a tip and a wrist that it has to keep. A joint whose limits are equal stands still. */
+/* An arm, its joint limits, and the place of its tip and wrist. A joint whose limits are equal is fixed. */
 typedef struct {
     const moc_arm *arm;
     const double *low, *high; /* (n,) */
     double target[2][3];      /* tip and wrist [m] */
 } plan_task;
 
-/* Newton's method for a pose with the tip (points = 1), or tip and wrist (points = 2), at the target; q (n,) is where
- * it begins, and may be the best pose. Returns what the best pose misses by [m]. */
+/* Find a pose with the tip (points = 1), or tip and wrist (points = 2), at the target by Newton's method from q (n,).
+ * `best` may be q. Returns the error of the best pose [m]. */
 double plan_place(const plan_task *task, int points, int iterations, const double *q, double *best);
 
-/* Samples s, poses (most, n) and mu of the curve from q on along the unit tangent (n,); returns how many. One joint
- * more than tip and wrist fix may move. At a joint limit the curve ends with that joint set to it; a curve that returns
- * to its start, up to whole turns, is closed with that pose. */
+/* Sample the curve of self-motion from q along the unit tangent (n,): arc length s, poses (most, n) and mu. Returns the
+ * number of samples. Tip and wrist must leave one freedom. The curve ends at a joint limit, with that joint exactly on
+ * it; a curve that returns to its start, up to whole turns, ends with that pose, and *closed is 1. */
 int plan_follow(const plan_task *task, const double *q, const double *tangent, double step, int most, double *s,
                 double *poses, double *mus, int *closed);
 
-/* Place q (n,) and climb to a local maximum of mu inside the limits, in place; returns mu, -1 where it has no pose. */
+/* Bring q (n,) to the target, then to a local maximum of mu within the limits. Returns mu, or -1 without a pose. */
 double plan_ascend(const plan_task *task, double *q);
 
-/* What the poses of one time are worth by those of the time next to it, value[branches][m].
+/* One step of the value function: value[branches][m] of the poses of one time from those of the next time.
  *
- * Poses q (branches, m, n) with slack, NaN where there is none; gain (branches, m): what a pose adds, -inf: forbidden.
- * Those of the next time stand in the order of their joint `sorted`, branch by branch, those of NaN at the end. A pose
- * is next to another where no joint turns by more than its step (n,) and both slacks; in its own branch, or in one whose
- * number differs in bits of crossing[m]. price: of a step's square [1/rad^2]. */
+ * q (branches, m, n) has the poses, with their slack; NaN: no pose. gain (branches, m) is added at a pose;
+ * -inf forbids it. In each branch the poses of the next time are sorted by their joint `sorted`, NaN last. A pose can
+ * reach another if no joint turns by more than its step (n,) plus both slacks, and if both have the same branch or
+ * branches whose numbers differ in bits of crossing[m] only. price is the cost of a squared step [1/rad^2]. */
 typedef struct {
     int branches, m, next, n, sorted;
     const double *q, *slack, *gain;
     const double *q_next, *slack_next, *value_next;
     const double *step;
-    const double *crossing; /* whole numbers */
-    double price, reach;    /* reach: step and largest slack_next of joint `sorted` */
+    const double *crossing; /* integers */
+    double price, reach;    /* reach: step plus largest slack_next, of joint `sorted` */
 } plan_stage;
 
 void plan_advance(const plan_stage *stage, double *value);

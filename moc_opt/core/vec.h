@@ -20,7 +20,7 @@ static inline void add_cross(double s, const double a[3], const double b[3], dou
     out[2] += s * (a[0] * b[1] - a[1] * b[0]);
 }
 
-/* a becomes a unit vector; returns the length that it had. */
+/* Scale a to length 1. Returns its length before. */
 static inline double normalise3(double a[3])
 {
     double length = sqrt(dot3(a, a));
@@ -35,7 +35,7 @@ static inline void times3(double S[3][3], const double x[3], double out[3])
         out[i] = dot3(S[i], x);
 }
 
-/* The adjugate of a symmetric matrix, which is its inverse times the determinant; returns that. */
+/* The adjugate of a symmetric matrix, which is its inverse times the determinant. Returns the determinant. */
 static inline double adjugate3(double S[3][3], double adj[3][3])
 {
     for (int i = 0; i < 3; i++) {
@@ -45,7 +45,7 @@ static inline double adjugate3(double S[3][3], double adj[3][3])
     return dot3(S[0], adj[0]);
 }
 
-/* Two sums, which the processor adds up side by side. */
+/* Two partial sums, which the processor computes in parallel. */
 static inline double dot(int n, const double *a, const double *b)
 {
     double even = n % 2 ? a[n - 1] * b[n - 1] : 0.0, odd = 0.0;
@@ -60,11 +60,11 @@ static inline bool all_finite(int n, const double *x)
 {
     double sum = 0.0;
     for (int i = 0; i < n; i++)
-        sum += 0.0 * x[i]; /* NaN for NaN and for both infinities */
+        sum += 0.0 * x[i]; /* NaN if x[i] is NaN or infinite */
     return sum == 0.0;
 }
 
-/* As fmax and fmin, b where a is no number; calls of the C library cost more than all the rest of a loop. */
+/* fmax and fmin without a call of the C library, which would dominate the time of a loop. b if a is NaN. */
 static inline double larger(double a, double b)
 {
     return a > b ? a : b;
@@ -75,14 +75,13 @@ static inline double smaller(double a, double b)
     return a < b ? a : b;
 }
 
-/* x, or the nearer end of [low, high]; the high end where they are the wrong way round. */
+/* x clipped to [low, high]; high if low > high. */
 static inline double clip(double x, double low, double high)
 {
     return smaller(high, larger(low, x));
 }
 
-/* The lower factor L (m,m) of S = L L^T, with 1 / L_ii in inverse (m,); no finite number where S is not positive
- * definite. */
+/* The lower factor L (m,m) of S = L L^T, and 1 / L_ii in inverse (m,). Not finite if S is not positive definite. */
 static inline void cholesky(int m, double S[][MOC_MAX_JOINTS], double L[][MOC_MAX_JOINTS], double *inverse)
 {
     for (int j = 0; j < m; j++) {
@@ -110,10 +109,10 @@ static inline void solve_factored(int m, double L[][MOC_MAX_JOINTS], const doubl
     }
 }
 
-/* Two unit vectors that complete the unit vector u to a right-handed basis (b[0], b[1], u). */
+/* Two unit vectors b[0], b[1] that form a right-handed orthonormal basis with the unit vector u. */
 static inline void across(const double u[3], double b[2][3])
 {
-    int k = fabs(u[0]) <= fabs(u[1]) ? 0 : 1; /* an axis at 45 degrees or more from u */
+    int k = fabs(u[0]) <= fabs(u[1]) ? 0 : 1; /* an axis that is at least 45 degrees away from u */
     double e[3] = {0.0, 0.0, 0.0};
 
     e[k] = 1.0;
@@ -123,7 +122,7 @@ static inline void across(const double u[3], double b[2][3])
     add_cross(1.0, u, b[0], b[1]);
 }
 
-/* The largest |x|; NaN where one is. */
+/* The largest |x_i|; NaN if one is NaN. */
 static inline double largest_of(int count, const double *x)
 {
     double most = 0.0;
@@ -132,7 +131,7 @@ static inline double largest_of(int count, const double *x)
     return most;
 }
 
-/* |A x - b|_inf; NaN where a row is no number. */
+/* |A x - b|_inf; NaN if a row is NaN. */
 static inline double off_plane(const moc_problem *p, const double *x)
 {
     double gap[6];
@@ -141,7 +140,7 @@ static inline double off_plane(const moc_problem *p, const double *x)
     return largest_of(6, gap);
 }
 
-/* The five independent rows of A: those of the tip, and the wrist's across the shaft u; b: see `across`. */
+/* Five independent rows of A: the tip's three, and the wrist's two perpendicular to the shaft (b: see `across`). */
 static inline void five_rows(int n, double A[][MOC_MAX_JOINTS], double b[2][3], double A5[5][MOC_MAX_JOINTS])
 {
     memcpy(A5, A, 3 * sizeof *A5);

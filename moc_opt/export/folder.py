@@ -21,8 +21,8 @@ from moc_opt.inputs.files import as_path, check_replaceable, write_whole
 from moc_opt.robots.model import RobotModel
 
 CORE = (
-    "moc.h", "vec.h", "shared.h", "arm.c", "manipulability.c", "levels.c", "null_space.c", "exact.c", "polytope.c",
-    "answer.c", "guard.c", "step.c", "record.c",
+    "moc.h", "vec.h", "shared.h", "arm.c", "manipulability.c", "law.c", "null_space.c", "exact.c", "polytope.c",
+    "answer.c", "safety_filter.c", "step.c", "record.c",
 )  # fmt: skip
 """The files of `moc_opt/core` that `moc_step` needs."""
 TESTS = ("main.c", "Makefile", "README.md")

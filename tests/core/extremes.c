@@ -1,10 +1,11 @@
-/* Random, extreme and damaged states through the core: nothing reads or writes beyond its arrays, every loop ends, and
- * the torque that leaves the safety filter is finite and within its limits. Built with sanitizers by `make sanitize`.
- * What lies behind the first n numbers of an array is NaN, and the digest of all results is the same whatever the
- * compiler fills new variables with: neither decides anything. With a sine and a cosine of its own (all else that the
- * core takes from the C library is exact) it is the same with every compiler.
+/* Runs the core on random, extreme and damaged states. `make sanitize` builds this program with sanitizers.
  *
- * extremes [courses] [seed]: 0 where that held. */
+ * It checks that no access is outside an array, that every loop ends, and that the torque of the safety filter is
+ * finite and within its limits. It also prints a digest of all results. Array entries from the n-th on are NaN, so that
+ * the digest changes if the core uses one of them. The program has its own sine and cosine, and everything else that the
+ * core takes from the C library is exact; therefore every compiler gives the same digest.
+ *
+ * Usage: extremes [courses] [seed]. The exit status is 0 if all checks passed. */
 #include <limits.h>
 #include <math.h>
 #include <stdint.h>
@@ -17,8 +18,9 @@
 
 static uint64_t seed = 1, digest = 14695981039346656037u;
 static long reasons[MOC_STOPS], faults[MOC_FAULTS], statuses[4];
-static double grain; /* numbers are drawn as multiples of it, so that some are equal; 0: any */
+static double grain; /* random numbers are multiples of it, so that some of them are equal; 0: no rounding */
 
+/* The Taylor series of sine (k = 2, term = x) or cosine (k = 1, term = 1). */
 static double series(double x, int k, double term)
 {
     double sum = term;
@@ -27,7 +29,7 @@ static double series(double x, int k, double term)
     return sum;
 }
 
-/* In place of the C library's, whose last bit depends on the processor. */
+/* sin and cos replace those of the C library, whose last bit depends on the processor. */
 double sin(double x)
 {
     double turned = remainder(x, 6.283185307179586);
@@ -58,7 +60,7 @@ static double uniform(double low, double high)
     return grain > 0.0 ? grain * nearbyint(x / grain) : x;
 }
 
-/* NaN, infinite, denormal or huge, and any pattern of bits. */
+/* NaN, an infinity, a denormal or huge number, or any pattern of bits. */
 static double extreme(void)
 {
     static const double strange[] = {0.0, -0.0, 1e300, -1e300, 5e-324, 1.7976931348623157e308, 1e16, 1.5707963267948966};
@@ -77,11 +79,12 @@ static double extreme(void)
     }
 }
 
+/* Add results to the digest. */
 static void note(const double *x, int count)
 {
     for (int i = 0; i < count; i++) {
         uint64_t pattern;
-        double value = x[i] + 0.0; /* of the signs of zero C promises nothing */
+        double value = x[i] + 0.0; /* makes -0 a 0: C does not define the sign of fmax(0, -0) */
         memcpy(&pattern, &value, sizeof pattern);
         digest = (digest ^ (isnan(x[i]) ? 1 : pattern)) * 1099511628211u;
     }
@@ -98,7 +101,7 @@ static void fill(double *x, int count, double value)
         x[i] = value;
 }
 
-/* A copy of its own length on the heap: the sanitizer sees what is beyond it. */
+/* A copy on the heap with exactly this length, so that the sanitizer finds accesses beyond its end. */
 static double *alone(const double *x, int count)
 {
     double *own = malloc((unsigned)count * sizeof *own);
@@ -106,13 +109,14 @@ static double *alone(const double *x, int count)
     return own;
 }
 
-/* NaN behind the first n numbers of each row. */
+/* Set the entries of each row from the n-th on to NaN. */
 static void behind(double *x, int rows, int n)
 {
     for (int i = 0; i < rows; i++)
         fill(x + i * MOC_MAX_JOINTS + n, MOC_MAX_JOINTS - n, (double)NAN);
 }
 
+/* Replace one entry in `one_in`, on average, by an extreme one. */
 static void spoil(double *x, int count, unsigned one_in)
 {
     for (int i = 0; i < count; i++)
@@ -120,10 +124,10 @@ static void spoil(double *x, int count, unsigned one_in)
             x[i] = extreme();
 }
 
-/* A chain of 1 to 16 joints, turning and sliding, with any axes; now and then of coinciding ones. */
+/* A chain of 1 to 16 revolute and prismatic joints with random axes, some of which coincide. */
 static void draw_arm(moc_arm *arm)
 {
-    unsigned idle = chance(3) ? 2 : 10; /* with few joints that move the tool it has one freedom of sixteen */
+    unsigned idle = chance(3) ? 2 : 10; /* one joint in `idle` does not move the tool */
     memset(arm, 0, sizeof *arm);
     fill(&arm->joint[0].rotation[0][0], MOC_MAX_JOINTS * (int)(sizeof *arm->joint / sizeof(double)), (double)NAN);
     arm->n = chance(3) ? MOC_MAX_JOINTS : 1 + (int)(bits() % MOC_MAX_JOINTS);
@@ -233,7 +237,7 @@ static void draw_guard(moc_guard *g, const moc_law *law, int n)
     }
 }
 
-/* Memory that somebody else has written to, but for the counts that say how much of an array is used. */
+/* Overwrite parts of the memory, but not the counts that say how much of an array is used. */
 static void damage(moc_memory *memory, moc_watch *watch)
 {
     if (chance(2))
@@ -248,7 +252,7 @@ static void damage(moc_memory *memory, moc_watch *watch)
     spoil(&watch->joint[0].gap, (int)(sizeof watch->joint / (sizeof(double))), 20);
 }
 
-/* What no tick has written yet. */
+/* Set the unused entries of a new state to NaN. */
 static void poison(moc_state *s, int n)
 {
     moc_terms *t = &s->terms;
@@ -277,7 +281,7 @@ static int bounded(const moc_guard *g, int n, const double *tau)
     return 1;
 }
 
-/* The arm's poses and curves for the planning, and a value function over them. */
+/* Run the functions of plan.c: a pose, a curve, a climb, and a value function over the curve's poses. */
 static void plan(moc_arm *arm, const moc_law *law, const double *from)
 {
     enum { MOST = 12 };
@@ -294,7 +298,7 @@ static void plan(moc_arm *arm, const moc_law *law, const double *from)
 
     for (int j = 0; j < n; j++) {
         low[j] = chance(10) || lone != NONE ? high[j] = q[j] : low[j];
-        if (j == lone) { /* it alone turns, about the tool, and comes to where it began */
+        if (j == lone) { /* only this joint turns, about the tool's axis, so that the curve closes */
             arm->joint[j].slides = arm->joint[j].axis[0] = arm->joint[j].axis[1] = 0.0;
             arm->joint[j].axis[2] = 1.0;
             high[j] += chance(2) ? 7.0 : 6.28;
@@ -330,7 +334,7 @@ static void plan(moc_arm *arm, const moc_law *law, const double *from)
         free(own[k]);
 }
 
-/* One tick of either state: `own` solver between the halves, whose answers and claims are spoilt, or moc_step. */
+/* One tick: moc_step, or (if `own`) moc_begin, a solver with spoilt answers and random claims, and moc_finish. */
 static moc_stop tick(const moc_controller *c, const moc_input *in, int own, moc_state *state, double *tau)
 {
     double x[MOC_MAX_JOINTS] = {0.0}, y[6];
@@ -350,13 +354,14 @@ static moc_stop tick(const moc_controller *c, const moc_input *in, int own, moc_
     return reason;
 }
 
-/* Mostly one; else a power of two down to the last bit or far below it. */
+/* One half of the time 1, else a power of two down to 2^-59. */
 static double tiny(void)
 {
     return chance(2) ? 1.0 : ldexp(1.0, -(int)(bits() % 60));
 }
 
-/* Row i of A x = b nearly repeats two others, on either side of where that is rounding. */
+/* Make row i of A x = b a combination of two others plus a part of its own, which is zero, at the level of rounding, or
+ * larger. */
 static void repeat(moc_problem *p, int i, const double *x)
 {
     double own = chance(4) ? 0.0 : tiny(), beside = chance(4) ? tiny() : 0.0;
@@ -365,9 +370,11 @@ static void repeat(moc_problem *p, int i, const double *x)
     p->b[i] = dot(p->n, p->A[i], x) + beside * uniform(-1.0, 1.0);
 }
 
-/* A subproblem of any size, and what becomes of good, worse and wrong answers to it; 0 where an answer that `exact`
- * calls solved is none. Some joints are idle, some move almost as one, rows of A may repeat each other, and the point
- * that A x = b has in the box may be a corner of it, or not there at all. */
+/* Solve a random subproblem, run the network on it, and let judge and supervisor check good, worse and wrong answers.
+ * Returns 0 if an answer that `exact` calls solved violates A x = b.
+ *
+ * Some joints are idle, some have nearly parallel columns, and rows of A may be dependent. A x = b may meet the box in a
+ * corner only, or not at all. */
 static int subproblem(void)
 {
     static const double weights[] = {0x1p-10, 0x1p-17, 0.0, 1e-3};
@@ -444,8 +451,8 @@ static double level(double most)
     return chance(2) ? HUGE_VAL : uniform(0.0, most);
 }
 
-/* The safety filter alone, among so few and coarse numbers that readings repeat themselves and figures are at their
- * levels, for longer than it takes to see whether the wrench sensor has noise. It goes on after a reason to stop. */
+/* Run the safety filter alone on numbers so coarse that readings repeat and figures equal their levels exactly. The run
+ * is long enough to find out whether the wrench sensor has noise, and continues after a reason to stop. */
 static void filter(void)
 {
     static const double none[MOC_MAX_JOINTS];
@@ -487,7 +494,7 @@ static void filter(void)
     moc_guard_start(&g, arm.n, q, v, 0, &w);
     for (long long k = 1; k < 240; k++) {
         double tau[MOC_MAX_JOINTS], tip[3], ref[3], pose[4][3];
-        bool again = noise == 0 || (k > 180 && k % 30 > 5); /* the wrench */
+        bool again = noise == 0 || (k > 180 && k % 30 > 5); /* the wrench is unchanged */
         moc_trocar trocar = {{0.0}, {0.0}};
         const moc_terms *terms = chance(9) ? NULL : &t;
         const double *applied = chance(9) ? NULL : before;
@@ -495,7 +502,7 @@ static void filter(void)
         moc_stop reason[3] = {MOC_RUNNING};
 
         kept = k == 20 ? seed : kept;
-        seed = k == 70 ? kept : seed; /* readings come again */
+        seed = k == 70 ? kept : seed; /* play the readings from tick 20 on once more */
         for (int i = 0; i < (int)(sizeof t / sizeof(double)); i++)
             ((double *)&t)[i] = uniform(-0.5, 0.5);
         for (int j = 0; j < arm.n; j++) {
@@ -524,7 +531,7 @@ static void filter(void)
         }
         note(w.q, arm.n);
         note(tau, arm.n);
-        note(w.mean_square, 6); /* with the largest and the warnings */
+        note(w.mean_square, 6); /* with `largest` and `first_tick` */
         note_one(w.limited);
         if (!chance(3))
             continue;
@@ -539,7 +546,8 @@ static void filter(void)
     free(wrench);
 }
 
-/* A course of both; 0 where a torque or a friction is not finite and within its limits. */
+/* Run one random controller for 29 ticks, with moc_step and with a solver of its own. Returns 0 if a torque is not
+ * finite and within its limits, or a friction is negative. */
 static int course(void)
 {
     static moc_state states[2];
@@ -612,7 +620,7 @@ static int course(void)
             note(record, arm.n * (arm.n + 13) + 18);
             moc_copy_problem(&state->problem, arm.n, record, PACK);
             note(record, law.third_level ? 11 * arm.n + 10 : 0);
-            note(state->watch.mean_square, 6); /* with the largest and the warnings */
+            note(state->watch.mean_square, 6); /* with `largest` and `first_tick` */
             if (!bounded(&guard, arm.n, tau))
                 return 0;
             if (reason == MOC_RUNNING)
@@ -630,7 +638,7 @@ static int course(void)
     return 1;
 }
 
-/* The small algebra, on copies of its own length; 0 where a factor or a basis is wrong. */
+/* Check the functions of vec.h on copies of exact length. Returns 0 if a result is wrong. */
 static int algebra(void)
 {
     double S[5][MOC_MAX_JOINTS], L[5][MOC_MAX_JOINTS], start[5], worst = 0.0;
@@ -670,7 +678,8 @@ static int algebra(void)
     return sound;
 }
 
-/* What a state and a torque at the start may be: the limits themselves are; 0 where that did not hold. */
+/* Check which torques and states moc_start and moc_begin accept: those at a limit, not those beyond it; and what they
+ * do without a start. Returns 0 if one differs. */
 static int contract(void)
 {
     static moc_state state;
@@ -706,7 +715,7 @@ static int contract(void)
         in.measured.applied = most;
     }
     for (int j = 0; j < arm.n; j++)
-        most[j] *= uniform(-1.0, 1.0); /* what acted in place of what was sent */
+        most[j] *= uniform(-1.0, 1.0); /* the torque that acted differs from the one that was sent */
     moc_begin(&controller, &in, &state);
     if (memcmp(state.sent, most, (unsigned)arm.n * sizeof *most) != 0)
         return 0;
@@ -717,7 +726,7 @@ static int contract(void)
             return 0;
     }
     fill(tau, MOC_MAX_JOINTS, (double)NAN);
-    guard.patience = 3; /* a reading that is no number is bridged: the arm is where it was */
+    guard.patience = 3; /* after a NaN reading, the arm is believed to be where it was */
     in.measured.q = tau;
     moc_start(&controller, &(moc_measurement){q, v, 0, 0, most, none}, &state);
     if (moc_begin(&controller, &in, &state) != MOC_RUNNING ||
@@ -745,17 +754,16 @@ static int contract(void)
 int main(int count, char **words)
 {
     long courses = count > 1 ? strtol(words[1], NULL, 10) : 10000;
-    seed = count > 2 ? 2 * strtoull(words[2], NULL, 10) + 1 : 1;
+    seed = count > 2 ? 2 * strtoull(words[2], NULL, 10) + 1 : 1; /* the generator needs one that is not zero */
 
     for (long k = 0; k < courses; k++) {
-        uint64_t from = seed;
         int sound = 1;
         for (int i = 0; i < 20; i++)
             sound &= subproblem();
         filter();
         grain = 0.0;
         if (!sound || !algebra() || !contract() || !course()) {
-            printf("not as promised: state of the generator %llu\n", (unsigned long long)from);
+            printf("a check failed in course %ld: run %ld courses of the same seed to see it again\n", k + 1, k + 1);
             return 1;
         }
     }

@@ -46,8 +46,8 @@ def test_it_compiles_without_a_warning_and_repeats_python_to_the_last_bit(name, 
 
 
 @pytest.mark.parametrize(("file", "old", "new"), [
-    ("guard.c", "w->bad += w->bad < INT_MAX;", ""), ("guard.c", "return newer ? FRESH : REPEAT;", "return FRESH;"),
-    ("constants.c", ".torque_step = ", ".torque_step = 0.01 * "),
+    ("safety_filter.c", "w->bad += w->bad < INT_MAX;", ""), ("constants.c", ".torque_step = ", ".torque_step = 0.01 * "),
+    ("safety_filter.c", "return newer ? FRESH : REPEAT;", "return FRESH;"),
     ("answer.c", "        least_violation(p, x);", "        ;"),
 ])  # fmt: skip
 def test_its_self_test_can_fail(default, tmp_path, file, old, new):

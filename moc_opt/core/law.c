@@ -1,18 +1,16 @@
 /* The three levels of the law (Su et al. 2019, in the consistent form of docs/method.md), and the subproblem.
  *
  *   tau = h + J_T^T F_T + (I - J_T^T Jbar_T^T) J_W^T F_W + tau_ff - r + share M Z^T (Z M Z^T)^-1 Z tau_0,
- *   tau_0 = K_N2 (x - v) - D_N2 v, and share while the third level fades in; step.c has the order of a tick. */
+ *   tau_0 = K_N2 (x - v) - D_N2 v; share rises to 1 at the start. step.c has the order of a tick. */
 #include "vec.h"
 
-/* Where the wrist's smaller mobility is below this share of its larger one, the feed-forward leaves out the stiff
- * direction. The share is about the elbow's bend [rad]. */
-#define STRAIGHT 1e-3
+#define STRAIGHT 1e-3  /* smaller over larger mobility of the wrist, about the bend of the elbow [rad] */
 
-#define SHAFT_PULL 0.1 /* weight of log mu_shaft beside mu [m^3]; it fades out towards shaft_margin */
-#define SHAFT_LOST 0.1 /* share of shaft_margin below which the push fades out again: at 0 it has no direction */
-#define BOX_OPENS 3.0  /* 1/(share of shaft_margin) over which the box widens to full speed */
+#define SHAFT_PULL 0.1 /* weight of log mu_shaft beside mu [m^3]; it vanishes at shaft_margin */
+#define SHAFT_LOST 0.1 /* share of shaft_margin below which the push vanishes as well, as it has no direction at 0 */
+#define BOX_OPENS 3.0  /* the box has its full width from mu_shaft = (1 - 1/BOX_OPENS) shaft_margin down */
 
-/* How the line from the tip to the trocar lies and turns. */
+/* The line from the tip to the trocar and its motion. */
 typedef struct {
     double distance; /* |P_t - X| [m] */
     double e[3];     /* (P_t - X) / |P_t - X| */
@@ -57,7 +55,7 @@ static void times(int n, double J[][MOC_MAX_JOINTS], const double *v, double out
         out[i] = dot(n, J[i], v);
 }
 
-/* ddN_d of N_d = X + L e, L the span from wrist to tip, without the trocar's own acceleration. With
+/* ddN_d of N_d = X + L e, where L is the span from wrist to tip, for a trocar without acceleration. With
  * r = P_t - X = |r| e: e'' = (I - e e^T)(r'' - 2 |r|' e') / |r| - |e'|^2 e. */
 static void desired_wrist_acceleration(const line *s, double span, const double ddX_d[3], double out[3])
 {
@@ -69,28 +67,29 @@ static void desired_wrist_acceleration(const line *s, double span, const double 
         out[i] = ddX_d[i] + span * ((bend[i] - along * s->e[i]) / s->distance - square * s->e[i]);
 }
 
-/* Level 2 in its dynamic form, and the feed-forward of the accelerations that tip and wrist are to have beyond gravity
- * and Coriolis (Khatib 1987, eq. 51, for the tip):
+/* Level 2 in its dynamic form, and the feed-forward of the desired accelerations of tip and wrist (Khatib 1987, eq. 51,
+ * for the tip):
  *
  *   tau += (I - J_T^T Jbar_T^T) tau_W + A5^T (A5 M^-1 A5^T)^-1 a,  Jbar_T = M^-1 J_T^T (J_T M^-1 J_T^T)^-1,
  *   a = [ddX_d - dJ_T v; b^T (ddN_d - dJ_W v)], or 0 without a feed-forward.
  *
- * A5: J_T over b^T J_W, b (3, 2) the two directions across the shaft, here its columns. With M = H H^T (Cholesky) six
- * rows are made: A5 H^-T and H^-1 tau_W. The wrist's and tau_W are made orthogonal to the tip's. Nothing is squared, so
- * that a nearly straight elbow keeps twice the digits. Such an elbow can hardly move the wrist in one direction. The
- * feed-forward leaves that one out (STRAIGHT): at the straight elbow it would need an infinite torque. */
+ * A5 is J_T over b^T J_W, and the columns of b (3, 2) are two directions perpendicular to the shaft. With M = H H^T
+ * (Cholesky), the code forms six rows, A5 H^-T and (H^-1 tau_W)^T, and makes the wrist's rows and tau_W's orthogonal to
+ * the tip's. Nothing is squared, which keeps twice as many digits at a nearly straight elbow. Such an elbow can hardly
+ * move the wrist in one direction, for which a straight elbow would need an infinite torque: the feed-forward leaves it
+ * out (STRAIGHT). */
 static void add_dynamic(const moc_law *law, int n, moc_terms *t, const double *ddX_d, const double *ddN_d,
                         const double *tau_W, double *tau)
 {
     enum { TAU_W = 5 };
     double H[MOC_MAX_JOINTS][MOC_MAX_JOINTS], inverse[MOC_MAX_JOINTS], rows[6][MOC_MAX_JOINTS], b[2][3];
-    double a[6] = {0.0}, c[6]; /* wanted accelerations, and the weight of each row */
+    double a[6] = {0.0}, c[6]; /* desired accelerations; weights of the rows */
 
     cholesky(n, t->M, H, inverse);
     across(t->u, b);
     five_rows(n, t->A, b, rows);
     memcpy(rows[TAU_W], tau_W, (unsigned)n * sizeof *tau_W);
-    for (int i = 0; i < n; i++) /* H^-1 of all rows, side by side */
+    for (int i = 0; i < n; i++) /* multiply all rows by H^-T, side by side */
         for (int k = 0; k < 6; k++)
             rows[k][i] = (rows[k][i] - dot(i, H[i], rows[k])) * inverse[i];
     for (int i = 0; i < 3 && law->feedforward; i++) {
@@ -99,7 +98,7 @@ static void add_dynamic(const moc_law *law, int n, moc_terms *t, const double *d
         a[3] += b[0][i] * gap;
         a[4] += b[1][i] * gap;
     }
-    for (int i = 0; i < 6; i++) { /* the tip's rows become orthonormal, the others orthogonal to them */
+    for (int i = 0; i < 6; i++) { /* make the tip's rows orthonormal and the others orthogonal to them */
         for (int k = 0; k < i && k < 3; k++) {
             double along = dot(n, rows[k], rows[i]);
             a[i] -= along * c[k];
@@ -113,7 +112,7 @@ static void add_dynamic(const moc_law *law, int n, moc_terms *t, const double *d
                 rows[i][j] *= shrink;
         }
     }
-    /* Jacobi's rotation (Golub and Van Loan, 8.5.2), without its cosine, makes the wrist's two rows orthogonal. */
+    /* A Jacobi rotation (Golub and Van Loan, 8.5.2), without its cosine, makes the wrist's two rows orthogonal. */
     double product = dot(n, rows[3], rows[4]), squares = dot(n, rows[3], rows[3]) - dot(n, rows[4], rows[4]);
     double size = fabs(squares) + sqrt(squares * squares + 4.0 * product * product);
     double tangent = size > 0.0 ? copysign(2.0, squares) * product / size : 0.0, third = a[3];
@@ -138,8 +137,8 @@ static void add_dynamic(const moc_law *law, int n, moc_terms *t, const double *d
     }
 }
 
-/* tau += (I - J^T G) tau_W. Static, G = pinv(J)^T: no force at the tip at rest. As published, G = J: it is not
- * idempotent, and its units do not fit. */
+/* tau += (I - J^T G) tau_W. MOC_STATIC: G = pinv(J)^T, which gives no force at the tip at rest. MOC_AS_PUBLISHED:
+ * G = J, which is not idempotent and has inconsistent units. */
 static void add_at_rest(moc_projector projector, int n, double J[][MOC_MAX_JOINTS], const double *tau_W, double *tau)
 {
     double at_tip[3], gram[3][MOC_MAX_JOINTS], factor[3][MOC_MAX_JOINTS], diagonal[3];
@@ -159,7 +158,7 @@ static void add_at_rest(moc_projector projector, int n, double J[][MOC_MAX_JOINT
 void moc_tracking_torque(const moc_law *law, int n, const moc_terms *terms, const moc_reference *ref,
                          const moc_trocar *trocar, double *tau)
 {
-    moc_terms *t = (moc_terms *)terms; /* C has no conversion to arrays of const arrays; nothing is written */
+    moc_terms *t = (moc_terms *)terms; /* not written; C does not convert a matrix to a const one by itself */
     double(*J_T)[MOC_MAX_JOINTS] = t->A, (*J_W)[MOC_MAX_JOINTS] = t->A + 3;
     double dX[3], dN[3], F[3], ddN_d[3], tau_W[MOC_MAX_JOINTS] = {0.0}, share = 1.0;
 
@@ -172,9 +171,9 @@ void moc_tracking_torque(const moc_law *law, int n, const moc_terms *terms, cons
     memcpy(tau, t->h, (unsigned)n * sizeof *tau);
     add_force(n, J_T, 1.0, F, tau);
 
-    /* RCM: F_W = K_N (N_d - N) + D_N (dN_d - dN), N_d = X + L e. With theta between e and -u, |N_d - N| is
-     * 2 L sin(theta/2) and the RCM error d = |P_t - X| sin(theta): the true lambda of |N_d - N| = d / lambda is
-     * |P_t - X| / L cos(theta/2); the paper takes a constant. It scales the spring alone. */
+    /* RCM: F_W = K_N (N_d - N) + D_N (dN_d - dN), N_d = X + L e. Let theta be the angle between e and -u. Then
+     * |N_d - N| = 2 L sin(theta/2) and the RCM error is d = |P_t - X| sin(theta), so that lambda = d / |N_d - N| is
+     * |P_t - X| / L cos(theta/2). The paper takes a constant lambda, which scales the spring alone. */
     line s = shaft_line(t->tip, dX, trocar);
     if (law->rcm_lambda > 0.0)
         share = s.distance / t->span * sqrt(fmax(0.0, 0.5 * (1.0 - dot3(s.e, t->u)))) / law->rcm_lambda;
@@ -190,8 +189,8 @@ void moc_tracking_torque(const moc_law *law, int n, const moc_terms *terms, cons
         add_at_rest(law->projector, n, J_T, tau_W, tau);
 }
 
-/* Weight of grad mu_shaft beside grad mu [m], zero from the margin on: SHAFT_PULL (1 - m/margin) m / (m^2 + lost^2),
- * the slope of a barrier that begins smoothly at the margin; times grad mu_shaft it has no kink where m is zero. */
+/* SHAFT_PULL (1 - m/margin) m / (m^2 + lost^2) [m] below the margin, zero above it. This is the slope of a barrier that
+ * starts smoothly at the margin; its product with grad mu_shaft has no kink at m = 0. */
 double moc_shaft_push(double mu_shaft, double margin)
 {
     double lost = SHAFT_LOST * margin;
@@ -203,7 +202,7 @@ void moc_fill_problem(const moc_law *law, int n, const moc_terms *t, const moc_r
                       const moc_trocar *trocar, const double *x_d, moc_problem *p)
 {
     double N_d[3], gap = 0.0, push = moc_shaft_push(t->mu_shaft, law->shaft_margin);
-    /* Near a pose in which tip and shaft lose a direction, the joints have to turn fast. */
+    /* The box widens near a pose in which the shaft loses a direction, because the joints have to turn fast there. */
     double nearness = fmax(0.0, BOX_OPENS * (1.0 - t->mu_shaft / law->shaft_margin));
     double wider = 1.0 + law->spare_speed * fmin(1.0, nearness);
 
@@ -215,13 +214,13 @@ void moc_fill_problem(const moc_law *law, int n, const moc_terms *t, const moc_r
         p->b[i] = ref->dX[i];
         gap += t->u[i] * (p->b[i] - p->b[3 + i]);
     }
-    for (int i = 0; i < 3; i++) /* u^T (v_T - v_W) = 0: a rigid tool cannot change its length */
+    for (int i = 0; i < 3; i++) /* make u^T (v_T - v_W) = 0: a rigid tool cannot change its length */
         p->b[3 + i] += gap * t->u[i];
     for (int j = 0; j < n; j++) {
         double v_max = law->v_max[j] * wider;
         p->grad_mu[j] = t->grad_mu[j];
         p->pull[j] = x_d ? law->rho / law->c2 * x_d[j] : t->grad_mu[j] + push * t->grad_mu_shaft[j];
-        /* the velocity damper closes at k0 and never crosses: beyond a limit only velocities back inside are left */
+        /* a velocity damper; beyond a limit, only velocities back inside are left, and lower <= upper holds always */
         p->lower[j] = fmin(fmax(-v_max, -law->k0 * (t->q[j] - law->q_min[j])), v_max);
         p->upper[j] = fmax(fmin(v_max, -law->k0 * (t->q[j] - law->q_max[j])), -v_max);
     }
@@ -254,7 +253,7 @@ void moc_add_third_level(const moc_law *law, int n, const moc_terms *terms, cons
     for (int j = 0; j < n; j++) {
         for (int i = 0; i < r; i++)
             tau[j] += MZ[i][j] * along[i];
-        tau[j] = clip(tau[j], -law->tau_max[j], law->tau_max[j]); /* a NaN passes: guard and plant refuse it by name */
+        tau[j] = clip(tau[j], -law->tau_max[j], law->tau_max[j]); /* NaN stays: filter and plant report it */
     }
 }
 

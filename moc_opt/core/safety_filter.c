@@ -1,36 +1,40 @@
-/* The safety filter: what a measurement may be, whether it shows the arm that the torque went to, limits of torque and
- * motion at every tick, and the reasons to stop. In the order in which they are looked at, T the period (moc_guard has
- * the levels; docs/reliability.md says where each comes from):
+/* The safety filter. It checks every measurement, limits every torque, and decides when the arm has to stop.
  *
- *   LATE              now - newest stamp > ordinary delay + patience
- *   MEASUREMENT       |q - q_believed| > jump + ticks v_max T, or |v| > speed_factor v_max: more than patience in a row
- *   REPEATED          all q the same for more than patience ticks, while the reference moved by repeat_m or a torque
- *                     changed by repeat_torque tau_max (with the wrench the same too: by the repeat_whole levels)
- *   RAN_AWAY          |q - integral of v over motion_s| > motion_rad + motion_lag_s largest recent |v|
- *   ONE_REPEATED      one q the same for more than repeat_joint_ticks; q and v more than repeat_reading_ticks in all
- *   WRENCH_REPEATED   a wrench with noise the same for more than repeat_whole_ticks
- *   LAGGING           one encoder repeats earlier readings with a constant lag, more than repeat_reading_ticks times
- *   REPLAYED          all encoders and the wrench do, more than repeat_whole_ticks (a wrench without noise:
- *                     replayed_ticks) times
- *   WRENCH            the wrench is no number, more than patience in a row
- *   RCM, FORCE        rms of the shaft's distance from the trocar, of the trocar's force > limit
+ * The reasons to stop, by the fields of moc_guard; T is the control period, r the momentum residual. A reason with a *
+ * has to hold on more than `patience` ticks in a row. If several apply in one tick, the first of the list is reported.
+ * docs/reliability.md says where each level comes from.
+ *
+ *   LATE              now - newest stamp > usual delay + patience
+ *   MEASUREMENT *     |q - q_believed| > jump + ticks v_max T, or |v| > speed_factor v_max
+ *   REPLAYED          all encoders and the wrench repeat earlier readings at a constant lag, more than
+ *                     repeat_whole_ticks (replayed_ticks without noise of the wrench) or repeat_reading_ticks times
+ *   REPEATED *        all q are unchanged although the reference moved by repeat_m or a torque changed by repeat_torque
+ *                     tau_max (if the wrench is unchanged as well: by the repeat_whole levels); or q and v of all
+ *                     joints were unchanged on more than repeat_reading_ticks ticks in all
+ *   RAN_AWAY          |q - integral of v over motion_s| > motion_rad + motion_lag_s * (largest recent |v|)
+ *   ONE_REPEATED      one q is unchanged for more than repeat_joint_ticks ticks, or its q and v were unchanged on more
+ *                     than repeat_reading_ticks ticks in all
+ *   WRENCH_REPEATED   a wrench that has noise is unchanged for more than repeat_whole_ticks ticks
+ *   LAGGING           one encoder repeats earlier readings at a constant lag, more than repeat_reading_ticks times
+ *   WRENCH *          the wrench is not finite
+ *   RCM, FORCE        the rms of the shaft's distance from the trocar, or of the trocar's force, is above its limit
  *   TIP               rms |X - X_d| > tip_error
- *   STUCK             while q_i is the same: |integral of (change of r_i beyond held_i) / M_ii| > stuck_speed
- *   UNEXPLAINED       |r_i - mean| > residual_torque tau_max, or |r_i| > residual_whole tau_max: more than patience
+ *   UNEXPLAINED *     |r_i - mean of r_i| > residual_torque tau_max, or |r_i| > residual_whole tau_max
+ *   STUCK             while q_i is unchanged, |integral of (change of r_i beyond held_i) / M_ii| > stuck_speed
  *   TORQUE            the controller's torque is not finite
  *
- * r is the momentum residual. What is left of a torque: wall and brake of a joint (wall), torque_step, tau_max. */
+ * A torque is limited by each joint's wall and brake (left_by_wall), then by torque_step, then by tau_max. */
 #include <limits.h>
 
 #include "vec.h"
 
-#define SHORTEST_DEPTH 0.05 /* nearer to the tip, trocar and contact cannot be told apart [m] */
+#define SHORTEST_DEPTH 0.05 /* below this depth the trocar's force and a contact of the tip look alike [m] */
 #define GRAVITY 9.81        /* [m/s^2] */
-#define FIRST_READINGS 100  /* in which it shows whether the wrench sensor has noise */
-#define LARGEST_STAMP (LLONG_MAX / 4) /* numbers beyond it are no numbers of control periods */
-#define SHRINK 0.61803398875 /* a reading as one number: a weighted sum, which equal readings share to the last bit */
-#define FINE 1e9
-#define LARGEST_NUMBER 1e6
+#define FIRST_READINGS 100  /* readings that decide whether the wrench sensor has noise */
+#define LARGEST_STAMP (LLONG_MAX / 4) /* a larger stamp cannot be the number of a control period */
+#define SHRINK 0.61803398875 /* weight of as_number, which turns a reading into one number */
+#define FINE 1e9             /* take_in's slot is |number| FINE modulo the number of slots */
+#define LARGEST_NUMBER 1e6   /* take_in ignores larger numbers */
 
 void moc_guard_start(const moc_guard *g, int n, const double *q, const double *v, long long stamp, moc_watch *w)
 {
@@ -41,7 +45,7 @@ void moc_guard_start(const moc_guard *g, int n, const double *q, const double *v
         w->low[i] = fmin(g->low[i], q[i]);
         w->high[i] = fmax(g->high[i], q[i]);
         w->joint[i].peak = fabs(v[i]);
-        w->joint[i].repeats = -1.0; /* the next reading may be the same */
+        w->joint[i].repeats = -1.0; /* the first reading may equal the start */
     }
     for (int i = 0; i < 3; i++)
         w->point[i] = (double)NAN;
@@ -53,13 +57,13 @@ void moc_guard_start(const moc_guard *g, int n, const double *q, const double *v
 
 enum { FRESH, REPEAT, OLD };
 
-/* The delay with which the first new measurement came is ordinary; `patience` ticks more is too old. */
+/* How old a measurement is. The usual delay is that of the first new measurement; OLD is `patience` ticks more. */
 static int age(const moc_guard *g, long long stamp, moc_watch *w)
 {
     bool possible = stamp > -LARGEST_STAMP && stamp < LARGEST_STAMP;
     w->now++;
     long long late = possible ? w->now - stamp : LLONG_MAX;
-    if (late < 0 && late >= -g->patience) { /* the arm counted on while the controller missed ticks: its clock holds */
+    if (late < 0 && late >= -g->patience) { /* the controller missed ticks: it takes over the arm's count */
         w->now = stamp;
         late = 0;
     }
@@ -67,7 +71,7 @@ static int age(const moc_guard *g, long long stamp, moc_watch *w)
     if (newer) {
         w->elapsed += stamp - w->newest;
         w->newest = stamp;
-        if (++w->taken == 2) /* the one that the run is started with is as old as it is told to be */
+        if (++w->taken == 2) /* the first measurement was there before the run and says nothing about the delay */
             w->delay = late;
     }
     if (w->now - w->newest > w->delay + g->patience)
@@ -75,7 +79,7 @@ static int age(const moc_guard *g, long long stamp, moc_watch *w)
     return newer ? FRESH : REPEAT;
 }
 
-/* No farther from the last belief than its age explains, and not too fast; NaN never is. */
+/* Whether q is near enough to the last believed position for the time since then, and v is not too fast; NaN is not. */
 static bool believable(const moc_guard *g, int n, const double *q, const double *v, const moc_watch *w)
 {
     double ticks = 1.0 + (double)w->bad;
@@ -86,14 +90,14 @@ static bool believable(const moc_guard *g, int n, const double *q, const double 
     return true;
 }
 
-/* --- readings that repeat themselves, or came before --- */
+/* --- readings that do not change, or that equal earlier ones --- */
 
 static bool same(double a, double b)
 {
     return a <= b && a >= b;
 }
 
-/* The wrench sensor has noise where it never repeated itself in the first readings; false until they are in. */
+/* Whether the wrench sensor has noise: no two successive readings of the first ones were equal. False before that. */
 static bool wrench_has_noise(const moc_watch *w)
 {
     return w->looked >= FIRST_READINGS && !w->wrench_is_still;
@@ -113,32 +117,32 @@ static void compare_wrench(const double *wrench, moc_watch *w)
     }
 }
 
-/* Position against velocity, and whether a joint repeats itself. Returns whether it runs away from its velocity. */
+/* Compare a joint's new position with its velocity and with the last position. Returns whether RAN_AWAY applies. */
 static bool compare_joint(const moc_guard *g, double q, double v, double elapsed, moc_joint_watch *j)
 {
     double keep = 1.0 - fmin(1.0, elapsed / g->motion_s);
     bool first = j->repeats < 0.0;
 
-    if (first) /* what it is compared with begins here */
+    if (first) /* the comparison with the velocity starts at zero gap */
         j->shown = q - elapsed * v;
     j->gap = keep * j->gap + (q - j->shown) - elapsed * v;
     j->peak = fmax(keep * j->peak, fabs(v));
     bool repeats = same(q, j->shown);
-    /* A velocity that was never other than zero is no sign: the joint has rested since the start. */
+    /* While a joint has never moved, an unchanged q and v prove nothing. */
     j->whole += !first && repeats && same(v, j->speed) && j->peak > 0.0;
     j->speed = v;
     if (first || repeats) {
         j->repeats += 1.0;
     } else {
         j->repeats = 0.0;
-        j->at_repeat = j->mean; /* of the last residual a coarse step has its share */
+        j->at_repeat = j->mean; /* not the last residual, which a coarse encoder step disturbs */
         j->unseen = 0.0;
     }
     j->shown = q;
     return fabs(j->gap) > g->motion_rad + g->motion_lag_s * j->peak;
 }
 
-/* Whether the arm was told to move, or the torque changed, while all encoders repeated themselves. */
+/* Whether the reference moved, or the torque changed, since all encoders stopped changing. */
 static bool told_to_move(const moc_guard *g, int n, const double *tau, const moc_watch *w)
 {
     bool whole = w->wrench_repeats > g->patience, moved = false;
@@ -151,7 +155,7 @@ static bool told_to_move(const moc_guard *g, int n, const double *tau, const moc
     return moved;
 }
 
-/* Compare a new reading with its own velocity and with the last one. */
+/* The checks REPEATED to WRENCH_REPEATED of a new measurement. */
 static moc_stop compare_readings(const moc_guard *g, int n, const moc_measurement *m, moc_watch *w)
 {
     double elapsed = g->period * fmax(1.0, (double)w->elapsed);
@@ -167,7 +171,7 @@ static moc_stop compare_readings(const moc_guard *g, int n, const moc_measuremen
         fewest_whole = fmin(fewest_whole, w->joint[i].whole);
         most_whole = fmax(most_whole, w->joint[i].whole);
     }
-    if (fewest <= g->patience) { /* from here on a repeated reading counts, and so does what changes */
+    if (fewest <= g->patience) { /* the state from which told_to_move measures changes */
         for (int i = 0; i < n; i++)
             w->joint[i].torque = m->applied[i];
         memcpy(w->still, w->told, sizeof w->still);
@@ -181,7 +185,8 @@ static moc_stop compare_readings(const moc_guard *g, int n, const moc_measuremen
                                                                                   : MOC_RUNNING;
 }
 
-/* Remember a reading by its number; return how many came before, all of them by the same number of readings. */
+/* Store a reading, as one number, in a table. Returns how many readings have equalled an earlier one since the lag
+ * between both last changed. */
 static inline double take_in(double number, int slots, double *numbers, double *at, moc_came_before *before)
 {
     if (!(fabs(number) < LARGEST_NUMBER))
@@ -189,7 +194,7 @@ static inline double take_in(double number, int slots, double *numbers, double *
     before->readings += 1.0;
     int slot = (int)((long long)(fabs(number) * FINE) % slots);
     double lag = before->readings - at[slot];
-    if (at[slot] > 0.0 && same(number, numbers[slot]) && lag > 1.0) { /* lag 1: a frozen reading, a sign of its own */
+    if (at[slot] > 0.0 && same(number, numbers[slot]) && lag > 1.0) { /* lag 1 is an unchanged reading: REPEATED */
         before->hits = same(lag, before->lag) ? before->hits + 1.0 : 1.0;
         before->lag = lag;
     }
@@ -198,6 +203,7 @@ static inline double take_in(double number, int slots, double *numbers, double *
     return before->hits;
 }
 
+/* A weighted sum of the values. Readings that are equal to the last bit have equal sums. */
 static double as_number(int count, const double *values, double number)
 {
     for (int i = 0; i < count; i++)
@@ -205,14 +211,15 @@ static double as_number(int count, const double *values, double number)
     return number;
 }
 
-/* A recording agrees with its own velocities and with the model: no other sign finds it. The same holds for an encoder
- * whose filtered velocity comes with its position, and which begins to lag by k readings: it shows k of them again. */
+/* The checks REPLAYED and LAGGING. No other check finds a recording that is played again, because its positions agree
+ * with its velocities and with the model. The same holds for an encoder with a velocity of its own that starts to lag
+ * by k readings: it repeats the last k readings. */
 static moc_stop came_before(const moc_guard *g, int n, const moc_measurement *m, moc_watch *w)
 {
     double most = fmin(g->repeat_reading_ticks, wrench_has_noise(w) ? g->repeat_whole_ticks : g->replayed_ticks);
     double lagging = 0.0, whole = as_number(6, m->wrench, as_number(n, m->v, as_number(n, m->q, 0.0)));
 
-    /* Where no encoder repeats a reading, one that came before is found as soon as one that comes twice. */
+    /* An infinite repeat_reading_ticks means that encoders may repeat readings: LAGGING is then off. */
     for (int i = 0; i < n && g->repeat_reading_ticks < HUGE_VAL; i++)
         lagging = fmax(lagging, take_in(SHRINK * m->q[i] + m->v[i], MOC_JOINT_SLOTS, w->joint_number[i], w->joint_at[i],
                                         &w->lagging[i]));
@@ -255,12 +262,12 @@ static double rcm_error(double pose[4][3], const double P[3])
     return sqrt(x * x + y * y);
 }
 
-/* Force of the trocar on the shaft, across it [N], by the sensor at the tool's mount.
+/* Force of the trocar on the shaft, perpendicular to it [N], from the wrench sensor at the tool's mount.
  *
- * Less the tool's weight the reading is the sum of the trocar's force f, a depth d before the tip, and of a contact g
- * at the tip: force = f + g, torque = (L - d) z x f + L z x g, hence f = (L force - torque x z) / d. If the encoders
- * are wrong, so is d, and the trocar's force may be taken for a contact: at most tip_force is. A load on the tool,
- * which the formula takes for both, may hide a part of f: *all is the whole force, which warns. */
+ * Without the tool's weight, the reading is the sum of the trocar's force f, at a depth d behind the tip, and of a
+ * contact force g at the tip: force = f + g, torque = (L - d) z x f + L z x g. Hence f = (L force - torque x z) / d.
+ * Wrong encoders give a wrong d, and all of f may look like a contact: at most tip_force is taken for one. An unknown
+ * load on the tool may hide a part of f: the warning uses the magnitude of the whole force, which *all gets. */
 static double trocar_force(const moc_guard *g, double pose[4][3], const double P[3], const double *wrench, double *all)
 {
     double depth = 0.0, L = g->tool_length, weight[2], force[2];
@@ -273,7 +280,7 @@ static double trocar_force(const moc_guard *g, double pose[4][3], const double P
     double whole = *all = sqrt(force[0] * force[0] + force[1] * force[1]);
     if (!(depth >= SHORTEST_DEPTH))
         return whole;
-    /* torque x z; the weight acts in the middle of the rod */
+    /* (L force - torque x z) / d; the weight acts in the middle of the rod */
     double x = (L * force[0] - (wrench[4] - 0.5 * L * weight[0])) / depth;
     double y = (L * force[1] - (-wrench[3] - 0.5 * L * weight[1])) / depth;
     double across = sqrt(x * x + y * y);
@@ -314,10 +321,10 @@ moc_stop moc_guard_incision(const moc_guard *g, double pose[4][3], const moc_tro
     return reason;
 }
 
-/* --- the motion that the torque made --- */
+/* --- the torque beside the motion --- */
 
-/* Whether the torque of joint i alone is not what it should be: a force on the arm, or a loop that shakes, shows in
- * several joints, a drive that does not do what it is told in its own. */
+/* Whether joint i has by far the largest residual. Then its drive is at fault: an outer force or an unstable loop gives
+ * several joints a large residual. */
 static bool alone(const moc_guard *g, int n, int i, const moc_watch *w)
 {
     double mine = fabs(w->joint[i].residual - w->joint[i].mean) / g->tau_max[i];
@@ -327,7 +334,7 @@ static bool alone(const moc_guard *g, int n, int i, const moc_watch *w)
     return true;
 }
 
-/* The momentum residual (De Luca & Mattone 2003): r = K_o (p - integral of (tau + C^T v - g + r)). */
+/* STUCK and UNEXPLAINED, by the momentum residual (De Luca & Mattone 2003), see moc_observe. */
 static moc_stop weigh(const moc_guard *g, int n, const moc_terms *t, const double *tau, moc_watch *w)
 {
     moc_stop found = MOC_RUNNING;
@@ -363,17 +370,17 @@ static moc_stop weigh(const moc_guard *g, int n, const moc_terms *t, const doubl
 
 /* --- limits of the torque --- */
 
-/* The most that wall and brake leave of the torque towards a wall, above the weight; infinite where they do not act. */
+/* Largest torque towards a wall, beyond the weight's share, that wall and brake allow; infinite if neither acts. */
 static double left_by_wall(const moc_guard *g, int i, double distance, double speed)
 {
-    /* at that speed it can still be stopped */
+    /* the speed from which the joint can still stop at the wall */
     double allowed = fmin(g->v_max[i], sqrt(2.0 * g->wall_brake * fmax(distance, 0.0)));
     if (!(distance < 0.0 || speed > allowed))
         return HUGE_VAL;
     return -g->wall_stiffness * fmax(-distance, 0.0) - g->wall_damping * fmax(speed - allowed, 0.0);
 }
 
-/* Returns whether the pose gives a weight. */
+/* The torque that carries the arm's weight at q. Returns false where it is not finite. */
 static bool weight_of(const moc_guard *g, const moc_arm *arm, const double *q, double *weight)
 {
     memset(weight, 0, (unsigned)arm->n * sizeof *weight);
@@ -382,7 +389,7 @@ static bool weight_of(const moc_guard *g, const moc_arm *arm, const double *q, d
     return all_finite(arm->n, weight);
 }
 
-/* Returns at how many joints tau was changed. */
+/* Limit tau in place. Returns the number of joints whose torque was changed. */
 static int limit_torque(const moc_guard *g, const moc_arm *arm, const double *before, const moc_watch *w, double *tau)
 {
     double least[MOC_MAX_JOINTS], most[MOC_MAX_JOINTS], weight[MOC_MAX_JOINTS];
@@ -393,7 +400,7 @@ static int limit_torque(const moc_guard *g, const moc_arm *arm, const double *be
         most[i] = left_by_wall(g, i, w->high[i] - w->q[i], w->v[i]);
         least[i] = -left_by_wall(g, i, w->q[i] - w->low[i], -w->v[i]);
         braked |= isfinite(most[i]) || isfinite(least[i]);
-        if (least[i] > most[i]) /* leaving a wall too fast already: neither spring nor brake */
+        if (least[i] > most[i]) /* the joint leaves a wall too fast: spring and brake contradict each other */
             least[i] = most[i] = 0.0;
     }
     if (braked)
@@ -434,7 +441,7 @@ moc_stop moc_guard_follow(const moc_guard *g, const moc_arm *arm, const moc_term
 void moc_guard_rest(const moc_guard *g, const moc_arm *arm, const double *before, const moc_watch *w, double *tau)
 {
     double weight[MOC_MAX_JOINTS];
-    bool known = weight_of(g, arm, w->q, weight); /* else the brakes alone */
+    bool known = weight_of(g, arm, w->q, weight); /* false: tau = 0, and the brakes alone hold the arm */
 
     for (int i = 0; i < arm->n; i++) {
         double wanted = w->cut ? 0.0 : clip(weight[i], -g->tau_max[i], g->tau_max[i]);
@@ -442,10 +449,10 @@ void moc_guard_rest(const moc_guard *g, const moc_arm *arm, const double *before
     }
 }
 
-/* Closed brakes hold the arm against the tissue's push, so that the force stays; with open ones the arm sinks under a
- * load that its model lacks. So they open at stop_yield, close again at half of it or after stop_yield_ticks, and open
- * once more if the force has risen by as much again. They stay closed where the drives cannot carry the weight, or one
- * of them does not do what it is told: then the brakes alone hold the arm. */
+/* With closed brakes the arm keeps pressing on the tissue. With open brakes it sinks under any load that its model
+ * lacks. Therefore the brakes open when the trocar's force exceeds stop_yield, close at half of that or after
+ * stop_yield_ticks, and open again when the force has risen by stop_yield once more. They stay closed if the drives
+ * cannot carry the weight or if one drive is at fault (w->cut): then the brakes alone hold the arm. */
 void moc_guard_hold(const moc_guard *g, const moc_arm *arm, const double *wrench, moc_watch *w, double *friction)
 {
     double weight[MOC_MAX_JOINTS], pose[4][3];
@@ -459,7 +466,7 @@ void moc_guard_hold(const moc_guard *g, const moc_arm *arm, const double *wrench
         double all;
         moc_tool_pose(arm, w->q, pose);
         double force = trocar_force(g, pose, w->point, wrench, &all);
-        /* A mean: in the first moments the tool's inertia force stands beside the trocar's. */
+        /* A running mean, because the tool's inertia adds to the trocar's force when the stop begins. */
         w->press = all_finite(1, &force) ? w->press + g->press_share * (force - w->press) : 0.0;
         w->yields = w->press - w->borne > (w->yields ? 0.5 * g->stop_yield : g->stop_yield);
         w->open = w->yields ? w->open + 1 : 0;
@@ -471,7 +478,7 @@ void moc_guard_hold(const moc_guard *g, const moc_arm *arm, const double *wrench
         }
     }
     for (int i = 0; i < arm->n; i++) {
-        double beyond = w->cut ? weight[i] : fmax(weight[i] - g->tau_max[i], 0.0); /* what the drive does not carry */
+        double beyond = w->cut ? weight[i] : fmax(weight[i] - g->tau_max[i], 0.0); /* weight that the drive leaves */
         friction[i] = w->yields ? 0.0 : g->stop_holding * g->tau_max[i] + 1.5 * beyond;
     }
 }
