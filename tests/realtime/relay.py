@@ -36,7 +36,7 @@ class Relay:
         self._over = threading.Event()
         self._thread = threading.Thread(target=self._run)
         self.done: list[Counter[str]] = [Counter(), Counter()]  # by direction, how often each fault happened ("": none)
-        self.whole: list[Counter[tuple[Kind, int]]] = [Counter(), Counter()]  # by direction, (kind, flags) of intact deliveries
+        self.whole: list[Counter[tuple[Kind, int]]] = [Counter(), Counter()]  # intact deliveries by (kind, flags)
 
     @property
     def address(self) -> str:

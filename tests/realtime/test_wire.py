@@ -73,7 +73,7 @@ def test_sound_packets_pass_and_all_others_are_counted(ends):
     foreign = (
         seal(command(sequence=3), KEY)[:-1], seal(command(sequence=3), KEY) + b"\0", b"", seal(command(n=6), KEY),
         seal(command(session=5), KEY), seal(command(magic=b"OTHR"), KEY), seal(command(version=9), KEY),
-        seal(command(joints=6), KEY), seal(command(kind=Kind.MEASUREMENT), KEY),  # a packet of the plant itself, sent back
+        seal(command(joints=6), KEY), seal(command(kind=Kind.MEASUREMENT), KEY),  # the plant's own, sent back
     )  # fmt: skip
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
         stranger.sendto(seal(command(sequence=1), KEY), plant.address)  # not the address that began the session

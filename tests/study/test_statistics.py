@@ -1,4 +1,4 @@
-"""Bootstrap intervals: they cover, they pair, and they say so where there is nothing to say."""
+"""Bootstrap intervals: their coverage, the pairing of trials, and what is undecided or refused."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,7 @@ from moc_opt.study import statistics
 from moc_opt.study.statistics import StatisticsError, mean, relative_change, relative_changes, share
 
 
-def test_difference_of_changes_is_resampled_over_all_four_together():
+def test_the_difference_of_two_changes_resamples_all_four_samples_together():
     """Where both changes are the same in every trial, so is their difference, however the trials differ."""
     control = np.array([0.1, 1.0, 10.0, 3.0, 0.5])
     found = statistics.difference_of_changes(1.2 * control, control, 0.7 * control, 2.0 * control)
@@ -53,6 +53,6 @@ def test_the_interval_of_a_share_covers_the_truth_at_least_as_often_as_it_says()
     (relative_change, [[1.0, 2.0], [-1.0, 1.0]], "mean 0"), (share, (0, 0), "give at least one trial"),
     (share, (-1, 5), "give at least one trial"), (share, (6, 5), "give at least one trial"),
 ])  # fmt: skip
-def test_no_statistic_of_nothing(call, given, said):
+def test_unusable_samples_are_refused(call, given, said):
     with pytest.raises(StatisticsError, match=said):
         call(*given)

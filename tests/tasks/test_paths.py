@@ -113,7 +113,7 @@ def test_a_function_of_sizes_gives_a_path_in_space(own: bool, added: None, monke
 
 @pytest.mark.parametrize(("kind", "sizes", "error", "told"), [
     ("sinus", {}, UnknownNameError, "'sinusoid'"), ("circle", {"radus": 0.1}, UnknownNameError, "'radius'"),
-    ("circle", {"radius": 0.1, "length": 0.3}, UnknownNameError, "valid names: radius$"),  # the only size that a user sets
+    ("circle", {"radius": 0.1, "length": 0.3}, UnknownNameError, "valid names: radius$"),  # a user sets no other
     ("helix", {}, TaskError, "radius"),
     ("helix", {"radios": 0.1}, UnknownNameError, "'radius'"), ("helx", {}, UnknownNameError, "'helix'"),
     ("number", {}, TaskError, "class or function"), ("crash", {}, TaskError, "ZeroDivisionError"),
@@ -141,7 +141,7 @@ STEPS = st.lists(st.tuples(*[st.floats(-0.01, 0.01)] * 3), min_size=1, max_size=
 @settings(max_examples=20)
 @given(STEPS)
 def test_a_path_through_waypoints_has_unit_speed_and_smooth_curvature(steps: list) -> None:
-    points = np.cumsum(np.add(steps, (0.02, 0.0, 0.0)), axis=0)  # each step goes ahead by 1 to 3 cm, so there is no cusp
+    points = np.cumsum(np.add(steps, (0.02, 0.0, 0.0)), axis=0)  # steps ahead of 1 to 3 cm: no cusp
     path = Waypoints(points, START, **AXES)
     s = np.linspace(0.0, path.length, 1001)
     p, tangent, bend = path.at(s)
