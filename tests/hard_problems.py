@@ -7,7 +7,7 @@ from tests.problems import Arm, changed, random_problem
 
 
 def rounded(qp: NullSpaceQP, decimals: int) -> NullSpaceQP:
-    """The same problem with Jacobians of so many decimals; the references are consistent with the rounded ones."""
+    """The same problem with Jacobians rounded to `decimals`, and references that are consistent with them."""
     x = np.linalg.lstsq(qp.A, qp.b, rcond=1e-9)[0]
     A = np.round(qp.A, decimals)
     return remade(qp, A, A @ x)
@@ -21,7 +21,7 @@ def remade(qp: NullSpaceQP, A: np.ndarray, b: np.ndarray, size: float = 1.0) -> 
 
 
 def nearly_singular(qp: NullSpaceQP, size: float) -> NullSpaceQP:
-    """The same problem where the fifth singular value of A is ``size`` of the first; the tool is as rigid as before."""
+    """The same problem where the fifth singular value of A is ``size`` times the first; the tool stays rigid."""
     u = np.linalg.svd(qp.J_tip - qp.J_wrist)[0][:, 2]
     free = np.eye(6) - 0.5 * np.outer(np.r_[u, -u], np.r_[u, -u])
     U, s, V = np.linalg.svd(free @ qp.A, full_matrices=False)

@@ -159,7 +159,7 @@ def test_runs_that_cannot_be_shown_together_are_refused(files, tmp_path, capsys)
 
 
 @pytest.mark.parametrize("command", ["report", "replay", "map"])
-def test_a_page_replaces_a_foreign_file_only_with_force_and_unusable_places_are_refused_first(files, tmp_path, capsys, command):
+def test_a_page_replaces_a_foreign_file_only_with_force_and_needs_a_usable_place(files, tmp_path, capsys, command):
     out = tmp_path / "page.html"
     out.write_text("mine")
     for place, said in (
