@@ -14,7 +14,7 @@ def rounded(qp: NullSpaceQP, decimals: int) -> NullSpaceQP:
 
 
 def remade(qp: NullSpaceQP, A: np.ndarray, b: np.ndarray, size: float = 1.0) -> NullSpaceQP:
-    """The problem with other rows, and a box ``size`` times as wide."""
+    """The problem with the rows A x = b instead, and a box ``size`` times as wide."""
     return changed(
         qp, J_tip=A[:3], J_wrist=A[3:], v_tip=b[:3], v_wrist=b[3:], lower=size * qp.lower, upper=size * qp.upper
     )
@@ -32,7 +32,7 @@ def nearly_singular(qp: NullSpaceQP, size: float) -> NullSpaceQP:
 
 
 def hard_problems(arm: Arm | None = None, n: int = 7, seed: int = 0) -> list[NullSpaceQP]:
-    """Two of each kind, without and with regularization; all but the largest and smallest are feasible."""
+    """Two problems of each kind, without and with regularization; all but the largest and smallest are feasible."""
     rng = np.random.default_rng(seed)
     found = []
     for regularization in (0.0, 1e-5):

@@ -15,7 +15,7 @@ from moc_opt.solvers.base import Solution, Status
 
 @dataclass(frozen=True)
 class Misbehaving:
-    """Answers x = 0 with a count of its problems, but does ``act`` (a name in `ACTS`) at problem ``at``."""
+    """Answers x = 0 with the problem's number as iterations, but does ``act`` (in `ACTS`) from problem ``at`` on."""
 
     act: str = ""
     at: int = 2

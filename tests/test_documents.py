@@ -21,7 +21,7 @@ import moc_opt as mo
 ROOT = Path(__file__).resolve().parent.parent
 BLOCK = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 CHECKOUT = "# in a checkout"
-PATIENCE_S = 1200  # nothing hangs for ever
+PATIENCE_S = 1200  # limit for one block
 
 
 def blocks(document):

@@ -1,4 +1,4 @@
-"""Floors are layers of the package: a module imports from its own or a lower one. And what an import may load."""
+"""A module imports only from its own floor (a layer of the package) or a lower one, and loads only what it needs."""
 
 import ast
 import subprocess

@@ -97,7 +97,7 @@ def test_every_public_name_is_an_entry():
 
 
 @pytest.mark.parametrize("name", ENTRIES)
-def test_a_public_name_and_its_methods_are_used_in_an_example_and_its_own_one_runs(name, tmp_path, monkeypatch):
+def test_a_public_name_and_its_methods_are_used_in_examples_and_its_own_example_runs(name, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     runner, said, shown = doctest.DocTestRunner(optionflags=doctest.ELLIPSIS), [], PAGES
     for title, one in {name: found(name), **methods(name)}.items():

@@ -1,4 +1,4 @@
-"""The studies of arms and of planning: figures follow from their rows; courses, map and bounds agree."""
+"""The studies of arms and of planning: their figures follow from the rows, and courses, map and bounds agree."""
 
 from typing import Any
 

@@ -56,7 +56,7 @@ def test_a_solver_is_exchanged_at_the_next_tick(run: LiveRun) -> None:
 @pytest.mark.parametrize("change", [
     lambda run: run.choose(DCAC), lambda run: run.tune(K_X=1500.0, K_N=300.0, observer_gain_per_s=0.0),
 ])  # fmt: skip
-def test_exchanges_do_not_jerk(change: Callable[[LiveRun], None]) -> None:
+def test_an_exchange_of_controllers_does_not_jerk(change: Callable[[LiveRun], None]) -> None:
     """The torque continues from its last value, and the arm in the realistic plant hardly deviates."""
     run = LiveRun(Scenario(start={"swivel": 0.9}))
     run.advance(400)
@@ -152,7 +152,7 @@ def test_a_controller_asked_for_at_every_tick_leaves_the_arm_controlled(run: Liv
     assert column(run, "rcm_error_m", 400).max() < 3e-3
 
 
-def test_the_path_is_followed_to_and_fro() -> None:
+def test_the_path_is_followed_back_and_forth() -> None:
     run = LiveRun(Scenario(task={"path": "spiral"}))
     one_way = run._setup.duration_s
     times = np.linspace(0.0, 2.5 * one_way, 4001)

@@ -56,7 +56,7 @@ def test_the_ellipsoid_has_mu_as_its_volume(robot: RobotModel, regular_poses: An
     np.testing.assert_allclose(np.linalg.det(roots), [state.mu for state in states], rtol=1e-9)
 
 
-def test_the_numbers_of_the_replay_are_those_of_the_traces(robot: RobotModel, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_replay_has_the_numbers_of_its_traces(robot: RobotModel, monkeypatch: pytest.MonkeyPatch) -> None:
     runs = {"long": wave(robot, 1500), "short": wave(robot, 700, phase=1.0)}
     replay = Replay(runs, robot)
     data = replay.data()

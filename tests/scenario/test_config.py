@@ -109,7 +109,7 @@ def test_a_change_of_the_plant_keeps_its_other_settings_and_is_validated():
 
 
 def test_the_true_shaft_passes_through_the_trocar_despite_wrong_kinematics():
-    """The kinematics are off by more than 0.5 mm, but the arm touched the trocar, which so lies on the true shaft."""
+    """The kinematics are wrong by more than 0.5 mm. Since the arm has touched the trocar, the true shaft meets it."""
     bad = {"calibration_error_m": 5e-4, "calibration_tilt_rad": 5e-4, "encoder_bias_rad": 5e-4, "preset": "nominal"}
     setup = Setup(Scenario(plant=bad, seed=4, control={"law": "dcac"}, **BARE, duration_s=0.2))
     plant, state = setup.plant, setup.robot.state(setup.q_start)

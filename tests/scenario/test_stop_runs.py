@@ -95,7 +95,7 @@ def test_brakes_are_open_while_the_trocar_presses_and_then_only_when_it_presses_
     for force, last in ((0.0, False), (7.0, False), (20.0, True), (6.0, True), (3.0, False), (np.nan, False)):
         assert is_open(force, 100)[-1] == last, force
     most = round(SafetyFilterSettings().stop_yield_s / 0.002)
-    # The brakes also hold 6 N more than the force they closed on. Once the force has fallen, that force is forgotten.
+    # Brakes also hold up to 6 N more than the force they closed on. Once the force has fallen, that is forgotten.
     for force, ticks in ((0.0, 0), (20.0, most), (26.0, 0), (40.0, most), (0.0, 0), (20.0, most)):
         found = is_open(force, 1000)
         assert (sum(found), any(found[-500:])) == (ticks, False), force

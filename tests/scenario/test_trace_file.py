@@ -54,7 +54,7 @@ def test_whatever_ends_a_run_leaves_its_rows(whole, error, place, tmp_path, monk
 @pytest.mark.parametrize(("status", "told"), [
     (130, "interrupted; the first 0.296 s "), (1, f"ZeroDivisionError: a defect of two lines ({Path(__file__).name}:"),
 ])  # fmt: skip
-def test_ctrl_c_and_a_defect_print_one_line_that_says_where_the_rows_are(tmp_path, capsys, monkeypatch, status, told):
+def test_ctrl_c_and_a_defect_print_one_line_that_names_the_file(tmp_path, capsys, monkeypatch, status, told):
     ticks, real = iter(range(10**6)), Plant.measure
 
     def breaking(self):

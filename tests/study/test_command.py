@@ -96,7 +96,7 @@ def test_options_change_the_configuration(asked, monkeypatch, options, seed, cou
     ("cuont = 3", r"tiny\.toml: .*did you mean 'count'"), ("seed = -1", r"tiny\.toml: .*seed = -1"),
     (None, r"tiny\.toml.*no such file"), ("", r"new"),
 ])  # fmt: skip
-def test_wrong_input_is_one_line_and_status_2(asked, capsys, content, said):
+def test_wrong_input_gives_one_line_and_status_2(asked, capsys, content, said):
     config, out = asked
     config.unlink() if content is None else config.write_text(content)
     out.parent.write_text("a file in the place of the folder")

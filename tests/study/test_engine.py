@@ -52,14 +52,14 @@ def test_processes_that_die_at_once_or_exit_without_an_error_are_reported_as_cra
 
 
 def test_earlier_results_of_a_group_do_not_count_once_the_group_is_given_up(tmp_path):
-    """Else a study that was killed and continued would have other results than one that was never killed."""
+    """Otherwise a study that was killed and continued would have other results than one that was never killed."""
     good = Job(work.square, (3.0,), group="slow")
     assert run([good], kept=Kept(tmp_path)) == [9.0]
     found = run([Job(time.sleep, (60.0,), limit_s=0.3, group="slow"), good], kept=Kept(tmp_path))
     assert [result.kind for result in found] == ["hung", "not run"]
 
 
-def test_a_job_may_limit_its_own_steps():
+def test_a_job_may_limit_the_time_of_its_own_steps():
     found = run([Job(work.steps, ([0.01, 0.5, 0.01], 0.3)), Job(work.steps, ([0.01, 9.0], 0.3))], workers=2)
     assert found[0] == 3, "of processor time: a step that waits for a while costs none"
     assert (found[1].kind, found[1].parts) == ("hung", (0.01,))

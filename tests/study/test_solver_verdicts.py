@@ -1,4 +1,4 @@
-"""Verdicts follow their stated rules, and the first screen says what they rest on."""
+"""Verdicts follow their stated rules, and the first screen gives the figures behind them."""
 
 import io
 import re
@@ -76,7 +76,7 @@ def test_each_rule_gives_its_verdict(asked, times, verdict, damage):
 
 @pytest.mark.parametrize("ended", ENDED.values())
 def test_endings_on_trials_that_the_others_did_not_run_do_not_count(ended):
-    """The optimum itself might end like this on a trial that only one solver ran, and that solver would be blamed."""
+    """Even the optimum might end like this on such a trial, so the only solver that ran it is not to blame."""
     mine = runs("asked", 60)
     mine[40] |= {"ended": ended, "whole": not ended.startswith("stopped")}
     common = {row["trial"] for row in mine[:15]}

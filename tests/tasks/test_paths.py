@@ -141,7 +141,7 @@ STEPS = st.lists(st.tuples(*[st.floats(-0.01, 0.01)] * 3), min_size=1, max_size=
 @settings(max_examples=20)
 @given(STEPS)
 def test_a_path_through_waypoints_has_unit_speed_and_smooth_curvature(steps: list) -> None:
-    points = np.cumsum(np.add(steps, (0.02, 0.0, 0.0)), axis=0)  # steps ahead of 1 to 3 cm: no cusp
+    points = np.cumsum(np.add(steps, (0.02, 0.0, 0.0)), axis=0)  # each step 1 to 3 cm ahead: no cusp
     path = Waypoints(points, START, **AXES)
     s = np.linspace(0.0, path.length, 1001)
     p, tangent, bend = path.at(s)

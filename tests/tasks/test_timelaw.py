@@ -38,7 +38,7 @@ def test_the_quintic_starts_and_ends_at_rest_and_its_derivatives_are_finite_diff
 @given(st.floats(1e-4, 10.0), st.floats(1e-3, 10.0), st.floats(1e-3, 100.0))
 @example(0.1, 0.05, 100.0)
 @example(0.1, 10.0, 0.05)
-def test_straight_duration_is_the_formula(length: float, v_max: float, a_max: float) -> None:
+def test_the_duration_of_a_line_is_the_closed_form(length: float, v_max: float, a_max: float) -> None:
     expected = max(15.0 * length / (8.0 * v_max), math.sqrt(10.0 * length / (math.sqrt(3.0) * a_max)))
     assert duration(build("line", length=length), v_max, a_max) == pytest.approx(expected, rel=1e-14)
 
@@ -53,7 +53,7 @@ def extremes(reference: Reference, count: int) -> tuple[float, float]:
 
 @settings(max_examples=30)
 @given(curved, st.floats(0.01, 1.0), st.floats(0.01, 10.0))
-def test_curved_duration_touches_a_limit_and_exceeds_none(path: Path, v_max: float, a_max: float) -> None:
+def test_a_curves_duration_reaches_a_limit_and_exceeds_none(path: Path, v_max: float, a_max: float) -> None:
     used = extremes(Reference(path, v_max, a_max), 1_501)
     assert max(used) <= 1.0 + 1e-9
     assert max(used) >= 1.0 - 1e-2
@@ -69,7 +69,7 @@ def test_no_bend_is_missed_however_sharp_or_many(kind: str, sizes: dict[str, flo
 
 
 @pytest.mark.parametrize("kind", CURVES)
-def test_velocity_and_acceleration_are_derivatives_and_the_reference_rests_before_and_after(kind: str) -> None:
+def test_velocity_and_acceleration_are_derivatives_and_zero_before_and_after(kind: str) -> None:
     path = build(kind)
     reference = Reference(path, 0.1, 0.3, t_start=0.5)
     end, h = 0.5 + reference.duration, 1e-5 * reference.duration
@@ -89,7 +89,7 @@ def test_velocity_and_acceleration_are_derivatives_and_the_reference_rests_befor
 PERIOD = 0.01
 REFERENCES = {kind: Reference(build(kind), 0.05, 0.2) for kind in CURVES}
 CIRCLE = Reference(build("circle", radius=0.02), 0.05, 0.2)
-BRAKE_S = 0.05 / 0.2  # one over the steepest slope of the rate
+BRAKE_S = 0.05 / 0.2  # inverse of the steepest slope of the rate
 
 
 def flags(seconds, losses):
@@ -181,7 +181,7 @@ def test_breathing_moves_the_trocar_there_and_back() -> None:
 
 @settings(max_examples=40)
 @given(st.floats(-20.0, 20.0), st.floats(0.0, 0.05), st.floats(1.0, 10.0), points.filter(np.any))
-def test_trocar_velocity_is_the_derivative(t: float, amplitude: float, period: float, direction: np.ndarray) -> None:
+def test_trocar_velocity_is_the_slope(t: float, amplitude: float, period: float, direction: np.ndarray) -> None:
     trocar = Trocar(POINT, amplitude, period, direction)
     h = 1e-4
     slope = (trocar.at(t + h)[0] - trocar.at(t - h)[0]) / (2 * h)

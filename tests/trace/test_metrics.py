@@ -39,7 +39,7 @@ def run(**changed: object) -> Trace:
 META = {"deadline_us": 100, "ended": "stopped: for a test", "ticks": 4, "ticks_planned": 16}
 
 
-def test_every_metric_by_hand() -> None:
+def test_every_metric_equals_its_value_by_hand() -> None:
     summary = summarize(run(), baseline=run(mu=[0.2, 0.2, 0.2, 0.2]))
     expected = {
         "completed": 0.0, "share_of_run": 0.25, "mu_mean": 0.25, "mu_final": 0.4, "mu_gain_percent": 25.0,
@@ -88,13 +88,13 @@ def test_a_diverged_run_does_not_look_good() -> None:
     assert summary["primal_max"] == math.inf
 
 
-def test_torque_rate_does_not_reach_across_a_gap() -> None:
+def test_the_torque_rate_skips_gaps_between_ticks() -> None:
     assert "torque_rate_rms_Nm_per_s" not in summarize(run().select([False, True, False, True]))
     ends = run().select([True, False, True, True])
     assert summarize(ends)["torque_rate_rms_Nm_per_s"] == pytest.approx(5000.0)
 
 
-def test_what_cannot_be_summarized_is_refused() -> None:
+def test_a_trace_that_cannot_be_summarized_is_refused() -> None:
     empty = Trace({"mu": []})
     refused = {
         "trace is empty": lambda: summarize(empty), "baseline is empty": lambda: summarize(run(), empty),

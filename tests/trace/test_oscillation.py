@@ -1,4 +1,4 @@
-"""Oscillation: found where it is, in synthetic traces and in runs, and not found in sound ones."""
+"""Oscillation is found in synthetic traces and runs that have it, and not in sound ones."""
 
 import numpy as np
 import pytest

@@ -41,7 +41,7 @@ def trace():
 
 
 def assert_same(one, other):
-    """Same names in the same order, same types, shapes and bits."""
+    """Assert that names, their order, types, shapes and bits are the same."""
     assert list(one.columns) == list(other.columns)
     for name, array in one.columns.items():
         again = other.columns[name]
