@@ -181,7 +181,7 @@ def test_breathing_moves_the_trocar_there_and_back() -> None:
 
 @settings(max_examples=40)
 @given(st.floats(-20.0, 20.0), st.floats(0.0, 0.05), st.floats(1.0, 10.0), points.filter(np.any))
-def test_trocar_velocity_is_the_slope(t: float, amplitude: float, period: float, direction: np.ndarray) -> None:
+def test_velocity_is_the_derivative(t: float, amplitude: float, period: float, direction: np.ndarray) -> None:
     trocar = Trocar(POINT, amplitude, period, direction)
     h = 1e-4
     slope = (trocar.at(t + h)[0] - trocar.at(t - h)[0]) / (2 * h)
