@@ -12,7 +12,7 @@ from moc_opt.tasks import CURVES, Path, Reference, Trocar, duration, quintic, sh
 from moc_opt.tasks.timelaw import WaitingReference, flags_at
 from tests.tasks.test_paths import START, build, size
 
-# Flat enough for an even sampling to meet the crests; steeper paths have a test of their own.
+# Flat, so that an even sampling comes close to the crests; steeper paths have a test of their own.
 curved = st.one_of(
     st.builds(lambda r: build("circle", radius=r), size),
     st.builds(
@@ -53,7 +53,7 @@ def extremes(reference: Reference, count: int) -> tuple[float, float]:
 
 @settings(max_examples=30)
 @given(curved, st.floats(0.01, 1.0), st.floats(0.01, 10.0))
-def test_a_curves_duration_reaches_a_limit_and_exceeds_none(path: Path, v_max: float, a_max: float) -> None:
+def test_curved_duration_touches_a_limit_and_exceeds_none(path: Path, v_max: float, a_max: float) -> None:
     used = extremes(Reference(path, v_max, a_max), 1_501)
     assert max(used) <= 1.0 + 1e-9
     assert max(used) >= 1.0 - 1e-2
