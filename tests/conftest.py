@@ -18,12 +18,12 @@ from moc_opt.trace.metrics import METRICS
 Array = NDArray[np.float64]
 Draw = Callable[..., list[Array]]
 
-# Properties are tested on the same examples in every run, however busy the machine; "long" looks for others.
+# Property tests use the same examples in every run, and have no deadline; the profile "long" draws new examples.
 settings.register_profile("repeatable", deadline=None, derandomize=True)
 settings.register_profile("long", deadline=None, max_examples=5000, print_blob=True)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "repeatable"))
 
-# A shell ignores Ctrl-C in what it starts in the background, and so would every process that a test starts there.
+# A job that a shell starts in the background ignores SIGINT, and the processes that tests start would inherit this.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
@@ -34,12 +34,12 @@ SLOW = (
     "tests/test_wheel.py", "tests/solvers/test_isolated.py", "tests/planning/test_follow.py",
     "tests/export/test_folder.py",
 )  # fmt: skip
-"""The longest files, the longest first: they are marked `slow` and run after the rest."""
+"""The slowest files, slowest first. They are marked `slow` and run after the rest."""
 
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_auto_num_workers() -> int:
-    """Return half as many again as there are cores: two fifths of the time a test waits, for a process or a page."""
+    """Return 1.5 workers per core, since tests spend two fifths of their time waiting for a process or a page."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     return cores + cores // 2
 
@@ -57,7 +57,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 @pytest.fixture(autouse=True)
 def registered_metrics() -> Iterator[None]:
-    """Forget what a test, or an example that it runs, has registered: the next test in this process has its own."""
+    """Undo what a test, or an example that it runs, has registered, so that it does not reach the next test."""
     before = dict(METRICS)
     yield
     METRICS.clear()
@@ -66,7 +66,7 @@ def registered_metrics() -> Iterator[None]:
 
 @pytest.fixture(scope="session")
 def chromium() -> Iterator[Any]:
-    """One headless browser for all tests of this process, lent also to code that would start its own."""
+    """One headless browser for all tests of this process; code that would start its own browser gets it too."""
     from moc_opt.errors import BrowserMissingError
     from moc_opt.report import export  # late: few tests draw
 
@@ -82,11 +82,11 @@ def chromium() -> Iterator[Any]:
 def opened(
     chromium: Any, address: str, ready: str, own: str = "", kinds: tuple[str, ...] = (), **options: Any
 ) -> Iterator[Any]:
-    """An open page; in the end it has said nothing (or nothing of these kinds), and asked for no other's files."""
+    """An open page. When it is closed, its console must be empty (of `kinds`, if given), its requests all its own."""
     page, said, asked = chromium.new_page(**options), list[str](), list[str]()
 
     def hear(message: Any) -> None:
-        # Reading pixels back, as a screenshot does, is slow, says the driver; it is the test that reads them.
+        # The driver warns that reading pixels back is slow; only the screenshots of the tests do so.
         if (not kinds or message.type in kinds) and "GPU stall due to ReadPixels" not in message.text:
             said.append(f"{message.type}: {message.text}")
 

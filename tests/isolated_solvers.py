@@ -1,4 +1,4 @@
-"""Solvers that misbehave; their processes import this module, so that it is a light one."""
+"""Solvers that misbehave. Their processes import this module, so it imports little."""
 
 import os
 import signal
@@ -15,7 +15,7 @@ from moc_opt.solvers.base import Solution, Status
 
 @dataclass(frozen=True)
 class Misbehaving:
-    """Answers x = 0 with a count of its problems, but does ``act`` (a name in `ACTS`) at problem ``at``."""
+    """Answers x = 0 with the problem's number as iterations, but does ``act`` (in `ACTS`) from problem ``at`` on."""
 
     act: str = ""
     at: int = 2
@@ -43,7 +43,7 @@ class MisbehavingSession:
 
 
 class GatedSession:
-    """Answers problem k, with k as its iterations, when a file of that name lies in the folder."""
+    """Answers problem k (its c0), with k as the iterations, once a file named k exists in the folder."""
 
     def __init__(self, folder):
         self.folder, self.observed = folder, np.full(7, np.nan)
@@ -64,7 +64,7 @@ def hang(session):
 
 
 def fork_and_exit(session):
-    """End, and leave a child behind that keeps all that was open."""
+    """Exit, and leave a child that keeps every file of this process open."""
     if os.fork() == 0:
         time.sleep(20.0)
     os._exit(3)

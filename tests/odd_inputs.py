@@ -1,4 +1,4 @@
-"""What strangers send (numbers, texts, names, nested values, files with errors in them), and how it has to end."""
+"""Hostile input (numbers, texts, names, nested values, damaged files), and the outcomes that are allowed for it."""
 
 import contextlib
 import signal
@@ -11,18 +11,18 @@ from hypothesis import HealthCheck, event, settings
 from moc_opt.errors import MocOptError
 
 LONGEST_S = 600
-"""For one input: a busy machine compiles in it, and only a hang takes longer."""
+"""Time limit for one input: long enough to compile on a busy machine, so that only a hang exceeds it."""
 
 
 def many(share=1.0):
-    """A share of the examples of the profile, for tests of which one example takes longer."""
+    """Settings with a share of the profile's examples, for tests whose single examples take long."""
     slow = (HealthCheck.too_slow, HealthCheck.data_too_large, HealthCheck.function_scoped_fixture)
     return settings(max_examples=max(10, round(share * settings().max_examples)), suppress_health_check=slow)
 
 
 @contextlib.contextmanager
 def ends_well(*named):
-    """Nothing is raised inside but a MocOptError of ordinary length; where names are given it has one of them."""
+    """Allow nothing to be raised inside but a MocOptError of ordinary length, which has one of `named` if given."""
 
     def ring(number, frame):
         pytest.fail(f"no end after {LONGEST_S} s")
@@ -30,7 +30,7 @@ def ends_well(*named):
     before = signal.signal(signal.SIGALRM, ring)
     signal.alarm(LONGEST_S)
     try:
-        with np.errstate(all="ignore"):  # numbers of 1e300 overflow; what counts is what is said about them
+        with np.errstate(all="ignore"):  # numbers of 1e300 overflow; only the outcome is tested
             yield
     except MocOptError as refusal:
         said = str(refusal)
@@ -77,7 +77,7 @@ names = st.one_of(
     st.lists(pieces, min_size=1, max_size=4).map("".join), st.text(max_size=8),
     st.from_regex(r"[A-Za-z0-9_ .:+/-]{1,12}", fullmatch=True),
 )  # fmt: skip
-"""What leaves a comment, a tag or a folder, and names as they should be."""
+"""Texts that would escape from a comment, a tag or a folder, and sound names."""
 
 
 LINES = st.sampled_from(["", "<", "]", "[[robot]]", "</link>", '<link name="tip"/>', "\x00"])
@@ -88,7 +88,7 @@ ODD = st.one_of(
 
 @st.composite
 def edited(draw: st.DrawFn, text: str) -> bytes:
-    """A text file with a few lines, words or values changed, doubled or taken out; or something else entirely."""
+    """A text file with a few lines, words or values changed, doubled or removed; or something else entirely."""
     kind = draw(st.integers(0, 9))
     if kind == 0:
         return draw(st.binary(max_size=200))

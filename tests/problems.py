@@ -26,7 +26,7 @@ class Arm:
     def terms(self, q: Array) -> tuple[Array, Array, Array]:
         """Return J_tip and J_wrist, (3, n) each [m/rad], and the gradient (n,) of mu = sqrt(det(J_tip J_tip^T)).
 
-        It is mu tr(J^+ dJ/dq_i), where joint i turns the columns of the joints after it.
+        The gradient is mu tr(J^+ dJ/dq_i), where joint i turns the columns of the joints after it.
         """
         R, t = np.eye(3), np.zeros(3)
         axes, points = np.empty_like(self.axes), np.empty_like(self.points)
@@ -107,7 +107,7 @@ PARTS = (
 
 
 def changed(qp: NullSpaceQP, **parts: Any) -> NullSpaceQP:
-    """The problem with other parts, which have the names of the arguments."""
+    """The problem with some of its arguments (PARTS) replaced."""
     return NullSpaceQP(**{**{name: getattr(qp, name) for name in PARTS}, **parts})
 
 
@@ -125,7 +125,7 @@ def random_problem(
 def out_of_reach(rng: np.random.Generator, qp: NullSpaceQP) -> NullSpaceQP:
     """The same subproblem with references that no velocity in the box meets, by Farkas' lemma.
 
-    With w = A^T y the most that y^T A x reaches is the sum of max(w_i lower_i, w_i upper_i); b = s A w exceeds it.
+    With w = A^T y, y^T A x is at most the sum of max(w_i lower_i, w_i upper_i). y^T b is larger with b = s A w.
     """
     w = qp.A.T @ rng.normal(size=6)
     reach = np.maximum(w * qp.lower, w * qp.upper).sum()
@@ -134,7 +134,7 @@ def out_of_reach(rng: np.random.Generator, qp: NullSpaceQP) -> NullSpaceQP:
 
 
 def on_rows(qp: NullSpaceQP, x: Array) -> Array:
-    """The point of A x = b nearest to x: where an answer to the nonlinear problem, which is off it, is compared."""
+    """The point of A x = b nearest to x. Answers to the nonlinear problem, which miss A x = b, are compared there."""
     return np.asarray(x - np.linalg.pinv(qp.A, rcond=1e-6) @ (qp.A @ x - qp.b))
 
 

@@ -1,4 +1,4 @@
-"""README is a script: what its fenced blocks say runs from top to bottom, in an empty folder, exactly as printed.
+"""README is a script: its fenced blocks run from top to bottom, in an empty folder, exactly as printed.
 
 `sh` blocks go to a shell, `python` blocks into one interpreter. Two kinds of line are not run as they stand: a block
 that begins with "# in a checkout" takes minutes and a virtual environment, so its targets are looked up in the
@@ -21,7 +21,7 @@ import moc_opt as mo
 ROOT = Path(__file__).resolve().parent.parent
 BLOCK = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 CHECKOUT = "# in a checkout"
-PATIENCE_S = 1200  # nothing hangs for ever
+PATIENCE_S = 1200  # limit for one block
 
 
 def blocks(document):
@@ -96,7 +96,7 @@ def test_the_start_page_shows_the_scenario_and_the_commands_of_readme():
     assert [line for line in commands if not any(one.startswith(line.rstrip()) for one in said)] == []
 
 
-def test_what_is_said_of_a_checkout_is_there():
+def test_the_make_targets_that_readme_names_exist():
     targets = re.findall(r"^(\w+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)
     lines = [line for _, text in blocks("README.md") if text.startswith(CHECKOUT) for line in text.splitlines()[1:]]
     assert len(lines) >= 2

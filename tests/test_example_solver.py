@@ -1,4 +1,4 @@
-"""Your solver in fifteen lines: installed by pip, it is found and conforms."""
+"""A user's solver of fifteen lines, installed by pip, is found and passes the conformance suite."""
 
 import os
 import shutil

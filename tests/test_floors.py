@@ -1,4 +1,4 @@
-"""The floors of the house: a module imports from its own floor or from one below; and what an import may load."""
+"""A module imports only from its own floor (a layer of the package) or a lower one, and loads only what it needs."""
 
 import ast
 import subprocess
@@ -34,7 +34,7 @@ def rooms_imported(source):
                 yield next(name for name in names if name in FLOOR)
 
 
-def test_a_module_imports_from_its_floor_or_below():
+def test_a_module_imports_only_from_its_own_floor_or_a_lower_one():
     for file in PACKAGE.rglob("*.py"):
         place = file.relative_to(PACKAGE)
         floor = FLOOR.get(".".join(place.with_suffix("").parts), FLOOR.get(place.parts[0].removesuffix(".py")))

@@ -1,6 +1,6 @@
-"""Figures of closed-loop runs of the whole package, frozen in frozen.json to what matters on the robot.
+"""Closed-loop runs of the whole package keep the figures in frozen.json, up to changes that do not matter on a robot.
 
-A change that is meant to move them writes them anew (``python -m tests.test_frozen --write``) and says why.
+A change that is meant to move them rewrites the file (``python -m tests.test_frozen --write``) and says why.
 """
 
 import json
@@ -25,7 +25,7 @@ ARMS = ("lwr4", "iiwa14", "panda", "gen3", "xarm7", "lwr4_rail")
 PATHS = ("circle", "sinusoid", "spiral", "line", "waypoints")
 SOLVERS = ("exact", "rnn", "osqp", "nlp-sqp")
 
-# Each is changed in one thing, or in a few that belong together.
+# Each variant changes one thing, or a few that belong together.
 VARIANTS: dict[str, dict[str, Any]] = tomllib.loads("""
 whole-circle = { task = { path = "circle", sizes.radius = 0.015 } }
 whole-line-rnn = { task.path = "line", solver.name = "rnn" }

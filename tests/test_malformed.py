@@ -1,6 +1,6 @@
-"""Malformed input: it is taken and what comes of it is right, or it is refused with a MocOptError that says why.
+"""Malformed input is either accepted with a sound result, or refused with a MocOptError that says why.
 
-`HYPOTHESIS_PROFILE=long` draws thousands of inputs. An input that once ended badly stands as an example.
+`HYPOTHESIS_PROFILE=long` draws thousands of inputs. An input that once ended badly is kept as an example.
 """
 
 import contextlib
@@ -31,14 +31,14 @@ ARM_TOML = (FOLDER / "lwr4.toml").read_bytes().replace(b'"lwr4.urdf"', b'"arm.ur
 
 
 def fields(table=Scenario):
-    """Path of every field, tables before what is in them."""
+    """Path of every field; a table comes before its own fields."""
     for name, field in table.model_fields.items():
         yield (name,)
         if hasattr(field.annotation, "model_fields"):
             yield from ((name, *rest) for rest in fields(field.annotation))
 
 
-usual = st.sampled_from([0.0, 1e-3, 0.02, 0.1, 0.5, 1.0, 2, True, False])  # else hardly one would come to its run
+usual = st.sampled_from([0.0, 1e-3, 0.02, 0.1, 0.5, 1.0, 2, True, False])  # without these hardly any would run
 strange = st.sampled_from(["typo", "", "seeds", "class", "duration", "model_config"])
 values = st.one_of(usual, numbers, texts, junk)
 
@@ -89,7 +89,7 @@ def drive(robot):
     assert np.linalg.eigvalsh(state.M).min() > 0.0
 
 
-# file -> what reads it, and what has to work with what was read
+# file -> the function that reads it, and a function that has to work on the result
 READERS = {
     "scenario.toml": (Scenario.load, run_two_ticks), "arm.toml": (mo.load_robot, drive),
     "arm.urdf": (lambda path: mo.load_robot(path.with_suffix(".toml")), drive),
@@ -184,7 +184,7 @@ def test_a_subproblem_is_answered_without_a_false_claim_or_names_the_field(n, se
 
 
 def ordinary(qp):
-    """Whether residuals are no mere rounding errors: sizes up to 1e3, and A well conditioned."""
+    """Whether residuals are more than rounding errors: numbers are at most 1e3, and A is well conditioned."""
     largest = max(float(np.abs(array).max()) for array in (qp.A, qp.b, qp.lower, qp.upper, qp.grad_mu))
     sizes = np.linalg.svd(qp.A, compute_uv=False)
     return largest <= 1e3 and sizes[0] > 0.0 and sizes[sizes > 1e-9 * sizes[0]].min() > 1e-3 * sizes[0]
@@ -205,7 +205,7 @@ sealed = st.sampled_from(sorted(PACKETS)).flatmap(
 @example(arriving=[(int(wire.Kind.COMMAND), {})])
 @example(arriving=[(int(wire.Kind.COMMAND), {"tau": float("nan")})])
 @example(arriving=[(int(wire.Kind.COMMAND), {"flags": 1, "reason": b"\x1b[2J"})])
-def test_no_packet_moves_the_arm_beyond_its_limits_or_steers_a_terminal(robot, arriving):
+def test_no_packet_exceeds_the_torque_limits_or_puts_control_characters_on_a_terminal(robot, arriving):
     with contextlib.closing(Peer(robot)) as peer, ends_well():
         peer.start()
         for _ in range(SETTINGS.hold_ticks + SETTINGS.damp_ticks + 2):
@@ -221,6 +221,6 @@ def packet(what, peer):
     made = wire.make_packet(wire.Kind(what[0]), peer.n, peer.session, SCENARIO)
     made["sequence"] = peer.k
     for name, value in what[1].items():
-        with contextlib.suppress(ValueError, OverflowError, TypeError):  # nothing that the field's bytes can hold
+        with contextlib.suppress(ValueError, OverflowError, TypeError):  # a value that the field cannot hold
             made[name] = value
     return wire.seal(made, KEY)

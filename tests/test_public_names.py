@@ -1,4 +1,4 @@
-"""The names others call, as docs and README spell them; errors, whose messages stay short and name the nearest."""
+"""Public names keep their signatures; messages of errors stay short and name the nearest valid names."""
 
 import inspect
 
@@ -18,7 +18,7 @@ def test_subproblem_signature():
 
 
 @pytest.mark.parametrize("kind", [MocOptError, RobotError, TraceError])
-def test_a_text_of_a_megabyte_is_cut(kind):
+def test_a_message_of_a_megabyte_is_cut(kind):
     assert str(kind("a field, its value and the cure")) == "a field, its value and the cure"
     assert str(kind("x" * 2000)) == "x" * 2000
     cut = str(kind("begins so " + "x" * 10**6))
@@ -35,14 +35,14 @@ MANY = [*(f"name_{i}" for i in range(500)), "osqp", "proxqp", "nlp-ipopt"]
     ("name_7x", MANY, "did you mean 'name_7'"), ("proxpq", MANY, "did you mean 'proxqp'? `"),
     ("a", MANY[:3], "valid names: name_0, name_1, name_2"),
 ])  # fmt: skip
-def test_the_nearest_names_stand_and_of_a_long_list_only_these(name, valid, told):
+def test_an_unknown_name_is_answered_with_the_nearest_ones_and_not_with_a_long_list(name, valid, told):
     text = str(UnknownNameError("metric", name, valid, "moc-opt metrics"))
     assert told in text
     assert text.endswith("`moc-opt metrics` lists all 503") == (valid is MANY)
-    assert text.count("name_") <= 4  # what was written, and three
+    assert text.count("name_") <= 4  # the wrong name, and three near ones
 
 
-def test_every_error_of_the_package_is_one_kind():
+def test_every_error_of_the_package_is_a_moc_opt_error():
     classes = [c for _, c in inspect.getmembers(errors, inspect.isclass) if issubclass(c, Exception)]
     assert len(classes) > 5
     assert all(issubclass(c, MocOptError) for c in classes)

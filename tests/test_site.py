@@ -1,6 +1,6 @@
-"""The documentation site: what it is made of hangs together, without building it. `make docs` builds it.
+"""The sources of the documentation site are consistent. `make docs` builds the site.
 
-Every public name of the reference, and every method, stands in an example: its own, which runs, or a page's.
+Every public name of the reference, and every method, is used in an example: its own, which is run, or one of a page.
 """
 
 import doctest
@@ -46,7 +46,7 @@ def test_a_link_that_leads_nowhere_is_found(tmp_path, monkeypatch):
 
 
 def test_a_figure_of_the_gallery_is_drawn(chromium, tmp_path, monkeypatch):
-    """As the theme lays a page out, which puts its own scripts behind the examples' figures."""
+    """The page is laid out as by the theme, which puts its own scripts after the figures of the examples."""
     monkeypatch.syspath_prepend(DOCS / "_extensions")
     site = importlib.import_module("figures")
     for folder in ("_static", "gallery"):
@@ -76,7 +76,7 @@ def found(name):
 
 
 def methods(name):
-    """Name -> method of a class, of those that the reference shows; a property has its shape and unit instead."""
+    """Name -> method, of the methods of a class that the reference shows. Properties state shape and unit instead."""
     kind, options = ENTRIES[name]
     if kind != "class" or ":members:" not in options or ":undoc-members:" in options:
         return {}
@@ -97,7 +97,7 @@ def test_every_public_name_is_an_entry():
 
 
 @pytest.mark.parametrize("name", ENTRIES)
-def test_a_public_name_and_its_methods_stand_in_an_example_and_its_own_runs(name, tmp_path, monkeypatch):
+def test_a_public_name_and_its_methods_are_used_in_examples_and_its_own_example_runs(name, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     runner, said, shown = doctest.DocTestRunner(optionflags=doctest.ELLIPSIS), [], PAGES
     for title, one in {name: found(name), **methods(name)}.items():

@@ -1,7 +1,7 @@
-"""The source archive and the wheel are whole, also where the only compiler is the one of the `ziglang` wheel.
+"""The source archive and the wheel are complete, also where the only compiler is the one of the `ziglang` wheel.
 
-The archive is made from the checkout, the wheel from the archive, by a stand-in for ziglang that calls the system's
-compiler. It is installed beside its own requirements alone, linked in from this environment. Nothing is fetched.
+The archive is made from the checkout, and the wheel from the archive, by a stand-in for ziglang that calls the system's
+compiler. The wheel is installed with only its requirements, linked in from this environment. Nothing is fetched.
 """
 
 import contextlib
@@ -37,13 +37,13 @@ def call(*command, **options):
 
 
 def closure(lines):
-    """Every installed distribution that these requirements need, but for their extras."""
+    """Every installed distribution that these requirements need, without extras."""
     found, waiting = {}, list(lines or ())
     while waiting:
         line = waiting.pop()
         name = re.match(r"[\w.-]+", line)[0]
         if "extra ==" not in line and name not in found:
-            with contextlib.suppress(PackageNotFoundError):  # of another platform; a missing one shows when it runs
+            with contextlib.suppress(PackageNotFoundError):  # for another platform; a needed one is missed in the run
                 found[name] = distribution(name)
                 waiting += found[name].requires or ()
     return found.values()
@@ -121,7 +121,7 @@ def backend():
 
 
 @pytest.mark.parametrize("hook", ["get_requires_for_build_wheel", "get_requires_for_build_editable"])
-def test_ziglang_is_asked_for_only_where_no_compiler_is(hook, backend, monkeypatch, tmp_path):
+def test_ziglang_is_required_only_where_there_is_no_compiler(hook, backend, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)  # setuptools leaves files in it
     monkeypatch.setenv("PATH", str(tmp_path))
     monkeypatch.delenv("CC", raising=False)
@@ -135,7 +135,7 @@ def test_ziglang_is_asked_for_only_where_no_compiler_is(hook, backend, monkeypat
     assert getattr(backend, hook)() == []
 
 
-def test_a_python_without_headers_is_named_with_the_cure(backend, monkeypatch, tmp_path):
+def test_a_python_without_headers_is_reported_with_a_remedy(backend, monkeypatch, tmp_path):
     monkeypatch.setattr(sysconfig, "get_path", lambda name: str(tmp_path))
     with pytest.raises(SystemExit, match=r"Python\.h.*python3-dev"):
         backend.get_requires_for_build_wheel()

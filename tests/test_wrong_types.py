@@ -1,4 +1,4 @@
-"""Whatever is handed to a public name, the answer is a result or an error of the package, never a traceback."""
+"""Every argument of a public name gives a result or an error of the package, never another exception."""
 
 from collections.abc import Callable
 
@@ -20,7 +20,7 @@ QP = mo.NullSpaceQP(**PARTS)
 
 
 def each(call: Callable, *names: str, **usual: object) -> dict[str, Callable]:
-    """One call a name: the usual arguments with the wrong value under that name."""
+    """For each name, a function of one value that calls with the usual arguments, and that value under the name."""
     return {f"{call.__name__} {name}": lambda x, name=name: call(**{**usual, name: x}) for name in names}
 
 

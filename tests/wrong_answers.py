@@ -1,6 +1,6 @@
-"""Wrong answers, feasible and not optimal: corners of the box cut by A x = b, where r joints are at their bounds.
+"""Answers that are feasible but not optimal: corners of the box on A x = b, where r joints are at their bounds.
 
-How wrong a corner is, is found by going through all active sets, without the solvers and without the judge.
+How wrong a corner is follows from an enumeration of all active sets, which uses neither the solvers nor the judge.
 """
 
 from itertools import combinations, product
@@ -29,12 +29,12 @@ def kernel(qp: NullSpaceQP) -> Array:
 
 
 def cost(qp: NullSpaceQP, x: Array) -> Array:
-    """What is left of the cost on A x = b."""
+    """The part of the cost that varies on A x = b."""
     return 0.5 * qp.regularization * (x**2).sum(-1) - qp.c2 * x @ qp.grad_mu
 
 
 def candidates(qp: NullSpaceQP, Z: Array, base: Array, *, damped: bool) -> Array:
-    """All points (k, n) of base + span Z in the box where r bounds are met; damped: also stationary ones with fewer."""
+    """All points (k, n) of base + span Z in the box with r joints at bounds; damped: and stationary ones with fewer."""
     n, r = Z.shape
     found, width = [], float((qp.upper - qp.lower).max())
     for k in range(r + 1) if damped and qp.regularization > 0.0 else (r,):
@@ -60,10 +60,10 @@ def wrong_corners(
     seed: int, n: int, count: int, *, tilt: float = 1.0, size: float = 1.0, regularization: float = 0.0,
     least: float = 0.05
 ) -> list[Wrong]:
-    """Corners that give away more than ``least`` of the range, of ``count`` random arms of n joints.
+    """Corners that give away more than ``least`` of the cost's range, of ``count`` random arms of n joints.
 
-    The reduced gradient is ``tilt`` of |grad_mu|, velocities and box are ``size`` times as large, and the
-    regularization is in proportion to the reduced gradient: 0.3 of what would stop the elbow at one rad/s.
+    With tilt < 1 the reduced gradient is ``tilt`` times the rest of grad_mu. Velocities and box are ``size`` times as
+    large. rho is ``regularization`` times the one whose optimum without a box is a self-motion of ``size`` rad/s.
     """
     rng = np.random.default_rng(seed)
     found = []

@@ -24,7 +24,7 @@ camera = { group = "camera", camera_lost_s = [0.1, 0.2] }
 
 
 def run_of(error, level=1e-3, **meta):
-    """A made-up run: both errors as given, one row every 10 ms."""
+    """A made-up run with the tip error `error`, the RCM error `level`, and one row every 10 ms."""
     error = np.asarray(error, dtype=float)
     n = len(error)
     columns = {
@@ -60,7 +60,7 @@ def test_recovery_is_the_last_time_above_the_level():
     error = np.full(300, 1e-3)
     error[100:150] = 5e-3
     case = Case(group="contact", from_s=1.0, until_s=1.4)
-    # 20 rows are averaged: above 1.25 mm until one row of 5 mm and nineteen of 1 mm are left
+    # The mean of 20 rows is above 1.25 mm until it has only one row of 5 mm, and nineteen of 1 mm
     assert recovery(run_of(error), free, case, "completed") == pytest.approx(1.69 - 1.4, abs=0.02)
     assert recovery(run_of(error), free, Case(group="plant"), "completed") == pytest.approx(1.69, abs=0.02)
     assert recovery(free, free, case, "completed") == 0.0
@@ -74,14 +74,14 @@ def test_recovery_is_the_last_time_above_the_level():
     (1e-3, "stopped: x", "stopped"), (1e-3, "ran away at t = 1 s", "ran away"),
     (1e-3, "oscillated: joint_7", "oscillated"),
 ])  # fmt: skip
-def test_outcomes(error, ended, expected):
+def test_each_ending_has_its_outcome(error, ended, expected):
     free = run_of(np.full(10, 1e-3))
     found = measure(run_of(np.full(10, error), ended=ended), free, ended, FREE["none"], (20.0, 20.0))
     assert found["outcome"] == expected
     assert measure(None, free, "refused: x", FREE["none"], (20.0, 20.0)) == {"outcome": "refused"}
 
 
-def test_detection_counts_each_kind_apart():
+def test_detection_counts_each_kind_separately():
     trace = run_of(np.zeros(6)).with_columns(
         injected=[True, True, True, False, False, True],
         fault=["lied", "none", "none", "lied", "infeasible", "stopped"],

@@ -1,4 +1,4 @@
-"""Goals: what reaches them, and what is said of them. Phases of a run: the same ticks for all controllers."""
+"""Goals: how they are judged and shown. Phases of a run: the same ticks for all controllers."""
 
 from typing import Any
 
@@ -43,7 +43,7 @@ def test_goals_are_shown_missed_ones_first() -> None:
 
 
 def made(controller: str, travelling: list[int] | None, trial: str = "t", **more: Any) -> Run:
-    """A run of four ticks, whose k-th is in error by 2^k um, or less by its controller."""
+    """A run of four ticks; the error of tick k is 2^k um, and twice that under BASELINE."""
     error = 1e-6 * 2.0 ** np.arange(4) * (2.0 if controller == BASELINE else 1.0)
     columns = dict.fromkeys(("t_s", "mu", "tip_error_m", "rcm_error_model_m"), error)
     columns["trocar_force_N"] = np.outer(error, (0.0, 0.6, -0.8))

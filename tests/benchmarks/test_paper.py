@@ -51,7 +51,7 @@ BETTER, WORSE, OPEN, ODD = change(-9, -3), change(3, 9), change(-3, 9), change(-
     (OPEN, OPEN, FAILS), (WORSE, WORSE, FAILS), (None, WORSE, FAILS), (BETTER, ODD, UNDECIDED),
     (BETTER, change(-9, -3, samples=7), too_few(7)), (BETTER, None, too_few(0)),
 ])  # fmt: skip
-def test_verdicts(own, matched, wanted):
+def test_a_claim_is_judged_by_the_intervals_of_both_comparisons(own, matched, wanted):
     assert CLAIMS[1].verdict(own, matched) == wanted
     found = [CLAIMS[0].verdict(None, change(*ends)) for ends in ((7.5, 20), (6.5, 20), (-20, -8))]
     assert found == [HOLDS, FAILS, FAILS], "mu must rise by more than 7 % with its whole interval"
@@ -64,7 +64,7 @@ def row(group, controller, k, mu=1.0, tip=1.0, **more):
     return {**about, "ended": "completed", **errors, **own, **more}
 
 
-def test_claims_and_goals_are_read_off_the_right_rows():
+def test_claims_and_goals_are_computed_from_the_right_rows():
     ten = range(10)
     rows = [row("tuned", name, k, tip=2.0 if name == OWN else 1.0) for name in BASELINES for k in ten]
     rows += [row("tuned", "exact", k, mu=1.2 + 0.001 * k, tip=1.1, settled_rcm_error_mean_mm=1.2) for k in ten]
@@ -82,7 +82,7 @@ def test_claims_and_goals_are_read_off_the_right_rows():
     assert {few[key]["reached"] for key in ("mu_gain", "settled_rcm_error_mean_mm", "mu_worst")} == {"open"}
 
 
-def test_an_exchange_decides_where_it_turns_a_claim_for_sure():
+def test_an_exchange_decides_only_where_it_surely_reverses_a_claim():
     cases = {name: Case(about=name) for name in ("printed", "turns", "same", "noisy")}
     rng, rows = np.random.default_rng(3), []
     for name, tip, spread in (("printed", 0.9, 0.0), ("turns", 1.2, 0.0), ("same", 0.9, 0.0), ("noisy", 1.01, 0.5)):
@@ -108,7 +108,7 @@ def test_the_configuration_that_ships_is_the_papers_experiment():
         assert [case.seed for case in mine] == [case.seed for case in cases["paper"]]
 
 
-def test_a_procedure_that_cannot_go_on_says_why_and_is_guarded_as_every_loop_is():
+def test_a_procedure_that_cannot_go_on_says_why_and_its_run_has_the_safety_filter():
     with pytest.raises(MocOptError, match="did not reach the incision"):
         procedure.perform(ProcedureSettings(camera=SMALL, hands_on=HandsOnSettings(time_limit_s=0.2)), QUICK, "circle")
     base = QUICK.change(guard={"rcm_error_m": 2e-4, "rcm_warning_m": 1e-4})
@@ -117,7 +117,7 @@ def test_a_procedure_that_cannot_go_on_says_why_and_is_guarded_as_every_loop_is(
     assert row["share_of_run"] < 1.0
 
 
-def test_the_command_leaves_every_part_and_leads_from_the_hand_to_the_task(tiny):
+def test_the_command_reports_every_part_and_completes_the_procedure(tiny):
     left = tiny(paper, TINY)
     summary = left.summary
     found = summary["groups"]["tuned"]
@@ -133,9 +133,9 @@ def test_the_command_leaves_every_part_and_leads_from_the_hand_to_the_task(tiny)
     assert (row["ended"], row["share_of_run"], row["registered"]) == ("completed", 1.0, True)
     assert 0.0 < row["registration_error_mm"] < 5.0
     assert row["board_position_mm"] < 2.0
-    assert 0.9 < row["waited_s"] < 2.5  # lost for a second, and brakes before and after
-    assert row["tip_error_mean_mm"] < 1.5  # absolute: the arm is half a millimetre off its kinematics
-    # What is off the task is where the board was taken to be, and no more than the tip's error beyond that.
+    assert 0.9 < row["waited_s"] < 2.5  # lost for 1 s; slowing down and starting again take the rest
+    assert row["tip_error_mean_mm"] < 1.5  # the true error: the arm is half a millimetre off its kinematics
+    # The path deviates by the error of the board's location, and beyond that by no more than the tip's error.
     assert row["path_deviation_max_mm"] < row["task_error_max_mm"] + 1.0
     assert row["pictures"] > 10
     assert (left.out / "film.webm").stat().st_size > 1000

@@ -1,4 +1,4 @@
-"""Other people's controllers: one that is listed does the job, and one that does not is found out."""
+"""Controllers of other packages: each that is listed does the task, and one that does not is detected."""
 
 import re
 
@@ -15,7 +15,7 @@ def task(robot):
 
 
 @pytest.mark.parametrize("name", list(peers.PEERS))
-def test_a_peer_that_is_listed_does_the_job(name, robot, task):
+def test_a_peer_that_is_listed_does_the_task(name, robot, task):
     if reason := peers.missing(name):
         pytest.skip(reason)
     poses, given = peers.perform(peers.PEERS[name](robot), robot, task)
@@ -24,7 +24,7 @@ def test_a_peer_that_is_listed_does_the_job(name, robot, task):
 
 
 class Puppet:
-    """A velocity-level controller of five lines, to be made wrong in one respect."""
+    """A velocity-level controller of five lines, which can be made wrong in one respect."""
 
     level = "velocity"
 
@@ -44,7 +44,7 @@ class Puppet:
     ({}, None), ({"tip": -1.0}, "tip is"), ({"tip": 0.1}, "tip is"), ({"shaft": 0.02}, "shaft is|tip is"),
     ({"climb": 0.0}, "manipulability rose"), ({"climb": -30.0}, "manipulability rose"),
 ])  # fmt: skip
-def test_who_does_not_do_the_job_is_found_out(wrong, words, robot, task, monkeypatch):
+def test_a_peer_that_does_not_do_the_task_is_detected(wrong, words, robot, task, monkeypatch):
     monkeypatch.setitem(peers.PEERS, "puppet", lambda robot: Puppet(robot, **wrong))
     failure = peers.check("puppet")
     assert failure is None if words is None else re.search(words, failure)

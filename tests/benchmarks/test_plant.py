@@ -16,8 +16,8 @@ scenario = { judge = false, bound_samples = 0, duration_s = 0.3 }
 """
 
 
-def test_every_defect_under_both_controllers_and_what_registering_again_gives_back(tiny):
-    """On one trial MOC's registered tip error is far above DCAC's, and comes down to it."""
+def test_every_defect_meets_both_controllers_and_registering_again_restores_accuracy(tiny):
+    """In this trial MOC's registered tip error is far above DCAC's; registering again more than halves it."""
     results = tiny(plant, TINY)
     summary = results.summary
     found = summary["effects"]["tuned"]
@@ -40,7 +40,7 @@ def test_every_defect_under_both_controllers_and_what_registering_again_gives_ba
     assert origins["moc_rcm_again_mm"] < 0.7 * origins["moc_rcm_after_mm"]
     assert all("too few trials" in row["undecided"] for row in summary["break_even"])
 
-    # What is registered at tick 0 is what the run itself counts from.
+    # Registering at tick 0 gives the frame in which the run itself is registered.
     case = results.config.cases(plant.CALIBRATION_STREAM, 1)[0]
     setup = Setup(case.change(duration_s=0.6, plant=plant.plant_of(case.plant, "both", 0.5).model_dump()))
     trace = setup.trace()
@@ -54,5 +54,5 @@ def test_every_defect_under_both_controllers_and_what_registering_again_gives_ba
     ("values", "at"),
     [((0.0, 10.0, 20.0), 0.5), ((6.0, 7.0, 8.0), 0.0), ((0.0, 9.0, 4.0), None), ((9.0, 1.0, 9.0), 1.5)],
 )
-def test_where_a_limit_is_crossed_for_good(values, at):
+def test_the_crossing_is_where_values_exceed_the_limit_for_good(values, at):
     assert plant.crossing((0.0, 1.0, 2.0), values, 5.0) == at

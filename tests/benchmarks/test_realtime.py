@@ -1,4 +1,4 @@
-"""The benchmark against the clock: what it counts, and that a run of it is a run over the wire."""
+"""The benchmark against the clock: what it counts, and that its runs go over the wire."""
 
 import json
 import os
@@ -21,7 +21,7 @@ def made(cycles: int, missed: int = 0, ended: str = "completed", clean: bool = T
     return Run(ramp / 10.0, ramp, control, missed, 0, ended, clean, rcm, {}, "2020-01-01T00:00:00+00:00")
 
 
-def test_a_case_is_all_cycles_of_its_runs():
+def test_a_case_counts_all_cycles_of_its_runs():
     found = realtime.summarise([made(1000), made(500, missed=3, ended="stopped: no command", rcm=0.7)])
     assert (found["runs"], found["cycles"], found["missed"], found["stopped"], found["unclean"]) == (2, 1500, 3, 1, 0)
     assert found["missed_share"] == pytest.approx(3 / 1500)
@@ -41,7 +41,7 @@ def test_the_goal_of_c_needs_enough_cycles_and_few_misses(missed, cycles, reache
     assert found["python"]["reached"] == found["rcm"]["reached"] == "not measured"
 
 
-def test_the_load_is_there_and_then_is_not(monkeypatch):
+def test_the_load_runs_only_while_it_is_asked_for(monkeypatch):
     started, real = [], realtime.subprocess.Popen
     monkeypatch.setattr(realtime.subprocess, "Popen", lambda command: started.append(real(command)) or started[-1])
     with realtime.loaded("quiet"):
@@ -52,8 +52,8 @@ def test_the_load_is_there_and_then_is_not(monkeypatch):
     assert all(process.poll() is not None for process in started)
 
 
-def test_a_run_by_both_commands_and_one_of_the_c_controller(tiny):
-    """How many cycles are missed is the machine's affair; that they are counted is not."""
+def test_the_study_runs_both_commands_and_the_c_controller(tiny):
+    """How many cycles are missed depends on the machine, but all of them are counted."""
     text = "run_cycles = 100\nrates_Hz = [250]\nloads = ['quiet']\n"
     left = tiny(realtime, text, "--cycles", "100")
     assert {row["case"] for row in left.rows} == {"Python, 250 Hz, quiet", "C, 250 Hz, quiet"}
@@ -66,7 +66,7 @@ def test_a_run_by_both_commands_and_one_of_the_c_controller(tiny):
     assert {"scheduling", "memory"} <= set(granted["plant"])
 
 
-def test_of_a_run_that_was_stopped_the_cycles_before_count():
+def test_cycles_after_a_stop_do_not_count():
     columns = {
         "t_s": 0.002 * np.arange(100), "wake_us": np.arange(100.0), "tick_us": np.full(100, 9.0),
         "control_us": np.full(100, 2.0), "missed": np.arange(100) >= 50, "rcm_error_registered_m": np.full(100, 1e-3),

@@ -1,4 +1,4 @@
-"""The studies of arms and of planning: figures follow from their rows; courses, map and bounds agree."""
+"""The studies of arms and of planning: their figures follow from the rows, and courses, map and bounds agree."""
 
 from typing import Any
 
@@ -37,7 +37,7 @@ def row(trial: int, controller: str, mu: float = 1.0, tip: float = 1.0, **more: 
     return {**about, **errors, **own, **more}
 
 
-def test_findings_follow_from_the_rows_by_the_end_of_the_interval() -> None:
+def test_findings_are_judged_by_the_ends_of_their_intervals() -> None:
     base = [row(k, "dcac") for k in range(40)]
     mine = [row(k, "exact", mu=1.2, tip=1.2 if k == 0 else 1.0) for k in range(40)]
 

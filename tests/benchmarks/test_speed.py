@@ -1,4 +1,4 @@
-"""The speed benchmark: what it compares does the same work, its ratios are of times side by side, goals are judged."""
+"""The speed benchmark: compared codes do the same work, ratios are of times of one round, and goals are judged."""
 
 import json
 
@@ -15,7 +15,7 @@ SHORT = Scenario(judge=False, bound_samples=0, duration_s=0.2)
 
 
 @pytest.mark.skipif(available().get("daqp", "") is not None, reason="daqp is not installed")
-def test_by_hand_the_answer_is_the_adapter_s_and_optimal():
+def test_daqp_called_by_hand_gives_the_answer_of_the_adapter_and_it_is_optimal():
     rng = np.random.default_rng(4)
     sequence = [random_problem(rng, structured=False) for _ in range(60)]
     solver = create("daqp")
@@ -41,7 +41,7 @@ def test_entries_take_turns_chunk_by_chunk(monkeypatch):
     assert {name: found["times_calls"] for name, found in part.seen.items()} == {"a": 20, "b": 20}
     chunks = [log[i : i + 5] for i in range(0, len(log), 5)]
     assert all(len({name for name, _ in chunk}) == 1 for chunk in chunks)
-    # A round without a clock, then two with it; who begins changes from chunk to chunk.
+    # One untimed round, then two timed ones; the entry that begins changes from chunk to chunk.
     assert [chunk[0][0] for chunk in chunks] == ["a", "b", "b", "a"] * 3
     assert [item for name, item in log if name == "a"] == [*range(10)] * 3
     assert [item for name, item in log if name == "b"] == [*range(100, 110)] * 3
@@ -58,7 +58,7 @@ def test_no_call_is_left_out_of_the_figures():
     assert part.over("b", "a") == 2.0
 
 
-def test_what_was_recorded_is_what_the_run_asked():
+def test_recorded_inputs_and_problems_are_those_of_the_run():
     inputs, problems = timed.record(SHORT)
     trace = Setup(SHORT).trace()
     assert len(inputs) == len(problems) == len(trace) == 100
@@ -66,8 +66,8 @@ def test_what_was_recorded_is_what_the_run_asked():
     np.testing.assert_array_equal([given[2][0] for given in inputs], trace.tip_ref_m)
 
 
-def test_ratios_are_those_of_the_same_round():
-    """One slow round in three changes no ratio: it slows both sides of it."""
+def test_a_ratio_compares_times_of_the_same_round():
+    """One slow round in three changes no ratio, since it slows both times."""
     rows = [{"us_per_tick": 40.0 * slow, "steps_us": 10.0 * slow - 1.0} for slow in (1.0, 10.0, 1.0)]
     found = timed.limit(rows, 1.0)
     assert found == {"steps_us": 9.0, "limit_us": 10.0, "python_over_limit": 4.0}
@@ -75,7 +75,7 @@ def test_ratios_are_those_of_the_same_round():
 
 
 def test_the_limit_steps_through_the_states_of_the_run():
-    """From each state one control period leads to the next; the forces of its steps differ by one step's motion."""
+    """A control period leads from each recorded state to the next, up to forces that are one step older."""
     states, stepped = timed.own_steps(SHORT.change(duration_s=0.4))
     after, n = stepped(), 7
     assert len(states) == 200

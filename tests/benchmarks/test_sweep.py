@@ -17,7 +17,7 @@ GRID = {"control.regularization": [1e-6, 1e-5, 1e-4], "plant.mass_error": [0.0, 
 
 
 def config(**changes: Any) -> Config:
-    """12 runs: 3 x 2 x 2 seeds."""
+    """A configuration of 12 runs: 3 x 2 values and 2 seeds."""
     return Config(**{"grid": GRID, "seeds": 2, "solvers": ["exact"], "scenario": TINY, **changes})
 
 
@@ -33,14 +33,14 @@ def config(**changes: Any) -> Config:
     ({"seeds": []}, "0 runs"), ({"settings": {"osqp": {}}}, r"\[settings\]"),
     ({"scenario": {"solver": {"name": "rnn"}}}, r"\[scenario.solver\]"),
 ])  # fmt: skip
-def test_what_cannot_be_swept_is_said_before_anything_runs(changes: dict[str, Any], message: str) -> None:
+def test_a_wrong_sweep_is_refused_before_anything_runs(changes: dict[str, Any], message: str) -> None:
     with pytest.raises(MocOptError, match=message):
         plan(config(**changes))
 
 
 @given(st.integers(0, 2**32), st.integers(1, 40), st.floats(1e-9, 1e3), st.floats(1.01, 1e6))
 @settings(max_examples=60)
-def test_a_sample_stays_in_its_range_and_only_grows(seed: int, samples: int, low: float, ratio: float) -> None:
+def test_samples_stay_in_range_and_more_keep_the_first(seed: int, samples: int, low: float, ratio: float) -> None:
     fields: dict[str, Any] = {
         "control.regularization": {"low": low, "high": low * ratio, "scale": "log"},
         "plant.friction": {"low": -low, "high": low * ratio},
@@ -69,7 +69,7 @@ def test_the_plan_is_every_combination_in_a_fixed_order() -> None:
 def test_the_same_run_is_done_once() -> None:
     axes = {"solver.settings.eps": [1e-6, 1e-8], "control.k0_per_s": [1.0, 2.0]}
     runs = plan(config(solvers=["dcac", "osqp"], grid=axes, seeds=1))
-    assert len(runs) == 6  # of 8: dcac asks no solver
+    assert len(runs) == 6  # not 8: dcac uses no solver
     assert ["solver.settings.eps" in run.tags for run in runs if run.controller == "dcac"] == [False, False]
     assert runs[1].settings == {"eps": 1e-6}
     drawn = {"samples": 50, "fields": {"task.path": {"choice": ["circle", "spiral"]}}}
@@ -108,7 +108,7 @@ scenario = { duration_s = 0.05, judge = false, bound_samples = 0 }
 """
 
 
-def test_the_command_leaves_its_files_and_has_no_times_of_runs_beside_each_other(tiny: Any) -> None:
+def test_the_command_leaves_its_files_and_reports_times_only_of_runs_that_ran_alone(tiny: Any) -> None:
     timed, shared = (tiny(sweep, SMALL.replace("timed = true", asked)) for asked in ("timed = true", ""))
     assert min(row["tick_p50_us"] for row in timed.rows) > 0.0
     assert [row["mu_mean"] for row in shared.rows] == [row["mu_mean"] for row in timed.rows]

@@ -1,4 +1,4 @@
-"""Certificate, shipped and exported sets: optima by enumeration, which HiGHS and the judge bear out."""
+"""Certificate, shipped and exported sets: the enumerated optima are confirmed by HiGHS and by the residuals."""
 
 import subprocess
 import sys
@@ -36,14 +36,14 @@ ALONE, LONG = [[1.0, 0.0]], ([0.0, -1.0], [1.0, 2.0])
     (ALONE, [0.5], [0.0, 3.0], 2.0, LONG, [0.5, 1.5]),
     (ALONE, [0.5], [0.0, -3.0], 2.0, LONG, [0.5, -1.0]),
 ])  # fmt: skip
-def test_two_joints(A, b, pull, rho, box, expected):
+def test_the_enumeration_finds_known_optima_of_two_joints(A, b, pull, rho, box, expected):
     assert found(A, b, pull, rho, *box) == expected
 
 
 @pytest.mark.parametrize("rho", [0.0, 0.3])
 @pytest.mark.parametrize("rows", [5, 4, 3, 2])
-def test_several_freedoms(rows, rho):
-    """HiGHS finds no better point along the gradient of the cost: in a convex problem that is optimality."""
+def test_highs_finds_nothing_better_with_several_freedoms(rows, rho):
+    """HiGHS finds no better point along the gradient of the cost, which proves optimality in a convex problem."""
     rng = np.random.default_rng([rows, int(10 * rho)])
     A, pull, upper = rng.normal(size=(rows, 6)), rng.normal(size=6), rng.uniform(0.1, 1.0, 6)
     b = A @ rng.uniform(-upper, upper)
@@ -52,7 +52,7 @@ def test_several_freedoms(rows, rho):
 
 
 def descent(A: Array, b: Array, slope: Array, lower: Array, upper: Array, x: Array) -> float:
-    """Return by how much HiGHS lowers slope^T x, (x at most 1e-12 off A x = b) over the size of the slope."""
+    """Return by how much HiGHS lowers slope^T x, over |slope|_inf; x has to meet A x = b to 1e-12."""
     np.testing.assert_allclose(A @ x, b, atol=1e-12)
     assert (np.maximum(lower - x, x - upper) <= 1e-15).all()
     unit = slope / (np.abs(slope).max() or 1.0)
@@ -62,7 +62,7 @@ def descent(A: Array, b: Array, slope: Array, lower: Array, upper: Array, x: Arr
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_the_shipped_answers_are_optimal_the_certificate_s_and_highs_bears_them_out(name):
+def test_shipped_answers_equal_the_certificate_and_are_optimal_by_residuals_and_highs(name):
     kept = TestSet.load(name)
     assert kept.rows.shape[0] == kept.x.shape[0] == kept.feasible.size > 0
     assert compute_residuals(kept.judged, kept.x).verified(primal=1e-9)[kept.feasible].all()
@@ -80,19 +80,19 @@ def test_the_shipped_answers_are_optimal_the_certificate_s_and_highs_bears_them_
             assert descent(A, b, slope, qp.lower, qp.upper, x) < 1e-6
 
 
-def test_what_highs_does_not_bear_out_is_refused(monkeypatch):
+def test_a_certificate_that_highs_contradicts_is_refused(monkeypatch):
     infeasible = TestSet.load("infeasible")
     unsolved = infeasible.problems()[int(np.argmin(infeasible.feasible))]
     for qp, answer in ((TestSet.load("circle").problems()[0], None), (unsolved, [Fraction(0)] * 7)):
         monkeypatch.setattr(certify, "certified", lambda _, answer=answer: answer)
         with pytest.raises(CertificateError):
             certify.certify("wrong", [qp])
-    with pytest.raises(CertificateError):  # tip and wrist must be tied
+    with pytest.raises(CertificateError):  # tip and wrist must be rigidly connected
         certified(changed(unsolved, J_wrist=2.0 * unsolved.J_wrist))
 
 
 @pytest.mark.parametrize("name", ["random", "joint-limits", "jumps", "inconsistent-1e-6"])
-def test_a_set_is_made_again_as_it_is(name, robot):
+def test_a_set_is_reproduced_when_it_is_made_again(name, robot):
     made, kept = testsets.make(name, robot), TestSet.load(name)
     np.testing.assert_allclose(made.rows, kept.rows, rtol=1e-9, atol=1e-12, equal_nan=True)
     np.testing.assert_array_equal(made.feasible, kept.feasible)
@@ -108,7 +108,7 @@ def test_inconsistent_references_differ_along_the_shaft():
 
 
 @pytest.mark.skipif(find_spec("qpbenchmark") is None, reason="pip install '.[qpbenchmark]'")
-def test_the_published_tool_reads_and_runs_it_unchanged(tmp_path):
+def test_qpbenchmark_reads_and_runs_exported_sets_unchanged(tmp_path):
     from qpbenchmark.benchmark import load_test_set
 
     assert export.main(["qpbenchmark", "--out", str(tmp_path), "--sets", "circle", "random", "--every", "64"]) == 0
@@ -128,7 +128,7 @@ def test_the_published_tool_reads_and_runs_it_unchanged(tmp_path):
     assert rows.filter(pl.col("settings") == "high_accuracy")["found"].all()
 
 
-def test_only_feasible_problems_are_handed_over():
+def test_only_feasible_problems_are_exported():
     chosen = export.problems(["infeasible"], 1)
     session = create("exact").start(next(iter(chosen.values())))
     assert 0 < len(chosen) < 128

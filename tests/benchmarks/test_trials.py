@@ -12,7 +12,7 @@ from moc_opt.study import solvers
 from moc_opt.study.command import CONFIGS
 
 SET_UP = 7
-"""Trials of a study whose starts and errors are looked at, spread over all of them: a start takes a while to find."""
+"""Largest number of trials of a study that are set up here, evenly spread: finding a start takes a while."""
 
 
 STUDIES = {
@@ -53,14 +53,14 @@ POOL = np.random.default_rng(0).lognormal(0.0, 0.3, (2, 240))
 
 def test_intervals_of_more_trials_are_shorter_and_hold_the_truth_about_as_often() -> None:
     (few, wide), (many, narrow) = (coverage.covered(*POOL, size, 60) for size in (15, 60))
-    assert 0.4 < narrow / wide < 0.6  # the root of 15/60 is a half; of few samples the interval is expanded
+    assert 0.4 < narrow / wide < 0.6  # sqrt(15/60) is a half; intervals of few samples are expanded
     assert min(few, many) > 85.0
-    # Against another truth than its own pool's, an interval misses.
+    # Where the mean rests on rare large values, the intervals of few trials miss it.
     rng = np.random.default_rng(1)
     assert coverage.covered(POOL[0] * np.where(rng.random(240) < 0.01, 1e3, 1.0), POOL[1], 15, 30)[0] < 50.0
 
 
-def test_a_tiny_pool(tiny: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_command_has_a_row_for_every_metric_of_a_tiny_pool(tiny: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     cases = coverage.Config.cases
     monkeypatch.setattr(coverage.Config, "cases", lambda config: cases(config)[:3])
     monkeypatch.setattr(coverage, "SOLVERS", ("rnn-printed",))

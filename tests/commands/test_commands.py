@@ -32,7 +32,7 @@ def test_every_command_has_a_function_and_help(command, capsys):
 
 
 @pytest.mark.parametrize(("line", "goes_on"), [("ex", "export-c "), ("run --third-level pl", "planned ")])
-def test_a_shell_is_told_how_a_line_may_go_on(line, goes_on, tmp_path):
+def test_a_shell_gets_completions_of_a_line(line, goes_on, tmp_path):
     asked = f"moc-opt {line}"
     shell = {"_ARGCOMPLETE": "1", "COMP_LINE": asked, "COMP_POINT": str(len(asked)),
              "_ARGCOMPLETE_STDOUT_FILENAME": str(tmp_path / "told")}  # fmt: skip
@@ -45,7 +45,7 @@ def test_a_shell_is_told_how_a_line_may_go_on(line, goes_on, tmp_path):
     ("report", "a.toml", "--out", "a.toml"), ("compare", "exact", "--scenario", "a.toml", "--out", "a.toml"),
     ("plan", "a.toml", "--out", "a.toml"), ("map", "x", "a.toml", "--out", "x/../a.toml"),
 ])  # fmt: skip
-def test_what_is_read_is_not_written_over(arguments, tmp_path, monkeypatch, capsys):
+def test_an_input_file_is_not_overwritten(arguments, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "a.toml").write_text("duration_s = 0.02\n", encoding="utf-8")
     assert main(list(arguments)) == 2
@@ -58,7 +58,7 @@ def test_what_is_read_is_not_written_over(arguments, tmp_path, monkeypatch, caps
     (("run",), "a\0b"), (("report",), "x" * 300), (("replay",), "\ud800"), (("plan",), "."), (("robot", "new"), ""),
     (("compare", "exact"), "loop"),
 ])  # fmt: skip
-def test_a_name_that_no_file_can_have_is_refused_in_a_line(command, name, tmp_path, monkeypatch, capsys):
+def test_a_name_that_no_file_can_have_is_refused_in_one_line(command, name, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "loop").symlink_to("loop")
     given = ["--scenario", name] if command[0] == "compare" else [name]
@@ -70,7 +70,7 @@ def test_a_name_that_no_file_can_have_is_refused_in_a_line(command, name, tmp_pa
 
 
 @pytest.mark.parametrize("arguments", [["run", "--sede=3"], ["solvers", "--list", "--quick"], []])
-def test_an_unknown_option_is_refused_everywhere_but_in_the_study(arguments, capsys):
+def test_an_unknown_option_and_a_missing_command_are_refused(arguments, capsys):
     with pytest.raises(SystemExit) as ended:
         main(arguments)
     assert ended.value.code == 2
@@ -79,7 +79,7 @@ def test_an_unknown_option_is_refused_everywhere_but_in_the_study(arguments, cap
 
 def test_an_output_that_is_closed_or_full_ends_the_command_without_a_traceback():
     reader, writer = os.pipe()
-    os.close(reader)  # as `| head` is gone once it has what it wants
+    os.close(reader)  # as `| head` does once it has its lines
     with os.fdopen(writer, "wb") as closed, open("/dev/full", "wb") as full:
         ended = [subprocess.run([sys.executable, "-m", "moc_opt", "keys"], stdout=out, stderr=subprocess.PIPE)
                  for out in (closed, full)]  # fmt: skip
@@ -92,7 +92,7 @@ def test_an_output_that_is_closed_or_full_ends_the_command_without_a_traceback()
     (["solvers", "--list"], mo.solvers.available),
 ])  # fmt: skip
 def test_a_list_has_every_name(capsys, monkeypatch, command, expected):
-    monkeypatch.setenv("COLUMNS", "400")  # no name is broken
+    monkeypatch.setenv("COLUMNS", "400")  # so that no name is wrapped
     assert main([*command, "--json"]) == 0
     rows = json.loads(capsys.readouterr().out)
     assert set(expected()) <= set(rows)
@@ -112,12 +112,12 @@ def test_the_page_of_keys_is_up_to_date_and_its_defaults_are_those_of_the_scenar
         for part in filter(None, name.split(".")):
             table = getattr(table, part)
         for key, _, default, _ in keys:
-            value = getattr(table, key, None)  # a preset is of a file alone
+            value = getattr(table, key, None)  # only a file has the key preset
             if isinstance(value, float | int) and not isinstance(value, bool):
                 assert float(default) == value, f"{name}.{key}"
 
 
-def test_the_command_prints_a_table_of_keys_and_names_those_there_are(capsys):
+def test_the_command_keys_prints_one_table_and_suggests_the_nearest_name(capsys):
     assert main(["keys", "control.supervisor"]) == 0
     assert "hold_ticks" in capsys.readouterr().out
     assert main(["keys", "control.supervisor", "--markdown"]) == 0
@@ -147,14 +147,14 @@ def test_compare_prints_every_solver_and_writes_every_run(capsys, tmp_path, monk
     assert exact["mu_mean_low"] <= exact["mu_mean"] <= exact["mu_mean_high"]
 
 
-def test_a_comparison_that_no_run_survives_says_so(tmp_path, capsys):
+def test_a_comparison_whose_runs_are_all_stopped_says_so(tmp_path, capsys):
     file = tmp_path / "far.toml"
     file.write_text("bound_samples = 0\n[guard]\ntip_error_m = 1e-6\ntip_error_s = 0.004\n", encoding="utf-8")
     assert main(["compare", "exact", "--trials", "1", "--scenario", str(file)]) == 3
     assert "exact: no trial came to its end; the first: stopped" in capsys.readouterr().err
 
 
-def test_the_study_gets_its_own_arguments(monkeypatch):
+def test_the_command_solvers_passes_its_arguments_to_the_study(monkeypatch):
     asked = []
     monkeypatch.setattr("moc_opt.study.solvers.main", lambda arguments: asked.append(arguments) or 7)
     assert main(["solvers", "--quick", "--out", "here", "--json"]) == 7

@@ -59,7 +59,7 @@ def test_an_installed_package_has_its_own_path_and_metric(tmp_path, monkeypatch,
     short.write_text("duration_s = 0.02\nbound_samples = 0\n[task.sizes]\nradius = 0.01\n")
     assert "own_travel_rad" in printed(capsys, short, "--metric", "own_travel_rad")
     for arguments, said in (
-        (["run", str(short), "--task", "helix"], "[task] a helix needs its radius"),  # sizes of another are not kept
+        (["run", str(short), "--task", "helix"], "[task] a helix needs its radius"),  # no other path's sizes
         (["run", str(short), "--metric", "own_travel"], "did you mean 'own_travel_rad'"),
     ):
         assert main(arguments) == 2
@@ -86,7 +86,7 @@ def test_waypoints_from_a_file_of_points_are_those_of_a_scenario(tmp_path, capsy
     ("# index and all\n0,0.1,0,0\n1,0.2,0,0\n", 2, "give x, y, z"), ("0 0 0\n1 2 nan\n", 2, "nan"),
     ("0,0,\u0661\n", 1, "give x, y, z"),
 ])  # fmt: skip
-def test_columns_of_another_unit_order_or_number_are_refused_with_the_cure(text, line, cure, tmp_path):
+def test_columns_of_another_unit_order_or_number_are_refused_with_a_remedy(text, line, cure, tmp_path):
     file = tmp_path / "points.csv"
     file.write_text(text, encoding="utf-8")
     with pytest.raises(ScenarioError, match=rf"line {line}: .*{cure}"):
@@ -96,7 +96,7 @@ def test_columns_of_another_unit_order_or_number_are_refused_with_the_cure(text,
 @pytest.mark.parametrize(("arguments", "cure"), [
     (["--task", "bad.csv"], "bad.csv': there is no point in it"), (["--task", "spirla"], "did you mean 'spiral'"),
 ])  # fmt: skip
-def test_a_wrong_task_is_refused_with_the_cure(arguments, cure, tmp_path, monkeypatch, capsys):
+def test_a_wrong_task_is_refused_with_a_remedy(arguments, cure, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "bad.csv").write_text("# nothing\n", encoding="utf-8")
     assert main(["run", *arguments]) == 2

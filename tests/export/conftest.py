@@ -1,4 +1,4 @@
-"""Exported folders whose core is compiled once a session: the scenarios differ in their constants alone."""
+"""Exported folders. Their core is compiled once a session, since scenarios differ only in their constants."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def make(place: Path, *words: str) -> subprocess.CompletedProcess[str]:
 
 @pytest.fixture(scope="session")
 def exported(tmp_path_factory: pytest.TempPathFactory) -> Export:
-    """A function `exported(scenario, udp=False)`: its folder, with the core's objects in it."""
+    """A function `exported(scenario, udp=False)` that returns the exported folder, with its core compiled."""
     if shutil.which("make") is None or shutil.which("cc") is None:
         pytest.skip("no make or cc")
     core: list[Path] = []

@@ -1,4 +1,4 @@
-"""The exported program at the end of a wire: the same run as in Python, whatever happens to packets on the way."""
+"""The exported program as a controller over UDP: its run is that of Python, even if packets are lost or damaged."""
 
 import json
 import shutil
@@ -35,7 +35,7 @@ Built = Callable[[str], tuple[Scenario, Path]]
 
 @pytest.fixture(scope="module")
 def built(exported: Export) -> Built:
-    """A function `built(name)`: one of RUNS and the folder with its program."""
+    """A function `built(name)` that returns one of RUNS as a scenario, and the folder with its program."""
 
     @cache
     def build(name: str) -> tuple[Scenario, Path]:
@@ -51,7 +51,7 @@ def built(exported: Export) -> Built:
 
 
 def served(scenario: Scenario, controller: Callable[[str], Any], **relayed: Any) -> tuple[Trace, Any, Relay]:
-    """A run in lock-step through a relay: trace, and what the controller at its address says in the end."""
+    """Run in lock-step through a relay; return the trace, the result of the controller, and the relay."""
     plant = PlantServer(scenario, "127.0.0.1:0", lock_step=True)
     with ThreadPoolExecutor(1) as pool, Relay(plant.address, seed=2, **relayed) as relay:
         said = pool.submit(controller, relay.address)
@@ -71,7 +71,7 @@ def program(folder: Path, address: str) -> tuple[dict[str, Any], int]:
 
 
 @pytest.mark.parametrize("name", RUNS)
-def test_it_is_the_controller_that_python_is(built: Built, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_program_controls_exactly_as_python_does(built: Built, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     scenario, folder = built(name)
     monkeypatch.setenv("MOC_OPT_WIRE_KEY", {"dcac": "k" * 16, "stopped": "k" * 32}.get(name, ""))
     found, (said, status), _ = served(scenario, partial(program, folder))
@@ -102,8 +102,8 @@ def test_faults_of_the_wire_are_counted_and_change_nothing(built: Built, name: s
     assert said["ticks"] == len(expected)
 
 
-def test_torques_of_the_plant_are_taken_as_in_python_and_its_end_of_the_run_is_named(built: Built) -> None:
-    """It holds the last torque where a command is lost; from tick 100 on none comes, and its watchdog brakes."""
+def test_torques_of_the_plants_watchdog_are_handled_as_in_python_and_the_end_is_reported(built: Built) -> None:
+    """The plant holds the last torque where a command is lost. From tick 100 on none comes, and its watchdog brakes."""
     scenario, folder = built("default")
     blind = scenario.change(wire={"resend_s": 0.33, "resends": 0, "hold_ticks": 2, "damp_ticks": 0})
 
@@ -117,7 +117,7 @@ def test_torques_of_the_plant_are_taken_as_in_python_and_its_end_of_the_run_is_n
     assert (said["ended"], status, said["ticks"]) == ("the plant ended the run early", 3, 103)
 
 
-def test_it_takes_no_memory_from_the_heap(built: Built) -> None:
+def test_the_program_allocates_no_memory_on_the_heap(built: Built) -> None:
     if shutil.which("nm") is None:
         pytest.skip("no nm")
     command = ["nm", "-u", built("default")[1] / "moc_udp"]
@@ -126,7 +126,7 @@ def test_it_takes_no_memory_from_the_heap(built: Built) -> None:
     assert not {"malloc", "calloc", "realloc", "free"} & {name.split("@")[0].split()[-1] for name in names.splitlines()}
 
 
-def test_what_cannot_be_is_refused_in_words(built: Built, tmp_path: Path) -> None:
+def test_wrong_arguments_are_refused_with_a_message(built: Built, tmp_path: Path) -> None:
     folder, short = built("default")[1], tmp_path / "short"
     reference = str(folder / "reference.bin")
     short.write_bytes((folder / "reference.bin").read_bytes()[:-8])

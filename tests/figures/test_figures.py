@@ -1,4 +1,4 @@
-"""Figures: what is drawn is what was given, limits are where they belong, names stay names."""
+"""Figures draw the values they are given, show names as plain text, and refuse data that cannot be drawn."""
 
 import math
 
@@ -69,7 +69,7 @@ def test_boxes_are_tukeys_and_one_without_samples_leaves_its_place_empty() -> No
 @given(st.dictionaries(
     st.text("ab", min_size=1), st.tuples(st.floats(0.1, 1e3), st.floats(1e-9, 1.0)), min_size=1, max_size=9
 ))  # fmt: skip
-def test_nobody_beats_the_front(points: dict[str, tuple[float, float]]) -> None:
+def test_no_point_dominates_the_pareto_front(points: dict[str, tuple[float, float]]) -> None:
     front = set(figures.pareto(points))
     assert {points[name] for name in front} == {
         p for p in points.values()
@@ -105,6 +105,6 @@ def test_an_envelope_loses_no_peak(y: np.ndarray, points: int) -> None:
     (lambda: figures.time_series({"x": run(3)}, []), "list of names"),
     (lambda: figures.envelope([1.0], [1.0, 2.0]), "shape"), (lambda: figures.envelope([1.0], [1.0], 3), "points = 3"),
 ])  # fmt: skip
-def test_what_cannot_be_drawn_is_said(build: object, word: str) -> None:
+def test_data_that_cannot_be_drawn_are_refused(build: object, word: str) -> None:
     with pytest.raises(ReportError, match=word):
         build()  # type: ignore[operator]

@@ -1,4 +1,4 @@
-"""Files from outside are regular and bounded in what they ask for; ours are written whole or not at all."""
+"""Only regular files of bounded size are read, and files are written whole or not at all."""
 
 import errno
 import io
@@ -45,7 +45,7 @@ def test_a_file_is_measured_before_it_is_read(tmp_path):
 
 
 @pytest.mark.parametrize("text", ["a = " + "[" * 100_000, "seed = " + "9" * 5000, "x = \ud800", "x"])
-def test_what_is_no_toml_is_refused_by_name(text, tmp_path):
+def test_a_file_that_is_no_toml_is_refused_by_name(text, tmp_path):
     (tmp_path / "s.toml").write_bytes(text.encode("utf-8", "surrogatepass"))
     with pytest.raises(ScenarioError, match=r"s\.toml.*(TOML|UTF-8)"):
         read_toml(tmp_path / "s.toml", "scenario", ScenarioError)
@@ -62,8 +62,8 @@ def header(shape, kind):
     header((3,), "<U100000"), b"\x93NUMPY\x01\x00\x10\x00secret:x:0 hello", b"secret:x:0:0:root\n",
     header((1,), "<U6") + "secret".encode("utf-32-le"),
 ])  # fmt: skip
-def test_recorded_times_that_are_none_are_refused_without_a_byte_of_the_file(data, tmp_path):
-    """A header may promise terabytes; any file of the machine may be named."""
+def test_a_file_without_recorded_times_is_refused_and_none_of_it_is_quoted(data, tmp_path):
+    """A header may promise terabytes, and a scenario may name any file of the machine."""
     (tmp_path / "a.npy").write_bytes(data)
     with pytest.raises(ScenarioError, match="replay_us") as found:
         recorded_times(Scenario(solver={"replay_us": str(tmp_path / "a.npy")}))
@@ -72,7 +72,7 @@ def test_recorded_times_that_are_none_are_refused_without_a_byte_of_the_file(dat
 
 @pytest.mark.parametrize("text", ["0_1", "1_000.0", "\u0661", "\uff11", "inf", "nan", "0x1p2", "", "1.2.3", "- 1",
                                   "1" * 10**5 + "x"])  # fmt: skip
-def test_what_is_no_decimal_number_is_none(text):
+def test_a_text_that_is_no_decimal_number_gives_nan(text):
     assert np.isnan(decimal(text))
 
 

@@ -1,4 +1,4 @@
-"""Names from outside: what is one, and what becomes of any other text in a comment, a file's name or a page."""
+"""Names from outside: which texts are names, where that is checked, and how Markdown shows any other text."""
 
 import html
 from dataclasses import replace
@@ -27,7 +27,7 @@ BAD = [
 DATA = load_data()
 
 
-def test_what_a_name_is():
+def test_a_name_has_only_allowed_characters():
     for text in GOOD:
         assert names.checked(text) == text
     for text in BAD:
@@ -54,7 +54,7 @@ def test_every_place_where_a_name_is_read_checks_it(bad):
 @given(st.one_of(hostile_names, st.text(st.characters(codec="utf-8", exclude_categories=["Cc"]))))
 @settings(max_examples=100)
 def test_markdown_shows_any_text_as_it_is(text):
-    """The live page's reader lets HTML through; why a run was stopped may be the text of a foreign exception."""
+    """The live page's Markdown lets HTML through, and the reason of a stop may be the text of a foreign exception."""
     shown = names.in_markdown(text)
     assert not set(shown) & set("<>*_`[]{}\\!|~$\"'\n")
     if text.isprintable():

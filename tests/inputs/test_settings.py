@@ -1,4 +1,4 @@
-"""Settings that speak plainly: frozen, closed, and every error names field, value and range."""
+"""Settings: unknown keys and wrong types are refused, and every error names field, value and range."""
 
 import importlib
 import pkgutil
@@ -22,7 +22,7 @@ class Inner(Settings):
 
 
 class Kinds(Settings):
-    """A field of every kind that a text or a flag could be read as."""
+    """Fields of every type to which a text or a flag might be converted."""
 
     flag: bool = False
     limit: float | Literal["none"] | None = None
@@ -89,7 +89,7 @@ NEEDED = {"last_link": "link_7", "group": "solver", "low": 0.0, "high": 1.0}
 
 
 def test_no_number_of_any_table_may_be_extreme():
-    """Whatever the field's own range: what overflows, vanishes or is listed without end is refused by its name."""
+    """Whatever a field's own range, numbers that are far too large or too small are refused by the field's name."""
     tables = every_table()
     assert len(tables) > 25
     tried = 0

@@ -28,7 +28,7 @@ SCENARIO = Scenario(start={"swivel": 0.2})
 
 @pytest.fixture(scope="module")
 def live() -> Iterator[LivePage]:
-    """A page that is kept up to date, at leisure: a browser that draws in software has enough to do."""
+    """A page that is updated only every 0.3 s, since a browser that draws in software is slow."""
     with pytest.MonkeyPatch.context() as patch, LivePage(SCENARIO, port=0) as page:
         patch.setattr("moc_opt.live.page.FRAME_S", 0.3)
         thread = threading.Thread(target=page.wait)
@@ -45,14 +45,14 @@ def until(true: Any, what: str) -> None:
         sleep(0.05)
 
 
-def test_it_listens_on_loopback_alone(live: LivePage) -> None:
+def test_the_page_listens_on_loopback_alone(live: LivePage) -> None:
     with socket.create_connection(("127.0.0.1", live.server.get_port())):
         pass
-    with pytest.raises(ConnectionRefusedError):  # what listens on every address is heard here, too
+    with pytest.raises(ConnectionRefusedError):  # a server on all addresses would answer here too
         socket.create_connection(("127.0.0.2", live.server.get_port()))
 
 
-def test_it_keeps_step_with_the_clock(live: LivePage) -> None:
+def test_the_run_keeps_step_with_the_clock(live: LivePage) -> None:
     until(lambda: live.run.t_s > 0.5, "it does not begin")
 
     def in_step() -> bool:
@@ -71,7 +71,7 @@ def test_of_rapid_choices_the_last_one_runs(live: LivePage) -> None:
 
 
 def knock(live: LivePage, path: str, say: bytes = b"") -> Any:
-    """What a WebSocket at a path, from another site's page, is told; None where it is closed without an answer."""
+    """First message to a WebSocket at `path` from another site's page; None where it is closed without one."""
     uri, protocol = f"ws://127.0.0.1:{live.server.get_port()}{path}", f"viser-v{viser.__version__}"
     with (
         suppress(ConnectionClosed),
@@ -85,12 +85,12 @@ def knock(live: LivePage, path: str, say: bytes = b"") -> Any:
 
 
 @pytest.mark.parametrize("path", ["/", "/?token={token}", "/{token}x", "//{token}", "/%ff"])
-def test_without_the_token_nothing_is_told(live: LivePage, path: str) -> None:
+def test_nothing_is_sent_without_the_token(live: LivePage, path: str) -> None:
     assert knock(live, path.format(token=live.url.rpartition("/")[2])) is None
 
 
 def test_an_order_without_the_token_is_not_obeyed_even_if_it_came_before_the_refusal(live: LivePage) -> None:
-    """The same message is obeyed with the token, so that it is an order."""
+    """The same message is obeyed with the token, which shows that it is an order."""
     box: Any = live._panel._solver
     order = msgspec.msgpack.encode(GuiUpdateMessage(box._impl.uuid, {"value": "rnn"}).as_serializable_dict())
 
@@ -110,14 +110,14 @@ def test_an_order_without_the_token_is_not_obeyed_even_if_it_came_before_the_ref
 
 @pytest.fixture(scope="module")
 def page(chromium: Any, live: LivePage) -> Iterator[Any]:
-    """The open page; in the end there must have been no error, and no request to anyone else."""
+    """The open page. It must have had no error, and made no request to another server, when it is closed."""
     own, few = live.url.partition("/?")[0], {"viewport": {"width": 300, "height": 200}, "device_scale_factor": 0.25}
     with opened(chromium, live.url, "text=real time", own, ("error",), **few) as found:
         yield found
 
 
 def click(locator: Any) -> None:
-    """Without waiting for the layout to rest: software draws one or two pictures of the arm a second."""
+    """Click without waiting for the layout to settle: software draws only one or two pictures a second."""
     locator.evaluate("element => element.click()")
 
 

@@ -23,7 +23,7 @@ def column(run: LiveRun, name: str, ticks: int) -> Any:
     return run.history(10**6)[-ticks:, QUANTITIES.index(name)]
 
 
-def test_it_does_what_the_scenario_does() -> None:
+def test_a_live_run_does_what_its_scenario_does() -> None:
     scenario = Scenario(start={"swivel": 0.2}, duration_s=0.6, judge=False, bound_samples=0)
     trace = Setup(scenario).trace()
     run = LiveRun(scenario.change(duration_s=None))
@@ -56,8 +56,8 @@ def test_a_solver_is_exchanged_at_the_next_tick(run: LiveRun) -> None:
 @pytest.mark.parametrize("change", [
     lambda run: run.choose(DCAC), lambda run: run.tune(K_X=1500.0, K_N=300.0, observer_gain_per_s=0.0),
 ])  # fmt: skip
-def test_exchanges_do_not_jerk(change: Callable[[LiveRun], None]) -> None:
-    """The torque goes on where it was; the arm, in the realistic plant, hardly notices."""
+def test_an_exchange_of_controllers_does_not_jerk(change: Callable[[LiveRun], None]) -> None:
+    """The torque continues from its last value, and the arm in the realistic plant hardly deviates."""
     run = LiveRun(Scenario(start={"swivel": 0.9}))
     run.advance(400)
     sent: list[Any] = []
@@ -94,7 +94,7 @@ def test_wrong_orders_are_refused_and_the_run_goes_on(run: LiveRun) -> None:
     assert solver_of(run.used) == run.solver == "exact"
 
 
-def test_what_only_the_loop_can_tell_becomes_a_message(run: LiveRun) -> None:
+def test_a_solver_that_the_loop_cannot_use_becomes_a_message(run: LiveRun) -> None:
     """A solver that refuses the subproblem leaves the old one at work."""
     run.advance(10)
     controller = run._build(run.control, "exact")
@@ -106,7 +106,7 @@ def test_what_only_the_loop_can_tell_becomes_a_message(run: LiveRun) -> None:
     assert run.t_s == pytest.approx(0.038)
 
 
-def test_a_run_away_stops_and_can_be_reset(run: LiveRun) -> None:
+def test_a_runaway_arm_is_stopped_and_can_be_reset(run: LiveRun) -> None:
     run.advance(50)
     run._setup.plant.mj_data.qvel[:] = 1e6
     run.advance(100)
@@ -142,7 +142,7 @@ def test_the_trocar_moves_slowly_and_stays_there_after_a_reset(run: LiveRun) -> 
 
 
 def test_a_controller_asked_for_at_every_tick_leaves_the_arm_controlled(run: LiveRun) -> None:
-    """Exchanges at every tick would hold the torque: the last of those that wait follows 0.1 s after the one before."""
+    """Exchanges at every tick would freeze the torque, so the latest request waits until 0.1 s after the last one."""
     rng = np.random.default_rng(0)
     for _ in range(400):
         run.choose(str(rng.choice([DCAC, "exact", "rnn"])))
@@ -152,7 +152,7 @@ def test_a_controller_asked_for_at_every_tick_leaves_the_arm_controlled(run: Liv
     assert column(run, "rcm_error_m", 400).max() < 3e-3
 
 
-def test_the_path_is_followed_to_and_fro() -> None:
+def test_the_path_is_followed_back_and_forth() -> None:
     run = LiveRun(Scenario(task={"path": "spiral"}))
     one_way = run._setup.duration_s
     times = np.linspace(0.0, 2.5 * one_way, 4001)

@@ -1,4 +1,4 @@
-"""What tests put on a wire: a relay that loses, repeats, cuts and falsifies packets, and a controller they play."""
+"""Helpers for tests of the wire: a relay that drops, doubles, cuts and forges packets, and a played controller."""
 
 import select
 import socket
@@ -20,10 +20,10 @@ FAULTS = ("drop", "double", "cut", "forge")
 
 
 class Relay:
-    """Listens for a controller and passes everything on to the plant, and back; a context manager.
+    """A context manager that passes the packets of a controller on to the plant, and those of the plant back.
 
-    Each of FAULTS happens to a ``share`` of the packets, by the seed; ``lost`` says of which kind and number a packet
-    is lost for good. Nothing happens to packets to an end that has the last one it waits for: it no longer counts.
+    Each of FAULTS happens to a ``share`` of the packets, drawn with the seed. ``lost(kind, number)`` says which packets
+    never arrive. An end that has received its last packet counts no more, so packets to it are left alone.
     """
 
     def __init__(self, plant, share=0.0, lost=lambda kind, number: False, seed=0) -> None:
@@ -35,8 +35,8 @@ class Relay:
         self._controller: tuple[str, int] | None = None
         self._over = threading.Event()
         self._thread = threading.Thread(target=self._run)
-        self.done: list[Counter[str]] = [Counter(), Counter()]  # what was done in either direction
-        self.whole: list[Counter[tuple[Kind, int]]] = [Counter(), Counter()]  # (kind, flags) of intact deliveries
+        self.done: list[Counter[str]] = [Counter(), Counter()]  # by direction, how often each fault happened ("": none)
+        self.whole: list[Counter[tuple[Kind, int]]] = [Counter(), Counter()]  # intact deliveries by (kind, flags)
 
     @property
     def address(self) -> str:
@@ -73,7 +73,7 @@ class Relay:
             self._send(data[: len(data) // 2], way)
         elif name == "forge":
             at = int(self._rng.integers(0, len(data)))
-            at += at == 5  # another kind has another size: that one would count as cut
+            at += at == 5  # byte 5 is the kind; with another kind the packet would count as cut
             self._send(data[:at] + bytes([data[at] ^ 0x10]) + data[at + 1 :], way)
         for _ in range(0 if name in ("drop", "cut", "forge") else 2 if name == "double" else 1):
             if not self._ended(way):
@@ -93,7 +93,7 @@ KEY, SCENARIO = b"k" * 16, 9
 SETTINGS = WireSettings(hold_ticks=2, damp_ticks=3, wait_s=0.1)
 NOTHING = np.zeros((3, 3)), np.zeros((2, 3))
 NO_TIME: Any = SimpleNamespace(late_us=0.0, overruns=0, wait_for=lambda tick: 0.0)
-"""A clock whose ticks are over as soon as they begin: only what has arrived already counts."""
+"""A clock whose ticks end as soon as they begin, so that only packets that have already arrived count."""
 
 
 class Peer:

@@ -1,4 +1,4 @@
-"""Packets are as docs/realtime.md says, and only sound ones pass; both ends and the clock, played against the test."""
+"""Packets have the layout of docs/realtime.md, and only sound ones pass. Each end and the clock are tested alone."""
 
 import os
 import re
@@ -24,13 +24,13 @@ KEY = b"sixteen bytes or more"
 
 
 def table(mark: str) -> list[tuple[int, str, str]]:
-    """Offset, field and type of the rows of a table of the page."""
+    """Offset, field and type of each row of the page's table `mark`."""
     text = PAGE.partition(f"<!-- {mark} -->\n")[2].partition("\n\n")[0]
     return [(int(a), b, c) for a, b, c in re.findall(r"^\| (\d+) \| (\w+) \| ([^|]+) \|", text, re.MULTILINE)]
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_the_page_has_every_field_where_it_lies(kind):
+def test_the_page_lists_every_field_with_its_offset_and_type(kind):
     dtype, times = layout(kind, 7), {(): "", (7,): " x n", (6,): " x 6", (87,): " x (11 n + 10)"}
     fields = [(at, name, of.base.str.lstrip("<|") + times[of.shape]) for name, (of, at) in dtype.fields.items()]
     assert table("header") + table(kind.name) == fields[:-1]
@@ -39,7 +39,7 @@ def test_the_page_has_every_field_where_it_lies(kind):
 
 
 @given(st.sampled_from(KINDS), st.data())
-def test_one_changed_bit_breaks_the_check(kind, data):
+def test_one_changed_bit_or_another_key_fails_the_authentication(kind, data):
     packet = make_packet(kind, 7, session=5, scenario=9)
     sent = seal(packet, KEY)
     assert sealed(sent, KEY)
@@ -73,10 +73,10 @@ def test_sound_packets_pass_and_all_others_are_counted(ends):
     foreign = (
         seal(command(sequence=3), KEY)[:-1], seal(command(sequence=3), KEY) + b"\0", b"", seal(command(n=6), KEY),
         seal(command(session=5), KEY), seal(command(magic=b"OTHR"), KEY), seal(command(version=9), KEY),
-        seal(command(joints=6), KEY), seal(command(kind=Kind.MEASUREMENT), KEY),  # the plant's own, come back
+        seal(command(joints=6), KEY), seal(command(kind=Kind.MEASUREMENT), KEY),  # the plant's own, sent back
     )  # fmt: skip
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
-        stranger.sendto(seal(command(sequence=1), KEY), plant.address)  # not the one that began the session
+        stranger.sendto(seal(command(sequence=1), KEY), plant.address)  # not the address that began the session
         for data in (seal(command(sequence=2), b"l" * 16), *foreign, seal(command(sequence=8), KEY)):
             controller.sendto(data, plant.address)
         found = plant.receive(monotonic() + 5.0)
@@ -86,11 +86,11 @@ def test_sound_packets_pass_and_all_others_are_counted(ends):
     assert plant.quality == {"received": 0, "missed": 0, "late": 0, "forged": 1, "foreign": 1 + len(foreign)}
 
 
-def test_what_has_arrived_is_taken_after_the_time_too_but_a_flood_ends(ends):
+def test_a_packet_that_has_arrived_is_taken_after_the_deadline_but_a_flood_is_not_read_on(ends):
     plant, controller = ends
     controller.sendto(seal(command(sequence=1), KEY), plant.address)
     assert plant.receive(monotonic() - 1.0) is not None
-    for flood in (b"x", seal(command(sequence=2), KEY)):  # unsound packets, and sound ones that nobody wants
+    for flood in (b"x", seal(command(sequence=2), KEY)):  # unsound packets, then sound ones that are not wanted
         for _ in range(wire.BACKLOG):  # the system's buffer may hold fewer
             controller.sendto(flood, plant.address)
         controller.sendto(seal(command(sequence=3), KEY), plant.address)
@@ -108,7 +108,7 @@ def test_an_address_is_read_or_refused():
             wire.parse_address(wrong, "--listen")
 
 
-def test_a_key_comes_from_the_file_or_else_from_the_environment_and_other_machines_need_one(tmp_path, monkeypatch):
+def test_a_key_is_read_from_the_file_else_from_the_environment_and_required_beyond_loopback(tmp_path, monkeypatch):
     monkeypatch.delenv(wire.VARIABLE, raising=False)
     assert wire.read_key(None, "127.0.0.1", "--listen") == wire.LOOPBACK_KEY
     for host in ("192.0.2.1", "0.0.0.0"):
@@ -132,7 +132,7 @@ def peer(robot):
     made.close()
 
 
-def test_start_of_another_session_begins_nothing(peer):
+def test_a_start_packet_of_another_session_is_ignored(peer):
     peer.say(Kind.HELLO)
     peer.say(Kind.START, session=peer.session ^ 1)
     peer.say(Kind.COMMAND)
@@ -141,7 +141,7 @@ def test_start_of_another_session_begins_nothing(peer):
     assert peer.link.quality["foreign"] == 2
 
 
-def test_commands_are_followed_and_every_fault_has_its_count(peer):
+def test_commands_are_followed_and_every_fault_is_counted(peer):
     peer.start()
     ones, quality = np.ones(peer.n), peer.link.quality
     peer.say(Kind.COMMAND, 0, tau=ones, limited=3, control_us=12.0, flags=wire.REPORTED, solve_us=2.0)
@@ -149,16 +149,16 @@ def test_commands_are_followed_and_every_fault_has_its_count(peer):
     assert peer.plant.limited == 3
     assert (peer.columns["control_us"][0], peer.columns["solve_us"][0]) == (12.0, 2.0)
     assert (quality["received"], quality["missed"]) == (1, 0)
-    np.testing.assert_array_equal(peer.tick(), ones)  # no command for tick 1: held
+    np.testing.assert_array_equal(peer.tick(), ones)  # no command for tick 1: the last torque is held
     assert (quality["missed"], peer.plant.limited) == (1, 0)
     assert peer.columns["missed"][:2].tolist() == [False, True]
     peer.say(Kind.COMMAND, 1, tau=7 * ones)  # late: not followed
-    peer.say(Kind.COMMAND, 4, tau=7 * ones)  # of a tick to come
+    peer.say(Kind.COMMAND, 4, tau=7 * ones)  # for a future tick
     peer.say(Kind.COMMAND, 2, tau=np.nan * ones)
     np.testing.assert_array_equal(peer.tick(), ones)
     assert (quality["late"], quality["foreign"], quality["missed"]) == (1, 2, 2)
-    peer.say(Kind.COMMAND, 3, tau=2 * ones, control_us=8.0, solve_us=5.0)  # and no report
-    peer.say(Kind.COMMAND, 3, tau=3 * ones)  # again, and otherwise
+    peer.say(Kind.COMMAND, 3, tau=2 * ones, control_us=8.0, solve_us=5.0)  # without wire.REPORTED
+    peer.say(Kind.COMMAND, 3, tau=3 * ones)  # the same tick again, with another torque
     np.testing.assert_array_equal(peer.tick(), 2 * ones)
     assert (peer.columns["control_us"][3], np.isnan(peer.columns["solve_us"][3])) == (8.0, True)
     np.testing.assert_array_equal(peer.tick(), 2 * ones)
@@ -174,7 +174,7 @@ def test_commands_are_followed_and_every_fault_has_its_count(peer):
 @pytest.mark.parametrize("wrong", [
     {"tau": 1e300}, {"tau": -500.0}, {"friction": -1.0}, {"limited": 8}, {"flags": wire.STOP, "friction": np.inf},
 ])  # fmt: skip
-def test_a_command_that_no_safety_filter_gives_is_not_followed(peer, wrong):
+def test_a_command_that_no_safety_filter_would_give_is_not_followed(peer, wrong):
     peer.start()
     held = peer.tick()
     peer.say(Kind.COMMAND, 1, **({"tau": 1.0} | wrong))
@@ -193,18 +193,18 @@ def test_the_watchdog_holds_then_damps_then_brakes(peer):
     for _ in range(SETTINGS.damp_ticks):
         tau = peer.tick(v=0.1)
         assert peer.plant.stop_reason == ""
-    np.testing.assert_allclose(tau, peer.hold - 0.5, atol=1e-9)  # weight less 5 Nm s/rad times 0.1 rad/s
+    np.testing.assert_allclose(tau, peer.hold - 0.5, atol=1e-9)  # gravity torque minus 5 Nm s/rad times 0.1 rad/s
     peer.say(Kind.COMMAND, peer.k, tau=3 * ones)
-    np.testing.assert_array_equal(peer.tick(), 3 * ones)  # a command in time: followed again
+    np.testing.assert_array_equal(peer.tick(), 3 * ones)  # a command that comes in time is followed again
     for _ in range(SETTINGS.hold_ticks + SETTINGS.damp_ticks + 1):
         peer.tick()
     assert (peer.plant.brake_friction(peer.seen) > 0.0).all()
     peer.say(Kind.COMMAND, peer.k, tau=3 * ones)
-    np.testing.assert_allclose(peer.tick(), peer.hold, atol=1e-9)  # brakes stay closed
+    np.testing.assert_allclose(peer.tick(), peer.hold, atol=1e-9)  # the brakes stay closed
     assert peer.plant.stop_reason == "no command from the controller for 6 ticks"
 
 
-def test_what_the_controller_stops_stays_stopped(peer):
+def test_a_stop_by_the_controller_is_final(peer):
     peer.start()
     ones = np.ones(peer.n)
     peer.say(Kind.COMMAND, 0, tau=ones, flags=wire.STOP, reason=b"because\x1b", friction=2 * ones)
@@ -225,7 +225,7 @@ def measurement(flags, k=0, commanded=0.0, scenario=9):
 
 
 def answered(said):
-    """What the end says, sent packets, corrected torques with the number of ticks before; tick k asks for k Nm."""
+    """Ending, packets sent, and (ticks so far, torque) of each corrected torque; the k-th tick asks for k Nm."""
     said, sent, corrected, wait = iter(said), [], [], WireSettings(wait_s=0.05, silence_s=0.5)
     plant = Mock(n=N, peer=("plant", 1), session=0, quality=dict.fromkeys(wire.COUNTERS, 0), heard="nothing")
     plant.send.side_effect = lambda packet: sent.append((Kind(packet["kind"]), packet.copy()))
@@ -263,12 +263,12 @@ def test_every_tick_is_answered_and_the_end_acknowledged(ticks, commands, correc
 
 
 @pytest.mark.parametrize("said", [[measurement(wire.WAITING, scenario=8)], [], [measurement(wire.RUNNING)] * 100])
-def test_a_plant_of_another_scenario_or_none_is_refused(said):
+def test_a_plant_with_another_scenario_or_silent_or_already_running_is_refused(said):
     with pytest.raises(WireError):
         answered(said)
 
 
-def test_a_measurement_from_no_possible_period_is_not_answered():
+def test_a_measurement_with_an_impossible_stamp_is_not_answered():
     odd = measurement(wire.RUNNING, 1)
     odd["stamp"] = -(2**63)
     ending, _, _ = answered([measurement(wire.WAITING), measurement(wire.RUNNING), odd, measurement(wire.ENDED, 1)])
@@ -278,7 +278,7 @@ def test_a_measurement_from_no_possible_period_is_not_answered():
 T = 0.002
 
 
-def test_a_late_tick_moves_no_other_and_a_stall_all_that_follow(monkeypatch):
+def test_a_late_tick_delays_no_later_tick_and_a_stall_delays_all_of_them(monkeypatch):
     now = {"s": 100.0, "oversleep": 0.5 * T}
     monkeypatch.setattr(clock, "monotonic", lambda: now["s"])
     monkeypatch.setattr(clock, "sleep", lambda seconds: now.update(s=now["s"] + seconds + now["oversleep"]))
@@ -298,8 +298,8 @@ def test_a_late_tick_moves_no_other_and_a_stall_all_that_follow(monkeypatch):
     assert (now["s"], time.overruns) == (pytest.approx(100.0 + 31.0 * T), 1)
 
 
-def test_what_this_process_starts_later_has_no_priority(monkeypatch):
-    """As the process of a solver that is replaced in a run: it starts at leisure."""
+def test_processes_started_later_do_not_inherit_realtime_priority(monkeypatch):
+    """For example, the new process of a solver that is replaced during a run has ordinary priority."""
     asked = []
     monkeypatch.setattr(clock.os, "sched_setscheduler", lambda pid, policy, parameter: asked.append(policy))
     monkeypatch.setattr(clock.os, "sched_getscheduler", lambda pid: asked[-1])

@@ -1,4 +1,4 @@
-"""Pages: one file that loads nothing, contains its data, is never left half-written, and works in a browser."""
+"""A page is one file that fetches nothing, contains its data, is never left half-written, and works in a browser."""
 
 import base64
 import gzip
@@ -25,7 +25,7 @@ from tests.odd_inputs import names
 
 
 class Resources(HTMLParser):
-    """Whatever a browser might fetch, all tags with the names of their attributes, all scripts."""
+    """All that a browser might fetch for a page, its tags with the names of their attributes, and its scripts."""
 
     def __init__(self, source: str) -> None:
         super().__init__()
@@ -85,7 +85,7 @@ def full() -> Page:
     return page
 
 
-def test_nothing_is_fetched_and_the_data_come_back(full: Page) -> None:
+def test_a_page_fetches_nothing_and_contains_the_data_of_its_figures(full: Page) -> None:
     found = Resources(full.html())
     assert [address for address in found.fetched if not address.startswith("data:")] == []
     assert not {"@import", "url("} & set(re.findall(r"@import|url\(", found.styles))
@@ -146,7 +146,7 @@ def test_figures_that_cannot_be_saved_are_refused(full: Page, tmp_path: Path, mo
 
 @pytest.fixture(scope="module")
 def page(chromium: Any, full: Page, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
-    """Opened once: a browser that shares its processor takes seconds to draw it."""
+    """The page, opened only once, since a browser on a shared processor takes seconds to draw it."""
     report = full.save(tmp_path_factory.mktemp("report") / "report.html")
     size = {"width": 1000, "height": 800}
     with opened(chromium, report.as_uri(), "html[data-drawn=yes]", viewport=size, color_scheme="light") as found:

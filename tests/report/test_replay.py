@@ -56,7 +56,7 @@ def test_the_ellipsoid_has_mu_as_its_volume(robot: RobotModel, regular_poses: An
     np.testing.assert_allclose(np.linalg.det(roots), [state.mu for state in states], rtol=1e-9)
 
 
-def test_numbers_are_those_of_the_traces(robot: RobotModel, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_replay_has_the_numbers_of_its_traces(robot: RobotModel, monkeypatch: pytest.MonkeyPatch) -> None:
     runs = {"long": wave(robot, 1500), "short": wave(robot, 700, phase=1.0)}
     replay = Replay(runs, robot)
     data = replay.data()
@@ -85,7 +85,7 @@ def test_numbers_are_those_of_the_traces(robot: RobotModel, monkeypatch: pytest.
     assert [run["name"] for run in written["runs"]] == ["long", "short"]
 
 
-def test_what_cannot_be_shown_is_refused(robot: RobotModel, tmp_path: Path) -> None:
+def test_traces_that_cannot_be_shown_are_refused(robot: RobotModel, tmp_path: Path) -> None:
     good = wave(robot, 100)
     bad_q = np.array(good.q_rad)
     bad_q[3, 2] = np.nan
@@ -118,7 +118,7 @@ def arm_of(page: Any) -> bytes:
 def page(chromium: Any, robot: RobotModel, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     runs = {"swaying": wave(robot, 1500), "swaying otherwise": wave(robot, 1500, phase=1.5)}
     file = Replay(runs, robot).save(tmp_path_factory.mktemp("replay") / "replay.html")
-    # A quarter of the pixels: without a graphics card each costs time.
+    # Only a quarter of the pixels, since drawing them takes long without a graphics card.
     size = {"viewport": {"width": 900, "height": 800}, "device_scale_factor": 0.5}
     with opened(chromium, file.as_uri(), "html[data-drawn=yes]", **size) as found:
         yield found
@@ -137,7 +137,7 @@ def test_the_slider_moves_the_arm_and_the_cursor(page: Any) -> None:
     assert arm_of(page) == arm, "nothing moves by itself"
 
 
-def test_it_plays_pauses_and_takes_keys(page: Any) -> None:
+def test_the_replay_plays_pauses_and_takes_keys(page: Any) -> None:
     page.evaluate("replay.seek(0)")
     page.locator("h1").click()
     page.keyboard.press("Space")

@@ -1,4 +1,4 @@
-"""Runs as tables, as JSON and as pages: the ending first, figures of a part marked, and nothing of others replaced."""
+"""Runs as tables, JSON and pages: the ending comes first, figures of a part are marked, foreign files are kept."""
 
 import json
 from pathlib import Path
@@ -34,7 +34,7 @@ def files(tmp_path_factory) -> list[Path]:
     return [folder / f"{name}.parquet" for name in found]
 
 
-def test_the_ending_is_the_first_row_and_a_parts_figures_say_so():
+def test_the_ending_is_the_first_row_and_figures_of_a_part_are_marked():
     metrics = {"completed": 0.0, "share_of_run": 0.75, "mu_mean": 0.25}
     stopped = trace("stopped: x", 3, warnings=[WARNING])
     (table,) = run_tables({"slip": stopped}, {"slip": metrics})
@@ -52,7 +52,7 @@ def test_the_ending_is_the_first_row_and_a_parts_figures_say_so():
 
 @pytest.mark.parametrize(("raised", "most"), [(2, False), (3, True)])
 def test_a_solver_that_was_replaced_is_named_before_any_figure(raised, most):
-    """A run whose answers all came from the fallback completes like any other: it must not read like one."""
+    """A run whose answers all came from the fallback completes like any other, so the report has to say so."""
     faults = {"raised": {"count": raised, "first_at_s": 0.0, "first": "ZeroDivisionError"}}
     (table,) = run_tables({"slip": trace(faults=faults)}, {"slip": {"mu_mean": 0.25}}, first=True)
     assert [row["metric"] for row in table.rows] == ["ended", "solver replaced", "mu_mean"]
@@ -68,7 +68,7 @@ def test_a_solver_that_was_replaced_is_named_before_any_figure(raised, most):
 @pytest.mark.parametrize(
     ("solver", "law", "shown"), [("nlp-sqp", "moc", "–"), ("osqp", "moc", "4"), ("nlp-sqp", "dcac", "4")]
 )
-def test_verdicts_of_the_linear_problem_are_not_passed_on_answers_to_another(solver, law, shown):
+def test_answers_to_the_nonlinear_problem_get_no_verdicts_of_the_linear_one(solver, law, shown):
     run = trace(scenario={"solver": {"name": solver}, "control": {"law": law}})
     metrics = {"mu_mean": 0.2, "verified_solved": 4.0, "silently_wrong": 4.0}
     (table,) = run_tables({"x": run}, {"x": metrics}, first=True)
@@ -98,11 +98,11 @@ def test_the_exit_status_tells_success_from_the_rest(tmp_path, capsys, table, st
     if ended.startswith("stopped"):
         assert found["share_of_run"] < 1.0
         assert [w["of"] for w in found["warnings"]] == ["the RCM error"]
-    # DCAC is stopped even sooner, or later: a part is compared with the same part, or with nothing
+    # DCAC may be stopped sooner or later: a part is compared with the same part of its run, or not at all
     assert "mu_gain_percent" in found or (ended.startswith("stopped") and "not compared with DCAC" in said.err)
 
 
-def test_whole_runs_stand_side_by_side_and_parts_alone():
+def test_whole_runs_share_a_table_and_a_part_has_its_own():
     late = {"late": {"count": 1, "first_at_s": 0.0, "first": "x"}}
     runs = {"a": trace(faults=late), "b": trace("oscillated: joint_7", scenario={"solver": {"name": "nlp-sqp"}})}
     metrics = {"a": {"mu_mean": 0.2, "silently_wrong": 1.0}, "b": {"mu_mean": 0.3, "silently_wrong": 1.0}}
@@ -132,7 +132,7 @@ def test_run_and_report_write_pages_that_name_arm_task_gains_and_solver(tmp_path
     assert "is a trace, no scenario: moc-opt report, replay or map shows it" in capsys.readouterr().err
 
 
-def test_a_run_that_cannot_be_mapped_has_its_curves(robot):
+def test_a_run_that_cannot_be_mapped_still_has_its_curves(robot):
     t = np.linspace(0.0, 1.0, 20)
     own = Trace({"t_s": t, "mu": 0.1 + t}, {"ended": "stopped: too far off"})
     found = run_page({"own": own}, {"own": {"mu_mean": 0.6}}, robot)
@@ -159,7 +159,7 @@ def test_runs_that_cannot_be_shown_together_are_refused(files, tmp_path, capsys)
 
 
 @pytest.mark.parametrize("command", ["report", "replay", "map"])
-def test_a_page_is_written_where_it_can_be_and_replaces_others_by_force_alone(files, tmp_path, capsys, command):
+def test_a_page_replaces_a_foreign_file_only_with_force_and_needs_a_usable_place(files, tmp_path, capsys, command):
     out = tmp_path / "page.html"
     out.write_text("mine")
     for place, said in (
@@ -174,7 +174,7 @@ def test_a_page_is_written_where_it_can_be_and_replaces_others_by_force_alone(fi
     assert out.stat().st_size > 10_000
 
 
-def test_the_other_results_replace_nothing_without_force(tmp_path, capsys):
+def test_no_other_result_replaces_a_foreign_file_without_force(tmp_path, capsys):
     out = tmp_path / "rows"
     out.write_text("mine")
     for order in (["compare", "exact", "--out"], ["plan", "--out"], ["run", "--trace"], ["plant", "--trace"]):

@@ -1,4 +1,4 @@
-"""Runs of every arm of the package in the realistic plant, of an arm with sixteen joints, and of a law of one's own."""
+"""Runs in the realistic plant: every arm of the package, an arm with sixteen joints, and a user's own control law."""
 
 import runpy
 from pathlib import Path
@@ -24,15 +24,15 @@ def test_every_arm_does_the_default_task(name):
     assert found["verified_solved"] == len(moc)
     assert found["mu_gain_percent"] > 10.0
     for law, figures in {"moc": found, "dcac": summarize(dcac)}.items():
-        # The gen3 passes close to the loss of its shaft, where the box opens to the joints' whole speed for a while.
+        # The gen3 passes near poses in which its shaft can hardly turn; there the box opens to the full joint speeds.
         assert figures["tip_error_max_mm"] < (1.2 if (name, law) == ("gen3", "moc") else 1.0)
         assert figures["rcm_error_max_mm"] < 2.2
 
 
 @pytest.mark.parametrize(("preset", "more"), [(None, 2), ("tuned", 1), ("robust", 1)])
 @pytest.mark.parametrize("name", available_robots())
-def test_every_preset_is_for_every_arm(name, preset, more):
-    """With more ticks of delay (three under the default gains), and no friction that hides idle joints that swing."""
+def test_every_preset_works_on_every_arm(name, preset, more):
+    """With `more` ticks of delay (three in all without a preset), and without friction, which would hide swinging."""
     asked = Scenario(
         seed=1, robot={"name": name}, control={"preset": preset} if preset else {}, duration_s=2.5, **BARE,
         start={"pose": "home" if preset else "random"},
@@ -43,7 +43,7 @@ def test_every_preset_is_for_every_arm(name, preset, more):
 
 
 def test_sixteen_joints_run_and_are_judged(tmp_path):
-    """Ten real freedoms: every answer of `exact` verifies, and one moved along the self-motion does not."""
+    """With ten freedoms every answer of `exact` is verified, and no answer moved along the self-motion is."""
     robot = sixteen_joints(tmp_path, np.random.default_rng(2).uniform(-0.7, 0.7, 16))
     trace = run(Scenario(robot={"name": str(tmp_path / "arm.toml")}, duration_s=0.3, bound_samples=1))
     assert trace.meta["ended"] == "completed"

@@ -1,4 +1,4 @@
-"""What a run is: validated tables that a file keeps, errors that help, and runs that repeat to the bit."""
+"""A scenario: its tables are validated and saved to a file, its errors help, and its runs repeat to the bit."""
 
 import re
 import shutil
@@ -21,7 +21,7 @@ from tests.robots.arms import FOLDER
 BARE = {"judge": False, "bound_samples": 0}
 
 
-WRONG = [  # tables; what the message of the constructor says
+WRONG = [  # tables; words of the constructor's error message
     ({"task": {"radius": 0.01}}, "mean 'sizes.radius'"), ({"solver": {"name": "osqp", "eps": 1}}, "'settings.eps'"),
     ({"sede": 1}, "did you mean 'seed'"), ({"control": {"preste": "tuned"}}, "did you mean 'preset'"),
     ({"plant": {"prest": "x"}}, "mean 'preset'"), ({"control": {"preset": "papre"}}, "did you mean 'paper'"),
@@ -47,13 +47,13 @@ WRONG_AT_THE_RUN = [
 
 
 @pytest.mark.parametrize(("tables", "words"), WRONG)
-def test_what_is_wrong_is_named_where_the_scenario_is_made(tables, words):
+def test_a_wrong_key_or_value_is_named_when_the_scenario_is_made(tables, words):
     with pytest.raises((ScenarioError, UnknownNameError), match=re.escape(words)):
         Scenario(**tables)
 
 
 @pytest.mark.parametrize(("tables", "words"), WRONG_AT_THE_RUN)
-def test_what_does_not_fit_together_is_found_before_anything_moves(tables, words):
+def test_values_that_do_not_fit_together_are_refused_before_anything_moves(tables, words):
     moved = []
     with pytest.raises(MocOptError, match=re.escape(words)):
         run(Scenario(**{"duration_s": 0.01, **tables}), watch=moved.append)
@@ -80,24 +80,24 @@ def test_the_trace_remembers_its_scenario():
         ({"guard": {"repeat_joint_ticks": 40}}, {"repeat_joint_ticks": 40}),
         ({"guard": {"patience_ticks": 5}}, {"repeat_reading_ticks": 5}),
         ({"guard": {"repeat_reading_ticks": 2}}, {"repeat_reading_ticks": 2}),
-        # Without noise, or a filter, a reading may well be the same.
+        # Without noise, or without a filter, successive readings may well be equal.
         ({"plant": {"preset": "nominal"}}, {"repeat_joint_ticks": None, "repeat_reading_ticks": None}),
         ({"plant": {"velocity_cutoff_Hz": 0.0}}, {"repeat_reading_ticks": None, "motion_lag_s": 0.012}),
-        # A slow filter lags: sound runs with 15 Hz were stopped at the level that 50 Hz need.
+        # A slow filter lags: with the limit that suits 50 Hz, sound runs at 15 Hz were stopped.
         ({"plant": {"velocity_cutoff_Hz": 15.0}}, {"motion_lag_s": 3.0 / (2.0 * np.pi * 15.0)}),
-        # A coarse step hides what moves the joint within it.
+        # A coarse encoder hides motion that stays within one step.
         ({"plant": {"encoder_resolution_rad": 1e-4}}, {"repeat_torque": 0.06, "stuck_rad_per_s": 0.2}),
         ({"plant": {"encoder_resolution_rad": 5e-4}}, {"repeat_torque": 0.25, "stuck_rad_per_s": 0.3}),
         ({"plant": {"encoder_resolution_rad": 5e-4}, "guard": {"repeat_torque": 0.4}}, {"repeat_torque": 0.4}),
     ],
 )
-def test_the_safety_filter_is_told_of_the_encoders(tables, told):
+def test_limits_of_the_safety_filter_follow_from_the_encoders(tables, told):
     scenario = Scenario(**tables)
     assert {name: getattr(scenario.told_guard, name) for name in told} == pytest.approx(told)
     assert scenario.guard == Scenario(guard=tables.get("guard", {})).guard
 
 
-def test_change_of_the_plant_keeps_what_it_is_and_is_validated():
+def test_a_change_of_the_plant_keeps_its_other_settings_and_is_validated():
     base = Scenario(plant=PlantSettings.nominal())
     assert base.change(plant={"delay_ticks": 2}).plant == PlantSettings.nominal(delay_ticks=2)
     assert base.change(plant={"preset": "realistic"}).plant == PlantSettings()
@@ -108,8 +108,8 @@ def test_change_of_the_plant_keeps_what_it_is_and_is_validated():
         base.seed = 3
 
 
-def test_what_the_arm_touched_lies_where_it_truly_is():
-    """Kinematics that are off by a millimetre and more: the shaft stands in the incision all the same."""
+def test_the_true_shaft_passes_through_the_trocar_despite_wrong_kinematics():
+    """The kinematics are wrong by more than 0.5 mm. Since the arm has touched the trocar, the true shaft meets it."""
     bad = {"calibration_error_m": 5e-4, "calibration_tilt_rad": 5e-4, "encoder_bias_rad": 5e-4, "preset": "nominal"}
     setup = Setup(Scenario(plant=bad, seed=4, control={"law": "dcac"}, **BARE, duration_s=0.2))
     plant, state = setup.plant, setup.robot.state(setup.q_start)
@@ -126,7 +126,7 @@ def test_what_the_arm_touched_lies_where_it_truly_is():
 
 
 @pytest.mark.parametrize("known", [True, False])
-def test_breathing(known):
+def test_the_trocar_breathes_and_the_robot_knows_it_only_with_breathing_known(known):
     breathing = {"breathing_amplitude_m": 0.01, "breathing_period_s": 0.4, "breathing_known": known}
     trace = run(Scenario(duration_s=0.3, trocar=breathing, plant={"preset": "nominal"}, **BARE))
     moved = trace.trocar_m - trace.trocar_m[0]
@@ -137,8 +137,8 @@ def test_breathing(known):
     np.testing.assert_array_equal(told, moved if known else np.zeros_like(moved))
 
 
-def test_a_singular_pose_has_a_bound_and_a_lost_one_has_none(robot):
-    """Straight elbow: no single curve leads through it, yet tip and wrist have poses."""
+def test_a_singular_pose_has_a_bound_of_mu_and_a_nan_pose_has_none(robot):
+    """No single self-motion curve leads through a straight elbow, but other poses hold the same tip and wrist."""
     poses = np.tile(robot.data.q_home, (3, 1))
     poses[0], poses[2] = [0.3, 0.6, -0.2, 0.0, 0.4, -0.9, 0.0], np.nan
     bound, how = largest_mu(poses, robot, 5)
@@ -149,7 +149,7 @@ def test_a_singular_pose_has_a_bound_and_a_lost_one_has_none(robot):
 
 
 @pytest.mark.parametrize("law", ["moc", "dcac"])
-def test_same_seed_same_trace_to_the_bit(law):
+def test_the_same_seed_gives_the_same_trace_to_the_bit(law):
     scenario = Scenario(duration_s=0.2, bound_samples=3, seed=5, start={"swivel": "random"}, control={"law": law})
     setup = Setup(scenario)
     first, *others = (
@@ -212,14 +212,14 @@ SCENARIOS = table(
 
 @settings(max_examples=100)
 @given(SCENARIOS)
-def test_what_is_saved_loads_as_the_same(tmp_path_factory, values):
+def test_a_saved_scenario_loads_as_an_equal_one(tmp_path_factory, values):
     scenario, file = Scenario(**values), tmp_path_factory.mktemp("saved") / "scenario.toml"
     scenario.save(file)
     assert Scenario.load(file) == scenario
     assert eval(repr(scenario), {"Scenario": Scenario}) == scenario
 
 
-def test_only_what_differs_is_written(tmp_path):
+def test_only_values_that_differ_from_the_defaults_are_written(tmp_path):
     tables = {"seed": 3, "control": {"preset": "tuned", "K_N2": 20.0}, "plant": {"preset": "nominal"}}
     assert Scenario(**tables).changes() == tables
     Scenario().save(tmp_path / "a.toml")

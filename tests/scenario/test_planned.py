@@ -1,4 +1,4 @@
-"""Plans of a scenario: a run is compared with its best courses, and follows one, planned or from a file."""
+"""Plans of a scenario: a run is compared with the best courses, and follows a course, planned or from a file."""
 
 import json
 from dataclasses import replace
@@ -40,13 +40,13 @@ def test_a_path_that_cannot_be_executed_exits_with_three(tmp_path, capsys):
     assert (told["executable"], bool(told["blocked"]["reason"]), told["blocked"]["t_s"] > 0.0) == (False, True, True)
 
 
-def test_what_it_proposes_can_be_pasted_into_the_scenario(tmp_path, capsys):
+def test_the_start_that_a_plan_proposes_can_be_pasted_into_the_scenario(tmp_path, capsys):
     text = "duration_s = 1.0\nseed = 3\n"
     file = scenario_file(tmp_path, text + "[start]\nswivel = 0.15\n")
     found = plan(mo.Scenario.load(file))
     assert main(["plan", file]) == 0
     said = capsys.readouterr()
-    assert said.err == ""  # its third level climbs: nobody is to follow the course
+    assert said.err == ""  # its third level climbs and follows no course
     assert "can be executed from this start yes" in " ".join(said.out.split())
     assert max(len(line.rstrip()) for line in said.out.splitlines()) <= 80
     again = plan(mo.Scenario.load(scenario_file(tmp_path, text + said.out[said.out.index("\n[start]\n") :])))
@@ -54,7 +54,7 @@ def test_what_it_proposes_can_be_pasted_into_the_scenario(tmp_path, capsys):
     assert again.from_start.mu_mean > 1.02 * found.from_start.mu_mean
 
 
-def test_it_plans_within_what_a_third_level_that_follows_keeps_to(tmp_path, capsys):
+def test_a_plan_keeps_to_the_limits_of_the_third_level_that_follows_it(tmp_path, capsys):
     file = scenario_file(tmp_path, 'duration_s = 0.5\n[control]\nthird_level = "planned"\n')
     for options, margin, share in (([], 0.05, 0.85), (["--speed-share", "1", "--margin", "0"], 0.0, 1.0)):
         assert main(["plan", file, "--json", *options]) == 0
@@ -88,7 +88,7 @@ def test_the_command_run_compares_unless_the_scenario_says_no(tmp_path, capsys, 
     assert ("mu_fraction_of_best" in json.loads(capsys.readouterr().out)) == there
 
 
-def test_of_an_arm_with_two_freedoms_the_reason_is_given():
+def test_an_arm_with_two_freedoms_has_no_best_courses_and_says_why():
     run = mo.run(COMPARED.change(robot={"name": "lwr4_rail"}, start={"swivel": "given"}, duration_s=0.1))
     assert "mu_best" not in run.columns
     assert "freedoms" in run.meta["best_courses"]["absent"]
@@ -117,7 +117,7 @@ def loaded(scenario):
     return load_course(scenario.control, setup.robot, setup.layout.q, targets_of(setup.robot, setup.layout))
 
 
-def test_a_run_along_the_file_is_the_run_along_the_course_that_it_plans(course):
+def test_a_run_along_a_saved_course_equals_the_run_that_plans_it(course):
     planned = mo.run(SCENARIO)
     followed = mo.run(SCENARIO.change(control={"course": str(course)}))
     assert followed.meta["course_mu_mean"] == pytest.approx(planned.meta["course_mu_mean"], rel=1e-4)
@@ -161,7 +161,7 @@ def test_a_file_that_is_no_course_is_refused(course, tmp_path):
             loaded(mine)
 
 
-def test_a_course_is_made_smooth_within_what_it_was_planned_for(tmp_path):
+def test_smoothing_a_course_keeps_the_limits_that_it_was_planned_for(tmp_path):
     within = {"margin_rad": 0.6, "speed_share": 0.1}
     to = save_course(plan(SCENARIO, **within), SCENARIO, tmp_path / "slow.parquet", within)
     scenario = SCENARIO.change(control={"course": str(to)})
@@ -174,14 +174,14 @@ def test_a_course_is_made_smooth_within_what_it_was_planned_for(tmp_path):
     assert np.minimum(slow.q_rad - robot.q_min, robot.q_max - slow.q_rad)[:, :6].min() > 0.6 - 1e-6
 
 
-def test_the_commands_write_and_follow_it(tmp_path, capsys):
+def test_the_commands_write_a_course_and_follow_it(tmp_path, capsys):
     to, ran = tmp_path / "course.parquet", tmp_path / "run.parquet"
     text = 'duration_s = 0.3\nbound_samples = 0\nbest_courses = false\n[control]\nthird_level = "local"\n'
     mine = scenario_file(tmp_path, text)
     for out, status in ((to, 0), (to, 0), (mine, 2)):  # a course replaces a course, and nothing else
         assert main(["plan", mine, "--out", str(out)]) == status
         assert "warning" not in capsys.readouterr().err
-    assert mo.Trace.load(to).meta["within"]["speed_share"] == 0.85  # as if this third level followed it
+    assert mo.Trace.load(to).meta["within"]["speed_share"] == 0.85  # the limit of a third level that follows
     assert (tmp_path / "mine.toml").read_text(encoding="utf-8") == text
     assert main(["run", mine, "--course", str(to), "--trace", str(ran)]) == 0
     assert mo.Trace.load(ran).meta["scenario"]["control"]["course"] == str(to)
@@ -198,7 +198,7 @@ def test_the_commands_write_and_follow_it(tmp_path, capsys):
     assert main(["run", str(own), "--third-level", "local", "--json"]) == 0
 
 
-def test_what_keeps_a_third_level_from_following_is_named_with_its_cure():
+def test_what_prevents_a_third_level_from_following_a_course_is_named_with_a_remedy():
     scenario = mo.Scenario(duration_s=2.0, start={"swivel": 0.2})
     fast, robot = plan(scenario, refined=False), scenario.robot.arm()
     (said,) = following_warnings(scenario, fast)

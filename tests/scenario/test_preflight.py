@@ -1,4 +1,4 @@
-"""Nothing moves from a start, or along a path, that the arm cannot do, and what is told names field, place and cure."""
+"""A start or path that the arm cannot do is refused before anything moves, naming the field, place and remedy."""
 
 import dataclasses
 import re
@@ -14,7 +14,7 @@ from moc_opt.scenario import Scenario, Setup, preflight
 from moc_opt.scenario.preflight import UnreachableError, check_reachable, check_start
 from moc_opt.tasks import Reference, Trocar, make_path, shaft_distance
 
-PLACE_M = 0.006  #: The points that are looked at are 5 mm apart.
+PLACE_M = 0.006  #: Tolerance of a place along the path [m]; the points that are checked are 5 mm apart.
 PATHS = ("circle", "sinusoid", "spiral")
 ROBOT = load_robot()
 HOME = ROBOT.state(ROBOT.data.q_home)
@@ -34,7 +34,7 @@ def setup(seed=0, path="circle", **tables):
 
 @pytest.mark.parametrize(("q", "told"), [
     (np.zeros(7), "singular"),
-    # The tip moves in every direction, but with the elbow straight tip and wrist have one freedom less together.
+    # The tip can move in every direction, but with a straight elbow, tip and wrist together have one freedom less.
     ([0.3, 0.6, -0.2, 0.0, 0.4, -0.9, 0.0], "the tool cannot be turned in every direction"),
     ([0.1] * 6, "give 7 finite numbers"), ([0.1] * 6 + [np.nan], "give 7 finite numbers"),
 ])  # fmt: skip
@@ -49,14 +49,14 @@ def test_a_joint_outside_its_limits_is_named():
     with pytest.raises(ScenarioError, match=rf"joint {joint + 1} = .*choose"):
         check_start(ROBOT, q)
     q[joint] = ROBOT.q_max[joint]
-    check_start(ROBOT, q)  # at the limit is inside
+    check_start(ROBOT, q)  # the limit itself is allowed
 
 
 def reference(kind="circle", v_max=0.05, a_max=0.2, **sizes):
     return Reference(make_path(kind, HOME.tip, normal=(0, 0, 1), heading=(1, 0, 0), **sizes), v_max, a_max)
 
 
-def test_too_fast_names_the_joint_and_a_speed_that_works():
+def test_a_path_that_is_too_fast_is_refused_with_a_speed_that_works():
     with pytest.raises(UnreachableError) as told:
         check_reachable(ROBOT, ROBOT.data.q_home, reference("line", 5.0, 200.0, length=0.06), TROCAR)
     assert told.value.field == "v_max"
@@ -67,7 +67,7 @@ def test_too_fast_names_the_joint_and_a_speed_that_works():
 
 
 def test_a_path_that_leaves_the_workspace_says_where():
-    """Drawn out along the shaft, the wrist rises until the arm is stretched."""
+    """The path pulls the tool out along the shaft: the wrist rises until the arm is stretched."""
     tip, trocar = np.array([0.74, 0.0, 0.10]), np.array([0.74, 0.0, 0.30])
     upwards = straight(tip, tip + np.array([0.0, 0.0, 0.16]))
     with pytest.raises(UnreachableError) as told:
@@ -79,8 +79,8 @@ def test_a_path_that_leaves_the_workspace_says_where():
     assert f"{1e3 * told.value.arc_length_m:.1f} mm along the path" in str(told.value)
 
 
-def test_joint_limits_are_named():
-    """The elbow's angle follows from the wrist's distance alone: no self-motion can help a joint 4 that is stuck."""
+def test_the_joint_that_reaches_its_limit_is_named():
+    """The wrist's distance alone determines joint 4, the elbow, so no self-motion helps where it is at its limit."""
     highest = np.array(ROBOT.q_max)
     highest[3] = HOME.q[3] + 0.05
     stiff = RobotModel(dataclasses.replace(ROBOT.data, q_max=highest))
@@ -104,8 +104,8 @@ def test_a_trocar_beyond_the_tool_or_on_the_path_and_a_start_elsewhere_are_refus
         assert (told.value.field, told.value.arc_length_m) == (field, pytest.approx(place, abs=PLACE_M))
 
 
-def test_another_swivel_is_tried_where_the_given_one_gets_stuck(monkeypatch):
-    """A start that is made to fail is replaced by the one in the middle of its self-motion."""
+def test_another_swivel_is_tried_where_the_given_one_fails(monkeypatch):
+    """A start that is made to fail is replaced by the pose of its self-motion with most room to the joint limits."""
     task, scan, solve = reference(radius=0.03), self_motion(ROBOT, HOME.q), preflight.solve_pose
 
     def only_elsewhere(arm, q, tip, wrist):
@@ -119,7 +119,7 @@ def test_another_swivel_is_tried_where_the_given_one_gets_stuck(monkeypatch):
     assert taken == pytest.approx(room.max(), abs=1e-6)
 
 
-def test_breathing_trocars_are_followed():
+def test_the_shaft_follows_a_breathing_trocar():
     circle, breathing = reference(radius=0.02), Trocar(INCISION, breathing_amplitude_m=0.01)
     found = check_reachable(ROBOT, HOME.q, circle, breathing)
     tips, wrists = ROBOT.tool_along(found)
@@ -144,7 +144,7 @@ def test_a_random_start_keeps_the_stated_rules(seed, swivel):
 
 @pytest.mark.parametrize(("name", "margins"), [("lwr4", (0.15, 0.0)), ("lwr4_rail", (0.05, 0.2))])
 def test_a_random_start_keeps_the_margins_that_were_asked_for(name, margins):
-    """Of each joint in its own unit, at the start and along the path; without them there is less room."""
+    """Each joint keeps its margin at the start and along the path; without these keys there is less room."""
     asking = {"limit_margin_rad": margins[0], "limit_margin_m": margins[1]}
     for keys, kept in ((asking, True), ({}, False)):
         made = setup(0, robot={"name": name}, start={"pose": "random", "swivel": "random", **keys})

@@ -1,6 +1,6 @@
-"""How a stop ends: the arm is held, whatever its start and its drives, and gives way to a trocar that presses.
+"""After a stop, the arm is held, from any start and with weak drives too, and gives way to a trocar that presses.
 
-The bounds stand in docs/reliability.md. Starts, moments and loads are drawn anew here: no setting was chosen on them.
+docs/reliability.md states the bounds. No setting was chosen on the starts, times and loads that are drawn here.
 """
 
 import dataclasses
@@ -23,7 +23,7 @@ QUICK = {"bound_samples": 0, "judge": False}
 
 
 def after(trace):
-    """Way of the tip in the stop [m], largest force [N] in it, last force [N]."""
+    """Largest displacement of the tip [m], and largest and last trocar force [N], from the stop on."""
     stop = trace.t_s >= trace.meta["stopped_at_s"]
     force = np.linalg.norm(trace.trocar_force_N[stop], axis=1)
     return np.linalg.norm(trace.tip_m[stop] - trace.tip_m[stop][0], axis=1).max(), force.max(), force[-1]
@@ -32,7 +32,7 @@ def after(trace):
 @pytest.mark.parametrize("share", [1.0, 0.3, 0.15, 0.08])
 @pytest.mark.parametrize("swivel", [0.0, 1.0])
 def test_an_arm_with_weak_drives_is_held_from_any_swivel(monkeypatch, share, swivel):
-    """At 0.15 the drives carry three quarters of the weight: under damping alone the tip sank by 70 mm."""
+    """At a share of 0.15 the drives carry three quarters of the weight. With damping alone the tip sank by 70 mm."""
     data = RobotTable().arm().data
     weak = RobotModel(dataclasses.replace(data, tau_max=share * data.tau_max))
     monkeypatch.setattr(RobotTable, "arm", lambda table: weak)
@@ -50,7 +50,7 @@ def test_an_arm_with_weak_drives_is_held_from_any_swivel(monkeypatch, share, swi
 @pytest.mark.parametrize("load", [{"payload_kg": 0.3}, {"payload_kg": 0.7}, {}], ids=str)
 @pytest.mark.parametrize("seed", [41, 42])
 def test_an_unknown_load_does_not_sink(load, seed):
-    """Nor masses that are 30 % wrong; as long as it does not feel like a trocar that presses with stop_yield_N."""
+    """The masses are 30 % wrong as well. The load must be too small to be taken for a trocar (stop_yield_N)."""
     scenario = Scenario(
         seed=seed, start={"pose": "random"}, faults={"nan_at_s": 0.4, "nan_ticks": 10**6, **load},
         plant={"mass_error": 0.3}, duration_s=1.2, **QUICK,
@@ -63,7 +63,7 @@ def test_an_unknown_load_does_not_sink(load, seed):
 
 @pytest.mark.parametrize(("seed", "slip_m"), [(50, 0.03), (51, 0.1), (52, 0.03), (53, 0.1)])
 def test_the_arm_gives_way_to_a_trocar_that_presses(seed, slip_m):
-    """The tissue may go on moving when the stop is ordered: the force is not held up, and falls to a few newtons."""
+    """The tissue may keep moving after the stop. The arm does not hold the force up: it falls below 16 N."""
     at = float(np.random.default_rng(seed).uniform(0.2, 1.8))
     scenario = Scenario(
         seed=seed, start={"swivel": "random"}, faults={"slip_m": slip_m, "slip_at_s": at}, control={"preset": "tuned"},
@@ -79,7 +79,7 @@ def test_the_arm_gives_way_to_a_trocar_that_presses(seed, slip_m):
 
 
 def test_brakes_are_open_while_the_trocar_presses_and_then_only_when_it_presses_harder(robot):
-    """A load that does not go away is held after stop_yield_s; tissue that moves on opens them once more."""
+    """A load that stays is held after stop_yield_s. Tissue that keeps moving opens the brakes once more."""
     guard, q = SafetyFilter(robot, SafetyFilterSettings(), 0.002, momentum=False), np.array(robot.data.q_home)
     guard.start(q, np.zeros(7))
     pose, length = robot.tool_pose(q), robot.data.tool_length
@@ -91,18 +91,18 @@ def test_brakes_are_open_while_the_trocar_presses_and_then_only_when_it_presses_
         reading = free + np.array([force, 0.0, 0.0, 0.0, force * (length - 0.15), 0.0])
         return [not guard.brake_friction(reading).any() for _ in range(ticks)]
 
-    # Never where the sensor says nothing.
+    # The brakes never open on a reading of NaN.
     for force, last in ((0.0, False), (7.0, False), (20.0, True), (6.0, True), (3.0, False), (np.nan, False)):
         assert is_open(force, 100)[-1] == last, force
     most = round(SafetyFilterSettings().stop_yield_s / 0.002)
-    # 6 N more than what they were closed on are held, too; where the force has fallen, that is forgotten.
+    # Brakes also hold up to 6 N more than the force they closed on. Once the force has fallen, that is forgotten.
     for force, ticks in ((0.0, 0), (20.0, most), (26.0, 0), (40.0, most), (0.0, 0), (20.0, most)):
         found = is_open(force, 1000)
         assert (sum(found), any(found[-500:])) == (ticks, False), force
 
 
 PRESSED_N = 35.0
-"""Force, as a root mean square over 0.1 s, above which no run may have completed; the limit of the filter is 15 N."""
+"""Largest root mean square of the force over 0.1 s in a completed run; the limit of the filter is 15 N."""
 
 at_s, some, whole, forged = st.floats(0.05, 0.6), st.floats, st.integers, st.booleans()
 
@@ -150,7 +150,7 @@ def test_under_several_faults_at_once_a_run_completes_or_the_arm_is_stopped_and_
     ended = Ending.of(trace.meta["ended"])
     assert (np.abs(trace.tau_Nm) <= setup.robot.tau_max * (1.0 + 1e-12)).all()
     if ended is Ending.STOPPED:
-        whole = trace.meta["ticks"] < trace.meta["ticks_planned"]  # else the run's end cut the stop
+        whole = trace.meta["ticks"] < trace.meta["ticks_planned"]  # else the run ended during the stop
         assert not whole or np.abs(trace.v_rad_per_s[-1]).max() <= 0.05
     else:
         assert ended in (Ending.COMPLETED, Ending.OSCILLATED)

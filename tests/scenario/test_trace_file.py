@@ -1,4 +1,4 @@
-"""What ends a run, and what is left of it: a trace's file is there at the end, whatever the end was."""
+"""However a run ends, the file of its trace is written with the ticks until then."""
 
 import os
 import signal
@@ -23,7 +23,7 @@ def whole():
 @pytest.mark.parametrize("place", ["watch", "controller"])
 @pytest.mark.parametrize("error", [KeyboardInterrupt(), ValueError("a defect")])
 def test_whatever_ends_a_run_leaves_its_rows(whole, error, place, tmp_path, monkeypatch):
-    """A defect of the controller, too: only what its own solver raises is caught."""
+    """A defect of the controller ends the run too: only what its solver raises is caught."""
     ticks, calls, setup = 57, iter(range(10**6)), Setup(Scenario(**SHORT))
     controller = setup.controller()
 
@@ -54,7 +54,7 @@ def test_whatever_ends_a_run_leaves_its_rows(whole, error, place, tmp_path, monk
 @pytest.mark.parametrize(("status", "told"), [
     (130, "interrupted; the first 0.296 s "), (1, f"ZeroDivisionError: a defect of two lines ({Path(__file__).name}:"),
 ])  # fmt: skip
-def test_ctrl_c_and_a_defect_say_one_line_and_where_the_rows_are(tmp_path, capsys, monkeypatch, status, told):
+def test_ctrl_c_and_a_defect_print_one_line_that_names_the_file(tmp_path, capsys, monkeypatch, status, told):
     ticks, real = iter(range(10**6)), Plant.measure
 
     def breaking(self):

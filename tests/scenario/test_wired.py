@@ -1,4 +1,4 @@
-"""A run over the wire is the simulated run; what happens to packets is counted, and the arm survives it."""
+"""A run over the wire equals the simulated run; faults of packets are counted, and the arm stays safe under them."""
 
 import json
 import re
@@ -32,7 +32,7 @@ def wired(scenario, relayed=None):
 
 
 def assert_same(found, expected):
-    """All columns but the clock's, to rounding."""
+    """All columns except measured times are equal, up to rounding."""
     assert set(found.columns) == set(expected.columns) | {"wake_us", "control_us", "missed"}
     assert found.meta["ended"] == expected.meta["ended"]
     for name in expected.columns.keys() - {"tick_us", "solve_us"}:
@@ -65,11 +65,11 @@ def test_without_loss_the_wire_changes_nothing(name):
         assert ending[entry] == expected.meta.get(entry, without)
     assert found.meta.get("stopped_at_s") == expected.meta.get("stopped_at_s")
     assert expected.meta.get({"warned": "warnings", "spoilt answers": "faults"}.get(name, "ended"))
-    assert sum(ending["quality"].values()) == ending["ticks"]  # and nothing else came
+    assert sum(ending["quality"].values()) == ending["ticks"]  # no other packet came
     assert found.meta["wire"] == dict.fromkeys(COUNTERS, 0) | {"received": len(expected)}
 
 
-def test_where_the_plant_waits_no_fault_of_the_wire_changes_the_run():
+def test_in_lock_step_no_fault_of_the_wire_changes_the_run():
     scenario = Scenario(**SHORT, wire={"resend_s": 0.02, "resends": 1000})
     found, ending, relay = wired(scenario, {"share": 0.04, "seed": 1})
     expected = run(scenario)
@@ -79,7 +79,7 @@ def test_where_the_plant_waits_no_fault_of_the_wire_changes_the_run():
         done, whole = relay.done[way], relay.whole[way]
         assert all(done[fault] for fault in FAULTS)
         assert end["forged"] == done["forge"]
-        assert 0 <= end["foreign"] - done["cut"] <= 10  # of the handshake, repeated
+        assert 0 <= end["foreign"] - done["cut"] <= 10  # repeated packets of the handshake
         of_ticks = sum(count for (kind, flags), count in whole.items() if kind is Kind.COMMAND or flags == RUNNING)
         assert end["received"] + end["late"] == of_ticks
         assert end["late"] > 5
@@ -92,7 +92,7 @@ def test_where_the_plant_waits_no_fault_of_the_wire_changes_the_run():
 BLIND = {"resend_s": 0.33, "resends": 0, "hold_ticks": 3, "damp_ticks": 5}
 
 
-def test_commands_that_never_come_are_bridged_and_then_the_brakes_close():
+def test_missing_commands_are_bridged_for_some_ticks_and_then_the_brakes_close():
     gaps = [range(50, 52), range(100, 106), range(220, 10_000)]
     scenario = Scenario(**SHORT, wire=BLIND)
     found, ending, _ = wired(scenario, {"lost": lambda kind, k: kind is Kind.COMMAND and any(k in gap for gap in gaps)})
@@ -104,7 +104,7 @@ def test_commands_that_never_come_are_bridged_and_then_the_brakes_close():
     assert np.abs(found.v_rad_per_s[-1]).max() < 1e-3
 
 
-def test_a_controller_that_does_not_see_the_arm_stops_it():
+def test_a_controller_without_measurements_stops_the_arm():
     few, many = {60, 61}, range(150, 156)
     lost = {"lost": lambda kind, k: kind is Kind.MEASUREMENT and (k in few or k in many)}
     found, ending, _ = wired(Scenario(**SHORT, wire=BLIND), lost)
@@ -119,8 +119,8 @@ def test_a_controller_that_does_not_see_the_arm_stops_it():
     assert np.abs(found.v_rad_per_s[-1]).max() < 1e-3
 
 
-def test_against_the_clock_it_runs_or_stops_cleanly(tmp_path):
-    """Two processes by the command line; how many ticks are missed is the machine's affair."""
+def test_a_run_against_the_clock_completes_or_stops_cleanly(tmp_path):
+    """Two processes, started by the commands. How many ticks are missed depends on the machine."""
     file, trace = tmp_path / "run.toml", tmp_path / "run.parquet"
     file.write_text("duration_s = 0.4\nbound_samples = 0\n[plant]\nperiod_s = 0.004\nsubsteps = 4\n")
     key = tmp_path / "key"
@@ -143,7 +143,7 @@ def test_against_the_clock_it_runs_or_stops_cleanly(tmp_path):
     assert saved.rcm_error_registered_m.max() < 2e-3
 
 
-def test_both_ends_must_mean_the_same_run():
+def test_both_ends_must_have_the_same_scenario_apart_from_the_controller():
     base = Scenario(**SHORT)
 
     def told(scenario):
@@ -160,11 +160,11 @@ def test_both_ends_must_mean_the_same_run():
         run_there = pool.submit(plant.trace)
         with pytest.raises(WireError, match="another scenario"):
             answer(base.change(seed=1), written(plant.address))
-        answer(base, written(plant.address))  # the plant goes on waiting for one that fits
+        answer(base, written(plant.address))  # the plant waits on for a controller that fits
         assert run_there.result().meta["ended"] == "completed"
 
 
-def test_the_controller_that_the_page_shows_answers_every_tick():
+def test_the_controller_printed_in_the_docs_answers_every_tick():
     page = (Path(__file__).parents[2] / "docs" / "realtime.md").read_text(encoding="utf-8")
     blocks = re.findall(r"^```python\n(.*?)^```$", page, re.MULTILINE | re.DOTALL)
     (shown,) = (text for text in blocks if "HEADER" in text)

@@ -1,4 +1,4 @@
-"""The command of a study: options, files, what is printed, exit status, and what stays of a study that is ended."""
+"""The command of a study: options, files, output, exit status, and an interrupted study."""
 
 import json
 import os
@@ -79,7 +79,7 @@ def test_a_study_leaves_its_files_prints_its_answer_and_keeps_files_of_others(as
     ("options", "seed", "count"),
     [((), 5, 4), (("--seed", str(2**62)), 2**62, 4), (("--seed", "7", "--quick"), 7, 1)],
 )
-def test_options_change_the_question(asked, monkeypatch, options, seed, count):
+def test_options_change_the_configuration(asked, monkeypatch, options, seed, count):
     seen = []
 
     def work(study, config):
@@ -96,7 +96,7 @@ def test_options_change_the_question(asked, monkeypatch, options, seed, count):
     ("cuont = 3", r"tiny\.toml: .*did you mean 'count'"), ("seed = -1", r"tiny\.toml: .*seed = -1"),
     (None, r"tiny\.toml.*no such file"), ("", r"new"),
 ])  # fmt: skip
-def test_wrong_input_is_one_line_and_status_2(asked, capsys, content, said):
+def test_wrong_input_gives_one_line_and_status_2(asked, capsys, content, said):
     config, out = asked
     config.unlink() if content is None else config.write_text(content)
     out.parent.write_text("a file in the place of the folder")
@@ -128,7 +128,7 @@ def test_solvers_are_chosen_by_their_names(monkeypatch):
         command.runnable(["exact", "osqp"])
 
 
-def test_sigterm_is_ctrl_c(asked, capsys):
+def test_sigterm_ends_a_study_as_ctrl_c_does(asked, capsys):
     before = signal.getsignal(signal.SIGTERM)
     try:
         assert call(lambda study, config: signal.raise_signal(signal.SIGTERM), asked[0], "--out", "there") == 130

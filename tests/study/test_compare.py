@@ -1,4 +1,4 @@
-"""Solvers on the same trials: who stands in the table, with which trials, means, intervals and verdicts."""
+"""Solvers on the same trials: the rows of the table with their trials, means, intervals and verdicts."""
 
 from itertools import product
 from types import SimpleNamespace
@@ -15,7 +15,7 @@ from moc_opt.study.trials import placed
 
 
 def standing(name="standing", fails=None):
-    """Claims that standing still is optimal, whatever is asked, or cannot be started."""
+    """A solver that claims x = 0 as the optimum of every problem, or whose start raises `fails`."""
     session = SimpleNamespace(solve=lambda qp: Solution(np.zeros(len(qp.lower)), None, Status.SOLVED))
     return SimpleNamespace(name=name, supports=lambda qp: None, start=Mock(side_effect=fails, return_value=session))
 
@@ -31,7 +31,7 @@ def test_every_solver_and_dcac_run_the_same_trials_and_claims_are_judged():
     assert found.solvers == ["dcac", "exact", "standing"]
     assert [(row["seed"], row["solver"]) for row in found.rows] == [*product((4, 5), found.solvers)]
     starts = [[row["mu_mean"] for row in found.rows if row["seed"] == seed] for seed in (4, 5)]
-    for values in starts:  # the same pose at the start: within 0.3 s nobody is far from it
+    for values in starts:  # all start in the same pose and are close to it for 0.3 s
         assert np.ptp(values) < 0.05 * np.mean(values)
     assert abs(np.mean(starts[0]) - np.mean(starts[1])) > 1e-3
     mine, base = ([row["mu_mean"] for row in found.rows if row["solver"] == name] for name in ("exact", "dcac"))
@@ -59,7 +59,7 @@ def test_every_solver_and_dcac_run_the_same_trials_and_claims_are_judged():
     (["exact"], {"trials": 0}, ScenarioError, "trials = 0: give an integer of 1 or more"),
     (["exact"], {"scenario": mo.Scenario(control={"law": "dcac"})}, ScenarioError, "law = 'dcac' asks no solver"),
 ])  # fmt: skip
-def test_what_cannot_be_compared_is_said_before_anything_runs(solvers, more, error, message):
+def test_wrong_arguments_are_refused_before_anything_runs(solvers, more, error, message):
     with pytest.raises(error, match=message):
         mo.compare(solvers, **more)
 
@@ -74,7 +74,7 @@ def test_a_solver_that_cannot_start_has_rows_and_the_others_go_on():
     assert "broken failed in 2: ControlError: solver 'broken'" in found.table.caption
 
 
-def test_a_later_trial_without_a_start_costs_that_trial_alone(monkeypatch):
+def test_a_later_trial_without_a_start_loses_that_trial_alone(monkeypatch):
     def only_even(trial):
         if trial.seed % 2:
             raise ScenarioError("no start")
@@ -106,7 +106,7 @@ TIP = {"dcac": (0.02, 0.3), "exact": (0.1, 0.15), "qpsolvers:quadprog": (0.05, 0
 
 
 def compared(trials):
-    """`exact` costs the tip more in the trials where its error is small, and less where it is large."""
+    """`exact` raises the tip error in trials where DCAC's is small, and lowers it where DCAC's is large."""
     rows = [
         {
             "solver": name, "seed": seed, "ended": "completed", "asked": 4 * (name != "dcac"),
@@ -120,7 +120,7 @@ def compared(trials):
     return Comparison(rows, list(TIP), SHORT)
 
 
-def test_where_the_means_disagree_the_change_is_marked():
+def test_a_change_is_marked_where_the_two_means_disagree():
     wide, name = compared(9), "tip_error_model_change_percent"
     found, row = wide.summary()["exact"], wide.table.rows[1]
     assert found[name] < 0.0 < found[f"{name}_of_ratios"]

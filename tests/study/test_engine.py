@@ -1,4 +1,4 @@
-"""Jobs come back whole or with the reason; what was finished is not done again."""
+"""Each job gives its result or the reason for its failure, and a finished job is not run again."""
 
 import importlib
 import os
@@ -19,7 +19,7 @@ from tests.study import work
 HOME = Path(__file__).parents[2]
 
 
-def test_whatever_a_job_does_is_its_own_row(tmp_path):
+def test_a_job_that_fails_in_any_way_harms_no_other_job(tmp_path):
     jobs = [
         Job(work.square, (3.0,)), Job(time.sleep, (60.0,), limit_s=0.5), Job(work.die), Job(work.leave),
         Job(work.refuse),
@@ -45,21 +45,21 @@ def test_whatever_a_job_does_is_its_own_row(tmp_path):
 
 
 @pytest.mark.parametrize("workers", [1, 2])
-def test_processes_that_die_at_once_or_leave_without_an_error_are_rows(workers):
+def test_processes_that_die_at_once_or_exit_without_an_error_are_reported_as_crashed(workers):
     jobs = [Job(work.die, (signal.SIGKILL, 0.0)), Job(work.leave, (0, 0.0)), Job(work.square, (2.0,))] * 6
     found = run(jobs, workers=workers)
     assert [getattr(result, "kind", result) for result in found] == ["crashed", "crashed", 4.0] * 6
 
 
-def test_what_a_group_answered_before_it_was_given_up_does_not_count_either(tmp_path):
-    """After a kill the jobs that are left are other ones than in a run that nobody disturbed."""
+def test_earlier_results_of_a_group_do_not_count_once_the_group_is_given_up(tmp_path):
+    """Otherwise a study that was killed and continued would have other results than one that was never killed."""
     good = Job(work.square, (3.0,), group="slow")
     assert run([good], kept=Kept(tmp_path)) == [9.0]
     found = run([Job(time.sleep, (60.0,), limit_s=0.3, group="slow"), good], kept=Kept(tmp_path))
     assert [result.kind for result in found] == ["hung", "not run"]
 
 
-def test_a_job_may_limit_its_own_steps():
+def test_a_job_may_limit_the_time_of_its_own_steps():
     found = run([Job(work.steps, ([0.01, 0.5, 0.01], 0.3)), Job(work.steps, ([0.01, 9.0], 0.3))], workers=2)
     assert found[0] == 3, "of processor time: a step that waits for a while costs none"
     assert (found[1].kind, found[1].parts) == ("hung", (0.01,))
@@ -92,7 +92,7 @@ if __name__ == "__main__":
 """
 
 
-def test_a_changed_source_does_its_jobs_again(tmp_path):
+def test_jobs_run_again_when_their_source_has_changed(tmp_path):
     (tmp_path / "own_trial.py").write_text("import own_part\ndef trial(): return own_part.value()\n")
     answers = []
     for text in ("1", "1", "2"):
@@ -140,7 +140,7 @@ def _finished(folder: Path) -> int:
     return len(Kept(folder / "jobs")._cache) if (folder / "jobs").exists() else 0
 
 
-def test_a_folder_that_is_damaged_or_none_is_refused_with_the_cure(tmp_path):
+def test_a_damaged_folder_or_a_file_in_its_place_is_refused_with_a_remedy(tmp_path):
     (tmp_path / "file").write_text("")
     (tmp_path / "jobs").mkdir()
     (tmp_path / "jobs" / "cache.db").write_bytes(b"not a database" * 1000)
@@ -149,7 +149,7 @@ def test_a_folder_that_is_damaged_or_none_is_refused_with_the_cure(tmp_path):
             Kept(tmp_path / name)
 
 
-def test_the_same_jobs_on_a_cluster(monkeypatch, tmp_path):
+def test_a_cluster_gives_the_same_results(monkeypatch, tmp_path):
     monkeypatch.setattr(engine, "CONNECT_S", 5.0)
     monkeypatch.syspath_prepend(HOME / "examples")
     own_study = importlib.import_module("own_study")
@@ -168,7 +168,7 @@ def test_the_same_jobs_on_a_cluster(monkeypatch, tmp_path):
         run(jobs, dask="tcp://127.0.0.1:1")
 
 
-def test_no_worker_and_a_cluster_without_dask_are_refused(monkeypatch):
+def test_a_negative_number_of_workers_and_a_cluster_without_dask_are_refused(monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
     for more, said in (({"workers": -3}, "workers = -3: give 1"), ({"dask": "tcp://x:1"}, r".\[cluster\]")):
         with pytest.raises(StudyError, match=said):

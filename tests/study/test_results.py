@@ -1,4 +1,4 @@
-"""The table of rows: means and changes by hand, what enters them, and its files."""
+"""Rows of a study: means and changes against values by hand, the rows that enter them, and the file."""
 
 from pathlib import Path
 from typing import Any
@@ -36,8 +36,8 @@ def test_means_are_over_whole_runs_and_changes_over_trials_that_both_completed()
     assert rows.mean("mu_mean", "rnn") is rows.change("mu_mean", "rnn") is rows.change("tip", "exact") is None
 
 
-def test_a_trial_counts_by_its_ticks_in_a_phase() -> None:
-    """One trial of 1000 settled ticks at -10 %, one of 10 at +100 %: the two means disagree."""
+def test_a_trial_is_weighted_by_its_ticks_in_a_phase() -> None:
+    """One trial has 1000 settled ticks at -10 %, the other has 10 at +100 %, so the two means disagree."""
     both = {"a": (0.9, 1000), "b": (2.0, 10)}
     rows = Results()
     for trial, (value, ticks) in both.items():
@@ -50,7 +50,7 @@ def test_a_trial_counts_by_its_ticks_in_a_phase() -> None:
     assert rows.figures("exact", (), ["settled_mu_mean"])["settled_mu_change_percent_undecided"] == 1.0
 
 
-def test_figures_of_a_controller() -> None:
+def test_figures_of_a_controller_are_counts_means_intervals_and_gains() -> None:
     found = Results(ROWS).figures("exact", ["mu_mean", "unknown"], ["mu_mean", "unknown"])
     counts = {"trials": 5, "whole": 4, "compared": 2, "reason": "ran away", "trouble": "e, 2 ticks"}
     assert found.items() >= {**counts, "mu_mean": 3.5, "mu_gain_percent_undecided": 0.0}.items()
@@ -61,7 +61,7 @@ def test_figures_of_a_controller() -> None:
     assert (base["mu_mean"], base["reason"], "mu_gain_percent" in base) == (1.5, "stopped: far off", False)
 
 
-def test_rows_are_a_file_of_any_columns(tmp_path: Path) -> None:
+def test_rows_with_different_columns_make_one_file(tmp_path: Path) -> None:
     rows = Results([{"x": 1, "ok": np.bool_(True)}, {"x": np.float64(2.5), "said": "ä"}, {"x": np.inf, "ok": False}])
     rows.write(tmp_path / "rows.parquet")
     assert pl.read_parquet(tmp_path / "rows.parquet").to_dicts() == [

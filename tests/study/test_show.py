@@ -1,4 +1,4 @@
-"""What a reader sees of a study: its page, its Markdown, columns of metrics, and goals."""
+"""What a reader sees of a study: its page, and its picture of intervals."""
 
 from moc_opt.figures.style import figure
 from moc_opt.report.tables import Column, Table
@@ -27,7 +27,7 @@ def test_a_page_begins_with_the_answer_and_folds_the_rest() -> None:
     assert "Runs that failed" not in REPORT.page({}).html()
 
 
-def test_intervals_stand_in_order_around_their_values() -> None:
+def test_the_picture_of_intervals_shows_each_value_with_both_ends() -> None:
     given = {"one": (1.0, 2.0, 4.0), "two": (3.0, 3.0, 3.0)}
     drawn = show.intervals_picture(given, "x [us]", {"limit": 10.0}, {"one": "#000000"}, log=True)
     found = {}

@@ -1,4 +1,4 @@
-"""Answers to sets: what is counted as what, and that a solver which hangs or crashes is recorded and no more."""
+"""Answers to problem sets: how they are counted, and that a solver which hangs or crashes is recorded as such."""
 
 from functools import partial
 from typing import Any
@@ -54,7 +54,7 @@ def test_exact_is_right_on_every_set():
     (breaking("quits"), 64, ["refused", "refused"], "SystemExit: no more"),
     (breaking("no-such"), 64, ["refused", "refused"], "UnknownName"),
 ], ids=lambda value: value.solver if isinstance(value, SolverSetting) else "")  # fmt: skip
-def test_what_a_solver_does_costs_its_own_answers_alone(setting, every, status, said):
+def test_a_broken_solver_loses_only_its_own_answers(setting, every, status, said):
     limits = Limits(patience_s=1.0, setup_s=4.0)
     (found,) = ask(ONE, [(setting, TestSet.load("circle").thinned(every))], limits)
     assert found.status.tolist() == status
@@ -97,7 +97,7 @@ def test_claims_are_counted_by_the_certificate_and_the_judge(feasible, status, e
 
 @pytest.mark.parametrize(("rows", "refused"), [(6, 7), (5, 0)])
 def test_refused_inconsistent_rows_are_neither_right_nor_wrong(rows, refused):
-    """Of eight problems one is answered. Six rows contradict each other, so the others may be refused; five do not."""
+    """One of eight problems is answered. The others may be refused as inconsistent on six rows, but not on five."""
     problems = TestSet.load("inconsistent-1e-4").thinned(16)
     x = TestSet.load("inconsistent-1e-4").x[::16].copy()
     x[1:] = np.nan
@@ -110,8 +110,8 @@ def test_refused_inconsistent_rows_are_neither_right_nor_wrong(rows, refused):
     assert share_right(totals([found], [])) == 1 / (8 - refused)
 
 
-def test_cold_sessions_know_nothing_of_each_other():
-    """The network forgets: cold, every answer starts from rest."""
+def test_cold_sessions_are_independent():
+    """The network keeps its state between warm solves; every cold solve starts from rest."""
     data, setting = TestSet.load("circle").thinned(16), SolverSetting("rnn", "x", {"steps": 5}, "")
     (warm,), (cold,) = (ask(ONE, [(setting, data)], LIMITS, warm=warm) for warm in (True, False))
     assert np.abs(warm.x[-1] - cold.x[-1]).max() > 1e-3
@@ -119,7 +119,7 @@ def test_cold_sessions_know_nothing_of_each_other():
 
 
 @pytest.mark.parametrize("quiet", [True, False])
-def test_times_are_kept_where_the_machine_was_quiet(quiet, tmp_path, monkeypatch):
+def test_times_are_kept_only_where_the_machine_was_quiet(quiet, tmp_path, monkeypatch):
     monkeypatch.setattr("moc_opt.study.timing.quiet", lambda row: quiet)
     (asked,) = ask(ONE, [(EXACT, TestSet.load("circle").thinned(16))], LIMITS)
     (first,), (again,) = (time(partial(ONE, kept=Kept(tmp_path / "jobs")), [asked], LIMITS) for _ in range(2))

@@ -1,4 +1,4 @@
-"""Verdicts follow their stated rules, and the first screen says what they rest on."""
+"""Verdicts follow their stated rules, and the first screen gives the figures behind them."""
 
 import io
 import re
@@ -24,7 +24,7 @@ ENDED = {"broke off": "stopped: the tip", "oscillated": "oscillated: joint_3"}
 
 
 def runs(controller: str, trials: int = 15, unlike: float = 0.0, first_ends: str = "completed", **times: float) -> Any:
-    """Rows of trials that differ much, and are the same multiple of the reference's up to ``unlike``."""
+    """Rows of very different trials: each metric is the reference's times its factor, up to noise ``unlike``."""
     own = np.random.default_rng(5).lognormal(0.0, unlike, trials) if unlike else np.ones(trials)
     found = []
     for k in range(trials):
@@ -67,7 +67,7 @@ def assessed(sets: dict[str, Any], rows: list[Any] = ()) -> dict[str, Any]:  # t
     (certified(), {"first_ends": ENDED["broke off"]}, AVOID, "1 broke off"),
     (certified(), {"first_ends": ENDED["oscillated"]}, AVOID, "1 oscillated"), (None, {}, solver_verdicts.OPEN, "none"),
 ])  # fmt: skip
-def test_each_rule(asked, times, verdict, damage):
+def test_each_rule_gives_its_verdict(asked, times, verdict, damage):
     sets = {"best": certified(p99=1.0), **({} if asked is None else {"asked": asked})}
     found = assessed(sets, [*runs("dcac"), *runs("best"), *runs("asked", **times)])
     assert (found["asked"]["verdict"], found["asked"]["damage"]) == (verdict, damage)
@@ -75,8 +75,8 @@ def test_each_rule(asked, times, verdict, damage):
 
 
 @pytest.mark.parametrize("ended", ENDED.values())
-def test_what_happens_on_trials_that_the_others_do_not_run_is_held_against_nobody(ended):
-    """Whatever the optimum does on a trial, the solver that alone ran it would be the one to blame."""
+def test_endings_on_trials_that_the_others_did_not_run_do_not_count(ended):
+    """Even the optimum might end like this on such a trial, so the only solver that ran it is not to blame."""
     mine = runs("asked", 60)
     mine[40] |= {"ended": ended, "whole": not ended.startswith("stopped")}
     common = {row["trial"] for row in mine[:15]}
@@ -88,7 +88,7 @@ def test_what_happens_on_trials_that_the_others_do_not_run_is_held_against_nobod
     assert found["closed"]["oscillated"] + found["closed"]["trials"] - found["closed"]["whole"] == 1
 
 
-def test_wrong_answers_in_closed_loop_count_and_the_nonlinear_ones_are_no_liars():
+def test_wrong_answers_in_closed_loop_count_except_those_of_nonlinear_solvers():
     lying = [{**row, "silently_wrong": 1} for row in runs("asked")]
     assert assessed({"best": certified(), "asked": certified()}, [*runs("best"), *lying])["asked"]["verdict"] is AVOID
     row = assessed({"best": certified(), "nlp-sqp": certified(50, silently_wrong=900)}, runs("best"))["nlp-sqp"]
@@ -96,7 +96,7 @@ def test_wrong_answers_in_closed_loop_count_and_the_nonlinear_ones_are_no_liars(
     assert "nonlinear" in row["silently_wrong"].reason
 
 
-def test_the_best_come_first_one_is_taken_and_parts_may_be_missing():
+def test_the_best_come_first_one_is_taken_and_parts_may_be_left_out():
     found = assessed({
         "best": certified(p99=1.0), "slow": certified(p99=50.0), "liar": certified(p99=0.1, silently_wrong=1),
         "half": certified(500), "most": certified(900, p99=90.0),
@@ -111,14 +111,14 @@ def test_the_best_come_first_one_is_taken_and_parts_may_be_missing():
 
 @pytest.mark.parametrize(("cost", "unlike", "trials", "verdict", "damage"), [
     (1.07, 0.0, 15, NEAR, "+7% tip"),
-    (1.07, 0.3, 15, SOUND, "undecided: "),  # as large in the mean, but not surely so
+    (1.07, 0.3, 15, SOUND, "undecided: "),  # the same mean, but too uncertain
     (1.01, 0.02, 15, SOUND, "none"),
     (2.5, 0.3, 15, AVOID, "% tip"),
     (1.6, 0.0, 7, SOUND, "too few trials to decide (7 of at least 8)"),
     (1.6, 0.0, 8, AVOID, "+60% tip"),
 ])  # fmt: skip
-def test_only_what_an_interval_excludes_decides(cost, unlike, trials, verdict, damage):
-    """The reference ran more trials: those that only one of them ran decide nothing."""
+def test_a_loss_counts_only_where_its_interval_excludes_the_tolerance(cost, unlike, trials, verdict, damage):
+    """The reference ran more trials. Only trials that both ran count."""
     rows = [*runs("best", 60), *runs("asked", trials, unlike, tip_error_model_mean_mm=cost)]
     if unlike:  # the other figures are equal
         for row, mine in zip(rows, rows[60:], strict=False):
@@ -128,7 +128,7 @@ def test_only_what_an_interval_excludes_decides(cost, unlike, trials, verdict, d
     assert damage in getattr(row["damage"], "reason", row["damage"])
 
 
-def test_the_fastest_is_not_named_without_a_word_on_a_machine_that_was_busy():
+def test_the_fastest_is_named_with_a_remark_where_the_machine_was_busy():
     busy = {"times_calls": 1000, "times_switches": 9, "times_cpu_s": 1.0, "times_wall_s": 1.0}
     rivals = (({}, False), (busy, True), ({**busy, "times_switches": 2}, False), ({**busy, "p50": 59.0}, False))
     for more, said in rivals:

@@ -1,4 +1,4 @@
-"""The study of solvers: its files and parts, and that broken solvers end nothing."""
+"""The study of solvers: its files and parts, and that broken solvers do not end it."""
 
 import json
 from pathlib import Path
@@ -31,7 +31,7 @@ NAMES = ("exact", "osqp", "rnn", "quadprog")
 
 @pytest.fixture(scope="module", autouse=True)
 def quiet_machine():
-    """What else runs beside these tests decides nothing in them."""
+    """Make these tests independent of what else runs on the machine."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("moc_opt.study.timing.quiet", lambda row: True)
         yield
@@ -93,7 +93,7 @@ def test_broken_solvers_are_rows_and_the_others_are_unharmed(tmp_path, monkeypat
     assert "problem 3: ZeroDivisionError: division by zero" in table["raises@recommended"]["trouble"]
 
 
-def test_wrong_input_is_refused_with_the_nearest(tmp_path, capsys):
+def test_wrong_input_is_refused_with_the_nearest_valid_name(tmp_path, capsys):
     for arguments, text, cure in (
         (["--only", "osqq"], "", "'osqp'"), (["--sets", "circel"], "", "'circle'"),
         ([], "[testsets]\ntimed = ['circel']", "'circle'"), ([], "parts = ['testset']", "'testsets'"),
@@ -103,7 +103,7 @@ def test_wrong_input_is_refused_with_the_nearest(tmp_path, capsys):
         assert cure in capsys.readouterr().err
 
 
-def test_the_shipped_configurations_are_what_was_promised():
+def test_the_shipped_configuration_is_the_default_and_the_full_one_times_every_set():
     config = Config.load(Path(solvers.__file__).with_name("solvers.toml"))
     assert config == Config()
     assert config.parts == list(PARTS)

@@ -1,4 +1,4 @@
-"""Bootstrap intervals: they cover, they pair, and they say so where there is nothing to say."""
+"""Bootstrap intervals: their coverage, the pairing of trials, and what is undecided or refused."""
 
 import numpy as np
 import pytest
@@ -7,8 +7,8 @@ from moc_opt.study import statistics
 from moc_opt.study.statistics import StatisticsError, mean, relative_change, relative_changes, share
 
 
-def test_difference_of_changes_is_resampled_over_all_four_together():
-    """Where both changes are the same in every trial, so is their difference, however the trials differ."""
+def test_the_difference_of_two_changes_resamples_all_four_samples_together():
+    """If both changes are the same in every trial, so is their difference, and its interval has no width."""
     control = np.array([0.1, 1.0, 10.0, 3.0, 0.5])
     found = statistics.difference_of_changes(1.2 * control, control, 0.7 * control, 2.0 * control)
     assert (found.value, found.low, found.high) == pytest.approx((85.0, 85.0, 85.0))
@@ -20,7 +20,7 @@ def test_difference_of_changes_is_resampled_over_all_four_together():
 
 
 @pytest.mark.parametrize(("count", "skewed", "least"), [(15, False, 0.86), (15, True, 0.90), (8, True, 0.90)])
-def test_the_interval_of_the_mean_covers_the_truth_about_as_often_as_it_says(count, skewed, least):
+def test_the_interval_of_the_mean_covers_the_truth_about_as_often_as_stated(count, skewed, least):
     """95 % nominal; a bootstrap of few samples is known to cover a little less."""
     rng = np.random.default_rng(4 if skewed else 0)
     draw, truth = (rng.lognormal, np.exp(0.125)) if skewed else (rng.normal, 0.0)
@@ -39,7 +39,7 @@ def test_a_change_on_which_two_means_disagree_is_undecided():
     assert relative_changes(1.2 * control[:7], control[:7]).side() == 0  # fewer than LEAST_TRIALS
 
 
-def test_the_interval_of_a_share_covers_the_truth_at_least_as_often_as_it_says():
+def test_the_interval_of_a_share_covers_the_truth_at_least_as_often_as_stated():
     rng = np.random.default_rng(0)
     drawn, times = np.unique(rng.binomial(2000, 2e-3, 20_000), return_counts=True)
     holds = [(one := share(int(k), 2000)).low <= 2e-3 <= one.high for k in drawn]
@@ -53,6 +53,6 @@ def test_the_interval_of_a_share_covers_the_truth_at_least_as_often_as_it_says()
     (relative_change, [[1.0, 2.0], [-1.0, 1.0]], "mean 0"), (share, (0, 0), "give at least one trial"),
     (share, (-1, 5), "give at least one trial"), (share, (6, 5), "give at least one trial"),
 ])  # fmt: skip
-def test_no_statistic_of_nothing(call, given, said):
+def test_unusable_samples_are_refused(call, given, said):
     with pytest.raises(StatisticsError, match=said):
         call(*given)

@@ -1,4 +1,4 @@
-"""The clock: what it counts, what it makes of it, and when it is not to be trusted."""
+"""Measured times: how calls are timed, the percentiles, and when they are not to be trusted."""
 
 import gc
 import os
@@ -13,7 +13,7 @@ from moc_opt.study import Job, run, timing
 from moc_opt.study.timing import COUNTED, each_us, percentiles
 
 
-def test_every_call_is_timed_without_the_collector(monkeypatch):
+def test_every_call_is_timed_with_garbage_collection_off(monkeypatch):
     now, results, during, seen = [0], [], [], []
 
     def work(us):
@@ -28,7 +28,7 @@ def test_every_call_is_timed_without_the_collector(monkeypatch):
     assert each_us(work, []).shape == (0,)
 
 
-def test_figures_are_of_the_finite_times():
+def test_percentiles_are_of_the_finite_times():
     found = percentiles(np.array([np.nan, *np.arange(1001.0)]), "solve")
     assert found == pytest.approx({"solve_p50_us": 500.0, "solve_p99_us": 990.0, "solve_p99_9_us": 999.0})
     assert percentiles(np.array([np.nan]), "solve") == {}
@@ -57,7 +57,7 @@ def spin_ms(ms):
 def beside_a_competitor(calls):
     """Time calls of a millisecond on one core, beside a process that wants the same core all the time."""
     os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
-    rival = subprocess.Popen([sys.executable, "-c", "while True: pass"])  # it inherits the core
+    rival = subprocess.Popen([sys.executable, "-c", "while True: pass"])  # it inherits the affinity
     try:
         seen = []
         each_us(spin_ms, [1.0] * calls, seen=seen)

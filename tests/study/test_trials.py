@@ -1,4 +1,4 @@
-"""A trial becomes a row: its seed, the same start for all controllers, and whatever way the run ends."""
+"""A trial has a seed of its own, starts alike for all controllers, and gives a row however its run ends."""
 
 from typing import Any
 
@@ -52,7 +52,7 @@ def test_every_controller_meets_the_same_start_arm_and_noise(case: Scenario) -> 
 
 
 @pytest.mark.parametrize("preset", ["paper", "tuned"])
-def test_baselines_differ_from_moc_in_what_they_say(case: Scenario, preset: str) -> None:
+def test_baselines_differ_from_moc_only_in_the_stated_settings(case: Scenario, preset: str) -> None:
     given = case.change(control={"preset": preset})
     tables = load_data("lwr4").gains
     moc = variant(given, "rnn", {"steps": 5})
@@ -78,7 +78,7 @@ def ran(case: Scenario) -> dict[str, Any]:
     return {one.controller: study.run_and_trace(one) for one in asked}
 
 
-def test_a_run_is_its_metrics_and_what_is_to_be_kept(case: Scenario, ran: dict[str, Any]) -> None:
+def test_a_row_has_the_metrics_and_the_run_keeps_the_columns_asked_for(case: Scenario, ran: dict[str, Any]) -> None:
     run, trace = ran["exact"]
     about = {"trial": case.name, "seed": 5, "robot": "lwr4", "task": "circle", "controller": "exact", "group": "g"}
     assert run.row.items() >= {**about, "ended": "completed", "whole": True, "error": None, "ticks": 150}.items()
@@ -91,7 +91,7 @@ def test_a_run_is_its_metrics_and_what_is_to_be_kept(case: Scenario, ran: dict[s
     assert "travelling" not in ran[BASELINE][0].columns, "DCAC has no optimum to go to"
 
 
-def test_times_count_only_where_the_run_is_alone(case: Scenario, ran: dict[str, Any]) -> None:
+def test_only_a_run_that_is_alone_reports_times(case: Scenario, ran: dict[str, Any]) -> None:
     asked = Trial(case, "exact", timed=True)
     run = run_trial(asked)
     timed = run.row
@@ -123,7 +123,7 @@ def test_a_run_that_breaks_off_is_a_row_with_its_reason(case, change, solver, en
     assert hung == {**hung, "ended": "failed", "whole": False, "group": "g", "error": "hung: no answer within 30 s"}
 
 
-def test_what_a_solver_raises_is_told_beside_a_run_that_goes_on(case: Scenario) -> None:
+def test_errors_of_a_solver_are_in_the_row_of_a_run_that_goes_on(case: Scenario) -> None:
     row = run_trial(Trial(case.change(faults={"solver": "raise", "solver_share": 0.2}), "exact")).row
     assert (row["ended"], row["error"]) == ("completed", None)
     assert row["raised"].startswith(f"{row['fault_raised']} ticks, first at ")

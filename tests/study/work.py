@@ -1,4 +1,4 @@
-"""Jobs for the tests of the engine: what a trial, or a solver inside it, may do."""
+"""Jobs for the tests of the engine: good ones, and the failures that a trial or its solver may cause."""
 
 import os
 import signal
@@ -22,7 +22,7 @@ def square(x: float, log: str = "") -> float:
 
 
 def die(number: int = signal.SIGSEGV, after_s: float = 0.3) -> None:
-    time.sleep(after_s)  # the pool knows then who had the job, and how it ended
+    time.sleep(after_s)  # by then the pool knows which process has the job
     os.kill(os.getpid(), number)
 
 
@@ -71,7 +71,7 @@ def refuse_name() -> None:
 
 
 def panic() -> None:
-    raise GeneratorExit  # no Exception, as what polars raises when it panics
+    raise GeneratorExit  # no subclass of Exception, like a panic of polars
 
 
 class _NoWayBack:

@@ -1,4 +1,4 @@
-"""Paths: arc length, derivatives, place in space, those of other packages, and what make_path refuses."""
+"""Paths: arc length, derivatives, place in space, paths of other packages, and what make_path refuses."""
 
 import math
 from collections.abc import Callable
@@ -25,7 +25,7 @@ SIZES: dict[str, dict[str, float]] = {
 
 
 def build(kind: str, **changed: float) -> Path:
-    """One path of each kind, tilted in space."""
+    """A path of this kind, tilted in space."""
     return make_path(kind, START, normal=NORMAL, heading=HEADING, **{**SIZES[kind], **changed})
 
 
@@ -100,7 +100,7 @@ def added(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.parametrize("own", [True, False])
 def test_a_function_of_sizes_gives_a_path_in_space(own: bool, added: None, monkeypatch: pytest.MonkeyPatch) -> None:
-    """In the table of the package as in another package."""
+    """The function stands in the package's own table or in another package."""
     if own:
         monkeypatch.setitem(CURVES, "screw", helix)
         assert paths.kinds()["screw"] == "Go round once while it climbs."
@@ -113,13 +113,13 @@ def test_a_function_of_sizes_gives_a_path_in_space(own: bool, added: None, monke
 
 @pytest.mark.parametrize(("kind", "sizes", "error", "told"), [
     ("sinus", {}, UnknownNameError, "'sinusoid'"), ("circle", {"radus": 0.1}, UnknownNameError, "'radius'"),
-    ("circle", {"radius": 0.1, "length": 0.3}, UnknownNameError, "valid names: radius$"),  # only what a user sets
+    ("circle", {"radius": 0.1, "length": 0.3}, UnknownNameError, "valid names: radius$"),  # a user sets no other
     ("helix", {}, TaskError, "radius"),
     ("helix", {"radios": 0.1}, UnknownNameError, "'radius'"), ("helx", {}, UnknownNameError, "'helix'"),
     ("number", {}, TaskError, "class or function"), ("crash", {}, TaskError, "ZeroDivisionError"),
     ("gone", {}, TaskError, "ModuleNotFoundError"), ("waypoints", {}, TaskError, "waypoints"),
 ])  # fmt: skip
-def test_what_is_wrong_with_a_path_is_named(added: None, kind: str, sizes: dict, error: type, told: str) -> None:
+def test_a_wrong_kind_or_size_of_a_path_is_named(added: None, kind: str, sizes: dict, error: type, told: str) -> None:
     with pytest.raises(error, match=told):
         make_path(kind, np.zeros(3), **AXES, **sizes)
 
@@ -140,8 +140,8 @@ STEPS = st.lists(st.tuples(*[st.floats(-0.01, 0.01)] * 3), min_size=1, max_size=
 
 @settings(max_examples=20)
 @given(STEPS)
-def test_it_goes_through_every_point_at_unit_speed_and_bends_smoothly(steps: list) -> None:
-    points = np.cumsum(np.add(steps, (0.02, 0.0, 0.0)), axis=0)  # ahead by 1 to 3 cm a step: no cusp
+def test_a_path_through_waypoints_has_unit_speed_and_smooth_curvature(steps: list) -> None:
+    points = np.cumsum(np.add(steps, (0.02, 0.0, 0.0)), axis=0)  # each step 1 to 3 cm ahead: no cusp
     path = Waypoints(points, START, **AXES)
     s = np.linspace(0.0, path.length, 1001)
     p, tangent, bend = path.at(s)
@@ -158,7 +158,7 @@ def test_it_goes_through_every_point_at_unit_speed_and_bends_smoothly(steps: lis
     assert path.curvature(s[400]) == pytest.approx(np.linalg.norm(bend[400]))
 
 
-def test_points_are_in_the_axes_of_the_path_and_one_is_a_straight_line() -> None:
+def test_waypoints_are_in_the_axes_of_the_path_and_a_single_one_gives_a_straight_line() -> None:
     path = Waypoints([[0.01, 0.02, 0.03]], np.zeros(3), normal=(1, 0, 0), heading=(0, 0, 2))
     end, _, bend = path.at(path.length)
     np.testing.assert_allclose(end, [0.03, -0.02, 0.01], atol=1e-12)  # left = normal x heading
@@ -217,7 +217,7 @@ REFUSED: dict[str, tuple[str, Callable[[Any], Any], list[Any]]] = {
 
 
 @pytest.mark.parametrize("name", REFUSED)
-def test_what_cannot_be_used_is_refused_by_name(name: str) -> None:
+def test_an_unusable_argument_is_refused_by_name(name: str) -> None:
     told, make, values = REFUSED[name]
     for value in values:
         with pytest.raises(TaskError, match=told):

@@ -12,7 +12,7 @@ from moc_opt.tasks import CURVES, Path, Reference, Trocar, duration, quintic, sh
 from moc_opt.tasks.timelaw import WaitingReference, flags_at
 from tests.tasks.test_paths import START, build, size
 
-# No steeper than that an even sampling can see the crests; steeper ones have a test of their own.
+# Flat, so that an even sampling comes close to the crests; steeper paths have a test of their own.
 curved = st.one_of(
     st.builds(lambda r: build("circle", radius=r), size),
     st.builds(
@@ -25,7 +25,7 @@ curved = st.one_of(
 
 @given(st.floats(0.01, 0.99))
 @settings(max_examples=40)
-def test_quintic_starts_and_ends_at_rest_and_its_derivatives_are_its(u: float) -> None:
+def test_the_quintic_starts_and_ends_at_rest_and_its_derivatives_are_finite_differences(u: float) -> None:
     assert [quintic(x) for x in (0.0, 0.5, 1.0)] == [(0.0, 0.0, 0.0), (0.5, 1.875, 0.0), (1.0, 0.0, 0.0)]
     h = 1e-5
     (s0, ds0, _), (s1, ds1, _) = quintic(u - h), quintic(u + h)
@@ -38,13 +38,13 @@ def test_quintic_starts_and_ends_at_rest_and_its_derivatives_are_its(u: float) -
 @given(st.floats(1e-4, 10.0), st.floats(1e-3, 10.0), st.floats(1e-3, 100.0))
 @example(0.1, 0.05, 100.0)
 @example(0.1, 10.0, 0.05)
-def test_straight_duration_is_the_formula(length: float, v_max: float, a_max: float) -> None:
+def test_the_duration_of_a_line_is_the_closed_form(length: float, v_max: float, a_max: float) -> None:
     expected = max(15.0 * length / (8.0 * v_max), math.sqrt(10.0 * length / (math.sqrt(3.0) * a_max)))
     assert duration(build("line", length=length), v_max, a_max) == pytest.approx(expected, rel=1e-14)
 
 
 def extremes(reference: Reference, count: int) -> tuple[float, float]:
-    """Largest sampled speed and acceleration, as parts of their limits."""
+    """Largest sampled speed and acceleration, as fractions of their limits."""
     t = reference.t_start + np.linspace(0.0, reference.duration, count)
     _, dx, ddx = reference.at(t)
     speed, acceleration = np.linalg.norm(dx, axis=1).max(), np.linalg.norm(ddx, axis=1).max()
@@ -63,13 +63,13 @@ def test_curved_duration_touches_a_limit_and_exceeds_none(path: Path, v_max: flo
     ("sinusoid", {"amplitude": 0.1, "wavelength": 0.01, "periods": 1.5}), ("sinusoid", {"periods": 60.0}),
     ("spiral", {"turns": 50.0, "radius": 0.05}),
 ])  # fmt: skip
-def test_sharp_and_many_bends_are_all_seen(kind: str, sizes: dict[str, float]) -> None:
+def test_no_bend_is_missed_however_sharp_or_many(kind: str, sizes: dict[str, float]) -> None:
     used = extremes(Reference(build(kind, **sizes), 100.0, 0.5), 30_001)
     assert 1.0 - 5e-3 <= max(used) <= 1.0 + 1e-9
 
 
 @pytest.mark.parametrize("kind", CURVES)
-def test_velocity_and_acceleration_are_the_derivatives_and_it_rests_before_and_after(kind: str) -> None:
+def test_velocity_and_acceleration_are_derivatives_and_zero_before_and_after(kind: str) -> None:
     path = build(kind)
     reference = Reference(path, 0.1, 0.3, t_start=0.5)
     end, h = 0.5 + reference.duration, 1e-5 * reference.duration
@@ -89,7 +89,7 @@ def test_velocity_and_acceleration_are_the_derivatives_and_it_rests_before_and_a
 PERIOD = 0.01
 REFERENCES = {kind: Reference(build(kind), 0.05, 0.2) for kind in CURVES}
 CIRCLE = Reference(build("circle", radius=0.02), 0.05, 0.2)
-BRAKE_S = 0.05 / 0.2  # one over the steepest slope of the rate
+BRAKE_S = 0.05 / 0.2  # inverse of the steepest slope of the rate
 
 
 def flags(seconds, losses):
@@ -113,11 +113,11 @@ def test_position_speed_and_acceleration_are_continuous_and_bounded(kind, losses
     slack = 1 + 1e-9
     assert np.linalg.norm(dx, axis=1).max() <= v_bound * slack
     assert np.linalg.norm(ddx, axis=1).max() <= a_bound * slack
-    # What it says is what it does, judged by the positions alone.
+    # The positions alone give the same speeds and accelerations.
     assert np.linalg.norm(np.diff(x, axis=0), axis=1).max() <= v_bound * PERIOD * slack
     second = np.diff(x, 2, axis=0) / PERIOD**2
     assert np.linalg.norm(second, axis=1).max() <= a_bound * (1 + 1e-4)
-    # A tick's acceleration is that of its start; until the next one it changes by the slope's own steps.
+    # The acceleration of a tick is that at its start; until the next tick it changes by up to about `steps`.
     steps = v_bound * PERIOD / (0.5 * BRAKE_S**2)
     assert np.abs(second - ddx[1:-1]).max() < 0.01 + 1.2 * steps
     middle = np.diff(x, axis=0) / PERIOD - 0.5 * (dx[1:] + dx[:-1])
@@ -128,7 +128,7 @@ def test_position_speed_and_acceleration_are_continuous_and_bounded(kind, losses
 
 @given(LOSSES)
 @settings(max_examples=15)
-def test_it_stays_on_the_path_and_arrives(losses):
+def test_a_waiting_reference_stays_on_the_path_and_arrives(losses):
     waiting, seen = WaitingReference(CIRCLE, PERIOD), flags(16.0, losses)
     rows, times = waiting.play(seen)
     np.testing.assert_allclose(rows[::50, 0], CIRCLE.at(times[::50])[0], atol=1e-12)
@@ -138,7 +138,7 @@ def test_it_stays_on_the_path_and_arrives(losses):
     np.testing.assert_array_equal(rows[-1, 1:], 0.0)
 
 
-def test_a_lost_board_stops_the_tip_dead_and_it_goes_on_later():
+def test_a_lost_board_stops_the_tip_completely_and_it_continues_later():
     waiting = WaitingReference(CIRCLE, PERIOD)
     rows, times = waiting.play(flags(8.0, [(2.0, 2.0)]))
     stop, go = round((2.0 + waiting.settle_s) / PERIOD), round(4.0 / PERIOD)
@@ -149,7 +149,7 @@ def test_a_lost_board_stops_the_tip_dead_and_it_goes_on_later():
     assert times[-1] > times[go] + 1.0
 
 
-def test_never_seen_it_never_moves_and_flags_that_chatter_only_slow_it_down():
+def test_the_tip_never_moves_without_a_board_and_chattering_flags_only_slow_it_down():
     waiting = WaitingReference(CIRCLE, PERIOD)
     rows, times = waiting.play(np.zeros(200, dtype=bool))
     np.testing.assert_array_equal(rows[:, 0], np.broadcast_to(START, (200, 3)))
@@ -170,10 +170,10 @@ POINT = (0.5, 0.1, 0.2)
 points = arrays(np.float64, 3, elements=st.floats(-1.0, 1.0))
 
 
-def test_breathing_goes_there_and_back() -> None:
+def test_breathing_moves_the_trocar_there_and_back() -> None:
     given = np.array(POINT)
     trocar = Trocar(given, breathing_amplitude_m=0.01, breathing_period_s=5.0, direction=(0.0, 3.0, 4.0))
-    given[:] = 0.0  # it has its own
+    given[:] = 0.0  # the trocar keeps a copy
     away = 0.01 * np.array([0.0, 0.6, 0.8])
     for t, part in ((0.0, 0.0), (1.25, 0.5), (2.5, 1.0), (5.0, 0.0), (7.5, 1.0)):
         np.testing.assert_allclose(trocar.at(t)[0], POINT + part * away, atol=1e-15)
@@ -191,16 +191,16 @@ def test_velocity_is_the_derivative(t: float, amplitude: float, period: float, d
 
 @settings(max_examples=40)
 @given(points, points, points, points, st.floats(0.01, 3.0))
-def test_distance_is_geometry(tip, tool, p, shift, stretch):
+def test_shaft_distance_is_the_distance_of_a_point_from_a_line(tip, tool, p, shift, stretch):
     length = np.linalg.norm(tool)
     if length < 1e-3:
         return
     wrist = tip - tool
     d, u = shaft_distance(tip, wrist, p), tool / length
     assert d == pytest.approx(np.linalg.norm(np.cross(p - tip, u)), abs=1e-12)
-    # The distance knows neither where the world's origin is nor where on the shaft the wrist sits.
+    # The distance depends neither on the world's origin nor on where along the shaft the wrist is.
     assert shaft_distance(tip + shift, tip - stretch * tool + shift, p + shift) == pytest.approx(d, abs=1e-11)
     rows = shaft_distance([tip, tip + shift], [wrist, wrist + shift], p)
     np.testing.assert_allclose(rows, [d, shaft_distance(tip + shift, wrist + shift, p)], rtol=1e-14)
-    # A point on the shaft has none.
+    # A point on the shaft has the distance zero.
     assert shaft_distance(tip, wrist, tip - 0.3 * tool) == pytest.approx(0.0, abs=1e-13)

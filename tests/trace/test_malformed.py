@@ -1,4 +1,4 @@
-"""Malformed traces: read and right, or refused; no code of a file runs, and no text of one steers a terminal."""
+"""Malformed traces are read correctly or refused; no code in a file runs, and no text in one controls a terminal."""
 
 import contextlib
 import copy
@@ -51,7 +51,7 @@ def changed(data, changes):
 @many(2.0)
 @given(st.booleans(), changes)
 def test_a_damaged_trace_is_read_or_refused(tmp_path, good_file, footer_only, changes):
-    """Anywhere in the file, or in a footer that is as long as it says: there polars may panic."""
+    """The damage is anywhere, or within the footer with its length corrected, where polars may panic."""
     path, length = tmp_path / "trace.parquet", int.from_bytes(good_file[-8:-4], "little")
     if footer_only:
         footer = changed(good_file[-8 - length : -8], changes)
@@ -123,12 +123,12 @@ def places(value, before=()):
 @many()
 @given(data=st.data())
 def test_a_foreign_trace_is_shown_or_refused(tmp_path, faulty_run, data):
-    """Its metrics, its table, its sentences and its JSON; and no text of it steers the terminal."""
+    """Its metrics, table, remarks and JSON are made, and no text in it controls the terminal, or it is refused."""
     columns, meta = dict(faulty_run[0]), copy.deepcopy(faulty_run[1])
     entries = [place for place in places(meta) if place]
     for _ in range(data.draw(st.integers(0, 3))):
         (*path, last), odd, inner = data.draw(st.sampled_from(entries)), data.draw(odd_entries), meta
-        with contextlib.suppress(KeyError, IndexError, TypeError):  # what it lay in was changed before
+        with contextlib.suppress(KeyError, IndexError, TypeError):  # an earlier change has removed this entry
             for key in path:
                 inner = inner[key]
             inner[last] = odd

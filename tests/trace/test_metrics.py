@@ -39,7 +39,7 @@ def run(**changed: object) -> Trace:
 META = {"deadline_us": 100, "ended": "stopped: for a test", "ticks": 4, "ticks_planned": 16}
 
 
-def test_every_metric_by_hand() -> None:
+def test_every_metric_equals_its_value_by_hand() -> None:
     summary = summarize(run(), baseline=run(mu=[0.2, 0.2, 0.2, 0.2]))
     expected = {
         "completed": 0.0, "share_of_run": 0.25, "mu_mean": 0.25, "mu_final": 0.4, "mu_gain_percent": 25.0,
@@ -51,7 +51,7 @@ def test_every_metric_by_hand() -> None:
         "trocar_force_mean_N": 2.0, "trocar_force_max_N": 5.0,
         # Steps of 5, 0 and 10 Nm in 2 ms.
         "torque_rate_rms_Nm_per_s": math.sqrt((2500.0**2 + 5000.0**2) / 3.0),
-        # Ticks 3 and 4, less the mean of all four: -1, 1 rad/s and -1.5, 8.5 Nm.
+        # Ticks 3 and 4, minus the mean of all four: -1, 1 rad/s and -1.5, 8.5 Nm.
         "oscillation_rad_per_s": 1.0, "oscillation_Nm": math.sqrt((1.5**2 + 8.5**2) / 2.0),
         "solve_p50_us": 20.0, "solve_p99_us": 29.8, "tick_p50_us": 100.25,
         "tick_p99_us": float(np.percentile([50.0, 100.0, 150.0, 100.5], 99)), "deadline_misses": 2.0,
@@ -88,13 +88,13 @@ def test_a_diverged_run_does_not_look_good() -> None:
     assert summary["primal_max"] == math.inf
 
 
-def test_torque_rate_does_not_reach_across_a_gap() -> None:
+def test_the_torque_rate_skips_gaps_between_ticks() -> None:
     assert "torque_rate_rms_Nm_per_s" not in summarize(run().select([False, True, False, True]))
     ends = run().select([True, False, True, True])
     assert summarize(ends)["torque_rate_rms_Nm_per_s"] == pytest.approx(5000.0)
 
 
-def test_what_cannot_be_summarized_is_refused() -> None:
+def test_a_trace_that_cannot_be_summarized_is_refused() -> None:
     empty = Trace({"mu": []})
     refused = {
         "trace is empty": lambda: summarize(empty), "baseline is empty": lambda: summarize(run(), empty),
@@ -107,7 +107,7 @@ def test_what_cannot_be_summarized_is_refused() -> None:
             call()
 
 
-def test_others_can_register_a_metric_but_under_no_taken_name_and_not_in_silence() -> None:
+def test_a_metric_can_be_registered_with_a_docstring_and_an_unused_name() -> None:
     @metric
     def tip_speed_max_m_per_s(trace: Trace) -> float:
         """Largest speed of the tip [m/s]."""

@@ -1,4 +1,4 @@
-"""Oscillation: found where it is, in synthetic traces and in runs, and not found in sound ones."""
+"""Oscillation is found in synthetic traces and runs that have it, and not in sound ones."""
 
 import numpy as np
 import pytest
@@ -19,7 +19,7 @@ STIFF = {"K_X": 3000.0, "D_X": 80.0, "K_N": 800.0, "D_N": 60.0, "K_N2": 80.0, "D
 
 
 def made(joint=0, amplitude=0.0, hertz=50.0, column="v_rad_per_s", ticks=1500, period=PERIOD, where=None):
-    """A slow motion of every joint, and a shaking one of one joint, in the chosen part of the time."""
+    """A slow motion of every joint, and a shaking of one `joint` between the two times `where`."""
     t = period * np.arange(ticks)
     columns = {
         "t_s": t, "v_rad_per_s": 0.5 * np.sin(2.0 * np.pi * 0.5 * t)[:, None] * np.ones(7),
@@ -36,7 +36,7 @@ def made(joint=0, amplitude=0.0, hertz=50.0, column="v_rad_per_s", ticks=1500, p
     period=st.sampled_from([0.001, 0.002]),
 )  # fmt: skip
 def test_joint_size_and_frequency_are_found(joint, amplitude, hertz, period):
-    """On top of a motion of 0.5 rad/s; whatever the control period."""
+    """On top of a motion of 0.5 rad/s, with either control period."""
     found = shaking(made(joint, amplitude, hertz, ticks=round(3.0 / period), period=period), "v_rad_per_s")
     assert found.joint == joint
     assert found.rms == pytest.approx(amplitude / np.sqrt(2.0), rel=0.15)
@@ -49,7 +49,7 @@ def test_joint_size_and_frequency_are_found(joint, amplitude, hertz, period):
     ("v_rad_per_s", limits.LIMIT_M_PER_S, "m/s", True), ("tau_Nm", limits.LIMIT_N, "N", True),
 ])  # fmt: skip
 def test_the_limits_hold_on_both_sides_in_the_unit_of_the_joint(factor, column, limit, unit, slides):
-    """Whatever a turning joint does that is nearer to its own limit in figures, but not in shares of it."""
+    """A turning joint that shakes by the larger number, but by a smaller share of its own limit, does not count."""
     trace = made(0, factor * np.sqrt(2.0) * limit, 71.0, column)
     values = np.array(getattr(trace, column))
     values[:, 4] += 0.5 * limits.LIMIT_RAD_PER_S * np.sin(2.0 * np.pi * 31.0 * trace.t_s)
@@ -64,34 +64,34 @@ def test_the_limits_hold_on_both_sides_in_the_unit_of_the_joint(factor, column, 
 
 @pytest.mark.parametrize("joint", [2, 5])
 def test_a_jerk_hides_no_oscillation(joint):
-    """A jerk of joint 3 that is louder than what shakes that joint later, or another one all the time."""
+    """The jerk of joint 3 is stronger than the oscillation that follows, of the same joint or of joint 6."""
     values = np.array(made(joint, 0.5, 40.0, where=(1.7, 9.0), ticks=2000).v_rad_per_s)
     jerk = made(2, 3.0, 16.0, where=(0.8, 0.8625), ticks=2000)
     values[:, 2] += jerk.v_rad_per_s[:, 2]
     assert describe(jerk, NAMES, TURNING) == ""
     both = jerk.with_columns(v_rad_per_s=values)
-    assert shaking(both, "v_rad_per_s").joint == 2  # the metric is the loudest, whatever it is
+    assert shaking(both, "v_rad_per_s").joint == 2  # the metric takes the strongest, even a jerk
     assert describe(both, NAMES, TURNING).startswith(f"joint_{joint + 1} at 40 Hz")
 
 
 @pytest.mark.parametrize(("amplitude", "hertz", "where", "says"), [
-    # What a task does, however large: up to a quarter of the band's edge.
+    # Motions of a task, however large: up to a quarter of the lowest frequency that is judged.
     (1.0, 0.2, None, False), (1.0, 1.0, None, False), (1.0, limits.ABOVE_HZ / 4.0, None, False),
-    # A start that jerks.
+    # A jerk during the start, and one after it.
     (3.0, 40.0, (0.0, 0.9 * limits.START_S), False), (3.0, 40.0, (limits.START_S, 2.0 * limits.START_S), True),
-    # A second anywhere.
+    # A shaking of one second, anywhere.
     (1.0, 47.0, (0.5, 1.5), True), (1.0, 47.0, (2.0, 3.0), True), (1.0, 47.0, (7.0, 8.0), True),
-    # A jerk, however hard and wherever it falls, and what lasts.
+    # A jerk of 0.1 s, wherever it falls, and a shaking of 0.5 s.
     *((2.0, 30.0, (begin, begin + 0.1), False) for begin in (1.0, 1.07, 1.9)),
     *((2.0, 30.0, (begin, begin + 0.5), True) for begin in (1.0, 1.07, 1.9)),
 ])  # fmt: skip
-def test_what_lasts_is_an_oscillation_and_a_task_or_a_jerk_is_none(amplitude, hertz, where, says):
+def test_a_lasting_shake_is_an_oscillation_and_a_task_or_a_jerk_is_not(amplitude, hertz, where, says):
     trace = made(6, amplitude, hertz, ticks=4000, where=where)
     assert (describe(trace, NAMES, TURNING).startswith(f"joint_7 at {hertz:.0f} Hz")) == says
     assert says or describe(trace, NAMES, TURNING) == ""
 
 
-def test_what_is_not_completed_or_brief_stays_what_it_is():
+def test_a_run_that_was_stopped_or_is_brief_keeps_its_ending():
     shaken = made(0, 2.0)
     stopped = Trace(shaken.columns, {**shaken.meta, "ended": "stopped: x"})
     assert judged_for_oscillation(stopped, NAMES, TURNING).meta == stopped.meta
@@ -100,7 +100,7 @@ def test_what_is_not_completed_or_brief_stays_what_it_is():
 
 
 @pytest.mark.parametrize(("begin", "amplitude", "says"), [(1.0, 2.0, True), (1.0, 0.1, False), (2.01, 9.0, False)])
-def test_a_stop_says_what_had_oscillated_before_it_and_not_what_braking_did(begin, amplitude, says):
+def test_a_stop_names_an_oscillation_before_it_and_none_due_to_braking(begin, amplitude, says):
     trace = made(3, amplitude, 24.0, where=(begin, 3.0)).with_meta(ended="stopped: x (t = 2.000 s)", stopped_at_s=2.0)
     said = judged_for_oscillation(trace, NAMES, TURNING).meta["ended"]
     assert said.startswith("stopped: x (t = 2.000 s)")
@@ -108,7 +108,7 @@ def test_a_stop_says_what_had_oscillated_before_it_and_not_what_braking_did(begi
     assert said == trace.meta["ended"] or says
 
 
-def test_what_cannot_be_judged_says_why():
+def test_a_trace_that_cannot_be_judged_is_refused_with_the_reason():
     trace = made()
     for part, kind, said in (
         (trace.select(np.arange(len(trace)) % 3 == 0), MissingDataError, "lie apart"),
@@ -124,10 +124,10 @@ def test_what_cannot_be_judged_says_why():
     ({"plant": {"friction": 0.0}, "control": STIFF}, "joint_7"),
     ({"control": {**STIFF, "regularization": 0.0}}, "joint_5"),
 ], ids=["delay", "no friction", "rho = 0"])  # fmt: skip
-def test_an_unsound_loop_says_so(changes, joint):
-    """One gain of 80 on every joint: two ticks of delay, no friction on the idle joint, a linear problem's answer.
+def test_an_unsound_loop_is_found_to_oscillate(changes, joint):
+    """K_N2 is 80 for every joint, with two ticks of delay, without friction on the idle joint, or with rho = 0.
 
-    The limits on the incision, and on motion that no torque explains, are off: they would stop these runs before.
+    The limits on RCM error, trocar force and unexplained motion are off: they would stop these runs earlier.
     """
     free = {"rcm_error_m": None, "trocar_force_N": None, "motion": False}
     trace = run(Scenario(seed=1, duration_s=4.0, guard=free, **changes, **QUICK))

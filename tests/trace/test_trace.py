@@ -1,4 +1,4 @@
-"""A trace: what it accepts, that it is frozen, its file and its meta, and as pandas, xarray and plotly have it."""
+"""A trace: columns that it accepts, immutability, its file and meta, and its forms in pandas, xarray and plotly."""
 
 import copy
 import os
@@ -41,7 +41,7 @@ def trace():
 
 
 def assert_same(one, other):
-    """Same names in the same order, same types, shapes and bits."""
+    """Assert that names, their order, types, shapes and bits are the same."""
     assert list(one.columns) == list(other.columns)
     for name, array in one.columns.items():
         again = other.columns[name]
@@ -76,7 +76,7 @@ def test_file_pickle_and_copy_give_back_every_bit(tmp_path, trace):
         assert_same(trace, again)
 
 
-def test_columns_are_attributes_length_is_ticks_and_repr_says_what_run_it_is(trace):
+def test_columns_are_attributes_length_is_ticks_and_repr_describes_the_run(trace):
     assert repr(trace).startswith("Trace(40 ticks, 4.000 s, spiral, lwr4, osqp, completed: t_s, q_rad")
     assert trace.q_rad is trace.columns["q_rad"]
     assert (len(trace), len(Trace({}))) == (N, 0)
@@ -103,7 +103,7 @@ def test_trace_is_frozen_and_owns_its_arrays():
         made.mu = np.zeros(4)
 
 
-def test_select_keeps_the_numbers_of_the_ticks(trace):
+def test_select_keeps_the_tick_numbers(trace):
     part = trace.select(trace.verified)
     np.testing.assert_array_equal(part.tick, np.flatnonzero(trace.verified))
     np.testing.assert_array_equal(part.q_rad, trace.q_rad[trace.verified])
@@ -115,7 +115,7 @@ def test_select_keeps_the_numbers_of_the_ticks(trace):
         trace.select(np.arange(N))
 
 
-def test_a_part_of_a_run_says_so(trace):
+def test_a_part_of_a_run_is_marked_as_a_part(trace):
     whole = trace.with_meta(ticks=N, ticks_planned=N)
     assert mo.summarize(whole)["completed"] == 1.0
     for part in (whole.between(1.0, 2.0), whole.head(10), whole.select(np.arange(N) < 10)):
@@ -159,7 +159,7 @@ def test_a_wrong_argument_is_named(trace, call, named):
         call(trace)
 
 
-def test_the_file_is_read_by_others_and_replaced_never_written_over(tmp_path):
+def test_pyarrow_reads_the_file_and_saving_again_replaces_it_under_an_open_reader(tmp_path):
     path = tmp_path / "t.parquet"
     example().save(path)
     parquet = pytest.importorskip("pyarrow.parquet")
@@ -175,7 +175,7 @@ def test_the_file_is_read_by_others_and_replaced_never_written_over(tmp_path):
     assert os.listdir(tmp_path) == ["t.parquet"]
 
 
-def test_what_is_no_trace_is_refused(tmp_path):
+def test_a_file_that_is_no_trace_is_refused(tmp_path):
     foreign, versioned = tmp_path / "foreign.parquet", tmp_path / "versioned.parquet"
     pl.DataFrame({"mu": [0.1, None]}).write_parquet(foreign)
     pl.DataFrame({"mu": [0.1]}).write_parquet(versioned, metadata={"moc_opt.trace.trace": "99"})
@@ -196,14 +196,14 @@ WARNING = {"of": "the RCM error", "unit": "m", "level": 6e-3, "first_s": 0.1, "l
     ("period_s", 1, "0.002"), ("ticks", 3, True), ("warnings", [WARNING], [{**WARNING, "level": None}]),
     ("scenario", {"robot": {"name": "lwr4", "tool_length_m": None}, "seed": 1}, {"robot": ["lwr4"]}),
 ])  # fmt: skip
-def test_an_entry_of_another_kind_is_refused_by_its_name(name, sound, wrong):
+def test_a_meta_entry_of_the_wrong_type_is_refused_by_name(name, sound, wrong):
     Trace({"mu": np.ones(2)}, {name: sound, "my_own": [{"a": None}]})
     for give in (lambda meta: Trace({}, meta), lambda meta: Trace({}).with_meta(**meta)):
         with pytest.raises(TraceError, match=name):
             give({name: wrong})
 
 
-def test_meta_is_kept_as_json_gives_it_back():
+def test_meta_is_kept_in_the_form_that_json_returns():
     assert Trace({}, {"a": (1, 2), "b": {3: "x"}}).meta == {"a": [1, 2], "b": {"3": "x"}}
     for value in (np.nan, np.inf, {1, 2}, np.zeros(2), {"deep": [np.nan]}):
         with pytest.raises(TraceError, match=r"meta\['seed'\]"):
@@ -212,7 +212,7 @@ def test_meta_is_kept_as_json_gives_it_back():
         Trace({}, {1: "a"})
 
 
-def test_pandas_has_every_number_of_every_column_and_where_it_is_not_installed_says_so(trace, monkeypatch):
+def test_to_pandas_has_every_number_and_says_where_pandas_is_not_installed(trace, monkeypatch):
     frame = trace.to_pandas()
     assert (frame.index.name, frame.shape) == ("t_s", (N, 7 + 3 + 3 + 5))
     assert np.array_equal(frame.index, trace.t_s)

@@ -1,4 +1,4 @@
-"""The camera and its pictures of board, covers and tool; and the board found in them, and tracked."""
+"""The camera, its pictures of board, covers and tool, and how the board is found in them and tracked."""
 
 import numpy as np
 import pytest
@@ -14,27 +14,27 @@ PHANTOM = Pose(rotation_from((0.1, 0.2, 0.3)), (0.6, 0.1, 0.05))
 CAMERA = Camera.above(CameraSettings(), PHANTOM)
 
 
-def test_it_stands_where_the_settings_say_and_looks_at_the_middle_of_the_phantom():
+def test_the_camera_stands_where_the_settings_say_and_looks_at_the_middle_of_the_phantom():
     np.testing.assert_allclose(CAMERA.project(PHANTOM.t), [[319.5, 239.5]], atol=1e-9)
     eye = PHANTOM.inverse().apply(CAMERA.camera_in_base.t)
     assert np.linalg.norm(eye) == pytest.approx(0.16)
     assert np.degrees(np.arccos(eye[2] / 0.16)) == pytest.approx(25.0)
     assert eye[1] < 0.0
-    # The board's y is upwards in the picture, its x to the right.
+    # In the picture, the board's y points upwards and its x to the right.
     middle, right, up = CAMERA.project(PHANTOM.apply([[0, 0, 0], [0.01, 0, 0], [0, 0.01, 0]]))
     assert right[0] > middle[0]
     assert up[1] < middle[1]
 
 
 @given(st.tuples(*[st.floats(-0.5, 0.5)] * 2), st.floats(0.05, 1.0))
-def test_projection_is_the_pinhole(direction, depth):
+def test_projection_is_that_of_a_pinhole_camera(direction, depth):
     point = CAMERA.camera_in_base.apply(depth * np.array([*direction, 1.0]))
     expected = 240 / np.tan(np.radians(25.0)) * np.array(direction) + [319.5, 239.5]
     np.testing.assert_allclose(CAMERA.project(point)[0], expected, atol=1e-6)
     assert np.isnan(CAMERA.project(CAMERA.camera_in_base.apply([0.0, 0.0, -depth]))).all()
 
 
-def test_calibration_is_off_by_what_was_asked_for():
+def test_the_calibration_error_has_the_size_that_is_set():
     camera = Camera.above(CameraSettings(calibration_error_m=0.002, calibration_error_deg=0.5), PHANTOM)
     one, other = (camera.miscalibrated(seed).camera_in_base for seed in (3, 4))
     assert camera.camera_in_base.distance(one) == pytest.approx((0.002, np.radians(0.5)))
@@ -73,7 +73,7 @@ def test_the_tool_is_drawn_and_hides_what_is_behind_it():
     assert 12 <= len(found_in(picture)) < len(found_in(view.picture(FLAT))) == 20
 
 
-def test_a_board_is_lost_at_its_times_and_a_dark_or_turned_one_is_not_there():
+def test_a_board_is_lost_at_the_set_times_and_not_found_where_absent_averted_or_behind():
     lost = Board(lost_s=((1.0, 2.0), (3.0, 4.0)))
     assert [lost.is_lost(t) for t in (0.5, 1.0, 1.99, 2.0, 3.5)] == [False, True, True, False, True]
     view, finder = View(CLEAN, BOARD), BoardFinder(BOARD, CLEAN)
@@ -91,7 +91,7 @@ POSE = st.builds(lambda turn, place: Pose(rotation_from(turn), place), TURN, VEC
 
 
 @given(POSE, POSE, VECTOR)
-def test_a_chain_of_poses_takes_points_from_right_to_left(a, b, point):
+def test_a_product_of_poses_applies_the_right_one_first(a, b, point):
     np.testing.assert_allclose((a @ b).apply(point), a.apply(b.apply(point)), atol=1e-12)
     np.testing.assert_allclose((a @ a.inverse()).apply(point), point, atol=1e-12)
     np.testing.assert_allclose(a.apply(np.array([point, 2 * point]))[1], a.apply(2 * point), atol=1e-12)
@@ -99,11 +99,11 @@ def test_a_chain_of_poses_takes_points_from_right_to_left(a, b, point):
 
 
 @given(POSE, POSE, st.floats(0.0, 1.0))
-def test_blending_goes_straight_from_one_to_the_other(a, b, share):
+def test_blending_two_poses_goes_straight_from_one_to_the_other(a, b, share):
     way, turn = a.distance(b)
     moved, turned = a.distance(a.towards(b, share))
     assert moved == pytest.approx(share * way, abs=1e-12)
-    # At half a turn there are two ways round; either is of the right length.
+    # Half a turn can be made either way round; both have the right length.
     assert turned == pytest.approx(share * turn, abs=1e-6)
     assert a.towards(b, 1.0).distance(b) == pytest.approx((0.0, 0.0), abs=2e-6)
 
@@ -138,7 +138,7 @@ def test_a_task_is_small_enough_and_moves_with_its_board(pose, name):
     np.testing.assert_allclose(carried.normal, pose.R[:, 2], atol=1e-12)
 
 
-def test_what_is_beyond_the_board_or_unknown_is_refused():
+def test_a_task_that_leaves_the_board_or_is_unknown_is_refused():
     with pytest.raises(TaskError):
         BOARD.task_in_base(BoardTask("line", {"length": 0.076}), Pose(np.eye(3), np.zeros(3)))
     with pytest.raises(UnknownNameError):
@@ -164,7 +164,7 @@ SHOT = View(EYE, BOARD).picture(EYE.camera_in_base @ TILTED)
 
 
 def test_the_pose_and_the_corners_are_found():
-    """A camera whose middle is half a pixel off would shift the corners all by as much."""
+    """A principal point that is half a pixel off would shift all corners by half a pixel."""
     sighting = FINDER.find(SHOT)
     assert (np.array(sighting.pose.distance(TILTED)) < [1e-4, 1e-3]).all()
     assert sighting.markers == 20
@@ -175,7 +175,7 @@ def test_the_pose_and_the_corners_are_found():
 
 
 def test_single_pictures_are_accurate_with_six_of_ten_markers_hidden():
-    """0.07 mm and 0.03 degrees are what such a board is good for, tilted, turned, and 12 to 20 cm away."""
+    """Such a board allows 0.07 mm and 0.03 degrees when it is tilted, turned and 12 to 20 cm away."""
     rng, eye = np.random.default_rng(1), Camera(CameraSettings(), EYE.camera_in_base)
     view, finder, found = View(eye, BOARD, seed=1), BoardFinder(BOARD, eye), []
     for k in range(15):
@@ -189,7 +189,7 @@ def test_single_pictures_are_accurate_with_six_of_ten_markers_hidden():
     assert np.max(found, axis=0)[0] < 5e-4
 
 
-def test_without_a_marker_there_is_no_sighting_and_one_is_enough_for_a_poorer_pose():
+def test_no_marker_gives_no_sighting_and_one_marker_a_poorer_pose():
     assert FINDER.find(np.full((480, 640, 3), 90, dtype=np.uint8)) is None
     one = FINDER.find(View(EYE, BOARD).picture(EYE.camera_in_base @ TILTED, frozenset(BOARD.ids) - {7}))
     assert one.markers == 1
@@ -209,14 +209,14 @@ def feed(tracker, sightings, start=0.0):
     return [tracker.update(start + DT * k, sighting) for k, sighting in enumerate(sightings)]
 
 
-def test_it_takes_several_sightings_that_agree_to_find_a_board():
+def test_a_board_is_found_after_several_sightings_that_agree():
     tracker = BoardTracker()
     found = feed(tracker, [None, sight(THERE), sight(), sight(), sight(), sight()])
     assert [tracked.seen for tracked in found] == [False] * 4 + [True] * 2
     assert tracker.pose.distance(HERE)[0] < 1e-12
 
 
-def test_a_resting_board_is_averaged_and_without_smoothing_every_sighting_is_taken():
+def test_sightings_of_a_resting_board_are_averaged_and_without_smoothing_the_last_one_is_taken():
     rng = np.random.default_rng(0)
     draws = ((1e-3 * rng.standard_normal(3), 1e-4 * rng.standard_normal(3)) for _ in range(300))
     sightings = [sight(HERE @ Pose(rotation_from(turn), shift)) for turn, shift in draws]
@@ -240,7 +240,7 @@ def test_outliers_change_nothing(bad):
     assert tracker.pose is before
 
 
-def test_a_lost_board_is_told_after_a_while_and_its_pose_is_kept():
+def test_a_lost_board_is_reported_after_a_while_and_its_pose_is_kept():
     tracker = BoardTracker(TrackerSettings(lost_after_s=0.12))
     answers = feed(tracker, [sight()] * 5 + [None] * 6 + [sight()] * 3)
     assert [tracked.seen for tracked in answers[4:]] == [True] * 4 + [False] * 5 + [True]

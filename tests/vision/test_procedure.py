@@ -1,4 +1,4 @@
-"""The procedure: the trocar registered by hand, the board located, missed and filmed."""
+"""The procedure: the trocar is registered by hand, and the board is located, lost and filmed."""
 
 import cv2
 import numpy as np
@@ -24,7 +24,7 @@ INCISION = HOME.tip - 0.15 * HOME.tool_direction
 PHANTOM = board_below(INCISION, HOME.tool_direction, CIRCLE.depth_m)
 
 
-def test_the_board_is_located_and_the_task_carried_over_again_with_the_same_seed():
+def test_locating_the_board_is_accurate_and_repeats_with_the_same_seed():
     scenes = [Augmented(ROBOT, PHANTOM, camera=EXACT, board=Board(hidden_fraction=0.3), seed=5) for _ in range(2)]
     one, other = (scene.locate(ROBOT.data.q_home) for scene in scenes)
     np.testing.assert_array_equal([*one.R, one.t], [*other.R, other.t])
@@ -34,20 +34,20 @@ def test_the_board_is_located_and_the_task_carried_over_again_with_the_same_seed
     assert found["task_error_max_mm"] < 0.15
 
 
-def test_a_wrong_calibration_carries_over_to_the_task():
+def test_a_calibration_error_shifts_the_task_by_as_much():
     camera = CameraSettings(calibration_error_m=0.002, calibration_error_deg=0.0)
     scene = Augmented(ROBOT, PHANTOM, camera=camera)
     assert scene.accuracy(scene.locate(), CIRCLE)["task_error_max_mm"] == pytest.approx(2.0, abs=0.15)
 
 
 @pytest.mark.parametrize(("hidden", "reason"), [(1.0, "no marker seen"), (0.9, "2 markers seen")])
-def test_a_board_that_is_never_seen_is_told_before_anything_moves(hidden, reason):
+def test_a_board_with_too_few_markers_in_view_is_reported_before_anything_moves(hidden, reason):
     scene = Augmented(ROBOT, PHANTOM, camera=CameraSettings(rate_Hz=5.0), board=Board(hidden_fraction=hidden))
     with pytest.raises(TaskError, match=reason):
         scene.locate()
 
 
-def test_a_lost_board_is_told_within_a_quarter_of_a_second_and_so_is_one_that_is_back():
+def test_the_loss_and_the_return_of_a_board_are_noticed_within_a_quarter_of_a_second():
     scene = Augmented(ROBOT, PHANTOM, camera=EXACT, board=Board(hidden_fraction=0.2, lost_s=((2.0, 3.0),)))
     scene.locate()
     looked_at, seen = scene.watch(4.0, ROBOT.data.q_home)
@@ -85,8 +85,8 @@ def near(picture, colour, point, reach=3):
 
 
 @pytest.mark.parametrize("trocar", [FLAT.apply([0.0, 0.02, 0.15]), FLAT.apply([0.0, 0.0, 1.0])])
-def test_task_tip_and_trocar_are_where_they_project_to(trocar):
-    """The second trocar is behind the camera: the line towards it is drawn all the same."""
+def test_task_tip_and_trocar_are_drawn_where_they_project_to(trocar):
+    """The second trocar is behind the camera. The line towards it is still drawn."""
     page = draw(BLANK, CAMERA, task=LINE, progress=0.5, tip=TIP_PLACE, trocar=trocar, text="")
     assert near(page, DONE, LINE[5])
     assert near(page, TASK, LINE[45])
@@ -106,11 +106,11 @@ def guided(seed=0, **settings):
 
 
 def test_the_trocar_is_registered_on_the_realistic_arm():
-    """The same run again, with an error of registration: it moves the registered trocar by that, and nothing else."""
+    """The same run with a registration error differs only in the registered trocar, which moves by that error."""
     seed = 2
     found, plant = guided(seed, registration_error_m=0.0)
     assert found.status is HandsOnStatus.REGISTERED
-    # Encoders are that good; what is left is how near the hand stopped.
+    # The encoders are accurate enough; the rest is the distance at which the hand stopped.
     assert found.error_m < 0.002
     trace = found.trace
     assert np.linalg.norm(trace.hand_force_N, axis=1).max() <= 15.0 * (1 + 1e-12)
@@ -128,7 +128,7 @@ def test_the_trocar_is_registered_on_the_realistic_arm():
 
 @pytest.mark.parametrize(("settings", "status"), [
     ({"hand": HandSettings(force_max_N=0.5), "time_limit_s": 2.0}, HandsOnStatus.SHORT),
-    # The encoders' noise alone is more than this speed, though not at every tick.
+    # The encoders' noise alone exceeds this speed, though not at every tick.
     ({"rest_speed_m_per_s": 3e-4, "time_limit_s": 4.0}, HandsOnStatus.RESTLESS),
 ])  # fmt: skip
 def test_a_tip_that_does_not_reach_the_incision_or_never_rests_there_registers_nothing(settings, status):
@@ -154,13 +154,13 @@ VECTOR = st.tuples(*[st.floats(-1.0, 1.0)] * 3).map(np.array)
 
 
 @given(st.lists(st.tuples(VECTOR, VECTOR), min_size=1, max_size=30), st.floats(0.5, 30.0))
-def test_the_force_is_bounded_whatever_happens(moments, most):
+def test_the_force_of_the_hand_is_bounded_in_every_state(moments, most):
     hand = Hand(HandSettings(force_max_N=most), PERIOD)
     for place, velocity in moments:
         assert np.linalg.norm(hand.pull(place, velocity, np.zeros(3))) <= most * (1 + 1e-12)
 
 
-def test_it_is_a_spring_and_a_damper_near_the_goal_and_wants_its_speed_far_away():
+def test_the_hand_is_a_spring_and_damper_near_the_goal_and_keeps_its_largest_speed_far_away():
     hand = Hand(HandSettings(stiffness_N_per_m=500.0, damping_Ns_per_m=50.0, correction_per_s=0.0), PERIOD)
     goal, velocity = np.array([0.002, 0.0, 0.0]), np.array([0.0, 0.01, 0.0])
     np.testing.assert_allclose(hand.pull(np.zeros(3), velocity, goal), [1.0, -0.5, 0.0], atol=1e-12)
@@ -178,7 +178,7 @@ def moved(hand, place, load=(0.0, 0.0, 0.0), seconds=6.0):
     return np.array(places), velocity
 
 
-def test_a_steady_load_is_corrected_until_the_hand_is_content_if_it_has_the_strength():
+def test_a_hand_that_is_strong_enough_corrects_for_a_steady_load():
     load, start = np.array([0.0, 0.0, -5.0]), (0.1, 0.0, 0.0)
     without, _ = moved(Hand(HandSettings(correction_per_s=0.0), PERIOD), start, load)
     assert np.linalg.norm(without[-1]) == pytest.approx(5.0 / 600.0, rel=0.05)
