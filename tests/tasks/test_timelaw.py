@@ -53,8 +53,8 @@ def extremes(reference: Reference, count: int) -> tuple[float, float]:
 
 @settings(max_examples=30)
 @given(curved, st.floats(0.01, 1.0), st.floats(0.01, 10.0))
-def test_curved_duration_touches_a_limit_and_exceeds_none(path: Path, v_max: float, a_max: float) -> None:
-    used = extremes(Reference(path, v_max, a_max), 1_501)
+def test_the_duration_of_a_curve_reaches_one_limit_and_exceeds_none(path: Path, v_max: float, a_max: float) -> None:
+    used = extremes(Reference(path, v_max, a_max), 20_001)
     assert max(used) <= 1.0 + 1e-9
     assert max(used) >= 1.0 - 1e-2
 
