@@ -166,7 +166,7 @@ def sentences(summary: Summary, rows: Sequence[Row]) -> list[str]:
         names = ", ".join(f"`{row['solver']}`{median}" for row, median in zip(sound[:3], medians, strict=True))
         said[0] += f" Also sound: {names}."
     if ran := [row for row in rows if row["verdict"] in (TAKE, SOUND) and row["trials"]]:
-        said.append(_in_closed_loop(max(ran, key=lambda row: row["trials"])))
+        said.append(_in_closed_loop(max(ran, key=lambda row: row["trials"]), _trials(rows)[0]))
     return said + _avoid(summary, rows)
 
 
@@ -174,16 +174,13 @@ def _why(summary: Summary, row: Row, others: Sequence[Row], asked: int) -> str:
     """Say how many problems the solver to take solved, how fast it is, and whether that time is to be trusted."""
     counted = row["counted"]
     kind = "certified" if "testsets" in summary else "recorded"
-    refused = counted["refused_inconsistent"]
-    parts = [f"verified {counted['verified_solved']} of {counted['optima_asked'] + refused} {kind} optima"]
-    if refused:
-        parts[0] += f" (it called {refused} others, whose six rows contradict each other, infeasible: {NEITHER})"
-    if left := counted["optima_asked"] - counted["verified_solved"]:
-        parts.append(f"did not solve {left}")
+    parts = [f"verified {counted['verified_solved']} of {counted['optima_asked']} {kind} optima"]
     if counted["infeasible_asked"]:
         parts.append(f"recognised {counted['infeasible_right']} of {counted['infeasible_asked']} infeasible problems")
     text = "" if others or asked == 1 else f", the only sound one of {asked} solvers"
     text += f". It {listed(parts)}; none of its answers was silently wrong."
+    if refused := counted["refused_inconsistent"]:
+        text += f" It refused {refused} more problems, whose six rows contradict each other, which is {NEITHER}."
     if row["p50_us"] is not None:
         text += f" Its median time is {row['p50_us']:.1f} us, p99 {row['p99_us']:.1f} us."
         # Noise may change the order of solvers whose times are so close.
@@ -193,20 +190,21 @@ def _why(summary: Summary, row: Row, others: Sequence[Row], asked: int) -> str:
     return text
 
 
-def _in_closed_loop(row: Row) -> str:
-    """Say what a sound solver's answers do to the robot, with the errors in both frames."""
+def _in_closed_loop(row: Row, shared: int) -> str:
+    """Say what a sound solver's answers do to the robot, in both frames; ``shared``: trials that every solver ran."""
     closed, trials = row["closed"], row["trials"]
     if few := too_few(trials):
         return f"What sound answers do in closed loop: {few}."
     changes = (spread(closed, change_name(name), 2, "+", " %") for name in ("mu_mean", *FRAMED))
     mu, tip, registered_tip, rcm, registered_rcm = changes
     shaken = f", {count} of which oscillated" if (count := closed.get("oscillated", 0)) else ""
-    shaken += f", {closed['oscillated_in_common']} among the trials that every solver ran" if shaken else ""
+    both = f" The table below has the {shared} trials that every solver ran, where the tip error changes by "
+    both += f"{row['tip_change']} %; {closed.get('oscillated_in_common', 0)} of these oscillated."
     return (
         f"In closed loop ({trials} independent trials of `{row['solver']}`{shaken}) sound answers change mean mu by "
         f"{mu} over `{BASELINE}`. By the robot's own kinematics the tip error changes by {tip} and the RCM error by "
         f"{rcm}; in the frame registered at the start, which is the patient's, by {registered_tip} and "
-        f"{registered_rcm}."
+        f"{registered_rcm}." + (both if row["tip_change"] and shared < trials else "")
     )
 
 
@@ -268,20 +266,25 @@ def first_table(summary: Summary, rows: Sequence[Row]) -> Table:
         caption += (
             f" {_trials_told(rows)} Worst damage: largest loss in closed loop against the solver to take; none: within "
             "tolerance. Tip: change of the error against DCAC, by the robot's own kinematics / in the frame registered "
-            "at the start, on the trials that every solver ran; ?: undecided. Runs that oscillated or were stopped "
-            "count only among these trials."
+            f"at the start, on the {_trials(rows)[0]} trials that every solver ran; ?: undecided. Runs that oscillated "
+            "or were stopped count only among these trials."
         )
     return Table("Solvers under the settings we recommend, best first", columns, rows, caption)
 
 
+def _trials(rows: Sequence[Row]) -> list[int]:
+    """Return the numbers of trials that solvers ran in closed loop, the smallest first."""
+    return sorted({row["closed"]["trials"] for row in rows if row["closed"].get("trials")})
+
+
 def _trials_told(rows: Sequence[Row]) -> str:
     """Say how many trials each solver ran, since figures over different trials are not to be compared."""
-    most = max(row["closed"].get("trials", 0) for row in rows)
-    all_of = [row["solver"] for row in rows if row["closed"].get("trials") == most]
-    fewer = {row["closed"]["trials"] for row in rows if 0 < row["closed"].get("trials", 0) < most}
-    if not fewer:
-        return f"Every solver ran {most} trials."
-    return f"{listed(all_of)} ran {most} trials, the others the first {min(fewer)} of these."
+    fewest, *more = _trials(rows)
+    if not more:
+        return f"Every solver ran {fewest} trials."
+    all_of = [row["solver"] for row in rows if row["closed"].get("trials") == more[-1]]
+    least = "at least " * (len(more) > 1)
+    return f"{listed(all_of)} ran {more[-1]} trials, the others {least}the first {fewest} of these."
 
 
 def _tip_in_both_frames(runs: Results, solver: str) -> str | None:
