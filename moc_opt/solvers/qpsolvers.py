@@ -209,7 +209,7 @@ class QPSolver(SolverSettings):
         return refuse_semidefinite(qp, needs) if self.library == "quadprog" else None
 
     def start(self, qp: NullSpaceQP) -> Session:
-        """Return a session. If the caller gives options, one problem is solved to find out if the library takes them."""
+        """Return a session. If the caller gives options, one problem is solved to see if the library takes them."""
         session = super().start(qp)
         if self.options:
             try:
