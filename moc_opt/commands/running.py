@@ -214,7 +214,7 @@ def run_control(given: argparse.Namespace) -> int:
     else:
         flat = {name: value for name, value in told.items() if not isinstance(value, dict)}
         flat |= {f"{name}: {key}": v for name, of in told.items() if isinstance(of, dict) for key, v in of.items()}
-        rows = [{"what": name, "value": _words(value)} for name, value in flat.items() if value]  # without counts of zero
+        rows = [{"what": name, "value": _words(value)} for name, value in flat.items() if value]  # no zero counts
         print_tables([Table(f"Controller of {title}", [Column("what", "what"), Column("value", "value")], rows)])
     return 0 if found["ended"] == "completed" else 3
 
