@@ -1,8 +1,8 @@
-"""The smallest and the largest cost where a box meets a linear subspace: plain, slow, and without any solver.
+"""The smallest and the largest cost where a box meets an affine subspace: plain, slow, independent of the solvers.
 
 With x = x0 + Z w, Z an orthonormal basis of ker A, the cost is slope^T w + rho/2 |w|^2 and the box is
-low <= Z w <= high. Every search here projects points onto that set. Lawson and Hanson, Solving Least Squares Problems
-(1974), chapter 23, turn the projection into non-negative least squares (algorithm LDP).
+low <= Z w <= high. The optimum is found by projecting points onto that set. Lawson and Hanson, Solving Least Squares
+Problems (1974), chapter 23, turn the projection into non-negative least squares (algorithm LDP).
 """
 
 from __future__ import annotations

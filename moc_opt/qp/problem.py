@@ -1,4 +1,4 @@
-"""The null-space subproblem of one control tick, as data: no robot and no solver.
+"""The null-space subproblem of one control tick as data, without a robot or a solver.
 
     min_x  c0/2 |J_T x - v_T|^2 + c1/2 |J_W x - v_W|^2 - c2 x^T pull + regularization/2 |x|^2
     s.t.   J_T x = v_T,   J_W x = v_W,   lower <= x <= upper
@@ -90,7 +90,7 @@ class NullSpaceQP:
 
     Args:
         J_tip, J_wrist: (3, n) translational Jacobians in world axes [m/rad].
-        v_tip, v_wrist: (3,) reference velocities [m/s]; they must be equal along the shaft.
+        v_tip, v_wrist: (3,) reference velocities [m/s]; equal along the shaft's axis u: u^T (v_tip - v_wrist) = 0.
         grad_mu: (n,) gradient of the manipulability.
         lower, upper: (n,) bounds on the joint velocity [rad/s].
         c0, c1, c2: weights of the paper; regularization: rho, 0 for the paper's problem.

@@ -5,7 +5,7 @@ them uses the status that the solver reports.
 
 On A x = b the tracking terms of the cost are constant. The rest, rho/2 |x|^2 - c2 pull^T x, is a sum over
 independent parts: each idle joint (its column of A is zero) on its own interval, and the other joints together on
-their part of ker A: an interval too with one freedom; with more, ``moc_opt.qp.extremes`` finds best and worst cost.
+their part of ker A. With one freedom this is an interval too; with more ``extremes`` finds the best and worst cost.
 
 The stationarity measure is the natural residual of the box-constrained Lagrangian,
 ``x - clip(x - (P x + p + A^T y), lower, upper)`` (Facchinei & Pang 2003, section 1.5.2): it is zero
@@ -33,7 +33,7 @@ TIED = 1e-7
 RANK_TOLERANCE = 1e-12
 GRADIENT_ROUNDING = 1e-9  # a reduced gradient below this fraction of |pull|_inf counts as zero
 A_POINT = 1e-9  # a feasible interval no longer than this [rad/s] is a point: rounding decides where on it x lies
-FEASIBLE = 1e-6  # a set that is empty, but not if the box is this much wider, counts as one point [rad/s]
+FEASIBLE = 1e-6  # an empty set counts as one point if widening the box by this much [rad/s] fills it
 MOST_FACETS = 300  # 10 joints with 5 freedoms have 210
 NEARLY_SINGULAR = 1e-3  # division by a singular value below this share of |A|_F makes rounding errors too large
 REFINEMENTS = 3  # of the result of such a division: each cuts its error to a ten-thousandth or less

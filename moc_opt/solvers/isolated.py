@@ -178,7 +178,7 @@ class _Process:
         self.ask(0, qp, None, solver.process.start_s, solver._pickled)
 
     def ask(self, tick: int, qp: NullSpaceQP, v: Array | None, most_s: float, solver: bytes | None = None) -> None:
-        """Send a subproblem, or a pickled solver to start; without an answer after ``most_s`` the process hangs."""
+        """Send a subproblem, or a pickled solver to start; after ``most_s`` without an answer it counts as hung."""
         self._tick, self._most_s, self._hung_at, self.busy = tick, most_s, monotonic() + most_s, True
         with suppress(OSError):  # the process has ended, which ``answer`` finds
             self._pipe.send((solver, qp.row, v, most_s))

@@ -72,7 +72,7 @@ class OSQPSession(TruncatedSession):
         self._core.update_settings(self._options)
 
     def truncated(self, qp: NullSpaceQP, iterations: int) -> Solution:
-        """Answer with the iterate after ``iterations`` from the last solve's start; it is the next solve's start."""
+        """Answer with the iterate after ``iterations`` from the last solve's start; the next solve starts at it."""
         self._core.warm_start(*self._before)
         return super().truncated(qp, iterations)
 
@@ -82,7 +82,7 @@ class OSQP(Adapter):
     """OSQP through its native interface.
 
     The library's own tolerance of 1e-3 is ten times the whole gradient of this problem. With it OSQP claims success,
-    but nineteen answers in twenty are not optimal. With eps = 1e-8 and costs times 100 no claim was wrong on about a
+    but nineteen answers in twenty are not optimal. With eps = 1e-8 and costs times 100 no claim was wrong on some
     thousand random problems, at twice the iterations; one problem in two hundred is still unsolved at max_iter.
 
     Args:

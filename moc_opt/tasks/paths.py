@@ -160,7 +160,7 @@ def _checked(points: ArrayLike) -> Array:
 
 
 def _spline(t: Array, points: Array) -> Array:
-    from scipy.interpolate import CubicSpline  # imported here: it takes a third of a second, only for waypoints
+    from scipy.interpolate import CubicSpline  # here: takes 0.3 s, only waypoints need it
 
     found = CubicSpline(t, points, bc_type="natural").c  # (4, pieces, 3), highest power first
     return np.ascontiguousarray(found[::-1].transpose(1, 2, 0))
