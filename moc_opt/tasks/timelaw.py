@@ -117,8 +117,8 @@ class Reference:
 class WaitingReference:
     """Plays a reference, with a flag at each tick: it slows down to a stop while this is False, and then speeds up.
 
-    It begins at rest, at the start of the path. X_d and dX_d do not jump: with the path time tau running at the rate
-    sigma in [0, 1],
+    It begins at rest, at the start of the path. X_d, dX_d and ddX_d do not jump: with the path time tau running at the
+    rate sigma in [0, 1],
 
         X_d(t) = X(tau(t)),   dX_d = sigma X',   ddX_d = sigma^2 X'' + sigma' X'
 

@@ -53,7 +53,7 @@ class Augmented:
     def locate(self, q: ArrayLike | None = None) -> Pose:
         """Search for the board before t = 0, and return its pose in the base frame, averaged over a second.
 
-        The arm rests at q (n,); None: no arm in the picture. A TaskError where the board is not found within 2 s.
+        The arm rests at q (n,); None: no arm in the picture. A TaskError where no picture of 3 s shows the board.
         """
         self._tracker = BoardTracker(self._tracker.limits)
         rate = self.camera.settings.rate_Hz

@@ -172,7 +172,7 @@ def guide_to(
     gain = -math.expm1(-2.0 * math.pi * _SPEED_FILTER_Hz * period)
     slow, reached = np.zeros(3), False
     rows: list[dict[str, Array | float]] = []
-    resting: list[Array] = []  # believed tips since the tip rests at the incision
+    resting: list[Array] = []  # accepted tip positions since the tip rests at the incision
     needed, ticks = max(1, round(settings.rest_s / period)), math.ceil(settings.time_limit_s / period)
     while len(resting) < needed and loop.ticks < ticks and not loop.finished:
         # This is the tip's true velocity, since the model differs from the plant only in masses.
