@@ -1,4 +1,4 @@
-"""The extension module: it takes NumPy's headers from the NumPy that is installed for the build."""
+"""The extension module. NumPy's headers come from the NumPy that is installed for the build."""
 
 from glob import glob
 

@@ -1,7 +1,7 @@
 """Settings of the documentation site: ``make docs`` builds it into ``build/docs``.
 
 The pages are the Markdown files of this folder, the API reference is read from the docstrings, and the gallery runs
-every example of ``examples/gallery``. Reports that lie in ``results/`` are published with it.
+every example of ``examples/gallery``. Reports in ``results/`` are published with the site.
 """
 
 from __future__ import annotations

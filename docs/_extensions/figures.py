@@ -1,4 +1,4 @@
-"""Show plotly figures of the gallery, with one copy of plotly's script in the site: no other host is asked."""
+"""Show plotly figures of the gallery. The site has its own copy of plotly's script: nothing is loaded from a CDN."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ SCRIPT = "plotly.min.js"
 
 
 class PageRenderer(plotly.io.base_renderers.MimetypeRenderer):  # type: ignore[misc]
-    """Draws a figure as a `div` of a page of `gallery/`, with plotly's script before it: a theme loads scripts last."""
+    """Draws a figure as a `div` in a page of `gallery/`, with plotly's script before it: themes load scripts last."""
 
     def to_mimebundle(self, fig_dict: dict[str, Any]) -> dict[str, str]:
         """Return the figure as HTML."""

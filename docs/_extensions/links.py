@@ -1,4 +1,4 @@
-"""Check every local link of the built site: a page, picture or place in a page that is not there is a warning."""
+"""Check every local link of the built site: a link to a missing page, picture or anchor is a warning."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from sphinx.util import logging
 
 LINK = re.compile(r'(?:href|src)="([^"]+)"')
 ELSEWHERE = re.compile(r"[a-z]+:|//")
-REPORTS = "reports"  # pages of their own, whose places their scripts make
-SOURCES = "_modules"  # viewcode links a name back by the first name of its module
+REPORTS = "reports"  # not checked: standalone pages whose scripts make their anchors
+SOURCES = "_modules"  # not checked: viewcode's links back to the documentation may have missing anchors
 
 
 def broken(site: Path) -> list[tuple[str, str]]:
-    """Return (page, link) of every link below a folder that leads nowhere in it."""
+    """Return (page, link) of every broken local link of the pages below a folder."""
     found = []
     for page in sorted(site.rglob("*.html")):
         if page.relative_to(site).parts[0] in (REPORTS, SOURCES):

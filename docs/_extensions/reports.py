@@ -15,12 +15,12 @@ PAGE = "report.html"
 
 
 def found() -> list[Path]:
-    """Return the folders of results that have a report, by name."""
+    """Return the folders of results that have a report, sorted by name."""
     return sorted(path.parent for path in RESULTS.glob(f"*/{PAGE}"))
 
 
 class PublishedReports(Directive):
-    """List the reports, each with the commit, machine and time that it was made with."""
+    """List the reports, each with the commit, seed and processor of its run."""
 
     def run(self) -> list[nodes.Node]:
         """Return the list, or a sentence that says how to make a report."""

@@ -34,12 +34,12 @@ def print_list(given: argparse.Namespace) -> int:
              for name, row in rows.items() if row.get("here", "yes") == "yes"]  # fmt: skip
     keys = dict.fromkeys(key for row in rows.values() for key in row if key != "here")
     print_tables([Table(title, [Column("name", "name"), *(Column(key, TITLES.get(key, key)) for key in keys)], shown)])
-    console().print(note, markup=False)  # as a caption it would be as narrow as the table
+    console().print(note, markup=False)  # not a caption, which would be as narrow as the table
     return 0
 
 
 def _shown(key: str, value: Any) -> Any:
-    """Write sizes or settings with their defaults in one line, and a unit as in all tables."""
+    """Return a cell: sizes or settings with their defaults as one line, a unit as in all tables, else the value."""
     if key == "unit":
         return pretty_unit(value)
     if not isinstance(value, dict):
@@ -61,7 +61,7 @@ def solvers() -> tuple[str, Rows, str]:
 
 
 def robots() -> tuple[str, Rows, str]:
-    """Return every arm of the package: its joints, its freedoms beside tip and shaft, and its description."""
+    """Return every arm of the package: its joints, the freedoms that tip and shaft leave, and its description."""
     rows = {}
     for name in available_robots():
         arm = load_robot(name)
@@ -79,7 +79,7 @@ def tasks() -> tuple[str, Rows, str]:
         try:
             known = sizes(name)
         except MocOptError:
-            known = {}  # it does not load: its description is the reason
+            known = {}  # a path that does not load: its description gives the reason
         given = {key: None if value is inspect.Parameter.empty else value for key, value in known.items()}
         rows[name] = {"sizes": given, "about": words}
     return "Tasks: [task] path, [task.sizes]", rows, "Lengths in m."

@@ -15,9 +15,9 @@ from moc_opt.trace.meta import Ending
 
 
 def save_page(given: argparse.Namespace) -> int:
-    """Write saved runs as the page that the command is called after, then its figures if asked for; returns 0.
+    """Write saved runs as the page that the command names, then its figures if asked for; returns 0.
 
-    The page is there even where no browser can draw the figures.
+    The page is written even if no browser can draw the figures.
     """
     from moc_opt.report.export import save_figures
     from moc_opt.report.map_page import load_map
@@ -35,7 +35,7 @@ def save_page(given: argparse.Namespace) -> int:
 
 
 def serve_page(given: argparse.Namespace) -> int:
-    """Run a scenario in real time until the page is left; returns the exit status."""
+    """Serve a scenario that runs in real time until it is stopped; returns the exit status."""
     from moc_opt.live.page import serve
 
     scenario, title = read_scenario(given.scenario)
@@ -56,7 +56,7 @@ def export_c(given: argparse.Namespace) -> int:
 
 
 def compare_solvers(given: argparse.Namespace) -> int:
-    """Compare, print, and write the rows; returns 0, 3 where a solver drove no trial to its end, 130 after Ctrl-C."""
+    """Compare, print, and write the rows; returns 0, 3 if a solver drove no trial to its end, 130 after Ctrl-C."""
     from moc_opt.study.compare import compare
 
     if given.out is not None:
@@ -81,7 +81,7 @@ def compare_solvers(given: argparse.Namespace) -> int:
 
 
 def list_or_study(given: argparse.Namespace) -> int:
-    """List the solvers, or run the whole study of them with its own arguments; returns its exit status."""
+    """List the solvers, or run the study of all solvers with its own arguments; returns the exit status."""
     if given.list:
         return print_list(given)
     from moc_opt.study import solvers

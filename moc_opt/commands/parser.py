@@ -1,4 +1,4 @@
-"""The commands of `moc-opt` as data: their options, and the function that does each, imported when it is run."""
+"""The commands of `moc-opt` as data: the options and the function of each. A function is imported when it is run."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ Option = tuple[tuple[str, ...], dict[str, Any]]
 
 
 class Command(NamedTuple):
-    """A command: who does it, what help says of it, its options, and below them its exit status."""
+    """A command: its function, its line in the help, its options, and the text below these (its exit status)."""
 
-    work: str  #: "module:function" of moc_opt; the function takes the parsed options and returns the exit status
+    work: str  #: "module:function" in moc_opt; the function takes the parsed options and returns the exit status
     about: str
     options: tuple[Option, ...]
     ends: str = ""
@@ -29,7 +29,7 @@ def option(*names: str, **settings: Any) -> Option:
 
 
 def path(text: str) -> Path:
-    """Return a path; an empty text would be the folder that one is in."""
+    """Return the text as a path. An empty text is refused: Path("") would mean the current folder."""
     if not text:
         raise argparse.ArgumentTypeError("give a name")
     return Path(text)
@@ -41,7 +41,7 @@ def flag(name: str, about: str) -> Option:
 
 
 def pages(name: str) -> tuple[Option, ...]:
-    """Declare the options of a command that makes a page NAME.html of saved traces."""
+    """Declare the options of a command that makes a page NAME.html from saved traces."""
     return (
         option("traces", nargs="+", type=path, help="Parquet, as `run --trace` writes; a baseline first"),
         option("--out", type=path, default=Path(f"{name}.html"), help=f"default {name}.html"),
@@ -60,29 +60,29 @@ COMMANDS = {
     "run": Command("commands.running:run_scenario", "run one scenario and print its metrics", (
         SCENARIO,
         option("--seed", type=int, help="replaces the scenario's seed"),
-        option("--solver", help="replaces the scenario's solver, its settings by defaults"),
+        option("--solver", help="replaces the scenario's solver; settings are then its defaults"),
         option("--robot", metavar="NAME|MY.toml", help="replaces the scenario's robot"),
-        option("--task", metavar="NAME|POINTS.csv", help="replaces the path; in a file one x,y,z [m] a line"),
-        option("--metric", action="append", metavar="NAME", help="print this metric alone; may be repeated"),
+        option("--task", metavar="NAME|POINTS.csv", help="replaces the path; a file has one x,y,z [m] per line"),
+        option("--metric", action="append", metavar="NAME", help="print only this metric; may be repeated"),
         ALL,
         option("--report", type=path, metavar="FILE.html", help="write metrics, curves and map to this page"),
         FORCE,
         option("--third-level", choices=("local", "planned", "receding"),
                help="replaces the scenario's [control] third_level"),
         option("--course", metavar="FILE.parquet", help="follow this course, written by `plan --out`"),
-        option("--trace", type=path, help="write the trace to this file (Parquet), after Ctrl-C the rows so far"),
+        option("--trace", type=path, help="write the trace to this file (Parquet); after Ctrl-C the rows so far"),
         JSON,
-    ), "Exit status: 0 the run completed; 2 the input is wrong; 3 it was stopped, ran away or oscillated, and what is "
-       "printed says so first; 130 interrupted, 1 an internal error: --trace then has the rows so far."),
+    ), "Exit status: 0 the run completed; 2 the input is wrong; 3 the run was stopped, ran away or oscillated (the "
+       "first line says so); 130 interrupted; 1 an internal error. After 130 and 1, --trace has the rows so far."),
     "plan": Command("commands.running:plan_scenario",
                     "before anything moves: whether and how well a scenario can be executed", (
         SCENARIO,
         option("--margin", type=float, metavar="RAD",
-               help="distance from the joint limits; default 0, or that of a third level that follows a course"),
+               help="distance from the joint limits; default 0, or course_margin_rad if a course is followed"),
         option("--margin-m", type=float, metavar="M", help="the same for a joint that slides"),
         option("--speed-share", type=float, metavar="S",
-               help="share of the joints' speed limits that a course may use, above 0 to 1; default 1, or that of "
-                    "such a third level"),
+               help="share of the joints' speed limits that a course may use, above 0 to 1; default 1, or "
+                    "course_speed_fraction if a course is followed: with --out, or third_level planned or receding"),
         option("--out", type=path, metavar="FILE.parquet", help="write the course to this file"),
         FORCE,
         JSON,
@@ -144,11 +144,11 @@ COMMANDS = {
         flag("--markdown", "print docs/scenario.md, or its part on that table"),
     )),
 }  # fmt: skip
-"""Every command but `robot`, which its room adds, in the order of the help."""
+"""Every command but `robot`, which `moc_opt.robots.command` adds, in the order of the help."""
 
 
 def make_parser() -> argparse.ArgumentParser:
-    """Make the parser of every command; ``command`` of what it parses is None where none is named."""
+    """Make the parser of all commands; its result has ``command`` None where no command is named."""
     parser = argparse.ArgumentParser(
         prog="moc-opt",
         description="moc-opt, or python -m moc_opt: scenarios, robots and solvers from the command line.",
@@ -165,7 +165,7 @@ def make_parser() -> argparse.ArgumentParser:
 
 
 def work_of(command: str) -> Callable[[argparse.Namespace], int]:
-    """Import the function that does a command."""
+    """Import and return the function of a command."""
     work = "robots.command:run_command" if command == "robot" else COMMANDS[command].work
     module, _, function = work.partition(":")
     found: Callable[[argparse.Namespace], int] = getattr(import_module(f"moc_opt.{module}"), function)

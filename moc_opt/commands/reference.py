@@ -1,4 +1,4 @@
-"""moc-opt keys: every key of a scenario with its type, default and meaning, read off the schema."""
+"""moc-opt keys: every key of a scenario with its type, default and meaning, read from the schema."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ error and forces in `[guard]` may be `inf`: no limit.
 WORDS = {int: "integer", float: "number", str: "text", bool: "flag", type(None): "", Any: "value"}
 
 
-Key = tuple[str, str, str, str]  # its name, type, default and meaning
+Key = tuple[str, str, str, str]  # name, type, default and meaning
 
 
 def print_keys(given: argparse.Namespace) -> int:

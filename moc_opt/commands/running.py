@@ -1,4 +1,4 @@
-"""The commands `run`, `plant`, `control` and `plan`: one scenario is run, in one process or in two, or planned."""
+"""The commands `run`, `plant`, `control` and `plan`: they run one scenario, in one process or in two, or plan it."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ POINTS = "give x, y, z [m], one point a line; the first line may name the column
 
 
 def read_scenario(path: Path | None) -> tuple[Scenario, str]:
-    """Return the scenario of a file, or the default one, and its name in messages."""
+    """Return the scenario of a file, or the default one, and the name that messages use."""
     scenario = Scenario() if path is None else Scenario.load(path)
     return scenario, scenario.name if path is None or "name" in scenario.model_fields_set else path.stem
 
 
 def print_tables(tables: Iterable[Table]) -> None:
-    """Print tables as the screen has room for them, with a blank line between two."""
+    """Print tables in the width of the screen, with a blank line between two."""
     screen = console()
     for place, table in enumerate(tables):
         if place:
@@ -43,7 +43,7 @@ def print_tables(tables: Iterable[Table]) -> None:
 
 
 def run_scenario(given: argparse.Namespace) -> int:
-    """Run, summarise against DCAC with the same gains, print, save."""
+    """Run a scenario, compare it with DCAC at the same gains, print and save; returns the exit status."""
     scenario, title = read_scenario(given.scenario)
     if "best_courses" not in scenario.model_fields_set:
         scenario = scenario.change(best_courses=True)
@@ -68,7 +68,7 @@ def run_scenario(given: argparse.Namespace) -> int:
 
 
 def _check_trace_out(file: Path | None, force: bool) -> None:
-    """Refuse, before any work, a trace or course that cannot be written there, or would replace another file."""
+    """Refuse, before any work, a trace or course that cannot be written, or would replace a file of another kind."""
     if file is not None:
         new_file(file)
         if not force:
@@ -91,7 +91,7 @@ def show(scenario: Scenario, title: str, trace: Trace, given: argparse.Namespace
         baseline = _matched_dcac(scenario, title, len(trace)) if scenario.control.law == "moc" else None
         metrics = summarize(trace, baseline)
         if getattr(given, "report", None) is not None:  # `plant` has none
-            from moc_opt.report.run_page import run_page  # plotly loads slowly
+            from moc_opt.report.run_page import run_page  # imported here, since plotly loads slowly
 
             own = about(trace)["solver"]
             runs = {own: trace} if baseline is None else {"DCAC (same gains)": baseline, own: trace}
@@ -119,7 +119,7 @@ def show(scenario: Scenario, title: str, trace: Trace, given: argparse.Namespace
 
 
 def changed(scenario: Scenario, given: argparse.Namespace) -> Scenario:
-    """Return the scenario with the options of ``run`` in place of its own values."""
+    """Return the scenario with its values replaced by the options of ``run`` that are given."""
     if given.course == "":
         raise ScenarioError("--course '': give the file that `moc-opt plan --out` wrote")
     if given.course and given.third_level not in (None, "planned"):
@@ -148,7 +148,7 @@ def changed(scenario: Scenario, given: argparse.Namespace) -> Scenario:
 
 
 def read_waypoints(path: str) -> list[list[float]]:
-    """Read points x, y, z [m], one a line, split by commas or spaces; a ScenarioError names a line that is none."""
+    """Read points x, y, z [m], one per line, split by commas or spaces; a ScenarioError names a line without one."""
     points: list[list[float]] = []
     for number, line in enumerate(read_text(path, "waypoints", ScenarioError).splitlines(), start=1):
         words = re.sub("[,\"']", " ", line.partition("#")[0]).split()
@@ -163,7 +163,7 @@ def read_waypoints(path: str) -> list[list[float]]:
 
 
 def _matched_dcac(scenario: Scenario, title: str, ticks: int) -> Trace | None:
-    """Return the first ticks of DCAC with the same gains; None, and a word on it, where it was stopped before."""
+    """Return the first ticks of DCAC with the same gains; if it ended before, print this and return None."""
     matched = scenario.change(control=scenario.control.matched_dcac(), bound_samples=0, best_courses=False)
     trace = _as_far_as_it_goes(lambda: run(matched))
     if len(trace) < ticks or "mu" not in trace.columns:
@@ -172,11 +172,11 @@ def _matched_dcac(scenario: Scenario, title: str, ticks: int) -> Trace | None:
     return trace.head(ticks)
 
 
-# --- plant and control: the two ends of a wire, each a process of its own ---
+# --- plant and control: the two ends of a wire, each in its own process ---
 
 
 def run_plant(given: argparse.Namespace) -> int:
-    """Wait for a controller, run against the clock, print as `run` does."""
+    """Wait for a controller, run in real time or in lock step, print the same as `run`; returns the exit status."""
     from moc_opt.realtime.clock import ask_for_realtime
     from moc_opt.realtime.wire import written
     from moc_opt.scenario.wired import PlantServer
@@ -194,7 +194,7 @@ def run_plant(given: argparse.Namespace) -> int:
 
 
 def run_control(given: argparse.Namespace) -> int:
-    """Answer a plant until its run ends, and print how it went."""
+    """Answer a plant until its run ends, and print how the run went; returns the exit status."""
     from moc_opt.realtime.clock import ask_for_realtime
     from moc_opt.scenario.wired import answer
 
@@ -214,13 +214,13 @@ def run_control(given: argparse.Namespace) -> int:
     else:
         flat = {name: value for name, value in told.items() if not isinstance(value, dict)}
         flat |= {f"{name}: {key}": v for name, of in told.items() if isinstance(of, dict) for key, v in of.items()}
-        rows = [{"what": name, "value": _words(value)} for name, value in flat.items() if value]  # not counts of zero
+        rows = [{"what": name, "value": _words(value)} for name, value in flat.items() if value]  # no zero counts
         print_tables([Table(f"Controller of {title}", [Column("what", "what"), Column("value", "value")], rows)])
     return 0 if found["ended"] == "completed" else 3
 
 
 def _words(value: Any) -> str:
-    if isinstance(value, dict) and value.keys() == {"count", "first_at_s", "first"}:  # of answers that were refused
+    if isinstance(value, dict) and value.keys() == {"count", "first_at_s", "first"}:  # a fault: refused answers
         return f"{value['count']}, first at {value['first_at_s']:.3f} s: {value['first']}"
     return value if isinstance(value, str) else to_json(value, indent=None)
 
@@ -229,13 +229,13 @@ def _words(value: Any) -> str:
 
 
 def plan_scenario(given: argparse.Namespace) -> int:
-    """Plan, print, and write the course; returns 3 where no course goes all the way."""
+    """Plan a scenario, print the plan, write the course; returns 0, or 3 where no course covers the whole path."""
     from moc_opt.report.plan_table import plan_json, plan_tables, start_toml
     from moc_opt.scenario.planned import followable_plan, following_warnings, save_course
 
     scenario, title = read_scenario(given.scenario)
     _check_trace_out(given.out, given.force)
-    follows = scenario.control.follows or given.out is not None  # a course is written to be followed
+    follows = scenario.control.follows or given.out is not None  # `--out` writes a course to follow later
     plan, within = followable_plan(scenario, given.margin, given.speed_share, given.margin_m, followed=follows)
     warned = following_warnings(scenario, plan) if follows else []
     path = save_course(plan, scenario, given.out, within) if given.out is not None and plan.course is not None else None

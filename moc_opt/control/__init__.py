@@ -2,8 +2,8 @@
 
 Read first: ``controller`` (a tick, from state to torque) and ``law`` (its numbers, for `moc_opt.core`, which has the
 equations). ``supervisor`` refuses wrong answers of a solver; ``safety_filter`` checks measurements and limits torques.
-Solvers are passed in: of ``solvers`` only ``base`` and ``isolated`` are imported here. sim never imports this room: its
-protocol of a safety filter is the interface.
+Solvers are passed in: of ``solvers`` only ``base``, ``exact`` and ``isolated`` are imported here. ``sim`` imports this
+package only for type checking.
 """
 
 from moc_opt.control.controller import Controller

@@ -24,8 +24,8 @@ from moc_opt.solvers.isolated import IsolatedSession
 class Guide(Protocol):
     """Gives the desired self-motion of every tick, in place of the climb of mu.
 
-    The subproblem's `pull` is (rho / c2) x_d in place of grad mu: on the feasible set the subproblem then is
-    min rho/2 |x - x_d|^2, and box, solver, supervisor and residual check are those of every other run.
+    The subproblem's `pull` is then (rho / c2) x_d instead of grad mu, so that its cost on the feasible set is
+    rho/2 |x - x_d|^2 up to a constant. Box, solver, supervisor and residual check are the same as in every other run.
     """
 
     def start(self) -> None:
@@ -36,17 +36,17 @@ class Guide(Protocol):
 
 
 class Controller:
-    """One arm, one law, one solver, as the closed loop calls it: ``start`` once, then ``tick`` every period.
+    """One arm, one law and one solver. The closed loop calls ``start`` once, then ``tick`` every period.
 
-    After a tick, ``state`` is the model's, and ``subproblem``, ``solution``, ``answer``, ``fault`` and ``solve_us`` say
-    what the third level did (under DCAC None, None, NaN, ``Fault.NONE`` and NaN).
+    After a tick, ``state`` holds the model's terms, and ``subproblem``, ``solution``, ``answer``, ``fault`` and
+    ``solve_us`` describe the third level (under DCAC: None, None, NaN, ``Fault.NONE`` and NaN).
 
     Args:
         robot: the model that the control law uses.
         settings: see ControlSettings.
         solver: for law "moc"; None for "dcac".
         period: control period [s]; the observer integrates over it.
-        times_us: recorded solve times that replace the clock where a solve has a time budget.
+        times_us: recorded solve times [us], used instead of the clock.
         guide: gives the velocity that replaces the gradient of mu; needs regularization and c2 above 0.
 
     Raises:
@@ -65,8 +65,8 @@ class Controller:
         if guide is not None or (settings.climb == "scaled" and settings.law == "moc"):
             settings.check_guided()
         self._guide, self._n, self._row_length = guide, robot.n, row_length(robot.n)
-        self._torques = slice(-robot.n, None)  # of what the core returns
-        self._exact = solver if type(solver) is Exact else None  # the core's own: no session, and no copies for it
+        self._torques = slice(-robot.n, None)  # the torque, which ends the core's result
+        self._exact = solver if type(solver) is Exact else None  # runs inside the core: no session, no copies
         self._started = False
         self._supervisor = Supervisor(settings.supervisor, self._law, robot.n, period, times_us)
         self._forget()
@@ -81,7 +81,7 @@ class Controller:
         self._ticked: tuple[Status, Array] | None = None
 
     def _take_apart(self) -> None:
-        """Read the last tick of the core's own solver, once somebody asks for it."""
+        """Split the core's result of the last tick under `exact` into its parts, once one of them is asked for."""
         if self._ticked is None:
             return
         status, out = self._ticked
@@ -104,29 +104,29 @@ class Controller:
 
     @property
     def solution(self) -> Solution | None:
-        """The solver's answer to it."""
+        """The solver's answer to the last tick's subproblem; None under DCAC."""
         self._take_apart()
         return self._solution
 
     @property
     def answer(self) -> Array:
-        """What the third level followed, (n,) [rad/s]: the answer, or the supervisor's substitute; NaN under DCAC."""
+        """The x (n,) [rad/s] that the third level followed: answer or supervisor's substitute; NaN under DCAC."""
         self._take_apart()
         return self._answer
 
     fault = property(lambda self: self._supervisor.fault, doc="The fault of the last tick's answer.")
     solve_us = property(
         lambda self: self._supervisor.solve_us,
-        doc="The time of the last tick's solve [us], of `exact` that in the core alone; NaN where there was none.",
+        doc="Time of the last tick's solve [us], under `exact` without the binding; NaN where nothing was solved.",
     )
     faults = property(
         lambda self: self._supervisor.faults,
-        doc="Since the start: a Fault's label -> its ``count``, ``first_at_s`` and ``first`` in words.",
+        doc="Faults since the start: label -> ``count``, ``first_at_s`` and ``first``, the first one's message.",
     )
 
     @property
     def restarts(self) -> list[dict[str, Any]]:
-        """When the process of an isolated solver was replaced since the start [s], and why."""
+        """Replacements of an isolated solver's process: ``at_s``, the time since the start, and ``reason``."""
         found = self._session.restarts if isinstance(self._session, IsolatedSession) else []
         return [{"at_s": self._period * restart.tick, "reason": restart.reason} for restart in found]
 
@@ -144,7 +144,7 @@ class Controller:
     def start(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> None:
         """Reset the state and set up the solver for problems like the one at this measurement; arguments as for `tick`.
 
-        A copy runs one discarded tick first, so that libraries have set up before the loop.
+        First a copy runs one tick, whose result is discarded, so that libraries do their own set-up before the loop.
 
         Raises:
             ControlError: the solver does not support the subproblem, or raises an exception at its start.
@@ -182,7 +182,7 @@ class Controller:
         x_d = None if self._guide is None else self._guide.desired_velocity(self.robot.state(q, v))
         try:
             return self._torque(q, v, tip_ref, trocar, x_d)
-        except ValueError:  # the core takes contiguous arrays of finite floats alone: convert, and try once more
+        except ValueError:  # the core takes only contiguous arrays of finite floats: convert, and try once more
             state, tip_ref, trocar = self.robot.state(q, v), _rows("tip_ref", tip_ref, 3), _rows("trocar", trocar, 2)
             return self._torque(state.q, state.v, tip_ref, trocar, x_d)
 
@@ -191,7 +191,7 @@ class Controller:
             status, self._record, out = self._supervisor.step(q, v, tip_ref, trocar, x_d, self._exact.tolerance)
             self._ticked = status, out
             return out[self._torques]
-        # tau_tip + tau_rcm - r, and the subproblem
+        # tau_tip + tau_rcm + tau_ff - r, and the subproblem
         self._record, row = self._law.begin(q, v, tip_ref, trocar, x_d)
         if self._session is not None:
             self._subproblem = qp = NullSpaceQP.from_row(row)
@@ -200,23 +200,23 @@ class Controller:
             seen = v if self._observes else None
             self._solution, self._answer, tau = self._supervisor.solve(self._session, qp, seen)
         else:
-            tau = self._law.finish(0, 0, v, 0.0)[2]  # no answer is looked at
+            tau = self._law.finish(0, 0, v, 0.0)[2]  # DCAC has no answer to check
         return read_only(tau)
 
     def set_applied_torque(self, tau: Array) -> None:
-        """Replace the last torque by the one (n,) [Nm] that was applied: the observer uses it."""
+        """Replace the last computed torque by the applied one (n,) [Nm], which the observer uses."""
         if not np.isfinite(tau).all():
             raise ControlError(f"applied torque = {np.asarray(tau).tolist()} is not finite: the observer cannot use it")
         self._law.set_applied(np.ascontiguousarray(tau, dtype=np.float64))
 
     def columns(self, ticks: int) -> dict[str, NDArray[Any]]:
-        """Create the third level's columns of a trace; none but status and solve time under DCAC."""
+        """Create the third level's columns of a trace; under DCAC only status and solve time."""
         found: dict[str, NDArray[Any]] = {
             "status": np.full(ticks, "none", dtype="<U12"), "solve_us": np.full(ticks, np.nan)
         }  # fmt: skip
         if self.solver is not None:
             n, end = self._n, self._row_length
-            # One block, in the order in which the core gives a tick's row, x, y and the answer that is followed.
+            # One block in the order of the core's result: the tick's row, x, y and the answer that is followed.
             self._block = block = np.full((ticks, end + 2 * n + 6), np.nan)
             found |= {
                 "subproblem": block[:, :end], "x_rad_per_s": block[:, end : end + n],
@@ -227,7 +227,7 @@ class Controller:
         return found
 
     def note(self, row: int, columns: Mapping[str, NDArray[Any]]) -> None:
-        """Write the last tick's values into a row of them."""
+        """Write the last tick's values into one row of these columns."""
         if self._ticked is not None and self._ticked[0] is Status.SOLVED:
             status, out = self._ticked
             self._block[row] = out[: -self._n]
@@ -254,7 +254,7 @@ def _rows(name: str, given: Array, count: int) -> Array:
 
 
 def _start_session(solver: Solver, qp: NullSpaceQP) -> Session:
-    # A MocOptError of the solver passes; whatever else it raises is told in words.
+    # A MocOptError of the solver passes unchanged; any other exception becomes a ControlError with its message.
     name = "?"
     try:
         name = repr(solver.name)

@@ -1,4 +1,4 @@
-"""From settings and an arm to the core's law, whose equations stand in docs/method.md and `moc_opt/core/levels.c`."""
+"""Settings and an arm as numbers of the core's law (equations: docs/method.md and `moc_opt/core/levels.c`)."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from moc_opt.control.settings import ControlSettings, per_joint
 from moc_opt.errors import ControlError
 from moc_opt.robots.model import RobotModel
 
-PROJECTORS = ("dynamic", "static", "as_published")  #: In the order of the core's enums, as the next two.
+PROJECTORS = ("dynamic", "static", "as_published")  #: This and the next two: in the order of the core's enums.
 FALLBACKS = ("damping", "hold", "least-violation")
 LATE = ("hold", "zero", "iterate")
-COURSE_K0_PER_S = 10.0  #: Least k0 of the box under a course, which brakes off before a limit by itself.
+COURSE_K0_PER_S = 10.0  #: Smallest k0 of the box under a course: the course itself brakes before a limit.
 _CHECKS = ("check", "box_limit", "primal_limit", "relative_limit", "opposite_limit", "keep_off_limits")
 
 
@@ -22,7 +22,7 @@ def numbers_of(settings: ControlSettings, robot: RobotModel, period: float) -> d
     """Return the law's numbers by the names of the core's moc_law and moc_supervision.
 
     Args:
-        period: of control [s].
+        period: control period [s].
 
     Raises:
         ControlError, UnknownNameError: a gain is missing, the box leaves a joint no room, or the observer's gain is
@@ -31,7 +31,7 @@ def numbers_of(settings: ControlSettings, robot: RobotModel, period: float) -> d
     n, moc, follows, supervisor = robot.n, settings.law == "moc", settings.follows, settings.supervisor
     gains = settings.resolve_gains(robot.data.gains, n)
     gain, damping = gains.K_N2, gains.D_N2
-    if follows:  # x is the desired speed: its error is damped, not the speed itself
+    if follows:  # x is the desired velocity: level 3 damps v - x, not v
         gain, damping = gain + damping, np.zeros(n)
     if not moc:
         damping = per_joint("[control] dcac_damping", settings.dcac_damping, n)
@@ -50,7 +50,7 @@ def numbers_of(settings: ControlSettings, robot: RobotModel, period: float) -> d
             f"[control] {kind} = {margin[j]}: nothing is left of joint {j + 1} between its limits; give less than "
             f"{half[j]:.3g}"
         )
-    fraction = 1.0 if follows else settings.speed_fraction  # a course keeps a share of the speed by itself
+    fraction = 1.0 if follows else settings.speed_fraction  # a course has its own limit on speed
     return {
         **{name: getattr(settings, name) for name in ("feedforward", "c0", "c1", "c2")},
         **{name: getattr(supervisor, name) for name in _CHECKS},

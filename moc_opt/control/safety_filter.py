@@ -1,6 +1,6 @@
-"""The safety filter: limits of torque and motion that act on every output of the levels, and the request to stop.
+"""The safety filter: it checks every measurement, limits torque and motion at every tick, and requests the stop.
 
-`moc_opt/core/guard.c` has every limit and every reason to stop; docs/reliability.md has its formula and level. In a
+`moc_opt/core/guard.c` has every limit and every reason to stop; docs/reliability.md has their formulas and levels. In a
 stop the drives brake, and the torque carries the arm's weight in the last pose that passed the checks.
 """
 
@@ -18,14 +18,14 @@ from moc_opt.errors import ControlError
 from moc_opt.robots.model import RobotModel, RobotState
 
 PRESS_PER_S = 50.0  # rate of the low-pass of the trocar's force in a stop [1/s]
-MOST_TICKS = 2**31 - 1  # of C
-_SETTLED = 6.0  # time constants of the residual, after which it has settled
+MOST_TICKS = 2**31 - 1  # the largest int of C
+_SETTLED = 6.0  # the momentum residual counts as settled after this many of its time constants
 _NO_WRENCH = np.full(6, np.nan)
 _LATE, _TIP = core.REASONS.index("measurements are too late"), core.REASONS.index("the tip has been off its reference")
 _WATCHED = (
     ("the RCM error", "rcm_warning_m", "rcm_error_m", "mm", 1e3),
     ("the trocar's force", "trocar_force_warning_N", "trocar_force_N", "N", 1.0),
-)  # figure, its warning level and its limit in the settings, unit in messages and the factor to it
+)  # figure, settings of its warning level and its limit, unit in messages, factor from SI to that unit
 _AS_SET = (  # settings that go to the core under their own names
     "speed_factor", "stop_holding", "motion", "motion_s", "motion_rad", "motion_lag_s", "repeat_m", "repeat_torque",
     "repeat_whole_m", "repeat_whole_torque", "repeat_whole_ticks", "repeat_joint_ticks", "repeat_reading_ticks",
@@ -37,12 +37,12 @@ class SafetyFilter:
     """Check measurements and limit torques of one arm.
 
     Args:
-        robot: the model of the arm; its limits, tool and friction count.
+        robot: the model of the arm; its limits, tool and friction are used.
         settings: see SafetyFilterSettings.
         period: control period [s].
         carries: whether the torque carries the arm's weight; False for drives that do so by themselves.
         incision: False for an arm that is in no incision: RCM error and trocar force are not checked then.
-        momentum: whether the motion is compared with the torque also where the controller shows no state of the arm.
+        momentum: whether the state is computed here if the controller provides none, to compare motion and torque.
 
     Attributes:
         limited: number of joints at which the last torque was changed.
@@ -70,7 +70,7 @@ class SafetyFilter:
         """Begin at the first measurement, number ``stamp``. A joint that starts inside its wall is not pushed out.
 
         Raises:
-            ControlError: it is not finite.
+            ControlError: the measurement is not finite.
         """
         if not (np.isfinite(q).all() and np.isfinite(v).all()):
             raise ControlError(f"measured q = {q.tolist()}, v = {v.tolist()}: not finite; check the sensors")
@@ -83,13 +83,13 @@ class SafetyFilter:
     ) -> tuple[Array, Array]:  # fmt: skip
         """Return the measurement, or the last accepted one extrapolated if this one is late or impossible.
 
-        The stop is requested if bad measurements last too long, or if the measurements show another motion than the
-        torque made.
+        The stop is requested if bad measurements last too long, if readings repeat or contradict each other, or if
+        the RCM error or the trocar's force is above its limit.
 
         Args:
             q, v: (n,) measured [rad], [rad/s].
             stamp: number of the control period in which they were taken, by the arm's count; None: not known.
-            applied: (n,) torque that was applied before [Nm]; None: not known.
+            applied: (n,) torque that was applied last [Nm]; None: not known.
             wrench: (6,) force [N] and torque [Nm] of the tool on its mount, tool axes; None: not known.
             trocar: (2, 3) rows P_t, dP_t, as registered: RCM error and trocar force are checked at the pose that is
                 believed; None: the arm is in no incision.
@@ -115,7 +115,7 @@ class SafetyFilter:
         return found
 
     def request_stop(self, reason: str) -> None:
-        """Request the stop; the first reason stays, and an empty one is none."""
+        """Request the stop. The first reason is kept; an empty one requests nothing."""
         self.reason = self.reason or reason
 
     def limit_torque(
@@ -149,7 +149,7 @@ class SafetyFilter:
     def stop_torque(self, before: Array) -> Array:
         """Return the torque (n,) [Nm] of a damped stop: the weight of the arm in the last pose that was accepted.
 
-        The last torque, held, would go on pushing.
+        Holding the last torque instead would go on pushing the arm.
         """
         self.limited = 0
         return self._guard.rest(np.ascontiguousarray(before, dtype=np.float64))
@@ -157,8 +157,8 @@ class SafetyFilter:
     def brake_friction(self, wrench: Array) -> Array:
         """Return the dry friction (n,) [Nm] of the brakes in a stop; zero while the trocar presses the shaft hard.
 
-        They open at ``stop_yield_N``, close again at half of it or after ``stop_yield_s``, and open once more if the
-        force has risen by another ``stop_yield_N``; `moc_guard_hold` in guard.c says why.
+        The brakes open at ``stop_yield_N``, close again at half of it or after ``stop_yield_s``, and open once more if
+        the force has risen by another ``stop_yield_N``; `moc_guard_hold` in guard.c says why.
 
         Args:
             wrench: (6,) force [N] and torque [Nm] of the tool on its mount, tool axes.
@@ -169,10 +169,10 @@ class SafetyFilter:
 def numbers_of(
     settings: SafetyFilterSettings, robot: RobotModel, period: float, carries: bool = True, incision: bool = True
 ) -> dict[str, Any]:
-    """Return the settings by the names of the core's moc_guard, on this arm.
+    """Return the fields of the core's moc_guard for these settings and this arm.
 
     Args:
-        period: of control [s]; the others are those of `SafetyFilter`.
+        period: control period [s]; the other arguments are those of `SafetyFilter`.
     """
     data, s = robot.data, settings
     margins = np.where(robot.chain.prismatic, s.position_margin_m, s.position_margin_rad)
@@ -191,7 +191,7 @@ def numbers_of(
         "tool_mass": data.tool_mass, "tool_length": data.tool_length, "tip_force": _or_infinite(s.tip_force_N),
         "stop_yield": _or_infinite(s.stop_yield_N), "stop_yield_ticks": round(s.stop_yield_s / period),
         "press_share": min(1.0, PRESS_PER_S * period),
-        # One encoder with noise repeats itself, or an earlier reading, with a chance p; all n of them with p^n.
+        # If one noisy encoder repeats a reading with probability p, all n do with p^n: the ticks are divided by n.
         "replayed_ticks": max(float(s.repeat_whole_ticks), _or_infinite(s.repeat_joint_ticks) / robot.n),
         "stuck_speed": s.stuck_rad_per_s, "held": np.minimum(s.stuck_torque * data.tau_max, coulomb),
         "residual_whole": s.residual_whole_torque, "residual_rate": s.residual_rate_per_s,

@@ -13,8 +13,8 @@ from moc_opt.inputs.settings import Level, Settings
 class SafetyFilterSettings(Settings):
     """Limits of the safety filter, and what it does in a stop.
 
-    The first ones, up to ``residual_s``, with ``jump_rad``, ``speed_factor`` and ``patience_ticks``, decide whether a
-    measurement is believed to show the arm.
+    The fields up to ``residual_s``, and ``jump_rad``, ``speed_factor`` and ``patience_ticks``, decide whether
+    measurements are trusted.
     """
 
     KIND: ClassVar[str] = "[guard]"

@@ -37,7 +37,7 @@ class Gains(NamedTuple):
     D_X: float
     K_N: float
     D_N: float
-    K_N2: Array  #: (n,) [N m s/rad]; zero under law ``dcac``, as D_N2.
+    K_N2: Array  #: (n,) [N m s/rad]; zero under law ``dcac``, like D_N2.
     D_N2: Array  #: (n,) [N m s/rad]
 
 
@@ -129,10 +129,10 @@ class ControlSettings(Settings):
     @classmethod
     def _name_of_a_table(cls, given: Any) -> Any:
         if isinstance(given, Mapping):
-            raise ValueError(  # noqa: TRY004 - pydantic turns no other error into the field's
+            raise ValueError(  # noqa: TRY004 - pydantic names the field only for a ValueError
                 "give the name of a table of the robot's file; single gains are keys of [control] itself"
             )
-        return None if given == "" else given  # a file has no None
+        return None if given == "" else given  # TOML has no None
 
     @model_validator(mode="after")
     def _in_agreement(self) -> Self:
@@ -171,7 +171,7 @@ class ControlSettings(Settings):
         """Return the changes that make these settings DCAC with the same gains: the baseline of a fair comparison."""
         return {
             "law": "dcac", "gains": self.gains or self.law, "third_level": "local", "course": "",
-            "observer_gain_per_s": self.observer_rate_per_s,  # a course has one of its own
+            "observer_gain_per_s": self.observer_rate_per_s,  # DCAC follows no course, but keeps its gain
         }  # fmt: skip
 
     @property
@@ -191,7 +191,7 @@ class ControlSettings(Settings):
 
         Raises:
             UnknownNameError: ``gains`` is no table of this robot.
-            ControlError: a gain that this law needs stands nowhere, or does not fit the number of joints.
+            ControlError: a gain that this law needs is neither set nor in the table, or does not fit the joints.
         """
         name = self.gains or self.law
         if name not in tables:
@@ -212,7 +212,7 @@ class ControlSettings(Settings):
 
 
 def per_joint(name: str, value: Any, joints: int) -> Array:
-    """Return one number for all joints, or one per joint, as (n,); a ControlError where their number is another."""
+    """Return one number for all joints, or one per joint, as (n,); a ControlError for another count of numbers."""
     if not isinstance(value, int | float) and len(value) != joints:
         count = f"{len(value)} entries for {joints} joints"
         raise ControlError(f"{name} = {value!r} has {count}: give one number, or one per joint")

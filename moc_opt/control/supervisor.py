@@ -1,9 +1,9 @@
 """The supervisor of the third level: every answer is checked before the arm follows it.
 
-Tip and RCM control never depend on a solver. An answer with a fault is replaced: by the last good one for a few ticks,
-then by null-space damping alone. Every such tick is counted and named in the trace, and the first of each kind is kept
-in words. A solver gets a copy of the subproblem, and its answer is copied before the check: what it writes into either
-afterwards reaches neither the check nor the torque.
+Tip and RCM control never depend on a solver. An answer with a fault is replaced by the last good one for a few ticks,
+then by damping; `fallback` and `late` have other choices. Each fault is counted and named in the trace, and the message
+of the first one of each kind is kept. A solver gets a copy of the subproblem, and its answer is copied before the
+check: what the solver writes into these arrays afterwards reaches neither the check nor the torque.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class Fault(Enum):
 
 def _raise_interrupt(error: BaseException) -> None:
     found: BaseException | None = error
-    for _ in range(10):  # no chain is as long, but foreign code may close one to a ring
+    for _ in range(10):  # longer than any real chain; one of foreign code may be cyclic
         if found is None or isinstance(found, KeyboardInterrupt):
             break
         found = found.__cause__ or found.__context__
@@ -85,7 +85,7 @@ class SupervisorSettings(Settings):
 
 _FAULTS = tuple(Fault)  #: In the order of the core's enum.
 _CLAIMS = {Status.SOLVED: 0, Status.INFEASIBLE: 1, Status.MAX_ITER: 2, Status.TIME_LIMIT: 2}
-"""Status -> the core's claim; any other is that there is no answer."""
+"""Status -> the core's number of the claim; every other status means ``_NO_ANSWER``."""
 _NO_ANSWER = 3
 _NAN = float("nan")
 
@@ -94,11 +94,11 @@ MOST_ITERATIONS = 2**31 - 1  #: The largest number that a trace can hold.
 
 
 def received(given: object, n: int) -> tuple[Solution, str]:
-    """Copy a solver's answer, and return what is wrong with its form as a ``Solution`` ("" for nothing).
+    """Return a copy of a solver's answer, and a message if the answer is not a well-formed ``Solution`` (else "").
 
-    The copy shares no memory with the solver's: x (n,) and y (6,) are arrays of float64 without gaps, iterations an
-    int that fits 32 bits. If any part is malformed, the whole answer is refused and x is NaN. NaN in x or y is no
-    error of form.
+    The copy shares no memory with the solver's: x (n,) and y (6,) are contiguous arrays of float64, and iterations is
+    an int that fits 32 bits. If any part is malformed, the whole answer is refused and x is NaN. NaN in x or y is not
+    malformed.
     """
     if not isinstance(given, Solution):
         return no_answer(n, Status.NUMERICAL), f"solve returned a {type(given).__name__}: return a Solution"
@@ -128,12 +128,12 @@ class Supervisor:
         settings: limits of the check, and the replacement.
         law: the core's, which holds the subproblem of this tick and the last good answer.
         n: joints.
-        period: of control [s].
-        times_us: recorded solve times that replace the clock, so that a run with deadlines can be
+        period: control period [s].
+        times_us: recorded solve times [us] that replace the clock, so that a run with deadlines can be
             repeated exactly; None: the clock decides. After the last recorded time the clock decides too.
 
-    ``faults`` has, by a fault's label, its ``count`` since the start, ``first_at_s`` from there, and ``first``: the
-    message of the first one (that of the exception, if the solver raised one).
+    ``faults`` maps a fault's label to its ``count``, ``first_at_s`` (the time of the first one, both since the start)
+    and ``first`` (its message, or that of the exception if the solver raised one).
     """
 
     def __init__(
@@ -152,11 +152,11 @@ class Supervisor:
         self.faults: dict[str, dict[str, Any]] = {}
 
     def solve(self, session: Session, qp: NullSpaceQP, v: Array | None = None) -> tuple[Solution, Array, Array]:
-        """Ask the session, check its answer, and finish the law's tick with one in any case.
+        """Ask the session, check its answer, and finish the law's tick with that answer or its replacement.
 
-        Copies of the subproblem ``qp`` that the law has begun, and of the measured velocity ``v`` (n,) [rad/s] where
-        the session observes it, go to the session. It returns the solver's answer, the x (n,) that the arm follows,
-        and the law's torque (n,) [Nm].
+        The session gets copies of ``qp``, the subproblem of the tick that the law has begun, and of ``v``, the measured
+        velocity (n,) [rad/s] if the session observes it. The result is the solver's answer, the x (n,) that the arm
+        follows, and the law's torque (n,) [Nm].
         """
         solution, known, text = self._ask(session, qp, v)
         number, x, tau = self._law.finish(
@@ -171,8 +171,8 @@ class Supervisor:
     ) -> tuple[Status, Array, Array]:
         """Do the whole tick in the core, with its own solver `exact`; arguments as for `core.Law.begin`.
 
-        It returns the solver's status, the arm's record, and (14 n + 16,): the subproblem's record, the solver's x (n,)
-        and y (6,), the x (n,) that the arm follows, and the law's torque (n,) [Nm].
+        The result is the solver's status, the arm's record, and one array (14 n + 16,): the subproblem's record, the
+        solver's x (n,) and y (6,), the x (n,) that the arm follows, and the law's torque (n,) [Nm].
         """
         given_us = _NAN if self._times is None else next(self._times, _NAN)
         code, number, self.solve_us, record, out = self._law.step(q, v, tip_ref, trocar, x_d, tolerance, given_us)

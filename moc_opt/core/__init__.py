@@ -1,7 +1,7 @@
-"""The tick in C: arm, law, subproblem, `exact`, the network, the safety filter. `moc.h` is where to begin.
+"""The tick in C: arm, law, subproblem, `exact`, the network, the safety filter. Begin with `moc.h`.
 
-`tools.h` has what Python needs beside the controller. The binding (`arguments.c`, `python*.c`, `plant.c`) checks every
-array (float64, C-contiguous, its shape) and raises ValueError or TypeError; it keeps none of them.
+`tools.h` declares functions for Python outside the controller. The binding (`arguments.c`, `python*.c`, `plant.c`)
+checks every array (float64, C-contiguous, its shape), raises ValueError or TypeError, and keeps no array.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Read files (TOML, JSON, numpy's arrays) within limits of size, and write them whole.
 
-`write_whole` is the only function of the package that writes a file for the user. ``what`` is the kind of file for the
-message of the error, and ``error`` its type: it is raised where a file cannot be read or written.
+`write_whole` is the only function of the package that writes a file for the user. If a file cannot be read or written,
+each function raises ``error``, whose message calls the file ``what`` (its kind).
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ Wrong = type[MocOptError]
 
 
 def as_path(path: object, what: str, error: Wrong) -> Path:
-    """Return ``path`` as a Path; raise ``error`` where it is no path."""
+    """Return ``path`` as a Path; raise ``error`` where it is not one."""
     if isinstance(path, str) or (isinstance(path, os.PathLike) and isinstance(os.fspath(path), str)):
         return Path(path)
     raise error(f"{what} {shown(path)} is no path: give the name of a file as text, or a pathlib.Path")
@@ -49,7 +49,7 @@ def read_bytes(path: Path_, what: str, error: Wrong, most: int = MOST_TEXT) -> b
             return Path(path).read_bytes()
     except FileNotFoundError:
         why = ": no such file; check the path"
-    except (OSError, ValueError) as reason:  # a ValueError: a NUL in the name
+    except (OSError, ValueError) as reason:  # ValueError: the name has a NUL
         why = f" cannot be read ({reason}); check the path"
     raise error(f"{what} {os.fspath(path)!r}{why}")
 
@@ -67,37 +67,37 @@ def read_toml(path: Path_, what: str, error: Wrong) -> dict[str, Any]:
     text = read_text(path, what, error)
     try:
         return tomllib.loads(text)
-    except (ValueError, RecursionError) as reason:  # also an integer of thousands of digits
+    except (ValueError, RecursionError) as reason:  # ValueError also for an integer of thousands of digits
         raise error(f"{what} {os.fspath(path)!r} is not TOML: {reason}") from reason
 
 
 def read_arrays(path: Path_, what: str, error: Wrong) -> dict[str, Any]:
-    """Read the arrays of a .npz file, or that of a .npy file under the name "", as numpy arrays."""
+    """Read the numpy arrays of a .npz file by name, or the array of a .npy file under the name ""."""
     import numpy as np
 
     data = read_bytes(path, what, error, MOST_ARRAYS)
     try:
         found = np.load(io.BytesIO(data), allow_pickle=False)
         return {"": found} if isinstance(found, np.ndarray) else dict(found)
-    except Exception as reason:  # a damaged archive raises anything, and its text may quote the file
+    except Exception as reason:  # a damaged file may raise anything, with its bytes in the message
         why = f"{what} {os.fspath(path)!r} is damaged or no file of arrays ({type(reason).__name__})"
         raise error(f"{why}: write it with numpy.save") from reason
 
 
 def decimal(text: str) -> float:
-    """Read a decimal number; NaN for any other text, such as 0_1 or digits of another script, which float() takes."""
+    """Read a decimal number; NaN for other texts, even if float() takes them (0_1, digits of other scripts)."""
     return float(text) if re.fullmatch(r"[+-]?(\d+(\.\d*)?|\.\d+)(e[+-]?\d+)?", text, re.ASCII | re.I) else math.nan
 
 
 def check_replaceable(path: Path_, what: str, error: Wrong) -> Path:
-    """Check before any work that a file can be written: its folder can, and no folder, pipe or device is there."""
+    """Check, before any work, that the folder can be written to and the path is no folder, pipe or device."""
     target = as_path(path, what, error)
     with _writing(target, what, error):
         with contextlib.suppress(FileNotFoundError):
             if not stat.S_ISREG(os.stat(target).st_mode):
                 raise OSError("a folder, pipe or device is there")
         folder = next(folder for folder in (*target.absolute().parents, target) if folder.exists())
-        with tempfile.TemporaryFile(dir=folder):  # root may write to /proc by its rights, and yet cannot
+        with tempfile.TemporaryFile(dir=folder):  # permissions do not tell: root cannot write to /proc
             pass
     return target
 
@@ -105,10 +105,10 @@ def check_replaceable(path: Path_, what: str, error: Wrong) -> Path:
 def write_whole(path: Path_, data: bytes | str, what: str = "file", error: Wrong = MocOptError) -> Path:
     """Write bytes, or a text in UTF-8, all or nothing: an older file stays until the new one is on the disk.
 
-    The folder is made. A link of that name is replaced, not followed.
+    The folder is made if need be. A link at this path is replaced, not followed.
     """
     target = check_replaceable(path, what, error)
-    # In the same folder, because only there is a rename atomic.
+    # In the same folder, because a rename is atomic only within one file system.
     unfinished = target.with_name(f".{target.name[:40]}.{secrets.token_hex(8)}.tmp")
     with _writing(target, what, error):
         try:
@@ -128,7 +128,7 @@ def write_whole(path: Path_, data: bytes | str, what: str = "file", error: Wrong
 def _writing(target: Path, what: str, error: Wrong) -> Iterator[None]:
     try:
         yield
-    except (OSError, ValueError) as reason:  # a ValueError: a NUL in the name
+    except (OSError, ValueError) as reason:  # ValueError: the name has a NUL
         why = getattr(reason, "strerror", None) or str(reason)
         raise error(
             f"{what} {str(target)!r} cannot be written in the folder {str(target.absolute().parent)!r} ({why}): make "
@@ -137,7 +137,7 @@ def _writing(target: Path, what: str, error: Wrong) -> Iterator[None]:
 
 
 def plain(value: Any) -> Any:
-    """Return the same with nothing but JSON's own types; numpy's numbers as numbers, NaN and infinity as None."""
+    """Convert a value to JSON's own types: numpy's numbers become numbers; NaN and infinity become None."""
     if isinstance(value, Mapping):
         return {str(key): plain(entry) for key, entry in value.items()}
     if isinstance(value, list | tuple):
@@ -150,12 +150,12 @@ def plain(value: Any) -> Any:
 
 
 def to_json(value: Any, *, indent: int | None = 2, sort_keys: bool = False) -> str:
-    """Write as JSON that any reader takes, NaN as null; a TypeError where JSON cannot hold a value."""
+    """Return a value as strict JSON, with NaN and infinity as null; a TypeError where JSON cannot hold a value."""
     return json.dumps(plain(value), indent=indent, sort_keys=sort_keys, allow_nan=False)
 
 
 def to_toml(table: Mapping[str, Any]) -> str:
-    """Write a table of texts, numbers, flags, lists and tables as TOML: `read_toml` reads the same, to the last bit.
+    """Return a table of texts, numbers, flags, lists and tables as TOML; `read_toml` reads the same to the last bit.
 
     Raises:
         TypeError: a value that TOML cannot hold, None among them; the message names its key.
@@ -180,7 +180,7 @@ def _toml_value(value: Any, where: str) -> str:
         value = value.tolist()
     if isinstance(value, float):
         return repr(value)
-    if isinstance(value, str | int):  # flags among them; JSON's escapes are TOML's, but for DEL
+    if isinstance(value, str | int):  # bool is an int; TOML has JSON's escapes, but not a bare DEL
         return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
     if isinstance(value, list | tuple):
         return f"[{', '.join(_toml_value(entry, where) for entry in value)}]"

@@ -13,17 +13,17 @@ _NAME = re.compile(r"[A-Za-z0-9_](?:[A-Za-z0-9_ .:+/-]*[A-Za-z0-9_])?")
 
 
 def is_name(text: object) -> bool:
-    """Say whether ``text`` can name a robot, link, joint, scenario or solver (see `RULE`)."""
+    """Return whether ``text`` can name a robot, link, joint, scenario or solver (see `RULE`)."""
     return isinstance(text, str) and len(text) <= MAX_LENGTH and ".." not in text and bool(_NAME.fullmatch(text))
 
 
 def checked(text: str) -> str:
-    """Return a name as it is; a ValueError where it is none."""
+    """Return a valid name unchanged; a ValueError for any other text."""
     if not is_name(text):
         raise ValueError(f"{text!r:.80} is no name: {RULE}")
     return text
 
 
 def in_markdown(text: str) -> str:
-    """Escape a text, so that Markdown and the HTML in it show it and do nothing else."""
+    """Escape a text so that Markdown and HTML show its characters and interpret none of them."""
     return re.sub(r"[^A-Za-z0-9 .,:;()/%°µ-]", lambda found: f"&#{ord(found.group())};", text)

@@ -1,4 +1,4 @@
-"""Additions of other packages by entry points: found once, loaded at first use, listed with the reason if broken."""
+"""Plug-ins of other packages, by entry points: found once, loaded at first use, listed with the reason if broken."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from moc_opt.errors import MocOptError, describe
 
 
 def plugins(group: str) -> dict[str, list[EntryPoint]]:
-    """Map each name of a group to the different entry points that claim it; one that is announced twice counts once."""
+    """Map each name of a group to the different entry points that claim it; equal entry points count once."""
     return _scan(group, tuple(sys.path))
 
 
@@ -30,7 +30,7 @@ def in_words(point: EntryPoint) -> str:
 
 
 def load(kind: str, name: str, points: list[EntryPoint], error: type[MocOptError]) -> Any:
-    """Import what the one entry point of this name names; ``error`` where it does not load, or several claim it."""
+    """Import the object of the one entry point of this name; ``error`` if it does not load, or several claim it."""
     if len(points) > 1:
         raise error(f"{kind} {name!r}: {' and '.join(map(in_words, points))} claim this name: rename one")
     try:

@@ -13,11 +13,11 @@ import pydantic
 from moc_opt.errors import MocOptError, ScenarioError, UnknownNameError, is_number, shown
 from moc_opt.inputs import names
 
-_ALTERNATIVE = re.compile(r"constrained-|literal\[|tuple\[|(float|str)$")  # of several types, as pydantic names it
+_ALTERNATIVE = re.compile(r"constrained-|literal\[|tuple\[|(float|str)$")  # pydantic's names of types in a union
 LARGEST_INTEGER = 2**63 - 1
-SMALLEST, LARGEST = 1e-30, 1e30  # of a number that is not 0: beyond them products of a few overflow or vanish
-MOST = 10_000_000  # of an integer that is no seed: a count of things that are listed, tried or waited for
-LONGEST_S = 1e6  # of any time that is run, waited for or averaged over [s]
+SMALLEST, LARGEST = 1e-30, 1e30  # bounds of |x| where x is not 0: beyond, products of a few overflow or vanish
+MOST = 10_000_000  # largest integer that is no seed; such integers count things to list, try or wait for
+LONGEST_S = 1e6  # longest time to run, wait or average [s]
 
 Name = Annotated[str, pydantic.AfterValidator(names.checked)]
 """A name that comes from a file: `moc_opt.inputs.names.RULE`."""
@@ -25,22 +25,22 @@ Level = Annotated[
     Annotated[float, pydantic.Field(gt=0.0)] | None,
     pydantic.BeforeValidator(lambda value: None if value == math.inf else value),
 ]
-"""A limit above zero; None, or in TOML ``inf``, is no limit."""
+"""A limit above zero; None (in TOML ``inf``) means no limit."""
 
 
 class Settings(pydantic.BaseModel):
-    """Base of every table of settings: ``KIND`` says what it is, for messages.
+    """Base of every table of settings; ``KIND`` is the table's name in messages.
 
     Raises:
         UnknownNameError: a field does not exist; the message lists the nearest ones.
-        MocOptError: ``ERROR``, naming the field, its value and the range.
+        MocOptError: of the class ``ERROR``; the message has the field, its value and the range.
     """
 
     model_config = pydantic.ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, use_attribute_docstrings=True)
 
     KIND: ClassVar[str] = "setting"
     ERROR: ClassVar[type[MocOptError]] = ScenarioError
-    MORE_KEYS: ClassVar[tuple[str, ...]] = ()  #: That a file may have beside the fields.
+    MORE_KEYS: ClassVar[tuple[str, ...]] = ()  #: Keys that a file may have besides the fields.
 
     @pydantic.field_validator("*", mode="wrap")
     @classmethod
@@ -71,36 +71,36 @@ class Settings(pydantic.BaseModel):
             raise self.ERROR("; ".join(_explained(items, self.KIND) for items in faults.values())) from error
 
     def replace(self, changes: Mapping[str, Any]) -> Self:
-        """Copy with some fields changed and everything checked again, which ``model_copy`` leaves out."""
+        """Copy with some fields changed, and check everything again, which ``model_copy`` does not do."""
         values = {name: getattr(self, name) for name in type(self).model_fields}
         return type(self)(**{**values, **changes})
 
     @classmethod
     def keys(cls, values: Mapping[str, Any]) -> list[str]:
-        """List the keys that a table of such values may have; a subclass adds those of its free tables, dotted."""
+        """List the keys that a table with these values may have; a subclass adds the dotted keys of its free tables."""
         return [*cls.model_fields, *cls.MORE_KEYS]
 
     @classmethod
     def meaning(cls, key: str) -> str:
-        """Return what a key means, on one line."""
+        """Return the meaning of a key, on one line."""
         return " ".join((cls.model_fields[key].description or "").split())
 
 
 def _leaves(given: Any, value: Any, where: str = "") -> Iterator[tuple[str, Any, Any]]:
-    """Yield place, what was written there and what was read, for every entry of nested tables and lists."""
+    """Yield place, written value and read value of every entry of nested tables and lists."""
     if not isinstance(value, Mapping | list | tuple):
         yield where, given, value
         return
     for key, one in value.items() if isinstance(value, Mapping) else enumerate(value):
         try:
             written = given[key]
-        except (LookupError, TypeError):  # a validator has made something else of it
+        except (LookupError, TypeError):  # a validator has made another structure of it
             written = one
         yield from _leaves(written, one, f"{where}[{key!s:.80}]")
 
 
 def _fault(written: Any, read: Any, most: int) -> str:
-    """Say what is wrong with a number or flag; pydantic would read "2" as 2 and "yes" as true."""
+    """Return the cure for a wrong number or flag, or ""; pydantic would read "2" as 2 and "yes" as true."""
     is_flag = isinstance(written, bool | np.bool_)
     if isinstance(read, bool):
         return "" if is_flag else "give true or false, without quotes"
@@ -114,12 +114,12 @@ def _fault(written: Any, read: Any, most: int) -> str:
 
 
 def _explained(items: Sequence[Mapping[str, Any]], kind: str) -> str:
-    """Say what is wrong with a field, one item for each type that it may have: kind of table, name, value, cure."""
+    """Return the message on a field (table, name, value, cure) from its items, one for each type it may have."""
     item = items[0]
-    field = repr(".".join(f"{key!s:.80}" for key in item["loc"]))[1:-1]  # a file's key may hold any character
+    field = repr(".".join(f"{key!s:.80}" for key in item["loc"]))[1:-1]  # escapes: a key may hold any character
     message = ", or ".join(one["msg"].removeprefix("Value error, ") for one in items)
     message = message.replace(", or Input should be", ", or")
-    if isinstance(item.get("ctx", {}).get("error"), MocOptError):  # of a table inside: it names its own field
+    if isinstance(item.get("ctx", {}).get("error"), MocOptError):  # from an inner table: the message names the field
         return message if not field or message.startswith(f"[{field}]") else f"{kind} {field}: {message}"
     if item["type"] == "missing":
         return f"{kind} {field} is missing: add it"

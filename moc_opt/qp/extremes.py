@@ -1,8 +1,8 @@
-"""The smallest and the largest cost over a box cut by a plane: plain, slow, and independent of every solver.
+"""The smallest and the largest cost where a box meets an affine subspace: plain, slow, independent of the solvers.
 
 With x = x0 + Z w, Z an orthonormal basis of ker A, the cost is slope^T w + rho/2 |w|^2 and the box is
-low <= Z w <= high. Everything rests on one step, the point of that set nearest to a given one: Lawson and Hanson,
-Solving Least Squares Problems (1974), chapter 23, turn it into non-negative least squares (algorithm LDP).
+low <= Z w <= high. The optimum is found by projecting points onto that set. Lawson and Hanson, Solving Least Squares
+Problems (1974), chapter 23, turn the projection into non-negative least squares (algorithm LDP).
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ from numpy.typing import NDArray
 
 from moc_opt.arrays import Array
 
-MOST_CORNERS = 10_000  # candidates of one problem that are tried: 10 joints with 5 freedoms have 8064
-FAR = 1e3  # box widths: how long a proximal step is
-ROUNDS, STEPS = 200, 20  # of proximal steps; uphill, times the number of joints
-ROUNDING = 1e-14  # of numbers of order one
-SETTLED = 1e-11  # proximal steps shorter than this are the rounding of where they come from, FAR away
-FLAT = 1e-9  # a slope or pull below this fraction of the largest is none
+MOST_CORNERS = 10_000  # most candidate corners that are tried; 10 joints with 5 freedoms have 8064
+FAR = 1e3  # length of a proximal step [box widths]
+ROUNDS, STEPS = 200, 20  # most proximal steps; most uphill steps per joint
+ROUNDING = 1e-14  # rounding error of numbers of order one
+SETTLED = 1e-11  # a shorter proximal step is only the rounding of the point FAR away that it projects
+FLAT = 1e-9  # a slope or multiplier below this fraction of the largest counts as zero
 STILL = 1e-10  # a joint that moves less than this along every unit vector of self-motion does not bound it
-TOUCHING = 1e-8  # box widths: a set that is narrower gives forces that are rounding
+TOUCHING = 1e-8  # in a set narrower than this the multipliers are only rounding [box widths]
 LEVEL = 1e-12  # a range of the cost below this fraction of slope times box width is rounding
 
 
@@ -33,9 +33,9 @@ class Extremes(NamedTuple):
 
     Attributes:
         w: (r,) the optimum; where it is not unique, the one that proximal steps from w = 0 lead to.
-        least: a lower bound on the cost, by weak duality: that of w, where w is the optimum.
-        most: the largest cost, equal to ``least`` where all points have the same to rounding; with rho and more than
-            ``MOST_CORNERS`` candidates that of a corner from which no edge rises, which may be below it.
+        least: a lower bound on the cost by weak duality; the cost of w if w is the optimum.
+        most: the largest cost; equal to ``least`` where the cost is constant up to rounding. With rho > 0 and more than
+            ``MOST_CORNERS`` candidates it may be too small: the cost of a corner from which no edge rises.
         pull: (n,) gradient of the cost at w = 0 with the optimum's multipliers of A x = b.
     """
 
@@ -50,11 +50,11 @@ def extremes(Z: Array, low: Array, high: Array, slope: Array, rho: float) -> Ext
 
     Args:
         Z: (n, r) orthonormal columns.
-        low, high: (n,) the box less x0, finite [rad/s].
+        low, high: (n,) the box minus x0, finite [rad/s].
         slope: (r,) gradient of the cost at w = 0.
-        rho: zero or larger, and not zero with a slope of zero.
+        rho: zero or larger; above zero if the slope is zero.
     """
-    # In units of the box's width and of the steepest that the cost can be over it.
+    # Scale by the width of the box and by about the steepest slope of the cost in it.
     width = max(float((high - low).max()), 1e-12)
     steep = max(float(np.linalg.norm(slope)), rho * width)
     low, high, slope, rho = low / width, high / width, slope / steep, rho * width / steep
@@ -73,8 +73,8 @@ def extremes(Z: Array, low: Array, high: Array, slope: Array, rho: float) -> Ext
 def optimum(Z: Array, low: Array, high: Array, slope: Array, rho: float) -> tuple[Array, Array] | None:
     """Find the w (r,) of least cost and the multipliers (n,) of its bounds; None where no w is allowed.
 
-    By proximal steps from w = 0: a step of a linear cost that is long enough ends at the optimum nearest to where it
-    began (Ferris 1991, Finite termination of the proximal point algorithm).
+    It takes proximal steps from w = 0. With a linear cost, a step that is long enough ends at the optimum nearest to
+    its start (Ferris 1991, Finite termination of the proximal point algorithm).
     """
     w = np.zeros(len(slope))
     if rho * FAR >= np.linalg.norm(slope):
@@ -95,9 +95,9 @@ def optimum(Z: Array, low: Array, high: Array, slope: Array, rho: float) -> tupl
 def nearest(Z: Array, low: Array, high: Array, start: Array) -> tuple[Array, Array] | None:
     """Find the w (r,) of low <= Z w <= high that is nearest to ``start``, and f (n,) with w - start = Z^T f.
 
-    f is above zero at lower bounds, below at upper ones, zero elsewhere. None where no w is allowed.
+    f is positive at active lower bounds, negative at active upper ones, zero elsewhere. None where no w is allowed.
     """
-    # Distances from the bounds: a joint that hardly moves along Z counts as much as any other.
+    # Scale each row to a distance from its bound, so that a joint that hardly moves along Z counts like any other.
     moves = np.linalg.norm(Z, axis=1)
     moves = np.where(moves > STILL, moves, np.inf)
     G, away = Z / moves[:, None], Z @ start
@@ -105,9 +105,9 @@ def nearest(Z: Array, low: Array, high: Array, start: Array) -> tuple[Array, Arr
     size = float(short.max())
     if size <= 0.0:
         return start, np.zeros(len(low))
-    from scipy.optimize import nnls  # late: half a second, for several freedoms alone
+    from scipy.optimize import nnls  # takes half a second; only several freedoms need it
 
-    for loose in (0.0, TOUCHING):  # where the set is a point to rounding, the forces of one that is a little wider
+    for loose in (0.0, TOUCHING):  # if the set is a point up to rounding, widen it a little
         u, _ = nnls(np.vstack([G.T, (short - loose) / size]), np.append(np.zeros(len(start)), 1.0))
         left = 1.0 - float((short - loose) @ u) / size
         if u.max() * size <= left / TOUCHING:
@@ -116,7 +116,7 @@ def nearest(Z: Array, low: Array, high: Array, start: Array) -> tuple[Array, Arr
         return None
     active = u > 0.0
     u *= size / left
-    # Once more with the active bounds alone: the shortest step onto them, to rounding.
+    # Solve again with the active bounds alone: the shortest step onto them, exact up to rounding.
     step, *_ = np.linalg.lstsq(G[active], short[active], rcond=None)
     if (short - G @ step).max() > max((short - G @ (G.T @ u)).max(), 0.0) + ROUNDING:
         step = G.T @ u
@@ -166,7 +166,7 @@ def _uphill(Z: Array, low: Array, high: Array, slope: Array, rho: float, w: Arra
         room[np.abs(rise) <= FLAT * np.linalg.norm(way)] = np.inf
         room[active] = np.inf
         j = int(np.argmin(room))
-        if not np.isfinite(room[j]):  # no way at all
+        if not np.isfinite(room[j]):  # nothing bounds this direction
             break
         w = w + max(float(room[j]), 0.0) * way
         moved = Z @ w

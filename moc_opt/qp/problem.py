@@ -1,11 +1,11 @@
-"""The null-space subproblem of one control tick, as data: no robot and no solver.
+"""The null-space subproblem of one control tick as data, without a robot or a solver.
 
     min_x  c0/2 |J_T x - v_T|^2 + c1/2 |J_W x - v_W|^2 - c2 x^T pull + regularization/2 |x|^2
     s.t.   J_T x = v_T,   J_W x = v_W,   lower <= x <= upper
 
-x is a joint velocity [rad/s]. pull is grad mu, unless a course or a climb gives the velocity x_d that the elbow is to
-follow: it is (regularization / c2) x_d then. regularization = 0 is the problem of Su et al. 2019; regularization > 0
-makes it a strictly convex QP. The six rows have rank five where tip and wrist are tied by a rigid tool.
+x is a joint velocity [rad/s]. pull is grad mu or, where a course or the scaled climb gives a velocity x_d for the elbow
+to follow, (regularization / c2) x_d. regularization = 0 is the problem of Su et al. 2019; regularization > 0 makes it a
+strictly convex QP. The six rows have rank five where tip and wrist are tied by a rigid tool.
 """
 
 from __future__ import annotations
@@ -36,12 +36,12 @@ def row_length(n: int) -> int:
 
 
 def joints_of(length: int) -> int:
-    """Return how many joints a flat record of so many numbers is for."""
+    """Return the number of joints n of a flat record of this length."""
     return (length - 10) // 11
 
 
 class Fields(NamedTuple):
-    """Views into flat records ``(..., 11 n + 10)``, in this order; `moc_opt/core/record.c` reads the same ones."""
+    """Views into flat records ``(..., 11 n + 10)``, in the record's order, which `moc_opt/core/record.c` shares."""
 
     A: Array  # (..., 6, n) = [J_tip; J_wrist]
     b: Array  # (..., 6) = [v_tip; v_wrist]
@@ -58,7 +58,7 @@ def fields(rows: Array) -> Fields:
     n = joints_of(rows.shape[-1])
     if n < 1 or row_length(n) != rows.shape[-1]:
         raise SubproblemError(f"row: length {rows.shape[-1]} is not 11 n + 10; use NullSpaceQP(...).row")
-    one = rows.ndim == 1  # in the control loop: five microseconds less without the ellipsis
+    one = rows.ndim == 1  # no ellipsis: saves five microseconds in the control loop
     A, *parts = (rows[place] if one else rows[..., place] for place in _places(n))
     return Fields(A.reshape(*rows.shape[:-1], 6, n), *parts)
 
@@ -76,7 +76,7 @@ def compute_residuals(rows: Array, x: Array, y: Array | None = None) -> Residual
 
 
 class Assembled(NamedTuple):
-    """A subproblem as a solver takes it: 1/2 x^T P x + p^T x, A x = b, and y6 = lift^T y; read-only arrays."""
+    """A subproblem in a solver's form: min 1/2 x^T P x + p^T x, A x = b; its m duals y are six, lift^T y. Read-only."""
 
     P: Array  #: (n, n)
     p: Array  #: (n,)
@@ -90,12 +90,12 @@ class NullSpaceQP:
 
     Args:
         J_tip, J_wrist: (3, n) translational Jacobians in world axes [m/rad].
-        v_tip, v_wrist: (3,) reference velocities [m/s]; the caller must ensure u^T (v_tip - v_wrist) = 0.
+        v_tip, v_wrist: (3,) reference velocities [m/s]; equal along the shaft's axis u: u^T (v_tip - v_wrist) = 0.
         grad_mu: (n,) gradient of the manipulability.
         lower, upper: (n,) bounds on the joint velocity [rad/s].
         c0, c1, c2: weights of the paper; regularization: rho, 0 for the paper's problem.
         q: (n,) joint position where this was linearized [rad]; only the NLP back-ends need it.
-        pull: (n,) what stands in the cost where that is not grad_mu.
+        pull: (n,) the vector in the cost, if it is not grad_mu.
 
     Raises:
         SubproblemError: naming the field, its value and the cure.
@@ -150,7 +150,7 @@ class NullSpaceQP:
 
     @classmethod
     def from_row(cls, row: Array) -> NullSpaceQP:
-        """Adopt a flat record that this package made, without copying or checking it; it becomes read-only."""
+        """Adopt a flat record that this package made, without checks or a copy; the record becomes read-only."""
         self = object.__new__(cls)
         self._adopt(row, joints_of(row.shape[0]))
         return self
@@ -160,10 +160,10 @@ class NullSpaceQP:
         return NullSpaceQP.from_row(self.row.copy())
 
     def _adopt(self, row: Array, n: int) -> None:
-        if row.strides != _CLOSE or row.dtype is not _DOUBLE:  # compiled code requires both
+        if row.strides != _CLOSE or row.dtype is not _DOUBLE:  # the core needs contiguous doubles
             row = np.array(row, dtype=np.float64).ravel()
         row.setflags(write=False)
-        own = self.__dict__  # around our own __setattr__, which refuses everybody else
+        own = self.__dict__  # bypasses __setattr__, which refuses every assignment
         own["row"], own["n"] = row, n
 
     def __setattr__(self, name: str, value: object) -> NoReturn:
@@ -190,8 +190,8 @@ class NullSpaceQP:
     J_wrist = property(lambda self: self.fields.A[3:], doc="(3, n) [m/rad]")
     v_tip = property(lambda self: self.fields.b[:3], doc="(3,) [m/s]")
     v_wrist = property(lambda self: self.fields.b[3:], doc="(3,) [m/s]")
-    grad_mu = property(lambda self: self.fields.grad_mu, doc="(n,) of the pose")
-    pull = property(lambda self: self.fields.pull, doc="(n,) what the cost has: grad_mu, or (rho/c2) x_d")
+    grad_mu = property(lambda self: self.fields.grad_mu, doc="(n,) gradient of mu")
+    pull = property(lambda self: self.fields.pull, doc="(n,) in the cost: grad_mu, or (rho/c2) x_d")
     lower = property(lambda self: self.fields.lower, doc="(n,) [rad/s]")
     upper = property(lambda self: self.fields.upper, doc="(n,) [rad/s]")
     c0 = property(lambda self: float(self.fields.weights[0]), doc="weight of the tip rows")
@@ -213,13 +213,13 @@ class NullSpaceQP:
         """Return 1/2 x^T P x + p^T x, without the constant.
 
         Raises:
-            SubproblemError: x is no (n,) numbers.
+            SubproblemError: x does not hold n numbers.
         """
         x = _array("x", x, (self.n,), finite=False)
         return float(0.5 * x @ self.P @ x + self.p @ x)
 
     def assembled(self, rows: int = 5) -> Assembled:
-        """Compute cost and equality rows: the paper's six, or five (`moc_opt/core/python_subproblem.c`).
+        """Compute cost and equality rows: the paper's six, or five independent ones (`core/python_subproblem.c`).
 
         rows = 5 still gives six where tip and wrist are not rigidly tied.
         """
@@ -236,7 +236,7 @@ class NullSpaceQP:
         return self.assembled()
 
     def reduced(self) -> Assembled:
-        """Return `assembled`, which is computed once: five independent rows, where there are."""
+        """Return `assembled`: five independent rows where the tool is rigid, else six. It is computed once and kept."""
         return self._reduced
 
     def residuals(self, x: ArrayLike, y: ArrayLike | None = None) -> Residuals:

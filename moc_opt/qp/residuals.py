@@ -5,7 +5,7 @@ them uses the status that the solver reports.
 
 On A x = b the tracking terms of the cost are constant. The rest, rho/2 |x|^2 - c2 pull^T x, is a sum over
 independent parts: each idle joint (its column of A is zero) on its own interval, and the other joints together on
-their part of ker A. With one freedom that is an interval too; with more ``moc_opt.qp.extremes`` finds best and worst.
+their part of ker A. With one freedom this is an interval too; with more ``extremes`` finds the best and worst cost.
 
 The stationarity measure is the natural residual of the box-constrained Lagrangian,
 ``x - clip(x - (P x + p + A^T y), lower, upper)`` (Facchinei & Pang 2003, section 1.5.2): it is zero
@@ -25,18 +25,18 @@ from numpy.typing import NDArray
 from moc_opt.arrays import Array
 from moc_opt.qp.extremes import ROUNDING, STILL, extremes
 
-# One rule for the rank of A, here and wherever else one is decided: its sixth singular value counts as zero below
-# TIED |A|_F, the others below RANK_TOLERANCE |A|_F. A rigid tool makes one of the six rows repeat the others, and
-# Jacobians rounded to 7 decimals leave up to 7e-8 of it; its effect on tip and wrist stays within the primal
-# tolerance at joint speeds of a few rad/s. Nothing but a straight elbow makes the fifth one small: it is a constraint.
+# The rule for the rank of A, here and everywhere else: its sixth singular value counts as zero below TIED |A|_F, the
+# others below RANK_TOLERANCE |A|_F. A rigid tool makes one of the six rows depend on the others. Jacobians rounded to 7
+# decimals leave up to 7e-8 of that row, whose effect on tip and wrist stays within the primal tolerance at joint speeds
+# of a few rad/s. Only a straight elbow makes the fifth singular value small, and its row is a constraint there.
 TIED = 1e-7
 RANK_TOLERANCE = 1e-12
-GRADIENT_ROUNDING = 1e-9  # a reduced gradient below this fraction of |pull|_inf is zero
-A_POINT = 1e-9  # a feasible interval no longer than this [rad/s] has no ends: rounding decides where on it x is
-FEASIBLE = 1e-6  # box violation up to which a feasible set that x only touches is that point [rad/s]
+GRADIENT_ROUNDING = 1e-9  # a reduced gradient below this fraction of |pull|_inf counts as zero
+A_POINT = 1e-9  # a feasible interval no longer than this [rad/s] is a point: rounding decides where on it x lies
+FEASIBLE = 1e-6  # an empty set counts as one point if widening the box by this much [rad/s] fills it
 MOST_FACETS = 300  # 10 joints with 5 freedoms have 210
-NEARLY_SINGULAR = 1e-3  # singular values below this share of |A|_F divide rounding into something that counts
-REFINEMENTS = 3  # of what is divided by such values: each leaves a ten-thousandth of its error, or less
+NEARLY_SINGULAR = 1e-3  # division by a singular value below this share of |A|_F makes rounding errors too large
+REFINEMENTS = 3  # of the result of such a division: each cuts its error to a ten-thousandth or less
 
 
 class Residuals(NamedTuple):
@@ -45,20 +45,20 @@ class Residuals(NamedTuple):
     Attributes:
         primal: max(|A x - b|_inf, box violation) [m/s or rad/s].
         natural: natural residual with the solver's own y (the best y where it gave none).
-        natural_best: natural residual with the best y for that x: a good x with bad duals is
-            told from a bad x by ``natural >> natural_best``. With more than ``MOST_FACETS`` facets the
-            optimum's y stands for the best one: never too small, and zero at an optimum.
+        natural_best: natural residual with the best y for that x: ``natural >> natural_best`` shows a good x
+            with bad duals. With more than ``MOST_FACETS`` facets the optimum's y is used instead of the best
+            one: the residual is then never too small, and still zero at an optimum.
         relative: ``natural_best`` of the same problem with its cost divided by the size of its reduced
-            gradient: max(c2 |Z Z^T pull|_inf, rho times 1 rad/s), Z a basis of ker A; idle joints
-            have one of their own. So errors show even if the gradient has almost no component on ker A. Where
-            all of the feasible set has one cost, so that there is no loss, as where it is a point, it is at least
-            the cost of x above that one, over that size [rad/s].
+            gradient, max(c2 |Z Z^T pull|_inf, rho times 1 rad/s), Z a basis of ker A; an idle joint is
+            divided by the size of its own. So errors show even if the gradient has almost no component on ker A.
+            Where all feasible points have the same cost (as where there is only one), the loss is 0, and
+            ``relative`` is at least (cost of x - that cost) / size [rad/s].
         loss: share of the cost's range over the feasible set that x gives away, in [0, 1]: 0 is the optimum,
-            1 the worst point. The independent part with the largest loss counts. Never too small; where the
-            worst is not known (see ``moc_opt.qp.extremes``) it may be too large. The cost is that at x, the
-            optimum and the range are those of A x = b itself: sliding within the primal tolerance gains nothing.
-        distance: |x - x*|_inf to the nearest optimum x* [rad/s]; to the one nearest in the Euclidean norm where
-            it is not unique. Infinite where no x* is found: the box leaves nothing of A x = b.
+            1 the worst point. The independent part with the largest loss counts. It is never too small, and may
+            be too large where the worst point is not known (see ``moc_opt.qp.extremes``). The cost at x itself is
+            compared with optimum and range on A x = b: sliding within the primal tolerance gains nothing.
+        distance: |x - x*|_inf to the optimum x* [rad/s], the one nearest in the Euclidean norm where x* is
+            not unique. Infinite where the box leaves nothing of A x = b, so that no x* exists.
 
     Example:
         >>> from moc_opt.qp.residuals import Residuals
@@ -77,7 +77,7 @@ class Residuals(NamedTuple):
     def verified(self, primal: float = 1e-6, relative: float = 1e-3, loss: float = 1e-2) -> NDArray[np.bool_]:
         """Decide whether the answer is optimal to these tolerances (bool, batch shape).
 
-        Feasible within ``primal``, and either that near to an optimum, or good by ``relative`` and ``loss``.
+        It is feasible within ``primal``, and either within ``primal`` of an optimum or good by both other figures.
         """
         near = np.less_equal(self.distance, primal)
         good = np.less_equal(self.relative, relative) & np.less_equal(self.loss, loss)
@@ -144,7 +144,7 @@ class _Factors(NamedTuple):
     s: Array  # (k, rank)
     V: Array  # (k, n, rank)
     Z: Array  # (k, n, n - rank), orthonormal
-    exactly: bool  # whether the products that a small singular value divides need twice the precision
+    exactly: bool  # whether a small singular value divides products, which then need twice the precision
 
     def slid(self, A: Array, x: Array, b: Array) -> Array:
         """Return the shortest d (k, n, m) with A (x - d) = b, for x (k, n, m) and b (k, 6, m)."""
@@ -258,7 +258,7 @@ def _on_an_interval(
     slope: Array, rho: Array, low: Array, high: Array, above: Array | float = 0.0, point: Array | float = A_POINT
 ) -> tuple[Array, Array, Array]:
     with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
-        free = np.where(slope == 0.0, 0.0, -slope / rho)  # without rho to the end: division by zero
+        free = np.where(slope == 0.0, 0.0, -slope / rho)  # with rho = 0 infinite: the end of the interval
     best = np.clip(free, low, high)
     least, *ends = (s * (slope + 0.5 * rho * s) for s in (best, low, high))
     spread = np.where(high - low > point, np.maximum(*ends) - least, 0.0)
@@ -279,7 +279,7 @@ def _along_a_line(
         return first.max(-1), last.min(-1), np.take_along_axis(np.abs(per_step), stops, axis=-1).min(-1)
 
     (first, last, slowest), (wide_first, wide_last, _) = interval(0.0), interval(FEASIBLE)
-    # Bounds that miss each other by no more than FEASIBLE: midway, which is where they meet as the gap closes.
+    # Where the interval is empty by no more than FEASIBLE, use its middle, where the bounds meet as the gap closes.
     empty, middle = wide_first > wide_last, np.clip(0.5 * (first + last), wide_first, wide_last)
     low, high = (np.where(first > last, middle, end) for end in (first, last))
     step, loss, gap = _on_an_interval(slope, rho, low, high, above, A_POINT + ROUNDING / slowest)
@@ -292,7 +292,7 @@ def _in_a_polytope(
     moved, loss, gap = np.zeros(low.shape), np.zeros(len(low)), np.zeros(len(low))
     pull = np.einsum("kni,ki->kn", Z, slope)
     for i in np.flatnonzero((slope != 0.0).any(-1) | (rho > 0.0)):
-        for beyond in (0.0, 1e-13, 1e-10, FEASIBLE):  # as little as leaves a point
+        for beyond in (0.0, 1e-13, 1e-10, FEASIBLE):  # the least widening that leaves a point
             found = extremes(Z[i], low[i] - beyond, high[i] + beyond, slope[i], rho[i])
             if found is not None:
                 break

@@ -13,12 +13,12 @@ from moc_opt.arrays import Array
 from moc_opt.errors import SolverError, is_number, shown
 from moc_opt.qp.problem import NullSpaceQP
 
-Choices = Mapping[str, tuple[object, ...]]  # field of some settings -> the values that it may have
-MOST = 2**31 - 1  # of a whole number: the libraries count in 32 bits
+Choices = Mapping[str, tuple[object, ...]]  # field of settings -> the values that it may have
+MOST = 2**31 - 1  # the largest whole number of a setting: the libraries count in 32 bits
 
 
 class Status(Enum):
-    """A solver's claim about its own answer. The text says what it means or, where it is no optimum, the cure."""
+    """A solver's claim about its own answer. The text says what the claim means, or what to do about it."""
 
     SOLVED = "the solver claims an optimum"
     INFEASIBLE = "no velocity inside the box meets the references: slow the path down or raise k0"
@@ -27,7 +27,7 @@ class Status(Enum):
     NUMERICAL = "numerical trouble: take rows = 5, regularization > 0 or a larger cost_scale"
     UNSUPPORTED = "ask supports(qp) why this solver cannot take this problem"
 
-    label: str  #: Lower-case name, as it stands in traces and tables.
+    label: str  #: Lower-case name, used in traces and tables.
 
     def __init__(self, cure: str) -> None:
         self.label = self.name.lower()
@@ -51,12 +51,12 @@ class Solution(NamedTuple):
 
 
 def no_answer(n: int, status: Status, iterations: int = 0) -> Solution:
-    """Return a solution without an answer: its x is NaN, so that a use by mistake is found."""
+    """Return a solution without an answer: its x is NaN, so that using it by mistake is noticed."""
     return Solution(np.full(n, np.nan), None, status, iterations)
 
 
 class Session(Protocol):
-    """The workspace and the warm start of one solver on one stream of subproblems."""
+    """The workspace and the warm start of one solver for one sequence of subproblems."""
 
     def solve(self, qp: NullSpaceQP) -> Solution:
         """Answer one subproblem; never raises for a problem the solver cannot solve."""
@@ -64,7 +64,7 @@ class Session(Protocol):
 
 @runtime_checkable
 class Solver(Protocol):
-    """Settings. Two sessions of one solver share nothing. docs/extending.md has a whole one."""
+    """The settings of a solver. Its sessions share nothing. docs/extending.md has a complete solver."""
 
     @property
     def name(self) -> str:
@@ -82,7 +82,7 @@ class TruncatingSession(Protocol):
     """A session that can be stopped in the middle of a solve, as by a deadline; its iterations are counted."""
 
     def truncated(self, qp: NullSpaceQP, iterations: int) -> Solution:
-        """Return the iterate after ``iterations`` (at least 1), from where the last solve began."""
+        """Return the iterate after ``iterations`` (at least 1), from the point where the last solve began."""
 
 
 @runtime_checkable
@@ -94,15 +94,15 @@ class ObservingSession(Protocol):
 
 
 class SolverSettings:
-    """What the solvers of this package share: fields that are checked, and no session for an unsupported problem.
+    """Base of this package's solvers: it checks the fields, and refuses a session for an unsupported problem.
 
-    A subclass is a frozen dataclass. Each field with a plain default is checked by it: a flag's default asks for a
-    flag, that of a whole number for one of 1 or larger, of a number for a positive one (or None, if that is the
-    default), 0.0 for one not negative. A SolverError names a field that is out of range, its value and the cure.
+    A subclass is a frozen dataclass. The default of a field decides which values are valid: for a bool, a bool; for an
+    int, an int of 1 or more; for a float, a number above 0 (for 0.0, also 0). None is valid where it is the default.
+    `choices` may list a field's values. A SolverError names a field that is out of range, its value and the cure.
     """
 
     name: ClassVar[str]
-    session: ClassVar[type[Any]]  #: Makes a session of settings and a first problem.
+    session: ClassVar[type[Any]]  #: Class of the sessions; its arguments are the settings and a first problem.
     choices: ClassVar[Choices] = {}
 
     def __post_init__(self) -> None:

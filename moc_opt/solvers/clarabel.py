@@ -23,11 +23,11 @@ _STATUS = (
     (_CODE.AlmostPrimalInfeasible, Status.MAX_ITER),
     (_CODE.MaxIterations, Status.MAX_ITER),
     (_CODE.MaxTime, Status.TIME_LIMIT),
-)  # a dict would need codes that can be hashed
+)  # no dict, since the codes cannot be hashed
 
 
 class ClarabelSession(TruncatedSession):
-    """One workspace, and the values in its column-compressed order."""
+    """One workspace, and the matrices' values in its compressed-column order."""
 
     def _allocate(self, m: int, n: int) -> dict[str, Any]:
         self._P, self._q, self._b = np.empty(n * (n + 1) // 2), np.empty(n), np.empty(m + 2 * n)
@@ -65,10 +65,10 @@ class Clarabel(Adapter):
     """Clarabel's native interface, constraints [A; I; -I] x + s = [b; upper; -lower].
 
     Args:
-        cost_scale: multiplies P and p; the duals are scaled back. Without it about one answer in a
+        cost_scale: multiplies P and p; the duals are scaled back. With 1 about one answer in a
             hundred has a relative residual above 1e-3.
-        eps: its three tolerances (1e-8 is the library's).
-        max_iter: iterations.
+        eps: the library's three tolerances (default 1e-8).
+        max_iter: most iterations.
     """
 
     rows: int = 5

@@ -36,7 +36,7 @@ class DAQPSession(LibrarySession):
         self._core, settings = Model(), self._settings
         tolerances = {"primal_tol": settings.primal_tol, "dual_tol": settings.dual_tol}
         self._core.settings = {**tolerances, "iter_limit": settings.max_iter}
-        # Below zero where the library could not set the problem up: it raises at whatever follows but another setup.
+        # The flag is negative where the set-up failed; every later call but another set-up would then raise.
         self._flag, _ = self._core.setup(self._P, self._p, self._A, self._upper, self._lower, self._sense)
 
     def _hand_over(self) -> None:
@@ -58,11 +58,11 @@ class DAQP(Adapter):
     """DAQP's reusable workspace.
 
     Args:
-        rows: 5 or 6 equality rows; six dependent ones fail about one problem in a hundred.
-        cost_scale: multiplies P and p; the duals are scaled back. Without it, and without regularization, one
-            answer in twenty stops at the wrong end of the self-motion.
-        primal_tol, dual_tol: the library's 1e-6 and 1e-12.
-        max_iter: iterations.
+        rows: 5 or 6 equality rows; with six dependent ones about one problem in a hundred fails.
+        cost_scale: multiplies P and p; the duals are scaled back. With 1, and without regularization, one
+            answer in twenty is at the wrong end of the self-motion.
+        primal_tol, dual_tol: tolerances; the library's defaults are 1e-6 and 1e-12.
+        max_iter: most iterations.
     """
 
     rows: int = 5

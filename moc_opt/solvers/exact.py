@@ -1,4 +1,4 @@
-"""``exact``: the subproblem's optimum by elimination, the yardstick of every other solver.
+"""``exact``: the subproblem's optimum by elimination, with which every other solver is compared.
 
 It does not iterate towards a tolerance. `moc_opt/core/exact.c` has the mathematics, `polytope.c` that of several
 freedoms; docs/method.md derives both.
@@ -21,12 +21,12 @@ from moc_opt.solvers.base import Solution, SolverSettings, Status, no_answer
 
 STATUS = {core.OK: Status.SOLVED, core.INFEASIBLE: Status.INFEASIBLE, core.DOUBTFUL: Status.NUMERICAL}
 _STATUSES = np.array([STATUS.get(code) for code in range(max(STATUS) + 1)], dtype=object)
-# Looked up once: the loop needs them at every tick.
+# Looked up once, since the loop needs them at every tick.
 _solve, _new, _SOLVED, _OK = core.solve_exact, tuple.__new__, Status.SOLVED, core.OK
 
 
 class ExactSession:
-    """Keeps nothing between ticks: warm equals cold."""
+    """A session that keeps nothing between ticks: a warm start changes nothing."""
 
     __slots__ = ("tolerance",)
 
@@ -34,17 +34,17 @@ class ExactSession:
         self.tolerance = settings.tolerance
 
     def solve(self, qp: NullSpaceQP) -> Solution:
-        """Answer one subproblem; the answer's arrays are the caller's."""
+        """Answer one subproblem; the answer's arrays belong to the caller."""
         code, x, y = _solve(qp.row, self.tolerance)
         return _new(Solution, (x, y, _SOLVED, 0)) if code == _OK else no_answer(qp.n, STATUS[code])
 
 
 @dataclass(frozen=True)
 class Exact(SolverSettings):
-    """Null-space elimination; repeated rows may contradict each other by 1e-6 m/s, the judge's tolerance on A x = b.
+    """Null-space elimination. Dependent rows may contradict each other by 1e-6 m/s, the tolerance on A x = b.
 
     Args:
-        tolerance: box violation that still counts as feasible [rad/s]; more where rounding alone explains more.
+        tolerance: box violation that still counts as feasible [rad/s]; larger where rounding alone explains more.
     """
 
     tolerance: float = 1e-9
@@ -52,11 +52,11 @@ class Exact(SolverSettings):
     session = ExactSession
 
     def supports(self, qp: NullSpaceQP) -> str | None:
-        """Return None, or that there are too many joints."""
+        """Return None, or a message that there are too many joints."""
         return None if qp.n <= core.MAX_JOINTS else f"{qp.n} joints: `exact` takes at most {core.MAX_JOINTS}"
 
     def solve_batch(self, rows: Array, threads: int | None = None) -> tuple[Array, Array, list[Status]]:
-        """Solve flat records (k, 11 n + 10) by so many threads (None: one a core): x (k, n), y (k, 6), statuses.
+        """Solve flat records (k, 11 n + 10) with ``threads`` (None: one a core): x (k, n), y (k, 6), statuses.
 
         x and y are NaN where the status is not SOLVED. A SolverError refuses rows of another shape.
         """
@@ -69,7 +69,7 @@ class Exact(SolverSettings):
         X, Y, codes = np.empty((len(rows), n)), np.empty((len(rows), 6)), np.empty(len(rows))
         shares = threads or os.cpu_count() or 1
         parts = [np.array_split(array, shares) for array in (rows, X, Y, codes)]
-        with ThreadPoolExecutor(shares) as pool:  # the core holds no lock
+        with ThreadPoolExecutor(shares) as pool:  # the core releases the GIL
             list(pool.map(core.solve_exact_rows, parts[0], repeat(self.tolerance), *parts[1:]))
         X[codes != _OK] = Y[codes != _OK] = np.nan
         return X, Y, _STATUSES[codes.astype(np.intp)].tolist()

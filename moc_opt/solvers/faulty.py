@@ -1,4 +1,4 @@
-"""Any solver, made to fail at random ticks: for testing what stands behind it."""
+"""Any solver, made to fail at random ticks, to test how the controller copes with its faults."""
 
 from __future__ import annotations
 
@@ -22,21 +22,21 @@ class InjectedFault(SolverError):
 
 
 def draw(seed: int, rate: float, ticks: int) -> NDArray[np.bool_]:
-    """Return a seeded share of the ticks, (ticks,); a longer draw begins like a shorter one."""
+    """Draw the faulty ticks: True with probability ``rate``, (ticks,). A longer draw begins like a shorter one."""
     return np.random.default_rng(seed).uniform(size=ticks) < rate
 
 
 @dataclass(frozen=True)
 class Faulty:
-    """A solver that answers wrongly at a seeded share of the ticks.
+    """A solver that answers wrongly at random ticks, which the seed decides.
 
     Args:
-        inner: the solver that answers otherwise; at a faulty tick it is asked for "malformed" alone.
-        kind: "fail" gives no answer and says so; "nan", "lie" and "outside" claim success for NaN, for the best answer
-            to the opposite gradient and for one beyond the box; "raise" raises, "rig" answers 50 rad/s and rewrites the
-            subproblem so that this fits, "malformed" gives duals of another kind.
+        inner: the solver of the other ticks; at a faulty tick only the kind "malformed" asks it.
+        kind: "fail" gives no answer and says so. "nan", "lie" and "outside" claim success: for NaN, for the optimum of
+            the opposite gradient, for a point outside the box. "raise" raises an exception. "rig" answers 50 rad/s and
+            rewrites the subproblem so that this fits. "malformed" gives complex duals.
         rate: share of faulty ticks, 0 to 1.
-        seed: of the draw; the same seed corrupts the same ticks.
+        seed: of the draw; the same seed makes the same ticks faulty.
     """
 
     inner: Solver
@@ -46,11 +46,11 @@ class Faulty:
 
     @property
     def name(self) -> str:
-        """Name of the wrapped solver, and its fault."""
+        """Name of the wrapped solver, and the kind of its faults."""
         return f"{self.inner.name}+{self.kind}"
 
     def supports(self, qp: NullSpaceQP) -> str | None:
-        """Return what the solver inside supports."""
+        """Return what the wrapped solver's `supports` returns."""
         return self.inner.supports(qp)
 
     def start(self, qp: NullSpaceQP) -> FaultySession:
@@ -59,7 +59,7 @@ class Faulty:
 
 
 class FaultySession:
-    """``faults`` counts the answers that were replaced."""
+    """A session; ``faults`` counts the answers that were replaced."""
 
     def __init__(self, settings: Faulty, inner: Session, qp: NullSpaceQP) -> None:
         self._settings, self._inner = settings, inner
@@ -70,7 +70,7 @@ class FaultySession:
         self.faults = 0
 
     def solve(self, qp: NullSpaceQP) -> Solution:
-        """Answer one subproblem, or corrupt the answer."""
+        """Answer one subproblem, rightly or with the fault."""
         if self._rng.uniform() >= self._settings.rate:
             return self._inner.solve(qp)
         self.faults += 1

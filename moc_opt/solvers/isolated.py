@@ -1,7 +1,7 @@
 """A solver in a process of its own: whatever happens there, the control loop waits only for a bounded time.
 
-A session kills and replaces a process that hung, ended or ran out of memory. Simulated time stands still meanwhile: a
-solver that keeps its budget gives the same run as without isolation. Against a wall clock (``waits=False``) the ticks
+A session kills and replaces a process that hung, ended or ran out of memory. Simulated time stands still meanwhile, and
+a solver that keeps its budget gives the same run as without isolation. Against a wall clock (``waits=False``) the ticks
 until the new process is ready, about a second, have no answer.
 """
 
@@ -29,11 +29,11 @@ from moc_opt.inputs.settings import Settings
 from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.solvers.base import ObservingSession, Session, Solution, Solver
 
-_LOOK_S = 0.05  # a wait looks this often whether the process is still there: a child of it may hold the pipe open
+_LOOK_S = 0.05  # period of the check whether the process still exists: a child of it may hold the pipe open
 
 
 class Unanswered(Exception):
-    """There is no answer: it is late, or the solver raised, or its process was lost."""
+    """There is no answer: it is late, or the solver raised an exception, or its process was lost."""
 
     def __init__(self, kind: Literal["late", "raised", "lost"], text: str) -> None:
         super().__init__(text)
@@ -43,7 +43,7 @@ class Unanswered(Exception):
 class Restart(NamedTuple):
     """The replacement of a process."""
 
-    tick: int  #: how many answers were requested before
+    tick: int  #: number of answers requested before the one that failed
     reason: str
 
 
@@ -64,7 +64,7 @@ class ProcessSettings(Settings):
 
 @dataclass(frozen=True)
 class Isolated:
-    """A solver whose sessions run each in a process of its own; a SolverError where pickle cannot copy it there."""
+    """A solver each of whose sessions runs in a process of its own; a SolverError where pickle cannot copy it there."""
 
     inner: Solver
     process: ProcessSettings
@@ -136,7 +136,7 @@ class IsolatedSession:
         return newest.value  # type: ignore[no-any-return]  # of any form: the controller checks it
 
     def _answered(self, process: _Process, qp: NullSpaceQP) -> _Answer | None:
-        """Return the newest answer at the end of the budget."""
+        """Return the newest answer that has come by the end of the budget."""
         solver = self._solver
         if not process.started(math.inf if solver.waits else 0.0):
             raise Unanswered("lost", "a new process of the solver is being started")
@@ -150,19 +150,19 @@ class IsolatedSession:
 
 
 class _Answer(NamedTuple):
-    tick: int  # of the request; 0: to start a session
+    tick: int  # of the request; 0: the request to start a session
     raised: bool
-    value: Any  # the solver's answer, or what was raised, in words
+    value: Any  # the solver's answer, or the message of the exception
 
 
 class _Ended(Exception):
-    """A process is of no more use; the text says why."""
+    """A process cannot be used any more; the text says why."""
 
 
 class _Process:
-    """A process that starts a session and answers one request after another; it is killed when this object goes."""
+    """A process that starts a session and answers one request after another; it is killed with this object."""
 
-    # A Popen: a Process of multiprocessing runs the caller's script once more, and a daemonic worker may not have one.
+    # Popen, since a multiprocessing.Process would run the caller's script again, and a daemonic worker may start none.
 
     def __init__(self, solver: Isolated, qp: NullSpaceQP) -> None:
         self._pipe, theirs = Pipe()
@@ -178,13 +178,13 @@ class _Process:
         self.ask(0, qp, None, solver.process.start_s, solver._pickled)
 
     def ask(self, tick: int, qp: NullSpaceQP, v: Array | None, most_s: float, solver: bytes | None = None) -> None:
-        """Send a subproblem to solve, or a pickled solver of which to start a session; it hangs after ``most_s``."""
+        """Send a subproblem, or a pickled solver to start; after ``most_s`` without an answer it counts as hung."""
         self._tick, self._most_s, self._hung_at, self.busy = tick, most_s, monotonic() + most_s, True
         with suppress(OSError):  # the process has ended, which ``answer`` finds
             self._pipe.send((solver, qp.row, v, most_s))
 
     def started(self, most_s: float) -> bool:
-        """Wait until the session has started, at most so long; raise _Ended where it cannot."""
+        """Wait at most ``most_s`` for the session's start, and return whether it has started; _Ended if it cannot."""
         if not self._started and (said := self.answer(monotonic() + most_s)) is not None:
             if said.raised:
                 raise _Ended(said.value)
@@ -192,7 +192,7 @@ class _Process:
         return self._started
 
     def answer(self, until: float) -> _Answer | None:
-        """Wait for the answer until then (of ``time.monotonic``); raise _Ended where the process hangs or has ended."""
+        """Wait for the answer until the ``monotonic`` time ``until``; _Ended where the process hangs or has ended."""
         while True:
             left = max(min(until, self._hung_at) - monotonic(), 0.0)
             try:
@@ -221,8 +221,8 @@ class _Process:
 
 
 def _kill(process: subprocess.Popen[bytes], pipe: Connection, owner: int) -> None:
-    """Kill a process and its children at once; not those that have begun a session of their own (setsid)."""
-    if os.getpid() != owner:  # a copy of the handle in a process that was forked from ours
+    """Kill a process and its children at once, except children that have begun a session of their own (setsid)."""
+    if os.getpid() != owner:  # this is a copy of the handle in a forked process
         return
     with suppress(ProcessLookupError):
         os.killpg(process.pid, signal.SIGKILL)
@@ -233,7 +233,7 @@ def _kill(process: subprocess.Popen[bytes], pipe: Connection, owner: int) -> Non
 def serve(fd: int, memory_MB: float) -> None:
     """Answer the requests that come through the pipe ``fd`` until its other end is closed."""
     if sys.platform == "linux":
-        import resource  # late: there is none on Windows
+        import resource  # not at the top: Windows has no such module
 
         most, hard = int(1e6 * memory_MB), resource.getrlimit(resource.RLIMIT_DATA)[1]
         resource.setrlimit(resource.RLIMIT_DATA, (most if hard == resource.RLIM_INFINITY else min(most, hard), hard))
@@ -244,7 +244,7 @@ def serve(fd: int, memory_MB: float) -> None:
             solver, row, v, most_s = pipe.recv()
         except (EOFError, OSError):
             return
-        # Its signal ends a process that hangs where nobody is left to kill it.
+        # The timer's signal ends this process if it hangs and its parent is no longer there to kill it.
         signal.setitimer(signal.ITIMER_REAL, 2.0 * most_s + 1.0)
         try:
             qp = NullSpaceQP.from_row(row)

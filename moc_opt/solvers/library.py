@@ -1,10 +1,10 @@
-"""What the adapters of QP libraries share: settings, buffers, the choice of rows, the scaling of cost and duals.
+"""Base of the adapters of QP libraries: settings, buffers, the choice of rows, the scaling of cost and duals.
 
 An adapter is one file with a frozen dataclass of its library's settings, derived from `Adapter`, and a
-`LibrarySession`: see docs/extending.md; ``piqp`` is a short one.
+`LibrarySession`: see docs/extending.md; ``piqp`` is a short example.
 
-Every library wants the same numbers in another place: stacked rows, columns, a packed triangle, a negated side. One
-call of the core puts them there in a microsecond; in numpy that costs as much as the fastest of the libraries.
+Every library needs the same numbers in another layout: stacked rows, columns, a packed triangle, a negated side. One
+call of the core writes them in a microsecond; in numpy this would take as long as the fastest library's solve.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ class Adapter(SolverSettings):
     """Settings of one library; a frozen dataclass with at least ``cost_scale``.
 
     Attributes:
-        rows: 5 or 6 equality rows; a field where the library takes six.
+        rows: 5 or 6 equality rows; a setting only where the library can take six.
         cost_scale: multiplies P and p; the duals are scaled back.
         needs: why the library cannot take a cost that is not positive definite; empty where it can.
     """
@@ -52,7 +52,7 @@ def refuse_semidefinite(qp: NullSpaceQP, needs: str) -> str | None:
 class LibrarySession(ABC):
     """One workspace of a library and the buffers that it reads."""
 
-    dual_sign: ClassVar[float] = 1.0  #: Of the library's multipliers of A x = b.
+    dual_sign: ClassVar[float] = 1.0  #: Sign of the library's multipliers of A x = b.
 
     def __init__(self, settings: Any, qp: NullSpaceQP) -> None:
         self._settings = settings
@@ -71,32 +71,32 @@ class LibrarySession(ABC):
 
     @abstractmethod
     def _allocate(self, m: int, n: int) -> dict[str, Any]:
-        """Make the buffers; each is an array of the library's, or a view into one.
+        """Return the buffers by name; each is an array that the library reads, or a view into one.
 
-        P (n, n) and p (n,) are of the cost, times ``cost_scale``; A (m, n), low and high (m,) the equality rows and
-        their sides; lower and upper (n,) the box. A library may want packed (n (n + 1) / 2,), the upper triangle of P
-        by columns, and other ``signs`` of p, lower and upper.
+        P (n, n) and p (n,) hold the cost times ``cost_scale``; A (m, n), low and high (m,) the equality rows and their
+        sides; lower and upper (n,) the box. Two are optional: ``packed`` (n (n + 1) / 2,), the upper triangle of P by
+        columns, and ``signs``, the factors of p, lower and upper.
         """
 
     def _load(self, qp: NullSpaceQP) -> bool:
-        """Write ``qp`` into the buffers; False, and nothing is written, where it has another shape."""
+        """Write ``qp`` into the buffers. If it has another shape, write nothing and return False."""
         return qp.n == self._n and core.load(qp.row, *self._to)
 
     def _set_up(self, m: int, n: int) -> None:  # noqa: B027
-        """Make the library's workspace from the loaded arrays, its options set."""
+        """Make the library's workspace from the loaded arrays, and set its options."""
 
     def _hand_over(self) -> None:  # noqa: B027
         """Hand the loaded arrays to the library."""
 
     @abstractmethod
     def _run(self) -> Outcome:
-        """Run the library: status, iterations, x (n,) in memory of its own, multipliers (m,) of A x = b.
+        """Run the library: status, iterations, x (n,) in its own memory, multipliers (m,) of A x = b.
 
-        x and multipliers count only where the status is one with an answer.
+        x and multipliers are used only if the status is one of `_HAS_X`.
         """
 
     def update(self, qp: NullSpaceQP) -> None:
-        """Hand the subproblem to the library; another shape than the last one's starts a new workspace."""
+        """Hand the subproblem to the library; if its shape differs from the last one's, start a new workspace."""
         if not self._load(qp):
             self._build(qp)
         self._hand_over()
@@ -113,14 +113,14 @@ class LibrarySession(ABC):
 
 
 class TruncatedSession(LibrarySession):
-    """A library whose iterations can be limited from call to call."""
+    """A session of a library that takes a new limit of iterations at each call."""
 
     @abstractmethod
     def _limit(self, iterations: int) -> None:
-        """Let the library make so many iterations at most."""
+        """Let the library make at most ``iterations``."""
 
     def truncated(self, qp: NullSpaceQP, iterations: int) -> Solution:
-        """Answer with the iterate after so many iterations (at least 1), starting where the last solve started."""
+        """Answer with the iterate after ``iterations`` (at least 1), starting where the last solve started."""
         self._limit(iterations)
         try:
             return self.solve(qp)
@@ -129,13 +129,13 @@ class TruncatedSession(LibrarySession):
 
 
 def upper_triangle(values: Array, n: int) -> sparse.csc_matrix:
-    """Wrap (n (n + 1) / 2,) values, column by column, as the upper triangle of an (n, n) matrix; zeros stay."""
+    """Wrap (n (n + 1) / 2,) values, column by column, as the upper triangle of an (n, n) matrix, zeros kept."""
     rows = np.concatenate([np.arange(j + 1) for j in range(n)])
     return sparse.csc_matrix((values, rows, np.cumsum(np.arange(n + 1))), shape=(n, n))
 
 
 def stacked(values: Array, boxes: int) -> sparse.csc_matrix:
-    """Wrap (n, m + boxes) values, a row for each joint, as a matrix of m dense rows above diagonal ones; zeros stay."""
+    """Wrap (n, m + boxes) values, one row per joint, as m dense rows above ``boxes`` diagonal blocks, zeros kept."""
     n, m = len(values), values.shape[1] - boxes
     rows = np.concatenate([np.append(np.arange(m), m + n * np.arange(boxes) + j) for j in range(n)])
     return sparse.csc_matrix((values.ravel(), rows, (m + boxes) * np.arange(n + 1)), shape=(m + boxes * n, n))

@@ -3,12 +3,12 @@
     max_x  c2 (mu(q + x T)/T + d^T x) - regularization/2 |x|^2,   d = g - grad mu(q)
     s.t.   tip(q + x T) = tip(q) + v_T T,   E (wrist(q + x T) - wrist(q)) = E v_W T,   lower <= x <= upper
 
-g is the subproblem's gradient, which may be that of a course to follow. E (2, 3) spans the plane across the tool: the
-wrist's third row repeats the tip's, and with six rows nothing converges.
+g is the subproblem's `pull`: grad mu, or the vector of a course to follow. The rows of E (2, 3) span the plane across
+the tool. Along the tool the wrist's row repeats the tip's, and with all six rows no solver converges.
 
 This is the null-space subproblem only in the limit T -> 0. At T = 2 ms and joint speeds near 1 rad/s the curvature of
-the kinematics puts an optimal answer 8e-4 m/s (median of random problems, at most 6e-3) off A x = b: it is not
-``residuals().verified()`` with the default tolerances.
+the kinematics moves the optimal answer off A x = b by 8e-4 m/s (median of random problems; at most 6e-3), so that it is
+not ``residuals().verified()`` with the default tolerances.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ class Kinematics(Protocol):
     mu: Any
 
 
-# The rest (sqpmethod's "Search_Direction_Becomes_Too_Small", which is also its answer to an infeasible
-# problem) proves nothing.
+# The other statuses prove nothing: sqpmethod's "Search_Direction_Becomes_Too_Small", for example, is also
+# its answer to an infeasible problem.
 _STATUS = {
     "Solve_Succeeded": Status.SOLVED,
     "Maximum_Iterations_Exceeded": Status.MAX_ITER,
@@ -47,7 +47,7 @@ _STATUS = {
 
 
 def buffered(function: Any, arguments: Mapping[str, Array], results: Mapping[str, Array]) -> tuple[Any, Any]:
-    """Return buffer and call of a CasADi function on the caller's own arrays; a plain call takes ten times as long."""
+    """Return buffer and call of a CasADi function that uses the caller's arrays, ten times faster than a plain call."""
     buffer, call = function.buffer()
     for name, array in arguments.items():
         buffer.set_arg(function.index_in(name), array.data)
@@ -61,7 +61,7 @@ def program(settings: NLP) -> tuple[Any, Any]:
     """Return the NLP solver, and the function q -> (tip, wrist, mu, grad mu) that gives its parameters.
 
     The parameters of the solver are q (n,), tip, wrist and mu at q, d (n,), the columns of E, c2 and regularization.
-    Both hold no state: sessions share them.
+    Neither function keeps a state, so that sessions share them.
     """
     kinematics, n, period = settings.kinematics, settings.kinematics.n, settings.period
     x, q, base, E = ca.SX.sym("x", n), ca.SX.sym("q", n), ca.SX.sym("base", 7), ca.SX.sym("E", 2, 3)
@@ -84,7 +84,7 @@ def program(settings: NLP) -> tuple[Any, Any]:
 
 
 class NLPSession:
-    """Buffers of one solver; the last answer in them is the warm start."""
+    """Buffers of one solver; the last answer stays in them as the warm start."""
 
     def __init__(self, settings: NLP, qp: NullSpaceQP) -> None:
         self._settings, n = settings, qp.n
@@ -136,14 +136,14 @@ class NLPSession:
 
 @dataclass(frozen=True)
 class NLP(SolverSettings, ABC):
-    """Settings that both share; use ``SQP`` or ``Ipopt``.
+    """Settings that ``SQP`` and ``Ipopt`` share; use one of these two.
 
     Args:
         kinematics: tip, wrist and mu as CasADi functions; ``robot.kinematics()``.
         period: T [s], the control period.
         cost_scale: multiplies the cost; the duals are scaled back.
         eps: tolerance of the scaled problem's KKT conditions.
-        max_iter: iterations a tick.
+        max_iter: most iterations of a tick.
         hessian: "limited-memory" (BFGS) or "exact".
     """
 
@@ -166,7 +166,7 @@ class NLP(SolverSettings, ABC):
         super().__post_init__()
 
     def supports(self, qp: NullSpaceQP) -> str | None:
-        """Say what is missing: the place where the problem was linearized, or a rigid tool."""
+        """Return None, or why not: q is missing, the number of joints differs, or the tool is not rigid."""
         if qp.q is None:
             return "the subproblem has no q; an NLP needs the position where it was linearized"
         if qp.n != self.kinematics.n:
@@ -177,16 +177,16 @@ class NLP(SolverSettings, ABC):
 
     @abstractmethod
     def _options(self) -> dict[str, Any]:
-        """Return the options of the CasADi plug-in: silent, and with our tolerance and limit of iterations."""
+        """Return the options of the CasADi plug-in: no output, and the settings' tolerance and most iterations."""
 
 
 @dataclass(frozen=True)
 class SQP(NLP):
-    """CasADi's sqpmethod on its active-set QP solver qrqp; iterations are major ones.
+    """CasADi's sqpmethod on its active-set QP solver qrqp; major iterations are counted.
 
-    BFGS starts from the identity, which at cost_scale = 1e5 is the true Hessian of the default regularization of
-    1e-5: half the iterations of 1e3. The exact Hessian is indefinite where regularization = 0: then three problems in
-    ten stay without an answer.
+    BFGS starts from the identity. With cost_scale = 1e5 that is the Hessian of the default regularization term (1e-5),
+    and half as many iterations are needed as with 1e3. With regularization = 0 the exact Hessian is indefinite, and
+    three problems in ten get no answer.
     """
 
     cost_scale: float = 1e5
@@ -207,7 +207,7 @@ class SQP(NLP):
 class Ipopt(NLP):
     """The interior-point method IPOPT (Waechter & Biegler 2006).
 
-    It convexifies the exact Hessian by itself; with BFGS and regularization = 0 it runs out of iterations.
+    IPOPT convexifies the exact Hessian by itself. With BFGS and regularization = 0 it runs out of iterations.
     """
 
     name = "nlp-ipopt"

@@ -1,7 +1,7 @@
 """OSQP: operator splitting with one factorisation a tick, set up once and updated in place.
 
-Stellato et al. 2020, "OSQP: an operator splitting solver for quadratic programs". OSQP knows only
-l <= A x <= u, so the box becomes n rows below the equalities.
+Stellato et al. 2020, "OSQP: an operator splitting solver for quadratic programs". OSQP takes only
+l <= A x <= u, so that the box becomes n rows below the equalities.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from moc_opt.solvers.base import Solution, Status
 from moc_opt.solvers.library import Adapter, Outcome, TruncatedSession, stacked, upper_triangle
 
 _CODE = ext_builtin.osqp_status_type
-# "Inaccurate" means that a ten times looser tolerance was met when the iterations ran out: not solved.
+# "Inaccurate" means that only a ten times looser tolerance was met when the iterations ran out: not solved.
 _STATUS = {
     int(_CODE.OSQP_SOLVED): Status.SOLVED,
     int(_CODE.OSQP_PRIMAL_INFEASIBLE): Status.INFEASIBLE,
@@ -33,7 +33,7 @@ class OSQPSession(TruncatedSession):
 
     def _allocate(self, m: int, n: int) -> dict[str, Any]:
         self._P = np.empty(n * (n + 1) // 2)
-        self._A = np.ones((n, m + 1))  # the columns of [A; I]: explicit zeros stay
+        self._A = np.ones((n, m + 1))  # the columns of [A; I], explicit zeros kept
         self._q, self._l, self._u = np.empty(n), np.empty(m + n), np.empty(m + n)
         self._last = self._before = np.zeros(n), np.zeros(m + n)  # x and all multipliers
         return {
@@ -72,7 +72,7 @@ class OSQPSession(TruncatedSession):
         self._core.update_settings(self._options)
 
     def truncated(self, qp: NullSpaceQP, iterations: int) -> Solution:
-        """Answer with the iterate after so many iterations, from where the last solve began; the next goes on there."""
+        """Answer with the iterate after ``iterations`` from the last solve's start; the next solve starts at it."""
         self._core.warm_start(*self._before)
         return super().truncated(qp, iterations)
 
@@ -81,15 +81,15 @@ class OSQPSession(TruncatedSession):
 class OSQP(Adapter):
     """OSQP through its native interface.
 
-    The library's own tolerance of 1e-3 is ten times the whole gradient of this problem: it then claims success, and
-    nineteen answers in twenty are not optimal. eps = 1e-8 with costs times 100 left no wrong claim on some thousand
-    random problems, for twice the iterations; one in two hundred is left unsolved at max_iter.
+    The library's own tolerance of 1e-3 is ten times the whole gradient of this problem. With it OSQP claims success,
+    but nineteen answers in twenty are not optimal. With eps = 1e-8 and costs times 100 no claim was wrong on some
+    thousand random problems, at twice the iterations; one problem in two hundred is still unsolved at max_iter.
 
     Args:
         eps: absolute tolerance on the scaled problem; eps_rel: the relative one.
-        max_iter: iterations a tick.
-        check_termination: iterations between two looks at the residuals.
-        polishing: solve the active set's equations once more at the end.
+        max_iter: most iterations of a tick.
+        check_termination: number of iterations between two checks of the residuals.
+        polishing: whether the active set's equations are solved once more at the end.
     """
 
     rows: int = 5

@@ -26,7 +26,7 @@ class PIQPSession(TruncatedSession):
     """One dense workspace."""
 
     def _allocate(self, m: int, n: int) -> dict[str, Any]:
-        # The library stores matrices by columns; rows it would copy at every call.
+        # The library stores matrices by columns and would copy a matrix by rows at every call.
         P, A, p = np.empty((n, n), order="F"), np.empty((m, n), order="F"), np.empty(n)
         b, lower, upper = np.empty(m), np.empty(n), np.empty(n)
         self._data = (P, p, A, b, None, None, None, lower, upper)
@@ -57,8 +57,8 @@ class PIQP(Adapter):
     """PIQP's dense back-end.
 
     Args:
-        eps: absolute tolerance on the scaled problem (1e-8 is the library's, with 1e-9 relative).
-        max_iter: iterations.
+        eps: absolute tolerance on the scaled problem (the library's defaults are 1e-8, and 1e-9 relative).
+        max_iter: most iterations.
     """
 
     rows: int = 5

@@ -21,8 +21,8 @@ _STATUS = {
     _CODE.PROXQP_MAX_ITER_REACHED: Status.MAX_ITER,
 }
 _COLD = proxqp.InitialGuess.EQUALITY_CONSTRAINED_INITIAL_GUESS
-# The last answer with fresh step sizes. WARM_START_WITH_PREVIOUS_RESULT also keeps the last active set
-# and penalties, and after a jump of the data it can claim success at the opposite bound.
+# Start from the last answer with fresh step sizes. WARM_START_WITH_PREVIOUS_RESULT also keeps the last active set
+# and penalties; after a jump of the data it can claim success at the opposite bound.
 _WARM = proxqp.InitialGuess.COLD_START_WITH_PREVIOUS_RESULT
 
 
@@ -52,8 +52,8 @@ class ProxQPSession(LibrarySession):
         core.solve()
         status, iterations = _STATUS.get(result.info.status, Status.NUMERICAL), result.info.iter
         if status is not Status.SOLVED and self._warm:
-            # A stale start must not decide that a problem has no answer: ask again from scratch. The
-            # data go in again because a failed run leaves the box scaled.
+            # The failure may come from the old start: solve again from scratch. The data are handed over again,
+            # because a failed run leaves the box scaled.
             self._guess(False)
             self._hand_over()
             core.solve()
@@ -71,15 +71,15 @@ class ProxQPSession(LibrarySession):
 class ProxQP(Adapter):
     """ProxQP's dense back-end.
 
-    With the library's eps_primal_inf = 1e-4 a third of these feasible problems are called infeasible; with 1e-12 many
-    infeasible ones run into max_iter. With costs times 10 everything from 1e-10 to 1e-7 told 4800 feasible from 4800
-    infeasible ones without an error; with costs times 1e3 a rare feasible one is called infeasible.
+    With the library's eps_primal_inf = 1e-4 a third of the feasible subproblems are called infeasible; with 1e-12 many
+    infeasible ones run into max_iter. With costs times 10 every value from 1e-10 to 1e-7 classified 4800 feasible and
+    4800 infeasible problems without an error. With costs times 1e3 a rare feasible one is called infeasible.
 
     Args:
-        eps: absolute tolerance on the scaled problem (1e-5 is the library's).
-        eps_primal_inf: tolerance of the proof of infeasibility (1e-4 is the library's).
-        max_iter: outer iterations; max_iter_in: inner ones in each. Feasible problems take about ten
-            in all; the library's 10000 and 1500 make an undecided one run for minutes.
+        eps: absolute tolerance on the scaled problem (the library's default is 1e-5).
+        eps_primal_inf: tolerance of the proof of infeasibility (the library's default is 1e-4).
+        max_iter: most outer iterations; max_iter_in: most inner ones in each. Feasible problems take about ten
+            in all; with the library's 10000 and 1500 an undecided one runs for minutes.
     """
 
     rows: int = 5

@@ -1,6 +1,6 @@
 """Any solver that qpsolvers finds here, as ``qpsolvers:NAME``.
 
-qpsolvers converts its problem at every call, up to half a millisecond: these adapters compare answers, not speed.
+qpsolvers converts its problem at every call (up to half a millisecond): these adapters compare answers, not speed.
 """
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ class Advice(NamedTuple):
     options: Mapping[str, Any] = {}
 
 
-# The gradient of this problem is about 1e-4, the size of a usual tolerance: costs times 1e3 lift it out.
+# The gradient of this problem is about 1e-4, the size of a usual tolerance; a cost times 1e3 lifts it above that.
 ADVICE: dict[str, Advice] = {
     "clarabel": Advice(1e3),  # else about 1 % of its answers have a relative residual above 1e-3
-    "daqp": Advice(1e3),  # else 5 % at the wrong end of the self-motion when regularization = 0
+    "daqp": Advice(1e3),  # else 5 % are at the wrong end of the self-motion when regularization = 0
     "highs": Advice(1e3, {"time_limit": 0.1}),  # unscaled its QP solver cycles for ever
     "osqp": Advice(1e2, {"eps_abs": 1e-8, "eps_rel": 0.0}),  # with 1e-3 nine answers in ten are wrong
     "piqp": Advice(1e3, {"eps_abs": 1e-9, "eps_rel": 0.0}),
@@ -88,12 +88,12 @@ ALLOWED = {
 }  # fmt: skip
 """Solver -> its options that may be set: tolerances, iterations and modes; none that writes, loads or compiles."""
 
-# Libraries for sparse problems: qpsolvers warns of the conversion and of every failure. The status says it.
+# With sparse libraries qpsolvers warns of each conversion and failure. These warnings are hidden; the status suffices.
 _NOISY = set(qpsolvers.sparse_solvers) - set(qpsolvers.dense_solvers)
 
 
 def reasons() -> dict[str, str | None]:
-    """Return every library that qpsolvers knows -> None when it is here, else the reason why not."""
+    """Return library -> None if qpsolvers finds it here, else the reason why not, for all that qpsolvers knows."""
     known = {module.name.strip("_") for module in pkgutil.iter_modules(qpsolvers.solvers.__path__)}
     here = set(qpsolvers.available_solvers)
     return {
@@ -103,12 +103,12 @@ def reasons() -> dict[str, str | None]:
 
 
 def checked(solver: str, options: object) -> dict[str, Any]:
-    """Return a copy of a library's options; raises where one is not allowed, or is no flag and no number."""
+    """Return a copy of a library's options; raises if one is not allowed, or its value is neither flag nor number."""
     if not isinstance(options, Mapping):
         raise SolverError(f"{solver}: options = {options!r:.80} is not a table of keyword arguments")
     allowed = ALLOWED.get(solver, frozenset())
     for name, value in options.items():
-        if name not in allowed:  # what writes or reads files, loads, compiles or prints is left out
+        if name not in allowed:  # `allowed` has no option that writes or reads files, loads, compiles or prints
             raise UnknownNameError(f"option of {solver}", str(name), allowed)
         if not isinstance(value, (bool, int, float)) or not math.isfinite(value) or abs(value) > MOST:
             raise SolverError(
@@ -129,14 +129,14 @@ class QPSolverSession:
             return no_answer(qp.n, Status.UNSUPPORTED)
         try:
             return self.attempt(qp)
-        except (QPError, ValueError, ArithmeticError):  # how the libraries report a failed factorisation
+        except (QPError, ValueError, ArithmeticError):  # so the libraries report a failed factorisation
             return no_answer(qp.n, Status.NUMERICAL)
 
     def attempt(self, qp: NullSpaceQP) -> Solution:
         """Answer one subproblem; raises what the library raises."""
         P, p, A, b, lift = qp.assembled(self._settings.rows)
         scale, library = self._advice.cost_scale, self._settings.library
-        # Copies: daqp refuses read-only arrays.
+        # Pass copies: daqp refuses read-only arrays.
         problem = qpsolvers.Problem(
             P * scale, p * scale, None, None, A.copy(), b.copy(), qp.lower.copy(), qp.upper.copy()
         )
@@ -145,7 +145,7 @@ class QPSolverSession:
                 warnings.simplefilter("ignore")
             found = qpsolvers.solve_problem(problem, library, **self._advice.options)
         count = found.extras.get("iter", found.extras.get("iterations", getattr(found.extras.get("info"), "iter", 0)))
-        iterations = int(np.ravel(count)[0])  # quadprog counts two kinds
+        iterations = int(np.ravel(count)[0])  # quadprog returns two counts
         if not found.found:
             return no_answer(qp.n, self._verdict(found), iterations)
         x = np.array(found.x, dtype=float)
@@ -154,8 +154,8 @@ class QPSolverSession:
         return Solution(x, np.dot(found.y, lift) / scale, Status.SOLVED, iterations)
 
     def _verdict(self, found: qpsolvers.Solution) -> Status:
-        """Return why there is no answer: infeasible only where the library's own status says so."""
-        if self._settings.library == "quadprog":  # the other reason, a cost that is not definite, raises
+        """Return the status that explains a missing answer: INFEASIBLE only where the library's own status says so."""
+        if self._settings.library == "quadprog":  # its other failure, an indefinite cost, raises an exception
             return Status.INFEASIBLE
         limit = self._advice.options.get("time_limit")
         if limit is not None and found.solve_time is not None and found.solve_time >= limit:
@@ -176,11 +176,11 @@ class QPSolver(SolverSettings):
         library: name as qpsolvers spells it.
         rows: 5 or 6 equality rows; on six, daqp fails one problem in a hundred.
         cost_scale: multiplies P and p; None takes the advised one.
-        options: of the library, on top of the advised ones; those of `ALLOWED`.
-        advised: False leaves ``ADVICE`` out: the library as it comes.
+        options: of the library, added to the advised ones; only those in `ALLOWED`.
+        advised: False ignores ``ADVICE``: the library keeps its own defaults.
 
     Raises:
-        SolverError: a setting is out of range; from ``start``, the library refuses an option.
+        SolverError: a setting is out of range, or (from ``start``) the library refuses an option.
     """
 
     library: str
@@ -198,25 +198,25 @@ class QPSolver(SolverSettings):
 
     @property
     def advice(self) -> Advice:
-        """The scale of the cost and the library's keyword arguments, as they are passed on."""
+        """The scale of the cost and the library's keyword arguments that are used."""
         base = ADVICE.get(self.library, Advice()) if self.advised else Advice()
         scale = base.cost_scale if self.cost_scale is None else self.cost_scale
         return Advice(scale, {**base.options, **(self.options or {})})
 
     def supports(self, qp: NullSpaceQP) -> str | None:
-        """Return the reason why quadprog, which factorises P, cannot take a problem; the others take all."""
+        """Return why quadprog, which factorises P, cannot take a problem, or None; the others take every problem."""
         needs = "quadprog needs a positive definite cost"
         return refuse_semidefinite(qp, needs) if self.library == "quadprog" else None
 
     def start(self, qp: NullSpaceQP) -> Session:
-        """Return a session; where there are options of the caller's, one solve shows whether they exist."""
+        """Return a session. If the caller gives options, one problem is solved to see if the library takes them."""
         session = super().start(qp)
         if self.options:
             try:
                 session.attempt(qp)  # type: ignore[attr-defined]
             except (QPError, FloatingPointError, ZeroDivisionError):
-                pass  # the problem's fault, not the options': `solve` will say so with a status
-            except Exception as error:  # each library has errors of its own kind for a value that it refuses
+                pass  # the problem failed, not the options: `solve` reports it as a status
+            except Exception as error:  # each library has its own class of errors for a value that it refuses
                 refused = f"options = {self.options} are refused ({describe(error)}); see the library's manual"
                 raise SolverError(f"{self.name}: {refused}") from error
         return session

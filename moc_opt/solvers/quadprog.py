@@ -30,7 +30,7 @@ class QuadprogSession(LibrarySession):
     def _run(self) -> Outcome:
         try:
             x, _, _, steps, multipliers, _ = quadprog.solve_qp(self._P, self._a, self._C, self._b, self._m)
-        except ValueError as error:  # its only way to say so
+        except ValueError as error:  # quadprog's only report of a failure
             infeasible = "inconsistent" in str(error)
             return Status.INFEASIBLE if infeasible else Status.NUMERICAL, 0, self._a, self._a
         return Status.SOLVED, int(steps[0]), x, multipliers[: self._m]
@@ -38,7 +38,7 @@ class QuadprogSession(LibrarySession):
 
 @dataclass(frozen=True)
 class Quadprog(Adapter):
-    """quadprog on five rows: on six dependent ones it fails from an inconsistency of 1e-12 on.
+    """quadprog on five rows: with six dependent ones it fails if they contradict each other by 1e-12 or more.
 
     It factorises P, which is singular without regularization.
     """

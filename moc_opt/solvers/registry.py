@@ -1,6 +1,6 @@
 """Solvers by name: those of this package, those that qpsolvers finds, and those of other packages by entry points.
 
-A new one of ours is a file in this folder and a line in ``BUILT_IN``.
+A new solver of this package is a file in this folder and a line in ``BUILT_IN``.
 """
 
 from __future__ import annotations
@@ -36,11 +36,11 @@ BUILT_IN: dict[str, tuple[str, str, str]] = {
     "nlp-ipopt": ("nlp", "Ipopt", "casadi"),
 }
 QPSOLVERS = "qpsolvers:"
-"""Prefix of all solvers that the package qpsolvers finds: one adapter for them."""
+"""Prefix of the solvers that the package qpsolvers finds; one adapter serves them all."""
 
 
 class Entry(NamedTuple):
-    """What makes the named solver, and the entry point that it comes from; None: it is ours."""
+    """The callable that makes the named solver, and its entry point (None for a solver of this package)."""
 
     name: str
     make: Callable[..., Solver]
@@ -70,7 +70,7 @@ class Entry(NamedTuple):
 
 
 def check_solver(given: object, what: str = "") -> Solver:
-    """Return what was given, or refuse what is no solver by a SolverError: a name, a class, any other object."""
+    """Return the solver that was given; a SolverError refuses a name, a class or any other object that is none."""
     what = what or shown(given, 80)
     if isinstance(given, type):
         raise SolverError(f"{what} is a class, no solver: call it, as in {given.__name__}()")
@@ -97,7 +97,7 @@ def available() -> dict[str, str | None]:
         try:
             entry = _of_plugin(name, points)
             required = (p for p in entry.parameters.values() if p.kind not in (p.VAR_POSITIONAL, p.VAR_KEYWORD))
-            if all(p.default is not p.empty for p in required):  # else `create` asks for them
+            if all(p.default is not p.empty for p in required):  # else it cannot be tried without settings
                 entry.create()
             found[name] = None
         except MocOptError as error:
@@ -106,13 +106,13 @@ def available() -> dict[str, str | None]:
 
 
 def check_name(name: str) -> None:
-    """Raise an UnknownNameError where there is no solver of that name; `create` finds whether it can run here."""
+    """Raise an UnknownNameError if no solver has that name. Only `create` finds out whether it can run here."""
     if not (_ours(name) or name in plugins.plugins(GROUP)):
         raise UnknownNameError("solver", name, available(), "moc-opt solvers --list")
 
 
 def defaults(name: str) -> dict[str, Any]:
-    """Return setting -> default of the named solver, where there is one; raises what ``create`` raises."""
+    """Return setting -> default for the settings of the named solver that have one; raises what ``create`` raises."""
     return {p.name: p.default for p in find(name).parameters.values() if p.default is not p.empty}
 
 
@@ -127,7 +127,7 @@ def create(name: str, **settings: Any) -> Solver:
 
 
 def find(name: str) -> Entry:
-    """Import what makes the named solver; raises what ``create`` raises."""
+    """Import the named solver and return its `Entry`; raises what ``create`` raises."""
     if not isinstance(name, str):
         raise SolverError(f"solver = {shown(name)}: give the name of one, such as 'exact'")
     claimed = plugins.plugins(GROUP).get(name, [])

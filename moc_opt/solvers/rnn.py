@@ -7,7 +7,7 @@ With F(Y) = [dL/dx, -dL/dlambda] (the paper's equation (2)) the network is
     eps dl1/dt = k (J_T x - v_T),   eps dl2/dt = k (J_W x - v_W)
 
 integrated by Euler steps of size h = dt/eps (`moc_opt/core/rnn.c`). A network cannot tell that a problem is
-infeasible: its multipliers then grow without bound, the status is MAX_ITER, and it needs as long again to unwind them.
+infeasible: the multipliers then grow without bound, the status is MAX_ITER, and they take as long again to unwind.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ from moc_opt.solvers.base import Choices, Solution, SolverSettings, Status, no_a
 
 
 def unstable(qp: NullSpaceQP, h: float, k: float, scale: float, implicit: bool, h_x: float | None = None) -> str | None:
-    """Return why Euler steps of this size diverge on ``qp``, or None. x steps by h_x, by h where that is None.
+    """Return why Euler steps of this size diverge on ``qp``, or None. The step of x is h_x, or h if h_x is None.
 
-    On a singular value s of A, away from the bounds, a step is that of an oscillator with damping k c s^2 and stiffness
-    k^2 s^2, c = scale c0 = scale c1. Explicit steps are stable only where h k < c and (2 h_x k c - h h_x k^2) s^2 < 4;
-    with the multipliers on the new x only (2 h_x k c + h h_x k^2) s^2 < 4 remains.
+    Away from the bounds, the network along a singular vector of A (singular value s) is an oscillator with damping
+    k c s^2 and stiffness k^2 s^2, c = scale c0 = scale c1. Explicit steps are stable only where h k < c and
+    (2 h_x k c - h h_x k^2) s^2 < 4; semi-implicit ones only need (2 h_x k c + h h_x k^2) s^2 < 4.
     """
     c0, c1 = scale * qp.c0, scale * qp.c1
     weak, strong, hk = min(c0, c1), max(c0, c1), h * k
@@ -41,7 +41,7 @@ def unstable(qp: NullSpaceQP, h: float, k: float, scale: float, implicit: bool, 
     if weak <= 0.0:
         return "c0 and c1 must be above 0: nothing else damps the multipliers"
     largest = float(np.linalg.norm(qp.A, 2))
-    # a product, which may become infinite, where a power would raise
+    # `largest * largest` becomes infinite where `largest**2` would raise OverflowError
     hk_x = hk if h_x is None else h_x * k
     stiff = (2.0 * hk_x * strong + (hk * hk_x if implicit else -hk * hk_x)) * largest * largest
     if not stiff < 4.0:
@@ -50,7 +50,7 @@ def unstable(qp: NullSpaceQP, h: float, k: float, scale: float, implicit: bool, 
 
 
 class Network(SolverSettings):
-    """What the two share: a step size in (0, 1]."""
+    """Base of both networks: the step size h is in (0, 1]."""
 
     h: float
 
@@ -61,7 +61,7 @@ class Network(SolverSettings):
 
 
 class RNNSession:
-    """The state of one network: x and the multipliers, 0 at first."""
+    """The state of one network: x and the multipliers, which start at 0."""
 
     def __init__(self, settings: Any, qp: NullSpaceQP) -> None:
         self._settings = settings
@@ -71,12 +71,12 @@ class RNNSession:
         self._x, self._y = np.zeros(n), np.zeros(6)
 
     def solve(self, qp: NullSpaceQP) -> Solution:
-        """Go on from the last tick's state."""
+        """Continue from the last tick's state."""
         s = self._settings
         return self._advance(qp, s.steps, s.h, s.h, s.scale, s.method == "semi-implicit")
 
     def _advance(self, qp: NullSpaceQP, most: int, h_x: float, h_y: float, scale: float, implicit: bool) -> Solution:
-        """Take at most so many steps from the state as it is; at rest again where that does not stay finite."""
+        """Take at most ``most`` steps from the present state, which is reset to 0 if it does not stay finite."""
         if qp.n != len(self._x):
             self._rest(qp.n)
         s, x, y = self._settings, self._x, self._y
@@ -96,19 +96,19 @@ class RNNPrintedSession(RNNSession):
         self._x = np.array(v, dtype=float)
 
     def solve(self, qp: NullSpaceQP) -> Solution:
-        """Compute x = P(v - k dL/dqd) with the multipliers as they are, which then go on by one tick."""
+        """Compute x = P(v - k dL/dqd) with the present multipliers, then integrate these over one tick."""
         return self._advance(qp, 1, 1.0, self._settings.h, 1.0, False)
 
 
 @dataclass(frozen=True)
 class RNN(Network):
-    """The network with a state of its own: at most ``steps`` inner steps a tick, warm from tick to tick.
+    """The network with its own state: at most ``steps`` inner steps a tick, each tick from the last one's state.
 
     The paper's weights c0 = 0.01 and k = 0.1 need about 3e7 steps to 1e-3, because the explicit step must keep
-    h k < c0. ``scale`` leaves the solution as it is and lets the step grow: 100, with k = 0.5, h = 1, needs 1.4e3.
+    h k < c0. ``scale`` does not change the solution but allows larger steps: 100, with k = 0.5, h = 1, needs 1.4e3.
 
     Args:
-        steps: inner steps a tick; it ends earlier where the state has come to rest.
+        steps: most inner steps of a tick; it ends earlier where the state has come to rest.
         h: step size dt/eps, in (0, 1]: x then never leaves the box.
         k: the paper's gain.
         scale: multiplies c0, c1, c2 and regularization; the multipliers are scaled back.
@@ -138,15 +138,15 @@ class RNN(Network):
 class RNNPrinted(Network):
     """Equation (2) of the paper to the letter, with the measured joint velocity v as its qd.
 
-    The answer is x = P(v - k dL/dqd), of which the third level takes x - v, the paper's qdd_d. The multipliers, 0 at
-    first, integrate dlambda/dt = k (J v - v_ref) / eps over the tick. With the paper's weights its modes are slower
-    than 50 s, so in a controller it acts as damping. ``session.observe(v)`` hands v over before a tick; without it the
-    network goes on from its own last x.
+    The answer is x = P(v - k dL/dqd), of which the third level takes x - v, the paper's qdd_d. The multipliers start at
+    0 and integrate dlambda/dt = k (J v - v_ref) / eps over the tick. With the paper's weights the network's modes are
+    slower than 50 s, so that it acts as damping in a controller. ``session.observe(v)`` hands v over before a tick;
+    without this call the network continues from its own last x.
 
     Args:
         k: the paper's gain.
         h: step of the multipliers, dt/eps. The paper prints no time constant: 0.002 is eps = 1 s at 500 Hz.
-            h k < c0 or the steps diverge.
+            The steps diverge unless h k < c0.
         eps: SOLVED is claimed where the right-hand side of the network is at most this [rad/s, m/s].
 
     Raises:

@@ -1,4 +1,4 @@
-"""Check the numbers that a task is built from, and evaluate at one time or at many."""
+"""Checks of the numbers that a task is built from, and evaluation of functions at one number or at many."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ TimeLike = float | ArrayLike
 
 
 def number(name: str, value: object, above: float = -math.inf) -> float:
-    """Return a finite float; a TaskError where it is no number, not finite, or not above this."""
+    """Return a finite float; a TaskError where the value is no number, not finite, or not greater than ``above``."""
     if not (is_number(value) and max(above, -1e300) < value < 1e300):  # type: ignore[operator]
         raise TaskError(f"{name} = {value!r}: give one finite number" + (" above zero" if above == 0.0 else ""))
     return float(value)  # type: ignore[arg-type]
 
 
 def positive(name: str, value: object) -> float:
-    """Return a finite float above zero; a TaskError where it is none."""
+    """Return a finite float above zero; a TaskError for any other value."""
     return number(name, value, above=0.0)
 
 
 def vector3(name: str, value: ArrayLike, *, rows: bool = False) -> Array:
-    """Return a read-only copy of numbers (3,), or (k, 3) as ``rows``; a TaskError where they are no finite numbers."""
+    """Return a read-only copy of numbers (3,), with ``rows`` (k, 3); a TaskError where they are not finite numbers."""
     wanted = "give finite numbers (k, 3)" if rows else "give three finite numbers"
     try:
         result = np.array(value, dtype=np.float64)
@@ -41,17 +41,17 @@ def vector3(name: str, value: ArrayLike, *, rows: bool = False) -> Array:
 
 
 def direction3(name: str, value: ArrayLike) -> Array:
-    """Return a read-only unit vector (3,); a TaskError where it has no direction."""
+    """Return a read-only unit vector (3,); a TaskError where the value is no vector or zero."""
     given = vector3(name, value)
     largest = float(np.abs(given).max())
     if largest == 0.0:
         raise TaskError(f"{name} = {value!r} has no direction: give a vector of non-zero length")
-    scaled = given / largest  # the square of a very long or very short vector would overflow or vanish
+    scaled = given / largest  # otherwise the square of a very long or short vector would overflow or vanish
     return read_only(np.asarray(scaled / math.sqrt(float(scaled @ scaled))))
 
 
 def sampled(name: str, value: TimeLike, rows: Callable[[Array], Array]) -> Array:
-    """Evaluate `rows`, (k,) -> (k, m, 3), at one number or at each of a vector (k,): (m, 3) or (m, k, 3).
+    """Evaluate `rows`, (k,) -> (k, m, 3), at a number or at each entry of a vector (k,): gives (m, 3) or (m, k, 3).
 
     A TaskError where `value` is neither a number nor a vector.
     """

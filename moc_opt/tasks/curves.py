@@ -1,4 +1,4 @@
-"""Shapes of paths, planar: a curve starts at its own origin, its first axis is the heading. `CURVES` has them all."""
+"""Planar shapes of paths. A curve starts at its own origin, and its first axis is the heading; `CURVES` lists all."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ PlanePoint = tuple[float, float, float, float, float]
 Speed = Callable[[Array], tuple[Array, Array]]
 
 _MOST_PANELS = 2**18
-_PROBES = (0.23, 0.5, 0.71)  # off a panel's symmetric places, where an interpolation error could vanish by chance
+_PROBES = (0.23, 0.5, 0.71)  # places in a panel [share]; at symmetric ones alone an error could vanish by chance
 _GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(10)
 
 
@@ -30,8 +30,8 @@ class ArcLength:
 
     Args:
         speed: w (k,) -> (ds/dw (k,) [m], d2s/dw2 (k,) [m]), ds/dw above zero.
-        breaks: (b,) from 0 to the largest w, between which the speed is smooth.
-        panels: panels of each stretch to start from; enough to see every bend of the curve.
+        breaks: (b,) from 0 to the largest w; the speed is smooth between two of them.
+        panels: number of panels at first between two breaks, enough to resolve every bend of the curve.
 
     Raises:
         TaskError: the accuracy is not reached with 2^18 panels in all.
@@ -47,7 +47,7 @@ class ArcLength:
             coefficients = _hermite(w, lengths, *speed(w))
             if _worst(speed, w, lengths, coefficients) <= 1e-10 * min(1.0, float(s[-1])):
                 self.knots, self.length = read_only(s), float(s[-1])
-                # Plain lists: at one number a tick, indexing an array costs more than the whole polynomial.
+                # Lists, since with one number per tick, indexing an array takes longer than the whole polynomial.
                 self._starts: list[float] = s[:-1].tolist()
                 self._lengths: list[float] = lengths.tolist()
                 self._coefficients: list[list[float]] = coefficients.tolist()
@@ -89,10 +89,10 @@ def _worst(speed: Speed, w: Array, lengths: Array, coefficients: Array) -> float
 
 
 class PlanarCurve(NamedTuple):
-    """A smooth curve in the plane, from its own origin, by arc length."""
+    """A smooth curve in the plane, parametrised by arc length from its own origin."""
 
     length: float  #: [m]
-    knots: Array  #: Arc lengths (k,) [m], from 0 to `length`, close enough together to see every bend.
+    knots: Array  #: Arc lengths (k,) [m], from 0 to `length`, close enough together to resolve every bend.
     at: Callable[[float], PlanePoint]
     """Gives x, y [m], unit tangent tx, ty and curvature [1/m] (left is positive) at s in [0, length]."""
 
@@ -104,7 +104,7 @@ def line(length: float = 0.04) -> PlanarCurve:
 
 
 def circle(radius: float = 0.03) -> PlanarCurve:
-    """One full turn of the given radius [m], to the left, the heading being its first tangent."""
+    """One full turn of the given radius [m] to the left; the heading is the first tangent."""
     r = positive("radius", radius)
 
     def at(s: float) -> PlanePoint:
@@ -118,7 +118,7 @@ def circle(radius: float = 0.03) -> PlanarCurve:
 def sinusoid(amplitude: float = 0.01, wavelength: float = 0.02, periods: float = 2.0) -> PlanarCurve:
     """y = amplitude sin(2 pi x / wavelength), x along the heading, for a number of periods (whole or not).
 
-    Amplitude and wavelength in m. It starts on its axis, at its steepest.
+    Amplitude and wavelength are in m. The curve starts on its axis, where it is steepest.
     """
     a, periods = positive("amplitude", amplitude), positive("periods", periods)
     k = 2.0 * math.pi / positive("wavelength", wavelength)
@@ -142,7 +142,7 @@ def sinusoid(amplitude: float = 0.01, wavelength: float = 0.02, periods: float =
 def spiral(turns: float = 2.0, radius: float = 0.03) -> PlanarCurve:
     """Archimedean spiral from its centre to the left: r = radius angle / (2 pi turns), heading at angle 0.
 
-    `turns` whole or not, `radius` [m] the final one. At the centre the curvature is 4 pi turns / radius.
+    `turns` need not be whole, and `radius` [m] is the final one. At the centre the curvature is 4 pi turns / radius.
     """
     turns = positive("turns", turns)
     b = positive("radius", radius) / (2.0 * math.pi * turns)
@@ -162,5 +162,5 @@ def spiral(turns: float = 2.0, radius: float = 0.03) -> PlanarCurve:
 
 
 CURVES: dict[str, Callable[..., Any]] = {"line": line, "circle": circle, "sinusoid": sinusoid, "spiral": spiral}
-"""Kind of path -> a function of its sizes that returns waypoints (k, 3) [m] from the start: along the heading, to the
-left, along the normal; or a `PlanarCurve`, which needs no interpolation. Add yours here."""
+"""Kind of path -> a function of its sizes. It returns waypoints (k, 3) [m] relative to the start (along the heading, to
+the left, along the normal), or a `PlanarCurve`, which needs no interpolation. Add new kinds here."""

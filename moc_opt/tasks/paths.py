@@ -1,7 +1,7 @@
 """Paths of the tool tip in space by arc length: planar curves, curves through waypoints, and all of them by name.
 
-To add one here: a function and a line of `CURVES` in curves.py. In a package of your own: an entry point of the group
-`moc_opt.tasks`, which names what would be an entry of `CURVES`.
+To add a path here, write a function and a line of `CURVES` in curves.py. In a package of your own, give such a function
+an entry point of the group `moc_opt.tasks`.
 """
 
 from __future__ import annotations
@@ -24,22 +24,22 @@ from moc_opt.tasks.curves import CURVES, ArcLength, PlanarCurve
 
 GROUP = "moc_opt.tasks"
 WAYPOINTS = "waypoints"
-MOST = 1000  #: Waypoints of one path.
-FARTHEST_M = 1000.0  #: Of a waypoint from the start, along each axis: as for the sizes of other paths.
-_SLOWEST = 0.05  # of the spline's speed over its chords: below it, the path all but turns back on the spot
+MOST = 1000  #: Most waypoints of one path.
+FARTHEST_M = 1000.0  #: Largest distance of a waypoint from the start along each axis, as for sizes of other paths.
+_SLOWEST = 0.05  # least |dp/dw|, w the chord length: below it, the path all but turns back on the spot
 
 
 class Path:
     """A planar curve put into space: it begins at `start` and lies in the plane of two unit vectors."""
 
     length: float  #: [m]
-    knots: Array  #: Arc lengths (k,) [m], from 0 to `length`, close enough together to see every bend.
+    knots: Array  #: Arc lengths (k,) [m], from 0 to `length`, close enough together to resolve every bend.
 
     def __init__(self, curve: PlanarCurve, start: ArrayLike, *, normal: ArrayLike, heading: ArrayLike) -> None:
         """Place the curve at start (3,) [m]; a TaskError where a vector is not usable.
 
-        "To the left" is seen from the tip of the plane's normal (3,). Of the heading (3,), the curve's first axis, the
-        part along the normal is taken out; they must not be parallel.
+        "Left" is as seen from the tip of the plane's normal (3,). The heading (3,) is the curve's first axis; its part
+        along the normal is removed, and the two must not be parallel.
         """
         self._place(start, normal, heading)
         self.curve, self.length, self.knots = curve, float(curve.length), curve.knots
@@ -54,7 +54,7 @@ class Path:
         self.left = direction3("left", np.cross(self.normal, self.heading))
 
     def curvature(self, s: float) -> float:
-        """Return the curvature [1/m] at s [m] in [0, length]; of a planar path with its sign, left being positive."""
+        """Return the curvature [1/m] at s [m] in [0, length]; for a planar curve it is signed, positive to the left."""
         return self.curve.at(s)[4]
 
     def at(self, s: TimeLike) -> tuple[Array, Array, Array]:
@@ -74,8 +74,8 @@ class Path:
     def points(self, s: Array) -> Array:
         """Return p [m], dp/ds and d2p/ds2 [1/m] as (k, 3, 3) at s (k,) [m] in [0, length], unchecked.
 
-        The curve is evaluated at one number after the other: the same bits in a vector and alone, which numpy's vector
-        sine does not promise.
+        The curve is evaluated at one number after the other, so that a vector gives the same bits as single numbers.
+        numpy's vector sine does not promise this.
         """
         x, y, tx, ty, k = np.array([self.curve.at(one) for one in s.tolist()]).reshape(-1, 5).T[:, :, None]
         a, b = self.heading, self.left
@@ -85,14 +85,14 @@ class Path:
 class Waypoints(Path):
     """A path from `start` through every waypoint, its direction and curvature continuous.
 
-    The natural cubic spline in the length of the chords: between two points a cubic, at both ends curvature 0.
+    It is the natural cubic spline over the chord length: a cubic between two points, with curvature 0 at both ends.
     """
 
     def __init__(self, points: ArrayLike, start: ArrayLike, *, normal: ArrayLike, heading: ArrayLike) -> None:
-        """Lay the path through points (k, 3) [m] from the start: along the heading, to the left, along the normal.
+        """Lay the path through points (k, 3) [m], relative to the start: along heading, to the left, along normal.
 
-        The start itself may stand first. A TaskError where there are no such points, two alike beside each other, or
-        the path turns back on the spot.
+        The first point may be the start itself. A TaskError where the points are unusable or missing, two in a row are
+        equal, or the path turns back on the spot.
         """
         self._place(start, normal, heading)
         given = _checked(points)
@@ -105,7 +105,7 @@ class Waypoints(Path):
         self._check_turns(inside)
         self._arc = ArcLength(self._speed, self._at, 8)
         self.length, self.knots = self._arc.length, self._arc.knots
-        # Plain lists: at one number a tick, indexing an array costs more than the polynomial.
+        # Lists, since with one number per tick, indexing an array takes longer than the polynomial.
         self._begin: list[float] = self._at[:-1].tolist()
         self._rows_of: list[list[list[float]]] = self._pieces.tolist()
 
@@ -160,7 +160,7 @@ def _checked(points: ArrayLike) -> Array:
 
 
 def _spline(t: Array, points: Array) -> Array:
-    from scipy.interpolate import CubicSpline  # late: a third of a second that only waypoints need
+    from scipy.interpolate import CubicSpline  # here: takes 0.3 s, only waypoints need it
 
     found = CubicSpline(t, points, bc_type="natural").c  # (4, pieces, 3), highest power first
     return np.ascontiguousarray(found[::-1].transpose(1, 2, 0))
@@ -170,7 +170,7 @@ def _spline(t: Array, points: Array) -> Array:
 
 
 def kinds() -> dict[str, str]:
-    """Name -> one line on every path that a scenario may name; of one that is broken, the reason."""
+    """Name -> one line about it, for every path that a scenario may name; for a broken plug-in, the reason."""
     found = {name: _about(curve) for name, curve in CURVES.items()}
     found[WAYPOINTS] = "A smooth path through the points of `waypoints_m`, in three dimensions."
     for name in _plugins():
@@ -186,7 +186,7 @@ def sizes(kind: str, given: Iterable[str] = ()) -> dict[str, Any]:
 
     Raises:
         UnknownNameError: no such path, or a given name is none of its sizes.
-        TaskError: it is another package's, and does not load.
+        TaskError: the path is a plug-in that does not load.
     """
     parameters = {} if kind == WAYPOINTS else inspect.signature(_maker(kind)).parameters
     known = {name: parameter.default for name, parameter in parameters.items()}
@@ -203,7 +203,7 @@ def make_path(
     """Build a path of one of `kinds` with the given `sizes`; start, normal and heading are those of `Path`.
 
     Args:
-        waypoints: (k, 3) [m], see `Waypoints`; of the kind "waypoints" alone.
+        waypoints: (k, 3) [m], see `Waypoints`; only for the kind "waypoints".
 
     Raises:
         UnknownNameError: no such kind, or the kind has no such size; the message lists the valid names.

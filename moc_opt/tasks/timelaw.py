@@ -1,4 +1,4 @@
-"""The quintic time law along a path in the shortest time within limits, and a reference that can wait on its way."""
+"""The quintic time law along a path in the shortest time within limits, and a reference that can pause."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def duration(path: Path, v_max: float, a_max: float) -> float:
     With D the length, kappa the curvature and s = s(u), u = t/T:
         |velocity| = D s'/T                   at most 15 D / (8 T),
         |acceleration| = D g(u) / T^2         with g(u)^2 = s''^2 + (D kappa(D s) s'^2)^2,
-    so T = max(15 D / (8 v_max), sqrt(D max g / a_max)): g does not depend on T. A straight path has max g = 10/sqrt(3).
+    so T = max(15 D / (8 v_max), sqrt(D max g / a_max)), as g does not depend on T. A straight path: max g = 10/sqrt(3).
 
     Args:
         v_max: largest speed [m/s].
@@ -48,7 +48,7 @@ def _largest_acceleration(path: Path) -> float:
         s, ds, dds = quintic(u)
         return math.hypot(dds, length * path.curvature(min(s * length, length)) * ds * ds)
 
-    # Even steps see the time law's own peaks; the curve's knots, taken back to u, see every bend of the path.
+    # Even steps resolve the time law's own peaks; the curve's knots, mapped to u, resolve every bend of the path.
     even = np.linspace(0.0, 1.0, 513)
     progress = [quintic(u)[0] for u in even.tolist()]
     u = np.unique(np.concatenate((even, np.interp(path.knots / length, progress, even))))
@@ -71,7 +71,7 @@ def _climb(g: Callable[[float], float], lower: float, upper: float) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """The tip reference X_d, dX_d, ddX_d over time: a path at the quintic law, in the shortest allowed time.
+    """The tip reference X_d, dX_d, ddX_d over time: a path under the quintic law, in the shortest allowed time.
 
     A TaskError where a limit is not positive and finite, or t_start is not finite.
     """
@@ -92,8 +92,8 @@ class Reference:
     def at(self, t: TimeLike) -> tuple[Array, Array, Array]:
         """Return x [m], dx [m/s] and ddx [m/s^2] at t [s]; each (3,), or (k, 3) with the same bits for times (k,).
 
-        Before t_start it rests at the start of the path, after t_start + duration at its end. A TaskError where t is no
-        number or vector, or NaN.
+        The reference rests at the start of the path before t_start, and at its end after t_start + duration. A
+        TaskError where t is no number or vector, or NaN.
         """
         x, dx, ddx = sampled("t", t, self._rows)
         return x, dx, ddx
@@ -115,29 +115,29 @@ class Reference:
 
 
 class WaitingReference:
-    """Plays a reference; it slows down to a stop while it may not go on, and speeds up again when it may.
+    """Plays a reference, with a flag at each tick: it slows down to a stop while this is False, and then speeds up.
 
-    It begins at rest, at the start of the path. Nothing jumps: with the path time tau running at the rate sigma in
-    [0, 1],
+    It begins at rest, at the start of the path. X_d, dX_d and ddX_d do not jump: with the path time tau running at the
+    rate sigma in [0, 1],
 
         X_d(t) = X(tau(t)),   dX_d = sigma X',   ddX_d = sigma^2 X'' + sigma' X'
 
-    so |dX_d| <= v_max and |ddX_d| <= 2 a_max. The rate is the yes-or-no of each tick sent through two moving averages:
-    it never leaves [0, 1], is exactly 0 (or 1) once the answer has stood for their length, and its slope is at most
-    one over the longer of them, v_max / a_max.
+    so |dX_d| <= v_max and |ddX_d| <= 2 a_max. The rate is the flag (0 or 1) after two moving averages. It never leaves
+    [0, 1], equals the flag once this has been constant for the sum of their lengths, and its slope is at most one over
+    the longer length, v_max / a_max.
     """
 
     def __init__(self, reference: Reference, period_s: float) -> None:
-        """Take the time from tick to tick [s]; a TaskError where it is not positive and finite."""
+        """Take the reference and the period of the ticks [s]; a TaskError where this is not positive and finite."""
         self.reference, self.period_s = reference, positive("period_s", period_s)
-        # Rounded up: a longer average is a gentler one.
+        # Rounded up, which makes the change of the rate slower, never faster.
         long = max(1, math.ceil(reference.v_max / reference.a_max / self.period_s - 1e-9))
         self._lengths = long, max(1, long // 2)
         self.settle_s = sum(self._lengths) * self.period_s
-        """Time from the last change of the answer until the path rests, or runs at its full rate [s]."""
+        """Time from the last change of the flag until the reference rests, or runs at its full rate [s]."""
 
     def play(self, go_on: ArrayLike) -> tuple[Array, Array]:
-        """Play it from the start with the flags go_on (N,), one a tick; a TaskError where these are no flags.
+        """Play the reference from its start with flags go_on (N,), one a tick; a TaskError where these are no flags.
 
         Returns:
             X_d [m], dX_d [m/s], ddX_d [m/s^2] as rows (N, 3, 3), and the path time (N,) [s] at each tick.
@@ -149,7 +149,7 @@ class WaitingReference:
         for length in self._lengths:
             later = np.convolve(later, np.ones(length))[: len(flags)] / length
         rate = np.concatenate([[0.0], later])[: len(flags)]
-        # Exact for a rate that is a straight line, and an acceleration that is constant, over the tick.
+        # The trapezoidal rule is exact: the rate is linear over a tick.
         times = np.concatenate([[0.0], np.cumsum(0.5 * self.period_s * (rate + later))])[: len(flags)]
         x, v, a = self.reference.at(times)
         slope = (later - rate) / self.period_s
@@ -157,12 +157,12 @@ class WaitingReference:
 
 
 def flags_at(times: ArrayLike, seen_times: ArrayLike, seen: ArrayLike) -> NDArray[np.bool_]:
-    """Carry the camera's answers over to the control ticks: each holds from its picture to the next one.
+    """Turn the flags of a camera's pictures into flags of control ticks: each holds from its picture to the next one.
 
     Args:
         times: (N,) of the ticks [s].
-        seen_times: (k,) of the pictures [s], rising; a TaskError where they do not.
-        seen: (k,) flags.
+        seen_times: (k,) of the pictures [s]; a TaskError where they do not increase.
+        seen: (k,) flags of the pictures.
 
     Returns:
         (N,) flags; False before the first picture.
@@ -170,6 +170,6 @@ def flags_at(times: ArrayLike, seen_times: ArrayLike, seen: ArrayLike) -> NDArra
     pictures, answers = np.asarray(seen_times, dtype=np.float64), np.asarray(seen, dtype=np.bool_)
     if pictures.ndim != 1 or pictures.shape != answers.shape or (np.diff(pictures) <= 0.0).any():
         raise TaskError("seen_times: give one rising time [s] for each entry of seen")
-    # A picture taken at a tick counts for it, whatever the rounding of the two clocks.
+    # A picture taken at the time of a tick counts for that tick, whatever the rounding of the two times.
     last = np.searchsorted(pictures, np.asarray(times, dtype=np.float64) + 1e-9, side="right")
     return np.concatenate(([False], answers))[last]

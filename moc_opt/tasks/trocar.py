@@ -17,14 +17,14 @@ from moc_opt.tasks.checks import TimeLike, direction3, number, positive, sampled
 class Trocar:
     """A trocar point that may move slowly, as with breathing.
 
-    P(t) = point + amplitude (1 - cos(2 pi t / period)) / 2 * direction: it starts at `point`, at rest, and is
-    `breathing_amplitude_m` away half a period later. A TaskError where one of these is not usable.
+    P(t) = point + amplitude (1 - cos(2 pi t / period)) / 2 * direction: the trocar starts at `point`, at rest, and is
+    `breathing_amplitude_m` away half a period later. A TaskError where one of the fields is not usable.
     """
 
-    point: ArrayLike  #: At t = 0, (3,) [m].
+    point: ArrayLike  #: Position at t = 0, (3,) [m].
     breathing_amplitude_m: float = 0.0  #: Largest distance from `point`, zero or above.
     breathing_period_s: float = 4.0  #: Time of one breath.
-    direction: ArrayLike = (0.0, 0.0, 1.0)  #: Of the motion, (3,), any length above zero.
+    direction: ArrayLike = (0.0, 0.0, 1.0)  #: Direction of the motion, (3,), of any length above zero.
 
     def __post_init__(self) -> None:
         amplitude = number("breathing_amplitude_m", self.breathing_amplitude_m)
@@ -54,7 +54,7 @@ class Trocar:
         if not np.isfinite(t).all():
             raise TaskError(f"t = {t[~np.isfinite(t)][0]!r} is not a time: give seconds")
         rate = 2.0 * math.pi / self.breathing_period_s
-        turns = (rate * t).tolist()  # one by one: numpy's vector sine may round otherwise in a vector than alone
+        turns = (rate * t).tolist()  # evaluated one by one: numpy's vector sine may round differently
         away = self.breathing_amplitude_m * 0.5 * (1.0 - np.array([math.cos(turn) for turn in turns]))
         speed = self.breathing_amplitude_m * 0.5 * rate * np.array([math.sin(turn) for turn in turns])
         point, direction = np.asarray(self.point), np.asarray(self.direction)
@@ -62,16 +62,16 @@ class Trocar:
 
 
 def shaft_distance(tip: ArrayLike, wrist: ArrayLike, p: ArrayLike) -> Array:
-    """Compute the RCM error d = |(P - X) x u|: how far the shaft's line passes from the trocar [m].
+    """Compute the RCM error d = |(P - X) x u|, the distance of the shaft's line from the trocar [m].
 
     Args:
-        tip, wrist, p: X, N and P, (3,) or (k, 3) [m]; a single point serves for all rows. u = (X - N)/|X - N|.
+        tip, wrist, p: X, N and P, (3,) or (k, 3) [m]; a single point is used for all rows. u = (X - N)/|X - N|.
 
     Returns:
         d, (k,), or of shape () where all three are single points.
     """
     tool = np.subtract(tip, wrist)
     u = tool / np.sqrt((tool * tool).sum(axis=-1, keepdims=True))
-    # Written out: np.cross costs ten times as much on rows of three.
+    # The cross product is written out, since np.cross takes ten times as long on rows of three.
     (a, b, c), (d, e, f) = np.moveaxis(np.subtract(p, tip), -1, 0), np.moveaxis(u, -1, 0)
     return np.asarray(np.sqrt((b * f - c * e) ** 2 + (c * d - a * f) ** 2 + (a * e - b * d) ** 2))

@@ -1,4 +1,4 @@
 """The record of a run: ``trace`` (``Trace``, one row a tick), ``columns`` (their units and meaning) and ``metrics``.
 
-``file`` is the Parquet file, ``meta`` has the other entries and how a run ended, ``oscillation`` whether an arm shook.
+``file`` reads and writes Parquet; ``meta`` has the entries besides the columns; ``oscillation`` finds arms that shake.
 """

@@ -3,12 +3,12 @@
 A simulated run has
 
 - ``ended``: the ending, and its reason; ``stopped_at_s`` [s]; ``ticks`` of ``ticks_planned``, and ``period_s``;
-- ``warnings``: what exceeded a warning level of the safety filter, and ``faults``: the refused answers of the third
-  level, label -> count, first_at_s, first (in words);
+- ``warnings``: figures that exceeded a warning level of the safety filter; ``faults``: the refused answers of the third
+  level, label -> count, first_at_s, first (the message of the first one);
 - ``restarts``: when (at_s) the process of an isolated solver was replaced, and why (reason);
-- ``scenario``, ``robot`` (and ``robot_data`` of an arm that is not of the package), ``start_q_rad``, ``deadline_us``.
+- ``scenario``, ``robot`` (and ``robot_data`` of an arm that is not in the package), ``start_q_rad``, ``deadline_us``.
 
-A trace may come from anywhere, so the types are checked where one is made.
+A trace may come from anywhere, so that the constructor of a trace checks the types.
 """
 
 from __future__ import annotations
@@ -19,20 +19,20 @@ from enum import StrEnum
 from typing import Any
 
 from pydantic import FiniteFloat, TypeAdapter, ValidationError
-from typing_extensions import TypedDict  # of pydantic, which takes that of typing from Python 3.12 on only
+from typing_extensions import TypedDict  # pydantic takes typing.TypedDict only from Python 3.12 on
 
 from moc_opt.errors import TraceError, shown
 
 
 class Ending(StrEnum):
-    """The ways in which a run ends: the first word of ``meta["ended"]``; the reason follows it ("stopped: the tip")."""
+    """The ways in which a run ends. ``meta["ended"]`` begins with one, and the reason follows ("stopped: the tip")."""
 
     COMPLETED = "completed"
     OSCILLATED = "oscillated"
     STOPPED = "stopped"
     RAN_AWAY = "ran away"
     FAILED = "failed"
-    PART = "part"  #: Some of the ticks of a run; the text after it is the run's ending.
+    PART = "part"  #: The trace has only some of the run's ticks; the rest of the text says how the run ended.
 
     @classmethod
     def of(cls, ended: str) -> Ending:
@@ -43,12 +43,12 @@ class Ending(StrEnum):
     def whole(self) -> bool:
         """Whether the task was driven to its end: only then do the run's figures enter a mean.
 
-        A run that oscillated was, and is counted beside the means.
+        This includes a run that oscillated, which is also counted separately.
         """
         return self in (Ending.COMPLETED, Ending.OSCILLATED)
 
 
-# ruff: noqa: UP013  (a form a line reads better than a class each)
+# ruff: noqa: UP013  (one line per type reads better than one class)
 _FAULT = TypedDict("_FAULT", {"count": int, "first_at_s": FiniteFloat, "first": str})
 _RESTART = TypedDict("_RESTART", {"at_s": FiniteFloat, "reason": str})
 _WARNING = TypedDict(
@@ -72,15 +72,15 @@ FORMS: Mapping[str, TypeAdapter[Any]] = {
         "restarts": list[_RESTART], "warnings": list[_WARNING], "scenario": _SCENARIO, "best_courses": _COURSES,
     }.items()
 }  # fmt: skip
-"""Entry -> what it must be; a table may have further keys."""
+"""Entry -> its type; a table may have further keys."""
 ANYTHING = TypeAdapter(Any)
 
 
 def plain(meta: Mapping[str, Any]) -> dict[str, Any]:
-    """Return meta as JSON gives it back.
+    """Return meta as it is after writing to JSON and reading back.
 
     Raises:
-        TraceError: it is not JSON, or an entry is not what its reader takes it for.
+        TraceError: meta cannot be written as JSON, or an entry has another type than that in `FORMS`.
     """
     found = {}
     for name, value in meta.items():

@@ -1,7 +1,7 @@
 """From a trace to numbers: `summarize` computes every metric that a trace has the data for.
 
-A new metric is one function under `@metric`; its name, with the unit in it, is the key in every summary. A summary of a
-trace that lacks a column which it reads leaves it out.
+A new metric is one function under `@metric`; its name, with the unit in it, is the key in every summary. If a trace
+lacks a column that the metric reads, the summary leaves the metric out.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ from moc_opt.trace.trace import MissingDataError, Trace
 
 Floats = NDArray[np.float64]
 GROUP = "moc_opt.metrics"
-_LOADED: dict[EntryPoint, str] = {}  # with the reason where one cannot be used
+_LOADED: dict[EntryPoint, str] = {}  # -> the reason why it cannot be used, or ""
 
 
 @dataclass(frozen=True)
 class Metric:
-    """A registered metric: call it with a trace, and with a baseline where it compares two runs.
+    """A registered metric: call it with a trace, and with a baseline if it compares two runs.
 
-    A MissingDataError where the trace lacks the data.
+    The call raises a MissingDataError where the trace lacks the data.
     """
 
     name: str  #: key in every summary, with the unit in it
@@ -57,7 +57,7 @@ def metric(unit: str | Callable[..., float]) -> Any:
     raises MissingDataError, as the access to an absent column does, a summary leaves it out.
 
     Raises:
-        TraceError: it has no docstring, or another function has its name already.
+        TraceError: the function has no docstring, or another function has its name already.
     """
     if not callable(unit):
         return lambda function: _add(function.__name__, unit, inspect.getdoc(function) or "", function)
@@ -68,7 +68,7 @@ def _add(name: str, unit: str, about: str, function: Callable[..., float]) -> Me
     if not about:
         raise TraceError(f"metric {name!r} has no docstring: say in one line what it measures")
     known = METRICS[name].function if name in METRICS else function
-    # A module that is loaded a second time may bring its own metrics again.
+    # A module that is loaded a second time may register its own metrics again.
     if (known.__module__, known.__qualname__) != (function.__module__, function.__qualname__):
         raise TraceError(f"metric {name!r} is there already, from {known.__module__}: choose another name")
     METRICS[name] = Metric(name, unit, about.splitlines()[0], function)
@@ -105,7 +105,7 @@ def summarize(trace: Trace, baseline: Trace | None = None) -> dict[str, float]:
         Name -> number, in the order of METRICS, without those whose data are absent.
 
     Raises:
-        TraceError: the trace or the baseline is none or empty, they are not of the same time, or a column holds
+        TraceError: the trace or the baseline is not a Trace or is empty, their ticks differ, or a column holds
             numbers that no run has.
     """
     load_plugins()
@@ -146,7 +146,7 @@ def _extent(trace: Trace) -> str:
 
 
 def _floats(trace: Trace, column: str) -> Floats:
-    """Return a column of numbers; of vectors, their lengths."""
+    """Return a column of numbers; for a column of vectors, their lengths."""
     values = np.asarray(getattr(trace, column), dtype=np.float64)
     return values if values.ndim == 1 else _lengths(values)
 
@@ -156,7 +156,7 @@ def _lengths(rows: Floats) -> Floats:
 
 
 def _known(trace: Trace, column: str) -> Floats:
-    """Return the entries of a column that are not NaN; there must be one."""
+    """Return the entries of a column that are not NaN; a MissingDataError if all are."""
     values = _floats(trace, column)
     values = values[~np.isnan(values)]
     if values.size == 0:
@@ -182,7 +182,7 @@ def _figure(
 
 @metric
 def completed(trace: Trace) -> float:
-    """1 where the run ended "completed", 0 where it was stopped, ran away or oscillated; a part of a run has none."""
+    """1 if the run ended "completed", 0 if it was stopped, ran away, oscillated or failed; not given for a part."""
     ended = trace.meta.get("ended")
     if not isinstance(ended, str):
         raise MissingDataError("meta has no 'ended': say how the run ended")
@@ -193,7 +193,7 @@ def completed(trace: Trace) -> float:
 
 @metric
 def share_of_run(trace: Trace) -> float:
-    """Share of the planned ticks that are in the trace: below 1 its other figures are those of a part."""
+    """Share of the planned ticks that are in the trace; below 1 the other metrics describe only a part of the run."""
     ticks, planned = trace.meta.get("ticks"), trace.meta.get("ticks_planned")
     if not isinstance(ticks, int) or not isinstance(planned, int) or planned < 1:
         raise MissingDataError("meta has no 'ticks' and 'ticks_planned': give both as numbers of ticks")
@@ -209,9 +209,9 @@ _figure("mu_final", "m^3", "Last", "mu", lambda values: values[-1])
 
 @metric("percent")
 def mu_gain_percent(trace: Trace, baseline: Trace | None) -> float:
-    """Mean manipulability above the baseline's, in percent of it; to compare two settings of third_level, use mu_mean.
+    """Gain in mean manipulability over the baseline, in percent of the baseline; to compare third levels, use mu_mean.
 
-    Their baselines differ: each has the observer gain of its third level.
+    Baselines of different third levels differ: each has the observer gain of its third level.
     """
     if baseline is None:
         raise MissingDataError("there is no baseline: give the trace of DCAC on the same trial")
@@ -223,7 +223,7 @@ def mu_gain_percent(trace: Trace, baseline: Trace | None) -> float:
 
 @metric
 def mu_fraction_of_bound(trace: Trace) -> float:
-    """Mean manipulability over that of the largest of all feasible poses, at the ticks where it was looked for."""
+    """Mean manipulability over the mean of the largest mu of all feasible poses, at the ticks that have this bound."""
     bound = float(_known(trace, "mu_bound").mean())
     if bound == 0.0:
         raise MissingDataError("the largest mu is zero throughout: a share of it has no value")
@@ -232,13 +232,13 @@ def mu_fraction_of_bound(trace: Trace) -> float:
 
 @metric
 def mu_fraction_of_best_from_start(trace: Trace) -> float:
-    """Mean manipulability over that of the best course from the same start, where planned."""
+    """Mean manipulability over that of the best course from the same start, if one was planned."""
     return METRICS["mu_mean"](trace) / _known(trace, "mu_best_from_start").mean()
 
 
 @metric
 def mu_fraction_of_best(trace: Trace) -> float:
-    """Mean manipulability over that of the best course from any swivel and branch, where planned."""
+    """Mean manipulability over that of the best course from any swivel and branch, if one was planned."""
     return METRICS["mu_mean"](trace) / _known(trace, "mu_best").mean()
 
 
@@ -261,7 +261,7 @@ def torque_rate_rms_Nm_per_s(trace: Trace) -> float:
     """Chatter: root mean square over the ticks of |tau_k - tau_(k-1)| / (t_k - t_(k-1))."""
     change, step = _lengths(np.diff(trace.tau_Nm, axis=0)), np.diff(_floats(trace, "t_s"))
     if "tick" in trace.columns:
-        # Selected ticks may lie apart; a difference across such a gap is no rate.
+        # Selected ticks may not be consecutive; a difference across a gap is no rate.
         together = np.diff(trace.tick) == 1
         change, step = change[together], step[together]
     if step.size == 0:
@@ -273,13 +273,13 @@ def torque_rate_rms_Nm_per_s(trace: Trace) -> float:
 
 @metric("rad/s")
 def oscillation_rad_per_s(trace: Trace) -> float:
-    """Largest joint's root mean square of velocity above 8 Hz over a second; see moc_opt.trace.oscillation."""
+    """Largest root mean square of a joint's velocity above 8 Hz over one second; see moc_opt.trace.oscillation."""
     return shaking(trace, "v_rad_per_s").rms
 
 
 @metric("Nm")
 def oscillation_Nm(trace: Trace) -> float:
-    """Largest joint's root mean square of torque above 8 Hz over a second; see moc_opt.trace.oscillation."""
+    """Largest root mean square of a joint's torque above 8 Hz over one second; see moc_opt.trace.oscillation."""
     return shaking(trace, "tau_Nm").rms
 
 
@@ -310,13 +310,13 @@ def claimed_solved(trace: Trace) -> float:
 
 @metric
 def verified_solved(trace: Trace) -> float:
-    """Ticks at which the answer was judged optimal, whatever was claimed."""
+    """Ticks at which the answer was judged optimal, whatever the solver claimed."""
     return _count(trace.verified)
 
 
 @metric
 def silently_wrong(trace: Trace) -> float:
-    """Ticks at which success was claimed and the answer was judged wrong."""
+    """Ticks at which the solver claimed success and the answer was judged wrong."""
     return _count((trace.status == "solved") & ~trace.verified)
 
 
@@ -328,7 +328,7 @@ def faults(trace: Trace) -> float:
 
 @metric
 def limited_ticks(trace: Trace) -> float:
-    """Ticks at which the safety filter changed the torque asked for."""
+    """Ticks at which the safety filter changed the controller's torque."""
     return _count(trace.limited)
 
 

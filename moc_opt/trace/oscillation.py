@@ -1,14 +1,14 @@
 """Oscillation: joints that shake faster than any task asks for, found in a trace after the run.
 
 Chatter and limit cycles of a torque loop lie above 8 Hz; a task, its time law and a push on the arm lie below. So
-each joint's velocity and torque are taken above that (a centred mean over 1/8 s is subtracted), and their largest root
-mean square over a second counts, the first half second aside, in which an arm starts with a jerk. On the LWR4+ in the
+each joint's velocity and torque are high-passed (a centred mean over 1/8 s is subtracted), and the largest root mean
+square over one second is used. The first half second is left out, since an arm starts with a jerk. On the LWR4+ in the
 realistic plant 94 sound runs (all presets, noise, bumps, breathing, DCAC at a joint limit) had at most 0.080 rad/s and
 3.6 Nm; a limit cycle of the idle joint had 0.49 rad/s and 28 Nm, chatter by delay or by rho = 0 up to 2.7 and 119.
 
-Both limits lie near the geometric middle of sound and unsound. Those of a joint that slides are the same motion at
-0.4 m from an axis: 0.08 m/s, and 100 N (the rail's sound runs have 11 N). A single jerk is no oscillation: without its
-loudest quarter, the second has to hold half of a limit still.
+Both limits lie near the geometric mean of sound and unsound runs. For a sliding joint, 0.08 m/s is the same motion at
+0.4 m from an axis, and the other limit is 100 N (the rail's sound runs have 11 N). A single jerk is no oscillation:
+the worst second without its loudest quarter must still have more than half of a limit.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ Floats = NDArray[np.float64]
 Flags = Sequence[bool] | NDArray[np.bool_]
 
 LIMIT_RAD_PER_S, LIMIT_NM = 0.2, 10.0
-LIMIT_M_PER_S, LIMIT_N = 0.08, 100.0  #: Of a joint that slides.
+LIMIT_M_PER_S, LIMIT_N = 0.08, 100.0  #: The same limits for a sliding joint.
 PARTS, LOUDEST, KEPT_UP = 8, 2, 0.5
-"""Of so many parts of the worst window the loudest ones are left out, and the rest holds this share of a limit."""
+"""The worst window is cut into PARTS; without the LOUDEST ones it must exceed the share KEPT_UP of a limit."""
 ABOVE_HZ, WINDOW_S, START_S, SHORTEST_S = 8.0, 1.0, 0.5, 1e-6
 
 
@@ -38,27 +38,27 @@ class Shaking(NamedTuple):
 
     joint: int  #: its number, from 0
     rms: float  #: root mean square above ABOVE_HZ, of the worst window, in the column's unit
-    frequency_Hz: float  #: at which its spectrum above ABOVE_HZ is largest there
+    frequency_Hz: float  #: of the largest entry of that window's spectrum above ABOVE_HZ
     rest: float  #: root mean square of that window without its loudest quarter
 
     def above(self, limit: float) -> bool:
-        """Say whether it is an oscillation beyond a limit on ``rms``, and no jerk."""
+        """Return whether this is an oscillation beyond the limit on ``rms``, and not a single jerk."""
         return self.rms > limit and self.rest > KEPT_UP * limit
 
 
 def shaking(trace: Trace, column: str, limits: ArrayLike | None = None) -> Shaking:
     """Find the largest root mean square above ``ABOVE_HZ`` that a joint keeps up for ``WINDOW_S``.
 
-    A run shorter than two windows is cut in half: the first half is its start, the second one window.
+    In a run shorter than the start and one window, the window is shorter, and the start is at most half of the run.
 
     Args:
         trace: of consecutive ticks.
         column: ``v_rad_per_s`` or ``tau_Nm``, (N, n).
-        limits: of each joint (n,): the largest is that with the largest share of its own, and a jerk is not taken
-            where an oscillation beyond a limit is there too; None: the largest of all.
+        limits: of each joint (n,). The joint with the largest share of its own limit is returned; a jerk gives way to
+            an oscillation beyond a limit, if the run has one. None: the joint with the largest value.
 
     Raises:
-        MissingDataError: no such column, no time, ticks that lie apart, or fewer than four of them.
+        MissingDataError: no such column, no time, ticks that are not consecutive, or fewer than four of them.
         TraceError: time does not increase.
     """
     values, time = np.asarray(getattr(trace, column), dtype=np.float64), np.asarray(trace.t_s, dtype=np.float64)
@@ -82,7 +82,7 @@ def shaking(trace: Trace, column: str, limits: ArrayLike | None = None) -> Shaki
     if limits is None:
         return loudest
     while not found.above(bounds[found.joint]) and shares.max() > 1.0:
-        # A jerk: another joint, or this one at another time, may still oscillate.
+        # This is a jerk; another joint, or the same joint at another time, may still oscillate.
         row = int(np.argmax(shares[:, found.joint]))
         shares[max(row - window // PARTS, 0) : row + window // PARTS + 1, found.joint] = 0.0
         found = _at(fast, squares, shares, period)
@@ -102,7 +102,7 @@ def _at(fast: Floats, squares: Floats, shares: Floats, period: float) -> Shaking
 
 
 def above(values: Floats, width: int) -> Floats:
-    """Return the rows (N, k) less their centred mean over about ``width`` of them, over fewer at both ends."""
+    """Return the rows (N, k) minus their centred mean over about ``width`` rows, over fewer at both ends."""
     total = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)])
     place, half = np.arange(len(values)), width // 2
     begin, end = np.maximum(place - half, 0), np.minimum(place + half + 1, len(values))
@@ -110,7 +110,7 @@ def above(values: Floats, width: int) -> Floats:
 
 
 def describe(trace: Trace, joint_names: Sequence[str], slides: Flags) -> str:
-    """Say which joint oscillates, how fast and how much; empty where none does.
+    """Return in words which joint oscillates, how fast and how much; empty where none does.
 
     Raises:
         MissingDataError: see ``shaking``.
@@ -129,7 +129,7 @@ def describe(trace: Trace, joint_names: Sequence[str], slides: Flags) -> str:
 def judged_for_oscillation(trace: Trace, joint_names: Sequence[str], slides: Flags) -> Trace:
     """Return the trace, with ``meta["ended"]`` "oscillated: ..." where it was "completed" and a joint oscillates.
 
-    Where the safety filter stopped it later, "stopped: ..." says so too. A run of half a window or less is not judged.
+    "stopped: ..." of a run that was stopped later names the oscillation too. A run of less than 1 s is not judged.
     """
     ended, stopped_s = trace.meta.get("ended"), trace.meta.get("stopped_at_s")
     # A stop begins with a jerk of its own.

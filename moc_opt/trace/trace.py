@@ -1,6 +1,6 @@
-"""The record of a run: one row per control tick; as others read it, a pandas table, an xarray dataset, a figure.
+"""The record of a run, one row per control tick. It converts to a pandas table, an xarray dataset and a figure.
 
-pandas, xarray and the figures are imported when they are asked for, never before.
+pandas, xarray and the figures are imported only when they are asked for.
 """
 
 from __future__ import annotations
@@ -22,22 +22,22 @@ from moc_opt.trace import file
 from moc_opt.trace.columns import COLUMNS, Column, column
 from moc_opt.trace.meta import Ending, plain
 
-if TYPE_CHECKING:  # what a notebook completes after plot(), to_pandas() and to_xarray()
+if TYPE_CHECKING:  # so that a notebook can complete results of plot(), to_pandas() and to_xarray()
     from pandas import DataFrame
     from plotly.graph_objects import Figure
     from xarray import Dataset
 
 
 class MissingDataError(TraceError, AttributeError):
-    """A trace lacks a column, an entry of meta, or a second tick that a call needs."""
+    """A trace lacks a column, an entry of meta, or ticks that a call needs."""
 
 
 class Trace:
     """A run: `columns`, one row per tick, and `meta`, how the run came about.
 
     `trace.q_rad` is `trace.columns["q_rad"]`; `len(trace)` is the number of ticks. No column is obligatory,
-    and a trace may hold others than those of `Trace.COLUMNS`; those named there must have the shape given
-    there (N ticks, n joints). Arrays are read-only. Nested values of `meta` are plain JSON; leave them alone.
+    and a trace may hold columns that `Trace.COLUMNS` does not name; a column named there must have the shape
+    given there (N ticks, n joints). Arrays are read-only. Do not change nested values of `meta` (plain JSON).
 
     Example:
         >>> trace = mo.run(mo.Scenario(duration_s=0.1, bound_samples=0))
@@ -66,8 +66,8 @@ class Trace:
             meta: name -> JSON value, finite numbers only; kept as JSON would give it back (tuples as lists).
 
         Raises:
-            TraceError: a column (named) has another shape, type or number of rows; meta is not JSON, or an entry of it
-                that the package reads is of another kind.
+            TraceError: a column (named in the message) has a wrong shape, type or number of rows; meta is not JSON, or
+                an entry of it that the package reads has a wrong type.
         """
         for argument, given in (("columns", columns), ("meta", {} if meta is None else meta)):
             if not isinstance(given, Mapping):
@@ -111,14 +111,14 @@ class Trace:
         return [*super().__dir__(), *self.columns]
 
     def with_columns(self, **arrays: ArrayLike) -> Trace:
-        """Return a new trace with columns added or replaced; raises as the constructor."""
+        """Return a new trace with columns added or replaced; raises the constructor's errors."""
         return Trace({**self.columns, **arrays}, self.meta)
 
     def select(self, ticks: ArrayLike) -> Trace:
-        """Return the trace of some of the ticks, given as flags (N,); a TraceError where these are none.
+        """Return the trace of some of the ticks, given as flags (N,); a TraceError if ``ticks`` are not such flags.
 
-        Its column `tick` keeps their numbers; ``meta["ended"]`` says that it is a part, ``meta["run_ended"]`` how the
-        run ended.
+        Its column `tick` keeps the ticks' numbers; ``meta["ended"]`` says that it is a part of a run, and
+        ``meta["run_ended"]`` how the run ended.
         """
         mask = np.asarray(ticks)
         if mask.dtype != np.bool_ or mask.shape != (len(self),):
@@ -128,7 +128,7 @@ class Trace:
         return self._of(MappingProxyType(found), self.meta)._as_part_of(self)
 
     def between(self, start_s: float, stop_s: float) -> Trace:
-        """Return the trace of the ticks with start_s <= t_s < stop_s, as `select`; a TraceError where there is none."""
+        """Return the trace of the ticks with start_s <= t_s < stop_s, like `select`; a TraceError if none is inside."""
         if not (is_number(start_s) and is_number(stop_s)):
             given = f"start_s = {shown(start_s)}, stop_s = {shown(stop_s)}"
             raise TraceError(f"between({given}): give times in seconds, inf for no limit")
@@ -144,9 +144,9 @@ class Trace:
     ) -> Figure:
         """Draw the run over time, as the reports do: a plotly figure that a notebook shows.
 
-        Each of ``columns`` has a panel; None: mu, tip error, RCM error and force. ``name`` is that of this run in the
-        legend, None: its solver's, or the law's where it has none; ``beside`` is a second run, named likewise, or
-        "baseline" where that is the same name. Errors as of `moc_opt.figures.time_series`.
+        Each of ``columns`` has a panel; None: mu, tip error, RCM error and force. ``name`` is this run's name in the
+        legend; None: its solver, or the law if it has no solver. ``beside`` is a second run, named by its solver too,
+        or "baseline" if that name is taken. It raises the errors of `moc_opt.figures.time_series`.
         """
         from moc_opt.figures import time_series
 
@@ -161,7 +161,7 @@ class Trace:
         return time_series({"baseline" if other == own else other: beside, own: self}, columns)
 
     def to_pandas(self) -> DataFrame:
-        """Return a pandas.DataFrame, one row a tick, indexed by `t_s`; `attrs` holds `meta`.
+        """Return a pandas.DataFrame with one row per tick, indexed by `t_s`; `attrs` holds `meta`.
 
         A vector is spread over columns: `tip_m_x`, `tip_m_y`, `tip_m_z`; joints are numbered from 0 (`q_rad_0`).
         A TraceError where pandas is not installed.
@@ -197,7 +197,7 @@ class Trace:
             variables[name] = (dimensions, array, words)
         if "t_s" in variables:
             coordinates["t_s"] = variables.pop("t_s")
-        # Attributes of a NetCDF file are texts and numbers: what is nested goes as JSON.
+        # Attributes of a NetCDF file are texts and numbers: nested values become JSON texts.
         attributes = {
             key: value if isinstance(value, str | int | float) else to_json(value, indent=None)
             for key, value in self.meta.items()
@@ -205,7 +205,7 @@ class Trace:
         return xarray.Dataset(variables, coordinates, attributes)
 
     def head(self, ticks: int) -> Trace:
-        """Return the trace of the first ticks, all where it has no more; ``meta`` as of `select`."""
+        """Return the trace of the first ``ticks``, or of all if it has fewer; ``meta`` changes as in `select`."""
         if isinstance(ticks, bool) or not isinstance(ticks, int | np.integer) or ticks < 0:
             raise TraceError(f"head: ticks = {shown(ticks)}: give an integer of 0 or more")
         columns = MappingProxyType({name: array[:ticks] for name, array in self.columns.items()})
@@ -224,7 +224,7 @@ class Trace:
         return self.with_meta(**told)
 
     def with_meta(self, **values: Any) -> Trace:
-        """Return the same columns with entries of meta added or replaced; a TraceError where one is not JSON."""
+        """Return the same columns with entries of meta added or replaced; a TraceError as in the constructor."""
         return self._of(self.columns, MappingProxyType(plain({**self.meta, **values})))
 
     @classmethod
@@ -244,7 +244,7 @@ class Trace:
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Trace:
-        """Read what `save` wrote, the same to the last bit; a TraceError where it is missing, damaged, or no trace."""
+        """Read a file of `save`, the same to the last bit; a TraceError if it is missing, damaged, or no trace."""
         return cls(*file.read(path))
 
 
@@ -260,7 +260,7 @@ def load_trace(path: str | os.PathLike[str]) -> Trace:
 
 
 def table(of: Mapping[str, Any], name: str) -> dict[str, Any]:
-    """Return a table of the meta; an empty one where a foreign file has something else in its place."""
+    """Return the table ``name`` of the meta; an empty one if it is absent or, in a foreign file, not a table."""
     found = of.get(name)
     return found if isinstance(found, dict) else {}
 
@@ -268,7 +268,7 @@ def table(of: Mapping[str, Any], name: str) -> dict[str, Any]:
 def about(trace: Trace) -> dict[str, str]:
     """Return the main facts of a run, name -> text; entries that `meta` lacks are left out.
 
-    ``solver`` is the law where that asks none.
+    ``solver`` is "dcac" under that law, which has no solver.
     """
     meta, scenario = trace.meta, table(trace.meta, "scenario")
     law = "dcac" if table(scenario, "control").get("law") == "dcac" else table(scenario, "solver").get("name")

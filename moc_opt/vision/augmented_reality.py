@@ -1,4 +1,4 @@
-"""The augmented reality put together: camera, board, detection and tracking, the tasks, and the surgeon's view."""
+"""The whole augmented reality: camera, board, detection and tracking, the tasks, and the surgeon's view."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ from moc_opt.vision.tracking import BoardFinder, BoardTracker, Tracked, TrackerS
 _SEARCH_S, _LOOK_S = 2.0, 1.0
 _ON_PATH_M = 0.001
 TASK, DONE, TIP, TROCAR, TEXT = (80, 220, 60), (200, 140, 20), (0, 215, 255), (255, 120, 240), (255, 255, 255)
-_CODEC = "VP80"  # OpenCV's wheel writes it without any library of the system, and a browser plays it
+_CODEC = "VP80"  # OpenCV's wheel writes this without system libraries, and browsers play it
 _NEAR_M = 0.01
 
 
 class Augmented:
-    """An endoscope above a phantom's board: `camera` where it truly is, `believed` where calibration puts it."""
+    """An endoscope above a phantom's board: `camera` has its true pose, `believed` the pose of the calibration."""
 
     def __init__(
         self, robot: RobotModel, phantom_in_base: Pose, *, camera: CameraSettings | None = None,
@@ -53,7 +53,7 @@ class Augmented:
     def locate(self, q: ArrayLike | None = None) -> Pose:
         """Search for the board before t = 0, and return its pose in the base frame, averaged over a second.
 
-        The arm rests at q (n,); None: no arm in the picture. A TaskError where the board is not found within 2 s.
+        The arm rests at q (n,); None: no arm in the picture. A TaskError where no picture of 3 s shows the board.
         """
         self._tracker = BoardTracker(self._tracker.limits)
         rate = self.camera.settings.rate_Hz
@@ -77,19 +77,19 @@ class Augmented:
         return found[-1]
 
     def watch(self, seconds: float, q: ArrayLike | None = None) -> tuple[Array, NDArray[np.bool_]]:
-        """Look at the board for a whole run from t = 0: times [s] of the pictures, and whether it was tracked in each.
+        """Track the board for a whole run from t = 0: times [s] of the pictures, and whether it was tracked in each.
 
-        q is as in `locate`, which comes first.
+        q is as in `locate`, which has to be called first.
         """
         rate = self.camera.settings.rate_Hz
         times = np.arange(math.floor(seconds * rate) + 1) / rate
         return times, np.array([self._look(t, q).seen for t in times.tolist()])
 
     def accuracy(self, estimate: Pose, task: BoardTask) -> dict[str, float]:
-        """Measure how far an estimate of the board in the base frame is from the truth, calibration error included.
+        """Return the errors of an estimate of the board in the base frame, calibration error included.
 
-        ``task_error_max_mm`` is the largest distance between a point of the task where it should be and where the
-        robot takes it to be.
+        ``task_error_max_mm`` is the largest distance between the true place of a point of the task and its place by
+        the estimate.
         """
         way, turn = estimate.distance(self.phantom)
         true, believed = (self.board.task_in_base(task, pose) for pose in (self.phantom, estimate))
@@ -110,7 +110,7 @@ class Augmented:
         for t in np.arange(trace.t_s[0], trace.t_s[-1] + 1e-9, step).tolist():
             k = min(int(np.searchsorted(trace.t_s, t - 1e-9)), len(trace) - 1)
             picture = self._picture(t, trace.q_rad[k])
-            # A path may meet itself: look a little ahead only, and only once the reference is on it.
+            # A path may meet itself: search only a little ahead, and count nothing until the reference is on the path.
             away = np.linalg.norm(line[done : done + 20] - trace.tip_ref_m[k], axis=1)
             done += int(np.argmin(away)) if away.min() < _ON_PATH_M else 0
             markers = len(self._finder.corners(picture))
@@ -132,10 +132,10 @@ class Augmented:
 def draw(
     picture: Picture, camera: Camera, *, task: ArrayLike, progress: float, tip: ArrayLike, trocar: ArrayLike, text: str
 ) -> Picture:
-    """Draw task, tip and trocar into a copy of the picture (H, W, 3), as the camera would see the robot's plan.
+    """Draw task, tip and trocar into a copy of the picture (H, W, 3), where the camera would see them.
 
-    ``task`` (k, 3), ``tip`` (3,) and ``trocar`` (3,) are in the base frame [m]. The share ``progress`` of the path that
-    is done has another colour. The trocar is mostly outside the picture, so a line is drawn towards it from the tip.
+    ``task`` (k, 3), ``tip`` (3,) and ``trocar`` (3,) are in the base frame [m]. The finished share ``progress`` of the
+    path has another colour. The trocar is mostly outside the picture, so a line is drawn from the tip towards it.
     """
     page = picture.copy()
     points, end, far = (np.asarray(part, dtype=np.float64) for part in (task, tip, trocar))
@@ -175,9 +175,9 @@ def _whole(pixel: Array) -> tuple[int, int]:
 
 
 def save_film(path: str | os.PathLike[str], pictures: Iterable[Picture], rate_Hz: float) -> int:
-    """Write pictures (H, W, 3) of one size as they come to a film (.webm), and return their number.
+    """Write pictures (H, W, 3) of one size to a film (.webm), one after the other, and return their number.
 
-    A PlantError where it cannot be written.
+    A PlantError where the film cannot be written.
     """
     writer, count = cv2.VideoWriter(), 0
     for picture in pictures:

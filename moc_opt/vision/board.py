@@ -1,7 +1,7 @@
-"""Poses of frames, a marker board, and the virtual tasks defined on it: no picture and no camera.
+"""Poses of frames, a marker board, and the virtual tasks defined on it. Camera and pictures are in ``camera``.
 
 The board's frame: origin in the middle of the board, x to the right along its rows of markers, y upwards, z out
-of the printed side, towards whoever looks at it.
+of the printed side, towards the viewer.
 """
 
 from __future__ import annotations
@@ -53,11 +53,11 @@ class Pose:
         return Pose(self.R @ other.R, self.apply(other.t))
 
     def distance(self, other: Pose) -> tuple[float, float]:
-        """Return how far apart two poses are: between the origins [m], and the angle of the turn between [rad]."""
+        """Return the distance of two poses: between their origins [m], and the angle of the turn between them [rad]."""
         return float(np.linalg.norm(self.t - other.t)), float(np.linalg.norm(pin.log3(self.R.T @ other.R)))
 
     def towards(self, other: Pose, share: float) -> Pose:
-        """Return the pose at a share in [0, 1] of the way to another: straight, at a constant rate of turn."""
+        """Return the pose at a share in [0, 1] of the straight motion to another, which turns at a constant rate."""
         turn = rotation_from(share * pin.log3(self.R.T @ other.R))
         return Pose(self.R @ turn, self.t + share * (other.t - self.t))
 
@@ -68,13 +68,13 @@ def rotation_from(vector: ArrayLike) -> Array:
 
 
 class VisionSettings(Settings):
-    """Base of the tables of this room; a PlantError where a value is out of range."""
+    """Base of the settings of this package; a PlantError where a value is out of range."""
 
     ERROR: ClassVar[type[MocOptError]] = PlantError
 
 
 class Board(VisionSettings):
-    """A grid of square markers in the phantom, numbered row by row from the top left, and what hides it."""
+    """A grid of square markers in the phantom, numbered row by row from the top left, and when it is hidden."""
 
     KIND: ClassVar[str] = "[board]"
 
@@ -82,9 +82,9 @@ class Board(VisionSettings):
     rows: int = Field(4, ge=1, le=20)
     marker_m: float = Field(0.020, gt=0.0, le=0.5, description="side of a marker")
     gap_m: float = Field(0.005, gt=0.0, le=0.5, description="white space between markers, and around them")
-    hidden_fraction: float = Field(0.0, ge=0.0, le=1.0, description="of the markers, covered by something")
+    hidden_fraction: float = Field(0.0, ge=0.0, le=1.0, description="share of the markers that are covered")
     lost_s: tuple[tuple[float, float], ...] = ()
-    """[from, until] in seconds: nothing of the board can be seen"""
+    """times [from, until] in seconds at which nothing of the board can be seen"""
 
     @model_validator(mode="after")
     def _in_order(self) -> Self:
@@ -123,7 +123,7 @@ class Board(VisionSettings):
         return _rectangle(-x, y, x, -y)
 
     def task_in_base(self, task: BoardTask, board_in_base: Pose) -> Path:
-        """Carry a virtual task into the robot's base frame; a TaskError where it reaches beyond the board."""
+        """Transform a virtual task into the robot's base frame; a TaskError where it reaches beyond the board."""
         own = task.on_board()
         places = own.at(np.linspace(0.0, own.length, 65))[0]
         beyond = float((np.abs(places[:, :2]) - 0.5 * np.array(self.size_m)).max())
@@ -142,11 +142,11 @@ class Board(VisionSettings):
 class BoardTask:
     """A virtual task, defined on a board: a path in a plane parallel to it."""
 
-    kind: str  #: of path, see `moc_opt.tasks.make_path`
-    sizes: Mapping[str, float]  #: of the path, lengths in m
-    start_m: tuple[float, float] = (0.0, 0.0)  #: where it begins on the board, x and y [m]
-    height_m: float = 0.005  #: of its plane above the board, so that the tip does not touch what it follows [m]
-    depth_m: float = 0.15  #: how far below the trocar the board lies, for placing the phantom [m]
+    kind: str  #: kind of path, see `moc_opt.tasks.make_path`
+    sizes: Mapping[str, float]  #: sizes of the path, lengths in m
+    start_m: tuple[float, float] = (0.0, 0.0)  #: start of the path on the board, x and y [m]
+    height_m: float = 0.005  #: height of the path's plane above the board, so that the tip does not touch it [m]
+    depth_m: float = 0.15  #: depth of the board below the trocar, for placing the phantom [m]
 
     def on_board(self) -> Path:
         """Return the path in the board's own frame, its first axis along the board's x."""
@@ -168,7 +168,7 @@ BOARD_TASKS: Mapping[str, BoardTask] = MappingProxyType({
 
 
 def board_task(name: str) -> BoardTask:
-    """Look up a preset of `BOARD_TASKS`; an UnknownNameError where none of that name."""
+    """Look up a preset of `BOARD_TASKS`; an UnknownNameError where none has that name."""
     if name not in BOARD_TASKS:
         raise UnknownNameError("virtual task", str(name), BOARD_TASKS)
     return BOARD_TASKS[name]
@@ -177,7 +177,7 @@ def board_task(name: str) -> BoardTask:
 def board_below(trocar: ArrayLike, shaft: ArrayLike, depth_m: float) -> Pose:
     """Return the pose of a board that faces the trocar, its middle `depth_m` below it: a simple abdomen phantom.
 
-    The board's z points against the shaft (3,), its x along the base's; a TaskError where these two are parallel.
+    The board's z points against the shaft (3,), its x is the base's x projected; a TaskError if these are parallel.
     """
     into = direction3("shaft", shaft)
     x = direction3("shaft", np.array([1.0, 0.0, 0.0]) - into[0] * into)

@@ -1,4 +1,4 @@
-"""The endoscope's camera: its settings, a pinhole with its place in the base frame, and its pictures of a scene."""
+"""The endoscope's camera: its settings, a pinhole model with a pose in the base frame, and its pictures of a scene."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from moc_opt.vision.board import Board, Pose, VisionSettings, rotation_from
 Picture = NDArray[np.uint8]  # (H, W, 3), blue green red
 
 TISSUE, COVER, STEEL = (92, 100, 178), (70, 60, 150), (150, 148, 145)
-SHAFT_RADIUS_M = 0.004  # of the tool as it is drawn
-_MARKER_BITS = 6  # 4 x 4 bits and a black frame around them
-_CELL_PX = 16  # pixels along one of them, as the board is printed
-_FINER = 2  # pixels drawn for each pixel of the picture, each way: the markers' edges come out smooth
+SHAFT_RADIUS_M = 0.004  # of the drawn shaft
+_MARKER_BITS = 6  # cells along a marker: 4 bits, and a black frame around them
+_CELL_PX = 16  # pixels along one cell of the drawn board
+_FINER = 2  # pixels drawn along each pixel of the picture, so that the markers' edges are smooth
 
 
 class CameraSettings(VisionSettings):
-    """An endoscope that looks at the phantom through a port of its own; its pictures are taken as undistorted."""
+    """An endoscope that looks at the phantom through its own port; its pictures count as free of distortion."""
 
     KIND: ClassVar[str] = "[camera]"
 
@@ -34,14 +34,14 @@ class CameraSettings(VisionSettings):
     height_px: int = Field(480, ge=64, le=4096)
     fov_deg: float = Field(50.0, ge=10.0, le=120.0, description="angle of view from top to bottom")
     rate_Hz: float = Field(30.0, gt=0.0, le=500.0, description="pictures in a second")
-    distance_m: float = Field(0.16, ge=0.02, le=1.0, description="from the middle of the phantom's board")
-    tilt_deg: float = Field(25.0, ge=0.0, le=75.0, description="of the line of sight from the board's normal")
-    azimuth_deg: float = Field(-90.0, description="where it stands around the normal, from the board's x")
+    distance_m: float = Field(0.16, ge=0.02, le=1.0, description="distance from the middle of the phantom's board")
+    tilt_deg: float = Field(25.0, ge=0.0, le=75.0, description="angle of the line of sight to the board's normal")
+    azimuth_deg: float = Field(-90.0, description="direction of the camera around the normal, from the board's x")
     blur_px: float = Field(0.7, ge=0.0, le=10.0, description="standard deviation of the lens's blur")
-    noise: float = Field(3.0, ge=0.0, le=100.0, description="standard deviation, in grey levels of 255")
+    noise: float = Field(3.0, ge=0.0, le=100.0, description="standard deviation of the noise [grey levels of 255]")
     calibration_error_m: float = Field(0.0005, ge=0.0, le=0.05)
-    """the camera is this far from where the robot takes it to be"""
-    calibration_error_deg: float = Field(0.1, ge=0.0, le=10.0, description="and turned by this")
+    """distance of the camera from the place that the robot's calibration gives"""
+    calibration_error_deg: float = Field(0.1, ge=0.0, le=10.0, description="angle between the two orientations")
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +53,7 @@ class Camera:
 
     @property
     def matrix(self) -> Array:
-        """K (3, 3). A pixel's number is its middle, so the view's axis is at (W - 1)/2, (H - 1)/2, not W/2, H/2."""
+        """K (3, 3). Whole pixel coordinates are pixels' middles: the view's axis is at (W - 1)/2, (H - 1)/2."""
         width, height = self.settings.width_px, self.settings.height_px
         f = 0.5 * height / math.tan(0.5 * math.radians(self.settings.fov_deg))
         return np.array([[f, 0.0, 0.5 * width - 0.5], [0.0, f, 0.5 * height - 0.5], [0.0, 0.0, 1.0]])
@@ -66,7 +66,7 @@ class Camera:
 
     @classmethod
     def above(cls, settings: CameraSettings, phantom_in_base: Pose) -> Camera:
-        """Place the camera of the settings: it looks at the phantom's middle, its top towards the board's y."""
+        """Place a camera that looks at the phantom's middle, with the top of its pictures towards the board's y."""
         tilt, azimuth = math.radians(settings.tilt_deg), math.radians(settings.azimuth_deg)
         away = np.array([math.sin(tilt) * math.cos(azimuth), math.sin(tilt) * math.sin(azimuth), math.cos(tilt)])
         right = np.cross(-away, (0.0, 1.0, 0.0))  # not zero: the tilt is below a right angle
@@ -75,7 +75,7 @@ class Camera:
         return cls(settings, phantom_in_base @ Pose(turn, settings.distance_m * away))
 
     def miscalibrated(self, seed: int) -> Camera:
-        """Return the same camera where the robot's calibration takes it to be: off by the settings' errors, seeded."""
+        """Return the same camera at the pose of the robot's calibration: off by the settings' errors, seeded."""
         away, axis = np.random.default_rng(seed).standard_normal((2, 3))
         turn = math.radians(self.settings.calibration_error_deg) * axis / np.linalg.norm(axis)
         error = Pose(rotation_from(turn), self.settings.calibration_error_m * away / np.linalg.norm(away))
@@ -83,18 +83,18 @@ class Camera:
 
 
 def hide(ids: range, fraction: float, seed: int) -> frozenset[int]:
-    """Draw which markers are covered: the whole number nearest to `fraction` (0 to 1) of them.
+    """Draw at random which markers are covered: the share `fraction` (0 to 1), rounded to a whole number of markers.
 
-    A larger fraction of the same seed covers the same ones and more.
+    A larger fraction with the same seed covers the same markers and more.
     """
     order = np.random.default_rng(seed).permutation(np.array(ids))
     return frozenset(order[: round(fraction * len(ids))].tolist())
 
 
 class View:
-    """Takes pictures: the board with its covers by a perspective warp, the tool's shaft as polygon, blur and noise.
+    """Takes pictures: a perspective warp of the board with its covers, the tool's shaft as a polygon, blur and noise.
 
-    ``shaft`` takes a pose q (n,) to the tip and another point (3,) of the shaft, base frame [m]; None: no tool.
+    ``shaft`` maps a pose q (n,) to the tip and another point (3,) of the shaft, base frame [m]; None: no tool.
     """
 
     def __init__(
@@ -124,7 +124,7 @@ class View:
     def _draw_board(self, page: Picture, pose: Pose, hidden: frozenset[int]) -> None:
         printed, board = self._page.copy(), self._board
         if pose.R[:, 2] @ pose.t >= 0.0 or pose.apply(board.outline())[:, 2].min() <= 1e-3:
-            return  # its back is seen, or a part of it is behind the camera
+            return  # the camera sees the board's back, or a part of the board is behind it
         radius = min(0.72 * board.marker_m, 0.5 * board.marker_m + 0.9 * board.gap_m) * self._texture[0, 0]
         for marker in hidden:
             x, y, _ = self._texture @ [*board.corners(marker)[:, :2].mean(axis=0), 1.0]
@@ -156,7 +156,7 @@ def expose(picture: Picture, settings: CameraSettings, rng: np.random.Generator)
     if settings.blur_px > 0.0:
         picture = np.asarray(cv2.GaussianBlur(picture, (0, 0), settings.blur_px), dtype=np.uint8)
     if settings.noise > 0.0:
-        # One grain for all three colours: it is the grey levels that are looked at.
+        # The same noise for all three colours, since the detection uses grey levels.
         grain = np.rint(settings.noise * rng.standard_normal(picture.shape[:2], dtype=np.float32))
         picture = np.clip(picture.astype(np.int16) + grain.astype(np.int16)[:, :, None], 0, 255).astype(np.uint8)
     return picture
@@ -169,7 +169,7 @@ def board_picture(board: Board) -> NDArray[np.uint8]:
     page = np.full((height, width), 255, dtype=np.uint8)
     for marker in board.ids:
         left, top, _ = texture_matrix(board) @ [*board.corners(marker)[0, :2], 1.0]
-        # Moved by parts of a pixel: rounded, a marker would be up to 0.1 mm out of place.
+        # Shifted by fractions of a pixel: at whole pixels a marker would be up to 0.1 mm out of place.
         shift = np.array([[1.0, 0.0, left - 0.5], [0.0, 1.0, top - 0.5]])
         square = np.pad(cv2.aruco.generateImageMarker(dictionary(), marker, side), 1, constant_values=255)
         cv2.warpAffine(square, shift, (width, height), dst=page, borderMode=cv2.BORDER_TRANSPARENT)
@@ -177,7 +177,7 @@ def board_picture(board: Board) -> NDArray[np.uint8]:
 
 
 def texture_matrix(board: Board) -> Array:
-    """Map x, y, 1 on the board [m] to column, row, 1 in `board_picture`, (3, 3); a pixel's number is its middle."""
+    """Matrix (3, 3) from x, y, 1 on the board [m] to column, row, 1 in `board_picture`; whole numbers are middles."""
     scale = _MARKER_BITS * _CELL_PX / board.marker_m
     width, height = board.size_m
     right, down = 0.5 * scale * width - 0.5, 0.5 * scale * height - 0.5

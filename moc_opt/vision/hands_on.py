@@ -1,4 +1,4 @@
-"""Step one of the operative procedure: a hand guides the tip to the incision, and the trocar is registered there."""
+"""First step of the operative procedure: a hand guides the tip to the incision, where the trocar is registered."""
 
 from __future__ import annotations
 
@@ -24,34 +24,34 @@ from moc_opt.trace.trace import Trace
 from moc_opt.vision.board import VisionSettings
 
 _NO_REFERENCE, _NO_TROCAR = np.zeros((3, 3)), np.zeros((2, 3))
-_SPEED_FILTER_Hz = 5.0  # the encoders' noise alone is some mm/s at the tip
+_SPEED_FILTER_Hz = 5.0  # unfiltered, the encoders' noise alone is some mm/s at the tip
 
 
 class HandSettings(VisionSettings):
-    """How the hand pulls."""
+    """The force of the guiding hand."""
 
     KIND: ClassVar[str] = "[hand]"
 
     stiffness_N_per_m: float = Field(600.0, gt=0.0, le=1e4)
     damping_Ns_per_m: float = Field(60.0, gt=0.0, le=1e3)
-    force_max_N: float = Field(15.0, gt=0.0, le=200.0, description="it never pulls harder")
-    speed_max_m_per_s: float = Field(0.15, gt=0.0, le=1.0, description="it does not want to go faster")
+    force_max_N: float = Field(15.0, gt=0.0, le=200.0, description="largest force")
+    speed_max_m_per_s: float = Field(0.15, gt=0.0, le=1.0, description="largest desired speed")
     correction_per_s: float = Field(2.0, ge=0.0, le=20.0)
-    """how fast it pulls harder where that was too little"""
-    content_m: float = Field(0.0005, ge=0.0, le=0.05, description="nearer than this it corrects no more")
+    """rate at which the force grows while the tip is short of the goal"""
+    content_m: float = Field(0.0005, ge=0.0, le=0.05, description="distance below which the force grows no more")
 
 
 class HandsOnSettings(VisionSettings):
-    """The guiding, and when the trocar counts as registered."""
+    """Settings of the guiding, and conditions under which the trocar counts as registered."""
 
     KIND: ClassVar[str] = "[hands_on]"
 
     joint_damping_Nm_s_per_rad: float = Field(3.0, ge=0.0, le=100.0)
     registration_error_m: float = Field(0.001, ge=0.0, le=0.005)
-    """added to what the kinematics say, in a seeded direction"""
+    """size of the error added to the trocar's position by the kinematics, in a seeded direction"""
     tolerance_m: float = Field(0.002, gt=0.0, le=0.05, description="the tip is at the incision when this near")
-    rest_speed_m_per_s: float = Field(0.003, gt=0.0, le=0.1, description="a slower tip rests")
-    rest_s: float = Field(0.4, gt=0.0, le=10.0, description="it has to rest this long")
+    rest_speed_m_per_s: float = Field(0.003, gt=0.0, le=0.1, description="a slower tip counts as resting")
+    rest_s: float = Field(0.4, gt=0.0, le=10.0, description="time for which the tip has to rest")
     time_limit_s: float = Field(20.0, gt=0.0, le=600.0)
     distance_max_m: float = Field(0.6, gt=0.0, le=3.0, description="an incision farther from the tip is a mistake")
     hand: HandSettings = HandSettings()
@@ -59,7 +59,7 @@ class HandsOnSettings(VisionSettings):
 
 
 class HandsOnStatus(Enum):
-    """How the guiding ended; the text is the cure."""
+    """The end of the guiding; the text explains it and, after a failure, names the cure."""
 
     REGISTERED = "the tip rested at the incision and the trocar is registered"
     SHORT = "the tip did not reach the incision: raise hand.force_max_N, tolerance_m or time_limit_s"
@@ -89,9 +89,9 @@ class HandsOn:
 class Hand:
     """A spring and a damper to the goal, with a slow correction; the force is bounded.
 
-    force = D (desired - velocity) + f, |force| <= force_max, where desired is a velocity towards the goal,
-    (stiffness/D) times the distance, cut at speed_max, and f grows by correction stiffness distance a second until
-    the hand has arrived, as a person pulls harder when the tip stops short.
+    force = D (desired - velocity) + f, |force| <= force_max. `desired` is a velocity towards the goal: (stiffness/D)
+    times the distance, at most speed_max. f grows at the rate correction * stiffness * distance until the tip has
+    arrived, as a person pulls harder when the tip stops short.
     """
 
     def __init__(self, settings: HandSettings, period_s: float) -> None:
@@ -106,8 +106,8 @@ class Hand:
         desired = _cut(hand.stiffness_N_per_m / hand.damping_Ns_per_m * way, hand.speed_max_m_per_s)
         pull = hand.damping_Ns_per_m * (desired - velocity) + self._extra
         force = _cut(pull, hand.force_max_N)
-        # More only near the goal and below the largest force, or it would overshoot by far; less at any place, or a
-        # tool that comes loose would be pushed past the goal for ever.
+        # f grows only near the goal and below the largest force, or the tip would overshoot by far. It shrinks
+        # anywhere, or a tool that comes loose would be pushed past the goal for ever.
         near = distance * hand.stiffness_N_per_m < hand.damping_Ns_per_m * hand.speed_max_m_per_s
         less = float(way @ self._extra) < 0.0
         if distance > hand.content_m and (less or (near and force is pull)):
@@ -123,9 +123,9 @@ def _cut(vector: Array, most: float) -> Array:
 class _Guiding:
     """Hand guiding with the interface of a controller: tau = g(q) - D v, without reference and memory.
 
-    The arm has no position to return to: errors of the model's masses push it slowly, unless friction or a hand holds
-    it. ``seen`` is the state at the last measurement that was believed. The safety filter is not shown it: it would
-    take the hand's force for a motion that no torque explains.
+    The arm has no position to return to: errors of the model's masses make it drift slowly, unless friction or a hand
+    holds it. ``seen`` is the state at the last accepted measurement. The safety filter does not get this state, since
+    it would take the hand's force for a motion that no torque explains.
     """
 
     def __init__(self, robot: RobotModel, damping_Nm_s_per_rad: float) -> None:
@@ -148,9 +148,9 @@ def guide_to(
 ) -> HandsOn:
     """Let a hand pull the tip to the incision (3,) [m] while the arm only carries its own weight.
 
-    The hand sees where the tip truly is; the robot registers where its own kinematics put it, off by a seeded error.
-    The plant goes on from where it is, and is left at the end as it then is. A TaskError where the incision is too far
-    away or out of the arm's reach: nothing has moved then; a PlantError where the arm ran away.
+    The hand goes by the true tip; the robot registers the tip by its own kinematics, plus a seeded error. The plant
+    continues from its present state, and keeps its state at the end. A TaskError, before anything moves, where the
+    incision is too far away or out of the arm's reach; a PlantError where the arm ran away.
     """
     settings = settings or HandsOnSettings()
     goal = vector3("incision", incision)
@@ -163,7 +163,7 @@ def guide_to(
     pose_with_tip(robot, plant.measure().q, goal)
     period, guard = plant.settings.period_s, settings.guard
     law = _Guiding(robot, settings.joint_damping_Nm_s_per_rad)
-    # The arm is in no incision yet, and a hand of unknown force pulls it.
+    # The arm is in no incision yet, and the hand pulls it with an unknown force.
     safety_filter = SafetyFilter(robot, guard, period, incision=False, momentum=False)
     loop = ClosedLoop(plant, law, safety_filter, Stop(guard.stop_damping_Nm_s_per_rad, guard.stop_s))
     loop.start(_NO_REFERENCE, _NO_TROCAR)
@@ -172,10 +172,10 @@ def guide_to(
     gain = -math.expm1(-2.0 * math.pi * _SPEED_FILTER_Hz * period)
     slow, reached = np.zeros(3), False
     rows: list[dict[str, Array | float]] = []
-    resting: list[Array] = []  # believed tips since the tip rests at the incision
+    resting: list[Array] = []  # accepted tip positions since the tip rests at the incision
     needed, ticks = max(1, round(settings.rest_s / period)), math.ceil(settings.time_limit_s / period)
     while len(resting) < needed and loop.ticks < ticks and not loop.finished:
-        # The model has the plant's geometry, and differs in masses only: this is the tip's true velocity.
+        # This is the tip's true velocity, since the model differs from the plant only in masses.
         force = hand.pull(plant.tip, robot.state(plant.q, plant.v).J_tip @ plant.v, goal)
         plant.push("tool", force, point)
         off = float(np.linalg.norm(plant.tip - goal))

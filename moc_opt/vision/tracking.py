@@ -1,4 +1,4 @@
-"""The board found in pictures (OpenCV's ArUco markers), and from single sightings a pose that can be trusted."""
+"""Detection of the board in pictures (OpenCV's ArUco markers), and a filter that makes a reliable pose of sightings."""
 
 from __future__ import annotations
 
@@ -15,30 +15,30 @@ from moc_opt.arrays import Array
 from moc_opt.vision.board import Board, Pose, VisionSettings, rotation_from
 from moc_opt.vision.camera import Camera, Picture, dictionary
 
-_OUTLIER, _CLEAN_PX = 4.0, 0.6  # a corner this many medians off is left out, unless it is this near anyway
+_OUTLIER, _CLEAN_PX = 4.0, 0.6  # a corner is left out if its error exceeds so many medians and so many pixels
 
 
 class TrackerSettings(VisionSettings):
-    """When a sighting of the board is believed."""
+    """Conditions under which a sighting of the board is accepted."""
 
     KIND: ClassVar[str] = "[tracker]"
 
-    min_markers: int = Field(3, ge=1, description="fewer than this are no sighting")
-    error_max_px: float = Field(1.0, gt=0.0, description="a worse fit is no sighting")
+    min_markers: int = Field(3, ge=1, description="least number of markers of a sighting")
+    error_max_px: float = Field(1.0, gt=0.0, description="largest error of the fit of a sighting")
     jump_m: float = Field(0.004, gt=0.0, description="a sighting farther than this from the estimate is an outlier")
-    jump_rad: float = Field(0.05, gt=0.0, description="and so is one turned by more")
-    found_after: int = Field(3, ge=1, description="sightings in a row that agree: the board is found, or was moved")
-    lost_after_s: float = Field(0.12, gt=0.0, description="without a sighting: the board is lost")
-    smoothing_s: float = Field(0.3, ge=0.0, description="time constant of the estimate; 0: every sighting as it is")
+    jump_rad: float = Field(0.05, gt=0.0, description="a sighting turned by more than this is an outlier too")
+    found_after: int = Field(3, ge=1, description="sightings in a row that agree before a new pose is accepted")
+    lost_after_s: float = Field(0.12, gt=0.0, description="time without a sighting after which the board is lost")
+    smoothing_s: float = Field(0.3, ge=0.0, description="time constant of the estimate; 0: the last sighting itself")
 
 
 @dataclass(frozen=True, eq=False)
 class Sighting:
-    """Where one picture shows the board, and how well that fits what is seen."""
+    """The board's pose by one picture, and how well it fits the corners found."""
 
     pose: Pose
     markers: int
-    error_px: float  #: Root mean square distance of the markers' corners from where this pose puts them [px].
+    error_px: float  #: Root mean square distance of the found corners from those of this pose [px].
 
 
 class BoardFinder:
@@ -47,14 +47,14 @@ class BoardFinder:
     def __init__(self, board: Board, camera: Camera) -> None:
         parameters = cv2.aruco.DetectorParameters()
         parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
-        # A window as wide as a cell, where OpenCV takes a third of one: a quarter less error in the distance.
+        # A window as wide as a cell: a quarter less error in the distance than with OpenCV's third of a cell.
         parameters.relativeCornerRefinmentWinSize = 1.0
         self._detector = cv2.aruco.ArucoDetector(dictionary(), parameters)
         self._corners = {marker: board.corners(marker) for marker in board.ids}
         self._matrix = camera.matrix
 
     def corners(self, picture: Picture) -> dict[int, Array]:
-        """Return the corners (4, 2) [px] of every marker of the board that is seen, by its number."""
+        """Return number -> corners (4, 2) [px] of every marker of the board that is found."""
         found, ids, _ = self._detector.detectMarkers(cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY))
         numbers = [] if ids is None else [int(marker) for marker in ids.ravel()]
         quads = (np.asarray(quad, dtype=np.float64).reshape(4, 2) for quad in found)
@@ -64,7 +64,7 @@ class BoardFinder:
         """Find the board's pose in the camera's frame; None where no marker is seen or no pose fits.
 
         A plane seen from afar fits two poses (mirrored about the line of sight): both are refined, and the better one
-        is taken. Corners far off it, mostly where the tool's edge crosses a marker, are then left out.
+        is taken. Corners with large errors, mostly where the tool's edge crosses a marker, are then left out.
         """
         seen = self.corners(picture)
         if not seen:
@@ -104,25 +104,25 @@ class Tracked:
 
     seen: bool  #: Whether the board is being tracked.
     pose: Pose | None  #: Smoothed pose; the last one while the board is lost, None before it was ever found.
-    refused: str | None  #: Why this picture's sighting was not taken; None if it was.
+    refused: str | None  #: Why this picture's sighting was not used; None if it was used.
 
 
 class BoardTracker:
-    """Follows a board from picture to picture, and averages one that rests over `smoothing_s`.
+    """Tracks a board from picture to picture, and averages its pose over `smoothing_s`.
 
-    One sighting far from the estimate is an outlier and changes nothing; several in a row that agree are a board that
-    was moved, and the estimate goes there at once. Its user must not jump with it (see `WaitingReference`).
+    One sighting far from the estimate is an outlier and changes nothing. Several in a row that agree mean that the
+    board was moved, and the estimate jumps there. A user has to avoid a jump of the tip (see `WaitingReference`).
     """
 
     def __init__(self, limits: TrackerSettings | None = None) -> None:
         self.limits = limits or TrackerSettings()
         self.pose: Pose | None = None
         self._tracking, self._time, self._last_seen = False, -math.inf, -math.inf
-        self._count = 0  # sightings in the estimate
-        self._streak: list[Pose] = []  # of good sightings that are not in the estimate yet
+        self._count = 0  # number of sightings in the estimate
+        self._streak: list[Pose] = []  # good sightings in a row that are not in the estimate yet
 
     def update(self, t: float, sighting: Sighting | None) -> Tracked:
-        """Take in what the picture of time t [s] shows, after the last one."""
+        """Take in the sighting of the next picture, at time t [s]; None if it shows no board."""
         elapsed, self._time = t - self._time, t
         refused = self._refusal(sighting)
         if sighting is None or refused is not None:
@@ -142,7 +142,7 @@ class BoardTracker:
             return "no marker seen"
         if sighting.markers < self.limits.min_markers:
             return f"{sighting.markers} markers seen, {self.limits.min_markers} needed"
-        # Written so that a fit that is not a number is refused too.
+        # `not <=` also refuses a NaN.
         if not sighting.error_px <= self.limits.error_max_px:
             return f"fit {sighting.error_px:.2f} px, {self.limits.error_max_px:g} allowed"
         return None
@@ -153,7 +153,7 @@ class BoardTracker:
         self._streak.append(pose)
         if len(self._streak) < self.limits.found_after:
             return "far from the estimate" if self._tracking else "waiting for more sightings that agree"
-        # Back where it was, the long average goes on; elsewhere a new one begins.
+        # At the old pose the long average continues; elsewhere a new one begins.
         if self.pose is None or not self._near(self.pose, pose):
             mean, self._count = self._streak[0], 1
             for other in self._streak[1:]:
