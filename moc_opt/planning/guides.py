@@ -29,15 +29,15 @@ from moc_opt.trace.trace import Trace
 COURSE_SHARE = 0.25
 """Share of ``[control] shaft_margin`` that a course keeps: it looks ahead, and so can go below the margin, where the
 barrier of the local climb begins."""
-V_PERIOD_S = 0.1  #: Between the times of the map: beside a joint's turn in this time, the steps of the map are small.
+V_PERIOD_S = 0.1  #: Time between two points of the map: long enough for joints to pass many of the map's own steps.
 TARGETS_PER_TIME = 20  #: Targets per time of the map; the program of the horizon interpolates between them.
 QUARTER = 0.5  #: Share of half a cell that a pose stands for: near singular poses the map's steps are too coarse.
 SPEEDS = (1.0, 0.7, 0.4)
 """Shares of a course's speed, tried in turn until a course is smooth and can brake in time. If none can, the last one
 is tried without braking."""
 HURRY, WORTH_IT = 1.12, 0.01
-"""A course may be faster by the factor `HURRY`, up to `FASTEST` of the joint speeds, where V gains the share `WORTH_IT`
-of mean mu by it: tip and RCM errors may grow, and most starts gain only a tenth of that."""
+"""A course may be faster by the factor `HURRY`, up to `FASTEST` of the joint speeds, if V then gains more than
+the share `WORTH_IT` of mean mu: tip and RCM errors may grow, and most starts gain only a tenth of that."""
 FASTEST = 0.97
 BRAKE_SHARE = 0.9  #: Share of the safety filter's braking deceleration that a course made before the run uses.
 SMOOTHNESS = {"planned": 1e-4, "receding": 5e-4}

@@ -42,14 +42,14 @@ PEAKS = 4  #: Number of the map's local maxima from which mu is climbed at each 
 STEP_RAD = 0.03  #: Spacing of the samples along a traced curve.
 SEEDS = 64  #: Random starts of inverse kinematics at the first time of a traced map; later a sixteenth as many.
 MOST_CURVES = 16  #: Most different curves at one time; further ones are left out.
-SAME_CURVE = 0.7  #: A pose nearer to a curve's sample than this share of a step lies on the curve.
+SAME_CURVE = 0.7  #: A pose nearer to a curve's sample than this share of a step counts as on it.
 NO_LIMIT_RAD = 20.0
 REACHED_M = 1e-9
 SCANNED = "scanned, all branches"
 STARTS, LATER = 96, 12
 """Random starts of `largest_mu` at the first and at each later point, for arms without a closed form. Later points also
 start from the maxima of their neighbours."""
-KEPT = 6  #: Most maxima that are handed on from a point to its neighbours.
+KEPT = 6  #: Largest number of maxima that a point hands on to its neighbours.
 SAME = 1e-5  #: Maxima whose mu differs by less than this share count as one.
 
 

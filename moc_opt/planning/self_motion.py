@@ -18,7 +18,7 @@ from moc_opt.robots.model import RobotModel
 
 HELD = 1e-6  #: For the rank, a singular value of A below this share of the largest counts as zero.
 RANK = 1e-9  #: A singular value of A below this counts as zero on the curve.
-LEAST_STEP, MOST_STEP = 1e-5, 10.0  #: Spacing of the samples on a curve [rad].
+LEAST_STEP, MOST_STEP = 1e-5, 10.0  #: Smallest and largest spacing of the samples on a curve [rad].
 
 
 class Freedoms(NamedTuple):

@@ -21,13 +21,13 @@ from moc_opt.sim.settings import PlantSettings
 
 Verdict = Literal["ok", "care", "cannot"]
 REGULAR, SINGULAR = (0.1, 0.05), 1e-4
-"""Least singular values over the largest, of the tip's Jacobian and of A, to be "ok", and to be "care"."""
+"""Least singular values over the largest, of the tip's Jacobian and of A, for the verdicts "ok" and "care"."""
 LITTLE_TO_GAIN = 0.05
 LEAST_M = 0.005  #: Radius of a circle that an arm must be able to follow from home.
 MARGIN_DEG, MARGIN_MM = 15.0, 80.0
 CARE = 0.8  #: Share of the stability limit from which on the verdict is "care".
 GYRATION_M = 0.6
-"""Largest radius of gyration, sqrt(largest moment / mass), of a link of an arm."""
+"""Largest plausible radius of gyration of a link: sqrt(largest moment / mass)."""
 
 
 class Finding(NamedTuple):
@@ -91,7 +91,7 @@ def _climb(robot: RobotModel) -> Iterator[Finding]:
         text = f"{mu:.3g} m³, {curve.mu.min():.3g} to {curve.mu_best:.3g} on {'one' if several else 'its'} self-motion"
         little = max(curve.mu_best, largest if several else 0.0) < (1.0 + LITTLE_TO_GAIN) * mu
         yield _judge(what, text, (little, "care", "little to gain from there: choose another home.q_rad"))
-    # With one freedom a local law stays on its own curve, and may not be able to get there.
+    # With one freedom a local law stays on its own self-motion curve, and may be unable to reach this mu.
     yield Finding("largest mu there", f"{largest:.3g} m³, {how['mu_bound_method']}", "ok")
 
 
@@ -141,7 +141,7 @@ def _weight(robot: RobotModel) -> Finding:
 
 
 def _bodies(robot: RobotModel) -> Finding:
-    # The loader refuses inertias that no body can have; these are some that no arm has.
+    # The loader refuses inertias that no body can have; this finds inertias that no arm has.
     bodies = [link for link in urdf.read(robot.data.urdf).links if not link.is_frame]
     gyrations = {body.name: math.sqrt(max(body.moments[:3]) / body.mass) for body in bodies}
     total = sum(body.mass for body in bodies)

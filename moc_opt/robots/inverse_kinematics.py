@@ -35,8 +35,8 @@ def solve_pose(
     """Find a pose near q with the tip, and the wrist if given, at these points (3,) [m].
 
     Damped Gauss-Newton from q (n,), which is put inside the limits first. A joint that reaches its limit stays there
-    while the others take over. The search is local, so its failure proves nothing. Without ``limited`` the joints have
-    no limits. A RobotError where a pose or a point has a wrong shape, or is not finite.
+    while the others take over. The search is local: if it fails, there may still be a pose. Without ``limited`` the
+    joints have no limits. A RobotError where a pose or a point has a wrong shape, or is not finite.
     """
     points = np.array([tip] if wrist is None else [tip, wrist], dtype=np.float64)
     low, high = (robot.q_min, robot.q_max) if limited else (np.full(robot.n, -np.inf), np.full(robot.n, np.inf))

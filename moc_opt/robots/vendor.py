@@ -197,7 +197,7 @@ def _range(joint: Joint, kind: str) -> tuple[float, float, str]:
 
 
 def enough_efforts(robot: RobotModel) -> list[float]:
-    """Return three times each joint's largest load by gravity [Nm, N], or its inertia if that is more; at least 5."""
+    """Return for each joint three times its largest gravity load [Nm, N], or its inertia if larger; at least 5."""
     poses = np.random.default_rng(0).uniform(robot.q_min, robot.q_max, (200, robot.n))
     most = np.max([np.abs(robot.gravity(q)) for q in poses], axis=0)
     needed = 3.0 * np.maximum(most, np.diag(robot.state(robot.data.q_home).M))

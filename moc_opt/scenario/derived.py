@@ -1,7 +1,7 @@
 """Columns computed after a run: errors by the robot's own kinematics, residuals of the answers, and the best mu.
 
 The best courses, from the run's start and over all starts, are those of dynamic programming within the arm's own joint
-limits and speeds, on a grid of 50 ms and 0.5 degree. `moc_opt.scenario.planned.plan` refines courses (docs/planning.md).
+limits and speeds, on a grid of 50 ms and 0.5 degree. `moc_opt.scenario.planned.plan` has finer ones (docs/planning.md).
 """
 
 from __future__ import annotations

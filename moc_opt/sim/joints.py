@@ -60,7 +60,7 @@ class Joints:
     def start(self, shown: Array, speed: Array) -> None:
         """Put the arm where encoders without bias show (n,) [rad], moving at (n,) [rad/s].
 
-        The drives carry the arm's weight as if for long: elastic joints are bent by it, and the delay holds its torque.
+        The drives already carry the arm's weight: elastic joints are bent by it, and the delay is full of its torque.
         """
         state, model = self._state, self._model
         weight = state.qfrc_bias[self.motors]

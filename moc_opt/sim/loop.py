@@ -130,7 +130,7 @@ class ClosedLoop:
 
     @property
     def finished(self) -> bool:
-        """Whether the stop is over: after ``Stop.seconds`` once the arm rests, else after ``LONGEST`` times as long."""
+        """Whether the stop is over: ``Stop.seconds`` long and then at rest, or ``LONGEST`` times as long."""
         since = self.ticks - self._stopped_at if self._stopped_at >= 0 else 0
         return since > self._watched and bool(since > LONGEST * self._watched or np.abs(self._plant.v).max() < AT_REST)
 

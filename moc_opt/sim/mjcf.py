@@ -145,7 +145,7 @@ def check_engines(robot: RobotModel) -> None:
         mujoco.mj_fwdVelocity(model, state)
         mujoco.mj_fullM(model, state, M)
         ours = robot.state(q, state.qvel)
-        # Rotor inertia is the same in both and would hide small links: only its rounding error counts in the scale.
+        # Rotor inertia is the same in both and would hide small links: only its rounding error enters the scale.
         heavy = max(np.abs(M - rotor).max(), 1e-8 * rotor.max())
         bias, reach = np.abs(theirs["h"]).max() - GRAVITY[2] * heavy, max(1e-3, np.linalg.norm(theirs["tip"]))
         sizes = {"M": (heavy, "kg m^2"), "h": (bias, "Nm"), "tip": (reach, "m"), "wrist": (reach, "m")}

@@ -3,9 +3,9 @@
 The trocar is compliant: a spring and a damper between the trocar point and the nearest point of the shaft line, acting
 across the shaft only, so that the tool slides and turns freely in the incision. A rigid ring would wedge. With the tool
 direction u, the shaft point c nearest to the trocar P and the velocity w of the tool's material at c, the force on the
-tool is (I - u u^T) (stiffness (P - c) + damping (dP - w)) (`moc_opt/core/plant.c`). A trocar at rest only stores energy
-in the spring and dissipates it in the damper, so that it adds no energy to the arm. The shaft line has no ends: the
-tool is assumed to be inserted.
+tool is (I - u u^T) (stiffness (P - c) + damping (dP - w)) (`moc_opt/core/plant.c`). A trocar at rest stores energy
+in its spring and dissipates energy in its damper, but never adds any to the arm. The shaft line has no ends: the tool
+is assumed to be inserted.
 """
 
 from __future__ import annotations
