@@ -81,7 +81,7 @@ class Course:
     mu: Array  #: (k,) [m^3], by the robot model
     violation: float
     """Largest of: tip or wrist off its target [m]; a joint beyond its limit, or its speed times the period [rad]."""
-    certified: bool = False  #: Whether it is a local optimum to the solver's tolerance; False: the best on a grid.
+    certified: bool = False  #: Whether the course is a local optimum to the solver's tolerance; False: best on a grid.
 
     @property
     def mu_mean(self) -> float:
@@ -98,8 +98,8 @@ class Course:
 class Limits:
     """Limits that a course keeps."""
 
-    margin: Margin = 0.0  #: from the joint limits
-    speed_share: float = 1.0  #: of the joints' speed limits
+    margin: Margin = 0.0  #: distance kept from the joint limits
+    speed_share: float = 1.0  #: share of the joints' speed limits that may be used
     shaft: float = 0.0
     """least of `shaft_shares`: below it the shaft is nearly lost, and a pose is worth less, see `lowered`"""
 

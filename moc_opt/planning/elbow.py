@@ -32,7 +32,7 @@ class Elbow:
         shoulder, wrist = origins[0, self._shoulder], robot.state(robot.data.q_home).wrist
         away = np.linalg.norm(np.cross(origins[0] - shoulder, _unit(wrist - shoulder)), axis=1)
         self.joint = self._shoulder + int(np.argmax(away[self._shoulder :]))
-        # The direction that the shoulder-wrist line stays away from: upwards, unless that line comes near the vertical.
+        # The reference must not lie along the shoulder-wrist line: upwards, unless that line comes near the vertical.
         sideways = np.sqrt(1.0 - _unit(wrists - shoulder) ** 2).min(axis=0)
         axis = 2 if sideways[2] > 0.3 else int(np.argmax(sideways))
         self.reference = np.eye(3)[axis]  #: (3,) unit vector towards which the elbow lies at swivel zero
@@ -80,8 +80,8 @@ def _uphill(curve: SelfMotion) -> float:
 def in_transient(robot: RobotModel, t_s: ArrayLike, q_rad: ArrayLike) -> NDArray[np.bool_]:
     """Detect the ticks (N,) at which the elbow is still moving towards its optimum: neither there, nor at rest.
 
-    An elbow that follows its optimum along the path is not in transient, however fast both move: its distance to go is
-    constant.
+    An elbow that keeps up with its optimum does not count, however fast both move along the path: its distance to go
+    is constant.
 
     Args:
         t_s, q_rad: (N,) time of each tick [s], (N, n) true joint positions [rad].

@@ -21,7 +21,7 @@ from moc_opt.planning.program import Program
 from moc_opt.planning.search import NEARBY_RAD, Value
 from moc_opt.robots.model import RobotState
 
-GAIN_PER_S = 5.0  #: k
+GAIN_PER_S = 5.0  #: The gain k.
 NODES = 10  #: Times of the nonlinear program after its start.
 CATCH_UP = 1.03  #: Factor on the joint speeds of V that the horizon may use, so that a late arm can catch up.
 ON_COURSE_RAD = 0.05
@@ -64,7 +64,7 @@ class Planner:
     ) -> None:
         """Take V, a program of `NODES` times, and targets, which are interpolated.
 
-        ``horizon_s`` is the least time from the measured pose to where V takes over [s], ``rate_per_s`` that of solves.
+        ``horizon_s`` is the least time until V takes over [s], ``rate_per_s`` the number of solves per second.
         """
         self._value, self._program, self._targets = value, program, targets
         self._horizon_s, self.rate_per_s = horizon_s, rate_per_s
@@ -149,7 +149,7 @@ class Follower:
         self._tick, self._begun = 0, -1
         self._now: Piece | None = self._given
         if self._planner is not None:
-            self._planner.forget()  # not when it takes over, which is within a tick: that would stall the loop
+            self._planner.forget()  # here: within a tick, when the planner takes over, it would stall the loop
             if self._q_start is not None:
                 self._begin(self._planner, self._q_start)
 

@@ -37,7 +37,7 @@ SPEEDS = (1.0, 0.7, 0.4)
 is tried without braking."""
 HURRY, WORTH_IT = 1.12, 0.01
 """A course may be faster by the factor `HURRY`, up to `FASTEST` of the joint speeds, if V then gains more than
-the share `WORTH_IT` of mean mu: tip and RCM errors may grow, and most starts gain only a tenth of that."""
+`WORTH_IT` of mean mu: tip and RCM errors may grow, and most starts gain only a tenth of that."""
 FASTEST = 0.97
 BRAKE_SHARE = 0.9  #: Share of the safety filter's braking deceleration that a course made before the run uses.
 SMOOTHNESS = {"planned": 1e-4, "receding": 5e-4}
@@ -56,7 +56,7 @@ class Following:
     robot: RobotModel
     q_start: Array  #: (n,) [rad]
     settings: ControlSettings
-    targets: Callable[..., Targets]  #: makes targets every ``period_s``, and ``finer`` times as many
+    targets: Callable[..., Targets]  #: makes targets ``period_s`` apart, or ``finer`` times as many
     brake: float  #: deceleration that the safety filter's wall allows [rad/s^2]
     period_s: float  #: control period
 
@@ -145,7 +145,7 @@ def guides(run: Following) -> Callable[[], Guide] | None:
 def replanned(ways: Ways) -> Callable[[], Planner]:
     """Return a function that makes a planner of a receding horizon."""
     run, settings, smooth = ways.run, ways.run.settings, SMOOTHNESS["receding"]
-    # The last two do not brake in time; in the very last, V alone keeps the course from losing the shaft.
+    # The last two attempts do not brake in time; in the very last one V alone keeps the course off a lost shaft.
     ladder = [(part, run.brake, True) for part in ways.speeds]
     for part, brake, kept in [*ladder, (SPEEDS[-1], np.inf, True), (SPEEDS[-1], np.inf, False)]:
         value, limits, _ = ways.at(part)

@@ -30,7 +30,7 @@ class Blocked:
     t_s: float  #: When the run would be there [s].
     arc_length_m: float  #: Length of the tip's path up to there [m].
     tip_m: tuple[float, float, float]  #: Where the tip would be [m].
-    reason: str  #: The obstacle in words; it names the joint where one joint is the obstacle.
+    reason: str  #: The obstacle in words, with the joint's name if a single joint is the obstacle.
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +39,7 @@ class Plan:
 
     targets: Targets  #: Targets of tip and wrist on the path, (k,3) each [m], at (k,) times [s].
     from_start: Course | None  #: The best course from the start; None: the path cannot be executed from there.
-    best: Course | None  #: The best over all swivels and branches at the start of the path; None: from nowhere.
+    best: Course | None  #: The best over all swivels and branches at the start of the path; None: there is none.
     climbed: Course  #: The course of a local climb; shorter than the path if the climb ends at a limit.
     bound_from_start: float
     """Upper bound of mean mu from the start [m^3], for courses that the map resolves; NaN where one exceeds it."""

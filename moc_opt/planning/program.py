@@ -46,7 +46,7 @@ SOFT_RAD = 0.003  #: e of `too_fast`: without it the slope of the largest speed 
 SMOOTH_LOSS = 0.05
 """Share of mean mu that smoothness and braking may cost; a larger loss means another, lower local maximum."""
 LEAST_SHARE = 1e-4  #: Keeps the slope of the root finite where the shaft's share (`course.shaft_shares`) is zero.
-INSIDE = 1e-9  #: Against rounding, limits and steps are narrowed by this, a step at most to its half [rad].
+INSIDE = 1e-9  #: To absorb rounding, limits and steps are narrowed by this, but no step to less than half [rad].
 
 
 class Program:
@@ -149,10 +149,10 @@ def refine(
     """Improve a course over the whole path to a local optimum within limits; its first pose stays.
 
     The given course may violate constraints. It is returned unchanged where ipopt's answer violates one by more than
-    `MOST_VIOLATION`, or is worth less by the robot model's own mu; with ``smoothness`` or ``brake`` (see `Program`) the
-    answer may be worth less by `SMOOTH_LOSS`. The answer is ``certified`` where ipopt met its tolerances.
+    `MOST_VIOLATION`, or is worth less by the robot model's own mu than a given course that violates none. With
+    ``smoothness`` or ``brake`` it may be worth less by `SMOOTH_LOSS`. ``certified``: ipopt met its tolerances.
     """
-    if limits.shaft > 0.0 and _above(robot, course, limits):  # first without the margin, in half of the time
+    if limits.shaft > 0.0 and _above(robot, course, limits):  # first without the shaft's margin: half of the time
         bare = replace(limits, shaft=0.0)
         free = refine(robot, targets, course, bare, smoothness=smoothness, brake=brake)
         if _above(robot, free, limits):
@@ -178,7 +178,7 @@ def _above(robot: RobotModel, course: Course, limits: Limits) -> bool:
 
 
 def too_fast(speed: Any, pose: Any, low: Any, high: Any, brake: float) -> Any:
-    """Write by how much joints are too fast to stop before their limits; the numbers are at most 0 where they can.
+    """Return by how much joints are too fast to stop before their limits, in CasADi; at most 0 where they can stop.
 
     At a distance d from a limit the speed may be sqrt(2 b) (sqrt(d + e) - sqrt(e)), b the brake [rad/s^2], e =
     `SOFT_RAD`. CasADi's vectors have m entries, the answer 2 m: towards ``high``, then towards ``low``.

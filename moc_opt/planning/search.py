@@ -74,7 +74,7 @@ class Value:
             )  # fmt: skip
 
     def of(self, q: Array, mu: float) -> float:
-        """Return the mean mu of the best course from a pose (n,) at t = 0, whose own is ``mu`` [m^3]; -inf: none."""
+        """Return the mean mu of the best course from a pose (n,) with this mu at t = 0 [m^3]; -inf: there is none."""
         found = self._next(1, q, np.zeros(len(q)), self._step, self._price)
         rest = -np.inf if found is None else float(self.value[1][found])
         return float(mu * self._weight[0] + rest) / self._weight.sum()
@@ -194,7 +194,7 @@ def advance(
         price: on the square of a step, in the unit of the values [1/rad^2].
     """  # fmt: skip
     branches, _, n = q.shape
-    # Sorted by the joint whose range spans the most steps, the poses within reach of one are a short interval.
+    # Sorted by the joint whose range spans the most steps, the poses within reach of one form a short interval.
     spread = np.nan_to_num(np.fmax.reduce(q_next, 1) - np.fmin.reduce(q_next, 1)).sum(axis=0)
     by = int(np.argmax(spread / step))
     order = np.argsort(q_next[:, :, by])

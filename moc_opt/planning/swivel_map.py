@@ -3,8 +3,8 @@
 The map has every swivel of the elbow, and shows where a joint limit forbids it. `read_trajectory` says for how long a
 run is at the optimum. Where a run ends elsewhere, mu is climbed on the map from its last swivel, up to the first pose
 beyond a joint limit. If the climb ends close by, the local maximum or the edge of the feasible poses there holds the
-run. If not, the map cannot tell why the run has not climbed: there may be no third level, or its box holds
-the elbow, since it closes before the joint limits that the map shows.
+run. If not, the map cannot tell why the run has not climbed: there may be no third level, or its box may hold the
+elbow, since the box closes before the joint limits that the map shows.
 """
 
 from __future__ import annotations

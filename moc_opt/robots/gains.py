@@ -25,7 +25,7 @@ JOINTS: Mapping[str, tuple[float, float, float]] = {
     "tuned": (26.0, 0.087, 125.0), "robust": (17.0, 0.133, 85.0),
 }  # fmt: skip
 """For each table: K_N2 over the joint's inertia [1/s] (10 to 22 in the LWR4+'s table), D_N2 over K_N2 (there 0.13 to
-0.2), and the largest rate of both together along any motion that keeps tip and wrist [1/s]."""
+0.2), and the largest rate allowed for both together along a motion that keeps tip and wrist [1/s]."""
 CARTESIAN_RATE = 160.0
 """Largest D_X or D_N over the smallest mass that it moves [1/s]: 0.72 of the stability limit with three ticks of delay
 at 500 Hz. The LWR4+'s D_X has 90 in its lightest direction, its D_N 16."""

@@ -106,8 +106,8 @@ def new_robot(
 
 
 def _drives(arm: VendorArm) -> dict[str, list[float]]:
-    # Vendors do not publish these. A turning joint of 10 Nm or more gets the LWR4+'s rotor inertia of 0.2 kg m^2, a
-    # weaker one less in proportion; friction is 0.8 % of its limit, 1 Nm at most. A sliding joint: 4 and 0.8 % of it.
+    # Vendors do not publish these. Rotor inertia: the LWR4+'s 0.2 kg m^2 for a turning joint of 10 Nm or more, less in
+    # proportion for a weaker one, 4 % of the force of a sliding one. Friction: 0.8 % of the limit, at most 1 Nm.
     rotors, friction = [], []
     for joint in arm.chain:
         effort, sliding = joint.limits["effort"], joint.kind == "prismatic"
@@ -224,7 +224,7 @@ def search_home(robot: RobotModel, *, seed: int = 0) -> Home:
     poses[:, idle] = middle[idle]
     tips, wrists = robot.tool_along(poses)
     down = (wrists - tips)[:, 2] / np.linalg.norm(wrists - tips, axis=1)
-    side = np.sign(np.mean(tips[:, 2]))  # of the base's plane on which the arm is: below, if it hangs
+    side = np.sign(np.mean(tips[:, 2]))  # 1: the arm is above the base's plane; -1: it hangs below
     clear = np.minimum(side * tips[:, 2], side * wrists[:, 2])
     found: list[Home] = []
     for least in DOWN:

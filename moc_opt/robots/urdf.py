@@ -65,7 +65,7 @@ class Joint:
     rpy: Numbers = _ZEROS  #: [rad]
     axis: Numbers = (1.0, 0.0, 0.0)
     limits: dict[str, float] = field(default_factory=dict)
-    """Those of lower, upper, velocity and effort that are given [rad, rad/s, Nm, or m, m/s, N]."""
+    """Lower, upper, velocity and effort, as far as they are given [rad, rad/s, Nm, or m, m/s, N]."""
     mimics: bool = False
 
     @property

@@ -21,7 +21,7 @@ FASTEST = {"turning": 2.0 * math.pi, "sliding": 2.0}
 """Largest joint speeds of an arm [rad/s, m/s]: a public file of the iiwa says 10 rad/s, its maker 1.5 to 2.4."""
 CHOSEN = {"turning": 2.0, "sliding": 0.5}  #: The speed that replaces a missing or absurd one.
 TRAVEL_M = 0.5  #: Range of a sliding joint without limits, to both sides [m].
-_STRONGEST = {"turning": 2000.0, "sliding": 20000.0}  # Nm, N
+_STRONGEST = {"turning": 2000.0, "sliding": 20000.0}  # largest plausible effort [Nm, N]
 _UNITS = {"turning": ("rad", "rad/s"), "sliding": ("m", "m/s")}
 
 

@@ -72,8 +72,8 @@ def followable_plan(
 ) -> tuple[Plan, dict[str, float]]:
     """Plan within the limits of a third level that follows a course, or within the arm's own; return the limits too.
 
-    ``followed`` chooses between both; None: as the scenario's third level. A path that cannot be executed with that
-    third level's margins is planned without. Limits given replace these; one margin alone sets the other to zero.
+    ``followed`` chooses the former; None: if the scenario's third level follows. A path that cannot be executed with
+    that third level's margins is planned without. Limits given replace these; one margin alone sets the other to zero.
     """
     settings = scenario.control
     follows = settings.follows if followed is None else followed

@@ -85,7 +85,7 @@ class FaultSettings(Settings):
 class Faults:
     """The faults of one run with n joints: ``sense`` corrupts measurements, ``act`` pushes, ``slip`` moves the trocar.
 
-    ``period`` is that of control [s]; ``seed`` draws signs, noise, drops and directions.
+    ``period`` is the control period [s]; ``seed`` draws signs, noise, drops and directions.
 
     Raises:
         PlantError: a joint that the arm does not have.

@@ -12,7 +12,7 @@ from moc_opt.errors import PlantError, RobotError
 from moc_opt.robots import RobotData
 from moc_opt.sim.settings import GRAVITY, Mismatch
 
-if TYPE_CHECKING:  # it loads pinocchio
+if TYPE_CHECKING:  # at run time it would load pinocchio
     from moc_opt.robots.model import RobotModel
 
 TOOL_BODY = "tool"

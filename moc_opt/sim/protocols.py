@@ -48,7 +48,7 @@ class LoggedController(TorqueController, Protocol):
 class Filtered(ABC):
     """Turns a measurement into a torque that may be applied, here or at the other end of a wire (``realtime``)."""
 
-    stop_reason: Any  #: Why the arm has to be stopped; empty while it has not.
+    stop_reason: Any  #: Why the arm has to be stopped; empty while it need not be.
     limited: Any  #: Number of joints whose last torque is not the one that the controller computed.
     warnings: Any  #: Which figures exceeded a warning level since the start, as JSON values.
 

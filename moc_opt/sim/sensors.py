@@ -19,7 +19,7 @@ class Measurement(NamedTuple):
     v: Array  #: (n,) joint velocities [rad/s].
     force: Array  #: (6,) force [N] and torque [Nm] of the tool on its mount, axes of link "tool", one plant step old.
     stamp: int = 0
-    """Number of the control period in which it was taken, counted by the arm; the reading's age follows from it."""
+    """Number of the control period in which the reading was taken, counted by the arm: it tells the reading's age."""
 
 
 _NOISE_ROWS = 256
@@ -31,7 +31,7 @@ class Noise:
     def __init__(self, rng: np.random.Generator, deviation: Array) -> None:
         self._rng, self._deviation, self._quiet = rng, deviation, not deviation.any()
         self._block, self._next = np.zeros((_NOISE_ROWS, deviation.size)), _NOISE_ROWS
-        self._rows = list(self._block)  # views: taking one from a list costs a quarter of making it
+        self._rows = list(self._block)  # views, since making one costs four times as much as a look-up
 
     def take(self) -> Array:
         """Return the next row (m,), valid until the next call."""
@@ -73,7 +73,7 @@ class Encoders:
         return self._sample(q, v, (resolution, period, 0.0, exact))
 
     def read(self, q: Array, v: Array) -> tuple[Array, Array]:
-        """Return the reading one period after the last: position [rad] and velocity [rad/s], (n,) read-only."""
+        """Return the reading one period after the last one: position [rad] and velocity [rad/s], (n,) read-only."""
         return self._sample(q, v, self._conversion)
 
     def _sample(self, q: Array, v: Array, conversion: tuple[float, float, float, bool]) -> tuple[Array, Array]:

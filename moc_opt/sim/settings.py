@@ -121,7 +121,7 @@ class Mismatch:
     origin_turn: Array
     """(n, 3) rotation vector of each joint's frame against the model, axes of the link before it [rad]."""
     encoder_bias: Array  #: (n,) reading of each encoder minus the true position [rad, or m of a sliding joint].
-    ripple_phase: Array  #: (n,) of the torque ripple at joint position 0 [rad].
+    ripple_phase: Array  #: (n,) phase of the torque ripple at joint position 0 [rad].
 
     @property
     def displaces(self) -> bool:
