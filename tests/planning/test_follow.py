@@ -124,12 +124,12 @@ FAST = {"task": {"v_max_m_per_s": 2.0, "a_max_m_per_s2": 20.0}, "start": {"check
     (FAST, r"third_level = 'planned'.*mm along the path"),
     (FAST | {"control": {"third_level": "receding"}}, r"third_level = 'receding'.*mm along the path"),
 ])  # fmt: skip
-def test_settings_that_cannot_follow_a_course_are_refused_before_the_run(change, message):
+def test_what_cannot_follow_a_course_is_refused_before_the_run(change, message):
     with pytest.raises(MocOptError, match=message):
         Setup(FOLLOWED.change(**change)).controller()
 
 
-def test_the_receding_horizon_leaves_the_maximum_that_traps_the_local_law():
+def test_it_leaves_the_hump_in_which_the_local_law_is_trapped():
     trace, climbed, told = ran("receding"), ran("local"), ran("receding").meta["replans"]
     assert trace.meta["ended"] == "completed"
     assert 20.0 * (setup().duration_s - 0.3) < told["solves"] < 30.0 * setup().duration_s
@@ -139,7 +139,7 @@ def test_the_receding_horizon_leaves_the_maximum_that_traps_the_local_law():
     assert trace.columns["tip_error_model_m"].mean() < 2.0 * climbed.columns["tip_error_model_m"].mean()
 
 
-def test_the_followed_course_is_on_the_path_and_within_the_speeds():
+def test_what_it_follows_is_on_the_path_and_within_the_speeds():
     one, q = follower(setup()), [setup().q_start]
     for _ in range(setup().ticks):
         q.append(q[-1] + 0.002 * one.desired_velocity(setup().robot.state(q[-1])))
@@ -154,7 +154,7 @@ def test_the_followed_course_is_on_the_path_and_within_the_speeds():
 
 
 @pytest.mark.parametrize("wrong", ["random", "nan", "fast"])
-def test_a_wrong_answer_of_the_program_is_not_followed(monkeypatch, wrong):
+def test_nonsense_in_place_of_a_course_is_found_out(monkeypatch, wrong):
     """The last answer goes on to its end, and there the arm is asked to rest."""
     one, rng = follower(setup()), np.random.default_rng(0)
     robot, q = setup().robot, setup().q_start

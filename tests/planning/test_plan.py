@@ -31,7 +31,7 @@ def test_the_courses_are_in_order_and_the_proposed_start_keeps_its_promise(robot
     assert again.from_start.mu_mean == pytest.approx(plan.best.mu_mean, rel=1e-4)
 
 
-def test_no_bound_is_given_where_a_course_exceeds_it(robot, monkeypatch):
+def test_a_bound_that_a_course_shows_to_be_none_is_not_given(robot, monkeypatch):
     """A map too coarse for what mu does between its poses, made by counting the mu of its bound as less."""
     monkeypatch.setattr("moc_opt.planning.search._highest_nearby", lambda mu: 0.9 * mu)
     plan = make_plan(robot, robot.data.q_home, task(robot, robot.data.q_home, 20), swivels=180)
@@ -85,7 +85,7 @@ def test_bad_arguments_are_named(robot, change, name):
         make_plan(robot, q if change else q + 0.01, task(robot, q, 10), **change)
 
 
-def test_a_course_between_the_poses_of_the_grid_is_found_if_refined():
+def test_a_way_that_only_the_grid_lacks_is_found_and_without_looking_the_grid_is_named():
     """The joints' speeds leave room for a swivel that lies between two of a coarse map's."""
     scenario = Scenario(seed=1).change(start={"pose": "random"})
     coarse = {"swivels": 90, "speed_share": 0.15, "times": 100}
@@ -95,7 +95,7 @@ def test_a_course_between_the_poses_of_the_grid_is_found_if_refined():
     assert "between the poses of the map" in grid.blocked.reason
 
 
-def test_where_the_bound_is_far_above_the_program_also_begins_at_its_course(monkeypatch):
+def test_where_the_bound_leaves_room_the_program_begins_at_its_course_too(monkeypatch):
     """The grid is made to find the climb alone, from a start from which that ends in a low hump of mu."""
     best_course, asked = plan.best_course, []
 

@@ -90,7 +90,7 @@ def test_too_few_and_too_many_swivels_are_refused(name, swivels):
     {"joints": [*IIWA14["joints"][:3], ((0.02, 0.0, 0.2155), (H, 0, 0)), *IIWA14["joints"][4:]]},  # elbow offset
     {"joints": [*IIWA14["joints"][:5], ((0.0, 0.0, 0.2155), (H - 0.1, 0, 0)), IIWA14["joints"][6]]},  # oblique
 ])  # fmt: skip
-def test_an_arm_without_normal_form_is_recognised(tmp_path, changes):
+def test_an_arm_without_normal_form_is_told(tmp_path, changes):
     assert closed_form(build(tmp_path, IIWA14)) is not None, "the name of an arm does not count"
     whole_turn = np.radians([180, 120, 170, 120, 170, 120, 175])
     assert closed_form(build(tmp_path, IIWA14, q_max=whole_turn, q_min=-whole_turn)) is not None
@@ -193,7 +193,7 @@ def test_random_inverse_kinematics_find_nothing_better(name, method):
 
 
 @pytest.mark.parametrize("name", ["lwr4_rail", "odd"])
-def test_with_two_freedoms_one_curve_is_only_a_part_of_the_poses(name, odd_robot):
+def test_with_two_freedoms_one_curve_is_not_all(name, odd_robot):
     robot = odd_robot if name == "odd" else load_robot(name)
     rng = np.random.default_rng(4)
     poses = [robot.data.q_home, *rng.uniform(0.7 * robot.q_min, 0.7 * robot.q_max, (3, robot.n))]

@@ -70,7 +70,7 @@ def test_two_unit_vectors_lie_across_each_shaft(shaft):
         np.testing.assert_allclose(frame @ frame.T, np.eye(3), atol=1e-12)
 
 
-def test_the_violation_of_a_limit_is_reported(robot):
+def test_a_course_that_breaks_a_limit_is_said_to(robot):
     targets = task(robot, robot.data.q_home, 20)
     course, _ = on_grid(robot, targets)
     jump, off = np.array(course.q_rad), np.array(course.q_rad)
@@ -110,7 +110,7 @@ def test_a_course_brakes_off_before_the_limits_that_it_keeps(robot):
     assert late[1] < 1e-6
 
 
-def test_a_course_that_is_far_too_fast_does_not_count_as_kept(robot):
+def test_a_course_for_which_the_joints_are_far_too_slow_is_none(robot):
     """Also where a step is shorter than what limits are kept inside by: no bounds that cross."""
     targets, slow = task(robot, robot.data.q_home, 20), Limits(speed_share=1e-10)
     course, _ = on_grid(robot, targets)
@@ -155,7 +155,7 @@ def test_tip_shaft_limits_and_speeds_are_kept_and_a_higher_price_makes_it_smooth
 
 
 @pytest.mark.parametrize("side", [-1.0, 1.0])
-def test_the_end_of_the_horizon_moves_to_where_v_is_higher(middle, side):
+def test_its_end_is_pulled_to_where_v_is_higher(middle, side):
     robot, start, guess, there, made = middle
     rest = (guess[-1] - start) / (NODES * there.period_s)
     plain, _ = made.solve(guess, start, there, rest)
@@ -168,7 +168,7 @@ def test_the_end_of_the_horizon_moves_to_where_v_is_higher(middle, side):
     assert abs(along @ (kept[-1] - plain[-1])) < 1e-3
 
 
-def test_the_horizon_begins_at_the_speed_of_the_arm(middle):
+def test_it_begins_at_the_speed_that_the_arm_has(middle):
     robot, start, guess, there, made = middle
     steps = [made.solve(guess, start, there, speed * np.ones(robot.n))[0][0] - start for speed in (-0.5, 0.5)]
     along = np.linalg.svd(robot.state(start).A[:, :6])[2][-1]

@@ -88,7 +88,7 @@ def test_every_pose_is_compared_with_every_other_one_next_to_it():
         np.testing.assert_allclose(value, ways + gain, atol=1e-12)
 
 
-def test_a_climb_begins_towards_the_higher_neighbour():
+def test_the_way_up_goes_to_the_higher_neighbour():
     found = replace(small(np.random.default_rng(0), k=1, m=5), mu=np.array([[[0.2, 0.5, 0.6, 0.1, 0.3]]]))
     found = replace(found, q_rad=0.1 * np.arange(5.0).reshape(1, 1, 5, 1), room_rad=np.ones((1, 1, 5)))
     assert [top_of(found, np.array([at])).mu for at in (0.1, 0.2, 0.3)] == [0.6, 0.6, 0.6]

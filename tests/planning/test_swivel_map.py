@@ -88,7 +88,7 @@ def test_trajectories_lie_on_the_map_and_below_its_best(robot, runs, found):
         assert np.cos(found.best_swivel_rad[k] - angle) > np.cos(0.03)
 
 
-def test_a_run_on_another_branch_is_recognised(robot, runs):
+def test_a_run_that_is_folded_another_way_is_told_apart(robot, runs):
     flip = np.array(runs["MOC"].q_rad)
     flip[:, 4] -= np.pi * np.sign(flip[:, 4])
     flip[:, 5] *= -1.0
@@ -107,7 +107,7 @@ def test_a_map_of_elbows_that_hang_is_counted_from_minus_to_plus_half_a_turn(rob
     assert abs(made.swivel_rad.mean()) <= np.pi
 
 
-def test_points_out_of_reach_are_marked(robot, runs):
+def test_what_is_out_of_reach_is_said_to_be(robot, runs):
     moc = runs["MOC"]
     away = np.where(np.arange(len(moc)) < len(moc) // 2, 0.0, 1.0)[:, None] * np.eye(3)[0]
     torn = moc.with_columns(tip_ref_m=moc.tip_ref_m + away, trocar_registered_m=moc.trocar_registered_m + away)
@@ -155,7 +155,7 @@ def test_the_figure_shows_it_all(found):
         map_figure(replace(found, limit=np.ones_like(found.limit)))
 
 
-def test_a_map_of_two_freedoms_names_the_joints_that_are_held(found):
+def test_a_map_of_two_freedoms_is_a_slice_that_says_so(found):
     """On a rail the map holds the rail where the run has it; its best is the slice's."""
     arm = load_robot("lwr4_rail")
     run_of_it = mo.run(Scenario(robot={"name": "lwr4_rail"}, duration_s=1.0, judge=False, bound_samples=0))
@@ -250,14 +250,14 @@ def test_a_limit_on_the_way_up_holds_a_run_and_where_the_way_is_open_its_motion_
     assert (found.end, found.joint) == (end, 4 if end is End.FEASIBLE_EDGE else 0)
 
 
-def test_time_at_infeasible_poses_is_counted():
+def test_time_at_the_grey_is_counted():
     found = read(hill(60.0, 0.3), ramp(-50.0, 50.0), (-4.0, 20.0, 4))
     assert found.at_edge == pytest.approx((20.0 + 3.0 + 4.0 + 3.0) / 100.0, abs=0.04)
     away = read(hill(60.0, 0.3), -40.0, (-4.0, 20.0, 4))
     assert away.at_edge == 0.0
 
 
-def test_runs_that_cannot_be_compared_with_the_map_are_marked():
+def test_what_cannot_be_judged_is_said():
     elsewhere = read(hill(60.0, 0.3), 60.0, gap_rad=2.0)
     assert elsewhere.end is End.OTHER_BRANCH
     assert np.isnan([elsewhere.near, elsewhere.mu_share, elsewhere.from_s]).all()

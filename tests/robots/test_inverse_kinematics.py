@@ -42,7 +42,7 @@ def test_out_of_reach_it_goes_as_near_as_it_can(robot):
     (np.full(7, np.nan), np.zeros(3), "q = .* is not finite"), (np.zeros((7, 1)), np.zeros(3), "q has shape"),
     (np.zeros(7), np.array([0.5, 0.0, np.nan]), "tip or wrist = .* is not finite"),
 ])  # fmt: skip
-def test_wrong_poses_and_points_are_refused(robot, q, tip, message):
+def test_what_is_no_pose_and_no_point_is_refused(robot, q, tip, message):
     """A comparison with NaN is false: unchecked, such a point would count as reached."""
     with pytest.raises(RobotError, match=message):
         solve_pose(robot, q, tip)
@@ -50,7 +50,7 @@ def test_wrong_poses_and_points_are_refused(robot, q, tip, message):
 
 @given(st.integers(0, 10_000))
 @settings(max_examples=25)
-def test_a_pose_is_found_from_the_tip_and_trocar_of_another(robot, seed):
+def test_tip_and_trocar_of_a_pose_can_be_had_again(robot, seed):
     rng = np.random.default_rng(seed)
     state = robot.state(robot.random_regular_pose(rng))
     trocar = state.tip - rng.uniform(0.02, 0.28) * state.tool_direction

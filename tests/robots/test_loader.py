@@ -119,14 +119,14 @@ BAD_URDF = {
 
 
 @pytest.mark.parametrize("case", [*BAD_TOML, *BAD_URDF])
-def test_each_fault_of_a_file_is_named(case: str, tmp_path: Path) -> None:
+def test_what_is_wrong_in_a_file_is_named(case: str, tmp_path: Path) -> None:
     *pair, told = (BAD_TOML | BAD_URDF)[case]
     toml, urdf = (changed(TOML, pair), URDF) if case in BAD_TOML else (TOML, changed(URDF, pair))
     with pytest.raises(MocOptError, match=told):
         load_data(write(tmp_path, toml, urdf))
 
 
-def test_a_link_may_not_have_the_name_of_mujocos_base(tmp_path: Path) -> None:
+def test_a_link_may_not_have_the_name_that_is_the_base_to_mujoco(tmp_path: Path) -> None:
     assert load_data(write(tmp_path, urdf=URDF.replace('"link_0"', '"world"'))).n == 7
     with pytest.raises(RobotError, match=r"joint_3.*a link 'world'.*rename it"):
         load_data(write(tmp_path, urdf=URDF.replace('"link_3"', '"world"')))
@@ -144,7 +144,7 @@ def test_bad_tool_arguments(bad: float) -> None:
     "", "0 0", "0 0 0 0", "0,0,0",
     *(f"0 0 {bad}" for bad in ("0x10", "nan", "inf", "1,5", "1e", "-101", "1e999", "1_0", "\u0663.0")),
 ])  # fmt: skip
-def test_numbers_that_no_arm_has_are_refused(text):
+def test_what_is_no_number_of_an_arm_is_refused(text):
     origin = '<joint name="j"><parent link="a"/><child link="b"/><origin xyz="{}"/></joint>'
     assert read(f'<robot name="x">{origin.format(f"{FARTHEST} 0 -1e-31")}</robot>').joints[0].xyz == (100.0, 0.0, 0.0)
     with pytest.raises(RobotError, match=r"<origin> of joint 'j', xyz is '.*give three decimal numbers"):
@@ -159,7 +159,7 @@ moments = st.tuples(*[numbers] * 6)
 
 @given(triples, triples, triples, limits, st.floats(1e-30, 100.0), moments)
 @settings(max_examples=60)
-def test_a_written_urdf_is_read_back_to_the_bit(xyz, rpy, axis, limit, mass, moments):
+def test_what_is_written_is_read_back_to_the_bit(xyz, rpy, axis, limit, mass, moments):
     links = [Link("a"), Link("b", mass, moments, xyz, rpy)]
     arm = Urdf(links, [Joint("j", "revolute", "a", "b", rpy, xyz, axis, limit)])
     assert read(arm.to_text("arm")) == arm
@@ -177,7 +177,7 @@ def test_the_verdict_is_that_of_the_principal_moments_in_any_axes(moments, seed)
         assert (fault is not None) == wrong
 
 
-def test_only_the_links_and_joints_read_are_written():
+def test_only_what_was_read_is_written():
     """Shapes, extensions and unknown elements or attributes reach no engine."""
     text = load_data().urdf
     more = text.replace("<link", '<gazebo secret="1"/><link', 1).replace(

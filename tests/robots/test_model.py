@@ -271,7 +271,7 @@ def test_a_carried_robot_is_the_same_arm() -> None:
     {"q_min": [0.0]}, {"q_min": "x"}, {"q_max": [np.nan] * 7}, {"joint_names": []}, {"more": 1}, {"urdf": "<robot/>"},
     {"gains": 3}, {"tip_frame": "gone"}, {"joint_names": [*"abcdefg"]}, {"urdf": "<robot"}, None,
 ])  # fmt: skip
-def test_values_of_no_robot_are_refused(robot: RobotModel, change: dict[str, Any] | None) -> None:
+def test_what_is_no_robot_is_refused(robot: RobotModel, change: dict[str, Any] | None) -> None:
     with pytest.raises(RobotError):
         restored([] if change is None else {**carried(robot), **change})  # type: ignore[arg-type]
 

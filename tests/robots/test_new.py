@@ -38,7 +38,7 @@ def panda(tmp_path_factory: pytest.TempPathFactory) -> NewRobot:
     return made(tmp_path_factory.mktemp("panda"), text, tip="hand")
 
 
-def test_assumptions_are_noted_in_the_file(panda) -> None:
+def test_what_was_assumed_stands_in_the_file(panda) -> None:
     text = panda.toml.read_text(encoding="utf-8")
     plain = " ".join(line.lstrip("# -") for line in text.splitlines())
     assert len(panda.notes) >= 6
@@ -81,7 +81,7 @@ def test_drives_follow_the_torque_limits(tmp_path: Path) -> None:
     assert data.coulomb_friction.tolist() == [4.0, 1.0, 1.0, 0.8, 0.8, 0.8, 0.3, 0.3]
 
 
-def test_a_urdf_of_no_usable_arm_is_refused_and_leaves_no_file(tmp_path: Path) -> None:
+def test_what_makes_no_arm_is_refused_and_leaves_no_file(tmp_path: Path) -> None:
     massless = re.sub(r"<inertial>.*?</inertial>", "", text_of(), flags=re.DOTALL)
     with pytest.raises(RobotError, match="joint 'joint_1' moves no mass"):
         made(tmp_path, massless)
@@ -159,7 +159,7 @@ def test_a_flange_frame_carries_the_same_tool_and_one_off_the_axis_or_that_slide
 
 
 @pytest.mark.parametrize("name", available_robots())
-def test_a_found_home_pose_meets_the_requirements(name: str) -> None:
+def test_a_found_pose_is_what_was_asked_for(name: str) -> None:
     robot = load_robot(name)
     home = search_home(robot, seed=3)
     left, state = freedoms(robot, home.q), robot.state(home.q)
@@ -211,7 +211,7 @@ def test_from_a_vendors_file_to_a_check_a_run_and_a_replay(tmp_path: Path, monke
     (["--base-rpy", "nan", "0", "0"], "--base-rpy"), (["--out", "x.txt"], "--out"),
     (["--out", "my robot.toml"], "--out"),
 ])  # fmt: skip
-def test_each_error_is_one_line(arguments: list[str], told: str, tmp_path: Path, capsys) -> None:
+def test_what_is_wrong_is_said_in_one_line(arguments: list[str], told: str, tmp_path: Path, capsys) -> None:
     source = tmp_path / "vendor.urdf"
     source.write_text(text_of("iiwa14"), encoding="utf-8")
     assert main(["robot", "new", str(source), "--out", str(tmp_path / "my.toml"), *arguments]) == 2
@@ -251,14 +251,14 @@ def test_each_fault_turns_its_own_row(robot: RobotModel, what: str, fields: dict
     assert told in row.cure
 
 
-def test_a_home_from_which_mu_gains_little_is_reported(robot: RobotModel) -> None:
+def test_a_home_from_which_little_is_to_gain_is_told(robot: RobotModel) -> None:
     curve = self_motion(robot, robot.data.q_home)
     for share, judged in ((0.98, "care"), (0.91, "ok")):
         q = curve.q[np.argmin(np.abs(curve.mu / curve.mu_best - share))]
         assert rows(altered(robot, q_home=q))["mu at home"].verdict == judged
 
 
-def test_the_distance_of_a_sliding_joint_from_its_limit_is_in_mm() -> None:
+def test_a_joint_that_slides_has_its_room_in_mm() -> None:
     rail = load_robot("lwr4_rail")
     row = rows(rail)["nearest limit"]
     room = min(rail.data.q_home[0] - rail.q_min[0], rail.q_max[0] - rail.data.q_home[0])
@@ -280,7 +280,7 @@ def test_a_singular_home_is_refused_and_every_row_that_is_not_ok_has_a_cure(robo
     assert all(bool(row.cure) == (row.verdict != "ok") for row in found.values())
 
 
-def test_a_task_out_of_reach_is_reported(robot: RobotModel) -> None:
+def test_a_task_out_of_reach_is_told(robot: RobotModel) -> None:
     asked = Scenario(task={"path": "circle", "sizes": {"radius": 0.5}})
     row = rows(robot, asked)["task from home"]
     assert row.verdict == "care"
@@ -288,7 +288,7 @@ def test_a_task_out_of_reach_is_reported(robot: RobotModel) -> None:
 
 
 @pytest.mark.parametrize("factor", [0.9, 8.0])
-def test_gains_beyond_the_stability_limit_oscillate_and_are_refused(robot: RobotModel, factor: float) -> None:
+def test_gains_beyond_the_limit_swing_and_are_refused(robot: RobotModel, factor: float) -> None:
     """The verdict is what the plant does: the idle joint without friction, at the LWR4+'s table times a factor."""
     gains = [factor * gain for gain in robot.data.gains["default"]["K_N2"]]  # type: ignore[union-attr]
     asked = Scenario(control={"K_N2": gains}, plant={"friction": 0.0}, bound_samples=0, judge=False)

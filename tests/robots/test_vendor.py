@@ -80,7 +80,7 @@ def test_a_second_arm_needs_a_tip_and_a_head_of_two_joints_none(vendors) -> None
     assert chain(vendors(added(text_of(), branch("head", 2, "link_0")))) == CHAIN
 
 
-def test_a_joint_locked_by_name_stands_at_the_given_position(vendors) -> None:
+def test_a_joint_locked_by_name_stands_where_it_was_told(vendors) -> None:
     arm = vendors(text_of(), lock={"joint_3": 0.4})
     assert chain(arm) == [name for name in CHAIN if name != "joint_3"]
     q = np.array([0.1, -0.3, -1.2, 0.5, 1.4, 0.2])
@@ -91,7 +91,7 @@ def test_a_joint_locked_by_name_stands_at_the_given_position(vendors) -> None:
 
 
 @pytest.mark.parametrize("kind", ["floating", "mimic"])
-def test_a_joint_of_an_unusable_type_is_refused_only_within_the_arm(kind: str, vendors) -> None:
+def test_a_joint_that_no_drive_moves_so_is_refused_inside_the_arm_alone(kind: str, vendors) -> None:
     if kind == "mimic":
         text = changed(text_of(), ('<child link="link_4"/>', '<child link="link_4"/><mimic joint="joint_3"/>'))
     else:
@@ -108,7 +108,7 @@ def test_names_that_the_tool_needs_are_moved_out_of_the_way(vendors) -> None:
     assert {"world_link", "tip_frame_joint"} <= {part.name for part in (*arm.urdf.links, *arm.urdf.joints)}
 
 
-def test_urdfs_without_an_arm_are_refused(vendors) -> None:
+def test_what_is_no_urdf_of_an_arm_is_refused(vendors) -> None:
     with pytest.raises(RobotError, match="xacro"):
         vendors('<robot xmlns:xacro="http://x/xacro"><xacro:macro name="a"/></robot>')
     with pytest.raises(RobotError, match="no joint moves"):
@@ -132,7 +132,7 @@ def test_a_possible_body_stays_and_one_without_mass_is_a_frame() -> None:
 
 
 @given(st.tuples(*[st.floats(-0.1, 0.1)] * 6).filter(lambda given: max(map(abs, given)) > 1e-9))
-def test_any_inertia_becomes_a_possible_one(given: tuple[float, ...]) -> None:
+def test_any_inertia_becomes_one_that_a_body_may_have(given: tuple[float, ...]) -> None:
     body = Link("a", 1.0, given)
     assert (mended(body) == []) == (inertia_fault(given) is None)
     assert inertia_fault(body.moments) is None
@@ -159,7 +159,7 @@ FAST = {"velocity": CHOSEN["turning"]}
     ("lwr4_rail", "", {"lower": -TRAVEL_M, "upper": TRAVEL_M, "velocity": CHOSEN["sliding"]},
      ["has no range: .* m is taken", "no speed limit: .* m/s is taken"]),
 ])  # fmt: skip
-def test_limits_that_no_arm_has_are_replaced(name: str, limit: str, expected: dict, told: list, vendors) -> None:
+def test_what_no_arm_has_is_replaced_and_told(name: str, limit: str, expected: dict, told: list, vendors) -> None:
     arm = vendors(changed(text_of(name), (PANDA_1 if name == "panda" else RAIL_1, f"<limit {limit}/>")))
     first, notes = arm.chain[0].limits, [note for note in arm.notes if "joint_1" in note]
     assert {key: first[key] for key in expected} == pytest.approx(expected)

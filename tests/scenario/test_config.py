@@ -47,13 +47,13 @@ WRONG_AT_THE_RUN = [
 
 
 @pytest.mark.parametrize(("tables", "words"), WRONG)
-def test_wrong_values_are_named_when_the_scenario_is_made(tables, words):
+def test_what_is_wrong_is_named_where_the_scenario_is_made(tables, words):
     with pytest.raises((ScenarioError, UnknownNameError), match=re.escape(words)):
         Scenario(**tables)
 
 
 @pytest.mark.parametrize(("tables", "words"), WRONG_AT_THE_RUN)
-def test_contradictions_are_found_before_anything_moves(tables, words):
+def test_what_does_not_fit_together_is_found_before_anything_moves(tables, words):
     moved = []
     with pytest.raises(MocOptError, match=re.escape(words)):
         run(Scenario(**{"duration_s": 0.01, **tables}), watch=moved.append)
@@ -91,13 +91,13 @@ def test_the_trace_remembers_its_scenario():
         ({"plant": {"encoder_resolution_rad": 5e-4}, "guard": {"repeat_torque": 0.4}}, {"repeat_torque": 0.4}),
     ],
 )
-def test_the_safety_filter_gets_levels_for_the_encoders(tables, told):
+def test_the_safety_filter_is_told_of_the_encoders(tables, told):
     scenario = Scenario(**tables)
     assert {name: getattr(scenario.told_guard, name) for name in told} == pytest.approx(told)
     assert scenario.guard == Scenario(guard=tables.get("guard", {})).guard
 
 
-def test_a_change_of_the_plant_keeps_other_fields_and_is_validated():
+def test_change_of_the_plant_keeps_what_it_is_and_is_validated():
     base = Scenario(plant=PlantSettings.nominal())
     assert base.change(plant={"delay_ticks": 2}).plant == PlantSettings.nominal(delay_ticks=2)
     assert base.change(plant={"preset": "realistic"}).plant == PlantSettings()
@@ -108,7 +108,7 @@ def test_a_change_of_the_plant_keeps_other_fields_and_is_validated():
         base.seed = 3
 
 
-def test_the_incision_lies_on_the_true_shaft():
+def test_what_the_arm_touched_lies_where_it_truly_is():
     """Kinematics that are off by a millimetre and more: the shaft stands in the incision all the same."""
     bad = {"calibration_error_m": 5e-4, "calibration_tilt_rad": 5e-4, "encoder_bias_rad": 5e-4, "preset": "nominal"}
     setup = Setup(Scenario(plant=bad, seed=4, control={"law": "dcac"}, **BARE, duration_s=0.2))
@@ -212,14 +212,14 @@ SCENARIOS = table(
 
 @settings(max_examples=100)
 @given(SCENARIOS)
-def test_a_saved_scenario_loads_as_the_same(tmp_path_factory, values):
+def test_what_is_saved_loads_as_the_same(tmp_path_factory, values):
     scenario, file = Scenario(**values), tmp_path_factory.mktemp("saved") / "scenario.toml"
     scenario.save(file)
     assert Scenario.load(file) == scenario
     assert eval(repr(scenario), {"Scenario": Scenario}) == scenario
 
 
-def test_only_differences_from_the_defaults_are_written(tmp_path):
+def test_only_what_differs_is_written(tmp_path):
     tables = {"seed": 3, "control": {"preset": "tuned", "K_N2": 20.0}, "plant": {"preset": "nominal"}}
     assert Scenario(**tables).changes() == tables
     Scenario().save(tmp_path / "a.toml")
@@ -227,7 +227,7 @@ def test_only_differences_from_the_defaults_are_written(tmp_path):
     assert repr(Scenario()) == "Scenario()"
 
 
-def test_every_limit_that_can_be_infinite_can_be_saved_as_such(tmp_path):
+def test_every_limit_that_can_be_lifted_can_be_saved_lifted(tmp_path):
     optional = {key: type(None) in get_args(kind.annotation) for key, kind in SafetyFilterSettings.model_fields.items()}
     lifted = [key for key, value in Scenario().guard if optional[key] and value is not None]
     assert "stop_yield_N" in lifted

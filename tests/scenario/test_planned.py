@@ -40,7 +40,7 @@ def test_a_path_that_cannot_be_executed_exits_with_three(tmp_path, capsys):
     assert (told["executable"], bool(told["blocked"]["reason"]), told["blocked"]["t_s"] > 0.0) == (False, True, True)
 
 
-def test_the_proposed_start_can_be_pasted_into_the_scenario(tmp_path, capsys):
+def test_what_it_proposes_can_be_pasted_into_the_scenario(tmp_path, capsys):
     text = "duration_s = 1.0\nseed = 3\n"
     file = scenario_file(tmp_path, text + "[start]\nswivel = 0.15\n")
     found = plan(mo.Scenario.load(file))
@@ -54,7 +54,7 @@ def test_the_proposed_start_can_be_pasted_into_the_scenario(tmp_path, capsys):
     assert again.from_start.mu_mean > 1.02 * found.from_start.mu_mean
 
 
-def test_it_plans_within_the_limits_of_a_third_level_that_follows(tmp_path, capsys):
+def test_it_plans_within_what_a_third_level_that_follows_keeps_to(tmp_path, capsys):
     file = scenario_file(tmp_path, 'duration_s = 0.5\n[control]\nthird_level = "planned"\n')
     for options, margin, share in (([], 0.05, 0.85), (["--speed-share", "1", "--margin", "0"], 0.0, 1.0)):
         assert main(["plan", file, "--json", *options]) == 0
@@ -88,7 +88,7 @@ def test_the_command_run_compares_unless_the_scenario_says_no(tmp_path, capsys, 
     assert ("mu_fraction_of_best" in json.loads(capsys.readouterr().out)) == there
 
 
-def test_an_arm_with_two_freedoms_gets_a_reason_and_no_best_course():
+def test_of_an_arm_with_two_freedoms_the_reason_is_given():
     run = mo.run(COMPARED.change(robot={"name": "lwr4_rail"}, start={"swivel": "given"}, duration_s=0.1))
     assert "mu_best" not in run.columns
     assert "freedoms" in run.meta["best_courses"]["absent"]
@@ -138,7 +138,7 @@ def test_a_course_of_another_run_is_refused_with_the_difference(course, change, 
         loaded(SCENARIO.change(control={"course": str(course)}).change(**change))
 
 
-def test_a_file_without_a_course_is_refused(course, tmp_path):
+def test_a_file_that_is_no_course_is_refused(course, tmp_path):
     trace, to = mo.Trace.load(course), tmp_path / "other.parquet"
     mine, t, q = SCENARIO.change(control={"course": str(to)}), trace.t_s, trace.q_rad
 
@@ -198,7 +198,7 @@ def test_the_commands_write_and_follow_it(tmp_path, capsys):
     assert main(["run", str(own), "--third-level", "local", "--json"]) == 0
 
 
-def test_each_obstacle_to_following_a_course_is_named_with_its_cure():
+def test_what_keeps_a_third_level_from_following_is_named_with_its_cure():
     scenario = mo.Scenario(duration_s=2.0, start={"swivel": 0.2})
     fast, robot = plan(scenario, refined=False), scenario.robot.arm()
     (said,) = following_warnings(scenario, fast)

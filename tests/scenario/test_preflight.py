@@ -104,7 +104,7 @@ def test_a_trocar_beyond_the_tool_or_on_the_path_and_a_start_elsewhere_are_refus
         assert (told.value.field, told.value.arc_length_m) == (field, pytest.approx(place, abs=PLACE_M))
 
 
-def test_another_swivel_is_tried_where_the_given_one_fails(monkeypatch):
+def test_another_swivel_is_tried_where_the_given_one_gets_stuck(monkeypatch):
     """A start that is made to fail is replaced by the one in the middle of its self-motion."""
     task, scan, solve = reference(radius=0.03), self_motion(ROBOT, HOME.q), preflight.solve_pose
 
@@ -131,7 +131,7 @@ def test_breathing_trocars_are_followed():
 
 
 @pytest.mark.parametrize(("seed", "swivel"), [(0, "given"), (1, "random"), (2, 0.5)])
-def test_a_random_start_keeps_the_documented_rules(seed, swivel):
+def test_a_random_start_keeps_the_stated_rules(seed, swivel):
     made = setup(seed, PATHS[seed % 3], start={"pose": "random", "swivel": swivel})
     state, left = ROBOT.state(made.q_start), freedoms(ROBOT, made.q_start)
     assert left.tip >= 0.1

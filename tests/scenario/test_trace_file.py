@@ -22,7 +22,7 @@ def whole():
 
 @pytest.mark.parametrize("place", ["watch", "controller"])
 @pytest.mark.parametrize("error", [KeyboardInterrupt(), ValueError("a defect")])
-def test_a_run_leaves_its_rows_however_it_ends(whole, error, place, tmp_path, monkeypatch):
+def test_whatever_ends_a_run_leaves_its_rows(whole, error, place, tmp_path, monkeypatch):
     """A defect of the controller, too: only what its own solver raises is caught."""
     ticks, calls, setup = 57, iter(range(10**6)), Setup(Scenario(**SHORT))
     controller = setup.controller()

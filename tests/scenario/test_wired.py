@@ -143,7 +143,7 @@ def test_against_the_clock_it_runs_or_stops_cleanly(tmp_path):
     assert saved.rcm_error_registered_m.max() < 2e-3
 
 
-def test_both_ends_must_be_set_up_for_the_same_run():
+def test_both_ends_must_mean_the_same_run():
     base = Scenario(**SHORT)
 
     def told(scenario):

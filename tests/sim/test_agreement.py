@@ -24,7 +24,7 @@ def edited(text, link, attribute, value):
 
 # What pinocchio drops and MuJoCo keeps, in a text that no loader of ours has seen.
 @pytest.mark.parametrize(("attribute", "value"), [("rpy", ""), ("rpy", "0x0 0 0"), ("xyz", ""), ("xyz", "0 0 0x1p-3")])
-def test_an_inertia_that_one_engine_drops_is_noticed(robot, attribute, value):
+def test_an_inertia_that_one_engine_drops_is_seen(robot, attribute, value):
     other = RobotModel(replace(robot.data, urdf=edited(robot.data.urdf, "link_3", attribute, value)))
     with pytest.raises(RobotError, match=r"robot 'lwr4': pinocchio and MuJoCo differ in M by .*1e-06 is allowed"):
         check_engines(other)
@@ -57,7 +57,7 @@ def test_every_term_is_compared(robot, change):
     seed=st.integers(0, 2**32 - 1),
 )  # fmt: skip
 @settings(max_examples=40)
-def test_both_engines_accept_a_flat_body_in_any_axes(a, b, beyond, seed, tmp_path_factory):
+def test_a_flat_body_in_any_axes_is_one_for_both_engines(a, b, beyond, seed, tmp_path_factory):
     """A plate lies on the edge of the triangle inequality, where rounding alone decides; MuJoCo bears no rounding."""
     Q, _ = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))
     I = Q @ np.diag([a, b, (a + b) * (1.0 + beyond)]) @ Q.T  # noqa: E741

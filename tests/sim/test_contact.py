@@ -76,7 +76,7 @@ def test_trocar_and_pushes_accelerate_the_arm_through_their_points_until_they_ar
 
 
 @pytest.mark.parametrize(("stiffness", "damping"), [(800.0, 10.0), (800.0, 0.0), (0.0, 10.0)])
-def test_trocar_force_is_that_of_the_present_state(stiffness, damping):
+def test_trocar_force_is_the_force_now(stiffness, damping):
     wall = PlantSettings.nominal(trocar_stiffness_N_per_m=stiffness, trocar_damping_Ns_per_m=damping)
     plant = Plant(DATA, wall)
     state = MODEL.state(DATA.q_home)
@@ -180,7 +180,7 @@ def test_the_weight_bends_the_joints_and_the_arm_rests(side):
     np.testing.assert_allclose(plant.applied_torque, MODEL.state(before).h, atol=1e-9)
 
 
-def test_very_stiff_joints_behave_as_rigid_ones():
+def test_very_stiff_joints_are_rigid_ones():
     rigid = Plant(DATA, PlantSettings.nominal(period_s=1e-3, substeps=400))
     stiff = Plant(DATA, elastic(joint_stiffness_Nm_per_rad=1.5e6, period_s=1e-3, substeps=400,
                                 joint_spring_damping_Nm_s_per_rad=300.0))  # fmt: skip
@@ -191,7 +191,7 @@ def test_very_stiff_joints_behave_as_rigid_ones():
     np.testing.assert_allclose(stiff.tip, rigid.tip, atol=2e-6)
 
 
-def test_true_positions_are_the_links_also_in_the_trace():
+def test_truth_is_the_link_and_the_trace_row_says_so():
     plant = Plant(DATA, elastic(encoder_side="motor"))
     hold(plant, 20, 5.0)
     motors, links = plant.measure().q, plant.q

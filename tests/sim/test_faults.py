@@ -34,7 +34,7 @@ def arrived(ticks=60, seed=0, **changes):
     return np.array([s.stamp for s in seen]), np.array([s.q for s in seen]), np.array([s.v for s in seen])
 
 
-def test_by_default_there_are_no_faults():
+def test_nothing_by_default():
     np.testing.assert_array_equal(arrived(20)[1][:, 0], np.arange(20.0))
     assert not any(FaultSettings(**only).around_the_arm for only in ({}, {"solver": "lie", "solver_share": 0.5}))
     for field in ("encoder_bias_rad", "drop_share", "bump_N", "payload_kg", "slip_m"):
@@ -53,12 +53,12 @@ def test_dropped_measurements_repeat_the_last_one():
 
 
 @pytest.mark.parametrize("at", [0.006, 0.0051, 0.0069])
-def test_nan_lasts_for_the_set_ticks(at):
+def test_nan_for_so_many_ticks(at):
     found, first = np.isnan(arrived(20, nan_at_s=at, nan_ticks=4)[1][:, 0]), round(at / PERIOD)
     assert np.flatnonzero(found).tolist() == list(range(first, first + 4))
 
 
-def test_bias_noise_and_jump_are_drawn_by_the_seed():
+def test_bias_noise_and_jump_of_the_seed():
     bias = faults(encoder_bias_rad=0.01).sense(measured(0), 0).q
     np.testing.assert_allclose(np.abs(bias), 0.01)
     noisy = np.array([faults(encoder_noise_rad=0.01, seed=s).sense(measured(0), 0).q for s in range(200)])
@@ -155,7 +155,7 @@ STUCK = np.where(K < 20, K, 19)
      np.maximum(np.where(K < 20, K - 3, 12), 0)),
     ({"replay_ticks": 8}, *[np.r_[:20, np.resize(np.arange(13, 21), 40)]] * 3),
 ], ids=str)  # fmt: skip
-def test_old_measurements_arrive_at_the_set_ticks(changes, stamps, first, third):
+def test_old_measurements_come_when_they_are_said_to(changes, stamps, first, third):
     kind = next(iter(changes)).partition("_")[0]
     frozen = {"frozen_velocity": "zero"} if kind == "frozen" else {}
     found, q, v = arrived(**{f"{kind}_at_s": 0.04}, **frozen, **changes)
@@ -229,7 +229,7 @@ def test_velocity_starts_at_the_true_one_and_is_bare_without_cutoff():
 
 @given(st.floats(2e-6, 1e-4), st.just(0.0) | st.floats(1e-9, 3.0), st.floats(-0.5, 0.5), st.integers(0, 2**32 - 1))
 @settings(max_examples=25, deadline=None)
-def test_an_encoder_at_rest_never_repeats_itself_longer_than_its_noise_allows(noise, steps, phase, seed):
+def test_an_encoder_at_rest_never_repeats_itself_for_longer_than_its_noise_lets_it(noise, steps, phase, seed):
     """Wherever it stands within a step of its reading."""
     step = steps * noise
     longest = longest_repetition(noise, step)
@@ -245,7 +245,7 @@ def test_an_encoder_at_rest_never_repeats_itself_longer_than_its_noise_allows(no
 
 @given(st.floats(0.3, 10.0), st.floats(5.0, 400.0), st.integers(0, 2**32 - 1))
 @settings(max_examples=20, deadline=None)
-def test_an_encoder_with_noise_and_a_filter_never_repeats_a_reading(steps, cutoff, seed):
+def test_an_encoder_with_noise_and_a_filter_repeats_no_reading(steps, cutoff, seed):
     """Once its velocity has been other than zero; where that is promised."""
     noise, step = 1e-5, steps * 1e-5
     sensor = encoders(seed, N := 16, noise_rad=noise, resolution_rad=step, cutoff_Hz=cutoff)

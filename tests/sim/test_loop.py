@@ -181,7 +181,7 @@ def test_a_reason_of_the_safety_filter_stops_every_loop(loop, reason, guard, mon
     assert np.abs(speed).max() < 0.02  # the brakes hold
 
 
-def test_the_stop_is_simulated_for_its_set_time(robot):
+def test_the_stop_is_simulated_for_as_long_as_it_says(robot):
     """One more step than fits into the time, the one that ordered it; the arm is braked from that step on."""
     setup = Setup(Scenario(**QUICK))
     loop = setup.closed_loop(setup.controller())

@@ -78,7 +78,7 @@ def test_friction_only_takes_energy_and_without_it_energy_is_kept(seed, scale, s
         assert course[-1] == pytest.approx(first, rel=1e-3)
 
 
-def test_friction_is_that_of_the_robot_file():
+def test_friction_is_what_the_robot_says():
     """Turning steadily about the vertical first axis, gravity has no say: the torque needed is d v + c."""
     plant, turning = nominal(friction=2.0, substeps=20), np.eye(7)[0]
     plant.reset(np.zeros(7), 0.4 * turning)
@@ -199,7 +199,7 @@ def test_ripple_turns_with_the_joint():
     assert spectrum[2] > 1e6 * np.delete(spectrum, 2).max()
 
 
-def test_a_measurement_is_near_the_truth_and_the_same_when_read_twice():
+def test_a_measurement_is_the_truth_or_near_it_and_steady():
     exact, near = Plant(DATA, NOMINAL), Plant(DATA, seed=2)
     for plant in (exact, near):
         run(plant, 50)
@@ -290,7 +290,7 @@ def test_the_nominal_preset_switches_every_difference_off():
     assert PlantSettings.nominal(delay_ticks=2).delay_ticks == 2
 
 
-def test_impossible_models_are_refused():
+def test_models_that_cannot_be_are_refused():
     bad = re.sub('ixx="0.01845"', 'ixx="0.9"', DATA.urdf)
     for data, words in (
         (replace(DATA, urdf="<robot"), "MuJoCo cannot read"),
