@@ -126,7 +126,7 @@ def _speeds(robot: RobotModel) -> Finding:
     text = f"{robot.v_max.min():.2g} to {robot.v_max.max():.2g} {' or '.join(sorted(set(units), reverse=True))}"
     wrong = np.flatnonzero(robot.v_max > most + 1e-9)
     told = ", ".join(f"{robot.data.joint_names[j]} {robot.v_max[j]:.3g} {units[j]}" for j in wrong)
-    cure = f"no arm is that fast ({told}), and the speed limit is none: see the data sheet, limits.v_max_deg_per_s"
+    cure = f"no arm is that fast ({told}), so these limits mean nothing: see the data sheet, limits.v_max_deg_per_s"
     return _judge("joint speeds", text, (told, "care", cure))
 
 

@@ -115,8 +115,8 @@ class Scenario(Settings):
         control = self.control
         if self.solver.isolation == "process" and control.law == "moc" and control.supervisor.late == "iterate":
             raise ValueError(
-                "[control.supervisor] late = 'iterate': what an isolated solver has when its budget ends is not "
-                "there; take 'hold' or 'zero', or [solver] isolation = 'none'"
+                "[control.supervisor] late = 'iterate': the iterate of an isolated solver is lost when its budget "
+                "ends; take 'hold' or 'zero', or [solver] isolation = 'none'"
             )
         return self
 

@@ -155,5 +155,5 @@ def check_engines(robot: RobotModel) -> None:
                 raise RobotError(
                     f"robot {data.name!r}: pinocchio and MuJoCo differ in {name} by {off:.3g} {unit}, {off / size:.2g} "
                     f"of its size ({TOLERANCE:g} is allowed), at q = {np.round(q, 3)}: they read its URDF differently; "
-                    "load it with moc_opt.load_robot, which writes it anew, and if it was, report the file"
+                    "load it with moc_opt.load_robot, which rewrites it; if you did so, report the file"
                 )
