@@ -31,7 +31,7 @@ COURSE_SHARE = 0.25
 barrier of the local climb begins."""
 V_PERIOD_S = 0.1  #: Time between two points of the map: long enough for joints to pass many of the map's own steps.
 TARGETS_PER_TIME = 20  #: Targets per time of the map; the program of the horizon interpolates between them.
-QUARTER = 0.5  #: Share of half a cell that a pose stands for: near singular poses the map's steps are too coarse.
+QUARTER = 0.5  #: `cell` of V (see `Value`): near singular poses the map's steps would be too coarse without it.
 SPEEDS = (1.0, 0.7, 0.4)
 """Shares of a course's speed, tried in turn until a course is smooth and can brake in time. If none can, the last one
 is tried without braking."""

@@ -126,7 +126,7 @@ def make_plan(
         if course is not None and refined:
             course = refine(robot, targets, course, limits)
         if refined and (course is None or course.mu_mean < (1.0 - ROOM) * bound):
-            q = best_course(relaxed, begin)  # the grid's steps may be too coarse to pass
+            q = best_course(relaxed, begin)  # the grid may be too coarse to have a course
             if q is not None:
                 other = refine(robot, targets, make_course(robot, targets, q, limits), limits)
                 course = better(course, other if other.kept else None)

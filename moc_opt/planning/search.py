@@ -22,7 +22,7 @@ from moc_opt.planning.course import Limits, lowered, shaft_shares, weights
 from moc_opt.planning.elbow import wrapped
 from moc_opt.planning.pose_map import PoseMap
 
-WHOLE_CELL = 1.1  #: In half cells, for the bound: above 1, as a joint's path is curved between the samples.
+WHOLE_CELL = 1.1  #: `cell` of the bound (see `Value`): above 1, since joints' paths are curved between the samples.
 NEARBY_RAD = 0.2  #: Poses within this distance form one neighbourhood, in which V is approximated by a parabola.
 
 

@@ -56,7 +56,7 @@ def verdict(findings: list[Finding]) -> Verdict:
 
 
 def _judge(what: str, found: str, *faults: tuple[object, Verdict, str]) -> Finding:
-    """Make a row with verdict and cure of the first fault (whether it is present, verdict, cure) that is present."""
+    """Make a row from the first fault that is present; a fault is (whether it is present, verdict, cure)."""
     rows = (Finding(what, found, judged, cure) for fault, judged, cure in faults if fault)
     return next(rows, Finding(what, found, "ok"))
 

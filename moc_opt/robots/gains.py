@@ -42,7 +42,7 @@ def derived_gains(robot: RobotModel) -> dict[str, Table]:
 
     K_N2 of joint i is a rate times M_ii at the home pose, D_N2 a share of K_N2 (`JOINTS`). The rate is lowered where
     the rate of a self-motion would exceed its largest. K_X and D_X are the LWR4+'s, but are lowered by one factor where
-    the arm is so light that D_X would exceed `CARTESIAN_RATE`; so are K_N and D_N.
+    the arm is so light that D_X would exceed `CARTESIAN_RATE`; K_N and D_N likewise.
     """
     inertia = np.diag(robot.state(robot.data.q_home).M)
     inverse_masses = largest_inverse_masses(robot)

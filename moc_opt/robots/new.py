@@ -196,7 +196,7 @@ def find_shaft(text: str, last_link: str) -> Shaft:
 
 
 class Home(NamedTuple):
-    """A pose, and what speaks for it."""
+    """A home pose, and the figures by which it is chosen."""
 
     q: Array  #: (n,) [rad, m]
     mu: float  #: [m^3]

@@ -136,8 +136,8 @@ def _shift(joint: Joint, value: float) -> None:
 def mend_bodies(links: Iterable[Link], notes: list[str]) -> None:
     """Make every body physically possible, in place; each change is noted.
 
-    A link without mass becomes a frame, and is merged into the link it is fixed to. To an impossible inertia, that of
-    the smallest ball that makes it possible is added.
+    A link without mass becomes a frame, and is merged into the link it is fixed to. To an impossible inertia the
+    smallest isotropic one is added that makes it possible.
     """
     frames = []
     for link in links:
