@@ -1,4 +1,4 @@
-"""What a path asks for at evenly spaced times, a course along it, and by how much that breaks the constraints."""
+"""Targets of tip and wrist along a path, a course along them, and how far the course violates its constraints."""
 
 from __future__ import annotations
 
@@ -13,32 +13,32 @@ from moc_opt.robots.model import RobotModel
 from moc_opt.tasks import Reference, Trocar
 
 Margin = float | Array
-"""From the joint limits: one number for all, or one per joint (n,) [rad], [m] of a joint that slides."""
-SHALLOWEST_M = 0.002  #: Nearer to the trocar the shaft has no direction.
-MOST_VIOLATION = 1e-8  #: Of a course that is taken for one [m], [rad].
-WORTH = 10.0  #: A pose at which the shaft is lost is worth less by so many times the map's largest mu.
+"""Distance kept from the joint limits: one number for all, or one per joint (n,) [rad; m where a joint slides]."""
+SHALLOWEST_M = 0.002  #: Least distance from tip to trocar: nearer, the line between them gives the shaft no direction.
+MOST_VIOLATION = 1e-8  #: Largest violation of a course that counts as feasible [m], [rad].
+WORTH = 10.0  #: Price of a lost shaft, as a multiple of the map's largest mu; see `lowered`.
 
 
 @dataclass(frozen=True, eq=False)
 class Targets:
-    """k times; read-only arrays."""
+    """Where tip and wrist have to be at k times; read-only arrays."""
 
     t_s: Array  #: (k,) evenly spaced [s]
     tip: Array  #: (k,3) [m]
-    wrist: Array  #: (k,3) N_d = X_d + L e, e from the tip to the trocar [m]
-    arc_length_m: Array  #: (k,) way of the tip so far [m]
+    wrist: Array  #: (k,3) N_d = X_d + L e, e the unit vector from the tip to the trocar [m]
+    arc_length_m: Array  #: (k,) length of the tip's path up to then [m]
 
     @property
     def period_s(self) -> float:
-        """Time between two [s]."""
+        """Time between two targets [s]."""
         return float(self.t_s[1] - self.t_s[0])
 
     def __getitem__(self, some: slice) -> Targets:
-        """Return some of the times."""
+        """Return the targets at some of the times."""
         return Targets(self.t_s[some], self.tip[some], self.wrist[some], self.arc_length_m[some])
 
     def at(self, t: Array) -> Targets:
-        """Return the targets at other times (m,) [s], interpolated."""
+        """Return the targets at other times (m,) [s], interpolated linearly."""
         tip, wrist = (between(t, self.t_s, rows) for rows in (self.tip, self.wrist))
         return Targets(t, tip, wrist, np.interp(t, self.t_s, self.arc_length_m))
 
@@ -52,9 +52,9 @@ def lay_targets(
 ) -> Targets:  # fmt: skip
     """Sample the reference and the trocar at ``count`` times from 0 to the end of the run.
 
-    ``span_m`` is from wrist to tip, ``tool_m`` from mount to tip: only so much of the shaft can lie in the trocar [m].
+    ``span_m`` is the distance from wrist to tip, ``tool_m`` from mount to tip [m]; the trocar has to lie within both.
 
-    A TaskError where the trocar is not on the shaft at one of them.
+    A TaskError where the trocar is not on the shaft at one of the times.
     """
     t = np.linspace(0.0, duration_s, count)
     tip = np.ascontiguousarray(reference.at(t)[0])
@@ -74,14 +74,14 @@ def lay_targets(
 
 @dataclass(frozen=True, eq=False)
 class Course:
-    """k times, n joints; read-only arrays. ``k`` is less than the path's where the course ends early."""
+    """A joint trajectory along a path: k times, n joints; read-only arrays. It may end before the path does."""
 
     t_s: Array  #: (k,) [s]
     q_rad: Array  #: (k,n)
     mu: Array  #: (k,) [m^3], by the robot model
     violation: float
     """Largest of: tip or wrist off its target [m]; a joint beyond its limit, or its speed times the period [rad]."""
-    certified: bool = False  #: Whether it is a local optimum to the solver's tolerance; False: the best on a grid.
+    certified: bool = False  #: Whether the course is a local optimum to the solver's tolerance; False: best on a grid.
 
     @property
     def mu_mean(self) -> float:
@@ -90,25 +90,25 @@ class Course:
 
     @property
     def kept(self) -> bool:
-        """Whether it keeps targets, limits and speeds to `MOST_VIOLATION`."""
+        """Whether the course keeps targets, limits and speeds to `MOST_VIOLATION`."""
         return self.violation <= MOST_VIOLATION
 
 
 @dataclass(frozen=True, eq=False)
 class Limits:
-    """What a course keeps."""
+    """Limits that a course keeps."""
 
-    margin: Margin = 0.0  #: from the joint limits
-    speed_share: float = 1.0  #: of the joints' speed limits
+    margin: Margin = 0.0  #: distance kept from the joint limits
+    speed_share: float = 1.0  #: share of the joints' speed limits that may be used
     shaft: float = 0.0
-    """share of the squared lever below which the shaft is nearly lost: a pose there is worth less, see `lowered`"""
+    """least of `shaft_shares`: below it the shaft is nearly lost, and a pose is worth less, see `lowered`"""
 
 
 def lowered(mu: Array, share: Array, limits: Limits, top: float) -> Array:
-    """Take off mu what a pose costs that nearly loses the shaft: `WORTH` top (1 - share/margin)^2 below the margin.
+    """Return mu less the price of nearly losing the shaft: `WORTH` top (1 - share/margin)^2 below the margin.
 
-    With the tip held, the wrist is moved across the shaft by mu_shaft. Where its share of the squared lever is small
-    the joints turn fast to keep the shaft in the trocar, and their lag is RCM error. ``top``: largest mu [m^3].
+    ``share`` is that of `shaft_shares`, the margin ``limits.shaft``, ``top`` the largest mu [m^3]. Where the share is
+    small the joints have to turn fast to keep the shaft in the trocar, and their lag becomes RCM error.
     """
     if limits.shaft <= 0.0:
         return mu
@@ -143,14 +143,14 @@ def between(t: Array, times: Array, rows: Array) -> Array:
 
 
 def margin_at(robot: RobotModel, poses: Array, margin: Margin) -> Margin:
-    """Return the margin, no larger than what the poses (..., n) keep themselves: no smooth course could keep more."""
+    """Return the margin, lowered to what the poses (..., n) keep: a course through them cannot keep more."""
     room = np.minimum(poses - robot.q_min, robot.q_max - poses).reshape(-1, robot.n).min(axis=0)
     room = np.where(robot.moves.any(axis=0), np.maximum(room, 0.0), np.inf)
     return np.minimum(margin, room) if isinstance(margin, np.ndarray) else min(margin, float(room.min()))
 
 
 def make_course(robot: RobotModel, targets: Targets, q: Array, limits: Limits | None = None) -> Course:
-    """Judge poses (k,n) for the first k times by the robot model itself."""
+    """Make a course of poses (k,n) at the first k targets, with mu and violation by the robot model."""
     limits, count = Limits() if limits is None else limits, len(q)
     tips, wrists = robot.tool_along(q)
     off = max(np.abs(tips - targets.tip[:count]).max(), np.abs(wrists - targets.wrist[:count]).max())
@@ -163,7 +163,7 @@ def make_course(robot: RobotModel, targets: Targets, q: Array, limits: Limits | 
 
 
 def worth(robot: RobotModel, course: Course, limits: Limits, top: float) -> float:
-    """Return a course's mean mu [m^3], mu lowered where the shaft is nearly lost, as on the map."""
+    """Return a course's mean mu [m^3], `lowered` where the shaft is nearly lost, as on the map."""
     if limits.shaft <= 0.0:
         return course.mu_mean
     return time_mean(lowered(course.mu, shaft_shares(robot, course.q_rad), limits, top))

@@ -1,4 +1,4 @@
-"""The elbow's swivel: its angle, its distance to the maximum of mu uphill, and the ticks at which it moves there.
+"""The elbow's swivel: its angle, its distance to the next maximum of mu uphill, and the ticks at which it travels.
 
 The swivel is the angle of the elbow about the line from the shoulder to the wrist centre, counted from the plane
 through that line and a fixed direction (Kreutz-Delgado, Long and Seraji 1992).
@@ -13,26 +13,26 @@ from moc_opt.arrays import Array
 from moc_opt.planning.self_motion import SelfMotion, curve_through, parabola_peak
 from moc_opt.robots.model import RobotModel, link_frames
 
-NEAR_RAD = 0.1  #: Nearer to its optimum the elbow has arrived: less than half a percent of mu on the LWR4+.
-STILL_RAD_PER_S = 0.05  #: A slower elbow, relative to its optimum, is stuck or held; a transient has 0.3 to 0.8.
+NEAR_RAD = 0.1  #: An elbow nearer to its optimum has arrived: less than half a percent of mu on the LWR4+.
+STILL_RAD_PER_S = 0.05  #: An elbow slower than this relative to its optimum rests; a travelling one has 0.3 to 0.8.
 SAMPLES_PER_S = 25.0  #: How often the self-motion is scanned along a run.
-STEP_RAD = 0.1  #: Of the samples of a self-motion.
-WINDOW_S = 0.1  #: The speed is the change of the distance to go over this time.
+STEP_RAD = 0.1  #: Spacing of the samples of a self-motion.
+WINDOW_S = 0.1  #: Time over which the change of the distance to go gives the speed.
 
 
 class Elbow:
-    """The swivel angle of an arm: second joint, elbow and wrist centre span the plane that turns."""
+    """The swivel angle of an arm: that of the plane through second joint (shoulder), elbow and wrist centre."""
 
     def __init__(self, robot: RobotModel, wrists: Array) -> None:
         """Choose elbow and reference direction for the wrist centres (k, 3) [m] that will occur."""
         self._robot = robot
         origins, _ = link_frames(robot, robot.data.q_home[None])
-        # Second of the joints that turn: a rail carries the shoulder.
+        # The second joint that turns: sliding joints before it (a rail) carry the shoulder.
         self._shoulder = min(int(np.argmin(robot.chain.prismatic)) + 1, robot.n - 1)
         shoulder, wrist = origins[0, self._shoulder], robot.state(robot.data.q_home).wrist
         away = np.linalg.norm(np.cross(origins[0] - shoulder, _unit(wrist - shoulder)), axis=1)
         self.joint = self._shoulder + int(np.argmax(away[self._shoulder :]))
-        # The direction that the shoulder-wrist line stays farthest from: upwards, unless the arm does.
+        # The reference must not lie along the shoulder-wrist line: upwards, unless that line comes near the vertical.
         sideways = np.sqrt(1.0 - _unit(wrists - shoulder) ** 2).min(axis=0)
         axis = 2 if sideways[2] > 0.3 else int(np.argmax(sideways))
         self.reference = np.eye(3)[axis]  #: (3,) unit vector towards which the elbow lies at swivel zero
@@ -59,9 +59,9 @@ def wrapped(angles: Array) -> Array:
 def distance_to_go(robot: RobotModel, q: ArrayLike) -> Array:
     """Return the distance to go (k,) [rad] at poses q (k, n) [rad].
 
-    It is the arc length in joint space, idle joints left out, to the maximum of mu to which a gradient leads, refined
-    by a parabola between the samples. NaN where a pose is singular: no single curve leads through it. A pose beyond a
-    limit is taken at the limit.
+    It is the arc length in joint space, idle joints left out, to the maximum of mu that a climb reaches, refined by a
+    parabola between the samples. NaN where a pose is singular: no single curve leads through it. A pose beyond a limit
+    is taken at the limit.
     """
     poses = np.clip(np.asarray(q, dtype=np.float64), robot.q_min, robot.q_max)
     curves = (curve_through(robot, pose, STEP_RAD) for pose in poses)
@@ -80,8 +80,8 @@ def _uphill(curve: SelfMotion) -> float:
 def in_transient(robot: RobotModel, t_s: ArrayLike, q_rad: ArrayLike) -> NDArray[np.bool_]:
     """Detect the ticks (N,) at which the elbow is still moving towards its optimum: neither there, nor at rest.
 
-    While the elbow follows the optimum that the path carries along, its distance to go stands still, however fast both
-    move.
+    An elbow that keeps up with its optimum does not count, however fast both move along the path: its distance to go
+    is constant.
 
     Args:
         t_s, q_rad: (N,) time of each tick [s], (N, n) true joint positions [rad].

@@ -1,10 +1,10 @@
-"""A course in the loop: the joint velocity that the third level is asked for, in place of the climb of mu.
+"""Following a course in the loop: the joint velocity that the third level is asked for instead of climbing mu.
 
     x_d(t) = dq_c(t) + k (q_c(t) - q),   projected on ker A by the subproblem itself
 
-q_c is the course, k the gain on its error. The course is made before the run, or again and again in it (`Planner`).
-An arm that is far from a course made before the run is not led back by k alone: close to a singular pose, where one
-joint is free, the error's projection may be zero. From there a planner makes the course anew.
+q_c is the course and k a gain. The course is made before the run, or repeatedly during it (`Planner`). The gain alone
+does not lead an arm back that is far from its course: close to a singular pose, where only one joint is free, the
+projected error may be zero. A planner then makes a new course from the measured pose.
 """
 
 from __future__ import annotations
@@ -21,16 +21,16 @@ from moc_opt.planning.program import Program
 from moc_opt.planning.search import NEARBY_RAD, Value
 from moc_opt.robots.model import RobotState
 
-GAIN_PER_S = 5.0  #: k
-NODES = 10  #: Times of the nonlinear program after the measured pose.
-CATCH_UP = 1.03  #: Factor on the speed that V assumes, allowed on the horizon, so that a late arm can catch up.
+GAIN_PER_S = 5.0  #: The gain k.
+NODES = 10  #: Times of the nonlinear program after its start.
+CATCH_UP = 1.03  #: Factor on the joint speeds of V that the horizon may use, so that a late arm can catch up.
 ON_COURSE_RAD = 0.05
-"""An arm this near to its course in every joint is on it: a new course begins on the old one. Else the delay of a solve
-would close a second loop, which oscillates near singular poses."""
-MOST_OFF = 1e-3  #: Of an answer that is followed: tip or wrist off its target [m], a joint beyond a limit [rad].
-LOST_RAD = 0.3  #: Farther from its course in one joint, an arm has left it: ten times the usual error.
+"""A new course begins on the old one if every joint is this near to it, else at the measured pose. Always beginning at
+the measured pose would close a second loop through the delay of the solves, which oscillates near singular poses."""
+MOST_OFF = 1e-3  #: Largest violation of a followed answer: tip or wrist off target [m], a joint beyond a limit [rad].
+LOST_RAD = 0.3  #: An arm with a joint farther than this from the course has left it; ten times the usual error.
 NO_COURSE = "q_start: no course goes to the end of the path from there within joint speeds and limits"
-ASKED_EACH = 25  #: Ticks between two checks whether the arm has left its course.
+ASKED_EACH = 25  #: Ticks between two checks of whether the arm has left its course.
 
 
 class Piece(NamedTuple):
@@ -54,17 +54,17 @@ class Piece(NamedTuple):
 
 
 class Planner:
-    """Makes the course of the next second from any pose.
+    """Makes a course over the next horizon (a second, say) from any pose.
 
-    The way read off V decides which local maximum of mu to approach; the program makes a smooth course of it.
+    The course on the grid, read off V, decides which local maximum of mu to approach; the program makes it smooth.
     """
 
     def __init__(
         self, value: Value, program: Program, targets: Targets, *, horizon_s: float, rate_per_s: float
     ) -> None:
-        """Take V, a program of `NODES` times, and targets that are interpolated between.
+        """Take V, a program of `NODES` times, and targets, which are interpolated.
 
-        ``horizon_s`` is the least time from the measured pose to where V takes over [s], ``rate_per_s`` counts solves.
+        ``horizon_s`` is the least time until V takes over [s], ``rate_per_s`` the number of solves per second.
         """
         self._value, self._program, self._targets = value, program, targets
         self._horizon_s, self.rate_per_s = horizon_s, rate_per_s
@@ -72,18 +72,18 @@ class Planner:
         self._refused = 0
 
     def forget(self) -> None:
-        """Make the program's solver anew, for 0.15 s, so that the next run repeats one before to the last bit."""
+        """Rebuild the program's solver (0.15 s), so that the next run repeats an earlier one to the last bit."""
         self._program.forget()
         self._solve_s, self._refused = [], 0
 
     @property
     def told(self) -> dict[str, float]:
-        """Number of ``solves`` since the start, of those ``refused``, and their times [ms]."""
+        """Number of ``solves`` since the start, how many were ``refused``, and their times [ms]."""
         median, high = np.percentile(1e3 * np.array(self._solve_s or [0.0]), [50.0, 99.0]).tolist()
         return {"solves": len(self._solve_s), "refused": self._refused, "solve_ms_median": median, "solve_ms_p99": high}
 
     def plan(self, q: Array, t: float, last: Piece | None) -> Piece | None:
-        """Make the course from a pose (n,) at a time [s]; the last one where none is usable, or the path is over."""
+        """Make a course from a pose (n,) at a time [s]; return ``last`` where none is usable or the path is over."""
         path, began = self._value.map.targets, time.perf_counter()
         end = min(int(np.searchsorted(path.t_s, t + self._horizon_s)), len(path) - 1)
         if path.t_s[end] - t < 0.5 * path.period_s:
@@ -101,7 +101,7 @@ class Planner:
         there, speed, guess = self._targets.at(nodes[1:]), np.zeros(len(q)), between(nodes[1:], way.t_s, way.q_rad)
         if last is not None:
             apart = last.q_rad[-1] - between(last.t_s[-1:], way.t_s, way.q_rad)[0]
-            if np.abs(apart).max() <= NEARBY_RAD:  # begun at the last answer, and then the way
+            if np.abs(apart).max() <= NEARBY_RAD:  # the guess is the last answer, continued by the course on the grid
                 known = nodes[1:] <= last.t_s[-1]
                 guess += apart
                 guess[known] = between(nodes[1:][known], last.t_s, last.q_rad)
@@ -127,14 +127,14 @@ class Follower:
         self, period_s: float, *, course: Course | None = None, planner: Planner | None = None,
         q_start: Array | None = None,
     ) -> None:  # fmt: skip
-        """Follow a course from t = 0 on, and hold its last pose; or what the planner makes from ``q_start`` (n,) on.
+        """Follow a course from t = 0 on and hold its last pose, or the courses of a planner from ``q_start`` (n,) on.
 
-        With both, the planner takes over if the arm has left the course. A TaskError where it has none from the start.
+        With both, the planner takes over once the arm has left the course. A TaskError where none begins at t = 0.
         """
         self._period, self._planner, self._q_start = period_s, planner, q_start
         self._given: Piece | None = None
         self.course_mu_mean = None if course is None else course.mu_mean
-        """Mean manipulability of the given course [m^3]: what the run has where nothing takes the arm from it."""
+        """Mean manipulability of the given course [m^3], which the run has if the arm stays on the course."""
         if course is not None:
             velocity = np.gradient(course.q_rad, course.t_s, axis=0)
             velocity[-1] = 0.0
@@ -149,7 +149,7 @@ class Follower:
         self._tick, self._begun = 0, -1
         self._now: Piece | None = self._given
         if self._planner is not None:
-            self._planner.forget()  # not where it takes over: within a tick that would stall the loop
+            self._planner.forget()  # here: within a tick, when the planner takes over, it would stall the loop
             if self._q_start is not None:
                 self._begin(self._planner, self._q_start)
 
@@ -161,25 +161,25 @@ class Follower:
 
     @property
     def told(self) -> dict[str, float]:
-        """What the planner did: `Planner.told`, and when the arm left a given course [s]; empty where nothing."""
+        """`Planner.told`, and when the arm left a given course [s]; empty if no planner was used."""
         if self._planner is None or self._begun < 0:
             return {}
         left = {} if self._given is None else {"left_course_s": self._begun * self._period}
         return {**left, **self._planner.told}
 
     def desired_velocity(self, state: RobotState) -> Array:
-        """Return x_d (n,) [rad/s] of this tick; the next call is the next tick's."""
+        """Return x_d (n,) [rad/s] of this tick, and go on to the next tick."""
         t, planner = self._tick * self._period, self._planner
         assert self._now is not None
         if planner is not None and self._begun < 0 and self._tick % ASKED_EACH == 0:
             if np.abs(self._now.at(t)[0] - state.q).max() > LOST_RAD:
                 self._begin(planner, state.q)
         elif planner is not None and 0 <= self._begun < self._tick and self._tick % self._every == 0:
-            # An answer is used from the next solve on, as if it were computed beside the loop.
+            # An answer is used from the next solve on, as if it had been computed in parallel to the loop.
             now, self._next = self._next, planner.plan(state.q, t, self._now) or self._next
             self._before, self._now = self._now, now
         q, v = self._now.at(t)
-        if self._begun >= 0:  # from one answer to the next without a jump, over the time until the one after it
+        if self._begun >= 0:  # pass from the previous answer to this one without a jump, over one period of the solves
             part, (q_0, v_0) = (self._tick % self._every) / self._every, self._before.at(t)
             q, v = (1.0 - part) * q_0 + part * q, (1.0 - part) * v_0 + part * v
         self._tick += 1

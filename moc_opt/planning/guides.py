@@ -1,7 +1,7 @@
-"""What the third level follows under ``[control] third_level``, in place of the climb of mu: a course, as a guide.
+"""The courses that the third level follows in place of the climb of mu, by ``[control] third_level``.
 
-"planned" is a course made before the run or read from the file of ``[control] course``, "receding" one made again and
-again in the run. Both come of one map and the ways read off V (`Ways`), and keep the same limits.
+"planned" is a course made before the run, or read from the file of ``[control] course``; "receding" is one made
+repeatedly during the run. Both are made smooth from courses read off the same V (`Ways`), and keep the same limits.
 """
 
 from __future__ import annotations
@@ -27,25 +27,25 @@ from moc_opt.robots.model import RobotModel
 from moc_opt.trace.trace import Trace
 
 COURSE_SHARE = 0.25
-"""Of ``[control] shaft_margin``: there the push of the local climb begins; a course, which looks ahead, goes down to a
-quarter of it."""
-V_PERIOD_S = 0.1  #: Between the times of the map: beside what a joint turns in it the map's own steps are small.
-TARGETS_PER_TIME = 20  #: Targets between two times of that map: the horizon interpolates between them.
-QUARTER = 0.5  #: Of half a cell, what a pose of that map stands for: near singular poses its steps are too coarse.
+"""Share of ``[control] shaft_margin`` that a course keeps: it looks ahead, and so can go below the margin, where the
+barrier of the local climb begins."""
+V_PERIOD_S = 0.1  #: Time between two points of the map: long enough for joints to pass many of the map's own steps.
+TARGETS_PER_TIME = 20  #: Targets per time of the map; the program of the horizon interpolates between them.
+QUARTER = 0.5  #: `cell` of V (see `Value`): near singular poses the map's steps would be too coarse without it.
 SPEEDS = (1.0, 0.7, 0.4)
-"""Of a course's speed, one after the other where no faster one is smooth and brakes off in time; the last one need not
-brake where no course does."""
+"""Shares of a course's speed, tried in turn until a course is smooth and can brake in time. If none can, the last one
+is tried without braking."""
 HURRY, WORTH_IT = 1.12, 0.01
-"""A course may be faster by this factor, up to `FASTEST` of the joint speeds, where that gains so large a share of mean
-mu by V: the errors of tip and RCM may then be larger, and most starts gain a tenth of that."""
+"""A course may be faster by the factor `HURRY`, up to `FASTEST` of the joint speeds, if V then gains more than
+`WORTH_IT` of mean mu: tip and RCM errors may grow, and most starts gain only a tenth of that."""
 FASTEST = 0.97
-BRAKE_SHARE = 0.9  #: A course that is made before the run brakes with so much of what the safety filter's wall allows.
+BRAKE_SHARE = 0.9  #: Share of the safety filter's braking deceleration that a course made before the run uses.
 SMOOTHNESS = {"planned": 1e-4, "receding": 5e-4}
 """Weight of a course's acceleration [s^4/rad^2], see `moc_opt.planning.program`; it lowers tip and RCM errors."""
 MOST_OFF_M = 1e-3  #: Largest distance of tip or wrist of a file's course from the run's targets.
-MOST_OFF_RAD = 1e-6  #: Largest difference of a file's first pose from the start, of a joint beyond a limit.
+MOST_OFF_RAD = 1e-6  #: Largest difference of a file's first pose from the start, and of a joint beyond its limit.
 ROUNDING = 1e-6
-"""Of the first time [s]; of the last one, as a share of the run's, and of a speed, as a share of its limit."""
+"""Tolerances of a file: first time [s], last time (share of the run's), speed (share of its limit)."""
 PLAN_IT = "plan it for this scenario: moc-opt plan SCENARIO --out FILE"
 
 
@@ -56,12 +56,12 @@ class Following:
     robot: RobotModel
     q_start: Array  #: (n,) [rad]
     settings: ControlSettings
-    targets: Callable[..., Targets]  #: makes them at a period ``period_s``, ``finer`` times as many
+    targets: Callable[..., Targets]  #: makes targets ``period_s`` apart, or ``finer`` times as many
     brake: float  #: deceleration that the safety filter's wall allows [rad/s^2]
-    period_s: float  #: of control
+    period_s: float  #: control period
 
     def stuck(self, part: float) -> ScenarioError:
-        """Say where the path cannot be executed."""
+        """Return the error that says where and why the path cannot be executed at this share of a course's speed."""
         limits = Limits(speed_share=part * self.settings.course_speed_fraction)
         stuck = make_plan(self.robot, self.q_start, self.targets(), limits, refined=False).blocked
         where = "" if stuck is None else f"{1e3 * stuck.arc_length_m:.1f} mm along the path {stuck.reason}"
@@ -72,7 +72,7 @@ class Following:
 
 
 class Ways:
-    """One coarse map of a run's path, V over it at each of `SPEEDS`, and the ways read off V."""
+    """One coarse map of a run's path, V over it at each of `SPEEDS`, and the courses on its grid read off V."""
 
     def __init__(self, run: Following) -> None:
         self.run, settings = run, run.settings
@@ -80,22 +80,22 @@ class Ways:
         whole = map_of(run.robot, run.q_start, self.fine[::TARGETS_PER_TIME])
         self.shaft = COURSE_SHARE * settings.shaft_margin
         self._map = keeping_shaft(whole, Limits(shaft=self.shaft))
-        #: Mean over the time of the largest mu [m^3].
+        #: Mean over the time of the map's largest feasible mu [m^3].
         self.usual = float(np.where(whole.feasible(), whole.mu, 0.0).max(axis=(1, 2)).mean())
         self._known: dict[float, tuple[Value, Limits, Way]] = {}
 
     @property
     def speeds(self) -> tuple[float, ...]:
-        """`SPEEDS`, with `HURRY` before them where it is worth it."""
+        """`SPEEDS`, preceded by `HURRY` where that gains enough."""
         q, mu = self.run.q_start, float(self.run.robot.state(self.run.q_start).mu)
         usual, fast = (self.at(part)[0].of(q, mu) for part in (1.0, HURRY))
         return (HURRY, *SPEEDS) if fast > (1.0 + WORTH_IT) * usual else SPEEDS
 
     def at(self, part: float) -> tuple[Value, Limits, Way]:
-        """Return V at this part of a course's speed, the limits that it keeps, and the way from the start.
+        """Return V at this share of a course's speed, its limits, and the course on the grid from the start.
 
-        The margin from joint limits is left out where there is no way with it, and then a pose stands for its whole
-        cell where the steps of the map are just too coarse; a ScenarioError where there is no way at all.
+        Where there is no course, V is made again without the margin from joint limits, and then with poses that stand
+        for their whole cell, as the map may be too coarse. A ScenarioError where there is none even so.
         """
         if part not in self._known:
             run, settings = self.run, self.run.settings
@@ -117,12 +117,12 @@ class Ways:
 
 
 def guides(run: Following) -> Callable[[], Guide] | None:
-    """Compute once what ``[control] third_level`` needs, and return what makes a guide of it for each controller.
+    """Plan once for ``[control] third_level``; return a function that makes a guide for each controller.
 
-    None: the third level climbs where it is.
+    None under "local", where the third level climbs mu.
 
     Raises:
-        ControlError: the third level cannot follow under these settings.
+        ControlError: the third level cannot follow a course under these settings.
         ScenarioError: the path cannot be executed from the start; says where and why.
         TaskError: no smooth course was found at the start.
     """
@@ -137,15 +137,15 @@ def guides(run: Following) -> Callable[[], Guide] | None:
     course = followed_course(run, ways)
     try:
         rescue = replanned(ways)
-    except (ScenarioError, TaskError):  # no way, or no smooth course on it, where the course of a file has one
+    except (ScenarioError, TaskError):  # the planner finds no course or no smooth one, but a file may have one
         return lambda: Follower(period, course=course)
     return lambda: Follower(period, course=course, planner=rescue())
 
 
 def replanned(ways: Ways) -> Callable[[], Planner]:
-    """Return what makes a planner of a receding horizon."""
+    """Return a function that makes a planner of a receding horizon."""
     run, settings, smooth = ways.run, ways.run.settings, SMOOTHNESS["receding"]
-    # The last ones without braking in time, and with V alone to hold the course from losing the shaft.
+    # The last two attempts do not brake in time; in the very last one V alone keeps the course off a lost shaft.
     ladder = [(part, run.brake, True) for part in ways.speeds]
     for part, brake, kept in [*ladder, (SPEEDS[-1], np.inf, True), (SPEEDS[-1], np.inf, False)]:
         value, limits, _ = ways.at(part)
@@ -179,7 +179,7 @@ def followed_course(run: Following, ways: Ways | None = None) -> Course:
             found = refine(robot, targets, course, limits, smoothness=smooth, brake=rule)
             if found is not course:
                 return found
-        return course  # as it is, where smoothness would cost too much
+        return course  # unchanged, as smoothness would cost too much
     ways, other = ways or Ways(run), []
     for part, rule in [*((part, brake) for part in ways.speeds), (SPEEDS[-1], np.inf)]:
         _, limits, way = ways.at(part)
@@ -241,7 +241,7 @@ def load_course(
     )
     allowed, fastest = settings.course_speed_fraction, float(shares.max())
     limits = Limits(
-        # A smoother course begins at this one: it is asked for no margin that this one has not.
+        # The smoother course begins at this one, and so cannot be asked for a margin that this one lacks.
         margin_at(robot, poses, margin), max(fastest, min(allowed, within["speed_share"])),
         max(COURSE_SHARE * settings.shaft_margin, within["shaft_margin"]),
     )  # fmt: skip
@@ -267,7 +267,7 @@ def speed_shares(robot: RobotModel, poses: Array, period_s: float) -> Array:
 
 
 def too_fast_to_follow(settings: ControlSettings, robot: RobotModel, shares: Array) -> tuple[str, str] | None:
-    """Say which joint has a speed share (n,) above what a third level follows, and the cure; None where none has."""
+    """Say which joint's speed share (n,) is above what a third level follows, and the cure; None where none is."""
     allowed = settings.course_speed_fraction
     shares = np.where(robot.moves.any(axis=0), shares, 0.0)
     j = int(np.argmax(shares))

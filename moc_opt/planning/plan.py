@@ -28,9 +28,9 @@ class Blocked:
     """The first point of the path that no course reaches from the start."""
 
     t_s: float  #: When the run would be there [s].
-    arc_length_m: float  #: Way of the tip up to it [m].
-    tip_m: tuple[float, float, float]  #: Place of the tip there [m].
-    reason: str  #: The obstacle in words, with the joint's name where it is one joint's.
+    arc_length_m: float  #: Length of the tip's path up to there [m].
+    tip_m: tuple[float, float, float]  #: Where the tip would be [m].
+    reason: str  #: The obstacle in words, with the joint's name if a single joint is the obstacle.
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,15 +39,15 @@ class Plan:
 
     targets: Targets  #: Targets of tip and wrist on the path, (k,3) each [m], at (k,) times [s].
     from_start: Course | None  #: The best course from the start; None: the path cannot be executed from there.
-    best: Course | None  #: The best over all swivels and branches at the start of the path; None: from nowhere.
+    best: Course | None  #: The best over all swivels and branches at the start of the path; None: there is none.
     climbed: Course  #: The course of a local climb; shorter than the path if the climb ends at a limit.
     bound_from_start: float
-    """Upper bound of mean mu from the start [m^3], of courses that the map resolves; NaN where one was better."""
-    bound: float  #: The same of every course, from any start.
+    """Upper bound of mean mu from the start [m^3], for courses that the map resolves; NaN where one exceeds it."""
+    bound: float  #: The same bound over all starts.
     blocked: Blocked | None  #: Where and why the path cannot be executed from the start; None: it can.
-    start_swivel_rad: float  #: Of the elbow at the start [rad]; see `moc_opt.planning.elbow`.
+    start_swivel_rad: float  #: Swivel of the elbow at the start [rad]; see `moc_opt.planning.elbow`.
     best_swivel_rad: float  #: The start swivel proposed: that of ``best``; NaN: there is none.
-    swivel_rad: Array  #: (k,) of ``course`` [rad]; empty where there is none
+    swivel_rad: Array  #: (k,) swivel along ``course`` [rad]; empty where there is none
     took_s: Mapping[str, float]
     """Time for the "map", the "search" (courses by dynamic programming), their "bound" and "refine" [s]."""
 
@@ -62,7 +62,7 @@ class Plan:
 
     @property
     def executable(self) -> bool:
-        """Whether the whole path can be executed from the start, in joint limits and speeds, shaft in the trocar."""
+        """Whether the whole path can be executed from the start, within joint limits and speeds."""
         return self.from_start is not None
 
     @property
@@ -85,10 +85,10 @@ def make_plan(
     Args:
         q_start: (n,) with tip and wrist at the first target [rad].
         targets: of tip and wrist at k evenly spaced times, (k,3) each [m].
-        limits: that courses keep; a start nearer to a joint limit lowers the margin, see `margin_at`. Bounds are of
-            courses that keep them, NaN where the one found does not.
-        swivels: samples of one turn; of an arm without a closed form see `map_of`.
-        refined: whether courses are improved beyond the grid.
+        limits: kept by courses and bounds; a start nearer to a joint limit lowers the margin, see `margin_at`. A bound
+            that the course found exceeds is NaN.
+        swivels: samples of one turn; for an arm without a closed form see `map_of`.
+        refined: whether the nonlinear program improves the courses of the grid.
 
     Raises:
         TaskError: an argument is out of range, or the start is not at the first target.
@@ -126,7 +126,7 @@ def make_plan(
         if course is not None and refined:
             course = refine(robot, targets, course, limits)
         if refined and (course is None or course.mu_mean < (1.0 - ROOM) * bound):
-            q = best_course(relaxed, begin)  # where the grid's steps are just too coarse
+            q = best_course(relaxed, begin)  # the grid may be too coarse to have a course
             if q is not None:
                 other = refine(robot, targets, make_course(robot, targets, q, limits), limits)
                 course = better(course, other if other.kept else None)
@@ -134,7 +134,7 @@ def make_plan(
     mine, best = courses[0], better(courses[1], courses[0])  # the given start is one of all starts
     done("refine")
     elbow, shown = Elbow(robot, targets.wrist), mine if mine is not None else best
-    # None without a course, and where the course shows that it is none.
+    # There is no bound without a course, nor where the course exceeds it.
     mine_most, most = (
         np.nan if course is None or course.mu_mean > bound else bound
         for course, bound in zip((mine, best), bounds, strict=True)
@@ -151,7 +151,7 @@ def make_plan(
 
 
 def check_limits(robot: RobotModel, limits: Limits) -> None:
-    """Check what a plan is asked for; a TaskError where something is out of range."""
+    """Check the limits asked for; a TaskError where one is out of range."""
     for name, value, least, most, words in (
         ("speed_share", limits.speed_share, 1e-300, 1.0, "a share above 0 up to 1"),
         ("shaft_margin", limits.shaft, 0.0, 1.0, "a share of the squared lever from 0 to 1"),
@@ -167,7 +167,7 @@ def check_limits(robot: RobotModel, limits: Limits) -> None:
 
 
 def best_course(value: Value, start: Array | None) -> Array | None:
-    """Return the best poses (k,n) on the grid, from a start (n,) or any; None: none goes all the way."""
+    """Return the best course (k,n) on the grid, from a start (n,) or (None) from any; None: none goes all the way."""
     start = value.best()[1] if start is None else start
     way = None if start is None else value.way(start)
     return None if way is None else way.q_rad
@@ -176,8 +176,8 @@ def best_course(value: Value, start: Array | None) -> Array | None:
 def climb(found: PoseMap, start: Array, limits: Limits) -> Array:
     """Follow the gradient of mu from the start (n,) on the samples of the map, as an ideal local law does.
 
-    In each period it goes uphill from the pose that asks the least of the joints, until mu falls, or a limit or the
-    speed ends it. Its poses (k,n) are fewer than the path has times where none is within reach.
+    In each period it goes uphill from the pose that needs the smallest joint steps, until mu falls, or a joint limit or
+    speed ends the climb. The poses (k,n) stop short of the path's end where no pose is within reach.
     """
     step, feasible = limits.speed_share * found.robot.v_max * found.targets.period_s, found.feasible(limits.margin)
     poses = [np.array(start)]
@@ -192,15 +192,15 @@ def climb(found: PoseMap, start: Array, limits: Limits) -> Array:
 
 
 class Top(NamedTuple):
-    """Where the way up in mu from a pose ends."""
+    """Where a climb of mu from a pose ends."""
 
     mu: float  #: [m^3]
     q_rad: Array  #: (n,)
-    at_limit: bool  #: Whether mu rises on, beyond a joint limit or the end of the known poses.
+    at_limit: bool  #: Whether mu would rise further, beyond a joint limit.
 
 
 def top_of(found: PoseMap, q: Array) -> Top | None:
-    """Climb mu from the map's last pose next to q (n,), joint speeds aside; None where none is feasible then."""
+    """Climb mu at the map's last time from the feasible pose nearest to q (n,), without speed limits; None: no pose."""
     poses, may = found.q_rad[-1], found.feasible()[-1]
     if not may.any():
         return None
@@ -244,7 +244,7 @@ def _blocked(found: PoseMap, start: Array, limits: Limits, bound: float) -> Bloc
         doubt = " between the poses of the map; the bound excludes no other way" if np.isfinite(bound) else ""
         fast = names[int(np.argmax(least))]
         reason = f"{fast} would have to turn at {least.max():.3g} times its speed limit{doubt}"
-        if near.any() and least.max() > 1.0:  # the poses next to those reached exist, and are beyond a limit
+        if near.any() and least.max() > 1.0:  # poses within reach exist, but are beyond a limit
             name = nearest_limit(near)
             reason = f"{name} runs into its limit; only other swivels or branches have poses within the limits"
     x, y, z = targets.tip[k].tolist()

@@ -1,16 +1,16 @@
-"""Every pose that an arm can take at every point of a path: manipulability, and room to the joint limits.
+"""Every pose that an arm can take at every point of a path: manipulability, and distance from the joint limits.
 
-**In closed form** where joints 1 to 3 meet in the shoulder S, 3 to 5 in the elbow E, 5 to 7 in the wrist N, axes beside
-each other are at right angles, and the tool lies on axis 7. The elbow turns on a circle about S N by the swivel
-(Kreutz-Delgado, Long and Seraji 1992), and the signs of joints 2, 4 and 6 give eight branches for each place of it, all
-of the same manipulability. Joint 7 is idle.
+**In closed form** where joints 1 to 3 meet in the shoulder S, 3 to 5 in the elbow E, 5 to 7 in the wrist N,
+neighbouring axes are at right angles, and the tool lies on axis 7. The elbow turns on a circle about the line S N by
+the swivel angle (Kreutz-Delgado, Long and Seraji 1992). At each swivel the signs of joints 2, 4 and 6 make eight
+branches, all of the same manipulability. Joint 7 is idle.
 
-**Traced** for any other arm: at each time the self-motion curves of the time before are reached again by Newton's
-method and scanned, and random inverse kinematics looks for others. All samples stand in one branch. Where tip and
-wrist leave more than one freedom, a curve is a part of the poses only, and the map no bound.
+**Traced** for any other arm: at each time, Newton's method leads from the self-motion curves of the time before to
+those of this time, which are scanned; inverse kinematics from random starts looks for more curves. All samples form one
+branch. Where tip and wrist leave more than one freedom, curves hold only a part of the poses, and the map no bound.
 
-`largest_mu` is the largest mu of all these poses, point by point, climbed to from the maxima of a map in closed form or
-from many seeded starts. Some pose reaches the value that is found there, but nothing proves that it is the largest.
+`largest_mu` climbs to the largest mu at each point, from the maxima of a map in closed form or from many seeded starts.
+Some pose has the mu that is found, but nothing proves that it is the largest.
 """
 
 from __future__ import annotations
@@ -33,24 +33,24 @@ from moc_opt.robots.model import RobotModel, link_frames
 
 Flags = NDArray[np.bool_]
 
-EXACT_M = 1e-7  #: Axes that pass each other nearer than this meet [m].
-BRANCHES = 8  #: Bit 0, 1, 2 of a branch's number: joint 2, 4, 6 is negative in the normal form.
+EXACT_M = 1e-7  #: Axes that pass each other within this distance count as meeting [m].
+BRANCHES = 8  #: Bits 0, 1, 2 of a branch's number: joint 2, 4, 6 is negative in the normal form.
 STRAIGHT = 1e-9  #: Sine of joint 4 below which the elbow has no plane.
-ROUNDING_RAD = 1e-9  #: A pose this far beyond a limit still stands on it.
-SWIVELS, MOST_SWIVELS = 720, 2880  #: Samples of one turn, where no other number is asked for; and most of them.
-PEAKS = 4  #: Local maxima of mu that are climbed to their top at each point of the path.
+ROUNDING_RAD = 1e-9  #: A pose beyond a limit by no more than this counts as on the limit.
+SWIVELS, MOST_SWIVELS = 720, 2880  #: Default and largest number of samples of one turn.
+PEAKS = 4  #: Number of the map's local maxima from which mu is climbed at each point of the path.
 STEP_RAD = 0.03  #: Spacing of the samples along a traced curve.
-SEEDS = 64  #: Random starts of inverse kinematics at the first time of a traced map; later a sixteenth of them.
+SEEDS = 64  #: Random starts of inverse kinematics at the first time of a traced map; later a sixteenth as many.
 MOST_CURVES = 16  #: Most different curves at one time; further ones are left out.
-SAME_CURVE = 0.7  #: A pose this share of a step from a sample lies on its curve.
+SAME_CURVE = 0.7  #: A pose nearer to a curve's sample than this share of a step counts as on it.
 NO_LIMIT_RAD = 20.0
 REACHED_M = 1e-9
 SCANNED = "scanned, all branches"
 STARTS, LATER = 96, 12
-"""Random starts of `largest_mu` at the first point, where nothing is in closed form, and at each later one: maxima are
-followed along the path."""
-KEPT = 6  #: Different maxima that are followed from a point to its neighbours.
-SAME = 1e-5  #: Maxima of mu nearer than this share are one.
+"""Random starts of `largest_mu` at the first and at each later point, for arms without a closed form. Later points also
+start from the maxima of their neighbours."""
+KEPT = 6  #: Largest number of maxima that a point hands on to its neighbours.
+SAME = 1e-5  #: Maxima whose mu differs by less than this share count as one.
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +60,7 @@ class PoseMap:
     robot: RobotModel
     targets: Targets
     q_rad: Array  #: (k,b,m,n)
-    mu: Array  #: (k,b,m) [m^3], of forbidden poses too; the branches of a closed form share it
+    mu: Array  #: (k,b,m) [m^3], also beyond joint limits; the branches of a closed form share it
     room_rad: Array
     """(k,b,m) distance of the nearest joint from its limit, below zero beyond it; idle joints do not count"""
     closed: ClosedForm | None = None
@@ -71,7 +71,7 @@ class PoseMap:
         return np.asarray(room >= -ROUNDING_RAD)
 
     def crossing(self, k: int, step_rad: Array) -> NDArray[np.int64]:
-        """Return (m,) bits of the branch's number that may change within a period with these joint steps (n,) [rad]."""
+        """Return (m,) which bits of the branch's number can change within a period by these joint steps (n,) [rad]."""
         if self.closed is None:
             return np.zeros(self.mu.shape[2], dtype=np.int64)
         with np.errstate(invalid="ignore"):
@@ -115,14 +115,14 @@ class ClosedForm(NamedTuple):
     fore: float  #: Elbow to wrist along axis 5 [m], likewise.
     tool: float  #: Wrist to tip along axis 7 [m], likewise.
     offset: Array  #: (6,) [rad]
-    swivel_rad: Array = np.empty(0)  #: (m,) evenly over one turn, in the sense of `moc_opt.planning.elbow.Elbow`
+    swivel_rad: Array = np.empty(0)  #: (m,) evenly over one turn, as `moc_opt.planning.elbow.Elbow` defines it
     reference: Array = np.array([0.0, 0.0, 1.0])  #: (3,) the direction from which the swivel counts
 
 
 def closed_form(robot: RobotModel) -> ClosedForm | None:
-    """Find the normal form of an arm from its joint axes at q = 0; None where it has none, whatever its name.
+    """Find the normal form of an arm from its joint axes at q = 0, not from its name; None where it has none.
 
-    An arm with a joint range above a whole turn has none either: there a pose would not be one pose.
+    An arm with a joint range above one turn counts as having none: the map would miss the positions a turn apart.
     """
     chain = robot.chain
     if robot.n != 7 or chain.prismatic.any():
@@ -132,7 +132,7 @@ def closed_form(robot: RobotModel) -> ClosedForm | None:
     if np.abs((axes[:-1] * axes[1:]).sum(axis=1)).max() > EXACT_M:
         return None
     tip, wrist = (origins[6] + rotations[6] @ offset for offset in chain.offsets)
-    # The point of an axis nearest to the next one, which is at a right angle to it.
+    # On each axis, the point nearest to the next axis, which is at a right angle to it.
     shoulder, elbow, center = (origins[j] + axes[j] * ((origins[j + 1] - origins[j]) @ axes[j]) for j in (0, 2, 4))
     through = [(shoulder, 1), (shoulder, 2), (elbow, 3), (elbow, 4), (center, 5), (center, 6), (tip, 6)]
     off = [np.linalg.norm(np.cross(point - origins[j], axes[j])) for point, j in through]
@@ -142,7 +142,7 @@ def closed_form(robot: RobotModel) -> ClosedForm | None:
         return None
     base = np.column_stack([np.cross(axes[1], axes[0]), axes[1], axes[0]])
     offset, turned = np.zeros(6), np.array(base)
-    for j in range(1, 6):  # the angle at which the normal form has axis j + 1 where the arm has it at q = 0
+    for j in range(1, 6):  # the angle that puts axis j + 1 of the normal form where the arm has it at q = 0
         x, y, z = turned.T @ axes[j + 1]
         offset[j] = np.arctan2(x, z) if j % 2 else np.arctan2(-x, y)
         turned = turned @ pin.exp3(offset[j] * np.eye(3)[1 if j % 2 else 2])
@@ -216,20 +216,20 @@ def _dot(one: Array, two: Array) -> Array:
 
 
 def reach(robot: RobotModel, q: Array, tip: Array, wrist: Array) -> Array | None:
-    """Return a pose near q with that tip and wrist, whatever the limits, by Newton's method; None: it finds none."""
+    """Return a pose near q with this tip and wrist, by Newton's method without limits; None: it does not converge."""
     placed = solve_pose(robot, q, tip, wrist, iterations=30, limited=False)
     return placed.q if placed.miss_m < REACHED_M else None
 
 
 def without_limits(robot: RobotModel) -> RobotModel:
-    """Return the same arm, its revolute joints free to turn."""
+    """Return the same arm, its revolute joints free to turn `NO_LIMIT_RAD` to both sides."""
     slides, data = robot.chain.prismatic, robot.data
     low, high = np.where(slides, data.q_min, -NO_LIMIT_RAD), np.where(slides, data.q_max, NO_LIMIT_RAD)
     return RobotModel(replace(data, q_min=low, q_max=high))
 
 
 def nearest_turns(robot: RobotModel, q: Array) -> Array:
-    """Return the same poses, every revolute joint whole turns nearer to the middle of its range."""
+    """Return the same poses, each revolute joint turned by whole turns to the place nearest to mid-range."""
     turns = np.round((q - 0.5 * (robot.q_min + robot.q_max)) / (2.0 * np.pi))
     return q - 2.0 * np.pi * np.where(robot.chain.prismatic, 0.0, turns)
 
@@ -261,7 +261,7 @@ def _traced(robot: RobotModel, targets: Targets, q_start: Array, step_rad: float
                 found.append(traced.q)
         columns.append(found)
     longest = max(1, *(sum(len(curve) + 1 for curve in column) for column in columns))
-    q = np.full((len(columns), 1, longest, robot.n), np.nan)  # curve after curve, a NaN between two
+    q = np.full((len(columns), 1, longest, robot.n), np.nan)  # curve after curve, separated by a NaN
     for k, column in enumerate(columns):
         at = 0
         for curve in column:
@@ -278,10 +278,10 @@ class Largest(NamedTuple):
 
 
 def largest_mu(robot: RobotModel, poses: Array) -> Largest:
-    """Find the largest mu over every feasible pose with the same tip and wrist as each of the given ones (k, n).
+    """Find for each given pose (k, n) the largest mu over all feasible poses with the same tip and wrist.
 
-    They are in the order of a path, as neighbours hand on their maxima, and put inside the limits first. The largest mu
-    is never below their own.
+    The given poses are in the order of a path, since each point hands its maxima on to its neighbours. They are put
+    inside the limits first. The largest mu is never below their own.
     """
     inside = np.clip(poses, robot.q_min, robot.q_max)
     count, tips, wrists = len(inside), *robot.tool_along(inside)

@@ -1,14 +1,14 @@
-"""A course as a nonlinear program (direct transcription): over a whole path, and over a short horizon again and again.
+"""A course as a nonlinear program (direct transcription): over a whole path, or repeatedly over a short horizon.
 
-Variables are the joints that move, at N evenly spaced times after a start that stays as it is:
+Variables are the joints that move tip or wrist, at N evenly spaced times after a start that stays as it is:
 
     max  mean of mu / mu_0 - w (|ddq|^2 + |dq|^2 / T^2) + V(q_N) / mu_0
     s.t. X(q_k) = X_d,  B_k^T (N(q_k) - X_d) = 0,  q_min <= q_k <= q_max,  |q_k - q_k-1| <= v_max dt,
          and no joint is `too_fast` towards its limit
 
-B_k (3,2) is orthogonal to the shaft: five equations, since tip and wrist are rigidly tied; with six no multiplier is
-unique. mu is less where the shaft is nearly lost, as on the map. V is what the last pose is worth for the rest of the
-path (`search`).
+The columns of B_k (3,2) are orthogonal to the shaft. These five equations suffice, since tip and wrist are rigidly
+tied; with six the multipliers would not be unique. Where the shaft is nearly lost, mu is lowered (`course.lowered`).
+V(q_N) is the value of the last pose for the rest of the path (`search`).
 """
 
 from __future__ import annotations
@@ -24,15 +24,15 @@ from moc_opt.planning.course import WORTH, Course, Limits, Targets, make_course,
 from moc_opt.planning.search import End
 from moc_opt.robots.model import RobotModel
 
-# Of a whole path. mu_init is ipopt's first barrier: with 1e-3 it leaves a course that is fast or close to a limit,
-# often for a slow one at another local maximum of mu.
+# Settings of ipopt for a whole path. mu_init is its first barrier parameter: with 1e-3, ipopt often leaves a fast
+# course (or one close to a limit) and converges to a slow one at another local maximum of mu.
 WHOLE: dict[str, Any] = {
     "print_time": False, "ipopt.print_level": 0, "ipopt.sb": "yes", "ipopt.max_iter": 300, "ipopt.tol": 1e-8,
     "ipopt.constr_viol_tol": 1e-10, "ipopt.bound_relax_factor": 0.0, "ipopt.honor_original_bounds": "yes",
     "ipopt.mu_init": 1e-5, "ipopt.bound_push": 1e-6, "ipopt.bound_frac": 1e-6, "ipopt.slack_bound_push": 1e-6,
     "ipopt.slack_bound_frac": 1e-6, "ipopt.acceptable_iter": 0,
 }  # fmt: skip
-# Of a horizon: three steps, since the next solve, begun at this answer, goes on where it ends.
+# Settings of CasADi's SQP for a horizon. Three steps suffice: the next solve is warm-started from this answer.
 HORIZON: dict[str, Any] = {
     "print_time": False, "print_header": False, "print_iteration": False, "print_status": False, "error_on_fail": False,
     "max_iter": 3, "tol_pr": 1e-6, "tol_du": 1e-3, "convexify_strategy": "regularize", "qpsol": "osqp", "expand": True,
@@ -41,16 +41,16 @@ HORIZON: dict[str, Any] = {
         "osqp": {"verbose": False, "max_iter": 1000, "eps_abs": 1e-5, "eps_rel": 1e-5, "adaptive_rho_interval": 25},
     },
 }  # fmt: skip
-SETTLED_S = 0.3  #: A joint's speed counts as much as an acceleration that takes it away in this time.
-SOFT_RAD = 0.003  #: Rounds the speed of a joint that brakes off at its end, where a square root has no slope.
+SETTLED_S = 0.3  #: T: a joint speed costs as much as the constant acceleration that stops the joint in this time.
+SOFT_RAD = 0.003  #: e of `too_fast`: without it the slope of the largest speed would be infinite at the joint limit.
 SMOOTH_LOSS = 0.05
-"""Share of mean mu that smoothness and braking may cost; above it the program went to another local maximum."""
-LEAST_SHARE = 1e-4  #: Rounds the share of the squared lever off at zero, where a square root has no slope.
-INSIDE = 1e-9  #: Limits and speeds are kept this far inside, at most by half a step, for rounding [rad].
+"""Share of mean mu that smoothness and braking may cost; a larger loss means another, lower local maximum."""
+LEAST_SHARE = 1e-4  #: Keeps the slope of the root finite where the shaft's share (`course.shaft_shares`) is zero.
+INSIDE = 1e-9  #: To absorb rounding, limits and steps are narrowed by this, but no step to less than half [rad].
 
 
 class Program:
-    """The program for one arm and N times; ``solve`` fills in targets, start and end."""
+    """The program for one arm and N times; ``solve`` fills in targets, start and the value of the end."""
 
     def __init__(
         self, robot: RobotModel, nodes: int, period_s: float, limits: Limits, *, mu: float, top: float = 0.0,
@@ -59,13 +59,13 @@ class Program:
         """Write the program of N = ``nodes`` times after the start, ``period_s`` apart [s].
 
         Args:
-            mu: mu_0, what a pose is usually worth [m^3].
-            top: largest mu, in what a pose costs that nearly loses the shaft [m^3]; 0: mu_0.
+            mu: mu_0, a typical mu, which scales the objective [m^3].
+            top: largest mu, which scales the price of nearly losing the shaft, see `lowered` [m^3]; 0: mu_0.
             smoothness: w [s^4/rad^2].
-            brake: deceleration that stops a joint before its limit [rad/s^2].
-            horizon: solved by three quadratic programs, not by ipopt, and not at rest at its end.
+            brake: deceleration with which joints have to be able to stop before their limits [rad/s^2]; inf: none.
+            horizon: use three SQP steps, not ipopt, and leave out the acceleration that stops the arm at the end.
         """
-        import casadi as ca  # late: half a second
+        import casadi as ca  # imported late: it takes half a second
 
         self._moving = moving = np.flatnonzero(robot.moves.any(axis=0))
         self.robot, self.nodes, self.limits, n, a = robot, nodes, limits, robot.n, len(moving)
@@ -111,17 +111,17 @@ class Program:
         self.forget()
 
     def forget(self) -> None:
-        """Make the solver anew: its workspace goes from call to call, and a run is to be repeated to the last bit."""
+        """Rebuild the solver, whose workspace would make a second run differ from the first in the last bits."""
         self._solver = self._make()
 
     def solve(
         self, guess: Array, start: Array, targets: Targets, speed: Array | None = None, end: End | None = None,
         period_s: float | None = None,
     ) -> tuple[Array, bool]:  # fmt: skip
-        """Return poses (N,n) [rad], not judged, NaN where nothing was found, and if the solver met its tolerances.
+        """Return poses (N,n) [rad], unchecked, NaN where none was found, and whether the solver met its tolerances.
 
-        It begins at the ``guess`` (N,n) and leaves ``start`` (n,) at ``speed`` (n,) [rad/s]. ``end`` is what the last
-        pose is worth; ``period_s`` stands in place of the program's own.
+        The iteration begins at ``guess`` (N,n); the course leaves ``start`` (n,) at ``speed`` (n,) [rad/s]. ``end`` is
+        V near the last pose. ``period_s`` replaces the program's own period.
         """
         dt, n = self.period_s if period_s is None else period_s, len(start)
         speed = np.zeros(n) if speed is None else speed
@@ -146,13 +146,13 @@ def refine(
     robot: RobotModel, targets: Targets, course: Course, limits: Limits, *, smoothness: float = 0.0,
     brake: float = np.inf,
 ) -> Course:  # fmt: skip
-    """Improve a course of all times from its first pose, within limits, to a local optimum.
+    """Improve a course over the whole path to a local optimum within limits; its first pose stays.
 
-    It may break constraints; the answer keeps the limits. With ``smoothness`` or ``brake``, see `Program`, it may lose
-    `SMOOTH_LOSS` of mean mu. The given course is returned where the other is worth less by the robot model's own mu, or
-    breaks a constraint by more than `MOST_VIOLATION`. A course is ``certified`` where ipopt met its tolerances.
+    The given course may violate constraints. It is returned unchanged where ipopt's answer violates one by more than
+    `MOST_VIOLATION`, or is worth less by the robot model's own mu than a given course that violates none. With
+    ``smoothness`` or ``brake`` it may be worth less by `SMOOTH_LOSS`. ``certified``: ipopt met its tolerances.
     """
-    if limits.shaft > 0.0 and _above(robot, course, limits):  # without the margin a program takes half of the time
+    if limits.shaft > 0.0 and _above(robot, course, limits):  # first without the shaft's margin: half of the time
         bare = replace(limits, shaft=0.0)
         free = refine(robot, targets, course, bare, smoothness=smoothness, brake=brake)
         if _above(robot, free, limits):
@@ -178,12 +178,12 @@ def _above(robot: RobotModel, course: Course, limits: Limits) -> bool:
 
 
 def too_fast(speed: Any, pose: Any, low: Any, high: Any, brake: float) -> Any:
-    """Write how much too fast joints go towards their limits to stop there, not above 0 where they can.
+    """Return by how much joints are too fast to stop before their limits, in CasADi; at most 0 where they can stop.
 
-    At a distance d the most is sqrt(2 b) (sqrt(d + e) - sqrt(e)), b the brake [rad/s^2], e = `SOFT_RAD`. The vectors
-    of CasADi have m entries, the answer 2 m.
+    At a distance d from a limit the speed may be sqrt(2 b) (sqrt(d + e) - sqrt(e)), b the brake [rad/s^2], e =
+    `SOFT_RAD`. CasADi's vectors have m entries, the answer 2 m: towards ``high``, then towards ``low``.
     """
-    import casadi as ca  # late: half a second
+    import casadi as ca  # imported late: it takes half a second
 
     def most(room: Any) -> Any:
         return np.sqrt(2.0 * brake) * (ca.sqrt(ca.fmax(room, 0.0) + SOFT_RAD) - np.sqrt(SOFT_RAD))

@@ -2,10 +2,10 @@
 
     V_k(p) = g_k(p) + max { V_{k+1}(p') - c |q - q'|^2 / dt : |q - q'| <= v_max dt for every joint }
 
-g is mu dt. A course is read off V forwards, from any pose at any time: each time the pose within reach that is worth
-most. From a singular pose it may go on in another branch. A pose of the map may stand for a part of the cell around it:
-a quarter of a cell for a receding horizon, so that a coarse map is passable; half a cell for the bound. For the bound a
-pose next to a feasible one counts as feasible, and as good as the best nearby: no course on the map's curves has more.
+g is mu dt, and c a price on speed. A course is read off V forwards, from any pose at any time: at each time it takes
+the pose within reach that is worth most. At a singular pose it may change to another branch. A pose of the map can
+stand for its surroundings: a quarter of a cell on a receding horizon, so that a coarse map is passable, half a cell in
+the bound. There a pose next to a feasible one is feasible too, with the best mu nearby, so that no course has more.
 """
 
 from __future__ import annotations
@@ -22,23 +22,23 @@ from moc_opt.planning.course import Limits, lowered, shaft_shares, weights
 from moc_opt.planning.elbow import wrapped
 from moc_opt.planning.pose_map import PoseMap
 
-WHOLE_CELL = 1.1  #: Of half a cell, for the bound: the way of a joint is curved between the samples.
-NEARBY_RAD = 0.2  #: Poses within this way of each other are one neighbourhood, in which V is a parabola.
+WHOLE_CELL = 1.1  #: `cell` of the bound (see `Value`): above 1, since joints' paths are curved between the samples.
+NEARBY_RAD = 0.2  #: Poses within this distance form one neighbourhood, in which V is approximated by a parabola.
 
 
 class End(NamedTuple):
-    """V near a pose, but for a constant: slope z + bend z^2 / 2, low <= z = along . (q - q_rad) <= high."""
+    """V near a pose, up to a constant: slope z + bend z^2 / 2, with low <= z = along . (q - q_rad) <= high."""
 
     q_rad: Array  #: (n,) [rad]
     along: Array  #: (n,) unit vector of the self-motion
     slope: float = 0.0  #: [m^3 s / rad]
     bend: float = 0.0  #: [m^3 s / rad^2], never above 0
-    low: float = 0.0  #: Beyond it no pose nearby is known to reach the end of the path [rad].
+    low: float = 0.0  #: Outside low and high, no pose nearby is known to reach the end of the path [rad].
     high: float = 0.0
 
 
 class Way(NamedTuple):
-    """A course read off V."""
+    """A course on the grid of the map, read off V."""
 
     t_s: Array  #: (w,)
     q_rad: Array  #: (w,n), the given pose first
@@ -51,8 +51,8 @@ class Value:
     def __init__(self, found: PoseMap, limits: Limits, *, cell: float = 0.0, price: float = 0.0) -> None:
         """Compute V backwards over the map; to keep a margin from losing the shaft, give one from `keeping_shaft`.
 
-        ``cell`` is the part of half a cell that a pose stands for; with 1 and more V is the bound. ``price`` is c, of
-        speed [m^3 s^2/rad^2].
+        ``cell`` is the share of half a cell, to either side, that a pose stands for; from 1 on V is the bound.
+        ``price`` is c, the price on speed [m^3 s^2/rad^2].
         """
         self.map = found
         self._period = found.targets.period_s
@@ -66,7 +66,7 @@ class Value:
             mu = _highest_nearby(mu)
         gain = np.where(feasible, mu * self._weight[:, None, None], -np.inf)
         self.value = np.array(gain)
-        """(k,b,m) [m^3 s], its own share included; -inf: the end cannot be reached from there"""
+        """(k,b,m) [m^3 s], the share of this time included; -inf: the path's end cannot be reached from there"""
         for k in range(count - 2, -1, -1):
             self.value[k] = advance(
                 found.q_rad[k], self._slack[k], gain[k], found.q_rad[k + 1], self._slack[k + 1],
@@ -74,7 +74,7 @@ class Value:
             )  # fmt: skip
 
     def of(self, q: Array, mu: float) -> float:
-        """Return the mean mu of the best course from a pose (n,) of mu at t = 0 [m^3]; -inf: there is none."""
+        """Return the mean mu of the best course from a pose (n,) with this mu at t = 0 [m^3]; -inf: there is none."""
         found = self._next(1, q, np.zeros(len(q)), self._step, self._price)
         rest = -np.inf if found is None else float(self.value[1][found])
         return float(mu * self._weight[0] + rest) / self._weight.sum()
@@ -86,9 +86,9 @@ class Value:
         return value, self.map.q_rad[0][first] if np.isfinite(value) else None
 
     def way(self, q: Array, t_s: float = 0.0, end: int = -1, hurry: float = 1.0) -> Way | None:
-        """Read the best course off from a pose (n,) [rad] at a time [s] to the map's time ``end``; None: there is none.
+        """Read off the best course from a pose (n,) [rad] at a time [s] to the map's time ``end``; None: there is none.
 
-        ``hurry`` times the joint steps of V may be used.
+        The course may use ``hurry`` times the joint steps of V.
         """
         t, poses, slack, at = self.map.targets.t_s, [q], np.zeros(len(q)), (0, 0)
         end = len(t) - 1 if end < 0 else end
@@ -105,7 +105,7 @@ class Value:
         return Way(np.append(t_s, t[first : end + 1]), np.array(poses), at)
 
     def near(self, end: int, at: tuple[int, int]) -> End:
-        """Return the parabola through V around one pose of the map."""
+        """Fit a parabola to V around one pose of the map, (branch, sample)."""
         (b, j), value = at, self.value[end, at[0]]
         q = self.map.q_rad[end, b]
         along = q[(j + 1) % len(q)] - q[j - 1]
@@ -128,7 +128,7 @@ class Value:
         alive = self.value[k] > -np.inf
         way, more = step + slack, self._slack[k]
         with np.errstate(invalid="ignore"):
-            for a in range(len(q)):  # joint by joint, since most poses are far in one already
+            for a in range(len(q)):  # joint by joint: one joint alone rules out most poses
                 alive &= np.abs(self.map.q_rad[k, ..., a] - q[a]) <= way[a] + more[..., a]
         b, j = np.nonzero(alive)
         if not len(b):
@@ -139,7 +139,7 @@ class Value:
 
 
 def keeping_shaft(found: PoseMap, limits: Limits) -> PoseMap:
-    """Return the map with mu lowered where the shaft is nearly lost, for a search alone."""
+    """Return the map with mu lowered where the shaft is nearly lost; it is meant for a search only."""
     if limits.shaft <= 0.0:
         return found
     # Every branch of a closed form has the same columns of A up to their signs.
@@ -151,7 +151,7 @@ def keeping_shaft(found: PoseMap, limits: Limits) -> PoseMap:
 
 
 def reached(found: PoseMap, q_start: Array, limits: Limits) -> list[NDArray[np.bool_]]:
-    """Return the poses (b,m) that are reached from the start, for each later time as far as any course gets."""
+    """Return for each later time which poses (b,m) can be reached from the start, until none can."""
     step, feasible = limits.speed_share * found.robot.v_max * found.targets.period_s, found.feasible(limits.margin)
     before, value = np.tile(q_start, (found.mu.shape[1], 1, 1)), np.zeros((found.mu.shape[1], 1))
     each: list[NDArray[np.bool_]] = []
@@ -166,7 +166,7 @@ def reached(found: PoseMap, q_start: Array, limits: Limits) -> list[NDArray[np.b
 
 
 def half_cells(q: Array) -> Array:
-    """Return the way of each joint within half a cell to either side of poses (...,m,n) [rad], of the same shape."""
+    """Return how far each joint moves in half a cell around poses (...,m,n) [rad], the larger side; same shape."""
     apart = np.abs(wrapped(np.roll(q, -1, axis=-2) - q))
     return 0.5 * np.nan_to_num(np.fmax(apart, np.roll(apart, 1, axis=-2)))
 
@@ -183,18 +183,18 @@ def advance(
     q: Array, slack: Array, gain: Array, q_next: Array, slack_next: Array, value_next: Array, step: Array,
     crossing: NDArray[np.int64], price: float,
 ) -> Array:
-    """Return value (b,m): what the poses of one time are worth by those of the time next to it.
+    """Return the values (b,m) of the poses at one time, given the values at the time next to it.
 
-    A pose is next to another one if no joint turns by more than its step (n,) [rad] between them, the slack of both
-    added; in its own branch, or in one whose number differs in the bits of ``crossing`` (m,), near a singular pose.
+    A pose is within reach of another if no joint differs by more than its step (n,) [rad] plus both slacks. The other
+    is in the same branch or, near a singular pose, in one whose number differs in the bits of ``crossing`` (m,).
 
     Args:
-        q, slack: (b,m,n) [rad], NaN where there is none; gain: (b,m) what a pose adds; -inf: forbidden.
+        q, slack: (b,m,n) [rad], NaN where there is no pose; gain: (b,m) added to each value; -inf: forbidden.
         q_next, slack_next: (b,m1,n); value_next: (b,m1).
-        price: of a step's square, in the unit of the values [1/rad^2].
+        price: on the square of a step, in the unit of the values [1/rad^2].
     """  # fmt: skip
     branches, _, n = q.shape
-    # Those next to a pose are a short piece of their order by the joint that moves through the most steps.
+    # Sorted by the joint whose range spans the most steps, the poses within reach of one form a short interval.
     spread = np.nan_to_num(np.fmax.reduce(q_next, 1) - np.fmin.reduce(q_next, 1)).sum(axis=0)
     by = int(np.argmax(spread / step))
     order = np.argsort(q_next[:, :, by])

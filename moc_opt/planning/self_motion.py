@@ -1,7 +1,7 @@
 """The poses an arm can take while tip and wrist stay where they are: the number of freedoms, and one curve of poses.
 
-The curve is followed between the joint limits: a step along the null vector of A, and Newton's method back to tip and
-wrist. With one freedom no controller that stays on the curve exceeds the largest mu on it.
+The curve is followed from joint limit to joint limit: a step along the null vector of A, then Newton's method back to
+tip and wrist. With one freedom no controller that stays on the curve exceeds the largest mu on it.
 """
 
 from __future__ import annotations
@@ -16,15 +16,15 @@ from moc_opt.arrays import Array, read_only
 from moc_opt.errors import RobotError
 from moc_opt.robots.model import RobotModel
 
-HELD = 1e-6  #: A singular value below this share of the largest holds nothing.
+HELD = 1e-6  #: For the rank, a singular value of A below this share of the largest counts as zero.
 RANK = 1e-9  #: A singular value of A below this counts as zero on the curve.
-LEAST_STEP, MOST_STEP = 1e-5, 10.0  #: Of the samples on a curve [rad].
+LEAST_STEP, MOST_STEP = 1e-5, 10.0  #: Smallest and largest spacing of the samples on a curve [rad].
 
 
 class Freedoms(NamedTuple):
     """The freedoms of n joints when tip and wrist are held; rank + real + idle = n."""
 
-    rank: int  #: Of A: 5 where the arm can place and turn the shaft.
+    rank: int  #: Rank of A: 5 where the arm can place and turn the shaft.
     real: int  #: Motions that move links while tip and wrist stay.
     idle: tuple[int, ...]
     """Joints (from 0) that move neither tip nor wrist at any pose, such as a last axis along the tool."""
@@ -33,7 +33,7 @@ class Freedoms(NamedTuple):
     """The fifth singular value of A over its largest: 0 where the shaft cannot be placed and turned freely."""
 
     def refusal(self, robot: RobotModel) -> str:
-        """Say that the third level has nothing to choose, with the count."""
+        """Return the message that no freedom is left for the third level, with the count of joints."""
         idle = ", ".join(robot.data.joint_names[j] for j in self.idle)
         return (
             f"robot {robot.data.name!r}: no freedom is left for the third level: of {robot.n} joints the tool's tip "
@@ -53,13 +53,13 @@ def freedoms(robot: RobotModel, q: ArrayLike) -> Freedoms:
 
 
 def best_freedoms(robot: RobotModel, poses: int = 8) -> Freedoms:
-    """Count the freedoms at seeded poses of the range; those of the highest rank are what the arm is built for."""
+    """Count the freedoms at seeded random poses, and return those of the pose with the highest rank."""
     drawn = np.random.default_rng(0).uniform(robot.q_min, robot.q_max, (poses, robot.n))
     return max((freedoms(robot, q) for q in drawn), key=lambda found: (found.rank, found.both))
 
 
 def require_freedom(robot: RobotModel) -> None:
-    """Raise a RobotError where tip and shaft leave the arm no motion, with the count of what takes its joints."""
+    """Raise a RobotError where tip and shaft leave the arm no freedom; the message counts the joints."""
     found = best_freedoms(robot)
     if found.real < 1:
         raise RobotError(found.refusal(robot))
@@ -97,10 +97,10 @@ class SelfMotion:
     q: Array  #: (k,n) [rad]
     mu: Array  #: (k,) [m^3]
     held: tuple[int, ...]
-    """Joints (from 0) that stand still: they move neither tip nor wrist, or would make it a surface."""
+    """Joints (from 0) that stand still: idle ones, and those that would turn the curve into a surface."""
     _robot: RobotModel = field(repr=False)
     _task: tuple[Array, Array, Array] = field(repr=False)
-    """Limits, of which equal ones hold a joint, and tip and wrist."""
+    """Lower and upper limits, equal where a joint is held, and the places of tip and wrist."""
 
     def at(self, fraction: float) -> Array:
         """Return the pose (n,) at a fraction in [0, 1] of the arc length, corrected to 1e-10 m."""
@@ -111,7 +111,7 @@ class SelfMotion:
             miss, pose = self._robot.arm.nearest_pose(*self._task, between, 10)
             if miss < 1e-10:
                 return pose
-        # There is no pose between two samples only where the curve grazes a limit or a singularity.
+        # Newton's method fails between two samples only where the curve grazes a limit or a singularity.
         return np.array(self.q[round(place)])
 
     @property
@@ -134,8 +134,8 @@ def self_motion(robot: RobotModel, q: ArrayLike, step: float = 0.02) -> SelfMoti
     """Scan the feasible self-motion through q at fixed tip and wrist.
 
     Joints that move neither tip nor wrist are held. If more than one freedom is left (a rail, a tool off the last
-    axis), joints that slide at the base and then those nearest the tip are held too until one is; the largest mu on the
-    curve is then no bound (see `pose_map.largest_mu`). If none is left, the curve is one pose.
+    axis), further joints are held: sliding ones at the base, then those nearest the tip. The largest mu on the curve is
+    then no bound (see `pose_map.largest_mu`). If no freedom is left, the curve is one pose.
 
     Args:
         q: (n,) a pose inside the joint limits [rad]; a RobotError where it is outside, or singular.
@@ -153,7 +153,7 @@ def self_motion(robot: RobotModel, q: ArrayLike, step: float = 0.02) -> SelfMoti
     task = low, high, np.array([state.tip, state.wrist])
     s, poses, mu = np.zeros(1), state.q[None], np.array([state.mu])
     if len(active) > np.linalg.matrix_rank(state.A[:, active], tol=RANK):
-        # Far longer than any real curve; it only bounds the memory of one that never ends.
+        # Far more samples than a real curve has; it only bounds the memory if a curve never ends.
         most = int(np.ceil(4 * np.sum(robot.q_max - robot.q_min) / step)) + 2
 
         def follow(tangent: Array) -> tuple[Array, Array, Array, bool]:

@@ -1,10 +1,10 @@
 """The manipulability map: mu over time along the path and elbow swivel, with the trajectories that runs took on it.
 
-The map shows every swivel of the elbow, and where a joint limit forbids it. `read_trajectory` says how long a run is at
-the optimum. Where it ends off the optimum, the map is climbed from there at the time of the end, up to the first pose
-beyond a joint limit: a climb that stops close by, at a local maximum or at the edge of the feasible poses, is what
-holds the run. Where the way up is open, only the run itself can tell why it is not there: a controller without third
-level, or the box of the third level, which closes before the joint limits that the map shows.
+The map has every swivel of the elbow, and shows where a joint limit forbids it. `read_trajectory` says for how long a
+run is at the optimum. Where a run ends elsewhere, mu is climbed on the map from its last swivel, up to the first pose
+beyond a joint limit. If the climb ends close by, the local maximum or the edge of the feasible poses there holds the
+run. If not, the map cannot tell why the run has not climbed: there may be no third level, or its box may hold the
+elbow, since the box closes before the joint limits that the map shows.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ UNREACHABLE, FEASIBLE = -1, 0
 TRAJECTORY_POINTS = 500
 STEP_RAD = 0.05
 SAME_PATH_M = 1e-6
-OTHER_BRANCH_RAD = 0.5  #: A trajectory with a larger gap belongs to an arm that is folded another way than the map.
+OTHER_BRANCH_RAD = 0.5  #: A trajectory with a larger gap is on another branch than the map.
 NEEDED = ("t_s", "q_rad", "tip_m", "tip_ref_m")
 NEAR = 0.02  #: A trajectory is at the optimum where its mu is at most this fraction below the best.
-END = 0.2  #: The last part of a trajectory, as a fraction of its time, which gives its end.
-CLOSE_RAD = np.radians(12.0)  #: Nearer to a local maximum or the edge of the feasible poses, a run is held by it.
+END = 0.2  #: Fraction of a trajectory's time, the last part, from which its end is read.
+CLOSE_RAD = np.radians(12.0)  #: A run that ends this near to a local maximum or to the feasible edge is held by it.
 STILL_RAD_PER_S = np.radians(1.0)
 
 
@@ -43,20 +43,20 @@ class Trajectory:
     """Where a run went on the map; arrays (c,)."""
 
     t_s: Array
-    swivel_rad: Array  #: Nearest to the map's axis; it may jump by a turn.
+    swivel_rad: Array  #: Turned by whole turns onto the map's axis; it may jump by a turn.
     mu: Array
     gap_rad: float
-    """Median distance of its joints from the map's poses at the same time and swivel: large where the arm is folded
-    another way, so that the map does not hold for it."""
+    """Median distance of the run's joints from the map's pose at the same time and swivel. It is large where the run is
+    on another branch, for which the map does not hold."""
 
 
 @dataclass(frozen=True, eq=False)
 class SwivelMap:
-    """k times, m swivels, n joints."""
+    """mu over time and swivel: k times, m swivels, n joints."""
 
     t_s: Array  #: (k,)
     swivel_rad: Array  #: (m,) evenly over one turn
-    mu: Array  #: (k, m) [m^3], of forbidden poses too; NaN where there is no pose
+    mu: Array  #: (k, m) [m^3], also beyond joint limits; NaN where there is no pose
     q_rad: Array  #: (k, m, n) the poses; NaN where there is none
     limit: NDArray[np.int64]
     """(k, m) `FEASIBLE` (0), the joint (from 1) that is farthest beyond a limit, or `UNREACHABLE` (-1)"""
@@ -64,13 +64,13 @@ class SwivelMap:
     best_mu: Array  #: (k,)
     trajectories: Mapping[str, Trajectory]
     held: tuple[str, ...] = ()
-    """Joints that could move while tip and wrist stay, and here stand as in the longest run: the map is a slice."""
+    """Joints that tip and wrist leave free, held at their places in the longest run: the map is a slice."""
 
 
 def manipulability_map(
     robot: RobotModel, traces: Mapping[str, Trace], *, times: int = 100, swivels: int = 180
 ) -> SwivelMap:
-    """Scan the self-motion along the path that the runs (name -> trace) were given, at so many times and swivels.
+    """Scan the self-motion at evenly spaced times of the path that all runs (name -> trace) were given.
 
     Raises:
         ReportError: no runs, too few columns or rows, runs of different paths, or a trace without a trocar.
@@ -96,7 +96,7 @@ def manipulability_map(
     mu, limit = _judged(robot, q)
     turn = _cut(limit == FEASIBLE)
     swivel, q, mu, limit = swivel + 2.0 * np.pi * turn / swivels, *(np.roll(a, -turn, axis=1) for a in (q, mu, limit))
-    if swivel.mean() >= np.pi:  # what lies about the middle of the map is counted from -180 to 180 degrees
+    if swivel.mean() >= np.pi:  # the middle of the map is to lie between -180 and 180 degrees
         swivel -= 2.0 * np.pi
     best = np.array([_best(swivel, *column) for column in zip(mu, limit, strict=True)]).T
     lines = {name: _trajectory(robot, elbow, run, guide.t_s[ticks], swivel, q) for name, run in traces.items()}
@@ -121,7 +121,7 @@ def _poses_at(curve: SelfMotion, elbow: Elbow, swivels: Array) -> Array:
     known = sign * (angles[-1] - turned) >= 0.0
     found = np.full((len(swivels), curve.q.shape[1]), np.nan)
     aim = turned[known]
-    for _ in range(3):  # the spline between samples is straight: correct by the remaining error
+    for _ in range(3):  # interpolation between samples is linear: correct by the remaining error
         poses = [curve.at(float(part)) for part in np.interp(sign * aim, sign * angles, along)]
         found[known] = np.array(poses).reshape(-1, found.shape[1])
         aim = aim + wrapped(turned[known] - elbow.swivel(found[known]))
@@ -141,7 +141,7 @@ def _targets(
         apart = np.abs(trace.tip_ref_m[shared] - guide.tip_ref_m[shared]).max()
         if apart > SAME_PATH_M:
             raise ReportError(f"run {name!r} was given another path (up to {apart:.3g} m apart): map each path alone")
-    # In double precision whatever the trace has: tip and wrist must be as far apart as the arm's are, to REACHED_M.
+    # Double precision even where the trace has less: tip and wrist must be the arm's span apart, to REACHED_M.
     tips, trocars = (np.asarray(guide.columns[name][ticks], dtype=np.float64) for name in ("tip_ref_m", column))
     span = robot.state(robot.data.q_home).tool_span
     return tips, desired_wrist(tips, 0.0, trocars, 0.0, span)[0]
@@ -167,7 +167,7 @@ def _best(swivel: Array, mu: Array, limit: NDArray[np.int64]) -> tuple[float, fl
 
 
 def _cut(feasible: NDArray[np.bool_]) -> int:
-    # The circle is cut open at the row that is farthest from every row in which a pose is allowed.
+    # The row at which the circle is cut open: the one farthest from every row with a feasible pose.
     allowed, count = np.flatnonzero(feasible.any(axis=0)), feasible.shape[1]
     apart = np.abs(np.arange(count)[:, None] - allowed)
     return int(np.argmax(np.minimum(apart, count - apart).min(axis=1, initial=count)))
@@ -206,7 +206,7 @@ def check_showable(name: str, trace: Trace, robot: RobotModel) -> None:
 
 
 class End(StrEnum):
-    """Where a trajectory is in the end."""
+    """Where a trajectory ends, or how mu changes there."""
 
     OPTIMUM = "at the optimum"
     LOCAL_MAXIMUM = "at a local maximum"
@@ -223,17 +223,17 @@ class Reading:
     """The analysis of one trajectory."""
 
     name: str
-    near: float  #: Share of the time in which it is at the optimum; NaN where no pose of the map is allowed.
+    near: float  #: Share of the time that the run is at the optimum; NaN where run and map cannot be compared.
     mu_share: float  #: Mean mu over the mean of the best mu at the same times.
     travel_rad: float  #: Turn of the elbow from start to end; positive upwards on the map.
-    from_s: float  #: From when on it stays at the optimum [s]; NaN where it is not there in the end.
+    from_s: float  #: From when on the run stays at the optimum [s]; NaN where it does not end there.
     end: End
-    joint: int  #: The joint (from 1) whose limit it stands before; 0 where that is the arm's reach, or nothing.
-    at_edge: float  #: Share of the time in which its pose is infeasible, or a row of the map from such a pose.
+    joint: int  #: The joint (from 1) whose limit holds the run; 0 where none does.
+    at_edge: float  #: Share of the time that the run is at an infeasible pose, or one row of the map away from one.
 
 
 def read_trajectory(found: SwivelMap, name: str) -> Reading:
-    """Return what the trajectory of one run, by its name on the map, amounts to."""
+    """Analyse the trajectory of one run, given by its name on the map."""
     run, known = found.trajectories[name], np.isfinite(found.best_mu)
     travel, nan = float(np.unwrap(run.swivel_rad)[-1] - run.swivel_rad[0]), np.nan
     if not known.any() or run.gap_rad > OTHER_BRANCH_RAD:
@@ -256,7 +256,7 @@ def read_trajectory(found: SwivelMap, name: str) -> Reading:
 
 
 def _what_holds(found: SwivelMap, run: Trajectory, late: NDArray[np.bool_]) -> tuple[End, int]:
-    # The last column until the end in which any pose is allowed; the first such column where none is.
+    # The last column with a feasible pose up to the run's end; where there is none, the first with one.
     known = np.flatnonzero(np.isfinite(found.best_mu))
     column = int(max(known[found.t_s[known] <= run.t_s[-1] + 1e-9], default=known[0]))
     mu, limit, count = found.mu[column], found.limit[column], found.mu.shape[1]

@@ -1,4 +1,4 @@
-"""The serial chain as numbers: its frames, its CasADi functions, and the wrist that a trocar asks for."""
+"""The serial chain as numbers: its frames, its CasADi functions, and the wrist position that a trocar requires."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def desired_wrist(
 ) -> tuple[Array, Array]:
     """Compute N_d = X + L e [m], e = (P_t - X)/|P_t - X|, and dN_d = dX + L de/dt [m/s], (..., 3) each.
 
-    The arguments are (..., 3), 0.0 for a point at rest, and ``span``, which is L, from wrist centre to tip [m].
+    Points and velocities are (..., 3), or 0.0 for the velocity of a point at rest; ``span`` is L [m].
     """
     line, turn = np.subtract(trocar, tip), np.subtract(trocar_velocity, tip_velocity)
     distance = np.linalg.norm(line, axis=-1, keepdims=True)
@@ -61,13 +61,13 @@ class Kinematics:
     mu: casadi.Function = field(compare=False, repr=False)  #: q -> scalar, sqrt(det(J_tip J_tip^T))
     grad_mu: casadi.Function = field(compare=False, repr=False)  #: q -> (n,)
     shaft: casadi.Function = field(compare=False, repr=False)
-    """q -> scalar, (mu_shaft / |X - N|^2)^2 of `moc_opt/core/manipulability.c`; squared it has no kink"""
+    """q -> scalar, (mu_shaft / |X - N|^2)^2 of `moc_opt/core/manipulability.c`; unsquared it would have a kink at 0"""
 
 
 @lru_cache(maxsize=64)
 def build_kinematics(name: str, chain: Chain) -> Kinematics:
     """Write the chain's forward kinematics in CasADi SX; mu from the geometric Jacobian, grad mu by AD."""
-    import casadi as ca  # late: half a second that only the NLP back-ends need
+    import casadi as ca  # imported late: it takes half a second, and only the NLP back-ends and planning need it
 
     q = ca.SX.sym("q", len(chain.axes))
     rotation, origin = ca.SX.eye(3), ca.SX.zeros(3)

@@ -21,13 +21,13 @@ from moc_opt.sim.settings import PlantSettings
 
 Verdict = Literal["ok", "care", "cannot"]
 REGULAR, SINGULAR = (0.1, 0.05), 1e-4
-"""Singular values over the largest, of the tip's Jacobian and of A, below which to take care, and to refuse."""
+"""Least singular values over the largest, of the tip's Jacobian and of A, for the verdicts "ok" and "care"."""
 LITTLE_TO_GAIN = 0.05
 LEAST_M = 0.005  #: Radius of a circle that an arm must be able to follow from home.
 MARGIN_DEG, MARGIN_MM = 15.0, 80.0
-CARE = 0.8  #: Share of the stability limit from which on to take care.
+CARE = 0.8  #: Share of the stability limit from which on the verdict is "care".
 GYRATION_M = 0.6
-"""A link whose inertia says that its mass lies further from its middle than this is no link of an arm."""
+"""Largest plausible radius of gyration of a link: sqrt(largest moment / mass)."""
 
 
 class Finding(NamedTuple):
@@ -50,13 +50,13 @@ def check_robot(robot: RobotModel, scenario: Scenario | None = None) -> list[Fin
 
 
 def verdict(findings: list[Finding]) -> Verdict:
-    """Return the worst of the rows."""
+    """Return the worst verdict of the rows."""
     order: tuple[Verdict, ...] = ("ok", "care", "cannot")
     return max((row.verdict for row in findings), key=order.index)
 
 
 def _judge(what: str, found: str, *faults: tuple[object, Verdict, str]) -> Finding:
-    """Make a row with the verdict and the cure of the first fault (whether it is there, verdict, cure)."""
+    """Make a row from the first fault that is present; a fault is (whether it is present, verdict, cure)."""
     rows = (Finding(what, found, judged, cure) for fault, judged, cure in faults if fault)
     return next(rows, Finding(what, found, "ok"))
 
@@ -91,7 +91,7 @@ def _climb(robot: RobotModel) -> Iterator[Finding]:
         text = f"{mu:.3g} m³, {curve.mu.min():.3g} to {curve.mu_best:.3g} on {'one' if several else 'its'} self-motion"
         little = max(curve.mu_best, largest if several else 0.0) < (1.0 + LITTLE_TO_GAIN) * mu
         yield _judge(what, text, (little, "care", "little to gain from there: choose another home.q_rad"))
-    # With one freedom a local law stays on its curve, and may not get there.
+    # With one freedom a local law stays on its own self-motion curve, and may be unable to reach this mu.
     yield Finding("largest mu there", f"{largest:.3g} m³, {how['mu_bound_method']}", "ok")
 
 
@@ -126,7 +126,7 @@ def _speeds(robot: RobotModel) -> Finding:
     text = f"{robot.v_max.min():.2g} to {robot.v_max.max():.2g} {' or '.join(sorted(set(units), reverse=True))}"
     wrong = np.flatnonzero(robot.v_max > most + 1e-9)
     told = ", ".join(f"{robot.data.joint_names[j]} {robot.v_max[j]:.3g} {units[j]}" for j in wrong)
-    cure = f"no arm is that fast ({told}), and the speed limit is none: see the data sheet, limits.v_max_deg_per_s"
+    cure = f"no arm is that fast ({told}), so these limits mean nothing: see the data sheet, limits.v_max_deg_per_s"
     return _judge("joint speeds", text, (told, "care", cure))
 
 
@@ -141,7 +141,7 @@ def _weight(robot: RobotModel) -> Finding:
 
 
 def _bodies(robot: RobotModel) -> Finding:
-    # The loader refuses inertias that no body has; here are those that no arm has.
+    # The loader refuses inertias that no body can have; this finds inertias that no arm has.
     bodies = [link for link in urdf.read(robot.data.urdf).links if not link.is_frame]
     gyrations = {body.name: math.sqrt(max(body.moments[:3]) / body.mass) for body in bodies}
     total = sum(body.mass for body in bodies)
@@ -157,7 +157,7 @@ def _gains(robot: RobotModel, asked: Scenario) -> Finding:
     limit, period = largest_rate(asked.plant), asked.plant.period_s
     gains = asked.control.resolve_gains(robot.data.gains, robot.n)
     tip, wrist = largest_inverse_masses(robot)
-    # Each gain on a velocity over the lightest inertia behind it, over home and seeded poses [1/s].
+    # Each velocity gain over the smallest inertia that it acts on, at home and at seeded poses [1/s].
     null_space = largest_null_rate(robot, gains.K_N2 + gains.D_N2)
     rates = {"D_X": gains.D_X * tip, "D_N": gains.D_N * wrist, "K_N2": null_space}
     name, rate = max(rates.items(), key=lambda item: item[1])
@@ -170,10 +170,10 @@ def _gains(robot: RobotModel, asked: Scenario) -> Finding:
 
 
 def largest_rate(plant: PlantSettings) -> float:
-    """Return the largest rate [1/s] of a velocity gain over an inertia at which the plant's sampled loop is stable.
+    """Return the largest ratio [1/s] of a velocity gain to an inertia at which the plant's sampled loop is stable.
 
-    A velocity v[k+1] = v[k] - T rate v[k-d] decays while T rate < 2 sin(pi / (2 (2 d + 1))): 2, 1, 0.62, 0.45 for no,
-    one, two and three ticks d of delay (Levin and May, 1976). The velocity filter counts as delay.
+    With a period T and d ticks of delay, v[k+1] = v[k] - T rate v[k-d] decays while T rate < 2 sin(pi / (2 (2 d + 1))):
+    2, 1, 0.62, 0.45 for d = 0 to 3 (Levin and May, 1976). The velocity filter counts as further ticks of delay.
     """
     cutoff, period = plant.velocity_cutoff_Hz, plant.period_s
     filter_ticks = math.ceil(1.0 / (2.0 * math.pi * cutoff * period)) if cutoff > 0.0 else 0

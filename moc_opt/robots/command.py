@@ -37,7 +37,7 @@ def add_commands(commands: Any) -> None:
 
 
 def run_command(given: argparse.Namespace) -> int:
-    """Do what was asked; 0, or 3 where the verdict is "cannot"."""
+    """Run the command and return its exit status: 0, or 3 where the verdict is "cannot"."""
     from rich.text import Text
 
     from moc_opt.report.console import console

@@ -1,8 +1,8 @@
 """Gains for an arm that nobody has tuned.
 
-A gain on a joint's velocity over the inertia behind it is a rate [1/s]; the rate times the period decides whether a
-sampled loop is stable (`moc_opt.robots.check.largest_rate`). The LWR4+ is tuned: other arms get its rates, each joint
-in its own unit (N m s/rad, or N s/m for a prismatic joint), and so the same distance from that limit.
+A velocity gain divided by the inertia that it acts on is a rate [1/s]. The rate times the period decides whether a
+sampled loop is stable (`moc_opt.robots.check.largest_rate`). The LWR4+ is tuned, and other arms get its rates and so
+its distance from that limit. Gains are in each joint's own unit (N m s/rad, or N s/m for a prismatic joint).
 """
 
 from __future__ import annotations
@@ -24,25 +24,25 @@ JOINTS: Mapping[str, tuple[float, float, float]] = {
     "moc": (JOINT_RATE, 1.0 / 7.0, 125.0), "default": (JOINT_RATE, 1.0 / 7.0, 125.0),
     "tuned": (26.0, 0.087, 125.0), "robust": (17.0, 0.133, 85.0),
 }  # fmt: skip
-"""K_N2 over the joint's inertia [1/s] (10 to 22 in the LWR4+'s table), D_N2 over K_N2 (there 0.13 to 0.2), and the most
-that both may be over the inertia of any motion that keeps tip and wrist [1/s]."""
+"""For each table: K_N2 over the joint's inertia [1/s] (10 to 22 in the LWR4+'s table), D_N2 over K_N2 (there 0.13 to
+0.2), and the largest rate allowed for both together along a motion that keeps tip and wrist [1/s]."""
 CARTESIAN_RATE = 160.0
-"""Most that D_X or D_N may be over the lightest mass behind it [1/s]: a third of what three ticks of delay bear at
-500 Hz. The LWR4+'s D_X has 90 over its lightest direction, its D_N 16."""
+"""Largest D_X or D_N over the smallest mass that it moves [1/s]: 0.72 of the stability limit with three ticks of delay
+at 500 Hz. The LWR4+'s D_X has 90 in its lightest direction, its D_N 16."""
 CARTESIAN: Mapping[str, tuple[float, float, float, float]] = {
     "dcac": (2000.0, 20.0, 600.0, 10.0), "moc": (3000.0, 30.0, 800.0, 10.0), "default": (3000.0, 80.0, 800.0, 60.0),
     "tuned": (3000.0, 80.0, 1670.0, 74.2), "robust": (3000.0, 50.0, 1670.0, 74.2),
 }  # fmt: skip
-"""K_X, D_X, K_N, D_N [N/m, N s/m]: Table I of Su et al. (2019), and those of the LWR4+'s file."""
+"""K_X, D_X, K_N, D_N [N/m, N s/m]: Table I of Su et al. (2019) for dcac and moc, else those of the LWR4+'s file."""
 _POSES = 16
 
 
 def derived_gains(robot: RobotModel) -> dict[str, Table]:
     """Derive the tables of `CARTESIAN` from the arm's inertia.
 
-    K_N2_i is a rate times M_ii at the home pose and D_N2 a share of it (`JOINTS`); the rate is smaller where the null
-    space would exceed its largest. K_X, D_X (K_N, D_N) are the LWR4+'s; both are smaller by the same share where the
-    arm is so light that D_X (D_N) would exceed `CARTESIAN_RATE`.
+    K_N2 of joint i is a rate times M_ii at the home pose, D_N2 a share of K_N2 (`JOINTS`). The rate is lowered where
+    the rate of a self-motion would exceed its largest. K_X and D_X are the LWR4+'s, but are lowered by one factor where
+    the arm is so light that D_X would exceed `CARTESIAN_RATE`; K_N and D_N likewise.
     """
     inertia = np.diag(robot.state(robot.data.q_home).M)
     inverse_masses = largest_inverse_masses(robot)
@@ -71,7 +71,7 @@ def largest_inverse_masses(robot: RobotModel) -> tuple[float, float]:
 
 
 def largest_null_rate(robot: RobotModel, gains: Array) -> float:
-    """Return the largest eigenvalue of (Z M Z^T)^-1 Z G Z^T [1/s], G = diag(gains (n,)), Z a basis of ker A, there."""
+    """Return the largest eigenvalue of (Z M Z^T)^-1 Z diag(gains) Z^T [1/s] at `surveyed`; Z: basis of ker A."""
     found = 0.0
     for state in surveyed(robot):
         _, values, rows = np.linalg.svd(state.A)
@@ -83,11 +83,11 @@ def largest_null_rate(robot: RobotModel, gains: Array) -> float:
 
 
 def surveyed(robot: RobotModel) -> Iterator[RobotState]:
-    """Yield the states at the home pose and at seeded poses of the range: the worst case of a gain is over these."""
+    """Yield the states at the home pose and at seeded random poses; a gain is judged by its worst case over these."""
     rng = np.random.default_rng(0)
     for q in [robot.data.q_home, *rng.uniform(robot.q_min, robot.q_max, (_POSES, robot.n))]:
         yield robot.state(q)
 
 
 def _rounded(value: float) -> float:
-    return float(f"{value:.3g}")  # a gain is a choice
+    return float(f"{value:.3g}")  # more digits would pretend precision: a gain is a choice

@@ -1,4 +1,4 @@
-"""Poses that put the tip, and the wrist if wanted, at a point: Newton's method inside the joint limits."""
+"""Poses that put the tip, and the wrist if wanted, at given points: Newton's method inside the joint limits."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class Placed(NamedTuple):
     """The result of a search for a pose."""
 
     q: Array  #: (n,) inside the limits [rad]
-    miss_m: float  #: How far tip or wrist still is from where it should be [m].
+    miss_m: float  #: Distance of tip or wrist, the larger, from its point [m].
     at_limit: tuple[int, ...]  #: Joints (from 0) that stand at a limit.
 
     @property
@@ -32,11 +32,11 @@ def solve_pose(
     robot: RobotModel, q: ArrayLike, tip: ArrayLike, wrist: ArrayLike | None = None, *, iterations: int = 40,
     limited: bool = True,
 ) -> Placed:  # fmt: skip
-    """Find the nearest pose with the tip, and the wrist if given, at these points (3,) [m].
+    """Find a pose near q with the tip, and the wrist if given, at these points (3,) [m].
 
     Damped Gauss-Newton from q (n,), which is put inside the limits first. A joint that reaches its limit stays there
-    while the others take over. The search is local: that it fails proves nothing by itself. Without ``limited`` the
-    joints have no limits. A RobotError where a pose or a point has another shape, or is not finite.
+    while the others take over. The search is local: if it fails, there may still be a pose. Without ``limited`` the
+    joints have no limits. A RobotError where a pose or a point has a wrong shape, or is not finite.
     """
     points = np.array([tip] if wrist is None else [tip, wrist], dtype=np.float64)
     low, high = (robot.q_min, robot.q_max) if limited else (np.full(robot.n, -np.inf), np.full(robot.n, np.inf))
@@ -52,7 +52,7 @@ def solve_pose(
 
 
 def pose_with_tip(robot: RobotModel, q: ArrayLike, tip: ArrayLike) -> Array:
-    """Find a pose (n,) near q with the tip at a point (3,) [m]; a TaskError names the least distance otherwise."""
+    """Find a pose (n,) near q with the tip at a point (3,) [m]; a TaskError says how near the tip gets otherwise."""
     placed = solve_pose(robot, q, tip, iterations=200)
     if not placed.found:
         raise TaskError(
@@ -65,8 +65,8 @@ def pose_with_tip(robot: RobotModel, q: ArrayLike, tip: ArrayLike) -> Array:
 def pose_through(robot: RobotModel, tip: ArrayLike, trocar: ArrayLike) -> Array:
     """Find a pose (n,) with the tip at a point and the shaft through the trocar, both (3,) [m]; a TaskError if none.
 
-    The search begins at the home pose, then at seeded random poses; of their solutions the one farthest from the
-    joint limits is taken.
+    The search from the home pose comes first. If it fails, seeded random poses are tried, and the solution farthest
+    from the joint limits is taken.
     """
     x, p = np.asarray(tip, dtype=np.float64), np.asarray(trocar, dtype=np.float64)
     length = robot.data.tool_length

@@ -1,4 +1,4 @@
-"""A robot's two files: the schema of the TOML, and how it and the URDF become `RobotData`."""
+"""A robot's two files: the schema of the TOML, and how TOML and URDF together become `RobotData`."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ class Joints(_Table):
 
 
 class Home(_Table):
-    """The pose that a run begins near; rad (m for a prismatic joint)."""
+    """The pose at or near which a run begins; rad (m for a prismatic joint)."""
 
     KIND: ClassVar[str] = "[home]"
     q_rad: Vector
@@ -117,7 +117,7 @@ class RobotData:
     gains: Mapping[str, Gains]  #: The raw [gains.*] tables, one for each controller.
 
     def __post_init__(self) -> None:
-        for name in (self.name, *self.joint_names):  # they are written into sources and pages
+        for name in (self.name, *self.joint_names):  # names are written into source code and pages
             if not names.is_name(name):
                 raise RobotError(f"robot {self.name!r:.80}: {name!r:.80} is no name: {names.RULE}")
         for name in _ARRAYS:
@@ -211,7 +211,7 @@ def _find(name_or_path: str | os.PathLike[str]) -> Path:
 def _chain(arm: urdf.Urdf, last_link: str) -> list[urdf.Joint]:
     tree = urdf.normalize(arm)
     chain = tree.chain(last_link, "frames.last_link")
-    heavy = {last_link, *(link.name for link in arm.links if not link.is_frame)}  # the last link, with the tool
+    heavy = {last_link, *(link.name for link in arm.links if not link.is_frame)}  # the last link carries the tool
     for joint in filter(lambda joint: joint.moves, arm.joints):
         if joint not in chain:
             raise RobotError(f"urdf joint {joint.name!r} moves but is not between base and last link: make it fixed")
@@ -221,7 +221,7 @@ def _chain(arm: urdf.Urdf, last_link: str) -> list[urdf.Joint]:
 
 
 def _limits(given: Limits, chain: list[urdf.Joint]) -> dict[str, Array]:
-    """Return the limits, which the joints then have too."""
+    """Return the limits, and set them in the joints of the chain."""
     found: dict[str, Array] = {}
     for field, key, entry in (
         ("q_min", "lower", "q_min_deg"), ("q_max", "upper", "q_max_deg"), ("v_max", "velocity", "v_max_deg_per_s"),
@@ -257,7 +257,7 @@ def _vector(name: str, values: float | tuple[float, ...], n: int) -> Array:
 
 
 def _append_tool(arm: urdf.Urdf, frames: Frames, tool: Tool) -> None:
-    # The wrist must lie on the rod's axis, behind the tip: the control laws take the line between them for the shaft.
+    # The wrist must lie on the rod's axis, behind the tip: the control laws take the line through both as the shaft.
     mount, wrist, rpy = np.array(frames.tool_mount_xyz_m), np.array(frames.wrist_xyz_m), frames.tool_mount_rpy_rad
     (sr, sp, sy), (cr, cp, cy) = np.sin(rpy), np.cos(rpy)
     axis = np.array([cy * sp * cr + sy * sr, sy * sp * cr - cy * sr, cp * cr])  # z of Rz(yaw) Ry(pitch) Rx(roll)

@@ -31,7 +31,7 @@ _TIP, _WRIST = slice(0, 3), slice(3, 6)
 
 @cache
 def layout(n: int) -> dict[str, slice]:
-    """Return where the parts of a record lie, in its order: that in which the core writes them."""
+    """Return the slice of each part of a record, in the order in which the core writes them."""
     parts = {
         "q": n, "v": n, "tip": 3, "wrist": 3, "u": 3, "A": 6 * n, "drift": 6, "grad_mu": n, "grad_mu_shaft": n,
         "M": n * n, "h": n, "energy_slope": n, "gravity": n, "scalars": 3,
@@ -76,7 +76,7 @@ class RobotState:
 
     def __init__(self, record: Array, n: int) -> None:
         record.setflags(write=False)
-        own = self.__dict__  # around our own __setattr__: a state is made at every tick
+        own = self.__dict__  # bypasses our __setattr__: a state is made at every tick
         own["record"], own["n"] = record, n
 
     def __setattr__(self, name: str, value: object) -> NoReturn:
@@ -120,7 +120,7 @@ class RobotModel:
         q_min, q_max: (n,) limits [rad; m where a joint slides].
         v_max: (n,) largest speeds [rad/s or m/s]; tau_max: (n,) largest torques [Nm or N].
         moves: (2,n) which joints can move the tip (first row) and the wrist (second row) at all.
-        arm: the same arm as the core's data.
+        arm: the same arm in the core's own form.
 
     Example:
         >>> robot = mo.load_robot("lwr4")
@@ -138,7 +138,7 @@ class RobotModel:
     """
 
     def __init__(self, data: RobotData) -> None:
-        """Build the model; a RobotError where pinocchio cannot read the URDF, or its joints are others."""
+        """Build the model; a RobotError where pinocchio cannot read the URDF, or finds other joints."""
         self.data = data
         self.n = n = data.n
         self.q_min, self.q_max, self.v_max, self.tau_max = data.q_min, data.q_max, data.v_max, data.tau_max
@@ -152,7 +152,7 @@ class RobotModel:
         self._rest = np.zeros(n)
         self.moves = read_only(np.ones((2, n), dtype=np.bool_))
         self.arm = core.Arm(*self.arm_arrays)
-        # Which joints ever move tip and wrist: the last joint, for one, moves no tool on its own axis.
+        # Find the joints that can move tip and wrist at all: a last joint does not move a tool on its own axis.
         drawn = np.random.default_rng(0).uniform(self.q_min, self.q_max, (4, n))
         columns = [np.linalg.norm(self.state(q).A.reshape(2, 3, n), axis=1) for q in drawn]
         self.moves = read_only(np.max(columns, axis=0) > _STRUCTURAL_ZERO)
@@ -170,10 +170,10 @@ class RobotModel:
         return f"RobotModel({self.data.name!r}, n={self.n}, tool {self.data.tool_length} m)"
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return RobotModel, (self.data,)  # the views into pinocchio's memory do not survive copying
+        return RobotModel, (self.data,)  # views into pinocchio's memory do not survive copying
 
     def state(self, q: ArrayLike, v: ArrayLike | None = None) -> RobotState:
-        """Compute everything at q (n,) [rad] and v (n,) [rad/s] (None: at rest); a RobotError where one is unusable."""
+        """Compute everything at q (n,) [rad] and v (n,) [rad/s] (None: at rest); a RobotError if q or v is unusable."""
         v = self._rest if v is None else v
         try:  # the core checks arrays by itself
             return RobotState(self.arm.terms(q, v), self.n)  # type: ignore[arg-type]
@@ -232,7 +232,7 @@ class RobotModel:
     def _numbers(self, name: str, value: ArrayLike, dimensions: int = 1) -> Array:
         shape = f"({'k, ' if dimensions > 1 else ''}{self.n},)"
         try:
-            array = np.array(value, dtype=np.float64, order="C")  # compiled code takes that for granted
+            array = np.array(value, dtype=np.float64, order="C")  # compiled code relies on this
         except (TypeError, ValueError, OverflowError) as error:
             raise RobotError(f"{name} = {shown(value)} is not numeric: give numbers {shape}") from error
         if array.ndim != dimensions or array.shape[-1] != self.n:
@@ -278,12 +278,12 @@ def _build(data: RobotData) -> Any:
 
 
 def carried(robot: RobotModel) -> dict[str, Any]:
-    """Return the robot as values that JSON can hold, so that a run of an arm of one's own replays anywhere."""
+    """Return the robot as values that JSON can hold, so that traces of a user's own arm can be replayed anywhere."""
     return {name: plain(value) for name, value in vars(robot.data).items()}
 
 
 def restored(values: Mapping[str, Any]) -> RobotModel:
-    """Make the robot of what `carried` gave; a RobotError where that is damaged."""
+    """Rebuild a robot from the values of `carried`; a RobotError where they are damaged."""
     try:
         arm = urdf.read(values["urdf"])
         urdf.normalize(arm)

@@ -1,4 +1,4 @@
-"""From a vendor's URDF to a robot of ours: a commented TOML and a small URDF beside it."""
+"""Make a robot file from a vendor's URDF: a commented TOML and a small URDF beside it."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ from moc_opt.robots.vendor import VendorArm, enough_efforts, read_vendor
 from moc_opt.scenario.config import Scenario
 from moc_opt.scenario.layout import lay_out
 
-DRAWS = 6000  #: Poses that are drawn; forward kinematics of one takes microseconds.
-SHORTLIST = 60  #: Poses whose self-motion is scanned.
-DOWN = (0.94, 0.8, -1.0)  #: Least cosine between tool and vertical, one after the other: 20, 37 deg, any direction.
-CLEARANCE_M = 0.05  #: Least height of tip and wrist over the plane that the arm stands on, or depth under it.
-MARGIN = 0.2  #: Least distance from a limit, as a share of half of the joint's range.
+DRAWS = 6000  #: Number of poses drawn; forward kinematics of one takes microseconds.
+SHORTLIST = 60  #: Number of poses whose self-motion is scanned.
+DOWN = (0.94, 0.8, -1.0)  #: Least cosine between tool and straight down, tried in turn: 20 deg, 37 deg, any.
+CLEARANCE_M = 0.05  #: Least height of tip and wrist above the base's plane, or depth below it if the arm hangs.
+MARGIN = 0.2  #: Least distance from a joint limit, as a share of half of the joint's range.
 REGULAR = (0.15, 0.08)  #: Least singular values over the largest, of the tip's Jacobian and of A; see `freedoms`.
 SHARE = (0.7, 0.9)
-"""mu over the largest mu of the pose's own self-motion: below 1, so that there is something to gain."""
+"""Range of mu over the largest mu of the pose's own self-motion: below 1, so that there is something to gain."""
 
 
 class NewRobot(NamedTuple):
@@ -51,17 +51,17 @@ def new_robot(
 
     Args:
         source: the vendor's URDF.
-        tip: the link that carries the tool; None: that of the last moving joint of the one chain there is.
+        tip: the link that carries the tool; None: the one behind the last moving joint, if there is only one chain.
         tool_m: mount to tip [m].
         lock: joint -> position [rad, m] at which it is fixed.
         base_rpy: how the base stands: (pi, 0, 0) hangs from the ceiling [rad].
 
     Raises:
-        RobotError: a file that cannot be such an arm; no freedom is left; or a file is there already.
+        RobotError: the file is of no such arm, no freedom is left for the third level, or an output file exists.
         UnknownNameError: ``tip`` or a joint of ``lock`` is not in the file.
     """
     if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]{0,99}\.toml", out.name):
-        raise RobotError(f"--out {out.name!r}: the robot is called like it: give letters, digits, _ and -, then .toml")
+        raise RobotError(f"--out {out.name!r}: the robot gets this name: give letters, digits, _ and -, then .toml")
     for option, value, least, most in (
         ("tool", tool_m, 1e-3, 10.0), ("seed", seed, 0, 2**63), *(("base-rpy", angle, -10, 10) for angle in base_rpy),
         *((f"lock {joint}", place, -1e3, 1e3) for joint, place in (lock or {}).items()),
@@ -106,8 +106,8 @@ def new_robot(
 
 
 def _drives(arm: VendorArm) -> dict[str, list[float]]:
-    # Nobody publishes them. A turning joint of 10 Nm and more gets the LWR4+'s rotor of 0.2 kg m^2, a weaker one less
-    # in proportion, and friction of 0.8 % of its torque limit, at most 1 Nm; a sliding one 4 % and 0.8 % of its force.
+    # Vendors do not publish these. Rotor inertia: the LWR4+'s 0.2 kg m^2 for a turning joint of 10 Nm or more, less in
+    # proportion for a weaker one, 4 % of the force of a sliding one. Friction: 0.8 % of the limit, at most 1 Nm.
     rotors, friction = [], []
     for joint in arm.chain:
         effort, sliding = joint.limits["effort"], joint.kind == "prismatic"
@@ -143,7 +143,7 @@ class Shaft(NamedTuple):
     """Where the tool sits, in the frame of the last link; rpy turns its z into the tool's direction."""
 
     wrist: Array  #: (3,) [m]
-    mount: Array  #: (3,) [m]; the link's own origin, put onto the last axis where it is on it but for rounding
+    mount: Array  #: (3,) [m]; the link's own origin, moved onto the last axis where only rounding separates them
     rpy: tuple[float, float, float]  #: [rad]
     note: str
 
@@ -151,9 +151,9 @@ class Shaft(NamedTuple):
 def find_shaft(text: str, last_link: str) -> Shaft:
     """Lay the tool along the last turning axis, away from the arm, from the last link's origin.
 
-    The wrist point is the point of the shaft nearest to the axis before it: where they cross on a spherical wrist.
+    The wrist point is the point of the shaft nearest to the axis before it; on a spherical wrist they cross there.
     Where the last joint slides, the tool runs along z of the last link and the wrist point is its origin. ``text`` is a
-    URDF that is sound.
+    valid URDF.
     """
     model = pin.buildModelFromXML(text)
     data = model.createData()
@@ -161,18 +161,18 @@ def find_shaft(text: str, last_link: str) -> Shaft:
     pin.updateFramePlacements(model, data)
     place = data.oMf[model.getFrameId(last_link, pin.FrameType.BODY)]
     origin, z = place.translation.copy(), place.rotation[:, 2]
-    axes = data.J.reshape(6, -1)[3:].T  # of one joint pinocchio gives a vector; zero where it slides
+    axes = data.J.reshape(6, -1)[3:].T  # pinocchio gives a vector for one joint; zero where a joint slides
     lines = [(data.oMi[j + 1].translation, axis) for j, axis in enumerate(axes) if np.linalg.norm(axis) > 0.5]
     direction, foot, note = z, origin, "the last joint slides: the tool runs along z of the last link"
     if np.linalg.norm(axes[-1]) > 0.5:
         point, axis = lines[-1]
         crossing = [line for line in lines[:-1] if np.linalg.norm(np.cross(line[1], axis)) > 1e-3]
-        if crossing:  # the point of the last axis that is nearest to the one before it
+        if crossing:  # the point of the last axis that is nearest to the axis before it
             other, before = crossing[-1]
             b, gap = float(axis @ before), other - point
             foot = point + (gap @ axis - b * (gap @ before)) / (1.0 - b * b) * axis
         ahead = float(axis @ (origin - foot))
-        if abs(ahead) < 1e-4:  # the flange stands on the crossing: z of the link decides
+        if abs(ahead) < 1e-4:  # the link's origin is at the crossing: its z axis decides
             ahead = float(axis @ z) if abs(float(axis @ z)) > 0.5 else 1.0
         on_axis = point + (origin - point) @ axis * axis
         direction, note = np.sign(ahead) * axis, "the tool runs along the last axis"
@@ -196,27 +196,27 @@ def find_shaft(text: str, last_link: str) -> Shaft:
 
 
 class Home(NamedTuple):
-    """A pose and why it was taken."""
+    """A home pose, and the figures by which it is chosen."""
 
     q: Array  #: (n,) [rad, m]
     mu: float  #: [m^3]
-    mu_best: float  #: The largest on its own self-motion curve [m^3].
-    margin: float  #: Least distance to a limit over half the range, idle joints left out.
+    mu_best: float  #: The largest mu on its own self-motion curve [m^3].
+    margin: float  #: Least distance to a joint limit over half the range, idle joints left out.
     task: str  #: Empty where the default task can be done from it, else why not.
 
     @property
     def order(self) -> tuple[bool, float]:
-        """Smaller is better: the task can be done, and mu is near the middle of `SHARE`."""
+        """Sort key, smaller is better: whether the task fails, then how far mu is from the middle of `SHARE`."""
         return bool(self.task), abs(self.mu / self.mu_best - 0.5 * (SHARE[0] + SHARE[1]))
 
 
 def search_home(robot: RobotModel, *, seed: int = 0) -> Home:
     """Search the joint ranges for a home pose; the same seed finds the same pose.
 
-    Poses with tip and wrist on the arm's side of the plane that it stands on or hangs from are ranked by their
-    distance from limits and singularities and by mu. The first one is taken whose mu is between `SHARE` of the best on
-    its self-motion and from which the default scenario's path can be followed. Where there is none, the direction of
-    the tool is given up first, then the share. A RobotError where every pose drawn is singular or near a limit.
+    Poses with tip and wrist on the arm's side of the base's plane are ranked by their distance from limits and
+    singularities and by mu. The search ends at the first one with mu within `SHARE` of the largest on its self-motion
+    from which the default path can be followed. `DOWN` is relaxed until that path can be followed from some pose; then
+    the best by `Home.order` is taken. A RobotError where every pose drawn is singular or near a limit.
     """
     rng, idle = np.random.default_rng(seed), ~robot.moves.any(axis=0)
     middle, half = 0.5 * (robot.q_min + robot.q_max), 0.5 * (robot.q_max - robot.q_min)
@@ -224,7 +224,7 @@ def search_home(robot: RobotModel, *, seed: int = 0) -> Home:
     poses[:, idle] = middle[idle]
     tips, wrists = robot.tool_along(poses)
     down = (wrists - tips)[:, 2] / np.linalg.norm(wrists - tips, axis=1)
-    side = np.sign(np.mean(tips[:, 2]))  # of the base, on which the arm is: below it, if it hangs
+    side = np.sign(np.mean(tips[:, 2]))  # 1: the arm is above the base's plane; -1: it hangs below
     clear = np.minimum(side * tips[:, 2], side * wrists[:, 2])
     found: list[Home] = []
     for least in DOWN:
@@ -240,7 +240,7 @@ def search_home(robot: RobotModel, *, seed: int = 0) -> Home:
 
 
 def _ranked(robot: RobotModel, poses: Array) -> list[Home]:
-    """Return the best of the poses as homes, the last one the first that is as wanted."""
+    """Return homes of the best poses in the order of their rank, up to the first one that is as wanted."""
     moving, mu = robot.moves.any(axis=0), robot.mu_along(poses)
     scores = np.full(len(poses), -np.inf)
     for k, q in enumerate(poses):
@@ -255,7 +255,7 @@ def _ranked(robot: RobotModel, poses: Array) -> list[Home]:
         except RobotError:
             continue  # singular along the curve: not a pose to begin with
         here = robot.state(q).mu
-        # Following the path costs more than the scan: only where the share is right, or nothing was found yet.
+        # Following the path costs more than the scan: try it only where the share is right, or no home was found yet.
         wanted = SHARE[0] <= here / largest <= SHARE[1]
         task = task_fault(robot, q) if wanted or not homes else "not tried"
         homes.append(Home(q, here, largest, float(limit_shares(robot, q)[moving].min()), task))

@@ -1,6 +1,6 @@
 """A URDF as plain data: read it, check it, and write it so that pinocchio and MuJoCo get the same numbers.
 
-Links, joints and their numbers are kept; shapes and all else are left out.
+Links, joints and their numbers are kept; shapes and everything else are left out.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ from moc_opt.inputs.files import decimal
 MOVING = frozenset({"revolute", "continuous", "prismatic"})
 TOOL_LINK, TIP_LINK, WRIST_LINK = "tool", "tip", "wrist"
 TOOL_NAMES = {"link": {TOOL_LINK, TIP_LINK, WRIST_LINK}, "joint": {"tool_mount", "tip_frame", "wrist_frame"}}
-"""Names that the tool brings, and that a URDF must not have."""
+"""Names of the tool's links and joints, which a URDF must not have."""
 MOMENTS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 SMALLEST_MASS, SMALLEST_MOMENT = 1e-6, 1e-12
-MOST_LINKS = 250  #: Engines follow a chain by recursion, and some thousands of links end the process.
-_TRIANGLE, _FLAT, _THIN = 1e-6, 1e-9, 1e-12  # of the largest moment: files round their numbers
+MOST_LINKS = 250  #: Engines follow a chain by recursion: some thousands of links would crash the process.
+_TRIANGLE, _FLAT, _THIN = 1e-6, 1e-9, 1e-12  # shares of the largest moment: files round their numbers
 SMALLEST = 1e-30  #: A smaller number is read as 0: some readers refuse those below 1e-308.
 LARGEST, LARGEST_MASS, FARTHEST = 1e6, 1e5, 100.0
-"""No number of an arm is larger, no mass [kg], and no length or angle of an origin [m], [rad]."""
+"""Largest number, mass [kg], and length or angle of an origin [m], [rad], that a file may have."""
 
 Numbers = tuple[float, ...]
 _ZEROS: Numbers = (0.0, 0.0, 0.0)
@@ -45,7 +45,7 @@ class Link:
 
     @property
     def is_frame(self) -> bool:
-        """Whether it has no body."""
+        """Whether the link has no body."""
         return self.mass == 0.0 and not any(self.moments)
 
     def thicken(self, added: float) -> None:
@@ -65,7 +65,7 @@ class Joint:
     rpy: Numbers = _ZEROS  #: [rad]
     axis: Numbers = (1.0, 0.0, 0.0)
     limits: dict[str, float] = field(default_factory=dict)
-    """Those of lower, upper, velocity and effort that are given [rad, rad/s, Nm, or m, m/s, N]."""
+    """Lower, upper, velocity and effort, as far as they are given [rad, rad/s, Nm, or m, m/s, N]."""
     mimics: bool = False
 
     @property
@@ -74,7 +74,7 @@ class Joint:
         return self.kind in MOVING
 
     def limit(self, lower: float, upper: float, velocity: float, effort: float) -> None:
-        """Set all four limits; a joint without end has an end then."""
+        """Set all four limits; a continuous joint becomes a revolute one."""
         self.kind = "revolute" if self.kind == "continuous" else self.kind
         self.limits = {"lower": lower, "upper": upper, "velocity": velocity, "effort": effort}
 
@@ -87,7 +87,7 @@ class Urdf:
     joints: list[Joint]
 
     def to_text(self, name: str) -> str:
-        """Write the URDF as text, indented; every reader gets its numbers back to the bit."""
+        """Write the URDF as text, indented; its numbers are read back to the last bit."""
 
         def as_text(*values: float) -> str:
             return " ".join(repr(float(value)) for value in values)
@@ -113,7 +113,7 @@ class Urdf:
 
 
 def read(text: str) -> Urdf:
-    """Read links and joints, unchecked but for their numbers; a RobotError names what is wrong."""
+    """Read links and joints, and check their numbers only; a RobotError names what is wrong."""
     try:
         root = ET.fromstring(text)
     except ET.ParseError as error:
@@ -207,7 +207,7 @@ def _check_body(link: Link) -> None:
     if fault:
         cure = "correct it (about the centre of mass, in kg and kg m^2), or drop it for a frame"
         raise RobotError(f"urdf link {link.name!r} has an <inertial> that no body has: {fault}; {cure}")
-    # A flat body gets a thickness of 1e-9: as it is, rounding decides whether MuJoCo takes it.
+    # A flat body is thickened by 1e-9: otherwise rounding would decide whether MuJoCo accepts it.
     least, middle, most = principal(link.moments)
     link.thicken(max(_FLAT * most - (least + middle - most), 0.0))
 
@@ -247,9 +247,9 @@ def principal(moments: Iterable[float]) -> list[float]:
 
 
 class Tree:
-    """One ``base``, and every other link on one joint; a RobotError where links and joints make no such tree.
+    """Links as a tree: one ``base``, and every other link on one joint; a RobotError where they form no such tree.
 
-    ``carrier`` is the joint that a link hangs on, ``carried`` are the joints that hang on it.
+    ``carrier`` has the joint on which a link hangs, ``carried`` the joints that hang on the link.
     """
 
     def __init__(self, arm: Urdf) -> None:
@@ -298,8 +298,8 @@ class Tree:
         return found[::-1]
 
     def reach(self, link: str, *, fixed: bool = False) -> list[str]:
-        """Return the link and all links that hang on it, or those that are ``fixed`` to it."""
+        """Return the link and all links that hang on it, or (``fixed``) only those fixed to it."""
         found = [link]
-        for one in found:  # grows while it is walked
+        for one in found:  # grows during the iteration
             found += [joint.child for joint in self.carried[one] if not fixed or joint.kind == "fixed"]
         return found

@@ -1,4 +1,4 @@
-"""Make one serial arm of a vendor's URDF; everything that had to be assumed or changed is noted."""
+"""Make one serial arm of a vendor's URDF, and note everything that had to be assumed or changed."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from moc_opt.robots import urdf
 from moc_opt.robots.model import RobotModel
 from moc_opt.robots.urdf import Joint, Link, Urdf
 
-FINGERS = 2  #: Moving joints in a row that a branch may have to be fixed as a finger or a head.
+FINGERS = 2  #: A branch with at most this many moving joints in a row is fixed, as a finger or a head.
 FASTEST = {"turning": 2.0 * math.pi, "sliding": 2.0}
-"""Joint speeds above it are no arm's [rad/s, m/s]: a public file of the iiwa says 10 rad/s, its maker 1.5 to 2.4."""
-CHOSEN = {"turning": 2.0, "sliding": 0.5}  #: The speed that is taken in place of a missing or absurd one.
+"""Largest joint speeds of an arm [rad/s, m/s]: a public file of the iiwa says 10 rad/s, its maker 1.5 to 2.4."""
+CHOSEN = {"turning": 2.0, "sliding": 0.5}  #: The speed that replaces a missing or absurd one.
 TRAVEL_M = 0.5  #: Range of a sliding joint without limits, to both sides [m].
-_STRONGEST = {"turning": 2000.0, "sliding": 20000.0}  # Nm, N
+_STRONGEST = {"turning": 2000.0, "sliding": 20000.0}  # largest plausible effort [Nm, N]
 _UNITS = {"turning": ("rad", "rad/s"), "sliding": ("m", "m/s")}
 
 
@@ -42,8 +42,8 @@ def read_vendor(
 ) -> VendorArm:  # fmt: skip
     """Read a URDF and make it a serial arm; arguments and errors as of `moc_opt.robots.new.new_robot`.
 
-    Side joints (fingers, a second arm, a head) and those named in ``lock`` are fixed; masses and limits that no arm has
-    are replaced; meshes are not looked at.
+    Side joints (fingers, a second arm, a head) and those named in ``lock`` are fixed. Masses and limits that no arm has
+    are replaced. Meshes are ignored.
     """
     arm = VendorArm(urdf.read(read_text(path, "urdf", RobotError)), [])
     joints = {joint.name: joint for joint in arm.urdf.joints}
@@ -57,7 +57,7 @@ def read_vendor(
     arm.chain = tree.chain(arm.last_link, "--tip")
     arm.notes.append(f"the tool sits on {arm.last_link!r}, the link {'asked for' if tip else 'of the last joint'}")
     mend_bodies(arm.urdf.links, arm.notes)
-    between = tree.path(arm.last_link)[len(tree.path(arm.chain[0].parent)) :]  # `normalize` judges these
+    between = tree.path(arm.last_link)[len(tree.path(arm.chain[0].parent)) :]  # `normalize` checks these
     _fix([joint for joint in arm.urdf.joints if joint not in between and joint.kind != "fixed"], arm.notes)
     if any(base_rpy):
         arm.urdf.links.insert(0, Link("stand"))
@@ -100,12 +100,12 @@ def _last_link(tree: urdf.Tree) -> str:
 
 
 def _depth(tree: urdf.Tree, joint: Joint) -> int:
-    """Count the most moving joints in a row, this one the first."""
+    """Return the largest number of moving joints in a row, beginning with this joint."""
     return joint.moves + max((_depth(tree, other) for other in tree.carried[joint.child]), default=0)
 
 
 def _fix(joints: Iterable[Joint], notes: list[str], at: float | None = None) -> None:
-    """Fix joints at this position, or at the one of their range that is nearest to 0."""
+    """Fix joints at a position, or (None) at the position in each one's range that is nearest to 0."""
     fixed = []
     for joint in joints:
         told = joint.kind
@@ -134,10 +134,10 @@ def _shift(joint: Joint, value: float) -> None:
 
 
 def mend_bodies(links: Iterable[Link], notes: list[str]) -> None:
-    """Make every body one that can be, in place; each change is noted.
+    """Make every body physically possible, in place; each change is noted.
 
-    A link without mass is a frame, and merged into the link it is fixed to. To an inertia that no body has, that of the
-    smallest ball is added that makes it possible.
+    A link without mass becomes a frame, and is merged into the link it is fixed to. To an impossible inertia the
+    smallest isotropic one is added that makes it possible.
     """
     frames = []
     for link in links:
@@ -176,7 +176,7 @@ def _choose_limits(joints: Iterable[Joint], notes: list[str]) -> list[str]:
 
 
 def _range(joint: Joint, kind: str) -> tuple[float, float, str]:
-    """Return a finite range, and what was changed in words."""
+    """Return a finite range, and in words what was changed."""
     lower, upper = joint.limits.get("lower", 0.0), joint.limits.get("upper", 0.0)
     if joint.kind == "continuous":
         return -math.pi, math.pi, "turns without end: +-180 deg is taken"
@@ -197,7 +197,7 @@ def _range(joint: Joint, kind: str) -> tuple[float, float, str]:
 
 
 def enough_efforts(robot: RobotModel) -> list[float]:
-    """Return three times the most [Nm, N] that gravity asks of each joint, at least 5."""
+    """Return for each joint three times its largest gravity load [Nm, N], or its inertia if larger; at least 5."""
     poses = np.random.default_rng(0).uniform(robot.q_min, robot.q_max, (200, robot.n))
     most = np.max([np.abs(robot.gravity(q)) for q in poses], axis=0)
     needed = 3.0 * np.maximum(most, np.diag(robot.state(robot.data.q_home).M))

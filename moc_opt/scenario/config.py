@@ -27,17 +27,17 @@ PRESETS: Mapping[str, Mapping[str, Callable[..., Settings]]] = {
     "control": {name: partial(ControlSettings.preset, name) for name in CONTROL_PRESETS},
     "plant": {"realistic": PlantSettings, "nominal": PlantSettings.nominal},
 }
-"""Table -> name of its ``preset`` -> what makes the table from the other keys."""
-_LAGS = 3.0  # time constants of the encoders' velocity filter that the safety filter takes for its lag, at least
+"""Table -> name of its ``preset`` -> the function that makes the table from its other keys."""
+_LAGS = 3.0  # least lag that the safety filter assumes, in time constants of the encoders' velocity filter
 _TORQUE, _SPEED = 500.0, 600.0
-"""For each rad of the encoders' step: change of a torque [of tau_max], and speed [rad/s] by the momentum residual, that
-may come before a sound joint shows a step."""
+"""Per rad of the encoders' step: the change of torque [share of tau_max], and the speed [rad/s] by the momentum
+residual, at which the encoder of a sound joint may not yet show a step."""
 
 
 class Scenario(Settings):
     """One run. ``Scenario()`` is the default: MOC with ``exact`` on a circle, in the realistic plant.
 
-    Every key of the TOML is a field, a table a nested one; each is checked, and frozen.
+    Every key of the TOML is a field, and every table a nested model; all are checked, and frozen.
 
     Raises:
         ScenarioError: a value out of range, or fields that contradict each other; names the field.
@@ -99,7 +99,7 @@ class Scenario(Settings):
 
     @model_validator(mode="after")
     def _box_before_the_wall(self) -> Self:
-        """Refuse a box in which the third level presses against the safety filter's wall: the arm would stand."""
+        """Refuse a box that reaches beyond the safety filter's wall: the third level would press the arm against it."""
         for unit in ("rad", "m"):
             name = "course_margin_rad" if unit == "rad" and self.control.follows else f"limit_margin_{unit}"
             box, wall = getattr(self.control, name), getattr(self.guard, f"position_margin_{unit}")
@@ -115,8 +115,8 @@ class Scenario(Settings):
         control = self.control
         if self.solver.isolation == "process" and control.law == "moc" and control.supervisor.late == "iterate":
             raise ValueError(
-                "[control.supervisor] late = 'iterate': what an isolated solver has when its budget ends is not "
-                "there; take 'hold' or 'zero', or [solver] isolation = 'none'"
+                "[control.supervisor] late = 'iterate': the iterate of an isolated solver is lost when its budget "
+                "ends; take 'hold' or 'zero', or [solver] isolation = 'none'"
             )
         return self
 
@@ -137,11 +137,11 @@ class Scenario(Settings):
         try:
             return cls(**_with_files_in(file.parent, table))
         except MocOptError as error:
-            error.args = (f"{file}: {error}",)  # of whichever kind it is
+            error.args = (f"{file}: {error}",)  # keeps the class of the error
             raise
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the TOML that `load` reads as this scenario: what differs from the defaults, paths as absolute ones.
+        """Write a TOML from which `load` makes the same scenario: what differs from the defaults, with absolute paths.
 
         Raises:
             ScenarioError: a solver's setting has no form in TOML, or the file cannot be written.
@@ -153,7 +153,7 @@ class Scenario(Settings):
         write_whole(path, text, "scenario", ScenarioError)
 
     def changes(self) -> dict[str, Any]:
-        """Return what differs from the default scenario, as arguments; of a table by the preset that leaves fewest."""
+        """Return what differs from the default scenario, as arguments; tables with the preset that leaves fewest."""
         found: dict[str, Any] = {}
         for name, field in type(self).model_fields.items():
             value = getattr(self, name)
@@ -180,7 +180,7 @@ class Scenario(Settings):
 
     @property
     def told_guard(self) -> SafetyFilterSettings:
-        """``[guard]``, with levels computed from the encoders' settings where it leaves them out."""
+        """``[guard]`` for these encoders: levels left out are computed, and levels too low for them are raised."""
         guard, plant, told = self.guard, self.plant, dict[str, float | None]()
         encoder = plant.encoder_noise_rad, plant.encoder_resolution_rad
         if guard.repeat_joint_ticks is None:
@@ -189,7 +189,7 @@ class Scenario(Settings):
             *encoder, plant.velocity_cutoff_Hz, plant.period_s
         ):
             told["repeat_reading_ticks"] = guard.patience_ticks
-        if plant.velocity_cutoff_Hz > 0.0:  # a filter lags by its time constant, and more where the motion turns round
+        if plant.velocity_cutoff_Hz > 0.0:  # the filter lags by its time constant, by more where the motion reverses
             told["motion_lag_s"] = max(guard.motion_lag_s, _LAGS / (2.0 * math.pi * plant.velocity_cutoff_Hz))
         told["repeat_torque"] = max(guard.repeat_torque, _TORQUE * plant.encoder_resolution_rad)
         told["stuck_rad_per_s"] = max(guard.stuck_rad_per_s, _SPEED * plant.encoder_resolution_rad)
@@ -197,7 +197,7 @@ class Scenario(Settings):
 
 
 def _with_files_in(folder: Path, table: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the table with the files of robot and course in a folder, but for absolute paths."""
+    """Return the table with relative paths of robot and course files resolved against a folder."""
     found = dict(table)
     for name, key in (("robot", "name"), ("control", "course")):
         file = table[name].get(key) if isinstance(table.get(name), Mapping) else None
@@ -207,7 +207,7 @@ def _with_files_in(folder: Path, table: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _tables(value: Settings, name: str) -> Iterator[dict[str, Any]]:
-    """Yield the ways to write a table: with no preset, then with each that it has."""
+    """Yield the ways to write a table: without a preset, then with each of its presets."""
     yield value.model_dump(exclude_defaults=True)
     for preset, make in PRESETS.get(name, {}).items():
         base, table = make(), dict[str, Any]()
@@ -215,12 +215,12 @@ def _tables(value: Settings, name: str) -> Iterator[dict[str, Any]]:
             entry = getattr(value, key)
             if entry != getattr(base, key):
                 table[key] = entry.model_dump(exclude_defaults=True) if isinstance(entry, Settings) else entry
-        if None not in table.values():  # what a preset sets, a file cannot set back to None
+        if None not in table.values():  # a file cannot set what a preset sets back to None
             yield {"preset": preset, **table}
 
 
 def _without_none(table: Mapping[str, Any]) -> dict[str, Any]:
-    """Write None as a file does: no limit is `inf`, no table of gains an empty text, a solver's setting is left out."""
+    """Write None as a file does: `inf` for no limit, '' for no table of gains; a solver's setting is left out."""
     plain: dict[str, Any] = {}
     for key, value in table.items():
         if key == "settings":

@@ -1,7 +1,7 @@
-"""Columns that are computed after a run: the arm's own errors, residuals of the answers, and mu beside the best mu.
+"""Columns computed after a run: errors by the robot's own kinematics, residuals of the answers, and the best mu.
 
 The best courses, from the run's start and over all starts, are those of dynamic programming within the arm's own joint
-limits and speeds, on a grid of 50 ms and 0.5 degree; `moc_opt.scenario.planned.plan` refines them (docs/planning.md).
+limits and speeds, on a grid of 50 ms and 0.5 degree. `moc_opt.scenario.planned.plan` has finer ones (docs/planning.md).
 """
 
 from __future__ import annotations
@@ -36,13 +36,13 @@ from moc_opt.trace.trace import Trace
 
 Columns = Mapping[str, NDArray[Any]]
 
-AT_ONCE = 5000  # answers whose residuals are computed together
-PERIOD_S = 0.05  # of the best courses' grid: a joint's way in it is several swivels, so that little speed is lost
-PATH = {"robot", "start", "trocar", "task", "duration_s", "seed"}  # of a scenario: path and start follow from them
+AT_ONCE = 5000  # number of answers whose residuals are computed together
+PERIOD_S = 0.05  # of the best courses' grid: joints cross several swivels in it, and lose little speed by rounding
+PATH = {"robot", "start", "trocar", "task", "duration_s", "seed"}  # keys of a scenario that determine path and start
 
 
 def model_errors(columns: Columns, robot: RobotModel, plant: Plant, offset: TaskOffset) -> dict[str, NDArray[Any]]:
-    """Compute tip and RCM error by the robot's own kinematics; none if the encoders are not on the links."""
+    """Compute tip and RCM error by the robot's own kinematics; no columns if the encoders are not on the links."""
     if plant.settings.elastic and plant.settings.encoder_side == "motor":
         return {}
     tips, wrists = robot.tool_along(columns["q_rad"] + plant.mismatch.encoder_bias)
@@ -54,7 +54,7 @@ def model_errors(columns: Columns, robot: RobotModel, plant: Plant, offset: Task
 
 
 def residual_columns(columns: Columns) -> dict[str, NDArray[Any]]:
-    """Compute every answer's residuals, and whether they verify it; none where no subproblem was solved."""
+    """Compute every answer's residuals, and whether they verify it; no columns where no subproblem was solved."""
     if "subproblem" not in columns:
         return {}
     x = columns["x_rad_per_s"]
@@ -67,9 +67,9 @@ def residual_columns(columns: Columns) -> dict[str, NDArray[Any]]:
 
 
 def largest_mu(poses: Array, robot: RobotModel, samples: int) -> tuple[Array, dict[str, str]]:
-    """Compute the largest mu at so many evenly spaced ticks over every feasible pose with the same tip and wrist.
+    """Compute at evenly spaced ticks the largest mu of all feasible poses with the tick's tip and wrist.
 
-    Returns it (N,), NaN elsewhere and where the pose (N, n) is no number, and meta's entry that says how it was found.
+    Returns it (N,), NaN elsewhere and where the pose (N, n) is not finite, and meta's entry that says how it was found.
     """
     bound = np.full(len(poses), np.nan)
     ticks = np.linspace(0, len(poses) - 1, min(samples, len(poses))).astype(int)
@@ -87,7 +87,7 @@ class BestCourses(NamedTuple):
     robot: RobotModel
     from_start: Course | None
     best: Course | None
-    last: pose_map.PoseMap  #: Of the end of the path alone.
+    last: pose_map.PoseMap  #: The map of the end of the path alone.
 
 
 def best_courses(scenario: Scenario) -> BestCourses:
@@ -111,9 +111,9 @@ def _planned(path: str) -> BestCourses:
 
 
 def against_best(scenario: Scenario, trace: Trace) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
-    """Return the columns of the best courses, and meta's entry ``best_courses``: why there is none, or the ends.
+    """Return the columns of the best courses, and meta's entry ``best_courses``: why there are none, or ``end``.
 
-    These are the largest mu [m^3] of a climb from the run's last pose, the course's last mu, and both swivels [deg].
+    ``end`` has the run's last mu [m^3], mu and swivel [deg] of a climb from its last pose, and those of the course.
     """
     try:
         known = best_courses(scenario)

@@ -17,9 +17,9 @@ from moc_opt.scenario.config import Scenario
 from moc_opt.tasks import Reference, Trocar, make_path
 
 MOST_TICKS = 1_000_000
-"""Of a run: half an hour at 500 Hz, and some 4 GB of memory while it is judged."""
+"""Most ticks of a run: half an hour at 500 Hz, and some 4 GB of memory while the run is judged."""
 
-_POSE_STREAM = (1,)  # spawn key: the random pose's draws leave those of swivel, plant and faults as they are
+_POSE_STREAM = (1,)  # spawn key of the random pose, whose draws thus leave those of swivel, plant and faults unchanged
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +40,7 @@ def seeds_of(scenario: Scenario) -> tuple[int, int, int]:
 
 
 def lay_out(scenario: Scenario, robot: RobotModel, *, checked: bool = True) -> Layout:
-    """Choose the start, lay the task out from it, and check that the arm can do it; of a random start always.
+    """Choose the start, lay the task out from it, and check that the arm can do it; a random start is always checked.
 
     Raises:
         ScenarioError: start, trocar or duration are not usable, or no random start can do the task.
@@ -56,10 +56,10 @@ def lay_out(scenario: Scenario, robot: RobotModel, *, checked: bool = True) -> L
     if start.pose == "random":
         rng = np.random.default_rng(np.random.SeedSequence(scenario.seed, spawn_key=_POSE_STREAM))
         margins = np.where(robot.chain.prismatic, start.limit_margin_m, start.limit_margin_rad)
-        # It has to do the whole task, however short the run is.
+        # The whole task has to be possible, however short the run is.
         return preflight.random_start(robot, rng, swivelled, lambda q: _checked(scenario, robot, q, np.inf), margins)
     q = np.array(robot.data.q_home if start.q_rad is None else start.q_rad, dtype=np.float64)
-    preflight.check_start(robot, q)  # of a singular pose there is no swivel
+    preflight.check_start(robot, q)  # a singular pose has no swivel
     q = swivelled(q)
     if not (checked and start.check_path):
         return _task(scenario, robot, q)
@@ -89,7 +89,7 @@ def _task(scenario: Scenario, robot: RobotModel, q: Array) -> Layout:
             task.path, state.tip, normal=task.normal, heading=task.heading, waypoints=task.waypoints_m, **task.sizes
         )
     except MocOptError as error:
-        error.args = (f"[task] {error}",)  # of whichever kind it is
+        error.args = (f"[task] {error}",)  # keeps the class of the error
         raise
     reference = Reference(path, task.v_max_m_per_s, task.a_max_m_per_s2, t_start=task.wait_s)
     duration_s = scenario.duration_s or task.wait_s + reference.duration + task.hold_s
@@ -102,6 +102,6 @@ def _task(scenario: Scenario, robot: RobotModel, q: Array) -> Layout:
 
 
 def described(scenario: Scenario, robot: RobotModel) -> dict[str, Any]:
-    """Describe scenario and arm for a trace's `meta`, an arm that is not of the package with all of its data."""
+    """Return scenario and robot for a trace's `meta`, with all data of an arm that is not of the package."""
     found = {"scenario": scenario.model_dump(mode="json"), "robot": robot.data.name}
     return found if scenario.robot.name in available_robots() else {**found, "robot_data": carried(robot)}

@@ -1,4 +1,4 @@
-"""Plan a scenario before its run: `moc_opt.planning` on its path, trocar and start; and the course as a file."""
+"""Plan a scenario before its run, with `moc_opt.planning` on its path, trocar and start, and write the course."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from moc_opt.scenario.config import Scenario
 from moc_opt.scenario.layout import Layout, described, lay_out
 from moc_opt.trace.trace import Trace
 
-PERIOD_S, MOST_TIMES = 0.025, 1000  # between the times of a plan at most, if a path has no more times than that
+PERIOD_S, MOST_TIMES = 0.025, 1000  # longest time between two points of a plan, if no more points are needed
 
 
 def plan(
@@ -32,13 +32,13 @@ def plan(
     The plan uses the controller's data: the robot model, the registered trocar, the whole reference.
 
     Args:
-        scenario: of the run, or the path of its file.
-        times: points of the path; None: one each `PERIOD_S`, 2 to 1000.
+        scenario: a scenario, or the path of its file.
+        times: points of the path; None: one each `PERIOD_S` at most, 2 to 1000.
         swivels: samples of one turn of the elbow; an arm without a closed form takes only those above the default.
-        margin_rad, margin_m: that every joint keeps from its limits [rad], [m] where it slides.
+        margin_rad, margin_m: distance that every joint keeps from its limits [rad], [m] where it slides.
         speed_share: of the joints' speed limits that a course may use, above 0 to 1.
-        shaft_margin: least share of the squared lever that the shaft's manipulability keeps, where there is a way.
-        refined: whether courses are improved beyond the grid.
+        shaft_margin: least manipulability of the shaft over the squared span from wrist to tip, kept where possible.
+        refined: whether the nonlinear program improves the courses of the grid.
 
     Raises:
         MocOptError: the scenario's start, path or trocar is not usable, or an argument is out of range.
@@ -56,9 +56,9 @@ def plan(
 def targets_of(
     robot: RobotModel, layout: Layout, times: int | None = None, *, period_s: float = PERIOD_S, finer: int = 1
 ) -> Targets:
-    """Return so many evenly spaced targets of tip and wrist on the path, from the first tick to the last.
+    """Return evenly spaced targets of tip and wrist on the path, ``times`` of them, from the first tick to the last.
 
-    Without ``times`` there is one each ``period_s`` at most, `MOST_TIMES` in all, and ``finer`` times as many.
+    Without ``times`` there is one each ``period_s`` at most, up to `MOST_TIMES`, and then ``finer`` times as many.
     """
     spaces = int(np.clip(np.ceil(layout.duration_s / period_s), 1, MOST_TIMES - 1))
     span, length = robot.state(layout.q).tool_span, robot.data.tool_length
@@ -70,10 +70,10 @@ def followable_plan(
     scenario: Scenario, margin_rad: float | None = None, speed_share: float | None = None,
     margin_m: float | None = None, followed: bool | None = None,
 ) -> tuple[Plan, dict[str, float]]:
-    """Plan within what a third level keeps to that follows a course, or within the arm's own limits; returns them too.
+    """Plan within the limits of a third level that follows a course, or within the arm's own; return the limits too.
 
-    Where the path cannot be executed with that third level's margins, it is planned without. Limits that are given
-    replace these; a margin alone leaves the other at zero. ``followed``: None: if the scenario's third level follows.
+    ``followed`` chooses the former; None: if the scenario's third level follows. A path that cannot be executed with
+    that third level's margins is planned without. Limits given replace these; one margin alone sets the other to zero.
     """
     settings = scenario.control
     follows = settings.follows if followed is None else followed
@@ -113,10 +113,10 @@ def save_course(found: Plan, scenario: Scenario, to: str | os.PathLike[str], wit
 
     Columns: t_s (k,) [s], q_rad (k,n), mu (k,) [m^3], swivel_rad (k,), tip_m, tip_ref_m and wrist_m (k,3).
 
-    ``within`` has the limits that it was planned for, by the names of `plan`'s arguments.
+    ``within`` has the limits that the course was planned for, by the names of `plan`'s arguments.
 
     Raises:
-        ScenarioError: there is none, neither from the start nor from elsewhere.
+        ScenarioError: the plan has no course, neither from the start nor from elsewhere.
         TraceError: the file cannot be written.
     """
     course = found.course

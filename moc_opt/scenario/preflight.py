@@ -20,10 +20,10 @@ from moc_opt.tasks import Reference, Trocar
 
 Found = TypeVar("Found")
 
-SINGULAR = (1e-4, 1e-4)  #: Least `Freedoms.tip` and `Freedoms.both`.
+SINGULAR = (1e-4, 1e-4)  #: Least `Freedoms.tip` and `Freedoms.both` of any start.
 REGULAR = (0.1, 0.05)  #: The same at a random start and along the path from it. The LWR4+'s home has 0.41 and 0.14.
-DRAWN_MARGIN = 0.1  #: Of each joint's range, that a random start keeps from both limits before its swivel is chosen.
-DRAWS = 200  #: Poses that are tried for a random start.
+DRAWN_MARGIN = 0.1  #: Share of a joint's range that random poses keep from both limits before the swivel is chosen.
+DRAWS = 200  #: Number of poses that are tried for a random start.
 SPACING_M = 0.005  #: Distance between the points at which the path is checked [m].
 _TIMES = 1500
 _SHALLOWEST_M = 0.002
@@ -123,10 +123,10 @@ def check_reachable(
 ) -> Array:
     """Return poses (k, n) that follow the reference with the shaft through the trocar, inside joint limits and speeds.
 
-    There is one each `SPACING_M`, solved from the pose before it; the elbow may have to travel to the first. If that
-    fails, the path is tried again from the middle of the starting self-motion. A refused path may still be possible
-    another way; an accepted path is possible. The tip at ``q_start`` (n,) is at the start of the reference, which is
-    ignored after ``until_s`` [s]. An UnreachableError names field, arc length and cure.
+    They are `SPACING_M` apart on the path, each solved from the one before. If that fails, the path is tried again from
+    the middle of the self-motion through ``q_start`` (n,), to which the elbow would have to travel first. An accepted
+    path is possible; a refused one may be possible in another way. The tip is at the start of the reference at
+    ``q_start``. After ``until_s`` [s] the reference is ignored. An UnreachableError names field, arc length and cure.
     """
     state = robot.state(q_start)
     places = _places(reference, trocar, until_s)
@@ -141,7 +141,7 @@ def check_reachable(
         # A RobotError: a singular start, or one outside the limits, has no self-motion to choose from.
         with suppress(UnreachableError, RobotError):
             return _follow(robot, _middle(robot, state.q), places, reference)
-        raise  # what stopped the given pose is what the user should hear
+        raise  # the user should hear why the given start fails, not the second one
 
 
 class _Places(NamedTuple):
@@ -189,7 +189,7 @@ def _follow(robot: RobotModel, q: Array, places: _Places, reference: Reference) 
     k = int(np.argmax(shares))
     if shares[k] > 1.0:
         i = int(np.argmax(np.abs(rates[k] / robot.v_max)))
-        # Joint speeds go with the tip's, which may peak below v_max where the acceleration is what limits it.
+        # Joint speeds are proportional to the tip's, whose peak is below v_max where the acceleration limits it.
         slower = 0.99 * float(np.linalg.norm(places.tip_velocity, axis=1).max()) / shares[k]
         raise UnreachableError(
             "v_max", places.arc[k],
@@ -214,7 +214,7 @@ def _out_of_reach(robot: RobotModel, places: _Places, k: int, wrist: Array, plac
 
 
 def _least_rates(robot: RobotModel, a: Array, velocity: Array) -> Array:
-    """Return the joint velocities (n,) of tip and wrist whose largest share of a speed limit is least, if above 1."""
+    """Return the shortest joint velocities (n,); if one is too fast, those whose largest share of a limit is least."""
     left, values, right = np.linalg.svd(a)
     rank = int((values > 1e-9 * values[0]).sum())
     shortest: Array = right[:rank].T @ ((left[:, :rank].T @ velocity) / values[:rank])

@@ -64,12 +64,12 @@ def make_safety_filter(robot: RobotModel, scenario: Scenario) -> SafetyFilter:
 
 
 def make_stop(scenario: Scenario) -> Stop:
-    """Return how the settings of the safety filter stop an arm."""
+    """Return the stop that the settings of the safety filter describe."""
     return Stop(scenario.guard.stop_damping_Nm_s_per_rad, scenario.guard.stop_s)
 
 
 def recorded_times(scenario: Scenario) -> list[float] | None:
-    """Read the times [us] of ``[solver] replay_us``; None: the clock decides."""
+    """Read the solve times [us] of ``[solver] replay_us``; None: they are measured."""
     given = scenario.solver.replay_us
     if given is None:
         return None
@@ -85,10 +85,9 @@ class Setup:
     """Objects built from a validated scenario, checked before anything moves; ``trace()`` runs it.
 
     Args:
-        solver: asked in place of the one that the scenario names, which stays in the trace's `meta`.
-        realtime: for the controller alone, whose plant is at the other end of a wire: none is built. A tick waits
-            for an isolated solver at most half its period where there is no budget, and never while the process is
-            replaced.
+        solver: used in place of the scenario's own, which stays in the trace's `meta`.
+        realtime: build the controller alone, as the plant is at the other end of a wire. A tick waits for an isolated
+            solver at most half its period where there is no budget, and never while the process is replaced.
 
     Raises:
         MocOptError: the first thing that is wrong; see `moc_opt.scenario.layout.lay_out` for start and path.
@@ -106,20 +105,20 @@ class Setup:
         self.layout = layout = lay_out(scenario, self.robot)
         self.q_start, self.registered, self.reference = layout.q, layout.registered, layout.reference
         self.duration_s = layout.duration_s
-        self.guide: Guide | None = None  #: Of the last controller's third level.
+        self.guide: Guide | None = None  #: What the last controller's third level follows; None: it climbs mu.
         self._replayed_us = recorded_times(scenario)
         if not realtime:
             self._build_plant(plant_seed)
 
     def _build_plant(self, seed: int) -> None:
-        """Put the plant at the start; lay the incision on its shaft, and the path at its tip, as these truly stand."""
+        """Put the plant at the start, the incision on its true shaft, and the path's beginning at its true tip."""
         scenario, entry = self.scenario, self.layout.trocar
         self.plant = plant = Plant(self.robot.data, scenario.plant, seed=seed)
-        if scenario.faults.bump_N > 0.0:  # an unknown link is found now, not in the middle of the run
+        if scenario.faults.bump_N > 0.0:  # so that an unknown link is found now, not in the middle of the run
             plant.push(scenario.faults.bump_link, np.zeros(3))
         plant.reset(self.q_start)
         self.offset = TaskOffset()
-        if plant.mismatch.displaces or plant.settings.elastic:  # else the model's places but for rounding
+        if plant.mismatch.displaces or plant.settings.elastic:  # else true and modelled places agree but for rounding
             shaft, tip = plant.tip - plant.wrist, self.robot.state(self.q_start).tip
             touched = plant.tip - scenario.trocar.depth_m * shaft / np.linalg.norm(shaft)
             self.offset = TaskOffset(plant.tip - tip, touched - entry)
@@ -152,7 +151,7 @@ class Setup:
                 wait_us = budget
             inside, solver = solver, isolated(solver, scenario, wait_us, self.realtime)
             if solver is not inside and times is None:
-                budget = None  # the process keeps it, and an older answer in its place is not late
+                budget = None  # the process itself keeps the budget; the older answer that it then gives is not late
         watch = settings.supervisor.model_copy(update={"budget_us": budget})
         settings = settings.model_copy(update={"supervisor": watch})
         self.guide = None if self._guides is None else self._guides()
@@ -169,7 +168,7 @@ class Setup:
 
     @cached_property
     def _guides(self) -> Callable[[], Guide] | None:
-        """Planned once, however many controllers are made."""
+        """The function that makes a guide; planned once, however many controllers are made."""
         return guides(self.following)
 
     def fault_mask(self) -> NDArray[np.bool_]:
@@ -250,7 +249,7 @@ class Setup:
         return trace.with_columns(mu_bound=bound, **best).with_meta(**method, **told)
 
     def _save_rest(self, rows: Columns, meta: Mapping[str, Any], file: Path, error: BaseException) -> None:
-        """Save the rows of a run that an exception ended, and let the exception say where they are."""
+        """Save the rows of a run that an exception ended, and note in the exception where they are."""
         ticks, period_s = len(rows["t_s"]), self.scenario.plant.period_s
         ended = f"interrupted: {describe(error)} (t = {ticks * period_s:.3f} s)"
         told = {"period_s": period_s, "ended": ended, "ticks": ticks, "ticks_planned": self.ticks}
@@ -258,7 +257,7 @@ class Setup:
         error.add_note(f"the first {ticks * period_s:.3f} s of the run are in {file}")
 
     def _row_by_row(self, columns: Mapping[str, NDArray[Any]]) -> Columns:
-        """Return the columns that follow from the same rows: faults injected, the robot's errors, mu, residuals."""
+        """Return the columns computed row by row: faults injected, errors by the robot's kinematics, mu, residuals."""
         found: Columns = {}
         if self.scenario.faults.solver != "none":
             found["injected"] = self.fault_mask()[: len(columns["t_s"])]

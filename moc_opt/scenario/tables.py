@@ -1,4 +1,4 @@
-"""The tables of a scenario's TOML that say what is run; those of the parts lie with the parts."""
+"""A scenario's tables of robot, start, trocar, task and solver; the others are defined beside what they set up."""
 
 from __future__ import annotations
 

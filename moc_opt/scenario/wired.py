@@ -20,16 +20,16 @@ from moc_opt.sim.protocols import LoggedController
 from moc_opt.trace.trace import Trace
 
 SLOWEST_S, FASTEST_S = 0.004, 0.001
-"""Control periods that are kept against the clock: 250 Hz to 1 kHz."""
+"""Longest and shortest control period that is kept against the clock: 250 Hz and 1 kHz."""
 
 
 def fingerprint(scenario: Scenario, robot: RobotModel) -> int:
-    """Return a number of 63 bits that differs where plant and controller would not mean the same run.
+    """Return a number of 63 bits that differs where plant and controller are set up for different runs.
 
-    Of the arm everything counts but its gains, which are the controller's own.
+    It covers all data of the arm but its gains, which only the controller uses.
     """
     whole = scenario.model_dump(mode="json", include={"robot", "start", "trocar", "task", "seed", "duration_s"})
-    del whole["robot"]["name"]  # its file may lie in another folder there
+    del whole["robot"]["name"]  # its file may lie in another folder at the other end
     whole["arm"] = {name: value for name, value in carried(robot).items() if name != "gains"}
     text = to_json([whole, scenario.plant.period_s], sort_keys=True)
     return int.from_bytes(hashlib.blake2s(text.encode(), digest_size=8).digest(), "little") >> 1
@@ -38,11 +38,11 @@ def fingerprint(scenario: Scenario, robot: RobotModel) -> int:
 class PlantServer(Setup):
     """The plant of a scenario, for a controller at the other end of a wire.
 
-    It listens at ``listen``, "HOST:PORT"; port 0 is any free one, and ``address`` has it. In lock-step it waits for
-    each command instead of keeping the time. ``system`` has what this process was granted, for ``meta["wire"]``.
+    It listens at ``listen``, "HOST:PORT"; port 0 takes any free one, and ``address`` has it. In lock-step it waits for
+    each command instead of keeping the time. ``system``: what scheduling it was granted, for ``meta["wire"]``.
 
     Raises:
-        MocOptError: as for `Setup`; an address that cannot be taken, or one that needs a key.
+        MocOptError: as for `Setup`; or the address cannot be taken, or needs a key.
     """
 
     def __init__(
@@ -68,7 +68,7 @@ class PlantServer(Setup):
 
     @cached_property
     def _guides(self) -> None:
-        """Plan nothing: what the third level follows is the controller's at the other end."""
+        """Plan nothing: the guide belongs to the controller at the other end."""
 
     def controller(self) -> LoggedController:
         """Return the controller at the other end."""
@@ -94,8 +94,8 @@ def answer(
 ) -> dict[str, Any]:
     """Be the controller of a plant at the other end of a wire ("HOST:PORT"), until its run ends.
 
-    Control, solver and guard of the scenario are this end's own, the rest must be the plant's. ``ready`` is called
-    once, when the plant has been found and the controller has started.
+    Control, solver and guard of the scenario are this end's own; what `fingerprint` covers must be as at the plant's
+    end. ``ready`` is called once, when the plant has been found and the controller has started.
 
     Raises:
         MocOptError: as for `Setup`; or no plant answers there, or it runs another scenario.
@@ -103,7 +103,7 @@ def answer(
     where = parse_address(connect, "--connect")
     key = read_key(key_file, where[0], "--connect")
     setup = Setup(scenario, realtime=True)
-    controller = setup.controller()  # plans where the third level follows a course: before it looks for the plant
+    controller = setup.controller()  # may plan a course for seconds, and so comes before the search for the plant
     link = Link(setup.robot.n, key, (Kind.MEASUREMENT,), peer=where)
     try:
         return Answering(

@@ -1,7 +1,7 @@
-"""The simulated plant and the closed loop: arm, trocar, sensors, faults. Knows no solver, and no law of control.
+"""The simulated plant and the closed loop: arm, trocar, sensors, faults. It knows no solver and no control law.
 
-Read first: ``loop`` (the one closed loop: plant, sensors, safety filter, controller), with ``protocols`` (what can
-stand in it) and ``record`` (its rows); then ``plant`` (MuJoCo), built by ``mjcf``. ``joints`` and ``sensors`` are the
+Read first: ``loop`` (the one closed loop: plant, sensors, safety filter, controller), with ``protocols`` (interfaces
+of its parts) and ``record`` (its rows); then ``plant`` (MuJoCo), built by ``mjcf``. ``joints`` and ``sensors`` are the
 plant's parts, ``faults`` disturb it, ``mjcf`` also compares it with the controller's arm; docs/plant.md explains
 ``settings``.
 """

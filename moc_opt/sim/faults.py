@@ -1,7 +1,7 @@
-"""Faults, seeded and as settings: of sensors, packets, bumps, the trocar, the solver.
+"""Faults that a run injects, with settings and a seed: in sensors, packets, trocar and solver, and as pushes.
 
-Each packet carries the number of the control period in which it was taken. A sensor or a buffer may give a wrong one
-(``forged_stamps``): old readings then come with numbers that are up to date.
+Each packet carries the number of the control period in which it was taken. With ``forged_stamps`` a sensor or a buffer
+gives up-to-date numbers to old readings.
 """
 
 from __future__ import annotations
@@ -85,7 +85,7 @@ class FaultSettings(Settings):
 class Faults:
     """The faults of one run with n joints: ``sense`` corrupts measurements, ``act`` pushes, ``slip`` moves the trocar.
 
-    ``period`` is that of control [s]; ``seed`` draws signs, noise, drops and directions.
+    ``period`` is the control period [s]; ``seed`` draws signs, noise, drops and directions.
 
     Raises:
         PlantError: a joint that the arm does not have.
@@ -167,7 +167,7 @@ class Faults:
         return seen._replace(q=q, v=v)
 
     def _after(self, at_s: float | None, tick: int) -> int:
-        """1 at the tick of that time, 2 at the next; 0 before it."""
+        """Return 1 at the tick of this time, 2 at the next one and so on; 0 before it."""
         return 0 if at_s is None else max(0, tick - round(at_s / self._period) + 1)
 
     def _forged(self, arrived: Measurement, taken: Measurement) -> Measurement:

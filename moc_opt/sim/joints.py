@@ -1,12 +1,12 @@
-"""The arm's joints in MuJoCo's state, and their drives: where links and motors stand, and the torque on the motors.
+"""The arm's joints in MuJoCo's state, and their drives: positions of links and motors, and the motors' torque.
 
 A joint with a spring has two coordinates in MuJoCo, two hinges about one axis: the motor's angle theta with the rotor's
 inertia B, friction and stops, and the spring's deflection delta. The link's angle is q = theta + delta, and
 
     M(q) ddq + h = tau_J,   B ddtheta + friction + tau_J = tau,   tau_J = -K delta - D ddelta/dt
 
-which is Spong's model (1987). The rotor inertia of the robot's file is the one that the arm's own torque feedback
-has reduced (Ott et al. 2008): tau is the input of that loop, so no second loop is simulated.
+which is Spong's model (1987). The arm's own torque feedback makes the rotor appear lighter (Ott et al. 2008). B, from
+the robot's file, is this smaller inertia and tau the input of the feedback, which therefore is not simulated itself.
 """
 
 from __future__ import annotations
@@ -23,18 +23,18 @@ from moc_opt.errors import PlantError
 from moc_opt.robots import RobotData
 from moc_opt.sim.settings import Mismatch, PlantSettings
 
-_SAGGING_ROUNDS = 12  # of a fixed point: the weight's milliradians change a torque by a thousandth
+_SAGGING_ROUNDS = 12  # of a fixed-point iteration: a deflection of milliradians changes the torques by a thousandth
 _MOST_RAD_A_STEP = 1.0  # phase of the fastest oscillation in one plant step: MuJoCo's explicit springs need below 2
 
 
 class Joints:
-    """Joint coordinates and torque drives: MuJoCo's own arrays, unless joints are elastic or torques ripple.
+    """Joint coordinates and torque drives, in MuJoCo's own arrays unless joints are elastic or torques ripple.
 
-    The drives have no dynamics: a command is cut at the torque limits and acts some control periods later.
+    The drives have no dynamics: a command is clipped at the torque limits and acts some control periods later.
 
     Attributes:
         q, v: (n,) true positions and velocities of the links [rad], [rad/s].
-        theta, omega: the same of the motors; shown: the two of the side that the encoders are on.
+        theta, omega: the same of the motors; shown: position and velocity of the side that has the encoders.
         torque: (n,) of the drives, before ripple [Nm].
         motors: the motors' entries among MuJoCo's degrees of freedom.
     """
@@ -50,7 +50,7 @@ class Joints:
         if settings.elastic:
             self.q, self.v, self.theta, self.omega = np.zeros((4, data.n))
         self.shown = (self.q, self.v) if self._on_links else (self.theta, self.omega)
-        # With neither springs nor ripple the drives' torque is MuJoCo's own array; if not, `drive` fills that in.
+        # Without springs and ripple, the drives' torque is MuJoCo's own array; otherwise `drive` fills that array.
         self._direct = not settings.elastic and settings.torque_ripple == 0.0
         self.torque = state.qfrc_applied if self._direct else np.zeros(data.n)
         self._ripple = settings.torque_ripple * data.tau_max
@@ -60,7 +60,7 @@ class Joints:
     def start(self, shown: Array, speed: Array) -> None:
         """Put the arm where encoders without bias show (n,) [rad], moving at (n,) [rad/s].
 
-        The drives have carried its weight for long; elastic joints bend under it.
+        The drives already carry the arm's weight: elastic joints are bent by it, and the delay is full of its torque.
         """
         state, model = self._state, self._model
         weight = state.qfrc_bias[self.motors]
@@ -79,7 +79,7 @@ class Joints:
         self.gather()
 
     def command(self, tau: ArrayLike) -> None:
-        """Take the command of a period (n,) [Nm], and let the one that is due act; raises as `Plant.step`."""
+        """Queue the command of a period (n,) [Nm], and apply the one that is due; raises as `Plant.step`."""
         wanted = np.asarray(tau, dtype=np.float64)
         if wanted.shape != self._high.shape:
             raise PlantError(f"tau has shape {wanted.shape}: give {self._high.shape}, one torque a joint [Nm]")
@@ -98,7 +98,7 @@ class Joints:
             self._state.qfrc_applied[self.motors] = self.torque + ripple
 
     def gather(self) -> None:
-        """Take the coordinates of elastic joints from MuJoCo's: a link's angle is its motor's and its spring's."""
+        """Compute the coordinates of elastic joints: a link's angle is the sum of its motor's and its spring's."""
         if self._elastic:
             place, speed = self._state.qpos, self._state.qvel
             self.theta[:], self.omega[:] = place[::2], speed[::2]
@@ -106,7 +106,7 @@ class Joints:
 
 
 def add_springs(data: RobotData, spec: mujoco.MjSpec, settings: PlantSettings) -> None:
-    """Put a spring behind every joint of a spec that `build_spec` made; a PlantError where their numbers differ."""
+    """Put a spring behind every joint of a spec from `build_spec`; a PlantError for a wrong number of stiffnesses."""
     for joint, value in zip(list(spec.joints), _stiffnesses(data, settings), strict=True):
         spring = joint.parent.add_joint(name=f"{joint.name}_spring", type=joint.type, axis=joint.axis, pos=joint.pos)
         spring.limited = mujoco.mjtLimited.mjLIMITED_FALSE

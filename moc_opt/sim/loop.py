@@ -44,7 +44,7 @@ class FilteredController(Filtered):
             self._filter.start(seen.q, seen.v, seen.stamp)
 
     def tick(self, seen: Measurement, tip_ref: Array, trocar: Array) -> Array:
-        """Return this period's torque (n,) [Nm], within its limits; after a requested stop, that of the damped stop."""
+        """Return this period's torque (n,) [Nm], within its limits; after a request to stop, that of a damped stop."""
         safety, controller, applied = self._filter, self._controller, self._applied
         if safety is None:
             return controller.tick(seen.q, seen.v, tip_ref, trocar)
@@ -65,7 +65,7 @@ class FilteredController(Filtered):
         return tau
 
     def set_applied_torque(self, tau: Array) -> None:
-        """Correct the torque (n,) [Nm] that acted last, where it was not the one that ``tick`` returned."""
+        """Tell which torque (n,) [Nm] acted last, where it was not the one that ``tick`` returned."""
         self._applied = tau
         self._controller.set_applied_torque(tau)
 
@@ -81,7 +81,7 @@ class FilteredController(Filtered):
 class ClosedLoop:
     """Plant, controller and safety filter (None: none), advanced one control period at a time.
 
-    A controller that is ``Filtered`` has its safety filter with it; ``faults`` disturb sensors and arm. After a step
+    A controller that is ``Filtered`` brings its own safety filter; ``faults`` disturb sensors and arm. After a step
     ``seen`` is the measurement as it arrived, ``tau`` (n,) the torque that was applied [Nm], and ``tick_us`` the time
     that safety filter and controller took [us]; ``ticks`` counts the steps.
     """
@@ -108,10 +108,10 @@ class ClosedLoop:
         Args:
             tip_ref: (3, 3) rows X_d [m], dX_d [m/s], ddX_d [m/s^2].
             registered: (2, 3) rows P_t [m], dP_t [m/s] of the trocar, as registered.
-            trocar: (2, 3) the true one; None: the arm is in no incision.
+            trocar: (2, 3) the same of the true trocar; None: the arm is in no incision.
 
         Raises:
-            PlantError: the plant cannot go on; measurement and torque of this step are there all the same.
+            PlantError: the plant cannot go on; ``seen`` and ``tau`` are those of this step all the same.
         """
         plant, seen = self._plant, self._plant.measure()
         if self._faults is not None:
@@ -130,7 +130,7 @@ class ClosedLoop:
 
     @property
     def finished(self) -> bool:
-        """Whether the stop is over: longer than ``Stop.seconds`` and at rest, or ``LONGEST`` times as long."""
+        """Whether the stop is over: ``Stop.seconds`` long and then at rest, or ``LONGEST`` times as long."""
         since = self.ticks - self._stopped_at if self._stopped_at >= 0 else 0
         return since > self._watched and bool(since > LONGEST * self._watched or np.abs(self._plant.v).max() < AT_REST)
 
@@ -139,7 +139,7 @@ class ClosedLoop:
 
 @contextmanager
 def no_collector() -> Iterator[None]:
-    """Keep the garbage collector off; a full collection takes 0.1 s, so only young objects are collected first."""
+    """Switch the garbage collector off, after a collection of young objects only: a full one takes 0.1 s."""
     enabled = gc.isenabled()
     gc.collect(1)
     gc.disable()

@@ -1,4 +1,4 @@
-"""The MuJoCo model of a robot, made from the very URDF text that the controller's model reads; the two are compared."""
+"""The MuJoCo model of a robot, made from the URDF text of the controller's model, and a comparison of both."""
 
 from __future__ import annotations
 
@@ -12,24 +12,24 @@ from moc_opt.errors import PlantError, RobotError
 from moc_opt.robots import RobotData
 from moc_opt.sim.settings import GRAVITY, Mismatch
 
-if TYPE_CHECKING:  # it loads pinocchio
+if TYPE_CHECKING:  # at run time it would load pinocchio
     from moc_opt.robots.model import RobotModel
 
 TOOL_BODY = "tool"
 MOUNT_SITE = "tool_mount_sensor"
 FORCE_SENSOR, TORQUE_SENSOR = "mount_force", "mount_torque"
 TOLERANCE = 1e-6
-"""Between the engines: of the largest entry of M (without rotors) and of h, and of the tip's distance from the base.
-Rounding makes about 1e-14."""
-POSES = 3  #: At which the engines are compared.
+"""Largest relative difference between the engines: of M and h to their largest entries (M without rotors), of tip and
+wrist to the tip's distance from the base. Rounding makes about 1e-14."""
+POSES = 3  #: Number of poses at which the engines are compared.
 
 
 def build_spec(data: RobotData, *, substep_s: float, gravity: bool = True) -> mujoco.MjSpec:
     """Build the editable MuJoCo model of the arm; cameras or boards can be added before it is compiled.
 
-    Every link stays a body of its own (MuJoCo would weld the tool to the flange, and the sensor between them
-    would see nothing). Shapes are left out: nothing collides, and no mass is guessed from a mesh. Rotor
-    inertia becomes `dof_armature`. Joint limits are soft stops. There is no friction yet.
+    Every link stays a body of its own: MuJoCo would merge the tool into the flange, and the sensor between them would
+    measure nothing. Shapes are left out, so nothing collides, and no mass is guessed from a mesh. Rotor inertia becomes
+    `dof_armature`. Joint limits are soft stops. Friction comes with `add_mismatch`.
 
     Args:
         data: the robot with its tool.
@@ -62,8 +62,8 @@ def build_spec(data: RobotData, *, substep_s: float, gravity: bool = True) -> mu
         joint.actfrclimited = mujoco.mjtLimited.mjLIMITED_FALSE
         joint.armature = data.rotor_inertia[i]
         joint.damping[0] = joint.frictionloss = 0.0
-        # A stiff stick: under half its Coulomb torque a resting joint creeps by about 1e-5 rad/s. MuJoCo's
-        # default is made for coarser steps and lets it slide a hundred times faster.
+        # Stiff friction: a resting joint under half its Coulomb torque creeps at about 1e-5 rad/s. MuJoCo's default is
+        # made for coarser steps and lets it creep a hundred times faster.
         joint.solref_friction = (2.0 * substep_s, 1.0)
         joint.solimp_friction = (0.99, 0.99, 0.001, 0.5, 2.0)
 
@@ -78,10 +78,10 @@ def build_spec(data: RobotData, *, substep_s: float, gravity: bool = True) -> mu
 
 
 def add_mismatch(data: RobotData, spec: mujoco.MjSpec, mismatch: Mismatch) -> None:
-    """Give a spec that `build_spec` made the friction, masses and kinematics in which the plant differs.
+    """Set the plant's own friction, masses and kinematics in a spec that `build_spec` made.
 
-    Friction is MuJoCo's own, which is integrated implicitly: an explicit smooth tanh lets an arm creep under load where
-    a real one sticks.
+    Friction is MuJoCo's own, which is integrated implicitly: under an explicit smooth tanh an arm creeps under load
+    where a real one sticks.
     """
     for body in spec.bodies:
         if body.name in mismatch.mass_scale:
@@ -96,7 +96,7 @@ def add_mismatch(data: RobotData, spec: mujoco.MjSpec, mismatch: Mismatch) -> No
             mujoco.mju_axisAngle2Quat(by, vector / angle, angle)
             mujoco.mju_mulQuat(turned, by, link.quat)
             link.quat = turned
-    # Wrist and tip are points of the shaft: they go where the tool goes.
+    # Wrist and tip are points of the shaft: they shift with the tool.
     for name in (TOOL_BODY, data.tip_frame, data.wrist_frame):
         if (body := spec.body(name)) is not None:
             body.pos = body.pos + mismatch.origin_shift[-1]
@@ -125,7 +125,7 @@ def _bare(urdf: str) -> str:
 def check_engines(robot: RobotModel) -> None:
     """Compare inertia M, bias h, tip and wrist of pinocchio and MuJoCo, at home and at seeded poses in motion.
 
-    It takes about 2 ms. The plant's defects (masses, calibration, friction, elasticity) are no part of it.
+    It takes about 2 ms. The plant's defects (masses, calibration, friction, elasticity) are not part of the comparison.
 
     Raises:
         RobotError: they differ by more than `TOLERANCE`; the message names the quantity and the difference.
@@ -145,7 +145,7 @@ def check_engines(robot: RobotModel) -> None:
         mujoco.mj_fwdVelocity(model, state)
         mujoco.mj_fullM(model, state, M)
         ours = robot.state(q, state.qvel)
-        # Rotor inertia is added to both and would hide small links: only its rounding is left in the scale.
+        # Rotor inertia is the same in both and would hide small links: only its rounding error enters the scale.
         heavy = max(np.abs(M - rotor).max(), 1e-8 * rotor.max())
         bias, reach = np.abs(theirs["h"]).max() - GRAVITY[2] * heavy, max(1e-3, np.linalg.norm(theirs["tip"]))
         sizes = {"M": (heavy, "kg m^2"), "h": (bias, "Nm"), "tip": (reach, "m"), "wrist": (reach, "m")}
@@ -155,5 +155,5 @@ def check_engines(robot: RobotModel) -> None:
                 raise RobotError(
                     f"robot {data.name!r}: pinocchio and MuJoCo differ in {name} by {off:.3g} {unit}, {off / size:.2g} "
                     f"of its size ({TOLERANCE:g} is allowed), at q = {np.round(q, 3)}: they read its URDF differently; "
-                    "load it with moc_opt.load_robot, which writes it anew, and if it was, report the file"
+                    "load it with moc_opt.load_robot, which rewrites it; if you did so, report the file"
                 )

@@ -1,11 +1,11 @@
 """The simulated arm: torques in, measurements out, and the truth beside them for the trace.
 
-The trocar is compliant: a spring and a damper between the trocar point and the nearest point of the shaft
-line, acting across the shaft only, so that the tool slides and turns freely in the incision. A rigid ring
-would wedge. With the tool direction u, the shaft point c nearest to the trocar P and the velocity w of the tool's
-material at c the force is (I - u u^T) (stiffness (P - c) + damping (dP - w)) (`moc_opt/core/plant.c`). Its power on the
-tool is -d/dt of the spring's energy minus what the damper takes, so that a trocar at rest can only take energy out of
-the arm. The shaft's line has no ends: the tool is assumed to be inserted.
+The trocar is compliant: a spring and a damper between the trocar point and the nearest point of the shaft line, acting
+across the shaft only, so that the tool slides and turns freely in the incision. A rigid ring would wedge. With the tool
+direction u, the shaft point c nearest to the trocar P and the velocity w of the tool's material at c, the force on the
+tool is (I - u u^T) (stiffness (P - c) + damping (dP - w)) (`moc_opt/core/plant.c`). A trocar at rest stores energy
+in its spring and dissipates energy in its damper, but never adds any to the arm. The shaft line has no ends: the tool
+is assumed to be inserted.
 """
 
 from __future__ import annotations
@@ -34,12 +34,12 @@ if mujoco.get_mju_user_warning() is None:
     mujoco.set_mju_user_warning(lambda message: None)
 
 
-_RUNAWAY_RAD_PER_S = 1e3  #: Norm of the joint velocities above which the simulation has lost the arm.
+_RUNAWAY_RAD_PER_S = 1e3  #: Norm of the joint velocities above which the simulation counts as diverged.
 
 
 @dataclass(frozen=True)
 class Stop:
-    """How the arm is stopped: damping of the drives [Nm s/rad], and the least time for which that is simulated [s]."""
+    """How the arm is stopped: damping of the drives [Nm s/rad], and the least time that a stop is simulated [s]."""
 
     damping: float = 15.0
     seconds: float = 0.5
@@ -50,7 +50,7 @@ DEFAULT_STOP = Stop()
 
 def _finite(name: str, value: ArrayLike, shape: tuple[int, ...], note: str = "") -> Array:
     array = np.asarray(value, np.float64)
-    if array.shape != shape or not math.isfinite((flat := array.ravel()).dot(flat)):  # a quarter of isfinite().all()
+    if array.shape != shape or not math.isfinite((flat := array.ravel()).dot(flat)):  # 4x faster than isfinite().all()
         raise PlantError(f"{name} = {array.tolist()!r:.200}: give finite numbers of shape {shape}{note}")
     return array
 
@@ -62,12 +62,12 @@ def _truth(of: Callable[[Any], Array], about: str) -> Any:
 class Plant:
     """An arm in MuJoCo with its trocar, its sensors and its delay, advanced one control period at a time.
 
-    The results of a run depend only on (data, settings, seed), the start and the torques, to the last bit: `reset`
+    The same (data, settings, seed), start and torques give the same results to the last bit, also after `reset`, which
     restarts the noise. Plants share no state, so each thread can have its own. At first the arm rests at `data.q_home`.
 
     Args:
         data: the robot, as in the controller's model.
-        settings: how the plant differs from it; None: `PlantSettings()`.
+        settings: how the plant differs from the controller's model; None: `PlantSettings()`.
         seed: of the mismatch and of the noise, 0 or more.
 
     Attributes: `data`, `settings`, `mismatch`, and MuJoCo's `mj_model` and `mj_data`, to draw the scene and
@@ -80,7 +80,7 @@ class Plant:
     def __init__(self, data: RobotData, settings: PlantSettings | None = None, seed: int = 0) -> None:
         self.data = data
         self.settings = settings = PlantSettings() if settings is None else settings
-        # One stream for each purpose: switching one thing off leaves the others' numbers as they are.
+        # Each purpose has its own random stream: switching one thing off leaves the others' numbers as they are.
         mismatch, *self._noise_seeds = np.random.SeedSequence(seed).spawn(3)
         spec = build_spec(data, substep_s=settings.substep_s, gravity=settings.gravity)
         heavy = [body.name for body in spec.bodies if body.mass > 0.0]
@@ -111,15 +111,15 @@ class Plant:
         self._tool_wrench, self._felt = state.xfrc_applied[tool], np.zeros(6)
         first = model.sensor(FORCE_SENSOR).adr[0]
         self._held = state.sensordata[first : first + 6]
-        self._bodies, self._pushes = bodies, dict[int, tuple[Array, Array]]()  # number -> force, point in its frame
+        self._bodies, self._pushes = bodies, dict[int, tuple[Array, Array]]()  # body -> force, point in its frame
         self._tissue = settings.trocar_stiffness_N_per_m, settings.trocar_damping_Ns_per_m
         self._trocar = np.zeros((2, 3))
         self._substeps_s = [k * settings.substep_s for k in range(settings.substeps)]
 
     def reset(self, q: ArrayLike, v: ArrayLike | None = None) -> None:
-        """Start anew at time 0: no pushes, and the delay full of the torque that holds the arm still at q.
+        """Restart at time 0 without pushes; until the first command acts, the drives carry the arm's weight at q.
 
-        The arm is placed by its own encoders: it stands at q less their bias.
+        The encoders show q but for their noise; the true positions are q minus the encoders' bias.
 
         Args:
             q: (n,) joint positions within their limits, as the encoders show them but for noise [rad].
@@ -156,8 +156,8 @@ class Plant:
         """Advance one control period.
 
         Args:
-            tau: (n,) commanded joint torques [Nm]; they act `delay_ticks` periods later, cut at tau_max.
-            trocar: (2, 3) rows: trocar point [m] and its velocity [m/s], which it keeps for the period; None:
+            tau: (n,) commanded joint torques [Nm]; they act `delay_ticks` periods later, clipped at tau_max.
+            trocar: (2, 3) rows: trocar point at the start of the period [m] and its constant velocity [m/s]; None:
                 no trocar in this period.
 
         Raises:
@@ -172,8 +172,8 @@ class Plant:
         self._touch = (0.0, 0.0) if place is None else self._tissue
         if place is not None:
             self._trocar[:] = place
-        # mj_step's two halves the other way round: after the last one, the kinematics belong to the new state, so that
-        # measurements and truths need no further call.
+        # mj_step2 comes before mj_step1 (mj_step has them the other way round), so that the kinematics belong to the
+        # new state when the loop ends.
         for elapsed_s in self._substeps_s:
             joints.drive()
             self._load(elapsed_s)
@@ -181,7 +181,7 @@ class Plant:
             mujoco.mj_step1(model, state)
         joints.gather()
         self._ticks += 1
-        if not joints.v.dot(joints.v) < _RUNAWAY_RAD_PER_S**2:  # also where it is no number
+        if not joints.v.dot(joints.v) < _RUNAWAY_RAD_PER_S**2:  # true also of NaN
             self._ran_away = True
             raise PlantError(
                 f"the arm ran away before t = {self.time:.4g} s (v = {joints.v.tolist()} rad/s): lower the "
@@ -191,7 +191,7 @@ class Plant:
         self._sense(*self._encoders.read(*joints.shown))
 
     def _sense(self, q: Array, v: Array) -> None:
-        # MuJoCo's sensor shows what the mount exerts on the tool; ours, as real ones do, the reaction.
+        # MuJoCo measures the wrench of the mount on the tool; this sensor, as real ones do, that of tool on mount.
         self._measurement = Measurement(q, v, read_only(self._wrench_noise.take() - self._held), self._ticks)
 
     def _load(self, elapsed_s: float) -> None:
@@ -208,19 +208,19 @@ class Plant:
         return self._felt[:3]
 
     def write_truth(self, row: Array) -> None:
-        """Write q, v, tip, wrist and the trocar's force of now into row (2 n + 9,): all truths in one call."""
+        """Write the present q, v, tip, wrist and force of the trocar into row (2 n + 9,), all truths in one call."""
         np.concatenate((self._joints.q, self._joints.v, self._tip, self._wrist, self._feel()), out=row)
 
     def measure(self) -> Measurement:
-        """Return what the sensors showed at the end of the last period; asking twice gives the same."""
+        """Return the measurement taken at the end of the last period; a second call returns the same."""
         return self._measurement
 
     def brake(self, damping_Nm_s_per_rad: float, friction_Nm: ArrayLike = 0.0) -> None:
-        """Close the brakes until reset: more damping and dry friction in every joint, under any command.
+        """Close the brakes until `reset`: they add damping and dry friction in every joint, whatever is commanded.
 
         Args:
-            damping_Nm_s_per_rad: of the drives, short-circuited; with it alone a loaded arm sinks.
-            friction_Nm: of the holding brakes, one number or one a joint (n,).
+            damping_Nm_s_per_rad: of the short-circuited drives; with damping alone a loaded arm sinks.
+            friction_Nm: of the holding brakes, one number or one per joint (n,).
 
         Raises:
             PlantError: a friction is not 0 or more.
@@ -228,17 +228,17 @@ class Plant:
         friction = np.broadcast_to(np.asarray(friction_Nm, dtype=np.float64), self.data.n)
         if not ((friction >= 0.0) & np.isfinite(friction)).all():
             raise PlantError(f"friction_Nm = {friction.tolist()}: give 0 or more")
-        drives = self._joints.motors  # brakes sit there
+        drives = self._joints.motors  # the brakes act on the motors
         self.mj_model.dof_damping[drives] = self._drive_damping[drives] + damping_Nm_s_per_rad
         self.mj_model.dof_frictionloss[drives] = self._drive_friction[drives] + friction
 
     def push(self, body: str, force: ArrayLike, point: ArrayLike | None = None) -> None:
-        """Hold an external force on a link from the next period on, until it is cleared, replaced or reset.
+        """Apply a constant force to a link from the next period on, until it is cleared or replaced, or `reset`.
 
         Args:
             body: the link's name.
             force: (3,) world axes [N].
-            point: (3,) where it acts, in the link's own frame [m], moving along; None: centre of mass.
+            point: (3,) where the force acts, fixed in the link's own frame [m]; None: centre of mass.
 
         Raises:
             UnknownNameError: no such link.
@@ -264,7 +264,7 @@ class Plant:
         """Time since the reset [s]."""
         return self._ticks * self.settings.period_s
 
-    # Read-only copies of what is true now.
+    # Read-only copies of the true state.
     q = _truth(lambda plant: plant._joints.q, "(n,) joint positions [rad].")
     v = _truth(lambda plant: plant._joints.v, "(n,) joint velocities [rad/s].")
     applied_torque = _truth(

@@ -1,4 +1,4 @@
-"""What can stand in the closed loop: a controller, and what a controller is behind its safety filter."""
+"""The interfaces of the closed loop: a controller, and a controller behind its safety filter."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from moc_opt.sim.sensors import Measurement
 class TorqueController(Protocol):
     """Computes a torque from a measurement.
 
-    A controller with ``tip`` (3,) [m] or ``state``, the model's state, of its last tick has its tip error checked;
-    with ``state`` the safety filter does not compute that again.
+    The safety filter checks the tip error if the controller has ``tip`` (3,) [m] or ``state`` (a `RobotState`) of its
+    last tick. Given a ``state``, it need not compute the model's terms again.
     """
 
     def start(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> None:
@@ -46,11 +46,11 @@ class LoggedController(TorqueController, Protocol):
 
 
 class Filtered(ABC):
-    """From a measurement to a torque that may be applied: here, or at the other end of a wire (``realtime``)."""
+    """Turns a measurement into a torque that may be applied, here or at the other end of a wire (``realtime``)."""
 
-    stop_reason: Any  #: Why the arm has to be stopped; empty while it has not.
-    limited: Any  #: Number of joints at which the last torque was changed on its way.
-    warnings: Any  #: What exceeded a warning level since the start, as JSON values.
+    stop_reason: Any  #: Why the arm has to be stopped; empty while it need not be.
+    limited: Any  #: Number of joints whose last torque is not the one that the controller computed.
+    warnings: Any  #: Which figures exceeded a warning level since the start, as JSON values.
 
     @abstractmethod
     def start(self, seen: Measurement, tip_ref: Array, trocar: Array) -> None:
@@ -58,7 +58,7 @@ class Filtered(ABC):
 
     @abstractmethod
     def tick(self, seen: Measurement, tip_ref: Array, trocar: Array) -> Array:
-        """Return this period's torque (n,) [Nm], within its limits; that of a damped stop once one was requested."""
+        """Return this period's torque (n,) [Nm], within its limits; after a request to stop, that of a damped stop."""
 
     @abstractmethod
     def brake_friction(self, seen: Measurement) -> Array | float:

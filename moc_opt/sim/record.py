@@ -1,4 +1,4 @@
-"""The record of the closed loop: one row a tick, filled while it runs, and the trace that it becomes."""
+"""The record of the closed loop: one row a tick, filled while the loop runs, and turned into a trace at the end."""
 
 from __future__ import annotations
 
@@ -35,12 +35,12 @@ class RunAway(PlantError):
 class TaskOffset(NamedTuple):
     """True minus believed place of the two points that the arm registered with its own tip, (3,) each [m].
 
-    The robot's own frame is displaced by calibration error, encoder bias and bending joints. What the arm touches it
-    registers in its own frame, so only how the displacement changes on the way from there matters to it.
+    Calibration error, encoder bias and bending joints displace the robot's own frame. The arm registers what it touches
+    in this frame, so that only the change of the displacement since then affects it.
     """
 
-    tip: Array = np.zeros(3)  #: Where the path begins.
-    trocar: Array = np.zeros(3)  #: Where the shaft enters, the error of the registration left out.
+    tip: Array = np.zeros(3)  #: Of the point where the path begins.
+    trocar: Array = np.zeros(3)  #: Of the point where the shaft enters, without the registration error.
 
 
 class Record:
@@ -70,7 +70,7 @@ class Record:
         self._plant.write_truth(self._truth[self.done])
 
     def note(self, seen: Measurement, tau: Array, tick_us: float, filtered: Filtered) -> None:
-        """Write what the tick did, and end its row."""
+        """Write the results of the tick, and finish its row."""
         row, columns = self.done, self._columns
         self._controller.note(row, columns)
         self._wrench[row], columns["tau_Nm"][row], columns["tick_us"][row] = seen.force, tau, tick_us
@@ -85,7 +85,7 @@ class Record:
                 self._ending = {"ended": f"stopped: {filtered.stop_reason} (t = {t:.3f} s)", "stopped_at_s": t}
 
     def columns(self) -> Columns:
-        """Return the columns of the rows that are done, errors included."""
+        """Return the columns of the rows that are done, those of tip and RCM errors included."""
         rows, edges = slice(self.done), np.cumsum([*self._widths.values()])[:-1]
         found: Columns = {name: column[rows] for name, column in self._columns.items()}
         found |= dict(zip(self._widths, np.split(self._truth[rows], edges, axis=1), strict=True))

@@ -1,4 +1,4 @@
-"""What the controller is shown: a measurement, its noise, and the joints' encoders."""
+"""What the controller gets: a measurement, with the noise and the encoders that make it."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ class Measurement(NamedTuple):
     v: Array  #: (n,) joint velocities [rad/s].
     force: Array  #: (6,) force [N] and torque [Nm] of the tool on its mount, axes of link "tool", one plant step old.
     stamp: int = 0
-    """Number of the control period in which it was taken, counted by the arm, which gives the reading's age."""
+    """Number of the control period in which the reading was taken, counted by the arm: it tells the reading's age."""
 
 
 _NOISE_ROWS = 256
 
 
 class Noise:
-    """Gaussian noise of given standard deviations (m,), drawn in blocks: a fraction of the calls."""
+    """Gaussian noise of given standard deviations (m,), drawn in blocks, which takes fewer calls."""
 
     def __init__(self, rng: np.random.Generator, deviation: Array) -> None:
         self._rng, self._deviation, self._quiet = rng, deviation, not deviation.any()
         self._block, self._next = np.zeros((_NOISE_ROWS, deviation.size)), _NOISE_ROWS
-        self._rows = list(self._block)  # views: taking one from a list costs a quarter of making it
+        self._rows = list(self._block)  # views, since making one costs four times as much as a look-up
 
     def take(self) -> Array:
         """Return the next row (m,), valid until the next call."""
@@ -49,8 +49,8 @@ class Encoders:
     """Joint positions with bias, noise and a finite step; velocities from their low-passed difference quotient.
 
     velocity += (1 - exp(-2 pi cutoff period)) (difference quotient - velocity), once a control period.
-    Without noise, step and cutoff both values are exact but for the bias; without a cutoff alone, the velocity is
-    the bare quotient.
+    Without noise, step and cutoff both values are exact but for the bias. If only the cutoff is 0, the velocity is the
+    difference quotient itself.
 
     Args:
         settings: of the plant: period, noise, resolution, cutoff.
@@ -73,7 +73,7 @@ class Encoders:
         return self._sample(q, v, (resolution, period, 0.0, exact))
 
     def read(self, q: Array, v: Array) -> tuple[Array, Array]:
-        """Return the reading one period after the last: position [rad] and velocity [rad/s], (n,) read-only."""
+        """Return the reading one period after the last one: position [rad] and velocity [rad/s], (n,) read-only."""
         return self._sample(q, v, self._conversion)
 
     def _sample(self, q: Array, v: Array, conversion: tuple[float, float, float, bool]) -> tuple[Array, Array]:
@@ -83,16 +83,16 @@ class Encoders:
         return reading[0], reading[1]
 
 
-_CHANCE = 1e-10  #: Probability of a longer repetition at a reading of a joint that stands in the middle of a step.
+_CHANCE = 1e-10  #: Probability per reading that an encoder at rest in the middle of a step repeats itself for longer.
 _MOST_TICKS = 500
 
 
 def longest_repetition(noise_rad: float, resolution_rad: float) -> int | None:
-    """Return for how many readings in a row noise lets an encoder at rest repeat itself to the last bit.
+    """Return how many readings in a row an encoder at rest may repeat to the last bit, given its noise.
 
     In the middle of a step of width s a reading with noise sigma is the same with probability p = erf(s / (sqrt(8)
-    sigma)), anywhere else with less; p^k falls below one in 10^10. None where there is no noise, or so little that
-    more than 500 are needed.
+    sigma)), elsewhere with less. The answer is the k, 10 at least, at which p^k falls below 1e-10. None where there is
+    no noise, or so little that k would exceed 500.
     """
     if noise_rad == 0.0:
         return None
@@ -102,14 +102,14 @@ def longest_repetition(noise_rad: float, resolution_rad: float) -> int | None:
     return max(10, math.ceil(math.log(_CHANCE) / math.log(max(same, _CHANCE))))
 
 
-_DEAD = 600.0  #: After so many time constants the output of a filter is so small that it may stay the same.
+_DEAD = 600.0  #: Time constants after which a filter's output is so small that it may stay the same to the last bit.
 
 
 def repeats_no_reading(noise_rad: float, resolution_rad: float, cutoff_Hz: float, period_s: float) -> bool:
     """Decide whether an encoder never repeats position and velocity together, to the last bit.
 
-    While the position repeats itself the filtered velocity dies out, and each value differs from the last one; noise
-    ends that long before it is too small a number to change.
+    While the position repeats itself, the filtered velocity decays and differs at every reading. Noise changes the
+    position long before the velocity is too small to change (`_DEAD`).
     """
     longest = longest_repetition(noise_rad, resolution_rad)
     return longest is not None and 0.0 < 2.0 * math.pi * cutoff_Hz * period_s * longest < _DEAD

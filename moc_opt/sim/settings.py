@@ -1,4 +1,4 @@
-"""The settings of a plant, every difference from the controller's model; and what is drawn from them by a seed."""
+"""The settings of a plant, every way it differs from the controller's model, and what a seed draws from them."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ _Stiffness = Annotated[float, Field(gt=0, le=1e9)]
 class PlantSettings(Settings):
     """Settings of the simulated arm, its trocar and its sensors; units are in the names, 0 switches off.
 
-    The defaults are realistic: wrong masses, friction, noise, a tick of delay, a calibrated arm's kinematics, a trocar
-    0.5 mm off. A plant that equals the controller's model proves little. Joints are rigid and torques smooth;
-    docs/plant.md says why.
+    The defaults are realistic: wrong masses, friction, noise, a tick of delay, the kinematic errors of a calibrated
+    arm, a trocar registered 0.5 mm off. A plant that equals the controller's model proves little. Joints are rigid and
+    torques smooth; docs/plant.md says why.
 
     Raises:
         PlantError: a value is out of range; the message names the field, the value and the range.
@@ -115,27 +115,27 @@ class Mismatch:
     mass_scale: Mapping[str, float]  #: Link -> factor on its mass and inertia.
     viscous_friction: Array  #: (n,) [Nm s/rad]
     coulomb_friction: Array  #: (n,) [Nm]
-    registration_error: Array  #: (3,) true trocar minus the one the controller is told, world axes [m].
+    registration_error: Array  #: (3,) true trocar minus the registered one (the controller's), world axes [m].
     origin_shift: Array
     """(n + 1, 3) true minus modelled origin of each joint, then of the tool's mount, axes of the link before it [m]."""
     origin_turn: Array
     """(n, 3) rotation vector of each joint's frame against the model, axes of the link before it [rad]."""
-    encoder_bias: Array  #: (n,) what each encoder shows minus what is [rad, or m of a sliding joint].
-    ripple_phase: Array  #: (n,) of the torque ripple at joint position 0 [rad].
+    encoder_bias: Array  #: (n,) reading of each encoder minus the true position [rad, or m of a sliding joint].
+    ripple_phase: Array  #: (n,) phase of the torque ripple at joint position 0 [rad].
 
     @property
     def displaces(self) -> bool:
-        """Whether tip and shaft are elsewhere than the model puts them at the encoders' readings."""
+        """Whether true tip and shaft differ from those that the model computes at the encoders' readings."""
         return bool(self.origin_shift.any() or self.origin_turn.any() or self.encoder_bias.any())
 
     @classmethod
     def draw(
         cls, data: RobotData, settings: PlantSettings, links: Sequence[str], seed: np.random.SeedSequence
     ) -> Mismatch:
-        """Draw factors uniform in 1 +- error, one per link and per joint, and directions of offsets uniform.
+        """Draw one factor per link and per joint uniformly from 1 +- error, and uniform directions of the offsets.
 
-        The random numbers do not depend on the settings: twice the error puts all twice as far off, and each kind of
-        error has a stream of its own.
+        The random numbers do not depend on the settings: twice the error doubles every deviation. Each kind of error
+        has a random stream of its own.
         """
         of_links, of_joints, of_trocar, of_origins, of_axes, of_encoders, of_ripple = (
             np.random.default_rng(child) for child in seed.spawn(7)
