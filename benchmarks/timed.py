@@ -25,7 +25,7 @@ from benchmarks import peers
 from moc_opt import core
 from moc_opt.arrays import Array
 from moc_opt.control import Controller
-from moc_opt.control.law import numbers_of
+from moc_opt.control.law_numbers import numbers_of
 from moc_opt.export import export_scenario
 from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.robots.model import load_robot

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from moc_opt import core
 from moc_opt.arrays import Array, read_only
-from moc_opt.control.law import numbers_of
+from moc_opt.control.law_numbers import numbers_of
 from moc_opt.control.settings import ControlSettings
 from moc_opt.control.supervisor import Fault, Supervisor
 from moc_opt.errors import ControlError, MocOptError, describe

@@ -1,6 +1,6 @@
 """The safety filter: it checks every measurement, limits torque and motion at every tick, and requests the stop.
 
-`moc_opt/core/guard.c` has every limit and every reason to stop; docs/reliability.md has their formulas and levels. In a
+Every limit and reason to stop is in `moc_opt/core/safety_filter.c`, its formula and level in docs/reliability.md. In a
 stop the drives brake, and the torque carries the arm's weight in the last pose that passed the checks.
 """
 
@@ -158,7 +158,7 @@ class SafetyFilter:
         """Return the dry friction (n,) [Nm] of the brakes in a stop; zero while the trocar presses the shaft hard.
 
         The brakes open at ``stop_yield_N``, close again at half of it or after ``stop_yield_s``, and open once more if
-        the force has risen by another ``stop_yield_N``; `moc_guard_hold` in guard.c says why.
+        the force has risen by another ``stop_yield_N``; `moc_guard_hold` in safety_filter.c says why.
 
         Args:
             wrench: (6,) force [N] and torque [Nm] of the tool on its mount, tool axes.

@@ -160,7 +160,7 @@ def write(
     """Write the folder, and return its files.
 
     Args:
-        law, guard: numbers by the names in moc.h (`numbers_of` of control/law.py and control/safety_filter.py).
+        law, guard: numbers by the names in moc.h (`numbers_of` of control/law_numbers.py and control/safety_filter.py).
         recording: what ``make test`` runs again.
         tolerance: of the solver ``exact`` [rad/s].
         stop: damping of the drives in a stop [Nm s/rad], and how long they keep it at least [s].

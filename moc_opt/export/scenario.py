@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from moc_opt.arrays import Array
-from moc_opt.control import law, safety_filter
+from moc_opt.control import law_numbers, safety_filter
 from moc_opt.errors import ScenarioError
 from moc_opt.export.folder import OWN, UDP, Recording, shipped, write
 from moc_opt.realtime.wire import c_packets
@@ -40,7 +40,7 @@ def export_scenario(
     check(scenario)
     setup = Setup(scenario.change(judge=False, bound_samples=0, faults={"solver": "none"}))
     robot, period, solver = setup.robot, scenario.plant.period_s, setup.solver()
-    numbers = law.numbers_of(scenario.control, robot, period)
+    numbers = law_numbers.numbers_of(scenario.control, robot, period)
     limits = safety_filter.numbers_of(scenario.told_guard, robot, period)
     extra: dict[str, str | bytes] = {}
     if udp:

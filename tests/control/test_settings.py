@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from moc_opt.control import Controller, ControlSettings
-from moc_opt.control.law import numbers_of
+from moc_opt.control.law_numbers import numbers_of
 from moc_opt.control.safety_settings import SafetyFilterSettings
 from moc_opt.control.supervisor import SupervisorSettings
 from moc_opt.errors import ControlError, MocOptError, ScenarioError, UnknownNameError

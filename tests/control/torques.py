@@ -4,7 +4,7 @@ import numpy as np
 
 from moc_opt import core
 from moc_opt.control import supervisor
-from moc_opt.control.law import FALLBACKS, LATE
+from moc_opt.control.law_numbers import FALLBACKS, LATE
 from moc_opt.control.safety_filter import SafetyFilter, SafetyFilterSettings
 
 

@@ -5,7 +5,7 @@ import pytest
 from scipy.optimize import lsq_linear
 
 from moc_opt import load_robot
-from moc_opt.control.law import PROJECTORS
+from moc_opt.control.law_numbers import PROJECTORS
 from moc_opt.qp.problem import fields
 from moc_opt.robots import available_robots
 from tests.control.torques import in_place, law, stand_in, subproblem, ticked, tracking

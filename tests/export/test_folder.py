@@ -46,7 +46,8 @@ def test_the_export_compiles_without_a_warning_and_repeats_python_to_the_last_bi
 
 
 @pytest.mark.parametrize(("file", "old", "new"), [
-    ("safety_filter.c", "w->bad += w->bad < INT_MAX;", ""), ("constants.c", ".torque_step = ", ".torque_step = 0.01 * "),
+    ("safety_filter.c", "w->bad += w->bad < INT_MAX;", ""),
+    ("constants.c", ".torque_step = ", ".torque_step = 0.01 * "),
     ("safety_filter.c", "return newer ? FRESH : REPEAT;", "return FRESH;"),
     ("answer.c", "        least_violation(p, x);", "        ;"),
 ])  # fmt: skip

@@ -1,4 +1,4 @@
-"""Settings and an arm as numbers of the core's law (equations: docs/method.md and `moc_opt/core/levels.c`)."""
+"""Settings and an arm as numbers of the core's law (equations: docs/method.md and `moc_opt/core/law.c`)."""
 
 from __future__ import annotations
 
