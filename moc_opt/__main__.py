@@ -5,17 +5,18 @@ from __future__ import annotations
 import errno
 import os
 import select
+import signal
 import sys
 import traceback
 from collections.abc import Sequence
+from difflib import get_close_matches
 from pathlib import Path
 
-from moc_opt.commands.parser import make_parser, work_of
 from moc_opt.errors import MocOptError, describe
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a command; return 0, 2 after wrong input, 3 if a run did not end "completed", 130 after Ctrl-C."""
+    """Run a command; return 0, 2 after wrong input, 3 if a run did not end "completed", 130 after Ctrl-C or SIGTERM."""
     try:
         try:
             return _command(arguments)
@@ -43,18 +44,24 @@ def _nobody_reads() -> bool:
 
 
 def _command(arguments: Sequence[str] | None) -> int:
-    parser = make_parser()
-    if "_ARGCOMPLETE" in os.environ:  # a shell asks for completions of the command line
-        import argcomplete
-
-        argcomplete.autocomplete(parser)
-    given, rest = parser.parse_known_args(arguments)
-    given.rest = rest  # options of a study
-    if given.command is None:
-        parser.error("no command: `moc-opt run` runs the default scenario, `moc-opt -h` says what each command does")
-    if rest and (given.command != "solvers" or given.list):
-        parser.error(f"unrecognized arguments: {' '.join(rest)}: `moc-opt {given.command} -h` lists what it takes")
     try:
+        signal.signal(signal.SIGTERM, signal.default_int_handler)
+        from moc_opt.commands.parser import COMMANDS, make_parser, work_of  # slow: Ctrl-C may come here
+
+        parser = make_parser()
+        if "_ARGCOMPLETE" in os.environ:  # a shell asks for completions of the command line
+            import argcomplete
+
+            argcomplete.autocomplete(parser)
+        given, rest = parser.parse_known_args(arguments)
+        given.rest = rest  # options of a study
+        if given.command is None:
+            parser.error("no command: `moc-opt run` runs the default scenario, `moc-opt -h` explains all commands")
+        if rest and (given.command != "solvers" or given.list):
+            options = COMMANDS[given.command].options if given.command in COMMANDS else ()
+            near = get_close_matches(rest[0].partition("=")[0], [name for names, _ in options for name in names], 1)
+            meant = f", did you mean {near[0]}?" if near else ":"
+            parser.error(f"unrecognized arguments: {' '.join(rest)}{meant} `moc-opt {given.command} -h` lists them all")
         return work_of(given.command)(given)
     except (Exception, KeyboardInterrupt) as error:
         refused = isinstance(error, MocOptError | MemoryError)

@@ -67,12 +67,12 @@ def run_scenario(given: argparse.Namespace) -> int:
     return show(scenario, title, trace, given)
 
 
-def _check_trace_out(file: Path | None, force: bool) -> None:
+def _check_trace_out(file: Path | None, force: bool, kind: str = "run") -> None:
     """Refuse, before any work, a trace or course that cannot be written, or would replace a file of another kind."""
     if file is not None:
         new_file(file)
         if not force:
-            check_trace(file)
+            check_trace(file, kind)
 
 
 def _as_far_as_it_goes(make: Callable[[], Trace]) -> Trace:
@@ -234,7 +234,7 @@ def plan_scenario(given: argparse.Namespace) -> int:
     from moc_opt.scenario.planned import followable_plan, following_warnings, save_course
 
     scenario, title = read_scenario(given.scenario)
-    _check_trace_out(given.out, given.force)
+    _check_trace_out(given.out, given.force, "course")
     follows = scenario.control.follows or given.out is not None  # `--out` writes a course to follow later
     plan, within = followable_plan(scenario, given.margin, given.speed_share, given.margin_m, followed=follows)
     warned = following_warnings(scenario, plan) if follows else []

@@ -38,9 +38,8 @@ class SafetyFilterSettings(Settings):
     repeat_whole_m: float = Field(0.0005, gt=0.0)
     """replaces repeat_m where the wrench sensor repeats its reading to the last bit too"""
     repeat_whole_ticks: int = Field(25, ge=1)
-    """ticks in a row for which a wrench sensor with noise may repeat its reading to the last bit, alone or with
-    all encoders; also how many readings in a row may repeat readings equally far back before they count as a
-    replay"""
+    """ticks in a row for which a wrench sensor with noise may repeat its reading to the last bit, alone or with all
+    encoders; also how many readings in a row may repeat readings equally far back before they count as a replay"""
     stuck_torque: float = Field(0.06, ge=0.0)
     """while an encoder repeats one reading: change of its joint's momentum residual that static friction
     explains, as a share of tau_max"""
@@ -83,8 +82,7 @@ class SafetyFilterSettings(Settings):
     """limit of the root mean square of the tip's error; above it the arm is stopped"""
     tip_error_s: float = Field(0.1, gt=0.0, description="time constant of that mean")
     rcm_error_m: Level = 0.010
-    """limit of the root mean square of the shaft's distance from the registered trocar; above it the arm is
-    stopped"""
+    """limit of the root mean square of the shaft's distance from the registered trocar; above it the arm is stopped"""
     rcm_warning_m: Level = Field(0.005, description="level of the same mean above which a warning is recorded")
     trocar_force_N: Level = 15.0
     """limit of the root mean square of the trocar's force on the shaft, as the wrench sensor shows it; above it

@@ -50,7 +50,7 @@ class Trajectory:
     on another branch, for which the map does not hold."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class SwivelMap:
     """mu over time and swivel: k times, m swivels, n joints."""
 
@@ -65,6 +65,9 @@ class SwivelMap:
     trajectories: Mapping[str, Trajectory]
     held: tuple[str, ...] = ()
     """Joints that tip and wrist leave free, held at their places in the longest run: the map is a slice."""
+
+    def __repr__(self) -> str:
+        return f"SwivelMap({len(self.t_s)} times, {len(self.swivel_rad)} swivels, runs: {', '.join(self.trajectories)})"
 
 
 def manipulability_map(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ctypes
 import os
-import sys
 from time import monotonic, sleep
 
 _LOCK_ALL = 1 | 2  # MCL_CURRENT | MCL_FUTURE
@@ -40,8 +39,6 @@ class WallClock:
 
 def ask_for_realtime() -> dict[str, str]:
     """Ask for a real-time priority, for memory that is never paged out, and for exact timers; say what was granted."""
-    if not sys.platform.startswith("linux"):
-        return {"scheduling": "as other processes (no such system call)"}
     found, libc = {"scheduling": f"SCHED_FIFO {PRIORITY}"}, ctypes.CDLL(None, use_errno=True)
     try:
         # Reset in children: the process of a solver that is replaced starts at leisure, not before the loop.
@@ -56,6 +53,6 @@ def ask_for_realtime() -> dict[str, str]:
 
 def give_back_realtime() -> None:
     """Make this an ordinary process again, since the work after a run is long and not urgent."""
-    if sys.platform.startswith("linux") and os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK == os.SCHED_FIFO:
+    if os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK == os.SCHED_FIFO:
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
         ctypes.CDLL(None).munlockall()

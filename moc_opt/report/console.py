@@ -76,8 +76,7 @@ class Bar(Progress):
 
 def busy() -> str:
     """Return a sentence where more threads want to run than there are cores, to stand beside times; else empty."""
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    load = os.getloadavg()[0]  # over the last minute
+    cores, load = len(os.sched_getaffinity(0)), os.getloadavg()[0]  # the load of the last minute
     if load <= cores:
         return ""
     return f"The machine was busy (load {load:.1f} on {cores} cores): times are longer than on an idle one."

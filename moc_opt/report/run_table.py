@@ -37,12 +37,14 @@ def answers_another_problem(trace: Trace, solver: str = "") -> bool:
 
 def part(trace: Trace) -> str:
     """Return " (first 0.6 s of 8.0 s)" of a run broken off, " (a part)" of a cut trace; empty where it is whole."""
-    if Ending.of(str(trace.meta.get("ended"))) is Ending.PART:
+    ending = Ending.of(str(trace.meta.get("ended")))
+    if ending is Ending.PART:
         return " (a part)"
     ticks, planned, period = (trace.meta.get(name) for name in ("ticks", "ticks_planned", "period_s"))
     if ticks is None or planned is None or period is None or ticks >= planned:
         return ""
-    return f" (first {ticks * period:.1f} s of {planned * period:.1f} s)"
+    braking = ", braking included" if ending is Ending.STOPPED else ""
+    return f" (first {ticks * period:.1f} s of {planned * period:.1f} s{braking})"
 
 
 def warnings(trace: Trace) -> list[str]:

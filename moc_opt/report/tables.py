@@ -58,8 +58,7 @@ class Cell:
 class Table:
     """Rows of results under typed columns, the first of which names the row.
 
-    A row is key -> text, flag, number, None, `Missing(reason)` or `Mark`; absent keys
-    are missing, others ignored.
+    A row is key -> text, flag, number, None, `Missing(reason)` or `Mark`; absent keys are missing, others ignored.
     """
 
     title: str

@@ -11,6 +11,7 @@ import errno
 import math
 import os
 import pickle
+import resource
 import signal
 import subprocess
 import sys
@@ -232,11 +233,8 @@ def _kill(process: subprocess.Popen[bytes], pipe: Connection, owner: int) -> Non
 
 def serve(fd: int, memory_MB: float) -> None:
     """Answer the requests that come through the pipe ``fd`` until its other end is closed."""
-    if sys.platform == "linux":
-        import resource  # not at the top: Windows has no such module
-
-        most, hard = int(1e6 * memory_MB), resource.getrlimit(resource.RLIMIT_DATA)[1]
-        resource.setrlimit(resource.RLIMIT_DATA, (most if hard == resource.RLIM_INFINITY else min(most, hard), hard))
+    most, hard = int(1e6 * memory_MB), resource.getrlimit(resource.RLIMIT_DATA)[1]
+    resource.setrlimit(resource.RLIMIT_DATA, (most if hard == resource.RLIM_INFINITY else min(most, hard), hard))
     pipe = Connection(fd)
     session: Any = None
     while True:

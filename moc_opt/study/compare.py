@@ -172,8 +172,8 @@ def compare(
     """
     base = Scenario() if scenario is None else Scenario.load(scenario)
     for argument, value, least in (("trials", trials, 1), ("seed", seed, 0)):
-        if isinstance(value, bool) or not isinstance(value, int) or not least <= value <= LARGEST_INTEGER:
-            raise ScenarioError(f"{argument} = {shown(value)}: give an integer of {least} or more")
+        if isinstance(value, bool) or not isinstance(value, int) or not least <= value <= LARGEST_INTEGER // 2:
+            raise ScenarioError(f"{argument} = {shown(value)}: give an integer from {least} to 2^62 - 1")
     if base.control.law != "moc":
         raise ScenarioError("[control] law = 'dcac' asks no solver: take law = 'moc', DCAC is compared anyhow")
     chosen, rows, done = _named(solvers, base), list[Mapping[str, Any]](), 0

@@ -15,7 +15,6 @@ import os
 import pickle
 import resource
 import signal
-import sys
 import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
@@ -109,7 +108,7 @@ def run(
         waiting = [k for k, job in enumerate(jobs) if k not in results and job.alone is alone]
         if not waiting:
             continue
-        count = 1 if alone else min(workers or _cores(), len(waiting))
+        count = 1 if alone else min(workers or len(os.sched_getaffinity(0)), len(waiting))
         with _cluster(dask) if dask and not alone else _processes(count) as (submit, slots):
             for k, answer in _answers(jobs, waiting, submit, slots, broken, give_up):
                 if not isinstance(answer, _Done):
@@ -290,16 +289,15 @@ def _processes(count: int) -> Iterator[tuple[Submit, int]]:
 
 
 def _begin(folder: str, memory: int) -> None:
-    """Set up a worker: own process group, no reaction to Ctrl-C; on Linux, death with its parent and a memory limit."""
+    """Set up a worker: own process group, no reaction to Ctrl-C, death with its parent, a limit of its memory."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     for number in (signal.SIGALRM, signal.SIGPROF):
         signal.signal(number, signal.SIG_DFL)
     os.setpgrp()
     with suppress(FileNotFoundError):  # the study has ended meanwhile
         Path(folder, "groups", str(os.getpid())).touch()
-    if sys.platform == "linux":
-        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
-        resource.setrlimit(resource.RLIMIT_DATA, (memory, memory))
+    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+    resource.setrlimit(resource.RLIMIT_DATA, (memory, memory))
 
 
 def report(part: Any) -> None:
@@ -326,9 +324,6 @@ def alarm(seconds: float) -> None:
     signal.setitimer(signal.ITIMER_PROF, seconds)
     signal.setitimer(signal.ITIMER_REAL, WAITS * seconds)
 
-
-def _cores() -> int:
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 # --- workers of a cluster ---

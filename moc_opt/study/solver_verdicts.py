@@ -283,8 +283,7 @@ def _trials_told(rows: Sequence[Row]) -> str:
     if not more:
         return f"Every solver ran {fewest} trials."
     all_of = [row["solver"] for row in rows if row["closed"].get("trials") == more[-1]]
-    least = "at least " * (len(more) > 1)
-    return f"{listed(all_of)} ran {more[-1]} trials, the others {least}the first {fewest} of these."
+    return f"{listed(all_of)} ran {more[-1]} trials, the others {'at least ' if more[1:] else ''}the first {fewest}."
 
 
 def _tip_in_both_frames(runs: Results, solver: str) -> str | None:

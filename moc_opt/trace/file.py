@@ -46,17 +46,18 @@ def new_file(path: str | os.PathLike[str]) -> Path:
     return target
 
 
-def check_trace(path: str | os.PathLike[str]) -> None:
-    """Raise a TraceError, before the run, if the path is that of a file that is no trace and would be replaced."""
+def check_trace(path: str | os.PathLike[str], kind: str = "run") -> None:
+    """Raise a TraceError, before the run, if a file there would be replaced that is no trace of this kind."""
     import polars as pl
 
     if os.path.isfile(path) and os.path.getsize(path):
         try:
-            ours = VERSION_KEY in pl.read_parquet_metadata(os.fspath(path))
-        except (OSError, pl.exceptions.PolarsError):
-            ours = False
-        if not ours:
-            raise TraceError(f"{os.fspath(path)!r} is no trace and would be lost: give another name, or --force")
+            found = pl.read_parquet_metadata(os.fspath(path))
+            is_kind = VERSION_KEY in found and json.loads(found[META_KEY]).get("kind", "run") == kind
+        except (OSError, ValueError, LookupError, pl.exceptions.PolarsError):
+            is_kind = False
+        if not is_kind:
+            raise TraceError(f"{os.fspath(path)!r} is no {kind} and would be lost: give another name, or --force")
 
 
 def write(path: str | os.PathLike[str], columns: Columns, meta: Mapping[str, Any]) -> None:

@@ -209,7 +209,7 @@ _figure("mu_final", "m^3", "Last", "mu", lambda values: values[-1])
 
 @metric("percent")
 def mu_gain_percent(trace: Trace, baseline: Trace | None) -> float:
-    """Gain in mean manipulability over the baseline, in percent of the baseline; to compare third levels, use mu_mean.
+    """Gain in mean manipulability over the baseline, DCAC at the same gains; to compare third levels, use mu_mean.
 
     Baselines of different third levels differ: each has the observer gain of its third level.
     """

@@ -74,7 +74,9 @@ def test_an_unknown_option_and_a_missing_command_are_refused(arguments, capsys):
     with pytest.raises(SystemExit) as ended:
         main(arguments)
     assert ended.value.code == 2
-    assert (arguments or ["no command"])[-1] in capsys.readouterr().err
+    shown = capsys.readouterr().err
+    assert (arguments or ["no command"])[-1] in shown
+    assert ("did you mean --seed?" in shown) == ("--sede=3" in arguments)
 
 
 def test_an_output_that_is_closed_or_full_ends_the_command_without_a_traceback():

@@ -146,8 +146,7 @@ def stays_open(level):
 
 @pytest.mark.parametrize(("noticed", "level", "more"), [
     (unbelieved, 0.25, ("jump", 0.25 + T, 0.0)), (unbelieved, 0.25, ("speed_factor", 0.0, 0.25)),
-    (tip_error, 0.25, (None,)), (tip_error, 0.125, (0.125,)),
-    (way, 0.25, ()), (way, 0.25, ("motion_lag_s", 1.0)),
+    (tip_error, 0.25, (None,)), (tip_error, 0.125, (0.125,)), (way, 0.25, ()), (way, 0.25, ("motion_lag_s", 1.0)),
     (told, 0.25, ("repeat_m", DEAF, 0.25, 0.5)), (told, 0.25, ("repeat_torque", DEAF, 0.5, 0.25)),
     (told, 0.25, ("repeat_whole_m", np.zeros(6), 0.25, 0.5)), (waits, 3, ()), (not_believed, 3, ()),
     (told, 0.25, ("repeat_whole_torque", np.zeros(6), 0.5, 0.25)), (touched, 0.25, ()),

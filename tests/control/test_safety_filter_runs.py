@@ -169,8 +169,7 @@ def test_a_short_gap_is_bridged(gap):
 
 
 @pytest.mark.parametrize("control", [
-    {"preset": "tuned", "limit_margin_rad": 0.0},
-    {**DCAC, "K_X": 3000.0, "D_X": 80.0, "K_N": 800.0, "D_N": 60.0},
+    {"preset": "tuned", "limit_margin_rad": 0.0}, {**DCAC, "K_X": 3000.0, "D_X": 80.0, "K_N": 800.0, "D_N": 60.0},
 ], ids=["moc", "dcac"])  # fmt: skip
 def test_an_arm_at_its_wall_is_stopped(control):
     """The wall begins so far inside the limits that the circle leads joint 4 into it.

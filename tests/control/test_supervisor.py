@@ -92,14 +92,11 @@ def test_a_good_answer_is_followed_and_copied_from_any_layout_of_memory(qp, Z):
 def test_each_fault_has_its_name_and_is_counted(fault, qp, Z):
     good = solved(qp)
     wrong = {
-        Fault.FAILED: no_answer(7, Status.NUMERICAL),
-        Fault.RAISED: RuntimeError("from inside\na solver"),
+        Fault.FAILED: no_answer(7, Status.NUMERICAL), Fault.RAISED: RuntimeError("from inside\na solver"),
         Fault.NOT_FINITE: Solution(np.where(np.arange(7) == 3, np.nan, good.x), None, Status.SOLVED),
         Fault.MALFORMED: Solution(good.x, np.zeros(6, complex), Status.SOLVED),
-        Fault.OUTSIDE: Solution(good.x + 0.5, None, Status.SOLVED),
-        Fault.FALSE_OPTIMUM: opposite(qp),
-        Fault.INFEASIBLE: no_answer(7, Status.INFEASIBLE),
-        Fault.LOST: Unanswered("lost", "its process ended"),
+        Fault.OUTSIDE: Solution(good.x + 0.5, None, Status.SOLVED), Fault.FALSE_OPTIMUM: opposite(qp),
+        Fault.INFEASIBLE: no_answer(7, Status.INFEASIBLE), Fault.LOST: Unanswered("lost", "its process ended"),
     }
     mine = supervisor()
     mine.solve(scripted(good), qp, Z)

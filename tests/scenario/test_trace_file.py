@@ -4,11 +4,14 @@ import os
 import signal
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from moc_opt.__main__ import main
+from moc_opt.errors import TraceError
 from moc_opt.scenario import Scenario, Setup
 from moc_opt.sim import Plant
+from moc_opt.trace.file import check_trace
 from moc_opt.trace.metrics import summarize
 from moc_opt.trace.trace import Trace
 
@@ -51,17 +54,18 @@ def test_whatever_ends_a_run_leaves_its_rows(whole, error, place, tmp_path, monk
     assert 0.0 < summarize(found)["share_of_run"] < 1.0
 
 
-@pytest.mark.parametrize(("status", "told"), [
-    (130, "interrupted; the first 0.296 s "), (1, f"ZeroDivisionError: a defect of two lines ({Path(__file__).name}:"),
+@pytest.mark.parametrize(("number", "status", "told"), [
+    (signal.SIGINT, 130, "interrupted; the first 0.296 s "), (signal.SIGTERM, 130, "interrupted; the first 0.296 s "),
+    (0, 1, f"ZeroDivisionError: a defect of two lines ({Path(__file__).name}:"),
 ])  # fmt: skip
-def test_ctrl_c_and_a_defect_print_one_line_that_names_the_file(tmp_path, capsys, monkeypatch, status, told):
+def test_a_signal_and_a_defect_print_one_line_that_names_the_file(tmp_path, capsys, monkeypatch, number, status, told):
     ticks, real = iter(range(10**6)), Plant.measure
 
     def breaking(self):
         if next(ticks) == 150:
-            if status == 1:
+            if not number:
                 raise ZeroDivisionError("a defect\nof two lines")
-            signal.raise_signal(signal.SIGINT)
+            signal.raise_signal(number)
         return real(self)
 
     monkeypatch.setattr(Plant, "measure", breaking)
@@ -83,3 +87,11 @@ def test_a_file_that_cannot_be_written_is_refused_before_the_run(target, tmp_pat
     assert main(["run", "s.toml", "--trace", target]) == 2
     assert "folder" in capsys.readouterr().err or target == "t.csv"
     assert sorted(os.listdir(tmp_path)) == ["file", "s.toml"]
+
+
+def test_a_trace_replaces_no_course_and_a_course_no_trace(tmp_path):
+    for kind, other in (("run", "course"), ("course", "run")):
+        Trace({"t_s": np.zeros(2)}, {"kind": kind} if kind == "course" else {}).save(tmp_path / "t.parquet")
+        check_trace(tmp_path / "t.parquet", kind)
+        with pytest.raises(TraceError, match=f"is no {other} and would be lost"):
+            check_trace(tmp_path / "t.parquet", other)

@@ -76,8 +76,7 @@ def test_a_study_leaves_its_files_prints_its_answer_and_keeps_files_of_others(as
 
 
 @pytest.mark.parametrize(
-    ("options", "seed", "count"),
-    [((), 5, 4), (("--seed", str(2**62)), 2**62, 4), (("--seed", "7", "--quick"), 7, 1)],
+    ("options", "seed", "count"), [((), 5, 4), (("--seed", str(2**62)), 2**62, 4), (("--seed", "7", "--quick"), 7, 1)],
 )
 def test_options_change_the_configuration(asked, monkeypatch, options, seed, count):
     seen = []

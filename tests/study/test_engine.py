@@ -22,8 +22,7 @@ HOME = Path(__file__).parents[2]
 def test_a_job_that_fails_in_any_way_harms_no_other_job(tmp_path):
     jobs = [
         Job(work.square, (3.0,)), Job(time.sleep, (60.0,), limit_s=0.5), Job(work.die), Job(work.leave),
-        Job(work.refuse),
-        Job(work.press_ctrl_c), Job(work.fork_and_hang, (str(tmp_path / "child"),), limit_s=3.0),
+        Job(work.refuse), Job(work.press_ctrl_c), Job(work.fork_and_hang, (str(tmp_path / "child"),), limit_s=3.0),
         Job(work.eat_memory), Job(lambda: None), Job(work.refuse_name), Job(work.odd_result),
         Job(work.panic), Job(work.no_way_back), Job(work.square, (4.0,)),
     ]  # fmt: skip
