@@ -1,8 +1,8 @@
-"""What does everything cost? All times side by side in one run: ticks, solvers, adapters, the loop, other libraries.
+"""How long does everything take? One run times ticks, solvers, adapters, the loop and other libraries side by side.
 
 python -m benchmarks.speed [CONFIG.toml] [--out DIR] [--seed N] [--quick] [--json]
 
-Its times belong together, so it keeps no jobs: every run measures everything anew.
+Only times of one run can be compared, so finished jobs are not kept: every run measures everything again.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ Names = Literal["all"] | list[str]
 Summary = Mapping[str, Any]
 TICKS, PEERS, SOLVERS, LOOP = "Ticks", "Other libraries", "Solvers", "Loop"
 TIMED = ("tick", "tick_parts", "peers", "adapters", "loop")
-"""Parts of the summary whose times were taken one by one."""
+"""Parts of the summary with counters of the machine's load (`moc_opt.study.timing.COUNTED`)."""
 
 
 class Config(StudyConfig):
@@ -75,7 +75,7 @@ def work(study: Study, config: Config) -> Found:
             no_peer[name] = str(failure)
     able = [name for name in tried if name not in no_peer]
 
-    # Time the loop without judging.
+    # Judging the answers and bounding mu are switched off: they are not part of the loop's time.
     scenario, rounds = config.scenario.change(seed=config.seed, judge=False, bound_samples=0), config.rounds
     long = scenario.change(duration_s=config.ticks * scenario.plant.period_s)
     asked: dict[str, tuple[Callable[..., timed.Part], tuple[Any, ...]]] = {
