@@ -175,7 +175,7 @@ COLUMNS = {
         Column("name", "tick with"), *_times("tick", "p50", "p99", "p99_9"),
         Column("tick_cold_p50_us", "cold", unit="us", format=".1f", better="low",
                help="median of the first five calls after a switch; the percentiles count them too"),
-        Column("tick_mean_us", "mean", unit="us", format=".1f", help="which is what the exported program says"),
+        Column("tick_mean_us", "mean", unit="us", format=".1f", help="the exported program prints no percentiles"),
         Column("tick_max_us", "longest", unit="us", format=".1f", better="low"),
     ]),
     "tick_parts": ("Parts of a tick with exact", [
@@ -190,7 +190,7 @@ COLUMNS = {
     ]),
     "adapters": ("Solvers from Python", [
         Column("name", "adapter"), *_times("adapter", "p50", "p99", form=".2f"),
-        Column("ratio_of_exact", "exact over it", format=".3f", help="median over the chunks"),
+        Column("ratio_of_exact", "exact over it", format=".3f", help="time of exact over this one's, median of chunks"),
     ]),
     "loop": ("The closed loop", [
         Column("name", "loop"), Column("factor", "real time", unit="times", format=".1f", better="high"),

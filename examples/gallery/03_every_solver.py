@@ -2,7 +2,7 @@
 The same problem, every solver
 ==============================
 
-Ask every solver that is installed for the answer to one subproblem, and let the same residuals judge all of them.
+Solve one subproblem with every installed solver, and judge all answers by the same residuals.
 """
 
 import moc_opt as mo

@@ -2,8 +2,8 @@
 A solver of your own
 ====================
 
-A solver has settings, `supports` and `start`; a session has `solve`. This one walks along the self-motion until it
-meets the box: right for one freedom and a small regularization, and the residuals say so.
+A solver has settings, `supports` and `start`; a session has `solve`. This solver walks along the self-motion to the
+edge of the box. That is right for one freedom and a small regularization, which the residuals confirm.
 """
 
 from dataclasses import dataclass
