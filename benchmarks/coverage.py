@@ -1,4 +1,4 @@
-"""How often do the intervals of the solver study contain the true change? Simulated with that study's own design.
+"""How often do the intervals of the solver study contain the true change? A simulation of that study's design.
 
 python -m benchmarks.coverage [CONFIG.toml] [--out DIR] [--quick] [--json]
 

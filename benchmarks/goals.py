@@ -20,7 +20,7 @@ class Goal(NamedTuple):
     """
 
     what: str
-    unit: str  #: of value and limit
+    unit: str  #: unit of value and limit
     limit: float
     measured: Callable[[Any], Any]
     most: bool = True  #: True: the value has to be at most the limit; False: at least
@@ -40,7 +40,7 @@ def judge(summary: Mapping[str, Any], goals: Mapping[str, Goal]) -> dict[str, di
             "what": goal.what, "unit": goal.unit, "goal": goal.limit, "kind": "at most" if goal.most else "at least",
             "value": None, "reached": "not measured", "made_of": "", "section": goal.section,
         }  # fmt: skip
-        with suppress(LookupError, ValueError):  # a part that did not run has no entries; max() of none: ValueError
+        with suppress(LookupError, ValueError):  # raised by entries (max: of none) of a part that did not run
             if (measured := goal.measured(summary)) is not None:
                 row |= _reached(goal, measured) | {"made_of": goal.made_of(summary)}
         found[key] = row
@@ -54,7 +54,7 @@ def _reached(goal: Goal, measured: Any) -> dict[str, Any]:
     one = both[0]
     within = [end <= goal.limit if goal.most else end >= goal.limit for by in both for end in (by.low, by.high)]
     reached = "yes" if all(within) else "open" if any(within) else "no"
-    if (one.samples > 1 or one.low != one.high) and too_few(one.samples):  # NaN ends: one trial
+    if (one.samples > 1 or one.low != one.high) and too_few(one.samples):  # one trial: low and high are NaN
         reached = "open"
     found = {"value": one.value, "reached": reached}
     return found if one.low == one.high else found | measured.entries("value")

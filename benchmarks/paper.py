@@ -329,7 +329,7 @@ def _shift(rows: Results, cases: Mapping[str, Case], name: str, printed: str, cl
 
 
 def swivel_trials(config: Config) -> list[Trial]:
-    """Start one trial at evenly spread places of its self-motion and at the largest mu, under both DCAC and MOC."""
+    """Return one trial started at evenly spread places of its self-motion and at the largest mu, under DCAC and MOC."""
     base = config.base(config.swivel.group)
     [trial] = trials(base, [config.swivel.task], seeds(config.seed, STREAM, 1), virtual=True)
     robot = trial.robot.arm()
@@ -358,7 +358,7 @@ def swivel(rows: Results, solver: str) -> dict[str, Any]:
     return found
 
 
-# --- what is shown ---
+# --- the report ---
 
 
 def report(summary: Mapping[str, Any], rows: Results, config: Config) -> Report:

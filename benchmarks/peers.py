@@ -63,15 +63,15 @@ def wrist_reference(tip_ref: Array, trocar: Array, span: float) -> Array:
 
 
 class TSID:
-    """Task-space inverse dynamics, Del Prete et al. 2016: accelerations by SolverHQuadProgFast, torques from them.
+    """Task-space inverse dynamics (Del Prete et al. 2016): SolverHQuadProgFast gives accelerations, these the torques.
 
-    Level 0 (hard): three rows for the tip, two for the wrist across the shaft, joint speeds. Level 1: accelerations
-    towards the gradient of the manipulability.
+    Level 0 (hard) has three rows for the tip, two for the wrist across the shaft, and the joint speeds. Level 1 has
+    accelerations towards a joint velocity along the gradient of the manipulability.
     """
 
     level: Level = "torque"
     STIFFNESS, DAMPING = 2500.0, 100.0  # [1/s^2], [1/s]: critically damped at 50 rad/s
-    CLIMB_DAMPING = 20.0  # [1/s] of the velocity error along the gradient
+    CLIMB_DAMPING = 20.0  # [1/s] gain of level 1 on the error in joint velocity
 
     def __init__(self, robot: RobotModel) -> None:
         with warnings.catch_warnings():  # tsid registers two of its types twice, which gives warnings

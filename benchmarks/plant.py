@@ -58,7 +58,7 @@ DEFINED = (
 
 
 class Sweep(Settings):
-    """Sizes of the calibration error."""
+    """The study of calibration errors of several sizes."""
 
     KIND: ClassVar[str] = "[calibration]"
     trials: int = Field(5, ge=1, description="per task")
@@ -158,7 +158,7 @@ def registered_again(dcac: Trial, moc: Trial) -> list[Run]:
 
 def after_travel(trace: Trace, setup: Setup, tick: int) -> dict[str, float]:
     """Return the mean errors from a tick on [mm], as registered at the start and as registered again at that tick."""
-    # Touching registers true minus believed place of the tip, and of the shaft's point at the trocar's depth.
+    # Touching registers true minus believed places of two points: the tip, and the shaft at the trocar's depth.
     tips, wrists = setup.robot.tool_along(trace.q_rad + setup.plant.mismatch.encoder_bias)
     told = trace.trocar_registered_m - setup.offset.trocar  # in the controller's own frame
     depth = np.linalg.norm(told - tips, axis=1, keepdims=True)

@@ -222,7 +222,7 @@ def summarise(runs: Sequence[Run]) -> dict[str, Any]:
     found |= share(found["missed"], found["cycles"]).entries("missed_share")
     for time in TIMES:
         values = np.concatenate([getattr(run, f"{time}_us") for run in runs])
-        values = values[np.isfinite(values)]  # a cycle without an answer has none
+        values = values[np.isfinite(values)]  # NaN: cycles without an answer
         found |= {f"{time}_{name}_us": float(np.percentile(values, at)) for name, at in PERCENTILES.items()}
     return found
 

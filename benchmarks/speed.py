@@ -124,7 +124,7 @@ def summed_up(whole: timed.Part, failed: Mapping[str, str]) -> dict[str, Any]:
 
 def _batch(s: Any) -> float | None:
     found = s["batch"]["exact"]
-    # In smaller batches starting the threads dominates.
+    # In smaller batches, starting the threads dominates the time.
     return found["batch_two_threads_per_s"] / 1e6 if found["batch"] >= 1_000_000 else None
 
 

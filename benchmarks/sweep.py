@@ -1,4 +1,4 @@
-"""How do the figures change with any field of a scenario? Fields vary on a grid and at random, x solvers x seeds.
+"""How do the figures change with any field of a scenario? Fields vary on a grid or at random, per solver and seed.
 
 python -m benchmarks.sweep [CONFIG.toml] [--out DIR] [--seed N] [--quick] [--dask ADDRESS]
 
@@ -171,7 +171,7 @@ def plan(config: Config) -> list[Trial]:
     grid, seeds, solvers = grid_axes(config.grid), config.chosen_seeds(), config.chosen_solvers()
     samples = config.random.samples if config.random.fields else 1
     count = math.prod([*map(len, grid.values()), samples, len(seeds), len(solvers)])
-    if not 1 <= count <= MOST_RUNS:  # before anything is drawn or listed
+    if not 1 <= count <= MOST_RUNS:  # checked before anything is drawn or listed
         raise SweepError(f"{count} runs: a sweep has 1 to {MOST_RUNS}; split a larger one into several")
     draws = random_draws(config.random.fields, samples, config.seed)
     if twice := grid.keys() & draws.keys():

@@ -27,7 +27,7 @@ from moc_opt.study.testsets import FOLDER, INCONSISTENT, NAMES, SEQUENCES, TestS
 
 CLOSE = 1e-9  # rad/s; another machine rounds the directions of the five rows differently: optima move by 1e-14
 Rng = np.random.Generator
-SIZE = 128  # problems a set
+SIZE = 128  # problems per set
 VERSION = 1  # part of the seed of the drawn sets
 
 

@@ -159,7 +159,7 @@ class Panel:
                     field.value = self._written(name)
 
     def _choose(self) -> None:
-        if self._solver.value != self._run.solver:  # equal where `_tell` set it, not a user
+        if self._solver.value != self._run.solver:  # if equal, `_tell` has set it, not a user
             self._run.choose(self._solver.value)
 
     def _move_trocar(self) -> None:

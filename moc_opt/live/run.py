@@ -143,10 +143,10 @@ class LiveRun:
         lap, within = divmod(t, self._setup.duration_s)
         if int(lap) % 2 == 0:
             return self._setup.reference.rows(within)
-        return self._setup.reference.rows(self._setup.duration_s - within) * [[1.0], [-1.0], [1.0]]  # reversed
+        return self._setup.reference.rows(self._setup.duration_s - within) * [[1.0], [-1.0], [1.0]]  # backwards
 
     def history(self, points: int = 400) -> Array:
-        """Return the last `HISTORY_S` (k, 7), columns as `QUANTITIES`; k <= `points` stretches, the maximum of each."""
+        """Return `QUANTITIES` over the last `HISTORY_S` (k, 7): maxima over k <= `points` stretches of ticks."""
         rows = np.array(self._rows).reshape(-1, len(QUANTITIES))
         size = max(1, -(-len(rows) // points))
         stretches = rows[len(rows) % size :].reshape(-1, size, len(QUANTITIES))  # without the oldest incomplete stretch

@@ -57,7 +57,7 @@ class RemoteController(Filtered):
         self._command: Packet | None = None
 
     limited = property(lambda self: 0 if self._command is None else int(self._command["limited"]))
-    warnings = property(lambda self: [])  # the safety filter is at the other end
+    warnings = property(lambda self: [])  # warnings arise in the safety filter at the other end
 
     def start(self, seen: Measurement, tip_ref: Array, trocar: Array) -> None:
         """Wait for a controller, send it the first measurement, and wait until it has started; else a WireError."""
@@ -260,14 +260,14 @@ class Answering:
                 self._answer(found, filtered)
             else:
                 quality["late"] += 1
-                if number == newest:  # the plant lacks the answer
+                if number == newest:  # the plant has not got the answer
                     link.send(self._command)
             found = link.receive(monotonic() + self.settings.silence_s)
         return f"the plant has been silent for {self.settings.silence_s:g} s"
 
     def _answer(self, found: Packet, filtered: FilteredController) -> None:
         begin, number, command, seen = perf_counter_ns(), int(found["sequence"]), self._command, _measurement(found)
-        if not np.array_equal(found["commanded"], command["tau"]):  # the watchdog replaced it
+        if not np.array_equal(found["commanded"], command["tau"]):  # the watchdog's torque acted
             filtered.set_applied_torque(np.array(found["commanded"]))
         command["tau"] = filtered.tick(seen, self.tip_refs[number], self.registered[number])
         command["sequence"], command["limited"], command["flags"] = number, filtered.limited, wire.REPORTED

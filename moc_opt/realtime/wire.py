@@ -36,7 +36,7 @@ SHORTEST, LONGEST = 16, 32  #: Bytes of a key; BLAKE2s takes no longer ones.
 TAG_BYTES = 16
 BACKLOG = 256  #: Packets that are read even after the deadline; the limit keeps a flood from stopping the clock.
 COUNTERS = ("received", "missed", "late", "forged", "foreign")
-"""Counters of an end, as docs/realtime.md explains them."""
+"""The counters of each end; docs/realtime.md explains them."""
 
 Packet = NDArray[np.void]  #: Of shape (); ``packet["q"]`` is a view of its bytes.
 Address = tuple[str, int]  #: Host and port.
@@ -70,7 +70,7 @@ class Kind(IntEnum):
     """The kinds of packet; all but MEASUREMENT go to the plant."""
 
     HELLO = 1  #: Answered by one measurement.
-    START = 2  #: The controller has started at that measurement: begin.
+    START = 2  #: The controller has started at the measurement; the plant may begin.
     MEASUREMENT = 3
     COMMAND = 4
     BYE = 5  #: The end of the run is acknowledged.

@@ -55,10 +55,10 @@ COLUMNS = (
     ),
     Column(
         "end", "in the end",
-        help=f"over the last {100 * END:.0f} % of the time. At a local maximum mu falls to either side before it rises "
-        "to the best; at the feasible edge it rises beyond the limit of a joint or the arm's reach; both less than "
-        f"{np.degrees(CLOSE_RAD):.0f} deg away. At rest: joint limits are in the map, the narrower box of the third "
-        "level is not. On another branch of the inverse kinematics the map does not hold",
+        help=f"over the last {100 * END:.0f} % of the time. Local maximum: mu falls to both sides. Edge: mu would rise "
+        f"beyond it, but no pose there is allowed. Either is less than {np.degrees(CLOSE_RAD):.0f} deg away. At rest: "
+        "neither is near; the third level's box is narrower than the joint limits, and is not in the map. Other branch "
+        "of the inverse kinematics: the map does not apply",
     ),
 )  # fmt: skip
 
