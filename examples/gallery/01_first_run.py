@@ -2,7 +2,7 @@
 One run, and its metrics
 ========================
 
-An LWR4+ follows a circle with its tool through the trocar; `exact` solves the third level. The start is random.
+From a random start, an LWR4+ follows a circle with its tool through the trocar; `exact` solves the third level.
 The baseline is the same trial without the third level (`dcac`).
 """
 

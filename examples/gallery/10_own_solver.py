@@ -16,7 +16,7 @@ from moc_opt.solvers.base import Solution, Status
 
 @dataclass(frozen=True)
 class Walk:
-    """The end of the feasible interval to which the gradient of mu points."""
+    """A solver that returns the end of the feasible interval to which the gradient of mu points."""
 
     name = "walk"
 
