@@ -36,7 +36,7 @@ def run_page(traces: Mapping[str, Trace], metrics: Mapping[str, Mapping[str, flo
     page.figure(
         time_series(traces, styles=styles),
         "From above: manipulability (dotted: the largest of all poses with the same tip and shaft); tip error by the "
-        "robot's own kinematics and in the patient's frame, where both are known; distance of the shaft from the "
+        "robot's own kinematics and in the patient's frame, where they are known; distance of the shaft from the "
         "trocar, and the force on the trocar. If runs coincide, only the last one is seen: click on its name in the "
         "legend to hide it.", name="curves",
     )  # fmt: skip
