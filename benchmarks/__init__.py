@@ -1,6 +1,6 @@
-"""Studies of a checkout: one command a file, ``python -m benchmarks.NAME``, on the engine of `moc_opt.study`.
+"""Studies that run in a checkout: every file is a command, ``python -m benchmarks.NAME``. `moc_opt.study` runs them.
 
-Timings are of one thread, so the libraries are told so before they load.
+Times are measured on one thread, so numerical libraries are limited to one thread before they load.
 """
 
 import os

@@ -1,12 +1,12 @@
 """Find the answers of a test set, and prove them without the solvers and residuals of moc_opt.
 
-What is certified is the optimum over five rows: the tip's three and the wrist's two across the shaft, rounded to
-doubles. The sixth row, along the shaft, repeats the tip's because the tool is rigid. In doubles the two agree to 1e-16
-only, and exact arithmetic would take that rounding error for a sixth independent row. On the five rows both tracking
-terms of the cost are constant, and what is left to minimise is rho/2 |x|^2 - c2 grad_mu^T x.
+The certified answer is the optimum over five rows: the tip's three and the wrist's two across the shaft, rounded to
+doubles. The wrist's row along the shaft repeats the tip's, because the tool is rigid. In doubles the two agree only to
+1e-16, and exact arithmetic would take that rounding error for a sixth independent row. On the five rows both tracking
+terms of the cost are constant, and rho/2 |x|^2 - c2 grad_mu^T x is left to minimise.
 
-`optimum` enumerates the sets of bounds that may be active, in rational numbers without rounding. What it calls
-infeasible, HiGHS must call infeasible as well.
+`optimum` enumerates the sets of bounds that may be active, in rational numbers without rounding. HiGHS has to agree
+with it on which problems are feasible.
 """
 
 from __future__ import annotations
@@ -22,18 +22,18 @@ from moc_opt.arrays import Array
 from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.study.testsets import CertificateError, TestSet
 
-TIED = 1e-12  # of |A|: largest movement of tip against wrist along the shaft that is taken for rounding
+TIED = 1e-12  # of |A|: up to here, relative movement of tip and wrist along the shaft counts as rounding
 RANK_TOLERANCE = 1e-12
-"""A singular value below this share of |A| counts as zero: the judge's rule. What depends on it is not certified."""
-FEASIBLE, INFEASIBLE = 0, 2  # HiGHS's status, as scipy passes it on
+"""Singular values below this share of |A| count as zero when answers are judged: such problems are not certified."""
+FEASIBLE, INFEASIBLE = 0, 2  # status of scipy's linprog
 NONE = Fraction(0)
 Vector = list[Fraction]
 
 
 def five_rows(qp: NullSpaceQP) -> tuple[Array, Array]:
-    """Return the rows that are certified, (5, n) and (5,): the tip's, and the wrist's across the shaft.
+    """Return A (5, n) and b (5,) of the certified problem: the tip's three rows and the wrist's two across the shaft.
 
-    A CertificateError where tip and wrist are not tied by a rigid tool, or the rows have no rank of five.
+    A CertificateError where no rigid tool ties tip and wrist, or where the rank of the rows is below five.
     """
     directions, sizes, _ = np.linalg.svd(qp.J_tip - qp.J_wrist)
     if sizes[2] > TIED * np.linalg.norm(qp.A):
@@ -49,21 +49,21 @@ def five_rows(qp: NullSpaceQP) -> tuple[Array, Array]:
 def optimum(A: Array, b: Array, pull: Vector, rho: float, lower: Array, upper: Array) -> Vector | None:
     """Minimise rho/2 |x|^2 - pull^T x over A x = b, lower <= x <= upper, without rounding.
 
-    Joints whose column of A is zero are solved one by one. The others are x = start + basis w with r freedoms w. If
-    the problem is feasible, its optimum is fixed by at most r active bounds (r where rho = 0) whose rows of the basis
-    are independent. Each such set is tried, and the first point is returned that lies in the box and whose
-    multipliers have the right signs. The problem is convex, so these two properties prove the optimum. If no set has
-    such a point, no point of the box meets A x = b.
+    Joints whose column of A is zero are solved one by one. The others are x = start + basis w with r freedoms w. If the
+    problem is feasible, at most r active bounds (exactly r where rho = 0) with independent rows of the basis determine
+    an optimum. All such sets are tried; the first point that lies in the box and whose multipliers have the right signs
+    is returned. These two properties prove the optimum, because the problem is convex. If no set gives such a point, no
+    point of the box meets A x = b.
 
     Args:
         A: (m, n) rows.
         b: (m,) right-hand sides.
-        pull: (n,) linear gain, c2 grad_mu.
+        pull: (n,) linear term of the cost, c2 grad_mu.
         rho: weight of |x|^2, 0 or larger.
         lower, upper: (n,) bounds.
 
     Returns:
-        (n,) an optimum in exact numbers, any of them where there are several; None: infeasible.
+        (n,) an optimum in exact numbers, any one if there are several; None if the problem is infeasible.
     """
     weight, ends = Fraction(rho), [(Fraction(low), Fraction(high)) for low, high in zip(lower, upper, strict=True)]
     moving = [j for j in range(len(ends)) if A[:, j].any()]
@@ -93,7 +93,7 @@ def optimum(A: Array, b: Array, pull: Vector, rho: float, lower: Array, upper: A
 
 
 def _alone(gain: Fraction, weight: Fraction, low: Fraction, high: Fraction) -> Fraction:
-    """Minimise weight/2 x^2 - gain x on [low, high]; the x nearest to zero where both are 0."""
+    """Minimise weight/2 x^2 - gain x on [low, high]; the x nearest to zero if weight and gain are 0."""
     if weight or not gain:
         return min(max(gain / weight if weight else NONE, low), high)
     return high if gain > 0 else low
@@ -102,9 +102,9 @@ def _alone(gain: Fraction, weight: Fraction, low: Fraction, high: Fraction) -> F
 def _stationary(
     basis: list[Vector], start: Vector, gains: Vector, weight: Fraction, active: dict[int, Fraction]
 ) -> tuple[Vector, Vector] | None:
-    """Return the stationary point with these bounds active, and their multipliers; None where it is not determined.
+    """Return the stationary point with these bounds active, and their multipliers; None where it is not unique.
 
-    With N the basis and N_S its active rows: N^T (weight x - gains) = N_S^T m, x_S = the bounds.
+    With N the basis, S the active joints and m the multipliers: N^T (weight x - gains) = N_S^T m, x_S = the bounds.
     """
     r, columns = len(basis[0]), list(zip(*basis, strict=True))
     left = [gain - weight * value for gain, value in zip(gains, start, strict=True)]
@@ -143,14 +143,14 @@ def eliminated(matrix: list[Vector]) -> tuple[list[Vector], list[int]]:
 
 
 def certified(qp: NullSpaceQP) -> Vector | None:
-    """Return an optimum of the five rows without rounding, (n,); None: infeasible."""
+    """Return an optimum (n,) over the five rows, without rounding; None if the problem is infeasible."""
     A, b = five_rows(qp)
     pull = [Fraction(qp.c2) * Fraction(g) for g in qp.pull]
     return optimum(A, b, pull, qp.regularization, qp.lower, qp.upper)
 
 
 def certify(name: str, problems: Sequence[NullSpaceQP]) -> TestSet:
-    """Find the answers and prove them; a CertificateError where HiGHS contradicts the enumeration on feasibility."""
+    """Find and prove the answers; a CertificateError where HiGHS and the enumeration disagree on feasibility."""
     X = np.full((len(problems), problems[0].n), np.nan)
     for i, qp in enumerate(problems):
         found = certified(qp)

@@ -1,10 +1,10 @@
-"""How often the intervals of the study of solvers hold the true change, by simulation with the study's own design.
+"""How often do the intervals of the solver study contain the true change? A simulation of that study's design.
 
 python -m benchmarks.coverage [CONFIG.toml] [--out DIR] [--quick] [--json]
 
-Fresh independent trials make a pool, and the change over the whole pool counts as the true one. From it trials are
-drawn with replacement, as many as the study has, with the interval of `moc_opt.study.statistics` around the
-change of each draw. docs/method.md has the result.
+Fresh independent trials make a pool, and the change over the whole pool counts as the true one. As many trials as the
+study has are drawn from the pool with replacement, again and again, and `moc_opt.study.statistics` computes the
+interval of the change in each draw. docs/method.md has the result.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from moc_opt.study.statistics import LEAST_TRIALS, relative_change
 from moc_opt.study.trials import BASELINE, Trial, trials
 
 SEED = 1_000_000
-"""Far from the trials of every study."""
+"""First seed of the pool's trials, far from those of every study."""
 SOLVERS = ("exact", "rnn", "rnn-printed")
 METRICS = ("mu_mean", *(ERRORS[k] for k in (3, 4, 0, 1)))
 SIZES = (60, 15, LEAST_TRIALS)
@@ -51,7 +51,7 @@ class Config(StudyConfig):
 
 
 def covered(treated: ArrayLike, control: ArrayLike, size: int, draws: int) -> tuple[float, float]:
-    """Return the share of draws of ``size`` trials whose interval holds the pool's change, and its median width [%]."""
+    """Return the share of draws of ``size`` trials whose interval holds the pool's change, and the median width [%]."""
     treated, control = np.asarray(treated), np.asarray(control)
     rng, held, widths = np.random.default_rng(size), 0, []
     true = 100.0 * (treated.mean() / control.mean() - 1.0)

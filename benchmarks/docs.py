@@ -1,8 +1,8 @@
 """Put the figures of finished studies into README.md and docs: python -m benchmarks.docs [RESULTS]
 
-Where a page has the lines ``<!-- NAME -->`` and ``<!-- /NAME -->``, the answer and the first table of
-RESULTS/NAME/report.md are put between them; between ``<!-- NAME: TITLE -->`` and ``<!-- /NAME: TITLE -->`` the section
-of that title. The command that made them, the seed and the machine stand above. RESULTS is ``results`` by default.
+Between the lines ``<!-- NAME -->`` and ``<!-- /NAME -->`` of a page go the answer and the first table of
+RESULTS/NAME/report.md. Between ``<!-- NAME: TITLE -->`` and ``<!-- /NAME: TITLE -->`` goes the report's section with
+that title. The command, the seed and the machine are put above them. RESULTS is ``results`` by default.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ BLOCK = re.compile(
 
 
 def block(folder: Path, title: str | None) -> str | None:
-    """Return the answer, or the section of that title, of a study's report; None where there is no such study."""
+    """Return the answer and first table of a study's report, or its section ``title``; None if it has no report."""
     if not (folder / "report.md").exists():
         return None
     parts = re.split(r"^## (.+)\n", (folder / "report.md").read_text(encoding="utf-8"), flags=re.MULTILINE)

@@ -1,8 +1,8 @@
-"""The test sets in other people's formats: for qpbenchmark (2.7.1 or later).
+"""The test sets in the format of qpbenchmark (2.7.1 or later).
 
     python -m benchmarks.export qpbenchmark --out DIR [--sets NAME ...] [--every K] [--rows 5|6]
 
-writes DIR/null_space.py and DIR/null_space.parquet, a test set that qpbenchmark runs as it is:
+writes DIR/null_space.py and DIR/null_space.parquet, a test set that qpbenchmark can run:
 
     qpbenchmark DIR/null_space.py --results-path DIR/results.csv run --author NAME
 """
@@ -54,7 +54,7 @@ class NullSpace(ParquetTestSet):
 
 
 def problems(names: Sequence[str], every: int = 1) -> dict[str, NullSpaceQP]:
-    """Map name to problem: of the sets every `every`-th one that has an answer."""
+    """Return name -> problem: every `every`-th problem of the sets, without the infeasible ones."""
     found = {}
     for name in names:
         check_name(name)
@@ -66,10 +66,10 @@ def problems(names: Sequence[str], every: int = 1) -> dict[str, NullSpaceQP]:
 
 
 def write_qpbenchmark(folder: Path, names: Sequence[str] = SETS, every: int = 1, rows: int = 5) -> Path:
-    """Write the two files; returns the module's path.
+    """Write the two files; return the module's path.
 
-    qpbenchmark counts an unsolved problem against a solver, so problems without an answer are left out. The format
-    is that of its ``ProblemList``: matrices by rows in flat columns.
+    Infeasible problems are left out, because qpbenchmark counts every unsolved problem against a solver. The format is
+    that of its ``ProblemList``, with matrices flattened row by row.
     """
     chosen = problems(names, every)
     if not chosen:

@@ -1,8 +1,8 @@
-"""What happens when something breaks? Every fault under every controller: survived within limits, or stopped safely.
+"""What happens when something breaks? Under every fault, each controller has to survive within limits or stop safely.
 
 python -m benchmarks.faults [CONFIG.toml] [--out DIR] [--seed N] [--quick] [--json]
 
-Solvers fail, lie or hang, packets are late or lost, encoders jump, drift or stick, the arm is pushed, the trocar moves.
+Solvers fail, lie or hang; packets are late or lost; encoders jump, drift or stick; the arm is pushed; the trocar moves.
 Every run is compared with the same run without a fault.
 """
 
@@ -39,12 +39,12 @@ from moc_opt.trace.meta import Ending
 from moc_opt.trace.trace import Trace
 
 PICTURED = ("none", "bump-30N", "trocar-slips", "nan-lasting")
-"""Cases whose traces are drawn, of `exact` on the first trial."""
+"""Cases whose traces are drawn, under `exact` on the first trial."""
 CURVES = ("t_s", "tip_error_m", "rcm_error_m", "trocar_force_N")
 SMOOTH_S, RECOVERED, RESOLUTION_M = 0.2, 1.2, 5e-5
-"""Errors are averaged over 0.2 s and compared with 1.2 times the level without a fault, half an encoder step more."""
+"""A run has recovered when its errors, averaged over 0.2 s, stay below 1.2 times the fault-free ones plus 0.05 mm."""
 COMPLAINTS = ("failed", "raised", "malformed", "not_finite", "outside", "lied", "late", "lost")
-"""Faults that a supervisor names when a solver misbehaves; "infeasible" is an honest answer."""
+"""Names in the supervisor's trace of a solver's misbehaviour; "infeasible" is missing, as it is an honest answer."""
 OUTCOMES = ("survived", "stopped", "oscillated", "diverged", "ran away", "refused", "failed")
 WORST = (
     "tip_error_max_mm", "rcm_error_max_mm", "trocar_force_max_N", "rcm_mean_percent", "rcm_max_percent",
@@ -74,7 +74,7 @@ SEEN = [
 
 
 class Case(Settings):
-    """One fault: its changes of a scenario, and the time in which it acts."""
+    """One fault: the changes that it makes to a scenario, and the time during which it acts."""
 
     KIND: ClassVar[str] = "[cases]"
     group: Literal["none", "solver", "sensors", "plant", "contact", "camera"]
@@ -82,7 +82,7 @@ class Case(Settings):
     plant: dict[str, Any] = Field(default_factory=dict)
     trocar: dict[str, Any] = Field(default_factory=dict)
     camera_lost_s: tuple[float, float] | None = None
-    """the board is out of sight from .. until; the tip waits meanwhile"""
+    """(from, until): the board is out of sight, and the tip waits"""
     from_s: float = Field(0.0, ge=0.0)
     until_s: float | None = Field(None, ge=0.0, description="None: it lasts")
 
@@ -97,7 +97,7 @@ class Case(Settings):
 
 
 FREE = {"none": Case(group="none")}
-"""The run without a fault, which comes first."""
+"""The run without a fault; it has to be the first of a block."""
 
 
 class Config(StudyConfig):
@@ -127,7 +127,7 @@ class Config(StudyConfig):
 
 @dataclass(frozen=True)
 class Block:
-    """One controller on one trial, with the faults to inject."""
+    """One controller on one trial, with the cases to run."""
 
     controller: str
     trial: Scenario
@@ -165,13 +165,13 @@ def work(study: Study, config: Config) -> Found:
 
 
 def run_block(block: Block) -> tuple[list[dict[str, Any]], dict[str, dict[str, Array]]]:
-    """Run all cases of a block, and return a row each, and curves to be drawn."""
+    """Run all cases of a block; return one row per case, and the curves to draw."""
     rows, curves = [], {}
-    levels: dict[bool, Trace | None] = {}  # without a fault; of a path that never waits, and of one that may
+    levels: dict[bool, Trace | None] = {}  # may the path wait? -> the fault-free run to compare with
     for name, case in block.cases.items():
         trace, how = run_case(case.corrupt(block.trial), case.camera_lost_s)
         waits = case.camera_lost_s is not None
-        if waits not in levels:  # a path that may wait starts gently, so it is compared with one that never has to
+        if waits not in levels:  # a path that may wait starts more gently: compare it with one that may but need not
             levels[waits] = run_case(block.trial, (0.0, 0.0))[0] if waits else trace
         if (level := levels[waits]) is None:
             raise MocOptError(f"{block.controller}: the run without a fault did not start: {how}")
@@ -193,13 +193,13 @@ class Waited(Reference):
         object.__setattr__(self, "rows_played", played)
 
     def at(self, t: Any) -> tuple[Array, Array, Array]:
-        """Return the point, velocity, acceleration, (k, 3) each, of the first k ticks."""
+        """Return point, velocity and acceleration of the first k ticks, (k, 3) each; k is the length of t."""
         x, dx, ddx = np.swapaxes(self.rows_played[: len(t)], 0, 1)
         return x, dx, ddx
 
 
 def run_case(scenario: Scenario, camera_lost_s: tuple[float, float] | None) -> tuple[Trace | None, str]:
-    """Return the trace as far as it goes, and how the run ended."""
+    """Return the trace, up to where the run broke off, and how it ended; None in place of a trace if it was refused."""
     try:
         setup = Setup(scenario)
         if camera_lost_s is not None:
@@ -218,7 +218,7 @@ def measure(
     """Return the figures of one run beside the run without a fault."""
     if trace is None:
         return {"outcome": "refused"}
-    # A stopped arm need not follow its reference: the way that it moves on counts.
+    # A stopped arm need not follow its reference: its tip error counts up to the stop, and then the distance it coasts.
     whole, stopped_at = trace, trace.meta.get("stopped_at_s")
     trace = trace if stopped_at is None else trace.select(trace.t_s <= stopped_at)
     tip, rcm = 1e3 * trace.tip_error_m, 1e3 * whole.rcm_error_m
@@ -243,10 +243,10 @@ def measure(
 
 
 def detection(trace: Trace) -> dict[str, int]:
-    """Count injected solver faults, those that were refused, and those that were not.
+    """Count injected solver faults (detected, harmless and missed), and sound answers that were refused.
 
-    An answer that was corrupted, was taken, and is verified as the optimum all the same (the opposite gradient can
-    have the same optimum, where the box leaves one point) did no harm: it counts apart from the missed ones.
+    A corrupted answer that was taken can still be verified as the optimum. For example, the opposite gradient has the
+    same optimum where the box leaves a single point. Such an answer counts as harmless, not as missed.
     """
     never: NDArray[np.bool_] = np.zeros(len(trace), dtype=np.bool_)
     injected = trace.columns.get("injected", never) & (trace.fault != "stopped")
@@ -262,9 +262,9 @@ def detection(trace: Trace) -> dict[str, int]:
 
 
 def recovery(trace: Trace, free: Trace, case: Case, ended: str) -> float | None:
-    """Return the seconds from the fault's end (its start, if it lasts) until both errors stay below 1.2 of their level.
+    """Return the time [s] from the fault's end (its start, if it lasts) until both errors have recovered for good.
 
-    None where the run was stopped, or ends above that level.
+    `RECOVERED` has the limit. None where the run did not complete, or ends above the limit.
     """
     if ended != "completed" or len(trace) != len(free):
         return None
@@ -283,12 +283,12 @@ def recovery(trace: Trace, free: Trace, case: Case, ended: str) -> float | None:
 
 
 def smooth(values: Array, width: int) -> Array:
-    """Return the mean of the last ``width`` values, (N,); of fewer at the beginning."""
+    """Return the running mean (N,) over the last ``width`` values, or over as many as there are at the beginning."""
     return pl.Series(values).rolling_mean(width, min_samples=1).to_numpy()
 
 
 def worst(rows: Results) -> list[dict[str, Any]]:
-    """Return a row a case and controller: outcomes counted over the trials, worst errors, faults summed."""
+    """Return one row per case and controller: counts of outcomes over the trials, largest errors, sums of faults."""
     found = []
     for case, name in product(rows.names("case"), rows.names()):
         if not (mine := list(rows.where(case=case, controller=name))):
@@ -309,7 +309,7 @@ def worst(rows: Results) -> list[dict[str, Any]]:
 
 
 def goals_of(cases: Mapping[str, Case]) -> dict[str, Goal]:
-    """Return the goals; each is measured in the rows of `worst`."""
+    """Return the goals; their values are taken from the rows of `worst`."""
     shares = {name: case.faults.get("solver_share", 0.0) for name, case in cases.items() if case.group == "solver"}
     always = {name for name, share in shares.items() if share >= 1.0}
     seldom = set(shares) - always

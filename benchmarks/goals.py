@@ -1,4 +1,4 @@
-"""Goals of the studies: a figure that is wanted, and whether it is reached."""
+"""Goals of the studies: a limit for a measured figure, and whether the figure meets it."""
 
 from __future__ import annotations
 
@@ -13,26 +13,26 @@ from moc_opt.study.statistics import Change, Interval, spread, too_few
 
 
 class Goal(NamedTuple):
-    """Reached when the value, or the worse end of its interval, is at most, or at least, the limit.
+    """A goal is reached if the value, or the worse end of its interval, is at most (or at least) the limit.
 
-    ``measured`` takes the value from a summary: a number, an `Interval` or a `Change`, both of whose means are asked
-    then; None, or a LookupError, means that it was not measured.
+    ``measured`` takes the value from a summary: a number, an `Interval`, or a `Change`, both of whose intervals have to
+    meet the limit. If it returns None or raises a LookupError or ValueError, the value was not measured.
     """
 
     what: str
-    unit: str  #: of value and limit
+    unit: str  #: unit of value and limit
     limit: float
     measured: Callable[[Any], Any]
-    most: bool = True  #: the limit is the largest value that will do; else the smallest
-    made_of: Callable[[Any], str] = lambda summary: ""  #: what the value was made of, in words, from a summary
-    section: str = ""  #: of the page, with the figures around it
+    most: bool = True  #: True: the value has to be at most the limit; False: at least
+    made_of: Callable[[Any], str] = lambda summary: ""  #: takes the value's components from a summary, as text
+    section: str = ""  #: section of the page with related figures
 
 
 def judge(summary: Mapping[str, Any], goals: Mapping[str, Goal]) -> dict[str, dict[str, Any]]:
     """Return goal -> what, unit, goal, kind, value (None: not measured), made_of, reached, section.
 
-    ``reached`` is "yes", "no", "not measured", or "open": the value's interval holds the limit, or the trials are too
-    few.
+    ``reached`` is "yes", "no", "not measured", or "open" (the value's interval holds the limit, or the trials are too
+    few).
     """
     found: dict[str, dict[str, Any]] = {}
     for key, goal in goals.items():
@@ -40,7 +40,7 @@ def judge(summary: Mapping[str, Any], goals: Mapping[str, Goal]) -> dict[str, di
             "what": goal.what, "unit": goal.unit, "goal": goal.limit, "kind": "at most" if goal.most else "at least",
             "value": None, "reached": "not measured", "made_of": "", "section": goal.section,
         }  # fmt: skip
-        with suppress(LookupError, ValueError):  # a part that did not run has no entries, and no largest of them
+        with suppress(LookupError, ValueError):  # raised by entries (max: of none) of a part that did not run
             if (measured := goal.measured(summary)) is not None:
                 row |= _reached(goal, measured) | {"made_of": goal.made_of(summary)}
         found[key] = row
@@ -54,14 +54,14 @@ def _reached(goal: Goal, measured: Any) -> dict[str, Any]:
     one = both[0]
     within = [end <= goal.limit if goal.most else end >= goal.limit for by in both for end in (by.low, by.high)]
     reached = "yes" if all(within) else "open" if any(within) else "no"
-    if (one.samples > 1 or one.low != one.high) and too_few(one.samples):  # one trial has no interval: NaN
+    if (one.samples > 1 or one.low != one.high) and too_few(one.samples):  # one trial: low and high are NaN
         reached = "open"
     found = {"value": one.value, "reached": reached}
     return found if one.low == one.high else found | measured.entries("value")
 
 
 def goals_table(found: Mapping[str, Mapping[str, Any]], title: str = "Goals") -> Table:
-    """Make the table of what `judge` found, missed goals first."""
+    """Make a table of the result of `judge`, missed goals first."""
     rows = [
         {
             "what": row["what"], "wanted": f"{row['kind']} {row['goal']:.3g} {row['unit']}".strip(),

@@ -1,10 +1,10 @@
-"""Do the paper's claims hold in simulation? DCAC and MOC on its three virtual tasks.
+"""Do the paper's claims hold in simulation? The study compares MOC with DCAC on the paper's three virtual tasks.
 
 python -m benchmarks.paper [CONFIG.toml] [--out DIR] [--seed N] [--quick] [--json]
 
-With the paper's parameters (Table I as printed) and with tuned ones, with every solver, against DCAC with its own and
-with MOC's gains; then our own goals, which entry of Table I decides, what the starting swivel decides, and the whole
-procedure from the hand-guided tip to the end of the path. Several runs go at a time, so no time is reported.
+MOC runs with the paper's parameters (Table I as printed) and with tuned ones, under every solver. DCAC runs with its
+own gains and with MOC's. The study also judges our own goals, exchanges entries of Table I, varies the starting swivel
+and runs the whole procedure, from the hand-guided tip to the end of the path. Runs are parallel, so none is timed.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ MOST_MM = {
     "tip_error_model_mean_mm": 0.1, "tip_error_registered_mean_mm": 0.1, "rcm_error_model_mean_mm": 0.2,
     "rcm_error_registered_mean_mm": 0.2, "rcm_error_mean_mm": 0.5,
 }  # fmt: skip
-"""Goals of the means [mm]; 0.3 of the 0.5 mm are the error of a registration that is 0.5 mm off."""
+"""Goals: largest mean errors [mm]. Of the last one's 0.5 mm, 0.3 mm come from registering the trocar 0.5 mm off."""
 RULES = (
     "An effect is the change of MOC against a DCAC on the same trials, 100 (mean MOC / mean DCAC - 1), with its 95 % "
     "interval, and beside it the mean of the trials' own ratios. A claim is confirmed against one DCAC where both "
@@ -63,7 +63,7 @@ RULES = (
 
 @dataclass(frozen=True)
 class Claim:
-    """A claim of the paper: the change of a metric lies beyond a bound [percent], upwards or downwards."""
+    """A claim, the paper's if `papers`: the change of a metric lies above (`upwards`) or below a bound [percent]."""
 
     metric: str
     title: str
@@ -73,11 +73,11 @@ class Claim:
     papers: bool = True
 
     def confirmed(self, effect: Change | None) -> bool:
-        """Tell whether both intervals lie beyond the bound, of enough trials."""
+        """Tell whether the effect has enough trials and both of its intervals lie beyond the bound."""
         return effect is not None and effect.side(self.bound) == (1 if self.upwards else -1)
 
     def verdict(self, own: Change | None, matched: Change | None) -> str:
-        """Return the verdict from the effects against DCAC with its own gains and with MOC's."""
+        """Return the verdict from the effects against DCAC with its own gains (`own`) and with MOC's (`matched`)."""
         few = too_few(matched.ratio.samples if matched else 0)
         if matched is None or few:
             return str(few)
@@ -97,7 +97,7 @@ CLAIMS = (
     Claim(ERRORS[4], TITLES[ERRORS[4]], "the shaft is nearer to the incision in the patient", papers=False),
     Claim(ERRORS[5], TITLES[ERRORS[5]], "the shaft is nearer to the true trocar", papers=False),
 )
-"""The paper's three claims by the robot's own kinematics, as it measured them; then the same in the other frames."""
+"""The paper's three claims, by the robot's own kinematics as in the paper; then the same claims in other frames."""
 
 
 def disagree(change: Change, bound: float) -> bool:
@@ -117,20 +117,20 @@ class Group(Settings):
 
 
 class Case(Settings):
-    """Table I with some entries exchanged, on both sides."""
+    """Table I with some entries exchanged, for MOC and for the DCAC that it is compared with."""
 
     KIND: ClassVar[str] = "[ablation.cases.*]"
     about: str = ""
-    control: dict[str, Any] = Field(default_factory=dict, description="what is exchanged")
+    control: dict[str, Any] = Field(default_factory=dict, description="the exchanged settings")
     without: list[str] = Field(default_factory=list, description="settings put back to the package's default")
     controller: str = Field("exact", description="a solver of the third level, or 'dcac-damped'")
 
 
 class Ablation(Settings):
-    """Table I with entries exchanged; the first case is the table as printed, none leaves the ablation out."""
+    """Table I with entries exchanged. The first case is the table as printed; without cases there is no ablation."""
 
     KIND: ClassVar[str] = "[ablation]"
-    group: str = Field(PRINTED, description="whose parameters and trials")
+    group: str = Field(PRINTED, description="its parameters and trials are used")
     cases: dict[str, Case] = Field(default_factory=dict)
 
 
@@ -149,7 +149,7 @@ class Config(StudyConfig):
     solvers: list[str] = Field(["exact", "rnn", "rnn-printed"], min_length=1)
     best: str = "tuned"
     best_solver: str = "exact"
-    elsewhere: str | None = Field(None, description="a group of other starts, of which the goals are asked too")
+    elsewhere: str | None = Field(None, description="a group with other starts, for which the goals are judged too")
     groups: dict[Name, Group] = Field(default_factory=dict, min_length=1)
     ablation: Ablation = Ablation()
     swivel: Swivel = Swivel()
@@ -239,7 +239,7 @@ def work(study: Study, config: Config) -> Found:
 
 
 def group_figures(rows: Results) -> dict[str, dict[str, Any]]:
-    """Return controller -> means of the errors and mu with intervals, changes against matched DCAC, by phase too."""
+    """Return controller -> means of mu and errors, and changes against matched DCAC, over whole runs and by phase."""
     changed = ["mu_mean", *ERRORS, "trocar_force_mean_N"]
     phases = [f"{phase}_{name}" for phase in PHASES for name in (*ERRORS, "trocar_force_mean_N")]
     means = ["mu_mean", "mu_fraction_of_best", *ERRORS, "trocar_force_mean_N", "torque_rate_rms_Nm_per_s"]
@@ -251,7 +251,7 @@ def group_figures(rows: Results) -> dict[str, dict[str, Any]]:
 
 
 def claims(rows: Results, group: str, solver: str) -> list[dict[str, Any]]:
-    """Return a row a claim: verdict, and the effect against each DCAC with its interval."""
+    """Return one row per claim: the verdict, and the effect against each DCAC with its interval."""
     found = []
     for claim in CLAIMS:
         effects = {name: rows.change(claim.metric, solver, name) for name in BASELINES}
@@ -273,7 +273,7 @@ def gains(rows: Results, solver: str) -> list[float]:
 
 
 def goals(rows: Results, group: str | None, solver: str) -> dict[str, dict[str, Any]]:
-    """Judge what the best MOC should reach against DCAC with the same gains, on the trials of a group."""
+    """Judge the goals of MOC with a solver on the trials of a group. Changes are against DCAC with the same gains."""
     mine = rows.where(part="trials", group=group)
 
     def change(metric: str) -> Callable[[Any], Change | None]:
@@ -294,10 +294,10 @@ def goals(rows: Results, group: str | None, solver: str) -> dict[str, dict[str, 
 
 
 def ablation(rows: Results, cases: Mapping[str, Case]) -> list[dict[str, Any]]:
-    """Return a row a case and claim of the paper: the effect, its shift from the first case, and whether it decides.
+    """Return one row per case and claim of the paper: the effect, its shift from the first case, and `decides`.
 
-    A case decides on a claim where its effect lies on the other side of the claim's bound than that of Table I as
-    printed, and the 95 % interval of the difference of the two effects leaves out zero, of eight trials at least.
+    A case decides a claim if its effect and that of Table I as printed lie on opposite sides of the claim's bound, the
+    95 % interval of the difference of the two effects excludes zero, and there are at least eight trials.
     """
     found, printed = [], next(iter(cases), "")
     for name, case in cases.items():
@@ -313,7 +313,7 @@ def ablation(rows: Results, cases: Mapping[str, Case]) -> list[dict[str, Any]]:
 
 
 def _shift(rows: Results, cases: Mapping[str, Case], name: str, printed: str, claim: Claim) -> dict[str, Any]:
-    """Return the shift of a case from the first [percentage points], over the trials with four whole runs."""
+    """Return the shift of a case's effect from the first case's [points], over trials whose four runs are whole."""
     four = [
         rows.where(group=case).values(claim.metric, controller)
         for case in (name, printed) for controller in (cases[case].controller, BASELINE)
@@ -329,7 +329,7 @@ def _shift(rows: Results, cases: Mapping[str, Case], name: str, printed: str, cl
 
 
 def swivel_trials(config: Config) -> list[Trial]:
-    """Return one trial from evenly spread places of its self-motion, and from that of the largest mu, under both."""
+    """Return one trial started at evenly spread places of its self-motion and at the largest mu, under DCAC and MOC."""
     base = config.base(config.swivel.group)
     [trial] = trials(base, [config.swivel.task], seeds(config.seed, STREAM, 1), virtual=True)
     robot = trial.robot.arm()
@@ -346,7 +346,7 @@ def swivel_trials(config: Config) -> list[Trial]:
 
 
 def swivel(rows: Results, solver: str) -> dict[str, Any]:
-    """Return the gain from the start of the largest mu, and the gains from the others [percent]."""
+    """Return the gain of mean mu from the start with the largest mu, and a summary of the other starts [percent]."""
     top, others = (rows.where(at_maximum=best) for best in (True, False))
     found: dict[str, Any] = {"starts": len(rows) // 2, "broke_off": len(rows.failed())}
     if (of_top := gains(top, solver)) and (of_others := gains(others, solver)):
@@ -358,7 +358,7 @@ def swivel(rows: Results, solver: str) -> dict[str, Any]:
     return found
 
 
-# --- what is shown ---
+# --- the report ---
 
 
 def report(summary: Mapping[str, Any], rows: Results, config: Config) -> Report:
@@ -469,8 +469,8 @@ def _sections(summary: Mapping[str, Any], config: Config) -> Iterable[Section]:
                 Column("about", "case"), Column("claim", "claim"), Column("effect", "effect", unit="%"),
                 Column("shift", "shift from Table I", unit="points"), Column("decides", "decides"),
             ], exchanged)])  # fmt: skip
-    yield Section("Starting swivel", "Gain over DCAC from places of the self-motion. From that of the largest mu there "
-                  "is hardly any.", [Table("Gain by start", columns(
+    yield Section("Starting swivel", "Gain over DCAC by starting place on the self-motion. A start at the largest mu "
+                  "gains hardly anything.", [Table("Gain by start", columns(
                       "starts", "gain_at_maximum_percent", "gain_min_percent", "gain_mean_percent", "gain_max_percent"),
                       [summary["swivel"]])])  # fmt: skip
     keys = list(dict.fromkeys(key for row in summary["procedure"].values() for key in row))

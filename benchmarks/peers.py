@@ -1,9 +1,9 @@
-"""Other people's controllers at the same job as our tick: TSID, pink, mink. A new one is a class and a line of `PEERS`.
+"""The job of our tick done by other libraries: TSID, pink, mink. A new one needs a class and an entry in `PEERS`.
 
-The job of one tick: tip on its reference, wrist on the line through the trocar, joint speeds within their limits, and
-what freedom is left up the gradient of the manipulability. Every peer gets the data of the same arm, its fastest
-solver, hard equalities where it takes them, and our compiled gradient where it has none of its own. `check` lets it do
-the job for a second on an ideal arm without friction, noise or model error; only who passes is timed.
+In one tick the tip follows its reference, the wrist stays on the line through the trocar, the joint speeds stay within
+limits, and the remaining freedom follows the gradient of the manipulability. Every peer gets the data of the same arm,
+its own fastest solver, hard equalities where it takes them, and our compiled gradient where it has none. `check` runs a
+peer for a second on an ideal arm without friction, noise or model error; only peers that pass are timed.
 """
 
 from __future__ import annotations
@@ -23,16 +23,16 @@ from moc_opt.sim.mjcf import build_spec, compile_model
 from moc_opt.tasks import Reference, Trocar, make_path, shaft_distance
 
 Inputs = tuple[Array, Array, Array, Array]
-"""q, v, tip reference and trocar of one tick."""
+"""q, v, tip reference and trocar in one tick."""
 Level = Literal["torque", "velocity"]
 
 PERIOD_S = 0.002
 TOLERANCE_MM, CLIMB_PERCENT = 0.5, 1.0
-"""On tip and shaft in the second half of the second; how much the manipulability has to rise at least."""
+"""Largest error of tip and shaft in the second half of the run, and smallest rise of the manipulability."""
 CLIMB = 30.0
-"""Joint velocity per gradient of the manipulability [1/m^3 rad^2/s]: c2/rho of the subproblem, here 1/0.033."""
+"""Joint velocity per gradient of the manipulability [1/m^3 rad^2/s], as c2/rho in the subproblem: here 1/0.033."""
 STIFFNESS_PER_S = 100.0
-"""How fast a velocity-level peer closes an error of tip or shaft [1/s]."""
+"""Rate at which a velocity-level peer reduces an error of tip or shaft [1/s]."""
 
 
 class Peer(Protocol):
@@ -40,41 +40,41 @@ class Peer(Protocol):
 
     @property
     def level(self) -> Level:
-        """The result of a tick; a velocity still needs a servo."""
+        """Whether `tick` returns torques or velocities; velocities still need a servo."""
 
     def tick(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> Array:
         """Return torques [Nm] or velocities [rad/s] (n,); tip_ref has rows X_d, dX_d, ddX_d, trocar P_t, dP_t."""
 
 
 def tip_gradient(robot: RobotModel) -> Callable[[Array], Array]:
-    """Return dmu/dq (n,) as a function of q, by the core: no peer is slowed by a term that its library lacks."""
+    """Return the core's dmu/dq (n,) as a function of q, so that no peer is slowed by a term that its library lacks."""
     rest = np.zeros(robot.n)
     return lambda q: robot.state(np.ascontiguousarray(q), rest).grad_mu
 
 
 def ahead(point: Array, rate: Array) -> Array:
-    """Return where a reference will be when a peer's gain has done its share."""
+    """Return a reference moved ahead by one time constant of the peer's gain, to cancel its lag."""
     return point + rate / STIFFNESS_PER_S
 
 
 def wrist_reference(tip_ref: Array, trocar: Array, span: float) -> Array:
-    """Return wrist [m] and velocity [m/s], (2, 3), that put the shaft of a tip on its reference through the trocar."""
+    """Return wrist [m] and its velocity [m/s], (2, 3): with the tip on its reference, the shaft meets the trocar."""
     return core.desired_wrist(tip_ref[0], tip_ref[1], trocar, span)
 
 
 class TSID:
-    """Task-space inverse dynamics, Del Prete et al. 2016: accelerations by SolverHQuadProgFast, torques from them.
+    """Task-space inverse dynamics (Del Prete et al. 2016): SolverHQuadProgFast gives accelerations, these the torques.
 
-    Level 0 (hard): three rows for the tip, two for the wrist across the shaft, joint speeds. Level 1: accelerations
-    towards the gradient of the manipulability.
+    Level 0 (hard) has three rows for the tip, two for the wrist across the shaft, and the joint speeds. Level 1 has
+    accelerations towards a joint velocity along the gradient of the manipulability.
     """
 
     level: Level = "torque"
     STIFFNESS, DAMPING = 2500.0, 100.0  # [1/s^2], [1/s]: critically damped at 50 rad/s
-    CLIMB_DAMPING = 20.0  # [1/s] of the velocity error along the gradient
+    CLIMB_DAMPING = 20.0  # [1/s] gain of level 1 on the error in joint velocity
 
     def __init__(self, robot: RobotModel) -> None:
-        with warnings.catch_warnings():  # it registers two of its types twice, and warns of it
+        with warnings.catch_warnings():  # tsid registers two of its types twice, which gives warnings
             warnings.simplefilter("ignore", RuntimeWarning)
             import tsid
         model = pin.buildModelFromXML(robot.data.urdf)
@@ -84,20 +84,20 @@ class TSID:
         rest = np.zeros(robot.n)
         self._dynamics.computeProblemData(0.0, robot.data.q_home, rest)
         self._tip = self._point("tip", robot.data.tip_frame, [1, 1, 1, 0, 0, 0])
-        # Across the shaft only: the row along it repeats the tip's, and hard rows must be independent.
+        # Only the two rows across the shaft: the row along it repeats the tip's, and hard rows must be independent.
         self._wrist = self._point("wrist", robot.data.wrist_frame, [1, 1, 0, 0, 0, 0])
         self._posture = tsid.TaskJointPosture("posture", self._robot)
         self._posture.setKp(rest)
         self._posture.setKd(np.full(robot.n, self.CLIMB_DAMPING))
         self._dynamics.addMotionTask(self._posture, 1.0, 1, 0.0)
-        self._bounds = tsid.TaskJointBounds("speed", self._robot, PERIOD_S)  # the formulation holds a reference only
+        self._bounds = tsid.TaskJointBounds("speed", self._robot, PERIOD_S)  # kept: the formulation does not own it
         self._bounds.setVelocityBounds(-robot.v_max, robot.v_max)
         self._dynamics.addMotionTask(self._bounds, 1.0, 0, 0.0)
         self._solver = tsid.SolverHQuadProgFast("eiquadprog")
         self._solver.resize(self._dynamics.nVar, self._dynamics.nEq, self._dynamics.nIn)
         self._point_sample, self._joint_sample = tsid.TrajectorySample(12, 6), tsid.TrajectorySample(robot.n)
         self._value, self._rate, self._second = np.zeros(12), np.zeros(6), np.zeros(6)
-        self._value[3::4] = 1.0  # the rotation is masked out, but must be one
+        self._value[3::4] = 1.0  # the rotation is masked out, but has to be a valid one
         self._joint_sample.value(rest)
         self._joint_sample.second_derivative(rest)
         self._gradient, self._span = tip_gradient(robot), robot.state(robot.data.q_home).tool_span
@@ -156,7 +156,7 @@ class _PinkArm:
 
 
 class Pink(_PinkArm):
-    """Differential inverse kinematics with pinocchio and a QP, Caron et al.: its own tasks for tip, wrist and mu."""
+    """Differential inverse kinematics with pinocchio and a QP (Caron et al.), by pink's tasks for tip, wrist and mu."""
 
     RISE_PER_S, RISE_COST = 0.05, 0.02  # of the manipulability [m^3/s]
 
@@ -182,7 +182,7 @@ class Pink(_PinkArm):
 
 
 class _Rows:
-    """A constraint for pink: hard rows that are filled from outside."""
+    """A constraint for pink: five hard rows, which `PinkTrimmed` fills in each tick."""
 
     def __init__(self, n: int, gain: float) -> None:
         self.jacobian, self.error, self.gain = np.zeros((5, n)), np.zeros(5), gain
@@ -195,14 +195,14 @@ class _Rows:
 
 
 class _Climb:
-    """A task for pink and mink: a linear cost along the gradient of mu, bounded by the solver's damping."""
+    """A task for pink and mink: a linear cost along the gradient of mu. The solver's damping keeps it bounded."""
 
     def __init__(self, robot: RobotModel, objective: Callable[..., Any], q_of: Callable[[Any], Array]) -> None:
         self._objective, self._q_of = objective, q_of
         self._zero, self._gradient = np.zeros((robot.n, robot.n)), tip_gradient(robot)
 
     def compute_qp_residual(self, configuration: Any) -> None:
-        """Its cost is no least-squares problem."""
+        """Return nothing: this cost has no least-squares form."""
 
     def compute_qp_objective(self, configuration: Any) -> Any:
         return self._objective(self._zero, -CLIMB * PERIOD_S * self._gradient(self._q_of(configuration)))
@@ -221,7 +221,7 @@ class PinkTrimmed(_PinkArm):
         wrist = ahead(*wrist_reference(tip_ref, trocar, self.span))
         places, local, rows = self.data.oMf, pin.ReferenceFrame.LOCAL, self._rows
         tip, joint = places[self.tip], places[self.wrist]
-        # In the tool's own axes, its z along the shaft: of the wrist's rows only those across it.
+        # In the tool's axes, z is along the shaft. Of the wrist only the two rows across the shaft are taken.
         turn = tip.rotation.T
         rows.jacobian[:3] = pin.getFrameJacobian(self.model, self.data, self.tip, local)[:3]
         rows.jacobian[3:] = pin.getFrameJacobian(self.model, self.data, self.wrist, local)[:2]
@@ -234,7 +234,7 @@ class Mink:
     """Differential inverse kinematics on MuJoCo, Zakka et al.: FrameTask on the tip, LookAtTask along the shaft."""
 
     level: Level = "velocity"
-    COST = 1e3  # of tip and shaft against a damping of one
+    COST = 1e3  # of the tip and shaft tasks, relative to a damping of one
 
     def __init__(self, robot: RobotModel) -> None:
         import mink
@@ -243,7 +243,7 @@ class Mink:
         self._mink, self._configuration = mink, mink.Configuration(model, np.array(robot.data.q_home))
         tip, gain = robot.data.tip_frame, min(1.0, STIFFNESS_PER_S * PERIOD_S)
         self._tip = mink.FrameTask(tip, "body", position_cost=self.COST, orientation_cost=0.0, gain=gain)
-        # The wrist sees the trocar from behind, the tip from below: either way the shaft lies on the line.
+        # The tip looks back along -z at the trocar above it, which puts the shaft on the line through the trocar.
         self._shaft = mink.LookAtTask(tip, "body", axis=(0.0, 0.0, -1.0), cost=self.COST, gain=gain)
         climb = _Climb(robot, mink.tasks.Objective, lambda configuration: configuration.data.qpos)
         self._tasks = (self._tip, self._shaft, climb)
@@ -266,7 +266,7 @@ INSTALL = {"tsid": "build it from source against the installed pinocchio; its wh
 
 
 def missing(name: str) -> str | None:
-    """Say that a peer's package is not installed; None when it is."""
+    """Say how to install a peer's package if it is missing; None if it is installed."""
     package = name.partition("-")[0]
     install = INSTALL.get(package, "pip install '.[peers]' in the clone")
     return None if find_spec(package) else f"package {package!r} is not installed: {install}"
@@ -276,7 +276,7 @@ def missing(name: str) -> str | None:
 
 
 class Task(NamedTuple):
-    """Start (n,) [rad], and at every tick the rows X_d, dX_d, ddX_d (N, 3, 3) and P_t, dP_t (N, 2, 3)."""
+    """Start (n,) [rad]; rows X_d, dX_d, ddX_d (N, 3, 3) and P_t, dP_t (N, 2, 3) of every tick."""
 
     q_start: Array
     tip_refs: Array
@@ -284,7 +284,7 @@ class Task(NamedTuple):
 
 
 class Verdict(NamedTuple):
-    """Largest distances of tip from reference and shaft from trocar, and how much the manipulability rose."""
+    """Largest distances from tip to reference and from shaft to trocar, and the rise of the manipulability."""
 
     tip_error_max_mm: float
     rcm_error_max_mm: float
@@ -301,7 +301,7 @@ class Verdict(NamedTuple):
 
 
 def circle(robot: RobotModel, duration_s: float = 1.0, offset_m: float = 2e-4) -> Task:
-    """Return a circle from the home pose, the tip beginning ``offset_m`` beside it, the trocar 0.15 m above the tip."""
+    """Return a circle that starts ``offset_m`` above the home pose's tip, with the trocar 0.15 m up the shaft."""
     state = robot.state(robot.data.q_home)
     start = state.tip + np.array([0.0, 0.0, offset_m])
     path = make_path("circle", start, normal=(0.0, 0.0, 1.0), heading=(1.0, 0.0, 0.0), radius=0.03)
@@ -311,9 +311,9 @@ def circle(robot: RobotModel, duration_s: float = 1.0, offset_m: float = 2e-4) -
 
 
 def perform(peer: Peer, robot: RobotModel, task: Task) -> tuple[Array, list[Inputs]]:
-    """Return the poses (N, n) of the ideal arm under the controller after each tick, and the inputs of each tick.
+    """Return the poses (N, n) of an ideal arm after each tick under the controller, and the inputs of each tick.
 
-    No plant and no safety filter: most peers answer with velocities, which the closed loop's step does not take.
+    The closed loop of `moc_opt.sim` is not used: most peers return velocities, and its step takes torques only.
     """
     q, v = task.q_start.copy(), np.zeros(robot.n)
     poses, given = np.empty((len(task.tip_refs), robot.n)), []
@@ -331,12 +331,12 @@ def perform(peer: Peer, robot: RobotModel, task: Task) -> tuple[Array, list[Inpu
 
 
 def verdict(poses: Array, robot: RobotModel, task: Task) -> Verdict:
-    """Measure how well poses (N, n) of `perform` did the job: tip and shaft in the second half, and mu at the end."""
+    """Judge the poses (N, n) of `perform`: errors of tip and shaft in the second half, and mu at the end."""
     if not np.isfinite(poses).all():
         return Verdict(np.inf, np.inf, -100.0)
     late = slice(len(poses) // 2, None)
     states = [robot.state(q) for q in poses[late]]
-    # The pose after a tick is measured by the references of the next one.
+    # The pose after a tick is compared with the tip reference of the next tick.
     tips, wrists = (np.array([getattr(state, name) for state in states]) for name in ("tip", "wrist"))
     wanted = np.roll(task.tip_refs[:, 0], -1, axis=0)[late]
     off = np.linalg.norm(tips - wanted, axis=1)[:-1]
@@ -346,9 +346,9 @@ def verdict(poses: Array, robot: RobotModel, task: Task) -> Verdict:
 
 
 def check(name: str) -> str | None:
-    """Let a peer do its job on the default arm; returns how it failed, None when it did not.
+    """Run a peer on the default arm and say how it fails; None if it passes.
 
-    Run it as a job: a wheel that was built against another pinocchio ends the process that loads it.
+    Call this as a job: a wheel that was built against another pinocchio can crash the process that loads it.
     """
     robot = load_robot()
     task = circle(robot)

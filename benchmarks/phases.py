@@ -1,4 +1,4 @@
-"""A run in two phases: while the elbow moves to its optimum, and after that."""
+"""Errors of a run in two phases: while the elbow travels to its optimum, and after its arrival."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from moc_opt.study.trials import Run
 
 
 def with_phases(runs: Iterable[Run]) -> list[Run]:
-    """Add to each row the means of its errors while the elbow moves to its optimum, and after that.
+    """Add to each row the means of its errors while the elbow travels to its optimum, and after its arrival.
 
-    ``travelling_NAME`` is the mean of a metric NAME over the ticks at which the elbow of at least one controller of
-    the trial still moves to its optimum, ``settled_NAME`` that over the rest: the same ticks for all controllers.
-    ``travelling_ticks`` and ``settled_ticks`` count them.
+    ``travelling_NAME`` is the mean of a metric NAME over the ticks at which the elbow of at least one controller of the
+    trial still travels; ``settled_NAME`` is the mean over the other ticks. All controllers of a trial thus have the
+    same ticks, which ``travelling_ticks`` and ``settled_ticks`` count.
     """
     runs = list(runs)
     groups: dict[tuple[Any, ...], list[Run]] = {}

@@ -1,9 +1,9 @@
-"""The operative procedure, whole: a hand guides the tip to the incision, the camera finds the board, the task is done.
+"""The whole operative procedure: a hand guides the tip to the incision, the camera finds the board, the task is done.
 
-One run a task. The trocar is registered where the hand's tip came to rest, off by what hands and kinematics leave; the
-task is carried from the board to the robot through the camera's extrinsics, off by what calibration and detection
-leave; it waits while the board is lost. Errors are taken against the truth: the incision as it is, the task as it lies
-on the phantom.
+There is one run per task. The trocar is registered where the hand-guided tip comes to rest, with the errors of the hand
+and of the kinematics. The task is transformed from the board to the robot's base through the camera's extrinsics, with
+the errors of calibration and detection, and it pauses while the board is lost. Reported errors are against the true
+incision and the true task on the phantom.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ METRICS = ("mu_mean", "tip_error_mean_mm", "rcm_error_mean_mm", "trocar_force_me
 
 
 class ProcedureSettings(Settings):
-    """The parts of the procedure; each table is that of the component."""
+    """The settings of the procedure's components."""
 
     KIND: ClassVar[str] = "[procedure]"
     hands_on: HandsOnSettings = HandsOnSettings()
@@ -52,15 +52,15 @@ class ProcedureSettings(Settings):
 
 
 def perform(parts: ProcedureSettings, scenario: Scenario, name: str, film: Path | None = None) -> dict[str, Any]:
-    """Perform the whole procedure once, on the task of that name; one row of rows.parquet.
+    """Perform the whole procedure once, on the task of that name; return its row of rows.parquet.
 
-    ``film`` is the file for what the surgeon sees. A MocOptError where the procedure cannot go on.
+    ``film`` is the file for a film of the surgeon's view. A MocOptError says why the procedure cannot go on.
     """
     task = board_task(name)
     robot = scenario.robot.arm()
     home = robot.state(robot.data.q_home)
     hand_seed, plant_seed, swivel_seed, eye_seed = np.random.SeedSequence(scenario.seed).generate_state(4).tolist()
-    # The registration error is the hand's and the kinematics' here, not the plant's.
+    # The registration error comes from the hand and the kinematics, so the plant must not add one of its own.
     plant = Plant(robot.data, scenario.plant.model_copy(update={"trocar_registration_error_m": 0.0}), seed=plant_seed)
     incision = home.tip - task.depth_m * home.tool_direction
     guided = guide_to(incision, plant, robot, parts.hands_on, seed=hand_seed)
@@ -92,9 +92,9 @@ def perform(parts: ProcedureSettings, scenario: Scenario, name: str, film: Path 
 def _run(
     scenario: Scenario, plant: Plant, scene: Augmented, path: TipPath, q: Array, trocars: tuple[Array, Array]
 ) -> tuple[Trace, float, float]:
-    """Run the task under MOC, waiting while the board is lost; the trace, and how long it waited and was lost [s].
+    """Run the task under MOC, waiting while the board is lost; return trace, time waited and time without board [s].
 
-    ``trocars``: the true one and the registered one, (3,) each [m].
+    ``trocars``: the true and the registered trocar, (3,) each [m].
     """
     period, (true, registered) = scenario.plant.period_s, trocars
     robot, task = scenario.robot.arm(), scenario.task
@@ -102,11 +102,11 @@ def _run(
     check_reachable(robot, q, reference, Trocar(registered))
     waiting = WaitingReference(reference, period)
     lost = sum(end - begin for begin, end in scene.board.lost_s)
-    # Every start and stop takes the brakes' time.
+    # Each start and each stop of the path takes `settle_s`.
     settling = 2.0 * waiting.settle_s * (1 + len(scene.board.lost_s))
     seconds = reference.t_start + reference.duration + lost + settling + task.hold_s
     times = period * np.arange(round(seconds / period))
-    # The tool hides little of the board, and where it will be is not known yet: it is drawn where it starts.
+    # The tool is drawn in its starting pose throughout: its later poses are unknown yet, and it hides little.
     looked_at, seen = scene.watch(seconds, q)
     rows, played = waiting.play(flags_at(times, looked_at, seen))
     last = int(np.searchsorted(played, reference.t_start + reference.duration))
@@ -126,7 +126,7 @@ def _run(
 
 
 def from_path(points: Array, path: TipPath, samples: int = 4000) -> Array:
-    """Return the distance (k,) [m] of points (k, 3) from a path: how far the tip is off the task, whatever the time."""
+    """Return the distance (k,) [m] of points (k, 3) from the nearest point of a path, whatever the time."""
     line = path.at(np.linspace(0.0, path.length, samples))[0]
     found: Array = cKDTree(line).query(points)[0]
     return found

@@ -1,9 +1,9 @@
-"""Plant and controller as two processes against the clock: how late each wakes up, what a round trip takes, who misses.
+"""Plant and controller as two processes against the clock: wake-up latency, round-trip time and missed cycles.
 
 python -m benchmarks.realtime [CONFIG.toml] [--cycles N] [--out DIR] [--seed N] [--quick] [--json]
 
-Run it alone: everything else on the machine is in its figures. Each finished run is kept in DIR/jobs: the same command
-goes on where it was broken off, on the same machine, so that a million cycles can be measured in parts.
+Run it alone, because other work on the machine lengthens the times. Each finished run is kept in DIR/jobs, and the same
+command on the same machine continues from there, so that a million cycles can be measured in parts.
 """
 
 from __future__ import annotations
@@ -38,9 +38,9 @@ from moc_opt.study.statistics import Interval, share
 from moc_opt.trace.trace import Trace
 
 SPARE_S = 300.0
-"""Beyond the run itself: starting both processes, judging and saving the trace."""
+"""Time limit beyond the run itself: for starting both processes, judging and saving the trace."""
 SAFE_RCM_M, AT_REST_RAD_PER_S = 2e-3, 1e-2
-"""A stop is clean where the RCM error stayed below the one and the arm stands at its end."""
+"""A stop is clean if the RCM error stayed below the first, and all joints are slower than the second at its end."""
 BURN = "import os\nstudy = os.getppid()\nwhile os.getppid() == study:\n    sum(i * i for i in range(100000))"
 PERCENTILES = {"p50": 50.0, "p99": 99.0, "p99_99": 99.99, "worst": 100.0}
 TIMES = {"wake": "wake-up latency", "round": "round trip", "control": "controller"}
@@ -51,7 +51,7 @@ Rate = Literal[250, 500, 1000]
 
 
 class Case(NamedTuple):
-    """What is measured: which controller, at which rate, on which machine."""
+    """One measured case: controller, rate, and load of the machine."""
 
     controller: str
     rate_Hz: Rate
@@ -103,7 +103,7 @@ def work(study: Study, config: Config) -> Found:
 
 
 class Run(NamedTuple):
-    """One run: times of every cycle [us] up to a stop, and how it went."""
+    """One run: times of every cycle [us], up to the stop if there is one, counts, and ending."""
 
     wake_us: Array
     round_us: Array
@@ -118,14 +118,14 @@ class Run(NamedTuple):
 
 
 def runs_of(study: Study, config: Config) -> dict[Case, list[Run]]:
-    """Do as many runs of each case as its cycles take; one that was stopped has fewer cycles, and is not repeated."""
+    """Split each case's cycles into runs, and do them. A run that is stopped has fewer cycles and is not repeated."""
     scenarios = {rate: config.run_at(rate) for rate in config.rates_Hz}
     programs = {
         ("c", rate): str(build(scenario, study.out / "programs" / str(rate)))
         for rate, scenario in scenarios.items() if "c" in config.controllers
     }  # fmt: skip
     machine = environment({}, 0)["machine"]
-    here = (machine["processor"], machine["cores"])  # a run on another machine is another run
+    here = (machine["processor"], machine["cores"])  # an argument of the job: kept runs of another machine do not count
     each = min(config.cycles, config.run_cycles)
     asked = [(case, number) for case in config.measured() for number in range(-(-config.cycles // each))]
     jobs = []
@@ -150,7 +150,7 @@ def build(scenario: Scenario, folder: Path) -> Path:
 
 @contextmanager
 def loaded(kind: str) -> Iterator[None]:
-    """Keep every core busy meanwhile, or none."""
+    """Keep every core busy during the block; none if ``kind`` is "quiet"."""
     count = 0 if kind == "quiet" else os.cpu_count() or 1
     busy = [subprocess.Popen([sys.executable, "-c", BURN]) for _ in range(count)]
     try:
@@ -162,7 +162,7 @@ def loaded(kind: str) -> Iterator[None]:
 
 
 def run_once(case: Case, scenario: Scenario, program: str | None, number: int, machine: Any) -> Run:
-    """Run a scenario over the wire; ``program`` is the C controller, None: Python's. The engine limits its time."""
+    """Run a scenario over the wire; ``program`` is the C controller (None: Python's). The job's time limit ends it."""
     begun = datetime.now(UTC).isoformat(timespec="seconds")
     with tempfile.TemporaryDirectory(prefix="moc-opt-") as folder, loaded(case.load):
         file, trace = Path(folder, "run.toml"), Path(folder, "run.parquet")
@@ -195,7 +195,7 @@ def _started(*words: str, program: Sequence[str] = (sys.executable, "-m", "moc_o
 
 
 def read(trace: Trace, said: dict[str, Any], begun: str) -> Run:
-    """Return what a trace and the last words of the controller (JSON) say of a run."""
+    """Make the `Run` of a trace and of the JSON that the controller printed at its end."""
     columns, wire, ended = trace.columns, trace.meta["wire"], str(trace.meta["ended"])
     rcm = float(np.max(trace.rcm_error_registered_m))
     rest = bool(np.abs(trace.v_rad_per_s[-1]).max() < AT_REST_RAD_PER_S)
@@ -222,13 +222,13 @@ def summarise(runs: Sequence[Run]) -> dict[str, Any]:
     found |= share(found["missed"], found["cycles"]).entries("missed_share")
     for time in TIMES:
         values = np.concatenate([getattr(run, f"{time}_us") for run in runs])
-        values = values[np.isfinite(values)]  # a cycle without an answer has none
+        values = values[np.isfinite(values)]  # NaN: cycles without an answer
         found |= {f"{time}_{name}_us": float(np.percentile(values, at)) for name, at in PERCENTILES.items()}
     return found
 
 
 def _share(name: str, least: int) -> Callable[[Any], Interval | None]:
-    """Return the share of missed cycles of a case; None where there were too few to tell."""
+    """Return a function of the summary: the share of missed cycles of a case, or None below ``least`` cycles."""
 
     def measured(summary: Any) -> Interval | None:
         found = summary["cases"][name]

@@ -1,8 +1,8 @@
-"""Do the findings on one arm hold on the others? Every arm of the package under every controller.
+"""Do the findings on one arm hold on the others? The study runs every arm of the package under every controller.
 
 python -m benchmarks.robots [CONFIG.toml] [--out DIR] [--seed N] [--quick] [--json]
 
-Starts are drawn from the whole workspace of each arm. Errors are compared once no elbow moves to its optimum any more.
+Starts are drawn from the whole workspace of each arm. "Settled" errors leave out ticks at which an elbow still travels.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ class Config(StudyConfig):
 def on_each_arm(
     base: Scenario, robots: Sequence[str], tasks: Sequence[str], own_seeds: Sequence[int]
 ) -> list[Scenario]:
-    """Make as many trials on each arm, arm by arm, as `trials` makes them of the paper's virtual tasks."""
+    """Make the same number of trials of the paper's virtual tasks (see `trials`) on each arm, arm by arm."""
     count = len(own_seeds) // len(robots)
     arms = [base.change(robot={"name": name}) for name in robots]
     return [
@@ -88,7 +88,7 @@ def work(study: Study, config: Config) -> Found:
 
 
 def verdicts(rows: Results, judged: str) -> dict[str, bool | None]:
-    """Return finding -> whether it holds on an arm, by the interval's end; None where it is undecided."""
+    """Return finding -> whether it holds on an arm (its whole interval is within the bound); None if undecided."""
     own, base = rows.pairs("tip_error_mean_mm", judged)
 
     def change(metric: str, _: Any) -> Change | None:
@@ -110,7 +110,7 @@ def verdicts(rows: Results, judged: str) -> dict[str, bool | None]:
 
 
 def ranking(robots: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
-    """Return arm -> solvers by mean mu, best first, and the rank correlation between arms; a thousandth is equal."""
+    """Return each arm's solvers by mean mu, best first, and the rank correlations of arms; 0.1 % apart is a tie."""
     scores, between = {}, {}
     for robot, figures in robots.items():
         found = {name: row["mu_mean"] for name, row in figures.items() if name != BASELINE and "mu_mean" in row}

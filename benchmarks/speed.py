@@ -1,8 +1,8 @@
-"""What does everything cost? All times side by side in one run: ticks, solvers, adapters, the loop, other libraries.
+"""How long does everything take? One run times ticks, solvers, adapters, the loop and other libraries side by side.
 
 python -m benchmarks.speed [CONFIG.toml] [--out DIR] [--seed N] [--quick] [--json]
 
-Its times belong together, so it keeps no jobs: every run measures everything anew.
+Only times of one run can be compared, so finished jobs are not kept: every run measures everything again.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ Names = Literal["all"] | list[str]
 Summary = Mapping[str, Any]
 TICKS, PEERS, SOLVERS, LOOP = "Ticks", "Other libraries", "Solvers", "Loop"
 TIMED = ("tick", "tick_parts", "peers", "adapters", "loop")
-"""Parts of the summary whose times were taken one by one."""
+"""Parts of the summary with counters of the machine's load (`moc_opt.study.timing.COUNTED`)."""
 
 
 class Config(StudyConfig):
@@ -75,7 +75,7 @@ def work(study: Study, config: Config) -> Found:
             no_peer[name] = str(failure)
     able = [name for name in tried if name not in no_peer]
 
-    # Time the loop without judging.
+    # Judging the answers and bounding mu are switched off: they are not part of the loop's time.
     scenario, rounds = config.scenario.change(seed=config.seed, judge=False, bound_samples=0), config.rounds
     long = scenario.change(duration_s=config.ticks * scenario.plant.period_s)
     asked: dict[str, tuple[Callable[..., timed.Part], tuple[Any, ...]]] = {
@@ -124,7 +124,7 @@ def summed_up(whole: timed.Part, failed: Mapping[str, str]) -> dict[str, Any]:
 
 def _batch(s: Any) -> float | None:
     found = s["batch"]["exact"]
-    # In smaller batches starting the threads dominates.
+    # In smaller batches, starting the threads dominates the time.
     return found["batch_two_threads_per_s"] / 1e6 if found["batch"] >= 1_000_000 else None
 
 
@@ -175,7 +175,7 @@ COLUMNS = {
         Column("name", "tick with"), *_times("tick", "p50", "p99", "p99_9"),
         Column("tick_cold_p50_us", "cold", unit="us", format=".1f", better="low",
                help="median of the first five calls after a switch; the percentiles count them too"),
-        Column("tick_mean_us", "mean", unit="us", format=".1f", help="which is what the exported program says"),
+        Column("tick_mean_us", "mean", unit="us", format=".1f", help="the exported program prints no percentiles"),
         Column("tick_max_us", "longest", unit="us", format=".1f", better="low"),
     ]),
     "tick_parts": ("Parts of a tick with exact", [
@@ -190,7 +190,7 @@ COLUMNS = {
     ]),
     "adapters": ("Solvers from Python", [
         Column("name", "adapter"), *_times("adapter", "p50", "p99", form=".2f"),
-        Column("ratio_of_exact", "exact over it", format=".3f", help="median over the chunks"),
+        Column("ratio_of_exact", "exact over it", format=".3f", help="time of exact over this one's, median of chunks"),
     ]),
     "loop": ("The closed loop", [
         Column("name", "loop"), Column("factor", "real time", unit="times", format=".1f", better="high"),

@@ -1,9 +1,9 @@
-"""How do the figures change with any field of a scenario? A grid and random samples over fields, x solvers x seeds.
+"""How do the figures change with any field of a scenario? Fields vary on a grid or at random, per solver and seed.
 
 python -m benchmarks.sweep [CONFIG.toml] [--out DIR] [--seed N] [--quick] [--dask ADDRESS]
 
-The runs follow from the configuration alone, and every path, name and scenario is checked before anything runs. It can
-be stopped at any moment, and the same command goes on. docs/results.md describes the configuration.
+The configuration alone determines the runs, and every path, name and scenario is checked before anything runs. A sweep
+that was stopped continues when the same command is given again. docs/results.md describes the configuration.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ class SweepError(MocOptError, ValueError):
 
 
 class Draw(Settings):
-    """What a field is drawn from: a range, uniformly on its scale, or a choice of equally likely values."""
+    """The distribution of a field: uniform over a range on its scale, or a choice of equally likely values."""
 
     KIND: ClassVar[str] = "[random.fields]"
     ERROR: ClassVar[type[MocOptError]] = SweepError
@@ -66,7 +66,7 @@ class Draw(Settings):
         return self
 
     def at(self, u: float) -> Any:
-        """Return the value at a place in [0, 1)."""
+        """Return the value at u in [0, 1): the quantile of the distribution."""
         if self.choice is not None:
             return self.choice[int(u * len(self.choice))]
         if self.scale == "integer":
@@ -78,7 +78,7 @@ class Draw(Settings):
 
 
 class RandomSample(Settings):
-    """Fields that are drawn, together, ``samples`` times."""
+    """Fields that are drawn ``samples`` times; every sample has a value of each field."""
 
     KIND: ClassVar[str] = "[random]"
     samples: int = Field(1, ge=1, le=MOST_RUNS)
@@ -109,7 +109,7 @@ class Config(StudyConfig):
         return self.seeds if isinstance(self.seeds, list) else range(self.seed, self.seed + self.seeds)
 
     def chosen_solvers(self) -> dict[str, dict[str, Any]]:
-        """Return name -> settings, in order; every one of them can run here."""
+        """Return name -> settings of the solvers, in order; it is checked that each can run here."""
         table = self.scenario.solver
         if self.solvers is None:
             name = BASELINE if self.scenario.control.law == "dcac" else table.name
@@ -123,11 +123,11 @@ class Config(StudyConfig):
         return {name: self.settings.get(name, {}) for name in names}
 
 
-# --- the fields that vary: those of a scenario, by dotted path ---
+# --- the fields that vary: fields of a scenario, by dotted path ---
 
 
 def flat(table: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """Yield path and value: TOML reads ``control.c0 = ...`` as a table in a table, and a range is a table as well."""
+    """Yield dotted path and value: TOML reads ``control.c0 = ...`` as nested tables. A range (a table) is a value."""
     for name, value in table.items():
         path = f"{prefix}{name}"
         if path in ELSEWHERE:
@@ -148,10 +148,10 @@ def grid_axes(table: Mapping[str, Any]) -> dict[str, list[Any]]:
 
 
 def random_draws(table: Mapping[str, Any], samples: int, seed: int) -> dict[str, list[Any]]:
-    """Return path -> ``samples`` values drawn by ``seed``.
+    """Return path -> ``samples`` values drawn with ``seed``.
 
-    Each field has a stream of its own, named by its path: another field changes nothing in it, and more samples only
-    lengthen it.
+    Each field has a random stream of its own, seeded by its path. Adding a field leaves the values of the others as
+    they are, and more samples only append values.
     """
     draws: dict[str, list[Any]] = {}
     for path, entry in flat(table):
@@ -167,11 +167,11 @@ def random_draws(table: Mapping[str, Any], samples: int, seed: int) -> dict[str,
 
 
 def plan(config: Config) -> list[Trial]:
-    """Return the runs: grid, then sample, then seed, then solver; what is the same run stands once."""
+    """Return the runs, ordered by grid, then sample, then seed, then solver; equal runs are listed once."""
     grid, seeds, solvers = grid_axes(config.grid), config.chosen_seeds(), config.chosen_solvers()
     samples = config.random.samples if config.random.fields else 1
     count = math.prod([*map(len, grid.values()), samples, len(seeds), len(solvers)])
-    if not 1 <= count <= MOST_RUNS:  # before anything is drawn or listed
+    if not 1 <= count <= MOST_RUNS:  # checked before anything is drawn or listed
         raise SweepError(f"{count} runs: a sweep has 1 to {MOST_RUNS}; split a larger one into several")
     draws = random_draws(config.random.fields, samples, config.seed)
     if twice := grid.keys() & draws.keys():
@@ -179,7 +179,7 @@ def plan(config: Config) -> list[Trial]:
     found: dict[str, Trial] = {}
     for *values, sample, seed, solver in product(*grid.values(), range(samples), seeds, solvers):
         fields = dict(zip(grid, values, strict=True)) | {path: drawn[sample] for path, drawn in draws.items()}
-        if solver == BASELINE:  # which asks no solver
+        if solver == BASELINE:  # DCAC has no solver: its runs differ in no field of a solver
             fields = {path: value for path, value in fields.items() if not path.startswith("solver.")}
         case = _case(config.scenario, seed, fields)
         settings = {**solvers[solver], **case.solver.settings}
@@ -212,7 +212,7 @@ def _words(fields: Mapping[str, Any]) -> str:
 
 
 def _check_names(runs: Sequence[Trial]) -> None:
-    """Build what only a run would, once for every name: robots, paths, and solvers with their settings."""
+    """Build robots, paths and solvers with their settings, once per name, so that wrong names fail before any run."""
     seen: set[tuple[str, Any]] = set()
     for run in runs:
         names = {("solver", run.controller)} | {(path, v) for path, v in run.tags.items() if isinstance(v, str)}
@@ -226,7 +226,7 @@ def _check_names(runs: Sequence[Trial]) -> None:
         except MocOptError as error:
             if isinstance(error.__cause__, UnknownNameError):
                 raise
-            # else a combination that cannot run: its row will say so
+            # Else the combination cannot run, and its row will say so.
 
 
 # --- the figures ---

@@ -1,11 +1,11 @@
-"""Make the certified test sets of the subproblem again, or compare them with the files.
+"""Make the certified test sets of the subproblem again, or compare the files with new ones.
 
 python -m benchmarks.testsets [--check]
 
-Each set is random arm poses of one kind; the same seed gives the same problems, on one machine to the last bit. Those
-of the sequences, 500 Hz from the middle of the elbow's travel in closed loop, are taken from the files: the control law
-has changed since these runs. Compared are the problems made here with those of the files, and the answers in the files
-with the certificate of the same problems.
+Most sets hold random arm poses of one kind. The same seed gives the same problems, on one machine to the last bit. The
+six sequences were recorded in closed loop, at 500 Hz from the middle of the elbow's travel. Their problems are taken
+from the files, since the control law has changed. --check compares new problems with those in the files, and the files'
+answers with newly certified ones.
 """
 
 from __future__ import annotations
@@ -25,22 +25,22 @@ from moc_opt.robots.chain import desired_wrist
 from moc_opt.robots.model import RobotModel, load_robot
 from moc_opt.study.testsets import FOLDER, INCONSISTENT, NAMES, SEQUENCES, TestSet, changed
 
-CLOSE = 1e-9  # rad/s; another machine rounds the five rows in other directions, which moves an optimum by 1e-14
+CLOSE = 1e-9  # rad/s; another machine rounds the directions of the five rows differently: optima move by 1e-14
 Rng = np.random.Generator
-SIZE = 128  # problems a set
-VERSION = 1  # of the drawn sets: another one draws other problems
+SIZE = 128  # problems per set
+VERSION = 1  # part of the seed of the drawn sets
 
 
 def at_pose(
     robot: RobotModel, q: Array, v_tip: Array, *, regularization: float = 1e-5, k0: float = 2.0, depth: float = 0.15
 ) -> NullSpaceQP:
-    """Build the subproblem of an arm at q whose shaft passes the trocar ``depth`` above the tip, for a tip velocity."""
+    """Build the subproblem for a pose and a tip velocity; the trocar is on the shaft, ``depth`` [m] above the tip."""
     state = robot.state(q)
     trocar = state.tip - depth * state.tool_direction
     _, v_wrist = desired_wrist(state.tip, v_tip, trocar, np.zeros(3), state.tool_span)
     lower, upper = (np.clip(-k0 * (q - limit), -robot.v_max, robot.v_max) for limit in (robot.q_min, robot.q_max))
     u = state.tool_direction
-    v_wrist = v_wrist + u * (u @ (v_tip - v_wrist))  # a rigid tool cannot change its length
+    v_wrist = v_wrist + u * (u @ (v_tip - v_wrist))  # equal velocities along the shaft, since the tool is rigid
     return NullSpaceQP(
         state.J_tip, state.J_wrist, v_tip, v_wrist, state.grad_mu, lower=lower, upper=upper, q=q,
         regularization=regularization,
@@ -54,7 +54,7 @@ def tip_velocity(rng: Rng, speed: float) -> Array:
 
 
 def random_poses(robot: RobotModel, rng: Rng) -> Iterator[NullSpaceQP]:
-    """Yield problems at regular poses all over the workspace."""
+    """Yield problems at regular (not near-singular) poses all over the workspace."""
     while True:
         yield at_pose(robot, robot.random_regular_pose(rng), tip_velocity(rng, 0.05))
 
@@ -64,12 +64,12 @@ def near_singular(robot: RobotModel, rng: Rng) -> Iterator[NullSpaceQP]:
     for bend in np.logspace(-1, -8, SIZE):
         q = robot.random_regular_pose(rng)
         q[3] = bend
-        # at rest: near the singularity almost every other velocity is out of reach
+        # The tip rests, because near the singularity almost every other velocity is infeasible.
         yield at_pose(robot, q, np.zeros(3))
 
 
 def joint_limits(robot: RobotModel, rng: Rng) -> Iterator[NullSpaceQP]:
-    """Yield problems with one to three joints within a milliradian of a limit: the box is closed on that side."""
+    """Yield problems with one to three joints within 1 mrad of a limit, which closes the box on that side."""
     while True:
         q = robot.random_regular_pose(rng)
         for joint in rng.choice(robot.n - 1, size=rng.integers(1, 4), replace=False):
@@ -79,13 +79,13 @@ def joint_limits(robot: RobotModel, rng: Rng) -> Iterator[NullSpaceQP]:
 
 
 def infeasible(robot: RobotModel, rng: Rng) -> Iterator[NullSpaceQP]:
-    """Yield problems with the paper's k0 = 0.1 and fast references, near the border of feasibility on both sides."""
+    """Yield problems near the border of feasibility, on both sides: the paper's k0 = 0.1 and fast references."""
     while True:
         yield at_pose(robot, robot.random_regular_pose(rng), tip_velocity(rng, 0.1), k0=0.1)
 
 
 def inconsistent(size: float) -> Callable[[RobotModel, Rng], Iterator[NullSpaceQP]]:
-    """Yield tip and wrist references that differ along the shaft by ``size`` [m/s]."""
+    """Return a recipe of problems whose tip and wrist references differ along the shaft by ``size`` [m/s]."""
 
     def make(robot: RobotModel, rng: Rng) -> Iterator[NullSpaceQP]:
         while True:
@@ -97,7 +97,7 @@ def inconsistent(size: float) -> Callable[[RobotModel, Rng], Iterator[NullSpaceQ
 
 
 def jumps(robot: RobotModel, rng: Rng) -> Iterator[NullSpaceQP]:
-    """Yield neighbours from far apart, every second one with its gradient turned round, against warm starts."""
+    """Yield unrelated problems, each of them twice: the second time with the gradient negated, against warm starts."""
     while True:
         qp = at_pose(robot, robot.random_regular_pose(rng), tip_velocity(rng, 0.05), regularization=0.0)
         yield qp
@@ -115,7 +115,7 @@ RECIPES: dict[str, Callable[[RobotModel, Rng], Iterator[NullSpaceQP]]] = {
 
 
 def make(name: str, robot: RobotModel, seed: int = 0) -> TestSet:
-    """Make one set: of a recorded sequence from its file, else from its name and the seed alone."""
+    """Make and certify one set: a recorded sequence from its file, any other set from its name and the seed alone."""
     if name in SEQUENCES:
         return certify(name, TestSet.load(name).problems())
     rng = np.random.default_rng([seed, VERSION, *name.encode()])

@@ -1,7 +1,7 @@
-"""What ``python -m benchmarks.speed`` times; each of `ticks` to `fresh` is a job that runs alone.
+"""The measurements of ``python -m benchmarks.speed``. Each public function from `ticks` to `fresh` is a job run alone.
 
-Entries take turns in chunks, so that a slow moment of the machine hits all of them alike; ratios are of chunks or of
-rounds that lie side by side.
+The compared calls take turns in chunks, so that a slow moment of the machine affects all of them. Ratios are computed
+between chunks or rounds that were measured side by side.
 """
 
 from __future__ import annotations
@@ -34,11 +34,11 @@ from moc_opt.solvers.exact import Exact
 from moc_opt.study.timing import each_us, percentiles, since, total, used
 
 ROOT, CHUNK = Path(__file__).resolve().parents[1], 100
-COLD = 5  # calls after another entry's turn that find its data in the caches
+COLD = 5  # first calls of a chunk: the caches still hold the data of the entry that ran before
 
 
 class Timed(NamedTuple):
-    """What is timed: the call, and its items."""
+    """A call to time, and the items that it is given one by one."""
 
     call: Callable[[Any], Any]
     items: Sequence[Any]
@@ -46,14 +46,14 @@ class Timed(NamedTuple):
 
 @dataclass
 class Part:
-    """What a job measured.
+    """The measurements of one job.
 
     Attributes:
-        found: part of the summary -> name -> metric.
-        rows: of rows.parquet, one a chunk or round.
-        missing: what could not run -> why.
-        times: (chunks, CHUNK) [us] of entries that took turns, by name.
-        seen: what the machine did to each of these meanwhile.
+        found: part of the summary -> name -> metrics.
+        rows: rows for rows.parquet, one per chunk or round.
+        missing: entry that could not run -> reason.
+        times: (chunks, CHUNK) [us] of the entries that took turns, by name.
+        seen: counters of `moc_opt.study.timing` (context switches, processor time) during those times, by name.
     """
 
     found: dict[str, dict[str, Any]] = field(default_factory=dict)
@@ -63,10 +63,10 @@ class Part:
     seen: dict[str, dict[str, float]] = field(default_factory=dict)
 
     def time(self, part: str, entries: Mapping[str, Timed], rounds: int) -> None:
-        """Time calls side by side: each goes through its own items, a chunk of them at a time, in turn.
+        """Time calls side by side: in turn, each call runs over the next chunk of its own items.
 
-        Whatever the machine does meanwhile hits all alike, so ratios of what is found chunk by chunk are steadier than
-        the times. All entries have as many items as the shortest. One round comes before ``rounds`` and is not timed.
+        A disturbance of the machine affects all entries, so ratios taken chunk by chunk vary less than the times. Every
+        entry is cut to the number of items of the shortest one. One round that is not timed precedes the ``rounds``.
         """
         names, starts = list(entries), range(0, min(len(entry.items) for entry in entries.values()) - CHUNK + 1, CHUNK)
         chunks: dict[str, list[Array]] = {name: [] for name in names}
@@ -87,7 +87,7 @@ class Part:
             ]
 
     def figures(self, name: str, prefix: str) -> dict[str, float]:
-        """Return percentiles and maximum, the median of the first calls of each chunk, and the machine's load."""
+        """Return percentiles, maximum, the median of the first `COLD` calls of all chunks, and the counters `seen`."""
         times = self.times[name]
         return {
             **percentiles(times.ravel(), prefix), f"{prefix}_max_us": float(times.max()),
@@ -95,12 +95,12 @@ class Part:
         }  # fmt: skip
 
     def over(self, name: str, other: str) -> float:
-        """Return the ratio of the medians of two entries, chunk by chunk, and of these the median."""
+        """Return the median over the chunks of the ratio of the two entries' median times."""
         return float(np.median(np.median(self.times[name], axis=1) / np.median(self.times[other], axis=1)))
 
 
 def record(scenario: Scenario) -> tuple[list[peers.Inputs], list[NullSpaceQP]]:
-    """Run a scenario; returns what every tick was given, and its subproblem."""
+    """Run a scenario; return the inputs of every tick, and its subproblem."""
     heard: list[peers.Inputs] = []
 
     class Ear(Controller):
@@ -114,7 +114,7 @@ def record(scenario: Scenario) -> tuple[list[peers.Inputs], list[NullSpaceQP]]:
 
     trace = Heard(scenario).trace()
     problems = [NullSpaceQP.from_row(np.array(row)) for row in trace.subproblem]
-    for qp in problems:  # what the adapters read is computed before the clock starts
+    for qp in problems:  # cache what the adapters read, so that its computation is not timed
         _ = qp.q, qp.reduced()
     return heard, problems
 
@@ -123,7 +123,7 @@ def record(scenario: Scenario) -> tuple[list[peers.Inputs], list[NullSpaceQP]]:
 
 
 def ticks(scenario: Scenario, solvers: Iterable[str], libraries: Iterable[str], rounds: int) -> Part:
-    """Time our tick with every solver, and those of other libraries on the states of their own runs."""
+    """Time our tick with every solver, and the ticks of other libraries on the states of those libraries' own runs."""
     part, entries, (inputs, _) = Part(), dict[str, Timed](), record(scenario)
     robot = load_robot(scenario.robot.name)
     for name in solvers:
@@ -153,7 +153,7 @@ def _spread(call: Callable[..., Any]) -> Callable[[tuple[Any, ...]], Any]:
 
 
 def tick_parts(scenario: Scenario, rounds: int) -> Part:
-    """Time the parts of our tick, each on the same states: what the controller calls, called by itself."""
+    """Time the parts of our tick separately, on the same states: the calls that the controller makes in one tick."""
     part, (inputs, _), robot = Part(), record(scenario), load_robot(scenario.robot.name)
     law = core.Law(robot.arm, **numbers_of(scenario.control, robot, scenario.plant.period_s))
     law.start(*inputs[0])
@@ -181,7 +181,7 @@ _COMPARED = re.compile(r"largest difference from the recorded torque ([\d.e+-]+)
 
 
 def exported(scenario: Scenario) -> Part:
-    """Export the scenario's controller, make its own program, and return what that says of ``moc_step``."""
+    """Export the scenario's controller, build and run its test program, and return the times it prints."""
     with tempfile.TemporaryDirectory() as folder:
         export_scenario(scenario, folder)
         command = ["make", "--silent", "test"]
@@ -198,9 +198,9 @@ def exported(scenario: Scenario) -> Part:
 
 
 def batch(scenario: Scenario, count: int) -> Part:
-    """Time ``Exact.solve_batch`` on ``count`` recorded subproblems in one call: the better of two on each.
+    """Time ``Exact.solve_batch`` on ``count`` recorded subproblems in one call, on one and on two threads.
 
-    80 doubles a record of seven joints: a million are 640 MB.
+    The faster of two calls counts. A record of seven joints has 87 doubles, so a million records take 696 MB.
     """
     rows = np.array([qp.row for qp in record(scenario)[1]])
     many, solver = np.ascontiguousarray(np.resize(rows, (count, rows.shape[1]))), Exact()
@@ -223,7 +223,7 @@ BY_HAND = "daqp by hand"
 
 
 def adapters(scenario: Scenario, names: Iterable[str], rounds: int) -> Part:
-    """Time adapters of libraries side by side with exact, and the fastest library by hand."""
+    """Time the adapters of solver libraries side by side with exact, and daqp also without its adapter."""
     part, (_, problems), robot = Part(), record(scenario), load_robot(scenario.robot.name)
     entries = {"exact": Timed(Exact().start(problems[0]).solve, problems)}
     for name in names:
@@ -246,10 +246,10 @@ def adapters(scenario: Scenario, names: Iterable[str], rounds: int) -> Part:
 
 
 def daqp_by_hand(settings: Any, first: NullSpaceQP) -> Callable[[NullSpaceQP], tuple[Array, Array]]:
-    """Drive daqp as a careful user would without this package: load the numbers, solve, read x and the multipliers.
+    """Return a call that drives daqp as a careful user would without this package: load numbers, solve, read x and y.
 
-    It has the workspace, options and buffers of our adapter, so that both do the same work; no status is translated,
-    no dual lifted, nothing checked.
+    It uses the workspace, options and buffers of our adapter, so that both do the same work in daqp. It translates no
+    status, lifts no duals and checks nothing.
     """
     at, scale, n = settings.start(first), settings.cost_scale, first.n
     core = at._core
@@ -269,7 +269,7 @@ def daqp_by_hand(settings: Any, first: NullSpaceQP) -> Callable[[NullSpaceQP], t
 
 
 def disagreement(solver: Any, by_hand: Callable[[NullSpaceQP], Any], problems: list[NullSpaceQP]) -> str | None:
-    """Return how far the answers of adapter and library by hand differ [rad/s], in words; None when they agree."""
+    """Say by how much the answers of adapter and library by hand differ [rad/s]; None where they agree to 1e-4."""
     session = solver.start(problems[0])
     gap = max(float(np.abs(session.solve(qp).x - by_hand(qp)[0]).max()) for qp in problems[:200])
     return None if gap <= 1e-4 else f"adapter and library by hand differ by {gap:.2g} rad/s"
@@ -279,13 +279,13 @@ def disagreement(solver: Any, by_hand: Callable[[NullSpaceQP], Any], problems: l
 
 
 def own_steps(scenario: Scenario) -> tuple[Array, Callable[[], Array]]:
-    """Return MuJoCo's states (k, m) before each control period of a run, its time first, and a call that steps all.
+    """Return MuJoCo's states (k, m) before each control period of a run, and a call that steps from all of them.
 
-    The call returns the states (k, m) after each: no Python between the steps, no trocar, no sensors of ours. MuJoCo's
-    time depends on the state: dry friction, joint limits and the trocar are work that an arm left alone does not have.
-    So each period is stepped from its own recorded state, under the forces of the step before it.
+    The call returns the states (k, m) after the periods (column 0 is the time). It runs MuJoCo alone, without Python
+    between the steps and without our trocar and sensors. The time of a step depends on the state, because dry friction,
+    joint limits and the trocar add work. So each period starts from its recorded state, with the last period's forces.
     """
-    # Late: a process that measures other parts needs no threads of MuJoCo's.
+    # Imported here, because processes that measure other parts do without MuJoCo's threads.
     import mujoco
     from mujoco.rollout import rollout
 
@@ -313,9 +313,9 @@ def own_steps(scenario: Scenario) -> tuple[Array, Callable[[], Array]]:
 
 
 def loop(scenario: Scenario, runs: int) -> Part:
-    """Time the run as ``moc-opt run`` does it, with the watch of its progress bar, beside MuJoCo's steps of the same.
+    """Time runs as in ``moc-opt run``, progress bar's callback included, and MuJoCo's steps over the same states.
 
-    References and trace are in it. One run more comes first, for caches. A row holds ``us_per_tick``, ``steps_us``.
+    References and trace are included. A first run warms the caches untimed. Rows hold ``us_per_tick``, ``steps_us``.
     """
     part, (states, stepped), times = Part(), own_steps(scenario), list[Array]()
     seen, bar = list[dict[str, float]](), list[int]()
@@ -339,7 +339,7 @@ def loop(scenario: Scenario, runs: int) -> Part:
 
 
 def limit(rows: Iterable[Mapping[str, Any]], c_tick_us: float | None) -> dict[str, float]:
-    """Return the medians over the loop's rounds: MuJoCo's steps, the limit with the tick in C, and the loop over it."""
+    """Return medians over the loop's rounds: MuJoCo's steps, the limit (steps plus tick in C), and loop over limit."""
     us, steps = np.array([(row["us_per_tick"], row["steps_us"]) for row in rows]).T
     found = {"steps_us": float(np.median(steps))}
     if c_tick_us is not None:
@@ -373,9 +373,9 @@ FIRST_RUN = ("-m", "moc_opt", "run", "--json")
 
 
 def fresh(processes: int) -> Part:
-    """Measure new processes [s]: from the first import to the first torque, and a whole ``moc-opt run``; medians.
+    """Return median times of new processes [s]: from first import to first torque, and of a whole ``moc-opt run``.
 
-    Each run has a home of its own, so that nothing that an earlier one left there helps it.
+    Each run has a home folder of its own, so that it finds no caches of an earlier run.
     """
     part = Part()
     for turn in range(processes):

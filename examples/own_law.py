@@ -1,7 +1,7 @@
-"""A control law written in Python in the closed loop: the paper's three levels in plain numpy, without a solver.
+"""A control law of your own, in Python, in the closed loop: the paper's three levels in plain numpy, without a solver.
 
-The third level follows the gradient of mu, projected on what moves neither tip nor wrist, in place of a subproblem.
-Everything else is as in every run: plant, sensors, safety filter, trace, metrics.
+The third level follows the gradient of mu, projected onto the self-motion (which moves neither tip nor wrist), instead
+of solving a subproblem. Plant, sensors, safety filter, trace and metrics are those of every run.
 
 python examples/own_law.py
 """
@@ -14,16 +14,16 @@ from moc_opt.scenario.setup import Setup
 
 
 class OwnLaw:
-    """A controller is whatever has these methods; `moc_opt.sim.protocols` says what each is for."""
+    """A controller needs these methods only; `moc_opt.sim.protocols` documents them."""
 
     K_X, D_X, K_N, D_N, K_N2 = 3000.0, 30.0, 800.0, 10.0, 15.0
-    CLIMB = 30.0  # joint velocity for each unit of the gradient of mu
+    CLIMB = 30.0  # joint velocity per unit of the gradient of mu
 
     def __init__(self, robot):
         self.robot, self.tip = robot, np.zeros(3)
 
     def start(self, q, v, tip_ref, trocar):
-        """Nothing to remember."""
+        """Do nothing: this law has no state to reset."""
 
     def tick(self, q, v, tip_ref, trocar):
         """Return the torque (n,) [Nm] for the measured q (n,) [rad] and v (n,) [rad/s]."""
@@ -33,10 +33,10 @@ class OwnLaw:
         J, W, M = s.J_tip, s.J_wrist, s.M
         M_inverse = np.linalg.inv(M)
 
-        # Level 1: the tip is pulled to its reference, and the arm's weight and bias are carried.
+        # Level 1: a spring and damper pull the tip to its reference; s.h compensates gravity and Coriolis torques.
         tau_tip = s.h + J.T @ (self.K_X * (X_d - s.tip) + self.D_X * (dX_d - J @ s.v))
 
-        # Level 2: the wrist is pulled to where the shaft passes through the trocar, in the null space of level 1.
+        # Level 2: in the null space of level 1, the wrist is pulled to N_d, which puts the shaft through the trocar.
         to_trocar = P - s.tip
         e = to_trocar / np.linalg.norm(to_trocar)
         relative = dP - J @ s.v
@@ -52,18 +52,18 @@ class OwnLaw:
         return tau_tip + tau_rcm + tau_mu
 
     def set_applied_torque(self, tau):
-        """An observer would want to know what the safety filter made of the torque; this law has none."""
+        """Do nothing: only a law with an observer needs the torque that the safety filter let through."""
 
     def columns(self, ticks):
-        """Return further columns for the trace."""
+        """Return the law's own columns for the trace: none."""
         return {}
 
     def note(self, row, columns):
-        """Write this tick's values into them."""
+        """Write this tick's values into the law's columns: there are none."""
 
 
 class OwnSetup(Setup):
-    """A scenario's objects with another controller."""
+    """The set-up of a run, with another controller."""
 
     def controller(self):
         """Make the controller of a run."""

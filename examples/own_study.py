@@ -1,4 +1,4 @@
-"""A study of your own: what does the delay of the drives cost, under two solvers, on ten trials each?
+"""A study of your own: what does the delay of the drives cost under two solvers, on ten trials per solver and delay?
 
 python examples/own_study.py [OUT] [tcp://DASK-SCHEDULER:8786]
 """
@@ -13,7 +13,7 @@ from moc_opt.study import Failed, Job, Kept, run
 
 
 def trial(solver, delay, seed):
-    """One trial is one row; whatever a solver does in it, hang, crash or raise, is a row, too."""
+    """Run one trial, and return its row. If it hangs, crashes or raises, `run` gives `Failed` in place of the row."""
     scenario = mo.Scenario(duration_s=2.0, seed=seed, start={"pose": "random"}, bound_samples=0)
     scenario = scenario.change(solver={"name": solver}, plant={"delay_ticks": delay})
     return {"solver": solver, "delay": delay, "seed": seed, **mo.summarize(mo.run(scenario))}

@@ -1,8 +1,8 @@
 """
-One run, and what it is worth
-=============================
+One run, and its metrics
+========================
 
-Run the default scenario: an LWR4+ follows a circle through the trocar, the third level is solved by `exact`.
+From a random start, an LWR4+ follows a circle with its tool through the trocar; `exact` solves the third level.
 The baseline is the same trial without the third level (`dcac`).
 """
 

@@ -2,7 +2,7 @@
 The same problem, every solver
 ==============================
 
-Ask every solver that is installed for the answer to one subproblem, and let the same residuals judge all of them.
+Solve one subproblem with every installed solver, and judge all answers by the same residuals.
 """
 
 import moc_opt as mo
@@ -15,7 +15,7 @@ qp = mo.NullSpaceQP(
 )  # fmt: skip
 print(f"{'solver':26s}{'says':>12s}{'verified':>10s}{'primal':>10s}{'loss':>10s}")
 for name, reason in mo.solvers.available().items():
-    if reason is not None or name.startswith("nlp"):  # these answer the nonlinear problem of one step
+    if reason is not None or name.startswith("nlp"):  # nlp-* answer the nonlinear problem of a tick
         continue
     solver = mo.solvers.create(name)
     if solver.supports(qp) is not None:

@@ -21,5 +21,5 @@ for name, trace in runs.items():
     )
 
 # %%
-# The network follows the optimum with a delay of its own.
+# The network's answers lag behind the optimum.
 time_series({**runs, "dcac": baseline})

@@ -2,8 +2,8 @@
 Plan a path before anything moves
 =================================
 
-Ask whether the whole path can be executed from a start, which course of the elbow is best, and how far from the global
-optimum that can be.
+A plan tells whether the whole path can be executed from a start, which course of the elbow is best, and how much better
+any other course could be at most.
 """
 
 import moc_opt as mo

@@ -2,8 +2,8 @@
 Follow a plan instead of climbing
 =================================
 
-A local law climbs mu from where the arm stands, and may stay at a lower local maximum. With `third_level = "planned"`
-it follows the best course over the whole path, behind the same solver, supervisor and safety filter.
+The local law climbs mu from the arm's start, and may stay at a lower local maximum. With `third_level = "planned"` the
+arm follows the best course over the whole path; solver, supervisor and safety filter are the same.
 """
 
 import moc_opt as mo

@@ -2,8 +2,8 @@
 What a defect of the robot costs
 ================================
 
-The realistic plant differs from the controller's model: masses, friction, delay, noise, calibration. Switch parts of
-that off, and see what each costs.
+The realistic plant differs from the controller's model in masses, friction, delay, noise and calibration. Switch some
+of these defects off, or make them larger, and see what each costs.
 """
 
 import moc_opt as mo

@@ -2,8 +2,8 @@
 A solver of your own
 ====================
 
-A solver has settings, `supports` and `start`; a session has `solve`. This one walks along the self-motion until it
-meets the box: right for one freedom and a small regularization, and the residuals say so.
+A solver has settings, `supports` and `start`; a session has `solve`. This solver walks along the self-motion to the
+edge of the box. That is right for one freedom and a small regularization, which the residuals confirm.
 """
 
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ from moc_opt.solvers.base import Solution, Status
 
 @dataclass(frozen=True)
 class Walk:
-    """The end of the feasible interval to which the gradient of mu points."""
+    """A solver that returns the end of the feasible interval to which the gradient of mu points."""
 
     name = "walk"
 

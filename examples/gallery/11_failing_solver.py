@@ -3,7 +3,7 @@ A bad answer does no harm
 =========================
 
 A supervisor checks every answer before the arm follows it. Here a solver claims success for the opposite of the
-optimum at one tick in five: the answers are refused, a safe one takes their place, and the trace keeps the count.
+optimum at one tick in five. Each such answer is refused and replaced by a safe one, and the trace counts them.
 """
 
 import moc_opt as mo

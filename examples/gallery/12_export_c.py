@@ -2,7 +2,7 @@
 The controller as C
 ===================
 
-Write the whole controller of a scenario, safety filter included, as C without dependencies: no heap, no unbounded loop.
+Write the whole controller of a scenario, with its safety filter, as C without dependencies, heap or unbounded loops.
 """
 
 import tempfile

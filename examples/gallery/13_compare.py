@@ -2,8 +2,8 @@
 Solvers on the same random trials
 =================================
 
-Compare solvers in closed loop. Every trial begins at a pose that its seed draws, and DCAC with the same gains runs it
-too. A mean comes with its 95 % interval and the number of its trials; two are too few for a verdict.
+Compare solvers in closed loop. The seed of each trial draws its start, and DCAC with the same gains runs every trial,
+too. Means have 95 % intervals and a number of trials; two trials are too few for a verdict.
 """
 
 import moc_opt as mo

@@ -1,6 +1,6 @@
-"""A scenario's controller as a folder of C: the core's own files, constants, recorded ticks and a Makefile.
+"""A scenario's controller as a folder of C: files of the core, constants, recorded ticks and a Makefile.
 
-``scenario`` checks that C can do what a scenario asks for, and records ticks; ``folder`` writes the files.
+``scenario`` refuses settings that the C code does not support, and records ticks; ``folder`` writes the files.
 """
 
 from moc_opt.export.folder import write

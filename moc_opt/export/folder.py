@@ -1,4 +1,4 @@
-"""Write the folder: files of `moc_opt/core` and ``c/`` as they are, the numbers of a scenario as initialisers in C."""
+"""Write the folder: unchanged files of `moc_opt/core` and ``c/``, and a scenario's numbers as initialisers in C."""
 
 from __future__ import annotations
 
@@ -33,19 +33,19 @@ SUPERVISION = (
     "check", "box_limit", "primal_limit", "relative_limit", "opposite_limit", "hold_ticks", "keep_off_limits",
     "fallback", "late", "budget_us",
 )  # fmt: skip
-"""The fields of moc_supervision; `numbers_of` of a law has them beside those of moc_law."""
+"""The fields of moc_supervision; `control.law.numbers_of` returns them together with those of moc_law."""
 
 
 class Recording(NamedTuple):
-    """k consecutive ticks: measurements, references, and the torques that left the safety filter.
+    """k consecutive ticks: measurements, references, and the torques from the safety filter.
 
-    Before the first tick ``sent`` (n,) acted. The first ``sound`` ticks have no faults and are timed. At tick
-    ``stopped_at`` the safety filter stopped the arm; -1: it did not.
+    ``sent`` (n,) is the torque before the first tick. The first ``sound`` ticks have no faults and are timed.
+    ``stopped_at`` is the tick at which the safety filter stopped the arm, or -1.
     """
 
     q: Array  # (k, n) [rad]; may be NaN
     v: Array  # (k, n) [rad/s]
-    stamp: Array  # (k,) number of the control period in which that was measured
+    stamp: Array  # (k,) number of the control period in which q and v were measured
     tip_ref: Array  # (k, 3, 3) rows X_d [m], dX_d [m/s], ddX_d [m/s^2]
     trocar: Array  # (k, 2, 3) rows P_t [m], dP_t [m/s]
     wrench: Array  # (k, 6) force [N] and torque [Nm] of the tool on its mount, tool axes
@@ -56,12 +56,12 @@ class Recording(NamedTuple):
 
 
 def shipped(folder: Traversable, names: Iterable[str]) -> dict[str, str]:
-    """Read files of the package, text by name."""
+    """Read files of the package; return name -> text."""
     return {name: (folder / name).read_text(encoding="utf-8") for name in names}
 
 
 def in_c(value: Any) -> str:
-    """Write a number, an array or a mapping as an initialiser in C that reads back to the last bit."""
+    """Return a number, an array or a mapping as an initialiser in C, exact to the last bit."""
     if isinstance(value, Mapping):
         return "{" + ", ".join(f".{name} = {in_c(part)}" for name, part in value.items()) + "}"
     if isinstance(value, list | tuple | np.ndarray):
@@ -74,14 +74,14 @@ def in_c(value: Any) -> str:
 
 
 def defined(declaration: str, value: Any) -> str:
-    """Write a definition in lines of 120 characters."""
+    """Return a definition in C, broken into lines of 120 characters."""
     return textwrap.fill(
         f"{declaration} = {in_c(value)};", 120, subsequent_indent="    ", break_long_words=False, break_on_hyphens=False
     )
 
 
 def arm_in_c(robot: RobotModel) -> dict[str, Any]:
-    """Return the arm by the names of moc_arm."""
+    """Return the arm's numbers by the names of moc_arm's fields."""
     joints, points, tool, moves, gravity = robot.arm_arrays
     return {
         "n": robot.n,
@@ -100,7 +100,7 @@ def arm_in_c(robot: RobotModel) -> dict[str, Any]:
 def constants(
     robot: RobotModel, law: Mapping[str, Any], guard: Mapping[str, Any], tolerance: float, stop: tuple[float, float]
 ) -> dict[str, str]:
-    """Write constants.h and constants.c, text by name; arguments as for `write`."""
+    """Return the texts of constants.h and constants.c by name; arguments as for `write`."""
     header = f"""\
 /* The scenario's numbers: moc_constants is what moc_start and moc_step take. */
 #ifndef CONSTANTS_H
@@ -111,7 +111,7 @@ def constants(
 #define JOINTS {robot.n}
 #define PERIOD_S {in_c(law["period"])} /* of control */
 #define STOP_DAMPING {in_c(stop[0])} /* of the drives in a stop [Nm s/rad] */
-#define STOP_S {in_c(stop[1])} /* for which they keep it at least */
+#define STOP_S {in_c(stop[1])} /* least time for which they keep it */
 
 extern const moc_controller moc_constants;
 
@@ -129,7 +129,7 @@ extern const moc_controller moc_constants;
 
 
 def recording_in_c(recording: Recording) -> str:
-    """Write recording.h."""
+    """Return the text of recording.h."""
     r = recording
     columns = zip(r.q, r.v, r.stamp.astype(int), r.tip_ref, r.trocar, r.wrench, r.tau, strict=True)
     return f"""\
@@ -161,14 +161,14 @@ def write(
 
     Args:
         law, guard: numbers by the names in moc.h (`numbers_of` of control/law_numbers.py and control/safety_filter.py).
-        recording: what ``make test`` runs again.
+        recording: the ticks that ``make test`` repeats.
         tolerance: of the solver ``exact`` [rad/s].
-        stop: damping of the drives in a stop [Nm s/rad], and how long they keep it at least [s].
-        extra: further files, by name; with udp.c among them the Makefile builds moc_udp.
-        force: write over any file.
+        stop: damping of the drives in a stop [Nm s/rad], and the least time for which they keep it [s].
+        extra: further files, by name; if udp.c is one of them, the Makefile builds moc_udp.
+        force: overwrite any file.
 
     Raises:
-        ScenarioError: ``out`` cannot be written, or holds a file of one of these names that this did not write.
+        ScenarioError: ``out`` cannot be written, or one of these files exists there and export-c did not write it.
     """
     texts: dict[str, str | bytes] = {**shipped(files("moc_opt.core"), CORE), **shipped(OWN, TESTS)}
     texts |= constants(robot, law, guard, tolerance, stop) | {"recording.h": recording_in_c(recording)} | dict(extra)
@@ -189,7 +189,7 @@ def write(
 
 
 def _marked(name: str, text: str) -> str:
-    """Put a first line above a text by which a later export knows that nobody has changed it."""
+    """Return a text under a first line with its checksum, by which a later export sees whether it was edited."""
     comments = {".c": ("/* ", " */"), ".h": ("/* ", " */"), ".md": ("<!-- ", " -->")}
     before, after = comments.get(Path(name).suffix, ("# ", ""))
     check = hashlib.blake2s(text.encode(), digest_size=8).hexdigest()
@@ -197,7 +197,7 @@ def _marked(name: str, text: str) -> str:
 
 
 def _is_own(file: Path) -> bool:
-    if file.suffix == ".bin":  # numbers alone
+    if file.suffix == ".bin":  # holds no text to mark
         return (file.parent / "udp.c").exists()
     try:
         text = file.read_text(encoding="utf-8")

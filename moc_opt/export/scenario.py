@@ -1,4 +1,4 @@
-"""From a scenario to its folder of C: what C cannot do is refused, and ticks are recorded for the self-test."""
+"""Export a scenario as a folder of C: refuse settings that C does not support, and record ticks for the self-test."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from moc_opt.sim.sensors import Measurement
 from moc_opt.solvers.exact import Exact
 
 TICKS = 150
-"""of the recording, from the middle of the run; a third of them with faults"""
-INFEASIBLE, VIOLENT = 0.5, 10.0  # added to the reference's velocity [m/s]: no x meets it; the torque is limited
+"""Length of the recording, from the middle of the run; the last third has faults."""
+INFEASIBLE, VIOLENT = 0.5, 10.0  # added to the reference's velocity [m/s]: makes it infeasible; limits the torque
 
 
 def export_scenario(
@@ -29,13 +29,13 @@ def export_scenario(
     """Write the whole controller of a scenario as C (tick, supervisor, fallback and safety filter); return the files.
 
     Args:
-        scenario: of the controller; its run gives the recorded ticks.
-        out: folder, made if need be.
-        udp: also a program that is this controller at the end of a wire, and the references of its ticks.
-        force: write over files that are not export-c's own.
+        scenario: has the controller; ticks are recorded from its run.
+        out: folder, created if it does not exist.
+        udp: also write a program that runs this controller over UDP, and the references of its ticks.
+        force: overwrite files that export-c did not write.
 
     Raises:
-        MocOptError: a setting that C cannot do, named; the scenario cannot be run; or ``out`` cannot be written.
+        MocOptError: the C code does not support a setting; the scenario cannot run; or ``out`` cannot be written.
     """
     check(scenario)
     setup = Setup(scenario.change(judge=False, bound_samples=0, faults={"solver": "none"}))
@@ -54,10 +54,10 @@ def export_scenario(
 
 
 def check(scenario: Scenario) -> None:
-    """Refuse what the C code cannot do.
+    """Refuse settings that the C code does not support.
 
     Raises:
-        ScenarioError: naming the setting, its value and the cure.
+        ScenarioError: it names the setting, its value and the cure.
     """
     solver, control = scenario.solver, scenario.control
     for wrong, words in (
@@ -78,16 +78,16 @@ def check(scenario: Scenario) -> None:
 
 
 def references(setup: Setup) -> bytes:
-    """Return tip_ref (3, 3) and registered trocar (2, 3) of every tick, row by row, as little-endian doubles."""
+    """Return tip_ref (3, 3) and registered trocar (2, 3) of every tick, tick by tick, as little-endian doubles."""
     return np.hstack([part.reshape(setup.ticks, -1) for part in setup.inputs()]).astype("<f8").tobytes()
 
 
 def record(setup: Setup) -> Recording:
-    """Record the controller behind its safety filter on measurements of the scenario's run, the last of them bad.
+    """Record the controller behind its safety filter on measurements of the scenario's run, the last third with faults.
 
-    As many ticks as the safety filter bridges are NaN, a joint jumps for one, a joint is too fast for one, references
-    are infeasible for some, and for one tick so fast that the torque is limited; at the end the measurements are lost
-    for good.
+    The faults, in order: NaN for as many ticks as the safety filter bridges; a packet that comes again; a joint that
+    jumps for one tick; one that is too fast for one tick; infeasible references for some ticks; a reference so fast for
+    one tick that the torque is limited; NaN from there to the end.
     """
     scenario, trace, t = setup.scenario, setup.trace(), setup.times()
     whole = min(len(trace), len(t))

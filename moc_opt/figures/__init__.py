@@ -1,6 +1,6 @@
-"""Figures: plain arrays in, a plotly figure in the house style out, one function per kind of figure.
+"""Figures: one function per kind of figure takes plain arrays and returns a plotly figure in one common style.
 
-``style`` has the colours and the template, ``notation`` the text of numbers, units and missing values.
+``style`` has the colours and the template; ``notation`` writes numbers, units and missing values as text.
 """
 
 from moc_opt.figures.comparisons import accuracy_against_time, pareto

@@ -1,4 +1,4 @@
-"""Accuracy over time, with names beside the points that cover neither each other nor a point."""
+"""Accuracy over time, with a name beside each point, placed so that names cover neither each other nor points."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ TOLERATED_PX2 = 25.0
 def accuracy_against_time(
     points: Mapping[str, tuple[float, float]], *, x_label: str = "median time [µs]", y_label: str = "largest residual"
 ) -> go.Figure:
-    """Draw error over time, both on log axes; the Pareto front (nobody is both faster and more accurate) is marked.
+    """Draw error over time on log axes; the Pareto front (no other entry is both faster and more accurate) is marked.
 
     Args:
-        points: name -> (time, error); entries that are not finite are left out, errors below `FLOOR` are drawn there.
-        x_label, y_label: of the axes, with units.
+        points: name -> (time, error); entries that are not finite are left out, errors below `FLOOR` drawn at `FLOOR`.
+        x_label, y_label: labels of the axes, with units.
 
     Raises:
         ReportError: no entry is finite, a time is not positive, or an error is negative.
@@ -38,7 +38,7 @@ def accuracy_against_time(
     log_axis(drawn, "x", x_label, [time for time, _ in known.values()], margin=MARGIN)
     log_axis(drawn, "y", y_label, [error for _, error in known.values()], powers=True, margin=MARGIN)
     front = pareto(known)
-    # The border of the dominated region, from the top of the plot to its right.
+    # The border of the dominated region, from the top edge of the plot to the right edge.
     top, right = 10.0 ** drawn.layout.yaxis.range[1], 10.0 ** drawn.layout.xaxis.range[1]
     times, errors = zip(*(known[name] for name in front), strict=True)
     drawn.add_scatter(
@@ -61,7 +61,7 @@ def accuracy_against_time(
 
 
 def pareto(points: Mapping[str, tuple[float, float]]) -> list[str]:
-    """Return the names that no other beats in both coordinates (less is better), by the first coordinate."""
+    """Return the names that no other beats in both coordinates (less is better), ordered by the first coordinate."""
     best, front = np.inf, []
     for name in sorted(points, key=lambda name: points[name]):
         if points[name][1] < best:
@@ -71,7 +71,7 @@ def pareto(points: Mapping[str, tuple[float, float]]) -> list[str]:
 
 
 def _pixels(points: Mapping[str, tuple[float, float]]) -> dict[str, tuple[float, float]]:
-    """Return where the points lie in a plot of usual size, from its middle, y downwards [px]."""
+    """Return the places of the points in a plot of usual size, measured from its middle, y downwards [px]."""
     logs = np.log10(np.array(list(points.values())))
     extent = np.maximum(np.ptp(logs, axis=0), 0.5) * (1.0 + 2.0 * MARGIN)
     centres = (logs - logs.mean(axis=0)) / extent * [680.0, -310.0]
@@ -79,13 +79,13 @@ def _pixels(points: Mapping[str, tuple[float, float]]) -> dict[str, tuple[float,
 
 
 def label_sides(points: Mapping[str, tuple[float, float]]) -> dict[str, str | None]:
-    """Choose on which side of its point each name stands, where it covers least of points and earlier names.
+    """Choose for each name the side of its point on which it covers the least of other points and earlier names.
 
     Args:
-        points: name -> place of the point [px], y downwards; the first ones choose first.
+        points: name -> place of the point [px], y downwards; names are placed in this order.
 
     Returns:
-        Name -> "top center" and the like, in plotly's words; None where there is no room.
+        Name -> "top center" and the like, as plotly names the sides; None if there is no room.
     """
     markers = {name: (x - MARKER_PX, y - MARKER_PX, x + MARKER_PX, y + MARKER_PX) for name, (x, y) in points.items()}
     placed: list[Box] = []
@@ -107,7 +107,7 @@ def _boxes(name: str, x: float, y: float) -> dict[str, Box]:
     left, right = (x - near - wide, x - near), (x + near, x + near + wide)
     centre, middle = (x - wide / 2, x + wide / 2), (y - LINE_PX / 2, y + LINE_PX / 2)
     above, below = (y - far, y - near), (y + near, y + far)
-    # Below first: the front's line runs above and to the right of its points.
+    # Sides below come first, because the front's line runs above and to the right of its points.
     spans = {
         "bottom center": (centre, below), "top center": (centre, above), "middle left": (left, middle),
         "middle right": (right, middle), "bottom left": (left, below), "bottom right": (right, below),

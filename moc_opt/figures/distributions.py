@@ -1,4 +1,4 @@
-"""Distributions: solve times, and box plots, both on a log axis."""
+"""Distributions on a log axis: cumulative solve times, and box plots."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from moc_opt.figures.style import Styles, figure, label, legend_height, log_axis
 Floats = NDArray[np.float64]
 Samples = Mapping[str, ArrayLike]
 CLOCK_US = 1e-3
-"""Shorter times are drawn as 1 ns, the clock's step: a log axis has no zero."""
+"""Shorter times are drawn as 1 ns, the step of the clock, because a log axis has no zero."""
 ECDF_POINTS = 400
 
 
 def latency_ecdf(samples: Samples) -> go.Figure:
     """Draw the fraction of solves or ticks that are done within a time [us], on a log axis of time.
 
-    NaN (no solve) is left out, infinity (never done) counts as late; a name without samples says so.
+    NaN (no solve) is left out; infinity (never done) lowers the fraction. The legend marks a name without samples.
 
     Raises:
         ReportError: there is no finite time at all, or one is negative.
@@ -33,7 +33,7 @@ def latency_ecdf(samples: Samples) -> go.Figure:
         if not len(times):
             drawn.add_scatter(x=[], y=[], name=f"{label(name)} (no sample)", line_color=styles[name].color)
             continue
-        # Few quantiles suffice in the middle; each of the slowest has its own step.
+        # Few quantiles suffice for most of the curve; of the slowest times each has a step of its own.
         slowest = len(times) - np.geomspace(1, len(times), ECDF_POINTS)
         ranks = np.unique(np.append(np.linspace(0, len(times) - 1, ECDF_POINTS), np.ceil(slowest)).astype(np.int64))
         drawn.add_scatter(
@@ -50,8 +50,8 @@ def latency_ecdf(samples: Samples) -> go.Figure:
 def box_plots(groups: Mapping[str, Samples], value_label: str) -> go.Figure:
     """Draw box plots of controller -> task -> samples on a log axis, grouped by task, one colour per controller.
 
-    Boxes are quartiles with the median; whiskers reach the last sample within 1.5 box lengths of the logarithms
-    (Tukey); samples beyond are points, at most forty a box, the outermost always among them. NaN is left out.
+    Boxes are quartiles with the median. Whiskers reach the last sample within 1.5 box lengths, in logarithms (Tukey).
+    Samples beyond them are points, at most 40 per box, including the smallest and the largest. NaN is left out.
 
     Raises:
         ReportError: a sample is infinite, or not positive.
@@ -65,10 +65,10 @@ def box_plots(groups: Mapping[str, Samples], value_label: str) -> go.Figure:
         lower, q1, median, q3, upper, beyond = zip(*boxes.values(), strict=True) if boxes else [()] * 6
         drawn.add_box(
             x=[label(task) for task in boxes], lowerfence=lower, q1=q1, median=median, q3=q3, upperfence=upper,
-            # plotly draws no box of a name whose first list of outliers is empty; the median as the only one is hidden.
+            # plotly draws no box for a name whose first list of outliers is empty; a median as the only one is hidden.
             y=[points or [middle] for points, middle in zip(beyond, median, strict=True)],
             boxpoints="outliers", name=label(name), offsetgroup=name,
-            fillcolor=f"{styles[name].color}48",  # an opacity of 0.28; a dark page exchanges the first seven characters
+            fillcolor=f"{styles[name].color}48",  # opacity 0.28; dark pages replace the first 7 characters
             line={"color": styles[name].color, "width": 1.4}, marker={"size": 3, "opacity": 0.6}, whiskerwidth=0.5,
         )  # fmt: skip
     tasks = dict.fromkeys(label(task) for group in groups.values() for task in group)
@@ -80,13 +80,13 @@ def box_plots(groups: Mapping[str, Samples], value_label: str) -> go.Figure:
 
 
 def _box(name: str, values: Floats) -> tuple[float, float, float, float, float, list[float]]:
-    """Return lower whisker, quartiles, upper whisker, and the samples beyond, thinned."""
+    """Return lower whisker, quartiles, upper whisker, and the samples beyond the whiskers, thinned to 40."""
     values = np.sort(values)
     if np.isinf(values).any() or values[0] <= 0.0:
         raise ReportError(f"{name!r} reaches from {values[0]} to {values[-1]}: this axis cannot show that")
     scale = np.log10(values)
     q1, q3 = np.percentile(scale, (25, 75))
-    reach = 1.5 * (q3 - q1) + 1e-12 * abs(q3)  # the latter for rounding, where all samples are the same
+    reach = 1.5 * (q3 - q1) + 1e-12 * abs(q3)  # the second term allows for rounding if all samples are equal
     near = (scale >= q1 - reach) & (scale <= q3 + reach)
     inside, beyond = values[near], values[~near]
     kept = beyond[np.unique(np.linspace(0, len(beyond) - 1, min(len(beyond), 40)).astype(int))]
@@ -95,7 +95,7 @@ def _box(name: str, values: Floats) -> tuple[float, float, float, float, float, 
 
 
 def _known(name: str, values: ArrayLike) -> Floats:
-    """Return the samples that are not NaN, maybe none."""
+    """Return the samples that are not NaN; a ReportError if one is negative."""
     known = np.asarray(values, dtype=np.float64).ravel()
     known = known[~np.isnan(known)]
     if (known < 0.0).any():

@@ -1,4 +1,4 @@
-"""Numbers as text: significant digits, one notation for a whole column, missing values told apart."""
+"""Numbers as text: significant digits, one notation for a whole column, and missing values with their reasons."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ RAISED = str.maketrans("0123456789-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻")
 
 @dataclass(frozen=True)
 class Missing:
-    """A value that is not there, and why: ``Missing("proxqp does not report duals")``."""
+    """A missing value, with the reason: ``Missing("proxqp does not report duals")``."""
 
     reason: str = "no value"
 
 
 @dataclass(frozen=True)
 class Mark:
-    """A verdict: a symbol and a word, so that it is not the colour alone that tells.
+    """A verdict: a symbol and a word beside the colour, for readers who do not see colours.
 
     Attributes:
         symbol: one character.
@@ -60,7 +60,7 @@ class Notation:
         """Choose one notation for all `values`, so that a column can be compared by eye."""
         numbers = [float(value) for value in values if is_number(value)]  # type: ignore[arg-type]
         sizes = [abs(number) for number in numbers if math.isfinite(number)]
-        # Counts come as floats too: a column of whole numbers is written as such.
+        # Counts may come as floats, so a column of whole numbers is written without decimals.
         integral = bool(sizes) and all(size.is_integer() for size in sizes) and max(sizes) < 1e12
         wide = any(0.0 < size < 1e-4 or size >= 1e6 for size in sizes)
         return cls(digits, spec, scientific=wide and not integral, integral=integral)
@@ -84,13 +84,13 @@ class Notation:
 
 
 def _tidy(written: str) -> str:
-    """Return Python's 5.4e-07 as 5.4e-7, and a plain 0."""
+    """Return Python's 5.4e-07 as 5.4e-7, and zero as 0."""
     mantissa, exponent = written.split("e")
     return f"{mantissa}e{int(exponent)}" if float(mantissa) else "0"
 
 
 def missing(value: object) -> Missing | None:
-    """Return the reason why there is nothing to write, or None where there is a value."""
+    """Return the reason why a value is missing; None if there is a value."""
     if isinstance(value, Missing):
         return value
     if value is None or (is_number(value) and math.isnan(float(value))):  # type: ignore[arg-type]
@@ -99,23 +99,23 @@ def missing(value: object) -> Missing | None:
 
 
 def fraction_length(text: str) -> int:
-    """Count the characters from the decimal point on, for the alignment of a column on its points."""
+    """Count the characters from the decimal point to the end, for aligning a column on its points."""
     return len(text) - text.index(".") if "." in text and "e" not in text else 0
 
 
 def pretty_unit(unit: str) -> str:
-    """Write the unit as it is printed: us as µs, m^3 with a raised 3."""
+    """Return the unit as it is printed: us as µs, m^3 with a raised 3."""
     raised = re.sub(r"\^(-?\d+)", lambda match: match[1].translate(RAISED), printable(unit))
     return re.sub(r"\bus\b", "µs", raised)
 
 
 def pretty_units(text: str) -> str:
-    """Write a label with the units in its [brackets] as they are printed."""
+    """Return a label with the units in its [brackets] as they are printed."""
     return re.sub(r"\[([^\]]*)\]", lambda match: f"[{pretty_unit(match[1])}]", text)
 
 
 def pretty_power(power: int) -> str:
-    """Write a power of ten as on an axis: 1, 10, 10⁻³."""
+    """Return a power of ten as on an axis: 1, 10, 10⁻³."""
     return {0: "1", 1: "10"}.get(power, f"10{str(power).translate(RAISED)}")
 
 

@@ -37,15 +37,15 @@ def time_series(
 ) -> go.Figure:
     """Draw several runs over time, one panel per column, one legend entry per run for all panels.
 
-    Beside mu the largest mu of all feasible poses is dotted in. Long runs are thinned to the smallest and largest
-    value of each stretch of time: peaks stay as high as they are.
+    The panel of mu also shows, dotted, the largest mu of all feasible poses. Long runs are thinned to the smallest and
+    largest value in each stretch of time, which keeps peaks.
 
     Args:
-        runs: name -> columns of a run, (N,) or (N, k), `t_s` among them, or a `Trace`; a run that lacks a column is
-            absent from its panel; of vectors the length is drawn.
-        panels: columns, from top to bottom; None: those of ``PANELS``, with the tip's errors of ``TIPS`` that every
-            run has in place of the absolute one, which is mostly the error of the arm's calibration.
-        styles: of each run; None assigns colours anew.
+        runs: name -> `Trace`, or columns of a run, (N,) or (N, k), including `t_s`. A run is absent from the panels
+            of columns that it lacks. Of vectors the length is drawn.
+        panels: columns, from top to bottom. None: those of ``PANELS``, in which the absolute tip error, mostly the
+            error of the arm's calibration, is replaced by the errors of ``TIPS`` that every run has.
+        styles: the style of each run; None: new ones.
 
     Raises:
         ReportError: ``panels`` is empty, no list of names, or names a column that no run has or that holds texts; a
@@ -83,7 +83,7 @@ def time_series(
                     legendrank=len(data),
                 )  # fmt: skip
         drawn.update_yaxes(row=row, col=1, rangemode="normal" if column == "mu" else "tozero", nticks=5)
-        # Horizontal, above its panel: it can be read on a narrow screen.
+        # The panel's label is horizontal and above the panel, so that it can be read on a narrow screen.
         drawn.add_annotation(
             text=words, xref="paper", x=0.0, xanchor="left", yref=f"y{row if row > 1 else ''} domain", y=1.0,
             yanchor="bottom", showarrow=False, font={"size": 12}, xshift=-2,
@@ -107,11 +107,11 @@ def envelope(t: ArrayLike, y: ArrayLike, points: int = 1200) -> tuple[Floats, Fl
         points: at least 4; a series that is no longer comes back as it is.
 
     Returns:
-        (K,) times and values of the same series: first and last, and of every stretch the smallest and the
-        largest, in their order.
+        (K,) times and values of the series: the first and last, and the smallest and largest of every stretch, in
+        the order of time.
 
     Raises:
-        ReportError: t and y are not of one length, or `points` is too small.
+        ReportError: t and y differ in length, or `points` is too small.
     """
     times, values = np.asarray(t, dtype=np.float64), np.asarray(y, dtype=np.float64)
     if times.shape != values.shape or times.ndim != 1:

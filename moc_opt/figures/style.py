@@ -1,7 +1,7 @@
-"""The house style: one plotly template, colours that colour-blind readers tell apart, light and dark.
+"""The style of all figures: one plotly template, and colours that colour-blind readers can distinguish, light and dark.
 
-A figure is built for a light page. A page turns it dark by replacing each colour of `DARK` in the figure's
-JSON: so every colour used in a figure comes from here.
+A figure is built for a light page. A page makes it dark by replacing each colour of `DARK` in the figure's JSON, so
+every colour in a figure has to come from here.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from moc_opt.figures.notation import pretty_power, pretty_units, printable
 
 INK, MUTED, GRID, PAPER = "#1f2328", "#5f6871", "#e3e6e9", "#ffffff"
 GOOD, BAD, WORST = "#3b7fb8", "#c9ccd1", "#c4421a"
-"""Of answers: GOOD is optimal, BAD failed and says so, WORST is wrong and claims success."""
+"""Colours of answers: GOOD is optimal, BAD failed and says so, WORST is wrong and claims success."""
 
-# Okabe and Ito's palette, yellow and black replaced (they vanish on one of the two backgrounds), light -> dark.
+# Okabe and Ito's palette, light -> dark. Yellow and black are replaced, as each vanishes on one of the backgrounds.
 SERIES = {
     "#0072b2": "#4da3dd", "#d55e00": "#f0834a", "#009e73": "#3fc39d", "#b6569a": "#dc8fc4",
     "#c98a00": "#e8b33f", "#3fa0d0": "#8accf0", "#77787b": "#a9abb0", "#6a4fb3": "#a994ea",
@@ -49,10 +49,10 @@ class Style:
 
 
 class Styles(dict[str, Style]):
-    """Name -> style. Give every figure of a page the same one, and a name looks the same in all of them."""
+    """Name -> style. If all figures of a page are given the same Styles, a name looks the same in all of them."""
 
     def __init__(self, names: Iterable[str]) -> None:
-        """Deal out colours in the order of `names`; after the last colour, dashes and markers change."""
+        """Assign colours in the order of `names`; once they are used up, they repeat with another dash and symbol."""
         colors = list(SERIES)
         for place, name in enumerate(dict.fromkeys(names)):
             dash = DASHES[place // len(colors) % len(DASHES)]
@@ -88,17 +88,17 @@ TEMPLATE = go.layout.Template(
 
 
 def label(name: object) -> str:
-    """Return a name as plotly shows it: never as the markup that plotly would read in it."""
+    """Return a name escaped, so that plotly shows it as it is and interprets no markup in it."""
     return html.escape(printable(str(name)), quote=False)
 
 
 def figure(**layout: object) -> go.Figure:
-    """Make an empty figure in the house style."""
+    """Make an empty figure with `TEMPLATE`."""
     return go.Figure(layout={"template": TEMPLATE, **layout})
 
 
 def legend_height(names: Iterable[str]) -> int:
-    """Return the height that a legend above a plot takes [px]: the figure is made higher by it."""
+    """Return the height [px] of a legend above a plot, which is added to the figure's height."""
     lengths = [len(name) for name in names]
     columns = max(1, int(LEGEND_PX / (6.6 * max(lengths, default=1) + 46.0)))
     return 20 * math.ceil(len(lengths) / columns)
@@ -110,9 +110,9 @@ def log_axis(
     """Make "x" or "y" a log axis of a figure.
 
     Args:
-        values: positive; all drawn values, limits included.
-        powers: label it in powers of ten, for residuals; else in plain numbers, for times.
-        margin: kept free at each end, as a fraction of the whole.
+        values: all drawn values, limits included; they have to be positive.
+        powers: label the axis in powers of ten (for residuals) instead of plain numbers (for times).
+        margin: free space at each end, as a fraction of the range of values.
 
     Raises:
         ReportError: there is no value, or one is not positive.
@@ -128,17 +128,17 @@ def log_axis(
         step = max(1, math.ceil((high - low) / MAX_POWERS))
         exponents = range(step * math.ceil(low / step), math.floor(high) + 1, step)
         ticks = {"tickvals": [10.0**power for power in exponents], "ticktext": [*map(pretty_power, exponents)]}
-    # Chosen here: left to itself, plotly strews thousands between labels that it did not choose.
+    # Minor ticks are set here: between labels that it did not choose, plotly would draw thousands.
     minor = {"ticks": "outside", "ticklen": 2, "tickcolor": MUTED, "dtick": "D1" if step == 1 else 1}
     layout = {"type": "log", "title": {"text": pretty_units(title)}, "minor": minor, "range": [low, high], **ticks}
     drawn.update_layout({f"{axis}axis": {"tickangle": 0, **layout}})
 
 
 def rule(drawn: go.Figure, axis: str, at: float, text: str) -> None:
-    """Draw a limit: a dashed line at `at` of axis "x" or "y", and its name above the plot or inside at the right."""
+    """Draw a limit: a dashed line at `at` of an axis, named above the plot ("x") or inside it at the right ("y")."""
     line = {"color": WORST, "width": 1.2, "dash": "dash"}
     note = {"text": text, "showarrow": False, "font": {"size": 11, "color": WORST}, "yanchor": "bottom"}
-    # plotly wants the value for a line on a log axis, its logarithm for a text.
+    # On a log axis, plotly takes the value for a line, but its logarithm for a text.
     place = math.log10(at) if drawn.layout[f"{axis}axis"].type == "log" else at
     if axis == "x":
         drawn.add_shape(type="line", x0=at, x1=at, y0=0, y1=1, yref="paper", line=line)

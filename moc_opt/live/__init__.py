@@ -1,9 +1,9 @@
 """A run in real time whose solver, gains and trocar can be changed while it goes: ``moc-opt live``.
 
-- ``run.LiveRun``: the loop, and the changes that it takes while it runs; no page
-- ``page.serve``: the page on top of it, on loopback
+- ``run.LiveRun``: the loop without a page, and the changes that can be made while it runs
+- ``page.serve``: a page on loopback for a `LiveRun`
 
-Imported by the command line alone.
+Only the command line imports this package.
 """
 
 from moc_opt.live.run import LiveError, LiveRun

@@ -1,4 +1,4 @@
-"""The live page: a loop in step with the clock, and viser to show and command it."""
+"""The live page: it runs a `LiveRun` in step with the clock; viser shows the run and takes the users' orders."""
 
 from __future__ import annotations
 
@@ -42,10 +42,10 @@ FIELDS = ("regularization", "K_X", "K_N", "K_N2", "D_N2", "k0_per_s")  # setting
 
 
 class LivePage:
-    """A run, its clock and its page on loopback, at the port or the next free one; a context manager that ends all.
+    """A run, its clock and its page on loopback, at the port or the next free one; as a context manager it stops them.
 
-    Without the token in ``url`` nobody is shown or obeyed. It raises a LiveError where viser is missing or there is no
-    such port, and a MocOptError where the scenario is not usable.
+    Only clients with the token in ``url`` see the page and can give orders. A LiveError says that viser is missing or
+    the port number is invalid, a MocOptError that the scenario is not usable.
     """
 
     def __init__(self, scenario: Scenario, *, port: int = PORT, title: str = "") -> None:
@@ -56,7 +56,7 @@ class LivePage:
         except ImportError as error:
             raise LiveError("the live page needs viser: pip install '.[live]' in the clone") from error
         self.run, self._over, token = LiveRun(scenario), Event(), secrets.token_urlsafe(24)
-        with redirect_stdout(io.StringIO()):  # its greeting
+        with redirect_stdout(io.StringIO()):  # suppresses viser's greeting
             self.server = viser.ViserServer(HOST, port, f"moc_opt: {title or scenario.name}", verbose=False)
         _refuse_without(token, self.server)
         address = f"{HOST}:{self.server.get_port()}"
@@ -73,9 +73,9 @@ class LivePage:
             self.server.stop()
 
     def wait(self) -> None:
-        """Run in step with the clock, do what users order, and keep the page up to date until `stop`.
+        """Run in step with the clock, carry out orders, and keep the page up to date, until `stop` is called.
 
-        A delay that is too long to catch up with is dropped, and shows in the pace.
+        A lag of more than `MOST_LAG_S` is not caught up: the excess is dropped, and shows in the pace.
         """
         run, reached, pace, done = self.run, monotonic(), 1.0, 0
         frame = reached
@@ -94,15 +94,15 @@ class LivePage:
                     self._panel.update(pace)
 
     def stop(self) -> None:
-        """Let `wait` come to an end."""
+        """Make `wait` return."""
         self._over.set()
 
 
 def _refuse_without(token: str, server: Any) -> None:
-    """Close each WebSocket that does not ask for the token's path, before it is told or obeyed.
+    """Close each WebSocket whose path is not the token, before anything is sent to it or obeyed.
 
-    A browser lets any site open a WebSocket to this machine, and a foreign name may be made to point here (DNS
-    rebinding): neither knows the token. viser calls this hook before it reads or writes a message.
+    A browser lets any site open a WebSocket to this machine, and a foreign host name can be made to point here (DNS
+    rebinding), but neither knows the token. viser calls this hook before it reads or writes a message.
     """
     sockets = server._websock_server
 
@@ -114,16 +114,16 @@ def _refuse_without(token: str, server: Any) -> None:
         if not hmac.compare_digest(connection.request.path.encode(errors="replace"), f"/{token}".encode()):
             await connection.close(1008, "open the address that was printed; it holds a token")
             with suppress(ConnectionClosed):
-                while True:  # what came before it was closed would be obeyed
+                while True:  # discard messages that came before the close: viser would obey them
                     await connection.recv()
 
-    sockets.disconnect_all_clients()  # whoever came before the hook
+    sockets.disconnect_all_clients()  # clients from before the hook
 
 
 class Panel:
-    """The side panel: shows how the run goes, and hands it the users' orders.
+    """The side panel: it shows the state of the run and takes the users' orders.
 
-    viser calls back from many threads: an order waits in ``orders`` for the loop's own thread, which does it in `obey`.
+    viser calls back from many threads, so orders are queued; the loop's own thread carries them out in `obey`.
     """
 
     def __init__(self, server: Any, run: LiveRun) -> None:
@@ -149,7 +149,7 @@ class Panel:
         gui.add_button("Reset to the start").on_click(lambda _: self.orders.put(run.reset))
 
     def obey(self) -> None:
-        """Do what users ordered, or show what is wrong with it; the run goes on either way."""
+        """Carry out the queued orders. If one fails, show why and restore the fields; the run goes on either way."""
         while not self.orders.empty():
             try:
                 self.orders.get()()
@@ -159,7 +159,7 @@ class Panel:
                     field.value = self._written(name)
 
     def _choose(self) -> None:
-        if self._solver.value != self._run.solver:  # it may have been set back, not chosen
+        if self._solver.value != self._run.solver:  # if equal, `_tell` has set it, not a user
             self._run.choose(self._solver.value)
 
     def _move_trocar(self) -> None:
@@ -172,9 +172,9 @@ class Panel:
         return numbers[0] if len(set(numbers)) == 1 else " ".join(numbers)
 
     def _apply(self) -> None:
-        values: dict[str, Any] = {}  # all at once: half of a change would be another controller
+        values: dict[str, Any] = {}  # all changes are applied at once, or none
         for name, field in self._fields.items():
-            if field.value.strip() != self._written(name):  # else it keeps the digits that are not shown
+            if field.value.strip() != self._written(name):  # an unchanged field keeps digits that are not shown
                 try:
                     first, *others = map(float, field.value.replace(",", ".").split())
                 except ValueError as error:
@@ -184,13 +184,13 @@ class Panel:
             self._run.tune(**values)
 
     def _tell(self, text: str) -> None:
-        """Show a message on every open page, and the solver that goes on."""
+        """Show an error message on every open page, and set the drop-down back to the run's solver."""
         for client in self._server.get_clients().values():
             client.add_notification("This cannot be done", text[:600], color="red", auto_close_seconds=12)
         self._solver.value = self._run.solver
 
     def update(self, pace: float) -> None:
-        """Show the run as it is; `pace` is simulated over real time."""
+        """Show the present state of the run; `pace` is simulated time over real time."""
         run = self._run
         while run.messages:
             self._tell(run.messages.popleft())
@@ -209,7 +209,7 @@ class Panel:
 
 
 def _plot(gui: Any, title: str, lines: list[tuple[str, str, float, str]]) -> Any:
-    """Add a plot without data; times are on a log axis, so that one long tick flattens none."""
+    """Add an empty plot. Times get a log axis, so that one long tick does not flatten the rest of the curve."""
     times, quiet = "µs" in title, {"ticks": {"show": False}}
     named = [{"label": name, "stroke": color, "width": 1.5} for _, name, _, color in lines]
     return gui.add_uplot(
@@ -220,10 +220,10 @@ def _plot(gui: Any, title: str, lines: list[tuple[str, str, float, str]]) -> Any
 
 
 class Scene:
-    """The arm in three dimensions: what is drawn once, and what moves."""
+    """The arm, the trocar and the path in three dimensions."""
 
     def __init__(self, server: Any, run: LiveRun) -> None:
-        from trimesh.creation import revolve  # it comes with viser, which is of the extra `live`
+        from trimesh.creation import revolve  # trimesh comes with viser, in the extra `live`
 
         self._run, scene, tip = run, server.scene, run.state.tip
         scene.set_up_direction("+z")
@@ -247,7 +247,7 @@ class Scene:
         self.update()
 
     def update(self) -> None:
-        """Move everything to where it is now."""
+        """Move links and trocar to their present places."""
         origins, rotations = link_frames(self._run.robot, self._run.state.q[None])
         for frame, origin, rotation in zip(self._links[1:], origins[0], rotations[0], strict=True):
             frame.position, frame.wxyz = origin, _quaternion(rotation)
@@ -255,7 +255,7 @@ class Scene:
 
 
 def _quaternion(rotation: Array) -> Array:
-    from viser.transforms import SO3  # of the extra `live`
+    from viser.transforms import SO3  # in the extra `live`
 
     return np.asarray(SO3.from_matrix(rotation).wxyz)
 
@@ -263,7 +263,7 @@ def _quaternion(rotation: Array) -> Array:
 def serve(scenario: Scenario, *, port: int = PORT, title: str = "") -> int:
     """Open the page and keep it until Ctrl-C; return the exit code."""
     with LivePage(scenario, port=port, title=title) as page:
-        # Raising an exception might leave a lock of the page's threads behind.
+        # A KeyboardInterrupt could leave a lock of the page's threads held; a handler that only calls `stop` cannot.
         signal.signal(signal.SIGINT, lambda number, frame: page.stop())
         print(f"live at {page.url} - Ctrl-C ends it", file=sys.stderr, flush=True)
         page.wait()

@@ -1,4 +1,4 @@
-"""A scenario that runs on, a few ticks at a time, while solver, gains and trocar may be changed."""
+"""A scenario that runs without end, a few ticks at a time, while solver, gains and trocar can be changed."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ from moc_opt.tasks.trocar import shaft_distance
 DCAC = "none (DCAC)"
 QUANTITIES = ("t_s", "mu", "tip_error_m", "rcm_error_m", "force_N", "solve_us", "tick_us")
 HISTORY_S = 20.0
-BLEND_S = 0.1  # in which the difference of two controllers' torques decays; the next exchange waits for as long
-RAMP_S = 0.3  # in which a new third level fades in: it pulls so hard at first that no blend of torques makes up for it
-SLOWLY_M_PER_S, MOST_OFFSET_M = 0.02, 0.05  # of the trocar: a jump would be a blow
+BLEND_S = 0.1  # time constant of the blend of torques in an exchange, and least time between two exchanges
+RAMP_S = 0.3  # fade-in of a new third level, whose torque is so large at first that blending alone does not suffice
+SLOWLY_M_PER_S, MOST_OFFSET_M = 0.02, 0.05  # of the trocar, which would hit the shaft if it jumped
 
 
 class LiveError(ScenarioError):
-    """A live run cannot do what it was told; it goes on as it was."""
+    """A live run cannot carry out an order; the run goes on unchanged."""
 
 
 class ExchangeableController:
-    """The controller in use, as the closed loop calls it (``sim.protocols.TorqueController``).
+    """A controller (``sim.protocols.TorqueController``) that passes calls to the one in use, which can be exchanged.
 
-    ``next`` is taken at the next tick, but not within BLEND_S of the last exchange: exchanges at every tick would hold
-    the torque, and nobody would control the arm. One that cannot start is dropped, and its error noted in ``messages``.
+    The controller in ``next`` takes over at the next tick, but not within BLEND_S of the last exchange: exchanges at
+    every tick would hold the torque constant. If it cannot start it is dropped, and ``messages`` gets the error.
     After an exchange tau = tau_new + offset: offset is tau_old - tau_new at first and decays by exp(-t / BLEND_S).
     """
 
@@ -43,11 +43,11 @@ class ExchangeableController:
 
     def start(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> None:
         """Start the controller in use."""
-        self._wait, self._offset = 2, np.zeros(len(q))  # no exchange at the first tick: no torque has acted yet
+        self._wait, self._offset = 2, np.zeros(len(q))  # 2: no exchange at the first tick, before any torque has acted
         self.used.start(q, v, tip_ref, trocar)
 
     def tick(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> Array:
-        """Compute the torque (n,) [Nm] of the controller in use, blended with that of the one before."""
+        """Return the torque (n,) [Nm] of the controller in use, after an exchange blended from the last torque."""
         self._wait -= 1
         tau, new = None, self.next
         if self._wait <= 0 and new is not None:
@@ -80,11 +80,11 @@ def solver_of(controller: Controller) -> str:
 
 
 class LiveRun:
-    """The closed loop of a scenario, its path to and fro for ever; a MocOptError where the scenario is not usable.
+    """The closed loop of a scenario, which follows its path to and fro for ever; a MocOptError if it is not usable.
 
-    All calls belong to one thread. What is wrong with a change is raised at once, or, where only the running loop can
-    tell, found in `messages`, oldest first: take them out with `popleft`. ``t_s`` is the
-    time of the last tick; ``stopped`` says why the arm was stopped, and is empty while it runs.
+    Call it from one thread only. A wrong change raises at once; errors that only the running loop can detect are put
+    into `messages`, oldest first (take them out with `popleft`). ``t_s`` is the time of the last tick; ``stopped`` says
+    why the arm was stopped, and is empty while it runs.
     """
 
     def __init__(self, scenario: Scenario) -> None:
@@ -101,13 +101,13 @@ class LiveRun:
     state = property(lambda self: self._in_use.state, doc="The model's state at the last tick.")
     used = property(lambda self: self._in_use.used, doc="The controller in use.")
     trocar = property(lambda self: self._now[0][0], doc="Place of the true trocar (3,) [m] in the next tick.")
-    # What was asked for last: the controller that waits, or else the one in use.
+    # The controller that was ordered last: the waiting one if there is one, else the one in use.
     _chosen = property(lambda self: self._in_use.next or self._in_use.used)
     control = property(lambda self: self._chosen.settings, doc="The settings of the control law.")
     solver = property(lambda self: solver_of(self._chosen), doc="The solver, or `DCAC`.")
 
     def choose(self, solver: str) -> None:
-        """Put another solver, or `DCAC`, into the third level; a MocOptError where it cannot run here."""
+        """Take another solver for the third level, or `DCAC` (no third level); a MocOptError if it cannot run here."""
         law = self.control.matched_dcac() if solver == DCAC else {"law": "moc"}
         self._exchange(self.control.replace(law), solver)
 
@@ -132,7 +132,7 @@ class LiveRun:
         return Controller(self.robot, control, solver, self.period_s)
 
     def place_trocar(self, x_m: float, y_m: float, z_m: float = 0.0) -> None:
-        """Move the trocar slowly to an offset in world axes [m] of at most `MOST_OFFSET_M`; the controller is told."""
+        """Move true and registered trocar slowly to an offset in world axes [m], each at most `MOST_OFFSET_M`."""
         for value in (x_m, y_m, z_m):
             if not is_number(value) or not abs(value) <= MOST_OFFSET_M:
                 raise LiveError(f"trocar offset = {value!r} m: give a number from {-MOST_OFFSET_M} to {MOST_OFFSET_M}")
@@ -143,13 +143,13 @@ class LiveRun:
         lap, within = divmod(t, self._setup.duration_s)
         if int(lap) % 2 == 0:
             return self._setup.reference.rows(within)
-        return self._setup.reference.rows(self._setup.duration_s - within) * [[1.0], [-1.0], [1.0]]  # back in time
+        return self._setup.reference.rows(self._setup.duration_s - within) * [[1.0], [-1.0], [1.0]]  # backwards
 
     def history(self, points: int = 400) -> Array:
-        """Return the last `HISTORY_S` seconds (k, 7), columns as `QUANTITIES`, in some `points` rows: peaks stay."""
+        """Return `QUANTITIES` over the last `HISTORY_S` (k, 7): maxima over k <= `points` stretches of ticks."""
         rows = np.array(self._rows).reshape(-1, len(QUANTITIES))
         size = max(1, -(-len(rows) // points))
-        stretches = rows[len(rows) % size :].reshape(-1, size, len(QUANTITIES))  # the oldest few are left out
+        stretches = rows[len(rows) % size :].reshape(-1, size, len(QUANTITIES))  # without the oldest incomplete stretch
         return np.fmax.reduce(stretches, axis=1)
 
     def reset(self) -> None:
@@ -162,7 +162,7 @@ class LiveRun:
         self._rows.clear()
 
     def advance(self, ticks: int) -> None:
-        """Run so many ticks, none while the arm is stopped."""
+        """Run this many ticks; none while the arm is stopped."""
         try:
             for _ in range(ticks):
                 if not self.stopped:

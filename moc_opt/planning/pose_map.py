@@ -45,7 +45,7 @@ MOST_CURVES = 16  #: Most different curves at one time; further ones are left ou
 SAME_CURVE = 0.7  #: A pose nearer to a curve's sample than this share of a step counts as on it.
 NO_LIMIT_RAD = 20.0
 REACHED_M = 1e-9
-SCANNED = "scanned, all branches"
+SCANNED, SCANS = "scanned, all branches", 360  #: Method and swivels of a scan; 720 find no larger mu at 1,200 poses.
 STARTS, LATER = 96, 12
 """Random starts of `largest_mu` at the first and at each later point, for arms without a closed form. Later points also
 start from the maxima of their neighbours."""
@@ -289,7 +289,7 @@ def largest_mu(robot: RobotModel, poses: Array) -> Largest:
     if closed_form(robot) is not None:
         at, zeros = np.arange(float(count + 1)), np.zeros(count + 1)
         rows = np.minimum(at, count - 1).astype(int)  # a map has two points or more
-        found, method = map_of(robot, inside[0], Targets(at, tips[rows], wrists[rows], zeros)), SCANNED
+        found, method = map_of(robot, inside[0], Targets(at, tips[rows], wrists[rows], zeros), SCANS), SCANNED
         for k in range(count):
             _, best[k] = _climbed(robot, targets[k], found.peaks(k))
     else:

@@ -1,4 +1,4 @@
-"""Real time, and the scheduling that a process requests from the system to keep it."""
+"""A clock for control periods in real time, and the scheduling that a process requests from the system for it."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ PRIORITY = 50  #: Of SCHED_FIFO: above ordinary processes, below the threads in 
 
 
 class WallClock:
-    """Periods that begin at fixed times; a tick that begins more than a period late moves all that follow.
+    """Periods that begin at fixed times; a tick that begins more than a period late delays all later ticks by as much.
 
-    ``late_us`` is how late the last tick began [us], ``overruns`` how often the times were moved.
+    ``late_us`` is the lateness of the last tick's begin [us]; ``overruns`` counts such delays.
     """
 
     def __init__(self, period_s: float) -> None:
@@ -22,7 +22,7 @@ class WallClock:
         self.late_us, self.overruns = 0.0, 0
 
     def wait_for(self, tick: int) -> float:
-        """Sleep until a tick begins (tick 0 a period from now); return by when its command is due (monotonic) [s]."""
+        """Sleep until a tick begins (tick 0: a period from now); return the deadline of its command (monotonic) [s]."""
         if tick == 0:
             self._begin = monotonic() + self._period
         due = self._begin + tick * self._period
@@ -34,14 +34,14 @@ class WallClock:
         if now - due > self._period:
             self._begin += now - due
             self.overruns += 1
-        return now + self._period  # whoever is late, the controller has a whole period
+        return now + self._period  # even if the tick began late, the controller has a whole period
 
 
 def ask_for_realtime() -> dict[str, str]:
-    """Ask for a real-time priority, for memory that is never paged out, and for exact timers; say what was granted."""
+    """Request a real-time priority, memory that is never paged out, and exact timers; return the system's answers."""
     found, libc = {"scheduling": f"SCHED_FIFO {PRIORITY}"}, ctypes.CDLL(None, use_errno=True)
     try:
-        # Reset in children: the process of a solver that is replaced starts at leisure, not before the loop.
+        # Children have ordinary priority: a replacement process for a solver must not start at the loop's expense.
         os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(PRIORITY))
     except OSError as error:
         found["scheduling"] = f"as other processes (SCHED_FIFO: {error.strerror})"
@@ -52,7 +52,7 @@ def ask_for_realtime() -> dict[str, str]:
 
 
 def give_back_realtime() -> None:
-    """Make this an ordinary process again, since the work after a run is long and not urgent."""
+    """Return to ordinary scheduling, since the work after a run is long and not urgent."""
     if os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK == os.SCHED_FIFO:
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
         ctypes.CDLL(None).munlockall()

@@ -1,7 +1,7 @@
-"""The two ends of the wire: a controller that is somewhere else, and the one that answers there.
+"""The two ends of the wire: `RemoteController` in the plant's process, and `Answering` in the controller's.
 
-The plant keeps the time, sends a measurement in every period and expects a command for it; docs/realtime.md has the
-order of the packets and the stages of the watchdog.
+The plant keeps the time. In every period it sends a measurement and expects a command in reply; docs/realtime.md has
+the order of the packets and the stages of the watchdog.
 """
 
 from __future__ import annotations
@@ -27,20 +27,20 @@ from moc_opt.sim.sensors import Measurement
 
 INCOMING = (Kind.HELLO, Kind.START, Kind.COMMAND, Kind.BYE)
 _BYE_S, _BYE_TIMES = 0.1, 10
-_REPEAT_S = 0.1  # after which HELLO and START are sent again
-_LINGER_S = 0.3  # for which the end is acknowledged again
+_REPEAT_S = 0.1  # time after which HELLO and START are sent again
+_LINGER_S = 0.3  # time for which the controller still acknowledges repeated ENDED packets
 
 
 class RemoteController(Filtered):
-    """The plant's end: sends each measurement, and returns the torque that comes back, or else the watchdog's.
+    """The plant's end: it sends each measurement, and returns the commanded torque, or the watchdog's if none comes.
 
     `sim.loop.simulate` runs it, with ``pace`` as its ``watch``; ``close`` it afterwards.
 
     Args:
-        safety_filter: the plant's own, which knows the arm's weight and its brakes.
+        safety_filter: the plant's own; the watchdog takes gravity torque and brakes from it.
         columns: number of ticks -> the columns of the controller at the other end.
-        applied, tau_max: (n,) torque before the first tick, and the largest of a command [Nm].
-        clock: None is lock-step: the plant waits for each command, and sends the measurement again where none comes.
+        applied, tau_max: (n,) torque before the first tick, and largest torque that a command may have [Nm].
+        clock: None means lock-step: the plant waits for each command, and sends the measurement again if none comes.
     """
 
     stop_reason = ""
@@ -57,10 +57,10 @@ class RemoteController(Filtered):
         self._command: Packet | None = None
 
     limited = property(lambda self: 0 if self._command is None else int(self._command["limited"]))
-    warnings = property(lambda self: [])  # the safety filter is at the other end
+    warnings = property(lambda self: [])  # warnings arise in the safety filter at the other end
 
     def start(self, seen: Measurement, tip_ref: Array, trocar: Array) -> None:
-        """Show a controller the first measurement, and wait until it has started; a WireError where none comes."""
+        """Wait for a controller, send it the first measurement, and wait until it has started; else a WireError."""
         link, packet, self._sound = self.link, self._packet, seen
         self._fill(seen, wire.WAITING)
 
@@ -80,12 +80,12 @@ class RemoteController(Filtered):
         link.peer, link.session = link.sender, int(packet["session"])
 
     def pace(self, tick: int) -> None:
-        """Wait until a tick begins."""
+        """Wait until a tick begins; in lock-step return at once."""
         if self.clock is not None:
             self._until = self.clock.wait_for(tick)
 
     def tick(self, seen: Measurement, tip_ref: Array, trocar: Array) -> Array:
-        """Send a measurement, and return the torque (n,) [Nm] that came for it, or the watchdog's."""
+        """Send a measurement, and return the torque (n,) [Nm] of its command, or the watchdog's."""
         if np.isfinite(seen.q).all() and np.isfinite(seen.v).all():
             self._sound = seen
         braked = bool(self._filter.reason)
@@ -102,13 +102,13 @@ class RemoteController(Filtered):
         return self._applied
 
     def _without_command(self) -> Array:
-        """Return the watchdog's torque (n,) [Nm]: the one before, then weight and damping, then with closed brakes."""
+        """Return the watchdog's torque (n,) [Nm]: first the last one, then gravity and damping, then closed brakes."""
         self._silent += 1
         safety, past, sound = self._filter, self._silent - self._settings.hold_ticks, self._sound
         if past <= 0:
             return self._applied
         if not safety.reason:
-            safety.start(sound.q, sound.v, sound.stamp)  # the weight is that of this pose
+            safety.start(sound.q, sound.v, sound.stamp)  # sets the pose whose gravity torque is used
             if past <= self._settings.damp_ticks:
                 return safety.stop_torque(self._applied) - self._settings.damping_Nm_s_per_rad * sound.v
             safety.request_stop(f"no command from the controller for {self._silent} ticks")
@@ -117,18 +117,18 @@ class RemoteController(Filtered):
         return safety.stop_torque(self._applied)
 
     def brake_friction(self, seen: Measurement) -> Array:
-        """Return the dry friction (n,) [Nm] that came with the last command, or the watchdog's."""
+        """Return the brakes' dry friction (n,) [Nm] of the last command, or the watchdog's."""
         return self._friction
 
     def columns(self, ticks: int) -> dict[str, NDArray[Any]]:
-        """Create the controller's columns, and those of the wire: lateness of the tick, the controller's own time."""
+        """Create the controller's columns and the wire's: lateness of the tick, controller's time, missed commands."""
         return {
             **self._make_columns(ticks), "wake_us": np.full(ticks, np.nan), "control_us": np.full(ticks, np.nan),
             "missed": np.zeros(ticks, dtype=np.bool_),
         }  # fmt: skip
 
     def note(self, row: int, columns: Mapping[str, NDArray[Any]]) -> None:
-        """Write the last tick's values into a row, the third level's where the command holds them."""
+        """Write the last tick's values into a row; those of the third level only if the command contains them."""
         command, columns["missed"][row] = self._command, self._missed
         if self.clock is not None:
             columns["wake_us"][row] = self.clock.late_us
@@ -139,10 +139,10 @@ class RemoteController(Filtered):
                 columns[name][row] = _text(value) if value.dtype.kind == "S" else value
 
     def close(self) -> dict[str, int]:
-        """Tell the controller, once, that the run is over; return the counts of this end."""
+        """Tell the controller that the run is over, up to 10 times until it acknowledges; return this end's counts."""
 
         def acknowledges(found: Packet) -> bool:
-            self._is_due(found)  # counts commands that come now
+            self._is_due(found)  # called for its counts: a command may still come
             return bool(found["kind"] == Kind.BYE)
 
         self._packet["flags"], link = wire.ENDED, self.link
@@ -161,7 +161,7 @@ class RemoteController(Filtered):
 
     def _exchange(self, seen: Measurement) -> Packet | None:
         self._fill(seen, wire.RUNNING)
-        # A controller that missed a whole tick is asked once a tick: one that has died ends the run in seconds.
+        # Send only once per tick after a tick without an answer: if the controller has died, the run ends in seconds.
         for _ in range(1 if self.clock is not None or self._silent else 1 + self._settings.resends):
             self.link.send(self._packet)
             until = monotonic() + self._settings.resend_s if self.clock is None else self._until
@@ -170,7 +170,7 @@ class RemoteController(Filtered):
         return None
 
     def _is_due(self, found: Packet) -> bool:
-        """Say whether a packet is this tick's command and can be followed; count each command."""
+        """Return whether a packet is this tick's command with usable values; count every command."""
         if found["kind"] != Kind.COMMAND:
             return False
         number, friction = int(found["sequence"]), found["friction"]
@@ -197,13 +197,13 @@ class Answering:
     tip_refs: Array  #: (N, 3, 3) rows X_d [m], dX_d [m/s], ddX_d [m/s^2] of every tick.
     registered: Array  #: (N, 2, 3) place [m] and velocity [m/s] of the registered trocar.
     scenario: int  #: Fingerprint of the settings that both ends must share.
-    ready: Callable[[], None] = lambda: None  #: Called once when plant and controller are there.
+    ready: Callable[[], None] = lambda: None  #: Called once, when the controller has started.
 
     def run(self) -> dict[str, Any]:
-        """Find the plant, start at its first measurement, and answer; a WireError where none has this scenario.
+        """Find the plant, start at its first measurement, and answer until the run ends.
 
-        It returns how the run ``ended``, the number of ``ticks`` answered, the counts of the plant's packets
-        (``quality``), the ``warnings`` of the safety filter and the third level's ``faults``.
+        Return how the run ``ended``, the number of ``ticks`` answered, the counts of the plant's packets (``quality``),
+        the safety filter's ``warnings`` and the third level's ``faults``. WireError: no plant, or another scenario.
         """
         link = self.link
         first = self._ask(Kind.HELLO, waits=True)
@@ -231,7 +231,7 @@ class Answering:
         return make_packet(kind, self.link.n, self.link.session, self.scenario)
 
     def _ask(self, kind: Kind, *, waits: bool) -> Packet:
-        """Send a packet over and over until a measurement comes, of a plant that waits or of one that does not."""
+        """Repeat a packet until a measurement comes that has the flag WAITING (if ``waits``) or not (else)."""
         link, request, until = self.link, self._packet(kind), monotonic() + self.settings.wait_s
         while (now := monotonic()) < until:
             link.send(request)
@@ -260,14 +260,14 @@ class Answering:
                 self._answer(found, filtered)
             else:
                 quality["late"] += 1
-                if number == newest:  # the plant has not received the answer
+                if number == newest:  # the plant has not got the answer
                     link.send(self._command)
             found = link.receive(monotonic() + self.settings.silence_s)
         return f"the plant has been silent for {self.settings.silence_s:g} s"
 
     def _answer(self, found: Packet, filtered: FilteredController) -> None:
         begin, number, command, seen = perf_counter_ns(), int(found["sequence"]), self._command, _measurement(found)
-        if not np.array_equal(found["commanded"], command["tau"]):  # the plant did not hear, and held another torque
+        if not np.array_equal(found["commanded"], command["tau"]):  # the watchdog's torque acted
             filtered.set_applied_torque(np.array(found["commanded"]))
         command["tau"] = filtered.tick(seen, self.tip_refs[number], self.registered[number])
         command["sequence"], command["limited"], command["flags"] = number, filtered.limited, wire.REPORTED

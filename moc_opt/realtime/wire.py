@@ -1,8 +1,8 @@
-"""The wire: its packets for Python and for C, its settings, address and key, and a socket for sound packets alone.
+"""The wire: its packets for Python and for C, its settings, address and key, and a socket that drops invalid packets.
 
-A packet has a fixed size, little-endian numbers and, at its end, BLAKE2s (RFC 7693) with a key over all bytes before.
-Every layout is a numpy dtype; docs/realtime.md has them as tables. Without a key only processes of this machine can
-take part, and any of them may; nothing is encrypted.
+A packet has a fixed size and little-endian numbers. It ends with the keyed BLAKE2s checksum (RFC 7693) of all bytes
+before. Every layout is a numpy dtype; docs/realtime.md has them as tables. Without a key, any process of this machine
+can take part, and no other machine. Nothing is encrypted.
 """
 
 from __future__ import annotations
@@ -34,9 +34,9 @@ LOOPBACK_KEY = b"moc_opt: loopback, no secret"
 VARIABLE = "MOC_OPT_WIRE_KEY"
 SHORTEST, LONGEST = 16, 32  #: Bytes of a key; BLAKE2s takes no longer ones.
 TAG_BYTES = 16
-BACKLOG = 256  #: Packets that are looked through at once: a flood of them does not stop the clock.
+BACKLOG = 256  #: Packets that are read even after the deadline; the limit keeps a flood from stopping the clock.
 COUNTERS = ("received", "missed", "late", "forged", "foreign")
-"""What an end counts; docs/realtime.md says what each is."""
+"""The counters of each end; docs/realtime.md explains them."""
 
 Packet = NDArray[np.void]  #: Of shape (); ``packet["q"]`` is a view of its bytes.
 Address = tuple[str, int]  #: Host and port.
@@ -70,14 +70,14 @@ class Kind(IntEnum):
     """The kinds of packet; all but MEASUREMENT go to the plant."""
 
     HELLO = 1  #: Answered by one measurement.
-    START = 2  #: The controller has started at that measurement: begin.
+    START = 2  #: The controller has started at the measurement; the plant may begin.
     MEASUREMENT = 3
     COMMAND = 4
     BYE = 5  #: The end of the run is acknowledged.
 
 
-WAITING, RUNNING, ENDED = 0, 1, 2  #: ``flags`` of a measurement: nothing moves yet; a command is expected; the end.
-STOP, REPORTED = 1, 2  #: Bits in ``flags`` of a command: brake the arm; it holds the third level's results.
+WAITING, RUNNING, ENDED = 0, 1, 2  #: ``flags`` of a measurement: the run has not begun, expects a command, has ended.
+STOP, REPORTED = 1, 2  #: Bits in ``flags`` of a command: the arm is to brake; the third level's results are included.
 
 # Every field lies at a multiple of its size, so that a C struct of the same fields has the same bytes.
 HEADER: list[tuple[Any, ...]] = [
@@ -105,7 +105,7 @@ def layout(kind: Kind, n: int) -> np.dtype[Any]:
 
 
 def make_packet(kind: Kind, n: int, session: int = 0, scenario: int = 0) -> Packet:
-    """Make a packet of zeros but for its header: the plant's session, and the fingerprint of the scenario."""
+    """Make a packet of zeros with a filled header: the plant's session, and the fingerprint of the scenario."""
     packet = np.zeros((), layout(kind, n))
     packet["magic"], packet["version"], packet["kind"], packet["joints"] = MAGIC, VERSION, kind, n
     packet["session"], packet["scenario"] = session, scenario
@@ -113,13 +113,13 @@ def make_packet(kind: Kind, n: int, session: int = 0, scenario: int = 0) -> Pack
 
 
 def seal(packet: Packet, key: bytes) -> bytes:
-    """Return the bytes of a packet with their checksum."""
+    """Return the bytes of a packet, ending with their checksum."""
     data = packet.tobytes()[:-TAG_BYTES]
     return data + hashlib.blake2s(data, key=key, digest_size=TAG_BYTES).digest()
 
 
 def sealed(data: bytes, key: bytes) -> bool:
-    """Say whether a packet ends with its checksum."""
+    """Return whether a packet ends with the checksum of its bytes."""
     wanted = hashlib.blake2s(data[:-TAG_BYTES], key=key, digest_size=TAG_BYTES).digest()
     return hmac.compare_digest(wanted, data[-TAG_BYTES:])
 
@@ -137,7 +137,7 @@ def _c_struct(name: str, whole: np.dtype[Any], head: str) -> str:
 
 
 def c_packets(n: int, ticks: int, scenario: int, settings: WireSettings) -> str:
-    """Write ``wire_packets.h`` of an exported controller: a struct for every kind of packet, and the wire's numbers."""
+    """Return the text of ``wire_packets.h``: a struct for every kind of packet, and the constants of the wire."""
     defines = {
         "JOINTS": n, "TICKS": ticks, "SCENARIO": f"UINT64_C({scenario})", "VERSION": VERSION,
         "MAGIC": f'"{MAGIC.decode()}"', "LOOPBACK_KEY": f'"{LOOPBACK_KEY.decode()}"', "WAIT_S": settings.wait_s,
@@ -160,12 +160,12 @@ def c_packets(n: int, ticks: int, scenario: int, settings: WireSettings) -> str:
 
 
 def written(address: Address | None) -> str:
-    """Write an address as `parse_address` reads it."""
+    """Return an address as text that `parse_address` can read; "nobody" for None."""
     return "nobody" if address is None else f"{address[0]}:{address[1]}"
 
 
 def parse_address(text: str, option: str) -> Address:
-    """Return numeric host and port of "HOST:PORT"; a WireError where it is no such text, or there is no such host."""
+    """Return numeric host and port of "HOST:PORT"; a WireError if the text has another form or the host is unknown."""
     host, _, port = text.rpartition(":")
     if not host or not port.isdecimal() or int(port) > 65535:
         raise WireError(f"{option} {text!r}: give HOST:PORT, as 127.0.0.1:30200")
@@ -177,10 +177,10 @@ def parse_address(text: str, option: str) -> Address:
 
 
 def read_key(file: Path | None, host: str, option: str) -> bytes:
-    """Return the key of a file, or else of the environment variable, or else that of the loopback.
+    """Return the key of the file, else of the environment variable, else the public key of the loopback.
 
     Raises:
-        WireError: it has a wrong length, or there is none and other machines reach the host.
+        WireError: the key has a wrong length, or none is given and other machines can reach the host.
     """
     text = os.environ.get(VARIABLE, "") if file is None else read_text(file, "--key-file", WireError)
     if file is None and not text:
@@ -190,7 +190,7 @@ def read_key(file: Path | None, host: str, option: str) -> bytes:
             f"{option} {host}: other machines reach that address, and whoever can send to it moves the arm: give both "
             f"ends the same key by --key-file or {VARIABLE}, or take 127.0.0.1"
         )
-    key = (text if file is None else text.strip()).encode(errors="surrogateescape")  # `moc_udp` strips none
+    key = (text if file is None else text.strip()).encode(errors="surrogateescape")  # `moc_udp` strips none either
     if not SHORTEST <= len(key) <= LONGEST:
         raise WireError(
             f"{VARIABLE if file is None else f'--key-file {str(file)!r}'}: a key of {len(key)} bytes: give one line of "
@@ -200,10 +200,10 @@ def read_key(file: Path | None, host: str, option: str) -> bytes:
 
 
 class Link:
-    """A socket, a key, and the kinds of packet that this end receives; a WireError where the address cannot be taken.
+    """A socket that sends and receives sealed packets; a WireError if the address to listen at cannot be bound.
 
     It listens at ``address`` and sends to ``peer``. Until they are known, ``peer`` is None and ``session`` is 0.
-    ``quality`` has a count for each of ``COUNTERS``; ``sender`` is that of the last packet.
+    ``quality`` has a count for each of ``COUNTERS``; ``sender`` is the address of the last sound packet.
     """
 
     def __init__(
@@ -225,11 +225,11 @@ class Link:
 
     @property
     def heard(self) -> str:
-        """What has come so far, in words."""
+        """The counts of received packets so far, in words."""
         return ", ".join(f"{name} {count}" for name, count in self.quality.items() if count) or "nothing came"
 
     def send(self, packet: Packet, to: Address | None = None) -> None:
-        """Seal a packet and send it; one that the system does not take is lost, as any packet may be."""
+        """Seal a packet and send it. If the system does not take it, it is lost, as any UDP packet may be."""
         try:
             self._socket.sendto(seal(packet, self._key), to or self.peer)  # type: ignore[arg-type]
         except (BlockingIOError, ConnectionError):
@@ -238,9 +238,9 @@ class Link:
             raise WireError(f"nothing can be sent to {written(to or self.peer)}: {describe(error)}") from error
 
     def receive(self, until: float, wanted: Callable[[Packet], bool] = lambda packet: True) -> Packet | None:
-        """Return the next sound packet that is wanted, or None at ``until`` (of ``time.monotonic``) [s].
+        """Return the next sound packet for which ``wanted`` is true, or None at ``until`` (of ``time.monotonic``) [s].
 
-        What has arrived already is looked at even where ``until`` has passed.
+        Packets that have already arrived are read even after ``until``, up to `BACKLOG` of them.
         """
         looked_at = 0
         while looked_at < BACKLOG or monotonic() < until:
@@ -253,7 +253,7 @@ class Link:
                 select.select([self._socket], [], [], left)
                 continue
             except ConnectionError:
-                continue  # nobody listened where this end sent to: that packet is lost
+                continue  # an earlier packet reached a port where nobody listens: it is lost
             looked_at += 1
             if (packet := self._sound(data, sender)) is not None:
                 self.sender = sender
@@ -262,7 +262,7 @@ class Link:
         return None
 
     def _sound(self, data: bytes, sender: Address) -> Packet | None:
-        """Return a packet of this run, or count what is wrong with it."""
+        """Return the packet if it is valid and of this run; else count it as forged or foreign and return None."""
         form = self._incoming.get(data[5]) if len(data) > 5 else None
         if form is not None and len(data) == form.nbytes:
             if not sealed(data, self._key):

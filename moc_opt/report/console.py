@@ -1,4 +1,4 @@
-"""The terminal: tables in colour, a progress bar for long work, a line now and then if the output is no terminal."""
+"""The terminal: coloured tables and a progress bar; without a terminal plain text, and a progress line at intervals."""
 
 from __future__ import annotations
 
@@ -15,38 +15,38 @@ from moc_opt.figures.notation import printable
 LINE_EVERY_S = 10.0
 PIPED_WIDTH = 80
 CLOSED = 141
-"""Exit status if the reader of the output has closed it, as `| head` does: that of a command ended by SIGPIPE."""
+"""Exit status if the reader closes the output early, as `| head` does: the status of a command ended by SIGPIPE."""
 
 
 def end_output() -> int:
-    """Send what is still buffered for stdout nowhere, since nobody reads it any more; return the exit status."""
+    """Discard what is still buffered for stdout, since nobody reads it any more; return the exit status."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     return CLOSED
 
 
 class _Console(Console):
     def on_broken_pipe(self) -> None:
-        raise SystemExit(end_output())  # rich's own status is 1, that of a defect
+        raise SystemExit(end_output())  # rich would exit with 1, the status of a defect
 
 
 def console(*, stderr: bool = False, file: IO[str] | None = None) -> Console:
-    """Make a console; where its output is no terminal it writes plain text, 80 columns wide or as many as COLUMNS says.
+    """Make a console. If its output is no terminal it writes plain text, 80 columns wide (or as wide as COLUMNS says).
 
     Results belong on stdout, messages on stderr.
     """
     made = _Console(stderr=stderr, file=file, highlight=False, soft_wrap=False)
     if not made.is_terminal and not os.environ.get("COLUMNS", "").isdigit():
-        made.width = PIPED_WIDTH  # and not that of the terminal which may lie behind another stream
+        made.width = PIPED_WIDTH  # rich would take the width of a terminal behind another stream
     return made
 
 
 class Bar(Progress):
-    """A bar with the time left on stderr, until the work is done; without a terminal, a line every ten seconds."""
+    """A progress bar on stderr with the time left, which vanishes at the end; no terminal: a line every ten seconds."""
 
     def __init__(
         self, description: str, total: float | None = None, *, now: str = "", on: Console | None = None
     ) -> None:
-        """Begin; ``total`` is None where the number of steps is not known yet, ``on`` another console."""
+        """Make the bar; ``total`` None: the number of steps is not known yet; ``on``: another console than stderr's."""
         where = on or console(stderr=True)
         super().__init__(
             TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(),
@@ -56,7 +56,7 @@ class Bar(Progress):
         self.add_task(printable(description), total=total, now=now, written=self.get_time())
 
     def step(self, now: str = "", steps: float = 1.0) -> None:
-        """Count so many more steps as done, and name what is being done now."""
+        """Count this many more steps as done, and show the name of the current one."""
         (task,) = self.tasks
         self.update(task.id, advance=steps, now=printable(now))
         if self.console.is_terminal or self.get_time() - task.fields["written"] < LINE_EVERY_S:
@@ -70,12 +70,12 @@ class Bar(Progress):
         self.console.print(f"{line}  {task.fields['now']}".rstrip(), markup=False, soft_wrap=True)
 
     def of(self, total: float) -> None:
-        """Say how many steps there are, once that is known: the time that is left counts from now."""
+        """Set the number of steps once it is known, and restart the estimate of the time left."""
         self.reset(self.task_ids[0], total=total)
 
 
 def busy() -> str:
-    """Return a sentence where more threads want to run than there are cores, to stand beside times; else empty."""
+    """Return a warning for measured times if more threads want to run than there are cores; else empty."""
     cores, load = len(os.sched_getaffinity(0)), os.getloadavg()[0]  # the load of the last minute
     if load <= cores:
         return ""

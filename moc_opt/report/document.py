@@ -1,4 +1,4 @@
-"""Render HTML files from the templates in ``report/assets``, every text escaped, and save them all or nothing."""
+"""Render HTML files from the templates in ``report/assets``, with every text escaped, and save them atomically."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ def macros(template: str) -> Any:
 
 
 def inline(text: str) -> Markup:
-    """Return a text for an element, with `backticks` as code."""
+    """Return a text as escaped HTML, with `backticks` as code."""
     return Markup(re.sub(r"`([^`]+)`", r"<code>\1</code>", str(escape(printable(text)))))
 
 
 def anchor(title: str) -> str:
-    """Return the address of a section on its page."""
+    """Return the address (fragment) of a section on its page."""
     return re.sub(r"[^a-z0-9]+", "-", title.lower()).strip("-")[:60] or "part"
 
 
@@ -51,9 +51,9 @@ _TEMPLATES.filters.update(inline=inline, anchor=anchor, pretty_unit=pretty_unit,
 
 
 def check_out(path: str | os.PathLike[str], what: str, *, force: bool = False) -> Path:
-    """Check before any work that a file can be written there, and return its path; else a ReportError.
+    """Check, before any work, that a file can be written to this path, and return the path; else a ReportError.
 
-    Only ``force`` replaces a file that is no page of moc_opt.
+    A file that is no page of moc_opt is replaced only with ``force``.
     """
     file = check_replaceable(path, what, ReportError)
     if os.path.isfile(file) and not force:
@@ -66,5 +66,5 @@ def check_out(path: str | os.PathLike[str], what: str, *, force: bool = False) -
 
 
 def save_document(path: str | os.PathLike[str], text: str, what: str, *, force: bool = False) -> Path:
-    """Write a page, all or nothing: an older one of that name stays until the new one is there."""
+    """Write a page atomically: an older file of that name stays until the new one is complete."""
     return write_whole(check_out(path, what, force=force), text.encode(), what, ReportError)

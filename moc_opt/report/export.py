@@ -1,4 +1,4 @@
-"""Figures as SVG and PDF for papers: drawn by a headless browser, which is what plotly draws in."""
+"""Figures as SVG and PDF for papers, drawn by a headless browser, which plotly needs."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from playwright.sync_api import Page as BrowserPage
 
 WIDTH_PX = 680
-"""Of a figure that has no width of its own: 180 mm, two columns of a journal; 12 px of type are then 9 pt."""
+"""Width of a figure that sets none: 180 mm, two columns of a journal. Type of 12 px is then printed as 9 pt."""
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome", "microsoft-edge")
 CURE = (
     "install a browser (Debian, Ubuntu: apt-get install chromium; anywhere: python -m playwright install chromium), "
@@ -36,14 +36,14 @@ def save_figures(
 ) -> list[Path]:  # fmt: skip
     """Write each figure as DIRECTORY/NAME.FORMAT, as vectors in the colours of a light page; return the files.
 
-    A ReportError says that a name is no file name or a file cannot be written, a BrowserError what `browser` lacks.
+    A ReportError: a name is no file name, or a file cannot be written. A BrowserError: see `browser`.
     """
     for name in figures:
         if name != Path(name).name:
             raise ReportError(f"figure {name!r}: give a name without a folder in it")
     with browser() as chromium:
         page = chromium.new_page()
-        page.route("**/*", lambda route: route.abort())  # nothing that a figure refers to is fetched
+        page.route("**/*", lambda route: route.abort())  # figures must not fetch anything
         page.set_content(SHEET)
         page.add_script_tag(content=get_plotlyjs())
         drawn = {name: _drawn(page, figure) for name, figure in figures.items()}
@@ -55,9 +55,9 @@ def save_figures(
 
 @contextmanager
 def browser() -> Iterator[Browser]:
-    """Start a headless Chromium, the one that MOC_OPT_BROWSER names or one of the system, and close it in the end.
+    """Start a headless Chromium (the one in MOC_OPT_BROWSER, else one of the system); close it at the end.
 
-    A BrowserMissingError says what is missing, a BrowserError that MOC_OPT_BROWSER is no program or the browser fails.
+    A BrowserMissingError: playwright or the browser is missing. A BrowserError: the browser fails or is no program.
     """
     try:
         from playwright.sync_api import Error, sync_playwright

@@ -1,4 +1,4 @@
-"""The manipulability map: a figure, a part of a page with a table of what each run makes of it, and a page."""
+"""The manipulability map as a figure, as a part of a page with a table of the runs on it, and as a page."""
 
 from __future__ import annotations
 
@@ -34,11 +34,11 @@ from moc_opt.report.run_table import below_best, listed, title_of
 from moc_opt.report.tables import Column, Table
 from moc_opt.trace.trace import Trace
 
-# Light to dark, so that lines of any of the house's colours with a white edge stand out; the same on dark pages.
+# Light to dark, so that lines in any colour of `SERIES`, with a white edge, stand out; the same on dark pages.
 SCALE = ((0.0, "#f4f1e6"), (0.25, "#cfe0cf"), (0.5, "#8fc4bd"), (0.75, "#3f8f9c"), (1.0, "#143f5c"))
 EDGE, BEST = "#fffffe", "#17191b"
 HEIGHT_PX = 460
-LEAP_DEG = 25.0  # A line that turns by more from one time to the next has a gap there
+LEAP_DEG = 25.0  # Where the swivel changes by more than this from one time to the next, its line has a gap
 HOVER = "%{x:.2f} s, %{y:.0f}°: µ = %{customdata:.3f} m³<extra>%{fullData.name}</extra>"
 COLUMNS = (
     Column("name", "trajectory"),
@@ -55,16 +55,16 @@ COLUMNS = (
     ),
     Column(
         "end", "in the end",
-        help=f"over the last {100 * END:.0f} % of the time. At a local maximum mu falls to either side before it rises "
-        "to the best; at the feasible edge it rises beyond the limit of a joint or the arm's reach; both less than "
-        f"{np.degrees(CLOSE_RAD):.0f} deg away. At rest: joint limits are in the map, the narrower box of the third "
-        "level is not. On another branch of the inverse kinematics the map does not hold",
+        help=f"over the last {100 * END:.0f} % of the time. Local maximum: mu falls to both sides. Edge: mu would rise "
+        f"beyond it, but no pose there is allowed. Either is less than {np.degrees(CLOSE_RAD):.0f} deg away. At rest: "
+        "neither is near; the third level's box is narrower than the joint limits, and is not in the map. Other branch "
+        "of the inverse kinematics: the map does not apply",
     ),
 )  # fmt: skip
 
 
 def add_map(page: Page, found: SwivelMap, *, styles: Styles | None = None) -> None:
-    """Append figure and table of one map; raises as `map_figure`."""
+    """Append figure and table of one map; it raises the errors of `map_figure`."""
     drawn = map_figure(found, styles)
     if found.held:
         page.text(
@@ -94,7 +94,7 @@ def _row(reading: Reading) -> dict[str, Any]:
 
 
 def load_map(files: Sequence[str | os.PathLike[str]]) -> Page:
-    """Return a page with the map of saved traces, named as their files are, and of the best courses in them."""
+    """Return a page with the map of saved traces, named as their files are, and of the best courses saved in them."""
     traces, robot = load_runs(files)
     page = Page(f"Manipulability map of {title_of(traces)}", f"runs: {'; '.join(traces)}")
     courses: dict[str, Trace] = {}
@@ -114,8 +114,8 @@ def load_map(files: Sequence[str | os.PathLike[str]]) -> Page:
 def map_figure(found: SwivelMap, styles: Styles | None = None) -> go.Figure:
     """Draw mu as colour over time and swivel, grey where no pose is allowed, and a line for every run.
 
-    A run that folds the arm another way than the map is dotted: the colours under it are not its own. A ReportError
-    says that no pose of the map is allowed.
+    A run on another branch of the inverse kinematics than the map is dotted: the colours under it are not its mu. A
+    ReportError says that no pose of the map is allowed.
     """
     styles, allowed = styles or Styles(found.trajectories), found.limit == FEASIBLE
     if not allowed.any():
@@ -128,8 +128,8 @@ def map_figure(found: SwivelMap, styles: Styles | None = None) -> go.Figure:
         dash = "dot" if run.gap_rad > OTHER_BRANCH_RAD else styles[name].dash
         line = {"color": styles[name].color, "width": 2.4, "dash": dash}
         drawn.add_scatter(**_edged(drawn, name, run.t_s, run.swivel_rad, run.mu), name=label(name), line=line)
-    # Above the others: a run that has arrived lies on it. The map is light on dark pages too, the legend is not: its
-    # sample has the colour of the text.
+    # The best line is drawn last, since runs at the optimum lie on it. The map stays light on dark pages, but the
+    # legend does not: the sample there has the colour of the text.
     dotted = {"width": 2.0, "dash": "dot"}
     drawn.add_scatter(**best, name="best", showlegend=False, line={"color": BEST, **dotted})
     drawn.add_scatter(x=[None], y=[None], mode="lines", legendgroup="best", name="best", line={"color": INK, **dotted})
@@ -151,7 +151,7 @@ def map_figure(found: SwivelMap, styles: Styles | None = None) -> go.Figure:
 
 
 def _colors(drawn: go.Figure, found: SwivelMap, allowed: NDArray[np.bool_]) -> None:
-    """Draw mu as colour, of forbidden poses too, so that it can be smoothed up to their edge, and grey over them."""
+    """Draw mu as colour, and grey over forbidden poses, which are coloured too to allow smoothing up to their edge."""
     mu, degrees = np.where(found.limit == UNREACHABLE, np.nan, found.mu), np.degrees(found.swivel_rad)
     low, high = float(mu[allowed].min()), float(mu[allowed].max())
     drawn.add_heatmap(

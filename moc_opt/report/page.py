@@ -1,4 +1,4 @@
-"""A report as one HTML file that opens by itself: no other file, no other host."""
+"""A report as one HTML file that needs no other file and no other host."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from moc_opt.inputs.files import to_json
 from moc_opt.report.document import anchor, macros, render, save_document
 from moc_opt.report.tables import Cell, Column, Table, alignment
 
-# As wide as a digit and as a point, where figures are tabular: they align numbers on their points.
+# Spaces as wide as a digit and as a point (in fonts with tabular figures), which align numbers on their points.
 FIGURE_SPACE, POINT_SPACE = "\u2007", "\u2008"
 LONG_TEXT = 40
 _PARTS, _TABLE = macros("parts.html"), macros("table.html")
@@ -45,22 +45,22 @@ class Page:
 
     def __init__(self, title: str, subtitle: str = "") -> None:
         self.title, self.subtitle = title, subtitle
-        self.figures: dict[str, go.Figure] = {}  #: by name, in the order of the page: what `save_figures` takes
+        self.figures: dict[str, go.Figure] = {}  #: by name, in the order of the page, as `save_figures` takes them
         self._sections = [_Section()]
         self._about, self._tables, self._folding = "", 0, False
 
     def headline(self, text: str) -> None:
-        """Append a finding in words, set apart; the first one describes the page to an index."""
+        """Append a finding in words, set apart; the first one is also the page's meta description."""
         self._about = self._about or text
         self._add(_PARTS.headline(text))
 
     def section(self, title: str) -> None:
-        """Begin a section; the table of contents lists it. Behind `fold` it is folded until the reader opens it."""
+        """Begin a section. A page without `fold` lists its sections at the top; after `fold` they are folded."""
         name = _unlike(title, [section.name for section in self._sections])
         self._sections.append(_Section(name, title, self._folding))
 
     def fold(self) -> None:
-        """Fold every section from here on, under a field that finds rows in all tables of the page."""
+        """Fold every section from here on, and put a search field for the rows of their tables above them."""
         self._folding = True
         self._sections.append(_Section(parts=[_PARTS.finder()]))
 
@@ -75,9 +75,9 @@ class Page:
         self._add(_drawn(table, self._tables))
 
     def figure(self, figure: go.Figure, caption: str, *, name: str = "") -> None:
-        """Append a numbered figure, whose caption names the point to notice.
+        """Append a numbered figure, whose caption says what to notice.
 
-        ``name`` is that of its file, where the figures are saved too; from the caption's first words if empty.
+        ``name`` is its file name if the figures are saved too; empty: the caption's first words.
         """
         name = _unlike(name or " ".join(caption.split()[:5]), self.figures)
         self.figures[name] = figure
@@ -85,7 +85,7 @@ class Page:
         self._add(_PARTS.figure(name, len(self.figures), caption, height))
 
     def environment(self, values: Mapping[str, Any]) -> None:
-        """Append a section on how the numbers came about: nested plain values; each mapping at the top is folded."""
+        """Append the section "Environment" with nested plain values; each top-level mapping is folded."""
         self.section("Environment")
         self._add(_PARTS.environment(values))
 
@@ -104,19 +104,19 @@ class Page:
         )  # fmt: skip
 
     def save(self, path: str | os.PathLike[str], *, force: bool = False) -> Path:
-        """Write the file as `save_document` does; `force` replaces a file that is no page of moc_opt, too."""
+        """Write the file as `save_document` does; `force` also replaces a file that is no page of moc_opt."""
         return save_document(path, self.html(), "page", force=force)
 
 
 def _unlike(text: str, taken: Iterable[str]) -> str:
-    """Return a name for addresses and files, unlike those that are taken."""
+    """Return a name for addresses and files that differs from those already taken."""
     words = anchor(text)
     return next(name for k in count(1) if (name := f"{words}-{k}" if k > 1 else words) not in taken)
 
 
 @cache
 def _packed_plotly() -> str:
-    """Return plotly.js, compressed to a third of its size even in base64; `figures.js` unpacks it."""
+    """Return plotly.js, compressed and in base64, a third of its size; `figures.js` unpacks it."""
     return base64.b64encode(gzip.compress(get_plotlyjs().encode(), mtime=0)).decode()
 
 
@@ -144,7 +144,7 @@ def _column(
     power = max((len(text.partition("e")[2]) for text in numbers), default=0)
     for cell, row in zip(cells, rows, strict=True):
         own = fraction_length(cell.text)
-        # An integer in a column of fractions lacks the point as well as the digits after it.
+        # An integer in a column of fractions has neither the point nor digits after it: pad for both.
         pad = POINT_SPACE * bool(fraction and not own) + FIGURE_SPACE * (fraction - max(own, 1))
         long = not cell.numeric and len(cell.text) > LONG_TEXT
         yield {

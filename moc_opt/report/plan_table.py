@@ -1,4 +1,4 @@
-"""A plan as tables and as JSON: whether the path can be executed comes first, then what its courses are worth."""
+"""A plan as tables and as JSON: first whether the path can be executed, then the figures of its courses."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ COURSES = [
     Column("violation", "violation", unit="m, rad", format=".0e"),
 ]  # fmt: skip
 VERDICT_TERMS = (
-    "Swivel: angle of the elbow about the line from shoulder to wrist. Course: the poses along the path. Bound: what "
-    "no course can exceed."
+    "Swivel: angle of the elbow about the line from shoulder to wrist. Course: the poses along the path. Bound: the "
+    "mean mu that no course can exceed."
 )
 COURSES_TERMS = (
     "Local climb: an ideal climb of mu from the start, without dynamics or gains: a run with third_level = 'local' may "
@@ -51,7 +51,7 @@ def plan_tables(name: str, plan: Plan, **within: float) -> list[Table]:
     """Make the tables of the verdict and of the courses of a scenario's plan; both fit 80 columns.
 
     Args:
-        within: margin_rad, margin_m, speed_share and shaft_margin, as of `moc_opt.scenario.planned.plan`.
+        within: margin_rad, margin_m, speed_share and shaft_margin, as in `moc_opt.scenario.planned.plan`.
     """
     said = {"can be executed from this start": "yes" if plan.executable else "no"}
     if (stuck := plan.blocked) is not None:
@@ -62,7 +62,7 @@ def plan_tables(name: str, plan: Plan, **within: float) -> list[Table]:
     limits = f"{' and '.join(margins)} from the joint limits" if margins else "the joint limits"
     said["planned within"] = f"{limits}, {100.0 * within.get('speed_share', 1.0):.3g} % of the joints' largest speeds"
     if within.get("shaft_margin"):
-        said["margin from losing the shaft"] = f"{within['shaft_margin']:.3g}, where there is a way"
+        said["margin from losing the shaft"] = f"{within['shaft_margin']:.3g}, where a course can keep it"
     for what, angle in {"at the start": plan.start_swivel_rad, "of the best start": plan.best_swivel_rad}.items():
         known = math.isfinite(angle)
         said[f"swivel {what}"] = f"{math.degrees(angle):.1f} deg" if known else "none: no course goes all the way"
@@ -93,9 +93,9 @@ def _courses(plan: Plan) -> list[dict[str, Any]]:
 
 
 def start_toml(robot: RobotModel, plan: Plan) -> str:
-    """Write the table that begins a scenario where the best course does; empty where there is none.
+    """Return a [start] table for a scenario that begins where the best course begins; empty if there is no course.
 
-    A number is rounded towards the inside of its joint's limits.
+    Joint positions are rounded and kept within the joint limits.
     """
     if plan.best is None:
         return ""

@@ -1,7 +1,7 @@
-"""Runs in 3-D, in one HTML file that opens by itself.
+"""Runs in 3-D, in one HTML file that needs no other file.
 
-The arm is drawn from its joint frames alone: every part is a body of revolution on one link. No mesh file is needed;
-lengths and axes are the robot's, the thickness is invented in proportion to its reach.
+The arm is drawn from its joint frames, without mesh files: every part is a body of revolution on one link. Lengths and
+axes are the robot's; thicknesses are made up, in proportion to its reach.
 """
 
 from __future__ import annotations
@@ -30,21 +30,21 @@ from moc_opt.trace.trace import Trace, table
 MOST_RUNS = 4
 FRAMES_PER_S = 30.0
 FRAMES_IN_ALL = 9000
-"""Of all runs together; a longer replay gets fewer per second, and the page moves evenly between them."""
+"""Most frames of all runs together. A longer replay has fewer per second; the page interpolates between frames."""
 PATH_POINTS = 1500
 SERIES_POINTS = 900
 
 BASE = -1
 SHORTEST_M = 1e-3
 ACROSS = 0.7
-"""Cosine between a joint's axis and its link, below which the joint looks like an elbow, above like a ring."""
+"""Cosine of the angle between a joint's axis and its link: below it the joint is drawn as an elbow, above as a ring."""
 
 
 class Replay:
-    """One to four runs of one arm, side by side at the same time; ``#t=3.2`` in the address opens that second."""
+    """One to four runs of one arm, played side by side; ``#t=3.2`` in the address opens the page at t = 3.2 s."""
 
     def __init__(self, traces: Mapping[str, Trace], robot: RobotModel) -> None:
-        """Check the runs; a ReportError where there are none, too many, or one that this arm cannot show."""
+        """Check the runs; a ReportError where there are none, too many, or one that does not fit this arm."""
         if not 1 <= len(traces) <= MOST_RUNS:
             raise ReportError(f"{len(traces)} runs: give 1 to {MOST_RUNS}, more are too small to see")
         for name, trace in traces.items():
@@ -52,7 +52,7 @@ class Replay:
         self.traces, self.robot = dict(traces), robot
 
     def data(self) -> dict[str, Any]:
-        """Return what the page shows: names, texts, and arrays, the rows of one after another."""
+        """Return the page's data: names, texts and arrays."""
         start = min(float(trace.t_s[0]) for trace in self.traces.values())
         end = max(float(trace.t_s[-1]) for trace in self.traces.values())
         frames = min(int(np.ceil((end - start) * FRAMES_PER_S)) + 1, FRAMES_IN_ALL // len(self.traces))
@@ -86,7 +86,7 @@ class Replay:
 
 
 def load_runs(files: Sequence[str | os.PathLike[str]]) -> tuple[dict[str, Trace], RobotModel]:
-    """Load saved traces under the names of their files, and the arm; a ReportError where they do not share one."""
+    """Load saved traces, named as their files, and their arm; a ReportError if they are not all of one arm and tool."""
     traces: dict[str, Trace] = {}
     for file in map(Path, files):
         traces[file.stem if file.stem not in traces else str(file)] = Trace.load(file)
@@ -97,7 +97,7 @@ def load_runs(files: Sequence[str | os.PathLike[str]]) -> tuple[dict[str, Trace]
     if not traces or len(set(map(str, arms.values()))) > 1:
         raise ReportError(f"traces of {arms or 'nothing'}: give traces of one robot with one tool")
     arm, meta = next(iter(arms.values())), next(iter(traces.values())).meta
-    if "robot_data" in meta:  # of an arm that is not of the package
+    if "robot_data" in meta:  # an arm from outside the package
         return traces, restored(meta["robot_data"])
     if not arm["name"]:
         raise ReportError("the trace does not say which robot it is of: load it yourself with load_robot")
@@ -105,11 +105,11 @@ def load_runs(files: Sequence[str | os.PathLike[str]]) -> tuple[dict[str, Trace]
     return traces, load_robot(arm["name"], **tool)
 
 
-# --- what moves: poses, points and curves of every run, thinned ---
+# --- the moving parts: poses, points and curves of every run, thinned ---
 
 
 def _run_data(trace: Trace, robot: RobotModel, times: Array, color: str) -> dict[str, Any]:
-    """Return what one run shows at these times; one that ends early stands still afterwards."""
+    """Return one run's data at these times; a run that ended earlier stands still afterwards."""
     t = trace.t_s
     ticks = np.clip(np.searchsorted(t, times, side="right") - 1, 0, len(t) - 1)
     origins, rotations = link_frames(robot, trace.q_rad[ticks])
@@ -127,7 +127,7 @@ def _run_data(trace: Trace, robot: RobotModel, times: Array, color: str) -> dict
 
 
 def _panel(trace: Trace, column: str, ticks: NDArray[np.intp]) -> dict[str, Array] | None:
-    """Return one quantity of one run: its curve, its value at every frame, and the bound of mu; None without it."""
+    """Return curve and values per frame of one quantity of one run, for mu with its bound; None if it has none."""
     if column not in trace.columns:
         return None
     values = trace.columns[column].astype(np.float64)
@@ -140,7 +140,7 @@ def _panel(trace: Trace, column: str, ticks: NDArray[np.intp]) -> dict[str, Arra
 
 
 def _rounded(value: Any) -> Any:
-    """Return the same with every array as one list, in micrometres' resolution."""
+    """Return the value with every array as a flat list (row after row), rounded to 6 decimals."""
     if isinstance(value, dict):
         return {key: _rounded(entry) for key, entry in value.items()}
     if isinstance(value, list):
@@ -149,26 +149,26 @@ def _rounded(value: Any) -> Any:
 
 
 def velocity_ellipsoids(jacobians: Array) -> Array:
-    """Return S = (J J^T)^(1/2) (k, 3, 3) of J_T (k, 3, n): it takes the unit sphere to the ellipsoid of tip velocities.
+    """Return S = (J J^T)^(1/2) (k, 3, 3) of J_T (k, 3, n): it maps the unit sphere to the ellipsoid of tip velocities.
 
-    Its determinant is mu (Yoshikawa 1985), and between two frames it changes evenly, as eigenvectors do not.
+    Its determinant is mu (Yoshikawa 1985). Unlike eigenvectors, it can be interpolated between two frames.
     """
     axes, lengths, _ = np.linalg.svd(jacobians, full_matrices=False)
     roots: Array = (axes * lengths[:, None, :]) @ np.swapaxes(axes, 1, 2)
     return roots
 
 
-# --- what the arm looks like ---
+# --- the look of the arm ---
 
 
 class Part(NamedTuple):
-    """A profile turned about an axis."""
+    """A body of revolution."""
 
-    link: int  #: joint whose frame it moves with, from 0; `BASE` stands still
-    origin: Array  #: (3,) where height 0 is, in that frame [m]
+    link: int  #: index of the joint whose frame it moves with, from 0; `BASE` stands still
+    origin: Array  #: (3,) point at height 0, in that frame [m]
     axis: Array  #: (3,) unit vector
-    radii: Array  #: (k,) of the profile's points, from below to above [m]
-    heights: Array  #: (k,) of the same [m]
+    radii: Array  #: (k,) radii of the profile's points, in order of height [m]
+    heights: Array  #: (k,) their heights [m]
     role: str  #: "shell", "joint" or "tool", which gives its colour
 
 
@@ -178,7 +178,7 @@ def arm_parts(robot: RobotModel) -> list[Part]:
     tip, wrist = chain.offsets
     along = (tip - wrist) / np.linalg.norm(tip - wrist)
     mount = tip - robot.data.tool_length * along
-    ends = np.array([*chain.origins, mount])  # of the link that begins at the frame before
+    ends = np.array([*chain.origins, mount])  # ends[k]: end of the link that begins at frame k - 1
     lengths = np.linalg.norm(ends, axis=1)
     reach = lengths[:-1].sum()
     radius = np.linspace(0.058, 0.038, n + 1) * reach
@@ -186,13 +186,13 @@ def arm_parts(robot: RobotModel) -> list[Part]:
     parts = [Part(BASE, here, np.array([0.0, 0.0, 1.0]), *plate, "shell")]
     seen = np.flatnonzero(lengths > SHORTEST_M)
     bend = np.linspace(-0.5 * np.pi, 0.5 * np.pi, 16)
-    for k in seen:  # a cone from one ball to the next; flat on the ground, and at the flange, where the tool begins
+    for k in seen:  # a cone from one ball to the next, cut flat at the ground and at the flange
         ball = np.where(bend < 0.0, radius[max(k - 1, 0)], radius[min(k, n - 1)])
         heights = np.where(bend < 0.0, 0.0, lengths[k]) + ball * np.sin(bend)
         heights = heights.clip(0.0 if k == 0 else -np.inf, lengths[k] if k == seen[-1] else np.inf)
         parts.append(Part(int(k) - 1, here, ends[k] / lengths[k], ball * np.cos(bend), heights, "shell"))
     for j, axis in enumerate(chain.axes):
-        # The longer of the two links at a joint tells its kind: wrists have links of no length.
+        # The longer of a joint's two links decides how the joint is drawn, since wrists have links of length zero.
         beside = max(ends[j + 1], chain.rotations[j].T @ ends[j], key=np.linalg.norm)
         across = abs(axis @ beside) < ACROSS * np.linalg.norm(beside)
         drums = [(1.06, 1.12, "shell"), (0.78, 1.22, "joint")] if across else [(1.04, 0.10, "joint")]
@@ -205,7 +205,7 @@ def arm_parts(robot: RobotModel) -> list[Part]:
 
 
 def _drum(radius: float, half: float) -> tuple[Array, Array]:
-    """Return a cylinder about its middle, its edges broken."""
+    """Return the profile of a cylinder centred at height 0, with bevelled edges."""
     edge = 0.15 * min(radius, half)
     heights = np.array([-half, -half, edge - half, half - edge, half, half])
     return np.array([0.0, radius - edge, radius, radius, radius - edge, 0.0]), heights

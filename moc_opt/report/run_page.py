@@ -1,4 +1,4 @@
-"""Runs as one page: how each ended, its metrics, its curves, and where it took the elbow."""
+"""Runs as one page: the ending of each run, its curves, its metrics, and the path of its elbow on the map."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from moc_opt.trace.trace import Trace
 
 
 def load_report(files: Sequence[str | os.PathLike[str]]) -> Page:
-    """Make the page of saved traces, named as their files are; raises as `load_runs`."""
+    """Make the page of saved traces, named as their files are; it raises the errors of `load_runs`."""
     traces, robot = load_runs(files)
     return run_page(traces, {name: summarize(trace) for name, trace in traces.items()}, robot)
 
 
 def run_page(traces: Mapping[str, Trace], metrics: Mapping[str, Mapping[str, float]], robot: RobotModel) -> Page:
-    """Make the page of runs of one arm, a baseline first; ``metrics`` of the runs that were asked for."""
+    """Make the page of runs of one arm, a baseline first; ``metrics`` has those of the runs in the page's title."""
     judged = {name: traces[name] for name in metrics}
     styles, page = Styles(traces), Page(title_of(judged), f"runs: {'; '.join(traces)}")
     every = {**metrics, **{name: summarize(trace) for name, trace in traces.items() if name not in metrics}}
@@ -35,10 +35,10 @@ def run_page(traces: Mapping[str, Trace], metrics: Mapping[str, Mapping[str, flo
     page.section("Over time")
     page.figure(
         time_series(traces, styles=styles),
-        "Manipulability, dotted with the largest that other poses with the same tip and shaft have; tip error by the "
+        "From above: manipulability (dotted: the largest of all poses with the same tip and shaft); tip error by the "
         "robot's own kinematics and in the patient's frame, where they are known; distance of the shaft from the "
-        "trocar, and the force on it. A later run covers an earlier one that coincides with it: a click in the legend "
-        "hides it.", name="curves",
+        "trocar, and the force on the trocar. If runs coincide, only the last one is seen: click on its name in the "
+        "legend to hide it.", name="curves",
     )  # fmt: skip
     page.section("Main metrics")
     for table in run_tables(traces, every, first=True):

@@ -1,4 +1,4 @@
-"""A run as a table, as JSON and in sentences: how it ended comes first, and figures of a part are marked as such."""
+"""A run as a table, as JSON and in sentences. The ending comes first; figures of an incomplete run are marked."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from moc_opt.trace.trace import Trace, about, table
 
 WHOLE_RUN = ("completed", "share_of_run")
 METHOD = "mu_bound_method"  #: Entry of a trace's meta: how the largest mu was found.
-NEAR = 0.02  #: A run whose mean or final mu is at most this fraction below the best course is near it.
+NEAR = 0.02  #: A mean or final mu that is at most this fraction below the best course's counts as reaching it.
 
 MATTER = (
     "mu_mean", "mu_gain_percent", "mu_fraction_of_best_from_start", "tip_error_model_mean_mm",
@@ -21,9 +21,9 @@ MATTER = (
     "rcm_error_mean_mm", "rcm_error_max_mm", "trocar_force_max_N", "torque_rate_rms_Nm_per_s", "verified_solved",
     "silently_wrong", "solve_p50_us", "solve_p99_us", "deadline_misses",
 )  # fmt: skip
-"""Metrics to look at first."""
+"""The main metrics, for the first table."""
 VERDICTS = ("verified_solved", "silently_wrong")
-"""Metrics that say what the answers to the null-space subproblem are worth."""
+"""Metrics that count verdicts on the answers to the null-space subproblem."""
 ANOTHER_PROBLEM = (
     "nlp-* answer the nonlinear problem of the tick, about 1e-3 m/s off the linear one that is judged: neither "
     "verified nor wrong."
@@ -31,12 +31,12 @@ ANOTHER_PROBLEM = (
 
 
 def answers_another_problem(trace: Trace, solver: str = "") -> bool:
-    """Return whether the solver (the scenario's if empty) is a nonlinear one, which the judge's verdicts do not fit."""
+    """Return whether the solver (the scenario's if empty) is a nonlinear one, to which `VERDICTS` do not apply."""
     return (solver or about(trace).get("solver", "")).startswith("nlp-")
 
 
 def part(trace: Trace) -> str:
-    """Return " (first 0.6 s of 8.0 s)" of a run broken off, " (a part)" of a cut trace; empty where it is whole."""
+    """Return " (first 0.6 s of 8.0 s)" for a run that broke off, " (a part)" for a cut trace, "" for a whole run."""
     ending = Ending.of(str(trace.meta.get("ended")))
     if ending is Ending.PART:
         return " (a part)"
@@ -48,7 +48,7 @@ def part(trace: Trace) -> str:
 
 
 def warnings(trace: Trace) -> list[str]:
-    """Return a sentence on each warning of the safety filter."""
+    """Return one sentence per warning of the safety filter."""
     return [
         f"warning: {w['of']} was above {w['level']:g} {w['unit']} from t = {w['first_s']:.3f} s on, "
         f"{w['largest']:.3g} {w['unit']} at most"
@@ -57,7 +57,7 @@ def warnings(trace: Trace) -> list[str]:
 
 
 def replaced(trace: Trace) -> str:
-    """Return "at 412 of 4034 ticks: raised 400, late 12" where answers were replaced; empty where none was."""
+    """Return "at 412 of 4034 ticks: raised 400, late 12" if answers were replaced; empty if none was."""
     counts = {fault: of["count"] for fault, of in trace.meta.get("faults", {}).items()}
     if not counts:
         return ""
@@ -67,7 +67,7 @@ def replaced(trace: Trace) -> str:
 
 
 def below_best(trace: Trace) -> str:
-    """Return a sentence on a run that stays below the best course from its start: by how much, and the reason."""
+    """Return a sentence on a run whose mean mu stays below the best course from its start: by how much, and why."""
     found = table(trace.meta, "best_courses")
     if absent := found.get("absent"):
         return f"there is no best course from this start to compare with: {absent}"
@@ -92,7 +92,7 @@ def below_best(trace: Trace) -> str:
 
 
 def facts(trace: Trace) -> dict[str, str]:
-    """Return what was run, in the words of its scenario; entries that the trace lacks are left out."""
+    """Return arm, path, gains, solver and so on, as the scenario names them, without entries that the trace lacks."""
     scenario = table(trace.meta, "scenario")
     law, control = about(trace).get("solver"), table(scenario, "control")
     known = {
@@ -105,7 +105,7 @@ def facts(trace: Trace) -> dict[str, str]:
 
 
 def title_of(traces: Mapping[str, Trace]) -> str:
-    """Return "lwr4, circle, default gains: dcac and exact" for runs of one arm; their names where they do not say."""
+    """Return "lwr4, circle, default gains: dcac and exact" for runs of one arm; run names where no solver is known."""
     runs = [facts(trace) for trace in traces.values()]
     each = {word: listed([run[word] for run in runs if word in run]) for word in ("arm", "path", "gains")}
     laws = listed([run.get("controller") or run.get("solver") or name for name, run in zip(traces, runs, strict=True)])
@@ -123,11 +123,11 @@ def run_tables(
     traces: Mapping[str, Trace], metrics: Mapping[str, Mapping[str, float]], *, first: bool = False,
     explained: bool = False,
 ) -> list[Table]:  # fmt: skip
-    """Lay out the metrics of runs side by side: the ending in the first row, then how often the solver was replaced.
+    """Lay out the metrics of runs side by side. Ending and number of replaced answers are the first two rows.
 
-    Where a run was broken off, each has a table of its own: figures of a part cannot be compared with those of a whole
-    run. The title of such a run says which part there is, and every figure is marked. ``first``: the metrics of
-    `MATTER` alone, and what was run in the title. Both ``first`` and ``explained`` add meanings.
+    If any run broke off, each run has a table of its own, since figures of a part cannot be compared with those of a
+    whole run. The title of a broken-off run says which part there is, and each of its figures is marked. ``first``
+    gives only the metrics of `MATTER`, with `facts` in the title. Both ``first`` and ``explained`` add meanings.
     """
     if len(metrics) > 1 and any(part(traces[name]) for name in metrics):
         alone = ({name: values} for name, values in metrics.items())
@@ -156,7 +156,7 @@ def _entries(trace: Trace, metrics: Mapping[str, float], first: bool) -> dict[st
         if first and metric not in MATTER:
             continue
         marked = f"{metric} (part)" if of and metric not in WHOLE_RUN else metric
-        # From millimetres to rounding errors: no single notation reads well for all.
+        # Each value has a notation of its own, since they range from millimetres to rounding errors.
         shown = missing(value) or Notation.of([value], digits=4)(value)
         shown = Missing(ANOTHER_PROBLEM) if other and metric in VERDICTS else shown
         entries[marked] = shown, "" if metric not in METRICS else _with_unit(METRICS[metric])
@@ -177,7 +177,7 @@ def description(trace: Trace) -> str:
 
 
 def remarks(trace: Trace) -> list[str]:
-    """Return what supervisor and safety filter noted, and by how much mu stays below the best course, as sentences."""
+    """Return sentences on refused answers, on warnings, and on how far mu stays below the best course."""
     refused = [
         f"answer refused, {fault}: {of['count']} of {len(trace)} ticks, first at {of['first_at_s']:.3f} s: "
         f"{of['first']}"
@@ -187,7 +187,7 @@ def remarks(trace: Trace) -> list[str]:
 
 
 def run_json(trace: Trace, metrics: Mapping[str, float]) -> dict[str, Any]:
-    """Return ``ended``, ``part`` of a run broken off, ``solver_replaced``, the metrics, and how they came about."""
+    """Return ending, ``part`` (if the run broke off), ``solver_replaced``, metrics, warnings and faults of a run."""
     hidden = set(VERDICTS) & set(metrics) if answers_another_problem(trace) else set()
     first = {"part": part(trace).strip(" ()"), "solver_replaced": replaced(trace)}
     return {

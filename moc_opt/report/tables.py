@@ -1,4 +1,4 @@
-"""A table of results, for the terminal and for a page: one notation per column, best values emphasised."""
+"""A table of results for the terminal and for a page: one notation per column, the best values emphasised."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from moc_opt.errors import is_number
 from moc_opt.figures import notation
 from moc_opt.figures.notation import Mark, Missing, Notation, printable
 
-SHORT_TEXT, HEADING = 14, 10  # characters from where on a text in a terminal, and a heading anywhere, may be broken
+SHORT_TEXT, HEADING = 14, 10  # characters after which a text in a terminal, or a heading anywhere, may be broken
 
 TONES = {"best": "bold green", "good": "green", "fair": "yellow", "bad": "red", "other": "cyan"}
 """Tone of a `Mark` -> its colour in a terminal."""
@@ -31,20 +31,20 @@ TONES = {"best": "bold green", "good": "green", "fair": "yellow", "bad": "red", 
 class Column:
     """One column of a table."""
 
-    key: str  #: where a row holds the value
+    key: str  #: key of the value in a row
     title: str
-    unit: str = ""  #: "us", "mm"; it stands below the title
+    unit: str = ""  #: "us", "mm"; shown below the title
     format: str = ""  #: a format specification (".2f", "+.1f", "d") in place of three significant digits
-    better: Literal["low", "high"] | None = None  #: the good end: emphasised unless most rows have it, sorted first
-    help: str = ""  #: one sentence on its meaning, folded below the table
+    better: Literal["low", "high"] | None = None  #: the good end, sorted first; emphasised unless most rows share it
+    help: str = ""  #: one sentence on the column's meaning, folded below the table
     among: str = ""  #: key of a flag: only rows that have it set compete for the emphasis; "" lets all compete
-    section: str = ""  #: title of the section of the same page that explains its values, which link there
-    sections: str = ""  #: key of a row's own such title, where rows are explained in different sections
+    section: str = ""  #: title of the section on the same page that explains the values; they link there
+    sections: str = ""  #: key under which a row has a section title of its own, in place of `section`
 
 
 @dataclass(frozen=True)
 class Cell:
-    """A value as the terminal shows it (`text`), and what it is ordered by (`sort`; None: last)."""
+    """A value as the terminal shows it (`text`), and its sort key (`sort`; None: last)."""
 
     text: str
     sort: float | str | None
@@ -79,7 +79,7 @@ class Table:
         if column.better is None or len(finite) < 2:
             return cells
         winner = (min if column.better == "low" else max)(finite, key=lambda cell: float(cell.sort or 0.0))
-        # What reads the same is equally good: a digit that is not shown decides nothing.
+        # Values with the same text are equally good: digits that are not shown decide nothing.
         ahead = [cell for cell in competing if cell.text == winner.text]
         if len(ahead) > max(1, len(competing) / 2):  # emphasis on nearly everything says nothing
             return cells
@@ -87,7 +87,7 @@ class Table:
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> Iterator[RichTable]:
         shown, wide = list(self.columns), options.update(width=10_000)
-        # Texts are broken, numbers never: a table that is too wide loses its last columns.
+        # Texts can be broken, numbers cannot. So a table that is still too wide loses its last columns.
         while len(shown) > 1 and Measurement.get(console, wide, self._drawn(shown)).minimum > options.max_width:
             shown.pop()
         yield self._drawn(shown)
@@ -129,19 +129,19 @@ class Table:
         file = io.StringIO()
         screen = Console(
             file=file, width=width, color_system=None, force_terminal=False, highlight=False,
-            force_jupyter=False,  # there rich would show the table, and write nothing into the file
+            force_jupyter=False,  # in Jupyter rich would show the table and not write it
         )  # fmt: skip
         screen.print(self)
         return "\n".join(line.rstrip() for line in file.getvalue().splitlines()) + "\n"
 
 
 def heading_lines(title: str) -> list[str]:
-    """Break a heading between words, into lines of about `HEADING` characters."""
+    """Break a heading between words into lines of at most `HEADING` characters, except for longer words."""
     return wrap(printable(title), HEADING, break_long_words=False, break_on_hyphens=False)
 
 
 def alignment(cells: Sequence[Cell]) -> Literal["left", "right"]:
-    """Align numbers to the right, texts to the left."""
+    """Return the alignment of a column: right if all its values are numbers, else left."""
     values = [cell for cell in cells if cell.why is None]
     return "right" if all(cell.numeric for cell in values) and cells else "left"
 

@@ -1,4 +1,4 @@
-// Unpacks plotly.js, draws every figure, and keeps it in the colours and the width of the page.
+// Unpacks plotly.js, draws every figure, and redraws it when the colours or the width of the page change.
 (() => {
   "use strict";
   const texts = (id) => document.getElementById(id).textContent;
@@ -18,14 +18,14 @@
 
   const exchange = JSON.parse(texts("dark-colors"));
   const colors = new RegExp(Object.keys(exchange).join("|"), "gi");
-  // On a phone: smaller type, names beside points become a legend, the legend gets its own height and two columns where
-  // its names fit into them, and a scale of colours lies below its map.
+  // On a phone: smaller type; a legend in place of names beside points; height added for a long legend, in two columns
+  // if its names fit; the colour bar below its map.
   const narrow = ({ data, layout }) => {
     layout.font = { ...layout.font, size: 10 };
     layout.legend = { ...layout.legend, font: { size: 10 } };
     layout.margin = { ...layout.margin, l: 40, r: 8 };
     for (const axis of [layout.xaxis, layout.yaxis]) {
-      // Within a decade powers of ten alone would leave an axis without a number.
+      // Ticks at powers of ten only, unless the axis is within one decade, where that could leave it without a number.
       const decades = axis && axis.range ? axis.range[1] - axis.range[0] : Infinity;
       if (axis && axis.type === "log" && !axis.tickvals && decades > 1) axis.dtick = 1;
     }
@@ -53,15 +53,15 @@
     const figure = JSON.parse(source), width = printing ? printed : chart.clientWidth;
     figure.layout.width = width;
     figure.layout.autosize = false;
-    // What the reader has switched off stays off when the colours change.
+    // Traces that the reader has hidden stay hidden when a figure is redrawn.
     (chart.data || []).forEach((trace, k) => { if ("visible" in trace) figure.data[k].visible = trace.visible; });
-    // A finger on a figure scrolls the page.
+    // On touch screens, dragging on a figure scrolls the page.
     if (touch.matches) figure.layout.dragmode = false;
     if (width < phone) narrow(figure);
     return figure;
   };
   const options = (chart) => ({
-    // Where nothing can hover the buttons would always lie on the legend; on a phone's width there is no other room.
+    // Without hovering (touch), the buttons would always cover the legend; on a phone there is no room beside it.
     displayModeBar: touch.matches || chart.clientWidth < phone ? false : "hover",
     displaylogo: false, plotlyServerURL: "", showLink: false, responsive: false, topojsonURL: "", scrollZoom: false,
     modeBarButtonsToRemove: ["lasso2d", "select2d", "autoScale2d"],
@@ -70,12 +70,12 @@
   const draw = (chart) => {
     const figure = spec(chart), size = figure.layout.width < phone ? "phone" : "screen";
     chart.style.minHeight = "";
-    // Left to itself, plotly keeps the room of a scale of colours that has moved.
+    // Purge first: otherwise plotly keeps the space at the old place of a colour bar that has moved.
     if (chart.dataset.size && chart.dataset.size !== size) Plotly.purge(chart);
     chart.dataset.size = size;
     return Plotly.react(chart, figure.data, figure.layout, options(chart));
   };
-  // A figure in a folded section has no width; it is drawn when it gets one.
+  // A figure in a folded section has no width; it is drawn when the section is opened.
   const seen = (chart) => chart.clientWidth > 0;
   const all = () => Promise.all(charts.filter(seen).map(draw));
 
@@ -89,7 +89,7 @@
       throw error;
     }
     dark.addEventListener("change", all);
-    // Once the width has come to rest, and only those that are drawn for another one.
+    // Redraw after the width has stopped changing, and only figures that were drawn for another width.
     let resting;
     const watch = new ResizeObserver(() => {
       clearTimeout(resting);

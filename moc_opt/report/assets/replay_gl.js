@@ -1,4 +1,4 @@
-// What the replay needs of WebGL 2: matrices, three programs (bodies, lines of a width, the ground), bodies of revolution.
+// WebGL 2 for the replay: matrices, three programs (bodies, wide lines, the ground), bodies of revolution.
 const Gl = (() => {
   "use strict";
   const sub = (a, b) => [a[0] - b[0], a[1] - b[1], a[2] - b[2]];
@@ -6,7 +6,7 @@ const Gl = (() => {
   const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
   const unit = (a) => { const l = Math.hypot(...a) || 1; return [a[0] / l, a[1] / l, a[2] / l]; };
 
-  // 4x4 matrices are stored by columns, as WebGL wants them.
+  // 4x4 matrices are stored by columns, as WebGL needs them.
   const times = (a, b) => {
     const out = new Float32Array(16);
     for (let c = 0; c < 4; c++) for (let r = 0; r < 4; r++) {
@@ -27,7 +27,7 @@ const Gl = (() => {
     const z = unit(sub(eye, target)), x = unit(cross([0, 0, 1], z)), y = cross(z, x);
     return new Float32Array([x[0], y[0], z[0], 0, x[1], y[1], z[1], 0, x[2], y[2], z[2], 0, -dot(x, eye), -dot(y, eye), -dot(z, eye), 1]);
   };
-  // Inverse transpose of the upper 3x3, up to a factor: what normals are turned by.
+  // Inverse transpose of the upper 3x3, up to a factor, which transforms normals.
   const normalMatrix = (m) => {
     const c = [[m[0], m[1], m[2]], [m[4], m[5], m[6]], [m[8], m[9], m[10]]];
     return new Float32Array([...cross(c[1], c[2]), ...cross(c[2], c[0]), ...cross(c[0], c[1])]);
@@ -44,7 +44,7 @@ const Gl = (() => {
       vec3 key = normalize(vec3(0.45, -0.55, 0.9)), fill = normalize(vec3(-0.7, 0.5, 0.25));
       float light = 0.40 + 0.20 * m.z + 0.40 * max(dot(m, key), 0.0) + 0.10 * max(dot(m, fill), 0.0) + 0.24 * dot(m, v);
       float shine = gloss * pow(max(dot(m, normalize(key + v)), 0.0), 40.0);
-      // The rim of what is translucent is denser.
+      // The rim of a translucent body is more opaque.
       float rim = pow(1.0 - abs(dot(m, v)), 2.0), alpha = color.a < 1.0 ? min(1.0, color.a * (0.65 + 1.6 * rim)) : 1.0;
       result = vec4(color.rgb * light + shine, alpha);
     }`;
@@ -56,7 +56,7 @@ const Gl = (() => {
       vec2 along = (b.xy / b.w - a.xy / a.w) * screen; float l = length(along);
       along = l > 1e-6 ? along / l : vec2(1.0, 0.0);
       vec4 c = far ? b : a;
-      // A little longer than the segment, so that joints have no gaps.
+      // A little longer than the segment, so that there are no gaps between segments.
       vec2 off = vec2(-along.y, along.x) * side + along * (far ? 0.5 : -0.5);
       c.xy += off * width / screen * c.w; c.z -= 2e-4 * c.w; gl_Position = c;
     }`;
@@ -95,7 +95,7 @@ const Gl = (() => {
     return at;
   };
 
-  // Turn a profile about z; where it bends sharply the normals are kept apart, so that edges look like edges.
+  // Turns a profile about z. At a sharp bend the two sides have separate normals, so that it looks like an edge.
   const lathe = (radii, heights, around = 48) => {
     const places = [], normals = [], count = radii.length;
     const slope = (k) => { const r = radii[k + 1] - radii[k], h = heights[k + 1] - heights[k], l = Math.hypot(r, h) || 1; return [h / l, -r / l]; };

@@ -1,4 +1,4 @@
-// The curves below the scene: drawn once, with a cursor that moves, and a time under the finger.
+// The curves below the scene: drawn once, with a moving cursor; a click or touch sets the time.
 const Plots = (root, data, seek) => {
   "use strict";
   const first = data.times[0], last = data.times[data.times.length - 1];

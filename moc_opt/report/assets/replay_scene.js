@@ -25,7 +25,7 @@ const Scene = (canvas, data) => {
 
   const runs = data.runs.map((run) => {
     const asked = gpu.curve(run.course_asked), taken = gpu.curve(run.course);
-    // The wall stands across the tool where that is upright, and lies level where it is nearly so.
+    // The abdominal wall is level, or across the tool where the tool is more than 60 degrees off the vertical.
     let normal = [0, 0, 1];
     if (run.trocar) {
       const up = unit(sub(run.trocar, run.tip));
@@ -34,7 +34,7 @@ const Scene = (canvas, data) => {
     return { ...run, asked, taken, normal };
   });
 
-  // --- where things are at a time ---
+  // --- poses and points at a time ---
   const first = data.times[0], step = (data.times[data.times.length - 1] - first) / (data.times.length - 1);
   const at = (array, size, time) => {
     const place = Math.min(Math.max((time - first) / step, 0), data.times.length - 1), k = Math.min(Math.floor(place), data.times.length - 2), w = place - k;
@@ -115,7 +115,7 @@ const Scene = (canvas, data) => {
       gl.enable(gl.BLEND);
       gl.depthMask(false);
       gpu.drawGround(view, 1.6, rgba(palette.ground, 0.55));
-      // The shadow: everything pressed onto the ground along the light, every pixel darkened once.
+      // The shadow: all bodies projected onto the ground along the light; the stencil darkens every pixel only once.
       const press = new Float32Array([1, 0, 0, 0, 0, 1, 0, 0, -0.28, 0.34, 0, 0, 0, 0, 0.0008, 1]);
       gl.enable(gl.STENCIL_TEST);
       gl.stencilFunc(gl.EQUAL, 0, 255);

@@ -10,7 +10,7 @@
     if (text === "-inf") return -Infinity;
     return text.trim() === "" ? NaN : Number(text);
   };
-  // Numbers by size, then texts by the alphabet.
+  // Numbers in order of size come first, then texts in alphabetical order.
   const compare = (a, b) => {
     const x = number(a), y = number(b);
     if (Number.isNaN(x) !== Number.isNaN(y)) return Number.isNaN(x) ? 1 : -1;
@@ -24,7 +24,7 @@
     const sign = order === "ascending" ? 1 : -1;
     const rows = [...body.rows].sort((one, two) => {
       const a = key(one, column), b = key(two, column);
-      // What is missing stays at the end, whichever way the rest is turned.
+      // Missing values stay at the end in either order.
       if (a === null || b === null) return (a === null) - (b === null);
       return sign * compare(a, b);
     });
