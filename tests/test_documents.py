@@ -78,11 +78,10 @@ def test_readme_runs_from_top_to_bottom_in_an_empty_folder_and_then_the_python_o
     # There is something to see: MOC moves the elbow from its poor place, the network as printed does not.
     mu = {name: mo.load_trace(folder / f"{name}.parquet").mu for name in ("clarabel", "network")}
     assert mu["clarabel"].mean() > 1.2 * mu["network"].mean()
-    (folder / "map.html").unlink()
-    tour = [text for language, text in blocks("docs/start.md") if language == "python" and "map.html" in text]
+    tour = [text for language, text in blocks("docs/start.md") if language == "python" and "elbow.html" in text]
     python = [text for language, text in found if language == "python"]
     run([sys.executable, "-P", "-c", "\n".join([*python, *tour])], place)
-    assert (folder / "map.html").stat().st_size > 10_000
+    assert (folder / "elbow.html").stat().st_size > 10_000
 
 
 def test_the_start_page_shows_the_scenario_and_the_commands_of_readme():

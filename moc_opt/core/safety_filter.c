@@ -50,7 +50,7 @@ void moc_guard_start(const moc_guard *g, int n, const double *q, const double *v
     for (int i = 0; i < 3; i++)
         w->point[i] = (double)NAN;
     w->first_tick[MOC_RCM] = w->first_tick[MOC_FORCE] = w->ticks = -1;
-    w->now = w->newest = stamp - 1;
+    w->now = w->newest = stamp > -LARGEST_STAMP && stamp < LARGEST_STAMP ? stamp - 1 : -1;
 }
 
 /* --- the age of a measurement --- */

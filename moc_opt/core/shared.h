@@ -105,8 +105,7 @@ bool moc_eliminate(moc_plane *plane, const moc_problem *problem);
 /* Compute the motion z (n,) of all joints in ker A in which free joint number k moves by one. */
 void moc_direction(const moc_plane *plane, int n, int k, double *z);
 
-/* Replace x, any point of a plane with two freedoms or more, by the optimum over plane and box. The multipliers of the
- * active bounds are added to force. */
+/* Replace x, a point of a plane with several freedoms, by the optimum; the bounds' multipliers are added to force. */
 moc_status moc_solve_several(const moc_plane *plane, const moc_problem *problem, double tolerance, double *x,
                              double *force);
 

@@ -16,8 +16,7 @@ typedef struct {
     double rest;    /* stop when no right-hand side is larger [rad/s, m/s] */
 } moc_network;
 
-/* Advance x (n,) and y (6,) in place; *made is the number of steps. Returns MOC_OK at rest, MOC_UNFINISHED after the
- * last step, or MOC_DOUBTFUL if a number is not finite. */
+/* Advance x (n,) and y (6,) by *made steps. Returns MOC_OK at rest, MOC_UNFINISHED, or MOC_DOUBTFUL if not finite. */
 moc_status moc_step_network(const moc_problem *problem, const moc_network *network, double *x, double y[6], int *made);
 
 /* --- planning (plan.c) --- */

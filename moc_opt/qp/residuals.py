@@ -259,11 +259,11 @@ def _on_an_interval(
 ) -> tuple[Array, Array, Array]:
     with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
         free = np.where(slope == 0.0, 0.0, -slope / rho)  # with rho = 0 infinite: the end of the interval
-    best = np.clip(free, low, high)
-    least, *ends = (s * (slope + 0.5 * rho * s) for s in (best, low, high))
-    spread = np.where(high - low > point, np.maximum(*ends) - least, 0.0)
-    loss = np.where(spread > 0.0, np.clip((above - least) / _or_one(spread), 0.0, 1.0), 0.0)
-    return best, loss, np.where(spread > 0.0, 0.0, above - least)
+        best = np.clip(free, low, high)
+        least, *ends = (s * (slope + 0.5 * rho * s) for s in (best, low, high))
+        spread = np.where(high - low > point, np.maximum(*ends) - least, 0.0)
+        loss = np.where(spread > 0.0, np.clip((above - least) / _or_one(spread), 0.0, 1.0), 0.0)
+        return best, loss, np.where(spread > 0.0, 0.0, above - least)
 
 
 def _along_a_line(

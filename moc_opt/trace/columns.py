@@ -33,7 +33,7 @@ COLUMNS: Mapping[str, Column] = MappingProxyType(
         "tip_ref_m": Column("m", "(N, 3)", "tip reference X_d"),
         "wrist_m": Column("m", "(N, 3)", "true wrist centre N"),
         "trocar_m": Column("m", "(N, 3)", "true trocar P_t"),
-        "trocar_registered_m": Column("m", "(N, 3)", "the trocar that the controller is given"),
+        "trocar_registered_m": Column("m", "(N, 3)", "the trocar as registered, in true coordinates"),
         "force_N": Column("N", "(N, 3)", "force of the tool on its mount, as measured by the wrench sensor; tool axes"),
         "torque_Nm": Column("Nm", "(N, 3)", "moment of the same wrench; tool axes"),
         "mu": Column("m^3", "(N,)", "manipulability sqrt(det(J_T J_T^T))"),

@@ -39,10 +39,11 @@ def test_the_ending_is_the_first_row_and_figures_of_a_part_are_marked():
     stopped = trace("stopped: x", 3, warnings=[WARNING])
     (table,) = run_tables({"slip": stopped}, {"slip": metrics})
     assert [row["metric"] for row in table.rows] == ["ended", "completed", "share_of_run", "mu_mean (part)"]
-    assert (table.title, table.rows[0]["run slip"]) == ("slip (first 0.3 s of 0.4 s)", "stopped: x")
+    assert (table.title, table.rows[0]["run slip"]) == ("slip (first 0.3 s of 0.4 s, braking included)", "stopped: x")
     assert "the RCM error was above 6 mm from t = 1.250 s on, 11 mm at most" in table.caption
     assert list(run_json(stopped, {"mu_mean": 0.2}).items()) == [
-        ("ended", "stopped: x"), ("part", "first 0.3 s of 0.4 s"), ("mu_mean", 0.2), ("warnings", [WARNING]),
+        ("ended", "stopped: x"), ("part", "first 0.3 s of 0.4 s, braking included"), ("mu_mean", 0.2),
+        ("warnings", [WARNING]),
         ("faults", {}),
     ]  # fmt: skip
     for ended in ("completed", "oscillated: joint_7"):
@@ -113,7 +114,7 @@ def test_whole_runs_share_a_table_and_a_part_has_its_own():
     assert cells["b"] == ["oscillated", "–", "0.3000", "–"]
     assert "nonlinear" in table.caption
     apart = run_tables({**runs, "b": trace("stopped: x", 3)}, metrics, first=True)
-    assert [table.title for table in apart] == ["a", "b (first 0.3 s of 0.4 s)"]
+    assert [table.title for table in apart] == ["a", "b (first 0.3 s of 0.4 s, braking included)"]
 
 
 def test_run_and_report_write_pages_that_name_arm_task_gains_and_solver(tmp_path, capsys, files):
