@@ -44,8 +44,7 @@ def test_samples_stay_in_range_and_more_keep_the_first(seed: int, samples: int, 
     fields: dict[str, Any] = {
         "control.regularization": {"low": low, "high": low * ratio, "scale": "log"},
         "plant.friction": {"low": -low, "high": low * ratio},
-        "plant.delay_ticks": {"low": 0, "high": 5, "scale": "integer"},
-        "task.path": {"choice": ["circle", "spiral"]},
+        "plant.delay_ticks": {"low": 0, "high": 5, "scale": "integer"}, "task.path": {"choice": ["circle", "spiral"]},
     }
     drawn = random_draws(fields, samples, seed)
     assert all(low <= v <= low * ratio for v in drawn["control.regularization"])

@@ -31,10 +31,8 @@ ALONE, LONG = [[1.0, 0.0]], ([0.0, -1.0], [1.0, 2.0])
     (TWICE, [1.0, 2.0], [1.0, 0.0], 0.0, UNIT, [1.0, 0.0]),  # rows that repeat each other
     (TWICE, [1.0, 2.0 + 1e-15], [1.0, 0.0], 0.0, UNIT, None),  # and rows that contradict
     (ALONE, [0.5], [0.0, 0.0], 0.0, LONG, [0.5, 0.0]),  # a joint that moves nothing is solved alone
-    (ALONE, [0.5], [0.0, 1.0], 0.0, LONG, [0.5, 2.0]),
-    (ALONE, [0.5], [0.0, -1.0], 0.0, LONG, [0.5, -1.0]),
-    (ALONE, [0.5], [0.0, 3.0], 2.0, LONG, [0.5, 1.5]),
-    (ALONE, [0.5], [0.0, -3.0], 2.0, LONG, [0.5, -1.0]),
+    (ALONE, [0.5], [0.0, 1.0], 0.0, LONG, [0.5, 2.0]), (ALONE, [0.5], [0.0, -1.0], 0.0, LONG, [0.5, -1.0]),
+    (ALONE, [0.5], [0.0, 3.0], 2.0, LONG, [0.5, 1.5]), (ALONE, [0.5], [0.0, -3.0], 2.0, LONG, [0.5, -1.0]),
 ])  # fmt: skip
 def test_the_enumeration_finds_known_optima_of_two_joints(A, b, pull, rho, box, expected):
     assert found(A, b, pull, rho, *box) == expected

@@ -137,8 +137,7 @@ FAULTS = [
 FAULTY = table(
     seed=whole(0, 2**31), robot=table(name=one_of(*available_robots())), start=st.just({"swivel": "random"}),
     faults=st.lists(st.one_of(FAULTS), min_size=1, max_size=4).map(lambda parts: dict(ChainMap(*reversed(parts)))),
-    control=table(preset=one_of("tuned", "robust"), law=one_of("moc", "dcac")),
-    plant=table(delay_ticks=whole(0, 2)),
+    control=table(preset=one_of("tuned", "robust"), law=one_of("moc", "dcac")), plant=table(delay_ticks=whole(0, 2)),
 )  # fmt: skip
 
 

@@ -60,8 +60,7 @@ EXPECT = {
     ),
     "rnn-printed": Expect(solved=0.0, certified=0.0, undamped=0.0),  # modes slower than 50 s
     # Operator splitting: one problem in two hundred needs more iterations than max_iter.
-    "osqp": Expect(solved=0.95, undamped=0.95),
-    "qpsolvers:osqp": Expect(solved=0.95, undamped=0.95),
+    "osqp": Expect(solved=0.95, undamped=0.95), "qpsolvers:osqp": Expect(solved=0.95, undamped=0.95),
     "piqp": Expect(certified=0.85),  # the other infeasible problems end as MAX_ITER
     "quadprog": Expect(undamped=None),  # needs P > 0
     "nlp-sqp": dataclasses.replace(NLP, certified=0.0),  # it reports no reason when it stops

@@ -113,8 +113,7 @@ def test_the_best_come_first_one_is_taken_and_parts_may_be_left_out():
     (1.07, 0.0, 15, NEAR, "+7% tip"),
     (1.07, 0.3, 15, SOUND, "undecided: "),  # the same mean, but too uncertain
     (1.01, 0.02, 15, SOUND, "none"), (2.5, 0.3, 15, AVOID, "% tip"),
-    (1.6, 0.0, 7, SOUND, "too few trials to decide (7 of at least 8)"),
-    (1.6, 0.0, 8, AVOID, "+60% tip"),
+    (1.6, 0.0, 7, SOUND, "too few trials to decide (7 of at least 8)"), (1.6, 0.0, 8, AVOID, "+60% tip"),
 ])  # fmt: skip
 def test_a_loss_counts_only_where_its_interval_excludes_the_tolerance(cost, unlike, trials, verdict, damage):
     """The reference ran more trials. Only trials that both ran count."""

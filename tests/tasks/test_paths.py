@@ -31,8 +31,7 @@ def build(kind: str, **changed: float) -> Path:
 
 size = st.floats(0.003, 0.3)
 any_path = st.one_of(
-    st.builds(lambda d: build("line", length=d), size),
-    st.builds(lambda r: build("circle", radius=r), size),
+    st.builds(lambda d: build("line", length=d), size), st.builds(lambda r: build("circle", radius=r), size),
     st.builds(lambda a, w, n: build("sinusoid", amplitude=a, wavelength=w, periods=n), size, size, st.floats(0.2, 6.0)),
     st.builds(lambda n, r: build("spiral", turns=n, radius=r), st.floats(0.1, 8.0), size),
 )

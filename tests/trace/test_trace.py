@@ -62,8 +62,7 @@ def traces(draw):
     finite = st.floats(allow_nan=False, allow_infinity=False)
     json = st.recursive(
         st.none() | st.booleans() | st.integers() | finite | st.text(),
-        lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(), inner, max_size=3),
-        max_leaves=6,
+        lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(), inner, max_size=3), max_leaves=6,
     )
     return Trace(columns, draw(st.dictionaries(st.text(), json, max_size=3)))
 
