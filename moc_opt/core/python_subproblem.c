@@ -140,7 +140,7 @@ FUNCTION(load, {"record", READ, ROW}, {"five", WHOLE}, {"scale", NUMBER}, {"sign
     double triangle[MOC_MAX_JOINTS * MOC_MAX_JOINTS], scale = c->number[SCALE], *signs = c->array[SIGNS];
     int n = c->n, size = 0;
 
-    if (!all_finite(11 * n + 10, c->array[0]))
+    if (!all_finite(10 * n + 10, c->array[0])) /* q, the last part, may be unknown */
         return PyErr_Format(PyExc_ValueError, "record: the subproblem holds a number that is not finite");
     moc_copy_problem(&problem, n, c->array[0], UNPACK);
     if (equalities(&problem, whole(c, FIVE), A, b, lift) != c->k)
