@@ -31,7 +31,7 @@ def option(*names: str, **settings: Any) -> Option:
 def path(text: str) -> Path:
     """Return the text as a path. An empty text is refused: Path("") would mean the current folder."""
     if not text:
-        raise argparse.ArgumentTypeError("give a name")
+        raise argparse.ArgumentTypeError("the name is empty: give one")
     return Path(text)
 
 

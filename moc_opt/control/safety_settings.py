@@ -108,5 +108,5 @@ class SafetyFilterSettings(Settings):
         for warning, limit in (("rcm_warning_m", "rcm_error_m"), ("trocar_force_warning_N", "trocar_force_N")):
             low, high = getattr(self, warning), getattr(self, limit)
             if low is not None and high is not None and low > high:
-                raise ValueError(f"{warning} = {low:g} is above {limit} = {high:g}: give a lower one")
+                raise ValueError(f"{warning} = {low:g} is above {limit} = {high:g}: give {warning} at most {high:g}")
         return self

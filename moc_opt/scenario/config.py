@@ -105,8 +105,8 @@ class Scenario(Settings):
             box, wall = getattr(self.control, name), getattr(self.guard, f"position_margin_{unit}")
             if 0.0 < box < wall and self.control.law == "moc":
                 raise ValueError(
-                    f"guard.position_margin_{unit} = {wall}: the wall would stand inside the box of the third level, "
-                    f"which closes at control.{name} = {box}; set this to {wall} too (0: the paper's box)"
+                    f"guard.position_margin_{unit} = {wall} is larger than control.{name} = {box}, so that the third "
+                    f"level would press the arm against a wall of the safety filter: give {name} = {wall} or more, or 0"
                 )
         return self
 
@@ -115,8 +115,8 @@ class Scenario(Settings):
         control = self.control
         if self.solver.isolation == "process" and control.law == "moc" and control.supervisor.late == "iterate":
             raise ValueError(
-                "[control.supervisor] late = 'iterate': the iterate of an isolated solver is lost when its budget "
-                "ends; take 'hold' or 'zero', or [solver] isolation = 'none'"
+                "[control.supervisor] late = 'iterate': a solver in a process of its own gives no iterate when "
+                "its budget ends; take 'hold' or 'zero', or [solver] isolation = 'none'"
             )
         return self
 
@@ -132,7 +132,7 @@ class Scenario(Settings):
             return path
         file = as_path(path, "scenario", ScenarioError)  # type: ignore[arg-type]
         if file.suffix == ".parquet":
-            raise ScenarioError(f"{file} is a trace, no scenario: moc-opt report, replay or map shows it")
+            raise ScenarioError(f"{file} is a trace, no scenario: `moc-opt report`, `replay` or `map` shows it")
         table = read_toml(file, "scenario", ScenarioError)
         try:
             return cls(**_with_files_in(file.parent, table))

@@ -76,7 +76,7 @@ def test_gains_that_are_missing_or_do_not_fit_the_arm_are_refused(settings, join
 
 @pytest.mark.parametrize(("settings", "words"), [
     ({"law": "dcac", "dcac_damping": [1.0, 2.0]}, "dcac_damping = .* has 2 entries for 8 joints"),
-    ({"limit_margin_rad": 3.0}, "limit_margin_rad = 3.0: nothing is left of joint 3 .* less than 2.09"),
+    ({"limit_margin_rad": 3.0}, "limit_margin_rad = 3.0: no room is left for joint 3 .* less than 2.09"),
     ({"observer_gain_per_s": 500.0}, "observer_gain_per_s = 500.0 .* below 500"),
     ({"third_level": "planned", "course_observer_gain_per_s": 600.0}, "course_observer_gain_per_s = 600.0"),
 ])  # fmt: skip

@@ -129,7 +129,7 @@ def test_run_and_report_write_pages_that_name_arm_task_gains_and_solver(tmp_path
     assert "<title>lwr4, circle, default gains: exact and dcac</title>" in both.read_text(encoding="utf-8")
     assert title_of({"a": trace(), "b": trace()}) == "a and b"
     assert main(["run", str(tmp_path / "a.parquet")]) == 2
-    assert "is a trace, no scenario: moc-opt report, replay or map shows it" in capsys.readouterr().err
+    assert "is a trace, no scenario: `moc-opt report`, `replay` or `map` shows it" in capsys.readouterr().err
 
 
 def test_a_run_that_cannot_be_mapped_still_has_its_curves(robot):

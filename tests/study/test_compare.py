@@ -57,7 +57,7 @@ def test_every_solver_and_dcac_run_the_same_trials_and_claims_are_judged():
     ({1: "exact"}, {}, SolverError, "1 cannot name a solver"),
     (7, {}, SolverError, r"solvers = 7: give a list of names or solvers"),
     (["exact"], {"trials": 0}, ScenarioError, "trials = 0: give an integer from 1 to 2^62 - 1"),
-    (["exact"], {"scenario": mo.Scenario(control={"law": "dcac"})}, ScenarioError, "law = 'dcac' asks no solver"),
+    (["exact"], {"scenario": mo.Scenario(control={"law": "dcac"})}, ScenarioError, "law = 'dcac' has no solver"),
 ])  # fmt: skip
 def test_wrong_arguments_are_refused_before_anything_runs(solvers, more, error, message):
     with pytest.raises(error, match=message):
