@@ -35,10 +35,10 @@ def run_page(traces: Mapping[str, Trace], metrics: Mapping[str, Mapping[str, flo
     page.section("Over time")
     page.figure(
         time_series(traces, styles=styles),
-        "Manipulability, dotted with the largest that other poses with the same tip and shaft have; tip error by the "
-        "robot's own kinematics and in the patient's frame, where they are known; distance of the shaft from the "
-        "trocar, and the force on it. A later run covers an earlier one that coincides with it: a click in the legend "
-        "hides it.", name="curves",
+        "Manipulability (dotted: the largest of all poses with the same tip and shaft); tip error by the robot's own "
+        "kinematics and in the patient's frame, if they are known; distance of the shaft from the trocar, and the "
+        "force on it. A later run covers an earlier one that coincides with it; a click on its name in the "
+        "legend hides it.", name="curves",
     )  # fmt: skip
     page.section("Main metrics")
     for table in run_tables(traces, every, first=True):

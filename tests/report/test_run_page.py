@@ -40,7 +40,7 @@ def test_the_ending_is_the_first_row_and_figures_of_a_part_are_marked():
     (table,) = run_tables({"slip": stopped}, {"slip": metrics})
     assert [row["metric"] for row in table.rows] == ["ended", "completed", "share_of_run", "mu_mean (part)"]
     assert (table.title, table.rows[0]["run slip"]) == ("slip (first 0.3 s of 0.4 s)", "stopped: x")
-    assert "the RCM error was above 6 mm from t = 1.250 s on, 11 mm at most" in table.caption
+    assert "the RCM error was above 6 mm, first at t = 1.250 s; its maximum was 11 mm" in table.caption
     assert list(run_json(stopped, {"mu_mean": 0.2}).items()) == [
         ("ended", "stopped: x"), ("part", "first 0.3 s of 0.4 s"), ("mu_mean", 0.2), ("warnings", [WARNING]),
         ("faults", {}),

@@ -141,6 +141,6 @@ def test_an_answer_to_another_problem_is_neither_verified_nor_wrong():
     summary = found.summary()
     assert {"solve_p50_us", "silently_wrong", "verified"} & set(summary["nlp-sqp"]) == {"solve_p50_us"}
     assert summary["exact"]["verified"] == 100.0
-    assert "nlp-* answer the nonlinear problem" in found.table.caption
+    assert "nlp-* solve a nonlinear problem" in found.table.caption
     alone = Comparison([r for r in found.rows if r["solver"] != "nlp-sqp"], ["dcac", "exact"], SHORT)
     assert "nlp-" not in alone.table.caption
