@@ -55,7 +55,7 @@ COLUMNS = (
     ),
     Column(
         "end", "in the end",
-        help=f"where the elbow is over the last {100 * END:.0f} % of the time. At a local maximum, mu falls on both sides; "
+        help=f"over the last {100 * END:.0f} % of the time. At a local maximum, mu falls on both sides; "
         "at the feasible edge, mu would rise beyond a joint's limit or the arm's reach; both are less than "
         f"{np.degrees(CLOSE_RAD):.0f} deg away. At rest: the map has the joint limits, but not the narrower box of the "
         "third level. On another branch of the inverse kinematics, the map does not hold",
