@@ -189,7 +189,7 @@ def test_under_a_course_the_observer_has_its_own_gain_unless_it_is_off():
 
 def test_a_wall_that_begins_within_the_box_is_refused():
     for unit, box in (("rad", 0.15), ("m", 0.05)):
-        with pytest.raises(ScenarioError, match=f"position_margin_{unit} = 0.2: .*_{unit} = {box}"):
+        with pytest.raises(ScenarioError, match=f"position_margin_{unit} = 0.2 .*_{unit} = {box}"):
             Scenario(guard={f"position_margin_{unit}": 0.2})
     for control in ({"limit_margin_rad": 0.2}, {"law": "dcac"}, {"preset": "paper"}):  # as large, or none
         Scenario(guard={"position_margin_rad": 0.2}, control=control)
