@@ -68,7 +68,7 @@ def robots() -> tuple[str, Rows, str]:
         left = best_freedoms(arm)
         rows[name] = {"joints": arm.n, "real": left.real, "idle": len(left.idle), "tool": arm.data.tool_length,
                       "about": about(name)}  # fmt: skip
-    more = "A path to a robot file of your own may stand in the place of a name; `moc-opt robot check NAME` says more."
+    more = "The path of your own robot file may replace a name; `moc-opt robot check NAME` says more."
     return "Robots: [robot] name", rows, more
 
 

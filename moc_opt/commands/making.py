@@ -74,7 +74,7 @@ def compare_solvers(given: argparse.Namespace) -> int:
     lost = [name for name in found.solvers if name not in completed]
     for name in lost:
         reason = next(row["error"] for row in found.rows if row["solver"] == name)
-        print(f"{name}: no trial came to its end; the first: {reason}", file=sys.stderr)
+        print(f"{name}: no trial was completed; the first one: {reason}", file=sys.stderr)
     if not found.complete:
         return 130  # as after any Ctrl-C
     return 3 if lost else 0

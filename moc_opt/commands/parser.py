@@ -31,7 +31,7 @@ def option(*names: str, **settings: Any) -> Option:
 def path(text: str) -> Path:
     """Return the text as a path. An empty text is refused: Path("") would mean the current folder."""
     if not text:
-        raise argparse.ArgumentTypeError("give a name")
+        raise argparse.ArgumentTypeError("the name is empty: give one")
     return Path(text)
 
 
@@ -43,7 +43,7 @@ def flag(name: str, about: str) -> Option:
 def pages(name: str) -> tuple[Option, ...]:
     """Declare the options of a command that makes a page NAME.html from saved traces."""
     return (
-        option("traces", nargs="+", type=path, help="Parquet, as `run --trace` writes; a baseline first"),
+        option("traces", nargs="+", type=path, help="files (Parquet) that `run --trace` wrote; a baseline first"),
         option("--out", type=path, default=Path(f"{name}.html"), help=f"default {name}.html"),
         FORCE,
     )
@@ -53,14 +53,14 @@ SCENARIO = option("scenario", nargs="?", type=path, help="TOML; without it the d
 FORCE = flag("--force", "overwrite a file even if moc_opt did not write it")
 JSON = flag("--json", "print JSON")
 ALL = flag("--all", "print every metric, not the short selection")
-KEY = option("--key-file", type=path, help="one line of 16 to 32 bytes; else MOC_OPT_WIRE_KEY")
+KEY = option("--key-file", type=path, help="file with a key of 16 to 32 bytes; default: the variable MOC_OPT_WIRE_KEY")
 WIRE = "127.0.0.1:30200"
 
 COMMANDS = {
     "run": Command("commands.running:run_scenario", "run one scenario and print its metrics", (
         SCENARIO,
         option("--seed", type=int, help="replaces the scenario's seed"),
-        option("--solver", help="replaces the scenario's solver; settings are then its defaults"),
+        option("--solver", help="replaces the scenario's solver, with its default settings"),
         option("--robot", metavar="NAME|MY.toml", help="replaces the scenario's robot"),
         option("--task", metavar="NAME|POINTS.csv", help="replaces the path; a file has one x,y,z [m] per line"),
         option("--metric", action="append", metavar="NAME", help="print only this metric; may be repeated"),
@@ -79,7 +79,7 @@ COMMANDS = {
         SCENARIO,
         option("--margin", type=float, metavar="RAD",
                help="distance from the joint limits; default 0, or course_margin_rad if a course is followed"),
-        option("--margin-m", type=float, metavar="M", help="the same for a joint that slides"),
+        option("--margin-m", type=float, metavar="M", help="the same for sliding joints"),
         option("--speed-share", type=float, metavar="S",
                help="share of the joints' speed limits that a course may use, above 0 to 1; default 1, or "
                     "course_speed_fraction if a course is followed: with --out, or third_level planned or receding"),
@@ -95,12 +95,12 @@ COMMANDS = {
                       "saved traces as one HTML file: metrics, curves, manipulability map", pages("report")),
     "live": Command("commands.making:serve_page", "run a scenario in real time, on a page of this machine", (
         SCENARIO,
-        option("--port", type=int, default=8642, help="0 to 65535, 0: any that is free; default 8642"),
+        option("--port", type=int, default=8642, help="0 to 65535, 0: any free port; default 8642"),
     )),
     "export-c": Command("commands.making:export_c",
                         "write the scenario's controller and safety filter as dependency-free C", (
         SCENARIO,
-        option("--out", type=path, required=True, help="folder, made if need be"),
+        option("--out", type=path, required=True, help="folder; it is made if it does not exist"),
         flag("--force", "write over files that export-c has not written"),
         option("--main", choices=("test", "udp"), default="test", help="udp: also a controller for `moc-opt plant`"),
     )),
@@ -108,7 +108,7 @@ COMMANDS = {
                      "the plant of a scenario in real time, for a controller at the other end of a wire", (
         SCENARIO,
         option("--listen", metavar="HOST:PORT", default=WIRE, help=f"default {WIRE}"),
-        flag("--lock-step", "wait for each command instead of keeping the time"),
+        flag("--lock-step", "wait for each command instead of running in real time"),
         option("--trace", type=path, help="write the trace to this file (Parquet)"),
         FORCE,
         ALL,
@@ -128,8 +128,8 @@ COMMANDS = {
         option("solvers", nargs="+", metavar="SOLVER", help="of `moc-opt solvers --list`"),
         option("--scenario", type=path, metavar="FILE.toml", help="without it the default scenario"),
         option("--trials", type=int, default=15, help="trials, each from a random pose and swivel; default 15"),
-        option("--seed", type=int, default=0, help="of the first trial; default 0"),
-        option("--out", type=path, metavar="FILE.csv", help="write one row a run to this file"),
+        option("--seed", type=int, default=0, help="seed of the first trial; default 0"),
+        option("--out", type=path, metavar="FILE.csv", help="write one row per run to this file"),
         FORCE,
         JSON,
     )),

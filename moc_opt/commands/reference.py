@@ -23,7 +23,7 @@ HEAD = """# The keys of a scenario
 
 Made by `moc-opt keys --markdown` from the schema that checks every file: edit the schema, not this page. A key that is
 left out has its default. The unit of a number ends its name (`_m_per_s`: m/s) or stands in brackets. The levels of RCM
-error and forces in `[guard]` may be `inf`: no limit.
+error and forces in `[guard]` may be `inf`: no limit. docs/method.md explains mu, x, A x = b, the box and the levels.
 """
 WORDS = {int: "integer", float: "number", str: "text", bool: "flag", type(None): "", Any: "value"}
 
@@ -53,7 +53,7 @@ def tables(kind: type[Settings] = Scenario, path: str = "") -> Iterator[tuple[st
     inner: list[tuple[str, type[Settings]]] = []
     keys: list[Key] = []
     if path in PRESETS:
-        meaning = "a named set of values of this table; the other keys override it"
+        meaning = "a named set of values for this table; keys of the table that are given too override it"
         keys.append(("preset", " | ".join(map(repr, PRESETS[path])), ABSENT, meaning))
     for name, field in kind.model_fields.items():
         hint = field.annotation

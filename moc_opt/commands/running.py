@@ -103,7 +103,7 @@ def show(scenario: Scenario, title: str, trace: Trace, given: argparse.Namespace
         raise
     for name in scenario.metrics:
         if name not in metrics:
-            print(f"{title}: metric {name}: not known of this run", file=sys.stderr)
+            print(f"{title}: metric {name} is not known of this run", file=sys.stderr)
     wanted = {name: metrics[name] for name in scenario.metrics if name in metrics} if scenario.metrics else metrics
     if given.json:
         print(to_json(run_json(trace, wanted)))
@@ -112,7 +112,7 @@ def show(scenario: Scenario, title: str, trace: Trace, given: argparse.Namespace
         print_tables(run_tables({title: trace}, {title: wanted}, first=short))
         if short:
             hidden = len(set(metrics) - set(MATTER))
-            console().print(f"{hidden} more with `--all`; `moc-opt metrics` says what each is.", markup=False)
+            console().print(f"{hidden} more metrics with `--all`; `moc-opt metrics` explains each.", markup=False)
         if busy():
             console().print(busy(), soft_wrap=True)
     return 0 if ended == "completed" else 3
@@ -167,7 +167,7 @@ def _matched_dcac(scenario: Scenario, title: str, ticks: int) -> Trace | None:
     matched = scenario.change(control=scenario.control.matched_dcac(), bound_samples=0, best_courses=False)
     trace = _as_far_as_it_goes(lambda: run(matched))
     if len(trace) < ticks or "mu" not in trace.columns:
-        print(f"{title}: not compared with DCAC, which {trace.meta['ended']}", file=sys.stderr)
+        print(f"{title}: not compared with DCAC, whose run ended: {trace.meta['ended']}", file=sys.stderr)
         return None
     return trace.head(ticks)
 
@@ -201,8 +201,8 @@ def run_control(given: argparse.Namespace) -> int:
     (scenario, title), granted = read_scenario(given.scenario), dict[str, str]()
     if scenario.control.third_level == "receding":
         print(
-            "control: third_level = 'receding' solves within a tick, for some 10 ms: against the clock those ticks are "
-            "missed; give the plant --lock-step, or take third_level = 'planned'", file=sys.stderr,
+            "control: third_level = 'receding' computes courses within ticks, for about 10 ms each: in real time those "
+            "ticks are missed; give the plant --lock-step, or take third_level = 'planned'", file=sys.stderr,
         )  # fmt: skip
     first = "planning its course, then " if scenario.control.follows else ""
     where = f"{given.connect}, for {scenario.wire.wait_s:g} s"
@@ -250,5 +250,5 @@ def plan_scenario(given: argparse.Namespace) -> int:
     if path is not None:
         print(path, file=sys.stderr if given.json else sys.stdout)
     elif given.out is not None:
-        print(f"{title}: --out {given.out}: no course goes all the way: nothing is written", file=sys.stderr)
+        print(f"{title}: --out {given.out}: no course reaches the end of the path: nothing is written", file=sys.stderr)
     return 0 if plan.executable else 3

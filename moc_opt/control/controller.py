@@ -59,7 +59,7 @@ class Controller:
     ) -> None:  # fmt: skip
         if (settings.law == "moc") != (solver is not None):
             name = getattr(solver, "name", None)
-            raise ControlError(f"law: {settings.law!r} with solver {name!r}; 'moc' needs one, 'dcac' takes none")
+            raise ControlError(f"law = {settings.law!r} with solver {name!r}: 'moc' needs a solver, 'dcac' none")
         self.robot, self.settings, self.solver, self._period = robot, settings, solver, period
         self._law = core.Law(robot.arm, **numbers_of(settings, robot, period))
         if guide is not None or (settings.climb == "scaled" and settings.law == "moc"):

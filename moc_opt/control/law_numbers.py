@@ -47,8 +47,8 @@ def numbers_of(settings: ControlSettings, robot: RobotModel, period: float) -> d
         j = int(np.argmin(half - margin))
         kind = "limit_margin_m" if robot.chain.prismatic[j] else f"{'course' if follows else 'limit'}_margin_rad"
         raise ControlError(
-            f"[control] {kind} = {margin[j]}: nothing is left of joint {j + 1} between its limits; give less than "
-            f"{half[j]:.3g}"
+            f"[control] {kind} = {margin[j]}: no room is left for joint {j + 1} between its limits; give less "
+            f"than {half[j]:.3g}"
         )
     fraction = 1.0 if follows else settings.speed_fraction  # a course has its own limit on speed
     return {

@@ -45,11 +45,10 @@ GAINS = Gains._fields
 
 
 class ControlSettings(Settings):
-    """The control law: its three levels, their gains, and the box on x.
+    """The control law: its three levels, their gains, and the box, the limits of the joint velocity x of level 3.
 
-    ``law``: ``dcac`` is tip and RCM alone, ``moc`` adds the third level. ``gains`` names the table of the robot's
-    TOML to start from: ``default`` serves both laws, ``dcac`` and ``moc`` are Table I of Su et al. (2019), None is
-    the table named like the law. K_N2, D_N2 and ``dcac_damping`` are one number, or one per joint.
+    In the robots' files, the gains ``default`` serve both laws; ``dcac`` and ``moc`` are Table I of Su et al. (2019).
+    K_N2, D_N2 and ``dcac_damping`` are one number, or one per joint.
     """
 
     KIND: ClassVar[str] = "[control]"
@@ -57,72 +56,73 @@ class ControlSettings(Settings):
     ERROR: ClassVar[type[MocOptError]] = ControlError
 
     law: Literal["dcac", "moc"] = "moc"
-    """'dcac': tip and RCM levels only; 'moc': the third level too"""
+    """'dcac': only level 1 (tip) and level 2 (RCM); 'moc': level 3 too, which raises the manipulability mu"""
     gains: str | None = "default"
-    """table of the robot's file from which gains are taken; '': the table named like the law"""
-    K_X: Positive | None = Field(default=None, description="tip stiffness [N/m]")
-    D_X: NotNegative | None = Field(default=None, description="tip damping [N s/m]")
-    K_N: Positive | None = Field(default=None, description="wrist stiffness [N/m]")
-    D_N: NotNegative | None = Field(default=None, description="wrist damping [N s/m]")
-    K_N2: PerJoint | None = Field(default=None, description="gain of the third level on x* - v [N m s/rad]")
-    D_N2: PerJoint | None = Field(default=None, description="gain of the third level on v [N m s/rad]")
+    """table of the robot's file that has the gains which are left out below; '': the table named like the law"""
+    K_X: Positive | None = Field(default=None, description="tip stiffness [N/m]; left out: see gains")
+    D_X: NotNegative | None = Field(default=None, description="tip damping [N s/m]; left out: see gains")
+    K_N: Positive | None = Field(default=None, description="wrist stiffness [N/m]; left out: see gains")
+    D_N: NotNegative | None = Field(default=None, description="wrist damping [N s/m]; left out: see gains")
+    K_N2: PerJoint | None = Field(default=None, description="gain of level 3 on x - v [N m s/rad]; left out: see gains")
+    D_N2: PerJoint | None = Field(default=None, description="gain of level 3 on -v [N m s/rad]; left out: see gains")
     dcac_damping: PerJoint = 0.0
-    """damping of the self-motion under dcac [N m s/rad]; 0 as in the paper"""
-
+    """law 'dcac': damping of the self-motion (the elbow's) [N m s/rad]; 0: none, as in the paper"""
     rcm_lambda: Annotated[float, Field(gt=0.0, le=1.0)] | None = None
-    """constant lambda of the paper's |e_N1| = d / lambda, 0.5 in the paper; left out: |N_d - N| itself"""
+    """lambda in the paper's wrist error d / lambda (d: RCM error), there 0.5; left out: the true error |N_d - N|"""
     projector: Literal["dynamic", "static", "as_published"] = "dynamic"
-    """null-space projector of level 2: docs/method.md explains all three"""
+    """null-space projector of level 2; docs/method.md explains all three"""
     feedforward: bool = True
-    """whether the accelerations of tip and wrist are fed forward; the paper does not"""
+    """whether the desired accelerations of tip and wrist are fed forward; false in the paper"""
     observer_gain_per_s: NotNegative = 20.0
-    """gain of the momentum observer; 0: none; under third_level 'planned' and 'receding' any value above 0 is
-    replaced by course_observer_gain_per_s"""
+    """gain of the momentum observer, which estimates external torques; 0: no observer; under third_level 'planned'
+    and 'receding', course_observer_gain_per_s replaces any value above 0"""
     limit_torque: bool = True
-    """whether the controller limits each torque to the joint's largest"""
-
+    """whether the controller limits each torque to the joint's largest torque"""
     k0_per_s: Positive = 2.0
-    """gain of the velocity damper, 0.1 in the paper; under third_level 'planned' and 'receding' at least 10"""
+    """the box allows a speed towards a joint limit of at most k0 times the distance from the box's end; 0.1 in the
+    paper; under third_level 'planned' and 'receding' at least 10 is used"""
     third_level: Literal["local", "planned", "receding"] = "local"
-    """under law 'moc': 'local' climbs mu from where the arm is, 'planned' follows a course that is planned
-    before the run, 'receding' follows one that is planned again and again during the run"""
+    """law 'moc': 'local' moves the elbow in the direction in which mu rises, 'planned' follows a course (joint
+    positions over time) that is planned before the run, 'receding' follows one that is replanned during the run"""
     course: str = ""
-    """third_level 'planned': file of the course to follow, as `moc-opt plan --out` writes it, taken from the
-    scenario's folder; empty: a course is planned before the run"""
+    """third_level 'planned': file of the course to follow, written by `moc-opt plan --out`; a relative path starts at
+    the scenario's folder; empty: a course is planned before the run"""
     horizon_s: Annotated[float, Field(ge=0.2, le=2.0)] = 1.0
-    """third_level 'receding': time over which the smooth course is computed; a value function stands for the
-    rest of the path"""
+    """third_level 'receding': time ahead for which a smooth course is computed; a value function, computed before the
+    run, stands for the rest of the path"""
     replan_per_s: Annotated[float, Field(ge=20.0, le=50.0)] = 20.0
     """third_level 'receding': number of courses computed in a second"""
     course_speed_fraction: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.85
-    """share of v_max that a course of 'planned' or 'receding' uses; the rest is for the arm to catch up before
-    the safety filter brakes it"""
+    """third_level 'planned' and 'receding': share of v_max that a course may use, up to 1.12 times as much if that
+    raises mu by 1 %; with the rest the arm catches up when it lags behind"""
     course_margin_rad: NotNegative = 0.05
-    """third_level 'planned' and 'receding': distance of course and box on x from a joint limit"""
+    """third_level 'planned' and 'receding': distance from a joint limit that the course keeps, unless only a course
+    nearer to it reaches the end, and at which the box allows no speed towards the limit"""
     course_observer_gain_per_s: NotNegative = 40.0
-    """gain of the momentum observer under third_level 'planned' and 'receding', where the elbow moves faster"""
+    """third_level 'planned' and 'receding', under which the elbow moves faster: see observer_gain_per_s"""
     climb: Literal["gradient", "scaled"] = "gradient"
-    """third_level 'local': 'gradient' climbs at a speed proportional to the gradient of mu; 'scaled' at a speed
-    that does not depend on the pose"""
+    """third_level 'local': 'gradient': the elbow's speed is proportional to the gradient of mu; 'scaled': it is
+    such that Newton's step to the nearest maximum of mu, at most 1 rad, takes 0.2 s"""
     c0: NotNegative = Field(default=0.01, description="weight of the tip velocity in the subproblem's cost")
     c1: NotNegative = Field(default=0.01, description="weight of the wrist velocity in the subproblem's cost")
     c2: NotNegative = Field(default=0.001, description="weight of the gradient of mu in the subproblem's cost")
     regularization: NotNegative = 1e-5
-    """weight rho of |x|^2 / 2 in the subproblem's cost; 0: the paper's linear problem"""
+    """weight rho of |x|^2 / 2 in the subproblem's cost; 0: the paper's linear cost"""
     fallback: Literal["damping", "hold", "least-violation"] = "least-violation"
-    """what replaces the answer to an infeasible subproblem"""
+    """replaces the answer where the solver finds no x in the box with A x = b: 'damping': no self-motion; 'hold': the
+    last good answer, as after other faults; 'least-violation': the x of the box with the smallest |A x - b|"""
     speed_fraction: Annotated[float, Field(gt=0.0, le=1.0)] = 0.5
-    """third_level 'local': share of v_max in the box on x, which limits the elbow's speed; 1 in the paper"""
+    """third_level 'local': share of each joint's v_max that the box allows; 1 in the paper"""
     limit_margin_rad: NotNegative = 0.15
-    """third_level 'local': distance from a joint limit at which the box on x closes; 0 in the paper"""
-    limit_margin_m: NotNegative = Field(default=0.05, description="limit_margin_rad for a sliding joint")
+    """third_level 'local': distance from a joint limit at which the box allows no speed towards it; 0 in the paper"""
+    limit_margin_m: NotNegative = Field(default=0.05, description="the same for a sliding joint, under any third_level")
     shaft_margin: float = Field(default=0.175, ge=0.0, le=1.0)
-    """mu_shaft is the manipulability of the shaft while the tip is held. Where it is below this value times the
-    squared distance of wrist point and tip, the climb of third_level 'local' leads away from poses that cannot
-    hold the shaft, and the box opens to all of v_max. A course of 'planned' or 'receding' goes no more than a
-    little below a quarter of it where there is another way; 0 in the paper"""
+    """keeps the arm off poses in which the joints can hardly turn the shaft. Let s be the manipulability of the shaft
+    while the tip is held, divided by the squared distance from wrist point to tip. Where s is below this value,
+    third_level 'local' also raises s, and the box grows, up to all of v_max at two thirds of this value. A course of
+    'planned' or 'receding' avoids poses with s below a quarter of it where it can. 0: none of this, as in the paper"""
     ramp_s: NotNegative = 0.3
-    """time over which the third level fades in at the start [s]; 0 in the paper"""
+    """time over which the torque of the third level rises to its full size at the start; 0: at once, as in the paper"""
     supervisor: SupervisorSettings = SupervisorSettings()
 
     @field_validator("gains", mode="before")

@@ -63,24 +63,24 @@ class SupervisorSettings(Settings):
     KIND: ClassVar[str] = "[control.supervisor]"
     ERROR: ClassVar[type[MocOptError]] = ControlError
 
-    check: bool = Field(True, description="whether the residuals of answers that are claimed optimal are checked")
+    check: bool = Field(True, description="whether answers are checked against the four limits below")
     primal_limit: float = Field(1e-2, gt=0.0)
-    """largest |A x - b| or box violation of an answer claimed optimal [m/s, rad/s]"""
+    """largest violation of A x = b (tip and wrist velocity) [m/s] or of the box [rad/s], if an optimum is claimed"""
     box_limit: float = Field(0.1, gt=0.0)
-    """the same limit for an answer without that claim: of |A x - b|, too [m/s, rad/s]"""
+    """the same if no optimum is claimed, as by a solver that ran out of iterations"""
     relative_limit: float = Field(0.05, gt=0.0)
-    """largest natural residual along the self-motion, with the gradient scaled to length 1 [rad/s]"""
+    """largest natural residual (0 at an optimum) along the self-motion if an optimum is claimed, with the cost's
+    gradient scaled to 1 [rad/s]"""
     opposite_limit: float = Field(1e-3, gt=0.0)
-    """a claim is false if x is more than this from the optimum and nearer to the one for the negated gradient
-    [rad/s]"""
+    """a claim is false if x is farther than this from the optimum and nearer to that of the negated gradient [rad/s]"""
     hold_ticks: int = Field(10, ge=0)
-    """ticks for which the last good answer is held, before the self-motion is damped"""
+    """ticks in a row in which the last good answer replaces a refused one; after them the self-motion is damped"""
     keep_off_limits: bool = True
-    """after hold_ticks, move the elbow only as the box demands; False: damping only"""
-    budget_us: float | None = Field(None, gt=0.0, description="time that a solve may take; left out: no limit")
+    """after hold_ticks, the elbow still moves as far as the box demands; false: it is only damped"""
+    budget_us: float | None = Field(None, gt=0.0, description="time that a solve may take [us]; left out: no limit")
     late: Literal["hold", "zero", "iterate"] = "hold"
-    """what replaces a late answer: the last good one, zero, or ('iterate') what the solver has when the budget
-    ends, which is its whole answer where it cannot be interrupted"""
+    """replaces a late answer: 'hold': the last good one, as after other faults; 'zero': no self-motion; 'iterate': the
+    solver's iterate at the end of the budget, or its whole late answer if it cannot be interrupted"""
 
 
 _FAULTS = tuple(Fault)  #: In the order of the core's enum.

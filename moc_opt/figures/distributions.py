@@ -83,7 +83,7 @@ def _box(name: str, values: Floats) -> tuple[float, float, float, float, float, 
     """Return lower whisker, quartiles, upper whisker, and the samples beyond the whiskers, thinned to 40."""
     values = np.sort(values)
     if np.isinf(values).any() or values[0] <= 0.0:
-        raise ReportError(f"{name!r} reaches from {values[0]} to {values[-1]}: this axis cannot show that")
+        raise ReportError(f"{name!r} reaches from {values[0]} to {values[-1]}: one axis cannot show all of this range")
     scale = np.log10(values)
     q1, q3 = np.percentile(scale, (25, 75))
     reach = 1.5 * (q3 - q1) + 1e-12 * abs(q3)  # the second term allows for rounding if all samples are equal

@@ -114,7 +114,7 @@ class LiveRun:
     def tune(self, **settings: Any) -> None:
         """Change settings of the control law, by the names of `ControlSettings`; a MocOptError for a wrong one."""
         if "law" in settings:
-            raise LiveError("law: choose(solver) decides on it")
+            raise LiveError("law cannot be set here: choose(solver) sets it")
         self._exchange(self.control.replace(settings), self.solver)
 
     def _exchange(self, control: ControlSettings, name: str) -> None:
@@ -124,8 +124,8 @@ class LiveRun:
     def _build(self, control: ControlSettings, name: str) -> Controller:
         if control.follows:
             raise LiveError(
-                f"[control] third_level = {control.third_level!r}: a live run goes to and fro for ever, and a course "
-                "ends with its path; take third_level = 'local'"
+                f"[control] third_level = {control.third_level!r}: a live run repeats its path to and fro, and a "
+                "course ends with the path; take third_level = 'local'"
             )
         settings = self.scenario.solver.settings if name == self.scenario.solver.name else {}
         solver = None if name == DCAC else isolated(make_solver(name, self.robot, **settings), self.scenario)

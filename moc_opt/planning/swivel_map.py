@@ -80,7 +80,7 @@ def manipulability_map(
         RobotError: the arm has no elbow whose angle tells its poses apart.
     """
     if not traces or times < 2 or swivels < 8:
-        raise ReportError(f"{len(traces)} runs, {times} times, {swivels} swivels: give 1, 2 and 8 or more")
+        raise ReportError(f"{len(traces)} runs, {times} times, {swivels} swivels: at least 1, 2, 8 are needed")
     for name, trace in traces.items():
         check_showable(name, trace, robot)
     guide = max(traces.values(), key=len)

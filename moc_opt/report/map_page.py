@@ -44,14 +44,14 @@ COLUMNS = (
     Column("name", "trajectory"),
     Column(
         "near", "at the optimum", unit="%", format=".0f", better="high",
-        help=f"of the time: mu at most {100 * NEAR:.0f} % below the best at that time",
+        help=f"share of the time with mu at most {100 * NEAR:.0f} % below the best at that time",
     ),
-    Column("from_s", "for good from", unit="s", format=".1f", better="low", help="from then on it stays there"),
-    Column("mu_percent", "of the best mu", unit="%", format=".1f", better="high", help="mean over mean"),
+    Column("from_s", "for good from", unit="s", format=".1f", better="low", help="time from which it stays there"),
+    Column("mu_percent", "of the best mu", unit="%", format=".1f", better="high", help="mean mu over mean best mu"),
     Column("travel", "elbow turns", unit="deg", format="+.0f", help="from its start to its end"),
     Column(
         "at_edge", "at the feasible edge", unit="%", format=".0f", better="low",
-        help="of the time: no farther than a row of the map from a pose that is not allowed",
+        help="share of the time in which a pose that is not allowed is at most one row of the map away",
     ),
     Column(
         "end", "in the end",
@@ -70,14 +70,14 @@ def add_map(page: Page, found: SwivelMap, *, styles: Styles | None = None) -> No
         page.text(
             f"A slice: tip and trocar leave this arm {len(found.held) + 1} freedoms, and the map shows one. "
             f"{listed(found.held)} {'stand' if len(found.held) > 1 else 'stands'} as in the longest run; poses with "
-            "other values there may have a larger mu than the best shown here."
+            "other values may have a larger mu than the best shown here."
         )
     times, swivels = found.mu.shape
     page.figure(
         drawn, f"Every pose that keeps tip and trocar, over time ({times} by {swivels} poses): upwards the swivel of "
-        "the elbow, as colour the manipulability mu; grey where a joint would be beyond its limit or the arm does not "
-        "reach. A line is the trajectory of one run, from the marker at its start; the dotted one joins the best "
-        "poses, and may leap where no arm can follow.", name="map",
+        "the elbow, as colour the manipulability mu; grey: a joint would be beyond its limit, or the arm does not "
+        "reach it. A line is the trajectory of one run, from the marker at its start; the dotted line joins the best "
+        "poses, and its jumps are no motions of the arm.", name="map",
     )  # fmt: skip
     rows = [_row(read_trajectory(found, trajectory)) for trajectory in found.trajectories]
     page.table(Table("Trajectories on the map", COLUMNS, rows))
@@ -86,7 +86,7 @@ def add_map(page: Page, found: SwivelMap, *, styles: Styles | None = None) -> No
 def _row(reading: Reading) -> dict[str, Any]:
     return {
         "name": reading.name, "near": 100.0 * reading.near,
-        "from_s": reading.from_s if reading.end is End.OPTIMUM else Missing("not there in the end"),
+        "from_s": reading.from_s if reading.end is End.OPTIMUM else Missing("not at the optimum in the end"),
         "mu_percent": 100.0 * reading.mu_share, "travel": np.degrees(reading.travel_rad),
         "at_edge": 100.0 * reading.at_edge,
         "end": f"{reading.end}, joint {reading.joint}" if reading.joint else str(reading.end),

@@ -15,8 +15,8 @@ from moc_opt.robots.model import RobotModel
 COURSES = [
     Column("course", "course"), Column("mu_mean", "mean mu", unit="m^3", format=".4f", better="high"),
     Column("mu_worst", "worst mu", unit="m^3", format=".4f", better="high"),
-    Column("share_percent", "of best", unit="%", format=".1f", help="mean mu over that of the best over all starts"),
-    Column("certified", "optimum", help="'local' to the tolerance of the solver, or 'grid'"),
+    Column("share_percent", "of best", unit="%", format=".1f", help="mean mu as a share of that of the best over all"),
+    Column("certified", "optimum", help="'local': no course nearby is better; 'grid': the best of the map's samples"),
     Column("violation", "violation", unit="m, rad", format=".0e"),
 ]  # fmt: skip
 VERDICT_TERMS = (
@@ -24,9 +24,9 @@ VERDICT_TERMS = (
     "mean mu that no course can exceed."
 )
 COURSES_TERMS = (
-    "Local climb: an ideal climb of mu from the start, without dynamics or gains: a run with third_level = 'local' may "
-    "give another mu, as its controller has dynamics and limits. Optimum: 'local' where no course nearby is "
-    "better, 'grid' the best of the map's samples. Violation: the largest miss of the path or of a limit."
+    "Local climb: an ideal climb of mu from the start, without dynamics or gains. A run with third_level = 'local' has "
+    "dynamics and limits, and may give another mu. Optimum: 'local': no course nearby is better; 'grid': the best of "
+    "the map's samples. Violation: the largest distance off the path or beyond a limit."
 )
 
 
@@ -65,7 +65,7 @@ def plan_tables(name: str, plan: Plan, **within: float) -> list[Table]:
         said["margin from losing the shaft"] = f"{within['shaft_margin']:.3g}, where a course can keep it"
     for what, angle in {"at the start": plan.start_swivel_rad, "of the best start": plan.best_swivel_rad}.items():
         known = math.isfinite(angle)
-        said[f"swivel {what}"] = f"{math.degrees(angle):.1f} deg" if known else "none: no course goes all the way"
+        said[f"swivel {what}"] = f"{math.degrees(angle):.1f} deg" if known else "none: no course reaches the end"
     bounds = {"from this start": plan.bound_from_start, "over all starts": plan.bound}
     said |= {f"bound {of} (mean mu)": f"{bound:.5f}" for of, bound in bounds.items() if math.isfinite(bound)}
     said["computed in"] = ", ".join(f"{part} {seconds:.2f} s" for part, seconds in plan.took_s.items())
@@ -102,5 +102,5 @@ def start_toml(robot: RobotModel, plan: Plan) -> str:
     inside = np.ceil(1e6 * robot.q_min) / 1e6, np.floor(1e6 * robot.q_max) / 1e6
     q = np.clip(np.round(plan.best.q_rad[0], 6), *inside)
     numbers = textwrap.fill(", ".join(f"{x:.6f}" for x in q), 76, initial_indent="  ", subsequent_indent="  ")
-    about = "# to begin the best course, put in place of the scenario's own [start]:"
+    about = "# to start on the best course, replace the scenario's own [start] by:"
     return "\n".join([about, "[start]", f"q_rad = [\n{numbers},\n]"])

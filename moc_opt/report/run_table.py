@@ -25,8 +25,8 @@ MATTER = (
 VERDICTS = ("verified_solved", "silently_wrong")
 """Metrics that count verdicts on the answers to the null-space subproblem."""
 ANOTHER_PROBLEM = (
-    "nlp-* answer the nonlinear problem of the tick, about 1e-3 m/s off the linear one that is judged: neither "
-    "verified nor wrong."
+    "Solvers nlp-* solve a nonlinear problem, whose answer is about 1e-3 m/s off that of the linear one by which "
+    "answers are judged: it counts as neither verified nor wrong."
 )
 
 
@@ -50,8 +50,8 @@ def part(trace: Trace) -> str:
 def warnings(trace: Trace) -> list[str]:
     """Return one sentence per warning of the safety filter."""
     return [
-        f"warning: {w['of']} was above {w['level']:g} {w['unit']} from t = {w['first_s']:.3f} s on, "
-        f"{w['largest']:.3g} {w['unit']} at most"
+        f"warning: {w['of']} was above {w['level']:g} {w['unit']}, first at t = {w['first_s']:.3f} s; "
+        f"its maximum was {w['largest']:.3g} {w['unit']}"
         for w in trace.meta.get("warnings", [])
     ]
 

@@ -206,7 +206,7 @@ def _check_body(link: Link) -> None:
         fault = f"its mass is {link.mass:g} kg and must be {SMALLEST_MASS:g} or more"
     if fault:
         cure = "correct it (about the centre of mass, in kg and kg m^2), or drop it for a frame"
-        raise RobotError(f"urdf link {link.name!r} has an <inertial> that no body has: {fault}; {cure}")
+        raise RobotError(f"urdf link {link.name!r} has an <inertial> that no body can have: {fault}; {cure}")
     # A flat body is thickened by 1e-9: otherwise rounding would decide whether MuJoCo accepts it.
     least, middle, most = principal(link.moments)
     link.thicken(max(_FLAT * most - (least + middle - most), 0.0))

@@ -47,7 +47,7 @@ class Scenario(Settings):
     KIND: ClassVar[str] = "scenario:"
     name: Name = Field("circle", description="title of the run")
     seed: int = Field(0, ge=0, le=LARGEST_INTEGER)
-    """seed of the random starting pose and swivel, of the plant's mismatch and of its noise"""
+    """seed of everything random: starting pose and swivel, the plant's errors and noise, and faults"""
     robot: RobotTable = RobotTable()
     start: StartTable = StartTable()
     trocar: TrocarTable = TrocarTable()
@@ -56,20 +56,20 @@ class Scenario(Settings):
     solver: SolverTable = SolverTable()
     plant: PlantSettings = PlantSettings()
     duration_s: float | None = Field(None, gt=0.0, le=MOST_S)
-    """time after which the run stops early; left out: it runs to the end of the path"""
+    """duration of the run; left out: the run lasts as long as the path, with the rests before and after it"""
     deadline_us: float = Field(2000.0, gt=0.0, le=1e9)
-    """a tick that takes longer counts as a missed deadline"""
+    """a tick that takes longer counts as a missed deadline; the run goes on"""
     guard: SafetyFilterSettings = SafetyFilterSettings()
     faults: FaultSettings = FaultSettings()
     wire: WireSettings = WireSettings()
-    judge: bool = Field(True, description="whether every answer is judged after the run")
+    judge: bool = Field(True, description="whether the residuals of every answer are computed after the run")
     metrics: tuple[Name, ...] = ()
     """names of the metrics that `moc-opt run` prints; `moc-opt metrics` lists them; empty: a short selection"""
     bound_samples: int = Field(25, ge=0, le=100_000)
-    """number of points of the path at which the largest mu is searched for"""
+    """number of ticks, spread evenly over the run, at which the largest mu at the same tip and wrist is computed"""
     best_courses: bool = False
-    """plan the best courses of the path after the run and compare mu with them, for a second or more; `moc-opt
-    run` does so unless this is set"""
+    """whether the best courses of the path are planned after the run, and mu is compared with theirs; this takes a
+    second or more. If it is left out, `moc-opt run` does it and `run` in Python does not"""
 
     def __init__(self, **values: Any) -> None:
         try:
@@ -105,8 +105,8 @@ class Scenario(Settings):
             box, wall = getattr(self.control, name), getattr(self.guard, f"position_margin_{unit}")
             if 0.0 < box < wall and self.control.law == "moc":
                 raise ValueError(
-                    f"guard.position_margin_{unit} = {wall}: the wall would stand inside the box of the third level, "
-                    f"which closes at control.{name} = {box}; set this to {wall} too (0: the paper's box)"
+                    f"guard.position_margin_{unit} = {wall} is larger than control.{name} = {box}, so that the third "
+                    f"level would press the arm against a wall of the safety filter: give {name} = {wall} or more, or 0"
                 )
         return self
 
@@ -115,8 +115,8 @@ class Scenario(Settings):
         control = self.control
         if self.solver.isolation == "process" and control.law == "moc" and control.supervisor.late == "iterate":
             raise ValueError(
-                "[control.supervisor] late = 'iterate': the iterate of an isolated solver is lost when its budget "
-                "ends; take 'hold' or 'zero', or [solver] isolation = 'none'"
+                "[control.supervisor] late = 'iterate': a solver in a process of its own gives no iterate when "
+                "its budget ends; take 'hold' or 'zero', or [solver] isolation = 'none'"
             )
         return self
 
@@ -132,7 +132,7 @@ class Scenario(Settings):
             return path
         file = as_path(path, "scenario", ScenarioError)  # type: ignore[arg-type]
         if file.suffix == ".parquet":
-            raise ScenarioError(f"{file} is a trace, no scenario: moc-opt report, replay or map shows it")
+            raise ScenarioError(f"{file} is a trace, no scenario: `moc-opt report`, `replay` or `map` shows it")
         table = read_toml(file, "scenario", ScenarioError)
         try:
             return cls(**_with_files_in(file.parent, table))

@@ -101,7 +101,7 @@ def _planned(path: str) -> BestCourses:
     robot = scenario.robot.arm()
     real = best_freedoms(robot).real
     if real != 1:
-        raise ScenarioError(f"tip and shaft leave {real} freedoms, a map has one")
+        raise ScenarioError(f"tip and shaft leave this arm {real} freedoms, and the planner can use only one")
     layout = lay_out(scenario, robot, checked=False)
     targets = targets_of(robot, layout, period_s=PERIOD_S)
     value = Value(pose_map.map_of(robot, layout.q, targets), Limits())

@@ -95,8 +95,8 @@ def _task(scenario: Scenario, robot: RobotModel, q: Array) -> Layout:
     duration_s = scenario.duration_s or task.wait_s + reference.duration + task.hold_s
     if not duration_s / scenario.plant.period_s <= MOST_TICKS:
         raise ScenarioError(
-            f"{duration_s:.3g} s (duration_s, or the [task] with its v_max_m_per_s, a_max_m_per_s2, wait_s, hold_s) in "
-            f"[plant] period_s = {scenario.plant.period_s:.3g} s: more than {MOST_TICKS} ticks; give a duration_s"
+            f"the run takes {duration_s:.3g} s (duration_s, or the time of the [task]), with [plant] "
+            f"period_s = {scenario.plant.period_s:.3g} s more than {MOST_TICKS} ticks: give a smaller duration_s"
         )
     return Layout(q, point, registered, reference, duration_s)
 

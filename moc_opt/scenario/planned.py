@@ -121,7 +121,7 @@ def save_course(found: Plan, scenario: Scenario, to: str | os.PathLike[str], wit
     """
     course = found.course
     if course is None:
-        raise ScenarioError("no course goes all the way from any swivel: there is nothing to write; change the [task]")
+        raise ScenarioError("no course reaches the end of the path: no file is written; change the [task]")
     robot = scenario.robot.arm()
     tips, wrists = robot.tool_along(course.q_rad)
     columns = {

@@ -133,7 +133,7 @@ def check_reachable(
     away = float(np.linalg.norm(state.tip - places.tip[0]))
     if away > _START_TOLERANCE_M:
         problem = f"the reference begins {1e3 * away:.1f} mm from the tip"
-        raise UnreachableError("start", 0.0, problem, "begin it at the tip, or put a line from the tip before it")
+        raise UnreachableError("start", 0.0, problem, "begin the reference at the tip, or add a line to it")
     _check_depth(robot, places)
     try:
         return _follow(robot, state.q, places, reference)
@@ -193,9 +193,9 @@ def _follow(robot: RobotModel, q: Array, places: _Places, reference: Reference) 
         slower = 0.99 * float(np.linalg.norm(places.tip_velocity, axis=1).max()) / shares[k]
         raise UnreachableError(
             "v_max", places.arc[k],
-            f"{robot.data.joint_names[i]} would have to turn at {abs(rates[k, i]):.2f} rad/s and can do "
+            f"{robot.data.joint_names[i]} would have to turn at {abs(rates[k, i]):.2f} rad/s, and its limit is "
             f"{robot.v_max[i]:.2f}",
-            f"lower v_max_m_per_s from {reference.v_max:g} to {slower:.3g} m/s or less, or move it off the trocar",
+            f"lower v_max_m_per_s from {reference.v_max:g} to {slower:.3g} m/s, or move the path off the trocar",
         )  # fmt: skip
     return poses
 

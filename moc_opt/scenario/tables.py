@@ -23,9 +23,9 @@ class RobotTable(Settings):
     """The arm and its tool."""
 
     KIND: ClassVar[str] = "[robot]"
-    name: str = Field("lwr4", description="a robot of the package, or a path to a URDF or TOML")
+    name: str = Field("lwr4", description="a robot of the package, or the path of a URDF or TOML file")
     tool_length_m: float | None = Field(None, gt=0.0, le=10.0)
-    """length from mount to tip; left out: the length in the robot's file"""
+    """length of the tool from its mount to its tip; left out: the length in the robot's file"""
     tool_mass_kg: float | None = Field(None, gt=0.0, le=1000.0)
     """mass of the tool; left out: the mass in the robot's file"""
 
@@ -35,22 +35,22 @@ class RobotTable(Settings):
 
 
 class StartTable(Settings):
-    """The pose of the arm at t = 0. The swivel moves the elbow, and neither tip nor wrist."""
+    """The pose of the arm at t = 0. A swivel of the elbow leaves tip and wrist where they are."""
 
     KIND: ClassVar[str] = "[start]"
     pose: Literal["home", "random"] = "home"
-    """'random': a pose drawn by the seed, from which the whole task can be done"""
-    q_rad: tuple[float, ...] | None = Field(None, description="joint positions that replace the robot's home pose")
+    """'home': the pose of q_rad; 'random': a random pose from which the whole task can be done"""
+    q_rad: tuple[float, ...] | None = Field(None, description="joint positions; left out: the robot's home pose")
     swivel: Annotated[float, Field(ge=0.0, le=1.0)] | Literal["given", "random"] = "given"
-    """place of the elbow, as a share from 0 to 1 of the range that the joint limits leave; 'given': that of q;
-    'random': drawn by the seed"""
+    """place of the elbow, as a share from 0 to 1 of the swivel range that the joint limits leave; 'given': as in the
+    pose; 'random': a share from 0.05 to 0.95"""
     limit_margin_rad: float = Field(0.05, ge=0.0, le=3.0)
-    """under pose 'random': least distance of a joint from its limits, at the start and along the path. A
-    smaller one than control.limit_margin_rad lets the run begin with a joint outside the third level's box,
-    which then moves back from the limit"""
-    limit_margin_m: float = Field(0.05, ge=0.0, le=3.0, description="limit_margin_rad for a sliding joint")
+    """pose 'random': smallest distance of each joint from its limits, at the start and along the path. If it is smaller
+    than limit_margin_rad of [control], a joint may start nearer to its limit than that; the third level then moves it
+    away from the limit"""
+    limit_margin_m: float = Field(0.05, ge=0.0, le=3.0, description="the same for a sliding joint")
     check_path: bool = True
-    """refuse a path that the kinematics cannot follow; the search can miss a way that exists"""
+    """whether a path is refused if the check before the run finds no way to follow it; pose 'random': always"""
 
     @model_validator(mode="after")
     def _one_pose(self) -> Self:
@@ -60,17 +60,17 @@ class StartTable(Settings):
 
 
 class TrocarTable(Settings):
-    """The trocar: a point on the shaft at t = 0, which then rests or moves with the breathing."""
+    """The trocar: a point that lies on the shaft at t = 0, and then rests or moves with the breathing."""
 
     KIND: ClassVar[str] = "[trocar]"
     depth_m: float = Field(0.15, gt=0.0, le=10.0, description="depth of the tip below the trocar at t = 0")
     breathing_amplitude_m: float = Field(0.0, ge=0.0, le=0.5)
-    """amplitude of the trocar's motion; 0: it rests"""
+    """largest distance of the trocar from its place at t = 0, reached in the middle of a breath; 0: it rests"""
     breathing_period_s: float = Field(4.0, gt=0.0, le=MOST_S, description="period of one breath")
     breathing_direction: Vector = (0.0, 0.0, 1.0)
     """direction of the breathing in base axes, of any length"""
     breathing_known: bool = True
-    """whether the registered trocar, which the controller is given, moves with the breathing"""
+    """whether the registered trocar, which the controller uses, moves with the breathing; false: it rests"""
 
     @property
     def breathing(self) -> tuple[float, float, Vector]:
@@ -85,9 +85,9 @@ class TaskTable(Settings):
     path: Name = "circle"
     """name of the path; `moc-opt tasks` lists them; 'waypoints': a smooth curve through waypoints_m"""
     sizes: dict[Name, Annotated[float, Field(ge=-1e3, le=1e3)]] = Field(default_factory=dict)
-    """sizes of the path [m]; `moc-opt tasks` lists those of each path"""
+    """sizes of the path, lengths in m; `moc-opt tasks` lists the sizes of each path and their defaults"""
     waypoints_m: tuple[Vector, ...] | None = None
-    """points of the tip relative to its start: along the heading, to the left, along the normal"""
+    """points that the tip passes, relative to its start: along the heading, to the left, along the normal"""
     normal: Vector = Field((0.0, 0.0, 1.0), description="normal of the path's plane in base axes, of any length")
     heading: Vector = (1.0, 0.0, 0.0)
     """direction in which the path begins, in base axes; only its part in the path's plane counts"""
@@ -123,12 +123,12 @@ class SolverTable(Settings):
 
     KIND: ClassVar[str] = "[solver]"
     name: Name = Field("exact", description="name of the solver; `moc-opt solvers --list` lists them")
-    settings: dict[Name, Any] = Field(default_factory=dict, description="settings of that solver: docs/solvers.md")
+    settings: dict[Name, Any] = Field(default_factory=dict, description="settings of that solver, see docs/solvers.md")
     replay_us: str | tuple[Annotated[float, Field(ge=0.0, le=1e9)], ...] | None = None
-    """solve times [us], or a .npy file of them, used over and over in place of measured times where a solve has
-    a time budget: a run with deadlines can then be repeated exactly"""
+    """recorded solve times [us], or a .npy file of them, that replace the measured times, over and over, so that a run
+    with a time budget can be repeated exactly; left out: times are measured"""
     isolation: Literal["none", "process"] = "none"
-    """'process': each session of the solver runs in its own process, which is killed when it hangs"""
+    """'process': the solver runs in a process of its own, which is replaced if it hangs or ends"""
     process: ProcessSettings = ProcessSettings()
 
     @model_validator(mode="after")

@@ -29,51 +29,51 @@ class FaultSettings(Settings):
     ERROR: ClassVar[type[MocOptError]] = PlantError
 
     drop_share: float = Field(0.0, ge=0.0, le=1.0, description="share of the measurements that never arrive")
-    late_ticks: int = Field(0, ge=0, le=50, description="ticks by which every measurement arrives late")
-    frozen_at_s: float | None = Field(None, ge=0.0, description="time from which readings repeat themselves")
-    frozen_ticks: int = Field(1_000_000, ge=1, description="number of ticks for which they do so")
+    late_ticks: int = Field(0, ge=0, le=50, description="delay of every measurement, in ticks")
+    frozen_at_s: float | None = Field(None, ge=0.0, description="time at which readings freeze; left out: never")
+    frozen_ticks: int = Field(1_000_000, ge=1, description="number of ticks for which readings stay frozen")
     frozen_joint: int | None = Field(None, ge=0)
-    """freeze one encoder only, counted from 0, while its packets go on; left out: whole packets"""
-    frozen_wrench: bool = Field(False, description="freeze the wrench sensor only, while the encoders' packets go on")
+    """the only encoder that freezes, counted from 0; left out: whole measurements freeze"""
+    frozen_wrench: bool = Field(False, description="whether only the wrench sensor freezes")
     frozen_velocity: Literal["repeated", "zero"] = Field("repeated", description="velocity in a frozen reading")
-    lag_at_s: float | None = Field(None, ge=0.0, description="time from which measurements lag more and more")
+    lag_at_s: float | None = Field(None, ge=0.0, description="time from which measurements lag; left out: never")
     lag_joint: int | None = Field(None, ge=0)
-    """let one encoder only lag, counted from 0, under up-to-date packet numbers; left out: all lag"""
-    lag_ticks: int = Field(0, ge=0, le=1000, description="ticks of delay added at once at lag_at_s")
-    lag_growth: float = Field(0.1, gt=0.0, le=1.0, description="ticks of delay added in each tick")
+    """the only encoder that lags, counted from 0, in measurements with up-to-date numbers; left out: all lag"""
+    lag_ticks: int = Field(0, ge=0, le=1000, description="lag at lag_at_s, in ticks")
+    lag_growth: float = Field(0.1, gt=0.0, le=1.0, description="growth of the lag in each tick, in ticks")
     replay_at_s: float | None = Field(None, ge=0.0)
-    """time from which old packets arrive again, in their order, over and over"""
+    """time from which old measurements arrive again in their order, over and over; left out: never"""
     replay_ticks: int = Field(100, ge=1, le=5000)
-    """number of packets that are replayed: the last ones before replay_at_s"""
+    """number of measurements that are replayed: the last ones up to replay_at_s"""
     drift_at_s: float = Field(0.0, ge=0.0, description="time at which the drift begins")
     drift_rad_per_s: float = Field(0.0, ge=-1.0, le=1.0)
-    """speed of the encoders' drift, in seeded directions"""
+    """speed at which the encoders drift; the seed draws each sign"""
     drift_velocity: Literal["included", "apart"] = "included"
-    """'included': the velocity drifts as well; 'apart': it is measured separately and does not"""
+    """'included': the drift adds to the measured velocity too; 'apart': it does not"""
     forged_stamps: bool = False
-    """whether frozen, replayed and lagging packets carry the number of the present period"""
-
+    """whether frozen, replayed and lagging measurements carry the number of the present tick"""
     encoder_bias_rad: float = Field(0.0, ge=-0.1, le=0.1)
-    """constant error of every encoder, with seeded signs"""
+    """size of every encoder's constant error; the seed draws each sign"""
     encoder_noise_rad: float = Field(0.0, ge=0.0, le=0.01, description="standard deviation of additional noise")
-    nan_at_s: float | None = Field(None, ge=0.0, description="time from which the encoders give NaN")
+    nan_at_s: float | None = Field(None, ge=0.0, description="time from which encoders give NaN; left out: never")
     nan_ticks: int = Field(1, ge=1, description="number of ticks for which they give NaN")
     jump_at_s: float | None = Field(None, ge=0.0)
-    """time at which the encoders jump; they do not jump back"""
+    """time at which the encoders jump, once and for all; left out: never"""
     jump_rad: float = Field(0.2, description="size of the jump, on every joint")
 
-    bump_N: float = Field(0.0, ge=0.0, le=200.0, description="force of a sideways push on the elbow")
+    bump_N: float = Field(0.0, ge=0.0, le=200.0, description="force of a horizontal push on bump_link")
     bump_at_s: float = Field(2.0, ge=0.0, description="time at which the push begins")
     bump_s: float = Field(0.3, gt=0.0, description="duration of the push")
     bump_link: Name = Field("link_4", description="the link that is pushed")
-    payload_kg: float = Field(0.0, ge=0.0, le=10.0, description="weight hung on the tool, unknown to the model")
+    payload_kg: float = Field(0.0, ge=0.0, le=10.0, description="mass hung on the tool, unknown to the model")
 
-    slip_m: float = Field(0.0, ge=0.0, le=0.1, description="distance by which the trocar slips sideways")
+    slip_m: float = Field(0.0, ge=0.0, le=0.1, description="distance by which the trocar slips horizontally")
     slip_at_s: float = Field(2.0, ge=0.0, description="time at which the trocar slips")
-
     solver: Literal["none", "fail", "nan", "lie", "raise", "outside", "rig", "malformed", "hang"] = "none"
-    """how the solver's answers are corrupted (moc_opt.solvers.faulty); 'hang' takes ten times the budget"""
-    solver_share: float = Field(0.05, ge=0.0, le=1.0, description="share of the answers that are corrupted")
+    """fault of the solver: 'fail': no answer; 'nan': NaN; 'lie': the optimum of the opposite gradient; 'raise': an
+    exception; 'outside': an answer outside the box; 'rig': a problem rewritten to fit the answer; 'malformed': no valid
+    Solution; 'hang': a solve of ten times the budget (without one: of deadline_us)"""
+    solver_share: float = Field(0.05, ge=0.0, le=1.0, description="share of the answers that have the fault")
 
     @property
     def around_the_arm(self) -> bool:

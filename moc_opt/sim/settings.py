@@ -22,7 +22,7 @@ _Stiffness = Annotated[float, Field(gt=0, le=1e9)]
 
 
 class PlantSettings(Settings):
-    """Settings of the simulated arm, its trocar and its sensors; units are in the names, 0 switches off.
+    """The simulated arm, its trocar and its sensors. Errors, noise, ripple and delay are absent where they are 0.
 
     The defaults are realistic: wrong masses, friction, noise, a tick of delay, the kinematic errors of a calibrated
     arm, a trocar registered 0.5 mm off. A plant that equals the controller's model proves little. Joints are rigid and
@@ -37,31 +37,31 @@ class PlantSettings(Settings):
     MORE_KEYS: ClassVar[tuple[str, ...]] = ("preset",)
     ERROR: ClassVar[type[MocOptError]] = PlantError
 
-    period_s: float = Field(0.002, gt=0, le=0.1, description="control period")
+    period_s: float = Field(0.002, gt=0, le=0.1, description="control period: the time between two ticks")
     substeps: int = Field(2, ge=1, le=1000, description="plant steps in a control period; a step lasts at most 1 ms")
-    gravity: bool = Field(True, description="9.81 m/s^2 along -z, or none")
+    gravity: bool = Field(True, description="whether gravity acts: 9.81 m/s^2 along -z")
     mass_error: float = Field(0.10, ge=0, le=0.9)
-    """each link's mass is scaled by 1 +- this, drawn uniformly per link"""
+    """each link's mass and inertia are multiplied by a factor drawn evenly from 1 - mass_error to 1 + mass_error"""
     friction: float = Field(1.0, ge=0, le=10, description="factor on the robot's viscous and Coulomb friction")
     friction_error: float = Field(0.20, ge=0, lt=1)
-    """each joint's friction is scaled by 1 +- this, drawn uniformly per joint"""
+    """each joint's friction is multiplied by factors drawn evenly from 1 - friction_error to 1 + friction_error"""
     calibration_error_m: float = Field(0.0002, ge=0, le=0.05)
-    """distance of every joint's origin, and of the tool's mount, from the controller's model"""
+    """distance of every joint's origin, and of the tool's mount, from its place in the controller's model"""
     calibration_tilt_rad: float = Field(0.0001, ge=0, le=0.1)
-    """angle by which every joint's frame is turned against the controller's model"""
+    """angle between every joint's frame and that of the controller's model"""
     encoder_bias_rad: float = Field(0.0001, ge=0, le=0.1)
-    """standard deviation over the joints of each encoder's constant error"""
-    encoder_noise_rad: float = Field(1e-5, ge=0, le=0.1, description="standard deviation of the position noise")
+    """standard deviation of the encoders' constant errors, one of which is drawn for each joint"""
+    encoder_noise_rad: float = Field(1e-5, ge=0, le=0.1, description="standard deviation of the noise of positions")
     encoder_resolution_rad: float = Field(2.4e-5, ge=0, le=0.1)
-    """step of the encoder; the default has 18 bits"""
+    """step of the encoders; the default has 18 bits per turn; 0: no steps"""
     velocity_cutoff_Hz: float = Field(50.0, ge=0)
-    """cut-off frequency of the low-pass on the difference quotient of the positions; 0: no filter"""
+    """cut-off frequency of the low-pass for velocities, which are differences of positions; 0: no filter"""
     encoder_side: Literal["link", "motor"] = "link"
-    """side of an elastic joint's spring that its encoder measures; 'link' as in arms with torque sensors"""
+    """side of an elastic joint's spring on which its encoder sits; 'link' as in arms with torque sensors"""
     joint_stiffness_Nm_per_rad: Annotated[float, Field(ge=0, le=1e9)] | tuple[_Stiffness, ...] = 0.0
-    """stiffness of the spring between motor and link, one number or one per joint; 0: rigid"""
+    """stiffness of the spring between motor and link: one number for all joints, or one per joint; 0: rigid joints"""
     joint_spring_damping_Nm_s_per_rad: float = Field(30.0, ge=0, le=1e4)
-    """damping in parallel with that spring, mostly due to the drive's torque feedback"""
+    """damping parallel to that spring, most of which comes from the drive's torque feedback"""
     torque_ripple: float = Field(0.0, ge=0, le=0.5)
     """amplitude of the torque ripple, as a share of the joint's largest torque"""
     torque_ripple_per_turn: float = Field(200.0, gt=0, le=1e5)
@@ -69,12 +69,12 @@ class PlantSettings(Settings):
     force_noise_N: float = Field(0.05, ge=0, description="standard deviation of the wrench sensor's force, per axis")
     torque_noise_Nm: float = Field(0.002, ge=0)
     """standard deviation of the wrench sensor's torque, per axis"""
-    delay_ticks: int = Field(1, ge=0, le=100, description="control periods between a command and its torque")
+    delay_ticks: int = Field(1, ge=0, le=100, description="control periods from a command to its torque")
     trocar_stiffness_N_per_m: float = Field(800.0, ge=0, le=1e6)
-    """stiffness of the abdominal wall: 500 to 3000"""
-    trocar_damping_Ns_per_m: float = Field(10.0, ge=0, le=1e4, description="damping of the abdominal wall")
+    """stiffness of the abdominal wall at the trocar; 500 to 3000 are realistic"""
+    trocar_damping_Ns_per_m: float = Field(10.0, ge=0, le=1e4, description="damping of the same wall")
     trocar_registration_error_m: float = Field(0.0005, ge=0, le=0.1)
-    """distance of the true trocar from the registered one"""
+    """distance of the true trocar from the registered one, which the controller uses"""
 
     @model_validator(mode="after")
     def _fine_enough(self) -> Self:

@@ -49,18 +49,18 @@ class Restart(NamedTuple):
 
 
 class ProcessSettings(Settings):
-    """When a solver's process is replaced, and how old its answers may be."""
+    """[solver] isolation 'process': when the process is replaced, and how old its answers may be."""
 
     KIND: ClassVar[str] = "[solver.process]"
     answer_age_ticks: int = Field(0, ge=0)
-    """largest age of an earlier answer that may replace a late one; 0: none may"""
+    """largest age of an earlier answer that may replace a late one; 0: no earlier answer may"""
     hang_s: float = Field(1.0, gt=0.0)
     """a process that gives no answer for this time is killed and replaced"""
     memory_MB: float = Field(4096.0, gt=0.0)
-    """a process that uses more memory than this is killed and replaced"""
+    """a process that needs more memory than this ends and is replaced"""
     most_restarts: int = Field(20, ge=0)
-    """largest number of replacements in a run; after them the third level falls back"""
-    start_s: float = Field(120.0, gt=0.0, description="time in which a process must start, compilation included")
+    """largest number of replacements in a run; if the process is lost once more, the third level goes on without it"""
+    start_s: float = Field(120.0, gt=0.0, description="time in which a process must start, including compilation")
 
 
 @dataclass(frozen=True)

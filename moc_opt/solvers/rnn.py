@@ -57,7 +57,7 @@ class Network(SolverSettings):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.h > 1.0:
-            raise SolverError(f"{self.name}: h = {self.h!r} is above 1, where x leaves the box")
+            raise SolverError(f"{self.name}: h = {self.h!r} is above 1: x would leave the box; give at most 1")
 
 
 class RNNSession:

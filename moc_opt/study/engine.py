@@ -116,7 +116,7 @@ def run(
                     continue
                 same = digest_of(answer.sources) == answer.digest
                 if dask and not alone and not same:
-                    raise StudyError("a worker has other sources than this machine: install the same there")
+                    raise StudyError("a worker runs another version of the sources: install the same there")
                 try:
                     result = pickle.loads(answer.packed)
                 except Exception as error:  # noqa: BLE001 - foreign classes may raise anything
@@ -173,7 +173,7 @@ def _answers(
                     left.append(k)
                     continue
                 else:
-                    raise StudyError(f"no worker stays alive ({error}); see what was written above") from error
+                    raise StudyError(f"every worker died ({error}); see the lines above") from error
             if isinstance(answer, Failed):
                 answer = replace(answer, parts=_reported(getattr(future, "parts", None)))
             broken[jobs[k].group] += _broke(answer)
@@ -206,7 +206,7 @@ def _answer(future: Answer, job: Job) -> _Done | Failed:
     except BrokenProcessPool:
         raise
     except CancelledError as error:
-        raise StudyError("the scheduler went away with the jobs that were under way; start again") from error
+        raise StudyError("the connection to the scheduler is lost, and the running jobs too; start again") from error
     except OSError as error:
         raise StudyError(f"no worker can be reached: {describe(error)}") from error
     except Exception as error:  # noqa: BLE001 - a job that cannot be sent, or a cluster's error for a dead worker

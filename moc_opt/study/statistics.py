@@ -113,7 +113,7 @@ def spread(entries: Mapping[str, Any], name: str, digits: int = 3, sign: str = "
 def share(found: int, trials: int) -> Interval:
     """Return found/trials with the exact binomial interval of independent trials (Clopper and Pearson 1934)."""
     if not 0 <= found <= trials or trials < 1:
-        raise StatisticsError(f"found = {found}, trials = {trials}: give at least one trial, and 0 to so many found")
+        raise StatisticsError(f"found = {found}, trials = {trials}: give at least one trial, and found from 0 to it")
     low, high = stats.binomtest(found, trials).proportion_ci(CONFIDENCE)
     return Interval(found / trials, float(low), float(high), trials)
 
@@ -160,11 +160,11 @@ def _checked(given: Mapping[str, ArrayLike]) -> list[Array]:
     found = {name: np.asarray(samples, dtype=np.float64) for name, samples in given.items()}
     for name, array in found.items():
         if array.ndim != 1 or array.size == 0 or not np.isfinite(array).all():
-            raise StatisticsError(f"{name} = {array.tolist()!r:.200}: give one finite number a trial, one or more")
+            raise StatisticsError(f"{name} = {array.tolist()!r:.200}: give one finite number for each trial")
         if name.startswith("control") and array.mean() == 0.0:
             raise StatisticsError(f"{name} has mean 0: a change relative to it has no value")
     if len({len(array) for array in found.values()}) > 1:
-        raise StatisticsError(f"{' and '.join(found)} are of different lengths: give the same trials")
+        raise StatisticsError(f"{' and '.join(found)} have different lengths: give the same trials for each")
     return list(found.values())
 
 

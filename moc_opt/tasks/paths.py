@@ -153,9 +153,9 @@ class Waypoints(Path):
 def _checked(points: ArrayLike) -> Array:
     found = vector3("waypoints", points, rows=True)
     for point in found[np.abs(found).max(axis=1, initial=0.0) > FARTHEST_M].tolist():
-        raise TaskError(f"waypoint {point}: {FARTHEST_M:g} m from the start is the most, and the unit is m")
+        raise TaskError(f"waypoint {point}: give at most {FARTHEST_M:g} m from the start; the unit is m")
     if not 1 <= len(found) <= MOST or not found.any():
-        raise TaskError(f"{len(found)} waypoints: give 1 to {MOST}, one of them off the start")
+        raise TaskError(f"{len(found)} waypoints: give 1 to {MOST}, at least one of them off the start")
     return found
 
 

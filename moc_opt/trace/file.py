@@ -94,10 +94,10 @@ def read(path: str | os.PathLike[str]) -> tuple[dict[str, NDArray[Any]], dict[st
         types = {name: np.dtype(of) for name, of in json.loads(metadata[TYPES_KEY]).items()}
         rows = pl.scan_parquet(data).select(pl.len()).collect().item()
         if rows * sum(of.itemsize for of in types.values()) > MOST_BYTES:
-            raise ValueError(f"{rows} rows of {len(types)} columns are no trace")
+            raise ValueError(f"{rows} rows of {len(types)} columns are too many for a trace")
         columns = {column.name: _array(column, types[column.name]) for column in pl.read_parquet(io.BytesIO(data))}
         if metadata[SUM_KEY] != checksum(columns, metadata[META_KEY], metadata[TYPES_KEY]):
-            raise ValueError("its checksum is another")
+            raise ValueError("its checksum does not match")
         return columns, dict(json.loads(metadata[META_KEY]))
     except (
         pl.exceptions.PolarsError, pl.exceptions.PanicException, OSError, LookupError, TypeError, ValueError,

@@ -187,7 +187,7 @@ def completed(trace: Trace) -> float:
     if not isinstance(ended, str):
         raise MissingDataError("meta has no 'ended': say how the run ended")
     if Ending.of(ended) is Ending.PART:
-        raise MissingDataError("these are some ticks of a run: ask the whole run whether it was completed")
+        raise MissingDataError("the trace is a part of a run: only the whole run tells whether it was completed")
     return Ending.of(ended) is Ending.COMPLETED
 
 

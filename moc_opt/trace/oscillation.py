@@ -63,9 +63,9 @@ def shaking(trace: Trace, column: str, limits: ArrayLike | None = None) -> Shaki
     """
     values, time = np.asarray(getattr(trace, column), dtype=np.float64), np.asarray(trace.t_s, dtype=np.float64)
     if len(trace) < 4:
-        raise MissingDataError(f"the trace has {len(trace)} ticks: an oscillation shows in four or more")
+        raise MissingDataError(f"the trace has {len(trace)} ticks: give four or more to find an oscillation")
     if "tick" in trace.columns and (np.diff(trace.tick) != 1).any():
-        raise MissingDataError("the ticks lie apart: an oscillation shows in consecutive ones")
+        raise MissingDataError("some ticks are left out: give all of them to find an oscillation")
     period = float(time[-1] - time[0]) / (len(time) - 1)
     if not SHORTEST_S <= period < np.inf:
         raise TraceError(

@@ -250,7 +250,7 @@ class Trace:
 
 def _name(name: str) -> str:
     if not isinstance(name, str) or not name.isidentifier() or name[0] == "_" or hasattr(Trace, name):
-        raise TraceError(f"column {name!r}: give a name that can follow 'trace.' and is not taken there")
+        raise TraceError(f"column {name!r}: give a Python name that no attribute of a Trace has")
     return name
 
 

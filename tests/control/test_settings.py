@@ -76,7 +76,7 @@ def test_gains_that_are_missing_or_do_not_fit_the_arm_are_refused(settings, join
 
 @pytest.mark.parametrize(("settings", "words"), [
     ({"law": "dcac", "dcac_damping": [1.0, 2.0]}, "dcac_damping = .* has 2 entries for 8 joints"),
-    ({"limit_margin_rad": 3.0}, "limit_margin_rad = 3.0: nothing is left of joint 3 .* less than 2.09"),
+    ({"limit_margin_rad": 3.0}, "limit_margin_rad = 3.0: no room is left for joint 3 .* less than 2.09"),
     ({"observer_gain_per_s": 500.0}, "observer_gain_per_s = 500.0 .* below 500"),
     ({"third_level": "planned", "course_observer_gain_per_s": 600.0}, "course_observer_gain_per_s = 600.0"),
 ])  # fmt: skip
@@ -189,7 +189,7 @@ def test_under_a_course_the_observer_has_its_own_gain_unless_it_is_off():
 
 def test_a_wall_that_begins_within_the_box_is_refused():
     for unit, box in (("rad", 0.15), ("m", 0.05)):
-        with pytest.raises(ScenarioError, match=f"position_margin_{unit} = 0.2: .*_{unit} = {box}"):
+        with pytest.raises(ScenarioError, match=f"position_margin_{unit} = 0.2 .*_{unit} = {box}"):
             Scenario(guard={f"position_margin_{unit}": 0.2})
     for control in ({"limit_margin_rad": 0.2}, {"law": "dcac"}, {"preset": "paper"}):  # as large, or none
         Scenario(guard={"position_margin_rad": 0.2}, control=control)

@@ -40,7 +40,7 @@ def test_the_ending_is_the_first_row_and_figures_of_a_part_are_marked():
     (table,) = run_tables({"slip": stopped}, {"slip": metrics})
     assert [row["metric"] for row in table.rows] == ["ended", "completed", "share_of_run", "mu_mean (part)"]
     assert (table.title, table.rows[0]["run slip"]) == ("slip (first 0.3 s of 0.4 s, braking included)", "stopped: x")
-    assert "the RCM error was above 6 mm from t = 1.250 s on, 11 mm at most" in table.caption
+    assert "the RCM error was above 6 mm, first at t = 1.250 s; its maximum was 11 mm" in table.caption
     assert list(run_json(stopped, {"mu_mean": 0.2}).items()) == [
         ("ended", "stopped: x"), ("part", "first 0.3 s of 0.4 s, braking included"), ("mu_mean", 0.2),
         ("warnings", [WARNING]),
@@ -130,7 +130,7 @@ def test_run_and_report_write_pages_that_name_arm_task_gains_and_solver(tmp_path
     assert "<title>lwr4, circle, default gains: exact and dcac</title>" in both.read_text(encoding="utf-8")
     assert title_of({"a": trace(), "b": trace()}) == "a and b"
     assert main(["run", str(tmp_path / "a.parquet")]) == 2
-    assert "is a trace, no scenario: moc-opt report, replay or map shows it" in capsys.readouterr().err
+    assert "is a trace, no scenario: `moc-opt report`, `replay` or `map` shows it" in capsys.readouterr().err
 
 
 def test_a_run_that_cannot_be_mapped_still_has_its_curves(robot):

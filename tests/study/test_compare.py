@@ -57,7 +57,7 @@ def test_every_solver_and_dcac_run_the_same_trials_and_claims_are_judged():
     ({1: "exact"}, {}, SolverError, "1 cannot name a solver"),
     (7, {}, SolverError, r"solvers = 7: give a list of names or solvers"),
     (["exact"], {"trials": 0}, ScenarioError, "trials = 0: give an integer from 1"),
-    (["exact"], {"scenario": mo.Scenario(control={"law": "dcac"})}, ScenarioError, "law = 'dcac' asks no solver"),
+    (["exact"], {"scenario": mo.Scenario(control={"law": "dcac"})}, ScenarioError, "law = 'dcac' has no solver"),
 ])  # fmt: skip
 def test_wrong_arguments_are_refused_before_anything_runs(solvers, more, error, message):
     with pytest.raises(error, match=message):
@@ -141,6 +141,6 @@ def test_an_answer_to_another_problem_is_neither_verified_nor_wrong():
     summary = found.summary()
     assert {"solve_p50_us", "silently_wrong", "verified"} & set(summary["nlp-sqp"]) == {"solve_p50_us"}
     assert summary["exact"]["verified"] == 100.0
-    assert "nlp-* answer the nonlinear problem" in found.table.caption
+    assert "nlp-* solve a nonlinear problem" in found.table.caption
     alone = Comparison([r for r in found.rows if r["solver"] != "nlp-sqp"], ["dcac", "exact"], SHORT)
     assert "nlp-" not in alone.table.caption

@@ -111,7 +111,7 @@ def test_a_stop_names_an_oscillation_before_it_and_none_due_to_braking(begin, am
 def test_a_trace_that_cannot_be_judged_is_refused_with_the_reason():
     trace = made()
     for part, kind, said in (
-        (trace.select(np.arange(len(trace)) % 3 == 0), MissingDataError, "lie apart"),
+        (trace.select(np.arange(len(trace)) % 3 == 0), MissingDataError, "some ticks are left out"),
         (trace.select(np.arange(len(trace)) < 3), MissingDataError, "four or more"),
         (trace.with_columns(t_s=np.zeros(len(trace))), TraceError, "does not increase"),
     ):
