@@ -128,7 +128,7 @@ class QPSolverSession:
         if self._settings.supports(qp) is not None:
             return no_answer(qp.n, Status.UNSUPPORTED)
         try:
-            return self.attempt(qp)
+            return self.attempt(qp) if np.isfinite(qp.row[: -qp.n]).all() else no_answer(qp.n, Status.NUMERICAL)
         except (QPError, ValueError, ArithmeticError):  # so the libraries report a failed factorisation
             return no_answer(qp.n, Status.NUMERICAL)
 

@@ -4,8 +4,6 @@ import numpy as np
 import pytest
 
 from moc_opt import core, load_robot
-from moc_opt.qp import NullSpaceQP
-from moc_opt.solvers import create
 from tests.control.torques import law
 from tests.problems import random_problem
 
@@ -79,12 +77,6 @@ def test_a_tick_takes_finite_numbers_only_and_a_basis_has_no_more_rows_than_join
     made.load(QP.row, np.eye(7))
     with pytest.raises(ValueError, match="8 rows"):
         made.load(QP.row, np.eye(8, 7))
-
-
-def test_no_library_is_given_a_number_that_is_not_finite():
-    session = create("osqp").start(QP)
-    with pytest.raises(ValueError, match="not finite"):
-        session.solve(NullSpaceQP.from_row(np.full(QP.row.size, np.nan)))
 
 
 ROWS = (2, np.zeros((4, 3)), np.zeros((4, 3)), np.zeros(4), np.zeros((6, 3)), np.zeros((6, 3)), np.zeros(6), np.ones(3),

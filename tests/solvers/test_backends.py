@@ -34,6 +34,14 @@ def problems(seed, count, **options):
     return [random_problem(rng, **options) for _ in range(count)]
 
 
+def test_no_library_is_given_a_number_that_is_not_finite():
+    damaged = NullSpaceQP.from_row(np.full(87, np.nan))
+    with pytest.raises(ValueError, match="not finite"):
+        OSQP().start(problem()).solve(damaged)
+    for name in HERE:
+        assert QPSolver(name).start(problem()).solve(damaged).status in (Status.NUMERICAL, Status.UNSUPPORTED)
+
+
 @pytest.mark.parametrize(("one", "other", "within"), [
     (OSQP(rows=5), OSQP(rows=6), 1e-4), (ProxQP(rows=5), ProxQP(rows=6), 1e-6),
     *((QPSolver(name, rows=5), QPSolver(name, rows=6, cost_scale=3e3), 2e-3) for name in HERE),
