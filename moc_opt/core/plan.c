@@ -131,8 +131,8 @@ static double room_ahead(const plan_task *task, const double *q, const double *t
     return h;
 }
 
-/* Compute mu at q and the unit tangent (n,) there: the last one projected on ker A, in which fixed joints have zero
- * columns. Returns the cosine of the angle between both tangents. */
+/* Compute mu at q and the curve's unit tangent (n,) at q: the previous tangent `last`, projected on ker A. Fixed joints
+ * have zero columns in A. Returns the cosine of the angle between the two tangents. */
 static double turn_tangent(const plan_task *task, const double *q, const double *last, double *tangent, double *mu)
 {
     double error[6], A[6][MOC_MAX_JOINTS], Z[MOC_MAX_JOINTS][MOC_MAX_JOINTS];
@@ -149,7 +149,8 @@ static double turn_tangent(const plan_task *task, const double *q, const double 
     return length;
 }
 
-/* Whether the start (n,), up to whole turns, lies ahead of q within a step. `pose` is that start, *gap its distance. */
+/* Whether the start (n,) of the curve lies ahead of q within one step. `pose` is the start, turned by whole turns to be
+ * nearest to q, and *gap its distance from q. */
 static bool closes(const plan_task *task, const double *start, const double *q, const double *tangent, double step,
                   double *pose, double *gap)
 {
@@ -165,8 +166,8 @@ static bool closes(const plan_task *task, const double *start, const double *q, 
     return inside && *gap <= 1.01 * step && ahead > 0.0;
 }
 
-/* Compute the next pose (n,) of the curve and its mu, one step after q or less if the curve turns sharply, and replace
- * the tangent by the one there. *hit is the joint at its limit there, or NONE. Returns the distance from q, 0 if the
+/* Compute the next pose (n,) of the curve after q, its mu and its tangent. The step is shorter if the curve turns
+ * sharply. *hit is the joint that is at its limit in this pose, or NONE. Returns the distance from q, or 0 where the
  * curve is singular. */
 static double next_sample(const plan_task *task, const double *q, double step, double *tangent, double *next,
                           double *mu, int *hit)
@@ -214,7 +215,7 @@ int plan_follow(const plan_task *task, const double *start, const double *tangen
         s[count] = s[count - 1] + way;
         count++;
         if (count < most && closes(task, start, next, tangent, step, closing, &gap)) {
-            count += gap > 0.1 * step; /* a nearer sample is replaced by the start */
+            count += gap > 0.1 * step; /* if the start is nearer to `next` than this, it replaces `next` */
             double *end = poses + (count - 1) * n;
             memcpy(end, closing, bytes);
             s[count - 1] = s[count - 2] + distance(n, end, end - n);
@@ -255,7 +256,7 @@ double plan_ascend(const plan_task *task, double *q)
 
 /* --- one step of a value function --- */
 
-/* The largest value that a pose reaches in one branch of the next time, or `best` if that is larger. */
+/* The largest value of the poses that a pose can reach at the next time in one branch, or `best` if that is larger. */
 static double best_in(const plan_stage *t, int pose, int branch, double best)
 {
     const double *q = t->q + pose * t->n, *slack = t->slack + pose * t->n;

@@ -2,15 +2,14 @@
  *
  * The reasons to stop, by the fields of moc_guard; T is the control period, r the momentum residual. A reason with a *
  * has to hold on more than `patience` ticks in a row. If several apply in one tick, the first of the list is reported.
- * docs/reliability.md says where each level comes from.
  *
  *   LATE              now - newest stamp > usual delay + patience
  *   MEASUREMENT *     |q - q_believed| > jump + ticks v_max T, or |v| > speed_factor v_max
- *   REPLAYED          all encoders and the wrench repeat earlier readings at a constant lag, more than
- *                     repeat_whole_ticks (replayed_ticks without noise of the wrench) or repeat_reading_ticks times
+ *   REPLAYED          all encoders and the wrench repeat earlier readings at a constant lag, more often than the
+ *                     smaller of repeat_reading_ticks and repeat_whole_ticks (replayed_ticks without wrench noise)
  *   REPEATED *        all q are unchanged although the reference moved by repeat_m or a torque changed by repeat_torque
- *                     tau_max (if the wrench is unchanged as well: by the repeat_whole levels); or q and v of all
- *                     joints were unchanged on more than repeat_reading_ticks ticks in all
+ *                     tau_max. If the wrench is unchanged as well, repeat_whole_m and repeat_whole_torque count instead.
+ *                     Without *: q and v of all joints were unchanged on more than repeat_reading_ticks ticks in total
  *   RAN_AWAY          |q - integral of v over motion_s| > motion_rad + motion_lag_s * (largest recent |v|)
  *   ONE_REPEATED      one q is unchanged for more than repeat_joint_ticks ticks, or its q and v were unchanged on more
  *                     than repeat_reading_ticks ticks in all
@@ -23,7 +22,8 @@
  *   STUCK             while q_i is unchanged, |integral of (change of r_i beyond held_i) / M_ii| > stuck_speed
  *   TORQUE            the controller's torque is not finite
  *
- * A torque is limited by each joint's wall and brake (left_by_wall), then by torque_step, then by tau_max. */
+ * A torque is limited by each joint's wall and brake (left_by_wall), then by torque_step, then by tau_max.
+ * docs/reliability.md says where each level comes from, docs/extending.md what a new check needs. */
 #include <limits.h>
 
 #include "vec.h"
@@ -33,7 +33,7 @@
 #define FIRST_READINGS 100  /* readings that decide whether the wrench sensor has noise */
 #define LARGEST_STAMP (LLONG_MAX / 4) /* a larger stamp cannot be the number of a control period */
 #define SHRINK 0.61803398875 /* weight of as_number, which turns a reading into one number */
-#define FINE 1e9             /* take_in's slot is |number| FINE modulo the number of slots */
+#define FINE 1e9             /* take_in stores a reading x in slot (|x| * FINE) mod slots */
 #define LARGEST_NUMBER 1e6   /* take_in ignores larger numbers */
 
 void moc_guard_start(const moc_guard *g, int n, const double *q, const double *v, long long stamp, moc_watch *w)
@@ -79,7 +79,7 @@ static int age(const moc_guard *g, long long stamp, moc_watch *w)
     return newer ? FRESH : REPEAT;
 }
 
-/* Whether q is near enough to the last believed position for the time since then, and v is not too fast; NaN is not. */
+/* Whether q is near enough to the last believed position for the time since then, and v not too fast; false for NaN. */
 static bool believable(const moc_guard *g, int n, const double *q, const double *v, const moc_watch *w)
 {
     double ticks = 1.0 + (double)w->bad;
@@ -185,8 +185,8 @@ static moc_stop compare_readings(const moc_guard *g, int n, const moc_measuremen
                                                                                   : MOC_RUNNING;
 }
 
-/* Store a reading, as one number, in a table. Returns how many readings have equalled an earlier one since the lag
- * between both last changed. */
+/* Store a reading, as one number, in a table. Returns how many readings have equalled the reading that came a constant
+ * lag earlier. The count restarts when the lag changes. */
 static inline double take_in(double number, int slots, double *numbers, double *at, moc_came_before *before)
 {
     if (!(fabs(number) < LARGEST_NUMBER))
@@ -212,8 +212,8 @@ static double as_number(int count, const double *values, double number)
 }
 
 /* The checks REPLAYED and LAGGING. No other check finds a recording that is played again, because its positions agree
- * with its velocities and with the model. The same holds for an encoder with a velocity of its own that starts to lag
- * by k readings: it repeats the last k readings. */
+ * with its velocities and with the model. The same holds for an encoder that measures position and velocity and starts
+ * to lag by k readings: it repeats the last k readings. */
 static moc_stop came_before(const moc_guard *g, int n, const moc_measurement *m, moc_watch *w)
 {
     double most = fmin(g->repeat_reading_ticks, wrench_has_noise(w) ? g->repeat_whole_ticks : g->replayed_ticks);
@@ -267,7 +267,7 @@ static double rcm_error(double pose[4][3], const double P[3])
  * Without the tool's weight, the reading is the sum of the trocar's force f, at a depth d behind the tip, and of a
  * contact force g at the tip: force = f + g, torque = (L - d) z x f + L z x g. Hence f = (L force - torque x z) / d.
  * Wrong encoders give a wrong d, and all of f may look like a contact: at most tip_force is taken for one. An unknown
- * load on the tool may hide a part of f: the warning uses the magnitude of the whole force, which *all gets. */
+ * load on the tool may hide a part of f. Therefore the warning uses |force|, which is written to *all. */
 static double trocar_force(const moc_guard *g, double pose[4][3], const double P[3], const double *wrench, double *all)
 {
     double depth = 0.0, L = g->tool_length, weight[2], force[2];
@@ -370,7 +370,7 @@ static moc_stop weigh(const moc_guard *g, int n, const moc_terms *t, const doubl
 
 /* --- limits of the torque --- */
 
-/* Largest torque towards a wall, beyond the weight's share, that wall and brake allow; infinite if neither acts. */
+/* Largest torque towards a wall that wall and brake allow in addition to the weight; infinite if neither acts. */
 static double left_by_wall(const moc_guard *g, int i, double distance, double speed)
 {
     /* the speed from which the joint can still stop at the wall */
@@ -478,7 +478,7 @@ void moc_guard_hold(const moc_guard *g, const moc_arm *arm, const double *wrench
         }
     }
     for (int i = 0; i < arm->n; i++) {
-        double beyond = w->cut ? weight[i] : fmax(weight[i] - g->tau_max[i], 0.0); /* weight that the drive leaves */
+        double beyond = w->cut ? weight[i] : fmax(weight[i] - g->tau_max[i], 0.0); /* not carried by the drive */
         friction[i] = w->yields ? 0.0 : g->stop_holding * g->tau_max[i] + 1.5 * beyond;
     }
 }
