@@ -76,7 +76,7 @@ def test_a_study_leaves_every_part_and_a_second_run_takes_everything_from_the_fi
 
 def test_broken_solvers_are_rows_and_the_others_are_unharmed(tmp_path, monkeypatch, capsys):
     monkeypatch.syspath_prepend(str(broken_solvers.install(tmp_path / "plugin")))
-    monkeypatch.setattr("moc_opt.study.trials.PATIENCE_S", 3.0)
+    monkeypatch.setattr("moc_opt.study.trials.PATIENCE_S", 6.0)
     monkeypatch.setattr("moc_opt.study.trials.PER_S", 1.0)
     names = ("hangs", "exact", "crashes", "raises")
     assert run(tmp_path, "--parts", "testsets", "closed_loop", "--sets", "circle", "--json", names=names) == 0
