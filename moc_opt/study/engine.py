@@ -1,4 +1,4 @@
-"""Do jobs in other processes: in pebble's pool, or on the workers of a Dask scheduler.
+"""Run jobs in other processes: in pebble's pool, or on the workers of a Dask scheduler.
 
     results = run([Job(trial, (scenario, "osqp", seed)) for seed in range(60)], kept=Kept(out / "jobs"))
 
@@ -78,7 +78,7 @@ def run(
     done: Callable[[Job, Any], None] = lambda job, result: None, keep: Callable[[Any], bool] = lambda result: True,
     give_up: int = 1,
 ) -> list[Any]:  # fmt: skip
-    """Do all jobs, first those that run alone. Return a result for each in the given order, `Failed` if it has none.
+    """Run all jobs, those with ``alone`` first. Return the results in the given order, `Failed` where there is none.
 
     Args:
         kept: store of results. A job whose result an earlier run left there is not done again. Failures are not kept.
@@ -126,7 +126,7 @@ def run(
                     kept.put(keys[k], result, answer.sources)
                 finish(k, result)
     gone, answers = Counter[str](), list[Any]()
-    for k, job in enumerate(jobs):  # in the order of the jobs; that of the answers is chance
+    for k, job in enumerate(jobs):  # in the order of the jobs: answers come in any order
         answers.append(_not_begun(job.group) if job.group and gone[job.group] >= give_up else results[k])
         gone[job.group] += _broke(answers[-1])
     return answers
@@ -309,7 +309,7 @@ def report(part: Any) -> None:
 def _reported(file: str | None) -> tuple[Any, ...]:
     parts = list[Any]()
     if file is not None and os.path.exists(file):
-        with open(file, "rb") as packed, suppress(Exception):  # the last part may be cut off, and any may refuse
+        with open(file, "rb") as packed, suppress(Exception):  # the last part may be cut off, or unpickling fails
             while True:
                 parts.append(pickle.load(packed))
     return tuple(parts)
@@ -318,8 +318,8 @@ def _reported(file: str | None) -> tuple[Any, ...]:
 def alarm(seconds: float) -> None:
     """Let the kernel end this job's process after so many seconds, even where a library hangs; 0: never.
 
-    Processor time counts, so that a busy machine makes no answer late. A process that only waits is ended after `WAITS`
-    times as many seconds on the clock. A job that calls this before each of its steps sets a limit to each step.
+    The seconds are processor time, so that a busy machine makes no answer late. A process that only waits is ended
+    after `WAITS` times as many seconds of wall time. A job may call this before each of its steps, to limit each step.
     """
     signal.setitimer(signal.ITIMER_PROF, seconds)
     signal.setitimer(signal.ITIMER_REAL, WAITS * seconds)
