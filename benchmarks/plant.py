@@ -63,7 +63,7 @@ class Sweep(Settings):
     KIND: ClassVar[str] = "[calibration]"
     trials: int = Field(5, ge=1, description="per task")
     duration_s: float | None = Field(4.0, gt=0.0, description="length of a run; None: the whole task")
-    sizes: list[float] = Field([0.05, 0.1, 0.2, 0.3, 0.5], description="in addition to 0: of origins [mm], of encoders [mrad]")
+    sizes: list[float] = Field([0.05, 0.1, 0.2, 0.3, 0.5], description="with 0 added: of origins [mm], encoders [mrad]")
 
 
 class Config(StudyConfig):

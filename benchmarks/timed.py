@@ -315,7 +315,7 @@ def own_steps(scenario: Scenario) -> tuple[Array, Callable[[], Array]]:
 def loop(scenario: Scenario, runs: int) -> Part:
     """Time runs as in ``moc-opt run``, progress bar's callback included, and MuJoCo's steps over the same states.
 
-    References and trace are included. A first run, which is not timed, warms the caches. Rows hold ``us_per_tick``, ``steps_us``.
+    References and trace are included. A first, untimed run warms the caches. Rows hold ``us_per_tick``, ``steps_us``.
     """
     part, (states, stepped), times = Part(), own_steps(scenario), list[Array]()
     seen, bar = list[dict[str, float]](), list[int]()

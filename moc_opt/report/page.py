@@ -116,7 +116,7 @@ def _unlike(text: str, taken: Iterable[str]) -> str:
 
 @cache
 def _packed_plotly() -> str:
-    """Return plotly.js, compressed and in base64, a third of its size; `figures.js` unpacks it."""
+    """Return plotly.js compressed and in base64, a third of its original size; `figures.js` unpacks it."""
     return base64.b64encode(gzip.compress(get_plotlyjs().encode(), mtime=0)).decode()
 
 

@@ -127,7 +127,7 @@ def _run_data(trace: Trace, robot: RobotModel, times: Array, color: str) -> dict
 
 
 def _panel(trace: Trace, column: str, ticks: NDArray[np.intp]) -> dict[str, Array] | None:
-    """Return curve and values per frame of one quantity of one run, for mu with its bound; None if it has none."""
+    """Return one run's curve and values per frame of a quantity (mu with its bound); None if the run lacks it."""
     if column not in trace.columns:
         return None
     values = trace.columns[column].astype(np.float64)
@@ -168,7 +168,7 @@ class Part(NamedTuple):
     origin: Array  #: (3,) point at height 0, in that frame [m]
     axis: Array  #: (3,) unit vector
     radii: Array  #: (k,) radii of the profile's points, in order of height [m]
-    heights: Array  #: (k,) their heights [m]
+    heights: Array  #: (k,) heights of these points [m]
     role: str  #: "shell", "joint" or "tool", which gives its colour
 
 

@@ -126,7 +126,7 @@ def run_tables(
     """Lay out the metrics of runs side by side. Ending and number of replaced answers are the first two rows.
 
     If any run broke off, each run has a table of its own, since figures of a part cannot be compared with those of a
-    whole run. The title of a broken-off run says which part there is, and each of its figures is marked. ``first``
+    whole run. The title of a broken-off run says which part it shows, and each of its figures is marked. ``first``
     gives only the metrics of `MATTER`, with `facts` in the title. Both ``first`` and ``explained`` add meanings.
     """
     if len(metrics) > 1 and any(part(traces[name]) for name in metrics):
