@@ -42,7 +42,7 @@ PICTURED = ("none", "bump-30N", "trocar-slips", "nan-lasting")
 """Cases whose traces are drawn, under `exact` on the first trial."""
 CURVES = ("t_s", "tip_error_m", "rcm_error_m", "trocar_force_N")
 SMOOTH_S, RECOVERED, RESOLUTION_M = 0.2, 1.2, 5e-5
-"""A run has recovered when its errors, averaged over 0.2 s, stay below 1.2 times the fault-free ones plus 0.05 mm."""
+"""A run has recovered when its errors, averaged over 0.2 s, stay below 1.2 times the fault-free errors plus 0.05 mm."""
 COMPLAINTS = ("failed", "raised", "malformed", "not_finite", "outside", "lied", "late", "lost")
 """Names of a solver's faults in the supervisor's trace, without "infeasible", which is an honest answer."""
 OUTCOMES = ("survived", "stopped", "oscillated", "diverged", "ran away", "refused", "failed")

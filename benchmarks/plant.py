@@ -139,7 +139,7 @@ def work(study: Study, config: Config) -> Found:
 
 
 def registered_again(dcac: Trial, moc: Trial) -> list[Run]:
-    """Run both on one trial; if both complete it and MOC's elbow arrives, add the errors after registering again."""
+    """Run both controllers; if both complete the trial and MOC's elbow arrives, add errors after registering again."""
     both = [run_and_trace(dcac), run_and_trace(moc)]
     found = [run for run, _ in both]
     whole = [trace for run, trace in both if trace is not None and run.row["whole"]]

@@ -20,7 +20,7 @@ from moc_opt.solvers.exact import Exact
 
 TICKS = 150
 """Length of the recording, from the middle of the run; the last third has faults."""
-INFEASIBLE, VIOLENT = 0.5, 10.0  # added to the reference's velocity [m/s]: infeasible; so fast that the torque is limited
+INFEASIBLE, VIOLENT = 0.5, 10.0  # added to the reference velocity [m/s]: infeasible; so fast that the torque is limited
 
 
 def export_scenario(

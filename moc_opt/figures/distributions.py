@@ -24,7 +24,7 @@ def latency_ecdf(samples: Samples) -> go.Figure:
     NaN (no solve) is left out; infinity (never done) lowers the fraction. The legend marks a name without samples.
 
     Raises:
-        ReportError: there is no finite time at all, or one is negative.
+        ReportError: there is no finite time at all, or a time is negative.
     """
     drawn, styles = figure(legend_y=1.08, height=320 + legend_height(samples)), Styles(samples)
     for name, values in samples.items():
@@ -95,7 +95,7 @@ def _box(name: str, values: Floats) -> tuple[float, float, float, float, float, 
 
 
 def _known(name: str, values: ArrayLike) -> Floats:
-    """Return the samples that are not NaN; a ReportError if one is negative."""
+    """Return the samples that are not NaN; a ReportError if a sample is negative."""
     known = np.asarray(values, dtype=np.float64).ravel()
     known = known[~np.isnan(known)]
     if (known < 0.0).any():

@@ -56,7 +56,7 @@ class Bar(Progress):
         self.add_task(printable(description), total=total, now=now, written=self.get_time())
 
     def step(self, now: str = "", steps: float = 1.0) -> None:
-        """Count this many more steps as done, and show the name of the current one."""
+        """Count this many more steps as done, and show the current step's name."""
         (task,) = self.tasks
         self.update(task.id, advance=steps, now=printable(now))
         if self.console.is_terminal or self.get_time() - task.fields["written"] < LINE_EVERY_S:

@@ -50,7 +50,7 @@ class Page:
         self._about, self._tables, self._folding = "", 0, False
 
     def headline(self, text: str) -> None:
-        """Append a finding in words, set apart; the first one is also the page's meta description."""
+        """Append a finding in words, set apart; the first finding is also the page's meta description."""
         self._about = self._about or text
         self._add(_PARTS.headline(text))
 

@@ -44,7 +44,7 @@ class Replay:
     """One to four runs of one arm, played side by side; ``#t=3.2`` in the address opens the page at t = 3.2 s."""
 
     def __init__(self, traces: Mapping[str, Trace], robot: RobotModel) -> None:
-        """Check the runs; a ReportError where there are none, too many, or one that does not fit this arm."""
+        """Check the runs; a ReportError if there is no run or too many, or if a run does not fit this arm."""
         if not 1 <= len(traces) <= MOST_RUNS:
             raise ReportError(f"{len(traces)} runs: give 1 to {MOST_RUNS}, more are too small to see")
         for name, trace in traces.items():

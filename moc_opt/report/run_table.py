@@ -31,7 +31,7 @@ ANOTHER_PROBLEM = (
 
 
 def answers_another_problem(trace: Trace, solver: str = "") -> bool:
-    """Return whether the solver (the scenario's if empty) is a nonlinear one, to which `VERDICTS` do not apply."""
+    """Return whether the solver (the scenario's if empty) is nonlinear, so that `VERDICTS` do not apply to it."""
     return (solver or about(trace).get("solver", "")).startswith("nlp-")
 
 

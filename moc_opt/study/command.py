@@ -136,7 +136,7 @@ def command(
 
     ``config`` is read from NAME.toml in ``folder`` (None: benchmarks/configs). What ``work`` returns is written to
     ``--out`` (results/NAME). ``options`` adds the study's own options to the parser; `Study.given` has them. The exit
-    status is that of the findings, 2 after an error (one line on stderr), 130 after Ctrl-C or SIGTERM.
+    status is `Found.status`, 2 after an error (one line on stderr), 130 after Ctrl-C or SIGTERM.
     """
     parser = ArgumentParser(prog=program or f"python -m benchmarks.{name}", description=about)
     parser.add_argument("config", nargs="?", type=Path, help=f"TOML; default: {name}.toml of this study")

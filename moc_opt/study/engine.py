@@ -58,7 +58,7 @@ class Failed:
 
     kind: Literal["hung", "crashed", "raised", "not run"]
     reason: str
-    parts: tuple[Any, ...] = ()  #: what the job had handed over by calling `report`
+    parts: tuple[Any, ...] = ()  #: the parts that the job saved by calling `report`
 
     def __str__(self) -> str:
         return self.reason if self.kind in ("raised", "not run") else f"{self.kind}: {self.reason}"
@@ -159,7 +159,7 @@ def _answers(
             else:
                 flying[submit(jobs[k])] = k
         done, pending = wait(flying, timeout=LOOK_S, return_when=FIRST_COMPLETED)
-        # Pebble misses a process that dies before pebble learns that the job began, and one that exits with status 0.
+        # Pebble misses a process that dies before pebble learns that the job began, or exits with status 0.
         before, gone = gone, {future for future in pending if _process_is_gone(future)}
         for future in done | (gone & before):
             k = flying.pop(future)
@@ -316,7 +316,7 @@ def _reported(file: str | None) -> tuple[Any, ...]:
 
 
 def alarm(seconds: float) -> None:
-    """Let the kernel end this job's process after so many seconds, even where a library hangs; 0: never.
+    """Let the kernel end this job's process after this many seconds, even where a library hangs; 0: never.
 
     The seconds are processor time, so that a busy machine makes no answer late. A process that only waits is ended
     after `WAITS` times as many seconds of wall time. A job may call this before each of its steps, to limit each step.

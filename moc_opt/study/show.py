@@ -32,7 +32,7 @@ def mark(verdict: bool | str | None, text: str) -> Mark:
 
 
 class Picture(NamedTuple):
-    """A figure, one sentence that says what to see in it, and the name of its file."""
+    """A figure, one sentence that says what the figure shows, and the name of its file."""
 
     figure: go.Figure
     says: str
@@ -56,7 +56,7 @@ class Report:
     answer: Sequence[str]  #: up to three sentences, the most important one first
     table: Table  #: shown on the first screen, with few columns
     pictures: Sequence[Picture] = ()  #: up to three
-    sections: Sequence[Section] = ()  #: in reading order; a column's ``section`` links to one of them
+    sections: Sequence[Section] = ()  #: in reading order; a column's ``section`` links to a section
     load: str = ""  #: the machine's load while times were taken; "" where none were taken
     subtitle: str = ""
 

@@ -54,7 +54,7 @@ Question = tuple[SolverSetting, TestSet]
 
 
 class Answer(NamedTuple):
-    """One answer: status, iterations, x (n,), y (6,), and what the solver raised or what is malformed ("": nothing)."""
+    """One answer: status, iterations, x (n,), y (6,), and the exception or defect in words ("": neither)."""
 
     status: str
     iterations: int
@@ -66,7 +66,7 @@ class Answer(NamedTuple):
 class Answers:
     """The answers of one solver under one setting to one set of k problems, judged.
 
-    ``refused`` says why the solver does not take the problems, ``events`` what it raised and how its process ended.
+    ``refused`` says why the solver does not take the problems; ``events`` lists its errors and how its process ended.
     ``every`` has one answer per problem, asked or not, and so have ``status``, ``x``, ``residuals`` and ``verified``.
     """
 
@@ -122,7 +122,7 @@ class Answers:
     def summary(self, times: Times | None = None) -> dict[str, Any]:
         """Return counts, largest residuals and times for summary.json, and the first trouble in words.
 
-        Residuals are those of the feasible problems that were answered.
+        Residuals are taken over the feasible problems that were answered.
         """
         found: dict[str, Any] = dict(self.counts())
         answered = self.problems.feasible & np.isfinite(self.x).all(axis=1)
@@ -175,7 +175,7 @@ def totals(answers: Sequence[Answers], times: Sequence[Times]) -> dict[str, Any]
 def ask(run: Runner, questions: Sequence[Question], limits: Limits, *, warm: bool = True) -> list[Answers]:
     """Collect the answers to each question: from one session if ``warm``, else from a new session for each problem.
 
-    After a hang or a crash the rest of the set is not asked; after `BROKEN_SETS` such sets, no further set is.
+    After a hang or a crash the rest of the set is not asked; after `BROKEN_SETS` such sets, no further set is asked.
     """
     jobs = [
         Job(answer, (setting, problems.rows, warm, limits.patience_s, limits.setup_s), HOURS, group=setting.label)
@@ -234,7 +234,7 @@ def _problems(rows: Array) -> list[NullSpaceQP]:
 
 
 def _session(solver: Solver, qp: NullSpaceQP) -> tuple[Session | None, str]:
-    """Return a session, or None and why there is none: the reason that the solver gives, or what it raised."""
+    """Return (session, ""), or None and the reason: the solver's own words, or the exception that it raised."""
     try:
         reason = solver.supports(qp)
         if reason is None:
@@ -246,7 +246,7 @@ def _session(solver: Solver, qp: NullSpaceQP) -> tuple[Session | None, str]:
 
 
 def _asked(session: Session, qp: NullSpaceQP) -> tuple[Solution, str]:
-    """Return the answer, and what the solver raised or what is malformed ("": nothing)."""
+    """Return the answer, and the exception or the defect of the answer in words ("": neither)."""
     try:
         return received(session.solve(qp), qp.n)
     except (Exception, SystemExit) as error:  # noqa: BLE001 - as above

@@ -93,7 +93,7 @@ def record(case: Scenario, ticks: int) -> Array:
 
 
 def recorded_sequence(work: Work) -> None:
-    """Give the sequence to every solver, warm (one session) and cold (one per problem); then time them one by one."""
+    """Give the sequence to every solver, warm (one session) and cold (a session each); then time one by one."""
     config = work.config.open_loop
     problems = [NullSpaceQP.from_row(np.array(row)) for row in work.sequence]
     session = Exact().start(problems[0])

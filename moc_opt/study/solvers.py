@@ -91,7 +91,7 @@ class ClosedLoop(Settings):
     """solvers left out: they take a millisecond per tick"""
 
     def of(self, solver: str) -> int:
-        """Return how many trials a solver or the baseline runs. It always runs the first ones."""
+        """Return how many trials a solver or the baseline runs. It always runs the first trials."""
         return self.trials if solver in (BASELINE, *self.cited) else min(self.others, self.trials)
 
 

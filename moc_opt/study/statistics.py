@@ -119,7 +119,7 @@ def share(found: int, trials: int) -> Interval:
 
 
 def mean(samples: ArrayLike) -> Interval:
-    """Return the mean of (k,) numbers, one per trial; a StatisticsError where k = 0 or one of them is not finite."""
+    """Return the mean of (k,) numbers, one per trial; a StatisticsError where k = 0 or a number is not finite."""
     return _interval(np.mean, samples=samples)
 
 
@@ -177,7 +177,7 @@ def _interval(statistic: Callable[..., Any], **given: ArrayLike) -> Interval:
     expanded = float(2.0 * stats.norm.cdf(np.sqrt(count / (count - 1)) * quantile) - 1.0)
     half = quantile * _standard_error(statistic, samples)
     for method in ("BCa", "percentile"):
-        # BCa has no value where all resamples or all jackknife values agree; the percentile interval always has one.
+        # BCa has no value where all resamples or all jackknife values agree; the percentile interval always exists.
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # degenerate samples
             found = stats.bootstrap(

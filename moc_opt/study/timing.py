@@ -56,7 +56,7 @@ def quiet(row: Row) -> bool:
 
 
 def load(rows: Iterable[Row]) -> str:
-    """Say what the machine did while the times in these rows were taken; "" where there are none."""
+    """Describe the machine's load while the times in these rows were taken; "" if no row has times."""
     timed = [row for row in rows if row.get("times_calls")]
     if not timed:
         return ""

@@ -174,7 +174,7 @@ def run_and_trace(asked: Trial, baseline: Trace | None = None) -> tuple[Run, Tra
 
 
 def _counts(trace: Trace) -> dict[str, Any]:
-    """Count the ticks with a subproblem, with an infeasible one, and with each fault; name the method of mu's bound."""
+    """Count ticks with a subproblem, infeasible subproblems, and ticks by fault; name the method of mu's bound."""
     found: dict[str, Any] = {"mu_bound_method": trace.meta.get("mu_bound_method")}
     if "status" in trace.columns:
         found |= {"asked": int((trace.status != "none").sum()), "infeasible": int((trace.status == "infeasible").sum())}
