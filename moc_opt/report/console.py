@@ -46,7 +46,7 @@ class Bar(Progress):
     def __init__(
         self, description: str, total: float | None = None, *, now: str = "", on: Console | None = None
     ) -> None:
-        """Make the bar; ``total`` None: the number of steps is not known yet; ``on``: another console than stderr's."""
+        """Make the bar for ``total`` steps (None: not known yet), on the console ``on`` instead of stderr."""
         where = on or console(stderr=True)
         super().__init__(
             TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(),

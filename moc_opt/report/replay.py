@@ -164,7 +164,7 @@ def velocity_ellipsoids(jacobians: Array) -> Array:
 class Part(NamedTuple):
     """A body of revolution."""
 
-    link: int  #: index of the joint whose frame it moves with, from 0; `BASE` stands still
+    link: int  #: index (from 0) of the joint whose frame the part moves with; `BASE`: it does not move
     origin: Array  #: (3,) point at height 0, in that frame [m]
     axis: Array  #: (3,) unit vector
     radii: Array  #: (k,) radii of the profile's points, in order of height [m]

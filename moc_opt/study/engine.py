@@ -48,8 +48,8 @@ class Job:
     work: Callable[..., Any]
     arguments: tuple[Any, ...] = ()
     limit_s: float = 600.0  #: a call that takes longer is ended with its process [s]
-    alone: bool = False  #: its times are measured, so no other job runs meanwhile
-    group: str = ""  #: once `give_up` jobs of a group hung or crashed, its later jobs are not begun
+    alone: bool = False  #: whether the job's times count, so that no other job runs meanwhile
+    group: str = ""  #: once `give_up` jobs of a group hung or crashed, later jobs of the group are not begun
 
 
 @dataclass(frozen=True)

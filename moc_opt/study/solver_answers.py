@@ -259,10 +259,10 @@ def _asked(session: Session, qp: NullSpaceQP) -> tuple[Solution, str]:
 class Times(NamedTuple):
     """Times of one solver on one set [us]."""
 
-    solve: Array  #: (rounds, k) of one session that goes through all problems
-    setup: Array  #: of starting a fresh session
-    cold: Array  #: of the first solve in a fresh session
-    update: Array  #: of handing a problem to the library; empty where the session has no separate call for it
+    solve: Array  #: (rounds, k) solves of one session that goes through all problems
+    setup: Array  #: starts of fresh sessions
+    cold: Array  #: first solves of these sessions
+    update: Array  #: calls that hand a problem to the library; empty where the session has no separate call for it
     load: Mapping[str, float]  #: the machine's load meanwhile, see `timing.COUNTED`
 
     def figures(self) -> dict[str, Any]:

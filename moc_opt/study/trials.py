@@ -95,9 +95,9 @@ class Trial:
 
     case: Scenario
     controller: str  #: one of `BASELINES`, or the name of a solver
-    settings: Mapping[str, Any] = field(default_factory=dict)  #: of the solver
-    tags: Mapping[str, Any] = field(default_factory=dict)  #: further columns of its row, such as a group's name
-    timed: bool = False  #: nothing else runs meanwhile, so that its times count
+    settings: Mapping[str, Any] = field(default_factory=dict)  #: settings of the solver
+    tags: Mapping[str, Any] = field(default_factory=dict)  #: further columns of the trial's row, such as a group's name
+    timed: bool = False  #: nothing else runs meanwhile, so that the trial's times count
     keep: Literal["row", "curves"] = "row"  #: "curves": the columns in `CURVES` are kept, too
     solver: str | Solver | None = None  #: name or object of a solver to use in place of ``controller``
 
