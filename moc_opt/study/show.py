@@ -55,7 +55,7 @@ class Report:
     title: str  #: the question, and the arm, task, preset and solver unless the study varies them
     answer: Sequence[str]  #: up to three sentences, the most important one first
     table: Table  #: shown on the first screen, with few columns
-    pictures: Sequence[Picture] = ()  #: up to three
+    pictures: Sequence[Picture] = ()  #: up to three pictures
     sections: Sequence[Section] = ()  #: in reading order; a column's ``section`` links to a section
     load: str = ""  #: the machine's load while times were taken; "" where none were taken
     subtitle: str = ""

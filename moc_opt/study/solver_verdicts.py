@@ -96,7 +96,7 @@ def _figures(name: str, certified: Row, warm: Row, closed: Row) -> Row:
     hidden = Missing("it answers the nonlinear problem of the tick: not comparable")
     wrong = sum(int(part.get("silently_wrong") or 0) for part in (certified, warm, closed))
     timed, suffix = (warm, "") if warm.get("solve_p50_us") is not None else (certified, "_worst_set")
-    share = math.floor(1e4 * share_right(counted)) / 100.0 if counted.get("solves") else None  # floor: 100 means all
+    share = math.floor(1e4 * share_right(counted)) / 100.0 if counted.get("solves") else None  # 100: all are right
     return {
         "solver": name, "counted": counted, "closed": closed, "relative_max": counted.get("relative_max"),
         "right_percent": hidden if other else share, "silently_wrong": hidden if other else wrong,
