@@ -22,7 +22,7 @@ from moc_opt.arrays import Array
 from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.study.testsets import CertificateError, TestSet
 
-TIED = 1e-12  # of |A|: up to here, relative movement of tip and wrist along the shaft counts as rounding
+TIED = 1e-12  # relative movement of tip and wrist along the shaft, up to this share of |A|, counts as rounding
 RANK_TOLERANCE = 1e-12
 """Singular values below this share of |A| count as zero when answers are judged: such problems are not certified."""
 FEASIBLE, INFEASIBLE = 0, 2  # status of scipy's linprog
@@ -33,7 +33,7 @@ Vector = list[Fraction]
 def five_rows(qp: NullSpaceQP) -> tuple[Array, Array]:
     """Return A (5, n) and b (5,) of the certified problem: the tip's three rows and the wrist's two across the shaft.
 
-    A CertificateError where no rigid tool ties tip and wrist, or where the rank of the rows is below five.
+    Raise a CertificateError where no rigid tool ties tip and wrist, or where the rank of the rows is below five.
     """
     directions, sizes, _ = np.linalg.svd(qp.J_tip - qp.J_wrist)
     if sizes[2] > TIED * np.linalg.norm(qp.A):

@@ -37,8 +37,8 @@ SIZES = (60, 15, LEAST_TRIALS)
 
 
 class Config(StudyConfig):
-    trials: int = Field(240, ge=2 * max(SIZES), description="of the pool")
-    draws: int = Field(1000, ge=1, description="from the pool, of each number of trials")
+    trials: int = Field(240, ge=2 * max(SIZES), description="trials in the pool")
+    draws: int = Field(1000, ge=1, description="draws from the pool, for each number of trials")
     tasks: list[str] = Field(["circle", "sinusoid", "spiral"], min_length=1)
     scenario: Scenario = Scenario(duration_s=4.0, bound_samples=0, start={"pose": "random"})
 

@@ -1,8 +1,8 @@
 """Put the figures of finished studies into README.md and docs: python -m benchmarks.docs [RESULTS]
 
-Between the lines ``<!-- NAME -->`` and ``<!-- /NAME -->`` of a page go the answer and the first table of
-RESULTS/NAME/report.md. Between ``<!-- NAME: TITLE -->`` and ``<!-- /NAME: TITLE -->`` goes the report's section with
-that title. The command, the seed and the machine are put above them. RESULTS is ``results`` by default.
+The text between the lines ``<!-- NAME -->`` and ``<!-- /NAME -->`` of a page becomes the answer and the first table of
+RESULTS/NAME/report.md. The text between ``<!-- NAME: TITLE -->`` and ``<!-- /NAME: TITLE -->`` becomes the report's
+section with that title. Command, seed and machine are put above. RESULTS is ``results`` by default.
 """
 
 from __future__ import annotations

@@ -42,9 +42,9 @@ PICTURED = ("none", "bump-30N", "trocar-slips", "nan-lasting")
 """Cases whose traces are drawn, under `exact` on the first trial."""
 CURVES = ("t_s", "tip_error_m", "rcm_error_m", "trocar_force_N")
 SMOOTH_S, RECOVERED, RESOLUTION_M = 0.2, 1.2, 5e-5
-"""A run has recovered when its errors, averaged over 0.2 s, stay below 1.2 times the fault-free ones plus 0.05 mm."""
+"""A run has recovered when its errors, averaged over 0.2 s, stay below 1.2 times the fault-free errors plus 0.05 mm."""
 COMPLAINTS = ("failed", "raised", "malformed", "not_finite", "outside", "lied", "late", "lost")
-"""Names in the supervisor's trace of a solver's misbehaviour; "infeasible" is missing, as it is an honest answer."""
+"""Names of a solver's faults in the supervisor's trace, without "infeasible", which is an honest answer."""
 OUTCOMES = ("survived", "stopped", "oscillated", "diverged", "ran away", "refused", "failed")
 WORST = (
     "tip_error_max_mm", "rcm_error_max_mm", "trocar_force_max_N", "rcm_mean_percent", "rcm_max_percent",
@@ -84,7 +84,7 @@ class Case(Settings):
     camera_lost_s: tuple[float, float] | None = None
     """(from, until): the board is out of sight, and the tip waits"""
     from_s: float = Field(0.0, ge=0.0)
-    until_s: float | None = Field(None, ge=0.0, description="None: it lasts")
+    until_s: float | None = Field(None, ge=0.0, description="None: until the end")
 
     @model_validator(mode="after")
     def _in_order(self) -> Self:
@@ -171,7 +171,7 @@ def run_block(block: Block) -> tuple[list[dict[str, Any]], dict[str, dict[str, A
     for name, case in block.cases.items():
         trace, how = run_case(case.corrupt(block.trial), case.camera_lost_s)
         waits = case.camera_lost_s is not None
-        if waits not in levels:  # a path that may wait starts more gently: compare it with one that may but need not
+        if waits not in levels:  # a path that may wait starts more gently: compare with one that may, but never has to
             levels[waits] = run_case(block.trial, (0.0, 0.0))[0] if waits else trace
         if (level := levels[waits]) is None:
             raise MocOptError(f"{block.controller}: the run without a fault did not start: {how}")
@@ -199,7 +199,7 @@ class Waited(Reference):
 
 
 def run_case(scenario: Scenario, camera_lost_s: tuple[float, float] | None) -> tuple[Trace | None, str]:
-    """Return the trace, up to where the run broke off, and how it ended; None in place of a trace if it was refused."""
+    """Return the trace, up to where the run broke off, and how it ended; no trace if the scenario was refused."""
     try:
         setup = Setup(scenario)
         if camera_lost_s is not None:
@@ -215,7 +215,7 @@ def run_case(scenario: Scenario, camera_lost_s: tuple[float, float] | None) -> t
 def measure(
     trace: Trace | None, free: Trace, ended: str, case: Case, limits_mm: tuple[float, float]
 ) -> dict[str, Any]:
-    """Return the figures of one run beside the run without a fault."""
+    """Return the figures of one run, compared with the run without a fault."""
     if trace is None:
         return {"outcome": "refused"}
     # A stopped arm need not follow its reference: its tip error counts up to the stop, and then the distance it coasts.
@@ -264,7 +264,7 @@ def detection(trace: Trace) -> dict[str, int]:
 def recovery(trace: Trace, free: Trace, case: Case, ended: str) -> float | None:
     """Return the time [s] from the fault's end (its start, if it lasts) until both errors have recovered for good.
 
-    `RECOVERED` has the limit. None where the run did not complete, or ends above the limit.
+    `RECOVERED` defines the limit. Return None where the run did not complete, or ends above the limit.
     """
     if ended != "completed" or len(trace) != len(free):
         return None
@@ -283,7 +283,7 @@ def recovery(trace: Trace, free: Trace, case: Case, ended: str) -> float | None:
 
 
 def smooth(values: Array, width: int) -> Array:
-    """Return the running mean (N,) over the last ``width`` values, or over as many as there are at the beginning."""
+    """Return the running mean (N,) over the last ``width`` values, at the beginning over all values so far."""
     return pl.Series(values).rolling_mean(width, min_samples=1).to_numpy()
 
 

@@ -13,10 +13,10 @@ from moc_opt.study.statistics import Change, Interval, spread, too_few
 
 
 class Goal(NamedTuple):
-    """A goal is reached if the value, or the worse end of its interval, is at most (or at least) the limit.
+    """A goal is reached if the value, with its whole interval, is at most (or at least) the limit.
 
-    ``measured`` takes the value from a summary: a number, an `Interval`, or a `Change`, both of whose intervals have to
-    meet the limit. If it returns None or raises a LookupError or ValueError, the value was not measured.
+    ``measured`` takes the value from a summary: a number, an `Interval`, or a `Change`, which has two intervals. If
+    ``measured`` returns None or raises a LookupError or ValueError, the value counts as not measured.
     """
 
     what: str
@@ -40,7 +40,7 @@ def judge(summary: Mapping[str, Any], goals: Mapping[str, Goal]) -> dict[str, di
             "what": goal.what, "unit": goal.unit, "goal": goal.limit, "kind": "at most" if goal.most else "at least",
             "value": None, "reached": "not measured", "made_of": "", "section": goal.section,
         }  # fmt: skip
-        with suppress(LookupError, ValueError):  # raised by entries (max: of none) of a part that did not run
+        with suppress(LookupError, ValueError):  # a part did not run: its entries are missing, or max() has no values
             if (measured := goal.measured(summary)) is not None:
                 row |= _reached(goal, measured) | {"made_of": goal.made_of(summary)}
         found[key] = row

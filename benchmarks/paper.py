@@ -50,7 +50,7 @@ MOST_MM = {
     "tip_error_model_mean_mm": 0.1, "tip_error_registered_mean_mm": 0.1, "rcm_error_model_mean_mm": 0.2,
     "rcm_error_registered_mean_mm": 0.2, "rcm_error_mean_mm": 0.5,
 }  # fmt: skip
-"""Goals: largest mean errors [mm]. Of the last one's 0.5 mm, 0.3 mm come from registering the trocar 0.5 mm off."""
+"""Goals: largest mean errors [mm]. In the base frame, registering the trocar 0.5 mm off costs 0.3 mm of the 0.5 mm."""
 RULES = (
     "An effect is the change of MOC against a DCAC on the same trials, 100 (mean MOC / mean DCAC - 1), with its 95 % "
     "interval, and beside it the mean of the trials' own ratios. A claim is confirmed against one DCAC where both "
@@ -130,7 +130,7 @@ class Ablation(Settings):
     """Table I with entries exchanged. The first case is the table as printed; without cases there is no ablation."""
 
     KIND: ClassVar[str] = "[ablation]"
-    group: str = Field(PRINTED, description="its parameters and trials are used")
+    group: str = Field(PRINTED, description="the group whose parameters and trials are used")
     cases: dict[str, Case] = Field(default_factory=dict)
 
 
@@ -158,7 +158,7 @@ class Config(StudyConfig):
 
     @classmethod
     def load(cls, path: Path, seed: int | None = None) -> Self:
-        """Read a TOML file, and check every name in it before anything moves."""
+        """Read a TOML file, and check every name in it before anything runs."""
         config = super().load(path, seed)
         table_1 = config.ablation
         for group in (config.best, config.swivel.group, config.elsewhere, table_1.group if table_1.cases else None):

@@ -1,4 +1,4 @@
-"""The job of our tick done by other libraries: TSID, pink, mink. A new one needs a class and an entry in `PEERS`.
+"""The work of one control tick, done by other libraries: TSID, pink, mink. `PEERS` lists their classes.
 
 In one tick the tip follows its reference, the wrist stays on the line through the trocar, the joint speeds stay within
 limits, and the remaining freedom follows the gradient of the manipulability. Every peer gets the data of the same arm,
@@ -63,7 +63,7 @@ def wrist_reference(tip_ref: Array, trocar: Array, span: float) -> Array:
 
 
 class TSID:
-    """Task-space inverse dynamics (Del Prete et al. 2016): SolverHQuadProgFast gives accelerations, these the torques.
+    """Task-space inverse dynamics (Del Prete et al. 2016): torques from the accelerations of SolverHQuadProgFast.
 
     Level 0 (hard) has three rows for the tip, two for the wrist across the shaft, and the joint speeds. Level 1 has
     accelerations towards a joint velocity along the gradient of the manipulability.
@@ -97,7 +97,7 @@ class TSID:
         self._solver.resize(self._dynamics.nVar, self._dynamics.nEq, self._dynamics.nIn)
         self._point_sample, self._joint_sample = tsid.TrajectorySample(12, 6), tsid.TrajectorySample(robot.n)
         self._value, self._rate, self._second = np.zeros(12), np.zeros(6), np.zeros(6)
-        self._value[3::4] = 1.0  # the rotation is masked out, but has to be a valid one
+        self._value[3::4] = 1.0  # the rotation is masked out, but has to be valid
         self._joint_sample.value(rest)
         self._joint_sample.second_derivative(rest)
         self._gradient, self._span = tip_gradient(robot), robot.state(robot.data.q_home).tool_span
@@ -158,7 +158,7 @@ class _PinkArm:
 class Pink(_PinkArm):
     """Differential inverse kinematics with pinocchio and a QP (Caron et al.), by pink's tasks for tip, wrist and mu."""
 
-    RISE_PER_S, RISE_COST = 0.05, 0.02  # of the manipulability [m^3/s]
+    RISE_PER_S, RISE_COST = 0.05, 0.02  # rise of the manipulability [m^3/s], and its cost
 
     def __init__(self, robot: RobotModel) -> None:
         from pink.tasks import FrameTask, ManipulabilityTask
@@ -221,7 +221,7 @@ class PinkTrimmed(_PinkArm):
         wrist = ahead(*wrist_reference(tip_ref, trocar, self.span))
         places, local, rows = self.data.oMf, pin.ReferenceFrame.LOCAL, self._rows
         tip, joint = places[self.tip], places[self.wrist]
-        # In the tool's axes, z is along the shaft. Of the wrist only the two rows across the shaft are taken.
+        # In the tool's axes, z is along the shaft. Only the wrist's two rows across the shaft are used.
         turn = tip.rotation.T
         rows.jacobian[:3] = pin.getFrameJacobian(self.model, self.data, self.tip, local)[:3]
         rows.jacobian[3:] = pin.getFrameJacobian(self.model, self.data, self.wrist, local)[:2]

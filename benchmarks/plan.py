@@ -1,4 +1,4 @@
-"""How much manipulability does a path hold, and how much of it does each third level reach in the loop?
+"""How much mean manipulability is possible along a path, and how much of it does each third level of MOC reach?
 
 python -m benchmarks.plan [CONFIG.toml] [--out DIR] [--seed N] [--quick] [--json]
 
@@ -33,12 +33,12 @@ STREAM, LOCAL = 7, "local"
 CONTROL = ControlSettings.model_fields
 LOOPS: dict[str, dict[str, Any]] = {
     **{level: {"third_level": level} for level in get_args(CONTROL["third_level"].annotation)},
-    # The climb with the faster observer that courses use, to compare errors at equal lag of the observer.
+    # The local climb, with the faster observer of the levels that follow a course: errors at equal observer lag.
     "local, observer of the courses": {"observer_gain_per_s": CONTROL["course_observer_gain_per_s"].default},
 }
 ERRORS = {"tip": "tip_error_model_mean_mm", "RCM": "rcm_error_model_mean_mm"}
 MOST_GAP_PERCENT = {LOCAL: 2.0, "receding": 1.0, "planned": 0.5}
-"""Largest gap of a third level: its mean mu in the loop below that of the best course from the same start."""
+"""Goal for each third level: its mean mu is at most so many percent below the best course's from the same start."""
 MOST_PLANNED_PERCENT, MOST_CHANGE_PERCENT, TRAPPED_PERCENT = 3.0, 5.0, 5.0
 MOST_SCRATCH_S, MOST_REPLAN_MS, MOST_HALVING_PERCENT = 3.0, 20.0, 0.5
 FIGURES = ("gap_percent", "fraction_of_best", *ERRORS.values(), "course_gap_percent", "replan_ms_p99")
@@ -55,7 +55,7 @@ class Config(StudyConfig):
     seed: int = Field(4000, ge=0, description="differs from the seeds on which the limits of courses were chosen")
     poses: int = Field(20, ge=1, description="random starts per task and robot")
     loops: dict[str, dict[str, Any]] = Field(LOOPS, description="closed loops: name -> [control]")
-    halvings: int = Field(3, ge=0, description="starts at which the grid is halved")
+    halvings: int = Field(3, ge=0, description="starts per robot with a second plan at half the grid spacing")
     scenario: Scenario = Scenario(start={"pose": "random"})
 
     def quick(self) -> Self:
@@ -97,7 +97,7 @@ def courses(case: Scenario, loops: Mapping[str, Mapping[str, Any]]) -> list[dict
 
 
 def loop(trial: Scenario, name: str, change: Mapping[str, Any], mine: float, best: float) -> dict[str, Any]:
-    """Return the row of one run; `mine` and `best`: mean mu of the best course from its start and over all starts."""
+    """Return the row of one run; `mine` and `best`: mean mu of the best course from the trial's start and of all."""
     case = trial.change(control=change, best_courses=False, bound_samples=0, judge=False)
     asked = Trial(case, name, case.solver.settings, {"part": "loop"}, solver=case.solver.name)
     run, trace = run_and_trace(asked)

@@ -62,8 +62,8 @@ class Sweep(Settings):
 
     KIND: ClassVar[str] = "[calibration]"
     trials: int = Field(5, ge=1, description="per task")
-    duration_s: float | None = Field(4.0, gt=0.0, description="of each run; None: the whole task")
-    sizes: list[float] = Field([0.05, 0.1, 0.2, 0.3, 0.5], description="beside 0: [mm] of origins, [mrad] of encoders")
+    duration_s: float | None = Field(4.0, gt=0.0, description="length of a run; None: the whole task")
+    sizes: list[float] = Field([0.05, 0.1, 0.2, 0.3, 0.5], description="with 0 added: of origins [mm], encoders [mrad]")
 
 
 class Config(StudyConfig):
@@ -139,7 +139,7 @@ def work(study: Study, config: Config) -> Found:
 
 
 def registered_again(dcac: Trial, moc: Trial) -> list[Run]:
-    """Run both on one trial; if both complete it and MOC's elbow arrives, add the errors after registering again."""
+    """Run both controllers; if both complete the trial and MOC's elbow arrives, add errors after registering again."""
     both = [run_and_trace(dcac), run_and_trace(moc)]
     found = [run for run, _ in both]
     whole = [trace for run, trace in both if trace is not None and run.row["whole"]]

@@ -60,7 +60,7 @@ def perform(parts: ProcedureSettings, scenario: Scenario, name: str, film: Path 
     robot = scenario.robot.arm()
     home = robot.state(robot.data.q_home)
     hand_seed, plant_seed, swivel_seed, eye_seed = np.random.SeedSequence(scenario.seed).generate_state(4).tolist()
-    # The registration error comes from the hand and the kinematics, so the plant must not add one of its own.
+    # The registration error comes from the hand and the kinematics, so the plant must not add another.
     plant = Plant(robot.data, scenario.plant.model_copy(update={"trocar_registration_error_m": 0.0}), seed=plant_seed)
     incision = home.tip - task.depth_m * home.tool_direction
     guided = guide_to(incision, plant, robot, parts.hands_on, seed=hand_seed)

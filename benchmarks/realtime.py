@@ -40,7 +40,7 @@ from moc_opt.trace.trace import Trace
 SPARE_S = 300.0
 """Time limit beyond the run itself: for starting both processes, judging and saving the trace."""
 SAFE_RCM_M, AT_REST_RAD_PER_S = 2e-3, 1e-2
-"""A stop is clean if the RCM error stayed below the first, and all joints are slower than the second at its end."""
+"""A stop is clean if the RCM error stays below `SAFE_RCM_M`, and all joints end slower than `AT_REST_RAD_PER_S`."""
 BURN = "import os\nstudy = os.getppid()\nwhile os.getppid() == study:\n    sum(i * i for i in range(100000))"
 PERCENTILES = {"p50": 50.0, "p99": 99.0, "p99_99": 99.99, "worst": 100.0}
 TIMES = {"wake": "wake-up latency", "round": "round trip", "control": "controller"}
@@ -62,8 +62,8 @@ class Case(NamedTuple):
 
 
 class Config(StudyConfig):
-    cycles: int = Field(100_000, ge=100, description="of every case")
-    run_cycles: int = Field(20_000, ge=100, description="of one run")
+    cycles: int = Field(100_000, ge=100, description="cycles of every case")
+    run_cycles: int = Field(20_000, ge=100, description="cycles of one run")
     rates_Hz: list[Rate] = Field([500, 1000], min_length=1)
     controllers: list[Literal["python", "c"]] = Field(["python", "c"], min_length=1)
     loads: list[Literal["quiet", "loaded"]] = Field(["quiet", "loaded"], min_length=1)
@@ -118,7 +118,7 @@ class Run(NamedTuple):
 
 
 def runs_of(study: Study, config: Config) -> dict[Case, list[Run]]:
-    """Split each case's cycles into runs, and do them. A run that is stopped has fewer cycles and is not repeated."""
+    """Split each case's cycles into runs, and run them. A run that is stopped has fewer cycles and is not repeated."""
     scenarios = {rate: config.run_at(rate) for rate in config.rates_Hz}
     programs = {
         ("c", rate): str(build(scenario, study.out / "programs" / str(rate)))
@@ -150,7 +150,7 @@ def build(scenario: Scenario, folder: Path) -> Path:
 
 @contextmanager
 def loaded(kind: str) -> Iterator[None]:
-    """Keep every core busy during the block; none if ``kind`` is "quiet"."""
+    """Keep every core busy during the block, or no core if ``kind`` is "quiet"."""
     count = 0 if kind == "quiet" else os.cpu_count() or 1
     busy = [subprocess.Popen([sys.executable, "-c", BURN]) for _ in range(count)]
     try:
@@ -301,7 +301,7 @@ def report(summary: Mapping[str, Any], subject: str = "") -> Report:
 
 
 def options(parser: ArgumentParser) -> None:
-    parser.add_argument("--cycles", type=int, metavar="N", help="of every case, in place of the configuration's")
+    parser.add_argument("--cycles", type=int, metavar="N", help="cycles of every case, in place of the configuration's")
 
 
 main = partial(command, "realtime", "Measure plant and controller against the clock.", Config, work, options=options)

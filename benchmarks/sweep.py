@@ -86,7 +86,7 @@ class RandomSample(Settings):
 
 
 class Config(StudyConfig):
-    seeds: int | list[int] = Field(1, description="how many, or which")
+    seeds: int | list[int] = Field(1, description="number of seeds, or a list of seeds")
     solvers: list[str] | None = Field(None, description="None: the scenario's; dcac: no solver")
     timed: bool = Field(False, description="one run at a time, so that times count")
     run_limit_s: float = Field(600.0, gt=0.0, le=MOST_S, description="a run that takes longer is ended")
@@ -179,7 +179,7 @@ def plan(config: Config) -> list[Trial]:
     found: dict[str, Trial] = {}
     for *values, sample, seed, solver in product(*grid.values(), range(samples), seeds, solvers):
         fields = dict(zip(grid, values, strict=True)) | {path: drawn[sample] for path, drawn in draws.items()}
-        if solver == BASELINE:  # DCAC has no solver: its runs differ in no field of a solver
+        if solver == BASELINE:  # DCAC has no solver: a solver's fields do not change its runs
             fields = {path: value for path, value in fields.items() if not path.startswith("solver.")}
         case = _case(config.scenario, seed, fields)
         settings = {**solvers[solver], **case.solver.settings}

@@ -97,7 +97,7 @@ def inconsistent(size: float) -> Callable[[RobotModel, Rng], Iterator[NullSpaceQ
 
 
 def jumps(robot: RobotModel, rng: Rng) -> Iterator[NullSpaceQP]:
-    """Yield unrelated problems, each of them twice: the second time with the gradient negated, against warm starts."""
+    """Yield unrelated problems, each of them twice: the second time with the gradient negated, to test warm starts."""
     while True:
         qp = at_pose(robot, robot.random_regular_pose(rng), tip_velocity(rng, 0.05), regularization=0.0)
         yield qp

@@ -66,7 +66,7 @@ class Part:
         """Time calls side by side: in turn, each call runs over the next chunk of its own items.
 
         A disturbance of the machine affects all entries, so ratios taken chunk by chunk vary less than the times. Every
-        entry is cut to the number of items of the shortest one. One round that is not timed precedes the ``rounds``.
+        entry is cut to as many items as the shortest entry has. One round that is not timed precedes the ``rounds``.
         """
         names, starts = list(entries), range(0, min(len(entry.items) for entry in entries.values()) - CHUNK + 1, CHUNK)
         chunks: dict[str, list[Array]] = {name: [] for name in names}
@@ -315,7 +315,7 @@ def own_steps(scenario: Scenario) -> tuple[Array, Callable[[], Array]]:
 def loop(scenario: Scenario, runs: int) -> Part:
     """Time runs as in ``moc-opt run``, progress bar's callback included, and MuJoCo's steps over the same states.
 
-    References and trace are included. A first run warms the caches untimed. Rows hold ``us_per_tick``, ``steps_us``.
+    References and trace are included. A first, untimed run warms the caches. Rows hold ``us_per_tick``, ``steps_us``.
     """
     part, (states, stepped), times = Part(), own_steps(scenario), list[Array]()
     seen, bar = list[dict[str, float]](), list[int]()
@@ -339,7 +339,7 @@ def loop(scenario: Scenario, runs: int) -> Part:
 
 
 def limit(rows: Iterable[Mapping[str, Any]], c_tick_us: float | None) -> dict[str, float]:
-    """Return medians over the loop's rounds: MuJoCo's steps, the limit (steps plus tick in C), and loop over limit."""
+    """Return medians over the loop's rounds: MuJoCo's steps, the limit (steps plus tick in C), and loop / limit."""
     us, steps = np.array([(row["us_per_tick"], row["steps_us"]) for row in rows]).T
     found = {"steps_us": float(np.median(steps))}
     if c_tick_us is not None:

@@ -1,4 +1,4 @@
-"""Two solvers in the same controller on the same trial: what differs?
+"""Print the metrics of two solvers side by side, in the same controller on the same trial.
 
 python examples/compare_two.py [exact] [rnn]
 """

@@ -1,4 +1,4 @@
-"""moc_opt: manipulability optimization control of a surgical arm; one measure judges every solver.
+"""moc_opt: manipulability optimization control of a surgical arm, and one measure by which every solver is judged.
 
 The public names load when they are first used: ``import moc_opt`` itself imports no solver, no
 simulator and no compiler.

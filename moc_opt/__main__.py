@@ -37,7 +37,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _nobody_reads() -> bool:
-    """Tell whether the broken pipe is standard output."""
+    """Tell whether standard output is the broken pipe."""
     watched = select.poll()
     watched.register(sys.stdout.fileno(), 0)
     return bool(watched.poll(0))
@@ -54,7 +54,7 @@ def _command(arguments: Sequence[str] | None) -> int:
 
             argcomplete.autocomplete(parser)
         given, rest = parser.parse_known_args(arguments)
-        given.rest = rest  # options of a study
+        given.rest = rest  # options of the solver study
         if given.command is None:
             parser.error("no command: `moc-opt run` runs the default scenario, `moc-opt -h` explains all commands")
         if rest and (given.command != "solvers" or given.list):

@@ -1,4 +1,4 @@
-"""The one type of all numeric arrays, and arrays that are read-only."""
+"""The type of all arrays of doubles, and read-only arrays."""
 
 from __future__ import annotations
 

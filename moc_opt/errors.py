@@ -63,11 +63,11 @@ class BrowserError(ReportError):
 
 
 class BrowserMissingError(BrowserError):
-    """No browser is installed, or nothing to drive one with; the message says what to install."""
+    """No browser is installed, or no package to drive it; the message says what to install."""
 
 
 class UnknownNameError(MocOptError, LookupError):
-    """A name that is in no list; the message holds the nearest valid ones."""
+    """A name that is not known; the message holds the nearest valid names."""
 
     MOST = 10_000  # the message may list many names
     FEW: ClassVar[int] = 12  #: Up to so many names are all shown, even where a command lists them.
@@ -76,7 +76,7 @@ class UnknownNameError(MocOptError, LookupError):
         """Name the nearest of the ``valid`` names, then all of them, or for a long list the command that prints it."""
         names = sorted(valid)
         short = bool(listed_by) and len(names) > self.FEW
-        # a key without its table is compared with the last parts of dotted keys
+        # A name without a dot is compared with the last parts of dotted names.
         ends = {one: (one if "." in name else one.rpartition(".")[2]).lower() for one in names}
         close = difflib.get_close_matches(name[:100].lower(), set(ends.values()), n=3, cutoff=0.55)
         near = [one for end in close for one in names if ends[one] == end][:3]

@@ -23,8 +23,8 @@ print(f"|A x - b| {residuals.primal:.1e}, natural residual {residuals.natural:.1
 print("verified:", residuals.verified())
 
 # %%
-# A wrong answer is found even if it satisfies every constraint. Another point on the self-motion moves tip and wrist as
-# required, but gives manipulability away.
+# A wrong answer is detected even if it satisfies every constraint. Another point on the self-motion moves tip and wrist
+# as required, but gives manipulability away.
 kernel = np.linalg.svd(qp.A)[2][5:]
 uphill = kernel.T @ (kernel @ state.grad_mu)
 wrong = solution.x - 0.3 * uphill / np.linalg.norm(uphill)

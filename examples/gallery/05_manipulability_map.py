@@ -2,8 +2,8 @@
 Where there is manipulability to gain
 =====================================
 
-The map shows, over time, every pose with the same tip and trocar: upwards the swivel of the elbow, mu as colour, grey
-where a joint limit forbids the pose. The lines are the trajectories of runs.
+The map shows every pose that keeps tip and trocar: time to the right, the swivel of the elbow upwards, mu as colour,
+grey where a joint limit forbids the pose. The lines are the trajectories of runs.
 """
 
 import moc_opt as mo

@@ -162,7 +162,7 @@ def write(
     Args:
         law, guard: numbers by the names in moc.h (`numbers_of` of control/law_numbers.py and control/safety_filter.py).
         recording: the ticks that ``make test`` repeats.
-        tolerance: of the solver ``exact`` [rad/s].
+        tolerance: tolerance of the solver ``exact`` [rad/s].
         stop: damping of the drives in a stop [Nm s/rad], and the least time for which they keep it [s].
         extra: further files, by name; if udp.c is one of them, the Makefile builds moc_udp.
         force: overwrite any file.
@@ -189,7 +189,7 @@ def write(
 
 
 def _marked(name: str, text: str) -> str:
-    """Return a text under a first line with its checksum, by which a later export sees whether it was edited."""
+    """Return a text below a line with its checksum, which tells a later export whether the text was edited."""
     comments = {".c": ("/* ", " */"), ".h": ("/* ", " */"), ".md": ("<!-- ", " -->")}
     before, after = comments.get(Path(name).suffix, ("# ", ""))
     check = hashlib.blake2s(text.encode(), digest_size=8).hexdigest()

@@ -20,7 +20,7 @@ from moc_opt.solvers.exact import Exact
 
 TICKS = 150
 """Length of the recording, from the middle of the run; the last third has faults."""
-INFEASIBLE, VIOLENT = 0.5, 10.0  # added to the reference's velocity [m/s]: makes it infeasible; limits the torque
+INFEASIBLE, VIOLENT = 0.5, 10.0  # added to the reference velocity [m/s]: infeasible; so fast that the torque is limited
 
 
 def export_scenario(
@@ -29,7 +29,7 @@ def export_scenario(
     """Write the whole controller of a scenario as C (tick, supervisor, fallback and safety filter); return the files.
 
     Args:
-        scenario: has the controller; ticks are recorded from its run.
+        scenario: its controller is exported; ticks are recorded from its run.
         out: folder, created if it does not exist.
         udp: also write a program that runs this controller over UDP, and the references of its ticks.
         force: overwrite files that export-c did not write.
@@ -57,7 +57,7 @@ def check(scenario: Scenario) -> None:
     """Refuse settings that the C code does not support.
 
     Raises:
-        ScenarioError: it names the setting, its value and the cure.
+        ScenarioError: a setting is not supported; the message names the setting, its value and the cure.
     """
     solver, control = scenario.solver, scenario.control
     for wrong, words in (
@@ -85,9 +85,9 @@ def references(setup: Setup) -> bytes:
 def record(setup: Setup) -> Recording:
     """Record the controller behind its safety filter on measurements of the scenario's run, the last third with faults.
 
-    The faults, in order: NaN for as many ticks as the safety filter bridges; a packet that comes again; a joint that
-    jumps for one tick; one that is too fast for one tick; infeasible references for some ticks; a reference so fast for
-    one tick that the torque is limited; NaN from there to the end.
+    The faults, in order: NaN for as many ticks as the safety filter bridges; a packet that comes twice; a joint that
+    jumps for one tick; a joint that is too fast for one tick; infeasible references for some ticks; a reference so fast
+    for one tick that the torque is limited; NaN until the end.
     """
     scenario, trace, t = setup.scenario, setup.trace(), setup.times()
     whole = min(len(trace), len(t))

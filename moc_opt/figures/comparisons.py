@@ -1,4 +1,4 @@
-"""Accuracy over time, with a name beside each point, placed so that names cover neither each other nor points."""
+"""Accuracy against computing time, with a name beside each point that covers neither other names nor points."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ TOLERATED_PX2 = 25.0
 def accuracy_against_time(
     points: Mapping[str, tuple[float, float]], *, x_label: str = "median time [µs]", y_label: str = "largest residual"
 ) -> go.Figure:
-    """Draw error over time on log axes; the Pareto front (no other entry is both faster and more accurate) is marked.
+    """Draw error against time on log axes; filled points: the Pareto front (no other is both faster and more accurate).
 
     Args:
         points: name -> (time, error); entries that are not finite are left out, errors below `FLOOR` drawn at `FLOOR`.
@@ -61,7 +61,7 @@ def accuracy_against_time(
 
 
 def pareto(points: Mapping[str, tuple[float, float]]) -> list[str]:
-    """Return the names that no other beats in both coordinates (less is better), ordered by the first coordinate."""
+    """Return the names that no other name beats in both coordinates (less is better), by ascending first coordinate."""
     best, front = np.inf, []
     for name in sorted(points, key=lambda name: points[name]):
         if points[name][1] < best:

@@ -24,7 +24,7 @@ def latency_ecdf(samples: Samples) -> go.Figure:
     NaN (no solve) is left out; infinity (never done) lowers the fraction. The legend marks a name without samples.
 
     Raises:
-        ReportError: there is no finite time at all, or one is negative.
+        ReportError: there is no finite time at all, or a time is negative.
     """
     drawn, styles = figure(legend_y=1.08, height=320 + legend_height(samples)), Styles(samples)
     for name, values in samples.items():
@@ -33,7 +33,7 @@ def latency_ecdf(samples: Samples) -> go.Figure:
         if not len(times):
             drawn.add_scatter(x=[], y=[], name=f"{label(name)} (no sample)", line_color=styles[name].color)
             continue
-        # Few quantiles suffice for most of the curve; of the slowest times each has a step of its own.
+        # Few quantiles suffice for most of the curve, but each of the slowest times has a step of its own.
         slowest = len(times) - np.geomspace(1, len(times), ECDF_POINTS)
         ranks = np.unique(np.append(np.linspace(0, len(times) - 1, ECDF_POINTS), np.ceil(slowest)).astype(np.int64))
         drawn.add_scatter(
@@ -50,8 +50,8 @@ def latency_ecdf(samples: Samples) -> go.Figure:
 def box_plots(groups: Mapping[str, Samples], value_label: str) -> go.Figure:
     """Draw box plots of controller -> task -> samples on a log axis, grouped by task, one colour per controller.
 
-    Boxes are quartiles with the median. Whiskers reach the last sample within 1.5 box lengths, in logarithms (Tukey).
-    Samples beyond them are points, at most 40 per box, including the smallest and the largest. NaN is left out.
+    Boxes are quartiles with the median. Whiskers reach the outermost sample within 1.5 box lengths, in logarithms
+    (Tukey). Samples beyond are points, at most 40 per box, including the smallest and the largest. NaN is left out.
 
     Raises:
         ReportError: a sample is infinite, or not positive.
@@ -65,7 +65,7 @@ def box_plots(groups: Mapping[str, Samples], value_label: str) -> go.Figure:
         lower, q1, median, q3, upper, beyond = zip(*boxes.values(), strict=True) if boxes else [()] * 6
         drawn.add_box(
             x=[label(task) for task in boxes], lowerfence=lower, q1=q1, median=median, q3=q3, upperfence=upper,
-            # plotly draws no box for a name whose first list of outliers is empty; a median as the only one is hidden.
+            # plotly draws no box for a name whose first list of outliers is empty; the box hides the median in it.
             y=[points or [middle] for points, middle in zip(beyond, median, strict=True)],
             boxpoints="outliers", name=label(name), offsetgroup=name,
             fillcolor=f"{styles[name].color}48",  # opacity 0.28; dark pages replace the first 7 characters
@@ -95,7 +95,7 @@ def _box(name: str, values: Floats) -> tuple[float, float, float, float, float, 
 
 
 def _known(name: str, values: ArrayLike) -> Floats:
-    """Return the samples that are not NaN; a ReportError if one is negative."""
+    """Return the samples that are not NaN; a ReportError if a sample is negative."""
     known = np.asarray(values, dtype=np.float64).ravel()
     known = known[~np.isnan(known)]
     if (known < 0.0).any():

@@ -30,7 +30,7 @@ class Mark:
         symbol: one character.
         word: the text.
         tone: its colour: "best", "good", "fair", "bad" or "other".
-        rank: order for sorting, the best one lowest.
+        rank: key for sorting, lowest for the best verdict.
     """
 
     symbol: str

@@ -22,7 +22,7 @@ PANELS = {
     "rcm_error_m": ("RCM error in space [mm]", 1e3),
     "trocar_force_N": ("|force| [N]", 1.0),
 }
-"""Column of a trace -> label of its panel, and the factor to the unit there."""
+"""Column of a trace -> label of its panel, and the factor to the label's unit."""
 TIPS = {
     "tip_error_model_m": ("tip error, own kinematics [mm]", 1e3),
     "tip_error_registered_m": ("tip error, frame registered at the start [mm]", 1e3),
@@ -42,10 +42,10 @@ def time_series(
 
     Args:
         runs: name -> `Trace`, or columns of a run, (N,) or (N, k), including `t_s`. A run is absent from the panels
-            of columns that it lacks. Of vectors the length is drawn.
-        panels: columns, from top to bottom. None: those of ``PANELS``, in which the absolute tip error, mostly the
-            error of the arm's calibration, is replaced by the errors of ``TIPS`` that every run has.
-        styles: the style of each run; None: new ones.
+            of columns that it lacks. Vectors are drawn by their length.
+        panels: columns, from top to bottom. None: those of ``PANELS``, but with the errors of ``TIPS`` that every run
+            has in place of the absolute tip error, which is mostly the error of the arm's calibration.
+        styles: the style of each run; None: new styles.
 
     Raises:
         ReportError: ``panels`` is empty, no list of names, or names a column that no run has or that holds texts; a
@@ -103,8 +103,8 @@ def envelope(t: ArrayLike, y: ArrayLike, points: int = 1200) -> tuple[Floats, Fl
     """Thin a series to at most `points` without losing a peak.
 
     Args:
-        t, y: (N,) times and values; NaN in y is a gap and stays one.
-        points: at least 4; a series that is no longer comes back as it is.
+        t, y: (N,) times and values; NaN in y is a gap, and stays a gap.
+        points: at least 4; a series of at most so many points is returned as it is.
 
     Returns:
         (K,) times and values of the series: the first and last, and the smallest and largest of every stretch, in

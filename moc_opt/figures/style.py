@@ -1,7 +1,7 @@
 """The style of all figures: one plotly template, and colours that colour-blind readers can distinguish, light and dark.
 
-A figure is built for a light page. A page makes it dark by replacing each colour of `DARK` in the figure's JSON, so
-every colour in a figure has to come from here.
+A figure is built for a light page. A page makes it dark by replacing each colour of `DARK` in the figure's JSON. Other
+colours stay as they are on dark pages, as those of the map do on purpose (report/map_page.py).
 """
 
 from __future__ import annotations
@@ -128,7 +128,7 @@ def log_axis(
         step = max(1, math.ceil((high - low) / MAX_POWERS))
         exponents = range(step * math.ceil(low / step), math.floor(high) + 1, step)
         ticks = {"tickvals": [10.0**power for power in exponents], "ticktext": [*map(pretty_power, exponents)]}
-    # Minor ticks are set here: between labels that it did not choose, plotly would draw thousands.
+    # Minor ticks are set here, because plotly would draw thousands of them between labels that it did not choose.
     minor = {"ticks": "outside", "ticklen": 2, "tickcolor": MUTED, "dtick": "D1" if step == 1 else 1}
     layout = {"type": "log", "title": {"text": pretty_units(title)}, "minor": minor, "range": [low, high], **ticks}
     drawn.update_layout({f"{axis}axis": {"tickangle": 0, **layout}})
@@ -138,7 +138,7 @@ def rule(drawn: go.Figure, axis: str, at: float, text: str) -> None:
     """Draw a limit: a dashed line at `at` of an axis, named above the plot ("x") or inside it at the right ("y")."""
     line = {"color": WORST, "width": 1.2, "dash": "dash"}
     note = {"text": text, "showarrow": False, "font": {"size": 11, "color": WORST}, "yanchor": "bottom"}
-    # On a log axis, plotly takes the value for a line, but its logarithm for a text.
+    # On a log axis, plotly places a line by its value, but a text by the logarithm of its value.
     place = math.log10(at) if drawn.layout[f"{axis}axis"].type == "log" else at
     if axis == "x":
         drawn.add_shape(type="line", x0=at, x1=at, y0=0, y1=1, yref="paper", line=line)

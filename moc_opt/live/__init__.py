@@ -1,4 +1,4 @@
-"""A run in real time whose solver, gains and trocar can be changed while it goes: ``moc-opt live``.
+"""A run in real time whose solver, gains and trocar can be changed while the arm moves: ``moc-opt live``.
 
 - ``run.LiveRun``: the loop without a page, and the changes that can be made while it runs
 - ``page.serve``: a page on loopback for a `LiveRun`

@@ -42,7 +42,7 @@ FIELDS = ("regularization", "K_X", "K_N", "K_N2", "D_N2", "k0_per_s")  # setting
 
 
 class LivePage:
-    """A run, its clock and its page on loopback, at the port or the next free one; as a context manager it stops them.
+    """A run, its clock and its page on loopback, at the port or the next free one. Leaving the context stops them.
 
     Only clients with the token in ``url`` see the page and can give orders. A LiveError says that viser is missing or
     the port number is invalid, a MocOptError that the scenario is not usable.
@@ -190,7 +190,7 @@ class Panel:
         self._solver.value = self._run.solver
 
     def update(self, pace: float) -> None:
-        """Show the present state of the run; `pace` is simulated time over real time."""
+        """Show the present state of the run; `pace` is simulated time divided by real time."""
         run = self._run
         while run.messages:
             self._tell(run.messages.popleft())
@@ -263,7 +263,7 @@ def _quaternion(rotation: Array) -> Array:
 def serve(scenario: Scenario, *, port: int = PORT, title: str = "") -> int:
     """Open the page and keep it until Ctrl-C; return the exit code."""
     with LivePage(scenario, port=port, title=title) as page:
-        # A KeyboardInterrupt could leave a lock of the page's threads held; a handler that only calls `stop` cannot.
+        # A KeyboardInterrupt could leave a lock of the page's threads held. A handler that only calls `stop` cannot.
         signal.signal(signal.SIGINT, lambda number, frame: page.stop())
         print(f"live at {page.url} - Ctrl-C ends it", file=sys.stderr, flush=True)
         page.wait()

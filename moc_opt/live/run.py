@@ -18,7 +18,7 @@ QUANTITIES = ("t_s", "mu", "tip_error_m", "rcm_error_m", "force_N", "solve_us", 
 HISTORY_S = 20.0
 BLEND_S = 0.1  # time constant of the blend of torques in an exchange, and least time between two exchanges
 RAMP_S = 0.3  # fade-in of a new third level, whose torque is so large at first that blending alone does not suffice
-SLOWLY_M_PER_S, MOST_OFFSET_M = 0.02, 0.05  # of the trocar, which would hit the shaft if it jumped
+SLOWLY_M_PER_S, MOST_OFFSET_M = 0.02, 0.05  # of the trocar: if it jumped, it would hit the shaft
 
 
 class LiveError(ScenarioError):
@@ -26,10 +26,10 @@ class LiveError(ScenarioError):
 
 
 class ExchangeableController:
-    """A controller (``sim.protocols.TorqueController``) that passes calls to the one in use, which can be exchanged.
+    """A ``sim.protocols.TorqueController`` that passes calls to the controller in use, which can be exchanged.
 
-    The controller in ``next`` takes over at the next tick, but not within BLEND_S of the last exchange: exchanges at
-    every tick would hold the torque constant. If it cannot start it is dropped, and ``messages`` gets the error.
+    The controller in ``next`` takes over at the next tick, but not within BLEND_S of the previous exchange: exchanges
+    at every tick would hold the torque constant. If it cannot start, it is dropped, and ``messages`` gets the error.
     After an exchange tau = tau_new + offset: offset is tau_old - tau_new at first and decays by exp(-t / BLEND_S).
     """
 
@@ -80,7 +80,7 @@ def solver_of(controller: Controller) -> str:
 
 
 class LiveRun:
-    """The closed loop of a scenario, which follows its path to and fro for ever; a MocOptError if it is not usable.
+    """The closed loop of a scenario, along its path to and fro for ever; a MocOptError if the scenario is not usable.
 
     Call it from one thread only. A wrong change raises at once; errors that only the running loop can detect are put
     into `messages`, oldest first (take them out with `popleft`). ``t_s`` is the time of the last tick; ``stopped`` says
@@ -101,7 +101,7 @@ class LiveRun:
     state = property(lambda self: self._in_use.state, doc="The model's state at the last tick.")
     used = property(lambda self: self._in_use.used, doc="The controller in use.")
     trocar = property(lambda self: self._now[0][0], doc="Place of the true trocar (3,) [m] in the next tick.")
-    # The controller that was ordered last: the waiting one if there is one, else the one in use.
+    # The controller that was ordered last: the waiting controller if there is one, else the controller in use.
     _chosen = property(lambda self: self._in_use.next or self._in_use.used)
     control = property(lambda self: self._chosen.settings, doc="The settings of the control law.")
     solver = property(lambda self: solver_of(self._chosen), doc="The solver, or `DCAC`.")

@@ -8,7 +8,7 @@ from time import monotonic, sleep
 
 _LOCK_ALL = 1 | 2  # MCL_CURRENT | MCL_FUTURE
 _SET_TIMER_SLACK = 29  # PR_SET_TIMERSLACK
-PRIORITY = 50  #: Of SCHED_FIFO: above ordinary processes, below the threads in which a kernel serves interrupts.
+PRIORITY = 50  #: In SCHED_FIFO: above ordinary processes, below the threads in which a kernel serves interrupts.
 
 
 class WallClock:

@@ -37,7 +37,7 @@ class RemoteController(Filtered):
     `sim.loop.simulate` runs it, with ``pace`` as its ``watch``; ``close`` it afterwards.
 
     Args:
-        safety_filter: the plant's own; the watchdog takes gravity torque and brakes from it.
+        safety_filter: the plant's own filter; the watchdog takes gravity torque and brakes from it.
         columns: number of ticks -> the columns of the controller at the other end.
         applied, tau_max: (n,) torque before the first tick, and largest torque that a command may have [Nm].
         clock: None means lock-step: the plant waits for each command, and sends the measurement again if none comes.
@@ -102,7 +102,7 @@ class RemoteController(Filtered):
         return self._applied
 
     def _without_command(self) -> Array:
-        """Return the watchdog's torque (n,) [Nm]: first the last one, then gravity and damping, then closed brakes."""
+        """Return the watchdog's torque (n,) [Nm]: the last torque, then gravity and damping, then closed brakes."""
         self._silent += 1
         safety, past, sound = self._filter, self._silent - self._settings.hold_ticks, self._sound
         if past <= 0:
@@ -128,7 +128,7 @@ class RemoteController(Filtered):
         }  # fmt: skip
 
     def note(self, row: int, columns: Mapping[str, NDArray[Any]]) -> None:
-        """Write the last tick's values into a row; those of the third level only if the command contains them."""
+        """Write the last tick's values into a row, with the third level's values only if the command has them."""
         command, columns["missed"][row] = self._command, self._missed
         if self.clock is not None:
             columns["wake_us"][row] = self.clock.late_us

@@ -2,7 +2,7 @@
 
 A packet has a fixed size and little-endian numbers. It ends with the keyed BLAKE2s checksum (RFC 7693) of all bytes
 before. Every layout is a numpy dtype; docs/realtime.md has them as tables. Without a key, any process of this machine
-can take part, and no other machine. Nothing is encrypted.
+can take part, but no other machine. Nothing is encrypted.
 """
 
 from __future__ import annotations
@@ -32,13 +32,13 @@ from moc_opt.qp.problem import row_length
 MAGIC, VERSION = b"MOCW", 3
 LOOPBACK_KEY = b"moc_opt: loopback, no secret"
 VARIABLE = "MOC_OPT_WIRE_KEY"
-SHORTEST, LONGEST = 16, 32  #: Bytes of a key; BLAKE2s takes no longer ones.
+SHORTEST, LONGEST = 16, 32  #: Bytes of a key; BLAKE2s takes no longer keys.
 TAG_BYTES = 16
 BACKLOG = 256  #: Packets that are read even after the deadline; the limit keeps a flood from stopping the clock.
 COUNTERS = ("received", "missed", "late", "forged", "foreign")
 """The counters of each end; docs/realtime.md explains them."""
 
-Packet = NDArray[np.void]  #: Of shape (); ``packet["q"]`` is a view of its bytes.
+Packet = NDArray[np.void]  #: A record of shape (); ``packet["q"]`` is a view of its bytes.
 Address = tuple[str, int]  #: Host and port.
 
 
@@ -190,7 +190,7 @@ def read_key(file: Path | None, host: str, option: str) -> bytes:
             f"{option} {host}: other machines reach that address, and whoever can send to it moves the arm: give both "
             f"ends the same key by --key-file or {VARIABLE}, or take 127.0.0.1"
         )
-    key = (text if file is None else text.strip()).encode(errors="surrogateescape")  # `moc_udp` strips none either
+    key = (text if file is None else text.strip()).encode(errors="surrogateescape")  # `moc_udp` does not strip either
     if not SHORTEST <= len(key) <= LONGEST:
         raise WireError(
             f"{VARIABLE if file is None else f'--key-file {str(file)!r}'}: a key of {len(key)} bytes: give one line of "

@@ -1,4 +1,4 @@
-"""The terminal: coloured tables and a progress bar; without a terminal plain text, and a progress line at intervals."""
+"""Coloured tables and a progress bar for a terminal; elsewhere plain text, and a progress line at intervals."""
 
 from __future__ import annotations
 
@@ -36,17 +36,17 @@ def console(*, stderr: bool = False, file: IO[str] | None = None) -> Console:
     """
     made = _Console(stderr=stderr, file=file, highlight=False, soft_wrap=False)
     if not made.is_terminal and not os.environ.get("COLUMNS", "").isdigit():
-        made.width = PIPED_WIDTH  # rich would take the width of a terminal behind another stream
+        made.width = PIPED_WIDTH  # rich would take the width of the terminal of another stream
     return made
 
 
 class Bar(Progress):
-    """A progress bar on stderr with the time left, which vanishes at the end; no terminal: a line every ten seconds."""
+    """A progress bar on stderr that vanishes at the end; without a terminal, a line of text every ten seconds."""
 
     def __init__(
         self, description: str, total: float | None = None, *, now: str = "", on: Console | None = None
     ) -> None:
-        """Make the bar; ``total`` None: the number of steps is not known yet; ``on``: another console than stderr's."""
+        """Make the bar for ``total`` steps (None: not known yet), on the console ``on`` instead of stderr."""
         where = on or console(stderr=True)
         super().__init__(
             TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(),
@@ -56,7 +56,7 @@ class Bar(Progress):
         self.add_task(printable(description), total=total, now=now, written=self.get_time())
 
     def step(self, now: str = "", steps: float = 1.0) -> None:
-        """Count this many more steps as done, and show the name of the current one."""
+        """Count this many more steps as done, and show the current step's name."""
         (task,) = self.tasks
         self.update(task.id, advance=steps, now=printable(now))
         if self.console.is_terminal or self.get_time() - task.fields["written"] < LINE_EVERY_S:

@@ -55,7 +55,7 @@ def save_figures(
 
 @contextmanager
 def browser() -> Iterator[Browser]:
-    """Start a headless Chromium (the one in MOC_OPT_BROWSER, else one of the system); close it at the end.
+    """Start a headless Chromium (the program in MOC_OPT_BROWSER, else an installed one); close it at the end.
 
     A BrowserMissingError: playwright or the browser is missing. A BrowserError: the browser fails or is no program.
     """

@@ -34,11 +34,11 @@ from moc_opt.report.run_table import below_best, listed, title_of
 from moc_opt.report.tables import Column, Table
 from moc_opt.trace.trace import Trace
 
-# Light to dark, so that lines in any colour of `SERIES`, with a white edge, stand out; the same on dark pages.
+# From light to dark, so that white-edged lines in any colour of `SERIES` stand out. Dark pages keep these colours.
 SCALE = ((0.0, "#f4f1e6"), (0.25, "#cfe0cf"), (0.5, "#8fc4bd"), (0.75, "#3f8f9c"), (1.0, "#143f5c"))
 EDGE, BEST = "#fffffe", "#17191b"
 HEIGHT_PX = 460
-LEAP_DEG = 25.0  # Where the swivel changes by more than this from one time to the next, its line has a gap
+LEAP_DEG = 25.0  # Where the swivel changes by more than this between two sampled times, its line has a gap
 HOVER = "%{x:.2f} s, %{y:.0f}°: µ = %{customdata:.3f} m³<extra>%{fullData.name}</extra>"
 COLUMNS = (
     Column("name", "trajectory"),
@@ -46,8 +46,8 @@ COLUMNS = (
         "near", "at the optimum", unit="%", format=".0f", better="high",
         help=f"share of the time with mu at most {100 * NEAR:.0f} % below the best at that time",
     ),
-    Column("from_s", "for good from", unit="s", format=".1f", better="low", help="time from which it stays there"),
-    Column("mu_percent", "of the best mu", unit="%", format=".1f", better="high", help="mean mu over mean best mu"),
+    Column("from_s", "for good from", unit="s", format=".1f", better="low", help="time from which it stays optimal"),
+    Column("mu_percent", "of the best mu", unit="%", format=".1f", better="high", help="mean mu / mean best mu"),
     Column("travel", "elbow turns", unit="deg", format="+.0f", help="from its start to its end"),
     Column(
         "at_edge", "at the feasible edge", unit="%", format=".0f", better="low",
@@ -64,7 +64,7 @@ COLUMNS = (
 
 
 def add_map(page: Page, found: SwivelMap, *, styles: Styles | None = None) -> None:
-    """Append figure and table of one map; it raises the errors of `map_figure`."""
+    """Append figure and table of one map; raise the errors of `map_figure`."""
     drawn = map_figure(found, styles)
     if found.held:
         page.text(

@@ -50,7 +50,7 @@ class Page:
         self._about, self._tables, self._folding = "", 0, False
 
     def headline(self, text: str) -> None:
-        """Append a finding in words, set apart; the first one is also the page's meta description."""
+        """Append a finding in words, set apart; the first finding is also the page's meta description."""
         self._about = self._about or text
         self._add(_PARTS.headline(text))
 
@@ -116,7 +116,7 @@ def _unlike(text: str, taken: Iterable[str]) -> str:
 
 @cache
 def _packed_plotly() -> str:
-    """Return plotly.js, compressed and in base64, a third of its size; `figures.js` unpacks it."""
+    """Return plotly.js compressed and in base64, a third of its original size; `figures.js` unpacks it."""
     return base64.b64encode(gzip.compress(get_plotlyjs().encode(), mtime=0)).decode()
 
 

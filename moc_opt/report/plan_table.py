@@ -1,4 +1,4 @@
-"""A plan as tables and as JSON: first whether the path can be executed, then the figures of its courses."""
+"""A plan as tables and as JSON: first whether the path can be executed, then the figures of the planned courses."""
 
 from __future__ import annotations
 

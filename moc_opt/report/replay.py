@@ -44,7 +44,7 @@ class Replay:
     """One to four runs of one arm, played side by side; ``#t=3.2`` in the address opens the page at t = 3.2 s."""
 
     def __init__(self, traces: Mapping[str, Trace], robot: RobotModel) -> None:
-        """Check the runs; a ReportError where there are none, too many, or one that does not fit this arm."""
+        """Check the runs; a ReportError if there is no run or too many, or if a run does not fit this arm."""
         if not 1 <= len(traces) <= MOST_RUNS:
             raise ReportError(f"{len(traces)} runs: give 1 to {MOST_RUNS}, more are too small to see")
         for name, trace in traces.items():
@@ -127,7 +127,7 @@ def _run_data(trace: Trace, robot: RobotModel, times: Array, color: str) -> dict
 
 
 def _panel(trace: Trace, column: str, ticks: NDArray[np.intp]) -> dict[str, Array] | None:
-    """Return curve and values per frame of one quantity of one run, for mu with its bound; None if it has none."""
+    """Return one run's curve and values per frame of a quantity (mu with its bound); None if the run lacks it."""
     if column not in trace.columns:
         return None
     values = trace.columns[column].astype(np.float64)
@@ -164,11 +164,11 @@ def velocity_ellipsoids(jacobians: Array) -> Array:
 class Part(NamedTuple):
     """A body of revolution."""
 
-    link: int  #: index of the joint whose frame it moves with, from 0; `BASE` stands still
+    link: int  #: index (from 0) of the joint whose frame the part moves with; `BASE`: it does not move
     origin: Array  #: (3,) point at height 0, in that frame [m]
     axis: Array  #: (3,) unit vector
     radii: Array  #: (k,) radii of the profile's points, in order of height [m]
-    heights: Array  #: (k,) their heights [m]
+    heights: Array  #: (k,) heights of these points [m]
     role: str  #: "shell", "joint" or "tool", which gives its colour
 
 

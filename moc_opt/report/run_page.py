@@ -18,13 +18,13 @@ from moc_opt.trace.trace import Trace
 
 
 def load_report(files: Sequence[str | os.PathLike[str]]) -> Page:
-    """Make the page of saved traces, named as their files are; it raises the errors of `load_runs`."""
+    """Make the page of saved traces, named as their files are; raise the errors of `load_runs`."""
     traces, robot = load_runs(files)
     return run_page(traces, {name: summarize(trace) for name, trace in traces.items()}, robot)
 
 
 def run_page(traces: Mapping[str, Trace], metrics: Mapping[str, Mapping[str, float]], robot: RobotModel) -> Page:
-    """Make the page of runs of one arm, a baseline first; ``metrics`` has those of the runs in the page's title."""
+    """Make the page of runs of one arm, a baseline first; the runs in ``metrics`` make up the page's title."""
     judged = {name: traces[name] for name in metrics}
     styles, page = Styles(traces), Page(title_of(judged), f"runs: {'; '.join(traces)}")
     every = {**metrics, **{name: summarize(trace) for name, trace in traces.items() if name not in metrics}}

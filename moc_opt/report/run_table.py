@@ -31,7 +31,7 @@ ANOTHER_PROBLEM = (
 
 
 def answers_another_problem(trace: Trace, solver: str = "") -> bool:
-    """Return whether the solver (the scenario's if empty) is a nonlinear one, to which `VERDICTS` do not apply."""
+    """Return whether the solver (the scenario's if empty) is nonlinear, so that `VERDICTS` do not apply to it."""
     return (solver or about(trace).get("solver", "")).startswith("nlp-")
 
 
@@ -126,7 +126,7 @@ def run_tables(
     """Lay out the metrics of runs side by side. Ending and number of replaced answers are the first two rows.
 
     If any run broke off, each run has a table of its own, since figures of a part cannot be compared with those of a
-    whole run. The title of a broken-off run says which part there is, and each of its figures is marked. ``first``
+    whole run. The title of a broken-off run says which part it shows, and each of its figures is marked. ``first``
     gives only the metrics of `MATTER`, with `facts` in the title. Both ``first`` and ``explained`` add meanings.
     """
     if len(metrics) > 1 and any(part(traces[name]) for name in metrics):

@@ -35,10 +35,10 @@ class Column:
     title: str
     unit: str = ""  #: "us", "mm"; shown below the title
     format: str = ""  #: a format specification (".2f", "+.1f", "d") in place of three significant digits
-    better: Literal["low", "high"] | None = None  #: the good end, sorted first; emphasised unless most rows share it
+    better: Literal["low", "high"] | None = None  #: the better end: sorted first, emphasised unless most rows share it
     help: str = ""  #: one sentence on the column's meaning, folded below the table
     among: str = ""  #: key of a flag: only rows that have it set compete for the emphasis; "" lets all compete
-    section: str = ""  #: title of the section on the same page that explains the values; they link there
+    section: str = ""  #: title of the section on the same page to which the values link
     sections: str = ""  #: key under which a row has a section title of its own, in place of `section`
 
 
@@ -58,7 +58,7 @@ class Cell:
 class Table:
     """Rows of results under typed columns, the first of which names the row.
 
-    A row is key -> text, flag, number, None, `Missing(reason)` or `Mark`; absent keys are missing, others ignored.
+    A row is key -> text, flag, number, None, `Missing(reason)` or `Mark`. Absent keys are missing, extra keys ignored.
     """
 
     title: str
@@ -129,7 +129,7 @@ class Table:
         file = io.StringIO()
         screen = Console(
             file=file, width=width, color_system=None, force_terminal=False, highlight=False,
-            force_jupyter=False,  # in Jupyter rich would show the table and not write it
+            force_jupyter=False,  # in Jupyter, rich would show the table instead of writing it
         )  # fmt: skip
         screen.print(self)
         return "\n".join(line.rstrip() for line in file.getvalue().splitlines()) + "\n"

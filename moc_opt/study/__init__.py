@@ -2,8 +2,8 @@
 
 Read in this order: ``trials`` (a scenario and a controller become a row), ``engine`` (jobs in other processes:
 time limits, crashes), ``kept`` (finished jobs stay), ``results`` (the table of rows), ``statistics`` (means and
-changes with their intervals), ``show`` (what a reader sees), ``command`` (options and files), ``timing`` (the clock,
-and what the machine did meanwhile). ``compare`` is the study behind ``mo.compare``, ``solvers`` the one behind
+changes with their intervals), ``show`` (what a reader sees), ``command`` (options and files), ``timing`` (the clock
+and the machine's load). ``compare`` is the study behind ``mo.compare``, and ``solvers`` is the study behind
 ``moc-opt solvers``. docs/extending.md shows a study of 20 lines.
 """
 

@@ -1,11 +1,11 @@
-"""The command of a study: read the question, let the study answer it, write and print what it found.
+"""The command of a study: read its configuration, run it, write and print what it found.
 
-    class Config(StudyConfig): ...                       # the question, read from TOML
+    class Config(StudyConfig): ...                       # the configuration, read from TOML
     def work(study: Study, config: Config) -> Found: ... # trials, table, verdict
     def main(arguments=None): return command("robots", "What holds on every arm.", Config, work, arguments)
 
 The command leaves report.html, report.md, summary.json, rows.parquet and environment.json in ``--out``, and finished
-jobs in its folder jobs/. However a run was stopped, the same command given again goes on from these jobs.
+jobs in its folder jobs/. After a stop of any kind, the same command continues from these jobs.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ CONFIGS = Path(__file__).parents[2] / "benchmarks" / "configs"
 
 
 class StudyConfig(Settings):
-    """Base of a study's question, which is read from TOML."""
+    """Base of a study's configuration, which is read from TOML."""
 
     KIND: ClassVar[str] = "configuration:"
     seed: int = Field(0, ge=0, le=2**62)
@@ -61,7 +61,7 @@ class StudyConfig(Settings):
             raise
 
     def quick(self) -> Self:
-        """Return the same question on less data: for a first look and for the tests."""
+        """Return the same study on less data: for a first look and for the tests."""
         return self
 
 
@@ -88,7 +88,7 @@ class Study:
     name: str
     out: Path
     given: Namespace
-    processes: int | None = None  #: jobs at a time; None: one a core
+    processes: int | None = None  #: jobs at a time; None: one per core
 
     @cached_property
     def kept(self) -> Kept:
@@ -99,7 +99,7 @@ class Study:
         self, jobs: Sequence[Job], what: str = "jobs", *, done: Callable[[Job, Any], None] = lambda job, result: None,
         **options: Any,
     ) -> list[Any]:  # fmt: skip
-        """Do jobs as `moc_opt.study.run` does, with a progress line; finished ones are kept."""
+        """Do jobs as `moc_opt.study.run` does, with a progress line; finished jobs are kept."""
         with Bar(f"{self.name}: {what}", len(jobs)) as bar:
 
             def note(job: Job, result: Any) -> None:
@@ -134,9 +134,9 @@ def command(
 ) -> int:  # fmt: skip
     """Parse the command line, do the study's work, write and print what was found; return the exit status.
 
-    ``config`` is read from NAME.toml in ``folder`` (None: benchmarks/configs), ``work`` turns it into findings, and the
-    results lie in results/NAME. ``options`` adds the study's own options to the parser; `Study.given` has them. The
-    exit status is that of the findings, 2 after an error (one line on stderr), 130 after Ctrl-C or SIGTERM.
+    ``config`` is read from NAME.toml in ``folder`` (None: benchmarks/configs). What ``work`` returns is written to
+    ``--out`` (results/NAME). ``options`` adds the study's own options to the parser; `Study.given` has them. The exit
+    status is `Found.status`, 2 after an error (one line on stderr), 130 after Ctrl-C or SIGTERM.
     """
     parser = ArgumentParser(prog=program or f"python -m benchmarks.{name}", description=about)
     parser.add_argument("config", nargs="?", type=Path, help=f"TOML; default: {name}.toml of this study")

@@ -1,4 +1,4 @@
-"""Compare solvers in closed loop: the same trials under DCAC and under MOC with each of them (``mo.compare``)."""
+"""Compare solvers in closed loop: the same trials under DCAC and under MOC with each solver (``mo.compare``)."""
 
 from __future__ import annotations
 
@@ -57,10 +57,10 @@ class Comparison:
     Attributes:
         rows: one mapping per run: solver, seed, ended, error, asked (ticks with a subproblem) and every metric. A run
             that could not be made has "failed" as `ended`, the reason as `error`, and no metrics.
-        solvers: their names in the table, the baseline first.
-        scenario: the one from which the trials were made.
+        solvers: the solvers' names in the table, the baseline first.
+        scenario: the scenario from which the trials were made.
         note: where the trials start, and a remark if the machine was busy.
-        complete: False where Ctrl-C ended it after some of the trials.
+        complete: False where Ctrl-C ended the comparison after some of the trials.
     """
 
     rows: Sequence[Mapping[str, Any]]
@@ -115,7 +115,7 @@ class Comparison:
         return Table(f"{title}: solvers on the same trials", known, rows, caption)
 
     def plot(self, metric: str = "mu_mean") -> Figure:
-        """Return a plotly figure of each solver's mean of a metric with its 95 % interval; refuse an unknown metric."""
+        """Return a plotly figure of each solver's mean of a metric with its 95 % interval; refuse unknown metrics."""
         if metric not in METRICS and not any(metric in row for row in self.rows):
             raise UnknownNameError("metric", metric, METRICS, "moc-opt metrics")
         means = {name: mean for name in self.solvers if (mean := self._results.mean(metric, name))}
@@ -167,7 +167,7 @@ def compare(
         watch: called with a few words before each run.
 
     Raises:
-        UnknownNameError, SolverError: a solver is unknown, none is given, or two share a name; before anything runs.
+        UnknownNameError, SolverError: a solver is unknown, none is given, or two share a name. Nothing has run then.
         ScenarioError: an argument is not usable, the scenario has no third level, or DCAC cannot run it.
     """
     base = Scenario() if scenario is None else Scenario.load(scenario)
@@ -187,7 +187,7 @@ def compare(
                 case = placed(case)
             except MocOptError as error:
                 if not rows:
-                    raise  # already in the first trial: the scenario is at fault
+                    raise  # even the first trial has no start: the scenario is at fault
                 rows += [Trial(case, name, tags={"solver": name}).failed(describe(error)).row for name in chosen]
                 continue
             rows += _trial(case, chosen, f"trial {done + 1} of {trials}", watch)

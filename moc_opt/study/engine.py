@@ -1,4 +1,4 @@
-"""Do jobs in other processes: in pebble's pool, or on the workers of a Dask scheduler.
+"""Run jobs in other processes: in pebble's pool, or on the workers of a Dask scheduler.
 
     results = run([Job(trial, (scenario, "osqp", seed)) for seed in range(60)], kept=Kept(out / "jobs"))
 
@@ -48,8 +48,8 @@ class Job:
     work: Callable[..., Any]
     arguments: tuple[Any, ...] = ()
     limit_s: float = 600.0  #: a call that takes longer is ended with its process [s]
-    alone: bool = False  #: its times are measured, so no other job runs meanwhile
-    group: str = ""  #: once `give_up` jobs of a group hung or crashed, its later jobs are not begun
+    alone: bool = False  #: whether the job's times count, so that no other job runs meanwhile
+    group: str = ""  #: once `give_up` jobs of a group hung or crashed, later jobs of the group are not begun
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ class Failed:
 
     kind: Literal["hung", "crashed", "raised", "not run"]
     reason: str
-    parts: tuple[Any, ...] = ()  #: what the job had handed over by calling `report`
+    parts: tuple[Any, ...] = ()  #: the parts that the job saved by calling `report`
 
     def __str__(self) -> str:
         return self.reason if self.kind in ("raised", "not run") else f"{self.kind}: {self.reason}"
@@ -78,7 +78,7 @@ def run(
     done: Callable[[Job, Any], None] = lambda job, result: None, keep: Callable[[Any], bool] = lambda result: True,
     give_up: int = 1,
 ) -> list[Any]:  # fmt: skip
-    """Do all jobs, first those that run alone. Return a result for each in the given order, `Failed` if it has none.
+    """Run all jobs, those with ``alone`` first. Return the results in the given order, `Failed` where there is none.
 
     Args:
         kept: store of results. A job whose result an earlier run left there is not done again. Failures are not kept.
@@ -126,7 +126,7 @@ def run(
                     kept.put(keys[k], result, answer.sources)
                 finish(k, result)
     gone, answers = Counter[str](), list[Any]()
-    for k, job in enumerate(jobs):  # in the order of the jobs; that of the answers is chance
+    for k, job in enumerate(jobs):  # in the order of the jobs: answers come in any order
         answers.append(_not_begun(job.group) if job.group and gone[job.group] >= give_up else results[k])
         gone[job.group] += _broke(answers[-1])
     return answers
@@ -159,7 +159,7 @@ def _answers(
             else:
                 flying[submit(jobs[k])] = k
         done, pending = wait(flying, timeout=LOOK_S, return_when=FIRST_COMPLETED)
-        # Pebble misses a process that dies before pebble learns that the job began, and one that exits with status 0.
+        # Pebble misses a process that dies before pebble learns that the job began, or exits with status 0.
         before, gone = gone, {future for future in pending if _process_is_gone(future)}
         for future in done | (gone & before):
             k = flying.pop(future)
@@ -309,17 +309,17 @@ def report(part: Any) -> None:
 def _reported(file: str | None) -> tuple[Any, ...]:
     parts = list[Any]()
     if file is not None and os.path.exists(file):
-        with open(file, "rb") as packed, suppress(Exception):  # the last part may be cut off, and any may refuse
+        with open(file, "rb") as packed, suppress(Exception):  # the last part may be cut off, or unpickling fails
             while True:
                 parts.append(pickle.load(packed))
     return tuple(parts)
 
 
 def alarm(seconds: float) -> None:
-    """Let the kernel end this job's process after so many seconds, even where a library hangs; 0: never.
+    """Let the kernel end this job's process after this many seconds, even where a library hangs; 0: never.
 
-    Processor time counts, so that a busy machine makes no answer late. A process that only waits is ended after `WAITS`
-    times as many seconds on the clock. A job that calls this before each of its steps sets a limit to each step.
+    The seconds are processor time, so that a busy machine makes no answer late. A process that only waits is ended
+    after `WAITS` times as many seconds of wall time. A job may call this before each of its steps, to limit each step.
     """
     signal.setitimer(signal.ITIMER_PROF, seconds)
     signal.setitimer(signal.ITIMER_REAL, WAITS * seconds)

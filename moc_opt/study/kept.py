@@ -1,4 +1,4 @@
-"""Finished jobs in a folder: a study that was stopped, in whatever way, goes on where it was.
+"""Finished jobs in a folder, so that a study that was stopped in any way continues from there.
 
 A result is reused if its job has the same function and arguments, the packages have the same versions, and neither the
 robots' files nor the files of this project that the job's process had imported have changed.
@@ -53,7 +53,7 @@ class Kept:
             raise StudyError(f"{folder} cannot keep finished jobs ({error}): {cure}") from error
 
     def get(self, key: str) -> tuple[Any] | None:
-        """Return (result,), or None where there is none or the code has changed since."""
+        """Return (result,); None where no result is kept or the code has changed since."""
         try:
             entry = self._cache.get(key)
         except Exception as error:  # noqa: BLE001 - damaged, or pickled by other code
@@ -65,7 +65,7 @@ class Kept:
         return (entry.result,)
 
     def put(self, key: str, result: Any, sources: tuple[str, ...]) -> None:
-        """Keep a result with the files that decided it; a StudyError where it cannot be written."""
+        """Keep a result with the files it depends on; a StudyError where it cannot be written."""
         try:
             self._cache[key] = _Entry(result, sources, digest_of(sources))
         except (OSError, sqlite3.Error) as error:
@@ -83,7 +83,7 @@ def key_of(work: Callable[..., Any], arguments: Iterable[Any]) -> str:
 def loaded_sources() -> tuple[str, ...]:
     """Return the files that this process has imported from the project, or from outside the installed packages.
 
-    The files are listed anew only after a further import, since this takes 50 ms and a study has a thousand jobs.
+    The files are listed again only after a further import, since this takes 50 ms and a study has a thousand jobs.
     """
     return _sources(tuple(sys.modules))
 

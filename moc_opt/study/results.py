@@ -23,7 +23,7 @@ ERRORS = (
     "rcm_error_model_mean_mm", "rcm_error_registered_mean_mm", "rcm_error_mean_mm",
 )  # fmt: skip
 """Tip and RCM errors, each by the robot's own kinematics, in the frame registered at the start, and in the base frame:
-what the controller can answer for, what the patient gets, and absolute accuracy."""
+the error that control can correct, the error for the patient, and absolute accuracy."""
 PHASES = ("settled", "travelling")
 """Prefixes of metrics that are means over a part of a run's ticks; `PHASE_ticks` is the number of these ticks."""
 TITLES = {
@@ -82,14 +82,14 @@ class Results:
         return {row["trial"]: float(row[metric]) for row in mine if row.get(metric) is not None}
 
     def mean(self, metric: str, controller: str) -> Interval | None:
-        """Return the mean over the controller's whole runs with its interval; None without any."""
+        """Return the mean over the controller's whole runs with its interval; None without a whole run."""
         try:
             return mean(list(self.values(metric, controller).values()))
         except StatisticsError:
             return None
 
     def pairs(self, metric: str, controller: str, baseline: str = BASELINE) -> tuple[list[float], list[float]]:
-        """Return both controllers' values on the trials that both completed; a phase's are weighted with its ticks."""
+        """Return both controllers' values on the trials that both completed, for a phase weighted with its ticks."""
         mine, theirs = self.values(metric, controller), self.values(metric, baseline)
         both = [trial for trial in mine if trial in theirs]
         phase = next((phase for phase in PHASES if metric.startswith(f"{phase}_")), None)

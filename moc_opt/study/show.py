@@ -32,7 +32,7 @@ def mark(verdict: bool | str | None, text: str) -> Mark:
 
 
 class Picture(NamedTuple):
-    """A figure, one sentence that says what to see in it, and the name of its file."""
+    """A figure, one sentence that says what the figure shows, and the name of its file."""
 
     figure: go.Figure
     says: str
@@ -52,12 +52,12 @@ class Section:
 class Report:
     """What a study found, for a reader."""
 
-    title: str  #: names the question, and arm, task, preset and solver unless the study has several
+    title: str  #: the question, and the arm, task, preset and solver unless the study varies them
     answer: Sequence[str]  #: up to three sentences, the most important one first
     table: Table  #: shown on the first screen, with few columns
-    pictures: Sequence[Picture] = ()  #: up to three
-    sections: Sequence[Section] = ()  #: in reading order; a column's ``section`` links to one of them
-    load: str = ""  #: what the machine did while times were taken; "" where none were
+    pictures: Sequence[Picture] = ()  #: up to three pictures
+    sections: Sequence[Section] = ()  #: in reading order; a column's ``section`` links to a section
+    load: str = ""  #: the machine's load while times were taken; "" where none were taken
     subtitle: str = ""
 
     def page(self, environment: Mapping[str, Any], failed: Sequence[Mapping[str, Any]] = ()) -> Page:

@@ -1,7 +1,7 @@
 """Collect solvers' answers to sets of problems, judge and count the answers, and measure the solvers' times.
 
 Solvers run in other processes, and each answer has a time limit of its own. All answers are judged by
-`moc_opt.qp.residuals`, never by the solver. Times are taken afterwards, one solver at a time, alone.
+`moc_opt.qp.residuals`, never by the solver. Times are taken afterwards, one job at a time.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ Runner = Callable[..., list[Any]]  # `moc_opt.study.run`, with the study's folde
 
 HUNG, CRASHED, RAISED, NOT_ASKED, REFUSED = "hung", "crashed", "raised", "not asked", "refused"
 """What became of a question, in addition to the statuses that solvers return."""
-BROKEN_SETS = 3  # a set ends at its solver's first hang or crash; after so many such sets no other set is asked
+BROKEN_SETS = 3  # a solver's first hang or crash ends the set; after so many such sets its other sets are skipped
 HOURS = 1e5  # limit of the job for a whole set [s]; every answer has a limit of its own
 WARM_UP = 16  # solves before the timed ones
 CONTRADICTION = 1e-13  # [m/s] references that differ by less are consistent up to rounding
@@ -54,7 +54,7 @@ Question = tuple[SolverSetting, TestSet]
 
 
 class Answer(NamedTuple):
-    """One answer: status, iterations, x (n,), y (6,), and what the solver raised or what is malformed ("": nothing)."""
+    """One answer: status, iterations, x (n,), y (6,), and the exception or defect in words ("": neither)."""
 
     status: str
     iterations: int
@@ -66,7 +66,7 @@ class Answer(NamedTuple):
 class Answers:
     """The answers of one solver under one setting to one set of k problems, judged.
 
-    ``refused`` says why the solver does not take the problems, ``events`` what it raised and how its process ended.
+    ``refused`` says why the solver does not take the problems; ``events`` lists its errors and how its process ended.
     ``every`` has one answer per problem, asked or not, and so have ``status``, ``x``, ``residuals`` and ``verified``.
     """
 
@@ -97,9 +97,9 @@ class Answers:
     def counts(self) -> dict[str, int]:
         """Count the answers by outcome, as docs/solvers.md explains it.
 
-        Right are `verified_solved` of the `optima_asked` (feasible and not refused as inconsistent), and
-        `infeasible_right` of the `infeasible_asked`. `refused_inconsistent` of the `inconsistent_asked` were called
-        infeasible, which is neither right nor wrong.
+        Right answers are the `verified_solved` among the `optima_asked` (feasible problems not refused as inconsistent)
+        and the `infeasible_right` among the `infeasible_asked`. `refused_inconsistent` counts the problems among the
+        `inconsistent_asked` that were called infeasible, which is neither right nor wrong.
         """
         status, feasible = self.status, self.problems.feasible
         claimed, infeasible = status == "solved", status == "infeasible"
@@ -122,7 +122,7 @@ class Answers:
     def summary(self, times: Times | None = None) -> dict[str, Any]:
         """Return counts, largest residuals and times for summary.json, and the first trouble in words.
 
-        Residuals are those of the feasible problems that were answered.
+        Residuals are taken over the feasible problems that were answered.
         """
         found: dict[str, Any] = dict(self.counts())
         answered = self.problems.feasible & np.isfinite(self.x).all(axis=1)
@@ -156,7 +156,7 @@ def share_right(counts: Mapping[str, Any]) -> float:
 def totals(answers: Sequence[Answers], times: Sequence[Times]) -> dict[str, Any]:
     """Sum up one solver under one setting over its sets: sums of counts, largest residuals, times of the slowest set.
 
-    A mean of times over sets would hide the slowest one.
+    A mean of times over sets would hide the slowest set.
     """
     rows, figures = [one.summary() for one in answers], [one.figures() for one in times]
     found: dict[str, Any] = {name: sum(row[name] for row in rows) for name in answers[0].counts()}
@@ -175,7 +175,7 @@ def totals(answers: Sequence[Answers], times: Sequence[Times]) -> dict[str, Any]
 def ask(run: Runner, questions: Sequence[Question], limits: Limits, *, warm: bool = True) -> list[Answers]:
     """Collect the answers to each question: from one session if ``warm``, else from a new session for each problem.
 
-    After a hang or a crash the rest of the set is not asked; after `BROKEN_SETS` such sets, no further set is.
+    After a hang or a crash the rest of the set is not asked; after `BROKEN_SETS` such sets, no further set is asked.
     """
     jobs = [
         Job(answer, (setting, problems.rows, warm, limits.patience_s, limits.setup_s), HOURS, group=setting.label)
@@ -186,9 +186,9 @@ def ask(run: Runner, questions: Sequence[Question], limits: Limits, *, warm: boo
 
 
 def answer(setting: SolverSetting, rows: Array, warm: bool, patience_s: float, setup_s: float) -> list[Any]:
-    """Return a list: why the solver does not take these problems or "", then an `Answer` per problem; in a worker.
+    """Return why the solver refuses these problems ("": it does not), then an `Answer` per problem. Runs in a worker.
 
-    Each item is reported as it comes. An answer may take ``patience_s``; setting up, which may compile, ``setup_s``.
+    Each item is reported once it is known. An answer may take ``patience_s``; setup, which may compile, ``setup_s``.
     """
     found: list[Any] = []
     alarm(setup_s)
@@ -234,7 +234,7 @@ def _problems(rows: Array) -> list[NullSpaceQP]:
 
 
 def _session(solver: Solver, qp: NullSpaceQP) -> tuple[Session | None, str]:
-    """Return a session, or None and why there is none: the reason that the solver gives, or what it raised."""
+    """Return (session, ""), or None and the reason: the solver's own words, or the exception that it raised."""
     try:
         reason = solver.supports(qp)
         if reason is None:
@@ -246,7 +246,7 @@ def _session(solver: Solver, qp: NullSpaceQP) -> tuple[Session | None, str]:
 
 
 def _asked(session: Session, qp: NullSpaceQP) -> tuple[Solution, str]:
-    """Return the answer, and what the solver raised or what is malformed ("": nothing)."""
+    """Return the answer, and the exception or the defect of the answer in words ("": neither)."""
     try:
         return received(session.solve(qp), qp.n)
     except (Exception, SystemExit) as error:  # noqa: BLE001 - as above
@@ -259,14 +259,14 @@ def _asked(session: Session, qp: NullSpaceQP) -> tuple[Solution, str]:
 class Times(NamedTuple):
     """Times of one solver on one set [us]."""
 
-    solve: Array  #: (rounds, k) of one session that goes through all problems
-    setup: Array  #: of starting a fresh session
-    cold: Array  #: of its first solve
-    update: Array  #: of handing a problem to the library; empty where the session has no separate call for it
-    load: Mapping[str, float]  #: what the machine did meanwhile, see `timing.COUNTED`
+    solve: Array  #: (rounds, k) solves of one session that goes through all problems
+    setup: Array  #: starts of fresh sessions
+    cold: Array  #: first solves of these sessions
+    update: Array  #: calls that hand a problem to the library; empty where the session has no separate call for it
+    load: Mapping[str, float]  #: the machine's load meanwhile, see `timing.COUNTED`
 
     def figures(self) -> dict[str, Any]:
-        """Return percentiles of the times, the number of timed solves, and what the machine did while they ran."""
+        """Return percentiles of the times, the number of timed solves, and the machine's load while they ran."""
         found: dict[str, Any] = {"timed_solves": int(self.solve.size), **self.load}
         for name in ("solve", "cold", "setup", "update"):
             found |= percentiles(getattr(self, name).ravel(), name)
@@ -290,7 +290,7 @@ def time(run: Runner, answers: Sequence[Answers], limits: Limits) -> list[Times 
 
 
 def measure(setting: SolverSetting, rows: Array, every: int, rounds: int, seconds: float) -> Times:
-    """Time one session over all problems, round by round, and a fresh one for each ``every``-th; in a worker."""
+    """Time one session over all problems, round by round, and a fresh one per ``every``-th problem; in a worker."""
     solver, problems = _made(setting), _problems(rows)
     session = solver.start(problems[0])
     each_us(session.solve, problems[:WARM_UP])

@@ -35,7 +35,7 @@ MEANING = (
     "Update: the part of a warm solve that hands the new problem to the library. docs/solvers.md says more."
 )
 SOLVER = Column("solver", "solver")
-RANKED = "answers_rightly"  # flag of the rows whose times are compared
+RANKED = "answers_rightly"  # key of the flag that a row's times are compared with others
 COUNTS = {
     "claimed_solved": "claimed", "verified_solved": "verified", "silently_wrong": "silently wrong",
     "infeasible_right": "infeas. right", "refused_inconsistent": "refused: inconsistent",
@@ -66,7 +66,7 @@ COUNTED = (
 
 
 def answers_table(title: str, part: Mapping[str, Mapping[str, Any]], suffix: str = "", *more: Column) -> Table:
-    """Make the table of a part in open loop: counts, largest residuals, times (whose keys end with the suffix)."""
+    """Make the table of a part in open loop: counts, largest residuals, times (their keys end with ``suffix``)."""
     rows = []
     for name, row in part.items():
         share = share_right(row) if "right" in row else None
@@ -86,18 +86,18 @@ def answers_table(title: str, part: Mapping[str, Mapping[str, Any]], suffix: str
 
 
 def record(case: Scenario, ticks: int) -> Array:
-    """Record the subproblems of a closed-loop run with ``exact``, one a tick; in a worker."""
+    """Record the subproblem of every tick of a closed-loop run with ``exact``. Runs in a worker process."""
     duration_s = ticks * case.plant.period_s
     trace = run(placed(case).change(duration_s=duration_s, judge=False, bound_samples=0))
     return np.asarray(trace.subproblem)
 
 
 def recorded_sequence(work: Work) -> None:
-    """Give the sequence to every solver under its recommended setting, warm and cold; then time them one by one."""
+    """Give the sequence to every solver, warm (one session) and cold (a session each); then time one by one."""
     config = work.config.open_loop
     problems = [NullSpaceQP.from_row(np.array(row)) for row in work.sequence]
     session = Exact().start(problems[0])
-    optima = [session.solve(qp) for qp in problems]  # the reference: on the certified sets its claims hold
+    optima = [session.solve(qp) for qp in problems]  # the reference: all its claims on the certified sets are right
     feasible = np.array([one.status is Status.SOLVED for one in optima])
     data = TestSet("recorded", work.sequence, np.array([one.x for one in optima]), feasible)
     limits = Limits(patience_s=2.0, setup_s=40.0, rounds=2, seconds=1.0, cold=config.cold)
@@ -132,7 +132,7 @@ def certified_sets(work: Work) -> None:
     config = work.config.testsets
     chosen = [TestSet.load(name).thinned(config.every) for name in config.chosen()]
     thinned = [data.thinned(config.every_other) for data in chosen]
-    questions = [  # set by set, so that a solver that hangs is given up before its other sets are begun
+    questions = [  # set by set, so that a solver that keeps hanging is dropped before its remaining sets start
         (setting, data if setting.recommended and not setting.nonlinear else thin)
         for data, thin in zip(chosen, thinned, strict=True) for setting in work.settings
     ]  # fmt: skip
@@ -182,7 +182,7 @@ def _set_by_set(summary: Mapping[str, Any], names: Sequence[str], recommended: S
 
 
 def closed_loop(work: Work) -> None:
-    """Run the baseline and every solver, in the controller, each on its trials."""
+    """Run the controller without a solver (the baseline) and with every solver, each on its trials."""
     part = work.config.closed_loop
     cases = work.config.cases()
     number = {case.name: k for k, case in enumerate(cases)}
@@ -192,7 +192,7 @@ def closed_loop(work: Work) -> None:
     asked = []
     for case in starts:
         k = number[case.name]
-        case = case.change(best_courses=k < part.others)  # as slow as a run: only on trials that all solvers run
+        case = case.change(best_courses=k < part.others)  # takes as long as a run
         timed = k < part.timed
         asked += [
             Trial(case, name, work.config.settings.get(name, {}), timed=timed, keep="curves" if timed else "row")
@@ -216,7 +216,7 @@ def figures(
     """Return a controller's entries in the summary: means and changes over its whole runs, sums and largest values.
 
     Times are pooled over the ``runs`` that ran alone. Bad endings count against a controller only on the trials in
-    ``common`` (None: all), which every solver runs: on the other trials, other solvers might have ended alike.
+    ``common`` (None: all), which every solver runs: nobody knows how other solvers would have ended on the rest.
     """
     found = rows.figures(controller, MEANS, CHANGES)
     mine = [row for row in rows if row["controller"] == controller]

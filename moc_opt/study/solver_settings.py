@@ -1,4 +1,4 @@
-"""Under which settings each solver is studied, and why: solver-settings.toml is the one table."""
+"""The settings under which each solver is studied, with reasons: solver-settings.toml, and advice of the adapters."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ class SolverSetting:
 
     @property
     def label(self) -> str:
-        """Its name in tables."""
+        """The setting's name in tables."""
         return f"{self.solver}@{self.name}"
 
     @property
     def recommended(self) -> bool:
-        """Whether it is the setting under which the solver is judged."""
+        """Whether the solver is judged under this setting."""
         return self.name == RECOMMENDED
 
     @property

@@ -96,7 +96,7 @@ def _figures(name: str, certified: Row, warm: Row, closed: Row) -> Row:
     hidden = Missing("it answers the nonlinear problem of the tick: not comparable")
     wrong = sum(int(part.get("silently_wrong") or 0) for part in (certified, warm, closed))
     timed, suffix = (warm, "") if warm.get("solve_p50_us") is not None else (certified, "_worst_set")
-    share = math.floor(1e4 * share_right(counted)) / 100.0 if counted.get("solves") else None  # 100 means all
+    share = math.floor(1e4 * share_right(counted)) / 100.0 if counted.get("solves") else None  # 100: all are right
     return {
         "solver": name, "counted": counted, "closed": closed, "relative_max": counted.get("relative_max"),
         "right_percent": hidden if other else share, "silently_wrong": hidden if other else wrong,
@@ -116,7 +116,7 @@ def _order(row: Row) -> tuple[float, float, float]:
 
 
 def _damage(row: Row, reference: str | None, runs: Results) -> tuple[Any, float]:
-    """Return the worst loss in closed loop: in words, and in tolerances as far as it is sure (0: no loss is sure)."""
+    """Return the worst loss in closed loop, in words, and in tolerances as far as both intervals confirm it (or 0)."""
     for word, count in _ended(row["closed"]).items():
         if count:
             return f"{count} {word}", TOO_MUCH
@@ -183,7 +183,7 @@ def _why(summary: Summary, row: Row, others: Sequence[Row], asked: int) -> str:
         text += f" It refused {refused} more problems, whose six rows contradict each other, which is {NEITHER}."
     if row["p50_us"] is not None:
         text += f" Its median time is {row['p50_us']:.1f} us, p99 {row['p99_us']:.1f} us."
-        # Noise may change the order of solvers whose times are so close.
+        # Noise may change the order of solvers whose medians are below this solver's p99.
         close = [one for one in (row, *others) if (one["p50_us"] or 0.0) <= row["p99_us"]]
         if not all(one["quiet"] for one in close):
             text += " But others used the machine while it, or one about as fast, was timed: run again."

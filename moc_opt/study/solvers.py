@@ -45,7 +45,7 @@ TIMED = ("open_loop_warm", "testsets", "closed_loop")  # the parts of the summar
 
 
 class OpenLoop(Settings):
-    """The recorded sequence."""
+    """Settings of the recorded sequence: the subproblems of one run."""
 
     KIND: ClassVar[str] = "[open_loop]"
     task: str = "circle"
@@ -54,7 +54,7 @@ class OpenLoop(Settings):
 
 
 class TestSets(Limits):
-    """The certified sets."""
+    """Settings of the certified test sets."""
 
     __test__: ClassVar[bool] = False  # not a class of tests
 
@@ -62,8 +62,8 @@ class TestSets(Limits):
     timed: list[str] = Field(["circle", "circle-rho0", "random"], description="sets timed under every setting")
     timed_too: list[str] = Field(["infeasible", "joint-limits", "jumps", "near-singular", "inconsistent-1e-6"])
     """sets timed under the recommended settings only"""
-    every: int = Field(1, ge=1, description="take every so many-th problem")
-    every_other: int = Field(4, ge=1, description="like `every`, for nlp-* and settings not recommended")
+    every: int = Field(1, ge=1, description="1: every problem, 2: every second one, ...")
+    every_other: int = Field(4, ge=1, description="in addition, for nlp-* and settings not recommended")
 
     @field_validator("names", "timed", "timed_too")
     @classmethod
@@ -78,25 +78,25 @@ class TestSets(Limits):
 
 
 class ClosedLoop(Settings):
-    """The trials in closed loop."""
+    """Settings of the trials in closed loop."""
 
     KIND: ClassVar[str] = "[closed_loop]"
     tasks: list[str] = Field(["circle", "sinusoid", "spiral"], min_length=1, description="the trials take them in turn")
     trials: int = Field(60, ge=1, description="number for DCAC and the cited solvers; each has its own seed")
     cited: list[str] = Field(["exact", "rnn", "rnn-printed"], description="solvers that the first sentences cite")
-    others: int = Field(15, ge=1, description="number for every other solver: the first of `trials`")
+    others: int = Field(15, ge=1, description="number for every other solver, which runs the first ones")
     timed: int = Field(1, ge=1, description="number that run alone; only their times are used")
     duration_s: Level = Field(4.0, description="of a trial; inf: the whole task")
     slow: list[str] = Field(["nlp-ipopt", "qpsolvers:highs", "qpsolvers:scs"])
     """solvers left out: they take a millisecond per tick"""
 
     def of(self, solver: str) -> int:
-        """Return how many trials a solver, or the baseline, runs; they are the first of all trials."""
+        """Return how many trials a solver or the baseline runs. It always runs the first trials."""
         return self.trials if solver in (BASELINE, *self.cited) else min(self.others, self.trials)
 
 
 class Config(StudyConfig):
-    """The question, as in moc_opt/study/solvers.toml."""
+    """Configuration of the study, as in moc_opt/study/solvers.toml."""
 
     solvers: Literal["all"] | list[str] = "all"
     twice: bool = Field(False, description="ask qpsolvers:NAME too where NAME has its own adapter")
@@ -108,7 +108,7 @@ class Config(StudyConfig):
     scenario: Scenario = Scenario()
 
     def quick(self) -> Self:
-        """Return the same on less data."""
+        """Return the same study on less data."""
         sets = ["circle", "infeasible", "jumps"]
         return self.but(
             open_loop={"ticks": 200, "cold": 10},
@@ -124,7 +124,7 @@ class Config(StudyConfig):
         return trials(base, part.tasks, seeds(self.seed, STREAM, part.trials))
 
     def but(self, **changes: Any) -> Self:
-        """Return a checked copy with other entries; a mapping changes entries of a table."""
+        """Return a checked copy with these entries changed; a mapping changes single entries of a table."""
         tables = {name: getattr(self, name).replace(of) for name, of in changes.items() if isinstance(of, dict)}
         return self.replace(changes | tables)
 
@@ -135,11 +135,11 @@ class Work:
 
     study: Study
     config: Config
-    names: Sequence[str]  #: of the solvers that can run here
+    names: Sequence[str]  #: names of the solvers that can run here
     summary: dict[str, dict[str, Any]] = field(default_factory=dict)  #: part -> solver or controller -> metric
     runs: Results = field(default_factory=Results)  #: a row for each run in closed loop
     answers: Results = field(default_factory=Results)  #: a row for each answer in open loop
-    sections: list[Section] = field(default_factory=list)  #: of the report
+    sections: list[Section] = field(default_factory=list)  #: sections of the report
     said: str = ""
 
     @cached_property
@@ -166,7 +166,7 @@ class Work:
 
     @property
     def timed(self) -> list[Mapping[str, Any]]:
-        """The rows of the summary with times."""
+        """The rows of the summary that hold times."""
         return [row for part in TIMED for row in self.summary.get(part, {}).values()]
 
     def runner(self, what: str) -> Callable[..., list[Any]]:

@@ -1,10 +1,10 @@
-"""Means and changes over independent trials, with bootstrap intervals, and when they decide nothing.
+"""Means and changes over independent trials with bootstrap intervals, and rules for when these decide nothing.
 
 Intervals are scipy's bias-corrected and accelerated bootstrap (BCa, Efron 1987) over trials, or over pairs where two
 controllers ran the same trials. From few samples a bootstrap interval is too narrow, and where a change is zero in most
-trials, BCa depends on the few outliers. So the confidence level is raised to match Student's t for as many samples
-("expanded percentiles", Hesterberg 2015), the interval is extended to contain that of Student's t with the jackknife's
-standard error, and both aim at fewer misses (`NOMINAL`), so as to cover as often as `CONFIDENCE` says (docs/method.md).
+trials, BCa depends on the few outliers. So the confidence level is raised to match Student's t for that many samples
+("expanded percentiles", Hesterberg 2015), and the interval is extended to contain Student's t interval with the
+jackknife's standard error. Both aim at fewer misses (`NOMINAL`), to cover as often as `CONFIDENCE` (docs/method.md).
 
 A change is the ratio of the means. The mean of the trials' ratios is computed as well. Where the two figures disagree
 in sign, or only one of their intervals holds 0, the change is undecided.
@@ -26,7 +26,7 @@ from moc_opt.errors import MocOptError
 RESAMPLES = 4000
 CONFIDENCE = 0.95
 NOMINAL = 0.7
-"""Intervals are made for a share of misses of `NOMINAL` (1 - `CONFIDENCE`): simulated ones missed more than nominal."""
+"""Intervals aim at a miss rate of `NOMINAL` (1 - `CONFIDENCE`): in simulations they miss more often than they aim."""
 ROUNDING = 1e-9  # a smaller change counts as zero [percent]
 LEAST_TRIALS = 8  # fewer trials decide nothing: they get no verdict
 
@@ -66,7 +66,7 @@ class Change(NamedTuple):
     ratios: Interval
 
     def side(self, bound: float = 0.0) -> int:
-        """Return +1 (-1) where both intervals lie above (below) the bound [percent]; else, or for too few trials, 0."""
+        """Return +1 (-1) where both intervals lie above (below) the bound [percent]; 0 else and for too few trials."""
         both = {int(one.low > bound + ROUNDING) - int(one.high < bound - ROUNDING) for one in self}
         return both.pop() if len(both) == 1 and self.ratio.samples >= LEAST_TRIALS else 0
 
@@ -92,7 +92,7 @@ class Change(NamedTuple):
 def spread(entries: Mapping[str, Any], name: str, digits: int = 3, sign: str = "", unit: str = "") -> str | None:
     """Return a figure of a summary with its interval, as text; None where the summary lacks it.
 
-    An undecided `Change` is written with both of its figures. ``sign`` "+" writes a plus sign before positive ones.
+    An undecided `Change` is written with its two figures. With ``sign`` "+", positive figures get a plus sign.
     """
     value, low, high = (entries.get(key) for key in (name, f"{name}_low", f"{name}_high"))
     if value is None:
@@ -119,7 +119,7 @@ def share(found: int, trials: int) -> Interval:
 
 
 def mean(samples: ArrayLike) -> Interval:
-    """Return the mean of (k,) numbers, one per trial; a StatisticsError where k = 0 or one of them is not finite."""
+    """Return the mean of (k,) numbers, one per trial; a StatisticsError where k = 0 or a number is not finite."""
     return _interval(np.mean, samples=samples)
 
 
@@ -177,7 +177,7 @@ def _interval(statistic: Callable[..., Any], **given: ArrayLike) -> Interval:
     expanded = float(2.0 * stats.norm.cdf(np.sqrt(count / (count - 1)) * quantile) - 1.0)
     half = quantile * _standard_error(statistic, samples)
     for method in ("BCa", "percentile"):
-        # BCa has no value where all resamples or all jackknife values agree; the percentile interval always has one.
+        # BCa has no value where all resamples or all jackknife values agree; the percentile interval always exists.
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # degenerate samples
             found = stats.bootstrap(
@@ -191,7 +191,7 @@ def _interval(statistic: Callable[..., Any], **given: ArrayLike) -> Interval:
 
 
 def _standard_error(statistic: Callable[..., Any], samples: Sequence[Array]) -> float:
-    """Return the jackknife's standard error; 0 where the statistic without one of the trials has no finite value."""
+    """Return the jackknife's standard error; 0 where leaving out some trial gives a statistic that is not finite."""
     count = len(samples[0])
     left = [np.array([np.delete(sample, k) for k in range(count)]) for sample in samples]
     with np.errstate(divide="ignore", invalid="ignore"):

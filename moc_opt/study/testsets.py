@@ -103,6 +103,6 @@ def changed(qp: NullSpaceQP, **values: Any) -> NullSpaceQP:
 
 
 def five_row_gap(qp: NullSpaceQP, b: NDArray[np.floating]) -> Array:
-    """Return what the wrist's reference lacks along the shaft to equal the tip's there, (3,) [m/s]."""
+    """Return the component along the shaft of (the tip's reference - the wrist's reference), (3,) [m/s]."""
     u = np.linalg.svd(qp.J_tip - qp.J_wrist)[0][:, 2]
     return np.asarray(u * (u @ (b[:3] - b[3:])))

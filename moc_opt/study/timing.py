@@ -18,10 +18,10 @@ LEAST_CPU_SHARE = 0.9
 
 Row = Mapping[str, Any]
 COUNTED = ("times_calls", "times_switches", "times_cpu_s", "times_wall_s")
-"""The load while calls were timed, as entries of a summary's row: the number of calls, that of involuntary context
-switches (ru_nivcsw), the processor time of all threads [s], and the wall time [s].
+"""The load while calls were timed, as entries of a summary's row: the number of calls, the number of involuntary
+context switches (ru_nivcsw), the processor time of all threads [s], and the wall time [s].
 
-They do not show what slows all calls alike: caches, memory or half a core shared with others, a lower clock."""
+They do not show causes that slow all calls alike: caches, memory or half a core shared with others, a lower clock."""
 
 
 def used() -> dict[str, float]:
@@ -36,13 +36,13 @@ def since(before: Row, calls: int) -> dict[str, float]:
 
 
 def total(rows: Iterable[Row]) -> dict[str, float]:
-    """Return the sum over rows, some of which may have no times."""
+    """Sum the `COUNTED` entries over rows; rows without times count as 0."""
     rows = list(rows)
     return {name: sum((row.get(name, 0) for row in rows), 0.0) for name in COUNTED}
 
 
 def cpu_share(row: Row) -> float:
-    """Return processor time over wall time; it is above 1 where the calls use several threads."""
+    """Return processor time divided by wall time, which is above 1 where the calls use several threads."""
     return float(row["times_cpu_s"] / row["times_wall_s"]) if row.get("times_wall_s") else 1.0
 
 
@@ -56,7 +56,7 @@ def quiet(row: Row) -> bool:
 
 
 def load(rows: Iterable[Row]) -> str:
-    """Say what the machine did while the times in these rows were taken; "" where there are none."""
+    """Describe the machine's load while the times in these rows were taken; "" if no row has times."""
     timed = [row for row in rows if row.get("times_calls")]
     if not timed:
         return ""

@@ -50,7 +50,7 @@ def seeds(seed: int, stream: int, count: int) -> list[int]:
 
 
 def trials(base: Scenario, tasks: Sequence[str], own_seeds: Sequence[int], *, virtual: bool = False) -> list[Scenario]:
-    """Make one scenario per seed, with the tasks in turn and the starting swivel drawn; its name is "task/seed".
+    """Make one scenario per seed, with the tasks in turn and a random starting swivel, named "task/seed".
 
     With ``virtual``, sizes and depth are those of the paper's virtual task of the same name.
     """
@@ -73,7 +73,7 @@ def placed(trial: Scenario) -> Scenario:
 
 
 def variant(trial: Scenario, controller: str, settings: Mapping[str, Any] | None = None) -> Scenario:
-    """Return the trial under one of `BASELINES`, or under MOC with a solver. `BASELINE` leaves a DCAC trial alone."""
+    """Return the trial under one of `BASELINES`, or under MOC with a solver. `BASELINE` keeps a DCAC trial as it is."""
     control = trial.control
     if controller == BASELINE and control.law == "dcac":
         return trial
@@ -91,26 +91,26 @@ def variant(trial: Scenario, controller: str, settings: Mapping[str, Any] | None
 
 @dataclass(frozen=True)
 class Trial:
-    """A run to be made: a scenario, which all controllers of this trial share, under one controller."""
+    """A run to make: one scenario under one controller. All controllers run the same scenarios."""
 
     case: Scenario
     controller: str  #: one of `BASELINES`, or the name of a solver
-    settings: Mapping[str, Any] = field(default_factory=dict)  #: of the solver
-    tags: Mapping[str, Any] = field(default_factory=dict)  #: further columns of its row, such as a group's name
-    timed: bool = False  #: nothing else runs meanwhile, so that its times count
+    settings: Mapping[str, Any] = field(default_factory=dict)  #: settings of the solver
+    tags: Mapping[str, Any] = field(default_factory=dict)  #: further columns of the trial's row, such as a group's name
+    timed: bool = False  #: nothing else runs meanwhile, so that the trial's times count
     keep: Literal["row", "curves"] = "row"  #: "curves": the columns in `CURVES` are kept, too
     solver: str | Solver | None = None  #: name or object of a solver to use in place of ``controller``
 
     @property
     def about(self) -> dict[str, Any]:
-        """The columns that identify its row."""
+        """The columns that identify the trial's row."""
         case = self.case
         named = {"trial": case.name, "seed": case.seed, "robot": case.robot.name, "task": case.task.path}
         return {**named, "controller": self.controller, "timed": self.timed, **self.tags}
 
     @property
     def job(self) -> Job:
-        """The job that runs it."""
+        """The job that runs the trial."""
         limit = PATIENCE_S + PER_S * min(self.case.duration_s or LONGEST_S, LONGEST_S)
         return Job(run_trial, (self,), limit, alone=self.timed, group=self.controller)
 
@@ -124,7 +124,7 @@ class Run:
     """What is kept of a run.
 
     Its row has `Trial.about`; ``ended``, ``whole`` (the task was driven to its end), ``error`` (None: none), ``raised``
-    (what the solver raised first); then every metric, those of times only where the run was alone on the machine.
+    (what the solver raised first); then every metric, but times only where the run was alone on the machine.
     """
 
     row: Mapping[str, Any]
@@ -133,7 +133,7 @@ class Run:
 
 
 def run_trial(asked: Trial) -> Run:
-    """Run and summarise, in a worker; a run that breaks off gives a row with the reason."""
+    """Run and summarise a trial, in a worker. A run that breaks off gives a row with the reason."""
     return run_and_trace(asked)[0]
 
 
@@ -174,7 +174,7 @@ def run_and_trace(asked: Trial, baseline: Trace | None = None) -> tuple[Run, Tra
 
 
 def _counts(trace: Trace) -> dict[str, Any]:
-    """Count the ticks with a subproblem, with an infeasible one, and with each fault; name the method of mu's bound."""
+    """Count ticks with a subproblem, infeasible subproblems, and ticks by fault; name the method of mu's bound."""
     found: dict[str, Any] = {"mu_bound_method": trace.meta.get("mu_bound_method")}
     if "status" in trace.columns:
         found |= {"asked": int((trace.status != "none").sum()), "infeasible": int((trace.status == "infeasible").sum())}
@@ -194,5 +194,5 @@ def _columns(asked: Trial, trace: Trace) -> dict[str, Array]:
 
 
 def outcome(asked: Trial, result: Run | Failed) -> Run:
-    """Return the run, or the row of one whose process hung or died."""
+    """Return the run; for a process that hung or died, the row of a failed run."""
     return asked.failed(str(result)) if isinstance(result, Failed) else result

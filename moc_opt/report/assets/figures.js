@@ -70,7 +70,7 @@
   const draw = (chart) => {
     const figure = spec(chart), size = figure.layout.width < phone ? "phone" : "screen";
     chart.style.minHeight = "";
-    // Purge first: otherwise plotly keeps the space at the old place of a colour bar that has moved.
+    // Purge first: otherwise plotly keeps the space that a colour bar took before it was moved.
     if (chart.dataset.size && chart.dataset.size !== size) Plotly.purge(chart);
     chart.dataset.size = size;
     return Plotly.react(chart, figure.data, figure.layout, options(chart));
